@@ -1,0 +1,83 @@
+"""What was driven: the shared nouns, and logs in and out.
+
+Frames: world W (unsuffixed), `_ego` (x forward, y left), `_frenet` (s along, l left). The ego's reference point is its
+rear axle, an agent's the centre of its box. SI units inside; units stand in names only at the edges (files, options,
+tables). Time: integer nanoseconds in logs and loops, seconds since the scenario's start inside numerics.
+
+    Scenario      a log: ego, tracks of the others, road, goal
+    EgoState      the ego at one instant           Trajectory    states over time
+    Agents        the others at one instant        Tracks        the others over time
+    Frame         what a planner may know          Predictions   the others' assumed futures
+    Plan          what a planner answers           Command       steering and pedals
+    Trace         a drive: a log that we drove
+    Road, Lane, Goal, ReferenceLine                where
+    VehicleParameters                              with what
+"""
+
+from logs.errors import ConfigError, LogError, PlannerError, ReplanError
+from logs.frame import Frame, PlannerContext, Predictions
+from logs.road import Goal, Lane, ReferenceLine, Road, RoadSource
+from logs.scenario import AgentKind, Agents, Scenario, Tracks
+from logs.states import Command, Controls, EgoState, Trajectory, wrap
+from logs.trace import (
+    Corridor,
+    CostTerms,
+    Decision,
+    DecisionKind,
+    EndReason,
+    GraphObstacle,
+    GridCost,
+    Mode,
+    Plan,
+    PlannedFrame,
+    PlanStart,
+    PlanStatus,
+    SlGraph,
+    SolverReport,
+    StGraph,
+    Trace,
+    TrackingErrors,
+)
+from logs.vehicle import VehicleParameters
+
+__all__ = [
+    "AgentKind",
+    "Agents",
+    "Command",
+    "ConfigError",
+    "Controls",
+    "Corridor",
+    "CostTerms",
+    "Decision",
+    "DecisionKind",
+    "EgoState",
+    "EndReason",
+    "Frame",
+    "Goal",
+    "GraphObstacle",
+    "GridCost",
+    "Lane",
+    "LogError",
+    "Mode",
+    "Plan",
+    "PlanStart",
+    "PlanStatus",
+    "PlannedFrame",
+    "PlannerContext",
+    "PlannerError",
+    "Predictions",
+    "ReferenceLine",
+    "ReplanError",
+    "Road",
+    "RoadSource",
+    "Scenario",
+    "SlGraph",
+    "SolverReport",
+    "StGraph",
+    "Trace",
+    "TrackingErrors",
+    "Tracks",
+    "Trajectory",
+    "VehicleParameters",
+    "wrap",
+]

@@ -1,0 +1,36 @@
+"""The one decorator of compiled kernels.
+
+A kernel is a pure module-level function of scalars and arrays. `kernel` compiles it with numba: cached on
+disk, IEEE arithmetic (no fastmath), division by zero gives inf or nan as in NumPy. `NUMBA_DISABLE_JIT=1` runs
+the same source as plain Python.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ParamSpec, TypeVar, cast
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def kernel(function: Callable[P, R]) -> Callable[P, R]:
+    """Compile `function` when it is first called; types as in its annotations."""
+    return cast("Callable[P, R]", njit(cache=True, error_model="numpy")(function))
+
+
+def frozen(values: object, dtype: Any = np.float64) -> NDArray[Any]:
+    """A read-only contiguous array of `values`: a private copy unless it is one already."""
+    array: NDArray[Any] = np.ascontiguousarray(values, dtype=dtype)
+    if array.flags.writeable:
+        array = array.copy()
+        array.flags.writeable = False
+    return array

@@ -1,0 +1,368 @@
+"""Roads: lanes and their graph, the goal on them, and the reference line with its Frenet frame.
+
+Reference line: a C2 cubic spline r(s) through points at arc-length stations, so that |r'| = 1 up to the spline's
+error and the frame is smooth. Frenet coordinates (s, l), l to the left (Werling et al., ICRA 2010):
+
+(1) p = r(s) + l n(s),  with  (p - r(s)) . r'(s) = 0        n = r' turned left by 90 degrees
+(2) kappa = (x' y'' - y' x'') / |r'|^3
+(3) The frame is regular where 1 - kappa l > 0; a foot point with 1 - kappa l <= 0 is a maximum of the distance, not
+    the nearest point.
+
+Projection is windowed by a guess of s: a line that comes near itself (a loop, a roundabout) has several feet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import Enum
+from functools import cached_property
+from math import atan2, hypot, sqrt
+from types import MappingProxyType
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from logs.kernel import FloatArray, frozen, kernel
+
+
+class RoadSource(Enum):
+    """Where the road came from."""
+
+    LANES = "lanes of the log"
+    DRIVEN_PATH = "the log has no lanes: one lane along the driven path"
+
+
+@dataclass(frozen=True, eq=False)
+class Lane:
+    """One lane: a strip between two boundaries, driven from first to last point.
+
+    Attributes:
+        id: Unique in its road.
+        left: Left boundary `(n, 2)`, world, m.
+        right: Right boundary `(n, 2)`; point i faces point i of `left`.
+        successors: Lanes that go on from its end.
+        left_neighbour: Lane beside it in the same direction, or None; `right_neighbour` likewise.
+        left_opposite: Whether the strip to the left is driven in the opposite direction.
+        speed_limit: m/s; NaN where the log has none.
+        drivable: Whether a car may drive there (a sidewalk is a lane that is not drivable).
+        left_crossable: Whether the left marking may be crossed; `right_crossable` likewise.
+        kind: The log's own word ("urban", "crosswalk", ...).
+    """
+
+    id: int
+    left: FloatArray
+    right: FloatArray
+    successors: tuple[int, ...] = ()
+    left_neighbour: int | None = None
+    right_neighbour: int | None = None
+    left_opposite: bool = False
+    speed_limit: float = float("nan")
+    drivable: bool = True
+    left_crossable: bool = True
+    right_crossable: bool = True
+    kind: str = "lane"
+
+    def __post_init__(self) -> None:
+        for name in ("left", "right"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+        if self.left.shape != self.right.shape or self.left.ndim != 2 or len(self.left) < 2:
+            raise ValueError(f"lane {self.id}: boundaries have shapes {self.left.shape} and {self.right.shape}")
+        if not (np.isfinite(self.left).all() and np.isfinite(self.right).all()):
+            raise ValueError(f"lane {self.id}: a boundary point is not finite")
+
+    @cached_property
+    def center(self) -> FloatArray:
+        """Centre line `(n, 2)`: mean of the boundaries."""
+        return frozen(0.5 * (self.left + self.right))
+
+    @cached_property
+    def polygon(self) -> FloatArray:
+        """Outline `(2n, 2)`: left boundary there, right boundary back."""
+        return frozen(np.vstack([self.left, self.right[::-1]]))
+
+    @cached_property
+    def length(self) -> float:
+        """Length of the centre line, m."""
+        return float(np.hypot(*np.diff(self.center, axis=0).T).sum())
+
+
+@kernel
+def inside(x: float, y: float, polygon: FloatArray) -> bool:
+    """Whether a point lies in a simple polygon `(n, 2)` (even-odd rule)."""
+    found = False
+    j = len(polygon) - 1
+    for i in range(len(polygon)):
+        xi, yi, xj, yj = polygon[i, 0], polygon[i, 1], polygon[j, 0], polygon[j, 1]
+        if (yi > y) != (yj > y) and x < (xj - xi) * (y - yi) / (yj - yi) + xi:
+            found = not found
+        j = i
+    return found
+
+
+@dataclass(frozen=True, eq=False)
+class Road:
+    """Lanes by id, and what is known of them.
+
+    Attributes:
+        lanes: Lane by id; a neighbour or successor that is not in it was outside the log's map.
+        source: Where they came from.
+        drives_on_right: Side of the road on which traffic drives; the passing side is the other.
+        default_speed_limit: Used where a lane has none, m/s.
+    """
+
+    lanes: Mapping[int, Lane]
+    source: RoadSource = RoadSource.LANES
+    drives_on_right: bool = True
+    default_speed_limit: float = 13.89
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "lanes", MappingProxyType(dict(self.lanes)))
+
+    @cached_property
+    def _boxes(self) -> tuple[tuple[Lane, ...], FloatArray]:
+        lanes = tuple(self.lanes.values())
+        bounds = [(*lane.polygon.min(axis=0), *lane.polygon.max(axis=0)) for lane in lanes]
+        return lanes, frozen(np.array(bounds).reshape(-1, 4))
+
+    def lanes_at(self, x: float, y: float) -> tuple[Lane, ...]:
+        """The lanes that contain a point, in the order of the road."""
+        lanes, box = self._boxes
+        near = (box[:, 0] <= x) & (x <= box[:, 2]) & (box[:, 1] <= y) & (y <= box[:, 3])
+        return tuple(lanes[i] for i in np.flatnonzero(near) if inside(x, y, lanes[i].polygon))
+
+    def is_drivable(self, x: float, y: float) -> bool:
+        """Whether a point lies on a lane that a car may drive on."""
+        return any(lane.drivable for lane in self.lanes_at(x, y))
+
+    def limit(self, lane_id: int) -> float:
+        """Speed limit of a lane, m/s: its own, else the road's default."""
+        own = self.lanes[lane_id].speed_limit
+        return own if np.isfinite(own) else self.default_speed_limit
+
+    @classmethod
+    def along(cls, path: FloatArray, *, width: float = 3.5, speed_limit: float, beyond: float = 250.0) -> Road:
+        """A road of one lane along a driven path `(n, 2)`, straight for `beyond` m after its end.
+
+        Raises:
+            ValueError: The path is shorter than 1 m, so that it has no direction.
+        """
+        points = thinned(path, 1.0)
+        if len(points) < 2:
+            raise ValueError("the driven path is shorter than 1 m")
+        heading = (points[-1] - points[-2]) / np.hypot(*(points[-1] - points[-2]))
+        points = np.vstack([points, points[-1] + np.arange(2.0, beyond, 2.0)[:, None] * heading])
+        tangent = np.gradient(points, axis=0)
+        normal = np.column_stack([-tangent[:, 1], tangent[:, 0]]) / np.hypot(*tangent.T)[:, None]
+        lane = Lane(0, points + 0.5 * width * normal, points - 0.5 * width * normal, speed_limit=speed_limit)
+        return cls({0: lane}, RoadSource.DRIVEN_PATH, default_speed_limit=speed_limit)
+
+
+@dataclass(frozen=True, eq=False)
+class Goal:
+    """Where, when and how the ego should arrive; what is None is free.
+
+    Attributes:
+        regions: Polygons `(k, 2)`; the ego's box centre must be in one of them. Empty: any place.
+        t: Time interval, s since the scenario's start.
+        v: Speed interval, m/s.
+        yaw: Heading interval, rad; from `yaw[0]` counter-clockwise to `yaw[1]`.
+    """
+
+    regions: tuple[FloatArray, ...] = ()
+    t: tuple[float, float] | None = None
+    v: tuple[float, float] | None = None
+    yaw: tuple[float, float] | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "regions", tuple(frozen(region) for region in self.regions))
+
+    def holds_place(self, x: float, y: float) -> bool:
+        """Whether the point lies in the region; True where there is no region."""
+        return not self.regions or any(inside(x, y, region) for region in self.regions)
+
+    def reached(self, t: float, x: float, y: float, yaw: float, v: float) -> bool:
+        """Whether a state (box centre) satisfies the goal."""
+        if self.t is not None and not self.t[0] <= t <= self.t[1]:
+            return False
+        if self.v is not None and not self.v[0] <= v <= self.v[1]:
+            return False
+        if self.yaw is not None:
+            turn = (yaw - self.yaw[0]) % (2.0 * np.pi)
+            if turn > (self.yaw[1] - self.yaw[0]) % (2.0 * np.pi):
+                return False
+        return self.holds_place(x, y)
+
+
+def thinned(points: FloatArray, spacing: float) -> FloatArray:
+    """The polyline `(n, 2)` without the points nearer than `spacing` m to the last kept one; keeps first and last.
+
+    Only consecutive points are compared, so closed loops survive. A line shorter than `spacing` leaves one point.
+    """
+    kept = [points[0]]
+    for point in points[1:]:
+        if hypot(*(point - kept[-1])) >= spacing:
+            kept.append(point)
+    if len(kept) > 1 and hypot(*(points[-1] - kept[-1])) > 0.0:
+        kept[-1] = points[-1] if hypot(*(points[-1] - kept[-1])) < 0.5 * spacing else kept[-1]
+        if kept[-1] is not points[-1]:
+            kept.append(points[-1])
+    return np.array(kept)
+
+
+@kernel
+def line_point(knots: FloatArray, coef: FloatArray, s: float) -> tuple[float, float, float, float, float, float]:
+    """r, r', r'' of the spline at station `s` (m): x, y, x', y', x'', y''.
+
+    Args:
+        knots: Stations `(n,)`, uniformly spaced.
+        coef: `(n-1, 8)`: cubic coefficients of x then y, highest power first.
+        s: Station; outside the line it goes on straight.
+    """
+    h = knots[1] - knots[0]
+    last = len(knots) - 1
+    clipped = min(max(s, knots[0]), knots[last])
+    i = min(max(int((clipped - knots[0]) / h), 0), last - 1)
+    u = clipped - knots[i]
+    c = coef[i]
+    x = ((c[0] * u + c[1]) * u + c[2]) * u + c[3]
+    y = ((c[4] * u + c[5]) * u + c[6]) * u + c[7]
+    dx = (3.0 * c[0] * u + 2.0 * c[1]) * u + c[2]
+    dy = (3.0 * c[4] * u + 2.0 * c[5]) * u + c[6]
+    if s != clipped:
+        return x + (s - clipped) * dx, y + (s - clipped) * dy, dx, dy, 0.0, 0.0
+    return x, y, dx, dy, 6.0 * c[0] * u + 2.0 * c[1], 6.0 * c[4] * u + 2.0 * c[5]
+
+
+@kernel
+def line_frame(knots: FloatArray, coef: FloatArray, s: float) -> tuple[float, float, float, float]:
+    """x, y, yaw, kappa (2) of the line at station `s`."""
+    x, y, dx, dy, ddx, ddy = line_point(knots, coef, s)
+    speed = sqrt(dx * dx + dy * dy)
+    return x, y, atan2(dy, dx), (dx * ddy - dy * ddx) / (speed * speed * speed)
+
+
+@kernel
+def line_project(
+    knots: FloatArray, coef: FloatArray, x: float, y: float, s_guess: float, window: float
+) -> tuple[float, float]:
+    """Frenet coordinates (1) of a point: `(s, l)`, with the foot within `window` m of `s_guess`.
+
+    A coarse search over the knots of the window, then Newton on (p - r) . r' = 0, kept in the bracket of the best
+    knot. Equal distances go to the smaller s. Exact to 1e-9 m where the frame is regular.
+    """
+    h = knots[1] - knots[0]
+    last = len(knots) - 1
+    low = max(0, min(last, int((s_guess - window - knots[0]) / h)))
+    high = max(0, min(last, int((s_guess + window - knots[0]) / h) + 1))
+    best, nearest = low, 1e300
+    for i in range(low, high + 1):
+        px, py = (coef[i, 3], coef[i, 7]) if i < last else line_point(knots, coef, knots[last])[:2]
+        square = (px - x) ** 2 + (py - y) ** 2
+        if square < nearest:
+            best, nearest = i, square
+    s = knots[best]
+    s_low = s - h if best > 0 else s - 1e4
+    s_high = s + h if best < last else s + 1e4
+    for _ in range(30):
+        rx, ry, dx, dy, ddx, ddy = line_point(knots, coef, s)
+        slope = (x - rx) * dx + (y - ry) * dy
+        if slope > 0.0:
+            s_low = s
+        else:
+            s_high = s
+        curvature = dx * dx + dy * dy - (x - rx) * ddx - (y - ry) * ddy
+        step = slope / curvature if curvature > 1e-9 else 0.5 * (s_low + s_high) - s
+        if not s_low <= s + step <= s_high:
+            step = 0.5 * (s_low + s_high) - s
+        s += step
+        if abs(step) < 1e-11:
+            break
+    rx, ry, dx, dy, ddx, ddy = line_point(knots, coef, s)
+    return s, ((y - ry) * dx - (x - rx) * dy) / sqrt(dx * dx + dy * dy)
+
+
+@kernel
+def line_project_many(
+    knots: FloatArray, coef: FloatArray, x: FloatArray, y: FloatArray, s_guess: float, window: float
+) -> FloatArray:
+    """Frenet coordinates `(n, 2)` of points `(n,)`; each search starts at the previous point's foot."""
+    out = np.empty((len(x), 2))
+    for i in range(len(x)):
+        out[i] = line_project(knots, coef, x[i], y[i], s_guess, window)
+        s_guess = out[i, 0]
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceLine:
+    """A smooth directed line with its Frenet frame (module docstring).
+
+    Attributes:
+        s: Stations `(n,)`, uniform, from 0, m.
+        coef: Spline coefficients `(n-1, 8)`, see `line_point`.
+    """
+
+    s: FloatArray
+    coef: FloatArray
+    yaw: FloatArray = field(init=False)
+    kappa: FloatArray = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "s", frozen(self.s))
+        object.__setattr__(self, "coef", frozen(self.coef))
+        frames = np.array([line_frame(self.s, self.coef, s) for s in self.s])
+        object.__setattr__(self, "yaw", frozen(np.unwrap(frames[:, 2])))
+        object.__setattr__(self, "kappa", frozen(frames[:, 3]))
+
+    @classmethod
+    def through(cls, points: FloatArray, spacing: float = 1.0) -> ReferenceLine:
+        """The spline through a polyline `(n, 2)`, resampled to equal arc length of about `spacing` m.
+
+        Two passes: chord length first, then the length of that spline, so that |r'| is 1 to about 1e-6.
+
+        Raises:
+            ValueError: Fewer than two distinct points, or a point that is not finite.
+        """
+        points = np.asarray(points, dtype=np.float64)
+        if points.ndim != 2 or points.shape[1] != 2 or not np.isfinite(points).all():
+            raise ValueError("a reference line needs finite points (n, 2)")
+        points = points[np.r_[True, np.hypot(*np.diff(points, axis=0).T) > 1e-6]]
+        if len(points) < 2:
+            raise ValueError("a reference line needs two distinct points")
+        for _ in range(3):
+            chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))]
+            spline = CubicSpline(chord, points)
+            fine = np.linspace(0.0, chord[-1], 8 * len(points))
+            speed = np.hypot(*spline(fine, 1).T)
+            arc = np.r_[0.0, np.cumsum(0.5 * np.diff(fine) * (speed[1:] + speed[:-1]))]
+            count = max(2, round(arc[-1] / spacing)) + 1
+            points = spline(np.interp(np.linspace(0.0, arc[-1], count), arc, fine))
+        stations = np.linspace(0.0, arc[-1], len(points))
+        spline = CubicSpline(stations, points)
+        return cls(stations, np.hstack([spline.c[:, :, 0].T, spline.c[:, :, 1].T]))
+
+    @property
+    def length(self) -> float:
+        """M."""
+        return float(self.s[-1])
+
+    @cached_property
+    def xy(self) -> FloatArray:
+        """Points `(n, 2)` at the stations, m."""
+        return frozen(np.array([line_point(self.s, self.coef, s)[:2] for s in self.s]))
+
+    def frame(self, s: float) -> tuple[float, float, float, float]:
+        """x, y, yaw, kappa at station `s`; beyond the ends the line goes on straight."""
+        return line_frame(self.s, self.coef, float(s))
+
+    def project(self, x: float, y: float, near: float | None = None, window: float = 30.0) -> tuple[float, float]:
+        """Frenet coordinates (s, l) of a point, its foot within `window` m of `near` (None: the whole line)."""
+        if near is None:
+            return line_project(self.s, self.coef, float(x), float(y), 0.5 * self.length, self.length)
+        return line_project(self.s, self.coef, float(x), float(y), float(near), float(window))
+
+    def point(self, s: float, l: float) -> tuple[float, float]:  # noqa: E741
+        """World point of Frenet coordinates (1)."""
+        x, y, yaw, _ = self.frame(s)
+        return float(x - l * np.sin(yaw)), float(y + l * np.cos(yaw))

@@ -1,0 +1,134 @@
+"""Ego state, trajectories and actuation: the nouns of motion.
+
+World frame W, SI units, time in seconds since the scenario's start. The ego's reference point is its rear axle.
+
+    t      s       x, y   m       yaw    rad, counter-clockwise from x
+    v      m/s     along the body, negative in reverse
+    a      m/s2    dv/dt
+    kappa  1/m     curvature of the path of the reference point, positive to the left
+    steer  rad     front wheel angle, positive to the left
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from math import floor, pi
+
+import numpy as np
+
+from logs.kernel import FloatArray, frozen, kernel
+
+
+@kernel
+def wrap(angle: float) -> float:
+    """The angle in [-pi, pi): the one wrap of the code base."""
+    return angle - 2.0 * pi * floor((angle + pi) / (2.0 * pi))
+
+
+@dataclass(frozen=True, slots=True)
+class EgoState:
+    """The ego at one instant (module docstring for units); `v_lat` is the rear axle's lateral speed, m/s."""
+
+    t: float
+    x: float
+    y: float
+    yaw: float
+    v: float
+    a: float = 0.0
+    kappa: float = 0.0
+    steer: float = 0.0
+    yaw_rate: float = 0.0
+    v_lat: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """What a controller asks of the vehicle.
+
+    Attributes:
+        steer: Front wheel angle, rad.
+        throttle: Pedal, 0 to 1.
+        brake: Pedal, 0 to 1; never together with the throttle.
+    """
+
+    steer: float
+    throttle: float
+    brake: float
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Trajectory:
+    """States over time, struct of arrays: each column `(n,)` float64, read-only, n >= 1.
+
+    `yaw` is continuous (unwrapped). `t` increases strictly. All values are finite.
+
+    Raises:
+        ValueError: Columns differ in length, a value is not finite, or time does not increase.
+    """
+
+    t: FloatArray
+    x: FloatArray
+    y: FloatArray
+    yaw: FloatArray
+    v: FloatArray
+    a: FloatArray
+    kappa: FloatArray
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            column = frozen(getattr(self, field.name))
+            if field.name == "yaw":
+                column = frozen(np.unwrap(column))
+            if column.shape != (len(self.t),) or not len(column):
+                raise ValueError(f"{field.name} has shape {column.shape}, expected ({len(self.t)},) and not empty")
+            if not np.isfinite(column).all():
+                raise ValueError(f"{field.name} is not finite at index {int(np.argmin(np.isfinite(column)))}")
+            object.__setattr__(self, field.name, column)
+        if len(self.t) > 1 and not (np.diff(self.t) > 0.0).all():
+            raise ValueError(f"time does not increase after {self.t[int(np.argmin(np.diff(self.t) > 0.0))]} s")
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    def state(self, index: int) -> EgoState:
+        """The sample at `index`."""
+        return EgoState(*(float(getattr(self, name)[index]) for name in TRAJECTORY_COLUMNS))
+
+    def at(self, t: float) -> EgoState:
+        """The state at time `t`, linearly interpolated; the ends hold outside the span.
+
+        For plans and ground truth only: between two samples of a log it knows the later one.
+        """
+        return EgoState(t, *(float(np.interp(t, self.t, getattr(self, name))) for name in TRAJECTORY_COLUMNS[1:]))
+
+    def resampled(self, t: FloatArray) -> Trajectory:
+        """Linear interpolation at the times `t` `(m,)`, increasing, within the span."""
+        return Trajectory(t, *(np.interp(t, self.t, getattr(self, name)) for name in TRAJECTORY_COLUMNS[1:]))
+
+    def between(self, t_from: float, t_to: float) -> Trajectory:
+        """The samples with `t_from <= t <= t_to`; at least one must be there."""
+        keep = (self.t >= t_from) & (self.t <= t_to)
+        return Trajectory(*(getattr(self, name)[keep] for name in TRAJECTORY_COLUMNS))
+
+
+TRAJECTORY_COLUMNS = tuple(field.name for field in fields(Trajectory))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Controls:
+    """Actuation over time, `(n,)` each: steer rad, throttle and brake 0 to 1; NaN where not known."""
+
+    t: FloatArray
+    steer: FloatArray
+    throttle: FloatArray
+    brake: FloatArray
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            column = frozen(getattr(self, field.name))
+            if column.shape != (len(self.t),):
+                raise ValueError(f"{field.name} has shape {column.shape}, expected ({len(self.t)},)")
+            object.__setattr__(self, field.name, column)
+
+    def __len__(self) -> int:
+        return len(self.t)

@@ -1,0 +1,246 @@
+"""What happened: plans with their reasons and internals, and the trace of a drive.
+
+`Plan.internals` are generic artefacts: any planner may fill them; recording and metrics know no planner by name.
+Graph coordinates: S-L graphs have (s, l) of the reference line, S-T graphs (t since the frame, s along the planned
+path from the ego), m and s.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+from logs.kernel import FloatArray, IntArray, frozen
+from logs.scenario import Tracks
+from logs.states import Controls, Trajectory
+
+
+class PlanStatus(Enum):
+    """How a plan came about; the value is the sentence that the user reads."""
+
+    PLANNED = "planned"
+    PREVIOUS = "a stage failed: the previous plan goes on"
+    COMFORTABLE_STOP = "a stage failed: comfortable stop along the last path"
+    HARD_STOP = "a stage failed: hard stop along the last path"
+
+    @property
+    def is_fallback(self) -> bool:
+        """Whether the planner could not plan."""
+        return self is not PlanStatus.PLANNED
+
+
+class PlanStart(Enum):
+    """Where a plan begins."""
+
+    EGO = "at the ego"
+    PREVIOUS_PLAN = "on the previous plan"
+
+
+class DecisionKind(Enum):
+    """What is to be done about an agent."""
+
+    IGNORE = "ignore"
+    NUDGE_LEFT = "nudge left"
+    NUDGE_RIGHT = "nudge right"
+    STOP = "stop"
+    FOLLOW = "follow"
+    YIELD = "yield"
+    OVERTAKE = "overtake"
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """What was decided about one agent in one stage ("path", "speed"), and why."""
+
+    agent: str
+    kind: DecisionKind
+    stage: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class CostTerms:
+    """The cost of what a stage chose, by term (weighted, so that they add up)."""
+
+    stage: str
+    terms: tuple[tuple[str, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class SolverReport:
+    """One call of a solver; residuals are the solver's own, infinity norm."""
+
+    stage: str
+    solved: bool
+    status: str
+    iterations: int
+    primal_residual: float
+    dual_residual: float
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class GridCost:
+    """A DP grid: `cost[i, j]` is the least cost to come to node `(first[i], second[j])`; inf = not reached.
+
+    `chosen[i]` is the second index of the solution in column i, -1 where the solution does not reach.
+    """
+
+    first: FloatArray
+    second: FloatArray
+    cost: FloatArray
+    chosen: IntArray
+
+    def __post_init__(self) -> None:
+        for name in ("first", "second", "cost"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Corridor:
+    """Bounds `(n,)` of a solution over `first`; infinite where free."""
+
+    first: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("first", "lower", "upper"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class GraphObstacle:
+    """An agent in a graph: its outline `(k, 2)` in graph coordinates and what was decided about it."""
+
+    agent: str
+    outline: FloatArray
+    decision: DecisionKind
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "outline", frozen(self.outline))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Graph:
+    """A plane in which a stage searched: DP solution `(m, 2)`, QP solution `(n, 2)`, corridor, obstacles."""
+
+    grid: GridCost | None
+    corridor: Corridor | None
+    dp: FloatArray
+    qp: FloatArray
+    obstacles: tuple[GraphObstacle, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "dp", frozen(self.dp))
+        object.__setattr__(self, "qp", frozen(self.qp))
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SlGraph(Graph):
+    """Station (m) and lateral offset (m) of the reference line: where the path was chosen."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class StGraph(Graph):
+    """Time (s from the frame) and station along the path (m from the ego): where the speed was chosen."""
+
+
+Artefact = SlGraph | StGraph | Decision | CostTerms | SolverReport
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Plan:
+    """What a planner answers to a frame.
+
+    Attributes:
+        trajectory: From the frame's time on, at the rear axle.
+        status: Whether it was planned or is a fallback.
+        reason: Why, in one sentence; empty for a plan without trouble.
+        start: Where it begins.
+        internals: What the planner wants to be seen.
+    """
+
+    trajectory: Trajectory
+    status: PlanStatus = PlanStatus.PLANNED
+    reason: str = ""
+    start: PlanStart = PlanStart.EGO
+    internals: tuple[Artefact, ...] = ()
+
+
+class Mode(Enum):
+    """Open loop: the ego is the log's. Closed loop: the ego is driven."""
+
+    OPEN = "open"
+    CLOSED = "closed"
+
+
+class EndReason(Enum):
+    """Why a drive ended; the value is the sentence that the user reads."""
+
+    END_OF_LOG = "end of the log"
+    GOAL = "goal reached"
+    COLLISION = "collision"
+    OFF_ROAD = "left the road"
+    PLANNER_FAILURE = "the planner failed"
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class TrackingErrors:
+    """How far the ego was off its plan, `(n,)` each.
+
+    Attributes:
+        t: s.
+        lateral: Ego to the plan's path, positive left of it, m.
+        heading: rad, principal value.
+        speed: Ego minus plan at this time, m/s.
+        station: Ego minus plan at this time, along the path, m.
+    """
+
+    t: FloatArray
+    lateral: FloatArray
+    heading: FloatArray
+    speed: FloatArray
+    station: FloatArray
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PlannedFrame:
+    """One frame of a trace: when, and what was planned."""
+
+    t: float
+    plan: Plan
+
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """One drive of one planner over one scenario. No wall-clock time is in it.
+
+    Attributes:
+        scenario: Its name.
+        planner: As the user named it.
+        mode: Open or closed loop.
+        oracle: Whether the planner knew the log's future.
+        ego: As driven: at the control rate in closed loop, on the frame grid in open loop.
+        agents: As they moved.
+        frames: The plans, in order of time.
+        commands: What the controller asked for, on `ego.t`; None in open loop.
+        actuation: What the actuators did, on `ego.t`; None in open loop.
+        tracking: On `ego.t`; None in open loop.
+        end: Why it ended.
+        detail: With what, where ("car 12").
+        notes: What the user must know to read the results, one sentence each.
+    """
+
+    scenario: str
+    planner: str
+    mode: Mode
+    oracle: bool
+    ego: Trajectory
+    agents: Tracks
+    frames: tuple[PlannedFrame, ...]
+    end: EndReason
+    detail: str = ""
+    commands: Controls | None = None
+    actuation: Controls | None = None
+    tracking: TrackingErrors | None = None
+    notes: tuple[str, ...] = ()

@@ -1,0 +1,97 @@
+"""What is driven when a stage fails: the previous plan, else a comfortable stop, else a hard stop.
+
+1. the rest of the previous plan, if it lasts `MIN_REST_S` and meets nobody within it
+2. a stop along its path (or straight on where there is none) with comfortable limits, if that meets nobody
+3. a stop with the hardest braking
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from logs.frame import Frame
+from logs.kernel import FloatArray, kernel
+from logs.shapes import overlap
+from logs.states import EgoState, Trajectory
+from logs.trace import Artefact, Plan, PlanStart, PlanStatus
+from logs.vehicle import VehicleParameters
+from planners.dp_qp.path import Path, states_on_path
+from planners.dp_qp.speed_qp import STEP_S, SpeedQpConfig, braking
+
+MIN_REST_S = 3.0
+
+
+def along(path: Path, profile: FloatArray, t: float) -> Trajectory:
+    """The trajectory of a speed profile, rows s, v, a `(3, n)` every 0.1 s from time `t`, along a path."""
+    x, y, yaw, kappa = states_on_path(
+        path.sigma, path.x, path.y, path.yaw, path.kappa, np.ascontiguousarray(profile[0])
+    )
+    return Trajectory(t + STEP_S * np.arange(profile.shape[1]), x, y, yaw, profile[1], profile[2], kappa)
+
+
+def fall_back(
+    frame: Frame, start: EgoState, start_kind: PlanStart, path: Path | None, reason: str,
+    artefacts: tuple[Artefact, ...], vehicle: VehicleParameters, config: SpeedQpConfig,
+) -> Plan:  # fmt: skip
+    """The fallback ladder of the module docstring; `path` is this frame's, if the path stage found one."""
+    rest = _rest(frame)
+    if rest is not None and not meets(rest, frame, vehicle):
+        return Plan(rest, PlanStatus.PREVIOUS, reason, PlanStart.PREVIOUS_PLAN, artefacts)
+    path = path or (_path_of(rest) if rest is not None and rest.v[0] > 0.5 else None) or _straight(start)
+    status = PlanStatus.COMFORTABLE_STOP
+    for limits in (config.comfort, config.emergency):
+        profile = braking(max(start.v, 0.0), start.a, limits.decel_mps2, limits.jerk_mps3, STEP_S, config.knots)
+        stop = along(path, profile, frame.t)
+        if limits is config.emergency or not meets(stop, frame, vehicle):
+            break
+        status = PlanStatus.HARD_STOP
+    return Plan(stop, status, reason, start_kind, artefacts)
+
+
+def meets(trajectory: Trajectory, frame: Frame, vehicle: VehicleParameters) -> bool:
+    """Whether the ego on this trajectory would touch a predicted agent."""
+    futures = frame.predictions
+    if not len(futures):
+        return False
+    t = futures.t[(futures.t >= trajectory.t[0]) & (futures.t <= trajectory.t[-1])]
+    ego = np.array([np.interp(t, trajectory.t, column) for column in (trajectory.x, trajectory.y, trajectory.yaw)])
+    sizes = np.vstack([frame.agents.length[futures.agent], frame.agents.width[futures.agent]])
+    car = np.array([vehicle.axle_to_center, vehicle.length, vehicle.width])
+    return _meets(ego, futures.x, futures.y, futures.yaw, sizes, car)
+
+
+@kernel
+def _meets(ego: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, sizes: FloatArray, car: FloatArray) -> bool:
+    for k in range(ego.shape[1]):
+        cx, cy = ego[0, k] + car[0] * np.cos(ego[2, k]), ego[1, k] + car[0] * np.sin(ego[2, k])
+        for i in range(len(x)):
+            if overlap(cx, cy, ego[2, k], car[1], car[2], x[i, k], y[i, k], yaw[i, k], sizes[0, i], sizes[1, i]):
+                return True
+    return False
+
+
+def _rest(frame: Frame) -> Trajectory | None:
+    """What is left of the previous plan from the frame's time on, if it is long enough."""
+    if frame.previous is None:
+        return None
+    old = frame.previous.trajectory
+    if old.t[-1] - frame.t < MIN_REST_S or old.t[0] > frame.t:
+        return None
+    return old.resampled(np.r_[frame.t, old.t[old.t > frame.t + 1e-6]])
+
+
+def _path_of(trajectory: Trajectory) -> Path | None:
+    step = np.hypot(np.diff(trajectory.x), np.diff(trajectory.y))
+    keep = np.r_[True, step > 1e-3]
+    if keep.sum() < 2:
+        return None
+    x, y, yaw, kappa = (column[keep] for column in (trajectory.x, trajectory.y, trajectory.yaw, trajectory.kappa))
+    sigma = np.r_[0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y)))]
+    return Path(sigma, x, y, yaw, kappa, sigma)
+
+
+def _straight(start: EgoState) -> Path:
+    sigma = np.linspace(0.0, 200.0, 201)
+    still = np.zeros(len(sigma))
+    x, y = start.x + sigma * np.cos(start.yaw), start.y + sigma * np.sin(start.yaw)
+    return Path(sigma, x, y, still + start.yaw, still, sigma)

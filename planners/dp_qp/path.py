@@ -1,0 +1,127 @@
+"""The planned path as a fine polyline in the world, from knots of the path QP.
+
+Exact transform from the Frenet frame of the reference line (Werling et al., ICRA 2010), with D = 1 - kappa_r l and
+tan d = l' / D:
+
+(1) p = r(s) + l n(s)              (2) yaw = yaw_r + d
+(3) kappa = ((l'' + (kappa_r' l + kappa_r l') tan d) cos^2 d / D + kappa_r) cos d / D
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import atan2, cos, hypot, sin, tan
+
+import numpy as np
+
+from logs.kernel import FloatArray, kernel
+from logs.road import ReferenceLine, line_frame
+from logs.states import EgoState, wrap
+
+FINE_M = 0.5
+MIN_REGULAR = 0.1
+"""1 - kappa l is kept above this: nearer to the centre of the turn the Frenet frame says nothing."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Path:
+    """A path of the rear axle; arrays `(m,)`.
+
+    Attributes:
+        sigma: Arc length from the start, m.
+        x: World, m; `y`, `yaw` (rad, unwrapped), `kappa` (1/m) likewise.
+        s: Station on the reference line, m.
+    """
+
+    sigma: FloatArray
+    x: FloatArray
+    y: FloatArray
+    yaw: FloatArray
+    kappa: FloatArray
+    s: FloatArray
+
+    @property
+    def length(self) -> float:
+        """M."""
+        return float(self.sigma[-1])
+
+
+@kernel
+def _fine_path(
+    knots: FloatArray, coef: FloatArray, s0: float, step: float, offsets: FloatArray, parts: int
+) -> FloatArray:
+    """Rows sigma, x, y, yaw, kappa, s `(6, m)` of the path with knots `(3, n)` of l, l', l''."""
+    n = offsets.shape[1]
+    out = np.empty((6, (n - 1) * parts + 1))
+    for m in range(out.shape[1]):
+        i = min(m // parts, n - 2)
+        d = step * (m - i * parts) / parts
+        jerk = (offsets[2, i + 1] - offsets[2, i]) / step
+        ddl = offsets[2, i] + d * jerk
+        dl = offsets[1, i] + d * (offsets[2, i] + 0.5 * d * jerk)
+        l = offsets[0, i] + d * (offsets[1, i] + d * (0.5 * offsets[2, i] + d * jerk / 6.0))  # noqa: E741
+        s = s0 + step * i + d
+        x, y, yaw_r, kappa_r = line_frame(knots, coef, s)
+        dkappa_r = line_frame(knots, coef, s + 0.25)[3] - line_frame(knots, coef, s - 0.25)[3]
+        regular = max(1.0 - kappa_r * l, MIN_REGULAR)
+        turn = atan2(dl, regular)
+        c = cos(turn)
+        bend = ddl + (2.0 * dkappa_r * l + kappa_r * dl) * tan(turn)
+        out[1, m], out[2, m] = x - l * sin(yaw_r), y + l * cos(yaw_r)  # (1)
+        out[3, m] = yaw_r + turn  # (2)
+        out[4, m] = (bend * c * c / regular + kappa_r) * c / regular  # (3)
+        out[5, m] = s
+        out[0, m] = 0.0
+        if m > 0:
+            out[0, m] = out[0, m - 1] + hypot(out[1, m] - out[1, m - 1], out[2, m] - out[2, m - 1])
+            out[3, m] = out[3, m - 1] + wrap(out[3, m] - out[3, m - 1])
+    return out
+
+
+def make_path(line: ReferenceLine, s0: float, step: float, offsets: FloatArray) -> Path:
+    """The path through knots of (l, l', l'') `(3, n)`, `step` m apart from station `s0`."""
+    parts = max(1, int(np.ceil(step / FINE_M)))
+    return Path(*_fine_path(line.s, line.coef, s0, step, np.ascontiguousarray(offsets), parts))
+
+
+def frenet_start(line: ReferenceLine, state: EgoState, s: float, l: float) -> tuple[float, float, float]:  # noqa: E741
+    """l, l', l'' of a state whose foot point is (s, l): the inverse of (2) and (3).
+
+    The heading is taken within 60 degrees of the line's: beyond, l' as a function of s has no meaning.
+    """
+    _, _, yaw_r, kappa_r = line.frame(s)
+    dkappa_r = line.frame(s + 0.25)[3] - line.frame(s - 0.25)[3]
+    regular = max(1.0 - kappa_r * l, MIN_REGULAR)
+    turn = float(np.clip(wrap(state.yaw - yaw_r), -1.0, 1.0))
+    dl = regular * tan(turn)
+    ddl = (state.kappa * regular / cos(turn) - kappa_r) * regular / cos(turn) ** 2
+    ddl -= (2.0 * dkappa_r * l + kappa_r * dl) * tan(turn)
+    return l, dl, ddl
+
+
+@kernel
+def states_on_path(
+    sigma: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, kappa: FloatArray, stations: FloatArray
+) -> FloatArray:
+    """Rows x, y, yaw, kappa `(4, n)` at arc lengths `(n,)`: cubic Hermite in the position, linear in yaw and kappa.
+
+    Beyond the end the path goes on straight.
+    """
+    out = np.empty((4, len(stations)))
+    last = len(sigma) - 1
+    i = 0
+    for k in range(len(stations)):
+        target = stations[k]
+        while i < last - 1 and sigma[i + 1] < target:
+            i += 1
+        h = sigma[i + 1] - sigma[i]
+        u = min(max((target - sigma[i]) / h, 0.0), 1.0)
+        h00, h01 = (1.0 + 2.0 * u) * (1.0 - u) ** 2, u * u * (3.0 - 2.0 * u)
+        h10, h11 = u * (1.0 - u) ** 2 * h, u * u * (u - 1.0) * h
+        a, b = yaw[i], yaw[i + 1]
+        beyond = target - sigma[last] if target > sigma[last] else 0.0
+        out[2, k] = a + u * (b - a)
+        out[0, k] = h00 * x[i] + h01 * x[i + 1] + h10 * cos(a) + h11 * cos(b) + beyond * cos(b)
+        out[1, k] = h00 * y[i] + h01 * y[i + 1] + h10 * sin(a) + h11 * sin(b) + beyond * sin(b)
+        out[3, k] = kappa[i] + u * (kappa[i + 1] - kappa[i]) if beyond == 0.0 else 0.0
+    return out

@@ -1,0 +1,165 @@
+"""Path DP: which side of each obstacle, by dynamic programming over sampled points of the S-L plane.
+
+Columns at stations S_i, rows at offsets L_k; nodes have l' = l'' = 0, so an edge between columns is the quintic
+
+(1) l(u) = l_j + (l_k - l_j) (10 u^3 - 15 u^4 + 6 u^5),   u = (s - S_i) / (S_{i+1} - S_i)
+
+and only the first edge, from the ego's (l, l', l''), is a general quintic. Cost of an edge, sampled at equal steps:
+
+(2) sum over samples  w_ref l^2 + w_dl l'^2 + w_ddl l''^2 + obstacle(s, l) + corridor(s, l)
+(3) obstacle = COLLISION inside a box grown by the ego's half width, w_near (1 - gap / reach)^2 within `reach` of it
+
+(4) cost[i, k] = min over j  cost[i-1, j] + edge(j, k)
+
+(paper, section II-F, Fig. 6). Ties go to the row that comes first: rows are ordered from the passing side.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from logs.kernel import FloatArray, IntArray, kernel
+
+COLLISION = 1e4
+OUTSIDE = 1e3
+SAMPLES = 10
+
+
+@dataclass(frozen=True)
+class PathDpConfig:
+    """Grid and weights of the path DP.
+
+    Attributes:
+        columns: Stations of the grid.
+        rows: Offsets of the grid, odd, so that one is the reference line.
+        row_spacing_m: Between two offsets.
+        w_ref: Weight of l^2; `w_dl` of l'^2; `w_ddl` of l''^2.
+        w_near: Weight of coming near an obstacle.
+        reach_m: From this distance on an obstacle does not matter.
+    """
+
+    columns: int = 10
+    rows: int = 21
+    row_spacing_m: float = 0.5
+    w_ref: float = 0.05
+    w_dl: float = 20.0
+    w_ddl: float = 500.0
+    w_near: float = 2.0
+    reach_m: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.columns < 2 or self.rows < 3 or self.rows % 2 == 0 or not self.row_spacing_m > 0.0:
+            raise ValueError("path DP needs 2 columns, an odd number of rows >= 3 and a positive spacing")
+
+    def offsets(self, *, passes_left: bool) -> FloatArray:
+        """The rows `(rows,)`, m, from the passing side to the other."""
+        half = self.rows // 2
+        rows = self.row_spacing_m * np.arange(half, -half - 1, -1)
+        return rows if passes_left else -rows
+
+
+@kernel
+def quintic(l0: float, dl0: float, ddl0: float, l1: float, length: float) -> tuple[float, float, float]:
+    """Coefficients c3, c4, c5 of the quintic from (l0, l0', l0'') to (l1, 0, 0) over `length` m."""
+    h = length
+    delta = l1 - l0 - dl0 * h - 0.5 * ddl0 * h * h
+    slope = -dl0 - ddl0 * h
+    bend = -ddl0
+    c3 = (10.0 * delta - 4.0 * slope * h + 0.5 * bend * h * h) / h**3
+    c4 = (-15.0 * delta + 7.0 * slope * h - bend * h * h) / h**4
+    c5 = (6.0 * delta - 3.0 * slope * h + 0.5 * bend * h * h) / h**5
+    return c3, c4, c5
+
+
+@kernel
+def _edge(
+    s0: float, l0: float, dl0: float, ddl0: float, s1: float, l1: float,
+    boxes: FloatArray, lower: FloatArray, upper: FloatArray, column: int, weights: FloatArray, best: float,
+) -> float:  # fmt: skip
+    """Cost (2) of the edge; gives up once it exceeds `best`. Corridor bounds `(columns, SAMPLES)` at the samples."""
+    length = s1 - s0
+    c3, c4, c5 = quintic(l0, dl0, ddl0, l1, length)
+    step = length / SAMPLES
+    total = 0.0
+    for i in range(SAMPLES):
+        d = step * (i + 1)
+        offset = l0 + d * (dl0 + d * (0.5 * ddl0 + d * (c3 + d * (c4 + d * c5))))
+        slope = dl0 + d * (ddl0 + d * (3.0 * c3 + d * (4.0 * c4 + d * 5.0 * c5)))
+        bend = ddl0 + d * (6.0 * c3 + d * (12.0 * c4 + d * 20.0 * c5))
+        cost = weights[0] * offset * offset + weights[1] * slope * slope + weights[2] * bend * bend
+        outside = max(lower[column, i] - offset, offset - upper[column, i], 0.0)
+        if outside > 0.0:
+            cost += OUTSIDE * (0.1 + outside)
+        for b in range(len(boxes)):
+            if boxes[b, 0] <= s0 + d <= boxes[b, 1]:
+                gap = max(boxes[b, 2] - offset, offset - boxes[b, 3])
+                if gap < 0.0:
+                    cost += COLLISION
+                elif gap < weights[4]:
+                    cost += weights[3] * (1.0 - gap / weights[4]) ** 2
+        total += cost * step
+        if total >= best:
+            return total
+    return total
+
+
+@kernel
+def path_dp(
+    stations: FloatArray, offsets: FloatArray, start: FloatArray,
+    boxes: FloatArray, lower: FloatArray, upper: FloatArray, weights: FloatArray,
+) -> tuple[FloatArray, IntArray]:  # fmt: skip
+    """Solve (4).
+
+    Args:
+        stations: `(n,)` m, ahead of the start.
+        offsets: `(k,)` m.
+        start: s, l, l', l'' of the ego.
+        boxes: `(b, 4)` obstacles: s from, s to, l from, l to, grown by the ego.
+        lower: `(n, SAMPLES)` corridor at the samples of the edge into each column.
+        upper: `(n, SAMPLES)`.
+        weights: w_ref, w_dl, w_ddl, w_near, reach.
+
+    Returns:
+        Cost to come `(n, k)`, and the chosen row per column `(n,)`.
+    """
+    n, k = len(stations), len(offsets)
+    cost = np.full((n, k), np.inf)
+    parent = np.zeros((n, k), np.int64)
+    for row in range(k):
+        cost[0, row] = _edge(
+            start[0], start[1], start[2], start[3], stations[0], offsets[row], boxes, lower, upper, 0, weights, np.inf
+        )
+    for i in range(1, n):
+        for row in range(k):
+            for before in range(k):
+                if cost[i - 1, before] >= cost[i, row]:
+                    continue
+                total = cost[i - 1, before] + _edge(
+                    stations[i - 1], offsets[before], 0.0, 0.0, stations[i], offsets[row],
+                    boxes, lower, upper, i, weights, cost[i, row] - cost[i - 1, before],
+                )  # fmt: skip
+                if total < cost[i, row]:
+                    cost[i, row], parent[i, row] = total, before
+    chosen = np.zeros(n, np.int64)
+    chosen[n - 1] = np.argmin(cost[n - 1])
+    for i in range(n - 1, 0, -1):
+        chosen[i - 1] = parent[i, chosen[i]]
+    return cost, chosen
+
+
+@kernel
+def path_dp_offset(stations: FloatArray, offsets: FloatArray, chosen: IntArray, start: FloatArray, s: float) -> float:
+    """The DP path's l at station `s` (1); beyond the grid it stays at its last row."""
+    s0, l0, dl0, ddl0 = start[0], start[1], start[2], start[3]
+    if s <= s0:
+        return l0
+    for i in range(len(stations)):
+        l1 = offsets[chosen[i]]
+        if s <= stations[i]:
+            c3, c4, c5 = quintic(l0, dl0, ddl0, l1, stations[i] - s0)
+            d = s - s0
+            return l0 + d * (dl0 + d * (0.5 * ddl0 + d * (c3 + d * (c4 + d * c5))))
+        s0, l0, dl0, ddl0 = stations[i], l1, 0.0, 0.0
+    return l0

@@ -1,0 +1,218 @@
+"""Course: the reference line of a route, with the free width and the speed limit along it.
+
+The centre lines of the route are joined (a lane change is blended over its length) and smoothed by a QP over points
+p_i, equally spaced on the raw line r_i:
+
+(1) minimise  w sum |p_{i-1} - 2 p_i + p_{i+1}|^2 + sum |p_i - r_i|^2     subject to |p_i - r_i| <= MAX_SHIFT
+
+(discrete bending energy: the FEM-position-deviation smoother of Apollo's reference lines), for x and y apart. The
+lateral extents of the lanes are where their boundaries cross the normals of the smoothed line.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, sin
+
+import numpy as np
+from scipy import sparse
+
+from logs.kernel import FloatArray, frozen, kernel
+from logs.road import Lane, ReferenceLine, Road, thinned
+from logs.states import EgoState
+from planners.dp_qp.route import Route, straight_on
+from planners.qp import QuadraticProgram
+
+SPACING_M = 2.0
+BENDING_WEIGHT = 50.0
+MAX_SHIFT_M = 0.25
+BEYOND_M = 300.0
+HALF_LANE_M = 1.75
+REACH_M = 16.0
+
+
+@dataclass(frozen=True, eq=False)
+class Course:
+    """A reference line and what holds along it; arrays `(n,)` over `line.s`, offsets l in m, positive left.
+
+    Attributes:
+        line: Goes on straight beyond its ends.
+        lane_left: Left edge of the route's own lane (of both lanes during a lane change); `lane_right` < 0 likewise.
+        road_left: Left edge of the same-direction lanes that can be reached from there; `road_right` likewise.
+        limit: Speed limit, m/s.
+    """
+
+    line: ReferenceLine
+    lane_left: FloatArray
+    lane_right: FloatArray
+    road_left: FloatArray
+    road_right: FloatArray
+    limit: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("lane_left", "lane_right", "road_left", "road_right", "limit"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+
+def make_course(road: Road, route: Route, ego: EgoState) -> Course:
+    """The course of a route for an ego at its start."""
+    lanes = _extended(road, route)
+    line = ReferenceLine.through(smoothed(_joined(road, lanes, ego)))
+    extents = _lane_extents(road, line)
+    lane_left, lane_right, limit = _own_lane(road, line, lanes, extents)
+    road_left, road_right = _reachable(road, extents, lane_left, lane_right)
+    return Course(line, lane_left, lane_right, road_left, road_right, limit)
+
+
+def smoothed(points: FloatArray) -> FloatArray:
+    """The polyline `(n, 2)`, equally spaced and smoothed by (1); a line too short or not solvable stays as it is."""
+    chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))]
+    count = round(chord[-1] / SPACING_M) + 1
+    if count < 4:
+        return points
+    stations = np.linspace(0.0, chord[-1], count)
+    raw = np.column_stack([np.interp(stations, chord, points[:, k]) for k in (0, 1)])
+    D = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(count - 2, count))
+    P = (BENDING_WEIGHT * (D.T @ D) + sparse.eye(count)).tocsc()
+    solver = QuadraticProgram("reference line", P, sparse.eye(count, format="csc"))
+    shift = np.full(count, MAX_SHIFT_M)
+    shift[[0, -1]] = 0.0
+    bend = BENDING_WEIGHT * (D.T @ (D @ raw))
+    moves = [solver.solve(bend[:, k], -shift, shift, fresh=True) for k in (0, 1)]
+    if not all(move.report.solved for move in moves):
+        return raw
+    return raw + np.column_stack([move.x for move in moves])
+
+
+def _extended(road: Road, route: Route) -> tuple[int, ...]:
+    """The route, carried straight on for `BEYOND_M` after its last lane or to the end of the map."""
+    lanes, beyond = list(route.lanes), 0.0
+    while beyond < BEYOND_M:
+        onward = straight_on(road, lanes[-1])
+        if onward is None or onward in lanes[len(route.lanes) :]:
+            break
+        lanes.append(onward)
+        beyond += road.lanes[onward].length
+    return tuple(lanes)
+
+
+def _joined(road: Road, lanes: tuple[int, ...], ego: EgoState) -> FloatArray:
+    """The raw centre line `(n, 2)` of a lane sequence, about 1 m between points."""
+    groups: list[list[Lane]] = []
+    for before, now in zip((None, *lanes), lanes, strict=False):
+        lane = road.lanes[now]
+        beside = before is not None and now in (road.lanes[before].left_neighbour, road.lanes[before].right_neighbour)
+        if beside:
+            groups[-1].append(lane)
+        else:
+            groups.append([lane])
+    parts = [_blended(group, ego if i == 0 else None) for i, group in enumerate(groups)]
+    return thinned(np.vstack(parts), 1.0)
+
+
+def _blended(group: list[Lane], ego: EgoState | None) -> FloatArray:
+    """The centre line of lanes side by side: from the first to the last, over as much of their length as is left."""
+    if len(group) == 1:
+        return group[0].center
+    u = np.linspace(0.0, 1.0, max(2, int(group[0].length) + 1))
+    first, last = (_resampled(lane.center, u) for lane in (group[0], group[-1]))
+    begin = 0.0
+    if ego is not None:
+        begin = float(u[np.argmin(np.hypot(first[:, 0] - ego.x, first[:, 1] - ego.y))])
+    wanted = (3.0 * max(ego.v if ego else 0.0, 5.0) * (len(group) - 1) + 10.0) / group[0].length
+    end = min(1.0, begin + max(wanted, 1e-3))
+    w = np.clip((u - begin) / max(end - begin, 1e-9), 0.0, 1.0)
+    w = w * w * w * (10.0 - 15.0 * w + 6.0 * w * w)
+    return (1.0 - w)[:, None] * first + w[:, None] * last
+
+
+def _resampled(points: FloatArray, u: FloatArray) -> FloatArray:
+    chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))]
+    return np.column_stack([np.interp(u * chord[-1], chord, points[:, k]) for k in (0, 1)])
+
+
+@kernel
+def _crossing(x: float, y: float, yaw: float, boundary: FloatArray, reach: float) -> float:
+    """Offset l at which the normal at (x, y, yaw) crosses a polyline, the nearest; nan beyond `reach`."""
+    c, s = cos(yaw), sin(yaw)
+    best = np.nan
+    along = (boundary[0, 0] - x) * c + (boundary[0, 1] - y) * s
+    left = (boundary[0, 1] - y) * c - (boundary[0, 0] - x) * s
+    for i in range(1, len(boundary)):
+        along_next = (boundary[i, 0] - x) * c + (boundary[i, 1] - y) * s
+        left_next = (boundary[i, 1] - y) * c - (boundary[i, 0] - x) * s
+        if (along <= 0.0) != (along_next <= 0.0):
+            offset = left + (left_next - left) * along / (along - along_next)
+            if abs(offset) <= reach and not abs(offset) >= abs(best):
+                best = offset
+        along, left = along_next, left_next
+    return best
+
+
+@kernel
+def _crossings(xy: FloatArray, yaw: FloatArray, boundary: FloatArray, reach: float) -> FloatArray:
+    out = np.empty(len(yaw))
+    for i in range(len(yaw)):
+        out[i] = _crossing(xy[i, 0], xy[i, 1], yaw[i], boundary, reach)
+    return out
+
+
+def _lane_extents(road: Road, line: ReferenceLine) -> dict[int, tuple[FloatArray, FloatArray]]:
+    """Per drivable lane near the line: offsets `(n,)` of its left and right boundary, NaN where it is not beside."""
+    low, high = line.xy.min(axis=0) - REACH_M, line.xy.max(axis=0) + REACH_M
+    extents = {}
+    for lane in road.lanes.values():
+        outline = lane.polygon
+        if not lane.drivable or (outline.max(axis=0) < low).any() or (outline.min(axis=0) > high).any():
+            continue
+        left, right = (_crossings(line.xy, line.yaw, side, REACH_M) for side in (lane.left, lane.right))
+        same_direction = left > right
+        if same_direction.any():
+            extents[lane.id] = np.where(same_direction, left, np.nan), np.where(same_direction, right, np.nan)
+    return extents
+
+
+def _own_lane(
+    road: Road, line: ReferenceLine, lanes: tuple[int, ...], extents: dict[int, tuple[FloatArray, FloatArray]]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Left and right edge and speed limit `(n,)` of the route's lanes that contain the line."""
+    count = len(line.s)
+    left, right, limit = np.full(count, np.nan), np.full(count, np.nan), np.full(count, np.nan)
+    for lane in dict.fromkeys(lanes):
+        if lane not in extents:
+            continue
+        lane_left, lane_right = extents[lane]
+        under = (lane_left > -0.6) & (lane_right < 0.6)
+        left = np.where(under, np.fmax(left, lane_left), left)
+        right = np.where(under, np.fmin(right, lane_right), right)
+        limit = np.where(under, np.fmin(limit, road.limit(lane)), limit)
+    floor = 0.5 * HALF_LANE_M
+    return (
+        np.maximum(_filled(left, HALF_LANE_M), floor),
+        np.minimum(_filled(right, -HALF_LANE_M), -floor),
+        _filled(limit, road.default_speed_limit),
+    )
+
+
+def _reachable(
+    road: Road, extents: dict[int, tuple[FloatArray, FloatArray]], lane_left: FloatArray, lane_right: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Edges `(n,)` of the same-direction lanes that adjoin the own lane, as far as the markings may be crossed."""
+    left, right = lane_left.copy(), lane_right.copy()
+    for _ in range(3):
+        for lane_id, (far_left, far_right) in extents.items():
+            lane = road.lanes[lane_id]
+            adjoins = (np.abs(far_right - left) < 0.6) & lane.right_crossable
+            left = np.where(adjoins, np.fmax(left, far_left), left)
+            adjoins = (np.abs(far_left - right) < 0.6) & lane.left_crossable
+            right = np.where(adjoins, np.fmin(right, far_right), right)
+    return left, right
+
+
+def _filled(values: FloatArray, default: float) -> FloatArray:
+    """NaN replaced by the nearest known values, linearly between them; all NaN: the default."""
+    known = np.isfinite(values)
+    if not known.any():
+        return np.full(len(values), default)
+    index = np.arange(len(values))
+    return np.interp(index, index[known], values[known])

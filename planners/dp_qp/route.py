@@ -1,0 +1,115 @@
+"""Route: the cheapest sequence of lanes from the ego to the goal.
+
+Dynamic programming over the lane graph (paper, section II-F: "DP for global planning"), in Dijkstra's order:
+
+(1) cost(lane) = min over ways in: cost(before) + length of the step + LANE_CHANGE for a step sideways
+
+A step goes to a successor (the length of the lane driven) or to a same-direction neighbour (no length).
+"""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass
+from math import atan2
+
+import numpy as np
+
+from logs.road import Goal, Lane, Road
+from logs.states import EgoState, wrap
+
+LANE_CHANGE_M = 50.0
+"""What a lane change costs, in metres of detour."""
+
+
+@dataclass(frozen=True, slots=True)
+class Route:
+    """Lanes in driving order; two neighbours in a row mean a lane change there.
+
+    Attributes:
+        lanes: At least one.
+        reaches_goal: Whether the last lane holds the goal.
+        cost: (1), m.
+    """
+
+    lanes: tuple[int, ...]
+    reaches_goal: bool
+    cost: float
+
+
+def start_lanes(road: Road, ego: EgoState) -> tuple[int, ...]:
+    """The drivable lanes under the ego, the best aligned first; else the lane whose centre line is nearest."""
+    under = [lane for lane in road.lanes_at(ego.x, ego.y) if lane.drivable]
+    if under:
+        ranked = sorted(under, key=lambda lane: (abs(_turn(lane, ego)), lane.id))
+        aligned = [lane.id for lane in ranked if abs(_turn(lane, ego)) < 1.0]
+        return tuple(aligned) or (ranked[0].id,)
+    drivable = [lane for lane in road.lanes.values() if lane.drivable] or list(road.lanes.values())
+    nearest = min(drivable, key=lambda lane: (_distance(lane, ego) + 5.0 * abs(_turn(lane, ego)), lane.id))
+    return (nearest.id,)
+
+
+def find_route(road: Road, ego: EgoState, goal: Goal | None) -> Route:
+    """The route to the goal (1); where there is none or no way to it, the lane under the ego."""
+    starts = start_lanes(road, ego)
+    targets = goal_lanes(road, goal)
+    best: dict[int, float] = {}
+    queue: list[tuple[float, int, int, tuple[int, ...]]] = [(0.0, starts.index(lane), lane, (lane,)) for lane in starts]
+    while queue:
+        cost, order, lane, path = heapq.heappop(queue)
+        if lane in best:
+            continue
+        best[lane] = cost
+        if lane in targets:
+            return Route(path, True, cost)
+        for step, price in _steps(road, road.lanes[lane]):
+            if step not in best:
+                heapq.heappush(queue, (cost + price, order, step, (*path, step)))
+    return Route(starts[:1], False, 0.0)
+
+
+def goal_lanes(road: Road, goal: Goal | None) -> frozenset[int]:
+    """The lanes that hold the middle of a goal region."""
+    if goal is None:
+        return frozenset()
+    middles = [region.mean(axis=0) for region in goal.regions]
+    return frozenset(lane.id for x, y in middles for lane in road.lanes_at(x, y) if lane.drivable)
+
+
+def straight_on(road: Road, lane_id: int) -> int | None:
+    """The successor that turns least, or None where the map ends."""
+    lane = road.lanes[lane_id]
+    onward = [road.lanes[i] for i in lane.successors if i in road.lanes and road.lanes[i].drivable]
+    if not onward:
+        return None
+    heading = _heading(lane.center[-2], lane.center[-1])
+    return min(onward, key=lambda after: (abs(_bend(after, heading)), after.id)).id
+
+
+def _steps(road: Road, lane: Lane) -> list[tuple[int, float]]:
+    onward = [(i, lane.length) for i in lane.successors]
+    beside = [(lane.left_neighbour, lane.left_crossable), (lane.right_neighbour, lane.right_crossable)]
+    sideways = [(i, LANE_CHANGE_M) for i, crossable in beside if i is not None and crossable]
+    return [(i, price) for i, price in onward + sideways if i in road.lanes and road.lanes[i].drivable]
+
+
+def _heading(start: np.ndarray, end: np.ndarray) -> float:
+    return atan2(end[1] - start[1], end[0] - start[0])
+
+
+def _bend(lane: Lane, heading: float) -> float:
+    return wrap(_heading(lane.center[-2], lane.center[-1]) - heading)
+
+
+def _nearest_vertex(lane: Lane, ego: EgoState) -> int:
+    return int(np.argmin(np.hypot(lane.center[:, 0] - ego.x, lane.center[:, 1] - ego.y)))
+
+
+def _turn(lane: Lane, ego: EgoState) -> float:
+    i = min(_nearest_vertex(lane, ego), len(lane.center) - 2)
+    return wrap(_heading(lane.center[i], lane.center[i + 1]) - ego.yaw)
+
+
+def _distance(lane: Lane, ego: EgoState) -> float:
+    i = _nearest_vertex(lane, ego)
+    return float(np.hypot(*(lane.center[i] - (ego.x, ego.y))))

@@ -1,0 +1,130 @@
+"""Speed DP: who goes first, by dynamic programming over the S-T graph (paper, section II-F, Fig. 8).
+
+Columns every second, rows every half metre; an edge has the speed v = ds / dt and, with the speed and acceleration of
+the best way to its first node, an acceleration and a jerk (as in Apollo's EM planner; with them the problem is not
+quite Markov). Cost of an edge:
+
+(1) w_v (v - v_limit)^2, ten times that above the limit, + w_a a^2 + w_j jerk^2 + mean over the edge of map(t, s)
+(2) map = COLLISION within `gap_m` of a blocked interval; w_near (1 - gap / wanted)^2 where the gap before or behind it
+    is less than wanted = d_0 + tau v_agent
+(3) cost[i, k] = min over j  cost[i-1, j] + edge(j, k); ties go to the smaller s
+
+Row spacing and column spacing belong together: a step of one row in one column is ds / dt^2 = 0.5 m/s2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+
+import numpy as np
+
+from logs.kernel import FloatArray, IntArray, kernel
+
+COLLISION = 1e5
+DT_S = 1.0
+DS_M = 0.5
+
+
+@dataclass(frozen=True)
+class SpeedDpConfig:
+    """Weights and limits of the speed DP.
+
+    Attributes:
+        columns: Seconds of horizon.
+        w_v: Weight of the distance to the limit; `w_a` of acceleration, `w_j` of jerk, `w_near` of nearness.
+        gap_m: Smallest gap to a blocked interval.
+        standstill_gap_m: Wanted gap to somebody who stands.
+        time_gap_s: Wanted gap per speed of the one ahead.
+        max_accel_mps2: Acceleration of an edge; `max_decel_mps2` its deceleration.
+    """
+
+    columns: int = 8
+    w_v: float = 0.3
+    w_a: float = 1.0
+    w_j: float = 0.5
+    w_near: float = 30.0
+    gap_m: float = 1.0
+    standstill_gap_m: float = 3.0
+    time_gap_s: float = 1.2
+    max_accel_mps2: float = 2.0
+    max_decel_mps2: float = 7.0
+
+    def __post_init__(self) -> None:
+        if self.columns < 2 or not (self.max_accel_mps2 > 0.0 and self.max_decel_mps2 > 0.0):
+            raise ValueError("speed DP needs 2 columns and positive limits")
+
+
+@kernel
+def cost_map(
+    rows: int, lower: FloatArray, upper: FloatArray, speed: FloatArray, gap: float, wanted: FloatArray, w_near: float
+) -> FloatArray:
+    """The map (2) `(k, rows)` of blocked intervals `(n, k)`; `wanted` = (standstill gap, time gap)."""
+    out = np.zeros((lower.shape[1], rows))
+    for i in range(len(lower)):
+        space = wanted[0] + wanted[1] * max(speed[i], 0.0)
+        for k in range(lower.shape[1]):
+            low, high = lower[i, k], upper[i, k]
+            if np.isnan(low):
+                continue
+            first = max(0, int((low - space) / DS_M))
+            last = min(rows - 1, int((high + space) / DS_M) + 1)
+            for row in range(first, last + 1):
+                s = row * DS_M
+                if low - gap < s < high + gap:
+                    out[k, row] += COLLISION
+                else:
+                    free = low - s if s <= low else s - high
+                    if free < space:
+                        out[k, row] += w_near * (1.0 - free / space) ** 2
+    return out
+
+
+@kernel
+def speed_dp(
+    occupancy: FloatArray, per_column: int, limit: FloatArray, start: FloatArray, weights: FloatArray, columns: int
+) -> tuple[FloatArray, IntArray]:
+    """Solve (3).
+
+    Args:
+        occupancy: The map (2) `(k, rows)`, `per_column` time samples to a column, the first at t = 0.
+        per_column: See there.
+        limit: Speed limit at the rows `(rows,)`, m/s.
+        start: Speed and acceleration of the ego.
+        weights: w_v, w_a, w_j, largest acceleration, largest deceleration.
+        columns: Number of columns after the start.
+
+    Returns:
+        Cost to come `(columns + 1, rows)`, the chosen row per column `(columns + 1,)`.
+    """
+    rows = len(limit)
+    cost = np.full((columns + 1, rows), inf)
+    speed, accel = np.zeros((columns + 1, rows)), np.zeros((columns + 1, rows))
+    parent = np.zeros((columns + 1, rows), np.int64)
+    cost[0, 0], speed[0, 0], accel[0, 0] = 0.0, start[0], start[1]
+    for i in range(columns):
+        for j in range(rows):
+            if cost[i, j] == inf:
+                continue
+            v0, a0 = speed[i, j], accel[i, j]
+            low = max(0, int(np.ceil((v0 - weights[4] * DT_S) * DT_S / DS_M)))
+            high = max(low, int((v0 + weights[3] * DT_S) * DT_S / DS_M))
+            for k in range(j + low, min(rows, j + high + 1)):
+                v = (k - j) * DS_M / DT_S
+                a = (v - v0) / DT_S
+                over = v - limit[k]
+                total = cost[i, j] + weights[1] * a * a + weights[2] * (a - a0) ** 2
+                total += weights[0] * over * over * (10.0 if over > 0.0 else 1.0)
+                if total >= cost[i + 1, k]:
+                    continue
+                for n in range(1, per_column + 1):
+                    row = j + (k - j) * n / per_column
+                    total += occupancy[min(i * per_column + n, len(occupancy) - 1), int(row + 0.5)] / per_column
+                if total < cost[i + 1, k]:
+                    cost[i + 1, k], parent[i + 1, k] = total, j
+                    speed[i + 1, k], accel[i + 1, k] = v, a
+    chosen = np.zeros(columns + 1, np.int64)
+    chosen[columns] = np.argmin(cost[columns])
+    for i in range(columns, 0, -1):
+        chosen[i - 1] = parent[i, chosen[i]]
+    return cost, chosen

@@ -1,0 +1,193 @@
+"""Speed QP: the smoothest speed profile between the bounds that the speed DP decided.
+
+Unknown s, v, a at knots every 0.1 s, piecewise-constant jerk (`piecewise_jerk`). Minimise
+
+(1) sum w_s (s - s_ref)^2 + w_v (v - v_ref)^2 + w_a a^2 + w_j jerk^2
+
+subject to s_lower(t) <= s <= s_upper(t) from the decisions, 0 <= v <= v_limit, a and jerk limits, and the start.
+
+(2) v_limit(sigma) = min(limit, sqrt(a_lat / |kappa|)), lowered so that it can be reached with a comfortable
+    deceleration b:  v(sigma)^2 <= v(sigma + d)^2 + 2 b d
+(3) A bound is kept only as far as braking can keep it: s_upper >= s of braking with the limits in force.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+from scipy import sparse
+
+from logs.kernel import FloatArray, kernel
+from logs.trace import CostTerms
+from planners.dp_qp import piecewise_jerk
+from planners.qp import QPConfig, QPResult, QuadraticProgram
+
+STEP_S = 0.1
+
+
+@dataclass(frozen=True)
+class SpeedLimits:
+    """Acceleration and jerk that a profile may use; decelerations positive."""
+
+    accel_mps2: float
+    decel_mps2: float
+    jerk_mps3: float
+
+
+@dataclass(frozen=True)
+class SpeedQpConfig:
+    """Weights and limits of the speed QP.
+
+    Attributes:
+        knots: Number of knots, 0.1 s apart.
+        w_s: Weights of (1); `w_v`, `w_a`, `w_j` likewise.
+        comfort: Limits that are tried first.
+        emergency: Limits where comfort cannot keep a bound.
+        curve_accel_mps2: Lateral acceleration in curves.
+        ease_mps2: Deceleration b of (2).
+    """
+
+    knots: int = 81
+    w_s: float = 0.2
+    w_v: float = 1.0
+    w_a: float = 2.0
+    w_j: float = 3.0
+    comfort: SpeedLimits = SpeedLimits(1.8, 3.0, 3.0)
+    emergency: SpeedLimits = SpeedLimits(1.8, 7.5, 15.0)
+    curve_accel_mps2: float = 3.0
+    ease_mps2: float = 1.5
+
+    def __post_init__(self) -> None:
+        if self.knots < 11 or not (self.curve_accel_mps2 > 0.0 and self.ease_mps2 > 0.0):
+            raise ValueError("speed QP needs at least 11 knots and positive limits")
+
+    @property
+    def horizon(self) -> float:
+        """Length of the profile, s."""
+        return (self.knots - 1) * STEP_S
+
+
+@kernel
+def limit_profile(
+    sigma: FloatArray, kappa: FloatArray, limit: FloatArray, curve_accel: float, ease: float
+) -> FloatArray:
+    """The speed limit (2) along a path `(m,)`."""
+    out = np.empty(len(sigma))
+    for i in range(len(sigma) - 1, -1, -1):
+        out[i] = min(limit[i], sqrt(curve_accel / max(abs(kappa[i]), 1e-9)))
+        if i < len(sigma) - 1:
+            out[i] = min(out[i], sqrt(out[i + 1] ** 2 + 2.0 * ease * (sigma[i + 1] - sigma[i])))
+    return out
+
+
+@kernel
+def braking(v0: float, a0: float, decel: float, jerk: float, step: float, knots: int) -> FloatArray:
+    """Rows s, v, a `(3, knots)` of braking to a stop: jerk-limited to `-decel`, then held, then standing.
+
+    The stop itself is eased: the deceleration never exceeds what the jerk can release before standstill.
+    """
+    out = np.zeros((3, knots))
+    s, v, a = 0.0, v0, a0
+    for i in range(knots):
+        out[0, i], out[1, i], out[2, i] = s, v, a
+        wanted = -min(decel, sqrt(2.0 * jerk * max(v, 0.0)))
+        a_next = max(wanted, a - jerk * step) if wanted < a else min(wanted, a + jerk * step)
+        v_next = v + 0.5 * step * (a + a_next)
+        if v_next <= 0.0:
+            s += 0.5 * v * v / max(-0.5 * (a + a_next), 1e-6) if v > 0.0 else 0.0
+            v, a = 0.0, 0.0
+            continue
+        s += 0.5 * step * (v + v_next)
+        v, a = v_next, a_next
+    return out
+
+
+@kernel
+def cruising(
+    sigma: FloatArray, limit: FloatArray, v0: float, a0: float, accel: float, decel: float, jerk: float,
+    step: float, knots: int,
+) -> FloatArray:  # fmt: skip
+    """Rows s, v `(2, knots)` of driving at the limit `(m,)` along the path, nobody in the way."""
+    out = np.zeros((2, knots))
+    s, v, a, i = 0.0, v0, a0, 0
+    for k in range(knots):
+        out[0, k], out[1, k] = s, v
+        while i < len(sigma) - 2 and sigma[i + 1] < s:
+            i += 1
+        falling = min(0.0, v * (limit[i + 1] - limit[i]) / (sigma[i + 1] - sigma[i]))
+        wanted = min(max(falling + (limit[i] - v) / 0.6, -decel), accel)
+        a += min(max(wanted - a, -jerk * step), jerk * step)
+        v_next = max(0.0, v + a * step)
+        s += 0.5 * step * (v + v_next)
+        v = v_next
+    return out
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SpeedProblem:
+    """One speed problem; arrays `(knots,)`.
+
+    Attributes:
+        start: v, a of the ego.
+        lower: Bounds of s, m; `upper` likewise.
+        limit: Upper bound of v, m/s.
+        s_ref: m; `v_ref` m/s.
+    """
+
+    start: tuple[float, float]
+    lower: FloatArray
+    upper: FloatArray
+    limit: FloatArray
+    s_ref: FloatArray
+    v_ref: FloatArray
+
+
+class SpeedQp:
+    """The speed QP: a workspace with constant matrices."""
+
+    def __init__(self, config: SpeedQpConfig) -> None:
+        self._config = config
+        n = config.knots
+        eye = sparse.eye(n)
+        jerk = piecewise_jerk.difference_penalty(n) * (config.w_j / STEP_S**2)
+        P = 2.0 * sparse.block_diag([config.w_s * eye, config.w_v * eye, config.w_a * eye + jerk], format="csc")
+        A = piecewise_jerk.constraint_matrix(n, STEP_S)
+        self._program = QuadraticProgram(
+            "speed QP",
+            sparse.csc_matrix(P),
+            A,
+            equalities=2 * (n - 1),
+            scale=np.repeat([20.0, 4.0, 2.0], n),
+            config=QPConfig(tolerance=0.05),
+        )
+
+    def solve(self, problem: SpeedProblem, limits: SpeedLimits, *, fresh: bool) -> tuple[QPResult, CostTerms]:
+        """The profile, x = (s, v, a) `(3 knots,)`, and its costs."""
+        n = self._config.knots
+        v0, a0 = problem.start
+        ramp = limits.jerk_mps3 * STEP_S * np.arange(n)
+        low_a = np.minimum(-limits.decel_mps2, a0 + 0.5 * ramp)
+        high_a = np.maximum(limits.accel_mps2, a0 - 0.5 * ramp)
+        low = [np.minimum(problem.lower, problem.upper), np.zeros(n), low_a]
+        high = [problem.upper.copy(), problem.limit.copy(), high_a]
+        for k, value in enumerate((0.0, v0, a0)):
+            low[k][0] = high[k][0] = value
+        jerk = (-limits.jerk_mps3, limits.jerk_mps3)
+        bounds = piecewise_jerk.bounds((low[0], low[1], low[2]), (high[0], high[1], high[2]), jerk)
+        c = self._config
+        q = np.concatenate([-2.0 * c.w_s * problem.s_ref, -2.0 * c.w_v * problem.v_ref, np.zeros(n)])
+        result = self._program.solve(q, *bounds, fresh=fresh)
+        return result, self._costs(result.x, problem)
+
+    def _costs(self, x: FloatArray, problem: SpeedProblem) -> CostTerms:
+        s, v, a = x.reshape(3, self._config.knots)
+        c = self._config
+        values = {
+            "station": c.w_s * float(np.sum((s - problem.s_ref) ** 2)),
+            "speed": c.w_v * float(np.sum((v - problem.v_ref) ** 2)),
+            "acceleration": c.w_a * float(a @ a),
+            "jerk": c.w_j * float(np.sum(np.diff(a) ** 2)) / STEP_S**2,
+        }
+        return CostTerms("speed QP", tuple(values.items()))

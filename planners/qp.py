@@ -1,0 +1,166 @@
+"""The only door to the QP solvers.
+
+    minimise 1/2 x' P x + q' x    subject to    l <= A x <= u,  the first rows equalities
+
+A workspace is set up once with its matrices and belongs to one owner; each solve gets new vectors. OSQP (Stellato et
+al., 2020), an ADMM method, solves most problems in a few warm-started iterations, but a tight corridor can cost it
+thousands. What it has not solved within `max_iterations` is handed to PIQP (Schwan et al., 2023), an interior-point
+method that needs about ten for any of ours; the report then says so. A solver may call a problem solved that only its
+own tolerance flatters, so the bounds are checked again here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import osqp
+import piqp
+from scipy import sparse
+
+from logs.kernel import FloatArray
+from logs.trace import SolverReport
+
+SOLVED = 1
+RHO = 0.1
+
+
+@dataclass(frozen=True)
+class QPConfig:
+    """Settings of the solvers.
+
+    Attributes:
+        eps: Absolute and relative tolerance of OSQP.
+        max_iterations: Of OSQP, before PIQP is asked.
+        check_every: Iterations between two tests for convergence.
+        tolerance: Largest violation of a bound that still counts as solved, in the units of the row.
+    """
+
+    eps: float = 1e-4
+    max_iterations: int = 60
+    check_every: int = 10
+    tolerance: float = 2e-2
+
+    def __post_init__(self) -> None:
+        if not (self.eps > 0.0 and self.max_iterations > 0 and self.check_every > 0 and self.tolerance > 0.0):
+            raise ValueError("QP settings must be positive")
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class QPResult:
+    """A solution `x` `(n,)` (to be used only where `report.solved`) and how the solver got there."""
+
+    x: FloatArray
+    report: SolverReport
+
+
+class QuadraticProgram:
+    """A workspace for problems that share P and A.
+
+    Args:
+        stage: Name in the solver reports.
+        P: `(n, n)` symmetric positive semidefinite.
+        A: `(m, n)`.
+        equalities: The first so many rows have equal bounds.
+        scale: `(n,)` typical size of each variable; the solvers work on x / scale, and on rows whose largest entry is 1.
+        config: Settings.
+    """
+
+    def __init__(
+        self,
+        stage: str,
+        P: sparse.csc_matrix,
+        A: sparse.csc_matrix,
+        *,
+        equalities: int = 0,
+        scale: FloatArray | None = None,
+        config: QPConfig | None = None,
+    ) -> None:
+        self._stage, self._config, self._equalities = stage, config or QPConfig(), equalities
+        rows, columns = A.shape
+        self._scale = np.ones(columns) if scale is None else scale
+        S = sparse.diags(self._scale)
+        self._row_scale = 1.0 / np.abs(A @ S).max(axis=1).toarray().ravel()
+        self._P, self._A = sparse.csc_matrix(S @ P @ S), sparse.csc_matrix(sparse.diags(self._row_scale) @ A @ S)
+        self._P.sort_indices()
+        self._A.sort_indices()
+        self._rows = self._A.tocsr()
+        self._zero = np.zeros(columns), np.zeros(rows)
+        self._fast = osqp.OSQP(algebra="builtin")
+        self._fast.setup(
+            P=sparse.triu(self._P, format="csc"),
+            q=np.zeros(columns),
+            A=self._A,
+            l=np.full(rows, -1.0),
+            u=np.full(rows, 1.0),
+            eps_abs=self._config.eps,
+            eps_rel=self._config.eps,
+            max_iter=self._config.max_iterations,
+            check_termination=self._config.check_every,
+            adaptive_rho_interval=50,
+            rho=RHO,
+            scaling=0,
+            polishing=False,
+            verbose=False,
+        )
+        self._sure: piqp.SparseSolver | None = None
+
+    def solve(self, q: FloatArray, lower: FloatArray, upper: FloatArray, *, fresh: bool) -> QPResult:
+        """Solve with new vectors; `fresh` forgets the last solution, so that the result depends on nothing before."""
+        if (lower > upper).any():
+            row = int(np.argmax(lower - upper))
+            return self._unsolved(f"bounds cross by {lower[row] - upper[row]:.3g} in row {row}")
+        if not np.isfinite(q).all():
+            return self._unsolved("cost is not finite")
+        q, lower, upper = self._scale * q, self._row_scale * lower, self._row_scale * upper
+        result = self._solve_fast(q, lower, upper, fresh=fresh)
+        if result.report.solved:
+            return result
+        self._fast.warm_start(x=self._zero[0], y=self._zero[1])
+        return self._solve_surely(q, lower, upper, result.report.iterations)
+
+    def _solve_fast(self, q: FloatArray, lower: FloatArray, upper: FloatArray, *, fresh: bool) -> QPResult:
+        self._fast.update(q=q, l=lower, u=upper)
+        if fresh:
+            self._fast.update_settings(rho=RHO)
+            self._fast.warm_start(x=self._zero[0], y=self._zero[1])
+        answer = self._fast.solve(raise_error=False)
+        info = answer.info
+        solved = info.status_val == SOLVED
+        return self._checked(
+            np.asarray(answer.x), solved, str(info.status), int(info.iter), (info.prim_res, info.dual_res),
+            lower, upper,
+        )  # fmt: skip
+
+    def _solve_surely(self, q: FloatArray, lower: FloatArray, upper: FloatArray, spent: int) -> QPResult:
+        k = self._equalities
+        if self._sure is None:
+            self._sure = piqp.SparseSolver()
+            equal, between = self._rows[:k].tocsc(), self._rows[k:].tocsc()
+            self._sure.setup(self._P, q, equal, lower[:k], between, lower[k:], upper[k:])
+        else:
+            self._sure.update(c=q, b=lower[:k], h_l=lower[k:], h_u=upper[k:])
+        status = self._sure.solve()
+        info = self._sure.result.info
+        solved = status == piqp.PIQP_SOLVED
+        name = f"{'solved' if solved else str(status).rsplit('.')[-1].lower()} by PIQP after {spent} OSQP iterations"
+        return self._checked(
+            np.array(self._sure.result.x), solved, name, spent + int(info.iter), (info.primal_res, info.dual_res),
+            lower, upper,
+        )  # fmt: skip
+
+    def _checked(
+        self, z: FloatArray, solved: bool, status: str, iterations: int, residuals: tuple[float, float],
+        lower: FloatArray, upper: FloatArray,
+    ) -> QPResult:  # fmt: skip
+        if solved:
+            value = self._rows @ z
+            excess = np.maximum(lower - value, value - upper) / self._row_scale
+            violation = float(np.max(excess, initial=0.0))
+            if not np.isfinite(z).all() or not violation <= self._config.tolerance:
+                solved, status = False, f"{status}, but a bound is violated by {violation:.3g}"
+        report = SolverReport(self._stage, solved, status, iterations, float(residuals[0]), float(residuals[1]))
+        return QPResult(self._scale * z, report)
+
+    def _unsolved(self, status: str) -> QPResult:
+        return QPResult(self._zero[0], SolverReport(self._stage, False, status, 0, np.nan, np.nan))

@@ -62,7 +62,7 @@ class QuadraticProgram:
         P: `(n, n)` symmetric positive semidefinite.
         A: `(m, n)`.
         equalities: The first so many rows have equal bounds.
-        scale: `(n,)` typical size of each variable; the solvers work on x / scale, and on rows whose largest entry is 1.
+        scale: `(n,)` typical size of each variable; the solvers work on x / scale, and on rows of size 1.
         config: Settings.
     """
 

@@ -38,12 +38,16 @@ class StGraphConfig:
         vulnerable_margin_m: To pedestrians and riders.
         passed_margin_m: To an obstacle that the path passes on purpose.
         step_s: Between two time samples.
+        early_s: An agent that crosses may come sooner by this, or by a third of the time that is left until then.
+        late_s: It may leave later by this, or by half of the time that is left: the nearer, the surer.
     """
 
     margin_m: float = 0.3
     vulnerable_margin_m: float = 0.6
     passed_margin_m: float = 0.1
-    step_s: float = 0.2
+    step_s: float = 0.1
+    early_s: float = 0.4
+    late_s: float = 0.6
 
     def __post_init__(self) -> None:
         if not self.step_s > 0.0:
@@ -162,7 +166,19 @@ def block_intervals(
     )
     blocked = np.isfinite(spans[:, 0]).any(axis=1) if len(spans) else np.zeros(0, bool)
     agent, spans = agent[blocked], spans[blocked]
+    for span in spans:
+        _drawn_out(t, span, config)
     return Blocks(t, agent, spans[:, 0].copy(), spans[:, 1].copy(), _speeds_along(path, frame, agent, spans))
+
+
+def _drawn_out(t: FloatArray, span: FloatArray, config: StGraphConfig) -> None:
+    """Let a block `(2, k)` begin sooner and end later, as its first and last interval stand."""
+    taken = np.flatnonzero(np.isfinite(span[0]))
+    first, last = taken[0], taken[-1]
+    begin = t[first] - min(config.early_s, t[first] / 3.0)
+    end = t[last] + (min(config.late_s, 0.5 * t[last]) if last < len(t) - 1 else 0.0)
+    span[:, np.flatnonzero((t >= begin) & (t < t[first]))] = span[:, first, None]
+    span[:, np.flatnonzero((t > t[last]) & (t <= end))] = span[:, last, None]
 
 
 def _speeds_along(path: Path, frame: Frame, agent: IntArray, spans: FloatArray) -> FloatArray:

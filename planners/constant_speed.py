@@ -1,0 +1,61 @@
+"""The smallest planner, and the template to copy: it goes on as the ego goes, at its speed and its curvature.
+
+Copy this file, rename the class, change `plan`, and run it without touching this package:
+
+    replan evaluate LOGS --planner my_package.mine:MyPlanner
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from logs.frame import Frame, PlannerContext
+from logs.kernel import FloatArray
+from logs.states import EgoState, Trajectory
+from logs.trace import Plan
+
+
+class ConstantSpeed:
+    """Goes on along a circular arc; it sees nobody.
+
+    Args:
+        context: What does not change: `context.road`, `context.goal`, `context.vehicle`, `context.period`.
+        horizon_s: How far the plan reaches, s. Every keyword after the context is a key of `[planner.NAME]` in a
+            run's configuration; give it a default and its unit.
+        step_s: Time between two samples of the plan, s.
+    """
+
+    def __init__(self, context: PlannerContext, *, horizon_s: float = 8.0, step_s: float = 0.1) -> None:
+        # A planner is built once per scenario. Memory (warm starts, hysteresis) belongs into the object, set here.
+        self.lap = context.lap
+        self.ahead = step_s * np.arange(round(horizon_s / step_s) + 1)
+
+    def plan(self, frame: Frame) -> Plan:
+        """A plan from `frame.t` on.
+
+        `frame.agents` are the others now, `frame.predictions` their assumed futures, `frame.previous` the plan being
+        driven: where that is None (open loop, first frame), nothing remembered may change the answer.
+        A planner that fails returns what it falls back to, with a PlanStatus and a reason; it does not raise.
+        """
+        trajectory = arc(frame.ego, frame.t + self.ahead)
+        self.lap("arc")  # optional: the time since the last lap appears under this name in the timings
+        return Plan(trajectory)
+
+
+def arc(ego: EgoState, t: FloatArray) -> Trajectory:
+    """The ego carried on at constant speed and curvature to the times `t` `(n,)`, s; exact, also for a straight line.
+
+    The chord of an arc of length s that turns by 2 h is s sin(h) / h, in the direction yaw + h.
+    """
+    s = ego.v * (t - ego.t)
+    half_turn = 0.5 * ego.kappa * s
+    chord = s * np.sinc(half_turn / np.pi)
+    return Trajectory(
+        t=t,  # s since the scenario's start; the first is the frame's time
+        x=ego.x + chord * np.cos(ego.yaw + half_turn),  # the rear axle, world, m
+        y=ego.y + chord * np.sin(ego.yaw + half_turn),
+        yaw=ego.yaw + 2.0 * half_turn,  # rad
+        v=np.full(len(t), ego.v),  # m/s
+        a=np.zeros(len(t)),  # m/s2
+        kappa=np.full(len(t), ego.kappa),  # 1/m, positive to the left
+    )

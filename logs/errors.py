@@ -10,6 +10,8 @@ The command line prints `str(error)` and never a traceback for these; any other 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from difflib import get_close_matches
 from pathlib import Path
 
 
@@ -60,3 +62,11 @@ class PlannerError(ReplanError):
 
 class ConfigError(ReplanError):
     """A wrong option, configuration key, gate or name."""
+
+
+def unknown_name(kind: str, name: str, known: Iterable[str]) -> ConfigError:
+    """The error for a name that is not in a table: says the nearest one, or all of them."""
+    names = sorted(known)
+    near = get_close_matches(name, names, n=1, cutoff=0.6)
+    hint = f"did you mean '{near[0]}'?" if near else f"known are: {', '.join(names) or 'none'}"
+    return ConfigError(f"no {kind} is called '{name}'; {hint}")

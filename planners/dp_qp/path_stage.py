@@ -23,6 +23,8 @@ LENGTHS_M = (60.0, 90.0, 130.0, 180.0, 250.0, 340.0)
 """Path lengths; the shortest that holds the horizon at the present speed is taken, so that matrices stay constant."""
 
 
+SHIFT_AHEAD_M = 60.0
+
 SHARPEST_MPS2 = 4.0
 """Lateral acceleration up to which a path swerves; beyond it the ego brakes instead."""
 
@@ -44,12 +46,14 @@ class ChosenPath:
         path: None where the QP failed.
         reason: Why it failed; empty otherwise.
         passed: Agents that the path passes on purpose.
+        shift: Largest change of the offset from the reference line within `SHIFT_AHEAD_M`, m.
         artefacts: Graph, decisions, costs, solver report.
     """
 
     path: Path | None
     reason: str
     passed: frozenset[str]
+    shift: float
     artefacts: tuple[Artefact, ...]
 
 
@@ -104,7 +108,8 @@ class PathStage:
         nudged = (DecisionKind.NUDGE_LEFT, DecisionKind.NUDGE_RIGHT)
         passed = frozenset(decision.agent for decision in decisions if decision.kind in nudged)
         reason = "" if path is not None else f"path QP: {result.report.status}"
-        return ChosenPath(path, reason, passed, (graph, *_told(decisions), costs, result.report))
+        shift = float(np.abs(offsets[0, knots < s0 + SHIFT_AHEAD_M] - offsets[0, 0]).max())
+        return ChosenPath(path, reason, passed, shift, (graph, *_told(decisions), costs, result.report))
 
     def _program(self, speed: float) -> PathQp:
         wanted = (speed + 4.0) * self._horizon + 10.0

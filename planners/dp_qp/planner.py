@@ -17,6 +17,9 @@ from planners.dp_qp.route import find_route
 from planners.dp_qp.speed_stage import SpeedConfig, SpeedStage
 from planners.dp_qp.st_graph import behind
 
+TRACK_M = 1.0
+"""A path that stays within this of the ego's offset keeps its track."""
+
 
 @dataclass(frozen=True)
 class DpQpConfig:
@@ -71,7 +74,7 @@ class DpQp:
                 frame, start, start_kind, None, path.reason, path.artefacts, self._vehicle, self._config.speed.qp
             )
         limit = np.interp(path.path.s, self._course.line.s, self._course.limit)
-        skip = behind(self._course, frame, s0, l0, self._vehicle)
+        skip = behind(self._course, frame, s0, l0, self._vehicle, keeps_track=path.shift < TRACK_M)
         speed = self._speed.choose(frame, start, path.path, limit, skip, path.passed, fresh=fresh)
         artefacts = (*path.artefacts, *speed.artefacts)
         if speed.profile is None:

@@ -34,6 +34,10 @@ SPEED_ROOM_MPS = 0.8
 """Room above the limit that the reference keeps: a tight tube would cost the solver many iterations."""
 
 
+STAY_M = 0.05
+"""Least upper bound of s."""
+
+
 @dataclass(frozen=True)
 class SpeedConfig:
     """Settings of the speed stage, by part."""
@@ -136,6 +140,7 @@ class SpeedStage:
             else:
                 edge = np.fmin(blocks.lower[i, sides[0]], blocks.lower[i, sides[1]]) - gap
                 upper = np.fmin(upper, edge)
+        upper = np.maximum(upper, STAY_M)  # to stand still is always allowed, even where somebody may run into the ego
         return upper, np.minimum(lower, upper)
 
     def _problem(

@@ -133,13 +133,18 @@ def agents_frenet(
     return out
 
 
-def behind(course: Course, frame: Frame, s_ego: float, l_ego: float, vehicle: VehicleParameters) -> np.ndarray:
-    """Which agents `(n,)` bool drive behind the ego in its own track: it is they who see the ego."""
+def behind(
+    course: Course, frame: Frame, s_ego: float, l_ego: float, vehicle: VehicleParameters, *, keeps_track: bool
+) -> np.ndarray:
+    """Which agents `(n,)` bool follow behind the ego, so that it is they who must see it.
+
+    Where the ego keeps its track these are all behind it in its direction; where it changes, those in its track.
+    """
     agents = frame.agents
     line = course.line
     frenet = agents_frenet(line.s, line.coef, agents.x, agents.y, s_ego, 80.0)
     turn = np.abs([wrap(yaw - frame.ego.yaw) for yaw in agents.yaw])
-    in_track = np.abs(frenet[:, 1] - l_ego) < 0.5 * (agents.width + vehicle.width) + 0.3
+    in_track = keeps_track | (np.abs(frenet[:, 1] - l_ego) < 0.5 * (agents.width + vehicle.width) + 0.3)
     is_behind: np.ndarray = frenet[:, 0] + 0.5 * agents.length < s_ego - vehicle.rear_overhang + 0.5
     return is_behind & in_track & (turn < 0.5 * np.pi)
 

@@ -72,6 +72,16 @@ def _last_samples(offsets: IntArray, t: FloatArray, time: float) -> IntArray:
     return out
 
 
+def _continuous(yaw: FloatArray, offsets: IntArray) -> FloatArray:
+    """The headings without jumps of 2 pi within a track; the first of each track stays."""
+    turns = np.round(np.diff(yaw) / (2.0 * np.pi))
+    turns[offsets[1:-1] - 1] = 0.0
+    if not turns.any():
+        return yaw
+    sums = np.r_[0.0, np.cumsum(turns)]
+    return np.asarray(yaw - 2.0 * np.pi * (sums - np.repeat(sums[offsets[:-1]], np.diff(offsets))))
+
+
 @dataclass(frozen=True, eq=False)
 class Tracks:
     """Road users over time, ragged: track i owns the samples `offsets[i] : offsets[i + 1]`.
@@ -83,11 +93,12 @@ class Tracks:
         static: `(n,)` bool: an obstacle that never moves, present at all times (one sample is enough).
         offsets: `(n + 1,)` int.
         t: `(m,)` s since the scenario's start, increasing strictly within a track.
-        x: `(m,)` box centre, world, m; `y` likewise; `yaw` rad, unwrapped within a track.
+        x: `(m,)` box centre, world, m; `y` likewise; `yaw` rad, continuous within a track (unwrapped here).
         vx: `(m,)` velocity, world, m/s; `vy` likewise; NaN where the log has none.
 
     Raises:
-        ValueError: Shapes disagree, a pose is not finite, times do not increase, a size is not positive.
+        ValueError: Shapes disagree, a pose is not finite, a velocity is infinite, times do not increase or are not
+            finite, a size is not positive.
     """
 
     ids: tuple[str, ...]
@@ -114,15 +125,19 @@ class Tracks:
             raise ValueError("tracks: per-agent columns or offsets disagree")
         if len(set(self.ids)) != n:
             raise ValueError("tracks: two agents have the same id")
-        for name in ("x", "y", "yaw"):
+        for name in ("t", "x", "y", "yaw"):
             if getattr(self, name).shape != (m,) or not np.isfinite(getattr(self, name)).all():
                 raise ValueError(f"tracks: {name} has a wrong length or is not finite")
+        for name in ("vx", "vy"):
+            if getattr(self, name).shape != (m,) or np.isinf(getattr(self, name)).any():
+                raise ValueError(f"tracks: {name} has a wrong length or is infinite")
         if n and not (np.isfinite(self.length) & (self.length > 0) & np.isfinite(self.width) & (self.width > 0)).all():
             raise ValueError("tracks: length and width must be positive")
         rising = np.diff(self.t) > 0.0
         rising[self.offsets[1:-1] - 1] = True
         if not rising.all():
             raise ValueError("tracks: time does not increase")
+        object.__setattr__(self, "yaw", frozen(_continuous(self.yaw, self.offsets)))
 
     def __len__(self) -> int:
         return len(self.ids)
@@ -189,9 +204,10 @@ class Tracks:
             np.divide(values[at] - values[before], span, out=np.zeros(len(at)), where=span > 0.0)
             for values in (self.x, self.y)
         ]
+        moves = ~self.static[seen]
         return (
-            np.where(np.isfinite(self.vx[at]), self.vx[at], differences[0]),
-            np.where(np.isfinite(self.vy[at]), self.vy[at], differences[1]),
+            np.where(np.isfinite(self.vx[at]), self.vx[at], differences[0]) * moves,
+            np.where(np.isfinite(self.vy[at]), self.vy[at], differences[1]) * moves,
         )
 
     def _agents(

@@ -62,7 +62,8 @@ def overlap(
 
 
 @kernel
-def _point_segment(px: float, py: float, ax: float, ay: float, bx: float, by: float) -> float:
+def point_segment(px: float, py: float, ax: float, ay: float, bx: float, by: float) -> float:
+    """Distance of the point p from the segment a b, m."""
     dx, dy = bx - ax, by - ay
     square = dx * dx + dy * dy
     u = 0.0 if square == 0.0 else min(1.0, max(0.0, ((px - ax) * dx + (py - ay) * dy) / square))
@@ -82,8 +83,8 @@ def distance(
     for i in range(4):
         for j in range(4):
             k = (j + 1) % 4
-            best = min(best, _point_segment(one[i, 0], one[i, 1], two[j, 0], two[j, 1], two[k, 0], two[k, 1]))
-            best = min(best, _point_segment(two[i, 0], two[i, 1], one[j, 0], one[j, 1], one[k, 0], one[k, 1]))
+            best = min(best, point_segment(one[i, 0], one[i, 1], two[j, 0], two[j, 1], two[k, 0], two[k, 1]))
+            best = min(best, point_segment(two[i, 0], two[i, 1], one[j, 0], one[j, 1], one[k, 0], one[k, 1]))
     return best
 
 

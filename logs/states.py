@@ -25,6 +25,11 @@ def wrap(angle: float) -> float:
     return angle - 2.0 * pi * floor((angle + pi) / (2.0 * pi))
 
 
+def wrapped(angles: FloatArray) -> FloatArray:
+    """`wrap` of each angle of an array; NaN stays NaN."""
+    return np.asarray(angles - 2.0 * pi * np.floor((angles + pi) / (2.0 * pi)))
+
+
 @dataclass(frozen=True, slots=True)
 class EgoState:
     """The ego at one instant (module docstring for units); `v_lat` is the rear axle's lateral speed, m/s."""
@@ -77,13 +82,11 @@ class Trajectory:
     def __post_init__(self) -> None:
         for field in fields(self):
             column = frozen(getattr(self, field.name))
-            if field.name == "yaw":
-                column = frozen(np.unwrap(column))
             if column.shape != (len(self.t),) or not len(column):
                 raise ValueError(f"{field.name} has shape {column.shape}, expected ({len(self.t)},) and not empty")
             if not np.isfinite(column).all():
                 raise ValueError(f"{field.name} is not finite at index {int(np.argmin(np.isfinite(column)))}")
-            object.__setattr__(self, field.name, column)
+            object.__setattr__(self, field.name, frozen(np.unwrap(column)) if field.name == "yaw" else column)
         if len(self.t) > 1 and not (np.diff(self.t) > 0.0).all():
             raise ValueError(f"time does not increase after {self.t[int(np.argmin(np.diff(self.t) > 0.0))]} s")
 

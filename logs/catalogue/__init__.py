@@ -1,1 +1,10 @@
-"""TODO."""
+"""Synthesised scenario families: deterministic, with their parameters in the metadata."""
+
+from logs.catalogue import everyday, paper
+from logs.catalogue.family import Family
+from logs.catalogue.mirror import mirrored, moved
+
+CATALOGUE: dict[str, Family] = {family.name: family for family in (*paper.FAMILIES, *everyday.FAMILIES)}
+"""Families by name, in the order in which they are listed."""
+
+__all__ = ["CATALOGUE", "Family", "mirrored", "moved"]

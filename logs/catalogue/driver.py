@@ -1,0 +1,95 @@
+"""The careful driver who drives the ego logs of the catalogue: simple, smooth, and no planner of ours.
+
+Speed: at each step the least of its wishes, with bounded acceleration and jerk, so that log and poses are consistent:
+
+(1) cruise    a = 0.8 (v_cruise - v)
+(2) follow    a = 0.15 (gap - thw v) + 0.7 (v_lead - v)          gap bumper to bumper
+(3) stop      a = -v^2 / (2 distance)                            constant braking to the stopping point
+
+(4) |a| is eased out in time: a standstill or the cruising speed is reached with a = 0, since braking is at most
+    sqrt(2 jerk v) and accelerating at most sqrt(2 jerk (v_cruise - v)), with 0.7 of the bound on jerk. A
+    stopping point is met within 1 m.
+
+The path is given; the rear axle drives on it, so that yaw rate = v kappa.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+
+from logs.catalogue.roads import Path
+from logs.states import Trajectory
+
+STEP_S = 0.02
+SAMPLE_S = 0.1
+MAX_ACCEL, MAX_BRAKE, MAX_JERK = 1.5, 3.0, 2.0
+_EASE = 0.7 * MAX_JERK
+
+
+@dataclass(frozen=True, slots=True)
+class Ahead:
+    """What the driver minds: `gap` m from the front bumper to it, its `speed`, whether to `stop` for it."""
+
+    gap: float
+    speed: float = 0.0
+    stop: bool = False
+
+
+def _wish(v: float, cruise: float, ahead: Ahead | None, thw: float) -> float:
+    """(1) to (4) without the bound on jerk, m/s2."""
+    a = 0.8 * (cruise - v)
+    if ahead is not None and ahead.stop:
+        a = min(a, -v * v / (2.0 * max(ahead.gap, 0.1)))
+    elif ahead is not None:
+        a = min(a, 0.15 * (ahead.gap - thw * v) + 0.7 * (ahead.speed - v))
+    low = max(-MAX_BRAKE, -sqrt(2.0 * _EASE * max(v, 0.0)))
+    high = min(MAX_ACCEL, sqrt(2.0 * _EASE * max(cruise - v, 0.0)))
+    return min(max(a, low), high)
+
+
+def drive(
+    path: Path,
+    *,
+    start: float,
+    speed: float,
+    cruise: float,
+    duration: float,
+    ahead: Callable[[float, float], Ahead | None] = lambda t, s: None,
+    thw: float = 1.6,
+) -> Trajectory:
+    """The ego log, sampled at 10 Hz.
+
+    Args:
+        path: Of the rear axle.
+        start: Station of the rear axle at t = 0, m.
+        speed: At t = 0, m/s.
+        cruise: Wanted speed, m/s.
+        duration: s; a multiple of 0.1.
+        ahead: What is to be minded at time t with the rear axle at station s.
+        thw: Wanted time headway, s.
+
+    Raises:
+        ValueError: The path is too short.
+    """
+    t, s, v, a, rows = 0.0, start, speed, 0.0, []
+    every = round(SAMPLE_S / STEP_S)
+    for k in range(round(duration / STEP_S) + 1):
+        if k % every == 0:
+            rows.append((k * STEP_S, s, v, a))
+        wish = _wish(v, cruise, ahead(t, s), thw)
+        jerk = min(max((wish - a) / STEP_S, -MAX_JERK), MAX_JERK)
+        s += (v + (0.5 * a + jerk * STEP_S / 6.0) * STEP_S) * STEP_S
+        v += (a + 0.5 * jerk * STEP_S) * STEP_S
+        a += jerk * STEP_S
+        if v <= 0.0:
+            v, a = 0.0, max(a, 0.0)
+        t = (k + 1) * STEP_S
+    times, stations, speeds, accelerations = np.array(rows).T
+    if stations[-1] > path.length:
+        raise ValueError(f"the drive of {stations[-1] - start:.0f} m leaves its path of {path.length:.0f} m")
+    x, y, yaw, kappa = path.at(stations)
+    return Trajectory(np.round(times, 9), x, y, yaw, speeds, accelerations, kappa)

@@ -1,0 +1,184 @@
+"""The tests of the paper: free driving, static obstacles on both sides, a crossing pedestrian.
+
+The paper gives no numbers; these are a passenger car's: arcs of 50 m at 12 m/s (2.9 m/s2 to the side), cars that leave
+0.7 m of clearance, a pedestrian at 1 m/s before a car at 36 km/h, so that a careful driver brakes for about 4 s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import ceil, copysign, radians
+
+import numpy as np
+
+from logs.catalogue.agents import ADULT, CAR, moving, parked, tracks
+from logs.catalogue.driver import SAMPLE_S, Ahead, drive
+from logs.catalogue.family import Family, expects
+from logs.catalogue.roads import LANE_WIDTH_M, Path, curve, one_lane, stretch, two_lanes, weaving
+from logs.kernel import FloatArray
+from logs.road import Goal
+from logs.scenario import AgentKind, Scenario, Tracks
+from logs.trace import DecisionKind
+from logs.vehicle import VehicleParameters
+
+START_M = 10.0
+SPARE_S = 10.0
+"""A planner may take so much longer than the logged driver."""
+BEYOND_M = 150.0
+HALF_LANE = 0.5 * LANE_WIDTH_M
+
+
+def tenths(seconds: float) -> float:
+    """The next multiple of the sample time, s."""
+    return round(ceil(seconds / SAMPLE_S - 1e-9) * SAMPLE_S, 9)
+
+
+def goal_at_end(path: Path, begin: float, *, right: float, left: float) -> Goal:
+    """The strip of road from station `begin` to 40 m further."""
+    return Goal((stretch(path, begin, begin + 40.0, right=right, left=left),))
+
+
+def _free_road(p: Mapping[str, float]) -> Scenario:
+    radius, clothoid, v = p["radius_m"], p["clothoid_m"], p["ego_speed_mps"]
+    kappa = 1.0 / radius
+    arc = radius * radians(p["turn_deg"]) - clothoid
+    bend = ((clothoid, 0.0, kappa), (arc, kappa, kappa), (clothoid, kappa, 0.0))
+    other = tuple((length, -first, -last) for length, first, last in bend)
+    entry, exit_ = p["straight_m"] + START_M, p["straight_m"] + 20.0
+    path = curve((entry, 0.0, 0.0), *bend, *other, (exit_ + BEYOND_M, 0.0, 0.0))
+    duration = tenths((path.length - BEYOND_M - START_M) / v)
+    driven = drive(path, start=START_M, speed=v, cruise=v, duration=duration)
+    goal = goal_at_end(path, path.length - BEYOND_M - 10.0, right=-HALF_LANE, left=HALF_LANE)
+    return Scenario("", driven, Tracks.empty(), one_lane(path, v), duration + SPARE_S, goal)
+
+
+FREE_ROAD = Family(
+    "paper/free_road",
+    "S-curve left then right, no obstacle: tracking",
+    {"ego_speed_mps": 12.0, "radius_m": 50.0, "turn_deg": 60.0, "clothoid_m": 20.0, "straight_m": 60.0},
+    ("paper", "free"),
+    _free_road,
+)
+
+
+def bypass(edge: float, clearance: float, width: float) -> float:
+    """Lateral offset of a car's middle that keeps |clearance| from an obstacle's edge, m: left of it if positive."""
+    return edge + copysign(abs(clearance) + 0.5 * width, clearance)
+
+
+def _static_obstacles(p: Mapping[str, float]) -> Scenario:
+    v, spacing, width = p["ego_speed_mps"], p["spacing_m"], VehicleParameters().width
+    at = START_M + p["first_m"] + spacing * np.arange(3)
+    from_right = p["intrusion_right_m"] - HALF_LANE
+    from_left = HALF_LANE - p["intrusion_left_m"]
+    cars = (
+        parked("right_1", at[0], from_right - 0.5 * CAR[1]),
+        parked("left", at[1], from_left + 0.5 * CAR[1]),
+        parked("left_outer", at[1], from_left + 1.5 * CAR[1] + 0.4),
+        parked("right_2", at[2], from_right - 0.5 * CAR[1]),
+    )
+    to_left = max(0.0, bypass(from_right, p["clearance_m"], width))
+    to_right = min(0.0, bypass(from_left, -p["clearance_m"], width))
+    path = _past([(at[0], to_left), (at[1], to_right), (at[2], to_left)], spacing)
+    duration = tenths((at[2] + spacing + 40.0 - START_M) / v)
+    driven = drive(path, start=START_M, speed=v, cruise=v, duration=duration)
+    straight = curve((path.length, 0.0, 0.0))
+    goal = goal_at_end(straight, float(driven.x[-1]) - 10.0, right=-HALF_LANE, left=3.0 * HALF_LANE)
+    left, right = (DecisionKind.NUDGE_LEFT,), (DecisionKind.NUDGE_RIGHT,)
+    return Scenario(
+        "",
+        driven,
+        tracks(cars),
+        two_lanes(straight, v, ego_on_right=True),
+        duration + SPARE_S,
+        goal,
+        metadata=expects(right_1=left, left=right, right_2=left),
+    )
+
+
+def _past(obstacles: list[tuple[float, float]], spacing: float) -> Path:
+    """A path past obstacles `(station m, offset m)`, 0.6 of the spacing for each shift, back to the middle."""
+    run, flat = 0.6 * spacing, 0.2 * spacing
+    shifts = [(at - flat - run, at - flat, offset) for at, offset in obstacles]
+    last = obstacles[-1][0] + flat
+    return weaving(last + run + 40.0 + BEYOND_M, [*shifts, (last, last + run, 0.0)])
+
+
+STATIC_OBSTACLES = Family(
+    "paper/static_obstacles",
+    "parked cars reach into the lane from the right, from the left and from the right: bypass left and right",
+    {
+        "ego_speed_mps": 8.0,
+        "first_m": 60.0,
+        "spacing_m": 50.0,
+        "intrusion_right_m": 1.0,
+        "intrusion_left_m": 0.85,
+        "clearance_m": 0.7,
+    },
+    ("paper", "static"),
+    _static_obstacles,
+)
+
+
+def _crossing_pedestrian(p: Mapping[str, float]) -> Scenario:
+    v, walk, duration = p["ego_speed_mps"], p["pedestrian_speed_mps"], p["duration_s"]
+    car, sidewalk = VehicleParameters(), 4.0
+    y0, y1 = -(HALF_LANE + p["kerb_distance_m"]), HALF_LANE + p["rest_distance_m"]
+    x = START_M + car.axle_to_front + v * p["walk_start_s"] + p["distance_m"]
+    t = np.round(np.arange(0.0, duration + SPARE_S + 0.5 * SAMPLE_S, SAMPLE_S), 9)
+    y = y0 + (y1 - y0) * _walked(t - p["walk_start_s"], y1 - y0, walk)
+    pedestrian = moving("pedestrian", AgentKind.PEDESTRIAN, ADULT, t, np.full(len(t), x), y, yaw=0.5 * np.pi)
+    off_lane = float(t[np.argmax(y > HALF_LANE + 0.5 * max(ADULT))])
+    noticed = p["walk_start_s"] + p["reaction_s"]
+
+    def ahead(time: float, s: float) -> Ahead | None:
+        gap = x - p["stop_distance_m"] - (s + car.axle_to_front)
+        return Ahead(gap, stop=True) if noticed <= time < off_lane and gap > -p["stop_distance_m"] else None
+
+    path = curve((v * (duration + SPARE_S) + BEYOND_M, 0.0, 0.0))
+    driven = drive(path, start=START_M, speed=v, cruise=v, duration=duration, ahead=ahead)
+    goal = goal_at_end(path, float(driven.x[-1]) - 10.0, right=-HALF_LANE, left=HALF_LANE)
+    return Scenario(
+        "",
+        driven,
+        tracks([pedestrian]),
+        one_lane(path, v, sidewalk=sidewalk),
+        duration + SPARE_S,
+        goal,
+        metadata={
+            **expects(pedestrian=(DecisionKind.YIELD, DecisionKind.STOP)),
+            "pedestrian_off_lane_s": repr(off_lane),
+        },
+    )
+
+
+def _walked(t: FloatArray, distance: float, speed: float, ramp: float = 0.4) -> FloatArray:
+    """Share of a walk of `distance` m done at times `(n,)` after its start: speed ramps up and down in `ramp` s."""
+    whole = distance / speed + ramp
+    if whole < 2.0 * ramp:
+        raise ValueError("the pedestrian's way is too short for its speed")
+    up = np.clip(t, 0.0, ramp)
+    down = np.clip(t - (whole - ramp), 0.0, ramp)
+    even = np.clip(t - ramp, 0.0, whole - 2.0 * ramp)
+    share: FloatArray = (0.5 * up**2 / ramp + even + down - 0.5 * down**2 / ramp) * speed / distance
+    return share
+
+
+CROSSING_PEDESTRIAN = Family(
+    "paper/crossing_pedestrian",
+    "a pedestrian crosses from the right, leaves the lane and stands still: brake, then drive on",
+    {
+        "ego_speed_mps": 10.0,
+        "pedestrian_speed_mps": 1.0,
+        "walk_start_s": 5.0,
+        "distance_m": 33.0,
+        "kerb_distance_m": 0.6,
+        "rest_distance_m": 2.5,
+        "stop_distance_m": 3.0,
+        "reaction_s": 0.4,
+        "duration_s": 26.0,
+    },
+    ("paper", "pedestrian"),
+    _crossing_pedestrian,
+)
+FAMILIES = (FREE_ROAD, STATIC_OBSTACLES, CROSSING_PEDESTRIAN)

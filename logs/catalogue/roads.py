@@ -1,0 +1,157 @@
+"""Paths by curvature, and roads along them.
+
+A path is a fine table of a curve by its arc length s, from piecewise linear curvature (straights, arcs, clothoids):
+
+(1) yaw' = kappa(s), exact on each piece (yaw is quadratic in s)
+(2) x' = cos yaw, y' = sin yaw, by Simpson's rule on steps of 0.05 m (error below 1e-9 m per step)
+
+Lateral motion on a straight road is a chain of quintic lane shifts (Werling et al., ICRA 2010, with lateral speed and
+acceleration 0 at both ends): l(u) = 10 u^3 - 15 u^4 + 6 u^5.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from logs.kernel import FloatArray, frozen
+from logs.road import Lane, Road
+
+STEP_M = 0.05
+LANE_WIDTH_M = 3.5
+
+
+@dataclass(frozen=True, eq=False)
+class Path:
+    """A curve by arc length: `(n,)` columns s, x, y (m), yaw (rad, unwrapped), kappa (1/m)."""
+
+    s: FloatArray
+    x: FloatArray
+    y: FloatArray
+    yaw: FloatArray
+    kappa: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("s", "x", "y", "yaw", "kappa"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+    @property
+    def length(self) -> float:
+        """Length of the path, m."""
+        return float(self.s[-1])
+
+    def at(self, s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Columns x, y, yaw, kappa at stations `(k,)` within the path."""
+        x, y, yaw, kappa = (
+            np.asarray(np.interp(s, self.s, column)) for column in (self.x, self.y, self.yaw, self.kappa)
+        )
+        return x, y, yaw, kappa
+
+    def beside(self, s: FloatArray, left: float) -> FloatArray:
+        """Points `(k, 2)` at stations `(k,)`, `left` m to the left of the path."""
+        x, y, yaw, _ = self.at(s)
+        return np.column_stack([x - left * np.sin(yaw), y + left * np.cos(yaw)])
+
+
+def curve(*pieces: tuple[float, float, float]) -> Path:
+    """The path of pieces `(length m, kappa at the begin, kappa at the end)` from the origin along x.
+
+    Raises:
+        ValueError: A length is negative or not finite.
+    """
+    if not all(np.isfinite(length) and length >= 0.0 for length, *_ in pieces):
+        raise ValueError(f"a piece of the road has no length: {[round(length, 2) for length, *_ in pieces]} m")
+    ends = np.cumsum([0.0, *(length for length, *_ in pieces)])
+    count = round(ends[-1] / STEP_M)
+    fine = np.linspace(0.0, ends[-1], 2 * count + 1)
+    yaw, kappa, turned = np.zeros(len(fine)), np.zeros(len(fine)), 0.0
+    for (length, first, last), begin in zip(pieces, ends, strict=False):
+        u = fine - begin
+        on = (u >= 0.0) & (length > 0.0)
+        slope = (last - first) / length if length > 0.0 else 0.0
+        kappa[on] = first + slope * u[on]
+        yaw[on] = turned + (first + 0.5 * slope * u[on]) * u[on]
+        turned += 0.5 * (first + last) * length
+    return _integrated(fine, yaw, kappa)
+
+
+def _integrated(fine: FloatArray, yaw: FloatArray, kappa: FloatArray) -> Path:
+    """(2): `fine` holds each step's ends and its middle."""
+    columns = []
+    for rate in (np.cos(yaw), np.sin(yaw)):
+        step = (fine[2::2] - fine[:-2:2]) * (rate[:-2:2] + 4.0 * rate[1::2] + rate[2::2]) / 6.0
+        columns.append(np.r_[0.0, np.cumsum(step)])
+    return Path(fine[::2], columns[0], columns[1], yaw[::2], kappa[::2])
+
+
+def weaving(length: float, shifts: Sequence[tuple[float, float, float]]) -> Path:
+    """A path along the x axis with lane shifts `(begin m, end m, lateral offset after it m)`, in order."""
+    x = np.linspace(0.0, length, round(length / STEP_M) + 1)
+    y, slope, bend, offset = np.zeros(len(x)), np.zeros(len(x)), np.zeros(len(x)), 0.0
+    for begin, end, target in shifts:
+        run, rise = end - begin, target - offset
+        u = np.clip((x - begin) / run, 0.0, 1.0)
+        y += rise * (10.0 - 15.0 * u + 6.0 * u**2) * u**3
+        slope += rise * 30.0 * (u * (1.0 - u)) ** 2 / run
+        bend += rise * 60.0 * u * (1.0 - u) * (1.0 - 2.0 * u) / run**2
+        offset = target
+    speed = np.hypot(1.0, slope)
+    s = np.r_[0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(x))]
+    return Path(s, x, y, np.arctan(slope), bend / speed**3)
+
+
+def lane_beside(
+    path: Path,
+    lane_id: int,
+    *,
+    left: float = 0.0,
+    width: float = LANE_WIDTH_M,
+    speed_limit: float,
+    left_neighbour: int | None = None,
+    right_neighbour: int | None = None,
+    drivable: bool = True,
+    kind: str = "urban",
+) -> Lane:
+    """A lane along the whole path, its middle `left` m to the left of it; cross-sections about every 2 m."""
+    stations = np.linspace(0.0, path.length, round(path.length / 2.0) + 1)
+    return Lane(
+        lane_id,
+        path.beside(stations, left + 0.5 * width),
+        path.beside(stations, left - 0.5 * width),
+        left_neighbour=left_neighbour,
+        right_neighbour=right_neighbour,
+        left_crossable=left_neighbour is not None,
+        right_crossable=right_neighbour is not None,
+        speed_limit=speed_limit,
+        drivable=drivable,
+        kind=kind,
+    )
+
+
+def one_lane(path: Path, speed_limit: float, *, sidewalk: float = 0.0) -> Road:
+    """One lane, with sidewalks of this width (m) on both sides where it is positive."""
+    lanes = [lane_beside(path, 1, speed_limit=speed_limit)]
+    if sidewalk > 0.0:
+        side = 0.5 * (LANE_WIDTH_M + sidewalk)
+        walk = partial(lane_beside, path, width=sidewalk, speed_limit=speed_limit, drivable=False, kind="sidewalk")
+        lanes += [walk(2, left=side), walk(3, left=-side)]
+    return Road({lane.id: lane for lane in lanes}, default_speed_limit=speed_limit)
+
+
+def two_lanes(path: Path, speed_limit: float, *, ego_on_right: bool) -> Road:
+    """Two lanes in one direction; the ego's is lane 1 and lies on the path, lane 2 beside it."""
+    left = LANE_WIDTH_M if ego_on_right else -LANE_WIDTH_M
+    beside = "left_neighbour" if ego_on_right else "right_neighbour"
+    behind = "right_neighbour" if ego_on_right else "left_neighbour"
+    own = lane_beside(path, 1, speed_limit=speed_limit, **{beside: 2})  # type: ignore[arg-type]
+    other = lane_beside(path, 2, left=left, speed_limit=speed_limit, **{behind: 1})  # type: ignore[arg-type]
+    return Road({1: own, 2: other}, default_speed_limit=speed_limit)
+
+
+def stretch(path: Path, begin: float, end: float, *, right: float, left: float) -> FloatArray:
+    """Outline `(k, 2)` of the strip from station `begin` to `end`, from `right` to `left` of the path (m, signed)."""
+    stations = np.linspace(begin, end, max(2, round((end - begin) / 2.0) + 1))
+    return np.vstack([path.beside(stations, left), path.beside(stations, right)[::-1]])

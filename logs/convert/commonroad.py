@@ -1,0 +1,302 @@
+"""CommonRoad XML -> Scenario.
+
+Who is the ego:
+
+(1) `ego="ID"`: that vehicle of the traffic; its goal is where its log ends.
+(2) A planning problem whose recorded driver is in the file: an obstacle that is at the problem's start position at its
+    start step; or, as the MONA files number them, obstacle `problem - 90000` whose log begins at the start position
+    with the start speed (some of these files give the step as 0: then the obstacle's own step counts).
+(3) Else a problem of which only the start is known.
+
+t = 0 is the ego's first sample. The log lasts to the last moment at which the goal may be reached, without such a time
+to the traffic's last sample, and never less than the ego's log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from math import cos, isnan, sin
+from pathlib import Path
+
+import numpy as np
+
+from logs.convert.commonroad_road import road_of
+from logs.convert.commonroad_tracks import KINDS, ego_log, sized, tracks_of, trimmed, turned, velocities
+from logs.convert.commonroad_xml import Document, Obstacle, Problem, parse
+from logs.errors import LogError
+from logs.kernel import FloatArray
+from logs.road import Goal, Road
+from logs.scenario import AgentKind, Scenario, Tracks
+from logs.states import Trajectory
+from logs.vehicle import VehicleParameters
+
+SAME_PLACE_M = 0.05
+MONA_PROBLEM_OFFSET = 90_000
+_CANNOT_DRIVE = (AgentKind.PEDESTRIAN, AgentKind.OBJECT)
+_SOURCES = (
+    ("ngsim", "recorded", ("ngsim", "next generation simulation")),
+    ("mona", "recorded", ("mona",)),
+    ("highd", "recorded", ("highd", "ind dataset", "round", "exid")),
+    ("interaction", "recorded", ("interaction dataset",)),
+    ("sumo", "synthetic", ("sumo", "scenario factory", "ots")),
+    ("synthesised", "synthetic", ("specification-based", "synthesis")),
+    ("hand_made", "synthetic", ("hand-crafted", "bing maps", "scenario designer", "xosc")),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class _Ego:
+    """Who drives: the obstacle (None: only the start is known), the problem (None: an obstacle was asked for)."""
+
+    obstacle: Obstacle | None
+    problem: Problem | None
+    notes: tuple[str, ...] = ()
+
+
+def read_commonroad(path: str | Path, *, problem: int | None = None, ego: str | None = None) -> Scenario:
+    """Read a CommonRoad scenario (module docstring).
+
+    Args:
+        path: XML file, version 2018b or 2020a.
+        problem: Id of the planning problem, or its place in the file, from 1; default the first.
+        ego: Id of the obstacle to take as ego instead.
+
+    Raises:
+        LogError: The file is no such scenario, or there is no such problem or vehicle.
+    """
+    path = Path(path)
+    document, headings = turned(parse(path))
+    try:
+        chosen = _asked(document, ego) if ego is not None else _by_problem(document, problem)
+        scenario = _scenario(document, chosen)
+    except (LogError, ValueError) as error:
+        raise (error if isinstance(error, LogError) else LogError(str(error))).at(path) from error
+    if problem is None and ego is None:
+        scenario = replace(scenario, notes=scenario.notes + _brief(document, scenario.ego))
+    name = path.name.removesuffix(".xml") + (f"_ego{ego}" if ego is not None else "")
+    if problem is not None and chosen.problem is not None:
+        name += f"_problem{chosen.problem.id}"
+    return replace(scenario, name=name, notes=document.notes + headings + scenario.notes)
+
+
+def _asked(document: Document, ego: str) -> _Ego:
+    """(1)."""
+    can = [o for o in document.obstacles if not o.static and len(o.states) > 1]
+    can = [o for o in can if KINDS.get(o.type, AgentKind.OBJECT) not in _CANNOT_DRIVE]
+    found = next((o for o in can if str(o.id) == ego), None)
+    if found is None:
+        longest = sorted(can, key=lambda o: -len(o.states))[:8]
+        remedy = f"longest drives: {', '.join(str(o.id) for o in longest) or 'none'}"
+        raise LogError(f"no vehicle {ego} with a trajectory in the file", topic=f"obstacle {ego}", remedy=remedy)
+    return _Ego(found, None, ("the ego was taken from the traffic: its goal is the place where its log ends",))
+
+
+def _by_problem(document: Document, number: int | None) -> _Ego:
+    """(2) and (3)."""
+    problem = _problem(document, number)
+    step, x, y = problem.start[:3]
+    for o in document.obstacles:
+        at = np.flatnonzero(np.abs(o.states[:, 0] - step) < 0.5)
+        if not o.static and len(at) and len(o.states) - at[0] > 1 and _near(o.states[at[0]], x, y):
+            return _Ego(replace(o, states=o.states[at[0] :]), problem)
+    for o in document.obstacles:
+        first = o.states[0]
+        same = (
+            o.id == problem.id - MONA_PROBLEM_OFFSET and _near(first, x, y) and abs(first[4] - problem.start[4]) < 0.1
+        )
+        if same and not o.static and len(o.states) > 1:
+            late = (first[0] - step) * document.dt
+            return _Ego(
+                o, problem, (f"the problem starts at step {step:g}, its recorded driver {late:.1f} s later: taken",)
+            )
+    if any(not o.static and _near(o.states[0], x, y) for o in document.obstacles):
+        return _Ego(None, problem, ("a vehicle of the traffic appears later where the ego starts",))
+    return _Ego(None, problem)
+
+
+def _brief(document: Document, driven: Trajectory, *, least: float = 3.0) -> tuple[str, ...]:
+    """A hint where the first problem's recorded drive is too short to say much and another one is longer."""
+    if len(driven) < 2 or driven.t[-1] >= least:
+        return ()
+    others = [(p.id, _by_problem(document, p.id).obstacle) for p in document.problems[1:]]
+    longer = [f"{i} ({len(o.states) * document.dt:.1f} s)" for i, o in others if o is not None and len(o.states) > 1]
+    if not longer:
+        return ()
+    return (f"the recorded drive lasts {driven.t[-1]:.1f} s only; other planning problems: {', '.join(longer)}",)
+
+
+def _near(state: FloatArray, x: float, y: float) -> bool:
+    return bool(np.hypot(state[1] - x, state[2] - y) <= SAME_PLACE_M)
+
+
+def _problem(document: Document, number: int | None) -> Problem:
+    problems = document.problems
+    if not problems:
+        raise LogError("no planning problem", topic="planningProblem", remedy="name a vehicle of the traffic as ego")
+    if number is None:
+        return problems[0]
+    found = next((p for p in problems if p.id == number), None)
+    if found is None and 1 <= number <= len(problems):
+        found = problems[number - 1]
+    if found is None:
+        there = ", ".join(str(p.id) for p in problems)
+        raise LogError(f"no planning problem {number}", topic="planningProblem", remedy=f"the file has {there}")
+    return found
+
+
+def _scenario(document: Document, chosen: _Ego) -> Scenario:
+    """Everything but name and the file's own notes."""
+    notes = list(chosen.notes)
+    obstacle, vehicle = chosen.obstacle, VehicleParameters()
+    if obstacle is not None:
+        obstacle, cut = trimmed(obstacle, document.dt)
+        vehicle = sized(obstacle)
+        notes += cut
+    first = _first(obstacle, chosen.problem)
+    start, origin = float(first[0]), (float(round(first[1])), float(round(first[2])))
+    velocity, rule = velocities(document)
+    without = None if obstacle is None else obstacle.id
+    tracks = tracks_of(document, velocity, without=without, start=start, origin=origin)
+    road, assumed = road_of(document, origin, _driven(document))
+    driven, how = _ego(obstacle, chosen.problem, document.dt, vehicle, origin)
+    goal, unknown = _goal(chosen.problem, road, start, document.dt, origin)
+    if goal is None:
+        goal = Goal((_last_place(driven, vehicle),))
+    duration, ends = _duration(driven, tracks, goal)
+    notes += [*how, *unknown, *assumed, *rule, *ends, *_begins(start, document.dt)]
+    return Scenario(
+        name="",
+        ego=driven,
+        tracks=tracks,
+        road=road,
+        duration=duration,
+        goal=goal,
+        vehicle=vehicle,
+        tags=_tags(document),
+        source=f"CommonRoad {document.benchmark} ({document.source or 'source not named'})",
+        licence="see the file's publisher",
+        origin=origin,
+        start_ns=round(start * document.dt * 1e9),
+        metadata=_metadata(document, chosen),
+        notes=tuple(notes),
+    )
+
+
+def _first(obstacle: Obstacle | None, problem: Problem | None) -> FloatArray:
+    """The ego's first state at its box centre: that of its log where there is one."""
+    if obstacle is not None:
+        return obstacle.states[0]
+    assert problem is not None
+    return problem.start
+
+
+def _begins(start: float, dt: float) -> tuple[str, ...]:
+    return (f"the log begins {start * dt:.1f} s after the file's first step",) if start else ()
+
+
+def _ego(
+    obstacle: Obstacle | None,
+    problem: Problem | None,
+    dt: float,
+    vehicle: VehicleParameters,
+    origin: tuple[float, float],
+) -> tuple[Trajectory, tuple[str, ...]]:
+    """The ego log at the rear axle, or its only known state."""
+    if obstacle is not None:
+        driven, notes = ego_log(obstacle, dt, vehicle, origin)
+        size = f"{vehicle.length:.2f} x {vehicle.width:.2f} m"
+        return driven, (f"the ego is obstacle {obstacle.id} ({size}, axles in proportion to the length)", *notes)
+    assert problem is not None
+    _, x, y, yaw, v, a = (float(value) for value in problem.start)
+    x, y = x - origin[0] - vehicle.axle_to_center * cos(yaw), y - origin[1] - vehicle.axle_to_center * sin(yaw)
+    kappa = problem.yaw_rate / v if v > 1.0 and not isnan(problem.yaw_rate) else 0.0
+    kappa = min(max(kappa, -vehicle.max_kappa), vehicle.max_kappa)
+    columns = (0.0, x, y, yaw, v, 0.0 if isnan(a) else a, kappa)
+    note = f"only the start of the ego is known (planning problem {problem.id}): no drive to compare with"
+    return Trajectory(*(np.array([value]) for value in columns)), (note,)
+
+
+def _goal(
+    problem: Problem | None, road: Road, start: float, dt: float, origin: tuple[float, float]
+) -> tuple[Goal | None, tuple[str, ...]]:
+    """The problem's goal; several goal states become one: regions together, intervals from least to most."""
+    if problem is None:
+        return None, ()
+    regions = [region - origin for goal in problem.goals for region in goal.regions]
+    wanted = [i for goal in problem.goals for i in goal.lanelets]
+    lost = [i for i in wanted if i not in road.lanes]
+    regions += [road.lanes[i].polygon for i in wanted if i in road.lanes]
+    notes = [f"goal lanelets {', '.join(map(str, lost))} are not in the road"] if lost else []
+    anywhere = any(not goal.regions and not goal.lanelets for goal in problem.goals)
+    if len(problem.goals) > 1:
+        notes.append(f"the problem has {len(problem.goals)} goals: any of their places within all of their intervals")
+    step = _hull([goal.step for goal in problem.goals])
+    t = None if step is None else ((step[0] - start) * dt, (step[1] - start) * dt)
+    v, yaw = (_hull([getattr(goal, name) for goal in problem.goals]) for name in ("v", "yaw"))
+    return Goal(() if anywhere else tuple(regions), t, v, yaw), tuple(notes)
+
+
+def _hull(intervals: Sequence[tuple[float, float] | None]) -> tuple[float, float] | None:
+    """The smallest interval that holds all; None (free) where one of them is free or there is none."""
+    bounds = [interval for interval in intervals if interval is not None]
+    if not bounds or len(bounds) < len(intervals):
+        return None
+    return min(b[0] for b in bounds), max(b[1] for b in bounds)
+
+
+def _last_place(driven: Trajectory, vehicle: VehicleParameters, *, half: float = 4.0) -> FloatArray:
+    """A rectangle of 8 x 4 m about the ego's last box centre."""
+    last = driven.state(len(driven) - 1)
+    along, left = np.array([cos(last.yaw), sin(last.yaw)]), np.array([-sin(last.yaw), cos(last.yaw)])
+    center = np.array([last.x, last.y]) + vehicle.axle_to_center * along
+    return np.array(
+        [center + i * half * along + j * 0.5 * half * left for i, j in ((1, 1), (-1, 1), (-1, -1), (1, -1))]
+    )
+
+
+def _duration(driven: Trajectory, tracks: Tracks, goal: Goal) -> tuple[float, tuple[str, ...]]:
+    ego, traffic = float(driven.t[-1]), float(tracks.t.max(initial=0.0))
+    if goal.t is None:
+        return max(ego, traffic), ()
+    duration = max(ego, goal.t[1])
+    moving = len(tracks) and not tracks.static.all()
+    if moving and duration > traffic + 1.0:
+        return duration, (f"the traffic ends at {traffic:.1f} s, the goal may be reached until {duration:.1f} s",)
+    return duration, ()
+
+
+def _driven(document: Document) -> FloatArray:
+    """Positions and speeds `(m, 3)` of the moving traffic, about once a second."""
+    every = max(1, round(1.0 / document.dt))
+    rows = [o.states[::every, [1, 2, 4]] for o in document.obstacles if not o.static]
+    table = np.vstack(rows) if rows else np.empty((0, 3))
+    return table[np.isfinite(table).all(axis=1)]
+
+
+def _tags(document: Document) -> tuple[str, ...]:
+    """The word "commonroad", the kind of source where it can be told, and the file's own tags."""
+    text = f"{document.source} {document.benchmark}".lower()
+    words: tuple[str, ...] = ()
+    for name, how, signs in _SOURCES:
+        if any(sign in text for sign in signs):
+            words = (how, name)
+            break
+    else:
+        words = ("synthetic",) if "simulated" in document.tags else ()
+    return tuple(dict.fromkeys(("commonroad", *words, *document.tags)))
+
+
+def _metadata(document: Document, chosen: _Ego) -> dict[str, str]:
+    found = {
+        "format": f"CommonRoad {document.version}",
+        "benchmark": document.benchmark,
+        "author": document.author,
+        "affiliation": document.affiliation,
+        "time_step_s": f"{document.dt:g}",
+    }
+    if chosen.problem is not None:
+        found["planning_problem"] = str(chosen.problem.id)
+    if chosen.obstacle is not None:
+        found["ego_obstacle"] = str(chosen.obstacle.id)
+    return found

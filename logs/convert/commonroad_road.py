@@ -1,0 +1,170 @@
+"""CommonRoad lanelets -> Road: repaired boundaries, who may drive and cross where, and speed limits.
+
+A limit that the file does not give is assumed, and the scenario says so:
+
+(1) by the kind of road: highway 130 km/h (USA: 65 mph), country 100, ramps 80, urban and all else 50;
+(2) raised to the 85th percentile of the speeds driven on those lanes in the log, rounded up to 10 km/h, where that is
+    more: the speed by which traffic engineers set limits (V85), so that a motorway which the map calls "urban" keeps
+    its pace. Congested traffic never lowers (1).
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import replace
+from math import ceil
+
+import numpy as np
+
+from logs.convert.commonroad_xml import Document, Lanelet
+from logs.kernel import FloatArray
+from logs.road import Lane, Road
+
+NOT_DRIVABLE = {"sidewalk", "crosswalk", "bicycleLane", "shoulder", "busLane", "busStop", "border", "restricted"}
+NOT_CROSSABLE = {"solid", "broad_solid", "solid_solid", "curb"}
+LEFT_HAND_COUNTRIES = frozenset(
+    "AUS BGD BHS BRB BRN BTN BWA CYP FJI GBR GUY HKG IDN IMN IND IRL JAM JPN KEN LKA LSO MAC MDV "  # noqa: SIM905
+    "MLT MOZ MUS MWI MYS NAM NPL NZL PAK PNG SGP SUR SWZ SYC THA TLS TTO TZA UGA ZAF ZMB ZWE".split()
+)
+KPH = 1.0 / 3.6
+_HIGHWAY = {"highway", "interstate", "mainCarriageWay"}
+_DEFAULTS = {"country": 100.0 * KPH, "accessRamp": 80.0 * KPH, "exitRamp": 80.0 * KPH}
+_URBAN = 50.0 * KPH
+_ENOUGH_SAMPLES = 10
+_PLAUSIBLE = (2.0, 45.0)
+
+
+def road_of(document: Document, origin: tuple[float, float], driven: FloatArray) -> tuple[Road, tuple[str, ...]]:
+    """The road, and what was assumed.
+
+    Args:
+        document: The file.
+        origin: Subtracted from all points, m.
+        driven: Positions and speeds of the traffic `(m, 3)`, file coordinates, m and m/s: see (2).
+    """
+    lanes, notes = {}, []
+    for lanelet in document.lanelets:
+        bounds = _repaired(lanelet)
+        if bounds is None:
+            notes.append(f"lanelet {lanelet.id} is dropped: its boundaries are no strip")
+        else:
+            lanes[lanelet.id] = _lane(lanelet, bounds[0] - origin, bounds[1] - origin)
+    uneven = sum(len(lanelet.left) != len(lanelet.right) for lanelet in document.lanelets)
+    if uneven:
+        notes.append(f"{uneven} lanelets have boundaries of unequal point counts: resampled by arc length")
+    road = Road(lanes, drives_on_right=document.country not in LEFT_HAND_COUNTRIES)
+    notes += _odd_limits(road)
+    return _with_defaults(document, road, driven - (*origin, 0.0), notes)
+
+
+def _lane(lanelet: Lanelet, left: FloatArray, right: FloatArray) -> Lane:
+    on_left, on_right = lanelet.beside
+    may_drive = not NOT_DRIVABLE & set(lanelet.types)
+    if lanelet.users and not {"car", "vehicle"} & set(lanelet.users):
+        may_drive = False
+    return Lane(
+        lanelet.id,
+        left,
+        right,
+        successors=lanelet.successors,
+        left_neighbour=on_left[0] if on_left and on_left[1] else None,
+        right_neighbour=on_right[0] if on_right and on_right[1] else None,
+        left_opposite=bool(on_left and not on_left[1]),
+        right_opposite=bool(on_right and not on_right[1]),
+        speed_limit=lanelet.speed,
+        drivable=may_drive,
+        left_crossable=_crossable(lanelet.markings[0], near=-1),
+        right_crossable=_crossable(lanelet.markings[1], near=0),
+        kind="+".join(lanelet.types) or "lane",
+    )
+
+
+def _crossable(marking: str, *, near: int) -> bool:
+    """Whether a marking may be crossed from the lane; of a double line the near one counts ("solid_dashed")."""
+    parts = marking.split("_")
+    if set(parts) == {"solid", "dashed"}:
+        return parts[near] == "dashed"
+    return marking not in NOT_CROSSABLE
+
+
+def _repaired(lanelet: Lanelet) -> tuple[FloatArray, FloatArray] | None:
+    """Boundaries with equal point counts and without repeated cross-sections; None where no strip is left."""
+    left, right = lanelet.left, lanelet.right
+    if min(len(left), len(right)) < 2:
+        return None
+    if len(left) != len(right):
+        count = max(len(left), len(right))
+        left, right = _resampled(left, count), _resampled(right, count)
+    center = 0.5 * (left + right)
+    keep = np.r_[True, np.hypot(*np.diff(center, axis=0).T) > 1e-3]
+    if keep.sum() < 2:
+        return None
+    return left[keep], right[keep]
+
+
+def _resampled(points: FloatArray, count: int) -> FloatArray:
+    """A polyline `(n, 2)` at `count` points, equally spaced in arc length."""
+    s = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))]
+    at = np.linspace(0.0, s[-1], count)
+    return np.column_stack([np.interp(at, s, points[:, 0]), np.interp(at, s, points[:, 1])])
+
+
+def _odd_limits(road: Road) -> list[str]:
+    """Limits that are kept though they can hardly be meant."""
+    low, high = _PLAUSIBLE
+    odd: defaultdict[float, int] = defaultdict(int)
+    for lane in road.lanes.values():
+        if lane.drivable and not (np.isnan(lane.speed_limit) or low <= lane.speed_limit <= high):
+            odd[lane.speed_limit] += 1
+    return [f"speed limit of {limit:g} m/s on {count} lanes is kept as given" for limit, count in odd.items()]
+
+
+def _group(lane: Lane, document: Document) -> str:
+    """The kind of road that decides (1): the scenario's own tag "highway" beats a lanelet's "urban"."""
+    kinds = set(lane.kind.split("+"))
+    for kind in _DEFAULTS:
+        if kind in kinds:
+            return kind
+    return "highway" if _HIGHWAY & (kinds | set(document.tags)) else "urban"
+
+
+def _with_defaults(
+    document: Document, road: Road, driven: FloatArray, notes: Sequence[str]
+) -> tuple[Road, tuple[str, ...]]:
+    """The road with (1) and (2): the commonest default is the road's, others stand on their lanes."""
+    missing: defaultdict[str, list[Lane]] = defaultdict(list)
+    drivable = [lane for lane in road.lanes.values() if lane.drivable]
+    for lane in drivable:
+        if np.isnan(lane.speed_limit):
+            missing[_group(lane, document)].append(lane)
+    assumed, lines = {}, list(notes)
+    for group, lanes in sorted(missing.items(), key=lambda item: (-len(item[1]), item[0])):
+        assumed[group], why = _assumed(group, document.country, _speeds_on(road, lanes, driven))
+        limit = f"{assumed[group]:.2f} m/s ({assumed[group] / KPH:.0f} km/h)"
+        lines.append(f"speed limit missing on {len(lanes)} of {len(drivable)} lanes: {why} {limit} assumed")
+    if not missing:
+        return road, tuple(lines)
+    default = next(iter(assumed.values()))
+    changed = {lane.id: assumed[g] for g, lanes in missing.items() for lane in lanes if assumed[g] != default}
+    lanes_by_id = {i: replace(lane, speed_limit=changed.get(i, lane.speed_limit)) for i, lane in road.lanes.items()}
+    return Road(lanes_by_id, road.source, road.drives_on_right, default), tuple(lines)
+
+
+def _speeds_on(road: Road, lanes: Sequence[Lane], driven: FloatArray) -> FloatArray:
+    """Speeds `(k,)` of the traffic that moved on these lanes, m/s."""
+    wanted = {lane.id for lane in lanes}
+    moving = driven[driven[:, 2] > 2.0]
+    return np.array([v for x, y, v in moving if any(lane.id in wanted for lane in road.lanes_at(x, y))])
+
+
+def _assumed(group: str, country: str, speeds: FloatArray) -> tuple[float, str]:
+    """A limit by (1) and (2), m/s, and its name."""
+    limit = _DEFAULTS.get(group, _URBAN)
+    if group == "highway":
+        limit = 65.0 * 1.609344 * KPH if country == "USA" else 130.0 * KPH
+    if len(speeds) >= _ENOUGH_SAMPLES:
+        typical = ceil(float(np.percentile(speeds, 85)) / (10.0 * KPH)) * 10.0 * KPH
+        if typical > limit:
+            return typical, f"85th percentile of the driven speeds, above the {group} default,"
+    return limit, f"{group} default"

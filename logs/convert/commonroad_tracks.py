@@ -1,0 +1,236 @@
+"""CommonRoad obstacles -> Tracks: headings set right, velocities chosen, one vehicle turned into the ego's log.
+
+Headings. Some recordings give headings against true north and positions on a map grid, so that all vehicles seem to
+drive askew by the same angle (MONA: 1.93 degrees, the grid convergence of UTM zone 32 at Munich).
+
+(1) offset = median over vehicles of median(direction of motion - heading), subtracted where it exceeds 0.5 degrees and
+    four of five vehicles agree with it within 0.5 degrees.
+
+Velocities. Stored speeds agree with the positions in some files and not in others (SUMO co-simulations), and
+differences of positions are noisy (NGSIM). Both candidates use no later sample than their own:
+
+(2) v cos(yaw), v sin(yaw) with the stored speed v     or     (p_k - p_{k-1}) / (t_k - t_{k-1})
+
+The one with the smaller mean error of a constant-velocity prediction 1 s ahead, over all the file's traffic, is taken
+for the whole file. A first sample has no difference: its stored speed counts.
+
+Ego log. The rear axle is the box centre minus `axle_to_center` along the heading (positions are exact). Speed and
+acceleration as stored; where the stored speed disagrees with the positions, by central differences. Curvature is the
+slope of heading over distance, and acceleration, where it is not stored, that of speed over time: least squares within
+0.5 s to both sides. An ego log is ground truth and not seen by planners: central windows are allowed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import radians
+
+import numpy as np
+
+from logs.convert.commonroad_xml import Document, GoalState, Obstacle
+from logs.kernel import FloatArray
+from logs.scenario import AgentKind, Tracks
+from logs.states import Trajectory, wrap
+from logs.vehicle import VehicleParameters
+
+KINDS = {
+    "car": AgentKind.CAR,
+    "taxi": AgentKind.CAR,
+    "priorityVehicle": AgentKind.CAR,
+    "parkedVehicle": AgentKind.CAR,
+    "truck": AgentKind.TRUCK,
+    "bus": AgentKind.BUS,
+    "train": AgentKind.BUS,
+    "motorcycle": AgentKind.MOTORCYCLE,
+    "bicycle": AgentKind.BICYCLE,
+    "pedestrian": AgentKind.PEDESTRIAN,
+}
+WINDOW_S = 0.5
+_ASKEW = radians(0.5)
+
+
+def turned(document: Document) -> tuple[Document, tuple[str, ...]]:
+    """The document with headings corrected by (1), and what was done."""
+    medians = [m for o in document.obstacles if (m := _askew(o, document.dt)) is not None]
+    offset = float(np.median(medians)) if len(medians) >= 5 else 0.0
+    agreeing = np.mean(np.abs(np.array(medians) - offset) < _ASKEW) if medians else 0.0
+    if abs(offset) <= _ASKEW or agreeing < 0.8:
+        return document, ()
+    turn = np.array([0.0, 0.0, 0.0, offset, 0.0, 0.0])
+    obstacles = tuple(replace(o, states=o.states + turn) for o in document.obstacles)
+    problems = tuple(
+        replace(p, start=p.start + turn, goals=tuple(_turned_goal(g, offset) for g in p.goals))
+        for p in document.problems
+    )
+    note = f"headings are turned by {np.degrees(offset):.2f} deg: {len(medians)} vehicles drive askew by that angle"
+    return replace(document, obstacles=obstacles, problems=problems), (note,)
+
+
+def _turned_goal(goal: GoalState, offset: float) -> GoalState:
+    return goal if goal.yaw is None else replace(goal, yaw=(goal.yaw[0] + offset, goal.yaw[1] + offset))
+
+
+def _askew(obstacle: Obstacle, dt: float) -> float | None:
+    """Median angle from an obstacle's heading to its motion, rad; None where it hardly moves."""
+    if len(obstacle.states) < 6:
+        return None
+    step, x, y, yaw = obstacle.states[:, :4].T
+    dx, dy = np.diff(x), np.diff(y)
+    moving = np.hypot(dx, dy) > 3.0 * dt * np.diff(step)
+    angle = np.arctan2(dy, dx) - 0.5 * (yaw[1:] + yaw[:-1])
+    return float(np.median([wrap(a) for a in angle[moving]])) if moving.sum() >= 5 else None
+
+
+def velocities(document: Document) -> tuple[dict[int, FloatArray], tuple[str, ...]]:
+    """Velocity vectors `(n, 2)` per moving obstacle by (2), m/s, and which rule was taken."""
+    moving = [o for o in document.obstacles if not o.static]
+    stored = [_stored(o) for o in moving]
+    backward = [_backward(o, document.dt, first) for o, first in zip(moving, stored, strict=True)]
+    errors = [_prediction_error(moving, v, document.dt) for v in (stored, backward)]
+    by_difference = bool(errors[1] < errors[0]) or any(np.isnan(v).any() for v in stored)
+    chosen = backward if by_difference else stored
+    found = {o.id: v for o, v in zip(moving, chosen, strict=True)}
+    if not np.isfinite(errors).all():
+        return found, ()
+    rule = "backward differences of positions" if by_difference else "stored speeds along the headings"
+    note = f"agents' velocities are {rule} (error 1 s ahead {min(errors):.2f} m, the other way {max(errors):.2f} m)"
+    return found, (note,)
+
+
+def _stored(obstacle: Obstacle) -> FloatArray:
+    yaw, v = obstacle.states[:, 3], obstacle.states[:, 4]
+    return np.column_stack([v * np.cos(yaw), v * np.sin(yaw)])
+
+
+def _backward(obstacle: Obstacle, dt: float, stored: FloatArray) -> FloatArray:
+    out = stored.copy()
+    span = dt * np.diff(obstacle.states[:, 0])
+    out[1:] = np.diff(obstacle.states[:, 1:3], axis=0) / span[:, None]
+    return out
+
+
+def _prediction_error(obstacles: Sequence[Obstacle], velocity: Sequence[FloatArray], dt: float) -> float:
+    """Mean distance to the truth of a constant-velocity prediction over 1 s, m; NaN where no track is that long."""
+    ahead, errors = max(1, round(1.0 / dt)), []
+    for obstacle, v in zip(obstacles, velocity, strict=True):
+        step, p = obstacle.states[:, 0], obstacle.states[:, 1:3]
+        if len(step) > ahead + 1:
+            span = dt * (step[ahead + 1 :] - step[1:-ahead])
+            errors.append(np.hypot(*(p[1:-ahead] + v[1:-ahead] * span[:, None] - p[ahead + 1 :]).T))
+    return float(np.mean(np.concatenate(errors))) if errors else float("nan")
+
+
+def tracks_of(
+    document: Document,
+    velocity: dict[int, FloatArray],
+    *,
+    without: int | None,
+    start: float,
+    origin: tuple[float, float],
+) -> Tracks:
+    """The traffic from time step `start` on, which becomes t = 0; obstacle `without` is the ego.
+
+    Samples before `start` are left out (their differences are in the velocities); static obstacles stay.
+    """
+    kept, rows = [], []
+    for o in document.obstacles:
+        later = o.states[:, 0] >= start - 1e-6
+        if o.id == without or not (o.static or later.any()):
+            continue
+        v = np.zeros((1, 2)) if o.static else velocity[o.id][later]
+        states = o.states if o.static else o.states[later]
+        kept.append(o)
+        rows.append(np.column_stack([states[:, :4], v]))
+    if not kept:
+        return Tracks.empty()
+    step, x, y, yaw, vx, vy = np.vstack(rows).T
+    offsets = np.cumsum([0, *(len(r) for r in rows)])
+    static = np.array([o.static for o in kept])
+    return Tracks(
+        tuple(str(o.id) for o in kept),
+        tuple(KINDS.get(o.type, AgentKind.OBJECT) for o in kept),
+        np.array([o.length for o in kept]),
+        np.array([o.width for o in kept]),
+        static,
+        offsets,
+        np.where(np.repeat(static, np.diff(offsets)), 0.0, np.round((step - start) * document.dt, 9)),
+        x - origin[0],
+        y - origin[1],
+        yaw,
+        vx,
+        vy,
+    )
+
+
+def sized(obstacle: Obstacle) -> VehicleParameters:
+    """The default vehicle at an obstacle's size: axles in proportion to its length, radius of gyration too."""
+    base = VehicleParameters()
+    ratio = obstacle.length / base.length
+    return replace(
+        base,
+        length=obstacle.length,
+        width=obstacle.width,
+        wheelbase=base.wheelbase * ratio,
+        rear_overhang=base.rear_overhang * ratio,
+        cog_to_front=base.cog_to_front * ratio,
+        yaw_inertia=base.yaw_inertia * ratio**2,
+    )
+
+
+def trimmed(obstacle: Obstacle, dt: float) -> tuple[Obstacle, tuple[str, ...]]:
+    """The obstacle without a first or last sample that is off its own speed, and what was cut.
+
+    Recordings clip a vehicle's first position to the edge of their view: it then covers the first step at a third of
+    its speed (MONA), or a simulator writes the first state twice.
+    """
+    states, notes = obstacle.states, []
+    for where, end in (("first", slice(1, None)), ("last", slice(None, -1))):
+        if len(states) < 4:
+            break
+        off = np.abs(_step_speeds(states, dt) - 0.5 * (states[1:, 4] + states[:-1, 4]))
+        edge, inner = (off[0], off[1]) if where == "first" else (off[-1], off[-2])
+        if edge > 2.0 and inner < 1.0:
+            states = states[end]
+            notes.append(f"the ego log's {where} sample is dropped: its position is off by {edge * dt:.1f} m")
+    return replace(obstacle, states=states), tuple(notes)
+
+
+def _step_speeds(states: FloatArray, dt: float) -> FloatArray:
+    distance: FloatArray = np.hypot(*np.diff(states[:, 1:3], axis=0).T)
+    return distance / (dt * np.diff(states[:, 0]))
+
+
+def ego_log(
+    obstacle: Obstacle, dt: float, vehicle: VehicleParameters, origin: tuple[float, float]
+) -> tuple[Trajectory, tuple[str, ...]]:
+    """The obstacle's drive at its rear axle, t = 0 at its first sample, and what was assumed."""
+    step, cx, cy, yaw, v, a = obstacle.states.T
+    t = np.round((step - step[0]) * dt, 9)
+    x = cx - origin[0] - vehicle.axle_to_center * np.cos(yaw)
+    y = cy - origin[1] - vehicle.axle_to_center * np.sin(yaw)
+    notes = [f"the ego's curvature is differenced over {2.0 * WINDOW_S:g} s"]
+    along = np.gradient(x, t) * np.cos(yaw) + np.gradient(y, t) * np.sin(yaw)
+    known = bool(np.isfinite(v).all())
+    off = float(np.percentile(np.abs(v - along), 95)) if known else np.inf
+    if not known or (off > 1.0 and len(t) >= 4):
+        v, a = along, np.full(len(t), np.nan)
+        why = f"the stored one is off by {off:.1f} m/s" if known else "none is stored"
+        notes.append(f"the ego's speed is differenced from its positions: {why}")
+    if not np.isfinite(a).all():
+        a = _slopes(t, v, t, 1e-3)
+        notes.append(f"the ego's acceleration is differenced over {2.0 * WINDOW_S:g} s")
+    station = np.r_[0.0, np.cumsum(np.diff(x) * np.cos(yaw[1:]) + np.diff(y) * np.sin(yaw[1:]))]
+    kappa = np.clip(_slopes(station, yaw, t, 1.0), -vehicle.max_kappa, vehicle.max_kappa)
+    return Trajectory(t, x, y, yaw, v, a, kappa), tuple(notes)
+
+
+def _slopes(x: FloatArray, y: FloatArray, t: FloatArray, least: float) -> FloatArray:
+    """Least-squares slope dy/dx at each sample over `WINDOW_S` to both sides; 0 where x spans less than `least`."""
+    out = np.zeros(len(x))
+    for i in range(len(x)):
+        near = np.abs(t - t[i]) <= WINDOW_S + 1e-9
+        dx, dy = x[near] - x[near].mean(), y[near] - y[near].mean()
+        if np.ptp(dx) >= least:
+            out[i] = (dx @ dy) / (dx @ dx)
+    return out

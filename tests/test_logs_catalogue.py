@@ -1,0 +1,338 @@
+"""The catalogue: laws of the mirror and of rigid motion, plausible careful drives, what each family shows."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from math import pi
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from logs import ConfigError, Controls, DecisionKind, Goal, Lane, Road, Scenario, Tracks, Trajectory
+from logs.catalogue import CATALOGUE, mirrored, moved
+from logs.catalogue.driver import MAX_ACCEL, MAX_BRAKE, MAX_JERK, Ahead, drive
+from logs.catalogue.family import touches
+from logs.catalogue.roads import curve, weaving
+from logs.shapes import distance
+
+SCENARIOS = {name: family.scenario() for name, family in CATALOGUE.items()}
+everywhere = pytest.mark.parametrize("name", list(CATALOGUE))
+
+
+def columns(scenario: Scenario) -> dict[str, np.ndarray]:
+    """Every number of a scenario by name."""
+    out = {f"ego.{c}": getattr(scenario.ego, c) for c in ("t", "x", "y", "yaw", "v", "a", "kappa")}
+    out |= {f"tracks.{c}": getattr(scenario.tracks, c) for c in ("t", "x", "y", "yaw", "vx", "vy", "length", "width")}
+    for lane in scenario.road.lanes.values():
+        out |= {f"lane.{lane.id}.left": lane.left, f"lane.{lane.id}.right": lane.right}
+    if scenario.goal is not None:
+        out |= {f"goal.{i}": region for i, region in enumerate(scenario.goal.regions)}
+    return out
+
+
+def same(one: Scenario, two: Scenario, *, within: float = 0.0) -> None:
+    first, second = columns(one), columns(two)
+    assert first.keys() == second.keys()
+    for name, values in first.items():
+        np.testing.assert_allclose(values, second[name], rtol=0.0, atol=within, err_msg=name)
+
+
+def crooked() -> Scenario:
+    """A scenario with everything that has a side: neighbours, opposite lanes, markings, steering, heading goal."""
+    square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 3.0], [0.0, 3.0]])
+    lane = Lane(
+        1,
+        square[[3, 2]],
+        square[[0, 1]],
+        left_neighbour=2,
+        left_opposite=True,
+        left_crossable=False,
+        right_crossable=True,
+    )
+    t = np.array([0.0, 1.0])
+    ego = Trajectory(t, [1.0, 2.0], [1.0, 1.5], [0.3, 0.4], [1.0, 1.0], [0.0, 0.1], [0.1, 0.2])
+    controls = Controls(t, [0.1, -0.2], [0.3, 0.0], [0.0, 0.5])
+    goal = Goal((square,), t=(0.0, 1.0), v=(0.0, 2.0), yaw=(-0.2, 0.5))
+    decisions = json.dumps({"a": ["nudge left"], "b": ["nudge right", "follow"]})
+    return Scenario(
+        "x/y",
+        ego,
+        Tracks.empty(),
+        Road({1: lane}),
+        2.0,
+        goal,
+        controls=controls,
+        origin=(3.0, 4.0),
+        metadata={"expected_decisions": decisions},
+    )
+
+
+# laws
+
+
+@everywhere
+def test_mirroring_twice_is_the_identity(name: str) -> None:
+    scenario = SCENARIOS[name]
+    twice = mirrored(mirrored(scenario))
+    same(scenario, twice)
+    assert (twice.name, dict(twice.metadata), twice.tags) == (scenario.name, dict(scenario.metadata), scenario.tags)
+    assert twice.road.drives_on_right is scenario.road.drives_on_right
+
+
+def test_the_mirror_swaps_every_side() -> None:
+    there = mirrored(crooked())
+    lane = there.road.lanes[1]
+    np.testing.assert_array_equal(lane.left, [[0.0, 0.0], [10.0, 0.0]])
+    np.testing.assert_array_equal(lane.right, [[0.0, -3.0], [10.0, -3.0]])
+    assert (lane.left_neighbour, lane.right_neighbour) == (None, 2)
+    assert (lane.left_opposite, lane.right_opposite) == (False, True)
+    assert (lane.left_crossable, lane.right_crossable) == (True, False)
+    assert not there.road.drives_on_right
+    assert there.controls is not None
+    np.testing.assert_array_equal(there.controls.steer, [-0.1, 0.2])
+    np.testing.assert_array_equal(there.ego.kappa, [-0.1, -0.2])
+    assert json.loads(there.metadata["expected_decisions"]) == {"a": ["nudge right"], "b": ["nudge left", "follow"]}
+    back = mirrored(there)
+    same(crooked(), back)
+    assert back.road.lanes[1].left_neighbour == 2
+    assert back.origin == (3.0, 4.0)
+
+
+@settings(max_examples=30)
+@given(x=st.floats(0.1, 9.9), y=st.floats(-5.0, 5.0), yaw=st.floats(-pi, pi), v=st.floats(0.0, 3.0))
+def test_goals_are_reached_in_the_mirror_and_after_a_motion_alike(x: float, y: float, yaw: float, v: float) -> None:
+    here = crooked()
+    assert here.goal is not None
+    if min(abs(y), abs(y - 3.0), abs(yaw + 0.2), abs(yaw - 0.5)) < 1e-6:
+        return  # on the edge rounding decides
+    reached = here.goal.reached(0.5, x, y, yaw, v)
+    glass = mirrored(here).goal
+    assert glass is not None
+    assert glass.reached(0.5, x, -y, -yaw, v) is reached
+    turned = moved(here, 5.0, -7.0, 2.0).goal
+    assert turned is not None
+    c, s = np.cos(2.0), np.sin(2.0)
+    assert turned.reached(0.5, c * x - s * y + 5.0, s * x + c * y - 7.0, yaw + 2.0, v) is reached
+
+
+@settings(max_examples=15)
+@given(dx=st.floats(-1e3, 1e3), dy=st.floats(-1e3, 1e3), dyaw=st.floats(-pi, pi), name=st.sampled_from(list(CATALOGUE)))
+def test_there_and_back_is_the_identity(dx: float, dy: float, dyaw: float, name: str) -> None:
+    scenario = SCENARIOS[name]
+    back = moved(moved(scenario, 0.0, 0.0, dyaw), dx, dy, 0.0)
+    same(moved(moved(back, -dx, -dy, 0.0), 0.0, 0.0, -dyaw), scenario, within=1e-8)
+
+
+def test_motion_and_mirror_keep_distances() -> None:
+    scenario = SCENARIOS["everyday/cut_in"]
+    for other in (moved(scenario, 100.0, -50.0, 2.5), mirrored(scenario)):
+        for t in (0.0, 5.5, 9.0):
+            gaps = [np.hypot(s.tracks.truth(t).x[0] - s.ego.at(t).x, s.tracks.truth(t).y[0] - s.ego.at(t).y)
+                    for s in (scenario, other)]  # fmt: skip
+            assert gaps[0] == pytest.approx(gaps[1], abs=1e-9)
+
+
+@everywhere
+def test_the_logged_drive_is_consistent(name: str) -> None:
+    """Poses, speed, acceleration and curvature tell one story, with bounded acceleration and jerk."""
+    ego = SCENARIOS[name].ego
+    dt = np.diff(ego.t)
+    np.testing.assert_allclose(dt, 0.1, atol=1e-9)
+    mean_v = 0.5 * (ego.v[1:] + ego.v[:-1])
+    np.testing.assert_allclose(np.hypot(np.diff(ego.x), np.diff(ego.y)), mean_v * dt, atol=2e-3)
+    np.testing.assert_allclose(np.diff(ego.v), 0.5 * (ego.a[1:] + ego.a[:-1]) * dt, atol=6e-3)
+    turn = 0.5 * (ego.kappa[1:] * ego.v[1:] + ego.kappa[:-1] * ego.v[:-1]) * dt
+    np.testing.assert_allclose(np.diff(ego.yaw), turn, atol=1e-3)
+    middle = 0.5 * (ego.yaw[1:] + ego.yaw[:-1])
+    sideways = -np.sin(middle) * np.diff(ego.x) + np.cos(middle) * np.diff(ego.y)
+    np.testing.assert_allclose(sideways, 0.0, atol=1e-3)
+    assert ego.a.min() >= -MAX_BRAKE - 1e-9
+    assert ego.a.max() <= MAX_ACCEL + 1e-9
+    assert np.abs(np.diff(ego.a) / dt).max() <= MAX_JERK + 1e-6
+    lateral = ego.v**2 * ego.kappa
+    assert np.abs(lateral).max() <= 3.0
+    assert np.abs(np.diff(lateral) / dt).max() <= 2.0
+
+
+@everywhere
+def test_the_logged_drive_touches_nobody_stays_on_the_road_and_arrives(name: str) -> None:
+    scenario = SCENARIOS[name]
+    ego, car = scenario.ego, scenario.vehicle
+    assert touches(scenario) is None
+    x, y = ego.x + car.axle_to_center * np.cos(ego.yaw), ego.y + car.axle_to_center * np.sin(ego.yaw)
+    for along in (-0.5 * car.length, 0.5 * car.length):
+        for left in (-0.5 * car.width, 0.5 * car.width):
+            px = x + along * np.cos(ego.yaw) - left * np.sin(ego.yaw)
+            py = y + along * np.sin(ego.yaw) + left * np.cos(ego.yaw)
+            assert all(scenario.road.is_drivable(*p) for p in zip(px, py, strict=True))
+    assert scenario.goal is not None
+    assert scenario.goal.reached(float(ego.t[-1]), float(x[-1]), float(y[-1]), float(ego.yaw[-1]), float(ego.v[-1]))
+    assert not scenario.goal.holds_place(float(x[0]), float(y[0]))
+    assert scenario.duration >= ego.t[-1] + 9.99
+    assert all(scenario.road.limit(1) >= ego.v - 1e-9)
+
+
+@everywhere
+def test_the_others_are_there_to_the_end_and_their_velocities_fit(name: str) -> None:
+    scenario = SCENARIOS[name]
+    tracks = scenario.tracks
+    for i in range(len(tracks)):
+        own = tracks.samples(i)
+        assert scenario.road.lanes_at(tracks.x[own][-1], tracks.y[own][-1]) or tracks.static[i]
+        if tracks.static[i]:
+            continue
+        assert tracks.t[own][-1] == pytest.approx(scenario.duration)
+        for p, v in ((tracks.x[own], tracks.vx[own]), (tracks.y[own], tracks.vy[own])):
+            np.testing.assert_allclose(np.diff(p), 0.05 * (v[1:] + v[:-1]), atol=0.02)
+
+
+@everywhere
+def test_building_is_deterministic_and_parameters_are_in_the_metadata(name: str) -> None:
+    one, two = CATALOGUE[name].scenario(), CATALOGUE[name].scenario()
+    same(one, two)
+    assert dict(one.metadata) == dict(two.metadata)
+    assert one.metadata["generator_version"]
+    for parameter, value in CATALOGUE[name].parameters.items():
+        assert float(one.metadata[f"parameter.{parameter}"]) == value
+    rebuilt = CATALOGUE[name].scenario(
+        **{key.removeprefix("parameter."): float(v) for key, v in one.metadata.items() if key.startswith("parameter.")}
+    )
+    same(one, rebuilt)
+
+
+@everywhere
+def test_expected_decisions_name_agents_and_decisions(name: str) -> None:
+    scenario = SCENARIOS[name]
+    wanted = json.loads(scenario.metadata.get("expected_decisions", "{}"))
+    assert set(wanted) <= set(scenario.tracks.ids)
+    assert bool(wanted) is (len(scenario.tracks) > 0)
+    assert {kind for kinds in wanted.values() for kind in kinds} <= {kind.value for kind in DecisionKind}
+
+
+@settings(max_examples=10)
+@given(v=st.floats(0.0, 20.0), cruise=st.floats(3.0, 20.0), gap=st.floats(40.0, 120.0))
+def test_the_careful_driver_is_smooth_and_stops_where_he_should(v: float, cruise: float, gap: float) -> None:
+    path = curve((2000.0, 0.0, 0.0))
+    if v * v / 4.0 > gap - 1.5 * v - 5.0:
+        return  # no careful driver can
+    ego = drive(path, start=0.0, speed=v, cruise=cruise, duration=40.0, ahead=lambda t, s: Ahead(gap - s, stop=True))
+    assert ego.x[-1] <= gap + 1.0
+    assert ego.v.min() >= 0.0
+    assert np.abs(np.diff(ego.a)).max() <= 0.1 * MAX_JERK + 1e-6
+    free = drive(path, start=0.0, speed=v, cruise=cruise, duration=40.0)
+    assert free.v[-1] == pytest.approx(cruise, abs=0.05)
+
+
+# examples
+
+
+def test_curves_close() -> None:
+    """Four quarter circles come home, and a clothoid's end has the turn (k0 + k1) / 2 L."""
+    circle = curve((2.0 * pi * 50.0, 0.02, 0.02))
+    assert circle.x[-1] == pytest.approx(0.0, abs=1e-6)
+    assert circle.yaw[-1] == pytest.approx(2.0 * pi)
+    assert curve((20.0, 0.0, 0.02)).yaw[-1] == pytest.approx(0.2)
+    shift = weaving(100.0, [(20.0, 60.0, 1.5)])
+    assert (shift.y[0], shift.y[-1]) == (0.0, pytest.approx(1.5))
+    assert np.abs(np.gradient(shift.yaw, shift.s) - shift.kappa)[2:-2].max() < 1e-4
+
+
+def test_free_road_is_the_papers_s_curve() -> None:
+    scenario = SCENARIOS["paper/free_road"]
+    ego = scenario.ego
+    assert (ego.kappa.max(), ego.kappa.min()) == (pytest.approx(0.02), pytest.approx(-0.02))
+    assert np.argmax(ego.kappa) < np.argmin(ego.kappa)
+    np.testing.assert_allclose(ego.v, 12.0)
+    assert 20.0 <= ego.t[-1] <= 25.0
+    assert len(scenario.tracks) == 0
+
+
+@pytest.mark.parametrize("width", [1.61, 1.9])
+def test_static_obstacles_leave_room_on_the_right_side_only(width: float) -> None:
+    """Beside each obstacle there is a way with 0.5 m to it; at the second one only on its right."""
+    scenario = SCENARIOS["paper/static_obstacles"]
+    tracks = scenario.tracks
+    low, high = tracks.y - 0.5 * tracks.width, tracks.y + 0.5 * tracks.width
+    by_id = {name: (low[i], high[i]) for i, name in enumerate(tracks.ids)}
+    assert 5.25 - by_id["right_1"][1] > width + 0.5
+    assert by_id["right_1"][1] > -0.8
+    assert by_id["left"][0] - (-1.75) > width + 0.5
+    assert by_id["left_outer"][0] - by_id["left"][1] < width
+    assert 5.25 - by_id["left_outer"][1] < width
+    assert by_id["left"][0] < 0.5 * width + 0.3  # who stays in the middle does not pass with clearance
+
+
+def _gap(scenario: Scenario, t: float, k: int = 0) -> float:
+    ego, car, other = scenario.ego.at(t), scenario.vehicle, scenario.tracks.truth(t)
+    x, y = ego.x + car.axle_to_center * np.cos(ego.yaw), ego.y + car.axle_to_center * np.sin(ego.yaw)
+    boxes = (other.x[k], other.y[k], other.yaw[k], other.length[k], other.width[k])
+    return distance(x, y, ego.yaw, car.length, car.width, *(float(value) for value in boxes))
+
+
+def test_crossing_pedestrian_brakes_for_about_four_seconds_then_drives_on() -> None:
+    scenario = SCENARIOS["paper/crossing_pedestrian"]
+    ego, tracks = scenario.ego, scenario.tracks
+    braking = ego.t[ego.a < -0.5]
+    assert 3.5 <= braking[-1] - braking[0] <= 5.0
+    assert min(_gap(scenario, t) for t in ego.t) >= 2.0
+    off = float(scenario.metadata["pedestrian_off_lane_s"])
+    later = tracks.truth(off)
+    assert later.y[0] - 0.3 >= 1.75
+    rest = tracks.truth(scenario.duration)
+    assert rest.speed[0] < 1e-9
+    assert 2.0 <= rest.y[0] - 1.75 <= 3.0
+    assert np.hypot(tracks.vx, tracks.vy).max() == pytest.approx(1.0, abs=0.01)
+    assert ego.a[np.searchsorted(ego.t, off + 1.0)] > 0.0
+    assert ego.v[-1] == pytest.approx(10.0, abs=0.1)
+    assert 30.0 / 3.6 <= ego.v[0] <= 40.0 / 3.6
+    assert scenario.duration >= 25.0
+
+
+def test_without_braking_the_pedestrian_would_be_hit() -> None:
+    scenario = SCENARIOS["paper/crossing_pedestrian"]
+    t = scenario.ego.t
+    straight = drive(curve((600.0, 0.0, 0.0)), start=10.0, speed=10.0, cruise=10.0, duration=float(t[-1]))
+    assert touches(replace(scenario, ego=straight)) == "pedestrian"
+
+
+def test_follow_keeps_the_headway() -> None:
+    scenario = SCENARIOS["everyday/follow"]
+    ego = scenario.ego
+    assert _gap(scenario, 0.0) == pytest.approx(1.6 * 13.9, abs=1e-6)
+    lead = scenario.tracks.vx
+    assert (lead.max(), lead.min()) == (pytest.approx(13.9), pytest.approx(8.9))
+    assert min(_gap(scenario, t) / max(scenario.ego.at(t).v, 1.0) for t in ego.t) > 1.2
+
+
+def test_cut_in_comes_from_the_neighbour_lane_with_its_gap() -> None:
+    scenario = SCENARIOS["everyday/cut_in"]
+    entered = float(scenario.metadata["entered_lane_s"])
+    assert scenario.tracks.y[0] == -3.5
+    assert scenario.tracks.y[-1] == 0.0
+    assert scenario.road.lanes[1].right_neighbour == 2
+    assert _gap(scenario, entered) == pytest.approx(25.0, abs=0.1)
+    assert scenario.tracks.vx[0] - scenario.ego.v[0] == pytest.approx(-5.0)
+    assert min(_gap(scenario, t) for t in scenario.ego.t) > 10.0
+
+
+@pytest.mark.parametrize("intrusion", [0.4, 0.7, 1.0])
+def test_nudge_leaves_its_clearance(intrusion: float) -> None:
+    scenario = CATALOGUE["everyday/nudge"].scenario(intrusion_m=intrusion)
+    assert scenario.name == f"everyday/nudge@intrusion_m={intrusion:g}"
+    assert min(_gap(scenario, t) for t in scenario.ego.t) == pytest.approx(0.6, abs=0.02)
+    assert scenario.tracks.y[0] + 0.9 == pytest.approx(intrusion - 1.75)
+
+
+def test_wrong_parameters_are_refused_in_one_line() -> None:
+    family = CATALOGUE["paper/free_road"]
+    with pytest.raises(ConfigError, match=r"has no parameter radius; it has ego_speed_mps, radius_m"):
+        family.scenario(radius=3.0)
+    with pytest.raises(ConfigError, match="radius_m is nan"):
+        family.scenario(radius_m=float("nan"))
+    with pytest.raises(ConfigError, match="change radius_m"):
+        family.scenario(radius_m=10.0)
+    with pytest.raises(ConfigError, match="touches pedestrian"):
+        CATALOGUE["paper/crossing_pedestrian"].scenario(reaction_s=4.0)

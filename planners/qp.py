@@ -107,9 +107,9 @@ class QuadraticProgram:
 
     def solve(self, q: FloatArray, lower: FloatArray, upper: FloatArray, *, fresh: bool) -> QPResult:
         """Solve with new vectors; `fresh` forgets the last solution, so that the result depends on nothing before."""
-        if (lower > upper).any():
-            row = int(np.argmax(lower - upper))
-            return self._unsolved(f"bounds cross by {lower[row] - upper[row]:.3g} in row {row}")
+        if not (lower <= upper).all():
+            row = int(np.argmin(lower <= upper))
+            return self._unsolved(f"bounds [{lower[row]:.3g}, {upper[row]:.3g}] in row {row} cross or are not numbers")
         if not np.isfinite(q).all():
             return self._unsolved("cost is not finite")
         q, lower, upper = self._scale * q, self._row_scale * lower, self._row_scale * upper
@@ -117,7 +117,7 @@ class QuadraticProgram:
         if result.report.solved:
             return result
         self._fast.warm_start(x=self._zero[0], y=self._zero[1])
-        return self._solve_surely(q, lower, upper, result.report.iterations)
+        return self._solve_surely(q, lower, upper, result.report.iterations, fresh=fresh)
 
     def _solve_fast(self, q: FloatArray, lower: FloatArray, upper: FloatArray, *, fresh: bool) -> QPResult:
         self._fast.update(q=q, l=lower, u=upper)
@@ -132,9 +132,11 @@ class QuadraticProgram:
             lower, upper,
         )  # fmt: skip
 
-    def _solve_surely(self, q: FloatArray, lower: FloatArray, upper: FloatArray, spent: int) -> QPResult:
+    def _solve_surely(
+        self, q: FloatArray, lower: FloatArray, upper: FloatArray, spent: int, *, fresh: bool
+    ) -> QPResult:
         k = self._equalities
-        if self._sure is None:
+        if fresh or self._sure is None:  # an update rounds the matrices once more: the last bits are others
             self._sure = piqp.SparseSolver()
             equal, between = self._rows[:k].tocsc(), self._rows[k:].tocsc()
             self._sure.setup(self._P, q, equal, lower[:k], between, lower[k:], upper[k:])

@@ -11,7 +11,7 @@ path are exact up to the path's spacing, since real boxes are tested.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, hypot, sin
+from math import cos, hypot, sin, sqrt
 
 import numpy as np
 
@@ -25,8 +25,6 @@ from logs.trace import Decision, DecisionKind
 from logs.vehicle import VehicleParameters
 from planners.dp_qp.path import Path
 from planners.dp_qp.reference_line import Course
-
-CURVE_ALLOWANCE_M = 0.7
 
 
 @dataclass(frozen=True)
@@ -76,49 +74,70 @@ class Blocks:
 
 
 @kernel
-def _swept(
-    path: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, length: float, width: float,
-    rear_to_center: float, ego_length: float, ego_width: float, out: FloatArray,
-) -> None:  # fmt: skip
-    """Blocked interval (1) of one prediction `(k,)`, into `out` `(2, k)`; rows of `path`: sigma, x, y, yaw."""
-    sigma, px, py, pyaw = path[0], path[1], path[2], path[3]
-    last = len(sigma) - 1
-    spacing = sigma[1] - sigma[0]
-    reach = 0.5 * (hypot(ego_length, ego_width) + hypot(length, width)) + abs(rear_to_center)
-    span = int(reach / spacing) + 2
-    near, low, high = 0, 0, last
-    for k in range(len(x)):
-        best = 1e300
-        for j in range(low, high + 1):
-            square = (px[j] - x[k]) ** 2 + (py[j] - y[k]) ** 2
-            if square < best:
-                best, near = square, j
-        low, high = max(0, near - span - 8), min(last, near + span + 8)
-        out[0, k], out[1, k] = np.nan, np.nan
-        if best > reach * reach:
+def _first_met(
+    boxes: FloatArray, begin: int, step: int, spacing: float, ego_length: float, ego_width: float,
+    x: float, y: float, yaw: float, length: float, width: float,
+) -> int:  # fmt: skip
+    """The first point from `begin` on, in steps of +-1, at which the ego overlaps a box; -1 where there is none.
+
+    Points too far away to overlap are jumped over: neighbours in `boxes` (rows x, y, yaw, cos, sin of the ego's box)
+    are not further apart than `spacing` m.
+    """
+    other = 0.5 * hypot(length, width)
+    reach = 0.5 * hypot(ego_length, ego_width) + other
+    j = begin
+    while 0 <= j < boxes.shape[1]:
+        dx, dy = x - boxes[0, j], y - boxes[1, j]
+        away = sqrt(dx * dx + dy * dy) - reach
+        if away > 0.0:
+            j += step * (1 + int(away / spacing))
             continue
-        c, s = cos(pyaw[near]), sin(pyaw[near])
-        side = abs((y[k] - py[near]) * c - (x[k] - px[near]) * s)
-        turn = yaw[k] - pyaw[near]
-        half = 0.5 * (length * abs(sin(turn)) + width * abs(cos(turn)) + ego_width)
-        if side > half + CURVE_ALLOWANCE_M and 0 < near < last:
-            continue
-        for j in range(max(0, near - span), min(last, near + span) + 1):
-            ex, ey = px[j] + rear_to_center * cos(pyaw[j]), py[j] + rear_to_center * sin(pyaw[j])
-            if overlap(ex, ey, pyaw[j], ego_length, ego_width, x[k], y[k], yaw[k], length, width):
-                if not out[0, k] <= sigma[j]:
-                    out[0, k] = sigma[max(j - 1, 0)]
-                out[1, k] = sigma[min(j + 1, last)]
+        beside = abs(dy * boxes[3, j] - dx * boxes[4, j]) > 0.5 * ego_width + other
+        if not beside and overlap(boxes[0, j], boxes[1, j], boxes[2, j], ego_length, ego_width, x, y, yaw, length, width):
+            return j
+        j += step
+    return -1
+
+
+@kernel
+def _ego_boxes(path: FloatArray, rear_to_center: float) -> FloatArray:
+    """Rows x, y, yaw, cos yaw, sin yaw `(5, m)` of the ego's box along a path with rows sigma, x, y, yaw."""
+    out = np.empty((5, path.shape[1]))
+    for j in range(path.shape[1]):
+        c, s = cos(path[3, j]), sin(path[3, j])
+        out[0, j], out[1, j] = path[1, j] + rear_to_center * c, path[2, j] + rear_to_center * s
+        out[2, j], out[3, j], out[4, j] = path[3, j], c, s
+    return out
 
 
 @kernel
 def _sweep_all(
     path: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, sizes: FloatArray, ego: FloatArray
 ) -> FloatArray:
-    """`_swept` of predictions `(n, k)`: `(n, 2, k)`. Rows of `sizes`: length, width, margin; `ego`: offset, l, w."""
-    out = np.empty((len(x), 2, x.shape[1]))
+    """Blocked intervals (1) of predictions `(n, k)`: `(n, 2, k)`, a point of the path further than the last overlap.
+
+    Args:
+        path: Rows sigma, x, y, yaw `(4, m)`.
+        x: Centres of the predicted boxes `(n, k)`.
+        y: `(n, k)`.
+        yaw: `(n, k)`.
+        sizes: Rows length, width, margin `(3, n)`.
+        ego: Rear axle to centre, length, width.
+    """
+    last = path.shape[1] - 1
+    boxes = _ego_boxes(path, ego[0])
+    spacing = 1e-6
+    for j in range(last):
+        spacing = max(spacing, hypot(boxes[0, j + 1] - boxes[0, j], boxes[1, j + 1] - boxes[1, j]))
+    out = np.full((len(x), 2, x.shape[1]), np.nan)
     for i in range(len(x)):
-        _swept(path, x[i], y[i], yaw[i], sizes[0, i], sizes[1, i], ego[0], ego[1], ego[2] + 2.0 * sizes[2, i], out[i])
+        length, width, ego_width = sizes[0, i], sizes[1, i], ego[2] + 2.0 * sizes[2, i]
+        for k in range(x.shape[1]):
+            at = x[i, k], y[i, k], yaw[i, k], length, width
+            first = _first_met(boxes, 0, 1, spacing, ego[1], ego_width, *at)
+            if first >= 0:
+                final = _first_met(boxes, last, -1, spacing, ego[1], ego_width, *at)
+                out[i, 0, k], out[i, 1, k] = path[0, max(first - 1, 0)], path[0, min(final + 1, last)]
     return out
 
 

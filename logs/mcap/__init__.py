@@ -1,1 +1,25 @@
-"""TODO."""
+"""The only doors to MCAP: logs in, logs and traces out.
+
+Modules:
+    native.py      the messages of our own log: one definition gives schema, names with units, and validation
+    container.py   an MCAP file as topics of messages, or one sentence that says what is wrong with it
+    reader.py      native messages -> Scenario          osi.py, osi_lanes.py   ASAM OSI ground truth -> Scenario
+    complete.py    what a log leaves out and how it is filled in
+    writer.py      Scenario -> native log               trace.py               Trace -> native log
+    summary.py     what a log holds, and what it can be used for
+"""
+
+from logs.mcap.reader import read_scenario
+from logs.mcap.summary import Evaluation, LogSummary, TopicSummary, summarise
+from logs.mcap.trace import write_trace
+from logs.mcap.writer import write_scenario
+
+__all__ = [
+    "Evaluation",
+    "LogSummary",
+    "TopicSummary",
+    "read_scenario",
+    "summarise",
+    "write_scenario",
+    "write_trace",
+]

@@ -1,0 +1,76 @@
+"""What a log leaves out and how it is filled in; each assumption is a sentence in the scenario's notes.
+
+(1) a_k = (v_k - v_(k-1)) / (t_k - t_(k-1))                     a_0 = 0: a derived value never knows a later sample
+(2) kappa_k = (yaw_k - yaw_(k-1)) / d,  d = +-|p_k - p_(k-1)|   negative in reverse; below `MIN_STEP` the value before
+(3) no road: one lane along the driven path, from 10 m behind the start; limit = largest driven speed, at least
+    `MIN_LIMIT`; a path that stays within `MIN_PATH` of its start has no direction, so the heading gives it
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from logs.errors import LogError
+from logs.kernel import FloatArray
+from logs.road import Road
+from logs.states import Trajectory
+
+MIN_STEP = 0.05
+MIN_PATH = 5.0
+MIN_LIMIT = 30.0 / 3.6
+BEHIND = 10.0
+
+
+def derived_acceleration(t: FloatArray, v: FloatArray) -> FloatArray:
+    """Backward differences (1) of the speed `(n,)`, m/s2."""
+    return np.r_[0.0, np.diff(v) / np.diff(t)]
+
+
+def derived_curvature(x: FloatArray, y: FloatArray, yaw: FloatArray, v: FloatArray) -> FloatArray:
+    """Backward differences (2) of the heading over the way `(n,)`, 1/m."""
+    way = np.hypot(np.diff(x), np.diff(y)) * np.where(v[1:] < 0.0, -1.0, 1.0)
+    turn = np.diff(np.unwrap(yaw))
+    moved = np.abs(way) >= MIN_STEP
+    kappa = np.r_[0.0, np.divide(turn, way, out=np.zeros(len(way)), where=moved)]
+    held = np.maximum.accumulate(np.where(np.r_[True, moved], np.arange(len(x)), 0))
+    return np.asarray(kappa[held])
+
+
+def completed(columns: dict[str, FloatArray], notes: list[str]) -> Trajectory:
+    """The trajectory of columns t, x, y, yaw, v, a, kappa; NaN in a and kappa is derived, and noted.
+
+    Raises:
+        ValueError: As `Trajectory`.
+    """
+    t, x, y, yaw, v = (columns[name] for name in ("t", "x", "y", "yaw", "v"))
+    derived = {"a": derived_acceleration(t, v), "kappa": derived_curvature(x, y, yaw, v)}
+    for name, word in (("a", "acceleration"), ("kappa", "curvature")):
+        missing = np.isnan(columns[name])
+        if missing.any():
+            part = "" if missing.all() else f" at {missing.sum()} of {len(missing)} samples"
+            notes.append(f"The log has no ego {word}{part}: it is derived by backward differences.")
+        derived[name] = np.where(missing, derived[name], columns[name])
+    return Trajectory(t, x, y, yaw, v, derived["a"], derived["kappa"])
+
+
+def road_along(ego: Trajectory, notes: list[str]) -> Road:
+    """The road of a log without lanes (3), with its note.
+
+    Raises:
+        LogError: The driven path turns back on itself, so that no lane follows it.
+    """
+    path = np.column_stack([ego.x, ego.y])
+    ahead = np.array([np.cos(ego.yaw[0]), np.sin(ego.yaw[0])])
+    stands = bool(np.hypot(*(path - path[0]).T).max() < MIN_PATH)
+    if stands:
+        path = path[0] + np.array([[0.0], [MIN_PATH]]) * ahead
+    path = np.vstack([path[0] - np.arange(BEHIND, 0.0, -2.0)[:, None] * ahead, path])
+    limit = max(float(np.abs(ego.v).max()), MIN_LIMIT)
+    way = "its heading, as it hardly moves" if stands else "the driven path"
+    notes.append(f"The log has no lanes: one lane along {way}, speed limit {limit:.1f} m/s (driven, at least 30 km/h).")
+    try:
+        with np.errstate(all="ignore"):
+            return Road.along(path, speed_limit=limit)
+    except ValueError as error:
+        remedy = "give the log a road"
+        raise LogError(f"no road can be made along the driven path: {error}", topic="/ego", remedy=remedy) from None

@@ -1,0 +1,242 @@
+"""An MCAP file as topics of messages, or one sentence that says what is wrong with it.
+
+The file is read from front to back with every checksum verified (chunk and data section), never through its index: a
+changed byte is found, or lies where nothing is read from. What stands before the damage is kept, for `replan inspect`.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from io import BytesIO
+from itertools import pairwise
+from pathlib import Path
+from typing import TypeVar
+
+import msgspec
+from mcap.exceptions import EndOfFile, InvalidMagic, McapError, RecordLengthLimitExceeded
+from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Schema
+from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
+from zstandard import ZstdError
+
+from logs.errors import LogError
+
+T = TypeVar("T")
+
+COPY_AGAIN = "copy or record it again"
+CONVERT = "replan reads native scenario logs and ASAM OSI ground truth; `replan convert` makes logs of other formats"
+MAGIC = b"\x89MCAP"
+COMPRESSIONS = ("", "zstd", "lz4")
+LAST_TIME_NS = 2**63 - 1
+
+DAMAGE = (McapError, ZstdError, struct.error, ValueError, RuntimeError, OverflowError, MemoryError)
+"""What the libraries raise on damaged bytes (checksums: ValueError, lz4: RuntimeError)."""
+
+OTHER_FORMATS = {
+    ".osi": "this is a bare OSI trace: store its messages in an MCAP file, on one channel with the schema "
+    "osi3.GroundTruth",
+    ".xml": "a CommonRoad scenario is converted by `replan convert commonroad FILE -o OUT.mcap`",
+}
+
+
+@dataclass(frozen=True)
+class Stream:
+    """The messages of one topic, in the order of the file: log times (ns) and payloads."""
+
+    topic: str
+    encoding: str
+    schema: str
+    schema_encoding: str
+    schema_data: bytes
+    times: list[int] = field(default_factory=list)
+    payloads: list[bytes] = field(default_factory=list)
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+    def decoded(self, kind: type[T]) -> list[T]:
+        """The messages as Structs.
+
+        Raises:
+            LogError: A message is not JSON or does not fit the Struct; the line names the field.
+        """
+        if self.encoding != "json":
+            raise LogError(f"messages are encoded as {self.encoding!r}, expected 'json'", topic=self.topic)
+        decoder, out = msgspec.json.Decoder(kind), []
+        for time, payload in zip(self.times, self.payloads, strict=True):
+            try:
+                out.append(decoder.decode(payload))
+            except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
+                raise LogError(_complaint(error, payload), topic=self.topic, time_ns=time, remedy=MEND) from None
+        return out
+
+    def check_order(self, *, strictly: bool) -> None:
+        """Refuse times that go backwards, and equal ones where `strictly`.
+
+        Raises:
+            LogError: With the first time that is out of order.
+        """
+        for before, time in pairwise(self.times):
+            if time < before:
+                what = f"time goes backwards, from {before / 1e9:.3f} s"
+                raise LogError(what, topic=self.topic, time_ns=time, remedy="write the messages in order of time")
+            if strictly and time == before:
+                what = "two messages have the same time"
+                raise LogError(what, topic=self.topic, time_ns=time, remedy="keep one of them")
+
+
+MEND = "write the field as its schema in the file says"
+
+
+def _complaint(error: Exception, payload: bytes) -> str:
+    """What msgspec says, without its backticks; a bare NaN or Infinity is named with its field."""
+    for word in (b"NaN", b"Infinity"):
+        before, found, _ = payload.partition(word)
+        if found and isinstance(error, msgspec.DecodeError) and not isinstance(error, msgspec.ValidationError):
+            name = before.rpartition(b'":')[0].rpartition(b'"')[2].decode(errors="replace")
+            return f"{name} is {word.decode()}, which is not JSON: a missing value is null"
+    return f"message does not fit: {error}".replace("`", "")
+
+
+@dataclass(frozen=True)
+class Container:
+    """What an MCAP file holds; `error` is what ended the reading, or None."""
+
+    path: Path
+    size: int
+    streams: dict[str, Stream]
+    metadata: dict[str, dict[str, str]]
+    error: LogError | None
+
+    def whole(self) -> Container:
+        """This container, if it is undamaged and holds messages.
+
+        Raises:
+            LogError: The damage.
+        """
+        if self.error is not None:
+            raise self.error
+        if not any(map(len, self.streams.values())):
+            raise LogError("the file holds no messages", file=self.path, remedy=COPY_AGAIN)
+        return self
+
+    def of_schema(self, *names: str) -> Stream | None:
+        """The first topic that has messages of one of these schemas."""
+        return next((s for s in self.streams.values() if s.schema in names and len(s)), None)
+
+
+def read_container(path: Path) -> Container:
+    """Everything in the file up to its end or its damage; raises nothing."""
+    streams: dict[str, Stream] = {}
+    metadata: dict[str, dict[str, str]] = {}
+    error, raw = None, b""
+    try:
+        raw = _content(path)
+        _check_kind(raw, path.suffix.lower())
+        _fill(raw, streams, metadata)
+    except LogError as damage:
+        error = damage.at(path)
+    return Container(path, len(raw), streams, metadata, error)
+
+
+def _content(path: Path) -> bytes:
+    try:
+        return path.read_bytes()
+    except OSError as error:
+        raise LogError(f"cannot be read: {error.strerror or error}") from None
+
+
+def _check_kind(raw: bytes, suffix: str) -> None:
+    if not raw:
+        raise LogError("the file is empty", remedy=COPY_AGAIN)
+    if suffix in OTHER_FORMATS and not raw.startswith(MAGIC):
+        raise LogError("not an MCAP file", remedy=OTHER_FORMATS[suffix])
+
+
+def _fill(raw: bytes, streams: dict[str, Stream], metadata: dict[str, dict[str, str]]) -> None:
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Stream] = {}
+    ended = False
+    for record in _records(raw, streams):
+        if isinstance(record, DataEnd):
+            ended = True
+        if ended:
+            continue  # what follows repeats schemas and channels
+        if isinstance(record, Schema):
+            schemas[record.id] = record
+        elif isinstance(record, Channel):
+            channels[record.id] = _stream(record, schemas, streams)
+        elif isinstance(record, Metadata):
+            metadata[record.name] = record.metadata
+        elif isinstance(record, Message):
+            _take(record, channels)
+    if not ended:
+        raise LogError("the file has no end of data record", remedy=COPY_AGAIN)
+
+
+def _stream(channel: Channel, schemas: dict[int, Schema], streams: dict[str, Stream]) -> Stream:
+    """The stream of a channel; two channels of one topic share it if their schemas agree."""
+    schema = schemas.get(channel.schema_id)
+    if schema is None and channel.schema_id != 0:
+        raise LogError(f"schema {channel.schema_id} is not in the file", topic=channel.topic, remedy=COPY_AGAIN)
+    parts = (schema.name, schema.encoding, schema.data) if schema else ("", "", b"")
+    stream = streams.setdefault(channel.topic, Stream(channel.topic, channel.message_encoding, *parts))
+    if (stream.encoding, stream.schema) != (channel.message_encoding, parts[0]):
+        what = f"two channels with different schemas, {stream.schema} and {parts[0]}"
+        raise LogError(what, topic=channel.topic, remedy="keep one of them")
+    return stream
+
+
+def _take(message: Message, channels: dict[int, Stream]) -> None:
+    stream = channels.get(message.channel_id)
+    if stream is None:
+        raise LogError(f"channel {message.channel_id} is not in the file", remedy=COPY_AGAIN)
+    if message.log_time > LAST_TIME_NS:
+        raise LogError(f"log time {message.log_time} ns is beyond any clock", topic=stream.topic, remedy=COPY_AGAIN)
+    stream.times.append(message.log_time)
+    stream.payloads.append(message.data)
+
+
+def _records(raw: bytes, streams: dict[str, Stream]) -> Iterator[McapRecord]:
+    """The records, those of chunks included; damage becomes a LogError."""
+    buffer = BytesIO(raw)
+    reader = StreamReader(buffer, emit_chunks=True, validate_crcs=True, record_size_limit=len(raw))
+    try:
+        for record in reader.records:
+            if isinstance(record, Chunk):
+                yield from _opened(record)
+            else:
+                yield record
+    except DAMAGE as error:
+        raise _damage(error, buffer.tell(), len(raw), streams) from None
+
+
+def _opened(chunk: Chunk) -> list[McapRecord]:
+    time, remedy = chunk.message_start_time, COPY_AGAIN
+    if chunk.compression not in COMPRESSIONS:
+        remedy = "compress with zstd or lz4, or not at all"
+        raise LogError(f"a chunk has the unknown compression {chunk.compression!r}", time_ns=time, remedy=remedy)
+    try:
+        return breakup_chunk(chunk, validate_crc=True)
+    except DAMAGE as error:
+        what = f"the chunk that begins there is damaged ({_name(error)})"
+        raise LogError(what, time_ns=time, remedy=remedy) from None
+
+
+def _damage(error: BaseException, at: int, size: int, streams: dict[str, Stream]) -> LogError:
+    last = max(((s.times[-1], s.topic) for s in streams.values() if len(s)), default=None)
+    time, topic = last if last is not None else (None, None)
+    if isinstance(error, InvalidMagic) and at <= 8:
+        return LogError("not an MCAP file (wrong magic)", remedy=CONVERT)
+    if isinstance(error, (EndOfFile, RecordLengthLimitExceeded, InvalidMagic)) or at >= size:
+        what = "the file is cut off or damaged" + (": these are the last messages before it" if last else "")
+        return LogError(what, topic=topic, time_ns=time, remedy=COPY_AGAIN)
+    what = f"the file is damaged near byte {at} ({_name(error)})"
+    return LogError(what, topic=topic, time_ns=time, remedy=COPY_AGAIN)
+
+
+def _name(error: BaseException) -> str:
+    if isinstance(error, CRCValidationError):
+        return "checksum does not match"
+    return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__

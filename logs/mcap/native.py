@@ -1,0 +1,287 @@
+"""The native scenario log, version 1: one MCAP file is one scenario; JSON messages, their JSON Schema in the file.
+
+    metadata  replan.scenario            format_version, name, source, licence, tags and notes (JSON arrays), start_ns
+                                         (log time of t = 0), duration_s, origin_x_m and origin_y_m (what was subtracted
+                                         from world coordinates: all coordinates are relative to it)
+              replan.scenario.metadata   what else the log says of itself, free keys (generator, parameters, seed)
+              replan.trace               only in a trace: planner, mode, oracle, end, detail
+
+    /ego             Ego           one state a message: required, the rest is optional
+    /controls        Controls      logged steering and pedals, one sample a message
+    /agents/table    AgentTable    once: who the others are
+    /agents          AgentColumns  where they are: a message holds all those sampled at its log time
+    /obstacles       AgentColumns  the same for those that never move; one sample is enough
+    /road            Road          once        /goal   Goal   once        /vehicle   Vehicle   once
+    /plan, /command, /actuation, /tracking     only in a trace: what was planned, asked, done, missed
+
+A field is serialised as its name in code plus its unit (`UNITS`). Time is the message's log time, integer nanoseconds;
+a topic's messages stand in order of time. Missing is null (NaN in memory); infinity is refused, except in the graphs of
+a plan, where null stands for "not reached" and "free".
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Any, Literal
+
+import msgspec
+
+from logs.scenario import AgentKind
+from logs.trace import DecisionKind
+from logs.vehicle import VehicleParameters
+
+FORMAT_VERSION = 1
+SCENARIO_RECORD, FREE_RECORD, TRACE_RECORD = "replan.scenario", "replan.scenario.metadata", "replan.trace"
+
+UNITS = {
+    "t": "s", "x": "m", "y": "m", "yaw": "rad", "v": "mps", "a": "mps2", "kappa": "per_m", "vx": "mps", "vy": "mps",
+    "length": "m", "width": "m", "left_x": "m", "left_y": "m", "right_x": "m", "right_y": "m",
+    "speed_limit": "mps", "default_speed_limit": "mps", "steer": "rad",
+    "lateral": "m", "heading": "rad", "speed": "mps", "station": "m",
+    "wheelbase": "m", "rear_overhang": "m", "mass": "kg", "yaw_inertia": "kgm2", "cog_to_front": "m",
+    "cornering_front": "n_per_rad", "cornering_rear": "n_per_rad", "max_steer": "rad", "max_steer_rate": "radps",
+    "steer_lag": "s", "max_accel": "mps2", "max_power": "w_per_kg", "max_decel": "mps2", "throttle_lag": "s",
+    "brake_lag": "s", "drag": "per_m", "rolling": "mps2",
+}  # fmt: skip
+"""Unit of each name in code; a name that is not here has none."""
+
+
+def serialised(name: str) -> str:
+    """The name in the file: name in code plus unit."""
+    return f"{name}_{UNITS[name]}" if name in UNITS else name
+
+
+Numbers = list[float | None]
+Pair = tuple[float, float]
+
+
+class Ego(msgspec.Struct, rename=serialised):
+    """The ego at the log time; reference point is the rear axle."""
+
+    x: float
+    y: float
+    yaw: float
+    v: float
+    a: float | None = None
+    kappa: float | None = None
+
+
+class Controls(msgspec.Struct, rename=serialised):
+    """Front wheel angle (positive to the left) and pedals, 0 to 1."""
+
+    steer: float | None = None
+    throttle: float | None = None
+    brake: float | None = None
+
+
+class AgentTable(msgspec.Struct, rename=serialised):
+    """The other road users, as columns: who they are."""
+
+    id: list[str]
+    kind: list[AgentKind]
+    length: list[float]
+    width: list[float]
+    static: list[bool]
+
+
+class AgentColumns(msgspec.Struct, rename=serialised):
+    """The other road users at the log time, as columns: centre of the box, velocity in the world."""
+
+    id: list[str]
+    x: list[float]
+    y: list[float]
+    yaw: list[float]
+    vx: Numbers | None = None
+    vy: Numbers | None = None
+
+
+class LaneColumns(msgspec.Struct, rename=serialised):
+    """One lane, driven from first to last point; point i of the left boundary faces point i of the right one."""
+
+    id: int
+    left_x: list[float]
+    left_y: list[float]
+    right_x: list[float]
+    right_y: list[float]
+    successors: list[int] = []
+    left_neighbour: int | None = None
+    right_neighbour: int | None = None
+    left_opposite: bool = False
+    right_opposite: bool = False
+    speed_limit: float | None = None
+    drivable: bool = True
+    left_crossable: bool = True
+    right_crossable: bool = True
+    kind: str = "lane"
+
+
+class Road(msgspec.Struct, rename=serialised):
+    """The lanes; source "driven_path" marks a road that was made from the ego's path."""
+
+    lanes: list[LaneColumns]
+    source: Literal["lanes", "driven_path"] = "lanes"
+    drives_on_right: bool = True
+    default_speed_limit: float = 13.89
+
+
+class Region(msgspec.Struct, rename=serialised):
+    """A polygon."""
+
+    x: list[float]
+    y: list[float]
+
+
+class Goal(msgspec.Struct, rename=serialised):
+    """Where (any of the regions), when, how fast and in which direction to arrive; null or empty is free."""
+
+    regions: list[Region] = []
+    t: Pair | None = None
+    v: Pair | None = None
+    yaw: Pair | None = None
+
+
+Vehicle = msgspec.defstruct(
+    "Vehicle",
+    [(f.name, float, f.default) for f in fields(VehicleParameters)],
+    rename=serialised,
+    namespace={"__doc__": "Parameters of the ego's vehicle."},
+    module=__name__,
+)
+
+
+class Tracking(msgspec.Struct, rename=serialised):
+    """How far the ego was off its plan."""
+
+    lateral: float | None
+    heading: float | None
+    speed: float | None
+    station: float | None
+
+
+class TrajectoryColumns(msgspec.Struct, rename=serialised):
+    """Planned states; t is the time since the scenario's start."""
+
+    t: list[float]
+    x: list[float]
+    y: list[float]
+    yaw: list[float]
+    v: list[float]
+    a: list[float]
+    kappa: list[float]
+
+
+class Decision(msgspec.Struct):
+    """What was decided about an agent in a stage, and why."""
+
+    agent: str
+    kind: DecisionKind
+    stage: str
+    reason: str
+
+
+class CostTerms(msgspec.Struct):
+    """The weighted cost of what a stage chose, by term."""
+
+    stage: str
+    terms: dict[str, float | None]
+
+
+class SolverReport(msgspec.Struct):
+    """One call of a solver."""
+
+    stage: str
+    solved: bool
+    status: str
+    iterations: int
+    primal_residual: float | None
+    dual_residual: float | None
+
+
+class Grid(msgspec.Struct):
+    """DP grid: least cost to come to node (first[i], second[j]), null = not reached; chosen -1 = none."""
+
+    first: list[float]
+    second: list[float]
+    cost: list[Numbers]
+    chosen: list[int]
+
+
+class Corridor(msgspec.Struct):
+    """Bounds of the solution over first; null = free."""
+
+    first: list[float]
+    lower: Numbers
+    upper: Numbers
+
+
+class GraphObstacle(msgspec.Struct):
+    """An agent in a graph: outline as points, and what was decided about it."""
+
+    agent: str
+    outline: list[list[float | None]]
+    decision: DecisionKind
+
+
+class Graph(msgspec.Struct):
+    """A plane in which a stage searched. "sl": (station m, offset m); "st": (time from the plan s, station m)."""
+
+    plane: Literal["sl", "st"]
+    grid: Grid | None
+    corridor: Corridor | None
+    dp: list[list[float | None]]
+    qp: list[list[float | None]]
+    obstacles: list[GraphObstacle]
+
+
+class Plan(msgspec.Struct):
+    """A plan: how it came about, its trajectory, and what the planner wanted to be seen."""
+
+    status: str
+    reason: str
+    start: str
+    trajectory: TrajectoryColumns
+    decisions: list[Decision] = []
+    costs: list[CostTerms] = []
+    solvers: list[SolverReport] = []
+    graphs: list[Graph] = []
+
+
+TOPICS: dict[str, type[msgspec.Struct]] = {
+    "/vehicle": Vehicle,
+    "/goal": Goal,
+    "/road": Road,
+    "/agents/table": AgentTable,
+    "/obstacles": AgentColumns,
+    "/agents": AgentColumns,
+    "/ego": Ego,
+    "/controls": Controls,
+    "/plan": Plan,
+    "/command": Controls,
+    "/actuation": Controls,
+    "/tracking": Tracking,
+}
+"""What is on which topic; messages of one time stand in the file in this order."""
+
+
+def schema_name(kind: type[msgspec.Struct]) -> str:
+    """The name of a message's schema in the file."""
+    return f"replan.{kind.__name__}"
+
+
+def json_schema(kind: type[msgspec.Struct]) -> dict[str, Any]:
+    """The JSON Schema of a message, references written out: an object at its root, as viewers want it."""
+    (root,), components = msgspec.json.schema_components((kind,))
+    schema: dict[str, Any] = _written_out(root, components)
+    return schema
+
+
+def _written_out(part: Any, components: dict[str, Any]) -> Any:
+    if isinstance(part, list):
+        return [_written_out(item, components) for item in part]
+    if not isinstance(part, dict):
+        return part
+    if "$ref" in part:
+        return _written_out(components[part["$ref"].rpartition("/")[2]], components)
+    if "enum" in part:
+        return {**part, "type": "string"}
+    return {key: _written_out(value, components) for key, value in part.items()}

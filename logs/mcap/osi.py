@@ -1,0 +1,315 @@
+"""ASAM OSI ground truth -> Scenario, decoded with the descriptor that the file itself carries.
+
+The ego is the moving object of `host_vehicle_id`. OSI poses are centres of boxes: the ego's is moved to its rear axle
+by `bbcenter_to_rear`, else by the proportions of the default vehicle. With d from rear axle to centre and w the yaw
+rate, the rear axle's speed and acceleration along the heading h are
+
+(1) v = v_center . h            (2) a = a_center . h + w^2 d            w = kappa v
+
+Static obstacles are the stationary objects that stand in the way: those above or flat on the road are left out. The
+origin is the ego's first position in whole metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from google.protobuf.message import DecodeError
+
+from logs.errors import LogError
+from logs.kernel import FloatArray
+from logs.mcap.complete import completed, derived_curvature, road_along
+from logs.mcap.container import COPY_AGAIN, Stream
+from logs.mcap.osi_lanes import OsiMap, enum_name, lanes_of
+from logs.road import Road
+from logs.scenario import AgentKind, Scenario, Tracks
+from logs.states import Trajectory
+from logs.vehicle import VehicleParameters
+
+SCHEMAS = ("osi3.GroundTruth", "osi3.SensorView")
+
+KINDS = {
+    "TYPE_HEAVY_TRUCK": AgentKind.TRUCK, "TYPE_SEMITRAILER": AgentKind.TRUCK, "TYPE_TRAILER": AgentKind.TRUCK,
+    "TYPE_SEMITRACTOR": AgentKind.TRUCK, "TYPE_DELIVERY_VAN": AgentKind.TRUCK, "TYPE_BUS": AgentKind.BUS,
+    "TYPE_TRAM": AgentKind.BUS, "TYPE_TRAIN": AgentKind.BUS, "TYPE_MOTORBIKE": AgentKind.MOTORCYCLE,
+    "TYPE_BICYCLE": AgentKind.BICYCLE, "TYPE_STANDUP_SCOOTER": AgentKind.BICYCLE,
+    "TYPE_WHEELCHAIR": AgentKind.PEDESTRIAN,
+}  # fmt: skip
+NOT_IN_THE_WAY = {"TYPE_BRIDGE", "TYPE_OVERHEAD_STRUCTURE", "TYPE_SPEED_BUMP", "TYPE_CURBSTONE"}
+SIZES = {
+    AgentKind.CAR: (4.5, 1.8), AgentKind.TRUCK: (8.0, 2.5), AgentKind.BUS: (12.0, 2.5),
+    AgentKind.MOTORCYCLE: (2.2, 0.8), AgentKind.BICYCLE: (1.8, 0.7), AgentKind.PEDESTRIAN: (0.5, 0.5),
+    AgentKind.OBJECT: (1.0, 1.0),
+}  # fmt: skip
+"""Length and width where the log has none, m."""
+
+REQUIRED = {
+    "timestamp": ("seconds", "nanos"),
+    "host_vehicle_id": ("value",),
+    "moving_object": ("id.value", "type", "vehicle_classification.type"),
+    "moving_object.vehicle_attributes": ("bbcenter_to_rear.x", "bbcenter_to_front.x"),
+    "moving_object.base": ("dimension.length", "position.x", "orientation.yaw", "velocity.x", "acceleration.x"),
+    "stationary_object": ("id.value", "classification.type"),
+    "stationary_object.base": ("dimension.length", "position.x", "orientation.yaw"),
+    "lane.id": ("value",),
+    "lane.classification": (
+        "type",
+        "centerline.x",
+        "centerline_is_driving_direction",
+        "left_adjacent_lane_id.value",
+        "right_adjacent_lane_id.value",
+        "left_lane_boundary_id.value",
+        "right_lane_boundary_id.value",
+        "lane_pairing.antecessor_lane_id.value",
+        "lane_pairing.successor_lane_id.value",
+    ),
+    "lane_boundary": ("id.value", "boundary_line.position.x", "classification.type"),
+}
+"""The fields that are read; logical lanes may be absent."""
+
+
+@dataclass
+class _Seen:
+    """All frames, by object: messages as first seen, and rows (frame, x, y, yaw, vx, vy, ax, ay)."""
+
+    times: list[int] = field(default_factory=list)
+    host: int | None = None
+    moving: dict[int, Any] = field(default_factory=dict)
+    standing: dict[int, Any] = field(default_factory=dict)
+    rows: dict[int, list[tuple[float, ...]]] = field(default_factory=dict)
+    road: OsiMap = field(default_factory=OsiMap)
+
+
+def scenario_of(stream: Stream, name: str) -> Scenario:
+    """The scenario in the messages of one topic.
+
+    Raises:
+        LogError: A message cannot be decoded, no ego is named, a pose is not finite, time does not increase.
+    """
+    notes: list[str] = []
+    seen = _decoded(stream)
+    if seen.host is None or seen.host not in seen.rows:
+        what = "no host_vehicle_id" if seen.host is None else f"host vehicle {seen.host} is not among the objects"
+        raise LogError(f"the log has no ego: {what}", topic=stream.topic, remedy="name the ego in host_vehicle_id")
+    _check_finite(seen, stream)
+    rows = {key: np.array(seen.rows[key]) for key in seen.rows}
+    origin = np.round(rows[seen.host][0, 1:3])
+    for values in rows.values():
+        values[:, 1:3] -= origin
+    t = (np.array(seen.times, dtype=np.int64) - seen.times[0]) / 1e9
+    try:
+        vehicle, rear = _vehicle(seen.moving[seen.host], notes)
+        ego = _ego(rows[seen.host], t, rear, notes)
+        tracks = _tracks(seen, rows, t, origin, notes)
+        road = _road(seen, origin, ego, notes)
+        first = seen.moving[seen.host]
+        return Scenario(
+            name=name,
+            ego=ego,
+            tracks=tracks,
+            road=road,
+            duration=float(t[-1]),
+            vehicle=vehicle,
+            tags=("osi",),
+            source=f"ASAM OSI, {stream.schema}",
+            origin=(float(origin[0]), float(origin[1])),
+            start_ns=seen.times[0],
+            metadata={"host_vehicle_id": str(first.id.value)},
+            notes=tuple(notes),
+        )
+    except ValueError as error:
+        raise LogError(str(error), topic=stream.topic) from None
+
+
+def _message_class(stream: Stream) -> type[Any]:
+    """The class of the messages, from the descriptor in the file."""
+    if stream.encoding != "protobuf" or stream.schema_encoding != "protobuf":
+        raise LogError(f"{stream.schema} is encoded as {stream.encoding!r}, expected protobuf", topic=stream.topic)
+    pool = descriptor_pool.DescriptorPool()
+    try:
+        files = {f.name: f for f in descriptor_pb2.FileDescriptorSet.FromString(stream.schema_data).file}
+        for name in list(files):
+            _add_file(name, files, pool, set())
+        kind = message_factory.GetMessageClass(pool.FindMessageTypeByName(stream.schema))
+    except (DecodeError, TypeError, KeyError, ValueError) as error:
+        what = f"the protobuf descriptor in the file cannot be used: {error}"
+        raise LogError(what, topic=stream.topic, remedy=COPY_AGAIN) from None
+    for parent, names in REQUIRED.items():
+        for name in names:
+            _check_field(f"{parent}.{name}", kind.DESCRIPTOR, stream)
+    return kind
+
+
+def _check_field(path: str, descriptor: Any, stream: Stream) -> None:
+    """Refuse a descriptor without a field that is read here."""
+    for name in (*(("global_ground_truth",) if stream.schema == "osi3.SensorView" else ()), *path.split(".")):
+        if descriptor is None or name not in descriptor.fields_by_name:
+            what = f"the protobuf descriptor in the file has no field {path}"
+            raise LogError(what, topic=stream.topic, remedy="write the log with OSI 3.5 or newer")
+        descriptor = descriptor.fields_by_name[name].message_type
+
+
+def _add_file(name: str, files: dict[str, Any], pool: Any, open_files: set[str]) -> None:
+    """Add a file to the pool after the files that it imports."""
+    if name in open_files or name not in files:
+        return
+    open_files.add(name)
+    for imported in files[name].dependency:
+        _add_file(imported, files, pool, open_files)
+    pool.Add(files.pop(name))
+
+
+def _decoded(stream: Stream) -> _Seen:
+    kind, seen = _message_class(stream), _Seen()
+    for log_time, payload in zip(stream.times, stream.payloads, strict=True):
+        try:
+            message = kind.FromString(payload)
+        except DecodeError as error:
+            what = f"message cannot be decoded: {error}"
+            raise LogError(what, topic=stream.topic, time_ns=log_time, remedy=COPY_AGAIN) from None
+        truth = message.global_ground_truth if stream.schema == "osi3.SensorView" else message
+        stamp = truth.timestamp
+        time = stamp.seconds * 1_000_000_000 + stamp.nanos if truth.HasField("timestamp") else log_time
+        if seen.times and time <= seen.times[-1]:
+            what = f"time does not increase, from {seen.times[-1] / 1e9:.3f} s to {time / 1e9:.3f} s"
+            remedy = "write each frame once, in order of time"
+            raise LogError(what, topic=stream.topic, time_ns=log_time, remedy=remedy)
+        _take(truth, seen)
+        seen.times.append(time)
+    return seen
+
+
+def _take(truth: Any, seen: _Seen) -> None:
+    frame = len(seen.times)
+    if seen.host is None and truth.HasField("host_vehicle_id"):
+        seen.host = truth.host_vehicle_id.value
+    for item in truth.moving_object:
+        seen.moving.setdefault(item.id.value, item)
+        seen.rows.setdefault(item.id.value, []).append(_row(frame, item.base))
+    for item in truth.stationary_object:
+        seen.standing.setdefault(item.id.value, item)
+    seen.road.add(truth)
+
+
+def _row(frame: int, base: Any) -> tuple[float, ...]:
+    nan = float("nan")
+    v, a, p = base.velocity, base.acceleration, base.position
+    velocity = (v.x, v.y) if base.HasField("velocity") else (nan, nan)
+    acceleration = (a.x, a.y) if base.HasField("acceleration") else (nan, nan)
+    return (frame, p.x, p.y, base.orientation.yaw, *velocity, *acceleration)
+
+
+def _check_finite(seen: _Seen, stream: Stream) -> None:
+    for key, rows in seen.rows.items():
+        for row in rows:
+            for name, value in zip(("x", "y", "yaw"), row[1:4], strict=True):
+                if not np.isfinite(value):
+                    what = f"{name} of moving object {key} is {value}"
+                    raise LogError(what, topic=stream.topic, time_ns=stream.times[int(row[0])], remedy=COPY_AGAIN)
+
+
+def _vehicle(host: Any, notes: list[str]) -> tuple[VehicleParameters, FloatArray]:
+    """The ego's parameters, and the vector from its centre to its rear axle, m."""
+    default, size = VehicleParameters(), host.base.dimension
+    length, width = (size.length, size.width) if min(size.length, size.width) > 0.0 else (default.length, default.width)
+    scale = length / default.length
+    wheelbase, overhang = scale * default.wheelbase, scale * default.rear_overhang
+    rear = np.array([overhang - length / 2.0, 0.0])
+    known = host.vehicle_attributes
+    if known.HasField("bbcenter_to_rear") and -length / 2.0 < known.bbcenter_to_rear.x < 0.0:
+        rear = np.array([known.bbcenter_to_rear.x, known.bbcenter_to_rear.y])
+        overhang = length / 2.0 + rear[0]
+        if known.HasField("bbcenter_to_front"):
+            wheelbase = known.bbcenter_to_front.x - rear[0]
+        wheelbase = min(wheelbase, length - overhang)
+    else:
+        notes.append("The log does not say where the ego's rear axle is: it is placed as in the default car.")
+    notes.append("Masses, tyres and limits of the ego's vehicle are those of the default car.")
+    cog = default.cog_to_front * wheelbase / default.wheelbase
+    sizes = {"length": length, "width": width, "wheelbase": wheelbase, "rear_overhang": overhang, "cog_to_front": cog}
+    return replace(default, **sizes), rear
+
+
+def _ego(rows: FloatArray, t: FloatArray, rear: FloatArray, notes: list[str]) -> Trajectory:
+    """The rear axle's states by (1) and (2)."""
+    yaw = np.unwrap(rows[:, 3])
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    x, y = rows[:, 1] + rear[0] * cos - rear[1] * sin, rows[:, 2] + rear[0] * sin + rear[1] * cos
+    t = t[rows[:, 0].astype(np.int64)]
+    v = rows[:, 4] * cos + rows[:, 5] * sin
+    if not np.isfinite(v).all():
+        notes.append("The log has no ego speed: it is derived from the positions by backward differences.")
+        step = (np.diff(x) * cos[1:] + np.diff(y) * sin[1:]) / np.diff(t)
+        v = np.r_[step[0], step] if len(step) else np.zeros(1)
+    kappa = derived_curvature(x, y, yaw, v)
+    a = rows[:, 6] * cos + rows[:, 7] * sin - (kappa * v) ** 2 * rear[0]
+    if not rows[:, 6:8].any():
+        a = np.full(len(t), np.nan)  # a log whose acceleration is always exactly 0 has none
+    columns = {"t": t, "x": x, "y": y, "yaw": yaw, "v": v, "a": a, "kappa": np.full(len(t), np.nan)}
+    return completed(columns, notes)
+
+
+def _kind(item: Any) -> AgentKind:
+    group = enum_name(item, "type")
+    if group == "TYPE_PEDESTRIAN":
+        return AgentKind.PEDESTRIAN
+    if group == "TYPE_VEHICLE":
+        return KINDS.get(enum_name(item.vehicle_classification, "type"), AgentKind.CAR)
+    return AgentKind.OBJECT
+
+
+def _tracks(seen: _Seen, rows: dict[int, FloatArray], t: FloatArray, origin: FloatArray, notes: list[str]) -> Tracks:
+    standing = {key: item for key, item in seen.standing.items() if key not in rows and _stands_in_the_way(item)}
+    if len(standing) < len(seen.standing):
+        left_out = len(seen.standing) - len(standing)
+        notes.append(f"{left_out} of {len(seen.standing)} stationary objects are not in the way (bridges, kerbs, ...).")
+    others = {key: values for key, values in rows.items() if key != seen.host}
+    for key, item in standing.items():
+        base = item.base
+        values = [(0.0, base.position.x - origin[0], base.position.y - origin[1], base.orientation.yaw, 0.0, 0.0)]
+        others[key] = np.array(values)
+    if not others:
+        return Tracks.empty()
+    kinds = [AgentKind.OBJECT if key in standing else _kind(seen.moving[key]) for key in others]
+    sizes = [
+        _size(standing[key] if key in standing else seen.moving[key], kind)
+        for key, kind in zip(others, kinds, strict=True)
+    ]
+    offsets = np.r_[0, np.cumsum([len(values) for values in others.values()])]
+    columns = np.vstack([values[:, :6] for values in others.values()])
+    length, width = np.array(sizes).T
+    return Tracks(
+        tuple(map(str, others)),
+        tuple(kinds),
+        length,
+        width,
+        np.array([key in standing for key in others]),
+        offsets,
+        t[columns[:, 0].astype(np.int64)],
+        columns[:, 1],
+        columns[:, 2],
+        columns[:, 3],
+        columns[:, 4],
+        columns[:, 5],
+    )
+
+
+def _stands_in_the_way(item: Any) -> bool:
+    return enum_name(item.classification, "type") not in NOT_IN_THE_WAY
+
+
+def _size(item: Any, kind: AgentKind) -> tuple[float, float]:
+    size = item.base.dimension
+    return (size.length, size.width) if min(size.length, size.width) > 0.0 else SIZES[kind]
+
+
+def _road(seen: _Seen, origin: FloatArray, ego: Trajectory, notes: list[str]) -> Road:
+    lanes, drives_on_right = lanes_of(seen.road, origin, notes)
+    if not lanes:
+        return road_along(ego, notes)
+    limit = max(Road.default_speed_limit, float(np.abs(ego.v).max()))
+    notes.append(f"The lanes have no speed limits: {limit:.1f} m/s is assumed (the largest driven, at least 50 km/h).")
+    return Road(lanes, drives_on_right=drives_on_right, default_speed_limit=limit)

@@ -1,0 +1,299 @@
+"""Logs in: a native or OSI file becomes a Scenario, or one LogError that names file, topic and time.
+
+Coordinates of a native log are relative to the origin in its metadata; the reader keeps the origin and subtracts
+nothing. What the log leaves out is filled in as `complete.py` says, and noted.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, TypeVar
+
+import msgspec
+import numpy as np
+
+from logs import road as nouns
+from logs.errors import LogError
+from logs.kernel import FloatArray, IntArray
+from logs.mcap import native, osi
+from logs.mcap.complete import completed, road_along
+from logs.mcap.container import CONVERT, LAST_TIME_NS, MEND, Container, Stream, read_container
+from logs.scenario import Scenario, Tracks
+from logs.states import Controls, Trajectory
+from logs.vehicle import VehicleParameters
+
+T = TypeVar("T")
+
+
+def read_scenario(path: Path) -> Scenario:
+    """The scenario in a native or OSI log.
+
+    Raises:
+        LogError: The file is damaged, foreign, or breaks the format; nothing else is raised.
+    """
+    return scenario_of(read_container(Path(path)))
+
+
+def scenario_of(container: Container) -> Scenario:
+    """The scenario in a container.
+
+    Raises:
+        LogError: As `read_scenario`.
+    """
+    container.whole()
+    try:
+        return _scenario(container)
+    except LogError as error:
+        raise error.at(container.path) from None
+
+
+def _scenario(container: Container) -> Scenario:
+    with np.errstate(all="ignore"):  # absurd numbers are refused as such, further down
+        if native.SCENARIO_RECORD in container.metadata:
+            return _native(container)
+        stream = container.of_schema(*osi.SCHEMAS)
+        if stream is not None:
+            return osi.scenario_of(stream, container.path.stem)
+    held = ", ".join(sorted({s.schema or f"{s.encoding} without schema" for s in container.streams.values()}))
+    what = f"neither a native nor an OSI log; it holds {held}"
+    if any(s.schema.startswith("replan.") for s in container.streams.values()):
+        what = f"a native log without its metadata record {native.SCENARIO_RECORD}"
+    raise LogError(what, remedy=CONVERT)
+
+
+def _native(container: Container) -> Scenario:
+    record = container.metadata[native.SCENARIO_RECORD]
+    _check_version(record)
+    streams = container.streams
+    if not len(streams.get("/ego", ())):
+        raise LogError("the log has no ego states", topic="/ego", remedy="a log needs at least one")
+    notes: list[str] = []
+    start_ns = _from_record(record, "start_ns", int, streams["/ego"].times[0])
+    if not 0 <= start_ns <= LAST_TIME_NS:
+        raise LogError(f"start_ns is {start_ns}", topic=native.SCENARIO_RECORD, remedy="a log time, nanoseconds")
+    ego = _ego(streams["/ego"], start_ns, notes)
+    tracks = _tracks(streams, start_ns, notes)
+    road = _road(_one(streams, "/road", native.Road), ego, notes)
+    vehicle = _one(streams, "/vehicle", native.Vehicle)
+    if vehicle is None:
+        notes.append("The log does not describe the ego's vehicle: a mid-size car is assumed.")
+    parameters = {} if vehicle is None else msgspec.structs.asdict(vehicle)
+    controls = streams.get("/controls", streams.get("/actuation"))
+    noted = _from_record(record, "notes", list[str], [])
+    try:
+        return Scenario(
+            name=record.get("name", container.path.stem),
+            ego=ego,
+            tracks=tracks,
+            road=road,
+            duration=_from_record(record, "duration_s", float, float(ego.t[-1])),
+            goal=_goal(_one(streams, "/goal", native.Goal)),
+            vehicle=VehicleParameters(**parameters),
+            controls=_controls(controls, start_ns) if controls else None,
+            tags=tuple(_from_record(record, "tags", list[str], [])),
+            source=record.get("source", ""),
+            licence=record.get("licence", ""),
+            origin=(
+                _from_record(record, "origin_x_m", float, 0.0),
+                _from_record(record, "origin_y_m", float, 0.0),
+            ),
+            start_ns=start_ns,
+            metadata=_free_metadata(container),
+            notes=(*noted, *notes),
+        )
+    except ValueError as error:
+        raise LogError(str(error), topic="/vehicle" if str(error).startswith("vehicle") else None) from None
+
+
+def _check_version(record: dict[str, str]) -> None:
+    text = record.get("format_version", "")
+    if not (text.isdecimal() and len(text) < 9):
+        raise LogError(f"format_version is {text!r}", topic=native.SCENARIO_RECORD, remedy="expected a whole number")
+    if int(text) > native.FORMAT_VERSION:
+        what = f"format version {text} is newer than {native.FORMAT_VERSION}, the newest that this replan reads"
+        raise LogError(what, topic=native.SCENARIO_RECORD, remedy="update replan")
+
+
+def _from_record(record: dict[str, str], key: str, kind: type[T], default: T) -> T:
+    """A value of the metadata record, which are JSON texts where they are not words."""
+    if key not in record:
+        return default
+    try:
+        return msgspec.json.decode(record[key], type=kind)
+    except msgspec.MsgspecError as error:
+        what = f"{key} is {record[key]!r}: {error}".replace("`", "")
+        raise LogError(what, topic=native.SCENARIO_RECORD, remedy=MEND) from None
+
+
+def _free_metadata(container: Container) -> dict[str, str]:
+    driven = {f"trace_{key}": value for key, value in container.metadata.get(native.TRACE_RECORD, {}).items()}
+    return {**container.metadata.get(native.FREE_RECORD, {}), **driven}
+
+
+def _one(streams: dict[str, Stream], topic: str, kind: type[T]) -> T | None:
+    """The message of a topic that has one or none."""
+    if topic not in streams or not len(streams[topic]):
+        return None
+    if len(streams[topic]) > 1:
+        raise LogError(
+            f"{len(streams[topic])} messages, expected one",
+            topic=topic,
+            time_ns=streams[topic].times[1],
+            remedy="keep one of them",
+        )
+    return streams[topic].decoded(kind)[0]
+
+
+def _seconds(times: Sequence[int], start_ns: int) -> FloatArray:
+    """Seconds since the start; the difference is taken in integers, so whole nanoseconds survive."""
+    return (np.array(times, dtype=np.int64) - start_ns) / 1e9
+
+
+def _column(messages: Sequence[Any], name: str) -> FloatArray:
+    return np.array([getattr(message, name) for message in messages], dtype=np.float64)
+
+
+def _ego(stream: Stream, start_ns: int, notes: list[str]) -> Trajectory:
+    stream.check_order(strictly=True)
+    states = stream.decoded(native.Ego)
+    columns = {name: _column(states, name) for name in ("x", "y", "yaw", "v", "a", "kappa")}
+    columns["t"] = _seconds(stream.times, start_ns)
+    try:
+        return completed(columns, notes)
+    except ValueError as error:
+        raise LogError(str(error), topic=stream.topic, remedy=MEND) from None
+
+
+def _controls(stream: Stream, start_ns: int) -> Controls:
+    stream.check_order(strictly=True)
+    samples = stream.decoded(native.Controls)
+    return Controls(
+        _seconds(stream.times, start_ns), *(_column(samples, name) for name in ("steer", "throttle", "brake"))
+    )
+
+
+def _tracks(streams: dict[str, Stream], start_ns: int, notes: list[str]) -> Tracks:
+    """Tracks from the table and the columns of /agents and /obstacles."""
+    table = _one(streams, "/agents/table", native.AgentTable)
+    moving = [streams[topic] for topic in ("/agents", "/obstacles") if topic in streams and len(streams[topic])]
+    if table is None:
+        if moving:
+            raise LogError(
+                "there are agents, but no table of them",
+                topic="/agents/table",
+                remedy="name each with its kind, length and width",
+            )
+        return Tracks.empty()
+    _equal_lengths(table, "/agents/table", streams["/agents/table"].times[0])
+    rows = {name: row for row, name in enumerate(table.id)}
+    row, times, columns = _samples(moving, rows)
+    order = np.lexsort((times, row))
+    row, times = row[order], times[order]
+    _check_tracks(row, times, table.id)
+    there = np.unique(row)
+    if len(there) < len(rows):
+        notes.append(f"{len(rows) - len(there)} of {len(rows)} agents have no sample and are left out.")
+    offsets = np.r_[0, np.cumsum(np.bincount(row, minlength=len(rows))[there])]
+    x, y, yaw, vx, vy = (np.array(column, dtype=np.float64)[order] for column in columns)
+    try:
+        return Tracks(
+            tuple(table.id[i] for i in there),
+            tuple(table.kind[i] for i in there),
+            np.array(table.length)[there],
+            np.array(table.width)[there],
+            np.array(table.static, dtype=np.bool_)[there],
+            offsets,
+            (times - start_ns) / 1e9,
+            x,
+            y,
+            yaw,
+            vx,
+            vy,
+        )
+    except ValueError as error:
+        raise LogError(str(error), topic="/agents/table", remedy=MEND) from None
+
+
+def _samples(moving: list[Stream], rows: dict[str, int]) -> tuple[IntArray, IntArray, list[list[float | None]]]:
+    """All samples of all topics: row in the table, time in ns, and columns x, y, yaw, vx, vy."""
+    row: list[int] = []
+    times: list[int] = []
+    columns: list[list[float | None]] = [[], [], [], [], []]
+    for stream in moving:
+        stream.check_order(strictly=False)
+        for time, message in zip(stream.times, stream.decoded(native.AgentColumns), strict=True):
+            _equal_lengths(message, stream.topic, time)
+            try:
+                row.extend([rows[name] for name in message.id])
+            except KeyError as error:
+                what = f"agent {error} is not in /agents/table"
+                raise LogError(what, topic=stream.topic, time_ns=time, remedy="add it there") from None
+            times.extend([time] * len(message.id))
+            for column, name in zip(columns, ("x", "y", "yaw", "vx", "vy"), strict=True):
+                column.extend(getattr(message, name) or [None] * len(message.id))
+    return np.array(row, dtype=np.int64), np.array(times, dtype=np.int64), columns
+
+
+def _equal_lengths(message: msgspec.Struct, topic: str, time: int) -> None:
+    lengths = {len(column) for column in msgspec.structs.astuple(message) if column is not None}
+    if len(lengths) > 1:
+        columns = {native.serialised(n): len(c) for n, c in msgspec.structs.asdict(message).items() if c is not None}
+        what = "columns differ in length: " + ", ".join(f"{name} {count}" for name, count in columns.items())
+        raise LogError(what, topic=topic, time_ns=time, remedy="one entry per agent")
+
+
+def _check_tracks(row: IntArray, times: IntArray, ids: list[str]) -> None:
+    if len(set(ids)) < len(ids):
+        raise LogError("two agents have the same id", topic="/agents/table", remedy="ids are unique in a log")
+    twice = np.flatnonzero((np.diff(row) == 0) & (np.diff(times) == 0))
+    if len(twice):
+        what = f"agent '{ids[row[twice[0]]]}' has two samples at one time"
+        raise LogError(what, topic="/agents", time_ns=int(times[twice[0]]), remedy="keep one of them")
+
+
+def _road(message: native.Road | None, ego: Trajectory, notes: list[str]) -> nouns.Road:
+    if message is None or not message.lanes:
+        return road_along(ego, notes)
+    if not message.default_speed_limit > 0.0:
+        raise LogError("default_speed_limit_mps must be positive", topic="/road", remedy=MEND)
+    source = nouns.RoadSource[message.source.upper()]
+    lanes = {lane.id: _lane(lane) for lane in message.lanes}
+    if len(lanes) < len(message.lanes):
+        raise LogError("two lanes have the same id", topic="/road", remedy="ids are unique in a road")
+    return nouns.Road(lanes, source, message.drives_on_right, message.default_speed_limit)
+
+
+def _lane(lane: native.LaneColumns) -> nouns.Lane:
+    lengths = {len(lane.left_x), len(lane.left_y), len(lane.right_x), len(lane.right_y)}
+    if len(lengths) > 1:
+        remedy = "point i of one faces point i of the other"
+        raise LogError(f"lane {lane.id}: boundaries have {sorted(lengths)} points", topic="/road", remedy=remedy)
+    try:
+        return nouns.Lane(
+            id=lane.id,
+            left=np.column_stack([lane.left_x, lane.left_y]),
+            right=np.column_stack([lane.right_x, lane.right_y]),
+            successors=tuple(lane.successors),
+            left_neighbour=lane.left_neighbour,
+            right_neighbour=lane.right_neighbour,
+            left_opposite=lane.left_opposite,
+            speed_limit=float("nan") if lane.speed_limit is None else lane.speed_limit,
+            drivable=lane.drivable,
+            left_crossable=lane.left_crossable,
+            right_crossable=lane.right_crossable,
+            right_opposite=lane.right_opposite,
+            kind=lane.kind,
+        )
+    except ValueError as error:
+        raise LogError(str(error), topic="/road", remedy=MEND) from None
+
+
+def _goal(message: native.Goal | None) -> nouns.Goal | None:
+    if message is None:
+        return None
+    for region in message.regions:
+        if len(region.x) != len(region.y) or len(region.x) < 3:
+            raise LogError("a region needs as many x_m as y_m, three or more", topic="/goal", remedy=MEND)
+    regions = tuple(np.column_stack([region.x, region.y]) for region in message.regions)
+    return nouns.Goal(regions, message.t, message.v, message.yaw)

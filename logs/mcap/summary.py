@@ -1,0 +1,249 @@
+"""What a log holds, over which time, and what is missing for which evaluation.
+
+Works in part on damaged and foreign files: the topics up to the damage, and the error that reading the log would give.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from logs.errors import LogError
+from logs.mcap import native, osi
+from logs.mcap.container import Container, Stream, read_container
+from logs.mcap.reader import scenario_of
+from logs.road import Goal, Road, RoadSource
+from logs.scenario import Scenario
+
+
+@dataclass(frozen=True)
+class TopicSummary:
+    """One topic: what is on it, how often, from when to when (log time, ns; None without messages)."""
+
+    topic: str
+    schema: str
+    encoding: str
+    schema_encoding: str
+    messages: int
+    first_ns: int | None
+    last_ns: int | None
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Whether an evaluation is possible, and what it rests on or what is missing."""
+
+    name: str
+    possible: bool
+    reason: str
+
+
+@dataclass(frozen=True)
+class RoadSummary:
+    """The road: lanes, their length in km, those without speed limit, and where they came from."""
+
+    source: str
+    lanes: int
+    drivable: int
+    length_km: float
+    without_speed_limit: int
+    default_speed_limit: float
+
+
+@dataclass(frozen=True)
+class ScenarioSummary:
+    """What the log says as a scenario.
+
+    Attributes:
+        agents: Number of moving others by kind; `obstacles` is the number of those that never move.
+        ego_rate: Samples per second, NaN for one sample.
+        goal: In words, or None.
+    """
+
+    name: str
+    source: str
+    licence: str
+    tags: tuple[str, ...]
+    duration: float
+    ego_samples: int
+    ego_span: tuple[float, float]
+    ego_rate: float
+    ego_speed: tuple[float, float]
+    agents: Mapping[str, int]
+    obstacles: int
+    road: RoadSummary
+    goal: str | None
+    controls: int
+    metadata: Mapping[str, str]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class LogSummary:
+    """What a file holds; `scenario` is None and `error` says why where it cannot be evaluated."""
+
+    path: Path
+    profile: str
+    size_bytes: int
+    topics: tuple[TopicSummary, ...]
+    scenario: ScenarioSummary | None
+    evaluations: tuple[Evaluation, ...]
+    error: LogError | None
+
+    def lines(self) -> list[str]:
+        """The summary as text, one line each."""
+        out = [f"{self.path.name}: {self.profile}, {self.size_bytes / 1024:.0f} KiB"]
+        out += [_topic_line(topic) for topic in self.topics]
+        if self.scenario is not None:
+            out += _scenario_lines(self.scenario)
+        out += [f"{'yes' if e.possible else 'no ':3}  {e.name}: {e.reason}" for e in self.evaluations]
+        if self.error is not None:
+            out.append(f"error: {self.error}")
+        return out
+
+
+def summarise(path: Path) -> LogSummary:
+    """What the file holds; damage and foreign formats are told in `error`, never raised."""
+    container = read_container(Path(path))
+    scenario, error = None, None
+    try:
+        scenario = scenario_of(container)
+    except LogError as refusal:
+        error = refusal
+    return LogSummary(
+        container.path,
+        _profile(container),
+        container.size,
+        tuple(_topic(stream) for stream in container.streams.values()),
+        None if scenario is None else _scenario(scenario),
+        () if scenario is None else evaluations(scenario, told="/vehicle" in container.streams),
+        error,
+    )
+
+
+def _profile(container: Container) -> str:
+    if native.SCENARIO_RECORD in container.metadata:
+        version = container.metadata[native.SCENARIO_RECORD].get("format_version", "?")
+        what = "trace of a drive" if native.TRACE_RECORD in container.metadata else "scenario log"
+        return f"{what}, native format {version}"
+    stream = container.of_schema(*osi.SCHEMAS)
+    if stream is not None:
+        return f"ASAM OSI log, {stream.schema}"
+    return "not a log that replan reads" if container.streams else "no log"
+
+
+def _topic(stream: Stream) -> TopicSummary:
+    first, last = (stream.times[0], stream.times[-1]) if len(stream) else (None, None)
+    return TopicSummary(stream.topic, stream.schema, stream.encoding, stream.schema_encoding, len(stream), first, last)
+
+
+def _scenario(scenario: Scenario) -> ScenarioSummary:
+    ego, tracks = scenario.ego, scenario.tracks
+    span = float(ego.t[-1] - ego.t[0])
+    kinds = Counter(kind.value for kind, static in zip(tracks.kinds, tracks.static, strict=True) if not static)
+    return ScenarioSummary(
+        name=scenario.name,
+        source=scenario.source,
+        licence=scenario.licence,
+        tags=scenario.tags,
+        duration=scenario.duration,
+        ego_samples=len(ego),
+        ego_span=(float(ego.t[0]), float(ego.t[-1])),
+        ego_rate=(len(ego) - 1) / span if span > 0.0 else float("nan"),
+        ego_speed=(float(ego.v.min()), float(ego.v.max())),
+        agents=dict(kinds.most_common()),
+        obstacles=int(tracks.static.sum()),
+        road=_road(scenario.road),
+        goal=None if scenario.goal is None else _goal(scenario.goal),
+        controls=0 if scenario.controls is None else len(scenario.controls),
+        metadata=scenario.metadata,
+        notes=scenario.notes,
+    )
+
+
+def _road(road: Road) -> RoadSummary:
+    lanes = road.lanes.values()
+    return RoadSummary(
+        road.source.value,
+        len(lanes),
+        sum(lane.drivable for lane in lanes),
+        sum(lane.length for lane in lanes) / 1000.0,
+        sum(not np.isfinite(lane.speed_limit) for lane in lanes),
+        road.default_speed_limit,
+    )
+
+
+def _goal(goal: Goal) -> str:
+    parts = [f"in {len(goal.regions)} region(s)" if goal.regions else "at any place"]
+    parts += [
+        f"{word} {interval[0]:g} to {interval[1]:g} {unit}"
+        for word, interval, unit in (
+            ("time", goal.t, "s"),
+            ("speed", goal.v, "m/s"),
+            ("heading", goal.yaw, "rad"),
+        )
+        if interval is not None
+    ]
+    return ", ".join(parts)
+
+
+def evaluations(scenario: Scenario, *, told: bool) -> tuple[Evaluation, ...]:
+    """Which evaluations the scenario allows; `told` says whether the log itself describes the vehicle."""
+    ego, tracks, road = scenario.ego, scenario.tracks, scenario.road
+    lanes = road.source is RoadSource.LANES
+    unlimited = sum(not np.isfinite(lane.speed_limit) for lane in road.lanes.values())
+    compared = f"{len(ego)} ego states to compare with" if len(ego) > 1 else "one ego state only: nothing to compare"
+    lasting = f"{scenario.duration:.1f} s to drive" if scenario.duration > 0.0 else "the log lasts 0 s"
+    others = f"{len(tracks)} others" if len(tracks) else "nobody else is in the log: only comfort, progress and lanes"
+    return (
+        Evaluation("open loop against the driven ego", len(ego) > 1, compared),
+        Evaluation("closed loop", scenario.duration > 0.0, lasting),
+        Evaluation("collisions, gaps, time to collision", len(tracks) > 0, others),
+        Evaluation("goal reached", scenario.goal is not None, "named in the log" if scenario.goal else "no goal"),
+        Evaluation("off road, lane keeping", lanes, road.source.value),
+        Evaluation(
+            "speed limits",
+            lanes and unlimited < len(road.lanes),
+            f"{unlimited} of {len(road.lanes)} lanes have none: {road.default_speed_limit:.1f} m/s is assumed there"
+            if lanes
+            else "no lanes",
+        ),
+        Evaluation(
+            "tracking", scenario.duration > 0.0, "the log's vehicle" if told else "vehicle partly or wholly assumed"
+        ),
+        Evaluation(
+            "steering and pedals against the log",
+            scenario.controls is not None,
+            "logged" if scenario.controls is not None else "no /controls",
+        ),
+    )
+
+
+def _topic_line(topic: TopicSummary) -> str:
+    line = f"  {topic.topic}: {topic.messages} x {topic.schema or 'no schema'} ({topic.encoding})"
+    if topic.first_ns is None or topic.last_ns is None:
+        return line
+    return f"{line}, {topic.first_ns / 1e9:.3f} to {topic.last_ns / 1e9:.3f} s"
+
+
+def _scenario_lines(scenario: ScenarioSummary) -> list[str]:
+    road, agents = scenario.road, ", ".join(f"{count} {kind}" for kind, count in scenario.agents.items())
+    ego = f"{scenario.ego_samples} states from {scenario.ego_span[0]:.2f} to {scenario.ego_span[1]:.2f} s"
+    if scenario.ego_samples > 1:
+        ego += f" ({scenario.ego_rate:.1f} Hz), {scenario.ego_speed[0]:.1f} to {scenario.ego_speed[1]:.1f} m/s"
+    return [
+        f"name: {scenario.name}" + (f" [{', '.join(scenario.tags)}]" if scenario.tags else ""),
+        f"source: {scenario.source or 'not told'}; licence: {scenario.licence or 'not told'}",
+        f"duration: {scenario.duration:.2f} s",
+        f"ego: {ego}",
+        f"agents: {agents or 'none'}; obstacles: {scenario.obstacles}",
+        f"road: {road.lanes} lanes ({road.drivable} drivable), {road.length_km:.2f} km,"
+        f" {road.without_speed_limit} without speed limit; {road.source}",
+        f"goal: {scenario.goal or 'none'}",
+        *(f"metadata {key}: {value}" for key, value in scenario.metadata.items()),
+        *(f"note: {note}" for note in scenario.notes),
+    ]

@@ -1,0 +1,135 @@
+"""A trace as a log: what was driven, what was planned, asked and done; readable again by `read_scenario`.
+
+Ego and agents are those of the trace; road, goal and vehicle those of the scenario. `internals` says how much of the
+plans is kept: "none" (status and trajectory), "summary" (and decisions, cost terms, solver reports), "full" (and
+graphs with their grids and corridors; in them null stands for "not reached" and "free").
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from logs import trace as nouns
+from logs.errors import LogError
+from logs.kernel import FloatArray
+from logs.mcap import native
+from logs.mcap.writer import Entry, column, log_times, samples, scenario_entries, scenario_records, write_log
+from logs.scenario import Scenario
+from logs.states import TRAJECTORY_COLUMNS
+
+Internals = Literal["none", "summary", "full"]
+
+
+def write_trace(path: Path, trace: nouns.Trace, scenario: Scenario, *, internals: Internals = "summary") -> None:
+    """Write a trace as a native log.
+
+    Raises:
+        LogError: As `write_scenario`.
+    """
+    try:
+        driven = driven_scenario(trace, scenario)
+        records = {**scenario_records(driven), native.TRACE_RECORD: trace_record(trace, internals)}
+        entries = [*scenario_entries(driven), *_trace_entries(trace, scenario.start_ns, internals)]
+        write_log(Path(path), records, entries)
+    except LogError as error:
+        raise error.at(path) from None
+
+
+def driven_scenario(trace: nouns.Trace, scenario: Scenario) -> Scenario:
+    """The scenario as it was driven; it lasts until the ego's last state."""
+    return replace(
+        scenario,
+        ego=trace.ego,
+        tracks=trace.agents,
+        duration=float(trace.ego.t[-1]),
+        controls=None,
+        notes=tuple(dict.fromkeys((*scenario.notes, *trace.notes))),
+    )
+
+
+def trace_record(trace: nouns.Trace, internals: Internals) -> dict[str, str]:
+    """The metadata record of a trace."""
+    return {
+        "scenario": trace.scenario,
+        "planner": trace.planner,
+        "mode": trace.mode.value,
+        "oracle": str(trace.oracle).lower(),
+        "end": trace.end.name.lower(),
+        "end_sentence": trace.end.value,
+        "detail": trace.detail,
+        "internals": internals,
+    }
+
+
+def _trace_entries(trace: nouns.Trace, start_ns: int, internals: Internals) -> Iterator[Entry]:
+    for frame in trace.frames:
+        (time,) = log_times(np.array([frame.t]), start_ns, "/plan")
+        yield time, "/plan", _plan(frame.plan, internals)
+    for topic, kind, table in (
+        ("/command", native.Controls, trace.commands),
+        ("/actuation", native.Controls, trace.actuation),
+        ("/tracking", native.Tracking, trace.tracking),
+    ):
+        if table is not None:
+            yield from samples(table, kind, topic, start_ns)
+
+
+def _plan(plan: nouns.Plan, internals: Internals) -> native.Plan:
+    columns = [column(getattr(plan.trajectory, name), "/plan", name) for name in TRAJECTORY_COLUMNS]
+    message = native.Plan(
+        plan.status.name.lower(), plan.reason, plan.start.name.lower(), native.TrajectoryColumns(*columns)
+    )
+    if internals == "none":
+        return message
+    for artefact in plan.internals:
+        if isinstance(artefact, nouns.Decision):
+            message.decisions.append(
+                native.Decision(artefact.agent, artefact.kind, artefact.stage, artefact.reason),
+            )
+        elif isinstance(artefact, nouns.CostTerms):
+            message.costs.append(native.CostTerms(artefact.stage, dict(artefact.terms)))
+        elif isinstance(artefact, nouns.SolverReport):
+            message.solvers.append(_solver(artefact))
+        elif internals == "full":
+            message.graphs.append(_graph(artefact))
+    return message
+
+
+def _solver(report: nouns.SolverReport) -> native.SolverReport:
+    return native.SolverReport(
+        report.stage, report.solved, report.status, report.iterations, report.primal_residual, report.dual_residual
+    )
+
+
+def _graph(graph: nouns.SlGraph | nouns.StGraph) -> native.Graph:
+    return native.Graph(
+        plane="sl" if isinstance(graph, nouns.SlGraph) else "st",
+        grid=_grid(graph.grid),
+        corridor=_corridor(graph.corridor),
+        dp=_rows(graph.dp),
+        qp=_rows(graph.qp),
+        obstacles=[native.GraphObstacle(o.agent, _rows(o.outline), o.decision) for o in graph.obstacles],
+    )
+
+
+def _grid(grid: nouns.GridCost | None) -> native.Grid | None:
+    if grid is None:
+        return None
+    chosen = [int(index) for index in grid.chosen]
+    return native.Grid(grid.first.tolist(), grid.second.tolist(), _rows(grid.cost), chosen)
+
+
+def _corridor(corridor: nouns.Corridor | None) -> native.Corridor | None:
+    if corridor is None:
+        return None
+    return native.Corridor(corridor.first.tolist(), corridor.lower.tolist(), corridor.upper.tolist())
+
+
+def _rows(points: FloatArray) -> list[list[float | None]]:
+    rows: list[list[float | None]] = points.tolist()
+    return rows

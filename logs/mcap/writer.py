@@ -1,0 +1,247 @@
+"""Logs out: a Scenario as a native MCAP file.
+
+Same scenario, same bytes. The file is written under a temporary name beside its place and renamed, so that a killed
+writer leaves no half log; chunks are small, so that it loses little. Times become integer nanoseconds: reading returns
+the identical scenario if its times are whole nanoseconds (and |t| is below 26 days).
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, fields
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from mcap.writer import CompressionType, Writer
+
+from logs import road as nouns
+from logs.errors import LogError
+from logs.kernel import FloatArray
+from logs.mcap import native
+from logs.scenario import Scenario, Tracks
+from logs.states import Trajectory
+
+CHUNK_BYTES = 128 * 1024
+Entry = tuple[int, str, msgspec.Struct]
+"""Log time (ns), topic, message."""
+
+
+def write_scenario(path: Path, scenario: Scenario) -> None:
+    """Write a scenario as a native log.
+
+    Raises:
+        LogError: A value is infinite, two samples fall on one nanosecond, a log time is negative, or the file cannot
+            be written.
+    """
+    try:
+        write_log(Path(path), scenario_records(scenario), scenario_entries(scenario))
+    except LogError as error:
+        raise error.at(path) from None
+
+
+def write_log(path: Path, records: Mapping[str, Mapping[str, str]], entries: Iterable[Entry]) -> None:
+    """Write metadata records and messages, in order of time, then of `native.TOPICS`.
+
+    Raises:
+        LogError: The file cannot be written.
+    """
+    rank = {topic: index for index, topic in enumerate(native.TOPICS)}
+    ordered = sorted(entries, key=lambda entry: (entry[0], rank[entry[1]]))
+    part = path.with_name(f".{path.name}.part")
+    try:
+        with part.open("wb") as file:
+            writer: Any = Writer(file, CHUNK_BYTES, CompressionType.ZSTD, enable_data_crcs=True)
+            writer.start(profile="replan", library="replan")
+            for name, record in records.items():
+                writer.add_metadata(name, dict(record))
+            _add_messages(writer, ordered)
+            writer.finish()
+        os.replace(part, path)  # noqa: PTH105
+    except OSError as error:
+        raise LogError(f"cannot be written: {error.strerror or error}", file=path) from None
+    finally:
+        part.unlink(missing_ok=True)
+
+
+def _add_messages(writer: Any, ordered: Sequence[Entry]) -> None:
+    encoder = msgspec.json.Encoder(enc_hook=_plain)
+    schemas: dict[type[msgspec.Struct], int] = {}
+    channels: dict[str, int] = {}
+    for topic in [topic for topic in native.TOPICS if topic in {entry[1] for entry in ordered}]:
+        kind = native.TOPICS[topic]
+        if kind not in schemas:
+            schema = encoder.encode(native.json_schema(kind))
+            schemas[kind] = writer.register_schema(native.schema_name(kind), "jsonschema", schema)
+        channels[topic] = writer.register_channel(topic, "json", schemas[kind])
+    sequence = dict.fromkeys(channels, 0)
+    for time, topic, message in ordered:
+        writer.add_message(channels[topic], time, encoder.encode(message), time, sequence[topic])
+        sequence[topic] += 1
+
+
+def _plain(value: Any) -> Any:
+    """NumPy scalars as Python's."""
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{type(value).__name__} in a message")
+
+
+def scenario_records(scenario: Scenario) -> dict[str, dict[str, str]]:
+    """The metadata records of a scenario."""
+    if scenario.start_ns < 0:
+        raise LogError("start_ns is negative", remedy="log times are nanoseconds since an epoch")
+    encode = msgspec.json.encode
+    record = {
+        "format_version": str(native.FORMAT_VERSION),
+        "name": scenario.name,
+        "source": scenario.source,
+        "licence": scenario.licence,
+        "tags": encode(scenario.tags).decode(),
+        "notes": encode(scenario.notes).decode(),
+        "start_ns": str(scenario.start_ns),
+        "duration_s": repr(finite(scenario.duration, "duration")),
+        "origin_x_m": repr(finite(scenario.origin[0], "origin")),
+        "origin_y_m": repr(finite(scenario.origin[1], "origin")),
+    }
+    free = dict(scenario.metadata)
+    return {native.SCENARIO_RECORD: record, **({native.FREE_RECORD: free} if free else {})}
+
+
+def scenario_entries(scenario: Scenario) -> Iterator[Entry]:
+    """The messages of a scenario, topic by topic."""
+    start = scenario.start_ns
+    vehicle = {name: finite(value, f"vehicle {name}") for name, value in asdict(scenario.vehicle).items()}
+    yield start, "/vehicle", native.Vehicle(**vehicle)
+    if scenario.goal is not None:
+        yield start, "/goal", _goal(scenario.goal)
+    yield start, "/road", _road(scenario.road)
+    yield from _tracks(scenario.tracks, start)
+    yield from _ego(scenario.ego, start)
+    if scenario.controls is not None:
+        yield from samples(scenario.controls, native.Controls, "/controls", start)
+
+
+def log_times(t: FloatArray, start_ns: int, topic: str) -> list[int]:
+    """Log times (ns) of seconds since the start `(n,)`.
+
+    Raises:
+        LogError: A time is not finite or before the epoch.
+    """
+    if not np.isfinite(t).all():
+        raise LogError("a time is not finite", topic=topic)
+    times = np.rint(t * 1e9).astype(np.int64) + start_ns
+    if len(times) and times.min() < 0:
+        raise LogError("a sample is before log time 0", topic=topic, remedy="set start_ns to a later time")
+    return [int(time) for time in times]
+
+
+def column(values: FloatArray, topic: str, name: str) -> list[float]:
+    """The values as a list; NaN stands for missing.
+
+    Raises:
+        LogError: A value is infinite.
+    """
+    if np.isinf(values).any():
+        where = int(np.flatnonzero(np.isinf(values))[0])
+        raise LogError(f"{native.serialised(name)} is infinite at index {where}", topic=topic, remedy="use NaN")
+    out: list[float] = values.tolist()
+    return out
+
+
+def finite(value: float, name: str) -> float:
+    """The number.
+
+    Raises:
+        LogError: It is not finite.
+    """
+    if not np.isfinite(value):
+        raise LogError(f"{name} is {value}", remedy="leave out what is not known")
+    return float(value)
+
+
+def samples(table: Any, kind: type[msgspec.Struct], topic: str, start_ns: int) -> Iterator[Entry]:
+    """One message a sample from a struct of arrays with the column t and those of `kind`.
+
+    Raises:
+        LogError: A value is infinite, or two samples fall on one nanosecond.
+    """
+    times = log_times(table.t, start_ns, topic)
+    names = kind.__struct_fields__
+    columns = [column(getattr(table, name), topic, name) for name in names]
+    for before, time in pairwise(times):
+        if time <= before:
+            raise LogError("two samples on one nanosecond, or out of order", topic=topic, time_ns=time)
+    for time, *values in zip(times, *columns, strict=True):
+        yield time, topic, kind(*values)
+
+
+def _ego(ego: Trajectory, start_ns: int) -> Iterator[Entry]:
+    return samples(ego, native.Ego, "/ego", start_ns)
+
+
+def _tracks(tracks: Tracks, start_ns: int) -> Iterator[Entry]:
+    if not len(tracks):
+        return
+    table = native.AgentTable(
+        list(tracks.ids),
+        list(tracks.kinds),
+        tracks.length.tolist(),
+        tracks.width.tolist(),
+        tracks.static.tolist(),
+    )
+    yield start_ns, "/agents/table", table
+    track = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets))
+    times = np.array(log_times(tracks.t, start_ns, "/agents"), dtype=np.int64)
+    if ((np.diff(times) <= 0) & (np.diff(track) == 0)).any():
+        raise LogError("an agent has two samples on one nanosecond", topic="/agents")
+    for name in ("vx", "vy"):
+        column(getattr(tracks, name), "/agents", name)
+    for topic, chosen in (("/obstacles", tracks.static[track]), ("/agents", ~tracks.static[track])):
+        where = np.flatnonzero(chosen)
+        order = where[np.lexsort((track[where], times[where]))]
+        for group in np.split(order, np.flatnonzero(np.diff(times[order])) + 1):
+            if len(group):
+                yield int(times[group[0]]), topic, _agents(tracks, track[group].tolist(), group)
+
+
+def _agents(tracks: Tracks, ids: list[int], group: Any) -> native.AgentColumns:
+    columns = (getattr(tracks, name)[group].tolist() for name in ("x", "y", "yaw", "vx", "vy"))
+    return native.AgentColumns([tracks.ids[i] for i in ids], *columns)
+
+
+def _road(road: nouns.Road) -> native.Road:
+    return native.Road(
+        [_lane(lane) for lane in road.lanes.values()],
+        "lanes" if road.source is nouns.RoadSource.LANES else "driven_path",
+        road.drives_on_right,
+        finite(road.default_speed_limit, "default speed limit"),
+    )
+
+
+def _lane(lane: nouns.Lane) -> native.LaneColumns:
+    if np.isinf(lane.speed_limit):
+        raise LogError(f"lane {lane.id}: the speed limit is infinite", topic="/road", remedy="use NaN for no limit")
+    kept = {f.name: getattr(lane, f.name) for f in fields(lane) if f.name not in ("left", "right", "successors")}
+    return native.LaneColumns(
+        left_x=lane.left[:, 0].tolist(),
+        left_y=lane.left[:, 1].tolist(),
+        right_x=lane.right[:, 0].tolist(),
+        right_y=lane.right[:, 1].tolist(),
+        successors=list(lane.successors),
+        **kept,
+    )
+
+
+def _goal(goal: nouns.Goal) -> native.Goal:
+    regions = [
+        native.Region(column(region[:, 0], "/goal", "x"), column(region[:, 1], "/goal", "y")) for region in goal.regions
+    ]
+    return native.Goal(regions, *(_interval(getattr(goal, name), name) for name in ("t", "v", "yaw")))
+
+
+def _interval(interval: tuple[float, float] | None, name: str) -> native.Pair | None:
+    return None if interval is None else (finite(interval[0], f"goal {name}"), finite(interval[1], f"goal {name}"))

@@ -1,0 +1,229 @@
+"""Damaged, foreign and wrong logs: one LogError line with file, topic, time and remedy, and never anything else."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.writer import CompressionType
+from mcap_cases import RECORD, STATE, TABLE, differences, ego_states, rich_scenario, write_by_hand
+
+from logs import LogError, RoadSource
+from logs.mcap import read_scenario, summarise, write_scenario
+
+fuzz = settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+
+
+@pytest.fixture(scope="module")
+def small_log(tmp_path_factory: pytest.TempPathFactory) -> bytes:
+    path = tmp_path_factory.mktemp("small") / "log.mcap"
+    write_scenario(path, rich_scenario(4))
+    return path.read_bytes()
+
+
+def survives(path: Path, raw: bytes) -> None:
+    """The file is refused in one line, or read as if nothing had happened."""
+    path.write_bytes(raw)
+    try:
+        scenario = read_scenario(path)
+    except LogError as error:
+        assert str(path) in str(error) and "\n" not in str(error)
+        assert summarise(path).error is not None
+    else:
+        assert differences(rich_scenario(4), scenario) == []
+
+
+@fuzz
+@given(st.data())
+def test_flipped_bytes_are_refused_or_change_nothing(tmp_path: Path, small_log: bytes, data: st.DataObject) -> None:
+    raw = bytearray(small_log)
+    for place in data.draw(st.lists(st.integers(0, len(raw) - 1), min_size=1, max_size=4)):
+        raw[place] ^= data.draw(st.integers(1, 255))
+    survives(tmp_path / "log.mcap", bytes(raw))
+
+
+@fuzz
+@given(st.data())
+def test_a_cut_is_refused(tmp_path: Path, small_log: bytes, data: st.DataObject) -> None:
+    end = data.draw(st.integers(0, len(small_log) - 1))
+    (tmp_path / "log.mcap").write_bytes(small_log[:end])
+    with pytest.raises(LogError):
+        read_scenario(tmp_path / "log.mcap")
+    hole = data.draw(st.integers(0, end))
+    survives(tmp_path / "log.mcap", small_log[:hole] + small_log[end:])
+
+
+@fuzz
+@given(st.lists(st.tuples(st.sampled_from(["/ego", "/agents", "/agents/table", "/road", "/goal", "/vehicle"]),
+                          st.integers(0, 2**64 - 1), st.binary(max_size=30) | st.recursive(
+    st.none() | st.floats() | st.integers() | st.text(max_size=3),
+    lambda inner: st.dictionaries(st.sampled_from(["x_m", "id", "lanes", "regions"]), inner) | st.lists(inner),
+    max_leaves=5)), max_size=4))  # fmt: skip
+def test_garbage_in_a_sound_container_is_refused(tmp_path: Path, messages: list[tuple[str, int, Any]]) -> None:
+    path = write_by_hand(tmp_path / "log.mcap", [*messages, ("/ego", 2**62, {"x_m": "far"})])
+    with pytest.raises(LogError) as refusal:
+        read_scenario(path)
+    assert str(path) in str(refusal.value) and "\n" not in str(refusal.value)
+
+
+def refusal(path: Path) -> str:
+    with pytest.raises(LogError) as error:
+        read_scenario(path)
+    text = str(error.value)
+    assert text.startswith(str(path)) and "\n" not in text and "; " in text  # a remedy follows the semicolon
+    assert summarise(path).lines()[-1] == f"error: {text}"
+    return text
+
+
+def agents(time: int = 0, **changes: Any) -> tuple[str, int, Any]:
+    return ("/agents", time, {"id": ["a"], "x_m": [0.0], "y_m": [0.0], "yaw_rad": [0.0], **changes})
+
+
+LANE = {"id": 1, "left_x_m": [0, 9], "left_y_m": [1, 1], "right_x_m": [0, 9], "right_y_m": [-1, -1]}
+HELD = [("/agents/table", 0, TABLE)]
+
+
+@pytest.mark.parametrize(("messages", "words"), [
+    ([("/goal", 0, {})], "topic /ego: the log has no ego states"),
+    ([*ego_states(3), ("/ego", 300_000_000, {**STATE, "yaw_rad": math.nan})], "/ego, time 0.300 s: yaw_rad is NaN"),
+    ([("/ego", 10**9, {**STATE, "x_m": math.inf})], "topic /ego, time 1.000 s: x_m is Infinity"),
+    ([("/ego", 10**9, {**STATE, "x_m": None})], r"time 1.000 s: .*got null - at \$.x_m"),
+    ([("/ego", 10**9, b'{"x_m":1e999}')], r"Number out of range - at \$.x_m"),
+    ([("/ego", 10**9, {"x_m": 1.0})], "missing required field y_m"),
+    ([("/ego", 10**9, b'{"x_m": 1.0, "y')], "time 1.000 s: message does not fit: Input data was truncated"),
+    ([("/ego", 10**9, b"\xff\xfe")], "JSON is malformed"),
+    ([*ego_states(3), ("/ego", 100_000_000, STATE)], "topic /ego, time 0.100 s: time goes backwards, from 0.200 s"),
+    ([*ego_states(3), ("/ego", 200_000_000, STATE)], "time 0.200 s: two messages have the same time"),
+    ([*ego_states(), ("/road", 0, {}), ("/road", 0, {})], "topic /road, time 0.000 s: 2 messages, expected one"),
+    ([*ego_states(), ("/road", 0, {"lanes": [{**LANE, "left_x_m": [0.0]}]})], r"lane 1: boundaries have \[1, 2\]"),
+    ([*ego_states(), ("/road", 0, {"lanes": [LANE, LANE]})], "two lanes have the same id"),
+    ([*ego_states(), ("/goal", 0, {"regions": [{"x_m": [0], "y_m": []}]})], "topic /goal: a region needs"),
+    ([*ego_states(), ("/vehicle", 0, {"length_m": -1.0})], "topic /vehicle: vehicle length must be positive"),
+    ([*ego_states(), agents()], "topic /agents/table: there are agents, but no table"),
+    ([*ego_states(), *HELD, agents(id=["b"])], "topic /agents, time 0.000 s: agent 'b' is not in /agents/table"),
+    ([*ego_states(), *HELD, agents(x_m=[0.0, 1.0])], "columns differ in length: id 1, x_m 2"),
+    ([*ego_states(), *HELD, agents(x_m=[None])], r"topic /agents, time 0.000 s: .*at \$.x_m\[0\]"),
+    ([*ego_states(), *HELD, agents(5), agents(4)], "topic /agents, time 0.000 s: time goes backwards"),
+    ([*ego_states(), *HELD, agents(5), agents(5)], "agent 'a' has two samples at one time"),
+    ([*ego_states(), ("/agents/table", 0, {**TABLE, "kind": ["ufo"]}), agents()], "Invalid enum value 'ufo'"),
+    ([*ego_states(), ("/agents/table", 0, {**TABLE, "width_m": [0]}), agents()], "length and width must be positive"),
+])  # fmt: skip
+def test_a_broken_message_is_named(tmp_path: Path, messages: list[tuple[str, int, Any]], words: str) -> None:
+    path = write_by_hand(tmp_path / "log.mcap", messages)
+    with pytest.raises(LogError, match=words) as error:
+        read_scenario(path)
+    assert str(path) in str(error.value)
+
+
+@pytest.mark.parametrize(("change", "words"), [
+    ({"format_version": "2"}, "format version 2 is newer than 1, .*; update replan"),
+    ({"format_version": "one"}, "format_version is 'one'"),
+    ({"format_version": "9" * 9999}, "format_version"),
+    ({"start_ns": "soon"}, "start_ns is 'soon'"),
+    ({"start_ns": "99999999999999999999"}, "start_ns is 99999999999999999999"),
+    ({"duration_s": "0.1"}, "shorter than its ego log"),
+    ({"tags": "urban"}, "tags is 'urban'"),
+])  # fmt: skip
+def test_a_broken_metadata_record_is_named(tmp_path: Path, change: dict[str, str], words: str) -> None:
+    record = {"replan.scenario": {**RECORD["replan.scenario"], **change}}
+    with pytest.raises(LogError, match=words):
+        read_scenario(write_by_hand(tmp_path / "log.mcap", ego_states(), record))
+
+
+def test_damage_is_named_with_its_remedy(tmp_path: Path, small_log: bytes) -> None:
+    path = tmp_path / "log.mcap"
+
+    def given_bytes(raw: bytes) -> str:
+        path.write_bytes(raw)
+        return refusal(path)
+
+    assert "the file is empty" in given_bytes(b"")
+    assert "wrong magic" in given_bytes(b"NOTMCAP!" + small_log[8:])
+    assert "cut off" in given_bytes(small_log[:-4])
+    assert "/ego, time 1700000000.423 s: the file is cut off or damaged: these are the last" in given_bytes(
+        small_log[:-400]
+    )
+    assert "unknown compression 'zst9'" in given_bytes(small_log.replace(b"\x04\0\0\0zstd", b"\x04\0\0\0zst9"))
+    flipped = bytearray(small_log)
+    flipped[small_log.find(b"\x04\0\0\0zstd") + 60] ^= 0xFF
+    assert "time 1700000000.123 s: the chunk that begins there is damaged" in given_bytes(bytes(flipped))
+    assert "no messages" in refusal(write_by_hand(path, []))
+    assert "No such file" in str(summarise(tmp_path / "nowhere.mcap").error)
+    assert "Is a directory" in str(summarise(tmp_path).error)
+
+
+def test_a_changed_payload_is_found_by_its_checksum(tmp_path: Path) -> None:
+    path = write_by_hand(tmp_path / "log.mcap", ego_states(), compression=CompressionType.NONE)
+    read_scenario(path)
+    path.write_bytes(path.read_bytes().replace(b'"x_m": 6.0', b'"x_m": 7.0'))
+    assert "checksum does not match" in refusal(path)
+
+
+def test_other_formats_are_sent_on(tmp_path: Path) -> None:
+    for name, word in (("a.osi", "osi3.GroundTruth"), ("a.xml", "replan convert commonroad")):
+        (tmp_path / name).write_bytes(b"something else")
+        assert word in refusal(tmp_path / name)
+    path = write_by_hand(tmp_path / "log.mcap", [("/points", 0, {})], {})
+    assert "neither a native nor an OSI log; it holds by.hand/points" in refusal(path)
+
+
+def test_foreign_mcap_files_are_refused_by_their_schemas(shared_data: Path) -> None:
+    for name, schema in (("talker", "std_msgs/msg/String"), ("cdr_test_0", "test_msgs/msg/Arrays")):
+        assert schema in refusal(shared_data / "rosbag2" / f"{name}.mcap")
+
+
+# What may be left out
+
+
+def test_a_log_of_ego_states_alone_is_a_scenario(tmp_path: Path) -> None:
+    states = [
+        ("/ego", 10**8 * k, {"x_m": 0.5 * k * k, "y_m": 0, "yaw_rad": 0.01 * k, "v_mps": 10.0 * k}) for k in range(9)
+    ]
+    scenario = read_scenario(write_by_hand(tmp_path / "log.mcap", states))
+    assert scenario.road.source is RoadSource.DRIVEN_PATH
+    assert scenario.road.default_speed_limit == pytest.approx(80.0)
+    assert scenario.ego.a == pytest.approx([0.0] + 8 * [100.0])
+    assert scenario.ego.kappa[3] == pytest.approx(0.01 / 2.5)
+    assert (len(scenario.tracks), scenario.goal, scenario.controls) == (0, None, None)
+    assert scenario.duration == pytest.approx(0.8)
+    told = " ".join(scenario.notes)
+    assert all(word in told for word in ("no lanes", "acceleration", "curvature", "vehicle"))
+    assert all(scenario.road.is_drivable(x, y) for x, y in zip(scenario.ego.x - 0.9, scenario.ego.y, strict=True))
+
+
+def test_a_standing_ego_has_a_straight_road_ahead(tmp_path: Path) -> None:
+    states = [("/ego", 10**8 * k, {**STATE, "yaw_rad": 2.0, "v_mps": 0.0}) for k in range(9)]
+    scenario = read_scenario(write_by_hand(tmp_path / "log.mcap", states))
+    (lane,) = scenario.road.lanes.values()
+    assert scenario.road.default_speed_limit == pytest.approx(30.0 / 3.6)
+    assert scenario.road.is_drivable(1.0 + 100.0 * math.cos(2.0), 2.0 + 100.0 * math.sin(2.0))
+    assert lane.length > 200.0 and "hardly moves" in " ".join(scenario.notes)
+
+
+def test_one_ego_state_is_enough(tmp_path: Path) -> None:
+    scenario = read_scenario(write_by_hand(tmp_path / "log.mcap", ego_states(1)))
+    assert len(scenario.ego) == 1 and scenario.duration == 0.0
+
+
+def test_curvature_in_reverse_and_at_rest(tmp_path: Path) -> None:
+    """Backwards along a circle to the left of the car: kappa stays positive; at rest it holds."""
+    bare = {key: STATE[key] for key in ("x_m", "y_m", "yaw_rad", "v_mps")}
+    angles = [0.0, -0.1, -0.2, -0.2]
+    states = [
+        ("/ego", 10**9 * k, {**bare, "x_m": 10 * math.sin(w), "y_m": 10 - 10 * math.cos(w), "yaw_rad": w, "v_mps": v})
+        for k, (w, v) in enumerate(zip(angles, (-1.0, -1.0, -1.0, 0.0), strict=True))
+    ]
+    kappa = read_scenario(write_by_hand(tmp_path / "log.mcap", states)).ego.kappa
+    assert kappa == pytest.approx([0.0, 0.1, 0.1, 0.1], rel=1e-3)
+
+
+def test_agents_without_samples_are_left_out_and_told(tmp_path: Path) -> None:
+    table = {"id": ["a", "b"], "kind": ["car", "bus"], "length_m": [4, 9], "width_m": [2, 2], "static": [False, False]}
+    scenario = read_scenario(
+        write_by_hand(tmp_path / "log.mcap", [*ego_states(), ("/agents/table", 0, table), agents()])
+    )
+    assert scenario.tracks.ids == ("a",) and any("1 of 2 agents" in note for note in scenario.notes)

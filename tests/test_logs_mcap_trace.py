@@ -1,0 +1,184 @@
+"""A trace is a log that we drove: read again it is the drive, and what was planned stands beside it."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_cases import START_NS, differences, rich_scenario, seconds
+
+from logs import (
+    Controls,
+    Corridor,
+    CostTerms,
+    Decision,
+    DecisionKind,
+    EndReason,
+    GraphObstacle,
+    GridCost,
+    LogError,
+    Mode,
+    Plan,
+    PlannedFrame,
+    PlanStart,
+    PlanStatus,
+    SlGraph,
+    SolverReport,
+    StGraph,
+    Trace,
+    TrackingErrors,
+)
+from logs.mcap import read_scenario, summarise, write_scenario, write_trace
+
+
+def drive() -> Trace:
+    """A closed loop of two frames over the rich scenario, with all artefacts in the second plan."""
+    scenario = rich_scenario()
+    t = seconds(10_000_000 * k for k in range(40))
+    ego = scenario.ego.resampled(t)
+    grid = GridCost(np.arange(2.0), np.arange(3.0), np.array([[0.0, np.inf, 1.0]] * 2), np.array([0, -1]))
+    corridor = Corridor(np.arange(2.0), np.array([-np.inf, -1.0]), np.array([np.inf, 2.0]))
+    obstacle = GraphObstacle("walker", np.array([[0.0, 1.0], [2.0, 3.0]]), DecisionKind.NUDGE_LEFT)
+    line = np.array([[0.0, 0.0], [1.0, 0.5]])
+    internals = (
+        Decision("walker", DecisionKind.YIELD, "speed", "it crosses"),
+        CostTerms("path", (("jerk", 1.5), ("centre", np.float64(0.25)))),
+        SolverReport("path", True, "solved", 25, 1e-6, np.nan),
+        SlGraph(grid, corridor, line, line, (obstacle,)),
+        StGraph(None, None, line, line, ()),
+    )
+    plans = (
+        Plan(ego.between(0.0, 0.1)),
+        Plan(ego, PlanStatus.HARD_STOP, "no way", PlanStart.PREVIOUS_PLAN, internals),
+    )
+    half = np.full(len(t), 0.5)
+    return Trace(
+        scenario.name, "dp_qp", Mode.CLOSED, False, ego, scenario.tracks,
+        (PlannedFrame(0.0, plans[0]), PlannedFrame(0.1, plans[1])), EndReason.COLLISION, "with car 1",
+        Controls(t, half, half, 0.0 * t), Controls(t, 0.4 * half, half, 0.0 * t),
+        TrackingErrors(t, half, half, half, np.where(t > 0.2, np.nan, half)), ("A drive.", "A note."),
+    )  # fmt: skip
+
+
+def messages(path: Path, topic: str) -> list[tuple[int, Any]]:
+    with path.open("rb") as file:
+        return [(m.log_time, json.loads(m.data)) for _, _, m in make_reader(file).iter_messages(topics=[topic])]
+
+
+def test_a_trace_read_again_is_the_drive(tmp_path: Path) -> None:
+    scenario, trace = rich_scenario(), drive()
+    write_trace(tmp_path / "closed.mcap", trace, scenario)
+    again = read_scenario(tmp_path / "closed.mcap")
+    assert differences(trace.ego, again.ego) == []
+    assert differences(trace.agents, again.tracks) == []
+    assert differences(trace.actuation, again.controls) == []
+    assert differences((scenario.road, scenario.goal, scenario.vehicle), (again.road, again.goal, again.vehicle)) == []
+    assert (again.duration, again.start_ns, again.notes) == (trace.ego.t[-1], START_NS, ("A note.", "A drive."))
+    assert again.metadata["seed"] == "7" and again.metadata["trace_planner"] == "dp_qp"
+    assert again.metadata["trace_end"] == "collision" and again.metadata["trace_detail"] == "with car 1"
+    assert again.metadata["trace_mode"] == "closed" and again.metadata["trace_oracle"] == "false"
+
+
+def test_same_trace_same_bytes(tmp_path: Path) -> None:
+    for name in ("one.mcap", "two.mcap"):
+        write_trace(tmp_path / name, drive(), rich_scenario(), internals="full")
+    assert (tmp_path / "one.mcap").read_bytes() == (tmp_path / "two.mcap").read_bytes()
+
+
+def test_plans_are_kept_with_all_their_internals(tmp_path: Path) -> None:
+    write_trace(tmp_path / "log.mcap", drive(), rich_scenario(), internals="full")
+    (_, first), (time, plan) = messages(tmp_path / "log.mcap", "/plan")
+    assert time == START_NS + 100_000_000
+    assert (first["status"], first["start"], first["reason"]) == ("planned", "ego", "")
+    assert (plan["status"], plan["start"], plan["reason"]) == ("hard_stop", "previous_plan", "no way")
+    assert plan["trajectory"]["x_m"] == drive().ego.x.tolist()
+    assert plan["decisions"] == [{"agent": "walker", "kind": "yield", "stage": "speed", "reason": "it crosses"}]
+    assert plan["costs"] == [{"stage": "path", "terms": {"jerk": 1.5, "centre": 0.25}}]
+    assert plan["solvers"][0]["dual_residual"] is None and plan["solvers"][0]["iterations"] == 25
+    path_graph, speed_graph = plan["graphs"]
+    assert (path_graph["plane"], speed_graph["plane"], speed_graph["grid"]) == ("sl", "st", None)
+    assert path_graph["grid"]["cost"][0] == [0.0, None, 1.0] and path_graph["grid"]["chosen"] == [0, -1]
+    assert path_graph["corridor"]["lower"] == [None, -1.0]
+    assert path_graph["obstacles"][0]["decision"] == "nudge left"
+
+
+@pytest.mark.parametrize(("internals", "decisions", "graphs"), [("none", 0, 0), ("summary", 1, 0), ("full", 1, 2)])
+def test_internals_are_kept_as_asked(tmp_path: Path, internals: Any, decisions: int, graphs: int) -> None:
+    write_trace(tmp_path / "log.mcap", drive(), rich_scenario(), internals=internals)
+    plan = messages(tmp_path / "log.mcap", "/plan")[1][1]
+    assert (len(plan["decisions"]), len(plan["graphs"])) == (decisions, graphs)
+
+
+def test_commands_actuation_and_tracking_have_topics(tmp_path: Path) -> None:
+    write_trace(tmp_path / "log.mcap", drive(), rich_scenario())
+    assert messages(tmp_path / "log.mcap", "/command")[0][1]["steer_rad"] == 0.5
+    assert messages(tmp_path / "log.mcap", "/actuation")[0][1]["steer_rad"] == 0.2
+    tracking = messages(tmp_path / "log.mcap", "/tracking")
+    assert len(tracking) == 40 and tracking[-1][1] == {
+        "lateral_m": 0.5, "heading_rad": 0.5, "speed_mps": 0.5, "station_m": None,
+    }  # fmt: skip
+
+
+def test_an_open_loop_trace_has_no_actuation(tmp_path: Path) -> None:
+    trace = replace(drive(), mode=Mode.OPEN, commands=None, actuation=None, tracking=None)
+    write_trace(tmp_path / "open.mcap", trace, rich_scenario())
+    assert read_scenario(tmp_path / "open.mcap").controls is None
+    assert {t.topic for t in summarise(tmp_path / "open.mcap").topics} >= {"/ego", "/plan"}
+    assert "/command" not in {t.topic for t in summarise(tmp_path / "open.mcap").topics}
+
+
+def test_an_infinite_command_is_refused(tmp_path: Path) -> None:
+    t = drive().ego.t
+    trace = replace(drive(), commands=Controls(t, np.full(len(t), np.inf), t, t))
+    with pytest.raises(LogError, match=r"log.mcap, topic /command: steer_rad is infinite at index 0"):
+        write_trace(tmp_path / "log.mcap", trace, rich_scenario())
+
+
+# What a log holds
+
+
+def test_the_summary_tells_what_a_log_holds(tmp_path: Path) -> None:
+    write_scenario(tmp_path / "log.mcap", rich_scenario())
+    summary = summarise(tmp_path / "log.mcap")
+    assert summary.error is None and summary.scenario is not None
+    found = summary.scenario
+    assert summary.profile == "scenario log, native format 1"
+    assert {t.topic: t.messages for t in summary.topics}["/ego"] == 30
+    assert {t.topic: t.schema for t in summary.topics}["/agents"] == "replan.AgentColumns"
+    assert (found.agents, found.obstacles) == ({"car": 1, "pedestrian": 1}, 1)
+    assert (found.ego_samples, found.ego_rate) == (30, pytest.approx(10.0))
+    assert (found.road.lanes, found.road.drivable, found.road.without_speed_limit) == (2, 1, 1)
+    assert found.road.length_km == pytest.approx(0.44)
+    assert found.goal == "in 1 region(s), time 1 to 20 s, speed 0 to 9 m/s, heading -0.1 to 0.1 rad"
+    assert all(e.possible for e in summary.evaluations)
+    assert any("30 states from 0.00 to 2.90 s (10.0 Hz)" in line for line in summary.lines())
+
+
+def test_the_summary_tells_what_is_missing(tmp_path: Path) -> None:
+    scenario = rich_scenario()
+    start = scenario.ego.between(0.0, 0.0)
+    write_scenario(tmp_path / "log.mcap", replace(scenario, ego=start, goal=None, controls=None))
+    possible = {e.name: e for e in summarise(tmp_path / "log.mcap").evaluations}
+    assert not possible["open loop against the driven ego"].possible
+    assert "one ego state" in possible["open loop against the driven ego"].reason
+    assert not possible["goal reached"].possible and possible["closed loop"].possible
+
+
+def test_a_trace_is_called_a_trace(tmp_path: Path) -> None:
+    write_trace(tmp_path / "log.mcap", drive(), rich_scenario())
+    assert summarise(tmp_path / "log.mcap").profile == "trace of a drive, native format 1"
+
+
+def test_the_summary_of_a_cut_log_tells_what_is_left(tmp_path: Path) -> None:
+    write_trace(tmp_path / "log.mcap", drive(), rich_scenario())
+    raw = (tmp_path / "log.mcap").read_bytes()
+    (tmp_path / "log.mcap").write_bytes(raw[: len(raw) - 200])
+    summary = summarise(tmp_path / "log.mcap")
+    assert {t.topic: t.messages for t in summary.topics}["/plan"] == 2
+    assert summary.scenario is None and summary.evaluations == ()
+    assert summary.lines()[-1].startswith("error: ") and "cut off" in summary.lines()[-1]

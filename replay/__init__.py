@@ -1,1 +1,1 @@
-"""TODO."""
+"""Drive it: world, loops, vehicle, controllers, traffic; and what is made of a drive."""

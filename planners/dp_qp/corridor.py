@@ -3,7 +3,8 @@
 Only what stands still is passed by the path; what moves is met in the S-T graph. The rear axle's station s and offset l
 stand for the whole ego: an obstacle's box in the S-L plane is grown by the ego's length and half width.
 
-(1) lower <= l <= upper,  lane (or, beside an obstacle, the reachable road) less half the ego's width
+(1) lower <= l <= upper,  lane (or, beside an obstacle, the reachable road) less half the ego's width,
+    and 1 - kappa l >= MIN_REGULAR: short of the centre of a turn
 (2) nudge left of an obstacle:   lower >= its left side + half width + clearance     over its stations
     nudge right:                 upper <= its right side - half width - clearance
 (3) Where the ego is outside the lane, the room is widened to hold a quintic from its state back into it.
@@ -19,9 +20,11 @@ import numpy as np
 
 from logs.frame import Frame
 from logs.kernel import FloatArray
+from logs.road import line_project_many
 from logs.shapes import corners
 from logs.trace import Decision, DecisionKind
 from logs.vehicle import VehicleParameters
+from planners.dp_qp.path import MIN_REGULAR
 from planners.dp_qp.path_dp import quintic
 from planners.dp_qp.reference_line import Course
 
@@ -84,7 +87,8 @@ def path_obstacles(
     for i in np.flatnonzero(near & (agents.speed < STANDING_MPS)):
         s, _ = course.line.project(float(agents.x[i]), float(agents.y[i]), s_ego, reach)
         outline = corners(agents.x[i], agents.y[i], agents.yaw[i], agents.length[i], agents.width[i])
-        feet = np.array([course.line.project(x, y, s, 10.0) for x, y in outline])
+        x, y = np.vstack([outline, 0.5 * (outline + np.roll(outline, 1, axis=0))]).T.copy()  # a curve bulges in between
+        feet = line_project_many(course.line.s, course.line.coef, x, y, s, 10.0 + float(agents.length[i]))
         box = PathObstacle(agents.ids[i], *(float(v) for k in (0, 1) for v in (feet[:, k].min(), feet[:, k].max())))
         ahead = box.s_to > s_ego - vehicle.rear_overhang and box.s_from < s_ego + length + vehicle.axle_to_front
         left, right = (float(np.interp(s, course.line.s, edge)) for edge in (course.road_left, course.road_right))
@@ -124,6 +128,12 @@ def room(
     side = 0.5 * vehicle.width + config.edge_m
     lower, upper = right + side, left - side
     middle = 0.5 * (lower + upper)
+    kappa = np.interp(s, course.line.s, course.line.kappa, left=0.0, right=0.0)
+    center = (1.0 - MIN_REGULAR) / np.maximum(np.abs(kappa), 1e-6)
+    lower, upper = (
+        np.where(kappa < 0.0, np.maximum(lower, -center), lower),
+        np.where(kappa > 0.0, np.minimum(upper, center), upper),
+    )
     narrow = lower > upper - 0.1
     return Room(s, np.where(narrow, middle - 0.05, lower), np.where(narrow, middle + 0.05, upper))
 
@@ -197,12 +207,13 @@ def narrowed(
 ) -> tuple[FloatArray, FloatArray, tuple[Decision, ...]]:
     """The corridor (2); an obstacle that would close it becomes a stop."""
     lower, upper = space.lower.copy(), space.upper.copy()
+    gap = max(config.gap_m, float(space.s[1] - space.s[0]))  # so that a knot lies before and behind each box
     final = []
     for box, decision in zip(obstacles, decisions, strict=True):
         if decision.kind not in (DecisionKind.NUDGE_LEFT, DecisionKind.NUDGE_RIGHT):
             final.append(decision)
             continue
-        over = _over(space.s, grown(box, vehicle, 0.0, config.gap_m))
+        over = _over(space.s, grown(box, vehicle, 0.0, gap))
         side = 0.5 * vehicle.width
         if decision.kind is DecisionKind.NUDGE_LEFT:
             free = float((upper[over] - box.l_to - side).min(initial=np.inf))

@@ -37,7 +37,8 @@ def fall_back(
     rest = _rest(frame)
     if rest is not None and not meets(rest, frame, vehicle):
         return Plan(rest, PlanStatus.PREVIOUS, reason, PlanStart.PREVIOUS_PLAN, artefacts)
-    path = path or (_path_of(rest) if rest is not None and rest.v[0] > 0.5 else None) or _straight(start)
+    stitched = rest is not None and start_kind is PlanStart.PREVIOUS_PLAN and rest.v[0] > 0.5
+    path = path or (_path_of(rest) if rest is not None and stitched else None) or _straight(start)
     status = PlanStatus.COMFORTABLE_STOP
     for limits in (config.comfort, config.emergency):
         profile = braking(max(start.v, 0.0), start.a, limits.decel_mps2, limits.jerk_mps3, STEP_S, config.knots)

@@ -29,6 +29,8 @@ MAX_SHIFT_M = 0.25
 BEYOND_M = 300.0
 HALF_LANE_M = 1.75
 REACH_M = 16.0
+JOINT_M = 0.6
+"""Boundaries nearer than this are one marking."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +184,7 @@ def _own_lane(
         if lane not in extents:
             continue
         lane_left, lane_right = extents[lane]
-        under = (lane_left > -0.6) & (lane_right < 0.6)
+        under = (lane_left > -JOINT_M) & (lane_right < JOINT_M)
         left = np.where(under, np.fmax(left, lane_left), left)
         right = np.where(under, np.fmin(right, lane_right), right)
         limit = np.where(under, np.fmin(limit, road.limit(lane)), limit)
@@ -198,15 +200,28 @@ def _reachable(
     road: Road, extents: dict[int, tuple[FloatArray, FloatArray]], lane_left: FloatArray, lane_right: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Edges `(n,)` of the same-direction lanes that adjoin the own lane, as far as the markings may be crossed."""
-    left, right = lane_left.copy(), lane_right.copy()
+    lanes = [(road.lanes[i], left, right) for i, (left, right) in extents.items()]
+    to_left = [(right, left, lane.right_crossable, lane.left_crossable) for lane, left, right in lanes]
+    to_right = [(-left, -right, lane.left_crossable, lane.right_crossable) for lane, left, right in lanes]
+    left, right = lane_left, -lane_right
     for _ in range(3):
-        for lane_id, (far_left, far_right) in extents.items():
-            lane = road.lanes[lane_id]
-            adjoins = (np.abs(far_right - left) < 0.6) & lane.right_crossable
-            left = np.where(adjoins, np.fmax(left, far_left), left)
-            adjoins = (np.abs(far_left - right) < 0.6) & lane.left_crossable
-            right = np.where(adjoins, np.fmin(right, far_right), right)
-    return left, right
+        left, right = _one_lane_further(left, to_left), _one_lane_further(right, to_right)
+    return left, -right
+
+
+def _one_lane_further(edge: FloatArray, strips: list[tuple[FloatArray, FloatArray, bool, bool]]) -> FloatArray:
+    """The edge `(n,)` moved out over the adjoining lanes, where both lanes let their common marking be crossed.
+
+    A strip is a lane's inner and outer edge `(n,)`, and whether they may be crossed.
+    """
+    closed = np.zeros(len(edge), np.bool_)
+    for _, outer, _, crossable in strips:
+        closed |= (np.abs(outer - edge) < JOINT_M) & (not crossable)
+    moved = edge
+    for inner, outer, crossable, _ in strips:
+        adjoins = (np.abs(inner - edge) < JOINT_M) & ~closed & crossable
+        moved = np.where(adjoins, np.fmax(moved, outer), moved)
+    return moved
 
 
 def _filled(values: FloatArray, default: float) -> FloatArray:

@@ -15,7 +15,8 @@ from math import atan2
 
 import numpy as np
 
-from logs.road import Goal, Lane, Road
+from logs.kernel import FloatArray
+from logs.road import Goal, Lane, Road, inside
 from logs.states import EgoState, wrap
 
 LANE_CHANGE_M = 50.0
@@ -69,11 +70,24 @@ def find_route(road: Road, ego: EgoState, goal: Goal | None) -> Route:
 
 
 def goal_lanes(road: Road, goal: Goal | None) -> frozenset[int]:
-    """The lanes that hold the middle of a goal region."""
-    if goal is None:
-        return frozenset()
-    middles = [region.mean(axis=0) for region in goal.regions]
-    return frozenset(lane.id for x, y in middles for lane in road.lanes_at(x, y) if lane.drivable)
+    """The lanes whose centre line runs through a goal region; for a region that none meets, those under its middle."""
+    found: set[int] = set()
+    for region in goal.regions if goal is not None else ():
+        through = [lane.id for lane in road.lanes.values() if lane.drivable and _runs_through(lane, region)]
+        middle = road.lanes_at(*region.mean(axis=0))
+        found.update(through or [lane.id for lane in middle if lane.drivable])
+    return frozenset(found)
+
+
+def _runs_through(lane: Lane, region: FloatArray) -> bool:
+    """Whether a point of the centre line, at most 1 m from the next, lies in a polygon `(k, 2)`."""
+    near = (lane.polygon.max(axis=0) >= region.min(axis=0)) & (lane.polygon.min(axis=0) <= region.max(axis=0))
+    if not near.all():
+        return False
+    chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(lane.center, axis=0).T))]
+    at = np.union1d(chord, np.arange(0.0, chord[-1], 1.0))
+    x, y = (np.interp(at, chord, lane.center[:, k]) for k in (0, 1))
+    return any(inside(float(a), float(b), region) for a, b in zip(x, y, strict=True))
 
 
 def straight_on(road: Road, lane_id: int) -> int | None:

@@ -93,7 +93,9 @@ def _first_met(
             j += step * (1 + int(away / spacing))
             continue
         beside = abs(dy * boxes[3, j] - dx * boxes[4, j]) > 0.5 * ego_width + other
-        if not beside and overlap(boxes[0, j], boxes[1, j], boxes[2, j], ego_length, ego_width, x, y, yaw, length, width):
+        if not beside and overlap(
+            boxes[0, j], boxes[1, j], boxes[2, j], ego_length, ego_width, x, y, yaw, length, width
+        ):
             return j
         j += step
     return -1

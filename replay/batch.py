@@ -1,0 +1,277 @@
+"""Many logs: select, evaluate in workers, judge, write the tables. `replan evaluate` is a thin skin over this.
+
+from replay.batch import evaluate_logs
+from replay.config import RunConfig
+
+result = evaluate_logs(["my_logs/"], RunConfig(planners=("dp_qp", "logged")), "results/mine")
+result.table          # pandas: one row per log, planner, mode and metric
+result.verdicts       # gates: PASS, FAIL or INCONCLUSIVE, with reasons
+"""
+
+from __future__ import annotations
+
+import platform
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from enum import Enum
+from functools import partial
+from importlib.metadata import PackageNotFoundError, version
+from math import isfinite
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from logs.errors import ConfigError, PlannerError, unknown_name
+from metrics import COLUMNS
+from metrics.gates import Outcome, Verdict, judge, load_gates
+from planners import PLANNERS
+from planners.prediction import PREDICTORS
+from replay.config import RunConfig, dump_run
+from replay.control import CONTROLLERS
+from replay.evaluate import DriveRecord, Failure, LogResult, evaluate_log
+from replay.oracle import ORACLES
+from replay.planner_config import resolved_table
+from replay.pool import WorkerLost, run_all
+from replay.results import (
+    KEYS,
+    TIMING_COLUMNS,
+    claim,
+    clear_partial,
+    joined,
+    next_free,
+    write_json,
+    write_metrics,
+    write_parquet,
+    write_text,
+)
+from replay.sources import LogSource, Selection, builtin_suite, select
+from replay.traffic import TRAFFIC
+from replay.vehicle import VEHICLES
+
+
+@dataclass(frozen=True, eq=False)
+class RunResult:
+    """What came of a run.
+
+    Attributes:
+        out: The result folder.
+        run: What was asked for.
+        selection: Which logs, and which were left out.
+        logs: In the order of the selection.
+        failures: Everything that could not be evaluated.
+        table: One row per log, planner, mode and metric, sorted.
+        timings: How long each stage of each plan took.
+        verdicts: What the gates say.
+    """
+
+    out: Path
+    run: RunConfig
+    selection: Selection
+    logs: tuple[LogResult, ...]
+    failures: tuple[Failure, ...]
+    table: pd.DataFrame
+    timings: pd.DataFrame
+    verdicts: tuple[Verdict, ...]
+
+    @property
+    def drives(self) -> tuple[DriveRecord, ...]:
+        """All drives, in the order of the logs."""
+        return tuple(drive for log in self.logs for drive in log.drives)
+
+    @property
+    def exit_code(self) -> int:
+        """0 pass, 1 a gate failed, 2 configuration, 3 something could not be evaluated, 4 inconclusive."""
+        codes = {failure.exit_code for failure in self.failures}
+        if codes:
+            return 2 if 2 in codes else 3
+        outcomes = {verdict.outcome for verdict in self.verdicts}
+        if Outcome.FAIL in outcomes:
+            return 1
+        return 4 if Outcome.INCONCLUSIVE in outcomes or not outcomes else 0
+
+
+def evaluate_logs(
+    logs: Sequence[Path | str] = (),
+    run: RunConfig | None = None,
+    out: Path | str | None = None,
+    *,
+    workers: int = 0,
+    on_start: Callable[[Selection, Path], None] = lambda selection, out: None,
+    on_log: Callable[[LogResult], None] = lambda result: None,
+) -> RunResult:
+    """Drive the planners over logs, measure, judge and write everything into one folder.
+
+    Args:
+        logs: Files and folders; none: the built-in suite.
+        run: Planners, loops, gates; None: all defaults.
+        out: Result folder: new, empty, or results of an earlier run, which are replaced; None: `results/run-NNN`.
+        workers: Number of child processes; 0 evaluates in this process. Results do not depend on it.
+        on_start: Called once with what was selected and the result folder.
+        on_log: Called as each log ends, in order of ending.
+
+    Raises:
+        ConfigError: No logs, an unknown name, gates that cannot be read, a folder that is not ours to write.
+        PlannerError: None of the planners can be loaded.
+    """
+    run = run or RunConfig()
+    selection = select(logs) if logs else builtin_suite()
+    gates = load_gates(run.gates_path)
+    run, failures = _checked(run)
+    out = next_free() if out is None else Path(out)
+    claim(out)
+    write_text(out / "run.toml", dump_run(run))
+    on_start(selection, out)
+    try:
+        results = _distinct(_evaluated(selection.sources, run, out, workers, on_log))
+    finally:
+        clear_partial(out)
+    table = joined((result.table for result in results), KEYS, COLUMNS).astype({"value": float, "time_s": float})
+    tags = {result.name: result.tags for result in results if result.digest}
+    unread = {result.name: "see the errors" for result in results if not result.digest}
+    result = RunResult(
+        out=out,
+        run=run,
+        selection=selection,
+        logs=results,
+        failures=(*failures, *(failure for log in results for failure in log.failures)),
+        table=table,
+        timings=joined((result.timings for result in results), TIMING_COLUMNS[:4], TIMING_COLUMNS),
+        verdicts=judge(gates, table, tags, failed=unread),
+    )
+    _write(result)
+    return result
+
+
+def _checked(run: RunConfig) -> tuple[RunConfig, tuple[Failure, ...]]:
+    """The run with the planners that can be loaded, their settings resolved, and what is wrong with the others.
+
+    Raises:
+        ConfigError: A name or a planner's keyword is unknown.
+        PlannerError: No planner is left.
+    """
+    for key, known in _TABLES.items():
+        name = getattr(run.loop, key)
+        if name not in known:
+            raise ConfigError(f"loop.{key}: {unknown_name(key, name, known)}")
+    named = {*PLANNERS, *ORACLES, *run.planners}
+    for name in run.planner:
+        if name not in named and ":" not in name:
+            raise unknown_name("planner (in the configuration)", name, named)
+    left: dict[str, Mapping[str, Any]] = {}
+    errors: list[PlannerError] = []
+    for planner in run.planners:
+        try:
+            left[planner] = resolved_table(planner, run.planner.get(planner, {}))
+        except PlannerError as error:
+            errors.append(error)
+    if not left:
+        raise errors[0]
+    failures = tuple(Failure("", str(error)) for error in errors)
+    return replace(run, planners=tuple(left), planner=left), failures
+
+
+_TABLES: Mapping[str, Collection[str]] = {
+    "vehicle": VEHICLES,
+    "controller": CONTROLLERS,
+    "traffic": TRAFFIC,
+    "prediction": PREDICTORS,
+}
+"""The names that the keys of [loop] may have."""
+
+
+def _evaluated(
+    sources: Sequence[LogSource], run: RunConfig, out: Path, workers: int, on_log: Callable[[LogResult], None]
+) -> tuple[LogResult, ...]:
+    """The results in the order of the logs."""
+    results: dict[int, LogResult] = {}
+    for index, ended in _each(sources, partial(evaluate_log, run=run, out=out), workers):
+        result = _lost(sources[index], ended) if isinstance(ended, WorkerLost) else ended
+        results[index] = result
+        on_log(result)
+    return tuple(results[index] for index in range(len(sources)))
+
+
+def _each(
+    sources: Sequence[LogSource], evaluate: Callable[[LogSource], LogResult], workers: int
+) -> Iterator[tuple[int, LogResult | WorkerLost]]:
+    if workers > 0:
+        return run_all(evaluate, sources, min(workers, len(sources)))
+    return ((index, evaluate(source)) for index, source in enumerate(sources))
+
+
+def _lost(source: LogSource, lost: WorkerLost) -> LogResult:
+    failure = Failure(source.label, f"{source.label}: not evaluated: {lost.reason}")
+    return LogResult(source.label, source.label, failures=(failure,))
+
+
+def _distinct(results: Sequence[LogResult]) -> tuple[LogResult, ...]:
+    """The results with different names: logs that share one get the hash of their content behind it."""
+    names = Counter(result.name for result in results)
+    return tuple(_renamed(result) if names[result.name] > 1 and result.digest else result for result in results)
+
+
+def _renamed(result: LogResult) -> LogResult:
+    name = f"{result.name}@{result.digest[:8]}"
+    return replace(
+        result,
+        name=name,
+        drives=tuple(replace(drive, log=name) for drive in result.drives),
+        failures=tuple(replace(failure, log=name) for failure in result.failures),
+        table=result.table.assign(log=name) if len(result.table) else result.table,
+        timings=result.timings.assign(log=name) if len(result.timings) else result.timings,
+    )
+
+
+def _write(result: RunResult) -> None:
+    write_metrics(result.out, result.table)
+    write_parquet(result.out / "timings.parquet", result.timings)
+    write_json(result.out / "summary.json", summary(result))
+
+
+def summary(result: RunResult) -> dict[str, Any]:
+    """What summary.json holds, NaN as null."""
+    return {
+        "replan": replan_version(),
+        "python": platform.python_version(),
+        "outcome": OUTCOMES[result.exit_code],
+        "exit_code": result.exit_code,
+        "logs_left_out": list(result.selection.dropped),
+        "logs": [_log_summary(log) for log in result.logs],
+        "gates": [_no_nan(asdict(verdict)) for verdict in result.verdicts],
+        "failures": [asdict(failure) for failure in result.failures],
+    }
+
+
+OUTCOMES = {0: "pass", 1: "fail", 2: "configuration error", 3: "not all could be evaluated", 4: "inconclusive"}
+
+
+def _log_summary(log: LogResult) -> dict[str, Any]:
+    return {
+        "log": log.name,
+        "source": log.source,
+        "sha256": log.digest,
+        "folder": log.folder,
+        "tags": log.tags,
+        "notes": log.notes,
+        "drives": [asdict(drive) for drive in log.drives],
+    }
+
+
+def _no_nan(record: dict[str, Any]) -> dict[str, Any]:
+    return {key: _json_value(value) for key, value in record.items()}
+
+
+def _json_value(value: Any) -> Any:
+    if isinstance(value, float) and not isfinite(value):
+        return None
+    return value.value if isinstance(value, Enum) else value
+
+
+def replan_version() -> str:
+    """The installed version of replan."""
+    try:
+        return version("replan")
+    except PackageNotFoundError:
+        return "not installed"

@@ -1,0 +1,314 @@
+"""The command line: `replan evaluate | synth | convert | inspect | view`. Words in, exit code out; no logic here."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+from rich.console import Console
+
+from logs.errors import ConfigError, ReplanError
+
+if TYPE_CHECKING:
+    from replay.batch import RunResult
+    from replay.config import RunConfig
+    from replay.evaluate import LogResult
+    from replay.sources import Selection
+
+EXIT_CODES = (
+    "Exit codes: 0 all gates pass; 1 a gate failed; 2 wrong usage or configuration; 3 a log or planner could not be"
+    " evaluated (the others were); 4 inconclusive: a gate had nothing to judge; 130 interrupted."
+)
+
+app = typer.Typer(
+    name="replan",
+    help="Replay driving logs through a planner, open loop and closed loop, and judge what it did.\n\n"
+    "Start with [bold]replan evaluate[/bold]: it needs no logs, the built-in suite is driven.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode="rich",
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+convert_app = typer.Typer(help="Make MCAP logs from other formats.", no_args_is_help=True)
+app.add_typer(convert_app, name="convert")
+
+
+def main() -> None:
+    """Run the command line; ends the process with its exit code."""
+    app()
+
+
+@contextmanager
+def answered() -> Iterator[None]:
+    """What a user can mend becomes one line and an exit code; Ctrl-C becomes 130."""
+    try:
+        yield
+    except ReplanError as error:
+        say_error(str(error))
+        raise typer.Exit(2 if isinstance(error, ConfigError) else 3) from None
+    except KeyboardInterrupt:
+        say_error("interrupted; logs that were finished are in the result folder, the tables are not written")
+        raise typer.Exit(130) from None
+
+
+def say_error(message: str) -> None:
+    """One line on stderr."""
+    typer.echo(f"error: {message}", err=True)
+
+
+def _version(asked: bool) -> None:
+    if asked:
+        from replay.batch import replan_version
+
+        typer.echo(f"replan {replan_version()}")
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Say the version.")
+    ] = False,
+) -> None:
+    pass
+
+
+@app.command(epilog=EXIT_CODES)
+def evaluate(
+    logs: Annotated[
+        list[Path] | None,
+        typer.Argument(help="MCAP logs, CommonRoad .xml, or folders of them; none: the built-in suite."),
+    ] = None,
+    planner: Annotated[
+        list[str] | None,
+        typer.Option("--planner", "-p", help='A planner\'s name or "module:Class"; may be repeated. Default: dp_qp.'),
+    ] = None,
+    mode: Annotated[Literal["both", "open", "closed"] | None, typer.Option(help="Loops to run. Default: both.")] = None,
+    config: Annotated[Path | None, typer.Option(help="TOML file of settings; options win over it.")] = None,
+    gates: Annotated[Path | None, typer.Option(help="TOML file of thresholds. Default: the packaged ones.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Result folder. Default: results/run-NNN.")] = None,
+    no_recording: Annotated[bool, typer.Option("--no-recording", help="Write no .rrd files: faster.")] = False,
+    internals: Annotated[
+        Literal["none", "summary", "full"] | None,
+        typer.Option(help="What of the planner's inside goes into the traces. Default: summary."),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=0, help="Processes; 0: in this one. Default: one per core. Same results.")
+    ] = None,
+) -> None:
+    """Drive planners over logs, measure, judge by gates, and record.
+
+    [bold]Examples[/bold]
+
+      replan evaluate                                      the built-in suite
+      replan evaluate my_logs/ --planner dp_qp --planner logged
+      replan evaluate a.mcap --planner my_pkg.mine:MyPlanner --mode closed
+      replan evaluate my_logs/ --gates gates.toml --out results/nightly
+    """
+    with answered():
+        run = _run(config, planner, mode, gates, internals, recording=not no_recording)
+        result = _evaluated(logs or [], run, out, _cores() if workers is None else workers)
+        raise typer.Exit(result.exit_code)
+
+
+def _run(
+    config: Path | None,
+    planners: list[str] | None,
+    mode: str | None,
+    gates: Path | None,
+    internals: str | None,
+    *,
+    recording: bool,
+) -> RunConfig:
+    """The configuration file with the options over it."""
+    from replay.config import RunConfig, load_run
+
+    run = RunConfig() if config is None else load_run(config)
+    options: dict[str, Any] = {
+        "planners": tuple(planners) if planners else None,
+        "mode": mode,
+        "gates": None if gates is None else str(gates),
+        "internals": internals,
+        "recording": None if recording else False,
+    }
+    return replace(run, **{key: value for key, value in options.items() if value is not None})
+
+
+def _evaluated(logs: list[Path], run: RunConfig, out: Path | None, workers: int) -> RunResult:
+    from replay.batch import evaluate_logs
+    from replay.report.terminal import print_report
+
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    with _progress() as (on_start, on_log):
+        result = evaluate_logs(logs, run, out, workers=workers, on_start=on_start, on_log=on_log)
+    wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 110
+    print_report(result, Console(width=wide, soft_wrap=False))
+    return result
+
+
+@contextmanager
+def _progress() -> Iterator[tuple[Callable[[Selection, Path], None], Callable[[LogResult], None]]]:
+    """A bar on stderr where that is a terminal; errors of a log at once, as lines."""
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not sys.stderr.isatty()) as bar:
+        task = bar.add_task("evaluating", total=None)
+
+        def on_start(selection: Selection, out: Path) -> None:
+            bar.update(task, total=len(selection.sources))
+            for reason in selection.dropped:
+                console.print(f"left out: {reason}", markup=False, highlight=False, soft_wrap=True)
+            console.print(f"{len(selection.sources)} logs -> {out}", markup=False, highlight=False, soft_wrap=True)
+
+        def on_log(result: LogResult) -> None:
+            bar.advance(task)
+            for failure in result.failures:
+                console.print(f"error: {failure.line}", markup=False, highlight=False, soft_wrap=True)
+
+        yield on_start, on_log
+
+
+def _cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@app.command()
+def synth(
+    names: Annotated[
+        list[str] | None, typer.Argument(help="Families (paper/free_road), groups (paper), or all.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder to write to.")] = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", help="parameter=number; may be repeated.", metavar="KEY=VALUE")
+    ] = None,
+    listing: Annotated[bool, typer.Option("--list", help="List the families and their parameters.")] = False,
+) -> None:
+    """Write synthesised logs of the catalogue.
+
+    [bold]Examples[/bold]
+
+      replan synth --list
+      replan synth all -o my_logs
+      replan synth paper/free_road -o my_logs --set radius_m=40
+    """
+    with answered():
+        from logs.catalogue import CATALOGUE
+        from replay.synth import chosen, overrides, synthesise
+
+        if listing:
+            for family in CATALOGUE.values():
+                values = ", ".join(f"{key}={value:g}" for key, value in family.parameters.items())
+                typer.echo(f"{family.name}: {family.summary}\n    {values}")
+            return
+        if not names or out is None:
+            raise ConfigError("name a family (or all) and a folder: replan synth all -o my_logs; see --list")
+        for path in synthesise(chosen(names), out, overrides(settings or [])):
+            typer.echo(path)
+
+
+@convert_app.callback()
+def _convert() -> None:
+    pass
+
+
+@convert_app.command()
+def commonroad(
+    files: Annotated[list[Path], typer.Argument(help="CommonRoad XML files, 2018b or 2020a.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="FILE.mcap for one file, else a folder.")],
+    ego: Annotated[str | None, typer.Option(help="Take this vehicle of the traffic as the ego.")] = None,
+    problem: Annotated[int | None, typer.Option(help="Planning problem: its id, or its place from 1.")] = None,
+) -> None:
+    """CommonRoad scenarios to MCAP logs; the recorded human is the ego where the file holds one.
+
+    [bold]Examples[/bold]
+
+      replan convert commonroad USA_US101-6_1_T-1.xml -o us101.mcap
+      replan convert commonroad scenarios/*.xml -o my_logs
+    """
+    with answered():
+        single = out.suffix == ".mcap"
+        if single and len(files) > 1:
+            raise ConfigError(f"{len(files)} files do not go into one log: give a folder with -o")
+        targets = [out if single else out / f"{file.name.removesuffix('.xml')}.mcap" for file in files]
+        failed = sum(not _converted(*pair, ego, problem) for pair in zip(files, targets, strict=True))
+        if failed:
+            raise typer.Exit(3)
+
+
+def _converted(file: Path, target: Path, ego: str | None, problem: int | None) -> bool:
+    """Whether a file could be converted; says what came of it."""
+    from logs.convert import read_commonroad
+    from logs.errors import LogError
+    from logs.mcap import write_scenario
+
+    try:
+        scenario = read_commonroad(file, ego=ego, problem=problem)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        write_scenario(target, scenario)
+    except LogError as error:
+        say_error(str(error))
+        return False
+    typer.echo("\n".join([str(target), *(f"    note: {note}" for note in scenario.notes)]))
+    return True
+
+
+@app.command()
+def inspect(log: Annotated[Path, typer.Argument(help="An MCAP file.")]) -> None:
+    """Say what a log holds, over which time, and what is missing for which evaluation."""
+    with answered():
+        from logs.mcap import summarise
+
+        if not log.is_file():
+            raise ConfigError(f"{log}: no such file")
+        summary = summarise(log)
+        typer.echo("\n".join(summary.lines()))
+        if summary.error is not None:
+            raise typer.Exit(3)
+
+
+@app.command()
+def view(
+    target: Annotated[Path, typer.Argument(help="A log, a recording (.rrd), or a folder of results.")],
+    save: Annotated[Path | None, typer.Option(help="Write the log's recording here instead of opening it.")] = None,
+    memory_limit: Annotated[str, typer.Option(help="Of the viewer.")] = "2GB",
+    web: Annotated[bool, typer.Option("--web", help="Show it in a browser.")] = False,
+) -> None:
+    """Open a log or recordings in the Rerun viewer.
+
+    [bold]Examples[/bold]
+
+      replan view results/run-001
+      replan view my_log.mcap --save my_log.rrd
+    """
+    with answered():
+        import tempfile
+
+        from replay.view import recordings, save_log, show
+
+        if not target.exists():
+            raise ConfigError(f"{target}: no such file or folder")
+        is_log = target.is_file() and target.suffix != ".rrd"
+        if save is not None:
+            if not is_log:
+                raise ConfigError(f"--save writes the recording of a log; {target} holds recordings already")
+            save_log(target, save)
+            typer.echo(save)
+            return
+        if not is_log:
+            show([target] if target.is_file() else recordings(target), memory_limit, web=web)
+            return
+        with tempfile.TemporaryDirectory() as folder:
+            recording = Path(folder) / f"{target.stem}.rrd"
+            save_log(target, recording)
+            show([recording], memory_limit, web=web)

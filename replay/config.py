@@ -1,0 +1,182 @@
+"""What a run does: `RunConfig`, from a TOML file and back.
+
+    planners = ["dp_qp"]             # names, or "module:Class"
+    mode = "both"                    # "open", "closed" or "both"
+    gates = "default"                # or a file of thresholds
+    internals = "summary"            # what of a planner's inside goes into the traces: "none", "summary", "full"
+    recording = true                 # write .rrd files
+
+    [loop]                           # LoopConfig
+    [planner.dp_qp]                  # keywords of the planner
+    [vehicle]                        # VehicleParameters: takes the place of what the logs say
+
+Every key may be left out. What a file says wrongly is an error that names file, key and remedy; nothing is ignored.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from enum import Enum
+from pathlib import Path
+from typing import Any, Literal, TypeVar, get_type_hints
+
+import msgspec
+import tomli_w
+
+from logs.errors import ConfigError, unknown_name
+from logs.trace import Mode
+from logs.vehicle import VehicleParameters
+from replay.drive import LoopConfig
+
+RunMode = Literal["both", "open", "closed"]
+Internals = Literal["none", "summary", "full"]
+
+HEADER = "# The resolved configuration of a run, written by `replan evaluate`; give it to --config to run that again.\n"
+
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class RunConfig:
+    """One run: which planners, in which loops, judged by what.
+
+    Attributes:
+        planners: Names of PLANNERS or ORACLES, or "module:Class"; one column of the results each.
+        mode: Which loops are run.
+        gates: "default" (the packaged thresholds), or the path of a TOML file.
+        internals: How much of the planner's inside is kept in the traces.
+        recording: Whether Rerun recordings are written.
+        loop: Periods and limits of the loops.
+        planner: Keywords of each planner, by the name given in `planners`.
+        vehicle: Vehicle parameters by name that replace those of the logs.
+    """
+
+    planners: tuple[str, ...] = ("dp_qp",)
+    mode: RunMode = "both"
+    gates: str = "default"
+    internals: Internals = "summary"
+    recording: bool = True
+    loop: LoopConfig = field(default_factory=LoopConfig)
+    planner: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    vehicle: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.planners:
+            raise ConfigError("planners: name at least one planner")
+        if len(set(self.planners)) < len(self.planners):
+            raise ConfigError(f"planners: the same planner is named twice: {', '.join(self.planners)}")
+        known_keys(self.vehicle, (item.name for item in fields(VehicleParameters)), "vehicle")
+        strict(VehicleParameters, dict(self.vehicle), "vehicle")
+
+    @property
+    def modes(self) -> tuple[Mode, ...]:
+        """The loops in the order in which they are run."""
+        return (Mode.OPEN, Mode.CLOSED) if self.mode == "both" else (Mode(self.mode),)
+
+    @property
+    def gates_path(self) -> Path | None:
+        """The file of thresholds; None is the packaged default."""
+        return None if self.gates == "default" else Path(self.gates)
+
+    def driven(self, vehicle: VehicleParameters) -> VehicleParameters:
+        """The vehicle of a log with this run's replacements."""
+        try:
+            return replace(vehicle, **self.vehicle)
+        except ValueError as error:
+            raise ConfigError(f"vehicle: {error}") from None
+
+
+def load_run(path: Path) -> RunConfig:
+    """The configuration in a TOML file; a relative `gates` is relative to that file.
+
+    Raises:
+        ConfigError: The file is absent or no TOML, a key is unknown, a value has the wrong type or range.
+    """
+    table = read_toml(path)
+    try:
+        run = strict(RunConfig, table)
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
+    return run if run.gates == "default" else replace(run, gates=str(path.parent / run.gates))
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """The tables of a TOML file; ConfigError where it cannot be read."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path}: not TOML: {error}") from None
+
+
+def dump_run(run: RunConfig) -> str:
+    """The configuration as TOML, every default spelled out; `load_run` reads it back to an equal one."""
+    return HEADER + tomli_w.dumps(_plain(asdict(run)))
+
+
+def _plain(value: Any) -> Any:
+    """Values as TOML has them: enums by value, no None."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items() if item is not None}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    return value.value if isinstance(value, Enum) else value
+
+
+def strict(cls: type[T], table: Mapping[str, Any], where: str = "") -> T:
+    """The dataclass that a table spells, nested tables included.
+
+    Args:
+        cls: A dataclass; its own checks (`__post_init__`) are run.
+        table: Keys and values as TOML gives them.
+        where: Dotted name of the table, for messages.
+
+    Raises:
+        ConfigError: A key is unknown, a value is of the wrong type or refused by the dataclass.
+    """
+    _known_tree(cls, table, where)
+    try:
+        return msgspec.convert(dict(table), cls)
+    except msgspec.ValidationError as error:
+        raise ConfigError(_said_plainly(str(error), where)) from None
+
+
+def _known_tree(cls: type, table: Mapping[str, Any], where: str) -> None:
+    known_keys(table, (item.name for item in fields(cls) if item.init), where)
+    hints = get_type_hints(cls)
+    for key, value in table.items():
+        kind = hints[key]
+        if isinstance(kind, type) and is_dataclass(kind) and isinstance(value, Mapping):
+            _known_tree(kind, value, dotted(where, key))
+
+
+def known_keys(table: Mapping[str, Any], known: Iterable[str], where: str) -> None:
+    """Refuse the keys of a table that nobody reads.
+
+    Raises:
+        ConfigError: Names the key and the nearest known one.
+    """
+    names = list(known)
+    for key in table:
+        if key not in names:
+            raise unknown_name("key", dotted(where, key), [dotted(where, name) for name in names])
+
+
+def dotted(where: str, key: str) -> str:
+    """`where.key`, the key quoted where TOML would."""
+    name = key if key.replace("_", "").replace("-", "").isalnum() else f'"{key}"'
+    return f"{where}.{name}" if where else name
+
+
+def _said_plainly(message: str, where: str) -> str:
+    """Turn "Expected `float`, got `str` - at `$.loop.period`" into "loop.period: expected float, got str"."""
+    what, _, place = message.partition(" - at ")
+    key = ".".join(filter(None, [where, place.strip("`").removeprefix("$").removeprefix(".")]))
+    what = what.replace("`", "")
+    what = what[:1].lower() + what[1:] if what.startswith("Expected") else what
+    return f"{key}: {what}" if key else what

@@ -1,0 +1,190 @@
+"""How far the ego is off its plan: a plan as a path with stations, and the ego against it.
+
+The path's station is the arc length driven forward; positions between two samples are cubic in the station (Hermite,
+along their headings), headings and curvatures linear. Standing and measuring noise add nothing to the station:
+
+(1) ds_i    = chord_i . heading_i * h / sin(h)          arc over a chord, h = half of the turn
+(2) station = running maximum of the sum of ds_i
+(3) foot:     (p - r(s)) . r'(s) = 0, by Newton from the nearest knot within WINDOW_M of where the plan is now
+(4) lateral = (p - r(s)) x heading(s), positive left of the path
+(5) station error = s - station(t);   speed error = v - v(t);   heading error = yaw - heading(s)
+
+Before its first and after its last sample the path goes on straight, and in time at its last speed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, sin
+from typing import NamedTuple
+
+import numpy as np
+
+from logs.kernel import FloatArray, IntArray, frozen, kernel
+from logs.states import EgoState, Trajectory, wrap
+from logs.trace import Plan
+
+WINDOW_M = 20.0
+KNOT_SPACING_M = 0.05
+"""Knots nearer than this are left out: between them the heading says more than the positions."""
+
+
+class Deviation(NamedTuple):
+    """The ego against its plan at one instant (3)-(5): SI units; `foot` is the station of the ego's foot point."""
+
+    lateral: float
+    heading: float
+    speed: float
+    station: float
+    foot: float
+
+
+NO_PLAN = Deviation(*5 * (float("nan"),))
+
+
+@kernel
+def plan_stations(x: FloatArray, y: FloatArray, yaw: FloatArray) -> FloatArray:
+    """Stations `(n,)` of a plan's samples, m, not decreasing, from 0 (1)-(2)."""
+    out = np.zeros(len(x))
+    total = 0.0
+    for i in range(1, len(x)):
+        mean, half = 0.5 * (yaw[i] + yaw[i - 1]), 0.5 * (yaw[i] - yaw[i - 1])
+        along = (x[i] - x[i - 1]) * cos(mean) + (y[i] - y[i - 1]) * sin(mean)
+        total += along * half / sin(half) if 1e-6 < abs(half) < 1.5 else along
+        out[i] = max(out[i - 1], total)
+    return out
+
+
+@kernel
+def spaced(station: FloatArray, spacing: float) -> IntArray:
+    """Indices of the first sample and of those at least `spacing` m after the one kept before."""
+    kept = np.zeros(len(station), np.int64)
+    count = 1
+    for i in range(1, len(station)):
+        if station[i] - station[kept[count - 1]] >= spacing:
+            kept[count] = i
+            count += 1
+    return kept[:count]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PlanPath:
+    """A plan as controllers use it.
+
+    Attributes:
+        times: `(n, 4)`: time s, station m, speed m/s, acceleration m/s2 of each sample.
+        knots: `(m, 5)`, 1 <= m <= n: station, x, y, yaw, kappa; stations increase strictly.
+    """
+
+    times: FloatArray
+    knots: FloatArray
+
+    @classmethod
+    def of(cls, plan: Trajectory) -> PlanPath:
+        """The path and timing of a trajectory."""
+        station = plan_stations(plan.x, plan.y, plan.yaw)
+        kept = spaced(station, KNOT_SPACING_M)
+        knots = np.column_stack([station, plan.x, plan.y, plan.yaw, plan.kappa])[kept]
+        return cls(frozen(np.column_stack([plan.t, station, np.maximum(plan.v, 0.0), plan.a])), frozen(knots))
+
+    def deviation(self, state: EgoState) -> Deviation:
+        """The ego against the plan at `state.t`."""
+        return Deviation(*deviation(self.times, self.knots, state.t, state.x, state.y, state.yaw, state.v))
+
+    def timed(self, t: float) -> tuple[float, float, float]:
+        """Station m, speed m/s and acceleration m/s2 of the plan at `t`."""
+        return timed(self.times, t)
+
+    def kappa(self, station: float) -> float:
+        """Curvature of the path, 1/m; the ends hold."""
+        return path_kappa(self.knots, station)
+
+
+@kernel
+def timed(times: FloatArray, t: float) -> tuple[float, float, float]:
+    """Station (cubic in time, by the speeds), speed and acceleration (linear) at `t`; constant speed beyond the end."""
+    last = len(times) - 1
+    if t >= times[last, 0]:
+        return times[last, 1] + times[last, 2] * (t - times[last, 0]), times[last, 2], 0.0
+    i = max(int(np.searchsorted(times[:, 0], t, side="right")) - 1, 0)
+    h = times[i + 1, 0] - times[i, 0]
+    u = max((t - times[i, 0]) / h, 0.0)
+    v = times[i, 2] + u * (times[i + 1, 2] - times[i, 2])
+    a = times[i, 3] + u * (times[i + 1, 3] - times[i, 3])
+    return hermite(times[i, 1], times[i + 1, 1], h * times[i, 2], h * times[i + 1, 2], u), v, a
+
+
+@kernel
+def hermite(p0: float, p1: float, d0: float, d1: float, u: float) -> float:
+    """The cubic with values p0, p1 and slopes d0, d1 at u = 0, 1."""
+    w = 1.0 - u
+    return p0 * (1.0 + 2.0 * u) * w * w + p1 * (1.0 + 2.0 * w) * u * u + u * w * (d0 * w - d1 * u)
+
+
+@kernel
+def path_point(knots: FloatArray, s: float) -> tuple[float, float, float, float]:
+    """x, y, yaw, kappa at station `s`; straight on beyond the ends (where the curvature is the end's)."""
+    last = len(knots) - 1
+    if last == 0 or s <= knots[0, 0] or s >= knots[last, 0]:
+        k = 0 if last == 0 or s <= knots[0, 0] else last
+        ahead, yaw = s - knots[k, 0], knots[k, 3]
+        return knots[k, 1] + ahead * cos(yaw), knots[k, 2] + ahead * sin(yaw), yaw, knots[k, 4]
+    i = int(np.searchsorted(knots[:, 0], s, side="right")) - 1
+    one, two = knots[i], knots[i + 1]
+    h = two[0] - one[0]
+    u = (s - one[0]) / h
+    x = hermite(one[1], two[1], h * cos(one[3]), h * cos(two[3]), u)
+    y = hermite(one[2], two[2], h * sin(one[3]), h * sin(two[3]), u)
+    return x, y, one[3] + u * (two[3] - one[3]), one[4] + u * (two[4] - one[4])
+
+
+@kernel
+def path_kappa(knots: FloatArray, s: float) -> float:
+    """Curvature at station `s`, 1/m."""
+    return path_point(knots, s)[3]
+
+
+@kernel
+def path_foot(knots: FloatArray, x: float, y: float, near: float) -> float:
+    """Station of the foot of a point (3), m."""
+    best, least = -1, 1e300
+    for i in range(len(knots)):
+        square = (knots[i, 1] - x) ** 2 + (knots[i, 2] - y) ** 2
+        if abs(knots[i, 0] - near) <= WINDOW_M and square < least:
+            best, least = i, square
+    s = knots[best, 0] if best >= 0 else min(max(near, knots[0, 0]), knots[-1, 0])
+    for _ in range(12):
+        rx, ry, yaw, kappa = path_point(knots, s)
+        along = (x - rx) * cos(yaw) + (y - ry) * sin(yaw)
+        left = (y - ry) * cos(yaw) - (x - rx) * sin(yaw)
+        step = along / max(1.0 - kappa * left, 0.2)
+        s += step
+        if abs(step) < 1e-9:
+            break
+    return s
+
+
+@kernel
+def deviation(
+    times: FloatArray, knots: FloatArray, t: float, x: float, y: float, yaw: float, v: float
+) -> tuple[float, float, float, float, float]:
+    """Lateral, heading, speed and station error and foot station (3)-(5)."""
+    station, speed, _ = timed(times, t)
+    s = path_foot(knots, x, y, station)
+    rx, ry, heading, _ = path_point(knots, s)
+    lateral = (y - ry) * cos(heading) - (x - rx) * sin(heading)
+    return lateral, wrap(yaw - heading), v - speed, s - station, s
+
+
+class Tracker:
+    """Keeps the path of the plan being driven, so that a plan is prepared once and not at each command."""
+
+    def __init__(self) -> None:
+        self._plan: Plan | None = None
+        self._path: PlanPath | None = None
+
+    def path(self, plan: Plan) -> PlanPath:
+        """The plan as a path."""
+        if self._path is None or plan is not self._plan:
+            self._plan, self._path = plan, PlanPath.of(plan.trajectory)
+        return self._path

@@ -1,0 +1,82 @@
+"""What a loop is told, and what it gives back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from logs.errors import ConfigError
+from logs.trace import Trace
+
+
+@dataclass(frozen=True)
+class LoopConfig:
+    """How the loops run.
+
+    Attributes:
+        plan_period_s: Time between two frames.
+        control_period_s: Time between two commands; the plan period is a multiple of it.
+        vehicle: Name in `replay.vehicle.VEHICLES`.
+        controller: Name in `replay.control.CONTROLLERS`.
+        traffic: Name in `replay.traffic.TRAFFIC`.
+        prediction: Name in `planners.prediction.PREDICTORS`.
+        prediction_horizon_s: How far the others are predicted.
+        prediction_step_s: Time between two samples of a prediction.
+
+    Raises:
+        ConfigError: A period is not positive, or the periods do not fit.
+    """
+
+    plan_period_s: float = 0.1
+    control_period_s: float = 0.01
+    vehicle: str = "kinematic_bicycle"
+    controller: str = "dlqr_pid"
+    traffic: str = "time"
+    prediction: str = "constant_velocity"
+    prediction_horizon_s: float = 8.0
+    prediction_step_s: float = 0.1
+
+    def __post_init__(self) -> None:
+        for name in ("plan_period_s", "control_period_s", "prediction_horizon_s", "prediction_step_s"):
+            if not 1e-9 <= getattr(self, name) < 1e6:
+                raise ConfigError(f"loop.{name} must be positive, got {getattr(self, name)}")
+        if self.plan_period_ns % self.control_period_ns:
+            raise ConfigError(
+                f"loop.plan_period_s ({self.plan_period_s}) must be a multiple of"
+                f" loop.control_period_s ({self.control_period_s})"
+            )
+
+    @property
+    def plan_period_ns(self) -> int:
+        """Nanoseconds between two frames."""
+        return round(self.plan_period_s * 1e9)
+
+    @property
+    def control_period_ns(self) -> int:
+        """Nanoseconds between two commands."""
+        return round(self.control_period_s * 1e9)
+
+
+DEFAULT_LOOP = LoopConfig()
+
+
+@dataclass(frozen=True, slots=True)
+class StageTime:
+    """How long a stage of one plan took; stage "total" is the whole of `plan()`.
+
+    Attributes:
+        t: The frame's time, s since the scenario's start.
+        stage: As the planner named it in `lap(stage)`.
+        seconds: Wall time; laps of one name within a frame are added.
+    """
+
+    t: float
+    stage: str
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Drive:
+    """A trace, and apart from it what is not the same twice: how long planning took."""
+
+    trace: Trace
+    timings: tuple[StageTime, ...]

@@ -1,0 +1,72 @@
+"""Open loop: at each frame of a grid over the logged drive, plan from the logged state; nothing moves the ego."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+import numpy as np
+
+from logs.errors import PlannerError
+from logs.scenario import Scenario
+from logs.states import TRAJECTORY_COLUMNS, EgoState, Trajectory
+from logs.trace import EndReason, Mode, PlannedFrame, Trace
+from replay.drive import DEFAULT_LOOP, Drive, LoopConfig
+from replay.perception import perceive
+from replay.planning import Planning
+from replay.world import World, logged_ego
+
+
+def run_open_loop(
+    scenario: Scenario,
+    planner: str,
+    *,
+    planner_config: Mapping[str, object] = MappingProxyType({}),
+    config: LoopConfig = DEFAULT_LOOP,
+) -> Drive:
+    """Plan at every `config.plan_period_s` of the ego's log, from its first sample to its last.
+
+    Between two samples of the log, the ego is the earlier one carried on: no later sample goes in. Every frame is the
+    planner's first as far as memory goes (`Frame.previous` is None).
+
+    Raises:
+        ConfigError: A name of `config` or a keyword of the planner is unknown.
+        PlannerError: The planner cannot be loaded or built. (One that fails at a frame ends the loop there.)
+    """
+    grid = frame_times(scenario.ego, config.plan_period_ns)
+    egos = [logged_ego(scenario.ego, scenario.vehicle, t) for t in grid]
+    planning = Planning(scenario, planner, planner_config, config, egos[0])
+    frames: list[PlannedFrame] = []
+    end, detail = EndReason.END_OF_LOG, ""
+
+    for ego in egos:
+        try:
+            plan = planning.plan(perceive(World(ego, scenario.tracks), None, config))
+        except PlannerError as failure:
+            end, detail = EndReason.PLANNER_FAILURE, str(failure)
+            break
+        frames.append(PlannedFrame(ego.t, plan))
+
+    trace = Trace(
+        scenario=scenario.name,
+        planner=planner,
+        mode=Mode.OPEN,
+        oracle=planning.is_oracle,
+        ego=_trajectory(egos[: max(len(frames), 1)]),
+        agents=scenario.tracks,
+        frames=tuple(frames),
+        end=end,
+        detail=detail,
+        notes=planning.notes,
+    )
+    return Drive(trace, tuple(planning.timings))
+
+
+def frame_times(log: Trajectory, period_ns: int) -> list[float]:
+    """The frame grid of a log, s: from its first sample on, not beyond its last; at least one frame."""
+    first, last = round(float(log.t[0]) * 1e9), round(float(log.t[-1]) * 1e9)
+    return [ns / 1e9 for ns in range(first, last + 1, period_ns)]
+
+
+def _trajectory(egos: list[EgoState]) -> Trajectory:
+    return Trajectory(*(np.array([getattr(ego, name) for ego in egos]) for name in TRAJECTORY_COLUMNS))

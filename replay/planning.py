@@ -1,0 +1,129 @@
+"""A planner in its seat: built for one scenario, asked for plans, timed, and held to its contract."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping
+from math import cos, hypot, sin
+from pathlib import Path
+from traceback import extract_tb
+
+import numpy as np
+
+from logs.errors import ConfigError, PlannerError, ReplanError
+from logs.frame import Frame, PlannerContext
+from logs.road import Goal
+from logs.scenario import Scenario
+from logs.shapes import corners
+from logs.states import EgoState
+from logs.trace import Plan
+from planners import load_planner
+from planners.base import Planner
+from replay.drive import LoopConfig, StageTime
+from replay.oracle import ORACLES
+from replay.stopwatch import Stopwatch
+
+SHORTEST_DRIVE_M = 10.0
+"""A goal is made of a drive's end only where the drive led at least this far away."""
+GOAL_LENGTH_M, GOAL_WIDTH_M = 5.0, 4.0
+
+
+class Planning:
+    """The planner named by the user, for one scenario.
+
+    Args:
+        scenario: What is driven; only an oracle is given it.
+        spec: A name in PLANNERS or ORACLES, or "module:Class".
+        planner_config: Keywords of the planner.
+        config: Of the loop.
+        start: The ego at the first frame.
+
+    Attributes:
+        is_oracle: Whether the planner knows the log.
+        notes: What the user must know: the goal, where the log names none.
+        timings: Of all plans so far.
+
+    Raises:
+        ConfigError: No such planner, or it does not take such keywords.
+        PlannerError: It cannot be loaded or built.
+    """
+
+    def __init__(
+        self, scenario: Scenario, spec: str, planner_config: Mapping[str, object], config: LoopConfig, start: EgoState
+    ) -> None:
+        goal, note = _goal(scenario)
+        self.is_oracle = spec in ORACLES
+        self.notes = (note,) if note else ()
+        self.timings: list[StageTime] = []
+        self.goal = goal
+        self._name = f"planner '{spec}' on {scenario.name}"
+        self._watch = Stopwatch()
+        period = config.plan_period_ns / 1e9
+        context = PlannerContext(scenario.road, goal, scenario.vehicle, period, start, self._watch.lap)
+        self._planner = self._built(spec, context, scenario, planner_config)
+
+    def _built(
+        self, spec: str, context: PlannerContext, scenario: Scenario, planner_config: Mapping[str, object]
+    ) -> Planner:
+        factory = ORACLES[spec] if spec in ORACLES else load_planner(spec, also=ORACLES)
+        arguments = (context, scenario) if spec in ORACLES else (context,)
+        try:
+            inspect.signature(factory).bind(*arguments, **planner_config)
+        except TypeError as error:
+            raise ConfigError(f"planner '{spec}' cannot be built so: {error}") from None
+        try:
+            return factory(*arguments, **planner_config)
+        except ReplanError:
+            raise
+        except Exception as error:
+            raise PlannerError(f"{self._name} cannot be built: {_said(error)}") from error
+
+    def plan(self, frame: Frame) -> Plan:
+        """The plan for a frame.
+
+        Raises:
+            PlannerError: The planner raised, or answered with what is no plan.
+        """
+        self._watch.start()
+        try:
+            plan = self._planner.plan(frame)
+        except Exception as error:
+            raise PlannerError(f"{self._name} raised at {frame.t:.2f} s: {_said(error)}") from error
+        finally:
+            self.timings.extend(self._watch.stop(frame.t))
+        fault = _fault(plan, frame)
+        if fault:
+            raise PlannerError(f"{self._name} broke its contract at {frame.t:.2f} s: {fault}")
+        return plan
+
+
+def _fault(plan: object, frame: Frame) -> str:
+    """What is wrong with a planner's answer, empty where nothing is; a Trajectory is finite and increasing anyway."""
+    if not isinstance(plan, Plan):
+        return f"it returned {type(plan).__name__} instead of a Plan"
+    first = float(plan.trajectory.t[0])
+    if abs(first - frame.t) > 1e-6:
+        return f"its plan starts at {first:.3f} s, not at the frame's time"
+    if plan.status.is_fallback and not plan.reason:
+        return f"its status is '{plan.status.value}' without a reason"
+    return ""
+
+
+def _said(error: Exception) -> str:
+    """An exception in one line, with the place that raised it."""
+    places = extract_tb(error.__traceback__)
+    place = f" ({Path(places[-1].filename).name}:{places[-1].lineno})" if places else ""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}{place}"
+
+
+def _goal(scenario: Scenario) -> tuple[Goal | None, str]:
+    """The scenario's goal, or the place where its drive ended, and in that case a note."""
+    if scenario.goal is not None:
+        return scenario.goal, ""
+    first, last = scenario.ego.state(0), scenario.ego.state(len(scenario.ego) - 1)
+    if hypot(last.x - first.x, last.y - first.y) < SHORTEST_DRIVE_M:
+        return None, ""
+    ahead = scenario.vehicle.axle_to_center
+    x, y = last.x + ahead * cos(last.yaw), last.y + ahead * sin(last.yaw)
+    place = corners(x, y, last.yaw, GOAL_LENGTH_M, GOAL_WIDTH_M)
+    return Goal((np.asarray(place),)), "the log names no goal: the place where its drive ended is the goal"

@@ -1,0 +1,123 @@
+"""A pool of worker processes that survives the death of a worker.
+
+Each worker is a fresh interpreter (`spawn`: nothing of numba, Arrow or Rerun is forked) that serves many items, one at
+a time. A worker that is killed or crashes costs the item that it had; another takes its place.
+"""
+
+from __future__ import annotations
+
+import multiprocessing
+import signal
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from multiprocessing.connection import Connection, wait
+from multiprocessing.process import BaseProcess
+from typing import Any, Generic, TypeVar
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+_CONTEXT = multiprocessing.get_context("spawn")
+
+
+@dataclass(frozen=True)
+class WorkerLost:
+    """What is known of an item whose worker died: a sentence for the user."""
+
+    reason: str
+
+
+@dataclass
+class _Worker(Generic[T, R]):
+    """One child process, the pipe to it, and the item that it has (None: idle)."""
+
+    process: BaseProcess
+    pipe: Connection
+    item: int | None = None
+
+    def take(self) -> R | WorkerLost:
+        """What the worker sent for its item, or how it ended."""
+        try:
+            result: R = self.pipe.recv()
+        except (EOFError, ConnectionError):
+            self.process.join()
+            return WorkerLost(_cause(self.process.exitcode or 0))
+        return result
+
+
+def run_all(function: Callable[[T], R], items: Sequence[T], workers: int) -> Iterator[tuple[int, R | WorkerLost]]:
+    """Apply a module-level function to items in child processes; yields `(index, result)` as they end.
+
+    Args:
+        function: Picklable; what it raises kills its worker, so it should return its errors.
+        items: Picklable; handed out in order.
+        workers: Number of child processes, at least 1.
+
+    Closing the iterator, or an exception in its consumer (KeyboardInterrupt), kills the workers.
+    """
+    waiting = list(range(len(items)))[::-1]
+    crew: list[_Worker[T, R]] = []
+    try:
+        while waiting or crew:
+            while waiting and len(crew) < workers:
+                crew.append(_hired(function))
+                _hand_out(crew[-1], items, waiting)
+            for worker in _ready(crew):
+                index, result = worker.item, worker.take()
+                worker.item = None
+                if waiting and not isinstance(result, WorkerLost):
+                    _hand_out(worker, items, waiting)
+                else:
+                    crew.remove(worker)
+                    _dismiss(worker)
+                if index is not None:
+                    yield index, result
+    finally:
+        for worker in crew:
+            worker.process.kill()
+            _dismiss(worker)
+
+
+def _hired(function: Callable[[T], R]) -> _Worker[T, R]:
+    ours, theirs = _CONTEXT.Pipe()
+    process = _CONTEXT.Process(target=_serve, args=(theirs, function), daemon=True)
+    process.start()
+    theirs.close()
+    return _Worker(process, ours)
+
+
+def _hand_out(worker: _Worker[T, R], items: Sequence[T], waiting: list[int]) -> None:
+    worker.item = waiting.pop()
+    with suppress(ConnectionError):  # it died before it had anything: `take` will find the pipe closed and say so
+        worker.pipe.send(items[worker.item])
+
+
+def _ready(crew: list[_Worker[T, R]]) -> list[_Worker[T, R]]:
+    answered = wait([worker.pipe for worker in crew])
+    return [worker for worker in crew if worker.pipe in answered]
+
+
+def _dismiss(worker: _Worker[T, R]) -> None:
+    worker.pipe.close()
+    worker.process.join()
+    worker.process.close()
+
+
+def _serve(pipe: Connection, function: Callable[[Any], Any]) -> None:
+    """The child: answer items until the pipe is closed. Ctrl-C is the parent's business."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    while True:
+        try:
+            item = pipe.recv()
+        except EOFError:
+            return
+        pipe.send(function(item))
+
+
+def _cause(exitcode: int) -> str:
+    if exitcode < 0:
+        name = signal.Signals(-exitcode).name
+        hint = "; the system may be out of memory: try fewer --workers" if name == "SIGKILL" else ""
+        return f"its worker process was killed ({name}){hint}"
+    return f"its worker process ended with code {exitcode} (its message is above)"

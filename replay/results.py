@@ -1,0 +1,129 @@
+"""The tables and files of a run, and the folder that they are in.
+
+    OUT/metrics.parquet, .csv   one row per log, planner, mode and metric reduction     the same for the same inputs
+    OUT/timings.parquet         log, planner, mode, t_s, stage, seconds                 not the same twice
+    OUT/summary.json            outcome, gates, drives, failures
+    OUT/run.toml                the resolved configuration
+    OUT/LOG-HASH/               per log: open.mcap, open.rrd, closed.mcap, closed.rrd, frames.parquet, log.json
+                                (with several planners open.PLANNER.mcap and so on; log.mcap where the log was no MCAP)
+
+`metrics.*` and `frames.parquet` hold no clock, no path and no machine, and are sorted: two runs give the same bytes,
+whatever the number of workers. Every file is written under a temporary name and renamed.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from logs.errors import ConfigError
+from replay.config import HEADER
+from replay.sources import LOG_CARD
+
+SCHEMA_VERSION = 1
+"""Of the tables and of summary.json; counts up when a column changes its meaning or goes."""
+
+PARTIAL = ".partial-"
+"""Names of what is being written begin with this."""
+
+TABLES = ("metrics.parquet", "metrics.csv", "timings.parquet", "summary.json", "run.toml")
+KEYS = ["log", "planner", "mode", "metric"]
+TIMING_COLUMNS = ["log", "planner", "mode", "t_s", "stage", "seconds"]
+
+
+def safe_name(name: str, digest: str = "") -> str:
+    """A folder or file name: letters, digits, dot, dash and underscore, at most 80, then `-` and 8 of the digest."""
+    safe = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._") or "log"
+    return f"{safe[:80]}-{digest[:8]}" if digest else safe[:80]
+
+
+def write_file(path: Path, write: Callable[[Path], object]) -> None:
+    """Let `write` fill a temporary file beside `path`, then rename it: `path` is whole or not there."""
+    partial = path.with_name(f"{PARTIAL}{path.name}")
+    try:
+        write(partial)
+        partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """`text` as UTF-8, whole or not at all."""
+    write_file(path, lambda partial: partial.write_text(text, encoding="utf-8", newline="\n"))
+
+
+def write_parquet(path: Path, table: pd.DataFrame) -> None:
+    """The table with its schema version, and nothing that differs between two writings of the same values."""
+    arrow = pa.Table.from_pandas(table, preserve_index=False)
+    arrow = arrow.replace_schema_metadata({"replan_schema_version": str(SCHEMA_VERSION)})
+    write_file(path, lambda partial: pq.write_table(arrow, partial, compression="zstd"))
+
+
+def joined(tables: Iterable[pd.DataFrame], keys: Sequence[str], columns: Sequence[str] = ()) -> pd.DataFrame:
+    """The rows of all tables, sorted by `keys` (stable); `columns` names them where there is no table."""
+    parts = [table for table in tables if len(table)]
+    if not parts:
+        return pd.DataFrame(columns=list(columns or keys))
+    return pd.concat(parts, ignore_index=True).sort_values(list(keys), kind="stable", ignore_index=True)
+
+
+def write_metrics(out: Path, table: pd.DataFrame) -> None:
+    """metrics.parquet and metrics.csv; the schema version is their first column."""
+    table = table.copy()
+    table.insert(0, "schema_version", SCHEMA_VERSION)
+    write_parquet(out / "metrics.parquet", table)
+    write_file(out / "metrics.csv", lambda partial: table.to_csv(partial, index=False, lineterminator="\n"))
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """JSON with the schema version first; NaN is refused."""
+    text = json.dumps({"schema_version": SCHEMA_VERSION, **content}, indent=2, ensure_ascii=False, allow_nan=False)
+    write_text(path, text + "\n")
+
+
+def next_free(parent: Path = Path("results")) -> Path:
+    """The first of `parent/run-001`, `parent/run-002`, ... that is not there."""
+    number = 1
+    while (parent / f"run-{number:03d}").exists():
+        number += 1
+    return parent / f"run-{number:03d}"
+
+
+def claim(out: Path) -> None:
+    """Make the result folder; what an earlier run wrote into it is removed.
+
+    Raises:
+        ConfigError: It is a file, cannot be made, or holds anything that no run wrote.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        entries = sorted(out.iterdir())
+    except OSError as error:
+        raise ConfigError(f"{out}: cannot be the result folder: {error.strerror}") from None
+    foreign = [entry.name for entry in entries if not _is_ours(entry)]
+    if foreign:
+        raise ConfigError(f"{out}: holds {foreign[0]}, which is no result of replan; give --out a new or empty folder")
+    for entry in entries:
+        shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
+
+
+def clear_partial(out: Path) -> None:
+    """Remove what was begun and not finished."""
+    for entry in out.glob(f"{PARTIAL}*"):
+        shutil.rmtree(entry, ignore_errors=True) if entry.is_dir() else entry.unlink(missing_ok=True)
+
+
+def _is_ours(entry: Path) -> bool:
+    if entry.name == "run.toml":
+        return entry.read_text(encoding="utf-8", errors="replace").startswith(HEADER)
+    if entry.is_dir():
+        return entry.name.startswith(PARTIAL) or (entry / LOG_CARD).is_file()
+    return entry.name in TABLES

@@ -1,0 +1,39 @@
+"""The others: how they move while the ego is driven.
+
+"time"      each is where it was in the log at this time, whatever the ego does
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol
+
+from logs.scenario import Scenario, Tracks
+from logs.states import EgoState
+
+
+class Traffic(Protocol):
+    """Moves the others; built once per drive as `factory(scenario)`."""
+
+    def step(self, ego: EgoState) -> Tracks:
+        """The others as they have moved up to `ego.t`, seeing the ego's states until then.
+
+        The tracks may reach beyond `ego.t`; who looks at them takes care not to (`Tracks.perceived`).
+        """
+        ...
+
+
+class ReplayedByTime:
+    """The log's tracks, unmoved by what the ego does."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._tracks = scenario.tracks
+
+    def step(self, ego: EgoState) -> Tracks:
+        """The log's tracks."""
+        return self._tracks
+
+
+TRAFFIC: dict[str, Callable[[Scenario], Traffic]] = {
+    "time": ReplayedByTime,
+}

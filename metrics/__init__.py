@@ -1,1 +1,118 @@
-"""TODO."""
+"""Was it good? (Trace, Scenario) -> table.
+
+`evaluate` gives the table, `series` the same numbers step by step. A metric is added in one file (vocabulary:
+`metrics/metric.py`) and one line of METRICS; a user's own comes from outside: `load_metric("my_package.mine:METRIC")`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from importlib import import_module
+from types import MappingProxyType
+
+import numpy as np
+import pandas as pd
+
+from logs.errors import ConfigError
+from logs.scenario import Scenario
+from logs.trace import Trace
+from metrics import accuracy, comfort, consistency, effort, progress, safety, tracking
+from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
+
+__all__ = ["COLUMNS", "METRICS", "Metric", "Reduction", "Series", "Unavailable", "evaluate", "load_metric", "series"]
+
+_ALL = (
+    accuracy.ADE, accuracy.FDE, accuracy.AHE, accuracy.FHE, accuracy.ALONG, accuracy.CROSS,
+    safety.COLLISION, safety.COLLISION_AT_FAULT, safety.GAP, safety.GAP_VULNERABLE, safety.TTC, safety.OFF_ROAD,
+    safety.PLAN_COLLISION,
+    comfort.LON_ACCEL, comfort.LAT_ACCEL, comfort.LON_JERK_STATE, comfort.LAT_JERK_STATE, comfort.YAW_RATE,
+    comfort.PLAN_LON_ACCEL, comfort.PLAN_LAT_ACCEL, comfort.PLAN_LON_JERK,
+    progress.COMPLETED, progress.GOAL, progress.PROGRESS, progress.DISTANCE, progress.SPEED, progress.SPEED_EXCESS,
+    tracking.LATERAL, tracking.HEADING, tracking.SPEED, tracking.STATION,
+    effort.THROTTLE, effort.BRAKE, effort.PEDALS_TOGETHER, effort.PEDAL_SWITCHES, effort.STEER_RATE,
+    effort.QP_ITERATIONS, effort.SOLVER_UNSOLVED, effort.FALLBACK,
+    consistency.PLAN_CHANGE, consistency.PLAN_CHANGE_LATERAL,
+)  # fmt: skip
+
+METRICS: Mapping[str, Metric] = MappingProxyType({metric.name: metric for metric in _ALL})
+"""The metrics by name, in the order of the table."""
+
+COLUMNS = (
+    "log", "planner", "mode", "oracle", "metric", "value", "unit", "direction", "available", "reason", "time_s",
+    "version", "source",
+)  # fmt: skip
+
+
+def evaluate(trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = METRICS) -> pd.DataFrame:
+    """One row per metric and reduction of the trace's mode, columns `COLUMNS`; the same input gives the same bits.
+
+    `metric` is "gap.min" or, with a part, "ade.3s.mean". `value` is NaN where `available` is False, and `reason`
+    then says why; else `reason` says on whom or what the value is about ("car 12"), or is empty. `time_s` is when the
+    value occurred, NaN where it belongs to no instant.
+    """
+    head = (scenario.name, trace.planner, trace.mode.value, trace.oracle)
+    rows = [
+        (*head, *_row(f"{name}.{reduction.name}", metric, reduction, found), metric.version, metric.source)
+        for metric, name, found in _measured(trace, scenario, metrics)
+        for reduction in metric.reductions
+    ]
+    return pd.DataFrame(rows, columns=list(COLUMNS)).astype({"value": "float64", "time_s": "float64"})
+
+
+def series(trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = METRICS) -> pd.DataFrame:
+    """The steps behind the table, long form: `t_s`, `metric` ("gap", "ade.3s"), `value` (NaN: this step has none)."""
+    found = [(n, s) for _, n, s in _measured(trace, scenario, metrics) if isinstance(s, Series)]
+    none = np.empty(0)
+    return pd.DataFrame(
+        {
+            "t_s": np.concatenate([none, *(s.t for _, s in found)]),
+            "metric": [name for name, s in found for _ in range(len(s.t))],
+            "value": np.concatenate([none, *(s.value for _, s in found)]),
+        }
+    )
+
+
+def load_metric(spec: str) -> Metric:
+    """A metric by name ("gap") or from outside ("module:NAME", a `Metric` object).
+
+    Raises:
+        ConfigError: It is not there, or is no `Metric`.
+    """
+    if spec in METRICS:
+        return METRICS[spec]
+    module, _, name = spec.partition(":")
+    if not name:
+        raise ConfigError(f"metric {spec!r} is not built in; one of your own is named module:NAME")
+    try:
+        metric = getattr(import_module(module), name)
+    except (ImportError, AttributeError) as error:
+        raise ConfigError(f"metric {spec!r} cannot be loaded: {error}") from error
+    if not isinstance(metric, Metric):
+        raise ConfigError(f"metric {spec!r} is a {type(metric).__name__}, not a metrics.Metric")
+    return metric
+
+
+def _measured(
+    trace: Trace, scenario: Scenario, metrics: Mapping[str, Metric]
+) -> Iterator[tuple[Metric, str, Measured]]:
+    for metric in metrics.values():
+        if trace.mode in metric.modes:
+            for name, found in metric.measured(trace, scenario).items():
+                yield metric, name, found
+
+
+def _row(
+    name: str, metric: Metric, reduction: Reduction, found: Measured
+) -> tuple[str, float, str, str, bool, str, float]:
+    """From `metric` to `time_s`."""
+    unit, direction = reduction.unit or metric.unit, reduction.direction or metric.direction
+    nan = float("nan")
+    if isinstance(found, Unavailable):
+        return name, nan, unit, direction, False, found.reason, nan
+    if not found.known.any():
+        if reduction.empty is None:
+            return name, nan, unit, direction, False, found.missing, nan
+        return name, reduction.empty, unit, direction, True, "", nan
+    value, step = reduction.reduce(found)
+    label = found.labels[step] if found.labels and step >= 0 else ""
+    return name, value, unit, direction, True, label, float(found.t[step]) if step >= 0 else nan

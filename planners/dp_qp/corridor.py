@@ -255,9 +255,12 @@ def widened(space: Room, start: tuple[float, float, float], speed: float) -> Roo
 def reachable(
     s: FloatArray, lower: FloatArray, upper: FloatArray, start: tuple[float, float, float], kappa: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Bounds (4) at knots `(n,)`: no bound asks for more than steering with `kappa` (1/m) from the start can do."""
+    """Bounds (4) at knots `(n,)`: no bound asks for more than steering with `kappa` (1/m) from the start can do.
+
+    The steering itself takes one knot.
+    """
     d = s - s[0]
-    along, steer = start[0] + start[1] * d, 0.5 * kappa * d * d
+    along, steer = start[0] + start[1] * d, 0.5 * kappa * np.maximum(d - d[1], 0.0) ** 2
     return np.minimum(lower, along + steer), np.maximum(upper, along - steer)
 
 

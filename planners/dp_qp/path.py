@@ -10,7 +10,7 @@ tan d = l' / D:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import atan2, cos, hypot, sin, tan
+from math import atan2, cos, hypot, pi, sin, tan
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from logs.road import ReferenceLine, line_frame
 from logs.states import EgoState, wrap
 
 FINE_M = 0.5
+MAX_TURN = 1.2
 MIN_REGULAR = 0.1
 """1 - kappa l is kept above this: nearer to the centre of the turn the Frenet frame says nothing."""
 
@@ -87,12 +88,17 @@ def make_path(line: ReferenceLine, s0: float, step: float, offsets: FloatArray) 
 def frenet_start(line: ReferenceLine, state: EgoState, s: float, l: float) -> tuple[float, float, float]:  # noqa: E741
     """l, l', l'' of a state whose foot point is (s, l): the inverse of (2) and (3).
 
-    The heading is taken within 60 degrees of the line's: beyond, l' as a function of s has no meaning.
+    The heading must be within `MAX_TURN` of the line's: further off, l' as a function of s has no meaning.
+
+    Raises:
+        ValueError: It is not.
     """
     _, _, yaw_r, kappa_r = line.frame(s)
     dkappa_r = line.frame(s + 0.25)[3] - line.frame(s - 0.25)[3]
     regular = max(1.0 - kappa_r * l, MIN_REGULAR)
-    turn = float(np.clip(wrap(state.yaw - yaw_r), -1.0, 1.0))
+    turn = wrap(state.yaw - yaw_r)
+    if not abs(turn) <= MAX_TURN:
+        raise ValueError(f"the heading is {abs(turn) * 180.0 / pi:.0f} degrees off the reference line")
     dl = regular * tan(turn)
     ddl = (state.kappa * regular / cos(turn) - kappa_r) * regular / cos(turn) ** 2
     ddl -= (2.0 * dkappa_r * l + kappa_r * dl) * tan(turn)

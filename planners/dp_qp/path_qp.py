@@ -8,8 +8,12 @@ Unknown l, l', l'' at knots s_i, step h, piecewise-constant l''' (`piecewise_jer
 (4) J_4 = w_dddl sum (l''_{i+1} - l''_i)^2 / h^2
 (5) J_5 = w_mid  sum (l_i - (l_min,i + l_max,i) / 2)^2
 
-subject to l_min <= l <= l_max, the vehicle's curvature, and the start (l, l', l''). The weights grow with the length
-that a lane shift takes at the speed: w_dl = (a/2)^2, w_ddl = a^4, w_dddl = (0.7 a)^6 with the settling length a (m).
+subject to l_min <= l <= l_max, |l'| <= MAX_DL, |l'' + kappa_r| <= kappa_max, |l'''| <= MAX_DDDL,
+and the start (l, l', l'').
+(6) A start beyond these bounds comes back to them from the second knot on, with half the steering and half the jerk.
+
+The weights grow with the length that a lane shift takes at the speed: w_dl = (a/2)^2, w_ddl = a^4, w_dddl = (0.7 a)^6
+with the settling length a (m).
 """
 
 from __future__ import annotations
@@ -23,6 +27,9 @@ from logs.kernel import FloatArray
 from logs.trace import CostTerms
 from planners.dp_qp import piecewise_jerk
 from planners.qp import QPConfig, QPResult, QuadraticProgram
+
+MAX_DL = 1.0
+MAX_DDDL = 1.0
 
 
 @dataclass(frozen=True)
@@ -101,12 +108,13 @@ class PathQp:
         Returns:
             The result, x = (l, l', l'') `(3 knots,)`, and the five costs.
         """
-        free = np.full(self.knots, 1.0)
-        low = [lower.copy(), -free, -max_kappa * free - kappa]
-        high = [upper.copy(), free, max_kappa * free - kappa]
+        d = self.step * np.maximum(np.arange(self.knots) - 1, 0)
+        turned, bent = 0.5 * max_kappa * d, 0.5 * MAX_DDDL * d  # (6)
+        low = [lower.copy(), np.minimum(-MAX_DL, start[1] + turned), np.minimum(-max_kappa - kappa, start[2] + bent)]
+        high = [upper.copy(), np.maximum(MAX_DL, start[1] - turned), np.maximum(max_kappa - kappa, start[2] - bent)]
         for k in range(3):
             low[k][0] = high[k][0] = start[k]
-        bounds = piecewise_jerk.bounds((low[0], low[1], low[2]), (high[0], high[1], high[2]), (-1.0, 1.0))
+        bounds = piecewise_jerk.bounds((low[0], low[1], low[2]), (high[0], high[1], high[2]), (-MAX_DDDL, MAX_DDDL))
         middle = 0.5 * (lower + upper)
         q = np.zeros(3 * self.knots)
         q[: self.knots] = -2.0 * self._scale * self._weights[4] * middle

@@ -1,0 +1,218 @@
+"""The vocabulary of metrics: a Metric measures a trace step by step and reduces the steps to named values.
+
+A metric is one function `(trace, scenario) -> Series | Unavailable`, or a mapping from part to such ("1s", "3s" of the
+displacement error), and one line in `metrics.METRICS`. All of it:
+
+    def _speed(trace: Trace, scenario: Scenario) -> Measured:
+        return Series(trace.ego.t, trace.ego.v)
+
+    SPEED = Metric("speed", "m/s", "none", (Mode.CLOSED,), _speed, (MEAN, MAX), "Speed of the rear axle.")
+
+It becomes the rows `speed.mean` and `speed.max` of the table, and the series `speed` of the plots. What cannot be
+measured is Unavailable with its reason; a single step that has no value is NaN. No sentinel, no infinity.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from logs.kernel import BoolArray, FloatArray, frozen
+from logs.scenario import Scenario
+from logs.trace import Mode, Trace
+
+Direction = Literal["lower", "higher", "none"]
+"""Which way is better."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Series:
+    """One quantity over the steps of a drive.
+
+    Attributes:
+        t: `(n,)` s since the scenario's start, increasing, n >= 1.
+        value: `(n,)`; NaN where the step has none.
+        labels: `n` words on whom or what a step's value is about ("car 12"), or empty.
+        missing: Why steps have no value: the reason given where no step has one.
+
+    Raises:
+        ValueError: Columns differ in length or are empty, or a value is infinite.
+    """
+
+    t: FloatArray
+    value: FloatArray
+    labels: tuple[str, ...] = ()
+    missing: str = "no step has a value"
+
+    def __post_init__(self) -> None:
+        for name in ("t", "value"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+        if self.t.shape != self.value.shape or self.t.ndim != 1 or not len(self.t):
+            raise ValueError(f"series: t has shape {self.t.shape}, value {self.value.shape}")
+        if np.isinf(self.value).any():
+            raise ValueError("series: a value is infinite; a missing one is NaN")
+        if self.labels and len(self.labels) != len(self.t):
+            raise ValueError(f"series: {len(self.labels)} labels for {len(self.t)} steps")
+
+    @property
+    def known(self) -> BoolArray:
+        """Which steps have a value `(n,)`."""
+        return np.isfinite(self.value)
+
+
+@dataclass(frozen=True, slots=True)
+class Unavailable:
+    """Why a metric cannot be measured on this drive, one sentence."""
+
+    reason: str
+
+
+Measured = Series | Unavailable
+Measure = Callable[[Trace, Scenario], Measured | Mapping[str, Measured]]
+
+
+@dataclass(frozen=True, slots=True)
+class Reduction:
+    """One number out of a series that has at least one value.
+
+    Attributes:
+        name: Second word of the row's name.
+        reduce: Gives the value and the step at which it occurred, -1 where it belongs to no step.
+        unit: None: the metric's.
+        direction: None: the metric's.
+        empty: The value where no step has one (a count of nothing is 0); None: then it is unavailable.
+    """
+
+    name: str
+    reduce: Callable[[Series], tuple[float, int]]
+    unit: str | None = None
+    direction: Direction | None = None
+    empty: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Metric:
+    """What is measured, in which unit, and which way is better.
+
+    Attributes:
+        name: One word; first word of the row's name.
+        unit: SI; "1" for a ratio, "count" for a number of things.
+        direction: Which way is better.
+        modes: Where it is defined.
+        measure: The function.
+        reductions: What the table shows of it.
+        meaning: One sentence: what exactly, parameters included.
+        source: Where the definition comes from; empty: here.
+        version: Counts up when the numbers change meaning.
+        parts: The keys that `measure` may return; ("*",): any; empty: it returns one series.
+    """
+
+    name: str
+    unit: str
+    direction: Direction
+    modes: tuple[Mode, ...]
+    measure: Measure
+    reductions: tuple[Reduction, ...]
+    meaning: str
+    source: str = ""
+    version: int = 1
+    parts: tuple[str, ...] = ()
+
+    def measured(self, trace: Trace, scenario: Scenario) -> dict[str, Measured]:
+        """Its series by full name ("gap", "ade.3s"); one that is unavailable keeps the names of its parts."""
+        found = self.measure(trace, scenario)
+        if isinstance(found, Mapping):
+            return {f"{self.name}.{part}": series for part, series in found.items()}
+        if isinstance(found, Unavailable) and self.parts and self.parts != ("*",):
+            return {f"{self.name}.{part}": found for part in self.parts}
+        return {self.name: found}
+
+
+def _extreme(series: Series, score: FloatArray) -> tuple[float, int]:
+    """The value at the step with the highest score; the earliest of equals."""
+    step = int(np.argmax(np.where(series.known, score, -np.inf)))
+    return float(series.value[step]), step
+
+
+def _largest_abs(series: Series) -> tuple[float, int]:
+    value, step = _extreme(series, np.abs(series.value))
+    return abs(value), step
+
+
+def _first(flags: BoolArray) -> int:
+    """The first step that is marked, -1 where none is."""
+    return int(np.argmax(flags)) if flags.any() else -1
+
+
+def _final(series: Series) -> tuple[float, int]:
+    step = int(np.flatnonzero(series.known)[-1])
+    return float(series.value[step]), step
+
+
+def _share(series: Series) -> tuple[float, int]:
+    return float(np.mean(series.value[series.known])), _first(series.value > 0.0)
+
+
+def _total(series: Series) -> tuple[float, int]:
+    return float(np.sum(series.value[series.known])), _first((series.value != 0.0) & series.known)
+
+
+def _percentile(q: float) -> Callable[[Series], tuple[float, int]]:
+    return lambda series: (float(np.percentile(np.abs(series.value[series.known]), q)), -1)
+
+
+def _held(series: Series, flags: BoolArray) -> tuple[float, int]:
+    """Seconds for which a condition holds: a step's answer holds until the next step, the last counts nothing."""
+    return float(np.sum(np.diff(series.t)[flags[:-1]])), _first(flags)
+
+
+MEAN = Reduction("mean", lambda series: (float(np.mean(series.value[series.known])), -1))
+MIN = Reduction("min", lambda series: _extreme(series, -series.value))
+MAX = Reduction("max", lambda series: _extreme(series, series.value))
+MAX_ABS = Reduction("max_abs", _largest_abs)
+RMS = Reduction("rms", lambda series: (float(np.sqrt(np.mean(series.value[series.known] ** 2))), -1))
+P95 = Reduction("p95", _percentile(95.0))
+"""95th percentile of the absolute value over the steps, linear between order statistics."""
+P99 = Reduction("p99", _percentile(99.0))
+"""99th percentile, likewise."""
+FINAL = Reduction("final", _final)
+COUNT = Reduction("count", _total, unit="count", empty=0.0)
+"""Sum over the steps; its time is the first step that counts."""
+RATE = Reduction("rate", _share, unit="1", empty=0.0)
+"""Mean over the steps of a 0/1 series; its time is the first 1."""
+HAVING = Reduction("rate", lambda series: (float(np.mean(series.known)), _first(series.known)), "1", "lower", 0.0)
+"""Share of the steps that have a value; its time is the first of them."""
+EXCLUDED = Reduction("excluded", lambda series: (float(np.sum(~series.known)), -1), "count", "none")
+"""Number of steps without a value."""
+
+
+def time_below(bound: float, name: str) -> Reduction:
+    """Seconds during which the value is below `bound`; 0 where no step has a value."""
+    return time_outside(bound, np.inf, name)
+
+
+def time_outside(low: float, high: float, name: str) -> Reduction:
+    """Seconds during which the value is below `low` or above `high`; 0 where no step has a value."""
+    return Reduction(
+        name, lambda series: _held(series, (series.value < low) | (series.value > high)), "s", "lower", 0.0
+    )
+
+
+def time_above(bound: float, name: str) -> Reduction:
+    """Seconds during which the absolute value is above `bound`."""
+    return time_outside(-bound, bound, name)
+
+
+def changed(t: FloatArray, value: FloatArray, window: float) -> FloatArray:
+    """Rate of change `(n,)` of a sampled value, per s: the declared differentiator of all metrics.
+
+    (1) rate(t) = (value(t) - value(t - window)) / window, linear between the samples
+
+    Causal, so that later samples and the place where a log is cut do not change it; NaN in the first `window` s.
+    A ramp keeps its slope, a step of height h shows as h / window for `window` s.
+    """
+    before = np.interp(t - window, t, value)
+    return np.where(t - window >= t[0] - 1e-9, (value - before) / window, np.nan)

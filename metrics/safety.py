@@ -1,0 +1,327 @@
+"""Collisions, gaps, time to collision, and leaving the road.
+
+Closed loop: the ego's box along its drive against the others' boxes as they moved. Open loop: the ego's drive is the
+log's and says nothing of the planner, so its plans are judged: does a plan touch what then really happened? The
+others do not react to it, so a plan that would have made them react may be charged.
+
+Collision: two boxes touch or overlap; each agent counts once. Kinds, the first that holds, in nuPlan's order (the
+first one is ours):
+
+    FROM_START      they touch when the drive begins or the other first appears              not at fault
+    STOPPED_EGO     the ego stands (<= 0.05 m/s)                                             not at fault
+    STOPPED_TRACK   the other stands, or is an object                                        at fault
+    ACTIVE_REAR     the other's centre is behind: more than 150 degrees off the heading, seen from the rear axle
+                                                                                             not at fault
+    ACTIVE_FRONT    the ego's front bumper touches                                           at fault
+    LATERAL         any other                          at fault unless the ego keeps its lane (`lanes.keeps_lane`)
+
+Time to collision: both boxes go on with their velocity vectors and headings (`shapes.time_to_contact`), up to 10 s;
+agents behind (as above) and a standing ego (<= 0.005 m/s) have none.
+
+Off the road: the greatest distance of the ego's four corners to the drivable lanes. The corners suffice where a lane
+is not narrower than the box; a hole between the corners is not seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from functools import partial
+from math import cos, hypot, inf, sin
+
+import numpy as np
+
+from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.road import RoadSource
+from logs.scenario import AgentKind, Scenario
+from logs.shapes import corners, distance, overlap, time_to_contact
+from logs.trace import Mode, Trace
+from metrics.lanes import drivable_lanes, keeps_lane, off_lanes
+from metrics.metric import COUNT, HAVING, MAX, MIN, Measured, Metric, Series, Unavailable, time_above, time_below
+from metrics.others import Others, ego_boxes, name_of, others_at
+from metrics.plans import STEP_S, plan_poses, times_after
+
+STANDING_MPS = 0.05
+TTC_HORIZON_S = 10.0
+PLAN_HORIZON_S = 5.0
+OFF_ROAD_M = 0.3
+_BEHIND = cos(150.0 / 180.0 * np.pi)
+
+
+class ContactKind(Enum):
+    """How a collision came about (module docstring)."""
+
+    FROM_START = "appeared where the ego was"
+    STOPPED_EGO = "the ego stood"
+    STOPPED_TRACK = "into something that stood"
+    ACTIVE_REAR = "from behind"
+    ACTIVE_FRONT = "with the front"
+    LATERAL = "with the side"
+
+
+@dataclass(frozen=True, slots=True)
+class Contact:
+    """The first touch of one agent: step of `trace.ego`, index of the track, kind and fault."""
+
+    step: int
+    agent: int
+    kind: ContactKind
+    at_fault: bool
+
+
+def contacts(trace: Trace, scenario: Scenario) -> tuple[Contact, ...]:
+    """The collisions of a drive in order of time."""
+    ego, others = ego_boxes(trace.ego, scenario), others_at(trace.agents, trace.ego.t)
+    vehicle = scenario.vehicle
+    first = _first_contacts(ego, vehicle.length, vehicle.width, others.there, others.pose, others.size)
+    steps = sorted((int(step), agent) for agent, step in enumerate(first) if step >= 0)
+    return tuple(_contact(step, agent, trace, scenario, others, ego) for step, agent in steps)
+
+
+def _contact(step: int, agent: int, trace: Trace, scenario: Scenario, others: Others, ego: FloatArray) -> Contact:
+    kind = _kind(step, agent, trace, scenario, others)
+    if kind is ContactKind.LATERAL:
+        x, y, yaw = ego[:3, step]
+        outline = corners(x, y, yaw, scenario.vehicle.length, scenario.vehicle.width)
+        return Contact(step, agent, kind, not keeps_lane(scenario.road, float(x), float(y), outline))
+    return Contact(step, agent, kind, kind in (ContactKind.STOPPED_TRACK, ContactKind.ACTIVE_FRONT))
+
+
+def _kind(step: int, agent: int, trace: Trace, scenario: Scenario, others: Others) -> ContactKind:
+    ego, vehicle = trace.ego.state(step), scenario.vehicle
+    x, y, yaw, vx, vy = others.pose[:, agent, step]
+    if step == 0 or not others.there[agent, step - 1]:
+        return ContactKind.FROM_START
+    if abs(ego.v) <= STANDING_MPS:
+        return ContactKind.STOPPED_EGO
+    if trace.agents.kinds[agent] is AgentKind.OBJECT or hypot(vx, vy) <= STANDING_MPS:
+        return ContactKind.STOPPED_TRACK
+    if _behind(ego.x, ego.y, ego.yaw, x, y):
+        return ContactKind.ACTIVE_REAR
+    nose_x, nose_y = ego.x + vehicle.axle_to_front * cos(ego.yaw), ego.y + vehicle.axle_to_front * sin(ego.yaw)
+    if overlap(nose_x, nose_y, ego.yaw, 0.0, vehicle.width, x, y, yaw, *others.size[agent]):
+        return ContactKind.ACTIVE_FRONT
+    return ContactKind.LATERAL
+
+
+@kernel
+def _behind(x: float, y: float, yaw: float, other_x: float, other_y: float) -> bool:
+    """Whether a point is more than 150 degrees off the heading, seen from the rear axle (x, y)."""
+    dx, dy = other_x - x, other_y - y
+    return dx * cos(yaw) + dy * sin(yaw) < _BEHIND * hypot(dx, dy)
+
+
+@kernel
+def _apart(x: float, y: float, reach: float, pose: FloatArray, size: FloatArray, i: int, k: int) -> float:
+    """A lower bound of the distance between box i at step k and a box of half diagonal `reach`, m."""
+    return hypot(pose[0, i, k] - x, pose[1, i, k] - y) - reach - 0.5 * hypot(size[i, 0], size[i, 1])
+
+
+@kernel
+def _first_contacts(
+    ego: FloatArray, length: float, width: float, there: BoolArray, pose: FloatArray, size: FloatArray
+) -> IntArray:
+    """Per agent the first step at which the boxes touch, -1 where they never do."""
+    n, reach = len(size), 0.5 * hypot(length, width)
+    out = np.full(n, -1, np.int64)
+    for i in range(n):
+        for k in range(there.shape[1]):
+            x, y, yaw = ego[0, k], ego[1, k], ego[2, k]
+            if not there[i, k] or _apart(x, y, reach, pose, size, i, k) > 0.0:
+                continue
+            if overlap(x, y, yaw, length, width, pose[0, i, k], pose[1, i, k], pose[2, i, k], size[i, 0], size[i, 1]):
+                out[i] = k
+                break
+    return out
+
+
+@kernel
+def _gaps(
+    ego: FloatArray,
+    length: float,
+    width: float,
+    there: BoolArray,
+    pose: FloatArray,
+    size: FloatArray,
+    wanted: BoolArray,
+) -> tuple[FloatArray, IntArray]:
+    """Per step the least distance to a wanted agent (NaN: none there) and its index (-1)."""
+    steps, reach = there.shape[1], 0.5 * hypot(length, width)
+    gap, nearest = np.full(steps, np.nan), np.full(steps, -1, np.int64)
+    recent = 0
+    for k in range(steps):
+        best = inf
+        for turn in range(len(size)):
+            i = (recent + turn) % len(size)
+            x, y, yaw = ego[0, k], ego[1, k], ego[2, k]
+            if not (wanted[i] and there[i, k]) or _apart(x, y, reach, pose, size, i, k) >= best:
+                continue
+            found = distance(
+                x, y, yaw, length, width, pose[0, i, k], pose[1, i, k], pose[2, i, k], size[i, 0], size[i, 1]
+            )
+            if found < best or nearest[k] < 0:
+                best, nearest[k], gap[k] = found, i, found
+        recent = max(nearest[k], 0)
+    return gap, nearest
+
+
+@kernel
+def _contact_times(
+    ego: FloatArray, axle: float, length: float, width: float, there: BoolArray, pose: FloatArray, size: FloatArray,
+    horizon: float,
+) -> tuple[FloatArray, IntArray]:  # fmt: skip
+    """Per step the least time to contact below the horizon (NaN: none) and the agent's index (-1)."""
+    steps, reach = there.shape[1], 0.5 * hypot(length, width)
+    least, whom = np.full(steps, np.nan), np.full(steps, -1, np.int64)
+    for k in range(steps):
+        x, y, yaw, vx, vy = ego[0, k], ego[1, k], ego[2, k], ego[3, k], ego[4, k]
+        rear_x, rear_y, best = x - axle * cos(yaw), y - axle * sin(yaw), horizon
+        if hypot(vx, vy) <= 0.005:
+            continue
+        for i in range(len(size)):
+            if not there[i, k] or _behind(rear_x, rear_y, yaw, pose[0, i, k], pose[1, i, k]):
+                continue
+            closing = hypot(pose[3, i, k] - vx, pose[4, i, k] - vy)
+            if _apart(x, y, reach, pose, size, i, k) > closing * best:
+                continue
+            found = time_to_contact(
+                x, y, yaw, length, width, vx, vy,
+                pose[0, i, k], pose[1, i, k], pose[2, i, k], size[i, 0], size[i, 1], pose[3, i, k], pose[4, i, k],
+            )  # fmt: skip
+            if found < best:
+                best, least[k], whom[k] = found, found, i
+    return least, whom
+
+
+def _labels(trace: Trace, agents: IntArray) -> tuple[str, ...]:
+    """The agent's name per step, "" where it is nobody."""
+    names = ("", *(name_of(trace.agents, i) for i in range(len(trace.agents))))
+    return tuple(names[i + 1] for i in agents.tolist())
+
+
+def _collision(trace: Trace, scenario: Scenario, *, fault_only: bool) -> Measured:
+    counts, labels = np.zeros(len(trace.ego)), [""] * len(trace.ego)
+    for contact in contacts(trace, scenario):
+        if contact.at_fault or not fault_only:
+            counts[contact.step] += 1.0
+            fault = "at fault" if contact.at_fault else "not at fault"
+            what = f"{name_of(trace.agents, contact.agent)}: {contact.kind.value}, {fault}"
+            labels[contact.step] = "; ".join(filter(None, [labels[contact.step], what]))
+    return Series(trace.ego.t, counts, tuple(labels))
+
+
+def _gap(trace: Trace, scenario: Scenario, *, vulnerable_only: bool) -> Measured:
+    ego, others = ego_boxes(trace.ego, scenario), others_at(trace.agents, trace.ego.t)
+    wanted = np.array([kind.is_vulnerable or not vulnerable_only for kind in trace.agents.kinds], np.bool_)
+    vehicle = scenario.vehicle
+    gap, nearest = _gaps(ego, vehicle.length, vehicle.width, others.there, others.pose, others.size, wanted)
+    nobody = "no pedestrian or rider in the scene" if vulnerable_only else "no other road user in the scene"
+    return Series(trace.ego.t, gap, _labels(trace, nearest), nobody)
+
+
+def _ttc(trace: Trace, scenario: Scenario) -> Measured:
+    ego, others, vehicle = ego_boxes(trace.ego, scenario), others_at(trace.agents, trace.ego.t), scenario.vehicle
+    least, whom = _contact_times(
+        ego, vehicle.axle_to_center, vehicle.length, vehicle.width, others.there, others.pose, others.size,
+        TTC_HORIZON_S,
+    )  # fmt: skip
+    nothing = f"never on a course to touch within {TTC_HORIZON_S:g} s"
+    return Series(trace.ego.t, least, _labels(trace, whom), nothing)
+
+
+def _off_road(trace: Trace, scenario: Scenario) -> Measured:
+    if scenario.road.source is RoadSource.DRIVEN_PATH:
+        return Unavailable("the log has no lanes: the road's edge is not known")
+    lanes = drivable_lanes(scenario.road)
+    if lanes is None:
+        return Unavailable("the log has no lane on which a car may drive")
+    x, y, yaw = ego_boxes(trace.ego, scenario)[:3]
+    vehicle = scenario.vehicle
+    worst = np.zeros(len(trace.ego))
+    for along, left in ((1, 1), (-1, 1), (-1, -1), (1, -1)):
+        forward, aside = 0.5 * along * vehicle.length, 0.5 * left * vehicle.width
+        corner_x = x + forward * np.cos(yaw) - aside * np.sin(yaw)
+        corner_y = y + forward * np.sin(yaw) + aside * np.cos(yaw)
+        worst = np.maximum(worst, off_lanes(lanes, corner_x, corner_y))
+    return Series(trace.ego.t, worst)
+
+
+def _plan_collision(trace: Trace, scenario: Scenario) -> Measured:
+    if not trace.frames:
+        return Unavailable("the drive has no plans")
+    times = times_after(trace, 0, round(PLAN_HORIZON_S / STEP_S))
+    x, y, yaw = plan_poses(trace.frames, times)
+    ahead, vehicle = scenario.vehicle.axle_to_center, scenario.vehicle
+    plans = np.stack([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), yaw])
+    grid_ns, column = np.unique(np.rint(times * 1e9).astype(np.int64), return_inverse=True)
+    others = others_at(trace.agents, grid_ns / 1e9)
+    first, whom = _plan_contacts(
+        plans, column.reshape(times.shape), vehicle.length, vehicle.width, others.there, others.pose, others.size
+    )
+    after = np.where(first >= 0, first * STEP_S, np.nan)
+    return Series(times[:, 0], after, _labels(trace, whom), f"no plan touches anybody within {PLAN_HORIZON_S:g} s")
+
+
+@kernel
+def _plan_contacts(
+    plans: FloatArray,
+    column: IntArray,
+    length: float,
+    width: float,
+    there: BoolArray,
+    pose: FloatArray,
+    size: FloatArray,
+) -> tuple[IntArray, IntArray]:
+    """Per plan the first step that touches an agent, and the agent; -1. Whom the ego touches already is left out."""
+    frames, steps = column.shape
+    first, whom = np.full(frames, -1, np.int64), np.full(frames, -1, np.int64)
+    reach = 0.5 * hypot(length, width)
+    for f in range(frames):
+        for i in range(len(size)):
+            for j in range(steps if first[f] < 0 else first[f]):
+                k, x, y, yaw = column[f, j], plans[0, f, j], plans[1, f, j], plans[2, f, j]
+                if not np.isfinite(x) or not there[i, k] or _apart(x, y, reach, pose, size, i, k) > 0.0:
+                    continue
+                if overlap(
+                    x, y, yaw, length, width, pose[0, i, k], pose[1, i, k], pose[2, i, k], size[i, 0], size[i, 1]
+                ):
+                    if j > 0:
+                        first[f], whom[f] = j, i
+                    break
+    return first, whom
+
+
+_NUPLAN = "nuPlan devkit e9241677, no_ego_at_fault_collisions"
+COLLISION = Metric(
+    "collision", "count", "lower", (Mode.CLOSED,), partial(_collision, fault_only=False), (COUNT,),
+    "Road users that the ego's box touched, each once.", _NUPLAN,
+)  # fmt: skip
+COLLISION_AT_FAULT = Metric(
+    "collision_at_fault", "count", "lower", (Mode.CLOSED,), partial(_collision, fault_only=True), (COUNT,),
+    "Collisions into a standing road user, with the front, or with the side while not keeping a lane.", _NUPLAN,
+)  # fmt: skip
+GAP = Metric(
+    "gap", "m", "higher", (Mode.CLOSED,), partial(_gap, vulnerable_only=False),
+    (MIN, time_below(0.2, "time_below_20cm")),
+    "Least distance between the ego's box and another's, 0 where they touch.",
+)  # fmt: skip
+GAP_VULNERABLE = Metric(
+    "gap_vulnerable", "m", "higher", (Mode.CLOSED,), partial(_gap, vulnerable_only=True),
+    (MIN, time_below(0.5, "time_below_50cm")),
+    "Least distance to a pedestrian or rider.",
+)  # fmt: skip
+TTC = Metric(
+    "ttc", "s", "higher", (Mode.CLOSED,), _ttc,
+    (MIN, time_below(0.95, "time_below_950ms"), time_below(1.5, "time_below_1500ms")),
+    "Least time until boxes touch at constant velocity vectors, within 10 s; not to those behind.",
+    "bound 0.95 s: nuPlan devkit e9241677, time_to_collision_within_bound",
+)  # fmt: skip
+OFF_ROAD = Metric(
+    "off_road", "m", "lower", (Mode.CLOSED,), _off_road, (MAX, time_above(OFF_ROAD_M, "time_beyond_30cm")),
+    "Greatest distance of a corner of the ego from the drivable lanes.",
+    "bound 0.3 m: nuPlan devkit e9241677, drivable_area_compliance",
+)  # fmt: skip
+PLAN_COLLISION = Metric(
+    "plan_collision", "s", "higher", (Mode.OPEN,), _plan_collision, (HAVING, MIN),
+    "Time until a plan touches a road user as it then really moved, within 5 s, every 0.1 s.",
+)  # fmt: skip

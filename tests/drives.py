@@ -1,0 +1,137 @@
+"""Hand-made drives and scenarios for the tests of metrics: small builders, no numbers of their own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from logs import (
+    AgentKind,
+    Controls,
+    EndReason,
+    Lane,
+    Mode,
+    Plan,
+    PlannedFrame,
+    Road,
+    Scenario,
+    Trace,
+    Tracks,
+    Trajectory,
+)
+
+Agent = tuple[str, AgentKind, Sequence[float], Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]]
+"""Id, kind, (length, width), motion: t -> x, y, yaw."""
+
+
+def grid(seconds: float, step: float = 0.01) -> np.ndarray:
+    return np.arange(round(seconds / step) + 1) * step
+
+
+def along(t: np.ndarray, v: np.ndarray | float, *, x: float = 0.0, a: np.ndarray | float = 0.0) -> Trajectory:
+    """Straight on along x with speed v(t)."""
+    v = np.broadcast_to(np.asarray(v, float), t.shape)
+    zero = np.zeros(len(t))
+    s = np.r_[0.0, np.cumsum(0.5 * np.diff(t) * (v[1:] + v[:-1]))]
+    return Trajectory(t, x + s, zero, zero, v, np.broadcast_to(np.asarray(a, float), t.shape), zero)
+
+
+def moving(x: float, y: float, vx: float, vy: float, yaw: float | None = None) -> Callable:
+    heading = np.arctan2(vy, vx) if yaw is None else yaw
+    return lambda t: (x + vx * t, y + vy * t, np.full(len(t), heading))
+
+
+def tracks(agents: Sequence[Agent], t: np.ndarray) -> Tracks:
+    """All agents sampled at the times t; velocities left to differences."""
+    if not agents:
+        return Tracks.empty()
+    n, m = len(agents), len(t)
+    x, y, yaw = (np.concatenate([agent[3](t)[i] for agent in agents]) for i in range(3))
+    length, width = (np.array([agent[2][i] for agent in agents], float) for i in range(2))
+    ids, kinds = tuple(agent[0] for agent in agents), tuple(agent[1] for agent in agents)
+    nan = np.full(n * m, np.nan)
+    static = np.zeros(n, bool)
+    return Tracks(ids, kinds, length, width, static, m * np.arange(n + 1), np.tile(t, n), x, y, yaw, nan, nan)
+
+
+def straight_road(*, half: float = 1.75, lanes: int = 1, limit: float = float("nan"), right: bool = True) -> Road:
+    """Lanes along x from -100 m to 500 m, the first centred on y = 0, the others to its left."""
+    x = np.array([-100.0, 500.0])
+    strips = [
+        Lane(
+            i,
+            np.column_stack([x, np.full(2, (2 * i + 1) * half)]),
+            np.column_stack([x, np.full(2, (2 * i - 1) * half)]),
+            left_neighbour=i + 1 if i + 1 < lanes else None,
+            right_neighbour=i - 1 if i else None,
+            speed_limit=limit,
+        )
+        for i in range(lanes)
+    ]
+    return Road({lane.id: lane for lane in strips}, drives_on_right=right)
+
+
+def scenario(ego: Trajectory, agents: Sequence[Agent] = (), **changes: object) -> Scenario:
+    fields = {"road": straight_road(), "duration": float(ego.t[-1])} | changes
+    return Scenario("test/log", ego, tracks(agents, ego.t), **fields)  # type: ignore[arg-type]
+
+
+def drive(log: Scenario, ego: Trajectory | None = None, *, mode: Mode = Mode.CLOSED, **changes: object) -> Trace:
+    """A trace in which the ego drives as given (None: as logged) and the others as logged."""
+    fields = {"frames": (), "end": EndReason.END_OF_LOG} | changes
+    return Trace(log.name, "hand", mode, False, ego or log.ego, log.tracks, **fields)  # type: ignore[arg-type]
+
+
+def plans(log: Trajectory, times: np.ndarray, horizon: float, bend: Callable | None = None) -> tuple[PlannedFrame, ...]:
+    """At each time, the log's next `horizon` seconds as the plan, bent by `bend(trajectory)`."""
+    frames = []
+    for t in times:
+        plan = log.between(float(t) - 1e-9, float(t) + horizon + 1e-9)
+        frames.append(PlannedFrame(float(t), Plan(bend(plan) if bend else plan)))
+    return tuple(frames)
+
+
+def controls(t: np.ndarray, throttle: np.ndarray, brake: np.ndarray, steer: np.ndarray | None = None) -> Controls:
+    return Controls(t, np.zeros(len(t)) if steer is None else steer, throttle, brake)
+
+
+def moved(world: Scenario, turn: float, dx: float, dy: float, *, mirror: bool = False) -> Scenario:
+    """The whole scene mirrored at the x axis (driving side too), then turned about the origin, then shifted."""
+    sign = -1.0 if mirror else 1.0
+    c, s = np.cos(turn), np.sin(turn)
+
+    def place(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return c * x - s * sign * y + dx, s * x + c * sign * y + dy
+
+    def lane(old: Lane) -> Lane:
+        left, right = (np.column_stack(place(*side.T)) for side in (old.left, old.right))
+        if mirror:
+            return replace(
+                old, left=right, right=left, left_neighbour=old.right_neighbour, right_neighbour=old.left_neighbour
+            )
+        return replace(old, left=left, right=right)
+
+    old = world.tracks
+    x, y = place(old.x, old.y)
+    vx, vy = place(old.vx, old.vy)
+    road = replace(
+        world.road,
+        lanes={i: lane(strip) for i, strip in world.road.lanes.items()},
+        drives_on_right=world.road.drives_on_right != mirror,
+    )
+    others = replace(old, x=x, y=y, yaw=sign * old.yaw + turn, vx=vx - dx, vy=vy - dy)
+    return replace(world, ego=moved_ego(world.ego, turn, dx, dy, mirror=mirror), tracks=others, road=road)
+
+
+def moved_ego(ego: Trajectory, turn: float, dx: float, dy: float, *, mirror: bool = False) -> Trajectory:
+    sign = -1.0 if mirror else 1.0
+    c, s = np.cos(turn), np.sin(turn)
+    return replace(
+        ego,
+        x=c * ego.x - s * sign * ego.y + dx,
+        y=s * ego.x + c * sign * ego.y + dy,
+        yaw=sign * ego.yaw + turn,
+        kappa=sign * ego.kappa,
+    )

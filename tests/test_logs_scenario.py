@@ -1,0 +1,224 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from math import pi
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from logs import AgentKind, Agents, Road, Scenario, Tracks, Trajectory
+from logs.scenario import MAX_AGE_S
+
+COLUMNS = ("t", "x", "y", "yaw", "vx", "vy")
+
+
+def ragged(seed: int) -> Tracks:
+    """A handful of tracks of random lengths and rates; some velocities are not known, one obstacle is static."""
+    rng = np.random.default_rng(seed)
+    counts = rng.integers(1, 12, 5)
+    t = [rng.uniform(-0.5, 2.0) + np.cumsum(rng.uniform(0.05, 0.45, n)) for n in counts]
+    m = int(counts.sum())
+    vx, vy = (np.where(rng.random(m) < 0.4, np.nan, rng.normal(0, 5, m)) for _ in range(2))
+    static = np.array([False] * 4 + [True])
+    return Tracks(
+        tuple(f"a{i}" for i in range(5)), (AgentKind.CAR,) * 4 + (AgentKind.OBJECT,), rng.uniform(1, 5, 5),
+        rng.uniform(0.5, 2, 5), static, np.r_[0, np.cumsum(counts)], np.concatenate(t), rng.normal(0, 20, m),
+        rng.normal(0, 20, m), rng.uniform(-3, 3, m), vx, vy,
+    )  # fmt: skip
+
+
+def truncated(tracks: Tracks, time: float) -> Tracks:
+    """Without the samples later than `time`; static obstacles, known from the start, keep their first sample."""
+    keep, owners = np.zeros(len(tracks.t), bool), []
+    for i in range(len(tracks)):
+        span = tracks.samples(i)
+        keep[span] = tracks.t[span] <= time
+        keep[span.start] |= tracks.static[i]
+        owners.append(int(keep[span].sum()))
+    alive = np.flatnonzero(owners)
+    return Tracks(
+        tuple(tracks.ids[i] for i in alive), tuple(tracks.kinds[i] for i in alive), tracks.length[alive],
+        tracks.width[alive], tracks.static[alive], np.r_[0, np.cumsum(np.array(owners)[alive])],
+        *(getattr(tracks, name)[keep] for name in COLUMNS),
+    )  # fmt: skip
+
+
+def same(one: Agents, two: Agents) -> bool:
+    return (one.ids, one.kinds) == (two.ids, two.kinds) and all(
+        getattr(one, name).tobytes() == getattr(two, name).tobytes()
+        for name in ("length", "width", "x", "y", "yaw", "vx", "vy")
+    )
+
+
+def one_car(t: list[float], x: list[float], /, **changes: object) -> Tracks:
+    n = len(t)
+    fields = {
+        "ids": ("car",), "kinds": (AgentKind.CAR,), "length": [4.0], "width": [2.0], "static": [False],
+        "offsets": [0, n], "t": t, "x": x, "y": np.zeros(n), "yaw": np.zeros(n), "vx": np.full(n, np.nan),
+        "vy": np.full(n, np.nan),
+    } | changes  # fmt: skip
+    return Tracks(**fields)  # type: ignore[arg-type]
+
+
+@given(st.integers(0, 200), st.floats(-1.0, 8.0))
+def test_no_later_sample_changes_what_is_perceived(seed: int, time: float) -> None:
+    tracks = ragged(seed)
+    assert same(tracks.perceived(time), truncated(tracks, time).perceived(time))
+
+
+@given(st.integers(0, 50), st.integers(0, 40))
+def test_nor_does_it_at_the_very_time_of_a_sample(seed: int, index: int) -> None:
+    tracks = ragged(seed)
+    time = float(tracks.t[index % len(tracks.t)])
+    assert same(tracks.perceived(time), truncated(tracks, time).perceived(time))
+
+
+@given(st.integers(0, 200), st.floats(-1.0, 8.0), st.floats(0.0, 5.0))
+def test_later_samples_may_say_anything(seed: int, time: float, jump: float) -> None:
+    tracks = ragged(seed)
+    later = tracks.t > time
+    later[tracks.offsets[:-1][tracks.static]] = False
+    noise = np.where(later, jump + 1.0, 0.0)
+    other = replace(tracks, x=tracks.x + noise, y=tracks.y - noise, vx=np.where(later, 7.0, tracks.vx))
+    assert same(tracks.perceived(time), other.perceived(time))
+
+
+@given(st.integers(0, 200), st.floats(-1.0, 8.0))
+def test_perceived_are_the_recent_and_the_static(seed: int, time: float) -> None:
+    tracks = ragged(seed)
+    expected = []
+    for i in range(len(tracks)):
+        past = [t for t in tracks.t[tracks.samples(i)] if t <= time]
+        if tracks.static[i] or (past and time - past[-1] <= MAX_AGE_S):
+            expected.append(tracks.ids[i])
+    assert tracks.perceived(time).ids == tuple(expected)
+
+
+@given(st.integers(0, 100), st.floats(0.0, 1.0), st.integers(0, 3))
+def test_truth_lies_between_its_samples(seed: int, share: float, index: int) -> None:
+    tracks = ragged(seed)
+    span = tracks.samples(index)
+    t = tracks.t[span]
+    time = float(t[0] + share * (t[-1] - t[0]))
+    found = tracks.truth(time)
+    at = found.ids.index(f"a{index}")
+    for name in ("x", "y", "yaw"):
+        assert getattr(found, name)[at] == pytest.approx(np.interp(time, t, getattr(tracks, name)[span]), abs=1e-6)
+
+
+@given(st.integers(0, 100))
+def test_truth_at_a_sample_is_the_sample(seed: int) -> None:
+    tracks = ragged(seed)
+    for i in range(4):
+        span = tracks.samples(i)
+        for k in range(span.start, span.stop):
+            found = tracks.truth(float(tracks.t[k]))
+            at = found.ids.index(tracks.ids[i])
+            assert found.x[at] == pytest.approx(tracks.x[k], abs=1e-6)
+
+
+def test_velocity_is_logged_or_a_backward_difference() -> None:
+    car = one_car([0.0, 0.1, 0.2], [0.0, 1.0, 4.0])
+    assert car.perceived(0.0).vx == [0.0]
+    assert car.perceived(0.15).vx == pytest.approx([10.0])
+    assert car.perceived(0.15).x == pytest.approx([1.5])
+    assert car.perceived(0.2).vx == pytest.approx([30.0])
+    logged = one_car([0.0, 0.1], [0.0, 1.0], vx=[3.0, 5.0], vy=[0.0, -1.0])
+    assert (logged.perceived(0.3).x, logged.perceived(0.3).y) == (pytest.approx([2.0]), pytest.approx([-0.2]))
+
+
+def test_an_agent_is_forgotten_and_its_truth_ends() -> None:
+    car = one_car([0.0, 0.1], [0.0, 1.0])
+    assert len(car.perceived(0.1 + MAX_AGE_S)) == 1
+    assert len(car.perceived(0.11 + MAX_AGE_S)) == 0
+    assert len(car.perceived(-0.01)) == 0
+    assert [len(car.truth(t)) for t in (-0.01, 0.0, 0.1, 0.11)] == [0, 1, 1, 0]
+
+
+def test_a_static_obstacle_is_always_there_and_stands() -> None:
+    cone = one_car([3.0], [5.0], static=[True], vx=[2.0])
+    for time in (-5.0, 0.0, 3.0, 99.0):
+        for found in (cone.perceived(time), cone.truth(time)):
+            assert (found.x.tolist(), found.vx.tolist(), found.speed.tolist()) == ([5.0], [0.0], [0.0])
+
+
+def test_truth_turns_the_short_way_across_pi() -> None:
+    car = one_car([0.0, 1.0, 2.0], [0.0, 1.0, 2.0], yaw=[3.0, -3.0, 3.1 - 4 * pi])
+    assert np.abs(np.diff(car.yaw)).max() < 0.3
+    assert car.truth(0.5).yaw == pytest.approx([pi])
+    assert car.perceived(1.0).yaw == pytest.approx([2 * pi - 3.0])
+
+
+@given(st.integers(0, 50))
+def test_yaw_is_continuous_within_each_track_and_the_same_direction(seed: int) -> None:
+    old = ragged(seed)
+    rng = np.random.default_rng(seed)
+    new = replace(old, yaw=old.yaw + 2 * pi * rng.integers(-2, 3, len(old.yaw)))
+    assert np.allclose(np.cos(new.yaw - old.yaw), 1.0)
+    for i in range(len(new)):
+        assert (np.abs(np.diff(new.yaw[new.samples(i)])) <= pi + 1e-9).all()
+
+
+def test_the_empty_scene() -> None:
+    none = Tracks.empty()
+    assert len(none) == len(none.perceived(0.0)) == len(none.truth(0.0)) == 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"offsets": [0, 1]}, "offsets disagree"),
+        ({"offsets": [1, 2]}, "offsets disagree"),
+        ({"offsets": [0, 0, 2]}, "offsets disagree"),
+        ({"length": [4.0, 4.0]}, "offsets disagree"),
+        ({"kinds": ()}, "offsets disagree"),
+        ({"x": [0.0]}, "x has a wrong length"),
+        ({"x": [0.0, np.nan]}, "x has a wrong length or is not finite"),
+        ({"yaw": [np.inf, 0.0]}, "yaw has a wrong length or is not finite"),
+        ({"t": [0.0, np.nan]}, "t has a wrong length or is not finite"),
+        ({"t": [0.0, 0.0]}, "time does not increase"),
+        ({"t": [0.1, 0.0]}, "time does not increase"),
+        ({"vx": [0.0]}, "vx has a wrong length"),
+        ({"vy": [0.0, np.inf]}, "vy has a wrong length or is infinite"),
+        ({"length": [0.0]}, "must be positive"),
+        ({"width": [np.nan]}, "must be positive"),
+    ],
+)
+def test_bad_tracks_are_refused(changes: dict, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        one_car([0.0, 0.1], [0.0, 1.0], **changes)
+
+
+def test_ids_must_differ_and_times_may_restart_between_tracks() -> None:
+    two = {"kinds": (AgentKind.CAR,) * 2, "length": [4.0] * 2, "width": [2.0] * 2, "static": [False] * 2}
+    fine = one_car([0.0, 0.1, 0.0], [0.0] * 3, ids=("a", "b"), offsets=[0, 2, 3], **two)
+    assert len(fine) == 2
+    with pytest.raises(ValueError, match="same id"):
+        replace(fine, ids=("a", "a"))
+
+
+def test_columns_are_read_only() -> None:
+    car = one_car([0.0, 0.1], [0.0, 1.0])
+    for array in (car.x, car.offsets, car.static, car.yaw, car.perceived(0.0).x):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1
+
+
+def test_kinds_that_are_vulnerable() -> None:
+    assert {kind.value for kind in AgentKind if kind.is_vulnerable} == {"pedestrian", "bicycle", "motorcycle"}
+
+
+def test_a_scenario_lasts_as_long_as_its_ego_and_keeps_its_metadata() -> None:
+    t = np.arange(3.0)
+    ego = Trajectory(t, 5 * t, 0 * t, 0 * t, 5 + 0 * t, 0 * t, 0 * t)
+    road = Road.along(np.column_stack([ego.x, ego.y]), speed_limit=10.0)
+    metadata = {"generator": "hand"}
+    log = Scenario("log", ego, Tracks.empty(), road, 2.0, metadata=metadata)
+    metadata["generator"] = "other"
+    assert log.metadata["generator"] == "hand"
+    with pytest.raises(TypeError):
+        log.metadata["generator"] = "other"  # type: ignore[index]
+    with pytest.raises(ValueError, match=r"lasts 1.5 s, shorter than its ego log \(2.0 s\)"):
+        replace(log, duration=1.5)

@@ -1,0 +1,102 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from math import pi
+
+import numpy as np
+import pandas as pd
+import pytest
+from drives import along, drive, grid, moved, moved_ego, plans, scenario
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from logs import Mode, Plan, PlannedFrame, Trajectory
+from metrics import evaluate
+
+LOG = scenario(along(grid(12.0, 0.1), 10.0))
+CURVE = 0.1 * grid(12.0, 0.1)
+BENT = scenario(
+    Trajectory(
+        grid(12.0, 0.1), 100 * np.sin(CURVE), 100 * (1 - np.cos(CURVE)), CURVE, 10 + 0 * CURVE, 0 * CURVE,
+        0.01 + 0 * CURVE,
+    )
+)  # fmt: skip
+FRAMES = grid(12.0, 0.1)[:-1]
+
+
+def table(log, frames) -> pd.DataFrame:
+    return evaluate(drive(log, mode=Mode.OPEN, frames=frames), log).set_index("metric")
+
+
+def shifted(dx: float = 0.0, dy: float = 0.0, turn: float = 0.0):
+    return lambda plan: replace(plan, x=plan.x + dx, y=plan.y + dy, yaw=plan.yaw + turn)
+
+
+@pytest.mark.parametrize("log", [LOG, BENT], ids=["straight", "bent"])
+def test_a_plan_that_is_the_log_has_no_error_at_all(log) -> None:
+    found = table(log, plans(log.ego, FRAMES, 8.0))
+    for name in ("ade", "fde", "ahe", "fhe", "along_error", "cross_error"):
+        for h in (1, 3, 5, 8):
+            assert found.loc[f"{name}.{h}s.max", "value"] == 0.0, (name, h)
+
+
+def test_a_shifted_plan_is_off_by_the_shift() -> None:
+    found = table(LOG, plans(LOG.ego, FRAMES, 8.0, shifted(3.0, -4.0, 0.2)))["value"]
+    for h in (1, 3, 5, 8):
+        assert found[f"ade.{h}s.mean"] == pytest.approx(5.0)
+        assert found[f"fde.{h}s.mean"] == pytest.approx(5.0)
+        assert found[f"along_error.{h}s.mean"] == pytest.approx(3.0)
+        assert found[f"cross_error.{h}s.mean"] == pytest.approx(4.0)
+        assert found[f"ahe.{h}s.mean"] == pytest.approx(0.2)
+        assert found[f"fhe.{h}s.mean"] == pytest.approx(0.2)
+
+
+def test_the_first_point_is_left_out_and_the_last_is_in() -> None:
+    """An error that grows by 1 m/s: mean of 0.1 .. 3.0 is 1.55, with t = 0 it were 1.5."""
+    ahead = plans(LOG.ego, FRAMES, 8.0, lambda plan: replace(plan, x=plan.x + (plan.t - plan.t[0])))
+    found = table(LOG, ahead)["value"]
+    assert found["ade.3s.mean"] == pytest.approx(1.55)
+    assert found["fde.3s.mean"] == pytest.approx(3.0)
+
+
+@given(st.integers(-2, 2))
+def test_heading_errors_are_principal_values(turns: int) -> None:
+    found = table(LOG, plans(LOG.ego, FRAMES[:3], 3.0, shifted(turn=2 * pi * turns - 0.3)))["value"]
+    assert found["ahe.3s.max"] == pytest.approx(0.3)
+
+
+def test_frames_that_do_not_reach_the_horizon_are_excluded_and_counted() -> None:
+    found = table(LOG, plans(LOG.ego, FRAMES, 4.0))
+    assert found.loc["ade.1s.excluded", "value"] == 9  # frames later than 11 s: the log ends at 12 s
+    assert found.loc["ade.3s.excluded", "value"] == 29
+    assert found.loc["ade.5s.mean", "reason"] == "plan or log ends less than 5 s after every frame"
+    assert not found.loc["ade.5s.mean", "available"]
+    short = plans(LOG.ego, FRAMES[:1], 0.5) + plans(LOG.ego, FRAMES[1:5], 8.0, shifted(1.0))
+    found = table(LOG, short)
+    assert found.loc["ade.1s.excluded", "value"] == 1
+    assert found.loc["ade.1s.mean", "value"] == pytest.approx(1.0)
+
+
+def test_the_worst_frame_is_named() -> None:
+    frames = list(plans(LOG.ego, FRAMES, 8.0))
+    frames[17] = PlannedFrame(frames[17].t, Plan(shifted(0.0, 2.0)(frames[17].plan.trajectory)))
+    found = table(LOG, tuple(frames))
+    assert found.loc["fde.3s.max", "value"] == pytest.approx(2.0)
+    assert found.loc["fde.3s.max", "time_s"] == pytest.approx(1.7)
+
+
+@settings(max_examples=20)
+@given(st.floats(-3.0, 3.0), st.floats(-50, 50), st.floats(-50, 50), st.booleans())
+def test_errors_do_not_change_with_the_map(turn: float, dx: float, dy: float, mirror: bool) -> None:
+    bend = shifted(1.0, 0.7, 0.1)
+    one = table(BENT, plans(BENT.ego, FRAMES[:20], 5.0, bend))["value"]
+    frames = plans(BENT.ego, FRAMES[:20], 5.0, lambda plan: moved_ego(bend(plan), turn, dx, dy, mirror=mirror))
+    two = table(moved(BENT, turn, dx, dy, mirror=mirror), frames)["value"]
+    names = [name for name in one.index if name.split(".")[0] in ("ade", "fde", "ahe", "along_error", "cross_error")]
+    assert two[names].to_numpy() == pytest.approx(one[names].to_numpy(), abs=1e-9, nan_ok=True)
+
+
+def test_why_there_is_nothing_to_compare() -> None:
+    alone = scenario(along(np.zeros(1), 10.0), duration=9.0)
+    assert table(alone, ()).loc["ade.1s.mean", "reason"].startswith("the log holds one ego state only")
+    assert table(LOG, ()).loc["ade.1s.mean", "reason"] == "the drive has no plans"

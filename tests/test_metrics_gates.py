@@ -1,0 +1,258 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from drives import along, drive, grid, scenario
+from hypothesis import given
+from hypothesis import strategies as st
+
+from logs import ConfigError, EndReason, LogError
+from metrics import COLUMNS, METRICS, evaluate
+from metrics.gates import Gate, Gates, Outcome, Verdict, judge, load_gates
+
+PASS, FAIL, INCONCLUSIVE = Outcome.PASS, Outcome.FAIL, Outcome.INCONCLUSIVE
+
+
+def row(log: str, value: float, **changes: object) -> dict[str, object]:
+    available = not np.isnan(value)
+    return {
+        "log": log, "planner": "dp_qp", "mode": "closed", "oracle": False, "metric": "gap.min", "value": value,
+        "unit": "m", "direction": "higher", "available": available, "reason": "car 7" if available else "nobody there",
+        "time_s": 3.2, "version": 1, "source": "",
+    } | changes  # fmt: skip
+
+
+def table(*rows: dict[str, object]) -> pd.DataFrame:
+    return pd.DataFrame(list(rows), columns=list(COLUMNS))
+
+
+def verdicts(gate: Gate, rows: pd.DataFrame, **how: object) -> tuple[Verdict, ...]:
+    tags = how.pop("tags", dict.fromkeys(rows["log"], ()))
+    return judge(Gates((gate,), "test"), rows, tags, **how)  # type: ignore[arg-type]
+
+
+def verdict(gate: Gate, rows: pd.DataFrame, **how: object) -> Verdict:
+    (only,) = verdicts(gate, rows, **how)
+    return only
+
+
+AT_LEAST = Gate("gap.min", min=0.5)
+
+# judging ----------------------------------------------------------------------------------------------------------
+
+
+@given(
+    st.lists(st.floats(-5.0, 5.0), min_size=1, max_size=9),
+    st.floats(-5.0, 5.0) | st.none(),
+    st.floats(0.0, 5.0),
+    st.booleans(),
+)
+def test_every_log_must_hold_the_bounds(values: list[float], low: float | None, width: float, two: bool) -> None:
+    high = (low or 0.0) + width if two or low is None else None
+    rows = table(*(row(f"log{i}", value) for i, value in enumerate(values)))
+    found = verdict(Gate("gap.min", min=low, max=high), rows)
+    good = [(low is None or low <= v) and (high is None or v <= high) for v in values]
+    assert found.outcome is (PASS if all(good) else FAIL)
+    if not all(good):
+        assert not good[int(found.log.removeprefix("log"))]
+
+
+@given(st.lists(st.floats(-5.0, 5.0), min_size=1, max_size=9), st.floats(-5.0, 5.0))
+def test_over_the_mean_only_the_mean_must(values: list[float], low: float) -> None:
+    rows = table(*(row(f"log{i}", value) for i, value in enumerate(values)))
+    found = verdict(Gate("gap.min", min=low, over="mean"), rows)
+    assert found.value == pytest.approx(np.mean(values))
+    assert (found.outcome is PASS) == (found.value >= low)
+
+
+def test_a_failure_names_worst_log_value_time_planner_and_whom() -> None:
+    found = verdict(AT_LEAST, table(row("a", 0.31), row("b", 0.12, time_s=1.5), row("c", 2.0)))
+    assert (found.outcome, found.planner, found.mode, found.log) == (FAIL, "dp_qp", "closed", "b")
+    assert (found.value, found.time_s) == (0.12, 1.5)
+    assert found.reason == (
+        "dp_qp, closed loop: gap.min = 0.12 m, below 0.5, on b at 1.50 s (car 7); broken in 2 of 3 logs"
+    )
+
+
+def test_a_pass_names_its_worst_too() -> None:
+    found = verdict(AT_LEAST, table(row("a", 0.7), row("b", 0.5)))
+    assert (found.outcome, found.log) == (PASS, "b")
+    assert found.reason == "dp_qp, closed loop: gap.min = 0.5 m, within bounds, on b at 3.20 s (car 7)"
+
+
+def test_a_bound_of_zero_is_a_bound() -> None:
+    assert verdict(Gate("gap.min", max=0), table(row("a", 1e-9))).outcome is FAIL
+    assert verdict(Gate("gap.min", max=0), table(row("a", 0.0))).outcome is PASS
+
+
+def test_nothing_to_judge_is_not_a_pass() -> None:
+    nothing = verdict(AT_LEAST, table(row("a", np.nan), row("b", np.nan)))
+    assert nothing.outcome is INCONCLUSIVE
+    assert nothing.reason == "dp_qp, closed loop: nothing to judge; not available in 2 of 2 logs (nobody there)"
+    assert verdict(Gate("gap.min", min=0, mode="open"), table(row("a", 1.0))).outcome is INCONCLUSIVE
+    assert verdict(Gate("ttc.min", min=0), table(row("a", 1.0))).outcome is INCONCLUSIVE
+    assert verdict(AT_LEAST, table(), tags={}).outcome is INCONCLUSIVE
+    tagged = verdict(Gate("gap.min", min=0, tags=("rain",)), table(row("a", 1.0)))
+    assert (tagged.outcome, tagged.reason) == (INCONCLUSIVE, "nothing to judge: no log has the tags rain")
+
+
+def test_partly_unavailable_is_said_and_min_logs_asked() -> None:
+    rows = table(row("a", 1.0), row("b", np.nan), row("c", np.nan))
+    found = verdict(AT_LEAST, rows)
+    assert found.outcome is PASS
+    assert found.reason.endswith("; not available in 2 of 3 logs (nobody there)")
+    short = verdict(Gate("gap.min", min=0.5, min_logs=2), rows)
+    assert short.outcome is INCONCLUSIVE
+    assert "1 log with a value, 2 must have one" in short.reason
+
+
+def test_tags_select_logs() -> None:
+    tags = {"a": ("pedestrian", "rain"), "b": ("pedestrian",), "c": ()}
+    rows = table(row("a", 0.6), row("b", 0.2), row("c", 0.1))
+    assert verdict(AT_LEAST, rows, tags=tags).log == "c"
+    assert verdict(Gate("gap.min", min=0.5, tags=("pedestrian",)), rows, tags=tags).log == "b"
+    assert verdict(Gate("gap.min", min=0.5, tags=("rain", "pedestrian")), rows, tags=tags).outcome is PASS
+
+
+def test_each_planner_and_mode_is_judged_but_oracles_only_if_named() -> None:
+    rows = table(
+        row("a", 1.0),
+        row("a", 0.1, planner="constant_speed"),
+        row("a", 0.1, planner="logged", oracle=True),
+        row("a", 1.0, mode="open"),
+    )
+    found = verdicts(AT_LEAST, rows)
+    assert [(v.planner, v.mode, v.outcome) for v in found] == [
+        ("dp_qp", "closed", PASS), ("constant_speed", "closed", FAIL), ("dp_qp", "open", PASS),
+    ]  # fmt: skip
+    assert verdict(Gate("gap.min", min=0.5, planner="logged"), rows).outcome is FAIL
+    only = table(row("a", 1.0, planner="logged", oracle=True))
+    assert "a planner that is no oracle" in verdict(AT_LEAST, only).reason
+
+
+@pytest.mark.parametrize("gate", [AT_LEAST, Gate("gap.min", min=0.5, tags=("x",))])
+def test_a_log_that_could_not_be_evaluated_is_not_a_pass(gate: Gate) -> None:
+    rows, broken = table(row("a", 1.0)), {"b": "yaw is NaN"}
+    found = verdict(gate, rows, tags={"a": ("x",), "b": ("x",)}, failed=broken)
+    assert found.outcome is INCONCLUSIVE
+    assert found.reason.endswith("; 1 log could not be evaluated (b: yaw is NaN)")
+    assert verdict(gate, rows, tags={"a": ("x",)}, failed=broken).outcome is INCONCLUSIVE
+    assert verdict(gate, table(row("a", 0.1)), tags={"a": ("x",)}, failed=broken).outcome is FAIL
+    assert verdict(gate, table(), tags={}, failed=broken).reason.endswith("b could not be evaluated: yaw is NaN")
+
+
+def test_a_failed_log_with_other_tags_does_not_matter() -> None:
+    gate = Gate("gap.min", min=0.5, tags=("x",))
+    assert verdict(gate, table(row("a", 1.0)), tags={"a": ("x",), "b": ()}, failed={"b": "broken"}).outcome is PASS
+
+
+def test_a_log_without_any_row_is_missed() -> None:
+    rows = table(row("a", 1.0), row("b", 1.0, planner="other"))
+    found = {v.planner: v for v in verdicts(AT_LEAST, rows, tags={"a": (), "b": ()})}
+    assert found["dp_qp"].outcome is found["other"].outcome is INCONCLUSIVE
+    assert found["dp_qp"].reason.endswith("1 log could not be evaluated (b: no result)")
+
+
+def test_tables_that_were_put_together_keep_their_rows_apart() -> None:
+    rows = pd.concat([table(row("a", 1.0)), table(row("b", 0.2)), table(row("c", 0.3))])
+    assert verdict(AT_LEAST, rows).log == "b"
+
+
+# files ------------------------------------------------------------------------------------------------------------
+
+
+def gates(tmp_path: Path, text: str) -> Gates:
+    path = tmp_path / "gates.toml"
+    path.write_text(text)
+    return load_gates(path)
+
+
+def test_a_file_is_read(tmp_path: Path) -> None:
+    found = gates(
+        tmp_path,
+        '[[gate]]\nmetric = "gap_vulnerable.min"\nmin = 0.5\nmax = 9\nmode = "closed"\ntags = ["pedestrian"]\n'
+        'planner = "dp_qp"\nover = "mean"\nmin_logs = 2\nreason = "keep away"\n\n'
+        '[[gate]]\nmetric = "qp_iterations.path.max"\nmax = 4000\n[[gate]]\nmetric = "ade.3s.mean"\nmax = 2\n',
+    )
+    assert found.source.endswith("gates.toml")
+    assert found.gates[0] == Gate(
+        "gap_vulnerable.min", 0.5, 9, "closed", ("pedestrian",), "dp_qp", "mean", 2, "keep away"
+    )
+    assert str(found.gates[0]) == "0.5 <= mean gap_vulnerable.min <= 9 [closed] [pedestrian] [dp_qp]"
+    assert [str(gate) for gate in found.gates[1:]] == ["qp_iterations.path.max <= 4000", "ade.3s.mean <= 2"]
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ('[[gate]]\nmetric = "gap.min"\n', r"gates.toml: gate 1 \(gap.min\): has neither min nor max"),
+        (
+            '[[gate]]\nmetric = "gap.mni"\nmin = 0\n',
+            "gate 1 .gap.mni.: no metric has this name, did you mean 'gap.min'",
+        ),
+        ('[[gate]]\nmetric = "gap"\nmin = 0\n', "no metric has this name"),
+        ('[[gate]]\nmetric = "ade.4s.mean"\nmax = 1\n', "did you mean 'ade.[1358]s.mean'"),
+        ('[[gate]]\nmetric = "gap.min"\nmim = 0\n', "unknown key 'mim', did you mean 'min'"),
+        ('[[gate]]\nmetric = "gap.min"\nmin = 0\n[[gate]]\nmax = 1\n', "gate 2: needs metric"),
+        ('[[gate]]\nmetric = "gap.min"\nmin = "0"\n', "min = '0' must be float"),
+        ('[[gate]]\nmetric = "gap.min"\nmin = true\n', "min = True must be float"),
+        ('[[gate]]\nmetric = "gap.min"\nmin = nan\n', "not finite"),
+        ('[[gate]]\nmetric = "gap.min"\nmin = 2\nmax = 1\n', "min 2 is above max 1"),
+        ('[[gate]]\nmetric = "gap.min"\nmin = 0\nmode = "close"\n', "mode is 'close'"),
+        ('[[gate]]\nmetric = "gap.min"\nmin = 0\nover = "best"\n', "over is 'best'"),
+        ('[[gate]]\nmetric = "gap.min"\nmin = 0\nmin_logs = 0\n', "nothing to judge is no pass"),
+        ('[[gate]]\nmetric = "gap.min"\nmin = 0\ntags = "rain"\n', "tags = 'rain' must be list"),
+        ('[[gate]]\nmetric = "gap.min"\nmin = 0\ntags = [1]\n', "tags must be words"),
+        ('[[gates]]\nmetric = "gap.min"\nmin = 0\n', "unknown key 'gates', did you mean 'gate'"),
+        ("", "holds no"),
+        ('gate = "gap"', "holds no"),
+        ("[[gate]\n", "cannot read gates"),
+    ],
+)
+def test_a_bad_file_is_one_line_that_names_it(tmp_path: Path, text: str, message: str) -> None:
+    with pytest.raises(ConfigError, match=message) as error:
+        gates(tmp_path, text)
+    assert "gates.toml" in str(error.value)
+    assert "\n" not in str(error.value)
+    assert not isinstance(error.value, LogError)
+
+
+def test_a_missing_file(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"none\.toml: cannot read gates"):
+        load_gates(tmp_path / "none.toml")
+
+
+def test_gates_on_metrics_of_ones_own(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text('[[gate]]\nmetric = "mine.min"\nmin = 0\n')
+    mine = {"mine": replace(METRICS["gap"], name="mine")}
+    assert len(load_gates(tmp_path / "mine.toml", metrics=mine).gates) == 1
+
+
+# the default ------------------------------------------------------------------------------------------------------
+
+
+def test_the_default_gates_judge_any_closed_loop_drive() -> None:
+    """Whatever a log lacks (others, lanes, goal), none of them is left without a value by it."""
+    default = load_gates(None)
+    needs_a_controller = ("tracking", "pedals", "fallback")
+    log = scenario(along(grid(3.0), 10.0))
+    found = judge(default, evaluate(drive(log), log), {log.name: ()})
+    assert len(found) == len(default.gates)
+    for each in found:
+        if not each.gate.metric.startswith(needs_a_controller):
+            assert each.outcome is PASS, each.reason
+        else:
+            assert each.outcome is INCONCLUSIVE
+        assert each.gate.reason
+
+
+def test_the_default_gates_fail_a_drive_that_ended_in_a_crash() -> None:
+    log = scenario(along(grid(3.0), 10.0))
+    found = judge(load_gates(None), evaluate(drive(log, end=EndReason.COLLISION, detail="car 7"), log), {log.name: ()})
+    (crash,) = [each for each in found if each.gate.metric == "completed.final"]
+    assert crash.outcome is FAIL
+    assert crash.reason.endswith("on test/log at 3.00 s (collision: car 7); broken in 1 of 1 log")

@@ -1,0 +1,375 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from math import pi
+
+import numpy as np
+import pandas as pd
+import pytest
+from drives import Agent, along, drive, grid, moved, moving, plans, scenario, straight_road
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from logs import AgentKind, Lane, Mode, Road, RoadSource, Scenario, Tracks, Trajectory, VehicleParameters
+from logs.shapes import distance, point_segment, time_to_contact
+from metrics import evaluate, series
+from metrics.lanes import drivable_lanes, off_lanes
+from metrics.others import others_at
+from metrics.safety import ContactKind, contacts
+
+CAR = (4.5, 1.8)
+EGO = VehicleParameters()
+NOSE, TAIL = EGO.axle_to_front, -EGO.rear_overhang
+
+
+def car(x: float, y: float, vx: float, vy: float = 0.0, kind: AgentKind = AgentKind.CAR, **pose: float) -> Agent:
+    return "7", kind, CAR if kind is not AgentKind.PEDESTRIAN else (0.6, 0.6), moving(x, y, vx, vy, **pose)
+
+
+def walker(x: float, y: float, vy: float) -> Agent:
+    return car(x, y, 0.0, vy, AgentKind.PEDESTRIAN)
+
+
+def judged(log: Scenario, **changes: object) -> pd.DataFrame:
+    return evaluate(drive(log, **changes), log).set_index("metric")
+
+
+def world(v: float, *agents: Agent, seconds: float = 4.0, **changes: object) -> Scenario:
+    return scenario(along(grid(seconds), v), agents, **changes)
+
+
+# the others on a grid ---------------------------------------------------------------------------------------------
+
+
+def test_others_on_a_grid_are_the_truth_at_each_time() -> None:
+    rng = np.random.default_rng(5)
+    counts = np.array([1, 4, 9, 2])
+    m = int(counts.sum())
+    ragged = Tracks(
+        ("a", "b", "c", "d"), (AgentKind.CAR,) * 4, np.ones(4), np.ones(4), np.array([True, False, False, False]),
+        np.r_[0, np.cumsum(counts)], np.concatenate([rng.uniform(0, 1) + 0.3 * np.arange(n) for n in counts]),
+        *rng.normal(0, 9, (2, m)), rng.uniform(-3, 3, m),
+        np.where(rng.random(m) < 0.5, np.nan, 1.0), np.full(m, np.nan),
+    )  # fmt: skip
+    t = np.unique(np.r_[np.linspace(-1.0, 5.0, 200), ragged.t])
+    others = others_at(ragged, t)
+    for k, time in enumerate(t):
+        truth = ragged.truth(float(time))
+        assert tuple(ragged.ids[i] for i in np.flatnonzero(others.there[:, k])) == truth.ids
+        expected = np.stack([truth.x, truth.y, truth.yaw, truth.vx, truth.vy])
+        assert others.pose[:, others.there[:, k], k] == pytest.approx(expected, abs=1e-12)
+    assert np.isnan(others.pose[:, ~others.there]).all()
+
+
+# collisions -------------------------------------------------------------------------------------------------------
+
+KINDS = [
+    ("a standing car ahead", 10.0, car(30.0, 0.0, 0.0, yaw=0.0), ContactKind.STOPPED_TRACK, True),
+    ("a slower car ahead", 10.0, car(20.0, 0.0, 2.0), ContactKind.ACTIVE_FRONT, True),
+    ("an oncoming car", 10.0, car(60.0, 0.0, -10.0), ContactKind.ACTIVE_FRONT, True),
+    ("a faster car behind", 5.0, car(-15.0, 0.0, 15.0), ContactKind.ACTIVE_REAR, False),
+    ("a car behind, the ego stands", 0.0, car(-15.0, 0.0, 10.0), ContactKind.STOPPED_EGO, False),
+    ("a crossing pedestrian hits the side", 5.0, walker(10.0, -6.0, 2.2), ContactKind.LATERAL, False),
+    ("the ego hits a crossing pedestrian", 10.0, walker(28.0, -4.0, 1.6), ContactKind.ACTIVE_FRONT, True),
+    ("a moved cone", 10.0, car(30.0, 0.0, 1.0, kind=AgentKind.OBJECT), ContactKind.STOPPED_TRACK, True),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("name", "v", "agent", "kind", "fault"), KINDS, ids=[case[0] for case in KINDS])
+def test_kinds_of_collision(name: str, v: float, agent: Agent, kind: ContactKind, fault: bool) -> None:
+    log = world(v, agent)
+    (contact,) = contacts(drive(log), log)
+    assert (contact.kind, contact.at_fault) == (kind, fault), name
+    table = judged(log)
+    assert table.loc["collision.count", "value"] == 1
+    assert table.loc["collision_at_fault.count", "value"] == fault
+    assert table.loc["collision.count", "reason"].startswith(f"{agent[1].value} 7: {kind.value}")
+    assert table.loc["gap.min", "value"] == 0.0
+    assert table.loc["collision.count", "time_s"] == log.ego.t[contact.step]
+
+
+def test_when_a_standing_car_is_hit() -> None:
+    table = judged(world(10.0, car(30.0, 0.0, 0.0, yaw=0.0)))
+    touch = (30.0 - 2.25 - NOSE) / 10.0
+    assert table.loc["collision.count", "time_s"] == pytest.approx(np.ceil(touch * 100) / 100)
+
+
+def test_a_track_counts_once_and_two_count_twice() -> None:
+    stops = ("wave", AgentKind.CAR, CAR, lambda t: (15.0 + 6.0 * np.sin(4 * t), 0 * t, 0 * t))
+    other = ("b", AgentKind.CAR, CAR, moving(25.0, 1.0, 0.0, 0.0, 0.0))
+    log = world(6.0, stops, other)
+    assert [contact.agent for contact in contacts(drive(log), log)] == [0, 1]
+    assert judged(log).loc["collision.count", "value"] == 2
+
+
+def test_a_collision_from_the_side_is_at_fault_outside_ones_lane() -> None:
+    merging = car(1.0, 4.5, 5.0, -1.0, yaw=0.0)
+    inside, astride = (
+        world(5.0, merging, road=straight_road(lanes=2)),
+        world(5.0, merging, road=straight_road(half=0.7)),
+    )
+    for log, fault in ((inside, False), (astride, True)):
+        (contact,) = contacts(drive(log), log)
+        assert (contact.kind, contact.at_fault) == (ContactKind.LATERAL, fault)
+
+
+def test_who_appears_where_the_ego_is_was_not_hit() -> None:
+    log = world(0.5, car(1.0, 0.5, 0.5))
+    (contact,) = contacts(drive(log), log)
+    assert (contact.step, contact.kind, contact.at_fault) == (0, ContactKind.FROM_START, False)
+    late = replace(log, tracks=replace(log.tracks, t=log.tracks.t + 1.0))
+    (contact,) = contacts(drive(late), late)
+    assert (contact.kind, late.ego.t[contact.step]) == (ContactKind.FROM_START, pytest.approx(1.0))
+
+
+def test_without_others_there_is_no_collision_and_no_gap() -> None:
+    table = judged(world(10.0))
+    assert table.loc["collision.count", "value"] == 0
+    assert (table.loc["gap.min", "available"], table.loc["gap.min", "reason"]) == (
+        False,
+        "no other road user in the scene",
+    )
+    assert table.loc["gap.time_below_20cm", "value"] == 0.0
+    assert table.loc["gap_vulnerable.min", "reason"] == "no pedestrian or rider in the scene"
+
+
+@given(st.integers(0, 300))
+@settings(max_examples=25)
+def test_gap_and_ttc_are_the_least_over_all_agents(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    agents = [(str(i), AgentKind.CAR, CAR, moving(*rng.uniform(-30, 30, 2), *rng.uniform(-9, 9, 2))) for i in range(12)]
+    log = scenario(along(grid(1.0, 0.1), 7.0), agents)
+    frames = series(drive(log), log)
+    gaps, times = (frames.loc[frames["metric"] == name, "value"].to_numpy() for name in ("gap", "ttc"))
+    for k, t in enumerate(log.ego.t):
+        x, others = 7.0 * t + EGO.axle_to_center, log.tracks.truth(float(t))
+        ego, gap, ttc = (x, 0.0, 0.0, EGO.length, EGO.width), [], [np.inf]
+        for i in range(12):
+            box = (others.x[i], others.y[i], others.yaw[i], *CAR)
+            gap.append(distance(*ego, *box))
+            behind = np.degrees(np.abs(np.arctan2(others.y[i], others.x[i] - 7.0 * t))) > 150.0
+            if not behind:
+                ttc.append(time_to_contact(*ego, 7.0, 0.0, *box, others.vx[i], others.vy[i]))
+        assert gaps[k] == pytest.approx(min(gap), abs=1e-9)
+        assert times[k] == pytest.approx(min(ttc), abs=1e-6) if min(ttc) < 10.0 else np.isnan(times[k])
+
+
+# gaps -------------------------------------------------------------------------------------------------------------
+
+
+def test_gap_to_a_parked_car_beside() -> None:
+    """Passing at 3 m centre to centre: 3 - 0.9 - half the ego's width, when the boxes are level."""
+    log = world(10.0, car(20.0, 3.0, 0.0, yaw=0.0), road=straight_road(lanes=2))
+    table = judged(log)
+    assert table.loc["gap.min", "value"] == pytest.approx(3.0 - 0.9 - 0.5 * EGO.width)
+    assert table.loc["gap.min", "time_s"] == pytest.approx((20.0 - 2.25 - NOSE) / 10.0, abs=0.02)
+    assert table.loc["gap.min", "reason"] == "car 7"
+
+
+def test_gap_to_the_vulnerable_is_apart() -> None:
+    table = judged(
+        world(5.0, car(40.0, 3.0, 5.0), ("p", AgentKind.PEDESTRIAN, (0.6, 0.6), moving(15.0, 4.0, 0.0, 0.1)))
+    )
+    assert table.loc["gap_vulnerable.min", "reason"] == "pedestrian p"
+    assert table.loc["gap_vulnerable.min", "value"] == pytest.approx(4.0 - 0.3 - 0.5 * EGO.width, abs=0.4)
+    assert table.loc["gap_vulnerable.min", "value"] == table.loc["gap.min", "value"]
+
+
+# time to collision ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("degrees", [0, 30, 60, 89, 120, 180, 271])
+def test_ttc_does_not_change_when_the_map_turns(degrees: float) -> None:
+    """Ego 15 m/s, lead 10 m/s, 30 m bumper to bumper: 6 s at the start; a published library gives 5.9 .. inf."""
+    log = world(15.0, car(30.0 + NOSE + 2.25, 0.0, 10.0), seconds=1.0)
+    turned = moved(log, degrees * pi / 180.0, 300.0, -20.0)
+    table = judged(turned)
+    assert table.loc["ttc.min", "value"] == pytest.approx(6.0 - 1.0)
+    assert table.loc["ttc.min", "time_s"] == pytest.approx(1.0)
+    assert table.loc["ttc.time_below_1500ms", "value"] == 0.0
+
+
+def test_an_opening_gap_has_no_ttc() -> None:
+    table = judged(world(10.0, car(20.0, 0.0, 15.0)))
+    assert table.loc["ttc.min", "reason"] == "never on a course to touch within 10 s"
+    assert table.loc["ttc.time_below_950ms", "value"] == 0.0
+
+
+def test_a_braking_lead() -> None:
+    """Both 15 m/s and 30 m apart; the lead brakes at 3 m/s2: after t its gap is 30 - 1.5 t^2, closing at 3 t."""
+    braking = ("7", AgentKind.CAR, CAR, lambda t: (30.0 + NOSE + 2.25 + 15.0 * t - 1.5 * t**2, 0 * t, 0 * t))
+    log = world(15.0, braking, seconds=4.0)
+    found = evaluate(drive(log), log).set_index("metric").loc["ttc.min"]
+    assert found["time_s"] == pytest.approx(4.0)
+    assert found["value"] == pytest.approx((30.0 - 1.5 * 16.0) / 12.0, abs=0.02)
+
+
+def test_a_pedestrian_who_crosses_counts_with_the_velocity_vector() -> None:
+    """The box is turned along the road, the walk goes across it: heading times speed would miss it."""
+    walker = ("7", AgentKind.PEDESTRIAN, (0.6, 0.6), moving(20.0 + NOSE, -4.0, 0.0, 2.0, 0.0))
+    table = judged(world(10.0, walker, seconds=0.5))
+    assert table.loc["ttc.min", "available"]
+    assert table.loc["ttc.min", "value"] == pytest.approx((20.0 - 0.3) / 10.0 - 0.5, abs=0.02)
+    away = ("7", AgentKind.PEDESTRIAN, (0.6, 0.6), moving(20.0 + NOSE, -4.0, 0.0, -2.0, 0.0))
+    assert not judged(world(10.0, away, seconds=0.5)).loc["ttc.min", "available"]
+
+
+def test_those_behind_and_a_standing_ego_have_no_ttc() -> None:
+    assert not judged(world(5.0, car(-20.0, 0.0, 10.0), seconds=1.0)).loc["ttc.min", "available"]
+    assert not judged(world(0.0, car(20.0, 0.0, -10.0), seconds=1.0)).loc["ttc.min", "available"]
+
+
+@pytest.mark.parametrize(("bound", "name"), [(0.95, "time_below_950ms"), (1.5, "time_below_1500ms")])
+def test_time_below_a_ttc_bound(bound: float, name: str) -> None:
+    """Ends 0.5 s before the touch, at constant closing speed: below the bound for bound - 0.5 s."""
+    log = world(10.0, car(NOSE + 2.25 + 35.0, 0.0, 0.0, yaw=0.0), seconds=3.0)
+    assert judged(log).loc[f"ttc.{name}", "value"] == pytest.approx(bound - 0.5, abs=0.011)
+
+
+# off the road -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_a_corner_off_the_lane(side: float) -> None:
+    """The ego drifts to y = 2 m: its corners stand out by 2 + half its width - 1.75 m."""
+    t = grid(4.0)
+    y = side * np.minimum(t, 2.0)
+    ego = Trajectory(t, 10 * t, y, 0 * t, 10 + 0 * t, 0 * t, 0 * t)
+    table = judged(scenario(ego))
+    out = 2.0 + 0.5 * EGO.width - 1.75
+    assert table.loc["off_road.max", "value"] == pytest.approx(out)
+    crossing = 1.75 + 0.3 - 0.5 * EGO.width
+    assert table.loc["off_road.time_beyond_30cm", "value"] == pytest.approx(4.0 - crossing, abs=0.02)
+
+
+def test_two_lanes_are_one_road_and_a_sidewalk_is_none() -> None:
+    t = grid(2.0)
+    ego = Trajectory(t, 10 * t, 1.75 + 0 * t, 0 * t, 10 + 0 * t, 0 * t, 0 * t)
+    both = straight_road(lanes=2)
+    assert judged(scenario(ego, road=both)).loc["off_road.max", "value"] == 0.0
+    walk = Road({0: both.lanes[0], 1: replace(both.lanes[1], drivable=False)})
+    assert judged(scenario(ego, road=walk)).loc["off_road.max", "value"] == pytest.approx(0.5 * EGO.width)
+
+
+def test_the_end_of_the_map_is_not_the_edge_of_the_road() -> None:
+    """The lanes end at 500 m: the nose may stand out, the whole car may not."""
+    assert judged(scenario(along(grid(2.0), 10.0, x=479.0))).loc["off_road.max", "value"] == 0.0
+    out = judged(scenario(along(grid(5.0), 10.0, x=479.0)))
+    assert out.loc["off_road.max", "value"] == pytest.approx(479.0 + 50.0 + NOSE - 510.0)
+
+
+def test_why_off_road_is_not_judged() -> None:
+    path = replace(straight_road(), source=RoadSource.DRIVEN_PATH)
+    assert "no lanes" in judged(world(10.0, road=path)).loc["off_road.max", "reason"]
+    assert "no lane on which" in judged(world(10.0, road=Road({}))).loc["off_road.max", "reason"]
+
+
+@given(st.lists(st.tuples(st.floats(-120, 520), st.floats(-9, 9)), min_size=1, max_size=9))
+def test_distance_off_the_lanes_is_exact(points: list[tuple[float, float]]) -> None:
+    x, y = np.array(points).T
+    lanes = drivable_lanes(straight_road(lanes=2))
+    assert lanes is not None
+    out_x, out_y = np.maximum(np.maximum(-110 - x, x - 510), 0), np.maximum(np.maximum(-1.75 - y, y - 5.25), 0)
+    assert off_lanes(lanes, x, y) == pytest.approx(np.hypot(out_x, out_y), abs=1e-9)
+
+
+@given(st.integers(0, 500))
+def test_distance_off_many_lanes_is_the_least_of_all(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    strips = {}
+    for i in range(12):
+        start, heading = rng.uniform(-40, 40, 2), rng.uniform(-3, 3)
+        along_it, aside = np.array([np.cos(heading), np.sin(heading)]), np.array([-np.sin(heading), np.cos(heading)])
+        center = start + rng.uniform(3, 20) * np.array([[0.0], [1.0]]) * along_it
+        strips[i] = Lane(i, center + 1.75 * aside, center - 1.75 * aside, (i,), drivable=bool(rng.random() < 0.8))
+    road = Road(strips)
+    x, y = rng.uniform(-50, 50, (2, 40))
+    lanes = drivable_lanes(road)
+    assert lanes is not None
+    for found, px, py in zip(off_lanes(lanes, x, y), x, y, strict=True):
+        edges = [
+            point_segment(px, py, *lane.polygon[j - 1], *lane.polygon[j])
+            for lane in strips.values()
+            if lane.drivable
+            for j in range(4)
+        ]
+        assert found == (0.0 if road.is_drivable(px, py) else pytest.approx(min(edges), abs=1e-9))
+
+
+# invariances ------------------------------------------------------------------------------------------------------
+
+SAFETY = ("collision", "collision_at_fault", "gap", "gap_vulnerable", "ttc", "off_road", "lat_accel", "yaw_rate",
+          "lat_jerk_state", "progress", "distance", "speed_excess")  # fmt: skip
+
+
+@settings(max_examples=25)
+@given(st.integers(0, 40), st.floats(-3.1, 3.1), st.floats(-90, 90), st.floats(-90, 90), st.booleans())
+def test_turning_shifting_and_mirroring_the_world_changes_no_metric(
+    seed: int, turn: float, dx: float, dy: float, mirror: bool
+) -> None:
+    rng = np.random.default_rng(seed)
+    t = grid(3.0, 0.05)
+    yaw = 0.2 * np.sin(t)
+    ego = Trajectory(t, 8 * t, 0.6 * t, yaw, 8 + 0 * t, 0 * t, 0.025 * np.cos(t))
+    kinds = (AgentKind.CAR, AgentKind.PEDESTRIAN, AgentKind.BICYCLE)
+    agents = [
+        (str(i), kind, CAR, moving(*rng.uniform(-5, 40, 1), *rng.uniform(-6, 6, 1), *rng.uniform(-6, 6, 2)))
+        for i, kind in enumerate(kinds)
+    ]
+    log = scenario(ego, agents, road=straight_road(lanes=2, limit=7.0))
+    other = moved(log, turn, dx, dy, mirror=mirror)
+    one, two = judged(log), judged(other)
+    rows = [name for name in one.index if name.split(".")[0] in SAFETY]
+    assert (one.loc[rows, "available"] == two.loc[rows, "available"]).all()
+    assert two.loc[rows, "value"].to_numpy() == pytest.approx(one.loc[rows, "value"].to_numpy(), abs=0.051, nan_ok=True)
+    steady = [name for name in rows if "time" not in name]
+    assert two.loc[steady, "value"].to_numpy() == pytest.approx(
+        one.loc[steady, "value"].to_numpy(), abs=1e-6, nan_ok=True
+    )
+
+
+def test_where_a_drive_is_cut_changes_no_step_before() -> None:
+    whole = world(10.0, car(30.0, 2.0, 4.0))
+    part = replace(whole, ego=whole.ego.between(0.0, 2.0))
+    one, two = series(drive(whole), whole), series(drive(part), part)
+    one = one[one["t_s"] <= 2.0]
+    for name in ("gap", "ttc", "collision", "lon_jerk_state", "lat_accel", "yaw_rate", "distance"):
+        a, b = (frame.loc[frame["metric"] == name, "value"].to_numpy() for frame in (one, two))
+        assert a.tobytes() == b.tobytes(), name
+
+
+# plans in open loop -----------------------------------------------------------------------------------------------
+
+
+def opened(log: Scenario, **how: object) -> pd.DataFrame:
+    frames = plans(log.ego, grid(3.0, 0.1)[:11], 5.0, **how)
+    return evaluate(drive(log, mode=Mode.OPEN, frames=frames), log).set_index("metric")
+
+
+def test_a_plan_that_would_hit_somebody() -> None:
+    """The log brakes for nobody: a car stands 40 m ahead and the plans go on at 10 m/s."""
+    table = opened(scenario(along(grid(9.0), 10.0), [car(40.0, 0.0, 0.0, yaw=0.0)]))
+    touch = (40.0 - 2.25 - NOSE) / 10.0
+    assert table.loc["plan_collision.rate", "value"] == 1.0
+    assert table.loc["plan_collision.min", "value"] == pytest.approx(touch - 1.0, abs=0.1)
+    assert table.loc["plan_collision.min", "time_s"] == pytest.approx(1.0)
+    assert table.loc["plan_collision.min", "reason"] == "car 7"
+
+
+def test_plans_that_keep_away_and_plans_against_the_future_as_it_was() -> None:
+    gone = scenario(along(grid(9.0), 10.0), [car(40.0, 0.0, 0.0, 4.0, yaw=0.0)])
+    table = opened(gone)
+    assert table.loc["plan_collision.rate", "value"] == 0.0
+    assert table.loc["plan_collision.min", "reason"] == "no plan touches anybody within 5 s"
+    comes = scenario(along(grid(9.0), 10.0), [car(43.0, -16.0, 0.0, 4.0, yaw=0.0)])
+    assert opened(comes).loc["plan_collision.rate", "value"] == 1.0
+
+
+def test_whom_the_ego_touches_already_is_not_the_plans_doing() -> None:
+    beside = scenario(along(grid(9.0), 10.0), [car(1.0, 1.0, 10.0)])
+    assert opened(beside).loc["plan_collision.rate", "value"] == 0.0
+
+
+def test_the_logs_own_gaps_are_not_in_an_open_loop_table() -> None:
+    log = scenario(along(grid(9.0), 10.0), [car(40.0, 0.0, 0.0, yaw=0.0)])
+    assert not any(name.startswith(("gap", "ttc", "collision")) for name in opened(log).index)

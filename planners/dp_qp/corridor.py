@@ -46,7 +46,7 @@ class CorridorConfig:
 
     clearance_m: float = 0.6
     min_clearance_m: float = 0.25
-    edge_m: float = 0.1
+    edge_m: float = 0.25
     gap_m: float = 1.0
     neighbour_behind_m: float = 40.0
     neighbour_ahead_m: float = 60.0

@@ -20,6 +20,7 @@ from logs.states import EgoState, wrap
 
 FINE_M = 0.5
 MAX_TURN = 1.2
+"""Heading off the reference line, rad, from which on a path is no function of its station any more."""
 MIN_REGULAR = 0.1
 """1 - kappa l is kept above this: nearer to the centre of the turn the Frenet frame says nothing."""
 
@@ -85,20 +86,26 @@ def make_path(line: ReferenceLine, s0: float, step: float, offsets: FloatArray) 
     return Path(*_fine_path(line.s, line.coef, s0, step, np.ascontiguousarray(offsets), parts))
 
 
+def out_of_frame(line: ReferenceLine, state: EgoState, s: float, l: float) -> str:  # noqa: E741
+    """Why a state with foot point (s, l) has no l', l'' in the Frenet frame; empty where it has."""
+    _, _, yaw_r, kappa_r = line.frame(s)
+    turn = abs(wrap(state.yaw - yaw_r))
+    if not turn <= MAX_TURN:
+        return f"the heading is {turn * 180.0 / pi:.0f} degrees off the reference line"
+    if not 1.0 - kappa_r * l >= MIN_REGULAR:
+        return f"{abs(l):.1f} m beside the reference line is the centre of its turn"
+    return ""
+
+
 def frenet_start(line: ReferenceLine, state: EgoState, s: float, l: float) -> tuple[float, float, float]:  # noqa: E741
     """l, l', l'' of a state whose foot point is (s, l): the inverse of (2) and (3).
 
-    The heading must be within `MAX_TURN` of the line's: further off, l' as a function of s has no meaning.
-
-    Raises:
-        ValueError: It is not.
+    Only for states of which `out_of_frame` has nothing to say.
     """
     _, _, yaw_r, kappa_r = line.frame(s)
     dkappa_r = line.frame(s + 0.25)[3] - line.frame(s - 0.25)[3]
-    regular = max(1.0 - kappa_r * l, MIN_REGULAR)
+    regular = 1.0 - kappa_r * l
     turn = wrap(state.yaw - yaw_r)
-    if not abs(turn) <= MAX_TURN:
-        raise ValueError(f"the heading is {abs(turn) * 180.0 / pi:.0f} degrees off the reference line")
     dl = regular * tan(turn)
     ddl = (state.kappa * regular / cos(turn) - kappa_r) * regular / cos(turn) ** 2
     ddl -= (2.0 * dkappa_r * l + kappa_r * dl) * tan(turn)

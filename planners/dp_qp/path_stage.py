@@ -14,7 +14,7 @@ from logs.trace import Artefact, Corridor, Decision, DecisionKind, GraphObstacle
 from logs.vehicle import VehicleParameters
 from planners.dp_qp import corridor
 from planners.dp_qp.corridor import CorridorConfig, PathObstacle
-from planners.dp_qp.path import Path, frenet_start, make_path
+from planners.dp_qp.path import Path, frenet_start, make_path, out_of_frame
 from planners.dp_qp.path_dp import SAMPLES, PathDpConfig, path_dp, path_dp_offset
 from planners.dp_qp.path_qp import PathQp, PathQpConfig
 from planners.dp_qp.reference_line import Course
@@ -79,6 +79,9 @@ class PathStage:
 
     def choose(self, frame: Frame, start: EgoState, s0: float, l0: float, *, fresh: bool) -> ChosenPath:
         """The path from `start`, whose foot on the reference line is (s0, l0)."""
+        trouble = out_of_frame(self._course.line, start, s0, l0)
+        if trouble:
+            return ChosenPath(None, trouble, frozenset(), 0.0, ())
         program = self._program(start.v)
         frenet = frenet_start(self._course.line, start, s0, l0)
         knots = s0 + program.step * np.arange(program.knots)

@@ -1,1 +1,164 @@
-"""TODO."""
+"""Recordings: a drive or a log as one .rrd file with its views in it. The only door to rerun; it draws, never computes.
+
+Import this package only where something is drawn: it loads the viewer's library.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from hashlib import sha256
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import rerun as rr
+
+from logs.kernel import FloatArray
+from logs.scenario import Scenario
+from logs.trace import EndReason, Graph, Mode, PlannedFrame, SlGraph, StGraph, Trace
+from replay.recording import plots, words
+from replay.recording.axes import Axes, sl_axes, st_axes
+from replay.recording.blueprint import Contents, blueprint
+from replay.recording.columns import Instants, Tape
+from replay.recording.graphs import draw_graph
+from replay.recording.scene import draw_scene
+from replay.recording.text import application_name, field_name, plain
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+    from replay.drive import Drive
+
+__all__ = ["write_log_recording", "write_recording"]
+
+SCENE_STEP_S = 0.1
+
+
+def write_recording(path: Path, drive: Drive, scenario: Scenario, table: DataFrame | None = None) -> None:
+    """Write one drive as a recording: scene, graphs, curves, decisions and the reasons for them.
+
+    Args:
+        path: The .rrd file; it appears only when it is complete.
+        drive: The trace and the stage times.
+        scenario: The log that was driven.
+        table: Rows of `metrics.evaluate` for this trace; None: no metrics in the summary.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    trace = drive.trace
+    times = scene_times(trace, float(trace.ego.t[-1]))
+    frames = np.array([frame.t for frame in trace.frames]) if trace.frames else times
+    instants, planned = Instants.among(times, frames), Instants.among(frames, frames)
+    graphs: dict[type[Graph], list[Graph | None]] = {kind: _graphs(trace.frames, kind) for kind in (StGraph, SlGraph)}
+    axes: dict[type[Graph], Axes | None] = {
+        StGraph: st_axes([graph for graph in graphs[StGraph] if graph]),
+        SlGraph: sl_axes([graph for graph in graphs[SlGraph] if graph]),
+    }
+    panels = plots.motion_panels(trace, scenario, times)
+    stages = plots.stage_panel(drive.timings)
+    panels += [stages] if stages else []
+    pages = ("why", "summary", "events") if trace.frames else ("summary", "events")
+    contents = Contents(panels, axes[StGraph], axes[SlGraph], True, pages, _bounds(trace, scenario))
+    application = f"replan {scenario.name} {trace.mode.value} loop"
+    with _tape(path, application, trace.planner, _digest(trace), contents) as tape:
+        draw_scene(tape, trace, scenario, instants, planned)
+        for kind, axis in axes.items():
+            if axis:
+                draw_graph(tape, planned, graphs[kind], axis)
+        plots.draw_panels(tape, panels, frames)
+        plots.draw_lanes(tape, plots.state_lanes(trace), frames)
+        if trace.frames:
+            words.draw_why(tape, trace.frames, planned)
+        words.draw_events(tape, words.events(trace), planned)
+        words.draw_summary(tape, words.summary(trace, scenario, table))
+        _send_metrics(tape, table)
+
+
+def write_log_recording(path: Path, scenario: Scenario) -> None:
+    """Write a log by itself: the scene, and the ego's speed, acceleration and steering.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    trace = Trace(scenario.name, "log", Mode.OPEN, False, scenario.ego, scenario.tracks, (), EndReason.END_OF_LOG)
+    times = scene_times(trace, scenario.duration)
+    panels = plots.motion_panels(trace, scenario, times)
+    contents = Contents(panels, None, None, False, ("summary",), _bounds(trace, scenario))
+    instants = Instants.among(times, times)
+    with _tape(path, f"replan {scenario.name} log", "log", _digest(trace), contents) as tape:
+        draw_scene(tape, trace, scenario, instants, instants)
+        plots.draw_panels(tape, panels, times)
+        words.draw_summary(tape, words.log_summary(scenario))
+
+
+def scene_times(trace: Trace, end: float) -> FloatArray:
+    """When the scene is drawn: at every frame, every `SCENE_STEP_S` where frames are rarer, and at the end."""
+    start = float(trace.ego.t[0])
+    frames = np.array([frame.t for frame in trace.frames])
+    grid = start + SCENE_STEP_S * np.arange(int(np.floor((end - start) / SCENE_STEP_S + 1e-9)) + 1)
+    if len(frames):
+        gap = np.abs(grid[:, None] - frames[None, :]).min(axis=1) if len(frames) < 3 else _away(grid, frames)
+        grid = np.r_[frames, grid[gap > 0.75 * SCENE_STEP_S]]
+    times = np.unique(np.round(np.r_[grid, end], 9))
+    return times[times <= end + 1e-9] if (times <= end + 1e-9).any() else times
+
+
+def _away(grid: FloatArray, frames: FloatArray) -> FloatArray:
+    after = np.clip(np.searchsorted(frames, grid), 1, len(frames) - 1)
+    return np.minimum(np.abs(grid - frames[after - 1]), np.abs(grid - frames[after]))
+
+
+def _graphs(frames: Sequence[PlannedFrame], kind: type[Graph]) -> list[Graph | None]:
+    """The first graph of a kind in each frame."""
+    return [
+        next((artefact for artefact in frame.plan.internals if isinstance(artefact, kind)), None) for frame in frames
+    ]
+
+
+def _bounds(trace: Trace, scenario: Scenario) -> FloatArray:
+    """Lower and upper corner `(2, 2)` of the lanes and the driven path."""
+    path = np.column_stack([trace.ego.x, trace.ego.y])
+    points = np.concatenate([path, *(lane.polygon for lane in scenario.road.lanes.values())])
+    return np.stack([points.min(axis=0), points.max(axis=0)])
+
+
+def _digest(trace: Trace) -> str:
+    """The recording's id: the same drive has the same one."""
+    digest = sha256(repr((trace.scenario, trace.planner, trace.mode.value, len(trace.frames))).encode())
+    for column in (trace.ego.t, trace.ego.x, trace.ego.y, trace.ego.v):
+        digest.update(column.tobytes())
+    return digest.hexdigest()[:32]
+
+
+@contextmanager
+def _tape(path: Path, application: str, name: str, digest: str, contents: Contents) -> Iterator[Tape]:
+    """The open recording under a temporary name, renamed when all is written; errors of the library are raised."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    unfinished = path.with_name(f"{path.name}.part")
+    unfinished.touch()  # an OSError that says why, where the library has an error of its own
+    strict = rr.strict_mode()
+    rr.set_strict_mode(True)
+    stream = rr.RecordingStream(application_name(application), recording_id=digest, send_properties=False)
+    try:
+        stream.set_log_time_enabled(False)
+        stream.save(unfinished, default_blueprint=blueprint(contents))
+        stream.send_recording_name(plain(name))
+        yield Tape(stream)
+        stream.disconnect()
+        unfinished.replace(path)
+    finally:
+        stream.disconnect()
+        rr.set_strict_mode(strict)
+        unfinished.unlink(missing_ok=True)
+
+
+def _send_metrics(tape: Tape, table: DataFrame | None) -> None:
+    """Available metrics as properties of the recording: a column each in a table of recordings."""
+    if table is None:
+        return
+    shown = table[table["available"] & np.isfinite(table["value"].to_numpy(dtype=float))]
+    values = {field_name(name): float(value) for name, value in zip(shown["metric"], shown["value"], strict=True)}
+    if values:
+        tape.stream.send_property("metrics", rr.AnyValues(drop_untyped_nones=True, **values))

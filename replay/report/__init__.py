@@ -1,1 +1,1 @@
-"""TODO."""
+"""What a run tells people."""

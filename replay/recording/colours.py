@@ -1,0 +1,84 @@
+"""The colours of a recording: packed 0xRRGGBBAA, readable on a dark and on a light ground."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from logs.kernel import FloatArray
+from logs.scenario import AgentKind
+from logs.trace import DecisionKind, PlanStatus
+
+PackedArray = NDArray[np.uint32]
+
+EGO = 0x4696FFFF
+GHOST = 0xAAAAB4A0
+DP = 0xFFD750FF
+QP = 0x46C8FFFF
+FREE = 0x50C896FF
+AXIS = 0xA0A4ACFF
+GRID = 0x50545C90
+TICK = 0x9A9EA6FF
+
+SURFACE = 0x2A2C31FF
+WALK = 0x34322EFF
+EDGE = 0xD2D2D2FF
+FAINT = 0x5F646CFF
+MARKING = 0xB4B4B4FF
+OPPOSITE = 0xE6BE3CFF
+GOAL = 0x50D278FF
+
+KINDS = {
+    AgentKind.CAR: 0xF09632FF,
+    AgentKind.TRUCK: 0xE16E3CFF,
+    AgentKind.BUS: 0xD7785AFF,
+    AgentKind.MOTORCYCLE: 0xC878DCFF,
+    AgentKind.BICYCLE: 0xB482FAFF,
+    AgentKind.PEDESTRIAN: 0xFF5A8CFF,
+    AgentKind.OBJECT: 0x96968CFF,
+}
+DECISIONS = {
+    DecisionKind.IGNORE: 0x8C919BFF,
+    DecisionKind.NUDGE_LEFT: 0xAA8CFFFF,
+    DecisionKind.NUDGE_RIGHT: 0xD796FFFF,
+    DecisionKind.STOP: 0xFF463CFF,
+    DecisionKind.FOLLOW: 0xFFAF3CFF,
+    DecisionKind.YIELD: 0xF0645AFF,
+    DecisionKind.OVERTAKE: 0x6ED278FF,
+}
+STATUSES = {
+    PlanStatus.PLANNED: 0x3C8C50FF,
+    PlanStatus.PREVIOUS: 0xC8961EFF,
+    PlanStatus.COMFORTABLE_STOP: 0xD2691EFF,
+    PlanStatus.HARD_STOP: 0xC83232FF,
+}
+SERIES = (0x5AC8FFFF, 0xFFC850FF, 0xFF6E64FF, 0x78DC82FF, 0xC896FFFF, 0x50D2C8FF, 0xFF96C8FF, 0xBEBEBEFF)
+
+_RAMP_AT = np.array([0.0, 0.35, 0.65, 1.0])
+_COST_RAMP = np.array([[70, 110, 230], [40, 170, 170], [120, 205, 90], [255, 225, 60]], dtype=np.float64)
+_SPEED_RAMP = np.array([[255, 70, 60], [255, 190, 60], [120, 220, 90], [60, 230, 170]], dtype=np.float64)
+
+
+def with_alpha(colour: int, alpha: int) -> int:
+    """The colour with another opacity, 0 to 255."""
+    return (colour & 0xFFFFFF00) | alpha
+
+
+def darker(colour: PackedArray) -> PackedArray:
+    """The colours at half their light, opaque: fills that overlap without getting denser."""
+    return ((colour >> np.uint32(1)) & np.uint32(0x7F7F7F00)) | np.uint32(255)
+
+
+def _ramp(anchors: FloatArray, u: FloatArray) -> PackedArray:
+    red, green, blue = (np.interp(u, _RAMP_AT, anchors[:, k]).astype(np.uint32) for k in range(3))
+    return np.asarray((red << 24) | (green << 16) | (blue << 8) | 255, dtype=np.uint32)
+
+
+def of_cost(u: FloatArray) -> PackedArray:
+    """Blue (0, cheap) over green to yellow (1, dear)."""
+    return _ramp(_COST_RAMP, u)
+
+
+def of_speed(u: FloatArray) -> PackedArray:
+    """Red (0, standing) over yellow to green (1, the fastest of the recording)."""
+    return _ramp(_SPEED_RAMP, u)

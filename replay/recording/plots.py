@@ -1,0 +1,304 @@
+"""Curves and lanes over time: speeds, accelerations, pedals, tracking errors, decisions, stage times.
+
+Only what is in the trace, the scenario and the timings; the jerk is the slope of the acceleration from sample to
+sample. A panel without a finite value is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import rerun as rr
+
+from logs.kernel import FloatArray
+from logs.road import RoadSource
+from logs.scenario import Scenario
+from logs.states import Trajectory
+from logs.trace import Decision, DecisionKind, Mode, Plan, PlanStatus, Trace
+from replay.recording import colours
+from replay.recording.columns import Instants, Tape
+from replay.recording.text import path_parts, plain
+
+if TYPE_CHECKING:
+    from replay.drive import StageTime
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """One curve of a panel.
+
+    Attributes:
+        name: An entity path part.
+        legend: What the viewer shows.
+        colour: Packed.
+        t: `(n,)` s; `values` `(n,)`.
+        width: Pixels.
+        steps: Whether a value holds until the next.
+        spiky: Whether the axis may cut off its rarest values.
+    """
+
+    name: str
+    legend: str
+    colour: int
+    t: FloatArray
+    values: FloatArray
+    width: float = 1.5
+    steps: bool = False
+    spiky: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Panel:
+    """Curves that share an axis.
+
+    Attributes:
+        entity: Parent of the curves.
+        title: With the unit.
+        curves: Those with a finite value.
+        least_span: The axis is never shorter than this, so that a still curve looks still.
+    """
+
+    entity: str
+    title: str
+    curves: tuple[Curve, ...]
+    least_span: float
+
+    @property
+    def y_range(self) -> tuple[float, float]:
+        """The axis: all finite values (of spiky curves 96 in 100) and some room."""
+        shown = [(curve.values[np.isfinite(curve.values)], curve.spiky) for curve in self.curves]
+        spans = [np.percentile(values, (2.0, 98.0) if spiky else (0.0, 100.0)) for values, spiky in shown]
+        low, high = float(np.min(spans)), float(np.max(spans))
+        half = 0.57 * max(high - low, self.least_span)
+        return 0.5 * (low + high) - half, 0.5 * (low + high) + half
+
+
+def _panel(entity: str, title: str, curves: Iterable[Curve | None], least_span: float) -> Panel | None:
+    kept = tuple(curve for curve in curves if curve is not None and np.isfinite(curve.values).any())
+    return Panel(f"plots/{entity}", title, kept, least_span) if kept else None
+
+
+def draw_panels(tape: Tape, panels: Iterable[Panel], frames: FloatArray) -> None:
+    """Each curve an entity of its own; values that are not finite are gaps."""
+    for panel in panels:
+        for curve in panel.curves:
+            entity = f"{panel.entity}/{curve.name}"
+            mode = rr.components.InterpolationMode.StepAfter if curve.steps else None
+            style = rr.SeriesLines(
+                colors=[curve.colour], names=[curve.legend], widths=[curve.width], interpolation_mode=mode
+            )
+            tape.static(entity, style)
+            values = np.where(np.isfinite(curve.values), curve.values, np.nan)
+            tape.rows(entity, Instants.among(curve.t, frames), rr.Scalars.columns(scalars=values))
+
+
+def _planned(trace: Trace, value: Callable[[Trajectory], FloatArray]) -> FloatArray:
+    """What the plan in force says at each of `trace.ego.t`; NaN before the first plan."""
+    out = np.full(len(trace.ego), np.nan)
+    starts = np.searchsorted(trace.ego.t, np.array([frame.t for frame in trace.frames]) - 1e-9)
+    stops = np.r_[starts[1:], len(out)]
+    for frame, start, stop in zip(trace.frames, starts, stops, strict=True):
+        path = frame.plan.trajectory
+        out[start:stop] = np.interp(trace.ego.t[start:stop], path.t, value(path))
+    return out
+
+
+def _slope(t: FloatArray, values: FloatArray) -> FloatArray:
+    """Difference quotient to the sample before `(n,)`; NaN at the first."""
+    return np.r_[np.nan, np.diff(values) / np.diff(t)] if len(t) > 1 else np.full(len(t), np.nan)
+
+
+def _limits(trace: Trace, scenario: Scenario, times: FloatArray) -> FloatArray:
+    """Speed limit of the lane that the ego is on, as the log has it; NaN elsewhere."""
+    out = np.full(len(times), np.nan)
+    if scenario.road.source is RoadSource.LANES:
+        x, y = np.interp(times, trace.ego.t, trace.ego.x), np.interp(times, trace.ego.t, trace.ego.y)
+        for i in range(len(times)):
+            lanes = scenario.road.lanes_at(float(x[i]), float(y[i]))
+            out[i] = next((lane.speed_limit for lane in lanes if lane.drivable), np.nan)
+    return out
+
+
+def _ahead(trace: Trace, value: Callable[[Trajectory], FloatArray], lag: float) -> tuple[FloatArray, FloatArray]:
+    """At each time what the plan that is `lag` seconds old said of it: times `(k,)` and values `(k,)`."""
+    said = [
+        (frame.t + lag, np.interp(frame.t + lag, frame.plan.trajectory.t, value(frame.plan.trajectory)))
+        for frame in trace.frames
+        if frame.t + lag <= min(frame.plan.trajectory.t[-1], trace.ego.t[-1]) + 1e-9
+    ]
+    t, values = np.array(said, dtype=np.float64).reshape(-1, 2).T
+    return t, values
+
+
+def _plan_curves(trace: Trace, value: Callable[[Trajectory], FloatArray]) -> list[Curve]:
+    """Closed loop: the plan in force. Open loop, where each plan starts at the log: what older plans foresaw."""
+    yellow, violet = colours.SERIES[1], colours.SERIES[4]
+    if not trace.frames:
+        return []
+    if trace.mode is Mode.CLOSED:
+        return [Curve("plan", "plan", yellow, trace.ego.t, _planned(trace, value))]
+    return [
+        Curve(f"plan_{lag:.0f}s", f"plan {lag:.0f} s before", colour, *_ahead(trace, value, lag), 1.2)
+        for lag, colour in ((1.0, yellow), (3.0, violet))
+    ]
+
+
+def motion_panels(trace: Trace, scenario: Scenario, times: FloatArray) -> list[Panel]:
+    """Speed, acceleration, jerk, pedals, steering and tracking errors, as far as they are known."""
+    ego, log = trace.ego, scenario.ego
+    blue, _, red, *_, grey = colours.SERIES
+    compared = trace.mode is Mode.CLOSED and len(log) > 1
+    jerk = _slope(ego.t, ego.a)
+    speeds = [
+        Curve("limit", "limit", red, times, _limits(trace, scenario, times), 1.0, steps=True),
+        *([Curve("log", "log", grey, log.t, log.v, 1.0)] if compared else []),
+        *_plan_curves(trace, lambda path: path.v),
+        Curve("ego", "ego", blue, ego.t, ego.v, 2.0),
+    ]
+    accelerations = [
+        Curve("jerk", "jerk", colours.with_alpha(red, 150), ego.t, jerk, 1.0, spiky=True),
+        *([Curve("log", "log", grey, log.t, log.a, 1.0)] if compared else []),
+        *_plan_curves(trace, lambda path: path.a),
+        Curve("ego", "ego", blue, ego.t, ego.a, 2.0),
+    ]
+    panels = [
+        _panel("speed", "Speed [m/s]", speeds, 2.0),
+        _panel("acceleration", "Acceleration [m/s²], jerk [m/s³]", accelerations, 1.0),
+        _panel("jerk", "Jerk in full", [Curve("ego", "jerk [m/s³]", red, ego.t, jerk)], 2.0),
+        *_pedal_panels(trace, scenario),
+        *_error_panels(trace),
+    ]
+    return [panel for panel in panels if panel]
+
+
+def _pedal_panels(trace: Trace, scenario: Scenario) -> list[Panel | None]:
+    """Throttle and brake, and steering: done, commanded, logged."""
+    done, asked, log = trace.actuation, trace.commands, scenario.controls
+    blue, yellow, red, green, *_, grey = colours.SERIES
+    dim = {colour: colours.with_alpha(colour, 120) for colour in (red, green, blue)}
+    pedals = (
+        Curve("throttle_command", "throttle asked", dim[green], asked.t, asked.throttle, 1.0) if asked else None,
+        Curve("brake_command", "brake asked", dim[red], asked.t, asked.brake, 1.0) if asked else None,
+        Curve("throttle", "throttle", green, done.t, done.throttle, 2.0) if done else None,
+        Curve("brake", "brake", red, done.t, done.brake, 2.0) if done else None,
+        Curve("throttle_log", "throttle log", grey, log.t, log.throttle, 1.0) if log else None,
+        Curve("brake_log", "brake log", yellow, log.t, log.brake, 1.0) if log else None,
+    )
+    steer = (
+        Curve("log", "log", grey, log.t, log.steer, 1.0) if log else None,
+        Curve("command", "asked", dim[blue], asked.t, asked.steer, 1.0) if asked else None,
+        Curve("ego", "ego", blue, done.t, done.steer, 2.0) if done else None,
+    )
+    return [
+        _panel("pedals", "Throttle, brake [0..1]", pedals, 0.2),
+        _panel("steer", "Steering [rad]", steer, 0.02),
+    ]
+
+
+def _error_panels(trace: Trace) -> list[Panel | None]:
+    errors = trace.tracking
+    if errors is None:
+        return []
+    _, yellow, _, green, violet, teal, *_ = colours.SERIES
+    across = (
+        Curve("lateral", "lateral [m]", yellow, errors.t, errors.lateral),
+        Curve("heading", "heading [rad]", teal, errors.t, errors.heading),
+    )
+    along = (
+        Curve("station", "station [m]", violet, errors.t, errors.station),
+        Curve("speed", "speed [m/s]", green, errors.t, errors.speed),
+    )
+    return [
+        _panel("error_across", "Tracking error: across", across, 0.1),
+        _panel("error_along", "Tracking error: along", along, 0.2),
+    ]
+
+
+def stage_panel(timings: Sequence[StageTime]) -> Panel | None:
+    """Milliseconds per stage; "total" is the whole plan."""
+    parts = path_parts(timing.stage for timing in timings)
+    curves = []
+    for k, (stage, part) in enumerate(sorted(parts.items(), key=lambda item: item[0] != "total")):
+        some = sorted((timing.t, timing.seconds) for timing in timings if timing.stage == stage)
+        t, seconds = np.array(some).T
+        colour, width = (colours.SERIES[-1], 2.0) if stage == "total" else (colours.SERIES[k % 7], 1.2)
+        curves.append(Curve(part, plain(stage), colour, t, 1e3 * seconds, width, spiky=True))
+    return _panel("stages", "Stage times [ms]", curves, 0.2)
+
+
+LONGITUDINAL = (DecisionKind.STOP, DecisionKind.YIELD, DecisionKind.FOLLOW, DecisionKind.OVERTAKE)
+FREE_DRIVE, KEEP, BOTH = "drive on", "keep", "nudge left and right"
+
+
+def longitudinal(plan: Plan) -> str:
+    """The strongest of a plan's decisions about speed."""
+    kinds = {artefact.kind for artefact in plan.internals if isinstance(artefact, Decision)}
+    return next((kind.value for kind in LONGITUDINAL if kind in kinds), FREE_DRIVE)
+
+
+def lateral(plan: Plan) -> str:
+    """A plan's decisions about the side."""
+    kinds = {artefact.kind for artefact in plan.internals if isinstance(artefact, Decision)}
+    left, right = DecisionKind.NUDGE_LEFT in kinds, DecisionKind.NUDGE_RIGHT in kinds
+    if left and right:
+        return BOTH
+    return DecisionKind.NUDGE_LEFT.value if left else DecisionKind.NUDGE_RIGHT.value if right else KEEP
+
+
+STATE_COLOURS = {
+    **{kind.value: colours.DECISIONS[kind] for kind in DecisionKind},
+    FREE_DRIVE: 0x3C6EAAFF,
+    KEEP: 0x3C6EAAFF,
+    BOTH: 0xC090FFFF,
+}
+
+
+@dataclass(frozen=True)
+class Lane:
+    """One lane of states: a value per change."""
+
+    name: str
+    t: tuple[float, ...]
+    values: tuple[str, ...]
+
+
+def changes(name: str, t: Sequence[float], values: Sequence[str]) -> Lane:
+    """A lane of the values that differ from the one before."""
+    kept = [i for i in range(len(values)) if i == 0 or values[i] != values[i - 1]]
+    return Lane(name, tuple(t[i] for i in kept), tuple(values[i] for i in kept))
+
+
+def state_lanes(trace: Trace) -> list[Lane]:
+    """Plan status, decisions (where the planner tells them) and the end."""
+    t = [frame.t for frame in trace.frames]
+    plans = [frame.plan for frame in trace.frames]
+    lanes = [changes("plan", t, [STATUS_WORDS[plan.status] for plan in plans])]
+    if any(isinstance(artefact, Decision) for plan in plans for artefact in plan.internals):
+        lanes.append(changes("along", t, [longitudinal(plan) for plan in plans]))
+        lanes.append(changes("across", t, [lateral(plan) for plan in plans]))
+    first, last = min([*t, float(trace.ego.t[0])]), float(trace.ego.t[-1])
+    return [lane for lane in lanes if lane.t] + [changes("drive", [first, last], ["driving", trace.end.value])]
+
+
+STATUS_WORDS = {
+    PlanStatus.PLANNED: "planned",
+    PlanStatus.PREVIOUS: "previous plan",
+    PlanStatus.COMFORTABLE_STOP: "comfortable stop",
+    PlanStatus.HARD_STOP: "hard stop",
+}
+"""The statuses in two words, for lanes; the sentences are in the texts."""
+
+
+def draw_lanes(tape: Tape, lanes: Sequence[Lane], frames: FloatArray) -> None:
+    """Coloured lanes of states."""
+    known = STATE_COLOURS | {STATUS_WORDS[status]: colour for status, colour in colours.STATUSES.items()}
+    for lane in lanes:
+        entity = f"state/{rr.escape_entity_path_part(lane.name)}"
+        values = sorted(set(lane.values))
+        shades = np.array([known.get(value, 0x5A6478FF) for value in values], dtype=np.uint32)
+        tape.static(entity, rr.StateConfiguration(values=values, labels=values, colors=shades))
+        instants = Instants.among(np.array(lane.t), frames)
+        tape.rows(entity, instants, rr.StateChange.columns(state=list(lane.values)))

@@ -1,0 +1,66 @@
+"""Words for the viewer: a text that its font can draw, and entity paths from users' words.
+
+A glyph that the viewer's font lacks ends the headless viewer, so every text goes through `plain` (one line),
+`cell` (one line inside Markdown) or `document` (Markdown of ours). Names of scenarios, agents, stages come from users.
+"""
+
+from __future__ import annotations
+
+import unicodedata
+from collections.abc import Iterable
+
+import rerun as rr
+
+_ASCII = frozenset(chr(code) for code in range(0x20, 0x7F))
+_LATIN = frozenset(chr(code) for code in range(0xA1, 0x100) if code != 0xAD)
+_GREEK = frozenset("ΑΒΓΔΕΖΗΘΙΚΛΜΝΞΟΠΡΣΤΥΦΧΨΩαβγδεζηθικλμνξοπρςστυφχψω")
+DRAWABLE = _ASCII | _LATIN | _GREEK | frozenset("≤≥√∑→←↑↓")
+"""The characters that the viewer's font has (tried with the headless viewer)."""
+
+_MARKDOWN = str.maketrans({mark: f"\\{mark}" for mark in "\\`*_[]<>|#~"})
+
+
+def plain(text: object) -> str:
+    """One line of drawable characters: white space becomes a space, what cannot be drawn "?"."""
+    composed = unicodedata.normalize("NFC", " ".join(str(text).split()))
+    return "".join(mark if mark in DRAWABLE else "?" for mark in composed)
+
+
+def cell(text: object) -> str:
+    """One line to be put into Markdown: marks that Markdown would read are escaped."""
+    return plain(text).translate(_MARKDOWN)
+
+
+def document(lines: Iterable[str]) -> str:
+    """Markdown of lines of ours, each drawable; a user's words in them must have come through `cell`."""
+    return "\n".join("".join(mark if mark in DRAWABLE else "?" for mark in line) for line in lines)
+
+
+def table(header: Iterable[str], rows: Iterable[Iterable[object]]) -> list[str]:
+    """The lines of a Markdown table, with an empty line before and after it."""
+    names = list(header)
+    body = ["| " + " | ".join(cell(value) for value in row) + " |" for row in rows]
+    return ["", "| " + " | ".join(names) + " |", "|" + " --- |" * len(names), *body, ""]
+
+
+def path_parts(words: Iterable[str]) -> dict[str, str]:
+    """An escaped entity path part for each distinct word; different words never share one."""
+    parts: dict[str, str] = {}
+    for word in words:
+        if word not in parts:
+            name, count = plain(word) or "?", 1
+            while (part := rr.escape_entity_path_part(name)) in parts.values():
+                count += 1
+                name = f"{plain(word) or '?'} {count}"
+            parts[word] = part
+    return parts
+
+
+def field_name(word: str) -> str:
+    """A word as a name of a recording property: letters, digits and underscores."""
+    return "".join(mark if mark.isascii() and mark.isalnum() else "_" for mark in word) or "_"
+
+
+def application_name(words: str) -> str:
+    """Words as the name under which the viewer keeps a layout: it allows few characters, and not many of them."""
+    return "".join(mark if mark.isascii() and (mark.isalnum() or mark in " _-") else "-" for mark in words)[:100]

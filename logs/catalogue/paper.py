@@ -169,7 +169,7 @@ CROSSING_PEDESTRIAN = Family(
     "a pedestrian crosses from the right, leaves the lane and stands still: brake, then drive on",
     {
         "ego_speed_mps": 10.0,
-        "pedestrian_speed_mps": 1.0,
+        "pedestrian_speed_mps": 0.85,
         "walk_start_s": 5.0,
         "distance_m": 33.0,
         "kerb_distance_m": 0.6,

@@ -2,7 +2,8 @@
 
     minimise 1/2 x' P x + q' x    subject to    l <= A x <= u,  the first rows equalities
 
-A workspace is set up once with its matrices and belongs to one owner; each solve gets new vectors. OSQP (Stellato et
+A workspace is set up once with its matrices and belongs to one owner; each solve gets new vectors, and where A varies
+`refill` gives new numbers in the places of the old ones. OSQP (Stellato et
 al., 2020), an ADMM method, solves most problems in a few warm-started iterations, but a tight corridor can cost it
 thousands. What it has not solved within `max_iterations` is handed to PIQP (Schwan et al., 2023), an interior-point
 method that needs about ten for any of ours; the report then says so. A solver may call a problem solved that only its
@@ -18,7 +19,7 @@ import osqp
 import piqp
 from scipy import sparse
 
-from logs.kernel import FloatArray
+from logs.kernel import FloatArray, IntArray
 from logs.trace import SolverReport
 
 SOLVED = 1
@@ -104,6 +105,30 @@ class QuadraticProgram:
             verbose=False,
         )
         self._sure: piqp.SparseSolver | None = None
+        self._refilling: tuple[FloatArray, IntArray] | None = None
+
+    def refill(self, values: FloatArray) -> None:
+        """New numbers for the stored entries of A `(nnz,)`, in the order of its columns (`A.data`, sorted indices).
+
+        Rows stay scaled as at the set-up.
+
+        Raises:
+            ValueError: The number of entries differs, or one is not finite.
+        """
+        if values.shape != self._A.data.shape or not np.isfinite(values).all():
+            raise ValueError(f"A has {len(self._A.data)} entries, got {values.shape}, or one that is not finite")
+        if self._refilling is None:
+            places = sparse.csc_matrix(
+                (np.arange(1.0, len(values) + 1.0), self._A.indices, self._A.indptr), self._A.shape
+            ).tocsr()
+            columns = np.repeat(np.arange(self._A.shape[1]), np.diff(self._A.indptr))
+            scale = self._row_scale[self._A.indices] * self._scale[columns]
+            self._refilling = scale, places.data.astype(np.int64) - 1
+        scale, order = self._refilling
+        self._A.data[:] = scale * values
+        self._rows.data[:] = self._A.data[order]
+        self._fast.update(Ax=self._A.data)
+        self._sure = None  # its updates of A lose accuracy from one to the next
 
     def solve(self, q: FloatArray, lower: FloatArray, upper: FloatArray, *, fresh: bool) -> QPResult:
         """Solve with new vectors; `fresh` forgets the last solution, so that the result depends on nothing before."""
@@ -143,7 +168,9 @@ class QuadraticProgram:
         else:
             self._sure.update(c=q, b=lower[:k], h_l=lower[k:], h_u=upper[k:])
         status = self._sure.solve()
-        info = self._sure.result.info
+        found, info = self._sure.result, self._sure.result.info
+        if status == piqp.PIQP_SOLVED and self._refilling is not None:  # the next problem is near this one
+            self._fast.warm_start(x=np.array(found.x), y=np.r_[found.y, found.z_u - found.z_l])
         solved = status == piqp.PIQP_SOLVED
         name = f"{'solved' if solved else str(status).rsplit('.')[-1].lower()} by PIQP after {spent} OSQP iterations"
         return self._checked(

@@ -1,24 +1,19 @@
-"""The planner's one screen: start, path, speed, trajectory; or the fallback and why."""
+"""The planner's one screen: start, candidate lanes, choice, trajectory; or the fallback and why."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import hypot
-
-import numpy as np
+from math import hypot, inf
 
 from logs.frame import Frame, PlannerContext
 from logs.states import EgoState
-from logs.trace import Plan, PlanStart, PlanStatus
+from logs.trace import Artefact, Plan, PlanStart, PlanStatus
+from planners.dp_qp.decide import choose, worth_looking
 from planners.dp_qp.fallback import along, fall_back
-from planners.dp_qp.path_stage import PathConfig, PathStage
-from planners.dp_qp.reference_line import make_course
-from planners.dp_qp.route import find_route
-from planners.dp_qp.speed_stage import SpeedConfig, SpeedStage
-from planners.dp_qp.st_graph import behind
-
-TRACK_M = 1.0
-"""A path that stays within this of the ego's offset keeps its track."""
+from planners.dp_qp.lane_plan import LanePlan, LanePlanner
+from planners.dp_qp.lanes import Lanes, Strip
+from planners.dp_qp.path_stage import PathConfig
+from planners.dp_qp.speed_stage import SpeedConfig
 
 
 @dataclass(frozen=True)
@@ -39,51 +34,63 @@ class DpQpConfig:
 
 
 class DpQp:
-    """DP and QP planner on one reference line.
+    """DP and QP planner over candidate lanes.
 
-    Memory: solver warm starts and the last station on the reference line; both are dropped where
-    `frame.previous is None`.
+    Memory, dropped where `frame.previous is None`: the lane that is driven and since when; per lane the solvers' warm
+    starts and the last station.
     """
 
     def __init__(self, context: PlannerContext, config: DpQpConfig | None = None) -> None:
         self._config = config or DpQpConfig()
-        self._vehicle, self._lap = context.vehicle, context.lap
-        route = find_route(context.road, context.start, context.goal)
-        self._course = make_course(context.road, route, context.start)
-        self._path = PathStage(
-            self._course,
-            context.vehicle,
-            self._config.path,
-            horizon=self._config.speed.qp.horizon,
-            passes_left=context.road.drives_on_right,
-            lap=context.lap,
-        )
-        self._speed = SpeedStage(context.vehicle, self._config.speed, context.lap)
-        self._station: float | None = None
+        self._context, self._vehicle, self._lap = context, context.vehicle, context.lap
+        self._lanes = Lanes(context)
+        self._planners: dict[Strip, LanePlanner] = {}
+        self._driven = self._planner(self._lanes.start(context.start))
+        self._changed = -inf
 
     def plan(self, frame: Frame) -> Plan:
         """A plan from the previous plan or the ego; with a fallback, its status and reason."""
         fresh = frame.previous is None
         start, start_kind = self._start(frame)
-        s0, l0 = self._course.line.project(start.x, start.y, None if fresh else self._station)
-        self._station = s0
+        if fresh:
+            self._driven, self._changed = self._planner(self._lanes.start(start)), -inf
         self._lap("start")
-        path = self._path.choose(frame, start, s0, l0, fresh=fresh)
-        if path.path is None:
-            return fall_back(
-                frame, start, start_kind, None, path.reason, path.artefacts, self._vehicle, self._config.speed.qp
-            )
-        limit = np.interp(path.path.s, self._course.line.s, self._course.limit)
-        skip = behind(self._course, frame, s0, l0, self._vehicle, keeps_track=path.shift < TRACK_M)
-        speed = self._speed.choose(frame, start, path.path, limit, skip, path.passed, fresh=fresh)
-        artefacts = (*path.artefacts, *speed.artefacts)
-        if speed.profile is None:
-            return fall_back(
-                frame, start, start_kind, path.path, speed.reason, artefacts, self._vehicle, self._config.speed.qp
-            )
-        trajectory = along(path.path, speed.profile, frame.t)
+        chosen, considered = self._choose(frame, start, fresh=fresh)
+        artefacts = (*chosen.artefacts, *considered)
+        config = self._config.speed.qp
+        path, speed = chosen.path.path, chosen.speed
+        if path is None or speed is None or speed.profile is None:
+            reason = chosen.path.reason or (speed.reason if speed else "")
+            return fall_back(frame, start, start_kind, path, reason, artefacts, self._vehicle, config)
         status = PlanStatus.HARD_STOP if speed.unavoidable else PlanStatus.PLANNED
-        return Plan(trajectory, status, speed.reason, start_kind, artefacts)
+        return Plan(along(path, speed.profile, frame.t), status, speed.reason, start_kind, artefacts)
+
+    def _choose(self, frame: Frame, start: EgoState, *, fresh: bool) -> tuple[LanePlan, tuple[Artefact, ...]]:
+        """The plan in the best lane; the neighbours are planned only where that may pay."""
+        keep = self._driven.plan("keep", frame, start, fresh=fresh)
+        if not worth_looking(keep, since_change=frame.t - self._changed):
+            return keep, ()
+        beside = self._lanes.beside(keep.strip, keep.s)
+        others = [self._planner(strip).plan(side, frame, start, fresh=fresh) for side, strip in beside]
+        if not others:
+            return keep, ()
+        chosen, considered = choose(keep, others, frame, self._vehicle)
+        if chosen is not keep:
+            self._driven, self._changed = self._planner(chosen.strip), frame.t
+        self._lap("lane choice")
+        return chosen, considered
+
+    def _planner(self, strip: Strip) -> LanePlanner:
+        if strip not in self._planners:
+            self._planners[strip] = LanePlanner(
+                strip,
+                self._vehicle,
+                self._config.path,
+                self._config.speed,
+                passes_left=self._context.road.drives_on_right,
+                lap=self._lap,
+            )
+        return self._planners[strip]
 
     def _start(self, frame: Frame) -> tuple[EgoState, PlanStart]:
         if frame.previous is not None:

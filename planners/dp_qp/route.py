@@ -69,6 +69,34 @@ def find_route(road: Road, ego: EgoState, goal: Goal | None) -> Route:
     return Route(starts[:1], False, 0.0)
 
 
+@dataclass(frozen=True, slots=True)
+class CostToGo:
+    """What is left from a lane's start to the goal: the cost (1) in m, and how many lane changes are in it."""
+
+    cost: float
+    changes: int
+
+
+def costs_to_go(road: Road, goal: Goal | None) -> dict[int, CostToGo]:
+    """The cost to go of every lane from which the goal can be reached: (1) from the goal backwards; {} without one."""
+    into: dict[int, list[tuple[int, float]]] = {}
+    for lane in road.lanes.values():
+        if lane.drivable:
+            for step, price in _steps(road, lane):
+                into.setdefault(step, []).append((lane.id, price))
+    queue = [(0.0, 0, lane) for lane in sorted(goal_lanes(road, goal))]
+    best: dict[int, CostToGo] = {}
+    while queue:
+        cost, changes, lane_id = heapq.heappop(queue)
+        if lane_id in best:
+            continue
+        best[lane_id] = CostToGo(cost, changes)
+        for before, price in into.get(lane_id, ()):
+            sideways = lane_id not in road.lanes[before].successors
+            heapq.heappush(queue, (cost + price, changes + sideways, before))
+    return best
+
+
 def goal_lanes(road: Road, goal: Goal | None) -> frozenset[int]:
     """The lanes whose centre line runs through a goal region; for a region that none meets, those under its middle."""
     found: set[int] = set()

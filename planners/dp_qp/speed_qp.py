@@ -36,6 +36,10 @@ class SpeedLimits:
     jerk_mps3: float
 
 
+def _hardness(limits: SpeedLimits) -> tuple[float, float]:
+    return limits.decel_mps2, limits.jerk_mps3
+
+
 @dataclass(frozen=True)
 class SpeedQpConfig:
     """Weights and limits of the speed QP.
@@ -63,6 +67,17 @@ class SpeedQpConfig:
         if self.knots < 11 or not (self.curve_accel_mps2 > 0.0 and self.ease_mps2 > 0.0):
             raise ValueError("speed QP needs at least 11 knots and positive limits")
 
+    def ladder(self) -> tuple[SpeedLimits, ...]:
+        """From comfort to emergency, so that nobody brakes harder than is needed."""
+        low, high = self.comfort, self.emergency
+        between = (
+            SpeedLimits(
+                low.accel_mps2, *(a + u * (b - a) for a, b in zip(_hardness(low), _hardness(high), strict=True))
+            )
+            for u in (0.25, 0.5, 0.75)
+        )
+        return (low, *between, high)
+
     @property
     def horizon(self) -> float:
         """Length of the profile, s."""
@@ -86,20 +101,21 @@ def limit_profile(
 def braking(v0: float, a0: float, decel: float, jerk: float, step: float, knots: int) -> FloatArray:
     """Rows s, v, a `(3, knots)` of braking to a stop: jerk-limited to `-decel`, then held, then standing.
 
-    The stop itself is eased: the deceleration never exceeds what the jerk can release before standstill.
+    The stop itself is eased: the next deceleration b is not more than the jerk can release before standstill,
+    b^2 <= 2 jerk v' with the speed v' = v + step (a - b) / 2 that it leaves.
     """
     out = np.zeros((3, knots))
-    s, v, a = 0.0, v0, a0
+    s, v, a, half = 0.0, v0, a0, 0.5 * jerk * step
     for i in range(knots):
         out[0, i], out[1, i], out[2, i] = s, v, a
-        wanted = -min(decel, sqrt(2.0 * jerk * max(v, 0.0)))
+        wanted = -min(decel, sqrt(half * half + 2.0 * jerk * max(v + 0.5 * step * a, 0.0)) - half)
         a_next = max(wanted, a - jerk * step) if wanted < a else min(wanted, a + jerk * step)
         v_next = v + 0.5 * step * (a + a_next)
-        if v_next <= 0.0:
-            s += 0.5 * v * v / max(-0.5 * (a + a_next), 1e-6) if v > 0.0 else 0.0
+        if v_next <= 1e-6:
+            s += min(v * v / max(-(a + a_next), 1e-6), v * step) if v > 0.0 else 0.0
             v, a = 0.0, 0.0
             continue
-        s += 0.5 * step * (v + v_next)
+        s += step * v + step * step * (a / 3.0 + a_next / 6.0)
         v, a = v_next, a_next
     return out
 

@@ -55,6 +55,7 @@ class ChosenSpeed:
         profile: Rows s, v, a `(3, knots)` every 0.1 s; None where the QP failed.
         reason: Why it failed or what it could not keep; empty otherwise.
         unavoidable: Whether even the hardest braking would meet somebody.
+        free_m: Station at the horizon's end with nobody in the way, m.
         blocks: Who takes the path when.
         artefacts: Graph, decisions, costs, solver report.
     """
@@ -62,6 +63,7 @@ class ChosenSpeed:
     profile: FloatArray | None
     reason: str
     unavoidable: bool
+    free_m: float
     blocks: Blocks
     artefacts: tuple[Artefact, ...]
 
@@ -83,16 +85,20 @@ class SpeedStage:
         """The speed along `path` with the road's speed limit `(m,)` on it; agents to `skip` `(agents,)`."""
         blocks = block_intervals(path, frame, self._vehicle, skip, passed, self._config.graph)
         self._lap("S-T graph")
-        qp = self._config.qp
-        limit = np.where(path.sigma >= self._stop_line(blocks, frame), 0.0, limit)
-        v_limit = limit_profile(path.sigma, path.kappa, limit, qp.curve_accel_mps2, qp.ease_mps2)
+        v_open = self._reachable(path, limit)
+        v_limit = self._reachable(path, np.where(path.sigma >= self._stop_line(blocks, frame), 0.0, limit))
         grid, s_dp = self._dp(blocks, path, v_limit, start)
         decisions = decide_speed(blocks, frame, np.interp(blocks.t, self._times, s_dp))
         self._lap("speed DP")
-        upper, lower = self._bounds(blocks, decisions, path)
-        v0, a0 = _startable(start.v, start.a, qp.comfort.jerk_mps3)
-        problem = self._problem(path, v_limit, s_dp, (v0, a0), upper, lower, constrained=_meets_movers(blocks, frame))
+        state = _startable(start.v, start.a, self._config.qp.comfort.jerk_mps3)
+        free = self._problem(path, v_limit, s_dp, state, constrained=_meets_movers(blocks, frame))
+        problem = self._bounded(free, blocks, decisions, path)
         solved = self._solve(problem, fresh=fresh)
+        if not _overtakes(blocks, decisions, solved.profile, self._times):
+            decisions = tuple(_let_go(decision) for decision in decisions)
+            problem, tried = self._bounded(free, blocks, decisions, path), solved.artefacts
+            solved = self._solve(problem, fresh=fresh)
+            solved = replace(solved, artefacts=(*tried, *solved.artefacts))
         self._lap("speed QP")
         graph = StGraph(
             grid,
@@ -102,8 +108,24 @@ class SpeedStage:
             _outlines(blocks, decisions),
         )
         return ChosenSpeed(
-            solved.profile, solved.reason, solved.unavoidable, blocks, (graph, *decisions, *solved.artefacts)
+            solved.profile,
+            solved.reason,
+            solved.unavoidable,
+            float(self._cruise(path, v_open, state)[0, -1]),
+            blocks,
+            (graph, *decisions, *solved.artefacts),
         )
+
+    def _reachable(self, path: Path, limit: FloatArray) -> FloatArray:
+        """The speed limit `(m,)` with curves and comfortable braking in it."""
+        qp = self._config.qp
+        return limit_profile(path.sigma, path.kappa, limit, qp.curve_accel_mps2, qp.ease_mps2)
+
+    def _cruise(self, path: Path, v_limit: FloatArray, start: tuple[float, float]) -> FloatArray:
+        """Rows s, v `(2, knots)` of driving at a limit."""
+        qp = self._config.qp
+        soft = qp.comfort
+        return cruising(path.sigma, v_limit, *start, soft.accel_mps2, soft.decel_mps2, soft.jerk_mps3, STEP_S, qp.knots)
 
     def _stop_line(self, blocks: Blocks, frame: Frame) -> float:
         """Station before the first who stands in the path, m; inf where nobody does."""
@@ -120,17 +142,19 @@ class SpeedStage:
         limit = np.interp(DS_M * np.arange(rows), path.sigma, v_limit)
         wanted = np.array([dp.standstill_gap_m, dp.time_gap_s])
         occupancy = cost_map(rows, blocks.lower, blocks.upper, blocks.speed, dp.gap_m, wanted, dp.w_near)
-        per_column = max(1, round(DT_S / self._config.graph.step_s))
+        per_column = max(1, round(DT_S / blocks.step))
         ego = np.array([max(start.v, 0.0), start.a])
         cost, chosen = speed_dp(occupancy, per_column, limit, ego, self._weights, dp.columns)
         times = DT_S * np.arange(dp.columns + 1)
         return _thinned(times, cost, chosen), np.interp(self._times, times, DS_M * chosen)
 
-    def _bounds(self, blocks: Blocks, decisions: tuple[Decision, ...], path: Path) -> tuple[FloatArray, FloatArray]:
-        """Upper and lower bound of s `(knots,)`: below whom the ego yields to, above whom it overtakes."""
+    def _bounded(
+        self, problem: SpeedProblem, blocks: Blocks, decisions: tuple[Decision, ...], path: Path
+    ) -> SpeedProblem:
+        """The problem with its bounds of s: below whom the ego yields to, above whom it overtakes."""
         gap = self._config.dp.gap_m
         upper, lower = np.full(len(self._times), path.length), np.zeros(len(self._times))
-        reach = 0.5 * self._config.graph.step_s + 1e-9
+        reach = 0.5 * blocks.step + 1e-9
         for i, decision in enumerate(decisions):
             near = np.searchsorted(blocks.t, self._times - reach), np.searchsorted(blocks.t, self._times + reach) - 1
             sides = [np.clip(side, 0, len(blocks.t) - 1) for side in near]
@@ -141,30 +165,32 @@ class SpeedStage:
                 edge = np.fmin(blocks.lower[i, sides[0]], blocks.lower[i, sides[1]]) - gap
                 upper = np.fmin(upper, edge)
         upper = np.maximum(upper, STAY_M)  # to stand still is always allowed, even where somebody may run into the ego
-        return upper, np.minimum(lower, upper)
+        return replace(problem, lower=np.minimum(lower, upper), upper=upper)
 
     def _problem(
-        self, path: Path, v_limit: FloatArray, s_dp: FloatArray, start: tuple[float, float],
-        upper: FloatArray, lower: FloatArray, *, constrained: bool,
-    ) -> SpeedProblem:  # fmt: skip
+        self, path: Path, v_limit: FloatArray, s_dp: FloatArray, start: tuple[float, float], *, constrained: bool
+    ) -> SpeedProblem:
+        """What is wanted and the limit, with nobody in the way."""
         qp = self._config.qp
-        comfort = qp.comfort
-        free = cruising(
-            path.sigma, v_limit, *start, comfort.accel_mps2, comfort.decel_mps2, comfort.jerk_mps3, STEP_S, qp.knots
-        )
+        free = self._cruise(path, v_limit, start)
         s_ref, v_ref = free
         if constrained:
             s_ref = np.minimum(free[0], s_dp)
             v_ref = np.minimum(free[1], np.gradient(s_ref, STEP_S))
-        eased = braking(*start, qp.ease_mps2, comfort.jerk_mps3, STEP_S, qp.knots)
+        eased = braking(*start, qp.ease_mps2, qp.comfort.jerk_mps3, STEP_S, qp.knots)
         ahead = np.interp(s_ref, path.sigma, v_limit)
-        return SpeedProblem(start, lower, upper, np.maximum(ahead, eased[1]) + SPEED_ROOM_MPS, s_ref, v_ref)
+        limit = np.maximum(ahead, eased[1]) + SPEED_ROOM_MPS
+        nowhere, everywhere = np.zeros(qp.knots), np.full(qp.knots, path.length)
+        return SpeedProblem(start, nowhere, everywhere, limit, s_ref, v_ref)
 
     def _solve(self, problem: SpeedProblem, *, fresh: bool) -> SolvedSpeed:
-        """Comfortable limits where they can keep the bounds, else the emergency's, else the hardest braking."""
+        """Comfortable limits where they can keep the bounds, else the mildest that can, else the hardest braking."""
         qp = self._config.qp
         artefacts: tuple[Artefact, ...] = ()
-        for limits, reason in ((qp.comfort, ""), (qp.emergency, "hard braking: comfort cannot keep the distance")):
+        for limits in qp.ladder():
+            reason = (
+                "" if limits is qp.comfort else f"hard braking, up to {limits.decel_mps2:.1f} m/s2, keeps the distance"
+            )
             stop = braking(*problem.start, RESERVE * limits.decel_mps2, RESERVE * limits.jerk_mps3, STEP_S, qp.knots)
             if (stop[0] > problem.upper).any():
                 continue
@@ -174,10 +200,14 @@ class SpeedStage:
             artefacts = (*artefacts, costs, result.report)
             if result.report.solved:
                 return SolvedSpeed(_tidied(result.x.reshape(3, -1)), reason, False, artefacts)
+            if (lower > 0.0).any():
+                break  # whom the ego cannot overtake with one deceleration it cannot overtake with another
         if artefacts:
             return SolvedSpeed(None, "speed QP: no profile found", False, artefacts)
         stop = braking(*problem.start, qp.emergency.decel_mps2, qp.emergency.jerk_mps3, STEP_S, qp.knots)
         short = float((stop[0] - problem.upper).max())
+        if short <= 0.0:
+            return SolvedSpeed(stop, "only the hardest braking keeps the distance", False, ())
         return SolvedSpeed(stop, f"hardest braking comes {short:.1f} m too far", True, ())
 
 
@@ -189,6 +219,21 @@ class SolvedSpeed:
     reason: str
     unavoidable: bool
     artefacts: tuple[Artefact, ...]
+
+
+def _overtakes(blocks: Blocks, decisions: tuple[Decision, ...], profile: FloatArray | None, times: FloatArray) -> bool:
+    """Whether a profile stays clear of everybody whom it should overtake; the DP knows nothing of jerk."""
+    overtaken = [i for i, decision in enumerate(decisions) if decision.kind is DecisionKind.OVERTAKE]
+    if profile is None or not overtaken:
+        return not overtaken
+    s = np.interp(blocks.t, times, profile[0])
+    return not ((s > blocks.lower[overtaken]) & (s < blocks.upper[overtaken])).any()
+
+
+def _let_go(decision: Decision) -> Decision:
+    if decision.kind is not DecisionKind.OVERTAKE:
+        return decision
+    return replace(decision, kind=DecisionKind.YIELD, reason=f"{decision.reason}; the ego cannot be there first")
 
 
 def _meets_movers(blocks: Blocks, frame: Frame) -> bool:

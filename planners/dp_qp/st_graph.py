@@ -72,6 +72,11 @@ class Blocks:
     def __len__(self) -> int:
         return len(self.agent)
 
+    @property
+    def step(self) -> float:
+        """Between two times, s; the predictions may be coarser than `StGraphConfig.step_s`."""
+        return float(self.t[1] - self.t[0]) if len(self.t) > 1 else np.inf
+
 
 @kernel
 def _first_met(

@@ -1,0 +1,143 @@
+"""One candidate lane planned: path and speed in its own Frenet frame, and what that plan is worth.
+
+The cost of a candidate adds terms in seconds:
+
+(1) time lost     = (distance with nobody in the way - distance planned) / speed limit, over the horizon
+(2) lane changes  = n (ROUTE_S + URGENCY_S u),  u from 0 to 1 as the place where the first is due comes near;
+                    DEAD_END_S where the goal cannot be reached from the lane
+(3) change        = CHANGE_S for another lane than the one that is driven
+(4) braking       = HARD_S where comfort cannot keep the distance, FAILED_S where nothing can or a stage failed
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import hypot
+
+import numpy as np
+
+from logs.frame import Frame
+from logs.states import EgoState
+from logs.trace import Artefact, CostTerms
+from logs.vehicle import VehicleParameters
+from planners.dp_qp.lanes import Strip
+from planners.dp_qp.path_stage import ChosenPath, PathConfig, PathStage
+from planners.dp_qp.speed_stage import ChosenSpeed, SpeedConfig, SpeedStage
+from planners.dp_qp.st_graph import behind
+
+LOST_M = 15.0
+"""A lane that was not planned for so long is looked for anew: the foot point is not near the last one."""
+TRACK_M = 1.0
+"""A path that stays within this of the ego's offset keeps its track."""
+
+ROUTE_S, URGENCY_S, DEAD_END_S = 1.6, 6.0, 25.0
+CHANGE_S = 1.0
+HARD_S, FAILED_S = 3.0, 50.0
+DUE_S = 15.0
+"""A lane change is urgent where less than this is left to drive until it is due, per change."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LanePlan:
+    """What was planned in one lane.
+
+    Attributes:
+        name: "keep", "left" or "right".
+        strip: The lane.
+        s: Station of the start, m; `l` its offset.
+        path: What the path stage found.
+        speed: What the speed stage found; None where there is no path.
+        costs: (1)-(4).
+    """
+
+    name: str
+    strip: Strip
+    s: float
+    l: float  # noqa: E741
+    path: ChosenPath
+    speed: ChosenSpeed | None
+    costs: CostTerms
+
+    @property
+    def cost(self) -> float:
+        """Sum of (1)-(4), s."""
+        return sum(value for _, value in self.costs.terms)
+
+    @property
+    def time_lost(self) -> float:
+        """(1), s."""
+        return self.costs.terms[0][1]
+
+    @property
+    def is_comfortable(self) -> bool:
+        """Whether both stages found a plan without hard braking."""
+        return self.speed is not None and self.speed.profile is not None and not self.speed.reason
+
+    @property
+    def artefacts(self) -> tuple[Artefact, ...]:
+        """Of both stages."""
+        return (*self.path.artefacts, *(self.speed.artefacts if self.speed else ()))
+
+
+class LanePlanner:
+    """Plans in one strip; owns its stages with their solver memory, and the station where the ego was last."""
+
+    def __init__(
+        self,
+        strip: Strip,
+        vehicle: VehicleParameters,
+        path: PathConfig,
+        speed: SpeedConfig,
+        *,
+        passes_left: bool,
+        lap: Callable[[str], None],
+    ) -> None:
+        self.strip = strip
+        self._vehicle, self._horizon = vehicle, speed.qp.horizon
+        self._path = PathStage(strip.course, vehicle, path, horizon=speed.qp.horizon, passes_left=passes_left, lap=lap)
+        self._speed = SpeedStage(vehicle, speed, lap)
+        self._last: tuple[float, float, float] | None = None  # x, y and station of the last start
+
+    def locate(self, start: EgoState, *, fresh: bool) -> tuple[float, float]:
+        """Station and offset of a start; near the last one unless `fresh` or that is further away than `LOST_M`."""
+        near = None
+        if self._last is not None and not fresh and hypot(start.x - self._last[0], start.y - self._last[1]) < LOST_M:
+            near = self._last[2]
+        s, l = self.strip.course.line.project(start.x, start.y, near)  # noqa: E741
+        self._last = start.x, start.y, s
+        return s, l
+
+    def plan(self, name: str, frame: Frame, start: EgoState, *, fresh: bool) -> LanePlan:
+        """Path and speed from `start`, with costs; `name` is "keep" for the lane that is driven."""
+        s, l = self.locate(start, fresh=fresh)  # noqa: E741
+        course = self.strip.course
+        path = self._path.choose(frame, start, s, l, fresh=fresh)
+        speed = None
+        if path.path is not None:
+            limit = np.interp(path.path.s, course.line.s, course.limit)
+            skip = behind(course, frame, s, l, self._vehicle, keeps_track=path.shift < TRACK_M)
+            speed = self._speed.choose(frame, start, path.path, limit, skip, path.passed, fresh=fresh)
+        return LanePlan(name, self.strip, s, l, path, speed, self._costs(name, start, s, speed))
+
+    def _costs(self, name: str, start: EgoState, s: float, speed: ChosenSpeed | None) -> CostTerms:
+        lost, braking = self._horizon, FAILED_S
+        if speed is not None and speed.profile is not None:
+            limit = float(np.interp(s, self.strip.course.line.s, self.strip.course.limit))
+            lost = (speed.free_m - float(speed.profile[0, -1])) / max(limit, 1.0)
+            braking = FAILED_S if speed.unavoidable else HARD_S if speed.reason else 0.0
+        terms = {
+            "time lost": lost,
+            "lane changes": self._route_cost(s, start.v),
+            "change": 0.0 if name == "keep" else CHANGE_S,
+            "braking": braking,
+        }
+        return CostTerms(f"lane {name}", tuple(terms.items()))
+
+    def _route_cost(self, s: float, v: float) -> float:
+        if self.strip.changes is None:
+            return DEAD_END_S
+        if self.strip.changes == 0:
+            return 0.0
+        left = (self.strip.change_by - s) / (DUE_S * max(v, 5.0) * self.strip.changes)
+        return self.strip.changes * (ROUTE_S + URGENCY_S * float(np.clip(1.0 - left, 0.0, 1.0)))

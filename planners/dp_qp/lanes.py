@@ -1,0 +1,145 @@
+"""Candidate lanes: the lane that is driven and its neighbours, each with its own reference line (paper, section II-F).
+
+A strip is a lane with those that go on from it without a lane change, chosen so that the goal stays as near as it can.
+What a strip is worth to the route is read off the cost to go of its lanes (`route.costs_to_go`):
+
+(1) changes(strip)  = lane changes between it and the goal
+(2) change_by(strip) = station at which its last lane ends from which the first of these changes is possible
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from logs.frame import PlannerContext
+from logs.road import Road
+from logs.states import EgoState
+from planners.dp_qp.reference_line import BEYOND_M, Course, make_course
+from planners.dp_qp.route import CostToGo, Route, costs_to_go, start_lanes, straight_on
+
+BEHIND_M = 60.0
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Strip:
+    """A candidate lane.
+
+    Attributes:
+        lanes: In driving order, a stretch behind included.
+        course: Its reference line and widths.
+        changes: (1); 0 where it leads to the goal or nobody knows one, None where the goal cannot be reached from it.
+        change_by: (2), m; inf where no change is needed.
+    """
+
+    lanes: tuple[int, ...]
+    course: Course
+    changes: int | None
+    change_by: float
+
+
+class Lanes:
+    """The strips of one scenario, made when they are first needed.
+
+    Args:
+        context: Road, goal and start.
+    """
+
+    def __init__(self, context: PlannerContext) -> None:
+        self._road = context.road
+        self._to_go = costs_to_go(context.road, context.goal)
+        self._before = _predecessors(context.road)
+        self._strips: dict[int, Strip] = {}
+        self._start = context.start
+
+    def start(self, ego: EgoState) -> Strip:
+        """The strip to begin with: of the lanes under the ego, the one nearest to the goal."""
+        under = start_lanes(self._road, ego)
+        aligned = under[:1] if not self._to_go else under
+        best = min(aligned, key=lambda lane: (*_rank(self._to_go.get(lane)), under.index(lane)))
+        return self.of(best)
+
+    def of(self, lane: int) -> Strip:
+        """The strip that a lane belongs to."""
+        if lane not in self._strips:
+            strip = self._made(lane)
+            for each in strip.lanes[strip.lanes.index(lane) :]:
+                self._strips.setdefault(each, strip)
+        return self._strips[lane]
+
+    def beside(self, strip: Strip, station: float) -> tuple[tuple[str, Strip], ...]:
+        """The neighbours ("left" or "right") of a strip at a station, as far as the markings may be crossed."""
+        lane = self._road.lanes[strip.lanes[self._index(strip, station)]]
+        sides = (
+            ("left", lane.left_neighbour, lane.left_crossable),
+            ("right", lane.right_neighbour, lane.right_crossable),
+        )
+        ordered = sides if self._road.drives_on_right else sides[::-1]
+        found = []
+        for side, other, crossable in ordered:
+            if other is not None and crossable and other in self._road.lanes and self._road.lanes[other].drivable:
+                found.append((side, self.of(other)))
+        return tuple(found)
+
+    def _index(self, strip: Strip, station: float) -> int:
+        ends = np.cumsum([self._road.lanes[lane].length for lane in strip.lanes])
+        return min(int(np.searchsorted(ends, station)), len(strip.lanes) - 1)
+
+    def _made(self, lane: int) -> Strip:
+        onward, length = [lane], 0.0
+        while length < BEYOND_M:
+            after = self._next(onward[-1])
+            if after is None or after in onward:
+                break
+            onward.append(after)
+            length += self._road.lanes[after].length
+        behind: list[int] = []
+        length = 0.0
+        while length < BEHIND_M:
+            before = self._previous((behind or onward)[0])
+            if before is None or before in behind or before in onward:
+                break
+            behind.insert(0, before)
+            length += self._road.lanes[before].length
+        lanes = (*behind, *onward)
+        course = make_course(self._road, Route(lanes, False, 0.0), self._start)
+        return Strip(lanes, course, *self._changes(lanes, len(behind)))
+
+    def _next(self, lane: int) -> int | None:
+        """The successor from which the goal is nearest; where none leads there, straight on."""
+        leading = [i for i in self._road.lanes[lane].successors if i in self._to_go]
+        if leading:
+            return min(leading, key=lambda i: (*_rank(self._to_go[i]), i))
+        return straight_on(self._road, lane)
+
+    def _previous(self, lane: int) -> int | None:
+        before = [i for i in self._before.get(lane, ()) if straight_on(self._road, i) == lane]
+        return min(before, default=None)
+
+    def _changes(self, lanes: tuple[int, ...], first: int) -> tuple[int | None, float]:
+        """Lane changes that the route still needs from a strip (1), and the station by which the first is due (2)."""
+        if not self._to_go:
+            return 0, np.inf
+        needs = [self._to_go[lane].changes if lane in self._to_go else None for lane in lanes]
+        reachable = [i for i in range(first, len(lanes)) if needs[i] is not None]
+        if not reachable:
+            return None, np.inf
+        fewest = min(needs[i] for i in reachable)  # type: ignore[type-var]
+        if fewest == 0:
+            return 0, np.inf
+        ends = np.cumsum([self._road.lanes[lane].length for lane in lanes])
+        return fewest, float(ends[max(i for i in reachable if needs[i] == fewest)])
+
+
+def _rank(to_go: CostToGo | None) -> tuple[float, float]:
+    return (np.inf, np.inf) if to_go is None else (float(to_go.changes), to_go.cost)
+
+
+def _predecessors(road: Road) -> dict[int, list[int]]:
+    before: dict[int, list[int]] = {}
+    for lane in road.lanes.values():
+        if lane.drivable:
+            for after in lane.successors:
+                before.setdefault(after, []).append(lane.id)
+    return before

@@ -1,0 +1,509 @@
+"""The whole planner: laws of mirrored, moved and truncated worlds; what it does about others, and in trouble."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from worlds import CAR, PERIOD, Other, along_x, curve, decided, driving, followed, frame, gaps, lanes, planner, standing
+
+from logs import (
+    AgentKind,
+    CostTerms,
+    DecisionKind,
+    EgoState,
+    Frame,
+    Plan,
+    PlannerContext,
+    PlanStart,
+    PlanStatus,
+    Road,
+    Scenario,
+    SlGraph,
+    SolverReport,
+    StGraph,
+    Tracks,
+    Trajectory,
+)
+from logs.catalogue import CATALOGUE, mirrored, moved
+from logs.states import TRAJECTORY_COLUMNS, wrapped
+from planners.base import Planner
+from planners.dp_qp import DpQp
+from planners.dp_qp.fallback import meets
+from planners.dp_qp.path_qp import PathQp
+from planners.dp_qp.speed_qp import SpeedQp, SpeedQpConfig
+from planners.prediction import predict
+from planners.qp import QPResult
+
+ONE, TWO = lanes(along_x()), lanes(along_x(), 2)
+EGO = EgoState(0.0, 0.0, 0.0, 0.0, 8.0)
+COMFORT = SpeedQpConfig().comfort
+NUDGES = (DecisionKind.NUDGE_LEFT, DecisionKind.NUDGE_RIGHT)
+
+
+def column(plan: Plan, name: str) -> np.ndarray:
+    return getattr(plan.trajectory, name)
+
+
+def assert_same(one: Plan, two: Plan) -> None:
+    for name in TRAJECTORY_COLUMNS:
+        np.testing.assert_array_equal(column(one, name), column(two, name))
+    assert (one.status, one.reason, one.start) == (two.status, two.reason, two.start)
+
+
+def assert_sound(plan: Plan) -> None:
+    """A trajectory that a car can be asked to drive: forward, along its heading, with the acceleration that it says."""
+    assert not plan.status.is_fallback or plan.reason
+    t, x, y, yaw, v, a, kappa = (column(plan, name) for name in TRAJECTORY_COLUMNS)
+    assert (v >= 0.0).all() and np.isfinite(kappa).all()
+    step, dt = np.hypot(np.diff(x), np.diff(y)), np.diff(t)
+    np.testing.assert_allclose(step, 0.5 * dt * (v[1:] + v[:-1]), atol=0.05)
+    np.testing.assert_allclose(np.diff(v), 0.5 * dt * (a[1:] + a[:-1]), atol=0.05)
+    go = step > 0.05
+    course = np.arctan2(np.diff(y), np.diff(x)) - 0.5 * (yaw[1:] + yaw[:-1])
+    assert np.abs(wrapped(course[go])).max(initial=0.0) < 0.1
+
+
+def plans_in(scenario: Scenario, *, every: int, closed: bool) -> list[Plan]:
+    """Plans from the logged states, or of a closed loop without tracking errors, each `every` frames."""
+    context = PlannerContext(scenario.road, scenario.goal, scenario.vehicle, PERIOD, scenario.ego.state(0))
+    driver, previous, ego, found = DpQp(context), None, scenario.ego.state(0), []
+    for k in range(int(scenario.ego.t[-1] / PERIOD)):
+        t = round(k * PERIOD, 9)
+        if not closed and k % every:
+            continue
+        known = scenario.tracks.perceived(t)
+        now = Frame(t, ego if closed else scenario.ego.at(t), known, predict(known, t), previous if closed else None)
+        previous = driver.plan(now)
+        ego = previous.trajectory.at(t + PERIOD)
+        if k % every == 0:
+            found.append(previous)
+    return found
+
+
+@pytest.fixture(scope="module")
+def catalogue() -> dict[str, tuple[Scenario, list[Plan]]]:
+    scenarios = {name: family.scenario() for name, family in CATALOGUE.items()}
+    return {name: (log, plans_in(log, every=15, closed=False)) for name, log in scenarios.items()}
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_a_mirrored_world_has_the_mirrored_plan(name: str, catalogue: dict[str, tuple[Scenario, list[Plan]]]) -> None:
+    """Bit by bit: sums and products do not know a sign, and ties go to the passing side."""
+    log, plans = catalogue[name]
+    for one, two in zip(plans, plans_in(mirrored(log), every=15, closed=False), strict=True):
+        for same in ("t", "x", "v", "a"):
+            np.testing.assert_array_equal(column(two, same), column(one, same))
+        for flipped in ("y", "yaw", "kappa"):
+            np.testing.assert_allclose(column(two, flipped), -column(one, flipped), rtol=0.0, atol=1e-12)
+        assert (one.status, one.reason, one.start) == (two.status, two.reason, two.start)
+
+
+def test_a_mirrored_drive_is_the_mirrored_drive() -> None:
+    log = CATALOGUE["everyday/nudge"].scenario()
+    there, here = plans_in(mirrored(log), every=10, closed=True), plans_in(log, every=10, closed=True)
+    np.testing.assert_array_equal([column(plan, "y")[0] for plan in there], [-column(plan, "y")[0] for plan in here])
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_a_moved_world_has_the_moved_plan(name: str, catalogue: dict[str, tuple[Scenario, list[Plan]]]) -> None:
+    """To 1e-6, unless the smoothing of the reference line reaches its bounds, which are along x and y."""
+    log, plans = catalogue[name]
+    c, s = np.cos(0.7), np.sin(0.7)
+    for one, two in zip(plans, plans_in(moved(log, 100.0, -70.0, 0.7), every=15, closed=False), strict=True):
+        x, y = column(one, "x"), column(one, "y")
+        np.testing.assert_allclose(column(two, "x"), 100.0 + c * x - s * y, rtol=0.0, atol=1e-6)
+        np.testing.assert_allclose(column(two, "y"), -70.0 + s * x + c * y, rtol=0.0, atol=1e-6)
+        for same in ("t", "v", "a", "kappa"):
+            np.testing.assert_allclose(column(two, same), column(one, same), rtol=0.0, atol=1e-6)
+        assert (one.status, one.start) == (two.status, two.start)
+
+
+def truncated(tracks: Tracks, t: float) -> Tracks:
+    """The tracks without samples later than t."""
+    kept = [np.arange(tracks.offsets[i], tracks.offsets[i + 1]) for i in range(len(tracks))]
+    kept = [index[tracks.t[index] <= t + 1e-9] for index in kept]
+    there = [i for i, index in enumerate(kept) if len(index)]
+    at = np.concatenate([kept[i] for i in there]) if there else np.empty(0, np.int64)
+    sizes = [len(kept[i]) for i in there]
+    return Tracks(
+        tuple(tracks.ids[i] for i in there), tuple(tracks.kinds[i] for i in there),
+        tracks.length[there], tracks.width[there], tracks.static[there], np.r_[0, np.cumsum(sizes)].astype(np.int64),
+        *(getattr(tracks, name)[at] for name in ("t", "x", "y", "yaw", "vx", "vy")),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["paper/crossing_pedestrian", "everyday/cut_in"])
+def test_the_future_of_the_log_changes_nothing(name: str) -> None:
+    log = CATALOGUE[name].scenario()
+    context = PlannerContext(log.road, log.goal, log.vehicle, PERIOD, log.ego.state(0))
+    for t in (0.0, 4.0, 7.3, 12.0):
+        known, less = log.tracks.perceived(t), truncated(log.tracks, t).perceived(t)
+        one, two = (DpQp(context).plan(Frame(t, log.ego.at(t), a, predict(a, t))) for a in (known, less))
+        assert_same(one, two)
+
+
+CROWD = (
+    standing("parked", 35.0, -1.9),
+    driving("lead", 50.0, 0.0, 6.0),
+    driving("walker", 30.0, -9.0, 0.0, 1.2, length=0.5, width=0.6, kind=AgentKind.PEDESTRIAN),
+    driving("beside", -15.0, 3.5, 9.0),
+)
+
+
+def test_the_same_frames_give_the_same_plans() -> None:
+    for (_, one), (_, two) in zip(*(followed(TWO, EGO, CROWD, seconds=2.0) for _ in range(2)), strict=True):
+        assert_same(one, two)
+
+
+def test_a_planner_without_a_previous_plan_remembers_nothing() -> None:
+    """After a drive with other speeds, solver failures and lengths, the plan is that of a new planner, bit by bit."""
+    used = planner(TWO, EGO)
+    for now, _ in followed(TWO, replace(EGO, v=12.0), CROWD, seconds=3.0, build=lambda *_: used):
+        assert now is not None
+    for others in ((), CROWD, (standing("wall", 14.0, 0.0, width=9.0),)):
+        now = frame(replace(EGO, x=3.0, y=0.4), others)
+        assert_same(used.plan(now), planner(TWO, EGO).plan(now))
+
+
+@given(st.floats(-1.0, 1.0), st.floats(-0.2, 0.2), st.floats(0.0, 15.0), st.floats(-1.5, 1.5), st.floats(-0.05, 0.05))
+@settings(max_examples=25)
+def test_a_first_plan_starts_at_the_ego(y: float, yaw: float, v: float, a: float, kappa: float) -> None:
+    ego = EgoState(2.0, 5.0, y, yaw, v, a, kappa)
+    plan = planner(ONE, ego).plan(frame(ego, t=2.0))
+    assert plan.start is PlanStart.EGO and plan.status is PlanStatus.PLANNED
+    assert_sound(plan)
+    first = plan.trajectory.state(0)
+    for name, slack in (("t", 0.0), ("x", 1e-6), ("y", 1e-3), ("yaw", 1e-3), ("v", 0.02), ("kappa", 2e-3)):
+        assert getattr(first, name) == pytest.approx(getattr(ego, name), abs=slack)
+    startable = -np.sqrt(2.0 * 0.9 * COMFORT.jerk_mps3 * v)  # more the car cannot release before it stands
+    assert first.a == pytest.approx(max(a, startable), abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("off", "start"),
+    [
+        ({}, PlanStart.PREVIOUS_PLAN),
+        ({"y": 0.45}, PlanStart.PREVIOUS_PLAN),
+        ({"v": 0.9}, PlanStart.PREVIOUS_PLAN),
+        ({"y": 0.55}, PlanStart.EGO),
+        ({"v": 1.1}, PlanStart.EGO),
+    ],
+)
+def test_a_plan_goes_on_where_the_ego_follows(off: dict[str, float], start: PlanStart) -> None:
+    driver = planner(ONE, EGO)
+    previous = driver.plan(frame(EGO))
+    promised = previous.trajectory.at(0.1)
+    ego = replace(promised, **{name: getattr(promised, name) + value for name, value in off.items()})
+    plan = driver.plan(frame(ego, t=0.1, previous=previous))
+    assert plan.start is start
+    origin = ego if start is PlanStart.EGO else promised
+    assert column(plan, "y")[0] == pytest.approx(origin.y, abs=1e-3)
+    assert column(plan, "v")[0] == pytest.approx(origin.v, abs=0.02)
+
+
+def test_the_internals_are_all_there() -> None:
+    plan = planner(TWO, EGO).plan(frame(EGO, CROWD))
+    sl, st_ = (next(item for item in plan.internals if isinstance(item, kind)) for kind in (SlGraph, StGraph))
+    for graph in (sl, st_):
+        assert graph.grid is not None and graph.corridor is not None and len(graph.qp) and len(graph.dp)
+        assert graph.grid.cost.shape == (len(graph.grid.first), len(graph.grid.second))
+        np.testing.assert_array_equal(graph.corridor.first, graph.qp[:, 0])
+    np.testing.assert_allclose(st_.qp[:, 0], column(plan, "t"), atol=1e-9)
+    assert {item.stage for item in plan.internals if isinstance(item, CostTerms)} == {"path QP", "speed QP"}
+    assert all(item.solved for item in plan.internals if isinstance(item, SolverReport))
+
+
+# What it does about others.
+
+
+@st.composite
+def traffic(draw: st.DrawFn) -> list[Other]:
+    """Up to three others: crossing, ahead, standing, cutting in."""
+    found = []
+    for i in range(draw(st.integers(1, 3))):
+        kind, name, x = (
+            draw(st.sampled_from(["crosses", "leads", "stands", "cuts in"])),
+            f"it{i}",
+            draw(st.floats(12.0, 80.0)),
+        )
+        if kind == "crosses":
+            vy, when = draw(st.sampled_from([-1.0, 1.0])) * draw(st.floats(1.0, 9.0)), draw(st.floats(0.5, 7.0))
+            found.append(driving(name, x, -vy * when, 0.0, vy))
+        elif kind == "leads":
+            found.append(driving(name, x, 0.0, draw(st.floats(0.6, 12.0))))
+        elif kind == "stands":
+            found.append(standing(name, x, draw(st.floats(-2.5, 2.5))))
+        else:
+            found.append(driving(name, 0.5 * x, 3.5, draw(st.floats(3.0, 14.0)), -draw(st.floats(0.3, 1.5))))
+    return found
+
+
+@given(st.floats(0.0, 14.0), traffic())
+@settings(max_examples=50)
+def test_a_plan_meets_nobody_as_predicted_or_says_that_it_cannot_be_avoided(v: float, others: list[Other]) -> None:
+    ego = replace(EGO, v=v)
+    now = frame(ego, others)
+    plan = planner(TWO, ego).plan(now)
+    assert_sound(plan)
+    if plan.status is PlanStatus.PLANNED:
+        assert not meets(plan.trajectory, now, CAR)
+    elif meets(plan.trajectory, now, CAR):
+        assert plan.status is PlanStatus.HARD_STOP
+
+
+def test_whom_the_ego_cannot_pass_first_it_lets_go() -> None:
+    """The DP, which knows no jerk, would be there first; the QP cannot."""
+    ego = replace(EGO, v=2.03)
+    now = frame(ego, [driving("it", 29.565, 35.408, 0.0, -6.6046)])
+    plan = planner(TWO, ego).plan(now)
+    assert plan.status is PlanStatus.PLANNED and not meets(plan.trajectory, now, CAR)
+    assert decided(plan, "it", "speed") is DecisionKind.YIELD
+
+
+@pytest.mark.parametrize("v", [5.0, 12.0])
+def test_the_ego_stops_behind_a_standing_car_and_stays(v: float) -> None:
+    drive = followed(ONE, replace(EGO, v=v), [standing("wall", 70.0, 0.0)], seconds=22.0)
+    assert all(plan.status is PlanStatus.PLANNED for _, plan in drive)
+    assert decided(drive[0][1], "wall", "speed") is DecisionKind.STOP
+    gap = gaps(drive, "wall")
+    assert 1.5 < gap[-1] < 3.5
+    assert gap[-40] - gap[-1] < 0.01 and drive[-1][0].ego.v == 0.0
+    assert min(now.ego.a for now, _ in drive) > -COMFORT.decel_mps2 - 0.05
+
+
+def test_the_ego_follows_at_the_leads_speed() -> None:
+    drive = followed(ONE, replace(EGO, v=12.0), [driving("lead", 35.0, 0.0, 7.0)], seconds=20.0)
+    gap = gaps(drive, "lead")
+    assert drive[-1][0].ego.v == pytest.approx(7.0, abs=0.3)
+    assert 5.0 < gap[-1] < 7.0 * 2.5 and gap.min() > 4.0
+    assert abs(gap[-30] - gap[-1]) < 1.0
+    assert decided(drive[-1][1], "lead", "speed") is DecisionKind.FOLLOW
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_parked_cars_are_passed_on_the_free_side(side: float) -> None:
+    """The first reaches in from the right by half a metre, the second from the left (and mirrored)."""
+    others = [standing("first", 50.0, -side * 2.15), standing("second", 100.0, side * 2.15)]
+    drive = followed(ONE, EGO, others, seconds=16.0)
+    expected = NUDGES if side > 0.0 else NUDGES[::-1]
+    assert (decided(drive[0][1], "first", "path"), decided(drive[0][1], "second", "path")) == expected
+    assert drive[-1][0].ego.x > 120.0
+    for name, kind in zip(("first", "second"), expected, strict=True):
+        assert gaps(drive, name).min() > 0.5
+        told = {decided(plan, name, "path") for _, plan in drive}
+        assert told <= {kind, None}
+
+
+@pytest.mark.parametrize("blocked", [False, True])
+def test_a_car_in_the_lane_is_passed_over_the_next_lane_if_that_is_free(blocked: bool) -> None:
+    others = [standing("parked", 60.0, -0.6)]
+    others += [driving("beside", 4.0, 3.5, 8.0)] if blocked else []
+    plan = planner(TWO, EGO).plan(frame(EGO, others))
+    assert decided(plan, "parked", "path") is (DecisionKind.STOP if blocked else DecisionKind.NUDGE_LEFT)
+    drive = followed(TWO, EGO, [others[0]], seconds=12.0)
+    assert drive[-1][0].ego.x > 80.0 and gaps(drive, "parked").min() > 0.3
+
+
+def walker(t: float) -> tuple[float, float, float, float, float]:
+    """Crosses from the right at 1 m/s, then stands beside the lane."""
+    y = min(-5.0 + t, 5.0)
+    return 45.0, y, 0.5 * np.pi, 0.0, 1.0 if y < 5.0 else 0.0
+
+
+def test_the_ego_yields_to_a_pedestrian_and_drives_on() -> None:
+    drive = followed(ONE, EGO, [Other("walker", walker, AgentKind.PEDESTRIAN, 0.5, 0.6)], seconds=14.0)
+    speed = np.array([now.ego.v for now, _ in drive])
+    assert gaps(drive, "walker").min() > 1.0
+    assert decided(drive[10][1], "walker", "speed") is DecisionKind.YIELD
+    assert speed.min() < 6.5 and speed[-1] > 10.0 and drive[-1][0].ego.x > 60.0
+    assert all(plan.status is PlanStatus.PLANNED for _, plan in drive)
+
+
+def test_curves_are_driven_at_a_bearable_speed() -> None:
+    road = lanes(curve((60.0, 0.0), (60.0, 1.0 / 25.0), (100.0, 0.0)))
+    drive = followed(road, replace(EGO, v=12.0), seconds=14.0)
+    sideways = [abs(now.ego.kappa) * now.ego.v**2 for now, _ in drive]
+    assert max(sideways) < 3.5 and drive[-1][0].ego.v > 11.0
+    assert all(plan.status is PlanStatus.PLANNED for _, plan in drive)
+
+
+# Odd starts and roads.
+
+
+def crowd(count: int, seed: int = 0) -> list[Other]:
+    rng = np.random.default_rng(seed)
+    draws = rng.uniform([-60.0, -9.0, -12.0], [200.0, 9.0, 12.0], (count, 3))
+    return [driving(f"it{i}", x, y, v) for i, (x, y, v) in enumerate(draws)]
+
+
+LOOP = curve((20.0, 0.0), (1.6 * 2.0 * np.pi * 20.0, 1.0 / 20.0))
+TIGHT = curve((40.0, 0.0), (16.0, 0.2), (40.0, 0.0), step=0.5)
+KINK = np.vstack([along_x(-50.0, 0.0), np.arange(2.0, 80.0, 2.0)[:, None] * [0.5, 0.75**0.5]])
+ODD: dict[str, tuple[EgoState, Road, Sequence[Other]]] = {
+    "2 m off the line": (replace(EGO, y=2.0), ONE, ()),
+    "60 degrees off": (replace(EGO, yaw=np.radians(60.0)), TWO, ()),
+    "60 degrees off, standing": (replace(EGO, yaw=np.radians(-60.0), v=0.0), TWO, ()),
+    "standing": (replace(EGO, v=0.0), ONE, ()),
+    "braking hard": (replace(EGO, a=-8.0), ONE, ()),
+    "accelerating hard": (replace(EGO, v=1.0, a=5.0), ONE, ()),
+    "steering hard": (replace(EGO, v=3.0, kappa=0.25), ONE, ()),
+    "rolling backwards": (replace(EGO, v=-0.5), ONE, ()),
+    "far too fast": (replace(EGO, v=40.0), ONE, ()),
+    "beyond the end of the road": (replace(EGO, x=420.0), ONE, ()),
+    "before its begin": (replace(EGO, x=-80.0), ONE, ()),
+    "200 others": (EGO, TWO, crowd(200)),
+    "somebody on the ego": (EGO, TWO, [standing("it", 1.0, 0.2)]),
+    "somebody on the standing ego": (replace(EGO, v=0.0), TWO, [standing("it", 1.0, 0.2)]),
+    "an obstacle in the centre of a turn": (EGO, lanes(TIGHT), [standing("it", 40.0, 5.0, length=1.0, width=1.0)]),
+    "a wide road round a tight turn": (EGO, lanes(TIGHT, 3), [standing("it", 43.0, -0.5)]),
+    "a loop beyond 360 degrees": (replace(EGO, v=5.0), lanes(LOOP), ()),
+    "a kinked centre line": (replace(EGO, x=-20.0), lanes(KINK), ()),
+}
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_odd_starts_and_roads_are_planned_or_honestly_not(name: str) -> None:
+    ego, road, others = ODD[name]
+    for _, plan in followed(road, ego, others, seconds=3.0):
+        assert_sound(plan)
+        assert len(plan.trajectory) == 81 or plan.status is PlanStatus.PREVIOUS
+
+
+@pytest.mark.parametrize("name", [name for name, (_, _, others) in ODD.items() if not others])
+def test_without_others_every_odd_start_leads_back_to_driving(name: str) -> None:
+    ego, road, _ = ODD[name]
+    drive = followed(road, ego, seconds=8.0)
+    assert drive[-1][1].status is PlanStatus.PLANNED and drive[-1][0].ego.v > 4.0
+
+
+def test_a_loop_is_driven_round_and_not_cut() -> None:
+    drive = followed(lanes(LOOP), replace(EGO, v=6.0), seconds=24.0)
+    x, y = np.array([(now.ego.x, now.ego.y) for now, _ in drive]).T
+    turned = np.unwrap([now.ego.yaw for now, _ in drive])[-1]
+    assert turned > 2.2 * np.pi
+    late = (x - 20.0) ** 2 + (y - 20.0) ** 2
+    assert np.abs(np.sqrt(late[60:]) - 20.0).max() < 0.6
+
+
+def test_against_the_lane_the_ego_stops_and_says_why() -> None:
+    ego = replace(EGO, yaw=2.0)
+    plan = planner(ONE, ego).plan(frame(ego))
+    assert plan.status is PlanStatus.COMFORTABLE_STOP and "115 degrees off" in plan.reason
+    assert column(plan, "v")[-1] == 0.0 and column(plan, "yaw")[0] == pytest.approx(2.0)
+    assert_sound(plan)
+
+
+# The ladder of fallbacks.
+
+
+def failing(program: type[PathQp] | type[SpeedQp], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let every solve of a program fail from now on."""
+    solve = program.solve
+
+    def fails(self: object, *args: object, **more: object) -> tuple[QPResult, CostTerms]:
+        result, costs = solve(self, *args, **more)  # type: ignore[arg-type]
+        return replace(result, report=replace(result.report, solved=False, status="made to fail")), costs
+
+    monkeypatch.setattr(program, "solve", fails)
+
+
+def one_plan(others: Sequence[Other] = ()) -> tuple[Planner, Plan]:
+    driver = planner(TWO, EGO)
+    return driver, driver.plan(frame(EGO, others))
+
+
+STAGES = pytest.mark.parametrize(("program", "stage"), [(PathQp, "path QP"), (SpeedQp, "speed QP")])
+
+
+@STAGES
+def test_first_the_previous_plan_goes_on(program: type, stage: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    driver, previous = one_plan()
+    failing(program, monkeypatch)
+    plan = driver.plan(frame(previous.trajectory.at(0.3), t=0.3, previous=previous))
+    assert plan.status is PlanStatus.PREVIOUS and plan.start is PlanStart.PREVIOUS_PLAN
+    assert plan.reason.startswith(stage)
+    np.testing.assert_allclose(column(plan, "x"), column(previous, "x")[3:], atol=1e-9)
+    reports = [item for item in plan.internals if isinstance(item, SolverReport) and item.stage == stage]
+    assert reports and not any(report.solved for report in reports)
+
+
+@STAGES
+def test_then_a_comfortable_stop(program: type, stage: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    failing(program, monkeypatch)
+    _, plan = one_plan()
+    assert plan.status is PlanStatus.COMFORTABLE_STOP and plan.start is PlanStart.EGO
+    assert plan.reason.startswith(stage)
+    assert column(plan, "v")[-1] == 0.0 and column(plan, "a").min() == pytest.approx(-COMFORT.decel_mps2)
+    assert_sound(plan)
+
+
+@STAGES
+def test_at_last_a_hard_stop(program: type, stage: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    failing(program, monkeypatch)
+    _, plan = one_plan([standing("it", 14.0, 0.0, width=15.0)])
+    assert plan.status is PlanStatus.HARD_STOP and plan.reason.startswith(stage)
+    assert column(plan, "a").min() < -COMFORT.decel_mps2 - 1.0 and column(plan, "v")[-1] == 0.0
+
+
+def test_the_stop_keeps_to_the_path_of_the_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    ego, road = replace(EGO, x=55.0), lanes(curve((60.0, 0.0), (60.0, 1.0 / 25.0), (60.0, 0.0)))
+    failing(SpeedQp, monkeypatch)
+    plan = planner(road, ego).plan(frame(ego))
+    assert plan.status is PlanStatus.COMFORTABLE_STOP and np.abs(column(plan, "kappa")).max() > 0.02
+
+
+def test_a_previous_plan_that_meets_somebody_is_not_driven_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    driver, previous = one_plan()
+    failing(PathQp, monkeypatch)
+    ego = previous.trajectory.at(0.1)
+    plan = driver.plan(frame(ego, [standing("it", 40.0, 0.0)], t=0.1, previous=previous))
+    assert plan.status is PlanStatus.COMFORTABLE_STOP and plan.start is PlanStart.PREVIOUS_PLAN
+
+
+def test_a_previous_plan_that_soon_ends_is_not_driven_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    driver, previous = one_plan()
+    failing(PathQp, monkeypatch)
+    late = driver.plan(frame(previous.trajectory.at(4.9), t=4.9, previous=previous))
+    ended = driver.plan(frame(previous.trajectory.at(5.2), t=5.2, previous=previous))
+    assert late.status is PlanStatus.PREVIOUS and ended.status is PlanStatus.COMFORTABLE_STOP
+
+
+def test_far_from_the_previous_plan_a_stop_starts_at_the_ego(monkeypatch: pytest.MonkeyPatch) -> None:
+    driver, previous = one_plan()
+    failing(PathQp, monkeypatch)
+    ego = replace(previous.trajectory.at(0.1), y=1.0)
+    plan = driver.plan(frame(ego, [standing("it", 45.0, 0.0, width=5.0)], t=0.1, previous=previous))
+    assert plan.status is PlanStatus.COMFORTABLE_STOP and plan.start is PlanStart.EGO
+    assert (column(plan, "x")[0], column(plan, "y")[0]) == pytest.approx((ego.x, ego.y))
+
+
+def test_the_rest_of_a_previous_plan_is_driven_to_its_end(monkeypatch: pytest.MonkeyPatch) -> None:
+    """While the solver fails, plan after plan is the rest of the last good one, and then a stop."""
+    driver, previous = one_plan()
+    failing(PathQp, monkeypatch)
+    ego, statuses = previous.trajectory.at(0.1), []
+    for k in range(1, 80):
+        previous = driver.plan(frame(ego, t=k * PERIOD, previous=previous))
+        statuses.append(previous.status)
+        ego = previous.trajectory.at((k + 1) * PERIOD)
+        assert_sound(previous)
+    first_stop = statuses.index(PlanStatus.COMFORTABLE_STOP)
+    assert 48 <= first_stop <= 51 and set(statuses[:first_stop]) == {PlanStatus.PREVIOUS}
+    assert ego.v < EGO.v
+
+
+def test_what_cannot_be_avoided_is_braked_for_and_told() -> None:
+    _, plan = one_plan([standing("it", 9.0, 0.0, width=9.0)])
+    assert plan.status is PlanStatus.HARD_STOP and "hardest braking comes" in plan.reason
+    assert column(plan, "a").min() == pytest.approx(-SpeedQpConfig().emergency.decel_mps2, abs=0.2)
+
+
+def test_a_trajectory_is_a_trajectory() -> None:
+    _, plan = one_plan()
+    assert isinstance(plan.trajectory, Trajectory)
+    np.testing.assert_allclose(np.diff(column(plan, "t")), PERIOD, atol=1e-9)

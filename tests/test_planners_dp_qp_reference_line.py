@@ -1,0 +1,180 @@
+"""Course: smoothing that stays where it was told to, and the width of known roads."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from worlds import along_x, beside, curve, lanes, strip
+
+from logs import EgoState, Lane, ReferenceLine, Road
+from logs.kernel import FloatArray
+from planners.dp_qp.reference_line import BENDING_WEIGHT, MAX_SHIFT_M, SPACING_M, Course, make_course, smoothed
+from planners.dp_qp.route import Route, find_route
+
+EGO = EgoState(0.0, 0.0, 0.0, 0.0, 10.0)
+
+
+def course(road: Road, ego: EgoState = EGO) -> Course:
+    return make_course(road, find_route(road, ego, None), ego)
+
+
+def at(line: Course, x: float) -> tuple[float, float, float, float, float]:
+    """Right road edge, right and left lane edge, left road edge, limit beside a place near the x axis."""
+    s, _ = line.line.project(x, 0.0)
+    columns = (line.road_right, line.lane_right, line.lane_left, line.road_left, line.limit)
+    return tuple(float(np.interp(s, line.line.s, column)) for column in columns)  # type: ignore[return-value]
+
+
+def resampled(points: FloatArray) -> FloatArray:
+    chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))]
+    at = np.linspace(0.0, chord[-1], round(chord[-1] / SPACING_M) + 1)
+    return np.column_stack([np.interp(at, chord, points[:, k]) for k in (0, 1)])
+
+
+@given(st.lists(st.tuples(st.floats(4.0, 30.0), st.floats(-0.6, 0.6)), min_size=2, max_size=12))
+@settings(max_examples=40)
+def test_smoothing_moves_no_point_further_than_it_may(legs: list[tuple[float, float]]) -> None:
+    heading = np.cumsum([turn for _, turn in legs])
+    steps = np.array([length for length, _ in legs])[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
+    points = np.vstack([[0.0, 0.0], np.cumsum(steps, axis=0)])
+    smooth, raw = smoothed(points), resampled(points)
+    assert smooth.shape == raw.shape
+    np.testing.assert_array_less(np.abs(smooth - raw), MAX_SHIFT_M + 0.02)
+    np.testing.assert_allclose(smooth[[0, -1]], points[[0, -1]], atol=0.02)
+    energy = [float(np.sum(np.diff(line, 2, axis=0) ** 2)) for line in (raw, smooth)]
+    assert BENDING_WEIGHT * energy[1] <= BENDING_WEIGHT * energy[0] + 1e-2
+
+
+@given(st.floats(20.0, 300.0), st.floats(-np.pi, np.pi))
+def test_a_straight_line_stays_straight(length: float, yaw: float) -> None:
+    points = np.array([[5.0, 7.0], [5.0 + length * np.cos(yaw), 7.0 + length * np.sin(yaw)]])
+    np.testing.assert_allclose(smoothed(points), resampled(points), atol=2e-4)
+    assert np.abs(ReferenceLine.through(smoothed(points)).kappa).max() < 1e-3
+
+
+@pytest.mark.parametrize("turn", [0.2, 0.5, 1.0])
+def test_a_kink_is_rounded_off(turn: float) -> None:
+    kinked = np.vstack([along_x(-40.0, 0.0), np.arange(2.0, 42.0, 2.0)[:, None] * [np.cos(turn), np.sin(turn)]])
+    before, after = (np.abs(ReferenceLine.through(line).kappa).max() for line in (kinked, smoothed(kinked)))
+    assert after < 0.8 * before
+
+
+def test_smoothing_solves_its_problem() -> None:
+    """Where no shift is at its bound, the solution of (1) is that of a linear system."""
+    points = curve((30.0, 0.0), (30.0, 0.01), (30.0, -0.01), step=2.0)
+    n = len(points)
+    bend = np.diff(np.eye(n), 2, axis=0)
+    raw = resampled(points)
+    inner = slice(1, n - 1)
+    matrix = (BENDING_WEIGHT * bend.T @ bend + np.eye(n))[inner, inner]
+    expected = np.linalg.solve(matrix, -(BENDING_WEIGHT * bend.T @ bend @ raw)[inner])
+    assert np.abs(expected).max() < MAX_SHIFT_M
+    np.testing.assert_allclose(smoothed(points)[inner] - raw[inner], expected, atol=2e-3)
+
+
+def test_a_line_of_two_points_stays() -> None:
+    points = np.array([[0.0, 0.0], [3.0, 0.0]])
+    assert smoothed(points) is points
+
+
+@given(st.floats(2.8, 5.0), st.integers(1, 3), st.integers(0, 2))
+@settings(max_examples=20)
+def test_known_widths_are_found(width: float, count: int, own: int) -> None:
+    own = min(own, count - 1)
+    line = course(lanes(along_x(), count, width=width, limit=7.0), EgoState(0.0, 0.0, own * width, 0.0, 10.0))
+    right = -(own + 0.5) * width
+    expected = (right, -0.5 * width, 0.5 * width, right + count * width, 7.0)
+    np.testing.assert_allclose(at(line, 100.0), expected, atol=1e-3)
+
+
+@pytest.mark.parametrize("kappa", [0.02, -0.02])
+def test_known_widths_are_found_in_a_curve(kappa: float) -> None:
+    line = course(lanes(curve((60.0, 0.0), (80.0, kappa), (60.0, 0.0)), 2))
+    middle = slice(80, 120)
+    np.testing.assert_allclose(line.lane_left[middle], 1.75, atol=0.06)  # smoothing cuts the curve by some centimetres
+    np.testing.assert_allclose(line.lane_right[middle], -1.75, atol=0.06)
+    np.testing.assert_allclose(line.road_left[middle], 5.25, atol=0.06)
+    np.testing.assert_allclose(line.line.kappa[middle], kappa, rtol=0.05)
+
+
+def pair(left_of_own: dict[str, object], right_of_other: dict[str, object]) -> Road:
+    own = strip(0, along_x(), left_neighbour=1, **left_of_own)
+    other = strip(1, along_x(), 5.25, 1.75, right_neighbour=0, **right_of_other)
+    return Road({0: own, 1: other})
+
+
+@pytest.mark.parametrize("own", [True, False])
+@pytest.mark.parametrize("other", [True, False])
+def test_a_marking_is_crossed_only_where_both_lanes_allow_it(own: bool, other: bool) -> None:
+    road = pair({"left_crossable": own}, {"right_crossable": other})
+    assert at(course(road), 100.0)[3] == pytest.approx(5.25 if own and other else 1.75, abs=1e-3)
+    mirrored = at(course(road, EgoState(0.0, 0.0, 3.5, 0.0, 10.0)), 100.0)
+    assert mirrored[0] == pytest.approx(-5.25 if own and other else -1.75, abs=1e-3)
+
+
+def test_a_marking_two_lanes_away_is_respected() -> None:
+    road = lanes(along_x(), 3)
+    closed = {i: Lane(**{**vars_of(lane), "left_crossable": i != 1}) for i, lane in road.lanes.items()}
+    assert at(course(Road(closed)), 100.0)[3] == pytest.approx(5.25, abs=1e-3)
+    assert at(course(road), 100.0)[3] == pytest.approx(8.75, abs=1e-3)
+
+
+def vars_of(lane: Lane) -> dict[str, object]:
+    return {name: getattr(lane, name) for name in Lane.__dataclass_fields__}
+
+
+def test_the_opposite_lane_is_not_to_be_borrowed() -> None:
+    opposite = strip(1, beside(along_x(), 3.5)[::-1])
+    road = Road({0: strip(0, along_x(), left_opposite=True), 1: opposite})
+    np.testing.assert_allclose(at(course(road), 100.0)[:4], (-1.75, -1.75, 1.75, 1.75), atol=1e-3)
+
+
+def test_a_sidewalk_is_not_to_be_borrowed() -> None:
+    road = Road({0: strip(0, along_x()), 1: strip(1, along_x(), 5.25, 1.75, drivable=False)})
+    assert at(course(road), 100.0)[3] == pytest.approx(1.75, abs=1e-3)
+
+
+def test_a_merging_lane_belongs_to_the_road_only_where_it_adjoins() -> None:
+    """A ramp comes in from the right: 10 m away at x = 0, beside the lane from x = 100 on."""
+    x = along_x(0.0, 200.0)[:, 0]
+    middle = -3.5 - 10.0 * np.clip(1.0 - x / 100.0, 0.0, 1.0)
+    ramp = strip(2, np.column_stack([x, middle]), left_neighbour=0, successors=())
+    line = course(Road({0: strip(0, along_x(), right_neighbour=2), 2: ramp}))
+    assert at(line, 20.0)[0] == pytest.approx(-1.75, abs=1e-3)
+    assert at(line, 150.0)[0] == pytest.approx(-5.25, abs=1e-2)
+    np.testing.assert_allclose(line.lane_right, -1.75, atol=1e-3)
+
+
+def test_the_limit_follows_the_lanes_and_the_route_goes_on_straight() -> None:
+    first = strip(0, along_x(-50.0, 100.0), successors=(1,), speed_limit=14.0)
+    second = strip(1, along_x(100.0, 300.0), speed_limit=8.0)
+    line = course(Road({0: first, 1: second}))
+    assert line.line.length > 340.0
+    assert (at(line, 50.0)[4], at(line, 200.0)[4]) == pytest.approx((14.0, 8.0))
+
+
+def test_a_lane_without_limit_has_the_roads() -> None:
+    assert at(course(Road({0: strip(0, along_x())}, default_speed_limit=9.0)), 50.0)[4] == pytest.approx(9.0)
+
+
+def test_a_lane_change_on_the_route_is_blended_from_the_ego_on() -> None:
+    road = lanes(along_x(), 2)
+    line = make_course(road, Route((0, 1), True, 50.0), EGO).line
+    offsets = np.interp([-20.0, 0.0, 100.0, 200.0], line.xy[:, 0], line.xy[:, 1])
+    np.testing.assert_allclose(offsets, (0.0, 0.0, 3.5, 3.5), atol=0.1)
+    assert np.abs(line.kappa).max() < 0.05
+
+
+def test_a_loop_of_more_than_a_turn_has_one_line() -> None:
+    loop = curve((20.0, 0.0), (1.6 * 2.0 * np.pi * 20.0, 1.0 / 20.0))
+    line = course(lanes(loop)).line
+    assert line.length == pytest.approx(221.0, abs=2.0)
+    assert line.yaw[-1] == pytest.approx(1.6 * 2.0 * np.pi, abs=0.25)
+
+
+def test_a_circular_lane_is_followed_once_round_and_not_for_ever() -> None:
+    ring = curve((2.0 * np.pi * 30.0, 1.0 / 30.0))
+    line = course(Road({0: strip(0, ring, successors=(0,))})).line
+    assert 180.0 < line.length < 700.0 and np.isfinite(line.xy).all()

@@ -1,0 +1,152 @@
+"""Small worlds for the tests of planners: roads, others that move by a formula, frames, and a perfect follower."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from logs import (
+    AgentKind,
+    Agents,
+    Decision,
+    DecisionKind,
+    EgoState,
+    Frame,
+    Goal,
+    Lane,
+    Plan,
+    PlannerContext,
+    Road,
+    VehicleParameters,
+)
+from logs.kernel import FloatArray
+from logs.shapes import distance
+from planners.base import Planner
+from planners.dp_qp import DpQp
+from planners.prediction import predict
+
+PERIOD = 0.1
+CAR = VehicleParameters()
+
+
+@dataclass(frozen=True)
+class Other:
+    """A road user whose pose and velocity follow a formula: t -> x, y, yaw, vx, vy."""
+
+    id: str
+    at: Callable[[float], tuple[float, float, float, float, float]]
+    kind: AgentKind = AgentKind.CAR
+    length: float = 4.5
+    width: float = 1.8
+
+
+def standing(name: str, x: float, y: float, yaw: float = 0.0, **size: float) -> Other:
+    return Other(name, lambda t: (x, y, yaw, 0.0, 0.0), **size)  # type: ignore[arg-type]
+
+
+def driving(name: str, x: float, y: float, vx: float, vy: float = 0.0, **size: float) -> Other:
+    yaw = float(np.arctan2(vy, vx))
+    return Other(name, lambda t: (x + vx * t, y + vy * t, yaw, vx, vy), **size)  # type: ignore[arg-type]
+
+
+def agents(others: Sequence[Other], t: float = 0.0) -> Agents:
+    columns = np.array([other.at(t) for other in others], float).reshape(-1, 5).T
+    return Agents(
+        tuple(other.id for other in others),
+        tuple(other.kind for other in others),
+        np.array([other.length for other in others], float),
+        np.array([other.width for other in others], float),
+        *columns,
+    )
+
+
+def frame(ego: EgoState, others: Sequence[Other] = (), *, t: float = 0.0, previous: Plan | None = None) -> Frame:
+    known = agents(others, t)
+    return Frame(t, ego, known, predict(known, t), previous)
+
+
+def curve(*pieces: tuple[float, float], step: float = 1.0) -> FloatArray:
+    """Points `(n, 2)` of arcs `(length, curvature)` from the origin along x."""
+    kappa = np.concatenate([np.full(round(length / step), k) for length, k in pieces])
+    yaw = np.r_[0.0, np.cumsum(kappa * step)]
+    middle = 0.5 * (yaw[1:] + yaw[:-1])
+    return np.vstack([[0.0, 0.0], np.cumsum(step * np.column_stack([np.cos(middle), np.sin(middle)]), axis=0)])
+
+
+def along_x(begin: float = -50.0, end: float = 400.0) -> FloatArray:
+    x = np.arange(begin, end + 1.0, 2.0)
+    return np.column_stack([x, np.zeros(len(x))])
+
+
+def beside(points: FloatArray, left: float) -> FloatArray:
+    """The polyline `left` m to the left of another."""
+    tangent = np.gradient(points, axis=0)
+    normal = np.column_stack([-tangent[:, 1], tangent[:, 0]]) / np.hypot(*tangent.T)[:, None]
+    return points + left * normal
+
+
+def strip(lane_id: int, points: FloatArray, left: float = 1.75, right: float = -1.75, **more: object) -> Lane:
+    """A lane along a polyline, from `right` to `left` of it."""
+    return Lane(lane_id, beside(points, left), beside(points, right), **more)  # type: ignore[arg-type]
+
+
+def lanes(points: FloatArray, count: int = 1, *, width: float = 3.5, limit: float = 13.89, right: bool = True) -> Road:
+    """Lanes 0, 1, ... in one direction, the first on the polyline, the others to its left."""
+    found = [
+        strip(
+            i, points, width * (i + 0.5), width * (i - 0.5), speed_limit=limit,
+            left_neighbour=i + 1 if i + 1 < count else None, right_neighbour=i - 1 if i else None,
+        )
+        for i in range(count)
+    ]  # fmt: skip
+    return Road({lane.id: lane for lane in found}, drives_on_right=right)
+
+
+def planner(road: Road, ego: EgoState, goal: Goal | None = None) -> Planner:
+    return DpQp(PlannerContext(road, goal, CAR, PERIOD, ego))
+
+
+Drive = list[tuple[Frame, Plan]]
+
+
+def followed(
+    road: Road,
+    ego: EgoState,
+    others: Sequence[Other] = (),
+    *,
+    seconds: float,
+    goal: Goal | None = None,
+    build: Callable[[Road, EgoState, Goal | None], Planner] = planner,
+) -> Drive:
+    """Frames and plans of a closed loop in which the ego follows each plan without any error."""
+    driver, previous, drive = build(road, ego, goal), None, []
+    for k in range(round(seconds / PERIOD)):
+        now = frame(ego, others, t=k * PERIOD, previous=previous)
+        previous = driver.plan(now)
+        drive.append((now, previous))
+        ego = previous.trajectory.at((k + 1) * PERIOD)
+    return drive
+
+
+def gaps(drive: Drive, name: str, car: VehicleParameters = CAR) -> FloatArray:
+    """Distance between the ego's box and an agent's at each frame, m; inf where it is not there."""
+    found = []
+    for now, _ in drive:
+        if name not in now.agents.ids:
+            found.append(np.inf)
+            continue
+        i = now.agents.ids.index(name)
+        a, ego = now.agents, now.ego
+        x, y = ego.x + car.axle_to_center * np.cos(ego.yaw), ego.y + car.axle_to_center * np.sin(ego.yaw)
+        found.append(distance(x, y, ego.yaw, car.length, car.width, a.x[i], a.y[i], a.yaw[i], a.length[i], a.width[i]))
+    return np.array(found)
+
+
+def decided(plan: Plan, name: str, stage: str) -> DecisionKind | None:
+    """What a plan decided about an agent in a stage."""
+    kinds = [
+        item.kind for item in plan.internals if isinstance(item, Decision) and (item.agent, item.stage) == (name, stage)
+    ]
+    return kinds[0] if kinds else None

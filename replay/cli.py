@@ -48,14 +48,14 @@ def main() -> None:
 
 @contextmanager
 def answered() -> Iterator[None]:
-    """What a user can mend becomes one line and an exit code; Ctrl-C becomes 130."""
+    """What a user can mend becomes one line and an exit code; Ctrl-C and SIGTERM become 130."""
     try:
         yield
     except ReplanError as error:
         say_error(str(error))
         raise typer.Exit(2 if isinstance(error, ConfigError) else 3) from None
     except KeyboardInterrupt:
-        say_error("interrupted; logs that were finished are in the result folder, the tables are not written")
+        say_error("interrupted: no tables are written; the logs that were finished are in the result folder")
         raise typer.Exit(130) from None
 
 
@@ -91,6 +91,9 @@ def evaluate(
         list[str] | None,
         typer.Option("--planner", "-p", help='A planner\'s name or "module:Class"; may be repeated. Default: dp_qp.'),
     ] = None,
+    metric: Annotated[
+        list[str] | None, typer.Option(help='A metric of your own beside the built-in ones, "module:NAME"; repeatable.')
+    ] = None,
     mode: Annotated[Literal["both", "open", "closed"] | None, typer.Option(help="Loops to run. Default: both.")] = None,
     config: Annotated[Path | None, typer.Option(help="TOML file of settings; options win over it.")] = None,
     gates: Annotated[Path | None, typer.Option(help="TOML file of thresholds. Default: the packaged ones.")] = None,
@@ -114,31 +117,24 @@ def evaluate(
       replan evaluate my_logs/ --gates gates.toml --out results/nightly
     """
     with answered():
-        run = _run(config, planner, mode, gates, internals, recording=not no_recording)
+        options = {
+            "planners": tuple(planner or ()) or None,
+            "metrics": tuple(metric or ()) or None,
+            "mode": mode,
+            "gates": None if gates is None else str(gates),
+            "internals": internals,
+            "recording": False if no_recording else None,
+        }
+        run = _run(config, options)
         result = _evaluated(logs or [], run, out, _cores() if workers is None else workers)
         raise typer.Exit(result.exit_code)
 
 
-def _run(
-    config: Path | None,
-    planners: list[str] | None,
-    mode: str | None,
-    gates: Path | None,
-    internals: str | None,
-    *,
-    recording: bool,
-) -> RunConfig:
-    """The configuration file with the options over it."""
+def _run(config: Path | None, options: dict[str, Any]) -> RunConfig:
+    """The configuration file with the options over it; None is an option that was not given."""
     from replay.config import RunConfig, load_run
 
     run = RunConfig() if config is None else load_run(config)
-    options: dict[str, Any] = {
-        "planners": tuple(planners) if planners else None,
-        "mode": mode,
-        "gates": None if gates is None else str(gates),
-        "internals": internals,
-        "recording": None if recording else False,
-    }
     return replace(run, **{key: value for key, value in options.items() if value is not None})
 
 
@@ -146,7 +142,7 @@ def _evaluated(logs: list[Path], run: RunConfig, out: Path | None, workers: int)
     from replay.batch import evaluate_logs
     from replay.report.terminal import print_report
 
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does: nothing half-written
     with _progress() as (on_start, on_log):
         result = evaluate_logs(logs, run, out, workers=workers, on_start=on_start, on_log=on_log)
     wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 110

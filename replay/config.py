@@ -5,6 +5,7 @@
     gates = "default"                # or a file of thresholds
     internals = "summary"            # what of a planner's inside goes into the traces: "none", "summary", "full"
     recording = true                 # write .rrd files
+    metrics = []                     # of your own, beside the built-in ones: "module:NAME"
 
     [loop]                           # LoopConfig
     [planner.dp_qp]                  # keywords of the planner
@@ -48,6 +49,7 @@ class RunConfig:
         gates: "default" (the packaged thresholds), or the path of a TOML file.
         internals: How much of the planner's inside is kept in the traces.
         recording: Whether Rerun recordings are written.
+        metrics: "module:NAME" of metrics from outside, measured beside the built-in ones.
         loop: Periods and limits of the loops.
         planner: Keywords of each planner, by the name given in `planners`.
         vehicle: Vehicle parameters by name that replace those of the logs.
@@ -58,9 +60,10 @@ class RunConfig:
     gates: str = "default"
     internals: Internals = "summary"
     recording: bool = True
+    metrics: tuple[str, ...] = ()
     loop: LoopConfig = field(default_factory=LoopConfig)
     planner: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
-    vehicle: Mapping[str, float] = field(default_factory=dict)
+    vehicle: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.planners:
@@ -82,8 +85,9 @@ class RunConfig:
 
     def driven(self, vehicle: VehicleParameters) -> VehicleParameters:
         """The vehicle of a log with this run's replacements."""
+        given = strict(VehicleParameters, self.vehicle, "vehicle")
         try:
-            return replace(vehicle, **self.vehicle)
+            return replace(vehicle, **{name: getattr(given, name) for name in self.vehicle})
         except ValueError as error:
             raise ConfigError(f"vehicle: {error}") from None
 

@@ -6,8 +6,9 @@ The files of a log are written into a folder with a temporary name, which is ren
 from __future__ import annotations
 
 import shutil
+import sys
 import traceback
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from hashlib import sha256
@@ -20,6 +21,7 @@ from logs.errors import ConfigError, ReplanError
 from logs.mcap import write_scenario, write_trace
 from logs.scenario import Scenario
 from logs.trace import EndReason, Mode
+from metrics import METRICS, Metric, load_metric
 from replay.closed_loop import run_closed_loop
 from replay.config import RunConfig
 from replay.drive import Drive
@@ -122,7 +124,8 @@ class _Progress:
             code = 2 if isinstance(error, ConfigError) else 3
             self.failures.append(Failure(self.log, str(error), *place, exit_code=code))
         except (Exception, SystemExit) as error:
-            line = f"a bug in replan or in the planner: {type(error).__name__}: {error}; traceback in summary.json"
+            what = f"{type(error).__name__}: {error}"
+            line = f"{self.log}: a bug in replan or in the planner: {what}; traceback in summary.json"
             self.failures.append(Failure(self.log, " ".join(line.split()), *place, traceback=traceback.format_exc()))
 
 
@@ -150,6 +153,23 @@ def evaluate_log(source: LogSource, run: RunConfig, out: Path) -> LogResult:
     )
 
 
+def all_metrics(run: RunConfig) -> Mapping[str, Metric]:
+    """The built-in metrics and the run's own; modules are looked for in the working directory too.
+
+    Raises:
+        ConfigError: A metric cannot be loaded, or has the name of another.
+    """
+    here = str(Path.cwd())
+    if run.metrics and here not in sys.path:
+        sys.path.append(here)
+    found = dict(METRICS)
+    for metric in map(load_metric, run.metrics):
+        if metric.name in found:
+            raise ConfigError(f"there are two metrics called '{metric.name}'; rename yours")
+        found[metric.name] = metric
+    return found
+
+
 def _identified(source: LogSource, scenario: Scenario, folder: Path) -> LogResult:
     """The log by name and content; what was no MCAP file is written as one, `log.mcap`."""
     path = source.path
@@ -162,15 +182,16 @@ def _identified(source: LogSource, scenario: Scenario, folder: Path) -> LogResul
 
 
 def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, progress: _Progress) -> None:
+    measures = all_metrics(run)
     for planner in run.planners:
         for mode in run.modes:
             with progress.attempt(planner, mode):
                 keywords = planner_keywords(planner, run.planner.get(planner, {}))
                 drive = LOOPS[mode](scenario, planner, planner_config=keywords, config=run.loop)
-                table = metrics.evaluate(drive.trace, scenario)
+                table = metrics.evaluate(drive.trace, scenario, metrics=measures)
                 progress.tables.append(table)
                 progress.timings.append(_timings(drive))
-                progress.series.append(_series(drive, scenario))
+                progress.series.append(_series(drive, scenario, measures))
                 stem = mode.value if len(run.planners) == 1 else f"{mode.value}.{safe_name(planner)}"
                 with progress.attempt(planner, mode):
                     _write_drive(folder, stem, drive, scenario, table, run)
@@ -222,8 +243,8 @@ def _timings(drive: Drive) -> pd.DataFrame:
     return table[TIMING_COLUMNS]
 
 
-def _series(drive: Drive, scenario: Scenario) -> pd.DataFrame:
-    table = metrics.series(drive.trace, scenario)
+def _series(drive: Drive, scenario: Scenario, measures: Mapping[str, Metric]) -> pd.DataFrame:
+    table = metrics.series(drive.trace, scenario, metrics=measures)
     table.insert(0, "planner", drive.trace.planner)
     table.insert(1, "mode", drive.trace.mode.value)
     return table

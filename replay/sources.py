@@ -45,7 +45,7 @@ class LogSource:
 
 @dataclass(frozen=True)
 class Selection:
-    """The logs of a run.
+    """The logs of a run; as text the funnel: found, kept, and why not the others.
 
     Attributes:
         sources: Kept, in the order given (folders: sorted by path).
@@ -56,8 +56,8 @@ class Selection:
     dropped: tuple[str, ...] = ()
 
     def __str__(self) -> str:
-        line = f"{len(self.sources) + len(self.dropped)} found, {len(self.sources)} kept"
-        return line + "".join(f"\n  left out: {reason}" for reason in self.dropped)
+        counts = f"{len(self.sources) + len(self.dropped)} found, {len(self.sources)} kept"
+        return "; ".join([counts, *(f"left out {reason}" for reason in self.dropped)])
 
 
 def builtin_suite() -> Selection:
@@ -77,7 +77,10 @@ def select(paths: Sequence[Path | str]) -> Selection:
     kept: dict[str, LogSource] = {}
     dropped: list[str] = []
     for path in map(Path, paths):
-        for file, reason in _files(path):
+        candidates = list(_files(path))
+        if not candidates:
+            raise ConfigError(f"{path}: no logs in this folder; looked for *.mcap and CommonRoad *.xml, 0 found")
+        for file, reason in candidates:
             digest = "" if reason else _identity(file)
             twin = kept.get(digest)
             reason = reason or (f"the same bytes as {twin.label}" if twin else "")
@@ -87,7 +90,7 @@ def select(paths: Sequence[Path | str]) -> Selection:
                 kept[digest] = LogSource(str(file), file)
     selection = Selection(tuple(kept.values()), tuple(dropped))
     if not kept:
-        raise ConfigError(f"no logs: looked for *.mcap and CommonRoad *.xml in {_listed(paths)}: {selection}")
+        raise ConfigError(f"no logs to evaluate: {selection}")
     return selection
 
 
@@ -123,10 +126,6 @@ def _identity(file: Path) -> str:
         return file_hash(file)
     except LogError:
         return str(file.resolve())
-
-
-def _listed(paths: Sequence[Path | str]) -> str:
-    return ", ".join(str(path) for path in paths)
 
 
 def file_hash(path: Path) -> str:

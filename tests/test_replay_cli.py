@@ -1,0 +1,311 @@
+"""The command line: exit codes, one-line errors, and a report that a stranger can read."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from dataclasses import replace
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import pytest
+from handmade import drive, lanes_along, scenario, square, straight, track, tracks
+from rich.console import Console
+from typer.testing import CliRunner, Result
+
+from logs import Goal
+from logs.mcap import read_scenario, write_scenario
+from replay.batch import RunResult, evaluate_logs
+from replay.cli import app
+from replay.config import RunConfig
+from replay.report.terminal import print_report
+
+RUNNER = CliRunner(env={"COLUMNS": "200", "TERM": "dumb", "NO_COLOR": "1"})
+
+
+def replan(*words: object) -> Result:
+    """`replan WORDS`; any exception that is not an exit is raised."""
+    result = RUNNER.invoke(app, [str(word) for word in words])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+def evaluate(*words: object) -> Result:
+    """Quickly: in this process, no recordings, the smallest planner where none is named."""
+    planner = () if "--planner" in words else ("--planner", "constant_speed")
+    return replan("evaluate", *words, *planner, "--workers", 0, "--no-recording")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two logs of two seconds: nobody there, and a car parked in the way."""
+    out = tmp_path_factory.mktemp("logs")
+    ego = drive(straight, 10.0, 2.0)
+    free = scenario(ego, road=lanes_along(ego), goal=Goal((square(20.0, 0.0, 4.0),)))
+    blocked = replace(free, tracks=tracks(track("wall", [0.0], [14.0], [0.0], static=True)))
+    write_scenario(out / "free.mcap", replace(free, name="test/free"))
+    write_scenario(out / "blocked.mcap", replace(blocked, name="test/blocked"))
+    return out
+
+
+def gates(path: Path, *rules: str) -> Path:
+    path.write_text("\n".join(f"[[gate]]\n{rule}" for rule in rules), encoding="utf-8")
+    return path
+
+
+def one_error(result: Result) -> str:
+    """The only line on stderr that is an error."""
+    lines = [line for line in result.stderr.splitlines() if line.startswith("error:")]
+    assert len(lines) == 1, result.stderr
+    assert "Traceback" not in result.stderr
+    return lines[0]
+
+
+def test_help_names_every_command_and_teaches_by_example() -> None:
+    words = replan("--help").stdout
+    for command in ("evaluate", "synth", "convert", "inspect", "view"):
+        assert command in words
+    for command in (["evaluate"], ["synth"], ["convert", "commonroad"], ["view"]):
+        assert f"replan {command[0]}" in replan(*command, "--help").stdout
+    assert "Exit codes" in replan("evaluate", "--help").stdout
+
+
+def test_version() -> None:
+    assert re.match(r"replan \S", replan("--version").stdout)
+
+
+def test_exit_0_and_the_report_when_all_gates_pass(folder: Path, tmp_path: Path) -> None:
+    result = evaluate(folder / "free.mcap", "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    for word in ("test/free", " goal ", "PASS", "p50 [ms]", str(tmp_path / "out"), "exit code 0"):
+        assert word in result.stdout
+    assert "error" not in result.stderr
+
+
+def test_exit_1_when_a_gate_fails_and_the_report_says_which_and_why(folder: Path, tmp_path: Path) -> None:
+    result = evaluate(folder / "blocked.mcap", "--out", tmp_path / "out")
+    assert result.exit_code == 1
+    for word in ("FAIL", "collision_at_fault.count", "wall", "exit code 1"):
+        assert word in result.stdout
+
+
+def test_exit_4_when_there_is_nothing_to_judge(folder: Path, tmp_path: Path) -> None:
+    rule = gates(tmp_path / "gates.toml", 'metric = "gap.min"\nmin = 0.5')
+    result = evaluate(folder / "free.mcap", "--gates", rule, "--out", tmp_path / "out")
+    assert result.exit_code == 4
+    assert "INCONCLUSIVE" in result.stdout
+
+
+def test_exit_3_beats_1_and_the_good_log_is_evaluated(folder: Path, tmp_path: Path) -> None:
+    bad = tmp_path / "bad.mcap"
+    bad.write_bytes((folder / "free.mcap").read_bytes()[:-100])
+    result = evaluate(bad, folder / "blocked.mcap", "--out", tmp_path / "out")
+    assert result.exit_code == 3
+    assert str(bad) in one_error(result)
+    assert "test/blocked" in result.stdout
+    assert "FAIL" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["nowhere"], "nowhere: no such file or folder"),
+        (["{empty}"], "no logs in this folder"),
+        (["{free}", "--planner", "constant_sped"], "did you mean 'constant_speed'?"),
+        (["{free}", "--gates", "nowhere.toml"], "nowhere.toml"),
+        (["{free}", "--gates", "{wrong_gate}"], "did you mean 'gap.min'"),
+        (["{free}", "--config", "{wrong_key}"], "did you mean 'loop.plan_period_s'?"),
+        (["{free}", "--out", "{empty}/../foreign"], "no result of replan"),
+    ],
+)
+def test_exit_2_is_one_line(folder: Path, tmp_path: Path, words: list[str], said: str) -> None:
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "foreign").mkdir()
+    (tmp_path / "foreign" / "diary.txt").write_text("", encoding="utf-8")
+    wrong_key = tmp_path / "run.toml"
+    wrong_key.write_text("[loop]\nplan_perod_s = 0.1", encoding="utf-8")
+    places = {
+        "empty": tmp_path / "empty",
+        "free": folder / "free.mcap",
+        "wrong_gate": gates(tmp_path / "gates.toml", 'metric = "gap.mim"\nmin = 1'),
+        "wrong_key": wrong_key,
+    }
+    out = [] if "--out" in words else ["--out", tmp_path / "out"]
+    result = evaluate(*(word.format(**places) for word in words), *out)
+    assert result.exit_code == 2
+    assert said in one_error(result)
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_unknown_option_or_value_is_exit_2() -> None:
+    assert replan("evaluate", "--sideways").exit_code == 2
+    assert replan("evaluate", "--mode", "sideways").exit_code == 2
+
+
+def test_options_win_over_the_configuration(folder: Path, tmp_path: Path) -> None:
+    config = tmp_path / "run.toml"
+    config.write_text('planners = ["dp_qp"]\nmode = "both"\n[loop]\nplan_period_s = 0.2\n', encoding="utf-8")
+    evaluate(folder / "free.mcap", "--config", config, "--mode", "open", "--out", tmp_path / "out")
+    written = (tmp_path / "out" / "run.toml").read_text(encoding="utf-8")
+    for line in ('"constant_speed"', 'mode = "open"', "plan_period_s = 0.2", "recording = false"):
+        assert line in written
+
+
+def test_without_out_the_folder_is_numbered_and_said(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for number in (1, 2):
+        result = evaluate(folder / "free.mcap", "--mode", "open")
+        assert str(Path("results") / f"run-00{number}") in result.stdout
+        assert (tmp_path / "results" / f"run-00{number}" / "metrics.csv").exists()
+
+
+def test_synth_lists_writes_and_repeats_itself(tmp_path: Path) -> None:
+    listing = replan("synth", "--list").stdout
+    assert "paper/free_road" in listing
+    assert "radius_m=50" in listing
+    for out in ("one", "two"):
+        assert replan("synth", "paper", "everyday/nudge", "-o", tmp_path / out).exit_code == 0
+    written = sorted(path.relative_to(tmp_path / "one") for path in (tmp_path / "one").rglob("*.mcap"))
+    assert Path("everyday/nudge.mcap") in written
+    assert Path("paper/free_road.mcap") in written
+    assert all((tmp_path / "one" / p).read_bytes() == (tmp_path / "two" / p).read_bytes() for p in written)
+
+
+def test_synth_with_parameters_says_so_in_the_log(tmp_path: Path) -> None:
+    result = replan("synth", "paper/free_road", "-o", tmp_path, "--set", "ego_speed_mps=9")
+    (path,) = tmp_path.rglob("*.mcap")
+    assert str(path) in result.stdout.replace("\n", "")
+    log = read_scenario(path)
+    assert log.ego.v[0] == pytest.approx(9.0)
+    assert "9.0" in log.metadata["parameter.ego_speed_mps"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["paper/free_raod", "-o", "{out}"], "did you mean 'paper/free_road'?"),
+        (["paper/free_road"], "replan synth all -o"),
+        (["paper/free_road", "-o", "{out}", "--set", "radius_m"], "parameter=number"),
+        (["paper/free_road", "-o", "{out}", "--set", "radius_m=wide"], "'wide' is no number"),
+        (["paper/free_road", "-o", "{out}", "--set", "radios_m=1"], "no parameter radios_m"),
+    ],
+)
+def test_synth_refuses_in_one_line(tmp_path: Path, words: list[str], said: str) -> None:
+    result = replan("synth", *(word.format(out=tmp_path / "out") for word in words))
+    assert result.exit_code == 2
+    assert said in one_error(result)
+    assert not (tmp_path / "out").exists()
+
+
+def test_inspect_says_what_a_log_holds(folder: Path, tmp_path: Path) -> None:
+    result = replan("inspect", folder / "blocked.mcap")
+    assert result.exit_code == 0
+    for word in ("test/blocked", "obstacles: 1", "closed loop"):
+        assert word in result.stdout
+    bad = tmp_path / "bad.mcap"
+    bad.write_bytes(b"not an MCAP file")
+    assert replan("inspect", bad).exit_code == 3
+    assert replan("inspect", tmp_path / "nowhere.mcap").exit_code == 2
+
+
+def test_convert_commonroad(shared_data: Path, tmp_path: Path) -> None:
+    files = sorted((shared_data / "commonroad").glob("USA_US101-6*.xml"))
+    assert replan("convert", "commonroad", *files, "-o", tmp_path / "one.mcap").exit_code == 0
+    assert len(read_scenario(tmp_path / "one.mcap").tracks)
+    broken = tmp_path / "broken.xml"
+    broken.write_text("<commonRoad>", encoding="utf-8")
+    result = replan("convert", "commonroad", broken, *files, "-o", tmp_path / "many")
+    assert result.exit_code == 3
+    assert str(broken) in one_error(result)
+    assert [path.name for path in (tmp_path / "many").iterdir()] == [f"{files[0].stem}.mcap"]
+    assert replan("convert", "commonroad", broken, broken, "-o", tmp_path / "two.mcap").exit_code == 2
+
+
+def test_commonroad_is_evaluated_directly(shared_data: Path, tmp_path: Path) -> None:
+    (file,) = (shared_data / "commonroad").glob("ZAM_Tutorial-1_1_T-1.xml")
+    result = evaluate(file, "--out", tmp_path / "out")
+    assert result.exit_code in (0, 1)
+    assert list((tmp_path / "out").glob("*/log.mcap"))
+
+
+def test_view_saves_the_recording_of_a_log(folder: Path, tmp_path: Path) -> None:
+    assert replan("view", folder / "free.mcap", "--save", tmp_path / "free.rrd").exit_code == 0
+    assert (tmp_path / "free.rrd").read_bytes()[:3] == b"RRF"
+
+
+def test_view_opens_recordings_with_the_viewer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[list[str]] = []
+
+    def viewer(command: list[str], **_: Any) -> subprocess.CompletedProcess[str]:
+        calls.append(command)
+        return subprocess.CompletedProcess(command, 0 if len(calls) < 3 else 1)
+
+    monkeypatch.setattr("replay.view.subprocess.run", viewer)
+    for name in ("a/closed.rrd", "a/open.rrd"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(b"")
+    assert replan("view", tmp_path).exit_code == 0
+    assert calls[0][-2:] == [str(tmp_path / "a" / "closed.rrd"), str(tmp_path / "a" / "open.rrd")]
+    assert replan("view", tmp_path / "a" / "open.rrd").exit_code == 0
+    assert calls[1][-1] == str(tmp_path / "a" / "open.rrd")
+    result = replan("view", tmp_path)
+    assert result.exit_code == 3
+    assert "without a display" in one_error(result)
+
+
+def test_view_refuses_what_holds_no_recording(folder: Path, tmp_path: Path) -> None:
+    assert "no recording" in one_error(replan("view", tmp_path))
+    assert replan("view", tmp_path / "nowhere").exit_code == 2
+    for number in range(20):
+        (tmp_path / f"{number}.rrd").write_bytes(b"")
+    assert "too many" in one_error(replan("view", tmp_path))
+
+
+@pytest.fixture(scope="module")
+def compared(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> RunResult:
+    run = RunConfig(planners=("constant_speed", "logged"), recording=False)
+    return evaluate_logs([folder], run, tmp_path_factory.mktemp("out"))
+
+
+def report(result: RunResult, width: int) -> str:
+    written = StringIO()
+    print_report(result, Console(width=width, file=written))
+    return written.getvalue()
+
+
+@pytest.mark.parametrize("width", [80, 100, 140])
+def test_the_report_fits_the_terminal_and_is_plain(compared: RunResult, width: int) -> None:
+    lines = report(compared, width).splitlines()
+    assert max(map(len, lines)) <= width
+    assert "constant_speed" in "".join(lines)
+    assert all(char.isascii() or char == "\N{BOX DRAWINGS LIGHT HORIZONTAL}" for line in lines for char in line)
+
+
+def test_the_report_marks_oracles_and_has_a_column_per_planner(compared: RunResult) -> None:
+    text = report(compared, 140)
+    assert re.search(r"over all logs +constant_speed +logged \(oracle\)", text)
+    assert re.search(r"collisions at fault \(closed\) +1 +1", text)
+    assert re.search(r"ADE over 3 s, mean \[m\] \(open\) +- +-", text)  # the logs last 2 s
+    assert re.search(r"test/blocked *\n  constant_speed .*collision:", text)
+
+
+def test_the_report_names_units_and_says_what_was_assumed(compared: RunResult) -> None:
+    noted = replace(compared, logs=tuple(replace(log, notes=(f"limit {i}.5 m/s used",)) for i, log in
+                                         enumerate(compared.logs)))  # fmt: skip
+    text = report(noted, 140)
+    assert "for example: limit 0.5 m/s used (2 of 2 logs)" in text
+    assert "[m/s3]" in text
+    assert "p99 [ms]" in text
+
+
+def test_a_long_report_shows_trouble_first(compared: RunResult, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("replay.report.terminal.MAX_ROWS", 1)
+    text = report(compared, 140)
+    assert "3 more drives" in text
+    drives = text.partition("Planners")[0]
+    assert "collision" in drives
+    assert "yes" not in drives

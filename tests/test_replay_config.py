@@ -1,0 +1,121 @@
+"""A run's configuration: what is written is read back; what is wrong names file, key and remedy."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from logs.errors import ConfigError
+from logs.trace import Mode
+from logs.vehicle import VehicleParameters
+from planners.dp_qp import DpQpConfig
+from replay.config import RunConfig, dump_run, load_run, strict
+from replay.drive import LoopConfig
+from replay.planner_config import planner_keywords, resolved_table
+
+WORDS = st.text("abcdefgh_:.", min_size=1, max_size=12)
+RUNS = st.builds(
+    RunConfig,
+    planners=st.lists(WORDS, min_size=1, max_size=3, unique=True).map(tuple),
+    mode=st.sampled_from(["both", "open", "closed"]),
+    internals=st.sampled_from(["none", "summary", "full"]),
+    recording=st.booleans(),
+    loop=st.builds(LoopConfig, plan_period_s=st.sampled_from([0.1, 0.2]), prediction_horizon_s=st.floats(1.0, 9.0)),
+    planner=st.dictionaries(WORDS, st.dictionaries(WORDS, st.integers() | st.floats(-1e6, 1e6) | st.text(max_size=5))),
+    vehicle=st.fixed_dictionaries({}, optional={"mass": st.floats(500.0, 3000.0), "width": st.floats(1.0, 3.0)}),
+)
+
+
+@given(run=RUNS)
+def test_written_then_read_is_the_same(run: RunConfig, tmp_path_factory: pytest.TempPathFactory) -> None:
+    path = tmp_path_factory.mktemp("run") / "run.toml"
+    path.write_text(dump_run(run), encoding="utf-8")
+    assert load_run(path) == run
+
+
+@given(name=st.sampled_from([field.name for field in fields(LoopConfig)]), extra=st.sampled_from("xyz"))
+def test_any_misspelled_key_is_refused_with_the_right_one_named(name: str, extra: str) -> None:
+    with pytest.raises(ConfigError, match=f"loop.{name}{extra}.*did you mean 'loop.{name}'"):
+        strict(RunConfig, {"loop": {name + extra: 1}})
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("planers = ['dp_qp']", "no key is called 'planers'; did you mean 'planners'?"),
+        ("[loop]\nplan_period = 0.1", "no key is called 'loop.plan_period'; did you mean 'loop.plan_period_s'?"),
+        ("[loop]\nplan_period_s = '0.1'", "loop.plan_period_s: expected float, got str"),
+        ("[loop]\nplan_period_s = true", "loop.plan_period_s: expected float, got bool"),
+        ("[loop]\nplan_period_s = 0.015", "must be a multiple"),
+        ("mode = 'sideways'", "mode: Invalid enum value 'sideways'"),
+        ("planners = []", "name at least one planner"),
+        ("planners = ['dp_qp', 'dp_qp']", "named twice"),
+        ("[vehicle]\nlenght = 4.0", "no key is called 'vehicle.lenght'; did you mean 'vehicle.length'?"),
+        ("[vehicle]\nlength = -4.0", "vehicle: vehicle length must be positive"),
+        ("[vehicle]\nmass = 'heavy'", "vehicle.mass: expected float, got str"),
+        ("planners = [1]", "planners[0]: expected str, got int"),
+        ("loop = 3", "loop: expected"),
+        ("mode =", "not TOML"),
+    ],
+)
+def test_what_is_wrong_is_one_line_that_names_file_and_key(text: str, said: str, tmp_path: Path) -> None:
+    path = tmp_path / "run.toml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ConfigError) as caught:
+        load_run(path)
+    assert str(path) in str(caught.value)
+    assert said in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"nowhere\.toml: no such file"):
+        load_run(tmp_path / "nowhere.toml")
+
+
+def test_gates_are_relative_to_their_configuration(tmp_path: Path) -> None:
+    (tmp_path / "run.toml").write_text('gates = "mine.toml"', encoding="utf-8")
+    assert load_run(tmp_path / "run.toml").gates_path == tmp_path / "mine.toml"
+    assert RunConfig().gates_path is None
+
+
+def test_modes_come_open_first() -> None:
+    assert RunConfig().modes == (Mode.OPEN, Mode.CLOSED)
+    assert RunConfig(mode="closed").modes == (Mode.CLOSED,)
+
+
+def test_vehicle_replaces_what_the_log_says() -> None:
+    log = VehicleParameters(mass=900.0, width=2.0)
+    driven = RunConfig(vehicle={"mass": 1200.0}).driven(log)
+    assert (driven.mass, driven.width) == (1200.0, 2.0)
+
+
+def test_a_vehicle_that_fits_by_default_but_not_with_the_log_is_a_config_error() -> None:
+    run = RunConfig(vehicle={"length": 4.0})
+    with pytest.raises(ConfigError, match="vehicle"):
+        run.driven(VehicleParameters(wheelbase=3.5, length=5.0))
+
+
+def test_planner_keywords_are_checked_and_typed() -> None:
+    assert planner_keywords("constant_speed", {"horizon_s": 4.0}) == {"horizon_s": 4.0}
+    with pytest.raises(ConfigError, match=r"planner\.constant_speed\.horizon.*did you mean"):
+        planner_keywords("constant_speed", {"horizon": 4.0})
+    config = planner_keywords("dp_qp", {"stitch_m": 0.4, "speed": {"qp": {"w_j": 9.0}}})["config"]
+    assert isinstance(config, DpQpConfig)
+    assert (config.stitch_m, config.speed.qp.w_j, config.stitch_mps) == (0.4, 9.0, DpQpConfig().stitch_mps)
+    with pytest.raises(ConfigError, match=r"planner\.dp_qp\.speed\.qp\.w_jj"):
+        planner_keywords("dp_qp", {"speed": {"qp": {"w_jj": 9.0}}})
+    with pytest.raises(ConfigError, match=r"planner\.dp_qp\.stitch_m: expected float"):
+        planner_keywords("dp_qp", {"stitch_m": "near"})
+
+
+@pytest.mark.parametrize("name", ["dp_qp", "constant_speed", "logged"])
+def test_a_resolved_planner_table_spells_everything_and_makes_the_same_planner(name: str) -> None:
+    table = resolved_table(name, {})
+    assert table
+    again = planner_keywords(name, table)
+    assert again == ({"config": DpQpConfig()} if name == "dp_qp" else table)

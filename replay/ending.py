@@ -11,7 +11,7 @@ from logs.shapes import point_segment
 from logs.trace import EndReason
 from replay.world import World, box_center, contact
 
-CRACK_M = 0.2
+CRACK_M = 0.5
 """Lanes that meet may leave a crack: off the road is who is farther than this from every drivable lane."""
 
 

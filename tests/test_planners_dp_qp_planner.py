@@ -27,15 +27,18 @@ from logs import (
     SolverReport,
     StGraph,
     Tracks,
-    Trajectory,
 )
 from logs.catalogue import CATALOGUE, mirrored, moved
 from logs.states import TRAJECTORY_COLUMNS, wrapped
 from planners.base import Planner
 from planners.dp_qp import DpQp
 from planners.dp_qp.fallback import meets
+from planners.dp_qp.lane_plan import LanePlanner
+from planners.dp_qp.lanes import Lanes
 from planners.dp_qp.path_qp import PathQp
+from planners.dp_qp.path_stage import PathConfig
 from planners.dp_qp.speed_qp import SpeedQp, SpeedQpConfig
+from planners.dp_qp.speed_stage import SpeedConfig
 from planners.prediction import predict
 from planners.qp import QPResult
 
@@ -445,7 +448,7 @@ def test_then_a_comfortable_stop(program: type, stage: str, monkeypatch: pytest.
 @STAGES
 def test_at_last_a_hard_stop(program: type, stage: str, monkeypatch: pytest.MonkeyPatch) -> None:
     failing(program, monkeypatch)
-    _, plan = one_plan([standing("it", 14.0, 0.0, width=15.0)])
+    _, plan = one_plan([standing("it", 16.0, 0.0, width=15.0)])
     assert plan.status is PlanStatus.HARD_STOP and plan.reason.startswith(stage)
     assert column(plan, "a").min() < -COMFORT.decel_mps2 - 1.0 and column(plan, "v")[-1] == 0.0
 
@@ -503,7 +506,18 @@ def test_what_cannot_be_avoided_is_braked_for_and_told() -> None:
     assert column(plan, "a").min() == pytest.approx(-SpeedQpConfig().emergency.decel_mps2, abs=0.2)
 
 
-def test_a_trajectory_is_a_trajectory() -> None:
-    _, plan = one_plan()
-    assert isinstance(plan.trajectory, Trajectory)
-    np.testing.assert_allclose(np.diff(column(plan, "t")), PERIOD, atol=1e-9)
+def test_where_only_the_hardest_braking_keeps_the_distance_that_is_told() -> None:
+    _, plan = one_plan([standing("it", 13.7, 0.0, width=15.0)])
+    assert plan.status is PlanStatus.PLANNED and plan.reason == "only the hardest braking keeps the distance"
+    assert_sound(plan)
+
+
+def test_a_lane_that_was_not_planned_for_long_is_found_again() -> None:
+    """The foot point is looked for near the last one, but not where the ego has driven on since."""
+    driver = LanePlanner(
+        Lanes(PlannerContext(ONE, None, CAR, PERIOD, EGO)).start(EGO), CAR, PathConfig(), SpeedConfig(),
+        passes_left=True, lap=lambda stage: None,
+    )  # fmt: skip
+    first = driver.locate(EGO, fresh=True)
+    later = driver.locate(replace(EGO, x=120.0, y=0.5), fresh=False)
+    assert later == pytest.approx((first[0] + 120.0, 0.5), abs=1e-6)

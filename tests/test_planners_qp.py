@@ -169,6 +169,46 @@ def test_the_scale_of_the_variables_does_not_change_the_answer(matrix: int, vect
     np.testing.assert_allclose(one.x, two.x, atol=1e-5)
 
 
+def other_numbers(A: sparse.csc_matrix, seed: int) -> sparse.csc_matrix:
+    """A matrix with entries in the places of A."""
+    other = A.copy()
+    other.data = other.data * np.random.default_rng(seed).uniform(0.5, 2.0, len(other.data))
+    return other
+
+
+@pytest.mark.parametrize("config", [SURE, FAST], ids=["piqp", "osqp"])
+@given(matrix=SEED, vector=SEED, before=st.lists(SEED, max_size=3))
+@settings(max_examples=15)
+def test_new_numbers_in_the_matrix_make_another_problem(
+    config: QPConfig, matrix: int, vector: int, before: list[int]
+) -> None:
+    """With the cost of a program built for it, and the same bits whatever numbers were in it before."""
+    used, P, A = program(matrix, config)
+    wanted = other_numbers(A, vector)
+    data = vectors(wanted, vector)
+    for seed in before:
+        used.refill(other_numbers(A, seed).data)
+        used.solve(*vectors(A, seed), fresh=False)
+    used.refill(wanted.data)
+    found = used.solve(*data, fresh=True)
+    built = QuadraticProgram("test", P, wanted, equalities=EQUALITIES, config=SURE).solve(*data, fresh=True)
+    assert found.report.solved and built.report.solved
+    assert cost(P, data[0], found.x) == pytest.approx(cost(P, data[0], built.x), abs=2e-3, rel=1e-4)
+    value = wanted @ found.x
+    assert max((data[1] - value).max(), (value - data[2]).max()) < 2e-2
+    new = program(matrix, config)[0]
+    new.refill(wanted.data)
+    np.testing.assert_array_equal(new.solve(*data, fresh=True).x, found.x)
+
+
+def test_numbers_that_do_not_fit_are_refused() -> None:
+    solver, _, A = program(1, QPConfig())
+    with pytest.raises(ValueError, match="entries"):
+        solver.refill(A.data[:-1])
+    with pytest.raises(ValueError, match="finite"):
+        solver.refill(np.full(len(A.data), np.nan))
+
+
 @pytest.mark.parametrize("wrong", [{"eps": 0.0}, {"max_iterations": 0}, {"tolerance": float("nan")}])
 def test_settings_are_checked(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match="positive"):

@@ -1,0 +1,166 @@
+"""IDM: its equilibrium, its order, and how it drives behind, before and among others."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from worlds import (
+    CAR,
+    Drive,
+    Other,
+    along_x,
+    beside,
+    curve,
+    decided,
+    driving,
+    followed,
+    frame,
+    gaps,
+    lanes,
+    standing,
+    strip,
+)
+
+from logs import AgentKind, DecisionKind, EgoState, Goal, PlannerContext, PlanStart, Road, StGraph, Trajectory
+from logs.catalogue import CATALOGUE, mirrored
+from planners.idm import Idm, IdmConfig, idm_acceleration
+from replay.drive import LoopConfig
+from replay.perception import perceive
+from replay.world import World, logged_ego
+
+A, B, TAU, S0 = (IdmConfig().accel_mps2, IdmConfig().decel_mps2, IdmConfig().time_gap_s, IdmConfig().standstill_gap_m)
+
+
+def idm(road: Road, ego: EgoState, goal: Goal | None = None) -> Idm:
+    return Idm(PlannerContext(road, goal, CAR, 0.1, ego))
+
+
+def drives(road: Road, ego: EgoState, *others: Other, seconds: float) -> Drive:
+    return followed(road, ego, others, seconds=seconds, build=idm)
+
+
+# --- laws
+
+
+@given(st.floats(0.0, 0.98), st.floats(2.0, 40.0))
+def test_in_equilibrium_nothing_accelerates(share: float, v0: float) -> None:
+    v = share * v0
+    gap = (S0 + v * TAU) / np.sqrt(1.0 - share**4)
+    assert idm_acceleration(v, v0, gap, v, A, B, TAU, S0) == pytest.approx(0.0, abs=1e-9)
+
+
+@given(st.floats(0.0, 40.0), st.floats(2.0, 40.0), st.floats(0.5, 200.0), st.floats(0.0, 40.0), st.floats(0.01, 20.0))
+def test_less_room_or_a_slower_leader_never_accelerate(
+    v: float, v0: float, gap: float, lead: float, more: float
+) -> None:
+    here = idm_acceleration(v, v0, gap, lead, A, B, TAU, S0)
+    assert idm_acceleration(v, v0, gap + more, lead, A, B, TAU, S0) >= here
+    assert idm_acceleration(v, v0, gap, lead + more, A, B, TAU, S0) >= here - 1e-9
+    assert idm_acceleration(v, v0 + more, gap, lead, A, B, TAU, S0) >= here - 1e-9
+    assert here <= A
+
+
+@given(st.floats(0.5, 40.0))
+def test_the_free_terms_below_and_above_the_wanted_speed_join(v0: float) -> None:
+    below, above = (idm_acceleration(v, v0, np.inf, 0.0, A, B, TAU, S0) for v in (v0 * (1 - 1e-9), v0 * (1 + 1e-9)))
+    assert below == pytest.approx(above, abs=1e-6)
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_a_mirrored_world_gives_the_mirrored_plan(name: str) -> None:
+    plans = []
+    for made in (CATALOGUE[name].scenario(), mirrored(CATALOGUE[name].scenario())):
+        start = logged_ego(made.ego, made.vehicle, 0.0)
+        planner = Idm(PlannerContext(made.road, made.goal, made.vehicle, 0.1, start))
+        for t in (0.0, 0.4 * made.ego.t[-1]):
+            ego = logged_ego(made.ego, made.vehicle, float(t))
+            plans.append(planner.plan(perceive(World(ego, made.tracks), None, LoopConfig())).trajectory)
+    for one, two in zip(plans[:2], plans[2:], strict=True):
+        sign = {"y": -1.0, "yaw": -1.0, "kappa": -1.0}
+        for field in fields(Trajectory):
+            left, right = getattr(one, field.name), sign.get(field.name, 1.0) * getattr(two, field.name)
+            np.testing.assert_allclose(left, right, atol=2e-3, err_msg=field.name)
+
+
+# --- driving
+
+
+def test_it_settles_at_the_gap_of_equilibrium() -> None:
+    v, v0 = 8.0, 13.89
+    drive = drives(lanes(along_x()), EgoState(0.0, 0.0, 0.0, 0.0, 10.0), driving("lead", 40.0, 0.0, v), seconds=40.0)
+    wanted = (S0 + v * TAU) / np.sqrt(1.0 - (v / v0) ** 4)
+    assert gaps(drive, "lead")[-1] == pytest.approx(wanted, abs=0.6)
+    assert drive[-1][0].ego.v == pytest.approx(v, abs=0.1)
+    assert decided(drive[-1][1], "lead", "speed") is DecisionKind.FOLLOW
+
+
+def test_alone_it_comes_to_the_limit_and_keeps_it() -> None:
+    drive = drives(lanes(along_x(end=900.0), limit=12.0), EgoState(0.0, 0.0, 0.0, 0.0, 0.0), seconds=40.0)
+    speed = [now.ego.v for now, _ in drive]
+    assert max(speed) <= 12.01
+    assert speed[-1] == pytest.approx(12.0, abs=0.2)
+
+
+def test_it_slows_for_a_curve() -> None:
+    road = lanes(curve((100.0, 0.0), (60.0, 1.0 / 20.0), (100.0, 0.0)), limit=14.0)
+    drive = drives(road, EgoState(0.0, 0.0, 0.0, 0.0, 12.0), seconds=20.0)
+    lateral = [abs(plan.trajectory.kappa[0]) * now.ego.v**2 for now, plan in drive]
+    assert 2.0 < max(lateral) < 3.6
+
+
+def test_it_stops_before_what_stands_and_says_so() -> None:
+    drive = drives(lanes(along_x()), EgoState(0.0, 0.0, 0.0, 0.0, 12.0), standing("parked", 90.0, 0.8), seconds=30.0)
+    assert 1.0 < gaps(drive, "parked")[-1] < 3.5
+    assert drive[-1][0].ego.v < 0.1
+    assert decided(drive[50][1], "parked", "speed") is DecisionKind.STOP
+    assert min(plan.trajectory.a.min() for _, plan in drive) > -4.0
+
+
+def test_it_lets_a_pedestrian_cross() -> None:
+    walker = driving("walker", 60.0, -6.0, 0.0, 1.2, kind=AgentKind.PEDESTRIAN, length=0.5, width=0.5)
+    drive = drives(lanes(along_x()), EgoState(0.0, 0.0, 0.0, 0.0, 10.0), walker, seconds=20.0)
+    assert gaps(drive, "walker").min() > 1.0
+    assert drive[-1][0].ego.v > 8.0, "and goes on"
+
+
+def test_who_follows_or_drives_beside_is_no_leader() -> None:
+    points = along_x()
+    road = Road({0: strip(0, points, left_neighbour=1), 1: strip(1, beside(points, 3.5), right_neighbour=0)})
+    others = (driving("behind", -15.0, 0.0, 14.0), driving("beside", 3.0, 3.5, 10.0))
+    drive = drives(road, EgoState(0.0, 0.0, 0.0, 0.0, 10.0), *others, seconds=3.0)
+    assert min(plan.trajectory.a.min() for _, plan in drive) > -0.5
+    assert all(decided(plan, name, "speed") is None for _, plan in drive for name in ("behind", "beside"))
+
+
+def test_from_an_offset_it_returns_to_the_middle_smoothly() -> None:
+    drive = drives(lanes(along_x()), EgoState(0.0, 0.0, 1.2, 0.05, 10.0), seconds=14.0)
+    offset = np.array([now.ego.y for now, _ in drive])
+    assert abs(offset[-1]) < 0.05
+    assert offset.max() < 1.6
+    assert max(abs(plan.trajectory.kappa[0]) for _, plan in drive) < 0.03
+    assert all(plan.start is PlanStart.PREVIOUS_PLAN for _, plan in drive[1:])
+
+
+def test_out_of_the_lines_frame_it_stops_and_says_why() -> None:
+    road, ego = lanes(along_x()), EgoState(0.0, 0.0, 0.0, 1.5, 5.0)
+    plan = idm(road, ego).plan(frame(ego))
+    assert plan.status.is_fallback
+    assert "degrees off the reference line" in plan.reason
+
+
+def test_the_graph_holds_the_leader_and_the_profile() -> None:
+    ego = EgoState(0.0, 0.0, 0.0, 0.0, 10.0)
+    plan = idm(lanes(along_x()), ego).plan(frame(ego, [driving("lead", 30.0, 0.0, 6.0)]))
+    graph = next(item for item in plan.internals if isinstance(item, StGraph))
+    assert [obstacle.agent for obstacle in graph.obstacles] == ["lead"]
+    assert graph.corridor is not None
+    assert (graph.qp[:, 1] <= graph.corridor.upper + 1e-6).all()
+
+
+def test_settings_must_be_positive() -> None:
+    with pytest.raises(ValueError, match="positive"):
+        IdmConfig(time_gap_s=0.0)

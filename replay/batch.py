@@ -30,7 +30,7 @@ from planners import PLANNERS
 from planners.prediction import PREDICTORS
 from replay.config import RunConfig, dump_run
 from replay.control import CONTROLLERS
-from replay.evaluate import DriveRecord, Failure, LogResult, evaluate_log
+from replay.evaluate import DriveRecord, Failure, LogResult, all_metrics, evaluate_log
 from replay.oracle import ORACLES
 from replay.planner_config import resolved_table
 from replay.pool import WorkerLost, run_all
@@ -117,7 +117,7 @@ def evaluate_logs(
     """
     run = run or RunConfig()
     selection = select(logs) if logs else builtin_suite()
-    gates = load_gates(run.gates_path)
+    gates = load_gates(run.gates_path, metrics=all_metrics(run))
     run, failures = _checked(run)
     out = next_free() if out is None else Path(out)
     claim(out)

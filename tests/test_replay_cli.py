@@ -302,6 +302,14 @@ def test_the_report_names_units_and_says_what_was_assumed(compared: RunResult) -
     assert "p99 [ms]" in text
 
 
+def test_the_recording_to_look_at_is_that_of_the_worst_failure(compared: RunResult) -> None:
+    drives = tuple(
+        replace(drive, files=(f"{drive.log}/{drive.planner}.{drive.mode}.rrd",)) for drive in compared.drives
+    )
+    shown = report(replace(compared, logs=(replace(compared.logs[0], drives=drives),)), 200)
+    assert "replan view " + str(compared.out / "test/blocked/constant_speed.closed.rrd") in shown
+
+
 def test_a_long_report_shows_trouble_first(compared: RunResult, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("replay.report.terminal.MAX_ROWS", 1)
     text = report(compared, 140)

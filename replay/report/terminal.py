@@ -324,10 +324,16 @@ def _indented(line: str) -> Padding:
 
 
 def _ending(result: RunResult) -> Iterator[RenderableType]:
-    files = [file for drive in result.drives for file in drive.files]
-    recordings = [file for file in files if file.endswith("closed.rrd")] or [f for f in files if f.endswith(".rrd")]
+    recordings = _worth_a_look(result)
     yield Text(f"Results: {result.out}  (metrics.csv, summary.json, a folder per log)")
     if recordings:
         yield Text.assemble("Look at a drive:  ", (f"replan view {result.out / recordings[0]}", "bold"))
     code = result.exit_code
     yield Text(f"Outcome: {OUTCOMES[code].upper()} (exit code {code})", style="bold green" if code == 0 else "bold red")
+
+
+def _worth_a_look(result: RunResult) -> list[str]:
+    """Recordings, those of the gates' worst failures first, closed loop before open."""
+    failed = [(v.log, v.planner) for v in result.verdicts if v.outcome is Outcome.FAIL]
+    drives = sorted(result.drives, key=lambda drive: ((drive.log, drive.planner) not in failed[:1], drive.mode))
+    return [file for drive in drives for file in drive.files if file.endswith(".rrd")]

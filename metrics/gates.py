@@ -19,8 +19,8 @@ from __future__ import annotations
 
 import difflib
 import tomllib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from enum import Enum
 from importlib import resources
 from math import inf, isfinite, nan
@@ -94,6 +94,11 @@ class Gates:
 
     gates: tuple[Gate, ...]
     source: str
+
+    def asked_of(self, modes: Iterable[str]) -> Gates:
+        """The gates that name one of these modes or none."""
+        wanted = set(modes)
+        return replace(self, gates=tuple(gate for gate in self.gates if not gate.mode or gate.mode in wanted))
 
 
 @dataclass(frozen=True, slots=True)

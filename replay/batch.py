@@ -27,11 +27,11 @@ from logs.errors import ConfigError, PlannerError, unknown_name
 from metrics import COLUMNS
 from metrics.gates import Outcome, Verdict, judge, load_gates
 from planners import PLANNERS
-from planners.prediction import PREDICTORS
 from replay.config import RunConfig, dump_run
 from replay.control import CONTROLLERS
 from replay.evaluate import DriveRecord, Failure, LogResult, all_metrics, evaluate_log
 from replay.oracle import ORACLES
+from replay.perception import PERCEPTIONS, PREDICTIONS
 from replay.planner_config import resolved_table
 from replay.pool import WorkerLost, run_all
 from replay.results import (
@@ -118,6 +118,8 @@ def evaluate_logs(
     run = run or RunConfig()
     selection = select(logs) if logs else builtin_suite()
     gates = load_gates(run.gates_path, metrics=all_metrics(run))
+    if run.gates_path is None:
+        gates = gates.asked_of(mode.value for mode in run.modes)
     run, failures = _checked(run)
     out = next_free() if out is None else Path(out)
     claim(out)
@@ -176,7 +178,8 @@ _TABLES: Mapping[str, Collection[str]] = {
     "vehicle": VEHICLES,
     "controller": CONTROLLERS,
     "traffic": TRAFFIC,
-    "prediction": PREDICTORS,
+    "prediction": PREDICTIONS,
+    "perception": PERCEPTIONS,
 }
 """The names that the keys of [loop] may have."""
 

@@ -53,9 +53,8 @@ def main() -> None:
     """Measure and print."""
     for tyre in TYRES:
         took = substep_us(tyre)
-        print(
-            f"single_track sub-step, {tyre:8s} {took:9.2f} us   aim {AIM_US} us: {'met' if took <= AIM_US else 'MISSED'}"
-        )
+        verdict = "met" if took <= AIM_US else "MISSED"
+        print(f"single_track sub-step, {tyre:8s} {took:9.2f} us   aim {AIM_US} us: {verdict}")
     for name in VEHICLES:
         if name == "perfect":
             continue

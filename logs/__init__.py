@@ -15,11 +15,12 @@ tables). Time: integer nanoseconds in logs and loops, seconds since the scenario
 """
 
 from logs.errors import ConfigError, LogError, PlannerError, ReplanError
-from logs.frame import Frame, PlannerContext, Predictions
+from logs.frame import Frame, PlannerContext, Predictions, Visibility
 from logs.road import Goal, Lane, ReferenceLine, Road, RoadSource
 from logs.scenario import AgentKind, Agents, Scenario, Tracks
 from logs.states import Command, Controls, EgoState, Trajectory, wrap
 from logs.trace import (
+    Candidates,
     Corridor,
     CostTerms,
     Decision,
@@ -43,6 +44,7 @@ from logs.vehicle import VehicleParameters
 __all__ = [
     "AgentKind",
     "Agents",
+    "Candidates",
     "Command",
     "ConfigError",
     "Controls",
@@ -79,5 +81,6 @@ __all__ = [
     "Tracks",
     "Trajectory",
     "VehicleParameters",
+    "Visibility",
     "wrap",
 ]

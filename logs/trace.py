@@ -67,6 +67,21 @@ class CostTerms:
 
 
 @dataclass(frozen=True, slots=True)
+class Candidates:
+    """What a stage chose from, and why it took none of the others.
+
+    Attributes:
+        stage: Name of the stage.
+        considered: How many candidates there were.
+        rejected: Reason and number; each candidate is counted once, under the first reason that was found.
+    """
+
+    stage: str
+    considered: int
+    rejected: tuple[tuple[str, int], ...]
+
+
+@dataclass(frozen=True, slots=True)
 class SolverReport:
     """One call of a solver; residuals are the solver's own, infinity norm."""
 
@@ -145,7 +160,7 @@ class StGraph(Graph):
     """Time (s from the frame) and station along the path (m from the ego): where the speed was chosen."""
 
 
-Artefact = SlGraph | StGraph | Decision | CostTerms | SolverReport
+Artefact = SlGraph | StGraph | Decision | CostTerms | Candidates | SolverReport
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -229,6 +244,8 @@ class Trace:
         end: Why it ended.
         detail: With what, where ("car 12").
         notes: What the user must know to read the results, one sentence each.
+        perceived: The agents as the planner was shown them, a sample per frame in which it was; None: as they are
+            known without a sensor (`agents.perceived`).
     """
 
     scenario: str
@@ -244,3 +261,4 @@ class Trace:
     actuation: Controls | None = None
     tracking: TrackingErrors | None = None
     notes: tuple[str, ...] = ()
+    perceived: Tracks | None = None

@@ -1,16 +1,26 @@
-"""Vehicle parameters: numbers only, shared by planner, controller, vehicle model and metrics."""
+"""Vehicle parameters: numbers only, shared by planner, controller, vehicle model and metrics.
+
+Sets of known vehicles, with the sources of their numbers, are files in `logs/vehicles`: `vehicle_parameters(name)`.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import tomllib
+from dataclasses import dataclass, replace
+from importlib.resources import files
+from math import tan
+from typing import Any
+
+from logs.errors import unknown_name
 
 
 @dataclass(frozen=True)
 class VehicleParameters:
-    """Dimensions, masses, tyres and limits of one vehicle.
+    """Dimensions, masses, tyres, drive and limits of one vehicle.
 
-    Defaults: BMW 320i as identified in commonroad-vehicle-models (vehicle 2); actuator lags and pedal maxima
-    are round figures of a passenger car.
+    Defaults: dimensions and masses of the BMW 320i as identified in commonroad-vehicle-models (vehicle 2); cornering
+    stiffness (steering and suspension give way in it), actuator lags and pedal maxima are round figures of a passenger
+    car.
 
     Attributes:
         length: Bumper to bumper, m.
@@ -20,18 +30,33 @@ class VehicleParameters:
         mass: kg.
         yaw_inertia: kg m2.
         cog_to_front: Centre of gravity to front axle, m.
-        cornering_front: Cornering stiffness of the front axle, N/rad, positive.
+        cornering_front: Cornering stiffness of the front axle at its static load, N/rad, positive.
         cornering_rear: The same of the rear axle.
         max_steer: Front wheel angle, rad.
         max_steer_rate: rad/s.
         steer_lag: Time constant of the steering, s.
         max_accel: At full throttle from standstill, m/s2.
-        max_power: At the wheels, W per kg of mass: full throttle gives min(max_accel, max_power / v).
+        max_power: At the wheels, W per kg of mass: full throttle gives min(max_accel, max_power / v), where no motor
+            is described.
         max_decel: At full brake, m/s2, positive.
         throttle_lag: Time constant, s.
         brake_lag: Time constant, s.
         drag: Aerodynamic deceleration per v squared, 1/m.
         rolling: Rolling deceleration, m/s2.
+        cog_height: Centre of gravity above the ground, m.
+        tyre_friction: Peak of tyre force over load; as it is, on a dry road.
+        tyre_shape: C of the magic formula of the lateral force.
+        tyre_curvature: E of the magic formula.
+        tyre_load_sensitivity: Relative loss of friction and stiffness per load, per relative rise of load over static.
+        brake_delay: Dead time from the brake pedal to the first deceleration, s.
+        drive_front_share: Share of the drive at the front axle, 0 to 1.
+        wheel_radius: Rolling radius, m.
+        gears: Motor speed over wheel speed (gear times axle ratio), lowest gear first; a motor without gears has one.
+        motor_speed: Where the motor is described, rad/s, increasing; the first is idle. Empty: no motor is described.
+        motor_torque: At full throttle at those speeds, N m.
+        motor_overrun: Drag (or recuperation) at closed throttle at those speeds, N m, positive.
+        drive_efficiency: From motor to wheels, 0 to 1.
+        shift_time: How long a shift of gears takes, s.
     """
 
     length: float = 4.508
@@ -53,13 +78,28 @@ class VehicleParameters:
     brake_lag: float = 0.1
     drag: float = 4.0e-4
     rolling: float = 0.12
+    cog_height: float = 0.574869
+    tyre_friction: float = 1.0489
+    tyre_shape: float = 1.3507
+    tyre_curvature: float = -0.0074722
+    tyre_load_sensitivity: float = 0.0
+    brake_delay: float = 0.05
+    drive_front_share: float = 0.0
+    wheel_radius: float = 0.344
+    gears: tuple[float, ...] = ()
+    motor_speed: tuple[float, ...] = ()
+    motor_torque: tuple[float, ...] = ()
+    motor_overrun: tuple[float, ...] = ()
+    drive_efficiency: float = 0.9
+    shift_time: float = 0.2
 
     def __post_init__(self) -> None:
-        for name in ("length", "width", "wheelbase", "mass", "max_steer", "max_decel"):
+        for name in ("length", "width", "wheelbase", "mass", "max_steer", "max_decel", "tyre_friction", "wheel_radius"):
             if not getattr(self, name) > 0.0:
                 raise ValueError(f"vehicle {name} must be positive, got {getattr(self, name)}")
         if not 0.0 <= self.rear_overhang <= self.length - self.wheelbase:
             raise ValueError("vehicle rear_overhang must lie between 0 and length - wheelbase")
+        _check_motor(self)
 
     @property
     def axle_to_front(self) -> float:
@@ -72,8 +112,48 @@ class VehicleParameters:
         return self.length / 2.0 - self.rear_overhang
 
     @property
+    def cog_to_rear(self) -> float:
+        """Centre of gravity to rear axle, m."""
+        return self.wheelbase - self.cog_to_front
+
+    @property
     def max_kappa(self) -> float:
         """Curvature at full steering lock, 1/m."""
-        from math import tan
-
         return tan(self.max_steer) / self.wheelbase
+
+    def loaded(self, mass: float) -> VehicleParameters:
+        """The same vehicle with another mass, kg: motor, brakes and drag give the same forces."""
+        ratio = self.mass / mass
+        scaled = {name: ratio * getattr(self, name) for name in ("max_accel", "max_power", "max_decel", "drag")}
+        return replace(self, mass=mass, **scaled)
+
+
+def _check_motor(p: VehicleParameters) -> None:
+    """Raise ValueError where the motor's columns do not fit each other."""
+    n = len(p.motor_speed)
+    if (len(p.motor_torque), len(p.motor_overrun)) != (n, n) or bool(p.gears) != bool(n):
+        raise ValueError("vehicle gears, motor_speed, motor_torque and motor_overrun: tell all of them or none")
+    if n and (n < 2 or not all(a < b for a, b in zip((0.0, *p.motor_speed), p.motor_speed, strict=False))):
+        raise ValueError("vehicle motor_speed must have at least two values, positive and increasing")
+    if min((*p.gears, 1.0)) <= 0.0 or min((*p.motor_torque, *p.motor_overrun, 0.0)) < 0.0:
+        raise ValueError("vehicle gears must be positive, motor_torque and motor_overrun not negative")
+
+
+def vehicle_names() -> tuple[str, ...]:
+    """The vehicles of `logs/vehicles`, in alphabetical order."""
+    folder = files("logs") / "vehicles"
+    return tuple(sorted(entry.name[:-5] for entry in folder.iterdir() if entry.name.endswith(".toml")))
+
+
+def vehicle_parameters(name: str) -> VehicleParameters:
+    """The parameters of a known vehicle; every number is in its file, none is a default.
+
+    Raises:
+        ConfigError: No vehicle is called so.
+    """
+    if name not in vehicle_names():
+        raise unknown_name("vehicle", name, vehicle_names())
+    text = (files("logs") / "vehicles" / f"{name}.toml").read_text(encoding="utf-8")
+    table = tomllib.loads(text)
+    numbers: dict[str, Any] = {key: tuple(v) if isinstance(v, list) else float(v) for key, v in table.items()}
+    return VehicleParameters(**numbers)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from logs.errors import ConfigError
 from logs.trace import Trace
+from replay.sensor import SensorConfig
 
 
 @dataclass(frozen=True)
@@ -16,9 +18,14 @@ class LoopConfig:
         plan_period_s: Time between two frames.
         control_period_s: Time between two commands; the plan period is a multiple of it.
         vehicle: Name in `replay.vehicle.VEHICLES`.
-        controller: Name in `replay.control.CONTROLLERS`.
+        plant: What the vehicle model has that planner and controller are not told: VehicleParameters by name, and
+            keywords of the model (`replay.vehicle.plant`).
+        controller: Name in `replay.control.CONTROLLERS`; the vehicle "perfect" needs none.
         traffic: Name in `replay.traffic.TRAFFIC`.
-        prediction: Name in `planners.prediction.PREDICTORS`.
+        plan_delay_s: A plan is driven from so long after its frame on (what computing it takes), whole control periods.
+        perception: Name in `replay.perception.PERCEPTIONS`.
+        sensor: What the sensor can do, where the perception is "sensor".
+        prediction: Name in `planners.prediction.PREDICTORS`, or "oracle": the log's own future, with traffic "time".
         prediction_horizon_s: How far the others are predicted.
         prediction_step_s: Time between two samples of a prediction.
 
@@ -34,11 +41,27 @@ class LoopConfig:
     prediction: str = "constant_velocity"
     prediction_horizon_s: float = 8.0
     prediction_step_s: float = 0.1
+    plant: Mapping[str, float | str] = field(default_factory=dict)
+    plan_delay_s: float = 0.0
+    perception: str = "ground_truth"
+    sensor: SensorConfig = field(default_factory=SensorConfig)
 
     def __post_init__(self) -> None:
         for name in ("plan_period_s", "control_period_s", "prediction_horizon_s", "prediction_step_s"):
             if not 1e-9 <= getattr(self, name) < 1e6:
                 raise ConfigError(f"loop.{name} must be positive, got {getattr(self, name)}")
+        if self.prediction == "oracle" and self.traffic != "time":
+            raise ConfigError(
+                f"loop.prediction 'oracle' knows the log's future, which is not the others' with loop.traffic"
+                f" '{self.traffic}'; take traffic 'time'"
+            )
+        if not 0.0 <= self.plan_delay_s < 1e6:
+            raise ConfigError(f"loop.plan_delay_s must not be negative, got {self.plan_delay_s}")
+        if round(self.plan_delay_s * 1e9) % self.control_period_ns:
+            raise ConfigError(
+                f"loop.plan_delay_s ({self.plan_delay_s}) must be a multiple of"
+                f" loop.control_period_s ({self.control_period_s})"
+            )
         if self.plan_period_ns % self.control_period_ns:
             raise ConfigError(
                 f"loop.plan_period_s ({self.plan_period_s}) must be a multiple of"
@@ -49,6 +72,11 @@ class LoopConfig:
     def plan_period_ns(self) -> int:
         """Nanoseconds between two frames."""
         return round(self.plan_period_s * 1e9)
+
+    @property
+    def plan_delay_steps(self) -> int:
+        """Control periods from a frame to its plan being driven."""
+        return round(self.plan_delay_s * 1e9) // self.control_period_ns
 
     @property
     def control_period_ns(self) -> int:

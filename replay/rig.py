@@ -9,12 +9,18 @@ from typing import TypeVar
 from logs.errors import LogError, unknown_name
 from logs.road import RoadSource
 from logs.scenario import Scenario
+from logs.vehicle import VehicleParameters
 from replay.control import CONTROLLERS
-from replay.control.base import Controller
+from replay.control.base import Controller, Telling
+from replay.control.lateral_model import with_rigid_tyres
 from replay.drive import LoopConfig
 from replay.traffic import TRAFFIC, Traffic
 from replay.vehicle import VEHICLES
 from replay.vehicle.base import Vehicle
+from replay.vehicle.kinematic_bicycle import KinematicBicycle
+from replay.vehicle.kinematic_rear_steer import KinematicRearSteer
+from replay.vehicle.perfect import Perfect
+from replay.vehicle.plant import build
 from replay.world import World, box_center, logged_ego
 
 T = TypeVar("T")
@@ -48,7 +54,7 @@ class Rig:
 
         Raises:
             LogError: The log ends before the first step.
-            ConfigError: No vehicle, controller or traffic of that name.
+            ConfigError: No vehicle, controller or traffic of that name, or the plant's table is wrong.
         """
         start_ns = round(float(scenario.ego.t[0]) * 1e9)
         steps = range((round(scenario.duration * 1e9) - start_ns) // config.control_period_ns)
@@ -59,28 +65,61 @@ class Rig:
             )
         start = replace(logged_ego(scenario.ego, scenario.vehicle, start_ns / 1e9), t=start_ns / 1e9)
         period = config.control_period_ns / 1e9
-        vehicle = _named("vehicle", VEHICLES, config.vehicle)(scenario.vehicle, start)
+        model = _named("vehicle", VEHICLES, config.vehicle)
+        vehicle = build(model, config.vehicle, scenario.vehicle, start, config.plant)
+        told = build(model, config.vehicle, scenario.vehicle, start, {}) if config.plant else vehicle
         return cls(
             vehicle=vehicle,
-            controller=_named("controller", CONTROLLERS, config.controller)(
-                scenario.vehicle, vehicle.powertrain, period
-            ),
+            controller=controller_of(told, scenario.vehicle, config.controller, period),
             traffic=_named("traffic", TRAFFIC, config.traffic)(scenario),
             steps=steps,
             steps_per_plan=config.plan_period_ns // config.control_period_ns,
             period=period,
-            notes=tuple(_notes(scenario)),
+            notes=(*_notes(scenario), *_vehicle_notes(config)),
         )
+
+    @property
+    def told(self) -> tuple[str, ...]:
+        """What the controller tells of the drive so far."""
+        return self.controller.notes if isinstance(self.controller, Telling) else ()
 
     def world(self) -> World:
         """The world as the vehicle and the traffic have it now."""
         return World(self.vehicle.state, self.traffic.step(self.vehicle.state))
 
 
+def controller_of(vehicle: Vehicle, parameters: VehicleParameters, name: str, period: float) -> Controller:
+    """The controller of that name for a vehicle as it is told; a perfect vehicle is its own.
+
+    Kinematic vehicles have rigid tyres, and controllers are told so.
+
+    Raises:
+        ConfigError: No controller of that name.
+    """
+    factory = _named("controller", CONTROLLERS, name)
+    if isinstance(vehicle, Perfect):
+        return vehicle
+    kinematic = isinstance(vehicle, (KinematicBicycle, KinematicRearSteer))
+    return factory(with_rigid_tyres(parameters) if kinematic else parameters, vehicle.powertrain, period)
+
+
 def _named(kind: str, table: Mapping[str, Callable[..., T]], name: str) -> Callable[..., T]:
     if name not in table:
         raise unknown_name(kind, name, table)
     return table[name]
+
+
+def _vehicle_notes(config: LoopConfig) -> list[str]:
+    """What the user must know of a vehicle that is not as planner and controller believe."""
+    notes = []
+    if config.vehicle == "perfect":
+        notes.append("the vehicle follows its plans exactly: no controller drives it")
+    if config.plan_delay_s:
+        notes.append(f"each plan but the first is driven from {config.plan_delay_s:g} s after its frame on")
+    if config.plant:
+        said = ", ".join(f"{key} = {value}" for key, value in config.plant.items())
+        notes.append(f"the vehicle model differs from what planner and controller are told: {said}")
+    return notes
 
 
 def _notes(scenario: Scenario) -> list[str]:

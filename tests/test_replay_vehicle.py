@@ -115,9 +115,11 @@ def test_any_lag_is_integrated_stably(lag: float) -> None:
     assert car.actuation.throttle == pytest.approx(0.2, abs=1e-5)
 
 
-@pytest.mark.parametrize("name", VEHICLES)
+@pytest.mark.parametrize("name", [name for name in VEHICLES if name != "perfect"])
 def test_every_vehicle_turns_with_its_steering_and_is_deterministic(name: str) -> None:
-    """The contract of the seam, for models to come as well."""
+    """The contract of the seam, for models to come as well; the perfect vehicle is steered by its plan."""
+    if name == "multibody":
+        pytest.importorskip("vehiclemodels", reason="needs the package commonroad-vehicle-models")
 
     def ride() -> list[EgoState]:
         car = VEHICLES[name](CAR, at_speed(5.0))

@@ -22,7 +22,7 @@ a plan, where null stands for "not reached" and "free".
 from __future__ import annotations
 
 from dataclasses import fields
-from typing import Any, Literal
+from typing import Any, Literal, get_type_hints
 
 import msgspec
 
@@ -41,7 +41,8 @@ UNITS = {
     "wheelbase": "m", "rear_overhang": "m", "mass": "kg", "yaw_inertia": "kgm2", "cog_to_front": "m",
     "cornering_front": "n_per_rad", "cornering_rear": "n_per_rad", "max_steer": "rad", "max_steer_rate": "radps",
     "steer_lag": "s", "max_accel": "mps2", "max_power": "w_per_kg", "max_decel": "mps2", "throttle_lag": "s",
-    "brake_lag": "s", "drag": "per_m", "rolling": "mps2",
+    "brake_lag": "s", "drag": "per_m", "rolling": "mps2", "cog_height": "m", "brake_delay": "s", "wheel_radius": "m",
+    "motor_speed": "radps", "motor_torque": "nm", "motor_overrun": "nm", "shift_time": "s",
 }  # fmt: skip
 """Unit of each name in code; a name that is not here has none."""
 
@@ -142,7 +143,7 @@ class Goal(msgspec.Struct, rename=serialised):
 
 Vehicle = msgspec.defstruct(
     "Vehicle",
-    [(f.name, float, f.default) for f in fields(VehicleParameters)],
+    [(f.name, get_type_hints(VehicleParameters)[f.name], f.default) for f in fields(VehicleParameters)],
     rename=serialised,
     namespace={"__doc__": "Parameters of the ego's vehicle."},
     module=__name__,
@@ -184,6 +185,14 @@ class CostTerms(msgspec.Struct):
 
     stage: str
     terms: dict[str, float | None]
+
+
+class Candidates(msgspec.Struct):
+    """How many candidates a stage had, and how many it rejected for which reason."""
+
+    stage: str
+    considered: int
+    rejected: dict[str, int]
 
 
 class SolverReport(msgspec.Struct):
@@ -244,6 +253,7 @@ class Plan(msgspec.Struct):
     costs: list[CostTerms] = []
     solvers: list[SolverReport] = []
     graphs: list[Graph] = []
+    candidates: list[Candidates] = []
 
 
 TOPICS: dict[str, type[msgspec.Struct]] = {

@@ -229,7 +229,13 @@ def _vehicle(host: Any, notes: list[str]) -> tuple[VehicleParameters, FloatArray
         notes.append("The log does not say where the ego's rear axle is: it is placed as in the default car.")
     notes.append("Masses, tyres and limits of the ego's vehicle are those of the default car.")
     cog = default.cog_to_front * wheelbase / default.wheelbase
-    sizes = {"length": length, "width": width, "wheelbase": wheelbase, "rear_overhang": overhang, "cog_to_front": cog}
+    sizes: dict[str, Any] = {
+        "length": length,
+        "width": width,
+        "wheelbase": wheelbase,
+        "rear_overhang": overhang,
+        "cog_to_front": cog,
+    }
     return replace(default, **sizes), rear
 
 

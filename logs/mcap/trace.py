@@ -1,8 +1,8 @@
 """A trace as a log: what was driven, what was planned, asked and done; readable again by `read_scenario`.
 
 Ego and agents are those of the trace; road, goal and vehicle those of the scenario. `internals` says how much of the
-plans is kept: "none" (status and trajectory), "summary" (and decisions, cost terms, solver reports), "full" (and
-graphs with their grids and corridors; in them null stands for "not reached" and "free").
+plans is kept: "none" (status and trajectory), "summary" (and decisions, cost terms, candidates, solver reports), "full"
+(and graphs with their grids and corridors; in them null stands for "not reached" and "free").
 """
 
 from __future__ import annotations
@@ -93,6 +93,10 @@ def _plan(plan: nouns.Plan, internals: Internals) -> native.Plan:
             )
         elif isinstance(artefact, nouns.CostTerms):
             message.costs.append(native.CostTerms(artefact.stage, dict(artefact.terms)))
+        elif isinstance(artefact, nouns.Candidates):
+            message.candidates.append(
+                native.Candidates(artefact.stage, artefact.considered, dict(artefact.rejected)),
+            )
         elif isinstance(artefact, nouns.SolverReport):
             message.solvers.append(_solver(artefact))
         elif internals == "full":

@@ -114,7 +114,7 @@ def scenario_records(scenario: Scenario) -> dict[str, dict[str, str]]:
 def scenario_entries(scenario: Scenario) -> Iterator[Entry]:
     """The messages of a scenario, topic by topic."""
     start = scenario.start_ns
-    vehicle = {name: finite(value, f"vehicle {name}") for name, value in asdict(scenario.vehicle).items()}
+    vehicle = {name: _finite_all(value, f"vehicle {name}") for name, value in asdict(scenario.vehicle).items()}
     yield start, "/vehicle", native.Vehicle(**vehicle)
     if scenario.goal is not None:
         yield start, "/goal", _goal(scenario.goal)
@@ -161,6 +161,11 @@ def finite(value: float, name: str) -> float:
     if not np.isfinite(value):
         raise LogError(f"{name} is {value}", remedy="leave out what is not known")
     return float(value)
+
+
+def _finite_all(value: float | tuple[float, ...], name: str) -> float | tuple[float, ...]:
+    """The number or numbers; LogError as `finite`."""
+    return tuple(finite(item, name) for item in value) if isinstance(value, tuple) else finite(value, name)
 
 
 def samples(table: Any, kind: type[msgspec.Struct], topic: str, start_ns: int) -> Iterator[Entry]:

@@ -1,0 +1,217 @@
+"""The 29-state multi-body model of commonroad-vehicle-models, driven by our pedals and steering: the reference plant.
+
+Sprung and unsprung masses, roll, pitch, four wheels that spin, magic formula with combined slip and camber (Althoff and
+Wuersching, "CommonRoad: Vehicle Models", 2020, section 9). Not ours is all that; ours is what stands around it:
+
+- Its inputs, steering rate and acceleration, come from our actuators and drive train (steering.py, drivetrain.py):
+  (1) u = drive - rolling - drag v^2 - brake, a torque at the wheels; held over a sub-step.
+- It has no anti-lock brakes and no traction control: (2) drive and brake are kept below SHARE of what the axle that
+  gives way first can bear, less by the lateral acceleration (friction circle).
+- Its wheels are stiff at low speed and it has no standstill: below SLOW_MPS (LEAVE_MPS to come back, both later by the
+  yaw rate) the vehicle is the single-track model of the same numbers; coming back, the body is level.
+- Suspension, track and tyres are those of the package's vehicle that is nearest in mass; mass, yaw inertia, axle
+  distances and friction are those of VehicleParameters. Level road only.
+
+Integration: Runge-Kutta of order 4, sub-steps of 1 ms, shorter where the wheels' slip asks for it:
+(3) h <= STABLE u I_w / (K_x R^2), K_x = p_kx1 times the static load of a wheel, u = vx
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from copy import deepcopy
+from dataclasses import replace
+from importlib import import_module
+from math import atan, ceil, cos, exp, hypot, isfinite, sin, sqrt
+from typing import Any
+
+from logs.errors import ConfigError
+from logs.states import Command, EgoState
+from logs.vehicle import VehicleParameters
+from replay.vehicle.dead_time import DeadTime
+from replay.vehicle.drivetrain import Drivetrain, Gearbox, drive_force, shifted, throttle_target
+from replay.vehicle.kinematic_bicycle import MAX_SUBSTEP_S
+from replay.vehicle.single_track import Car, State, advance, car_of, cornering, motion, substeps
+from replay.vehicle.steering import steer_rate
+from replay.vehicle.tyres import GRAVITY
+
+SLOW_MPS, LEAVE_MPS = 1.0, 1.5
+SUBSTEP_S = 1e-3
+STABLE = 1.2
+SHARE = 0.85
+SETS = (1, 2, 3)
+"""Vehicles of the package: Ford Escort, BMW 320i, VW Vanagon."""
+STEER, VX, YAW, YAW_RATE, VY, WHEELS = 2, 3, 4, 5, 10, range(23, 27)
+
+Rates = Callable[[list[float], list[float], Any], list[float]]
+
+
+class Multibody:
+    """The model above; see `replay.vehicle.base.Vehicle`.
+
+    Args:
+        parameters: Of the ego.
+        start: As `SingleTrack`.
+        tyre_stiffness: Factor on the package's cornering stiffness.
+
+    Raises:
+        ConfigError: The package commonroad-vehicle-models is not installed, or a keyword has no such value.
+    """
+
+    def __init__(self, parameters: VehicleParameters, start: EgoState, *, tyre_stiffness: float = 1.0) -> None:
+        self.powertrain = Drivetrain(parameters)
+        self._rates, self._init = _package()
+        self.package = package_parameters(parameters, tyre_stiffness)
+        self.car = car_of(_equivalent(parameters, self.package), self.powertrain)
+        self.inner = cornering(self.car, start, self.powertrain)
+        self.box = self.powertrain.gearbox(self.inner.vx, self.inner.throttle)
+        self.body: list[float] | None = None
+        self._brake = DeadTime(parameters.brake_delay, self.inner.brake)
+        self._limits = _limits(self.car, self.package)
+        self._stiff = _stiffness(self.car, self.package)
+        self._t = start.t
+        self._choose_model()
+        self.state = self._ego_state(tuple(self.inner[6:]))
+
+    @property
+    def actuation(self) -> Command:
+        """Steering and pedals as they are."""
+        return Command(self.inner.steer, self.inner.throttle, self.inner.brake)
+
+    def step(self, command: Command, dt: float) -> EgoState:
+        """Hold the command for `dt` s.
+
+        Raises:
+            ConfigError: The package's model diverged.
+        """
+        held = (float(command.steer), float(command.throttle), 0.0)
+        for span, brake in self._brake.advance(float(command.brake), dt):
+            held = (held[0], held[1], brake)
+            self._choose_model()
+            if self.body is None:
+                self._roll_slowly(held, span)
+            else:
+                self._drive(self.body, held, span)
+        self._t = round((self._t + dt) * 1e9) / 1e9
+        self.state = self._ego_state(held)
+        return self.state
+
+    def _choose_model(self) -> None:
+        """Hand over between the two models."""
+        s = self.inner
+        turning = abs(s.r)
+        if self.body is not None and s.vx < SLOW_MPS + turning:
+            self.body = None
+        elif self.body is None and s.vx > LEAVE_MPS + turning:
+            x, y = s.x + self.car.b * cos(s.yaw), s.y + self.car.b * sin(s.yaw)
+            self.body = self._init([x, y, s.steer, hypot(s.vx, s.vy), s.yaw, s.r, atan(s.vy / s.vx)], self.package)
+
+    def _roll_slowly(self, held: tuple[float, float, float], span: float) -> None:
+        steps = substeps(self.inner.vx, span, MAX_SUBSTEP_S, self.car)
+        inner, box = advance(self.inner, self.box, held, self.car, span, steps)
+        self.inner, self.box = State(*inner), Gearbox(*box)
+
+    def _drive(self, body: list[float], held: tuple[float, float, float], span: float) -> None:
+        """Sub-steps of the package's model; the actuators are exact over each (commands are constant)."""
+        steps = ceil(span / min(SUBSTEP_S, STABLE * max(body[VX], SLOW_MPS) / self._stiff) - 1e-9)
+        h = span / steps
+        throttle, brake, car = self.inner.throttle, self.inner.brake, self.car
+        for _ in range(steps):
+            inputs = [steer_rate(body[STEER], held[0], car.steering), self._pull(body, throttle, brake)]
+            body = _runge_kutta(self._rates, body, inputs, self.package, h)
+            asked = throttle_target(held[1], self.box)
+            throttle = asked + (throttle - asked) * exp(-h / car.throttle_lag)
+            brake = held[2] + (brake - held[2]) * exp(-h / car.brake_lag)
+            self.box = Gearbox(*shifted(self.box, body[VX], held[1], car.drive, h))
+        if not all(map(isfinite, body)):
+            raise ConfigError(f"the multi-body model diverged at {self._t:.2f} s: use loop.vehicle = 'single_track'")
+        self.body = body
+        x, y, yaw = body[0] - car.b * cos(body[YAW]), body[1] - car.b * sin(body[YAW]), body[YAW]
+        self.inner = State(x, y, yaw, body[VX], body[VY], body[YAW_RATE], body[STEER], throttle, brake)
+
+    def _pull(self, body: list[float], throttle: float, brake: float) -> float:
+        """The acceleration asked of the wheels (1)-(2), m/s2."""
+        car, v = self.car, body[VX]
+        left = sqrt(max(1.0 - (v * body[YAW_RATE] / (car.front.friction * GRAVITY)) ** 2, 0.1))
+        drive = min(drive_force(v, throttle, self.box.gear, car.drive), self._limits[0] * left)
+        resist = brake * car.drive.max_decel + car.drive.rolling + car.drive.drag * v * abs(v)
+        return max(drive - resist, -self._limits[1] * left)
+
+    def _ego_state(self, held: tuple[float, ...]) -> EgoState:
+        s, car = self.inner, self.car
+        if self.body is None:
+            a, v_lat, kappa = motion(s, self.box, (held[0], held[1], held[2]), car)
+            return EgoState(self._t, s.x, s.y, s.yaw, s.vx, a, kappa, s.steer, s.r, v_lat)
+        inputs = [steer_rate(s.steer, held[0], car.steering), self._pull(self.body, s.throttle, s.brake)]
+        k = self._rates(list(self.body), inputs, self.package)
+        v_lat = s.vy - car.b * s.r
+        ahead, left = k[VX] - s.r * v_lat, k[VY] - car.b * k[YAW_RATE] + s.r * s.vx
+        kappa = (s.vx * left - v_lat * ahead) / hypot(s.vx, v_lat) ** 3
+        return EgoState(self._t, s.x, s.y, s.yaw, s.vx, k[VX], kappa, s.steer, s.r, v_lat)
+
+
+def _package() -> tuple[Rates, Callable[[list[float], Any], list[float]]]:
+    """The right-hand side and the initial state of the package."""
+    try:
+        rates = import_module("vehiclemodels.vehicle_dynamics_mb").vehicle_dynamics_mb
+        return rates, import_module("vehiclemodels.init_mb").init_mb
+    except ImportError:
+        raise ConfigError(
+            "vehicle 'multibody' needs the package commonroad-vehicle-models: pip install 'replan[multibody]'"
+        ) from None
+
+
+def package_parameters(p: VehicleParameters, tyre_stiffness: float = 1.0) -> Any:
+    """The package's vehicle nearest in mass, with our mass, inertia, axle distances and friction.
+
+    Raises:
+        ConfigError: The stiffness is not positive.
+    """
+    if not tyre_stiffness > 0.0:
+        raise ConfigError(f"tyre_stiffness must be positive, got {tyre_stiffness}")
+    setup = import_module("vehiclemodels.vehicle_parameters").setup_vehicle_parameters
+    q = deepcopy(min((setup(vehicle_id=number) for number in SETS), key=lambda one: abs(one.m - p.mass)))
+    q.m_s = p.mass - q.m_uf - q.m_ur
+    q.m, q.I_z, q.a, q.b = float(p.mass), float(p.yaw_inertia), float(p.cog_to_front), float(p.cog_to_rear)
+    ratio = p.tyre_friction / q.tire.p_dy1
+    q.tire.p_dy1, q.tire.p_dx1 = q.tire.p_dy1 * ratio, q.tire.p_dx1 * ratio
+    q.tire.p_ky1 *= tyre_stiffness
+    return q
+
+
+def _equivalent(p: VehicleParameters, q: Any) -> VehicleParameters:
+    """Our parameters with the package's tyre: the single-track model that drives slowly in its place."""
+    weight = p.mass * GRAVITY / p.wheelbase * -q.tire.p_ky1
+    front, rear = weight * p.cog_to_rear, weight * p.cog_to_front
+    return replace(p, cornering_front=front, cornering_rear=rear, tyre_load_sensitivity=0.0)
+
+
+def _limits(car: Car, q: Any) -> tuple[float, float]:
+    """The greatest drive and brake (2) on a straight road, m/s2; T_se and T_sb are the shares of the front."""
+    wheelbase, mu = car.a + car.b, car.front.friction
+    lift = mu * car.height / wheelbase
+
+    def bears(share: float, lever: float, gain: float) -> float:
+        left = share - gain * lift
+        return mu * GRAVITY * lever / wheelbase / left if left > 1e-6 else 1e3
+
+    drive = min(bears(q.T_se, car.b, -1.0), bears(1.0 - q.T_se, car.a, 1.0))
+    return SHARE * drive, SHARE * min(bears(q.T_sb, car.b, 1.0), bears(1.0 - q.T_sb, car.a, -1.0))
+
+
+def _stiffness(car: Car, q: Any) -> float:
+    """K_x R^2 / I_w of (3), m/s2 per unit of slip."""
+    load = 0.5 * max(car.front.load, car.rear.load)
+    return float(q.tire.p_kx1 * load * q.R_w**2 / q.I_y_w)
+
+
+def _runge_kutta(rates: Rates, x: list[float], u: list[float], q: Any, h: float) -> list[float]:
+    """One classical step; wheels do not turn backwards."""
+    k1 = rates(list(x), u, q)
+    k2 = rates([a + 0.5 * h * b for a, b in zip(x, k1, strict=True)], u, q)
+    k3 = rates([a + 0.5 * h * b for a, b in zip(x, k2, strict=True)], u, q)
+    k4 = rates([a + h * b for a, b in zip(x, k3, strict=True)], u, q)
+    after = [a + h / 6.0 * (p + 2.0 * (r + s) + t) for a, p, r, s, t in zip(x, k1, k2, k3, k4, strict=True)]
+    for wheel in WHEELS:
+        after[wheel] = max(after[wheel], 0.0)
+    return after

@@ -1,0 +1,131 @@
+"""Tyres: the lateral force of an axle over slip and load, and what braking and driving leave of it.
+
+With slip angle alpha (positive where the wheel moves to its left), axle load F, static load F0, cornering stiffness C0
+at F0, peak friction mu, load sensitivity q:
+
+(1) grip = 1 - q (F / F0 - 1)                       not below MIN_GRIP
+(2) C = C0 F / F0 grip,   D = mu F grip             stiffness and peak, both by the load
+(3) linear    Fy = -C alpha                         knows no friction: for analysis
+(4) fiala     Fy = -C z + C^2 / (3 D) |z| z - C^3 / (27 D^2) z^3      z = tan(alpha), |z| < 3 D / C; else -D sign(z)
+(5) pacejka   Fy = -D sin(S atan(B alpha - E (B alpha - atan(B alpha))))     B = C / (S D), shape S, curvature E
+(6) |Fx| <= share D                                 anti-lock brakes and traction control hold the rest; less at the
+                                                    rear (REAR_SHARE, FRONT_SHARE), so that the front slides first
+(7) Fy <- Fy sqrt(1 - (Fx / D)^2)                   friction circle; (6)-(7) not for the linear tyre
+
+Sources: (4) Fiala 1954 as in Pacejka, Tire and Vehicle Dynamics, 3.2.2, a brush tyre with parabolic pressure; (5)
+Pacejka, ibid. 4.3.1, pure lateral slip without camber, by which an axle's two wheels are one.
+"""
+
+from __future__ import annotations
+
+from math import atan, sin, sqrt
+from typing import NamedTuple
+
+from logs.errors import ConfigError, unknown_name
+from logs.kernel import kernel
+from logs.vehicle import VehicleParameters
+
+GRAVITY = 9.81
+LINEAR, FIALA, PACEJKA = 0, 1, 2
+TYRES: dict[str, int] = {"linear": LINEAR, "fiala": FIALA, "pacejka": PACEJKA}
+MIN_GRIP = 0.2
+FRONT_SHARE, REAR_SHARE = 0.95, 0.8
+
+
+class Tyre(NamedTuple):
+    """The tyres of one axle, as the kernels take them.
+
+    Attributes:
+        kind: Value of TYRES.
+        cornering: C0, N/rad.
+        load: F0, N.
+        friction: mu.
+        sensitivity: q.
+        shape: S.
+        curvature: E.
+        share: Of (6).
+    """
+
+    kind: int
+    cornering: float
+    load: float
+    friction: float
+    sensitivity: float
+    shape: float
+    curvature: float
+    share: float
+
+
+@kernel
+def grip_and_peak(load: float, tyre: Tyre) -> tuple[float, float]:
+    """C (N/rad) and D (N) of (1)-(2) at a load, N; both 0 where the axle is off the ground."""
+    ratio = max(load, 0.0) / tyre.load
+    grip = max(1.0 - tyre.sensitivity * (ratio - 1.0), MIN_GRIP)
+    return tyre.cornering * ratio * grip, tyre.friction * tyre.load * ratio * grip
+
+
+@kernel
+def lateral_force(slip: float, load: float, tyre: Tyre) -> float:
+    """Fy of pure lateral slip (3)-(5), N, positive to the left; `slip` is tan(alpha)."""
+    stiffness, peak = grip_and_peak(load, tyre)
+    if tyre.kind == LINEAR:
+        return -stiffness * atan(slip)
+    if peak <= 0.0:
+        return 0.0
+    if tyre.kind == FIALA:
+        part = stiffness * abs(slip) / (3.0 * peak)
+        if part >= 1.0:
+            return -peak if slip > 0.0 else peak
+        return -stiffness * slip * (1.0 - part + part * part / 3.0)
+    x = stiffness / (tyre.shape * peak) * atan(slip)
+    return -peak * sin(tyre.shape * atan(x - tyre.curvature * (x - atan(x))))
+
+
+@kernel
+def axle_force(slip: float, load: float, wanted: float, tyre: Tyre) -> tuple[float, float]:
+    """Fx and Fy, N, where brakes and drive want `wanted` N along the wheel (6)-(7)."""
+    side = lateral_force(slip, load, tyre)
+    if tyre.kind == LINEAR:
+        return wanted, side
+    _, peak = grip_and_peak(load, tyre)
+    if peak <= 0.0:
+        return 0.0, 0.0
+    along = min(max(wanted, -tyre.share * peak), tyre.share * peak)
+    return along, side * sqrt(1.0 - (along / peak) ** 2)
+
+
+def axle_tyres(parameters: VehicleParameters, kind: str, stiffness: float) -> tuple[Tyre, Tyre]:
+    """Front and rear tyres; cornering stiffness times `stiffness`.
+
+    Raises:
+        ConfigError: No tyre is called so, or the stiffness is not positive.
+    """
+    if kind not in TYRES:
+        raise unknown_name("tyre", kind, TYRES)
+    if not stiffness > 0.0:
+        raise ConfigError(f"tyre_stiffness must be positive, got {stiffness}")
+    p = parameters
+    weight = p.mass * GRAVITY / p.wheelbase
+    numbers = float(p.tyre_friction), float(p.tyre_load_sensitivity), float(p.tyre_shape), float(p.tyre_curvature)
+    return (
+        Tyre(TYRES[kind], float(stiffness * p.cornering_front), float(weight * p.cog_to_rear), *numbers, FRONT_SHARE),
+        Tyre(TYRES[kind], float(stiffness * p.cornering_rear), float(weight * p.cog_to_front), *numbers, REAR_SHARE),
+    )
+
+
+def slip_for(force: float, load: float, tyre: Tyre) -> float:
+    """tan(alpha) that gives a lateral force, N, at a load, N: `lateral_force` inverted on its rising side.
+
+    Forces beyond 0.95 of the peak are taken as that; an axle off the ground slips nothing.
+    """
+    stiffness, peak = grip_and_peak(load, tyre)
+    wanted = abs(force) if tyre.kind == LINEAR else min(abs(force), 0.95 * peak)
+    if wanted <= 0.0:
+        return 0.0
+    low, high = 0.0, max(wanted / stiffness, 1e-9)
+    while -lateral_force(high, load, tyre) < wanted:
+        low, high = high, 1.1 * high
+    for _ in range(60):
+        mid = 0.5 * (low + high)
+        low, high = (mid, high) if -lateral_force(mid, load, tyre) < wanted else (low, mid)
+    return -high if force > 0.0 else high

@@ -1,0 +1,101 @@
+"""Tyres: symmetry, the friction circle, initial slope, peak, load."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import atan, hypot, radians, tan
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from logs import ConfigError, VehicleParameters
+from logs.vehicle import vehicle_parameters
+from replay.vehicle.tyres import TYRES, Tyre, axle_force, axle_tyres, grip_and_peak, lateral_force, slip_for
+
+CAR = VehicleParameters()
+KINDS = sorted(TYRES)
+LIMITED = ["fiala", "pacejka"]
+SLIP = st.floats(-50.0, 50.0)
+LOAD = st.floats(0.0, 12_000.0)
+
+
+def tyre(kind: str, **changes: float) -> Tyre:
+    return axle_tyres(replace(CAR, **changes), kind, 1.0)[0]
+
+
+@given(st.sampled_from(LIMITED), SLIP, LOAD, st.floats(-3e4, 3e4), st.floats(0.1, 1.2), st.floats(0.0, 0.3))
+def test_the_friction_circle_is_never_left(
+    kind: str, slip: float, load: float, wanted: float, mu: float, sensitivity: float
+) -> None:
+    axle = tyre(kind, tyre_friction=mu, tyre_load_sensitivity=sensitivity)
+    fx, fy = axle_force(slip, load, wanted, axle)
+    assert hypot(fx, fy) <= grip_and_peak(load, axle)[1] * (1.0 + 1e-12)
+    if sensitivity == 0.0:
+        assert hypot(fx, fy) <= mu * load * (1.0 + 1e-12)
+    assert abs(fx) <= abs(wanted)
+
+
+@given(st.sampled_from(KINDS), SLIP, LOAD, st.floats(-1e4, 1e4))
+def test_it_is_symmetric_and_takes_energy(kind: str, slip: float, load: float, wanted: float) -> None:
+    axle = tyre(kind)
+    fx, fy = axle_force(slip, load, wanted, axle)
+    assert axle_force(-slip, load, wanted, axle) == (fx, -fy)
+    assert fy * slip <= 0.0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_slope_at_no_slip_is_the_cornering_stiffness(kind: str) -> None:
+    axle = tyre(kind)
+    assert -lateral_force(1e-7, axle.load, axle) / 1e-7 == pytest.approx(CAR.cornering_front, rel=1e-5)
+    assert -lateral_force(1e-7, 0.5 * axle.load, axle) / 1e-7 == pytest.approx(0.5 * CAR.cornering_front, rel=1e-5)
+
+
+@pytest.mark.parametrize("kind", LIMITED)
+def test_the_peak_is_friction_times_load(kind: str) -> None:
+    axle = tyre(kind, tyre_friction=0.4)
+    forces = [lateral_force(tan(radians(angle)), 3000.0, axle) for angle in np.linspace(0.0, 60.0, 2001)]
+    assert max(np.abs(forces)) == pytest.approx(0.4 * 3000.0, rel=1e-4)
+
+
+def test_load_sensitivity_takes_friction_and_stiffness() -> None:
+    axle = tyre("pacejka", tyre_load_sensitivity=0.1)
+    stiffness, peak = grip_and_peak(1.5 * axle.load, axle)
+    assert peak == pytest.approx(0.95 * 1.5 * axle.load * CAR.tyre_friction)
+    assert stiffness == pytest.approx(0.95 * 1.5 * CAR.cornering_front)
+
+
+def test_braking_leaves_what_the_circle_leaves() -> None:
+    axle = tyre("fiala")
+    peak = grip_and_peak(axle.load, axle)[1]
+    fx, fy = axle_force(-10.0, axle.load, -0.6 * peak, axle)
+    assert (fx, fy) == (pytest.approx(-0.6 * peak), pytest.approx(0.8 * peak))
+
+
+@given(st.sampled_from(KINDS), st.floats(-6000.0, 6000.0), st.floats(3000.0, 9000.0))
+@example("pacejka", 5e-324, 5000.0)
+def test_slip_for_is_the_inverse(kind: str, force: float, load: float) -> None:
+    axle = tyre(kind)
+    reachable = (
+        force if kind == "linear" else np.clip(force, *(0.95 * grip_and_peak(load, axle)[1] * np.array([-1, 1])))
+    )
+    assert lateral_force(slip_for(force, load, axle), load, axle) == pytest.approx(reachable, abs=1e-3)
+
+
+def test_the_magic_formula_is_that_of_commonroad() -> None:
+    theirs = pytest.importorskip("vehiclemodels.utils.tire_model", reason="needs commonroad-vehicle-models")
+    setup = pytest.importorskip("vehiclemodels.vehicle_parameters").setup_vehicle_parameters
+    front, _ = axle_tyres(vehicle_parameters("bmw_320i"), "pacejka", 1.0)
+    package = setup(vehicle_id=2).tire
+    for slip in np.linspace(-1.0, 1.0, 41):
+        for load in (1000.0, 6000.0, 9000.0):
+            expected = theirs.formula_lateral(atan(slip), 0.0, load, package)[0]
+            assert lateral_force(float(slip), load, front) == pytest.approx(expected, rel=1e-5, abs=1e-9)
+
+
+def test_wrong_keywords_are_named() -> None:
+    with pytest.raises(ConfigError, match="did you mean 'fiala'"):
+        axle_tyres(CAR, "fialla", 1.0)
+    with pytest.raises(ConfigError, match="tyre_stiffness must be positive"):
+        axle_tyres(CAR, "fiala", 0.0)

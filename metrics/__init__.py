@@ -16,7 +16,7 @@ import pandas as pd
 from logs.errors import ConfigError
 from logs.scenario import Scenario
 from logs.trace import Trace
-from metrics import accuracy, comfort, consistency, effort, progress, safety, tracking
+from metrics import accuracy, avoidability, comfort, consistency, effort, progress, safety, tracking
 from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
 
 __all__ = ["COLUMNS", "METRICS", "Metric", "Reduction", "Series", "Unavailable", "evaluate", "load_metric", "series"]
@@ -32,6 +32,7 @@ _ALL = (
     effort.THROTTLE, effort.BRAKE, effort.PEDALS_TOGETHER, effort.PEDAL_SWITCHES, effort.STEER_RATE,
     effort.QP_ITERATIONS, effort.SOLVER_UNSOLVED, effort.FALLBACK,
     consistency.PLAN_CHANGE, consistency.PLAN_CHANGE_LATERAL,
+    avoidability.CC, avoidability.FSM,
 )  # fmt: skip
 
 METRICS: Mapping[str, Metric] = MappingProxyType({metric.name: metric for metric in _ALL})

@@ -18,12 +18,16 @@ from logs.errors import ConfigError, PlannerError, unknown_name
 from planners.base import Planner
 from planners.constant_speed import ConstantSpeed
 from planners.dp_qp import DpQp
+from planners.idm import Idm
+from planners.lattice import Lattice
 
 PlannerFactory = Callable[..., Planner]
 """Builds a planner: `factory(context, **config)`."""
 
 PLANNERS: dict[str, PlannerFactory] = {
     "dp_qp": DpQp,
+    "lattice": Lattice,
+    "idm": Idm,
     "constant_speed": ConstantSpeed,
 }
 

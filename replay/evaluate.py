@@ -22,6 +22,7 @@ from logs.mcap import write_scenario, write_trace
 from logs.scenario import Scenario
 from logs.trace import EndReason, Mode
 from metrics import METRICS, Metric, load_metric
+from replay.avoidability import with_avoidability
 from replay.closed_loop import run_closed_loop
 from replay.config import RunConfig
 from replay.drive import Drive
@@ -140,7 +141,8 @@ def evaluate_log(source: LogSource, run: RunConfig, out: Path) -> LogResult:
             scenario = source.read()
             result = _identified(source, scenario, partial)
             progress.log = scenario.name
-            _drive_all(replace(scenario, vehicle=run.driven(scenario.vehicle)), run, partial, result.folder, progress)
+            driven = with_avoidability(replace(scenario, vehicle=run.driven(scenario.vehicle)))
+            _drive_all(driven, run, partial, result.folder, progress)
             _publish(partial, out, result)
     finally:
         shutil.rmtree(partial, ignore_errors=True)

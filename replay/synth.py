@@ -8,6 +8,7 @@ from pathlib import Path
 from logs.catalogue import CATALOGUE, Family
 from logs.errors import ConfigError, unknown_name
 from logs.mcap import write_scenario
+from replay.avoidability import with_avoidability
 from replay.results import safe_name
 
 
@@ -54,5 +55,5 @@ def synthesise(families: Sequence[Family], out: Path, parameters: Mapping[str, f
         group, _, name = scenario.name.rpartition("/")
         path = out / safe_name(group) / f"{safe_name(name)}.mcap" if group else out / f"{safe_name(name)}.mcap"
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_scenario(path, scenario)
+        write_scenario(path, with_avoidability(scenario))
         yield path

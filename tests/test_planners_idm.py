@@ -50,23 +50,25 @@ def drives(road: Road, ego: EgoState, *others: Other, seconds: float) -> Drive:
 def test_in_equilibrium_nothing_accelerates(share: float, v0: float) -> None:
     v = share * v0
     gap = (S0 + v * TAU) / np.sqrt(1.0 - share**4)
-    assert idm_acceleration(v, v0, gap, v, A, B, TAU, S0) == pytest.approx(0.0, abs=1e-9)
+    assert idm_acceleration(v, v0, 0.0, gap, v, A, B, TAU, S0) == pytest.approx(0.0, abs=1e-9)
 
 
 @given(st.floats(0.0, 40.0), st.floats(2.0, 40.0), st.floats(0.5, 200.0), st.floats(0.0, 40.0), st.floats(0.01, 20.0))
 def test_less_room_or_a_slower_leader_never_accelerate(
     v: float, v0: float, gap: float, lead: float, more: float
 ) -> None:
-    here = idm_acceleration(v, v0, gap, lead, A, B, TAU, S0)
-    assert idm_acceleration(v, v0, gap + more, lead, A, B, TAU, S0) >= here
-    assert idm_acceleration(v, v0, gap, lead + more, A, B, TAU, S0) >= here - 1e-9
-    assert idm_acceleration(v, v0 + more, gap, lead, A, B, TAU, S0) >= here - 1e-9
+    here = idm_acceleration(v, v0, 0.0, gap, lead, A, B, TAU, S0)
+    assert idm_acceleration(v, v0, 0.0, gap + more, lead, A, B, TAU, S0) >= here
+    assert idm_acceleration(v, v0, 0.0, gap, lead + more, A, B, TAU, S0) >= here - 1e-9
+    assert idm_acceleration(v, v0 + more, 0.0, gap, lead, A, B, TAU, S0) >= here - 1e-9
     assert here <= A
 
 
 @given(st.floats(0.5, 40.0))
 def test_the_free_terms_below_and_above_the_wanted_speed_join(v0: float) -> None:
-    below, above = (idm_acceleration(v, v0, np.inf, 0.0, A, B, TAU, S0) for v in (v0 * (1 - 1e-9), v0 * (1 + 1e-9)))
+    below, above = (
+        idm_acceleration(v, v0, 0.0, np.inf, 0.0, A, B, TAU, S0) for v in (v0 * (1 - 1e-9), v0 * (1 + 1e-9))
+    )
     assert below == pytest.approx(above, abs=1e-6)
 
 

@@ -11,6 +11,7 @@ import rerun as rr
 
 from logs.scenario import Scenario
 from logs.trace import (
+    Candidates,
     CostTerms,
     Decision,
     DecisionKind,
@@ -50,7 +51,7 @@ def why(frame: PlannedFrame) -> list[str]:
     if plan.status.is_fallback or plan.reason:
         lines += ["", f"**{cell(plan.status.value)}**" + (f": {cell(plan.reason)}" if plan.reason else "")]
     lines += ["", _course(frame.t, plan)]
-    return [*lines, *_decisions(plan), *_solvers(plan), *_costs(plan)]
+    return [*lines, *_decisions(plan), *_candidates(plan), *_solvers(plan), *_costs(plan)]
 
 
 def _course(t: float, plan: Plan) -> str:
@@ -76,6 +77,16 @@ def _decisions(plan: Plan) -> list[str]:
     ]
     more = [f"- and {len(found) - MAX_DECISIONS} more"] if len(found) > MAX_DECISIONS else []
     return ["", "#### Decisions", "", *lines, *more]
+
+
+def _candidates(plan: Plan) -> list[str]:
+    stages = [artefact for artefact in plan.internals if isinstance(artefact, Candidates)]
+    lines = [
+        f"- {cell(stage.stage)}: {stage.considered}; not taken: "
+        + (", ".join(f"{count} {cell(reason)}" for reason, count in stage.rejected) or "none")
+        for stage in stages
+    ]
+    return ["", "#### Candidates", "", *lines] if lines else []
 
 
 def _solvers(plan: Plan) -> list[str]:

@@ -1,0 +1,363 @@
+"""Reference drivers: would a careful driver, braking on the ego's line, have avoided what happens in a log?
+
+A driver is a point mass with the ego's box on a reference line, among the tracks as logged. It holds its speed, eases
+down for curves (lateral 3 m/s2, at 1.5 m/s2), brakes as its model says, never accelerates and never steers; an offset
+from the line at the start is undone over `RETURN_S`. It sees everybody in the log. u is another's speed along the line
+(oncoming: 0), v the driver's, gap the free length between the boxes, and the band what the ego's box sweeps.
+
+    "cc"    the competent and careful driver of UN R157, Annex 4, Appendix 3
+    "fsm"   the fuzzy safety model: Mattas et al., Accid. Anal. Prev. 148 (2020) 105794; UN R157.01, Annex 3
+
+Whoever is ahead is a hazard to "cc" while it
+(1) cuts in: moves towards the band and has come nearer by more than 0.375 m since it began to;
+(2) crosses: a pedestrian, a rider, or who moves more across the line than along it, is on its way into the band and
+    will be in it while the ego passes, both at constant velocity (ours: R157 knows no crossing);
+(3) is in the band and slower than the driver by more than 0.5 m/s; or (4) is in it and brakes with 5 m/s2 or more.
+"cc" evaluates a hazard for 0.4 s and reacts for 0.75 s, in which it lets go of the pedal (0.4 m/s2). Then it brakes
+with 0.774 g, at 12.65 m/s3, as soon as gap / (v - u) < 2.0 s, in (4) as soon as gap / v < 2.0 s, and until nobody is
+a hazard and nobody in the band nearer than 2 m + 2 s v.
+
+"fsm" asks of everybody in the band, and of who is ahead and on its way into it with (1') lateral gap / lateral speed <
+(gap + both lengths) / (v - u) + 0.1 s, and, if it crosses, not out again before the ego is there (ours), for
+(5) deceleration = 4 + 2 CFS m/s2 where CFS > 0, else 4 PFS;  with a reaction of 0.75 s at first, at 12.65 m/s3
+(6) PFS of gap - 2 m: 0 above safe = 0.75 v + v^2 / 8 - u^2 / 14 + 2 m, 1 below unsafe = 0.75 v + v^2 / 12 - u^2 / 14
+(7) CFS of the gap, with a' = max(a, -4), v' = v + 0.75 a': 0 where v <= u; where v' < u: 1 if gap <
+    (v - u)^2 / (2 |a'|), else 0; else 0 above safe and 1 below unsafe = (v + 0.375 a' - u) 0.75 + (v' - u)^2 / 8, / 12
+
+between safe and unsafe both are linear. A log reacts to its own ego only: who runs into the driver from behind or while
+it stands is not counted, and is left out from then on; so is who appears where the driver is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from math import cos, hypot, nan, pi, sin
+
+import numpy as np
+
+from logs.kernel import BoolArray, FloatArray, kernel
+from logs.road import ReferenceLine, line_frame, line_project
+from logs.scenario import Scenario
+from logs.shapes import overlap
+from logs.states import EgoState
+from metrics.others import Others, name_of, others_at
+
+STEP_S = 0.05
+LONGEST_S = 60.0
+"""Only so much of a log is driven."""
+RETURN_S = 3.0
+STANDING_MPS = 0.05
+CURVE_MPS2, EASE_MPS2 = 3.0, 1.5
+NEAR_M, ASIDE_M = 150.0, 20.0
+"""Who is farther ahead, or farther aside, is not looked at."""
+
+JERK_MPS3 = 12.65
+CC_BRAKE_MPS2, CC_RELEASE_MPS2 = 0.774 * 9.81, 0.4
+CC_EVALUATE_S, CC_REACT_S, CC_TTC_S, CC_THW_S = 0.4, 0.75, 2.0, 2.0
+CC_WANDER_M, CC_LEAD_MPS2, CC_CLOSING_MPS = 0.375, 5.0, 0.5
+FSM_REACT_S, FSM_COMFORT_MPS2, FSM_HARDEST_MPS2, FSM_LEAD_MPS2 = 0.75, 4.0, 6.0, 7.0
+FSM_MARGIN_M, FSM_SAFE_M = 2.0, 2.0
+
+NOBODY, CC, FSM = 0, 1, 2
+_BEHIND = cos(150.0 / 180.0 * pi)
+
+
+class Outcome(Enum):
+    """Whether a reference driver avoids a collision."""
+
+    AVOIDABLE = "avoidable"
+    UNAVOIDABLE = "unavoidable"
+    NOT_APPLICABLE = "not applicable"
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """What a reference driver makes of a scenario.
+
+    Attributes:
+        driver: "cc" or "fsm".
+        outcome: One of three.
+        reason: One sentence.
+        brakes: When it begins to brake with more than 1 m/s2, s since the scenario's start; NaN: never.
+        meets: When it touches somebody, s; NaN: never.
+        speed: At the touch, else at the end, m/s.
+    """
+
+    driver: str
+    outcome: Outcome
+    reason: str
+    brakes: float = nan
+    meets: float = nan
+    speed: float = nan
+
+
+def careful_driver(scenario: Scenario, line: ReferenceLine, start: EgoState | None = None) -> Verdict:
+    """The verdict of "cc" for an ego that starts at `start` (None: the log's first state) and drives along `line`."""
+    return _verdict("cc", CC, scenario, line, start)
+
+
+def fuzzy_driver(scenario: Scenario, line: ReferenceLine, start: EgoState | None = None) -> Verdict:
+    """The verdict of "fsm", as `careful_driver`."""
+    return _verdict("fsm", FSM, scenario, line, start)
+
+
+DRIVERS: dict[str, Callable[[Scenario, ReferenceLine, EgoState | None], Verdict]] = {
+    "cc": careful_driver,
+    "fsm": fuzzy_driver,
+}
+
+
+def _verdict(name: str, driver: int, scenario: Scenario, line: ReferenceLine, start: EgoState | None) -> Verdict:
+    start = scenario.ego.state(0) if start is None else start
+    if start.v <= STANDING_MPS:
+        return Verdict(name, Outcome.NOT_APPLICABLE, "the ego does not drive at the start")
+    t = np.arange(start.t, min(scenario.duration, start.t + LONGEST_S) + 1e-9, STEP_S)
+    others = others_at(scenario.tracks, t)
+    passive = _driven(NOBODY, scenario, line, start, others)
+    if passive.meets < 0:
+        return Verdict(name, Outcome.NOT_APPLICABLE, "at constant speed the ego meets nobody")
+    drive = _driven(driver, scenario, line, start, others)
+    braking = np.flatnonzero(drive.a < -1.0)
+    brakes = float(t[braking[0]]) if len(braking) else nan
+    if drive.meets < 0:
+        whom = name_of(scenario.tracks, passive.whom)
+        reason = f"stays clear of {whom}, which it would meet after {t[passive.meets] - t[0]:.1f} s"
+        return Verdict(name, Outcome.AVOIDABLE, reason, brakes, nan, float(drive.v[-1]))
+    speed, whom = float(drive.v[drive.meets]), name_of(scenario.tracks, drive.whom)
+    reason = f"meets {whom} after {t[drive.meets] - t[0]:.1f} s at {speed:.1f} m/s"
+    return Verdict(name, Outcome.UNAVOIDABLE, reason, brakes, float(t[drive.meets]), speed)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Driven:
+    """Station, speed and acceleration `(k,)` up to a driver's end, step and agent of its first touch or -1."""
+
+    s: FloatArray
+    v: FloatArray
+    a: FloatArray
+    meets: int
+    whom: int
+
+
+def _driven(driver: int, scenario: Scenario, line: ReferenceLine, start: EgoState, others: Others) -> Driven:
+    car = scenario.vehicle
+    s0, l0 = line.project(start.x, start.y)
+    speed = np.hypot(others.pose[3], others.pose[4])
+    back = round(0.2 / STEP_S)
+    accel = np.full(speed.shape, np.nan)
+    accel[:, back:] = (speed[:, back:] - speed[:, :-back]) / (back * STEP_S)
+    vulnerable = np.array([kind.is_vulnerable for kind in scenario.tracks.kinds], np.bool_)
+    limits = curve_speeds(line.s, line.kappa)
+    box = np.array([car.axle_to_center, car.length, car.width])
+    state = np.array([s0, l0, start.v])
+    rows, meets, whom = _drive(
+        driver, line.s, line.coef, limits, state, box, others.there, others.pose, others.size, accel, vulnerable
+    )
+    return Driven(rows[0], rows[1], rows[2], meets, whom)
+
+
+@kernel
+def curve_speeds(s: FloatArray, kappa: FloatArray) -> FloatArray:
+    """The speed `(n,)` that eases into each curve, m/s."""
+    out = np.empty(len(s))
+    for i in range(len(s) - 1, -1, -1):
+        out[i] = (CURVE_MPS2 / max(abs(kappa[i]), 1e-9)) ** 0.5
+        if i < len(s) - 1:
+            out[i] = min(out[i], (out[i + 1] ** 2 + 2.0 * EASE_MPS2 * (s[i + 1] - s[i])) ** 0.5)
+    return out
+
+
+@kernel
+def fsm_fuzzy(gap: float, safe: float, unsafe: float) -> float:
+    """0 from `safe` on, 1 up to `unsafe`, linear between; a step where both are the same."""
+    if gap >= safe:
+        return 0.0
+    if gap <= unsafe or safe - unsafe < 1e-9:
+        return 1.0
+    return (safe - gap) / (safe - unsafe)
+
+
+@kernel
+def fsm_proactive(gap: float, v: float, u: float) -> float:
+    """PFS (6)."""
+    reach = v * FSM_REACT_S - u * u / (2.0 * FSM_LEAD_MPS2)
+    safe = reach + v * v / (2.0 * FSM_COMFORT_MPS2) + FSM_SAFE_M
+    return fsm_fuzzy(gap - FSM_MARGIN_M, safe, reach + v * v / (2.0 * FSM_HARDEST_MPS2))
+
+
+@kernel
+def fsm_critical(gap: float, v: float, u: float, a: float) -> float:
+    """CFS (7)."""
+    if v <= u:
+        return 0.0
+    a = max(a, -FSM_COMFORT_MPS2)
+    v_then = v + FSM_REACT_S * a
+    if v_then < u:  # so a < 0
+        return 1.0 if gap < (v - u) ** 2 / (2.0 * abs(a)) else 0.0
+    reach = (v + 0.5 * a * FSM_REACT_S - u) * FSM_REACT_S
+    square = (v_then - u) ** 2
+    return fsm_fuzzy(gap, reach + square / (2.0 * FSM_COMFORT_MPS2), reach + square / (2.0 * FSM_HARDEST_MPS2))
+
+
+@kernel
+def _seen(
+    knots: FloatArray, coef: FloatArray, k: int, s: float, l_ego: float, box: FloatArray, there: BoolArray,
+    pose: FloatArray, size: FloatArray, vulnerable: BoolArray, out: FloatArray,
+) -> None:  # fmt: skip
+    """Fill per agent at step k: gap, u, lateral gap, lateral speed towards the band, length along, crosses `(n, 6)`.
+
+    Gap is NaN for who is not there, too far, or not ahead. In the band the lateral gap is negative.
+    """
+    x, y = line_frame(knots, coef, s)[:2]
+    for i in range(len(size)):
+        out[i, 0] = np.nan
+        if not there[i, k] or hypot(pose[0, i, k] - x, pose[1, i, k] - y) > NEAR_M:
+            continue
+        at, l = line_project(knots, coef, pose[0, i, k], pose[1, i, k], s, NEAR_M)  # noqa: E741
+        yaw_r = line_frame(knots, coef, at)[2]
+        turn, vx, vy = pose[2, i, k] - yaw_r, pose[3, i, k], pose[4, i, k]
+        u, w = vx * cos(yaw_r) + vy * sin(yaw_r), vy * cos(yaw_r) - vx * sin(yaw_r)
+        half = 0.5 * (size[i, 0] * abs(cos(turn)) + size[i, 1] * abs(sin(turn)))
+        aside = 0.5 * (size[i, 0] * abs(sin(turn)) + size[i, 1] * abs(cos(turn)))
+        side = l - l_ego
+        ahead = at - s - box[0]
+        if ahead <= 0.0 or abs(side) > ASIDE_M:
+            continue
+        out[i, 0] = ahead - half - 0.5 * box[1]
+        out[i, 1] = max(u, 0.0)
+        out[i, 2] = abs(side) - aside - 0.5 * box[2]
+        out[i, 3] = -w if side > 0.0 else w
+        out[i, 4] = 2.0 * half
+        out[i, 5] = 1.0 if vulnerable[i] or abs(w) > abs(u) else 0.0
+
+
+@kernel
+def _comes_in(seen: FloatArray, v: float, box: FloatArray, width: float, slack: float) -> bool:
+    """Whether who is beside the band will be in it before the ego is past it and, if it crosses, not out too early."""
+    gap, u, aside, towards = seen[0], seen[1], seen[2], seen[3]
+    if towards <= 0.0 or v <= u or gap < 0.0:
+        return False
+    enters = aside / towards
+    passed = (gap + box[1] + seen[4]) / (v - u) + slack
+    leaves = (aside + box[2] + width) / towards
+    return enters < passed and not (seen[5] > 0.0 and leaves < gap / (v - u))
+
+
+@kernel
+def _cc_hazard(seen: FloatArray, brakes: bool, came_nearer: float, v: float, box: FloatArray, width: float) -> bool:
+    """(1) to (4) of the module docstring."""
+    if not np.isfinite(seen[0]):
+        return False
+    if seen[2] < 0.0:
+        return brakes or v - seen[1] > CC_CLOSING_MPS
+    if seen[5] > 0.0:
+        return _comes_in(seen, v, box, width, 0.0)
+    return seen[3] > 0.0 and came_nearer > CC_WANDER_M and seen[0] > 0.0
+
+
+@kernel
+def _cc_wish(
+    seen: FloatArray, accel: FloatArray, size: FloatArray, box: FloatArray, v: float, clock: FloatArray,
+    origin: FloatArray, braking: bool,
+) -> float:  # fmt: skip
+    """What "cc" wishes; `clock` (how long each is a hazard) and `origin` (where its approach began) are kept up."""
+    wish, held = 0.0, False
+    for i in range(len(seen)):
+        if not np.isfinite(seen[i, 0]) or seen[i, 3] <= STANDING_MPS:
+            origin[i] = seen[i, 2] if np.isfinite(seen[i, 0]) else np.nan
+        elif not np.isfinite(origin[i]):
+            origin[i] = seen[i, 2]
+        brakes = accel[i] <= -CC_LEAD_MPS2
+        hazard = _cc_hazard(seen[i], brakes, origin[i] - seen[i, 2], v, box, size[i, 1])
+        clock[i] = clock[i] + STEP_S if hazard else 0.0
+        near = seen[i, 2] < 0.0 and seen[i, 0] < 2.0 + CC_THW_S * v
+        held = held or hazard or near
+        if not hazard:
+            continue
+        closing = v - seen[i, 1]
+        critical = closing > 0.0 and seen[i, 0] < CC_TTC_S * closing
+        critical = critical or (brakes and seen[i, 2] < 0.0 and seen[i, 0] < CC_THW_S * v)
+        if critical and clock[i] > CC_EVALUATE_S + CC_REACT_S + 1e-9:
+            wish = -CC_BRAKE_MPS2
+        elif critical and clock[i] > CC_EVALUATE_S + 1e-9:
+            wish = min(wish, -CC_RELEASE_MPS2)
+    return -CC_BRAKE_MPS2 if braking and held else wish
+
+
+@kernel
+def _fsm_wish(seen: FloatArray, size: FloatArray, box: FloatArray, v: float, a: float) -> float:
+    """Acceleration (5) that "fsm" wishes, without its reaction time."""
+    hardest = 0.0
+    for i in range(len(seen)):
+        gap, u = seen[i, 0], seen[i, 1]
+        if not np.isfinite(gap) or not (seen[i, 2] < 0.0 or _comes_in(seen[i], v, box, size[i, 1], 0.1)):
+            continue
+        critical = fsm_critical(gap, v, u, a)
+        span = FSM_HARDEST_MPS2 - FSM_COMFORT_MPS2
+        wish = FSM_COMFORT_MPS2 + span * critical if critical > 0.0 else FSM_COMFORT_MPS2 * fsm_proactive(gap, v, u)
+        hardest = max(hardest, wish)
+    return -hardest
+
+
+@kernel
+def _touches(
+    x: float, y: float, yaw: float, v: float, k: int, box: FloatArray, there: BoolArray, pose: FloatArray,
+    size: FloatArray, left_out: BoolArray,
+) -> int:  # fmt: skip
+    """The first agent that the box with rear axle (x, y) touches at step k, -1; who does not count is left out."""
+    cx, cy = x + box[0] * cos(yaw), y + box[0] * sin(yaw)
+    for i in range(len(size)):
+        if left_out[i] or not there[i, k]:
+            continue
+        ox, oy = pose[0, i, k], pose[1, i, k]
+        if not overlap(cx, cy, yaw, box[1], box[2], ox, oy, pose[2, i, k], size[i, 0], size[i, 1]):
+            continue
+        behind = (ox - x) * cos(yaw) + (oy - y) * sin(yaw) < _BEHIND * hypot(ox - x, oy - y)
+        if behind or v <= STANDING_MPS or k == 0 or not there[i, k - 1]:
+            left_out[i] = True
+        else:
+            return i
+    return -1
+
+
+@kernel
+def _drive(
+    driver: int, knots: FloatArray, coef: FloatArray, limits: FloatArray, start: FloatArray, box: FloatArray,
+    there: BoolArray, pose: FloatArray, size: FloatArray, accel: FloatArray, vulnerable: BoolArray,
+) -> tuple[FloatArray, int, int]:  # fmt: skip
+    """Rows s, v, a from `start` (s, l, v) to the first touch or the end, and the step and agent of the touch."""
+    n, steps = there.shape
+    out, seen = np.zeros((3, steps)), np.full((n, 6), np.nan)
+    clock, origin, left_out = np.zeros(n), np.full(n, np.nan), np.zeros(n, np.bool_)
+    s, v, a, waited, braking = start[0], start[2], 0.0, 0.0, False
+    for k in range(steps):
+        out[0, k], out[1, k], out[2, k] = s, v, a
+        u = min((s - start[0]) / max(RETURN_S * start[2], 10.0), 1.0)
+        l = start[1] * (1.0 - u * u * (3.0 - 2.0 * u))  # noqa: E741
+        x, y, yaw, _ = line_frame(knots, coef, s)
+        x, y = x - l * sin(yaw), y + l * cos(yaw)
+        hit = _touches(x, y, yaw, v, k, box, there, pose, size, left_out)
+        if hit >= 0:
+            return out[:, : k + 1], k, hit
+        if s >= knots[-1]:
+            return out[:, : k + 1], -1, -1
+        wish = 0.0
+        if driver != NOBODY:
+            _seen(knots, coef, k, s, l, box, there, pose, size, vulnerable, seen)
+        if driver == CC:
+            wish = _cc_wish(seen, accel[:, k], size, box, v, clock, origin, braking)
+            braking = v > 0.0 and wish <= -CC_BRAKE_MPS2
+        elif driver == FSM:
+            wish = _fsm_wish(seen, size, box, v, a)
+            waited = waited + STEP_S if wish < 0.0 else 0.0
+            wish = wish if waited > FSM_REACT_S + 1e-9 else 0.0
+        at = min(max(int((s - knots[0]) / (knots[1] - knots[0])), 0), len(knots) - 1)
+        if v > limits[at]:
+            wish = min(wish, -EASE_MPS2)
+        a_next = min(max(wish, a - JERK_MPS3 * STEP_S), a + JERK_MPS3 * STEP_S)
+        v_next = max(v + 0.5 * STEP_S * (a + a_next), 0.0)
+        s += 0.5 * STEP_S * (v + v_next)
+        v, a = v_next, (a_next if v_next > 0.0 else 0.0)
+    return out, -1, -1

@@ -1,0 +1,56 @@
+"""What the baselines share: where a plan starts, the course and the place on it, and what a recording shows of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import hypot
+
+import numpy as np
+
+from logs.frame import Frame, PlannerContext
+from logs.kernel import FloatArray
+from logs.states import EgoState
+from logs.trace import Decision, GraphObstacle, PlanStart
+from planners.dp_qp.reference_line import Course, make_course
+from planners.dp_qp.route import find_route
+from planners.dp_qp.st_graph import Blocks
+
+STITCH_M, STITCH_MPS = 0.5, 1.0
+"""A plan starts on the previous one where the ego is nearer to it than this, and its speed too."""
+
+
+def start_of(frame: Frame) -> tuple[EgoState, PlanStart]:
+    """Where the plan begins: on the previous plan where the ego keeps to it, else at the ego."""
+    if frame.previous is not None:
+        old = frame.previous.trajectory.at(frame.t)
+        near = hypot(old.x - frame.ego.x, old.y - frame.ego.y) <= STITCH_M
+        if near and abs(old.v - frame.ego.v) <= STITCH_MPS:
+            return old, PlanStart.PREVIOUS_PLAN
+    return frame.ego, PlanStart.EGO
+
+
+class Tracker:
+    """The course of one scenario, and the ego's last station on it, from which the next projection starts."""
+
+    def __init__(self, context: PlannerContext) -> None:
+        self.course: Course = make_course(
+            context.road, find_route(context.road, context.start, context.goal), context.start
+        )
+        self._station: float | None = None
+
+    def locate(self, state: EgoState, *, fresh: bool) -> tuple[float, float]:
+        """Station and offset (s, l) of a state; `fresh` forgets the last station."""
+        s, l = self.course.line.project(state.x, state.y, None if fresh else self._station)  # noqa: E741
+        self._station = s
+        return s, l
+
+
+def outlines(blocks: Blocks, decisions: Sequence[Decision]) -> tuple[GraphObstacle, ...]:
+    """The blocked intervals as polygons of the S-T graph, each with what was decided about it."""
+    found = []
+    for i, decision in enumerate(decisions):
+        taken = np.isfinite(blocks.lower[i])
+        low: FloatArray = np.column_stack([blocks.t[taken], blocks.lower[i, taken]])
+        high: FloatArray = np.column_stack([blocks.t[taken], blocks.upper[i, taken]])
+        found.append(GraphObstacle(decision.agent, np.vstack([low, high[::-1]]), decision.kind))
+    return tuple(found)

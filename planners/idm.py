@@ -1,0 +1,239 @@
+"""Intelligent Driver Model: the ego follows the middle of its route, its speed follows the nearest leader.
+
+Path: the reference line of the route; from an offset the ego returns to it on the quintic from (l, l', l'') to
+(0, 0, 0). Speed, integrated every 0.1 s over the horizon (Treiber, Hennecke, Helbing, Phys. Rev. E 62, 2000):
+
+(1) dv/dt = a (1 - (v / v0)^4) - a (s* / gap)^2             v <= v0
+(2) s*    = s0 + max(0, v T + v (v - v_lead) / (2 sqrt(a b)))
+(3) dv/dt = max(-b, v dv0/ds - (v - v0) / tau) - a (s* / gap)^2    v > v0, where (1) would brake much too hard; ours
+
+v0 is the limit of the lane, and of the curve: v0^2 |kappa| <= `curve_accel_mps2`. In equilibrium behind a leader
+
+(4) gap = (s0 + v T) / sqrt(1 - (v / v0)^4)
+
+The leader at a time of the roll-out is whoever is nearest ahead of those whose predicted footprint is on the path then
+or within `ahead_s`: also one who crosses, whose speed along the path is small. Nobody is passed: before what stands in
+the path the ego stops.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, inf, sin, sqrt
+
+import numpy as np
+
+from logs.frame import Frame, PlannerContext
+from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.states import EgoState
+from logs.trace import Artefact, Corridor, Decision, Plan, SlGraph, StGraph
+from logs.vehicle import VehicleParameters
+from planners.baseline import Tracker, outlines, start_of
+from planners.dp_qp.fallback import along, fall_back
+from planners.dp_qp.path import Path, frenet_start, make_path, out_of_frame
+from planners.dp_qp.path_dp import quintic
+from planners.dp_qp.reference_line import Course
+from planners.dp_qp.speed_qp import STEP_S, SpeedQpConfig, limit_profile
+from planners.dp_qp.st_graph import Blocks, StGraphConfig, behind, block_intervals, decide_speed
+
+KNOT_M = 2.0
+STEPS = 80
+TOUCHING_M = 0.1
+"""A gap is not less than this in (1)."""
+SLOWEST_MPS = 0.5
+"""v0 is not less than this in (1) and (3)."""
+TRACK_LIMIT_S = 0.5
+"""tau of (3)."""
+EXACT = StGraphConfig(early_s=0.0, late_s=0.0)
+
+
+@dataclass(frozen=True)
+class IdmConfig:
+    """Settings of `idm`; names of (1) to (4) in brackets.
+
+    Attributes:
+        accel_mps2: Greatest acceleration (a).
+        decel_mps2: Comfortable deceleration (b), positive.
+        time_gap_s: To the leader (T).
+        standstill_gap_m: To the leader where both stand (s0).
+        hardest_mps2: No deceleration is harder, positive.
+        jerk_mps3: Bound of the change of acceleration, which IDM itself lacks.
+        curve_accel_mps2: Lateral acceleration in curves.
+        ease_mps2: Deceleration towards a lower limit or a curve.
+        ahead_s: Who is predicted on the path within this time counts as a leader now.
+        return_s: Time in which an offset from the reference line is undone.
+    """
+
+    accel_mps2: float = 1.4
+    decel_mps2: float = 2.0
+    time_gap_s: float = 1.5
+    standstill_gap_m: float = 2.0
+    hardest_mps2: float = 8.0
+    jerk_mps3: float = 8.0
+    curve_accel_mps2: float = 3.0
+    ease_mps2: float = 1.5
+    ahead_s: float = 2.5
+    return_s: float = 4.0
+
+    def __post_init__(self) -> None:
+        if not min(vars(self).values()) > 0.0:
+            raise ValueError("idm settings must be positive")
+
+
+class Idm:
+    """Follows the middle of the route with the Intelligent Driver Model; its only memory is its last station."""
+
+    def __init__(self, context: PlannerContext, config: IdmConfig | None = None) -> None:
+        self._config = config or IdmConfig()
+        self._vehicle, self._lap = context.vehicle, context.lap
+        self._tracker = Tracker(context)
+
+    def plan(self, frame: Frame) -> Plan:
+        """The roll-out of (1) along the path; a stop where the ego is outside of the reference line's frame."""
+        start, start_kind = start_of(frame)
+        course = self._tracker.course
+        s0, l0 = self._tracker.locate(start, fresh=frame.previous is None)
+        trouble = out_of_frame(course.line, start, s0, l0)
+        if trouble:
+            return fall_back(frame, start, start_kind, None, trouble, (), self._vehicle, SpeedQpConfig())
+        path = self._path(start, s0, l0)
+        self._lap("path")
+        skip = behind(course, frame, s0, l0, self._vehicle, keeps_track=True) | _beside(frame, start, self._vehicle)
+        blocks = block_intervals(path, frame, self._vehicle, skip, frozenset(), EXACT)
+        self._lap("S-T graph")
+        profile, leader = self._profile(path, blocks, start)
+        artefacts = _told(course, path, blocks, frame, profile, leader, self._vehicle)
+        self._lap("speed")
+        return Plan(along(path, profile, frame.t), start=start_kind, internals=artefacts)
+
+    def _path(self, start: EgoState, s0: float, l0: float) -> Path:
+        """The way back to the reference line and along it, as far as the horizon can reach."""
+        line, speed = self._tracker.course.line, max(start.v, 0.0)
+        state = frenet_start(line, start, s0, l0)
+        reach = STEPS * STEP_S * (speed + 4.0) + 20.0
+        d = KNOT_M * np.arange(int(reach / KNOT_M) + 2)
+        return make_path(line, s0, KNOT_M, _return(d, state, max(15.0, self._config.return_s * speed)))
+
+    def _profile(self, path: Path, blocks: Blocks, start: EgoState) -> tuple[FloatArray, IntArray]:
+        """Rows s, v, a `(3, STEPS + 1)`, and per step the row of `blocks` that led, -1 where nobody did."""
+        c, line = self._config, self._tracker.course.line
+        limit = np.interp(path.s, line.s, self._tracker.course.limit)
+        v0 = limit_profile(path.sigma, path.kappa, limit, c.curve_accel_mps2, c.ease_mps2)
+        driver = np.array([c.accel_mps2, c.decel_mps2, c.time_gap_s, c.standstill_gap_m, c.hardest_mps2, c.jerk_mps3])
+        ahead = round(c.ahead_s / blocks.step) if np.isfinite(blocks.step) else 0
+        state = np.array([max(start.v, 0.0), start.a])
+        return _rolled_out(path.sigma, v0, blocks.t, blocks.lower, blocks.upper, blocks.speed, ahead, state, driver)
+
+
+@kernel
+def idm_acceleration(
+    v: float, v0: float, slope: float, gap: float, v_lead: float, a: float, b: float, time_gap: float, s0: float
+) -> float:
+    """Acceleration (1) to (3), m/s2; `slope` is dv0/ds, an infinite gap is a free road."""
+    v0 = max(v0, SLOWEST_MPS)
+    free = a * (1.0 - (v / v0) ** 4) if v <= v0 else max(-b, v * min(slope, 0.0) - (v - v0) / TRACK_LIMIT_S)
+    if gap == inf:
+        return free
+    wanted = s0 + max(0.0, v * time_gap + v * (v - v_lead) / (2.0 * sqrt(a * b)))
+    return free - a * (wanted / max(gap, TOUCHING_M)) ** 2
+
+
+@kernel
+def _leader(lower: FloatArray, upper: FloatArray, k: int, ahead: int, s: float) -> tuple[int, float]:
+    """Row of the nearest block ahead of station `s` from step k to k + ahead, and the gap; -1 and inf: nobody.
+
+    A block that the ego is in now has gap 0; one that begins later behind the ego is not its leader.
+    """
+    nearest, least = -1, inf
+    for i in range(len(lower)):
+        for j in range(k, min(k + ahead + 1, lower.shape[1])):
+            if not np.isfinite(lower[i, j]) or upper[i, j] <= s or (j > k and lower[i, j] <= s):
+                continue
+            gap = max(lower[i, j] - s, 0.0)
+            if gap < least:
+                nearest, least = i, gap
+            break
+    return nearest, least
+
+
+@kernel
+def _rolled_out(
+    sigma: FloatArray, limit: FloatArray, t: FloatArray, lower: FloatArray, upper: FloatArray, speed: FloatArray,
+    ahead: int, start: FloatArray, driver: FloatArray,
+) -> tuple[FloatArray, IntArray]:  # fmt: skip
+    """The driver (a, b, T, s0, hardest, jerk) from `start` (v, a) along a path with limits; see `Idm._profile`."""
+    out, led = np.zeros((3, STEPS + 1)), np.full(STEPS + 1, -1)
+    s, v, a, here, k = 0.0, start[0], start[1], 0, 0
+    for n in range(STEPS + 1):
+        out[0, n], out[1, n], out[2, n] = s, v, a
+        while here < len(sigma) - 2 and sigma[here + 1] <= s:
+            here += 1
+        while k < len(t) - 1 and t[k + 1] <= n * STEP_S + 1e-9:
+            k += 1
+        led[n], gap = _leader(lower, upper, k, ahead, s)
+        v_lead = max(speed[led[n]], 0.0) if led[n] >= 0 else 0.0
+        slope = (limit[here + 1] - limit[here]) / (sigma[here + 1] - sigma[here])
+        wanted = idm_acceleration(v, limit[here], slope, gap, v_lead, driver[0], driver[1], driver[2], driver[3])
+        change = driver[5] * STEP_S
+        a = min(max(wanted, -driver[4], a - change), a + change)
+        v_next = v + a * STEP_S
+        if v_next <= 0.0:
+            s, v, a = s + (0.5 * v * v / -a if a < 0.0 else 0.0), 0.0, 0.0
+            continue
+        s, v = s + 0.5 * STEP_S * (v + v_next), v_next
+    return out, led
+
+
+def _return(d: FloatArray, start: tuple[float, float, float], span: float) -> FloatArray:
+    """Rows l, l', l'' `(3, n)` at distances `d` `(n,)` of the quintic to 0 over `span` m."""
+    l0, dl0, ddl0 = start
+    c3, c4, c5 = quintic(l0, dl0, ddl0, 0.0, span)
+    poly = np.polynomial.Polynomial([l0, dl0, 0.5 * ddl0, c3, c4, c5])
+    return np.array([np.where(d < span, part(d), 0.0) for part in (poly, poly.deriv(), poly.deriv(2))])
+
+
+def _beside(frame: Frame, start: EgoState, vehicle: VehicleParameters) -> BoolArray:
+    """The agents `(n,)` whose centre is not ahead of the ego's front axle: nobody follows them."""
+    agents = frame.agents
+    along_ego = (agents.x - start.x) * cos(start.yaw) + (agents.y - start.y) * sin(start.yaw)
+    found: BoolArray = (along_ego < vehicle.wheelbase) & (
+        np.hypot(agents.x - start.x, agents.y - start.y) < vehicle.length + 0.5 * agents.length
+    )
+    return found
+
+
+def _told(
+    course: Course, path: Path, blocks: Blocks, frame: Frame, profile: FloatArray, leader: IntArray,
+    vehicle: VehicleParameters,
+) -> tuple[Artefact, ...]:  # fmt: skip
+    """Both graphs, and a decision about whoever leads at some time."""
+    t = STEP_S * np.arange(profile.shape[1])
+    decisions = decide_speed(blocks, frame, np.interp(blocks.t, t, profile[0]))
+    leads = [decision for i, decision in enumerate(decisions) if (leader == i).any()]
+    upper = np.full(len(t), path.length)
+    for n in np.flatnonzero(leader >= 0):
+        k = int(np.searchsorted(blocks.t, t[n] + 1e-9)) - 1
+        upper[n] = np.fmin(blocks.lower[leader[n], k], path.length)
+    st_graph = StGraph(
+        None, Corridor(t, np.zeros(len(t)), upper), np.empty((0, 2)), np.column_stack([t, profile[0]]),
+        outlines(blocks, decisions),
+    )  # fmt: skip
+    return (st_graph, _sl_graph(course, path, vehicle), *_unique(leads))
+
+
+def _sl_graph(course: Course, path: Path, vehicle: VehicleParameters) -> SlGraph:
+    """The path in its lane, every few metres."""
+    at = np.arange(0, len(path.s), 8)
+    s, side = path.s[at], 0.5 * vehicle.width
+    room = Corridor(
+        s,
+        np.interp(s, course.line.s, course.lane_right) + side,
+        np.interp(s, course.line.s, course.lane_left) - side,
+    )
+    offset = np.array([course.line.project(path.x[i], path.y[i], path.s[i], 2.0)[1] for i in at])
+    return SlGraph(None, room, np.empty((0, 2)), np.column_stack([s, offset]), ())
+
+
+def _unique(decisions: list[Decision]) -> tuple[Decision, ...]:
+    """One decision per agent: several hypotheses may lead."""
+    return tuple({decision.agent: decision for decision in decisions}.values())

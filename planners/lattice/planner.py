@@ -1,0 +1,90 @@
+"""The planner's one screen: start, scene, pairs, the first of them in order of cost that passes; or the fallback."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from logs.frame import Frame, PlannerContext
+from logs.kernel import FloatArray, IntArray
+from logs.states import Trajectory
+from logs.trace import Candidates, Plan
+from planners.baseline import Tracker, start_of
+from planners.dp_qp.fallback import fall_back
+from planners.dp_qp.path import out_of_frame
+from planners.dp_qp.speed_qp import SpeedQpConfig
+from planners.lattice.candidates import Pairs, Sampler
+from planners.lattice.checks import REST_MPS, SAID, first_feasible
+from planners.lattice.config import LatticeConfig
+from planners.lattice.polynomials import STEP_S, STEPS, lateral_polynomial, sampled, states
+from planners.lattice.record import told
+from planners.lattice.scene import Ego, Scene, ego_frenet, scene_of
+
+
+class Lattice:
+    """Chooses among pairs of polynomials; its only memory is its last station on the reference line.
+
+    Where no pair can be driven, the ladder of `planners.dp_qp.fallback` answers: the rest of the previous plan, else a
+    comfortable stop, else a hard one. Who follows behind is not looked at while the ego keeps its track.
+    """
+
+    def __init__(self, context: PlannerContext, config: LatticeConfig | None = None) -> None:
+        self._config = config or LatticeConfig()
+        self._vehicle, self._lap = context.vehicle, context.lap
+        self._tracker = Tracker(context)
+        passes_left = context.road.drives_on_right
+        self._sampler = Sampler(self._tracker.course, self._vehicle, self._config, passes_left=passes_left)
+
+    def plan(self, frame: Frame) -> Plan:
+        """The cheapest pair that can be driven, ties to the first; else the fallback, and why."""
+        start, start_kind = start_of(frame)
+        course = self._tracker.course
+        s0, l0 = self._tracker.locate(start, fresh=frame.previous is None)
+        trouble = out_of_frame(course.line, start, s0, l0)
+        if trouble:
+            return fall_back(frame, start, start_kind, None, trouble, (), self._vehicle, SpeedQpConfig())
+        ego = ego_frenet(course.line, start, s0, l0)
+        scene = scene_of(course, frame, start, ego, self._vehicle, self._config)
+        self._lap("scene")
+        pairs = self._sampler.pairs(ego, scene)
+        self._lap("candidates")
+        chosen, faults = self._choose(ego, scene, pairs)
+        counted = _counted(pairs, faults, chosen)
+        self._lap("choice")
+        if chosen < 0:
+            reason = "no candidate can be driven: " + ", ".join(f"{n} {why}" for why, n in counted.rejected)
+            return fall_back(frame, start, start_kind, None, reason, (counted,), self._vehicle, SpeedQpConfig())
+        row = int(pairs.row[chosen])
+        motion = sampled(pairs.lon.coef[row, None], pairs.lon.T[row, None], STEPS)[0]
+        lateral = lateral_polynomial(np.array(ego.lateral), pairs.l1[chosen], pairs.length[chosen])
+        at = states(course.line.s, course.line.coef, s0, lateral, pairs.length[chosen], motion)
+        artefacts = told(course, frame, ego, scene, pairs, chosen, at, motion, self._vehicle, self._config)
+        self._lap("record")
+        return Plan(trajectory(frame.t, at), start=start_kind, internals=(*artefacts, counted))
+
+    def _choose(self, ego: Ego, scene: Scene, pairs: Pairs) -> tuple[int, IntArray]:
+        """The first pair without a fault, -1 where there is none, and the faults of those before it."""
+        car, line = self._vehicle, self._tracker.course.line
+        order = np.argsort(np.round(pairs.costs.sum(axis=0), 9), kind="stable")
+        return first_feasible(
+            line.s, line.coef, ego.s, np.array(ego.lateral), pairs.lon.coef, pairs.lon.T, pairs.row, pairs.l1,
+            pairs.length, pairs.changes, order, self._sampler.left, self._sampler.right, scene.pose, scene.sizes,
+            scene.behind, np.array([car.axle_to_center, car.length, car.width]),
+            np.array([car.max_kappa, self._config.lat_accel_mps2]),
+        )  # fmt: skip
+
+
+def _counted(pairs: Pairs, faults: IntArray, chosen: int) -> Candidates:
+    """How many pairs there were, and why the others were not taken."""
+    rejected = pairs.faults + faults
+    dearer = len(pairs) - int(faults.sum()) - 1 if chosen >= 0 else 0
+    counts = [(why, int(rejected[fault])) for fault, why in SAID.items()]
+    counts.append(("dearer than the chosen one", dearer))
+    return Candidates("lattice", len(pairs) + int(pairs.faults.sum()), tuple(count for count in counts if count[1]))
+
+
+def trajectory(t: float, at: FloatArray) -> Trajectory:
+    """The trajectory from time `t` of `states` `(9, k)`; a rest is a rest."""
+    x, y, yaw, v, a, kappa = at[:6]
+    rest = v < 1e-3
+    times = t + STEP_S * np.arange(at.shape[1])
+    return Trajectory(times, x, y, yaw, np.where(rest, 0.0, v), np.where(rest & (np.abs(a) < REST_MPS), 0.0, a), kappa)

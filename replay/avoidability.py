@@ -1,0 +1,45 @@
+"""Hands the reference drivers their line, and writes their verdicts into a scenario's metadata.
+
+The line is the reference line of the route that the planners drive, too, up to its first lane change: from there on the
+driver keeps its lane, as that of UN R157 does. The entries, for each driver of
+`metrics.reference_drivers.DRIVERS`: `reference_cc` = "avoidable", "unavoidable" or "not applicable", and
+`reference_cc.reason`. `metrics.avoidability` reads them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+
+from logs.road import ReferenceLine
+from logs.scenario import Scenario
+from metrics.avoidability import metadata_of
+from metrics.reference_drivers import DRIVERS, Verdict
+from planners.dp_qp.reference_line import make_course
+from planners.dp_qp.route import find_route
+
+
+def reference_line(scenario: Scenario) -> ReferenceLine:
+    """The line from the log's first state along its lane towards the goal; straight on where it has none."""
+    start, road = scenario.ego.state(0), scenario.road
+    route = find_route(road, start, scenario.goal)
+    kept = 1
+    for before, now in pairwise(route.lanes):
+        if now not in road.lanes[before].successors:
+            break
+        kept += 1
+    return make_course(road, replace(route, lanes=route.lanes[:kept]), start).line
+
+
+def verdicts(scenario: Scenario) -> tuple[Verdict, ...]:
+    """What each reference driver makes of a scenario, from the ego's first state on."""
+    line = reference_line(scenario)
+    return tuple(driver(scenario, line, None) for driver in DRIVERS.values())
+
+
+def with_avoidability(scenario: Scenario) -> Scenario:
+    """The scenario with the verdicts in its metadata; it keeps those that it has."""
+    if all(f"reference_{name}" in scenario.metadata for name in DRIVERS):
+        return scenario
+    entries = {key: text for verdict in verdicts(scenario) for key, text in metadata_of(verdict).items()}
+    return replace(scenario, metadata={**entries, **scenario.metadata})

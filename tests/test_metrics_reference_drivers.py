@@ -1,0 +1,244 @@
+"""Reference drivers against closed forms, the tendencies of the regulation's grids, and what must not count."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from handmade import drive, lanes_along, scenario, straight, track, tracks
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from logs import AgentKind, EndReason, Mode, Scenario, Trace
+from logs.kernel import FloatArray
+from logs.road import ReferenceLine
+from metrics import evaluate
+from metrics.avoidability import metadata_of
+from metrics.reference_drivers import (
+    CC_BRAKE_MPS2,
+    JERK_MPS3,
+    STEP_S,
+    Outcome,
+    Verdict,
+    careful_driver,
+    fsm_critical,
+    fsm_proactive,
+    fuzzy_driver,
+)
+from replay.avoidability import reference_line, with_avoidability
+
+CAR = scenario(drive(straight, 10.0, 1.0)).vehicle
+NOSE = CAR.axle_to_front
+KMH = 1.0 / 3.6
+SIZE = {"length": 4.3, "width": 1.9}
+LINE = ReferenceLine.through(np.array([[-50.0, 0.0], [900.0, 0.0]]))
+T = np.round(np.arange(0.0, 20.01, 0.1), 9)
+
+
+ROAD = lanes_along(drive(straight, 20.0, 20.0))
+
+
+def log(v: float, *agents: dict[str, object]) -> Scenario:
+    return scenario(drive(straight, v, 0.5), agents=tracks(*agents), road=ROAD, duration=20.0)
+
+
+def standing(gap: float, **more: object) -> dict[str, object]:
+    """An obstacle whose rear is `gap` m ahead of the ego's front."""
+    return track("obstacle", [0.0], [NOSE + gap + 2.15], [0.0], static=True, **SIZE, **more)
+
+
+def stopping_distance(v: float) -> float:
+    """From the begin of the careful driver's braking: a ramp of constant jerk, then a constant deceleration."""
+    ramp = CC_BRAKE_MPS2 / JERK_MPS3
+    slower = v - 0.5 * JERK_MPS3 * ramp**2
+    assert slower > 0.0
+    return v * ramp - JERK_MPS3 * ramp**3 / 6.0 + slower**2 / (2.0 * CC_BRAKE_MPS2)
+
+
+# --- laws
+
+
+@given(st.floats(8.0, 29.0).filter(lambda v: abs(stopping_distance(v) - 2.0 * v) > 1.5 * v * STEP_S))
+def test_cc_begins_to_brake_before_an_obstacle_at_ttc_two_seconds(v: float) -> None:
+    verdict = careful_driver(log(v, standing(120.0)), LINE)
+    assert verdict.outcome is (Outcome.AVOIDABLE if stopping_distance(v) < 2.0 * v else Outcome.UNAVOIDABLE)
+    assert verdict.brakes == pytest.approx(120.0 / v - 2.0, abs=4.0 * STEP_S)
+
+
+@given(st.floats(5.0, 22.0))
+def test_the_nearest_avoidable_obstacle_is_the_distance_of_reaction_and_braking(v: float) -> None:
+    """0.4 s and 0.75 s of reaction; the released pedal takes up to 0.12 m off."""
+    least = 1.15 * v + stopping_distance(v)
+    near, far = least - 0.15 - 2.0 * STEP_S * v, least + 2.0 * STEP_S * v
+    assert careful_driver(log(v, standing(near)), LINE).outcome is Outcome.UNAVOIDABLE
+    if far < 2.0 * v:  # nearer than where it would brake anyway
+        assert careful_driver(log(v, standing(far)), LINE).outcome is Outcome.AVOIDABLE
+
+
+@given(st.floats(0.0, 80.0), st.floats(0.0, 40.0), st.floats(0.0, 40.0), st.floats(-8.0, 2.0))
+def test_fuzzy_measures_lie_between_0_and_1_and_fall_with_the_gap(gap: float, v: float, u: float, a: float) -> None:
+    for measure in (lambda g: fsm_proactive(g, v, u), lambda g: fsm_critical(g, v, u, a)):
+        values = [measure(gap + more) for more in (0.0, 0.5, 5.0, 50.0)]
+        assert all(0.0 <= value <= 1.0 for value in values)
+        assert values == sorted(values, reverse=True)
+    assert fsm_critical(gap, v, v, a) == 0.0, "without a difference of speed nothing is critical"
+    assert fsm_critical(0.0, v + 1e-12, v, 0.0) in (0.0, 1.0), "no division by the difference of speed"
+
+
+@given(st.floats(1.0, 40.0))
+def test_fuzzy_measures_are_1_at_unsafe_and_0_at_safe(v: float) -> None:
+    safe, unsafe = 0.75 * v + v * v / 8.0 + 4.0, 0.75 * v + v * v / 12.0 + 2.0
+    assert fsm_proactive(safe, v, 0.0) == pytest.approx(0.0, abs=1e-9)
+    assert fsm_proactive(unsafe, v, 0.0) == pytest.approx(1.0, abs=1e-9)
+    assert fsm_proactive(0.5 * (safe + unsafe), v, 0.0) == pytest.approx(0.5)
+    assert fsm_critical(0.75 * v + v * v / 12.0, v, 0.0, 0.0) == pytest.approx(1.0, abs=1e-9)
+
+
+def cut_in(v: float, gap: float, slower: float, lateral: float) -> Scenario:
+    """A car changes from the left lane to the ego's with a constant lateral speed; `gap` when it begins, after 1 s."""
+    u = v - slower
+    x = NOSE + v * 1.0 + gap + 2.15 + u * (T - 1.0)
+    y = np.clip(3.5 - lateral * np.maximum(T - 1.0, 0.0), 0.0, 3.5)
+    return log(v, track("cutter", T, x, y, **SIZE))
+
+
+@pytest.fixture(scope="module")
+def grid() -> dict[str, np.ndarray]:
+    """Who gets through at 60 km/h, over gaps (rows) and differences of speed (columns).
+
+    With smaller gaps and greater differences the ego would be past before the other is in its lane.
+    """
+    gaps, slower = np.arange(15.0, 61.0, 5.0), np.arange(10.0, 51.0, 5.0) * KMH
+    found = {}
+    for name, driver in (("cc", careful_driver), ("fsm", fuzzy_driver)):
+        outcomes = [[driver(cut_in(60.0 * KMH, g, d, 1.2), LINE).outcome for d in slower] for g in gaps]
+        found[name] = np.array([[outcome is not Outcome.UNAVOIDABLE for outcome in row] for row in outcomes])
+    return found
+
+
+def test_cut_ins_get_worse_with_a_smaller_gap_and_a_greater_difference_of_speed(grid: dict[str, np.ndarray]) -> None:
+    for through in grid.values():
+        assert (through[:-1] <= through[1:]).all(), "a larger gap never harms"
+        assert (through[:, 1:] <= through[:, :-1]).all(), "a faster leader never harms"
+        assert not through[0, -1], "15 m at 50 km/h of difference"
+        assert through[-1].all(), "60 m"
+        assert through[:, 0].all(), "10 km/h of difference"
+
+
+def test_fsm_gets_through_where_cc_does(grid: dict[str, np.ndarray]) -> None:
+    assert (grid["fsm"] >= grid["cc"]).all()
+    assert (grid["fsm"] > grid["cc"]).any(), "it anticipates"
+
+
+def mirrored(made: Scenario) -> Scenario:
+    flipped = replace(made.tracks, y=-made.tracks.y, yaw=-made.tracks.yaw, vy=-made.tracks.vy)
+    return replace(made, tracks=flipped)
+
+
+@settings(max_examples=15)
+@given(st.floats(10.0, 60.0), st.floats(3.0, 14.0), st.floats(0.5, 2.0))
+def test_the_mirrored_log_gets_the_same_verdict(gap: float, slower: float, lateral: float) -> None:
+    made = cut_in(16.7, gap, slower, lateral)
+    for driver in (careful_driver, fuzzy_driver):
+        one, two = driver(made, LINE), driver(mirrored(made), LINE)
+        assert (one.outcome, one.reason) == (two.outcome, two.reason)
+
+
+# --- known cases
+
+
+def braking_lead(v: float, gap: float, decel: float, to: float = 0.0) -> Scenario:
+    speed = np.maximum(v - decel * np.maximum(T - 1.0, 0.0), to)
+    x = NOSE + gap + 2.15 + np.r_[0.0, np.cumsum(0.5 * np.diff(T) * (speed[1:] + speed[:-1]))]
+    return log(v, track("lead", T, x, np.zeros(len(T)), **SIZE))
+
+
+def test_a_lead_that_brakes_with_1_g_at_2_s_headway_can_be_avoided() -> None:
+    v = 60.0 * KMH
+    assert careful_driver(braking_lead(v, 2.0 * v, 9.81), LINE).outcome is Outcome.AVOIDABLE
+
+
+def test_ccrb_needs_a_reaction_of_less_than_gap_over_speed() -> None:
+    """50 km/h, 6 m/s2: 12 m leave 0.86 s, less than the careful driver's 1.15 s; 40 m suffice."""
+    v = 50.0 * KMH
+    assert careful_driver(braking_lead(v, 12.0, 6.0, 2.0 * KMH), LINE).outcome is Outcome.UNAVOIDABLE
+    assert careful_driver(braking_lead(v, 40.0, 6.0, 2.0 * KMH), LINE).outcome is Outcome.AVOIDABLE
+    assert fuzzy_driver(braking_lead(v, 40.0, 6.0, 2.0 * KMH), LINE).outcome is Outcome.AVOIDABLE
+
+
+def walker(v: float, at: float, begins: float, side: float, speed: float = 5.0 * KMH) -> dict[str, object]:
+    y: FloatArray = -side + speed * np.maximum(T - begins, 0.0)
+    return track(
+        "walker", T, np.full_like(T, at + NOSE), y, kind=AgentKind.PEDESTRIAN, length=0.5, width=0.6, yaw=0.5 * np.pi
+    )
+
+
+@pytest.mark.parametrize("kmh", [40.0, 60.0])
+def test_a_pedestrian_in_sight_can_be_avoided(kmh: float) -> None:
+    """5 km/h from 5 m beside, so that the ego's middle would meet it."""
+    v = kmh * KMH
+    made = log(v, walker(v, v * 6.0, 6.0 - 5.0 / (5.0 * KMH), 5.0))
+    for driver in (careful_driver, fuzzy_driver):
+        verdict = driver(made, LINE)
+        assert verdict.outcome is Outcome.AVOIDABLE, verdict
+        assert verdict.brakes < 6.0
+
+
+def test_a_pedestrian_who_steps_out_a_second_ahead_cannot() -> None:
+    v = 60.0 * KMH
+    made = log(v, walker(v, v * 6.0, 5.0, 1.5, 1.5))
+    for driver in (careful_driver, fuzzy_driver):
+        assert driver(made, LINE).outcome is Outcome.UNAVOIDABLE
+
+
+def test_a_pedestrian_who_is_gone_in_time_is_no_hazard() -> None:
+    v = 40.0 * KMH
+    verdict = careful_driver(log(v, walker(v, v * 8.0, 0.0, 4.0), standing(v * 12.0)), LINE)
+    assert verdict.brakes == pytest.approx(10.0, abs=0.2), "it brakes for the obstacle behind only"
+
+
+# --- what does not count
+
+
+def test_nothing_to_avoid_is_not_applicable() -> None:
+    lead = track("lead", T, 20.0 + 10.0 * T, np.zeros(len(T)))
+    for made in (log(10.0), log(10.0, lead), log(0.0, standing(5.0))):
+        for driver in (careful_driver, fuzzy_driver):
+            assert driver(made, LINE).outcome is Outcome.NOT_APPLICABLE
+
+
+def test_who_runs_into_the_driver_from_behind_does_not_count() -> None:
+    follower = track("follower", T, -12.0 + 14.0 * T, np.zeros(len(T)))
+    assert careful_driver(log(10.0, follower), LINE).outcome is Outcome.NOT_APPLICABLE
+    braking = careful_driver(log(10.0, follower, standing(80.0)), LINE)
+    assert braking.outcome is Outcome.AVOIDABLE
+
+
+def test_the_line_and_the_metadata_come_from_replay() -> None:
+    made = log(15.0, standing(100.0))
+    assert reference_line(made).length == pytest.approx(460.0, abs=2.0)
+    told = with_avoidability(made)
+    assert told.metadata["reference_cc"] == "avoidable"
+    assert "car obstacle" in told.metadata["reference_cc.reason"]
+    assert with_avoidability(told) is told
+
+
+@pytest.mark.parametrize(
+    ("outcome", "applies", "avoids"),
+    [(Outcome.AVOIDABLE, 1.0, 1.0), (Outcome.UNAVOIDABLE, 1.0, 0.0), (Outcome.NOT_APPLICABLE, 0.0, None), (None,) * 3],
+)
+def test_the_table_counts_all_three_outcomes(
+    outcome: Outcome | None, applies: float | None, avoids: float | None
+) -> None:
+    made = log(10.0)
+    if outcome is not None:
+        made = replace(made, metadata=metadata_of(Verdict("cc", outcome, "because")))
+    trace = Trace(made.name, "p", Mode.CLOSED, False, made.ego, made.tracks, (), EndReason.END_OF_LOG)
+    rows = evaluate(trace, made).set_index("metric")
+    for name, value in (("reference_cc.applies", applies), ("reference_cc.avoids", avoids)):
+        assert bool(rows.loc[name, "available"]) == (value is not None)
+        if value is not None:
+            assert rows.loc[name, "value"] == value
+        elif outcome is not None:
+            assert rows.loc[name, "reason"] == "not applicable: because"

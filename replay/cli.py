@@ -106,6 +106,23 @@ def evaluate(
     workers: Annotated[
         int | None, typer.Option(min=0, help="Processes; 0: in this one. Default: one per core. Same results.")
     ] = None,
+    vehicle: Annotated[
+        str | None, typer.Option(help="How the ego moves: kinematic_bicycle, single_track, multibody, perfect ...")
+    ] = None,
+    controller: Annotated[
+        str | None, typer.Option(help="How plans are followed: dlqr_pid, mpc, pure_pursuit, stanley, pid ...")
+    ] = None,
+    traffic: Annotated[
+        str | None, typer.Option(help="The others: replayed by time, by ego_position, or reactive.")
+    ] = None,
+    prediction: Annotated[
+        str | None, typer.Option(help="Their futures: constant_velocity, lane_following ..., oracle.")
+    ] = None,
+    perception: Annotated[str | None, typer.Option(help="What is seen: ground_truth or sensor.")] = None,
+    plant: Annotated[
+        list[str] | None,
+        typer.Option(help="KEY=VALUE of the car that planner and controller are not told (mass=1400); repeatable."),
+    ] = None,
 ) -> None:
     """Drive planners over logs, measure, judge by gates, and record.
 
@@ -125,17 +142,40 @@ def evaluate(
             "internals": internals,
             "recording": False if no_recording else None,
         }
-        run = _run(config, options)
+        loop = {
+            "vehicle": vehicle,
+            "controller": controller,
+            "traffic": traffic,
+            "prediction": prediction,
+            "perception": perception,
+            "plant": _settings(plant) if plant else None,
+        }
+        run = _run(config, options, loop)
         result = _evaluated(logs or [], run, out, _cores() if workers is None else workers)
         raise typer.Exit(result.exit_code)
 
 
-def _run(config: Path | None, options: dict[str, Any]) -> RunConfig:
+def _run(config: Path | None, options: dict[str, Any], loop: dict[str, Any]) -> RunConfig:
     """The configuration file with the options over it; None is an option that was not given."""
     from replay.config import RunConfig, load_run
 
     run = RunConfig() if config is None else load_run(config)
-    return replace(run, **{key: value for key, value in options.items() if value is not None})
+    looped = replace(run.loop, **{key: value for key, value in loop.items() if value is not None})
+    return replace(run, loop=looped, **{key: value for key, value in options.items() if value is not None})
+
+
+def _settings(words: list[str]) -> dict[str, float | str]:
+    """Words "key=value"; a value that is no number stays a word."""
+    found: dict[str, float | str] = {}
+    for word in words:
+        key, separator, value = word.partition("=")
+        if not separator or not key:
+            raise ConfigError(f"--plant {word}: write it as KEY=VALUE, for example mass=1400")
+        try:
+            found[key] = float(value)
+        except ValueError:
+            found[key] = value
+    return found
 
 
 def _evaluated(logs: list[Path], run: RunConfig, out: Path | None, workers: int) -> RunResult:

@@ -205,10 +205,10 @@ class SpeedStage:
         if artefacts:
             return SolvedSpeed(None, "speed QP: no profile found", False, artefacts)
         stop = braking(*problem.start, qp.emergency.decel_mps2, qp.emergency.jerk_mps3, STEP_S, qp.knots)
-        short = float((stop[0] - problem.upper).max())
-        if short <= 0.0:
-            return SolvedSpeed(stop, "only the hardest braking keeps the distance", False, ())
-        return SolvedSpeed(stop, f"hardest braking comes {short:.1f} m too far", True, ())
+        left = self._config.dp.gap_m - float((stop[0] - problem.upper).max())
+        if left > 0.0:
+            return SolvedSpeed(stop, f"hardest braking, which leaves {left:.1f} m", False, ())
+        return SolvedSpeed(stop, f"hardest braking comes {-left:.1f} m too far", True, ())
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -11,7 +11,8 @@ from logs.trace import EndReason, Mode, Trace
 from replay.drive import DEFAULT_LOOP, Drive, LoopConfig
 from replay.ending import Ending
 from replay.journal import Journal
-from replay.perception import perceive
+from replay.latency import Latency
+from replay.perception import Perception
 from replay.planning import Planning
 from replay.rig import Rig
 
@@ -33,22 +34,25 @@ def run_closed_loop(
         PlannerError: The planner cannot be loaded or built. (One that fails while driving ends the drive.)
     """
     rig = Rig.of(scenario, config)
-    world, plan = rig.world(), None
+    world, latency = rig.world(), Latency(config.plan_delay_steps)
     planning = Planning(scenario, planner, planner_config, config, world.ego)
+    perception = Perception(scenario, config)
     ending = Ending(scenario, planning.goal, world)
     journal = Journal(len(rig.steps) + 1)
     end = (EndReason.END_OF_LOG, "")
 
     for step in rig.steps:
-        if plan is None or step % rig.steps_per_plan == 0:
+        if step % rig.steps_per_plan == 0:
             try:
-                plan = planning.plan(perceive(world, plan, config))
+                made = planning.plan(perception.frame(world, latency.before(step)))
             except PlannerError as failure:
                 end = (EndReason.PLANNER_FAILURE, str(failure))
                 break
-            journal.planned(world.ego.t, plan)
+            journal.planned(world.ego.t, made)
+            latency.planned(step, made)
+        plan = latency.at(step)
         command = rig.controller.control(world.ego, plan)
-        journal.add(world.ego, command, rig.vehicle.actuation)
+        journal.add(world.ego, command, rig.vehicle.actuation, plan)
         rig.vehicle.step(command, rig.period)
         world = rig.world()
         ended = ending.of(world)
@@ -61,7 +65,7 @@ def run_closed_loop(
         scenario=scenario.name,
         planner=planner,
         mode=Mode.CLOSED,
-        oracle=planning.is_oracle,
+        oracle=planning.is_oracle or perception.is_oracle,
         ego=journal.ego,
         agents=world.tracks,
         frames=tuple(journal.frames),
@@ -70,6 +74,7 @@ def run_closed_loop(
         commands=journal.commands,
         actuation=journal.actuation,
         tracking=journal.errors,
-        notes=(*planning.notes, *rig.notes),
+        notes=(*planning.notes, *perception.notes, *rig.notes, *rig.told),
+        perceived=perception.shown,
     )
     return Drive(trace, tuple(planning.timings))

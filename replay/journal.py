@@ -26,15 +26,16 @@ class Journal:
         self._rows = np.empty((rows, 17))
         self._count = 0
         self._tracker = Tracker()
+        self._plan: Plan | None = None
         self.frames: list[PlannedFrame] = []
 
     def planned(self, t: float, plan: Plan) -> None:
-        """A plan was made at `t`, s; errors are taken against it from now on."""
+        """A plan was made at `t`, s."""
         self.frames.append(PlannedFrame(t, plan))
 
-    def add(self, ego: EgoState, command: Command, actuation: Command) -> None:
-        """The ego, what is commanded from now on and what the actuators do now."""
-        plan = self.frames[-1].plan if self.frames else None
+    def add(self, ego: EgoState, command: Command, actuation: Command, plan: Plan | None) -> None:
+        """The ego, what is commanded from now on, what the actuators do now; errors are taken against `plan`."""
+        self._plan = plan
         off = NO_PLAN if plan is None else self._tracker.path(plan).deviation(ego)
         self._rows[self._count] = (
             ego.t, ego.x, ego.y, ego.yaw, ego.v, ego.a, ego.kappa,
@@ -47,7 +48,7 @@ class Journal:
     def close(self, ego: EgoState, actuation: Command) -> None:
         """The last row: nothing is commanded any more, so the last command stands there (unknown, if there is none)."""
         command = Command(*self._rows[self._count - 1, _COMMAND].tolist()) if self._count else UNKNOWN
-        self.add(ego, command, actuation)
+        self.add(ego, command, actuation, self._plan)
 
     @property
     def ego(self) -> Trajectory:

@@ -12,7 +12,7 @@ from logs.scenario import Scenario
 from logs.states import TRAJECTORY_COLUMNS, EgoState, Trajectory
 from logs.trace import EndReason, Mode, PlannedFrame, Trace
 from replay.drive import DEFAULT_LOOP, Drive, LoopConfig
-from replay.perception import perceive
+from replay.perception import Perception
 from replay.planning import Planning
 from replay.world import World, logged_ego
 
@@ -36,12 +36,13 @@ def run_open_loop(
     grid = frame_times(scenario.ego, config.plan_period_ns)
     egos = [logged_ego(scenario.ego, scenario.vehicle, t) for t in grid]
     planning = Planning(scenario, planner, planner_config, config, egos[0])
+    perception = Perception(scenario, config)
     frames: list[PlannedFrame] = []
     end, detail = EndReason.END_OF_LOG, ""
 
     for ego in egos:
         try:
-            plan = planning.plan(perceive(World(ego, scenario.tracks), None, config))
+            plan = planning.plan(perception.frame(World(ego, scenario.tracks), None))
         except PlannerError as failure:
             end, detail = EndReason.PLANNER_FAILURE, str(failure)
             break
@@ -51,13 +52,14 @@ def run_open_loop(
         scenario=scenario.name,
         planner=planner,
         mode=Mode.OPEN,
-        oracle=planning.is_oracle,
+        oracle=planning.is_oracle or perception.is_oracle,
         ego=_trajectory(egos[: max(len(frames), 1)]),
         agents=scenario.tracks,
         frames=tuple(frames),
         end=end,
         detail=detail,
-        notes=planning.notes,
+        notes=(*planning.notes, *perception.notes),
+        perceived=perception.shown,
     )
     return Drive(trace, tuple(planning.timings))
 

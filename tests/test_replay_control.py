@@ -13,7 +13,10 @@ from scipy.linalg import solve_discrete_are
 
 from logs import ConfigError, EgoState, Plan, Trajectory, VehicleParameters
 from replay.control import CONTROLLERS
-from replay.control.dlqr import Dlqr, DlqrConfig, error_model, regulator
+from replay.control.dlqr_kinematic import KinematicDlqr as Dlqr
+from replay.control.dlqr_kinematic import KinematicDlqrConfig as DlqrConfig
+from replay.control.dlqr_kinematic import error_model, regulator
+from replay.control.lateral_model import with_rigid_tyres
 from replay.control.pedals import HYSTERESIS_MPS2, Pedals
 from replay.control.pid import DualLoopPid, PidConfig
 from replay.control.riccati import solve_riccati
@@ -30,7 +33,7 @@ SPEEDS = (0.5, 1.0, 3.0, 8.0, 12.0, 25.0, 40.0)
 def follow(plan: Trajectory, start: EgoState, seconds: float, name: str = "dlqr_pid") -> dict[str, np.ndarray]:
     """One plan followed to its end, without replanning."""
     car = VEHICLES["kinematic_bicycle"](CAR, start)
-    controller = CONTROLLERS[name](CAR, car.powertrain, PERIOD)
+    controller = CONTROLLERS[name](with_rigid_tyres(CAR), car.powertrain, PERIOD)
     one, path, rows = Plan(plan), PlanPath.of(plan), []
     for _ in range(round(seconds / PERIOD)):
         off = path.deviation(car.state)

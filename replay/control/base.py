@@ -7,7 +7,7 @@ numbers of the vehicle: not the world.
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from logs.states import Command, EgoState
 from logs.trace import Plan
@@ -19,6 +19,16 @@ class Controller(Protocol):
 
     def control(self, state: EgoState, plan: Plan) -> Command:
         """The command to hold for one control period; throttle and brake never together."""
+        ...
+
+
+@runtime_checkable
+class Telling(Protocol):
+    """A controller that has something to tell of the drive, such as that it fell back to another."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the user must know of the drive so far, one sentence each; goes into the trace."""
         ...
 
 

@@ -1,73 +1,80 @@
-"""Lateral DLQR on the kinematic error model with the steering's lag, curvature fed forward.
+"""Lateral DLQR on the paper's four-state error model with the steering's lag, curvature and slip fed forward.
 
-State x = (e_lat m, e_yaw rad, e_steer rad), input u = commanded steer minus that of the path, rad; at the rear axle,
-small angles, speed v, wheelbase L, steering lag T (Rajamani, Vehicle Dynamics and Control, 2.5; the lag added):
+State x = (e_d m, e_d' m/s, e_phi rad, e_phi' rad/s, e_steer rad) at the rear axle, input u = commanded steer, each
+minus that of exact following; the model is (2)-(3) of `replay.control.lateral_model` with (steer)' = (u - steer) / lag.
 
-(1) d(e_lat)/dt   = v e_yaw
-(2) d(e_yaw)/dt   = v / L e_steer
-(3) d(e_steer)/dt = (u - e_steer) / T
-(4) x[k+1] = A x[k] + B u[k]          exact for an input held over dt (ZOH), (1)-(3) integrated from the last up:
-    r = exp(-dt / T),  e_steer+ = r e_steer + (1 - r) u
-    e_yaw+ = e_yaw + v / L (i e_steer + (dt - i) u)                             i = T (1 - r)
-    e_lat+ = e_lat + v dt e_yaw + v^2 / L (j e_steer + (dt^2 / 2 - j) u)        j = T (dt - i)
-(5) J = sum of x' Q x + u' R u,       R = steer_weight (1 + (v / v_0)^2)^2
-(6) P = Q + A' P A - A' P B K,   K = (R + B' P B)^-1 B' P A,   u = -K x
+(1) x[k+1] = A x[k] + B u[k]          exact for an input held over a period (ZOH); other forms can be compared
+(2) J = sum of x' Q x + u' R u,       R = steer_weight (1 + (v / v_0)^2)^2
+(3) P = Q + A' P (I + B R^-1 B' P)^-1 A,   K = (R + B' P B)^-1 B' P A
+(4) command = feed-forward - K x
 
 R grows with the lateral acceleration that a steering angle makes: below v_0 the error decays over a distance, above it
-over a time. K is tabulated over speed and interpolated; below the table's first speed, where (1)-(2) can hardly be
-steered, its first row holds.
+over a time. K is tabulated over speed and interpolated; below the table's first speed, where one can hardly steer, its
+first row holds.
 
-(7) steer command = atan(L kappa(s + v (T + dt / 2))) - K x
-    The curvature is read ahead by the steering's lag and half a period of the hold: to first order, the wheel then has
-    the angle of the path at the foot point s, and on a constant curve every error is 0 in the steady state.
+(5) feed-forward = the command of exact following (`replay.control.exact`), read ahead on the path
+(6) of exact following: heading e_phi = p_0 kappa, its rate r = v kappa + p_0 kappa', its wheel angle
+
+With (6) in x, -K x holds the k_3 term of the feed-forward: on a constant curve all errors vanish. p and d take the slip
+that the tyres have shown (`replay.control.slip`), so that they vanish for other tyres and loads too.
+With rigid tyres the states e_d' and e_phi' follow from the others: then it is the DLQR of `dlqr_kinematic`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from math import atan, exp
+from math import cos, sin
 
 import numpy as np
 
-from logs.errors import ConfigError
+from logs.errors import ConfigError, unknown_name
 from logs.kernel import FloatArray
 from logs.states import EgoState
 from logs.vehicle import VehicleParameters
+from replay.control.dlqr_kinematic import SHORTEST_LAG_S, SPEED_STEP_MPS
+from replay.control.exact import commanded, following_at, kappa_rate, slip_table, steer_for, table_speeds
+from replay.control.lateral_model import DISCRETISATIONS, at_rear_axle, error_model, with_steering
 from replay.control.riccati import solve_riccati
+from replay.control.slip import Slip
 from replay.control.tracking import Deviation, PlanPath
-
-SPEED_STEP_MPS = 0.5
-MAX_SPEED_MPS = 60.0
-SHORTEST_LAG_S = 1e-3
 
 
 @dataclass(frozen=True)
 class DlqrConfig:
-    """Weights of (5).
+    """Weights of (2) and the form of (1).
 
     Attributes:
-        lateral_weight: 1/m2; `heading_weight` 1/rad2; `steer_weight` 1/rad2.
-        heading_weight: Of e_yaw.
-        steer_weight: Of u.
-        speed_mps: v_0 of (5).
+        lateral_weight: 1/m2.
+        lateral_rate_weight: (s/m)2.
+        heading_weight: 1/rad2.
+        heading_rate_weight: (s/rad)2.
+        steer_weight: Of u, 1/rad2.
+        speed_mps: v_0 of (2).
+        discretisation: Name in `replay.control.lateral_model.DISCRETISATIONS`.
     """
 
     lateral_weight: float = 1.0
+    lateral_rate_weight: float = 0.0
     heading_weight: float = 1.0
+    heading_rate_weight: float = 0.0
     steer_weight: float = 40.0
     speed_mps: float = 12.0
+    discretisation: str = "zoh"
 
     def __post_init__(self) -> None:
-        if not (self.lateral_weight > 0.0 and self.heading_weight >= 0.0):
-            raise ConfigError("DLQR: lateral_weight must be positive and heading_weight not negative")
+        weights = (self.lateral_rate_weight, self.heading_weight, self.heading_rate_weight)
+        if not (self.lateral_weight > 0.0 and min(weights) >= 0.0):
+            raise ConfigError("DLQR: lateral_weight must be positive and no weight negative")
         if not (self.steer_weight > 0.0 and self.speed_mps > 0.0):
             raise ConfigError("DLQR: steer_weight and speed_mps must be positive")
+        if self.discretisation not in DISCRETISATIONS:
+            raise unknown_name("discretisation", self.discretisation, DISCRETISATIONS)
 
 
 @dataclass(frozen=True, eq=False)
 class Regulator:
-    """A solved (4)-(6) at one speed: A `(3, 3)`, B `(3, 1)`, Q, R, P, and the gain K `(1, 3)`."""
+    """A solved (1)-(3) at one speed: A `(n, n)`, B `(n, 1)`, Q, R, P, and the gain K `(1, n)`."""
 
     A: FloatArray
     B: FloatArray
@@ -77,63 +84,70 @@ class Regulator:
     K: FloatArray
 
 
-def error_model(v: float, wheelbase: float, lag: float, period: float) -> tuple[FloatArray, FloatArray]:
-    """A `(3, 3)` and B `(3, 1)` of (4)."""
-    turn, decay = v / wheelbase, exp(-period / lag)
-    once = lag * (1.0 - decay)
-    twice = lag * (period - once)
-    A = np.array([[1.0, v * period, v * turn * twice], [0.0, 1.0, turn * once], [0.0, 0.0, decay]])
-    B = np.array([[v * turn * (0.5 * period**2 - twice)], [turn * (period - once)], [1.0 - decay]])
-    return A, B
-
-
-def regulator(v: float, wheelbase: float, lag: float, period: float, config: DlqrConfig) -> Regulator:
-    """Solve (4)-(6) at one speed, m/s.
+def regulator(v: float, p: VehicleParameters, period: float, config: DlqrConfig) -> Regulator:
+    """Solve (1)-(3) at one speed, m/s.
 
     Raises:
         ConfigError: The weights, or a speed of 0, allow no stable gain.
     """
-    A, B = error_model(v, wheelbase, lag, period)
-    Q = np.diag([config.lateral_weight, config.heading_weight, 0.0])
+    if not v > 0.0:
+        raise ConfigError(f"DLQR: no stable gain at {v} m/s")
+    A, B, _ = at_rear_axle(error_model(v, p), v, p)
+    A, B = with_steering(A, B, max(p.steer_lag, SHORTEST_LAG_S))
+    A, B = DISCRETISATIONS[config.discretisation](A, B[:, None], period)
+    weights = (config.lateral_weight, config.lateral_rate_weight, config.heading_weight, config.heading_rate_weight)
+    Q = np.diag([*weights, 0.0])
     R = np.array([[config.steer_weight * (1.0 + (v / config.speed_mps) ** 2) ** 2]])
-    P = solve_riccati(A, B, Q, R)
+    P = solve_riccati(np.ascontiguousarray(A), np.ascontiguousarray(B), Q, R)
     if not np.isfinite(P).all():
         raise ConfigError(f"DLQR: no stable gain at {v} m/s with {config}")
     return Regulator(A, B, Q, R, P, np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A))
 
 
+Row = tuple[float, float, float, float, float]
+"""K."""
+
+
 @lru_cache(maxsize=32)
-def gain_table(
-    wheelbase: float, lag: float, period: float, config: DlqrConfig
-) -> tuple[tuple[float, float, float], ...]:
-    """K at the speeds SPEED_STEP_MPS, 2 SPEED_STEP_MPS, ... MAX_SPEED_MPS."""
-    speeds = SPEED_STEP_MPS * np.arange(1, round(MAX_SPEED_MPS / SPEED_STEP_MPS) + 1)
-    gains = [regulator(float(v), wheelbase, lag, period, config).K[0] for v in speeds]
-    return tuple((float(k[0]), float(k[1]), float(k[2])) for k in gains)
+def schedule(p: VehicleParameters, period: float, config: DlqrConfig) -> tuple[Row, ...]:
+    """K at `exact.table_speeds`."""
+    gains = [regulator(float(v), p, period, config).K[0] for v in table_speeds()]
+    return tuple((float(k[0]), float(k[1]), float(k[2]), float(k[3]), float(k[4])) for k in gains)
 
 
 class Dlqr:
-    """(7); without memory. See `replay.control.base.LateralLaw`."""
+    """(4)-(6) for a vehicle with tyres that slip; remembers how much. See `replay.control.base.LateralLaw`."""
 
     def __init__(self, parameters: VehicleParameters, period: float, config: DlqrConfig | None = None) -> None:
-        lag = max(parameters.steer_lag, SHORTEST_LAG_S)
-        self._wheelbase = parameters.wheelbase
-        self._max_steer = parameters.max_steer
-        self._preview = lag + 0.5 * period
-        self._gains = gain_table(parameters.wheelbase, lag, period, config or DlqrConfig())
+        self._max_steer = float(parameters.max_steer)
+        self._wheelbase = float(parameters.wheelbase)
+        self._period, self._lag = period, max(parameters.steer_lag, SHORTEST_LAG_S)
+        self._gains = schedule(parameters, period, config or DlqrConfig())
+        self._slips = slip_table(parameters)
+        self._slip = Slip(parameters, period)
 
-    def gain(self, v: float) -> tuple[float, float, float]:
+    def gain(self, v: float) -> Row:
         """K at a speed, m/s, linear between the table's rows; the ends hold."""
         place = min(max(v / SPEED_STEP_MPS - 1.0, 0.0), len(self._gains) - 1.0)
         i = min(int(place), len(self._gains) - 2)
         u = place - i
-        one, two = self._gains[i], self._gains[i + 1]
-        return one[0] + u * (two[0] - one[0]), one[1] + u * (two[1] - one[1]), one[2] + u * (two[2] - one[2])
+        k1, k2, k3, k4, k5 = self._gains[i]
+        m1, m2, m3, m4, m5 = self._gains[i + 1]
+        return k1 + u * (m1 - k1), k2 + u * (m2 - k2), k3 + u * (m3 - k3), k4 + u * (m4 - k4), k5 + u * (m5 - k5)
 
     def steer(self, state: EgoState, path: PlanPath, off: Deviation) -> float:
         """Front wheel angle to command, rad."""
-        here = atan(self._wheelbase * path.kappa(off.foot))
-        ahead = atan(self._wheelbase * path.kappa(off.foot + state.v * self._preview))
-        k_lat, k_yaw, k_steer = self.gain(state.v)
-        command = ahead - k_lat * off.lateral - k_yaw * off.heading - k_steer * (state.steer - here)
+        v, foot, knots = state.v, off.foot, path.knots
+        self._slip.learn(state)
+        slip, angle = following_at(self._slips, self._wheelbase, self._slip.ratios, v)
+        here = path.kappa(foot)
+        k_lat, k_rate, k_yaw, k_turn, k_steer = self.gain(v)
+        command = (
+            steer_for(knots, foot, v, commanded(angle, self._lag, self._period))
+            - k_lat * off.lateral
+            - k_rate * (v * sin(off.heading) + state.v_lat * cos(off.heading))
+            - k_yaw * (off.heading - slip * here)
+            - k_turn * (state.yaw_rate - v * here - slip * kappa_rate(knots, foot, v))
+            - k_steer * (state.steer - steer_for(knots, foot, v, angle))
+        )
         return min(max(command, -self._max_steer), self._max_steer)

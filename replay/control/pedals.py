@@ -14,6 +14,7 @@ from replay.vehicle.base import Powertrain
 
 HYSTERESIS_MPS2 = 0.15
 HOLDING_BRAKE = 0.2
+STOPPING_BRAKE, STILL_MPS = 0.03, 0.01
 
 STANDING_MPS = 0.1
 """The ego stands where it is slower than this and the plan does not want to move within LOOK_AHEAD_S."""
@@ -39,10 +40,10 @@ class Pedals:
             return 0.0, min(max(-beyond / self._train.full_brake(v), 0.0), 1.0)
         return min(max(beyond / self._train.full_throttle(v), 0.0), 1.0), 0.0
 
-    def hold(self) -> tuple[float, float]:
-        """Throttle and brake that hold a standstill."""
+    def hold(self, v: float) -> tuple[float, float]:
+        """Throttle and brake that hold a standstill; gently, while the last of the speed `v` (m/s) goes."""
         self._braking = True
-        return 0.0, HOLDING_BRAKE
+        return 0.0, HOLDING_BRAKE if v < STILL_MPS else STOPPING_BRAKE
 
 
 class Standstill:

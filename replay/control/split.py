@@ -27,7 +27,7 @@ class SplitController:
         path = self._tracker.path(plan)
         if self._standstill.holds(state.v, state.t, path):
             self._longitudinal.rest()
-            return Command(state.steer, *self._pedals.hold())
+            return Command(state.steer, *self._pedals.hold(state.v))
         off = path.deviation(state)
         steer = self._lateral.steer(state, path, off)
         acceleration = self._longitudinal.accelerate(state, path, off)

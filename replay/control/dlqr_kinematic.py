@@ -1,0 +1,139 @@
+"""Lateral DLQR on the kinematic error model with the steering's lag, curvature fed forward.
+
+State x = (e_lat m, e_yaw rad, e_steer rad), input u = commanded steer minus that of the path, rad; at the rear axle,
+small angles, speed v, wheelbase L, steering lag T (Rajamani, Vehicle Dynamics and Control, 2.5; the lag added):
+
+(1) d(e_lat)/dt   = v e_yaw
+(2) d(e_yaw)/dt   = v / L e_steer
+(3) d(e_steer)/dt = (u - e_steer) / T
+(4) x[k+1] = A x[k] + B u[k]          exact for an input held over dt (ZOH), (1)-(3) integrated from the last up:
+    r = exp(-dt / T),  e_steer+ = r e_steer + (1 - r) u
+    e_yaw+ = e_yaw + v / L (i e_steer + (dt - i) u)                             i = T (1 - r)
+    e_lat+ = e_lat + v dt e_yaw + v^2 / L (j e_steer + (dt^2 / 2 - j) u)        j = T (dt - i)
+(5) J = sum of x' Q x + u' R u,       R = steer_weight (1 + (v / v_0)^2)^2
+(6) P = Q + A' P A - A' P B K,   K = (R + B' P B)^-1 B' P A,   u = -K x
+
+R grows with the lateral acceleration that a steering angle makes: below v_0 the error decays over a distance, above it
+over a time. K is tabulated over speed and interpolated; below the table's first speed, where (1)-(2) can hardly be
+steered, its first row holds.
+
+(7) steer command = atan(L kappa(s + v (T + dt / 2))) - K x
+    The curvature is read ahead by the steering's lag and half a period of the hold: to first order, the wheel then has
+    the angle of the path at the foot point s, and on a constant curve every error is 0 in the steady state.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from math import atan, exp
+
+import numpy as np
+
+from logs.errors import ConfigError
+from logs.kernel import FloatArray
+from logs.states import EgoState
+from logs.vehicle import VehicleParameters
+from replay.control.riccati import solve_riccati
+from replay.control.tracking import Deviation, PlanPath
+
+SPEED_STEP_MPS = 0.5
+MAX_SPEED_MPS = 60.0
+SHORTEST_LAG_S = 1e-3
+
+
+@dataclass(frozen=True)
+class KinematicDlqrConfig:
+    """Weights of (5).
+
+    Attributes:
+        lateral_weight: 1/m2; `heading_weight` 1/rad2; `steer_weight` 1/rad2.
+        heading_weight: Of e_yaw.
+        steer_weight: Of u.
+        speed_mps: v_0 of (5).
+    """
+
+    lateral_weight: float = 1.0
+    heading_weight: float = 1.0
+    steer_weight: float = 40.0
+    speed_mps: float = 12.0
+
+    def __post_init__(self) -> None:
+        if not (self.lateral_weight > 0.0 and self.heading_weight >= 0.0):
+            raise ConfigError("DLQR: lateral_weight must be positive and heading_weight not negative")
+        if not (self.steer_weight > 0.0 and self.speed_mps > 0.0):
+            raise ConfigError("DLQR: steer_weight and speed_mps must be positive")
+
+
+@dataclass(frozen=True, eq=False)
+class Regulator:
+    """A solved (4)-(6) at one speed: A `(3, 3)`, B `(3, 1)`, Q, R, P, and the gain K `(1, 3)`."""
+
+    A: FloatArray
+    B: FloatArray
+    Q: FloatArray
+    R: FloatArray
+    P: FloatArray
+    K: FloatArray
+
+
+def error_model(v: float, wheelbase: float, lag: float, period: float) -> tuple[FloatArray, FloatArray]:
+    """A `(3, 3)` and B `(3, 1)` of (4)."""
+    turn, decay = v / wheelbase, exp(-period / lag)
+    once = lag * (1.0 - decay)
+    twice = lag * (period - once)
+    A = np.array([[1.0, v * period, v * turn * twice], [0.0, 1.0, turn * once], [0.0, 0.0, decay]])
+    B = np.array([[v * turn * (0.5 * period**2 - twice)], [turn * (period - once)], [1.0 - decay]])
+    return A, B
+
+
+def regulator(v: float, wheelbase: float, lag: float, period: float, config: KinematicDlqrConfig) -> Regulator:
+    """Solve (4)-(6) at one speed, m/s.
+
+    Raises:
+        ConfigError: The weights, or a speed of 0, allow no stable gain.
+    """
+    A, B = error_model(v, wheelbase, lag, period)
+    Q = np.diag([config.lateral_weight, config.heading_weight, 0.0])
+    R = np.array([[config.steer_weight * (1.0 + (v / config.speed_mps) ** 2) ** 2]])
+    P = solve_riccati(A, B, Q, R)
+    if not np.isfinite(P).all():
+        raise ConfigError(f"DLQR: no stable gain at {v} m/s with {config}")
+    return Regulator(A, B, Q, R, P, np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A))
+
+
+@lru_cache(maxsize=32)
+def gain_table(
+    wheelbase: float, lag: float, period: float, config: KinematicDlqrConfig
+) -> tuple[tuple[float, float, float], ...]:
+    """K at the speeds SPEED_STEP_MPS, 2 SPEED_STEP_MPS, ... MAX_SPEED_MPS."""
+    speeds = SPEED_STEP_MPS * np.arange(1, round(MAX_SPEED_MPS / SPEED_STEP_MPS) + 1)
+    gains = [regulator(float(v), wheelbase, lag, period, config).K[0] for v in speeds]
+    return tuple((float(k[0]), float(k[1]), float(k[2])) for k in gains)
+
+
+class KinematicDlqr:
+    """(7); without memory. See `replay.control.base.LateralLaw`."""
+
+    def __init__(self, parameters: VehicleParameters, period: float, config: KinematicDlqrConfig | None = None) -> None:
+        lag = max(parameters.steer_lag, SHORTEST_LAG_S)
+        self._wheelbase = parameters.wheelbase
+        self._max_steer = parameters.max_steer
+        self._preview = lag + 0.5 * period
+        self._gains = gain_table(parameters.wheelbase, lag, period, config or KinematicDlqrConfig())
+
+    def gain(self, v: float) -> tuple[float, float, float]:
+        """K at a speed, m/s, linear between the table's rows; the ends hold."""
+        place = min(max(v / SPEED_STEP_MPS - 1.0, 0.0), len(self._gains) - 1.0)
+        i = min(int(place), len(self._gains) - 2)
+        u = place - i
+        one, two = self._gains[i], self._gains[i + 1]
+        return one[0] + u * (two[0] - one[0]), one[1] + u * (two[1] - one[1]), one[2] + u * (two[2] - one[2])
+
+    def steer(self, state: EgoState, path: PlanPath, off: Deviation) -> float:
+        """Front wheel angle to command, rad."""
+        here = atan(self._wheelbase * path.kappa(off.foot))
+        ahead = atan(self._wheelbase * path.kappa(off.foot + state.v * self._preview))
+        k_lat, k_yaw, k_steer = self.gain(state.v)
+        command = ahead - k_lat * off.lateral - k_yaw * off.heading - k_steer * (state.steer - here)
+        return min(max(command, -self._max_steer), self._max_steer)

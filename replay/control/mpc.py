@@ -1,0 +1,375 @@
+"""Model predictive control: trajectory tracking of lateral and longitudinal motion together.
+
+(1) J = sum over k of |xi_k|^2_Q + |u_k|^2_R_u + |u_k - u_(k-1)|^2_R_du        the paper's eq. 17
+    The paper calls R_u the weight of the change and R_u_rate that of the magnitude; the names here say what they weigh.
+(2) subject to the prediction and limits of `replay.control.mpc_model` (deviations from exact following of the plan)
+
+The plan is resampled by quintic polynomials (`replay.control.quintic`). A weight on the inputs themselves would pull
+the ego off a plan that accelerates: what is weighted is how far they are from those of exact following.
+
+One solve per `period_s` (20 Hz), warm-started; between two the steering goes on at the solved rate and the acceleration
+is held. The actuators' lag is in the prediction of the acceleration and is inverted for the steering:
+
+(3) steer command   = that of exact following + steer_0 + w (tau + lag + period / 2)
+(4) acceleration    = a_plan(t + pedal lag) + a
+
+The wheel angle that the prediction starts from is that of the actuator's model under the commands so far, led slowly to
+the measured one: a controller that starts from the measured angle takes back what a late actuator has not done yet.
+
+A plan carries the times at which it is to be driven, so a plan that comes late is followed from where it should be by
+now. Where no solution is found, the command is that of DLQR and dual-loop PID until the next; `notes` tell how often
+and why.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from math import cos, exp, sin
+
+import numpy as np
+from scipy import sparse
+
+from logs.errors import ConfigError
+from logs.kernel import FloatArray, IntArray
+from logs.states import Command, EgoState
+from logs.trace import Plan, SolverReport
+from logs.vehicle import VehicleParameters
+from planners.qp import QPConfig, QPResult, QuadraticProgram
+from replay.control.base import Controller
+from replay.control.dlqr_kinematic import SHORTEST_LAG_S
+from replay.control.exact import commanded, following_at, kappa_rate, slip_table, steer_for
+from replay.control.mpc_model import (
+    GRAVITY,
+    INPUTS,
+    LIMITS,
+    PATTERN_A,
+    PATTERN_B,
+    SIDES,
+    STATES,
+    STEP_SIZE,
+    entered,
+    lateral_table,
+    limits,
+    packed,
+    predicted,
+)
+from replay.control.pedals import Pedals, Standstill
+from replay.control.quintic import resampled
+from replay.control.slip import Slip
+from replay.control.tracking import Deviation, PlanPath
+from replay.vehicle.base import Powertrain
+
+RESAMPLED_S = 0.05
+WHEEL_TRUST = 0.02
+"""Share of the measured wheel angle that is taken over at each command."""
+WIDTH = INPUTS + STATES
+"""Variables of a step: u_k, xi_(k+1)."""
+SCALE = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.3, 1.0, 0.3])
+
+
+@dataclass(frozen=True)
+class MpcConfig:
+    """Horizon and weights of (1).
+
+    Attributes:
+        steps: Of the horizon.
+        step_s: Of the prediction.
+        period_s: Between two solves.
+        station_weight: 1/m2.
+        speed_weight: (s/m)2.
+        lateral_weight: 1/m2.
+        heading_weight: 1/rad2.
+        steer_weight: Of sigma, 1/rad2.
+        accel_weight: Of the acceleration's deviation as input, (s2/m)2.
+        steer_rate_weight: Of w, (s/rad)2.
+        accel_change_weight: Of the change of the acceleration from step to step.
+        steer_rate_change_weight: Of the change of w from step to step.
+        terminal: Factor on the errors at the last step.
+        speed_mps: v_0 of the prediction's (3).
+        friction_share: Of the tyres' friction that may be used.
+    """
+
+    steps: int = 20
+    step_s: float = 0.1
+    period_s: float = 0.05
+    station_weight: float = 1.0
+    speed_weight: float = 1.0
+    lateral_weight: float = 1.0
+    heading_weight: float = 1.0
+    steer_weight: float = 40.0
+    accel_weight: float = 0.5
+    steer_rate_weight: float = 1.0
+    accel_change_weight: float = 0.5
+    steer_rate_change_weight: float = 0.1
+    terminal: float = 5.0
+    speed_mps: float = 12.0
+    friction_share: float = 0.95
+
+    def __post_init__(self) -> None:
+        if not (self.steps > 1 and self.step_s > 0.0 and self.period_s > 0.0 and self.speed_mps > 0.0):
+            raise ConfigError("MPC: steps must be at least 2, step_s, period_s and speed_mps positive")
+        if min(self.state_weights + self.input_weights + self.change_weights) < 0.0 or not self.lateral_weight > 0.0:
+            raise ConfigError("MPC: lateral_weight must be positive and no weight negative")
+        if not 0.0 < self.friction_share <= 1.0:
+            raise ConfigError("MPC: friction_share must lie between 0 and 1")
+
+    @property
+    def state_weights(self) -> tuple[float, ...]:
+        """Diagonal of Q, in the order of xi."""
+        steer = self.steer_weight
+        return (self.station_weight, self.speed_weight, 0.0, self.lateral_weight, 0.0, self.heading_weight, 0.0, steer)
+
+    @property
+    def input_weights(self) -> tuple[float, float]:
+        """Diagonal of R_u."""
+        return self.accel_weight, self.steer_rate_weight
+
+    @property
+    def change_weights(self) -> tuple[float, float]:
+        """Diagonal of R_du."""
+        return self.accel_change_weight, self.steer_rate_change_weight
+
+
+class TrackingProgram:
+    """(1)-(2) as a quadratic program in (u_0, xi_1, u_1, ... xi_n); set up once, refilled at each solve."""
+
+    def __init__(self, config: MpcConfig) -> None:
+        self._config = config
+        n = config.steps
+        A, self._places = _pattern(n)
+        self._lower, self._upper = np.zeros(n * (STATES + LIMITS)), np.zeros(n * (STATES + LIMITS))
+        self._q = np.zeros(n * WIDTH)
+        self._program = QuadraticProgram(
+            "mpc", cost_matrix(config), A, equalities=n * STATES, scale=np.tile(SCALE, n), config=QPConfig(eps=1e-4)
+        )
+
+    def solve(
+        self, xi: FloatArray, before: FloatArray, A: FloatArray, B: FloatArray,
+        bounds: tuple[FloatArray, FloatArray, FloatArray], *, fresh: bool,
+    ) -> QPResult:  # fmt: skip
+        """The inputs and deviations from `xi` `(8,)` on, after the input `before` `(2,)`.
+
+        Args:
+            xi: Deviation now.
+            before: Input of the step before.
+            A: `(n, 8, 8)`.
+            B: `(n, 8, 2)`.
+            bounds: From `mpc_model.limits`.
+            fresh: Forget the last solution.
+        """
+        lower, upper, sides = bounds
+        split = len(A) * STATES
+        self._program.refill(packed(A, B, sides, self._places))
+        self._lower[:STATES] = self._upper[:STATES] = A[0] @ xi
+        self._lower[split:], self._upper[split:] = lower.ravel(), upper.ravel()
+        self._q[:INPUTS] = -np.array(self._config.change_weights) * before
+        return self._program.solve(self._q, self._lower, self._upper, fresh=fresh)
+
+
+def cost_matrix(config: MpcConfig) -> sparse.csc_matrix:
+    """P of (1), so that J / 2 = 1/2 z' P z + q' z + constant."""
+    n = config.steps
+    P = np.zeros((n * WIDTH, n * WIDTH))
+    for k in range(n):
+        u = slice(k * WIDTH, k * WIDTH + INPUTS)
+        xi = slice(u.stop, u.stop + STATES)
+        P[xi, xi] = np.diag(config.state_weights) * (config.terminal if k == n - 1 else 1.0)
+        P[u, u] += np.diag(config.input_weights) + np.diag(config.change_weights)
+        if k:
+            last = slice(u.start - WIDTH, u.start - WIDTH + INPUTS)
+            P[last, last] += np.diag(config.change_weights)
+            P[last, u] -= np.diag(config.change_weights)
+            P[u, last] -= np.diag(config.change_weights)
+    return sparse.csc_matrix(P)
+
+
+def _pattern(n: int) -> tuple[sparse.csc_matrix, IntArray]:
+    """The program's matrix with entries of usual size, and for each the place among all entries (`packed`)."""
+    rows, columns, places, sizes = [], [], [], []
+
+    def put(row: int, column: int, place: int, size: float = 0.1) -> None:
+        rows.append(row)
+        columns.append(column)
+        places.append(place)
+        sizes.append(size)
+
+    one = n * STEP_SIZE
+    for k in range(n):
+        first, u = k * STATES, k * WIDTH
+        for i, j in np.argwhere(PATTERN_B):
+            put(first + i, u + j, k * STEP_SIZE + i * INPUTS + j)
+        for i, j in np.argwhere(PATTERN_A):
+            if k:
+                put(first + i, u - STATES + j, k * STEP_SIZE + STATES * INPUTS + i * STATES + j)
+        for i in range(STATES):
+            put(first + i, u + INPUTS + i, one, 1.0)
+        limit = n * STATES + k * LIMITS
+        for i, j in enumerate((0, 1, WIDTH - 1)):
+            put(limit + i, u + j, one, 1.0)
+        for i in range(SIDES):
+            polygon = k * STEP_SIZE + STATES * (INPUTS + STATES) + 2 * i
+            put(limit + 3 + i, u + INPUTS + 2, polygon, 1.0)
+            put(limit + 3 + i, u + WIDTH - 1, polygon + 1, 30.0)
+    shape = (n * (STATES + LIMITS), n * WIDTH)
+    A = sparse.csc_matrix((sizes, (rows, columns)), shape)
+    order = sparse.csc_matrix((np.arange(1.0, len(places) + 1.0), (rows, columns)), shape)
+    A.sort_indices()
+    order.sort_indices()
+    return A, np.array(places, np.int64)[order.data.astype(np.int64) - 1]
+
+
+@dataclass(slots=True)
+class Falls:
+    """The solves without a solution: how many of how many, and the first one's time and reason."""
+
+    solves: int = 0
+    falls: int = 0
+    first: str = field(default="")
+
+    def add(self, t: float, report: SolverReport) -> None:
+        """One more solve at `t`, s."""
+        self.solves += 1
+        if not report.solved:
+            self.falls += 1
+            self.first = self.first or f"at {t:.2f} s: {report.status}"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """One sentence where it happened, else nothing."""
+        if not self.falls:
+            return ()
+        how_often = f"{self.falls} of {self.solves} solves"
+        return (f"MPC found no solution in {how_often} (first {self.first}): DLQR and PID drove",)
+
+
+class Mpc:
+    """(1)-(4). See `replay.control.base.Controller`.
+
+    Args:
+        parameters: Of the ego.
+        powertrain: Its longitudinal plant.
+        period: Between two commands, s.
+        fallback: Drives where there is no solution.
+        config: Horizon and weights.
+    """
+
+    def __init__(
+        self,
+        parameters: VehicleParameters,
+        powertrain: Powertrain,
+        period: float,
+        fallback: Controller,
+        config: MpcConfig | None = None,
+    ) -> None:
+        self._p, self._train, self._period, self._fallback = parameters, powertrain, period, fallback
+        self._config = config or MpcConfig()
+        self._table, self._slips = lateral_table(parameters, self._config.step_s), slip_table(parameters)
+        self._lag = max(parameters.steer_lag, SHORTEST_LAG_S)
+        self._every = max(round(self._config.period_s / period), 1)
+        self._program = TrackingProgram(self._config)
+        self._slip = Slip(parameters, period)
+        self._pedals, self._standstill = Pedals(powertrain), Standstill()
+        self._plan: Plan | None = None
+        self._path: PlanPath | None = None
+        self._falls = Falls()
+        self._since = 0
+        self._solved = False
+        self._input: FloatArray = np.zeros(INPUTS)
+        self._steer = self._steer_rate = self._wheel = 0.0
+        self._turning = False
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Where it fell back, one sentence."""
+        return self._falls.notes
+
+    def control(self, state: EgoState, plan: Plan) -> Command:
+        """The command for the next control period."""
+        path = self._resampled(plan)
+        other = self._fallback.control(state, plan)
+        self._wheel += (WHEEL_TRUST if self._turning else 1.0) * (state.steer - self._wheel)
+        if self._standstill.holds(state.v, state.t, path):
+            self._rest()
+            return Command(state.steer, *self._pedals.hold(state.v))
+        off = path.deviation(state)
+        self._slip.learn(state)
+        if self._since % self._every == 0:
+            self._solve(state, path, off)
+        tau = self._period * (self._since % self._every)
+        self._since += 1
+        command = self._command(state, path, off, tau) if self._solved else other
+        self._turn(command.steer)
+        return command
+
+    def _turn(self, steer: float) -> None:
+        """Where the wheel will be after a period of this command, by the model of the actuator."""
+        self._turning = True
+        most = self._p.max_steer_rate * self._period
+        moved = (1.0 - exp(-self._period / self._lag)) * (steer - self._wheel)
+        self._wheel += min(max(moved, -most), most)
+
+    def _resampled(self, plan: Plan) -> PlanPath:
+        if self._path is None or plan is not self._plan:
+            self._plan, self._path = plan, PlanPath.of(resampled(plan.trajectory, RESAMPLED_S))
+        return self._path
+
+    def _rest(self) -> None:
+        self._since, self._solved, self._turning = 0, False, False
+        self._input = np.zeros(INPUTS)
+
+    def _solve(self, state: EgoState, path: PlanPath, off: Deviation) -> None:
+        config, p = self._config, self._p
+        lags = (self._train.throttle_lag, self._train.brake_lag, self._train.coasting(state.v))
+        along = entered(
+            path.times, path.knots, self._slips, p.wheelbase, self._slip.ratios, lags,
+            state.t, off.foot, state.v, config.step_s, config.steps,
+        )  # fmt: skip
+        A, B = predicted(along, self._table, config.speed_mps, config.step_s)
+        grip = config.friction_share * p.tyre_friction * GRAVITY
+        bounds = limits(
+            along, self._reach(along), grip, (p.max_steer, p.max_steer_rate), config.speed_mps, config.step_s
+        )
+        xi, scale = self._deviation(state, path, off, along), 1.0 + (state.v / config.speed_mps) ** 2
+        result = self._program.solve(xi, self._input, A, B, bounds, fresh=not self._solved)
+        self._falls.add(state.t, result.report)
+        self._solved = result.report.solved
+        self._input = result.x[:INPUTS].copy()
+        self._steer, self._steer_rate = xi[7] / scale, self._input[1] / scale
+
+    def _reach(self, along: FloatArray) -> FloatArray:
+        """Least and greatest acceleration at each step."""
+        train = self._train
+        low = [train.coasting(v) - train.full_brake(v) for v in along[:-1, 0].tolist()]
+        high = [train.coasting(v) + train.full_throttle(v) for v in along[:-1, 0].tolist()]
+        return np.column_stack([low, high])
+
+    def _deviation(self, state: EgoState, path: PlanPath, off: Deviation, along: FloatArray) -> FloatArray:
+        """The deviation xi now."""
+        v, kappa = state.v, path.kappa(off.foot)
+        slip, _ = following_at(self._slips, self._p.wheelbase, self._slip.ratios, v)
+        turning = v * kappa + slip * kappa_rate(path.knots, off.foot, v)
+        scale = 1.0 + (v / self._config.speed_mps) ** 2
+        side = state.v_lat * cos(off.heading) + v * (sin(off.heading) - off.heading)
+        return np.array(
+            [
+                off.station,
+                off.speed,
+                state.a - along[0, 2],
+                off.lateral,
+                side + v * slip * kappa,
+                off.heading - slip * kappa,
+                state.yaw_rate - turning,
+                scale * (self._wheel - along[0, 4]),
+            ]
+        )
+
+    def _command(self, state: EgoState, path: PlanPath, off: Deviation, tau: float) -> Command:
+        """(3)-(4), `tau` s after the solve."""
+        _, angle = following_at(self._slips, self._p.wheelbase, self._slip.ratios, state.v)
+        steer = steer_for(path.knots, off.foot, state.v, commanded(angle, self._lag, self._period))
+        steer += self._steer + self._steer_rate * (tau + self._lag + 0.5 * self._period)
+        train = self._train
+        lag = train.throttle_lag if path.timed(state.t)[2] >= train.coasting(state.v) else train.brake_lag
+        acceleration = path.timed(state.t + lag)[2] + float(self._input[0])
+        steer = min(max(steer, -self._p.max_steer), self._p.max_steer)
+        return Command(float(steer), *self._pedals.press(acceleration, state.v))

@@ -1,0 +1,278 @@
+"""The lateral model and the DLQR: laws of the linear plant, then the nonlinear one."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from handmade import drive, s_curve
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.linalg import solve_discrete_are
+
+from logs import ConfigError, EgoState, Plan, Trajectory, VehicleParameters
+from replay.control import CONTROLLERS
+from replay.control.dlqr import Dlqr, DlqrConfig, regulator
+from replay.control.dlqr_kinematic import KinematicDlqrConfig
+from replay.control.dlqr_kinematic import regulator as kinematic_regulator
+from replay.control.exact import commanded, following_at, slip_table, steer_for
+from replay.control.lateral_model import (
+    DISCRETISATIONS,
+    at_rear_axle,
+    body_model,
+    error_model,
+    following,
+    held,
+    with_rigid_tyres,
+    with_steering,
+)
+from replay.control.slip import Slip
+from replay.control.tracking import PlanPath
+from replay.rig import controller_of
+from replay.vehicle import VEHICLES
+
+CAR = VehicleParameters()
+PERIOD = 0.01
+B = CAR.wheelbase - CAR.cog_to_front
+TABLE = [*np.geomspace(0.1, 50.0, 40)]
+
+
+def track(plan: Trajectory, vehicle: str, name: str = "dlqr_pid", plant: VehicleParameters = CAR) -> np.ndarray:
+    """Lateral errors of a plan followed from its start."""
+    car = VEHICLES[vehicle](plant, plan.state(0))
+    controller, one, path, rows = controller_of(car, CAR, name, PERIOD), Plan(plan), PlanPath.of(plan), []
+    for _ in range(round(float(plan.t[-1]) / PERIOD)):
+        rows.append(path.deviation(car.state).lateral)
+        car.step(controller.control(car.state, one), PERIOD)
+    return np.array(rows)
+
+
+# --- the model
+
+
+@given(st.floats(0.3, 50.0), st.floats(-0.2, 0.2), st.floats(-1.0, 1.0), st.floats(-0.5, 0.5), st.floats(-2.0, 2.0))
+def test_the_error_model_is_the_textbook_bicycle(v: float, steer: float, e_rate: float, e_phi: float, r: float) -> None:
+    """Against (1) written out: forces of both axles, a path of curvature r_path / v."""
+    A, col, E = error_model(v, CAR)
+    r_path = 0.4
+    x = np.array([0.7, e_rate, e_phi, r - r_path])
+    rate = A @ x + col * steer + E * r_path
+    v_y = e_rate - v * e_phi
+    front = CAR.cornering_front * (steer - (v_y + CAR.cog_to_front * r) / v)
+    rear = -CAR.cornering_rear * (v_y - B * r) / v
+    side, spin = (front + rear) / CAR.mass - v * r, (CAR.cog_to_front * front - B * rear) / CAR.yaw_inertia
+    expected = [e_rate, side + v * (r - r_path), r - r_path, spin]  # e_d'' = v_y' + v e_phi'
+    np.testing.assert_allclose(rate, expected, rtol=1e-9, atol=1e-9)
+
+
+@given(st.floats(0.5, 45.0))
+def test_the_body_model_is_the_error_model_at_the_rear_axle(v: float) -> None:
+    """On a straight, e_d' = v_lat + v e_phi and e_phi' = r."""
+    A, col, _ = at_rear_axle(error_model(v, CAR), v, CAR)
+    body, steered = body_model(v, CAR)
+    rng = np.random.default_rng(3)
+    e_phi, v_lat, r, steer = rng.normal(size=4)
+    rate = A @ np.array([0.0, v_lat + v * e_phi, e_phi, r]) + col * steer
+    moved = body @ np.array([v_lat, r]) + steered * steer
+    np.testing.assert_allclose(rate[[1, 3]], [moved[0] + v * r, moved[1]], rtol=1e-9)
+
+
+@settings(max_examples=15)
+@given(st.floats(1.0, 45.0), st.sampled_from([0.005, 0.01, 0.05]))
+def test_the_hold_is_exact(v: float, period: float) -> None:
+    """Two half periods are one, and many Runge-Kutta steps come to the same."""
+    A, col, _ = error_model(v, CAR)
+    whole, half = held(A, col[:, None], period), held(A, col[:, None], 0.5 * period)
+    np.testing.assert_allclose(whole[0], half[0] @ half[0], atol=1e-9)
+    np.testing.assert_allclose(whole[1], half[0] @ half[1] + half[1], atol=1e-9)
+    x, n = np.array([0.3, 0.1, -0.05, 0.2]), 2000
+    exact = whole[0] @ x + whole[1][:, 0] * 0.02
+    for _ in range(n):
+        k1 = A @ x + col * 0.02
+        k2 = A @ (x + 0.5 * period / n * k1) + col * 0.02
+        x = x + period / n * k2
+    np.testing.assert_allclose(x, exact, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("v", "period", "paper", "consistent"),
+    [(15.0, 0.01, 2.9e-2, 6.6e-4), (5.0, 0.01, 0.087, 0.0026), (5.0, 0.1, 0.96, 0.11)],
+)
+def test_the_papers_input_matrix_is_off_by_percents_and_the_consistent_one_is_not(
+    v: float, period: float, paper: float, consistent: float
+) -> None:
+    """Errors of the order found by hand for a like car."""
+    A, col, _ = error_model(v, CAR)
+    exact = held(A, col[:, None], period)[1]
+
+    def error(name: str) -> float:
+        return float(np.linalg.norm(DISCRETISATIONS[name](A, col[:, None], period)[1] - exact) / np.linalg.norm(exact))
+
+    assert paper / 2.5 < error("paper") < 2.5 * paper
+    assert consistent / 4.0 < error("bilinear") < 4.0 * consistent
+
+
+@pytest.mark.parametrize("v", [3.0, 8.0, 15.0, 30.0])
+def test_gains_of_the_papers_discretisation_differ_by_a_few_percent(v: float) -> None:
+    exact = regulator(v, CAR, PERIOD, DlqrConfig()).K[0]
+    for name, most in (("paper", 0.05), ("bilinear", 0.002)):
+        other = regulator(v, CAR, PERIOD, DlqrConfig(discretisation=name)).K[0]
+        assert np.abs(other - exact).max() < most * np.abs(exact).max()
+    slow = regulator(v, CAR, 0.1, DlqrConfig(discretisation="paper")).K[0]
+    assert np.abs(slow - regulator(v, CAR, 0.1, DlqrConfig()).K[0]).max() > 0.01 * np.abs(slow).max()
+
+
+# --- the regulator
+
+
+@given(st.floats(0.5, 45.0), st.lists(st.floats(-1.0, 1.0), min_size=5, max_size=5))
+def test_predicted_cost_is_the_rolled_out_cost(v: float, x0: list[float]) -> None:
+    r = regulator(v, CAR, PERIOD, DlqrConfig())
+    moves, cost = r.A - r.B @ r.K, r.Q + r.K.T @ r.R @ r.K
+    for _ in range(18):  # the first 2, 4, ... 2^18 steps of the roll-out
+        cost, moves = cost + moves.T @ cost @ moves, moves @ moves
+    x = np.array(x0)
+    assert x @ cost @ x == pytest.approx(x @ r.P @ x, rel=1e-6, abs=1e-12)
+
+
+@pytest.mark.parametrize("v", [0.5, 2.0, 9.0, 21.0, 44.0])
+def test_the_gain_is_the_librarys(v: float) -> None:
+    r = regulator(v, CAR, PERIOD, DlqrConfig())
+    P = solve_discrete_are(r.A, r.B, r.Q, r.R)
+    np.testing.assert_allclose(r.K, np.linalg.solve(r.R + r.B.T @ P @ r.B, r.B.T @ P @ r.A), rtol=1e-5)
+
+
+@pytest.mark.parametrize("v", TABLE)
+def test_the_tabulated_gain_is_stable_at_all_speeds(v: float) -> None:
+    A, col, _ = at_rear_axle(error_model(v, CAR), v, CAR)
+    A, col = held(*(lambda a, b: (a, b[:, None]))(*with_steering(A, col, CAR.steer_lag)), PERIOD)
+    K = np.array([Dlqr(CAR, PERIOD).gain(v)])
+    assert np.abs(np.linalg.eigvals(A - col @ K)).max() < 1.0
+
+
+def test_stiff_tyres_give_the_kinematic_gains() -> None:
+    stiff = replace(CAR, cornering_front=1e9, cornering_rear=1e9)
+    for v in (2.0, 10.0, 20.0):
+        K = regulator(v, stiff, PERIOD, DlqrConfig()).K[0]
+        k = kinematic_regulator(v, CAR.wheelbase, CAR.steer_lag, PERIOD, KinematicDlqrConfig()).K[0]
+        # e_d' = v e_phi and e_phi' = v / L e_steer: their gains are the heading's and the steering's
+        merged = [K[0], K[2] + v * K[1], K[4] + v / CAR.wheelbase * K[3]]
+        np.testing.assert_allclose(merged, k, rtol=2e-2)
+
+
+def test_settings_that_make_no_sense_are_refused() -> None:
+    with pytest.raises(ConfigError, match="did you mean 'bilinear'"):
+        DlqrConfig(discretisation="bilinaer")
+    with pytest.raises(ConfigError, match="lateral_weight"):
+        DlqrConfig(lateral_weight=0.0)
+    with pytest.raises(ConfigError, match="no stable gain"):
+        regulator(0.0, CAR, PERIOD, DlqrConfig())
+
+
+# --- exact following
+
+
+@given(st.floats(1.0, 40.0))
+def test_steady_following_is_the_analytic_understeer(v: float) -> None:
+    """limits.md (iv): L/R + (m a_y/L)(b/C_f - a/C_r); heading a m a_y/(L C_r), at the rear axle."""
+    rear, front, rolling = following(v, CAR)
+    a, m, length = CAR.cog_to_front, CAR.mass, CAR.wheelbase
+    under = m * v * v / length * (B / CAR.cornering_front - a / CAR.cornering_rear)
+    assert (front - rear + rolling)[0] == pytest.approx(length + under)
+    assert rear[0] == pytest.approx(a * m * v * v / (length * CAR.cornering_rear))
+
+
+@given(st.floats(3.0, 35.0), st.floats(0.2, 2.0))
+def test_the_series_solves_the_equations_of_motion(v: float, pace: float) -> None:
+    """With kappa = exp(pace t), the residue of the series of 3 is of order pace^3."""
+
+    def residue(pace: float) -> float:
+        rear, front, rolling = following(v, CAR)
+        powers = pace ** np.arange(3)
+        heading, steer = rear @ powers, (front - rear + rolling) @ powers
+        state = np.array([-v * heading, v + pace * heading])
+        body, steered = body_model(v, CAR)
+        return float(np.abs(body @ state + steered * steer - pace * state)[0])
+
+    assert residue(0.5 * pace) < residue(pace) / 6.0 + 1e-9
+
+
+@pytest.mark.parametrize(("radius", "v"), [(50.0, 10.0), (200.0, 20.0), (-250.0, 25.0)])
+def test_steady_error_on_the_linear_plant_is_zero(radius: float, v: float) -> None:
+    """The radii and speeds of limits.md (iv), where a feed-forward without k_3 leaves 23 to 51 mm."""
+    A, col, E = at_rear_axle(error_model(v, CAR), v, CAR)
+    (p0, d), K = following_at(slip_table(CAR), CAR.wheelbase, (1.0, 1.0), v), Dlqr(CAR, PERIOD).gain(v)
+    gain, kappa = np.array(K[:4]), 1.0 / radius
+
+    def steady(with_k3: float) -> float:
+        feed = (d[0] + K[2] * p0 * with_k3) * kappa
+        return float(np.linalg.solve(A - np.outer(col, gain), -(col * feed + E * v * kappa))[0])
+
+    assert steady(1.0) == pytest.approx(0.0, abs=1e-9)
+    assert abs(steady(0.0)) > 0.02
+
+
+def test_the_command_leads_the_wheel_by_lag_and_hold() -> None:
+    d = (2.5, 0.3, 0.02)
+    c = commanded(d, 0.1, 0.01)
+    pace = 1e-2  # of kappa = exp(pace t): the wheel is exp(-pace h / 2) / (1 + T pace) times the command
+    wheel = sum(c[i] * pace**i for i in range(3)) * np.exp(-pace * 0.005) / (1.0 + 0.1 * pace)
+    assert wheel == pytest.approx(sum(d[i] * pace**i for i in range(3)), rel=1e-7)
+
+
+@given(st.floats(2.0, 25.0), st.floats(-0.02, 0.02))
+def test_on_a_circle_the_wheel_angle_is_d0_kappa(v: float, kappa: float) -> None:
+    path = PlanPath.of(drive(lambda s: np.full_like(s, kappa), v, 6.0))
+    assert steer_for(path.knots, 3.0 * v, v, (2.7, 0.8, 0.1)) == pytest.approx(2.7 * kappa, abs=1e-6)
+
+
+# --- what is learned
+
+
+@pytest.mark.parametrize("stiffness", [0.7, 1.0, 1.4])
+def test_the_slip_that_was_there_is_learned(stiffness: float) -> None:
+    """A linear plant with other tyres than those of the parameters."""
+    p = replace(CAR, cornering_front=stiffness * CAR.cornering_front, cornering_rear=stiffness * CAR.cornering_rear)
+    A, col = held(*(lambda a, b: (a, b[:, None]))(*body_model(15.0, p)), PERIOD)
+    slip, q = Slip(CAR, PERIOD), np.zeros(2)
+    for k in range(600):
+        steer = 0.03 * np.sin(0.02 * k)
+        slip.learn(EgoState(k * PERIOD, 0.0, 0.0, 0.0, 15.0, steer=steer, yaw_rate=float(q[1]), v_lat=float(q[0])))
+        q = A @ q + col[:, 0] * steer
+    assert slip.ratios == pytest.approx((1.0 / stiffness, 1.0 / stiffness), rel=0.03)
+
+
+def test_nothing_is_learned_where_there_is_nothing_to_learn_from() -> None:
+    slip, rigid = Slip(CAR, PERIOD), Slip(with_rigid_tyres(CAR), PERIOD)
+    for k in range(200):
+        slip.learn(EgoState(k * PERIOD, 0.0, 0.0, 0.0, 15.0))
+        rigid.learn(EgoState(k * PERIOD, 0.0, 0.0, 0.0, 15.0, steer=0.02, yaw_rate=15.0 * 0.02 / CAR.wheelbase))
+    assert slip.ratios == rigid.ratios == (1.0, 1.0)
+
+
+# --- on the vehicle models
+
+
+@pytest.mark.parametrize("vehicle", ["kinematic_bicycle", "single_track"])
+def test_an_s_curve_is_tracked_within_the_aim_without_other_tuning(vehicle: str) -> None:
+    off = track(drive(s_curve, 12.0, 14.5), vehicle)
+    assert np.sqrt(np.mean(off**2)) < 0.01
+    assert np.abs(off).max() < 0.03
+
+
+def test_an_s_curve_is_tracked_with_other_tyres_and_load() -> None:
+    soft = replace(
+        CAR.loaded(1.2 * CAR.mass), cornering_front=0.7 * CAR.cornering_front, cornering_rear=0.7 * CAR.cornering_rear
+    )
+    assert np.abs(track(drive(s_curve, 12.0, 14.5), "single_track", plant=soft)).max() < 0.1
+
+
+@pytest.mark.parametrize(("radius", "v"), [(30.0, 8.0), (-250.0, 25.0)])
+def test_steady_error_on_tyres_with_a_limit_vanishes(radius: float, v: float) -> None:
+    plan = drive(lambda s: np.interp(s, [v, 3.0 * v], [0.0, 1.0 / radius]), v, 12.0)
+    assert abs(track(plan, "single_track")[-1]) < 1e-3
+
+
+def test_the_default_controller_is_the_dynamic_dlqr() -> None:
+    assert next(iter(CONTROLLERS)) == "dlqr_pid"

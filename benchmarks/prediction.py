@@ -88,7 +88,9 @@ def main() -> None:
     print("\nagents and frames compared:")
     print(table.groupby(["source", "ahead_s"]).size().unstack().div(len(PREDICTORS)).astype(int).to_string())
     print("\nmilliseconds per frame:")
-    print(table.groupby("method", sort=False)["ms"].describe(percentiles=[0.5, 0.99])[["50%", "99%"]].round(2).to_string())
+    print(
+        table.groupby("method", sort=False)["ms"].describe(percentiles=[0.5, 0.99])[["50%", "99%"]].round(2).to_string()
+    )
 
 
 if __name__ == "__main__":

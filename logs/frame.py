@@ -7,12 +7,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from math import atan2, hypot
 from typing import TYPE_CHECKING
 
-from logs.kernel import FloatArray, IntArray, frozen
-from logs.road import Goal, Road
+import numpy as np
+
+from logs.kernel import BoolArray, FloatArray, IntArray, frozen, kernel
+from logs.road import Goal, Road, inside
 from logs.scenario import Agents
-from logs.states import EgoState
+from logs.states import EgoState, wrap
 from logs.vehicle import VehicleParameters
 
 if TYPE_CHECKING:
@@ -51,6 +54,47 @@ class Predictions:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class Visibility:
+    """What the sensor can see of the ground; ask `hides` for points from which somebody may step out.
+
+    Attributes:
+        x: Sensor, world, m; `y` likewise.
+        yaw: Middle of its field of view, rad.
+        range: m.
+        field_of_view: rad; 2 pi and more is all round.
+        shadows: Hidden ground behind one agent each: quadrilaterals `(n, 4, 2)`, world, m, counter-clockwise from the
+            near right corner, seen from the sensor; they reach beyond the range.
+    """
+
+    x: float
+    y: float
+    yaw: float
+    range: float
+    field_of_view: float
+    shadows: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "shadows", frozen(np.reshape(self.shadows, (-1, 4, 2))))
+
+    def hides(self, points: FloatArray) -> BoolArray:
+        """Which of the points `(k, 2)`, world, m, lie out of range, out of the field of view, or in a shadow."""
+        sensor = np.array([self.x, self.y, self.yaw, self.range, self.field_of_view])
+        return _hidden(np.asarray(points, dtype=np.float64), sensor, self.shadows)
+
+
+@kernel
+def _hidden(points: FloatArray, sensor: FloatArray, shadows: FloatArray) -> BoolArray:
+    """Which points the sensor (x, y, yaw, range, field of view) does not see."""
+    out = np.zeros(len(points), np.bool_)
+    for i in range(len(points)):
+        dx, dy = points[i, 0] - sensor[0], points[i, 1] - sensor[1]
+        out[i] = hypot(dx, dy) > sensor[3] or abs(wrap(atan2(dy, dx) - sensor[2])) > 0.5 * sensor[4]
+        for k in range(len(shadows)):
+            out[i] = out[i] or inside(points[i, 0], points[i, 1], shadows[k])
+    return out
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class Frame:
     """The situation at one instant.
 
@@ -61,6 +105,7 @@ class Frame:
         predictions: Their assumed futures.
         previous: The plan being driven now; None in open loop and at the start. A planner given None must not use
             anything it remembers (solver warm starts included).
+        visibility: What the sensor can see; None: everything (perception by ground truth).
     """
 
     t: float
@@ -68,6 +113,7 @@ class Frame:
     agents: Agents
     predictions: Predictions
     previous: Plan | None = None
+    visibility: Visibility | None = None
 
 
 def _no_clock(stage: str) -> None:

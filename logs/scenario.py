@@ -16,6 +16,10 @@ from logs.vehicle import VehicleParameters
 
 MAX_AGE_S = 0.5
 """An agent that was not seen for longer than this is no longer assumed to be there."""
+TREND_S = 1.0
+"""Yaw rate and acceleration are backward differences over at most this; one sample back where samples are rarer."""
+_UNKNOWN = frozen(np.empty(0))
+_Motion = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 
 
 class AgentKind(Enum):
@@ -37,7 +41,12 @@ class AgentKind(Enum):
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Agents:
-    """Road users at one instant: `(n,)` each, world frame, box centres, m, rad, m/s."""
+    """Road users at one instant: `(n,)` each, world frame, box centres, m, rad, m/s.
+
+    Attributes:
+        yaw_rate: rad/s; 0 where it is not known, and of pedestrians, who turn on the spot. `accel` likewise: rate of
+            the speed, m/s2. Left out: all 0.
+    """
 
     ids: tuple[str, ...]
     kinds: tuple[AgentKind, ...]
@@ -48,9 +57,14 @@ class Agents:
     yaw: FloatArray
     vx: FloatArray
     vy: FloatArray
+    yaw_rate: FloatArray = field(default_factory=lambda: _UNKNOWN)
+    accel: FloatArray = field(default_factory=lambda: _UNKNOWN)
 
     def __post_init__(self) -> None:
-        for name in ("length", "width", "x", "y", "yaw", "vx", "vy"):
+        for name in ("yaw_rate", "accel"):
+            if getattr(self, name) is _UNKNOWN:
+                object.__setattr__(self, name, np.zeros(len(self.ids)))
+        for name in ("length", "width", "x", "y", "yaw", "vx", "vy", "yaw_rate", "accel"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
     def __len__(self) -> int:
@@ -69,6 +83,35 @@ def _last_samples(offsets: IntArray, t: FloatArray, time: float) -> IntArray:
     for i in range(len(out)):
         k = np.searchsorted(t[offsets[i] : offsets[i + 1]], time + 1e-9, side="right")
         out[i] = offsets[i] + k - 1 if k > 0 else -1
+    return out
+
+
+@kernel
+def _trends(
+    seen: IntArray, at: IntArray, offsets: IntArray, t: FloatArray, yaw: FloatArray, x: FloatArray, y: FloatArray,
+    vx: FloatArray, vy: FloatArray, speed: FloatArray,
+) -> FloatArray:  # fmt: skip
+    """Yaw rate and acceleration `(2, n)` of tracks `seen` at samples `at`, over the last `TREND_S`; 0: not known.
+
+    `speed` `(n,)` is the speed at those samples; the earlier one is the logged, else a backward difference.
+    """
+    out = np.zeros((2, len(seen)))
+    for i in range(len(seen)):
+        first, last = offsets[seen[i]], at[i]
+        k = last
+        while k > first and t[last] - t[k - 1] <= TREND_S + 1e-9:
+            k -= 1
+        if k == last and k > first and t[last] - t[k - 1] <= 2.0 * TREND_S:
+            k -= 1
+        if k == last:
+            continue
+        span = t[last] - t[k]
+        out[0, i] = (yaw[last] - yaw[k]) / span
+        was_x, was_y = vx[k], vy[k]
+        if not np.isfinite(was_x + was_y) and k > first:
+            was_x, was_y = (x[k] - x[k - 1]) / (t[k] - t[k - 1]), (y[k] - y[k - 1]) / (t[k] - t[k - 1])
+        if np.isfinite(was_x + was_y):
+            out[1, i] = (speed[i] - np.hypot(was_x, was_y)) / span
     return out
 
 
@@ -176,9 +219,10 @@ class Tracks:
         index = np.where(self.static & (index < 0), self.offsets[:-1], index)
         seen = np.flatnonzero((index >= 0) & (self.static | (age <= MAX_AGE_S)))
         at = index[seen]
-        vx, vy = self._velocity(seen, at)
+        vx, vy = self.velocity(seen, at)
         age = np.where(self.static[seen], 0.0, age[seen])
-        return self._agents(seen, self.x[at] + age * vx, self.y[at] + age * vy, self.yaw[at], vx, vy)
+        x, y = self.x[at] + age * vx, self.y[at] + age * vy
+        return self._agents(seen, at, (x, y, self.yaw[at], vx, vy))
 
     def truth(self, time: float) -> Agents:
         """The agents as they were at `time`, interpolated: for metrics and drawing, never for a planner."""
@@ -191,13 +235,14 @@ class Tracks:
         span = self.t[after] - self.t[at]
         u = np.clip(np.divide(time - self.t[at], span, out=np.zeros(len(at)), where=span > 0.0), 0.0, 1.0)
         x, y, yaw = (values[at] + u * (values[after] - values[at]) for values in (self.x, self.y, self.yaw))
-        vx, vy = self._velocity(seen, at)
+        vx, vy = self.velocity(seen, at)
         moving = span > 0.0
         vx = np.where(moving, np.divide(self.x[after] - self.x[at], span, out=vx.copy(), where=moving), vx)
         vy = np.where(moving, np.divide(self.y[after] - self.y[at], span, out=vy.copy(), where=moving), vy)
-        return self._agents(seen, x, y, yaw, vx, vy)
+        return self._agents(seen, at, (x, y, yaw, vx, vy))
 
-    def _velocity(self, seen: IntArray, at: IntArray) -> tuple[FloatArray, FloatArray]:
+    def velocity(self, seen: IntArray, at: IntArray) -> tuple[FloatArray, FloatArray]:
+        """vx and vy `(k,)` of the tracks `seen` at their samples `at`: logged, else backward differences, m/s."""
         before = np.maximum(at - 1, self.offsets[seen])
         span = self.t[at] - self.t[before]
         differences = [
@@ -210,19 +255,20 @@ class Tracks:
             np.where(np.isfinite(self.vy[at]), self.vy[at], differences[1]) * moves,
         )
 
-    def _agents(
-        self, seen: IntArray, x: FloatArray, y: FloatArray, yaw: FloatArray, vx: FloatArray, vy: FloatArray
-    ) -> Agents:
+    def _agents(self, seen: IntArray, at: IntArray, pose: _Motion) -> Agents:
+        """The tracks `seen`, last sampled `at`, at x, y, yaw, vx, vy."""
+        speed = np.hypot(pose[3], pose[4])
+        trends = _trends(seen, at, self.offsets, self.t, self.yaw, self.x, self.y, self.vx, self.vy, speed)
+        kinds = tuple(self.kinds[i] for i in seen)
+        turns = np.array([kind is not AgentKind.PEDESTRIAN for kind in kinds], float) * ~self.static[seen]
         return Agents(
             tuple(self.ids[i] for i in seen),
-            tuple(self.kinds[i] for i in seen),
+            kinds,
             self.length[seen],
             self.width[seen],
-            x,
-            y,
-            yaw,
-            vx,
-            vy,
+            *pose,
+            yaw_rate=turns * trends[0],
+            accel=np.where(self.static[seen], 0.0, trends[1]),
         )
 
 

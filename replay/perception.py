@@ -1,27 +1,151 @@
 """What the planner is allowed to see: a Frame, made of the World.
 
-Ground truth for now: every agent at its last sample not later than the frame's time, carried on with its velocity
-(`Tracks.perceived`). Nothing of a later sample goes in.
+    "ground_truth"    every agent at its last sample not later than the frame's time, carried on with its velocity
+                      (`Tracks.perceived`)
+    "sensor"          what a sensor on the ego would tell of them (`replay.sensor`), and what ground it cannot see
+
+Nothing of a later sample goes in, but for one prediction that says so: "oracle", the log's own future, which shows what
+better predictions could give at most. It marks the drive as an oracle's.
 """
 
 from __future__ import annotations
 
-from logs.frame import Frame
+from collections.abc import Callable
+
+import numpy as np
+
+from logs.errors import unknown_name
+from logs.frame import Frame, Predictions, Visibility
+from logs.kernel import FloatArray
+from logs.scenario import Agents, Scenario, Tracks
 from logs.trace import Plan
-from planners.prediction import predict
+from planners.prediction import NO_LANES, PREDICTORS, LaneMap, predict
 from replay.drive import LoopConfig
+from replay.sensor import Sensor
 from replay.world import World
 
+ORACLE = "oracle"
+PREDICTIONS = (*PREDICTORS, ORACLE)
+"""What `LoopConfig.prediction` may be."""
 
-def perceive(world: World, previous: Plan | None, config: LoopConfig) -> Frame:
-    """The frame at the world's time; `previous` is the plan being driven, None in open loop and at the start."""
-    t = world.ego.t
-    agents = world.tracks.perceived(t)
-    predictions = predict(
-        agents,
-        t,
-        horizon=config.prediction_horizon_s,
-        step=config.prediction_step_s,
-        method=config.prediction,
+Sight = Callable[[World], tuple[Agents, Visibility | None]]
+"""The agents as they are shown to the planner, and what ground can be seen (None: all)."""
+
+
+def ground_truth(world: World) -> tuple[Agents, None]:
+    """Everybody, as known at the world's time."""
+    return world.tracks.perceived(world.ego.t), None
+
+
+PERCEPTIONS: dict[str, Callable[[Scenario, LoopConfig], Sight]] = {
+    "ground_truth": lambda scenario, config: ground_truth,
+    "sensor": lambda scenario, config: Sensor(scenario, config.sensor).see,
+}
+
+
+class Perception:
+    """Makes the frames of one drive, in order of time.
+
+    Args:
+        scenario: What is driven.
+        config: Perception and prediction by name, and their settings.
+
+    Attributes:
+        is_oracle: Whether the planner is shown the log's future.
+        notes: What the user must know, one sentence each.
+
+    Raises:
+        ConfigError: No perception or prediction is called so.
+    """
+
+    def __init__(self, scenario: Scenario, config: LoopConfig) -> None:
+        for kind, name, known in (
+            ("perception", config.perception, tuple(PERCEPTIONS)),
+            ("prediction", config.prediction, PREDICTIONS),
+        ):
+            if name not in known:
+                raise unknown_name(kind, name, known)
+        self._config, self._log, self._lanes = config, scenario.tracks, LaneMap.of(scenario.road)
+        self._sight = PERCEPTIONS[config.perception](scenario, config)
+        self._shown: list[tuple[float, Agents]] = []
+        self.is_oracle = config.prediction == ORACLE
+        self.notes = tuple(_notes(config))
+
+    def frame(self, world: World, previous: Plan | None) -> Frame:
+        """The frame at the world's time; `previous` is the plan being driven, None in open loop and at the start."""
+        agents, visibility = self._sight(world)
+        if self._config.perception != "ground_truth":
+            self._shown.append((world.ego.t, agents))
+        t = world.ego.t
+        predictions = (
+            logged_futures(self._log, agents, _grid(t, self._config))
+            if self.is_oracle
+            else _predicted(agents, t, self._config, self._lanes)
+        )
+        return Frame(t, world.ego, agents, predictions, previous, visibility)
+
+    @property
+    def shown(self) -> Tracks | None:
+        """The agents as they were shown to the planner, a sample per frame; None with ground truth."""
+        return None if self._config.perception == "ground_truth" else _tracks(self._shown)
+
+
+def perceive(world: World, previous: Plan | None, config: LoopConfig, *, lanes: LaneMap = NO_LANES) -> Frame:
+    """The frame by ground truth and `config.prediction` (not an oracle) at the world's time; for single frames."""
+    agents, _ = ground_truth(world)
+    return Frame(world.ego.t, world.ego, agents, _predicted(agents, world.ego.t, config, lanes), previous)
+
+
+def _predicted(agents: Agents, t: float, config: LoopConfig, lanes: LaneMap) -> Predictions:
+    horizon, step = config.prediction_horizon_s, config.prediction_step_s
+    return predict(agents, t, horizon=horizon, step=step, method=config.prediction, lanes=lanes)
+
+
+def _grid(t: float, config: LoopConfig) -> FloatArray:
+    steps = round(config.prediction_horizon_s / config.prediction_step_s)
+    return np.asarray(t + config.prediction_step_s * np.arange(steps + 1))
+
+
+def _notes(config: LoopConfig) -> list[str]:
+    notes = []
+    if config.prediction == ORACLE:
+        notes.append("the predictions are the log's own future: the planner knows what nobody can know")
+    if config.perception != "ground_truth":
+        notes.append(f"the planner sees the others through a {config.perception}")
+    return notes
+
+
+def logged_futures(log: Tracks, agents: Agents, t: FloatArray) -> Predictions:
+    """Where the log has the agents at the times `t` `(k,)`, s; after its end each goes on with its last velocity."""
+    index = {name: i for i, name in enumerate(log.ids)}
+    last = log.offsets[1:] - 1
+    vx, vy = log.velocity(np.arange(len(log)), last)
+    way = np.empty((3, len(agents), len(t)))
+    for row, i in enumerate(index[name] for name in agents.ids):
+        span, beyond = log.samples(i), np.maximum(t - log.t[last[i]], 0.0) * (not log.static[i])
+        for c, (column, v) in enumerate(((log.x, vx[i]), (log.y, vy[i]), (log.yaw, 0.0))):
+            way[c, row] = np.interp(t, log.t[span], column[span]) + v * beyond
+    return Predictions(t, np.arange(len(agents)), np.ones(len(agents)), way[0], way[1], way[2], ORACLE)
+
+
+def _tracks(shown: list[tuple[float, Agents]]) -> Tracks:
+    """The agents shown at each time, as tracks."""
+    rows: dict[str, list[tuple[float, Agents, int]]] = {}
+    for t, agents in shown:
+        for i, name in enumerate(agents.ids):
+            rows.setdefault(name, []).append((t, agents, i))
+    if not rows:
+        return Tracks.empty()
+    first = [some[0] for some in rows.values()]
+    samples = [sample for some in rows.values() for sample in some]
+    columns = (np.array([getattr(a, name)[i] for _, a, i in samples]) for name in ("x", "y", "yaw", "vx", "vy"))
+    return Tracks(
+        tuple(rows),
+        tuple(a.kinds[i] for _, a, i in first),
+        np.array([a.length[i] for _, a, i in first]),
+        np.array([a.width[i] for _, a, i in first]),
+        np.zeros(len(rows), np.bool_),
+        np.cumsum([0, *map(len, rows.values())]),
+        np.array([t for t, _, _ in samples]),
+        *columns,
     )
-    return Frame(t, world.ego, agents, predictions, previous)

@@ -1,6 +1,8 @@
 """The others: how they move while the ego is driven.
 
-"time"      each is where it was in the log at this time, whatever the ego does
+"time"            each is where it was in the log at this time, whatever the ego does
+"ego_position"    all are where they were when the logged ego was where the ego is (`ego_position`)
+"reactive"        vehicles keep to their logged path and behind whoever is on it, the ego included (`reactive`)
 """
 
 from __future__ import annotations
@@ -10,6 +12,10 @@ from typing import Protocol
 
 from logs.scenario import Scenario, Tracks
 from logs.states import EgoState
+from replay.traffic.ego_position import ReplayedByEgoPosition
+from replay.traffic.reactive import Reactive
+
+__all__ = ["TRAFFIC", "Reactive", "ReplayedByEgoPosition", "ReplayedByTime", "Traffic"]
 
 
 class Traffic(Protocol):
@@ -36,4 +42,6 @@ class ReplayedByTime:
 
 TRAFFIC: dict[str, Callable[[Scenario], Traffic]] = {
     "time": ReplayedByTime,
+    "ego_position": ReplayedByEgoPosition,
+    "reactive": Reactive,
 }

@@ -1,0 +1,101 @@
+"""The others' futures as they may be assumed at a frame: called by replay, which fills `Frame.predictions`.
+
+    constant_velocity        straight on                                                          (`kinematic`)
+    constant_turn_rate       round a circle; pedestrians straight on                              (`kinematic`)
+    lane_following           vehicles along their lanes, the rest as constant_turn_rate           (`lane_following`)
+    pedestrian               pedestrians go on, stop, turn back; the rest at constant velocity    (`pedestrian`)
+    lanes_and_pedestrians    vehicles as lane_following, pedestrians as pedestrian
+
+A predictor is given the agents as perceived at one instant and the lanes, nothing else: it has no memory and no way to
+the log. Adding one is one function and one line in PREDICTORS.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from logs.errors import unknown_name
+from logs.frame import Predictions
+from logs.kernel import FloatArray
+from logs.scenario import Agents
+from planners.prediction.kinematic import constant_turn_rate, constant_velocity
+from planners.prediction.lane_following import followers
+from planners.prediction.lane_map import LaneMap
+from planners.prediction.pedestrian import walkers
+
+__all__ = ["NO_LANES", "PREDICTORS", "LaneMap", "Predictor", "predict"]
+
+Predictor = Callable[[Agents, FloatArray, LaneMap], Predictions]
+"""Futures of the agents on a time grid `(k,)`, s, whose first entry is the time at which they were perceived."""
+
+
+def lane_following(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
+    """Vehicles follow their lanes; who follows none goes on at a constant turn rate."""
+    return _instead(constant_turn_rate(agents, t), followers(agents, t, lanes))
+
+
+def pedestrian(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
+    """Pedestrians have several hypotheses; everybody else goes on at constant velocity."""
+    return _instead(constant_velocity(agents, t), walkers(agents, t, lanes))
+
+
+def lanes_and_pedestrians(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
+    """Vehicles follow their lanes, pedestrians have several hypotheses, the rest goes on at a constant turn rate."""
+    return _instead(lane_following(agents, t, lanes), walkers(agents, t, lanes))
+
+
+PREDICTORS: dict[str, Predictor] = {
+    "constant_velocity": lambda agents, t, lanes: constant_velocity(agents, t),
+    "constant_turn_rate": lambda agents, t, lanes: constant_turn_rate(agents, t),
+    "lane_following": lane_following,
+    "pedestrian": pedestrian,
+    "lanes_and_pedestrians": lanes_and_pedestrians,
+}
+
+NO_LANES = LaneMap.unknown()
+
+
+def predict(
+    agents: Agents,
+    t: float,
+    *,
+    horizon: float = 8.0,
+    step: float = 0.1,
+    method: str = "constant_velocity",
+    lanes: LaneMap = NO_LANES,
+) -> Predictions:
+    """Futures of `agents`, perceived at `t`, on the grid t, t + step, ... t + horizon (s).
+
+    Every agent has at least one hypothesis; each begins where the agent is. They stand in the order of the agents.
+
+    Args:
+        agents: As perceived.
+        t: s since the scenario's start.
+        horizon: How far, s.
+        step: Between two samples, s.
+        method: Name in PREDICTORS.
+        lanes: `LaneMap.of(road)`, made once per scenario; left out, no lane is known, and nobody follows one.
+
+    Raises:
+        ConfigError: No predictor is called `method`.
+    """
+    if method not in PREDICTORS:
+        raise unknown_name("prediction method", method, PREDICTORS)
+    found = PREDICTORS[method](agents, t + step * np.arange(round(horizon / step) + 1), lanes)
+    return replace(found, method=method)
+
+
+def _instead(general: Predictions, special: Predictions) -> Predictions:
+    """`general`, but those agents that are in `special` as they are there."""
+    rest = np.flatnonzero(~np.isin(general.agent, special.agent))
+    agent = np.r_[general.agent[rest], special.agent]
+    order = np.argsort(agent, kind="stable")
+    probability = np.r_[general.probability[rest], special.probability][order]
+    x, y, yaw = (
+        np.vstack([mine[rest], theirs])[order]
+        for mine, theirs in ((general.x, special.x), (general.y, special.y), (general.yaw, special.yaw))
+    )
+    return Predictions(general.t, agent[order], probability, x, y, yaw, general.method)

@@ -1,0 +1,298 @@
+"""Vehicles follow the lane under them.
+
+A vehicle belongs to the lanes that hold its centre and point its way (`lane_map.matches`); where it moves sideways so
+that it will be over the marking within `CHANGE_S`, it belongs to the neighbour: the lane change is completed. From a
+lane it goes on into its successors, one hypothesis per successor that can be taken at its speed.
+
+Along the lane, with station s, offset l, speed v, lane curvature kappa; theta = distance / v_0:
+
+(1) v = v_0 + a_0 T_a (1 - exp(-t / T_a)), not negative: the acceleration dies away; and v^2 <= A / |kappa| wherever
+    that can be kept with a deceleration of B
+(2) l goes from l_0 to l_end = l_0 + l_dot T as the lateral speed dies away in T: l = l_end - l_dot T exp(-theta / T);
+    where l_end would have the vehicle's side over the marking, it ends beside it: with e_0 = l_0 - l_end
+    l = l_end + (e_0 + (l_dot + e_0 / T) theta) exp(-theta / T)                          (the same, if nothing is cut)
+(3) the heading is the lane's plus atan2(l_dot, s_dot) plus what it was off at the start, which fades over `TURN_M`
+
+Weights: a lane of misfit m (`matches`) counts exp(-m / 2), a branch that turns by w counts exp(-|w| / `TURN_RAD`).
+Hypotheses below `LEAST` are dropped; those of an agent sum to 1. Nobody follows a lane among vehicles off the lanes or
+against them, those that reverse, bicycles, pedestrians.
+"""
+
+from __future__ import annotations
+
+from math import atan2, cos, exp, hypot, pi, sin, sqrt
+
+import numpy as np
+
+from logs.frame import Predictions
+from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.scenario import AgentKind, Agents
+from logs.states import wrap
+from planners.prediction.lane_map import LaneArrays, LaneMap, lane_point, lane_project, matches
+
+CHANGE_S = 1.5
+DRIFTING_MPS = 0.3
+"""A vehicle that moves sideways slower than this does not change lanes."""
+SETTLE_S, SLOW_MPS = 1.0, 2.0
+"""T of (2); below this speed theta goes with the distance, so that who stands does not slide sideways."""
+FADE_S, LEAST_MPS2, MOST_MPS2 = 1.0, -4.0, 2.0
+"""T_a of (1), measured to be about the best over recorded traffic; a_0 is cut to these."""
+CURVE_MPS2, EASE_MPS2 = 4.0, 2.0
+"""A and B of (1)."""
+HARDEST_MPS2 = 4.0
+"""A branch is possible where the vehicle can be slow enough for it with this deceleration."""
+TURN_M, TURN_RAD = 5.0, 1.5
+LEAST = 0.1
+WAYS, MATCHED, DEEPEST = 4, 3, 48
+"""Most hypotheses of an agent, most lanes that it may be on, most lanes of a way."""
+KNOT_M = 2.0
+FOLLOWING = (AgentKind.CAR, AgentKind.TRUCK, AgentKind.BUS, AgentKind.MOTORCYCLE)
+
+
+def followers(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
+    """The hypotheses of the vehicles that follow a lane; nobody else is in it (module docstring)."""
+    follows = np.array([kind in FOLLOWING for kind in agents.kinds], bool)
+    columns = np.vstack([agents.x, agents.y, agents.yaw, agents.vx, agents.vy, agents.width, agents.accel])
+    agent, probability, way = _follow_all(lanes.arrays, columns, follows, t - t[0])
+    return Predictions(t, agent, probability, way[0], way[1], way[2], "lane_following")
+
+
+@kernel
+def _follow_all(
+    map_: LaneArrays, columns: FloatArray, follows: BoolArray, ahead: FloatArray
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Hypotheses of those that follow lanes: agent `(h,)`, probability `(h,)`, rows x, y, yaw `(3, h, k)`.
+
+    Args:
+        map_: The lanes.
+        columns: Rows x, y, yaw, vx, vy, width, acceleration `(7, n)`.
+        follows: Who may follow a lane `(n,)`.
+        ahead: Times from now `(k,)`, s.
+    """
+    n = columns.shape[1]
+    agent, share = np.empty(n * WAYS, np.int64), np.empty(n * WAYS)
+    out = np.empty((3, n * WAYS, len(ahead)))
+    ways, depth = np.empty((WAYS, DEEPEST), np.int64), np.empty(WAYS, np.int64)
+    shares, start = np.empty(WAYS), np.empty((WAYS, 3))
+    count = 0
+    for i in range(n):
+        if not follows[i]:
+            continue
+        found = _ways(map_, columns[:, i], ahead[-1], ways, depth, shares, start)
+        total = 0.0
+        for h in range(found):
+            total += shares[h]
+        kept = 0.0
+        for h in range(found):
+            kept += shares[h] if shares[h] >= LEAST * total else 0.0
+        for h in range(found):
+            if shares[h] >= LEAST * total:
+                _roll_out(map_, columns[:, i], ways[h, : depth[h]], start[h], ahead, out[:, count])
+                agent[count], share[count] = i, shares[h] / kept
+                count += 1
+    return agent[:count], share[:count], out[:, :count]
+
+
+@kernel
+def _ways(
+    map_: LaneArrays, vehicle: FloatArray, horizon: float,
+    ways: IntArray, depth: IntArray, shares: FloatArray, start: FloatArray,
+) -> int:  # fmt: skip
+    """The lane sequences that a vehicle may drive within the horizon (s); how many.
+
+    Args:
+        map_: The lanes.
+        vehicle: `(7,)` as in `_follow_all`.
+        horizon: How long it drives.
+        ways: Out `(w, deepest)`: lanes of each way.
+        depth: Out `(w,)`: how many lanes each has.
+        shares: Out `(w,)`: their weights.
+        start: Out `(w, 3)`: station and offset on the first lane, half of its width.
+    """
+    lanes, found = np.empty(MATCHED, np.int64), np.empty((MATCHED, 4))
+    count = matches(map_, vehicle[0], vehicle[1], vehicle[2], lanes, found)
+    reach = hypot(vehicle[3], vehicle[4]) * horizon
+    made = 0
+    for m in range(count):
+        lane, s, left, half = lanes[m], found[m, 0], found[m, 1], found[m, 2]
+        along, across = _along(map_, lane, s, vehicle)
+        if along < -0.5:
+            continue
+        target = _changed_to(map_, lane, left, half, across)
+        if target != lane:
+            s, left, half = lane_project(map_, target, vehicle[0], vehicle[1])
+        known = False
+        for h in range(made):
+            known = known or ways[h, 0] == target
+        if known:
+            continue
+        ways[made, 0], depth[made] = target, 1
+        start[made, 0], start[made, 1], start[made, 2] = s, left, half
+        shares[made] = exp(-0.5 * (found[m, 3] - found[0, 3]) - _turn(map_, target, s) / TURN_RAD)
+        made += 1
+        if made == WAYS:
+            break
+    h = 0
+    while h < made:
+        made = _extended(map_, h, made, reach, hypot(vehicle[3], vehicle[4]), ways, depth, shares, start)
+        h += 1
+    return made
+
+
+@kernel
+def _along(map_: LaneArrays, lane: int, s: float, vehicle: FloatArray) -> tuple[float, float]:
+    """Velocity of a vehicle along and across (to the left of) a lane at its foot, m/s."""
+    yaw = lane_point(map_, lane, s)[2]
+    c, n = cos(yaw), sin(yaw)
+    return vehicle[3] * c + vehicle[4] * n, vehicle[4] * c - vehicle[3] * n
+
+
+@kernel
+def _changed_to(map_: LaneArrays, lane: int, left: float, half: float, across: float) -> int:
+    """The neighbour to which a vehicle is changing, else its lane."""
+    if abs(across) < DRIFTING_MPS or (left + CHANGE_S * across) * across <= 0.0:
+        return lane
+    if abs(left + CHANGE_S * across) <= half:
+        return lane
+    side = map_.beside[lane, 0 if across > 0.0 else 1]
+    return side if side >= 0 else lane
+
+
+@kernel
+def _length(map_: LaneArrays, lane: int) -> float:
+    return map_.step[lane] * (map_.first[lane + 1] - map_.first[lane] - 1)
+
+
+@kernel
+def _turn(map_: LaneArrays, lane: int, s: float) -> float:
+    """By how much a lane turns from station `s` to its end, rad, not negative."""
+    return abs(map_.pose[2, map_.first[lane + 1] - 1] - lane_point(map_, lane, s)[2])
+
+
+@kernel
+def _extended(
+    map_: LaneArrays, h: int, made: int, reach: float, speed: float,
+    ways: IntArray, depth: IntArray, shares: FloatArray, start: FloatArray,
+) -> int:  # fmt: skip
+    """Lead way `h` on until it reaches `reach` m from its start; a fork adds ways. How many there are then."""
+    covered = -start[h, 0]
+    for d in range(depth[h]):
+        covered += _length(map_, ways[h, d])
+    while covered < reach and depth[h] < DEEPEST:
+        last = ways[h, depth[h] - 1]
+        begin, end = map_.next_first[last], map_.next_first[last + 1]
+        if begin == end:
+            break
+        total, best = 0.0, begin
+        for k in range(begin, end):
+            weight = _weight(map_, map_.following[k], speed, covered)
+            total += weight
+            if weight > _weight(map_, map_.following[best], speed, covered):
+                best = k
+        for k in range(begin, end):
+            weight = _weight(map_, map_.following[k], speed, covered)
+            if k != best and made < WAYS and weight >= LEAST * total > 0.0:
+                ways[made, : depth[h]], depth[made] = ways[h, : depth[h]], depth[h] + 1
+                ways[made, depth[h]] = map_.following[k]
+                start[made], shares[made] = start[h], shares[h] * weight / total
+                made += 1
+        if total > 0.0:
+            shares[h] *= _weight(map_, map_.following[best], speed, covered) / total
+        ways[h, depth[h]] = map_.following[best]
+        depth[h] += 1
+        covered += _length(map_, map_.following[best])
+    return made
+
+
+@kernel
+def _weight(map_: LaneArrays, lane: int, speed: float, away: float) -> float:
+    """How much a branch counts that begins `away` m ahead; hardly, where the vehicle is too fast for it."""
+    weight = exp(-_turn(map_, lane, 0.0) / TURN_RAD)
+    tightest = map_.tightest[lane]
+    if tightest > 0.0 and speed * speed - 2.0 * HARDEST_MPS2 * max(away, 0.0) > 1.5 * CURVE_MPS2 / tightest:
+        return 1e-6 * weight
+    return weight
+
+
+@kernel
+def _on_way(map_: LaneArrays, way: IntArray, s: float) -> tuple[float, float, float, float]:
+    """x, y, yaw, kappa at a station counted from the start of the way's first lane."""
+    d = 0
+    while d < len(way) - 1:
+        length = _length(map_, way[d])
+        if s <= length:
+            break
+        s -= length
+        d += 1
+    return lane_point(map_, way[d], s)
+
+
+@kernel
+def _wished(speed: float, accel: float, ahead: FloatArray) -> FloatArray:
+    """Mean speeds (1) without the bends from each time to the next `(k,)`, m/s."""
+    out = np.empty(len(ahead))
+    pull = min(max(accel, LEAST_MPS2), MOST_MPS2) * FADE_S
+    for k in range(len(ahead)):
+        middle = 0.5 * (ahead[k] + ahead[min(k + 1, len(ahead) - 1)])
+        out[k] = max(speed + pull * (1.0 - exp(-middle / FADE_S)), 0.0)
+    return out
+
+
+@kernel
+def _in_bends(map_: LaneArrays, way: IntArray, s: float, speed: float, reach: float) -> FloatArray:
+    """Squares of the speed that the bends allow (1), every `KNOT_M` from station `s` on; not above `speed`."""
+    count = int(reach / KNOT_M) + 2
+    square = np.empty(count)
+    for i in range(count):
+        bend = abs(_on_way(map_, way, s + i * KNOT_M)[3])
+        square[i] = CURVE_MPS2 / bend if bend * speed * speed > CURVE_MPS2 else speed * speed
+    for i in range(count - 2, -1, -1):
+        square[i] = min(square[i], square[i + 1] + 2.0 * EASE_MPS2 * KNOT_M)
+    return square
+
+
+@kernel
+def _stations(map_: LaneArrays, way: IntArray, s: float, speed: float, accel: float, ahead: FloatArray) -> FloatArray:
+    """How far the vehicle has come along its way at each time `(k,)`, m (1)."""
+    wished = _wished(speed, accel, ahead)
+    fastest, reach = 0.0, 0.0
+    for k in range(len(ahead) - 1):
+        fastest, reach = max(fastest, wished[k]), reach + wished[k] * (ahead[k + 1] - ahead[k])
+    square = _in_bends(map_, way, s, fastest, reach)
+    gone = np.zeros(len(ahead))
+    for k in range(len(ahead) - 1):
+        at = min(int(gone[k] / KNOT_M), len(square) - 2)
+        u = min(gone[k] / KNOT_M - at, 1.0)
+        allowed = sqrt(max(square[at] + u * (square[at + 1] - square[at]), 0.0))
+        gone[k + 1] = gone[k] + min(allowed, wished[k]) * (ahead[k + 1] - ahead[k])
+    return gone
+
+
+@kernel
+def _roll_out(
+    map_: LaneArrays, vehicle: FloatArray, way: IntArray, start: FloatArray, ahead: FloatArray, out: FloatArray
+) -> None:
+    """Drive a way (1)-(3): rows x, y, yaw `(3, k)` into `out`; the first column is where the vehicle is."""
+    s, left, half = start[0], start[1], start[2]
+    along, across = _along(map_, way[0], s, vehicle)
+    speed = max(along, 0.0)
+    gone = _stations(map_, way, s, speed, vehicle[6], ahead)
+    paced = max(speed, SLOW_MPS)
+    drift = across * paced / speed if speed > DRIFTING_MPS else 0.0
+    room = max(half - 0.5 * vehicle[5], 0.3)
+    end = min(max(left + drift * SETTLE_S, -room), room)
+    off = left - end
+    rate = drift + off / SETTLE_S
+    turned, shift_x, shift_y = 0.0, 0.0, 0.0
+    for k in range(len(ahead)):
+        theta = gone[k] / paced
+        fade = exp(-theta / SETTLE_S)
+        offset = end + (off + rate * theta) * fade
+        x, y, yaw, _ = _on_way(map_, way, s + gone[k])
+        x, y = x - offset * sin(yaw), y + offset * cos(yaw)
+        yaw += atan2((rate - (off + rate * theta) / SETTLE_S) * fade, paced)
+        if k == 0:
+            turned, shift_x, shift_y = wrap(vehicle[2] - yaw), vehicle[0] - x, vehicle[1] - y
+            full_turns = 2.0 * pi * np.round((vehicle[2] - yaw - turned) / (2.0 * pi))
+        out[0, k], out[1, k] = x + shift_x, y + shift_y
+        out[2, k] = yaw + full_turns + turned * exp(-gone[k] / TURN_M)

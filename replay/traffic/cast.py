@@ -1,0 +1,101 @@
+"""The log's tracks, each played at a log time of its own: what the kinds of traffic share.
+
+Where and how an agent is at the phase tau (a log time, s) is what the log has there, interpolated; played at the rate r
+(phase per time), its velocity is r times the logged one. What was played is sampled every `PERIOD_S`, one sample ahead
+of the ego: the sample at t + PERIOD_S is made of what is known at t.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.scenario import Tracks
+
+PERIOD_S = 0.1
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Played:
+    """The agents at their phases; rows x, y, yaw, vx, vy `(5, n)` as logged, and who is in the scene `(n,)`."""
+
+    pose: FloatArray
+    there: BoolArray
+
+
+class Cast:
+    """Plays a log's tracks and remembers what was played.
+
+    Args:
+        log: Those that never move stay as they are.
+    """
+
+    def __init__(self, log: Tracks) -> None:
+        self.log = log
+        self._times: list[float] = []
+        self._played: list[tuple[FloatArray, BoolArray]] = []
+        last = np.maximum(np.arange(len(log.t)), 0)
+        owner = np.repeat(np.arange(len(log)), np.diff(log.offsets))
+        vx, vy = log.velocity(owner, last) if len(log) else (log.vx, log.vy)
+        self._columns = np.ascontiguousarray(np.vstack([log.x, log.y, log.yaw, vx, vy]))
+
+    def at(self, phase: FloatArray) -> Played:
+        """The agents at their phases `(n,)`, s; who has no log there is not in the scene."""
+        log = self.log
+        pose, there = _play(log.offsets, log.static, log.t, self._columns, phase)
+        return Played(pose, there)
+
+    def add(self, t: float, phase: FloatArray, rate: FloatArray, there: BoolArray) -> None:
+        """At the time `t` they were at these phases `(n,)`, played at these rates, as far as they are `there`."""
+        played = self.at(phase)
+        moved = played.pose * np.vstack([np.ones((3, len(rate))), rate, rate])
+        self._times.append(t)
+        self._played.append((moved, played.there & there & ~self.log.static))
+
+    def tracks(self) -> Tracks:
+        """What was played so far; who was not in the scene yet is not in it."""
+        log = self.log
+        still = np.flatnonzero(log.static)
+        here = np.array([there for _, there in self._played]).reshape(-1, len(log))
+        pose = np.array([pose for pose, _ in self._played]).reshape(-1, 5, len(log))
+        agent, k = np.nonzero(here.T)
+        rows = np.vstack([np.array(self._times)[k], pose[k, :, agent].T]) if len(agent) else np.empty((6, 0))
+        first = log.offsets[:-1][still]
+        fixed = np.vstack([log.t[first], log.x[first], log.y[first], log.yaw[first], log.vx[first], log.vy[first]])
+        owner = np.r_[agent, still]
+        order = np.argsort(owner, kind="stable")
+        columns = np.hstack([rows, fixed])[:, order]
+        members, sizes = np.unique(owner, return_counts=True)
+        return Tracks(
+            tuple(log.ids[i] for i in members),
+            tuple(log.kinds[i] for i in members),
+            log.length[members],
+            log.width[members],
+            log.static[members],
+            np.r_[0, np.cumsum(sizes)],
+            *columns,
+        )
+
+
+@kernel
+def _play(
+    offsets: IntArray, static: BoolArray, t: FloatArray, columns: FloatArray, phase: FloatArray
+) -> tuple[FloatArray, BoolArray]:
+    """Rows x, y, yaw (interpolated), vx, vy (of the last sample) `(5, n)` at the phases, and who has a log there."""
+    n = len(phase)
+    pose, there = np.zeros((5, n)), np.zeros(n, np.bool_)
+    for i in range(n):
+        first, end = offsets[i], offsets[i + 1]
+        there[i] = static[i] or (t[first] <= phase[i] + 1e-9 and phase[i] <= t[end - 1] + 1e-9)
+        k = first
+        if not static[i]:
+            k = max(first + np.searchsorted(t[first:end], phase[i] + 1e-9, side="right") - 1, first)
+        u, j = 0.0, min(k + 1, end - 1)
+        if j > k and not static[i]:
+            u = min(max((phase[i] - t[k]) / (t[j] - t[k]), 0.0), 1.0)
+        for c in range(3):
+            pose[c, i] = columns[c, k] + u * (columns[c, j] - columns[c, k])
+        pose[3, i], pose[4, i] = columns[3, k], columns[4, k]
+    return pose, there

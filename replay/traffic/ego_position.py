@@ -1,0 +1,103 @@
+"""The others by where the ego is: the log's encounters are kept, whatever the ego's speed.
+
+With the ego's station s on its logged path, all others are at the log time (phase) at which the logged ego was there:
+
+(1) target = tau(s) + delta        tau(s): the first log time at which the logged ego had come to s
+(2) the phase follows the target, never back, and at most `FASTEST` times as fast as time
+(3) where the logged path ends, the phase goes on with time
+
+The ego is never touched. Where it has stood for `STUCK_S`, the phase goes on with time, so that whoever it waits for
+can go (a world that stands still with the ego would wait forever); delta is then how far the phase has come beyond the
+last log time at which the logged ego was still within `NEAR_M` of s: encounters further on come later by so much.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from logs.errors import LogError
+from logs.road import ReferenceLine, thinned
+from logs.scenario import Scenario, Tracks
+from logs.states import EgoState
+from replay.traffic.cast import PERIOD_S, Cast
+
+FASTEST = 2.0
+STUCK_S, STANDING_MPS, NEAR_M = 2.0, 0.1, 1.5
+SHORTEST_M = 1.0
+
+
+class ReplayedByEgoPosition:
+    """See the module docstring.
+
+    Args:
+        scenario: Its ego's log must lead somewhere.
+
+    Raises:
+        LogError: The logged ego does not move, so that its position tells no time.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        log = scenario.ego
+        points = thinned(np.column_stack([log.x, log.y]), SHORTEST_M)
+        if len(points) < 2:
+            raise LogError(
+                f"{scenario.name}: the logged ego does not move, so that its position tells no time",
+                remedy="take traffic 'time' or 'reactive'",
+            )
+        self._line = ReferenceLine.through(points)
+        self._log_t, self._log_s = log.t, self._stations(log.x, log.y)
+        self._cast = Cast(scenario.tracks)
+        self._phase, self._delay, self._stood = float(log.t[0]), 0.0, 0.0
+        self._station, self._next, self._tracks = 0.0, float("-inf"), Tracks.empty()
+
+    def step(self, ego: EgoState) -> Tracks:
+        """The others as they moved up to `ego.t`, and one sample beyond."""
+        if self._next == float("-inf"):
+            self._station = self._line.project(ego.x, ego.y, 0.0)[0]
+            self._add(ego.t, 1.0)
+            self._next = ego.t
+        while self._next <= ego.t + 1e-9:
+            before = self._phase
+            self._advance(ego)
+            self._next += PERIOD_S
+            self._add(self._next, (self._phase - before) / PERIOD_S)
+            self._tracks = self._cast.tracks()
+        return self._tracks
+
+    def _stations(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Stations of the log's samples, not decreasing."""
+        found = [0.0]
+        for px, py in zip(x[1:], y[1:], strict=True):
+            found.append(self._line.project(px, py, found[-1])[0])
+        return np.maximum.accumulate(np.maximum(found, 0.0))
+
+    def _advance(self, ego: EgoState) -> None:
+        """Lead the phase one period on."""
+        self._station = self._line.project(ego.x, ego.y, self._station)[0]
+        self._stood = self._stood + PERIOD_S if abs(ego.v) < STANDING_MPS else 0.0
+        ahead = self._station + max(ego.v, 0.0) * PERIOD_S
+        most = FASTEST * PERIOD_S
+        if self._stood > STUCK_S + 1e-9 or ahead >= self._log_s[-1]:
+            self._phase += PERIOD_S
+            self._delay = max(self._delay, self._phase - self._latest(self._station))
+        else:
+            self._phase += min(max(self._earliest(ahead) + self._delay - self._phase, 0.0), most)
+
+    def _earliest(self, s: float) -> float:
+        """The first log time at which the logged ego had come to `s`, s."""
+        k = int(np.searchsorted(self._log_s, s, side="left"))
+        if k == 0:
+            return float(self._log_t[0])
+        k = min(k, len(self._log_s) - 1)
+        span = self._log_s[k] - self._log_s[k - 1]
+        u = min((s - self._log_s[k - 1]) / span, 1.0) if span > 0.0 else 1.0
+        return float(self._log_t[k - 1] + u * (self._log_t[k] - self._log_t[k - 1]))
+
+    def _latest(self, s: float) -> float:
+        """The last log time at which the logged ego was not farther than `s` + `NEAR_M`, s."""
+        k = int(np.searchsorted(self._log_s, s + NEAR_M, side="right")) - 1
+        return float(self._log_t[max(k, 0)])
+
+    def _add(self, t: float, rate: float) -> None:
+        n = len(self._cast.log)
+        self._cast.add(t, np.full(n, self._phase), np.full(n, rate), np.ones(n, np.bool_))

@@ -1,0 +1,263 @@
+"""Who is ahead on a path, and the acceleration behind it.
+
+Leader: the first agent whose box, as it is now, the vehicle's box moved along its path would touch, within `LOOK_M` +
+`LOOK_S` v; boxes that touch already are let go. With the gap s until they touch, the vehicle's speed v, the leader's
+speed v_l and acceleration a_l along the path (Kesting, Treiber, Helbing, Phil. Trans. R. Soc. A 368, 2010, "enhanced
+IDM"; the cap of the deceleration is ours):
+
+(1) s*    = s0 + max(0, v T + v (v - v_l) / (2 sqrt(a b)))
+(2) a_idm = a (1 - (s* / s)^2)
+(3) a_cah = v^2 a_l / (v_l^2 - 2 s a_l)        if v_l (v - v_l) <= -2 s a_l,     a_l cut to a at most
+          = a_l - max(0, v - v_l)^2 / (2 s)    else
+(4) dv/dt = a_idm                              if a_idm >= a_cah
+          = (1 - c) a_idm + c (a_cah + b tanh((a_idm - a_cah) / b))   else, and not below -`HARDEST_MPS2`
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import cos, hypot, inf, sin, sqrt, tanh
+from typing import NamedTuple
+
+import numpy as np
+
+from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.shapes import overlap
+
+ACCEL_MPS2, DECEL_MPS2, TIME_GAP_S, STANDSTILL_M, COOLNESS = 2.0, 3.0, 1.0, 2.0, 0.99
+"""a, b, T, s0, c of (1) to (4)."""
+HARDEST_MPS2 = 8.0
+LOOK_M, LOOK_S = 20.0, 5.0
+BRUSH_M, EGO_BRUSH_M = 0.2, -0.3
+"""A vehicle's box is narrower by this in the search of the leader: logged boxes brush; to the ego it is wider."""
+STANDING_MPS = 0.1
+"""The log stands where it is slower than this."""
+TOUCHING_M = 0.1
+"""A gap is not less than this in (2) and (3)."""
+FINE_M = 1.0
+"""Step of the box along the path; the contact is then halved down to `FINE_M` / 32."""
+
+
+class Paths(NamedTuple):
+    """The logged paths, ragged as in Tracks: path i owns the samples `offsets[i] : offsets[i + 1]`."""
+
+    offsets: IntArray
+    t: FloatArray
+    x: FloatArray
+    y: FloatArray
+    yaw: FloatArray
+
+
+class Scene(NamedTuple):
+    """Who is where now; the last row is the ego.
+
+    Attributes:
+        boxes: `(n + 1, 5)` x, y, yaw, length, width.
+        motion: `(n + 1, 3)` velocity x, y, and rate of the speed.
+        present: `(n + 1,)` whether it is in the scene.
+        as_logged: `(n + 1,)` whether it is where the log has it at this time.
+    """
+
+    boxes: FloatArray
+    motion: FloatArray
+    present: BoolArray
+    as_logged: BoolArray
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Leaders:
+    """Per vehicle `(n,)`: gap to the leader (inf: none), its speed and acceleration along the path."""
+
+    gap: FloatArray
+    speed: FloatArray
+    accel: FloatArray
+
+
+def leaders(paths: Paths, phase: FloatArray, speed: FloatArray, whose: BoolArray, scene: Scene) -> Leaders:
+    """The leaders of the vehicles `whose` `(n,)` at their phases; pairs that both are as logged do not count."""
+    return Leaders(*_leaders(paths, phase, speed, whose, scene))
+
+
+def desired_gaps(speed: FloatArray, leaders: Leaders) -> FloatArray:
+    """The desired gaps (1), m."""
+    closing = speed * (speed - leaders.speed) / (2.0 * sqrt(ACCEL_MPS2 * DECEL_MPS2))
+    return np.asarray(STANDSTILL_M + np.maximum(speed * TIME_GAP_S + closing, 0.0))
+
+
+def accelerations(speed: FloatArray, leaders: Leaders) -> FloatArray:
+    """(4) `(n,)`; without a leader the greatest acceleration."""
+    return np.array(
+        [
+            enhanced_idm(v, gap, led, pull) if np.isfinite(gap) else ACCEL_MPS2
+            for v, gap, led, pull in zip(speed, leaders.gap, leaders.speed, leaders.accel, strict=True)
+        ]
+    ).reshape(-1)
+
+
+@kernel
+def enhanced_idm(v: float, gap: float, v_lead: float, a_lead: float) -> float:
+    """Acceleration (4) behind a leader, m/s2."""
+    gap = max(gap, TOUCHING_M)
+    wish = STANDSTILL_M + max(v * TIME_GAP_S + v * (v - v_lead) / (2.0 * sqrt(ACCEL_MPS2 * DECEL_MPS2)), 0.0)
+    idm = ACCEL_MPS2 * (1.0 - (wish / gap) ** 2)
+    pull = min(a_lead, ACCEL_MPS2)
+    if v_lead * (v - v_lead) <= -2.0 * gap * pull and v_lead * v_lead - 2.0 * gap * pull > 0.0:
+        cah = v * v * pull / (v_lead * v_lead - 2.0 * gap * pull)
+    else:
+        cah = pull - max(v - v_lead, 0.0) ** 2 / (2.0 * gap)
+    if idm < cah:
+        idm = (1.0 - COOLNESS) * idm + COOLNESS * (cah + DECEL_MPS2 * tanh((idm - cah) / DECEL_MPS2))
+    return max(idm, -HARDEST_MPS2)
+
+
+@kernel
+def covered(paths: Paths, phase: FloatArray, span: float) -> FloatArray:
+    """Length of each logged path from its phase to `span` s later `(n,)`, m."""
+    offsets, t, x, y = paths.offsets, paths.t, paths.x, paths.y
+    out = np.zeros(len(phase))
+    for i in range(len(phase)):
+        first, end = offsets[i], offsets[i + 1]
+        until = phase[i] + span
+        for k in range(max(first, first + np.searchsorted(t[first:end], phase[i], side="right") - 1), end - 1):
+            if t[k] >= until:
+                break
+            part = min(until, t[k + 1]) - max(phase[i], t[k])
+            if part > 0.0:
+                out[i] += part / (t[k + 1] - t[k]) * hypot(x[k + 1] - x[k], y[k + 1] - y[k])
+    return out
+
+
+@kernel
+def moved_on(paths: Paths, phase: FloatArray, way: FloatArray, now: float) -> FloatArray:
+    """The phases after so much of each path `(n,)`, m; the log's standing is passed over, but not beyond `now`."""
+    offsets, t, x, y = paths.offsets, paths.t, paths.x, paths.y
+    out = phase.copy()
+    for i in range(len(phase)):
+        first, end = offsets[i], offsets[i + 1]
+        left = way[i]
+        k = max(first, first + np.searchsorted(t[first:end], phase[i] + 1e-12, side="right") - 1)
+        while k < end - 1:
+            speed = hypot(x[k + 1] - x[k], y[k + 1] - y[k]) / (t[k + 1] - t[k])
+            rest = t[k + 1] - out[i]
+            if speed < STANDING_MPS:
+                if t[k + 1] > now:
+                    out[i] = max(out[i], now)
+                    break
+                out[i] = t[k + 1]
+            elif left < speed * rest:
+                out[i] += left / speed
+                break
+            else:
+                left -= speed * rest
+                out[i] = t[k + 1]
+            k += 1
+        if k == end - 1 and left > 1e-9:
+            out[i] = t[end - 1] + 1e-3
+    return out
+
+
+@kernel
+def taken(boxes: FloatArray, coming: BoolArray, others: BoolArray) -> BoolArray:
+    """Whose box overlaps one of the others'."""
+    out = np.zeros(len(coming), np.bool_)
+    for i in range(len(coming)):
+        for j in range(len(boxes)):
+            if coming[i] and others[j] and j != i and _touch(boxes[i], boxes[j], 0.0):
+                out[i] = True
+    return out
+
+
+@kernel
+def _touch(one: FloatArray, two: FloatArray, narrower: float) -> bool:
+    width = max(one[4] - narrower, 0.1)
+    return overlap(one[0], one[1], one[2], one[3], width, two[0], two[1], two[2], two[3], two[4])
+
+
+@kernel
+def _leaders(paths: Paths, phase: FloatArray, speed: FloatArray, whose: BoolArray, scene: Scene) -> FloatArray:
+    """Rows gap, speed and acceleration of the leader along the path `(3, n)`; gap inf where there is none."""
+    n = len(phase)
+    out = np.zeros((3, n))
+    out[0] = inf
+    near = np.empty(n + 1, np.int64)
+    for i in range(n):
+        if not whose[i]:
+            continue
+        reach = LOOK_M + LOOK_S * speed[i]
+        count = _nearby(i, reach, scene, near)
+        if count == 0:
+            continue
+        gap, j, yaw = _first_touched(paths, i, phase[i], reach, scene.boxes, near[:count])
+        if j >= 0:
+            ahead = scene.motion[j, 0] * cos(yaw) + scene.motion[j, 1] * sin(yaw)
+            pace = hypot(scene.motion[j, 0], scene.motion[j, 1])
+            out[0, i], out[1, i] = gap, max(ahead, 0.0)
+            out[2, i] = scene.motion[j, 2] * ahead / pace if pace > STANDING_MPS else 0.0
+    return out
+
+
+@kernel
+def _nearby(i: int, reach: float, scene: Scene, near: IntArray) -> int:
+    """Who may be in the way of vehicle i, into `near`; how many."""
+    boxes, count = scene.boxes, 0
+    for j in range(len(boxes)):
+        if j == i or not scene.present[j] or (scene.as_logged[i] and scene.as_logged[j]):
+            continue
+        away = hypot(boxes[j, 0] - boxes[i, 0], boxes[j, 1] - boxes[i, 1])
+        if away <= reach + boxes[i, 3] + boxes[j, 3] and not _touch(boxes[i], boxes[j], 0.0):
+            near[count] = j
+            count += 1
+    return count
+
+
+@kernel
+def _first_touched(
+    paths: Paths, i: int, phase: float, reach: float, boxes: FloatArray, near: IntArray
+) -> tuple[float, int, float]:
+    """Distance along path i to the first touch, whom (-1: nobody within reach), and the path's heading there."""
+    first, end = paths.offsets[i], paths.offsets[i + 1]
+    k = max(first, first + np.searchsorted(paths.t[first:end], phase, side="right") - 1)
+    begin, leap = boxes[i].copy(), np.zeros(3)
+    station = 0.0
+    while k < end - 1 and station < reach:
+        leap[0], leap[1] = paths.x[k + 1] - begin[0], paths.y[k + 1] - begin[1]
+        leap[2] = paths.yaw[k + 1] - begin[2]
+        length = hypot(leap[0], leap[1])
+        steps = int(length / FINE_M) + 1
+        for m in range(1, steps + 1):
+            best, who = 2.0, -1
+            for j in near:
+                brush = EGO_BRUSH_M if j == len(boxes) - 1 else BRUSH_M
+                if _touch(_moved(begin, leap, m / steps), boxes[j], brush):
+                    u = _touch_at(begin, leap, (m - 1.0) / steps, m / steps, boxes[j], brush)
+                    if u < best:
+                        best, who = u, j
+            if who >= 0:
+                return station + best * length, who, begin[2] + best * leap[2]
+        begin = _moved(begin, leap, 1.0)
+        station += length
+        k += 1
+    return inf, -1, 0.0
+
+
+@kernel
+def _moved(box: FloatArray, leap: FloatArray, u: float) -> FloatArray:
+    """A box after the part u of a leap (x, y, yaw)."""
+    out = box.copy()
+    for c in range(3):
+        out[c] += u * leap[c]
+    return out
+
+
+@kernel
+def _touch_at(
+    begin: FloatArray, leap: FloatArray, low: float, high: float, other: FloatArray, narrower: float
+) -> float:
+    """The last part of a leap, between `low` (apart) and `high` (touching), at which the boxes are still apart."""
+    for _ in range(5):
+        middle = 0.5 * (low + high)
+        if _touch(_moved(begin, leap, middle), other, narrower):
+            high = middle
+        else:
+            low = middle
+    return low

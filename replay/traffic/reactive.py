@@ -1,0 +1,189 @@
+"""The others react: vehicles keep to their logged path, and behind whoever is on it, the ego included.
+
+A vehicle is at the log time (phase) tau_i of its own; its place is the log's at tau_i, so that it never leaves its
+path. Where its log ends, the most probable lane leads it on for `BEYOND_M` if it is late; in time, it leaves the scene
+as it did in the log. Its speed never exceeds the logged one at its place, and it is never ahead of its log.
+
+Undisturbed, tau_i = t: the log, exactly. A vehicle is disturbed from when the leader below would have it drive slower
+than it did in the log. Pairs that both are as they were in the log do not count (real drivers keep other gaps than a
+model does; with nobody disturbed the log is reproduced); the ego counts as in the log while it is within `EGO_M` of it.
+While its log stands, a late vehicle makes up for lost time. Pedestrians, bicycles and objects are replayed by time.
+
+Leader and acceleration: `replay.traffic.following`. Who enters the scene waits while somebody who is not as in the log
+is in its place, and enters no faster than it can brake for its leader.
+"""
+
+from __future__ import annotations
+
+from math import cos, hypot, inf, sin
+
+import numpy as np
+
+from logs.kernel import BoolArray, FloatArray
+from logs.scenario import Agents, Scenario, Tracks
+from logs.states import EgoState
+from planners.prediction import LaneMap
+from planners.prediction.lane_following import FOLLOWING, followers
+from replay.traffic.cast import PERIOD_S, Cast
+from replay.traffic.following import (
+    DECEL_MPS2,
+    STANDING_MPS,
+    STANDSTILL_M,
+    Leaders,
+    Paths,
+    Scene,
+    accelerations,
+    covered,
+    desired_gaps,
+    leaders,
+    moved_on,
+    taken,
+)
+from replay.world import box_center
+
+EGO_M = 1.0
+BEYOND_M = 100.0
+
+
+class Reactive:
+    """See the module docstring.
+
+    Args:
+        scenario: Its tracks, lanes and ego.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        log, self._log_ego, self._vehicle = scenario.tracks, scenario.ego, scenario.vehicle
+        self._left = log.t[log.offsets[1:] - 1].copy() if len(log) else np.empty(0)
+        self._cast = Cast(led_on(log, LaneMap.of(scenario.road)))
+        led = self._cast.log
+        self._paths = Paths(led.offsets, led.t, led.x, led.y, led.yaw)
+        self._enters = log.t[log.offsets[:-1]] if len(log) else np.empty(0)
+        self._reacts = np.array([kind in FOLLOWING for kind in log.kinds], bool) & ~log.static
+        n = len(log)
+        self._phase, self._speed, self._accel = np.zeros(n), np.zeros(n), np.zeros(n)
+        self._late, self._there = np.zeros(n, np.bool_), np.zeros(n, np.bool_)
+        self._next, self._tracks = -inf, Tracks.empty()
+
+    def step(self, ego: EgoState) -> Tracks:
+        """The others as they moved up to `ego.t`, and one sample beyond."""
+        if self._next == -inf:
+            self._next = ego.t
+            self._enter(ego.t, ego)
+            self._sample(ego.t)
+        while self._next <= ego.t + 1e-9:
+            self._advance(self._next, ego)
+            self._next += PERIOD_S
+            self._enter(self._next, ego)
+            self._sample(self._next)
+            self._tracks = self._cast.tracks()
+        return self._tracks
+
+    def _sample(self, t: float) -> None:
+        logged = self._logged_speeds(self._phase)
+        slowed = self._late & (logged > STANDING_MPS)
+        rate = np.where(slowed, np.divide(self._speed, logged, out=np.ones(len(logged)), where=slowed), 1.0)
+        self._cast.add(t, self._phase, np.minimum(rate, 1.0), self._there)
+
+    def _logged_speeds(self, phase: FloatArray) -> FloatArray:
+        return covered(self._paths, phase, PERIOD_S) / PERIOD_S
+
+    def _advance(self, t: float, ego: EgoState) -> None:
+        """Lead everybody on from `t` by one period."""
+        logged = self._logged_speeds(self._phase)
+        found = self._leaders(ego, self._there & self._reacts)
+        wanted = self._speed + PERIOD_S * accelerations(self._speed, found)
+        slower = np.isfinite(found.gap) & (wanted < logged - 1e-6) & (found.gap < desired_gaps(self._speed, found))
+        self._late |= self._there & self._reacts & slower
+        speed = np.where(self._late, np.clip(wanted, 0.0, logged), logged)
+        log = self._cast.log
+        phase = moved_on(self._paths, self._phase, speed * PERIOD_S, t + PERIOD_S)
+        waiting = self._late & ~self._there
+        self._phase = np.where(waiting, self._phase, np.where(self._late, phase, t + PERIOD_S))
+        self._late &= waiting | (self._phase < t + PERIOD_S - 1e-9) | (speed < logged)
+        self._accel = np.where(self._there, (speed - self._speed) / PERIOD_S, 0.0)
+        self._speed = speed
+        ends = np.where(self._late, log.t[log.offsets[1:] - 1], self._left) if len(log) else self._left
+        self._there &= self._phase <= ends + 1e-9
+
+    def _enter(self, t: float, ego: EgoState) -> None:
+        """Let in whose log begins by `t`."""
+        coming = ~self._there & (self._enters <= t + 1e-9) & (self._left >= t - 1e-9) & ~self._cast.log.static
+        waited = self._late & ~self._there & (self._phase <= self._enters + 1e-9)
+        coming = (coming & ~self._late) | waited
+        if not coming.any():
+            return
+        self._phase = np.where(coming, np.where(waited, self._enters, t), self._phase)
+        blocked = coming & self._reacts & self._in_place(ego, coming)
+        self._late |= blocked
+        self._phase = np.where(blocked, self._enters, self._phase)
+        entering = coming & ~blocked
+        self._there |= entering
+        logged = self._logged_speeds(self._phase)
+        self._speed = np.where(entering, logged, self._speed)
+        found = self._leaders(ego, entering & self._reacts)
+        safe = np.sqrt(found.speed**2 + 2.0 * DECEL_MPS2 * np.maximum(found.gap - STANDSTILL_M, 0.0))
+        slowed = entering & np.isfinite(found.gap) & (safe < logged)
+        self._late |= slowed
+        self._speed = np.where(slowed, safe, self._speed)
+
+    def _boxes(self, ego: EgoState) -> tuple[FloatArray, FloatArray, BoolArray]:
+        """Boxes `(n + 1, 5)`, velocities and accelerations `(n + 1, 3)`, who is as logged; the ego is the last."""
+        played = self._cast.at(self._phase)
+        log = self._cast.log
+        x, y = box_center(ego, self._vehicle)
+        c, s = cos(ego.yaw), sin(ego.yaw)
+        boxes = np.column_stack([*played.pose[:3], log.length, log.width])
+        own = np.array([[x, y, ego.yaw, self._vehicle.length, self._vehicle.width]])
+        heading = np.vstack([np.cos(played.pose[2]), np.sin(played.pose[2])])
+        velocity = np.where(self._reacts, self._speed * heading, played.pose[3:] * self._there)
+        motion = np.column_stack([*velocity, self._accel])
+        was = self._log_ego.at(ego.t)
+        as_logged = self._log_ego.t[0] - 1e-6 <= ego.t <= self._log_ego.t[-1] + 1e-6
+        as_logged = as_logged and hypot(was.x - ego.x, was.y - ego.y) <= EGO_M
+        return (
+            np.vstack([boxes, own]),
+            np.vstack([motion, [[ego.v * c, ego.v * s, ego.a]]]),
+            np.r_[~self._late, as_logged],
+        )
+
+    def _in_place(self, ego: EgoState, coming: BoolArray) -> BoolArray:
+        """Whose place is taken by somebody who is not as in the log."""
+        boxes, _, as_logged = self._boxes(ego)
+        present = np.r_[self._there | self._cast.log.static, True]
+        return taken(boxes, coming, present & ~as_logged)
+
+    def _leaders(self, ego: EgoState, whose: BoolArray) -> Leaders:
+        boxes, motion, as_logged = self._boxes(ego)
+        log = self._cast.log
+        present = np.r_[self._there | log.static, True]
+        return leaders(self._paths, self._phase, self._speed, whose, Scene(boxes, motion, present, as_logged))
+
+
+def led_on(log: Tracks, lanes: LaneMap) -> Tracks:
+    """The tracks, and after the end of each vehicle's log where its lane most probably leads it, `BEYOND_M` far."""
+    last = log.offsets[1:] - 1
+    if not len(log) or not len(lanes):
+        return log
+    vx, vy = log.velocity(np.arange(len(log)), last)
+    ends = Agents(log.ids, log.kinds, log.length, log.width, log.x[last], log.y[last], log.yaw[last], vx, vy)
+    ahead = np.arange(0.0, 30.0, 0.5)
+    way = followers(ends, ahead, lanes)
+    rows = [np.vstack([getattr(log, c)[log.samples(i)] for c in _COLUMNS]) for i in range(len(log))]
+    for i in np.unique(way.agent):
+        mine = np.flatnonzero(way.agent == i)
+        best = mine[np.argmax(way.probability[mine])]
+        x, y = way.x[best], way.y[best]
+        gone = np.r_[0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y)))]
+        keep = (gone <= BEYOND_M) & (np.diff(gone, prepend=-1.0) > 0.05) & (ahead > 0.0)
+        v = np.gradient(gone, ahead)
+        yaw = way.yaw[best]
+        more = np.vstack([log.t[last[i]] + ahead, x, y, yaw, v * np.cos(yaw), v * np.sin(yaw)])
+        if not log.static[i]:
+            rows[i] = np.hstack([rows[i], more[:, keep]])
+    sizes = [row.shape[1] for row in rows]
+    offsets = np.r_[0, np.cumsum(sizes)]
+    return Tracks(log.ids, log.kinds, log.length, log.width, log.static, offsets, *np.hstack(rows))
+
+
+_COLUMNS = ("t", "x", "y", "yaw", "vx", "vy")

@@ -1,4 +1,7 @@
-"""The command line: `replan evaluate | synth | convert | inspect | view`. Words in, exit code out; no logic here."""
+"""The command line: words in, exit code out; no logic here.
+
+`replan evaluate | synth | convert | inspect | view | paper | calibrate`
+"""
 
 from __future__ import annotations
 
@@ -348,3 +351,43 @@ def view(
             recording = Path(folder) / f"{target.stem}.rrd"
             save_log(target, recording)
             show([recording], memory_limit, web=web)
+
+
+@app.command()
+def paper(
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for figures, recordings and tables.")],
+    vehicle: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Vehicle model of figures and tables, repeatable: the first has the figures. Default: single_track."
+        ),
+    ] = None,
+    roads: Annotated[int, typer.Option(min=0, help="Seeded roads in the table of controllers.")] = 50,
+    workers: Annotated[
+        int | None, typer.Option(min=0, help="Processes; 0: in this one. Default: one per core. Same results.")
+    ] = None,
+) -> None:
+    """Run the experiments of the paper: its figures 9, 10 and 12, recordings, controllers compared, pedestrians.
+
+    A few minutes. What agrees with the paper and what does not: docs/paper.md.
+    """
+    with answered():
+        from replay.paper import PaperConfig, reproduce
+
+        count = _cores() if workers is None else workers
+        config = PaperConfig(tuple(vehicle or ("single_track",)), roads=roads, workers=count)
+        typer.echo(reproduce(out, config, say=lambda line: typer.echo(line, err=True)))
+
+
+@app.command()
+def calibrate(
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for calibration.csv and calibration.png.")],
+    vehicle: Annotated[str, typer.Option(help="Vehicle model.")] = "single_track",
+    car: Annotated[str | None, typer.Option(help="Parameters of logs/vehicles. Default: the default car.")] = None,
+) -> None:
+    """Write and plot the table acceleration x speed -> throttle or brake, from the vehicle's own model."""
+    with answered():
+        from replay.calibrate import calibrate as write
+
+        for path in write(out, vehicle, car):
+            typer.echo(path)

@@ -1,0 +1,42 @@
+"""`replan calibrate`: the calibration table of a vehicle, written and drawn."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from logs.errors import ConfigError, unknown_name
+from logs.states import EgoState
+from logs.vehicle import VehicleParameters, vehicle_parameters
+from replay.control.calibration import Calibration
+from replay.results import write_file
+from replay.vehicle import VEHICLES
+from replay.vehicle.plant import build
+
+STANDING = EgoState(0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def calibrate(out: Path, model: str = "single_track", car: str | None = None) -> tuple[Path, Path]:
+    """Write `calibration.csv` and `.png` of a vehicle into a folder.
+
+    Args:
+        out: Made where it is not there.
+        model: Name in `replay.vehicle.VEHICLES`.
+        car: Name of a set of parameters in `logs/vehicles`; None: the default vehicle.
+
+    Raises:
+        ConfigError: A name is unknown, the model has no power train, or the folder cannot be made.
+    """
+    if model not in VEHICLES:
+        raise unknown_name("vehicle", model, VEHICLES)
+    if model == "perfect":
+        raise ConfigError("the perfect vehicle has no pedals: there is nothing to calibrate")
+    parameters = VehicleParameters() if car is None else vehicle_parameters(car)
+    table = Calibration.of(build(VEHICLES[model], model, parameters, STANDING, {}).powertrain)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{out}: cannot be the result folder: {error.strerror}") from None
+    csv, png = out / "calibration.csv", out / "calibration.png"
+    write_file(csv, table.save)
+    write_file(png, table.plot)
+    return csv, png

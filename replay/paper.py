@@ -1,0 +1,273 @@
+"""The paper's experiments by one command: figures, recordings, controllers compared, the pedestrian varied.
+
+    OUT/fig09_path.png            planned and driven path on paper/free_road, lateral error over station
+    OUT/fig10_st.png              scene and S-T graph before, while and after the pedestrian blocks the path
+    OUT/fig12_pedals.png          throttle, brake and speed, the braking marked
+    OUT/free_road.rrd             the recordings, for `replan view`
+    OUT/crossing_pedestrian.rrd
+    OUT/manoeuvres.csv            controllers x manoeuvres, without a planner (replay.manoeuvres)
+    OUT/scenarios.csv             controllers x the paper's scenarios, with the planner
+    OUT/pedestrian_grid.csv       and .png: the pedestrian varied (replay.pedestrian_grid)
+    OUT/paper.md                  all of it on one page
+
+No clock is in any of them: two runs give the same numbers. Each file is written under a temporary name and renamed.
+What agrees with the paper, and what it gets wrong, is in docs/paper.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from logs.catalogue.paper import CROSSING_PEDESTRIAN, FAMILIES, FREE_ROAD
+from logs.errors import ConfigError, unknown_name
+from logs.kernel import FloatArray
+from logs.scenario import Scenario
+from logs.trace import PlannedFrame, StGraph, Trace
+from metrics import METRICS, evaluate
+from planners.dp_qp.st_graph import StGraphConfig
+from replay.closed_loop import run_closed_loop
+from replay.control import CONTROLLERS
+from replay.drive import Drive
+from replay.manoeuvres import compare
+from replay.pedestrian_grid import CELLS, LOOP, PLANNER, Cell, braking_intervals, grid, walker_within
+from replay.recording import write_recording
+from replay.report import figures
+from replay.results import write_file, write_text
+from replay.vehicle import VEHICLES
+
+Say = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class PaperConfig:
+    """How much is run.
+
+    Attributes:
+        vehicles: Vehicle models of the tables of controllers; the figures have the first one's.
+        roads: Seeded roads among the manoeuvres.
+        cells: Of the pedestrian grid.
+        workers: Processes of the grid; 0: in this one. The same results.
+
+    Raises:
+        ConfigError: A vehicle model is unknown, or a number is negative.
+    """
+
+    vehicles: tuple[str, ...] = ("single_track",)
+    roads: int = 50
+    cells: tuple[Cell, ...] = CELLS
+    workers: int = 0
+
+    def __post_init__(self) -> None:
+        for name in self.vehicles:
+            if name not in VEHICLES:
+                raise unknown_name("vehicle", name, VEHICLES)
+        if not self.vehicles or min(self.roads, self.workers) < 0:
+            raise ConfigError("paper: name a vehicle; roads and workers must not be negative")
+
+
+DEFAULT = PaperConfig()
+
+
+def reproduce(out: Path, config: PaperConfig = DEFAULT, *, say: Say = lambda line: None) -> Path:
+    """Run all experiments; `say` is told what is being done. Gives the page `paper.md`.
+
+    Files of these names are replaced, others in the folder are left alone.
+
+    Raises:
+        ConfigError: The folder cannot be made.
+    """
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{out}: cannot be the result folder: {error.strerror}") from None
+    say("scenario 1: the free road")
+    first = free_road(out, config.vehicles[0])
+    say("scenario 2: the crossing pedestrian")
+    second = crossing_pedestrian(out, config.vehicles[0])
+    say("controllers x scenarios")
+    scenarios = scenario_table(config.vehicles)
+    _write_table(out / "scenarios.csv", scenarios)
+    say(f"controllers x manoeuvres, {config.roads} roads among them")
+    manoeuvres = compare([v for v in config.vehicles if v != "perfect"], list(CONTROLLERS), roads=config.roads)
+    _write_table(out / "manoeuvres.csv", manoeuvres)
+    say(f"the pedestrian varied: {len(config.cells)} drives")
+    cells = grid(config.cells, workers=config.workers, on_cell=lambda done: _counted(say, done, len(config.cells)))
+    _write_table(out / "pedestrian_grid.csv", cells)
+    write_file(out / "pedestrian_grid.png", lambda part: figures.save(figures.grid_figure(cells), part))
+    page = out / "paper.md"
+    write_text(page, _page(first, second, scenarios, manoeuvres, cells))
+    return page
+
+
+def _counted(say: Say, done: int, of: int) -> None:
+    if done % 20 == 0 or done == of:
+        say(f"    {done} of {of}")
+
+
+def drive(scenario: Scenario, vehicle: str, controller: str) -> Drive:
+    """One closed loop of the paper's planner."""
+    return run_closed_loop(scenario, PLANNER, config=replace(LOOP, vehicle=vehicle, controller=controller))
+
+
+def free_road(out: Path, vehicle: str) -> dict[str, str]:
+    """Fig. 9 and its recording; what it shows, in words."""
+    scenario = FREE_ROAD.scenario()
+    drives = {name: drive(scenario, vehicle, name) for name in ("mpc", "dlqr_pid")}
+    traces = [(name, one.trace) for name, one in drives.items()]
+    picture = figures.path_figure(traces, planned_points(drives["mpc"].trace), scenario)
+    write_file(out / "fig09_path.png", lambda part: figures.save(picture, part))
+    write_recording(out / "free_road.rrd", drives["mpc"], scenario, evaluate(drives["mpc"].trace, scenario))
+    said = {}
+    for name, trace in traces:
+        assert trace.tracking is not None, "closed loops have tracking errors"
+        off = 1e3 * trace.tracking.lateral
+        said[f"lateral error, {name}"] = (
+            f"{np.sqrt(np.mean(off**2)):.1f} mm RMS, {np.abs(off).max():.1f} mm at most; ended by: {trace.end.value}"
+        )
+    return said
+
+
+def crossing_pedestrian(out: Path, vehicle: str) -> dict[str, str]:
+    """Fig. 10, Fig. 12 and their recording; what they show, in words."""
+    scenario = CROSSING_PEDESTRIAN.scenario()
+    made = drive(scenario, vehicle, "mpc")
+    trace = made.trace
+    moments = blocked_moments(trace.frames)
+    picture = figures.st_figure(moments, trace, scenario)
+    write_file(out / "fig10_st.png", lambda part: figures.save(picture, part))
+    clear = walker_within(scenario, StGraphConfig().vulnerable_margin_m)[1]
+    braking = [one for one in braking_intervals(trace) if one[0] < clear]
+    ends = (CROSSING_PEDESTRIAN.parameters["walk_start_s"] - 2.0, clear + 8.0)
+    pedals = figures.pedals_figure(trace, braking, clear, ends)
+    write_file(out / "fig12_pedals.png", lambda part: figures.save(pedals, part))
+    write_recording(out / "crossing_pedestrian.rrd", made, scenario, evaluate(trace, scenario))
+    return {
+        "path blocked in the S-T graph": f"from {moments[0][1].t:.1f} s until {moments[-1][1].t:.1f} s",
+        "braking": ", ".join(f"{begin:.2f} to {end:.2f} s ({end - begin:.2f} s)" for begin, end in braking) or "none",
+        "the walker has left the path": f"{clear:.2f} s",
+        "least speed": f"{trace.ego.v.min():.2f} m/s",
+        "ended by": trace.end.value,
+    }
+
+
+def planned_points(trace: Trace) -> FloatArray:
+    """Where the plan being driven wanted the rear axle at each time of the drive `(n, 2)`, m; no plan delay."""
+    starts = np.array([frame.t for frame in trace.frames])
+    owner = np.searchsorted(starts, trace.ego.t + 1e-9) - 1
+    points = [trace.frames[k].plan.trajectory.at(t) for k, t in zip(owner, trace.ego.t.tolist(), strict=True)]
+    return np.array([(state.x, state.y) for state in points])
+
+
+def blocked_moments(frames: Sequence[PlannedFrame]) -> list[tuple[str, PlannedFrame]]:
+    """The first frame in which somebody is in the S-T graph, the middle one, and the first one after the last.
+
+    Raises:
+        ConfigError: Nobody ever is, or until the end.
+    """
+    blocked = [i for i, frame in enumerate(frames) if _is_blocked(frame)]
+    if not blocked or blocked[-1] + 1 >= len(frames):
+        raise ConfigError("Fig. 10 needs a drive in which somebody blocks the path, and leaves it")
+    chosen = (blocked[0], blocked[len(blocked) // 2], blocked[-1] + 1)
+    words = ("first blocked", "in the middle", "free again")
+    return [(word, frames[i]) for word, i in zip(words, chosen, strict=True)]
+
+
+def _is_blocked(frame: PlannedFrame) -> bool:
+    return any(isinstance(artefact, StGraph) and artefact.obstacles for artefact in frame.plan.internals)
+
+
+SCENARIO_COLUMNS = {
+    "lateral_rms_m": "tracking_lateral.rms",
+    "lateral_max_m": "tracking_lateral.max_abs",
+    "heading_max_rad": "tracking_heading.max_abs",
+    "speed_max_mps": "tracking_speed.max_abs",
+    "station_max_m": "tracking_station.max_abs",
+    "steer_rate_max_radps": "steer_rate.max_abs",
+    "jerk_max_mps3": "lon_jerk_state.max_abs",
+    "least_gap_m": "gap.min",
+    "pedals_together": "pedals_together.count",
+    "pedal_switches": "pedal_switches.count",
+    "fallback_rate": "fallback.rate",
+}
+
+
+def scenario_table(vehicles: Sequence[str], controllers: Sequence[str] = tuple(CONTROLLERS)) -> pd.DataFrame:
+    """A row per vehicle model, scenario of the paper and controller; at the end the perfect vehicle, as the bound."""
+    wanted = {name.partition(".")[0] for name in SCENARIO_COLUMNS.values()}
+    metrics = {name: METRICS[name] for name in METRICS if name in wanted}
+    pairs = [(vehicle, name) for vehicle in vehicles if vehicle != "perfect" for name in controllers]
+    rows: list[dict[str, object]] = []
+    for family in FAMILIES:
+        scenario = family.scenario()
+        for vehicle, controller in (*pairs, ("perfect", "dlqr_pid")):
+            trace = drive(scenario, vehicle, controller).trace
+            values = evaluate(trace, scenario, metrics=metrics).set_index("metric")["value"]
+            head = {"vehicle": vehicle, "scenario": scenario.name, "end": trace.end.value}
+            head["controller"] = "none" if vehicle == "perfect" else controller
+            rows.append(head | {column: float(values[metric]) for column, metric in SCENARIO_COLUMNS.items()})
+    return pd.DataFrame(rows)[["vehicle", "scenario", "controller", "end", *SCENARIO_COLUMNS]]
+
+
+def _write_table(path: Path, table: pd.DataFrame) -> None:
+    write_file(path, lambda part: table.to_csv(part, index=False, lineterminator="\n", float_format="%.6g"))
+
+
+def markdown(table: pd.DataFrame) -> str:
+    """A table in Markdown; numbers with three digits, `-` where there is none."""
+    lines = ["| " + " | ".join(table.columns) + " |", "|" + "---|" * len(table.columns)]
+    rows = ("| " + " | ".join(_cell(value) for value in row) + " |" for row in table.itertuples(index=False))
+    return "\n".join([*lines, *rows])
+
+
+def _cell(value: object) -> str:
+    if not isinstance(value, float):
+        return str(value)
+    return "-" if np.isnan(value) else f"{value:.3g}"
+
+
+FAILED_COLUMNS = (
+    "ego_kmh", "walker_mps", "late_s", "verdict", "contact_t_s", "contact_v_mps", "least_gap_m",
+    "brake_begin_s", "braking_s", "path_clear_s", "release_after_clear_s", "peak_decel_mps2", "peak_jerk_mps3",
+)  # fmt: skip
+"""What the page shows of the cells in which something failed."""
+
+
+def _page(
+    first: dict[str, str],
+    second: dict[str, str],
+    scenarios: pd.DataFrame,
+    manoeuvres: pd.DataFrame,
+    cells: pd.DataFrame,
+) -> str:
+    """paper.md."""
+    counts = cells["verdict"].value_counts(sort=False)
+    bad = cells[~cells["verdict"].isin(["ok", "unavoidable"])]
+    lists = ["\n".join(f"- {key}: {value}" for key, value in said.items()) for said in (first, second)]
+    return "\n\n".join(
+        [
+            "# The paper's experiments",
+            "Made by `replan paper`. Recordings: `replan view free_road.rrd`, `replan view crossing_pedestrian.rrd`.",
+            "## Fig. 9: planned and driven path",
+            "![planned and driven path](fig09_path.png)",
+            lists[0],
+            "## Fig. 10: S-T graph before, while and after the pedestrian is in the way",
+            "![scene and S-T graph](fig10_st.png)",
+            "## Fig. 12: throttle and brake",
+            "![throttle, brake, speed](fig12_pedals.png)",
+            lists[1],
+            "## Controllers x scenarios",
+            markdown(scenarios),
+            "## Controllers x manoeuvres",
+            markdown(manoeuvres),
+            "## The pedestrian varied",
+            "![heat maps](pedestrian_grid.png)",
+            f"{len(cells)} drives: " + ", ".join(f"{count} {word}" for word, count in counts.items()) + ".",
+            markdown(bad[list(FAILED_COLUMNS)]) if len(bad) else "Nothing failed.",
+            "",
+        ]
+    )

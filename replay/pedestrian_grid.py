@@ -1,0 +1,229 @@
+"""The paper's crossing pedestrian, varied: speed of the ego x speed of the walker x who comes first, and by how much.
+
+Each cell is `paper/crossing_pedestrian` with another speed, another walk and another distance. Of the log only the
+first ego state is taken: a careful driver cannot avoid every cell.
+
+What a point mass can do there, which is what a cell is judged by: keep its speed, or brake and stay behind the walker.
+The two boxes meet at right angles; f(t) is the front bumper's way from the walker's nearer side, and he is within the
+ego's width from t_in to t_out:
+
+(1) keeping its speed avoids him   <=>  f(t_out) <= 0  or  f(t_in) >= ego length + walker width      f = v t - g
+(2) braking avoids him             <=>  f(t_out) <= 0                f = v t_b - g + s(t - t_b) from t_b on
+(3) s(u) = v u - j u^3 / 6 while u <= b / j, then with b until standstill                      b, j: deceleration, jerk
+(4) t_b = start of the walk + REACTION_S + dead time and lag of the brake
+
+(b, j) are the planner's stated limits, comfortable or hard. With no time to react, (2) is what nobody could do better
+by braking: in the first frame nobody knows how fast the walker will be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import product
+from math import sqrt
+
+import numpy as np
+import pandas as pd
+
+from logs.catalogue.agents import ADULT
+from logs.catalogue.paper import CROSSING_PEDESTRIAN, HALF_LANE
+from logs.errors import PlannerError
+from logs.scenario import Scenario
+from logs.trace import EndReason, Trace
+from metrics import METRICS, evaluate
+from planners.dp_qp.speed_qp import SpeedLimits, SpeedQpConfig
+from planners.dp_qp.st_graph import StGraphConfig
+from replay.closed_loop import run_closed_loop
+from replay.drive import Drive, LoopConfig
+from replay.pool import WorkerLost, run_all
+
+PLANNER = "dp_qp"
+LOOP = LoopConfig(vehicle="single_track", controller="mpc")
+EGO_KMH = (20.0, 30.0, 40.0, 50.0)
+WALKER_MPS = (0.8, 1.15, 1.5, 1.85, 2.2)
+LATE_S = (-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0)
+REACTION_S = 0.0
+WALK_RAMP_S = 0.4
+"""In which the walker of the family comes to speed."""
+RELEASE_S = 1.0
+JERK_MPS3 = 4.13
+"""Comfort bound of the longitudinal jerk (metrics.comfort)."""
+PRESSED = 1e-3
+JOINED_S = 0.5
+"""Releases of the brake that are shorter than this do not end the braking."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One crossing.
+
+    Attributes:
+        ego_kmh: Speed of the ego and of the road.
+        walker_mps: Speed of the walker.
+        late_s: When the walker is in the middle of the lane, minus when the front bumper of an ego that keeps its
+            speed is at his line.
+    """
+
+    ego_kmh: float
+    walker_mps: float
+    late_s: float
+
+    @property
+    def parameters(self) -> dict[str, float]:
+        """What it changes of the family."""
+        nominal = CROSSING_PEDESTRIAN.parameters
+        middle = (HALF_LANE + nominal["kerb_distance_m"]) / self.walker_mps + 0.5 * WALK_RAMP_S
+        v = self.ego_kmh / 3.6
+        return {
+            "ego_speed_mps": v,
+            "pedestrian_speed_mps": self.walker_mps,
+            "distance_m": v * (middle - self.late_s),
+        }
+
+
+CELLS = tuple(Cell(*one) for one in product(EGO_KMH, WALKER_MPS, LATE_S))
+
+
+def crossing(cell: Cell) -> Scenario:
+    """The scenario of a cell; its log holds the first ego state only."""
+    scenario = CROSSING_PEDESTRIAN.build({**CROSSING_PEDESTRIAN.parameters, **cell.parameters})
+    name = f"{CROSSING_PEDESTRIAN.name}@{cell.ego_kmh:g}kmh,{cell.walker_mps:g}mps,{cell.late_s:+g}s"
+    return replace(scenario, name=name, ego=scenario.ego.between(0.0, 0.0), tags=("synthetic", "pedestrian"))
+
+
+def walker_within(scenario: Scenario, margin: float) -> tuple[float, float]:
+    """When the walker is first and last within the ego's width and `margin` on each side, s."""
+    track = scenario.tracks
+    reach = 0.5 * (scenario.vehicle.width + ADULT[0]) + margin
+    entry, leave = (float(np.interp(side, track.y, track.t)) for side in (-reach, reach))
+    return entry, leave
+
+
+def braked(u: float, v: float, limits: SpeedLimits) -> float:
+    """Way (3) of a point mass `u` >= 0 s after it began to brake from `v` m/s, m."""
+    b, j = limits.decel_mps2, limits.jerk_mps3
+    ramp = min(b / j, sqrt(2.0 * v / j))
+    left = max(v - 0.5 * j * ramp**2, 0.0)
+    first, then = min(u, ramp), min(max(u - ramp, 0.0), left / b)
+    return v * first - j * first**3 / 6.0 + left * then - 0.5 * b * then**2
+
+
+@dataclass(frozen=True)
+class Avoidable:
+    """What a point mass can do in a cell: (1), and (2) with comfortable and with hard braking."""
+
+    keeping_speed: bool
+    comfortable: bool
+    hard: bool
+
+    @property
+    def gently(self) -> bool:
+        """Whether hard braking is not needed."""
+        return self.keeping_speed or self.comfortable
+
+
+def avoidable(cell: Cell) -> Avoidable:
+    """What can be done in a cell (module docstring)."""
+    scenario, qp, v = crossing(cell), SpeedQpConfig(), cell.ego_kmh / 3.6
+    car, walk = scenario.vehicle, CROSSING_PEDESTRIAN.parameters["walk_start_s"]
+    t_in, t_out = walker_within(scenario, 0.0)
+    begin = walk + REACTION_S + car.brake_delay + car.brake_lag
+    gap = v * walk + cell.parameters["distance_m"] - 0.5 * ADULT[1]
+    keeping = v * t_out <= gap or v * t_in - gap >= car.length + ADULT[1]
+    way = [v * begin + float(braked(t_out - begin, v, limits)) for limits in (qp.comfort, qp.emergency)]
+    return Avoidable(keeping, *(one <= gap for one in way))
+
+
+def drive_cell(cell: Cell) -> Drive:
+    """The closed loop of one cell."""
+    return run_closed_loop(crossing(cell), PLANNER, config=LOOP)
+
+
+def braking_intervals(trace: Trace) -> list[tuple[float, float]]:
+    """From when to when the brake was commanded, s; short releases are bridged."""
+    if trace.commands is None:
+        return []
+    pressed = np.r_[False, trace.commands.brake > PRESSED, False]
+    edges = np.flatnonzero(pressed[1:] != pressed[:-1])
+    last = len(trace.commands) - 1
+    joined: list[tuple[float, float]] = []
+    for first, end in zip(edges[::2], edges[1::2], strict=True):
+        begin, stop = float(trace.commands.t[first]), float(trace.commands.t[min(end, last)])
+        if joined and begin - joined[-1][1] < JOINED_S:
+            joined[-1] = (joined[-1][0], stop)
+        else:
+            joined.append((begin, stop))
+    return joined
+
+
+def measured(cell: Cell) -> dict[str, object]:
+    """One row of the table: the cell, what could be done, what was done."""
+    scenario, trace = crossing(cell), drive_cell(cell).trace
+    names = ("gap", "lon_jerk_state", "lon_accel", "fallback", "pedals_together")
+    table = evaluate(trace, scenario, metrics={name: METRICS[name] for name in names}).set_index("metric")["value"]
+    clear = walker_within(scenario, StGraphConfig().vulnerable_margin_m)[1]
+    before = [one for one in braking_intervals(trace) if one[0] < clear]
+    begin, end = (before[0][0], before[-1][1]) if before else (np.nan, np.nan)
+    contact, can = trace.end is EndReason.COLLISION, avoidable(cell)
+    jerk = float(table["lon_jerk_state.max_abs"])
+    row: dict[str, object] = {
+        "ego_kmh": cell.ego_kmh,
+        "walker_mps": cell.walker_mps,
+        "late_s": cell.late_s,
+        "distance_m": cell.parameters["distance_m"],
+        "keeping_speed_avoids": can.keeping_speed,
+        "comfortable_braking_avoids": can.comfortable,
+        "hard_braking_avoids": can.hard,
+        "end": trace.end.value,
+        "contact": contact,
+        "contact_t_s": float(trace.ego.t[-1]) if contact else np.nan,
+        "contact_v_mps": float(trace.ego.v[-1]) if contact else np.nan,
+        "least_gap_m": float(table["gap.min"]),
+        "brake_begin_s": begin,
+        "brake_end_s": end,
+        "braking_s": sum(stop - start for start, stop in before) if before else 0.0,
+        "path_clear_s": clear,
+        "release_after_clear_s": end - clear,
+        "least_speed_mps": float(trace.ego.v.min()),
+        "peak_decel_mps2": -float(table["lon_accel.min"]),
+        "peak_jerk_mps3": jerk,
+        "fallback_rate": float(table["fallback.rate"]),
+        "pedals_together": float(table["pedals_together.count"]),
+    }
+    return row | {"verdict": verdict(can, contact=contact, released=end - clear, jerk=jerk)}
+
+
+def verdict(can: Avoidable, *, contact: bool, released: float, jerk: float) -> str:
+    """What is wrong with a cell: the first of these that holds.
+
+    "contact"       hard braking would have avoided it
+    "drive on"      contact; braking could not avoid it, but keeping the speed
+    "unavoidable"   contact; neither could
+    "late release"  the brake was still pressed RELEASE_S after the path was clear
+    "jerk"          above the comfort bound, where no hard braking was needed
+    "ok"
+    """
+    if contact:
+        return "contact" if can.hard else "drive on" if can.keeping_speed else "unavoidable"
+    if released > RELEASE_S:
+        return "late release"
+    return "jerk" if can.gently and jerk > JERK_MPS3 else "ok"
+
+
+def grid(
+    cells: tuple[Cell, ...] = CELLS, *, workers: int = 0, on_cell: Callable[[int], None] = lambda done: None
+) -> pd.DataFrame:
+    """The table, a row per cell in their order; the same whatever the number of `workers` (0: in this process).
+
+    Raises:
+        PlannerError: A worker died.
+    """
+    rows: dict[int, dict[str, object]] = {}
+    found = run_all(measured, cells, workers) if workers else ((i, measured(cell)) for i, cell in enumerate(cells))
+    for index, row in found:
+        if isinstance(row, WorkerLost):
+            raise PlannerError(f"{crossing(cells[index]).name}: {row.reason}")
+        rows[index] = row
+        on_cell(len(rows))
+    return pd.DataFrame([rows[index] for index in range(len(cells))])

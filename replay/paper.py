@@ -181,10 +181,10 @@ def _is_blocked(frame: PlannedFrame) -> bool:
     return any(isinstance(artefact, StGraph) and artefact.obstacles for artefact in frame.plan.internals)
 
 
-SCENARIO_COLUMNS = {
+SCENARIO_COLUMNS: dict[str, str] = {
     "lateral_rms_m": "tracking_lateral.rms",
     "lateral_max_m": "tracking_lateral.max_abs",
-    "heading_max_rad": "tracking_heading.max_abs",
+    "heading_max_deg": "tracking_heading.max_abs",
     "speed_max_mps": "tracking_speed.max_abs",
     "station_max_m": "tracking_station.max_abs",
     "steer_rate_max_radps": "steer_rate.max_abs",
@@ -210,7 +210,8 @@ def scenario_table(vehicles: Sequence[str], controllers: Sequence[str] = tuple(C
             head = {"vehicle": vehicle, "scenario": scenario.name, "end": trace.end.value}
             head["controller"] = "none" if vehicle == "perfect" else controller
             rows.append(head | {column: float(values[metric]) for column, metric in SCENARIO_COLUMNS.items()})
-    return pd.DataFrame(rows)[["vehicle", "scenario", "controller", "end", *SCENARIO_COLUMNS]]
+    table = pd.DataFrame(rows)[["vehicle", "scenario", "controller", "end", *SCENARIO_COLUMNS]]
+    return table.assign(heading_max_deg=np.degrees(table["heading_max_deg"]))
 
 
 def _write_table(path: Path, table: pd.DataFrame) -> None:
@@ -233,6 +234,7 @@ def _cell(value: object) -> str:
 FAILED_COLUMNS = (
     "ego_kmh", "walker_mps", "late_s", "verdict", "contact_t_s", "contact_v_mps", "least_gap_m",
     "brake_begin_s", "braking_s", "path_clear_s", "release_after_clear_s", "peak_decel_mps2", "peak_jerk_mps3",
+    "first_reason",
 )  # fmt: skip
 """What the page shows of the cells in which something failed."""
 

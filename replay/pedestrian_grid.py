@@ -157,6 +157,11 @@ def braking_intervals(trace: Trace) -> list[tuple[float, float]]:
     return joined
 
 
+def first_reason(trace: Trace) -> str:
+    """When the planner first said that a plan was not as it should be, and why; empty where all were."""
+    return next((f"{frame.t:.1f} s: {frame.plan.reason}" for frame in trace.frames if frame.plan.reason), "")
+
+
 def measured(cell: Cell) -> dict[str, object]:
     """One row of the table: the cell, what could be done, what was done."""
     scenario, trace = crossing(cell), drive_cell(cell).trace
@@ -190,6 +195,7 @@ def measured(cell: Cell) -> dict[str, object]:
         "peak_jerk_mps3": jerk,
         "fallback_rate": float(table["fallback.rate"]),
         "pedals_together": float(table["pedals_together.count"]),
+        "first_reason": first_reason(trace),
     }
     return row | {"verdict": verdict(can, contact=contact, released=end - clear, jerk=jerk)}
 

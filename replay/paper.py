@@ -10,7 +10,8 @@
     OUT/pedestrian_grid.csv       and .png: the pedestrian varied (replay.pedestrian_grid)
     OUT/paper.md                  all of it on one page
 
-No clock is in any of them: two runs give the same numbers. Each file is written under a temporary name and renamed.
+No clock is in them but for the planner's stage times in the recordings: two runs give the same bytes of the rest. Each
+file is written under a temporary name and renamed.
 What agrees with the paper, and what it gets wrong, is in docs/paper.md.
 """
 

@@ -28,6 +28,7 @@ from logs.catalogue.paper import CROSSING_PEDESTRIAN
 from logs.shapes import distance
 from planners.dp_qp.speed_qp import SpeedLimits
 from replay import paper, pedestrian_grid
+from replay.calibrate import calibrate
 from replay.drive import LoopConfig
 from replay.pedestrian_grid import (
     CELLS,
@@ -238,3 +239,17 @@ def test_nominal_braking_lasts_as_in_the_paper() -> None:
     clear = walker_within(scenario, 0.6)[1]
     ((begin, end),) = [one for one in braking_intervals(trace) if one[0] < clear]
     assert 3.0 <= end - begin <= 5.0 and end <= clear + 1.0
+
+
+def test_the_calibration_is_written_and_drawn(tmp_path: Path) -> None:
+    csv, png = calibrate(tmp_path, "single_track", "small_electric")
+    table = pd.read_csv(csv, index_col=0)
+    at_10 = table["10_mps"].dropna()
+    assert (np.diff(at_10) > 0.0).all()
+    assert 0.0 < at_10.loc[-1.0] < at_10.loc[0.0] < 0.3, "its motor brakes by more than 1 m/s2"
+    assert -0.5 < at_10.loc[-4.0] < -0.2
+    assert png.stat().st_size > 5_000
+    assert {path.name for path in tmp_path.iterdir()} == {"calibration.csv", "calibration.png"}
+    for wrong in ({"model": "perfect"}, {"model": "single_trak"}, {"car": "beetle"}):
+        with pytest.raises(ConfigError):
+            calibrate(tmp_path, **wrong)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from planners.dp_qp.speed_qp import (
     cruising,
     limit_profile,
 )
-from planners.dp_qp.st_graph import Blocks, StGraphConfig, block_intervals, decide_speed
+from planners.dp_qp.st_graph import TOUCHING, Blocks, StGraphConfig, block_intervals, decide_speed
 
 RESERVE = 0.85
 """Share of the limits with which braking must keep the bounds, so that the QP has room to be smooth."""
@@ -33,6 +34,9 @@ RESERVE = 0.85
 SPEED_ROOM_MPS = 0.8
 """Room above the limit that the reference keeps: a tight tube would cost the solver many iterations."""
 
+
+ONWARD_S = 0.5
+"""Driving on instead of braking reaches its acceleration within this time."""
 
 STAY_M = 0.05
 """Least upper bound of s."""
@@ -93,11 +97,12 @@ class SpeedStage:
         state = _startable(start.v, start.a, self._config.qp.comfort.jerk_mps3)
         free = self._problem(path, v_limit, s_dp, state, constrained=_meets_movers(blocks, frame))
         problem = self._bounded(free, blocks, decisions, path)
-        solved = self._solve(problem, fresh=fresh)
+        touching = partial(block_intervals, path, frame, self._vehicle, skip, passed, TOUCHING)
+        solved = self._solve(problem, touching, fresh=fresh)
         if not _overtakes(blocks, decisions, solved.profile, self._times):
             decisions = tuple(_let_go(decision) for decision in decisions)
             problem, tried = self._bounded(free, blocks, decisions, path), solved.artefacts
-            solved = self._solve(problem, fresh=fresh)
+            solved = self._solve(problem, touching, fresh=fresh)
             solved = replace(solved, artefacts=(*tried, *solved.artefacts))
         self._lap("speed QP")
         graph = StGraph(
@@ -183,7 +188,7 @@ class SpeedStage:
         nowhere, everywhere = np.zeros(qp.knots), np.full(qp.knots, path.length)
         return SpeedProblem(start, nowhere, everywhere, limit, s_ref, v_ref)
 
-    def _solve(self, problem: SpeedProblem, *, fresh: bool) -> SolvedSpeed:
+    def _solve(self, problem: SpeedProblem, touching: Callable[[], Blocks], *, fresh: bool) -> SolvedSpeed:
         """Comfortable limits where they can keep the bounds, else the mildest that can, else the hardest braking."""
         qp = self._config.qp
         artefacts: tuple[Artefact, ...] = ()
@@ -208,7 +213,25 @@ class SpeedStage:
         left = self._config.dp.gap_m - float((stop[0] - problem.upper).max())
         if left > 0.0:
             return SolvedSpeed(stop, f"hardest braking, which leaves {left:.1f} m", False, ())
+        boxes = touching()
+        if not boxes.meets(self._times, stop[0]):
+            return SolvedSpeed(stop, "hardest braking, which just does not touch", False, ())
+        onward = self._onward(problem, boxes)
+        if onward is not None:
+            return SolvedSpeed(onward, f"driving on: hardest braking comes {-left:.1f} m too far", False, ())
         return SolvedSpeed(stop, f"hardest braking comes {-left:.1f} m too far", True, ())
+
+    def _onward(self, problem: SpeedProblem, blocks: Blocks) -> FloatArray | None:
+        """Driving on, at the present speed or accelerating, where that meets nobody as predicted; else None."""
+        v0, a0 = problem.start
+        for accel in (0.0, self._config.qp.comfort.accel_mps2):
+            a = a0 + np.clip(accel - a0, -1.0, 1.0) * np.minimum(self._times / ONWARD_S, 1.0)
+            v = np.maximum(v0 + np.r_[0.0, np.cumsum(0.5 * STEP_S * (a[1:] + a[:-1]))], 0.0)
+            v = np.minimum(v, np.maximum(problem.limit, v0))
+            s = np.r_[0.0, np.cumsum(0.5 * STEP_S * (v[1:] + v[:-1]))]
+            if not blocks.meets(self._times, s):
+                return np.vstack([s, v, np.gradient(v, STEP_S)])
+        return None
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -52,6 +52,10 @@ class StGraphConfig:
             raise ValueError("step_s must be positive")
 
 
+TOUCHING = StGraphConfig(margin_m=0.05, vulnerable_margin_m=0.05, passed_margin_m=0.05, early_s=0.0, late_s=0.0)
+"""The footprints as predicted: what counts where nothing better than not to touch can be had."""
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Blocks:
     """The blocked intervals (1) of `n` predictions at `k` times; NaN where not blocked.
@@ -59,7 +63,7 @@ class Blocks:
     Attributes:
         t: `(k,)` s from the frame.
         agent: `(n,)` index into the frame's agents.
-        lower: `(n, k)` m along the path; `upper` likewise.
+        lower: `(n, k)` m along the path, drawn out in time by what is uncertain; `upper` likewise.
         speed: `(n,)` the agent's speed along the path where it enters, m/s.
     """
 
@@ -71,6 +75,11 @@ class Blocks:
 
     def __len__(self) -> int:
         return len(self.agent)
+
+    def meets(self, t: FloatArray, s: FloatArray) -> bool:
+        """Whether a profile s(t) `(m,)` enters a block."""
+        at = np.interp(self.t, t, s)
+        return bool(((at > self.lower) & (at < self.upper)).any())
 
     @property
     def step(self) -> float:

@@ -32,27 +32,27 @@ Predictor = Callable[[Agents, FloatArray, LaneMap], Predictions]
 """Futures of the agents on a time grid `(k,)`, s, whose first entry is the time at which they were perceived."""
 
 
-def lane_following(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
+def _lane_following(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
     """Vehicles follow their lanes; who follows none goes on at a constant turn rate."""
     return _instead(constant_turn_rate(agents, t), followers(agents, t, lanes))
 
 
-def pedestrian(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
+def _pedestrian(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
     """Pedestrians have several hypotheses; everybody else goes on at constant velocity."""
     return _instead(constant_velocity(agents, t), walkers(agents, t, lanes))
 
 
-def lanes_and_pedestrians(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
+def _lanes_and_pedestrians(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
     """Vehicles follow their lanes, pedestrians have several hypotheses, the rest goes on at a constant turn rate."""
-    return _instead(lane_following(agents, t, lanes), walkers(agents, t, lanes))
+    return _instead(_lane_following(agents, t, lanes), walkers(agents, t, lanes))
 
 
 PREDICTORS: dict[str, Predictor] = {
     "constant_velocity": lambda agents, t, lanes: constant_velocity(agents, t),
     "constant_turn_rate": lambda agents, t, lanes: constant_turn_rate(agents, t),
-    "lane_following": lane_following,
-    "pedestrian": pedestrian,
-    "lanes_and_pedestrians": lanes_and_pedestrians,
+    "lane_following": _lane_following,
+    "pedestrian": _pedestrian,
+    "lanes_and_pedestrians": _lanes_and_pedestrians,
 }
 
 NO_LANES = LaneMap.unknown()

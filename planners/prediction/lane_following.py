@@ -45,7 +45,7 @@ TURN_M, TURN_RAD = 5.0, 1.5
 LEAST = 0.1
 WAYS, MATCHED, DEEPEST = 4, 3, 48
 """Most hypotheses of an agent, most lanes that it may be on, most lanes of a way."""
-KNOT_M = 2.0
+KNOT_M, FAR_M = 2.0, 1e6
 FOLLOWING = (AgentKind.CAR, AgentKind.TRUCK, AgentKind.BUS, AgentKind.MOTORCYCLE)
 
 
@@ -120,7 +120,7 @@ def _ways(
             continue
         target = _changed_to(map_, lane, left, half, across)
         if target != lane:
-            s, left, half = lane_project(map_, target, vehicle[0], vehicle[1])
+            s, left, half = lane_project(map_, target, vehicle[0], vehicle[1], FAR_M)
         known = False
         for h in range(made):
             known = known or ways[h, 0] == target

@@ -38,7 +38,7 @@ class LaneArrays(NamedTuple):
     Attributes:
         first: `(n + 1,)`.
         step: `(n,)` m between two samples; the samples of a lane are equally spaced.
-        tightest: `(n,)` greatest curvature, 1/m, not negative.
+        tightest: `(n,)` greatest curvature, 1/m, not negative; `widest` half of the greatest width, m.
         pose: Rows x, y, yaw (continuous within a lane), kappa, half of the lane's width `(5, m)`.
         box: `(n, 4)` least x, y, greatest x, y of the centre line widened by half of the lane's width.
         next_first: `(n + 1,)`: lane i goes on in the lanes `following[next_first[i] : next_first[i + 1]]`.
@@ -49,6 +49,7 @@ class LaneArrays(NamedTuple):
     first: IntArray
     step: FloatArray
     tightest: FloatArray
+    widest: FloatArray
     pose: FloatArray
     box: FloatArray
     next_first: IntArray
@@ -84,6 +85,7 @@ class LaneMap:
                 frozen(np.cumsum([0, *(pose.shape[1] for pose, _ in sampled)]), np.int64),
                 frozen([step for _, step in sampled]),
                 frozen([np.abs(pose[3]).max() for pose, _ in sampled]),
+                frozen([pose[4].max() for pose, _ in sampled]),
                 frozen(pose),
                 frozen(np.array(reach).reshape(-1, 4)),
                 frozen(np.cumsum([0, *map(len, follow)]), np.int64),
@@ -134,20 +136,23 @@ def lane_point(map_: LaneArrays, lane: int, s: float) -> tuple[float, float, flo
 
 
 @kernel
-def lane_project(map_: LaneArrays, lane: int, x: float, y: float) -> tuple[float, float, float]:
+def lane_project(map_: LaneArrays, lane: int, x: float, y: float, within: float) -> tuple[float, float, float]:
     """Station, offset to the left, half of the lane's width (m) at the foot of a point.
 
-    The nearest point of the polyline; beyond the lane's ends the station lies outside of [0, length]. Samples that
-    cannot be nearer are jumped over: neighbours are not further apart than a step.
+    The nearest point of the polyline; beyond the lane's ends the station lies outside of [0, length]. Where the
+    polyline is farther away than `within` m, the offset is inf. Samples that cannot be nearer, or are farther than
+    that, are jumped over: neighbours are not further apart than a step.
     """
     first, last, step = map_.first[lane], map_.first[lane + 1] - 1, map_.step[lane]
-    best, nearest, i = first, 1e300, first
+    best, nearest, i = first, within + step, first
     while i <= last:
         dx, dy = map_.pose[0, i] - x, map_.pose[1, i] - y
         away = sqrt(dx * dx + dy * dy)
         if away < nearest:
             best, nearest = i, away
         i += max(1, int((away - nearest) / step))
+    if nearest >= within + step:
+        return 0.0, inf, 0.0
     s, left, miss = 0.0, 0.0, 1e300
     for k in range(max(best - 1, first), min(best, last - 1) + 1):
         ax, ay = map_.pose[0, k], map_.pose[1, k]
@@ -190,7 +195,7 @@ def matches(map_: LaneArrays, x: float, y: float, yaw: float, lanes: IntArray, f
         box = map_.box[lane]
         if x < box[0] - BESIDE_M or y < box[1] - BESIDE_M or x > box[2] + BESIDE_M or y > box[3] + BESIDE_M:
             continue
-        s, left, half = lane_project(map_, lane, x, y)
+        s, left, half = lane_project(map_, lane, x, y, map_.widest[lane] + BESIDE_M)
         length = map_.step[lane] * (map_.first[lane + 1] - map_.first[lane] - 1)
         if abs(left) > half + BESIDE_M or s < -0.5 or s > length + 0.5:
             continue
@@ -222,7 +227,7 @@ def road_ahead(map_: LaneArrays, x: float, y: float, toward_x: float, toward_y: 
             box = map_.box[lane]
             if px < box[0] or py < box[1] or px > box[2] or py > box[3]:
                 continue
-            s, left, half = lane_project(map_, lane, px, py)
+            s, left, half = lane_project(map_, lane, px, py, map_.widest[lane])
             length = map_.step[lane] * (map_.first[lane + 1] - map_.first[lane] - 1)
             if abs(left) <= half and 0.0 <= s <= length:
                 return k * ROAD_STEP_M

@@ -242,7 +242,7 @@ class Tracks:
         return self._agents(seen, at, (x, y, yaw, vx, vy))
 
     def velocity(self, seen: IntArray, at: IntArray) -> tuple[FloatArray, FloatArray]:
-        """Vectors vx and vy `(k,)` of the tracks `seen` at their samples `at`: logged, else backward differences, m/s."""
+        """Vectors vx and vy `(k,)` of the tracks `seen` at their samples `at`: logged, else backward differences."""
         before = np.maximum(at - 1, self.offsets[seen])
         span = self.t[at] - self.t[before]
         differences = [

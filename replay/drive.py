@@ -38,7 +38,7 @@ class LoopConfig:
     vehicle: str = "kinematic_bicycle"
     controller: str = "dlqr_pid"
     traffic: str = "time"
-    prediction: str = "constant_velocity"
+    prediction: str = "lane_following"
     prediction_horizon_s: float = 8.0
     prediction_step_s: float = 0.1
     plant: Mapping[str, float | str] = field(default_factory=dict)

@@ -14,7 +14,7 @@ from replay.control import CONTROLLERS
 from replay.control.base import Controller, Telling
 from replay.control.lateral_model import with_rigid_tyres
 from replay.drive import LoopConfig
-from replay.traffic import TRAFFIC, Traffic
+from replay.traffic import TRAFFIC, TRAFFIC_NOTES, Traffic
 from replay.vehicle import VEHICLES
 from replay.vehicle.base import Vehicle
 from replay.vehicle.kinematic_bicycle import KinematicBicycle
@@ -75,7 +75,7 @@ class Rig:
             steps=steps,
             steps_per_plan=config.plan_period_ns // config.control_period_ns,
             period=period,
-            notes=(*_notes(scenario), *_vehicle_notes(config)),
+            notes=(*_notes(scenario), *_vehicle_notes(config), *TRAFFIC_NOTES.get(config.traffic, ())),
         )
 
     @property

@@ -120,6 +120,7 @@ class Sensor:
         x, y = box_center(world.ego, self._vehicle)
         boxes = np.column_stack([agents.x, agents.y, agents.yaw, agents.length, agents.width])
         hiding = np.array([config.occlusion and not kind.is_vulnerable for kind in agents.kinds], bool)
+        hiding &= ~_around(boxes, x, y)
         view = np.array([x, y, world.ego.yaw, config.range_m, radians(config.field_of_view_deg)])
         seen = _seen_shares(boxes, hiding, view) >= VISIBLE
         seen &= np.array([not self._dropped(name, t) for name in agents.ids], bool)
@@ -200,6 +201,15 @@ def _crosses(ax: float, ay: float, bx: float, by: float, box: FloatArray) -> boo
 
 
 @kernel
+def _around(boxes: FloatArray, x: float, y: float) -> BoolArray:
+    """Which boxes hold the point: an agent there is no view but a collision."""
+    out = np.zeros(len(boxes), np.bool_)
+    for i in range(len(boxes)):
+        out[i] = _crosses(x, y, x, y, boxes[i])
+    return out
+
+
+@kernel
 def _points(box: FloatArray) -> FloatArray:
     """Corners, middles of the sides and centre of a box `(9, 2)`."""
     out = np.empty((POINTS, 2))
@@ -250,9 +260,10 @@ def _shadows(boxes: FloatArray, view: FloatArray) -> FloatArray:
                 right, out[count, 0] = angle, outline[k]
             if angle > left:
                 left, out[count, 3] = angle, outline[k]
-        far = 1.01 * view[3] / cos(min(max(left, -right), WIDEST_RAD))
-        for k, angle in ((1, max(right, -WIDEST_RAD)), (2, min(left, WIDEST_RAD))):
-            out[count, k, 0] = view[0] + far * cos(middle + angle)
-            out[count, k, 1] = view[1] + far * sin(middle + angle)
+        half = min(0.5 * (left - right), WIDEST_RAD)
+        far = 1.01 * view[3] / cos(half)
+        for k, angle in ((1, -half), (2, half)):
+            out[count, k, 0] = view[0] + far * cos(middle + 0.5 * (left + right) + angle)
+            out[count, k, 1] = view[1] + far * sin(middle + 0.5 * (left + right) + angle)
         count += 1
     return out[:count]

@@ -68,7 +68,7 @@ def outline_segments(points: FloatArray, lengths: IntArray, window: Window) -> t
     enter, leave = np.zeros(len(start)), np.ones(len(start))
     outside = np.zeros(len(start), dtype=bool)
     for axis, (low, high) in ((0, window.x), (1, window.y)):
-        moving = delta[:, axis] != 0.0
+        moving = np.abs(delta[:, axis]) > 1e-9  # a step too small to divide by stands still
         outside |= ~moving & ((start[:, axis] < low) | (start[:, axis] > high))
         step = np.where(moving, delta[:, axis], 1.0)
         at = np.sort(np.stack([(low - start[:, axis]) / step, (high - start[:, axis]) / step]), axis=0)

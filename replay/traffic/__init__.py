@@ -15,7 +15,7 @@ from logs.states import EgoState
 from replay.traffic.ego_position import ReplayedByEgoPosition
 from replay.traffic.reactive import Reactive
 
-__all__ = ["TRAFFIC", "Reactive", "ReplayedByEgoPosition", "ReplayedByTime", "Traffic"]
+__all__ = ["TRAFFIC", "TRAFFIC_NOTES", "Reactive", "ReplayedByEgoPosition", "ReplayedByTime", "Traffic"]
 
 
 class Traffic(Protocol):
@@ -45,3 +45,11 @@ TRAFFIC: dict[str, Callable[[Scenario], Traffic]] = {
     "ego_position": ReplayedByEgoPosition,
     "reactive": Reactive,
 }
+
+TRAFFIC_NOTES: dict[str, tuple[str, ...]] = {
+    "ego_position": (
+        "the others are where they were when the logged ego was where the ego is; their time is its place",
+    ),
+    "reactive": ("the others react: vehicles keep to their logged paths, behind whoever is on them",),
+}
+"""What the user must know of the traffic to read the results; nothing of a replay by time."""

@@ -34,6 +34,8 @@ STANDING_MPS = 0.1
 """The log stands where it is slower than this."""
 TOUCHING_M = 0.1
 """A gap is not less than this in (2) and (3)."""
+ARRIVED_M = 1e-6
+"""Nearer than this is there: rounding must not decide whether a vehicle has come to where its log stands."""
 FINE_M = 1.0
 """Step of the box along the path; the contact is then halved down to `FINE_M` / 32."""
 
@@ -144,11 +146,11 @@ def moved_on(paths: Paths, phase: FloatArray, way: FloatArray, now: float) -> Fl
                     out[i] = max(out[i], now)
                     break
                 out[i] = t[k + 1]
-            elif left < speed * rest:
+            elif left < speed * rest - ARRIVED_M:
                 out[i] += left / speed
                 break
             else:
-                left -= speed * rest
+                left = max(left - speed * rest, 0.0)
                 out[i] = t[k + 1]
             k += 1
         if k == end - 1 and left > 1e-9:

@@ -41,7 +41,7 @@ from replay.traffic.following import (
 )
 from replay.world import box_center
 
-EGO_M = 1.0
+EGO_M, SAME_MPS = 1.0, 1e-6
 BEYOND_M = 100.0
 
 
@@ -93,14 +93,14 @@ class Reactive:
         logged = self._logged_speeds(self._phase)
         found = self._leaders(ego, self._there & self._reacts)
         wanted = self._speed + PERIOD_S * accelerations(self._speed, found)
-        slower = np.isfinite(found.gap) & (wanted < logged - 1e-6) & (found.gap < desired_gaps(self._speed, found))
+        slower = np.isfinite(found.gap) & (wanted < logged - SAME_MPS) & (found.gap < desired_gaps(self._speed, found))
         self._late |= self._there & self._reacts & slower
-        speed = np.where(self._late, np.clip(wanted, 0.0, logged), logged)
+        speed = np.where(self._late, np.clip(wanted, 0.0, logged), logged) * self._there
         log = self._cast.log
         phase = moved_on(self._paths, self._phase, speed * PERIOD_S, t + PERIOD_S)
         waiting = self._late & ~self._there
         self._phase = np.where(waiting, self._phase, np.where(self._late, phase, t + PERIOD_S))
-        self._late &= waiting | (self._phase < t + PERIOD_S - 1e-9) | (speed < logged)
+        self._late &= waiting | (self._phase < t + PERIOD_S - 1e-9) | (speed < logged - SAME_MPS)
         self._accel = np.where(self._there, (speed - self._speed) / PERIOD_S, 0.0)
         self._speed = speed
         ends = np.where(self._late, log.t[log.offsets[1:] - 1], self._left) if len(log) else self._left

@@ -1,0 +1,317 @@
+"""Traffic: the log where nobody disturbs it, nobody drives through the ego, and encounters by the ego's position."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from drives import moved as moved_world
+from handmade import drive, scenario, straight, track, tracks
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from worlds import along_x, lanes
+
+from logs import AgentKind, EgoState, LogError, Scenario, Tracks
+from logs.convert.commonroad import read_commonroad
+from logs.kernel import FloatArray
+from replay.closed_loop import run_closed_loop
+from replay.drive import LoopConfig
+from replay.traffic import TRAFFIC
+from replay.traffic.following import ACCEL_MPS2, HARDEST_MPS2, STANDSTILL_M, TIME_GAP_S, enhanced_idm
+from replay.world import World, contact, logged_ego
+
+T = np.round(np.arange(0.0, 12.01, 0.1), 9)
+Egos = list[EgoState]
+ROAD = lanes(along_x(-100.0, 500.0), 2)
+
+
+def run(log: Scenario, mode: str, egos: Egos) -> Tracks:
+    traffic = TRAFFIC[mode](log)
+    found = [traffic.step(ego) for ego in egos]
+    return found[-1]
+
+
+def logged(log: Scenario, until: float = 12.0) -> Egos:
+    return [logged_ego(log.ego, log.vehicle, float(t)) for t in T if t <= until]
+
+
+def at_speed(v: Callable[[float], float], y: float = 0.0) -> Egos:
+    """An ego along x with speed v(t)."""
+    x, egos = 0.0, []
+    for t in T:
+        egos.append(EgoState(float(t), x, y, 0.0, v(float(t)), (v(float(t) + 1e-3) - v(float(t))) / 1e-3))
+        x += 0.1 * 0.5 * (v(float(t)) + v(float(t) + 0.1))
+    return egos
+
+
+def far_away(log: Scenario) -> Egos:
+    return [replace(ego, x=1e4, y=1e4, v=0.0) for ego in logged(log)]
+
+
+def car(name: str, x: float, y: float = 0.0, v: float = 10.0, **more: object) -> dict[str, object]:
+    return track(name, T, x + v * T, np.full(len(T), y), **more)
+
+
+def made(*agents: dict[str, object], v: float = 10.0) -> Scenario:
+    return scenario(drive(straight, v, 12.0), agents=tracks(*agents), road=ROAD, duration=12.0)
+
+
+def busy(seed: int) -> Scenario:
+    """Cars along both lanes at speeds of their own, one that stops for a while, a pedestrian, a parked car."""
+    rng = np.random.default_rng(seed)
+    agents = []
+    for i, (x, y) in enumerate([(-40.0, 0.0), (-20.0, 0.0), (30.0, 0.0), (-30.0, 3.5), (10.0, 3.5)]):
+        wish = np.clip(10.0 + np.cumsum(rng.normal(0.0, 0.3, len(T))), 3.0, 14.0)
+        wish[40 : 40 + rng.integers(0, 20)] = 0.0 if i == 0 else wish[40]
+        agents.append(track(f"c{i}", T, x + np.cumsum(0.1 * wish), np.full(len(T), y)))
+    agents.append(track("p", T, np.full(len(T), 60.0), 8.0 - 1.2 * T, kind=AgentKind.PEDESTRIAN, length=0.5, width=0.5))
+    agents.append(track("parked", [0.0], [80.0], [-4.0], static=True))
+    agents.append(track("late", T[50:], 20.0 + 9.0 * (T[50:] - 5.0), np.zeros(len(T[50:]))))
+    return made(*agents)
+
+
+def assert_same_motion(one: Tracks, two: Tracks, atol: float = 1e-9, until: float = 12.0) -> None:
+    for t in T[: round(10.0 * until) + 1]:
+        a, b = one.truth(float(t)), two.truth(float(t))
+        assert a.ids == b.ids, t
+        for name in ("x", "y", "yaw"):
+            np.testing.assert_allclose(getattr(a, name), getattr(b, name), atol=atol, err_msg=f"{name} at {t}")
+
+
+def gap_behind(moved: Tracks, name: str, egos: Egos) -> FloatArray:
+    """From an agent's front to the ego's rear bumper along x, m."""
+    i = moved.ids.index(name)
+    span = moved.samples(i)
+    front = np.interp(T, moved.t[span], moved.x[span]) + 0.5 * moved.length[i]
+    return np.array([ego.x for ego in egos]) - 0.9 - front
+
+
+# --- where nothing differs from the log, nobody does
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=8)
+def test_without_the_ego_the_reactive_traffic_is_the_log(seed: int) -> None:
+    log = busy(seed)
+    assert_same_motion(run(log, "reactive", far_away(log)), log.tracks)
+
+
+@pytest.mark.parametrize("mode", ["reactive", "ego_position"])
+def test_around_an_ego_that_drives_as_logged_all_drive_as_logged(mode: str) -> None:
+    log = busy(3)
+    assert_same_motion(run(log, mode, logged(log)), log.tracks, atol=0.02, until=11.7)
+
+
+@pytest.mark.parametrize("mode", TRAFFIC)
+def test_what_is_perceived_begins_as_in_the_log(mode: str) -> None:
+    log = busy(4)
+    one, two = (some.perceived(0.0) for some in (run(log, mode, logged(log)[:1]), log.tracks))
+    assert set(one.ids) == set(two.ids)
+    for name in ("x", "y", "yaw"):
+        order = [np.argsort(some.ids) for some in (one, two)]
+        np.testing.assert_allclose(getattr(one, name)[order[0]], getattr(two, name)[order[1]], atol=1e-9)
+
+
+@pytest.mark.parametrize("mode", TRAFFIC)
+@given(st.integers(0, 2**32 - 1), st.integers(10, 100))
+@settings(max_examples=6)
+def test_what_the_ego_does_later_changes_nothing_before(mode: str, seed: int, k: int) -> None:
+    log = busy(seed)
+    egos = at_speed(lambda t: max(10.0 - 3.0 * t, 0.0))
+    others = egos[: k + 1] + [replace(ego, v=0.0, x=egos[k].x) for ego in egos[k + 1 :]]
+    one, two = (run(log, mode, some) for some in (egos, others))
+    assert_same_motion(one, two, until=float(T[k]))
+    again = run(log, mode, egos)
+    np.testing.assert_array_equal(one.x, again.x)
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(-3.0, 3.0), st.booleans())
+@settings(max_examples=5)
+@pytest.mark.parametrize("mode", TRAFFIC)
+def test_traffic_turns_moves_and_mirrors_with_the_world(mode: str, seed: int, turn: float, mirror: bool) -> None:
+    log = busy(seed)
+    other = moved_world(log, turn, 30.0, -20.0, mirror=mirror)
+    egos = at_speed(lambda t: max(10.0 - 2.0 * t, 2.0))
+    sign, c, s = (-1.0 if mirror else 1.0), np.cos(turn), np.sin(turn)
+
+    def place(x: float, y: float) -> tuple[float, float]:
+        return c * x - s * sign * y + 30.0, s * x + c * sign * y - 20.0
+
+    turned = [replace(e, x=place(e.x, e.y)[0], y=place(e.x, e.y)[1], yaw=sign * e.yaw + turn) for e in egos]
+    here, there = run(log, mode, egos), run(other, mode, turned)
+    np.testing.assert_array_equal(here.offsets, there.offsets)
+    x, y = place(here.x, here.y)  # type: ignore[arg-type]
+    np.testing.assert_allclose(there.x, x, atol=1e-5)
+    np.testing.assert_allclose(there.y, y, atol=1e-5)
+
+
+# --- reactive
+
+
+@given(st.floats(5.0, 15.0), st.floats(8.0, 40.0), st.floats(1.0, 6.0))
+@settings(max_examples=25)
+def test_nobody_drives_into_an_ego_that_brakes(v: float, behind: float, decel: float) -> None:
+    """Someone with a gap from which braking within the limits is possible follows, and stops behind."""
+    gap = behind - 4.5 / 2 - 0.9
+    stops_in = v * 0.2 + v**2 / (2 * 0.9 * HARDEST_MPS2) - v**2 / (2 * decel)
+    log = made(car("b", -behind, v=v), v=v)
+    egos = at_speed(lambda t: max(v - decel * t, 0.0))
+    moved = run(log, "reactive", egos)
+    if gap > stops_in + 1.0:
+        assert gap_behind(moved, "b", egos).min() > 0.2
+    hits = [contact(World(ego, log.tracks), log.vehicle) >= 0 for ego in egos]
+    assert any(hits) or v * 12.0 - v**2 / (2 * decel) < behind + 1.0, "replayed by time, he drives through"
+
+
+def test_the_follower_keeps_a_gap_to_a_slower_ego_and_so_does_the_next() -> None:
+    log = made(car("b", -20.0), car("c", -35.0))
+    egos = at_speed(lambda t: max(10.0 - 1.5 * t, 4.0))
+    moved = run(log, "reactive", egos)
+    assert gap_behind(moved, "b", egos).min() > STANDSTILL_M
+    now = moved.perceived(12.0)
+    b, c = now.ids.index("b"), now.ids.index("c")
+    assert now.vx[b] == pytest.approx(4.0, abs=0.7)
+    assert now.x[b] - now.x[c] - 4.5 > STANDSTILL_M
+
+
+@given(st.integers(0, 2**32 - 1), st.floats(0.5, 4.0))
+@settings(max_examples=8)
+def test_nobody_leaves_the_logged_path_or_is_ahead_of_it_or_faster(seed: int, decel: float) -> None:
+    log = busy(seed)
+    moved = run(log, "reactive", at_speed(lambda t: max(10.0 - decel * t, 0.0)))
+    for i, name in enumerate(moved.ids):
+        mine, theirs = moved.samples(i), log.tracks.samples(log.tracks.ids.index(name))
+        if log.tracks.kinds[log.tracks.ids.index(name)] is AgentKind.PEDESTRIAN or moved.static[i]:
+            continue
+        y = log.tracks.y[theirs][0]
+        np.testing.assert_allclose(moved.y[mine], y, atol=1e-9)
+        x = moved.x[mine]
+        assert (np.diff(x) > -1e-9).all()
+        assert (x <= np.interp(moved.t[mine], log.tracks.t[theirs], log.tracks.x[theirs]) + 1e-6).all()
+
+
+def test_pedestrians_and_bicycles_are_replayed_by_time() -> None:
+    log = made(car("bike", -12.0, kind=AgentKind.BICYCLE), car("walker", -8.0, v=2.0, kind=AgentKind.PEDESTRIAN))
+    assert_same_motion(run(log, "reactive", at_speed(lambda t: 0.0)), log.tracks)
+
+
+def test_the_lane_beside_is_not_held_up() -> None:
+    log = made(car("beside", -20.0, y=3.5))
+    assert_same_motion(run(log, "reactive", at_speed(lambda t: 0.0)), log.tracks)
+
+
+def test_who_comes_late_makes_up_while_his_log_stands() -> None:
+    stand = np.where(T < 4.0, 10.0 * T, np.where(T < 10.0, 40.0, 40.0 + 10.0 * (T - 10.0)))
+    log = made(track("b", T, stand - 20.0, np.zeros(len(T))))
+    egos = at_speed(lambda t: 10.0 if t < 0.5 else 5.0 if t < 3.0 else 14.0)
+    moved = run(log, "reactive", egos)
+    truth, mine = log.tracks.truth(11.5), moved.truth(11.5)
+    early = moved.truth(4.0).x[0] - log.tracks.truth(4.0).x[0]
+    assert early < -2.0 and mine.x[0] == pytest.approx(truth.x[0], abs=1e-6)
+
+
+def test_who_is_late_drives_on_along_the_lane_where_his_log_ends() -> None:
+    short = T[T <= 5.0]
+    log = made(track("b", short, -20.0 + 10.0 * short, np.zeros(len(short)), vx=10.0, vy=0.0))
+    slow = run(log, "reactive", at_speed(lambda t: max(10.0 - 2.0 * t, 5.0)))
+    assert slow.t[-1] > 8.0 and slow.x.max() > log.tracks.x.max() + 10.0
+    in_time = run(log, "reactive", far_away(log))
+    assert in_time.t[-1] == pytest.approx(5.0)
+    nowhere = replace(log, road=replace(log.road, lanes={}))
+    assert run(nowhere, "reactive", at_speed(lambda t: max(10.0 - 2.0 * t, 5.0))).x.max() <= log.tracks.x.max() + 1e-6
+
+
+def test_who_enters_where_the_ego_is_waits_and_enters_slowly_behind_it() -> None:
+    entry = T[T >= 3.0]
+    log = made(track("new", entry, 10.0 + 10.0 * (entry - 3.0), np.zeros(len(entry))))
+    there = at_speed(lambda t: 4.0 if t > 5.0 else 0.0)
+    egos = [replace(ego, x=ego.x + 9.0) for ego in there]
+    moved = run(log, "reactive", egos)
+    assert "new" in moved.ids and moved.t[0] > 5.0
+    traffic = TRAFFIC["reactive"](log)
+    assert all(contact(World(ego, traffic.step(ego)), log.vehicle) < 0 for ego in egos)
+
+
+@given(st.floats(0.0, 30.0), st.floats(0.05, 200.0), st.floats(0.0, 30.0), st.floats(-8.0, 4.0))
+def test_enhanced_idm_is_bounded_and_prefers_more_room(v: float, gap: float, v_lead: float, a_lead: float) -> None:
+    here, more = enhanced_idm(v, gap, v_lead, a_lead), enhanced_idm(v, gap + 5.0, v_lead, a_lead)
+    assert -HARDEST_MPS2 <= here <= ACCEL_MPS2
+    if a_lead == 0.0:
+        assert more >= here - 1e-6
+
+
+@given(st.floats(1.0, 30.0))
+def test_enhanced_idm_rests_at_its_desired_gap(v: float) -> None:
+    assert enhanced_idm(v, STANDSTILL_M + TIME_GAP_S * v, v, 0.0) == pytest.approx(0.0, abs=1e-9)
+
+
+# --- by ego position
+
+
+@given(st.floats(4.0, 16.0))
+@settings(max_examples=10)
+def test_an_encounter_is_kept_whatever_the_speed(v: float) -> None:
+    """Someone crosses 60 m ahead as the logged ego comes to 50 m: so he does for a slower or faster one."""
+    log = made(track("x", T, np.full(len(T), 60.0), 10.0 - 2.0 * T, kind=AgentKind.PEDESTRIAN))
+    egos = at_speed(lambda t: v)
+    moved = run(log, "ego_position", egos)
+    for ego in egos:
+        if 1.0 < ego.x < 110.0 and ego.t <= moved.t[-1]:
+            assert moved.truth(ego.t).y[0] == pytest.approx(10.0 - 2.0 * ego.x / 10.0, abs=0.05)
+    speeds = moved.perceived(2.0)
+    assert speeds.speed[0] == pytest.approx(2.0 * v / 10.0, abs=0.02)
+
+
+def test_the_world_stands_with_the_ego_until_it_is_stuck_and_then_goes_on_without_touching_it() -> None:
+    log = made(track("x", T, np.full(len(T), 60.0), 10.0 - 2.0 * T, kind=AgentKind.PEDESTRIAN))
+    egos = at_speed(lambda t: 10.0 if t < 2.0 else 0.0 if t < 8.0 else 10.0)
+    moved = run(log, "ego_position", egos)
+    y = np.array([moved.truth(float(t)).y[0] for t in T[:-1]])
+    held, released, after = y[(T[:-1] > 2.3) & (T[:-1] < 4.0)], y[(T[:-1] > 4.4) & (T[:-1] < 8.0)], y[T[:-1] > 8.5]
+    assert np.ptp(held) < 0.05
+    np.testing.assert_allclose(np.diff(released), -0.2, atol=1e-6)
+    np.testing.assert_allclose(np.diff(after), -0.2, atol=0.03), "no freeze and no jump when the ego drives on"
+
+
+def test_where_the_log_waits_the_world_catches_up_without_a_leap() -> None:
+    waiting = drive(straight, lambda t: np.where((t > 3.0) & (t < 6.0), 0.0, 10.0), 12.0)
+    log = replace(made(car("x", 5.0, y=3.5)), ego=waiting)
+    moved = run(log, "ego_position", at_speed(lambda t: 10.0))
+    assert np.hypot(np.diff(moved.x), np.diff(moved.y)).max() <= 2.0 * 1.0 + 1e-6
+
+
+def test_an_ego_that_never_moved_tells_no_time() -> None:
+    log = replace(made(car("x", 5.0)), ego=drive(straight, 0.0, 12.0))
+    with pytest.raises(LogError, match="take traffic 'time' or 'reactive'"):
+        TRAFFIC["ego_position"](log)
+
+
+# --- in the loop, and on recorded traffic
+
+
+@pytest.mark.parametrize("mode", TRAFFIC)
+def test_the_closed_loop_keeps_what_happened(mode: str) -> None:
+    log = busy(2)
+    one, two = (run_closed_loop(log, "constant_speed", config=LoopConfig(traffic=mode)).trace for _ in range(2))
+    assert one.agents.t.max() >= one.ego.t[-1]
+    assert any("the others" in note for note in one.notes) == (mode != "time")
+    np.testing.assert_array_equal(one.agents.x, two.agents.x)
+    np.testing.assert_array_equal(one.ego.x, two.ego.x)
+
+
+def test_recorded_traffic_is_reproduced_and_spares_a_braking_ego(shared_data: Path) -> None:
+    log = read_commonroad(shared_data / "commonroad" / "C-DEU_MONAEast-2_240_T-319.xml")
+    egos = [replace(logged_ego(log.ego, log.vehicle, 0.0), t=float(t), x=1e5) for t in T]
+    assert_same_motion(run(log, "reactive", egos), log.tracks, atol=1e-6)
+    start = logged_ego(log.ego, log.vehicle, 0.0)
+    traffic, by_time = TRAFFIC["reactive"](log), 0
+    for t in T:
+        v = max(start.v - 3.0 * t, 0.0)
+        way = (start.v**2 - v**2) / 6.0
+        ego = replace(start, t=float(t), v=v, x=start.x + way * np.cos(start.yaw), y=start.y + way * np.sin(start.yaw))
+        assert contact(World(ego, traffic.step(ego)), log.vehicle) < 0
+        by_time += contact(World(ego, log.tracks), log.vehicle) >= 0
+    assert by_time > 0

@@ -18,6 +18,7 @@ from planners.dp_qp.path import Path
 from planners.dp_qp.speed_dp import DS_M, DT_S, SpeedDpConfig, cost_map, speed_dp
 from planners.dp_qp.speed_qp import (
     STEP_S,
+    SpeedLimits,
     SpeedProblem,
     SpeedQp,
     SpeedQpConfig,
@@ -192,11 +193,13 @@ class SpeedStage:
         """Comfortable limits where they can keep the bounds, else the mildest that can, else the hardest braking."""
         qp = self._config.qp
         artefacts: tuple[Artefact, ...] = ()
-        for limits in qp.ladder():
+        wanted = problem
+        for limits, reserve, given in self._attempts():
             reason = (
                 "" if limits is qp.comfort else f"hard braking, up to {limits.decel_mps2:.1f} m/s2, keeps the distance"
             )
-            stop = braking(*problem.start, RESERVE * limits.decel_mps2, RESERVE * limits.jerk_mps3, STEP_S, qp.knots)
+            problem = replace(wanted, upper=np.minimum(wanted.upper + given, max(wanted.upper.max(), STAY_M)))
+            stop = braking(*problem.start, reserve * limits.decel_mps2, reserve * limits.jerk_mps3, STEP_S, qp.knots)
             if (stop[0] > problem.upper).any():
                 continue
             limit = np.maximum(problem.limit, stop[1] + 0.05)
@@ -210,7 +213,7 @@ class SpeedStage:
         if artefacts:
             return SolvedSpeed(None, "speed QP: no profile found", False, artefacts)
         stop = braking(*problem.start, qp.emergency.decel_mps2, qp.emergency.jerk_mps3, STEP_S, qp.knots)
-        left = self._config.dp.gap_m - float((stop[0] - problem.upper).max())
+        left = self._config.dp.gap_m - float((stop[0] - wanted.upper).max())
         if left > 0.0:
             return SolvedSpeed(stop, f"hardest braking, which leaves {left:.1f} m", False, ())
         boxes = touching()
@@ -220,6 +223,16 @@ class SpeedStage:
         if onward is not None:
             return SolvedSpeed(onward, f"driving on: hardest braking comes {-left:.1f} m too far", False, ())
         return SolvedSpeed(stop, f"hardest braking comes {-left:.1f} m too far", True, ())
+
+    def _attempts(self) -> tuple[tuple[SpeedLimits, float, float], ...]:
+        """Limits, share of them with which braking must keep the bounds, and what of the gap is given up, m.
+
+        Comfort gives up its reserve, then half of the gap, before braking turns hard.
+        """
+        comfort, *harder = self._config.qp.ladder()
+        half = 0.5 * self._config.dp.gap_m
+        soft = ((comfort, RESERVE, 0.0), (comfort, 0.97, 0.0), (comfort, 0.97, half))
+        return (*soft, *((limits, RESERVE, 0.0) for limits in harder))
 
     def _onward(self, problem: SpeedProblem, blocks: Blocks) -> FloatArray | None:
         """Driving on, at the present speed or accelerating, where that meets nobody as predicted; else None."""

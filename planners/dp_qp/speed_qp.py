@@ -36,10 +36,6 @@ class SpeedLimits:
     jerk_mps3: float
 
 
-def _hardness(limits: SpeedLimits) -> tuple[float, float]:
-    return limits.decel_mps2, limits.jerk_mps3
-
-
 @dataclass(frozen=True)
 class SpeedQpConfig:
     """Weights and limits of the speed QP.
@@ -68,12 +64,11 @@ class SpeedQpConfig:
             raise ValueError("speed QP needs at least 11 knots and positive limits")
 
     def ladder(self) -> tuple[SpeedLimits, ...]:
-        """From comfort to emergency, so that nobody brakes harder than is needed."""
+        """From comfort to emergency, so that nobody brakes harder than is needed; jerk rises later than braking."""
         low, high = self.comfort, self.emergency
+        decel, jerk = high.decel_mps2 - low.decel_mps2, high.jerk_mps3 - low.jerk_mps3
         between = (
-            SpeedLimits(
-                low.accel_mps2, *(a + u * (b - a) for a, b in zip(_hardness(low), _hardness(high), strict=True))
-            )
+            SpeedLimits(low.accel_mps2, low.decel_mps2 + u * decel, low.jerk_mps3 + u**3 * jerk)
             for u in (0.25, 0.5, 0.75)
         )
         return (low, *between, high)

@@ -19,7 +19,6 @@ from logs.kernel import FloatArray, frozen
 
 VERSIONS = ("2018b", "2020a")
 MAX_SPEED_SIGNS = ("274", "274.1", "R2-1", "r301")
-STATE_COLUMNS = ("step", "x", "y", "yaw", "v", "a")
 LARGEST = 1e9
 """Any larger number is no length, time or speed."""
 _CIRCLE = 2.0 * np.pi * np.arange(24) / 24
@@ -42,7 +41,7 @@ class Lanelet:
 
 @dataclass(frozen=True, eq=False)
 class Obstacle:
-    """One obstacle: its box and states `(n, 6)` of the box centre (`STATE_COLUMNS`; v, a are NaN where not given)."""
+    """One obstacle: its box and states `(n, 6)` of the box centre: step, x, y, yaw, v, a (NaN where not given)."""
 
     id: int
     type: str

@@ -1,9 +1,12 @@
-"""The paper's planner: route -> reference line -> (path DP, path QP) -> (speed DP, speed QP) -> trajectory.
+"""The paper's planner: route -> candidate lanes -> (path DP, path QP) -> (speed DP, speed QP) -> choice -> trajectory.
 
-    route            lanes from the ego to the goal                        route.py
+    route            cost to go of every lane to the goal                  route.py
+    lanes            the lane that is driven and its neighbours            lanes.py
     course           the smoothed reference line and the width along it    reference_line.py
     path stage       which side of whom, the smoothest path                path_stage.py: corridor, path_dp, path_qp
     speed stage      who goes first, the smoothest speed                   speed_stage.py: st_graph, speed_dp, ...
+    lane plan        both stages in one lane, and what that costs          lane_plan.py
+    choice           keep the lane or change, and who would be endangered  decide.py
     fallback         what is driven when a stage fails                     fallback.py
 
 Source: Zhang, "DP and QP Based Decision-making and Planning for Autonomous Vehicle", section II-F.

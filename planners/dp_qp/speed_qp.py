@@ -8,7 +8,7 @@ subject to s_lower(t) <= s <= s_upper(t) from the decisions, 0 <= v <= v_limit, 
 
 (2) v_limit(sigma) = min(limit, sqrt(a_lat / |kappa|)), lowered so that it can be reached with a comfortable
     deceleration b:  v(sigma)^2 <= v(sigma + d)^2 + 2 b d
-(3) A bound is kept only as far as braking can keep it: s_upper >= s of braking with the limits in force.
+(3) The limits are the mildest of a ladder with which braking keeps s_upper, so that the problem has a solution.
 """
 
 from __future__ import annotations

@@ -30,6 +30,8 @@ from planners.dp_qp.st_graph import TOUCHING, Blocks, StGraphConfig, block_inter
 
 RESERVE = 0.85
 """Share of the limits with which braking must keep the bounds, so that the QP has room to be smooth."""
+LEAST_RESERVE = 0.97
+"""The same where braking would turn hard otherwise."""
 
 
 SPEED_ROOM_MPS = 0.8
@@ -193,18 +195,19 @@ class SpeedStage:
         """Comfortable limits where they can keep the bounds, else the mildest that can, else the hardest braking."""
         qp = self._config.qp
         artefacts: tuple[Artefact, ...] = ()
-        wanted = problem
         for limits, reserve, given in self._attempts():
             reason = (
                 "" if limits is qp.comfort else f"hard braking, up to {limits.decel_mps2:.1f} m/s2, keeps the distance"
             )
-            problem = replace(wanted, upper=np.minimum(wanted.upper + given, max(wanted.upper.max(), STAY_M)))
+            upper = np.minimum(problem.upper + given, problem.upper.max())
             stop = braking(*problem.start, reserve * limits.decel_mps2, reserve * limits.jerk_mps3, STEP_S, qp.knots)
-            if (stop[0] > problem.upper).any():
+            if (stop[0] > upper).any():
                 continue
             limit = np.maximum(problem.limit, stop[1] + 0.05)
             lower = np.minimum(problem.lower, np.maximum(problem.s_ref, stop[0]))
-            result, costs = self._program.solve(replace(problem, limit=limit, lower=lower), limits, fresh=fresh)
+            result, costs = self._program.solve(
+                replace(problem, limit=limit, lower=lower, upper=upper), limits, fresh=fresh
+            )
             artefacts = (*artefacts, costs, result.report)
             if result.report.solved:
                 return SolvedSpeed(_tidied(result.x.reshape(3, -1)), reason, False, artefacts)
@@ -213,7 +216,7 @@ class SpeedStage:
         if artefacts:
             return SolvedSpeed(None, "speed QP: no profile found", False, artefacts)
         stop = braking(*problem.start, qp.emergency.decel_mps2, qp.emergency.jerk_mps3, STEP_S, qp.knots)
-        left = self._config.dp.gap_m - float((stop[0] - wanted.upper).max())
+        left = self._config.dp.gap_m - float((stop[0] - problem.upper).max())
         if left > 0.0:
             return SolvedSpeed(stop, f"hardest braking, which leaves {left:.1f} m", False, ())
         boxes = touching()
@@ -231,7 +234,7 @@ class SpeedStage:
         """
         comfort, *harder = self._config.qp.ladder()
         half = 0.5 * self._config.dp.gap_m
-        soft = ((comfort, RESERVE, 0.0), (comfort, 0.97, 0.0), (comfort, 0.97, half))
+        soft = ((comfort, RESERVE, 0.0), (comfort, LEAST_RESERVE, 0.0), (comfort, LEAST_RESERVE, half))
         return (*soft, *((limits, RESERVE, 0.0) for limits in harder))
 
     def _onward(self, problem: SpeedProblem, blocks: Blocks) -> FloatArray | None:

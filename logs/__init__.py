@@ -11,12 +11,14 @@ tables). Time: integer nanoseconds in logs and loops, seconds since the scenario
     Plan          what a planner answers           Command       steering and pedals
     Trace         a drive: a log that we drove
     Road, Lane, Goal, ReferenceLine                where
+    StopLine, Crosswalk, TrafficLight, Colour      where to stop, and for what
     VehicleParameters                              with what
 """
 
 from logs.errors import ConfigError, LogError, PlannerError, ReplanError
 from logs.frame import Frame, PlannerContext, Predictions, Visibility
 from logs.road import Goal, Lane, ReferenceLine, Road, RoadSource
+from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
 from logs.scenario import AgentKind, Agents, Scenario, Tracks
 from logs.states import Command, Controls, EgoState, Trajectory, wrap
 from logs.trace import (
@@ -45,11 +47,13 @@ __all__ = [
     "AgentKind",
     "Agents",
     "Candidates",
+    "Colour",
     "Command",
     "ConfigError",
     "Controls",
     "Corridor",
     "CostTerms",
+    "Crosswalk",
     "Decision",
     "DecisionKind",
     "EgoState",
@@ -76,9 +80,11 @@ __all__ = [
     "SlGraph",
     "SolverReport",
     "StGraph",
+    "StopLine",
     "Trace",
     "TrackingErrors",
     "Tracks",
+    "TrafficLight",
     "Trajectory",
     "VehicleParameters",
     "Visibility",

@@ -5,8 +5,8 @@ A Frame holds present and past, and the predictions that replay put there; it ha
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from math import atan2, hypot
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,7 @@ import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, frozen, kernel
 from logs.road import Goal, Road, inside
+from logs.rules import Colour
 from logs.scenario import Agents
 from logs.states import EgoState, wrap
 from logs.vehicle import VehicleParameters
@@ -106,6 +107,7 @@ class Frame:
         previous: The plan being driven now; None in open loop and at the start. A planner given None must not use
             anything it remembers (solver warm starts included).
         visibility: What the sensor can see; None: everything (perception by ground truth).
+        lights: What each traffic light of the road shows now, by its id.
     """
 
     t: float
@@ -114,6 +116,7 @@ class Frame:
     predictions: Predictions
     previous: Plan | None = None
     visibility: Visibility | None = None
+    lights: Mapping[int, Colour] = field(default_factory=dict)
 
 
 def _no_clock(stage: str) -> None:

@@ -24,6 +24,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 
 from logs.kernel import FloatArray, frozen, kernel
+from logs.rules import Crosswalk, StopLine
 
 
 class RoadSource(Enum):
@@ -49,6 +50,7 @@ class Lane:
         drivable: Whether a car may drive there (a sidewalk is a lane that is not drivable).
         left_crossable: Whether the left marking may be crossed; `right_crossable` likewise.
         kind: The log's own word ("urban", "crosswalk", ...).
+        yields_to: Lanes whose traffic goes first where this one meets them (right of way by sign or by side).
     """
 
     id: int
@@ -64,6 +66,7 @@ class Lane:
     right_crossable: bool = True
     kind: str = "lane"
     right_opposite: bool = False
+    yields_to: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("left", "right"):
@@ -107,19 +110,33 @@ class Road:
     """Lanes by id, and what is known of them.
 
     Attributes:
-        lanes: Lane by id; a neighbour or successor that is not in it was outside the log's map.
+        lanes: Lane by id; a lane that another names (successor, neighbour, right of way, the lanes that a stop line
+            counts towards) and that is not in it was outside the log's map.
         source: Where they came from.
         drives_on_right: Side of the road on which traffic drives; the passing side is the other.
         default_speed_limit: Used where a lane has none, m/s.
+        stop_lines: Where lights and signs make a car stop.
+        crosswalks: Where pedestrians go first.
+
+    Raises:
+        ValueError: A stop line lies across a lane that is not there, or two have one id; crosswalks likewise.
     """
 
     lanes: Mapping[int, Lane]
     source: RoadSource = RoadSource.LANES
     drives_on_right: bool = True
     default_speed_limit: float = 13.89
+    stop_lines: tuple[StopLine, ...] = ()
+    crosswalks: tuple[Crosswalk, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "lanes", MappingProxyType(dict(self.lanes)))
+        for line in self.stop_lines:
+            if line.lane not in self.lanes:
+                raise ValueError(f"stop line {line.id} lies across lane {line.lane}, which is not in the road")
+        for name, marks in (("stop lines", self.stop_lines), ("crosswalks", self.crosswalks)):
+            if len({mark.id for mark in marks}) < len(marks):
+                raise ValueError(f"two {name} have the same id")
 
     @cached_property
     def _boxes(self) -> tuple[tuple[Lane, ...], FloatArray]:

@@ -11,6 +11,7 @@ import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, frozen, kernel
 from logs.road import Goal, Road
+from logs.rules import TrafficLight
 from logs.states import Controls, Trajectory
 from logs.vehicle import VehicleParameters
 
@@ -291,6 +292,11 @@ class Scenario:
         start_ns: Log time of t = 0, nanoseconds.
         metadata: What else the log says of itself (generator, parameters, seed).
         notes: What was assumed in reading, one sentence each: shown to the user.
+        lights: The traffic lights that the road's stop lines name, in order of their ids (ordered here). One that a
+            stop line names and that is not among them was not observed.
+
+    Raises:
+        ValueError: The scenario is shorter than its ego log, or two lights have one id.
     """
 
     name: str
@@ -308,8 +314,12 @@ class Scenario:
     start_ns: int = 0
     metadata: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    lights: tuple[TrafficLight, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))
         if self.duration < self.ego.t[-1] - 1e-9:
             raise ValueError(f"scenario lasts {self.duration} s, shorter than its ego log ({self.ego.t[-1]} s)")
+        object.__setattr__(self, "lights", tuple(sorted(self.lights, key=lambda light: light.id)))
+        if len({light.id for light in self.lights}) < len(self.lights):
+            raise ValueError("two traffic lights have the same id")

@@ -7,12 +7,21 @@ path from the ego), m and s.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from logs.kernel import FloatArray, IntArray, frozen
 from logs.scenario import Tracks
 from logs.states import Controls, Trajectory
+
+if TYPE_CHECKING:
+    from logs.frame import Frame, Predictions, Visibility
+
+KEPT_STEP_S = 0.5
+"""Predictions are kept in a trace at this step."""
 
 
 class PlanStatus(Enum):
@@ -50,7 +59,7 @@ class DecisionKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What was decided about one agent in one stage ("path", "speed"), and why."""
+    """What was decided in a stage ("path", "speed") about an agent, a stop ("stop line 3") or hidden ground; why."""
 
     agent: str
     kind: DecisionKind
@@ -69,6 +78,9 @@ class CostTerms:
 @dataclass(frozen=True, slots=True)
 class Candidates:
     """What a stage chose from, and why it took none of the others.
+
+    A planner that chooses among lanes calls the stage "lanes"; its candidates are "keep", "left" and "right", each with
+    `CostTerms` of stage "lane keep" and so on, in s, and a rejection reads "left: car 7 is beside".
 
     Attributes:
         stage: Name of the stage.
@@ -220,10 +232,35 @@ class TrackingErrors:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PlannedFrame:
-    """One frame of a trace: when, and what was planned."""
+    """One frame of a trace: when, what was planned, and what was assumed of the others.
+
+    Attributes:
+        t: s since the scenario's start.
+        plan: The planner's answer.
+        agents: Ids of the agents in the frame, in its order.
+        predictions: Their futures as the planner was shown them, at `KEPT_STEP_S`; None: not kept.
+        visibility: What the sensor saw of the ground; None: everything.
+    """
 
     t: float
     plan: Plan
+    agents: tuple[str, ...] = ()
+    predictions: Predictions | None = None
+    visibility: Visibility | None = None
+
+    @classmethod
+    def of(cls, frame: Frame, plan: Plan) -> PlannedFrame:
+        """The plan for a frame, with what a trace keeps of the frame."""
+        return cls(frame.t, plan, frame.agents.ids, _thinned(frame.predictions), frame.visibility)
+
+
+def _thinned(predictions: Predictions) -> Predictions:
+    """Every sample that is `KEPT_STEP_S` after the one before, and the last."""
+    t = predictions.t
+    stride = max(1, round(KEPT_STEP_S / float(t[1] - t[0]))) if len(t) > 1 else 1
+    kept = np.unique(np.r_[np.arange(0, len(t), stride), len(t) - 1]) if len(t) else np.arange(0)
+    columns = {name: getattr(predictions, name)[:, kept] for name in ("x", "y", "yaw")}
+    return replace(predictions, t=t[kept], **columns)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,97 @@
+"""Traffic rules as the map and the lights say them: where a car must stop, and for what.
+
+The road holds what stands still (stop lines, crosswalks, which lanes give way to which); the scenario holds the lights,
+whose colours change; a frame shows the colours of its instant and nothing of what they will be.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from logs.kernel import FloatArray, frozen
+
+
+class Colour(Enum):
+    """What a traffic light shows."""
+
+    RED = "red"
+    RED_YELLOW = "red and yellow"
+    YELLOW = "yellow"
+    GREEN = "green"
+    OFF = "off"
+
+
+@dataclass(frozen=True, eq=False)
+class TrafficLight:
+    """A traffic light over time.
+
+    Attributes:
+        id: Unique in its scenario.
+        t: `(n,)` s since the scenario's start, increasing: from `t[i]` on it shows `colours[i]`; not known before.
+        colours: `n`.
+    """
+
+    id: int
+    t: FloatArray
+    colours: tuple[Colour, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "t", frozen(self.t))
+        if self.t.shape != (len(self.colours),) or not len(self.t) or (np.diff(self.t) <= 0.0).any():
+            raise ValueError(f"traffic light {self.id}: {len(self.colours)} colours need as many increasing times")
+        if not np.isfinite(self.t).all():
+            raise ValueError(f"traffic light {self.id}: a time is not finite")
+
+    def at(self, t: float) -> Colour:
+        """The colour shown at `t`; OFF before the first."""
+        i = int(np.searchsorted(self.t, t + 1e-9, side="right")) - 1
+        return self.colours[i] if i >= 0 else Colour.OFF
+
+
+@dataclass(frozen=True, eq=False)
+class StopLine:
+    """A line across a lane before which a car stops where a light or a sign demands it.
+
+    Attributes:
+        id: Unique in its road.
+        lane: The lane that it lies across.
+        points: Its ends `(2, 2)`, world, m.
+        light: The light that it obeys; None: a sign.
+        must_stop: Whether the sign is a stop sign; without light and sign it is only where one waits when giving way.
+        towards: Lanes after `lane` for which it counts; empty: all.
+    """
+
+    id: int
+    lane: int
+    points: FloatArray
+    light: int | None = None
+    must_stop: bool = False
+    towards: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "points", frozen(self.points))
+        if self.points.shape != (2, 2) or not np.isfinite(self.points).all():
+            raise ValueError(f"stop line {self.id}: it needs two finite ends")
+
+
+@dataclass(frozen=True, eq=False)
+class Crosswalk:
+    """Ground on which pedestrians go first.
+
+    Attributes:
+        id: Unique in its road.
+        polygon: Outline `(k, 2)`, world, m.
+    """
+
+    id: int
+    polygon: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "polygon", frozen(self.polygon))
+        if self.polygon.ndim != 2 or self.polygon.shape[1] != 2 or len(self.polygon) < 3:
+            raise ValueError(f"crosswalk {self.id}: an outline needs three points")
+        if not np.isfinite(self.polygon).all():
+            raise ValueError(f"crosswalk {self.id}: a point is not finite")

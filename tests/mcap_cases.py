@@ -12,7 +12,21 @@ import numpy as np
 from hypothesis import strategies as st
 from mcap.writer import CompressionType, Writer
 
-from logs import AgentKind, Controls, Goal, Lane, Road, Scenario, Tracks, Trajectory, VehicleParameters
+from logs import (
+    AgentKind,
+    Colour,
+    Controls,
+    Crosswalk,
+    Goal,
+    Lane,
+    Road,
+    Scenario,
+    StopLine,
+    Tracks,
+    TrafficLight,
+    Trajectory,
+    VehicleParameters,
+)
 
 START_NS = 1_700_000_000_123_456_789
 RECORD = {"replan.scenario": {"format_version": "1", "name": "by hand"}}
@@ -25,7 +39,7 @@ def seconds(ns: Iterable[int]) -> np.ndarray:
 
 
 def rich_scenario(n: int = 30) -> Scenario:
-    """Everything that a log can hold: ragged tracks on their own clocks, an obstacle, lanes, goal, controls."""
+    """Everything that a log can hold: ragged tracks on their own clocks, an obstacle, lanes, rules, goal, controls."""
     t = seconds(100_000_000 * k for k in range(n))
     ego = Trajectory(t, 8.0 * t, np.sin(t), 0.1 * np.cos(t), 8.0 + 0.1 * t, 0.1 + 0.0 * t, 0.01 * np.sin(t))
     own = seconds(33_333_333 * k + 7 for k in range(2 * n))
@@ -47,13 +61,23 @@ def rich_scenario(n: int = 30) -> Scenario:
     one = Lane(
         3, np.c_[x, 0 * x + 1.75], np.c_[x, 0 * x - 1.75], (5,), 4, None, True, 13.9, left_crossable=False, kind="urban"
     )
-    two = Lane(5, np.c_[x + 220, 0 * x + 2], np.c_[x + 220, 0 * x - 2], right_neighbour=9, drivable=False)
+    two = Lane(
+        5, np.c_[x + 220, 0 * x + 2], np.c_[x + 220, 0 * x - 2], right_neighbour=9, drivable=False, yields_to=(3, 8)
+    )
+    stop = StopLine(1, 3, np.array([[200.0, 1.75], [200.0, -1.75]]), light=12, towards=(5,))
+    signed = StopLine(2, 5, np.array([[400.0, 2.0], [400.0, -2.0]]), must_stop=True)
+    zebra = Crosswalk(7, np.array([[202.0, -2.0], [205.0, -2.0], [205.0, 2.0], [202.0, 2.0]]))
+    late = TrafficLight(4, np.array([0.1]), (Colour.OFF,))
+    lights = (late, TrafficLight(12, np.array([-0.1, 0.1, 0.2]), (Colour.GREEN, Colour.YELLOW, Colour.RED)))
+    road = Road({3: one, 5: two}, default_speed_limit=11.0, drives_on_right=False, stop_lines=(stop, signed),
+                crosswalks=(zebra,))  # fmt: skip
     goal = Goal((np.array([[100.0, -2.0], [110.0, -2.0], [110.0, 2.0]]),), (1.0, 20.0), (0.0, 9.0), (-0.1, 0.1))
     controls = Controls(t, 0.02 * t, np.where(t > 1.0, np.nan, 0.2), 0.0 * t)
     return Scenario(
-        "paper/rich", ego, tracks, Road({3: one, 5: two}, default_speed_limit=11.0, drives_on_right=False),
+        "paper/rich", ego, tracks, road,
         float(t[-1]) + 0.3, goal, VehicleParameters(length=4.9, width=1.9), controls, ("urban", "recorded"),
         "somewhere", "CC-BY-4.0", (691000.5, 5336000.25), START_NS, {"seed": "7"}, ("A note.",),
+        lights,
     )  # fmt: skip
 
 
@@ -167,6 +191,48 @@ def lanes(draw: st.DrawFn, ident: int) -> Lane:
         left_crossable=draw(st.booleans()),
         right_crossable=draw(st.booleans()),
         kind=draw(words),
+        yields_to=tuple(draw(st.lists(st.integers(-5, 5), max_size=3))),
+    )
+
+
+@st.composite
+def lights(draw: st.DrawFn) -> TrafficLight:
+    t = draw(times(draw(st.integers(1, 4))))
+    colours = draw(st.lists(st.sampled_from(Colour), min_size=len(t), max_size=len(t)))
+    return TrafficLight(draw(st.integers(-(2**40), 2**40)), t + draw(st.integers(0, 3)), tuple(colours))
+
+
+@st.composite
+def stop_lines(draw: st.DrawFn, across: list[int], obeyed: list[int]) -> StopLine:
+    return StopLine(
+        draw(st.integers(-(2**40), 2**40)),
+        draw(st.sampled_from(across)),
+        columns(draw, 4, number).reshape(2, 2),
+        draw(st.sampled_from([None, *obeyed])),
+        draw(st.booleans()),
+        tuple(draw(st.lists(st.integers(-5, 5), max_size=2))),
+    )
+
+
+@st.composite
+def crosswalks(draw: st.DrawFn) -> Crosswalk:
+    corners = draw(st.integers(3, 5))
+    return Crosswalk(draw(st.integers(-(2**40), 2**40)), columns(draw, 2 * corners, number).reshape(corners, 2))
+
+
+def distinct(elements: st.SearchStrategy[Any]) -> st.SearchStrategy[tuple[Any, ...]]:
+    return st.lists(elements, max_size=3, unique_by=lambda item: item.id).map(tuple)
+
+
+@st.composite
+def roads(draw: st.DrawFn, obeyed: list[int]) -> Road:
+    ids = draw(st.lists(st.integers(-(2**40), 2**40), min_size=1, max_size=3, unique=True))
+    return Road(
+        {i: draw(lanes(i)) for i in ids},
+        default_speed_limit=draw(positive),
+        drives_on_right=draw(st.booleans()),
+        stop_lines=draw(distinct(stop_lines(ids, obeyed))),
+        crosswalks=draw(distinct(crosswalks())),
     )
 
 
@@ -181,12 +247,12 @@ def scenarios(draw: st.DrawFn) -> Scenario:
     pedal = st.one_of(st.just(float("nan")), st.floats(0, 1))
     k = draw(st.integers(1, 3))
     controls = Controls(draw(times(k)), *(columns(draw, k, pedal) for _ in range(3)))
-    ids = draw(st.lists(st.integers(-(2**40), 2**40), min_size=1, max_size=3, unique=True))
+    shown = draw(distinct(lights()))
     return Scenario(
         draw(words),
         ego,
         draw(all_tracks()),
-        Road({i: draw(lanes(i)) for i in ids}, default_speed_limit=draw(positive), drives_on_right=draw(st.booleans())),
+        draw(roads([light.id for light in shown])),
         float(ego.t[-1]) + draw(st.floats(0.0, 10.0)),
         draw(st.one_of(st.none(), goal)),
         controls=draw(st.sampled_from((None, controls))),
@@ -195,4 +261,5 @@ def scenarios(draw: st.DrawFn) -> Scenario:
         start_ns=draw(st.sampled_from((0, START_NS))),
         metadata=draw(st.dictionaries(words, words, max_size=2)),
         notes=tuple(draw(st.lists(words, max_size=2))),
+        lights=shown,
     )

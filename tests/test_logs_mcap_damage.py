@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from mcap.writer import CompressionType
 from mcap_cases import RECORD, STATE, TABLE, differences, ego_states, rich_scenario, write_by_hand
 
-from logs import LogError, RoadSource
+from logs import Colour, LogError, RoadSource
 from logs.mcap import read_scenario, summarise, write_scenario
 
 fuzz = settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -58,7 +58,8 @@ def test_a_cut_is_refused(tmp_path: Path, small_log: bytes, data: st.DataObject)
 
 
 @fuzz
-@given(st.lists(st.tuples(st.sampled_from(["/ego", "/agents", "/agents/table", "/road", "/goal", "/vehicle"]),
+@given(st.lists(st.tuples(st.sampled_from(["/ego", "/agents", "/agents/table", "/road", "/goal", "/vehicle",
+                                           "/traffic_lights"]),
                           st.integers(0, 2**64 - 1), st.binary(max_size=30) | st.recursive(
     st.none() | st.floats() | st.integers() | st.text(max_size=3),
     lambda inner: st.dictionaries(st.sampled_from(["x_m", "id", "lanes", "regions"]), inner) | st.lists(inner),
@@ -83,7 +84,17 @@ def agents(time: int = 0, **changes: Any) -> tuple[str, int, Any]:
     return ("/agents", time, {"id": ["a"], "x_m": [0.0], "y_m": [0.0], "yaw_rad": [0.0], **changes})
 
 
+def road(**rules: Any) -> tuple[str, int, Any]:
+    return ("/road", 0, {"lanes": [LANE], **rules})
+
+
+def shows(time: int, **changes: Any) -> tuple[str, int, Any]:
+    return ("/traffic_lights", time, {"id": [5], "colour": ["red"], **changes})
+
+
 LANE = {"id": 1, "left_x_m": [0, 9], "left_y_m": [1, 1], "right_x_m": [0, 9], "right_y_m": [-1, -1]}
+STOP = {"id": 7, "lane": 1, "x_m": [8, 8], "y_m": [1, -1], "light": 5}
+ZEBRA = {"id": 3, "x_m": [4, 6, 6, 4], "y_m": [-1, -1, 1, 1]}
 HELD = [("/agents/table", 0, TABLE)]
 
 
@@ -101,6 +112,17 @@ HELD = [("/agents/table", 0, TABLE)]
     ([*ego_states(), ("/road", 0, {}), ("/road", 0, {})], "topic /road, time 0.000 s: 2 messages, expected one"),
     ([*ego_states(), ("/road", 0, {"lanes": [{**LANE, "left_x_m": [0.0]}]})], r"lane 1: boundaries have \[1, 2\]"),
     ([*ego_states(), ("/road", 0, {"lanes": [LANE, LANE]})], "two lanes have the same id"),
+    ([*ego_states(), road(stop_lines=[{**STOP, "lane": 2}])], "/road: stop line 7 lies across lane 2, which is not in"),
+    ([*ego_states(), road(stop_lines=[STOP, STOP])], "/road: two stop lines have the same id"),
+    ([*ego_states(), road(stop_lines=[{**STOP, "x_m": [8]}])], "/road: stop line 7 has 1 x_m and 2 y_m"),
+    ([*ego_states(), road(stop_lines=[{**STOP, "x_m": [8], "y_m": [1]}])], "/road: stop line 7: it needs two finite"),
+    ([*ego_states(), road(crosswalks=[{**ZEBRA, "y_m": [0]}])], "/road: crosswalk 3 has 4 x_m and 1 y_m"),
+    ([*ego_states(), road(crosswalks=[{**ZEBRA, "x_m": [0], "y_m": [0]}])], "/road: crosswalk 3: .* three points"),
+    ([*ego_states(), road(crosswalks=[ZEBRA, ZEBRA])], "/road: two crosswalks have the same id"),
+    ([*ego_states(), shows(0, colour=["pink"])], "/traffic_lights, time 0.000 s: .*Invalid enum value 'pink'"),
+    ([*ego_states(), shows(0, colour=[])], "/traffic_lights, time 0.000 s: columns differ in length: id 1, colour 0"),
+    ([*ego_states(), shows(9), shows(8)], "/traffic_lights, time 0.000 s: time goes backwards"),
+    ([*ego_states(), shows(0), shows(0)], "/traffic_lights, time 0.000 s: light 5 has two colours at one time"),
     ([*ego_states(), ("/goal", 0, {"regions": [{"x_m": [0], "y_m": []}]})], "topic /goal: a region needs"),
     ([*ego_states(), ("/vehicle", 0, {"length_m": -1.0})], "topic /vehicle: vehicle length must be positive"),
     ([*ego_states(), agents()], "topic /agents/table: there are agents, but no table"),
@@ -150,7 +172,7 @@ def test_damage_is_named_with_its_remedy(tmp_path: Path, small_log: bytes) -> No
     assert "unknown compression 'zst9'" in given_bytes(small_log.replace(b"\x04\0\0\0zstd", b"\x04\0\0\0zst9"))
     flipped = bytearray(small_log)
     flipped[small_log.find(b"\x04\0\0\0zstd") + 60] ^= 0xFF
-    assert "time 1700000000.123 s: the chunk that begins there is damaged" in given_bytes(bytes(flipped))
+    assert "time 1700000000.023 s: the chunk that begins there is damaged" in given_bytes(bytes(flipped))
     assert "no messages" in refusal(write_by_hand(path, []))
     assert "No such file" in str(summarise(tmp_path / "nowhere.mcap").error)
     assert "Is a directory" in str(summarise(tmp_path).error)
@@ -219,6 +241,40 @@ def test_curvature_in_reverse_and_at_rest(tmp_path: Path) -> None:
     ]
     kappa = read_scenario(write_by_hand(tmp_path / "log.mcap", states)).ego.kappa
     assert kappa == pytest.approx([0.0, 0.1, 0.1, 0.1], rel=1e-3)
+
+
+def test_a_log_without_rules_is_read(tmp_path: Path) -> None:
+    """As logs were before they could tell of rules."""
+    scenario = read_scenario(write_by_hand(tmp_path / "log.mcap", [*ego_states(), road()]))
+    assert (scenario.lights, scenario.road.stop_lines, scenario.road.crosswalks) == ((), (), ())
+    assert any(line.endswith("right of way: the log names none") for line in summarise(tmp_path / "log.mcap").lines())
+    assert scenario.road.lanes[1].yields_to == ()
+
+
+def test_a_light_that_the_log_does_not_show_is_a_note_told_once(tmp_path: Path) -> None:
+    path = write_by_hand(tmp_path / "log.mcap", [*ego_states(), road(stop_lines=[STOP])])
+    scenario = read_scenario(path)
+    (told,) = [note for note in scenario.notes if "lights of 1 of 1 stop lines" in note]
+    write_scenario(path, scenario)
+    assert read_scenario(path).notes.count(told) == 1
+    shown = read_scenario(write_by_hand(path, [*ego_states(), road(stop_lines=[STOP]), shows(0)]))
+    assert told not in shown.notes and shown.lights[0].at(0.3) is Colour.RED
+
+
+def test_lights_may_be_repeated_and_begin_late(tmp_path: Path) -> None:
+    later = [shows(50), shows(100_000_000), shows(200_000_000, id=[6, 5], colour=["green", "off"])]
+    lights = read_scenario(write_by_hand(tmp_path / "log.mcap", [*ego_states(), *later])).lights
+    assert [(light.id, len(light.t)) for light in lights] == [(5, 3), (6, 1)]
+    assert [light.at(0.15) for light in lights] == [Colour.RED, Colour.OFF]
+    assert [light.at(0.2) for light in lights] == [Colour.OFF, Colour.GREEN]
+
+
+def test_the_summary_counts_the_rules(tmp_path: Path) -> None:
+    write_scenario(tmp_path / "log.mcap", rich_scenario())
+    lines = summarise(tmp_path / "log.mcap").lines()
+    what = "lights, stop signs, crosswalks, right of way"
+    assert f"yes  {what}: 1 stop lines with a light, 1 stop signs, 1 crosswalks, 1 lanes that give way" in lines
+    assert "rules: 2 stop lines (1 with a light, 1 with a stop sign), 2 lights, 1 crosswalks, 1 lanes give way" in lines
 
 
 def test_agents_without_samples_are_left_out_and_told(tmp_path: Path) -> None:

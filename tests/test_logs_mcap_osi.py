@@ -51,7 +51,8 @@ MESSAGES = {
     "LogicalLane": "id:Id type:LogicalType move_direction:Move right_adjacent_lane:Link* left_adjacent_lane:Link*"
     " right_boundary_id:Id* left_boundary_id:Id* predecessor_lane:Link* successor_lane:Link*",
     "GroundTruth": "timestamp:Timestamp host_vehicle_id:Id moving_object:Moving* stationary_object:Stationary*"
-    " lane:Lane* lane_boundary:Boundary* logical_lane:LogicalLane* logical_lane_boundary:LogicalBoundary*",
+    " lane:Lane* lane_boundary:Boundary* logical_lane:LogicalLane* logical_lane_boundary:LogicalBoundary*"
+    " traffic_light:Id*",
     "SensorView": "global_ground_truth:GroundTruth",
 }
 
@@ -195,6 +196,12 @@ def test_objects_have_their_kinds_and_bridges_are_no_obstacles(tmp_path: Path) -
     }  # fmt: skip
     assert [ident for ident, static in zip(tracks.ids, tracks.static, strict=True) if static] == ["21"]
     assert (tracks.length[-1], tracks.width[-1]) == (1.0, 1.0)  # the pole has no size in the log
+
+
+def test_traffic_lights_are_told_not_to_be_read(tmp_path: Path) -> None:
+    notes = read_scenario(write_osi(tmp_path / "log.mcap", frames(traffic_light=ids(4, 5)))).notes
+    assert "The log's traffic lights (up to 2 at a time) are not read." in notes
+    assert not any("lights" in note for note in read_scenario(write_osi(tmp_path / "log.mcap", frames())).notes)
 
 
 def test_lanes_around_centre_lines_reach_half_way_to_each_other(tmp_path: Path) -> None:

@@ -55,6 +55,8 @@ def test_writing_twice_changes_nothing(tmp_path: Path) -> None:
     (Lane, native.LaneColumns, {"left": ("left_x", "left_y"), "right": ("right_x", "right_y")}),
     (VehicleParameters, native.Vehicle, {}),
     (Road, native.Road, {}),
+    (logs.StopLine, native.StopLine, {"points": ("x", "y")}),
+    (logs.Crosswalk, native.Crosswalk, {"polygon": ("x", "y")}),
     (logs.Goal, native.Goal, {}),
     (logs.Decision, native.Decision, {}),
     (logs.SolverReport, native.SolverReport, {}),
@@ -85,6 +87,22 @@ def test_a_log_tells_its_story_without_replan(tmp_path: Path) -> None:
     assert seen["/ego"][1].keys() == {"x_m", "y_m", "yaw_rad", "v_mps", "a_mps2", "kappa_per_m"}
     assert seen["/agents"][1]["id"] == ["car 1"] and seen["/agents"][1]["vx_mps"] == [5.0]
     assert seen["/obstacles"][1]["id"] == ["post"]
+    assert seen["/traffic_lights"][1] == {"id": [12], "colour": ["green"]}
+    assert seen["/road"][1]["stop_lines"][0]["light"] == 12
+
+
+def test_lights_that_change_together_share_a_message(tmp_path: Path) -> None:
+    write_scenario(tmp_path / "log.mcap", rich_scenario())
+    with (tmp_path / "log.mcap").open("rb") as file:
+        told = [
+            ((m.log_time - START_NS) / 1e9, json.loads(m.data))
+            for _, _, m in make_reader(file).iter_messages("/traffic_lights")
+        ]
+    assert told == [
+        (-0.1, {"id": [12], "colour": ["green"]}),
+        (0.1, {"id": [4, 12], "colour": ["off", "yellow"]}),
+        (0.2, {"id": [12], "colour": ["red"]}),
+    ]
 
 
 @pytest.mark.parametrize(("change", "words"), [
@@ -92,6 +110,9 @@ def test_a_log_tells_its_story_without_replan(tmp_path: Path) -> None:
     ({"goal": logs.Goal(t=(0.0, np.inf))}, "goal t is inf"),
     ({"road": Road({}, default_speed_limit=np.inf)}, "default speed limit is inf"),
     ({"start_ns": -1}, "start_ns is negative"),
+    ({"lights": (logs.TrafficLight(3, np.array([0.0, 1e-10]), (logs.Colour.RED, logs.Colour.GREEN)),)},
+     "light 3 changes twice on one nanosecond"),
+    ({"lights": (logs.TrafficLight(3, np.array([-2e9]), (logs.Colour.RED,)),)}, "before log time 0"),
     ({"ego": Trajectory(np.array([0.0, 1e-10]), *np.zeros((6, 2)))}, "one nanosecond"),
     ({"ego": Trajectory(np.array([-1.0]), *np.zeros((6, 1))), "start_ns": 0}, "before log time 0"),
 ])  # fmt: skip

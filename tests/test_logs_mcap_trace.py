@@ -27,11 +27,13 @@ from logs import (
     PlannedFrame,
     PlanStart,
     PlanStatus,
+    Predictions,
     SlGraph,
     SolverReport,
     StGraph,
     Trace,
     TrackingErrors,
+    Tracks,
 )
 from logs.mcap import read_scenario, summarise, write_scenario, write_trace
 
@@ -122,6 +124,42 @@ def test_commands_actuation_and_tracking_have_topics(tmp_path: Path) -> None:
     assert len(tracking) == 40 and tracking[-1][1] == {
         "lateral_m": 0.5, "heading_rad": 0.5, "speed_mps": 0.5, "station_m": None,
     }  # fmt: skip
+
+
+def test_what_a_sensor_showed_is_on_a_topic_of_its_own(tmp_path: Path) -> None:
+    trace = drive()
+    one = trace.agents.samples(0)
+    columns = {name: getattr(trace.agents, name)[one][:1] + 0.25 for name in ("x", "y", "yaw", "vx", "vy")}
+    shown = Tracks(
+        trace.agents.ids[:1], trace.agents.kinds[:1], trace.agents.length[:1], trace.agents.width[:1],
+        np.zeros(1, bool), np.array([0, 1]), np.array([0.1]), **columns,
+    )  # fmt: skip
+    write_trace(tmp_path / "log.mcap", replace(trace, perceived=shown), rich_scenario(), internals="none")
+    first, (time, second) = messages(tmp_path / "log.mcap", "/perceived")
+    assert first == (START_NS, {"id": [], "x_m": [], "y_m": [], "yaw_rad": [], "vx_mps": [], "vy_mps": []})
+    assert (time, second["id"], second["x_m"]) == (START_NS + 100_000_000, [trace.agents.ids[0]], [shown.x[0]])
+    assert differences(trace.agents, read_scenario(tmp_path / "log.mcap").tracks) == []
+    write_trace(tmp_path / "log.mcap", trace, rich_scenario())
+    assert messages(tmp_path / "log.mcap", "/perceived") == []
+
+
+@pytest.mark.parametrize(("internals", "count"), [("none", 0), ("summary", 0), ("full", 1)])
+def test_predictions_are_kept_with_full_internals(tmp_path: Path, internals: Any, count: int) -> None:
+    trace = drive()
+    x = np.array([[1.0, 2.0], [1.0, 1.5]])
+    some = Predictions(np.array([0.1, 0.6]), np.array([0, 0]), np.array([0.75, 0.25]), x, -x, 0.0 * x, "pedestrian")
+    last = replace(trace.frames[1], agents=("walker",), predictions=some)
+    write_trace(
+        tmp_path / "log.mcap", replace(trace, frames=(trace.frames[0], last)), rich_scenario(), internals=internals
+    )
+    found = messages(tmp_path / "log.mcap", "/predictions")
+    assert len(found) == count
+    for time, message in found:
+        assert time == START_NS + 100_000_000
+        assert message == {
+            "method": "pedestrian", "t_s": [0.1, 0.6], "id": ["walker", "walker"], "probability": [0.75, 0.25],
+            "x_m": x.tolist(), "y_m": (-x).tolist(),
+        }  # fmt: skip
 
 
 def test_an_open_loop_trace_has_no_actuation(tmp_path: Path) -> None:

@@ -12,11 +12,15 @@
     /agents          AgentColumns  where they are: a message holds all those sampled at its log time
     /obstacles       AgentColumns  the same for those that never move; one sample is enough
     /road            Road          once        /goal   Goal   once        /vehicle   Vehicle   once
+    /traffic_lights  LightColumns  what lights show from the log time on; those that do not change may be left out
     /plan, /command, /actuation, /tracking     only in a trace: what was planned, asked, done, missed
+    /perceived       AgentColumns  only in a trace: the others as a sensor showed them to the planner, once a frame
+    /predictions     Predictions   only in a trace with full internals: their futures as the planner was shown them
 
 A field is serialised as its name in code plus its unit (`UNITS`). Time is the message's log time, integer nanoseconds;
 a topic's messages stand in order of time. Missing is null (NaN in memory); infinity is refused, except in the graphs of
-a plan, where null stands for "not reached" and "free".
+a plan, where null stands for "not reached" and "free". A version may gain topics and optional fields; its readers skip
+what they do not know.
 """
 
 from __future__ import annotations
@@ -26,6 +30,7 @@ from typing import Any, Literal, get_type_hints
 
 import msgspec
 
+from logs.rules import Colour
 from logs.scenario import AgentKind
 from logs.trace import DecisionKind
 from logs.vehicle import VehicleParameters
@@ -114,15 +119,45 @@ class LaneColumns(msgspec.Struct, rename=serialised):
     left_crossable: bool = True
     right_crossable: bool = True
     kind: str = "lane"
+    yields_to: list[int] = []
+
+
+class StopLine(msgspec.Struct, rename=serialised):
+    """A line across a lane, by its two ends, for the lanes "towards" (empty: all); light null: a sign."""
+
+    id: int
+    lane: int
+    x: list[float]
+    y: list[float]
+    light: int | None = None
+    must_stop: bool = False
+    towards: list[int] = []
+
+
+class Crosswalk(msgspec.Struct, rename=serialised):
+    """Ground on which pedestrians go first: its outline."""
+
+    id: int
+    x: list[float]
+    y: list[float]
 
 
 class Road(msgspec.Struct, rename=serialised):
-    """The lanes; source "driven_path" marks a road that was made from the ego's path."""
+    """The lanes and their rules; source "driven_path" marks a road that was made from the ego's path."""
 
     lanes: list[LaneColumns]
     source: Literal["lanes", "driven_path"] = "lanes"
     drives_on_right: bool = True
     default_speed_limit: float = 13.89
+    stop_lines: list[StopLine] = []
+    crosswalks: list[Crosswalk] = []
+
+
+class LightColumns(msgspec.Struct, rename=serialised):
+    """Traffic lights, as columns: the colour that each shows from the log time on."""
+
+    id: list[int]
+    colour: list[Colour]
 
 
 class Region(msgspec.Struct, rename=serialised):
@@ -256,15 +291,29 @@ class Plan(msgspec.Struct):
     candidates: list[Candidates] = []
 
 
+class Predictions(msgspec.Struct, rename=serialised):
+    """Assumed futures: row i of x and y are the box centres of agent id[i] at the times t; ids may come repeatedly."""
+
+    method: str
+    t: list[float]
+    id: list[str]
+    probability: list[float]
+    x: list[list[float]]
+    y: list[list[float]]
+
+
 TOPICS: dict[str, type[msgspec.Struct]] = {
     "/vehicle": Vehicle,
     "/goal": Goal,
     "/road": Road,
+    "/traffic_lights": LightColumns,
     "/agents/table": AgentTable,
     "/obstacles": AgentColumns,
     "/agents": AgentColumns,
     "/ego": Ego,
     "/controls": Controls,
+    "/perceived": AgentColumns,
+    "/predictions": Predictions,
     "/plan": Plan,
     "/command": Controls,
     "/actuation": Controls,

@@ -81,6 +81,7 @@ class _Seen:
     standing: dict[int, Any] = field(default_factory=dict)
     rows: dict[int, list[tuple[float, ...]]] = field(default_factory=dict)
     road: OsiMap = field(default_factory=OsiMap)
+    lights: int = 0
 
 
 def scenario_of(stream: Stream, name: str) -> Scenario:
@@ -105,6 +106,8 @@ def scenario_of(stream: Stream, name: str) -> Scenario:
         ego = _ego(rows[seen.host], t, rear, notes)
         tracks = _tracks(seen, rows, t, origin, notes)
         road = _road(seen, origin, ego, notes)
+        if seen.lights:
+            notes.append(f"The log's traffic lights (up to {seen.lights} at a time) are not read.")
         first = seen.moving[seen.host]
         return Scenario(
             name=name,
@@ -191,6 +194,7 @@ def _take(truth: Any, seen: _Seen) -> None:
         seen.rows.setdefault(item.id.value, []).append(_row(frame, item.base))
     for item in truth.stationary_object:
         seen.standing.setdefault(item.id.value, item)
+    seen.lights = max(seen.lights, len(getattr(truth, "traffic_light", ())))
     seen.road.add(truth)
 
 

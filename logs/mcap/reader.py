@@ -19,6 +19,7 @@ from logs.kernel import FloatArray, IntArray
 from logs.mcap import native, osi
 from logs.mcap.complete import completed, road_along
 from logs.mcap.container import CONVERT, LAST_TIME_NS, MEND, Container, Stream, read_container
+from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
 from logs.scenario import Scenario, Tracks
 from logs.states import Controls, Trajectory
 from logs.vehicle import VehicleParameters
@@ -75,6 +76,8 @@ def _native(container: Container) -> Scenario:
     ego = _ego(streams["/ego"], start_ns, notes)
     tracks = _tracks(streams, start_ns, notes)
     road = _road(_one(streams, "/road", native.Road), ego, notes)
+    lights = _lights(streams.get("/traffic_lights"), start_ns)
+    notes += _dark(road, lights)
     vehicle = _one(streams, "/vehicle", native.Vehicle)
     if vehicle is None:
         notes.append("The log does not describe the ego's vehicle: a mid-size car is assumed.")
@@ -100,7 +103,8 @@ def _native(container: Container) -> Scenario:
             ),
             start_ns=start_ns,
             metadata=_free_metadata(container),
-            notes=(*noted, *notes),
+            notes=(*noted, *(note for note in notes if note not in noted)),
+            lights=lights,
         )
     except ValueError as error:
         raise LogError(str(error), topic="/vehicle" if str(error).startswith("vehicle") else None) from None
@@ -240,7 +244,7 @@ def _equal_lengths(message: msgspec.Struct, topic: str, time: int) -> None:
     if len(lengths) > 1:
         columns = {native.serialised(n): len(c) for n, c in msgspec.structs.asdict(message).items() if c is not None}
         what = "columns differ in length: " + ", ".join(f"{name} {count}" for name, count in columns.items())
-        raise LogError(what, topic=topic, time_ns=time, remedy="one entry per agent")
+        raise LogError(what, topic=topic, time_ns=time, remedy="an entry for each in every column")
 
 
 def _check_tracks(row: IntArray, times: IntArray, ids: list[str]) -> None:
@@ -261,7 +265,48 @@ def _road(message: native.Road | None, ego: Trajectory, notes: list[str]) -> nou
     lanes = {lane.id: _lane(lane) for lane in message.lanes}
     if len(lanes) < len(message.lanes):
         raise LogError("two lanes have the same id", topic="/road", remedy="ids are unique in a road")
-    return nouns.Road(lanes, source, message.drives_on_right, message.default_speed_limit)
+    try:
+        stop_lines = tuple(_stop_line(line) for line in message.stop_lines)
+        crosswalks = tuple(Crosswalk(c.id, _outline(c, f"crosswalk {c.id}")) for c in message.crosswalks)
+        return nouns.Road(lanes, source, message.drives_on_right, message.default_speed_limit, stop_lines, crosswalks)
+    except ValueError as error:
+        raise LogError(str(error), topic="/road", remedy=MEND) from None
+
+
+def _outline(message: native.Crosswalk | native.StopLine, name: str) -> FloatArray:
+    if len(message.x) != len(message.y):
+        raise ValueError(f"{name} has {len(message.x)} x_m and {len(message.y)} y_m")
+    return np.column_stack([message.x, message.y])
+
+
+def _stop_line(line: native.StopLine) -> StopLine:
+    points = _outline(line, f"stop line {line.id}")
+    return StopLine(line.id, line.lane, points, line.light, line.must_stop, tuple(line.towards))
+
+
+def _lights(stream: Stream | None, start_ns: int) -> tuple[TrafficLight, ...]:
+    """The lights over time; what a light showed before its first message is not known."""
+    if stream is None:
+        return ()
+    stream.check_order(strictly=False)
+    shown: dict[int, dict[int, Colour]] = {}
+    for time, message in zip(stream.times, stream.decoded(native.LightColumns), strict=True):
+        _equal_lengths(message, stream.topic, time)
+        for light, colour in zip(message.id, message.colour, strict=True):
+            if time in shown.setdefault(light, {}):
+                what = f"light {light} has two colours at one time"
+                raise LogError(what, topic=stream.topic, time_ns=time, remedy="keep one of them")
+            shown[light][time] = colour
+    return tuple(TrafficLight(i, _seconds(list(c), start_ns), tuple(c.values())) for i, c in sorted(shown.items()))
+
+
+def _dark(road: nouns.Road, lights: Sequence[TrafficLight]) -> tuple[str, ...]:
+    """A note on stop lines whose light the log does not show; a line is no less there for that."""
+    shown = {light.id for light in lights}
+    lost = [line.id for line in road.stop_lines if line.light is not None and line.light not in shown]
+    if not lost:
+        return ()
+    return (f"The log does not show the lights of {len(lost)} of {len(road.stop_lines)} stop lines: not known is off.",)
 
 
 def _lane(lane: native.LaneColumns) -> nouns.Lane:
@@ -284,6 +329,7 @@ def _lane(lane: native.LaneColumns) -> nouns.Lane:
             right_crossable=lane.right_crossable,
             right_opposite=lane.right_opposite,
             kind=lane.kind,
+            yields_to=tuple(lane.yields_to),
         )
     except ValueError as error:
         raise LogError(str(error), topic="/road", remedy=MEND) from None

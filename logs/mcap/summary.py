@@ -44,7 +44,12 @@ class Evaluation:
 
 @dataclass(frozen=True)
 class RoadSummary:
-    """The road: lanes, their length in km, those without speed limit, and where they came from."""
+    """The road: lanes, their length in km, those without speed limit, where they came from, and its rules.
+
+    Attributes:
+        stop_lines: All of them; `with_light` and `must_stop` of them obey a light and a stop sign.
+        giving_way: Lanes that yield to others.
+    """
 
     source: str
     lanes: int
@@ -52,6 +57,11 @@ class RoadSummary:
     length_km: float
     without_speed_limit: int
     default_speed_limit: float
+    stop_lines: int
+    with_light: int
+    must_stop: int
+    crosswalks: int
+    giving_way: int
 
 
 @dataclass(frozen=True)
@@ -76,6 +86,7 @@ class ScenarioSummary:
     agents: Mapping[str, int]
     obstacles: int
     road: RoadSummary
+    lights: int
     goal: str | None
     controls: int
     metadata: Mapping[str, str]
@@ -158,6 +169,7 @@ def _scenario(scenario: Scenario) -> ScenarioSummary:
         agents=dict(kinds.most_common()),
         obstacles=int(tracks.static.sum()),
         road=_road(scenario.road),
+        lights=len(scenario.lights),
         goal=None if scenario.goal is None else _goal(scenario.goal),
         controls=0 if scenario.controls is None else len(scenario.controls),
         metadata=scenario.metadata,
@@ -174,6 +186,11 @@ def _road(road: Road) -> RoadSummary:
         sum(lane.length for lane in lanes) / 1000.0,
         sum(not np.isfinite(lane.speed_limit) for lane in lanes),
         road.default_speed_limit,
+        len(road.stop_lines),
+        sum(line.light is not None for line in road.stop_lines),
+        sum(line.must_stop for line in road.stop_lines),
+        len(road.crosswalks),
+        sum(bool(lane.yields_to) for lane in lanes),
     )
 
 
@@ -212,6 +229,7 @@ def evaluations(scenario: Scenario, *, told: bool) -> tuple[Evaluation, ...]:
             if lanes
             else "no lanes",
         ),
+        Evaluation("lights, stop signs, crosswalks, right of way", *_rules(scenario)),
         Evaluation(
             "tracking", scenario.duration > 0.0, "the log's vehicle" if told else "vehicle partly or wholly assumed"
         ),
@@ -221,6 +239,19 @@ def evaluations(scenario: Scenario, *, told: bool) -> tuple[Evaluation, ...]:
             "logged" if scenario.controls is not None else "no /controls",
         ),
     )
+
+
+def _rules(scenario: Scenario) -> tuple[bool, str]:
+    """Whether there are rules that can be kept or broken, and which."""
+    road, shown = scenario.road, {light.id for light in scenario.lights}
+    counts = {
+        "stop lines with a light": sum(line.light in shown for line in road.stop_lines),
+        "stop signs": sum(line.must_stop for line in road.stop_lines),
+        "crosswalks": len(road.crosswalks),
+        "lanes that give way": sum(bool(lane.yields_to) for lane in road.lanes.values()),
+    }
+    held = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+    return bool(held), held or "the log names none"
 
 
 def _topic_line(topic: TopicSummary) -> str:
@@ -243,6 +274,8 @@ def _scenario_lines(scenario: ScenarioSummary) -> list[str]:
         f"agents: {agents or 'none'}; obstacles: {scenario.obstacles}",
         f"road: {road.lanes} lanes ({road.drivable} drivable), {road.length_km:.2f} km,"
         f" {road.without_speed_limit} without speed limit; {road.source}",
+        f"rules: {road.stop_lines} stop lines ({road.with_light} with a light, {road.must_stop} with a stop sign),"
+        f" {scenario.lights} lights, {road.crosswalks} crosswalks, {road.giving_way} lanes give way",
         f"goal: {scenario.goal or 'none'}",
         *(f"metadata {key}: {value}" for key, value in scenario.metadata.items()),
         *(f"note: {note}" for note in scenario.notes),

@@ -2,7 +2,8 @@
 
 Ego and agents are those of the trace; road, goal and vehicle those of the scenario. `internals` says how much of the
 plans is kept: "none" (status and trajectory), "summary" (and decisions, cost terms, candidates, solver reports), "full"
-(and graphs with their grids and corridors; in them null stands for "not reached" and "free").
+(and graphs with their grids and corridors; in them null stands for "not reached" and "free"; and the predictions). What
+a sensor showed of the others is always kept.
 """
 
 from __future__ import annotations
@@ -16,10 +17,11 @@ import numpy as np
 
 from logs import trace as nouns
 from logs.errors import LogError
+from logs.frame import Predictions
 from logs.kernel import FloatArray
 from logs.mcap import native
 from logs.mcap.writer import Entry, column, log_times, samples, scenario_entries, scenario_records, write_log
-from logs.scenario import Scenario
+from logs.scenario import Scenario, Tracks
 from logs.states import TRAJECTORY_COLUMNS
 
 Internals = Literal["none", "summary", "full"]
@@ -67,9 +69,13 @@ def trace_record(trace: nouns.Trace, internals: Internals) -> dict[str, str]:
 
 
 def _trace_entries(trace: nouns.Trace, start_ns: int, internals: Internals) -> Iterator[Entry]:
-    for frame in trace.frames:
-        (time,) = log_times(np.array([frame.t]), start_ns, "/plan")
+    times = log_times(np.array([frame.t for frame in trace.frames]), start_ns, "/plan")
+    for time, frame in zip(times, trace.frames, strict=True):
         yield time, "/plan", _plan(frame.plan, internals)
+        if internals == "full" and frame.predictions is not None:
+            yield time, "/predictions", _predictions(frame, frame.predictions)
+    if trace.perceived is not None:
+        yield from _perceived(trace.perceived, times, start_ns)
     for topic, kind, table in (
         ("/command", native.Controls, trace.commands),
         ("/actuation", native.Controls, trace.actuation),
@@ -77,6 +83,24 @@ def _trace_entries(trace: nouns.Trace, start_ns: int, internals: Internals) -> I
     ):
         if table is not None:
             yield from samples(table, kind, topic, start_ns)
+
+
+def _perceived(shown: Tracks, frames: list[int], start_ns: int) -> Iterator[Entry]:
+    """A message a frame, empty where nobody was seen."""
+    times = np.array(log_times(shown.t, start_ns, "/perceived"), dtype=np.int64)
+    track = np.repeat(np.arange(len(shown)), np.diff(shown.offsets))
+    order = np.lexsort((track, times))
+    for time in frames:
+        at = order[np.searchsorted(times[order], time) : np.searchsorted(times[order], time, side="right")]
+        columns = (getattr(shown, name)[at].tolist() for name in ("x", "y", "yaw", "vx", "vy"))
+        yield time, "/perceived", native.AgentColumns([shown.ids[i] for i in track[at]], *columns)
+
+
+def _predictions(frame: nouns.PlannedFrame, some: Predictions) -> native.Predictions:
+    ids = [frame.agents[i] for i in some.agent]
+    probability = column(some.probability, "/predictions", "probability")
+    x, y = ([column(row, "/predictions", name) for row in getattr(some, name)] for name in ("x", "y"))
+    return native.Predictions(some.method, some.t.tolist(), ids, probability, x, y)
 
 
 def _plan(plan: nouns.Plan, internals: Internals) -> native.Plan:

@@ -22,6 +22,7 @@ from logs import road as nouns
 from logs.errors import LogError
 from logs.kernel import FloatArray
 from logs.mcap import native
+from logs.rules import Colour, StopLine, TrafficLight
 from logs.scenario import Scenario, Tracks
 from logs.states import Trajectory
 
@@ -119,6 +120,7 @@ def scenario_entries(scenario: Scenario) -> Iterator[Entry]:
     if scenario.goal is not None:
         yield start, "/goal", _goal(scenario.goal)
     yield start, "/road", _road(scenario.road)
+    yield from _lights(scenario.lights, start)
     yield from _tracks(scenario.tracks, start)
     yield from _ego(scenario.ego, start)
     if scenario.controls is not None:
@@ -224,19 +226,43 @@ def _road(road: nouns.Road) -> native.Road:
         "lanes" if road.source is nouns.RoadSource.LANES else "driven_path",
         road.drives_on_right,
         finite(road.default_speed_limit, "default speed limit"),
+        [_stop_line(line) for line in road.stop_lines],
+        [native.Crosswalk(c.id, c.polygon[:, 0].tolist(), c.polygon[:, 1].tolist()) for c in road.crosswalks],
     )
+
+
+def _stop_line(line: StopLine) -> native.StopLine:
+    x, y = line.points.T.tolist()
+    return native.StopLine(line.id, line.lane, x, y, line.light, line.must_stop, list(line.towards))
+
+
+def _lights(lights: Sequence[TrafficLight], start_ns: int) -> Iterator[Entry]:
+    """A message for each time at which a light changes, with all those that change then."""
+    shown: dict[int, tuple[list[int], list[Colour]]] = {}
+    for light in lights:
+        times = log_times(light.t, start_ns, "/traffic_lights")
+        if any(time <= before for before, time in pairwise(times)):
+            raise LogError(f"light {light.id} changes twice on one nanosecond", topic="/traffic_lights")
+        for time, colour in zip(times, light.colours, strict=True):
+            ids, colours = shown.setdefault(time, ([], []))
+            ids.append(light.id)
+            colours.append(colour)
+    for time, columns in shown.items():
+        yield time, "/traffic_lights", native.LightColumns(*columns)
 
 
 def _lane(lane: nouns.Lane) -> native.LaneColumns:
     if np.isinf(lane.speed_limit):
         raise LogError(f"lane {lane.id}: the speed limit is infinite", topic="/road", remedy="use NaN for no limit")
-    kept = {f.name: getattr(lane, f.name) for f in fields(lane) if f.name not in ("left", "right", "successors")}
+    columns = ("left", "right", "successors", "yields_to")
+    kept = {f.name: getattr(lane, f.name) for f in fields(lane) if f.name not in columns}
     return native.LaneColumns(
         left_x=lane.left[:, 0].tolist(),
         left_y=lane.left[:, 1].tolist(),
         right_x=lane.right[:, 0].tolist(),
         right_y=lane.right[:, 1].tolist(),
         successors=list(lane.successors),
+        yields_to=list(lane.yields_to),
         **kept,
     )
 

@@ -22,6 +22,7 @@ from pathlib import Path
 import numpy as np
 
 from logs.convert.commonroad_road import road_of
+from logs.convert.commonroad_rules import lights_of, with_rules
 from logs.convert.commonroad_tracks import KINDS, ego_log, sized, tracks_of, trimmed, turned, velocities
 from logs.convert.commonroad_xml import Document, Obstacle, Problem, parse
 from logs.errors import LogError
@@ -159,12 +160,13 @@ def _scenario(document: Document, chosen: _Ego) -> Scenario:
     without = None if obstacle is None else obstacle.id
     tracks = tracks_of(document, velocity, without=without, start=start, origin=origin)
     road, assumed = road_of(document, origin, _driven(document))
+    road, heads, ruled = with_rules(document, road, origin)
     driven, how = _ego(obstacle, chosen.problem, document.dt, vehicle, origin)
     goal, unknown = _goal(chosen.problem, road, start, document.dt, origin)
     if goal is None:
         goal = Goal((_last_place(driven, vehicle),))
     duration, ends = _duration(driven, tracks, goal)
-    notes += [*how, *unknown, *assumed, *rule, *ends, *_begins(start, document.dt)]
+    notes += [*how, *unknown, *assumed, *ruled, *rule, *ends, *_begins(start, document.dt)]
     return Scenario(
         name="",
         ego=driven,
@@ -180,6 +182,7 @@ def _scenario(document: Document, chosen: _Ego) -> Scenario:
         start_ns=round(start * document.dt * 1e9),
         metadata=_metadata(document, chosen),
         notes=tuple(notes),
+        lights=lights_of(document, heads, start, duration),
     )
 
 

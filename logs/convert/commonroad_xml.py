@@ -1,32 +1,47 @@
 """CommonRoad XML (versions 2018b and 2020a) as plain records, in the file's own coordinates and time steps.
 
 Source of the format: CommonRoad, "XML format documentation", versions 2018b and 2020a. Nothing is judged here: what a
-record means for a Scenario is decided by `commonroad.py`, `commonroad_road.py` and `commonroad_tracks.py`.
+record means for a Scenario is decided by `commonroad.py`, `commonroad_road.py`, `commonroad_rules.py` and
+`commonroad_tracks.py`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 import numpy as np
 
+from logs.convert.commonroad_elements import child, integer, interval, middle, number, point_in, points_in, references
+from logs.convert.commonroad_signals import (
+    READ_SIGNS,
+    Intersection,
+    Light,
+    Stop,
+    intersection_of,
+    kinds_of,
+    light_of,
+    stop_of,
+)
 from logs.errors import LogError
 from logs.kernel import FloatArray, frozen
 
 VERSIONS = ("2018b", "2020a")
 MAX_SPEED_SIGNS = ("274", "274.1", "R2-1", "r301")
-LARGEST = 1e9
-"""Any larger number is no length, time or speed."""
 _CIRCLE = 2.0 * np.pi * np.arange(24) / 24
 
 
 @dataclass(frozen=True, eq=False)
 class Lanelet:
-    """One lanelet: boundaries `(n, 2)` as in the file (counts may differ), references, `speed` m/s or NaN."""
+    """One lanelet: boundaries `(n, 2)` as in the file (counts may differ), references, `speed` m/s or NaN.
+
+    Attributes:
+        stop: Its stop line, or None.
+        lights: Traffic lights that it names itself; `signs` likewise.
+    """
 
     id: int
     left: FloatArray
@@ -37,6 +52,9 @@ class Lanelet:
     types: tuple[str, ...]
     users: tuple[str, ...]
     speed: float
+    stop: Stop | None = None
+    lights: tuple[int, ...] = ()
+    signs: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +92,11 @@ class Problem:
 
 @dataclass(frozen=True, eq=False)
 class Document:
-    """A whole file; `dt` is the time step, s; `notes` name what the file holds and a Scenario does not."""
+    """A whole file; `dt` is the time step, s; `notes` name what the file holds and a Scenario does not.
+
+    Attributes:
+        signs: Kinds of the traffic signs ("206", "R1-1", ...) by the sign's id.
+    """
 
     benchmark: str
     version: str
@@ -87,6 +109,9 @@ class Document:
     obstacles: tuple[Obstacle, ...]
     problems: tuple[Problem, ...]
     notes: tuple[str, ...]
+    lights: tuple[Light, ...] = ()
+    signs: Mapping[int, frozenset[str]] = field(default_factory=dict)
+    intersections: tuple[Intersection, ...] = ()
 
     @property
     def country(self) -> str:
@@ -118,7 +143,7 @@ def _document(root: Element) -> Document:
     version = root.get("commonRoadVersion", "?")
     if version not in VERSIONS:
         raise LogError(f"CommonRoad version {version}", remedy=f"save it as one of {', '.join(VERSIONS)}")
-    dt = _number(root.get("timeStepSize"), "commonRoad@timeStepSize")
+    dt = number(root.get("timeStepSize"), "commonRoad@timeStepSize")
     if not dt > 0.0:
         raise LogError(f"time step of {dt} s", topic="commonRoad@timeStepSize", remedy="it must be positive")
     signs = _speed_signs(root)
@@ -141,6 +166,9 @@ def _document(root: Element) -> Document:
         obstacles,
         problems,
         tuple(_skipped(root)),
+        tuple(light_of(e) for e in root.findall("trafficLight")),
+        {integer(e.get("id"), "trafficSign@id"): kinds_of(e) for e in root.findall("trafficSign")},
+        tuple(intersection_of(e) for e in root.findall("intersection")),
     )
 
 
@@ -149,9 +177,9 @@ _OBSTACLE_TAGS = ("obstacle", "staticObstacle", "dynamicObstacle")
 
 def _skipped(root: Element) -> Iterator[str]:
     """What the file holds and a Scenario does not, one sentence each."""
-    lights = len(root.findall("trafficLight"))
-    if lights:
-        yield f"{lights} traffic lights in the file are ignored"
+    unread = {kind for e in root.findall("trafficSign") for kind in kinds_of(e)} - READ_SIGNS - {*MAX_SPEED_SIGNS}
+    if unread:
+        yield f"traffic signs {', '.join(sorted(unread))} are ignored"
     for tag in ("environmentObstacle", "phantomObstacle"):
         count = len(root.findall(tag))
         if count:
@@ -159,56 +187,6 @@ def _skipped(root: Element) -> Iterator[str]:
     sets = [e.get("id", "?") for e in root.findall("dynamicObstacle") if e.find("occupancySet") is not None]
     if sets:
         yield f"obstacles {', '.join(sets)} have an occupancy set: only their initial state is read"
-
-
-def _number(text: str | None, place: str) -> float:
-    try:
-        value = float(text or "")
-    except ValueError:
-        raise LogError(f"{text!r} is no number", topic=place, remedy="correct the element") from None
-    if not abs(value) < LARGEST:
-        raise LogError(f"value is {value}", topic=place, remedy="correct the element")
-    return value
-
-
-def _integer(text: str | None, place: str) -> int:
-    return int(_number(text, place))
-
-
-def _child(parent: Element, path: str, place: str) -> Element:
-    found = parent.find(path)
-    if found is None:
-        raise LogError(f"<{path}> is missing", topic=place, remedy="the format requires it")
-    return found
-
-
-def _interval(parent: Element, tag: str, place: str) -> tuple[float, float] | None:
-    """Bounds of an exact value or an interval; None where the element is absent."""
-    element = parent.find(tag)
-    if element is None:
-        return None
-    exact = element.find("exact")
-    if exact is not None:
-        value = _number(exact.text, f"{place}/{tag}")
-        return value, value
-    ends = (_child(element, end, f"{place}/{tag}") for end in ("intervalStart", "intervalEnd"))
-    low, high = (_number(end.text, f"{place}/{tag}") for end in ends)
-    return low, high
-
-
-def _middle(parent: Element, tag: str, place: str) -> float:
-    """Exact value, or the middle of an interval; NaN where the element is absent."""
-    bounds = _interval(parent, tag, place)
-    return float("nan") if bounds is None else 0.5 * (bounds[0] + bounds[1])
-
-
-def _point(element: Element, place: str) -> tuple[float, float]:
-    x, y = (_number(_child(element, axis, place).text, f"{place}/{axis}") for axis in ("x", "y"))
-    return x, y
-
-
-def _points(element: Element, place: str) -> FloatArray:
-    return np.array([_point(point, place) for point in element.findall("point")]).reshape(-1, 2)
 
 
 def _speed_signs(root: Element) -> dict[str, float]:
@@ -219,27 +197,30 @@ def _speed_signs(root: Element) -> dict[str, float]:
         for element in sign.findall("trafficSignElement"):
             value = element.find("additionalValue")
             if element.findtext("trafficSignID") in MAX_SPEED_SIGNS and value is not None:
-                limit = _number(value.text, f"trafficSign {name}/additionalValue")
+                limit = number(value.text, f"trafficSign {name}/additionalValue")
                 found[name] = min(limit, found.get(name, limit))
     return found
 
 
 def _lanelet(element: Element, signs: dict[str, float]) -> Lanelet:
-    name = _integer(element.get("id"), "lanelet@id")
+    name = integer(element.get("id"), "lanelet@id")
     place = f"lanelet {name}"
-    left, right = (_child(element, bound, place) for bound in ("leftBound", "rightBound"))
+    left, right = (child(element, bound, place) for bound in ("leftBound", "rightBound"))
     speeds = [signs[ref] for e in element.findall("trafficSignRef") if (ref := e.get("ref", "")) in signs]
-    speeds += [_number(e.text, f"{place}/speedLimit") for e in element.findall("speedLimit")]
+    speeds += [number(e.text, f"{place}/speedLimit") for e in element.findall("speedLimit")]
     return Lanelet(
         name,
-        _points(left, f"{place}/leftBound"),
-        _points(right, f"{place}/rightBound"),
-        tuple(_integer(e.get("ref"), f"{place}/successor@ref") for e in element.findall("successor")),
+        points_in(left, f"{place}/leftBound"),
+        points_in(right, f"{place}/rightBound"),
+        references(element, "successor", place),
         (_beside(element, "adjacentLeft", place), _beside(element, "adjacentRight", place)),
         (left.findtext("lineMarking", "").strip(), right.findtext("lineMarking", "").strip()),
         tuple((e.text or "").strip() for e in element.findall("laneletType")),
         tuple((e.text or "").strip() for tag in ("userOneWay", "userBidirectional") for e in element.findall(tag)),
         min(speeds, default=float("nan")),
+        stop_of(element, place),
+        references(element, "trafficLightRef", place),
+        references(element, "trafficSignRef", place),
     )
 
 
@@ -248,21 +229,21 @@ def _beside(element: Element, tag: str, place: str) -> tuple[int, bool] | None:
     found = element.find(tag)
     if found is None:
         return None
-    return _integer(found.get("ref"), f"{place}/{tag}@ref"), found.get("drivingDir", "same") == "same"
+    return integer(found.get("ref"), f"{place}/{tag}@ref"), found.get("drivingDir", "same") == "same"
 
 
 def _outline(shape: Element, place: str) -> FloatArray:
     """Corners `(k, 2)` of a rectangle, circle (24 of them) or polygon in the frame that it is given in."""
     if shape.tag == "polygon":
-        points = _points(shape, place)
+        points = points_in(shape, place)
         if len(points) > 1 and (points[0] == points[-1]).all():
             points = points[:-1]
         if len(points) < 3:
             raise LogError("a polygon of fewer than 3 points", topic=place, remedy="correct the element")
         return points
-    center = np.array(_point(c, place) if (c := shape.find("center")) is not None else (0.0, 0.0))
+    center = np.array(point_in(c, place) if (c := shape.find("center")) is not None else (0.0, 0.0))
     if shape.tag == "circle":
-        radius = _number(_child(shape, "radius", place).text, f"{place}/radius")
+        radius = number(child(shape, "radius", place).text, f"{place}/radius")
         return center + radius * np.column_stack([np.cos(_CIRCLE), np.sin(_CIRCLE)])
     length, width, yaw = _rectangle(shape, place)
     corners = 0.5 * np.array([[length, width], [-length, width], [-length, -width], [length, -width]])
@@ -271,8 +252,8 @@ def _outline(shape: Element, place: str) -> FloatArray:
 
 def _rectangle(shape: Element, place: str) -> tuple[float, float, float]:
     """Length, width (m) and orientation (rad) of a <rectangle>."""
-    size = [_number(_child(shape, tag, place).text, f"{place}/{tag}") for tag in ("length", "width")]
-    return size[0], size[1], _number(shape.findtext("orientation", "0"), f"{place}/orientation")
+    size = [number(child(shape, tag, place).text, f"{place}/{tag}") for tag in ("length", "width")]
+    return size[0], size[1], number(shape.findtext("orientation", "0"), f"{place}/orientation")
 
 
 def _box(element: Element, place: str) -> tuple[float, float, float, float, float]:
@@ -280,7 +261,7 @@ def _box(element: Element, place: str) -> tuple[float, float, float, float, floa
 
     A single rectangle is exact; everything else becomes its bounding box.
     """
-    shapes = list(_child(element, "shape", place))
+    shapes = list(child(element, "shape", place))
     if not shapes or any(shape.tag not in ("rectangle", "circle", "polygon") for shape in shapes):
         raise LogError("no rectangle, circle or polygon", topic=f"{place}/shape", remedy="correct the element")
     turn, outlines = 0.0, [_outline(shape, f"{place}/shape") for shape in shapes]
@@ -296,10 +277,10 @@ def _box(element: Element, place: str) -> tuple[float, float, float, float, floa
 
 def _position(state: Element, place: str) -> tuple[float, float]:
     """A point, or the centre of the shape that bounds an uncertain position."""
-    position = _child(state, "position", place)
+    position = child(state, "position", place)
     point = position.find("point")
     if point is not None:
-        return _point(point, f"{place}/position")
+        return point_in(point, f"{place}/position")
     shapes = [e for e in position if e.tag in ("rectangle", "circle", "polygon")]
     if not shapes:
         raise LogError("neither point nor shape", topic=f"{place}/position", remedy="correct the element")
@@ -310,8 +291,8 @@ def _position(state: Element, place: str) -> tuple[float, float]:
 
 def _state(element: Element, place: str, *, needs_yaw: bool) -> tuple[float, ...]:
     """One row of `STATE_COLUMNS`."""
-    step = _middle(element, "time", place)
-    yaw = _middle(element, "orientation", place)
+    step = middle(element, "time", place)
+    yaw = middle(element, "orientation", place)
     if step != step:
         raise LogError("<time> is missing", topic=place, remedy="the format requires it")
     if yaw != yaw:
@@ -319,15 +300,15 @@ def _state(element: Element, place: str, *, needs_yaw: bool) -> tuple[float, ...
             raise LogError("<orientation> is missing", topic=place, remedy="the format requires it")
         yaw = 0.0
     x, y = _position(element, place)
-    return step, x, y, yaw, _middle(element, "velocity", place), _middle(element, "acceleration", place)
+    return step, x, y, yaw, middle(element, "velocity", place), middle(element, "acceleration", place)
 
 
 def _obstacle(element: Element) -> Obstacle:
-    name = _integer(element.get("id"), f"{element.tag}@id")
+    name = integer(element.get("id"), f"{element.tag}@id")
     place = f"obstacle {name}"
     length, width, along, left, turn = _box(element, place)
     needs_yaw = element.find("shape/circle") is None
-    rows = [_state(_child(element, "initialState", place), f"{place}/initialState", needs_yaw=needs_yaw)]
+    rows = [_state(child(element, "initialState", place), f"{place}/initialState", needs_yaw=needs_yaw)]
     for i, state in enumerate(element.findall("trajectory/state")):
         rows.append(_state(state, f"{place}/trajectory/state {i}", needs_yaw=needs_yaw))
     table = np.array(rows)
@@ -342,24 +323,23 @@ def _obstacle(element: Element) -> Obstacle:
 
 
 def _problem(element: Element) -> Problem:
-    name = _integer(element.get("id"), "planningProblem@id")
+    name = integer(element.get("id"), "planningProblem@id")
     place = f"planningProblem {name}"
-    initial = _child(element, "initialState", place)
+    initial = child(element, "initialState", place)
     start = np.array(_state(initial, f"{place}/initialState", needs_yaw=True))
     if start[4] != start[4]:
         raise LogError("<velocity> is missing", topic=f"{place}/initialState", remedy="the format requires it")
     goals = tuple(_goal(goal, f"{place}/goalState") for goal in element.findall("goalState"))
-    return Problem(name, frozen(start), _middle(initial, "yawRate", f"{place}/initialState"), goals)
+    return Problem(name, frozen(start), middle(initial, "yawRate", f"{place}/initialState"), goals)
 
 
 def _goal(element: Element, place: str) -> GoalState:
     position = element.find("position")
     shapes = [] if position is None else [e for e in position if e.tag in ("rectangle", "circle", "polygon")]
-    lanelets = [] if position is None else position.findall("lanelet")
     return GoalState(
         tuple(frozen(_outline(shape, f"{place}/position")) for shape in shapes),
-        tuple(_integer(e.get("ref"), f"{place}/position/lanelet@ref") for e in lanelets),
-        _interval(element, "time", place),
-        _interval(element, "velocity", place),
-        _interval(element, "orientation", place),
+        () if position is None else references(position, "lanelet", f"{place}/position"),
+        interval(element, "time", place),
+        interval(element, "velocity", place),
+        interval(element, "orientation", place),
     )

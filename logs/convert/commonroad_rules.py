@@ -1,0 +1,361 @@
+"""CommonRoad lights, stop lines, signs and intersections -> stop lines, crosswalks, right of way, lights over time.
+
+Stop lines. A lanelet's stop line lies where its points say, else at the lanelet's end; one without the element has a
+stop line there if a light or a sign to give way is named on it (and no more on the lanelet after it). A light counts
+for the turns of its direction: those of the intersection's incoming, else by the heading that the successor gains.
+Where several lights of a lanelet are for one turn, the one that is for the fewest turns counts; while it is dark (a
+green arrow that is not lit), the next one counts. Signs do not count where an active light does.
+
+Right of way, between the lanes inside an intersection of two different incomings, where cars on their two centre lines
+would touch (`CAR_WIDTH_M`). Inside ("inner") are the lanes that follow on an incoming and begin nearer to the middle
+than the farthest incoming ends; a lane that both incomings lead to is behind their conflict. The one waits
+
+(1) whose sign ranks lower: stop or yield < none < priority road;
+(2) else, where neither incoming has a light and their headings differ by 30 to 135 degrees: whose carriageway has fewer
+    lanes, as nobody lets multi-lane roads wait without a sign; else, where traffic keeps right, to whose right the
+    other one comes from (Vienna Convention on Road Traffic, 18.4 a). Where no sign is there at all this is an
+    assumption, and noted;
+(3) else, if it turns left and the other one comes from opposite (more than 135 degrees) and goes straight or right;
+    where traffic keeps left, left and right change places.
+
+Between two lit incomings the lights decide instead of (1) and (2). Incomings that merge at less than 30 degrees have
+no order without signs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import permutations, product
+from math import atan2, ceil, radians
+
+import numpy as np
+
+from logs.convert.commonroad_signals import PRIORITY_SIGNS, STOP_SIGNS, YIELD_SIGNS, Incoming, Intersection, Light
+from logs.convert.commonroad_xml import Document, Lanelet
+from logs.kernel import FloatArray
+from logs.road import Lane, Road
+from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
+from logs.states import wrap
+
+CAR_WIDTH_M = 2.0
+MERGING, OPPOSITE, TURNING = radians(30.0), radians(135.0), radians(30.0)
+SPACING_M = 0.5
+UNSIGNED = 1
+
+Heads = Mapping[int, tuple[int, ...]]
+"""Light of the scenario -> lights of the file, of which the first that is not dark counts."""
+
+
+@dataclass(frozen=True)
+class _Approach:
+    """An incoming: heading at its end (rad), lanes, rank of its signs (1), whether it is lit, turns by inner lane."""
+
+    heading: float
+    width: int
+    rank: int
+    lit: bool
+    inner: Mapping[int, frozenset[str]]
+
+
+@dataclass(frozen=True, eq=False)
+class _Line:
+    """A stop line before it has an id; `chain`: the file's lights that it obeys, in the order in which they count."""
+
+    lane: int
+    ends: FloatArray
+    chain: tuple[int, ...] = ()
+    must_stop: bool = False
+    towards: tuple[int, ...] = ()
+
+
+def with_rules(document: Document, road: Road, origin: tuple[float, float]) -> tuple[Road, Heads, tuple[str, ...]]:
+    """The road with its rules, which of the file's lights its stop lines obey, and what was assumed or left out."""
+    turns = _turns(document, road)
+    lines = [
+        line
+        for lanelet in document.lanelets
+        if lanelet.id in road.lanes
+        for line in _lines(document, lanelet, road.lanes[lanelet.id], turns, origin)
+    ]
+    names = _names(document, [line.chain for line in lines if line.chain])
+    stop_lines = tuple(
+        StopLine(number, line.lane, line.ends, names.get(line.chain), line.must_stop, line.towards)
+        for number, line in enumerate(lines, start=1)
+    )
+    waits, assumed = _right_of_way(document, road, turns)
+    lanes = {i: replace(lane, yields_to=tuple(sorted(waits.get(i, ())))) for i, lane in road.lanes.items()}
+    ruled = replace(road, lanes=lanes, stop_lines=stop_lines, crosswalks=_crosswalks(document, road))
+    heads = {name: chain for chain, name in names.items()}
+    return ruled, heads, (*assumed, *_left_out(document, heads))
+
+
+def _crosswalks(document: Document, road: Road) -> tuple[Crosswalk, ...]:
+    """The lanelets of that type, and those on which pedestrians cross an intersection."""
+    crossings = {i for intersection in document.intersections for i in intersection.crossings}
+    marked = (lane for lane in road.lanes.values() if lane.id in crossings or "crosswalk" in lane.kind.split("+"))
+    return tuple(Crosswalk(lane.id, lane.polygon) for lane in marked)
+
+
+def _names(document: Document, chains: Iterable[tuple[int, ...]]) -> dict[tuple[int, ...], int]:
+    """The light of the scenario for each chain: its first one's id, or beyond all ids where that is taken."""
+    names: dict[tuple[int, ...], int] = {}
+    free = 1 + max((light.id for light in document.lights), default=0)
+    for chain in dict.fromkeys(chains):
+        names[chain] = chain[0]
+        if chain[0] in list(names.values())[:-1]:
+            names[chain], free = free, free + 1
+    return names
+
+
+def _left_out(document: Document, heads: Heads) -> Iterator[str]:
+    """What the file says of lights and the scenario does not."""
+    known = {light.id for light in document.lights}
+    unused = known - {i for chain in heads.values() for i in chain}
+    if unused:
+        yield f"traffic lights {_listed(unused)} are ignored: no lane that goes their way names them"
+    dark = {light.id for light in document.lights if light.active and not light.cycle}
+    if dark:
+        yield f"traffic lights {_listed(dark)} have no cycle: they are taken as off"
+    lost = {i for lanelet in document.lanelets for i in _lights_at(lanelet)} - known
+    if lost:
+        yield f"traffic lights {_listed(lost)} are named by lanelets, but are not in the file"
+
+
+def _listed(names: Iterable[int]) -> str:
+    return ", ".join(map(str, sorted(names)))
+
+
+# turns
+
+
+def _turns(document: Document, road: Road) -> dict[tuple[int, int], str]:
+    """Turn by lanelet and successor; from the intersections, else by the heading that is gained on the successor."""
+    found = {
+        (lanelet, successor): turn
+        for intersection in document.intersections
+        for incoming in intersection.incomings
+        for lanelet in incoming.lanelets
+        for successor, turn in incoming.successors
+    }
+    for lane in road.lanes.values():
+        for successor in lane.successors:
+            if successor in road.lanes:
+                found.setdefault((lane.id, successor), _turn(road.lanes[successor]))
+    return found
+
+
+def _turn(lane: Lane) -> str:
+    gained = wrap(_heading(lane.center[-2:]) - _heading(lane.center[:2]))
+    if abs(gained) < TURNING:
+        return "straight"
+    return "left" if gained > 0.0 else "right"
+
+
+def _heading(points: FloatArray) -> float:
+    """Direction from the first to the last point, rad."""
+    return atan2(points[-1, 1] - points[0, 1], points[-1, 0] - points[0, 0])
+
+
+# stop lines
+
+
+def _lights_at(lanelet: Lanelet) -> tuple[int, ...]:
+    return tuple(dict.fromkeys((*(lanelet.stop.lights if lanelet.stop else ()), *lanelet.lights)))
+
+
+def _kinds_at(document: Document, lanelet: Lanelet, *, without: Collection[int] = ()) -> set[str]:
+    """Kinds of the signs that a lanelet and its stop line name."""
+    names = {*lanelet.signs, *(lanelet.stop.signs if lanelet.stop else ())}.difference(without)
+    return {kind for name in names for kind in document.signs.get(name, ())}
+
+
+def _lines(
+    document: Document,
+    lanelet: Lanelet,
+    lane: Lane,
+    turns: Mapping[tuple[int, int], str],
+    origin: tuple[float, float],
+) -> list[_Line]:
+    """The stop lines of a lanelet: one for each light, else one for its sign."""
+    names, stop = _lights_at(lanelet), lanelet.stop
+    later = [other for other in document.lanelets if stop is None and other.id in lanelet.successors]
+    on_them = {i for other in later for i in (*_lights_at(other), *other.signs)}
+    lights = [light for light in document.lights if light.id in names and light.id not in on_them]
+    kinds = _kinds_at(document, lanelet, without=on_them)
+    if stop is None and not lights and not kinds & (STOP_SIGNS | YIELD_SIGNS):
+        return []
+    ends = np.vstack([lane.right[-1], lane.left[-1]])
+    if stop is not None and stop.ends is not None:
+        ends = stop.ends - origin
+    governed = _governed(lights, [(i, turns[lane.id, i]) for i in lane.successors if (lane.id, i) in turns])
+    out = [_Line(lane.id, ends, chain, towards=towards) for chain, towards in governed.items()]
+    must_stop = bool(kinds & STOP_SIGNS) and not any(light.active for light in lights)
+    return out if out and not must_stop else [*out, _Line(lane.id, ends, must_stop=must_stop)]
+
+
+def _governed(lights: list[Light], successors: list[tuple[int, str]]) -> dict[tuple[int, ...], tuple[int, ...]]:
+    """Lights of the file, those that count while the ones before are dark behind them -> successors (empty: all)."""
+    if not successors:
+        return {(light.id,): () for light in lights}
+    by_chain: dict[tuple[int, ...], list[int]] = {}
+    for successor, turn in successors:
+        meant = sorted((light for light in lights if turn in light.turns), key=lambda light: len(light.turns))
+        for first in (light for light in meant if len(light.turns) == len(meant[0].turns)):
+            by_chain.setdefault(_chain(first, meant), []).append(successor)
+    return {c: () if len(some) == len(successors) else tuple(some) for c, some in by_chain.items()}
+
+
+def _chain(first: Light, meant: list[Light]) -> tuple[int, ...]:
+    """The light, and if it is ever dark, those for more turns."""
+    goes_dark = not first.active or any(colour is Colour.OFF for colour, _ in first.cycle)
+    return (first.id, *(each.id for each in meant if goes_dark and len(each.turns) > len(first.turns)))
+
+
+def lights_of(document: Document, heads: Heads, start: float, duration: float) -> tuple[TrafficLight, ...]:
+    """The lights over the time of the log: t = 0 is step `start`; it lasts `duration` s."""
+    last = start + duration / document.dt
+    changes = {light.id: light.changes(start, last) for light in document.lights}
+    out = []
+    for name, chain in heads.items():
+        shown: list[tuple[float, Colour]] = []
+        for step in sorted({step for i in chain for step, _ in changes[i]}):
+            colours = [_at(changes[i], step) for i in chain]
+            colour = next((each for each in colours if each is not Colour.OFF), Colour.OFF)
+            if not shown or shown[-1][1] is not colour:
+                shown.append((step, colour))
+        t = np.round([(step - start) * document.dt for step, _ in shown], 9)
+        out.append(TrafficLight(name, t, tuple(colour for _, colour in shown)))
+    return tuple(out)
+
+
+def _at(changes: list[tuple[float, Colour]], step: float) -> Colour:
+    return [colour for begin, colour in changes if begin <= step][-1]
+
+
+# right of way
+
+
+def _right_of_way(
+    document: Document, road: Road, turns: Mapping[tuple[int, int], str]
+) -> tuple[dict[int, set[int]], list[str]]:
+    """Inner lane -> lanes that go first; and what was assumed."""
+    waits: dict[int, set[int]] = {}
+    assumed, total = 0, len(document.intersections)
+    for intersection in document.intersections:
+        zone = _zone(intersection, road)
+        found = (_approach(document, road, incoming, turns, zone) for incoming in intersection.incomings)
+        approaches = [approach for approach in found if approach is not None]
+        by_side = False
+        for one, other in permutations(approaches, 2):
+            for lane, first in _waiting(one, other, road):
+                waits.setdefault(lane, set()).add(first)
+                by_side = by_side or _unsigned_order(one, other, keeps_right=road.drives_on_right)
+        assumed += by_side and all(approach.rank == UNSIGNED for approach in approaches)
+    if not assumed:
+        return waits, []
+    rule = "the road of more lanes goes first" + (", else who comes from the right" if road.drives_on_right else "")
+    return waits, [f"no sign and no light at {assumed} of {total} intersections: it is assumed that {rule}"]
+
+
+def _approach(
+    document: Document, road: Road, incoming: Incoming, turns: Mapping[tuple[int, int], str], zone: Collection[int]
+) -> _Approach | None:
+    """The incoming as far as cars drive there; None where they do not."""
+    lanes = [road.lanes[i] for i in incoming.lanelets if i in road.lanes and road.lanes[i].drivable]
+    if not lanes:
+        return None
+    names = frozenset(lane.id for lane in lanes)
+    lanelets = [lanelet for lanelet in document.lanelets if lanelet.id in names]
+    kinds = {kind for lanelet in lanelets for kind in _kinds_at(document, lanelet)}
+    active = {light.id for light in document.lights if light.active}
+    ends = [lane.center[-1] - lane.center[-2] for lane in lanes]
+    mean = np.sum([step / np.hypot(*step) for step in ends], axis=0)
+    return _Approach(
+        atan2(mean[1], mean[0]),
+        len({i for lane in lanes for i in _carriageway(lane, road)}),
+        0 if kinds & (STOP_SIGNS | YIELD_SIGNS) else 2 if kinds & PRIORITY_SIGNS else UNSIGNED,
+        any(i in active for lanelet in lanelets for i in _lights_at(lanelet)),
+        _inner(lanes, road, turns, zone),
+    )
+
+
+def _zone(intersection: Intersection, road: Road) -> frozenset[int]:
+    """Lanes that begin inside an intersection: nearer to the middle of its incomings' ends than the farthest of them.
+
+    The lanes that lead into an intersection are not inside.
+    """
+    leading = {i for incoming in intersection.incomings for i in incoming.lanelets if i in road.lanes}
+    if not leading:
+        return frozenset()
+    ends = np.array([road.lanes[i].center[-1] for i in leading])
+    middle = ends.mean(axis=0)
+    radius = float(np.hypot(*(ends - middle).T).max())
+    lanes = (lane for lane in road.lanes.values() if lane.drivable and lane.id not in leading)
+    return frozenset(lane.id for lane in lanes if np.hypot(*(lane.center[0] - middle)) < radius)
+
+
+def _inner(
+    lanes: Sequence[Lane], road: Road, turns: Mapping[tuple[int, int], str], zone: Collection[int]
+) -> dict[int, frozenset[str]]:
+    """The inner lanes behind an incoming's lanes; of which turns each is part."""
+    found: dict[int, set[str]] = {}
+    ahead = [(i, turns[lane.id, i]) for lane in lanes for i in lane.successors if (lane.id, i) in turns]
+    ahead = [(i, turn) for i, turn in ahead if i in road.lanes and road.lanes[i].drivable]
+    while ahead:
+        i, turn = ahead.pop()
+        if turn not in found.setdefault(i, set()):
+            found[i].add(turn)
+            ahead += [(after, turn) for after in road.lanes[i].successors if after in zone]
+    return {i: frozenset(some) for i, some in found.items()}
+
+
+def _carriageway(lane: Lane, road: Road) -> set[int]:
+    """The lane and those beside it in its direction, as far as cars drive there."""
+    found, ahead = set[int](), [lane.id]
+    while ahead:
+        i = ahead.pop()
+        if i in road.lanes and i not in found and road.lanes[i].drivable:
+            found.add(i)
+            ahead += [j for j in (road.lanes[i].left_neighbour, road.lanes[i].right_neighbour) if j is not None]
+    return found
+
+
+def _unsigned_order(one: _Approach, other: _Approach, *, keeps_right: bool) -> bool:
+    """Whether `one` waits for `other` by (2)."""
+    angle = wrap(other.heading - one.heading)
+    if one.lit or other.lit or not MERGING < abs(angle) <= OPPOSITE:
+        return False
+    if one.width != other.width:
+        return one.width < other.width
+    return keeps_right and angle > 0.0
+
+
+def _waiting(one: _Approach, other: _Approach, road: Road) -> Iterator[tuple[int, int]]:
+    """Inner lanes of `one` that wait for inner lanes of `other`, by (1) to (3)."""
+    lower = one.rank < other.rank and not (one.lit and other.lit)
+    higher = one.rank > other.rank and not (one.lit and other.lit)
+    by_side = _unsigned_order(one, other, keeps_right=road.drives_on_right)
+    across = "left" if road.drives_on_right else "right"
+    opposite = abs(wrap(other.heading - one.heading)) > OPPOSITE
+    own = {i: some for i, some in one.inner.items() if i not in other.inner}
+    others = {i: some for i, some in other.inner.items() if i not in one.inner}
+    for lane, first in product(own, others):
+        turns_across = opposite and own[lane] == {across} and others[first] != {across}
+        waits = lower or (not higher and (by_side or turns_across))
+        if waits and meet(road.lanes[lane].center, road.lanes[first].center):
+            yield lane, first
+
+
+def meet(one: FloatArray, other: FloatArray) -> bool:
+    """Whether cars on two centre lines `(n, 2)` would touch somewhere: their lines come nearer than a car is wide."""
+    first, second = _dense(one), _dense(other)
+    apart = np.hypot(*(first[:, None, :] - second[None, :, :]).transpose(2, 0, 1))
+    return bool(apart.min() < CAR_WIDTH_M)
+
+
+def _dense(line: FloatArray) -> FloatArray:
+    """The line with points at most `SPACING_M` apart."""
+    along = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
+    at = np.linspace(0.0, along[-1], max(2, 1 + ceil(along[-1] / SPACING_M)))
+    return np.column_stack([np.interp(at, along, line[:, k]) for k in range(2)])

@@ -11,10 +11,25 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from logs import ConfigError, Controls, DecisionKind, Goal, Lane, Road, Scenario, Tracks, Trajectory
+from logs import (
+    Colour,
+    ConfigError,
+    Controls,
+    Crosswalk,
+    DecisionKind,
+    Goal,
+    Lane,
+    Road,
+    Scenario,
+    StopLine,
+    Tracks,
+    TrafficLight,
+    Trajectory,
+)
 from logs.catalogue import CATALOGUE, mirrored, moved
 from logs.catalogue.driver import MAX_ACCEL, MAX_BRAKE, MAX_JERK, Ahead, drive
 from logs.catalogue.family import touches
+from logs.catalogue.pedestrians import Leg, strolled
 from logs.catalogue.roads import curve, weaving
 from logs.shapes import distance
 
@@ -28,6 +43,9 @@ def columns(scenario: Scenario) -> dict[str, np.ndarray]:
     out |= {f"tracks.{c}": getattr(scenario.tracks, c) for c in ("t", "x", "y", "yaw", "vx", "vy", "length", "width")}
     for lane in scenario.road.lanes.values():
         out |= {f"lane.{lane.id}.left": lane.left, f"lane.{lane.id}.right": lane.right}
+    out |= {f"stop.{line.id}": line.points for line in scenario.road.stop_lines}
+    out |= {f"crosswalk.{each.id}": each.polygon for each in scenario.road.crosswalks}
+    out |= {f"light.{light.id}": light.t for light in scenario.lights}
     if scenario.goal is not None:
         out |= {f"goal.{i}": region for i, region in enumerate(scenario.goal.regions)}
     return out
@@ -41,7 +59,7 @@ def same(one: Scenario, two: Scenario, *, within: float = 0.0) -> None:
 
 
 def crooked() -> Scenario:
-    """A scenario with everything that has a side: neighbours, opposite lanes, markings, steering, heading goal."""
+    """A scenario with everything that has a side: neighbours, opposite lanes, markings, steering, goal, rules."""
     square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 3.0], [0.0, 3.0]])
     lane = Lane(
         1,
@@ -51,7 +69,11 @@ def crooked() -> Scenario:
         left_opposite=True,
         left_crossable=False,
         right_crossable=True,
+        yields_to=(2, 3),
     )
+    stop = StopLine(4, 1, np.array([[9.0, 0.0], [9.0, 3.0]]), light=6, towards=(3,))
+    zebra = Crosswalk(5, square)
+    lights = (TrafficLight(6, np.array([0.0, 1.5]), (Colour.RED, Colour.GREEN)),)
     t = np.array([0.0, 1.0])
     ego = Trajectory(t, [1.0, 2.0], [1.0, 1.5], [0.3, 0.4], [1.0, 1.0], [0.0, 0.1], [0.1, 0.2])
     controls = Controls(t, [0.1, -0.2], [0.3, 0.0], [0.0, 0.5])
@@ -61,9 +83,10 @@ def crooked() -> Scenario:
         "x/y",
         ego,
         Tracks.empty(),
-        Road({1: lane}),
+        Road({1: lane}, stop_lines=(stop,), crosswalks=(zebra,)),
         2.0,
         goal,
+        lights=lights,
         controls=controls,
         origin=(3.0, 4.0),
         metadata={"expected_decisions": decisions},
@@ -88,6 +111,14 @@ def test_the_mirror_swaps_every_side() -> None:
     np.testing.assert_array_equal(lane.left, [[0.0, 0.0], [10.0, 0.0]])
     np.testing.assert_array_equal(lane.right, [[0.0, -3.0], [10.0, -3.0]])
     assert (lane.left_neighbour, lane.right_neighbour) == (None, 2)
+    assert lane.yields_to == (2, 3)
+    (stop,), (zebra,) = there.road.stop_lines, there.road.crosswalks
+    np.testing.assert_array_equal(
+        stop.points, [[9.0, -3.0], [9.0, 0.0]]
+    )  # from the right end to the left one, as before
+    assert (stop.lane, stop.light, stop.towards) == (1, 6, (3,))
+    assert {*map(tuple, zebra.polygon)} == {(0.0, 0.0), (10.0, 0.0), (10.0, -3.0), (0.0, -3.0)}
+    assert [(light.id, light.colours) for light in there.lights] == [(6, (Colour.RED, Colour.GREEN))]
     assert (lane.left_opposite, lane.right_opposite) == (False, True)
     assert (lane.left_crossable, lane.right_crossable) == (True, False)
     assert not there.road.drives_on_right
@@ -207,8 +238,9 @@ def test_building_is_deterministic_and_parameters_are_in_the_metadata(name: str)
 def test_expected_decisions_name_agents_and_decisions(name: str) -> None:
     scenario = SCENARIOS[name]
     wanted = json.loads(scenario.metadata.get("expected_decisions", "{}"))
-    assert set(wanted) <= set(scenario.tracks.ids)
-    assert bool(wanted) is (len(scenario.tracks) > 0)
+    there = {*scenario.tracks.ids, *(f"stop line {line.id}" for line in scenario.road.stop_lines)}
+    assert set(wanted) <= there
+    assert bool(wanted) is bool(there)
     assert {kind for kinds in wanted.values() for kind in kinds} <= {kind.value for kind in DecisionKind}
 
 
@@ -324,6 +356,221 @@ def test_nudge_leaves_its_clearance(intrusion: float) -> None:
     assert scenario.name == f"everyday/nudge@intrusion_m={intrusion:g}"
     assert min(_gap(scenario, t) for t in scenario.ego.t) == pytest.approx(0.6, abs=0.02)
     assert scenario.tracks.y[0] + 0.9 == pytest.approx(intrusion - 1.75)
+
+
+def front(scenario: Scenario) -> np.ndarray:
+    """Stations of the front bumper on a straight road along x."""
+    return scenario.ego.x + scenario.vehicle.axle_to_front
+
+
+@pytest.mark.parametrize("green", [0.0, 6.0, 12.0, 25.0])
+@pytest.mark.parametrize(("distance", "speed"), [(60.0, 8.3), (120.0, 13.9)])
+def test_at_the_light_the_driver_waits_for_green(green: float, distance: float, speed: float) -> None:
+    scenario = CATALOGUE["everyday/traffic_light"].scenario(
+        green_s=green, distance_m=distance, ego_speed_mps=speed, duration_s=50.0
+    )
+    (line,), (light,) = scenario.road.stop_lines, scenario.lights
+    assert line.light == light.id and line.lane == 1 and scenario.road.lanes[1].successors == (2,)
+    assert line.points[0, 0] - front(scenario)[0] == pytest.approx(distance)
+    crossed = scenario.ego.t[np.argmax(front(scenario) > line.points[0, 0])]
+    assert light.at(float(crossed)) is Colour.GREEN and light.at(green + 0.01) is Colour.GREEN
+    assert light.at(green - 0.5) is (Colour.OFF if green == 0.0 else Colour.RED_YELLOW)
+    if green == 25.0:
+        waiting = scenario.ego.v < 0.1
+        assert waiting.any() and 0.5 <= line.points[0, 0] - front(scenario)[waiting].max() <= 2.0
+    assert scenario.ego.v[-1] == pytest.approx(speed, abs=0.1)
+
+
+def test_at_the_crosswalk_the_pedestrian_goes_first() -> None:
+    scenario = SCENARIOS["everyday/crosswalk"]
+    (zebra,), ego, tracks = scenario.road.crosswalks, scenario.ego, scenario.tracks
+    near, far = zebra.polygon[:, 0].min(), zebra.polygon[:, 0].max()
+    assert near < tracks.x[0] < far and tracks.y[0] == pytest.approx(-1.75 - 0.6)
+    assert tracks.truth(5.9).speed[0] == 0.0  # waits, so that it can be seen from afar
+    there = front(scenario)[ego.t <= float(scenario.metadata["pedestrian_off_lane_s"])]
+    assert 0.5 <= near - there.max() <= 8.0
+    assert 0.5 <= ego.v.min() <= 4.0 and ego.x[-1] > far
+
+
+def test_at_the_crosswalk_the_driver_stops_for_one_who_is_slow() -> None:
+    scenario = CATALOGUE["everyday/crosswalk"].scenario(pedestrian_speed_mps=0.6)
+    near = scenario.road.crosswalks[0].polygon[:, 0].min()
+    there = front(scenario)[scenario.ego.t <= float(scenario.metadata["pedestrian_off_lane_s"])]
+    assert 0.5 <= near - there.max() <= 2.0
+    assert scenario.ego.v.min() < 0.1
+
+
+@pytest.mark.parametrize("turn", [1, 0, -1])
+def test_at_the_junction_the_main_road_goes_first(turn: int) -> None:
+    scenario = CATALOGUE["everyday/junction"].scenario(turn=turn)
+    road, ego = scenario.road, scenario.ego
+    own = {1: 18, 0: 13, -1: 16}[turn]
+    assert set(road.lanes[1].successors) == {13, own}
+    assert {56} <= set(road.lanes[own].yields_to) <= {42, 56, 78}
+    assert not road.lanes[56].yields_to and not road.lanes[78].yields_to
+    line = next(line for line in road.stop_lines if line.lane == 1)
+    entered = float(ego.t[np.argmax(front(scenario) > line.points[0, 0])])
+    assert entered > float(scenario.metadata["last_passes_s"])
+    assert ego.yaw[-1] == pytest.approx(0.5 * pi * turn, abs=1e-3)
+    for lane in road.lanes.values():
+        for after in lane.successors:
+            np.testing.assert_allclose(lane.center[-1], road.lanes[after].center[0], atol=0.01)
+    middle = [scenario.tracks.truth(6.0 + 2.5 * k) for k in range(4)]
+    assert [float(np.hypot(each.x[k] - 72.6, each.y[k] - 1.75)) for k, each in enumerate(middle)] == pytest.approx(
+        [1.75] * 4, abs=0.05
+    )
+
+
+@pytest.mark.parametrize("first", [0.0, 3.0, 9.0])
+def test_at_the_junction_nobody_is_made_to_brake(first: float) -> None:
+    """Whenever the others come, none is in the middle of the junction within 0.9 s of the ego."""
+    scenario = CATALOGUE["everyday/junction"].scenario(first_s=first, turn=0, duration_s=40.0)
+    inside = (front(scenario) > 64.0) & (scenario.ego.x - scenario.vehicle.rear_overhang < 80.0)
+    times = scenario.ego.t[inside]
+    for k in range(4):
+        assert np.abs(times - (first + 2.5 * k)).min() > 0.9
+
+
+def test_a_junction_has_three_ways_on() -> None:
+    with pytest.raises(ConfigError, match="turn is 2: 1 is left, 0 straight on, -1 right; change turn"):
+        CATALOGUE["everyday/junction"].scenario(turn=2)
+
+
+PEDESTRIANS = [name for name in CATALOGUE if name.startswith("pedestrian/")]
+
+
+def way(scenario: Scenario, k: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Times, x, y and speed of a road user."""
+    tracks, own = scenario.tracks, scenario.tracks.samples(k)
+    return tracks.t[own], tracks.x[own], tracks.y[own], np.hypot(tracks.vx[own], tracks.vy[own])
+
+
+@given(
+    distances=st.lists(st.floats(1.0, 8.0), min_size=1, max_size=4),
+    speeds=st.lists(st.floats(0.5, 2.4), min_size=4, max_size=4),
+    pauses=st.lists(st.floats(0.0, 3.0), min_size=4, max_size=4),
+    flowing=st.booleans(),
+)
+def test_a_walk_goes_its_legs_with_ramps(
+    distances: list[float], speeds: list[float], pauses: list[float], *, flowing: bool
+) -> None:
+    """It ends after all its legs, is never faster than the fastest, and changes its speed within 0.4 s."""
+    legs: list[Leg] = []
+    for length, speed, pause in zip(distances, speeds, pauses, strict=False):
+        begin = (legs[-1].slows if flowing else legs[-1].end + pause) if legs else 1.0
+        legs.append(Leg(begin, length, speed))
+    t = np.arange(0.0, legs[-1].end + 1.0, 0.01)
+    s = strolled(t, legs)
+    v = np.diff(s) / 0.01
+    assert s[0] == 0.0 and s[-1] == pytest.approx(sum(distances))
+    assert v.min() >= -1e-9 and v.max() <= max(speeds) + 1e-9
+    assert np.abs(np.diff(v)).max() <= 0.01 * max(speeds) / 0.4 + 1e-9
+    if flowing:  # no stop between the legs
+        walking = (t[:-1] > legs[0].begin + 0.4) & (t[1:] < legs[-1].slows)
+        assert v[walking].min() >= min(speeds) - 1e-9
+
+
+@pytest.mark.parametrize("name", PEDESTRIANS)
+def test_without_braking_a_pedestrian_would_be_hit_and_the_driver_waits_for_the_last(name: str) -> None:
+    scenario = SCENARIOS[name]
+    ego, off = scenario.ego, float(scenario.metadata["pedestrian_off_lane_s"])
+    straight = drive(curve((600.0, 0.0, 0.0)), start=10.0, speed=ego.v[0], cruise=ego.v[0], duration=float(ego.t[-1]))
+    assert touches(replace(scenario, ego=straight)) in scenario.tracks.ids
+    assert 20.0 <= ego.t[-1] <= 25.0
+    assert ego.v.min() < 0.3 * ego.v[0] and ego.v[-1] == pytest.approx(ego.v[0], abs=0.1)
+    assert ego.t[np.argmin(ego.v)] <= off + MAX_BRAKE / MAX_JERK + 0.1  # until the brake is released
+    for k in range(len(scenario.tracks)):
+        t, _, y, _ = way(scenario, k)
+        assert scenario.tracks.static[k] or (np.abs(y[t >= off]) >= 1.75 + 0.25).all()
+
+
+@pytest.mark.parametrize("name", PEDESTRIANS)
+def test_pedestrians_start_and_stop_with_ramps(name: str) -> None:
+    scenario = SCENARIOS[name]
+    for k in range(len(scenario.tracks)):
+        if not scenario.tracks.static[k]:
+            _, _, _, speed = way(scenario, k)
+            assert np.abs(np.diff(speed)).max() <= 0.1 * speed.max() / 0.4 + 1e-6
+            assert speed[-1] == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(("dwell", "lateral", "back"), [(1.0, -0.5, 1.2), (2.5, 0.0, 1.5), (4.0, 0.5, 1.8)])
+def test_who_turns_back_stands_on_the_lane_and_returns(dwell: float, lateral: float, back: float) -> None:
+    scenario = CATALOGUE["pedestrian/turns_back"].scenario(dwell_s=dwell, stop_lateral_m=lateral, return_speed_mps=back)
+    t, _, y, v = way(scenario)
+    stands = (np.abs(y - lateral) < 1e-9) & (v < 0.05)
+    assert t[stands][-1] - t[stands][0] == pytest.approx(dwell, abs=0.21)
+    assert y.max() == pytest.approx(lateral) and y[-1] == pytest.approx(y[0])
+    assert v[t > t[stands][-1]].max() == pytest.approx(back)
+
+
+def test_who_hesitates_stands_at_the_kerb() -> None:
+    scenario = CATALOGUE["pedestrian/hesitates"].scenario(dwell_s=3.0)
+    t, _, y, v = way(scenario)
+    stands = (np.abs(y + 1.75 + 0.6) < 1e-9) & (v < 0.05)
+    assert t[stands][-1] - t[stands][0] == pytest.approx(3.0, abs=0.21)
+    assert float(scenario.metadata["pedestrian_sets_off_s"]) == pytest.approx(t[stands][-1], abs=0.11)
+
+
+def test_the_child_runs_out_from_behind_the_cars_of_cpnco() -> None:
+    scenario = SCENARIOS["pedestrian/runs_out"]
+    tracks, car = scenario.tracks, scenario.vehicle
+    boxes = {name: k for k, name in enumerate(tracks.ids)}
+    (_, x, y, v), small, large = way(scenario), boxes["small_car"], boxes["large_car"]
+    sx, sy, lx = (float(way(scenario, k)[c][0]) for k, c in ((small, 1), (small, 2), (large, 1)))
+    assert x[0] - (sx + 0.5 * tracks.length[small]) == pytest.approx(1.0)
+    assert (sx - lx) - 0.5 * (tracks.length[small] + tracks.length[large]) == pytest.approx(1.0)
+    assert -0.5 * car.width - (sy + 0.5 * tracks.width[small]) == pytest.approx(1.0)
+    assert y[0] == -4.0 and v.max() == pytest.approx(5.0 / 3.6, abs=0.01)
+    beside = front(scenario) > lx - 0.5 * tracks.length[large]
+    assert scenario.ego.v[beside][0] <= 4.3
+
+
+@pytest.mark.parametrize("angle", [30.0, 60.0, 150.0])
+def test_the_jaywalker_crosses_diagonally_and_hurries(angle: float) -> None:
+    scenario = CATALOGUE["pedestrian/jaywalker"].scenario(angle_deg=angle, distance_m=45.0)
+    _, x, y, v = way(scenario)
+    assert np.rad2deg(np.arctan2(y[-1] - y[0], x[-1] - x[0])) == pytest.approx(angle)
+    inside = np.abs(y) < 1.6
+    assert v[inside & (y < -0.8)] == pytest.approx(1.4)
+    assert v[inside & (y > 0.5)] == pytest.approx(2.2)
+    assert v[inside].min() >= 1.4 - 1e-9
+
+
+def test_the_group_comes_half_a_second_apart() -> None:
+    scenario = SCENARIOS["pedestrian/group"]
+    starts = [float(t[np.argmax(v > 0.01)]) for t, _, _, v in (way(scenario, k) for k in range(3))]
+    np.testing.assert_allclose(np.diff(starts), 0.5, atol=1e-9)
+    for t in scenario.ego.t:
+        x, y = scenario.tracks.truth(t).x, scenario.tracks.truth(t).y
+        assert min(np.hypot(x[i] - x[j], y[i] - y[j]) for i in range(3) for j in range(i)) > 0.7
+
+
+def test_who_walks_along_is_followed() -> None:
+    scenario = SCENARIOS["pedestrian/along"]
+    t, x, y, v = way(scenario)
+    along = t < 10.0
+    np.testing.assert_allclose(np.diff(x[along]), 0.139, atol=1e-9)
+    assert (y[along] == 0.0).all() and y[-1] == pytest.approx(-2.75)
+    assert scenario.ego.v[(scenario.ego.t > 8.0) & (scenario.ego.t < 11.0)].max() < 5.0
+    assert v[t < 11.0].min() >= 1.39 / np.sqrt(2.0) - 0.01  # turns without a stop
+
+
+def test_the_two_from_both_sides_have_times_of_their_own() -> None:
+    scenario = CATALOGUE["pedestrian/both_sides"].scenario(left_start_s=5.0)
+    for k, (start, y0) in enumerate(((3.0, -2.35), (5.0, 2.35))):
+        t, _, y, v = way(scenario, k)
+        assert y[0] == pytest.approx(y0) and y[-1] * y0 < 0.0
+        assert t[np.argmax(v > 0.0)] == pytest.approx(start + 0.1)
+
+
+def test_pedestrians_who_do_not_cross_are_refused() -> None:
+    with pytest.raises(ConfigError, match="angle_deg is 0: between the lane and the walk"):
+        CATALOGUE["pedestrian/jaywalker"].scenario(angle_deg=0.0)
+    with pytest.raises(ConfigError, match="does not come onto the lane, or does not leave it"):
+        CATALOGUE["pedestrian/turns_back"].scenario(kerb_distance_m=3.0, stop_lateral_m=-2.5)
+    with pytest.raises(ConfigError, match="too short for its speed"):
+        CATALOGUE["pedestrian/hesitates"].scenario(approach_m=0.1)
 
 
 def test_wrong_parameters_are_refused_in_one_line() -> None:

@@ -33,11 +33,12 @@ def parked(name: str, x: float, y: float, *, size: tuple[float, float] = CAR) ->
 def moving(
     name: str, kind: AgentKind, size: tuple[float, float], t: FloatArray, x: FloatArray, y: FloatArray, *, yaw: float
 ) -> Agent:
-    """A road user at positions `(n,)` at times `(n,)`, uniformly spaced; velocities by central differences.
+    """A road user at positions `(n,)` at times `(n,)`, uniformly spaced.
 
-    The heading is that of the velocity; `yaw` where and as long as it stands from the begin.
+    Velocities are backward differences: nothing of a later position is in a sample. The heading is that of the
+    velocity; `yaw` where and as long as it stands from the begin.
     """
-    vx, vy = np.gradient(x, t), np.gradient(y, t)
+    vx, vy = (np.r_[way[0], way] for way in (np.diff(x) / np.diff(t), np.diff(y) / np.diff(t)))
     heading, last = np.empty(len(t)), yaw
     for i in range(len(t)):
         last = float(np.arctan2(vy[i], vx[i])) if np.hypot(vx[i], vy[i]) > 0.05 else last

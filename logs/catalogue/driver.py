@@ -56,7 +56,7 @@ def drive(
     *,
     start: float,
     speed: float,
-    cruise: float,
+    cruise: float | Callable[[float], float],
     duration: float,
     ahead: Callable[[float, float], Ahead | None] = lambda t, s: None,
     thw: float = 1.6,
@@ -67,7 +67,7 @@ def drive(
         path: Of the rear axle.
         start: Station of the rear axle at t = 0, m.
         speed: At t = 0, m/s.
-        cruise: Wanted speed, m/s.
+        cruise: Wanted speed, m/s; or by the station of the rear axle.
         duration: s; a multiple of 0.1.
         ahead: What is to be minded at time t with the rear axle at station s.
         thw: Wanted time headway, s.
@@ -80,7 +80,7 @@ def drive(
     for k in range(round(duration / STEP_S) + 1):
         if k % every == 0:
             rows.append((k * STEP_S, s, v, a))
-        wish = _wish(v, cruise, ahead(t, s), thw)
+        wish = _wish(v, cruise(s) if callable(cruise) else cruise, ahead(t, s), thw)
         jerk = min(max((wish - a) / STEP_S, -MAX_JERK), MAX_JERK)
         s += (v + (0.5 * a + jerk * STEP_S / 6.0) * STEP_S) * STEP_S
         v += (a + 0.5 * jerk * STEP_S) * STEP_S

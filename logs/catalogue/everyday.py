@@ -21,14 +21,14 @@ from logs.trace import DecisionKind
 from logs.vehicle import VehicleParameters
 
 
-def _grid(duration: float) -> FloatArray:
+def grid(duration: float) -> FloatArray:
     """Sample times of the others `(n,)`, to the end of the scenario, s."""
     return np.round(np.arange(0.0, duration + SPARE_S + 0.5 * SAMPLE_S, SAMPLE_S), 9)
 
 
 def _follow(p: Mapping[str, float]) -> Scenario:
     v, duration, thw, car = p["ego_speed_mps"], p["duration_s"], p["headway_s"], VehicleParameters()
-    t = _grid(duration)
+    t = grid(duration)
     ramp = p["lead_change_mps"] / p["lead_accel_mps2"]
     corners = np.cumsum([p["hold_s"], ramp, p["hold_s"], ramp])
     speed = np.interp(t, corners, [v, v - p["lead_change_mps"], v - p["lead_change_mps"], v])
@@ -72,7 +72,7 @@ def _cut_in(p: Mapping[str, float]) -> Scenario:
     other = v + p["relative_speed_mps"]
     if not other > 0.0:
         raise ValueError("the other would not drive forward")
-    t = _grid(duration)
+    t = grid(duration)
     begin, run = p["cut_in_start_s"], p["cut_in_duration_s"]
     u = np.clip((t - begin) / run, 0.0, 1.0)
     y = -LANE_WIDTH_M * (1.0 - (10.0 - 15.0 * u + 6.0 * u**2) * u**3)

@@ -1,8 +1,8 @@
 """A scenario family: named parameters with units, and a deterministic builder.
 
 The scenario's metadata hold the generator's version, all parameters, and under `expected_decisions` what a planner may
-decide, as JSON: agent id -> kinds (`DecisionKind` values), one of which it should decide about that agent at some time
-of the drive. Agents that are not named need no decision.
+decide, as JSON: agent id, or "stop line ID" -> kinds (`DecisionKind` values), one of which it should decide about that
+agent or line at some time of the drive. Those that are not named need no decision.
 """
 
 from __future__ import annotations

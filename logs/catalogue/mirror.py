@@ -20,8 +20,8 @@ def mirrored(scenario: Scenario) -> Scenario:
     """The scenario reflected at the x axis (y -> -y), driving side included; twice is the scenario itself.
 
     Left and right change places everywhere: yaw, curvature and steering change their signs, boundaries, neighbours and
-    markings swap, and so do the words "nudge left" and "nudge right" in the expected decisions. Sizes, times, speeds
-    and the name but for its ending stay.
+    markings swap, so do the ends of stop lines, and the words "nudge left" and "nudge right" in the expected decisions.
+    Sizes, times, speeds, who yields to whom, lights, and the name but for its ending stay.
     """
     ego, goal, controls, name = scenario.ego, scenario.goal, scenario.controls, scenario.name
     metadata = dict(scenario.metadata)
@@ -49,8 +49,13 @@ def _mirrored_tracks(tracks: Tracks) -> Tracks:
 
 
 def _mirrored_road(road: Road) -> Road:
-    lanes = {lane.id: _mirrored_lane(lane) for lane in road.lanes.values()}
-    return replace(road, lanes=lanes, drives_on_right=not road.drives_on_right)
+    return replace(
+        road,
+        lanes={lane.id: _mirrored_lane(lane) for lane in road.lanes.values()},
+        drives_on_right=not road.drives_on_right,
+        stop_lines=tuple(replace(line, points=line.points[::-1] * _FLIP) for line in road.stop_lines),
+        crosswalks=tuple(replace(each, polygon=each.polygon[::-1] * _FLIP) for each in road.crosswalks),
+    )
 
 
 def _mirrored_lane(lane: Lane) -> Lane:
@@ -84,9 +89,10 @@ def moved(scenario: Scenario, dx: float, dy: float, dyaw: float) -> Scenario:
     x, y = points(np.column_stack([ego.x, ego.y])).T
     others = points(np.column_stack([tracks.x, tracks.y]))
     velocity = np.column_stack([tracks.vx, tracks.vy]) @ turn
-    lanes = {
-        i: replace(lane, left=points(lane.left), right=points(lane.right)) for i, lane in scenario.road.lanes.items()
-    }
+    road = scenario.road
+    lanes = {i: replace(lane, left=points(lane.left), right=points(lane.right)) for i, lane in road.lanes.items()}
+    stop_lines = tuple(replace(line, points=points(line.points)) for line in road.stop_lines)
+    crosswalks = tuple(replace(each, polygon=points(each.polygon)) for each in road.crosswalks)
     if goal is not None:
         yaw = None if goal.yaw is None else (goal.yaw[0] + dyaw, goal.yaw[1] + dyaw)
         goal = replace(goal, regions=tuple(points(region) for region in goal.regions), yaw=yaw)
@@ -96,6 +102,6 @@ def moved(scenario: Scenario, dx: float, dy: float, dyaw: float) -> Scenario:
         tracks=replace(
             tracks, x=others[:, 0], y=others[:, 1], yaw=tracks.yaw + dyaw, vx=velocity[:, 0], vy=velocity[:, 1]
         ),
-        road=replace(scenario.road, lanes=lanes),
+        road=replace(road, lanes=lanes, stop_lines=stop_lines, crosswalks=crosswalks),
         goal=goal,
     )

@@ -126,7 +126,7 @@ def _crossing_pedestrian(p: Mapping[str, float]) -> Scenario:
     y0, y1 = -(HALF_LANE + p["kerb_distance_m"]), HALF_LANE + p["rest_distance_m"]
     x = START_M + car.axle_to_front + v * p["walk_start_s"] + p["distance_m"]
     t = np.round(np.arange(0.0, duration + SPARE_S + 0.5 * SAMPLE_S, SAMPLE_S), 9)
-    y = y0 + (y1 - y0) * _walked(t - p["walk_start_s"], y1 - y0, walk)
+    y = y0 + (y1 - y0) * walked(t - p["walk_start_s"], y1 - y0, walk)
     pedestrian = moving("pedestrian", AgentKind.PEDESTRIAN, ADULT, t, np.full(len(t), x), y, yaw=0.5 * np.pi)
     off_lane = float(t[np.argmax(y > HALF_LANE + 0.5 * max(ADULT))])
     noticed = p["walk_start_s"] + p["reaction_s"]
@@ -152,7 +152,7 @@ def _crossing_pedestrian(p: Mapping[str, float]) -> Scenario:
     )
 
 
-def _walked(t: FloatArray, distance: float, speed: float, ramp: float = 0.4) -> FloatArray:
+def walked(t: FloatArray, distance: float, speed: float, ramp: float = 0.4) -> FloatArray:
     """Share of a walk of `distance` m done at times `(n,)` after its start: speed ramps up and down in `ramp` s."""
     whole = distance / speed + ramp
     if whole < 2.0 * ramp:

@@ -50,7 +50,12 @@ class Path:
         )
         return x, y, yaw, kappa
 
-    def beside(self, s: FloatArray, left: float) -> FloatArray:
+    def part(self, begin: float, end: float) -> Path:
+        """The path between two of its stations; its own begin at 0."""
+        s = np.linspace(begin, end, max(2, round((end - begin) / STEP_M) + 1))
+        return Path(s - begin, *self.at(s))
+
+    def beside(self, s: FloatArray, left: float | FloatArray) -> FloatArray:
         """Points `(k, 2)` at stations `(k,)`, `left` m to the left of the path."""
         x, y, yaw, _ = self.at(s)
         return np.column_stack([x - left * np.sin(yaw), y + left * np.cos(yaw)])

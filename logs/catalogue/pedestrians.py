@@ -1,0 +1,399 @@
+"""Pedestrians who do more than cross: turn back, hesitate, run out, jaywalk, come in groups, along, from both sides.
+
+One straight lane with sidewalks along x. A walk is a sum of legs, each at its own speed with ramps of 0.4 s
+(`paper.walked`); where one leg begins as the other slows down, the speed changes without a stop. `distance_m` is from
+the front bumper of an ego that kept its speed to the walker's line, at the time when he sets off towards the lane.
+
+The logged driver knows nothing beforehand: `reaction_s` after the walker has set off he brakes towards
+`stop_distance_m` before him, and drives on when the last has left the lane.
+
+Metadata: `pedestrian_sets_off_s`, when the first sets off onto the lane (for the last time), and
+`pedestrian_off_lane_s`, when the last has left it. Sources: Euro NCAP CPNCO and CPLA for running out and walking along;
+the others are ours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from math import copysign, cos, inf, pi, radians, sin, sqrt
+
+import numpy as np
+
+from logs.catalogue.agents import ADULT, Agent, moving, parked, tracks
+from logs.catalogue.driver import Ahead, drive
+from logs.catalogue.everyday import grid
+from logs.catalogue.family import Family, expects
+from logs.catalogue.paper import BEYOND_M, HALF_LANE, SPARE_S, START_M, goal_at_end, walked
+from logs.catalogue.roads import curve, one_lane
+from logs.kernel import FloatArray
+from logs.scenario import AgentKind, Scenario
+from logs.trace import DecisionKind
+from logs.vehicle import VehicleParameters
+
+RAMP_S = 0.4
+SIDEWALK_M = 4.0
+CHILD = (0.711, 0.298)
+SMALL_CAR, LARGE_CAR = (4.316, 1.79), (4.418, 1.82)
+"""Length and width of the cars of CPNCO, m."""
+BESIDE_M, BEFORE_M, BETWEEN_M = 1.0, 1.0, 1.0
+"""CPNCO: from the ego's side to theirs, from the small car's front to the child's line, from car to car."""
+SLOWING_MPS2, SLOW_BEFORE_M = 1.2, 8.0
+"""How the driver slows down towards the parked cars, and how far before them he wants to be slow: he lags behind."""
+WAITS = (DecisionKind.YIELD, DecisionKind.STOP)
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """A part of a walk: from when (s), how far (m, signed), how fast (m/s)."""
+
+    begin: float
+    distance: float
+    speed: float
+
+    @property
+    def slows(self) -> float:
+        """When it begins to slow down, s: a leg that begins then goes on without a stop."""
+        return self.begin + abs(self.distance) / self.speed
+
+    @property
+    def end(self) -> float:
+        """When it stands, s."""
+        return self.slows + RAMP_S
+
+
+def strolled(t: FloatArray, legs: Sequence[Leg]) -> FloatArray:
+    """How far a walk of legs has come at times `(n,)`, m.
+
+    Raises:
+        ValueError: A leg is too short to come to its speed.
+    """
+    whole = np.zeros(len(t))
+    for leg in legs:
+        whole += leg.distance * walked(t - leg.begin, abs(leg.distance), leg.speed, RAMP_S)
+    return whole
+
+
+def walker(
+    name: str, t: FloatArray, at: tuple[float, float], legs: Sequence[Leg],
+    *, towards: float = 0.5 * pi, size: tuple[float, float] = ADULT,
+) -> Agent:  # fmt: skip
+    """A pedestrian who walks legs from a point in one direction (rad), back where their distance is negative."""
+    way = strolled(t, legs)
+    x, y = at[0] + way * cos(towards), at[1] + way * sin(towards)
+    return moving(name, AgentKind.PEDESTRIAN, size, t, x, y, yaw=towards)
+
+
+def off_lane(walkers: Sequence[Agent]) -> float:
+    """The first sample at which all have left the lane for good, s.
+
+    Raises:
+        ValueError: Somebody stays on it, or nobody comes.
+    """
+    last = -1
+    for one in walkers:
+        on = np.flatnonzero(np.abs(one.samples[:, 2]) <= HALF_LANE + 0.5 * max(one.size))
+        last = max(last, int(on[-1]) if len(on) else -1)
+    t = walkers[0].samples[:, 0]
+    if not 0 <= last < len(t) - 1:
+        raise ValueError("the pedestrian does not come onto the lane, or does not leave it")
+    return float(t[last + 1])
+
+
+def _station(p: Mapping[str, float], sets_off: float) -> float:
+    """Station of the walker's line, m, from `distance_m`."""
+    return START_M + VehicleParameters().axle_to_front + p["ego_speed_mps"] * sets_off + p["distance_m"]
+
+
+def _kerbs(p: Mapping[str, float]) -> tuple[float, float]:
+    """Where a walk over the lane begins on the right, and ends on the left: y, m."""
+    return -(HALF_LANE + p["kerb_distance_m"]), HALF_LANE + p["rest_distance_m"]
+
+
+def _driven(
+    p: Mapping[str, float], walkers: Sequence[Agent], x: float, sets_off: float,
+    *, cars: Sequence[Agent] = (), cruise: Callable[[float], float] | None = None, noticed: float | None = None,
+) -> Scenario:  # fmt: skip
+    """The scenario with a driver who waits before x until all are off the lane."""
+    v, duration, front = p["ego_speed_mps"], p["duration_s"], VehicleParameters().axle_to_front
+    clear, short = off_lane(walkers), p["stop_distance_m"]
+    minded = sets_off + p["reaction_s"] if noticed is None else noticed
+
+    def ahead(time: float, s: float) -> Ahead | None:
+        gap = x - short - (s + front)
+        return Ahead(gap, stop=True) if minded <= time < clear and gap > -short else None
+
+    return _finished(p, [*walkers, *cars], sets_off, clear, ahead, duration, cruise or (lambda s: v), WAITS)
+
+
+def _finished(
+    p: Mapping[str, float], agents: Sequence[Agent], sets_off: float, clear: float,
+    ahead: Callable[[float, float], Ahead | None], duration: float, cruise: Callable[[float], float],
+    kinds: tuple[DecisionKind, ...],
+) -> Scenario:  # fmt: skip
+    v = p["ego_speed_mps"]
+    path = curve((v * (duration + SPARE_S) + BEYOND_M, 0.0, 0.0))
+    driven = drive(path, start=START_M, speed=v, cruise=cruise, duration=duration, ahead=ahead)
+    goal = goal_at_end(path, float(driven.x[-1]) - 10.0, right=-HALF_LANE, left=HALF_LANE)
+    metadata = {
+        **expects(**{one.id: kinds for one in agents if one.kind is AgentKind.PEDESTRIAN}),
+        "pedestrian_sets_off_s": repr(sets_off),
+        "pedestrian_off_lane_s": repr(clear),
+    }
+    road = one_lane(path, v, sidewalk=SIDEWALK_M)
+    return Scenario("", driven, tracks(agents), road, duration + SPARE_S, goal, metadata=metadata)
+
+
+def _turns_back(p: Mapping[str, float]) -> Scenario:
+    y0 = -(HALF_LANE + p["kerb_distance_m"])
+    way = p["stop_lateral_m"] - y0
+    there = Leg(p["walk_start_s"], way, p["pedestrian_speed_mps"])
+    back = Leg(there.end + p["dwell_s"], -way, p["return_speed_mps"])
+    x = _station(p, there.begin)
+    one = walker("pedestrian", grid(p["duration_s"]), (x, y0), (there, back))
+    return _driven(p, [one], x, there.begin)
+
+
+TURNS_BACK = Family(
+    "pedestrian/turns_back",
+    "a pedestrian walks onto the lane, stands there, and walks back: wait, do not creep, then drive on",
+    {
+        "ego_speed_mps": 10.0,
+        "pedestrian_speed_mps": 1.2,
+        "return_speed_mps": 1.5,
+        "stop_lateral_m": 0.0,
+        "dwell_s": 2.5,
+        "walk_start_s": 3.0,
+        "distance_m": 33.0,
+        "kerb_distance_m": 0.6,
+        "stop_distance_m": 3.0,
+        "reaction_s": 0.4,
+        "duration_s": 22.0,
+    },
+    ("pedestrian",),
+    _turns_back,
+)
+
+
+def _hesitates(p: Mapping[str, float]) -> Scenario:
+    y0, y1 = _kerbs(p)
+    to_kerb = Leg(p["walk_start_s"], p["approach_m"], p["approach_speed_mps"])
+    across = Leg(to_kerb.end + p["dwell_s"], y1 - y0, p["pedestrian_speed_mps"])
+    x = _station(p, across.begin)
+    one = walker("pedestrian", grid(p["duration_s"]), (x, y0 - p["approach_m"]), (to_kerb, across))
+    return _driven(p, [one], x, across.begin)
+
+
+HESITATES = Family(
+    "pedestrian/hesitates",
+    "a pedestrian comes to the kerb, stops there, and then crosses after all",
+    {
+        "ego_speed_mps": 8.3,
+        "approach_m": 2.0,
+        "approach_speed_mps": 1.4,
+        "pedestrian_speed_mps": 1.4,
+        "dwell_s": 2.0,
+        "walk_start_s": 1.0,
+        "distance_m": 20.0,
+        "kerb_distance_m": 0.6,
+        "rest_distance_m": 2.5,
+        "stop_distance_m": 3.0,
+        "reaction_s": 0.4,
+        "duration_s": 22.0,
+    },
+    ("pedestrian",),
+    _hesitates,
+)
+
+
+def _runs_out(p: Mapping[str, float]) -> Scenario:
+    car = VehicleParameters()
+    y0, y1 = -p["start_lateral_m"], HALF_LANE + p["rest_distance_m"]
+    leg = Leg(p["walk_start_s"], y1 - y0, p["pedestrian_speed_mps"])
+    x, side = _station(p, leg.begin), -(0.5 * car.width + BESIDE_M)
+    small_front = x - BEFORE_M
+    large_front = small_front - SMALL_CAR[0] - BETWEEN_M
+    cars = (
+        parked("small_car", small_front - 0.5 * SMALL_CAR[0], side - 0.5 * SMALL_CAR[1], size=SMALL_CAR),
+        parked("large_car", large_front - 0.5 * LARGE_CAR[0], side - 0.5 * LARGE_CAR[1], size=LARGE_CAR),
+    )
+    t = grid(p["duration_s"])
+    child = walker("child", t, (x, y0), (leg,), size=CHILD)
+    emerges = float(t[np.argmax(child.samples[:, 2] + 0.5 * CHILD[0] > side)])
+    slow, begin = p["passing_speed_mps"], large_front - LARGE_CAR[0] - SLOW_BEFORE_M - car.axle_to_front
+
+    def cruise(s: float) -> float:
+        wanted = sqrt(slow**2 + 2.0 * SLOWING_MPS2 * max(begin - s, 0.0))
+        return min(p["ego_speed_mps"], wanted if s + car.axle_to_front < x else inf)
+
+    return _driven(p, [child], x, leg.begin, cars=cars, cruise=cruise, noticed=emerges + p["reaction_s"])
+
+
+RUNS_OUT = Family(
+    "pedestrian/runs_out",
+    "a child runs out from behind parked cars (CPNCO): be slow where nobody can be seen",
+    {
+        "ego_speed_mps": 8.3,
+        "pedestrian_speed_mps": 1.39,
+        "passing_speed_mps": 4.0,
+        "start_lateral_m": 4.0,
+        "walk_start_s": 3.0,
+        "distance_m": 25.6,
+        "rest_distance_m": 2.5,
+        "stop_distance_m": 3.0,
+        "reaction_s": 0.4,
+        "duration_s": 22.0,
+    },
+    ("pedestrian", "occlusion"),
+    _runs_out,
+)
+
+
+def _jaywalker(p: Mapping[str, float]) -> Scenario:
+    y0, y1 = _kerbs(p)
+    angle = radians(p["angle_deg"])
+    if not 0.1 < angle < pi - 0.1:
+        raise ValueError(f"angle_deg is {p['angle_deg']:g}: between the lane and the walk, above 6 and below 174")
+    begin = Leg(p["walk_start_s"], (p["step_lateral_m"] - y0) / sin(angle), p["pedestrian_speed_mps"])
+    hurry = Leg(begin.slows, (y1 - p["step_lateral_m"]) / sin(angle), p["hurry_speed_mps"])
+    x = _station(p, begin.begin)
+    one = walker("pedestrian", grid(p["duration_s"]), (x, y0), (begin, hurry), towards=angle)
+    on = np.abs(one.samples[:, 2]) <= HALF_LANE
+    return _driven(p, [one], float(one.samples[on, 1].min()), begin.begin)
+
+
+JAYWALKER = Family(
+    "pedestrian/jaywalker",
+    "a pedestrian walks diagonally over the lane and hurries halfway (above 90 degrees: towards the car)",
+    {
+        "ego_speed_mps": 10.0,
+        "pedestrian_speed_mps": 1.4,
+        "hurry_speed_mps": 2.2,
+        "angle_deg": 45.0,
+        "step_lateral_m": -0.5,
+        "walk_start_s": 3.0,
+        "distance_m": 26.0,
+        "kerb_distance_m": 0.6,
+        "rest_distance_m": 2.5,
+        "stop_distance_m": 3.0,
+        "reaction_s": 0.4,
+        "duration_s": 21.0,
+    },
+    ("pedestrian",),
+    _jaywalker,
+)
+
+
+def _group(p: Mapping[str, float]) -> Scenario:
+    y0, y1 = _kerbs(p)
+    t, begin = grid(p["duration_s"]), p["walk_start_s"]
+    x = _station(p, begin)
+    walkers = [
+        walker(
+            f"pedestrian_{k + 1}",
+            t,
+            (x + k * p["beside_m"], y0),
+            (Leg(begin + k * p["between_s"], y1 - y0, p["pedestrian_speed_mps"]),),
+        )
+        for k in range(3)
+    ]
+    return _driven(p, walkers, x, begin)
+
+
+GROUP = Family(
+    "pedestrian/group",
+    "three pedestrians cross one after the other: drive on after the last",
+    {
+        "ego_speed_mps": 10.0,
+        "pedestrian_speed_mps": 1.2,
+        "between_s": 0.5,
+        "beside_m": 0.8,
+        "walk_start_s": 3.0,
+        "distance_m": 31.0,
+        "kerb_distance_m": 0.6,
+        "rest_distance_m": 2.5,
+        "stop_distance_m": 3.0,
+        "reaction_s": 0.4,
+        "duration_s": 22.0,
+    },
+    ("pedestrian",),
+    _group,
+)
+
+
+def _along(p: Mapping[str, float]) -> Scenario:
+    """He walks before t = 0 already; as he slows down along the lane he turns right and leaves it."""
+    v, duration, front = p["pedestrian_speed_mps"], p["duration_s"], VehicleParameters().axle_to_front
+    t = grid(duration)
+    along, aside = Leg(-RAMP_S, v * (p["leave_s"] + RAMP_S), v), p["lateral_m"] + HALF_LANE + p["rest_distance_m"]
+    begun = float(strolled(np.zeros(1), (along,))[0])
+    x = START_M + front + p["distance_m"] - begun + strolled(t, (along,))
+    y = p["lateral_m"] - strolled(t, (Leg(p["leave_s"], aside, v),))
+    one = moving("pedestrian", AgentKind.PEDESTRIAN, ADULT, t, x, y, yaw=0.0)
+    clear = off_lane([one])
+
+    def ahead(time: float, s: float) -> Ahead | None:
+        gap = float(np.interp(time, t, x)) - 0.5 * max(ADULT) - p["stop_distance_m"] - (s + front)
+        return Ahead(gap, v) if p["reaction_s"] <= time < clear else None
+
+    kinds = (DecisionKind.FOLLOW, *WAITS)
+    return _finished(p, [one], 0.0, clear, ahead, duration, lambda s: p["ego_speed_mps"], kinds)
+
+
+ALONG = Family(
+    "pedestrian/along",
+    "a pedestrian walks along the lane ahead (CPLA) and leaves it: follow him, then drive on",
+    {
+        "ego_speed_mps": 10.0,
+        "pedestrian_speed_mps": 1.39,
+        "lateral_m": 0.0,
+        "distance_m": 45.0,
+        "leave_s": 10.0,
+        "rest_distance_m": 1.0,
+        "stop_distance_m": 1.0,
+        "reaction_s": 0.4,
+        "duration_s": 22.0,
+    },
+    ("pedestrian",),
+    _along,
+)
+
+
+def _both_sides(p: Mapping[str, float]) -> Scenario:
+    y0, y1 = _kerbs(p)
+    t, sets_off = grid(p["duration_s"]), min(p["right_start_s"], p["left_start_s"])
+    x = _station(p, sets_off)
+    walkers = [
+        walker(
+            name,
+            t,
+            (x + beyond, copysign(y0, side)),
+            (Leg(p[f"{name}_start_s"], y1 - y0, p[f"{name}_speed_mps"]),),
+            towards=-0.5 * pi * side,
+        )
+        for name, side, beyond in (("right", -1.0, 0.0), ("left", 1.0, p["beside_m"]))
+    ]
+    return _driven(p, walkers, x, sets_off)
+
+
+BOTH_SIDES = Family(
+    "pedestrian/both_sides",
+    "two pedestrians cross from both sides, each at a time of its own: drive on after the last",
+    {
+        "ego_speed_mps": 10.0,
+        "right_speed_mps": 1.4,
+        "left_speed_mps": 1.2,
+        "right_start_s": 3.0,
+        "left_start_s": 4.5,
+        "beside_m": 1.2,
+        "distance_m": 31.0,
+        "kerb_distance_m": 0.6,
+        "rest_distance_m": 2.5,
+        "stop_distance_m": 3.0,
+        "reaction_s": 0.4,
+        "duration_s": 22.0,
+    },
+    ("pedestrian",),
+    _both_sides,
+)
+FAMILIES = (TURNS_BACK, HESITATES, RUNS_OUT, JAYWALKER, GROUP, ALONG, BOTH_SIDES)

@@ -16,7 +16,18 @@ import pandas as pd
 from logs.errors import ConfigError
 from logs.scenario import Scenario
 from logs.trace import Trace
-from metrics import accuracy, avoidability, comfort, consistency, effort, progress, safety, tracking
+from metrics import (
+    accuracy,
+    avoidability,
+    comfort,
+    consistency,
+    effort,
+    progress,
+    right_of_way,
+    rules,
+    safety,
+    tracking,
+)
 from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
 
 __all__ = ["COLUMNS", "METRICS", "Metric", "Reduction", "Series", "Unavailable", "evaluate", "load_metric", "series"]
@@ -25,6 +36,7 @@ _ALL = (
     accuracy.ADE, accuracy.FDE, accuracy.AHE, accuracy.FHE, accuracy.ALONG, accuracy.CROSS,
     safety.COLLISION, safety.COLLISION_AT_FAULT, safety.GAP, safety.GAP_VULNERABLE, safety.TTC, safety.OFF_ROAD,
     safety.PLAN_COLLISION,
+    rules.RED_LIGHT, rules.STOP_SIGN, rules.CROSSWALK, right_of_way.PRIORITY_GAP,
     comfort.LON_ACCEL, comfort.LAT_ACCEL, comfort.LON_JERK_STATE, comfort.LAT_JERK_STATE, comfort.YAW_RATE,
     comfort.PLAN_LON_ACCEL, comfort.PLAN_LAT_ACCEL, comfort.PLAN_LON_JERK,
     progress.COMPLETED, progress.GOAL, progress.PROGRESS, progress.DISTANCE, progress.SPEED, progress.SPEED_EXCESS,

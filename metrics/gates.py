@@ -8,11 +8,12 @@
     planner = "dp_qp"                   # optional; without it every planner, oracles excepted
     over = "worst"                      # "worst": every log must hold it (default); "mean": the mean over the logs
     min_logs = 1                        # how many logs must have the value
+    optional = true                     # not asked where no log has the value (it needs lights, say); default: false
     reason = "why this threshold"       # shown with the verdict
 
 A verdict per gate, planner and mode: FAIL where the threshold is broken; else INCONCLUSIVE where a log could not be
 evaluated or fewer than `min_logs` logs have a value (nothing to judge is not a pass); else PASS. Logs in which the
-metric is unavailable are counted in the reason.
+metric is unavailable are counted in the reason. An optional gate has no verdict where no log has the value.
 """
 
 from __future__ import annotations
@@ -59,6 +60,7 @@ class Gate:
     over: str = "worst"
     min_logs: int = 1
     reason: str = ""
+    optional: bool = False
 
     def __post_init__(self) -> None:
         if self.min is None and self.max is None:
@@ -149,7 +151,7 @@ def load_gates(path: Path | None, *, metrics: Mapping[str, Metric] = METRICS) ->
 _TYPES: Mapping[str, tuple[type, ...]] = MappingProxyType(
     {
         "metric": (str,), "min": (int, float), "max": (int, float), "mode": (str,), "tags": (list,), "planner": (str,),
-        "over": (str,), "min_logs": (int,), "reason": (str,),
+        "over": (str,), "min_logs": (int,), "reason": (str,), "optional": (bool,),
     }
 )  # fmt: skip
 
@@ -161,7 +163,7 @@ def _gate(table: Mapping[str, Any], place: str, metrics: Mapping[str, Metric]) -
     place = f"{place} ({name})"
     _known(table, tuple(field.name for field in fields(Gate)), place)
     for key, value in table.items():
-        if not isinstance(value, _TYPES[key]) or isinstance(value, bool):
+        if not isinstance(value, _TYPES[key]) or (isinstance(value, bool) and bool not in _TYPES[key]):
             raise ConfigError(f"{place}: {key} = {value!r} must be {_TYPES[key][-1].__name__}")
     if not all(isinstance(tag, str) for tag in table.get("tags", [])):
         raise ConfigError(f"{place}: tags must be words")
@@ -211,7 +213,12 @@ def judge(
         tags: Tags by log: all logs of the run, so that one without rows is missed.
         failed: Logs that could not be evaluated, and why.
     """
-    return tuple(verdict for gate in gates.gates for verdict in _judge(gate, table, tags, failed))
+    return tuple(
+        verdict
+        for gate in gates.gates
+        for verdict in _judge(gate, table, tags, failed)
+        if not gate.optional or isfinite(verdict.value)
+    )
 
 
 def _judge(

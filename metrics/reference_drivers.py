@@ -130,6 +130,13 @@ def _verdict(name: str, driver: int, scenario: Scenario, line: ReferenceLine, st
     return Verdict(name, Outcome.UNAVOIDABLE, reason, brakes, float(t[drive.meets]), speed)
 
 
+def careful_drive(scenario: Scenario, line: ReferenceLine) -> Driven:
+    """How "cc" drives from the log's first state along `line`, a row every `STEP_S`, until it touches somebody."""
+    start = scenario.ego.state(0)
+    t = np.arange(start.t, min(scenario.duration, start.t + LONGEST_S) + 1e-9, STEP_S)
+    return _driven(CC, scenario, line, start, others_at(scenario.tracks, t))
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Driven:
     """Station, speed and acceleration `(k,)` up to a driver's end, step and agent of its first touch or -1."""

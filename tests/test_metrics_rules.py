@@ -1,0 +1,328 @@
+"""Red lights, stop signs, crosswalks and right of way, by drives of which the answer is known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from drives import along, drive, grid, moved_ego, moving, scenario, tracks
+from hypothesis import given
+from hypothesis import strategies as st
+
+from logs import AgentKind, Colour, Crosswalk, Lane, Road, Scenario, StopLine, Trace, TrafficLight, Trajectory
+from metrics import METRICS, evaluate, series
+from metrics.gates import Gate, Gates, Outcome, judge, load_gates
+
+LINE_X = 50.0
+PED, CAR = AgentKind.PEDESTRIAN, AgentKind.CAR
+RULES = {name: METRICS[name] for name in ("red_light", "stop_sign", "crosswalk", "priority_gap")}
+NAMES = ("red_light.count", "stop_sign.count", "crosswalk.count", "priority_gap.below_1s")
+
+
+def lane(i: int, begin: float, end: float, *, axis: str = "x", at: float = 0.0, **more: object) -> Lane:
+    """A lane 3.5 m wide along an axis, its middle at the other coordinate `at`."""
+    u = np.linspace(begin, end, max(2, round((end - begin) / 2.0) + 1))
+    sides = [np.column_stack([u, np.full(len(u), at + left)]) for left in (1.75, -1.75)]
+    if axis == "y":
+        sides = [np.column_stack([np.full(len(u), at - left), u]) for left in (1.75, -1.75)]
+    return Lane(i, *sides, **more)  # type: ignore[arg-type]
+
+
+def lined(*lines: StopLine, crosswalks: tuple[Crosswalk, ...] = ()) -> Road:
+    lanes = {0: lane(0, -100.0, LINE_X, successors=(1,)), 1: lane(1, LINE_X, 500.0)}
+    return Road(lanes, stop_lines=lines, crosswalks=crosswalks)
+
+
+def forked(*lines: StopLine) -> Road:
+    """After the line, lane 1 goes straight on and lane 2 bends to the left."""
+    s = np.linspace(0.0, 60.0, 40)
+    bend = np.column_stack([LINE_X + 25.0 * np.sin(s / 25.0), 25.0 * (1.0 - np.cos(s / 25.0))])
+    normal = np.column_stack([-np.sin(s / 25.0), np.cos(s / 25.0)])
+    lanes = {
+        0: lane(0, -100.0, LINE_X, successors=(1, 2)),
+        1: lane(1, LINE_X, 500.0),
+        2: Lane(2, bend + 1.75 * normal, bend - 1.75 * normal),
+    }
+    return Road(lanes, stop_lines=lines)
+
+
+def line(**more: object) -> StopLine:
+    return StopLine(7, 0, np.array([[LINE_X, 1.75], [LINE_X, -1.75]]), **more)  # type: ignore[arg-type]
+
+
+WALK = Crosswalk(3, np.array([[60.0, -6.0], [64.0, -6.0], [64.0, 6.0], [60.0, 6.0]]))
+RED = TrafficLight(9, np.array([0.0]), (Colour.RED,))
+
+
+def rows(log: Scenario, trace: Trace | None = None) -> pd.DataFrame:
+    return evaluate(trace or drive(log), log, metrics=RULES).set_index("metric")
+
+
+def value(log: Scenario, name: str, trace: Trace | None = None) -> float:
+    found = rows(log, trace)
+    assert found.available[name], found.reason[name]
+    return float(found.value[name])
+
+
+# what is not there ------------------------------------------------------------------------------------------------
+
+
+def test_a_log_without_rules_has_none_of_the_metrics_and_is_told_why() -> None:
+    found = rows(scenario(along(grid(3.0), 10.0)))
+    reasons = {
+        "red_light.count": "the log shows no traffic light with a stop line",
+        "stop_sign.count": "the log has no stop sign",
+        "crosswalk.count": "the log has no crosswalk",
+        "priority_gap.min": "the log names no right of way",
+    }
+    for name, reason in reasons.items():
+        assert not found.available[name]
+        assert found.reason[name] == reason
+
+
+# red lights -------------------------------------------------------------------------------------------------------
+
+
+@given(st.floats(5.0, 15.0), st.floats(0.5, 8.0))
+def test_a_red_light_is_run_where_the_front_crosses_after_it_turned_red(v: float, change: float) -> None:
+    light = TrafficLight(9, np.array([0.0, change]), (Colour.GREEN, Colour.RED))
+    log = scenario(along(grid(12.0), v), road=lined(line(light=9)), lights=(light,))
+    crosses = (LINE_X - log.vehicle.axle_to_front) / v
+    if abs(crosses - change) > 0.02:
+        assert value(log, "red_light.count") == float(crosses > change and crosses < 12.0)
+
+
+def test_when_and_which_light() -> None:
+    light = TrafficLight(9, np.array([0.0, 2.0]), (Colour.YELLOW, Colour.RED))
+    row = rows(scenario(along(grid(8.0), 10.0), road=lined(line(light=9)), lights=(light,))).loc["red_light.count"]
+    assert row.reason == "stop line 7: light 9 red since 2.0 s"
+    assert row.time_s == pytest.approx((LINE_X - 3.608) / 10.0, abs=0.02)
+
+
+@pytest.mark.parametrize("colour", [Colour.GREEN, Colour.YELLOW, Colour.OFF])
+def test_other_colours_are_not_run(colour: Colour) -> None:
+    light = TrafficLight(9, np.array([0.0]), (colour,))
+    log = scenario(along(grid(8.0), 10.0), road=lined(line(light=9)), lights=(light,))
+    assert value(log, "red_light.count") == 0.0
+
+
+def test_who_stops_before_the_line_or_starts_behind_it_runs_nothing() -> None:
+    t = grid(12.0)
+    stops = along(t, np.maximum(10.0 - 1.2 * t, 0.0))
+    for ego in (stops, along(t, 10.0, x=LINE_X)):
+        assert value(scenario(ego, road=lined(line(light=9)), lights=(RED,)), "red_light.count") == 0.0
+
+
+def turning(seconds: float) -> Trajectory:
+    """Along x to the line, then round the bend of lane 2, at 10 m/s."""
+    t = grid(seconds)
+    s = 10.0 * t - LINE_X
+    x = np.where(s < 0.0, LINE_X + s, LINE_X + 25.0 * np.sin(np.maximum(s, 0.0) / 25.0))
+    y = np.where(s < 0.0, 0.0, 25.0 * (1.0 - np.cos(np.maximum(s, 0.0) / 25.0)))
+    yaw = np.maximum(s, 0.0) / 25.0
+    return Trajectory(t, x, y, yaw, np.full(len(t), 10.0), np.zeros(len(t)), np.where(s < 0.0, 0.0, 0.04))
+
+
+@pytest.mark.parametrize(("ego", "taken"), [(along(grid(9.0), 10.0), 1), (turning(9.0), 2)])
+def test_a_light_counts_for_the_way_that_was_taken(ego: Trajectory, taken: int) -> None:
+    for towards in (1, 2):
+        log = scenario(ego, road=forked(line(light=9, towards=(towards,))), lights=(RED,))
+        assert value(log, "red_light.count") == float(towards == taken)
+
+
+def test_a_neighbours_line_is_not_the_egos() -> None:
+    beside = replace(line(light=9), points=np.array([[LINE_X, 5.25], [LINE_X, 2.4]]))
+    log = scenario(along(grid(8.0), 10.0), road=lined(beside), lights=(RED,))
+    assert value(log, "red_light.count") == 0.0
+
+
+# stop signs -------------------------------------------------------------------------------------------------------
+
+
+def stop_at(front: float, slowest: float) -> Callable[[np.ndarray], np.ndarray]:
+    """Speed at the front's station: 8 m/s, and `slowest` within 0.3 m of `front`."""
+    return lambda x: np.where(np.abs(x + 3.608 - front) < 0.3, slowest, 8.0)
+
+
+def passing(speed_at: Callable[[np.ndarray], np.ndarray], seconds: float = 40.0) -> Trajectory:
+    t, x, states = grid(seconds), 0.0, []
+    for _ in t:
+        v = float(speed_at(np.array(x)))
+        states.append((x, v))
+        x += 0.01 * max(v, 0.05)
+    columns = np.array(states).T
+    still = np.zeros(len(t))
+    return Trajectory(t, columns[0], still, still, columns[1], still, still)
+
+
+@pytest.mark.parametrize(
+    ("front", "slowest", "run"), [(48.0, 0.05, False), (48.0, 0.5, True), (43.0, 0.05, True), (51.5, 0.05, True)]
+)
+def test_a_stop_sign_wants_a_rest_within_five_metres(front: float, slowest: float, *, run: bool) -> None:
+    log = scenario(passing(stop_at(front, slowest)), road=lined(line(must_stop=True)))
+    assert value(log, "stop_sign.count") == float(run)
+
+
+def test_a_drive_that_begins_at_the_line_may_have_stopped_before() -> None:
+    log = scenario(along(grid(5.0), 5.0, x=LINE_X - 6.0), road=lined(line(must_stop=True)))
+    assert value(log, "stop_sign.count") == 0.0
+
+
+# crosswalks -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("y", "vy", "count"),
+    [
+        (0.0, 0.0, 1.0),  # stands in the ego's way
+        (4.0, 0.0, 0.0),  # stands on the other half
+        (-8.4, 1.4, 1.0),  # is on the ego's half when the ego is
+        (2.0, 1.4, 0.0),  # has left it
+        (-14.0, 1.4, 0.0),  # comes later
+    ],
+)
+def test_a_pedestrian_on_the_egos_half(y: float, vy: float, count: float) -> None:
+    walk = ("p", PED, (0.5, 0.5), moving(62.0, y, 0.0, vy, 1.57))
+    log = scenario(along(grid(8.0), 10.0), [walk], road=lined(crosswalks=(WALK,)))
+    assert value(log, "crosswalk.count") == count
+
+
+def test_beside_the_crosswalk_and_without_pedestrians_nothing_is_failed() -> None:
+    walk = ("p", PED, (0.5, 0.5), moving(70.0, 0.0, 0.0, 0.0, 0.0))
+    for agents in ([walk], []):
+        log = scenario(along(grid(8.0), 10.0), agents, road=lined(crosswalks=(WALK,)))
+        assert value(log, "crosswalk.count") == 0.0
+
+
+def test_who_waits_before_the_crosswalk_fails_nothing() -> None:
+    t = grid(20.0)
+    v = np.where(t < 5.0, 10.0 - 2.0 * t, np.where(t < 12.0, 0.0, 2.0 * (t - 12.0)))
+    walk = ("p", PED, (0.5, 0.5), moving(62.0, -10.0, 0.0, 1.0, 1.57))
+    log = scenario(along(t, np.maximum(v, 0.0), x=30.0), [walk], road=lined(crosswalks=(WALK,)))
+    assert value(log, "crosswalk.count") == 0.0
+
+
+# right of way -----------------------------------------------------------------------------------------------------
+
+
+def crossing() -> Road:
+    lanes = {
+        0: lane(0, -100.0, 44.0, successors=(1,)),
+        1: lane(1, 44.0, 56.0, successors=(2,), yields_to=(11,)),
+        2: lane(2, 56.0, 500.0),
+        10: lane(10, -200.0, -6.0, axis="y", at=50.0, successors=(11,)),
+        11: lane(11, -6.0, 6.0, axis="y", at=50.0, successors=(12,)),
+        12: lane(12, 6.0, 200.0, axis="y", at=50.0),
+    }
+    return Road(lanes)
+
+
+def met(delay: float, *, speed: float = 10.0) -> Scenario:
+    """The ego's middle is at the crossing after 5 s, the other's `delay` s later."""
+    ego = along(grid(12.0), 10.0, x=-1.354)
+    other = ("c", CAR, (4.5, 1.8), moving(50.0, -speed * (5.0 + delay), 0.0, speed))
+    return scenario(ego, [other], road=crossing())
+
+
+@given(st.floats(0.8, 4.0))
+def test_the_gap_is_the_time_between_leaving_and_taking(delay: float) -> None:
+    """The ego's rear leaves the other's track (2.254 + 0.9) m after the crossing; the other is there as far before."""
+    expected = delay - (2.254 + 0.9 + 2.25 + 0.805) / 10.0
+    assert value(met(delay), "priority_gap.min") == pytest.approx(expected, abs=0.15)
+    assert value(met(delay), "priority_gap.below_1s") == float(value(met(delay), "priority_gap.min") < 1.0)
+
+
+def test_who_goes_second_has_left_the_others_their_way() -> None:
+    found = rows(met(-1.0))
+    assert not found.available["priority_gap.min"]
+    assert found.reason["priority_gap.min"] == "the ego was never before somebody who goes first"
+    assert found.value["priority_gap.below_1s"] == 0.0
+
+
+def test_who_need_not_yield_may_go_first() -> None:
+    log = met(1.0)
+    lanes = {i: replace(each, yields_to=()) for i, each in log.road.lanes.items()}
+    assert not rows(replace(log, road=replace(log.road, lanes=lanes))).available["priority_gap.min"]
+
+
+# all of them ------------------------------------------------------------------------------------------------------
+
+
+def everything() -> Scenario:
+    """A drive that breaks each rule once."""
+    base, walk = crossing(), ("p", PED, (0.5, 0.5), moving(82.0, 0.0, 0.0, 0.0, 0.0))
+    lines = (
+        StopLine(1, 0, np.array([[20.0, 1.75], [20.0, -1.75]]), light=9),
+        StopLine(2, 0, np.array([[43.0, 1.75], [43.0, -1.75]]), must_stop=True),
+    )
+    crosswalk = Crosswalk(4, WALK.polygon + np.array([20.0, 0.0]))
+    other = ("c", CAR, (4.5, 1.8), moving(50.0, -60.0, 0.0, 10.0))
+    road = replace(base, stop_lines=lines, crosswalks=(crosswalk,))
+    return scenario(along(grid(12.0), 10.0, x=-1.354), [other, walk], road=road, lights=(RED,))
+
+
+@given(st.floats(-3.0, 3.0), st.floats(-50.0, 50.0), st.booleans())
+def test_turned_shifted_and_mirrored_the_answers_are_the_same(turn: float, dx: float, mirror: bool) -> None:
+    log = everything()
+    there = placed(log, turn, dx, mirror=mirror)
+    one, two = rows(log), rows(there, drive(there, moved_ego(log.ego, turn, dx, -dx, mirror=mirror)))
+    assert one.value[list(NAMES)].tolist() == two.value[list(NAMES)].tolist() == [1.0, 1.0, 1.0, 1.0]
+
+
+def placed(log: Scenario, turn: float, dx: float, *, mirror: bool) -> Scenario:
+    """The scene mirrored at the x axis, then turned, then shifted by (dx, -dx)."""
+    sign = -1.0 if mirror else 1.0
+    c, s = np.cos(turn), np.sin(turn)
+
+    def at(points: np.ndarray) -> np.ndarray:
+        x, y = points[:, 0], sign * points[:, 1]
+        return np.column_stack([c * x - s * y + dx, s * x + c * y - dx])
+
+    lanes = {
+        i: replace(each, left=at(each.right if mirror else each.left), right=at(each.left if mirror else each.right))
+        for i, each in log.road.lanes.items()
+    }
+    lines = tuple(replace(each, points=at(each.points)) for each in log.road.stop_lines)
+    walks = tuple(replace(each, polygon=at(each.polygon)) for each in log.road.crosswalks)
+    old = log.tracks
+    where = at(np.column_stack([old.x, old.y]))
+    others = replace(old, x=where[:, 0], y=where[:, 1], yaw=sign * old.yaw + turn)
+    ego = moved_ego(log.ego, turn, dx, -dx, mirror=mirror)
+    return replace(log, ego=ego, tracks=others, road=Road(lanes, stop_lines=lines, crosswalks=walks))
+
+
+def test_the_series_counts_where_the_table_says() -> None:
+    log = everything()
+    steps, table = series(drive(log), log, metrics=RULES), rows(log)
+    for name in ("red_light", "stop_sign", "crosswalk"):
+        mine = steps[steps.metric == name]
+        assert mine.value.sum() == 1.0
+        assert mine.t_s[mine.value > 0.0].iloc[0] == table.time_s[f"{name}.count"]
+
+
+# gates ------------------------------------------------------------------------------------------------------------
+
+
+def test_the_default_gates_ask_for_the_rules_where_a_log_has_them() -> None:
+    default, free, broken = load_gates(None), scenario(along(grid(3.0), 10.0)), everything()
+    asked = {
+        each.gate.metric: each.outcome for each in judge(default, evaluate(drive(broken), broken), {broken.name: ()})
+    }
+    assert [asked[name] for name in NAMES] == [Outcome.FAIL] * 4
+    none = {each.gate.metric for each in judge(default, evaluate(drive(free), free), {free.name: ()})}
+    assert none.isdisjoint(NAMES)
+
+
+def test_an_optional_gate_is_inconclusive_where_a_log_that_has_it_failed() -> None:
+    broken = everything()
+    gate = Gates((Gate("red_light.count", max=1, optional=True),), "here")
+    (found,) = judge(gate, evaluate(drive(broken), broken), {broken.name: (), "lost": ()}, failed={"lost": "no lanes"})
+    assert found.outcome is Outcome.INCONCLUSIVE
+
+
+def test_tracks_without_anybody_are_no_trouble() -> None:
+    log = replace(everything(), tracks=tracks([], grid(1.0)))
+    assert rows(log).value[["crosswalk.count", "priority_gap.below_1s"]].tolist() == [0.0, 0.0]

@@ -13,12 +13,12 @@ v0 is the limit of the lane, and of the curve: v0^2 |kappa| <= `curve_accel_mps2
 
 The leader at a time of the roll-out is whoever is nearest ahead of those whose predicted footprint is on the path then
 or within `ahead_s`: also one who crosses, whose speed along the path is small. Nobody is passed: before what stands in
-the path the ego stops.
+the path the ego stops. Where the traffic rules demand a stop, a leader stands there (`planners.rules`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import cos, inf, sin, sqrt
 
 import numpy as np
@@ -35,6 +35,8 @@ from planners.dp_qp.path_dp import quintic
 from planners.dp_qp.reference_line import Course
 from planners.dp_qp.speed_qp import STEP_S, SpeedQpConfig, limit_profile
 from planners.dp_qp.st_graph import Blocks, StGraphConfig, behind, block_intervals, decide_speed
+from planners.dp_qp.walls import told, wall_outlines, walled
+from planners.rules import Rulebook, Wall, walls_on
 
 KNOT_M = 2.0
 STEPS = 80
@@ -87,6 +89,7 @@ class Idm:
         self._config = config or IdmConfig()
         self._vehicle, self._lap = context.vehicle, context.lap
         self._tracker = Tracker(context)
+        self._rules = Rulebook(context.road, self._tracker.course, context.vehicle)
 
     def plan(self, frame: Frame) -> Plan:
         """The roll-out of (1) along the path; a stop where the ego is outside of the reference line's frame."""
@@ -100,9 +103,11 @@ class Idm:
         self._lap("path")
         skip = behind(course, frame, s0, l0, self._vehicle, keeps_track=True) | _beside(frame, start, self._vehicle)
         blocks = block_intervals(path, frame, self._vehicle, skip, frozenset(), EXACT)
+        stops = self._rules.stops(frame, start, s0, fresh=frame.previous is None)
+        walls = walls_on(stops, path, self._vehicle)
         self._lap("S-T graph")
-        profile, leader = self._profile(path, blocks, start)
-        artefacts = _told(course, path, blocks, frame, profile, leader, self._vehicle)
+        profile, leader = self._profile(path, blocks, walls, start)
+        artefacts = _told(course, path, blocks, walls, frame, profile, leader, self._vehicle)
         self._lap("speed")
         return Plan(along(path, profile, frame.t), start=start_kind, internals=artefacts)
 
@@ -114,15 +119,18 @@ class Idm:
         d = KNOT_M * np.arange(int(reach / KNOT_M) + 2)
         return make_path(line, s0, KNOT_M, _return(d, state, max(15.0, self._config.return_s * speed)))
 
-    def _profile(self, path: Path, blocks: Blocks, start: EgoState) -> tuple[FloatArray, IntArray]:
-        """Rows s, v, a `(3, STEPS + 1)`, and per step the row of `blocks` that led, -1 where nobody did."""
+    def _profile(
+        self, path: Path, blocks: Blocks, walls: tuple[Wall, ...], start: EgoState
+    ) -> tuple[FloatArray, IntArray]:
+        """Rows s, v, a `(3, STEPS + 1)`, and per step the row of `blocks` that led; -1: none; beyond them: a wall."""
         c, line = self._config, self._tracker.course.line
         limit = np.interp(path.s, line.s, self._tracker.course.limit)
         v0 = limit_profile(path.sigma, path.kappa, limit, c.curve_accel_mps2, c.ease_mps2)
         driver = np.array([c.accel_mps2, c.decel_mps2, c.time_gap_s, c.standstill_gap_m, c.hardest_mps2, c.jerk_mps3])
         ahead = round(c.ahead_s / blocks.step) if np.isfinite(blocks.step) else 0
         state = np.array([max(start.v, 0.0), start.a])
-        return _rolled_out(path.sigma, v0, blocks.t, blocks.lower, blocks.upper, blocks.speed, ahead, state, driver)
+        lead = walled(blocks, [replace(wall, bound=wall.aim + c.standstill_gap_m) for wall in walls])
+        return _rolled_out(path.sigma, v0, lead.t, lead.lower, lead.upper, lead.speed, ahead, state, driver)
 
 
 @kernel
@@ -203,22 +211,22 @@ def _beside(frame: Frame, start: EgoState, vehicle: VehicleParameters) -> BoolAr
 
 
 def _told(
-    course: Course, path: Path, blocks: Blocks, frame: Frame, profile: FloatArray, leader: IntArray,
-    vehicle: VehicleParameters,
+    course: Course, path: Path, blocks: Blocks, walls: tuple[Wall, ...], frame: Frame, profile: FloatArray,
+    leader: IntArray, vehicle: VehicleParameters,
 ) -> tuple[Artefact, ...]:  # fmt: skip
     """Both graphs, and a decision about whoever leads at some time."""
     t = STEP_S * np.arange(profile.shape[1])
     decisions = decide_speed(blocks, frame, np.interp(blocks.t, t, profile[0]))
     leads = [decision for i, decision in enumerate(decisions) if (leader == i).any()]
-    upper = np.full(len(t), path.length)
+    upper, lead = np.full(len(t), path.length), walled(blocks, walls)
     for n in np.flatnonzero(leader >= 0):
-        k = int(np.searchsorted(blocks.t, t[n] + 1e-9)) - 1
-        upper[n] = np.fmin(blocks.lower[leader[n], k], path.length)
+        k = int(np.searchsorted(lead.t, t[n] + 1e-9)) - 1
+        upper[n] = np.fmin(lead.lower[leader[n], k], path.length)
     st_graph = StGraph(
         None, Corridor(t, np.zeros(len(t)), upper), np.empty((0, 2)), np.column_stack([t, profile[0]]),
-        outlines(blocks, decisions),
+        (*outlines(blocks, decisions), *wall_outlines(walls, float(t[-1]), path.length)),
     )  # fmt: skip
-    return (st_graph, _sl_graph(course, path, vehicle), *_unique(leads))
+    return (st_graph, _sl_graph(course, path, vehicle), *_unique(leads), *told(walls))
 
 
 def _sl_graph(course: Course, path: Path, vehicle: VehicleParameters) -> SlGraph:

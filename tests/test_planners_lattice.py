@@ -52,7 +52,7 @@ from replay.closed_loop import run_closed_loop
 from replay.drive import LoopConfig
 from replay.perception import perceive
 from replay.planner_config import planner_keywords
-from replay.recording.words import why
+from replay.recording.why import why
 from replay.world import World, logged_ego
 
 SPEED = st.floats(0.0, 30.0)

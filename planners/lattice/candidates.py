@@ -8,13 +8,14 @@ Cost of a pair, Delta s being what it misses its wanted point by:
 (2) H = mean over the horizon, sum over the agents on the track of l1, of  max(0, 1 - gap / (g0 + tau v))^2: the share
     of the wanted gap that is missing, to who is ahead, and, where the track changes, to who is behind
 
-All but H is Werling's. Without H, a pair that ends a hand's breadth behind its leader would be as good as any.
+Where the traffic rules demand a stop soon, v_wanted is 0, and a pair that ends before that place misses it. All but H
+is Werling's. Without H, a pair that ends a hand's breadth behind its leader would be as good as any.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import floor
 
 import numpy as np
@@ -24,15 +25,21 @@ from logs.vehicle import VehicleParameters
 from planners.dp_qp.path_dp import quintic
 from planners.dp_qp.reference_line import Course
 from planners.dp_qp.speed_qp import braking, limit_profile
+from planners.dp_qp.walls import open_end, upper_bound
 from planners.lattice.checks import REST_MPS, Fault, speed_faults
 from planners.lattice.config import LatticeConfig
 from planners.lattice.polynomials import LEAST_M, STEP_S, STEPS, keep_speed, reach_point, sampled, third_square
 from planners.lattice.scene import STRIDE, Ego, Scene
+from planners.rules import Wall
 
 TRACK_M = 1.0
 """An end offset farther than this from the ego's offset is another track."""
 SIDE_M = 0.1
 """Who is nearer than this beside a track is on it."""
+SHORT = 4.0
+"""A metre short of a stop that the rules demand counts as so many: who stops there should be seen to have stopped."""
+STOP_S, STOP_M = 1.0, 2.0
+"""The ego brakes for a stop that the rules demand so long, and so far, before gentle braking would have to begin."""
 COST_PARTS = ("jerk along", "time", "speed", "sideways", "gap")
 
 
@@ -102,15 +109,21 @@ class Sampler:
         self.left = np.maximum(course.road_left - side, middle)
         self.right = np.minimum(course.road_right + side, middle)
 
-    def pairs(self, ego: Ego, scene: Scene) -> Pairs:
-        """Every longitudinal polynomial within the limits, with every lateral one of its tracks."""
+    def pairs(self, ego: Ego, scene: Scene, walls: Sequence[Wall] = ()) -> Pairs:
+        """Every longitudinal polynomial that keeps limits and walls, with every lateral one of its tracks."""
         config, stations = self._config, self._course.line.s
-        wanted, offsets = self._wanted_speed(ego), self._offsets(ego)
-        lon = _stacked(ego, [*_keeping(ego, wanted, config), *self._reaching(ego, scene, offsets)])
+        aim = open_end(walls)
+        stops = aim < ego.speed * STOP_S + 0.5 * ego.speed**2 / config.ease_mps2 + STOP_M
+        wanted, offsets = 0.0 if stops else self._wanted_speed(ego), self._offsets(ego)
+        keeping = _keeping(ego, wanted, config)
+        if stops:
+            keeping = [replace(row, missed=SHORT * max(aim - _end(ego, row), 0.0)) for row in keeping]
+            keeping += _resting(ego, aim, config)
+        lon = _stacked(ego, [*keeping, *self._reaching(ego, scene, offsets)])
         motion = sampled(lon.coef, lon.T, STEPS)
         allowed = braking(ego.speed, ego.accel, config.ease_mps2, 3.0, STEP_S, STEPS + 1)[1] + 0.3
         bounds = np.array([config.accel_mps2, config.decel_mps2, 0.5])
-        faults = speed_faults(motion, ego.s, stations, self.limit, allowed, bounds)
+        faults = speed_faults(motion, ego.s, stations, self.limit, allowed, _kept(walls, stops=stops), bounds)
         each = np.where(lon.track < 0, len(offsets), 1) * len(config.lateral_durations_s)
         counts = np.bincount(faults, weights=each, minlength=len(Fault)).astype(np.int64)
         counts[Fault.NONE] = 0
@@ -200,6 +213,29 @@ def _keeping(ego: Ego, wanted: float, config: LatticeConfig) -> list[Row]:
         T = max(1.5 * ego.speed / decel, 0.5)  # the hardest braking of the cubic s_dot is 1.5 times the mean
         rows.append(Row(keep_speed(ego.speed, ego.accel, 0.0, T), T, 0.0))
     return rows
+
+
+def _resting(ego: Ego, aim: float, config: LatticeConfig) -> list[Row]:
+    """Polynomials that come to rest `aim` m ahead."""
+    if aim <= 0.0:
+        return []
+    return [Row(reach_point(ego.speed, ego.accel, aim, 0.0, T), T, 0.0) for T in config.durations_s]
+
+
+def _kept(walls: Sequence[Wall], *, stops: bool) -> FloatArray:
+    """How far the traffic rules let the ego go `(STEPS + 1,)`, m; far from an open stop only at first."""
+    t = STEP_S * np.arange(STEPS + 1)
+    upper = upper_bound(walls, t, np.inf)
+    if stops:
+        return upper
+    timed = upper_bound([wall for wall in walls if wall.stop.until < np.inf], t, np.inf)
+    return np.where(t < STOP_S, upper, timed)
+
+
+def _end(ego: Ego, row: Row) -> float:
+    """Where a polynomial ends, m from the start."""
+    c3, c4, c5 = row.polynomial
+    return row.T * (ego.speed + row.T * (0.5 * ego.accel + row.T * (c3 + row.T * (c4 + row.T * c5))))
 
 
 def _stacked(ego: Ego, rows: Sequence[Row]) -> Longitudinal:

@@ -29,6 +29,7 @@ class Fault(IntEnum):
     LATERAL_ACCELERATION = 7
     CORRIDOR = 8
     COLLISION = 9
+    STOP_LINE = 10
 
 
 SAID = {
@@ -41,14 +42,16 @@ SAID = {
     Fault.LATERAL_ACCELERATION: "lateral acceleration",
     Fault.CORRIDOR: "leaves the road",
     Fault.COLLISION: "meets somebody",
+    Fault.STOP_LINE: "passes a place where it must stop",
 }
 FAULTS = len(Fault)
 
 
 @kernel
 def speed_faults(
-    motion: FloatArray, s0: float, grid: FloatArray, limit: FloatArray, allowed: FloatArray, bounds: FloatArray
-) -> IntArray:
+    motion: FloatArray, s0: float, grid: FloatArray, limit: FloatArray, allowed: FloatArray, upper: FloatArray,
+    bounds: FloatArray,
+) -> IntArray:  # fmt: skip
     """Per longitudinal candidate `(m, 3, k)` its first fault.
 
     Args:
@@ -57,6 +60,7 @@ def speed_faults(
         grid: Stations of `limit`, uniform.
         limit: Speed limit, m/s.
         allowed: Speed that is allowed in any case at each time `(k,)`: who starts too fast has to come down.
+        upper: How far the traffic rules let the ego go `(k,)`, m from the start; inf where they do not care.
         bounds: Greatest acceleration, hardest deceleration, room above the limit.
     """
     out = np.zeros(len(motion), np.int64)
@@ -67,6 +71,8 @@ def speed_faults(
             v, a = motion[i, 1, k], motion[i, 2, k]
             if v < -REST_MPS:
                 out[i] = Fault.BACKWARDS.value
+            elif motion[i, 0, k] > upper[k]:
+                out[i] = Fault.STOP_LINE.value
             elif v > max(limit[at] + bounds[2], allowed[k]):
                 out[i] = Fault.TOO_FAST
             elif a > max(bounds[0], motion[i, 2, 0] + 1e-6):

@@ -12,12 +12,14 @@ from planners.baseline import Tracker, start_of
 from planners.dp_qp.fallback import fall_back
 from planners.dp_qp.path import out_of_frame
 from planners.dp_qp.speed_qp import SpeedQpConfig
+from planners.dp_qp.walls import told as rules_told
 from planners.lattice.candidates import Pairs, Sampler
 from planners.lattice.checks import REST_MPS, SAID, first_feasible
 from planners.lattice.config import LatticeConfig
 from planners.lattice.polynomials import STEP_S, STEPS, lateral_polynomial, sampled, states
 from planners.lattice.record import told
 from planners.lattice.scene import Ego, Scene, ego_frenet, scene_of
+from planners.rules import Rulebook, walls_ahead
 
 
 class Lattice:
@@ -31,6 +33,7 @@ class Lattice:
         self._config = config or LatticeConfig()
         self._vehicle, self._lap = context.vehicle, context.lap
         self._tracker = Tracker(context)
+        self._rules = Rulebook(context.road, self._tracker.course, context.vehicle)
         passes_left = context.road.drives_on_right
         self._sampler = Sampler(self._tracker.course, self._vehicle, self._config, passes_left=passes_left)
 
@@ -45,7 +48,9 @@ class Lattice:
         ego = ego_frenet(course.line, start, s0, l0)
         scene = scene_of(course, frame, start, ego, self._vehicle, self._config)
         self._lap("scene")
-        pairs = self._sampler.pairs(ego, scene)
+        stops = self._rules.stops(frame, start, s0, fresh=frame.previous is None)
+        walls = walls_ahead(stops, s0, self._vehicle)
+        pairs = self._sampler.pairs(ego, scene, walls)
         self._lap("candidates")
         chosen, faults = self._choose(ego, scene, pairs)
         counted = _counted(pairs, faults, chosen)
@@ -59,7 +64,7 @@ class Lattice:
         at = states(course.line.s, course.line.coef, s0, lateral, pairs.length[chosen], motion)
         artefacts = told(course, frame, ego, scene, pairs, chosen, at, motion, self._vehicle, self._config)
         self._lap("record")
-        return Plan(trajectory(frame.t, at), start=start_kind, internals=(*artefacts, counted))
+        return Plan(trajectory(frame.t, at), start=start_kind, internals=(*artefacts, *rules_told(walls), counted))
 
     def _choose(self, ego: Ego, scene: Scene, pairs: Pairs) -> tuple[int, IntArray]:
         """The first pair without a fault, -1 where there is none, and the faults of those before it."""

@@ -1,0 +1,430 @@
+"""Traffic rules: lights, stop signs, crosswalks, right of way; the rulebook itself, and the planners that obey it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from functools import cache
+
+import handmade
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from worlds import CAR, PERIOD, Other, agents, along_x, driving, standing, strip
+
+from logs import (
+    AgentKind,
+    Colour,
+    Crosswalk,
+    Decision,
+    DecisionKind,
+    EgoState,
+    Frame,
+    Lane,
+    Plan,
+    PlannerContext,
+    Road,
+    StopLine,
+    TrafficLight,
+    Trajectory,
+)
+from logs.kernel import FloatArray
+from planners import PLANNERS
+from planners.dp_qp.reference_line import Course, make_course
+from planners.dp_qp.route import find_route
+from planners.prediction import predict
+from planners.rules import Rulebook, Stop
+from replay.closed_loop import run_closed_loop
+
+LINE_X = 100.0
+ACROSS = np.array([[LINE_X, 1.75], [LINE_X, -1.75]])
+FRONT = CAR.axle_to_front
+LIGHT = StopLine(7, 0, ACROSS, light=9)
+SIGN = StopLine(7, 0, ACROSS, must_stop=True)
+WALK = Crosswalk(3, np.array([[100.0, -6.0], [104.0, -6.0], [104.0, 6.0], [100.0, 6.0]]))
+OBEYING = ("dp_qp", "idm", "lattice")
+Lights = Callable[[float], Mapping[int, Colour]]
+
+
+def straight(*lines: StopLine, crosswalks: Sequence[Crosswalk] = ()) -> Road:
+    """Lane 0 along x up to x = 100 m, lane 1 beyond."""
+    first, second = along_x(-50.0, LINE_X), along_x(LINE_X, 450.0)
+    road = {0: strip(0, first, successors=(1,), speed_limit=13.89), 1: strip(1, second, speed_limit=13.89)}
+    return Road(road, stop_lines=lines, crosswalks=tuple(crosswalks))
+
+
+def along_y(begin: float, end: float) -> FloatArray:
+    y = np.arange(begin, end + 1.0, 2.0)
+    return np.column_stack([np.full(len(y), 100.0), y])
+
+
+def junction(*lines: StopLine, mirror: bool = False) -> Road:
+    """The ego's lanes 0, 1, 2 along x; from the right, lanes 10, 11, 12 along y; where they meet, 11 goes first."""
+    lanes = {
+        0: strip(0, along_x(-50.0, 94.0), successors=(1,)),
+        1: strip(1, along_x(94.0, 106.0), successors=(2,), yields_to=(11,)),
+        2: strip(2, along_x(106.0, 450.0)),
+        10: strip(10, along_y(-200.0, -6.0), successors=(11,)),
+        11: strip(11, along_y(-6.0, 6.0), successors=(12,)),
+        12: strip(12, along_y(6.0, 200.0)),
+    }
+    if mirror:
+        lanes = {i: mirrored(lane) for i, lane in lanes.items()}
+    return Road(lanes, drives_on_right=not mirror, stop_lines=lines)
+
+
+def mirrored(lane: Lane) -> Lane:
+    flip = np.array([1.0, -1.0])
+    return replace(lane, left=flip * lane.right, right=flip * lane.left)
+
+
+def at_front(front: float, v: float, a: float = 0.0) -> EgoState:
+    """The ego with its front bumper at x = `front`."""
+    return EgoState(0.0, front - FRONT, 0.0, 0.0, v, a)
+
+
+def frame_of(
+    ego: EgoState, others: Sequence[Other] = (), lights: Mapping[int, Colour] | None = None, *, t: float = 0.0,
+    previous: Plan | None = None,
+) -> Frame:  # fmt: skip
+    known = agents(others, t)
+    return Frame(t, ego, known, predict(known, t), previous, lights=lights or {})
+
+
+def book(road: Road, ego: EgoState) -> tuple[Rulebook, float]:
+    """The rulebook of the ego's way, and the station of the ego's rear axle on it."""
+    rules, course = along(road)
+    return rules, course.line.project(ego.x, ego.y)[0]
+
+
+@cache
+def along(road: Road) -> tuple[Rulebook, Course]:
+    start = EgoState(0.0, 0.0, 0.0, 0.0, 10.0)
+    course = make_course(road, find_route(road, start, None), start)
+    return Rulebook(road, course, CAR), course
+
+
+def demands(
+    road: Road, ego: EgoState, others: Sequence[Other] = (), lights: Mapping[int, Colour] | None = None
+) -> tuple[Stop, ...]:
+    """What is demanded of an ego of which nothing is remembered."""
+    rules, s = book(road, ego)
+    return rules.stops(frame_of(ego, others, lights), ego, s, fresh=True)
+
+
+def drive(
+    name: str, road: Road, ego: EgoState, others: Sequence[Other] = (), *, seconds: float, lights: Lights = lambda t: {}
+) -> tuple[Trajectory, list[Plan]]:
+    """How the ego moves when it follows each plan without any error, and the plans."""
+    planner, previous, states, plans = PLANNERS[name](PlannerContext(road, None, CAR, PERIOD, ego)), None, [], []
+    for k in range(round(seconds / PERIOD)):
+        now = frame_of(ego, others, lights(k * PERIOD), t=k * PERIOD, previous=previous)
+        previous = planner.plan(now)
+        states.append(replace(ego, t=k * PERIOD))
+        plans.append(previous)
+        ego = previous.trajectory.at((k + 1) * PERIOD)
+    columns = [[getattr(state, column) for state in states] for column in ("t", "x", "y", "yaw", "v", "a", "kappa")]
+    return Trajectory(*map(np.array, columns)), plans
+
+
+def told(plan: Plan, name: str) -> Decision | None:
+    found = [item for item in plan.internals if isinstance(item, Decision) and item.agent == name]
+    return found[0] if found else None
+
+
+def walker(name: str, x: float, y: float, vy: float) -> Other:
+    return replace(driving(name, x, y, 0.0, vy, length=0.5, width=0.5), kind=AgentKind.PEDESTRIAN)
+
+
+def waiter(name: str, x: float, y: float, yaw: float = 0.0) -> Other:
+    return replace(standing(name, x, y, yaw, length=0.5, width=0.5), kind=AgentKind.PEDESTRIAN)
+
+
+# --- laws
+
+LIT, JUNCTION, MIRRORED = straight(LIGHT), junction(), junction(mirror=True)
+speeds = st.floats(0.0, 20.0)
+
+
+@given(speeds, st.floats(-3.0, 1.5), st.floats(0.0, 90.0), st.floats(0.0, 50.0))
+def test_a_yellow_that_is_farther_is_never_less_stoppable(v: float, a: float, ahead: float, more: float) -> None:
+    yellow = {9: Colour.YELLOW}
+    near, far = (demands(LIT, at_front(LINE_X - d, v, a), (), yellow) for d in (ahead, ahead + more))
+    assert len(far) >= len(near)
+
+
+@given(speeds, st.floats(0.0, 90.0), st.sampled_from([Colour.RED, Colour.RED_YELLOW]))
+def test_what_stops_at_yellow_stops_at_red(v: float, ahead: float, red: Colour) -> None:
+    ego = at_front(LINE_X - ahead, v)
+    assert len(demands(LIT, ego, (), {9: red})) >= len(demands(LIT, ego, (), {9: Colour.YELLOW}))
+
+
+@given(speeds, st.floats(0.0, 140.0), st.sampled_from([{}, {9: Colour.OFF}, {9: Colour.GREEN}]))
+def test_green_off_and_unknown_demand_nothing(v: float, ahead: float, lights: Mapping[int, Colour]) -> None:
+    assert demands(LIT, at_front(LINE_X - ahead, v), (), lights) == ()
+
+
+@pytest.mark.parametrize("name", OBEYING)
+@settings(max_examples=8)
+@given(st.floats(0.0, 13.0), st.floats(1.0, 80.0), st.floats(5.0, 60.0))
+def test_a_green_light_changes_no_bit_of_the_plan(name: str, v: float, ahead: float, gap: float) -> None:
+    ego = at_front(LINE_X - ahead, v)
+    others = [driving("car", ego.x + CAR.axle_to_front + gap, 0.0, 6.0)]
+    plans = [
+        PLANNERS[name](PlannerContext(road, None, CAR, PERIOD, ego)).plan(frame_of(ego, others, {9: Colour.GREEN}))
+        for road in (straight(LIGHT), straight())
+    ]
+    for column in ("t", "x", "y", "yaw", "v", "a", "kappa"):
+        one, two = (getattr(plan.trajectory, column) for plan in plans)
+        assert np.array_equal(one, two)
+
+
+@given(st.floats(40.0, 92.0), st.floats(0.0, 12.0), st.floats(-70.0, 10.0), st.floats(0.0, 14.0))
+def test_a_mirrored_junction_demands_the_same(front: float, v: float, y: float, speed: float) -> None:
+    ego, car = at_front(front, v), driving("car", 100.0, y, 0.0, max(speed, 1e-3))
+    other = driving("car", 100.0, -y, 0.0, -max(speed, 1e-3))
+    one, two = demands(JUNCTION, ego, [car]), demands(MIRRORED, ego, [other])
+    assert [(stop.name, stop.kind) for stop in one] == [(stop.name, stop.kind) for stop in two]
+    for a, b in zip(one, two, strict=True):
+        assert (a.bound, a.until) == pytest.approx((b.bound, b.until), abs=1e-6)
+
+
+def test_nobody_knows_when_a_light_will_change() -> None:
+    """Until the light changes in one of two logs, every plan is the same to the last bit."""
+    line = straight(LIGHT)
+    log = handmade.scenario(handmade.drive(handmade.straight, 12.0, 6.0), road=line, duration=6.0)
+    plans = []
+    for change in (4.0, 5.5):
+        light = TrafficLight(9, np.array([0.0, change]), (Colour.RED, Colour.GREEN))
+        trace = run_closed_loop(replace(log, lights=(light,)), "dp_qp").trace
+        plans.append({round(frame.t, 3): frame.plan.trajectory for frame in trace.frames})
+    same = [np.array_equal(plans[0][t].v, plans[1][t].v) for t in sorted(plans[0])]
+    assert all(same[:40])
+    assert not same[45]
+
+
+# --- lights
+
+
+@pytest.mark.parametrize("name", OBEYING)
+@pytest.mark.parametrize("v", [5.0, 13.0])
+def test_red_stops_before_the_line_and_green_lets_go(name: str, v: float) -> None:
+    ego = at_front(LINE_X - 60.0, v)
+    green = 22.0
+    motion, plans = drive(
+        name, straight(LIGHT), ego, seconds=25.0, lights=lambda t: {9: Colour.RED if t < green else Colour.GREEN}
+    )
+    waiting = motion.between(green - 1.0, green)
+    assert LINE_X - 3.0 <= waiting.x.max() + FRONT <= LINE_X - 0.3
+    assert waiting.v.max() < 0.1
+    assert motion.a.min() >= -3.0 - 1e-6
+    assert motion.at(green + 1.5).v > 0.3
+    decision = told(plans[20], "stop line 7")
+    assert decision is not None
+    assert (decision.kind, decision.reason) == (DecisionKind.STOP, "red light 9")
+
+
+@pytest.mark.parametrize("name", OBEYING)
+def test_at_a_yellow_that_comes_too_late_the_ego_drives_on(name: str) -> None:
+    ego = at_front(LINE_X - 20.0, 13.0)
+    motion, _ = drive(name, straight(LIGHT), ego, seconds=4.0, lights=lambda t: {9: Colour.YELLOW})
+    assert motion.x[-1] + FRONT > LINE_X
+    assert motion.a.min() > -0.2
+
+
+def test_who_brakes_for_a_yellow_goes_on_braking() -> None:
+    """Also where, on the edge of what is comfortable, the next frame would say otherwise."""
+    for ahead in np.arange(34.0, 44.0, 1.25):
+        ego = at_front(LINE_X - ahead, 13.0)
+        motion, plans = drive("dp_qp", straight(LIGHT), ego, seconds=6.0, lights=lambda t: {9: Colour.YELLOW})
+        stops = told(plans[0], "stop line 7") is not None
+        assert (motion.x[-1] + FRONT < LINE_X) == stops
+        assert motion.a.min() >= -3.05
+
+
+def test_a_light_that_turns_red_under_the_bumper_is_not_stopped_for() -> None:
+    assert demands(straight(LIGHT), at_front(LINE_X - 4.0, 13.0), (), {9: Colour.RED}) == ()
+    assert demands(straight(LIGHT), at_front(LINE_X + 0.1, 5.0), (), {9: Colour.RED}) == ()
+
+
+def test_a_line_counts_only_for_its_way() -> None:
+    elsewhere, mine = (replace(LIGHT, towards=(lane,)) for lane in (5, 1))
+    ego = at_front(60.0, 10.0)
+    assert demands(straight(elsewhere), ego, (), {9: Colour.RED}) == ()
+    assert [stop.name for stop in demands(straight(mine), ego, (), {9: Colour.RED})] == ["stop line 7"]
+
+
+def test_a_skewed_line_is_met_by_the_nearer_corner() -> None:
+    skewed = replace(LIGHT, points=np.array([[LINE_X + 1.75, 1.75], [LINE_X - 1.75, -1.75]]))
+    plain, nearer = (demands(straight(line), at_front(60.0, 8.0), (), {9: Colour.RED})[0] for line in (LIGHT, skewed))
+    assert plain.bound - nearer.bound == pytest.approx(0.5 * CAR.width, abs=0.02)
+
+
+# --- stop signs
+
+
+@pytest.mark.parametrize("name", OBEYING)
+def test_at_a_stop_sign_the_ego_comes_to_rest_once_and_goes(name: str) -> None:
+    motion, _ = drive(name, straight(SIGN), at_front(60.0, 10.0), seconds=16.0)
+    front = motion.x + FRONT
+    near = (front > LINE_X - 3.0) & (front < LINE_X)
+    assert motion.v[near].min() < 0.1
+    assert front[-1] > LINE_X + 3.0
+    assert (motion.v[front > LINE_X] > 0.3).all()
+
+
+def test_without_a_memory_who_stands_at_the_line_has_stopped() -> None:
+    assert demands(straight(SIGN), at_front(LINE_X - 1.0, 0.0)) == ()
+    assert demands(straight(SIGN), at_front(LINE_X - 1.0, 0.5))
+    assert demands(straight(SIGN), at_front(LINE_X - 6.0, 0.0))
+
+
+def test_the_memory_of_a_stop_is_dropped_with_the_previous_plan() -> None:
+    road, ego = straight(SIGN), at_front(LINE_X - 1.0, 0.0)
+    rules, s = book(road, ego)
+    moving = replace(ego, v=0.5)
+    assert rules.stops(frame_of(ego), ego, s, fresh=True) == ()
+    assert rules.stops(frame_of(moving), moving, s, fresh=False) == ()
+    assert rules.stops(frame_of(moving), moving, s, fresh=True)
+
+
+# --- crosswalks
+
+
+def test_who_is_on_the_crosswalk_goes_first() -> None:
+    road = straight(crosswalks=[WALK])
+    (stop,) = demands(road, at_front(70.0, 10.0), [walker("p", 102.0, -4.0, 1.2)])
+    assert (stop.name, stop.kind) == ("crosswalk 3", DecisionKind.YIELD)
+    assert stop.reason.startswith("pedestrian p goes first")
+    assert stop.bound + CAR.axle_to_front <= 150.0 + 100.0
+
+
+@pytest.mark.parametrize(
+    "who",
+    [
+        waiter("p", 102.0, -6.8),  # stands beside it and looks elsewhere
+        waiter("p", 102.0, 4.0),  # stands on the other half and looks elsewhere
+        walker("p", 102.0, -9.0, 1.2),  # is still far from it
+        walker("p", 102.0, 2.6, 1.2),  # walks away from the ego's half
+        walker("p", 110.0, -4.0, 1.2),  # crosses elsewhere, far behind the crosswalk
+    ],
+)
+def test_who_does_not_take_the_egos_half_demands_nothing(who: Other) -> None:
+    assert demands(straight(crosswalks=[WALK]), at_front(85.0, 10.0), [who]) == ()
+
+
+def test_who_stands_before_the_crosswalk_is_let_go_but_not_waited_for_for_ever() -> None:
+    patient = waiter("p", 102.0, -6.6, yaw=0.5 * np.pi)
+    motion, plans = drive("dp_qp", straight(crosswalks=[WALK]), at_front(55.0, 10.0), [patient], seconds=18.0)
+    rest = motion.t[motion.v < 0.1]
+    assert 2.9 <= rest[-1] - rest[0] <= 4.5
+    assert motion.x[motion.v < 0.1].max() + FRONT < 100.0
+    assert motion.x[-1] + FRONT > 106.0
+    assert motion.a.min() > -3.05
+    assert told(plans[60], "crosswalk 3") is not None
+
+
+def test_on_a_crosswalk_nobody_is_braked_for_hard_who_only_stands_there() -> None:
+    patient = waiter("p", 102.0, -6.6, yaw=0.5 * np.pi)
+    assert demands(straight(crosswalks=[WALK]), at_front(80.0, 12.0), [patient]) == ()
+    assert demands(straight(crosswalks=[WALK]), at_front(80.0, 12.0), [walker("p", 102.0, -5.0, 1.2)])
+
+
+@pytest.mark.parametrize("name", OBEYING)
+def test_the_ego_waits_for_a_pedestrian_and_goes_on(name: str) -> None:
+    walk = walker("p", 102.0, -8.0, 1.0)
+    motion, _ = drive(name, straight(crosswalks=[WALK]), at_front(50.0, 10.0), [walk], seconds=16.0)
+    front, y = motion.x + FRONT, -8.0 + 1.0 * motion.t
+    taken = (np.abs(y) < 1.75) & (y > -6.0)
+    assert (front[taken] < 100.0).all()
+    assert front[-1] > 104.0
+    assert motion.a.min() > -4.0
+
+
+# --- right of way
+
+
+@pytest.mark.parametrize("name", OBEYING)
+def test_a_large_gap_is_taken_and_a_small_one_not(name: str) -> None:
+    ego = at_front(60.0, 10.0)
+    for y, first in ((-120.0, True), (-45.0, False)):
+        car = driving("car", 100.0, y, 0.0, 10.0)
+        motion, _ = drive(name, junction(), ego, [car], seconds=14.0)
+        front, rear = motion.x + FRONT, motion.x + FRONT - CAR.length
+        enters, leaves = (np.interp(edge, at, motion.t) for edge, at in ((98.2, front), (101.8, rear)))
+        arrives, gone = (-1.7 - y - 2.25) / 10.0, (1.7 - y + 2.25) / 10.0
+        assert (leaves + 1.5 < arrives) if first else (enters >= gone)
+        assert front[-1] > 106.0
+
+
+def test_the_wait_is_before_the_line_where_there_is_one() -> None:
+    line = StopLine(5, 0, np.array([[91.0, 1.75], [91.0, -1.75]]))
+    car, ego = driving("car", 100.0, -45.0, 0.0, 10.0), at_front(60.0, 8.0)
+    (with_line,), (without,) = demands(junction(line), ego, [car]), demands(junction(), ego, [car])
+    assert with_line.bound == pytest.approx(50.0 + 91.0 - 0.8, abs=0.3)
+    assert without.bound > with_line.bound + 4.0
+
+
+def test_a_red_light_of_the_others_gives_way_to_the_ego() -> None:
+    theirs = StopLine(6, 10, np.array([[98.25, -8.0], [101.75, -8.0]]), light=2)
+    ego, car = at_front(70.0, 10.0), driving("car", 100.0, -40.0, 0.0, 10.0)
+    assert demands(junction(theirs), ego, [car], {2: Colour.GREEN})
+    assert demands(junction(theirs), ego, [car], {2: Colour.RED}) == ()
+
+
+def test_who_is_behind_the_zone_or_leaves_it_demands_nothing() -> None:
+    ego = at_front(70.0, 8.0)
+    assert demands(junction(), ego, [driving("car", 100.0, 12.0, 0.0, 8.0)]) == ()
+    assert demands(junction(), ego, [driving("car", 100.0, -150.0, 0.0, 8.0)]) == ()
+    assert demands(junction(), ego, [driving("car", 130.0, -30.0, 0.0, 8.0)]) == ()
+
+
+def test_no_stop_where_lanes_cross() -> None:
+    """A queue behind the junction leaves no room: the ego waits before it, though nobody comes."""
+    queue = [standing("last", 109.0, 0.0), standing("first", 115.5, 0.0)]
+    motion, plans = drive("dp_qp", junction(), at_front(60.0, 8.0), queue, seconds=12.0)
+    assert motion.v[-1] == pytest.approx(0.0, abs=0.05)
+    assert motion.x[-1] + FRONT < 98.2
+    decision = told(plans[-1], "lane 11")
+    assert decision is not None
+    assert "no room" in decision.reason
+
+
+def test_a_priority_vehicle_that_turns_off_before_is_let_be() -> None:
+    """A hypothesis of little weight, or none, through the zone is no claim."""
+    ego, car = at_front(70.0, 8.0), driving("car", 100.0, -40.0, 8.0, 1.0)
+    assert demands(junction(), ego, [car]) == ()
+
+
+# --- roads without rules
+
+
+def test_a_road_without_rules_demands_nothing() -> None:
+    rules, s = book(straight(), at_front(60.0, 10.0))
+    assert rules.stops(frame_of(at_front(60.0, 10.0)), at_front(60.0, 10.0), s, fresh=True) == ()
+
+
+# stops end
+
+
+@pytest.mark.parametrize(
+    "who", [standing("parked", 109.0, -1.5), waiter("p", 102.0, -2.0, np.pi)], ids=["car", "walker"]
+)
+def test_nobody_who_stands_at_the_edge_keeps_the_ego_before_a_crosswalk_for_ever(who: Other) -> None:
+    """A parked car behind it that the path passes; a pedestrian who stands half on the lane's edge."""
+    trajectory, _ = drive("dp_qp", straight(crosswalks=[WALK]), EgoState(0.0, 60.0, 0.0, 0.0, 8.0), [who], seconds=25.0)
+    assert trajectory.x[-1] > 120.0
+
+
+def test_waiting_for_one_pedestrian_lets_nobody_go_over_the_next() -> None:
+    """Who waited in a queue, and drives on, has not waited for whoever stands there then."""
+    road = straight(crosswalks=[WALK])
+    rules, found = None, []
+    for t, front, v, name in ((0.0, 91.0, 0.0, "p"), (2.9, 93.0, 2.0, "p"), (60.0, 93.0, 5.0, "q")):
+        ego = replace(at_front(front, v), t=t)
+        made, s = book(road, ego)
+        rules = rules or made
+        frame = frame_of(ego, [waiter(name, 102.0, -3.0, 0.5 * np.pi)], t=t)
+        found.append(rules.stops(frame, ego, s, fresh=not found))
+    assert all(found) and "pedestrian q goes first" in found[-1][0].reason

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from worlds import along_x, beside, curve, lanes, strip
+from worlds import CAR, along_x, beside, curve, lanes, strip
 
-from logs import EgoState, Lane, ReferenceLine, Road
+from logs import EgoState, Lane, ReferenceLine, Road, VehicleParameters
 from logs.kernel import FloatArray
 from planners.dp_qp.reference_line import BENDING_WEIGHT, MAX_SHIFT_M, SPACING_M, Course, make_course, smoothed
 from planners.dp_qp.route import Route, find_route
@@ -178,3 +178,21 @@ def test_a_circular_lane_is_followed_once_round_and_not_for_ever() -> None:
     ring = curve((2.0 * np.pi * 30.0, 1.0 / 30.0))
     line = course(Road({0: strip(0, ring, successors=(0,))})).line
     assert 180.0 < line.length < 700.0 and np.isfinite(line.xy).all()
+
+
+@pytest.mark.parametrize(("turn", "possible"), [(70.0, True), (-90.0, True), (120.0, False)])
+def test_a_kinked_lane_is_smoothed_until_a_car_can_be_steered_along(turn: float, possible: bool) -> None:
+    """As far as its width allows; in a lane hardly wider than the car the line stays where it is."""
+    yaw, leg = np.radians(turn), np.arange(0.0, 40.0, 1.0)[:, None]
+    kinked = np.vstack([leg * [1.0, 0.0], [40.0, 0.0] + leg * [np.cos(yaw), np.sin(yaw)]])
+
+    def line(width: float, car: VehicleParameters | None) -> ReferenceLine:
+        road = Road({0: strip(0, kinked, 0.5 * width, -0.5 * width)})
+        return make_course(road, Route((0,), False, 0.0), EGO, car).line
+
+    for width in (1.9, 5.0):
+        plain, steerable = line(width, None), line(width, CAR)
+        assert (np.abs(steerable.kappa).max() < np.abs(plain.kappa).max()) == (width == 5.0)
+        away = [abs(plain.project(x, y)[1]) for x, y in steerable.xy]
+        assert max(away) <= max(0.5 * (width - CAR.width), 0.0) + MAX_SHIFT_M
+    assert (np.abs(steerable.kappa).max() <= CAR.max_kappa) == possible

@@ -7,11 +7,13 @@ Columns at stations S_i, rows at offsets L_k; nodes have l' = l'' = 0, so an edg
 and only the first edge, from the ego's (l, l', l''), is a general quintic. Cost of an edge, sampled at equal steps:
 
 (2) sum over samples  w_ref l^2 + w_dl l'^2 + w_ddl l''^2 + obstacle(s, l) + corridor(s, l)
-(3) obstacle = COLLISION inside a box grown by the ego's half width, w_near (1 - gap / reach)^2 within `reach` of it
+(3) obstacle = COLLISION inside a box grown by the ego's half width, w_near (1 - gap / reach)^2 within `reach` of it,
+    and w_switch beside it on the other side than in the previous plan, so that the side changes only for a gain
 
 (4) cost[i, k] = min over j  cost[i-1, j] + edge(j, k)
 
-(paper, section II-F, Fig. 6). Ties go to the row that comes first: rows are ordered from the passing side.
+(paper, section II-F, Fig. 6). Backwards likewise; both together are the least cost of a path through a node, and so of
+passing an obstacle on one side. Ties go to the row that comes first: rows are ordered from the passing side.
 """
 
 from __future__ import annotations
@@ -38,6 +40,7 @@ class PathDpConfig:
         w_ref: Weight of l^2; `w_dl` of l'^2; `w_ddl` of l''^2.
         w_near: Weight of coming near an obstacle.
         reach_m: From this distance on an obstacle does not matter.
+        w_switch: Cost per m of passing an obstacle on the other side than before.
     """
 
     columns: int = 10
@@ -48,6 +51,7 @@ class PathDpConfig:
     w_ddl: float = 500.0
     w_near: float = 2.0
     reach_m: float = 1.0
+    w_switch: float = 2.0
 
     def __post_init__(self) -> None:
         if self.columns < 2 or self.rows < 3 or self.rows % 2 == 0 or not self.row_spacing_m > 0.0:
@@ -99,6 +103,8 @@ def _edge(
                     cost += COLLISION
                 elif gap < weights[4]:
                     cost += weights[3] * (1.0 - gap / weights[4]) ** 2
+                if boxes[b, 4] * (2.0 * offset - boxes[b, 2] - boxes[b, 3]) < 0.0:
+                    cost += weights[5]
         total += cost * step
         if total >= best:
             return total
@@ -116,10 +122,10 @@ def path_dp(
         stations: `(n,)` m, ahead of the start.
         offsets: `(k,)` m.
         start: s, l, l', l'' of the ego.
-        boxes: `(b, 4)` obstacles: s from, s to, l from, l to, grown by the ego.
+        boxes: `(b, 5)` obstacles: s from, s to, l from, l to, grown by the ego; 1 passed on the left before, -1 right.
         lower: `(n, SAMPLES)` corridor at the samples of the edge into each column.
         upper: `(n, SAMPLES)`.
-        weights: w_ref, w_dl, w_ddl, w_near, reach.
+        weights: w_ref, w_dl, w_ddl, w_near, reach, w_switch.
 
     Returns:
         Cost to come `(n, k)`, and the chosen row per column `(n,)`.
@@ -150,6 +156,44 @@ def path_dp(
 
 
 @kernel
+def path_dp_to_go(
+    stations: FloatArray, offsets: FloatArray, boxes: FloatArray, lower: FloatArray, upper: FloatArray,
+    weights: FloatArray,
+) -> FloatArray:  # fmt: skip
+    """Least cost `(n, k)` from a node to the grid's end: (4) backwards; args as of `path_dp`."""
+    n, k = len(stations), len(offsets)
+    cost = np.zeros((n, k))
+    for i in range(n - 1, 0, -1):
+        for row in range(k):
+            best = np.inf
+            for turn in range(k):  # straight on first: it is near the best, so that the others end early
+                after = row if turn == 0 else turn - (turn <= row)
+                if cost[i, after] < best:
+                    edge = _edge(
+                        stations[i - 1], offsets[row], 0.0, 0.0, stations[i], offsets[after],
+                        boxes, lower, upper, i, weights, best - cost[i, after],
+                    )  # fmt: skip
+                    best = min(best, cost[i, after] + edge)
+            cost[i - 1, row] = best
+    return cost
+
+
+@kernel
+def side_costs(stations: FloatArray, offsets: FloatArray, through: FloatArray, boxes: FloatArray) -> FloatArray:
+    """Least cost `(b, 2)` of passing each box on its left and on its right, at the column next to its middle.
+
+    `through` `(n, k)`: the least cost of a path through each node. No such row: inf.
+    """
+    out = np.full((len(boxes), 2), np.inf)
+    for b in range(len(boxes)):
+        i = int(np.argmin(np.abs(stations - 0.5 * (boxes[b, 0] + boxes[b, 1]))))
+        for row in range(len(offsets)):
+            side = 0 if 2.0 * offsets[row] > boxes[b, 2] + boxes[b, 3] else 1
+            out[b, side] = min(out[b, side], through[i, row])
+    return out
+
+
+@kernel
 def path_dp_offset(stations: FloatArray, offsets: FloatArray, chosen: IntArray, start: FloatArray, s: float) -> float:
     """The DP path's l at station `s` (1); beyond the grid it stays at its last row."""
     s0, l0, dl0, ddl0 = start[0], start[1], start[2], start[3]
@@ -163,3 +207,14 @@ def path_dp_offset(stations: FloatArray, offsets: FloatArray, chosen: IntArray, 
             return l0 + d * (dl0 + d * (0.5 * ddl0 + d * (c3 + d * (c4 + d * c5))))
         s0, l0, dl0, ddl0 = stations[i], l1, 0.0, 0.0
     return l0
+
+
+@kernel
+def path_dp_offsets(
+    stations: FloatArray, offsets: FloatArray, chosen: IntArray, start: FloatArray, s: FloatArray
+) -> FloatArray:
+    """`path_dp_offset` at stations `(n,)`."""
+    out = np.empty(len(s))
+    for i in range(len(s)):
+        out[i] = path_dp_offset(stations, offsets, chosen, start, s[i])
+    return out

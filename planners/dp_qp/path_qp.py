@@ -8,9 +8,13 @@ Unknown l, l', l'' at knots s_i, step h, piecewise-constant l''' (`piecewise_jer
 (4) J_4 = w_dddl sum (l''_{i+1} - l''_i)^2 / h^2
 (5) J_5 = w_mid  sum (l_i - (l_min,i + l_max,i) / 2)^2
 
-subject to l_min <= l <= l_max, |l'| <= MAX_DL, |l'' + kappa_r| <= kappa_max, |l'''| <= MAX_DDDL,
-and the start (l, l', l'').
-(6) A start beyond these bounds comes back to them from the second knot on, with half the steering and half the jerk.
+subject to the start (l, l', l''), bounds of l' and l'', of l''', and, for each of the ego's points `lead` m before the
+rear axle (itself the first, lead 0),
+
+(6) l_min,k <= l + lead_k l' <= l_max,k
+
+A corridor that has no solution is asked for once more with (6) softened: a shift e of each bound is paid for with
+OUTSIDE e^2, so that the path leaves the corridor as little as it must.
 
 The weights grow with the length that a lane shift takes at the speed: w_dl = (a/2)^2, w_ddl = a^4, w_dddl = (0.7 a)^6
 with the settling length a (m).
@@ -29,7 +33,7 @@ from planners.dp_qp import piecewise_jerk
 from planners.qp import QPConfig, QPResult, QuadraticProgram
 
 MAX_DL = 1.0
-MAX_DDDL = 1.0
+OUTSIDE = 1e4
 
 
 @dataclass(frozen=True)
@@ -55,74 +59,106 @@ class PathQpConfig:
             raise ValueError("path QP needs at least 10 knots and positive weights")
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class PathProblem:
+    """One path problem.
+
+    Attributes:
+        start: l, l', l'' at the first knot `(3,)`.
+        lower: Bounds (6) `(points, knots)`, m; `upper` likewise.
+        slope: Lower and upper bound of l' `(2, knots)`.
+        bend: Of l'' `(2, knots)`, 1/m.
+        rate: Of l''' `(2, knots - 1)`, 1/m2.
+    """
+
+    start: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    slope: FloatArray
+    bend: FloatArray
+    rate: FloatArray
+
+
 class PathQp:
-    """The path QP over one length: a workspace with constant matrices.
+    """The path QP over one length: workspaces with constant matrices.
 
     Args:
         length: From first to last knot, m.
         speed: For which the weights are chosen, m/s.
+        leads: Points of (6), m before the rear axle; the first is 0.
         config: Settings.
     """
 
-    def __init__(self, length: float, speed: float, config: PathQpConfig) -> None:
-        self.length, self.knots = length, config.knots
+    def __init__(self, length: float, speed: float, leads: tuple[float, ...], config: PathQpConfig) -> None:
+        self.length, self.knots, self.leads = length, config.knots, leads
         self.step = length / (config.knots - 1)
-        settle = max(config.settle_s * speed, config.min_settle_m)
-        self._weights = (config.w_ref, (0.5 * settle) ** 2, settle**4, (0.7 * settle) ** 6, config.w_mid)
-        w_ref, w_dl, w_ddl, w_dddl, w_mid = self._weights
-        eye = sparse.eye(self.knots)
-        third = piecewise_jerk.difference_penalty(self.knots) * (w_dddl / self.step**2)
-        P = 2.0 * sparse.block_diag([(w_ref + w_mid) * eye, w_dl * eye, w_ddl * eye + third], format="csc")
-        A = piecewise_jerk.constraint_matrix(self.knots, self.step)
-        self._scale = 1.0 / (w_ref + w_mid)
-        sizes = np.repeat([1.0, 2.0 / settle, 4.0 / settle**2], self.knots)
-        self._program = QuadraticProgram(
-            "path QP",
-            sparse.csc_matrix(self._scale * P),
-            A,
-            equalities=2 * (self.knots - 1),
-            scale=sizes,
-            config=QPConfig(tolerance=1e-2),
-        )
+        self._settle = max(config.settle_s * speed, config.min_settle_m)
+        a = self._settle
+        self._weights = (config.w_ref, (0.5 * a) ** 2, a**4, (0.7 * a) ** 6, config.w_mid)
+        self._scale = 1.0 / (config.w_ref + config.w_mid)
+        self._hard = self._program(soft=False)
+        self._soft: QuadraticProgram | None = None
 
-    def solve(
-        self,
-        start: tuple[float, float, float],
-        lower: FloatArray,
-        upper: FloatArray,
-        kappa: FloatArray,
-        max_kappa: float,
-        *,
-        fresh: bool,
-    ) -> tuple[QPResult, CostTerms]:
+    def solve(self, problem: PathProblem, *, fresh: bool, softly: bool = False) -> tuple[QPResult, CostTerms]:
         """The path in a corridor.
 
         Args:
-            start: l, l', l'' at the first knot.
-            lower: Corridor `(knots,)`, m.
-            upper: `(knots,)`, m.
-            kappa: Curvature of the reference line at the knots `(knots,)`, 1/m.
-            max_kappa: Of the vehicle, 1/m.
+            problem: Its start and bounds.
             fresh: Forget the last solution.
+            softly: With the corridor softened; such problems are rare, and each is solved afresh.
 
         Returns:
             The result, x = (l, l', l'') `(3 knots,)`, and the five costs.
         """
-        d = self.step * np.maximum(np.arange(self.knots) - 1, 0)
-        turned, bent = 0.5 * max_kappa * d, 0.5 * MAX_DDDL * d  # (6)
-        low = [lower.copy(), np.minimum(-MAX_DL, start[1] + turned), np.minimum(-max_kappa - kappa, start[2] + bent)]
-        high = [upper.copy(), np.maximum(MAX_DL, start[1] - turned), np.maximum(max_kappa - kappa, start[2] - bent)]
-        for k in range(3):
-            low[k][0] = high[k][0] = start[k]
-        bounds = piecewise_jerk.bounds((low[0], low[1], low[2]), (high[0], high[1], high[2]), (-MAX_DDDL, MAX_DDDL))
-        middle = 0.5 * (lower + upper)
-        q = np.zeros(3 * self.knots)
-        q[: self.knots] = -2.0 * self._scale * self._weights[4] * middle
-        result = self._program.solve(q, *bounds, fresh=fresh)
-        return result, self._costs(result.x, middle)
+        if softly:
+            self._soft = self._soft or self._program(soft=True)
+            return self._told(self._soft.solve(*self._vectors(problem, soft=True), fresh=True), problem)
+        return self._told(self._hard.solve(*self._vectors(problem, soft=False), fresh=fresh), problem)
 
-    def _costs(self, x: FloatArray, middle: FloatArray) -> CostTerms:
+    def _program(self, *, soft: bool) -> QuadraticProgram:
+        n, points = self.knots, len(self.leads)
+        w_ref, w_dl, w_ddl, w_dddl, w_mid = self._weights
+        eye, none = sparse.eye(n), sparse.csc_matrix((n, n))
+        third = piecewise_jerk.difference_penalty(n) * (w_dddl / self.step**2)
+        blocks = [(w_ref + w_mid) * eye, w_dl * eye, w_ddl * eye + third]
+        A = piecewise_jerk.constraint_matrix(n, self.step)
+        ahead = [sparse.hstack([eye, lead * eye, none]) for lead in self.leads[1:]]
+        A = sparse.vstack([A, *ahead], format="csc")
+        sizes = np.repeat([1.0, 2.0 / self._settle, 4.0 / self._settle**2], n)
+        if soft:
+            first, last = 2 * (n - 1) + 1, A.shape[0] - (points - 1) * n  # the start is no bound that gives way
+            rows = np.r_[np.arange(first, first + n - 1), np.arange(last, A.shape[0])]
+            columns = np.arange(1, points * n)
+            shifts = sparse.csc_matrix((np.ones(len(rows)), (rows, columns)), (A.shape[0], points * n))
+            A = sparse.hstack([A, shifts], format="csc")
+            blocks.append(OUTSIDE * sparse.eye(points * n))
+            sizes = np.r_[sizes, np.full(points * n, 0.1)]
+        return QuadraticProgram(
+            "path QP without its corridor" if soft else "path QP",
+            sparse.csc_matrix(2.0 * self._scale * sparse.block_diag(blocks, format="csc")),
+            A,
+            equalities=2 * (n - 1),
+            scale=sizes,
+            config=QPConfig(tolerance=1e-2),
+        )
+
+    def _vectors(self, problem: PathProblem, *, soft: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """q, lower and upper of the program."""
+        n = self.knots
+        low = [problem.lower[0].copy(), problem.slope[0].copy(), problem.bend[0].copy()]
+        high = [problem.upper[0].copy(), problem.slope[1].copy(), problem.bend[1].copy()]
+        for k in range(3):
+            low[k][0] = high[k][0] = problem.start[k]
+        rate = problem.rate
+        lower, upper = piecewise_jerk.bounds((low[0], low[1], low[2]), (high[0], high[1], high[2]), (rate[0], rate[1]))
+        q = np.zeros((3 + soft * len(self.leads)) * n)
+        q[:n] = -self._scale * self._weights[4] * (problem.lower[0] + problem.upper[0])
+        return q, np.r_[lower, problem.lower[1:].ravel()], np.r_[upper, problem.upper[1:].ravel()]
+
+    def _told(self, result: QPResult, problem: PathProblem) -> tuple[QPResult, CostTerms]:
+        x = result.x[: 3 * self.knots]
         l, dl, ddl = x.reshape(3, self.knots)  # noqa: E741
+        middle = 0.5 * (problem.lower[0] + problem.upper[0])
         w_ref, w_dl, w_ddl, w_dddl, w_mid = self._weights
         values = {
             "reference": w_ref * float(l @ l),
@@ -131,4 +167,4 @@ class PathQp:
             "curvature rate": w_dddl * float(np.sum(np.diff(ddl) ** 2)) / self.step**2,
             "centre": w_mid * float((l - middle) @ (l - middle)),
         }
-        return CostTerms("path QP", tuple(values.items()))
+        return QPResult(x, result.report), CostTerms("path QP", tuple(values.items()))

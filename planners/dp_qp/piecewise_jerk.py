@@ -30,14 +30,14 @@ def constraint_matrix(knots: int, step: float) -> sparse.csc_matrix:
 def bounds(
     lower: tuple[FloatArray, FloatArray, FloatArray],
     upper: tuple[FloatArray, FloatArray, FloatArray],
-    third: tuple[float, float],
+    third: tuple[float | FloatArray, float | FloatArray],
 ) -> tuple[FloatArray, FloatArray]:
-    """Lower and upper vectors of `constraint_matrix` from knot bounds `(n,)` of x, x', x'' and of x'''."""
+    """Lower and upper vectors of `constraint_matrix` from knot bounds `(n,)` of x, x', x'' and of x''' `(n-1,)`."""
     knots = len(lower[0])
     dynamics = np.zeros(2 * (knots - 1))
     return (
-        np.concatenate([dynamics, *lower, np.full(knots - 1, third[0])]),
-        np.concatenate([dynamics, *upper, np.full(knots - 1, third[1])]),
+        np.concatenate([dynamics, *lower, np.broadcast_to(third[0], knots - 1)]),
+        np.concatenate([dynamics, *upper, np.broadcast_to(third[1], knots - 1)]),
     )
 
 

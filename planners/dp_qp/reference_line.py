@@ -3,15 +3,19 @@
 The centre lines of the route are joined (a lane change is blended over its length) and smoothed by a QP over points
 p_i, equally spaced on the raw line r_i:
 
-(1) minimise  w sum |p_{i-1} - 2 p_i + p_{i+1}|^2 + sum |p_i - r_i|^2     subject to |p_i - r_i| <= MAX_SHIFT
+(1) minimise  w sum |p_{i-1} - 2 p_i + p_{i+1}|^2 + sum |p_i - r_i|^2     subject to |p_i - r_i| <= MAX_SHIFT_M
 
-(discrete bending energy: the FEM-position-deviation smoother of Apollo's reference lines), for x and y apart. The
-lateral extents of the lanes are where their boundaries cross the normals of the smoothed line.
+(discrete bending energy: the FEM-position-deviation smoother of Apollo's reference lines), for x and y apart; with
+more shift where the line would bend more than the car can steer. The lateral extents of the lanes are where their
+boundaries cross the normals of the smoothed line.
 """
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 from math import cos, sin
 
 import numpy as np
@@ -20,12 +24,17 @@ from scipy import sparse
 from logs.kernel import FloatArray, frozen, kernel
 from logs.road import Lane, ReferenceLine, Road, thinned
 from logs.states import EgoState
+from logs.vehicle import VehicleParameters
 from planners.dp_qp.route import Route, straight_on
 from planners.qp import QuadraticProgram
 
 SPACING_M = 2.0
 BENDING_WEIGHT = 50.0
 MAX_SHIFT_M = 0.25
+HARDER = ((0.5, 200.0), (0.75, 1000.0), (1.0, 1000.0), (1.5, 3000.0))
+"""Shift (m) and bending weight of further attempts, where the line bends more than a car can steer."""
+LOCK_SHARE = 0.9
+EDGE_M = 0.1
 BEYOND_M = 300.0
 HALF_LANE_M = 1.75
 REACH_M = 16.0
@@ -42,6 +51,10 @@ class Course:
         lane_left: Left edge of the route's own lane (of both lanes during a lane change); `lane_right` < 0 likewise.
         road_left: Left edge of the same-direction lanes that can be reached from there; `road_right` likewise.
         limit: Speed limit, m/s.
+        lanes: The lanes that it leads along, in driving order.
+        facing_left: Left edge of the lane of the opposite direction that adjoins `road_left` where the marking may be
+            crossed, else `road_left`; `facing_right` likewise. None: there is none.
+        waits: Stations before which traffic may have to wait: where lanes part or meet, m.
     """
 
     line: ReferenceLine
@@ -50,23 +63,89 @@ class Course:
     road_left: FloatArray
     road_right: FloatArray
     limit: FloatArray
+    lanes: tuple[int, ...] = ()
+    facing_left: FloatArray | None = None
+    facing_right: FloatArray | None = None
+    waits: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("lane_left", "lane_right", "road_left", "road_right", "limit"):
+        for name in ("facing_left", "facing_right"):
+            if getattr(self, name) is None:
+                object.__setattr__(self, name, getattr(self, name.replace("facing", "road")))
+        for name in ("lane_left", "lane_right", "road_left", "road_right", "limit", "facing_left", "facing_right"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
+    @cached_property
+    def table(self) -> FloatArray:
+        """Columns right edge of lane, road, facing lane, left likewise, limit, kappa `(n, 8)` over `line.s`."""
+        names = "lane_right", "road_right", "facing_right", "lane_left", "road_left", "facing_left", "limit"
+        return frozen(np.column_stack([*(getattr(self, name) for name in names), self.line.kappa]))
 
-def make_course(road: Road, route: Route, ego: EgoState) -> Course:
-    """The course of a route for an ego at its start."""
+    def at(self, s: FloatArray) -> FloatArray:
+        """The columns of `table` `(8, k)` at stations `(k,)`; beyond the ends theirs, with no curvature."""
+        return _sampled(self.line.s, self.table, s)
+
+
+@kernel
+def _sampled(knots: FloatArray, table: FloatArray, s: FloatArray) -> FloatArray:
+    columns, last = table.shape[1], len(knots) - 1
+    h = knots[1] - knots[0]
+    out = np.empty((columns, len(s)))
+    for j in range(len(s)):
+        u = min(max((s[j] - knots[0]) / h, 0.0), float(last))
+        i = min(int(u), last - 1)
+        u -= i
+        for k in range(columns):
+            out[k, j] = table[i, k] + u * (table[i + 1, k] - table[i, k])
+        if not knots[0] <= s[j] <= knots[last]:
+            out[columns - 1, j] = 0.0
+    return out
+
+
+def make_course(road: Road, route: Route, ego: EgoState, car: VehicleParameters | None = None) -> Course:
+    """The course of a route for an ego at its start; with a `car`, its steering lock is kept as far as lanes allow."""
     lanes = _extended(road, route)
-    line = ReferenceLine.through(smoothed(_joined(road, lanes, ego)))
+    line = _steerable(_joined(road, lanes, ego), min(_width(road.lanes[lane]) for lane in lanes), car)
     extents = _lane_extents(road, line)
     lane_left, lane_right, limit = _own_lane(road, line, lanes, extents)
     road_left, road_right = _reachable(road, extents, lane_left, lane_right)
-    return Course(line, lane_left, lane_right, road_left, road_right, limit)
+    facing_left, facing_right = _facing(road, line, extents, road_left, road_right)
+    return Course(
+        line,
+        lane_left,
+        lane_right,
+        road_left,
+        road_right,
+        limit,
+        lanes,
+        facing_left,
+        facing_right,
+        _waits(road, line, lanes),
+    )
 
 
-def smoothed(points: FloatArray) -> FloatArray:
+def _steerable(points: FloatArray, width: float, car: VehicleParameters | None) -> ReferenceLine:
+    """The smoothed line; smoothed more where the car could not be steered along it and the lanes' width allows it."""
+    line = ReferenceLine.through(smoothed(points))
+    if car is None:
+        return line
+    room = 0.5 * (width - car.width) - EDGE_M
+    for shift, weight in HARDER:
+        if _sharpest(line) <= LOCK_SHARE * car.max_kappa or room <= MAX_SHIFT_M:
+            break
+        line = min(line, ReferenceLine.through(smoothed(points, min(shift, room), weight)), key=_sharpest)
+    return line
+
+
+def _sharpest(line: ReferenceLine) -> float:
+    return float(np.abs(line.kappa).max())
+
+
+def _width(lane: Lane) -> float:
+    return float(np.median(np.hypot(*(lane.left - lane.right).T)))
+
+
+def smoothed(points: FloatArray, max_shift: float = MAX_SHIFT_M, weight: float = BENDING_WEIGHT) -> FloatArray:
     """The polyline `(n, 2)`, equally spaced and smoothed by (1); a line too short or not solvable stays as it is."""
     chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))]
     count = round(chord[-1] / SPACING_M) + 1
@@ -75,11 +154,11 @@ def smoothed(points: FloatArray) -> FloatArray:
     stations = np.linspace(0.0, chord[-1], count)
     raw = np.column_stack([np.interp(stations, chord, points[:, k]) for k in (0, 1)])
     D = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(count - 2, count))
-    P = (BENDING_WEIGHT * (D.T @ D) + sparse.eye(count)).tocsc()
+    P = (weight * (D.T @ D) + sparse.eye(count)).tocsc()
     solver = QuadraticProgram("reference line", P, sparse.eye(count, format="csc"))
-    shift = np.full(count, MAX_SHIFT_M)
+    shift = np.full(count, max_shift)
     shift[[0, -1]] = 0.0
-    bend = BENDING_WEIGHT * (D.T @ (D @ raw))
+    bend = weight * (D.T @ (D @ raw))
     moves = [solver.solve(bend[:, k], -shift, shift, fresh=True) for k in (0, 1)]
     if not all(move.report.solved for move in moves):
         return raw
@@ -159,8 +238,13 @@ def _crossings(xy: FloatArray, yaw: FloatArray, boundary: FloatArray, reach: flo
     return out
 
 
-def _lane_extents(road: Road, line: ReferenceLine) -> dict[int, tuple[FloatArray, FloatArray]]:
-    """Per drivable lane near the line: offsets `(n,)` of its left and right boundary, NaN where it is not beside."""
+def _lane_extents(
+    road: Road, line: ReferenceLine, *, opposite: bool = False
+) -> dict[int, tuple[FloatArray, FloatArray]]:
+    """Per drivable lane near the line: offsets `(n,)` of its left and right boundary, NaN where it is not beside.
+
+    Lanes of the line's direction or of the `opposite` one, whose left boundary lies to the right.
+    """
     low, high = line.xy.min(axis=0) - REACH_M, line.xy.max(axis=0) + REACH_M
     extents = {}
     for lane in road.lanes.values():
@@ -168,10 +252,24 @@ def _lane_extents(road: Road, line: ReferenceLine) -> dict[int, tuple[FloatArray
         if not lane.drivable or (outline.max(axis=0) < low).any() or (outline.min(axis=0) > high).any():
             continue
         left, right = (_crossings(line.xy, line.yaw, side, REACH_M) for side in (lane.left, lane.right))
-        same_direction = left > right
-        if same_direction.any():
-            extents[lane.id] = np.where(same_direction, left, np.nan), np.where(same_direction, right, np.nan)
+        asked = left < right if opposite else left > right
+        if asked.any():
+            extents[lane.id] = np.where(asked, left, np.nan), np.where(asked, right, np.nan)
     return extents
+
+
+def _waits(road: Road, line: ReferenceLine, lanes: tuple[int, ...]) -> tuple[float, ...]:
+    """The stations where lanes of the route part or meet others."""
+    into = Counter(after for lane in road.lanes.values() if lane.drivable for after in lane.successors)
+    ends, s = [], 0.0
+    for now, then in pairwise(lanes):
+        onward = road.lanes[now].successors
+        if then in onward:
+            x, y = road.lanes[now].center[-1]
+            s = line.project(x, y, s + road.lanes[now].length, 50.0)[0]
+            if len(onward) > 1 or into[then] > 1:
+                ends.append(s)
+    return tuple(ends)
 
 
 def _own_lane(
@@ -207,6 +305,20 @@ def _reachable(
     for _ in range(3):
         left, right = _one_lane_further(left, to_left), _one_lane_further(right, to_right)
     return left, -right
+
+
+def _facing(
+    road: Road, line: ReferenceLine, extents: dict[int, tuple[FloatArray, FloatArray]], left: FloatArray,
+    right: FloatArray,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    """Edges `(n,)` of the reachable road with the lane of the opposite direction, where it adjoins."""
+    own = [(road.lanes[i], *edges) for i, edges in extents.items()]
+    against = [(road.lanes[i], *edges) for i, edges in _lane_extents(road, line, opposite=True).items()]
+    to_left = [(b, a, lane.right_crossable, lane.left_crossable) for lane, a, b in own]
+    to_left += [(a, b, lane.left_crossable, lane.right_crossable) for lane, a, b in against]
+    to_right = [(-a, -b, lane.left_crossable, lane.right_crossable) for lane, a, b in own]
+    to_right += [(-b, -a, lane.right_crossable, lane.left_crossable) for lane, a, b in against]
+    return _one_lane_further(left, to_left), -_one_lane_further(-right, to_right)
 
 
 def _one_lane_further(edge: FloatArray, strips: list[tuple[FloatArray, FloatArray, bool, bool]]) -> FloatArray:

@@ -1,0 +1,111 @@
+"""Passing who blocks the lane by the lane of the opposite direction: whom, and whether nobody comes.
+
+Somebody who stands in the lane and leaves no room on either side of the road, and is in no queue, is passed where the
+marking between may be crossed and, for the whole stretch from where the ego leaves its lane to where it is back,
+
+(1) no agent is predicted on the facing lane there until the ego is back, and `facing_margin_s` more,
+(2) (BACK_M behind the obstacle - s) / max(v, FACING_MPS) + facing_margin_s <= horizon of the predictions.
+
+Otherwise the ego waits `WAIT_M` before it, from where it can still steer round it. What the sensor cannot see of the
+facing lane is not asked for yet.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from logs.frame import Frame
+from logs.kernel import FloatArray
+from logs.vehicle import VehicleParameters
+from planners.dp_qp import corridor
+from planners.dp_qp.corridor import CorridorConfig, PathObstacle, Room
+from planners.dp_qp.reference_line import Course
+
+FACING_MPS = 5.0
+BACK_M = 10.0
+"""So far behind the obstacle the ego is in its lane again."""
+WAIT_M = 9.0
+NEARLY_M = 1.0
+QUEUE_M = 25.0
+"""Who stands so near behind another who stands in the lane waits in a queue."""
+
+
+def may_block(course: Course, obstacles: tuple[PathObstacle, ...], vehicle: VehicleParameters) -> bool:
+    """Whether somebody leaves less than the ego's width on both sides of the road at his middle, or nearly."""
+    right, left = course.at(np.array([0.5 * (box.s_from + box.s_to) for box in obstacles]))[[1, 4]]
+    rooms = [max(b - box.l_to, box.l_from - a) for box, a, b in zip(obstacles, right, left, strict=True)]
+    return min(rooms, default=np.inf) < vehicle.width + NEARLY_M
+
+
+def blocking(
+    obstacles: tuple[PathObstacle, ...], space: Room, vehicle: VehicleParameters, config: CorridorConfig
+) -> tuple[PathObstacle, ...]:
+    """The obstacles that leave the ego no room on either side of the road, those in a queue not among them."""
+    found = []
+    for box in obstacles:
+        over = corridor.beside(space, box, vehicle, config)
+        if not over.any():
+            continue
+        lower, upper = float(space.lower[over].max()), float(space.upper[over].min())
+        room = max(upper - box.l_to, box.l_from - lower) - 0.5 * vehicle.width
+        touches = lower < box.l_to + 0.5 * vehicle.width and upper > box.l_from - 0.5 * vehicle.width
+        queue = any(
+            other is not box
+            and max(other.s_from - box.s_to, box.s_from - other.s_to) < QUEUE_M
+            and other.l_from < upper
+            and other.l_to > lower
+            for other in obstacles
+        )
+        if touches and room < config.min_clearance_m and not queue:
+            found.append(box)
+    return tuple(found)
+
+
+def passed_facing(
+    course: Course, frame: Frame, s_ego: float, blocked: tuple[PathObstacle, ...], vehicle: VehicleParameters,
+    config: CorridorConfig,
+) -> frozenset[str]:  # fmt: skip
+    """Whom the ego may pass by the facing lane: nobody is predicted there until it is back, and `facing_margin_s` more.
+
+    The time that this takes counts on driving at least `FACING_MPS`; what lasts longer than the predictions is refused.
+    Beside the obstacle it is too late to turn back.
+    """
+    futures, v, line = frame.predictions, max(frame.ego.v, FACING_MPS), course.line
+    moving = frame.agents.speed[futures.agent] >= corridor.STANDING_MPS
+    found = []
+    for box in blocked:
+        begin, end = corridor.passing(box, frame.ego.v, vehicle)
+        back = frame.t + (box.s_to + vehicle.rear_overhang + BACK_M - s_ego) / v + config.facing_margin_s
+        if s_ego + vehicle.axle_to_front < box.s_from:
+            if not len(futures.t) or back > futures.t[-1]:
+                continue
+            now = futures.t <= back
+            x, y = futures.x[moving][:, now].ravel(), futures.y[moving][:, now].ravel()
+            near = np.hypot(x - frame.ego.x, y - frame.ego.y) < end - s_ego + 30.0
+            feet = [line.project(a, b, s_ego, 250.0) for a, b in zip(x[near], y[near], strict=True)]
+            widest = float(frame.agents.width.max(initial=2.0))
+            if feet and _meets_facing(course, np.array(feet), widest, (s_ego, begin, end)):
+                continue
+        found.append(box.agent)
+    return frozenset(found)
+
+
+def _meets_facing(course: Course, feet: FloatArray, width: float, span: tuple[float, float, float]) -> bool:
+    """Whether points (s, l) `(n, 2)` come on the facing lane between the ego and the end of the passing."""
+    s_ego, begin, end = span
+    s, l = feet.T  # noqa: E741
+    _, right, facing_right, _, left, facing_left, _, _ = course.at(s)
+    beside = ((l > left - 0.5 * width) & (l < facing_left)) | ((l < right + 0.5 * width) & (l > facing_right))
+    return bool((beside & (s > min(s_ego, begin) - width) & (s < end + 10.0)).any())
+
+
+def waiting_place(
+    course: Course, blocked: tuple[PathObstacle, ...], passed: frozenset[str], vehicle: VehicleParameters
+) -> float:
+    """Station of the rear axle to wait at for the facing lane, m; inf where there is none or nobody to wait for."""
+    places = []
+    for box in blocked:
+        _, _, right, _, _, left, _, _ = course.at(np.array([0.5 * (box.s_from + box.s_to)]))[:, 0]
+        if box.agent not in passed and max(left - box.l_to, box.l_from - right) > vehicle.width + 0.5:
+            places.append(box.s_from - vehicle.axle_to_front - WAIT_M)
+    return min(places, default=np.inf)

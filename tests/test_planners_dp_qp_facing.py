@@ -1,0 +1,98 @@
+"""The facing lane: borrowed to pass who blocks the lane, where nobody comes and the marking may be crossed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from worlds import Drive, Other, along_x, driving, followed, gaps, standing, strip
+
+from logs import AgentKind, DecisionKind, EgoState, PlanStatus, Road
+from planners.dp_qp.reference_line import Course, make_course
+from planners.dp_qp.route import Route
+
+EGO = EgoState(0.0, 0.0, 0.0, 0.0, 8.0)
+THING = Other("thing", lambda t: (60.0, 0.0, 0.0, 0.0, 0.0), AgentKind.OBJECT, 5.0, 3.0)
+PARKED = standing("parked", 60.0, 0.0, width=3.0)
+
+
+def two_way(*, crossable: bool = True, right: bool = True) -> Road:
+    """A lane along x and one back to its left (to its right where traffic drives on the left)."""
+    side = 1.0 if right else -1.0
+    marks = {"left_opposite": right, "right_opposite": not right, "speed_limit": 10.0}
+    marks["left_crossable" if right else "right_crossable"] = crossable
+    there, back = along_x(), along_x()[::-1] + np.array([0.0, side * 3.5])
+    return Road({0: strip(0, there, **marks), 1: strip(1, back, **marks)}, drives_on_right=right)
+
+
+def course(road: Road) -> Course:
+    return make_course(road, Route((0,), False, 0.0), EGO)
+
+
+def driven(road: Road, others: Sequence[Other], seconds: float = 20.0) -> Drive:
+    drive = followed(road, EGO, others, seconds=seconds)
+    assert all(plan.status is PlanStatus.PLANNED for _, plan in drive)
+    assert min(gaps(drive, other.id).min() for other in others) > 0.5
+    return drive
+
+
+@pytest.mark.parametrize("right", [True, False])
+def test_the_facing_lane_adjoins_where_its_marking_may_be_crossed(right: bool) -> None:
+    found, shut = course(two_way(right=right)), course(two_way(right=right, crossable=False))
+    near, far = (found.facing_left, found.facing_right) if right else (found.facing_right, found.facing_left)
+    assert near is not None and far is not None
+    np.testing.assert_allclose(np.abs(near[:-1]), 5.25, atol=1e-6)
+    np.testing.assert_allclose(np.abs(far), 1.75, atol=1e-6)
+    np.testing.assert_allclose(np.abs(shut.facing_left), 1.75, atol=1e-6)
+    np.testing.assert_allclose(np.abs(shut.facing_right), 1.75, atol=1e-6)
+
+
+@pytest.mark.parametrize("right", [True, False])
+def test_who_blocks_the_lane_is_passed_where_nobody_comes(right: bool) -> None:
+    drive = driven(two_way(right=right), [THING])
+    y = np.array([now.ego.y for now, _ in drive]) * (1.0 if right else -1.0)
+    assert drive[-1][0].ego.x > 120.0 and y.max() > 2.5 and abs(y[-1]) < 0.3
+
+
+def test_a_solid_marking_is_not_crossed() -> None:
+    drive = driven(two_way(crossable=False), [THING])
+    assert drive[-1][0].ego.x < 55.0 and max(abs(now.ego.y) for now, _ in drive) < 0.2
+
+
+def test_it_waits_for_who_comes_and_passes_then() -> None:
+    """Far enough behind the obstacle to steer round it, in its own lane as long as the other has not passed."""
+    coming = driving("coming", 150.0, 3.5, -10.0)
+    drive = driven(two_way(), [THING, coming], 26.0)
+    waiting = [now.ego for now, _ in drive if now.t < 10.0]
+    assert max(abs(ego.y) for ego in waiting) < 0.2 and min(now.ego.v for now, _ in drive) < 0.5
+    assert drive[-1][0].ego.x > 100.0
+
+
+def test_a_parked_car_is_passed_once_it_has_stood_for_long() -> None:
+    drive = driven(two_way(), [PARKED])
+    first = next(
+        now.t for now, plan in drive if any(getattr(i, "kind", None) is DecisionKind.NUDGE_LEFT for i in plan.internals)
+    )
+    assert first >= 5.0 and drive[-1][0].ego.x > 100.0
+
+
+def test_a_queue_is_not_overtaken() -> None:
+    drive = driven(two_way(), [PARKED, standing("first", 72.0, 0.0)])
+    assert drive[-1][0].ego.x < 55.0 and max(abs(now.ego.y) for now, _ in drive) < 0.2
+
+
+def test_who_waits_before_a_junction_is_not_overtaken() -> None:
+    """The same parked car, where 30 m further the road forks."""
+    road = two_way()
+    x = np.linspace(-50.0, 90.0, 71)[:, None] * [1.0, 0.0]
+    fork = [
+        strip(i, np.array([[90.0, 0.0], [150.0, 0.0], [260.0, side]]), speed_limit=10.0)
+        for i, side in ((2, 0.0), (3, 9.0))
+    ]
+    stem = replace(road.lanes[0], left=x + np.array([0.0, 1.75]), right=x - np.array([0.0, 1.75]), successors=(2, 3))
+    forked = Road({**road.lanes, 0: stem, 2: fork[0], 3: fork[1]})
+    assert course(forked).waits == pytest.approx((140.0,), abs=0.5)
+    drive = driven(forked, [PARKED])
+    assert drive[-1][0].ego.x < 55.0 and max(abs(now.ego.y) for now, _ in drive) < 0.2

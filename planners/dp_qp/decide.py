@@ -46,8 +46,10 @@ def choose(
     best, rejected = keep, []
     for other in others:
         against = _against(other, frame, vehicle)
-        if not against and not other.cost < best.cost - (HYSTERESIS_S if best is keep else 0.0):
+        needed = HYSTERESIS_S if best is keep else 0.0
+        if not against and not other.cost < best.cost - needed:
             against = f"costs {other.cost:.1f} s, {best.name} {best.cost:.1f} s"
+            against += f": not {needed:.1f} s better" if other.cost < best.cost else ""
         if against:
             rejected.append((f"{other.name}: {against}", 1))
             continue

@@ -8,13 +8,14 @@ subject to s_lower(t) <= s <= s_upper(t) from the decisions, 0 <= v <= v_limit, 
 
 (2) v_limit(sigma) = min(limit, sqrt(a_lat / |kappa|)), lowered so that it can be reached with a comfortable
     deceleration b:  v(sigma)^2 <= v(sigma + d)^2 + 2 b d
-(3) The limits are the mildest of a ladder with which braking keeps s_upper, so that the problem has a solution.
+(3) Which limits of acceleration and jerk: `speed_solve` takes the mildest with which braking keeps s_upper, so that the
+    problem has a solution. Braking that is harder than comfort may be let go with `RELEASE_MPS3`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import sqrt
+from math import inf, sqrt
 
 import numpy as np
 from scipy import sparse
@@ -25,6 +26,8 @@ from planners.dp_qp import piecewise_jerk
 from planners.qp import QPConfig, QPResult, QuadraticProgram
 
 STEP_S = 0.1
+RELEASE_MPS3 = 10.0
+"""Jerk with which braking that is harder than comfort may be let go."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +37,31 @@ class SpeedLimits:
     accel_mps2: float
     decel_mps2: float
     jerk_mps3: float
+
+
+@dataclass(frozen=True)
+class Limits:
+    """The limits of one attempt: `then`, but `first` for as many knots."""
+
+    then: SpeedLimits
+    first: SpeedLimits = SpeedLimits(0.0, 0.0, 0.0)
+    knots: int = 0
+
+    def braking(self, start: tuple[float, float], knots: int, *, share: float = 1.0) -> FloatArray:
+        """Rows s, v, a `(3, knots)` of braking with a share of them."""
+        head = np.array([[0.0], start[:1], start[1:]])
+        if self.knots:
+            soft = self.first
+            head = braking(*start, share * soft.decel_mps2, share * soft.jerk_mps3, STEP_S, self.knots + 1)
+        s, v, a = head[:, -1]
+        hard = self.then
+        tail = braking(v, a, share * hard.decel_mps2, share * hard.jerk_mps3, STEP_S, knots - self.knots)
+        tail[0] += s
+        return np.hstack([head[:, :-1], tail])
+
+    def row(self, name: str, knots: int) -> FloatArray:
+        """One of the limits at each knot `(knots,)`."""
+        return np.where(np.arange(knots) < self.knots, getattr(self.first, name), getattr(self.then, name))
 
 
 @dataclass(frozen=True)
@@ -68,7 +96,7 @@ class SpeedQpConfig:
         low, high = self.comfort, self.emergency
         decel, jerk = high.decel_mps2 - low.decel_mps2, high.jerk_mps3 - low.jerk_mps3
         between = (
-            SpeedLimits(low.accel_mps2, low.decel_mps2 + u * decel, low.jerk_mps3 + u**3 * jerk)
+            SpeedLimits(low.accel_mps2, low.decel_mps2 + u * decel, low.jerk_mps3 + u**4 * jerk)
             for u in (0.25, 0.5, 0.75)
         )
         return (low, *between, high)
@@ -145,6 +173,7 @@ class SpeedProblem:
         lower: Bounds of s, m; `upper` likewise.
         limit: Upper bound of v, m/s.
         s_ref: m; `v_ref` m/s.
+        end: Station at which the path ends, m.
     """
 
     start: tuple[float, float]
@@ -153,6 +182,12 @@ class SpeedProblem:
     limit: FloatArray
     s_ref: FloatArray
     v_ref: FloatArray
+    end: float = inf
+
+    @property
+    def overtakes(self) -> bool:
+        """Whether somebody is to be overtaken: what one deceleration cannot, another cannot either."""
+        return bool((self.lower > 0.0).any())
 
 
 class SpeedQp:
@@ -174,19 +209,22 @@ class SpeedQp:
             config=QPConfig(tolerance=0.05),
         )
 
-    def solve(self, problem: SpeedProblem, limits: SpeedLimits, *, fresh: bool) -> tuple[QPResult, CostTerms]:
+    def solve(self, problem: SpeedProblem, limits: Limits, *, fresh: bool) -> tuple[QPResult, CostTerms]:
         """The profile, x = (s, v, a) `(3 knots,)`, and its costs."""
         n = self._config.knots
         v0, a0 = problem.start
-        ramp = limits.jerk_mps3 * STEP_S * np.arange(n)
-        low_a = np.minimum(-limits.decel_mps2, a0 + 0.5 * ramp)
-        high_a = np.maximum(limits.accel_mps2, a0 - 0.5 * ramp)
+        jerk = limits.row("jerk_mps3", n - 1)
+        ramp = np.r_[0.0, STEP_S * np.cumsum(jerk)]
+        low_a = np.minimum(-limits.row("decel_mps2", n), a0 + 0.5 * ramp)
+        high_a = np.maximum(limits.row("accel_mps2", n), a0 - 0.5 * ramp)
         low = [np.minimum(problem.lower, problem.upper), np.zeros(n), low_a]
         high = [problem.upper.copy(), problem.limit.copy(), high_a]
         for k, value in enumerate((0.0, v0, a0)):
             low[k][0] = high[k][0] = value
-        jerk = (-limits.jerk_mps3, limits.jerk_mps3)
-        bounds = piecewise_jerk.bounds((low[0], low[1], low[2]), (high[0], high[1], high[2]), jerk)
+        harder = max(-self._config.comfort.decel_mps2 - a0, 0.0)
+        release = np.where(np.arange(n - 1) < harder / (RELEASE_MPS3 * STEP_S), RELEASE_MPS3, 0.0)
+        thirds = -jerk, np.maximum(jerk, release)
+        bounds = piecewise_jerk.bounds((low[0], low[1], low[2]), (high[0], high[1], high[2]), thirds)
         c = self._config
         q = np.concatenate([-2.0 * c.w_s * problem.s_ref, -2.0 * c.w_v * problem.v_ref, np.zeros(n)])
         result = self._program.solve(q, *bounds, fresh=fresh)

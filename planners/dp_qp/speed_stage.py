@@ -1,10 +1,12 @@
-"""Speed stage: blocked intervals -> speed DP (who goes first) -> bounds -> speed QP, and the S-T graph of it."""
+"""Speed stage: blocked intervals, walls, sight -> speed DP (who goes first) -> bounds -> how hard, with the speed QP.
+
+And the S-T graph of it. Hypotheses that are unlikely bind only where hard braking would come too late for them.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 
@@ -13,34 +15,33 @@ from logs.kernel import FloatArray, IntArray
 from logs.states import EgoState
 from logs.trace import Artefact, Corridor, Decision, DecisionKind, GraphObstacle, GridCost, StGraph
 from logs.vehicle import VehicleParameters
+from planners.dp_qp.appointment import HURRIED_GAP_S
 from planners.dp_qp.corridor import STANDING_MPS
 from planners.dp_qp.path import Path
+from planners.dp_qp.sight import sight_limit
 from planners.dp_qp.speed_dp import DS_M, DT_S, SpeedDpConfig, cost_map, speed_dp
 from planners.dp_qp.speed_qp import (
     STEP_S,
-    SpeedLimits,
+    Limits,
     SpeedProblem,
-    SpeedQp,
     SpeedQpConfig,
     braking,
     cruising,
     limit_profile,
 )
-from planners.dp_qp.st_graph import TOUCHING, Blocks, StGraphConfig, block_intervals, decide_speed
-
-RESERVE = 0.85
-"""Share of the limits with which braking must keep the bounds, so that the QP has room to be smooth."""
-LEAST_RESERVE = 0.97
-"""The same where braking would turn hard otherwise."""
-
+from planners.dp_qp.speed_solve import RESERVE, SolvedSpeed, SpeedSolver
+from planners.dp_qp.st_graph import Blocks, StGraphConfig, block_intervals, decide_speed
+from planners.dp_qp.walls import open_end, told, upper_bound, wall_map, wall_outlines, walled
+from planners.rules import Wall
 
 SPEED_ROOM_MPS = 0.8
 """Room above the limit that the reference keeps: a tight tube would cost the solver many iterations."""
-
-
-ONWARD_S = 0.5
-"""Driving on instead of braking reaches its acceleration within this time."""
-
+TILT_MPS2 = 4.0
+"""Lateral acceleration for which a curve is braked for as hard as comfort allows, instead of with `ease_mps2`."""
+UNLIKELY = 0.2
+"""A hypothesis that is not more probable than this binds only so far that hard braking could still avoid it ..."""
+BRANCH_S = 0.5
+"""... so long after now."""
 STAY_M = 0.05
 """Least upper bound of s."""
 
@@ -75,37 +76,78 @@ class ChosenSpeed:
     artefacts: tuple[Artefact, ...]
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class _Way:
+    """What is planned on: a path with its limit `(m,)` and walls, from a start; `blocks` with any margins."""
+
+    frame: Frame
+    start: EgoState
+    path: Path
+    limit: FloatArray
+    walls: Sequence[Wall]
+    hurried: bool
+    blocks: Callable[[StGraphConfig], Blocks]
+
+    def others(self, margins: StGraphConfig) -> Blocks:
+        """Blocks and walls."""
+        return walled(self.blocks(margins), self.walls)
+
+
 class SpeedStage:
     """Chooses the speed of each frame along a path; owns the QP workspace."""
 
     def __init__(self, vehicle: VehicleParameters, config: SpeedConfig, lap: Callable[[str], None]) -> None:
         self._vehicle, self._config, self._lap = vehicle, config, lap
-        self._program = SpeedQp(config.qp)
+        self._solver = SpeedSolver(config.qp, config.dp.gap_m)
         dp = config.dp
         self._weights = np.array([dp.w_v, dp.w_a, dp.w_j, dp.max_accel_mps2, dp.max_decel_mps2])
         self._times = STEP_S * np.arange(config.qp.knots)
 
     def choose(
         self, frame: Frame, start: EgoState, path: Path, limit: FloatArray, skip: np.ndarray,
-        passed: frozenset[str], *, fresh: bool,
+        passed: frozenset[str], walls: Sequence[Wall] = (), *, fresh: bool, hurried: bool = False,
     ) -> ChosenSpeed:  # fmt: skip
-        """The speed along `path` with the road's speed limit `(m,)` on it; agents to `skip` `(agents,)`."""
-        blocks = block_intervals(path, frame, self._vehicle, skip, passed, self._config.graph)
+        """The speed along `path` with the road's speed limit `(m,)` and stops on it; agents to `skip` `(agents,)`.
+
+        Who is `hurried` follows more closely.
+        """
+
+        def blocks(margins: StGraphConfig) -> Blocks:
+            return block_intervals(path, frame, self._vehicle, skip, passed, margins)
+
+        found = blocks(self._config.graph)
         self._lap("S-T graph")
-        v_open = self._reachable(path, limit)
-        v_limit = self._reachable(path, np.where(path.sigma >= self._stop_line(blocks, frame), 0.0, limit))
-        grid, s_dp = self._dp(blocks, path, v_limit, start)
+        limit, unseen = self._sighted(path, limit, found, frame)
+        way = _Way(frame, start, path, np.where(path.sigma >= open_end(walls), 0.0, limit), walls, hurried, blocks)
+        likely = found.probability > UNLIKELY
+        chosen, solved = self._planned(way, found.only(likely), fresh=fresh)
+        ignored: tuple[Decision, ...] = ()
+        if not likely.all():
+            if self._could_stop(solved.profile, found.only(~likely)):
+                ignored = _ignored(found.only(~likely), frame)
+            else:
+                chosen, solved = self._planned(way, found, fresh=fresh)
+        self._solver.remember(frame.t, solved)
+        told_more = (*ignored, *told(walls), *([unseen] if unseen else ()))
+        return replace(chosen, artefacts=(*chosen.artefacts, *told_more))
+
+    def _planned(self, way: _Way, blocks: Blocks, *, fresh: bool) -> tuple[ChosenSpeed, SolvedSpeed]:
+        """The speed that minds these blocks."""
+        frame, path, walls = way.frame, way.path, way.walls
+        v_limit = self._reachable(path, np.where(path.sigma >= self._stop_line(blocks, frame), 0.0, way.limit))
+        grid, s_dp = self._dp(blocks, v_limit, way)
         decisions = decide_speed(blocks, frame, np.interp(blocks.t, self._times, s_dp))
         self._lap("speed DP")
-        state = _startable(start.v, start.a, self._config.qp.comfort.jerk_mps3)
-        free = self._problem(path, v_limit, s_dp, state, constrained=_meets_movers(blocks, frame))
-        problem = self._bounded(free, blocks, decisions, path)
-        touching = partial(block_intervals, path, frame, self._vehicle, skip, passed, TOUCHING)
-        solved = self._solve(problem, touching, fresh=fresh)
+        state = max(way.start.v, 0.0), way.start.a
+        constrained = _meets_movers(blocks, frame) or any(wall.stop.until < np.inf for wall in walls)
+        free = self._problem(path, v_limit, s_dp, state, constrained=constrained)
+        free = replace(free, upper=upper_bound(walls, self._times, path.length))
+        problem = self._bounded(free, blocks, decisions)
+        solved = self._solver.solve(problem, way.others, frame.t, fresh=fresh)
         if not _overtakes(blocks, decisions, solved.profile, self._times):
             decisions = tuple(_let_go(decision) for decision in decisions)
-            problem, tried = self._bounded(free, blocks, decisions, path), solved.artefacts
-            solved = self._solve(problem, touching, fresh=fresh)
+            problem, tried = self._bounded(free, blocks, decisions), solved.artefacts
+            solved = self._solver.solve(problem, way.others, frame.t, fresh=fresh)
             solved = replace(solved, artefacts=(*tried, *solved.artefacts))
         self._lap("speed QP")
         graph = StGraph(
@@ -113,16 +155,27 @@ class SpeedStage:
             Corridor(self._times, problem.lower, problem.upper),
             np.column_stack([self._times, s_dp]),
             np.column_stack([self._times, solved.profile[0]]) if solved.profile is not None else np.empty((0, 2)),
-            _outlines(blocks, decisions),
+            (*_outlines(blocks, decisions), *wall_outlines(walls, float(self._times[-1]), path.length)),
         )
-        return ChosenSpeed(
-            solved.profile,
-            solved.reason,
-            solved.unavoidable,
-            float(self._cruise(path, v_open, state)[0, -1]),
-            blocks,
-            (graph, *decisions, *solved.artefacts),
-        )
+        free_m = float(self._cruise(path, self._reachable(path, way.limit), state)[0, -1])
+        artefacts = (graph, *decisions, *solved.artefacts)
+        return ChosenSpeed(solved.profile, solved.reason, solved.unavoidable, free_m, blocks, artefacts), solved
+
+    def _sighted(
+        self, path: Path, limit: FloatArray, blocks: Blocks, frame: Frame
+    ) -> tuple[FloatArray, Decision | None]:
+        """The limit with what the ego cannot see in it."""
+        first = float(np.nanmin(blocks.lower)) + self._vehicle.axle_to_front if len(blocks) else np.inf
+        return sight_limit(path, limit, frame, self._vehicle, first, RESERVE * self._config.qp.emergency.decel_mps2)
+
+    def _could_stop(self, profile: FloatArray | None, blocks: Blocks) -> bool:
+        """Whether hard braking, `BRANCH_S` after driving on along a profile, would stay behind these blocks."""
+        if profile is None:
+            return False
+        k, qp = round(BRANCH_S / STEP_S), self._config.qp
+        s, v, a = profile[:, k]
+        stop = Limits(qp.emergency).braking((v, a), qp.knots - k, share=RESERVE)
+        return blocks.leave(self._times, np.r_[profile[0, :k], s + stop[0]], 0.0)
 
     def _reachable(self, path: Path, limit: FloatArray) -> FloatArray:
         """The speed limit `(m,)` with curves and comfortable braking in it."""
@@ -143,25 +196,26 @@ class SpeedStage:
             return np.inf
         return max(float(np.nanmin(entries)) - self._config.dp.standstill_gap_m, 0.0)
 
-    def _dp(self, blocks: Blocks, path: Path, v_limit: FloatArray, start: EgoState) -> tuple[GridCost, FloatArray]:
+    def _dp(self, blocks: Blocks, v_limit: FloatArray, way: _Way) -> tuple[GridCost, FloatArray]:
         """The grid and its solution, stations at the QP's times `(knots,)`."""
-        dp = self._config.dp
+        dp, path, start, walls = self._config.dp, way.path, way.start, way.walls
         rows = int(path.length / DS_M) + 1
         limit = np.interp(DS_M * np.arange(rows), path.sigma, v_limit)
-        wanted = np.array([dp.standstill_gap_m, dp.time_gap_s])
+        time_gap = min(dp.time_gap_s, HURRIED_GAP_S) if way.hurried else dp.time_gap_s
+        wanted = np.array([dp.standstill_gap_m, time_gap])
         occupancy = cost_map(rows, blocks.lower, blocks.upper, blocks.speed, dp.gap_m, wanted, dp.w_near)
+        if walls:
+            occupancy += wall_map(rows, blocks.t, walls)
         per_column = max(1, round(DT_S / blocks.step))
         ego = np.array([max(start.v, 0.0), start.a])
         cost, chosen = speed_dp(occupancy, per_column, limit, ego, self._weights, dp.columns)
         times = DT_S * np.arange(dp.columns + 1)
         return _thinned(times, cost, chosen), np.interp(self._times, times, DS_M * chosen)
 
-    def _bounded(
-        self, problem: SpeedProblem, blocks: Blocks, decisions: tuple[Decision, ...], path: Path
-    ) -> SpeedProblem:
+    def _bounded(self, problem: SpeedProblem, blocks: Blocks, decisions: tuple[Decision, ...]) -> SpeedProblem:
         """The problem with its bounds of s: below whom the ego yields to, above whom it overtakes."""
         gap = self._config.dp.gap_m
-        upper, lower = np.full(len(self._times), path.length), np.zeros(len(self._times))
+        upper, lower = problem.upper.copy(), np.zeros(len(self._times))
         reach = 0.5 * blocks.step + 1e-9
         for i, decision in enumerate(decisions):
             near = np.searchsorted(blocks.t, self._times - reach), np.searchsorted(blocks.t, self._times + reach) - 1
@@ -186,78 +240,12 @@ class SpeedStage:
             s_ref = np.minimum(free[0], s_dp)
             v_ref = np.minimum(free[1], np.gradient(s_ref, STEP_S))
         eased = braking(*start, qp.ease_mps2, qp.comfort.jerk_mps3, STEP_S, qp.knots)
+        if (eased[1] ** 2 * np.abs(np.interp(eased[0], path.sigma, path.kappa)) > TILT_MPS2).any():
+            eased = braking(*start, qp.comfort.decel_mps2, qp.comfort.jerk_mps3, STEP_S, qp.knots)
         ahead = np.interp(s_ref, path.sigma, v_limit)
         limit = np.maximum(ahead, eased[1]) + SPEED_ROOM_MPS
         nowhere, everywhere = np.zeros(qp.knots), np.full(qp.knots, path.length)
-        return SpeedProblem(start, nowhere, everywhere, limit, s_ref, v_ref)
-
-    def _solve(self, problem: SpeedProblem, touching: Callable[[], Blocks], *, fresh: bool) -> SolvedSpeed:
-        """Comfortable limits where they can keep the bounds, else the mildest that can, else the hardest braking."""
-        qp = self._config.qp
-        artefacts: tuple[Artefact, ...] = ()
-        for limits, reserve, given in self._attempts():
-            reason = (
-                "" if limits is qp.comfort else f"hard braking, up to {limits.decel_mps2:.1f} m/s2, keeps the distance"
-            )
-            upper = np.minimum(problem.upper + given, problem.upper.max())
-            stop = braking(*problem.start, reserve * limits.decel_mps2, reserve * limits.jerk_mps3, STEP_S, qp.knots)
-            if (stop[0] > upper).any():
-                continue
-            limit = np.maximum(problem.limit, stop[1] + 0.05)
-            lower = np.minimum(problem.lower, np.maximum(problem.s_ref, stop[0]))
-            result, costs = self._program.solve(
-                replace(problem, limit=limit, lower=lower, upper=upper), limits, fresh=fresh
-            )
-            artefacts = (*artefacts, costs, result.report)
-            if result.report.solved:
-                return SolvedSpeed(_tidied(result.x.reshape(3, -1)), reason, False, artefacts)
-            if (lower > 0.0).any():
-                break  # whom the ego cannot overtake with one deceleration it cannot overtake with another
-        if artefacts:
-            return SolvedSpeed(None, "speed QP: no profile found", False, artefacts)
-        stop = braking(*problem.start, qp.emergency.decel_mps2, qp.emergency.jerk_mps3, STEP_S, qp.knots)
-        left = self._config.dp.gap_m - float((stop[0] - problem.upper).max())
-        if left > 0.0:
-            return SolvedSpeed(stop, f"hardest braking, which leaves {left:.1f} m", False, ())
-        boxes = touching()
-        if not boxes.meets(self._times, stop[0]):
-            return SolvedSpeed(stop, "hardest braking, which just does not touch", False, ())
-        onward = self._onward(problem, boxes)
-        if onward is not None:
-            return SolvedSpeed(onward, f"driving on: hardest braking comes {-left:.1f} m too far", False, ())
-        return SolvedSpeed(stop, f"hardest braking comes {-left:.1f} m too far", True, ())
-
-    def _attempts(self) -> tuple[tuple[SpeedLimits, float, float], ...]:
-        """Limits, share of them with which braking must keep the bounds, and what of the gap is given up, m.
-
-        Comfort gives up its reserve, then half of the gap, before braking turns hard.
-        """
-        comfort, *harder = self._config.qp.ladder()
-        half = 0.5 * self._config.dp.gap_m
-        soft = ((comfort, RESERVE, 0.0), (comfort, LEAST_RESERVE, 0.0), (comfort, LEAST_RESERVE, half))
-        return (*soft, *((limits, RESERVE, 0.0) for limits in harder))
-
-    def _onward(self, problem: SpeedProblem, blocks: Blocks) -> FloatArray | None:
-        """Driving on, at the present speed or accelerating, where that meets nobody as predicted; else None."""
-        v0, a0 = problem.start
-        for accel in (0.0, self._config.qp.comfort.accel_mps2):
-            a = a0 + np.clip(accel - a0, -1.0, 1.0) * np.minimum(self._times / ONWARD_S, 1.0)
-            v = np.maximum(v0 + np.r_[0.0, np.cumsum(0.5 * STEP_S * (a[1:] + a[:-1]))], 0.0)
-            v = np.minimum(v, np.maximum(problem.limit, v0))
-            s = np.r_[0.0, np.cumsum(0.5 * STEP_S * (v[1:] + v[:-1]))]
-            if not blocks.meets(self._times, s):
-                return np.vstack([s, v, np.gradient(v, STEP_S)])
-        return None
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class SolvedSpeed:
-    """Rows s, v, a `(3, knots)` or None, why, whether nothing could keep the distance, costs and reports."""
-
-    profile: FloatArray | None
-    reason: str
-    unavoidable: bool
-    artefacts: tuple[Artefact, ...]
+        return SpeedProblem(start, nowhere, everywhere, limit, s_ref, v_ref, path.length)
 
 
 def _overtakes(blocks: Blocks, decisions: tuple[Decision, ...], profile: FloatArray | None, times: FloatArray) -> bool:
@@ -275,23 +263,20 @@ def _let_go(decision: Decision) -> Decision:
     return replace(decision, kind=DecisionKind.YIELD, reason=f"{decision.reason}; the ego cannot be there first")
 
 
+def _ignored(blocks: Blocks, frame: Frame) -> tuple[Decision, ...]:
+    """What is told of hypotheses that do not bind."""
+    return tuple(
+        Decision(
+            frame.agents.ids[who], DecisionKind.IGNORE, "speed",
+            f"may take the path from {float(np.nanmin(lower)):.1f} m on, but that is unlikely ({share:.0%}); "
+            "hard braking could still avoid it",
+        )
+        for who, lower, share in zip(blocks.agent, blocks.lower, blocks.probability, strict=True)
+    )  # fmt: skip
+
+
 def _meets_movers(blocks: Blocks, frame: Frame) -> bool:
     return bool((frame.agents.speed[blocks.agent] >= STANDING_MPS).any())
-
-
-def _startable(v: float, a: float, jerk: float) -> tuple[float, float]:
-    """Speed and acceleration from which the jerk can stop before reversing."""
-    v = max(v, 0.0)
-    return v, max(a, -float(np.sqrt(2.0 * 0.9 * jerk * v)))
-
-
-def _tidied(profile: FloatArray) -> FloatArray:
-    """The profile without the solver's last micrometres: never backwards, exactly at rest where it rests."""
-    s, v, a = profile
-    rest = v < 1e-3
-    return np.vstack(
-        [np.maximum.accumulate(np.maximum(s, 0.0)), np.where(rest, 0.0, v), np.where(rest & (np.abs(a) < 0.02), 0.0, a)]
-    )
 
 
 def _thinned(times: FloatArray, cost: FloatArray, chosen: IntArray) -> GridCost:

@@ -5,7 +5,7 @@ The ego's footprint is swept along the planned path and tested against each pred
 (1) blocked(agent, t) = { sigma : box of the ego at path(sigma), widened by a margin, overlaps the agent's box at t }
 
 which is an interval [lower, upper] of stations of the rear axle for each time sample. Corners and the curvature of the
-path are exact up to the path's spacing, since real boxes are tested.
+path are exact, since real boxes are tested: at the path's points, and between two of them by bisection (`HALVINGS`).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from math import cos, hypot, sin, sqrt
 import numpy as np
 
 from logs.frame import Frame
-from logs.kernel import FloatArray, IntArray, kernel
+from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.road import line_project
 from logs.scenario import AgentKind
 from logs.shapes import overlap
@@ -25,6 +25,10 @@ from logs.trace import Decision, DecisionKind
 from logs.vehicle import VehicleParameters
 from planners.dp_qp.path import Path
 from planners.dp_qp.reference_line import Course
+
+CREEPING_MPS = 0.1
+HALVINGS = 4
+"""Of the path's spacing, about 0.4 m, towards the edge of a blocked interval."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +42,7 @@ class StGraphConfig:
         step_s: Between two time samples.
         early_s: An agent that crosses may come sooner by this, or by a third of the time that is left until then.
         late_s: It may leave later by this, or by half of the time that is left: the nearer, the surer.
+        brisk_mps: Who walks or rides slower than this is taken to be as fast as this, on the predicted way.
     """
 
     margin_m: float = 0.3
@@ -46,14 +51,11 @@ class StGraphConfig:
     step_s: float = 0.1
     early_s: float = 0.4
     late_s: float = 0.6
+    brisk_mps: float = 0.0
 
     def __post_init__(self) -> None:
         if not self.step_s > 0.0:
             raise ValueError("step_s must be positive")
-
-
-TOUCHING = StGraphConfig(margin_m=0.05, vulnerable_margin_m=0.05, passed_margin_m=0.05, early_s=0.0, late_s=0.0)
-"""The footprints as predicted: what counts where nothing better than not to touch can be had."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -65,6 +67,7 @@ class Blocks:
         agent: `(n,)` index into the frame's agents.
         lower: `(n, k)` m along the path, drawn out in time by what is uncertain; `upper` likewise.
         speed: `(n,)` the agent's speed along the path where it enters, m/s.
+        probability: `(n,)` of the prediction.
     """
 
     t: FloatArray
@@ -72,14 +75,25 @@ class Blocks:
     lower: FloatArray
     upper: FloatArray
     speed: FloatArray
+    probability: FloatArray
 
     def __len__(self) -> int:
         return len(self.agent)
+
+    def only(self, rows: BoolArray) -> Blocks:
+        """Some of them `(n,)`."""
+        return Blocks(
+            self.t, self.agent[rows], self.lower[rows], self.upper[rows], self.speed[rows], self.probability[rows]
+        )
 
     def meets(self, t: FloatArray, s: FloatArray) -> bool:
         """Whether a profile s(t) `(m,)` enters a block."""
         at = np.interp(self.t, t, s)
         return bool(((at > self.lower) & (at < self.upper)).any())
+
+    def leave(self, t: FloatArray, s: FloatArray, gap: float) -> bool:
+        """Whether a profile s(t) `(m,)` stays behind all blocks by a gap, m."""
+        return not bool((np.interp(self.t, t, s) > self.lower - gap).any())
 
     @property
     def step(self) -> float:
@@ -127,10 +141,34 @@ def _ego_boxes(path: FloatArray, rear_to_center: float) -> FloatArray:
 
 
 @kernel
+def _edge(
+    sigma: FloatArray, boxes: FloatArray, met: int, step: int, ego_length: float, ego_width: float,
+    x: float, y: float, yaw: float, length: float, width: float,
+) -> float:  # fmt: skip
+    """The station next to point `met`, which overlaps, towards `met + step`, at which the ego does not overlap."""
+    free = met + step
+    if free < 0 or free >= boxes.shape[1]:
+        return sigma[met]
+    low, high = 0.0, 1.0  # share of the way from `met` to `free`: overlaps at low, not at high
+    for _ in range(HALVINGS):
+        u = 0.5 * (low + high)
+        bx, by = (
+            boxes[0, met] + u * (boxes[0, free] - boxes[0, met]),
+            boxes[1, met] + u * (boxes[1, free] - boxes[1, met]),
+        )
+        turned = boxes[2, met] + u * wrap(boxes[2, free] - boxes[2, met])
+        if overlap(bx, by, turned, ego_length, ego_width, x, y, yaw, length, width):
+            low = u
+        else:
+            high = u
+    return sigma[met] + high * (sigma[free] - sigma[met])
+
+
+@kernel
 def _sweep_all(
     path: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, sizes: FloatArray, ego: FloatArray
 ) -> FloatArray:
-    """Blocked intervals (1) of predictions `(n, k)`: `(n, 2, k)`, a point of the path further than the last overlap.
+    """Blocked intervals (1) of predictions `(n, k)`: `(n, 2, k)`.
 
     Args:
         path: Rows sigma, x, y, yaw `(4, m)`.
@@ -153,7 +191,8 @@ def _sweep_all(
             first = _first_met(boxes, 0, 1, spacing, ego[1], ego_width, *at)
             if first >= 0:
                 final = _first_met(boxes, last, -1, spacing, ego[1], ego_width, *at)
-                out[i, 0, k], out[i, 1, k] = path[0, max(first - 1, 0)], path[0, min(final + 1, last)]
+                out[i, 0, k] = _edge(path[0], boxes, first, -1, ego[1], ego_width, *at)
+                out[i, 1, k] = _edge(path[0], boxes, final, 1, ego[1], ego_width, *at)
     return out
 
 
@@ -196,6 +235,9 @@ def block_intervals(
     margin = np.array([_margin(agents.ids[i], agents.kinds[i], passed, config) for i in agent])
     t = predictions.t[::stride] - frame.t
     x, y, yaw = (np.ascontiguousarray(v[used][:, ::stride]) for v in (predictions.x, predictions.y, predictions.yaw))
+    for i in np.flatnonzero(_is_slow(frame, agent, config.brisk_mps)):
+        ahead = t * config.brisk_mps / frame.agents.speed[agent[i]]
+        x[i], y[i], yaw[i] = (_beyond(ahead, t, way[i]) for way in (x, y, yaw))
     spans = _sweep_all(
         np.vstack([path.sigma, path.x, path.y, path.yaw]),
         x,
@@ -205,10 +247,25 @@ def block_intervals(
         np.array([vehicle.axle_to_center, vehicle.length, vehicle.width]),
     )
     blocked = np.isfinite(spans[:, 0]).any(axis=1) if len(spans) else np.zeros(0, bool)
-    agent, spans = agent[blocked], spans[blocked]
+    agent, spans, probability = agent[blocked], spans[blocked], predictions.probability[used][blocked]
     for span in spans:
         _drawn_out(t, span, config)
-    return Blocks(t, agent, spans[:, 0].copy(), spans[:, 1].copy(), _speeds_along(path, frame, agent, spans))
+    return Blocks(
+        t, agent, spans[:, 0].copy(), spans[:, 1].copy(), _speeds_along(path, frame, agent, spans), probability
+    )
+
+
+def _is_slow(frame: Frame, agent: IntArray, brisk: float) -> np.ndarray:
+    """Which of the predicted agents `(n,)` walk or ride slower than `brisk`, m/s, but do not stand."""
+    vulnerable = np.array([frame.agents.kinds[i].is_vulnerable for i in agent], bool)
+    speed = frame.agents.speed[agent]
+    return vulnerable & (speed > CREEPING_MPS) & (speed < brisk)
+
+
+def _beyond(ahead: FloatArray, t: FloatArray, way: FloatArray) -> FloatArray:
+    """A predicted coordinate `(k,)` at the times `ahead`, s; after its end it goes on as at its end."""
+    slope = (way[-1] - way[-2]) / (t[-1] - t[-2])
+    return np.interp(ahead, t, way) + slope * np.maximum(ahead - t[-1], 0.0)
 
 
 def _drawn_out(t: FloatArray, span: FloatArray, config: StGraphConfig) -> None:

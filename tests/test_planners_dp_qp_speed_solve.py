@@ -1,0 +1,139 @@
+"""How hard to brake: bounds are kept, hard braking waits only where it may, nothing is remembered by a fresh frame."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from logs.kernel import FloatArray
+from planners.dp_qp.speed_qp import STEP_S, Limits, SpeedProblem, SpeedQpConfig
+from planners.dp_qp.speed_solve import PATIENCE_S, SolvedSpeed, SpeedSolver
+from planners.dp_qp.st_graph import Blocks
+
+CONFIG, GAP = SpeedQpConfig(), 1.0
+T = STEP_S * np.arange(CONFIG.knots)
+END = 300.0
+
+
+def blocked(low: float, high: float, begin: float, end: float) -> Blocks:
+    """Somebody takes the stations from `low` to `high` m from `begin` to `end` s."""
+    taken = (begin - 1e-9 <= T) & (end + 1e-9 >= T)
+    lower, upper = (np.where(taken, s, np.nan)[None, :] for s in (low, high))
+    return Blocks(T, np.zeros(1, np.int64), lower, upper, np.zeros(1), np.ones(1))
+
+
+def problem(v: float, a: float, upper: FloatArray) -> SpeedProblem:
+    return SpeedProblem((v, a), np.zeros(len(T)), upper, np.full(len(T), v + 2.0), v * T, np.full(len(T), v), END)
+
+
+def behind(v: float, blocks: Blocks, a: float = 0.0) -> SpeedProblem:
+    """The ego stays behind whoever blocks."""
+    return problem(v, a, np.fmin(np.full(len(T), END), blocks.lower[0] - GAP))
+
+
+def solve(solver: SpeedSolver, v: float, blocks: Blocks, t: float, *, fresh: bool, a: float = 0.0) -> SolvedSpeed:
+    solved = solver.solve(behind(v, blocks, a), lambda margins: blocks, t, fresh=fresh)
+    solver.remember(t, solved)
+    return solved
+
+
+speeds = st.floats(3.0, 20.0)
+stations = st.floats(2.0, 80.0)
+
+
+@given(speeds, stations, st.floats(0.0, 4.0), st.floats(0.2, 6.0))
+@settings(max_examples=60, deadline=None)
+def test_a_plan_that_is_no_last_resort_meets_nobody(v: float, s: float, begin: float, lasts: float) -> None:
+    blocks = blocked(s, s + 6.0, begin, begin + lasts)
+    found = solve(SpeedSolver(CONFIG, GAP), v, blocks, 0.0, fresh=True)
+    assert found.profile is not None
+    if not found.unavoidable:
+        assert not blocks.meets(T, found.profile[0])
+    kept = found.reason in ("", "hard braking, up to 7.5 m/s2, keeps the distance")
+    if kept and not found.is_onward:
+        assert (found.profile[0] <= behind(v, blocks).upper + 0.5 * GAP + 0.06).all()
+
+
+@given(speeds, stations)
+@settings(max_examples=40, deadline=None)
+def test_nobody_brakes_harder_than_comfort_where_comfort_does(v: float, s: float) -> None:
+    blocks = blocked(s, s + 6.0, 0.0, 8.0)
+    soft = Limits(CONFIG.comfort).braking((v, 0.0), CONFIG.knots, share=0.85)
+    found = solve(SpeedSolver(CONFIG, GAP), v, blocks, 0.0, fresh=True)
+    if (soft[0] <= s - GAP).all():
+        assert found.reason == "" and found.profile is not None
+        assert found.profile[2].min() >= -CONFIG.comfort.decel_mps2 - 0.06
+
+
+@given(speeds, stations, st.floats(0.3, 3.0))
+@settings(max_examples=30, deadline=None)
+def test_a_fresh_frame_remembers_nothing(v: float, s: float, before: float) -> None:
+    blocks = blocked(s, s + 6.0, 0.0, 8.0)
+    used = SpeedSolver(CONFIG, GAP)
+    solve(used, v, blocked(before, before + 5.0, 0.0, 8.0), 0.0, fresh=True)
+    again, first = (solve(one, v, blocks, 0.1, fresh=True) for one in (used, SpeedSolver(CONFIG, GAP)))
+    assert again.reason == first.reason
+    np.testing.assert_array_equal(again.profile, first.profile)  # type: ignore[arg-type]
+
+
+FREE = blocked(290.0, 295.0, 0.0, 8.0)
+CLOSE = blocked(24.0, 30.0, 0.0, 8.0)
+"""At 10 m/s comfort comes too late, hard braking does not."""
+
+
+def test_hard_braking_waits_while_it_may_and_then_no_more() -> None:
+    solver = SpeedSolver(CONFIG, GAP)
+    assert solve(solver, 12.0, FREE, 0.0, fresh=True).reason == ""
+    reasons = []
+    for k in range(1, 9):
+        found = solve(solver, 12.0, CLOSE, k * STEP_S, fresh=False)
+        reasons.append(found.reason)
+        if found.reason.startswith("comfortable braking for"):
+            assert found.profile is not None
+            first = np.diff(found.profile[2][:2]) / STEP_S
+            assert first[0] >= -CONFIG.comfort.jerk_mps3 - 0.2
+    waits = [reason.startswith("comfortable braking for") for reason in reasons]
+    assert waits[0] and waits == sorted(waits, reverse=True)
+    assert sum(waits) <= round(PATIENCE_S / STEP_S) + 1
+    assert reasons[-1].startswith("hard braking")
+
+
+def test_nobody_waits_for_the_first_frame() -> None:
+    assert solve(SpeedSolver(CONFIG, GAP), 12.0, CLOSE, 0.0, fresh=True).reason.startswith("hard braking")
+
+
+def test_nobody_waits_where_the_hardest_braking_would_then_be_too_late() -> None:
+    solver = SpeedSolver(CONFIG, GAP)
+    solve(solver, 12.0, FREE, 0.0, fresh=True)
+    found = solve(solver, 12.0, blocked(14.6, 22.0, 0.0, 8.0), 0.1, fresh=False)
+    assert found.reason.startswith("hard")
+
+
+@pytest.mark.parametrize(("begin", "onward"), [(2.0, True), (0.8, False)])
+def test_driving_on_instead_of_hard_braking_only_where_it_is_clear(begin: float, onward: bool) -> None:
+    found = solve(SpeedSolver(CONFIG, GAP), 14.0, blocked(12.0, 20.0, begin, 8.0), 0.0, fresh=True)
+    assert found.is_onward is onward
+    assert found.unavoidable is not onward
+
+
+def test_waiting_braking_is_comfortable_first() -> None:
+    hard = Limits(CONFIG.emergency, CONFIG.comfort, 4)
+    s, v, a = hard.braking((10.0, 0.0), CONFIG.knots)
+    assert a[4] == pytest.approx(-0.4 * CONFIG.comfort.jerk_mps3)
+    assert a.min() == pytest.approx(-CONFIG.emergency.decel_mps2)
+    assert (np.diff(s) >= 0.0).all() and v[-1] == 0.0
+
+
+@pytest.mark.parametrize("end", [8.0, 12.0, 15.0, 18.0])
+def test_the_end_of_the_path_is_not_driven_over_where_braking_can_keep_it(end: float) -> None:
+    """Nobody is in the way; the path ends where the car could not steer on."""
+    nobody = Blocks(T, np.zeros(0, np.int64), np.empty((0, len(T))), np.empty((0, len(T))), np.empty(0), np.empty(0))
+    short = replace(problem(10.0, 0.0, np.full(len(T), end)), end=end)
+    found = SpeedSolver(CONFIG, GAP).solve(short, lambda margins: nobody, 0.0, fresh=True)
+    hardest = Limits(CONFIG.emergency).braking((10.0, 0.0), CONFIG.knots)
+    assert found.profile is not None and found.reason
+    assert found.profile[0, -1] <= max(end, hardest[0, -1]) + 0.06

@@ -14,6 +14,7 @@ from worlds import CAR, PERIOD, Other, along_x, curve, decided, driving, followe
 from logs import (
     AgentKind,
     CostTerms,
+    Decision,
     DecisionKind,
     EgoState,
     Frame,
@@ -21,6 +22,7 @@ from logs import (
     PlannerContext,
     PlanStart,
     PlanStatus,
+    Predictions,
     Road,
     Scenario,
     SlGraph,
@@ -41,6 +43,7 @@ from planners.dp_qp.speed_qp import SpeedQp, SpeedQpConfig
 from planners.dp_qp.speed_stage import SpeedConfig
 from planners.prediction import predict
 from planners.qp import QPResult
+from planners.rules import Rulebook
 
 ONE, TWO = lanes(along_x()), lanes(along_x(), 2)
 EGO = EgoState(0.0, 0.0, 0.0, 0.0, 8.0)
@@ -506,16 +509,41 @@ def test_what_cannot_be_avoided_is_braked_for_and_told() -> None:
     assert column(plan, "a").min() == pytest.approx(-SpeedQpConfig().emergency.decel_mps2, abs=0.2)
 
 
+def perhaps(ahead: float, share: float) -> Frame:
+    """A pedestrian who stands beside the lane, `ahead` m away, and walks onto the path with a probability."""
+    t = np.linspace(0.0, 8.0, 81)
+    here = frame(EGO, [Other("walker", lambda t: (ahead, -3.0, 0.5 * np.pi, 0.0, 0.0), AgentKind.PEDESTRIAN, 0.5, 0.6)])
+    y = np.vstack([np.full(81, -3.0), np.minimum(-3.0 + 1.4 * t, 0.0)])
+    x, yaw, who = np.full((2, 81), ahead), np.full((2, 81), 0.5 * np.pi), np.zeros(2, np.int64)
+    guesses = Predictions(t, who, np.array([1.0 - share, share]), x, y, yaw, "by hand")
+    return replace(here, predictions=guesses)
+
+
+@pytest.mark.parametrize(("ahead", "share", "brakes"), [(40.0, 0.15, False), (40.0, 0.5, True), (16.0, 0.15, True)])
+def test_an_unlikely_hypothesis_binds_only_where_hard_braking_would_come_too_late(
+    ahead: float, share: float, *, brakes: bool
+) -> None:
+    plan = planner(ONE, EGO).plan(perhaps(ahead, share))
+    told = [each for each in plan.internals if isinstance(each, Decision) and each.stage == "speed"]
+    ignored = [each.reason for each in told if each.kind is DecisionKind.IGNORE]
+    assert bool(column(plan, "a").min() < -0.5) is brakes
+    assert bool(ignored) is not brakes
+    assert all("unlikely (15%)" in reason for reason in ignored)
+
+
 def test_where_only_the_hardest_braking_keeps_the_distance_that_is_told() -> None:
-    _, plan = one_plan([standing("it", 13.7, 0.0, width=15.0)])
-    assert plan.status is PlanStatus.PLANNED and plan.reason.startswith("hardest braking, which leaves")
-    assert_sound(plan)
+    half, less = "hard braking, up to 7.5 m/s2, keeps half of the distance", "hardest braking, which leaves"
+    for ahead, words in ((13.0, half), (12.4, less)):
+        _, plan = one_plan([standing("it", ahead, 0.0, width=15.0)])
+        assert plan.status is PlanStatus.PLANNED and plan.reason.startswith(words)
+        assert_sound(plan)
 
 
 def test_a_lane_that_was_not_planned_for_long_is_found_again() -> None:
     """The foot point is looked for near the last one, but not where the ego has driven on since."""
+    strip = Lanes(PlannerContext(ONE, None, CAR, PERIOD, EGO)).start(EGO)
     driver = LanePlanner(
-        Lanes(PlannerContext(ONE, None, CAR, PERIOD, EGO)).start(EGO), CAR, PathConfig(), SpeedConfig(),
+        strip, Rulebook(ONE, strip.course, CAR), None, CAR, PathConfig(), SpeedConfig(),
         passes_left=True, lap=lambda stage: None,
     )  # fmt: skip
     first = driver.locate(EGO, fresh=True)

@@ -4,15 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy import sparse
+from scipy.sparse.csgraph import dijkstra
 from worlds import along_x, curve, lanes, strip
 
 from logs import EgoState, Goal, Lane, Road
-from planners.dp_qp.route import LANE_CHANGE_M, find_route, goal_lanes, start_lanes, straight_on
+from logs.convert.commonroad import read_commonroad
+from planners.dp_qp.route import LANE_CHANGE_M, costs_to_go, find_route, goal_lanes, start_lanes, straight_on
 
 EGO = EgoState(0.0, 0.0, 0.0, 0.0, 5.0)
 
@@ -126,3 +130,53 @@ def test_straight_on_is_the_successor_that_turns_least() -> None:
     road = Road({lane.id: lane for lane in (first, *onward)})
     assert straight_on(road, 0) == 2
     assert straight_on(road, 2) is None
+
+
+def known_distances(road: Road, targets: frozenset[int]) -> dict[int, float]:
+    """The least cost from each lane to the targets, by scipy's shortest paths; those that have one."""
+    ids = sorted(i for i, lane in road.lanes.items() if lane.drivable)
+    at = {lane: k for k, lane in enumerate(ids)}
+    price: dict[tuple[int, int], float] = {}
+    for lane in ids:
+        for after, cost in steps(road, road.lanes[lane]):
+            if after in at:
+                back = at[after], at[lane]
+                price[back] = min(cost, price.get(back, np.inf))
+    rows, columns = ([pair[k] for pair in price] for k in (0, 1))
+    graph = sparse.csr_matrix((list(price.values()), (rows, columns)), (len(ids), len(ids)))
+    sources = [at[lane] for lane in targets]
+    if not sources:
+        return {}
+    found = dijkstra(graph, indices=sources, min_only=True)
+    return {lane: float(found[k]) for lane, k in at.items() if np.isfinite(found[k])}
+
+
+def assert_agrees(road: Road, ego: EgoState, goal: Goal | None) -> None:
+    known = known_distances(road, goal_lanes(road, goal))
+    to_go = costs_to_go(road, goal)
+    assert to_go.keys() == known.keys()
+    for lane, cost in known.items():
+        assert to_go[lane].cost == pytest.approx(cost, rel=1e-9, abs=1e-9)
+    route = find_route(road, ego, goal)
+    starts = [known[lane] for lane in start_lanes(road, ego) if lane in known]
+    assert route.reaches_goal == bool(starts)
+    if starts:
+        assert route.cost == pytest.approx(min(starts), rel=1e-9, abs=1e-9)
+
+
+@given(graphs(), st.integers(0, 6))
+def test_the_route_costs_what_an_independent_library_finds(road: Road, target: int) -> None:
+    assert_agrees(road, EGO, Goal((square(2.5, 100.0 * target, 1.0),)))
+
+
+@pytest.mark.parametrize("stride", [5, pytest.param(1, marks=pytest.mark.slow)])
+def test_on_real_lane_graphs_too(shared_data: Path, stride: int) -> None:
+    """Recorded maps, each from its own start to its own goal; some of them need a lane change."""
+    changes = []
+    for file in sorted((shared_data / "commonroad").glob("*.xml"))[::stride]:
+        scenario = read_commonroad(file)
+        road, ego = scenario.road, scenario.ego.state(0)
+        assert_agrees(road, ego, scenario.goal)
+        to_go = costs_to_go(road, scenario.goal)
+        changes += [to_go[lane].changes for lane in start_lanes(road, ego) if lane in to_go]
+    assert len(changes) > 30 / stride and max(changes) >= 1

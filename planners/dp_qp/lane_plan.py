@@ -13,19 +13,24 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import hypot
+from math import hypot, inf
 
 import numpy as np
 
 from logs.frame import Frame
+from logs.road import Goal
 from logs.states import EgoState
 from logs.trace import Artefact, CostTerms
 from logs.vehicle import VehicleParameters
+from planners.dp_qp.appointment import Appointment
 from planners.dp_qp.lanes import Strip
 from planners.dp_qp.path_stage import ChosenPath, PathConfig, PathStage
 from planners.dp_qp.speed_stage import ChosenSpeed, SpeedConfig, SpeedStage
 from planners.dp_qp.st_graph import behind
+from planners.rules import Rulebook, walls_on
 
+FORGET_S = 0.5
+"""A lane that was not planned for so long is planned as if for the first time."""
 LOST_M = 15.0
 """A lane that was not planned for so long is looked for anew: the foot point is not near the last one."""
 TRACK_M = 1.0
@@ -86,6 +91,8 @@ class LanePlanner:
     def __init__(
         self,
         strip: Strip,
+        rules: Rulebook,
+        goal: Goal | None,
         vehicle: VehicleParameters,
         path: PathConfig,
         speed: SpeedConfig,
@@ -93,11 +100,17 @@ class LanePlanner:
         passes_left: bool,
         lap: Callable[[str], None],
     ) -> None:
-        self.strip = strip
+        self.strip, self._rules = strip, rules
+        self._appointment = Appointment(goal, strip.course, vehicle)
         self._vehicle, self._horizon = vehicle, speed.qp.horizon
         self._path = PathStage(strip.course, vehicle, path, horizon=speed.qp.horizon, passes_left=passes_left, lap=lap)
         self._speed = SpeedStage(vehicle, speed, lap)
         self._last: tuple[float, float, float] | None = None  # x, y and station of the last start
+        self._planned = -inf
+
+    def forget(self) -> None:
+        """The next plan is as the first one: the frames before do not count any more."""
+        self._planned = -inf
 
     def locate(self, start: EgoState, *, fresh: bool) -> tuple[float, float]:
         """Station and offset of a start; near the last one unless `fresh` or that is further away than `LOST_M`."""
@@ -111,13 +124,19 @@ class LanePlanner:
     def plan(self, name: str, frame: Frame, start: EgoState, *, fresh: bool) -> LanePlan:
         """Path and speed from `start`, with costs; `name` is "keep" for the lane that is driven."""
         s, l = self.locate(start, fresh=fresh)  # noqa: E741
+        fresh = fresh or not 0.0 <= frame.t - self._planned <= FORGET_S
+        self._planned = frame.t
         course = self.strip.course
         path = self._path.choose(frame, start, s, l, fresh=fresh)
         speed = None
         if path.path is not None:
-            limit = np.interp(path.path.s, course.line.s, course.limit)
+            pace = self._appointment.pace(frame.t, s, start.v)
+            limit = self._appointment.limit(path.path.s, np.interp(path.path.s, course.line.s, course.limit), pace)
             skip = behind(course, frame, s, l, self._vehicle, keeps_track=path.shift < TRACK_M)
-            speed = self._speed.choose(frame, start, path.path, limit, skip, path.passed, fresh=fresh)
+            walls = walls_on(self._rules.stops(frame, start, s, path.passed, fresh=fresh), path.path, self._vehicle)
+            speed = self._speed.choose(
+                frame, start, path.path, limit, skip, path.passed, walls, fresh=fresh, hurried=pace.hurried
+            )
         return LanePlan(name, self.strip, s, l, path, speed, self._costs(name, start, s, speed))
 
     def _costs(self, name: str, start: EgoState, s: float, speed: ChosenSpeed | None) -> CostTerms:

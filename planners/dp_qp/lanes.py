@@ -51,7 +51,7 @@ class Lanes:
         self._to_go = costs_to_go(context.road, context.goal)
         self._before = _predecessors(context.road)
         self._strips: dict[int, Strip] = {}
-        self._start = context.start
+        self._start, self._car = context.start, context.vehicle
 
     def start(self, ego: EgoState) -> Strip:
         """The strip to begin with: of the lanes under the ego, the one nearest to the goal."""
@@ -103,7 +103,7 @@ class Lanes:
             behind.insert(0, before)
             length += self._road.lanes[before].length
         lanes = (*behind, *onward)
-        course = make_course(self._road, Route(lanes, False, 0.0), self._start)
+        course = make_course(self._road, Route(lanes, False, 0.0), self._start, self._car)
         return Strip(lanes, course, *self._changes(lanes, len(behind)))
 
     def _next(self, lane: int) -> int | None:

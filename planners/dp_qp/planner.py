@@ -14,6 +14,7 @@ from planners.dp_qp.lane_plan import LanePlan, LanePlanner
 from planners.dp_qp.lanes import Lanes, Strip
 from planners.dp_qp.path_stage import PathConfig
 from planners.dp_qp.speed_stage import SpeedConfig
+from planners.rules import Rulebook
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,8 @@ class DpQp:
         fresh = frame.previous is None
         start, start_kind = self._start(frame)
         if fresh:
+            for each in self._planners.values():
+                each.forget()
             self._driven, self._changed = self._planner(self._lanes.start(start)), -inf
         self._lap("start")
         chosen, considered = self._choose(frame, start, fresh=fresh)
@@ -84,6 +87,8 @@ class DpQp:
         if strip not in self._planners:
             self._planners[strip] = LanePlanner(
                 strip,
+                Rulebook(self._context.road, strip.course, self._vehicle),
+                self._context.goal,
                 self._vehicle,
                 self._config.path,
                 self._config.speed,

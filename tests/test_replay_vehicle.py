@@ -40,7 +40,7 @@ def test_constant_steer_is_a_circle(v: float, steer: float) -> None:
 def test_integration_is_of_order_four() -> None:
     """The error of a smooth manoeuvre falls with the fourth power of the sub-step."""
     start = (0.0, 0.0, 0.0, 12.0, 0.0, 0.0, 0.1)
-    arguments = ((0.03, 0.3, 0.0), CAR.wheelbase, STEERING, LAGS, PedalPowertrain(CAR).limits, 1.0)
+    arguments = ((0.03, 0.3, 0.0), (CAR.wheelbase, 0.0), STEERING, LAGS, PedalPowertrain(CAR).limits, 1.0)
     exact = np.array(advance(start, *arguments, 20_000))
     steps = np.array([10, 20, 40, 80])
     errors = [np.abs(np.array(advance(start, *arguments, int(n))) - exact).max() for n in steps]

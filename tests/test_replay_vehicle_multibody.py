@@ -11,7 +11,7 @@ import pytest
 
 from logs import Command, ConfigError, EgoState, VehicleParameters
 from logs.vehicle import vehicle_parameters
-from replay.vehicle.multibody import Multibody, package_parameters
+from replay.vehicle.multibody import Multibody, package_parameters, slowest_wheel
 from replay.vehicle.single_track import SingleTrack
 
 BMW = vehicle_parameters("bmw_320i")
@@ -90,6 +90,47 @@ def test_friction_limits_it() -> None:
         state = car.step(Command(min(1e-3 * k, 0.08), 0.0, 0.0), 0.01)
         lateral.append(state.kappa * hypot(state.v, state.v_lat) ** 2)
     assert 0.3 * 9.81 < np.mean(lateral[100:]) < 0.42 * 9.81
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_whatever_is_commanded_it_ends_as_numbers_and_gains_no_speed_by_sliding(seed: int) -> None:
+    """Random full steering, throttle and brake at speed: spins, lifted wheels, backwards."""
+    rng = np.random.default_rng(seed)
+    v = rng.uniform(15.0, 40.0)
+    car = Multibody(vehicle_parameters(("bmw_320i", "small_electric")[seed % 2]), start(v))
+    slid, allowed = 0.0, v
+    for _ in range(12):
+        command = Command(rng.uniform(-0.65, 0.65), *rng.permutation([rng.uniform(0.0, 1.0), 0.0]))
+        for _ in range(25):
+            state = car.step(command, 0.01)
+            allowed += 0.01 * 6.0 * command.throttle
+            assert np.isfinite([getattr(state, name) for name in EgoState.__slots__]).all()
+            assert hypot(state.v, state.v_lat) < allowed + 4.0 + 2.0 * abs(state.yaw_rate)
+        slid = max(slid, abs(state.v_lat))
+    assert slid > 1.0
+
+
+def test_a_spin_is_driven_by_the_single_track_model_and_left_again() -> None:
+    car = Multibody(BMW, start(25.0))
+    for k in range(300):
+        car.step(Command(0.5 if k < 100 else -0.5, 0.0, 0.0 if k < 60 else 0.5), 0.01)
+        ahead = slowest_wheel(car.inner.vx, car.inner.vy, car.inner.r, car.inner.steer, (1.16, 0.7))
+        assert car.body is None or ahead > 0.0
+    assert car.body is None
+    for _ in range(600):
+        state = car.step(Command(0.0, 0.4 if car.inner.vx < 5.0 else 0.1, 0.0), 0.01)
+    assert car.body is not None and state.v > 3.0
+
+
+def test_a_model_that_diverges_is_a_line_for_the_user(monkeypatch: pytest.MonkeyPatch) -> None:
+    car = Multibody(BMW, start(20.0))
+
+    def rates(*_: object) -> list[float]:
+        raise ZeroDivisionError("float division by zero")
+
+    monkeypatch.setattr(car, "_rates", rates)
+    with pytest.raises(ConfigError, match=r"diverged at 0\.00 s: use loop\.vehicle = 'single_track'"):
+        car.step(Command(0.0, 0.0, 0.0), 0.01)
 
 
 def test_mirrored_commands_drive_nearly_the_mirrored_way() -> None:

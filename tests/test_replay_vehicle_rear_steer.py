@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from logs import Command, EgoState, VehicleParameters
-from replay.vehicle.kinematic_bicycle import KinematicBicycle
-from replay.vehicle.kinematic_rear_steer import KinematicRearSteer, advance, derivative
+from replay.vehicle.kinematic_bicycle import KinematicBicycle, advance, derivative
+from replay.vehicle.kinematic_rear_steer import KinematicRearSteer
 from replay.vehicle.powertrain import PedalPowertrain
 
 CAR = VehicleParameters()

@@ -24,6 +24,11 @@ class Powertrain(Protocol):
         """Time constant from the brake to its deceleration, s."""
         ...
 
+    @property
+    def brake_delay(self) -> float:
+        """Dead time of the brake before its lag begins, s."""
+        ...
+
     def coasting(self, v: float) -> float:
         """Acceleration at `v` (m/s) without pedals, m/s2, not positive."""
         ...

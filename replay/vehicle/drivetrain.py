@@ -140,8 +140,13 @@ class Drivetrain:
 
     @property
     def brake_lag(self) -> float:
-        """S; the brake's dead time (`VehicleParameters.brake_delay`) comes on top."""
+        """S."""
         return self.parameters.brake_lag
+
+    @property
+    def brake_delay(self) -> float:
+        """S."""
+        return self.parameters.brake_delay
 
     def coasting(self, v: float) -> float:
         """Acceleration without pedals, m/s2."""

@@ -1,10 +1,13 @@
 """The kinematic bicycle at the rear axle, with steering and pedals that lag.
 
-(1) dx/dt   = v cos(yaw)
-(2) dy/dt   = v sin(yaw)
-(3) dyaw/dt = v tan(steer) / wheelbase          = v kappa
+(1) dx/dt   = v cos(yaw) - v_lat sin(yaw)
+(2) dy/dt   = v sin(yaw) + v_lat cos(yaw),        v_lat = v tan(rear)
+(3) dyaw/dt = v (tan(steer) - tan(rear)) / wheelbase
 (4) d(steer)/dt                                   replay.vehicle.steering
 (5) dv/dt, d(throttle)/dt, d(brake)/dt            replay.vehicle.powertrain
+
+The rear wheel angle is rear = rear_ratio steer: 0 here, so that v_lat = 0 and dyaw/dt = v tan(steer) / wheelbase =
+v kappa; not 0 in `replay.vehicle.kinematic_rear_steer`, which the kernels serve as well.
 
 Wheels roll without slip (Rajamani, Vehicle Dynamics and Control, 2.2; the reference point at the rear axle makes its
 slip angle 0): there is no friction limit in it, so it follows any curvature at any speed.
@@ -29,20 +32,29 @@ SHORTEST_LAG_S = 1e-3
 
 State = tuple[float, float, float, float, float, float, float]
 """x, y, yaw, v, steer, throttle, brake."""
+Geometry = tuple[float, float]
+"""Wheelbase m, rear_ratio."""
+
+
+@kernel
+def yaw_rate(v: float, steer: float, geometry: Geometry) -> float:
+    """(3), rad/s."""
+    return v * (tan(steer) - tan(geometry[1] * steer)) / geometry[0]
 
 
 @kernel
 def derivative(
-    state: State, command: tuple[float, float, float], rolling: bool, wheelbase: float, steering: Steering,
+    state: State, command: tuple[float, float, float], rolling: bool, geometry: Geometry, steering: Steering,
     lags: tuple[float, float], limits: Limits,
 ) -> State:  # fmt: skip
     """(1)-(5): the state's rate; standing still where not `rolling`."""
     _, _, yaw, v, steer, throttle, brake = state
     speed = v if rolling else 0.0
+    v_lat = speed * tan(geometry[1] * steer)
     return (
-        speed * cos(yaw),
-        speed * sin(yaw),
-        speed * tan(steer) / wheelbase,
+        speed * cos(yaw) - v_lat * sin(yaw),
+        speed * sin(yaw) + v_lat * cos(yaw),
+        yaw_rate(speed, steer, geometry),
         rolling_acceleration(v, throttle, brake, limits) if rolling else 0.0,
         steer_rate(steer, command[0], steering),
         (command[1] - throttle) / lags[0],
@@ -61,32 +73,32 @@ def moved(state: State, rate: State, h: float) -> State:
 
 @kernel
 def runge_kutta(
-    state: State, command: tuple[float, float, float], rolling: bool, wheelbase: float, steering: Steering,
+    state: State, command: tuple[float, float, float], rolling: bool, geometry: Geometry, steering: Steering,
     lags: tuple[float, float], limits: Limits, h: float,
 ) -> State:  # fmt: skip
     """One classical step of order 4 over `h` s."""
-    k1 = derivative(state, command, rolling, wheelbase, steering, lags, limits)
-    k2 = derivative(moved(state, k1, 0.5 * h), command, rolling, wheelbase, steering, lags, limits)
-    k3 = derivative(moved(state, k2, 0.5 * h), command, rolling, wheelbase, steering, lags, limits)
-    k4 = derivative(moved(state, k3, h), command, rolling, wheelbase, steering, lags, limits)
+    k1 = derivative(state, command, rolling, geometry, steering, lags, limits)
+    k2 = derivative(moved(state, k1, 0.5 * h), command, rolling, geometry, steering, lags, limits)
+    k3 = derivative(moved(state, k2, 0.5 * h), command, rolling, geometry, steering, lags, limits)
+    k4 = derivative(moved(state, k3, h), command, rolling, geometry, steering, lags, limits)
     return moved(moved(moved(moved(state, k1, h / 6.0), k2, h / 3.0), k3, h / 3.0), k4, h / 6.0)
 
 
 @kernel
 def advance(
-    state: State, command: tuple[float, float, float], wheelbase: float, steering: Steering,
+    state: State, command: tuple[float, float, float], geometry: Geometry, steering: Steering,
     lags: tuple[float, float], limits: Limits, dt: float, steps: int,
 ) -> State:  # fmt: skip
     """The state after holding `command` (steer, throttle, brake) for `dt` s, in `steps` equal sub-steps."""
     h = dt / steps
     for _ in range(steps):
         rolling = is_rolling(state[3], state[5], state[6], limits)
-        after = runge_kutta(state, command, rolling, wheelbase, steering, lags, limits, h)
+        after = runge_kutta(state, command, rolling, geometry, steering, lags, limits, h)
         if after[3] < 0.0:
             until = h * state[3] / (state[3] - after[3])
-            stop = runge_kutta(state, command, True, wheelbase, steering, lags, limits, until)
+            stop = runge_kutta(state, command, True, geometry, steering, lags, limits, until)
             stop = (stop[0], stop[1], stop[2], 0.0, stop[4], stop[5], stop[6])
-            after = runge_kutta(stop, command, False, wheelbase, steering, lags, limits, h - until)
+            after = runge_kutta(stop, command, False, geometry, steering, lags, limits, h - until)
         state = after
     return state
 
@@ -103,7 +115,7 @@ class KinematicBicycle:
     def __init__(self, parameters: VehicleParameters, start: EgoState) -> None:
         p = parameters
         self.powertrain = PedalPowertrain(p)
-        self._wheelbase = float(p.wheelbase)
+        self._geometry: Geometry = (float(p.wheelbase), 0.0)
         self._steering: Steering = (float(p.max_steer), float(p.max_steer_rate), max(p.steer_lag, SHORTEST_LAG_S))
         self._lags = (max(p.throttle_lag, SHORTEST_LAG_S), max(p.brake_lag, SHORTEST_LAG_S))
         self._limits = self.powertrain.limits
@@ -122,7 +134,7 @@ class KinematicBicycle:
         steps = ceil(dt / self._substep - 1e-9)
         self._state = advance(
             self._state, (float(command.steer), float(command.throttle), float(command.brake)),
-            self._wheelbase, self._steering, self._lags, self._limits, dt, steps,
+            self._geometry, self._steering, self._lags, self._limits, dt, steps,
         )  # fmt: skip
         self._t = round((self._t + dt) * 1e9) / 1e9
         self.state = self._ego_state()
@@ -132,7 +144,7 @@ class KinematicBicycle:
         x, y, yaw, v, steer, throttle, brake = self._state
         rolling = is_rolling(v, throttle, brake, self._limits)
         a = rolling_acceleration(v, throttle, brake, self._limits) if rolling else 0.0
-        kappa = tan(steer) / self._wheelbase
+        kappa = tan(steer) / self._geometry[0]
         return EgoState(self._t, x, y, yaw, v, a, kappa, steer, v * kappa, 0.0)
 
 

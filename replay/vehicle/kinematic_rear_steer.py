@@ -6,87 +6,24 @@ With front and rear wheel angles df and dr, speed v along the body, wheelbase L;
 (2) dx/dt = v cos(yaw) - v_lat sin(yaw),  dy/dt = v sin(yaw) + v_lat cos(yaw)
 (3) dyaw/dt = v (tan(df) - tan(dr)) / L
 (4) dr = rear_ratio df                                    geared; negative: against each other, turns more tightly
-(5) d(df)/dt, dv/dt, d(throttle)/dt, d(brake)/dt          replay.vehicle.steering, replay.vehicle.powertrain
 
 At the centre of gravity (lf, lr to the axles) the same motion reads x' = V cos(yaw + beta), y' = V sin(yaw + beta),
 yaw' = V cos(beta) (tan df - tan dr) / L with beta = atan((lf tan dr + lr tan df) / L), v = V cos(beta). The paper has
 yaw = V (tan df + tan dr) / L: the dot, cos(beta) and the sign of the rear wheels are missing; its wheels would slip.
 
-Otherwise as `replay.vehicle.kinematic_bicycle`, whose state, integration and standstill these are.
+Otherwise as `replay.vehicle.kinematic_bicycle`, whose state and kernels these are.
 """
 
 from __future__ import annotations
 
-from math import atan, ceil, cos, sin, tan
+from math import atan, ceil, cos, tan
 
 from logs.errors import ConfigError
-from logs.kernel import kernel
 from logs.states import Command, EgoState
 from logs.vehicle import VehicleParameters
-from replay.vehicle.kinematic_bicycle import MAX_SUBSTEP_S, SHORTEST_LAG_S, State, moved
-from replay.vehicle.powertrain import Limits, PedalPowertrain, is_rolling, rolling_acceleration
-from replay.vehicle.steering import Steering, steer_rate
-
-Geometry = tuple[float, float]
-"""Wheelbase m, rear_ratio."""
-
-
-@kernel
-def yaw_rate(v: float, steer: float, geometry: Geometry) -> float:
-    """(3)-(4), rad/s."""
-    return v * (tan(steer) - tan(geometry[1] * steer)) / geometry[0]
-
-
-@kernel
-def derivative(
-    state: State, command: tuple[float, float, float], rolling: bool, geometry: Geometry, steering: Steering,
-    lags: tuple[float, float], limits: Limits,
-) -> State:  # fmt: skip
-    """(1)-(5): the state's rate; standing still where not `rolling`."""
-    _, _, yaw, v, steer, throttle, brake = state
-    speed = v if rolling else 0.0
-    v_lat = speed * tan(geometry[1] * steer)
-    return (
-        speed * cos(yaw) - v_lat * sin(yaw),
-        speed * sin(yaw) + v_lat * cos(yaw),
-        yaw_rate(speed, steer, geometry),
-        rolling_acceleration(v, throttle, brake, limits) if rolling else 0.0,
-        steer_rate(steer, command[0], steering),
-        (command[1] - throttle) / lags[0],
-        (command[2] - brake) / lags[1],
-    )
-
-
-@kernel
-def runge_kutta(
-    state: State, command: tuple[float, float, float], rolling: bool, geometry: Geometry, steering: Steering,
-    lags: tuple[float, float], limits: Limits, h: float,
-) -> State:  # fmt: skip
-    """One classical step of order 4 over `h` s."""
-    k1 = derivative(state, command, rolling, geometry, steering, lags, limits)
-    k2 = derivative(moved(state, k1, 0.5 * h), command, rolling, geometry, steering, lags, limits)
-    k3 = derivative(moved(state, k2, 0.5 * h), command, rolling, geometry, steering, lags, limits)
-    k4 = derivative(moved(state, k3, h), command, rolling, geometry, steering, lags, limits)
-    return moved(moved(moved(moved(state, k1, h / 6.0), k2, h / 3.0), k3, h / 3.0), k4, h / 6.0)
-
-
-@kernel
-def advance(
-    state: State, command: tuple[float, float, float], geometry: Geometry, steering: Steering,
-    lags: tuple[float, float], limits: Limits, dt: float, steps: int,
-) -> State:  # fmt: skip
-    """The state after holding `command` (steer, throttle, brake) for `dt` s, in `steps` equal sub-steps."""
-    h = dt / steps
-    for _ in range(steps):
-        rolling = is_rolling(state[3], state[5], state[6], limits)
-        after = runge_kutta(state, command, rolling, geometry, steering, lags, limits, h)
-        if after[3] < 0.0:
-            until = h * state[3] / (state[3] - after[3])
-            stop = runge_kutta(state, command, True, geometry, steering, lags, limits, until)
-            stop = (stop[0], stop[1], stop[2], 0.0, stop[4], stop[5], stop[6])
-            after = runge_kutta(stop, command, False, geometry, steering, lags, limits, h - until)
-        state = after
-    return state
+from replay.vehicle.kinematic_bicycle import MAX_SUBSTEP_S, SHORTEST_LAG_S, Geometry, State, advance, yaw_rate
+from replay.vehicle.powertrain import PedalPowertrain, is_rolling, rolling_acceleration
+from replay.vehicle.steering import Steering
 
 
 class KinematicRearSteer:

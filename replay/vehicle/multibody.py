@@ -7,13 +7,17 @@ Wuersching, "CommonRoad: Vehicle Models", 2020, section 9). Not ours is all that
   (1) u = drive - rolling - drag v^2 - brake, a torque at the wheels; held over a sub-step.
 - It has no anti-lock brakes and no traction control: (2) drive and brake are kept below SHARE of what the axle that
   gives way first can bear, less by the lateral acceleration (friction circle).
-- Its wheels are stiff at low speed and it has no standstill: below SLOW_MPS (LEAVE_MPS to come back, both later by the
-  yaw rate) the vehicle is the single-track model of the same numbers; coming back, the body is level.
+- Its wheels are stiff at low speed, it has no standstill, it divides by the speed ahead of each wheel, and its tyres
+  pull at the road where they leave it, until it diverges. So where the slowest wheel goes ahead (4) slower than
+  SLOW_MPS (at low speed, in a spin), or a wheel bears nothing (5), the vehicle is the single-track model of the same
+  numbers. It comes back, with its body level, from LEAVE_MPS on and with slip angles below CALM.
 - Suspension, track and tyres are those of the package's vehicle that is nearest in mass; mass, yaw inertia, axle
   distances and friction are those of VehicleParameters. Level road only.
 
 Integration: Runge-Kutta of order 4, sub-steps of 1 ms, shorter where the wheels' slip asks for it:
 (3) h <= STABLE u I_w / (K_x R^2), K_x = p_kx1 times the static load of a wheel, u = vx
+(4) ahead = min(vx, vx cos(steer) + (vy + a r) sin(steer)) - T |r| / 2        T: the wider track
+(5) deflection of a tyre = z_u + R (cos(phi_u) - 1) +- T sin(phi_u) / 2 <= 0         of its axle's unsprung mass
 """
 
 from __future__ import annotations
@@ -22,7 +26,7 @@ from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import replace
 from importlib import import_module
-from math import atan, ceil, cos, exp, hypot, isfinite, sin, sqrt
+from math import atan, ceil, cos, exp, hypot, isfinite, nan, sin, sqrt
 from typing import Any
 
 from logs.errors import ConfigError
@@ -35,13 +39,14 @@ from replay.vehicle.single_track import Car, State, advance, car_of, cornering, 
 from replay.vehicle.steering import steer_rate
 from replay.vehicle.tyres import GRAVITY
 
-SLOW_MPS, LEAVE_MPS = 1.0, 1.5
+SLOW_MPS, LEAVE_MPS, CALM = 1.0, 1.5, 0.1
 SUBSTEP_S = 1e-3
 STABLE = 1.2
 SHARE = 0.85
 SETS = (1, 2, 3)
 """Vehicles of the package: Ford Escort, BMW 320i, VW Vanagon."""
 STEER, VX, YAW, YAW_RATE, VY, WHEELS = 2, 3, 4, 5, 10, range(23, 27)
+FRONT_ROLL, FRONT_Z, REAR_ROLL, REAR_Z = 13, 16, 18, 21
 
 Rates = Callable[[list[float], list[float], Any], list[float]]
 
@@ -69,6 +74,7 @@ class Multibody:
         self._brake = DeadTime(parameters.brake_delay, self.inner.brake)
         self._limits = _limits(self.car, self.package)
         self._stiff = _stiffness(self.car, self.package)
+        self._reach = float(self.car.a), 0.5 * float(max(self.package.T_f, self.package.T_r))
         self._t = start.t
         self._choose_model()
         self.state = self._ego_state(tuple(self.inner[6:]))
@@ -88,46 +94,75 @@ class Multibody:
         for span, brake in self._brake.advance(float(command.brake), dt):
             held = (held[0], held[1], brake)
             self._choose_model()
-            if self.body is None:
-                self._roll_slowly(held, span)
-            else:
-                self._drive(self.body, held, span)
+            left = span if self.body is None else self._drive(self.body, held, span)
+            if self.body is None and left > 0.0:
+                self._roll(held, left)
         self._t = round((self._t + dt) * 1e9) / 1e9
         self.state = self._ego_state(held)
         return self.state
 
     def _choose_model(self) -> None:
-        """Hand over between the two models."""
+        """Take the package's model up where it is valid."""
         s = self.inner
-        turning = abs(s.r)
-        if self.body is not None and s.vx < SLOW_MPS + turning:
-            self.body = None
-        elif self.body is None and s.vx > LEAVE_MPS + turning:
+        if self.body is None and slowest_wheel(s.vx, s.vy, s.r, s.steer, self._reach) > LEAVE_MPS and self._is_calm():
             x, y = s.x + self.car.b * cos(s.yaw), s.y + self.car.b * sin(s.yaw)
             self.body = self._init([x, y, s.steer, hypot(s.vx, s.vy), s.yaw, s.r, atan(s.vy / s.vx)], self.package)
 
-    def _roll_slowly(self, held: tuple[float, float, float], span: float) -> None:
+    def _is_calm(self) -> bool:
+        s, car = self.inner, self.car
+        front, rear = atan((s.vy + car.a * s.r) / s.vx) - s.steer, atan((s.vy - car.b * s.r) / s.vx)
+        return max(abs(front), abs(rear)) < CALM
+
+    def _is_valid(self, body: list[float]) -> bool:
+        """Whether all wheels roll ahead (4) and bear something (5)."""
+        ahead = slowest_wheel(body[VX], body[VY], body[YAW_RATE], body[STEER], self._reach)
+        return ahead >= SLOW_MPS and least_deflection(body, self.package) > 0.0
+
+    def _roll(self, held: tuple[float, float, float], span: float) -> None:
+        """`span` s of the single-track model."""
         steps = substeps(self.inner.vx, span, MAX_SUBSTEP_S, self.car)
         inner, box = advance(self.inner, self.box, held, self.car, span, steps)
         self.inner, self.box = State(*inner), Gearbox(*box)
 
-    def _drive(self, body: list[float], held: tuple[float, float, float], span: float) -> None:
-        """Sub-steps of the package's model; the actuators are exact over each (commands are constant)."""
+    def _drive(self, body: list[float], held: tuple[float, float, float], span: float) -> float:
+        """Sub-steps of the package's model; the actuators are exact over each (commands are constant).
+
+        Returns:
+            How much of the span is left where the model is not valid any more, s.
+        """
         steps = ceil(span / min(SUBSTEP_S, STABLE * max(body[VX], SLOW_MPS) / self._stiff) - 1e-9)
         h = span / steps
         throttle, brake, car = self.inner.throttle, self.inner.brake, self.car
-        for _ in range(steps):
+        left, valid = 0.0, True
+        for k in range(steps):
             inputs = [steer_rate(body[STEER], held[0], car.steering), self._pull(body, throttle, brake)]
-            body = _runge_kutta(self._rates, body, inputs, self.package, h)
+            body = self._moved(body, inputs, h)
             asked = throttle_target(held[1], self.box)
             throttle = asked + (throttle - asked) * exp(-h / car.throttle_lag)
             brake = held[2] + (brake - held[2]) * exp(-h / car.brake_lag)
             self.box = Gearbox(*shifted(self.box, body[VX], held[1], car.drive, h))
-        if not all(map(isfinite, body)):
-            raise ConfigError(f"the multi-body model diverged at {self._t:.2f} s: use loop.vehicle = 'single_track'")
-        self.body = body
+            valid = self._is_valid(body)
+            if not valid:
+                left = (steps - 1 - k) * h
+                break
+        self.body = body if valid else None
         x, y, yaw = body[0] - car.b * cos(body[YAW]), body[1] - car.b * sin(body[YAW]), body[YAW]
         self.inner = State(x, y, yaw, body[VX], body[VY], body[YAW_RATE], body[STEER], throttle, brake)
+        return left
+
+    def _moved(self, body: list[float], inputs: list[float], h: float) -> list[float]:
+        """One sub-step of the package's model.
+
+        Raises:
+            ConfigError: It diverged.
+        """
+        try:
+            after = _runge_kutta(self._rates, body, inputs, self.package, h)
+        except (ArithmeticError, ValueError):  # division by a wheel that stands, cosine of infinity
+            after = [nan]
+        if not all(map(isfinite, after)):
+            raise ConfigError(f"the multi-body model diverged at {self._t:.2f} s: use loop.vehicle = 'single_track'")
+        return after
 
     def _pull(self, body: list[float], throttle: float, brake: float) -> float:
         """The acceleration asked of the wheels (1)-(2), m/s2."""
@@ -184,6 +219,18 @@ def _equivalent(p: VehicleParameters, q: Any) -> VehicleParameters:
     weight = p.mass * GRAVITY / p.wheelbase * -q.tire.p_ky1
     front, rear = weight * p.cog_to_rear, weight * p.cog_to_front
     return replace(p, cornering_front=front, cornering_rear=rear, tyre_load_sensitivity=0.0)
+
+
+def slowest_wheel(vx: float, vy: float, r: float, steer: float, reach: tuple[float, float]) -> float:
+    """How fast the slowest wheel goes ahead (4), m/s; `reach`: to the front axle, half of the track, m."""
+    front = vx * cos(steer) + (vy + reach[0] * r) * sin(steer)
+    return min(vx, front) - reach[1] * abs(r)
+
+
+def least_deflection(body: list[float], q: Any) -> float:
+    """The least deflection of the four tyres (5), m; not positive where a wheel is off the ground."""
+    axles = ((q.T_f, body[FRONT_ROLL], body[FRONT_Z]), (q.T_r, body[REAR_ROLL], body[REAR_Z]))
+    return min(float(z + q.R_w * (cos(roll) - 1.0) - 0.5 * track * abs(sin(roll))) for track, roll, z in axles)
 
 
 def _limits(car: Car, q: Any) -> tuple[float, float]:

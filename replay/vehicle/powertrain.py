@@ -66,6 +66,11 @@ class PedalPowertrain:
         """S."""
         return self.parameters.brake_lag
 
+    @property
+    def brake_delay(self) -> float:
+        """S; this model's brake has none."""
+        return 0.0
+
     def coasting(self, v: float) -> float:
         """Acceleration without pedals, m/s2."""
         return -(self.parameters.rolling + self.parameters.drag * v * abs(v))

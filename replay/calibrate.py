@@ -6,22 +6,26 @@ from pathlib import Path
 
 from logs.errors import ConfigError, unknown_name
 from logs.states import EgoState
-from logs.vehicle import VehicleParameters, vehicle_parameters
+from logs.vehicle import VehicleParameters
+from replay.batch.results import write_file
+from replay.config import RunConfig, load_run
 from replay.control.calibration import Calibration
-from replay.results import write_file
 from replay.vehicle import VEHICLES
 from replay.vehicle.plant import build
 
 STANDING = EgoState(0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def calibrate(out: Path, model: str = "single_track", car: str | None = None) -> tuple[Path, Path]:
+def calibrate(
+    out: Path, model: str = "single_track", car: str | None = None, config: Path | None = None
+) -> tuple[Path, Path]:
     """Write `calibration.csv` and `.png` of a vehicle into a folder.
 
     Args:
         out: Made where it is not there.
         model: Name in `replay.vehicle.VEHICLES`.
-        car: Name of a set of parameters in `logs/vehicles`; None: the default vehicle.
+        car: Name of a set of parameters in `logs/vehicles`; None: that of the configuration, else the default vehicle.
+        config: A run's configuration: its [vehicle].
 
     Raises:
         ConfigError: A name is unknown, the model has no power train, or the folder cannot be made.
@@ -30,7 +34,8 @@ def calibrate(out: Path, model: str = "single_track", car: str | None = None) ->
         raise unknown_name("vehicle", model, VEHICLES)
     if model == "perfect":
         raise ConfigError("the perfect vehicle has no pedals: there is nothing to calibrate")
-    parameters = VehicleParameters() if car is None else vehicle_parameters(car)
+    run = RunConfig() if config is None else load_run(config)
+    parameters = run.in_car(car).driven(VehicleParameters())
     table = Calibration.of(build(VEHICLES[model], model, parameters, STANDING, {}).powertrain)
     try:
         out.mkdir(parents=True, exist_ok=True)

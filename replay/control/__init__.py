@@ -12,9 +12,9 @@ from logs.vehicle import VehicleParameters
 from replay.control.base import Controller, LateralLaw, LongitudinalLaw
 from replay.control.dlqr import Dlqr
 from replay.control.dlqr_kinematic import KinematicDlqr
+from replay.control.late import LateSteering
 from replay.control.lateral_model import has_rigid_tyres
 from replay.control.mpc import Mpc
-from replay.control.pedals import Pedals
 from replay.control.pid import DualLoopPid
 from replay.control.pure_pursuit import PurePursuit
 from replay.control.single_pid import SpeedPid, SteeringPid
@@ -27,8 +27,7 @@ ControllerFactory = Callable[[VehicleParameters, Powertrain, float], Controller]
 
 def dlqr_pid(parameters: VehicleParameters, powertrain: Powertrain, period: float) -> Controller:
     """Steering by DLQR on the dynamic model (the kinematic one where the tyres are rigid), speed by dual-loop PID."""
-    rigid = has_rigid_tyres(parameters)
-    return _split(KinematicDlqr(parameters, period) if rigid else Dlqr(parameters, period), powertrain, period)
+    return _dlqr_pid(parameters, powertrain, period)
 
 
 def dlqr_kinematic_pid(parameters: VehicleParameters, powertrain: Powertrain, period: float) -> Controller:
@@ -38,7 +37,8 @@ def dlqr_kinematic_pid(parameters: VehicleParameters, powertrain: Powertrain, pe
 
 def mpc_or_dlqr(parameters: VehicleParameters, powertrain: Powertrain, period: float) -> Controller:
     """Steering and speed by MPC; where that has no solution, `dlqr_pid`."""
-    return Mpc(parameters, powertrain, period, dlqr_pid(parameters, powertrain, period))
+    steering = LateSteering(parameters, period)
+    return Mpc(parameters, powertrain, period, _dlqr_pid(parameters, powertrain, period, steering), steering)
 
 
 def pure_pursuit_pid(parameters: VehicleParameters, powertrain: Powertrain, period: float) -> Controller:
@@ -56,10 +56,18 @@ def pid_pid(parameters: VehicleParameters, powertrain: Powertrain, period: float
     return _split(SteeringPid(parameters, period), powertrain, period, SpeedPid(powertrain, period))
 
 
+def _dlqr_pid(
+    parameters: VehicleParameters, powertrain: Powertrain, period: float, steering: LateSteering | None = None
+) -> Controller:
+    rigid = has_rigid_tyres(parameters)
+    lateral = KinematicDlqr(parameters, period) if rigid else Dlqr(parameters, period, steering=steering)
+    return _split(lateral, powertrain, period)
+
+
 def _split(
     lateral: LateralLaw, powertrain: Powertrain, period: float, longitudinal: LongitudinalLaw | None = None
 ) -> Controller:
-    return SplitController(lateral, longitudinal or DualLoopPid(powertrain, period), Pedals(powertrain))
+    return SplitController(lateral, longitudinal or DualLoopPid(powertrain, period), powertrain, period)
 
 
 CONTROLLERS: dict[str, ControllerFactory] = {

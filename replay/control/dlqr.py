@@ -6,7 +6,7 @@ minus that of exact following; the model is (2)-(3) of `replay.control.lateral_m
 (1) x[k+1] = A x[k] + B u[k]          exact for an input held over a period (ZOH); other forms can be compared
 (2) J = sum of x' Q x + u' R u,       R = steer_weight (1 + (v / v_0)^2)^2
 (3) P = Q + A' P (I + B R^-1 B' P)^-1 A,   K = (R + B' P B)^-1 B' P A
-(4) command = feed-forward - K x
+(4) command = feed-forward - K x, both for when the command takes effect, where the steering is late (`LateSteering`)
 
 R grows with the lateral acceleration that a steering angle makes: below v_0 the error decays over a distance, above it
 over a time. K is tabulated over speed and interpolated; below the table's first speed, where one can hardly steer, its
@@ -24,7 +24,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from math import cos, sin
 
 import numpy as np
 
@@ -33,7 +32,8 @@ from logs.kernel import FloatArray
 from logs.states import EgoState
 from logs.vehicle import VehicleParameters
 from replay.control.dlqr_kinematic import SHORTEST_LAG_S, SPEED_STEP_MPS
-from replay.control.exact import commanded, following_at, kappa_rate, slip_table, steer_for, table_speeds
+from replay.control.exact import commanded, following_at, slip_table, steer_for, table_speeds
+from replay.control.late import LateSteering, lateral_deviation
 from replay.control.lateral_model import DISCRETISATIONS, at_rear_axle, error_model, with_steering
 from replay.control.riccati import solve_riccati
 from replay.control.slip import Slip
@@ -116,15 +116,30 @@ def schedule(p: VehicleParameters, period: float, config: DlqrConfig) -> tuple[R
 
 
 class Dlqr:
-    """(4)-(6) for a vehicle with tyres that slip; remembers how much. See `replay.control.base.LateralLaw`."""
+    """(4)-(6) for a vehicle with tyres that slip; remembers how much. See `replay.control.base.LateralLaw`.
 
-    def __init__(self, parameters: VehicleParameters, period: float, config: DlqrConfig | None = None) -> None:
+    Args:
+        parameters: Of the ego.
+        period: Between two commands, s.
+        config: Weights.
+        steering: Where another controller commands, and tells it; None: this one does.
+    """
+
+    def __init__(
+        self,
+        parameters: VehicleParameters,
+        period: float,
+        config: DlqrConfig | None = None,
+        steering: LateSteering | None = None,
+    ) -> None:
         self._max_steer = float(parameters.max_steer)
         self._wheelbase = float(parameters.wheelbase)
         self._period, self._lag = period, max(parameters.steer_lag, SHORTEST_LAG_S)
         self._gains = schedule(parameters, period, config or DlqrConfig())
         self._slips = slip_table(parameters)
         self._slip = Slip(parameters, period)
+        self._commands = steering is None
+        self._steering = steering or LateSteering(parameters, period)
 
     def gain(self, v: float) -> Row:
         """K at a speed, m/s, linear between the table's rows; the ends hold."""
@@ -137,17 +152,28 @@ class Dlqr:
 
     def steer(self, state: EgoState, path: PlanPath, off: Deviation) -> float:
         """Front wheel angle to command, rad."""
-        v, foot, knots = state.v, off.foot, path.knots
+        if not self._commands:
+            return self._command(state, path, off)
+        self._steering.saw(state.steer)
+        command = self._command(state, path, off)
+        self._steering.sent(command)
+        return command
+
+    def _command(self, state: EgoState, path: PlanPath, off: Deviation) -> float:
+        v, knots, steering = state.v, path.knots, self._steering
         self._slip.learn(state)
         slip, angle = following_at(self._slips, self._wheelbase, self._slip.ratios, v)
-        here = path.kappa(foot)
+        y = lateral_deviation(state, off, knots, slip)
+        lateral, side, heading, turn = steering.led(y, knots, off.foot, v, angle)
+        foot = off.foot + v * steering.late
         k_lat, k_rate, k_yaw, k_turn, k_steer = self.gain(v)
+        wheel = steering.wheel if steering.steps else state.steer
         command = (
             steer_for(knots, foot, v, commanded(angle, self._lag, self._period))
-            - k_lat * off.lateral
-            - k_rate * (v * sin(off.heading) + state.v_lat * cos(off.heading))
-            - k_yaw * (off.heading - slip * here)
-            - k_turn * (state.yaw_rate - v * here - slip * kappa_rate(knots, foot, v))
-            - k_steer * (state.steer - steer_for(knots, foot, v, angle))
+            - k_lat * lateral
+            - k_rate * (side + v * heading)
+            - k_yaw * heading
+            - k_turn * turn
+            - k_steer * (wheel - steer_for(knots, foot, v, angle))
         )
         return min(max(command, -self._max_steer), self._max_steer)

@@ -8,13 +8,14 @@ The plan is resampled by quintic polynomials (`replay.control.quintic`). A weigh
 the ego off a plan that accelerates: what is weighted is how far they are from those of exact following.
 
 One solve per `period_s` (20 Hz), warm-started; between two the steering goes on at the solved rate and the acceleration
-is held. The actuators' lag is in the prediction of the acceleration and is inverted for the steering:
+is held. The actuators' lag is in the prediction of the acceleration and is inverted for the steering and the plan:
 
 (3) steer command   = that of exact following + steer_0 + w (tau + lag + period / 2)
-(4) acceleration    = a_plan(t + pedal lag) + a
+(4) acceleration    = a_plan, led by the pedal's dead time and lag (`pedals` (3)), + a
 
-The wheel angle that the prediction starts from is that of the actuator's model under the commands so far, led slowly to
-the measured one: a controller that starts from the measured angle takes back what a late actuator has not done yet.
+The prediction starts when a command of now takes effect (`LateSteering`: how late that is, is learned), with the wheel
+angle of the actuator's model under the commands so far: a controller that starts from the measured angle takes back
+what a late actuator has not done yet.
 
 A plan carries the times at which it is to be driven, so a plan that comes late is followed from where it should be by
 now. Where no solution is found, the command is that of DLQR and dual-loop PID until the next; `notes` tell how often
@@ -24,7 +25,6 @@ and why.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from math import cos, exp, sin
 
 import numpy as np
 from scipy import sparse
@@ -37,7 +37,8 @@ from logs.vehicle import VehicleParameters
 from planners.qp import QPConfig, QPResult, QuadraticProgram
 from replay.control.base import Controller
 from replay.control.dlqr_kinematic import SHORTEST_LAG_S
-from replay.control.exact import commanded, following_at, kappa_rate, slip_table, steer_for
+from replay.control.exact import commanded, following_at, slip_table, steer_for
+from replay.control.late import LateSteering, lateral_deviation
 from replay.control.mpc_model import (
     GRAVITY,
     INPUTS,
@@ -53,15 +54,13 @@ from replay.control.mpc_model import (
     packed,
     predicted,
 )
-from replay.control.pedals import Pedals, Standstill
+from replay.control.pedals import Lead, Pedals, SoftStop, Standstill
 from replay.control.quintic import resampled
 from replay.control.slip import Slip
 from replay.control.tracking import Deviation, PlanPath
 from replay.vehicle.base import Powertrain
 
 RESAMPLED_S = 0.05
-WHEEL_TRUST = 0.02
-"""Share of the measured wheel angle that is taken over at each command."""
 WIDTH = INPUTS + STATES
 """Variables of a step: u_k, xi_(k+1)."""
 SCALE = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.3, 1.0, 0.3])
@@ -98,9 +97,9 @@ class MpcConfig:
     heading_weight: float = 1.0
     steer_weight: float = 40.0
     accel_weight: float = 0.5
-    steer_rate_weight: float = 1.0
+    steer_rate_weight: float = 0.1
     accel_change_weight: float = 0.5
-    steer_rate_change_weight: float = 0.1
+    steer_rate_change_weight: float = 0.02
     terminal: float = 5.0
     speed_mps: float = 12.0
     friction_share: float = 0.95
@@ -250,6 +249,7 @@ class Mpc:
         powertrain: Its longitudinal plant.
         period: Between two commands, s.
         fallback: Drives where there is no solution.
+        steering: What is learned of it; the fallback may read it too.
         config: Horizon and weights.
     """
 
@@ -259,6 +259,7 @@ class Mpc:
         powertrain: Powertrain,
         period: float,
         fallback: Controller,
+        steering: LateSteering | None = None,
         config: MpcConfig | None = None,
     ) -> None:
         self._p, self._train, self._period, self._fallback = parameters, powertrain, period, fallback
@@ -267,16 +268,16 @@ class Mpc:
         self._lag = max(parameters.steer_lag, SHORTEST_LAG_S)
         self._every = max(round(self._config.period_s / period), 1)
         self._program = TrackingProgram(self._config)
-        self._slip = Slip(parameters, period)
+        self._slip, self._steering = Slip(parameters, period), steering or LateSteering(parameters, period)
         self._pedals, self._standstill = Pedals(powertrain), Standstill()
+        self._lead, self._stop = Lead(powertrain, period), SoftStop(powertrain, period)
         self._plan: Plan | None = None
         self._path: PlanPath | None = None
         self._falls = Falls()
         self._since = 0
         self._solved = False
         self._input: FloatArray = np.zeros(INPUTS)
-        self._steer = self._steer_rate = self._wheel = 0.0
-        self._turning = False
+        self._steer = self._steer_rate = 0.0
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -286,11 +287,11 @@ class Mpc:
     def control(self, state: EgoState, plan: Plan) -> Command:
         """The command for the next control period."""
         path = self._resampled(plan)
+        self._steering.saw(state.steer)
         other = self._fallback.control(state, plan)
-        self._wheel += (WHEEL_TRUST if self._turning else 1.0) * (state.steer - self._wheel)
         if self._standstill.holds(state.v, state.t, path):
             self._rest()
-            return Command(state.steer, *self._pedals.hold(state.v))
+            return Command(state.steer, *self._pedals.hold(state.v, state.a))
         off = path.deviation(state)
         self._slip.learn(state)
         if self._since % self._every == 0:
@@ -298,15 +299,8 @@ class Mpc:
         tau = self._period * (self._since % self._every)
         self._since += 1
         command = self._command(state, path, off, tau) if self._solved else other
-        self._turn(command.steer)
+        self._steering.sent(command.steer)
         return command
-
-    def _turn(self, steer: float) -> None:
-        """Where the wheel will be after a period of this command, by the model of the actuator."""
-        self._turning = True
-        most = self._p.max_steer_rate * self._period
-        moved = (1.0 - exp(-self._period / self._lag)) * (steer - self._wheel)
-        self._wheel += min(max(moved, -most), most)
 
     def _resampled(self, plan: Plan) -> PlanPath:
         if self._path is None or plan is not self._plan:
@@ -314,7 +308,9 @@ class Mpc:
         return self._path
 
     def _rest(self) -> None:
-        self._since, self._solved, self._turning = 0, False, False
+        self._since, self._solved = 0, False
+        self._steering.rest()
+        self._lead.rest()
         self._input = np.zeros(INPUTS)
 
     def _solve(self, state: EgoState, path: PlanPath, off: Deviation) -> None:
@@ -322,7 +318,7 @@ class Mpc:
         lags = (self._train.throttle_lag, self._train.brake_lag, self._train.coasting(state.v))
         along = entered(
             path.times, path.knots, self._slips, p.wheelbase, self._slip.ratios, lags,
-            state.t, off.foot, state.v, config.step_s, config.steps,
+            state.t, off.foot + state.v * self._steering.late, state.v, config.step_s, config.steps,
         )  # fmt: skip
         A, B = predicted(along, self._table, config.speed_mps, config.step_s)
         grip = config.friction_share * p.tyre_friction * GRAVITY
@@ -345,31 +341,20 @@ class Mpc:
 
     def _deviation(self, state: EgoState, path: PlanPath, off: Deviation, along: FloatArray) -> FloatArray:
         """The deviation xi now."""
-        v, kappa = state.v, path.kappa(off.foot)
-        slip, _ = following_at(self._slips, self._p.wheelbase, self._slip.ratios, v)
-        turning = v * kappa + slip * kappa_rate(path.knots, off.foot, v)
+        v, steering = state.v, self._steering
+        slip, angle = following_at(self._slips, self._p.wheelbase, self._slip.ratios, v)
+        y = steering.led(lateral_deviation(state, off, path.knots, slip), path.knots, off.foot, v, angle)
         scale = 1.0 + (v / self._config.speed_mps) ** 2
-        side = state.v_lat * cos(off.heading) + v * (sin(off.heading) - off.heading)
-        return np.array(
-            [
-                off.station,
-                off.speed,
-                state.a - along[0, 2],
-                off.lateral,
-                side + v * slip * kappa,
-                off.heading - slip * kappa,
-                state.yaw_rate - turning,
-                scale * (self._wheel - along[0, 4]),
-            ]
-        )
+        sigma = scale * (steering.wheel - along[0, 4])
+        return np.array([off.station, off.speed, state.a - along[0, 2], *y, sigma])
 
     def _command(self, state: EgoState, path: PlanPath, off: Deviation, tau: float) -> Command:
         """(3)-(4), `tau` s after the solve."""
         _, angle = following_at(self._slips, self._p.wheelbase, self._slip.ratios, state.v)
-        steer = steer_for(path.knots, off.foot, state.v, commanded(angle, self._lag, self._period))
+        foot = off.foot + state.v * self._steering.late
+        steer = steer_for(path.knots, foot, state.v, commanded(angle, self._lag, self._period))
         steer += self._steer + self._steer_rate * (tau + self._lag + 0.5 * self._period)
-        train = self._train
-        lag = train.throttle_lag if path.timed(state.t)[2] >= train.coasting(state.v) else train.brake_lag
-        acceleration = path.timed(state.t + lag)[2] + float(self._input[0])
+        acceleration = self._lead.command(path, state.t, state.v) + float(self._input[0])
+        acceleration = self._stop.eased(acceleration, state, path)
         steer = min(max(steer, -self._p.max_steer), self._p.max_steer)
         return Command(float(steer), *self._pedals.press(acceleration, state.v))

@@ -2,11 +2,9 @@
 
 (1) v_wanted = v_plan - clip(station_gain * e_station, -station_limit, station_limit)     outer loop, e = ego - plan
 (2) e        = v_wanted - v
-(3) a        = a_plan(t + lag) + kp e + ki int(e) dt                                      inner loop, feed-forward
+(3) a        = a_plan + kp e + ki int(e) dt            inner loop; a_plan led by the pedal's lag (`pedals.Lead`)
 (4) a within what the vehicle can do at this speed; the integral stands still while it would push a further out of it
     (conditional integration), so that it does not wind up.
-
-The plan's acceleration is read ahead by the lag of the pedal that it takes.
 """
 
 from __future__ import annotations
@@ -15,6 +13,7 @@ from dataclasses import dataclass
 
 from logs.errors import ConfigError
 from logs.states import EgoState
+from replay.control.pedals import Lead
 from replay.control.tracking import Deviation, PlanPath
 from replay.vehicle.base import Powertrain
 
@@ -49,21 +48,22 @@ class DualLoopPid:
         self._period = period
         self._config = config or PidConfig()
         self._integral = 0.0
+        self._lead = Lead(powertrain, period)
 
     def rest(self) -> None:
-        """Forget the integral."""
+        """Forget the integral, and what was commanded."""
         self._integral = 0.0
+        self._lead.rest()
 
     def accelerate(self, state: EgoState, path: PlanPath, off: Deviation) -> float:
         """Acceleration to command, m/s2."""
         gains, train = self._config, self._train
-        _, v_plan, a_plan = path.timed(state.t)
-        _, _, ahead = path.timed(state.t + (train.throttle_lag if a_plan >= 0.0 else train.brake_lag))
+        v_plan = path.timed(state.t)[1]
         v_wanted = v_plan - min(
             max(gains.station_gain * off.station, -gains.station_limit_mps), gains.station_limit_mps
         )
         error = v_wanted - state.v
-        wanted = ahead + gains.kp * error + gains.ki * self._integral
+        wanted = self._lead.command(path, state.t, state.v) + gains.kp * error + gains.ki * self._integral
         coast = train.coasting(state.v)
         lowest, highest = coast - train.full_brake(state.v), coast + train.full_throttle(state.v)
         if (wanted < highest or error < 0.0) and (wanted > lowest or error > 0.0):

@@ -16,10 +16,11 @@ from __future__ import annotations
 from logs.states import EgoState
 from logs.vehicle import VehicleParameters
 
-GAIN_PER_S = 12.0
+GAIN_PER_S = 16.0
 PHI_0_RAD = 0.005
 SLOWEST_MPS = 2.0
-LARGEST = 4.0
+LEAST, MOST = 1.0 / 3.0, 4.0
+"""Beyond these it is no tyre: where hardly any force acts, slip that the model does not have passes for compliance."""
 
 
 class Slip:
@@ -61,4 +62,4 @@ class Slip:
 
     def _nearer(self, ratio: float, phi: float, alpha: float) -> float:
         rate = GAIN_PER_S * phi * (alpha - ratio * phi) / (PHI_0_RAD**2 + phi * phi)
-        return min(max(ratio + self._period * rate, 0.0), LARGEST)
+        return min(max(ratio + self._period * rate, LEAST), MOST)

@@ -95,6 +95,10 @@ class PlanPath:
         """Station m, speed m/s and acceleration m/s2 of the plan at `t`."""
         return timed(self.times, t)
 
+    def accelerations(self, t: float, later: float, step: float) -> tuple[float, float, float, float]:
+        """Accelerations of the plan at `t` and `later` s after it, each with that `step` s after: m/s2."""
+        return accelerations(self.times, t, later, step)
+
     def kappa(self, station: float) -> float:
         """Curvature of the path, 1/m; the ends hold."""
         return path_kappa(self.knots, station)
@@ -112,6 +116,13 @@ def timed(times: FloatArray, t: float) -> tuple[float, float, float]:
     v = times[i, 2] + u * (times[i + 1, 2] - times[i, 2])
     a = times[i, 3] + u * (times[i + 1, 3] - times[i, 3])
     return hermite(times[i, 1], times[i + 1, 1], h * times[i, 2], h * times[i + 1, 2], u), v, a
+
+
+@kernel
+def accelerations(times: FloatArray, t: float, later: float, step: float) -> tuple[float, float, float, float]:
+    """The third of `timed` at t, t + step, t + later, t + later + step."""
+    first, second = timed(times, t)[2], timed(times, t + step)[2]
+    return first, second, timed(times, t + later)[2], timed(times, t + later + step)[2]
 
 
 @kernel

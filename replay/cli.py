@@ -8,7 +8,7 @@ from __future__ import annotations
 import os
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -22,8 +22,6 @@ from logs.errors import ConfigError, ReplanError
 if TYPE_CHECKING:
     from replay.batch import RunResult
     from replay.config import RunConfig
-    from replay.evaluate import LogResult
-    from replay.sources import Selection
 
 EXIT_CODES = (
     "Exit codes: 0 all gates pass; 1 a gate failed; 2 wrong usage or configuration; 3 a log or planner could not be"
@@ -57,8 +55,8 @@ def answered() -> Iterator[None]:
     except ReplanError as error:
         say_error(str(error))
         raise typer.Exit(2 if isinstance(error, ConfigError) else 3) from None
-    except KeyboardInterrupt:
-        say_error("interrupted: no tables are written; the logs that were finished are in the result folder")
+    except KeyboardInterrupt as interruption:
+        say_error(str(interruption) or "interrupted")
         raise typer.Exit(130) from None
 
 
@@ -101,6 +99,10 @@ def evaluate(
     config: Annotated[Path | None, typer.Option(help="TOML file of settings; options win over it.")] = None,
     gates: Annotated[Path | None, typer.Option(help="TOML file of thresholds. Default: the packaged ones.")] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Result folder. Default: results/run-NNN.")] = None,
+    resume: Annotated[
+        bool,
+        typer.Option("--resume", help="Go on with the interrupted run in --out: finished logs are taken as they are."),
+    ] = False,
     no_recording: Annotated[bool, typer.Option("--no-recording", help="Write no .rrd files: faster.")] = False,
     internals: Annotated[
         Literal["none", "summary", "full"] | None,
@@ -111,6 +113,9 @@ def evaluate(
     ] = None,
     vehicle: Annotated[
         str | None, typer.Option(help="How the ego moves: kinematic_bicycle, single_track, multibody, perfect ...")
+    ] = None,
+    car: Annotated[
+        str | None, typer.Option(help="Whose numbers instead of the log's: bmw_320i, small_electric, vw_vanagon.")
     ] = None,
     controller: Annotated[
         str | None, typer.Option(help="How plans are followed: dlqr_pid, mpc, pure_pursuit, stanley, pid ...")
@@ -135,6 +140,7 @@ def evaluate(
       replan evaluate my_logs/ --planner dp_qp --planner logged
       replan evaluate a.mcap --planner my_pkg.mine:MyPlanner --mode closed
       replan evaluate my_logs/ --gates gates.toml --out results/nightly
+      replan evaluate my_logs/ --gates gates.toml --out results/nightly --resume
     """
     with answered():
         options = {
@@ -153,8 +159,8 @@ def evaluate(
             "perception": perception,
             "plant": _settings(plant) if plant else None,
         }
-        run = _run(config, options, loop)
-        result = _evaluated(logs or [], run, out, _cores() if workers is None else workers)
+        run = _run(config, options, loop).in_car(car)
+        result = _evaluated(logs or [], run, out, _cores() if workers is None else workers, resume=resume)
         raise typer.Exit(result.exit_code)
 
 
@@ -181,40 +187,17 @@ def _settings(words: list[str]) -> dict[str, float | str]:
     return found
 
 
-def _evaluated(logs: list[Path], run: RunConfig, out: Path | None, workers: int) -> RunResult:
+def _evaluated(logs: list[Path], run: RunConfig, out: Path | None, workers: int, *, resume: bool) -> RunResult:
     from replay.batch import evaluate_logs
+    from replay.report.progress import progress
     from replay.report.terminal import print_report
 
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does: nothing half-written
-    with _progress() as (on_start, on_log):
-        result = evaluate_logs(logs, run, out, workers=workers, on_start=on_start, on_log=on_log)
+    with progress() as (on_start, on_log):
+        result = evaluate_logs(logs, run, out, workers=workers, resume=resume, on_start=on_start, on_log=on_log)
     wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 110
     print_report(result, Console(width=wide, soft_wrap=False))
     return result
-
-
-@contextmanager
-def _progress() -> Iterator[tuple[Callable[[Selection, Path], None], Callable[[LogResult], None]]]:
-    """A bar on stderr where that is a terminal; errors of a log at once, as lines."""
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    console = Console(stderr=True)
-    with Progress(*columns, console=console, transient=True, disable=not sys.stderr.isatty()) as bar:
-        task = bar.add_task("evaluating", total=None)
-
-        def on_start(selection: Selection, out: Path) -> None:
-            bar.update(task, total=len(selection.sources))
-            for reason in selection.dropped:
-                console.print(f"left out: {reason}", markup=False, highlight=False, soft_wrap=True)
-            console.print(f"{len(selection.sources)} logs -> {out}", markup=False, highlight=False, soft_wrap=True)
-
-        def on_log(result: LogResult) -> None:
-            bar.advance(task)
-            for failure in result.failures:
-                console.print(f"error: {failure.line}", markup=False, highlight=False, soft_wrap=True)
-
-        yield on_start, on_log
 
 
 def _cores() -> int:
@@ -372,7 +355,7 @@ def paper(
     A few minutes. What agrees with the paper and what does not: docs/paper.md.
     """
     with answered():
-        from replay.paper import PaperConfig, reproduce
+        from replay.experiments.paper import PaperConfig, reproduce
 
         count = _cores() if workers is None else workers
         config = PaperConfig(tuple(vehicle or ("single_track",)), roads=roads, workers=count)
@@ -383,11 +366,14 @@ def paper(
 def calibrate(
     out: Annotated[Path, typer.Option("--out", "-o", help="Folder for calibration.csv and calibration.png.")],
     vehicle: Annotated[str, typer.Option(help="Vehicle model.")] = "single_track",
-    car: Annotated[str | None, typer.Option(help="Parameters of logs/vehicles. Default: the default car.")] = None,
+    car: Annotated[
+        str | None, typer.Option(help="Whose numbers: bmw_320i, small_electric, vw_vanagon. Default: the default car.")
+    ] = None,
+    config: Annotated[Path | None, typer.Option(help="TOML file of a run: its \\[vehicle].")] = None,
 ) -> None:
     """Write and plot the table acceleration x speed -> throttle or brake, from the vehicle's own model."""
     with answered():
         from replay.calibrate import calibrate as write
 
-        for path in write(out, vehicle, car):
+        for path in write(out, vehicle, car, config):
             typer.echo(path)

@@ -44,11 +44,12 @@ def run_closed_loop(
     for step in rig.steps:
         if step % rig.steps_per_plan == 0:
             try:
-                made = planning.plan(perception.frame(world, latency.before(step)))
+                frame = perception.frame(world, latency.before(step))
+                made = planning.plan(frame)
             except PlannerError as failure:
                 end = (EndReason.PLANNER_FAILURE, str(failure))
                 break
-            journal.planned(world.ego.t, made)
+            journal.planned(frame, made)
             latency.planned(step, made)
         plan = latency.at(step)
         command = rig.controller.control(world.ego, plan)

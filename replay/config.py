@@ -10,6 +10,7 @@
     [loop]                           # LoopConfig
     [planner.dp_qp]                  # keywords of the planner
     [vehicle]                        # VehicleParameters: takes the place of what the logs say
+    set = "vw_vanagon"               # all of a known vehicle's, a file of `logs/vehicles`; other keys are put over it
 
 Every key may be left out. What a file says wrongly is an error that names file, key and remedy; nothing is ignored.
 """
@@ -28,7 +29,7 @@ import tomli_w
 
 from logs.errors import ConfigError, unknown_name
 from logs.trace import Mode
-from logs.vehicle import VehicleParameters
+from logs.vehicle import VehicleParameters, vehicle_parameters
 from replay.drive import LoopConfig
 
 RunMode = Literal["both", "open", "closed"]
@@ -52,7 +53,7 @@ class RunConfig:
         metrics: "module:NAME" of metrics from outside, measured beside the built-in ones.
         loop: Periods and limits of the loops.
         planner: Keywords of each planner, by the name given in `planners`.
-        vehicle: Vehicle parameters by name that replace those of the logs.
+        vehicle: Vehicle parameters by name that replace those of the logs; "set" names a known vehicle for all of them.
     """
 
     planners: tuple[str, ...] = ("dp_qp",)
@@ -70,8 +71,8 @@ class RunConfig:
             raise ConfigError("planners: name at least one planner")
         if len(set(self.planners)) < len(self.planners):
             raise ConfigError(f"planners: the same planner is named twice: {', '.join(self.planners)}")
-        known_keys(self.vehicle, (item.name for item in fields(VehicleParameters)), "vehicle")
-        strict(VehicleParameters, dict(self.vehicle), "vehicle")
+        known_keys(self.vehicle, ("set", *(item.name for item in fields(VehicleParameters))), "vehicle")
+        self.driven(VehicleParameters())
 
     @property
     def modes(self) -> tuple[Mode, ...]:
@@ -83,13 +84,22 @@ class RunConfig:
         """The file of thresholds; None is the packaged default."""
         return None if self.gates == "default" else Path(self.gates)
 
+    def in_car(self, name: str | None) -> RunConfig:
+        """The run with a known vehicle in place of the logs'; None: as it is."""
+        return self if name is None else replace(self, vehicle={**self.vehicle, "set": name})
+
     def driven(self, vehicle: VehicleParameters) -> VehicleParameters:
-        """The vehicle of a log with this run's replacements."""
-        given = strict(VehicleParameters, self.vehicle, "vehicle")
-        try:
-            return replace(vehicle, **{name: getattr(given, name) for name in self.vehicle})
-        except ValueError as error:
-            raise ConfigError(f"vehicle: {error}") from None
+        """The vehicle of a log with this run's replacements.
+
+        Raises:
+            ConfigError: They make no vehicle.
+        """
+        over = dict(self.vehicle)
+        name = over.pop("set", None)
+        if not isinstance(name, str | None):
+            raise ConfigError(f"vehicle.set: expected str, got {type(name).__name__}")
+        base = vehicle if name is None else vehicle_parameters(name)
+        return strict(VehicleParameters, {**asdict(base), **over}, "vehicle") if over else base
 
 
 def load_run(path: Path) -> RunConfig:

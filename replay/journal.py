@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from logs.frame import Frame
 from logs.states import Command, Controls, EgoState, Trajectory
 from logs.trace import Plan, PlannedFrame, TrackingErrors
 from replay.control.tracking import NO_PLAN, Tracker
@@ -29,9 +30,9 @@ class Journal:
         self._plan: Plan | None = None
         self.frames: list[PlannedFrame] = []
 
-    def planned(self, t: float, plan: Plan) -> None:
-        """A plan was made at `t`, s."""
-        self.frames.append(PlannedFrame(t, plan))
+    def planned(self, frame: Frame, plan: Plan) -> None:
+        """A plan was made for a frame."""
+        self.frames.append(PlannedFrame.of(frame, plan))
 
     def add(self, ego: EgoState, command: Command, actuation: Command, plan: Plan | None) -> None:
         """The ego, what is commanded from now on, what the actuators do now; errors are taken against `plan`."""

@@ -42,11 +42,12 @@ def run_open_loop(
 
     for ego in egos:
         try:
-            plan = planning.plan(perception.frame(World(ego, scenario.tracks), None))
+            frame = perception.frame(World(ego, scenario.tracks), None)
+            plan = planning.plan(frame)
         except PlannerError as failure:
             end, detail = EndReason.PLANNER_FAILURE, str(failure)
             break
-        frames.append(PlannedFrame(ego.t, plan))
+        frames.append(PlannedFrame.of(frame, plan))
 
     trace = Trace(
         scenario=scenario.name,

@@ -66,6 +66,7 @@ class Perception:
             if name not in known:
                 raise unknown_name(kind, name, known)
         self._config, self._log, self._lanes = config, scenario.tracks, LaneMap.of(scenario.road)
+        self._lights = scenario.lights
         self._sight = PERCEPTIONS[config.perception](scenario, config)
         self._shown: list[tuple[float, Agents]] = []
         self.is_oracle = config.prediction == ORACLE
@@ -82,7 +83,8 @@ class Perception:
             if self.is_oracle
             else _predicted(agents, t, self._config, self._lanes)
         )
-        return Frame(t, world.ego, agents, predictions, previous, visibility)
+        lights = {light.id: light.at(t) for light in self._lights}
+        return Frame(t, world.ego, agents, predictions, previous, visibility, lights)
 
     @property
     def shown(self) -> Tracks | None:

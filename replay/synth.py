@@ -9,7 +9,7 @@ from logs.catalogue import CATALOGUE, Family
 from logs.errors import ConfigError, unknown_name
 from logs.mcap import write_scenario
 from replay.avoidability import with_avoidability
-from replay.results import safe_name
+from replay.batch.results import safe_name
 
 
 def chosen(names: Sequence[str]) -> tuple[Family, ...]:

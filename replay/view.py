@@ -31,8 +31,8 @@ def recordings(target: Path) -> list[Path]:
 
 def save_log(log: Path, out: Path) -> None:
     """Write a log (MCAP or CommonRoad) as a recording; LogError where it cannot be read."""
+    from replay.batch.sources import LogSource
     from replay.recording import write_log_recording
-    from replay.sources import LogSource
 
     write_log_recording(out, LogSource(str(log), log).read())
 

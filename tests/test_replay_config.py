@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
@@ -11,13 +11,18 @@ from hypothesis import strategies as st
 
 from logs.errors import ConfigError
 from logs.trace import Mode
-from logs.vehicle import VehicleParameters
+from logs.vehicle import VehicleParameters, vehicle_names, vehicle_parameters
 from planners.dp_qp import DpQpConfig
 from replay.config import RunConfig, dump_run, load_run, strict
 from replay.drive import LoopConfig
 from replay.planner_config import planner_keywords, resolved_table
 
 WORDS = st.text("abcdefgh_:.", min_size=1, max_size=12)
+VEHICLE_KEYS = {
+    "mass": st.floats(500.0, 3000.0),
+    "width": st.floats(1.0, 3.0),
+    "set": st.sampled_from(vehicle_names()),
+}
 RUNS = st.builds(
     RunConfig,
     planners=st.lists(WORDS, min_size=1, max_size=3, unique=True).map(tuple),
@@ -26,7 +31,7 @@ RUNS = st.builds(
     recording=st.booleans(),
     loop=st.builds(LoopConfig, plan_period_s=st.sampled_from([0.1, 0.2]), prediction_horizon_s=st.floats(1.0, 9.0)),
     planner=st.dictionaries(WORDS, st.dictionaries(WORDS, st.integers() | st.floats(-1e6, 1e6) | st.text(max_size=5))),
-    vehicle=st.fixed_dictionaries({}, optional={"mass": st.floats(500.0, 3000.0), "width": st.floats(1.0, 3.0)}),
+    vehicle=st.fixed_dictionaries({}, optional=VEHICLE_KEYS),
 )
 
 
@@ -56,6 +61,10 @@ def test_any_misspelled_key_is_refused_with_the_right_one_named(name: str, extra
         ("planners = ['dp_qp', 'dp_qp']", "named twice"),
         ("[vehicle]\nlenght = 4.0", "no key is called 'vehicle.lenght'; did you mean 'vehicle.length'?"),
         ("[vehicle]\nlength = -4.0", "vehicle: vehicle length must be positive"),
+        ("[vehicle]\nset = 'vw_vanagn'", "no vehicle is called 'vw_vanagn'; did you mean 'vw_vanagon'?"),
+        ("[vehicle]\nset = 'lorry'", "known are: bmw_320i, small_electric, vw_vanagon"),
+        ("[vehicle]\nset = 3", "vehicle.set: expected str, got int"),
+        ("[vehicle]\nset = 'vw_vanagon'\nlength = -4.0", "vehicle: vehicle length must be positive"),
         ("[vehicle]\nmass = 'heavy'", "vehicle.mass: expected float, got str"),
         ("planners = [1]", "planners[0]: expected str, got int"),
         ("loop = 3", "loop: expected"),
@@ -92,6 +101,22 @@ def test_vehicle_replaces_what_the_log_says() -> None:
     log = VehicleParameters(mass=900.0, width=2.0)
     driven = RunConfig(vehicle={"mass": 1200.0}).driven(log)
     assert (driven.mass, driven.width) == (1200.0, 2.0)
+
+
+@given(name=st.sampled_from(vehicle_names()), mass=st.floats(500.0, 3000.0))
+def test_a_known_vehicle_replaces_the_logs_and_other_keys_replace_its_own(name: str, mass: float) -> None:
+    log = VehicleParameters(mass=900.0, width=2.0)
+    assert RunConfig(vehicle={"set": name}).driven(log) == vehicle_parameters(name)
+    assert RunConfig(vehicle={"set": name, "mass": mass}).driven(log) == replace(vehicle_parameters(name), mass=mass)
+    assert RunConfig(vehicle={"mass": mass}).in_car(name).driven(log).mass == mass
+    assert RunConfig(vehicle={"set": name}).in_car("bmw_320i").driven(log) == vehicle_parameters("bmw_320i")
+    assert RunConfig().in_car(None) == RunConfig()
+
+
+def test_columns_of_a_known_vehicle_can_be_replaced() -> None:
+    run = RunConfig(vehicle={"set": "small_electric", "gears": [9.0]})
+    assert run.driven(VehicleParameters()).gears == (9.0,)
+    assert run.driven(VehicleParameters()).motor_speed == vehicle_parameters("small_electric").motor_speed
 
 
 def test_a_vehicle_that_fits_by_default_but_not_with_the_log_is_a_config_error() -> None:

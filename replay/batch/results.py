@@ -4,11 +4,13 @@
     OUT/timings.parquet         log, planner, mode, t_s, stage, seconds                 not the same twice
     OUT/summary.json            outcome, gates, drives, failures
     OUT/run.toml                the resolved configuration
-    OUT/LOG-HASH/               per log: open.mcap, open.rrd, closed.mcap, closed.rrd, frames.parquet, log.json
+    OUT/LOG-HASH/               per log: open.mcap, open.rrd, closed.mcap, closed.rrd, frames.parquet, and what the
+                                tables above are made of: metrics.parquet, timings.parquet, log.json
                                 (with several planners open.PLANNER.mcap and so on; log.mcap where the log was no MCAP)
 
 `metrics.*` and `frames.parquet` hold no clock, no path and no machine, and are sorted: two runs give the same bytes,
-whatever the number of workers. Every file is written under a temporary name and renamed.
+whatever the number of workers and however often it was interrupted. Every file is written under a temporary name and
+renamed.
 """
 
 from __future__ import annotations
@@ -25,8 +27,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from logs.errors import ConfigError
+from replay.batch.sources import LOG_CARD
 from replay.config import HEADER
-from replay.sources import LOG_CARD
 
 SCHEMA_VERSION = 1
 """Of the tables and of summary.json; counts up when a column changes its meaning or goes."""
@@ -108,7 +110,7 @@ def claim(out: Path) -> None:
         entries = sorted(out.iterdir())
     except OSError as error:
         raise ConfigError(f"{out}: cannot be the result folder: {error.strerror}") from None
-    foreign = [entry.name for entry in entries if not _is_ours(entry)]
+    foreign = [entry.name for entry in entries if not is_ours(entry)]
     if foreign:
         raise ConfigError(f"{out}: holds {foreign[0]}, which is no result of replan; give --out a new or empty folder")
     for entry in entries:
@@ -121,7 +123,8 @@ def clear_partial(out: Path) -> None:
         shutil.rmtree(entry, ignore_errors=True) if entry.is_dir() else entry.unlink(missing_ok=True)
 
 
-def _is_ours(entry: Path) -> bool:
+def is_ours(entry: Path) -> bool:
+    """Whether a run wrote an entry of its folder."""
     if entry.name == "run.toml":
         return entry.read_text(encoding="utf-8", errors="replace").startswith(HEADER)
     if entry.is_dir():

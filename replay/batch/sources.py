@@ -30,6 +30,10 @@ class LogSource:
     label: str
     path: Path | None = None
 
+    def identity(self) -> str:
+        """What tells it from every other input: the file's name and hash, the family's name; LogError as `read`."""
+        return f"catalogue {self.label}" if self.path is None else f"{self.path.name} {file_hash(self.path)}"
+
     def read(self) -> Scenario:
         """The scenario; LogError where it cannot be read."""
         if self.path is None:

@@ -5,6 +5,7 @@ The files of a log are written into a folder with a temporary name, which is ren
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
 import traceback
@@ -23,85 +24,16 @@ from logs.scenario import Scenario
 from logs.trace import EndReason, Mode
 from metrics import METRICS, Metric, load_metric
 from replay.avoidability import with_avoidability
+from replay.batch.log_result import DriveRecord, Failure, LogResult, Stamp, keep
+from replay.batch.results import KEYS, PARTIAL, TIMING_COLUMNS, joined, safe_name, write_parquet
+from replay.batch.sources import LogSource, file_hash
 from replay.closed_loop import run_closed_loop
 from replay.config import RunConfig
 from replay.drive import Drive
 from replay.open_loop import run_open_loop
 from replay.planner_config import planner_keywords
-from replay.results import KEYS, PARTIAL, TIMING_COLUMNS, joined, safe_name, write_json, write_parquet
-from replay.sources import LOG_CARD, LogSource, file_hash
 
 LOOPS = {Mode.OPEN: run_open_loop, Mode.CLOSED: run_closed_loop}
-
-
-@dataclass(frozen=True)
-class Failure:
-    """What could not be evaluated.
-
-    Attributes:
-        log: Label or name of the log.
-        message: One line that names the thing, the place and the remedy.
-        planner: None: the log itself.
-        mode: None: before any loop.
-        exit_code: What it costs.
-        traceback: Of a bug; empty where the user can mend it.
-    """
-
-    log: str
-    message: str
-    planner: str | None = None
-    mode: str | None = None
-    exit_code: int = 3
-    traceback: str = ""
-
-    @property
-    def line(self) -> str:
-        """The message, with planner and loop where they are known."""
-        return f"{self.message} [{self.planner}, {self.mode} loop]" if self.planner else self.message
-
-
-@dataclass(frozen=True)
-class DriveRecord:
-    """One drive as the reports need it; `files` are relative to the result folder."""
-
-    log: str
-    planner: str
-    mode: str
-    oracle: bool
-    end: str
-    detail: str
-    t_end_s: float
-    notes: tuple[str, ...]
-    files: tuple[str, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class LogResult:
-    """What came of one log.
-
-    Attributes:
-        source: Label of the log: the path as given, or the family's name.
-        name: Of the scenario; the source's label where it could not be read.
-        digest: SHA-256 of the log's bytes; empty where it could not be read.
-        folder: Its folder's name in the result folder; empty where there is none.
-        tags: Of the scenario.
-        notes: What was assumed in reading it.
-        drives: What was driven, planners in the order of the run, open before closed.
-        failures: What was not.
-        table: Rows of `metrics.evaluate`.
-        timings: Rows of timings.parquet.
-    """
-
-    source: str
-    name: str
-    digest: str = ""
-    folder: str = ""
-    tags: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
-    drives: tuple[DriveRecord, ...] = ()
-    failures: tuple[Failure, ...] = ()
-    table: pd.DataFrame = field(default_factory=pd.DataFrame)
-    timings: pd.DataFrame = field(default_factory=pd.DataFrame)
 
 
 @dataclass
@@ -129,30 +61,36 @@ class _Progress:
             line = f"{self.log}: a bug in replan or in the planner: {what}; traceback in summary.json"
             self.failures.append(Failure(self.log, " ".join(line.split()), *place, traceback=traceback.format_exc()))
 
+    def filled(self, result: LogResult) -> LogResult:
+        """The result with what there is so far."""
+        return replace(
+            result,
+            drives=tuple(self.drives),
+            failures=tuple(self.failures),
+            table=joined(self.tables, KEYS, metrics.COLUMNS),
+            timings=joined(self.timings, TIMING_COLUMNS[:4], TIMING_COLUMNS),
+        )
 
-def evaluate_log(source: LogSource, run: RunConfig, out: Path) -> LogResult:
+
+def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> LogResult:
     """Drive one log with each planner in each mode, measure, and write the log's folder into `out`."""
     progress = _Progress(source.label)
-    partial = out / f"{PARTIAL}{sha256(source.label.encode()).hexdigest()[:16]}"
+    partial = out / f"{PARTIAL}{sha256(source.label.encode()).hexdigest()[:16]}-{os.getpid()}"
     partial.mkdir()
     result = LogResult(source.label, source.label)
     try:
         with progress.attempt():
+            identity = source.identity()
             scenario = source.read()
             result = _identified(source, scenario, partial)
             progress.log = scenario.name
             driven = with_avoidability(replace(scenario, vehicle=run.driven(scenario.vehicle)))
             _drive_all(driven, run, partial, result.folder, progress)
-            _publish(partial, out, result)
+            result = keep(partial, progress.filled(result), identity, stamp)
+            partial.rename(out / result.folder)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
-    return replace(
-        result,
-        drives=tuple(progress.drives),
-        failures=tuple(progress.failures),
-        table=joined(progress.tables, KEYS),
-        timings=joined(progress.timings, TIMING_COLUMNS[:4]),
-    )
+    return replace(result, failures=tuple(progress.failures))
 
 
 def all_metrics(run: RunConfig) -> Mapping[str, Metric]:
@@ -215,12 +153,6 @@ def _write_drive(
         from replay.recording import write_recording
 
         write_recording(folder / f"{stem}.rrd", drive, scenario, table)
-
-
-def _publish(partial: Path, out: Path, result: LogResult) -> None:
-    card = {"log": result.name, "source": result.source, "sha256": result.digest, "tags": result.tags}
-    write_json(partial / LOG_CARD, card)
-    partial.rename(out / result.folder)
 
 
 def _record(drive: Drive, files: tuple[str, ...]) -> DriveRecord:

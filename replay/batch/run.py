@@ -1,12 +1,4 @@
-"""Many logs: select, evaluate in workers, judge, write the tables. `replan evaluate` is a thin skin over this.
-
-from replay.batch import evaluate_logs
-from replay.config import RunConfig
-
-result = evaluate_logs(["my_logs/"], RunConfig(planners=("dp_qp", "logged")), "results/mine")
-result.table          # pandas: one row per log, planner, mode and metric
-result.verdicts       # gates: PASS, FAIL or INCONCLUSIVE, with reasons
-"""
+"""A run over many logs, from the selection to the tables. `replan evaluate` is a thin skin over `evaluate_logs`."""
 
 from __future__ import annotations
 
@@ -16,7 +8,6 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import Enum
 from functools import partial
-from importlib.metadata import PackageNotFoundError, version
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -27,14 +18,10 @@ from logs.errors import ConfigError, PlannerError, unknown_name
 from metrics import COLUMNS
 from metrics.gates import Outcome, Verdict, judge, load_gates
 from planners import PLANNERS
-from replay.config import RunConfig, dump_run
-from replay.control import CONTROLLERS
-from replay.evaluate import DriveRecord, Failure, LogResult, all_metrics, evaluate_log
-from replay.oracle import ORACLES
-from replay.perception import PERCEPTIONS, PREDICTIONS
-from replay.planner_config import resolved_table
-from replay.pool import WorkerLost, run_all
-from replay.results import (
+from replay.batch.log_result import DriveRecord, Failure, LogResult
+from replay.batch.one_log import all_metrics, evaluate_log
+from replay.batch.pool import WorkerLost, run_all
+from replay.batch.results import (
     KEYS,
     TIMING_COLUMNS,
     claim,
@@ -46,7 +33,13 @@ from replay.results import (
     write_parquet,
     write_text,
 )
-from replay.sources import LogSource, Selection, builtin_suite, select
+from replay.batch.resume import finished, replan_version, stamp_of
+from replay.batch.sources import LogSource, Selection, builtin_suite, select
+from replay.config import RunConfig, dump_run
+from replay.control import CONTROLLERS
+from replay.oracle import ORACLES
+from replay.perception import PERCEPTIONS, PREDICTIONS
+from replay.planner_config import resolved_table
 from replay.traffic import TRAFFIC
 from replay.vehicle import VEHICLES
 
@@ -64,6 +57,7 @@ class RunResult:
         table: One row per log, planner, mode and metric, sorted.
         timings: How long each stage of each plan took.
         verdicts: What the gates say.
+        resumed: How many logs were taken from an interrupted run.
     """
 
     out: Path
@@ -74,6 +68,7 @@ class RunResult:
     table: pd.DataFrame
     timings: pd.DataFrame
     verdicts: tuple[Verdict, ...]
+    resumed: int = 0
 
     @property
     def drives(self) -> tuple[DriveRecord, ...]:
@@ -98,6 +93,7 @@ def evaluate_logs(
     out: Path | str | None = None,
     *,
     workers: int = 0,
+    resume: bool = False,
     on_start: Callable[[Selection, Path], None] = lambda selection, out: None,
     on_log: Callable[[LogResult], None] = lambda result: None,
 ) -> RunResult:
@@ -108,11 +104,14 @@ def evaluate_logs(
         run: Planners, loops, gates; None: all defaults.
         out: Result folder: new, empty, or results of an earlier run, which are replaced; None: `results/run-NNN`.
         workers: Number of child processes; 0 evaluates in this process. Results do not depend on it.
+        resume: Take the logs that an interrupted run into `out` has finished as they are (`replay.batch.resume`); the
+            tables are the same, byte for byte, as those of a run that was never interrupted.
         on_start: Called once with what was selected and the result folder.
         on_log: Called as each log ends, in order of ending.
 
     Raises:
-        ConfigError: No logs, an unknown name, gates that cannot be read, a folder that is not ours to write.
+        ConfigError: No logs, an unknown name, gates that cannot be read, a folder that is not ours to write, nothing
+            that could be resumed with these logs, this configuration and this code.
         PlannerError: None of the planners can be loaded.
     """
     run = run or RunConfig()
@@ -121,12 +120,19 @@ def evaluate_logs(
     if run.gates_path is None:
         gates = gates.asked_of(mode.value for mode in run.modes)
     run, failures = _checked(run)
+    if resume and out is None:
+        raise ConfigError("name the folder of the run to be resumed with --out")
     out = next_free() if out is None else Path(out)
-    claim(out)
+    stamp = stamp_of(run)
+    done = finished(out, selection.sources, run, stamp) if resume else {}
+    if not done:
+        claim(out)
     write_text(out / "run.toml", dump_run(run))
     on_start(selection, out)
     try:
-        results = _distinct(_evaluated(selection.sources, run, out, workers, on_log))
+        results = _distinct(
+            _evaluated(selection.sources, partial(evaluate_log, run=run, out=out, stamp=stamp), done, workers, on_log)
+        )
     finally:
         clear_partial(out)
     table = joined((result.table for result in results), KEYS, COLUMNS).astype({"value": float, "time_s": float})
@@ -141,6 +147,7 @@ def evaluate_logs(
         table=table,
         timings=joined((result.timings for result in results), TIMING_COLUMNS[:4], TIMING_COLUMNS),
         verdicts=judge(gates, table, tags, failed=unread),
+        resumed=len(done),
     )
     _write(result)
     return result
@@ -185,14 +192,21 @@ _TABLES: Mapping[str, Collection[str]] = {
 
 
 def _evaluated(
-    sources: Sequence[LogSource], run: RunConfig, out: Path, workers: int, on_log: Callable[[LogResult], None]
+    sources: Sequence[LogSource],
+    evaluate: Callable[[LogSource], LogResult],
+    done: Mapping[int, LogResult],
+    workers: int,
+    on_log: Callable[[LogResult], None],
 ) -> tuple[LogResult, ...]:
-    """The results in the order of the logs."""
-    results: dict[int, LogResult] = {}
-    for index, ended in _each(sources, partial(evaluate_log, run=run, out=out), workers):
-        result = _lost(sources[index], ended) if isinstance(ended, WorkerLost) else ended
-        results[index] = result
+    """The results in the order of the logs; those that are there already first."""
+    results = dict(done)
+    for result in done.values():
         on_log(result)
+    left = [index for index in range(len(sources)) if index not in done]
+    for place, ended in _each([sources[index] for index in left], evaluate, workers):
+        index = left[place]
+        results[index] = _lost(sources[index], ended) if isinstance(ended, WorkerLost) else ended
+        on_log(results[index])
     return tuple(results[index] for index in range(len(sources)))
 
 
@@ -200,7 +214,7 @@ def _each(
     sources: Sequence[LogSource], evaluate: Callable[[LogSource], LogResult], workers: int
 ) -> Iterator[tuple[int, LogResult | WorkerLost]]:
     if workers > 0:
-        return run_all(evaluate, sources, min(workers, len(sources)))
+        return run_all(evaluate, sources, max(1, min(workers, len(sources))))
     return ((index, evaluate(source)) for index, source in enumerate(sources))
 
 
@@ -270,11 +284,3 @@ def _json_value(value: Any) -> Any:
     if isinstance(value, float) and not isfinite(value):
         return None
     return value.value if isinstance(value, Enum) else value
-
-
-def replan_version() -> str:
-    """The installed version of replan."""
-    try:
-        return version("replan")
-    except PackageNotFoundError:
-        return "not installed"

@@ -7,7 +7,9 @@ a time. A worker that is killed or crashes costs the item that it had; another t
 from __future__ import annotations
 
 import multiprocessing
+import os
 import signal
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
@@ -105,14 +107,23 @@ def _dismiss(worker: _Worker[T, R]) -> None:
 
 
 def _serve(pipe: Connection, function: Callable[[Any], Any]) -> None:
-    """The child: answer items until the pipe is closed. Ctrl-C is the parent's business."""
+    """The child: answer items until the pipe is closed. Ctrl-C is the parent's business; with it the child ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     while True:
         try:
             item = pipe.recv()
         except EOFError:
             return
         pipe.send(function(item))
+
+
+def _end_with_parent() -> None:
+    """A killed parent must not leave a child behind that goes on writing into the folder of the run."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        wait([parent.sentinel])
+        os._exit(1)
 
 
 def _cause(exitcode: int) -> str:

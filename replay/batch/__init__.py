@@ -1,0 +1,16 @@
+"""Many logs: select (`sources`), evaluate in workers (`pool`, `one_log`), judge, write the tables (`run`, `results`).
+
+A run that was interrupted goes on where it was (`resume`); what it takes from disk is in `log_result`.
+
+from replay.batch import evaluate_logs
+from replay.config import RunConfig
+
+result = evaluate_logs(["my_logs/"], RunConfig(planners=("dp_qp", "logged")), "results/mine")
+result.table          # pandas: one row per log, planner, mode and metric
+result.verdicts       # gates: PASS, FAIL or INCONCLUSIVE, with reasons
+"""
+
+from replay.batch.resume import replan_version
+from replay.batch.run import OUTCOMES, RunResult, evaluate_logs
+
+__all__ = ["OUTCOMES", "RunResult", "evaluate_logs", "replan_version"]

@@ -1,0 +1,144 @@
+"""Going on with a run that was interrupted: the logs whose folders are whole are taken as they are.
+
+A folder is taken if it came from the same input (name and bytes) under the same configuration, version and source of
+replan and of the user's planners and metrics; gates may differ, they are applied at the end. Anything else in the
+folder of the run is a reason to refuse: nothing is evaluated anew silently, and nothing of another run is mixed in.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from hashlib import sha256
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+from logs.errors import ConfigError, LogError
+from replay.batch.log_result import LogResult, Stamp, kept
+from replay.batch.results import PARTIAL, TABLES, clear_partial, is_ours
+from replay.batch.sources import LOG_CARD, LogSource
+from replay.config import RunConfig, dump_run, read_toml
+
+START_OVER = "leave out --resume to start over"
+PACKAGES = ("logs", "metrics", "planners", "replay")
+
+
+def replan_version() -> str:
+    """The installed version of replan."""
+    try:
+        return version("replan")
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def stamp_of(run: RunConfig) -> Stamp:
+    """Version, and hash of the source files of replan and of the modules that the run names ("module:NAME")."""
+    root = Path(__file__).parents[2]
+    files = [file for package in PACKAGES for file in sorted((root / package).rglob("*.py"))]
+    digest = sha256()
+    for file in files:
+        digest.update(f"{file.relative_to(root)}\n".encode() + file.read_bytes())
+    for name in (*run.planners, *run.metrics):
+        module, separator, _ = name.partition(":")
+        spec = importlib.util.find_spec(module) if separator else None
+        if spec is not None and spec.origin and Path(spec.origin).is_file():
+            digest.update(f"{module}\n".encode() + Path(spec.origin).read_bytes())
+    return Stamp(replan_version(), digest.hexdigest())
+
+
+def finished(out: Path, sources: Sequence[LogSource], run: RunConfig, stamp: Stamp) -> dict[int, LogResult]:
+    """The results that an interrupted run left in `out`, by index of their source; clears what it left unfinished.
+
+    Raises:
+        ConfigError: `out` holds something else than such a run of these logs, this configuration and this code.
+    """
+    if not out.exists():
+        return {}
+    _check_contents(out)
+    folders = [folder for folder in sorted(out.iterdir()) if (folder / LOG_CARD).is_file()]
+    if folders or (out / "run.toml").is_file():
+        _check_run(out, run)
+    found = {folder: kept(folder) for folder in folders if not folder.name.startswith(PARTIAL)}
+    inputs = {_identity(source): index for index, source in enumerate(sources)}
+    results: dict[int, LogResult] = {}
+    for content in found.values():
+        if content is None:
+            continue
+        result, identity, was = content
+        if was != stamp:
+            raise ConfigError(f"{out}: was begun with {_other(was, stamp)}; {START_OVER}")
+        if identity not in inputs:
+            raise ConfigError(
+                f"{out}: holds results of {result.source}, which is not among the logs or has changed; name the same"
+                f" logs as before, or {START_OVER}"
+            )
+        results[inputs[identity]] = replace(result, source=sources[inputs[identity]].label)
+    _clear(out, [folder for folder, content in found.items() if content is None])
+    return results
+
+
+def _identity(source: LogSource) -> str:
+    """Its identity; the label where it cannot be read (the evaluation will say why)."""
+    try:
+        return source.identity()
+    except LogError:
+        return source.label
+
+
+def _check_contents(out: Path) -> None:
+    if not out.is_dir():
+        raise ConfigError(f"{out}: cannot be the result folder: it is a file")
+    foreign = [entry.name for entry in sorted(out.iterdir()) if not is_ours(entry)]
+    if foreign:
+        raise ConfigError(f"{out}: holds {foreign[0]}, which is no result of replan; give --out another folder")
+
+
+def _check_run(out: Path, run: RunConfig) -> None:
+    """Refuse another configuration; the gates may be others."""
+    before = dict(_flat(read_toml(out / "run.toml")))
+    now = dict(_flat(_as_read(run)))
+    changed = [key for key in dict.fromkeys([*before, *now]) if before.get(key) != now.get(key) and key != "gates"]
+    if changed:
+        said = ", ".join(f"{key} was {_said(before, key)}, is {_said(now, key)}" for key in changed[:3])
+        more = f" and {len(changed) - 3} more" if len(changed) > 3 else ""
+        raise ConfigError(
+            f"{out}: was begun with another configuration: {said}{more}; give the same options, or {START_OVER}"
+        )
+
+
+def _as_read(run: RunConfig) -> dict[str, Any]:
+    """The configuration as it would be read from the file of a run."""
+    import tomllib
+
+    return tomllib.loads(dump_run(run))
+
+
+def _flat(table: Mapping[str, Any], where: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{where}{key}.")
+        else:
+            yield f"{where}{key}", value
+
+
+def _said(table: Mapping[str, Any], key: str) -> str:
+    return repr(table[key]) if key in table else "not set"
+
+
+def _other(was: Stamp, now: Stamp) -> str:
+    if was.replan != now.replan:
+        return f"replan {was.replan}, this is {now.replan}"
+    return "other code of replan, of a planner or of a metric than there is now"
+
+
+def _clear(out: Path, broken: Sequence[Path]) -> None:
+    """Remove what was not finished, and the tables: they are written anew at the end."""
+    clear_partial(out)
+    for folder in broken:
+        shutil.rmtree(folder)
+    for name in TABLES:
+        if name != "run.toml":
+            (out / name).unlink(missing_ok=True)

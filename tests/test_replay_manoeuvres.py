@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from logs import ConfigError, VehicleParameters
-from replay import iso3888
-from replay.manoeuvres import (
+from logs.vehicle import vehicle_names, vehicle_parameters
+from replay.experiments import iso3888
+from replay.experiments.manoeuvres import (
     ALAT_MPS2,
     VARIANTS,
     along_points,
@@ -96,6 +97,29 @@ def test_the_aim_is_met_on_the_papers_curve_and_the_double_lane_change(controlle
         assert row["lateral_rms_m"] < 0.03 and row["lateral_max_m"] < 0.10
         assert not row["cones_hit"] > 0.0
         assert row["fell_back"] == 0.0
+
+
+@pytest.mark.parametrize("controller", ["dlqr_pid", "mpc"])
+def test_commands_that_come_100_ms_late_are_within_the_aim_too(controller: str) -> None:
+    for one in (s_curve(50.0, 12.0, "s"), double_lane_change(CAR), obstacle_avoidance(CAR), road(2)):
+        row = judged([follow(one, controller, "single_track", CAR, delay_steps=10)], one, CAR)
+        assert row["lateral_rms_m"] < 0.03 and row["lateral_max_m"] < 0.10
+        assert not row["cones_hit"] > 0.0
+
+
+@pytest.mark.parametrize("controller", ["dlqr_pid", "mpc"])
+@pytest.mark.parametrize("plant", [{"tyre_stiffness": 0.7}, {"mass": 1.2 * CAR.mass}])
+def test_no_cone_falls_with_softer_tyres_or_a_load(controller: str, plant: dict[str, float]) -> None:
+    for one in (double_lane_change(CAR), obstacle_avoidance(CAR)):
+        row = judged([follow(one, controller, "single_track", CAR, plant=plant)], one, CAR)
+        assert row["cones_hit"] == 0.0 and row["lateral_max_m"] < 0.10
+
+
+@pytest.mark.parametrize("name", vehicle_names())
+def test_the_known_vehicles_follow_a_road_without_other_tuning(name: str) -> None:
+    car = vehicle_parameters(name)
+    row = judged([follow(road(3), "mpc", "single_track", car)], road(3), car)
+    assert row["lateral_rms_m"] < 0.03 and row["lateral_max_m"] < 0.10 and row["fell_back"] == 0.0
 
 
 def test_the_model_based_ones_are_ahead_of_the_classical_ones() -> None:

@@ -27,10 +27,10 @@ from logs import (
 from logs.catalogue.paper import CROSSING_PEDESTRIAN
 from logs.shapes import distance
 from planners.dp_qp.speed_qp import SpeedLimits
-from replay import paper, pedestrian_grid
 from replay.calibrate import calibrate
 from replay.drive import LoopConfig
-from replay.pedestrian_grid import (
+from replay.experiments import paper, pedestrian_grid
+from replay.experiments.pedestrian_grid import (
     CELLS,
     Avoidable,
     Cell,

@@ -34,9 +34,9 @@ from logs.trace import EndReason, Trace
 from metrics import METRICS, evaluate
 from planners.dp_qp.speed_qp import SpeedLimits, SpeedQpConfig
 from planners.dp_qp.st_graph import StGraphConfig
+from replay.batch.pool import WorkerLost, run_all
 from replay.closed_loop import run_closed_loop
 from replay.drive import Drive, LoopConfig
-from replay.pool import WorkerLost, run_all
 
 PLANNER = "dp_qp"
 LOOP = LoopConfig(vehicle="single_track", controller="mpc")
@@ -197,12 +197,15 @@ def measured(cell: Cell) -> dict[str, object]:
         "pedals_together": float(table["pedals_together.count"]),
         "first_reason": first_reason(trace),
     }
+    if trace.end in (EndReason.PLANNER_FAILURE, EndReason.OFF_ROAD):
+        return row | {"verdict": "failed"}
     return row | {"verdict": verdict(can, contact=contact, released=end - clear, jerk=jerk)}
 
 
 def verdict(can: Avoidable, *, contact: bool, released: float, jerk: float) -> str:
     """What is wrong with a cell: the first of these that holds.
 
+    "failed"        the drive ended otherwise (`measured`)
     "contact"       hard braking would have avoided it
     "drive on"      contact; braking could not avoid it, but keeping the speed
     "unavoidable"   contact; neither could

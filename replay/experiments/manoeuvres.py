@@ -1,7 +1,7 @@
 """Controllers compared: manoeuvres given as plans, without a planner, on each vehicle model.
 
-    python -m replay.manoeuvres [--vehicle NAME ...] [--controller NAME ...] [--roads 50] [--robustness] [--entry-speed]
-        [--csv FILE]
+    python -m replay.experiments.manoeuvres [--vehicle NAME ...] [--controller NAME ...] [--roads 50] [--robustness]
+        [--car NAME] [--entry-speed] [--csv FILE]
 
 Tracking only: the whole reference is one plan, known in advance; the vehicle starts on it. "roads" are seeded roads of
 15 s with up to 3 m/s2 to the side, their rows joined: the RMS over all of them, the maxima of the worst. A drive that
@@ -23,11 +23,11 @@ from scipy.interpolate import make_interp_spline
 from logs.kernel import FloatArray
 from logs.states import Command, Trajectory
 from logs.trace import Plan
-from logs.vehicle import VehicleParameters
-from replay import iso3888
+from logs.vehicle import VehicleParameters, vehicle_names, vehicle_parameters
 from replay.control import CONTROLLERS
 from replay.control.base import Telling
 from replay.control.tracking import PlanPath
+from replay.experiments import iso3888
 from replay.rig import controller_of
 from replay.vehicle import VEHICLES
 from replay.vehicle.plant import Table, build
@@ -39,6 +39,7 @@ JERK_OVER = 10
 ALAT_MPS2 = 3.0
 LOST_M = 5.0
 FASTEST_KMH = 90
+DEFAULT_CAR = VehicleParameters()
 MODELS = ("kinematic_bicycle", "single_track", "multibody")
 
 
@@ -247,10 +248,15 @@ VARIANTS: dict[str, tuple[Mapping[str, float], int]] = {
 
 
 def compare(
-    vehicles: Sequence[str], controllers: Sequence[str], *, roads: int = 50, robustness: bool = False
+    vehicles: Sequence[str],
+    controllers: Sequence[str],
+    *,
+    roads: int = 50,
+    robustness: bool = False,
+    car: VehicleParameters = DEFAULT_CAR,
 ) -> pd.DataFrame:
     """The table: a row per vehicle model, variant, manoeuvre and controller."""
-    car, rows = VehicleParameters(), []
+    rows = []
     cases: dict[str, tuple[Mapping[str, float], int]] = {"nominal": ({}, 0)} | (VARIANTS if robustness else {})
     groups = [[one] for one in manoeuvres(car)] + ([[road(seed) for seed in range(roads)]] if roads else [])
     for vehicle in vehicles:
@@ -280,22 +286,23 @@ def fastest_clean(controller: str, vehicle: str, car: VehicleParameters) -> floa
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(prog="python -m replay.manoeuvres", description="Compare controllers.")
+    parser = argparse.ArgumentParser(prog="python -m replay.experiments.manoeuvres", description="Compare controllers.")
     parser.add_argument("--vehicle", action="append", choices=list(VEHICLES))
     parser.add_argument("--controller", action="append", choices=list(CONTROLLERS))
+    parser.add_argument("--car", choices=vehicle_names(), help="parameters of logs/vehicles; else the default car")
     parser.add_argument("--roads", type=int, default=50)
     parser.add_argument("--robustness", action="store_true")
     parser.add_argument("--entry-speed", action="store_true", help="of ISO 3888-2 without a cone hit")
     parser.add_argument("--csv", type=Path)
     chosen = parser.parse_args(arguments)
     vehicles, controllers = chosen.vehicle or MODELS, chosen.controller or list(CONTROLLERS)
-    table = compare(vehicles, controllers, roads=chosen.roads, robustness=chosen.robustness)
+    car = vehicle_parameters(chosen.car) if chosen.car else DEFAULT_CAR
+    table = compare(vehicles, controllers, roads=chosen.roads, robustness=chosen.robustness, car=car)
     if chosen.csv:
         table.to_csv(chosen.csv, index=False)
     with pd.option_context("display.width", 220, "display.max_rows", None, "display.max_columns", None):
         print(table.round(4).to_string(index=False))  # noqa: T201
     if chosen.entry_speed:
-        car = VehicleParameters()
         for vehicle in vehicles:
             for controller in controllers:
                 kmh = fastest_clean(controller, vehicle, car)

@@ -34,11 +34,12 @@ from replay.drive import Drive, StageTime
 from replay.recording import scene_times, write_log_recording, write_recording
 from replay.recording.axes import HEIGHT, LABEL_GAP, LETTER, WIDTH, Axes, nice_step, spread, ticks
 from replay.recording.columns import Instants, Tape
+from replay.recording.events import events
 from replay.recording.hatch import Window, outline_segments, strokes
 from replay.recording.road import covered, dashes
 from replay.recording.screenshot import Picture, ScreenshotError, take_pictures
 from replay.recording.text import DRAWABLE, application_name, cell, path_parts, plain
-from replay.recording.words import events, why
+from replay.recording.why import why
 
 # ---------------------------------------------------------------------------------------------------------- laws
 
@@ -330,10 +331,17 @@ def test_lanes_of_states_change_when_the_plans_do(closed: tuple[Drive, Scenario,
 def test_why_tells_decisions_reasons_solvers_and_costs(closed: tuple[Drive, Scenario, Recording]) -> None:
     _, _, recording = closed
     pages = recording.column("/why", "TextDocument:text").flatten().to_pylist()
-    assert "t = 8.00 s: planned, yield" in pages[80]
-    for words in ("ped 7: yield", "in the path until 11.5 s", "speed QP", "75 iterations", "obstacle 3.5"):
+    assert "t = 8.00 s: brakes: yield" in pages[80]
+    for words in (
+        "Slows down for ped 7 (yield)",
+        "in the path until 11.5 s",
+        "speed QP",
+        "75 iterations",
+        "obstacle 3.5",
+    ):
         assert words in pages[80]
     assert "the previous plan goes on" in pages[141] and "not solved" in pages[141]
+    assert "Slows down" not in pages[141]
 
 
 def test_the_summary_and_the_properties_hold_the_metrics(closed: tuple[Drive, Scenario, Recording]) -> None:
@@ -474,7 +482,7 @@ def test_a_failed_writing_leaves_nothing_and_restores_the_library(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     done, world = drive()
-    monkeypatch.setattr("replay.recording.words.draw_why", lambda *_: 1 / 0)
+    monkeypatch.setattr("replay.recording.why.draw_why", lambda *_: 1 / 0)
     before = rr.strict_mode()
     with pytest.raises(ZeroDivisionError):
         write_recording(tmp_path / "some.rrd", done, world)

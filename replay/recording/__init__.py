@@ -17,11 +17,12 @@ import rerun as rr
 from logs.kernel import FloatArray
 from logs.scenario import Scenario
 from logs.trace import EndReason, Graph, Mode, PlannedFrame, SlGraph, StGraph, Trace
-from replay.recording import plots, words
+from replay.recording import events, plots, why, words
 from replay.recording.axes import Axes, sl_axes, st_axes
 from replay.recording.blueprint import Contents, blueprint
 from replay.recording.columns import Instants, Tape
 from replay.recording.graphs import draw_graph
+from replay.recording.others import draw_others
 from replay.recording.scene import draw_scene
 from replay.recording.text import application_name, field_name, plain
 
@@ -59,19 +60,20 @@ def write_recording(path: Path, drive: Drive, scenario: Scenario, table: DataFra
     panels = plots.motion_panels(trace, scenario, times)
     stages = plots.stage_panel(drive.timings)
     panels += [stages] if stages else []
-    pages = ("why", "summary", "events") if trace.frames else ("summary", "events")
+    pages = ("why", "summary") if trace.frames else ("summary",)
     contents = Contents(panels, axes[StGraph], axes[SlGraph], True, pages, _bounds(trace, scenario))
     application = f"replan {scenario.name} {trace.mode.value} loop"
     with _tape(path, application, trace.planner, _digest(trace), contents) as tape:
         draw_scene(tape, trace, scenario, instants, planned)
+        draw_others(tape, trace, planned)
         for kind, axis in axes.items():
             if axis:
                 draw_graph(tape, planned, graphs[kind], axis)
         plots.draw_panels(tape, panels, frames)
-        plots.draw_lanes(tape, plots.state_lanes(trace), frames)
+        plots.draw_lanes(tape, plots.state_lanes(trace, scenario.road), frames)
         if trace.frames:
-            words.draw_why(tape, trace.frames, planned)
-        words.draw_events(tape, words.events(trace), planned)
+            why.draw_why(tape, trace, scenario.road, planned)
+        events.draw_events(tape, events.events(trace), planned)
         words.draw_summary(tape, words.summary(trace, scenario, table))
         _send_metrics(tape, table)
 

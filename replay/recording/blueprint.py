@@ -24,7 +24,7 @@ from replay.recording.plots import Panel
 
 @dataclass(frozen=True, eq=False)
 class Contents:
-    """What there is to show: the panels, the graphs, which pages, and the corners of the map `(2, 2)`."""
+    """What there is to show: panels, graphs, which pages, and the corners of the map `(2, 2)`."""
 
     panels: Sequence[Panel]
     st: Axes | None
@@ -34,12 +34,11 @@ class Contents:
     bounds: FloatArray
 
 
-PAGES = {"why": "Why", "summary": "Summary", "events": "Events"}
+PAGES = {"why": "Why", "summary": "Summary"}
 ROWS = (
     (("speed",), 1.2),
     (("acceleration", "jerk"), 1.2),
-    (("pedals", "steer"), 1.1),
-    (("error_across", "error_along"), 0.9),
+    (("pedals", "steer", "error_across", "error_along", "stages"), 1.0),
 )
 """Panels from top to bottom and their shares of the height; those of one row are tabs of one place."""
 
@@ -124,19 +123,19 @@ def _right(contents: Contents) -> tuple[list[rrb.Container | rrb.View], list[flo
             views.append(rrb.Tabs(*row, active_tab=0) if len(row) > 1 else row[0])
             shares.append(share)
     if contents.lanes:
-        views.append(rrb.StateTimelineView(origin="/state", name="Decisions and status", time_view=_time_axis()))
-        shares.append(1.5)
-    if "stages" in panels:
-        views.append(_plot(panels["stages"]))
-        shares.append(1.0)
+        decided = rrb.StateTimelineView(origin="/state", name="Decisions and status", time_view=_time_axis())
+        views += [decided, _events()]
+        shares += [1.75, 1.0]
     return views, shares
 
 
 def _page(page: str) -> rrb.View:
-    if page == "events":
-        columns = rrb.TextLogColumns(timeline_columns=[SIM_TIME], text_log_columns=["LogLevel", "Body"])
-        return rrb.TextLogView(origin="/events", name=PAGES[page], columns=columns)
     return rrb.TextDocumentView(origin=f"/{page}", name=PAGES[page])
+
+
+def _events() -> rrb.View:
+    columns = rrb.TextLogColumns(timeline_columns=[SIM_TIME], text_log_columns=["LogLevel", "Body"])
+    return rrb.TextLogView(origin="/events", name="Events", columns=columns)
 
 
 def _time_axis() -> rrb.TimeAxis:

@@ -8,17 +8,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from itertools import cycle
 from typing import TYPE_CHECKING
 
 import numpy as np
 import rerun as rr
 
 from logs.kernel import FloatArray
-from logs.road import RoadSource
+from logs.road import Road, RoadSource
 from logs.scenario import Scenario
-from logs.states import Trajectory
+from logs.states import Controls, Trajectory
 from logs.trace import Decision, DecisionKind, Mode, Plan, PlanStatus, Trace
-from replay.recording import colours
+from replay.recording import colours, lane_choice
 from replay.recording.columns import Instants, Tape
 from replay.recording.text import path_parts, plain
 
@@ -147,8 +148,8 @@ def _plan_curves(trace: Trace, value: Callable[[Trajectory], FloatArray]) -> lis
 
 
 def motion_panels(trace: Trace, scenario: Scenario, times: FloatArray) -> list[Panel]:
-    """Speed, acceleration, jerk, pedals, steering and tracking errors, as far as they are known."""
-    ego, log = trace.ego, scenario.ego
+    """Speed, acceleration, jerk, pedals, steering and tracking errors, as far as they are known, until `times` end."""
+    ego, log = trace.ego, scenario.ego.between(-np.inf, float(times[-1]))
     blue, _, red, *_, grey = colours.SERIES
     compared = trace.mode is Mode.CLOSED and len(log) > 1
     jerk = _slope(ego.t, ego.a)
@@ -176,7 +177,7 @@ def motion_panels(trace: Trace, scenario: Scenario, times: FloatArray) -> list[P
 
 def _pedal_panels(trace: Trace, scenario: Scenario) -> list[Panel | None]:
     """Throttle and brake, and steering: done, commanded, logged."""
-    done, asked, log = trace.actuation, trace.commands, scenario.controls
+    done, asked, log = trace.actuation, trace.commands, _until(scenario.controls, float(trace.ego.t[-1]))
     blue, yellow, red, green, *_, grey = colours.SERIES
     dim = {colour: colours.with_alpha(colour, 120) for colour in (red, green, blue)}
     pedals = (
@@ -196,6 +197,14 @@ def _pedal_panels(trace: Trace, scenario: Scenario) -> list[Panel | None]:
         _panel("pedals", "Throttle, brake [0..1]", pedals, 0.2),
         _panel("steer", "Steering [rad]", steer, 0.02),
     ]
+
+
+def _until(some: Controls | None, end: float) -> Controls | None:
+    """The samples not later than `end`."""
+    if some is None:
+        return None
+    kept = some.t <= end
+    return Controls(*(getattr(some, name)[kept] for name in ("t", "steer", "throttle", "brake")))
 
 
 def _error_panels(trace: Trace) -> list[Panel | None]:
@@ -229,6 +238,9 @@ def stage_panel(timings: Sequence[StageTime]) -> Panel | None:
     return _panel("stages", "Stage times [ms]", curves, 0.2)
 
 
+NAMED = (0x5A6478FF, 0x46505FFF)
+"""Colours of states that are only names."""
+OFF_LANES = "off the lanes"
 LONGITUDINAL = (DecisionKind.STOP, DecisionKind.YIELD, DecisionKind.FOLLOW, DecisionKind.OVERTAKE)
 FREE_DRIVE, KEEP, BOTH = "drive on", "keep", "nudge left and right"
 
@@ -253,6 +265,11 @@ STATE_COLOURS = {
     FREE_DRIVE: 0x3C6EAAFF,
     KEEP: 0x3C6EAAFF,
     BOTH: 0xC090FFFF,
+    lane_choice.NOT_COMPARED: 0x3C6EAAFF,
+    lane_choice.COMPARED: 0x5082BEFF,
+    "change left": colours.DECISIONS[DecisionKind.NUDGE_LEFT],
+    "change right": colours.DECISIONS[DecisionKind.NUDGE_RIGHT],
+    OFF_LANES: 0xC83232FF,
 }
 
 
@@ -271,14 +288,19 @@ def changes(name: str, t: Sequence[float], values: Sequence[str]) -> Lane:
     return Lane(name, tuple(t[i] for i in kept), tuple(values[i] for i in kept))
 
 
-def state_lanes(trace: Trace) -> list[Lane]:
-    """Plan status, decisions (where the planner tells them) and the end."""
+def state_lanes(trace: Trace, road: Road) -> list[Lane]:
+    """Plan status, decisions and choice of lane (where the planner tells them), the lane under the ego, the end."""
     t = [frame.t for frame in trace.frames]
     plans = [frame.plan for frame in trace.frames]
     lanes = [changes("plan", t, [STATUS_WORDS[plan.status] for plan in plans])]
     if any(isinstance(artefact, Decision) for plan in plans for artefact in plan.internals):
         lanes.append(changes("along", t, [longitudinal(plan) for plan in plans]))
         lanes.append(changes("across", t, [lateral(plan) for plan in plans]))
+    driven = lane_choice.lanes_driven(trace, road)
+    if any(lane_choice.options(plan) for plan in plans):
+        lanes.append(changes("lane_choice", t, lane_choice.choices(trace.frames, driven)))
+    if len(set(driven) - {None}) > 1:
+        lanes.append(changes("lane", t, [OFF_LANES if lane is None else f"lane {lane}" for lane in driven]))
     first, last = min([*t, float(trace.ego.t[0])]), float(trace.ego.t[-1])
     return [lane for lane in lanes if lane.t] + [changes("drive", [first, last], ["driving", trace.end.value])]
 
@@ -298,7 +320,9 @@ def draw_lanes(tape: Tape, lanes: Sequence[Lane], frames: FloatArray) -> None:
     for lane in lanes:
         entity = f"state/{rr.escape_entity_path_part(lane.name)}"
         values = sorted(set(lane.values))
-        shades = np.array([known.get(value, 0x5A6478FF) for value in values], dtype=np.uint32)
+        others = [value for value in dict.fromkeys(lane.values) if value not in known]
+        shade = dict(zip(others, cycle(NAMED), strict=False))
+        shades = np.array([{**shade, **known}[value] for value in values], dtype=np.uint32)
         tape.static(entity, rr.StateConfiguration(values=values, labels=values, colors=shades))
         instants = Instants.among(np.array(lane.t), frames)
         tape.rows(entity, instants, rr.StateChange.columns(state=list(lane.values)))

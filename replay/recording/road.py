@@ -1,4 +1,4 @@
-"""The road, the goal and the logged path: what stands still, written once."""
+"""The road, its rules, the goal and the logged path: what stands still, written once; and the lights as they change."""
 
 from __future__ import annotations
 
@@ -9,14 +9,24 @@ import rerun as rr
 
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.road import Lane, Road, inside
+from logs.rules import Colour
 from logs.scenario import Scenario
 from replay.recording import colours
-from replay.recording.columns import Tape, joined, strips
+from replay.recording.columns import Instants, Tape, joined, strips
 from replay.recording.hatch import Window, strokes
 
 DASH_M, GAP_M = 3.0, 6.0
 BESIDE_M = 0.3
 """How far beside a boundary another lane is looked for."""
+LIGHTS = {
+    Colour.RED: 0xFF4B3CFF,
+    Colour.RED_YELLOW: 0xFF963CFF,
+    Colour.YELLOW: 0xFFD250FF,
+    Colour.GREEN: 0x50DC78FF,
+    Colour.OFF: 0x787D87FF,
+}
+STOP_SIGN = 0xFF6E64FF
+LAMP_M, LAMP_HEIGHT_M = 0.45, 1.2
 
 
 def at_height(points: FloatArray, z: float) -> FloatArray:
@@ -68,6 +78,38 @@ def draw_road(tape: Tape, road: Road) -> None:
     draw_lines(tape, "world/road/edges", marked["edges"], colours.EDGE, 0.08, 0.0)
     draw_lines(tape, "world/road/markings", marked["markings"], colours.MARKING, 0.07, 0.0)
     draw_lines(tape, "world/road/opposite", marked["opposite"], colours.OPPOSITE, 0.07, 0.01)
+    _draw_rules(tape, road)
+
+
+def _draw_rules(tape: Tape, road: Road) -> None:
+    """Stop lines (those of a stop sign red) and crosswalks, hatched."""
+    signed = [line.points for line in road.stop_lines if line.must_stop]
+    others = [line.points for line in road.stop_lines if not line.must_stop]
+    draw_lines(tape, "world/road/stop_lines", others, colours.EDGE, 0.2, 0.02)
+    draw_lines(tape, "world/road/stop_signs", signed, STOP_SIGN, 0.2, 0.03)
+    polygons = [crosswalk.polygon for crosswalk in road.crosswalks]
+    _draw_hatched(tape, "world/road/crosswalks", polygons, colours.EDGE, 0.5)
+
+
+def draw_lights(tape: Tape, scenario: Scenario, instants: Instants) -> None:
+    """The lights as lamps over the middles of their stop lines, in the colours that they show; grey: not known, or off.
+
+    A row is written where a colour changes.
+    """
+    lines = [line for line in scenario.road.stop_lines if line.light is not None]
+    if not lines or not len(instants):
+        return
+    lights = {light.id: light for light in scenario.lights}
+    shown = np.array(
+        [[LIGHTS[lights[i].at(float(t)) if i in lights else Colour.OFF] for i in (line.light for line in lines)]
+         for t in instants.t], dtype=np.uint32,
+    )  # fmt: skip
+    kept = np.r_[True, (shown[1:] != shown[:-1]).any(axis=1)]
+    places = at_height(np.array([line.points.mean(axis=0) for line in lines]), LAMP_HEIGHT_M)
+    lamps = rr.Points3D.columns(positions=np.tile(places, (int(kept.sum()), 1)), colors=shown[kept].reshape(-1))
+    tape.static("world/lights", rr.Points3D.from_fields(radii=[LAMP_M]))
+    changes = Instants(instants.t[kept], instants.frame[kept])
+    tape.rows("world/lights", changes, lamps, np.full(int(kept.sum()), len(lines)))
 
 
 def _markings(lane: Lane, road: Road) -> Iterator[tuple[str, FloatArray]]:
@@ -156,13 +198,22 @@ def draw_goal(tape: Tape, scenario: Scenario) -> None:
     regions = [region for region in (scenario.goal.regions if scenario.goal else ()) if len(region) >= 3]
     if not regions:
         return
-    rings = [np.vstack([region, region[:1]]) for region in regions]
-    draw_lines(tape, "world/goal", rings, colours.GOAL, 0.12, 0.03)
-    points, lengths = joined(regions, 2)
-    (x0, y0), (x1, y1) = points.min(axis=0), points.max(axis=0)
-    spacing = max(1.0, (x1 - x0) / 200.0)
-    window = Window((float(x0), float(x1)), (float(y0), float(y1)))
-    filled, _ = strokes(points, np.array(lengths, dtype=np.int64), window, spacing)
-    draw_lines(tape, "world/goal/fill", list(filled), colours.with_alpha(colours.GOAL, 90), 0.06, 0.02)
+    _draw_hatched(tape, "world/goal", regions, colours.GOAL, 1.0)
+    points, _ = joined(regions, 2)
     name = rr.Points3D([[*points.mean(axis=0), 0.5]], labels=["goal"], colors=colours.GOAL, radii=0.01)
     tape.static("world/goal/name", name, rr.Points3D.from_fields(show_labels=True))
+
+
+def _draw_hatched(tape: Tape, entity: str, polygons: Sequence[FloatArray], colour: int, spacing: float) -> None:
+    """Polygons outlined, and filled with strokes at least `spacing` m apart."""
+    if not polygons:
+        return
+    rings = [np.vstack([polygon, polygon[:1]]) for polygon in polygons]
+    draw_lines(tape, entity, rings, colour, 0.12, 0.03)
+    filled: list[FloatArray] = []
+    for polygon in polygons:
+        (x0, y0), (x1, y1) = polygon.min(axis=0), polygon.max(axis=0)
+        window = Window((float(x0), float(x1)), (float(y0), float(y1)))
+        lines, _ = strokes(polygon, np.array([len(polygon)]), window, max(spacing, (x1 - x0) / 200.0))
+        filled += list(lines)
+    draw_lines(tape, f"{entity}/fill", filled, colours.with_alpha(colour, 90), 0.06, 0.02)

@@ -18,7 +18,7 @@ from logs.trace import Decision, DecisionKind, Plan, Trace
 from logs.vehicle import VehicleParameters
 from replay.recording import colours
 from replay.recording.columns import Instants, Tape, joined, pixels, strips
-from replay.recording.road import at_height, draw_goal, draw_lines, draw_road
+from replay.recording.road import at_height, draw_goal, draw_lights, draw_lines, draw_road
 from replay.recording.text import plain
 
 HEIGHTS = {
@@ -47,6 +47,7 @@ def draw_scene(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants,
     """All of the scene: `instants` for what moves, `frames` for what is planned."""
     draw_road(tape, scenario.road)
     draw_goal(tape, scenario)
+    draw_lights(tape, scenario, instants)
     _draw_ego(tape, trace.ego, scenario.vehicle, instants)
     _draw_driven(tape, trace.ego, instants)
     if trace.ego is not scenario.ego and len(scenario.ego) > 1:

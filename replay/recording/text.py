@@ -11,6 +11,7 @@ from collections.abc import Iterable
 
 import rerun as rr
 
+MARKDOWN = "text/markdown"
 _ASCII = frozenset(chr(code) for code in range(0x20, 0x7F))
 _LATIN = frozenset(chr(code) for code in range(0xA1, 0x100) if code != 0xAD)
 _GREEK = frozenset("ΑΒΓΔΕΖΗΘΙΚΛΜΝΞΟΠΡΣΤΥΦΧΨΩαβγδεζηθικλμνξοπρςστυφχψω")

@@ -170,13 +170,14 @@ QUANTITIES = (
     ("braking_s", "braking [s]", "Blues", (0.0, 6.0)),
 )
 MARKS = {
+    "failed": ("F", "the drive failed"),
     "contact": ("X", "contact, though braking avoids it"),
     "drive on": ("D", "contact, though driving on avoids it"),
     "unavoidable": ("u", "unavoidable contact"),
     "late release": ("L", "late release"),
     "jerk": ("J", "needless jerk"),
 }
-"""Letters and words for the verdicts of `replay.pedestrian_grid`."""
+"""Letters and words for the verdicts of `replay.experiments.pedestrian_grid`."""
 
 
 def grid_figure(table: pd.DataFrame) -> Figure:

@@ -21,7 +21,7 @@ from rich.text import Text
 from logs.trace import EndReason
 from metrics.gates import Outcome, Verdict
 from replay.batch import OUTCOMES, RunResult
-from replay.evaluate import DriveRecord, LogResult
+from replay.batch.log_result import DriveRecord, LogResult
 
 MAX_ROWS = 30
 """More drives than these are not listed; those with trouble come first."""
@@ -326,6 +326,8 @@ def _indented(line: str) -> Padding:
 def _ending(result: RunResult) -> Iterator[RenderableType]:
     recordings = _worth_a_look(result)
     yield Text(f"Results: {result.out}  (metrics.csv, summary.json, a folder per log)")
+    if result.resumed:
+        yield Text(f"Resumed: {result.resumed} of {len(result.logs)} logs are those of the interrupted run")
     if recordings:
         yield Text.assemble("Look at a drive:  ", (f"replan view {result.out / recordings[0]}", "bold"))
     code = result.exit_code

@@ -1,0 +1,68 @@
+"""The events of a drive, a line each: what changed, when, and why."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import rerun as rr
+
+from logs.trace import Decision, DecisionKind, EndReason, Trace
+from replay.recording.columns import Instants, Tape
+from replay.recording.lane_choice import KEEP, options, taken, told
+from replay.recording.text import plain
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened: when, how grave ("INFO", "WARN", "ERROR"), in words."""
+
+    t: float
+    level: str
+    words: str
+
+
+def events(trace: Trace) -> list[Event]:
+    """Changes of status, of decisions, of the lane and of what a plan says of itself, and the end."""
+    found: list[Event] = []
+    status, said, decided = None, "", dict[str, str]()
+    for frame in trace.frames:
+        plan = frame.plan
+        if plan.status is not status and (status is not None or plan.status.is_fallback):
+            level = "WARN" if plan.status.is_fallback else "INFO"
+            found.append(Event(frame.t, level, f"{plan.status.value} {f'({plan.reason})' if plan.reason else ''}"))
+        elif not plan.status.is_fallback and plan.reason and _gist(plan.reason) != said:
+            found.append(Event(frame.t, "INFO", plan.reason))
+        said = _gist(plan.reason)
+        some = options(plan)
+        if taken(some) != KEEP:
+            found.append(Event(frame.t, "INFO", f"changes lane to the {taken(some)}: {told(some)}"))
+        now = {
+            artefact.agent: f"{artefact.kind.value} ({artefact.reason})"
+            for artefact in plan.internals
+            if isinstance(artefact, Decision) and artefact.kind is not DecisionKind.IGNORE
+        }
+        for agent in dict.fromkeys([*now, *decided]):
+            before, after = decided.get(agent, "no decision ()"), now.get(agent, "no decision ()")
+            if before.split(" (")[0] != after.split(" (")[0]:
+                found.append(Event(frame.t, "INFO", f"{agent}: {after.removesuffix(' ()')}"))
+        status, decided = plan.status, now
+    grave = trace.end in (EndReason.COLLISION, EndReason.OFF_ROAD, EndReason.PLANNER_FAILURE)
+    detail = f": {trace.detail}" if trace.detail else ""
+    end = Event(float(trace.ego.t[-1]), "ERROR" if grave else "INFO", f"{trace.end.value}{detail}")
+    return [*found, end]
+
+
+def _gist(reason: str) -> str:
+    """A reason without its numbers: the same reason with other numbers is no event."""
+    return re.sub(r"[\d.]+", "#", reason)
+
+
+def draw_events(tape: Tape, found: Sequence[Event], frames: Instants) -> None:
+    """One line of the log view per event."""
+    times = np.array([event.t for event in found])
+    instants = Instants.among(times, frames.t)
+    shown = rr.TextLog.columns(text=[plain(event.words) for event in found], level=[event.level for event in found])
+    tape.rows("events", instants, shown)

@@ -1,0 +1,117 @@
+"""Which lane is driven and why: read off the stage "lanes" of the plans (`logs.trace.Candidates`) and the road."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from logs.road import Road, RoadSource
+from logs.trace import Candidates, CostTerms, Plan, PlannedFrame, Trace
+
+STAGE, PREFIX = "lanes", "lane "
+KEEP = "keep"
+NOT_COMPARED, COMPARED = "keep", "keep: others compared"
+
+
+@dataclass(frozen=True)
+class Option:
+    """One lane that was considered: its cost by term, s, and why it was not taken (empty: it was)."""
+
+    name: str
+    terms: tuple[tuple[str, float], ...]
+    against: str
+
+    @property
+    def cost(self) -> float:
+        """Sum of the terms, s."""
+        return sum(value for _, value in self.terms)
+
+
+def options(plan: Plan) -> tuple[Option, ...]:
+    """The lanes that a plan compared; empty where it compared none."""
+    compared = next((a for a in plan.internals if isinstance(a, Candidates) and a.stage == STAGE), None)
+    if compared is None:
+        return ()
+    against = dict(reason.partition(": ")[::2] for reason, _ in compared.rejected)
+    costs = [a for a in plan.internals if isinstance(a, CostTerms) and a.stage.startswith(PREFIX)]
+    return tuple(
+        Option(name, some.terms, against.get(name, "")) for some in costs for name in [some.stage.removeprefix(PREFIX)]
+    )
+
+
+def taken(some: Sequence[Option]) -> str:
+    """The name of the option that was taken."""
+    return next((option.name for option in some if not option.against), KEEP)
+
+
+@dataclass(frozen=True)
+class Change:
+    """A change of lane under way: the option that was taken, when, and why."""
+
+    name: str
+    t: float
+    reason: str
+
+
+def changes_under_way(frames: Sequence[PlannedFrame], lanes: Sequence[int | None]) -> list[Change | None]:
+    """For each frame the change that is under way: from where it is decided until the ego has left its lane.
+
+    Args:
+        frames: Of the trace.
+        lanes: The lane under the ego at each of them.
+    """
+    out: list[Change | None] = []
+    change, left = None, None
+    for frame, lane in zip(frames, lanes, strict=True):
+        some = options(frame.plan)
+        if taken(some) != KEEP:
+            change, left = Change(taken(some), frame.t, told(some)), lane
+        elif lane != left:
+            change = None
+        out.append(change)
+    return out
+
+
+def choices(frames: Sequence[PlannedFrame], lanes: Sequence[int | None]) -> list[str]:
+    """For the row of states: whether the lane is kept, compared with others, or a change is under way."""
+    return [
+        f"change {change.name}" if change else COMPARED if options(frame.plan) else NOT_COMPARED
+        for frame, change in zip(frames, changes_under_way(frames, lanes), strict=True)
+    ]
+
+
+def lanes_driven(trace: Trace, road: Road) -> list[int | None]:
+    """The drivable lane under the ego's reference point at each frame; where lanes overlap, the one it came along."""
+    if road.source is not RoadSource.LANES:
+        return [None] * len(trace.frames)
+    ego, out = trace.ego, list[int | None]()
+    for frame in trace.frames:
+        x, y = float(np.interp(frame.t, ego.t, ego.x)), float(np.interp(frame.t, ego.t, ego.y))
+        under = [lane.id for lane in road.lanes_at(x, y) if lane.drivable]
+        before = road.lanes.get(out[-1]) if out and out[-1] is not None else None
+        onward = [i for i in under if before is not None and (i == before.id or i in before.successors)]
+        first = under[0] if under else None
+        out.append(min(onward, key=lambda i: before is None or i != before.id) if onward else first)
+    return out
+
+
+def told(some: Sequence[Option]) -> str:
+    """Why an option was taken, against each of the others, in a sentence."""
+    name = taken(some)
+    chosen = next(option for option in some if option.name == name)
+    others = "; ".join(f"{option.name} {_cost(option)}" for option in some if option is not chosen)
+    return f"costs {_cost(chosen)} instead of {others}"
+
+
+def listed(some: Sequence[Option]) -> list[tuple[str, str, str]]:
+    """Of each option its name, its cost in words, and why not; of the one that was taken, "taken"."""
+    name = taken(some)
+    return [(option.name, _cost(option), "taken" if option.name == name else option.against) for option in some]
+
+
+def _cost(option: Option) -> str:
+    """The sum and the terms that matter."""
+    terms = ", ".join(f"{name} {value:.1f}" for name, value in option.terms if abs(value) >= 0.05)
+    return f"{option.cost:.1f} s" + (f" ({terms})" if terms else "")

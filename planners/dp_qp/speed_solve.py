@@ -189,12 +189,15 @@ class SpeedSolver:
             return SolvedSpeed(onward, f"driving on, which is clear: hardest braking {short}", is_onward=True)
         if left > 0.0:
             return SolvedSpeed(stop, f"hardest braking, which {short}")
-        if not blocks(TOUCHING).meets(self._times, stop[0]):
+        touching = blocks(TOUCHING)
+        if touching.leave(self._times, stop[0], 0.0):
             return SolvedSpeed(stop, "hardest braking, which just does not touch")
         onward = self._onward(problem, blocks(BARE))
         if onward is not None:
             reason = f"driving on, which just does not touch: hardest braking {short}"
             return SolvedSpeed(onward, reason, is_onward=True)
+        if not touching.meets(self._times, stop[0]):
+            return SolvedSpeed(stop, "hardest braking, which just does not touch")
         return SolvedSpeed(stop, f"hardest braking {short}", unavoidable=True)
 
     def _gentle(self, problem: SpeedProblem, blocks: Blocks) -> FloatArray | None:

@@ -9,15 +9,16 @@ Lines, with the distance d(b, j) in which the ego stops with deceleration b and 
 Zones: the ego would be in a zone from t_in to t_out, driving freely but for whoever is ahead of it; it waits unless for
 each window (a, b) in which others take the zone
 
-(4) t_out + CLEAR_S + x <= a    or    b + AFTER_S <= t_in    (lanes that merge: a + FOLLOW_S <= t_in)
+(4) t_out + c + x <= a    or    b + AFTER_S <= t_in    (lanes that merge: a + FOLLOW_S <= t_in)
 
-CLEAR_S = 2 s of post-encroachment time: above it an encounter is normal, below 1.5 s critical (criticality metrics
-catalogue, Westhofen et al. 2023); with the time to clear a lane from rest it makes about the critical gaps of HCM 2010
-(4.1 s for a left turn from the major road to 7.1 s from the minor one). Where the lanes merge, x is what the one behind
-needs to brake to the ego's speed at `YIELD_MPS2`: x = (v - v_ego)^2 / (2 v YIELD_MPS2). A gap once taken is kept with
-`KEPT_S` less. The wait ends when (4) holds for who comes by at speed and for who starts from rest; it is open while
-nothing says when. A zone behind which there is no room for the ego is not entered either. A demand that comes too late
-for `COMFORT` (priority lane) or `HARD` (crosswalk) is not made: whom the ego would meet is in the S-T graph anyway.
+c is the post-encroachment time, `CLEAR_S` before a vehicle: below 1.5 s an encounter is critical (criticality metrics
+catalogue, Westhofen et al. 2023), and with the time to clear a lane from rest it makes gaps between the critical ones of
+HCM 2010 (4.1 s for a left turn from the major road, 7.1 s from the minor one); `WALK_CLEAR_S` before a pedestrian. Where
+the lanes merge, the ego is out of the way when its rear is in the zone, and x is what the one behind needs to brake to
+the ego's speed at `YIELD_MPS2`: x = (v - v_ego)^2 / (2 v YIELD_MPS2). A gap once taken is kept with `KEPT_S` less. The
+wait ends when (4) holds for who comes by at speed and for who starts from rest; it is open while nothing says when. A
+zone behind which there is no room for the ego is not entered either. A demand that comes too late for `COMFORT`
+(priority lane) or `HARD` (crosswalk) is not made: whom the ego would meet is in the S-T graph anyway.
 
 Memory, dropped where the frame is fresh: the lines and zones that it stops for, which are stopped for as long as `HARD`
 can; the stop signs at which it came to rest; the zones whose gap it took; since when it stands before a crosswalk.
@@ -54,7 +55,7 @@ AIM_M = 0.5
 """It comes to rest this far before that."""
 OVER_M = 1.0
 """Who stops for a line and has come over it by less than this still waits."""
-CLEAR_S, AFTER_S, FOLLOW_S, KEPT_S, YIELD_MPS2 = 2.0, 0.5, 1.0, 0.5, 2.0
+CLEAR_S, WALK_CLEAR_S, AFTER_S, FOLLOW_S, KEPT_S, YIELD_MPS2 = 1.5, 2.0, 0.5, 1.0, 0.5, 2.0
 PATIENCE_S = 3.0
 """Who stands at a crosswalk and does not begin to walk is waited for so long, from a standstill."""
 KNOTS = 81
@@ -261,16 +262,20 @@ class Rulebook:
         return cruising(ahead, limit, v, a, GO_MPS2, COMFORT[0], GO_MPS3, STEP_S, KNOTS)
 
     def _passage(self, zone: Zone, front: float, motion: FloatArray) -> tuple[float, float]:
-        """When the ego's front enters a zone and its rear leaves it, s; inf: later than it is looked ahead."""
-        return _when(motion, zone.s_in - front), _when(motion, zone.s_out + self._vehicle.length - front)
+        """When the ego's front enters a zone and its rear is out of the way, s; inf: later than it is looked ahead.
+
+        Where the lanes merge it is out of the way when its rear is in the zone: from there on it is ahead.
+        """
+        end = zone.s_in if _merges(zone) else zone.s_out
+        return _when(motion, zone.s_in - front), _when(motion, end + self._vehicle.length - front)
 
     def _passes(self, zone: Zone, window: Window, t_in: float, t_out: float, motion: FloatArray, less: float) -> bool:
         """(4) for one window, with `less` of the margin."""
-        extra = 0.0
+        extra, clear = 0.0, CLEAR_S if isinstance(zone.by, Priority) else WALK_CLEAR_S
         if _merges(zone) and isfinite(t_out) and window.speed > 0.0:
             own = float(np.interp(t_out, STEP_S * np.arange(KNOTS), motion[1]))
             extra = max(window.speed - own, 0.0) ** 2 / (2.0 * window.speed * YIELD_MPS2)
-        return t_out + CLEAR_S - less + extra <= window.begin or _gone(zone, window) <= t_in
+        return t_out + clear - less + extra <= window.begin or _gone(zone, window) <= t_in
 
     def _release(self, zone: Zone, ego: _Start, taken: tuple[Window, ...], motion: FloatArray) -> float:
         """When the ego may pass the place where it waits, s: (4) holds for all windows, at speed and from rest.

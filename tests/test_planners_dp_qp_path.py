@@ -16,6 +16,7 @@ from worlds import CAR, Other, along_x, curve, driving, frame, lanes, standing
 from logs import Decision, DecisionKind, EgoState, Plan, ReferenceLine, SlGraph, SolverReport, Trajectory
 from logs.kernel import FloatArray
 from planners.dp_qp import corridor, path_qp
+from planners.dp_qp.appointment import Appointment
 from planners.dp_qp.corridor import CorridorConfig, PathObstacle, Room, decide_sides, narrowed, path_obstacles, widened
 from planners.dp_qp.path import MIN_REGULAR, Path, frenet_start, make_path, out_of_frame, states_on_path
 from planners.dp_qp.path_dp import (
@@ -524,7 +525,7 @@ def test_a_lane_is_borrowed_only_beside_an_obstacle() -> None:
 
 
 def stage(along: Course, *, passes_left: bool = True) -> PathStage:
-    return PathStage(along, CAR, PathConfig(), horizon=8.0, passes_left=passes_left, lap=lambda _: None)
+    return PathStage(along, CAR, PathConfig(), Appointment(None, along, CAR), horizon=8.0, passes_left=passes_left, lap=lambda _: None)
 
 
 def chosen(along: Course, ego: EgoState, others: Sequence[Other] = (), previous: Plan | None = None) -> ChosenPath:
@@ -593,7 +594,7 @@ def side_taken(l: float, previous: Plan | None, weights: PathDpConfig, v: float)
     """The decision about a narrow obstacle `l` m left of the middle of three lanes, and a plan that holds it."""
     ego = EgoState(0.0, 30.0, 3.5, 0.0, v)
     s, l0 = MIDDLE.line.project(ego.x, ego.y)
-    once = PathStage(MIDDLE, CAR, PathConfig(weights), horizon=8.0, passes_left=True, lap=lambda _: None)
+    once = PathStage(MIDDLE, CAR, PathConfig(weights), Appointment(None, MIDDLE, CAR), horizon=8.0, passes_left=True, lap=lambda _: None)
     found = once.choose(
         frame(ego, [standing("it", 60.0, 3.5 + l, width=0.8)], previous=previous), ego, s, l0, fresh=True
     )

@@ -159,7 +159,8 @@ def _scenario(document: Document, chosen: _Ego) -> Scenario:
     velocity, rule = velocities(document)
     without = None if obstacle is None else obstacle.id
     tracks = tracks_of(document, velocity, without=without, start=start, origin=origin)
-    road, assumed = road_of(document, origin, _driven(document))
+    asked = _hull([each.v for each in chosen.problem.goals]) if chosen.problem is not None else None
+    road, assumed = road_of(document, origin, _driven(document), asked)
     road, heads, ruled = with_rules(document, road, origin)
     driven, how = _ego(obstacle, chosen.problem, document.dt, vehicle, origin)
     goal, unknown = _goal(chosen.problem, road, start, document.dt, origin)

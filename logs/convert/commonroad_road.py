@@ -5,7 +5,9 @@ A limit that the file does not give is assumed, and the scenario says so:
 (1) by the kind of road: highway 130 km/h (USA: 65 mph), country 100, ramps 80, urban and all else 50;
 (2) raised to the 85th percentile of the speeds driven on those lanes in the log, rounded up to 10 km/h, where that is
     more: the speed by which traffic engineers set limits (V85), so that a motorway which the map calls "urban" keeps
-    its pace. Congested traffic never lowers (1).
+    its pace. Congested traffic never lowers (1);
+(3) raised to the middle of the goal's speeds, rounded up to 10 km/h, where even the least of them is more than (1) and
+    (2): a goal that cannot be reached within the assumption disproves it.
 """
 
 from __future__ import annotations
@@ -35,13 +37,16 @@ _ENOUGH_SAMPLES = 10
 _PLAUSIBLE = (2.0, 45.0)
 
 
-def road_of(document: Document, origin: tuple[float, float], driven: FloatArray) -> tuple[Road, tuple[str, ...]]:
+def road_of(
+    document: Document, origin: tuple[float, float], driven: FloatArray, asked: tuple[float, float] | None
+) -> tuple[Road, tuple[str, ...]]:
     """The road, and what was assumed.
 
     Args:
         document: The file.
         origin: Subtracted from all points, m.
         driven: Positions and speeds of the traffic `(m, 3)`, file coordinates, m and m/s: see (2).
+        asked: The speeds of the goal, m/s: see (3).
     """
     lanes, notes = {}, []
     for lanelet in document.lanelets:
@@ -55,7 +60,7 @@ def road_of(document: Document, origin: tuple[float, float], driven: FloatArray)
         notes.append(f"{uneven} lanelets have boundaries of unequal point counts: resampled by arc length")
     road = Road(lanes, drives_on_right=document.country not in LEFT_HAND_COUNTRIES)
     notes += _odd_limits(road)
-    return _with_defaults(document, road, driven - (*origin, 0.0), notes)
+    return _with_defaults(document, road, driven - (*origin, 0.0), asked, notes)
 
 
 def _lane(lanelet: Lanelet, left: FloatArray, right: FloatArray) -> Lane:
@@ -130,9 +135,9 @@ def _group(lane: Lane, document: Document) -> str:
 
 
 def _with_defaults(
-    document: Document, road: Road, driven: FloatArray, notes: Sequence[str]
+    document: Document, road: Road, driven: FloatArray, asked: tuple[float, float] | None, notes: Sequence[str]
 ) -> tuple[Road, tuple[str, ...]]:
-    """The road with (1) and (2): the commonest default is the road's, others stand on their lanes."""
+    """The road with (1) to (3): the commonest default is the road's, others stand on their lanes."""
     missing: defaultdict[str, list[Lane]] = defaultdict(list)
     drivable = [lane for lane in road.lanes.values() if lane.drivable]
     for lane in drivable:
@@ -140,7 +145,7 @@ def _with_defaults(
             missing[_group(lane, document)].append(lane)
     assumed, lines = {}, list(notes)
     for group, lanes in sorted(missing.items(), key=lambda item: (-len(item[1]), item[0])):
-        assumed[group], why = _assumed(group, document.country, _speeds_on(road, lanes, driven))
+        assumed[group], why = _assumed(group, document.country, _speeds_on(road, lanes, driven), asked)
         limit = f"{assumed[group]:.2f} m/s ({assumed[group] / KPH:.0f} km/h)"
         lines.append(f"speed limit missing on {len(lanes)} of {len(drivable)} lanes: {why} {limit} assumed")
     if not missing:
@@ -158,13 +163,19 @@ def _speeds_on(road: Road, lanes: Sequence[Lane], driven: FloatArray) -> FloatAr
     return np.array([v for x, y, v in moving if any(lane.id in wanted for lane in road.lanes_at(x, y))])
 
 
-def _assumed(group: str, country: str, speeds: FloatArray) -> tuple[float, str]:
-    """A limit by (1) and (2), m/s, and its name."""
-    limit = _DEFAULTS.get(group, _URBAN)
+def _assumed(group: str, country: str, speeds: FloatArray, asked: tuple[float, float] | None) -> tuple[float, str]:
+    """A limit by (1) to (3), m/s, and its name."""
+    limit, why = _DEFAULTS.get(group, _URBAN), f"{group} default"
     if group == "highway":
         limit = 65.0 * 1.609344 * KPH if country == "USA" else 130.0 * KPH
     if len(speeds) >= _ENOUGH_SAMPLES:
-        typical = ceil(float(np.percentile(speeds, 85)) / (10.0 * KPH)) * 10.0 * KPH
+        typical = _rounded_up(float(np.percentile(speeds, 85)))
         if typical > limit:
-            return typical, f"85th percentile of the driven speeds, above the {group} default,"
-    return limit, f"{group} default"
+            limit, why = typical, f"85th percentile of the driven speeds, above the {group} default,"
+    if asked is not None and asked[0] > limit:
+        return _rounded_up(0.5 * sum(asked)), f"the goal asks for {asked[0]:.0f} m/s, above the {why.rstrip(',')}:"
+    return limit, why
+
+
+def _rounded_up(speed: float) -> float:
+    return ceil(speed / (10.0 * KPH)) * 10.0 * KPH

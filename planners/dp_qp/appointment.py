@@ -1,4 +1,4 @@
-"""Arriving when and as fast as the goal says, where it names a time or a speed.
+"""Arriving when, as fast and where the goal says, where it names a time or a speed or lies beside the lane's middle.
 
 With the goal region from s_0 to s_1 along the lane, the ego at station s at time t, the goal's times [t_0, t_1] and
 speeds up to v_1:
@@ -11,6 +11,8 @@ As fast as it may: at the speed limit, reached with `ACCEL_MPS2`. (1) and (2) ho
 a quarter of the region and `ROOM_S`. (2) never asks for less than `LEAST` of the limit: who drives much slower than the
 others is in their way. In a hurry the ego wants `HURRIED_GAP_S` to the one ahead instead of its usual time gap; it
 drives no faster than the limit.
+
+(4) l_0(s) + m <= l <= l_1(s) - m      within the region, whose width at station s is from l_0 to l_1; m = `SIDE_M`
 """
 
 from __future__ import annotations
@@ -31,15 +33,20 @@ ROOM_MPS, ROOM_S = 1.0, 0.2
 HURRIED_GAP_S = 0.8
 BESIDE_M = 8.0
 """A region further beside the line is not its goal."""
+SIDE_M = 0.3
+"""Room that the ego's middle keeps to a region's sides, or a quarter of its width."""
+ALONG_M = 0.5
+"""Step in which a region's sides are taken."""
 
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """What the goal asks of the speed now: a cap, m/s, up to a station, m; and whether the ego is late."""
+    """What the goal asks of the speed now: a cap, m/s, up to a station, m; whether the ego is late, and how much, s."""
 
     cap: float = np.inf
     until: float = -np.inf
     hurried: bool = False
+    missed_s: float = 0.0
 
 
 class Appointment:
@@ -55,6 +62,7 @@ class Appointment:
         self._goal = goal
         self._region = _region(goal, course) - vehicle.axle_to_center if goal else np.array([np.nan, np.nan])
         self._limit = np.column_stack([course.line.s, course.limit])
+        self._sides = _sides(goal, course) if goal else np.empty((3, 0))
 
     def limit(self, s: FloatArray, limit: FloatArray, pace: Pace) -> FloatArray:
         """The speed limit `(m,)` at stations of the rear axle `(m,)` with (1) and (2) in it."""
@@ -68,6 +76,14 @@ class Appointment:
             out = np.where(inside, np.minimum(out, max(fastest - ROOM_MPS, 0.5 * fastest)), out)
         return out
 
+    def sides(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """(4) at stations of any shape: least and greatest offset, m; -inf and inf outside of the region."""
+        at, low, high = self._sides
+        if not len(at):
+            return np.full(s.shape, -np.inf), np.full(s.shape, np.inf)
+        within = (at[0] <= s) & (s <= at[-1])
+        return np.where(within, np.interp(s, at, low), -np.inf), np.where(within, np.interp(s, at, high), np.inf)
+
     def pace(self, t: float, s: float, v: float) -> Pace:
         """What (2) and (3) ask of the rear axle at station `s` at time `t` with speed `v`."""
         goal, (begin, end) = self._goal, self._region
@@ -78,8 +94,10 @@ class Appointment:
         if t + self._least_time(s, inner, v) < opens:
             slowly = LEAST * float(np.interp(s, *self._limit.T))
             return Pace(max((inner - s) / (opens - t), slowly), end)
-        late = s < begin and t < last and t + self._least_time(s, begin, v) > last - HASTE_S
-        return Pace(hurried=late)
+        if not (s < begin and t < last):
+            return Pace()
+        late = t + self._least_time(s, begin, v) - last
+        return Pace(hurried=late > -HASTE_S, missed_s=max(late, 0.0))
 
     def _least_time(self, s: float, to: float, v: float) -> float:
         """How long driving as fast as it may takes from station to station, from the speed `v`, s."""
@@ -95,3 +113,30 @@ def _region(goal: Goal, course: Course) -> FloatArray:
     found = [course.line.project(float(x), float(y)) for region in goal.regions for x, y in region]
     stations = [along for along, beside in found if abs(beside) < BESIDE_M]
     return np.array([min(stations), max(stations)] if stations else [np.nan, np.nan])
+
+
+def _sides(goal: Goal, course: Course) -> FloatArray:
+    """Rows station, least and greatest offset `(3, n)` of (4): of what lies around the line, else of the nearest."""
+    begin, end = _region(goal, course)
+    if not np.isfinite(end):
+        return np.empty((3, 0))
+    rows = []
+    for s in np.arange(begin + 0.5 * ALONG_M, end, ALONG_M):
+        x, y, yaw, _ = course.line.frame(float(s))
+        pieces = [piece for region in goal.regions for piece in _across(region - (x, y), yaw)]
+        pieces = [(low, high) for low, high in pieces if low < BESIDE_M and high > -BESIDE_M]
+        if pieces:
+            low, high = min(pieces, key=lambda piece: max(piece[0], -piece[1], 0.0))
+            room = min(SIDE_M, 0.25 * (high - low))
+            rows.append((s, low + room, high - room))
+    return np.array(rows).reshape(-1, 3).T
+
+
+def _across(region: FloatArray, yaw: float) -> list[tuple[float, float]]:
+    """Where the normal of a line through the origin with heading `yaw` runs through a polygon `(n, 2)`: offsets, m."""
+    along = region @ (np.cos(yaw), np.sin(yaw))
+    aside = region @ (-np.sin(yaw), np.cos(yaw))
+    after, then = np.roll(along, -1), np.roll(aside, -1)
+    cut = (along > 0.0) != (after > 0.0)
+    at = np.sort(aside[cut] + (then - aside)[cut] * along[cut] / (along - after)[cut])
+    return [(float(low), float(high)) for low, high in zip(at[::2], at[1::2], strict=True)]

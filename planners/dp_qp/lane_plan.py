@@ -7,6 +7,7 @@ The cost of a candidate adds terms in seconds:
                     DEAD_END_S where the goal cannot be reached from the lane
 (3) change        = CHANGE_S for another lane than the one that is driven
 (4) braking       = HARD_S where comfort cannot keep the distance, FAILED_S where nothing can or a stage failed
+(5) late          = how much later than the goal's last time the ego would be there at the lane's speed limit
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from logs.road import Goal
 from logs.states import EgoState
 from logs.trace import Artefact, CostTerms
 from logs.vehicle import VehicleParameters
-from planners.dp_qp.appointment import Appointment
+from planners.dp_qp.appointment import Appointment, Pace
 from planners.dp_qp.lanes import Strip
 from planners.dp_qp.path_stage import ChosenPath, PathConfig, PathStage
 from planners.dp_qp.speed_stage import ChosenSpeed, SpeedConfig, SpeedStage
@@ -53,7 +54,7 @@ class LanePlan:
         s: Station of the start, m; `l` its offset.
         path: What the path stage found.
         speed: What the speed stage found; None where there is no path.
-        costs: (1)-(4).
+        costs: (1)-(5).
     """
 
     name: str
@@ -66,13 +67,14 @@ class LanePlan:
 
     @property
     def cost(self) -> float:
-        """Sum of (1)-(4), s."""
+        """Sum of (1)-(5), s."""
         return sum(value for _, value in self.costs.terms)
 
     @property
     def time_lost(self) -> float:
-        """(1), s."""
-        return self.costs.terms[0][1]
+        """(1) and (5), s."""
+        terms = dict(self.costs.terms)
+        return terms["time lost"] + terms["late"]
 
     @property
     def is_comfortable(self) -> bool:
@@ -103,7 +105,9 @@ class LanePlanner:
         self.strip, self._rules = strip, rules
         self._appointment = Appointment(goal, strip.course, vehicle)
         self._vehicle, self._horizon = vehicle, speed.qp.horizon
-        self._path = PathStage(strip.course, vehicle, path, horizon=speed.qp.horizon, passes_left=passes_left, lap=lap)
+        self._path = PathStage(
+            strip.course, vehicle, path, self._appointment, horizon=speed.qp.horizon, passes_left=passes_left, lap=lap
+        )
         self._speed = SpeedStage(vehicle, speed, lap)
         self._last: tuple[float, float, float] | None = None  # x, y and station of the last start
         self._planned = -inf
@@ -128,18 +132,17 @@ class LanePlanner:
         self._planned = frame.t
         course = self.strip.course
         path = self._path.choose(frame, start, s, l, fresh=fresh)
-        speed = None
+        speed, pace = None, self._appointment.pace(frame.t, s, start.v)
         if path.path is not None:
-            pace = self._appointment.pace(frame.t, s, start.v)
             limit = self._appointment.limit(path.path.s, np.interp(path.path.s, course.line.s, course.limit), pace)
             skip = behind(course, frame, s, l, self._vehicle, keeps_track=path.shift < TRACK_M)
             walls = walls_on(self._rules.stops(frame, start, s, path.passed, fresh=fresh), path.path, self._vehicle)
             speed = self._speed.choose(
                 frame, start, path.path, limit, skip, path.passed, walls, fresh=fresh, hurried=pace.hurried
             )
-        return LanePlan(name, self.strip, s, l, path, speed, self._costs(name, start, s, speed))
+        return LanePlan(name, self.strip, s, l, path, speed, self._costs(name, start, s, speed, pace))
 
-    def _costs(self, name: str, start: EgoState, s: float, speed: ChosenSpeed | None) -> CostTerms:
+    def _costs(self, name: str, start: EgoState, s: float, speed: ChosenSpeed | None, pace: Pace) -> CostTerms:
         lost, braking = self._horizon, FAILED_S
         if speed is not None and speed.profile is not None:
             limit = float(np.interp(s, self.strip.course.line.s, self.strip.course.limit))
@@ -150,6 +153,7 @@ class LanePlanner:
             "lane changes": self._route_cost(s, start.v),
             "change": 0.0 if name == "keep" else CHANGE_S,
             "braking": braking,
+            "late": pace.missed_s,
         }
         return CostTerms(f"lane {name}", tuple(terms.items()))
 

@@ -25,6 +25,7 @@ from logs.trace import (
 )
 from logs.vehicle import VehicleParameters
 from planners.dp_qp import corridor
+from planners.dp_qp.appointment import Appointment
 from planners.dp_qp.corridor import CorridorConfig, PathObstacle
 from planners.dp_qp.facing import blocking, may_block, passed_facing, waiting_place
 from planners.dp_qp.path import Path, frenet_start, make_path, out_of_frame
@@ -47,6 +48,10 @@ JUNCTION_M = 40.0
 
 FORCED_M = 0.3
 """Steering hard is thought of where comfortable steering would leave the lane by more than this."""
+NEAR_GOAL_M = 15.0
+"""Who stands within this of the goal is passed as anywhere else."""
+RELINEARISED = 2
+"""So often the path that cannot keep its corridor is solved anew, with the curvature's bounds at its own offsets."""
 LOCK_SLACK, AT_START_M = 1.05, 5.0
 """A path ends where its curvature is more than that much of the steering lock's, though not so near to the start."""
 
@@ -138,13 +143,14 @@ class PathStage:
         course: Course,
         vehicle: VehicleParameters,
         config: PathConfig,
+        appointment: Appointment,
         *,
         horizon: float,
         passes_left: bool,
         lap: Callable[[str], None],
     ) -> None:
         self._course, self._vehicle, self._config, self._lap = course, vehicle, config, lap
-        self._horizon = horizon
+        self._appointment, self._horizon = appointment, horizon
         self._rows = config.dp.offsets(passes_left=passes_left)
         self._programs: dict[float, PathQp] = {}
         self._standing: dict[str, float] = {}  # who stands in the way, seen since when
@@ -171,7 +177,7 @@ class PathStage:
         grid, chosen, dp_knots, dp_at, sides = found_dp
         self._lap("path DP")
         points, swings = knots + self._leads[:, None], swing(self._course, knots, self._leads)
-        space = corridor.eased(self._room(points, scene), swings)
+        space = self._aimed(corridor.eased(self._room(points, scene), swings), obstacles)
         space = corridor.widened(space, frenet, start.v)
         decisions = corridor.decide_sides(obstacles, dp_at, sides, space, self._vehicle, self._config.corridor)
         at = self._course.at(knots)
@@ -203,12 +209,15 @@ class PathStage:
         reports: tuple[SolverReport, ...] = ()
         while True:
             narrow, decisions = corridor.narrowed(task.space, obstacles, decisions, self._vehicle, config)
-            problem = self._problem(task, narrow)
+            problem = self._problem(task, narrow, np.clip(0.0, narrow.lower[0], narrow.upper[0]))
             result, costs = task.program.solve(problem, fresh=fresh)
             in_corridor, reports = result.report.solved, (*reports, result.report)
-            if not in_corridor:
+            for _ in range(0 if in_corridor else 1 + RELINEARISED):
                 result, costs = task.program.solve(problem, fresh=fresh, softly=True)
                 reports = (*reports, result.report)
+                if not result.report.solved:
+                    break
+                problem = self._problem(task, narrow, result.x.reshape(3, -1)[0])
             bounds = corridor.reported(narrow, problem.lower - task.swings, problem.upper - task.swings)
             if not result.report.solved:
                 return _Found(None, decisions, bounds, costs, reports)
@@ -219,12 +228,12 @@ class PathStage:
                 return _Found(offsets, final, bounds, costs, reports)
             decisions = final
 
-    def _problem(self, task: _Task, space: corridor.Room) -> PathProblem:
+    def _problem(self, task: _Task, space: corridor.Room, near: FloatArray) -> PathProblem:
         """The bounds of the path QP: the corridor, loosened to the reach of comfortable steering.
 
-        Where that leaves the room by more than `FORCED_M`, of hard steering if that leaves it by less.
+        Where that leaves the room by more than `FORCED_M`, of hard steering if that leaves it by less. The bounds of
+        the curvature are those at the offsets `near` `(knots,)`.
         """
-        near = np.clip(0.0, space.lower[0], space.upper[0])
         start = np.array(task.start)
         least = np.inf
         for limits in (COMFORT, HARD):
@@ -242,6 +251,18 @@ class PathStage:
                 break
             least = forced
         return best
+
+    def _aimed(self, space: corridor.Room, obstacles: tuple[PathObstacle, ...]) -> corridor.Room:
+        """The room within the goal's sides, where that leaves some and nobody stands near the goal."""
+        lower, upper = self._appointment.sides(space.s)
+        there = np.isfinite(lower)
+        if not there.any():
+            return space
+        begin, end = space.s[there].min() - NEAR_GOAL_M, space.s[there].max() + NEAR_GOAL_M
+        lower, upper = np.maximum(space.lower, lower), np.minimum(space.upper, upper)
+        if (lower > upper).any() or any(box.s_from < end and box.s_to > begin for box in obstacles):
+            return space
+        return corridor.Room(space.s, lower, upper)
 
     def _drivable(self, path: Path, wait: float, speed: float) -> Path:
         """The path to the station at which to wait, if it can stop there, or to where it turns beyond the lock."""

@@ -140,7 +140,7 @@ class SpeedStage:
         self._lap("speed DP")
         state = max(way.start.v, 0.0), way.start.a
         constrained = _meets_movers(blocks, frame) or any(wall.stop.until < np.inf for wall in walls)
-        free = self._problem(path, v_limit, s_dp, state, constrained=constrained)
+        free = self._problem(path, v_limit, s_dp, state, constrained=constrained, hurried=way.hurried)
         free = replace(free, upper=upper_bound(walls, self._times, path.length))
         problem = self._bounded(free, blocks, decisions)
         solved = self._solver.solve(problem, way.others, frame.t, fresh=fresh)
@@ -230,8 +230,9 @@ class SpeedStage:
         return replace(problem, lower=np.minimum(lower, upper), upper=upper)
 
     def _problem(
-        self, path: Path, v_limit: FloatArray, s_dp: FloatArray, start: tuple[float, float], *, constrained: bool
-    ) -> SpeedProblem:
+        self, path: Path, v_limit: FloatArray, s_dp: FloatArray, start: tuple[float, float],
+        *, constrained: bool, hurried: bool,
+    ) -> SpeedProblem:  # fmt: skip
         """What is wanted and the limit, with nobody in the way."""
         qp = self._config.qp
         free = self._cruise(path, v_limit, start)
@@ -245,7 +246,8 @@ class SpeedStage:
         ahead = np.interp(s_ref, path.sigma, v_limit)
         limit = np.maximum(ahead, eased[1]) + SPEED_ROOM_MPS
         nowhere, everywhere = np.zeros(qp.knots), np.full(qp.knots, path.length)
-        return SpeedProblem(start, nowhere, everywhere, limit, s_ref, v_ref, path.length)
+        a_ref = np.gradient(v_ref, STEP_S) if hurried else 0.0
+        return SpeedProblem(start, nowhere, everywhere, limit, s_ref, v_ref, path.length, a_ref)
 
 
 def _overtakes(blocks: Blocks, decisions: tuple[Decision, ...], profile: FloatArray | None, times: FloatArray) -> bool:

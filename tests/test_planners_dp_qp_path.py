@@ -525,7 +525,15 @@ def test_a_lane_is_borrowed_only_beside_an_obstacle() -> None:
 
 
 def stage(along: Course, *, passes_left: bool = True) -> PathStage:
-    return PathStage(along, CAR, PathConfig(), Appointment(None, along, CAR), horizon=8.0, passes_left=passes_left, lap=lambda _: None)
+    return PathStage(
+        along,
+        CAR,
+        PathConfig(),
+        Appointment(None, along, CAR),
+        horizon=8.0,
+        passes_left=passes_left,
+        lap=lambda _: None,
+    )
 
 
 def chosen(along: Course, ego: EgoState, others: Sequence[Other] = (), previous: Plan | None = None) -> ChosenPath:
@@ -594,7 +602,15 @@ def side_taken(l: float, previous: Plan | None, weights: PathDpConfig, v: float)
     """The decision about a narrow obstacle `l` m left of the middle of three lanes, and a plan that holds it."""
     ego = EgoState(0.0, 30.0, 3.5, 0.0, v)
     s, l0 = MIDDLE.line.project(ego.x, ego.y)
-    once = PathStage(MIDDLE, CAR, PathConfig(weights), Appointment(None, MIDDLE, CAR), horizon=8.0, passes_left=True, lap=lambda _: None)
+    once = PathStage(
+        MIDDLE,
+        CAR,
+        PathConfig(weights),
+        Appointment(None, MIDDLE, CAR),
+        horizon=8.0,
+        passes_left=True,
+        lap=lambda _: None,
+    )
     found = once.choose(
         frame(ego, [standing("it", 60.0, 3.5 + l, width=0.8)], previous=previous), ego, s, l0, fresh=True
     )

@@ -313,38 +313,18 @@ FAST = (
     *varied("PD-8", "pedestrian/along", ego_speed_mps=(10.0,), lateral_m=(0.0,), leave_s=(7.0,)),
     *varied("PD-9", "pedestrian/both_sides", left_start_s=(3.0, 4.5), distance_m=(31.0,)),
 )
-FAILS = {
-    "PD-1 ego_speed_mps=10 pedestrian_speed_mps=2.2 distance_m=2.68": (
-        "late release: braked hard when the front had passed him; the brake then goes with comfortable jerk, for 1.6 s"
-    ),
-    "PD-4 ego_speed_mps=10 distance_m=5 dwell_s=2": (
-        "contact at walking pace or less: hardest braking leaves 0.0 m by plan, the car comes some centimetres farther"
-    ),
-}
-
-
-def marked(cases: tuple[Case, ...]) -> list[object]:
-    """The cases as parameters of a test; those that are known to fail say why."""
-    return [
-        pytest.param(
-            case,
-            id=str(case),
-            marks=[pytest.mark.xfail(strict=True, reason=FAILS[str(case)])] if str(case) in FAILS else [],
-        )
-        for case in cases
-    ]
 
 
 # laws
 
 
-@pytest.mark.parametrize("case", marked(FAST))
+@pytest.mark.parametrize("case", FAST, ids=str)
 def test_the_laws_hold(case: Case) -> None:
     assert broken(judged(case)) == []
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("case", marked(tuple(case for case in NINE if case not in FAST)))
+@pytest.mark.parametrize("case", [case for case in NINE if case not in FAST], ids=str)
 def test_the_laws_hold_over_the_table(case: Case) -> None:
     assert broken(judged(case)) == []
 

@@ -1,4 +1,4 @@
-"""Speed stage: blocked intervals, walls, sight -> speed DP (who goes first) -> bounds -> how hard, with the speed QP.
+"""Speed stage: blocked intervals, walls, sight, waverers -> speed DP (who goes first) -> bounds -> speed QP (how hard).
 
 And the S-T graph of it. Hypotheses that are unlikely bind only where hard braking would come too late for them.
 """
@@ -32,6 +32,7 @@ from planners.dp_qp.speed_qp import (
 from planners.dp_qp.speed_solve import RESERVE, SolvedSpeed, SpeedSolver
 from planners.dp_qp.st_graph import Blocks, StGraphConfig, block_intervals, decide_speed
 from planners.dp_qp.walls import open_end, told, upper_bound, wall_map, wall_outlines, walled
+from planners.dp_qp.waverers import Waverers
 from planners.rules import Wall
 
 SPEED_ROOM_MPS = 0.8
@@ -98,7 +99,8 @@ class SpeedStage:
 
     def __init__(self, vehicle: VehicleParameters, config: SpeedConfig, lap: Callable[[str], None]) -> None:
         self._vehicle, self._config, self._lap = vehicle, config, lap
-        self._solver = SpeedSolver(config.qp, config.dp.gap_m)
+        self._solver, self._waverers = SpeedSolver(config.qp, config.dp.gap_m), Waverers()
+        self._hard_mps2 = RESERVE * config.qp.emergency.decel_mps2
         dp = config.dp
         self._weights = np.array([dp.w_v, dp.w_a, dp.w_j, dp.max_accel_mps2, dp.max_decel_mps2])
         self._times = STEP_S * np.arange(config.qp.knots)
@@ -118,6 +120,7 @@ class SpeedStage:
         found = blocks(self._config.graph)
         self._lap("S-T graph")
         limit, unseen = self._sighted(path, limit, found, frame)
+        limit, wavering = self._waverers.limit(path, limit, frame, self._vehicle, found, self._hard_mps2, fresh=fresh)
         way = _Way(frame, start, path, np.where(path.sigma >= open_end(walls), 0.0, limit), walls, hurried, blocks)
         likely = found.probability > UNLIKELY
         chosen, solved = self._planned(way, found.only(likely), fresh=fresh)
@@ -128,7 +131,7 @@ class SpeedStage:
             else:
                 chosen, solved = self._planned(way, found, fresh=fresh)
         self._solver.remember(frame.t, solved)
-        told_more = (*ignored, *told(walls), *([unseen] if unseen else ()))
+        told_more = (*ignored, *told(walls), *wavering, *([unseen] if unseen else ()))
         return replace(chosen, artefacts=(*chosen.artefacts, *told_more))
 
     def _planned(self, way: _Way, blocks: Blocks, *, fresh: bool) -> tuple[ChosenSpeed, SolvedSpeed]:
@@ -166,7 +169,7 @@ class SpeedStage:
     ) -> tuple[FloatArray, Decision | None]:
         """The limit with what the ego cannot see in it."""
         first = float(np.nanmin(blocks.lower)) + self._vehicle.axle_to_front if len(blocks) else np.inf
-        return sight_limit(path, limit, frame, self._vehicle, first, RESERVE * self._config.qp.emergency.decel_mps2)
+        return sight_limit(path, limit, frame, self._vehicle, first, self._hard_mps2)
 
     def _could_stop(self, profile: FloatArray | None, blocks: Blocks) -> bool:
         """Whether hard braking, `BRANCH_S` after driving on along a profile, would stay behind these blocks."""

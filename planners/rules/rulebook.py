@@ -12,12 +12,12 @@ each window (a, b) in which others take the zone
 (4) t_out + c + x <= a    or    b + AFTER_S <= t_in    (lanes that merge: a + FOLLOW_S <= t_in)
 
 c is the post-encroachment time, `CLEAR_S` before a vehicle: below 1.5 s an encounter is critical (criticality metrics
-catalogue, Westhofen et al. 2023), and with the time to clear a lane from rest it makes gaps between the critical ones of
-HCM 2010 (4.1 s for a left turn from the major road, 7.1 s from the minor one); `WALK_CLEAR_S` before a pedestrian. Where
-the lanes merge, the ego is out of the way when its rear is in the zone, and x is what the one behind needs to brake to
-the ego's speed at `YIELD_MPS2`: x = (v - v_ego)^2 / (2 v YIELD_MPS2). A gap once taken is kept with `KEPT_S` less. The
-wait ends when (4) holds for who comes by at speed and for who starts from rest; it is open while nothing says when. A
-zone behind which there is no room for the ego is not entered either. A demand that comes too late for `COMFORT`
+catalogue, Westhofen et al. 2023), and with the time to clear a lane from rest it makes gaps between the critical ones
+of HCM 2010 (4.1 s for a left turn from the major road, 7.1 s from the minor one); `WALK_CLEAR_S` before a pedestrian.
+Where the lanes merge, the ego is out of the way when its rear is in the zone, and x is what the one behind needs to
+brake to the ego's speed at `YIELD_MPS2`: x = (v - v_ego)^2 / (2 v YIELD_MPS2). A gap once taken is kept with `KEPT_S`
+less. The wait ends when (4) holds for who comes by at speed and for who starts from rest; it is open while nothing says
+when. A zone behind which there is no room for the ego is not entered either. A demand that comes too late for `COMFORT`
 (priority lane) or `HARD` (crosswalk) is not made: whom the ego would meet is in the S-T graph anyway.
 
 Memory, dropped where the frame is fresh: the lines and zones that it stops for, which are stopped for as long as `HARD`

@@ -120,6 +120,9 @@ def moved(world: Scenario, turn: float, dx: float, dy: float, *, mirror: bool = 
         world.road,
         lanes={i: lane(strip) for i, strip in world.road.lanes.items()},
         drives_on_right=world.road.drives_on_right != mirror,
+        stop_lines=tuple(
+            replace(line, points=np.column_stack(place(*line.points.T))) for line in world.road.stop_lines
+        ),
     )
     others = replace(old, x=x, y=y, yaw=sign * old.yaw + turn, vx=vx - dx, vy=vy - dy)
     return replace(world, ego=moved_ego(world.ego, turn, dx, dy, mirror=mirror), tracks=others, road=road)

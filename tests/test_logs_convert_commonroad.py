@@ -245,6 +245,22 @@ def test_default_limit_follows_the_kind_of_road_and_the_pace(tmp_path: Path) -> 
     assert limit("USA_A-1", "<interstate/>", 19.0) == pytest.approx(65.0 * 1.609344)
 
 
+def test_a_goal_that_asks_for_more_disproves_the_assumed_limit(tmp_path: Path) -> None:
+    def limit(least: float, most: float) -> float:
+        wanted = f"<velocity><intervalStart>{least}</intervalStart><intervalEnd>{most}</intervalEnd></velocity>"
+        file = written(
+            tmp_path,
+            straight(1, inner="<laneletType>urban</laneletType>"),
+            problem(90, -20.0, 0.0, 10.0, goal=wanted),
+            benchmark="DEU_A-1",
+        )
+        return read_commonroad(file).road.limit(1) * 3.6
+
+    assert limit(5.0, 30.0) == pytest.approx(50.0)
+    assert limit(13.0, 30.0) == pytest.approx(50.0)
+    assert limit(14.0, 20.0) == pytest.approx(70.0)
+
+
 def test_degenerate_lanelets_are_repaired_or_dropped(tmp_path: Path) -> None:
     good = points((0, 2), (0, 2), (10, 2), (20, 2)), points((0, -2), (0, -2), (10, -2), (20, -2))
     uneven = points((0, 6), (20, 6)), points((0, 2), (5, 2), (20, 2))

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from worlds import CAR, along_x, lanes
+from worlds import CAR, along_x, lanes, strip
 
-from logs import EgoState, Goal
+from logs import EgoState, Goal, Road, Scenario, Tracks, Trajectory
 from logs.catalogue import CATALOGUE
 from logs.trace import EndReason, Trace
 from planners.dp_qp.appointment import LEAST, Appointment, Pace
@@ -47,6 +47,26 @@ def test_the_pace_is_never_too_slow_and_late_and_early_exclude_each_other(
     assert not (pace.hurried and np.isfinite(pace.cap))
 
 
+@given(st.floats(0.1, 40.0), st.floats(0.0, 180.0), st.floats(0.0, 20.0))
+def test_who_is_late_is_in_a_hurry_and_an_hour_later_is_as_late_by_an_hour(last: float, s: float, v: float) -> None:
+    sooner, later = (appointment((0.0, last)).pace(t, s, v) for t in (0.0, 0.5 * last))
+    assert sooner.hurried or sooner.missed_s == 0.0
+    if sooner.missed_s > 0.0:
+        assert later.missed_s == pytest.approx(sooner.missed_s + 0.5 * last)
+
+
+@given(st.floats(-3.0, 3.0), st.floats(0.2, 5.0), st.floats(-0.3, 0.3))
+def test_the_sides_are_those_of_the_region_where_it_is_and_none_elsewhere(y: float, width: float, turn: float) -> None:
+    c, s = np.cos(turn), np.sin(turn)
+    square = np.array([[-10.0, -0.5], [10.0, -0.5], [10.0, 0.5], [-10.0, 0.5]]) * (1.0, width)
+    square = square @ np.array([[c, s], [-s, c]]) + (200.0, y)
+    stations = np.array([COURSE.line.project(x, 0.0)[0] for x in (100.0, 200.0, 260.0)])
+    low, high = Appointment(Goal((square,)), COURSE, CAR).sides(stations)
+    room = min(0.3, 0.25 * width / c)
+    assert np.isinf(low[[0, 2]]).all() and np.isinf(high[[0, 2]]).all()
+    assert (low[1], high[1]) == pytest.approx((y - 0.5 * width / c + room, y + 0.5 * width / c - room), abs=1e-6)
+
+
 @given(st.floats(0.0, 40.0), st.floats(0.0, 20.0))
 def test_the_earlier_the_window_the_faster(first: float, more: float) -> None:
     sooner, later = (appointment((t, t + 2.0)).pace(0.0, 20.0, 10.0).cap for t in (first, first + more))
@@ -57,6 +77,39 @@ def test_the_goals_speed_holds_in_its_region() -> None:
     limit = appointment(None, (0.0, 5.0)).limit(COURSE.line.s, COURSE.limit, Pace())
     slow = COURSE.line.s[limit < 5.0]
     assert 200.0 - CAR.axle_to_center - 1.0 <= slow.min() and slow.max() <= 220.0 - CAR.axle_to_center + 1.0
+
+
+def drive_to(region: np.ndarray, t: tuple[float, float], road: Road, v: float) -> Trace:
+    """A drive from the origin on an empty road."""
+    ego = Trajectory(*(np.array([value]) for value in (0.0, 0.0, 0.0, 0.0, v, 0.0, 0.0)))
+    scenario = Scenario("goal", ego, Tracks.empty(), road, t[1], goal=Goal((region,), t=t), vehicle=CAR)
+    return run_closed_loop(scenario, "dp_qp").trace
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_goal_beside_the_lanes_middle_is_met(side: float) -> None:
+    """It lies from 0.5 to 1.5 m beside the middle of the lane, and 6 m along it."""
+    y0, y1 = sorted((0.5 * side, 1.5 * side))
+    square = np.array([[80.0, y0], [86.0, y0], [86.0, y1], [80.0, y1]])
+    trace = drive_to(square, (0.0, 20.0), lanes(along_x(-20.0, 300.0)), 10.0)
+    assert trace.end is EndReason.GOAL
+    assert y0 <= trace.ego.y[-1] <= y1
+
+
+def test_who_is_late_takes_the_faster_lane() -> None:
+    """To be 320 m away after 20 s needs more than the 12 m/s of the own lane; the left one has 20 m/s."""
+    slow = along_x(-20.0, 500.0)
+    fast = slow + np.array([0.0, 3.5])
+    road = Road(
+        {
+            0: strip(0, slow, left_neighbour=1, speed_limit=12.0),
+            1: strip(1, fast, right_neighbour=0, speed_limit=20.0),
+        }
+    )
+    square = np.array([[320.0, -2.0], [340.0, -2.0], [340.0, 5.5], [320.0, 5.5]])
+    late, in_time = (drive_to(square, (0.0, last), road, 12.0) for last in (20.0, 40.0))
+    assert late.end is EndReason.GOAL and late.ego.y[-1] > 2.0
+    assert in_time.end is EndReason.GOAL and abs(in_time.ego.y).max() < 1.0
 
 
 def driven(window: tuple[float, float], speeds: tuple[float, float]) -> Trace:

@@ -358,6 +358,39 @@ def test_a_large_gap_is_taken_and_a_small_one_not(name: str) -> None:
         assert front[-1] > 106.0
 
 
+def merging() -> Road:
+    """The ego's lanes 0 and 1 along x; lane 10, which goes first, comes from the right and goes on as lane 1 too."""
+    u = np.linspace(0.0, 1.0, 60)[:, None]
+    bend = (1.0 - u) ** 2 * (60.0, -40.0) + 2.0 * u * (1.0 - u) * (80.0, 0.0) + u**2 * (100.0, 0.0)
+    return Road(
+        {
+            0: strip(0, along_x(-50.0, 100.0), successors=(1,), yields_to=(10,)),
+            1: strip(1, along_x(100.0, 450.0)),
+            10: strip(10, np.vstack([[25.0, -110.0], bend]), successors=(1,)),
+        }
+    )
+
+
+@given(st.floats(0.0, 12.0), st.floats(55.0, 70.0), st.floats(10.0, 110.0))
+def test_who_is_ahead_in_the_merged_lane_by_enough_time_does_not_wait(v: float, front: float, away: float) -> None:
+    """The farther the other, the less is demanded; and in time the whole lane need not have been left."""
+    ego, way = at_front(front, v), np.array([35.0, 70.0]) / np.hypot(35.0, 70.0)
+    x, y = np.array([60.0, -40.0]) - away * way
+    near, far = (
+        demands(merging(), ego, [driving("car", *(np.array([x, y]) - more * way), *(10.0 * way))])
+        for more in (0.0, 15.0)
+    )
+    assert near or not far
+
+
+def test_a_car_behind_in_the_merged_lane_is_not_waited_for() -> None:
+    """The ego enters 1.4 s after now and is out of nobody's lane for 8 s; the other is at the merging 4 s later."""
+    way = np.array([35.0, 70.0]) / np.hypot(35.0, 70.0)
+    x, y = np.array([60.0, -40.0]) - 25.0 * way
+    assert demands(merging(), at_front(70.0, 10.0), [driving("car", x, y, *(10.0 * way))]) == ()
+    assert demands(merging(), at_front(55.0, 10.0), [driving("car", 70.0, -20.0, *(10.0 * way))])
+
+
 def test_the_wait_is_before_the_line_where_there_is_one() -> None:
     line = StopLine(5, 0, np.array([[91.0, 1.75], [91.0, -1.75]]))
     car, ego = driving("car", 100.0, -45.0, 0.0, 10.0), at_front(60.0, 8.0)

@@ -12,9 +12,9 @@ from drives import moved as moved_world
 from handmade import drive, scenario, straight, track, tracks
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from worlds import along_x, lanes
+from worlds import along_x, lanes, strip
 
-from logs import AgentKind, EgoState, LogError, Scenario, Tracks
+from logs import AgentKind, Colour, EgoState, LogError, Road, Scenario, StopLine, Tracks, TrafficLight
 from logs.convert.commonroad import read_commonroad
 from logs.kernel import FloatArray
 from replay.closed_loop import run_closed_loop
@@ -59,8 +59,18 @@ def made(*agents: dict[str, object], v: float = 10.0) -> Scenario:
     return scenario(drive(straight, v, 12.0), agents=tracks(*agents), road=ROAD, duration=12.0)
 
 
+def lit(log: Scenario, x: float, *shown: tuple[float, Colour], towards: tuple[int, ...] = ()) -> Scenario:
+    """With stop lines across both lanes at `x`, slanted, and one light."""
+    lines = tuple(
+        StopLine(i, i, np.array([[x + 0.2, 3.5 * i - 1.75], [x - 0.2, 3.5 * i + 1.75]]), light=7, towards=towards)
+        for i in (0, 1)
+    )
+    light = TrafficLight(7, np.array([t for t, _ in shown]), tuple(colour for _, colour in shown))
+    return replace(log, road=replace(log.road, stop_lines=lines), lights=(light,))
+
+
 def busy(seed: int) -> Scenario:
-    """Cars along both lanes at speeds of their own, one that stops for a while, a pedestrian, a parked car."""
+    """Cars along both lanes, one that stops for a while, a pedestrian, a parked car, a light that all pass as it is."""
     rng = np.random.default_rng(seed)
     agents = []
     for i, (x, y) in enumerate([(-40.0, 0.0), (-20.0, 0.0), (30.0, 0.0), (-30.0, 3.5), (10.0, 3.5)]):
@@ -70,7 +80,7 @@ def busy(seed: int) -> Scenario:
     agents.append(track("p", T, np.full(len(T), 60.0), 8.0 - 1.2 * T, kind=AgentKind.PEDESTRIAN, length=0.5, width=0.5))
     agents.append(track("parked", [0.0], [80.0], [-4.0], static=True))
     agents.append(track("late", T[50:], 20.0 + 9.0 * (T[50:] - 5.0), np.zeros(len(T[50:]))))
-    return made(*agents)
+    return lit(made(*agents), 65.0, (0.0, Colour.GREEN), (5.0, Colour.YELLOW), (6.5, Colour.RED), (10.0, Colour.GREEN))
 
 
 def assert_same_motion(one: Tracks, two: Tracks, atol: float = 1e-9, until: float = 12.0) -> None:
@@ -246,6 +256,102 @@ def test_enhanced_idm_is_bounded_and_prefers_more_room(v: float, gap: float, v_l
 @given(st.floats(1.0, 30.0))
 def test_enhanced_idm_rests_at_its_desired_gap(v: float) -> None:
     assert enhanced_idm(v, STANDSTILL_M + TIME_GAP_S * v, v, 0.0) == pytest.approx(0.0, abs=1e-9)
+
+
+# --- reactive, at traffic lights
+
+LINE = 40.0
+
+
+def delayed(t: float) -> float:
+    """The speed of an ego that holds up who is behind it, and leaves the scene before a light does."""
+    return 5.0 if t < 2.5 else 16.0
+
+
+def fronts(moved: Tracks, name: str = "b") -> FloatArray:
+    i = moved.ids.index(name)
+    span = moved.samples(i)
+    return np.asarray(np.interp(T, moved.t[span], moved.x[span]) + 0.5 * moved.length[i])
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=4)
+def test_who_is_as_logged_runs_the_red_that_he_ran(seed: int) -> None:
+    red, never = (lit(busy(seed), 40.0, (0.0, shown)) for shown in (Colour.RED, Colour.GREEN))
+    one, two = (run(log, "reactive", far_away(log)) for log in (red, never))
+    assert_same_motion(one, red.tracks)
+    for name in ("t", "x", "y", "yaw", "vx", "vy"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
+    held_up = lit(made(car("b", -20.0), car("beside", -20.0, y=3.5)), LINE, (0.0, Colour.RED))
+    moved = run(held_up, "reactive", at_speed(delayed))
+    np.testing.assert_allclose(fronts(moved, "beside"), -17.75 + 10.0 * T, atol=1e-9)
+
+
+@given(st.floats(2.5, 6.5), st.floats(1.0, 2.5), st.sampled_from([Colour.RED, Colour.RED_YELLOW, Colour.YELLOW]))
+@settings(max_examples=15)
+def test_who_is_late_waits_before_the_line_until_it_opens(closes: float, seconds: float, shown: Colour) -> None:
+    log = made(car("b", -20.0))
+    free = fronts(run(log, "reactive", at_speed(delayed)))
+    opens = closes + seconds
+    moved = run(
+        lit(log, LINE, (0.0, Colour.GREEN), (closes, shown), (opens, Colour.GREEN)), "reactive", at_speed(delayed)
+    )
+    held = fronts(moved)
+    k, last = int(np.searchsorted(T, closes)), int(np.searchsorted(T, opens))
+    gap, v = LINE - free[k], (free[k] - free[k - 1]) / 0.1
+    able = gap > 0.0 and v * v <= 2.0 * gap * (3.0 if shown is Colour.YELLOW else HARDEST_MPS2) * 0.98
+    if able:
+        assert held[: last + 1].max() <= LINE
+    elif gap < 0.0 or v * v > 2.0 * gap * (3.0 if shown is Colour.YELLOW else HARDEST_MPS2) * 1.02:
+        np.testing.assert_array_equal(held, free)
+    assert (np.diff(held) > -1e-9).all() and (held <= free + 1e-9).all()
+    assert held[-1] > LINE + 2.0 or opens > 7.0
+
+
+def test_he_stands_two_metres_before_it_and_goes_on_at_green() -> None:
+    shown = (0.0, Colour.GREEN), (3.0, Colour.YELLOW), (4.5, Colour.RED), (9.0, Colour.RED_YELLOW), (9.5, Colour.GREEN)
+    moved = fronts(run(lit(made(car("b", -20.0)), LINE, *shown), "reactive", at_speed(delayed)))
+    still = moved[(T > 8.8) & (T <= 9.5)]
+    assert still.max() - still.min() < 0.1 and LINE - still[-1] == pytest.approx(STANDSTILL_M, abs=0.3)
+    assert moved[-1] > LINE and np.diff(moved)[-5:].min() > 0.3
+
+
+@pytest.mark.parametrize(("need", "stops"), [(2.0, True), (2.9, True), (3.2, False), (6.0, False)])
+def test_at_yellow_he_stops_if_he_can_comfortably_and_what_he_decides_stands(need: float, stops: bool) -> None:
+    """`need`: the deceleration that it takes. It is red before he is over the line."""
+    log, egos = made(car("b", -20.0)), at_speed(delayed)
+    free = fronts(run(log, "reactive", egos))
+    at = float(np.interp(LINE - 10.0**2 / (2.0 * need), free, T))
+    shown = (0.0, Colour.GREEN), (at, Colour.YELLOW), (at + 0.5, Colour.RED)
+    moved = fronts(run(lit(log, LINE, *shown), "reactive", egos))
+    if stops:
+        assert moved.max() < LINE and -np.diff(moved, 2).min() / 0.01 < 1.6 * need
+    else:
+        np.testing.assert_array_equal(moved, free)
+
+
+def test_where_his_log_waited_he_waits_too_and_is_in_time_again() -> None:
+    x = np.where(T < 5.0, 10.0 * T, np.where(T < 10.0, 50.0, 50.0 + 10.0 * (T - 10.0))) - 20.0
+    line = 30.0 + 2.25 + 0.5
+    log = lit(made(track("b", T, x, np.zeros(len(T)))), line, (0.0, Colour.RED), (9.5, Colour.GREEN))
+    moved = run(log, "reactive", at_speed(delayed))
+    assert fronts(moved)[45] < x[45] + 1.0
+    np.testing.assert_allclose(fronts(moved)[T > 8.0] - 2.25, x[T > 8.0], atol=1e-6)
+
+
+@pytest.mark.parametrize(("towards", "stops"), [((), True), ((1,), True), ((2,), False)])
+def test_a_line_for_another_way_does_not_hold_him(towards: tuple[int, ...], stops: bool) -> None:
+    left = np.column_stack([np.full(20, LINE + 2.0), np.linspace(2.0, 60.0, 20)])
+    road = Road(
+        {
+            0: strip(0, along_x(-100.0, LINE), successors=(1, 2)),
+            1: strip(1, along_x(LINE, 500.0)),
+            2: strip(2, left),
+        }
+    )
+    log = replace(made(car("b", -20.0)), road=road)
+    moved = fronts(run(lit(log, LINE, (0.0, Colour.RED), towards=towards), "reactive", at_speed(delayed)))
+    assert (moved.max() < LINE) == stops
 
 
 # --- by ego position

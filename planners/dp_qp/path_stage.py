@@ -50,6 +50,8 @@ FORCED_M = 0.3
 """Steering hard is thought of where comfortable steering would leave the lane by more than this."""
 NEAR_GOAL_M = 15.0
 """Who stands within this of the goal is passed as anywhere else."""
+NEARLY_M, LEFT_M = 0.5, 0.1
+"""A goal farther out of the room than this is not this lane's; and what is left of the room where it is outside."""
 RELINEARISED = 2
 """So often the path that cannot keep its corridor is solved anew, with the curvature's bounds at its own offsets."""
 LOCK_SLACK, AT_START_M = 1.05, 5.0
@@ -253,15 +255,17 @@ class PathStage:
         return best
 
     def _aimed(self, space: corridor.Room, obstacles: tuple[PathObstacle, ...]) -> corridor.Room:
-        """The room within the goal's sides, where that leaves some and nobody stands near the goal."""
-        lower, upper = self._appointment.sides(space.s)
-        there = np.isfinite(lower)
-        if not there.any():
+        """The room within the goal's sides, as near to them as it goes; not where somebody stands near the goal."""
+        low, high = self._appointment.sides(space.s)
+        there = np.isfinite(low)
+        elsewhere = (low > space.upper + NEARLY_M) | (high < space.lower - NEARLY_M)
+        if not there.any() or elsewhere.any():
             return space
         begin, end = space.s[there].min() - NEAR_GOAL_M, space.s[there].max() + NEAR_GOAL_M
-        lower, upper = np.maximum(space.lower, lower), np.minimum(space.upper, upper)
-        if (lower > upper).any() or any(box.s_from < end and box.s_to > begin for box in obstacles):
+        if any(box.s_from < end and box.s_to > begin for box in obstacles):
             return space
+        lower = np.clip(low, space.lower, np.maximum(space.upper - LEFT_M, space.lower))
+        upper = np.clip(high, np.minimum(space.lower + LEFT_M, space.upper), space.upper)
         return corridor.Room(space.s, lower, upper)
 
     def _drivable(self, path: Path, wait: float, speed: float) -> Path:

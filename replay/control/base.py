@@ -39,6 +39,10 @@ class LateralLaw(Protocol):
         """Front wheel angle to command, rad."""
         ...
 
+    def rest(self) -> None:
+        """The vehicle is held at a standstill: what the wheel does until it drives again is not known."""
+        ...
+
 
 class LongitudinalLaw(Protocol):
     """Drives and brakes (dual-loop PID)."""

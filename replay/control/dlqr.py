@@ -150,6 +150,11 @@ class Dlqr:
         m1, m2, m3, m4, m5 = self._gains[i + 1]
         return k1 + u * (m1 - k1), k2 + u * (m2 - k2), k3 + u * (m3 - k3), k4 + u * (m4 - k4), k5 + u * (m5 - k5)
 
+    def rest(self) -> None:
+        """Forget where the wheel is; how late it comes and how much the tyres slip stays known."""
+        if self._commands:
+            self._steering.rest()
+
     def steer(self, state: EgoState, path: PlanPath, off: Deviation) -> float:
         """Front wheel angle to command, rad."""
         if not self._commands:

@@ -130,6 +130,9 @@ class KinematicDlqr:
         one, two = self._gains[i], self._gains[i + 1]
         return one[0] + u * (two[0] - one[0]), one[1] + u * (two[1] - one[1]), one[2] + u * (two[2] - one[2])
 
+    def rest(self) -> None:
+        """There is nothing to forget."""
+
     def steer(self, state: EgoState, path: PlanPath, off: Deviation) -> float:
         """Front wheel angle to command, rad."""
         here = atan(self._wheelbase * path.kappa(off.foot))

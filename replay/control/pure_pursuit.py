@@ -41,6 +41,9 @@ class PurePursuit:
         self._wheelbase, self._max_steer = parameters.wheelbase, parameters.max_steer
         self._config = config or PurePursuitConfig()
 
+    def rest(self) -> None:
+        """There is nothing to forget."""
+
     def steer(self, state: EgoState, path: PlanPath, off: Deviation) -> float:
         """Front wheel angle to command, rad."""
         wanted = min(max(self._config.time_s * state.v, self._config.shortest_m), self._config.longest_m)

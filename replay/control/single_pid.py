@@ -55,6 +55,9 @@ class SteeringPid:
         self._max_steer, self._period, self._config = parameters.max_steer, period, config or SteeringPidConfig()
         self._integral = 0.0
 
+    def rest(self) -> None:
+        """The integral stays: what it makes up for is there when the vehicle drives on."""
+
     def steer(self, state: EgoState, path: PlanPath, off: Deviation) -> float:
         """Front wheel angle to command, rad."""
         gains = self._config

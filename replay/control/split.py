@@ -29,6 +29,7 @@ class SplitController:
         """The command for the next control period."""
         path = self._tracker.path(plan)
         if self._standstill.holds(state.v, state.t, path):
+            self._lateral.rest()
             self._longitudinal.rest()
             return Command(state.steer, *self._pedals.hold(state.v, state.a))
         off = path.deviation(state)

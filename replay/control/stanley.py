@@ -40,6 +40,9 @@ class Stanley:
         self._wheelbase, self._max_steer = parameters.wheelbase, parameters.max_steer
         self._config = config or StanleyConfig()
 
+    def rest(self) -> None:
+        """There is nothing to forget."""
+
     def steer(self, state: EgoState, path: PlanPath, off: Deviation) -> float:
         """Front wheel angle to command, rad."""
         x, y = state.x + self._wheelbase * cos(state.yaw), state.y + self._wheelbase * sin(state.yaw)

@@ -2,7 +2,8 @@
 
 "time"            each is where it was in the log at this time, whatever the ego does
 "ego_position"    all are where they were when the logged ego was where the ego is (`ego_position`)
-"reactive"        vehicles keep to their logged path and behind whoever is on it, the ego included (`reactive`)
+"reactive"        vehicles keep to their logged path and behind whoever is on it, the ego included (`reactive`); who
+                  is late stops at red lights
 """
 
 from __future__ import annotations
@@ -50,6 +51,8 @@ TRAFFIC_NOTES: dict[str, tuple[str, ...]] = {
     "ego_position": (
         "the others are where they were when the logged ego was where the ego is; their time is its place",
     ),
-    "reactive": ("the others react: vehicles keep to their logged paths, behind whoever is on them",),
+    "reactive": (
+        "the others react: vehicles keep to their logged paths, behind whoever is on them; late ones stop at red",
+    ),
 }
 """What the user must know of the traffic to read the results; nothing of a replay by time."""

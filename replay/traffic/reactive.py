@@ -9,8 +9,9 @@ than it did in the log. Pairs that both are as they were in the log do not count
 model does; with nobody disturbed the log is reproduced); the ego counts as in the log while it is within `EGO_M` of it.
 While its log stands, a late vehicle makes up for lost time. Pedestrians, bicycles and objects are replayed by time.
 
-Leader and acceleration: `replay.traffic.following`. Who enters the scene waits while somebody who is not as in the log
-is in its place, and enters no faster than it can brake for its leader.
+Leader and acceleration: `replay.traffic.following`. Who is late stops at closed lights too (`red_lights`); who is
+as in the log passes them as it did, red ones too. Who enters the scene waits while somebody who is not as in the log is
+in its place, and enters no faster than it can brake for its leader.
 """
 
 from __future__ import annotations
@@ -39,6 +40,7 @@ from replay.traffic.following import (
     moved_on,
     taken,
 )
+from replay.traffic.red_lights import RedLights
 from replay.world import box_center
 
 EGO_M, SAME_MPS = 1.0, 1e-6
@@ -49,7 +51,7 @@ class Reactive:
     """See the module docstring.
 
     Args:
-        scenario: Its tracks, lanes and ego.
+        scenario: Its tracks, road, lights and ego.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -60,6 +62,7 @@ class Reactive:
         self._paths = Paths(led.offsets, led.t, led.x, led.y, led.yaw)
         self._enters = log.t[log.offsets[:-1]] if len(log) else np.empty(0)
         self._reacts = np.array([kind in FOLLOWING for kind in log.kinds], bool) & ~log.static
+        self._lights = RedLights(scenario, led, self._reacts)
         n = len(log)
         self._phase, self._speed, self._accel = np.zeros(n), np.zeros(n), np.zeros(n)
         self._late, self._there = np.zeros(n, np.bool_), np.zeros(n, np.bool_)
@@ -92,7 +95,8 @@ class Reactive:
         """Lead everybody on from `t` by one period."""
         logged = self._logged_speeds(self._phase)
         found = self._leaders(ego, self._there & self._reacts)
-        wanted = self._speed + PERIOD_S * accelerations(self._speed, found)
+        held = self._lights.accelerations(t, self._phase, self._speed, self._late & self._there & self._reacts)
+        wanted = self._speed + PERIOD_S * np.minimum(accelerations(self._speed, found), held)
         slower = np.isfinite(found.gap) & (wanted < logged - SAME_MPS) & (found.gap < desired_gaps(self._speed, found))
         self._late |= self._there & self._reacts & slower
         speed = np.where(self._late, np.clip(wanted, 0.0, logged), logged) * self._there

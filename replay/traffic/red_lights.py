@@ -1,0 +1,157 @@
+"""Traffic lights for who drives by the model: while its light is closed, a stop line is a leader that stands.
+
+A line is on a vehicle's path where the middle of its front bumper first comes over it in its lane's direction, not
+further than `ASIDE_M` beside its ends, on a way that the line counts for. With the gap s to there and the speed v, it
+takes the deceleration
+
+(1) b = v^2 / (2 s)
+
+to stop. At yellow, who needs no more than `DECEL_MPS2` stops; at red, and at red and yellow, no more than
+`HARDEST_MPS2`. Who stops does so until the light opens (green, off); who could not drives on, whatever is shown next,
+unless something else slows it down until `DECEL_MPS2` suffices. How it stops: `replay.traffic.following` (4).
+
+Until the log leaves its own last standstill before a line, the vehicle stops there, and no line holds it back from
+being in time again. Stop signs and right of way are left to the log: the late vehicle slows down where it did.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import atan2, hypot
+from typing import NamedTuple
+
+import numpy as np
+
+from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.road import Road
+from logs.rules import Colour, StopLine
+from logs.scenario import Scenario, Tracks
+from metrics.rules import ASIDE_M, ASKEW_RAD, BEHIND_M, RED, on_lane
+from planners.rules.along import turned
+from replay.traffic.cast import PERIOD_S
+from replay.traffic.following import (
+    ACCEL_MPS2,
+    DECEL_MPS2,
+    HARDEST_MPS2,
+    LOOK_M,
+    LOOK_S,
+    STANDING_MPS,
+    Leaders,
+    Paths,
+    accelerations,
+)
+
+
+class Crossing(NamedTuple):
+    """Where a path comes over a line: whose, light, station along all paths (m), end of its last standstill (s)."""
+
+    owner: int
+    light: int
+    station: float
+    stands_until: float
+
+
+class RedLights:
+    """See the module docstring; remembers who stops for which line, and who could not.
+
+    Args:
+        scenario: Its road and lights.
+        led: The paths.
+        reacts: `(n,)` who may drive by the model.
+    """
+
+    def __init__(self, scenario: Scenario, led: Tracks, reacts: BoolArray) -> None:
+        self._lights = scenario.lights
+        found = list(_crossings(scenario, led, reacts)) if scenario.lights and len(led) else []
+        self._owner = np.array([one.owner for one in found], np.int64)
+        self._light = np.array([one.light for one in found], np.int64)
+        self._at = np.array([one.station for one in found])
+        self._stands_until = np.array([one.stands_until for one in found])
+        self._paths = Paths(led.offsets, led.t, led.x, led.y, led.yaw)
+        self._station = _stations(led)
+        self._stops, self._passes = np.zeros(len(found), np.bool_), np.zeros(len(found), np.bool_)
+
+    def accelerations(self, t: float, phase: FloatArray, speed: FloatArray, whose: BoolArray) -> FloatArray:
+        """The greatest accelerations `(n,)` that the lights leave to the vehicles `whose` from `t` on, m/s2."""
+        out = np.full(len(phase), ACCEL_MPS2)
+        if not len(self._owner):
+            return out
+        shown = [light.at(t) for light in self._lights]
+        red = np.array([colour in RED for colour in shown])[self._light]
+        yellow = np.array([colour is Colour.YELLOW for colour in shown])[self._light]
+        gap, v = _gaps(self._paths, self._station, phase, self._owner, self._at), speed[self._owner]
+        counts = whose[self._owner] & (red | yellow) & (gap > 0.0) & (gap <= LOOK_M + LOOK_S * v)
+        counts &= self._stands_until <= t + PERIOD_S + 1e-9
+        able = v * v <= 2.0 * gap * np.where(yellow | self._passes, DECEL_MPS2, HARDEST_MPS2)
+        self._stops = counts & (self._stops | able)
+        self._passes = counts & ~self._stops
+        still = np.zeros(len(gap))
+        wanted = accelerations(v, Leaders(np.where(self._stops, gap, np.inf), still, still))
+        np.minimum.at(out, self._owner, wanted)
+        return out
+
+
+def _stations(led: Tracks) -> FloatArray:
+    """Length `(samples,)` of all paths one after the other, m; only differences within one path mean something."""
+    return np.r_[0.0, np.cumsum(np.hypot(np.diff(led.x), np.diff(led.y)))] if len(led.t) else np.empty(0)
+
+
+def _crossings(scenario: Scenario, led: Tracks, reacts: BoolArray) -> Iterator[Crossing]:
+    owner = np.repeat(np.arange(len(led)), np.diff(led.offsets))
+    within = (owner[1:] == owner[:-1]) & reacts[owner[1:]]
+    ahead = 0.5 * led.length[owner]
+    front = np.column_stack([led.x + ahead * np.cos(led.yaw), led.y + ahead * np.sin(led.yaw)])
+    station = _stations(led)
+    stands = np.diff(station) < STANDING_MPS * np.diff(led.t)
+    lights = {light.id: i for i, light in enumerate(scenario.lights)}
+    for line in scenario.road.stop_lines:
+        if line.light not in lights:
+            continue
+        lane, over = scenario.road.lanes[line.lane], set[int]()
+        for k, u in _over(line, scenario.road, front, within):
+            i = int(owner[k])
+            if i in over or turned(lane, float(front[k, 0]), float(front[k, 1]), float(led.yaw[k])) >= ASKEW_RAD:
+                continue
+            over.add(i)
+            behind = slice(k + 1, int(np.searchsorted(station[: led.offsets[i + 1]], station[k] + BEHIND_M)))
+            if _counts(line, scenario.road, led.x[behind], led.y[behind], led.yaw[behind]):
+                stood = np.flatnonzero(stands[led.offsets[i] : k + 1])
+                until = led.t[led.offsets[i] + stood[-1] + 1] if len(stood) else -np.inf
+                at = station[k] + u * (station[k + 1] - station[k])
+                yield Crossing(i, lights[line.light], float(at), float(until))
+
+
+def _over(line: StopLine, road: Road, front: FloatArray, within: BoolArray) -> Iterator[tuple[int, float]]:
+    """The steps `within` a path in which a front `(samples, 2)` comes over a line, and the part of each before it."""
+    half = 0.5 * hypot(*(line.points[1] - line.points[0]))
+    middle, across = line.points.mean(axis=0), (line.points[1] - line.points[0]) / max(2.0 * half, 1e-9)
+    normal = np.array([across[1], -across[0]])
+    if turned(road.lanes[line.lane], float(middle[0]), float(middle[1]), atan2(normal[1], normal[0])) > 0.5 * np.pi:
+        normal = -normal
+    ahead, beside = (front - middle) @ normal, (front - middle) @ across
+    for k in np.flatnonzero(within & (ahead[:-1] < 0.0) & (ahead[1:] >= 0.0)).tolist():
+        u = float(ahead[k] / (ahead[k] - ahead[k + 1]))
+        if abs(beside[k] + u * (beside[k + 1] - beside[k])) <= half + ASIDE_M:
+            yield k, u
+
+
+def _counts(line: StopLine, road: Road, x: FloatArray, y: FloatArray, yaw: FloatArray) -> bool:
+    """Whether a line counts for the way `(k,)` behind it; where that is on none of the lanes after it, it does."""
+    if not line.towards:
+        return True
+    ways = [i for i in road.lanes[line.lane].successors if i in road.lanes]
+    on = {i: int(on_lane(road.lanes[i], x, y, yaw).sum()) for i in ways}
+    return not any(on.values()) or max(ways, key=lambda i: (on[i], -i)) in line.towards
+
+
+@kernel
+def _gaps(paths: Paths, station: FloatArray, phase: FloatArray, owner: IntArray, at: FloatArray) -> FloatArray:
+    """Length of path `(k,)` that each owner has before it at its phase until the station `at`, m."""
+    out = np.empty(len(owner))
+    for c in range(len(owner)):
+        first, end = paths.offsets[owner[c]], paths.offsets[owner[c] + 1]
+        now = phase[owner[c]]
+        k = min(max(first, first + np.searchsorted(paths.t[first:end], now, side="right") - 1), end - 2)
+        u = min(max((now - paths.t[k]) / (paths.t[k + 1] - paths.t[k]), 0.0), 1.0)
+        out[c] = at[c] - station[k] - u * (station[k + 1] - station[k])
+    return out

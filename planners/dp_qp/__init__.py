@@ -6,7 +6,7 @@
     path stage       which side of whom, the smoothest path                path_stage.py: steering, corridor, facing,
                                                                            path_dp, path_qp
     speed stage      who goes first, the smoothest speed, how hard to      speed_stage.py: st_graph, walls, sight,
-                     brake                                                 speed_dp, speed_qp, speed_solve
+                     brake                                                 waverers, speed_dp, speed_qp, speed_solve
     lane plan        both stages in one lane, and what that costs          lane_plan.py: appointment
     choice           keep the lane or change, and who would be endangered  decide.py
     fallback         what is driven when a stage fails                     fallback.py

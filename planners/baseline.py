@@ -11,6 +11,7 @@ from logs.frame import Frame, PlannerContext
 from logs.kernel import FloatArray
 from logs.states import EgoState
 from logs.trace import Decision, GraphObstacle, PlanStart
+from planners.dp_qp.path import out_of_frame
 from planners.dp_qp.reference_line import Course, make_course
 from planners.dp_qp.route import find_route
 from planners.dp_qp.st_graph import Blocks
@@ -37,6 +38,12 @@ class Tracker:
             context.road, find_route(context.road, context.start, context.goal), context.start
         )
         self._station: float | None = None
+
+    def begin(self, frame: Frame) -> tuple[EgoState, PlanStart, float, float, str]:
+        """Where the plan begins, its station and offset, and why none is possible from there; empty where one is."""
+        start, kind = start_of(frame)
+        s, l = self.locate(start, fresh=frame.previous is None)  # noqa: E741
+        return start, kind, s, l, out_of_frame(self.course.line, start, s, l)
 
     def locate(self, state: EgoState, *, fresh: bool) -> tuple[float, float]:
         """Station and offset (s, l) of a state; `fresh` forgets the last station."""

@@ -28,9 +28,9 @@ from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.states import EgoState
 from logs.trace import Artefact, Corridor, Decision, Plan, SlGraph, StGraph
 from logs.vehicle import VehicleParameters
-from planners.baseline import Tracker, outlines, start_of
+from planners.baseline import Tracker, outlines
 from planners.dp_qp.fallback import along, fall_back
-from planners.dp_qp.path import Path, frenet_start, make_path, out_of_frame
+from planners.dp_qp.path import Path, frenet_start, make_path
 from planners.dp_qp.path_dp import quintic
 from planners.dp_qp.reference_line import Course
 from planners.dp_qp.speed_qp import STEP_S, SpeedQpConfig, limit_profile
@@ -93,14 +93,12 @@ class Idm:
 
     def plan(self, frame: Frame) -> Plan:
         """The roll-out of (1) along the path; a stop where the ego is outside of the reference line's frame."""
-        start, start_kind = start_of(frame)
-        course = self._tracker.course
-        s0, l0 = self._tracker.locate(start, fresh=frame.previous is None)
-        trouble = out_of_frame(course.line, start, s0, l0)
+        start, start_kind, s0, l0, trouble = self._tracker.begin(frame)
         if trouble:
             return fall_back(frame, start, start_kind, None, trouble, (), self._vehicle, SpeedQpConfig())
         path = self._path(start, s0, l0)
         self._lap("path")
+        course = self._tracker.course
         skip = behind(course, frame, s0, l0, self._vehicle, keeps_track=True) | _beside(frame, start, self._vehicle)
         blocks = block_intervals(path, frame, self._vehicle, skip, frozenset(), EXACT)
         stops = self._rules.stops(frame, start, s0, fresh=frame.previous is None)

@@ -8,9 +8,8 @@ from logs.frame import Frame, PlannerContext
 from logs.kernel import FloatArray, IntArray
 from logs.states import Trajectory
 from logs.trace import Candidates, Plan
-from planners.baseline import Tracker, start_of
+from planners.baseline import Tracker
 from planners.dp_qp.fallback import fall_back
-from planners.dp_qp.path import out_of_frame
 from planners.dp_qp.speed_qp import SpeedQpConfig
 from planners.dp_qp.walls import told as rules_told
 from planners.lattice.candidates import Pairs, Sampler
@@ -39,12 +38,10 @@ class Lattice:
 
     def plan(self, frame: Frame) -> Plan:
         """The cheapest pair that can be driven, ties to the first; else the fallback, and why."""
-        start, start_kind = start_of(frame)
-        course = self._tracker.course
-        s0, l0 = self._tracker.locate(start, fresh=frame.previous is None)
-        trouble = out_of_frame(course.line, start, s0, l0)
+        start, start_kind, s0, l0, trouble = self._tracker.begin(frame)
         if trouble:
             return fall_back(frame, start, start_kind, None, trouble, (), self._vehicle, SpeedQpConfig())
+        course = self._tracker.course
         ego = ego_frenet(course.line, start, s0, l0)
         scene = scene_of(course, frame, start, ego, self._vehicle, self._config)
         self._lap("scene")

@@ -39,7 +39,10 @@ SOURCES = {"ngsim": "NGSIM", "mona": "MONA", "sumo": "SUMO", "synthesised": "syn
 """By tag of the scenario; what has none of these is made by hand."""
 HAND_MADE, ALL = "hand-made", "all"
 JERK_MPS3, LATERAL_MPS2 = 4.13, 4.89
-"""Comfort is kept where 99 in 100 samples of the jerk and all of the lateral acceleration are within these (nuPlan)."""
+"""Comfort is kept where 99 in 100 samples of the jerk and all of the lateral acceleration are within these (nuPlan).
+
+A drive too short to have a jerk breaks neither.
+"""
 
 COLUMNS = {
     "logs": "driven",
@@ -118,7 +121,7 @@ def drives(result: RunResult, traffic: str) -> pd.DataFrame:
     totals = result.timings[result.timings["stage"] == "total"]
     frames = totals.groupby(["log", "planner"])["seconds"].size()
     rows["frames"] = [int(frames.get(key, 0)) for key in zip(rows["log"], rows["planner"], strict=True)]
-    rows["comfort"] = (rows["jerk_p99_mps3"] <= JERK_MPS3) & (rows["lat_accel_max_mps2"] <= LATERAL_MPS2)
+    rows["comfort"] = ~((rows["jerk_p99_mps3"] > JERK_MPS3) | (rows["lat_accel_max_mps2"] > LATERAL_MPS2))
     logged = rows[(rows["planner"] == REFERENCE) & (rows["goal"] == 1.0)]["log"]
     rows["reachable"] = rows["log"].isin(set(logged)) | (rows["reference_goal"] == 1.0)
     return rows.drop(columns=["applies", "avoids"])

@@ -11,11 +11,15 @@ from handmade import drive, s_curve
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from logs import EgoState, VehicleParameters
+from logs import EgoState, Plan, VehicleParameters
+from replay.control import SplitController
+from replay.control.dlqr import Dlqr
 from replay.control.exact import following_at, kappa_rate, slip_table, steer_for
 from replay.control.late import LONGEST_S, LateSteering, lateral_deviation
 from replay.control.lateral_model import body_model
+from replay.control.pid import DualLoopPid
 from replay.control.tracking import PlanPath
+from replay.vehicle.drivetrain import Drivetrain
 from replay.vehicle.kinematic_bicycle import KinematicBicycle
 
 CAR = VehicleParameters()
@@ -64,6 +68,31 @@ def test_nothing_is_learned_while_the_wheel_rests_or_the_vehicle_is_held() -> No
     late.saw(0.4)
     assert late.late == before and late.wheel == pytest.approx(0.4)
     assert 0.0 <= late.late <= LONGEST_S
+
+
+@pytest.mark.parametrize("turned", [-0.3, 0.0, 0.3])
+def test_a_stop_in_which_somebody_turns_the_wheel_disturbs_nothing_learned(turned: float) -> None:
+    """10 s of curves with a wheel 0.1 s late, 4 s held, then curves again."""
+    way = drive(
+        lambda s: 0.03 * np.sin(0.3 * s),
+        lambda t: np.interp(t, [9.0, 11.0, 15.0, 18.0], [8.0, 0.0, 0.0, 6.0]),
+        20.0,
+        PERIOD,
+    )
+    law, train = Dlqr(CAR, PERIOD), Drivetrain(CAR)
+    controller = SplitController(law, DualLoopPid(train, PERIOD), train, PERIOD)
+    share, coming, wheel, late = 1.0 - np.exp(-PERIOD / CAR.steer_lag), deque([0.0] * 10), 0.0, []
+    for k in range(len(way)):
+        if 1150 <= k < 1350:
+            wheel = turned
+        state = EgoState(*(float(column[k]) for column in (way.t, way.x, way.y, way.yaw, way.v)), steer=wheel)
+        coming.append(controller.control(state, Plan(way)).steer)
+        wheel += float(
+            np.clip(share * (coming.popleft() - wheel), -CAR.max_steer_rate * PERIOD, CAR.max_steer_rate * PERIOD)
+        )
+        late.append(law._steering.late)
+    assert late[1050] == pytest.approx(0.1, abs=0.02)
+    np.testing.assert_allclose(late[1200:], late[1200], atol=0.02)
 
 
 @pytest.mark.parametrize("v", [4.0, 15.0])

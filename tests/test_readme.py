@@ -46,6 +46,7 @@ def desk(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_every_command_runs_in_order(desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """As written; only quicker: without recordings but one, in this process, and without a viewer.
 

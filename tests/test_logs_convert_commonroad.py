@@ -245,20 +245,32 @@ def test_default_limit_follows_the_kind_of_road_and_the_pace(tmp_path: Path) -> 
     assert limit("USA_A-1", "<interstate/>", 19.0) == pytest.approx(65.0 * 1.609344)
 
 
-def test_a_goal_that_asks_for_more_disproves_the_assumed_limit(tmp_path: Path) -> None:
-    def limit(least: float, most: float) -> float:
-        wanted = f"<velocity><intervalStart>{least}</intervalStart><intervalEnd>{most}</intervalEnd></velocity>"
-        file = written(
-            tmp_path,
-            straight(1, inner="<laneletType>urban</laneletType>"),
-            problem(90, -20.0, 0.0, 10.0, goal=wanted),
-            benchmark="DEU_A-1",
-        )
-        return read_commonroad(file).road.limit(1) * 3.6
-
-    assert limit(5.0, 30.0) == pytest.approx(50.0)
-    assert limit(13.0, 30.0) == pytest.approx(50.0)
-    assert limit(14.0, 20.0) == pytest.approx(70.0)
+@pytest.mark.parametrize(
+    ("least", "most", "on", "limit"),
+    [
+        (5.0, 30.0, 1, 50.0),
+        (13.0, 30.0, 1, 50.0),
+        (14.0, 20.0, 1, 70.0),
+        (14.0, 1000.0, 1, 70.0),
+        (14.0, 20.0, 2, 50.0),
+    ],
+)
+def test_a_goal_on_a_lane_that_asks_for_more_disproves_its_assumed_limit(
+    tmp_path: Path, least: float, most: float, on: int, limit: float
+) -> None:
+    """Lane 2 has a sign of its own: a goal there says nothing of lane 1."""
+    wanted = f"<velocity><intervalStart>{least}</intervalStart><intervalEnd>{most}</intervalEnd></velocity>"
+    place = f'<position><lanelet ref="{on}"/></position>'
+    file = written(
+        tmp_path,
+        straight(1, inner="<laneletType>urban</laneletType>"),
+        straight(2, y=20.0, inner='<laneletType>urban</laneletType><trafficSignRef ref="7"/>'),
+        '<trafficSign id="7"><trafficSignElement><trafficSignID>274</trafficSignID>'
+        "<additionalValue>33.0</additionalValue></trafficSignElement></trafficSign>",
+        problem(90, -20.0, 0.0, 10.0, goal=place + wanted),
+        benchmark="DEU_A-1",
+    )
+    assert read_commonroad(file).road.limit(1) * 3.6 == pytest.approx(limit)
 
 
 def test_degenerate_lanelets_are_repaired_or_dropped(tmp_path: Path) -> None:

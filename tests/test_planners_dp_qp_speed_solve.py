@@ -137,3 +137,12 @@ def test_the_end_of_the_path_is_not_driven_over_where_braking_can_keep_it(end: f
     hardest = Limits(CONFIG.emergency).braking((10.0, 0.0), CONFIG.knots)
     assert found.profile is not None and found.reason
     assert found.profile[0, -1] <= max(end, hardest[0, -1]) + 0.06
+
+
+def test_braking_that_ends_in_the_way_before_anybody_comes_avoids_nobody() -> None:
+    """The hardest stop comes to rest beyond his way just before he takes it; driving on is past it by far more."""
+    v, stop = 10.0, Limits(CONFIG.emergency).braking((10.0, 0.0), CONFIG.knots)[0]
+    blocks = blocked(stop[-1] - 4.0, stop[-1] - 0.3, 2.0, 6.0)
+    assert not blocks.meets(T, stop) and not blocks.leave(T, stop, 0.0)
+    found = solve(SpeedSolver(CONFIG, GAP), v, blocks, 0.0, fresh=True)
+    assert found.is_onward and not found.unavoidable

@@ -371,24 +371,29 @@ def merging() -> Road:
     )
 
 
-@given(st.floats(0.0, 12.0), st.floats(55.0, 70.0), st.floats(10.0, 110.0))
-def test_who_is_ahead_in_the_merged_lane_by_enough_time_does_not_wait(v: float, front: float, away: float) -> None:
-    """The farther the other, the less is demanded; and in time the whole lane need not have been left."""
-    ego, way = at_front(front, v), np.array([35.0, 70.0]) / np.hypot(35.0, 70.0)
-    x, y = np.array([60.0, -40.0]) - away * way
-    near, far = (
-        demands(merging(), ego, [driving("car", *(np.array([x, y]) - more * way), *(10.0 * way))])
-        for more in (0.0, 15.0)
-    )
+def towards(away: float) -> Other:
+    """A car with 10 m/s on lane 10, `away` m before its bend."""
+    way = np.array([35.0, 70.0]) / np.hypot(35.0, 70.0)
+    return driving("car", *(np.array([60.0, -40.0]) - away * way), *(10.0 * way))
+
+
+@given(st.floats(0.0, 12.0), st.floats(50.0, 70.0), st.floats(-10.0, 60.0), st.floats(0.0, 15.0))
+def test_who_is_farther_from_the_merging_never_demands_more(v: float, front: float, away: float, more: float) -> None:
+    near, far = (demands(merging(), at_front(front, v), [towards(at)]) for at in (away, away + more))
     assert near or not far
 
 
-def test_a_car_behind_in_the_merged_lane_is_not_waited_for() -> None:
-    """The ego enters 1.4 s after now and is out of nobody's lane for 8 s; the other is at the merging 4 s later."""
-    way = np.array([35.0, 70.0]) / np.hypot(35.0, 70.0)
-    x, y = np.array([60.0, -40.0]) - 25.0 * way
-    assert demands(merging(), at_front(70.0, 10.0), [driving("car", x, y, *(10.0 * way))]) == ()
-    assert demands(merging(), at_front(55.0, 10.0), [driving("car", 70.0, -20.0, *(10.0 * way))])
+def test_who_has_merged_is_ahead() -> None:
+    """The ego's rear is in the lane after 3.5 s, at the end of the zone after 4.4 s; the other comes after 5.2 s."""
+    ego = at_front(60.0, 10.0)
+    assert demands(merging(), ego, [towards(0.5)]) == ()
+    assert demands(merging(), ego, [towards(-7.0)])
+
+
+def test_a_gap_of_one_and_a_half_seconds_after_the_ego_is_taken() -> None:
+    ego = at_front(70.0, 10.0)
+    assert demands(junction(), ego, [driving("car", 100.0, -51.0, 0.0, 10.0)]) == ()
+    assert demands(junction(), ego, [driving("car", 100.0, -46.0, 0.0, 10.0)])
 
 
 def test_the_wait_is_before_the_line_where_there_is_one() -> None:

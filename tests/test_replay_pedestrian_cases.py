@@ -306,7 +306,7 @@ FAST = (
         stop_lateral_m=(0.5,),
         return_speed_mps=(1.2,),
     ),
-    *varied("PD-4", "pedestrian/hesitates", ego_speed_mps=(8.3,), distance_m=(20.0,), dwell_s=(2.0,)),
+    *varied("PD-4", "pedestrian/hesitates", ego_speed_mps=(10.0,), distance_m=(5.0,), dwell_s=(2.0,)),
     *varied("PD-5", "pedestrian/runs_out", ego_speed_mps=(8.3,), distance_m=(15.0, 25.6)),
     *varied("PD-6", "pedestrian/jaywalker", angle_deg=(45.0, 135.0), distance_m=(30.0,)),
     *varied("PD-7", "pedestrian/group", pedestrian_speed_mps=(1.2,), distance_m=(31.0,)),

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
-from logs.convert.commonroad_road import road_of
+from logs.convert.commonroad_road import Asked, road_of
 from logs.convert.commonroad_rules import lights_of, with_rules
 from logs.convert.commonroad_tracks import KINDS, ego_log, sized, tracks_of, trimmed, turned, velocities
 from logs.convert.commonroad_xml import Document, Obstacle, Problem, parse
@@ -159,8 +159,7 @@ def _scenario(document: Document, chosen: _Ego) -> Scenario:
     velocity, rule = velocities(document)
     without = None if obstacle is None else obstacle.id
     tracks = tracks_of(document, velocity, without=without, start=start, origin=origin)
-    asked = _hull([each.v for each in chosen.problem.goals]) if chosen.problem is not None else None
-    road, assumed = road_of(document, origin, _driven(document), asked)
+    road, assumed = road_of(document, origin, _driven(document), _wanted(chosen.problem))
     road, heads, ruled = with_rules(document, road, origin)
     driven, how = _ego(obstacle, chosen.problem, document.dt, vehicle, origin)
     goal, unknown = _goal(chosen.problem, road, start, document.dt, origin)
@@ -185,6 +184,16 @@ def _scenario(document: Document, chosen: _Ego) -> Scenario:
         notes=tuple(notes),
         lights=lights_of(document, heads, start, duration),
     )
+
+
+def _wanted(problem: Problem | None) -> Asked | None:
+    """What the goals ask of the speed, where all of them do."""
+    speeds = _hull([goal.v for goal in problem.goals]) if problem is not None else None
+    if problem is None or speeds is None:
+        return None
+    regions = [region for goal in problem.goals for region in goal.regions]
+    places = [np.vstack([r, 0.5 * (r + np.roll(r, 1, axis=0)), r.mean(axis=0)]) for r in regions]
+    return Asked(speeds, np.vstack([np.empty((0, 2)), *places]), tuple(i for g in problem.goals for i in g.lanelets))
 
 
 def _first(obstacle: Obstacle | None, problem: Problem | None) -> FloatArray:

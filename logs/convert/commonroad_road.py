@@ -6,15 +6,15 @@ A limit that the file does not give is assumed, and the scenario says so:
 (2) raised to the 85th percentile of the speeds driven on those lanes in the log, rounded up to 10 km/h, where that is
     more: the speed by which traffic engineers set limits (V85), so that a motorway which the map calls "urban" keeps
     its pace. Congested traffic never lowers (1);
-(3) raised to the middle of the goal's speeds, rounded up to 10 km/h, where even the least of them is more than (1) and
-    (2): a goal that cannot be reached within the assumption disproves it.
+(3) raised to the middle of the goal's speeds, but at most a quarter more than the least of them, rounded up to 10 km/h,
+    where even that is more than (1) and (2) and the goal lies on such a lane: it disproves the assumption.
 """
 
 from __future__ import annotations
 
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
@@ -35,10 +35,27 @@ _DEFAULTS = {"country": 100.0 * KPH, "accessRamp": 80.0 * KPH, "exitRamp": 80.0 
 _URBAN = 50.0 * KPH
 _ENOUGH_SAMPLES = 10
 _PLAUSIBLE = (2.0, 45.0)
+SHARE = 1.25
+
+
+@dataclass(frozen=True, eq=False)
+class Asked:
+    """What the goal asks: a speed between two, m/s, at places `(k, 2)` in file coordinates or on lanelets."""
+
+    speeds: tuple[float, float]
+    places: FloatArray
+    lanelets: tuple[int, ...]
+
+    def of(self, lanes: Sequence[Lane], road: Road) -> bool:
+        """Whether the goal lies on one of these lanes of a road in file coordinates less its origin."""
+        ids = {lane.id for lane in lanes}
+        return bool(ids & set(self.lanelets)) or any(
+            lane.id in ids for x, y in self.places for lane in road.lanes_at(float(x), float(y))
+        )
 
 
 def road_of(
-    document: Document, origin: tuple[float, float], driven: FloatArray, asked: tuple[float, float] | None
+    document: Document, origin: tuple[float, float], driven: FloatArray, asked: Asked | None
 ) -> tuple[Road, tuple[str, ...]]:
     """The road, and what was assumed.
 
@@ -46,7 +63,7 @@ def road_of(
         document: The file.
         origin: Subtracted from all points, m.
         driven: Positions and speeds of the traffic `(m, 3)`, file coordinates, m and m/s: see (2).
-        asked: The speeds of the goal, m/s: see (3).
+        asked: What the goal asks: see (3).
     """
     lanes, notes = {}, []
     for lanelet in document.lanelets:
@@ -60,6 +77,8 @@ def road_of(
         notes.append(f"{uneven} lanelets have boundaries of unequal point counts: resampled by arc length")
     road = Road(lanes, drives_on_right=document.country not in LEFT_HAND_COUNTRIES)
     notes += _odd_limits(road)
+    if asked is not None:
+        asked = replace(asked, places=asked.places - origin)
     return _with_defaults(document, road, driven - (*origin, 0.0), asked, notes)
 
 
@@ -135,7 +154,7 @@ def _group(lane: Lane, document: Document) -> str:
 
 
 def _with_defaults(
-    document: Document, road: Road, driven: FloatArray, asked: tuple[float, float] | None, notes: Sequence[str]
+    document: Document, road: Road, driven: FloatArray, asked: Asked | None, notes: Sequence[str]
 ) -> tuple[Road, tuple[str, ...]]:
     """The road with (1) to (3): the commonest default is the road's, others stand on their lanes."""
     missing: defaultdict[str, list[Lane]] = defaultdict(list)
@@ -145,7 +164,11 @@ def _with_defaults(
             missing[_group(lane, document)].append(lane)
     assumed, lines = {}, list(notes)
     for group, lanes in sorted(missing.items(), key=lambda item: (-len(item[1]), item[0])):
-        assumed[group], why = _assumed(group, document.country, _speeds_on(road, lanes, driven), asked)
+        assumed[group], why = _assumed(group, document.country, _speeds_on(road, lanes, driven))
+        if asked is not None and asked.speeds[0] > assumed[group] and asked.of(lanes, road):
+            least, most = asked.speeds
+            assumed[group] = _rounded_up(min(0.5 * (least + most), SHARE * least))
+            why = f"the goal asks for {least:.0f} m/s, above the {why.rstrip(',')}:"
         limit = f"{assumed[group]:.2f} m/s ({assumed[group] / KPH:.0f} km/h)"
         lines.append(f"speed limit missing on {len(lanes)} of {len(drivable)} lanes: {why} {limit} assumed")
     if not missing:
@@ -163,8 +186,8 @@ def _speeds_on(road: Road, lanes: Sequence[Lane], driven: FloatArray) -> FloatAr
     return np.array([v for x, y, v in moving if any(lane.id in wanted for lane in road.lanes_at(x, y))])
 
 
-def _assumed(group: str, country: str, speeds: FloatArray, asked: tuple[float, float] | None) -> tuple[float, str]:
-    """A limit by (1) to (3), m/s, and its name."""
+def _assumed(group: str, country: str, speeds: FloatArray) -> tuple[float, str]:
+    """A limit by (1) and (2), m/s, and its name."""
     limit, why = _DEFAULTS.get(group, _URBAN), f"{group} default"
     if group == "highway":
         limit = 65.0 * 1.609344 * KPH if country == "USA" else 130.0 * KPH
@@ -172,10 +195,9 @@ def _assumed(group: str, country: str, speeds: FloatArray, asked: tuple[float, f
         typical = _rounded_up(float(np.percentile(speeds, 85)))
         if typical > limit:
             limit, why = typical, f"85th percentile of the driven speeds, above the {group} default,"
-    if asked is not None and asked[0] > limit:
-        return _rounded_up(0.5 * sum(asked)), f"the goal asks for {asked[0]:.0f} m/s, above the {why.rstrip(',')}:"
     return limit, why
 
 
 def _rounded_up(speed: float) -> float:
-    return ceil(speed / (10.0 * KPH)) * 10.0 * KPH
+    """To whole 10 km/h."""
+    return ceil(speed / (10.0 * KPH) - 1e-6) * 10.0 * KPH

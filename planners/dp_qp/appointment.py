@@ -12,7 +12,7 @@ a quarter of the region and `ROOM_S`. (2) never asks for less than `LEAST` of th
 others is in their way. In a hurry the ego wants `HURRIED_GAP_S` to the one ahead instead of its usual time gap; it
 drives no faster than the limit.
 
-(4) l_0(s) + m <= l <= l_1(s) - m      within the region, whose width at station s is from l_0 to l_1; m = `SIDE_M`
+(4) l_0(s) + m <= l <= l_1(s) - m      where the region is from l_0 to l_1 beside the line at station s; m = `SIDE_M`
 """
 
 from __future__ import annotations
@@ -35,8 +35,12 @@ BESIDE_M = 8.0
 """A region further beside the line is not its goal."""
 SIDE_M = 0.3
 """Room that the ego's middle keeps to a region's sides, or a quarter of its width."""
-ALONG_M = 0.5
-"""Step in which a region's sides are taken."""
+ALONG_M, ROWS = 0.5, 400
+"""Step in which a region's sides are taken, and how many at most."""
+JOINED_M = 0.1
+"""Regions nearer to each other than this are one."""
+NARROW = 0.5
+"""Where a region is narrower than this share of its width, at its corners, its sides are not kept to."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +64,10 @@ class Appointment:
 
     def __init__(self, goal: Goal | None, course: Course, vehicle: VehicleParameters) -> None:
         self._goal = goal
-        self._region = _region(goal, course) - vehicle.axle_to_center if goal else np.array([np.nan, np.nan])
+        self._region, self._places = (
+            _region(goal, course, beside) - vehicle.axle_to_center if goal else np.array([np.nan, np.nan])
+            for beside in (BESIDE_M, np.inf)
+        )
         self._limit = np.column_stack([course.line.s, course.limit])
         self._sides = _sides(goal, course) if goal else np.empty((3, 0))
 
@@ -81,23 +88,31 @@ class Appointment:
         at, low, high = self._sides
         if not len(at):
             return np.full(s.shape, -np.inf), np.full(s.shape, np.inf)
-        within = (at[0] <= s) & (s <= at[-1])
-        return np.where(within, np.interp(s, at, low), -np.inf), np.where(within, np.interp(s, at, high), np.inf)
+        low, high = (np.interp(s, at, side, np.nan, np.nan) for side in (low, high))
+        return np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
 
     def pace(self, t: float, s: float, v: float) -> Pace:
         """What (2) and (3) ask of the rear axle at station `s` at time `t` with speed `v`."""
         goal, (begin, end) = self._goal, self._region
-        if goal is None or goal.t is None or not np.isfinite(end) or s > end:
+        if goal is None or goal.t is None:
             return Pace()
         first, last = goal.t
+        if not np.isfinite(end):  # of a lane far beside the goal's: it is no way to be there sooner
+            return Pace(missed_s=self._missed(t, s, v, self._places[0], last))
+        if s > end:
+            return Pace()
         inner, opens = end - 0.25 * (end - begin), first + min(ROOM_S, 0.5 * (last - first))
         if t + self._least_time(s, inner, v) < opens:
             slowly = LEAST * float(np.interp(s, *self._limit.T))
             return Pace(max((inner - s) / (opens - t), slowly), end)
+        hurried = s < begin and t < last and t + self._least_time(s, begin, v) > last - HASTE_S
+        return Pace(hurried=hurried, missed_s=self._missed(t, s, v, begin, last))
+
+    def _missed(self, t: float, s: float, v: float, begin: float, last: float) -> float:
+        """How much later than at `last` the ego would be at station `begin`, s; 0 where it is there or too late now."""
         if not (s < begin and t < last):
-            return Pace()
-        late = t + self._least_time(s, begin, v) - last
-        return Pace(hurried=late > -HASTE_S, missed_s=max(late, 0.0))
+            return 0.0
+        return max(t + self._least_time(s, begin, v) - last, 0.0)
 
     def _least_time(self, s: float, to: float, v: float) -> float:
         """How long driving as fast as it may takes from station to station, from the speed `v`, s."""
@@ -108,28 +123,46 @@ class Appointment:
         return float(np.sum(np.diff(stations) / np.maximum(fast, 0.5)))
 
 
-def _region(goal: Goal, course: Course) -> FloatArray:
-    """From where to where the goal's regions lie along the line, m; NaN where they do not lie along it."""
+def _region(goal: Goal, course: Course, beside: float) -> FloatArray:
+    """From where to where the goal's regions lie along the line, m; NaN where they are further beside it."""
     found = [course.line.project(float(x), float(y)) for region in goal.regions for x, y in region]
-    stations = [along for along, beside in found if abs(beside) < BESIDE_M]
+    stations = [along for along, aside in found if abs(aside) < beside]
     return np.array([min(stations), max(stations)] if stations else [np.nan, np.nan])
 
 
 def _sides(goal: Goal, course: Course) -> FloatArray:
-    """Rows station, least and greatest offset `(3, n)` of (4): of what lies around the line, else of the nearest."""
-    begin, end = _region(goal, course)
+    """Rows station, least and greatest offset `(3, n)` of (4), NaN where there is no region.
+
+    Where there are several, of the one around the line, else of the nearest.
+    """
+    begin, end = _region(goal, course, BESIDE_M)
     if not np.isfinite(end):
         return np.empty((3, 0))
-    rows = []
-    for s in np.arange(begin + 0.5 * ALONG_M, end, ALONG_M):
-        x, y, yaw, _ = course.line.frame(float(s))
-        pieces = [piece for region in goal.regions for piece in _across(region - (x, y), yaw)]
-        pieces = [(low, high) for low, high in pieces if low < BESIDE_M and high > -BESIDE_M]
-        if pieces:
-            low, high = min(pieces, key=lambda piece: max(piece[0], -piece[1], 0.0))
-            room = min(SIDE_M, 0.25 * (high - low))
-            rows.append((s, low + room, high - room))
-    return np.array(rows).reshape(-1, 3).T
+    step = max(ALONG_M, (end - begin) / ROWS)
+    stations = np.arange(begin + 0.5 * step, end, step)
+    pieces: list[list[tuple[float, float]]] = [[] for _ in stations]
+    for region in goal.regions:
+        first, last = _region(Goal((region,)), course, np.inf)
+        for k in np.flatnonzero((first <= stations) & (stations <= last)):
+            x, y, yaw, _ = course.line.frame(float(stations[k]))
+            pieces[k] += _across(region - (x, y), yaw)
+    low, high = np.array([_nearest(each) for each in pieces]).reshape(-1, 2).T
+    width = high - low
+    narrow = ~(width >= NARROW * np.nanmax(width, initial=0.0))
+    room = np.where(narrow, np.nan, np.minimum(SIDE_M, 0.25 * width))
+    return np.vstack([stations, low + room, high - room])
+
+
+def _nearest(pieces: list[tuple[float, float]]) -> tuple[float, float]:
+    """Of pieces across, those that touch joined, the one around 0 or nearest to it; NaN where none is near."""
+    joined: list[tuple[float, float]] = []
+    for low, high in sorted(pieces):
+        if joined and low <= joined[-1][1] + JOINED_M:
+            joined[-1] = joined[-1][0], max(joined[-1][1], high)
+        else:
+            joined.append((low, high))
+    near = [piece for piece in joined if piece[0] < BESIDE_M and piece[1] > -BESIDE_M]
+    return min(near, key=lambda piece: (max(piece[0], -piece[1], 0.0), piece[1] - piece[0]), default=(np.nan, np.nan))
 
 
 def _across(region: FloatArray, yaw: float) -> list[tuple[float, float]]:

@@ -52,8 +52,10 @@ NEAR_GOAL_M = 15.0
 """Who stands within this of the goal is passed as anywhere else."""
 NEARLY_M, LEFT_M = 0.5, 0.1
 """A goal farther out of the room than this is not this lane's; and what is left of the room where it is outside."""
-RELINEARISED = 2
-"""So often the path that cannot keep its corridor is solved anew, with the curvature's bounds at its own offsets."""
+RELINEARISED, MOVED_M = 2, 0.02
+"""So often the path that cannot keep its corridor is solved anew, with the curvature's bounds at its own offsets ...
+
+... but not where that moves it by less than this."""
 LOCK_SLACK, AT_START_M = 1.05, 5.0
 """A path ends where its curvature is more than that much of the steering lock's, though not so near to the start."""
 
@@ -108,7 +110,7 @@ class _Task:
     Attributes:
         program: The workspace.
         knots: Stations `(knots,)`, m.
-        space: Room of the ego's points `(points, knots)`, without obstacles.
+        space: Room of the ego's points `(points, knots)`, without obstacles; `road` also without the goal's sides.
         swings: How far they swing out, m.
         start: l, l', l''.
         speed: At the start, m/s.
@@ -119,6 +121,7 @@ class _Task:
     program: PathQp
     knots: FloatArray
     space: corridor.Room
+    road: corridor.Room
     swings: FloatArray
     start: tuple[float, float, float]
     speed: float
@@ -179,11 +182,11 @@ class PathStage:
         grid, chosen, dp_knots, dp_at, sides = found_dp
         self._lap("path DP")
         points, swings = knots + self._leads[:, None], swing(self._course, knots, self._leads)
-        space = self._aimed(corridor.eased(self._room(points, scene), swings), obstacles)
-        space = corridor.widened(space, frenet, start.v)
+        road = corridor.eased(self._room(points, scene), swings)
+        space, road = (corridor.widened(one, frenet, start.v) for one in (self._aimed(road, obstacles), road))
         decisions = corridor.decide_sides(obstacles, dp_at, sides, space, self._vehicle, self._config.corridor)
         at = self._course.at(knots)
-        task = _Task(program, knots, space, swings, frenet, start.v, at[6], at[7])
+        task = _Task(program, knots, space, road, swings, frenet, start.v, at[6], at[7])
         found = self._solved(task, obstacles, decisions, fresh=fresh)
         self._lap("path QP")
         offsets, path = found.offsets, None
@@ -213,14 +216,18 @@ class PathStage:
             narrow, decisions = corridor.narrowed(task.space, obstacles, decisions, self._vehicle, config)
             problem = self._problem(task, narrow, np.clip(0.0, narrow.lower[0], narrow.upper[0]))
             result, costs = task.program.solve(problem, fresh=fresh)
-            in_corridor, reports = result.report.solved, (*reports, result.report)
+            in_corridor, reports, solved = result.report.solved, (*reports, result.report), problem
             for _ in range(0 if in_corridor else 1 + RELINEARISED):
-                result, costs = task.program.solve(problem, fresh=fresh, softly=True)
-                reports = (*reports, result.report)
-                if not result.report.solved:
+                tried = task.program.solve(problem, fresh=fresh, softly=True)
+                reports = (*reports, tried[0].report)
+                if not tried[0].report.solved:
+                    break
+                moved = np.abs(tried[0].x - result.x).max() if result.report.solved else np.inf
+                (result, costs), solved = tried, problem
+                if moved < MOVED_M:
                     break
                 problem = self._problem(task, narrow, result.x.reshape(3, -1)[0])
-            bounds = corridor.reported(narrow, problem.lower - task.swings, problem.upper - task.swings)
+            bounds = corridor.reported(narrow, solved.lower - task.swings, solved.upper - task.swings)
             if not result.report.solved:
                 return _Found(None, decisions, bounds, costs, reports)
             offsets = result.x.reshape(3, -1)
@@ -233,8 +240,8 @@ class PathStage:
     def _problem(self, task: _Task, space: corridor.Room, near: FloatArray) -> PathProblem:
         """The bounds of the path QP: the corridor, loosened to the reach of comfortable steering.
 
-        Where that leaves the room by more than `FORCED_M`, of hard steering if that leaves it by less. The bounds of
-        the curvature are those at the offsets `near` `(knots,)`.
+        Where that leaves the road's room by more than `FORCED_M`, of hard steering if that leaves it by less. The
+        bounds of the curvature are those at the offsets `near` `(knots,)`.
         """
         start = np.array(task.start)
         least = np.inf
@@ -244,7 +251,7 @@ class PathStage:
             )
             low = left[0] + self._leads[:, None] * left[1] - task.swings
             high = right[0] + self._leads[:, None] * right[1] - task.swings
-            forced = max(float((task.space.lower - low).max()), float((high - task.space.upper).max()))
+            forced = max(float((task.road.lower - low).max()), float((high - task.road.upper).max()))
             if forced < least:
                 slope = np.array([np.minimum(-MAX_DL, left[1]), np.maximum(MAX_DL, right[1])])
                 lower, upper = np.minimum(space.lower, low), np.maximum(space.upper, high)
@@ -257,16 +264,15 @@ class PathStage:
     def _aimed(self, space: corridor.Room, obstacles: tuple[PathObstacle, ...]) -> corridor.Room:
         """The room within the goal's sides, as near to them as it goes; not where somebody stands near the goal."""
         low, high = self._appointment.sides(space.s)
-        there = np.isfinite(low)
-        elsewhere = (low > space.upper + NEARLY_M) | (high < space.lower - NEARLY_M)
-        if not there.any() or elsewhere.any():
+        there = np.isfinite(low) & (low <= space.upper + NEARLY_M) & (high >= space.lower - NEARLY_M)
+        if not there.any():
             return space
         begin, end = space.s[there].min() - NEAR_GOAL_M, space.s[there].max() + NEAR_GOAL_M
         if any(box.s_from < end and box.s_to > begin for box in obstacles):
             return space
         lower = np.clip(low, space.lower, np.maximum(space.upper - LEFT_M, space.lower))
         upper = np.clip(high, np.minimum(space.lower + LEFT_M, space.upper), space.upper)
-        return corridor.Room(space.s, lower, upper)
+        return corridor.Room(space.s, np.where(there, lower, space.lower), np.where(there, upper, space.upper))
 
     def _drivable(self, path: Path, wait: float, speed: float) -> Path:
         """The path to the station at which to wait, if it can stop there, or to where it turns beyond the lock."""

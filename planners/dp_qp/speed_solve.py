@@ -6,8 +6,8 @@
     somebody who just begins to walk is not yet predictable, and what a frame demands the next may take back.
 (3) Driving on, where that is clear of everybody by `ONWARD`: better than hard braking for one who comes late.
 (4) Hard limits, the mildest of a ladder with which braking keeps the bounds.
-(5) Driving on as in (3), or the hardest braking where it leaves less than the gap but does not touch, or driving on
-    where that does not touch.
+(5) Driving on as in (3), or the hardest braking where it stays behind by less than the gap, or driving on where that
+    does not touch, or the hardest braking where it comes to rest before somebody who does not touch.
 
 Memory: since when comfort does not suffice, and whether (3) was driven; none of it where the frame is fresh.
 """

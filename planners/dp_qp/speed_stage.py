@@ -249,7 +249,7 @@ class SpeedStage:
         ahead = np.interp(s_ref, path.sigma, v_limit)
         limit = np.maximum(ahead, eased[1]) + SPEED_ROOM_MPS
         nowhere, everywhere = np.zeros(qp.knots), np.full(qp.knots, path.length)
-        a_ref = np.gradient(v_ref, STEP_S) if hurried else 0.0
+        a_ref = np.clip(np.gradient(v_ref, STEP_S), -qp.comfort.decel_mps2, qp.comfort.accel_mps2) if hurried else 0.0
         return SpeedProblem(start, nowhere, everywhere, limit, s_ref, v_ref, path.length, a_ref)
 
 

@@ -1,11 +1,11 @@
 """Who came to the path and stands beside it: he may set off again at any moment, and the ego passes him accordingly.
 
-Somebody on foot or on a cycle wavers who took the path at most `WAVERS_S` ago as predicted, does not take it now, and
-stands. With d from the ego's side to him, the front passes him first or the ego stops before him wherever it is if
+Somebody on foot or on two wheels wavers who took the path at most `WAVERS_S` ago as predicted, does not take it now,
+and stands. With d from the ego's side to him, the front passes him first or the ego stops before him wherever it is if
 
 (1) v <= 2 b (d / w - T)                                                                         (`sight`, (3))
 
-when the front is beside him; before that, the limit is lowered so that this is reached comfortably.
+when the front is beside him; before that, the limit is lowered so that this is reached comfortably, as far as it can.
 
 Memory: when who took the path last; none of it where the frame is fresh.
 """
@@ -56,6 +56,7 @@ class Waverers:
             at = (path.sigma > ahead - STEP_M) & (path.sigma <= ahead)
             out = np.where(at, np.minimum(out, v), out)
             if v < float(limit[nearest]):
-                reason = f"came to the path and stands {d:.1f} m beside it, {ahead:.0f} m ahead: passed at {v:.1f} m/s"
+                where = f"stands {d:.1f} m beside it, {ahead:.0f} m ahead"
+                reason = f"came to the path and {where}: could be avoided at {v:.1f} m/s"
                 told.append(Decision(name, DecisionKind.YIELD, "speed", reason))
         return out, tuple(told)

@@ -2,7 +2,7 @@
 
 Unknown s, v, a at knots every 0.1 s, piecewise-constant jerk (`piecewise_jerk`). Minimise
 
-(1) sum w_s (s - s_ref)^2 + w_v (v - v_ref)^2 + w_a (a - a_ref)^2 + w_j jerk^2
+(1) sum w_s (s - s_ref)^2 + w_v (v - v_ref)^2 + w_a a^2 + w_j jerk^2
 
 subject to s_lower(t) <= s <= s_upper(t) from the decisions, 0 <= v <= v_limit, a and jerk limits, and the start.
 
@@ -174,7 +174,6 @@ class SpeedProblem:
         limit: Upper bound of v, m/s.
         s_ref: m; `v_ref` m/s.
         end: Station at which the path ends, m.
-        a_ref: m/s2; 0 where the ego has time: the smoothest way to the wanted speed. Else what the reference needs.
     """
 
     start: tuple[float, float]
@@ -184,7 +183,6 @@ class SpeedProblem:
     s_ref: FloatArray
     v_ref: FloatArray
     end: float = inf
-    a_ref: FloatArray | float = 0.0
 
     @property
     def overtakes(self) -> bool:
@@ -228,8 +226,7 @@ class SpeedQp:
         thirds = -jerk, np.maximum(jerk, release)
         bounds = piecewise_jerk.bounds((low[0], low[1], low[2]), (high[0], high[1], high[2]), thirds)
         c = self._config
-        wanted = c.w_s * problem.s_ref, c.w_v * problem.v_ref, np.full(n, c.w_a) * problem.a_ref
-        q = -2.0 * np.concatenate(wanted)
+        q = np.concatenate([-2.0 * c.w_s * problem.s_ref, -2.0 * c.w_v * problem.v_ref, np.zeros(n)])
         result = self._program.solve(q, *bounds, fresh=fresh)
         return result, self._costs(result.x, problem)
 
@@ -239,7 +236,7 @@ class SpeedQp:
         values = {
             "station": c.w_s * float(np.sum((s - problem.s_ref) ** 2)),
             "speed": c.w_v * float(np.sum((v - problem.v_ref) ** 2)),
-            "acceleration": c.w_a * float(np.sum((a - problem.a_ref) ** 2)),
+            "acceleration": c.w_a * float(a @ a),
             "jerk": c.w_j * float(np.sum(np.diff(a) ** 2)) / STEP_S**2,
         }
         return CostTerms("speed QP", tuple(values.items()))

@@ -143,7 +143,7 @@ class SpeedStage:
         self._lap("speed DP")
         state = max(way.start.v, 0.0), way.start.a
         constrained = _meets_movers(blocks, frame) or any(wall.stop.until < np.inf for wall in walls)
-        free = self._problem(path, v_limit, s_dp, state, constrained=constrained, hurried=way.hurried)
+        free = self._problem(path, v_limit, s_dp, state, constrained=constrained)
         free = replace(free, upper=upper_bound(walls, self._times, path.length))
         problem = self._bounded(free, blocks, decisions)
         solved = self._solver.solve(problem, way.others, frame.t, fresh=fresh)
@@ -233,9 +233,8 @@ class SpeedStage:
         return replace(problem, lower=np.minimum(lower, upper), upper=upper)
 
     def _problem(
-        self, path: Path, v_limit: FloatArray, s_dp: FloatArray, start: tuple[float, float],
-        *, constrained: bool, hurried: bool,
-    ) -> SpeedProblem:  # fmt: skip
+        self, path: Path, v_limit: FloatArray, s_dp: FloatArray, start: tuple[float, float], *, constrained: bool
+    ) -> SpeedProblem:
         """What is wanted and the limit, with nobody in the way."""
         qp = self._config.qp
         free = self._cruise(path, v_limit, start)
@@ -249,8 +248,7 @@ class SpeedStage:
         ahead = np.interp(s_ref, path.sigma, v_limit)
         limit = np.maximum(ahead, eased[1]) + SPEED_ROOM_MPS
         nowhere, everywhere = np.zeros(qp.knots), np.full(qp.knots, path.length)
-        a_ref = np.clip(np.gradient(v_ref, STEP_S), -qp.comfort.decel_mps2, qp.comfort.accel_mps2) if hurried else 0.0
-        return SpeedProblem(start, nowhere, everywhere, limit, s_ref, v_ref, path.length, a_ref)
+        return SpeedProblem(start, nowhere, everywhere, limit, s_ref, v_ref, path.length)
 
 
 def _overtakes(blocks: Blocks, decisions: tuple[Decision, ...], profile: FloatArray | None, times: FloatArray) -> bool:

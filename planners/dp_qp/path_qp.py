@@ -23,11 +23,12 @@ with the settling length a (m).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from scipy import sparse
 
-from logs.kernel import FloatArray
+from logs.kernel import FloatArray, frozen
 from logs.trace import CostTerms
 from planners.dp_qp import piecewise_jerk
 from planners.qp import QPConfig, QPResult, QuadraticProgram
@@ -116,28 +117,12 @@ class PathQp:
         return self._told(self._hard.solve(*self._vectors(problem, soft=False), fresh=fresh), problem)
 
     def _program(self, *, soft: bool) -> QuadraticProgram:
-        n, points = self.knots, len(self.leads)
-        w_ref, w_dl, w_ddl, w_dddl, w_mid = self._weights
-        eye, none = sparse.eye(n), sparse.csc_matrix((n, n))
-        third = piecewise_jerk.difference_penalty(n) * (w_dddl / self.step**2)
-        blocks = [(w_ref + w_mid) * eye, w_dl * eye, w_ddl * eye + third]
-        A = piecewise_jerk.constraint_matrix(n, self.step)
-        ahead = [sparse.hstack([eye, lead * eye, none]) for lead in self.leads[1:]]
-        A = sparse.vstack([A, *ahead], format="csc")
-        sizes = np.repeat([1.0, 2.0 / self._settle, 4.0 / self._settle**2], n)
-        if soft:
-            first, last = 2 * (n - 1) + 1, A.shape[0] - (points - 1) * n  # the start is no bound that gives way
-            rows = np.r_[np.arange(first, first + n - 1), np.arange(last, A.shape[0])]
-            columns = np.arange(1, points * n)
-            shifts = sparse.csc_matrix((np.ones(len(rows)), (rows, columns)), (A.shape[0], points * n))
-            A = sparse.hstack([A, shifts], format="csc")
-            blocks.append(OUTSIDE * sparse.eye(points * n))
-            sizes = np.r_[sizes, np.full(points * n, 0.1)]
+        P, A, sizes = _matrices(self.knots, self.step, self._weights, self.leads, self._settle, soft)
         return QuadraticProgram(
             "path QP without its corridor" if soft else "path QP",
-            sparse.csc_matrix(2.0 * self._scale * sparse.block_diag(blocks, format="csc")),
+            P,
             A,
-            equalities=2 * (n - 1),
+            equalities=2 * (self.knots - 1),
             scale=sizes,
             config=QPConfig(tolerance=1e-2),
         )
@@ -168,3 +153,29 @@ class PathQp:
             "centre": w_mid * float((l - middle) @ (l - middle)),
         }
         return QPResult(x, result.report), CostTerms("path QP", tuple(values.items()))
+
+
+@cache
+def _matrices(
+    n: int, step: float, weights: tuple[float, ...], leads: tuple[float, ...], settle: float, soft: bool
+) -> tuple[sparse.csc_matrix, sparse.csc_matrix, FloatArray]:
+    """P, A and the sizes of the unknowns of the program of one length: every lane has its own workspace of it."""
+    points = len(leads)
+    w_ref, w_dl, w_ddl, w_dddl, w_mid = weights
+    eye, none = sparse.eye(n), sparse.csc_matrix((n, n))
+    third = piecewise_jerk.difference_penalty(n) * (w_dddl / step**2)
+    blocks = [(w_ref + w_mid) * eye, w_dl * eye, w_ddl * eye + third]
+    A = piecewise_jerk.constraint_matrix(n, step)
+    ahead = [sparse.hstack([eye, lead * eye, none]) for lead in leads[1:]]
+    A = sparse.vstack([A, *ahead], format="csc")
+    sizes = np.repeat([1.0, 2.0 / settle, 4.0 / settle**2], n)
+    if soft:
+        first, last = 2 * (n - 1) + 1, A.shape[0] - (points - 1) * n  # the start is no bound that gives way
+        rows = np.r_[np.arange(first, first + n - 1), np.arange(last, A.shape[0])]
+        columns = np.arange(1, points * n)
+        shifts = sparse.csc_matrix((np.ones(len(rows)), (rows, columns)), (A.shape[0], points * n))
+        A = sparse.hstack([A, shifts], format="csc")
+        blocks.append(OUTSIDE * sparse.eye(points * n))
+        sizes = np.r_[sizes, np.full(points * n, 0.1)]
+    P = sparse.csc_matrix(2.0 / (w_ref + w_mid) * sparse.block_diag(blocks, format="csc"))
+    return P, A, frozen(sizes)

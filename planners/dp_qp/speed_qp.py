@@ -15,6 +15,7 @@ subject to s_lower(t) <= s <= s_upper(t) from the decisions, 0 <= v <= v_limit, 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from math import inf, sqrt
 
 import numpy as np
@@ -196,13 +197,10 @@ class SpeedQp:
     def __init__(self, config: SpeedQpConfig) -> None:
         self._config = config
         n = config.knots
-        eye = sparse.eye(n)
-        jerk = piecewise_jerk.difference_penalty(n) * (config.w_j / STEP_S**2)
-        P = 2.0 * sparse.block_diag([config.w_s * eye, config.w_v * eye, config.w_a * eye + jerk], format="csc")
-        A = piecewise_jerk.constraint_matrix(n, STEP_S)
+        P, A = _matrices(n, config.w_s, config.w_v, config.w_a, config.w_j)
         self._program = QuadraticProgram(
             "speed QP",
-            sparse.csc_matrix(P),
+            P,
             A,
             equalities=2 * (n - 1),
             scale=np.repeat([20.0, 4.0, 2.0], n),
@@ -240,3 +238,12 @@ class SpeedQp:
             "jerk": c.w_j * float(np.sum(np.diff(a) ** 2)) / STEP_S**2,
         }
         return CostTerms("speed QP", tuple(values.items()))
+
+
+@cache
+def _matrices(n: int, w_s: float, w_v: float, w_a: float, w_j: float) -> tuple[sparse.csc_matrix, sparse.csc_matrix]:
+    """P and A of (1) and its constraints: every lane has its own workspace of them."""
+    eye = sparse.eye(n)
+    jerk = piecewise_jerk.difference_penalty(n) * (w_j / STEP_S**2)
+    P = 2.0 * sparse.block_diag([w_s * eye, w_v * eye, w_a * eye + jerk], format="csc")
+    return sparse.csc_matrix(P), piecewise_jerk.constraint_matrix(n, STEP_S)

@@ -4,7 +4,7 @@
     lanes            the lane that is driven and its neighbours            lanes.py
     course           the smoothed reference line and the width along it    reference_line.py
     path stage       which side of whom, the smoothest path                path_stage.py: steering, corridor, facing,
-                                                                           slower, path_dp, path_qp
+                                                                           path_dp, path_qp
     speed stage      who goes first, the smoothest speed, how hard to      speed_stage.py: st_graph, walls, sight,
                      brake                                                 waverers, speed_dp, speed_qp, speed_solve
     lane plan        both stages in one lane, and what that costs          lane_plan.py: appointment

@@ -32,7 +32,6 @@ from planners.dp_qp.path import Path, frenet_start, make_path, out_of_frame
 from planners.dp_qp.path_dp import SAMPLES, PathDpConfig, path_dp, path_dp_offsets, path_dp_to_go, side_costs
 from planners.dp_qp.path_qp import MAX_DL, PathProblem, PathQp, PathQpConfig
 from planners.dp_qp.reference_line import Course
-from planners.dp_qp.slower import slower
 from planners.dp_qp.steering import COMFORT, HARD, bounded, swing
 
 LENGTHS_M = (60.0, 90.0, 130.0, 180.0, 250.0, 340.0)
@@ -293,16 +292,6 @@ class PathStage:
         return self._programs[length]
 
     def _scene(self, frame: Frame, s0: float, speed: float, program: PathQp) -> _Scene:
-        """Who stands or goes slowly in the way, and what of the road beside the lane is free."""
-        scene = self._standing_scene(frame, s0, speed, program)
-        moving = slower(self._course, frame, s0, speed, self._vehicle)
-        if not moving:
-            return scene
-        left, right = corridor.free_sides(self._course, frame, s0, self._config.corridor)
-        both = tuple(sorted((*scene.obstacles, *moving), key=lambda box: (box.s_from, box.agent)))
-        return replace(scene, obstacles=both, left=left, right=right)
-
-    def _standing_scene(self, frame: Frame, s0: float, speed: float, program: PathQp) -> _Scene:
         """Who stands in the way, and what of the road beside the lane is free."""
         course, vehicle, config = self._course, self._vehicle, self._config.corridor
         obstacles = corridor.path_obstacles(course, frame, s0, program.length, vehicle)

@@ -505,8 +505,8 @@ def test_the_rest_of_a_previous_plan_is_driven_to_its_end(monkeypatch: pytest.Mo
 
 def test_what_cannot_be_avoided_is_braked_for_and_told() -> None:
     _, plan = one_plan([standing("it", 9.0, 0.0, width=9.0)])
-    assert plan.status is PlanStatus.HARD_STOP and "hardest braking comes" in plan.reason
-    assert column(plan, "a").min() == pytest.approx(-SpeedQpConfig().emergency.decel_mps2, abs=0.2)
+    assert plan.status is PlanStatus.HARD_STOP and "full braking comes" in plan.reason
+    assert column(plan, "a").min() == pytest.approx(-CAR.max_decel, abs=0.2)
 
 
 def perhaps(ahead: float, share: float) -> Frame:
@@ -532,7 +532,7 @@ def test_an_unlikely_hypothesis_binds_only_where_hard_braking_would_come_too_lat
 
 
 def test_where_only_the_hardest_braking_keeps_the_distance_that_is_told() -> None:
-    half, less = "hard braking, up to 7.5 m/s2, keeps half of the distance", "hardest braking, which leaves"
+    half, less = "hard braking, up to 7.5 m/s2, keeps half of the distance", "full braking, which leaves"
     for ahead, words in ((13.0, half), (12.4, less)):
         _, plan = one_plan([standing("it", ahead, 0.0, width=15.0)])
         assert plan.status is PlanStatus.PLANNED and plan.reason.startswith(words)

@@ -14,7 +14,7 @@ from planners.dp_qp.speed_qp import STEP_S, Limits, SpeedProblem, SpeedQpConfig
 from planners.dp_qp.speed_solve import PATIENCE_S, SolvedSpeed, SpeedSolver
 from planners.dp_qp.st_graph import Blocks
 
-CONFIG, GAP = SpeedQpConfig(), 1.0
+CONFIG, GAP, MOST = SpeedQpConfig(), 1.0, 9.0
 T = STEP_S * np.arange(CONFIG.knots)
 END = 300.0
 
@@ -49,7 +49,7 @@ stations = st.floats(2.0, 80.0)
 @settings(max_examples=60, deadline=None)
 def test_a_plan_that_is_no_last_resort_meets_nobody(v: float, s: float, begin: float, lasts: float) -> None:
     blocks = blocked(s, s + 6.0, begin, begin + lasts)
-    found = solve(SpeedSolver(CONFIG, GAP), v, blocks, 0.0, fresh=True)
+    found = solve(SpeedSolver(CONFIG, GAP, MOST), v, blocks, 0.0, fresh=True)
     assert found.profile is not None
     if not found.unavoidable:
         assert not blocks.meets(T, found.profile[0])
@@ -63,7 +63,7 @@ def test_a_plan_that_is_no_last_resort_meets_nobody(v: float, s: float, begin: f
 def test_nobody_brakes_harder_than_comfort_where_comfort_does(v: float, s: float) -> None:
     blocks = blocked(s, s + 6.0, 0.0, 8.0)
     soft = Limits(CONFIG.comfort).braking((v, 0.0), CONFIG.knots, share=0.85)
-    found = solve(SpeedSolver(CONFIG, GAP), v, blocks, 0.0, fresh=True)
+    found = solve(SpeedSolver(CONFIG, GAP, MOST), v, blocks, 0.0, fresh=True)
     if (soft[0] <= s - GAP).all():
         assert found.reason == "" and found.profile is not None
         assert found.profile[2].min() >= -CONFIG.comfort.decel_mps2 - 0.06
@@ -73,9 +73,9 @@ def test_nobody_brakes_harder_than_comfort_where_comfort_does(v: float, s: float
 @settings(max_examples=30, deadline=None)
 def test_a_fresh_frame_remembers_nothing(v: float, s: float, before: float) -> None:
     blocks = blocked(s, s + 6.0, 0.0, 8.0)
-    used = SpeedSolver(CONFIG, GAP)
+    used = SpeedSolver(CONFIG, GAP, MOST)
     solve(used, v, blocked(before, before + 5.0, 0.0, 8.0), 0.0, fresh=True)
-    again, first = (solve(one, v, blocks, 0.1, fresh=True) for one in (used, SpeedSolver(CONFIG, GAP)))
+    again, first = (solve(one, v, blocks, 0.1, fresh=True) for one in (used, SpeedSolver(CONFIG, GAP, MOST)))
     assert again.reason == first.reason
     np.testing.assert_array_equal(again.profile, first.profile)  # type: ignore[arg-type]
 
@@ -86,7 +86,7 @@ CLOSE = blocked(24.0, 30.0, 0.0, 8.0)
 
 
 def test_hard_braking_waits_while_it_may_and_then_no_more() -> None:
-    solver = SpeedSolver(CONFIG, GAP)
+    solver = SpeedSolver(CONFIG, GAP, MOST)
     assert solve(solver, 12.0, FREE, 0.0, fresh=True).reason == ""
     reasons = []
     for k in range(1, 9):
@@ -103,11 +103,11 @@ def test_hard_braking_waits_while_it_may_and_then_no_more() -> None:
 
 
 def test_nobody_waits_for_the_first_frame() -> None:
-    assert solve(SpeedSolver(CONFIG, GAP), 12.0, CLOSE, 0.0, fresh=True).reason.startswith("hard braking")
+    assert solve(SpeedSolver(CONFIG, GAP, MOST), 12.0, CLOSE, 0.0, fresh=True).reason.startswith("hard braking")
 
 
 def test_nobody_waits_where_the_hardest_braking_would_then_be_too_late() -> None:
-    solver = SpeedSolver(CONFIG, GAP)
+    solver = SpeedSolver(CONFIG, GAP, MOST)
     solve(solver, 12.0, FREE, 0.0, fresh=True)
     found = solve(solver, 12.0, blocked(14.6, 22.0, 0.0, 8.0), 0.1, fresh=False)
     assert found.reason.startswith("hard")
@@ -115,7 +115,7 @@ def test_nobody_waits_where_the_hardest_braking_would_then_be_too_late() -> None
 
 @pytest.mark.parametrize(("begin", "onward"), [(2.0, True), (0.8, False)])
 def test_driving_on_instead_of_hard_braking_only_where_it_is_clear(begin: float, onward: bool) -> None:
-    found = solve(SpeedSolver(CONFIG, GAP), 14.0, blocked(12.0, 20.0, begin, 8.0), 0.0, fresh=True)
+    found = solve(SpeedSolver(CONFIG, GAP, MOST), 14.0, blocked(12.0, 20.0, begin, 8.0), 0.0, fresh=True)
     assert found.is_onward is onward
     assert found.unavoidable is not onward
 
@@ -133,7 +133,7 @@ def test_the_end_of_the_path_is_not_driven_over_where_braking_can_keep_it(end: f
     """Nobody is in the way; the path ends where the car could not steer on."""
     nobody = Blocks(T, np.zeros(0, np.int64), np.empty((0, len(T))), np.empty((0, len(T))), np.empty(0), np.empty(0))
     short = replace(problem(10.0, 0.0, np.full(len(T), end)), end=end)
-    found = SpeedSolver(CONFIG, GAP).solve(short, lambda margins: nobody, 0.0, fresh=True)
+    found = SpeedSolver(CONFIG, GAP, MOST).solve(short, lambda margins: nobody, 0.0, fresh=True)
     hardest = Limits(CONFIG.emergency).braking((10.0, 0.0), CONFIG.knots)
     assert found.profile is not None and found.reason
     assert found.profile[0, -1] <= max(end, hardest[0, -1]) + 0.06
@@ -144,5 +144,5 @@ def test_braking_that_ends_in_the_way_before_anybody_comes_avoids_nobody() -> No
     v, stop = 10.0, Limits(CONFIG.emergency).braking((10.0, 0.0), CONFIG.knots)[0]
     blocks = blocked(stop[-1] - 4.0, stop[-1] - 0.3, 2.0, 6.0)
     assert not blocks.meets(T, stop) and not blocks.leave(T, stop, 0.0)
-    found = solve(SpeedSolver(CONFIG, GAP), v, blocks, 0.0, fresh=True)
+    found = solve(SpeedSolver(CONFIG, GAP, MOST), v, blocks, 0.0, fresh=True)
     assert found.is_onward and not found.unavoidable

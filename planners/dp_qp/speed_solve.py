@@ -6,10 +6,11 @@
     somebody who just begins to walk is not yet predictable, and what a frame demands the next may take back.
 (3) Driving on, where that is clear of everybody by `ONWARD`: better than hard braking for one who comes late.
 (4) Hard limits, the mildest of a ladder with which braking keeps the bounds.
-(5) Driving on as in (3), or the hardest braking where it stays behind by less than the gap, or driving on where that
-    does not touch, or the hardest braking where it comes to rest before somebody who does not touch.
+(5) Driving on as in (3), or all that the brakes can do (`UTMOST_MPS3`) where that stays behind, or driving on where
+    that does not touch, or all that the brakes can do.
 
-Memory: since when comfort does not suffice, and whether (3) was driven; none of it where the frame is fresh.
+Memory: since when comfort does not suffice, whether (3) was driven, whether the ego braked fully; none of it where the
+frame is fresh.
 """
 
 from __future__ import annotations
@@ -43,10 +44,12 @@ TOUCHING = StGraphConfig(margin_m=0.05, vulnerable_margin_m=0.05, passed_margin_
 """The footprints, almost: what counts for braking where nothing better than not to touch can be had."""
 BARE = StGraphConfig(margin_m=0.0, vulnerable_margin_m=0.0, passed_margin_m=0.0, early_s=0.0, late_s=0.0)
 """The footprints as predicted."""
+UTMOST_MPS3 = 30.0
+"""How fast the pedal is stamped on where nothing less will do."""
 BRISK_MPS = 1.4
 """How fast a walker may become who just begins: as most do."""
-ONWARD_S = 0.8
-"""Driving on reaches its acceleration within this time."""
+ONWARD_S, RESTING_MPS = 0.8, 0.5
+"""Driving on reaches its acceleration within this time, and does not come to rest."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -57,7 +60,7 @@ class SolvedSpeed:
         profile: Rows s, v, a `(3, knots)`, or None.
         reason: Why it is not comfortable, or why there is none; empty otherwise.
         unavoidable: Whether nothing could avoid a contact.
-        is_onward: Whether it drives on instead of braking.
+        is_onward: Whether it drives on instead of braking; `is_full` whether it brakes as hard as it can.
         artefacts: Costs and solver reports of all attempts.
     """
 
@@ -65,6 +68,7 @@ class SolvedSpeed:
     reason: str
     unavoidable: bool = False
     is_onward: bool = False
+    is_full: bool = False
     artefacts: tuple[Artefact, ...] = ()
 
 
@@ -84,21 +88,23 @@ class SpeedSolver:
     Args:
         config: Limits and weights.
         gap_m: The gap that is in the problems' upper bounds.
+        most_mps2: Deceleration at full brake.
     """
 
-    def __init__(self, config: SpeedQpConfig, gap_m: float) -> None:
+    def __init__(self, config: SpeedQpConfig, gap_m: float, most_mps2: float) -> None:
         self._config, self._gap = config, gap_m
+        self._utmost = replace(config.emergency, decel_mps2=most_mps2, jerk_mps3=UTMOST_MPS3)
         self._program = SpeedQp(config)
         self._times = STEP_S * np.arange(config.knots)
         self._since = inf
-        self._drove_on = False
+        self._drove_on = self._braked_fully = False
 
     def solve(
         self, problem: SpeedProblem, blocks: Callable[[StGraphConfig], Blocks], t: float, *, fresh: bool
     ) -> SolvedSpeed:
         """The profile of a frame at `t`, s; `blocks` makes the S-T graph with other margins."""
         if fresh:
-            self._since, self._drove_on = -inf, False
+            self._since, self._drove_on, self._braked_fully = -inf, False, False
         patient = t - self._since < PATIENCE_S - 1e-6
         tried: list[Artefact] = []
         for attempt in self._soft():
@@ -124,18 +130,21 @@ class SpeedSolver:
     def remember(self, t: float, solved: SolvedSpeed) -> None:
         """Take note of what a frame at `t`, s, drives."""
         self._since = inf if not solved.reason else min(self._since, t)
-        self._drove_on = solved.is_onward
+        self._drove_on, self._braked_fully = solved.is_onward, solved.is_full
 
     def _soft(self) -> tuple[_Attempt, ...]:
         soft = Limits(self._config.comfort)
         return _Attempt(soft), _Attempt(soft, LEAST_RESERVE), _Attempt(soft, LEAST_RESERVE, 0.5 * self._gap)
 
     def _hard(self, wait: int = 0) -> tuple[_Attempt, ...]:
-        """Hard limits after a wait; the hardest give up their reserve and, without a wait, half of the gap."""
+        """Hard limits after a wait; the hardest give up their reserve and, without a wait, half of the gap.
+
+        Not after full braking, which goes on until the whole gap is kept.
+        """
         _, *harder = self._config.ladder()
         rungs = [(limits, RESERVE, 0.0) for limits in harder]
         rungs.append((harder[-1], LEAST_RESERVE, 0.0))
-        if not wait:
+        if not wait and not self._braked_fully:
             rungs.append((harder[-1], LEAST_RESERVE, 0.5 * self._gap))
         before = f"comfortable braking for {wait * STEP_S:.1f} s, then " if wait else ""
         return tuple(
@@ -181,24 +190,24 @@ class SpeedSolver:
 
     def _last_resort(self, problem: SpeedProblem, blocks: Callable[[StGraphConfig], Blocks]) -> SolvedSpeed:
         """(5)."""
-        stop = Limits(self._config.emergency).braking(problem.start, self._config.knots)
-        left = self._gap - float((stop[0] - problem.upper).max())
+        full = Limits(self._utmost).braking(problem.start, self._config.knots)
+        left = self._gap - float((full[0] - problem.upper).max())
         short = f"leaves {left:.1f} m" if left > 0.0 else f"comes {-left:.1f} m too far"
         onward = self._onward(problem, blocks(replace(self._clearance(), brisk_mps=BRISK_MPS)))
         if onward is not None:
-            return SolvedSpeed(onward, f"driving on, which is clear: hardest braking {short}", is_onward=True)
-        if left > 0.0:
-            return SolvedSpeed(stop, f"hardest braking, which {short}")
+            return SolvedSpeed(onward, f"driving on, which is clear: full braking {short}", is_onward=True)
         touching = blocks(TOUCHING)
-        if touching.leave(self._times, stop[0], 0.0):
-            return SolvedSpeed(stop, "hardest braking, which just does not touch")
+        if left > 0.0 or touching.leave(self._times, full[0], 0.0):
+            return SolvedSpeed(
+                full, f"full braking, which {short if left > 0.0 else 'just does not touch'}", is_full=True
+            )
         onward = self._onward(problem, blocks(BARE))
         if onward is not None:
-            reason = f"driving on, which just does not touch: hardest braking {short}"
+            reason = f"driving on, which just does not touch: full braking {short}"
             return SolvedSpeed(onward, reason, is_onward=True)
-        if not touching.meets(self._times, stop[0]):
-            return SolvedSpeed(stop, "hardest braking, which just does not touch")
-        return SolvedSpeed(stop, f"hardest braking {short}", unavoidable=True)
+        if not touching.meets(self._times, full[0]):
+            return SolvedSpeed(full, "full braking, which just does not touch", is_full=True)
+        return SolvedSpeed(full, f"full braking {short}", unavoidable=True, is_full=True)
 
     def _gentle(self, problem: SpeedProblem, blocks: Blocks) -> FloatArray | None:
         """Comfortable braking to a stop, where that stays behind all blocks by some of the gap; else None."""
@@ -215,7 +224,7 @@ class SpeedSolver:
             v = np.maximum(v0 + np.r_[0.0, np.cumsum(0.5 * STEP_S * (a[1:] + a[:-1]))], 0.0)
             v = np.minimum(v, np.maximum(problem.limit, v0))
             s = np.r_[0.0, np.cumsum(0.5 * STEP_S * (v[1:] + v[:-1]))]
-            if s[-1] <= problem.end and not blocks.meets(self._times, s):
+            if v[-1] > RESTING_MPS and s[-1] <= problem.end and not blocks.meets(self._times, s):
                 return np.vstack([s, v, np.gradient(v, STEP_S)])
         return None
 

@@ -99,7 +99,7 @@ class SpeedStage:
 
     def __init__(self, vehicle: VehicleParameters, config: SpeedConfig, lap: Callable[[str], None]) -> None:
         self._vehicle, self._config, self._lap = vehicle, config, lap
-        self._solver, self._waverers = SpeedSolver(config.qp, config.dp.gap_m), Waverers()
+        self._solver, self._waverers = SpeedSolver(config.qp, config.dp.gap_m, vehicle.max_decel), Waverers()
         self._hard_mps2 = RESERVE * config.qp.emergency.decel_mps2
         dp = config.dp
         self._weights = np.array([dp.w_v, dp.w_a, dp.w_j, dp.max_accel_mps2, dp.max_decel_mps2])

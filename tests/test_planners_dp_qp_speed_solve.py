@@ -146,3 +146,15 @@ def test_braking_that_ends_in_the_way_before_anybody_comes_avoids_nobody() -> No
     assert not blocks.meets(T, stop) and not blocks.leave(T, stop, 0.0)
     found = solve(SpeedSolver(CONFIG, GAP, MOST), v, blocks, 0.0, fresh=True)
     assert found.is_onward and not found.unavoidable
+
+
+def test_full_braking_goes_on_until_the_whole_gap_is_kept() -> None:
+    """The hardest planned braking would leave half of the gap: enough to begin with, not enough to go back to."""
+    v = 12.0
+    hard = Limits(CONFIG.emergency).braking((v, 0.0), CONFIG.knots, share=0.97)[0, -1]
+    half, none = (blocked(float(hard) + room, hard + 50.0, 0.0, 8.0) for room in (0.7 * GAP, -0.3 * GAP))
+    solver = SpeedSolver(CONFIG, GAP, MOST)
+    assert "keeps half of the distance" in solve(solver, v, half, 0.0, fresh=True).reason
+    assert solve(solver, v, none, 1.0, fresh=False).is_full
+    assert solve(solver, v, half, 1.1, fresh=False).is_full
+    assert not solve(solver, v, half, 1.2, fresh=True).is_full

@@ -35,7 +35,8 @@ _DEFAULTS = {"country": 100.0 * KPH, "accessRamp": 80.0 * KPH, "exitRamp": 80.0 
 _URBAN = 50.0 * KPH
 _ENOUGH_SAMPLES = 10
 _PLAUSIBLE = (2.0, 45.0)
-SHARE = 1.25
+_MORE = 1.25
+"""A goal's least speed times this is the most that (3) makes of it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,7 +168,7 @@ def _with_defaults(
         assumed[group], why = _assumed(group, document.country, _speeds_on(road, lanes, driven))
         if asked is not None and asked.speeds[0] > assumed[group] and asked.of(lanes, road):
             least, most = asked.speeds
-            assumed[group] = _rounded_up(min(0.5 * (least + most), SHARE * least))
+            assumed[group] = _rounded_up(min(0.5 * (least + most), _MORE * least))
             why = f"the goal asks for {least:.0f} m/s, above the {why.rstrip(',')}:"
         limit = f"{assumed[group]:.2f} m/s ({assumed[group] / KPH:.0f} km/h)"
         lines.append(f"speed limit missing on {len(lanes)} of {len(drivable)} lanes: {why} {limit} assumed")

@@ -64,7 +64,7 @@ class Appointment:
 
     def __init__(self, goal: Goal | None, course: Course, vehicle: VehicleParameters) -> None:
         self._goal = goal
-        self._region, self._places = (
+        self._region, (self._begins, _) = (
             _region(goal, course, beside) - vehicle.axle_to_center if goal else np.array([np.nan, np.nan])
             for beside in (BESIDE_M, np.inf)
         )
@@ -98,21 +98,19 @@ class Appointment:
             return Pace()
         first, last = goal.t
         if not np.isfinite(end):  # of a lane far beside the goal's: it is no way to be there sooner
-            return Pace(missed_s=self._missed(t, s, v, self._places[0], last))
+            return Pace(missed_s=max(self._late(t, s, v, self._begins, last), 0.0))
         if s > end:
             return Pace()
         inner, opens = end - 0.25 * (end - begin), first + min(ROOM_S, 0.5 * (last - first))
         if t + self._least_time(s, inner, v) < opens:
             slowly = LEAST * float(np.interp(s, *self._limit.T))
             return Pace(max((inner - s) / (opens - t), slowly), end)
-        hurried = s < begin and t < last and t + self._least_time(s, begin, v) > last - HASTE_S
-        return Pace(hurried=hurried, missed_s=self._missed(t, s, v, begin, last))
+        late = self._late(t, s, v, begin, last)
+        return Pace(hurried=late > -HASTE_S, missed_s=max(late, 0.0))
 
-    def _missed(self, t: float, s: float, v: float, begin: float, last: float) -> float:
-        """How much later than at `last` the ego would be at station `begin`, s; 0 where it is there or too late now."""
-        if not (s < begin and t < last):
-            return 0.0
-        return max(t + self._least_time(s, begin, v) - last, 0.0)
+    def _late(self, t: float, s: float, v: float, begin: float, last: float) -> float:
+        """How much later than `last` the ego would be at station `begin`, s; -inf where it is there or too late now."""
+        return t + self._least_time(s, begin, v) - last if s < begin and t < last else -np.inf
 
     def _least_time(self, s: float, to: float, v: float) -> float:
         """How long driving as fast as it may takes from station to station, from the speed `v`, s."""

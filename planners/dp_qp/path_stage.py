@@ -33,6 +33,7 @@ from planners.dp_qp.path_dp import SAMPLES, PathDpConfig, path_dp, path_dp_offse
 from planners.dp_qp.path_qp import MAX_DL, PathProblem, PathQp, PathQpConfig
 from planners.dp_qp.reference_line import Course
 from planners.dp_qp.steering import COMFORT, HARD, bounded, swing
+from planners.qp import QPResult
 
 LENGTHS_M = (60.0, 90.0, 130.0, 180.0, 250.0, 340.0)
 """Path lengths; the shortest that holds the horizon at the present speed is taken, so that matrices stay constant."""
@@ -53,9 +54,7 @@ NEAR_GOAL_M = 15.0
 NEARLY_M, LEFT_M = 0.5, 0.1
 """A goal farther out of the room than this is not this lane's; and what is left of the room where it is outside."""
 RELINEARISED, MOVED_M = 2, 0.02
-"""So often the path that cannot keep its corridor is solved anew, with the curvature's bounds at its own offsets ...
-
-... but not where that moves it by less than this."""
+"""So often the path that cannot keep its corridor is solved anew, until that moves it by less than this."""
 LOCK_SLACK, AT_START_M = 1.05, 5.0
 """A path ends where its curvature is more than that much of the steering lock's, though not so near to the start."""
 
@@ -183,7 +182,9 @@ class PathStage:
         self._lap("path DP")
         points, swings = knots + self._leads[:, None], swing(self._course, knots, self._leads)
         road = corridor.eased(self._room(points, scene), swings)
-        space, road = (corridor.widened(one, frenet, start.v) for one in (self._aimed(road, obstacles), road))
+        aimed = self._aimed(road, obstacles)
+        space = corridor.widened(aimed, frenet, start.v)
+        road = space if aimed is road else corridor.widened(road, frenet, start.v)
         decisions = corridor.decide_sides(obstacles, dp_at, sides, space, self._vehicle, self._config.corridor)
         at = self._course.at(knots)
         task = _Task(program, knots, space, road, swings, frenet, start.v, at[6], at[7])
@@ -216,18 +217,11 @@ class PathStage:
             narrow, decisions = corridor.narrowed(task.space, obstacles, decisions, self._vehicle, config)
             problem = self._problem(task, narrow, np.clip(0.0, narrow.lower[0], narrow.upper[0]))
             result, costs = task.program.solve(problem, fresh=fresh)
-            in_corridor, reports, solved = result.report.solved, (*reports, result.report), problem
-            for _ in range(0 if in_corridor else 1 + RELINEARISED):
-                tried = task.program.solve(problem, fresh=fresh, softly=True)
-                reports = (*reports, tried[0].report)
-                if not tried[0].report.solved:
-                    break
-                moved = np.abs(tried[0].x - result.x).max() if result.report.solved else np.inf
-                (result, costs), solved = tried, problem
-                if moved < MOVED_M:
-                    break
-                problem = self._problem(task, narrow, result.x.reshape(3, -1)[0])
-            bounds = corridor.reported(narrow, solved.lower - task.swings, solved.upper - task.swings)
+            in_corridor, reports = result.report.solved, (*reports, result.report)
+            if not in_corridor:
+                result, costs, problem, more = self._softly(task, narrow, problem, fresh=fresh)
+                reports = (*reports, *more)
+            bounds = corridor.reported(narrow, problem.lower - task.swings, problem.upper - task.swings)
             if not result.report.solved:
                 return _Found(None, decisions, bounds, costs, reports)
             offsets = result.x.reshape(3, -1)
@@ -236,6 +230,27 @@ class PathStage:
             if in_corridor or final == decisions:
                 return _Found(offsets, final, bounds, costs, reports)
             decisions = final
+
+    def _softly(
+        self, task: _Task, space: corridor.Room, problem: PathProblem, *, fresh: bool
+    ) -> tuple[QPResult, CostTerms, PathProblem, tuple[SolverReport, ...]]:
+        """The path that leaves its corridor as little as it must, the problem that it solves, and all reports.
+
+        Solved anew at most `RELINEARISED` times, with the curvature's bounds at its own offsets.
+        """
+        result, costs = task.program.solve(problem, fresh=fresh, softly=True)
+        reports: tuple[SolverReport, ...] = (result.report,)
+        for _ in range(RELINEARISED if result.report.solved else 0):
+            nearer = self._problem(task, space, result.x.reshape(3, -1)[0])
+            again, again_costs = task.program.solve(nearer, fresh=fresh, softly=True)
+            reports = (*reports, again.report)
+            if not again.report.solved:
+                break
+            moved = float(np.abs(again.x - result.x).max())
+            result, costs, problem = again, again_costs, nearer
+            if moved < MOVED_M:
+                break
+        return result, costs, problem, reports
 
     def _problem(self, task: _Task, space: corridor.Room, near: FloatArray) -> PathProblem:
         """The bounds of the path QP: the corridor, loosened to the reach of comfortable steering.

@@ -188,8 +188,9 @@ def edge(
     """Cost (1) of one edge, its speed and acceleration, written down from the module's docstring."""
     j, k = rows
     v = (k - j) * DS_M
-    a, over = v - before[0], v - limit[k]
-    cost = weights[0] * over**2 * (10.0 if over > 0.0 else 1.0) + weights[1] * a**2 + weights[2] * (a - before[1]) ** 2
+    a, over = v - before[0], max(v - limit[k], 0.0)
+    lost = max(1.0 - sum(DS_M / (0.5 * (limit[n] + limit[n + 1])) for n in range(j, k)), 0.0)
+    cost = weights[0] * lost + weights[5] * over**2 + weights[1] * a**2 + weights[2] * (a - before[1]) ** 2
     samples = [
         occupancy[column * per_column + n, int(j + (k - j) * n / per_column + 0.5)] for n in range(1, per_column + 1)
     ]
@@ -208,7 +209,7 @@ def speed_grid(seed: int, rows: int = 9, columns: int = 3) -> tuple[FloatArray, 
 def test_dynamic_programming_is_brute_force(seed: int) -> None:
     """Without weights on acceleration and jerk the problem is Markov, so that nothing is cheaper than the DP."""
     occupancy, limit, start = speed_grid(seed)
-    weights = np.array([0.3, 0.0, 0.0, 100.0, 100.0])
+    weights = np.array([30.0, 0.0, 0.0, 100.0, 100.0, 3.0])
     cost, chosen = speed_dp(occupancy, 5, limit, start, weights, 3)
     best = np.inf, ()
     for rows in product(range(9), repeat=3):
@@ -228,7 +229,7 @@ def test_dynamic_programming_is_brute_force(seed: int) -> None:
 def test_the_chosen_way_costs_what_the_grid_says(seed: int) -> None:
     """With all weights; and it keeps to the accelerations that an edge may have."""
     occupancy, limit, start = speed_grid(seed, rows=16, columns=4)
-    weights = np.array([0.3, 1.0, 0.5, 2.0, 7.0])
+    weights = np.array([30.0, 1.0, 0.5, 2.0, 7.0, 3.0])
     cost, chosen = speed_dp(occupancy, 5, limit, start, weights, 4)
     total, now = 0.0, (float(start[0]), float(start[1]))
     assert chosen[0] == 0
@@ -240,9 +241,21 @@ def test_the_chosen_way_costs_what_the_grid_says(seed: int) -> None:
     assert cost[-1].min() == pytest.approx(total, rel=1e-9)
 
 
+@given(st.floats(3.0, 15.0), st.floats(0.0, 20.0), st.floats(0.0, 60.0), st.floats(0.3, 1.2))
+@settings(max_examples=40)
+def test_a_faster_road_ahead_does_not_hold_the_ego_back(slow: float, faster: float, where: float, share: float) -> None:
+    """An empty road on which the limit rises is driven about as far as one on which it does not, or farther."""
+    rows, weights = 300, np.array([30.0, 1.0, 0.5, 2.0, 7.0, 3.0])
+    free, start = np.zeros((41, rows)), np.array([share * slow, 0.0])
+    level = np.full(rows, slow)
+    rising = np.where(DS_M * np.arange(rows) < where, slow, slow + faster)
+    ends = [speed_dp(free, 5, limit, start, weights, 8)[1][-1] for limit in (level, rising)]
+    assert ends[1] >= 0.85 * ends[0] - 1.0
+
+
 def test_a_tie_goes_to_the_smaller_station() -> None:
     free = np.zeros((16, 5))
-    _, chosen = speed_dp(free, 5, np.full(5, 1.25), np.zeros(2), np.array([0.0, 0.0, 0.0, 9.0, 9.0]), 3)
+    _, chosen = speed_dp(free, 5, np.full(5, 1.25), np.zeros(2), np.array([0.0, 0.0, 0.0, 9.0, 9.0, 0.0]), 3)
     assert chosen.tolist() == [0, 0, 0, 0]
 
 

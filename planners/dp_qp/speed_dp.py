@@ -4,12 +4,15 @@ Columns every second, rows every half metre; an edge has the speed v = ds / dt a
 the best way to its first node, an acceleration and a jerk (as in Apollo's EM planner; with them the problem is not
 quite Markov). Cost of an edge:
 
-(1) w_v (v - v_limit)^2, ten times that above the limit, + w_a a^2 + w_j jerk^2 + mean over the edge of map(t, s)
+(1) w_t max(dt - T(s_k) + T(s_j), 0) + w_v (v - v_limit)^2 above the limit + w_a a^2 + w_j jerk^2 + mean over the
+    edge of map(t, s), where T(s) = integral of ds / v_limit: w_t weighs the time that the edge loses
 (2) map = COLLISION within `gap_m` of a blocked interval; w_near (1 - gap / wanted)^2 where the gap before or behind it
     is less than wanted = d_0 + tau v_agent
 (3) cost[i, k] = min over j  cost[i-1, j] + edge(j, k); ties go to the smaller s
 
-Row spacing and column spacing belong together: a step of one row in one column is ds / dt^2 = 0.5 m/s2.
+A distance to the limit, squared, would have the ego linger before a faster road rather than be slow on it; what time
+is lost in all does not depend on where it is lost. Row spacing and column spacing belong together: a step of one row in
+one column is ds / dt^2 = 0.5 m/s2.
 """
 
 from __future__ import annotations
@@ -23,6 +26,10 @@ from logs.kernel import FloatArray, IntArray, kernel
 
 COLLISION = 1e5
 DT_S = 1.0
+SLOWEST_MPS = 0.5
+"""The time lost is counted against this where the limit is lower."""
+TIE = 1e-9
+"""Costs this near are equal: time lost early or late costs the same, so that rounding would decide."""
 DS_M = 0.5
 
 
@@ -32,7 +39,8 @@ class SpeedDpConfig:
 
     Attributes:
         columns: Seconds of horizon.
-        w_v: Weight of the distance to the limit; `w_a` of acceleration, `w_j` of jerk, `w_near` of nearness.
+        w_t: Weight of lost time; `w_v` of speed above the limit, `w_a` of acceleration, `w_j` of jerk, `w_near` of
+            nearness.
         gap_m: Smallest gap to a blocked interval.
         standstill_gap_m: Wanted gap to somebody who stands.
         time_gap_s: Wanted gap per speed of the one ahead.
@@ -40,7 +48,8 @@ class SpeedDpConfig:
     """
 
     columns: int = 8
-    w_v: float = 0.3
+    w_t: float = 30.0
+    w_v: float = 3.0
     w_a: float = 1.0
     w_j: float = 0.5
     w_near: float = 30.0
@@ -91,13 +100,16 @@ def speed_dp(
         per_column: See there.
         limit: Speed limit at the rows `(rows,)`, m/s.
         start: Speed and acceleration of the ego.
-        weights: w_v, w_a, w_j, largest acceleration, largest deceleration.
+        weights: w_t, w_a, w_j, largest acceleration, largest deceleration, w_v.
         columns: Number of columns after the start.
 
     Returns:
         Cost to come `(columns + 1, rows)`, the chosen row per column `(columns + 1,)`.
     """
     rows = len(limit)
+    needed = np.zeros(rows)
+    for k in range(1, rows):
+        needed[k] = needed[k - 1] + 2.0 * DS_M / max(limit[k - 1] + limit[k], SLOWEST_MPS)
     cost = np.full((columns + 1, rows), inf)
     speed, accel = np.zeros((columns + 1, rows)), np.zeros((columns + 1, rows))
     parent = np.zeros((columns + 1, rows), np.int64)
@@ -112,19 +124,19 @@ def speed_dp(
             for k in range(j + low, min(rows, j + high + 1)):
                 v = (k - j) * DS_M / DT_S
                 a = (v - v0) / DT_S
-                over = v - limit[k]
+                lost, over = max(DT_S - needed[k] + needed[j], 0.0), max(v - limit[k], 0.0)
                 total = cost[i, j] + weights[1] * a * a + weights[2] * (a - a0) ** 2
-                total += weights[0] * over * over * (10.0 if over > 0.0 else 1.0)
-                if total >= cost[i + 1, k]:
+                total += weights[0] * lost + weights[5] * over * over
+                if total > cost[i + 1, k] - TIE:
                     continue
                 for n in range(1, per_column + 1):
                     row = j + (k - j) * n / per_column
                     total += occupancy[min(i * per_column + n, len(occupancy) - 1), int(row + 0.5)] / per_column
-                if total < cost[i + 1, k]:
+                if total < cost[i + 1, k] - TIE:
                     cost[i + 1, k], parent[i + 1, k] = total, j
                     speed[i + 1, k], accel[i + 1, k] = v, a
     chosen = np.zeros(columns + 1, np.int64)
-    chosen[columns] = np.argmin(cost[columns])
+    chosen[columns] = np.argmax(cost[columns] <= cost[columns].min() + TIE)
     for i in range(columns, 0, -1):
         chosen[i - 1] = parent[i, chosen[i]]
     return cost, chosen

@@ -23,7 +23,7 @@ import numpy as np
 
 from logs.kernel import FloatArray
 from logs.trace import Artefact
-from planners.dp_qp.speed_qp import STEP_S, Limits, SpeedLimits, SpeedProblem, SpeedQp, SpeedQpConfig
+from planners.dp_qp.speed_qp import RELEASE_MPS3, STEP_S, Limits, SpeedLimits, SpeedProblem, SpeedQp, SpeedQpConfig
 from planners.dp_qp.st_graph import Blocks, StGraphConfig
 
 RESERVE = 0.85
@@ -49,7 +49,7 @@ UTMOST_MPS3 = 30.0
 BRISK_MPS = 1.4
 """How fast a walker may become who just begins: as most do."""
 ONWARD_S, RESTING_MPS = 0.8, 0.5
-"""Driving on reaches its acceleration within this time, and does not come to rest."""
+"""Driving on lets go of the brake, reaches its acceleration within this time, and does not come to rest."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -220,7 +220,8 @@ class SpeedSolver:
         """Driving on, at the present speed or accelerating, where that enters no block; else None."""
         v0, a0 = problem.start
         for accel in (0.0, self._config.comfort.accel_mps2):
-            a = a0 + (accel - a0) * np.minimum(self._times / ONWARD_S, 1.0)
+            released = np.minimum(min(a0, 0.0) + RELEASE_MPS3 * self._times, 0.0)
+            a = released + max(a0, 0.0) + (accel - max(a0, 0.0)) * np.minimum(self._times / ONWARD_S, 1.0)
             v = np.maximum(v0 + np.r_[0.0, np.cumsum(0.5 * STEP_S * (a[1:] + a[:-1]))], 0.0)
             v = np.minimum(v, np.maximum(problem.limit, v0))
             s = np.r_[0.0, np.cumsum(0.5 * STEP_S * (v[1:] + v[:-1]))]

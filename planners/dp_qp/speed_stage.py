@@ -102,7 +102,7 @@ class SpeedStage:
         self._solver, self._waverers = SpeedSolver(config.qp, config.dp.gap_m, vehicle.max_decel), Waverers()
         self._hard_mps2 = RESERVE * config.qp.emergency.decel_mps2
         dp = config.dp
-        self._weights = np.array([dp.w_v, dp.w_a, dp.w_j, dp.max_accel_mps2, dp.max_decel_mps2])
+        self._weights = np.array([dp.w_t, dp.w_a, dp.w_j, dp.max_accel_mps2, dp.max_decel_mps2, dp.w_v])
         self._times = STEP_S * np.arange(config.qp.knots)
 
     def choose(
@@ -202,7 +202,7 @@ class SpeedStage:
     def _dp(self, blocks: Blocks, v_limit: FloatArray, way: _Way) -> tuple[GridCost, FloatArray]:
         """The grid and its solution, stations at the QP's times `(knots,)`."""
         dp, path, start, walls = self._config.dp, way.path, way.start, way.walls
-        rows = int(path.length / DS_M) + 1
+        rows = int(path.length / DS_M + 1e-6) + 1
         limit = np.interp(DS_M * np.arange(rows), path.sigma, v_limit)
         time_gap = min(dp.time_gap_s, HURRIED_GAP_S) if way.hurried else dp.time_gap_s
         wanted = np.array([dp.standstill_gap_m, time_gap])

@@ -139,13 +139,20 @@ def careful_drive(scenario: Scenario, line: ReferenceLine) -> Driven:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Driven:
-    """Station, speed and acceleration `(k,)` up to a driver's end, step and agent of its first touch or -1."""
+    """How a driver drove.
+
+    Attributes:
+        s: Station `(k,)` up to its end, m; `v` speed, `a` acceleration.
+        meets: Step of its first touch, -1: none; `whom` the agent, -1: nobody.
+        touched: Step in which somebody who is not counted touched it, -1: nobody did.
+    """
 
     s: FloatArray
     v: FloatArray
     a: FloatArray
     meets: int
     whom: int
+    touched: int
 
 
 def _driven(driver: int, scenario: Scenario, line: ReferenceLine, start: EgoState, others: Others) -> Driven:
@@ -159,10 +166,10 @@ def _driven(driver: int, scenario: Scenario, line: ReferenceLine, start: EgoStat
     limits = curve_speeds(line.s, line.kappa)
     box = np.array([car.axle_to_center, car.length, car.width])
     state = np.array([s0, l0, start.v])
-    rows, meets, whom = _drive(
+    rows, meets, whom, touched = _drive(
         driver, line.s, line.coef, limits, state, box, others.there, others.pose, others.size, accel, vulnerable
     )
-    return Driven(rows[0], rows[1], rows[2], meets, whom)
+    return Driven(rows[0], rows[1], rows[2], meets, whom, touched)
 
 
 @kernel
@@ -333,23 +340,26 @@ def _touches(
 def _drive(
     driver: int, knots: FloatArray, coef: FloatArray, limits: FloatArray, start: FloatArray, box: FloatArray,
     there: BoolArray, pose: FloatArray, size: FloatArray, accel: FloatArray, vulnerable: BoolArray,
-) -> tuple[FloatArray, int, int]:  # fmt: skip
-    """Rows s, v, a from `start` (s, l, v) to the first touch or the end, and the step and agent of the touch."""
+) -> tuple[FloatArray, int, int, int]:  # fmt: skip
+    """Rows s, v, a from `start` (s, l, v) to the first touch or the end, and the last three of `Driven`."""
     n, steps = there.shape
     out, seen = np.zeros((3, steps)), np.full((n, 6), np.nan)
     clock, origin, left_out = np.zeros(n), np.full(n, np.nan), np.zeros(n, np.bool_)
-    s, v, a, waited, braking = start[0], start[2], 0.0, 0.0, False
+    s, v, a, waited, braking, touched = start[0], start[2], 0.0, 0.0, False, -1
     for k in range(steps):
         out[0, k], out[1, k], out[2, k] = s, v, a
         u = min((s - start[0]) / max(RETURN_S * start[2], 10.0), 1.0)
         l = start[1] * (1.0 - u * u * (3.0 - 2.0 * u))  # noqa: E741
         x, y, yaw, _ = line_frame(knots, coef, s)
         x, y = x - l * sin(yaw), y + l * cos(yaw)
+        out_before = left_out.sum()
         hit = _touches(x, y, yaw, v, k, box, there, pose, size, left_out)
         if hit >= 0:
-            return out[:, : k + 1], k, hit
+            return out[:, : k + 1], k, hit, touched
+        if touched < 0 and k > 0 and left_out.sum() > out_before:
+            touched = k
         if s >= knots[-1]:
-            return out[:, : k + 1], -1, -1
+            return out[:, : k + 1], -1, -1, touched
         wish = 0.0
         if driver != NOBODY:
             _seen(knots, coef, k, s, l, box, there, pose, size, vulnerable, seen)
@@ -367,4 +377,4 @@ def _drive(
         v_next = max(v + 0.5 * STEP_S * (a + a_next), 0.0)
         s += 0.5 * STEP_S * (v + v_next)
         v, a = v_next, (a_next if v_next > 0.0 else 0.0)
-    return out, -1, -1
+    return out, -1, -1, touched

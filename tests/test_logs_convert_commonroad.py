@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from math import cos, pi, sin
 from pathlib import Path
@@ -387,6 +388,13 @@ def test_the_recorded_driver_leaves_the_traffic_and_time_begins_with_him(tmp_pat
     assert scenario.goal.t == pytest.approx((1.5, 2.5))
     assert scenario.start_ns == 500_000_000
     assert scenario.metadata["ego_obstacle"] == "4"
+
+
+def test_a_problem_without_a_goal_names_none(tmp_path: Path) -> None:
+    nowhere = re.sub("<goalState>.*</goalState>", "", problem(1, 100.0, 0.0, 10.0))
+    scenario = read_commonroad(written(tmp_path, straight(1), vehicle(3, driving(50.0, 0.0, 5.0)), nowhere))
+    assert scenario.goal is None
+    assert "the planning problem names no goal" in scenario.notes
 
 
 def test_a_renumbered_problem_finds_its_driver_by_id_and_speed(tmp_path: Path) -> None:

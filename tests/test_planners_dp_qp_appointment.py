@@ -79,11 +79,19 @@ def test_the_goals_speed_holds_in_its_region() -> None:
     assert 200.0 - CAR.axle_to_center - 1.0 <= slow.min() and slow.max() <= 220.0 - CAR.axle_to_center + 1.0
 
 
-def drive_to(region: np.ndarray, t: tuple[float, float], road: Road, v: float) -> Trace:
+def drive_to(region: np.ndarray | None, t: tuple[float, float], road: Road, v: float) -> Trace:
     """A drive from the origin on an empty road."""
     ego = Trajectory(*(np.array([value]) for value in (0.0, 0.0, 0.0, 0.0, v, 0.0, 0.0)))
-    scenario = Scenario("goal", ego, Tracks.empty(), road, t[1], goal=Goal((region,), t=t), vehicle=CAR)
+    scenario = Scenario(
+        "goal", ego, Tracks.empty(), road, t[1], goal=Goal(() if region is None else (region,), t=t), vehicle=CAR
+    )
     return run_closed_loop(scenario, "dp_qp").trace
+
+
+def test_who_has_to_be_anywhere_at_a_time_is_still_on_the_road_then() -> None:
+    trace = drive_to(None, (9.9, 10.0), lanes(along_x(-20.0, 120.0)), 12.0)
+    assert trace.end is EndReason.GOAL
+    assert trace.ego.x[-1] + CAR.axle_to_front < 120.0
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])

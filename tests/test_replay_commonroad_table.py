@@ -56,6 +56,8 @@ def test_drives_and_failures_are_counted_by_source(tmp_path: Path) -> None:
     rows = table.set_index(["source", "planner"])
     assert set(rows.index) == {(s, p) for s in ("MONA", HAND_MADE, "all") for p in ("constant_speed", "logged")}
     assert list(rows.loc[("MONA", "logged"), ["logs", "goal", "reachable", "goal_of_reachable"]]) == [2, 2, 2, 2]
+    counted = rows[["logs", "reachable", "untouched", "goal_of_untouched"]]
+    assert (counted.diff(axis=1).iloc[:, 1:] <= 0).all(axis=None)
     assert list(rows.loc[("all", "constant_speed"), ["logs", "not_evaluated"]]) == [3, 1]
     assert rows.loc[("MONA", "constant_speed"), "not_evaluated"] == 0
     assert (rows["at_fault"] == rows["avoidable"] + rows["unavoidable"] + rows["not_applicable"]).all()

@@ -163,7 +163,7 @@ def _scenario(document: Document, chosen: _Ego) -> Scenario:
     road, heads, ruled = with_rules(document, road, origin)
     driven, how = _ego(obstacle, chosen.problem, document.dt, vehicle, origin)
     goal, unknown = _goal(chosen.problem, road, start, document.dt, origin)
-    if goal is None:
+    if goal is None and len(driven) > 1:
         goal = Goal((_last_place(driven, vehicle),))
     duration, ends = _duration(driven, tracks, goal)
     notes += [*how, *unknown, *assumed, *ruled, *rule, *ends, *_begins(start, document.dt)]
@@ -236,6 +236,8 @@ def _goal(
     """The problem's goal; several goal states become one: regions together, intervals from least to most."""
     if problem is None:
         return None, ()
+    if not problem.goals:
+        return None, ("the planning problem names no goal",)
     regions = [region - origin for goal in problem.goals for region in goal.regions]
     wanted = [i for goal in problem.goals for i in goal.lanelets]
     lost = [i for i in wanted if i not in road.lanes]
@@ -268,9 +270,9 @@ def _last_place(driven: Trajectory, vehicle: VehicleParameters, *, half: float =
     )
 
 
-def _duration(driven: Trajectory, tracks: Tracks, goal: Goal) -> tuple[float, tuple[str, ...]]:
+def _duration(driven: Trajectory, tracks: Tracks, goal: Goal | None) -> tuple[float, tuple[str, ...]]:
     ego, traffic = float(driven.t[-1]), float(tracks.t.max(initial=0.0))
-    if goal.t is None:
+    if goal is None or goal.t is None:
         return max(ego, traffic), ()
     duration = max(ego, goal.t[1])
     moving = len(tracks) and not tracks.static.all()

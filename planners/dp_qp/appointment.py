@@ -8,9 +8,9 @@ speeds up to v_1:
 (3) in a hurry                     where it would not enter the region by t_1 - `HASTE_S`: too late
 
 As fast as it may: at the speed limit, reached with `ACCEL_MPS2`. (1) and (2) hold with some room: `ROOM_MPS` of speed,
-a quarter of the region and `ROOM_S`. (2) never asks for less than `LEAST` of the limit: who drives much slower than the
-others is in their way. In a hurry the ego wants `HURRIED_GAP_S` to the one ahead instead of its usual time gap; it
-drives no faster than the limit.
+a quarter of the region (`END_M` of the road) and `ROOM_S`. (2) never asks for less than `LEAST` of the limit: who drives
+much slower than the others is in their way. In a hurry the ego wants `HURRIED_GAP_S` to the one ahead instead of its
+usual time gap; it drives no faster than the limit. Where a goal has a time but no region, s_1 is the end of the road.
 
 (4) l_0(s) + m <= l <= l_1(s) - m      where the region is from l_0 to l_1 beside the line at station s; m = `SIDE_M`
 """
@@ -29,7 +29,7 @@ from planners.dp_qp.reference_line import Course
 LEAST = 0.3
 HASTE_S = 3.0
 ACCEL_MPS2 = 1.8
-ROOM_MPS, ROOM_S = 1.0, 0.2
+ROOM_MPS, ROOM_S, END_M = 1.0, 0.2, 3.0
 HURRIED_GAP_S = 0.8
 BESIDE_M = 8.0
 """A region further beside the line is not its goal."""
@@ -69,14 +69,13 @@ class Appointment:
             for beside in (BESIDE_M, np.inf)
         )
         self._limit = np.column_stack([course.line.s, course.limit])
+        self._road_end = float(course.line.s[-1]) - vehicle.axle_to_front
         self._sides = _sides(goal, course) if goal else np.empty((3, 0))
 
     def limit(self, s: FloatArray, limit: FloatArray, pace: Pace) -> FloatArray:
         """The speed limit `(m,)` at stations of the rear axle `(m,)` with (1) and (2) in it."""
-        if self._goal is None or not np.isfinite(self._region).all():
-            return limit
         out = np.where(s <= pace.until, np.minimum(limit, pace.cap), limit)
-        if self._goal.v is not None:
+        if self._goal is not None and self._goal.v is not None and np.isfinite(self._region).all():
             fastest = max(self._goal.v[1], 0.0)
             begin = self._region[0] if fastest > ROOM_MPS else float(self._region.mean())
             inside = (begin <= s) & (s <= self._region[1])
@@ -97,16 +96,25 @@ class Appointment:
         if goal is None or goal.t is None:
             return Pace()
         first, last = goal.t
+        opens = first + min(ROOM_S, 0.5 * (last - first))
+        if not goal.regions:
+            return self._slow(t, s, v, self._road_end - END_M, self._road_end, opens)
         if not np.isfinite(end):  # of a lane far beside the goal's: it is no way to be there sooner
             return Pace(missed_s=max(self._late(t, s, v, self._begins, last), 0.0))
         if s > end:
             return Pace()
-        inner, opens = end - 0.25 * (end - begin), first + min(ROOM_S, 0.5 * (last - first))
-        if t + self._least_time(s, inner, v) < opens:
-            slowly = LEAST * float(np.interp(s, *self._limit.T))
-            return Pace(max((inner - s) / (opens - t), slowly), end)
+        early = self._slow(t, s, v, end - 0.25 * (end - begin), end, opens)
+        if early.cap < np.inf:
+            return early
         late = self._late(t, s, v, begin, last)
         return Pace(hurried=late > -HASTE_S, missed_s=max(late, 0.0))
+
+    def _slow(self, t: float, s: float, v: float, inner: float, end: float, opens: float) -> Pace:
+        """(2), so that the ego is not beyond `inner` before `opens`."""
+        if t + self._least_time(s, inner, v) >= opens:
+            return Pace()
+        slowly = LEAST * float(np.interp(s, *self._limit.T))
+        return Pace(max((inner - s) / (opens - t), slowly), end)
 
     def _late(self, t: float, s: float, v: float, begin: float, last: float) -> float:
         """How much later than `last` the ego would be at station `begin`, s; -inf where it is there or too late now."""

@@ -7,7 +7,9 @@ python -m replay.experiments.commonroad DIR -o OUT [--planner dp_qp ...] [--traf
     OUT/time, OUT/reactive      the runs, as `replan evaluate` writes them
 
 The planner `logged` is always among them. A log's goal is within reach where `logged` enters it (in the same traffic)
-or where the careful driver of UN R157 does, which keeps its lane and never accelerates (`REFERENCE_GOAL`).
+or where the careful driver of UN R157 does, which keeps its lane and never accelerates (`REFERENCE_GOAL`). A replayed
+car may run into that driver and is not counted against it, while such a touch ends a planner's drive; so the table also
+counts the logs whose goal is entered by one of them whom nobody touched before (`UNTOUCHED_GOAL`).
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ import argparse
 import os
 import sys
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -49,6 +52,8 @@ COLUMNS = {
     "goal": "drives that enter the goal before the log ends",
     "reachable": "logs whose goal logged or the careful driver enters",
     "goal_of_reachable": "of these, entered",
+    "untouched": "of these, entered by logged or the careful driver before anybody touched it",
+    "goal_of_untouched": "of these, entered",
     "collisions": "drives that touch somebody",
     "at_fault": "drives with a collision at fault",
     "avoidable": "of these, avoided by the careful driver",
@@ -62,7 +67,7 @@ COLUMNS = {
 }
 
 
-def _reference_goal(trace: Trace, scenario: Scenario) -> Measured:
+def _reference_goal(trace: Trace, scenario: Scenario, *, untouched: bool) -> Measured:
     """1 where the careful driver, on its line, satisfies the scenario's goal before the log ends."""
     goal, start, car = scenario.goal, scenario.ego.state(0), scenario.vehicle
     if goal is None:
@@ -71,21 +76,28 @@ def _reference_goal(trace: Trace, scenario: Scenario) -> Measured:
     if start.v > STANDING_MPS:
         line = reference_line(scenario)
         drive = careful_drive(scenario, line)
-        x, y, yaw = (np.interp(drive.s, line.s, column) for column in (line.xy[:, 0], line.xy[:, 1], line.yaw))
+        count = drive.touched if untouched and drive.touched >= 0 else len(drive.s)
+        s, v = drive.s[:count], drive.v[:count]
+        x, y, yaw = (np.interp(s, line.s, column) for column in (line.xy[:, 0], line.xy[:, 1], line.yaw))
         x, y = x + car.axle_to_center * np.cos(yaw), y + car.axle_to_center * np.sin(yaw)
-        t = start.t + STEP_S * np.arange(len(drive.s))
-        reached = any(goal.reached(*map(float, state)) for state in zip(t, x, y, yaw, drive.v, strict=True))
+        t = start.t + STEP_S * np.arange(count)
+        reached = any(goal.reached(*map(float, state)) for state in zip(t, x, y, yaw, v, strict=True))
     return Series(trace.ego.t[:1], np.array([float(reached)]))
 
 
 REFERENCE_GOAL = Metric(
-    "reference_goal", "1", "none", (Mode.CLOSED,), _reference_goal, (FINAL,),
+    "reference_goal", "1", "none", (Mode.CLOSED,), partial(_reference_goal, untouched=False), (FINAL,),
     "1 if the careful driver of UN R157, on the lane of the start, enters the goal before the log ends.",
+)  # fmt: skip
+UNTOUCHED_GOAL = Metric(
+    "untouched_goal", "1", "none", (Mode.CLOSED,), partial(_reference_goal, untouched=True), (FINAL,),
+    "1 if the careful driver of UN R157, on the lane of the start, enters the goal before anybody touches it.",
 )  # fmt: skip
 
 ROWS = {
     "goal": "goal.final",
     "reference_goal": "reference_goal.final",
+    "untouched_goal": "untouched_goal.final",
     "collision": "collision.count",
     "at_fault": "collision_at_fault.count",
     "fallback_rate": "fallback.rate",
@@ -123,7 +135,8 @@ def drives(result: RunResult, traffic: str) -> pd.DataFrame:
     rows["frames"] = [int(frames.get(key, 0)) for key in zip(rows["log"], rows["planner"], strict=True)]
     rows["comfort"] = ~((rows["jerk_p99_mps3"] > JERK_MPS3) | (rows["lat_accel_max_mps2"] > LATERAL_MPS2))
     logged = rows[(rows["planner"] == REFERENCE) & (rows["goal"] == 1.0)]["log"]
-    rows["reachable"] = rows["log"].isin(set(logged)) | (rows["reference_goal"] == 1.0)
+    for name, entered in (("reachable", "reference_goal"), ("untouched", "untouched_goal")):
+        rows[name] = rows["log"].isin(set(logged)) | (rows[entered] == 1.0)
     return rows.drop(columns=["applies", "avoids"])
 
 
@@ -156,6 +169,8 @@ def _counted(rows: pd.DataFrame, seconds: pd.DataFrame) -> dict[str, float]:
         "goal": int((rows["goal"] == 1.0).sum()),
         "reachable": int(rows["reachable"].sum()),
         "goal_of_reachable": int(((rows["goal"] == 1.0) & rows["reachable"]).sum()),
+        "untouched": int(rows["untouched"].sum()),
+        "goal_of_untouched": int(((rows["goal"] == 1.0) & rows["untouched"]).sum()),
         "collisions": int((rows["collision"] > 0.0).sum()),
         "at_fault": len(fault),
         **{
@@ -207,9 +222,9 @@ def compare(
     tables: list[pd.DataFrame] = []
     parts: list[pd.DataFrame] = []
     for kind in traffic:
-        metric = "replay.experiments.commonroad:REFERENCE_GOAL"
+        metrics = tuple(f"replay.experiments.commonroad:{name}" for name in ("REFERENCE_GOAL", "UNTOUCHED_GOAL"))
         loop = LoopConfig(traffic=kind)
-        run = RunConfig(planners=chosen, mode="closed", recording=False, internals="none", metrics=(metric,), loop=loop)
+        run = RunConfig(planners=chosen, mode="closed", recording=False, internals="none", metrics=metrics, loop=loop)
         result = evaluate_logs(logs, run, out / kind, workers=workers, resume=resume)
         for failure in result.failures:
             say(f"traffic {kind}: {failure.line}")

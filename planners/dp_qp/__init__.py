@@ -8,6 +8,7 @@
     speed stage      who goes first, the smoothest speed, how hard to      speed_stage.py: st_graph, walls, sight,
                      brake                                                 waverers, speed_dp, speed_qp, speed_solve
     lane plan        both stages in one lane, and what that costs          lane_plan.py: appointment
+    passing          the driven lane past who is slower: both in turns     passing.py: slower
     choice           keep the lane or change, and who would be endangered  decide.py
     fallback         what is driven when a stage fails                     fallback.py
 

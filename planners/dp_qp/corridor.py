@@ -1,8 +1,9 @@
-"""Corridor: which standing obstacles the path must pass, on which side, and what width that leaves.
+"""Corridor: which obstacles the path must pass, on which side, and what width that leaves.
 
-Only what stands still is passed by the path; what moves is met in the S-T graph. The corridor holds for the ego's axis
-from the rear axle to the front bumper, at three points, each at its own station: so its corners stay in the corridor
-widened by half its width. (The path DP, coarser, moves the rear axle past boxes grown by the ego's length.)
+Only what stands still, or goes slowly along the lane (`slower`), is passed by the path; what else moves is met in the
+S-T graph. The corridor holds for the ego's axis from the rear axle to the front bumper, at three points, each at its
+own station: so its corners stay in the corridor widened by half its width. (The path DP, coarser, moves the rear axle
+past boxes grown by the ego's length.)
 
 (1) lower <= l <= upper,  lane (or, beside an obstacle, the reachable road) less half the ego's width,
     and 1 - kappa l >= MIN_REGULAR: short of the centre of a turn; wider where the ego's nose needs it in a sharp turn
@@ -66,7 +67,7 @@ class CorridorConfig:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PathObstacle:
-    """A standing agent near the path: its box in the S-L plane, not grown, m."""
+    """Somebody whom the path may have to pass: a box in the S-L plane, not grown, m."""
 
     agent: str
     s_from: float
@@ -225,7 +226,7 @@ def decide_sides(
         side = 0.5 * vehicle.width
         left_gap, right_gap = upper - box.l_to - side, box.l_from - side - lower
         if lower > box.l_to + side + config.clearance_m or upper < box.l_from - side - config.clearance_m:
-            decisions.append(Decision(box.agent, DecisionKind.IGNORE, "path", "stands beside the corridor"))
+            decisions.append(Decision(box.agent, DecisionKind.IGNORE, "path", "is beside the corridor"))
         elif max(left_gap, right_gap) < config.min_clearance_m:
             reason = f"no room: {max(left_gap, 0.0):.2f} m left, {max(right_gap, 0.0):.2f} m right"
             decisions.append(Decision(box.agent, DecisionKind.STOP, "path", reason))
@@ -235,7 +236,7 @@ def decide_sides(
                 goes_left = not goes_left
             kind = DecisionKind.NUDGE_LEFT if goes_left else DecisionKind.NUDGE_RIGHT
             gap = min(left_gap if goes_left else right_gap, config.clearance_m)
-            reason = f"stands in the corridor: pass with {gap:.2f} m; left costs {cost[0]:.3g}, right {cost[1]:.3g}"
+            reason = f"is in the corridor: pass with {gap:.2f} m; left costs {cost[0]:.3g}, right {cost[1]:.3g}"
             decisions.append(Decision(box.agent, kind, "path", reason))
     return tuple(decisions)
 

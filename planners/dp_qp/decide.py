@@ -14,6 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from logs.frame import Frame
+from logs.kernel import FloatArray
 from logs.trace import Artefact, Candidates
 from logs.vehicle import VehicleParameters
 from planners.dp_qp.lane_plan import LanePlan
@@ -27,6 +28,8 @@ MIN_GAP_M, REACTION_S, YIELD_MPS2 = 2.0, 1.0, 2.0
 INSIDE_M = 1.0
 """An ego nearer than this to a lane's reference line drives in that lane."""
 SLOWEST_CHANGE_MPS = 1.0
+SWERVE_MPS2 = 2.0
+"""Nobody is passed with a greater lateral acceleration than this, or than the lane asks for."""
 DWELL_S = 3.0
 """No change back within this time after a change, unless the lane fails."""
 
@@ -73,14 +76,40 @@ def _against(other: LanePlan, frame: Frame, vehicle: VehicleParameters) -> str:
     return endangered(other.strip.course, frame, other.s, vehicle)
 
 
+def worth_passing(keep: LanePlan, past: LanePlan, *, under_way: bool) -> str:
+    """Why the driven lane is not driven past who is slower; empty where it is."""
+    if not past.is_comfortable and keep.is_comfortable:
+        return past.path.reason or (past.speed.reason if past.speed else "") or "no plan"
+    if not under_way and past.lateral > max(SWERVE_MPS2, keep.lateral):
+        return f"it would swerve with {past.lateral:.1f} m/s2"
+    needed = -HYSTERESIS_S if under_way else HYSTERESIS_S
+    if not past.cost < keep.cost - needed:
+        return f"costs {past.cost:.1f} s, keep {keep.cost:.1f} s" + (" and it is not begun" if not under_way else "")
+    return ""
+
+
+def borrowing_endangers(course: Course, frame: Frame, s_ego: float, vehicle: VehicleParameters, *, left: bool) -> str:
+    """Whom an ego that borrows the road beside its lane would endanger (1), (2); empty where nobody."""
+    edges = (course.lane_left, course.road_left) if left else (course.road_right, course.lane_right)
+    return _endangered(course, frame, s_ego, vehicle, *edges)
+
+
 def endangered(course: Course, frame: Frame, s_ego: float, vehicle: VehicleParameters) -> str:
     """Whom a change into the lane would endanger (1), (2); empty where nobody."""
+    return _endangered(course, frame, s_ego, vehicle, course.lane_right, course.lane_left)
+
+
+def _endangered(
+    course: Course, frame: Frame, s_ego: float, vehicle: VehicleParameters, right_edge: FloatArray,
+    left_edge: FloatArray,
+) -> str:  # fmt: skip
+    """As `endangered`, between two edges `(n,)`."""
     agents, line = frame.agents, course.line
     frenet = agents_frenet(line.s, line.coef, agents.x, agents.y, s_ego, 120.0)
     yaw = np.interp(frenet[:, 0], line.s, line.yaw)
     along = agents.vx * np.cos(yaw) + agents.vy * np.sin(yaw)
-    left = np.interp(frenet[:, 0], line.s, course.lane_left)
-    right = np.interp(frenet[:, 0], line.s, course.lane_right)
+    left = np.interp(frenet[:, 0], line.s, left_edge)
+    right = np.interp(frenet[:, 0], line.s, right_edge)
     inside = (frenet[:, 1] - 0.5 * agents.width < left) & (frenet[:, 1] + 0.5 * agents.width > right)
     rear, front = s_ego - vehicle.rear_overhang, s_ego + vehicle.axle_to_front
     for i in np.flatnonzero(inside):

@@ -63,19 +63,24 @@ def blocking(
 
 def passed_facing(
     course: Course, frame: Frame, s_ego: float, blocked: tuple[PathObstacle, ...], vehicle: VehicleParameters,
-    config: CorridorConfig,
+    config: CorridorConfig, stations: FloatArray | None = None,
 ) -> frozenset[str]:  # fmt: skip
     """Whom the ego may pass by the facing lane: nobody is predicted there until it is back, and `facing_margin_s` more.
 
-    The time that this takes counts on driving at least `FACING_MPS`; what lasts longer than the predictions is refused.
-    Beside the obstacle it is too late to turn back.
+    The time that this takes is that of an ego at `stations` `(k,)` at the times of the predictions; None: it counts on
+    driving at least `FACING_MPS`. What lasts longer than the predictions is refused. Beside the obstacle it is too late
+    to turn back.
     """
     futures, v, line = frame.predictions, max(frame.ego.v, FACING_MPS), course.line
-    moving = frame.agents.speed[futures.agent] >= corridor.STANDING_MPS
+    names = {box.agent for box in blocked}
+    counts = np.array([name not in names for name in frame.agents.ids], bool)
+    moving = ((frame.agents.speed >= corridor.STANDING_MPS) & counts)[futures.agent]
     found = []
     for box in blocked:
         begin, end = corridor.passing(box, frame.ego.v, vehicle)
-        back = frame.t + (box.s_to + vehicle.rear_overhang + BACK_M - s_ego) / v + config.facing_margin_s
+        place = box.s_to + vehicle.rear_overhang + BACK_M
+        lasts = (place - s_ego) / v if stations is None else _reached(place, futures.t - frame.t, stations)
+        back = frame.t + lasts + config.facing_margin_s
         if s_ego + vehicle.axle_to_front < box.s_from:
             if not len(futures.t) or back > futures.t[-1]:
                 continue
@@ -90,12 +95,19 @@ def passed_facing(
     return frozenset(found)
 
 
+def _reached(place: float, t: FloatArray, stations: FloatArray) -> float:
+    """When stations `(k,)` at times `t` reach a place; inf where they do not."""
+    return float(t[np.argmax(stations >= place)]) if len(t) and stations[-1] >= place else np.inf
+
+
 def _meets_facing(course: Course, feet: FloatArray, width: float, span: tuple[float, float, float]) -> bool:
     """Whether points (s, l) `(n, 2)` come on the facing lane between the ego and the end of the passing."""
     s_ego, begin, end = span
     s, l = feet.T  # noqa: E741
     _, right, facing_right, _, left, facing_left, _, _ = course.at(s)
-    beside = ((l > left - 0.5 * width) & (l < facing_left)) | ((l < right + 0.5 * width) & (l > facing_right))
+    on_left = (facing_left > left) & (l > left - 0.5 * width) & (l < facing_left)
+    on_right = (facing_right < right) & (l < right + 0.5 * width) & (l > facing_right)
+    beside = on_left | on_right
     return bool((beside & (s > min(s_ego, begin) - width) & (s < end + 10.0)).any())
 
 

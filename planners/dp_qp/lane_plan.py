@@ -13,7 +13,7 @@ The cost of a candidate adds terms in seconds:
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import hypot, inf
 
 import numpy as np
@@ -26,6 +26,8 @@ from logs.vehicle import VehicleParameters
 from planners.dp_qp.appointment import Appointment, Pace
 from planners.dp_qp.lanes import Strip
 from planners.dp_qp.path_stage import ChosenPath, PathConfig, PathStage
+from planners.dp_qp.slower import NOBODY, Movers, Slower, along_lane, beside_limit, gone_on, slower
+from planners.dp_qp.speed_solve import RESERVE
 from planners.dp_qp.speed_stage import ChosenSpeed, SpeedConfig, SpeedStage
 from planners.dp_qp.st_graph import behind
 from planners.rules import Rulebook, walls_on
@@ -45,11 +47,19 @@ DUE_S = 15.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class Past:
+    """Those whom a plan is to pass while they go on, and what the path stage is told of them."""
+
+    found: tuple[Slower, ...]
+    movers: Movers
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class LanePlan:
     """What was planned in one lane.
 
     Attributes:
-        name: "keep", "left" or "right".
+        name: "keep", "pass" (the same lane, past who is slower), "left" or "right".
         strip: The lane.
         s: Station of the start, m; `l` its offset.
         path: What the path stage found.
@@ -75,6 +85,14 @@ class LanePlan:
         """(1) and (5), s."""
         terms = dict(self.costs.terms)
         return terms["time lost"] + terms["late"]
+
+    @property
+    def lateral(self) -> float:
+        """Its greatest lateral acceleration, m/s2; 0 where a stage failed."""
+        if self.path.path is None or self.speed is None or self.speed.profile is None:
+            return 0.0
+        s, v, _ = self.speed.profile
+        return float((v**2 * np.abs(np.interp(s, self.path.path.sigma, self.path.path.kappa))).max())
 
     @property
     def is_comfortable(self) -> bool:
@@ -105,6 +123,7 @@ class LanePlanner:
         self.strip, self._rules = strip, rules
         self._appointment = Appointment(goal, strip.course, vehicle)
         self._vehicle, self._horizon = vehicle, speed.qp.horizon
+        self._hard, self._margin = RESERVE * speed.qp.emergency.decel_mps2, speed.graph.vulnerable_margin_m
         self._path = PathStage(
             strip.course, vehicle, path, self._appointment, horizon=speed.qp.horizon, passes_left=passes_left, lap=lap
         )
@@ -125,22 +144,35 @@ class LanePlanner:
         self._last = start.x, start.y, s
         return s, l
 
-    def plan(self, name: str, frame: Frame, start: EgoState, *, fresh: bool) -> LanePlan:
+    def plan(self, name: str, frame: Frame, start: EgoState, *, fresh: bool, past: Past | None = None) -> LanePlan:
         """Path and speed from `start`, with costs; `name` is "keep" for the lane that is driven."""
         s, l = self.locate(start, fresh=fresh)  # noqa: E741
         fresh = fresh or not 0.0 <= frame.t - self._planned <= FORGET_S
         self._planned = frame.t
         course = self.strip.course
-        path = self._path.choose(frame, start, s, l, fresh=fresh)
+        path = self._path.choose(frame, start, s, l, past.movers if past else NOBODY, fresh=fresh)
         speed, pace = None, self._appointment.pace(frame.t, s, start.v)
         if path.path is not None:
             limit = self._appointment.limit(path.path.s, np.interp(path.path.s, course.line.s, course.limit), pace)
-            skip = behind(course, frame, s, l, self._vehicle, keeps_track=path.shift < TRACK_M)
-            walls = walls_on(self._rules.stops(frame, start, s, path.passed, fresh=fresh), path.path, self._vehicle)
+            skip = behind(course, frame, s, l, self._vehicle, keeps_track=path.shift < TRACK_M and past is None)
+            found = past.found if past else self._beside(frame, s, start.v)
+            limit, told = beside_limit(path.path, limit, frame, found, self._vehicle, self._hard, self._margin)
+            standing = path.passed - {box.agent for box in past.movers.boxes} if past else path.passed
+            walls = walls_on(self._rules.stops(frame, start, s, standing, fresh=fresh), path.path, self._vehicle)
             speed = self._speed.choose(
-                frame, start, path.path, limit, skip, path.passed, walls, fresh=fresh, hurried=pace.hurried
+                frame, start, path.path, limit, skip, standing, walls, fresh=fresh, hurried=pace.hurried
             )
+            speed = replace(speed, artefacts=(*speed.artefacts, *told)) if told else speed
         return LanePlan(name, self.strip, s, l, path, speed, self._costs(name, start, s, speed, pace))
+
+    def _beside(self, frame: Frame, s: float, v: float) -> tuple[Slower, ...]:
+        """Those who go along the lane, where the ego would come beside them if it drove at the limit."""
+        course, t = self.strip.course, frame.predictions.t
+        who = along_lane(course, frame, s, self._vehicle)
+        if not who:
+            return ()
+        limit = float(np.interp(s, course.line.s, course.limit))
+        return slower(course, frame, s, who, gone_on(t, s, v, limit), self._vehicle)
 
     def _costs(self, name: str, start: EgoState, s: float, speed: ChosenSpeed | None, pace: Pace) -> CostTerms:
         lost, braking = self._horizon, FAILED_S
@@ -151,7 +183,7 @@ class LanePlanner:
         terms = {
             "time lost": lost,
             "lane changes": self._route_cost(s, start.v),
-            "change": 0.0 if name == "keep" else CHANGE_S,
+            "change": CHANGE_S if name in ("left", "right") else 0.0,
             "braking": braking,
             "late": pace.missed_s,
         }

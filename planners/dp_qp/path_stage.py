@@ -32,6 +32,7 @@ from planners.dp_qp.path import Path, frenet_start, make_path, out_of_frame
 from planners.dp_qp.path_dp import SAMPLES, PathDpConfig, path_dp, path_dp_offsets, path_dp_to_go, side_costs
 from planners.dp_qp.path_qp import MAX_DL, PathProblem, PathQp, PathQpConfig
 from planners.dp_qp.reference_line import Course
+from planners.dp_qp.slower import NOBODY, Movers
 from planners.dp_qp.steering import COMFORT, HARD, bounded, swing
 from planners.qp import QPResult
 
@@ -163,8 +164,10 @@ class PathStage:
         dp = config.dp
         self._weights = np.array([dp.w_ref, dp.w_dl, dp.w_ddl, dp.w_near, dp.reach_m, dp.w_switch])
 
-    def choose(self, frame: Frame, start: EgoState, s0: float, l0: float, *, fresh: bool) -> ChosenPath:
-        """The path from `start`, whose foot on the reference line is (s0, l0)."""
+    def choose(
+        self, frame: Frame, start: EgoState, s0: float, l0: float, movers: Movers = NOBODY, *, fresh: bool
+    ) -> ChosenPath:
+        """The path from `start`, whose foot on the reference line is (s0, l0), past those who move, too."""
         line = self._course.line
         if fresh:
             self._standing = {}
@@ -175,6 +178,8 @@ class PathStage:
         frenet = frenet_start(line, start, s0, l0)
         knots = s0 + program.step * np.arange(program.knots)
         scene = self._scene(frame, s0, start.v, program)
+        standing = scene.obstacles
+        scene = _with(scene, movers)
         obstacles = scene.obstacles
         stations = s0 + program.length / self._config.dp.columns * np.arange(1, self._config.dp.columns + 1)
         found_dp = self._dp(stations, knots, (s0, *frenet), scene, _sides(frame.previous))
@@ -182,7 +187,7 @@ class PathStage:
         self._lap("path DP")
         points, swings = knots + self._leads[:, None], swing(self._course, knots, self._leads)
         road = corridor.eased(self._room(points, scene), swings)
-        aimed = self._aimed(road, obstacles)
+        aimed = self._aimed(road, standing)
         space = corridor.widened(aimed, frenet, start.v)
         road = space if aimed is road else corridor.widened(road, frenet, start.v)
         decisions = corridor.decide_sides(obstacles, dp_at, sides, space, self._vehicle, self._config.corridor)
@@ -372,6 +377,15 @@ class PathStage:
         middles = np.array([0.5 * (b.s_from + b.s_to) for b in obstacles])
         at = path_dp_offsets(stations, self._rows, chosen, ego, np.r_[knots, middles])
         return cost, chosen, at[: len(knots)], at[len(knots) :], sides
+
+
+def _with(scene: _Scene, movers: Movers) -> _Scene:
+    """The scene with those who are passed while they go on; the lanes beside must be free for all."""
+    if not movers.boxes:
+        return scene
+    both = tuple(sorted((*scene.obstacles, *movers.boxes), key=lambda box: (box.s_from, box.agent)))
+    left, right = scene.left and movers.left, scene.right and movers.right
+    return replace(scene, obstacles=both, left=left, right=right, facing=scene.facing | movers.facing)
 
 
 def _sides(previous: Plan | None) -> dict[str, float]:

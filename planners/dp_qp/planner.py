@@ -7,11 +7,12 @@ from math import hypot, inf
 
 from logs.frame import Frame, PlannerContext
 from logs.states import EgoState
-from logs.trace import Artefact, Plan, PlanStart, PlanStatus
-from planners.dp_qp.decide import choose, worth_looking
+from logs.trace import Artefact, Candidates, Plan, PlanStart, PlanStatus
+from planners.dp_qp.decide import choose, worth_looking, worth_passing
 from planners.dp_qp.fallback import along, fall_back
 from planners.dp_qp.lane_plan import LanePlan, LanePlanner
 from planners.dp_qp.lanes import Lanes, Strip
+from planners.dp_qp.passing import Passing
 from planners.dp_qp.path_stage import PathConfig
 from planners.dp_qp.speed_stage import SpeedConfig
 from planners.rules import Rulebook
@@ -46,6 +47,7 @@ class DpQp:
         self._context, self._vehicle, self._lap = context, context.vehicle, context.lap
         self._lanes = Lanes(context)
         self._planners: dict[Strip, LanePlanner] = {}
+        self._passings: dict[Strip, Passing] = {}
         self._driven = self._planner(self._lanes.start(context.start))
         self._changed = -inf
 
@@ -54,8 +56,10 @@ class DpQp:
         fresh = frame.previous is None
         start, start_kind = self._start(frame)
         if fresh:
-            for each in self._planners.values():
-                each.forget()
+            for planner in self._planners.values():
+                planner.forget()
+            for passing in self._passings.values():
+                passing.forget()
             self._driven, self._changed = self._planner(self._lanes.start(start)), -inf
         self._lap("start")
         chosen, considered = self._choose(frame, start, fresh=fresh)
@@ -70,32 +74,57 @@ class DpQp:
 
     def _choose(self, frame: Frame, start: EgoState, *, fresh: bool) -> tuple[LanePlan, tuple[Artefact, ...]]:
         """The plan in the best lane; the neighbours are planned only where that may pay."""
-        keep = self._driven.plan("keep", frame, start, fresh=fresh)
+        keep, considered = self._past(self._driven.plan("keep", frame, start, fresh=fresh), frame, start, fresh=fresh)
         if not worth_looking(keep, since_change=frame.t - self._changed):
-            return keep, ()
+            return keep, considered
         beside = self._lanes.beside(keep.strip, keep.s)
         others = [self._planner(strip).plan(side, frame, start, fresh=fresh) for side, strip in beside]
         if not others:
-            return keep, ()
-        chosen, considered = choose(keep, others, frame, self._vehicle)
+            return keep, considered
+        chosen, more = choose(keep, others, frame, self._vehicle)
         if chosen is not keep:
             self._driven, self._changed = self._planner(chosen.strip), frame.t
         self._lap("lane choice")
-        return chosen, considered
+        return chosen, (*considered, *more)
+
+    def _past(
+        self, keep: LanePlan, frame: Frame, start: EgoState, *, fresh: bool
+    ) -> tuple[LanePlan, tuple[Artefact, ...]]:
+        """The plan in the driven lane: past who is slower where that is worth it, else behind him."""
+        passing = self._passing_in(keep.strip)
+        past = passing.plan(keep, frame, start, fresh=fresh)
+        if past is None:
+            return keep, ()
+        against = worth_passing(keep, past, under_way=passing.under_way)
+        passing.under_way = not against
+        self._lap("passing")
+        rejected = (f"pass: {against}" if against else f"keep: costs {keep.cost:.1f} s, pass {past.cost:.1f} s", 1)
+        return keep if against else past, (keep.costs, past.costs, Candidates("passing", 2, (rejected,)))
+
+    def _passing_in(self, strip: Strip) -> Passing:
+        if strip not in self._passings:
+            left = self._context.road.drives_on_right
+            self._passings[strip] = Passing(
+                self._new_planner(strip), self._vehicle, self._config.path.corridor, passes_left=left
+            )
+        return self._passings[strip]
 
     def _planner(self, strip: Strip) -> LanePlanner:
         if strip not in self._planners:
-            self._planners[strip] = LanePlanner(
-                strip,
-                Rulebook(self._context.road, strip.course, self._vehicle),
-                self._context.goal,
-                self._vehicle,
-                self._config.path,
-                self._config.speed,
-                passes_left=self._context.road.drives_on_right,
-                lap=self._lap,
-            )
+            self._planners[strip] = self._new_planner(strip)
         return self._planners[strip]
+
+    def _new_planner(self, strip: Strip) -> LanePlanner:
+        return LanePlanner(
+            strip,
+            Rulebook(self._context.road, strip.course, self._vehicle),
+            self._context.goal,
+            self._vehicle,
+            self._config.path,
+            self._config.speed,
+            passes_left=self._context.road.drives_on_right,
+            lap=self._lap,
+        )
 
     def _start(self, frame: Frame) -> tuple[EgoState, PlanStart]:
         if frame.previous is not None:

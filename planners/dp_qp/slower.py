@@ -1,0 +1,194 @@
+"""Who goes along the lane on foot or by bicycle, slower than the ego: where the path must pass him, and how fast.
+
+He moves: where he is while the ego passes depends on its speed, and how fast it may pass on the room that the path
+leaves him. So path and speed are found in turns (`passing`). With s(t) the stations of the ego's rear axle, as of the
+last plan,
+
+(1) beside   = the times at which the ego's front is past his rear, less `NEAR_M`, and its rear not past his front
+(2) box      = the stations and offsets at which he is predicted while the ego is beside him, and his offset now;
+               `ASIDE_M` wider on both sides
+(3) v       <= max(2 b (d / w - T), `LEAST_MPS`) beside him and as far before as it takes to stop       (`sight`, (3))
+
+d is the room that the path leaves him, w how fast he may come into the way: then the ego either is past him or stops
+before him wherever he does. (The speed stage may exceed a limit by `SPEED_ROOM_MPS`, which is taken off.)
+
+Who cannot be passed within the predictions, or near a place where lanes part or meet, is followed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from logs.frame import Frame
+from logs.kernel import FloatArray
+from logs.road import line_project_many
+from logs.scenario import AgentKind
+from logs.trace import Decision, DecisionKind
+from logs.vehicle import VehicleParameters
+from planners.dp_qp.corridor import STANDING_MPS, CorridorConfig, PathObstacle, passing
+from planners.dp_qp.facing import passed_facing
+from planners.dp_qp.path import Path
+from planners.dp_qp.reference_line import Course
+from planners.dp_qp.sight import LEAST_MPS, REACTION_S, WALK_MPS
+from planners.dp_qp.speed_stage import SPEED_ROOM_MPS
+
+SLOW_MPS = 7.0
+"""Who is faster is followed."""
+NEAR_M = 2.0
+ASIDE_M = 0.9
+"""With the path's usual clearance 1.5 m, as German law asks in towns (StVO, 5 (4)); where there is less, 1.15 m."""
+ALONG_RAD = 0.4
+SWERVE_MPS = 0.8
+"""How fast who rides may come into the way; who walks with `WALK_MPS`."""
+UNLIKELY = 0.2
+"""A hypothesis that is not more probable than this is left to the S-T graph."""
+GAIN_MPS2 = 1.2
+JUNCTION_M = 10.0
+REACH_M = 120.0
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Slower:
+    """Somebody to be passed.
+
+    Attributes:
+        agent: Index into the frame's agents.
+        box: (2).
+        begin: Station of the ego's rear axle at which it comes beside him, m; `end` at which it is past him.
+        places: Where he is predicted meanwhile `(n, 2)`, m.
+    """
+
+    agent: int
+    box: PathObstacle
+    begin: float
+    end: float
+    places: FloatArray
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Movers:
+    """What the path stage is told of them: whom to pass, on which sides, and for whom the facing lane is free."""
+
+    boxes: tuple[PathObstacle, ...] = ()
+    left: bool = True
+    right: bool = True
+    facing: frozenset[str] = frozenset()
+
+
+NOBODY = Movers()
+
+
+def along_lane(course: Course, frame: Frame, s_ego: float, vehicle: VehicleParameters) -> list[int]:
+    """The agents ahead or beside who walk or ride along the road in the ego's direction."""
+    agents, line, found = frame.agents, course.line, []
+    near = np.hypot(agents.x - frame.ego.x, agents.y - frame.ego.y) < REACH_M
+    for i in np.flatnonzero(near & (agents.speed >= STANDING_MPS) & (agents.speed <= SLOW_MPS)):
+        if agents.kinds[i] not in (AgentKind.PEDESTRIAN, AgentKind.BICYCLE):
+            continue
+        s, l = line.project(float(agents.x[i]), float(agents.y[i]), s_ego, REACH_M)  # noqa: E741
+        yaw = line.frame(s)[2]
+        along = float(agents.vx[i] * np.cos(yaw) + agents.vy[i] * np.sin(yaw))
+        across = float(agents.vy[i] * np.cos(yaw) - agents.vx[i] * np.sin(yaw))
+        _, right, _, _, left, _, _, _ = course.at(np.array([s]))[:, 0]
+        half = 0.5 * float(agents.length[i])
+        on_road = right - half < l < left + half
+        if on_road and s + half > s_ego - vehicle.rear_overhang and np.arctan2(abs(across), along) <= ALONG_RAD:
+            found.append(int(i))
+    return found
+
+
+def slower(
+    course: Course, frame: Frame, s_ego: float, who: Sequence[int], stations: FloatArray, vehicle: VehicleParameters
+) -> tuple[Slower, ...]:
+    """The boxes (2) of the agents `who`, for an ego at `stations` `(k,)` at the times of the predictions."""
+    found = [_slower(course, frame, s_ego, i, stations, vehicle) for i in who]
+    ready = [one for one in found if one is not None]
+    return tuple(sorted(ready, key=lambda one: (one.box.s_from, one.box.agent)))
+
+
+def _slower(
+    course: Course, frame: Frame, s_ego: float, i: int, stations: FloatArray, vehicle: VehicleParameters
+) -> Slower | None:
+    agents, futures, line = frame.agents, frame.predictions, course.line
+    ego_low, ego_high = stations - vehicle.rear_overhang, stations + vehicle.axle_to_front
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)  # of (s, l)
+    begin, end, places = np.inf, -np.inf, [np.empty((0, 2))]
+    for row in np.flatnonzero((futures.agent == i) & (futures.probability > UNLIKELY)):
+        feet = line_project_many(line.s, line.coef, futures.x[row], futures.y[row], s_ego, stations[-1] - s_ego + 60.0)
+        turn = futures.yaw[row] - np.interp(feet[:, 0], line.s, line.yaw)
+        size = np.array([agents.length[i], agents.width[i]])
+        c, s = np.abs(np.cos(turn))[:, None], np.abs(np.sin(turn))[:, None]
+        half = 0.5 * np.hstack([c * size[0] + s * size[1], s * size[0] + c * size[1]])
+        bottom, top = feet - half, feet + half
+        beside = (ego_high > bottom[:, 0] - NEAR_M) & (ego_low < top[:, 0])
+        if not beside.any() or beside[-1]:
+            return None
+        low, high = np.minimum(low, bottom[beside].min(axis=0)), np.maximum(high, top[beside].max(axis=0))
+        low[1], high[1] = min(low[1], bottom[0, 1]), max(high[1], top[0, 1])
+        begin, end = min(begin, float(stations[beside][0])), max(end, float(stations[beside][-1]))
+        places.append(np.column_stack([futures.x[row, beside], futures.y[row, beside]]))
+    if not np.isfinite(begin):
+        return None
+    box = PathObstacle(agents.ids[i], *(float(v) for v in (low[0], high[0], low[1] - ASIDE_M, high[1] + ASIDE_M)))
+    return Slower(i, box, begin, end, np.vstack(places))
+
+
+def movers(
+    course: Course, frame: Frame, s_ego: float, found: tuple[Slower, ...], stations: FloatArray,
+    sides: tuple[bool, bool], vehicle: VehicleParameters, config: CorridorConfig,
+) -> Movers:  # fmt: skip
+    """What the path stage is told, for an ego as in `slower`; `sides`: whether the road beside may be borrowed."""
+    boxes = tuple(one.box for one in found if not _at_junction(course, one.box, frame.ego.v, vehicle))
+    narrow = tuple(box for box in boxes if _room(course, box) < vehicle.width + 2.0 * config.min_clearance_m)
+    return Movers(boxes, *sides, passed_facing(course, frame, s_ego, narrow, vehicle, config, stations))
+
+
+def _at_junction(course: Course, box: PathObstacle, speed: float, vehicle: VehicleParameters) -> bool:
+    begin, end = passing(box, speed, vehicle)
+    return any(begin < place < end + JUNCTION_M for place in course.waits)
+
+
+def _room(course: Course, box: PathObstacle) -> float:
+    """Between the box and the road's edge, on the side where there is more, m."""
+    _, right, _, _, left, _, _, _ = course.at(np.array([0.5 * (box.s_from + box.s_to)]))[:, 0]
+    return float(max(left - box.l_to, box.l_from - right))
+
+
+def beside_limit(
+    path: Path, limit: FloatArray, frame: Frame, found: tuple[Slower, ...], vehicle: VehicleParameters, decel: float,
+    margin: float,
+) -> tuple[FloatArray, tuple[Decision, ...]]:  # fmt: skip
+    """The speed limit `(m,)` along a path with (3) in it, and for whom; b is `decel`, m/s2.
+
+    To whom the path comes nearer than `margin`, m, is followed: he is in the S-T graph.
+    """
+    out, told, agents = limit, [], frame.agents
+    for one in found:
+        at = (path.s > one.begin - NEAR_M) & (path.s < one.end + NEAR_M)
+        if not at.any():
+            continue
+        away = np.hypot(path.x[at, None] - one.places[:, 0], path.y[at, None] - one.places[:, 1])
+        d = float(away.min()) - 0.5 * float(vehicle.width + agents.width[one.agent])
+        if d < margin:
+            continue
+        w = SWERVE_MPS if agents.kinds[one.agent] is AgentKind.BICYCLE else WALK_MPS
+        v = max(2.0 * decel * (d / w - REACTION_S) - SPEED_ROOM_MPS, LEAST_MPS)
+        stops = v * REACTION_S + v * v / (2.0 * decel)
+        at = (path.s > one.begin - stops) & (path.s < one.end + NEAR_M)
+        if v < float(limit[at].min()):
+            reason = (
+                f"goes along the lane: passed with {d:.1f} m and at {v:.1f} m/s, so that the ego could stop for him"
+            )
+            told.append(Decision(agents.ids[one.agent], DecisionKind.YIELD, "speed", reason))
+        out = np.where(at, np.minimum(out, v), out)
+    return out, tuple(told)
+
+
+def gone_on(t: FloatArray, s_ego: float, v: float, limit: float) -> FloatArray:
+    """Stations at times `(k,)` from the first on of an ego that reaches a limit with `GAIN_MPS2` and keeps it."""
+    at = t - t[0]
+    speed = np.clip(limit, v - GAIN_MPS2 * at, v + GAIN_MPS2 * at)
+    return s_ego + np.r_[0.0, np.cumsum(0.5 * np.diff(at) * (speed[1:] + speed[:-1]))]

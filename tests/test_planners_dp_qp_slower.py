@@ -1,0 +1,263 @@
+"""Who goes slowly along the lane is passed with room, at a speed that goes with it; where there is none, followed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+from handmade import track, tracks
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_planners_dp_qp_facing import two_way
+from worlds import CAR, Other, along_x, driving, frame, lanes
+
+from logs import AgentKind, EgoState, Road, Scenario, Trajectory
+from logs.kernel import FloatArray
+from logs.trace import Candidates, EndReason, Trace
+from planners.dp_qp.decide import borrowing_endangers
+from planners.dp_qp.path import make_path
+from planners.dp_qp.reference_line import make_course
+from planners.dp_qp.route import Route, find_route
+from planners.dp_qp.sight import LEAST_MPS, REACTION_S, WALK_MPS
+from planners.dp_qp.slower import ASIDE_M, NEAR_M, along_lane, beside_limit, gone_on, slower
+from planners.dp_qp.speed_stage import SPEED_ROOM_MPS
+from replay.closed_loop import run_closed_loop
+
+LENGTH, WIDTH = 1.8, 0.6
+EGO = EgoState(0.0, 20.0, 0.0, 0.0, 10.0, 0.0, 0.0)
+ROAD = lanes(along_x(0.0, 600.0))
+COURSE = make_course(ROAD, find_route(ROAD, EGO, None), EGO, CAR)
+AT = COURSE.line.project(EGO.x, 0.0)[0]
+BRAKE = 6.4
+
+
+def goer(x: float, y: float, vx: float, vy: float = 0.0, kind: AgentKind = AgentKind.BICYCLE) -> Other:
+    yaw = float(np.arctan2(vy, vx))
+    return Other("goer", lambda t: (x + vx * t, y + vy * t, yaw, vx, vy), kind, LENGTH, WIDTH)
+
+
+# whom, where, how fast
+
+
+@pytest.mark.parametrize(
+    "who",
+    [
+        goer(60.0, 0.0, 0.0),
+        goer(60.0, 0.0, 9.0),
+        goer(60.0, -1.0, 0.2, 1.2),
+        goer(60.0, 0.0, -3.0),
+        goer(60.0, 0.0, 3.0, kind=AgentKind.CAR),
+        goer(60.0, 0.0, 3.0, kind=AgentKind.MOTORCYCLE),
+        goer(60.0, 3.2, 3.0),
+        goer(10.0, 0.0, 3.0),
+    ],
+    ids=["stands", "fast", "crosses", "oncoming", "car", "motorcycle", "beside the road", "behind"],
+)
+def test_who_is_not_meant(who: Other) -> None:
+    assert along_lane(COURSE, frame(EGO, [who]), AT, CAR) == []
+
+
+@given(st.floats(3.0, 50.0), st.floats(0.6, 6.5), st.floats(2.5, 14.0), st.floats(-1.2, 1.2), st.floats(-0.1, 0.1))
+def test_the_box_holds_him_as_long_as_the_ego_is_beside_him(
+    ahead: float, u: float, more: float, y: float, aside: float
+) -> None:
+    x = EGO.x + CAR.axle_to_front + ahead + 0.5 * LENGTH
+    now = frame(EGO, [goer(x, y, u, aside * u)])
+    t = now.predictions.t
+    stations = gone_on(t, AT, u + more, u + more)
+    found = slower(COURSE, now, AT, along_lane(COURSE, now, AT, CAR), stations, CAR)
+    rear, front = (x + u * t + sign * 0.5 * LENGTH for sign in (-1.0, 1.0))
+    ego = stations - AT + EGO.x
+    beside = (ego + CAR.axle_to_front > rear) & (ego - CAR.rear_overhang < front)
+    if not found:
+        assert not beside.any() or ego[-1] - CAR.rear_overhang < front[-1] + 0.2
+        return
+    (one,) = found
+    box, offset = one.box, y + aside * u * t[beside]
+    assert box.s_from - AT + EGO.x <= rear[beside].min() + 0.2 and box.s_to - AT + EGO.x >= front[beside].max() - 0.2
+    assert box.l_from <= min(offset.min(), y) - 0.5 * WIDTH - ASIDE_M + 0.02
+    assert box.l_to >= max(offset.max(), y) + 0.5 * WIDTH + ASIDE_M - 0.02
+    assert one.begin - AT <= ahead + u * t[beside][0] + NEAR_M + 1.0
+
+
+def test_who_cannot_be_passed_within_the_predictions_is_not_passed() -> None:
+    now = frame(EGO, [goer(60.0, 0.0, 6.5)])
+    stations = gone_on(now.predictions.t, AT, 7.0, 7.0)
+    assert slower(COURSE, now, AT, [0], stations, CAR) == ()
+
+
+@given(st.floats(1.0, 3.0), st.sampled_from([AgentKind.BICYCLE, AgentKind.PEDESTRIAN]))
+def test_the_more_room_the_faster_and_beside_him_only(room: float, kind: AgentKind) -> None:
+    """Whoever comes into the way with w is passed, or the ego stops before him: wherever he is when he does."""
+    y = -room - 0.5 * (CAR.width + WIDTH)
+    now = frame(EGO, [Other("goer", lambda t: (50.0 + 2.0 * t, y, 0.0, 2.0, 0.0), kind, LENGTH, WIDTH)])
+    found = slower(COURSE, now, AT, [0], gone_on(now.predictions.t, AT, 10.0, 10.0), CAR)
+    path = make_path(COURSE.line, AT, 1.0, np.zeros((3, 150)))
+    limit = np.full(len(path.s), 60.0)
+    lowered, _ = beside_limit(path, limit, now, found, CAR, BRAKE, 0.6)
+    v = float(lowered.min())
+    w = WALK_MPS if kind is AgentKind.PEDESTRIAN else 0.8
+    assert v == pytest.approx(max(2.0 * BRAKE * (room / w - REACTION_S) - SPEED_ROOM_MPS, LEAST_MPS), rel=0.02)
+    slow = path.s[lowered < 60.0]
+    stop = v * REACTION_S + v * v / (2.0 * BRAKE)
+    if v < 60.0:
+        assert slow.min() == pytest.approx(max(found[0].begin - stop, AT), abs=0.6)
+        assert slow.max() == pytest.approx(found[0].end + NEAR_M, abs=0.6)
+        for x in np.linspace(0.0, stop, 50):  # as far before him, at v: past in time, or stopped in time
+            assert x <= v * room / w or v * REACTION_S + v * v / (2.0 * BRAKE) <= x + 1e-9 or v == LEAST_MPS
+    near, _ = beside_limit(path, limit, now, found, CAR, BRAKE, room + 0.1)
+    assert (near == limit).all()  # to whom it comes nearer than the margin is followed
+
+
+# drives
+
+
+@dataclass(frozen=True)
+class Passed:
+    """A drive; how far before each goer it ends; the least room beside any."""
+
+    trace: Trace
+    before: float
+    room: float
+
+
+def moving(
+    name: str, x: float, y: float, u: float, kind: AgentKind, length: float, width: float, seconds: float
+) -> object:
+    t = np.arange(0.0, seconds + 0.05, 0.1)
+    yaw = 0.0 if u > 0.0 else np.pi
+    return track(
+        name, t.tolist(), (x + u * t).tolist(), np.full(len(t), y).tolist(),
+        yaw=yaw, vx=u, vy=0.0, kind=kind, length=length, width=width,
+    )  # fmt: skip
+
+
+def drive(
+    road: Road, goers: list[tuple[float, float, float]], *, v: float = 9.0, seconds: float = 14.0,
+    kind: AgentKind = AgentKind.BICYCLE, cars: tuple[tuple[float, float, float], ...] = (),
+) -> Passed:  # fmt: skip
+    """A drive from the origin among goers and cars (x, y, speed)."""
+    those = [moving(f"goer{i}", *one, kind, LENGTH, WIDTH, seconds) for i, one in enumerate(goers)]
+    those += [moving(f"car{i}", *one, AgentKind.CAR, 4.5, 1.8, seconds) for i, one in enumerate(cars)]
+    ego = Trajectory(*(np.array([value]) for value in (0.0, 0.0, 0.0, 0.0, v, 0.0, 0.0)))
+    log = Scenario("goers", ego, tracks(*those), road, seconds, vehicle=CAR)
+    trace = run_closed_loop(log, "dp_qp").trace
+    room, before = np.inf, np.inf
+    for x, y, u in goers:
+        at = x + u * trace.ego.t
+        rear, front = trace.ego.x - CAR.rear_overhang, trace.ego.x + CAR.axle_to_front
+        beside = (front > at - 0.5 * LENGTH) & (rear < at + 0.5 * LENGTH)
+        room = min(room, float(np.abs(trace.ego.y - y)[beside].min(initial=np.inf)) - 0.5 * (CAR.width + WIDTH))
+        before = min(before, float(rear[-1] - at[-1]))
+    return Passed(trace, before, room)
+
+
+def hardest(trace: Trace) -> tuple[float, float]:
+    """Deceleration and lateral acceleration, m/s2."""
+    v: FloatArray = trace.ego.v
+    return -float(trace.ego.a.min()), float(np.abs(v**2 * trace.ego.kappa).max())
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.parametrize("kind", [AgentKind.BICYCLE, AgentKind.PEDESTRIAN])
+def test_in_a_wide_lane_he_is_passed_with_room(side: float, kind: AgentKind) -> None:
+    u = 4.0 if kind is AgentKind.BICYCLE else 1.3
+    found = drive(lanes(along_x(-20.0, 400.0), width=5.5), [(40.0, 1.6 * side, u)], kind=kind)
+    assert found.before > 10.0 and found.room > 1.4
+    decel, lateral = hardest(found.trace)
+    assert decel < 2.0 and lateral < 2.5
+    if kind is AgentKind.BICYCLE:
+        assert found.trace.ego.v.min() > 8.5
+
+
+def test_a_free_lane_beside_is_borrowed_for_him_and_the_record_says_so() -> None:
+    found = drive(lanes(along_x(-20.0, 400.0), 2), [(40.0, -0.8, 4.0)])
+    assert found.before > 10.0 and found.room > 1.4 and found.trace.ego.y.max() < 3.0
+    told = [item for one in found.trace.frames for item in one.plan.internals if isinstance(item, Candidates)]
+    assert any(item.stage == "passing" and item.rejected[0][0].startswith("keep: costs") for item in told)
+
+
+def test_the_facing_lane_is_borrowed_for_him_where_nobody_comes() -> None:
+    found = drive(two_way(), [(40.0, -1.0, 3.0)])
+    assert found.before > 10.0 and found.room > 1.4
+
+
+def test_where_somebody_comes_he_is_followed_until_that_one_is_gone() -> None:
+    found = drive(two_way(), [(40.0, -1.0, 3.0)], seconds=26.0, cars=((120.0, 3.5, -10.0), (160.0, 3.5, -10.0)))
+    assert found.before > 5.0 and found.room > 1.4
+    assert found.trace.end is EndReason.END_OF_LOG
+    assert found.trace.ego.v.min() < 6.0
+    met = found.trace.ego.t[np.argmax(found.trace.ego.x > 160.0 - 10.0 * found.trace.ego.t)]
+    assert np.abs(found.trace.ego.y[found.trace.ego.t < met]).max() < 0.9
+
+
+def test_a_solid_marking_is_not_crossed_and_a_narrow_lane_has_no_room() -> None:
+    for road in (two_way(crossable=False), lanes(along_x(-20.0, 400.0))):
+        found = drive(road, [(40.0, -1.2, 4.0)])
+        assert found.trace.end is EndReason.END_OF_LOG and found.before < -5.0 and np.isinf(found.room)
+        assert np.abs(found.trace.ego.y).max() < 0.1
+
+
+def test_who_follows_in_the_lane_beside_does_not_have_to_brake() -> None:
+    """A faster car that is nearly beside goes first; the ego waits behind the rider for it."""
+    found = drive(lanes(along_x(-20.0, 400.0), 2), [(35.0, -0.8, 4.0)], cars=((-8.0, 3.5, 12.0),))
+    y = found.trace.ego.y[found.trace.ego.x + CAR.axle_to_front > -8.0 - 2.25 + 12.0 * found.trace.ego.t - 2.0]
+    assert np.abs(y).max(initial=0.0) < 0.9
+    assert found.before > 5.0 and found.room > 1.0
+
+
+@settings(max_examples=12, deadline=None)
+@given(st.floats(-2.3, -1.2), st.floats(1.2, 2.3), st.floats(-5.0, 25.0), st.floats(7.0, 13.5))
+def test_between_two_who_walk_at_both_edges_nobody_brakes_hard_or_swerves(
+    right: float, left: float, gap: float, v: float
+) -> None:
+    goers = [(50.0, right, 1.3), (50.0 + gap, left, 1.2)]
+    found = drive(lanes(along_x(-20.0, 400.0), width=6.0), goers, v=v, kind=AgentKind.PEDESTRIAN, seconds=10.0)
+    assert found.trace.end is EndReason.END_OF_LOG and found.room > 0.55
+    decel, lateral = hardest(found.trace)
+    assert decel < 3.2 and lateral < 3.0
+
+
+def past_a_walker(turn: float, w: float) -> Trace:
+    """10 m/s past somebody who walks at 1.3 m/s, 0.6 m right of the middle, and turns left at a time with a speed."""
+    t = np.arange(0.0, 12.05, 0.1)
+    after = np.maximum(t - turn, 0.0)
+    x, y = 45.0 + 1.3 * np.minimum(t, turn), np.minimum(w * after - 0.6, 5.0)
+    vx, vy = np.where(after > 0.0, 0.0, 1.3), np.where((after > 0.0) & (y < 5.0), w, 0.0)
+    who = track(
+        "walker", t.tolist(), x.tolist(), y.tolist(), yaw=np.arctan2(vy, np.maximum(vx, 1e-9)).tolist(),
+        vx=vx.tolist(), vy=vy.tolist(), kind=AgentKind.PEDESTRIAN, length=0.5, width=0.5,
+    )  # fmt: skip
+    ego = Trajectory(*(np.array([value]) for value in (0.0, 0.0, 0.0, 0.0, 10.0, 0.0, 0.0)))
+    return run_closed_loop(Scenario("walker", ego, tracks(who), two_way(), 12.0, vehicle=CAR), "dp_qp").trace
+
+
+def test_the_front_touches_nobody_who_turns_into_the_way() -> None:
+    """Wherever the ego is when he turns. (Who walks into its flank when its front is past him cannot be helped.)"""
+    ego = past_a_walker(99.0, 1.0).ego
+    ahead = 45.0 + 1.3 * ego.t - 0.25 - ego.x - CAR.axle_to_front
+    assert ahead[-1] < -20.0
+    for gap, w in ((12.0, WALK_MPS), (8.0, 1.0), (6.0, WALK_MPS), (4.5, 0.9), (4.0, 1.2), (3.0, 1.0), (2.0, WALK_MPS)):
+        turn = float(ego.t[np.argmax(ahead < gap)])
+        trace = past_a_walker(turn, w)
+        front = trace.ego.x[-1] + CAR.axle_to_front
+        flank = trace.end is EndReason.COLLISION and front > 45.0 + 1.3 * turn + 0.25
+        assert trace.end is EndReason.END_OF_LOG or flank, (gap, w)
+
+
+@given(st.floats(1.0, 60.0), st.floats(0.0, 10.0), st.booleans())
+def test_the_lane_beside_is_borrowed_only_before_who_need_not_brake_hard(
+    gap: float, closing: float, left: bool
+) -> None:
+    road = lanes(along_x(-100.0, 400.0), 2)
+    lane, beside = (0, 3.5) if left else (1, 0.0)
+    ego = EgoState(0.0, 20.0, 3.5 - beside, 0.0, 10.0, 0.0, 0.0)
+    course = make_course(road, Route((lane,), False, 0.0), ego, CAR)
+    x = ego.x - CAR.rear_overhang - gap - 2.25
+    now = frame(ego, [driving("car", x, beside, ego.v + closing, length=4.5, width=1.8)])
+    against = borrowing_endangers(course, now, course.line.project(ego.x, ego.y)[0], CAR, left=left)
+    needed = 2.0 + closing + closing**2 / 4.0
+    assert bool(against) == (gap < needed) or gap == pytest.approx(needed, abs=0.01)
+    other = borrowing_endangers(course, now, course.line.project(ego.x, ego.y)[0], CAR, left=not left)
+    assert other == ""

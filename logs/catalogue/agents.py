@@ -12,6 +12,7 @@ from logs.scenario import AgentKind, Tracks
 
 CAR = (4.5, 1.8)
 ADULT = (0.5, 0.6)
+BICYCLE = (1.8, 0.6)
 
 
 @dataclass(frozen=True, eq=False)

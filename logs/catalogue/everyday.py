@@ -1,20 +1,21 @@
-"""Everyday driving: follow a lead, let someone cut in, pass a parked car.
+"""Everyday driving: follow a lead, let someone cut in, pass a parked car, pass a cyclist.
 
 Numbers: UN R157 4.3_1 (follow: headway 1.6 s, lead +-5 m/s at 1 m/s2), 4.4_1 (cut-in), 4.2_2 and Euro NCAP practice
-(partly blocked lane).
+(partly blocked lane); 1.5 m beside a cyclist in towns: StVO, 5 (4).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import pi
 
 import numpy as np
 
-from logs.catalogue.agents import CAR, moving, parked, tracks
+from logs.catalogue.agents import BICYCLE, CAR, moving, parked, tracks
 from logs.catalogue.driver import SAMPLE_S, Ahead, drive
 from logs.catalogue.family import Family, expects
 from logs.catalogue.paper import BEYOND_M, HALF_LANE, SPARE_S, START_M, bypass, goal_at_end, tenths
-from logs.catalogue.roads import LANE_WIDTH_M, curve, one_lane, two_lanes, weaving
+from logs.catalogue.roads import LANE_WIDTH_M, curve, one_lane, two_lanes, two_way, weaving
 from logs.kernel import FloatArray
 from logs.scenario import AgentKind, Scenario
 from logs.trace import DecisionKind
@@ -149,4 +150,55 @@ NUDGE = Family(
     ("everyday", "static"),
     _nudge,
 )
-FAMILIES = (FOLLOW, CUT_IN, NUDGE)
+
+
+def _cyclist(p: Mapping[str, float]) -> Scenario:
+    v, u, car, facing = p["ego_speed_mps"], p["cyclist_speed_mps"], VehicleParameters(), LANE_WIDTH_M
+    if not v > u:
+        raise ValueError("the cyclist would not be reached")
+    ahead, run, room = p["distance_m"] + car.axle_to_front + 0.5 * BICYCLE[0], p["shift_m"], p["room_m"]
+    first, last = (v * (ahead + side * (car.length + BICYCLE[0])) / (v - u) + START_M for side in (-1.0, 1.0))
+    offset = max(0.0, bypass(p["offset_m"] + 0.5 * BICYCLE[1], p["clearance_m"], car.width))
+    end = last + room + run + 40.0
+    path = weaving(end + BEYOND_M, [(first - room - run, first - room, offset), (last + room, last + room + run, 0.0)])
+    duration = tenths((end - START_M) / v)
+    t = grid(duration)
+    beside = np.full(len(t), p["offset_m"])
+    rider = moving("cyclist", AgentKind.BICYCLE, BICYCLE, t, START_M + ahead + u * t, beside, yaw=0.0)
+    comes, w = START_M + p["oncoming_m"], p["oncoming_speed_mps"]
+    held = comes - CAR[0] - 0.25 * w**2  # then it brakes with 2 m/s2, to a stand at the road's end
+    braking = np.clip(t - held / w, 0.0, 0.5 * w)
+    gone = np.minimum(w * t, held) + w * braking - braking**2
+    oncoming = moving("oncoming", AgentKind.CAR, CAR, t, comes - gone, np.full(len(t), facing), yaw=pi)
+    driven = drive(path, start=START_M, speed=v, cruise=v, duration=duration)
+    straight = curve((path.length, 0.0, 0.0))
+    goal = goal_at_end(straight, float(driven.x[-1]) - 10.0, right=-HALF_LANE, left=HALF_LANE)
+    return Scenario(
+        "",
+        driven,
+        tracks([rider, oncoming]),
+        two_way(straight, v),
+        duration + SPARE_S,
+        goal,
+        metadata=expects(cyclist=(DecisionKind.NUDGE_LEFT,)),
+    )
+
+
+CYCLIST = Family(
+    "everyday/cyclist",
+    "a cyclist rides in the lane, a car comes on the facing one: pass him after it",
+    {
+        "ego_speed_mps": 10.0,
+        "cyclist_speed_mps": 4.0,
+        "distance_m": 45.0,
+        "offset_m": -1.0,
+        "clearance_m": 1.5,
+        "shift_m": 40.0,
+        "room_m": 2.0,
+        "oncoming_m": 90.0,
+        "oncoming_speed_mps": 10.0,
+    },
+    ("everyday", "cyclist"),
+    _cyclist,
+)
+FAMILIES = (FOLLOW, CUT_IN, NUDGE, CYCLIST)

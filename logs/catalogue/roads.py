@@ -12,7 +12,7 @@ acceleration 0 at both ends): l(u) = 10 u^3 - 15 u^4 + 6 u^5.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -154,6 +154,15 @@ def two_lanes(path: Path, speed_limit: float, *, ego_on_right: bool) -> Road:
     own = lane_beside(path, 1, speed_limit=speed_limit, **{beside: 2})  # type: ignore[arg-type]
     other = lane_beside(path, 2, left=left, speed_limit=speed_limit, **{behind: 1})  # type: ignore[arg-type]
     return Road({1: own, 2: other}, default_speed_limit=speed_limit)
+
+
+def two_way(path: Path, speed_limit: float) -> Road:
+    """The ego's lane 1 on the path, and lane 2 to its left, driven back; the marking between may be crossed."""
+    own = lane_beside(path, 1, speed_limit=speed_limit)
+    beside = lane_beside(path, 2, left=LANE_WIDTH_M, speed_limit=speed_limit)
+    own = replace(own, left_opposite=True, left_crossable=True)
+    back = replace(beside, left=beside.right[::-1], right=beside.left[::-1], left_opposite=True, left_crossable=True)
+    return Road({1: own, 2: back}, default_speed_limit=speed_limit)
 
 
 def stretch(path: Path, begin: float, end: float, *, right: float, left: float) -> FloatArray:

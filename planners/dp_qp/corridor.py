@@ -67,13 +67,21 @@ class CorridorConfig:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PathObstacle:
-    """Somebody whom the path may have to pass: a box in the S-L plane, not grown, m."""
+    """Somebody whom the path may have to pass: a box in the S-L plane, not grown, m.
+
+    Attributes:
+        agent: Name.
+        s_from: Station at which the box begins; `s_to` at which it ends.
+        l_from: Offset of its right side; `l_to` of its left side.
+        aside: How much of the box on either side is room for him, not he.
+    """
 
     agent: str
     s_from: float
     s_to: float
     l_from: float
     l_to: float
+    aside: float = 0.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -236,7 +244,9 @@ def decide_sides(
                 goes_left = not goes_left
             kind = DecisionKind.NUDGE_LEFT if goes_left else DecisionKind.NUDGE_RIGHT
             gap = min(left_gap if goes_left else right_gap, config.clearance_m)
-            reason = f"is in the corridor: pass with {gap:.2f} m; left costs {cost[0]:.3g}, right {cost[1]:.3g}"
+            reason = (
+                f"is in the corridor: pass with {gap + box.aside:.2f} m; left costs {cost[0]:.3g}, right {cost[1]:.3g}"
+            )
             decisions.append(Decision(box.agent, kind, "path", reason))
     return tuple(decisions)
 

@@ -251,7 +251,8 @@ def _latency(result: RunResult) -> Table:
         table.add_column(Text(title), justify="right")
     for planner, rows in result.timings.groupby("planner", sort=False):
         whole = float(rows.loc[rows["stage"] == "total", "seconds"].sum())
-        for stage, times in rows.groupby("stage", sort=False)["seconds"]:
+        by_stage = rows.groupby("stage", sort=False)["seconds"]
+        for stage, times in sorted(by_stage, key=lambda one: one[0] == "total"):
             quantiles = (f"{1e3 * times.quantile(q):.2f}" for q in (0.5, 0.95, 0.99))
             share = f"{100.0 * times.sum() / whole:.0f}%" if whole > 0.0 else NOTHING
             last = stage == "total"

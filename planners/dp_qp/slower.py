@@ -132,8 +132,14 @@ def _slower(
         places.append(np.column_stack([futures.x[row, beside], futures.y[row, beside]]))
     if not np.isfinite(begin):
         return None
-    sides = (float(v) for v in (low[0], high[0], low[1] - ASIDE_M, high[1] + ASIDE_M))
-    return Slower(i, PathObstacle(agents.ids[i], *sides, aside=ASIDE_M), begin, end, np.vstack(places))
+    sides = float(low[1]) - ASIDE_M, float(high[1]) + ASIDE_M
+    return Slower(
+        i,
+        PathObstacle(agents.ids[i], float(low[0]), float(high[0]), *sides, aside=ASIDE_M),
+        begin,
+        end,
+        np.vstack(places),
+    )
 
 
 def movers(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -13,14 +13,16 @@ from test_planners_dp_qp_facing import two_way
 from worlds import CAR, Other, along_x, driving, frame, lanes
 
 from logs import AgentKind, EgoState, Road, Scenario, Trajectory
+from logs.frame import Visibility
 from logs.kernel import FloatArray
 from logs.trace import Candidates, EndReason, Trace
+from planners.dp_qp.corridor import CorridorConfig
 from planners.dp_qp.decide import borrowing_endangers
 from planners.dp_qp.path import make_path
 from planners.dp_qp.reference_line import make_course
 from planners.dp_qp.route import Route, find_route
 from planners.dp_qp.sight import LEAST_MPS, REACTION_S, WALK_MPS
-from planners.dp_qp.slower import ASIDE_M, NEAR_M, along_lane, beside_limit, gone_on, slower
+from planners.dp_qp.slower import ASIDE_M, NEAR_M, along_lane, beside_limit, gone_on, movers, slower
 from planners.dp_qp.speed_stage import SPEED_ROOM_MPS
 from replay.closed_loop import run_closed_loop
 
@@ -190,6 +192,19 @@ def test_where_somebody_comes_he_is_followed_until_that_one_is_gone() -> None:
     assert found.trace.ego.v.min() < 6.0
     met = found.trace.ego.t[np.argmax(found.trace.ego.x > 160.0 - 10.0 * found.trace.ego.t)]
     assert np.abs(found.trace.ego.y[found.trace.ego.t < met]).max() < 0.9
+
+
+@pytest.mark.parametrize(("reach", "free"), [(60.0, False), (300.0, True), (np.inf, True)])
+def test_the_facing_lane_must_be_seen_as_far_as_one_may_come_from(reach: float, free: bool) -> None:
+    road = two_way()
+    course = make_course(road, Route((0,), False, 0.0), EGO)
+    at = course.line.project(EGO.x, 0.0)[0]
+    view = Visibility(EGO.x, 0.0, 0.0, reach, 2.0 * np.pi, np.empty((0, 4, 2)))
+    now = replace(frame(EGO, [goer(45.0, -1.0, 3.0)]), visibility=None if np.isinf(reach) else view)
+    stations = gone_on(now.predictions.t, at, 9.0, 10.0)
+    found = slower(course, now, at, [0], stations, CAR)
+    told = movers(course, now, at, found, stations, (True, False), CAR, CorridorConfig())
+    assert len(told.boxes) == 1 and told.facing == (frozenset({"goer"}) if free else frozenset())
 
 
 def test_a_solid_marking_is_not_crossed_and_a_narrow_lane_has_no_room() -> None:

@@ -6,8 +6,12 @@ marking between may be crossed and, for the whole stretch from where the ego lea
 (1) no agent is predicted on the facing lane there until the ego is back, and `facing_margin_s` more,
 (2) (BACK_M behind the obstacle - s) / max(v, FACING_MPS) + facing_margin_s <= horizon of the predictions.
 
-Otherwise the ego waits `WAIT_M` before it, from where it can still steer round it. What the sensor cannot see of the
-facing lane is not asked for yet.
+Otherwise the ego waits `WAIT_M` before it, from where it can still steer round it. For who goes along the lane
+(`slower`), (2) asks when the ego will be there by its plan, and the sensor must
+
+(3) see the facing lane as far as one who comes at its speed limit must be away to leave (1) true (StVO, 5 (2)).
+
+Who stands is passed on what is seen: he may hide the facing lane for as long as he stands.
 """
 
 from __future__ import annotations
@@ -16,6 +20,7 @@ import numpy as np
 
 from logs.frame import Frame
 from logs.kernel import FloatArray
+from logs.road import line_project_many
 from logs.vehicle import VehicleParameters
 from planners.dp_qp import corridor
 from planners.dp_qp.corridor import CorridorConfig, PathObstacle, Room
@@ -26,6 +31,8 @@ BACK_M = 10.0
 """So far behind the obstacle the ego is in its lane again."""
 WAIT_M = 9.0
 NEARLY_M = 1.0
+SIGHT_M = 5.0
+"""Between two places of the facing lane that must be seen."""
 QUEUE_M = 25.0
 """Who stands so near behind another who stands in the lane waits in a queue."""
 
@@ -87,12 +94,27 @@ def passed_facing(
             now = futures.t <= back
             x, y = futures.x[moving][:, now].ravel(), futures.y[moving][:, now].ravel()
             near = np.hypot(x - frame.ego.x, y - frame.ego.y) < end - s_ego + 30.0
-            feet = [line.project(a, b, s_ego, 250.0) for a, b in zip(x[near], y[near], strict=True)]
+            feet = line_project_many(line.s, line.coef, x[near], y[near], s_ego, 250.0)
             widest = float(frame.agents.width.max(initial=2.0))
-            if feet and _meets_facing(course, np.array(feet), widest, (s_ego, begin, end)):
+            if len(feet) and _meets_facing(course, feet, widest, (s_ego, begin, end)):
+                continue
+            if stations is not None and not _in_sight(course, frame, s_ego, place, back - frame.t):
                 continue
         found.append(box.agent)
     return frozenset(found)
+
+
+def _in_sight(course: Course, frame: Frame, s_ego: float, place: float, lasts: float) -> bool:
+    """(3), for an ego that is back in its lane at a place (m) and safe after `lasts` s."""
+    if frame.visibility is None:
+        return True
+    limit = float(np.interp(place, course.line.s, course.limit))
+    s = np.arange(s_ego + SIGHT_M, place + limit * lasts, SIGHT_M)
+    s = s[s < course.line.s[-1]]
+    _, right, facing_right, _, left, facing_left, _, _ = course.at(s)
+    middle = np.where(facing_left > left, 0.5 * (left + facing_left), 0.5 * (right + facing_right))
+    points = [course.line.point(float(at), float(aside)) for at, aside in zip(s, middle, strict=True)]
+    return not frame.visibility.hides(np.reshape(points, (-1, 2))).any()
 
 
 def _reached(place: float, t: FloatArray, stations: FloatArray) -> float:

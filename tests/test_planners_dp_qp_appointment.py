@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from handmade import track, tracks
 from hypothesis import given
 from hypothesis import strategies as st
 from worlds import CAR, along_x, lanes, strip
@@ -193,3 +194,17 @@ def test_the_ego_arrives_in_the_window_at_the_speed(window: tuple[float, float],
     assert window[0] - 0.01 <= trace.ego.t[-1] <= window[1] + 0.01
     assert trace.ego.v[-1] <= speeds[1]
     assert trace.ego.a.min() > -3.0
+
+
+@pytest.mark.parametrize("last", [6.0, 40.0])
+def test_a_goal_in_the_next_lane_is_met_in_time_though_that_lane_is_slower(last: float) -> None:
+    """Keeping the lane would be faster; the sooner the goal's time is over, the more a change is worth."""
+    road = lanes(along_x(-100.0, 900.0), 2, limit=25.0)
+    square = np.array([[-100.0, 1.75], [900.0, 1.75], [900.0, 5.25], [-100.0, 5.25]])
+    t = np.arange(0.0, last + 0.05, 0.1)
+    lead = track(
+        "lead", t.tolist(), (45.0 + 17.0 * t).tolist(), np.full(len(t), 3.5).tolist(), yaw=0.0, vx=17.0, vy=0.0
+    )
+    ego = Trajectory(*(np.array([value]) for value in (0.0, 0.0, 0.0, 0.0, 22.0, 0.0, 0.0)))
+    scenario = Scenario("goal", ego, tracks(lead), road, last, goal=Goal((square,), t=(0.0, last)), vehicle=CAR)
+    assert run_closed_loop(scenario, "dp_qp").trace.end is EndReason.GOAL

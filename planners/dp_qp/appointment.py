@@ -90,6 +90,11 @@ class Appointment:
         low, high = (np.interp(s, at, side, np.nan, np.nan) for side in (low, high))
         return np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
 
+    def time_left(self, t: float) -> float:
+        """How long the goal may still be reached, s; inf where it names no time or that is over."""
+        last = self._goal.t[1] if self._goal is not None and self._goal.t is not None else -np.inf
+        return last - t if last > t else np.inf
+
     def pace(self, t: float, s: float, v: float) -> Pace:
         """What (2) and (3) ask of the rear axle at station `s` at time `t` with speed `v`."""
         goal, (begin, end) = self._goal, self._region

@@ -3,8 +3,8 @@
 The cost of a candidate adds terms in seconds:
 
 (1) time lost     = (distance with nobody in the way - distance planned) / speed limit, over the horizon
-(2) lane changes  = n (ROUTE_S + URGENCY_S u),  u from 0 to 1 as the place where the first is due comes near;
-                    DEAD_END_S where the goal cannot be reached from the lane
+(2) lane changes  = n (ROUTE_S + URGENCY_S u),  u from 0 to 1 as the place where the first is due, or the goal's last
+                    time, comes near; DEAD_END_S where the goal cannot be reached from the lane
 (3) change        = CHANGE_S for another lane than the one that is driven
 (4) braking       = HARD_S where comfort cannot keep the distance, FAILED_S where nothing can or a stage failed
 (5) late          = how much later than the goal's last time the ego would be there at the lane's speed limit
@@ -182,17 +182,18 @@ class LanePlanner:
             braking = FAILED_S if speed.unavoidable else HARD_S if speed.reason else 0.0
         terms = {
             "time lost": lost,
-            "lane changes": self._route_cost(s, start.v),
+            "lane changes": self._route_cost(s, start),
             "change": CHANGE_S if name in ("left", "right") else 0.0,
             "braking": braking,
             "late": pace.missed_s,
         }
         return CostTerms(f"lane {name}", tuple(terms.items()))
 
-    def _route_cost(self, s: float, v: float) -> float:
+    def _route_cost(self, s: float, start: EgoState) -> float:
         if self.strip.changes is None:
             return DEAD_END_S
         if self.strip.changes == 0:
             return 0.0
-        left = (self.strip.change_by - s) / (DUE_S * max(v, 5.0) * self.strip.changes)
+        seconds = min((self.strip.change_by - s) / max(start.v, 5.0), self._appointment.time_left(start.t))
+        left = seconds / (DUE_S * self.strip.changes)
         return self.strip.changes * (ROUTE_S + URGENCY_S * float(np.clip(1.0 - left, 0.0, 1.0)))

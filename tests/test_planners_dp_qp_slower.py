@@ -22,7 +22,7 @@ from planners.dp_qp.path import make_path
 from planners.dp_qp.reference_line import make_course
 from planners.dp_qp.route import Route, find_route
 from planners.dp_qp.sight import LEAST_MPS, REACTION_S, WALK_MPS
-from planners.dp_qp.slower import ASIDE_M, NEAR_M, along_lane, beside_limit, gone_on, movers, slower
+from planners.dp_qp.slower import ASIDE_M, NEAR_M, SWERVE_MPS, along_lane, beside_limit, gone_on, movers, slower
 from planners.dp_qp.speed_stage import SPEED_ROOM_MPS
 from replay.closed_loop import run_closed_loop
 
@@ -99,7 +99,7 @@ def test_the_more_room_the_faster_and_beside_him_only(room: float, kind: AgentKi
     limit = np.full(len(path.s), 60.0)
     lowered, _ = beside_limit(path, limit, now, found, CAR, BRAKE, 0.6)
     v = float(lowered.min())
-    w = WALK_MPS if kind is AgentKind.PEDESTRIAN else 0.8
+    w = WALK_MPS if kind is AgentKind.PEDESTRIAN else SWERVE_MPS
     assert v == pytest.approx(max(2.0 * BRAKE * (room / w - REACTION_S) - SPEED_ROOM_MPS, LEAST_MPS), rel=0.02)
     slow = path.s[lowered < 60.0]
     stop = v * REACTION_S + v * v / (2.0 * BRAKE)

@@ -89,8 +89,9 @@ def drive_to(region: np.ndarray | None, t: tuple[float, float], road: Road, v: f
     return run_closed_loop(scenario, "dp_qp").trace
 
 
-def test_who_has_to_be_anywhere_at_a_time_is_still_on_the_road_then() -> None:
-    trace = drive_to(None, (9.9, 10.0), lanes(along_x(-20.0, 120.0)), 12.0)
+@pytest.mark.parametrize("at", [10.0, 40.0])
+def test_who_has_to_be_anywhere_at_a_time_is_still_on_the_road_then(at: float) -> None:
+    trace = drive_to(None, (at - 0.1, at), lanes(along_x(-20.0, 120.0)), 12.0)
     assert trace.end is EndReason.GOAL
     assert trace.ego.x[-1] + CAR.axle_to_front < 120.0
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from hypothesis import strategies as st
 from test_planners_dp_qp_facing import two_way
 from worlds import CAR, Other, along_x, driving, frame, lanes
 
-from logs import AgentKind, EgoState, Road, Scenario, Trajectory
+from logs import AgentKind, Colour, EgoState, Road, Scenario, StopLine, TrafficLight, Trajectory
 from logs.frame import Visibility
 from logs.kernel import FloatArray
 from logs.trace import Candidates, EndReason, Trace
@@ -25,6 +26,7 @@ from planners.dp_qp.sight import LEAST_MPS, REACTION_S, WALK_MPS
 from planners.dp_qp.slower import ASIDE_M, NEAR_M, SWERVE_MPS, along_lane, beside_limit, gone_on, movers, slower
 from planners.dp_qp.speed_stage import SPEED_ROOM_MPS
 from replay.closed_loop import run_closed_loop
+from replay.drive import LoopConfig
 
 LENGTH, WIDTH = 1.8, 0.6
 EGO = EgoState(0.0, 20.0, 0.0, 0.0, 10.0, 0.0, 0.0)
@@ -138,13 +140,14 @@ def moving(
 def drive(
     road: Road, goers: list[tuple[float, float, float]], *, v: float = 9.0, seconds: float = 14.0,
     kind: AgentKind = AgentKind.BICYCLE, cars: tuple[tuple[float, float, float], ...] = (),
+    config: LoopConfig | None = None, lights: tuple[TrafficLight, ...] = (),
 ) -> Passed:  # fmt: skip
     """A drive from the origin among goers and cars (x, y, speed)."""
     those = [moving(f"goer{i}", *one, kind, LENGTH, WIDTH, seconds) for i, one in enumerate(goers)]
     those += [moving(f"car{i}", *one, AgentKind.CAR, 4.5, 1.8, seconds) for i, one in enumerate(cars)]
     ego = Trajectory(*(np.array([value]) for value in (0.0, 0.0, 0.0, 0.0, v, 0.0, 0.0)))
-    log = Scenario("goers", ego, tracks(*those), road, seconds, vehicle=CAR)
-    trace = run_closed_loop(log, "dp_qp").trace
+    log = Scenario("goers", ego, tracks(*those), road, seconds, vehicle=CAR, lights=lights)
+    trace = run_closed_loop(log, "dp_qp", config=config or LoopConfig()).trace
     room, before = np.inf, np.inf
     for x, y, u in goers:
         at = x + u * trace.ego.t
@@ -203,8 +206,65 @@ def test_the_facing_lane_must_be_seen_as_far_as_one_may_come_from(reach: float, 
     now = replace(frame(EGO, [goer(45.0, -1.0, 3.0)]), visibility=None if np.isinf(reach) else view)
     stations = gone_on(now.predictions.t, at, 9.0, 10.0)
     found = slower(course, now, at, [0], stations, CAR)
-    told = movers(course, now, at, found, stations, (True, False), CAR, CorridorConfig())
+    told = movers(course, now, at, found, stations, (True, False), CAR, CorridorConfig(), ())
     assert len(told.boxes) == 1 and told.facing == (frozenset({"goer"}) if free else frozenset())
+
+
+def chosen(trace: Trace) -> str:
+    """Frame by frame: P passes, k could but keeps behind, - nobody is to be passed."""
+    out = ""
+    for one in trace.frames:
+        told = [i.rejected[0][0] for i in one.plan.internals if isinstance(i, Candidates) and i.stage == "passing"]
+        out += "-" if not told else "P" if told[0].startswith("keep:") else "k"
+    return out
+
+
+@pytest.mark.parametrize(
+    ("road", "goers", "v"),
+    [
+        (lanes(along_x(-20.0, 500.0), 2), [(30.0, -1.8, 4.0)], 10.0),
+        (lanes(along_x(-20.0, 500.0), 2), [(40.0, 1.8, 4.0)], 9.0),
+        (two_way(crossable=False), [(25.0, -1.75, 3.0)], 9.0),
+        (two_way(), [(30.0, -1.0, 1.2), (48.0, -0.6, 1.3)], 9.0),
+        (two_way(), [(12.0, -0.8, 1.3)], 1.0),
+        (two_way(), [(8.0, -0.8, 1.3)], 0.0),
+    ],
+    ids=["at the edge", "at the left edge", "room in the lane", "one after the other", "walking pace", "standing"],
+)
+def test_he_is_passed_once_and_for_all(road: Road, goers: list[tuple[float, float, float]], v: float) -> None:
+    found = drive(road, goers, v=v, seconds=20.0)
+    assert found.before > 5.0 and found.room > 1.15
+    assert hardest(found.trace)[0] < 2.0
+    assert len(re.findall("P+", chosen(found.trace))) <= len(goers)
+
+
+@pytest.mark.parametrize("config", [{"prediction_horizon_s": 20.0}, {"prediction_step_s": 2.0}])
+def test_how_far_and_how_fine_the_predictions_are_matters_little(config: dict[str, float]) -> None:
+    found = drive(two_way(), [(40.0, -1.0, 3.0)], config=LoopConfig(**config))  # type: ignore[arg-type]
+    assert found.before > 5.0 and found.room > 1.35 and "k" not in chosen(found.trace)
+
+
+def test_who_becomes_faster_meanwhile_is_passed_all_the_same() -> None:
+    t = np.arange(0.0, 14.05, 0.1)
+    u = 3.0 + np.minimum(np.maximum(t - 2.0, 0.0) * 1.5, 4.2)
+    x = 30.0 + np.r_[0.0, np.cumsum(0.05 * (u[1:] + u[:-1]))]
+    who = track(
+        "goer", t.tolist(), x.tolist(), np.full(len(t), -1.0).tolist(),
+        yaw=0.0, vx=u.tolist(), vy=np.zeros(len(t)).tolist(), kind=AgentKind.BICYCLE, length=LENGTH, width=WIDTH,
+    )  # fmt: skip
+    ego = Trajectory(*(np.array([value]) for value in (0.0, 0.0, 0.0, 0.0, 9.0, 0.0, 0.0)))
+    trace = run_closed_loop(Scenario("goer", ego, tracks(who), two_way(), 14.0, vehicle=CAR), "dp_qp").trace
+    assert trace.ego.x[-1] > x[-1] + 5.0 and hardest(trace)[0] < 1.0
+    assert len(re.findall("P+", chosen(trace))) == 1
+
+
+@pytest.mark.parametrize("rule", [{"light": 1}, {"must_stop": True}], ids=["red light", "stop sign"])
+def test_nobody_is_passed_where_the_ego_has_to_wait(rule: dict[str, object]) -> None:
+    mark = StopLine(7, 0, np.array([[80.0, -1.75], [80.0, 1.75]]), **rule)  # type: ignore[arg-type]
+    red = TrafficLight(1, np.array([0.0]), (Colour.RED,))
+    found = drive(replace(two_way(), stop_lines=(mark,)), [(35.0, -1.0, 3.0)], lights=(red,))
+    assert np.abs(found.trace.ego.y).max() < 0.1 and hardest(found.trace)[0] < 2.0
+    assert found.trace.ego.x[-1] < 80.0
 
 
 def test_a_solid_marking_is_not_crossed_and_a_narrow_lane_has_no_room() -> None:

@@ -164,6 +164,7 @@ def _scenario(document: Document, chosen: _Ego) -> Scenario:
     driven, how = _ego(obstacle, chosen.problem, document.dt, vehicle, origin)
     goal, unknown = _goal(chosen.problem, road, start, document.dt, origin)
     if goal is None and len(driven) > 1:
+        unknown = tuple(f"{note}: the end of the recorded drive is taken" for note in unknown)
         goal = Goal((_last_place(driven, vehicle),))
     duration, ends = _duration(driven, tracks, goal)
     notes += [*how, *unknown, *assumed, *ruled, *rule, *ends, *_begins(start, document.dt)]

@@ -10,14 +10,15 @@ speeds up to v_1:
 As fast as it may: at the speed limit, reached with `ACCEL_MPS2`. (1) and (2) hold with some room: `ROOM_MPS` of speed,
 a quarter of the region (`END_M` of the road) and `ROOM_S`. (2) never asks for less than `LEAST` of the limit: who
 drives much slower than others is in their way. In a hurry the ego wants `HURRIED_GAP_S` to the one ahead instead of its
-usual time gap; it drives no faster than the limit. Where a goal has a time but no region, s_1 is the end of the road.
+usual time gap; it drives no faster than the limit. Where a goal has a time but no region, s_1 is the end of the road,
+and before t_0 the ego stops there.
 
 (4) l_0(s) + m <= l <= l_1(s) - m      where the region is from l_0 to l_1 beside the line at station s; m = `SIDE_M`
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -45,12 +46,16 @@ NARROW = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """What the goal asks of the speed now: a cap, m/s, up to a station, m; whether the ego is late, and how much, s."""
+    """What the goal asks of the speed now: a cap, m/s, up to a station, m; whether the ego is late, and how much, s.
+
+    And the station, m, beyond which it must not be yet.
+    """
 
     cap: float = np.inf
     until: float = -np.inf
     hurried: bool = False
     missed_s: float = 0.0
+    stop: float = np.inf
 
 
 class Appointment:
@@ -75,6 +80,7 @@ class Appointment:
     def limit(self, s: FloatArray, limit: FloatArray, pace: Pace) -> FloatArray:
         """The speed limit `(m,)` at stations of the rear axle `(m,)` with (1) and (2) in it."""
         out = np.where(s <= pace.until, np.minimum(limit, pace.cap), limit)
+        out = np.where(s > pace.stop, 0.0, out)
         if self._goal is not None and self._goal.v is not None and np.isfinite(self._region).all():
             fastest = max(self._goal.v[1], 0.0)
             begin = self._region[0] if fastest > ROOM_MPS else float(self._region.mean())
@@ -103,7 +109,8 @@ class Appointment:
         first, last = goal.t
         opens = first + min(ROOM_S, 0.5 * (last - first))
         if not goal.regions:
-            return self._slow(t, s, v, self._road_end - END_M, self._road_end, opens)
+            early = self._slow(t, s, v, self._road_end - END_M, self._road_end, opens)
+            return replace(early, stop=self._road_end - END_M) if t < first else early
         if not np.isfinite(end):  # of a lane far beside the goal's: it is no way to be there sooner
             return Pace(missed_s=max(self._late(t, s, v, self._begins, last), 0.0))
         if s > end:

@@ -179,12 +179,12 @@ def borrowed(
     """
     out = np.zeros(s.shape)
     for box in obstacles:
-        begin, end = passing(box, speed, vehicle)
+        begin, end = swing_span(box, speed, vehicle)
         out[(s > begin) & (s < end)] = np.maximum(out[(s > begin) & (s < end)], 2.0 if box.agent in facing else 1.0)
     return out
 
 
-def passing(box: PathObstacle, speed: float, vehicle: VehicleParameters) -> tuple[float, float]:
+def swing_span(box: PathObstacle, speed: float, vehicle: VehicleParameters) -> tuple[float, float]:
     """The stations, m, between which the ego leaves its lane to pass an obstacle and is back in it."""
     swing = max(15.0, 2.5 * speed)
     return box.s_from - vehicle.axle_to_front - swing, box.s_to + vehicle.rear_overhang + swing

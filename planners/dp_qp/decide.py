@@ -7,6 +7,9 @@ it is endangered:
 (1) gap behind >= MIN_GAP_M + REACTION_S max(0, v_a - v) + max(0, v_a - v)^2 / (2 YIELD_MPS2)      for each follower
 (2) nobody beside the ego, from MIN_GAP_M behind its rear to MIN_GAP_M before its front
 (3) those ahead are met in the lane's own S-T graph; the plan must not need hard braking
+
+The plan past who is slower (`passing`) is a candidate like a neighbour: it must be comfortable and cheaper by
+HYSTERESIS_S, once it is under way not dearer by more than that, and (1) and (2) hold for the lane that it borrows.
 """
 
 from __future__ import annotations
@@ -28,8 +31,6 @@ MIN_GAP_M, REACTION_S, YIELD_MPS2 = 2.0, 1.0, 2.0
 INSIDE_M = 1.0
 """An ego nearer than this to a lane's reference line drives in that lane."""
 SLOWEST_CHANGE_MPS = 1.0
-SWERVE_MPS2 = 2.0
-"""Nobody is passed with a greater lateral acceleration than this, or than the lane asks for."""
 DWELL_S = 3.0
 """No change back within this time after a change, unless the lane fails."""
 
@@ -80,8 +81,6 @@ def worth_passing(keep: LanePlan, past: LanePlan, *, under_way: bool) -> str:
     """Why the driven lane is not driven past who is slower; empty where it is."""
     if not past.is_comfortable and keep.is_comfortable:
         return past.path.reason or (past.speed.reason if past.speed else "") or "no plan"
-    if not under_way and past.lateral > max(SWERVE_MPS2, keep.lateral):
-        return f"it would swerve with {past.lateral:.1f} m/s2"
     needed = -HYSTERESIS_S if under_way else HYSTERESIS_S
     if not past.cost < keep.cost - needed:
         return f"costs {past.cost:.1f} s, keep {keep.cost:.1f} s" + (" and it is not begun" if not under_way else "")

@@ -84,7 +84,7 @@ def passed_facing(
     moving = ((frame.agents.speed >= corridor.STANDING_MPS) & counts)[futures.agent]
     found = []
     for box in blocked:
-        begin, end = corridor.passing(box, frame.ego.v, vehicle)
+        begin, end = corridor.swing_span(box, frame.ego.v, vehicle)
         place = box.s_to + vehicle.rear_overhang + BACK_M
         lasts = (place - s_ego) / v if stations is None else _reached(place, futures.t - frame.t, stations)
         back = frame.t + lasts + config.facing_margin_s

@@ -26,7 +26,7 @@ from logs.vehicle import VehicleParameters
 from planners.dp_qp.appointment import Appointment, Pace
 from planners.dp_qp.lanes import Strip
 from planners.dp_qp.path_stage import ChosenPath, PathConfig, PathStage
-from planners.dp_qp.slower import NOBODY, Movers, Slower, along_lane, beside_limit, gone_on, slower
+from planners.dp_qp.slower import NOBODY, Movers, Slower, along_lane, beside_limit, gone_on, slower, swerve_limit
 from planners.dp_qp.speed_solve import RESERVE
 from planners.dp_qp.speed_stage import ChosenSpeed, SpeedConfig, SpeedStage
 from planners.dp_qp.st_graph import behind
@@ -87,12 +87,9 @@ class LanePlan:
         return terms["time lost"] + terms["late"]
 
     @property
-    def lateral(self) -> float:
-        """Its greatest lateral acceleration, m/s2; 0 where a stage failed."""
-        if self.path.path is None or self.speed is None or self.speed.profile is None:
-            return 0.0
-        s, v, _ = self.speed.profile
-        return float((v**2 * np.abs(np.interp(s, self.path.path.sigma, self.path.path.kappa))).max())
+    def braking(self) -> float:
+        """(4), s."""
+        return dict(self.costs.terms)["braking"]
 
     @property
     def is_comfortable(self) -> bool:
@@ -131,6 +128,11 @@ class LanePlanner:
         self._last: tuple[float, float, float] | None = None  # x, y and station of the last start
         self._planned = -inf
 
+    @property
+    def places(self) -> tuple[float, ...]:
+        """Stations at which lanes part or meet, somebody may have to wait, or others cross, m."""
+        return (*self.strip.course.waits, *self._rules.places)
+
     def forget(self) -> None:
         """The next plan is as the first one: the frames before do not count any more."""
         self._planned = -inf
@@ -155,18 +157,22 @@ class LanePlanner:
         if path.path is not None:
             limit = self._appointment.limit(path.path.s, np.interp(path.path.s, course.line.s, course.limit), pace)
             skip = behind(course, frame, s, l, self._vehicle, keeps_track=path.shift < TRACK_M and past is None)
-            found = past.found if past else self._beside(frame, s, start.v)
+            alone, found = limit, past.found if past else self._beside(frame, s, start.v)
             limit, told = beside_limit(path.path, limit, frame, found, self._vehicle, self._hard, self._margin)
+            limit = swerve_limit(path.path, limit, course) if past else limit
             standing = path.passed - {box.agent for box in past.movers.boxes} if past else path.passed
             walls = walls_on(self._rules.stops(frame, start, s, standing, fresh=fresh), path.path, self._vehicle)
             speed = self._speed.choose(
-                frame, start, path.path, limit, skip, standing, walls, fresh=fresh, hurried=pace.hurried
+                frame, start, path.path, limit, skip, standing, walls, fresh=fresh, hurried=pace.hurried, alone=alone
             )
             speed = replace(speed, artefacts=(*speed.artefacts, *told)) if told else speed
         return LanePlan(name, self.strip, s, l, path, speed, self._costs(name, start, s, speed, pace))
 
     def _beside(self, frame: Frame, s: float, v: float) -> tuple[Slower, ...]:
-        """Those who go along the lane, where the ego would come beside them if it drove at the limit."""
+        """Those who go along the lane, where the ego would come beside them if it drove at the limit.
+
+        That is when it comes beside them soonest, and what it needs to know: whom it will follow is not beside it.
+        """
         course, t = self.strip.course, frame.predictions.t
         who = along_lane(course, frame, s, self._vehicle)
         if not who:

@@ -3,11 +3,12 @@
 The plan that keeps the lane follows them. A second plan of the same lane passes them where `slower` says; it is taken
 where it is worth it and endangers nobody (`decide`). Its first turn counts on the speed of a road without them, the
 next on the speed that the turn before found, at most `TURNS` in one frame; later frames go on from the last one's plan.
+It is a plan only if, by its own speed, it gets past the nearest of them within the predictions.
 
-The lanes beside may be borrowed on the passing side; whoever follows there must not have to brake (`decide`, (1) and
+The lane beside may be borrowed on the passing side; whoever follows there must not have to brake (`decide`, (1) and
 (2)), until the ego is over the marking and is seen.
 
-Memory: the last plan past somebody, and whether it was driven; none of it where the frame is fresh.
+Memory: the last plan past somebody, and whom the ego is passing; none of it where the frame is fresh.
 """
 
 from __future__ import annotations
@@ -19,9 +20,10 @@ import numpy as np
 from logs.frame import Frame
 from logs.kernel import FloatArray
 from logs.states import EgoState
+from logs.trace import Artefact, Candidates
 from logs.vehicle import VehicleParameters
 from planners.dp_qp.corridor import CorridorConfig
-from planners.dp_qp.decide import borrowing_endangers
+from planners.dp_qp.decide import HYSTERESIS_S, borrowing_endangers, worth_passing
 from planners.dp_qp.lane_plan import FORGET_S, LanePlan, LanePlanner, Past
 from planners.dp_qp.reference_line import Course
 from planners.dp_qp.slower import Slower, along_lane, gone_on, movers, slower
@@ -39,78 +41,97 @@ class Passing:
         self, planner: LanePlanner, vehicle: VehicleParameters, config: CorridorConfig, *, passes_left: bool
     ) -> None:
         self._planner, self._vehicle, self._config, self._left = planner, vehicle, config, passes_left
-        self.under_way = False
-        self._last: tuple[float, FloatArray] | None = None  # when, and stations at the times of the predictions since
+        self.forget()
 
     def forget(self) -> None:
         """The next plan is as the first one."""
         self._planner.forget()
-        self.under_way, self._last = False, None
+        self._passed: frozenset[str] = frozenset()
+        self._at = -inf
+        self._stations: FloatArray | None = None  # of the last plan, at the times of the predictions since `_at`
 
-    def plan(self, keep: LanePlan, frame: Frame, start: EgoState, *, fresh: bool) -> LanePlan | None:
-        """The plan past those whom the plan that keeps the lane follows; None where there is nobody, or no room."""
-        who = self._in_the_way(keep, frame)
-        if not who:
-            self.under_way, self._last = False, None
-            return None
+    def choose(
+        self, keep: LanePlan, frame: Frame, start: EgoState, *, fresh: bool
+    ) -> tuple[LanePlan, tuple[Artefact, ...]]:
+        """The plan in the lane, past who is slower where that is worth it, else `keep`; and what was considered."""
+        if fresh or not 0.0 <= frame.t - self._at <= FORGET_S:
+            self.forget()
+        if not self._passed and keep.time_lost + keep.braking < HYSTERESIS_S:
+            return keep, ()
+        past, names, stations = self._plan(keep, frame, start)
+        self._at, self._stations = frame.t, stations
+        if past is None:
+            self._passed = frozenset()
+            return keep, ()
+        against = worth_passing(keep, past, under_way=bool(names & self._passed))
+        self._passed = frozenset() if against else names
+        rejected = f"pass: {against}" if against else f"keep: costs {keep.cost:.1f} s, pass {past.cost:.1f} s"
+        told = (keep.costs, past.costs, Candidates("passing", 2, ((rejected, 1),)))
+        return keep if against else past, told
+
+    def _plan(
+        self, keep: LanePlan, frame: Frame, start: EgoState
+    ) -> tuple[LanePlan | None, frozenset[str], FloatArray | None]:
+        """The plan past the nearest, all whom it passes, and its stations; None where there is no such plan."""
+        nobody = None, frozenset[str](), None
         course, t = keep.strip.course, frame.predictions.t
-        sides = self._sides(course, keep, frame)
-        stations = self._stations(course, keep, frame, start)
-        found, plan = slower(course, frame, keep.s, who, stations, self._vehicle), None
+        who = along_lane(course, frame, keep.s, self._vehicle, self._passed)
+        if not who:
+            return nobody
+        sides, stations = self._sides(course, keep, frame), self._expected(course, keep, frame, start)
+        found = slower(course, frame, keep.s, who, stations, self._vehicle)
         for turn in range(TURNS):
-            told = movers(course, frame, keep.s, found, stations, sides, self._vehicle, self._config)
+            told = movers(
+                course, frame, keep.s, found, stations, sides, self._vehicle, self._config, self._planner.places,
+                self._passed,
+            )  # fmt: skip
             if not told.boxes:
-                break
-            plan = self._planner.plan("pass", frame, start, fresh=fresh and not turn, past=Past(found, told))
+                return nobody
+            plan = self._planner.plan("pass", frame, start, fresh=False, past=Past(found, told))
             if plan.speed is None or plan.speed.profile is None or plan.path.path is None:
-                break
+                return nobody
             stations = _stations_of(plan, t)
-            again = slower(course, frame, keep.s, who, stations, self._vehicle)
-            settled, found = _same(found, again), again
-            if settled:
+            before, found = found, slower(course, frame, keep.s, who, stations, self._vehicle)
+            if turn + 1 == TURNS or _same(before, found):
                 break
-        self._last = (frame.t, stations) if plan is not None and found else None
-        return plan
+        names = frozenset(box.agent for box in told.boxes) & {one.box.agent for one in found}
+        return (plan, names, stations) if told.boxes[0].agent in names else nobody
 
-    def _in_the_way(self, keep: LanePlan, frame: Frame) -> list[int]:
-        """All who go along the road, where there is somebody."""
-        if keep.speed is None or not len(frame.predictions):
-            return []
-        return along_lane(keep.strip.course, frame, keep.s, self._vehicle)
-
-    def _stations(self, course: Course, keep: LanePlan, frame: Frame, start: EgoState) -> FloatArray:
+    def _expected(self, course: Course, keep: LanePlan, frame: Frame, start: EgoState) -> FloatArray:
         """Where the ego will be at the times of the predictions, by the last plan, else on a road without them."""
         t = frame.predictions.t
-        if self._last is not None and frame.t - self._last[0] <= FORGET_S:
-            since, stations = self._last
-            gone = np.interp(t - since, t - t[0], stations)
-            over = np.maximum(t - since - (t[-1] - t[0]), 0.0)
-            return gone + over * (stations[-1] - stations[-2]) / (t[-1] - t[-2])
-        limit = float(np.interp(keep.s, course.line.s, course.limit))
-        return gone_on(t, keep.s, start.v, limit)
+        if self._stations is None or len(self._stations) != len(t):
+            limit = float(np.interp(keep.s, course.line.s, course.limit))
+            return gone_on(t, keep.s, start.v, limit)
+        return _carried_on(t - t[0], self._stations, t - self._at)
 
     def _sides(self, course: Course, keep: LanePlan, frame: Frame) -> tuple[bool, bool]:
         """Whether the road left and right of the lane may be borrowed: on the passing side, and where nobody minds."""
-        over = 0.5 * self._vehicle.width + abs(keep.l)
         left, right = (float(np.interp(keep.s, course.line.s, edge)) for edge in (course.lane_left, course.lane_right))
-        seen = over > (left if keep.l > 0.0 else -right)
+        aside, edge = (keep.l, left) if self._left else (-keep.l, -right)
+        seen = aside + 0.5 * self._vehicle.width > edge
         free = seen or not borrowing_endangers(course, frame, keep.s, self._vehicle, left=self._left)
         return free and self._left, free and not self._left
 
 
 def _stations_of(plan: LanePlan, t: FloatArray) -> FloatArray:
-    """The stations on the reference line that a plan reaches at times `(k,)`."""
+    """The stations on the reference line that a plan reaches at times `(k,)`; after its end it keeps its speed."""
     path, speed = plan.path.path, plan.speed
     assert path is not None and speed is not None and speed.profile is not None
-    sigma = np.interp(t - t[0], STEP_S * np.arange(speed.profile.shape[1]), speed.profile[0])
-    return np.interp(sigma, path.sigma, path.s)
+    sigma = speed.profile[0]
+    stations = np.interp(sigma, path.sigma, path.s)
+    return _carried_on(STEP_S * np.arange(len(sigma)), stations, t - t[0])
+
+
+def _carried_on(known: FloatArray, stations: FloatArray, t: FloatArray) -> FloatArray:
+    """Stations `(n,)` of `known` times at other times `(k,)`; after the last with the last speed."""
+    speed = (stations[-1] - stations[-2]) / (known[-1] - known[-2])
+    return np.asarray(np.interp(t, known, stations) + speed * np.maximum(t - known[-1], 0.0))
 
 
 def _same(before: tuple[Slower, ...], after: tuple[Slower, ...]) -> bool:
     """Whether two turns pass the same people at nearly the same places."""
     if [one.agent for one in before] != [one.agent for one in after]:
         return False
-    moved = [
-        abs(a.box.s_from - b.box.s_from) + abs(a.box.s_to - b.box.s_to) for a, b in zip(before, after, strict=True)
-    ]
-    return max(moved, default=inf) < SETTLED_M
+    pairs = [(a.box, b.box) for a, b in zip(before, after, strict=True)]
+    return max((abs(a.s_from - b.s_from) + abs(a.s_to - b.s_to) for a, b in pairs), default=inf) < SETTLED_M

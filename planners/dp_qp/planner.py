@@ -7,8 +7,8 @@ from math import hypot, inf
 
 from logs.frame import Frame, PlannerContext
 from logs.states import EgoState
-from logs.trace import Artefact, Candidates, Plan, PlanStart, PlanStatus
-from planners.dp_qp.decide import choose, worth_looking, worth_passing
+from logs.trace import Artefact, Plan, PlanStart, PlanStatus
+from planners.dp_qp.decide import choose, worth_looking
 from planners.dp_qp.fallback import along, fall_back
 from planners.dp_qp.lane_plan import LanePlan, LanePlanner
 from planners.dp_qp.lanes import Lanes, Strip
@@ -39,7 +39,7 @@ class DpQp:
     """DP and QP planner over candidate lanes.
 
     Memory, dropped where `frame.previous is None`: the lane that is driven and since when; per lane the solvers' warm
-    starts and the last station.
+    starts, the last station, and whom the ego is passing there.
     """
 
     def __init__(self, context: PlannerContext, config: DpQpConfig | None = None) -> None:
@@ -74,7 +74,9 @@ class DpQp:
 
     def _choose(self, frame: Frame, start: EgoState, *, fresh: bool) -> tuple[LanePlan, tuple[Artefact, ...]]:
         """The plan in the best lane; the neighbours are planned only where that may pay."""
-        keep, considered = self._past(self._driven.plan("keep", frame, start, fresh=fresh), frame, start, fresh=fresh)
+        keep = self._driven.plan("keep", frame, start, fresh=fresh)
+        keep, considered = self._passing_in(keep.strip).choose(keep, frame, start, fresh=fresh)
+        self._lap("passing")
         if not worth_looking(keep, since_change=frame.t - self._changed):
             return keep, considered
         beside = self._lanes.beside(keep.strip, keep.s)
@@ -83,23 +85,10 @@ class DpQp:
             return keep, considered
         chosen, more = choose(keep, others, frame, self._vehicle)
         if chosen is not keep:
+            self._passing_in(keep.strip).forget()
             self._driven, self._changed = self._planner(chosen.strip), frame.t
         self._lap("lane choice")
         return chosen, (*considered, *more)
-
-    def _past(
-        self, keep: LanePlan, frame: Frame, start: EgoState, *, fresh: bool
-    ) -> tuple[LanePlan, tuple[Artefact, ...]]:
-        """The plan in the driven lane: past who is slower where that is worth it, else behind him."""
-        passing = self._passing_in(keep.strip)
-        past = passing.plan(keep, frame, start, fresh=fresh)
-        if past is None:
-            return keep, ()
-        against = worth_passing(keep, past, under_way=passing.under_way)
-        passing.under_way = not against
-        self._lap("passing")
-        rejected = (f"pass: {against}" if against else f"keep: costs {keep.cost:.1f} s, pass {past.cost:.1f} s", 1)
-        return keep if against else past, (keep.costs, past.costs, Candidates("passing", 2, (rejected,)))
 
     def _passing_in(self, strip: Strip) -> Passing:
         if strip not in self._passings:

@@ -12,7 +12,10 @@ last plan,
 d is the room that the path leaves him, w how fast he may come into the way: then the ego either is past him or stops
 before him wherever he does. (The speed stage may exceed a limit by `SPEED_ROOM_MPS`, which is taken off.)
 
-Who cannot be passed within the predictions, or near a place where lanes part or meet, is followed.
+(4) v       <= sqrt(`SWERVE_MPS2` / |kappa - kappa_r|)      where the path swerves from the reference line
+
+Who cannot be passed within the predictions, or only near a place where lanes part or meet, the ego may have to wait or
+others cross, is followed; beside him it is too late to turn back.
 """
 
 from __future__ import annotations
@@ -28,7 +31,7 @@ from logs.road import line_project_many
 from logs.scenario import AgentKind
 from logs.trace import Decision, DecisionKind
 from logs.vehicle import VehicleParameters
-from planners.dp_qp.corridor import STANDING_MPS, CorridorConfig, PathObstacle, passing
+from planners.dp_qp.corridor import STANDING_MPS, CorridorConfig, PathObstacle, swing_span
 from planners.dp_qp.facing import passed_facing
 from planners.dp_qp.path import Path
 from planners.dp_qp.reference_line import Course
@@ -38,16 +41,25 @@ from planners.dp_qp.speed_stage import SPEED_ROOM_MPS
 SLOW_MPS = 7.0
 """Who is faster is followed."""
 NEAR_M = 2.0
+"""The ego is beside him from so far behind him on."""
 ASIDE_M = 0.9
 """With the path's usual clearance 1.5 m, as German law asks in towns (StVO, 5 (4)); where there is less, 1.15 m."""
 ALONG_RAD = 0.4
 SWERVE_MPS = 1.0
 """How fast who rides may come into the way; who walks with `WALK_MPS`."""
+SLACK = 1.5
 UNLIKELY = 0.2
 """A hypothesis that is not more probable than this is left to the S-T graph."""
 GAIN_MPS2 = 1.2
-JUNCTION_M = 10.0
+"""Acceleration of an ego that nobody holds up."""
+PLACE_M = 10.0
+"""So far before a place at which it may have to wait the ego is back in its lane."""
 REACH_M = 120.0
+"""Who is farther is not looked at."""
+GRID_S = 0.1
+"""Predictions are looked at every so often, however coarse they are."""
+SWERVE_MPS2 = 1.6
+"""Lateral acceleration of a swerve round somebody who could be followed instead."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -81,12 +93,19 @@ class Movers:
 NOBODY = Movers()
 
 
-def along_lane(course: Course, frame: Frame, s_ego: float, vehicle: VehicleParameters) -> list[int]:
-    """The agents ahead or beside who walk or ride along the road in the ego's direction."""
+def along_lane(
+    course: Course, frame: Frame, s_ego: float, vehicle: VehicleParameters, passed: frozenset[str] = frozenset()
+) -> list[int]:
+    """The agents ahead or beside who walk or ride along the road in the ego's direction.
+
+    Whom the ego is passing (`passed`) may become faster by `SLACK`, or turn further aside, before he is not among them.
+    """
     agents, line, found = frame.agents, course.line, []
     near = np.hypot(agents.x - frame.ego.x, agents.y - frame.ego.y) < REACH_M
-    for i in np.flatnonzero(near & (agents.speed >= STANDING_MPS) & (agents.speed <= SLOW_MPS)):
-        if agents.kinds[i] not in (AgentKind.PEDESTRIAN, AgentKind.BICYCLE):
+    kinds = AgentKind.PEDESTRIAN, AgentKind.BICYCLE
+    for i in np.flatnonzero(near & (agents.speed >= STANDING_MPS)) if len(frame.predictions.t) else ():
+        slack = SLACK if agents.ids[i] in passed else 1.0
+        if agents.kinds[i] not in kinds or agents.speed[i] > slack * SLOW_MPS:
             continue
         s, l = line.project(float(agents.x[i]), float(agents.y[i]), s_ego, REACH_M)  # noqa: E741
         yaw = line.frame(s)[2]
@@ -95,7 +114,7 @@ def along_lane(course: Course, frame: Frame, s_ego: float, vehicle: VehicleParam
         _, right, _, _, left, _, _, _ = course.at(np.array([s]))[:, 0]
         half = 0.5 * float(agents.length[i])
         on_road = right - half < l < left + half
-        if on_road and s + half > s_ego - vehicle.rear_overhang and np.arctan2(abs(across), along) <= ALONG_RAD:
+        if on_road and s + half > s_ego - vehicle.rear_overhang and np.arctan2(abs(across), along) <= slack * ALONG_RAD:
             found.append(int(i))
     return found
 
@@ -113,48 +132,67 @@ def _slower(
     course: Course, frame: Frame, s_ego: float, i: int, stations: FloatArray, vehicle: VehicleParameters
 ) -> Slower | None:
     agents, futures, line = frame.agents, frame.predictions, course.line
-    ego_low, ego_high = stations - vehicle.rear_overhang, stations + vehicle.axle_to_front
-    low, high = np.full(2, np.inf), np.full(2, -np.inf)  # of (s, l)
+    t = np.arange(futures.t[0], futures.t[-1] + 1e-9, GRID_S)
+    ego = np.interp(t, futures.t, stations)
+    size = np.array([agents.length[i], agents.width[i]])
+    lowest, highest = np.full(2, np.inf), np.full(2, -np.inf)  # station and offset
     begin, end, places = np.inf, -np.inf, [np.empty((0, 2))]
     for row in np.flatnonzero((futures.agent == i) & (futures.probability > UNLIKELY)):
-        feet = line_project_many(line.s, line.coef, futures.x[row], futures.y[row], s_ego, stations[-1] - s_ego + 60.0)
-        turn = futures.yaw[row] - np.interp(feet[:, 0], line.s, line.yaw)
-        size = np.array([agents.length[i], agents.width[i]])
+        x, y, yaw = (np.interp(t, futures.t, way[row]) for way in (futures.x, futures.y, futures.yaw))
+        feet = line_project_many(line.s, line.coef, x, y, s_ego, ego[-1] - s_ego + 60.0)
+        turn = yaw - np.interp(feet[:, 0], line.s, line.yaw)
         c, s = np.abs(np.cos(turn))[:, None], np.abs(np.sin(turn))[:, None]
         half = 0.5 * np.hstack([c * size[0] + s * size[1], s * size[0] + c * size[1]])
-        bottom, top = feet - half, feet + half
-        beside = (ego_high > bottom[:, 0] - NEAR_M) & (ego_low < top[:, 0])
-        if not beside.any() or beside[-1]:
+        low, high = feet - half, feet + half
+        beside = (ego + vehicle.axle_to_front > low[:, 0] - NEAR_M) & (ego - vehicle.rear_overhang < high[:, 0])
+        past_him_in_time = not beside[-1]
+        if not beside.any() or not past_him_in_time:
             return None
-        low, high = np.minimum(low, bottom[beside].min(axis=0)), np.maximum(high, top[beside].max(axis=0))
-        low[1], high[1] = min(low[1], bottom[0, 1]), max(high[1], top[0, 1])
-        begin, end = min(begin, float(stations[beside][0])), max(end, float(stations[beside][-1]))
-        places.append(np.column_stack([futures.x[row, beside], futures.y[row, beside]]))
+        lowest, highest = np.minimum(lowest, low[beside].min(axis=0)), np.maximum(highest, high[beside].max(axis=0))
+        lowest[1], highest[1] = min(lowest[1], low[0, 1]), max(highest[1], high[0, 1])  # and where he is now
+        begin, end = min(begin, float(ego[beside][0])), max(end, float(ego[beside][-1]))
+        places.append(np.column_stack([x[beside], y[beside]]))
     if not np.isfinite(begin):
         return None
-    sides = float(low[1]) - ASIDE_M, float(high[1]) + ASIDE_M
-    return Slower(
-        i,
-        PathObstacle(agents.ids[i], float(low[0]), float(high[0]), *sides, aside=ASIDE_M),
-        begin,
-        end,
-        np.vstack(places),
-    )
+    s_from, s_to = float(lowest[0]), float(highest[0])
+    l_from, l_to = float(lowest[1]) - ASIDE_M, float(highest[1]) + ASIDE_M
+    box = PathObstacle(agents.ids[i], s_from, s_to, l_from, l_to, aside=ASIDE_M)
+    return Slower(i, box, begin, end, np.vstack(places))
 
 
 def movers(
     course: Course, frame: Frame, s_ego: float, found: tuple[Slower, ...], stations: FloatArray,
-    sides: tuple[bool, bool], vehicle: VehicleParameters, config: CorridorConfig,
+    sides: tuple[bool, bool], vehicle: VehicleParameters, config: CorridorConfig, places: tuple[float, ...],
+    passed: frozenset[str] = frozenset(),
 ) -> Movers:  # fmt: skip
-    """What the path stage is told, for an ego as in `slower`; `sides`: whether the road beside may be borrowed."""
-    boxes = tuple(one.box for one in found if not _at_junction(course, one.box, frame.ego.v, vehicle))
+    """What the path stage is told, for an ego as in `slower`.
+
+    Args:
+        course: The lane.
+        frame: The scene.
+        s_ego: Station of the ego, m.
+        found: All who are slower; those who are to be passed too near to one of the `places` are left out.
+        stations: Of the ego at the times of the predictions `(k,)`.
+        sides: Whether the road left and right of the lane may be borrowed.
+        vehicle: The ego.
+        config: Distances.
+        places: Stations at which lanes part or meet, somebody may have to wait, or others cross, m.
+        passed: Whom the ego is passing already: it may be back in its lane nearer to a place.
+    """
+    front = s_ego + vehicle.axle_to_front
+    boxes = tuple(
+        one.box
+        for one in found
+        if front > one.box.s_from  # beside him it is too late
+        or not _near_place(places, one.box, 0.0 if one.box.agent in passed else frame.ego.v, vehicle)
+    )
     narrow = tuple(box for box in boxes if _room(course, box) < vehicle.width + 2.0 * config.min_clearance_m)
     return Movers(boxes, *sides, passed_facing(course, frame, s_ego, narrow, vehicle, config, stations))
 
 
-def _at_junction(course: Course, box: PathObstacle, speed: float, vehicle: VehicleParameters) -> bool:
-    begin, end = passing(box, speed, vehicle)
-    return any(begin < place < end + JUNCTION_M for place in course.waits)
+def _near_place(places: tuple[float, ...], box: PathObstacle, speed: float, vehicle: VehicleParameters) -> bool:
+    begin, end = swing_span(box, speed, vehicle)
+    return any(begin < place < end + PLACE_M for place in places)
 
 
 def _room(course: Course, box: PathObstacle) -> float:
@@ -191,6 +229,12 @@ def beside_limit(
             told.append(Decision(agents.ids[one.agent], DecisionKind.YIELD, "speed", reason))
         out = np.where(at, np.minimum(out, v), out)
     return out, tuple(told)
+
+
+def swerve_limit(path: Path, limit: FloatArray, course: Course) -> FloatArray:
+    """The speed limit `(m,)` along a path with (4) in it."""
+    swerve = np.abs(path.kappa - np.interp(path.s, course.line.s, course.line.kappa))
+    return np.minimum(limit, np.sqrt(SWERVE_MPS2 / np.maximum(swerve, 1e-6)))
 
 
 def gone_on(t: FloatArray, s_ego: float, v: float, limit: float) -> FloatArray:

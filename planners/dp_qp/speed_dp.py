@@ -109,7 +109,7 @@ def speed_dp(
     rows = len(limit)
     needed = np.zeros(rows)
     for k in range(1, rows):
-        needed[k] = needed[k - 1] + 2.0 * DS_M / max(limit[k - 1] + limit[k], SLOWEST_MPS)
+        needed[k] = needed[k - 1] + DS_M / max(0.5 * (limit[k - 1] + limit[k]), SLOWEST_MPS)
     cost = np.full((columns + 1, rows), inf)
     speed, accel = np.zeros((columns + 1, rows)), np.zeros((columns + 1, rows))
     parent = np.zeros((columns + 1, rows), np.int64)

@@ -79,12 +79,13 @@ class ChosenSpeed:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Way:
-    """What is planned on: a path with its limit `(m,)` and walls, from a start; `blocks` with any margins."""
+    """What is planned on: a path with its limits `(m,)` and walls, from a start; `blocks` with any margins."""
 
     frame: Frame
     start: EgoState
     path: Path
     limit: FloatArray
+    alone: FloatArray
     walls: Sequence[Wall]
     hurried: bool
     blocks: Callable[[StGraphConfig], Blocks]
@@ -108,10 +109,11 @@ class SpeedStage:
     def choose(
         self, frame: Frame, start: EgoState, path: Path, limit: FloatArray, skip: np.ndarray,
         passed: frozenset[str], walls: Sequence[Wall] = (), *, fresh: bool, hurried: bool = False,
+        alone: FloatArray | None = None,
     ) -> ChosenSpeed:  # fmt: skip
-        """The speed along `path` with the road's speed limit `(m,)` and stops on it; agents to `skip` `(agents,)`.
+        """The speed along `path` with the speed limit `(m,)` and stops on it; agents to `skip` `(agents,)`.
 
-        Who is `hurried` follows more closely.
+        Who is `hurried` follows more closely. `alone` `(m,)` is the limit with nobody on the road (None: `limit`).
         """
 
         def blocks(margins: StGraphConfig) -> Blocks:
@@ -121,7 +123,10 @@ class SpeedStage:
         self._lap("S-T graph")
         limit, unseen = self._sighted(path, limit, found, frame)
         limit, wavering = self._waverers.limit(path, limit, frame, self._vehicle, found, self._hard_mps2, fresh=fresh)
-        way = _Way(frame, start, path, np.where(path.sigma >= open_end(walls), 0.0, limit), walls, hurried, blocks)
+        shut = path.sigma >= open_end(walls)
+        alone = limit if alone is None else np.maximum(limit, alone)
+        limit, alone = np.where(shut, 0.0, limit), np.where(shut, 0.0, alone)
+        way = _Way(frame, start, path, limit, alone, walls, hurried, blocks)
         likely = found.probability > UNLIKELY
         chosen, solved = self._planned(way, found.only(likely), fresh=fresh)
         ignored: tuple[Decision, ...] = ()
@@ -160,7 +165,7 @@ class SpeedStage:
             np.column_stack([self._times, solved.profile[0]]) if solved.profile is not None else np.empty((0, 2)),
             (*_outlines(blocks, decisions), *wall_outlines(walls, float(self._times[-1]), path.length)),
         )
-        free_m = float(self._cruise(path, self._reachable(path, way.limit), state)[0, -1])
+        free_m = float(self._cruise(path, self._reachable(path, way.alone), state)[0, -1])
         artefacts = (graph, *decisions, *solved.artefacts)
         return ChosenSpeed(solved.profile, solved.reason, solved.unavoidable, free_m, blocks, artefacts), solved
 

@@ -135,6 +135,12 @@ class Rulebook:
         self._limit = limit_profile(line.s, line.kappa, course.limit, CURVE_MPS2, EASE_MPS2) if self._zones else line.s
         self._memory = _Memory()
 
+    @property
+    def places(self) -> tuple[float, ...]:
+        """Stations at which the ego may have to wait or others cross, m: lines, where zones begin and end."""
+        zones = [station for zone in self._zones for station in (zone.s_in, zone.s_out)]
+        return (*(line.s for line in self._lines), *zones)
+
     def stops(
         self, frame: Frame, start: EgoState, s: float, passed: frozenset[str] = frozenset(), *, fresh: bool
     ) -> tuple[Stop, ...]:

@@ -11,7 +11,7 @@ As fast as it may: at the speed limit, reached with `ACCEL_MPS2`. (1) and (2) ho
 a quarter of the region (`END_M` of the road) and `ROOM_S`. (2) never asks for less than `LEAST` of the limit: who
 drives much slower than others is in their way. In a hurry the ego wants `HURRIED_GAP_S` to the one ahead instead of its
 usual time gap; it drives no faster than the limit. Where a goal has a time but no region, s_1 is the end of the road,
-and before t_0 the ego stops there.
+and who is too early stops there.
 
 (4) l_0(s) + m <= l <= l_1(s) - m      where the region is from l_0 to l_1 beside the line at station s; m = `SIDE_M`
 """
@@ -110,7 +110,7 @@ class Appointment:
         opens = first + min(ROOM_S, 0.5 * (last - first))
         if not goal.regions:
             early = self._slow(t, s, v, self._road_end - END_M, self._road_end, opens)
-            return replace(early, stop=self._road_end - END_M) if t < first else early
+            return replace(early, stop=self._road_end - END_M) if early.cap < np.inf else early
         if not np.isfinite(end):  # of a lane far beside the goal's: it is no way to be there sooner
             return Pace(missed_s=max(self._late(t, s, v, self._begins, last), 0.0))
         if s > end:

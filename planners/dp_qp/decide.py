@@ -79,7 +79,7 @@ def _against(other: LanePlan, frame: Frame, vehicle: VehicleParameters) -> str:
 
 def worth_passing(keep: LanePlan, past: LanePlan, *, under_way: bool) -> str:
     """Why the driven lane is not driven past who is slower; empty where it is."""
-    if not past.is_comfortable and keep.is_comfortable:
+    if not past.is_comfortable and (keep.is_comfortable or not under_way):
         return past.path.reason or (past.speed.reason if past.speed else "") or "no plan"
     needed = -HYSTERESIS_S if under_way else HYSTERESIS_S
     if not past.cost < keep.cost - needed:

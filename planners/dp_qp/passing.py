@@ -94,7 +94,7 @@ class Passing:
             before, found = found, slower(course, frame, keep.s, who, stations, self._vehicle)
             if turn + 1 == TURNS or _same(before, found):
                 break
-        names = frozenset(box.agent for box in told.boxes) & {one.box.agent for one in found}
+        names = frozenset(box.agent for box in told.boxes) & plan.path.passed & {one.box.agent for one in found}
         return (plan, names, stations) if told.boxes[0].agent in names else nobody
 
     def _expected(self, course: Course, keep: LanePlan, frame: Frame, start: EgoState) -> FloatArray:

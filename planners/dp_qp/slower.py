@@ -45,7 +45,7 @@ NEAR_M = 2.0
 ASIDE_M = 0.9
 """With the path's usual clearance 1.5 m, as German law asks in towns (StVO, 5 (4)); where there is less, 1.15 m."""
 ALONG_RAD = 0.4
-SWERVE_MPS = 1.0
+SWERVE_MPS = 0.8
 """How fast who rides may come into the way; who walks with `WALK_MPS`."""
 SLACK = 1.5
 UNLIKELY = 0.2

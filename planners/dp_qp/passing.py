@@ -8,7 +8,8 @@ It is a plan only if, by its own speed, it gets past the nearest of them within 
 The lane beside may be borrowed on the passing side; whoever follows there must not have to brake (`decide`, (1) and
 (2)), until the ego is over the marking and is seen.
 
-Memory: the last plan past somebody, and whom the ego is passing; none of it where the frame is fresh.
+Memory: the last plan past somebody, whom the ego is passing, and whom it gave up to pass (he is not tried again for
+`DWELL_S`); none of it where the frame is fresh.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from logs.states import EgoState
 from logs.trace import Artefact, Candidates
 from logs.vehicle import VehicleParameters
 from planners.dp_qp.corridor import CorridorConfig
-from planners.dp_qp.decide import HYSTERESIS_S, borrowing_endangers, worth_passing
+from planners.dp_qp.decide import DWELL_S, HYSTERESIS_S, borrowing_endangers, worth_passing
 from planners.dp_qp.lane_plan import FORGET_S, LanePlan, LanePlanner, Past
 from planners.dp_qp.reference_line import Course
 from planners.dp_qp.slower import Slower, along_lane, gone_on, movers, slower
@@ -32,6 +33,8 @@ from planners.dp_qp.speed_qp import STEP_S
 TURNS = 3
 SETTLED_M = 1.0
 """Boxes that a further turn moves by less are left."""
+
+NO_PLAN = None, frozenset[str](), None
 
 
 class Passing:
@@ -47,6 +50,7 @@ class Passing:
         """The next plan is as the first one."""
         self._planner.forget()
         self._passed: frozenset[str] = frozenset()
+        self._given_up: dict[str, float] = {}  # who was not passed in the end, when
         self._at = -inf
         self._stations: FloatArray | None = None  # of the last plan, at the times of the predictions since `_at`
 
@@ -58,44 +62,44 @@ class Passing:
             self.forget()
         if not self._passed and keep.time_lost + keep.braking < HYSTERESIS_S:
             return keep, ()
-        past, names, stations = self._plan(keep, frame, start)
+        who = along_lane(keep.strip.course, frame, keep.s, self._vehicle, self._passed)
+        past, names, stations = self._plan(keep, frame, start, who) if who else NO_PLAN
         self._at, self._stations = frame.t, stations
+        against = worth_passing(keep, past, under_way=bool(names & self._passed)) if past is not None else "no plan"
+        if not names & self._passed and any(frame.t - self._given_up.get(name, -inf) < DWELL_S for name in names):
+            against = "given up a moment ago"
+        going = frozenset() if against else names
+        self._given_up |= {frame.agents.ids[i]: frame.t for i in who if frame.agents.ids[i] in self._passed - going}
+        self._passed = going
         if past is None:
-            self._passed = frozenset()
             return keep, ()
-        against = worth_passing(keep, past, under_way=bool(names & self._passed))
-        self._passed = frozenset() if against else names
         rejected = f"pass: {against}" if against else f"keep: costs {keep.cost:.1f} s, pass {past.cost:.1f} s"
         told = (keep.costs, past.costs, Candidates("passing", 2, ((rejected, 1),)))
         return keep if against else past, told
 
     def _plan(
-        self, keep: LanePlan, frame: Frame, start: EgoState
+        self, keep: LanePlan, frame: Frame, start: EgoState, who: list[int]
     ) -> tuple[LanePlan | None, frozenset[str], FloatArray | None]:
         """The plan past the nearest, all whom it passes, and its stations; None where there is no such plan."""
-        nobody = None, frozenset[str](), None
         course, t = keep.strip.course, frame.predictions.t
-        who = along_lane(course, frame, keep.s, self._vehicle, self._passed)
-        if not who:
-            return nobody
         sides, stations = self._sides(course, keep, frame), self._expected(course, keep, frame, start)
-        found = slower(course, frame, keep.s, who, stations, self._vehicle)
+        found = slower(course, frame, keep.s, who, stations, self._vehicle, self._passed)
         for turn in range(TURNS):
             told = movers(
                 course, frame, keep.s, found, stations, sides, self._vehicle, self._config, self._planner.places,
                 self._passed,
             )  # fmt: skip
             if not told.boxes:
-                return nobody
+                return NO_PLAN
             plan = self._planner.plan("pass", frame, start, fresh=False, past=Past(found, told))
             if plan.speed is None or plan.speed.profile is None or plan.path.path is None:
-                return nobody
+                return NO_PLAN
             stations = _stations_of(plan, t)
-            before, found = found, slower(course, frame, keep.s, who, stations, self._vehicle)
+            before, found = found, slower(course, frame, keep.s, who, stations, self._vehicle, self._passed)
             if turn + 1 == TURNS or _same(before, found):
                 break
         names = frozenset(box.agent for box in told.boxes) & plan.path.passed & {one.box.agent for one in found}
-        return (plan, names, stations) if told.boxes[0].agent in names else nobody
+        return (plan, names, stations) if told.boxes[0].agent in names else NO_PLAN
 
     def _expected(self, course: Course, keep: LanePlan, frame: Frame, start: EgoState) -> FloatArray:
         """Where the ego will be at the times of the predictions, by the last plan, else on a road without them."""

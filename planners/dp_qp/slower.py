@@ -58,6 +58,8 @@ REACH_M = 120.0
 """Who is farther is not looked at."""
 GRID_S = 0.1
 """Predictions are looked at every so often, however coarse they are."""
+SPARE_S = 1.0
+"""So long before the predictions end the ego must be past whom it begins to pass."""
 SWERVE_MPS2 = 1.6
 """Lateral acceleration of a swerve round somebody who could be followed instead."""
 
@@ -120,16 +122,21 @@ def along_lane(
 
 
 def slower(
-    course: Course, frame: Frame, s_ego: float, who: Sequence[int], stations: FloatArray, vehicle: VehicleParameters
-) -> tuple[Slower, ...]:
-    """The boxes (2) of the agents `who`, for an ego at `stations` `(k,)` at the times of the predictions."""
-    found = [_slower(course, frame, s_ego, i, stations, vehicle) for i in who]
+    course: Course, frame: Frame, s_ego: float, who: Sequence[int], stations: FloatArray, vehicle: VehicleParameters,
+    passed: frozenset[str] = frozenset(),
+) -> tuple[Slower, ...]:  # fmt: skip
+    """The boxes (2) of the agents `who`, for an ego at `stations` `(k,)` at the times of the predictions.
+
+    Only of those whom it is past before the last of these times; `SPARE_S` before, unless it is passing them already.
+    """
+    spare = [0.0 if frame.agents.ids[i] in passed else SPARE_S for i in who]
+    found = [_slower(course, frame, s_ego, i, stations, vehicle, each) for i, each in zip(who, spare, strict=True)]
     ready = [one for one in found if one is not None]
     return tuple(sorted(ready, key=lambda one: (one.box.s_from, one.box.agent)))
 
 
 def _slower(
-    course: Course, frame: Frame, s_ego: float, i: int, stations: FloatArray, vehicle: VehicleParameters
+    course: Course, frame: Frame, s_ego: float, i: int, stations: FloatArray, vehicle: VehicleParameters, spare: float
 ) -> Slower | None:
     agents, futures, line = frame.agents, frame.predictions, course.line
     t = np.arange(futures.t[0], futures.t[-1] + 1e-9, GRID_S)
@@ -145,7 +152,7 @@ def _slower(
         half = 0.5 * np.hstack([c * size[0] + s * size[1], s * size[0] + c * size[1]])
         low, high = feet - half, feet + half
         beside = (ego + vehicle.axle_to_front > low[:, 0] - NEAR_M) & (ego - vehicle.rear_overhang < high[:, 0])
-        past_him_in_time = not beside[-1]
+        past_him_in_time = not beside[t > t[-1] - spare - 0.5 * GRID_S].any()
         if not beside.any() or not past_him_in_time:
             return None
         lowest, highest = np.minimum(lowest, low[beside].min(axis=0)), np.maximum(highest, high[beside].max(axis=0))

@@ -14,6 +14,7 @@ Memory: the last plan past somebody, whom the ego is passing, and whom it gave u
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import inf
 
 import numpy as np
@@ -38,17 +39,28 @@ NO_PLAN = None, frozenset[str](), None
 
 
 class Passing:
-    """Plans one lane past who is slower; owns a planner of that lane, since its stages remember their last solution."""
+    """Plans one lane past who is slower.
+
+    Args:
+        planner: Makes a planner of that lane when there first is somebody; not the one that keeps the lane, since
+            their stages remember their last solutions.
+        vehicle: The ego.
+        config: Distances.
+        passes_left: The passing side.
+    """
 
     def __init__(
-        self, planner: LanePlanner, vehicle: VehicleParameters, config: CorridorConfig, *, passes_left: bool
-    ) -> None:
-        self._planner, self._vehicle, self._config, self._left = planner, vehicle, config, passes_left
+        self, planner: Callable[[], LanePlanner], vehicle: VehicleParameters, config: CorridorConfig, *,
+        passes_left: bool,
+    ) -> None:  # fmt: skip
+        self._make, self._vehicle, self._config, self._left = planner, vehicle, config, passes_left
+        self._planner: LanePlanner | None = None
         self.forget()
 
     def forget(self) -> None:
         """The next plan is as the first one."""
-        self._planner.forget()
+        if self._planner is not None:
+            self._planner.forget()
         self._passed: frozenset[str] = frozenset()
         self._given_up: dict[str, float] = {}  # who was not passed in the end, when
         self._at = -inf
@@ -81,17 +93,18 @@ class Passing:
         self, keep: LanePlan, frame: Frame, start: EgoState, who: list[int]
     ) -> tuple[LanePlan | None, frozenset[str], FloatArray | None]:
         """The plan past the nearest, all whom it passes, and its stations; None where there is no such plan."""
+        planner = self._planner = self._planner or self._make()
         course, t = keep.strip.course, frame.predictions.t
         sides, stations = self._sides(course, keep, frame), self._expected(course, keep, frame, start)
         found = slower(course, frame, keep.s, who, stations, self._vehicle, self._passed)
         for turn in range(TURNS):
             told = movers(
-                course, frame, keep.s, found, stations, sides, self._vehicle, self._config, self._planner.places,
+                course, frame, keep.s, found, stations, sides, self._vehicle, self._config, planner.places,
                 self._passed,
             )  # fmt: skip
             if not told.boxes:
                 return NO_PLAN
-            plan = self._planner.plan("pass", frame, start, fresh=False, past=Past(found, told))
+            plan = planner.plan("pass", frame, start, fresh=False, past=Past(found, told))
             if plan.speed is None or plan.speed.profile is None or plan.path.path is None:
                 return NO_PLAN
             stations = _stations_of(plan, t)

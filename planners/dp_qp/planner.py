@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from math import hypot, inf
 
 from logs.frame import Frame, PlannerContext
@@ -94,7 +95,7 @@ class DpQp:
         if strip not in self._passings:
             left = self._context.road.drives_on_right
             self._passings[strip] = Passing(
-                self._new_planner(strip), self._vehicle, self._config.path.corridor, passes_left=left
+                partial(self._new_planner, strip), self._vehicle, self._config.path.corridor, passes_left=left
             )
         return self._passings[strip]
 

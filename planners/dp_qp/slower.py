@@ -43,11 +43,16 @@ SLOW_MPS = 7.0
 NEAR_M = 2.0
 """The ego is beside him from so far behind him on."""
 ASIDE_M = 0.9
-"""With the path's usual clearance 1.5 m, as German law asks in towns (StVO, 5 (4)); where there is less, 1.15 m."""
+"""With the path's usual clearance 1.5 m, as German law asks in towns (StVO, 5 (4)); where there is less, 1.15 m.
+
+So much keeps a plan that passes him. Where he is beside the lane that is kept, (3) alone says how fast.
+"""
 ALONG_RAD = 0.4
+"""Who turns further aside crosses."""
 SWERVE_MPS = 0.8
 """How fast who rides may come into the way; who walks with `WALK_MPS`."""
 SLACK = 1.5
+"""By this factor whom the ego is passing may be faster, or turn further."""
 UNLIKELY = 0.2
 """A hypothesis that is not more probable than this is left to the S-T graph."""
 GAIN_MPS2 = 1.2
@@ -138,6 +143,7 @@ def slower(
 def _slower(
     course: Course, frame: Frame, s_ego: float, i: int, stations: FloatArray, vehicle: VehicleParameters, spare: float
 ) -> Slower | None:
+    """(1) and (2) of one agent; None where the ego does not come beside him, or is past him too late."""
     agents, futures, line = frame.agents, frame.predictions, course.line
     t = np.arange(futures.t[0], futures.t[-1] + 1e-9, GRID_S)
     ego = np.interp(t, futures.t, stations)

@@ -104,6 +104,7 @@ class Passing:
             )  # fmt: skip
             if not told.boxes:
                 return NO_PLAN
+            # not fresh: `forget` has told the planner where this is its first plan, and later turns go on from it
             plan = planner.plan("pass", frame, start, fresh=False, past=Past(found, told))
             if plan.speed is None or plan.speed.profile is None or plan.path.path is None:
                 return NO_PLAN

@@ -108,9 +108,11 @@ def along_lane(
     Whom the ego is passing (`passed`) may become faster by `SLACK`, or turn further aside, before he is not among them.
     """
     agents, line, found = frame.agents, course.line, []
+    if not len(frame.predictions.t):
+        return []
     near = np.hypot(agents.x - frame.ego.x, agents.y - frame.ego.y) < REACH_M
     kinds = AgentKind.PEDESTRIAN, AgentKind.BICYCLE
-    for i in np.flatnonzero(near & (agents.speed >= STANDING_MPS)) if len(frame.predictions.t) else ():
+    for i in np.flatnonzero(near & (agents.speed >= STANDING_MPS)):
         slack = SLACK if agents.ids[i] in passed else 1.0
         if agents.kinds[i] not in kinds or agents.speed[i] > slack * SLOW_MPS:
             continue

@@ -113,7 +113,8 @@ class SpeedStage:
     ) -> ChosenSpeed:  # fmt: skip
         """The speed along `path` with the speed limit `(m,)` and stops on it; agents to `skip` `(agents,)`.
 
-        Who is `hurried` follows more closely. `alone` `(m,)` is the limit with nobody on the road (None: `limit`).
+        Who is `hurried` follows more closely. `alone` `(m,)` is the limit with nobody on the road
+        and nothing hidden, against which the time lost counts (None: that which is driven).
         """
 
         def blocks(margins: StGraphConfig) -> Blocks:
@@ -124,8 +125,7 @@ class SpeedStage:
         limit, unseen = self._sighted(path, limit, found, frame)
         limit, wavering = self._waverers.limit(path, limit, frame, self._vehicle, found, self._hard_mps2, fresh=fresh)
         shut = path.sigma >= open_end(walls)
-        alone = limit if alone is None else np.maximum(limit, alone)
-        limit, alone = np.where(shut, 0.0, limit), np.where(shut, 0.0, alone)
+        limit, alone = (np.where(shut, 0.0, each) for each in (limit, limit if alone is None else alone))
         way = _Way(frame, start, path, limit, alone, walls, hurried, blocks)
         likely = found.probability > UNLIKELY
         chosen, solved = self._planned(way, found.only(likely), fresh=fresh)

@@ -31,6 +31,7 @@ class PlanStatus(Enum):
     PREVIOUS = "a stage failed: the previous plan goes on"
     COMFORTABLE_STOP = "a stage failed: comfortable stop along the last path"
     HARD_STOP = "a stage failed: hard stop along the last path"
+    REFUSED = "the plan was refused: what was driven before goes on"
 
     @property
     def is_fallback(self) -> bool:
@@ -207,6 +208,7 @@ class EndReason(Enum):
     END_OF_LOG = "end of the log"
     GOAL = "goal reached"
     COLLISION = "collision"
+    REPLAY_CONTACT = "the replay ran into the ego"
     OFF_ROAD = "left the road"
     PLANNER_FAILURE = "the planner failed"
 

@@ -32,22 +32,31 @@ from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
 
 __all__ = ["COLUMNS", "METRICS", "Metric", "Reduction", "Series", "Unavailable", "evaluate", "load_metric", "series"]
 
-_ALL = (
-    accuracy.ADE, accuracy.FDE, accuracy.AHE, accuracy.FHE, accuracy.ALONG, accuracy.CROSS,
-    safety.COLLISION, safety.COLLISION_AT_FAULT, safety.GAP, safety.GAP_VULNERABLE, safety.TTC, safety.OFF_ROAD,
-    safety.PLAN_COLLISION,
-    rules.RED_LIGHT, rules.STOP_SIGN, rules.CROSSWALK, right_of_way.PRIORITY_GAP,
-    comfort.LON_ACCEL, comfort.LAT_ACCEL, comfort.LON_JERK_STATE, comfort.LAT_JERK_STATE, comfort.YAW_RATE,
-    comfort.PLAN_LON_ACCEL, comfort.PLAN_LAT_ACCEL, comfort.PLAN_LON_JERK,
-    progress.COMPLETED, progress.GOAL, progress.PROGRESS, progress.DISTANCE, progress.SPEED, progress.SPEED_EXCESS,
-    tracking.LATERAL, tracking.HEADING, tracking.SPEED, tracking.STATION,
-    effort.THROTTLE, effort.BRAKE, effort.PEDALS_TOGETHER, effort.PEDAL_SWITCHES, effort.STEER_RATE,
-    effort.QP_ITERATIONS, effort.SOLVER_UNSOLVED, effort.FALLBACK,
-    consistency.PLAN_CHANGE, consistency.PLAN_CHANGE_LATERAL,
-    avoidability.CC, avoidability.FSM,
-)  # fmt: skip
+GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
+    "accuracy": (accuracy.ADE, accuracy.FDE, accuracy.AHE, accuracy.FHE, accuracy.ALONG, accuracy.CROSS),
+    "safety": (
+        safety.COLLISION, safety.COLLISION_AT_FAULT, safety.GAP, safety.GAP_VULNERABLE, safety.TTC, safety.OFF_ROAD,
+        safety.PLAN_COLLISION,
+    ),
+    "rules": (rules.RED_LIGHT, rules.STOP_SIGN, rules.CROSSWALK, right_of_way.PRIORITY_GAP),
+    "comfort": (
+        comfort.LON_ACCEL, comfort.LAT_ACCEL, comfort.LON_JERK_STATE, comfort.LAT_JERK_STATE, comfort.YAW_RATE,
+        comfort.PLAN_LON_ACCEL, comfort.PLAN_LAT_ACCEL, comfort.PLAN_LON_JERK,
+    ),
+    "progress": (
+        progress.COMPLETED, progress.GOAL, progress.PROGRESS, progress.DISTANCE, progress.SPEED, progress.SPEED_EXCESS,
+    ),
+    "tracking": (tracking.LATERAL, tracking.HEADING, tracking.SPEED, tracking.STATION),
+    "effort": (
+        effort.THROTTLE, effort.BRAKE, effort.PEDALS_TOGETHER, effort.PEDAL_SWITCHES, effort.STEER_RATE,
+        effort.QP_ITERATIONS, effort.SOLVER_UNSOLVED, effort.FALLBACK,
+    ),
+    "consistency": (consistency.PLAN_CHANGE, consistency.PLAN_CHANGE_LATERAL),
+    "reference": (avoidability.CC, avoidability.FSM),
+})  # fmt: skip
+"""The metrics by what they are about, in the order of the table."""
 
-METRICS: Mapping[str, Metric] = MappingProxyType({metric.name: metric for metric in _ALL})
+METRICS: Mapping[str, Metric] = MappingProxyType({metric.name: metric for group in GROUPS.values() for metric in group})
 """The metrics by name, in the order of the table."""
 
 COLUMNS = (

@@ -108,6 +108,9 @@ class Metric:
         source: Where the definition comes from; empty: here.
         version: Counts up when the numbers change meaning.
         parts: The keys that `measure` may return; ("*",): any; empty: it returns one series.
+        formula: What is computed, in plain text ("sqrt(x^2 + y^2)"); empty: `meaning` says all.
+        parameters: Its constants with their units, as "bound 0.95 s".
+        needs: What must be there for it to be available; empty: it always is.
     """
 
     name: str
@@ -120,6 +123,9 @@ class Metric:
     source: str = ""
     version: int = 1
     parts: tuple[str, ...] = ()
+    formula: str = ""
+    parameters: tuple[str, ...] = ()
+    needs: str = ""
 
     def measured(self, trace: Trace, scenario: Scenario) -> dict[str, Measured]:
         """Its series by full name ("gap", "ade.3s"); one that is unavailable keeps the names of its parts."""

@@ -49,7 +49,9 @@ def events(trace: Trace) -> list[Event]:
             if before.split(" (")[0] != after.split(" (")[0]:
                 found.append(Event(frame.t, "INFO", f"{agent}: {after.removesuffix(' ()')}"))
         status, decided = plan.status, now
-    grave = trace.end in (EndReason.COLLISION, EndReason.OFF_ROAD, EndReason.PLANNER_FAILURE)
+    grave = trace.end in (
+        EndReason.COLLISION, EndReason.REPLAY_CONTACT, EndReason.OFF_ROAD, EndReason.PLANNER_FAILURE,
+    )  # fmt: skip
     detail = f": {trace.detail}" if trace.detail else ""
     end = Event(float(trace.ego.t[-1]), "ERROR" if grave else "INFO", f"{trace.end.value}{detail}")
     return [*found, end]

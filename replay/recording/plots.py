@@ -310,6 +310,7 @@ STATUS_WORDS = {
     PlanStatus.PREVIOUS: "previous plan",
     PlanStatus.COMFORTABLE_STOP: "comfortable stop",
     PlanStatus.HARD_STOP: "hard stop",
+    PlanStatus.REFUSED: "plan refused",
 }
 """The statuses in two words, for lanes; the sentences are in the texts."""
 

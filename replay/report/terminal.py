@@ -201,13 +201,15 @@ def _end(drive: DriveRecord | None) -> Cell:
     if drive is None:
         return NOTHING, ""
     good = drive.end in (EndReason.GOAL.value, EndReason.END_OF_LOG.value)
-    whom = f": {drive.detail}" if drive.end == EndReason.COLLISION.value else ""
+    whom = f": {drive.detail}" if drive.end in CONTACTS else ""
     return f"{SHORT.get(drive.end, drive.end)}{whom}", "" if good else "red"
 
 
+CONTACTS = (EndReason.COLLISION.value, EndReason.REPLAY_CONTACT.value)
 SHORT = {
     EndReason.GOAL.value: "goal",
     EndReason.END_OF_LOG.value: "end of log",
+    EndReason.REPLAY_CONTACT.value: "run into",
     EndReason.OFF_ROAD.value: "off the road",
     EndReason.PLANNER_FAILURE.value: "planner failed",
 }

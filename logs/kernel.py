@@ -28,9 +28,19 @@ def kernel(function: Callable[P, R]) -> Callable[P, R]:
 
 
 def frozen(values: object, dtype: Any = np.float64) -> NDArray[Any]:
-    """A read-only contiguous array of `values`: a private copy unless it is one already."""
+    """A contiguous array of `values` over an immutable buffer (bytes): a private copy unless it is one already.
+
+    `flags.writeable` of such an array cannot be set again, so that what is handed to a planner stays as it is.
+    """
     array: NDArray[Any] = np.ascontiguousarray(values, dtype=dtype)
-    if array.flags.writeable:
-        array = array.copy()
-        array.flags.writeable = False
+    if not _immutable(array):
+        array = np.frombuffer(array.tobytes(), array.dtype).reshape(array.shape)
     return array
+
+
+def _immutable(array: NDArray[Any]) -> bool:
+    """Whether the memory of an array belongs to a bytes object."""
+    base: object = array
+    while isinstance(base, np.ndarray):
+        base = base.base
+    return isinstance(base, bytes)

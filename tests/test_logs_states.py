@@ -110,3 +110,10 @@ def test_nouns_are_frozen_and_controls_checked() -> None:
         Command(0, 0, 0).steer = 1.0  # type: ignore[misc]
     with pytest.raises(ValueError, match="brake has shape"):
         Controls(np.arange(2.0), np.zeros(2), np.zeros(2), np.zeros(3))
+
+
+def test_columns_can_not_be_made_writeable() -> None:
+    drive = Trajectory(*(np.arange(4.0) for _ in range(7)))
+    for array in (drive.x, drive.x[1:]):
+        with pytest.raises(ValueError, match="WRITEABLE"):
+            array.flags.writeable = True

@@ -22,6 +22,7 @@ from metrics import (
     comfort,
     consistency,
     effort,
+    evidence,
     progress,
     right_of_way,
     rules,
@@ -52,6 +53,7 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
         effort.QP_ITERATIONS, effort.SOLVER_UNSOLVED, effort.FALLBACK,
     ),
     "consistency": (consistency.PLAN_CHANGE, consistency.PLAN_CHANGE_LATERAL),
+    "evidence": (evidence.COVERAGE, evidence.REPLAY_CONTACT),
     "reference": (avoidability.CC, avoidability.FSM),
 })  # fmt: skip
 """The metrics by what they are about, in the order of the table."""
@@ -136,5 +138,7 @@ def _row(
             return name, nan, unit, direction, False, found.missing, nan
         return name, reduction.empty, unit, direction, True, "", nan
     value, step = reduction.reduce(found)
+    if not np.isfinite(value):
+        return name, nan, unit, direction, False, f"{reduction.name} of the steps is {value}, which is no number", nan
     label = found.labels[step] if found.labels and step >= 0 else ""
     return name, value, unit, direction, True, label, float(found.t[step]) if step >= 0 else nan

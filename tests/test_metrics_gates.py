@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from logs import ConfigError, EndReason, LogError
 from metrics import COLUMNS, METRICS, evaluate
-from metrics.gates import Gate, Gates, Outcome, Verdict, judge, load_gates
+from metrics.gates import Gate, Gates, Outcome, load_gates
+from metrics.judge import Verdict, judge, outcomes, worst
 
 PASS, FAIL, INCONCLUSIVE = Outcome.PASS, Outcome.FAIL, Outcome.INCONCLUSIVE
 
@@ -92,7 +93,7 @@ def test_a_bound_of_zero_is_a_bound() -> None:
 def test_nothing_to_judge_is_not_a_pass() -> None:
     nothing = verdict(AT_LEAST, table(row("a", np.nan), row("b", np.nan)))
     assert nothing.outcome is INCONCLUSIVE
-    assert nothing.reason == "dp_qp, closed loop: nothing to judge; not available in 2 of 2 logs (nobody there)"
+    assert nothing.reason == "dp_qp, closed loop: nothing to judge; no evidence in 2 of 2 logs (nobody there)"
     assert verdict(Gate("gap.min", min=0, mode="open"), table(row("a", 1.0))).outcome is INCONCLUSIVE
     assert verdict(Gate("ttc.min", min=0), table(row("a", 1.0))).outcome is INCONCLUSIVE
     assert verdict(AT_LEAST, table(), tags={}).outcome is INCONCLUSIVE
@@ -100,14 +101,111 @@ def test_nothing_to_judge_is_not_a_pass() -> None:
     assert (tagged.outcome, tagged.reason) == (INCONCLUSIVE, "nothing to judge: no log has the tags rain")
 
 
-def test_partly_unavailable_is_said_and_min_logs_asked() -> None:
-    rows = table(row("a", 1.0), row("b", np.nan), row("c", np.nan))
+def test_missing_values_are_said_and_bounded() -> None:
+    rows = table(*(row(f"log{i}", np.nan if i < 2 else 1.0) for i in range(20)))
     found = verdict(AT_LEAST, rows)
     assert found.outcome is PASS
-    assert found.reason.endswith("; not available in 2 of 3 logs (nobody there)")
-    short = verdict(Gate("gap.min", min=0.5, min_logs=2), rows)
+    assert found.reason.endswith("; no evidence in 2 of 20 logs (nobody there)")
+    assert verdict(replace(AT_LEAST, max_missing=0.05), rows).outcome is INCONCLUSIVE
+    assert verdict(AT_LEAST, rows[:19].iloc[:10]).outcome is INCONCLUSIVE  # 2 of 10
+    short = verdict(replace(AT_LEAST, min_logs=19), rows)
     assert short.outcome is INCONCLUSIVE
-    assert "1 log with a value, 2 must have one" in short.reason
+    assert "; 18 logs judged, 19 must be" in short.reason
+
+
+def test_one_value_in_a_hundred_logs_is_no_pass() -> None:
+    rows = table(row("log", 1.0), *(row(f"log{i}", np.nan) for i in range(99)))
+    assert verdict(AT_LEAST, rows).outcome is INCONCLUSIVE
+    assert verdict(replace(AT_LEAST, optional=True), rows).outcome is PASS
+
+
+@given(st.permutations([-1e6, np.nan, -5.0, 3.0]))
+def test_a_value_that_is_no_number_is_none(values: list[float]) -> None:
+    rows = table(*(row(f"log{i}", value, available=True, reason="") for i, value in enumerate(values)))
+    found = verdict(Gate("gap.min", min=0.0), rows)
+    assert (found.outcome, found.value) == (FAIL, -1e6)
+    assert "broken in 2 of 3 logs; no evidence in 1 of 4 logs (the value is not a number)" in found.reason
+    alone = verdict(Gate("gap.min", min=0.0), table(row("a", np.nan, available=True)))
+    assert alone.outcome is INCONCLUSIVE
+
+
+def test_a_misspelt_tag_or_planner_does_not_make_an_optional_gate_vanish() -> None:
+    rows, tags = table(row("a", 1.0)), {"a": ("pedestrian",)}
+    tag = verdict(Gate("gap.min", min=0.5, tags=("pedestrain",), optional=True), rows, tags=tags)
+    assert (tag.outcome, tag.reason) == (
+        INCONCLUSIVE, "nothing to judge: no log has the tags pedestrain, did you mean 'pedestrian'?",
+    )  # fmt: skip
+    planner = verdict(Gate("gap.min", min=0.5, planner="dp_pq", optional=True), rows)
+    assert planner.outcome is INCONCLUSIVE
+    assert "planner dp_pq, did you mean 'dp_qp'?" in planner.reason
+
+
+# evidence ---------------------------------------------------------------------------------------------------------
+
+
+def reference(planner: str, value: float, **changes: object) -> dict[str, object]:
+    return row("a", value, planner=planner, mode="reference", oracle=True, **changes)
+
+
+CONTACT = row("a", 1.0, metric="replay_contact.final", reason="car 7: from behind", unit="1")
+
+
+@pytest.mark.parametrize(
+    ("rows", "outcome", "why"),
+    [
+        ([], FAIL, "car 7"),
+        ([CONTACT], INCONCLUSIVE, "the replay ran into the ego (car 7: from behind)"),
+        ([CONTACT | {"reason": "car 8: from behind"}], FAIL, "car 7"),
+        ([CONTACT | {"value": 0.0, "reason": ""}], FAIL, "car 7"),
+        ([reference("careful", 0.4)], INCONCLUSIVE, "the careful driver breaks it too: 0.4 m (car 7)"),
+        ([reference("careful", 0.4, reason="car 8")], FAIL, "car 7"),
+        ([reference("careful", 0.6)], FAIL, "car 7"),
+        ([reference("driver", 0.0, reason="car 3")], INCONCLUSIVE, "the recorded driver breaks it too: 0 m (car 3)"),
+        ([reference("driver", 0.5, reason="car 3")], FAIL, "car 7"),
+    ],
+)
+def test_a_broken_bound_that_is_no_evidence_is_inconclusive(
+    rows: list[dict[str, object]], outcome: Outcome, why: str
+) -> None:
+    found = verdict(AT_LEAST, table(row("a", 0.1), *rows))
+    assert (found.outcome, found.logs[0].outcome, found.logs[0].why) == (outcome, outcome, why)
+    assert found.planner == "dp_qp"
+
+
+def test_comfort_is_never_excused_and_progress_only_by_the_replay() -> None:
+    def judged(metric: str, *rows: dict[str, object]) -> Outcome:
+        mine = [
+            each | {"metric": metric} for each in (row("a", 0.1), reference("driver", 0.0), reference("careful", 0))
+        ]
+        return verdict(Gate(metric, min=0.5), table(*mine, *rows)).outcome
+
+    assert judged("lon_accel.min", CONTACT) is FAIL
+    assert judged("completed.final") is FAIL
+    assert judged("completed.final", CONTACT) is INCONCLUSIVE
+
+
+def test_a_goal_is_asked_for_where_a_reference_driver_reaches_it() -> None:
+    gate = Gate("goal.final", min=1, reachable=True)
+
+    def judged(value: float, **references: float) -> Outcome:
+        rows = [reference(planner, reached, metric="goal.final") for planner, reached in references.items()]
+        return verdict(gate, table(row("a", value, metric="goal.final"), *rows)).outcome
+
+    assert judged(0.0, driver=1.0, careful=0.0) is FAIL
+    assert judged(0.0, driver=0.0, careful=1.0) is FAIL
+    assert judged(0.0, driver=0.0, careful=0.0) is INCONCLUSIVE
+    assert judged(0.0) is INCONCLUSIVE
+    assert judged(1.0) is PASS
+
+
+def test_what_each_log_says_is_a_table() -> None:
+    found = outcomes(verdicts(AT_LEAST, table(row("a", 0.7), row("b", 0.1), row("c", np.nan))))
+    assert found[["log", "outcome", "reason"]].values.tolist() == [
+        ["a", "pass", "car 7"], ["b", "fail", "car 7"], ["c", "inconclusive", "nobody there"],
+    ]  # fmt: skip
+    assert worst([Outcome(o) for o in found["outcome"]]) is FAIL
+    assert worst([PASS, INCONCLUSIVE]) is INCONCLUSIVE
+    assert worst([]) is INCONCLUSIVE
 
 
 def test_tags_select_logs() -> None:
@@ -205,6 +303,8 @@ def test_a_file_is_read(tmp_path: Path) -> None:
         ('[[gate]]\nmetric = "gap.min"\nmin = 0\nmode = "close"\n', "mode is 'close'"),
         ('[[gate]]\nmetric = "gap.min"\nmin = 0\nover = "best"\n', "over is 'best'"),
         ('[[gate]]\nmetric = "gap.min"\nmin = 0\nmin_logs = 0\n', "nothing to judge is no pass"),
+        ('[[gate]]\nmetric = "gap.min"\nmin = 0\nmax_missing = 1.0\n', "not a share of at least 0 and below 1"),
+        ('[[gate]]\nmetric = "gap.min"\nmin = 0\nbroken = "pass"\n', "broken is 'pass'"),
         ('[[gate]]\nmetric = "gap.min"\nmin = 0\ntags = "rain"\n', "tags = 'rain' must be list"),
         ('[[gate]]\nmetric = "gap.min"\nmin = 0\ntags = [1]\n', "tags must be words"),
         ('[[gate]]\nmetric = "gap.min"\nmin = 0\noptional = 1\n', "optional = 1 must be bool"),

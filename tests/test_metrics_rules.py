@@ -14,7 +14,8 @@ from hypothesis import strategies as st
 
 from logs import AgentKind, Colour, Crosswalk, Lane, Road, Scenario, StopLine, Trace, TrafficLight, Trajectory
 from metrics import METRICS, evaluate, series
-from metrics.gates import Gate, Gates, Outcome, judge, load_gates
+from metrics.gates import Gate, Gates, Outcome, load_gates
+from metrics.judge import judge
 
 LINE_X = 50.0
 PED, CAR = AgentKind.PEDESTRIAN, AgentKind.CAR

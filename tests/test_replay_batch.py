@@ -21,7 +21,8 @@ from hypothesis import strategies as st
 
 from logs import ConfigError, Goal, PlannerError, Scenario
 from logs.mcap import read_scenario, write_scenario
-from metrics.gates import Gate, Outcome, Verdict
+from metrics.gates import Gate, Outcome
+from metrics.judge import Verdict
 from replay.batch import RunResult, evaluate_logs
 from replay.batch.one_log import Failure
 from replay.batch.pool import WorkerLost, run_all

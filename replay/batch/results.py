@@ -1,6 +1,7 @@
 """The tables and files of a run, and the folder that they are in.
 
     OUT/metrics.parquet, .csv   one row per log, planner, mode and metric reduction     the same for the same inputs
+    OUT/verdicts.parquet        one row per gate, log, planner and mode: what this log says    likewise
     OUT/timings.parquet         log, planner, mode, t_s, stage, seconds                 not the same twice
     OUT/summary.json            outcome, gates, drives, failures
     OUT/run.toml                the resolved configuration
@@ -36,7 +37,7 @@ SCHEMA_VERSION = 1
 PARTIAL = ".partial-"
 """Names of what is being written begin with this."""
 
-TABLES = ("metrics.parquet", "metrics.csv", "timings.parquet", "summary.json", "run.toml")
+TABLES = ("metrics.parquet", "metrics.csv", "verdicts.parquet", "timings.parquet", "summary.json", "run.toml")
 KEYS = ["log", "planner", "mode", "metric"]
 TIMING_COLUMNS = ["log", "planner", "mode", "t_s", "stage", "seconds"]
 

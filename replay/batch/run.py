@@ -16,7 +16,8 @@ import pandas as pd
 
 from logs.errors import ConfigError, PlannerError, unknown_name
 from metrics import COLUMNS
-from metrics.gates import Outcome, Verdict, judge, load_gates
+from metrics.gates import Outcome, load_gates
+from metrics.judge import Verdict, judge, outcomes
 from planners import PLANNERS
 from replay.batch.log_result import DriveRecord, Failure, LogResult
 from replay.batch.one_log import all_metrics, evaluate_log
@@ -243,6 +244,7 @@ def _renamed(result: LogResult) -> LogResult:
 
 def _write(result: RunResult) -> None:
     write_metrics(result.out, result.table)
+    write_parquet(result.out / "verdicts.parquet", outcomes(result.verdicts))
     write_parquet(result.out / "timings.parquet", result.timings)
     write_json(result.out / "summary.json", summary(result))
 
@@ -256,7 +258,7 @@ def summary(result: RunResult) -> dict[str, Any]:
         "exit_code": result.exit_code,
         "logs_left_out": list(result.selection.dropped),
         "logs": [_log_summary(log) for log in result.logs],
-        "gates": [_no_nan(asdict(verdict)) for verdict in result.verdicts],
+        "gates": [_verdict_summary(verdict) for verdict in result.verdicts],
         "failures": [asdict(failure) for failure in result.failures],
     }
 
@@ -274,6 +276,11 @@ def _log_summary(log: LogResult) -> dict[str, Any]:
         "notes": log.notes,
         "drives": [asdict(drive) for drive in log.drives],
     }
+
+
+def _verdict_summary(verdict: Verdict) -> dict[str, Any]:
+    """All but what each log says: that is in verdicts.parquet."""
+    return _no_nan({key: value for key, value in asdict(verdict).items() if key != "logs"})
 
 
 def _no_nan(record: dict[str, Any]) -> dict[str, Any]:

@@ -19,7 +19,8 @@ from rich.table import Table
 from rich.text import Text
 
 from logs.trace import EndReason
-from metrics.gates import Outcome, Verdict
+from metrics.gates import Outcome
+from metrics.judge import Verdict
 from replay.batch import OUTCOMES, RunResult
 from replay.batch.log_result import DriveRecord, LogResult
 

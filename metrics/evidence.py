@@ -1,0 +1,37 @@
+"""What a drive can be evidence of: how much was driven, and whether the replay ended it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from logs.scenario import Scenario
+from logs.trace import EndReason, Mode, Trace
+from metrics.metric import FINAL, Measured, Metric, Series
+
+
+def _coverage(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
+    start, end = float(scenario.ego.t[0]), trace.ego.t[-1:]
+    last = scenario.duration if trace.mode is Mode.CLOSED else float(scenario.ego.t[-1])
+    return {
+        "log_s": Series(end, np.array([last - start])),
+        "driven_s": Series(end, end - start),
+    }
+
+
+def _replay_contact(trace: Trace, scenario: Scenario) -> Measured:
+    ran = trace.end is EndReason.REPLAY_CONTACT
+    return Series(trace.ego.t[-1:], np.array([float(ran)]), (trace.detail if ran else "",))
+
+
+COVERAGE = Metric(
+    "coverage", "s", "higher", (Mode.OPEN, Mode.CLOSED), _coverage, (FINAL,),
+    "Time that the log lasts from the ego's first state on (log_s; open loop: as long as the log has an ego), and that"
+    " was driven or planned (driven_s).",
+    parts=("log_s", "driven_s"),
+)  # fmt: skip
+REPLAY_CONTACT = Metric(
+    "replay_contact", "1", "lower", (Mode.CLOSED,), _replay_contact, (FINAL,),
+    "1 if a replayed road user ran into the ego without its fault and so ended the drive.",
+)  # fmt: skip

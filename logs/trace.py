@@ -28,6 +28,7 @@ class PlanStatus(Enum):
     """How a plan came about; the value is the sentence that the user reads."""
 
     PLANNED = "planned"
+    CORRECTED = "planned; columns that contradicted its positions were computed anew from them"
     PREVIOUS = "a stage failed: the previous plan goes on"
     COMFORTABLE_STOP = "a stage failed: comfortable stop along the last path"
     HARD_STOP = "a stage failed: hard stop along the last path"
@@ -36,7 +37,7 @@ class PlanStatus(Enum):
     @property
     def is_fallback(self) -> bool:
         """Whether the planner could not plan."""
-        return self is not PlanStatus.PLANNED
+        return self not in (PlanStatus.PLANNED, PlanStatus.CORRECTED)
 
 
 class PlanStart(Enum):

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 
 import numpy as np
 
 from logs.scenario import Scenario
-from logs.trace import EndReason, Mode, Trace
-from metrics.metric import FINAL, Measured, Metric, Series
+from logs.trace import EndReason, Mode, PlanStatus, Trace
+from metrics.metric import FINAL, RATE, Measured, Metric, Series, Unavailable
+from metrics.plans import frame_times
 
 
 def _coverage(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
@@ -25,6 +27,14 @@ def _replay_contact(trace: Trace, scenario: Scenario) -> Measured:
     return Series(trace.ego.t[-1:], np.array([float(ran)]), (trace.detail if ran else "",))
 
 
+def _with_status(status: PlanStatus, trace: Trace, scenario: Scenario) -> Measured:
+    if not trace.frames:
+        return Unavailable("the drive has no plans")
+    plans = [frame.plan for frame in trace.frames]
+    flags = np.array([float(plan.status is status) for plan in plans])
+    return Series(frame_times(trace), flags, tuple(p.reason if p.status is status else "" for p in plans))
+
+
 COVERAGE = Metric(
     "coverage", "s", "higher", (Mode.OPEN, Mode.CLOSED), _coverage, (FINAL,),
     "Time that the log lasts from the ego's first state on (log_s; open loop: as long as the log has an ego), and that"
@@ -34,4 +44,12 @@ COVERAGE = Metric(
 REPLAY_CONTACT = Metric(
     "replay_contact", "1", "lower", (Mode.CLOSED,), _replay_contact, (FINAL,),
     "1 if a replayed road user ran into the ego without its fault and so ended the drive.",
+)  # fmt: skip
+PLAN_REFUSED = Metric(
+    "plan_refused", "1", "lower", (Mode.OPEN, Mode.CLOSED), partial(_with_status, PlanStatus.REFUSED), (RATE,),
+    "Share of the frames whose plan does not start at the ego, or is impossible for a road car: it is not driven.",
+)  # fmt: skip
+PLAN_CORRECTED = Metric(
+    "plan_corrected", "1", "lower", (Mode.OPEN, Mode.CLOSED), partial(_with_status, PlanStatus.CORRECTED), (RATE,),
+    "Share of the frames whose plan says another speed, heading, curvature or acceleration than its positions have.",
 )  # fmt: skip

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Mapping
+from dataclasses import replace
 from math import cos, hypot, sin
 from pathlib import Path
 from traceback import extract_tb
@@ -12,7 +13,7 @@ import numpy as np
 
 from logs.errors import ConfigError, PlannerError, ReplanError
 from logs.frame import Frame, PlannerContext
-from logs.road import Goal
+from logs.road import Goal, Road
 from logs.scenario import Scenario
 from logs.shapes import corners
 from logs.states import EgoState
@@ -21,6 +22,7 @@ from planners import load_planner
 from planners.base import Planner
 from replay.drive import LoopConfig, StageTime
 from replay.oracle import ORACLES
+from replay.plan_check import checked
 from replay.stopwatch import Stopwatch
 
 SHORTEST_DRIVE_M = 10.0
@@ -59,7 +61,7 @@ class Planning:
         self._name = f"planner '{spec}' on {scenario.name}"
         self._watch = Stopwatch()
         period = config.plan_period_ns / 1e9
-        context = PlannerContext(scenario.road, goal, scenario.vehicle, period, start, self._watch.lap)
+        context = PlannerContext(_own(scenario.road), goal, scenario.vehicle, period, start, self._watch.lap)
         self._planner = self._built(spec, context, scenario, planner_config)
 
     def _built(
@@ -79,7 +81,7 @@ class Planning:
             raise PlannerError(f"{self._name} cannot be built: {_said(error)}") from error
 
     def plan(self, frame: Frame) -> Plan:
-        """The plan for a frame.
+        """The plan for a frame, as it may be driven and judged (`replay.plan_check`).
 
         Raises:
             PlannerError: The planner raised, or answered with what is no plan.
@@ -94,7 +96,12 @@ class Planning:
         fault = _fault(plan, frame)
         if fault:
             raise PlannerError(f"{self._name} broke its contract at {frame.t:.2f} s: {fault}")
-        return plan
+        return plan if self.is_oracle else checked(plan, frame)
+
+
+def _own(road: Road) -> Road:
+    """The road in objects of the planner's own: what one drive's planner keeps is not what the next one is given."""
+    return replace(road, lanes={i: replace(lane) for i, lane in road.lanes.items()})
 
 
 def _fault(plan: object, frame: Frame) -> str:

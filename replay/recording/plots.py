@@ -307,6 +307,7 @@ def state_lanes(trace: Trace, road: Road) -> list[Lane]:
 
 STATUS_WORDS = {
     PlanStatus.PLANNED: "planned",
+    PlanStatus.CORRECTED: "plan corrected",
     PlanStatus.PREVIOUS: "previous plan",
     PlanStatus.COMFORTABLE_STOP: "comfortable stop",
     PlanStatus.HARD_STOP: "hard stop",

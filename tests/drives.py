@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from logs import (
     Trace,
     Tracks,
     Trajectory,
+    transform,
 )
 
 Agent = tuple[str, AgentKind, Sequence[float], Callable[[np.ndarray], tuple[np.ndarray, np.ndarray, np.ndarray]]]
@@ -99,42 +99,8 @@ def controls(t: np.ndarray, throttle: np.ndarray, brake: np.ndarray, steer: np.n
 
 def moved(world: Scenario, turn: float, dx: float, dy: float, *, mirror: bool = False) -> Scenario:
     """The whole scene mirrored at the x axis (driving side too), then turned about the origin, then shifted."""
-    sign = -1.0 if mirror else 1.0
-    c, s = np.cos(turn), np.sin(turn)
-
-    def place(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return c * x - s * sign * y + dx, s * x + c * sign * y + dy
-
-    def lane(old: Lane) -> Lane:
-        left, right = (np.column_stack(place(*side.T)) for side in (old.left, old.right))
-        if mirror:
-            return replace(
-                old, left=right, right=left, left_neighbour=old.right_neighbour, right_neighbour=old.left_neighbour
-            )
-        return replace(old, left=left, right=right)
-
-    old = world.tracks
-    x, y = place(old.x, old.y)
-    vx, vy = place(old.vx, old.vy)
-    road = replace(
-        world.road,
-        lanes={i: lane(strip) for i, strip in world.road.lanes.items()},
-        drives_on_right=world.road.drives_on_right != mirror,
-        stop_lines=tuple(
-            replace(line, points=np.column_stack(place(*line.points.T))) for line in world.road.stop_lines
-        ),
-    )
-    others = replace(old, x=x, y=y, yaw=sign * old.yaw + turn, vx=vx - dx, vy=vy - dy)
-    return replace(world, ego=moved_ego(world.ego, turn, dx, dy, mirror=mirror), tracks=others, road=road)
+    return transform.moved(transform.mirrored(world) if mirror else world, dx, dy, turn)
 
 
 def moved_ego(ego: Trajectory, turn: float, dx: float, dy: float, *, mirror: bool = False) -> Trajectory:
-    sign = -1.0 if mirror else 1.0
-    c, s = np.cos(turn), np.sin(turn)
-    return replace(
-        ego,
-        x=c * ego.x - s * sign * ego.y + dx,
-        y=s * ego.x + c * sign * ego.y + dy,
-        yaw=sign * ego.yaw + turn,
-        kappa=sign * ego.kappa,
-    )
+    return transform.moved_trajectory(transform.mirrored_trajectory(ego) if mirror else ego, dx, dy, turn)

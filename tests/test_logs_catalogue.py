@@ -26,12 +26,13 @@ from logs import (
     TrafficLight,
     Trajectory,
 )
-from logs.catalogue import CATALOGUE, mirrored, moved
+from logs.catalogue import CATALOGUE
 from logs.catalogue.driver import MAX_ACCEL, MAX_BRAKE, MAX_JERK, Ahead, drive
 from logs.catalogue.family import touches
 from logs.catalogue.pedestrians import Leg, strolled
 from logs.catalogue.roads import curve, weaving
 from logs.shapes import distance
+from logs.transform import mirrored, moved
 
 SCENARIOS = {name: family.scenario() for name, family in CATALOGUE.items()}
 everywhere = pytest.mark.parametrize("name", list(CATALOGUE))

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from drives import along, drive, grid, moved_ego, moving, scenario, tracks
+from drives import along, drive, grid, moved, moved_ego, moving, scenario, tracks
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -268,31 +268,9 @@ def everything() -> Scenario:
 @given(st.floats(-3.0, 3.0), st.floats(-50.0, 50.0), st.booleans())
 def test_turned_shifted_and_mirrored_the_answers_are_the_same(turn: float, dx: float, mirror: bool) -> None:
     log = everything()
-    there = placed(log, turn, dx, mirror=mirror)
+    there = moved(log, turn, dx, -dx, mirror=mirror)
     one, two = rows(log), rows(there, drive(there, moved_ego(log.ego, turn, dx, -dx, mirror=mirror)))
     assert one.value[list(NAMES)].tolist() == two.value[list(NAMES)].tolist() == [1.0, 1.0, 1.0, 1.0]
-
-
-def placed(log: Scenario, turn: float, dx: float, *, mirror: bool) -> Scenario:
-    """The scene mirrored at the x axis, then turned, then shifted by (dx, -dx)."""
-    sign = -1.0 if mirror else 1.0
-    c, s = np.cos(turn), np.sin(turn)
-
-    def at(points: np.ndarray) -> np.ndarray:
-        x, y = points[:, 0], sign * points[:, 1]
-        return np.column_stack([c * x - s * y + dx, s * x + c * y - dx])
-
-    lanes = {
-        i: replace(each, left=at(each.right if mirror else each.left), right=at(each.left if mirror else each.right))
-        for i, each in log.road.lanes.items()
-    }
-    lines = tuple(replace(each, points=at(each.points)) for each in log.road.stop_lines)
-    walks = tuple(replace(each, polygon=at(each.polygon)) for each in log.road.crosswalks)
-    old = log.tracks
-    where = at(np.column_stack([old.x, old.y]))
-    others = replace(old, x=where[:, 0], y=where[:, 1], yaw=sign * old.yaw + turn)
-    ego = moved_ego(log.ego, turn, dx, -dx, mirror=mirror)
-    return replace(log, ego=ego, tracks=others, road=Road(lanes, stop_lines=lines, crosswalks=walks))
 
 
 def test_the_series_counts_where_the_table_says() -> None:

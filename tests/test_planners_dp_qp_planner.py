@@ -30,8 +30,9 @@ from logs import (
     StGraph,
     Tracks,
 )
-from logs.catalogue import CATALOGUE, mirrored, moved
+from logs.catalogue import CATALOGUE
 from logs.states import TRAJECTORY_COLUMNS, wrapped
+from logs.transform import mirrored, moved
 from planners.base import Planner
 from planners.dp_qp import DpQp
 from planners.dp_qp.fallback import meets

@@ -26,7 +26,8 @@ from worlds import (
 )
 
 from logs import AgentKind, DecisionKind, EgoState, Goal, PlannerContext, PlanStart, Road, StGraph, Trajectory
-from logs.catalogue import CATALOGUE, mirrored
+from logs.catalogue import CATALOGUE
+from logs.transform import mirrored
 from planners.idm import Idm, IdmConfig, idm_acceleration
 from replay.drive import LoopConfig
 from replay.perception import perceive

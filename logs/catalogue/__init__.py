@@ -2,11 +2,10 @@
 
 from logs.catalogue import everyday, paper, pedestrians, rules
 from logs.catalogue.family import Family
-from logs.catalogue.mirror import mirrored, moved
 
 CATALOGUE: dict[str, Family] = {
     family.name: family for family in (*paper.FAMILIES, *everyday.FAMILIES, *rules.FAMILIES, *pedestrians.FAMILIES)
 }
 """Families by name, in the order in which they are listed."""
 
-__all__ = ["CATALOGUE", "Family", "mirrored", "moved"]
+__all__ = ["CATALOGUE", "Family"]

@@ -1,0 +1,174 @@
+"""A scenario in another world that should not matter: turned, shifted, reflected, its clock set, 1e-9 on everything.
+
+(1) p' = R(dyaw) p + d       of every point of the log; velocities p_dot' = R(dyaw) p_dot, headings yaw' = yaw + dyaw
+(2) (x, y)' = (x, -y)        yaw' = -yaw, kappa' = -kappa, steer' = -steer; left and right change places
+
+Points are what the log's own file would show, so `Scenario.origin` turns and flips with them but is not shifted by d.
+Laws of planners and metrics are tested with these, and `replay.experiments.invariance` drives under them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from math import cos, sin
+
+import numpy as np
+
+from logs.kernel import FloatArray
+from logs.road import Goal, Lane, Road
+from logs.scenario import Scenario, Tracks
+from logs.states import Controls, Trajectory
+
+MIRRORED = "~mirrored"
+_FLIP = np.array([1.0, -1.0])
+_Points = Callable[[FloatArray], FloatArray]
+
+
+def moved(scenario: Scenario, dx: float, dy: float, dyaw: float) -> Scenario:
+    """The scenario turned by `dyaw` (rad) about (0, 0), then shifted by (dx, dy) m: a rigid motion (1) of the world."""
+    turn = _turn(dyaw)
+    ego, tracks, goal = scenario.ego, scenario.tracks, scenario.goal
+    if goal is not None and goal.yaw is not None:
+        goal = replace(goal, yaw=(goal.yaw[0] + dyaw, goal.yaw[1] + dyaw))
+    vx, vy = (np.column_stack([tracks.vx, tracks.vy]) @ turn).T
+    x, y = np.array(scenario.origin) @ turn
+    turned = replace(
+        scenario,
+        ego=replace(ego, yaw=ego.yaw + dyaw),
+        tracks=replace(tracks, yaw=tracks.yaw + dyaw, vx=vx, vy=vy),
+        goal=goal,
+        origin=(float(x), float(y)),
+    )
+    return _placed(turned, lambda points: points @ turn + np.array([dx, dy]))
+
+
+def rotated(scenario: Scenario, angle: float, about: tuple[float, float] = (0.0, 0.0)) -> Scenario:
+    """The scenario turned counter-clockwise by `angle` (rad) about a point, m."""
+    dx, dy = np.array(about) - np.array(about) @ _turn(angle)
+    return moved(scenario, float(dx), float(dy), angle)
+
+
+def shifted_clock(scenario: Scenario, ns: int) -> Scenario:
+    """The scenario as if the clock of the log had been set forward by `ns` nanoseconds."""
+    return replace(scenario, start_ns=scenario.start_ns + ns)
+
+
+def jittered(scenario: Scenario, size: float, seed: int = 0) -> Scenario:
+    """The scenario with independent errors, uniform in +-`size`, on everything that was measured.
+
+    On each coordinate (m) of ego, others, lanes, stop lines, crosswalks and goal, and on speeds (m/s), accelerations
+    (m/s2), headings (rad) and curvatures (1/m). For sizes like 1e-9, which no decision should depend on; lanes that
+    share a boundary no longer share it exactly.
+    """
+    rng = np.random.default_rng(seed)
+
+    def off(values: FloatArray) -> FloatArray:
+        return np.asarray(values + rng.uniform(-size, size, np.shape(values)))
+
+    ego, tracks = scenario.ego, scenario.tracks
+    noisy = replace(
+        scenario,
+        ego=replace(ego, yaw=off(ego.yaw), v=off(ego.v), a=off(ego.a), kappa=off(ego.kappa)),
+        tracks=replace(tracks, yaw=off(tracks.yaw), vx=off(tracks.vx), vy=off(tracks.vy)),
+    )
+    return _placed(noisy, off)
+
+
+def mirrored(scenario: Scenario) -> Scenario:
+    """The scenario reflected at the x axis (2), driving side included; twice is the scenario itself.
+
+    Left and right change places everywhere: yaw, curvature and steering change their signs, boundaries, neighbours and
+    markings swap, so do the ends of stop lines, and the words "nudge left" and "nudge right" in the expected decisions.
+    Sizes, times, speeds, who yields to whom, lights, and the name but for its ending stay.
+    """
+    goal, controls, name = scenario.goal, scenario.controls, scenario.name
+    metadata = dict(scenario.metadata)
+    if "expected_decisions" in metadata:
+        metadata["expected_decisions"] = _swapped(metadata["expected_decisions"])
+    return replace(
+        scenario,
+        name=name.removesuffix(MIRRORED) if name.endswith(MIRRORED) else name + MIRRORED,
+        ego=mirrored_trajectory(scenario.ego),
+        tracks=_mirrored_tracks(scenario.tracks),
+        road=_mirrored_road(scenario.road),
+        goal=None if goal is None else _mirrored_goal(goal),
+        controls=None if controls is None else Controls(controls.t, -controls.steer, controls.throttle, controls.brake),
+        origin=(scenario.origin[0], -scenario.origin[1]),
+        metadata=metadata,
+    )
+
+
+def moved_trajectory(ego: Trajectory, dx: float, dy: float, dyaw: float) -> Trajectory:
+    """A trajectory under (1)."""
+    x, y = (np.column_stack([ego.x, ego.y]) @ _turn(dyaw) + np.array([dx, dy])).T
+    return replace(ego, x=x, y=y, yaw=ego.yaw + dyaw)
+
+
+def mirrored_trajectory(ego: Trajectory) -> Trajectory:
+    """A trajectory under (2)."""
+    return replace(ego, y=-ego.y, yaw=-ego.yaw, kappa=-ego.kappa)
+
+
+def _turn(angle: float) -> FloatArray:
+    """R(angle) `(2, 2)`, to be multiplied from the right."""
+    c, s = cos(angle), sin(angle)
+    return np.array([[c, s], [-s, c]])
+
+
+def _placed(scenario: Scenario, points: _Points) -> Scenario:
+    """The scenario with all its points `(k, 2)` elsewhere, and nothing else changed."""
+    ego, tracks, road, goal = scenario.ego, scenario.tracks, scenario.road, scenario.goal
+    ego_x, ego_y = points(np.column_stack([ego.x, ego.y])).T
+    x, y = points(np.column_stack([tracks.x, tracks.y])).T
+    return replace(
+        scenario,
+        ego=replace(ego, x=ego_x, y=ego_y),
+        tracks=replace(tracks, x=x, y=y),
+        road=replace(
+            road,
+            lanes={
+                i: replace(lane, left=points(lane.left), right=points(lane.right)) for i, lane in road.lanes.items()
+            },
+            stop_lines=tuple(replace(line, points=points(line.points)) for line in road.stop_lines),
+            crosswalks=tuple(replace(each, polygon=points(each.polygon)) for each in road.crosswalks),
+        ),
+        goal=None if goal is None else replace(goal, regions=tuple(points(region) for region in goal.regions)),
+    )
+
+
+def _swapped(text: str) -> str:
+    return text.replace("nudge left", "nudge\0").replace("nudge right", "nudge left").replace("nudge\0", "nudge right")
+
+
+def _mirrored_tracks(tracks: Tracks) -> Tracks:
+    return replace(tracks, y=-tracks.y, yaw=-tracks.yaw, vy=-tracks.vy)
+
+
+def _mirrored_road(road: Road) -> Road:
+    return replace(
+        road,
+        lanes={lane.id: _mirrored_lane(lane) for lane in road.lanes.values()},
+        drives_on_right=not road.drives_on_right,
+        stop_lines=tuple(replace(line, points=line.points[::-1] * _FLIP) for line in road.stop_lines),
+        crosswalks=tuple(replace(each, polygon=each.polygon[::-1] * _FLIP) for each in road.crosswalks),
+    )
+
+
+def _mirrored_lane(lane: Lane) -> Lane:
+    return replace(
+        lane,
+        left=lane.right * _FLIP,
+        right=lane.left * _FLIP,
+        left_neighbour=lane.right_neighbour,
+        right_neighbour=lane.left_neighbour,
+        left_opposite=lane.right_opposite,
+        right_opposite=lane.left_opposite,
+        left_crossable=lane.right_crossable,
+        right_crossable=lane.left_crossable,
+    )
+
+
+def _mirrored_goal(goal: Goal) -> Goal:
+    yaw = None if goal.yaw is None else (-goal.yaw[1], -goal.yaw[0])
+    return replace(goal, regions=tuple(region[::-1] * _FLIP for region in goal.regions), yaw=yaw)

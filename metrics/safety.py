@@ -33,8 +33,9 @@ import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.road import RoadSource
-from logs.scenario import AgentKind, Scenario
+from logs.scenario import AgentKind, Scenario, Tracks
 from logs.shapes import corners, distance, overlap, time_to_contact
+from logs.states import Trajectory
 from logs.trace import Mode, Trace
 from metrics.lanes import drivable_lanes, keeps_lane, off_lanes
 from metrics.metric import COUNT, HAVING, MAX, MIN, Measured, Metric, Series, Unavailable, time_above, time_below
@@ -71,30 +72,38 @@ class Contact:
 
 def contacts(trace: Trace, scenario: Scenario) -> tuple[Contact, ...]:
     """The collisions of a drive in order of time."""
-    ego, others = ego_boxes(trace.ego, scenario), others_at(trace.agents, trace.ego.t)
+    return classify(trace.ego, trace.agents, scenario)
+
+
+def classify(drive: Trajectory, agents: Tracks, scenario: Scenario) -> tuple[Contact, ...]:
+    """The collisions of a drive, or of a piece of it, among the agents as they moved, in order of time.
+
+    Touches at the first state are FROM_START; a piece begins at the drive's start, or where nobody is touched.
+    """
+    ego, others = ego_boxes(drive, scenario), others_at(agents, drive.t)
     vehicle = scenario.vehicle
     first = _first_contacts(ego, vehicle.length, vehicle.width, others.there, others.pose, others.size)
     steps = sorted((int(step), agent) for agent, step in enumerate(first) if step >= 0)
-    return tuple(_contact(step, agent, trace, scenario, others, ego) for step, agent in steps)
+    found = []
+    for step, agent in steps:
+        kind = _kind(step, agent, drive, agents, scenario, others)
+        fault = kind in (ContactKind.STOPPED_TRACK, ContactKind.ACTIVE_FRONT)
+        if kind is ContactKind.LATERAL:
+            x, y, yaw = ego[:3, step]
+            outline = corners(x, y, yaw, vehicle.length, vehicle.width)
+            fault = not keeps_lane(scenario.road, float(x), float(y), outline)
+        found.append(Contact(step, agent, kind, fault))
+    return tuple(found)
 
 
-def _contact(step: int, agent: int, trace: Trace, scenario: Scenario, others: Others, ego: FloatArray) -> Contact:
-    kind = _kind(step, agent, trace, scenario, others)
-    if kind is ContactKind.LATERAL:
-        x, y, yaw = ego[:3, step]
-        outline = corners(x, y, yaw, scenario.vehicle.length, scenario.vehicle.width)
-        return Contact(step, agent, kind, not keeps_lane(scenario.road, float(x), float(y), outline))
-    return Contact(step, agent, kind, kind in (ContactKind.STOPPED_TRACK, ContactKind.ACTIVE_FRONT))
-
-
-def _kind(step: int, agent: int, trace: Trace, scenario: Scenario, others: Others) -> ContactKind:
-    ego, vehicle = trace.ego.state(step), scenario.vehicle
+def _kind(step: int, agent: int, drive: Trajectory, agents: Tracks, scenario: Scenario, others: Others) -> ContactKind:
+    ego, vehicle = drive.state(step), scenario.vehicle
     x, y, yaw, vx, vy = others.pose[:, agent, step]
     if step == 0 or not others.there[agent, step - 1]:
         return ContactKind.FROM_START
     if abs(ego.v) <= STANDING_MPS:
         return ContactKind.STOPPED_EGO
-    if trace.agents.kinds[agent] is AgentKind.OBJECT or hypot(vx, vy) <= STANDING_MPS:
+    if agents.kinds[agent] is AgentKind.OBJECT or hypot(vx, vy) <= STANDING_MPS:
         return ContactKind.STOPPED_TRACK
     if _behind(ego.x, ego.y, ego.yaw, x, y):
         return ContactKind.ACTIVE_REAR

@@ -1,14 +1,23 @@
-"""Why a closed loop ends: goal, collision, off the road; the log's end and the planner's failure are the loop's own."""
+"""Why a closed loop ends: goal, collision, off the road; the log's end and the planner's failure are the loop's own.
+
+Whether a touch is the ego's collision, or the replay ran into it, is said by the metrics' rule of fault
+(`metrics.safety.classify`); where several are touched at once, one fault makes it a collision.
+"""
 
 from __future__ import annotations
 
 from math import inf
 
+import numpy as np
+
 from logs.kernel import FloatArray, kernel
 from logs.road import Goal, Lane, Road, RoadSource, inside
 from logs.scenario import Scenario
 from logs.shapes import point_segment
+from logs.states import TRAJECTORY_COLUMNS, Trajectory
 from logs.trace import EndReason
+from metrics.others import name_of
+from metrics.safety import Contact, classify
 from replay.world import World, box_center, contact
 
 CRACK_M = 0.5
@@ -51,20 +60,24 @@ class Ending:
     Args:
         scenario: What is driven.
         goal: Where the drive should end (the scenario's own, or one made for it); None: nowhere.
-        start: The world at the start, so that it is known whether the ego begins on the road.
+        start: The world at the start, so that it is known whether the ego begins on the road, and touches anybody.
     """
 
     def __init__(self, scenario: Scenario, goal: Goal | None, start: World) -> None:
-        self._vehicle = scenario.vehicle
+        self._scenario, self._vehicle, self._before = scenario, scenario.vehicle, start.ego
         self._goal = goal if goal is not None and _asks(goal) else None
         self._watch = RoadWatch(scenario.road)
         self._watch.metres_off(*box_center(start.ego, self._vehicle))
 
     def of(self, world: World) -> tuple[EndReason, str] | None:
         """The reason and its detail, or None while the drive goes on; a collision comes before the rest."""
-        hit = contact(world, self._vehicle)
-        if hit >= 0:
-            return EndReason.COLLISION, f"{world.tracks.kinds[hit].value} {world.tracks.ids[hit]}"
+        touched = self._touched(world)
+        if touched:
+            worst = max(touched, key=lambda found: found.at_fault)
+            name = name_of(world.tracks, worst.agent)
+            if worst.at_fault:
+                return EndReason.COLLISION, name
+            return EndReason.REPLAY_CONTACT, f"{name}: {worst.kind.value}"
         ego = world.ego
         x, y = box_center(ego, self._vehicle)
         if self._goal is not None and self._goal.reached(ego.t, x, y, ego.yaw, ego.v):
@@ -73,6 +86,15 @@ class Ending:
         if off > CRACK_M:
             return EndReason.OFF_ROAD, f"box centre {off:.1f} m off the lanes at ({x:.1f}, {y:.1f})"
         return None
+
+    def _touched(self, world: World) -> tuple[Contact, ...]:
+        """The touches of the step that led to this world: none before it, but for those at the start."""
+        before, self._before = self._before, world.ego
+        if contact(world, self._vehicle) < 0:
+            return ()
+        states = (before, world.ego)
+        columns = (np.array([getattr(state, name) for state in states]) for name in TRAJECTORY_COLUMNS)
+        return classify(Trajectory(*columns), world.tracks, self._scenario)
 
 
 def _asks(goal: Goal) -> bool:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import fields, replace
+from pathlib import Path
 from types import ModuleType
 
 import numpy as np
@@ -34,7 +35,9 @@ from logs import (
     Trajectory,
     VehicleParameters,
 )
+from logs.convert.commonroad import read_commonroad
 from logs.shapes import overlap
+from metrics.safety import contacts
 from planners.constant_speed import ConstantSpeed
 from replay.closed_loop import run_closed_loop
 from replay.drive import Drive, LoopConfig
@@ -42,6 +45,7 @@ from replay.open_loop import frame_times, run_open_loop
 from replay.stopwatch import Stopwatch
 from replay.world import World, box_center, contact, logged_ego
 
+BY_TIME = LoopConfig(traffic="time")
 Run = Callable[..., Drive]
 RUNS = (run_open_loop, run_closed_loop)
 CAR = VehicleParameters()
@@ -227,12 +231,43 @@ def test_collision_ends_at_the_touch_and_names_the_agent() -> None:
     assert trace.ego.x[-1] + CAR.axle_to_front == pytest.approx(50.0 - 0.3, abs=0.11)
 
 
-def test_a_collision_that_is_not_the_egos_fault_ends_the_drive_too() -> None:
+def test_where_a_replayed_car_runs_into_the_ego_the_replay_ends_the_drive() -> None:
     """The log's car does not see an ego that is slower than the log's was."""
     log = drive(straight, 10.0, 8.0)
     behind = track("3", log.t, log.x - 12.0 + 4.0 * log.t, log.y)
-    trace = run_closed_loop(lasting(log, 8.0, agents=tracks(behind)), "constant_speed").trace
-    assert (trace.end, trace.detail) == (EndReason.COLLISION, "car 3")
+    there = track("4", [0.0], [2.0], [0.0], static=True)
+    for who, detail in ((behind, "car 3: from behind"), (there, "car 4: appeared where the ego was")):
+        trace = run_closed_loop(lasting(log, 8.0, agents=tracks(who)), "constant_speed", config=BY_TIME).trace
+        assert (trace.end, trace.detail) == (EndReason.REPLAY_CONTACT, detail)
+
+
+def test_one_fault_among_several_touches_is_a_collision() -> None:
+    log = drive(straight, 10.0, 8.0)
+    meet, rear = 5.005, CAR.length - CAR.axle_to_front
+    slow = track("slow", log.t, CAR.axle_to_front + 2.25 + 6.0 * meet + 4.0 * log.t, log.y)
+    fast = track("fast", log.t, -rear - 2.25 - 2.0 * meet + 12.0 * log.t, log.y)
+    trace = run_closed_loop(lasting(log, 8.0, agents=tracks(fast, slow)), "constant_speed", config=BY_TIME).trace
+    kinds = {(trace.agents.ids[found.agent], found.at_fault) for found in contacts(trace, lasting(log, 8.0))}
+    assert (trace.end, trace.detail) == (EndReason.COLLISION, "car slow")
+    assert kinds == {("slow", True), ("fast", False)}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("traffic", ["time", "reactive"])
+def test_on_recorded_logs_the_end_and_the_metric_say_the_same_of_fault(shared_data: Path, traffic: str) -> None:
+    ends = set()
+    for file in sorted((shared_data / "commonroad").glob("*.xml")):
+        log = read_commonroad(file)
+        for planner in ("constant_speed", "idm"):
+            trace = run_closed_loop(log, planner, config=LoopConfig(traffic=traffic)).trace
+            found = contacts(trace, log)
+            faults = [contact.at_fault for contact in found]
+            assert (trace.end is EndReason.COLLISION) == any(faults), (file.stem, planner)
+            assert (trace.end is EndReason.REPLAY_CONTACT) == (bool(faults) and not any(faults)), (file.stem, planner)
+            if trace.end is EndReason.REPLAY_CONTACT:
+                assert any(trace.detail.endswith(contact.kind.value) for contact in found)
+            ends.add(trace.end)
+    assert {EndReason.COLLISION, EndReason.REPLAY_CONTACT} <= ends or traffic != "time"
 
 
 def test_an_agent_that_is_gone_cannot_be_hit() -> None:

@@ -36,7 +36,8 @@ from replay.closed_loop import run_closed_loop
 from replay.drive import LoopConfig
 from replay.experiments.pedestrian_grid import RELEASE_S, Cell, braked, braking_intervals
 
-LOOP = LoopConfig(prediction="constant_velocity")
+LOOP = LoopConfig(prediction="constant_velocity", traffic="time")
+TOUCHED = (EndReason.COLLISION, EndReason.REPLAY_CONTACT)
 PAPER = "paper/crossing_pedestrian"
 MARGIN_M = StGraphConfig().vulnerable_margin_m
 STANDING_MPS, MOVING_MPS = 0.05, 1e-3
@@ -244,12 +245,12 @@ def broken(drive: Judged) -> list[str]:
     farthest, slowly = drive.crept()
     changes, allowed = drive.changes()
     laws = {
-        "contact": end is EndReason.COLLISION and drive.avoidable(),
+        "contact": end in TOUCHED and drive.avoidable(),
         "creep": farthest > CREEP_M or slowly > ROLL_M,
         "oscillation": changes > allowed,
         "late release": drive.released() > RELEASE_S,
         "both pedals": bool((np.minimum(commands.throttle, commands.brake) > 0.0).any()),
-        "no goal": end not in (EndReason.GOAL, EndReason.COLLISION),
+        "no goal": end not in (EndReason.GOAL, *TOUCHED),
     }
     return [law for law, is_broken in laws.items() if is_broken]
 

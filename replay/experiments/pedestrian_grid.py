@@ -39,7 +39,7 @@ from replay.closed_loop import run_closed_loop
 from replay.drive import Drive, LoopConfig
 
 PLANNER = "dp_qp"
-LOOP = LoopConfig(vehicle="single_track", controller="mpc")
+LOOP = LoopConfig(vehicle="single_track", controller="mpc", traffic="time")
 EGO_KMH = (20.0, 30.0, 40.0, 50.0)
 WALKER_MPS = (0.8, 1.15, 1.5, 1.85, 2.2)
 LATE_S = (-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0)
@@ -170,7 +170,7 @@ def measured(cell: Cell) -> dict[str, object]:
     clear = walker_within(scenario, StGraphConfig().vulnerable_margin_m)[1]
     before = [one for one in braking_intervals(trace) if one[0] < clear]
     begin, end = (before[0][0], before[-1][1]) if before else (np.nan, np.nan)
-    contact, can = trace.end is EndReason.COLLISION, avoidable(cell)
+    contact, can = trace.end in (EndReason.COLLISION, EndReason.REPLAY_CONTACT), avoidable(cell)
     jerk = float(table["lon_jerk_state.max_abs"])
     row: dict[str, object] = {
         "ego_kmh": cell.ego_kmh,

@@ -11,8 +11,9 @@ A broken value of the groups safety and progress is no evidence where the drive 
 road user drove into the ego without its fault): of progress at all, of safety where it is about that road user. One of
 safety or rules is none where a reference drive, a row of mode "reference" in the table, breaks the same bound: the
 recorded driver in any way (planner "driver", there for recorded logs only), the careful driver (planner "careful",
-UN R157) about the same road user. Not asked at all is a log without the value by an `optional` gate, and one in which
-neither reference drive holds the bound by a `reachable` one.
+UN R157) about the same road user. One of progress is none where the collision that ended the drive is none. Not asked
+at all is a log without the value by an `optional` gate, and one in which neither reference drive holds the bound by a
+`reachable` one.
 
 A verdict per gate, planner and mode: FAIL where a log (`over = "worst"`) or the mean over the judged logs breaks the
 bound; else INCONCLUSIVE where a log could not be evaluated, fewer than `min_logs` were judged, or more than
@@ -40,6 +41,8 @@ REFERENCE = "reference"
 DRIVER, CAREFUL = "driver", "careful"
 """Planner of those rows: the log's own driver, and the careful one of UN R157."""
 REPLAY_CONTACT = "replay_contact.final"
+NO_COLLISION = Gate("collision_at_fault.count", max=0.0)
+"""A collision ends a drive: where it is no evidence, neither is that the drive got no further."""
 _GROUP = {metric.name: name for name, group in GROUPS.items() for metric in group}
 OUTCOME_COLUMNS = ("gate", "log", "planner", "mode", "outcome", "value", "time_s", "reason")
 
@@ -228,16 +231,28 @@ def _excuse(gate: Gate, log: str, row: _Row, mine: Mapping[tuple[str, str], _Row
     """Why a broken value is no evidence against the planner (module docstring); empty: it is."""
     group = _GROUP.get(gate.metric.partition(".")[0], "")
     contact = mine.get((log, REPLAY_CONTACT))
-    touched = contact is not None and contact.known and contact.value > 0.0
-    if touched and (group == "progress" or (group == "safety" and _about(row) == _about(contact))):
-        return f"the replay ran into the ego ({contact.reason})" if contact else ""
-    if group not in ("safety", "rules"):
-        return ""
+    if contact is not None and contact.known and contact.value > 0.0 and _concerns(group, row, contact):
+        return f"the replay ran into the ego ({contact.reason})"
+    if group in ("safety", "rules"):
+        return _by_reference(gate, log, row, rows)
+    crash = mine.get((log, NO_COLLISION.metric))
+    if group == "progress" and crash is not None and crash.known and NO_COLLISION.margin(crash.value) < 0.0:
+        return _by_reference(NO_COLLISION, log, crash, rows)
+    return ""
+
+
+def _concerns(group: str, row: _Row, contact: _Row) -> bool:
+    """Whether a value of a group is concerned by the replay's running into the ego."""
+    return group == "progress" or (group == "safety" and _about(row) == _about(contact))
+
+
+def _by_reference(gate: Gate, log: str, row: _Row, rows: _Rows) -> str:
+    """Which reference drive breaks the bound too; empty: none."""
     driver, careful = (rows.reference(planner, log, gate.metric) for planner in (DRIVER, CAREFUL))
     if driver is not None and gate.margin(driver.value) < 0.0:
-        return f"the recorded driver breaks it too: {_shown(driver)}"
+        return f"the recorded driver breaks {gate} too: {_shown(driver)}"
     if careful is not None and gate.margin(careful.value) < 0.0 and _about(careful) == _about(row):
-        return f"the careful driver breaks it too: {_shown(careful)}"
+        return f"the careful driver breaks {gate} too: {_shown(careful)}"
     return ""
 
 

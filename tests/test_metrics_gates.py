@@ -157,10 +157,14 @@ CONTACT = row("a", 1.0, metric="replay_contact.final", reason="car 7: from behin
         ([CONTACT], INCONCLUSIVE, "the replay ran into the ego (car 7: from behind)"),
         ([CONTACT | {"reason": "car 8: from behind"}], FAIL, "car 7"),
         ([CONTACT | {"value": 0.0, "reason": ""}], FAIL, "car 7"),
-        ([reference("careful", 0.4)], INCONCLUSIVE, "the careful driver breaks it too: 0.4 m (car 7)"),
+        ([reference("careful", 0.4)], INCONCLUSIVE, "the careful driver breaks gap.min >= 0.5 too: 0.4 m (car 7)"),
         ([reference("careful", 0.4, reason="car 8")], FAIL, "car 7"),
         ([reference("careful", 0.6)], FAIL, "car 7"),
-        ([reference("driver", 0.0, reason="car 3")], INCONCLUSIVE, "the recorded driver breaks it too: 0 m (car 3)"),
+        (
+            [reference("driver", 0.0, reason="car 3")],
+            INCONCLUSIVE,
+            "the recorded driver breaks gap.min >= 0.5 too: 0 m (car 3)",
+        ),
         ([reference("driver", 0.5, reason="car 3")], FAIL, "car 7"),
     ],
 )
@@ -182,6 +186,10 @@ def test_comfort_is_never_excused_and_progress_only_by_the_replay() -> None:
     assert judged("lon_accel.min", CONTACT) is FAIL
     assert judged("completed.final") is FAIL
     assert judged("completed.final", CONTACT) is INCONCLUSIVE
+    crash = row("a", 1.0, metric="collision_at_fault.count", reason="car 7: with the front, at fault", unit="count")
+    assert judged("completed.final", crash) is FAIL
+    careful = reference("careful", 1.0, metric="collision_at_fault.count", reason="car 7: with the front, at fault")
+    assert judged("completed.final", crash, careful) is INCONCLUSIVE
 
 
 def test_a_goal_is_asked_for_where_a_reference_driver_reaches_it() -> None:

@@ -119,7 +119,7 @@ def test_tables_hold_every_log_planner_and_mode_sorted(logs: Path, tmp_path: Pat
     assert {key[:3] for key in keys} == {
         (f"test/{log}", planner, mode)
         for log in "abc" for planner in ("logged", "constant_speed") for mode in ("open", "closed")
-    }  # fmt: skip
+    } | {(f"test/{log}", planner, "reference") for log in "abc" for planner in ("driver", "careful")}  # fmt: skip
     assert rows.loc[rows["planner"] == "logged", "oracle"].all()
     assert (rows.loc[(rows["planner"] == "logged") & (rows["metric"] == "ade.1s.mean"), "value"] == 0.0).all()
     csv = pd.read_csv(result.out / "metrics.csv")

@@ -32,6 +32,7 @@ from replay.config import RunConfig
 from replay.drive import Drive
 from replay.open_loop import run_open_loop
 from replay.planner_config import planner_keywords
+from replay.reference_drives import reference_table
 
 LOOPS = {Mode.OPEN: run_open_loop, Mode.CLOSED: run_closed_loop}
 
@@ -123,6 +124,9 @@ def _identified(source: LogSource, scenario: Scenario, folder: Path) -> LogResul
 
 def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, progress: _Progress) -> None:
     measures = all_metrics(run)
+    if Mode.CLOSED in run.modes:
+        with progress.attempt():
+            progress.tables.append(reference_table(scenario))
     for planner in run.planners:
         for mode in run.modes:
             with progress.attempt(planner, mode):

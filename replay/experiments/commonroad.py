@@ -126,9 +126,8 @@ def source_of(tags: Sequence[str]) -> str:
 
 def drives(result: RunResult, traffic: str) -> pd.DataFrame:
     """A row per log and planner of a run; `frames` is how many plans were made."""
-    found = result.table[result.table["available"]].pivot_table(
-        index=["log", "planner"], columns="metric", values="value", dropna=False
-    )
+    driven = result.table["available"] & (result.table["mode"] == Mode.CLOSED.value)
+    found = result.table[driven].pivot_table(index=["log", "planner"], columns="metric", values="value", dropna=False)
     rows = found.reindex(columns=list(ROWS.values())).set_axis(list(ROWS), axis=1).reset_index()
     tags = {log.name: log.tags for log in result.logs}
     rows.insert(0, "traffic", traffic)

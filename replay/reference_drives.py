@@ -1,0 +1,93 @@
+"""Reference drives: what the log's own driver and the careful driver make of a log, measured as every drive is.
+
+    "driver"     the ego as logged, among the others as logged; there where the log holds a drive
+    "careful"    the careful driver of UN R157 (`metrics.reference_drivers`) from the log's first state along the lane
+
+They end as a planner's drive would: in the goal, or where a road user touches them. Their rows of the table have the
+mode "reference" and are oracles; `metrics.judge` asks them whether a broken bound is evidence against a planner. Of a
+synthesised log's driver only progress is measured: such a log excuses no collision.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pandas as pd
+
+import metrics
+from logs.road import Goal
+from logs.scenario import Scenario
+from logs.states import Trajectory
+from logs.trace import EndReason, Mode, Trace
+from metrics import GROUPS, METRICS
+from metrics.judge import CAREFUL, DRIVER, REFERENCE
+from metrics.others import ego_boxes, name_of
+from metrics.reference_drivers import RETURN_S, STEP_S, careful_drive
+from metrics.safety import contacts
+from replay.avoidability import reference_line
+
+SHORTEST = 2
+"""An ego log of fewer states is no drive."""
+
+
+def reference_table(scenario: Scenario) -> pd.DataFrame:
+    """The rows of the reference drives of a scenario; columns as of `metrics.evaluate`."""
+    asked = {DRIVER: ("safety", "rules", "progress") if is_recorded(scenario) else ("progress",)}
+    tables = []
+    for trace in reference_drives(scenario):
+        groups = asked.get(trace.planner, ("safety", "rules", "progress"))
+        measures = {metric.name: METRICS[metric.name] for group in groups for metric in GROUPS[group]}
+        tables.append(metrics.evaluate(trace, scenario, metrics=measures).assign(mode=REFERENCE))
+    return pd.concat(tables, ignore_index=True)
+
+
+def reference_drives(scenario: Scenario) -> Iterator[Trace]:
+    """The drives, as traces without plans."""
+    if len(scenario.ego) >= SHORTEST:
+        yield _ended(DRIVER, scenario.ego, scenario)
+    yield _ended(CAREFUL, _careful(scenario), scenario)
+
+
+def _careful(scenario: Scenario) -> Trajectory:
+    """The rear axle of the careful driver, every `STEP_S`."""
+    line, start = reference_line(scenario), scenario.ego.state(0)
+    drive = careful_drive(scenario, line)
+    s0, l0 = line.project(start.x, start.y)
+    u = np.minimum((drive.s - s0) / max(RETURN_S * start.v, 10.0), 1.0)
+    offset = l0 * (1.0 - u * u * (3.0 - 2.0 * u))
+    frames = np.array([line.frame(s) for s in drive.s])
+    x, y = frames[:, 0] - offset * np.sin(frames[:, 2]), frames[:, 1] + offset * np.cos(frames[:, 2])
+    t = start.t + STEP_S * np.arange(len(drive.s))
+    return Trajectory(t, x, y, np.unwrap(frames[:, 2]), drive.v, drive.a, frames[:, 3])
+
+
+def _ended(name: str, ego: Trajectory, scenario: Scenario) -> Trace:
+    """The drive up to the goal or its first contact."""
+    whole = Trace(scenario.name, name, Mode.CLOSED, True, ego, scenario.tracks, (), EndReason.END_OF_LOG)
+    ends: list[tuple[int, EndReason, str]] = []
+    reached = _reached(scenario.goal, ego, scenario)
+    if reached is not None:
+        ends.append((reached, EndReason.GOAL, ""))
+    for contact in contacts(whole, scenario)[:1]:
+        reason = EndReason.COLLISION if contact.at_fault else EndReason.REPLAY_CONTACT
+        ends.append((contact.step, reason, f"{name_of(scenario.tracks, contact.agent)}: {contact.kind.value}"))
+    if not ends:
+        return whole
+    step, reason, detail = min(ends, key=lambda end: end[0])
+    driven = ego.between(float(ego.t[0]), float(ego.t[step]))
+    return Trace(scenario.name, name, Mode.CLOSED, True, driven, scenario.tracks, (), reason, detail)
+
+
+def _reached(goal: Goal | None, ego: Trajectory, scenario: Scenario) -> int | None:
+    """The first state in the goal."""
+    if goal is None:
+        return None
+    x, y = ego_boxes(ego, scenario)[:2]
+    states = zip(ego.t, x, y, ego.yaw, ego.v, strict=True)
+    return next((k for k, state in enumerate(states) if goal.reached(*map(float, state))), None)
+
+
+def is_recorded(scenario: Scenario) -> bool:
+    """Whether a log was recorded."""
+    return "recorded" in scenario.tags

@@ -53,7 +53,9 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
         effort.QP_ITERATIONS, effort.SOLVER_UNSOLVED, effort.FALLBACK,
     ),
     "consistency": (consistency.PLAN_CHANGE, consistency.PLAN_CHANGE_LATERAL),
-    "evidence": (evidence.COVERAGE, evidence.REPLAY_CONTACT, evidence.PLAN_REFUSED, evidence.PLAN_CORRECTED),
+    "evidence": (
+        evidence.COVERAGE, evidence.REPLAY_CONTACT, evidence.PLAN_REFUSED, evidence.PLAN_CORRECTED, evidence.ENSEMBLE,
+    ),
     "reference": (avoidability.CC, avoidability.FSM),
 })  # fmt: skip
 """The metrics by what they are about, in the order of the table."""

@@ -1,4 +1,4 @@
-"""What a drive can be evidence of: how much was driven, and whether the replay ended it."""
+"""What a drive can be evidence of: how much was driven, did the replay end it, were its plans plans, is it robust."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 
 from logs.scenario import Scenario
 from logs.trace import EndReason, Mode, PlanStatus, Trace
-from metrics.metric import FINAL, RATE, Measured, Metric, Series, Unavailable
+from metrics.metric import FINAL, RATE, Measured, Metric, Reduction, Series, Unavailable
 from metrics.plans import frame_times
 
 
@@ -52,4 +52,15 @@ PLAN_REFUSED = Metric(
 PLAN_CORRECTED = Metric(
     "plan_corrected", "1", "lower", (Mode.OPEN, Mode.CLOSED), partial(_with_status, PlanStatus.CORRECTED), (RATE,),
     "Share of the frames whose plan says another speed, heading, curvature or acceleration than its positions have.",
+)  # fmt: skip
+ENSEMBLE = Metric(
+    "ensemble", "1", "none", (Mode.OPEN, Mode.CLOSED),
+    lambda trace, scenario: Unavailable("the run has no ensemble (--ensemble N)"),
+    (
+        Reduction("pass_share", lambda series: (float(series.value[0]), -1), direction="higher"),
+        Reduction("fragile", lambda series: (float(series.value[0]), -1), direction="lower"),
+    ),
+    "Whether the verdict on a log holds where it is driven again in worlds that should not matter: share of them in"
+    " which it passes, and 1 where one of them has another verdict.",
+    needs="--ensemble N",
 )  # fmt: skip

@@ -108,6 +108,10 @@ def evaluate(
         Literal["none", "summary", "full"] | None,
         typer.Option(help="What of the planner's inside goes into the traces. Default: summary."),
     ] = None,
+    ensemble: Annotated[
+        int | None,
+        typer.Option(min=0, help="Drive each log so many times more, in worlds that should not matter: is it fragile?"),
+    ] = None,
     workers: Annotated[
         int | None, typer.Option(min=0, help="Processes; 0: in this one. Default: one per core. Same results.")
     ] = None,
@@ -150,6 +154,7 @@ def evaluate(
             "gates": None if gates is None else str(gates),
             "internals": internals,
             "recording": False if no_recording else None,
+            "ensemble": ensemble,
         }
         loop = {
             "vehicle": vehicle,

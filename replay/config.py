@@ -6,6 +6,7 @@
     internals = "summary"            # what of a planner's inside goes into the traces: "none", "summary", "full"
     recording = true                 # write .rrd files
     metrics = []                     # of your own, beside the built-in ones: "module:NAME"
+    ensemble = 0                     # each log so many times more, in worlds that should not matter (replay.perturb)
 
     [loop]                           # LoopConfig
     [planner.dp_qp]                  # keywords of the planner
@@ -51,6 +52,7 @@ class RunConfig:
         internals: How much of the planner's inside is kept in the traces.
         recording: Whether Rerun recordings are written.
         metrics: "module:NAME" of metrics from outside, measured beside the built-in ones.
+        ensemble: How many times each log is driven again under a perturbation (`replay.perturb`).
         loop: Periods and limits of the loops.
         planner: Keywords of each planner, by the name given in `planners`.
         vehicle: Vehicle parameters by name that replace those of the logs; "set" names a known vehicle for all of them.
@@ -62,6 +64,7 @@ class RunConfig:
     internals: Internals = "summary"
     recording: bool = True
     metrics: tuple[str, ...] = ()
+    ensemble: int = 0
     loop: LoopConfig = field(default_factory=LoopConfig)
     planner: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     vehicle: Mapping[str, Any] = field(default_factory=dict)
@@ -71,6 +74,8 @@ class RunConfig:
             raise ConfigError("planners: name at least one planner")
         if len(set(self.planners)) < len(self.planners):
             raise ConfigError(f"planners: the same planner is named twice: {', '.join(self.planners)}")
+        if self.ensemble < 0:
+            raise ConfigError(f"ensemble must not be negative, got {self.ensemble}")
         known_keys(self.vehicle, ("set", *(item.name for item in fields(VehicleParameters))), "vehicle")
         self.driven(VehicleParameters())
 

@@ -17,6 +17,8 @@ import pandas as pd
 from replay.batch.results import KEYS, SCHEMA_VERSION, TIMING_COLUMNS, joined, write_json, write_parquet
 from replay.batch.sources import LOG_CARD
 
+MEMBERS = "ensemble.parquet"
+
 
 @dataclass(frozen=True)
 class Failure:
@@ -74,6 +76,7 @@ class LogResult:
         failures: What was not.
         table: Rows of `metrics.evaluate`.
         timings: Rows of timings.parquet.
+        members: Rows of `metrics.evaluate` of the ensemble's drives, with `metrics.ensemble`'s columns; mostly empty.
     """
 
     source: str
@@ -86,6 +89,7 @@ class LogResult:
     failures: tuple[Failure, ...] = ()
     table: pd.DataFrame = field(default_factory=pd.DataFrame)
     timings: pd.DataFrame = field(default_factory=pd.DataFrame)
+    members: pd.DataFrame = field(default_factory=pd.DataFrame)
 
 
 @dataclass(frozen=True)
@@ -112,6 +116,8 @@ def keep(folder: Path, result: LogResult, identity: str, stamp: Stamp) -> LogRes
     """
     write_parquet(folder / "metrics.parquet", result.table)
     write_parquet(folder / "timings.parquet", result.timings)
+    if len(result.members):
+        write_parquet(folder / MEMBERS, result.members)
     card = {
         "log": result.name,
         "source": result.source,
@@ -156,4 +162,5 @@ def _drive(card: dict[str, Any]) -> DriveRecord:
 
 def _with_tables(folder: Path, result: LogResult) -> LogResult:
     table, timings = (pd.read_parquet(folder / f"{name}.parquet") for name in ("metrics", "timings"))
-    return replace(result, table=joined([table], KEYS), timings=joined([timings], TIMING_COLUMNS[:4]))
+    members = pd.read_parquet(folder / MEMBERS) if (folder / MEMBERS).exists() else pd.DataFrame()
+    return replace(result, table=joined([table], KEYS), timings=joined([timings], TIMING_COLUMNS[:4]), members=members)

@@ -23,6 +23,7 @@ from logs.mcap import write_scenario, write_trace
 from logs.scenario import Scenario
 from logs.trace import EndReason, Mode
 from metrics import METRICS, Metric, load_metric
+from metrics.ensemble import MEMBER
 from replay.avoidability import with_avoidability
 from replay.batch.log_result import DriveRecord, Failure, LogResult, Stamp, keep
 from replay.batch.results import KEYS, PARTIAL, TIMING_COLUMNS, joined, safe_name, write_parquet
@@ -31,6 +32,7 @@ from replay.closed_loop import run_closed_loop
 from replay.config import RunConfig
 from replay.drive import Drive
 from replay.open_loop import run_open_loop
+from replay.perturb import perturbed
 from replay.planner_config import planner_keywords
 from replay.reference_drives import reference_table
 
@@ -47,6 +49,7 @@ class _Progress:
     tables: list[pd.DataFrame] = field(default_factory=list)
     timings: list[pd.DataFrame] = field(default_factory=list)
     series: list[pd.DataFrame] = field(default_factory=list)
+    members: list[pd.DataFrame] = field(default_factory=list)
 
     @contextmanager
     def attempt(self, planner: str | None = None, mode: Mode | None = None) -> Iterator[None]:
@@ -70,6 +73,7 @@ class _Progress:
             failures=tuple(self.failures),
             table=joined(self.tables, KEYS, metrics.COLUMNS),
             timings=joined(self.timings, TIMING_COLUMNS[:4], TIMING_COLUMNS),
+            members=joined(self.members, [MEMBER, *KEYS]),
         )
 
 
@@ -87,6 +91,8 @@ def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> 
             progress.log = scenario.name
             driven = with_avoidability(replace(scenario, vehicle=run.driven(scenario.vehicle)))
             _drive_all(driven, run, partial, result.folder, progress)
+            for member in range(1, run.ensemble + 1):
+                _drive_member(driven, run, member, progress)
             result = keep(partial, progress.filled(result), identity, stamp)
             partial.rename(out / result.folder)
     finally:
@@ -146,6 +152,21 @@ def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, pro
     if progress.series:
         frames = joined(progress.series, ["planner", "mode", "metric", "t_s"])
         write_parquet(folder / "frames.parquet", frames)
+
+
+def _drive_member(scenario: Scenario, run: RunConfig, member: int, progress: _Progress) -> None:
+    """The rows of one member of the ensemble; nothing else of it is kept."""
+    name, other = perturbed(scenario, member)
+    other = with_avoidability(other)
+    measures = all_metrics(run)
+    tables = [reference_table(other)] if Mode.CLOSED in run.modes else []
+    for planner in run.planners:
+        for mode in run.modes:
+            with progress.attempt(planner, mode):
+                keywords = planner_keywords(planner, run.planner.get(planner, {}))
+                drive = LOOPS[mode](other, planner, planner_config=keywords, config=run.loop)
+                tables.append(metrics.evaluate(drive.trace, other, metrics=measures))
+    progress.members.extend(table.assign(member=member, perturbation=name) for table in tables)
 
 
 def _write_drive(

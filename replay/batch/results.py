@@ -6,7 +6,7 @@
     OUT/summary.json            outcome, gates, drives, failures
     OUT/run.toml                the resolved configuration
     OUT/LOG-HASH/               per log: open.mcap, open.rrd, closed.mcap, closed.rrd, frames.parquet, and what the
-                                tables above are made of: metrics.parquet, timings.parquet, log.json
+                                tables above are made of: metrics.parquet, timings.parquet, log.json; ensemble.parquet
                                 (with several planners open.PLANNER.mcap and so on; log.mcap where the log was no MCAP)
 
 `metrics.*` and `frames.parquet` hold no clock, no path and no machine, and are sorted: two runs give the same bytes,

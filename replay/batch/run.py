@@ -16,6 +16,7 @@ import pandas as pd
 
 from logs.errors import ConfigError, PlannerError, unknown_name
 from metrics import COLUMNS
+from metrics.ensemble import with_ensemble
 from metrics.gates import Outcome, load_gates
 from metrics.judge import Verdict, judge, outcomes
 from planners import PLANNERS
@@ -138,6 +139,8 @@ def evaluate_logs(
         clear_partial(out)
     table = joined((result.table for result in results), KEYS, COLUMNS).astype({"value": float, "time_s": float})
     tags = {result.name: result.tags for result in results if result.digest}
+    members = joined((result.members for result in results), KEYS, COLUMNS)
+    table = with_ensemble(table, members, gates, tags)
     unread = {result.name: "see the errors" for result in results if not result.digest}
     result = RunResult(
         out=out,
@@ -239,6 +242,7 @@ def _renamed(result: LogResult) -> LogResult:
         failures=tuple(replace(failure, log=name) for failure in result.failures),
         table=result.table.assign(log=name) if len(result.table) else result.table,
         timings=result.timings.assign(log=name) if len(result.timings) else result.timings,
+        members=result.members.assign(log=name) if len(result.members) else result.members,
     )
 
 

@@ -95,6 +95,7 @@ def _parts(result: RunResult) -> Iterator[RenderableType]:
         frames = int((result.timings["stage"] == "total").sum())
         yield from _titled(f"Planning time (wall clock, {frames} plans)", _latency(result))
     yield from _titled("Gates", _gates(result))
+    yield from _ensemble(result)
     yield from _notes(result)
     yield from _failures(result)
     yield from _ending(result)
@@ -289,6 +290,17 @@ def _found(verdict: Verdict, unit: str) -> str:
     value = 0.0 if abs(verdict.value) < 1e-9 else verdict.value
     shown = f"{value:.3g}" + (f" {unit}" if unit not in ("", "1", "count") else "")
     return f"{verdict.planner}: {shown}" + (f", on {verdict.log}" if value else "")
+
+
+def _ensemble(result: RunResult) -> Iterator[RenderableType]:
+    """How many verdicts hold in the worlds that should not matter, and which do not."""
+    rows = result.table[(result.table["metric"] == "ensemble.fragile") & result.table["available"].astype(bool)]
+    if len(rows):
+        fragile = rows[rows["value"] > 0.0]
+        lines = [f"{row.log} [{row.planner}, {row.mode} loop]: {row.reason}" for row in fragile.itertuples()]
+        more = [f"{len(lines) - MAX_ROWS} more: metrics.csv"] if len(lines) > MAX_ROWS else []
+        title = f"Ensemble: {len(fragile)} of {len(rows)} verdicts are fragile"
+        yield from _titled(title, *(_indented(line) for line in (*lines[:MAX_ROWS], *more)))
 
 
 def _notes(result: RunResult) -> Iterator[RenderableType]:

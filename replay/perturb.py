@@ -1,0 +1,63 @@
+"""Worlds in which a verdict should be the same: the members of an ensemble.
+
+    again    the very same log: a planner that is not deterministic drives another drive
+    turned   the world turned about the ego's start by a random angle
+    clock    the log's clock set forward, by up to a day
+    tiny     1e-9 on everything that was measured
+    start    the ego's log moved by up to 5 cm along each axis
+    noise    Gaussian errors of 2 cm on the agents' positions
+
+A member's random numbers are seeded by the log's name and the member's number, so that they are the same in every run.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from hashlib import sha256
+from types import MappingProxyType
+
+import numpy as np
+
+from logs.scenario import Scenario
+from logs.transform import jittered, rotated, shifted_clock
+
+START_M, NOISE_M, TINY = 0.05, 0.02, 1e-9
+DAY_NS = 86_400_000_000_000
+
+
+def _turned(scenario: Scenario, rng: np.random.Generator) -> Scenario:
+    start = scenario.ego.state(0)
+    return rotated(scenario, float(rng.uniform(-np.pi, np.pi)), (start.x, start.y))
+
+
+def _start(scenario: Scenario, rng: np.random.Generator) -> Scenario:
+    dx, dy = rng.uniform(-START_M, START_M, 2)
+    ego = scenario.ego
+    return replace(scenario, ego=replace(ego, x=ego.x + dx, y=ego.y + dy))
+
+
+def _noise(scenario: Scenario, rng: np.random.Generator) -> Scenario:
+    tracks = scenario.tracks
+    moves = np.repeat(~tracks.static, np.diff(tracks.offsets))
+    x, y = (column + moves * rng.normal(0.0, NOISE_M, len(tracks.t)) for column in (tracks.x, tracks.y))
+    return replace(scenario, tracks=replace(tracks, x=x, y=y))
+
+
+PERTURBATIONS: Mapping[str, Callable[[Scenario, np.random.Generator], Scenario]] = MappingProxyType(
+    {
+        "again": lambda scenario, rng: scenario,
+        "turned": _turned,
+        "clock": lambda scenario, rng: shifted_clock(scenario, int(rng.integers(DAY_NS))),
+        "tiny": lambda scenario, rng: jittered(scenario, TINY, int(rng.integers(2**31))),
+        "start": _start,
+        "noise": _noise,
+    }
+)
+
+
+def perturbed(scenario: Scenario, member: int) -> tuple[str, Scenario]:
+    """Member `member` (from 1) of a log's ensemble: what was done, and the scenario; the kinds take turns."""
+    name = list(PERTURBATIONS)[(member - 1) % len(PERTURBATIONS)]
+    seed = int.from_bytes(sha256(f"{scenario.name} {member}".encode()).digest()[:8], "big")
+    return name, PERTURBATIONS[name](scenario, np.random.default_rng(seed))

@@ -18,6 +18,13 @@ FloatArray = NDArray[np.floating[Any]]
 IntArray = NDArray[np.int64]
 BoolArray = NDArray[np.bool_]
 
+TIE = 1e-6
+"""Lengths (m), times (s), angles, ratios and costs that differ by less are equal where something is decided.
+
+Far above rounding and far below what anybody measures. Round figures are common in maps and scenarios, so decisions
+must not have their edges on them: comparisons lean by this to the side that their code states.
+"""
+
 P = ParamSpec("P")
 R = TypeVar("R")
 

@@ -17,13 +17,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 from functools import cached_property
-from math import atan2, hypot, sqrt
+from math import atan2, floor, hypot, sqrt
 from types import MappingProxyType
 
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from logs.kernel import FloatArray, frozen, kernel
+from logs.kernel import TIE, FloatArray, frozen, kernel
 from logs.rules import Crosswalk, StopLine
 
 
@@ -220,6 +220,12 @@ class Goal:
         return self.holds_place(x, y)
 
 
+def nearest(points: FloatArray, x: float, y: float) -> int:
+    """Index of the point `(n, 2)` nearest to (x, y); of those equally near, the first."""
+    away = np.hypot(points[:, 0] - x, points[:, 1] - y)
+    return int(np.argmax(away <= away.min() + TIE))
+
+
 def thinned(points: FloatArray, spacing: float) -> FloatArray:
     """The polyline `(n, 2)` without the points nearer than `spacing` m to the last kept one; keeps first and last.
 
@@ -227,10 +233,10 @@ def thinned(points: FloatArray, spacing: float) -> FloatArray:
     """
     kept = [points[0]]
     for point in points[1:]:
-        if hypot(*(point - kept[-1])) >= spacing:
+        if hypot(*(point - kept[-1])) >= spacing - TIE:
             kept.append(point)
     rest = hypot(*(points[-1] - kept[-1]))
-    if len(kept) > 1 and 0.0 < rest < 0.5 * spacing:
+    if len(kept) > 1 and 0.0 < rest < 0.5 * spacing - TIE:
         kept[-1] = points[-1]
     elif len(kept) > 1 and rest > 0.0:
         kept.append(points[-1])
@@ -364,7 +370,7 @@ class ReferenceLine:
             fine = np.linspace(0.0, chord[-1], 8 * len(points))
             speed = np.hypot(*spline(fine, 1).T)
             arc = np.r_[0.0, np.cumsum(0.5 * np.diff(fine) * (speed[1:] + speed[:-1]))]
-            count = max(2, round(arc[-1] / spacing)) + 1
+            count = max(2, floor(arc[-1] / spacing + 0.5 - TIE)) + 1
             points = spline(np.interp(np.linspace(0.0, arc[-1], count), arc, fine))
         stations = np.linspace(0.0, arc[-1], len(points))
         spline = CubicSpline(stations, points)

@@ -27,9 +27,10 @@ def at(line: Course, x: float) -> tuple[float, float, float, float, float]:
     return tuple(float(np.interp(s, line.line.s, column)) for column in columns)  # type: ignore[return-value]
 
 
-def resampled(points: FloatArray) -> FloatArray:
+def resampled(points: FloatArray, count: int) -> FloatArray:
     chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))]
-    at = np.linspace(0.0, chord[-1], round(chord[-1] / SPACING_M) + 1)
+    assert abs(chord[-1] / SPACING_M - (count - 1)) <= 0.5 + 1e-5
+    at = np.linspace(0.0, chord[-1], count)
     return np.column_stack([np.interp(at, chord, points[:, k]) for k in (0, 1)])
 
 
@@ -39,18 +40,42 @@ def test_smoothing_moves_no_point_further_than_it_may(legs: list[tuple[float, fl
     heading = np.cumsum([turn for _, turn in legs])
     steps = np.array([length for length, _ in legs])[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
     points = np.vstack([[0.0, 0.0], np.cumsum(steps, axis=0)])
-    smooth, raw = smoothed(points), resampled(points)
-    assert smooth.shape == raw.shape
-    np.testing.assert_array_less(np.abs(smooth - raw), MAX_SHIFT_M + 0.02)
+    smooth = smoothed(points)
+    raw = resampled(points, len(smooth))
+    assert np.hypot(*(smooth - raw).T).max() < MAX_SHIFT_M + 0.01
     np.testing.assert_allclose(smooth[[0, -1]], points[[0, -1]], atol=0.02)
     energy = [float(np.sum(np.diff(line, 2, axis=0) ** 2)) for line in (raw, smooth)]
     assert BENDING_WEIGHT * energy[1] <= BENDING_WEIGHT * energy[0] + 1e-2
 
 
+@given(
+    st.lists(st.tuples(st.floats(4.0, 30.0), st.floats(-0.9, 0.9)), min_size=2, max_size=12),
+    st.floats(-np.pi, np.pi),
+    st.sampled_from([1.0, -1.0]),
+)
+@settings(max_examples=30)
+def test_the_line_turns_and_mirrors_with_the_world(legs: list[tuple[float, float]], turn: float, flip: float) -> None:
+    heading = np.cumsum([bend for _, bend in legs])
+    steps = np.array([length for length, _ in legs])[:, None] * np.column_stack([np.cos(heading), np.sin(heading)])
+    points = np.vstack([[30.0, -20.0], np.cumsum(steps, axis=0)])
+    world = np.array([[np.cos(turn), np.sin(turn)], [-flip * np.sin(turn), flip * np.cos(turn)]])
+    np.testing.assert_allclose(smoothed(points @ world), smoothed(points) @ world, atol=1e-6)
+
+
+@pytest.mark.parametrize("length", [41.0, 43.0, 300.0])  # half way between two counts of points
+def test_a_figure_as_round_as_it_may_be_does_not_change_the_count(length: float) -> None:
+    for near in (length - 1e-9, length + 1e-9):
+        assert len(smoothed(np.array([[0.0, 0.0], [near, 0.0]]))) == len(
+            smoothed(np.array([[0.0, 0.0], [length, 0.0]]))
+        )
+    exact, less = (ReferenceLine.through(np.array([[0.0, 0.0], [at + 0.5, 0.0]])) for at in (length, length - 1e-9))
+    assert len(exact.s) == len(less.s)
+
+
 @given(st.floats(20.0, 300.0), st.floats(-np.pi, np.pi))
 def test_a_straight_line_stays_straight(length: float, yaw: float) -> None:
     points = np.array([[5.0, 7.0], [5.0 + length * np.cos(yaw), 7.0 + length * np.sin(yaw)]])
-    np.testing.assert_allclose(smoothed(points), resampled(points), atol=2e-4)
+    np.testing.assert_allclose(smoothed(points), resampled(points, len(smoothed(points))), atol=2e-4)
     assert np.abs(ReferenceLine.through(smoothed(points)).kappa).max() < 1e-3
 
 
@@ -66,7 +91,7 @@ def test_smoothing_solves_its_problem() -> None:
     points = curve((30.0, 0.0), (30.0, 0.01), (30.0, -0.01), step=2.0)
     n = len(points)
     bend = np.diff(np.eye(n), 2, axis=0)
-    raw = resampled(points)
+    raw = resampled(points, n)
     inner = slice(1, n - 1)
     matrix = (BENDING_WEIGHT * bend.T @ bend + np.eye(n))[inner, inner]
     expected = np.linalg.solve(matrix, -(BENDING_WEIGHT * bend.T @ bend @ raw)[inner])

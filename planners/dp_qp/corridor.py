@@ -21,7 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from logs.frame import Frame
-from logs.kernel import BoolArray, FloatArray, kernel
+from logs.kernel import TIE, BoolArray, FloatArray, kernel
 from logs.road import line_project_many
 from logs.shapes import corners
 from logs.trace import Decision, DecisionKind
@@ -351,4 +351,4 @@ def beside(space: Room, box: PathObstacle, vehicle: VehicleParameters, config: C
     """
     between = max(0.5 * vehicle.axle_to_front / max(len(space.s) - 1, 1), vehicle.rear_overhang)
     gap = between + max(config.gap_m, float(space.s[0, 1] - space.s[0, 0]))
-    return np.asarray((space.s >= box.s_from - gap) & (space.s <= box.s_to + gap))
+    return np.asarray((space.s >= box.s_from - gap - TIE) & (space.s <= box.s_to + gap + TIE))

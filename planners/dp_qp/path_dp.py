@@ -13,7 +13,8 @@ and only the first edge, from the ego's (l, l', l''), is a general quintic. Cost
 (4) cost[i, k] = min over j  cost[i-1, j] + edge(j, k)
 
 (paper, section II-F, Fig. 6). Backwards likewise; both together are the least cost of a path through a node, and so of
-passing an obstacle on one side. Ties go to the row that comes first: rows are ordered from the passing side.
+passing an obstacle on one side. Ties (within `TIE`) go to the row that comes first: rows are ordered from the
+passing side.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from logs.kernel import FloatArray, IntArray, kernel
+from logs.kernel import TIE, FloatArray, IntArray, kernel
 
 COLLISION = 1e4
 OUTSIDE = 1e3
@@ -97,9 +98,9 @@ def _edge(
         if outside > 0.0:
             cost += OUTSIDE * (0.1 + outside)
         for b in range(len(boxes)):
-            if boxes[b, 0] <= s0 + d <= boxes[b, 1]:
+            if boxes[b, 0] - TIE <= s0 + d <= boxes[b, 1] + TIE:
                 gap = max(boxes[b, 2] - offset, offset - boxes[b, 3])
-                if gap < 0.0:
+                if gap < -TIE:
                     cost += COLLISION
                 elif gap < weights[4]:
                     cost += weights[3] * (1.0 - gap / weights[4]) ** 2
@@ -146,10 +147,10 @@ def path_dp(
                     stations[i - 1], offsets[before], 0.0, 0.0, stations[i], offsets[row],
                     boxes, lower, upper, i, weights, cost[i, row] - cost[i - 1, before],
                 )  # fmt: skip
-                if total < cost[i, row]:
+                if total < cost[i, row] - TIE:
                     cost[i, row], parent[i, row] = total, before
     chosen = np.zeros(n, np.int64)
-    chosen[n - 1] = np.argmin(cost[n - 1])
+    chosen[n - 1] = np.argmax(cost[n - 1] <= cost[n - 1].min() + TIE)
     for i in range(n - 1, 0, -1):
         chosen[i - 1] = parent[i, chosen[i]]
     return cost, chosen
@@ -186,7 +187,8 @@ def side_costs(stations: FloatArray, offsets: FloatArray, through: FloatArray, b
     """
     out = np.full((len(boxes), 2), np.inf)
     for b in range(len(boxes)):
-        i = int(np.argmin(np.abs(stations - 0.5 * (boxes[b, 0] + boxes[b, 1]))))
+        away = np.abs(stations - 0.5 * (boxes[b, 0] + boxes[b, 1]))
+        i = int(np.argmax(away <= away.min() + TIE))
         for row in range(len(offsets)):
             side = 0 if 2.0 * offsets[row] > boxes[b, 2] + boxes[b, 3] else 1
             out[b, side] = min(out[b, side], through[i, row])

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from logs.frame import Frame
-from logs.kernel import FloatArray, IntArray
+from logs.kernel import TIE, FloatArray, IntArray
 from logs.scenario import AgentKind
 from logs.states import EgoState
 from logs.trace import (
@@ -306,7 +306,7 @@ class PathStage:
 
     def _program(self, speed: float) -> PathQp:
         wanted = (speed + 4.0) * self._horizon + 10.0
-        length = next((candidate for candidate in LENGTHS_M if candidate >= wanted), LENGTHS_M[-1])
+        length = next((candidate for candidate in LENGTHS_M if candidate >= wanted - TIE), LENGTHS_M[-1])
         if length not in self._programs:
             self._programs[length] = PathQp(length, length / self._horizon - 5.0, tuple(self._leads), self._config.qp)
         return self._programs[length]

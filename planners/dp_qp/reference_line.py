@@ -4,8 +4,11 @@ The centre lines of the route are joined (a lane change is blended over its leng
 p_i, equally spaced on the raw line r_i:
 
 (1) minimise  w sum |p_{i-1} - 2 p_i + p_{i+1}|^2 + sum |p_i - r_i|^2     subject to |p_i - r_i| <= MAX_SHIFT_M
+(2) p_i = r_i + l_i n_i + t_i m_i,   |l_i| <= ACROSS MAX_SHIFT_M,   |t_i| <= sqrt(1 - ACROSS^2) MAX_SHIFT_M
 
-(discrete bending energy: the FEM-position-deviation smoother of Apollo's reference lines), for x and y apart; with
+(discrete bending energy: the FEM-position-deviation smoother of Apollo's reference lines) with the normal n_i and the
+tangent m_i of the raw line: bounds (2) keep the norm in (1), and turn and mirror with the world, as bounds on x and on
+y would not;
 more shift where the line would bend more than the car can steer. The lateral extents of the lanes are where their
 boundaries cross the normals of the smoothed line.
 """
@@ -16,13 +19,13 @@ from collections import Counter
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
-from math import cos, sin
+from math import cos, floor, sin, sqrt
 
 import numpy as np
 from scipy import sparse
 
-from logs.kernel import FloatArray, frozen, kernel
-from logs.road import Lane, ReferenceLine, Road, thinned
+from logs.kernel import TIE, FloatArray, frozen, kernel
+from logs.road import Lane, ReferenceLine, Road, nearest, thinned
 from logs.states import EgoState
 from logs.vehicle import VehicleParameters
 from planners.dp_qp.route import Route, straight_on
@@ -30,7 +33,10 @@ from planners.qp import QuadraticProgram
 
 SPACING_M = 2.0
 BENDING_WEIGHT = 50.0
-MAX_SHIFT_M = 0.25
+MAX_SHIFT_M = 0.3
+"""The mean over all headings of what bounds of 0.25 m on x and on y leave across a line (0.25 * 4 / pi = 0.32)."""
+ACROSS = 0.97
+"""Share of the shift that a point may make across the line; the rest along it, which a sharp corner needs."""
 HARDER = ((0.5, 200.0), (0.75, 1000.0), (1.0, 1000.0), (1.5, 3000.0))
 """Shift (m) and bending weight of further attempts, where the line bends more than a car can steer."""
 LOCK_SHARE = 0.9
@@ -148,21 +154,27 @@ def _width(lane: Lane) -> float:
 def smoothed(points: FloatArray, max_shift: float = MAX_SHIFT_M, weight: float = BENDING_WEIGHT) -> FloatArray:
     """The polyline `(n, 2)`, equally spaced and smoothed by (1); a line too short or not solvable stays as it is."""
     chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))]
-    count = round(chord[-1] / SPACING_M) + 1
+    count = floor(chord[-1] / SPACING_M + 0.5 - TIE) + 1
     if count < 4:
         return points
     stations = np.linspace(0.0, chord[-1], count)
     raw = np.column_stack([np.interp(stations, chord, points[:, k]) for k in (0, 1)])
+    tangent = np.gradient(raw, axis=0)
+    tangent /= np.maximum(np.hypot(*tangent.T)[:, None], 1e-9)
+    normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
     D = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(count - 2, count))
-    P = (weight * (D.T @ D) + sparse.eye(count)).tocsc()
-    solver = QuadraticProgram("reference line", P, sparse.eye(count, format="csc"))
+    bends = [D @ sparse.hstack([sparse.diags(normal[:, k]), sparse.diags(tangent[:, k])]) for k in (0, 1)]
+    P = (weight * sum(bend.T @ bend for bend in bends) + sparse.eye(2 * count)).tocsc()
+    solver = QuadraticProgram("reference line", P, sparse.eye(2 * count, format="csc"))
     shift = np.full(count, max_shift)
     shift[[0, -1]] = 0.0
-    bend = weight * (D.T @ (D @ raw))
-    moves = [solver.solve(bend[:, k], -shift, shift, fresh=True) for k in (0, 1)]
-    if not all(move.report.solved for move in moves):
+    gradient = weight * sum(bend.T @ (D @ raw[:, k]) for k, bend in enumerate(bends))
+    most = np.r_[ACROSS * shift, sqrt(1.0 - ACROSS**2) * shift]  # (2)
+    move = solver.solve(gradient, -most, most, fresh=True)
+    if not move.report.solved:
         return raw
-    return raw + np.column_stack([move.x for move in moves])
+    across, along = move.x.reshape(2, count, 1)
+    return raw + across * normal + along * tangent
 
 
 def _extended(road: Road, route: Route) -> tuple[int, ...]:
@@ -195,11 +207,11 @@ def _blended(group: list[Lane], ego: EgoState | None) -> FloatArray:
     """The centre line of lanes side by side: from the first to the last, over as much of their length as is left."""
     if len(group) == 1:
         return group[0].center
-    u = np.linspace(0.0, 1.0, max(2, int(group[0].length) + 1))
+    u = np.linspace(0.0, 1.0, max(2, floor(group[0].length + TIE) + 1))
     first, last = (_resampled(lane.center, u) for lane in (group[0], group[-1]))
     begin = 0.0
     if ego is not None:
-        begin = float(u[np.argmin(np.hypot(first[:, 0] - ego.x, first[:, 1] - ego.y))])
+        begin = float(u[nearest(first, ego.x, ego.y)])
     wanted = (3.0 * max(ego.v if ego else 0.0, 5.0) * (len(group) - 1) + 10.0) / group[0].length
     end = min(1.0, begin + max(wanted, 1e-3))
     w = np.clip((u - begin) / max(end - begin, 1e-9), 0.0, 1.0)

@@ -15,8 +15,8 @@ from math import atan2
 
 import numpy as np
 
-from logs.kernel import FloatArray
-from logs.road import Goal, Lane, Road, inside
+from logs.kernel import TIE, FloatArray
+from logs.road import Goal, Lane, Road, inside, nearest
 from logs.states import EgoState, wrap
 
 LANE_CHANGE_M = 50.0
@@ -42,11 +42,11 @@ def start_lanes(road: Road, ego: EgoState) -> tuple[int, ...]:
     """The drivable lanes under the ego, the best aligned first; else the lane whose centre line is nearest."""
     under = [lane for lane in road.lanes_at(ego.x, ego.y) if lane.drivable]
     if under:
-        ranked = sorted(under, key=lambda lane: (abs(_turn(lane, ego)), lane.id))
+        ranked = sorted(under, key=lambda lane: (_level(abs(_turn(lane, ego))), lane.id))
         aligned = [lane.id for lane in ranked if abs(_turn(lane, ego)) < 1.0]
         return tuple(aligned) or (ranked[0].id,)
     drivable = [lane for lane in road.lanes.values() if lane.drivable] or list(road.lanes.values())
-    nearest = min(drivable, key=lambda lane: (_distance(lane, ego) + 5.0 * abs(_turn(lane, ego)), lane.id))
+    nearest = min(drivable, key=lambda lane: (_level(_distance(lane, ego) + 5.0 * abs(_turn(lane, ego))), lane.id))
     return (nearest.id,)
 
 
@@ -55,9 +55,10 @@ def find_route(road: Road, ego: EgoState, goal: Goal | None) -> Route:
     starts = start_lanes(road, ego)
     targets = goal_lanes(road, goal)
     best: dict[int, float] = {}
-    queue: list[tuple[float, int, int, tuple[int, ...]]] = [(0.0, starts.index(lane), lane, (lane,)) for lane in starts]
+    queue: list[tuple[float, int, int, tuple[int, ...], float]]
+    queue = [(0.0, starts.index(lane), lane, (lane,), 0.0) for lane in starts]
     while queue:
-        cost, order, lane, path = heapq.heappop(queue)
+        _, order, lane, path, cost = heapq.heappop(queue)
         if lane in best:
             continue
         best[lane] = cost
@@ -65,7 +66,7 @@ def find_route(road: Road, ego: EgoState, goal: Goal | None) -> Route:
             return Route(path, True, cost)
         for step, price in _steps(road, road.lanes[lane]):
             if step not in best:
-                heapq.heappush(queue, (cost + price, order, step, (*path, step)))
+                heapq.heappush(queue, (_level(cost + price), order, step, (*path, step), cost + price))
     return Route(starts[:1], False, 0.0)
 
 
@@ -84,16 +85,16 @@ def costs_to_go(road: Road, goal: Goal | None) -> dict[int, CostToGo]:
         if lane.drivable:
             for step, price in _steps(road, lane):
                 into.setdefault(step, []).append((lane.id, price))
-    queue = [(0.0, 0, lane) for lane in sorted(goal_lanes(road, goal))]
+    queue = [(0.0, 0, lane, 0.0) for lane in sorted(goal_lanes(road, goal))]
     best: dict[int, CostToGo] = {}
     while queue:
-        cost, changes, lane_id = heapq.heappop(queue)
+        _, changes, lane_id, cost = heapq.heappop(queue)
         if lane_id in best:
             continue
         best[lane_id] = CostToGo(cost, changes)
         for before, price in into.get(lane_id, ()):
             sideways = lane_id not in road.lanes[before].successors
-            heapq.heappush(queue, (cost + price, changes + sideways, before))
+            heapq.heappush(queue, (_level(cost + price), changes + sideways, before, cost + price))
     return best
 
 
@@ -125,7 +126,7 @@ def straight_on(road: Road, lane_id: int) -> int | None:
     if not onward:
         return None
     heading = _heading(lane.center[-2], lane.center[-1])
-    return min(onward, key=lambda after: (abs(_bend(after, heading)), after.id)).id
+    return min(onward, key=lambda after: (_level(abs(_bend(after, heading))), after.id)).id
 
 
 def _steps(road: Road, lane: Lane) -> list[tuple[int, float]]:
@@ -133,6 +134,11 @@ def _steps(road: Road, lane: Lane) -> list[tuple[int, float]]:
     beside = [(lane.left_neighbour, lane.left_crossable), (lane.right_neighbour, lane.right_crossable)]
     sideways = [(i, LANE_CHANGE_M) for i, crossable in beside if i is not None and crossable]
     return [(i, price) for i, price in onward + sideways if i in road.lanes and road.lanes[i].drivable]
+
+
+def _level(value: float) -> float:
+    """The value in whole `TIE`s: what rounding tells apart is equal, and then the order decides."""
+    return TIE * round(value / TIE)
 
 
 def _heading(start: np.ndarray, end: np.ndarray) -> float:
@@ -144,7 +150,7 @@ def _bend(lane: Lane, heading: float) -> float:
 
 
 def _nearest_vertex(lane: Lane, ego: EgoState) -> int:
-    return int(np.argmin(np.hypot(lane.center[:, 0] - ego.x, lane.center[:, 1] - ego.y)))
+    return nearest(lane.center, ego.x, ego.y)
 
 
 def _turn(lane: Lane, ego: EgoState) -> float:

@@ -8,7 +8,8 @@ quite Markov). Cost of an edge:
     edge of map(t, s), where T(s) = integral of ds / v_limit: w_t weighs the time that the edge loses
 (2) map = COLLISION within `gap_m` of a blocked interval; w_near (1 - gap / wanted)^2 where the gap before or behind it
     is less than wanted = d_0 + tau v_agent
-(3) cost[i, k] = min over j  cost[i-1, j] + edge(j, k); ties go to the smaller s
+(3) cost[i, k] = min over j  cost[i-1, j] + edge(j, k); ties (within `TIE`: time lost early or late costs
+    the same) go to the smaller s
 
 A distance to the limit, squared, would have the ego linger before a faster road rather than be slow on it; what time
 is lost in all does not depend on where it is lost. Row spacing and column spacing belong together: a step of one row in
@@ -22,14 +23,12 @@ from math import inf
 
 import numpy as np
 
-from logs.kernel import FloatArray, IntArray, kernel
+from logs.kernel import TIE, FloatArray, IntArray, kernel
 
 COLLISION = 1e5
 DT_S = 1.0
 SLOWEST_MPS = 0.5
 """The time lost is counted against this where the limit is lower."""
-TIE = 1e-9
-"""Costs this near are equal: time lost early or late costs the same, so that rounding would decide."""
 DS_M = 0.5
 
 
@@ -80,7 +79,7 @@ def cost_map(
             last = min(rows - 1, int((high + space) / DS_M) + 1)
             for row in range(first, last + 1):
                 s = row * DS_M
-                if low - gap < s < high + gap:
+                if low - gap + TIE < s < high + gap - TIE:
                     out[k, row] += COLLISION
                 else:
                     free = low - s if s <= low else s - high
@@ -119,8 +118,8 @@ def speed_dp(
             if cost[i, j] == inf:
                 continue
             v0, a0 = speed[i, j], accel[i, j]
-            low = max(0, int(np.ceil((v0 - weights[4] * DT_S) * DT_S / DS_M)))
-            high = max(low, int((v0 + weights[3] * DT_S) * DT_S / DS_M))
+            low = max(0, int(np.ceil((v0 - weights[4] * DT_S) * DT_S / DS_M - TIE)))
+            high = max(low, int((v0 + weights[3] * DT_S) * DT_S / DS_M + TIE))
             for k in range(j + low, min(rows, j + high + 1)):
                 v = (k - j) * DS_M / DT_S
                 a = (v - v0) / DT_S

@@ -33,7 +33,7 @@ from math import inf, isfinite
 import numpy as np
 
 from logs.frame import Frame
-from logs.kernel import FloatArray
+from logs.kernel import TIE, FloatArray
 from logs.road import Road
 from logs.rules import Colour
 from logs.states import EgoState, wrap
@@ -230,7 +230,7 @@ class Rulebook:
             since.setdefault(zone.name, frame.t)
         elif frame.ego.v > STANDING_MPS and zone.name not in self._memory.taken:
             since.pop(zone.name, None)
-        return zone.name in since and frame.t - since[zone.name] >= PATIENCE_S - 1e-6
+        return zone.name in since and frame.t - since[zone.name] >= PATIENCE_S - TIE
 
     def _leader(self, ego: _Start) -> tuple[float, float, int]:
         """Station of the rear of the one ahead in the ego's way, its speed, its index; inf, 0, -1: nobody."""
@@ -281,7 +281,7 @@ class Rulebook:
         if _merges(zone) and isfinite(t_out) and window.speed > 0.0:
             own = float(np.interp(t_out, STEP_S * np.arange(KNOTS), motion[1]))
             extra = max(window.speed - own, 0.0) ** 2 / (2.0 * window.speed * YIELD_MPS2)
-        return t_out + clear - less + extra <= window.begin or _gone(zone, window) <= t_in
+        return t_out + clear - less + extra <= window.begin + TIE or _gone(zone, window) <= t_in + TIE
 
     def _release(self, zone: Zone, ego: _Start, taken: tuple[Window, ...], motion: FloatArray) -> float:
         """When the ego may pass the place where it waits, s: (4) holds for all windows, at speed and from rest.

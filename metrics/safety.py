@@ -342,7 +342,7 @@ _TTC_SOURCE = (
 TTC = Metric(
     "ttc", "s", "higher", (Mode.CLOSED,), partial(_ttc, vulnerable_only=False), _TTC_TIMES,
     "Least time until boxes touch at constant velocity vectors, within 10 s; not to those behind.",
-    _TTC_SOURCE, formula=_TTC_FORMULA, parameters=_TTC_HOW, needs="another on a course to touch an ego that drives",
+    _TTC_SOURCE, 2, formula=_TTC_FORMULA, parameters=_TTC_HOW, needs="another on a course to touch an ego that drives",
 )  # fmt: skip
 TTC_VULNERABLE = Metric(
     "ttc_vulnerable", "s", "higher", (Mode.CLOSED,), partial(_ttc, vulnerable_only=True), _TTC_TIMES,

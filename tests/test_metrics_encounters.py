@@ -172,12 +172,22 @@ def test_the_vulnerable_have_a_time_to_collision_of_their_own() -> None:
 
 
 def test_at_a_collision_at_fault_ttc_is_zero_and_its_time_counts() -> None:
-    """A pedestrian is there only from 0.1 s before the touch: nothing but the last steps can count."""
-    reversing = scenario(along(grid(1.0), -3.0), [car(-TAIL - 2.25 - 2.0, 0.0, 0.0, yaw=0.0)])
-    table = judged(scenario(reversing.ego.between(0.0, 0.67), [car(-TAIL - 4.25, 0.0, 0.0, yaw=0.0)]))
+    """In reverse, 3 m/s, into a car that stands 2 m behind: those behind have no TTC, but the touch after 0.667 s is
+    the ego's fault. The drive ends with it: the last step stands for half of its 0.01 s."""
+    log = scenario(along(grid(0.67), -3.0), [car(-TAIL - 2.25 - 2.0, 0.0, 0.0, yaw=0.0)])
+    table = judged(log)
     assert table.loc["collision_at_fault.count", "value"] == 1
     assert (table.loc["ttc.min", "value"], table.loc["ttc.min", "reason"]) == (0.0, "car 7")
     assert table.loc["ttc.time_below_950ms", "value"] == pytest.approx(0.005)
+    assert table.loc["ttc.integrated_1500ms", "value"] == pytest.approx(0.0075)
+
+
+def test_who_runs_into_the_ego_from_behind_does_not_change_its_ttc() -> None:
+    """15 m/s behind 5 m/s: from -12.75 to -0.9 m at 10 m/s, a touch after 1.185 s; the drive ends there."""
+    table = judged(world(5.0, car(-15.0, 0.0, 15.0), seconds=1.19))
+    assert table.loc["collision.count", "value"] == 1
+    assert not table.loc["ttc.min", "available"]
+    assert table.loc["ttc.time_below_950ms", "value"] == 0.0
 
 
 def test_time_exposed_and_time_integrated() -> None:

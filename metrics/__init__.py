@@ -22,11 +22,15 @@ from metrics import (
     comfort,
     consistency,
     effort,
+    encounters,
     evidence,
+    following,
     progress,
     right_of_way,
+    rss,
     rules,
     safety,
+    severity,
     tracking,
 )
 from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
@@ -38,6 +42,9 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
     "safety": (
         safety.COLLISION, safety.COLLISION_AT_FAULT, safety.GAP, safety.GAP_VULNERABLE, safety.TTC, safety.OFF_ROAD,
         safety.PLAN_COLLISION,
+        safety.TTC_VULNERABLE, severity.COLLISION_SEVERITY, following.HEADWAY, following.THW, following.DRAC,
+        following.REQUIRED_DECEL, following.BTN, following.STN, following.FOLLOWING_GAP, encounters.TTC_ACCELERATED,
+        encounters.DCE, encounters.TTCE, encounters.PET, rss.RSS_MARGIN, rss.RSS_IMPROPER,
     ),
     "rules": (rules.RED_LIGHT, rules.STOP_SIGN, rules.CROSSWALK, right_of_way.PRIORITY_GAP),
     "comfort": (

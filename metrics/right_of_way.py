@@ -15,11 +15,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.road import Lane, Road
 from logs.scenario import AgentKind, Scenario
-from logs.shapes import overlap
 from logs.trace import Mode, Trace
+from metrics.encounters import encroachment
 from metrics.metric import MIN, Measured, Metric, Reduction, Series, Unavailable
 from metrics.others import ego_boxes, name_of, others_at
 from metrics.rules import on_lane
@@ -69,26 +69,15 @@ def _around(on: BoolArray) -> BoolArray:
     return found
 
 
-@kernel
 def _left(
     ego: FloatArray, mine: IntArray, other: FloatArray, theirs: IntArray, size: FloatArray, other_size: FloatArray
 ) -> tuple[int, int]:
     """(1) in steps, and the ego's step; -1 where the ego is not the first of the two."""
-    step, least, before, after = -1, 0, 0, 0
-    for i in mine:
-        for j in theirs:
-            if not overlap(
-                ego[0, i], ego[1, i], ego[2, i], size[0], size[1],
-                other[0, j], other[1, j], other[2, j], other_size[0], other_size[1],
-            ):  # fmt: skip
-                continue
-            if j < i:
-                after += 1
-                continue
-            before += 1
-            if step < 0 or j - i < least:
-                step, least = i, j - i
-    return (step, least) if before > after else (-1, 0)
+    after, _, ego_first, other_first = encroachment(ego, mine, other, theirs, size, other_size, 0.0)
+    if ego_first.sum() <= other_first.sum():
+        return -1, 0
+    step = int(np.argmin(np.where(after >= 0, after, len(after))))
+    return step, int(after[step])
 
 
 def _failed(series: Series) -> tuple[float, int]:

@@ -16,7 +16,8 @@ first one is ours):
     LATERAL         any other                          at fault unless the ego keeps its lane (`lanes.keeps_lane`)
 
 Time to collision: both boxes go on with their velocity vectors and headings (`shapes.time_to_contact`), up to 10 s;
-agents behind (as above) and a standing ego (<= 0.005 m/s) have none.
+agents behind (as above) and a standing ego (<= 0.005 m/s) have none. At a collision at fault it is 0, with anyone. Its
+times below a bound count the last step too (`exposure`).
 
 Off the road: the greatest distance of the ego's four corners to the drivable lanes. The corners suffice where a lane
 is not narrower than the box; a hole between the corners is not seen.
@@ -37,6 +38,7 @@ from logs.scenario import AgentKind, Scenario, Tracks
 from logs.shapes import corners, distance, overlap, time_to_contact
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
+from metrics.exposure import TAU_S, integrated_below, seconds_below
 from metrics.lanes import drivable_lanes, keeps_lane, off_lanes
 from metrics.metric import COUNT, HAVING, MAX, MIN, Measured, Metric, Series, Unavailable, time_above, time_below
 from metrics.others import Others, ego_boxes, name_of, others_at
@@ -177,9 +179,9 @@ def _gaps(
 @kernel
 def _contact_times(
     ego: FloatArray, axle: float, length: float, width: float, there: BoolArray, pose: FloatArray, size: FloatArray,
-    horizon: float,
+    wanted: BoolArray, horizon: float,
 ) -> tuple[FloatArray, IntArray]:  # fmt: skip
-    """Per step the least time to contact below the horizon (NaN: none) and the agent's index (-1)."""
+    """Per step the least time to contact of a wanted agent below the horizon (NaN: none) and its index (-1)."""
     steps, reach = there.shape[1], 0.5 * hypot(length, width)
     least, whom = np.full(steps, np.nan), np.full(steps, -1, np.int64)
     for k in range(steps):
@@ -188,7 +190,7 @@ def _contact_times(
         if hypot(vx, vy) <= 0.005:
             continue
         for i in range(len(size)):
-            if not there[i, k] or _behind(rear_x, rear_y, yaw, pose[0, i, k], pose[1, i, k]):
+            if not (wanted[i] and there[i, k]) or _behind(rear_x, rear_y, yaw, pose[0, i, k], pose[1, i, k]):
                 continue
             closing = hypot(pose[3, i, k] - vx, pose[4, i, k] - vy)
             if _apart(x, y, reach, pose, size, i, k) > closing * best:
@@ -215,25 +217,41 @@ def _collision(trace: Trace, scenario: Scenario, *, fault_only: bool) -> Measure
             counts[contact.step] += 1.0
             fault = "at fault" if contact.at_fault else "not at fault"
             what = f"{name_of(trace.agents, contact.agent)}: {contact.kind.value}, {fault}"
+            what = f"{what}, {impact_speed(contact, trace, scenario):.1f} m/s"
             labels[contact.step] = "; ".join(filter(None, [labels[contact.step], what]))
     return Series(trace.ego.t, counts, tuple(labels))
 
 
+def _wanted(trace: Trace, vulnerable_only: bool) -> BoolArray:
+    """Which agents count `(n,)`: all, or pedestrians and riders."""
+    return np.array([kind.is_vulnerable or not vulnerable_only for kind in trace.agents.kinds], np.bool_)
+
+
+def impact_speed(contact: Contact, trace: Trace, scenario: Scenario) -> float:
+    """Length of the difference of the velocity vectors at the first touch, m/s."""
+    others = others_at(trace.agents, trace.ego.t[contact.step : contact.step + 1])
+    mine, theirs = ego_boxes(trace.ego, scenario)[3:, contact.step], others.pose[3:, contact.agent, 0]
+    return float(np.hypot(*(theirs - mine)))
+
+
 def _gap(trace: Trace, scenario: Scenario, *, vulnerable_only: bool) -> Measured:
     ego, others = ego_boxes(trace.ego, scenario), others_at(trace.agents, trace.ego.t)
-    wanted = np.array([kind.is_vulnerable or not vulnerable_only for kind in trace.agents.kinds], np.bool_)
-    vehicle = scenario.vehicle
+    wanted, vehicle = _wanted(trace, vulnerable_only), scenario.vehicle
     gap, nearest = _gaps(ego, vehicle.length, vehicle.width, others.there, others.pose, others.size, wanted)
     nobody = "no pedestrian or rider in the scene" if vulnerable_only else "no other road user in the scene"
     return Series(trace.ego.t, gap, _labels(trace, nearest), nobody)
 
 
-def _ttc(trace: Trace, scenario: Scenario) -> Measured:
+def _ttc(trace: Trace, scenario: Scenario, *, vulnerable_only: bool) -> Measured:
     ego, others, vehicle = ego_boxes(trace.ego, scenario), others_at(trace.agents, trace.ego.t), scenario.vehicle
+    wanted = _wanted(trace, vulnerable_only)
     least, whom = _contact_times(
-        ego, vehicle.axle_to_center, vehicle.length, vehicle.width, others.there, others.pose, others.size,
+        ego, vehicle.axle_to_center, vehicle.length, vehicle.width, others.there, others.pose, others.size, wanted,
         TTC_HORIZON_S,
     )  # fmt: skip
+    for contact in contacts(trace, scenario):
+        if contact.at_fault and wanted[contact.agent]:
+            least[contact.step], whom[contact.step] = 0.0, contact.agent
     nothing = f"never on a course to touch within {TTC_HORIZON_S:g} s"
     return Series(trace.ego.t, least, _labels(trace, whom), nothing)
 
@@ -319,11 +337,27 @@ GAP_VULNERABLE = Metric(
     (MIN, time_below(0.5, "time_below_50cm")),
     "Least distance to a pedestrian or rider.",
 )  # fmt: skip
+_TTC_TIMES = (MIN, seconds_below(0.95, "time_below_950ms"), seconds_below(TAU_S, "time_below_1500ms"),
+              integrated_below(TAU_S, "integrated_1500ms"))  # fmt: skip
+_TTC_HOW = (
+    f"horizon {TTC_HORIZON_S:g} s", "bounds 0.95 s and 1.5 s (tau of TET and TIT)",
+    "not to who is more than 150 degrees off the heading", "0 at a collision at fault",
+)  # fmt: skip
+_TTC_FORMULA = "least t >= 0 at which the boxes touch; TET = sum w [TTC < tau], TIT = sum w (tau - TTC) [TTC <= tau]"
+_TTC_SOURCE = (
+    "bound 0.95 s: nuPlan devkit e9241677, time_to_collision_within_bound; TET and TIT: Minderhoud, Bovy, "
+    "Accid. Anal. Prev. 33 (2001) 89"
+)
 TTC = Metric(
-    "ttc", "s", "higher", (Mode.CLOSED,), _ttc,
-    (MIN, time_below(0.95, "time_below_950ms"), time_below(1.5, "time_below_1500ms")),
+    "ttc", "s", "higher", (Mode.CLOSED,), partial(_ttc, vulnerable_only=False), _TTC_TIMES,
     "Least time until boxes touch at constant velocity vectors, within 10 s; not to those behind.",
-    "bound 0.95 s: nuPlan devkit e9241677, time_to_collision_within_bound",
+    _TTC_SOURCE, 2, formula=_TTC_FORMULA, parameters=_TTC_HOW, needs="another on a course to touch an ego that drives",
+)  # fmt: skip
+TTC_VULNERABLE = Metric(
+    "ttc_vulnerable", "s", "higher", (Mode.CLOSED,), partial(_ttc, vulnerable_only=True), _TTC_TIMES,
+    "Least time until the ego's box touches a pedestrian or rider at constant velocity vectors, as ttc.",
+    _TTC_SOURCE, formula=_TTC_FORMULA, parameters=_TTC_HOW,
+    needs="a pedestrian or rider on a course to touch an ego that drives",
 )  # fmt: skip
 OFF_ROAD = Metric(
     "off_road", "m", "lower", (Mode.CLOSED,), _off_road, (MAX, time_above(OFF_ROAD_M, "time_beyond_30cm")),

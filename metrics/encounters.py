@@ -1,0 +1,291 @@
+"""How near the ego and the others come: extrapolated, and as they really passed. Closed loop, every 0.1 s.
+
+(1) TTC at constant acceleration: each box goes on along its velocity vector with v(t) = max(v + a t, 0), heading held,
+    until two of them touch, within `HORIZON_S`. Every `PIECE_S` the positions are exact, between them straight and
+    uniform: exact to a PIECE_S^2 / 8, 6 mm at 5 m/s2. To the same agents as `ttc`.
+(2) DCE = min over 0 <= t <= HORIZON_S of the distance of the boxes at constant velocity vectors, 0 where they come to
+    touch;  TTCE = the t at which it is taken, the first of equals
+(3) PET = |t_j - t_i|, the least over the ego's boxes i and an agent's boxes j that overlap: the time between one
+    leaving a spot and the other taking it. "ego_first": t_j >= t_i, "ego_second": t_j < t_i; "crossing" takes both, but
+    only boxes whose headings differ by 30 degrees or more, so that who follows does not hide who crosses.
+
+PET looks at both passages as they happened, so later steps change it; all else knows nothing that comes later. An
+agent that stands throughout (an obstacle) has no PET: it is left by nobody.
+
+Sources: criticality metrics catalogue (Westhofen et al., Arch. Comput. Methods Eng. 30, 2023); Eggert, Proc. IEEE ITSC
+2014, for (2); Allen, Shin, Cooper, Transp. Res. Rec. 667 (1978) for (3).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from math import cos, hypot, inf, pi, sin
+
+import numpy as np
+
+from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.scenario import Scenario
+from logs.shapes import corners, distance, overlap, time_to_contact
+from logs.states import wrap
+from logs.trace import Mode, Trace
+from metrics.exposure import seconds_below
+from metrics.metric import MIN, Measured, Metric, Series
+from metrics.others import Others, ego_boxes, name_of, others_at
+from metrics.path_ahead import GRID_S, accel_at, grid_of
+from metrics.safety import _apart, _behind, _labels
+
+HORIZON_S = 10.0
+PIECE_S = 0.1
+MOVES_MPS = 0.005
+"""nuPlan devkit e9241677: an ego that is not faster has no TTC."""
+CROSSING_RAD = pi / 6.0
+SERIOUS_S = 1.0
+"""PET below it is serious (criticality metrics catalogue)."""
+
+
+@kernel
+def _travelled(v: float, a: float, t: float) -> float:
+    """Way after t of who does not reverse: stops where v + a t = 0."""
+    if a < 0.0 and v + a * t < 0.0:
+        return -0.5 * v * v / a
+    return v * t + 0.5 * a * t * t
+
+
+@kernel
+def time_to_contact_accelerated(
+    x1: float, y1: float, yaw1: float, length1: float, width1: float, vx1: float, vy1: float, a1: float,
+    x2: float, y2: float, yaw2: float, length2: float, width2: float, vx2: float, vy2: float, a2: float,
+    horizon: float,
+) -> float:  # fmt: skip
+    """(1), s; inf if they do not touch within the horizon. Who stands sets off along the heading where a > 0."""
+    v1, v2 = hypot(vx1, vy1), hypot(vx2, vy2)
+    c1, s1 = (vx1 / v1, vy1 / v1) if v1 > 0.0 else (cos(yaw1), sin(yaw1))
+    c2, s2 = (vx2 / v2, vy2 / v2) if v2 > 0.0 else (cos(yaw2), sin(yaw2))
+    reach = 0.5 * (hypot(length1, width1) + hypot(length2, width2))
+    d1, d2 = 0.0, 0.0
+    for i in range(round(horizon / PIECE_S)):
+        then = (i + 1) * PIECE_S
+        e1, e2 = _travelled(v1, a1, then), _travelled(v2, a2, then)
+        dx, dy = x2 - x1 + d2 * c2 - d1 * c1, y2 - y1 + d2 * s2 - d1 * s1
+        if hypot(dx, dy) - reach <= (e1 - d1) + (e2 - d2):
+            u1, u2 = (e1 - d1) / PIECE_S, (e2 - d2) / PIECE_S
+            found = time_to_contact(
+                0.0, 0.0, yaw1, length1, width1, u1 * c1, u1 * s1, dx, dy, yaw2, length2, width2, u2 * c2, u2 * s2
+            )
+            if found <= PIECE_S:
+                return i * PIECE_S + found
+        d1, d2 = e1, e2
+    return inf
+
+
+@kernel
+def closest_encounter(
+    x1: float, y1: float, yaw1: float, length1: float, width1: float, vx1: float, vy1: float,
+    x2: float, y2: float, yaw2: float, length2: float, width2: float, vx2: float, vy2: float, horizon: float,
+) -> tuple[float, float]:  # fmt: skip
+    """(2): DCE, m, and TTCE, s. Boxes that do not touch are nearest at an end of the time or corner to corner."""
+    contact = time_to_contact(x1, y1, yaw1, length1, width1, vx1, vy1, x2, y2, yaw2, length2, width2, vx2, vy2)
+    if contact <= horizon:
+        return 0.0, contact
+    vx, vy = vx2 - vx1, vy2 - vy1
+    best, when = distance(x1, y1, yaw1, length1, width1, x2, y2, yaw2, length2, width2), 0.0
+    later = distance(x1, y1, yaw1, length1, width1, x2 + horizon * vx, y2 + horizon * vy, yaw2, length2, width2)
+    square = vx * vx + vy * vy
+    if square > 0.0:
+        one, two = corners(x1, y1, yaw1, length1, width1), corners(x2, y2, yaw2, length2, width2)
+        for i in range(4):
+            for j in range(4):
+                dx, dy = two[j, 0] - one[i, 0], two[j, 1] - one[i, 1]
+                t = -(dx * vx + dy * vy) / square
+                apart = hypot(dx + t * vx, dy + t * vy)
+                if 0.0 < t < horizon and (apart < best - 1e-9 or (apart < best + 1e-9 and t < when)):
+                    best, when = min(apart, best), t
+    return (later, horizon) if later < best - 1e-9 else (best, when)
+
+
+@kernel
+def _accelerated(
+    ego: FloatArray, ego_accel: FloatArray, box: FloatArray, there: BoolArray, pose: FloatArray, size: FloatArray,
+    accel: FloatArray,
+) -> tuple[FloatArray, IntArray]:  # fmt: skip
+    """Per step the least (1) (NaN: none) and the agent's index (-1)."""
+    steps, reach = there.shape[1], 0.5 * hypot(box[1], box[2])
+    least, whom = np.full(steps, np.nan), np.full(steps, -1, np.int64)
+    for k in range(steps):
+        x, y, yaw, vx, vy = ego[0, k], ego[1, k], ego[2, k], ego[3, k], ego[4, k]
+        rear_x, rear_y, best, v = x - box[0] * cos(yaw), y - box[0] * sin(yaw), HORIZON_S, hypot(vx, vy)
+        if v <= MOVES_MPS:
+            continue
+        for i in range(len(size)):
+            if not there[i, k] or _behind(rear_x, rear_y, yaw, pose[0, i, k], pose[1, i, k]):
+                continue
+            u = hypot(pose[3, i, k], pose[4, i, k])
+            way = _travelled(v, ego_accel[k], best) + _travelled(u, accel[i, k], best)
+            if _apart(x, y, reach, pose, size, i, k) > way:
+                continue
+            found = time_to_contact_accelerated(
+                x, y, yaw, box[1], box[2], vx, vy, ego_accel[k],
+                pose[0, i, k], pose[1, i, k], pose[2, i, k], size[i, 0], size[i, 1], pose[3, i, k], pose[4, i, k],
+                accel[i, k], best,
+            )  # fmt: skip
+            if found < best:
+                best, least[k], whom[k] = found, found, i
+    return least, whom
+
+
+@kernel
+def _closest(
+    ego: FloatArray, box: FloatArray, there: BoolArray, pose: FloatArray, size: FloatArray
+) -> tuple[FloatArray, IntArray]:
+    """Per step the least DCE and its TTCE (NaN: nobody is there) `(2, k)`, and the agent's index (-1)."""
+    steps, reach = there.shape[1], 0.5 * hypot(box[1], box[2])
+    found, whom = np.full((2, steps), np.nan), np.full(steps, -1, np.int64)
+    for k in range(steps):
+        x, y, yaw, vx, vy = ego[0, k], ego[1, k], ego[2, k], ego[3, k], ego[4, k]
+        best, when = inf, inf
+        for i in range(len(size)):
+            if not there[i, k]:
+                continue
+            dx, dy, du, dv = pose[0, i, k] - x, pose[1, i, k] - y, pose[3, i, k] - vx, pose[4, i, k] - vy
+            square = du * du + dv * dv
+            t = min(max(-(dx * du + dy * dv) / square, 0.0), HORIZON_S) if square > 0.0 else 0.0
+            if hypot(dx + t * du, dy + t * dv) - reach - 0.5 * hypot(size[i, 0], size[i, 1]) > best:
+                continue
+            near, after = closest_encounter(
+                x, y, yaw, box[1], box[2], vx, vy,
+                pose[0, i, k], pose[1, i, k], pose[2, i, k], size[i, 0], size[i, 1], pose[3, i, k], pose[4, i, k],
+                HORIZON_S,
+            )  # fmt: skip
+            if near < best or (near == best and after < when):
+                best, when, whom[k] = near, after, i
+                found[0, k], found[1, k] = near, after
+    return found, whom
+
+
+@kernel
+def encroachment(
+    ego: FloatArray, mine: IntArray, other: FloatArray, theirs: IntArray, size: FloatArray, other_size: FloatArray,
+    angle: float,
+) -> IntArray:  # fmt: skip
+    """(3) in steps, of the ego's steps `mine` and an agent's `theirs`, both increasing.
+
+    `(4, steps of the ego)`: least j - i >= 0 and least i - j > 0 over the boxes that overlap and whose headings differ
+    by at least `angle`, -1 where there are none; then the numbers of such pairs.
+    """
+    out = np.zeros((4, ego.shape[1]), np.int64)
+    out[:2] = -1
+    reach = 0.5 * (hypot(size[0], size[1]) + hypot(other_size[0], other_size[1]))
+    for i in mine:
+        for j in theirs:
+            if hypot(other[0, j] - ego[0, i], other[1, j] - ego[1, i]) > reach:
+                continue
+            if abs(wrap(other[2, j] - ego[2, i])) < angle or not overlap(
+                ego[0, i], ego[1, i], ego[2, i], size[0], size[1],
+                other[0, j], other[1, j], other[2, j], other_size[0], other_size[1],
+            ):  # fmt: skip
+                continue
+            order, steps = (0, j - i) if j >= i else (1, i - j)
+            out[2 + order, i] += 1
+            if out[order, i] < 0 or steps < out[order, i]:
+                out[order, i] = steps
+    return out
+
+
+def _scene(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, Others]:
+    """Grid, the ego's boxes on it and accelerations, its (axle to centre, length, width), and the others."""
+    ego, car = grid_of(trace), scenario.vehicle
+    accel = ego.a * np.where(ego.v < 0.0, -1.0, 1.0)
+    box = np.array([car.axle_to_center, car.length, car.width])
+    return ego.t, ego_boxes(ego, scenario), accel, box, others_at(trace.agents, ego.t)
+
+
+def _ttc_accelerated(trace: Trace, scenario: Scenario) -> Measured:
+    t, boxes, ego_accel, box, others = _scene(trace, scenario)
+    accel = accel_at(trace.agents, t)
+    least, whom = _accelerated(boxes, ego_accel, box, others.there, others.pose, others.size, accel)
+    nothing = f"never on a course to touch within {HORIZON_S:g} s"
+    return Series(t, least, _labels(trace, whom), nothing)
+
+
+def _encounter(trace: Trace, scenario: Scenario, *, row: int) -> Measured:
+    t, boxes, _, box, others = _scene(trace, scenario)
+    found, whom = _closest(boxes, box, others.there, others.pose, others.size)
+    value = found[row] if row == 0 else np.where(found[1] > 0.0, found[1], np.nan)
+    nobody = "no other road user in the scene" if row == 0 or not others.there.any() else "nobody came nearer"
+    return Series(t, value, _labels(trace, whom), nobody)
+
+
+def _pet(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
+    t, boxes, _, box, others = _scene(trace, scenario)
+    best = {part: np.full(len(t), np.nan) for part in PET_PARTS}
+    labels = {part: [""] * len(t) for part in PET_PARTS}
+    for i in range(len(trace.agents)):
+        mine, theirs = _may_meet(boxes, box, others, i)
+        if trace.agents.static[i] or not len(mine) or not len(theirs):
+            continue
+        name = name_of(trace.agents, i)
+        for angle, after, before in ((0.0, "ego_first", "ego_second"), (CROSSING_RAD, "crossing", "crossing")):
+            found = encroachment(boxes, mine, others.pose[:, i], theirs, box[1:], others.size[i], angle)
+            for part, steps, sign, order in ((after, found[0], 1, "second"), (before, found[1], -1, "first")):
+                at = np.flatnonzero(steps >= 0)
+                for k, pet in zip(at, np.abs(t[at + sign * steps[at]] - t[at]), strict=True):
+                    if not best[part][k] <= pet:
+                        best[part][k], labels[part][k] = pet, f"{name} {order}"
+    return {part: Series(t, best[part], tuple(labels[part]), PET_PARTS[part]) for part in PET_PARTS}
+
+
+def _may_meet(boxes: FloatArray, box: FloatArray, others: Others, i: int) -> tuple[IntArray, IntArray]:
+    """The steps of the ego and of agent i that lie in the rectangle which the other's drive takes."""
+    x, y = others.pose[:2, i][:, others.there[i]]
+    reach = 0.5 * float(np.hypot(box[1], box[2]) + np.hypot(*others.size[i]))
+    if not len(x):
+        return np.empty(0, np.int64), np.empty(0, np.int64)
+    mine = _inside(boxes, x, y, reach)
+    theirs = others.there[i] & _inside(others.pose[:, i], boxes[0], boxes[1], reach)
+    return np.flatnonzero(mine), np.flatnonzero(theirs)
+
+
+def _inside(place: FloatArray, x: FloatArray, y: FloatArray, reach: float) -> BoolArray:
+    """Which of the centres `place[:2]` lie within `reach` of the rectangle round the points (x, y)."""
+    in_x = (place[0] >= x.min() - reach) & (place[0] <= x.max() + reach)
+    return in_x & (place[1] >= y.min() - reach) & (place[1] <= y.max() + reach)
+
+
+PET_PARTS = {
+    "ego_first": "the ego left no place that another took after it",
+    "ego_second": "the ego took no place that another had left",
+    "crossing": "nobody crossed the ego's way",
+}
+"""The parts of PET, and why each may have no value."""
+_CATALOGUE = "criticality metrics catalogue, Westhofen et al., Arch. Comput. Methods Eng. 30 (2023)"
+_GRID = f"every {GRID_S:g} s"
+TTC_ACCELERATED = Metric(
+    "ttc_accelerated", "s", "higher", (Mode.CLOSED,), _ttc_accelerated, (MIN, seconds_below(1.5, "time_below_1500ms")),
+    "Least time until boxes touch when all go on along their velocity vectors with their accelerations, no one into "
+    "reverse; to the same agents as ttc.",
+    f"{_CATALOGUE}; commonroad-crime asks it of a lead in a lane", formula="v(t) = max(v + a t, 0) of each",
+    parameters=(f"horizon {HORIZON_S:g} s", f"pieces of {PIECE_S:g} s", "bound 1.5 s", _GRID),
+    needs="another on a course to touch an ego that drives",
+)  # fmt: skip
+DCE = Metric(
+    "dce", "m", "higher", (Mode.CLOSED,), partial(_encounter, row=0), (MIN,),
+    "Distance of the closest encounter: the least distance of the boxes within 10 s at constant velocity vectors.",
+    f"Eggert, Proc. IEEE ITSC 2014; {_CATALOGUE}", formula="min over 0 <= t <= horizon of distance(t)",
+    parameters=(f"horizon {HORIZON_S:g} s", _GRID), needs="another road user",
+)  # fmt: skip
+TTCE = Metric(
+    "ttce", "s", "higher", (Mode.CLOSED,), partial(_encounter, row=1), (MIN,),
+    "Time to the closest encounter (of dce) where that is still to come.",
+    f"Eggert, Proc. IEEE ITSC 2014; {_CATALOGUE}", formula="argmin over 0 < t <= horizon of distance(t)",
+    parameters=(f"horizon {HORIZON_S:g} s", _GRID), needs="another who comes nearer",
+)  # fmt: skip
+PET = Metric(
+    "pet", "s", "higher", (Mode.CLOSED,), _pet, (MIN, seconds_below(SERIOUS_S, "time_below_1s")),
+    "Post-encroachment time: from one leaving a place to the other taking it; the ego first, second, or either at a "
+    "crossing.",
+    f"Allen, Shin, Cooper, Transp. Res. Rec. 667 (1978); {_CATALOGUE}",
+    formula="min |t_j - t_i| over overlapping boxes",
+    parameters=(_GRID, "crossing: headings differ by 30 degrees or more", f"serious below {SERIOUS_S:g} s"),
+    parts=tuple(PET_PARTS), needs="a place that both take",
+)  # fmt: skip

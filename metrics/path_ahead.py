@@ -1,0 +1,180 @@
+"""The path ahead of the ego and the lead in it: the one definition of all metrics that ask who is in front.
+
+Path: from the rear axle on along the circle of the ego's curvature at that step; s in m along it, l in m to its left,
+for at most `LOOK_M` and a quarter of a turn. It needs no lane, and nothing that comes later in the drive. With a point
+at (x, y) ahead and to the left of the rear axle:
+
+(1) s = atan2(kappa x, 1 - kappa y) / kappa,  x where kappa = 0
+    l = (2 y - kappa (x^2 + y^2)) / (1 + hypot(1 - kappa y, kappa x))
+
+Band: |l| <= half of the ego's width, what its box sweeps. Lead: of all agents whose box reaches into the band, the one
+whose part in it begins nearest ahead of the middle of the ego's box. Who comes towards the ego with more than
+`COMING_MPS` is no lead (their approach is seen by TTC and RSS); who crosses is one for as long as they are in the band.
+An ego in reverse has no lead. Edges of boxes are looked at in `PIECES` pieces each, exact to 0.1 m for a truck on the
+tightest curve.
+
+All of it is measured every `GRID_S` and at the drive's last step.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import atan2, cos, hypot, pi, sin
+
+import numpy as np
+
+from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.scenario import Scenario, Tracks
+from logs.shapes import corners
+from logs.states import Trajectory
+from logs.trace import Trace
+from metrics.others import others_at
+
+GRID_S = 0.1
+LOOK_M = 150.0
+COMING_MPS = 0.5
+STANDING_MPS = 0.05
+"""nuPlan devkit e9241677: a road user that is not faster stands."""
+PIECES = 4
+ACCEL_WINDOW_S = 0.2
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Ahead:
+    """The ego and its lead over k steps; NaN where there is no lead.
+
+    Attributes:
+        t: s since the scenario's start.
+        v: The ego's speed, m/s; `a` its acceleration, m/s2.
+        whom: Index of the lead's track, -1: none.
+        gap: Along the path from the ego's front bumper to the lead's nearest part in the band, m; 0 where they touch.
+        u: The lead's speed along the path, m/s; `w` across it, positive to the left.
+        decel: The lead's deceleration along the path, m/s2, 0 where it does not brake.
+        low: The lead's rightmost l, m; `high` its leftmost.
+        facing: Cosine of the angle between the lead's heading and the path.
+    """
+
+    t: FloatArray
+    v: FloatArray
+    a: FloatArray
+    whom: IntArray
+    gap: FloatArray
+    u: FloatArray
+    w: FloatArray
+    decel: FloatArray
+    low: FloatArray
+    high: FloatArray
+    facing: FloatArray
+
+
+def grid_of(trace: Trace) -> Trajectory:
+    """The ego's drive every `GRID_S` from its start, and at its last step."""
+    first, last = float(trace.ego.t[0]), float(trace.ego.t[-1])
+    steps = first + GRID_S * np.arange(int((last - first) / GRID_S - 1e-6) + 1)
+    return trace.ego.resampled(np.r_[steps, last] if last > steps[-1] else steps)
+
+
+def accel_at(tracks: Tracks, t: FloatArray) -> FloatArray:
+    """Rate of the agents' speeds `(n, k)`, m/s2: the difference over the last `ACCEL_WINDOW_S`; 0 where not known."""
+    now, then = (others_at(tracks, times) for times in (t, t - ACCEL_WINDOW_S))
+    change = np.hypot(now.pose[3], now.pose[4]) - np.hypot(then.pose[3], then.pose[4])
+    return np.where(now.there & then.there, change / ACCEL_WINDOW_S, 0.0)
+
+
+def ahead_of(trace: Trace, scenario: Scenario) -> Ahead:
+    """Who was in front, on `grid_of(trace)`."""
+    ego, car = grid_of(trace), scenario.vehicle
+    others = others_at(trace.agents, ego.t)
+    states = np.stack([ego.x, ego.y, ego.yaw, ego.v, ego.kappa])
+    box = np.array([car.axle_to_center, car.length, car.width])
+    accel = accel_at(trace.agents, ego.t)
+    rows, whom = _leads(states, box, others.there, others.pose, others.size, accel)
+    return Ahead(ego.t, ego.v, ego.a, whom, *rows)
+
+
+@kernel
+def arc_point(kappa: float, x: float, y: float) -> tuple[float, float]:
+    """(1): s and l of a point in the frame of the rear axle."""
+    side, up = 1.0 - kappa * y, kappa * x
+    s = atan2(up, side) / kappa if kappa != 0.0 else x
+    return s, (2.0 * y - kappa * (x * x + y * y)) / (1.0 + hypot(side, up))
+
+
+@kernel
+def _clipped(s0: float, l0: float, s1: float, l1: float, half: float) -> float:
+    """The least s of a straight piece within |l| <= half; inf where no part of it is."""
+    if max(l0, l1) < -half or min(l0, l1) > half:
+        return np.inf
+    least = np.inf
+    if abs(l0) <= half:
+        least = s0
+    if abs(l1) <= half:
+        least = min(least, s1)
+    if l0 != l1:
+        for edge in (-half, half):
+            u = (edge - l0) / (l1 - l0)
+            if 0.0 <= u <= 1.0:
+                least = min(least, s0 + u * (s1 - s0))
+    return least
+
+
+@kernel
+def extent(
+    x: float, y: float, yaw: float, kappa: float, half: float, outline: FloatArray
+) -> tuple[float, float, float, float, float]:
+    """Of a box with corners `outline` `(4, 2)`: least s in the band (inf: none), then s and l from, to (1)."""
+    c, s = cos(yaw), sin(yaw)
+    near, s_low, s_high, l_low, l_high = np.inf, np.inf, -np.inf, np.inf, -np.inf
+    before = np.zeros(2)
+    for i in range(4 * PIECES + 1):
+        at, u = (i // PIECES) % 4, (i % PIECES) / PIECES
+        dx = (1.0 - u) * outline[at, 0] + u * outline[(at + 1) % 4, 0] - x
+        dy = (1.0 - u) * outline[at, 1] + u * outline[(at + 1) % 4, 1] - y
+        along, left = arc_point(kappa, c * dx + s * dy, c * dy - s * dx)
+        s_low, s_high = min(s_low, along), max(s_high, along)
+        l_low, l_high = min(l_low, left), max(l_high, left)
+        if i > 0 and abs(kappa * (along - before[0])) < pi:
+            near = min(near, _clipped(before[0], before[1], along, left, half))
+        before[0], before[1] = along, left
+    return near, s_low, s_high, l_low, l_high
+
+
+@kernel
+def within_look(x: float, y: float, yaw: float, kappa: float, other_x: float, other_y: float, reach: float) -> bool:
+    """Whether a box of half diagonal `reach` may lie along the path: near enough, and not round the circle."""
+    dx, dy = other_x - x, other_y - y
+    return hypot(dx, dy) <= LOOK_M + reach and kappa * (dy * cos(yaw) - dx * sin(yaw)) < 1.0
+
+
+@kernel
+def _leads(
+    ego: FloatArray, box: FloatArray, there: BoolArray, pose: FloatArray, size: FloatArray, accel: FloatArray
+) -> tuple[FloatArray, IntArray]:
+    """The rows gap to facing of `Ahead` `(7, k)` and whom `(k,)`; `ego` has x, y, yaw, v, kappa of the rear axle."""
+    steps, half, front = there.shape[1], 0.5 * box[2], box[0] + 0.5 * box[1]
+    rows, whom = np.full((7, steps), np.nan), np.full(steps, -1, np.int64)
+    for k in range(steps):
+        x, y, yaw, kappa, best = ego[0, k], ego[1, k], ego[2, k], ego[4, k], np.inf
+        if ego[3, k] < -STANDING_MPS:
+            continue
+        for i in range(len(size)):
+            reach = 0.5 * hypot(size[i, 0], size[i, 1])
+            if not there[i, k] or not within_look(x, y, yaw, kappa, pose[0, i, k], pose[1, i, k], reach):
+                continue
+            dx, dy = pose[0, i, k] - x, pose[1, i, k] - y
+            ahead, left = dx * cos(yaw) + dy * sin(yaw), dy * cos(yaw) - dx * sin(yaw)
+            if abs(arc_point(kappa, ahead, left)[1]) > half + reach:
+                continue
+            outline = corners(pose[0, i, k], pose[1, i, k], pose[2, i, k], size[i, 0], size[i, 1])
+            near, _, _, low, high = extent(x, y, yaw, kappa, half, outline)
+            if not box[0] < near < min(best, front + LOOK_M) or abs(kappa * near) > 0.5 * pi:
+                continue
+            path, vx, vy = yaw + kappa * near, pose[3, i, k], pose[4, i, k]
+            u, w, speed = vx * cos(path) + vy * sin(path), vy * cos(path) - vx * sin(path), hypot(vx, vy)
+            if u < -COMING_MPS:
+                continue
+            best, whom[k] = near, i
+            rows[0, k], rows[1, k], rows[2, k] = max(near - front, 0.0), u, w
+            rows[3, k] = max(-accel[i, k] * u / speed, 0.0) if speed > STANDING_MPS else 0.0
+            rows[4, k], rows[5, k], rows[6, k] = low, high, cos(pose[2, i, k] - path)
+    return rows, whom

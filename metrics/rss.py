@@ -1,0 +1,185 @@
+"""Responsibility-sensitive safety (RSS), closed loop: how far from a dangerous situation, and was the response proper?
+
+Along and across the path ahead of the ego (`path_ahead`: the arc of its curvature now; no lanes), every 0.1 s, of every
+agent within `LOOK_M` that is not wholly behind the ego: those keep their own distance. v is the ego's speed, u the
+other's along the path, w across it towards the ego's side, d_lon and d_lat the gaps of the boxes (negative where they
+overlap), and stopping(v) = v RHO + A_MAX RHO^2 / 2 + (v + RHO A_MAX)^2 / (2 B_MIN).
+
+(1) d_lon,min = max(stopping(v) - u^2 / (2 B_MAX), 0) where both go the same way;  stopping(v) + stopping(|u|) where
+    the other comes (u < -0.05 m/s)
+(2) d_lat,min = MU + max(aside(0) + aside(w), 0),  aside(c) = (c + c') RHO / 2 + c' |c'| / (2 B_LAT),
+    c' = c + RHO A_LAT: the ego keeps to its path (c = 0); signed, so that who moves away is not charged; 0 for the
+    other where it stands or is an object: it has no speed to swerve with (ours)
+(3) dangerous: d_lon < d_lon,min and d_lat < d_lat,min;  margin = the greater of both differences, m, negative there
+(4) proper response, from RHO after the danger to this agent began until it ends or the ego stands: if d_lat became
+    unsafe last, the ego's speed across the path that it was on when the danger began, towards the other, is at most
+    what it was at RHO, less B_LAT times the time since, or 0; else its braking is at least B_MIN. Before RHO, and in
+    both cases, it accelerates with A_MAX at most.
+
+An ego that stands has given its response: no margin. Parameters: the set of JRC-FSM (commit 01b05c29). RSS leaves them
+to its user; with these a car that follows at 15 m/s is in danger within 18.1 m, 1.2 s.
+Source: Shalev-Shwartz, Shammah, Shashua, arXiv 1708.06374, definitions 1 to 10.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import cos, hypot, pi, sin
+
+import numpy as np
+
+from logs.kernel import BoolArray, FloatArray, kernel
+from logs.scenario import AgentKind, Scenario
+from logs.shapes import corners
+from logs.trace import Mode, Trace
+from metrics.exposure import seconds_above, seconds_below, share_while
+from metrics.metric import MIN, Measured, Metric, Series, Unavailable
+from metrics.others import name_of, others_at
+from metrics.path_ahead import GRID_S, LOOK_M, STANDING_MPS, arc_point, extent, grid_of, within_look
+
+RHO_S = 0.75
+A_MAX_MPS2, B_MIN_MPS2, B_MAX_MPS2 = 3.0, 6.0, 6.0
+A_LAT_MPS2, B_LAT_MPS2 = 1.0, 1.0
+MU_M = 0.3
+_EPS = 1e-6
+"""Of rounding, in a comparison of accelerations and times."""
+
+
+@kernel
+def _stopping(v: float) -> float:
+    faster = v + RHO_S * A_MAX_MPS2
+    return v * RHO_S + 0.5 * A_MAX_MPS2 * RHO_S**2 + faster * faster / (2.0 * B_MIN_MPS2)
+
+
+@kernel
+def longitudinal_distance(v: float, u: float) -> float:
+    """(1), m."""
+    if u < -STANDING_MPS:
+        return _stopping(v) + _stopping(-u)
+    return max(_stopping(v) - u * u / (2.0 * B_MAX_MPS2), 0.0)
+
+
+@kernel
+def _aside(c: float) -> float:
+    then = c + RHO_S * A_LAT_MPS2
+    return 0.5 * (c + then) * RHO_S + then * abs(then) / (2.0 * B_LAT_MPS2)
+
+
+@kernel
+def lateral_distance(w: float, swerves: bool) -> float:
+    """(2), m; `w` m/s towards the ego's path."""
+    return MU_M + max(_aside(0.0) + (_aside(w) if swerves else 0.0), 0.0)
+
+
+@kernel
+def _margins(
+    ego: FloatArray, box: FloatArray, there: BoolArray, pose: FloatArray, size: FloatArray, movable: bool
+) -> FloatArray:
+    """Of one agent: d_lon - d_lon,min, d_lat - d_lat,min, and its side (1 left, -1 right), `(3, k)`; NaN: not asked."""
+    steps, half, front, rear = len(there), 0.5 * box[2], box[0] + 0.5 * box[1], box[0] - 0.5 * box[1]
+    out = np.full((3, steps), np.nan)
+    reach = 0.5 * hypot(size[0], size[1])
+    for k in range(steps):
+        x, y, yaw, v, kappa = ego[0, k], ego[1, k], ego[2, k], ego[3, k], ego[4, k]
+        if not there[k] or v <= STANDING_MPS or not within_look(x, y, yaw, kappa, pose[0, k], pose[1, k], reach):
+            continue
+        outline = corners(pose[0, k], pose[1, k], pose[2, k], size[0], size[1])
+        _, s_low, s_high, l_low, l_high = extent(x, y, yaw, kappa, half, outline)
+        if s_high < rear or abs(kappa * s_low) > 0.5 * pi:
+            continue
+        path, vx, vy = yaw + kappa * 0.5 * (s_low + s_high), pose[3, k], pose[4, k]
+        u, left = vx * cos(path) + vy * sin(path), vy * cos(path) - vx * sin(path)
+        side = 1.0 if l_low + l_high >= 0.0 else -1.0
+        aside = l_low - half if side > 0.0 else -half - l_high
+        out[0, k] = s_low - front - longitudinal_distance(v, u)
+        out[1, k] = aside - lateral_distance(-side * left, movable and hypot(vx, vy) > STANDING_MPS)
+        out[2, k] = side
+    return out
+
+
+@kernel
+def _improper(t: FloatArray, ego: FloatArray, accel: FloatArray, margins: FloatArray) -> BoolArray:
+    """(4): at which steps `(k,)` the response to one agent is not proper."""
+    out = np.zeros(len(t), np.bool_)
+    start, lateral, allowed = -1, False, np.nan
+    for k in range(len(t)):
+        if not (margins[0, k] < 0.0 and margins[1, k] < 0.0):
+            start = -1
+            continue
+        if start < 0:
+            start, lateral, allowed = k, k > 0 and margins[0, k - 1] < 0.0 and margins[1, k - 1] >= 0.0, np.nan
+        waited = t[k] - t[start] - RHO_S
+        if accel[k] > A_MAX_MPS2 + _EPS:
+            out[k] = True
+        elif waited >= -_EPS and lateral:
+            towards = _across(ego, start, k) * margins[2, start]
+            if not np.isfinite(allowed):
+                allowed = max(towards, 0.0)
+            out[k] = towards > max(allowed - B_LAT_MPS2 * waited, 0.0) + STANDING_MPS
+        elif waited >= -_EPS:
+            out[k] = accel[k] > -B_MIN_MPS2 + _EPS
+    return out
+
+
+@kernel
+def _across(ego: FloatArray, start: int, k: int) -> float:
+    """The ego's speed at step k across the path that it was on at step `start`, positive to the left, m/s."""
+    c, s, kappa = cos(ego[2, start]), sin(ego[2, start]), ego[4, start]
+    dx, dy = ego[0, k] - ego[0, start], ego[1, k] - ego[1, start]
+    along, _ = arc_point(kappa, c * dx + s * dy, c * dy - s * dx)
+    return ego[3, k] * sin(ego[2, k] - ego[2, start] - kappa * along)
+
+
+def _rss(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, FloatArray, list[str], list[str]]:
+    """Time, least margin (NaN: nobody is asked), 1 where any response is improper, and the labels of both."""
+    ego, car = grid_of(trace), scenario.vehicle
+    others = others_at(trace.agents, ego.t)
+    states = np.stack([ego.x, ego.y, ego.yaw, ego.v, ego.kappa])
+    box = np.array([car.axle_to_center, car.length, car.width])
+    margin, improper = np.full(len(ego.t), np.nan), np.zeros(len(ego.t))
+    labels, blamed = [""] * len(ego.t), [""] * len(ego.t)
+    for i, kind in enumerate(trace.agents.kinds):
+        movable = kind is not AgentKind.OBJECT and not bool(trace.agents.static[i])
+        found = _margins(states, box, others.there[i], others.pose[:, i], others.size[i], movable)
+        name, least = name_of(trace.agents, i), np.maximum(found[0], found[1])
+        for k in np.flatnonzero(np.isfinite(least) & ~(margin <= least)):
+            margin[k], labels[k] = least[k], name
+        for k in np.flatnonzero(_improper(ego.t, states, ego.a, found)):
+            improper[k], blamed[k] = 1.0, name
+    return ego.t, margin, improper, labels, blamed
+
+
+def _margin(trace: Trace, scenario: Scenario) -> Measured:
+    t, margin, _, labels, _ = _rss(trace, scenario)
+    return Series(t, margin, tuple(labels), f"nobody ahead or beside within {LOOK_M:g} m while the ego drove")
+
+
+def _response(trace: Trace, scenario: Scenario) -> Measured | Mapping[str, Measured]:
+    t, margin, improper, _, blamed = _rss(trace, scenario)
+    if not (margin < 0.0).any():
+        return Unavailable("no dangerous situation: no response was due")
+    return Series(t, improper, tuple(blamed))
+
+
+_SOURCE = "Shalev-Shwartz et al., arXiv 1708.06374; parameters: JRC-FSM 01b05c29"
+_PARAMETERS = (
+    f"rho {RHO_S:g} s", f"a_max {A_MAX_MPS2:g} m/s2", f"b_min {B_MIN_MPS2:g} m/s2", f"b_max {B_MAX_MPS2:g} m/s2",
+    f"a_lat {A_LAT_MPS2:g} m/s2", f"b_lat {B_LAT_MPS2:g} m/s2", f"mu {MU_M:g} m",
+    f"along the arc of the ego's curvature, {LOOK_M:g} m ahead", f"every {GRID_S:g} s",
+)  # fmt: skip
+RSS_MARGIN = Metric(
+    "rss_margin", "m", "higher", (Mode.CLOSED,), _margin,
+    (MIN, seconds_below(0.0, "time_dangerous"), share_while(lambda value: value < 0.0, "share_dangerous")),
+    "Distance from a dangerous situation of RSS: the greater of the longitudinal and the lateral surplus, the least of "
+    "all agents ahead or beside; negative: dangerous.",
+    _SOURCE, formula="min over agents of max(d_lon - d_lon,min, d_lat - d_lat,min)", parameters=_PARAMETERS,
+    needs="another ahead or beside, and an ego that drives",
+)  # fmt: skip
+RSS_IMPROPER = Metric(
+    "rss_improper", "1", "lower", (Mode.CLOSED,), _response,
+    (seconds_above(0.5, "time"), share_while(lambda value: value > 0.5, "share")),
+    "Where the ego does not give the proper response of RSS: rho after the danger began it brakes with less than "
+    "b_min, or goes on nearing sideways, or it accelerates with more than a_max.",
+    _SOURCE, formula="dangerous, and after rho a > -b_min (lateral danger last: v_lat > max(v_lat(rho) - b_lat t, 0))",
+    parameters=_PARAMETERS, needs="a dangerous situation",
+)  # fmt: skip

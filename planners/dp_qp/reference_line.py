@@ -23,9 +23,9 @@ from scipy import sparse
 
 from logs.kernel import FloatArray, frozen, kernel
 from logs.road import Lane, ReferenceLine, Road, thinned
+from logs.route import Route, straight_on
 from logs.states import EgoState
 from logs.vehicle import VehicleParameters
-from planners.dp_qp.route import Route, straight_on
 from planners.qp import QuadraticProgram
 
 SPACING_M = 2.0

@@ -27,6 +27,7 @@ from metrics import (
     right_of_way,
     rules,
     safety,
+    score,
     tracking,
 )
 from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
@@ -63,6 +64,9 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
         consistency.EXTENDED_COMFORT, consistency.PLAN_HORIZON, consistency.PLAN_COMPLETE,
     ),
     "reference": (avoidability.CC, avoidability.FSM),
+    "score": (
+        score.NUPLAN_CLOSED_SCORE, score.NUPLAN_OPEN_SCORE, score.PDMS_SCORE, score.EPDMS_SCORE, score.CARLA_SCORE,
+    ),
 })  # fmt: skip
 """The metrics by what they are about, in the order of the table."""
 

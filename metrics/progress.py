@@ -111,7 +111,7 @@ def _excess(trace: Trace, scenario: Scenario, *, ratio: bool = False) -> Measure
     return Series(trace.ego.t, value, missing="the ego is never on a lane with a speed limit")
 
 
-def _compliance(series: Series) -> tuple[float, int]:
+def compliance(series: Series) -> tuple[float, int]:
     """(6)."""
     span = holds(series.t)[series.known]
     over = float(np.sum(series.value[series.known] * span))
@@ -174,7 +174,7 @@ SPEED_EXCESS = Metric(
     (
         MAX, MEAN, time_above(OVER_MPS, "time_above_1mps"),
         Reduction("share_above_1mps", _share_over, unit="1", empty=0.0),
-        Reduction("compliance", _compliance, unit="1", direction="higher"),
+        Reduction("compliance", compliance, unit="1", direction="higher"),
     ),
     "Speed above the limit of the lane under the ego's centre, the larger one where lanes overlap; compliance is"
     " nuPlan's score, share that of the time on lanes with a limit.",

@@ -25,11 +25,13 @@ from metrics import (
     encounters,
     evidence,
     following,
+    lane_keeping,
     progress,
     right_of_way,
     rss,
     rules,
     safety,
+    score,
     severity,
     tracking,
 )
@@ -38,7 +40,10 @@ from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
 __all__ = ["COLUMNS", "METRICS", "Metric", "Reduction", "Series", "Unavailable", "evaluate", "load_metric", "series"]
 
 GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
-    "accuracy": (accuracy.ADE, accuracy.FDE, accuracy.AHE, accuracy.FHE, accuracy.ALONG, accuracy.CROSS),
+    "accuracy": (
+        accuracy.ADE, accuracy.FDE, accuracy.AHE, accuracy.FHE, accuracy.ALONG, accuracy.CROSS,
+        accuracy.MISS,
+    ),
     "safety": (
         safety.COLLISION, safety.COLLISION_AT_FAULT, safety.GAP, safety.GAP_VULNERABLE, safety.TTC, safety.OFF_ROAD,
         safety.PLAN_COLLISION,
@@ -47,23 +52,32 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
         encounters.DCE, encounters.TTCE, encounters.PET, rss.RSS_MARGIN, rss.RSS_IMPROPER,
     ),
     "rules": (rules.RED_LIGHT, rules.STOP_SIGN, rules.CROSSWALK, right_of_way.PRIORITY_GAP),
+    "lanes": (lane_keeping.WRONG_WAY, lane_keeping.LANE_KEEPING),
     "comfort": (
         comfort.LON_ACCEL, comfort.LAT_ACCEL, comfort.LON_JERK_STATE, comfort.LAT_JERK_STATE, comfort.YAW_RATE,
         comfort.PLAN_LON_ACCEL, comfort.PLAN_LAT_ACCEL, comfort.PLAN_LON_JERK,
+        comfort.JERK_STATE, comfort.YAW_ACCEL, *comfort.NUPLAN, comfort.LAT_JERK_R79,
     ),
     "progress": (
         progress.COMPLETED, progress.GOAL, progress.PROGRESS, progress.DISTANCE, progress.SPEED, progress.SPEED_EXCESS,
+        progress.ROUTE_PROGRESS, progress.COMPLETION, progress.SPEED_RATIO,
     ),
     "tracking": (tracking.LATERAL, tracking.HEADING, tracking.SPEED, tracking.STATION),
     "effort": (
         effort.THROTTLE, effort.BRAKE, effort.PEDALS_TOGETHER, effort.PEDAL_SWITCHES, effort.STEER_RATE,
         effort.QP_ITERATIONS, effort.SOLVER_UNSOLVED, effort.FALLBACK,
     ),
-    "consistency": (consistency.PLAN_CHANGE, consistency.PLAN_CHANGE_LATERAL),
+    "consistency": (
+        consistency.PLAN_CHANGE, consistency.PLAN_CHANGE_LATERAL,
+        consistency.EXTENDED_COMFORT, consistency.PLAN_HORIZON, consistency.PLAN_COMPLETE,
+    ),
     "evidence": (
         evidence.COVERAGE, evidence.REPLAY_CONTACT, evidence.PLAN_REFUSED, evidence.PLAN_CORRECTED, evidence.ENSEMBLE,
     ),
     "reference": (avoidability.CC, avoidability.FSM),
+    "score": (
+        score.NUPLAN_CLOSED_SCORE, score.NUPLAN_OPEN_SCORE, score.PDMS_SCORE, score.EPDMS_SCORE, score.CARLA_SCORE,
+    ),
 })  # fmt: skip
 """The metrics by what they are about, in the order of the table."""
 

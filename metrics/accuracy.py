@@ -6,15 +6,19 @@ At each frame of time t_i, plan and log are compared at t_i + 0.1 s, t_i + 0.2 s
 (2) ADE = mean_k |e_k|,  FDE = |e_10h|
 (3) AHE, FHE: the same of |wrap(yaw_plan - yaw_log)|
 (4) along, cross: components of e_10h along and left of the log's heading there
+(5) miss = 1 where max_k |e_k| > bound(h), else 0
 
-Positions are those of the rear axle (nuPlan compares centres). A frame after which plan or log does not reach the
-horizon is excluded, and counted. A metric is the mean over the frames.
+Positions are those of the rear axle (nuPlan compares centres). Frames after which the log does not last to the horizon
+ask for nothing and are left out; one whose plan does not reach it has no value, and `share` is the share of those that
+have: a planner of short plans has few, and its mean says little. A metric is the mean over the frames.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
+from types import MappingProxyType
 
 import numpy as np
 
@@ -22,10 +26,13 @@ from logs.kernel import FloatArray
 from logs.scenario import Scenario
 from logs.states import wrapped
 from logs.trace import Mode, Trace
-from metrics.metric import EXCLUDED, MAX, MEAN, Measured, Metric, Series, Unavailable
+from metrics.metric import MAX, MEAN, RATE, SHARE, Measured, Metric, Series, Unavailable
 from metrics.plans import STEP_S, frame_times, plan_poses, times_after
 
 HORIZONS_S = (1, 3, 5, 8)
+MISS_M = MappingProxyType({1: 2.0, 2: 4.0, 3: 6.0, 5: 8.0, 8: 16.0})
+"""Bounds of (5) in m by horizon in s: nuPlan's at 3, 5 and 8 s; ours at 1 and 2 s, in proportion to that at 3 s."""
+Pick = Callable[[FloatArray, int], FloatArray]
 
 
 def _errors(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -41,39 +48,73 @@ def _errors(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, F
 
 
 def _per_horizon(
-    pick: Callable[[FloatArray, int], FloatArray], which: int, trace: Trace, scenario: Scenario
+    pick: Pick, which: int, horizons: tuple[int, ...], trace: Trace, scenario: Scenario
 ) -> Mapping[str, Measured] | Unavailable:
     if len(scenario.ego) < 2:
         return Unavailable("the log holds one ego state only: there is no drive to compare with")
     if not trace.frames:
         return Unavailable("the drive has no plans")
     errors, t = _errors(trace, scenario)[which], frame_times(trace)
-    return {
-        f"{h}s": Series(t, pick(errors, 10 * h), missing=f"plan or log ends less than {h} s after every frame")
-        for h in HORIZONS_S
-    }
+    found: dict[str, Measured] = {}
+    for h in horizons:
+        asked = t + h <= scenario.ego.t[-1] + 1e-6
+        found[f"{h}s"] = (
+            Series(t[asked], pick(errors[asked], h), missing=f"every plan ends before {h} s")
+            if asked.any()
+            else Unavailable(f"the log ends less than {h} s after every frame")
+        )
+    return found
 
 
-def _average(errors: FloatArray, count: int) -> FloatArray:
-    return np.asarray(errors[:, :count].mean(axis=1))
+def _average(errors: FloatArray, horizon: int) -> FloatArray:
+    return np.asarray(errors[:, : _steps(horizon)].mean(axis=1))
 
 
-def _at_end(errors: FloatArray, count: int) -> FloatArray:
-    return np.abs(errors[:, count - 1])
+def _at_end(errors: FloatArray, horizon: int) -> FloatArray:
+    return np.abs(errors[:, _steps(horizon) - 1])
 
 
-def _metric(name: str, unit: str, pick: Callable[[FloatArray, int], FloatArray], which: int, meaning: str) -> Metric:
+def _missed(errors: FloatArray, horizon: int) -> FloatArray:
+    farthest = errors[:, : _steps(horizon)].max(axis=1)
+    return np.where(np.isfinite(farthest), farthest > MISS_M[horizon], np.nan)
+
+
+def _steps(horizon: int) -> int:
+    return round(horizon / STEP_S)
+
+
+def _metric(name: str, unit: str, pick: Pick, which: int, meaning: str, formula: str) -> Metric:
     return Metric(
-        name, unit, "lower", (Mode.OPEN,), partial(_per_horizon, pick, which),
-        (MEAN, MAX, EXCLUDED) if name == "ade" else (MEAN, MAX),
-        f"{meaning}, at the rear axle, up to the horizon.", "nuPlan open loop, at 10 Hz instead of 1 Hz",
-        parts=tuple(f"{h}s" for h in HORIZONS_S),
+        name, unit, "lower", (Mode.OPEN,), partial(_per_horizon, pick, which, HORIZONS_S),
+        (MEAN, MAX, SHARE) if name == "ade" else (MEAN, MAX),
+        f"{meaning}, at the rear axle, up to the horizon.", "nuPlan open loop, at 10 Hz instead of 1 Hz", 2,
+        parts=tuple(f"{h}s" for h in HORIZONS_S), formula=formula,
+        parameters=(f"horizons {', '.join(map(str, HORIZONS_S))} s", f"step {STEP_S} s"), needs=_NEEDS,
     )  # fmt: skip
 
 
-ADE = _metric("ade", "m", _average, 2, "Mean distance of plan and log")
-FDE = _metric("fde", "m", _at_end, 2, "Final distance of plan and log")
-AHE = _metric("ahe", "rad", _average, 3, "Mean heading difference of plan and log, principal value")
-FHE = _metric("fhe", "rad", _at_end, 3, "Final heading difference of plan and log, principal value")
-ALONG = _metric("along_error", "m", _at_end, 0, "Final distance of plan and log along the log's heading")
-CROSS = _metric("cross_error", "m", _at_end, 1, "Final distance of plan and log across the log's heading")
+_NEEDS = "a logged drive that lasts to the horizon after some frame, and plans that reach it"
+ADE = _metric("ade", "m", _average, 2, "Mean distance of plan and log", "mean_k |e_k|, k = 1 .. 10 h")
+FDE = _metric("fde", "m", _at_end, 2, "Final distance of plan and log", "|e_10h|")
+AHE = _metric(
+    "ahe", "rad", _average, 3, "Mean heading difference of plan and log, principal value",
+    "mean_k |wrap(yaw_plan - yaw_log)|",
+)  # fmt: skip
+FHE = _metric(
+    "fhe", "rad", _at_end, 3, "Final heading difference of plan and log, principal value",
+    "|wrap(yaw_plan - yaw_log)| at h",
+)  # fmt: skip
+ALONG = _metric(
+    "along_error", "m", _at_end, 0, "Final distance of plan and log along the log's heading", "|e_10h . (cos, sin)|"
+)
+CROSS = _metric(
+    "cross_error", "m", _at_end, 1, "Final distance of plan and log across the log's heading", "|e_10h . (-sin, cos)|"
+)
+MISS = Metric(
+    "miss", "1", "lower", (Mode.OPEN,), partial(_per_horizon, _missed, 2, tuple(MISS_M)),
+    (replace(RATE, empty=None), SHARE),
+    "Share of the frames whose plan is anywhere up to the horizon farther from the log than the bound.",
+    "nuPlan devkit e9241677, planner_miss_rate_within_bound (3, 5, 8 s), at 10 Hz and at the rear axle",
+    parts=tuple(f"{h}s" for h in MISS_M), formula="1 where max_k |e_k| > bound, else 0", needs=_NEEDS,
+    parameters=tuple(f"bound at {h} s: {bound:g} m" for h, bound in MISS_M.items()),
+)  # fmt: skip

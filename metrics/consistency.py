@@ -1,28 +1,46 @@
-"""How much successive plans differ: a planner that cannot make up its mind flips between frames.
+"""How far plans reach, and how much successive ones differ: a planner that cannot make up its mind flips.
 
 For successive frames i-1 and i, at the times t_i, t_i + 0.1 s, ..., t_i + 1 s, as far as both plans reach:
 
 (1) plan_change(t_i) = mean |p_i - p_(i-1)|
 (2) plan_change_lateral(t_i) = max |component of p_i - p_(i-1) across the heading of plan i-1|
 
+For the frame i and the frame j that is 0.5 s before it, at t_i, t_i + 0.1 s, ... as far as both reach, at most 4 s:
+
+(3) extended_comfort(t_i) = max over q of rms(q_i - q_j) / bound(q),  q = |A|, d|A|/dt, yaw rate, yaw acceleration
+
+with A = (a, v^2 kappa) of the plans and backward differences over 0.1 s; 1 and below is comfortable (NAVSIM's EC).
+
+(4) plan_horizon(t_i) = last time of plan i - t_i,  plan_complete(t_i) = 1 where that is 3 s at least, else 0
+
 In open loop plans start at the log's states, so that a plan which the log did not follow shows as a change too.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
+from logs.kernel import FloatArray
 from logs.scenario import Scenario
-from logs.trace import Mode, Trace
-from metrics.metric import MAX, MEAN, P95, Measured, Metric, Series, Unavailable
-from metrics.plans import plan_poses, times_after
+from logs.trace import Mode, PlannedFrame, Trace
+from metrics.metric import MAX, MEAN, MIN, P95, RATE, Measured, Metric, Series, Unavailable
+from metrics.plans import STEP_S, frame_times, plan_columns, plan_poses, times_after
+
+APART_S, COMPARED_S = 0.5, 4.0
+EC_BOUNDS = (("acceleration", 0.7), ("jerk", 0.5), ("yaw rate", 0.1), ("yaw acceleration", 0.1))
+"""Bounds of (3): m/s2, m/s3, rad/s, rad/s2."""
+COMPLETE_S = 3.0
+"""What a plan has to reach: nuPlan's and NAVSIM's shortest horizons are 3 and 4 s."""
+_FEW = Unavailable("fewer than two plans")
+_NO_PLANS = Unavailable("the drive has no plans")
 
 
 def _change(trace: Trace, scenario: Scenario, *, lateral: bool) -> Measured:
     if len(trace.frames) < 2:
-        return Unavailable("fewer than two plans")
+        return _FEW
     times = times_after(trace, 0, 10)[1:]
     now, before = plan_poses(trace.frames[1:], times), plan_poses(trace.frames[:-1], times)
     dx, dy = now[0] - before[0], now[1] - before[1]
@@ -33,12 +51,81 @@ def _change(trace: Trace, scenario: Scenario, *, lateral: bool) -> Measured:
     return Series(times[:, 0], np.where(count > 0, change, np.nan), missing="successive plans never overlap")
 
 
+def _extended(trace: Trace, scenario: Scenario) -> Measured:
+    """(3), at the frames with another 0.5 s before them."""
+    t = frame_times(trace)
+    earlier = np.searchsorted(t, t - APART_S - 1e-6)
+    later = np.flatnonzero((t >= APART_S + t[:1] - 1e-6) & (np.abs(t[earlier] - (t - APART_S)) < 1e-6))
+    if not len(later):
+        return Unavailable(f"no two plans are {APART_S} s apart")
+    times = times_after(trace, 0, round(COMPARED_S / STEP_S))[later]
+    now = _felt(tuple(trace.frames[i] for i in later), times)
+    before = _felt(tuple(trace.frames[i] for i in earlier[later]), times)
+    ratio = np.array([_rms(now[q] - before[q]) / bound for q, (_, bound) in enumerate(EC_BOUNDS)])
+    known = np.isfinite(ratio).all(axis=0)
+    labels = tuple(EC_BOUNDS[q][0] for q in np.argmax(np.where(known, ratio, 0.0), axis=0))
+    return Series(times[:, 0], np.where(known, ratio.max(axis=0), np.nan), labels, "plans 0.5 s apart never overlap")
+
+
+def _felt(frames: tuple[PlannedFrame, ...], times: FloatArray) -> FloatArray:
+    """The four quantities of (3) `(4, f, k)`; NaN where a plan does not reach, or did not begin yet."""
+    back = np.concatenate([times[:, :1] - 2.0 * STEP_S, times[:, :1] - STEP_S, times], axis=1)
+    yaw, v, a, kappa = plan_columns(frames, back, ("yaw", "v", "a", "kappa"))
+    size = np.hypot(a, v**2 * kappa)
+    jerk, yaw_rate = (np.diff(column, axis=1)[:, 1:] / STEP_S for column in (size, yaw))
+    return np.stack([size[:, 2:], jerk, yaw_rate, np.diff(yaw, 2, axis=1) / STEP_S**2])
+
+
+def _rms(difference: FloatArray) -> FloatArray:
+    """Root mean square `(f,)` over the known columns of `(f, k)`; NaN where none is."""
+    known = np.isfinite(difference)
+    total = np.where(known, difference, 0.0) ** 2
+    count = known.sum(axis=1)
+    return np.where(count > 0, np.sqrt(total.sum(axis=1) / np.maximum(count, 1)), np.nan)
+
+
+def _horizon(trace: Trace, scenario: Scenario) -> Measured:
+    if not trace.frames:
+        return _NO_PLANS
+    return Series(frame_times(trace), np.array([frame.plan.trajectory.t[-1] - frame.t for frame in trace.frames]))
+
+
+def _complete(trace: Trace, scenario: Scenario) -> Measured:
+    reach = _horizon(trace, scenario)
+    return (
+        reach
+        if isinstance(reach, Unavailable)
+        else replace(reach, value=np.where(reach.value >= COMPLETE_S - 1e-6, 1.0, 0.0))
+    )
+
+
 _BOTH = (Mode.OPEN, Mode.CLOSED)
+_SUCCESSIVE = "two successive plans that overlap in time"
 PLAN_CHANGE = Metric(
     "plan_change", "m", "lower", _BOTH, partial(_change, lateral=False), (MEAN, P95, MAX),
     "Mean distance of successive plans at the same times, first second.", "after NAVSIM's extended comfort",
+    formula="mean |p_i - p_(i-1)| over t_i .. t_i + 1 s", parameters=("compared 1 s", "step 0.1 s"), needs=_SUCCESSIVE,
 )  # fmt: skip
 PLAN_CHANGE_LATERAL = Metric(
     "plan_change_lateral", "m", "lower", _BOTH, partial(_change, lateral=True), (MEAN, P95, MAX),
     "Largest lateral distance of successive plans at the same times, first second.", "after Autoware's stability",
+    formula="max |(p_i - p_(i-1)) across the heading of plan i-1| over t_i .. t_i + 1 s",
+    parameters=("compared 1 s", "step 0.1 s"), needs=_SUCCESSIVE,
+)  # fmt: skip
+EXTENDED_COMFORT = Metric(
+    "extended_comfort", "1", "lower", _BOTH, _extended, (MEAN, P95, MAX),
+    "Difference of two plans 0.5 s apart as one would feel it, over its bound: the worst of four; above 1 is a change"
+    " of mind.", "NAVSIM 0a380a90, extended comfort of EPDMS; there of filtered signals and of one pair",
+    formula="max over q of rms(q_i - q_j) / bound(q), t_i - t_j = 0.5 s, q = |A|, d|A|/dt, yaw rate, yaw acceleration",
+    parameters=(*(f"bound of {name} {bound:g}" for name, bound in EC_BOUNDS), "compared 4 s", "step 0.1 s"),
+    needs="two plans 0.5 s apart that overlap in time",
+)  # fmt: skip
+PLAN_HORIZON = Metric(
+    "plan_horizon", "s", "higher", _BOTH, _horizon, (MIN, MEAN), "How far the plans reach after their frames.",
+    formula="t_last - t_i", needs="plans",
+)  # fmt: skip
+PLAN_COMPLETE = Metric(
+    "plan_complete", "1", "higher", _BOTH, _complete, (replace(RATE, empty=None),),
+    "Share of the frames whose plan reaches 3 s at least.", formula="1 where t_last - t_i >= 3 s, else 0",
+    parameters=(f"least {COMPLETE_S:g} s",), needs="plans",
 )  # fmt: skip

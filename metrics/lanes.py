@@ -1,4 +1,4 @@
-"""A road's lanes as flat arrays, and what the metrics ask of them: how far off the lanes, and which speed limit.
+"""A road's lanes as flat arrays, and what the metrics ask of them: how far off, which speed limit, which direction.
 
 The end of the map is not the end of the road: a lane that leads on to no lane of the map goes on straight for 10 m
 (two cars' lengths), and so does, backwards, one that no lane leads to.
@@ -7,7 +7,7 @@ The end of the map is not the end of the road: a lane that leads on to no lane o
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import hypot, inf, nan
+from math import cos, hypot, inf, nan, pi, sin
 
 import numpy as np
 
@@ -16,6 +16,8 @@ from logs.road import Lane, Road, inside
 from logs.shapes import point_segment
 
 BEYOND_M = 10.0
+CROSSING = cos(30.0 / 180.0 * pi)
+"""Lanes that lie over each other cross where their directions differ by more than 30 degrees, either way round."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -89,6 +91,70 @@ def off_lanes(lanes: LaneArrays, x: FloatArray, y: FloatArray) -> FloatArray:
 def limits_at(lanes: LaneArrays, x: FloatArray, y: FloatArray) -> FloatArray:
     """The log's speed limit `(k,)` at points, m/s: the largest where lanes overlap; NaN where no lane has one."""
     return _limits_at(lanes.points, lanes.offsets, lanes.box, lanes.limit, x, y)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Under:
+    """What lies under points of a drive, `(k,)` each; NaN where no lane does, and where lanes cross.
+
+    Attributes:
+        along: Cosine of the angle between heading and lane; of several lanes the one best aligned. -1: against it.
+        left: Distance from the nearest centre line of a lane there, m, positive to the left of the lane.
+    """
+
+    along: FloatArray
+    left: FloatArray
+
+
+def under(lanes: LaneArrays, x: FloatArray, y: FloatArray, yaw: FloatArray) -> Under:
+    """The lanes under points with a heading."""
+    return Under(*_under(lanes.points, lanes.offsets, lanes.box, x, y, yaw))
+
+
+@kernel
+def _on_center(outline: FloatArray, x: float, y: float) -> tuple[float, float, float]:
+    """Unit direction of the centre line at its point nearest to (x, y), and the distance left of it, m.
+
+    An outline is the left boundary there and the right one back, so that points i and 2n - 1 - i face each other.
+    """
+    last, best, cx, cy, left = len(outline) - 1, inf, 0.0, 0.0, 0.0
+    for i in range(len(outline) // 2 - 1):
+        ax, ay = 0.5 * (outline[i, 0] + outline[last - i, 0]), 0.5 * (outline[i, 1] + outline[last - i, 1])
+        bx, by = (
+            0.5 * (outline[i + 1, 0] + outline[last - i - 1, 0]),
+            0.5 * (outline[i + 1, 1] + outline[last - i - 1, 1]),
+        )
+        length, found = hypot(bx - ax, by - ay), point_segment(x, y, ax, ay, bx, by)
+        if length > 0.0 and found < best:
+            best, cx, cy = found, (bx - ax) / length, (by - ay) / length
+            left = found if cx * (y - ay) - cy * (x - ax) >= 0.0 else -found
+    return cx, cy, left
+
+
+@kernel
+def _under(
+    points: FloatArray, offsets: IntArray, box: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    along, left = np.full(len(x), nan), np.full(len(x), nan)
+    for k in range(len(x)):
+        first_x, first_y, crossing = 0.0, 0.0, False
+        for i in range(len(box)):
+            if not (box[i, 0] <= x[k] <= box[i, 2] and box[i, 1] <= y[k] <= box[i, 3]):
+                continue
+            outline = points[offsets[i] : offsets[i + 1]]
+            if not inside(x[k], y[k], outline):
+                continue
+            cx, cy, aside = _on_center(outline, x[k], y[k])
+            if not np.isfinite(along[k]):
+                first_x, first_y, along[k], left[k] = cx, cy, cx * cos(yaw[k]) + cy * sin(yaw[k]), aside
+                continue
+            crossing = crossing or abs(first_x * cx + first_y * cy) < CROSSING
+            along[k] = max(along[k], cx * cos(yaw[k]) + cy * sin(yaw[k]))
+            if abs(aside) < abs(left[k]):
+                left[k] = aside
+        if crossing:
+            along[k], left[k] = nan, nan
+    return along, left
 
 
 @kernel

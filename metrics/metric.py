@@ -170,9 +170,30 @@ def _percentile(q: float) -> Callable[[Series], tuple[float, int]]:
     return lambda series: (float(np.percentile(np.abs(series.value[series.known]), q)), -1)
 
 
+def holds(t: FloatArray) -> FloatArray:
+    """For how long each step's answer holds `(n,)`, s: until the next step, the last as long as the median step.
+
+    Thus the instant of a contact, with which a drive ends, counts too; a drive of one step lasts 0 s.
+    """
+    steps = np.diff(t)
+    return np.r_[steps, np.median(steps) if len(steps) else 0.0]
+
+
 def _held(series: Series, flags: BoolArray) -> tuple[float, int]:
-    """Seconds for which a condition holds: a step's answer holds until the next step, the last counts nothing."""
-    return float(np.sum(np.diff(series.t)[flags[:-1]])), _first(flags)
+    """Seconds for which a condition holds."""
+    return float(np.sum(holds(series.t)[flags])), _first(flags)
+
+
+def longest(series: Series, flags: BoolArray) -> tuple[float, int]:
+    """Seconds of the longest unbroken stretch of marked steps, and its first step; the earliest of equals."""
+    edge = np.diff(np.r_[False, flags, False].astype(np.int64))
+    first, end = np.flatnonzero(edge > 0), np.flatnonzero(edge < 0)
+    if not len(first):
+        return 0.0, -1
+    until = np.r_[0.0, np.cumsum(holds(series.t))]
+    length = until[end] - until[first]
+    best = int(np.argmax(length > length.max() - 1e-9))
+    return float(length[best]), int(first[best])
 
 
 MEAN = Reduction("mean", lambda series: (float(np.mean(series.value[series.known])), -1))
@@ -191,8 +212,12 @@ RATE = Reduction("rate", _share, unit="1", empty=0.0)
 """Mean over the steps of a 0/1 series; its time is the first 1."""
 HAVING = Reduction("rate", lambda series: (float(np.mean(series.known)), _first(series.known)), "1", "lower", 0.0)
 """Share of the steps that have a value; its time is the first of them."""
-EXCLUDED = Reduction("excluded", lambda series: (float(np.sum(~series.known)), -1), "count", "none")
-"""Number of steps without a value."""
+SHARE = Reduction("share", lambda series: (float(np.mean(series.known)), -1), "1", "higher", 0.0)
+"""Share of the steps that have a value, where each ought to have one: below 1 the mean is over a part only."""
+
+
+def _outside(low: float, high: float, series: Series) -> BoolArray:
+    return np.asarray((series.value < low) | (series.value > high))
 
 
 def time_below(bound: float, name: str) -> Reduction:
@@ -202,14 +227,22 @@ def time_below(bound: float, name: str) -> Reduction:
 
 def time_outside(low: float, high: float, name: str) -> Reduction:
     """Seconds during which the value is below `low` or above `high`; 0 where no step has a value."""
-    return Reduction(
-        name, lambda series: _held(series, (series.value < low) | (series.value > high)), "s", "lower", 0.0
-    )
+    return Reduction(name, lambda series: _held(series, _outside(low, high, series)), "s", "lower", 0.0)
 
 
 def time_above(bound: float, name: str) -> Reduction:
     """Seconds during which the absolute value is above `bound`."""
     return time_outside(-bound, bound, name)
+
+
+def worst_episode(low: float, high: float) -> Reduction:
+    """Longest unbroken stretch below `low` or above `high`, s; its time is the stretch's first step."""
+    return Reduction("worst_episode", lambda series: longest(series, _outside(low, high, series)), "s", "lower", 0.0)
+
+
+def out_of_bounds(low: float, high: float) -> tuple[Reduction, Reduction]:
+    """Time out of bounds and the worst episode: neither changes where quiet driving is added to a drive."""
+    return time_outside(low, high, "time_out_of_bounds"), worst_episode(low, high)
 
 
 def changed(t: FloatArray, value: FloatArray, window: float) -> FloatArray:

@@ -22,12 +22,17 @@ def times_after(trace: Trace, first: int, last: int) -> FloatArray:
     return np.asarray(np.rint(times * 1e9) / 1e9)
 
 
-def plan_poses(frames: tuple[PlannedFrame, ...], times: FloatArray) -> FloatArray:
-    """x, y, yaw `(3, f, k)` of each frame's plan at the times `(f, k)`; NaN where the plan does not reach."""
-    out = np.full((3, *times.shape), np.nan)
+def plan_columns(frames: tuple[PlannedFrame, ...], times: FloatArray, names: tuple[str, ...]) -> FloatArray:
+    """Columns `(c, f, k)` of each frame's plan at the times `(f, k)`; NaN where the plan does not reach."""
+    out = np.full((len(names), *times.shape), np.nan)
     for i, frame in enumerate(frames):
         plan = frame.plan.trajectory
-        for j, column in enumerate((plan.x, plan.y, plan.yaw)):
-            out[j, i] = np.interp(times[i], plan.t, column)
+        for j, name in enumerate(names):
+            out[j, i] = np.interp(times[i], plan.t, getattr(plan, name))
         out[:, i, (times[i] < plan.t[0] - 1e-6) | (times[i] > plan.t[-1] + 1e-6)] = np.nan
     return out
+
+
+def plan_poses(frames: tuple[PlannedFrame, ...], times: FloatArray) -> FloatArray:
+    """x, y, yaw `(3, f, k)` of each frame's plan at the times `(f, k)`; NaN where the plan does not reach."""
+    return plan_columns(frames, times, ("x", "y", "yaw"))

@@ -1,12 +1,21 @@
-"""Closed loop: did the ego get on, how fast, and did it arrive?
+"""Closed loop: did the ego get on along its route, how fast, and did it arrive?
 
-(1) distance(t) = length of the path of the rear axle driven since the start
-(2) progress(t) = max(distance(t), 2 m) / max(distance of the log's ego(t), 2 m),  while the log's ego lasts
+With the gain of a drive along the route (`route`), the whole log taken as the yardstick however short the drive was:
 
-(2) has nuPlan's floor (2 m, as in its configuration), so that a log that stands still asks for nothing.
+(1) route_progress(t) = gain(t) / gain of the log's driver at the log's end
+    where the log has no drive: over the distance of the competent and careful driver (metadata `CAREFUL_M`);
+    where that yardstick is below 2 m: 1, and 0 for a drive that went back more than 2 m
+    a drive that ended at the goal: 1 at least, unless more than 2 m of it were cut
+(2) progress = min(1, max(gain, c) / max(gain of the log's driver, c)), 0 where gain < -c;  c = 2 m      (nuPlan)
+(3) completion = gain / length of the route, in 0 .. 1;  1 where the drive ended at the goal             (CARLA)
+(4) distance(t) = length of the path of the rear axle driven since the start
+(5) speed_excess(t) = max(v - limit, 0),  speed_ratio(t) = v / limit - 1
+(6) speed_limit_compliance = max(0, 1 - integral of (5) dt / (2.23 m/s T)),  T the time on lanes with a limit  (nuPlan)
 """
 
 from __future__ import annotations
+
+from functools import partial
 
 import numpy as np
 
@@ -16,10 +25,29 @@ from logs.scenario import Scenario
 from logs.states import Trajectory
 from logs.trace import EndReason, Mode, Trace
 from metrics.lanes import drivable_lanes, limits_at
-from metrics.metric import FINAL, MAX, MEAN, Measured, Metric, Series, Unavailable, time_above
+from metrics.metric import (
+    FINAL,
+    MAX,
+    MEAN,
+    Measured,
+    Metric,
+    Reduction,
+    Series,
+    Unavailable,
+    holds,
+    time_above,
+    time_outside,
+)
 from metrics.others import ego_boxes
+from metrics.route import gained, route_of
 
 FLOOR_M = 2.0
+EXCESS_MPS = 2.23
+"""5 mph."""
+OVER_MPS, OVER_RATIO = 1.0, 0.1
+CAREFUL_M = "reference_cc.travelled_m"
+"""Metadata entry: how far the competent and careful driver comes in the log's time, m."""
+_ALONE = Unavailable("the log holds one ego state only: there is no drive to compare with")
 
 
 def _driven(drive: Trajectory) -> FloatArray:
@@ -30,26 +58,70 @@ def _distance(trace: Trace, scenario: Scenario) -> Measured:
     return Series(trace.ego.t, _driven(trace.ego))
 
 
+def _route_progress(trace: Trace, scenario: Scenario) -> Measured:
+    route = route_of(scenario)
+    if len(scenario.ego) > 1:
+        asked = float(gained(route, scenario.ego).metres[-1])
+    elif CAREFUL_M in scenario.metadata:
+        asked = float(scenario.metadata[CAREFUL_M])
+    else:
+        return Unavailable("the log holds one ego state only, and no reference driver's distance")
+    gain = gained(route, trace.ego)
+    if asked < FLOOR_M:
+        return Series(trace.ego.t, np.where(gain.metres < -FLOOR_M, 0.0, 1.0))
+    ratio = gain.metres / asked
+    if trace.end is EndReason.GOAL and gain.cut <= FLOOR_M:
+        ratio[-1] = max(ratio[-1], 1.0)
+    return Series(trace.ego.t, ratio)
+
+
 def _progress(trace: Trace, scenario: Scenario) -> Measured:
-    log = scenario.ego
-    if len(log) < 2:
-        return Unavailable("the log holds one ego state only: there is no drive to compare with")
-    reference = np.interp(trace.ego.t, log.t, _driven(log))
-    ratio = np.maximum(_driven(trace.ego), FLOOR_M) / np.maximum(reference, FLOOR_M)
-    return Series(trace.ego.t, np.where(trace.ego.t <= log.t[-1] + 1e-6, ratio, np.nan))
+    if len(scenario.ego) < 2:
+        return _ALONE
+    route = route_of(scenario)
+    asked, gain = gained(route, scenario.ego).metres[-1], gained(route, trace.ego).metres
+    ratio = np.minimum(np.maximum(gain, FLOOR_M) / max(asked, FLOOR_M), 1.0)
+    return Series(trace.ego.t, np.where(gain < -FLOOR_M, 0.0, ratio))
+
+
+def _completion(trace: Trace, scenario: Scenario) -> Measured:
+    route = route_of(scenario)
+    if not np.isfinite(route.length):
+        return Unavailable("the log has neither a goal that lanes lead to nor a drive of 10 m")
+    gain = gained(route, trace.ego)
+    share = np.clip(gain.metres / route.length, 0.0, 1.0)
+    if trace.end is EndReason.GOAL and gain.cut <= FLOOR_M:
+        share[-1] = 1.0
+    return Series(trace.ego.t, share)
 
 
 def _speed(trace: Trace, scenario: Scenario) -> Measured:
     return Series(trace.ego.t, trace.ego.v)
 
 
-def _excess(trace: Trace, scenario: Scenario) -> Measured:
+def _excess(trace: Trace, scenario: Scenario, *, ratio: bool = False) -> Measured:
     lanes = drivable_lanes(scenario.road)
     if scenario.road.source is RoadSource.DRIVEN_PATH or lanes is None or not np.isfinite(lanes.limit).any():
         return Unavailable("the log has no speed limits")
-    x, y = ego_boxes(trace.ego, scenario)[:2]
-    excess = np.maximum(np.abs(trace.ego.v) - limits_at(lanes, x, y), 0.0)
-    return Series(trace.ego.t, excess, missing="the ego is never on a lane with a speed limit")
+    speed, limit = np.abs(trace.ego.v), limits_at(lanes, *ego_boxes(trace.ego, scenario)[:2])
+    if ratio:
+        value = np.where(limit > 0.0, speed / np.where(limit > 0.0, limit, 1.0) - 1.0, np.nan)
+    else:
+        value = np.maximum(speed - limit, 0.0)
+    return Series(trace.ego.t, value, missing="the ego is never on a lane with a speed limit")
+
+
+def compliance(series: Series) -> tuple[float, int]:
+    """(6)."""
+    span = holds(series.t)[series.known]
+    over = float(np.sum(series.value[series.known] * span))
+    return max(0.0, 1.0 - over / (EXCESS_MPS * float(span.sum()))) if span.sum() > 0.0 else float(not over), -1
+
+
+def _share_over(series: Series) -> tuple[float, int]:
+    span, over = holds(series.t) * series.known, series.value > OVER_MPS
+    first = int(np.argmax(over)) if over.any() else -1
+    return (float(np.sum(span[over]) / np.sum(span)) if span.sum() > 0.0 else float(over.any())), first
 
 
 def _at_end(trace: Trace, *, good: bool) -> Series:
@@ -68,18 +140,58 @@ def _completed(trace: Trace, scenario: Scenario) -> Measured:
 
 
 _CLOSED = (Mode.CLOSED,)
-DISTANCE = Metric("distance", "m", "none", _CLOSED, _distance, (FINAL,), "Distance driven by the rear axle.")
+_LIMITS = "lanes with speed limits under the ego"
+DISTANCE = Metric(
+    "distance", "m", "none", _CLOSED, _distance, (FINAL,), "Distance driven by the rear axle.",
+    formula="sum of |p_k - p_(k-1)|",
+)  # fmt: skip
+ROUTE_PROGRESS = Metric(
+    "route_progress", "1", "higher", _CLOSED, _route_progress, (FINAL,),
+    "Gain along the route over that of the log's driver in the whole log, else of the careful driver; not capped.",
+    formula="gain(t) / gain of the log's driver at the log's end; 1 where that is below 2 m",
+    parameters=("floor 2 m", "a step counts at most 2 |v| dt, where it is more than 0.1 m above"),
+    needs="a logged drive, else the careful driver's distance",
+)  # fmt: skip
 PROGRESS = Metric(
     "progress", "1", "higher", _CLOSED, _progress, (FINAL,),
-    "Distance driven over the distance that the log's ego drove in the same time, both at least 2 m.",
-    "nuPlan devkit e9241677, ego_progress_along_expert_route: its floor, without the route and the cap",
+    "Gain along the route over that of the log's driver in the whole log, capped at 1.",
+    "nuPlan devkit e9241677, ego_progress_along_expert_route; along the driven path instead of the lanes' baselines", 2,
+    formula="min(1, max(gain, c) / max(gain of the log's driver, c)), 0 where gain < -c",
+    parameters=("c 2 m",), needs="a logged drive",
 )  # fmt: skip
-SPEED = Metric("speed", "m/s", "none", _CLOSED, _speed, (MEAN, MAX), "Speed of the rear axle, mean over the steps.")
-SPEED_EXCESS = Metric(
-    "speed_excess", "m/s", "lower", _CLOSED, _excess, (MAX, MEAN, time_above(1.0, "time_above_1mps")),
-    "Speed above the limit of the lane under the ego's centre; the larger limit where lanes overlap.",
+COMPLETION = Metric(
+    "completion", "1", "higher", _CLOSED, _completion, (FINAL,),
+    "Share of the route that was driven: to the goal, else to the end of the log's drive.",
+    "CARLA leaderboard 2.x, route completion, here in 0 .. 1",
+    formula="gain(t) / length of the route, in 0 .. 1; 1 where the drive ended at the goal",
+    needs="a goal that lanes or the log's path lead to, or a logged drive of 10 m",
 )  # fmt: skip
-GOAL = Metric("goal", "1", "higher", _CLOSED, _goal, (FINAL,), "1 if the drive ended at the goal.")
-COMPLETED = Metric(
-    "completed", "1", "higher", _CLOSED, _completed, (FINAL,), "1 if the drive ended at the goal or the end of the log."
+SPEED = Metric(
+    "speed", "m/s", "none", _CLOSED, _speed, (MEAN, MAX), "Speed of the rear axle, mean over the steps.", formula="v"
 )
+SPEED_EXCESS = Metric(
+    "speed_excess", "m/s", "lower", _CLOSED, _excess,
+    (
+        MAX, MEAN, time_above(OVER_MPS, "time_above_1mps"),
+        Reduction("share_above_1mps", _share_over, unit="1", empty=0.0),
+        Reduction("compliance", compliance, unit="1", direction="higher"),
+    ),
+    "Speed above the limit of the lane under the ego's centre, the larger one where lanes overlap; compliance is"
+    " nuPlan's score, share that of the time on lanes with a limit.",
+    "compliance: nuPlan devkit e9241677, speed_limit_compliance", 2,
+    formula="max(|v| - limit, 0); compliance = max(0, 1 - integral / (2.23 m/s T))",
+    parameters=("2.23 m/s (5 mph)", f"over: {OVER_MPS:g} m/s"), needs=_LIMITS,
+)  # fmt: skip
+SPEED_RATIO = Metric(
+    "speed_ratio", "1", "lower", _CLOSED, partial(_excess, ratio=True),
+    (MAX, time_outside(-np.inf, OVER_RATIO, "time_above_10pct")), "Speed over the limit, less 1: 0.1 is 10 % too fast.",
+    formula="|v| / limit - 1", parameters=("over: 0.1",), needs=_LIMITS,
+)  # fmt: skip
+GOAL = Metric(
+    "goal", "1", "higher", _CLOSED, _goal, (FINAL,), "1 if the drive ended at the goal.",
+    formula="1 if it ended there, else 0", needs="a goal in the log",
+)  # fmt: skip
+COMPLETED = Metric(
+    "completed", "1", "higher", _CLOSED, _completed, (FINAL,), "1 if the drive ended at the goal or the log's end.",
+    formula="1 if it ended so, else 0",
+)  # fmt: skip

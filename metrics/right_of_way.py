@@ -33,6 +33,8 @@ def _priority_gap(trace: Trace, scenario: Scenario) -> Measured:
     pairs = _pairs(scenario.road)
     if not pairs:
         return Unavailable("the log names no right of way")
+    if len(trace.ego) < 2:
+        return Unavailable("the drive holds one ego state only")
     t = np.arange(float(trace.ego.t[0]), float(trace.ego.t[-1]), GRID_S)
     ego = trace.ego.resampled(t)
     boxes, others = ego_boxes(ego, scenario), others_at(trace.agents, t)

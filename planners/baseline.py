@@ -9,11 +9,11 @@ import numpy as np
 
 from logs.frame import Frame, PlannerContext
 from logs.kernel import FloatArray
+from logs.route import find_route
 from logs.states import EgoState
 from logs.trace import Decision, GraphObstacle, PlanStart
 from planners.dp_qp.path import out_of_frame
 from planners.dp_qp.reference_line import Course, make_course
-from planners.dp_qp.route import find_route
 from planners.dp_qp.st_graph import Blocks
 
 STITCH_M, STITCH_MPS = 0.5, 1.0

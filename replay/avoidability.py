@@ -12,11 +12,11 @@ from dataclasses import replace
 from itertools import pairwise
 
 from logs.road import ReferenceLine
+from logs.route import find_route
 from logs.scenario import Scenario
 from metrics.avoidability import metadata_of
 from metrics.reference_drivers import DRIVERS, Verdict
 from planners.dp_qp.reference_line import make_course
-from planners.dp_qp.route import find_route
 
 
 def reference_line(scenario: Scenario) -> ReferenceLine:

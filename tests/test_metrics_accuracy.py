@@ -65,16 +65,41 @@ def test_heading_errors_are_principal_values(turns: int) -> None:
     assert found["ahe.3s.max"] == pytest.approx(0.3)
 
 
-def test_frames_that_do_not_reach_the_horizon_are_excluded_and_counted() -> None:
+def test_short_plans_are_seen_in_the_share_and_the_logs_end_is_not() -> None:
     found = table(LOG, plans(LOG.ego, FRAMES, 4.0))
-    assert found.loc["ade.1s.excluded", "value"] == 9  # frames later than 11 s: the log ends at 12 s
-    assert found.loc["ade.3s.excluded", "value"] == 29
-    assert found.loc["ade.5s.mean", "reason"] == "plan or log ends less than 5 s after every frame"
+    for h in (1, 3):  # frames later than 11 s and 9 s ask for nothing: the log ends at 12 s
+        assert found.loc[f"ade.{h}s.share", "value"] == 1.0
+    assert found.loc["ade.5s.mean", "reason"] == "every plan ends before 5 s"
     assert not found.loc["ade.5s.mean", "available"]
-    short = plans(LOG.ego, FRAMES[:1], 0.5) + plans(LOG.ego, FRAMES[1:5], 8.0, shifted(1.0))
-    found = table(LOG, short)
-    assert found.loc["ade.1s.excluded", "value"] == 1
+    assert found.loc["ade.5s.share", "value"] == 0.0
+    late = plans(LOG.ego, FRAMES[-3:], 8.0)
+    assert table(LOG, late).loc["ade.1s.share", "reason"] == "the log ends less than 1 s after every frame"
+
+
+def test_one_good_plan_among_many_of_one_state_is_no_good_average() -> None:
+    """Row 12: of 85 frames one has a value. Its miss rate is no 0 either."""
+    frames = list(plans(LOG.ego, FRAMES[:85], 0.05))
+    assert not table(LOG, tuple(frames)).loc["miss.1s.rate", "available"]
+    frames[7] = plans(LOG.ego, FRAMES[7:8], 8.0, shifted(1.0))[0]
+    found = table(LOG, tuple(frames))
     assert found.loc["ade.1s.mean", "value"] == pytest.approx(1.0)
+    assert found.loc["ade.1s.share", "value"] == found.loc["miss.1s.share", "value"] == pytest.approx(1 / 85)
+    assert found.loc["plan_complete.rate", "value"] == pytest.approx(1 / 85)
+    assert found.loc["plan_horizon.min", "value"] == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(("off", "missed"), [(1.9, ()), (2.1, (1,)), (4.5, (1, 2)), (6.5, (1, 2, 3)),
+                                             (8.5, (1, 2, 3, 5)), (16.5, (1, 2, 3, 5, 8))])  # fmt: skip
+def test_a_plan_misses_where_it_is_beyond_the_bound_of_the_horizon(off: float, missed: tuple[int, ...]) -> None:
+    """Bounds 2, 4, 6, 8, 16 m; half of the frames are off, once and only once on their way, 0.5 s after the frame."""
+
+    def aside(plan: Trajectory) -> Trajectory:
+        return replace(plan, y=plan.y + np.where(np.abs(plan.t - plan.t[0] - 0.5) < 0.01, off, 0.0))
+
+    frames = plans(LOG.ego, FRAMES[:20], 8.0) + plans(LOG.ego, FRAMES[20:40], 8.0, aside)
+    found = table(LOG, frames)["value"]
+    for h in (1, 2, 3, 5, 8):
+        assert found[f"miss.{h}s.rate"] == (0.5 if h in missed else 0.0)
 
 
 def test_the_worst_frame_is_named() -> None:

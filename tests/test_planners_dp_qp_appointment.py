@@ -13,10 +13,10 @@ from worlds import CAR, along_x, lanes, strip
 
 from logs import EgoState, Goal, Road, Scenario, Tracks, Trajectory
 from logs.catalogue import CATALOGUE
+from logs.route import find_route
 from logs.trace import EndReason, Trace
 from planners.dp_qp.appointment import LEAST, Appointment, Pace
 from planners.dp_qp.reference_line import make_course
-from planners.dp_qp.route import find_route
 from replay.closed_loop import run_closed_loop
 
 EGO = EgoState(0.0, 20.0, 0.0, 0.0, 10.0, 0.0, 0.0)

@@ -10,8 +10,8 @@ import pytest
 from worlds import Drive, Other, along_x, driving, followed, gaps, standing, strip
 
 from logs import AgentKind, DecisionKind, EgoState, PlanStatus, Road
+from logs.route import Route
 from planners.dp_qp.reference_line import Course, make_course
-from planners.dp_qp.route import Route
 
 EGO = EgoState(0.0, 0.0, 0.0, 0.0, 8.0)
 THING = Other("thing", lambda t: (60.0, 0.0, 0.0, 0.0, 0.0), AgentKind.OBJECT, 5.0, 3.0)

@@ -15,6 +15,7 @@ from worlds import CAR, Other, along_x, curve, driving, frame, lanes, standing
 
 from logs import Decision, DecisionKind, EgoState, Plan, ReferenceLine, SlGraph, SolverReport, Trajectory
 from logs.kernel import FloatArray
+from logs.route import find_route
 from planners.dp_qp import corridor, path_qp
 from planners.dp_qp.appointment import Appointment
 from planners.dp_qp.corridor import CorridorConfig, PathObstacle, Room, decide_sides, narrowed, path_obstacles, widened
@@ -33,7 +34,6 @@ from planners.dp_qp.path_dp import (
 from planners.dp_qp.path_qp import MAX_DL, PathProblem, PathQp, PathQpConfig
 from planners.dp_qp.path_stage import ChosenPath, PathConfig, PathStage
 from planners.dp_qp.reference_line import Course, make_course
-from planners.dp_qp.route import find_route
 from planners.dp_qp.steering import COMFORT, bend_bounds, bounded, expected_speed
 from planners.qp import QPConfig
 

@@ -10,8 +10,8 @@ from worlds import CAR, along_x, beside, curve, lanes, strip
 
 from logs import EgoState, Lane, ReferenceLine, Road, VehicleParameters
 from logs.kernel import FloatArray
+from logs.route import Route, find_route
 from planners.dp_qp.reference_line import BENDING_WEIGHT, MAX_SHIFT_M, SPACING_M, Course, make_course, smoothed
-from planners.dp_qp.route import Route, find_route
 
 EGO = EgoState(0.0, 0.0, 0.0, 0.0, 10.0)
 

@@ -16,12 +16,12 @@ from worlds import CAR, Other, along_x, driving, frame, lanes
 from logs import AgentKind, Colour, EgoState, Road, Scenario, StopLine, TrafficLight, Trajectory
 from logs.frame import Visibility
 from logs.kernel import FloatArray
+from logs.route import Route, find_route
 from logs.trace import Candidates, EndReason, Trace
 from planners.dp_qp.corridor import CorridorConfig
 from planners.dp_qp.decide import borrowing_endangers
 from planners.dp_qp.path import make_path
 from planners.dp_qp.reference_line import make_course
-from planners.dp_qp.route import Route, find_route
 from planners.dp_qp.sight import LEAST_MPS, REACTION_S, WALK_MPS
 from planners.dp_qp.slower import (
     ASIDE_M,

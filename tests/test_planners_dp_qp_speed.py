@@ -13,11 +13,11 @@ from worlds import CAR, Other, along_x, driving, frame, lanes, standing
 
 from logs import AgentKind, DecisionKind, EgoState
 from logs.kernel import FloatArray
+from logs.route import find_route
 from logs.shapes import overlap
 from planners.dp_qp import speed_qp
 from planners.dp_qp.path import Path
 from planners.dp_qp.reference_line import make_course
-from planners.dp_qp.route import find_route
 from planners.dp_qp.speed_dp import COLLISION, DS_M, cost_map, speed_dp
 from planners.dp_qp.speed_qp import (
     STEP_S,

@@ -30,9 +30,9 @@ from logs import (
     Trajectory,
 )
 from logs.kernel import FloatArray
+from logs.route import find_route
 from planners import PLANNERS
 from planners.dp_qp.reference_line import Course, make_course
-from planners.dp_qp.route import find_route
 from planners.prediction import predict
 from planners.rules import Rulebook, Stop
 from replay.closed_loop import run_closed_loop

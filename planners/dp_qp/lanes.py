@@ -15,9 +15,9 @@ import numpy as np
 
 from logs.frame import PlannerContext
 from logs.road import Road
+from logs.route import CostToGo, Route, costs_to_go, start_lanes, straight_on
 from logs.states import EgoState
 from planners.dp_qp.reference_line import BEYOND_M, Course, make_course
-from planners.dp_qp.route import CostToGo, Route, costs_to_go, start_lanes, straight_on
 
 BEHIND_M = 60.0
 

@@ -26,9 +26,9 @@ from scipy import sparse
 
 from logs.kernel import TIE, FloatArray, frozen, kernel
 from logs.road import Lane, ReferenceLine, Road, nearest, thinned
+from logs.route import Route, straight_on
 from logs.states import EgoState
 from logs.vehicle import VehicleParameters
-from planners.dp_qp.route import Route, straight_on
 from planners.qp import QuadraticProgram
 
 SPACING_M = 2.0

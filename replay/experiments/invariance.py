@@ -27,7 +27,8 @@ from logs.scenario import Scenario
 from logs.states import Trajectory
 from logs.transform import jittered, mirrored, mirrored_trajectory, moved_trajectory, rotated, shifted_clock
 from metrics import evaluate
-from metrics.gates import Outcome, judge, load_gates
+from metrics.gates import Outcome, load_gates
+from metrics.judge import judge
 from replay.avoidability import with_avoidability
 from replay.batch.pool import WorkerLost, run_all
 from replay.batch.results import write_file

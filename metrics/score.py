@@ -1,0 +1,313 @@
+"""The scores of nuPlan, NAVSIM and CARLA, out of the metrics here.
+
+(1) score = product of the multipliers x (sum of weight x part) / (sum of weights)
+
+Every part is in 0 .. 1 and is shown beside its score. A part that cannot be measured is left out with its weight, and
+the score's row names it ("without: red lights"); a multiplier that needs lanes, or what was driven, makes the score
+unavailable, except where its absence says that there was nothing to break (no lights, no stop signs).
+
+nuPlan, closed loop (devkit e9241677):
+(2) collisions x drivable x direction x making_progress x (5 progress + 5 ttc + 4 speed_limit + 2 comfort) / 16
+nuPlan, open loop, over the horizons 3, 5 and 8 s that the log allows:
+(3) miss x (ade + fde + 2 ahe + 2 fhe) / 6
+NAVSIM, 0a380a90:
+(4) PDMS = collisions x drivable x (5 progress + 5 ttc + 2 comfort) / 12
+(5) EPDMS = collisions x drivable x direction x red_lights x (5 ttc + 5 progress + 2 comfort + 2 lane_keeping
+    + 2 extended_comfort) / 16;  a part in which the log's driver has 0 is 1
+CARLA leaderboard 2.x, in 0 .. 1:
+(6) completion x penalties x red_lights x stop_signs x inside_lanes
+
+    collisions        product over {pedestrians and riders, vehicles, objects} of max(0, 1 - n / (1, 1, 2)), n at fault
+    drivable          1 unless a corner is 0.3 m off the lanes
+    direction         1, 0.5, 0: less than 2 m, 6 m driven against a lane within 1 s
+    making_progress   1 where progress is 0.2 at least
+    ttc               1 where it is always above 0.95 s and no collision is at fault
+    speed_limit       `speed_excess.compliance`
+    comfort           1 where all six signals that nuPlan filters are always within their bounds
+    lane_keeping      1 where no episode beyond 0.5 m lasts 2 s
+    extended_comfort  share of the pairs of plans 0.5 s apart within all four bounds
+    miss              1 where at most 0.3 of the plans miss at each horizon; one that does not reach it misses
+    ade, fde; ahe, fhe   1 where the mean over frames and horizons is at most 8 m; 0.8 rad
+    penalties         0.5 per pedestrian that was touched, 0.6 per vehicle, 0.65 per object, whoever was at fault
+    red_lights, stop_signs   0.7 and 0.8 per crossing in CARLA; in (5) 1 without any and else 0
+    inside_lanes      share of the distance that was driven neither off the lanes nor against them
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from math import prod
+from types import MappingProxyType
+
+import numpy as np
+
+from logs.scenario import AgentKind, Scenario
+from logs.trace import Mode, Trace
+from metrics import accuracy, comfort, consistency, lane_keeping, progress, rules, safety
+from metrics.metric import FINAL, Measured, Metric, Series, Unavailable, longest
+
+TTC_S, LEAST_PROGRESS, MISS_SHARE, NEAR_M, NEAR_RAD = 0.95, 0.2, 0.3, 8.0, 0.8
+OPEN_HORIZONS_S = (3, 5, 8)
+CARLA_HITS = MappingProxyType({AgentKind.PEDESTRIAN: 0.5, AgentKind.OBJECT: 0.65})
+CARLA_VEHICLE, CARLA_RED, CARLA_STOP = 0.6, 0.7, 0.8
+Value = float | Unavailable
+Part = Callable[[Trace, Scenario], Value]
+
+
+@dataclass(frozen=True, slots=True)
+class Formula:
+    """How parts make a score (1).
+
+    Attributes:
+        multipliers: Names in `PARTS`.
+        weights: Weight by name in `PARTS`; empty: the score is the product.
+        optional: Multipliers that count 1 where they cannot be measured.
+        excused: Whether a part in which the log's driver has 0 counts 1.
+    """
+
+    multipliers: tuple[str, ...]
+    weights: Mapping[str, float]
+    optional: frozenset[str] = frozenset()
+    excused: bool = False
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All parts."""
+        return (*self.multipliers, *self.weights)
+
+
+# parts ------------------------------------------------------------------------------------------------------------
+
+
+def _series(metric: Metric, trace: Trace, scenario: Scenario) -> Series | Unavailable:
+    found = metric.measure(trace, scenario)
+    if isinstance(found, Mapping):
+        raise TypeError(f"{metric.name} has parts")
+    return found
+
+
+def _judged(metric: Metric, judge: Callable[[Series], float]) -> Part:
+    """A part that is a function of one metric's steps."""
+
+    def part(trace: Trace, scenario: Scenario) -> Value:
+        found = _series(metric, trace, scenario)
+        return found if isinstance(found, Unavailable) else judge(found)
+
+    return part
+
+
+def _final(series: Series) -> float:
+    return float(series.value[-1])
+
+
+def _total(series: Series) -> float:
+    return float(np.nansum(series.value))
+
+
+def _beyond(series: Series, low: float, high: float) -> bool:
+    return bool(((series.value < low) | (series.value > high)).any())
+
+
+def _collisions(trace: Trace, scenario: Scenario) -> Value:
+    hit = [trace.agents.kinds[c.agent] for c in safety.contacts(trace, scenario) if c.at_fault]
+    vulnerable, objects = sum(kind.is_vulnerable for kind in hit), hit.count(AgentKind.OBJECT)
+    vehicles = len(hit) - vulnerable - objects
+    return prod(max(0.0, 1.0 - n / allowed) for n, allowed in ((vulnerable, 1), (vehicles, 1), (objects, 2)))
+
+
+def _ttc(trace: Trace, scenario: Scenario) -> Value:
+    if any(contact.at_fault for contact in safety.contacts(trace, scenario)):
+        return 0.0
+    return _judged(safety.TTC, lambda series: float(not (series.value <= TTC_S).any()))(trace, scenario)
+
+
+def _direction(series: Series) -> float:
+    metres = lane_keeping.worst_metres(series)[0]
+    return 1.0 if metres < lane_keeping.COMPLIANT_M else 0.5 if metres < lane_keeping.HALF_M else 0.0
+
+
+def _keeps(series: Series) -> float:
+    beyond = longest(series, np.asarray(np.abs(series.value) > lane_keeping.ASIDE_M))[0]
+    return float(beyond < lane_keeping.ASIDE_S - 1e-9)
+
+
+def _comfortable(trace: Trace, scenario: Scenario) -> Value:
+    for metric, (_, low, high) in zip(comfort.NUPLAN, comfort.NUPLAN_BOUNDS.values(), strict=True):
+        found = _series(metric, trace, scenario)
+        if isinstance(found, Unavailable):
+            return found
+        if _beyond(found, low, high):
+            return 0.0
+    return 1.0
+
+
+def _steady(series: Series) -> float:
+    return float(np.mean(series.value[series.known] <= 1.0)) if series.known.any() else 0.0
+
+
+def _compliance(trace: Trace, scenario: Scenario) -> Value:
+    found = _series(progress.SPEED_EXCESS, trace, scenario)
+    if isinstance(found, Unavailable):
+        return found
+    return progress.compliance(found)[0] if found.known.any() else Unavailable(found.missing)
+
+
+def _penalties(trace: Trace, scenario: Scenario) -> Value:
+    met = [c for c in safety.contacts(trace, scenario) if c.kind is not safety.ContactKind.FROM_START]
+    return prod((CARLA_HITS.get(trace.agents.kinds[c.agent], CARLA_VEHICLE) for c in met), start=1.0)
+
+
+def _inside(trace: Trace, scenario: Scenario) -> Value:
+    off, against = (_series(metric, trace, scenario) for metric in (safety.OFF_ROAD, lane_keeping.WRONG_WAY))
+    if isinstance(off, Unavailable) or isinstance(against, Unavailable):
+        return off if isinstance(off, Unavailable) else lane_keeping.NO_LANES
+    wrong = (off.value > safety.OFF_ROAD_M) | (against.value > lane_keeping.AGAINST_MPS)
+    metres = np.hypot(np.diff(trace.ego.x), np.diff(trace.ego.y))
+    return 1.0 - float(metres[wrong[1:]].sum() / metres.sum()) if metres.sum() > 0.0 else 1.0
+
+
+def _horizons(metric: Metric, trace: Trace, scenario: Scenario) -> list[Series] | Unavailable:
+    """The series at the horizons of nuPlan that the log allows."""
+    found = metric.measure(trace, scenario)
+    if not isinstance(found, Mapping):
+        return found if isinstance(found, Unavailable) else [found]
+    each = [found[f"{h}s"] for h in OPEN_HORIZONS_S]
+    allowed = [series for series in each if isinstance(series, Series)]
+    return allowed or Unavailable(f"the log ends less than {OPEN_HORIZONS_S[0]} s after every frame")
+
+
+def _near(metric: Metric, bound: float, trace: Trace, scenario: Scenario) -> Value:
+    found = _horizons(metric, trace, scenario)
+    if isinstance(found, Unavailable):
+        return found
+    values = np.concatenate([series.value[series.known] for series in found])
+    return float(len(values) > 0 and float(values.mean()) <= bound)
+
+
+def _hits(trace: Trace, scenario: Scenario) -> Value:
+    found = _horizons(accuracy.MISS, trace, scenario)
+    if isinstance(found, Unavailable):
+        return found
+    return float(all(float(np.mean(~(series.value == 0.0))) <= MISS_SHARE for series in found))
+
+
+PARTS: Mapping[str, Part] = MappingProxyType({
+    "collisions": _collisions,
+    "drivable": _judged(safety.OFF_ROAD, lambda series: float(not _beyond(series, -np.inf, safety.OFF_ROAD_M))),
+    "direction": _judged(lane_keeping.WRONG_WAY, _direction),
+    "making_progress": _judged(progress.PROGRESS, lambda series: float(_final(series) >= LEAST_PROGRESS)),
+    "progress": _judged(progress.PROGRESS, _final),
+    "ttc": _ttc,
+    "speed_limit": _compliance,
+    "comfort": _comfortable,
+    "lane_keeping": _judged(lane_keeping.LANE_KEEPING, _keeps),
+    "extended_comfort": _judged(consistency.EXTENDED_COMFORT, _steady),
+    "no_red_light": _judged(rules.RED_LIGHT, lambda series: float(_total(series) == 0.0)),
+    "completion": _judged(progress.COMPLETION, _final),
+    "penalties": _penalties,
+    "red_lights": _judged(rules.RED_LIGHT, lambda series: CARLA_RED ** _total(series)),
+    "stop_signs": _judged(rules.STOP_SIGN, lambda series: CARLA_STOP ** _total(series)),
+    "inside_lanes": _inside,
+    "miss": _hits,
+    "ade": partial(_near, accuracy.ADE, NEAR_M),
+    "fde": partial(_near, accuracy.FDE, NEAR_M),
+    "ahe": partial(_near, accuracy.AHE, NEAR_RAD),
+    "fhe": partial(_near, accuracy.FHE, NEAR_RAD),
+})  # fmt: skip
+
+NUPLAN_CLOSED = Formula(
+    ("collisions", "drivable", "direction", "making_progress"),
+    {"progress": 5.0, "ttc": 5.0, "speed_limit": 4.0, "comfort": 2.0},
+)
+NUPLAN_OPEN = Formula(("miss",), {"ade": 1.0, "fde": 1.0, "ahe": 2.0, "fhe": 2.0})
+PDMS = Formula(("collisions", "drivable"), {"progress": 5.0, "ttc": 5.0, "comfort": 2.0})
+EPDMS = Formula(
+    ("collisions", "drivable", "direction", "no_red_light"),
+    {"ttc": 5.0, "progress": 5.0, "comfort": 2.0, "lane_keeping": 2.0, "extended_comfort": 2.0},
+    frozenset({"no_red_light"}), excused=True,
+)  # fmt: skip
+CARLA = Formula(
+    ("completion", "penalties", "red_lights", "stop_signs", "inside_lanes"), {},
+    frozenset({"red_lights", "stop_signs"}),
+)  # fmt: skip
+
+
+# scores -----------------------------------------------------------------------------------------------------------
+
+
+def combined(formula: Formula, parts: Mapping[str, Value]) -> tuple[Value, str]:
+    """(1), and the label that names what was left out."""
+    for name in formula.multipliers:
+        if isinstance(value := parts[name], Unavailable) and name not in formula.optional:
+            return Unavailable(f"{name.replace('_', ' ')}: {value.reason}"), ""
+    known = {name: value for name, value in parts.items() if not isinstance(value, Unavailable)}
+    weight = sum(weight for name, weight in formula.weights.items() if name in known)
+    if formula.weights and not weight:
+        return Unavailable("no part of the weighted mean can be measured"), ""
+    mean = sum(weight * known[name] for name, weight in formula.weights.items() if name in known) / (weight or 1.0)
+    product = prod((known[name] for name in formula.multipliers if name in known), start=1.0)
+    left_out = ", ".join(name.replace("_", " ") for name in formula.names if name not in known)
+    return product * (mean if formula.weights else 1.0), f"without: {left_out}" if left_out else ""
+
+
+def _score(formula: Formula, trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
+    parts = {name: PARTS[name](trace, scenario) for name in formula.names}
+    if formula.excused and len(scenario.ego) > 1:
+        human = replace(trace, ego=scenario.ego, agents=scenario.tracks, frames=())
+        parts = {name: 1.0 if PARTS[name](human, scenario) == 0.0 else value for name, value in parts.items()}
+    total, label = combined(formula, parts)
+    return {"score": _row(trace, total, label), **{name: _row(trace, value, "") for name, value in parts.items()}}
+
+
+def _row(trace: Trace, value: Value, label: str) -> Measured:
+    return value if isinstance(value, Unavailable) else Series(trace.ego.t[-1:], np.array([value]), (label,))
+
+
+def _metric(name: str, formula: Formula, mode: Mode, meaning: str, source: str, text: str, needs: str) -> Metric:
+    return Metric(
+        name, "1", "higher", (mode,), partial(_score, formula), (FINAL,), meaning, source,
+        parts=("score", *formula.names), formula=text, needs=needs,
+        parameters=tuple(f"weight of {part} {weight:g}" for part, weight in formula.weights.items()),
+    )  # fmt: skip
+
+
+_LANES = "lanes, a logged drive"
+NUPLAN_CLOSED_SCORE = _metric(
+    "nuplan_closed", NUPLAN_CLOSED, Mode.CLOSED,
+    "nuPlan's closed-loop score. It differs: progress is along the driven path, time to collision is with velocity"
+    " vectors, to all who are not behind and up to 10 s, the limit is that of the lanes under the ego.",
+    "nuPlan devkit e9241677, closed_loop_nonreactive_agents_weighted_average",
+    "collisions x drivable x direction x making_progress x (5 progress + 5 ttc + 4 speed_limit + 2 comfort) / 16",
+    _LANES,
+)  # fmt: skip
+NUPLAN_OPEN_SCORE = _metric(
+    "nuplan_open", NUPLAN_OPEN, Mode.OPEN,
+    "nuPlan's open-loop score. It differs: plans are compared at 10 Hz and at the rear axle, a plan that does not reach"
+    " a horizon misses there, horizons beyond the log are left out.",
+    "nuPlan devkit e9241677, open_loop_boxes_weighted_average", "miss x (ade + fde + 2 ahe + 2 fhe) / 6",
+    "a logged drive of 3 s after some frame",
+)  # fmt: skip
+PDMS_SCORE = _metric(
+    "pdms", PDMS, Mode.CLOSED,
+    "NAVSIM's predictive driver model score. It differs: of the whole drive instead of one plan's 4 s, progress is over"
+    " the log's driver instead of PDM-Closed, time to collision as in nuplan_closed.",
+    "NAVSIM 0a380a90, pdm_scorer", "collisions x drivable x (5 progress + 5 ttc + 2 comfort) / 12", _LANES,
+)  # fmt: skip
+EPDMS_SCORE = _metric(
+    "epdms", EPDMS, Mode.CLOSED,
+    "NAVSIM's extended score; a part in which the log's driver has 0 is 1. It differs as pdms does; lights count at"
+    " their stop lines, extended comfort is the share of all pairs of plans, changing lanes is not excused.",
+    "NAVSIM 0a380a90, pdm_scorer (v2)",
+    "collisions x drivable x direction x no_red_light x (5 ttc + 5 progress + 2 comfort + 2 lane_keeping"
+    " + 2 extended_comfort) / 16", _LANES,
+)  # fmt: skip
+CARLA_SCORE = _metric(
+    "carla", CARLA, Mode.CLOSED,
+    "CARLA's driving score, in 0 .. 1. It differs: the drive ends at a collision; no penalties for a time-out, for"
+    " yielding to emergency vehicles and for too little speed; outside are the lanes' edge and oncoming lanes.",
+    "CARLA leaderboard 2.x aec81319, statistics_manager.py",
+    "completion x 0.5^pedestrians x 0.6^vehicles x 0.65^objects x 0.7^red lights x 0.8^stop signs x inside_lanes",
+    "lanes, a route with a goal or a logged drive of 10 m",
+)  # fmt: skip

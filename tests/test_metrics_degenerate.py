@@ -1,0 +1,59 @@
+"""Every metric on drives that hardly are any: a value or a reason, never an exception (row 18)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from drives import along, drive, grid, plans, scenario, straight_road
+
+from logs import Goal, Mode, RoadSource, Scenario, Trace
+from logs.kernel import FloatArray
+from metrics import METRICS, evaluate, series
+from metrics.metric import Metric
+
+T = grid(4.0, 0.1)
+LOG = scenario(along(T, 10.0), duration=9.0)
+
+
+def _priority() -> Scenario:
+    lanes = straight_road(lanes=2, limit=13.0).lanes
+    road = replace(straight_road(), lanes={**lanes, 0: replace(lanes[0], yields_to=(1,))})
+    region: FloatArray = np.array([[30.0, -2.0], [40.0, -2.0], [40.0, 2.0], [30.0, 2.0]])
+    return replace(LOG, road=road, goal=Goal((region,)))
+
+
+LOGS = {
+    "plain": LOG,
+    "right of way": _priority(),
+    "no lanes": replace(LOG, road=replace(straight_road(), source=RoadSource.DRIVEN_PATH)),
+    "one logged state": replace(LOG, ego=along(T[:1], 10.0)),
+    "stands": replace(LOG, ego=along(T, 0.0)),
+}
+STATES_AND_FRAMES = ((1, 0), (1, 1), (2, 1), (2, 2), (len(T), 0))
+"""The third is a planner that fails at its second frame."""
+
+
+def _drive(log: Scenario, mode: Mode, states: int, frames: int) -> Trace:
+    ego = along(T[:states], 10.0)
+    return drive(log, ego, mode=mode, frames=plans(along(T, 10.0), T[:frames], 2.0))
+
+
+@pytest.mark.parametrize("metric", METRICS.values(), ids=METRICS.keys())
+def test_a_metric_of_a_drive_that_hardly_is_one_has_a_value_or_a_reason(metric: Metric) -> None:
+    for log in LOGS.values():
+        for states, frames in STATES_AND_FRAMES:
+            for mode in metric.modes:
+                trace = _drive(log, mode, states, frames)
+                table = evaluate(trace, log, metrics={metric.name: metric})
+                series(trace, log, metrics={metric.name: metric})
+                assert len(table) >= len(metric.reductions)
+                assert (table["available"] == np.isfinite(table["value"])).all()
+                assert (table.loc[~table["available"], "reason"] != "").all()
+
+
+def test_right_of_way_of_one_state_says_why() -> None:
+    log = LOGS["right of way"]
+    table = evaluate(_drive(log, Mode.CLOSED, 1, 0), log).set_index("metric")
+    assert table.loc["priority_gap.min", "reason"] == "the drive holds one ego state only"

@@ -174,7 +174,7 @@ SPEED_EXCESS = Metric(
     "speed_excess", "m/s", "lower", _CLOSED, _excess,
     (
         MAX, MEAN, time_above(OVER_MPS, "time_above_1mps"),
-        Reduction("share_above_1mps", _share_over, unit="1", empty=0.0),
+        Reduction("share_above_1mps", _share_over, unit="1"),
         Reduction("compliance", compliance, unit="1", direction="higher"),
     ),
     "Speed above the limit of the lane under the ego's centre, the larger one where lanes overlap; compliance is"

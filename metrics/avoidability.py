@@ -40,7 +40,11 @@ def _reference(trace: Trace, scenario: Scenario, *, driver: str) -> Measured:
 
 def _metric(driver: str, meaning: str, source: str) -> Metric:
     measure = partial(_reference, driver=driver)
-    return Metric(f"reference_{driver}", "1", "none", (Mode.CLOSED,), measure, (AVOIDS, APPLIES), meaning, source)
+    return Metric(
+        f"reference_{driver}", "1", "none", (Mode.CLOSED,), measure, (AVOIDS, APPLIES), meaning, source,
+        formula="the reference driver, braking on the ego's line among the tracks as logged",
+        needs="the verdict in the log's metadata; avoids: somebody to meet",
+    )  # fmt: skip
 
 
 CC = _metric(

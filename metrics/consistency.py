@@ -11,7 +11,8 @@ For the frame i and the frame j that is 0.5 s before it, at t_i, t_i + 0.1 s, ..
 
 with A = (a, v^2 kappa) of the plans and backward differences over 0.1 s; 1 and below is comfortable (NAVSIM's EC).
 
-(4) plan_horizon(t_i) = last time of plan i - t_i,  plan_complete(t_i) = 1 where that is 3 s at least, else 0
+(4) plan_horizon(t_i) = last time of plan i - t_i,  plan_complete(t_i) = 1 where that is 3 s at least, else 0, at the
+    frames after which the log's drive lasts so long: an oracle knows no more
 
 In open loop plans start at the log's states, so that a plan which the log did not follow shows as a change too.
 """
@@ -91,12 +92,13 @@ def _horizon(trace: Trace, scenario: Scenario) -> Measured:
 
 
 def _complete(trace: Trace, scenario: Scenario) -> Measured:
-    reach = _horizon(trace, scenario)
-    return (
-        reach
-        if isinstance(reach, Unavailable)
-        else replace(reach, value=np.where(reach.value >= COMPLETE_S - 1e-6, 1.0, 0.0))
-    )
+    reach, log = _horizon(trace, scenario), scenario.ego
+    if isinstance(reach, Unavailable):
+        return reach
+    asked = (reach.t + COMPLETE_S <= log.t[-1] + 1e-6) | (len(log) < 2)
+    if not asked.any():
+        return Unavailable(f"the log ends less than {COMPLETE_S:g} s after every frame")
+    return Series(reach.t[asked], np.where(reach.value[asked] >= COMPLETE_S - 1e-6, 1.0, 0.0))
 
 
 _BOTH = (Mode.OPEN, Mode.CLOSED)
@@ -126,6 +128,7 @@ PLAN_HORIZON = Metric(
 )  # fmt: skip
 PLAN_COMPLETE = Metric(
     "plan_complete", "1", "higher", _BOTH, _complete, (replace(RATE, empty=None),),
-    "Share of the frames whose plan reaches 3 s at least.", formula="1 where t_last - t_i >= 3 s, else 0",
-    parameters=(f"least {COMPLETE_S:g} s",), needs="plans",
+    "Share of the frames whose plan reaches 3 s at least, where the log lasts so long after them.",
+    formula="1 where t_last - t_i >= 3 s, else 0", parameters=(f"least {COMPLETE_S:g} s",),
+    needs="plans, and a logged drive of 3 s after some frame or none at all",
 )  # fmt: skip

@@ -97,25 +97,39 @@ def _fallback(trace: Trace, scenario: Scenario) -> Measured:
 
 
 _CLOSED, _BOTH = (Mode.CLOSED,), (Mode.OPEN, Mode.CLOSED)
-THROTTLE = Metric("throttle", "1", "none", _CLOSED, partial(_pedal, "throttle"), (MEAN, MAX), "Commanded throttle.")
-BRAKE = Metric("brake", "1", "none", _CLOSED, partial(_pedal, "brake"), (MEAN, MAX), "Commanded brake.")
+_COMMANDS, _REPORTS = "commands of a controller", "solver reports in the plans"
+_PRESSED = (f"pressed above {PRESSED:g}",)
+THROTTLE = Metric(
+    "throttle", "1", "none", _CLOSED, partial(_pedal, "throttle"), (MEAN, MAX), "Commanded throttle.",
+    formula="throttle", needs=_COMMANDS,
+)  # fmt: skip
+BRAKE = Metric(
+    "brake", "1", "none", _CLOSED, partial(_pedal, "brake"), (MEAN, MAX), "Commanded brake.",
+    formula="brake", needs=_COMMANDS,
+)  # fmt: skip
 PEDALS_TOGETHER = Metric(
-    "pedals_together", "count", "lower", _CLOSED, _together, (COUNT,), "Steps that command throttle and brake at once."
-)
+    "pedals_together", "count", "lower", _CLOSED, _together, (COUNT,), "Steps that command throttle and brake at once.",
+    formula="sum of 1 where both are pressed", parameters=_PRESSED, needs=_COMMANDS,
+)  # fmt: skip
 PEDAL_SWITCHES = Metric(
-    "pedal_switches", "count", "lower", _CLOSED, _switches, (COUNT,), "Changes from throttle to brake or back."
-)
+    "pedal_switches", "count", "lower", _CLOSED, _switches, (COUNT,), "Changes from throttle to brake or back.",
+    formula="sum of 1 where the other pedal than the last one is pressed", parameters=_PRESSED, needs=_COMMANDS,
+)  # fmt: skip
 STEER_RATE = Metric(
     "steer_rate", "rad/s", "lower", _CLOSED, _steer_rate, (MAX_ABS, P95),
     "Backward difference of the front wheel angle over 0.1 s, as actuated, else as commanded.",
+    formula="(steer(t) - steer(t - W)) / W", parameters=(f"W {WINDOW_S} s",), needs=_COMMANDS,
 )  # fmt: skip
 QP_ITERATIONS = Metric(
     "qp_iterations", "count", "lower", _BOTH, _iterations, (MEAN, P95, MAX),
     "Solver iterations per frame and stage, the largest where a stage solves several times.", parts=("*",),
+    formula="max over a frame's calls of a stage", needs=_REPORTS,
 )  # fmt: skip
 SOLVER_UNSOLVED = Metric(
-    "solver_unsolved", "count", "lower", _BOTH, _unsolved, (COUNT,), "Solver calls that did not end solved."
-)
+    "solver_unsolved", "count", "lower", _BOTH, _unsolved, (COUNT,), "Solver calls that did not end solved.",
+    formula="sum of calls that are not solved", needs=_REPORTS,
+)  # fmt: skip
 FALLBACK = Metric(
-    "fallback", "1", "lower", _BOTH, _fallback, (RATE,), "Share of the frames whose plan is a fallback."
+    "fallback", "1", "lower", _BOTH, _fallback, (RATE,), "Share of the frames whose plan is a fallback.",
+    formula="1 where the status is a fallback, else 0", needs="plans",
 )  # fmt: skip

@@ -5,9 +5,9 @@ With the gain of a drive along the route (`route`), the whole log taken as the y
 (1) route_progress(t) = gain(t) / gain of the log's driver at the log's end
     where the log has no drive: over the distance of the competent and careful driver (metadata `CAREFUL_M`);
     where that yardstick is below 2 m: 1, and 0 for a drive that went back more than 2 m
-    a drive that ended at the goal: 1 at least, unless more than 2 m of it were cut
 (2) progress = min(1, max(gain, c) / max(gain of the log's driver, c)), 0 where gain < -c;  c = 2 m      (nuPlan)
-(3) completion = gain / length of the route, in 0 .. 1;  1 where the drive ended at the goal             (CARLA)
+(3) completion = gain / length of the route, in 0 .. 1                                                   (CARLA)
+    all three: 1 at least where the drive ended at the goal, unless more than 2 m of it were cut
 (4) distance(t) = length of the path of the rear axle driven since the start
 (5) speed_excess(t) = max(v - limit, 0),  speed_ratio(t) = v / limit - 1
 (6) speed_limit_compliance = max(0, 1 - integral of (5) dt / (2.23 m/s T)),  T the time on lanes with a limit  (nuPlan)
@@ -39,7 +39,7 @@ from metrics.metric import (
     time_outside,
 )
 from metrics.others import ego_boxes
-from metrics.route import gained, route_of
+from metrics.route import Gain, gained, route_of
 
 FLOOR_M = 2.0
 EXCESS_MPS = 2.23
@@ -69,19 +69,16 @@ def _route_progress(trace: Trace, scenario: Scenario) -> Measured:
     gain = gained(route, trace.ego)
     if asked < FLOOR_M:
         return Series(trace.ego.t, np.where(gain.metres < -FLOOR_M, 0.0, 1.0))
-    ratio = gain.metres / asked
-    if trace.end is EndReason.GOAL and gain.cut <= FLOOR_M:
-        ratio[-1] = max(ratio[-1], 1.0)
-    return Series(trace.ego.t, ratio)
+    return Series(trace.ego.t, _arrived(trace, gain, gain.metres / asked))
 
 
 def _progress(trace: Trace, scenario: Scenario) -> Measured:
     if len(scenario.ego) < 2:
         return _ALONE
     route = route_of(scenario)
-    asked, gain = gained(route, scenario.ego).metres[-1], gained(route, trace.ego).metres
-    ratio = np.minimum(np.maximum(gain, FLOOR_M) / max(asked, FLOOR_M), 1.0)
-    return Series(trace.ego.t, np.where(gain < -FLOOR_M, 0.0, ratio))
+    asked, gain = gained(route, scenario.ego).metres[-1], gained(route, trace.ego)
+    ratio = np.minimum(np.maximum(gain.metres, FLOOR_M) / max(asked, FLOOR_M), 1.0)
+    return Series(trace.ego.t, _arrived(trace, gain, np.where(gain.metres < -FLOOR_M, 0.0, ratio)))
 
 
 def _completion(trace: Trace, scenario: Scenario) -> Measured:
@@ -89,10 +86,14 @@ def _completion(trace: Trace, scenario: Scenario) -> Measured:
     if not np.isfinite(route.length):
         return Unavailable("the log has neither a goal that lanes lead to nor a drive of 10 m")
     gain = gained(route, trace.ego)
-    share = np.clip(gain.metres / route.length, 0.0, 1.0)
+    return Series(trace.ego.t, _arrived(trace, gain, np.clip(gain.metres / route.length, 0.0, 1.0)))
+
+
+def _arrived(trace: Trace, gain: Gain, share: FloatArray) -> FloatArray:
+    """A share `(n,)` that is 1 at least where the drive ended at the goal, unless more than 2 m of it were cut."""
     if trace.end is EndReason.GOAL and gain.cut <= FLOOR_M:
-        share[-1] = 1.0
-    return Series(trace.ego.t, share)
+        share[-1] = max(share[-1], 1.0)
+    return share
 
 
 def _speed(trace: Trace, scenario: Scenario) -> Measured:
@@ -148,14 +149,14 @@ DISTANCE = Metric(
 ROUTE_PROGRESS = Metric(
     "route_progress", "1", "higher", _CLOSED, _route_progress, (FINAL,),
     "Gain along the route over that of the log's driver in the whole log, else of the careful driver; not capped.",
-    formula="gain(t) / gain of the log's driver at the log's end; 1 where that is below 2 m",
+    formula="gain(t) / gain of the log's driver at the log's end; 1 where that is below 2 m, and at the goal",
     parameters=("floor 2 m", "a step counts at most 2 |v| dt, where it is more than 0.1 m above"),
     needs="a logged drive, else the careful driver's distance",
 )  # fmt: skip
 PROGRESS = Metric(
     "progress", "1", "higher", _CLOSED, _progress, (FINAL,),
     "Gain along the route over that of the log's driver in the whole log, capped at 1.",
-    "nuPlan devkit e9241677, ego_progress_along_expert_route; along the driven path instead of the lanes' baselines", 2,
+    "nuPlan devkit e9241677, ego_progress_along_expert_route; along the driven path, 1 at the goal", 2,
     formula="min(1, max(gain, c) / max(gain of the log's driver, c)), 0 where gain < -c",
     parameters=("c 2 m",), needs="a logged drive",
 )  # fmt: skip
@@ -173,7 +174,7 @@ SPEED_EXCESS = Metric(
     "speed_excess", "m/s", "lower", _CLOSED, _excess,
     (
         MAX, MEAN, time_above(OVER_MPS, "time_above_1mps"),
-        Reduction("share_above_1mps", _share_over, unit="1", empty=0.0),
+        Reduction("share_above_1mps", _share_over, unit="1"),
         Reduction("compliance", compliance, unit="1", direction="higher"),
     ),
     "Speed above the limit of the lane under the ego's centre, the larger one where lanes overlap; compliance is"

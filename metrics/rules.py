@@ -203,14 +203,20 @@ RED_LIGHT = Metric(
     "red_light", "count", "lower", _CLOSED, _red_light, (COUNT,),
     "Stop lines that the front came over while their light showed red, or red and yellow.",
     "as CARLA leaderboard 2.x counts red lights; nuPlan has none",
+    formula="sum of crossings at red, or red and yellow", parameters=(f"beside the line's ends {ASIDE_M} m",),
+    needs="a traffic light with a stop line",
 )  # fmt: skip
 STOP_SIGN = Metric(
     "stop_sign", "count", "lower", _CLOSED, _stop_sign, (COUNT,),
     "Stop signs passed without a speed below 0.1 m/s in the last 5 m before their line.",
     "bounds: nuPlan devkit e9241677, ego_stop_at_stop_line (5 m, 0.1 m/s)",
+    formula="sum of crossings with min |v| >= 0.1 m/s over the last 5 m",
+    parameters=(f"at rest below {REST_MPS} m/s", f"before the line {BEFORE_M:g} m"), needs="a stop sign",
 )  # fmt: skip
 CROSSWALK = Metric(
     "crosswalk", "count", "lower", _CLOSED, _crosswalk, (COUNT,),
     "Pedestrians who were on the ego's half of a crosswalk while it drove over it.",
     "StVO 26 (1): who evidently wants to cross is let cross",
+    formula="sum over passages of the pedestrians on the ego's half",
+    parameters=(f"half a lane {HALF_LANE_M} m", f"drives above {REST_MPS} m/s"), needs="a crosswalk",
 )  # fmt: skip

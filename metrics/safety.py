@@ -322,20 +322,25 @@ _NUPLAN = "nuPlan devkit e9241677, no_ego_at_fault_collisions"
 COLLISION = Metric(
     "collision", "count", "lower", (Mode.CLOSED,), partial(_collision, fault_only=False), (COUNT,),
     "Road users that the ego's box touched, each once.", _NUPLAN,
+    formula="sum over the others of 1 where the boxes touch at some step",
 )  # fmt: skip
 COLLISION_AT_FAULT = Metric(
     "collision_at_fault", "count", "lower", (Mode.CLOSED,), partial(_collision, fault_only=True), (COUNT,),
     "Collisions into a standing road user, with the front, or with the side while not keeping a lane.", _NUPLAN,
+    formula="as collision; kinds and fault in nuPlan's order",
+    parameters=(f"standing {STANDING_MPS} m/s", "behind: more than 150 degrees off the heading"),
 )  # fmt: skip
 GAP = Metric(
     "gap", "m", "higher", (Mode.CLOSED,), partial(_gap, vulnerable_only=False),
     (MIN, time_below(0.2, "time_below_20cm")),
     "Least distance between the ego's box and another's, 0 where they touch.",
+    formula="min over the others of the distance of the boxes", needs="other road users",
 )  # fmt: skip
 GAP_VULNERABLE = Metric(
     "gap_vulnerable", "m", "higher", (Mode.CLOSED,), partial(_gap, vulnerable_only=True),
     (MIN, time_below(0.5, "time_below_50cm")),
     "Least distance to a pedestrian or rider.",
+    formula="as gap", needs="a pedestrian or rider",
 )  # fmt: skip
 _TTC_TIMES = (MIN, seconds_below(0.95, "time_below_950ms"), seconds_below(TAU_S, "time_below_1500ms"),
               integrated_below(TAU_S, "integrated_1500ms"))  # fmt: skip
@@ -363,8 +368,12 @@ OFF_ROAD = Metric(
     "off_road", "m", "lower", (Mode.CLOSED,), _off_road, (MAX, time_above(OFF_ROAD_M, "time_beyond_30cm")),
     "Greatest distance of a corner of the ego from the drivable lanes.",
     "bound 0.3 m: nuPlan devkit e9241677, drivable_area_compliance",
+    formula="max over the four corners of the distance to the nearest drivable lane",
+    parameters=(f"bound {OFF_ROAD_M} m",), needs="lanes in the log",
 )  # fmt: skip
 PLAN_COLLISION = Metric(
     "plan_collision", "s", "higher", (Mode.OPEN,), _plan_collision, (HAVING, MIN),
     "Time until a plan touches a road user as it then really moved, within 5 s, every 0.1 s.",
+    formula="least k 0.1 s with the boxes touching at t_i + k 0.1 s",
+    parameters=(f"horizon {PLAN_HORIZON_S:g} s", f"step {STEP_S} s"), needs="plans",
 )  # fmt: skip

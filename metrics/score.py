@@ -37,7 +37,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from math import prod
 from types import MappingProxyType
 
@@ -252,11 +252,19 @@ def combined(formula: Formula, parts: Mapping[str, Value]) -> tuple[Value, str]:
     return product * (mean if formula.weights else 1.0), f"without: {left_out}" if left_out else ""
 
 
+@lru_cache(maxsize=32)
+def _part(name: str, trace: Trace, scenario: Scenario) -> Value:
+    """A part of a drive; the last ones are kept, since the scores share them."""
+    return PARTS[name](trace, scenario)
+
+
 def _score(formula: Formula, trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
-    parts = {name: PARTS[name](trace, scenario) for name in formula.names}
+    parts = {name: _part(name, trace, scenario) for name in formula.names}
     if formula.excused and len(scenario.ego) > 1:
         human = replace(trace, ego=scenario.ego, agents=scenario.tracks, frames=())
-        parts = {name: 1.0 if PARTS[name](human, scenario) == 0.0 else value for name, value in parts.items()}
+        for name, value in parts.items():
+            if value != 1.0 and PARTS[name](human, scenario) == 0.0:
+                parts[name] = 1.0
     total, label = combined(formula, parts)
     return {"score": _row(trace, total, label), **{name: _row(trace, value, "") for name, value in parts.items()}}
 

@@ -15,13 +15,18 @@ def _error(column: str, trace: Trace, scenario: Scenario) -> Measured:
     return Series(trace.tracking.t, getattr(trace.tracking, column))
 
 
-def _metric(column: str, unit: str, meaning: str) -> Metric:
+def _metric(column: str, unit: str, meaning: str, formula: str) -> Metric:
     return Metric(
-        f"tracking_{column}", unit, "lower", (Mode.CLOSED,), partial(_error, column), (RMS, MAX_ABS, P95), meaning
-    )
+        f"tracking_{column}", unit, "lower", (Mode.CLOSED,), partial(_error, column), (RMS, MAX_ABS, P95), meaning,
+        formula=formula, needs="a controller in the drive",
+    )  # fmt: skip
 
 
-LATERAL = _metric("lateral", "m", "Distance of the ego from the plan's path, positive to the left.")
-HEADING = _metric("heading", "rad", "Heading of the ego minus that of the plan's path, principal value.")
-SPEED = _metric("speed", "m/s", "Speed of the ego minus the plan's at the same time.")
-STATION = _metric("station", "m", "Station of the ego minus the plan's at the same time, along the path.")
+LATERAL = _metric("lateral", "m", "Distance of the ego from the plan's path, positive to the left.", "(p - foot) . n")
+HEADING = _metric(
+    "heading", "rad", "Heading of the ego minus that of the plan's path, principal value.", "wrap(yaw - yaw_path)"
+)
+SPEED = _metric("speed", "m/s", "Speed of the ego minus the plan's at the same time.", "v - v_plan(t)")
+STATION = _metric(
+    "station", "m", "Station of the ego minus the plan's at the same time, along the path.", "s - s_plan(t)"
+)

@@ -1,6 +1,6 @@
 """The command line: words in, exit code out; no logic here.
 
-`replan evaluate | synth | convert | inspect | view | paper | calibrate`
+`replan evaluate | synth | convert | inspect | view | metrics | paper | calibrate`
 """
 
 from __future__ import annotations
@@ -339,6 +339,27 @@ def view(
             recording = Path(folder) / f"{target.stem}.rrd"
             save_log(target, recording)
             show([recording], memory_limit, web=web)
+
+
+@app.command()
+def metrics(
+    name: Annotated[str | None, typer.Argument(help='A metric\'s name, or "module:NAME" of your own.')] = None,
+    markdown: Annotated[bool, typer.Option("--markdown", help="The page of all: docs/metrics.md.")] = False,
+) -> None:
+    """List the metrics, or say all about one: formula, parameters, source, what it needs.
+
+    [bold]Examples[/bold]
+
+      replan metrics
+      replan metrics route_progress
+    """
+    with answered():
+        from metrics import GROUPS, load_metric, pages
+
+        if name is not None:
+            typer.echo(pages.page(load_metric(name)))
+        else:
+            typer.echo(pages.markdown(GROUPS) if markdown else pages.listing(GROUPS))
 
 
 @app.command()

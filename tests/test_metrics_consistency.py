@@ -77,6 +77,10 @@ def test_short_plans_are_incomplete() -> None:
     assert table.loc["plan_complete.rate", "value"] == 0.25
     assert table.loc["plan_horizon.min", "value"] == pytest.approx(2.9)
     assert judged(()).loc["plan_complete.rate", "reason"] == "the drive has no plans"
+    last = plans(LOG.ego, np.array([8.9, 9.0, 9.1, 12.0]), 9.0)  # the log ends at 12 s: two of them are asked
+    assert judged(last).loc["plan_complete.rate", "value"] == 1.0
+    late = judged(last[2:])
+    assert late.loc["plan_complete.rate", "reason"] == "the log ends less than 3 s after every frame"
 
 
 @pytest.mark.parametrize("mirror", [False, True])

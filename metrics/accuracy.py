@@ -8,7 +8,8 @@ At each frame of time t_i, plan and log are compared at t_i + 0.1 s, t_i + 0.2 s
 (4) along, cross: components of e_10h along and left of the log's heading there
 
 Positions are those of the rear axle (nuPlan compares centres). A frame after which plan or log does not reach the
-horizon is excluded, and counted. A metric is the mean over the frames.
+horizon is excluded, and counted. A metric is the mean over the frames. Where the log has no lanes, the driven path is
+the road that the planner is given: (3) and the error across in (4) then say nothing, and are not available.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from functools import partial
 import numpy as np
 
 from logs.kernel import FloatArray
+from logs.road import RoadSource
 from logs.scenario import Scenario
 from logs.states import wrapped
 from logs.trace import Mode, Trace
@@ -26,6 +28,8 @@ from metrics.metric import EXCLUDED, MAX, MEAN, Measured, Metric, Series, Unavai
 from metrics.plans import STEP_S, frame_times, plan_poses, times_after
 
 HORIZONS_S = (1, 3, 5, 8)
+_ACROSS = (1, 3)
+"""Which of `_errors` are made across the path: the cross error and that of the heading."""
 
 
 def _errors(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -47,6 +51,8 @@ def _per_horizon(
         return Unavailable("the log holds one ego state only: there is no drive to compare with")
     if not trace.frames:
         return Unavailable("the drive has no plans")
+    if which in _ACROSS and scenario.road.source is RoadSource.DRIVEN_PATH:
+        return Unavailable("the log has no lanes: the road is the driven path, which the planner is given")
     errors, t = _errors(trace, scenario)[which], frame_times(trace)
     return {
         f"{h}s": Series(t, pick(errors, 10 * h), missing=f"plan or log ends less than {h} s after every frame")

@@ -15,8 +15,9 @@ from math import atan2
 
 import numpy as np
 
-from logs.kernel import TIE, FloatArray
+from logs.kernel import TIE, FloatArray, kernel
 from logs.road import Goal, Lane, Road, inside, nearest
+from logs.shapes import point_segment
 from logs.states import EgoState, wrap
 
 LANE_CHANGE_M = 50.0
@@ -109,14 +110,24 @@ def goal_lanes(road: Road, goal: Goal | None) -> frozenset[int]:
 
 
 def _runs_through(lane: Lane, region: FloatArray) -> bool:
-    """Whether a point of the centre line, at most 1 m from the next, lies in a polygon `(k, 2)`."""
+    """Whether a point of the centre line, at most 1 m from the next, lies in a polygon `(k, 2)`, not on its edge."""
     near = (lane.polygon.max(axis=0) >= region.min(axis=0)) & (lane.polygon.min(axis=0) <= region.max(axis=0))
     if not near.all():
         return False
     chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(lane.center, axis=0).T))]
     at = np.union1d(chord, np.arange(0.0, chord[-1], 1.0))
     x, y = (np.interp(at, chord, lane.center[:, k]) for k in (0, 1))
-    return any(inside(float(a), float(b), region) for a, b in zip(x, y, strict=True))
+    return any(_within(float(a), float(b), region) for a, b in zip(x, y, strict=True))
+
+
+@kernel
+def _within(x: float, y: float, polygon: FloatArray) -> bool:
+    """Whether a point lies in a polygon, farther than `TIE` from its edge: lanes that end at a goal share that edge."""
+    for i in range(len(polygon)):
+        a, b = polygon[i - 1], polygon[i]
+        if point_segment(x, y, a[0], a[1], b[0], b[1]) <= TIE:
+            return False
+    return inside(x, y, polygon)
 
 
 def straight_on(road: Road, lane_id: int) -> int | None:

@@ -10,7 +10,9 @@ At each frame of time t_i, plan and log are compared at t_i + 0.1 s, t_i + 0.2 s
 
 Positions are those of the rear axle (nuPlan compares centres). Frames after which the log does not last to the horizon
 ask for nothing and are left out; one whose plan does not reach it has no value, and `share` is the share of those that
-have: a planner of short plans has few, and its mean says little. A metric is the mean over the frames.
+have: a planner of short plans has few, and its mean says little. A metric is the mean over the frames. Where the log
+has no lanes, the driven path is the road that the planner is given: (3) and the error across in (4) then say nothing,
+and are not available.
 """
 
 from __future__ import annotations
@@ -23,6 +25,7 @@ from types import MappingProxyType
 import numpy as np
 
 from logs.kernel import FloatArray
+from logs.road import RoadSource
 from logs.scenario import Scenario
 from logs.states import wrapped
 from logs.trace import Mode, Trace
@@ -33,6 +36,8 @@ HORIZONS_S = (1, 3, 5, 8)
 MISS_M = MappingProxyType({1: 2.0, 2: 4.0, 3: 6.0, 5: 8.0, 8: 16.0})
 """Bounds of (5) in m by horizon in s: nuPlan's at 3, 5 and 8 s; ours at 1 and 2 s, in proportion to that at 3 s."""
 Pick = Callable[[FloatArray, int], FloatArray]
+_ACROSS = (1, 3)
+"""Which of `_errors` are made across the path: the cross error and that of the heading."""
 
 
 def _errors(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
@@ -54,6 +59,8 @@ def _per_horizon(
         return Unavailable("the log holds one ego state only: there is no drive to compare with")
     if not trace.frames:
         return Unavailable("the drive has no plans")
+    if which in _ACROSS and scenario.road.source is RoadSource.DRIVEN_PATH:
+        return Unavailable("the log has no lanes: the road is the driven path, which the planner is given")
     errors, t = _errors(trace, scenario)[which], frame_times(trace)
     found: dict[str, Measured] = {}
     for h in horizons:

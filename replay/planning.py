@@ -13,7 +13,7 @@ import numpy as np
 
 from logs.errors import ConfigError, PlannerError, ReplanError
 from logs.frame import Frame, PlannerContext
-from logs.road import Goal, Road
+from logs.road import Goal, Road, RoadSource
 from logs.scenario import Scenario
 from logs.shapes import corners
 from logs.states import EgoState
@@ -28,6 +28,10 @@ from replay.stopwatch import Stopwatch
 SHORTEST_DRIVE_M = 10.0
 """A goal is made of a drive's end only where the drive led at least this far away."""
 GOAL_LENGTH_M, GOAL_WIDTH_M = 5.0, 4.0
+GIVEN_PATH = (
+    "the road is the driven path: the planner knows where the log's driver went; open-loop errors across the path say"
+    " nothing"
+)
 
 
 class Planning:
@@ -55,7 +59,8 @@ class Planning:
     ) -> None:
         goal, note = _goal(scenario)
         self.is_oracle = spec in ORACLES
-        self.notes = (note,) if note else ()
+        given = GIVEN_PATH if scenario.road.source is RoadSource.DRIVEN_PATH else ""
+        self.notes = tuple(filter(None, (note, given)))
         self.timings: list[StageTime] = []
         self.goal = goal
         self._name = f"planner '{spec}' on {scenario.name}"

@@ -228,6 +228,20 @@ def test_double_markings(marking: str, from_left_lane: bool, from_right_lane: bo
     assert _crossable(marking, near=-1) is from_right_lane
 
 
+def test_later_traffic_does_not_change_an_assumed_limit(tmp_path: Path) -> None:
+    def limit(v: float, *, later: float = 0.0, extra: int = 0) -> float:
+        """With five who are at first at `v`, then (not 0) at `later`, and others who come later."""
+        begin = [driving(5.0 * i, 0.0, v) for i in range(5)]
+        rows = [[each[0], *((*row[:4], later) for row in each[1:])] if later else each[:1] for each in begin]
+        rows += [[(k + 5, *row) for k, *row in driving(4.0 * i, 0.0, 40.0)] for i in range(extra)]
+        cars = [vehicle(2 + i, each) for i, each in enumerate(rows)]
+        lane = straight(1, inner="<laneletType>urban</laneletType>")
+        return read_commonroad(written(tmp_path, lane, *cars, problem(90, -20.0, 0.0, 10.0))).road.limit(1) * 3.6
+
+    for v, expected in ((8.0, 50.0), (19.0, 70.0)):
+        assert limit(v) == limit(v, later=30.0) == limit(v, later=v, extra=9) == pytest.approx(expected)
+
+
 def test_default_limit_follows_the_kind_of_road_and_the_pace(tmp_path: Path) -> None:
     def limit(benchmark: str, tags: str, v: float) -> float:
         file = written(

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from mcap.writer import CompressionType
 from mcap_cases import RECORD, STATE, TABLE, differences, ego_states, rich_scenario, write_by_hand
 
-from logs import Colour, LogError, RoadSource
+from logs import Colour, LogError, Road, RoadSource
 from logs.mcap import read_scenario, summarise, write_scenario
 
 fuzz = settings(max_examples=300, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -207,7 +207,7 @@ def test_a_log_of_ego_states_alone_is_a_scenario(tmp_path: Path) -> None:
     ]
     scenario = read_scenario(write_by_hand(tmp_path / "log.mcap", states))
     assert scenario.road.source is RoadSource.DRIVEN_PATH
-    assert scenario.road.default_speed_limit == pytest.approx(80.0)
+    assert scenario.road.default_speed_limit == Road.default_speed_limit
     assert scenario.ego.a == pytest.approx([0.0] + 8 * [100.0])
     assert scenario.ego.kappa[3] == pytest.approx(0.01 / 2.5)
     assert (len(scenario.tracks), scenario.goal, scenario.controls) == (0, None, None)
@@ -217,11 +217,23 @@ def test_a_log_of_ego_states_alone_is_a_scenario(tmp_path: Path) -> None:
     assert all(scenario.road.is_drivable(x, y) for x, y in zip(scenario.ego.x - 0.9, scenario.ego.y, strict=True))
 
 
+@pytest.mark.parametrize(("v", "limit"), [(0.0, 50.0), (13.0, 50.0), (70.0 / 3.6, 70.0), (19.5, 80.0), (33.0, 120.0)])
+@pytest.mark.parametrize("later", [0.0, 40.0])
+def test_the_limit_of_a_road_along_the_path_knows_the_start_and_nothing_later(
+    tmp_path: Path, v: float, limit: float, later: float
+) -> None:
+    states = [
+        ("/ego", 10**8 * k, {"x_m": 4.0 * k, "y_m": 0, "yaw_rad": 0, "v_mps": later if k else v}) for k in range(9)
+    ]
+    scenario = read_scenario(write_by_hand(tmp_path / "log.mcap", states))
+    assert scenario.road.limit(0) * 3.6 == pytest.approx(limit, abs=0.01)
+
+
 def test_a_standing_ego_has_a_straight_road_ahead(tmp_path: Path) -> None:
     states = [("/ego", 10**8 * k, {**STATE, "yaw_rad": 2.0, "v_mps": 0.0}) for k in range(9)]
     scenario = read_scenario(write_by_hand(tmp_path / "log.mcap", states))
     (lane,) = scenario.road.lanes.values()
-    assert scenario.road.default_speed_limit == pytest.approx(30.0 / 3.6)
+    assert scenario.road.default_speed_limit == Road.default_speed_limit
     assert scenario.road.is_drivable(1.0 + 100.0 * math.cos(2.0), 2.0 + 100.0 * math.sin(2.0))
     assert lane.length > 200.0 and "hardly moves" in " ".join(scenario.notes)
 

@@ -10,7 +10,7 @@ from drives import along, drive, grid, moved, moved_ego, plans, scenario
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from logs import Mode, Plan, PlannedFrame, Trajectory
+from logs import Mode, Plan, PlannedFrame, RoadSource, Trajectory
 from metrics import evaluate
 
 LOG = scenario(along(grid(12.0, 0.1), 10.0))
@@ -38,6 +38,17 @@ def test_a_plan_that_is_the_log_has_no_error_at_all(log) -> None:
     for name in ("ade", "fde", "ahe", "fhe", "along_error", "cross_error"):
         for h in (1, 3, 5, 8):
             assert found.loc[f"{name}.{h}s.max", "value"] == 0.0, (name, h)
+
+
+def test_on_the_driven_path_errors_across_it_are_not_available() -> None:
+    """The planner is given the path on which the log's driver will go: to be on it is no merit."""
+    log = replace(LOG, road=replace(LOG.road, source=RoadSource.DRIVEN_PATH))
+    found = table(log, plans(LOG.ego, FRAMES, 8.0, shifted(3.0)))
+    for name in ("cross_error.5s.mean", "ahe.3s.mean", "fhe.3s.max"):
+        assert not found.loc[name, "available"] and np.isnan(found.loc[name, "value"])
+        assert "driven path, which the planner is given" in found.loc[name, "reason"]
+    for name in ("ade.3s.mean", "fde.5s.mean", "along_error.5s.mean"):
+        assert found.loc[name, "value"] == pytest.approx(3.0)
 
 
 def test_a_shifted_plan_is_off_by_the_shift() -> None:

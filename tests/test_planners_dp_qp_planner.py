@@ -118,7 +118,7 @@ def test_a_mirrored_drive_is_the_mirrored_drive() -> None:
 
 @pytest.mark.parametrize("name", CATALOGUE)
 def test_a_moved_world_has_the_moved_plan(name: str, catalogue: dict[str, tuple[Scenario, list[Plan]]]) -> None:
-    """To 1e-6, unless the smoothing of the reference line reaches its bounds, which are along x and y."""
+    """To 1e-6."""
     log, plans = catalogue[name]
     c, s = np.cos(0.7), np.sin(0.7)
     for one, two in zip(plans, plans_in(moved(log, 100.0, -70.0, 0.7), every=15, closed=False), strict=True):

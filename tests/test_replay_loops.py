@@ -350,6 +350,15 @@ def test_off_road_is_judged_by_lanes_only() -> None:
     assert any("not judged" in note for note in trace.notes)
 
 
+@pytest.mark.parametrize("run", RUNS)
+def test_on_the_driven_path_the_planner_knows_the_way_and_that_is_said(run: Run) -> None:
+    bend = drive(s_curve, 10.0, 8.0)
+    driven = Road.along(np.column_stack([bend.x, bend.y]), speed_limit=10.0)
+    for road, known in ((driven, True), (lanes_along(bend), False)):
+        trace = run(scenario(bend, road=road), "constant_speed").trace
+        assert any("knows where the log's driver went" in note for note in trace.notes) == known
+
+
 def test_a_crack_between_two_lanes_is_no_edge() -> None:
     def lane(ident: int, x: float) -> Lane:
         return Lane(ident, np.array([[x, 2.0], [x + 30.0, 2.0]]), np.array([[x, -2.0], [x + 30.0, -2.0]]))

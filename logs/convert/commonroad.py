@@ -159,7 +159,7 @@ def _scenario(document: Document, chosen: _Ego) -> Scenario:
     velocity, rule = velocities(document)
     without = None if obstacle is None else obstacle.id
     tracks = tracks_of(document, velocity, without=without, start=start, origin=origin)
-    road, assumed = road_of(document, origin, _driven(document), _wanted(chosen.problem))
+    road, assumed = road_of(document, origin, _driven(document, start), _wanted(chosen.problem))
     road, heads, ruled = with_rules(document, road, origin)
     driven, how = _ego(obstacle, chosen.problem, document.dt, vehicle, origin)
     goal, unknown = _goal(chosen.problem, road, start, document.dt, origin)
@@ -282,11 +282,10 @@ def _duration(driven: Trajectory, tracks: Tracks, goal: Goal | None) -> tuple[fl
     return duration, ()
 
 
-def _driven(document: Document) -> FloatArray:
-    """Positions and speeds `(m, 3)` of the moving traffic, about once a second."""
-    every = max(1, round(1.0 / document.dt))
-    rows = [o.states[::every, [1, 2, 4]] for o in document.obstacles if not o.static]
-    table = np.vstack(rows) if rows else np.empty((0, 3))
+def _driven(document: Document, start: float) -> FloatArray:
+    """Last positions and speeds `(m, 3)` of the moving traffic that are not later than the step `start`."""
+    known = [o.states[o.states[:, 0] <= start] for o in document.obstacles if not o.static]
+    table = np.array([states[-1, [1, 2, 4]] for states in known if len(states)]).reshape(-1, 3)
     return table[np.isfinite(table).all(axis=1)]
 
 

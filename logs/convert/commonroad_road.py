@@ -3,9 +3,9 @@
 A limit that the file does not give is assumed, and the scenario says so:
 
 (1) by the kind of road: highway 130 km/h (USA: 65 mph), country 100, ramps 80, urban and all else 50;
-(2) raised to the 85th percentile of the speeds driven on those lanes in the log, rounded up to 10 km/h, where that is
+(2) raised to the 85th percentile of the speeds driven on those lanes at the start, rounded up to 10 km/h, where that is
     more: the speed by which traffic engineers set limits (V85), so that a motorway which the map calls "urban" keeps
-    its pace. Congested traffic never lowers (1);
+    its pace. Congested traffic never lowers (1); what comes later does not count: a planner would know it in advance;
 (3) raised to the middle of the goal's speeds, but at most a quarter more than the least of them, rounded up to 10 km/h,
     where even that is more than (1) and (2) and the goal lies on such a lane: it disproves the assumption.
 """
@@ -33,7 +33,8 @@ KPH = 1.0 / 3.6
 _HIGHWAY = {"highway", "interstate", "mainCarriageWay"}
 _DEFAULTS = {"country": 100.0 * KPH, "accessRamp": 80.0 * KPH, "exitRamp": 80.0 * KPH}
 _URBAN = 50.0 * KPH
-_ENOUGH_SAMPLES = 10
+_ENOUGH = 5
+"""Vehicles that (2) needs."""
 _PLAUSIBLE = (2.0, 45.0)
 _MORE = 1.25
 """A goal's least speed times this is the most that (3) makes of it."""
@@ -63,7 +64,7 @@ def road_of(
     Args:
         document: The file.
         origin: Subtracted from all points, m.
-        driven: Positions and speeds of the traffic `(m, 3)`, file coordinates, m and m/s: see (2).
+        driven: Positions and speeds of the traffic at the start `(m, 3)`, file coordinates, m and m/s: see (2).
         asked: What the goal asks: see (3).
     """
     lanes, notes = {}, []
@@ -192,10 +193,10 @@ def _assumed(group: str, country: str, speeds: FloatArray) -> tuple[float, str]:
     limit, why = _DEFAULTS.get(group, _URBAN), f"{group} default"
     if group == "highway":
         limit = 65.0 * 1.609344 * KPH if country == "USA" else 130.0 * KPH
-    if len(speeds) >= _ENOUGH_SAMPLES:
+    if len(speeds) >= _ENOUGH:
         typical = _rounded_up(float(np.percentile(speeds, 85)))
         if typical > limit:
-            limit, why = typical, f"85th percentile of the driven speeds, above the {group} default,"
+            limit, why = typical, f"85th percentile of the speeds at the start, above the {group} default,"
     return limit, why
 
 

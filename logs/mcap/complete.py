@@ -2,23 +2,28 @@
 
 (1) a_k = (v_k - v_(k-1)) / (t_k - t_(k-1))                     a_0 = 0: a derived value never knows a later sample
 (2) kappa_k = (yaw_k - yaw_(k-1)) / d,  d = +-|p_k - p_(k-1)|   negative in reverse; below `MIN_STEP` the value before
-(3) no road: one lane along the driven path, from 10 m behind the start; limit = largest driven speed, at least
-    `MIN_LIMIT`; a path that stays within `MIN_PATH` of its start has no direction, so the heading gives it
+(3) no road: one lane along the driven path, from 10 m behind the start; a path that stays within `MIN_PATH` of its
+    start has no direction, so the heading gives it
+(4) no speed limit: the speed at the start rounded up to 10 km/h, at least `Road.default_speed_limit`. What is driven
+    later does not go in: else the planner would know how fast the log's driver will be
 """
 
 from __future__ import annotations
 
+from math import ceil
+
 import numpy as np
 
 from logs.errors import LogError
-from logs.kernel import FloatArray
+from logs.kernel import TIE, FloatArray
 from logs.road import Road
 from logs.states import Trajectory
 
 MIN_STEP = 0.05
 MIN_PATH = 5.0
-MIN_LIMIT = 30.0 / 3.6
+LIMIT_STEP = 10.0 / 3.6
 BEHIND = 10.0
+ASSUMED = "as fast as at the start, at least 50 km/h"
 
 
 def derived_acceleration(t: FloatArray, v: FloatArray) -> FloatArray:
@@ -53,6 +58,12 @@ def completed(columns: dict[str, FloatArray], notes: list[str]) -> Trajectory:
     return Trajectory(t, x, y, yaw, v, derived["a"], derived["kappa"])
 
 
+def assumed_limit(ego: Trajectory) -> float:
+    """The speed limit (4) of a log that has none, m/s."""
+    steps = ceil(abs(float(ego.v[0])) / LIMIT_STEP - TIE)
+    return max(Road.default_speed_limit, steps * LIMIT_STEP)
+
+
 def road_along(ego: Trajectory, notes: list[str]) -> Road:
     """The road of a log without lanes (3), with its note.
 
@@ -65,9 +76,9 @@ def road_along(ego: Trajectory, notes: list[str]) -> Road:
     if stands:
         path = path[0] + np.array([[0.0], [MIN_PATH]]) * ahead
     path = np.vstack([path[0] - np.arange(BEHIND, 0.0, -2.0)[:, None] * ahead, path])
-    limit = max(float(np.abs(ego.v).max()), MIN_LIMIT)
+    limit = assumed_limit(ego)
     way = "its heading, as it hardly moves" if stands else "the driven path"
-    notes.append(f"The log has no lanes: one lane along {way}, speed limit {limit:.1f} m/s (driven, at least 30 km/h).")
+    notes.append(f"The log has no lanes: one lane along {way}, speed limit {limit:.1f} m/s ({ASSUMED}).")
     try:
         with np.errstate(all="ignore"):
             return Road.along(path, speed_limit=limit)

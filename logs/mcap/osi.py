@@ -21,7 +21,7 @@ from google.protobuf.message import DecodeError
 
 from logs.errors import LogError
 from logs.kernel import FloatArray
-from logs.mcap.complete import completed, derived_curvature, road_along
+from logs.mcap.complete import ASSUMED, assumed_limit, completed, derived_curvature, road_along
 from logs.mcap.container import COPY_AGAIN, Stream
 from logs.mcap.osi_lanes import OsiMap, enum_name, lanes_of
 from logs.road import Road
@@ -320,6 +320,6 @@ def _road(seen: _Seen, origin: FloatArray, ego: Trajectory, notes: list[str]) ->
     lanes, drives_on_right = lanes_of(seen.road, origin, notes)
     if not lanes:
         return road_along(ego, notes)
-    limit = max(Road.default_speed_limit, float(np.abs(ego.v).max()))
-    notes.append(f"The lanes have no speed limits: {limit:.1f} m/s is assumed (the largest driven, at least 50 km/h).")
+    limit = assumed_limit(ego)
+    notes.append(f"The lanes have no speed limits: {limit:.1f} m/s is assumed ({ASSUMED}).")
     return Road(lanes, drives_on_right=drives_on_right, default_speed_limit=limit)

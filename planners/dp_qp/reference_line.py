@@ -234,7 +234,8 @@ def _crossing(x: float, y: float, yaw: float, boundary: FloatArray, reach: float
     for i in range(1, len(boundary)):
         along_next = (boundary[i, 0] - x) * c + (boundary[i, 1] - y) * s
         left_next = (boundary[i, 1] - y) * c - (boundary[i, 0] - x) * s
-        if (along <= 0.0) != (along_next <= 0.0):
+        crosses = min(along, along_next) <= TIE and max(along, along_next) >= -TIE  # one that ends there does, too
+        if crosses and abs(along - along_next) > TIE:
             offset = left + (left_next - left) * along / (along - along_next)
             if abs(offset) <= reach and not abs(offset) >= abs(best):
                 best = offset

@@ -11,7 +11,7 @@ commonroad-crime (PyPI, 0.4.5) is no dependency: it has an environment of its ow
 `scene` writes one straight lane, ego 15 m/s, lead 10 m/s, 30 m between their bumpers, turned by six angles; and the
 same with a lead that opens the gap. `replan` takes the vehicles of each file in turn as the ego, and writes a row per
 lead and second, and one per crossing. `crime` asks commonroad-crime for the same pair at the same step, twice: as the
-file is, and turned so that the ego heads along x, where its use of the lane's heading in the world does no harm.
+file is, and turned so that the ego heads nearly along x, where its use of the lane's heading in the world does no harm.
 `compare` counts the agreements. The outcome is in docs/metrics_compared.md.
 """
 
@@ -30,6 +30,8 @@ import pandas as pd
 EVERY_S = 1.0
 VEHICLES = 4
 ANGLES = (0, 30, 60, 89, 120, 180)
+NEARLY_ALONG_X = 0.02
+"""Heading of the ego where it is turned, rad: of exactly 0 commonroad-crime thinks that there is none."""
 EQUAL = {"thw": 0.15, "ttc": 0.05, "drac": 0.05, "pet": 0.25}
 """Relative difference up to which two values agree; THW and PET are counted in samples there."""
 
@@ -108,10 +110,10 @@ def _rows(scenario: Any, dt: float) -> Iterator[dict[str, object]]:
     ahead, names = ahead_of(trace, scenario), ("thw", "drac", "required_decel", "ttc_accelerated", "headway")
     found = {name: METRICS[name].measure(trace, scenario) for name in names}
     start = scenario.start_ns / 1e9 / dt
-    for k in np.flatnonzero(ahead.whom >= 0):
+    for k in np.flatnonzero(ahead.agent >= 0):
         if abs(ahead.t[k] / EVERY_S - round(ahead.t[k] / EVERY_S)) > 1e-6:
             continue
-        other = scenario.tracks.ids[ahead.whom[k]]
+        other = scenario.tracks.ids[ahead.agent[k]]
         step = round(ahead.t[k] / dt + start)
         values = {name: series.value[k] for name, series in found.items()}
         closing = ahead.v[k] - ahead.u[k]
@@ -135,7 +137,7 @@ def theirs(asked: pd.DataFrame) -> pd.DataFrame:
     logging.disable(logging.CRITICAL)
     asked = asked.copy()
     for i, row in asked.iterrows():
-        for suffix, turn in (("", 0.0), ("_turned", -float(row["yaw"]))):
+        for suffix, turn in (("", 0.0), ("_turned", NEARLY_ALONG_X - float(row["yaw"]))):
             if row["kind"] == "crossing" and suffix:
                 continue
             for name, value in _asked(Path(row["file"]), int(row["ego"]), row, turn).items():
@@ -145,14 +147,19 @@ def theirs(asked: pd.DataFrame) -> pd.DataFrame:
 
 def _asked(path: Path, ego: int, row: pd.Series, turn: float) -> dict[str, float]:
     from commonroad.common.file_reader import CommonRoadFileReader
+    from commonroad.scenario.lanelet import LaneletNetwork
     from commonroad_crime.data_structure.configuration import CriMeConfiguration
     from commonroad_crime.measure import HW, PET, THW, TTC, ALongReq
 
     measures = {"pet": PET} if row["kind"] == "crossing" else {"headway": HW, "thw": THW, "ttc": TTC, "drac": ALongReq}
-    scenario, _ = CommonRoadFileReader(str(path)).open(lanelet_assignment=not turn)
+    scenario, _ = CommonRoadFileReader(str(path)).open()
+    pair = (ego, int(row["other"]))
+    scenario.remove_obstacle([o for o in scenario.obstacles if o.obstacle_id not in pair])
     if turn:
         scenario.translate_rotate(np.zeros(2), math.atan2(math.sin(turn), math.cos(turn)))
-        scenario.assign_obstacles_to_lanelets()
+        lanes = LaneletNetwork.create_from_lanelet_list(scenario.lanelet_network.lanelets)  # its index did not turn
+        scenario.replace_lanelet_network(lanes)
+    scenario.assign_obstacles_to_lanelets()
     found: dict[str, float] = {}
     for name, measure in measures.items():
         config = CriMeConfiguration()

@@ -10,7 +10,7 @@
     only boxes whose headings differ by 30 degrees or more, so that who follows does not hide who crosses.
 
 PET looks at both passages as they happened, so later steps change it; all else knows nothing that comes later. An
-agent that stands throughout (an obstacle) has no PET: it is left by nobody.
+agent that stands throughout (an obstacle) has no PET: it leaves no place.
 
 Sources: criticality metrics catalogue (Westhofen et al., Arch. Comput. Methods Eng. 30, 2023); Eggert, Proc. IEEE ITSC
 2014, for (2); Allen, Shin, Cooper, Transp. Res. Rec. 667 (1978) for (3).
@@ -111,7 +111,7 @@ def _accelerated(
 ) -> tuple[FloatArray, IntArray]:  # fmt: skip
     """Per step the least (1) (NaN: none) and the agent's index (-1)."""
     steps, reach = there.shape[1], 0.5 * hypot(box[1], box[2])
-    least, whom = np.full(steps, np.nan), np.full(steps, -1, np.int64)
+    least, agent = np.full(steps, np.nan), np.full(steps, -1, np.int64)
     for k in range(steps):
         x, y, yaw, vx, vy = ego[0, k], ego[1, k], ego[2, k], ego[3, k], ego[4, k]
         rear_x, rear_y, best, v = x - box[0] * cos(yaw), y - box[0] * sin(yaw), HORIZON_S, hypot(vx, vy)
@@ -130,17 +130,17 @@ def _accelerated(
                 accel[i, k], best,
             )  # fmt: skip
             if found < best:
-                best, least[k], whom[k] = found, found, i
-    return least, whom
+                best, least[k], agent[k] = found, found, i
+    return least, agent
 
 
 @kernel
 def _closest(
     ego: FloatArray, box: FloatArray, there: BoolArray, pose: FloatArray, size: FloatArray
 ) -> tuple[FloatArray, IntArray]:
-    """Per step the least DCE and its TTCE (NaN: nobody is there) `(2, k)`, and the agent's index (-1)."""
+    """Per step the least DCE and its TTCE (NaN: no other is there) `(2, k)`, and the agent's index (-1)."""
     steps, reach = there.shape[1], 0.5 * hypot(box[1], box[2])
-    found, whom = np.full((2, steps), np.nan), np.full(steps, -1, np.int64)
+    found, agent = np.full((2, steps), np.nan), np.full(steps, -1, np.int64)
     for k in range(steps):
         x, y, yaw, vx, vy = ego[0, k], ego[1, k], ego[2, k], ego[3, k], ego[4, k]
         best, when = inf, inf
@@ -158,9 +158,9 @@ def _closest(
                 HORIZON_S,
             )  # fmt: skip
             if near < best or (near == best and after < when):
-                best, when, whom[k] = near, after, i
+                best, when, agent[k] = near, after, i
                 found[0, k], found[1, k] = near, after
-    return found, whom
+    return found, agent
 
 
 @kernel
@@ -203,17 +203,17 @@ def _scene(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, Fl
 def _ttc_accelerated(trace: Trace, scenario: Scenario) -> Measured:
     t, boxes, ego_accel, box, others = _scene(trace, scenario)
     accel = accel_at(trace.agents, t)
-    least, whom = _accelerated(boxes, ego_accel, box, others.there, others.pose, others.size, accel)
+    least, agent = _accelerated(boxes, ego_accel, box, others.there, others.pose, others.size, accel)
     nothing = f"never on a course to touch within {HORIZON_S:g} s"
-    return Series(t, least, _labels(trace, whom), nothing)
+    return Series(t, least, _labels(trace, agent), nothing)
 
 
 def _encounter(trace: Trace, scenario: Scenario, *, row: int) -> Measured:
     t, boxes, _, box, others = _scene(trace, scenario)
-    found, whom = _closest(boxes, box, others.there, others.pose, others.size)
+    found, agent = _closest(boxes, box, others.there, others.pose, others.size)
     value = found[row] if row == 0 else np.where(found[1] > 0.0, found[1], np.nan)
-    nobody = "no other road user in the scene" if row == 0 or not others.there.any() else "nobody came nearer"
-    return Series(t, value, _labels(trace, whom), nobody)
+    nothing = "no other road user in the scene" if row == 0 or not others.there.any() else "no other came nearer"
+    return Series(t, value, _labels(trace, agent), nothing)
 
 
 def _pet(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
@@ -255,7 +255,7 @@ def _inside(place: FloatArray, x: FloatArray, y: FloatArray, reach: float) -> Bo
 PET_PARTS = {
     "ego_first": "the ego left no place that another took after it",
     "ego_second": "the ego took no place that another had left",
-    "crossing": "nobody crossed the ego's way",
+    "crossing": "no other crossed the ego's way",
 }
 """The parts of PET, and why each may have no value."""
 _CATALOGUE = "criticality metrics catalogue, Westhofen et al., Arch. Comput. Methods Eng. 30 (2023)"

@@ -45,7 +45,7 @@ R157_MPS = np.array([7.2, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0]) / 3.6
 R157_S = np.array([1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6])
 R157_LEAST_M = 2.0
 _ALONG = np.cos(np.pi / 4.0)
-_ALONE = f"nobody was in the ego's path within {LOOK_M:g} m"
+_ALONE = f"no other road user in the ego's path within {LOOK_M:g} m"
 
 
 def required_decel(gap: FloatArray, v: FloatArray, u: FloatArray, decel: FloatArray) -> FloatArray:
@@ -108,7 +108,7 @@ def _no_vehicle(trace: Trace, ahead: Ahead) -> FloatArray:
     """1 where the lead is a vehicle, else NaN."""
     other = (AgentKind.PEDESTRIAN, AgentKind.OBJECT)
     vehicle = np.array([*(kind not in other for kind in trace.agents.kinds), False], np.bool_)
-    return np.where(vehicle[ahead.whom], 1.0, np.nan)
+    return np.where(vehicle[ahead.agent], 1.0, np.nan)
 
 
 def _measured(
@@ -116,7 +116,7 @@ def _measured(
 ) -> Measured:
     ahead = ahead_of(trace, scenario)
     found = value(ahead, scenario) * (_no_vehicle(trace, ahead) if vehicles else 1.0)
-    return Series(ahead.t, found, _labels(trace, ahead.whom), missing)
+    return Series(ahead.t, found, _labels(trace, ahead.agent), missing)
 
 
 def _metric(
@@ -171,5 +171,5 @@ FOLLOWING_GAP = _metric(
     "gap - max(v t_front(v), 2 m)", "UN R157, 5.2.3.3",
     "t_front 1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6 s at 7.2, 10, 20, 30, 40, 50, 60 km/h, linear between, 1.6 s beyond",
     needs="a vehicle that drives on in the ego's path, or stands where the ego stands",
-    missing="the ego followed nobody", vehicles=True,
+    missing="the ego followed no vehicle", vehicles=True,
 )  # fmt: skip

@@ -46,7 +46,7 @@ class Ahead:
     Attributes:
         t: s since the scenario's start.
         v: The ego's speed, m/s; `a` its acceleration, m/s2.
-        whom: Index of the lead's track, -1: none.
+        agent: Index of the lead's track, -1: none.
         gap: Along the path from the ego's front bumper to the lead's nearest part in the band, m; 0 where they touch.
         u: The lead's speed along the path, m/s; `w` across it, positive to the left.
         decel: The lead's deceleration along the path, m/s2, 0 where it does not brake.
@@ -57,7 +57,7 @@ class Ahead:
     t: FloatArray
     v: FloatArray
     a: FloatArray
-    whom: IntArray
+    agent: IntArray
     gap: FloatArray
     u: FloatArray
     w: FloatArray
@@ -88,8 +88,8 @@ def ahead_of(trace: Trace, scenario: Scenario) -> Ahead:
     states = np.stack([ego.x, ego.y, ego.yaw, ego.v, ego.kappa])
     box = np.array([car.axle_to_center, car.length, car.width])
     accel = accel_at(trace.agents, ego.t)
-    rows, whom = _leads(states, box, others.there, others.pose, others.size, accel)
-    return Ahead(ego.t, ego.v, ego.a, whom, *rows)
+    rows, agent = _leads(states, box, others.there, others.pose, others.size, accel)
+    return Ahead(ego.t, ego.v, ego.a, agent, *rows)
 
 
 @kernel
@@ -150,9 +150,9 @@ def within_look(x: float, y: float, yaw: float, kappa: float, other_x: float, ot
 def _leads(
     ego: FloatArray, box: FloatArray, there: BoolArray, pose: FloatArray, size: FloatArray, accel: FloatArray
 ) -> tuple[FloatArray, IntArray]:
-    """The rows gap to facing of `Ahead` `(7, k)` and whom `(k,)`; `ego` has x, y, yaw, v, kappa of the rear axle."""
+    """The rows gap to facing of `Ahead` `(7, k)` and agent `(k,)`; `ego` has x, y, yaw, v, kappa of the rear axle."""
     steps, half, front = there.shape[1], 0.5 * box[2], box[0] + 0.5 * box[1]
-    rows, whom = np.full((7, steps), np.nan), np.full(steps, -1, np.int64)
+    rows, agent = np.full((7, steps), np.nan), np.full(steps, -1, np.int64)
     for k in range(steps):
         x, y, yaw, kappa, best = ego[0, k], ego[1, k], ego[2, k], ego[4, k], np.inf
         if ego[3, k] < -STANDING_MPS:
@@ -173,8 +173,8 @@ def _leads(
             u, w, speed = vx * cos(path) + vy * sin(path), vy * cos(path) - vx * sin(path), hypot(vx, vy)
             if u < -COMING_MPS:
                 continue
-            best, whom[k] = near, i
+            best, agent[k] = near, i
             rows[0, k], rows[1, k], rows[2, k] = max(near - front, 0.0), u, w
             rows[3, k] = max(-accel[i, k] * u / speed, 0.0) if speed > STANDING_MPS else 0.0
             rows[4, k], rows[5, k], rows[6, k] = low, high, cos(pose[2, i, k] - path)
-    return rows, whom
+    return rows, agent

@@ -131,7 +131,7 @@ def _across(ego: FloatArray, start: int, k: int) -> float:
 
 
 def _rss(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, FloatArray, list[str], list[str]]:
-    """Time, least margin (NaN: nobody is asked), 1 where any response is improper, and the labels of both."""
+    """Time, least margin (NaN: no agent is asked), 1 where any response is improper, and the labels of both."""
     ego, car = grid_of(trace), scenario.vehicle
     others = others_at(trace.agents, ego.t)
     states = np.stack([ego.x, ego.y, ego.yaw, ego.v, ego.kappa])
@@ -151,7 +151,9 @@ def _rss(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, Floa
 
 def _margin(trace: Trace, scenario: Scenario) -> Measured:
     t, margin, _, labels, _ = _rss(trace, scenario)
-    return Series(t, margin, tuple(labels), f"nobody ahead or beside within {LOOK_M:g} m while the ego drove")
+    return Series(
+        t, margin, tuple(labels), f"no other road user ahead or beside within {LOOK_M:g} m while the ego drove"
+    )
 
 
 def _response(trace: Trace, scenario: Scenario) -> Measured | Mapping[str, Measured]:

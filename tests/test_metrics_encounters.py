@@ -155,7 +155,7 @@ def test_who_follows_has_a_post_encroachment_time_and_does_not_cross() -> None:
     """A lead 20 m ahead at the same 10 m/s leaves each place 2 s before the ego is there."""
     table = judged(world(10.0, car(NOSE + 22.25, 0.0, 10.0)))
     assert table.loc["pet.ego_second.min", "value"] == pytest.approx(2.0, abs=0.11)
-    assert table.loc["pet.crossing.min", "reason"] == "nobody crossed the ego's way"
+    assert table.loc["pet.crossing.min", "reason"] == "no other crossed the ego's way"
     parked = world(10.0, car(20.0, 4.0, 0.0, yaw=0.0))
     assert not judged(parked).loc["pet.ego_second.min", "available"]
 

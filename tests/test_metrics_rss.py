@@ -72,7 +72,7 @@ def test_the_share_of_dangerous_time() -> None:
     assert found.loc["rss_margin.min", "reason"] == "car 7"
 
 
-def test_those_behind_keep_their_own_distance_and_nobody_is_no_value() -> None:
+def test_those_behind_keep_their_own_distance_and_without_others_there_is_no_value() -> None:
     behind = table(world(10.0, car(-NOSE - 8.0, 15.0), seconds=0.5))
     assert not behind.loc["rss_margin.min", "available"]
     assert behind.loc["rss_improper.share", "reason"] == "no dangerous situation: no response was due"

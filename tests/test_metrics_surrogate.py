@@ -65,7 +65,7 @@ def test_the_lead_is_the_nearest_in_the_band_and_not_who_is_beside_behind_or_com
     aside = replace_id(lead(10.0, 10.0, y=1.71), "aside")
     log = world(10.0, behind, coming, far, aside, near, seconds=0.2)
     found = ahead_of(drive(log), log)
-    assert [log.tracks.ids[i] for i in found.whom] == ["near"] * 3
+    assert [log.tracks.ids[i] for i in found.agent] == ["near"] * 3
     assert found.gap == pytest.approx(20.0)
     assert found.u == pytest.approx(10.0)
     assert (found.low, found.high) == (pytest.approx(0.80), pytest.approx(2.60))
@@ -96,7 +96,7 @@ def test_who_crosses_is_a_lead_while_in_the_band() -> None:
     walker = ("p", AgentKind.PEDESTRIAN, (0.6, 0.6), moving(60.0, -2.0, 0.0, 1.0, 0.0))
     log = world(5.0, walker, seconds=4.0)
     found = ahead_of(drive(log), log)
-    assert found.t[found.whom >= 0] == pytest.approx(np.arange(0.9, 3.15, 0.1))
+    assert found.t[found.agent >= 0] == pytest.approx(np.arange(0.9, 3.15, 0.1))
 
 
 # formulae ---------------------------------------------------------------------------------------------------------
@@ -175,14 +175,14 @@ def test_the_following_gap_of_r157() -> None:
 )  # fmt: skip
 def test_who_is_not_followed(agent: Agent) -> None:
     row = evaluate(drive(log := world(5.0, agent, seconds=0.5)), log, metrics=MINE).set_index("metric")
-    assert row.loc["following_gap.min", "reason"] == "the ego followed nobody"
+    assert row.loc["following_gap.min", "reason"] == "the ego followed no vehicle"
     assert row.loc["headway.min", "available"]
 
 
 # laws -------------------------------------------------------------------------------------------------------------
 
 
-def test_nobody_in_the_path_is_no_value_and_no_time() -> None:
+def test_an_empty_path_is_no_value_and_no_time() -> None:
     table = evaluate(drive(log := world(10.0)), log, metrics=MINE).set_index("metric")
     values = [name for name in table.index if name.split(".")[-1] in ("min", "max")]
     assert not table.loc[values, "available"].any()

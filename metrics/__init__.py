@@ -21,6 +21,7 @@ from metrics import (
     avoidability,
     comfort,
     consistency,
+    divergence,
     effort,
     progress,
     right_of_way,
@@ -52,6 +53,7 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
         effort.QP_ITERATIONS, effort.SOLVER_UNSOLVED, effort.FALLBACK,
     ),
     "consistency": (consistency.PLAN_CHANGE, consistency.PLAN_CHANGE_LATERAL),
+    "divergence": (divergence.DIVERGENCE, divergence.WEAK, divergence.DISPLACED),
     "reference": (avoidability.CC, avoidability.FSM),
 })  # fmt: skip
 """The metrics by what they are about, in the order of the table."""

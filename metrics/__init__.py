@@ -21,6 +21,7 @@ from metrics import (
     avoidability,
     comfort,
     consistency,
+    divergence,
     effort,
     encounters,
     evidence,
@@ -73,6 +74,7 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
     ),
     "evidence": (
         evidence.COVERAGE, evidence.REPLAY_CONTACT, evidence.PLAN_REFUSED, evidence.PLAN_CORRECTED, evidence.ENSEMBLE,
+        divergence.DIVERGENCE, divergence.WEAK, divergence.DISPLACED,
     ),
     "reference": (avoidability.CC, avoidability.FSM),
     "score": (

@@ -125,7 +125,7 @@ def evaluate(
         str | None, typer.Option(help="How plans are followed: dlqr_pid, mpc, pure_pursuit, stanley, pid ...")
     ] = None,
     traffic: Annotated[
-        str | None, typer.Option(help="The others: replayed by time, by ego_position, or reactive.")
+        str | None, typer.Option(help="The others: as logged but for those who give_way; time, ego_position, reactive.")
     ] = None,
     prediction: Annotated[
         str | None, typer.Option(help="Their futures: constant_velocity, lane_following ..., oracle.")

@@ -37,7 +37,7 @@ class LoopConfig:
     control_period_s: float = 0.01
     vehicle: str = "kinematic_bicycle"
     controller: str = "dlqr_pid"
-    traffic: str = "time"
+    traffic: str = "give_way"
     prediction: str = "lane_following"
     prediction_horizon_s: float = 8.0
     prediction_step_s: float = 0.1
@@ -53,7 +53,7 @@ class LoopConfig:
         if self.prediction == "oracle" and self.traffic != "time":
             raise ConfigError(
                 f"loop.prediction 'oracle' knows the log's future, which is not the others' with loop.traffic"
-                f" '{self.traffic}'; take traffic 'time'"
+                f" '{self.traffic}'; take traffic 'time' (--traffic time)"
             )
         if not 0.0 <= self.plan_delay_s < 1e6:
             raise ConfigError(f"loop.plan_delay_s must not be negative, got {self.plan_delay_s}")

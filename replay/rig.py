@@ -80,8 +80,8 @@ class Rig:
 
     @property
     def told(self) -> tuple[str, ...]:
-        """What the controller tells of the drive so far."""
-        return self.controller.notes if isinstance(self.controller, Telling) else ()
+        """What controller and traffic tell of the drive so far."""
+        return tuple(note for one in (self.controller, self.traffic) if isinstance(one, Telling) for note in one.notes)
 
     def world(self) -> World:
         """The world as the vehicle and the traffic have it now."""

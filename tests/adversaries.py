@@ -46,7 +46,8 @@ class Along:
         start, kind, s0, l0, _ = self._tracker.begin(frame)
         v = [start.v]
         for t in STEPS[1:]:
-            v.append(max(0.0, v[-1] + float(np.clip(self.speed(frame.t + t) - v[-1], -0.1 * self.brake, 0.1 * self.accel))))
+            change = float(np.clip(self.speed(frame.t + t) - v[-1], -0.1 * self.brake, 0.1 * self.accel))
+            v.append(max(0.0, v[-1] + change))
         s = s0 + np.r_[0.0, np.cumsum(0.05 * (np.array(v[1:]) + np.array(v[:-1])))]
         times = frame.t + STEPS
         wish = self.offset(times)

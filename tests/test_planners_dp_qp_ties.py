@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from planners.dp_qp.route import Route, find_route, goal_lanes, straight_on
 from worlds import PERIOD, along_x, driving, frame, lanes, planner, standing, strip
 
 from logs import EgoState, Frame, Goal, Plan, PlannerContext, Road, Scenario
@@ -17,7 +18,6 @@ from logs.transform import jittered, rotated
 from planners.dp_qp import DpQp
 from planners.dp_qp.path_dp import PathDpConfig, path_dp
 from planners.dp_qp.reference_line import make_course
-from planners.dp_qp.route import Route, find_route, goal_lanes, straight_on
 from planners.prediction import predict
 
 TINY, SAME = 1e-9, 1e-6

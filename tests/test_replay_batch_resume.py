@@ -199,7 +199,7 @@ def refusal(logs: Path | Sequence[Path], out: Path, config: RunConfig = QUICK) -
 
 def test_another_configuration_is_refused_and_named(logs: Path, begun: Path) -> None:
     said = refusal(logs, begun, replace(QUICK, loop=replace(QUICK.loop, traffic="reactive"), mode="closed"))
-    assert "loop.traffic was 'time', is 'reactive'" in said
+    assert "loop.traffic was 'give_way', is 'reactive'" in said
     assert "mode was 'both', is 'closed'" in said
     assert "leave out --resume" in said
 
@@ -250,7 +250,7 @@ def test_the_command_line_resumes_and_refuses(logs: Path, begun: Path) -> None:
     words = ["evaluate", str(logs), "-p", "constant_speed", "--no-recording", "-o", str(begun), "--workers", "0"]
     refused = CliRunner().invoke(app, [*words, "--resume", "--traffic", "reactive"])
     assert refused.exit_code == 2
-    assert "loop.traffic was 'time', is 'reactive'" in refused.stderr
+    assert "loop.traffic was 'give_way', is 'reactive'" in refused.stderr
     done = CliRunner().invoke(app, [*words, "--resume"])
     assert done.exit_code in (0, 1, 4)
     assert "Resumed: 2 of 3 logs" in done.stdout

@@ -71,7 +71,7 @@ def test_three_files_of_three_sources(shared_data: Path, tmp_path: Path, capsys:
     page = capsys.readouterr().out
     table = pd.read_csv(tmp_path / "out" / "commonroad.csv")
     assert list(table.columns) == ["traffic", "source", "planner", *COLUMNS]
-    assert set(table["traffic"]) == {"time", "reactive"}
+    assert set(table["traffic"]) == {"give_way", "time", "reactive"}
     for traffic, rows in table.groupby("traffic"):
         assert set(rows["source"]) == {"MONA", "NGSIM", HAND_MADE, "all"}, traffic
         whole = rows[rows["source"] == "all"].set_index("planner")
@@ -83,7 +83,7 @@ def test_three_files_of_three_sources(shared_data: Path, tmp_path: Path, capsys:
         mona = rows[(rows["source"] == "MONA") & (rows["planner"] == "logged")].iloc[0]
         assert (mona["goal"], mona["goal_of_reachable"]) == (1, 1)
     drives = pd.read_csv(tmp_path / "out" / "commonroad_logs.csv")
-    assert len(drives) == 2 * 3 * 2
+    assert len(drives) == 3 * 3 * 2
     assert set(drives["verdict"]) <= {"avoidable", "unavoidable", "not applicable"}
     assert page.startswith((tmp_path / "out" / "commonroad.md").read_text(encoding="utf-8"))
     assert main([*words, "--resume"]) == 0

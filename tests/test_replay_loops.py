@@ -253,7 +253,7 @@ def test_one_fault_among_several_touches_is_a_collision() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("traffic", ["time", "reactive"])
+@pytest.mark.parametrize("traffic", ["give_way", "time", "reactive"])
 def test_on_recorded_logs_the_end_and_the_metric_say_the_same_of_fault(shared_data: Path, traffic: str) -> None:
     ends = set()
     for file in sorted((shared_data / "commonroad").glob("*.xml")):

@@ -90,7 +90,7 @@ def test_no_sample_later_than_the_frame_is_seen_or_predicted(
 def test_the_oracle_alone_knows_what_comes_and_says_so() -> None:
     t = np.arange(0.0, 6.01, 0.1)
     log = made(track("a", t, 30.0 + 0.0 * t, np.maximum(t - 2.0, 0.0)))
-    config = LoopConfig(prediction="oracle", prediction_horizon_s=3.0)
+    config = LoopConfig(prediction="oracle", prediction_horizon_s=3.0, traffic="time")
     future = frames(log, config, [1.0])[0].predictions
     np.testing.assert_allclose(future.y[0], np.maximum(future.t - 2.0, 0.0), atol=1e-9)
     assert future.method == "oracle"
@@ -100,8 +100,11 @@ def test_the_oracle_alone_knows_what_comes_and_says_so() -> None:
         trace = run(log, "constant_speed", config=config).trace
         assert trace.oracle and any("log's own future" in note for note in trace.notes)
         assert not run(log, "constant_speed").trace.oracle
-    with pytest.raises(ConfigError, match="take traffic 'time'"):
-        LoopConfig(prediction="oracle", traffic="reactive")
+    for kind in ("give_way", "reactive"):
+        with pytest.raises(ConfigError, match=r"take traffic 'time' \(--traffic time\)"):
+            LoopConfig(prediction="oracle", traffic=kind)
+    with pytest.raises(ConfigError, match="traffic 'give_way'"):
+        LoopConfig(prediction="oracle")
 
 
 def test_unknown_names_are_configuration_errors() -> None:

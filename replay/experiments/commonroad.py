@@ -1,10 +1,10 @@
 """Planners over CommonRoad scenarios, by source and traffic: one command, one table.
 
-python -m replay.experiments.commonroad DIR -o OUT [--planner dp_qp ...] [--traffic time ...] [--resume]
+python -m replay.experiments.commonroad DIR -o OUT [--planner dp_qp ...] [--traffic give_way ...] [--resume]
 
     OUT/commonroad.csv, .md     a row per traffic, source and planner (`COLUMNS`)
     OUT/commonroad_logs.csv     a row per traffic, log and planner: which logs these numbers are made of
-    OUT/time, OUT/reactive      the runs, as `replan evaluate` writes them
+    OUT/give_way, OUT/time      the runs, as `replan evaluate` writes them
 
 The planner `logged` is always among them. A log's goal is within reach where `logged` enters it (in the same traffic)
 or where the careful driver of UN R157 does, which keeps its lane and never accelerates (`REFERENCE_GOAL`). A replayed
@@ -37,6 +37,8 @@ from replay.drive import LoopConfig
 from replay.traffic import TRAFFIC
 
 PLANNERS = ("dp_qp", "idm", "lattice")
+KINDS = ("give_way", "time", "reactive")
+"""Of traffic."""
 REFERENCE = "logged"
 SOURCES = {"ngsim": "NGSIM", "mona": "MONA", "sumo": "SUMO", "synthesised": "synthesised"}
 """By tag of the scenario; what has none of these is made by hand."""
@@ -217,7 +219,7 @@ def compare(
     out: Path,
     *,
     planners: Sequence[str] = PLANNERS,
-    traffic: Sequence[str] = ("time", "reactive"),
+    traffic: Sequence[str] = KINDS,
     workers: int = 0,
     resume: bool = False,
     say: Callable[[str], None] = lambda line: None,
@@ -261,7 +263,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("logs", nargs="+", type=Path, help="CommonRoad files, or folders of them")
     parser.add_argument("-o", "--out", required=True, type=Path, help="folder for the tables and the runs")
     parser.add_argument("-p", "--planner", action="append", help=f"default: {', '.join(PLANNERS)}")
-    parser.add_argument("--traffic", action="append", choices=list(TRAFFIC), help="default: time, reactive")
+    parser.add_argument("--traffic", action="append", choices=list(TRAFFIC), help=f"default: {', '.join(KINDS)}")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, help="processes; 0: in this one")
     parser.add_argument("--resume", action="store_true", help="go on with an interrupted run in OUT")
     chosen = parser.parse_args(arguments)
@@ -270,7 +272,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             chosen.logs,
             chosen.out,
             planners=chosen.planner or PLANNERS,
-            traffic=chosen.traffic or ("time", "reactive"),
+            traffic=chosen.traffic or KINDS,
             workers=chosen.workers,
             resume=chosen.resume,
             say=lambda line: print(line, file=sys.stderr),  # noqa: T201

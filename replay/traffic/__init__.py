@@ -1,5 +1,7 @@
 """The others: how they move while the ego is driven.
 
+"give_way"        as in the log; who would drive into the ego from behind, or goes second by right, gives way to it
+                  (`reactive`, `yielding`)
 "time"            each is where it was in the log at this time, whatever the ego does
 "ego_position"    all are where they were when the logged ego was where the ego is (`ego_position`)
 "reactive"        vehicles keep to their logged path and behind whoever is on it, the ego included (`reactive`); who
@@ -9,12 +11,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from typing import Protocol
 
 from logs.scenario import Scenario, Tracks
 from logs.states import EgoState
 from replay.traffic.ego_position import ReplayedByEgoPosition
-from replay.traffic.reactive import Reactive
+from replay.traffic.reactive import GIVE_WAY, Reactive
 
 __all__ = ["TRAFFIC", "TRAFFIC_NOTES", "Reactive", "ReplayedByEgoPosition", "ReplayedByTime", "Traffic"]
 
@@ -42,6 +45,7 @@ class ReplayedByTime:
 
 
 TRAFFIC: dict[str, Callable[[Scenario], Traffic]] = {
+    "give_way": partial(Reactive, rule=GIVE_WAY),
     "time": ReplayedByTime,
     "ego_position": ReplayedByEgoPosition,
     "reactive": Reactive,
@@ -55,4 +59,4 @@ TRAFFIC_NOTES: dict[str, tuple[str, ...]] = {
         "the others react: vehicles keep to their logged paths, behind whoever is on them; late ones stop at red",
     ),
 }
-"""What the user must know of the traffic to read the results; nothing of a replay by time."""
+"""What the user must know of the traffic to read the results; nothing of what is as in the log."""

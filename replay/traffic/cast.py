@@ -2,7 +2,7 @@
 
 Where and how an agent is at the phase tau (a log time, s) is what the log has there, interpolated; played at the rate r
 (phase per time), its velocity is r times the logged one. What was played is sampled every `PERIOD_S`, one sample ahead
-of the ego: the sample at t + PERIOD_S is made of what is known at t.
+of the ego: the sample at t + PERIOD_S is made of what is known at t. Who is as in the log keeps its own samples.
 """
 
 from __future__ import annotations
@@ -29,17 +29,18 @@ class Cast:
     """Plays a log's tracks and remembers what was played.
 
     Args:
-        log: Those that never move stay as they are.
+        log: The tracks; those that never move stay as they are.
+        led: The same, each led on beyond the end of its log: what is played. None: the log.
     """
 
-    def __init__(self, log: Tracks) -> None:
-        self.log = log
+    def __init__(self, log: Tracks, led: Tracks | None = None) -> None:
+        self.log = led or log
+        self._own = log
         self._times: list[float] = []
         self._played: list[tuple[FloatArray, BoolArray]] = []
-        last = np.maximum(np.arange(len(log.t)), 0)
-        owner = np.repeat(np.arange(len(log)), np.diff(log.offsets))
-        vx, vy = log.velocity(owner, last) if len(log) else (log.vx, log.vy)
-        self._columns = np.ascontiguousarray(np.vstack([log.x, log.y, log.yaw, vx, vy]))
+        last = np.arange(len(self.log.t))
+        vx, vy = self.log.velocity(_owners(self.log), last) if len(log) else (log.vx, log.vy)
+        self._columns = np.ascontiguousarray(np.vstack([self.log.x, self.log.y, self.log.yaw, vx, vy]))
 
     def at(self, phase: FloatArray) -> Played:
         """The agents at their phases `(n,)`, s; who has no log there is not in the scene."""
@@ -52,21 +53,20 @@ class Cast:
         played = self.at(phase)
         moved = played.pose * np.vstack([np.ones((3, len(rate))), rate, rate])
         self._times.append(t)
-        self._played.append((moved, played.there & there & ~self.log.static))
+        self._played.append((moved, played.there & there))
 
-    def tracks(self) -> Tracks:
-        """What was played so far; who was not in the scene yet is not in it."""
-        log = self.log
-        still = np.flatnonzero(log.static)
-        here = np.array([there for _, there in self._played]).reshape(-1, len(log))
-        pose = np.array([pose for pose, _ in self._played]).reshape(-1, 5, len(log))
-        agent, k = np.nonzero(here.T)
-        rows = np.vstack([np.array(self._times)[k], pose[k, :, agent].T]) if len(agent) else np.empty((6, 0))
-        first = log.offsets[:-1][still]
-        fixed = np.vstack([log.t[first], log.x[first], log.y[first], log.yaw[first], log.vx[first], log.vy[first]])
-        owner = np.r_[agent, still]
-        order = np.argsort(owner, kind="stable")
-        columns = np.hstack([rows, fixed])[:, order]
+    def tracks(self, since: FloatArray) -> Tracks:
+        """The log's own samples before `since` `(n,)`, s, and what was played from then on; inf: the log as it is."""
+        log, since = self._own, np.where(self._own.static, np.inf, since)
+        if not (since < np.inf).any():
+            return log
+        owner, times = _owners(log), np.array(self._times)
+        logged = log.t < since[owner] - 1e-9
+        here = np.array([there for _, there in self._played]) & (times[:, None] >= since - 1e-9)
+        k, agent = np.nonzero(here)
+        pose = np.array([pose for pose, _ in self._played])[k, :, agent]
+        kept = np.vstack([log.t, log.x, log.y, log.yaw, log.vx, log.vy])[:, logged]
+        rows, owner = np.hstack([kept, np.vstack([times[k], pose.T])]), np.r_[owner[logged], agent]
         members, sizes = np.unique(owner, return_counts=True)
         return Tracks(
             tuple(log.ids[i] for i in members),
@@ -75,8 +75,13 @@ class Cast:
             log.width[members],
             log.static[members],
             np.r_[0, np.cumsum(sizes)],
-            *columns,
+            *rows[:, np.lexsort((rows[0], owner))],
         )
+
+
+def _owners(log: Tracks) -> IntArray:
+    """The track `(samples,)` of each sample."""
+    return np.repeat(np.arange(len(log)), np.diff(log.offsets))
 
 
 @kernel

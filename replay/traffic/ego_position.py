@@ -61,7 +61,7 @@ class ReplayedByEgoPosition:
             self._advance(ego)
             self._next += PERIOD_S
             self._add(self._next, (self._phase - before) / PERIOD_S)
-            self._tracks = self._cast.tracks()
+            self._tracks = self._cast.tracks(np.full(len(self._cast.log), -np.inf))
         return self._tracks
 
     def _stations(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:

@@ -11,25 +11,39 @@ IDM"; the cap of the deceleration is ours):
           = a_l - max(0, v - v_l)^2 / (2 s)    else
 (4) dv/dt = a_idm                              if a_idm >= a_cah
           = (1 - c) a_idm + c (a_cah + b tanh((a_idm - a_cah) / b))   else, and not below -`HARDEST_MPS2`
+
+The ego is ahead of a vehicle where it is touched so, with its heading within `ASKEW_RAD` of the path's heading h there,
+not reversing along h, and with its rearmost corner before the vehicle's front bumper: with the vector d from the
+vehicle's centre, moved to the touch, to the ego's, the angle q between h and the ego's heading, the lengths L and the
+ego's width W,
+
+(5) s + d . h - (L_ego |cos q| + W_ego |sin q|) / 2 - L / 2 > 0
+
+A vehicle that goes on as in its log drives into its leader where, within `LOOK_S`, its way w in the log is so long that
+
+(6) w(tau) >= s - `ROOM_M` + v_l tau + min(a_l, 0) tau^2 / 2        (the last two no longer than until it stands)
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, hypot, inf, sin, sqrt, tanh
+from math import cos, hypot, inf, pi, sin, sqrt, tanh
 from typing import NamedTuple
 
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.shapes import overlap
+from metrics.reference_drivers import CC_BRAKE_MPS2
 
 ACCEL_MPS2, DECEL_MPS2, TIME_GAP_S, STANDSTILL_M, COOLNESS = 2.0, 3.0, 1.0, 2.0, 0.99
 """a, b, T, s0, c of (1) to (4)."""
-HARDEST_MPS2 = 8.0
+HARDEST_MPS2 = CC_BRAKE_MPS2
+"""0.774 g, as the careful driver of UN R157 brakes."""
 LOOK_M, LOOK_S = 20.0, 5.0
 BRUSH_M, EGO_BRUSH_M = 0.2, -0.3
 """A vehicle's box is narrower by this in the search of the leader: logged boxes brush; to the ego it is wider."""
+ASKEW_RAD, ROOM_M = 0.25 * pi, 0.5
 STANDING_MPS = 0.1
 """The log stands where it is slower than this."""
 TOUCHING_M = 0.1
@@ -75,9 +89,14 @@ class Leaders:
     accel: FloatArray
 
 
-def leaders(paths: Paths, phase: FloatArray, speed: FloatArray, whose: BoolArray, scene: Scene) -> Leaders:
-    """The leaders of the vehicles `whose` `(n,)` at their phases; pairs that both are as logged do not count."""
-    return Leaders(*_leaders(paths, phase, speed, whose, scene))
+def leaders(
+    paths: Paths, phase: FloatArray, speed: FloatArray, whose: BoolArray, heeds: BoolArray, scene: Scene
+) -> Leaders:
+    """The leaders of the vehicles `whose` `(n,)` at their phases; pairs that both are as logged do not count.
+
+    The ego is nobody's leader but of those who heed it `(n,)`.
+    """
+    return Leaders(*_leaders(paths, phase, speed, whose, heeds, scene))
 
 
 def desired_gaps(speed: FloatArray, leaders: Leaders) -> FloatArray:
@@ -176,7 +195,53 @@ def _touch(one: FloatArray, two: FloatArray, narrower: float) -> bool:
 
 
 @kernel
-def _leaders(paths: Paths, phase: FloatArray, speed: FloatArray, whose: BoolArray, scene: Scene) -> FloatArray:
+def ego_ahead(paths: Paths, phase: FloatArray, speed: FloatArray, whose: BoolArray, scene: Scene) -> BoolArray:
+    """Whether the ego is ahead of each of the vehicles `whose` (5), `(n,)`."""
+    n, boxes = len(phase), scene.boxes
+    out, me = np.zeros(n, np.bool_), np.array([n])
+    for i in range(n):
+        reach = LOOK_M + LOOK_S * speed[i]
+        away = hypot(boxes[n, 0] - boxes[i, 0], boxes[n, 1] - boxes[i, 1])
+        if not whose[i] or away > reach + boxes[i, 3] + boxes[n, 3] or _touch(boxes[i], boxes[n], 0.0):
+            continue
+        gap, j, x, y, yaw = _first_touched(paths, i, phase[i], reach, boxes, me)
+        c, s, askew = cos(yaw), sin(yaw), boxes[n, 2] - yaw
+        half = 0.5 * (boxes[n, 3] * abs(cos(askew)) + boxes[n, 4] * abs(sin(askew)))
+        rear = (boxes[n, 0] - x) * c + (boxes[n, 1] - y) * s - half
+        onward = scene.motion[n, 0] * c + scene.motion[n, 1] * s > -STANDING_MPS
+        out[i] = j >= 0 and onward and cos(askew) >= cos(ASKEW_RAD) and gap + rear - 0.5 * boxes[i, 3] > 0.0
+    return out
+
+
+def drives_into(paths: Paths, phase: FloatArray, leaders: Leaders) -> BoolArray:
+    """Which vehicles `(n,)`, going on as in the log, drive into their leaders (6)."""
+    return np.asarray(_drives_into(paths, phase, leaders.gap, leaders.speed, leaders.accel))
+
+
+@kernel
+def _drives_into(paths: Paths, phase: FloatArray, gap: FloatArray, led: FloatArray, accel: FloatArray) -> BoolArray:
+    out = np.zeros(len(phase), np.bool_)
+    for i in range(len(phase)):
+        if not np.isfinite(gap[i]):
+            continue
+        first, end = paths.offsets[i], paths.offsets[i + 1]
+        way, brake = 0.0, max(-accel[i], 0.0)
+        for k in range(max(first, first + np.searchsorted(paths.t[first:end], phase[i], side="right") - 1), end - 1):
+            start = max(phase[i], paths.t[k])
+            if start > phase[i] + LOOK_S or out[i]:
+                break
+            part = (paths.t[k + 1] - start) / (paths.t[k + 1] - paths.t[k])
+            way += part * hypot(paths.x[k + 1] - paths.x[k], paths.y[k + 1] - paths.y[k])
+            tau = paths.t[k + 1] - phase[i]
+            rolls = min(tau, led[i] / brake) if brake > 0.0 else tau
+            out[i] = way >= gap[i] - ROOM_M + led[i] * rolls - 0.5 * brake * rolls * rolls
+    return out
+
+
+@kernel
+def _leaders(
+    paths: Paths, phase: FloatArray, speed: FloatArray, whose: BoolArray, heeds: BoolArray, scene: Scene
+) -> FloatArray:
     """Rows gap, speed and acceleration of the leader along the path `(3, n)`; gap inf where there is none."""
     n = len(phase)
     out = np.zeros((3, n))
@@ -186,10 +251,10 @@ def _leaders(paths: Paths, phase: FloatArray, speed: FloatArray, whose: BoolArra
         if not whose[i]:
             continue
         reach = LOOK_M + LOOK_S * speed[i]
-        count = _nearby(i, reach, scene, near)
+        count = _nearby(i, reach, scene, near, heeds[i])
         if count == 0:
             continue
-        gap, j, yaw = _first_touched(paths, i, phase[i], reach, scene.boxes, near[:count])
+        gap, j, _, _, yaw = _first_touched(paths, i, phase[i], reach, scene.boxes, near[:count])
         if j >= 0:
             ahead = scene.motion[j, 0] * cos(yaw) + scene.motion[j, 1] * sin(yaw)
             pace = hypot(scene.motion[j, 0], scene.motion[j, 1])
@@ -199,10 +264,10 @@ def _leaders(paths: Paths, phase: FloatArray, speed: FloatArray, whose: BoolArra
 
 
 @kernel
-def _nearby(i: int, reach: float, scene: Scene, near: IntArray) -> int:
-    """Who may be in the way of vehicle i, into `near`; how many."""
+def _nearby(i: int, reach: float, scene: Scene, near: IntArray, heeds: bool) -> int:
+    """Who may be in the way of vehicle i, into `near`; how many; the ego only if it heeds it."""
     boxes, count = scene.boxes, 0
-    for j in range(len(boxes)):
+    for j in range(len(boxes) if heeds else len(boxes) - 1):
         if j == i or not scene.present[j] or (scene.as_logged[i] and scene.as_logged[j]):
             continue
         away = hypot(boxes[j, 0] - boxes[i, 0], boxes[j, 1] - boxes[i, 1])
@@ -215,8 +280,8 @@ def _nearby(i: int, reach: float, scene: Scene, near: IntArray) -> int:
 @kernel
 def _first_touched(
     paths: Paths, i: int, phase: float, reach: float, boxes: FloatArray, near: IntArray
-) -> tuple[float, int, float]:
-    """Distance along path i to the first touch, whom (-1: nobody within reach), and the path's heading there."""
+) -> tuple[float, int, float, float, float]:
+    """Distance along path i to the first touch, whom (-1: nobody within reach), and the box's x, y and yaw there."""
     first, end = paths.offsets[i], paths.offsets[i + 1]
     k = max(first, first + np.searchsorted(paths.t[first:end], phase, side="right") - 1)
     begin, leap = boxes[i].copy(), np.zeros(3)
@@ -235,11 +300,12 @@ def _first_touched(
                     if u < best:
                         best, who = u, j
             if who >= 0:
-                return station + best * length, who, begin[2] + best * leap[2]
+                there = _moved(begin, leap, best)
+                return station + best * length, who, there[0], there[1], there[2]
         begin = _moved(begin, leap, 1.0)
         station += length
         k += 1
-    return inf, -1, 0.0
+    return inf, -1, 0.0, 0.0, 0.0
 
 
 @kernel

@@ -1,28 +1,44 @@
-"""The others react: vehicles keep to their logged path, and behind whoever is on it, the ego included.
+"""The others react: along their logged paths, each at a log time of its own, by one of two rules (`Rule`).
 
-A vehicle is at the log time (phase) tau_i of its own; its place is the log's at tau_i, so that it never leaves its
+An agent is at the log time (phase) tau_i of its own; its place is the log's at tau_i, so that it never leaves its
 path. Where its log ends, the most probable lane leads it on for `BEYOND_M` if it is late; in time, it leaves the scene
 as it did in the log. Its speed never exceeds the logged one at its place, and it is never ahead of its log.
 
-Undisturbed, tau_i = t: the log, exactly. A vehicle is disturbed from when the leader below would have it drive slower
-than it did in the log. Pairs that both are as they were in the log do not count (real drivers keep other gaps than a
-model does; with nobody disturbed the log is reproduced); the ego counts as in the log while it is within `EGO_M` of it.
-While its log stands, a late vehicle makes up for lost time. Pedestrians, bicycles and objects are replayed by time.
+Undisturbed, tau_i = t: the log's own samples, to the bit. An agent is disturbed from when the leader below would have
+it drive slower than it did in the log. Pairs that both are as they were in the log do not count (real drivers keep
+other gaps than a model does); the ego counts as in the log while it is within `EGO_M` of it. While its log stands, a
+late agent makes up for lost time. Leader and acceleration: `replay.traffic.following`. Who is late stops at closed
+lights too (`red_lights`); who is as in the log passes them as it did, red ones too. Who enters the scene waits while
+somebody who is not as in the log is in its place, and enters no faster than it can brake for its leader.
 
-Leader and acceleration: `replay.traffic.following`. Who is late stops at closed lights too (`red_lights`); who is
-as in the log passes them as it did, red ones too. Who enters the scene waits while somebody who is not as in the log is
-in its place, and enters no faster than it can brake for its leader.
+"reactive": vehicles drive behind whoever is on their path, the ego included, wherever it comes from.
+
+"give_way": vehicles and riders drive as in the log unless they would then run into the ego, or into somebody who is
+late because of it, and only where the ego may expect it:
+
+(1) the ego has been ahead (`following` (5)) for `CC_REACT_S` without a break, the reaction time of the careful driver
+    of UN R157; who begins or enters the scene behind it knows it already
+(2) going on as in the log, the agent would drive into it (`following` (6))
+(3) or the agent comes from a lane that yields to the ego's (`yielding`)
+(4) it brakes as the leader demands, with 0.774 g at most (the same driver)
+
+So who cuts in with less room than a careful driver needs, comes from the side without the right of way, or is in the
+way of oncoming traffic is hit as in the log. Pedestrians and objects are replayed by time; where "reactive", bicycles
+too.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from math import cos, hypot, inf, sin
 
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray
-from logs.scenario import Agents, Scenario, Tracks
+from logs.scenario import AgentKind, Agents, Scenario, Tracks
 from logs.states import EgoState
+from metrics.others import name_of
+from metrics.reference_drivers import CC_REACT_S
 from planners.prediction import LaneMap
 from planners.prediction.lane_following import FOLLOWING, followers
 from replay.traffic.cast import PERIOD_S, Cast
@@ -36,15 +52,41 @@ from replay.traffic.following import (
     accelerations,
     covered,
     desired_gaps,
+    drives_into,
+    ego_ahead,
     leaders,
     moved_on,
     taken,
 )
 from replay.traffic.red_lights import RedLights
+from replay.traffic.yielding import Yielding
 from replay.world import box_center
 
 EGO_M, SAME_MPS = 1.0, 1e-6
 BEYOND_M = 100.0
+NAMED = 5
+"""So many are named in the notes."""
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """Who reacts to what.
+
+    Attributes:
+        kinds: Who reacts.
+        only_ahead: The ego counts for those only that have had it ahead for this long, s; None: for all.
+        only_needed: An agent as in the log reacts only where it would drive into its leader.
+        yields: Lanes that yield to the ego's wait for it.
+    """
+
+    kinds: tuple[AgentKind, ...]
+    only_ahead: float | None
+    only_needed: bool
+    yields: bool
+
+
+REACTIVE = Rule(FOLLOWING, only_ahead=None, only_needed=False, yields=False)
+GIVE_WAY = Rule((*FOLLOWING, AgentKind.BICYCLE), only_ahead=CC_REACT_S, only_needed=True, yields=True)
 
 
 class Reactive:
@@ -52,20 +94,25 @@ class Reactive:
 
     Args:
         scenario: Its tracks, road, lights and ego.
+        rule: Who reacts to what.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, rule: Rule = REACTIVE) -> None:
         log, self._log_ego, self._vehicle = scenario.tracks, scenario.ego, scenario.vehicle
+        self._rule = rule
         self._left = log.t[log.offsets[1:] - 1].copy() if len(log) else np.empty(0)
-        self._cast = Cast(led_on(log, LaneMap.of(scenario.road)))
+        self._cast = Cast(log, led_on(log, LaneMap.of(scenario.road)))
         led = self._cast.log
         self._paths = Paths(led.offsets, led.t, led.x, led.y, led.yaw)
         self._enters = log.t[log.offsets[:-1]] if len(log) else np.empty(0)
-        self._reacts = np.array([kind in FOLLOWING for kind in log.kinds], bool) & ~log.static
+        self._reacts = np.array([kind in rule.kinds for kind in log.kinds], bool) & ~log.static
         self._lights = RedLights(scenario, led, self._reacts)
+        self._yielding = Yielding(scenario, led, self._reacts & rule.yields)
         n = len(log)
         self._phase, self._speed, self._accel = np.zeros(n), np.zeros(n), np.zeros(n)
         self._late, self._there = np.zeros(n, np.bool_), np.zeros(n, np.bool_)
+        self._ahead_since = np.full(n, inf)
+        self._since, self._braked = np.full(n, inf), np.zeros(n)
         self._next, self._tracks = -inf, Tracks.empty()
 
     def step(self, ego: EgoState) -> Tracks:
@@ -79,8 +126,19 @@ class Reactive:
             self._next += PERIOD_S
             self._enter(self._next, ego)
             self._sample(self._next)
-            self._tracks = self._cast.tracks()
+            self._tracks = self._cast.tracks(self._since)
         return self._tracks
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Who has been disturbed so far, since when, and how hard they braked."""
+        who = np.argsort(self._since, kind="stable")[: int(np.isfinite(self._since).sum())]
+        log = self._cast.log
+        named = [f"{name_of(log, i)} from {self._since[i]:.1f} s, {self._braked[i]:.1f} m/s2" for i in who[:NAMED]]
+        if not named:
+            return ()
+        more = [f"{len(who) - NAMED} more"] if len(who) > NAMED else []
+        return (f"not as in the log because of the ego (since when, hardest braking): {'; '.join(named + more)}",)
 
     def _sample(self, t: float) -> None:
         logged = self._logged_speeds(self._phase)
@@ -94,11 +152,17 @@ class Reactive:
     def _advance(self, t: float, ego: EgoState) -> None:
         """Lead everybody on from `t` by one period."""
         logged = self._logged_speeds(self._phase)
-        found = self._leaders(ego, self._there & self._reacts)
+        found = self._leaders(ego, self._there & self._reacts, t)
         held = self._lights.accelerations(t, self._phase, self._speed, self._late & self._there & self._reacts)
         wanted = self._speed + PERIOD_S * np.minimum(accelerations(self._speed, found), held)
         slower = np.isfinite(found.gap) & (wanted < logged - SAME_MPS) & (found.gap < desired_gaps(self._speed, found))
-        self._late |= self._there & self._reacts & slower
+        if self._rule.only_needed:
+            slower &= drives_into(self._paths, self._phase, found)
+        ahead = self._yielding.gaps(ego, self._phase, self._speed, self._there & (not self._as_logged(ego)))
+        waits = accelerations(self._speed, Leaders(ahead, np.zeros(len(ahead)), np.zeros(len(ahead))))
+        wanted = np.minimum(wanted, self._speed + PERIOD_S * waits)
+        slower |= np.isfinite(ahead) & (wanted < logged - SAME_MPS)
+        self._delay(self._there & self._reacts & slower, t)
         speed = np.where(self._late, np.clip(wanted, 0.0, logged), logged) * self._there
         log = self._cast.log
         phase = moved_on(self._paths, self._phase, speed * PERIOD_S, t + PERIOD_S)
@@ -106,6 +170,7 @@ class Reactive:
         self._phase = np.where(waiting, self._phase, np.where(self._late, phase, t + PERIOD_S))
         self._late &= waiting | (self._phase < t + PERIOD_S - 1e-9) | (speed < logged - SAME_MPS)
         self._accel = np.where(self._there, (speed - self._speed) / PERIOD_S, 0.0)
+        self._braked = np.maximum(self._braked, np.where(self._late, -self._accel, 0.0))
         self._speed = speed
         ends = np.where(self._late, log.t[log.offsets[1:] - 1], self._left) if len(log) else self._left
         self._there &= self._phase <= ends + 1e-9
@@ -119,17 +184,22 @@ class Reactive:
             return
         self._phase = np.where(coming, np.where(waited, self._enters, t), self._phase)
         blocked = coming & self._reacts & self._in_place(ego, coming)
-        self._late |= blocked
+        self._delay(blocked, self._enters)
         self._phase = np.where(blocked, self._enters, self._phase)
         entering = coming & ~blocked
         self._there |= entering
         logged = self._logged_speeds(self._phase)
         self._speed = np.where(entering, logged, self._speed)
-        found = self._leaders(ego, entering & self._reacts)
+        found = self._leaders(ego, entering & self._reacts, -inf)
         safe = np.sqrt(found.speed**2 + 2.0 * DECEL_MPS2 * np.maximum(found.gap - STANDSTILL_M, 0.0))
         slowed = entering & np.isfinite(found.gap) & (safe < logged)
-        self._late |= slowed
+        self._delay(slowed, t)
         self._speed = np.where(slowed, safe, self._speed)
+
+    def _delay(self, who: BoolArray, since: FloatArray | float) -> None:
+        """From `since` on they are not as in the log."""
+        self._late |= who
+        self._since = np.where(who, np.minimum(self._since, since), self._since)
 
     def _boxes(self, ego: EgoState) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Boxes `(n + 1, 5)`, velocities and accelerations `(n + 1, 3)`, who is as logged; the ego is the last."""
@@ -142,14 +212,17 @@ class Reactive:
         heading = np.vstack([np.cos(played.pose[2]), np.sin(played.pose[2])])
         velocity = np.where(self._reacts, self._speed * heading, played.pose[3:] * self._there)
         motion = np.column_stack([*velocity, self._accel])
-        was = self._log_ego.at(ego.t)
-        as_logged = self._log_ego.t[0] - 1e-6 <= ego.t <= self._log_ego.t[-1] + 1e-6
-        as_logged = as_logged and hypot(was.x - ego.x, was.y - ego.y) <= EGO_M
         return (
             np.vstack([boxes, own]),
             np.vstack([motion, [[ego.v * c, ego.v * s, ego.a]]]),
-            np.r_[~self._late, as_logged],
+            np.r_[~self._late, self._as_logged(ego)],
         )
+
+    def _as_logged(self, ego: EgoState) -> bool:
+        """Whether the ego is where the log has it."""
+        log, was = self._log_ego, self._log_ego.at(ego.t)
+        lasts = log.t[0] - 1e-6 <= ego.t <= log.t[-1] + 1e-6
+        return bool(lasts) and hypot(was.x - ego.x, was.y - ego.y) <= EGO_M
 
     def _in_place(self, ego: EgoState, coming: BoolArray) -> BoolArray:
         """Whose place is taken by somebody who is not as in the log."""
@@ -157,11 +230,16 @@ class Reactive:
         present = np.r_[self._there | self._cast.log.static, True]
         return taken(boxes, coming, present & ~as_logged)
 
-    def _leaders(self, ego: EgoState, whose: BoolArray) -> Leaders:
+    def _leaders(self, ego: EgoState, whose: BoolArray, t: float) -> Leaders:
         boxes, motion, as_logged = self._boxes(ego)
-        log = self._cast.log
-        present = np.r_[self._there | log.static, True]
-        return leaders(self._paths, self._phase, self._speed, whose, Scene(boxes, motion, present, as_logged))
+        scene = Scene(boxes, motion, np.r_[self._there | self._cast.log.static, True], as_logged)
+        heeds, longest = np.ones(len(whose), np.bool_), self._rule.only_ahead
+        if longest is not None:
+            ahead = ego_ahead(self._paths, self._phase, self._speed, whose, scene)
+            since = np.where(ahead, np.minimum(self._ahead_since, t), inf)
+            self._ahead_since = np.where(whose, since, self._ahead_since)
+            heeds = self._ahead_since <= t - longest + 1e-9
+        return leaders(self._paths, self._phase, self._speed, whose, heeds, scene)
 
 
 def led_on(log: Tracks, lanes: LaneMap) -> Tracks:

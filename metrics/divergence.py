@@ -1,0 +1,107 @@
+"""How far a closed loop has parted from its log, and from when on the replay is weak evidence.
+
+The others drove as they did around the log's ego: where the ego is elsewhere, they react to somebody who is not there.
+With the ego's place p(t), the logged one q(t), speed v(t) and heading h(t) at the same time:
+
+(1) d(t) = |p - q|, along(t) = (p - q) . h, across(t) = (p - q) x h
+(2) the drive has parted where |along| > max(v AWAY_S, `LENGTH_M`) or |across| > `WIDTH_M`, or where a road user is
+    farther than `OFF_M` from where the log has it, or is there in one of them only
+
+The replay is weak from the first such moment to the end of the drive. `AWAY_S`: a second of way is about the least gap
+that drivers should keep (Germany fines less than 0.9 s), so that farther away the ego may be at the place of somebody
+else; at low speed a car's length takes its part, across it a lane's width does. `OFF_M` is less than any of them, and
+more than resampled tracks differ by.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from logs.kernel import BoolArray, FloatArray
+from logs.scenario import Scenario
+from logs.trace import Mode, Trace
+from metrics.metric import COUNT, HAVING, MAX, Measured, Metric, Reduction, Series, Unavailable
+from metrics.others import name_of, others_at
+
+AWAY_S, LENGTH_M, WIDTH_M = 1.0, 5.0, 3.5
+OFF_M = 0.5
+_NO_DRIVE = Unavailable("the log holds one ego state only: there is no drive to part from")
+
+
+def _apart(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """d, along and across of (1) `(k,)`, NaN after the log's ego; along and across over their bounds of (2)."""
+    drive, log = trace.ego, scenario.ego
+    x, y, yaw, v = (np.interp(drive.t, log.t, column) for column in (log.x, log.y, log.yaw, log.v))
+    dx, dy, c, s = drive.x - x, drive.y - y, np.cos(yaw), np.sin(yaw)
+    lasts = np.where(drive.t <= log.t[-1] + 1e-6, 1.0, np.nan)
+    along = (c * dx + s * dy) / np.maximum(np.abs(v) * AWAY_S, LENGTH_M)
+    return np.hypot(dx, dy) * lasts, along * lasts, (c * dy - s * dx) / WIDTH_M * lasts
+
+
+def _off(trace: Trace, scenario: Scenario) -> BoolArray:
+    """Which agents `(n, k)` are not where the log has them (2)."""
+    log, agents = scenario.tracks, trace.agents
+    if agents is log or not len(log):
+        return np.zeros((len(log), len(trace.ego)), np.bool_)
+    here, there = others_at(agents, trace.ego.t), others_at(log, trace.ego.t)
+    row = {name: i for i, name in enumerate(agents.ids)}
+    at = np.array([row.get(name, -1) for name in log.ids])
+    present = here.there[at] & (at >= 0)[:, None] if len(agents) else np.zeros_like(there.there)
+    away = np.zeros_like(there.there)
+    both = present & there.there
+    if len(agents):
+        away[both] = np.hypot(*(here.pose[:2, at] - there.pose[:2])[:, both]) > OFF_M
+    return np.asarray(away | (present != there.there))
+
+
+def _divergence(trace: Trace, scenario: Scenario) -> Measured:
+    if len(scenario.ego) < 2:
+        return _NO_DRIVE
+    return Series(trace.ego.t, _apart(trace, scenario)[0])
+
+
+def _weak(trace: Trace, scenario: Scenario) -> Measured:
+    if len(scenario.ego) < 2:
+        return _NO_DRIVE
+    _, along, across = _apart(trace, scenario)
+    off = _off(trace, scenario)
+    reasons = {"the ego along its way": np.abs(along) > 1.0, "the ego across its way": np.abs(across) > 1.0}
+    reasons |= {name_of(scenario.tracks, i): off[i] for i in np.flatnonzero(off.any(axis=1)).tolist()}
+    parted = np.logical_or.reduce(list(reasons.values()))
+    weak, first = np.maximum.accumulate(parted), int(np.argmax(parted))
+    why = "; ".join(name for name, found in reasons.items() if found[first])
+    t = trace.ego.t
+    return Series(t, np.where(weak, t, np.nan), (why,) * len(t), "the drive never parts from the log")
+
+
+def _displaced(trace: Trace, scenario: Scenario) -> Measured:
+    off = _off(trace, scenario)
+    counts, labels = np.zeros(len(trace.ego)), [""] * len(trace.ego)
+    for i in np.flatnonzero(off.any(axis=1)).tolist():
+        step = int(np.argmax(off[i]))
+        counts[step] += 1.0
+        labels[step] = "; ".join(filter(None, [labels[step], name_of(scenario.tracks, i)]))
+    return Series(trace.ego.t, counts, tuple(labels))
+
+
+FROM = Reduction("from", lambda series: (float(series.value[series.known][0]), int(np.argmax(series.known))))
+_CLOSED = (Mode.CLOSED,)
+DIVERGENCE = Metric(
+    "divergence", "m", "none", _CLOSED, _divergence, (MAX,),
+    "Distance between the ego and where the log has it at the same time, while the log's ego lasts.",
+    needs="a log that holds the ego's drive",
+)  # fmt: skip
+WEAK = Metric(
+    "divergence_weak", "s", "none", _CLOSED, _weak,
+    (FROM, Reduction("share", HAVING.reduce, unit="1", direction="none", empty=0.0)),
+    "From when on the drive has parted from its log, so that the replay is weak evidence, and the share after that.",
+    parameters=(
+        f"along {AWAY_S:g} s of way, at least {LENGTH_M:g} m", f"across {WIDTH_M:g} m", f"a road user {OFF_M:g} m",
+    ),
+    needs="a log that holds the ego's drive",
+)  # fmt: skip
+DISPLACED = Metric(
+    "displaced", "count", "none", _CLOSED, _displaced, (COUNT,),
+    "Road users who were not where the log has them, each once: who gave way, and who was held up by them.",
+    parameters=(f"{OFF_M:g} m",),
+)  # fmt: skip

@@ -1,0 +1,127 @@
+"""Right of way: who comes from a lane that yields (`Lane.yields_to`) lets the ego by on a lane that goes first.
+
+The ego goes on along its lanes as it may be predicted (`planners.prediction`, each way that it may take), for
+`LOOK_AHEAD_S`; its boxes while it is on a lane that goes first are places that it holds by right. An agent that is on
+the lane that yields, or comes to it, goes on as in its log, but no faster than its speed v allows; with the way s from
+here and a = `following.ACCEL_MPS2` it is there after
+
+(1) tau(s) = max(time of the log to there, (sqrt(v^2 + 2 a s) - v) / a)
+
+It waits where its box would come to such a place within `SERIOUS_S` before or after the ego (a post-encroachment time
+below 1 s is a failure of right of way: `metrics.right_of_way`), if it can stop with `following.HARDEST_MPS2` before all
+of the ego's way, held by right or not: there stands its leader then. Who cannot, or is there already, drives on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from math import cos, hypot, sin, sqrt
+from typing import NamedTuple
+
+import numpy as np
+
+from logs.kernel import BoolArray, FloatArray, kernel
+from logs.scenario import AgentKind, Agents, Scenario, Tracks
+from logs.shapes import overlap
+from logs.states import EgoState
+from metrics.right_of_way import SERIOUS_S
+from metrics.rules import on_lane
+from planners.prediction import LaneMap
+from planners.prediction.lane_following import followers
+from replay.traffic.following import ACCEL_MPS2, FINE_M, HARDEST_MPS2, Paths
+from replay.world import box_center
+
+LOOK_AHEAD_S, STEP_S = 6.0, 0.25
+"""How far ahead the ego's way is looked at: a stop from 13.9 m/s with 3 m/s2 takes 4.6 s; between two boxes of it."""
+
+
+class Way(NamedTuple):
+    """An agent's way over a lane that yields: whose, the lanes that go first, when its log leaves the lane (s)."""
+
+    owner: int
+    first: tuple[int, ...]
+    until: float
+
+
+class Yielding:
+    """See the module docstring.
+
+    Args:
+        scenario: Its road and the ego's size.
+        led: The paths.
+        reacts: `(n,)` who may drive by the model.
+    """
+
+    def __init__(self, scenario: Scenario, led: Tracks, reacts: BoolArray) -> None:
+        self._road, self._car, self._led = scenario.road, scenario.vehicle, led
+        self._lanes = LaneMap.of(scenario.road)
+        self._paths = Paths(led.offsets, led.t, led.x, led.y, led.yaw)
+        self._ways = [way for i in np.flatnonzero(reacts).tolist() for way in self._ways_of(i)]
+
+    def _ways_of(self, i: int) -> Iterator[Way]:
+        led, lanes = self._led, self._road.lanes
+        mine = led.samples(i)
+        for lane in lanes.values():
+            first = tuple(k for k in lane.yields_to if k in lanes)
+            on = on_lane(lane, led.x[mine], led.y[mine], led.yaw[mine]) if first else np.zeros(1, np.bool_)
+            if on.any():
+                yield Way(i, first, float(led.t[mine][on].max()))
+
+    def gaps(self, ego: EgoState, phase: FloatArray, speed: FloatArray, whose: BoolArray) -> FloatArray:
+        """Per agent `(n,)` the way to where it must wait for the ego, m; inf where it need not."""
+        out = np.full(len(phase), np.inf)
+        ways = [way for way in self._ways if whose[way.owner] and phase[way.owner] <= way.until + 1e-9]
+        if not ways:
+            return out
+        boxes, on = self._boxes({k for way in ways for k in way.first}, ego)
+        size = np.array([self._car.length, self._car.width])
+        for way in ways:
+            i = way.owner
+            by_right = np.logical_or.reduce([on[k] for k in way.first])
+            if by_right.any():
+                own = np.array([self._led.length[i], self._led.width[i]])
+                out[i] = min(out[i], _wait(self._paths, i, phase[i], speed[i], own, boxes, by_right, size))
+        return out
+
+    def _boxes(self, first: set[int], ego: EgoState) -> tuple[FloatArray, dict[int, BoolArray]]:
+        """Time, x, y and yaw of the ego's boxes `(4, k)` on all its ways; which are on each lane that goes first."""
+        x, y = box_center(ego, self._car)
+        t = np.arange(0.0, LOOK_AHEAD_S + 0.5 * STEP_S, STEP_S)
+        vx, vy = ego.v * cos(ego.yaw), ego.v * sin(ego.yaw)
+        own = (self._car.length, self._car.width, x, y, ego.yaw, vx, vy, ego.yaw_rate, ego.a)
+        now = Agents(("ego",), (AgentKind.CAR,), *(np.array([value]) for value in own))
+        ways = followers(now, t, self._lanes)
+        rows = np.stack([np.broadcast_to(t, ways.x.shape), ways.x, ways.y, ways.yaw]).reshape(4, -1)
+        return rows, {k: on_lane(self._road.lanes[k], *rows[1:]) for k in sorted(first)}
+
+
+@kernel
+def _wait(
+    paths: Paths, i: int, phase: float, speed: float, own: FloatArray,
+    boxes: FloatArray, by_right: BoolArray, size: FloatArray,
+) -> float:  # fmt: skip
+    """Way of agent i to the first of the boxes `(4, k)` if it must wait for one, and can there, m; else inf."""
+    first, end = paths.offsets[i], paths.offsets[i + 1]
+    station, clear, place, meets = 0.0, 0.0, np.inf, False
+    for k in range(max(first, first + np.searchsorted(paths.t[first:end], phase, side="right") - 1), end - 1):
+        span, length = paths.t[k + 1] - paths.t[k], hypot(paths.x[k + 1] - paths.x[k], paths.y[k + 1] - paths.y[k])
+        start = max((phase - paths.t[k]) / span, 0.0)
+        steps = int((1.0 - start) * length / FINE_M) + 1
+        for m in range(steps + 1):
+            u = start + (1.0 - start) * m / steps
+            s = station + (u - start) * length
+            # (1)
+            tau = max(paths.t[k] + u * span - phase, (sqrt(speed * speed + 2.0 * ACCEL_MPS2 * s) - speed) / ACCEL_MPS2)
+            if tau > LOOK_AHEAD_S:
+                break
+            x, y = paths.x[k] + u * (paths.x[k + 1] - paths.x[k]), paths.y[k] + u * (paths.y[k + 1] - paths.y[k])
+            yaw, free = paths.yaw[k] + u * (paths.yaw[k + 1] - paths.yaw[k]), True
+            for b in range(boxes.shape[1]):
+                if overlap(x, y, yaw, own[0], own[1], boxes[1, b], boxes[2, b], boxes[3, b], size[0], size[1]):
+                    free, meets = False, meets or (by_right[b] and abs(boxes[0, b] - tau) <= SERIOUS_S)
+            if free and not np.isfinite(place):
+                clear = s
+            elif not free and not np.isfinite(place):
+                place = clear
+        station += (1.0 - start) * length
+    return place if meets and speed * speed <= 2.0 * HARDEST_MPS2 * place and place > 0.0 else np.inf

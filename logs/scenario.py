@@ -4,77 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import Enum
+from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
 
+from logs.agents import AgentKind, Agents
 from logs.kernel import BoolArray, FloatArray, IntArray, frozen, kernel
+from logs.motion import Motion, estimated
+from logs.presence import patience
 from logs.road import Goal, Road
 from logs.rules import TrafficLight
 from logs.states import Controls, Trajectory
 from logs.vehicle import VehicleParameters
 
-MAX_AGE_S = 0.5
-"""An agent that was not seen for longer than this is no longer assumed to be there."""
 TREND_S = 1.0
 """Yaw rate and acceleration are backward differences over at most this; one sample back where samples are rarer."""
-_UNKNOWN = frozen(np.empty(0))
-_Motion = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
-
-
-class AgentKind(Enum):
-    """What a road user is."""
-
-    CAR = "car"
-    TRUCK = "truck"
-    BUS = "bus"
-    MOTORCYCLE = "motorcycle"
-    BICYCLE = "bicycle"
-    PEDESTRIAN = "pedestrian"
-    OBJECT = "object"
-
-    @property
-    def is_vulnerable(self) -> bool:
-        """Pedestrians and riders."""
-        return self in (AgentKind.PEDESTRIAN, AgentKind.BICYCLE, AgentKind.MOTORCYCLE)
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Agents:
-    """Road users at one instant: `(n,)` each, world frame, box centres, m, rad, m/s.
-
-    Attributes:
-        yaw_rate: rad/s; 0 where it is not known, and of pedestrians, who turn on the spot. `accel` likewise: rate of
-            the speed, m/s2. Left out: all 0.
-    """
-
-    ids: tuple[str, ...]
-    kinds: tuple[AgentKind, ...]
-    length: FloatArray
-    width: FloatArray
-    x: FloatArray
-    y: FloatArray
-    yaw: FloatArray
-    vx: FloatArray
-    vy: FloatArray
-    yaw_rate: FloatArray = field(default_factory=lambda: _UNKNOWN)
-    accel: FloatArray = field(default_factory=lambda: _UNKNOWN)
-
-    def __post_init__(self) -> None:
-        for name in ("yaw_rate", "accel"):
-            if getattr(self, name) is _UNKNOWN:
-                object.__setattr__(self, name, np.zeros(len(self.ids)))
-        for name in ("length", "width", "x", "y", "yaw", "vx", "vy", "yaw_rate", "accel"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-
-    def __len__(self) -> int:
-        return len(self.ids)
-
-    @property
-    def speed(self) -> FloatArray:
-        """Length of the velocity vector `(n,)`, m/s."""
-        return np.hypot(self.vx, self.vy)
+FINDING = "reference_"
+"""Metadata entries that begin so are what the replay found out about a scenario: never read from a log."""
+__all__ = ["FINDING", "AgentKind", "Agents", "Scenario", "Tracks"]
+_State = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 
 
 @kernel
@@ -209,38 +158,62 @@ class Tracks:
         """The samples of track `index`."""
         return slice(int(self.offsets[index]), int(self.offsets[index + 1]))
 
+    @cached_property
+    def patience(self) -> FloatArray:
+        """How long each sample stands for its agent `(m,)`, s (`logs.presence`)."""
+        return frozen(patience(self.offsets, self.static, self.t))
+
+    @cached_property
+    def gap_after(self) -> BoolArray:
+        """Whether nothing is known between a sample and the next one of its track `(m,)`; False for the last."""
+        found = np.diff(self.t, append=np.inf) > self.patience + 1e-9
+        found[self.offsets[1:] - 1] = False
+        return frozen(found, np.bool_)
+
+    @cached_property
+    def motion(self) -> Motion:
+        """Velocity and acceleration at each sample as estimated from the whole track: for judges, never planners."""
+        parts = np.union1d(self.offsets, np.flatnonzero(self.gap_after) + 1)
+        owner = np.searchsorted(self.offsets, parts[:-1], side="right") - 1
+        return estimated(self.kinds, ~self.static, parts, owner, (self.t, self.x, self.y, self.vx, self.vy))
+
     def perceived(self, time: float) -> Agents:
         """The agents as known at `time`: never from a sample later than it.
 
-        The last sample not older than `MAX_AGE_S` is carried on with its velocity: the logged one, or, where the
+        The last sample not older than its `patience` is carried on with its velocity: the logged one, or, where the
         log has none, the backward difference to the sample before (0 for a first sample).
         """
         index = _last_samples(self.offsets, self.t, time)
         age = time - self.t[np.maximum(index, 0)]
         index = np.where(self.static & (index < 0), self.offsets[:-1], index)
-        seen = np.flatnonzero((index >= 0) & (self.static | (age <= MAX_AGE_S)))
+        seen = np.flatnonzero((index >= 0) & (self.static | (age <= self.patience[index])))
         at = index[seen]
         vx, vy = self.velocity(seen, at)
         age = np.where(self.static[seen], 0.0, age[seen])
         x, y = self.x[at] + age * vx, self.y[at] + age * vy
-        return self._agents(seen, at, (x, y, self.yaw[at], vx, vy))
+        speed = np.hypot(vx, vy)
+        trends = _trends(seen, at, self.offsets, self.t, self.yaw, self.x, self.y, self.vx, self.vy, speed)
+        return self._agents(seen, (x, y, self.yaw[at], vx, vy), trends[0], trends[1])
 
     def truth(self, time: float) -> Agents:
-        """The agents as they were at `time`, interpolated: for metrics and drawing, never for a planner."""
+        """The agents as they were at `time`, interpolated: for metrics and drawing, never for a planner.
+
+        Velocity and acceleration are those of `motion`, in which later samples are.
+        """
         before = _last_samples(self.offsets, self.t, time)
         last = self.offsets[1:] - 1
-        there = self.static | ((before >= 0) & (self.t[last] >= time - 1e-9))
-        seen = np.flatnonzero(there)
+        gone = self.gap_after[before] & (time > self.t[before] + 1e-9)
+        seen = np.flatnonzero(self.static | ((before >= 0) & (self.t[last] >= time - 1e-9) & ~gone))
         at = np.where(self.static[seen], self.offsets[seen], before[seen])
-        after = np.where(self.static[seen], at, np.minimum(at + 1, last[seen]))
+        after = np.where(self.static[seen] | self.gap_after[at], at, np.minimum(at + 1, last[seen]))
         span = self.t[after] - self.t[at]
         u = np.clip(np.divide(time - self.t[at], span, out=np.zeros(len(at)), where=span > 0.0), 0.0, 1.0)
-        x, y, yaw = (values[at] + u * (values[after] - values[at]) for values in (self.x, self.y, self.yaw))
-        vx, vy = self.velocity(seen, at)
-        moving = span > 0.0
-        vx = np.where(moving, np.divide(self.x[after] - self.x[at], span, out=vx.copy(), where=moving), vx)
-        vy = np.where(moving, np.divide(self.y[after] - self.y[at], span, out=vy.copy(), where=moving), vy)
-        return self._agents(seen, at, (x, y, yaw, vx, vy))
+        moved = self.motion
+        columns = (self.x, self.y, self.yaw, moved.vx, moved.vy, moved.accel)
+        x, y, yaw, vx, vy, accel = (values[at] + u * (values[after] - values[at]) for values in columns)
+        speed = np.hypot(vx, vy)
+        trends = _trends(seen, at, self.offsets, self.t, self.yaw, self.x, self.y, self.vx, self.vy, speed)
+        return self._agents(seen, (x, y, yaw, vx, vy), trends[0], accel)
 
     def velocity(self, seen: IntArray, at: IntArray) -> tuple[FloatArray, FloatArray]:
         """Vectors vx and vy `(k,)` of the tracks `seen` at their samples `at`: logged, else backward differences."""
@@ -256,10 +229,8 @@ class Tracks:
             np.where(np.isfinite(self.vy[at]), self.vy[at], differences[1]) * moves,
         )
 
-    def _agents(self, seen: IntArray, at: IntArray, pose: _Motion) -> Agents:
-        """The tracks `seen`, last sampled `at`, at x, y, yaw, vx, vy."""
-        speed = np.hypot(pose[3], pose[4])
-        trends = _trends(seen, at, self.offsets, self.t, self.yaw, self.x, self.y, self.vx, self.vy, speed)
+    def _agents(self, seen: IntArray, state: _State, yaw_rate: FloatArray, accel: FloatArray) -> Agents:
+        """The tracks `seen` at x, y, yaw, vx, vy."""
         kinds = tuple(self.kinds[i] for i in seen)
         turns = np.array([kind is not AgentKind.PEDESTRIAN for kind in kinds], float) * ~self.static[seen]
         return Agents(
@@ -267,9 +238,9 @@ class Tracks:
             kinds,
             self.length[seen],
             self.width[seen],
-            *pose,
-            yaw_rate=turns * trends[0],
-            accel=np.where(self.static[seen], 0.0, trends[1]),
+            *state,
+            yaw_rate=turns * yaw_rate,
+            accel=np.where(self.static[seen], 0.0, accel),
         )
 
 
@@ -290,7 +261,7 @@ class Scenario:
         source: Where the log comes from; `licence` under which terms.
         origin: World offset `(x, y)` that was subtracted by the reader, m.
         start_ns: Log time of t = 0, nanoseconds.
-        metadata: What else the log says of itself (generator, parameters, seed).
+        metadata: What else the log says of itself (generator, parameters, seed), and what was found out (`FINDING`).
         notes: What was assumed in reading, one sentence each: shown to the user.
         lights: The traffic lights that the road's stop lines name, in order of their ids (ordered here). One that a
             stop line names and that is not among them was not observed.
@@ -323,3 +294,14 @@ class Scenario:
         object.__setattr__(self, "lights", tuple(sorted(self.lights, key=lambda light: light.id)))
         if len({light.id for light in self.lights}) < len(self.lights):
             raise ValueError("two traffic lights have the same id")
+
+    @property
+    def is_recorded(self) -> bool:
+        """Whether its ego was driven by somebody in the world, whose drive can say what a planner may be asked for.
+
+        The tags "recorded" and "synthetic" say so; then whoever names its generator, and CommonRoad's files of unknown
+        source, are not; any other log is if it holds a drive, more than one state of the ego.
+        """
+        if "recorded" in self.tags or "synthetic" in self.tags:
+            return "synthetic" not in self.tags
+        return "generator" not in self.metadata and "commonroad" not in self.tags and len(self.ego) > 1

@@ -89,6 +89,23 @@ def distance(
 
 
 @kernel
+def clearance(
+    x1: float, y1: float, yaw1: float, length1: float, width1: float,
+    x2: float, y2: float, yaw2: float, length2: float, width2: float,
+) -> float:  # fmt: skip
+    """Smallest distance between two boxes, m; where they overlap, minus the shortest shift that parts them (1)."""
+    depth = inf
+    for i in range(4):
+        yaw = yaw1 if i < 2 else yaw2
+        ax, ay = (cos(yaw), sin(yaw)) if i % 2 == 0 else (-sin(yaw), cos(yaw))
+        reach = _axis_reach(ax, ay, yaw1, length1, width1) + _axis_reach(ax, ay, yaw2, length2, width2)
+        depth = min(depth, reach - abs((x2 - x1) * ax + (y2 - y1) * ay))
+    if depth >= 0.0:
+        return -depth
+    return distance(x1, y1, yaw1, length1, width1, x2, y2, yaw2, length2, width2)
+
+
+@kernel
 def time_to_contact(
     x1: float, y1: float, yaw1: float, length1: float, width1: float, vx1: float, vy1: float,
     x2: float, y2: float, yaw2: float, length2: float, width2: float, vx2: float, vy2: float,

@@ -1,8 +1,16 @@
 """Would a careful driver have got through? The verdicts of `reference_drivers`, as the scenario's metadata carry them.
 
-Replay writes them there, since it knows the line; a metric is given the trace and the scenario only. Two rows per
-driver count the three outcomes: `reference_cc.applies` is 1 where the ego would meet somebody if nobody braked, else 0;
-where it applies, `reference_cc.avoids` is 1 or 0, else it is unavailable and says why.
+Replay writes them there (`replay.avoidability`), since it knows the line; a metric is given the trace and the scenario
+only. What a log says of itself under these keys is dropped when it is read: the entries are of the scenario that is
+driven. Three rows per driver: `reference_cc.applies` is 1 where the ego would meet somebody if nobody braked, else 0;
+where it applies, `reference_cc.avoids` is 1 or 0, and `reference_cc.margin` says by how many metres (negative: by how
+many not); else both are unavailable and say why. The entries, of "cc" as of "fsm":
+
+    reference_cc            "avoidable", "unavoidable" or "not applicable"
+    reference_cc.reason     a sentence, with the margin and whether it is marginal
+    reference_cc.agent      id of the agent that the driver touches, else of the one that it avoids; where it applies
+    reference_cc.margin     m, as a number
+    reference_cc.marginal   "yes" or "no"
 """
 
 from __future__ import annotations
@@ -11,47 +19,53 @@ from functools import partial
 
 import numpy as np
 
-from logs.scenario import Scenario
+from logs.scenario import FINDING, Scenario
 from logs.trace import Mode, Trace
 from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
 from metrics.reference_drivers import Outcome, Verdict
 
-ABSENT = "the log carries no verdict of a reference driver"
-_VALUE = {Outcome.AVOIDABLE: 1.0, Outcome.UNAVOIDABLE: 0.0, Outcome.NOT_APPLICABLE: np.nan}
+ABSENT = "the reference drivers were not asked"
 
-AVOIDS = Reduction("avoids", lambda series: (float(series.value[0]), -1), direction="none")
-APPLIES = Reduction("applies", lambda series: (1.0, -1), direction="none", empty=0.0)
+AVOIDS = Reduction("avoids", lambda series: (float(series.value[0] > 0.0), -1), "1", "none")
+APPLIES = Reduction("applies", lambda series: (1.0, -1), "1", "none", empty=0.0)
+MARGIN = Reduction("margin", lambda series: (float(series.value[0]), -1), "m", "higher")
 
 
 def metadata_of(verdict: Verdict) -> dict[str, str]:
     """The metadata entries of a verdict."""
-    key = f"reference_{verdict.driver}"
-    return {key: verdict.outcome.value, f"{key}.reason": verdict.reason}
+    key = f"{FINDING}{verdict.driver}"
+    entries = {key: verdict.outcome.value, f"{key}.reason": verdict.reason}
+    if verdict.agent:
+        entries[f"{key}.agent"] = verdict.agent
+    return {**entries, f"{key}.margin": repr(verdict.margin), f"{key}.marginal": "yes" if verdict.marginal else "no"}
 
 
 def _reference(trace: Trace, scenario: Scenario, *, driver: str) -> Measured:
-    told = scenario.metadata.get(f"reference_{driver}")
-    if told not in {outcome.value for outcome in Outcome}:
+    key = f"{FINDING}{driver}"
+    found = scenario.metadata.get(key)
+    if found not in {outcome.value for outcome in Outcome}:
         return Unavailable(ABSENT)
-    reason = scenario.metadata.get(f"reference_{driver}.reason", "")
-    value = np.array([_VALUE[Outcome(told)]])
+    reason = scenario.metadata[f"{key}.reason"]
+    applies = Outcome(found) is not Outcome.NOT_APPLICABLE
+    value = np.array([float(scenario.metadata[f"{key}.margin"]) if applies else np.nan])
     return Series(trace.ego.t[:1], value, (reason,), f"not applicable: {reason}")
 
 
 def _metric(driver: str, meaning: str, source: str) -> Metric:
     measure = partial(_reference, driver=driver)
     return Metric(
-        f"reference_{driver}", "1", "none", (Mode.CLOSED,), measure, (AVOIDS, APPLIES), meaning, source,
+        f"reference_{driver}", "m", "higher", (Mode.CLOSED,), measure, (AVOIDS, APPLIES, MARGIN), meaning, source, 2,
         formula="the reference driver, braking on the ego's line among the tracks as logged",
-        needs="the verdict in the log's metadata; avoids: somebody to meet",
+        needs="avoids and margin: an agent whom the ego would meet at constant speed",
     )  # fmt: skip
 
 
 CC = _metric(
-    "cc", "1 if the competent and careful driver stays clear where one who does not brake would meet somebody.",
+    "cc", "Least distance that the competent and careful driver leaves to the agent that one who does not brake would "
+    "touch, negative where it touches it; it evaluates a cut-in from 0.375 m on, JRC's code from the ego's width on.",
     "UN R157, Annex 4, Appendix 3",
 )  # fmt: skip
 FSM = _metric(
-    "fsm", "1 if the driver of the fuzzy safety model stays clear where one who does not brake would meet somebody.",
-    "Mattas et al., Accid. Anal. Prev. 148 (2020) 105794",
+    "fsm", "Least distance that the driver of the fuzzy safety model leaves to the agent that one who does not brake "
+    "would touch, negative where it touches it.", "Mattas et al., Accid. Anal. Prev. 148 (2020) 105794",
 )  # fmt: skip

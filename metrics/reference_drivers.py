@@ -2,14 +2,16 @@
 
 A driver is a point mass with the ego's box on a reference line, among the tracks as logged. It holds its speed, eases
 down for curves (lateral 3 m/s2, at 1.5 m/s2), brakes as its model says, never accelerates and never steers; an offset
-from the line at the start is undone over `RETURN_S`. It sees everybody in the log. u is another's speed along the line
-(oncoming: 0), v the driver's, gap the free length between the boxes, and the band what the ego's box sweeps.
+from the line at the start is undone over `RETURN_S`. It sees everybody in the log, at the logged positions and with
+the velocity and acceleration that `logs.motion` estimates. u is another's speed along the line (oncoming: 0), w its
+speed towards the band, v the driver's, gap the free length between the boxes, and the band what the ego's box sweeps.
 
     "cc"    the competent and careful driver of UN R157, Annex 4, Appendix 3
-    "fsm"   the fuzzy safety model: Mattas et al., Accid. Anal. Prev. 148 (2020) 105794; UN R157.01, Annex 3
+    "fsm"   the fuzzy safety model (`metrics.fuzzy_safety`)
 
 Whoever is ahead is a hazard to "cc" while it
-(1) cuts in: moves towards the band and has come nearer by more than 0.375 m since it began to;
+(1) cuts in: w > 0.05 m/s, and it is nearer to the band by more than 0.375 m than at its farthest, by its smoothed
+    motion: nearer' = max(nearer + w dt, 0), which noise of the positions does not move;
 (2) crosses: a pedestrian, a rider, or who moves more across the line than along it, is on its way into the band and
     will be in it while the ego passes, both at constant velocity (ours: R157 knows no crossing);
 (3) is in the band and slower than the driver by more than 0.5 m/s; or (4) is in it and brakes with 5 m/s2 or more.
@@ -17,15 +19,22 @@ Whoever is ahead is a hazard to "cc" while it
 with 0.774 g, at 12.65 m/s3, as soon as gap / (v - u) < 2.0 s, in (4) as soon as gap / v < 2.0 s, and until nobody is
 a hazard and nobody in the band nearer than 2 m + 2 s v.
 
-"fsm" asks of everybody in the band, and of who is ahead and on its way into it with (1') lateral gap / lateral speed <
-(gap + both lengths) / (v - u) + 0.1 s, and, if it crosses, not out again before the ego is there (ours), for
-(5) deceleration = 4 + 2 CFS m/s2 where CFS > 0, else 4 PFS;  with a reaction of 0.75 s at first, at 12.65 m/s3
-(6) PFS of gap - 2 m: 0 above safe = 0.75 v + v^2 / 8 - u^2 / 14 + 2 m, 1 below unsafe = 0.75 v + v^2 / 12 - u^2 / 14
-(7) CFS of the gap, with a' = max(a, -4), v' = v + 0.75 a': 0 where v <= u; where v' < u: 1 if gap <
-    (v - u)^2 / (2 |a'|), else 0; else 0 above safe and 1 below unsafe = (v + 0.375 a' - u) 0.75 + (v' - u)^2 / 8, / 12
+Where "cc" is not that of the JRC's code (JRC-FSM 01b05c29): there nothing begins before the other is in the ego's width
+and the time to collision below 2.0 s; only then do the 0.75 s run. Here both times run from when the wandering zone is
+left, so that they may be over when 2.0 s are reached. The regulation does not say when evaluation ends; with this
+reading "cc" brakes in time in 41 to 57 of the 520 cut-ins of JRC's grid in which that code crashes.
 
-between safe and unsafe both are linear. A log reacts to its own ego only: who runs into the driver from behind or while
-it stands is not counted, and is left out from then on; so is who appears where the driver is.
+"fsm" brakes for everybody in the band, and for who is ahead and on its way into it with (5) lateral gap / w <
+(gap + both lengths) / (v - u) + 0.1 s, and, if it crosses, not out again before the ego is there (ours); with a
+reaction of 0.75 s at first, at 12.65 m/s3. A log reacts to its own ego only: who runs into the driver from behind or
+while it stands is not counted, and is left out from then on; so is who appears where the driver is.
+
+The margin of a verdict is the least distance between the driver's box and the agent's over the whole drive:
+(6) avoidable: the least gap that is left to the agent that a driver who does not brake would touch, m, > 0
+    unavoidable: minus the depth of the touch (the shortest shift that parts the boxes), the drive going on through it
+    not applicable: the least gap that a driver who does not brake leaves to anybody
+A verdict is marginal where its margin, or that of the drive without braking, is within `MARGINAL_M`, or where a driver
+who judges `JUDGED_S` earlier or later comes to another one: crossing paths, (2) and (5), and the time of reaction.
 """
 
 from __future__ import annotations
@@ -33,6 +42,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
+from functools import partial
 from math import cos, hypot, nan, pi, sin
 
 import numpy as np
@@ -40,11 +50,18 @@ import numpy as np
 from logs.kernel import BoolArray, FloatArray, kernel
 from logs.road import ReferenceLine, line_frame, line_project
 from logs.scenario import Scenario
-from logs.shapes import overlap
+from logs.shapes import clearance, overlap
 from logs.states import EgoState
+from metrics.fuzzy_safety import FSM_REACT_S, fsm_deceleration
 from metrics.others import Others, name_of, others_at
 
-STEP_S = 0.05
+STEP_S = 0.02
+"""So fine that one step more or less of braking is within what noise does anyway."""
+MARGINAL_M = 0.5
+"""What tracks of 5 cm of noise do to a margin, at 10 Hz and without logged velocities (benchmarks/verdicts.py)."""
+JUDGED_S = 0.15
+"""A fifth of both drivers' reaction time."""
+FSM_AHEAD_S = 0.1
 LONGEST_S = 60.0
 """Only so much of a log is driven."""
 RETURN_S = 3.0
@@ -56,11 +73,11 @@ NEAR_M, ASIDE_M = 150.0, 20.0
 JERK_MPS3 = 12.65
 CC_BRAKE_MPS2, CC_RELEASE_MPS2 = 0.774 * 9.81, 0.4
 CC_EVALUATE_S, CC_REACT_S, CC_TTC_S, CC_THW_S = 0.4, 0.75, 2.0, 2.0
-CC_WANDER_M, CC_LEAD_MPS2, CC_CLOSING_MPS = 0.375, 5.0, 0.5
-FSM_REACT_S, FSM_COMFORT_MPS2, FSM_HARDEST_MPS2, FSM_LEAD_MPS2 = 0.75, 4.0, 6.0, 7.0
-FSM_MARGIN_M, FSM_SAFE_M = 2.0, 2.0
+CC_WANDER_M, CC_TOWARDS_MPS, CC_LEAD_MPS2, CC_CLOSING_MPS = 0.375, 0.05, 5.0, 0.5
 
 NOBODY, CC, FSM = 0, 1, 2
+ANYBODY = -2
+"""As `through`: the drive goes on through nobody, and the least distance is that to anybody."""
 _BEHIND = cos(150.0 / 180.0 * pi)
 
 
@@ -83,6 +100,9 @@ class Verdict:
         brakes: When it begins to brake with more than 1 m/s2, s since the scenario's start; NaN: never.
         meets: When it touches somebody, s; NaN: never.
         speed: At the touch, else at the end, m/s.
+        agent: Id of the agent that the driver touches, else of the one that it would touch without braking; "": none.
+        margin: (6), m; NaN where there is nobody.
+        marginal: Whether little would make it another verdict (module docstring).
     """
 
     driver: str
@@ -91,6 +111,9 @@ class Verdict:
     brakes: float = nan
     meets: float = nan
     speed: float = nan
+    agent: str = ""
+    margin: float = nan
+    marginal: bool = False
 
 
 def careful_driver(scenario: Scenario, line: ReferenceLine, start: EgoState | None = None) -> Verdict:
@@ -114,20 +137,35 @@ def _verdict(name: str, driver: int, scenario: Scenario, line: ReferenceLine, st
     if start.v <= STANDING_MPS:
         return Verdict(name, Outcome.NOT_APPLICABLE, "the ego does not drive at the start")
     t = np.arange(start.t, min(scenario.duration, start.t + LONGEST_S) + 1e-9, STEP_S)
-    others = others_at(scenario.tracks, t)
-    passive = _driven(NOBODY, scenario, line, start, others)
+    drive = partial(_driven, scenario=scenario, line=line, start=start, others=others_at(scenario.tracks, t))
+    passive = drive(NOBODY)
     if passive.meets < 0:
-        return Verdict(name, Outcome.NOT_APPLICABLE, "at constant speed the ego meets nobody")
-    drive = _driven(driver, scenario, line, start, others)
-    braking = np.flatnonzero(drive.a < -1.0)
-    brakes = float(t[braking[0]]) if len(braking) else nan
-    if drive.meets < 0:
-        whom = name_of(scenario.tracks, passive.whom)
-        reason = f"stays clear of {whom}, which it would meet after {t[passive.meets] - t[0]:.1f} s"
-        return Verdict(name, Outcome.AVOIDABLE, reason, brakes, nan, float(drive.v[-1]))
-    speed, whom = float(drive.v[drive.meets]), name_of(scenario.tracks, drive.whom)
-    reason = f"meets {whom} after {t[drive.meets] - t[0]:.1f} s at {speed:.1f} m/s"
-    return Verdict(name, Outcome.UNAVOIDABLE, reason, brakes, float(t[drive.meets]), speed)
+        return _nobody_met(name, drive(NOBODY, through=ANYBODY).least)
+    found = drive(driver)
+    whom = passive.whom if found.meets < 0 else found.whom
+    margin = drive(driver, through=whom).least  # (6)
+    near = min(abs(margin), abs(drive(NOBODY, through=passive.whom).least)) < MARGINAL_M
+    marginal = near or any((drive(driver, late=late).meets < 0) != (found.meets < 0) for late in (-JUDGED_S, JUDGED_S))
+    about, by = name_of(scenario.tracks, whom), f"by {abs(margin):.1f} m{', marginal' * marginal}"
+    braking = np.flatnonzero(found.a < -1.0)
+    brakes, end = float(t[braking[0]]) if len(braking) else nan, found.meets
+    if end < 0:
+        met = f"which it would meet after {t[passive.meets] - t[0]:.1f} s"
+        outcome, reason = Outcome.AVOIDABLE, f"avoidable {by}: stays clear of {about}, {met}"
+    else:
+        met = f"meets {about} after {t[end] - t[0]:.1f} s at {found.v[end]:.1f} m/s"
+        outcome, reason = Outcome.UNAVOIDABLE, f"unavoidable {by}: {met}"
+    meets = float(t[end]) if end >= 0 else nan
+    agent = scenario.tracks.ids[whom]
+    return Verdict(name, outcome, reason, brakes, meets, float(found.v[end]), agent, margin, marginal=marginal)
+
+
+def _nobody_met(name: str, margin: float) -> Verdict:
+    """The verdict where nobody is in the way, missed by `margin` m; NaN: there is nobody."""
+    reason = "at constant speed the ego meets nobody"
+    marginal = margin < MARGINAL_M
+    reason += f": marginal, it misses somebody by {margin:.1f} m" if marginal else ""
+    return Verdict(name, Outcome.NOT_APPLICABLE, reason, margin=margin, marginal=marginal)
 
 
 def careful_drive(scenario: Scenario, line: ReferenceLine) -> Driven:
@@ -145,6 +183,7 @@ class Driven:
         s: Station `(k,)` up to its end, m; `v` speed, `a` acceleration.
         meets: Step of its first touch, -1: none; `whom` the agent, -1: nobody.
         touched: Step in which somebody who is not counted touched it, -1: nobody did.
+        least: Least distance to the agent `through`, m (6); NaN: it was never there, or none was asked for.
     """
 
     s: FloatArray
@@ -153,23 +192,30 @@ class Driven:
     meets: int
     whom: int
     touched: int
+    least: float = nan
 
 
-def _driven(driver: int, scenario: Scenario, line: ReferenceLine, start: EgoState, others: Others) -> Driven:
+def _driven(
+    driver: int,
+    scenario: Scenario,
+    line: ReferenceLine,
+    start: EgoState,
+    others: Others,
+    through: int = -1,
+    late: float = 0.0,
+) -> Driven:
+    """One drive; it goes on through the agent `through` as if it was not hit. `late`: judges so much later, s."""
     car = scenario.vehicle
     s0, l0 = line.project(start.x, start.y)
-    speed = np.hypot(others.pose[3], others.pose[4])
-    back = round(0.2 / STEP_S)
-    accel = np.full(speed.shape, np.nan)
-    accel[:, back:] = (speed[:, back:] - speed[:, :-back]) / (back * STEP_S)
     vulnerable = np.array([kind.is_vulnerable for kind in scenario.tracks.kinds], np.bool_)
     limits = curve_speeds(line.s, line.kappa)
     box = np.array([car.axle_to_center, car.length, car.width])
     state = np.array([s0, l0, start.v])
-    rows, meets, whom, touched = _drive(
-        driver, line.s, line.coef, limits, state, box, others.there, others.pose, others.size, accel, vulnerable
-    )
-    return Driven(rows[0], rows[1], rows[2], meets, whom, touched)
+    rows, meets, whom, touched, least = _drive(
+        driver, line.s, line.coef, limits, state, box, others.there, others.pose, others.size, others.accel, vulnerable,
+        through, late,
+    )  # fmt: skip
+    return Driven(rows[0], rows[1], rows[2], meets, whom, touched, least)
 
 
 @kernel
@@ -181,38 +227,6 @@ def curve_speeds(s: FloatArray, kappa: FloatArray) -> FloatArray:
         if i < len(s) - 1:
             out[i] = min(out[i], (out[i + 1] ** 2 + 2.0 * EASE_MPS2 * (s[i + 1] - s[i])) ** 0.5)
     return out
-
-
-@kernel
-def fsm_fuzzy(gap: float, safe: float, unsafe: float) -> float:
-    """0 from `safe` on, 1 up to `unsafe`, linear between; a step where both are the same."""
-    if gap >= safe:
-        return 0.0
-    if gap <= unsafe or safe - unsafe < 1e-9:
-        return 1.0
-    return (safe - gap) / (safe - unsafe)
-
-
-@kernel
-def fsm_proactive(gap: float, v: float, u: float) -> float:
-    """PFS (6)."""
-    reach = v * FSM_REACT_S - u * u / (2.0 * FSM_LEAD_MPS2)
-    safe = reach + v * v / (2.0 * FSM_COMFORT_MPS2) + FSM_SAFE_M
-    return fsm_fuzzy(gap - FSM_MARGIN_M, safe, reach + v * v / (2.0 * FSM_HARDEST_MPS2))
-
-
-@kernel
-def fsm_critical(gap: float, v: float, u: float, a: float) -> float:
-    """CFS (7)."""
-    if v <= u:
-        return 0.0
-    a = max(a, -FSM_COMFORT_MPS2)
-    v_then = v + FSM_REACT_S * a
-    if v_then < u:  # so a < 0
-        return 1.0 if gap < (v - u) ** 2 / (2.0 * abs(a)) else 0.0
-    reach = (v + 0.5 * a * FSM_REACT_S - u) * FSM_REACT_S
-    square = (v_then - u) ** 2
-    return fsm_fuzzy(gap, reach + square / (2.0 * FSM_COMFORT_MPS2), reach + square / (2.0 * FSM_HARDEST_MPS2))
 
 
 @kernel
@@ -248,43 +262,45 @@ def _seen(
 
 
 @kernel
-def _comes_in(seen: FloatArray, v: float, box: FloatArray, width: float, slack: float) -> bool:
-    """Whether who is beside the band will be in it before the ego is past it and, if it crosses, not out too early."""
+def _comes_in(seen: FloatArray, v: float, box: FloatArray, width: float, slack: float, late: float) -> bool:
+    """Whether who is beside the band will be in it before the ego is past it and, if it crosses, not out too early.
+
+    `slack` s are given to the one, and `late` s less to both.
+    """
     gap, u, aside, towards = seen[0], seen[1], seen[2], seen[3]
     if towards <= 0.0 or v <= u or gap < 0.0:
         return False
     enters = aside / towards
-    passed = (gap + box[1] + seen[4]) / (v - u) + slack
+    passed = (gap + box[1] + seen[4]) / (v - u) + slack - late
     leaves = (aside + box[2] + width) / towards
-    return enters < passed and not (seen[5] > 0.0 and leaves < gap / (v - u))
+    return enters < passed and not (seen[5] > 0.0 and leaves - late < gap / (v - u))
 
 
 @kernel
-def _cc_hazard(seen: FloatArray, brakes: bool, came_nearer: float, v: float, box: FloatArray, width: float) -> bool:
+def _cc_hazard(
+    seen: FloatArray, brakes: bool, came_nearer: float, v: float, box: FloatArray, width: float, late: float
+) -> bool:
     """(1) to (4) of the module docstring."""
     if not np.isfinite(seen[0]):
         return False
     if seen[2] < 0.0:
         return brakes or v - seen[1] > CC_CLOSING_MPS
     if seen[5] > 0.0:
-        return _comes_in(seen, v, box, width, 0.0)
-    return seen[3] > 0.0 and came_nearer > CC_WANDER_M and seen[0] > 0.0
+        return _comes_in(seen, v, box, width, 0.0, late)
+    return seen[3] > CC_TOWARDS_MPS and came_nearer > CC_WANDER_M and seen[0] > 0.0
 
 
 @kernel
 def _cc_wish(
     seen: FloatArray, accel: FloatArray, size: FloatArray, box: FloatArray, v: float, clock: FloatArray,
-    origin: FloatArray, braking: bool,
+    nearer: FloatArray, late: float, braking: bool,
 ) -> float:  # fmt: skip
-    """What "cc" wishes; `clock` (how long each is a hazard) and `origin` (where its approach began) are kept up."""
+    """What "cc" wishes; `clock` (how long each is a hazard) and `nearer` (1) are kept up."""
     wish, held = 0.0, False
     for i in range(len(seen)):
-        if not np.isfinite(seen[i, 0]) or seen[i, 3] <= STANDING_MPS:
-            origin[i] = seen[i, 2] if np.isfinite(seen[i, 0]) else np.nan
-        elif not np.isfinite(origin[i]):
-            origin[i] = seen[i, 2]
+        nearer[i] = max(nearer[i] + STEP_S * seen[i, 3], 0.0) if np.isfinite(seen[i, 0]) else 0.0
         brakes = accel[i] <= -CC_LEAD_MPS2
-        hazard = _cc_hazard(seen[i], brakes, origin[i] - seen[i, 2], v, box, size[i, 1])
+        hazard = _cc_hazard(seen[i], brakes, nearer[i], v, box, size[i, 1], late)
         clock[i] = clock[i] + STEP_S if hazard else 0.0
         near = seen[i, 2] < 0.0 and seen[i, 0] < 2.0 + CC_THW_S * v
         held = held or hazard or near
@@ -293,7 +309,7 @@ def _cc_wish(
         closing = v - seen[i, 1]
         critical = closing > 0.0 and seen[i, 0] < CC_TTC_S * closing
         critical = critical or (brakes and seen[i, 2] < 0.0 and seen[i, 0] < CC_THW_S * v)
-        if critical and clock[i] > CC_EVALUATE_S + CC_REACT_S + 1e-9:
+        if critical and clock[i] > CC_EVALUATE_S + CC_REACT_S + late + 1e-9:
             wish = -CC_BRAKE_MPS2
         elif critical and clock[i] > CC_EVALUATE_S + 1e-9:
             wish = min(wish, -CC_RELEASE_MPS2)
@@ -301,17 +317,14 @@ def _cc_wish(
 
 
 @kernel
-def _fsm_wish(seen: FloatArray, size: FloatArray, box: FloatArray, v: float, a: float) -> float:
-    """Acceleration (5) that "fsm" wishes, without its reaction time."""
+def _fsm_wish(seen: FloatArray, size: FloatArray, box: FloatArray, v: float, a: float, late: float) -> float:
+    """Acceleration that "fsm" wishes, without its reaction time."""
     hardest = 0.0
     for i in range(len(seen)):
         gap, u = seen[i, 0], seen[i, 1]
-        if not np.isfinite(gap) or not (seen[i, 2] < 0.0 or _comes_in(seen[i], v, box, size[i, 1], 0.1)):
+        if not np.isfinite(gap) or not (seen[i, 2] < 0.0 or _comes_in(seen[i], v, box, size[i, 1], FSM_AHEAD_S, late)):
             continue
-        critical = fsm_critical(gap, v, u, a)
-        span = FSM_HARDEST_MPS2 - FSM_COMFORT_MPS2
-        wish = FSM_COMFORT_MPS2 + span * critical if critical > 0.0 else FSM_COMFORT_MPS2 * fsm_proactive(gap, v, u)
-        hardest = max(hardest, wish)
+        hardest = max(hardest, fsm_deceleration(gap, v, u, a))
     return -hardest
 
 
@@ -337,15 +350,28 @@ def _touches(
 
 
 @kernel
+def _nearest(
+    least: float, x: float, y: float, yaw: float, box: FloatArray, pose: FloatArray, size: FloatArray
+) -> float:
+    """The lesser of `least` (NaN: none yet) and the distance of the box with rear axle (x, y) from an agent's (6)."""
+    cx, cy = x + box[0] * cos(yaw), y + box[0] * sin(yaw)
+    if hypot(pose[0] - cx, pose[1] - cy) - 0.5 * (hypot(box[1], box[2]) + hypot(size[0], size[1])) >= least:
+        return least
+    found = clearance(cx, cy, yaw, box[1], box[2], pose[0], pose[1], pose[2], size[0], size[1])
+    return least if least <= found else found
+
+
+@kernel
 def _drive(
     driver: int, knots: FloatArray, coef: FloatArray, limits: FloatArray, start: FloatArray, box: FloatArray,
     there: BoolArray, pose: FloatArray, size: FloatArray, accel: FloatArray, vulnerable: BoolArray,
-) -> tuple[FloatArray, int, int, int]:  # fmt: skip
+    through: int, late: float,
+) -> tuple[FloatArray, int, int, int, float]:  # fmt: skip
     """Rows s, v, a from `start` (s, l, v) to the first touch or the end, and the last three of `Driven`."""
     n, steps = there.shape
     out, seen = np.zeros((3, steps)), np.full((n, 6), np.nan)
-    clock, origin, left_out = np.zeros(n), np.full(n, np.nan), np.zeros(n, np.bool_)
-    s, v, a, waited, braking, touched = start[0], start[2], 0.0, 0.0, False, -1
+    clock, nearer, left_out = np.zeros(n), np.zeros(n), np.zeros(n, np.bool_)
+    s, v, a, waited, braking, touched, least = start[0], start[2], 0.0, 0.0, False, -1, np.nan
     for k in range(steps):
         out[0, k], out[1, k], out[2, k] = s, v, a
         u = min((s - start[0]) / max(RETURN_S * start[2], 10.0), 1.0)
@@ -354,22 +380,25 @@ def _drive(
         x, y = x - l * sin(yaw), y + l * cos(yaw)
         out_before = left_out.sum()
         hit = _touches(x, y, yaw, v, k, box, there, pose, size, left_out)
-        if hit >= 0:
-            return out[:, : k + 1], k, hit, touched
+        for i in range(n):
+            if (i == through or through == ANYBODY) and there[i, k] and not left_out[i]:
+                least = _nearest(least, x, y, yaw, box, pose[:, i, k], size[i])
+        if hit >= 0 and hit != through:
+            return out[:, : k + 1], k, hit, touched, least
         if touched < 0 and k > 0 and left_out.sum() > out_before:
             touched = k
         if s >= knots[-1]:
-            return out[:, : k + 1], -1, -1, touched
+            return out[:, : k + 1], -1, -1, touched, least
         wish = 0.0
         if driver != NOBODY:
             _seen(knots, coef, k, s, l, box, there, pose, size, vulnerable, seen)
         if driver == CC:
-            wish = _cc_wish(seen, accel[:, k], size, box, v, clock, origin, braking)
+            wish = _cc_wish(seen, accel[:, k], size, box, v, clock, nearer, late, braking)
             braking = v > 0.0 and wish <= -CC_BRAKE_MPS2
         elif driver == FSM:
-            wish = _fsm_wish(seen, size, box, v, a)
+            wish = _fsm_wish(seen, size, box, v, a, late)
             waited = waited + STEP_S if wish < 0.0 else 0.0
-            wish = wish if waited > FSM_REACT_S + 1e-9 else 0.0
+            wish = wish if waited > FSM_REACT_S + late + 1e-9 else 0.0
         at = min(max(int((s - knots[0]) / (knots[1] - knots[0])), 0), len(knots) - 1)
         if v > limits[at]:
             wish = min(wish, -EASE_MPS2)
@@ -377,4 +406,4 @@ def _drive(
         v_next = max(v + 0.5 * STEP_S * (a + a_next), 0.0)
         s += 0.5 * STEP_S * (v + v_next)
         v, a = v_next, (a_next if v_next > 0.0 else 0.0)
-    return out, -1, -1, touched
+    return out, -1, -1, touched, least

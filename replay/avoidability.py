@@ -2,8 +2,7 @@
 
 The line is the reference line of the route that the planners drive, too, up to its first lane change: from there on the
 driver keeps its lane, as that of UN R157 does. The entries, for each driver of
-`metrics.reference_drivers.DRIVERS`: `reference_cc` = "avoidable", "unavoidable" or "not applicable", and
-`reference_cc.reason`. `metrics.avoidability` reads them.
+`metrics.reference_drivers.DRIVERS`, are those that `metrics.avoidability` reads and explains.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ from itertools import pairwise
 
 from logs.road import ReferenceLine
 from logs.route import find_route
-from logs.scenario import Scenario
+from logs.scenario import FINDING, Scenario
 from metrics.avoidability import metadata_of
 from metrics.reference_drivers import DRIVERS, Verdict
 from planners.dp_qp.reference_line import make_course
@@ -38,8 +37,7 @@ def verdicts(scenario: Scenario) -> tuple[Verdict, ...]:
 
 
 def with_avoidability(scenario: Scenario) -> Scenario:
-    """The scenario with the verdicts in its metadata; it keeps those that it has."""
-    if all(f"reference_{name}" in scenario.metadata for name in DRIVERS):
-        return scenario
+    """The scenario with the verdicts on it, as it is, in its metadata; entries that it had are replaced."""
+    said = {key: text for key, text in scenario.metadata.items() if not key.startswith(FINDING)}
     entries = {key: text for verdict in verdicts(scenario) for key, text in metadata_of(verdict).items()}
-    return replace(scenario, metadata={**entries, **scenario.metadata})
+    return replace(scenario, metadata={**said, **entries})

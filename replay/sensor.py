@@ -26,7 +26,8 @@ import numpy as np
 from logs.errors import ConfigError
 from logs.frame import Visibility
 from logs.kernel import BoolArray, FloatArray, kernel
-from logs.scenario import MAX_AGE_S, AgentKind, Agents, Scenario
+from logs.presence import MAX_AGE_S
+from logs.scenario import AgentKind, Agents, Scenario
 from logs.shapes import corners
 from logs.states import wrap
 from replay.world import World, box_center

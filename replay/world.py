@@ -12,6 +12,7 @@ from logs.scenario import Tracks
 from logs.shapes import overlap
 from logs.states import EgoState, Trajectory
 from logs.vehicle import VehicleParameters
+from metrics.phantoms import Phantom
 from planners.constant_speed import arc
 
 
@@ -41,31 +42,42 @@ def logged_ego(log: Trajectory, vehicle: VehicleParameters, t: float) -> EgoStat
     return replace(state, t=t, steer=atan(vehicle.wheelbase * state.kappa), yaw_rate=state.v * state.kappa)
 
 
-def contact(world: World, vehicle: VehicleParameters) -> int:
-    """Index into `world.tracks` of the first agent whose box touches the ego's, as they truly are; -1: none."""
+def contact(world: World, vehicle: VehicleParameters, left_out: tuple[Phantom, ...] = ()) -> int:
+    """Index into `world.tracks` of the first agent whose box touches the ego's, as they truly are; -1: none.
+
+    Who is one of the phantoms `left_out` at that time does not count.
+    """
     tracks, ego = world.tracks, world.ego
     if not len(tracks):
         return -1
+    counts = np.ones(len(tracks), np.bool_)
+    for phantom in left_out:
+        if phantom.agent in tracks.ids:
+            counts[tracks.ids.index(phantom.agent)] &= not phantom.t_from < ego.t < phantom.t_to
     x, y = box_center(ego, vehicle)
     return _first_contact(
-        tracks.offsets, tracks.static, tracks.t, tracks.x, tracks.y, tracks.yaw, tracks.length, tracks.width,
-        ego.t, x, y, ego.yaw, vehicle.length, vehicle.width,
+        counts, tracks.offsets, tracks.static, tracks.t, tracks.gap_after, tracks.x, tracks.y, tracks.yaw,
+        tracks.length, tracks.width, ego.t, x, y, ego.yaw, vehicle.length, vehicle.width,
     )  # fmt: skip
 
 
 @kernel
 def _first_contact(
-    offsets: IntArray, static: BoolArray, t: FloatArray, xs: FloatArray, ys: FloatArray, yaws: FloatArray,
-    lengths: FloatArray, widths: FloatArray,
+    counts: BoolArray, offsets: IntArray, static: BoolArray, t: FloatArray, gap_after: BoolArray, xs: FloatArray,
+    ys: FloatArray, yaws: FloatArray, lengths: FloatArray, widths: FloatArray,
     now: float, x: float, y: float, yaw: float, length: float, width: float,
 ) -> int:  # fmt: skip
-    """The first track whose interpolated box overlaps the given one; the same agents as `Tracks.truth(now)`."""
+    """The first track that counts whose box, where `Tracks.truth(now)` has it, overlaps the given one."""
     for i in range(len(offsets) - 1):
         first, end = offsets[i], offsets[i + 1]
         k, u = first, 0.0
+        if not counts[i]:
+            continue
         if not static[i]:
             k = first + np.searchsorted(t[first:end], now + 1e-9, side="right") - 1
             if k < first or t[end - 1] < now - 1e-9:
+                continue
+            if gap_after[k] and now > t[k] + 1e-9:
                 continue
             if k + 1 < end:
                 u = min(max((now - t[k]) / (t[k + 1] - t[k]), 0.0), 1.0)

@@ -387,7 +387,7 @@ def test_at_the_crosswalk_the_pedestrian_goes_first() -> None:
     (zebra,), ego, tracks = scenario.road.crosswalks, scenario.ego, scenario.tracks
     near, far = zebra.polygon[:, 0].min(), zebra.polygon[:, 0].max()
     assert near < tracks.x[0] < far and tracks.y[0] == pytest.approx(-1.75 - 0.6)
-    assert tracks.truth(5.9).speed[0] == 0.0  # waits, so that it can be seen from afar
+    assert tracks.truth(5.9).speed[0] < 0.01  # waits, so that it can be seen from afar
     there = front(scenario)[ego.t <= float(scenario.metadata["pedestrian_off_lane_s"])]
     assert 0.5 <= near - there.max() <= 8.0
     assert 0.5 <= ego.v.min() <= 4.0 and ego.x[-1] > far

@@ -9,7 +9,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from logs import AgentKind, Agents, Road, Scenario, Tracks, Trajectory
-from logs.scenario import MAX_AGE_S
+from logs.presence import MAX_AGE_S, MAX_GAP_S
+from logs.states import EgoState
+from logs.vehicle import VehicleParameters
+from metrics.others import others_at
+from replay.world import World, contact
+
+CAR = VehicleParameters()
 
 COLUMNS = ("t", "x", "y", "yaw", "vx", "vy")
 
@@ -88,12 +94,52 @@ def test_later_samples_may_say_anything(seed: int, time: float, jump: float) -> 
 @given(st.integers(0, 200), st.floats(-1.0, 8.0))
 def test_perceived_are_the_recent_and_the_static(seed: int, time: float) -> None:
     tracks = ragged(seed)
-    expected = []
-    for i in range(len(tracks)):
+    for i, name in enumerate(tracks.ids):
         past = [t for t in tracks.t[tracks.samples(i)] if t <= time]
-        if tracks.static[i] or (past and time - past[-1] <= MAX_AGE_S):
-            expected.append(tracks.ids[i])
-    assert tracks.perceived(time).ids == tuple(expected)
+        there = name in tracks.perceived(time).ids
+        assert there or not (tracks.static[i] or (past and time - past[-1] <= MAX_AGE_S))
+        assert not there or tracks.static[i] or (past and time - past[-1] <= MAX_GAP_S)
+
+
+def at_intervals(*intervals: float) -> Tracks:
+    """A car at 10 m/s, seen at these intervals, beside one that is seen every 0.1 s."""
+    t = np.r_[1.0, 1.0 + np.cumsum(intervals)]
+    often = np.round(np.arange(0.0, 20.0, 0.1), 9)
+    return one_car(
+        np.r_[t, often].tolist(), np.r_[10.0 * t, 10.0 * often].tolist(), ids=("rare", "often"),
+        kinds=(AgentKind.CAR,) * 2, length=[4.0] * 2, width=[2.0] * 2, static=[False] * 2,
+        offsets=[0, len(t), len(t) + len(often)],
+    )  # fmt: skip
+
+
+@given(st.lists(st.floats(0.6, 1.0), min_size=5, max_size=15))
+def test_who_is_sampled_rarely_does_not_flicker(intervals: list[float]) -> None:
+    alone = one_car(np.r_[0.0, np.cumsum(intervals)].tolist(), [0.0] * (len(intervals) + 1))
+    both = at_intervals(*intervals)
+    for t in np.arange(0.0, sum(intervals), 0.1):
+        assert alone.perceived(t).ids == alone.truth(t).ids == ("car",)
+        if t >= intervals[0]:  # beside others who are seen often, it is known to be rare from its second sample on
+            assert "rare" in both.perceived(1.0 + t).ids
+            assert t < intervals[0] + 1e-9 or "rare" in both.truth(1.0 + t).ids
+
+
+def test_a_gap_is_a_gap_for_everybody() -> None:
+    t = np.r_[np.arange(0.0, 2.05, 0.1), np.arange(6.0, 8.05, 0.1)]
+    car = one_car(t.tolist(), (10.0 * t).tolist())
+    for time, shown, true in (
+        (1.55, 1, 1),
+        (2.0, 1, 1),
+        (2.3, 1, 0),
+        (2.6, 0, 0),
+        (5.9, 0, 0),
+        (6.0, 1, 1),
+        (6.55, 1, 1),
+    ):
+        assert (len(car.perceived(time)), len(car.truth(time))) == (shown, true), time
+        assert others_at(car, np.array([time])).there.sum() == true
+        ego = EgoState(time, 10.0 * time - CAR.axle_to_center, 0.0, 0.0, 10.0)
+        assert contact(World(ego, car), CAR) == true - 1
+    assert car.motion.vx == pytest.approx(10.0, abs=1e-6), "nothing is differenced over the gap"
 
 
 @given(st.integers(0, 100), st.floats(0.0, 1.0), st.integers(0, 3))

@@ -20,7 +20,7 @@ from logs.mcap import native, osi
 from logs.mcap.complete import completed, road_along
 from logs.mcap.container import CONVERT, LAST_TIME_NS, MEND, Container, Stream, read_container
 from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
-from logs.scenario import Scenario, Tracks
+from logs.scenario import FINDING, Scenario, Tracks
 from logs.states import Controls, Trajectory
 from logs.vehicle import VehicleParameters
 
@@ -132,7 +132,8 @@ def _from_record(record: dict[str, str], key: str, kind: type[T], default: T) ->
 
 def _free_metadata(container: Container) -> dict[str, str]:
     driven = {f"trace_{key}": value for key, value in container.metadata.get(native.TRACE_RECORD, {}).items()}
-    return {**container.metadata.get(native.FREE_RECORD, {}), **driven}
+    said = container.metadata.get(native.FREE_RECORD, {})
+    return {**{key: text for key, text in said.items() if not key.startswith(FINDING)}, **driven}
 
 
 def _one(streams: dict[str, Stream], topic: str, kind: type[T]) -> T | None:

@@ -1,0 +1,239 @@
+"""How the others moved: velocity and acceleration of every track, for whatever judges. Ground truth, not for planners.
+
+Per axis of the world, with the state (p, v, a) of position m, velocity m/s and acceleration m/s2, white jerk (Li and
+Jilkov, Survey of Maneuvering Target Tracking I, IEEE Trans. AES 39, 2003, eq. 45):
+(1) p' = p + d v + d^2 a / 2,  v' = v + d a,  a' = a + noise;  d the time between samples, s
+(2) Q = q [d^5/20 d^4/8 d^3/6; d^4/8 d^3/3 d^2/2; d^3/6 d^2/2 d],  q the jerk's spectral density, m2/s5
+(3) a sample measures v where the log has a velocity, else p, with the variance R, the same on both axes
+
+(4) sqrt(R) is the track's own: of four samples in a row, the combination that no uniform acceleration changes, with
+    weights of unit length, is noise; squared and summed over both axes its median is 2 ln 2 R. Four samples that are
+    all the same say nothing; `*_FLOOR` and, where there is nothing to go by, `*_UNKNOWN` are stated below
+(5) q is not known either: most drive calmly, some abruptly. Each of `CALM` q_kind is tried, q_kind of `JERK`, and the
+    estimates are averaged with the models' likelihoods as weights, so that no choice is on a knife edge
+(6) forward: a Kalman filter; backward: lambda of Bryson and Frazier (1963; Bierman 1977), which inverts no matrix:
+    lambda^_{k-1} = F' lambda~_k,  lambda~_k = (I - K H)' lambda^_k - H' nu / S,  x_k = x-_k - P-_k lambda~_k
+
+A track is followed exactly where it has no noise, and nothing is differenced. Smoothers in libraries (SciPy's smoothing
+splines) know no measured velocities and no time between samples but a whole fit, a millisecond for each track and axis.
+Both sides of a gap (`logs.presence`) are estimated apart.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import log
+
+import numpy as np
+
+from logs.agents import AgentKind
+from logs.kernel import BoolArray, FloatArray, IntArray, frozen, kernel
+
+JERK = {
+    AgentKind.CAR: 64.0,
+    AgentKind.TRUCK: 25.0,
+    AgentKind.BUS: 25.0,
+    AgentKind.MOTORCYCLE: 64.0,
+    AgentKind.BICYCLE: 16.0,
+    AgentKind.PEDESTRIAN: 16.0,
+    AgentKind.OBJECT: 1.0,
+}
+"""q m2/s5 of who moves abruptly: the square of the change of acceleration, m/s2, that 1 s brings.
+
+Cars and motorcycles brake with 8 m/s2 at most, lorries and buses with 5; a pedestrian comes from 1.6 m/s to a stand,
+and a rider from a roll to 4 m/s2, in 0.4 s; objects that move at all are pushed or blown."""
+CALM = np.array([1.0, 1e-1, 1e-2, 1e-3, 1e-4, 1e-5])
+"""From abrupt to as good as unaccelerated: a car's acceleration changes by 8 to 0.025 m/s2 in 1 s."""
+ACCEL_MPS2 = 3.0
+"""Standard deviation of the acceleration before the first sample."""
+POSITION_FLOOR_M, VELOCITY_FLOOR_MPS = 1e-4, 1e-3
+"""Noise of what carries none: far below what a log resolves, far above rounding."""
+POSITION_UNKNOWN_M, VELOCITY_UNKNOWN_MPS = 0.05, 0.2
+"""Noise of tracks with too few samples to tell: that of a good tracker."""
+_DIFFUSE = np.array([1e6, 1e3])
+"""Variances of the first position (relative to the first sample), m2, and velocity, m2/s2: nothing is known."""
+_NEGLIGIBLE = 1e-9
+"""Models with less weight are not smoothed."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Motion:
+    """Velocity m/s and acceleration m/s2 at each sample of some tracks, `(m,)` each, world."""
+
+    vx: FloatArray
+    vy: FloatArray
+    ax: FloatArray
+    ay: FloatArray
+
+    @property
+    def accel(self) -> FloatArray:
+        """Rate of the speed `(m,)`, m/s2."""
+        speed = np.hypot(self.vx, self.vy)
+        along = self.ax * self.vx + self.ay * self.vy
+        return np.divide(along, speed, out=np.zeros(len(speed)), where=speed > 0.0)
+
+
+def estimated(
+    kinds: tuple[AgentKind, ...], moves: BoolArray, parts: IntArray, owner: IntArray,
+    columns: tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray],
+) -> Motion:  # fmt: skip
+    """The motion of tracks without gaps: part i owns the samples `parts[i] : parts[i + 1]` of the agent `owner[i]`.
+
+    `kinds` and `moves` `(n,)` are per agent: who never moves has the velocity 0. `owner` `(p,)` increases. `columns`
+    are t, x, y, vx, vy `(m,)`, NaN where the log has no velocity.
+    """
+    jerk = np.array([JERK[kind] for kind in kinds]) * moves
+    out = np.zeros((4, len(columns[0])))
+    _smooth_all(parts, owner, jerk, *columns, out)
+    return Motion(*(frozen(row) for row in out))
+
+
+@kernel
+def _smooth_all(
+    parts: IntArray, owner: IntArray, jerk: FloatArray, t: FloatArray, x: FloatArray, y: FloatArray, vx: FloatArray,
+    vy: FloatArray, out: FloatArray,
+) -> None:  # fmt: skip
+    """Fill `out` `(4, m)`: vx, vy, ax, ay."""
+    i = 0
+    while i < len(owner):
+        begin, j = parts[i], i
+        while j < len(owner) and owner[j] == owner[i]:
+            j += 1
+        end, q = parts[j], jerk[owner[i]]
+        if q > 0.0:
+            logged = np.isfinite(vx[begin:end]) & np.isfinite(vy[begin:end])
+            # the columns of what is measured, relative to the first sample so that a world's offset costs no digits
+            zx = np.where(logged, vx[begin:end], x[begin:end] - x[begin])
+            zy = np.where(logged, vy[begin:end], y[begin:end] - y[begin])
+            floors = POSITION_FLOOR_M, VELOCITY_FLOOR_MPS
+            unknown = POSITION_UNKNOWN_M, VELOCITY_UNKNOWN_MPS
+            noise = np.empty(2)
+            for c in range(2):
+                noise[c] = _noise(t[begin:end], zx, zy, logged == (c == 1), floors[c], unknown[c]) ** 2
+            for part in range(i, j):
+                a, b = parts[part] - begin, parts[part + 1] - begin
+                _smooth(
+                    t[begin + a : begin + b], zx[a:b], zy[a:b], logged[a:b], noise, q, out[:, begin + a : begin + b]
+                )
+        i = j
+
+
+@kernel
+def _noise(t: FloatArray, zx: FloatArray, zy: FloatArray, mine: BoolArray, floor: float, unknown: float) -> float:
+    """Standard deviation of the noise (4) of the samples that are `mine`."""
+    found = np.empty(max(len(t) - 3, 0))
+    count = 0
+    for k in range(len(found)):
+        if not mine[k : k + 4].all():
+            continue
+        square, length, still = np.zeros(2), 0.0, True
+        for i in range(4):
+            weight = 1.0
+            for j in range(4):
+                if j != i:
+                    weight *= (t[k + 3] - t[k]) / (t[k + i] - t[k + j])
+            square[0] += weight * (zx[k + i] - zx[k])
+            square[1] += weight * (zy[k + i] - zy[k])
+            length += weight * weight
+            still = still and zx[k + i] == zx[k] and zy[k + i] == zy[k]
+        if not still:
+            found[count] = (square[0] ** 2 + square[1] ** 2) / length
+            count += 1
+    if count > 0:
+        return max((np.median(found[:count]) / (2.0 * log(2.0))) ** 0.5, floor)
+    return floor if len(found) > 0 else unknown
+
+
+@kernel
+def _smooth(
+    t: FloatArray, zx: FloatArray, zy: FloatArray, logged: BoolArray, noise: FloatArray, q: float, out: FloatArray
+) -> None:
+    """Fill `out` `(4, n)`: vx, vy, ax, ay of one part of a track (5)."""
+    n = len(t)
+    if n == 1:
+        if logged[0]:
+            out[0, 0], out[1, 0] = zx[0], zy[0]
+        return
+    means, covs, gains = np.empty((n, 6)), np.empty((n, 6)), np.empty((n, 3))
+    off, spread = np.empty((n, 2)), np.empty(n)
+    scores = np.empty(len(CALM))
+    for i in range(len(CALM)):
+        scores[i] = _forward(t, zx, zy, logged, noise, CALM[i] * q, means, covs, gains, off, spread)
+    weights = np.exp(scores - scores.max())
+    weights /= weights.sum()
+    for i in range(len(CALM)):
+        if weights[i] > _NEGLIGIBLE:
+            _forward(t, zx, zy, logged, noise, CALM[i] * q, means, covs, gains, off, spread)
+            _backward(t, logged, means, covs, gains, off, spread, weights[i], out)
+
+
+@kernel
+def _forward(
+    t: FloatArray, zx: FloatArray, zy: FloatArray, logged: BoolArray, noise: FloatArray, q: float,
+    means: FloatArray, covs: FloatArray, gains: FloatArray, off: FloatArray, spread: FloatArray,
+) -> float:  # fmt: skip
+    """The filter (1) to (3), and the logarithm of its likelihood.
+
+    Fills per sample what is predicted: `means` (p, v, a of x, then of y), `covs` (pp, pv, pa, vv, va, aa: the same for
+    both axes); `gains` K, `off` the innovations and `spread` their variance S.
+    """
+    px, py, ax, ay = zx[0], zy[0], 0.0, 0.0
+    vx, vy = (zx[1] - zx[0]) / (t[1] - t[0]), (zy[1] - zy[0]) / (t[1] - t[0])
+    if logged[0] or logged[1]:
+        at = 0 if logged[0] else 1
+        px, py, vx, vy = 0.0, 0.0, zx[at], zy[at]
+    pp, pv, pa, vv, va, aa = _DIFFUSE[0], 0.0, 0.0, _DIFFUSE[1], 0.0, ACCEL_MPS2**2
+    score = 0.0
+    for k in range(len(t)):
+        if k > 0:
+            d = t[k] - t[k - 1]
+            h = 0.5 * d * d
+            px, py, vx, vy = px + d * vx + h * ax, py + d * vy + h * ay, vx + d * ax, vy + d * ay  # (1)
+            pp += 2.0 * d * pv + 2.0 * h * pa + d * d * vv + 2.0 * d * h * va + h * h * aa + q * d**5 / 20.0  # (2)
+            pv += d * pa + d * vv + (d * d + h) * va + d * h * aa + q * d**4 / 8.0
+            pa += d * va + h * aa + q * d**3 / 6.0
+            vv += 2.0 * d * va + d * d * aa + q * d**3 / 3.0
+            va += d * aa + q * d * d / 2.0
+            aa += q * d
+        means[k, 0], means[k, 1], means[k, 2] = px, vx, ax
+        means[k, 3], means[k, 4], means[k, 5] = py, vy, ay
+        covs[k, 0], covs[k, 1], covs[k, 2], covs[k, 3], covs[k, 4], covs[k, 5] = pp, pv, pa, vv, va, aa
+        if logged[k]:
+            hp, hv, ha, r, ex, ey = pv, vv, va, noise[1], zx[k] - vx, zy[k] - vy
+            s = vv + r
+        else:
+            hp, hv, ha, r, ex, ey = pp, pv, pa, noise[0], zx[k] - px, zy[k] - py
+            s = pp + r
+        kp, kv, ka = hp / s, hv / s, ha / s
+        px, vx, ax = px + kp * ex, vx + kv * ex, ax + ka * ex
+        py, vy, ay = py + kp * ey, vy + kv * ey, ay + ka * ey
+        if logged[k]:  # the measured row without a difference of what is nearly the same
+            pp, pa, aa = pp - kp * hp, pa - kp * ha, aa - ka * ha
+            pv, vv, va = pv * r / s, vv * r / s, va * r / s
+        else:
+            vv, va, aa = vv - kv * hv, va - kv * ha, aa - ka * ha
+            pp, pv, pa = pp * r / s, pv * r / s, pa * r / s
+        gains[k, 0], gains[k, 1], gains[k, 2] = kp, kv, ka
+        off[k, 0], off[k, 1], spread[k] = ex, ey, s
+        score -= log(s) + 0.5 * (ex * ex + ey * ey) / s
+    return score
+
+
+@kernel
+def _backward(
+    t: FloatArray, logged: BoolArray, means: FloatArray, covs: FloatArray, gains: FloatArray, off: FloatArray,
+    spread: FloatArray, weight: float, out: FloatArray,
+) -> None:  # fmt: skip
+    """(6): add `weight` times the smoothed velocity and acceleration to `out` `(4, n)`."""
+    back = np.zeros((2, 3))
+    for k in range(len(t) - 1, -1, -1):
+        d = t[k + 1] - t[k] if k + 1 < len(t) else 0.0
+        measured = 1 if logged[k] else 0
+        for c in range(2):
+            p, v, a = back[c, 0], back[c, 1], back[c, 2]
+            v, a = v + d * p, a + d * v + 0.5 * d * d * p
+            change = gains[k, 0] * p + gains[k, 1] * v + gains[k, 2] * a + off[k, c] / spread[k]
+            p, v = (p, v - change) if measured == 1 else (p - change, v)
+            back[c, 0], back[c, 1], back[c, 2] = p, v, a
+            out[c, k] += weight * (means[k, 3 * c + 1] - covs[k, 1] * p - covs[k, 3] * v - covs[k, 4] * a)
+            out[2 + c, k] += weight * (means[k, 3 * c + 2] - covs[k, 2] * p - covs[k, 4] * v - covs[k, 5] * a)

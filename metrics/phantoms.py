@@ -1,0 +1,115 @@
+"""Phantoms: boxes in which the logged ego stands, which therefore cannot have been there.
+
+Real perception reports boxes where nothing is. A box that overlaps the ego's while the ego was recorded at that place
+is no evidence of a contact. It is left out from the last sample of its track that is `AROUND_S` before the overlap to
+the first that is as long after it; a static one for good, since it is as wrong at any other time.
+
+Only recorded logs are excused (`Scenario.is_recorded`): in a synthesised one whoever made it meant what it holds.
+`without_phantoms` gives tracks that have gaps there (`logs.presence`), so that whatever asks them, metrics as well as
+the contact that ends a drive, agrees.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+
+import numpy as np
+
+from logs.kernel import BoolArray, FloatArray
+from logs.scenario import Scenario, Tracks
+from logs.shapes import overlap
+from metrics.others import ego_boxes, name_of, others_at
+
+AROUND_S = 1.0
+"""Before and after: 2 s together, more than `logs.presence.MAX_GAP_S`: what is left out is a gap of any track."""
+GRID_S = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class Phantom:
+    """A box that the recorded ego stood in.
+
+    Attributes:
+        agent: Id of the track; `name` with its kind: "car 12".
+        t_from: It is left out after this, s; -inf: from the begin.
+        t_to: And before this, s; inf: to the end.
+    """
+
+    agent: str
+    name: str
+    t_from: float
+    t_to: float
+
+
+def phantoms(scenario: Scenario) -> tuple[Phantom, ...]:
+    """Those of a recorded log, in order of tracks and time; none in any other."""
+    if not scenario.is_recorded or not len(scenario.tracks):
+        return ()
+    ego, tracks = scenario.ego, scenario.tracks
+    t = np.union1d(ego.t, np.arange(ego.t[0], ego.t[-1], GRID_S))
+    boxes, others, car = ego_boxes(ego.resampled(t), scenario), others_at(tracks, t), scenario.vehicle
+    reach = 0.5 * (np.hypot(car.length, car.width) + np.hypot(*others.size.T))
+    near = others.there & (np.hypot(others.pose[0] - boxes[0], others.pose[1] - boxes[1]) <= reach[:, None])
+    found = []
+    for i in np.flatnonzero(near.any(axis=1)):
+        size = others.size[i]
+        inside = near[i].copy()
+        for k in np.flatnonzero(inside):
+            (x1, y1, yaw1), (x2, y2, yaw2) = boxes[:3, k], others.pose[:3, i, k]
+            inside[k] = overlap(x1, y1, yaw1, car.length, car.width, x2, y2, yaw2, size[0], size[1])
+        found += [_phantom(tracks, int(i), float(t[a]), float(t[b])) for a, b in _runs(inside, t)]
+    return tuple(dict.fromkeys(found))
+
+
+def _runs(flags: BoolArray, t: FloatArray) -> list[tuple[int, int]]:
+    """First and last step of each run of flags; runs whose margins meet are one."""
+    runs: list[tuple[int, int]] = []
+    for k in np.flatnonzero(flags):
+        if runs and t[k] - t[runs[-1][1]] <= 2.0 * AROUND_S:
+            runs[-1] = (runs[-1][0], int(k))
+        else:
+            runs.append((int(k), int(k)))
+    return runs
+
+
+def _phantom(tracks: Tracks, i: int, begin: float, end: float) -> Phantom:
+    t, name = tracks.t[tracks.samples(i)], name_of(tracks, i)
+    if tracks.static[i]:
+        return Phantom(tracks.ids[i], name, -inf, inf)
+    before, after = t[t <= begin - AROUND_S], t[t >= end + AROUND_S]
+    return Phantom(
+        tracks.ids[i], name, float(before[-1]) if len(before) else -inf, float(after[0]) if len(after) else inf
+    )
+
+
+def without_phantoms(tracks: Tracks, found: tuple[Phantom, ...]) -> Tracks:
+    """The tracks less the samples of phantoms while they are such; who has none left is not among them.
+
+    Also for tracks that a drive moved: agents are known by their ids. With no phantoms, the same object.
+    """
+    if not found:
+        return tracks
+    owner = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets))
+    keep = np.ones(len(tracks.t), np.bool_)
+    for phantom in found:
+        if phantom.agent in tracks.ids:
+            mine = owner == tracks.ids.index(phantom.agent)
+            keep &= ~(mine & (phantom.t_from < tracks.t) & (tracks.t < phantom.t_to))
+    sizes = np.bincount(owner[keep], minlength=len(tracks))
+    left = np.flatnonzero(sizes)
+    columns = (getattr(tracks, name)[keep] for name in ("t", "x", "y", "yaw", "vx", "vy"))
+    return Tracks(
+        tuple(tracks.ids[i] for i in left),
+        tuple(tracks.kinds[i] for i in left),
+        tracks.length[left],
+        tracks.width[left],
+        tracks.static[left],
+        np.r_[0, np.cumsum(sizes[left])],
+        *columns,
+    )
+
+
+def is_phantom(found: tuple[Phantom, ...], agent: str, t: float) -> bool:
+    """Whether the agent of this id is one at the time `t`, s."""
+    return any(phantom.agent == agent and phantom.t_from < t < phantom.t_to for phantom in found)

@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from importlib import import_module
 from types import MappingProxyType
 
@@ -37,6 +38,7 @@ from metrics import (
     tracking,
 )
 from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
+from metrics.phantoms import phantoms, without_phantoms
 
 __all__ = ["COLUMNS", "METRICS", "Metric", "Reduction", "Series", "Unavailable", "evaluate", "load_metric", "series"]
 
@@ -46,22 +48,26 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
         accuracy.MISS,
     ),
     "safety": (
-        safety.COLLISION, safety.COLLISION_AT_FAULT, safety.GAP, safety.GAP_VULNERABLE, safety.TTC, safety.OFF_ROAD,
+        safety.COLLISION, safety.COLLISION_AT_FAULT, safety.GAP, safety.GAP_VULNERABLE, safety.GAP_KEPT,
+        safety.GAP_KEPT_VULNERABLE, safety.TTC, safety.OFF_ROAD,
         safety.PLAN_COLLISION,
         safety.TTC_VULNERABLE, severity.COLLISION_SEVERITY, following.HEADWAY, following.THW, following.DRAC,
         following.REQUIRED_DECEL, following.BTN, following.STN, following.FOLLOWING_GAP, encounters.TTC_ACCELERATED,
         encounters.DCE, encounters.TTCE, encounters.PET, rss.RSS_MARGIN, rss.RSS_IMPROPER,
     ),
-    "rules": (rules.RED_LIGHT, rules.STOP_SIGN, rules.CROSSWALK, right_of_way.PRIORITY_GAP),
-    "lanes": (lane_keeping.WRONG_WAY, lane_keeping.LANE_KEEPING),
+    "rules": (
+        rules.RED_LIGHT, rules.STOP_SIGN, rules.CROSSWALK, right_of_way.PRIORITY_GAP,
+        lane_keeping.WRONG_WAY, lane_keeping.LANE_KEEPING, progress.SPEED_EXCESS, progress.SPEED_RATIO,
+    ),
     "comfort": (
         comfort.LON_ACCEL, comfort.LAT_ACCEL, comfort.LON_JERK_STATE, comfort.LAT_JERK_STATE, comfort.YAW_RATE,
         comfort.PLAN_LON_ACCEL, comfort.PLAN_LAT_ACCEL, comfort.PLAN_LON_JERK,
         comfort.JERK_STATE, comfort.YAW_ACCEL, *comfort.NUPLAN, comfort.LAT_JERK_R79,
     ),
     "progress": (
-        progress.COMPLETED, progress.GOAL, progress.PROGRESS, progress.DISTANCE, progress.SPEED, progress.SPEED_EXCESS,
-        progress.ROUTE_PROGRESS, progress.COMPLETION, progress.SPEED_RATIO,
+        progress.COMPLETED, progress.GOAL, progress.PROGRESS, progress.DISTANCE, progress.SPEED,
+        progress.ROUTE_PROGRESS,
+        progress.COMPLETION,
     ),
     "tracking": (tracking.LATERAL, tracking.HEADING, tracking.SPEED, tracking.STATION),
     "effort": (
@@ -74,6 +80,7 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
     ),
     "evidence": (
         evidence.COVERAGE, evidence.REPLAY_CONTACT, evidence.PLAN_REFUSED, evidence.PLAN_CORRECTED, evidence.ENSEMBLE,
+        evidence.PHANTOM,
         divergence.DIVERGENCE, divergence.WEAK, divergence.DISPLACED,
     ),
     "reference": (avoidability.CC, avoidability.FSM),
@@ -144,9 +151,11 @@ def load_metric(spec: str) -> Metric:
 def _measured(
     trace: Trace, scenario: Scenario, metrics: Mapping[str, Metric]
 ) -> Iterator[tuple[Metric, str, Measured]]:
+    """Every metric of the trace's mode, part by part; what is a phantom is left out for all of them."""
+    judged = replace(trace, agents=without_phantoms(trace.agents, phantoms(scenario)))
     for metric in metrics.values():
         if trace.mode in metric.modes:
-            for name, found in metric.measured(trace, scenario).items():
+            for name, found in metric.measured(judged, scenario).items():
                 yield metric, name, found
 
 

@@ -32,7 +32,7 @@ from logs.trace import Mode, Trace
 from metrics.exposure import seconds_below
 from metrics.metric import MIN, Measured, Metric, Series
 from metrics.others import Others, ego_boxes, name_of, others_at
-from metrics.path_ahead import GRID_S, accel_at, grid_of
+from metrics.path_ahead import GRID_S, grid_of
 from metrics.safety import _apart, _behind, _labels
 
 HORIZON_S = 10.0
@@ -202,8 +202,7 @@ def _scene(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, Fl
 
 def _ttc_accelerated(trace: Trace, scenario: Scenario) -> Measured:
     t, boxes, ego_accel, box, others = _scene(trace, scenario)
-    accel = accel_at(trace.agents, t)
-    least, agent = _accelerated(boxes, ego_accel, box, others.there, others.pose, others.size, accel)
+    least, agent = _accelerated(boxes, ego_accel, box, others.there, others.pose, others.size, np.nan_to_num(others.accel))
     nothing = f"never on a course to touch within {HORIZON_S:g} s"
     return Series(t, least, _labels(trace, agent), nothing)
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from logs.scenario import Scenario
 from logs.trace import EndReason, Mode, PlanStatus, Trace
-from metrics.metric import FINAL, RATE, Measured, Metric, Reduction, Series, Unavailable
+from metrics.metric import COUNT, FINAL, RATE, Measured, Metric, Reduction, Series, Unavailable
+from metrics.phantoms import phantoms
 from metrics.plans import frame_times
 
 
@@ -33,6 +34,12 @@ def _with_status(status: PlanStatus, trace: Trace, scenario: Scenario) -> Measur
     plans = [frame.plan for frame in trace.frames]
     flags = np.array([float(plan.status is status) for plan in plans])
     return Series(frame_times(trace), flags, tuple(p.reason if p.status is status else "" for p in plans))
+
+
+def _phantom(trace: Trace, scenario: Scenario) -> Measured:
+    found = phantoms(scenario)
+    names = "; ".join(dict.fromkeys(phantom.name for phantom in found))
+    return Series(trace.ego.t[:1], np.array([float(len(found))]), (names,))
 
 
 COVERAGE = Metric(
@@ -63,4 +70,10 @@ ENSEMBLE = Metric(
     "Whether the verdict on a log holds where it is driven again in worlds that should not matter: share of them in"
     " which it passes, and 1 where one of them has another verdict.",
     needs="--ensemble N",
+)  # fmt: skip
+PHANTOM = Metric(
+    "phantom", "count", "none", (Mode.OPEN, Mode.CLOSED), _phantom, (COUNT,),
+    "Boxes in which the recorded ego stood: they are left out of all metrics and end no drive, from 1 s before to 1 s"
+    " after.",
+    needs="counted in recorded logs only; 0 in others",
 )  # fmt: skip

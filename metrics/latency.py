@@ -1,13 +1,21 @@
 """Deadline misses: plans that took longer than they may. Wall clock, so not in the table of metrics.
 
 `metrics.parquet` is the same byte for byte for the same input; how long a plan takes is not, and is in
-`timings.parquet`. What is counted here is for a table of its own.
+`timings.parquet`. What is counted here is for a table of its own, and its gate for the run's summary only.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import pandas as pd
 
+from metrics.gates import Gate, Gates
+from metrics.judge import Verdict, judge
+
+SHARE = "deadline.share"
+MAX_SHARE = 0.01
+"""So many of a drive's plans may be late."""
 _DRIVE = ["log", "planner", "mode"]
 COLUMNS = ("log", "planner", "mode", "plans", "misses", "share", "worst_s", "worst_t_s")
 
@@ -31,6 +39,22 @@ def deadline_misses(timings: pd.DataFrame, deadline_s: float) -> pd.DataFrame:
     total = timings[timings["stage"] == "total"]
     rows = [(*drive, *_counted(plans, deadline_s)) for drive, plans in total.groupby(_DRIVE, sort=False)]
     return pd.DataFrame(rows, columns=list(COLUMNS))
+
+
+def judge_deadline(
+    timings: pd.DataFrame, deadline_s: float, tags: Mapping[str, tuple[str, ...]]
+) -> tuple[Verdict, ...]:
+    """The verdicts on the share of late plans, at most `MAX_SHARE` in each drive; arguments as of `deadline_misses`."""
+    late = deadline_misses(timings, deadline_s)
+    said = [
+        f"{row.misses} of {row.plans} plans took longer than {deadline_s:g} s, one {row.worst_s:.3g} s"
+        for row in late.itertuples()
+    ]
+    table = late[_DRIVE].assign(
+        oracle=False, metric=SHARE, value=late["share"], unit="1", available=True, reason=said, time_s=late["worst_t_s"]
+    )
+    gate = Gate(SHARE, max=MAX_SHARE, reason=f"plans are made within {deadline_s:g} s on this machine")
+    return judge(Gates((gate,), "deadline"), table, tags)
 
 
 def _counted(plans: pd.DataFrame, deadline_s: float) -> tuple[int, int, float, float, float]:

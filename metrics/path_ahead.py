@@ -24,7 +24,7 @@ from math import atan2, cos, hypot, pi, sin
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
-from logs.scenario import Scenario, Tracks
+from logs.scenario import Scenario
 from logs.shapes import corners
 from logs.states import Trajectory
 from logs.trace import Trace
@@ -36,7 +36,6 @@ COMING_MPS = 0.5
 STANDING_MPS = 0.05
 """nuPlan devkit e9241677: a road user that is not faster stands."""
 PIECES = 4
-ACCEL_WINDOW_S = 0.2
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -74,21 +73,13 @@ def grid_of(trace: Trace) -> Trajectory:
     return trace.ego.resampled(np.r_[steps, last] if last > steps[-1] else steps)
 
 
-def accel_at(tracks: Tracks, t: FloatArray) -> FloatArray:
-    """Rate of the agents' speeds `(n, k)`, m/s2: the difference over the last `ACCEL_WINDOW_S`; 0 where not known."""
-    now, then = (others_at(tracks, times) for times in (t, t - ACCEL_WINDOW_S))
-    change = np.hypot(now.pose[3], now.pose[4]) - np.hypot(then.pose[3], then.pose[4])
-    return np.where(now.there & then.there, change / ACCEL_WINDOW_S, 0.0)
-
-
 def ahead_of(trace: Trace, scenario: Scenario) -> Ahead:
     """Who was in front, on `grid_of(trace)`."""
     ego, car = grid_of(trace), scenario.vehicle
     others = others_at(trace.agents, ego.t)
     states = np.stack([ego.x, ego.y, ego.yaw, ego.v, ego.kappa])
     box = np.array([car.axle_to_center, car.length, car.width])
-    accel = accel_at(trace.agents, ego.t)
-    rows, agent = _leads(states, box, others.there, others.pose, others.size, accel)
+    rows, agent = _leads(states, box, others.there, others.pose, others.size, np.nan_to_num(others.accel))
     return Ahead(ego.t, ego.v, ego.a, agent, *rows)
 
 

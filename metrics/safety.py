@@ -234,10 +234,24 @@ def impact_speed(contact: Contact, trace: Trace, scenario: Scenario) -> float:
     return float(np.hypot(*(theirs - mine)))
 
 
-def _gap(trace: Trace, scenario: Scenario, *, vulnerable_only: bool) -> Measured:
+@kernel
+def _approachable(ego: FloatArray, axle: float, there: BoolArray, pose: FloatArray) -> BoolArray:
+    """Whom the ego drives by or towards `(n, k)`: it moves, and they are not behind."""
+    out = there.copy()
+    for k in range(there.shape[1]):
+        x, y, yaw = ego[0, k], ego[1, k], ego[2, k]
+        stands = hypot(ego[3, k], ego[4, k]) <= STANDING_MPS
+        for i in range(len(there)):
+            behind = _behind(x - axle * cos(yaw), y - axle * sin(yaw), yaw, pose[0, i, k], pose[1, i, k])
+            out[i, k] = there[i, k] and not stands and not behind
+    return out
+
+
+def _gap(trace: Trace, scenario: Scenario, *, vulnerable_only: bool, kept: bool = False) -> Measured:
     ego, others = ego_boxes(trace.ego, scenario), others_at(trace.agents, trace.ego.t)
     wanted, vehicle = _wanted(trace, vulnerable_only), scenario.vehicle
-    gap, nearest = _gaps(ego, vehicle.length, vehicle.width, others.there, others.pose, others.size, wanted)
+    there = _approachable(ego, vehicle.axle_to_center, others.there, others.pose) if kept else others.there
+    gap, nearest = _gaps(ego, vehicle.length, vehicle.width, there, others.pose, others.size, wanted)
     nobody = "no pedestrian or rider in the scene" if vulnerable_only else "no other road user in the scene"
     return Series(trace.ego.t, gap, _labels(trace, nearest), nobody)
 
@@ -341,6 +355,19 @@ GAP_VULNERABLE = Metric(
     (MIN, time_below(0.5, "time_below_50cm")),
     "Least distance to a pedestrian or rider.",
     formula="as gap", needs="a pedestrian or rider",
+)  # fmt: skip
+_KEPT = "as gap, while the ego moves (above 0.05 m/s) and of agents not more than 150 degrees off its heading"
+GAP_KEPT = Metric(
+    "gap_kept", "m", "higher", (Mode.CLOSED,), partial(_gap, vulnerable_only=False, kept=True),
+    (MIN, time_below(0.2, "time_below_20cm")),
+    "Least distance that the ego leaves to another as it drives: not to those behind, and none while it stands.",
+    formula=_KEPT, needs="another road user",
+)  # fmt: skip
+GAP_KEPT_VULNERABLE = Metric(
+    "gap_kept_vulnerable", "m", "higher", (Mode.CLOSED,), partial(_gap, vulnerable_only=True, kept=True),
+    (MIN, time_below(0.5, "time_below_50cm")),
+    "Least distance that the ego leaves to a pedestrian or rider as it drives.",
+    formula=_KEPT, needs="a pedestrian or rider",
 )  # fmt: skip
 _TTC_TIMES = (MIN, seconds_below(0.95, "time_below_950ms"), seconds_below(TAU_S, "time_below_1500ms"),
               integrated_below(TAU_S, "integrated_1500ms"))  # fmt: skip

@@ -112,6 +112,9 @@ def evaluate(
         int | None,
         typer.Option(min=0, help="Drive each log so many times more, in worlds that should not matter: is it fragile?"),
     ] = None,
+    deadline: Annotated[
+        float | None, typer.Option(help="Seconds that a plan may take; a gate on it is asked only with this option.")
+    ] = None,
     workers: Annotated[
         int | None, typer.Option(min=0, help="Processes; 0: in this one. Default: one per core. Same results.")
     ] = None,
@@ -155,6 +158,7 @@ def evaluate(
             "internals": internals,
             "recording": False if no_recording else None,
             "ensemble": ensemble,
+            "deadline_s": deadline,
         }
         loop = {
             "vehicle": vehicle,

@@ -8,6 +8,8 @@
     metrics = []                     # of your own, beside the built-in ones: "module:NAME"
     ensemble = 0                     # each log so many times more, in worlds that should not matter (replay.perturb)
 
+    deadline_s = 0.0                 # a plan may take so long (0.1 at 10 Hz); 0: not asked, as clocks differ
+
     [loop]                           # LoopConfig
     [planner.dp_qp]                  # keywords of the planner
     [vehicle]                        # VehicleParameters: takes the place of what the logs say
@@ -53,6 +55,7 @@ class RunConfig:
         recording: Whether Rerun recordings are written.
         metrics: "module:NAME" of metrics from outside, measured beside the built-in ones.
         ensemble: How many times each log is driven again under a perturbation (`replay.perturb`).
+        deadline_s: At most 1 % of a drive's plans may take longer, s; 0: not asked.
         loop: Periods and limits of the loops.
         planner: Keywords of each planner, by the name given in `planners`.
         vehicle: Vehicle parameters by name that replace those of the logs; "set" names a known vehicle for all of them.
@@ -65,6 +68,7 @@ class RunConfig:
     recording: bool = True
     metrics: tuple[str, ...] = ()
     ensemble: int = 0
+    deadline_s: float = 0.0
     loop: LoopConfig = field(default_factory=LoopConfig)
     planner: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     vehicle: Mapping[str, Any] = field(default_factory=dict)
@@ -74,8 +78,9 @@ class RunConfig:
             raise ConfigError("planners: name at least one planner")
         if len(set(self.planners)) < len(self.planners):
             raise ConfigError(f"planners: the same planner is named twice: {', '.join(self.planners)}")
-        if self.ensemble < 0:
-            raise ConfigError(f"ensemble must not be negative, got {self.ensemble}")
+        for name in ("ensemble", "deadline_s"):
+            if not 0.0 <= getattr(self, name) < 1e6:
+                raise ConfigError(f"{name} must not be negative, got {getattr(self, name)}")
         known_keys(self.vehicle, ("set", *(item.name for item in fields(VehicleParameters))), "vehicle")
         self.driven(VehicleParameters())
 

@@ -6,6 +6,7 @@ Whether a touch is the ego's collision, or the replay ran into it, is said by th
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import inf
 
 import numpy as np
@@ -17,6 +18,7 @@ from logs.shapes import point_segment
 from logs.states import TRAJECTORY_COLUMNS, Trajectory
 from logs.trace import EndReason
 from metrics.others import name_of
+from metrics.phantoms import phantoms, without_phantoms
 from metrics.safety import Contact, classify
 from replay.world import World, box_center, contact
 
@@ -67,10 +69,16 @@ class Ending:
         self._scenario, self._vehicle, self._before = scenario, scenario.vehicle, start.ego
         self._goal = goal if goal is not None and _asks(goal) else None
         self._watch = RoadWatch(scenario.road)
+        self._phantoms = phantoms(scenario)
+        self._seen = self._real = start.tracks
         self._watch.metres_off(*box_center(start.ego, self._vehicle))
 
     def of(self, world: World) -> tuple[EndReason, str] | None:
-        """The reason and its detail, or None while the drive goes on; a collision comes before the rest."""
+        """The reason and its detail, or None while the drive goes on; a collision comes before the rest.
+
+        What the recorded ego stood in (`metrics.phantoms`) is not touched.
+        """
+        world = self._without_phantoms(world)
         touched = self._touched(world)
         if touched:
             worst = max(touched, key=lambda found: found.at_fault)
@@ -86,6 +94,12 @@ class Ending:
         if off > CRACK_M:
             return EndReason.OFF_ROAD, f"box centre {off:.1f} m off the lanes at ({x:.1f}, {y:.1f})"
         return None
+
+    def _without_phantoms(self, world: World) -> World:
+        """The world with the agents that can be touched; made anew only where the traffic has made new tracks."""
+        if world.tracks is not self._seen or self._seen is self._real:
+            self._seen, self._real = world.tracks, without_phantoms(world.tracks, self._phantoms)
+        return replace(world, tracks=self._real)
 
     def _touched(self, world: World) -> tuple[Contact, ...]:
         """The touches of the step that led to this world: none before it, but for those at the start."""

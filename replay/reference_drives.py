@@ -23,6 +23,7 @@ from logs.trace import EndReason, Mode, Trace
 from metrics import GROUPS, METRICS
 from metrics.judge import CAREFUL, DRIVER, REFERENCE
 from metrics.others import ego_boxes, name_of
+from metrics.phantoms import phantoms, without_phantoms
 from metrics.reference_drivers import RETURN_S, STEP_S, careful_drive
 from metrics.safety import contacts
 from replay.avoidability import reference_line
@@ -33,7 +34,7 @@ SHORTEST = 2
 
 def reference_table(scenario: Scenario) -> pd.DataFrame:
     """The rows of the reference drives of a scenario; columns as of `metrics.evaluate`."""
-    asked = {DRIVER: ("safety", "rules", "progress") if is_recorded(scenario) else ("progress",)}
+    asked = {DRIVER: ("safety", "rules", "progress") if scenario.is_recorded else ("progress",)}
     tables = []
     for trace in reference_drives(scenario):
         groups = asked.get(trace.planner, ("safety", "rules", "progress"))
@@ -64,19 +65,20 @@ def _careful(scenario: Scenario) -> Trajectory:
 
 def _ended(name: str, ego: Trajectory, scenario: Scenario) -> Trace:
     """The drive up to the goal or its first contact."""
-    whole = Trace(scenario.name, name, Mode.CLOSED, True, ego, scenario.tracks, (), EndReason.END_OF_LOG)
+    agents = without_phantoms(scenario.tracks, phantoms(scenario))
+    whole = Trace(scenario.name, name, Mode.CLOSED, True, ego, agents, (), EndReason.END_OF_LOG)
     ends: list[tuple[int, EndReason, str]] = []
     reached = _reached(scenario.goal, ego, scenario)
     if reached is not None:
         ends.append((reached, EndReason.GOAL, ""))
     for contact in contacts(whole, scenario)[:1]:
         reason = EndReason.COLLISION if contact.at_fault else EndReason.REPLAY_CONTACT
-        ends.append((contact.step, reason, f"{name_of(scenario.tracks, contact.agent)}: {contact.kind.value}"))
+        ends.append((contact.step, reason, f"{name_of(agents, contact.agent)}: {contact.kind.value}"))
     if not ends:
         return whole
     step, reason, detail = min(ends, key=lambda end: end[0])
     driven = ego.between(float(ego.t[0]), float(ego.t[step]))
-    return Trace(scenario.name, name, Mode.CLOSED, True, driven, scenario.tracks, (), reason, detail)
+    return Trace(scenario.name, name, Mode.CLOSED, True, driven, agents, (), reason, detail)
 
 
 def _reached(goal: Goal | None, ego: Trajectory, scenario: Scenario) -> int | None:
@@ -86,8 +88,3 @@ def _reached(goal: Goal | None, ego: Trajectory, scenario: Scenario) -> int | No
     x, y = ego_boxes(ego, scenario)[:2]
     states = zip(ego.t, x, y, ego.yaw, ego.v, strict=True)
     return next((k for k, state in enumerate(states) if goal.reached(*map(float, state))), None)
-
-
-def is_recorded(scenario: Scenario) -> bool:
-    """Whether a log was recorded."""
-    return "recorded" in scenario.tags

@@ -74,7 +74,8 @@ def straight_road(*, half: float = 1.75, lanes: int = 1, limit: float = float("n
 
 
 def scenario(ego: Trajectory, agents: Sequence[Agent] = (), **changes: object) -> Scenario:
-    fields = {"road": straight_road(), "duration": float(ego.t[-1])} | changes
+    made = {"road": straight_road(), "duration": float(ego.t[-1]), "metadata": {"generator": "test"}}
+    fields = made | changes
     return Scenario("test/log", ego, tracks(agents, ego.t), **fields)  # type: ignore[arg-type]
 
 

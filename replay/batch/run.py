@@ -19,6 +19,8 @@ from metrics import COLUMNS
 from metrics.ensemble import with_ensemble
 from metrics.gates import Outcome, load_gates
 from metrics.judge import Verdict, judge, outcomes
+from metrics.latency import SHARE as LATE
+from metrics.latency import judge_deadline
 from planners import PLANNERS
 from replay.batch.log_result import DriveRecord, Failure, LogResult
 from replay.batch.one_log import all_metrics, evaluate_log
@@ -142,6 +144,9 @@ def evaluate_logs(
     members = joined((result.members for result in results), KEYS, COLUMNS)
     table = with_ensemble(table, members, gates, tags)
     unread = {result.name: "see the errors" for result in results if not result.digest}
+    timings = joined((result.timings for result in results), TIMING_COLUMNS[:4], TIMING_COLUMNS)
+    verdicts = judge(gates, table, tags, failed=unread)
+    late = judge_deadline(timings, run.deadline_s, tags) if run.deadline_s > 0.0 else ()
     result = RunResult(
         out=out,
         run=run,
@@ -149,8 +154,8 @@ def evaluate_logs(
         logs=results,
         failures=(*failures, *(failure for log in results for failure in log.failures)),
         table=table,
-        timings=joined((result.timings for result in results), TIMING_COLUMNS[:4], TIMING_COLUMNS),
-        verdicts=judge(gates, table, tags, failed=unread),
+        timings=timings,
+        verdicts=(*verdicts, *late),
         resumed=len(done),
     )
     _write(result)
@@ -248,7 +253,7 @@ def _renamed(result: LogResult) -> LogResult:
 
 def _write(result: RunResult) -> None:
     write_metrics(result.out, result.table)
-    write_parquet(result.out / "verdicts.parquet", outcomes(result.verdicts))
+    write_parquet(result.out / "verdicts.parquet", outcomes([v for v in result.verdicts if v.gate.metric != LATE]))
     write_parquet(result.out / "timings.parquet", result.timings)
     write_json(result.out / "summary.json", summary(result))
 

@@ -12,6 +12,7 @@ commonroad-crime (PyPI, 0.4.5) is no dependency: it has an environment of its ow
 same with a lead that opens the gap. `replan` takes the vehicles of each file in turn as the ego, and writes a row per
 lead and second, and one per crossing. `crime` asks commonroad-crime for the same pair at the same step, twice: as the
 file is, and turned so that the ego heads nearly along x, where its use of the lane's heading in the world does no harm.
+"Mended" are its formulae with its own distances, speeds and accelerations, the sign of the lead's acceleration kept.
 `compare` counts the agreements. The outcome is in docs/metrics_compared.md.
 """
 
@@ -32,8 +33,8 @@ VEHICLES = 4
 ANGLES = (0, 30, 60, 89, 120, 180)
 NEARLY_ALONG_X = 0.02
 """Heading of the ego where it is turned, rad: of exactly 0 commonroad-crime thinks that there is none."""
-EQUAL = {"thw": 0.15, "ttc": 0.05, "drac": 0.05, "pet": 0.25}
-"""Relative difference up to which two values agree; THW and PET are counted in samples there."""
+EQUAL = {"thw": 0.15, "pet": 0.25}
+"""Relative difference up to which two values agree, else 0.05; THW and PET are counted in samples there."""
 
 
 def scenes(folder: Path) -> None:
@@ -116,6 +117,8 @@ def _rows(scenario: Any, dt: float) -> Iterator[dict[str, object]]:
         other = scenario.tracks.ids[ahead.agent[k]]
         step = round(ahead.t[k] / dt + start)
         values = {name: series.value[k] for name, series in found.items()}
+        if found["ttc_accelerated"].labels[k].split()[-1:] != [other]:
+            values["ttc_accelerated"] = np.nan  # it is about someone else than the lead
         closing = ahead.v[k] - ahead.u[k]
         ttc = ahead.gap[k] / closing if closing > 0.0 else np.nan
         yield {
@@ -127,9 +130,12 @@ def _rows(scenario: Any, dt: float) -> Iterator[dict[str, object]]:
             **values,
         }
     pet = METRICS["pet"].measure(trace, scenario)["crossing"]
+    crossed: dict[str, float] = {}
     for k in pet.known.nonzero()[0]:
         other = pet.labels[k].split()[1]
-        yield {"kind": "crossing", "step": 0, "other": other, "pet": pet.value[k], "yaw": 0.0}
+        crossed[other] = min(crossed.get(other, math.inf), float(pet.value[k]))
+    for other, value in crossed.items():
+        yield {"kind": "crossing", "step": 0, "other": other, "pet": value, "yaw": 0.0}
 
 
 def theirs(asked: pd.DataFrame) -> pd.DataFrame:
@@ -141,7 +147,7 @@ def theirs(asked: pd.DataFrame) -> pd.DataFrame:
             if row["kind"] == "crossing" and suffix:
                 continue
             for name, value in _asked(Path(row["file"]), int(row["ego"]), row, turn).items():
-                asked.loc[i, f"crime_{name}{suffix}"] = value
+                asked.loc[i, f"crime_{name}" + ("" if name.endswith("_mended") else suffix)] = value
     return asked
 
 
@@ -170,7 +176,32 @@ def _asked(path: Path, ego: int, row: pd.Series, turn: float) -> dict[str, float
         except Exception:  # what it raises is not documented: projections, lanelets that are not there
             value = None
         found[name] = math.nan if value is None else abs(float(value))
+        if turn and name == "headway" and math.isfinite(found[name]) and found[name] > 0.0:
+            found |= _mended(float(value), *_motion(measure(config), int(row["other"]), int(row["step"])))
     return found
+
+
+def _motion(measure: Any, other: int, step: int) -> tuple[float, float, float]:
+    """Closing speed, m/s, and the accelerations of ego and other, m/s2, as commonroad-crime has them."""
+    measure.validate_update_states_log(other, step, False)
+    ego, lead = measure.ego_vehicle.state_at_time(step), measure.other_vehicle.state_at_time(step)
+    return ego.velocity - lead.velocity, ego.acceleration, lead.acceleration
+
+
+def _mended(gap: float, closing: float, ego_accel: float, lead_accel: float) -> dict[str, float]:
+    """Its formulae with its own numbers, the lead's acceleration with its sign, an opening gap asking for nothing."""
+    nearing = ego_accel - lead_accel
+    square = closing**2 + 2.0 * gap * nearing
+    accelerated = math.nan
+    if abs(nearing) <= 0.1 or square < 0.0:
+        accelerated = gap / closing if closing > 0.0 and abs(nearing) <= 0.1 else math.nan
+    elif closing > 0.0 or nearing > 0.0:
+        accelerated = (-closing + math.sqrt(square)) / nearing
+    ttc = gap / closing if closing > 0.0 else math.nan
+    return {
+        "ttc_mended": ttc, "drac_mended": max(closing, 0.0) ** 2 / (2.0 * gap),
+        "ttc_accelerated_mended": accelerated,
+    }  # fmt: skip
 
 
 def compared(rows: pd.DataFrame) -> pd.DataFrame:
@@ -178,9 +209,9 @@ def compared(rows: pd.DataFrame) -> pd.DataFrame:
     out = []
     made = rows["file"].str.contains("closing_|opening_")
     for group, part in (("real logs", rows[~made]), ("the straight scene", rows[made])):
-        for name in ("headway", "thw", "ttc", "ttc_accelerated", "drac", "required_decel", "pet"):
-            for suffix in ("", "_turned"):
-                theirs_name = {"ttc_accelerated": "ttc", "required_decel": "drac"}.get(name, name)
+        for name in ("headway", "thw", "ttc", "ttc_accelerated", "drac", "pet"):
+            for suffix in ("", "_turned", "_mended"):
+                theirs_name = name if suffix == "_mended" else {"ttc_accelerated": "ttc"}.get(name, name)
                 column = f"crime_{theirs_name}{suffix}"
                 if column not in part or not len(part):
                     continue

@@ -7,7 +7,7 @@
     touch;  TTCE = the t at which it is taken, the first of equals
 (3) PET = |t_j - t_i|, the least over the ego's boxes i and an agent's boxes j that overlap: the time between one
     leaving a spot and the other taking it. "ego_first": t_j >= t_i, "ego_second": t_j < t_i; "crossing" takes both, but
-    only boxes whose headings differ by 30 degrees or more, so that who follows does not hide who crosses.
+    only pedestrians, and boxes whose headings differ by 30 degrees or more: who follows does not hide who crosses.
 
 PET looks at both passages as they happened, so later steps change it; all else knows nothing that comes later. An
 agent that stands throughout (an obstacle) has no PET: it leaves no place.
@@ -25,7 +25,7 @@ from math import cos, hypot, inf, pi, sin
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
-from logs.scenario import Scenario
+from logs.scenario import AgentKind, Scenario
 from logs.shapes import corners, distance, overlap, time_to_contact
 from logs.states import wrap
 from logs.trace import Mode, Trace
@@ -224,7 +224,8 @@ def _pet(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
         if trace.agents.static[i] or not len(mine) or not len(theirs):
             continue
         name = name_of(trace.agents, i)
-        for angle, after, before in ((0.0, "ego_first", "ego_second"), (CROSSING_RAD, "crossing", "crossing")):
+        across = 0.0 if trace.agents.kinds[i] is AgentKind.PEDESTRIAN else CROSSING_RAD
+        for angle, after, before in ((0.0, "ego_first", "ego_second"), (across, "crossing", "crossing")):
             found = encroachment(boxes, mine, others.pose[:, i], theirs, box[1:], others.size[i], angle)
             for part, steps, sign, order in ((after, found[0], 1, "second"), (before, found[1], -1, "first")):
                 at = np.flatnonzero(steps >= 0)
@@ -285,6 +286,8 @@ PET = Metric(
     "crossing.",
     f"Allen, Shin, Cooper, Transp. Res. Rec. 667 (1978); {_CATALOGUE}",
     formula="min |t_j - t_i| over overlapping boxes",
-    parameters=(_GRID, "crossing: headings differ by 30 degrees or more", f"serious below {SERIOUS_S:g} s"),
+    parameters=(
+        _GRID, "crossing: pedestrians, and headings 30 degrees or more apart", f"serious below {SERIOUS_S:g} s",
+    ),
     parts=tuple(PET_PARTS), needs="a place that both take",
 )  # fmt: skip

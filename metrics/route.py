@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import pairwise
 from math import cos, sin
 
 import numpy as np
@@ -28,8 +27,8 @@ from logs.states import EgoState, Trajectory
 
 SPACING_M, WINDOW_M = 1.0, 30.0
 STRETCH, SLACK_M = 2.0, 0.1
-JOIN_M = 10.0
-"""From the path's end, the lanes are joined after this."""
+JOIN_M, CHANGE_M = 10.0, 20.0
+"""Within the first the line goes over from the path's end to a lane, within the second from a lane to one beside."""
 BEYOND_M = 200.0
 """So far the lanes are followed behind the path or the goal; the line goes on straight after them."""
 SHORTEST_M = 10.0
@@ -87,22 +86,26 @@ def gained(route: Route, drive: Trajectory) -> Gain:
 
 
 def _onward(road: Road, end: EgoState, goal: Goal | None) -> FloatArray:
-    """Points `(k, 2)`, k >= 1, from `JOIN_M` ahead of a state on, along the centre lines of the route from there."""
+    """Points `(k, 2)`, k >= 1, from `JOIN_M` behind a state on, along the centre lines of the route from there."""
     straight = np.array([[end.x + JOIN_M * cos(end.yaw), end.y + JOIN_M * sin(end.yaw)]])
     if not road.lanes:
         return straight
-    lanes = find_route(road, end, goal).lanes
-    lanes = (*(now for now, after in pairwise(lanes) if after in road.lanes[now].successors), lanes[-1])
-    points = road.lanes[lanes[0]].center
-    start = int(np.argmin(np.hypot(points[:, 0] - end.x, points[:, 1] - end.y)))
-    points = np.vstack([points[start:], *(road.lanes[lane].center for lane in lanes[1:])])
-    last, beyond = lanes[-1], 0.0
-    while beyond < BEYOND_M and (after := straight_on(road, last)) is not None:
-        points, last = np.vstack([points, road.lanes[after].center]), after
+    lanes = list(find_route(road, end, goal).lanes)
+    beyond = 0.0
+    while beyond < BEYOND_M and (after := straight_on(road, lanes[-1])) is not None:
         beyond += max(road.lanes[after].length, SPACING_M)
-    far = (points[:, 0] - end.x) * cos(end.yaw) + (points[:, 1] - end.y) * sin(end.yaw) > JOIN_M
-    first = int(np.argmax(far)) if far.any() else len(points)
-    return thinned(points[first:], SPACING_M) if first < len(points) else straight
+        lanes.append(after)
+    points, skipped, begun = np.empty((0, 2)), JOIN_M, False
+    for k, lane in enumerate(lanes):
+        center = road.lanes[lane].center
+        if k + 1 < len(lanes) and lanes[k + 1] not in road.lanes[lane].successors:  # a lane change: beside each other
+            skipped = CHANGE_M
+            continue
+        if not begun:
+            center = center[int(np.argmin(np.hypot(center[:, 0] - end.x, center[:, 1] - end.y))) :]
+        chord, begun = np.r_[0.0, np.cumsum(np.hypot(*np.diff(center, axis=0).T))], True
+        points, skipped = np.vstack([points, center[chord >= skipped]]), max(skipped - float(chord[-1]), 0.0)
+    return thinned(points, SPACING_M) if len(points) else straight
 
 
 def _entered(line: ReferenceLine, goal: Goal | None) -> float:

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drives import along, drive, grid, plans, scenario, straight_road
+from drives import along, drive, grid, moving, plans, scenario, straight_road
 
-from logs import Goal, Mode, RoadSource, Scenario, Trace
+from logs import AgentKind, EndReason, Goal, Mode, RoadSource, Scenario, Trace
 from logs.kernel import FloatArray
 from metrics import METRICS, evaluate, series
 from metrics.metric import Metric
@@ -51,6 +51,17 @@ def test_a_metric_of_a_drive_that_hardly_is_one_has_a_value_or_a_reason(metric: 
                 assert len(table) >= len(metric.reductions)
                 assert (table["available"] == np.isfinite(table["value"])).all()
                 assert (table.loc[~table["available"], "reason"] != "").all()
+
+
+def test_the_instant_of_contact_counts() -> None:
+    """Row 20: at 30 m/s and 0.01 s only the last step, with which the drive ends, is nearer than 0.2 m."""
+    ego = along(grid(1.0), 30.0)
+    rear = float(ego.x[-1]) + LOG.vehicle.axle_to_front
+    stands = ("7", AgentKind.CAR, (4.0, 1.8), moving(rear + 2.0 - 0.01, 0.0, 0.0, 0.0, 0.0))
+    log = scenario(ego, [stands])
+    table = evaluate(drive(log, end=EndReason.COLLISION), log, metrics={"gap": METRICS["gap"]}).set_index("metric")
+    assert table.loc["gap.min", "value"] == 0.0
+    assert table.loc["gap.time_below_20cm", "value"] == pytest.approx(0.01)
 
 
 def test_right_of_way_of_one_state_says_why() -> None:

@@ -9,9 +9,10 @@ from drives import along, drive, grid, moved, moved_ego, scenario, straight_road
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from logs import EndReason, Goal, RoadSource, Scenario, TrackingErrors, Trajectory
+from logs import EndReason, Goal, Lane, RoadSource, Scenario, TrackingErrors, Trajectory
 from metrics import GROUPS, evaluate
 from metrics.progress import CAREFUL_M
+from metrics.route import gained, route_of
 
 ASKED = {metric.name: metric for group in ("progress", "tracking") for metric in GROUPS[group]}
 
@@ -133,6 +134,28 @@ def test_progress_leads_around_bends_and_over_lane_changes() -> None:
     change = along(s, 10.0)
     change = replace(change, y=3.5 / (1.0 + np.exp(-(change.x - 40.0) / 5.0)))
     assert judged(lanes, change).loc["route_progress.final", "value"] == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_lane_change_in_the_middle_of_the_route_is_no_leap() -> None:
+    """Lanes 0, 1 from -100 m and 2, 3 from 100 m on; the goal is in 3: the line changes over within 20 m.
+
+    A car that changes 40 m later, and is a lane aside until then, gains what it drives.
+    """
+    x = (np.array([-100.0, 100.0]), np.array([100.0, 300.0]))
+    lanes = {}
+    for i in range(4):
+        along_x, y = x[i // 2], 3.5 * (i % 2)
+        left, right = (np.column_stack([along_x, np.full(2, y + side)]) for side in (1.75, -1.75))
+        beside = {"left_neighbour": i + 1} if i % 2 == 0 else {"right_neighbour": i - 1}
+        lanes[i] = Lane(i, left, right, (i + 2,) if i < 2 else (), **beside)
+    region = np.array([[200.0, 1.75], [220.0, 1.75], [220.0, 5.25], [200.0, 5.25]])
+    log = scenario(along(np.zeros(1), 10.0), road=replace(straight_road(), lanes=lanes), duration=20.0,
+                   goal=Goal((region,)), metadata={CAREFUL_M: "200"})  # fmt: skip
+    ego = along(grid(20.0), 10.0)
+    ego = replace(ego, y=3.5 / (1.0 + np.exp(-(ego.x - 140.0) / 5.0)))
+    assert gained(route_of(log), ego).cut == 0.0
+    assert judged(log, ego).loc["route_progress.final", "value"] == pytest.approx(1.0, abs=0.01)
+    assert route_of(log).length == pytest.approx(200.0 - log.vehicle.axle_to_center, abs=1.5)
 
 
 @settings(max_examples=15)

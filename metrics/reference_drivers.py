@@ -48,15 +48,16 @@ from math import cos, hypot, nan, pi, sin
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, kernel
-from logs.road import ReferenceLine, line_frame, line_project
+from logs.road import ReferenceLine, line_frame
 from logs.scenario import Scenario
 from logs.shapes import clearance, overlap
 from logs.states import EgoState
 from metrics.fuzzy_safety import FSM_REACT_S, fsm_deceleration
 from metrics.others import Others, name_of, others_at
+from metrics.reference_view import comes_in, look
 
 STEP_S = 0.02
-"""So fine that one step more or less of braking is within what noise does anyway."""
+"""So fine that a step more or less of braking is within what noise does anyway."""
 MARGINAL_M = 0.5
 """What tracks of 5 cm of noise do to a margin, at 10 Hz and without logged velocities (benchmarks/verdicts.py)."""
 JUDGED_S = 0.15
@@ -67,8 +68,6 @@ LONGEST_S = 60.0
 RETURN_S = 3.0
 STANDING_MPS = 0.05
 CURVE_MPS2, EASE_MPS2 = 3.0, 1.5
-NEAR_M, ASIDE_M = 150.0, 20.0
-"""Who is farther ahead, or farther aside, is not looked at."""
 
 JERK_MPS3 = 12.65
 CC_BRAKE_MPS2, CC_RELEASE_MPS2 = 0.774 * 9.81, 0.4
@@ -76,8 +75,8 @@ CC_EVALUATE_S, CC_REACT_S, CC_TTC_S, CC_THW_S = 0.4, 0.75, 2.0, 2.0
 CC_WANDER_M, CC_TOWARDS_MPS, CC_LEAD_MPS2, CC_CLOSING_MPS = 0.375, 0.05, 5.0, 0.5
 
 NOBODY, CC, FSM = 0, 1, 2
-ANYBODY = -2
-"""As `through`: the drive goes on through nobody, and the least distance is that to anybody."""
+ANYBODY = -1
+"""As the agent that a drive's least distance is about."""
 _BEHIND = cos(150.0 / 180.0 * pi)
 
 
@@ -140,13 +139,12 @@ def _verdict(name: str, driver: int, scenario: Scenario, line: ReferenceLine, st
     drive = partial(_driven, scenario=scenario, line=line, start=start, others=others_at(scenario.tracks, t))
     passive = drive(NOBODY)
     if passive.meets < 0:
-        return _nobody_met(name, drive(NOBODY, through=ANYBODY).least)
-    found = drive(driver)
-    whom = passive.whom if found.meets < 0 else found.whom
-    margin = drive(driver, through=whom).least  # (6)
-    near = min(abs(margin), abs(drive(NOBODY, through=passive.whom).least)) < MARGINAL_M
+        return _nobody_met(name, passive.least)
+    found = drive(driver, about=passive.whom)
+    whom, margin = passive.whom if found.meets < 0 else found.whom, found.least
+    near = min(abs(margin), abs(passive.least)) < MARGINAL_M
     marginal = near or any((drive(driver, late=late).meets < 0) != (found.meets < 0) for late in (-JUDGED_S, JUDGED_S))
-    about, by = name_of(scenario.tracks, whom), f"by {abs(margin):.1f} m{', marginal' * marginal}"
+    about, by = name_of(scenario.tracks, whom), f"by {abs(margin):.1f} m{', marginal' if marginal else ''}"
     braking = np.flatnonzero(found.a < -1.0)
     brakes, end = float(t[braking[0]]) if len(braking) else nan, found.meets
     if end < 0:
@@ -155,16 +153,15 @@ def _verdict(name: str, driver: int, scenario: Scenario, line: ReferenceLine, st
     else:
         met = f"meets {about} after {t[end] - t[0]:.1f} s at {found.v[end]:.1f} m/s"
         outcome, reason = Outcome.UNAVOIDABLE, f"unavoidable {by}: {met}"
-    meets = float(t[end]) if end >= 0 else nan
-    agent = scenario.tracks.ids[whom]
+    meets, agent = float(t[end]) if end >= 0 else nan, scenario.tracks.ids[whom]
     return Verdict(name, outcome, reason, brakes, meets, float(found.v[end]), agent, margin, marginal=marginal)
 
 
 def _nobody_met(name: str, margin: float) -> Verdict:
     """The verdict where nobody is in the way, missed by `margin` m; NaN: there is nobody."""
-    reason = "at constant speed the ego meets nobody"
     marginal = margin < MARGINAL_M
-    reason += f": marginal, it misses somebody by {margin:.1f} m" if marginal else ""
+    by = f", by {margin:.1f} m, marginal" if marginal else ""
+    reason = f"at constant speed the ego meets nobody{by}"
     return Verdict(name, Outcome.NOT_APPLICABLE, reason, margin=margin, marginal=marginal)
 
 
@@ -183,7 +180,7 @@ class Driven:
         s: Station `(k,)` up to its end, m; `v` speed, `a` acceleration.
         meets: Step of its first touch, -1: none; `whom` the agent, -1: nobody.
         touched: Step in which somebody who is not counted touched it, -1: nobody did.
-        least: Least distance to the agent `through`, m (6); NaN: it was never there, or none was asked for.
+        least: Least distance to the agent that was asked about, m (6); minus the depth where it touches somebody.
     """
 
     s: FloatArray
@@ -192,19 +189,14 @@ class Driven:
     meets: int
     whom: int
     touched: int
-    least: float = nan
+    least: float
 
 
 def _driven(
-    driver: int,
-    scenario: Scenario,
-    line: ReferenceLine,
-    start: EgoState,
-    others: Others,
-    through: int = -1,
-    late: float = 0.0,
-) -> Driven:
-    """One drive; it goes on through the agent `through` as if it was not hit. `late`: judges so much later, s."""
+    driver: int, scenario: Scenario, line: ReferenceLine, start: EgoState, others: Others,
+    about: int = ANYBODY, late: float = 0.0,
+) -> Driven:  # fmt: skip
+    """One drive, to the first touch; `about`: whose distance is asked for. `late`: judges so much later, s."""
     car = scenario.vehicle
     s0, l0 = line.project(start.x, start.y)
     vulnerable = np.array([kind.is_vulnerable for kind in scenario.tracks.kinds], np.bool_)
@@ -213,7 +205,7 @@ def _driven(
     state = np.array([s0, l0, start.v])
     rows, meets, whom, touched, least = _drive(
         driver, line.s, line.coef, limits, state, box, others.there, others.pose, others.size, others.accel, vulnerable,
-        through, late,
+        about, late,
     )  # fmt: skip
     return Driven(rows[0], rows[1], rows[2], meets, whom, touched, least)
 
@@ -230,53 +222,6 @@ def curve_speeds(s: FloatArray, kappa: FloatArray) -> FloatArray:
 
 
 @kernel
-def _seen(
-    knots: FloatArray, coef: FloatArray, k: int, s: float, l_ego: float, box: FloatArray, there: BoolArray,
-    pose: FloatArray, size: FloatArray, vulnerable: BoolArray, out: FloatArray,
-) -> None:  # fmt: skip
-    """Fill per agent at step k: gap, u, lateral gap, lateral speed towards the band, length along, crosses `(n, 6)`.
-
-    Gap is NaN for who is not there, too far, or not ahead. In the band the lateral gap is negative.
-    """
-    x, y = line_frame(knots, coef, s)[:2]
-    for i in range(len(size)):
-        out[i, 0] = np.nan
-        if not there[i, k] or hypot(pose[0, i, k] - x, pose[1, i, k] - y) > NEAR_M:
-            continue
-        at, l = line_project(knots, coef, pose[0, i, k], pose[1, i, k], s, NEAR_M)  # noqa: E741
-        yaw_r = line_frame(knots, coef, at)[2]
-        turn, vx, vy = pose[2, i, k] - yaw_r, pose[3, i, k], pose[4, i, k]
-        u, w = vx * cos(yaw_r) + vy * sin(yaw_r), vy * cos(yaw_r) - vx * sin(yaw_r)
-        half = 0.5 * (size[i, 0] * abs(cos(turn)) + size[i, 1] * abs(sin(turn)))
-        aside = 0.5 * (size[i, 0] * abs(sin(turn)) + size[i, 1] * abs(cos(turn)))
-        side = l - l_ego
-        ahead = at - s - box[0]
-        if ahead <= 0.0 or abs(side) > ASIDE_M:
-            continue
-        out[i, 0] = ahead - half - 0.5 * box[1]
-        out[i, 1] = max(u, 0.0)
-        out[i, 2] = abs(side) - aside - 0.5 * box[2]
-        out[i, 3] = -w if side > 0.0 else w
-        out[i, 4] = 2.0 * half
-        out[i, 5] = 1.0 if vulnerable[i] or abs(w) > abs(u) else 0.0
-
-
-@kernel
-def _comes_in(seen: FloatArray, v: float, box: FloatArray, width: float, slack: float, late: float) -> bool:
-    """Whether who is beside the band will be in it before the ego is past it and, if it crosses, not out too early.
-
-    `slack` s are given to the one, and `late` s less to both.
-    """
-    gap, u, aside, towards = seen[0], seen[1], seen[2], seen[3]
-    if towards <= 0.0 or v <= u or gap < 0.0:
-        return False
-    enters = aside / towards
-    passed = (gap + box[1] + seen[4]) / (v - u) + slack - late
-    leaves = (aside + box[2] + width) / towards
-    return enters < passed and not (seen[5] > 0.0 and leaves - late < gap / (v - u))
-
-
-@kernel
 def _cc_hazard(
     seen: FloatArray, brakes: bool, came_nearer: float, v: float, box: FloatArray, width: float, late: float
 ) -> bool:
@@ -286,7 +231,7 @@ def _cc_hazard(
     if seen[2] < 0.0:
         return brakes or v - seen[1] > CC_CLOSING_MPS
     if seen[5] > 0.0:
-        return _comes_in(seen, v, box, width, 0.0, late)
+        return comes_in(seen, v, box, width, 0.0, late)
     return seen[3] > CC_TOWARDS_MPS and came_nearer > CC_WANDER_M and seen[0] > 0.0
 
 
@@ -322,7 +267,7 @@ def _fsm_wish(seen: FloatArray, size: FloatArray, box: FloatArray, v: float, a: 
     hardest = 0.0
     for i in range(len(seen)):
         gap, u = seen[i, 0], seen[i, 1]
-        if not np.isfinite(gap) or not (seen[i, 2] < 0.0 or _comes_in(seen[i], v, box, size[i, 1], FSM_AHEAD_S, late)):
+        if not np.isfinite(gap) or not (seen[i, 2] < 0.0 or comes_in(seen[i], v, box, size[i, 1], FSM_AHEAD_S, late)):
             continue
         hardest = max(hardest, fsm_deceleration(gap, v, u, a))
     return -hardest
@@ -365,13 +310,17 @@ def _nearest(
 def _drive(
     driver: int, knots: FloatArray, coef: FloatArray, limits: FloatArray, start: FloatArray, box: FloatArray,
     there: BoolArray, pose: FloatArray, size: FloatArray, accel: FloatArray, vulnerable: BoolArray,
-    through: int, late: float,
+    about: int, late: float,
 ) -> tuple[FloatArray, int, int, int, float]:  # fmt: skip
-    """Rows s, v, a from `start` (s, l, v) to the first touch or the end, and the last three of `Driven`."""
+    """Rows s, v, a from `start` (s, l, v) to the first touch or the end, and the last four of `Driven`.
+
+    After the first touch the drive goes on through who is touched, until both are apart, to know how deep it is.
+    """
     n, steps = there.shape
     out, seen = np.zeros((3, steps)), np.full((n, 6), np.nan)
     clock, nearer, left_out = np.zeros(n), np.zeros(n), np.zeros(n, np.bool_)
-    s, v, a, waited, braking, touched, least = start[0], start[2], 0.0, 0.0, False, -1, np.nan
+    s, v, a, waited, braking, touched, meets, least = start[0], start[2], 0.0, 0.0, False, -1, -1, np.nan
+    k = 0
     for k in range(steps):
         out[0, k], out[1, k], out[2, k] = s, v, a
         u = min((s - start[0]) / max(RETURN_S * start[2], 10.0), 1.0)
@@ -380,18 +329,22 @@ def _drive(
         x, y = x - l * sin(yaw), y + l * cos(yaw)
         out_before = left_out.sum()
         hit = _touches(x, y, yaw, v, k, box, there, pose, size, left_out)
+        if hit >= 0 and meets < 0:
+            meets, about, least = k, hit, np.nan
+        apart = np.nan
         for i in range(n):
-            if (i == through or through == ANYBODY) and there[i, k] and not left_out[i]:
-                least = _nearest(least, x, y, yaw, box, pose[:, i, k], size[i])
-        if hit >= 0 and hit != through:
-            return out[:, : k + 1], k, hit, touched, least
-        if touched < 0 and k > 0 and left_out.sum() > out_before:
+            if (i == about or about == ANYBODY) and there[i, k] and not left_out[i]:
+                apart = _nearest(apart, x, y, yaw, box, pose[:, i, k], size[i])
+        least = least if least <= apart or np.isnan(apart) else apart  # (6)
+        if meets >= 0 and not apart <= 0.0:
+            return out[:, : meets + 1], meets, about, touched, least
+        if touched < 0 and k > 0 and meets < 0 and left_out.sum() > out_before:
             touched = k
         if s >= knots[-1]:
-            return out[:, : k + 1], -1, -1, touched, least
+            break
         wish = 0.0
         if driver != NOBODY:
-            _seen(knots, coef, k, s, l, box, there, pose, size, vulnerable, seen)
+            look(knots, coef, k, s, l, box, there, pose, size, vulnerable, seen)
         if driver == CC:
             wish = _cc_wish(seen, accel[:, k], size, box, v, clock, nearer, late, braking)
             braking = v > 0.0 and wish <= -CC_BRAKE_MPS2
@@ -406,4 +359,4 @@ def _drive(
         v_next = max(v + 0.5 * STEP_S * (a + a_next), 0.0)
         s += 0.5 * STEP_S * (v + v_next)
         v, a = v_next, (a_next if v_next > 0.0 else 0.0)
-    return out, -1, -1, touched, least
+    return out[:, : (k if meets < 0 else meets) + 1], meets, about if meets >= 0 else -1, touched, least

@@ -14,7 +14,7 @@ from logs import AgentKind, Lane, Mode, Road, RoadSource, Scenario, Tracks, Traj
 from logs.shapes import distance, point_segment, time_to_contact
 from metrics import evaluate, series
 from metrics.lanes import drivable_lanes, off_lanes
-from metrics.others import others_at
+from metrics.others import ego_boxes, others_at
 from metrics.safety import ContactKind, contacts
 
 CAR = (4.5, 1.8)
@@ -59,6 +59,16 @@ def test_others_on_a_grid_are_the_truth_at_each_time() -> None:
         expected = np.stack([truth.x, truth.y, truth.yaw, truth.vx, truth.vy])
         assert others.pose[:, others.there[:, k], k] == pytest.approx(expected, abs=1e-12)
     assert np.isnan(others.pose[:, ~others.there]).all()
+
+
+@given(st.floats(-0.1, 0.1), st.floats(1.0, 20.0), st.floats(-3.0, 3.0))
+def test_the_centre_of_a_turning_ego_moves_sideways_too(kappa: float, v: float, yaw: float) -> None:
+    """Velocity against positions 1 ms apart, on a circle."""
+    t = np.array([0.0, 0.5e-3, 1e-3])
+    turned = yaw + kappa * v * t
+    x, y = np.cumsum(np.r_[0.0, v * 0.5e-3 * np.ones(2)] * [np.cos(turned), np.sin(turned)], axis=1)
+    boxes = ego_boxes(Trajectory(t, x, y, turned, v + 0 * t, 0 * t, kappa + 0 * t), world(v))
+    assert boxes[3:, 1] == pytest.approx((boxes[:2, 2] - boxes[:2, 0]) / 1e-3, abs=2e-2 * (1.0 + abs(kappa) * v))
 
 
 # collisions -------------------------------------------------------------------------------------------------------

@@ -202,7 +202,9 @@ def _scene(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, Fl
 
 def _ttc_accelerated(trace: Trace, scenario: Scenario) -> Measured:
     t, boxes, ego_accel, box, others = _scene(trace, scenario)
-    least, agent = _accelerated(boxes, ego_accel, box, others.there, others.pose, others.size, np.nan_to_num(others.accel))
+    least, agent = _accelerated(
+        boxes, ego_accel, box, others.there, others.pose, others.size, np.nan_to_num(others.accel)
+    )
     nothing = f"never on a course to touch within {HORIZON_S:g} s"
     return Series(t, least, _labels(trace, agent), nothing)
 

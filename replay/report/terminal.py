@@ -20,7 +20,7 @@ from rich.text import Text
 
 from logs.trace import EndReason
 from metrics.gates import Outcome
-from metrics.judge import Verdict
+from metrics.judge import Verdict, worst
 from replay.batch import OUTCOMES, RunResult
 from replay.batch.log_result import DriveRecord, LogResult
 
@@ -32,6 +32,8 @@ NOTHING = "-"
 
 Cell = tuple[str, str]
 """Text and style."""
+Key = tuple[str, str]
+"""Log and planner."""
 
 
 @dataclass(frozen=True)
@@ -64,11 +66,13 @@ def _percent(value: float) -> str:
 COLUMNS = (
     Column("ADE\n3 s\n[m]", "ade.3s.mean", "open", _fixed(2)),
     Column("fall\nback", "fallback.rate", "open", _percent, lambda value: value > 0.0),
+    Column("route\ndone", "route_progress.final", "closed", _percent, lambda value: value < 0.5),
     Column("goal", "goal.final", "closed", lambda value: "yes" if value else "no", lambda value: value == 0.0),
     Column("hits\nat\nfault", "collision_at_fault.count", "closed", _fixed(0), lambda value: value > 0.0),
     Column("least\ngap\n[m]", "gap.min", "closed", _fixed(2), lambda value: value < 0.2),
     Column("off\nplan\n[m]", "tracking_lateral.max_abs", "closed", _fixed(2)),
-    Column("jerk\np99\n[m/s3]", "lon_jerk_state.p99", "closed", _fixed(1)),
+    Column("TTC\n[s]", "ttc.min", "closed", _fixed(1), lambda value: value < 0.95),
+    Column("jerk\n[s]", "lon_jerk_state.time_out_of_bounds", "closed", _fixed(1), lambda value: value > 2.0),
     Column("fall\nback", "fallback.rate", "closed", _percent, lambda value: value > 0.0),
 )
 """Open loop first; the closed loop's columns come after how its drive ended."""
@@ -77,7 +81,9 @@ FIRST_CLOSED = next(column for column in COLUMNS if column.mode == "closed")
 
 LEGEND = (
     "open loop: the log drives, plans are compared with it; ADE 3 s: mean distance of plan and log over 3 s.",
-    "closed loop: the planner drives; off plan: largest lateral distance from the plan; jerk: along the car.",
+    "closed loop: the planner drives; route done: of what the log's driver, else the careful driver, does in the whole",
+    "log; TTC: least time to a collision; off plan: largest lateral distance; jerk: seconds beyond 4.13 m/s3.",
+    "verdict: the worst that the gates say of this log; inconclusive: no evidence against the planner, nor for it.",
     "fall back: share of frames in which the planner could not plan.  - : not available (why: metrics.csv).",
 )
 
@@ -120,18 +126,32 @@ def _drives(result: RunResult) -> Iterator[RenderableType]:
     several = len({drive.planner for drive in result.drives}) > 1
     table = _grid(padding=0)
     table.add_column("log", overflow="fold")
+    table.add_column("verdict", no_wrap=True)
     for column in columns:
         if column is FIRST_CLOSED:
             table.add_column("closed loop\nended by", overflow="fold", max_width=13)
         table.add_column(Text(column.title), justify="right", no_wrap=True)
     before = ""
+    said = _said(result)
     for row in shown:
         if several and row.log != before:
             table.add_row(Text(row.log))
-        table.add_row(Text(f"  {row.planner}" if several else row.log), *(Text(*cell) for cell in row.cells(columns)))
+        verdict = said.get(row.key)
+        word = Text(SAYS[verdict], style=STYLES[verdict]) if verdict else Text(NOTHING)
+        name = Text(f"  {row.planner}" if several else row.log)
+        table.add_row(name, word, *(Text(*cell) for cell in row.cells(columns)))
         before = row.log
     legend = Text("\n".join([*LEGEND, *_omitted(len(rows) - len(shown))]), style="dim")
     yield from _titled("Drives", table, legend)
+
+
+def _said(result: RunResult) -> dict[Key, Outcome]:
+    """The worst that the gates say, by log and planner, over both loops."""
+    found: dict[Key, list[Outcome]] = {}
+    for verdict in result.verdicts:
+        for log in verdict.logs:
+            found.setdefault((log.log, verdict.planner), []).append(log.outcome)
+    return {key: worst(outcomes) for key, outcomes in found.items()}
 
 
 def _omitted(count: int) -> list[str]:
@@ -147,6 +167,7 @@ def _shown_columns(result: RunResult) -> list[Column]:
 class _Row:
     """A log and a planner: how its closed loop ended, and its values by column."""
 
+    key: Key
     log: str
     planner: str
     end: Cell
@@ -164,9 +185,6 @@ class _Row:
                 yield self.end
             value = self.values.get(column)
             yield (NOTHING, "") if value is None else (column.show(value), "red" if column.bad(value) else "")
-
-
-Key = tuple[str, str]
 
 
 def _by_log(drives: Sequence[DriveRecord]) -> dict[Key, list[DriveRecord]]:
@@ -187,6 +205,7 @@ def _row(key: Key, drives: Sequence[DriveRecord], values: dict[tuple[str, str, s
     closed = next((drive for drive in drives if drive.mode == "closed"), None)
     known = {column: values.get((log, planner, column.mode, column.metric)) for column in COLUMNS}
     return _Row(
+        key,
         log,
         marked(planner, oracle=drives[0].oracle),
         _end(closed),
@@ -241,7 +260,14 @@ COMPARED: tuple[tuple[str, str, str, Callable[[list[float]], str]], ...] = (
     ("collisions at fault (closed)", "closed", "collision_at_fault.count", lambda v: f"{sum(v):.0f}"),
     ("least gap [m] (closed)", "closed", "gap.min", lambda v: f"{min(v):.2f}"),
     ("off plan, worst [m] (closed)", "closed", "tracking_lateral.max_abs", lambda v: f"{max(v):.2f}"),
-    ("jerk p99, worst [m/s3] (closed)", "closed", "lon_jerk_state.p99", lambda v: f"{max(v):.1f}"),
+    ("least TTC [s] (closed)", "closed", "ttc.min", lambda v: f"{min(v):.1f}"),
+    ("run into by the replay (closed)", "closed", "replay_contact.final", lambda v: f"{sum(v):.0f}"),
+    (
+        "jerk beyond 4.13 m/s3, worst [s] (closed)",
+        "closed",
+        "lon_jerk_state.time_out_of_bounds",
+        lambda v: f"{max(v):.1f}",
+    ),
     ("frames with fallback, mean (closed)", "closed", "fallback.rate", lambda v: _percent(sum(v) / len(v))),
 )
 
@@ -264,6 +290,7 @@ def _latency(result: RunResult) -> Table:
     return table
 
 
+SAYS = {Outcome.PASS: "pass", Outcome.FAIL: "FAIL", Outcome.INCONCLUSIVE: "inconcl."}
 STYLES = {Outcome.PASS: "green", Outcome.FAIL: "bold red", Outcome.INCONCLUSIVE: "yellow"}
 
 

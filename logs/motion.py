@@ -1,7 +1,7 @@
 """How the others moved: velocity and acceleration of every track, for whatever judges. Ground truth, not for planners.
 
 Per axis of the world, with the state (p, v, a) of position m, velocity m/s and acceleration m/s2, white jerk (Li and
-Jilkov, Survey of Maneuvering Target Tracking I, IEEE Trans. AES 39, 2003, eq. 45):
+Jilkov, Survey of Maneuvering Target Tracking I, IEEE Trans. AES 39, 2003):
 (1) p' = p + d v + d^2 a / 2,  v' = v + d a,  a' = a + noise;  d the time between samples, s
 (2) Q = q [d^5/20 d^4/8 d^3/6; d^4/8 d^3/3 d^2/2; d^3/6 d^2/2 d],  q the jerk's spectral density, m2/s5
 (3) a sample measures v where the log has a velocity, else p, with the variance R, the same on both axes
@@ -14,8 +14,10 @@ Jilkov, Survey of Maneuvering Target Tracking I, IEEE Trans. AES 39, 2003, eq. 4
 (6) forward: a Kalman filter; backward: lambda of Bryson and Frazier (1963; Bierman 1977), which inverts no matrix:
     lambda^_{k-1} = F' lambda~_k,  lambda~_k = (I - K H)' lambda^_k - H' nu / S,  x_k = x-_k - P-_k lambda~_k
 
-A track is followed exactly where it has no noise, and nothing is differenced. Smoothers in libraries (SciPy's smoothing
-splines) know no measured velocities and no time between samples but a whole fit, a millisecond for each track and axis.
+A track without noise is followed exactly, and nothing is differenced. With 5 cm of noise, at 5 to 100 Hz, the speed of
+who drives on is off by 0.1 m/s at most; of who brakes with 8 m/s2 by 0.5 m/s, in the second around each change and at
+the track's ends; a pedestrian's stop within 0.4 s is spread over 0.9 s (tests/test_logs_motion.py). Smoothers in
+libraries (SciPy's smoothing splines) know no measured velocities, and take a millisecond for each track and axis.
 Both sides of a gap (`logs.presence`) are estimated apart.
 """
 

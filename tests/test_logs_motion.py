@@ -74,6 +74,14 @@ def test_uniform_motion_is_exact(vx: float, vy: float, rate: float, logged: bool
     assert np.abs([found.ax, found.ay]).max() < 1e-5
 
 
+@pytest.mark.parametrize("rate", RATES)
+def test_5_cm_of_noise_leave_a_tenth_of_a_metre_per_second(rate: float) -> None:
+    t = times(rate, 10.0)
+    for seed in range(5):
+        found = noisy(tracks(track("a", t, 12.0 * t, np.zeros(len(t)))), 0.05, seed).motion
+        assert np.hypot(found.vx - 12.0, found.vy).max() < 0.1
+
+
 @pytest.mark.parametrize(("sigma", "far", "near"), [(0.0, 0.01, 0.15), (0.02, 0.4, 0.5), (0.05, 0.6, 0.75)])
 @pytest.mark.parametrize("rate", RATES)
 def test_a_hard_brake_is_smeared_over_less_than_a_second(rate: float, sigma: float, far: float, near: float) -> None:

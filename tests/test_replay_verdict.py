@@ -1,0 +1,136 @@
+"""The verdict as a whole: adversaries are caught, and what others did is not held against a planner."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from adversaries import ADVERSARIES
+from drives import along, grid, moving, scenario
+
+from logs import AgentKind, EndReason, Mode, Scenario
+from logs.catalogue import CATALOGUE
+from metrics import evaluate
+from metrics.gates import Outcome, load_gates
+from metrics.judge import CAREFUL, DRIVER, REFERENCE, Verdict, judge
+from metrics.latency import judge_deadline
+from replay.avoidability import with_avoidability
+from replay.closed_loop import run_closed_loop
+from replay.drive import Drive, LoopConfig
+from replay.open_loop import run_open_loop
+from replay.reference_drives import reference_drives, reference_table
+
+FAST = ("park", "short", "teleport")
+
+
+def driven(log: Scenario, planner: str, *modes: Mode, **loop: object) -> tuple[list[Drive], tuple[Verdict, ...]]:
+    log = with_avoidability(log)
+    config = LoopConfig(**loop)  # type: ignore[arg-type]
+    runs = {Mode.OPEN: run_open_loop, Mode.CLOSED: run_closed_loop}
+    drives = [runs[mode](log, planner, config=config) for mode in modes]
+    rows = [evaluate(drive.trace, log) for drive in drives]
+    gates = load_gates(None).asked_of([mode.value for mode in modes])
+    return drives, judge(gates, pd.concat([*rows, reference_table(log)]), {log.name: log.tags})
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(name, marks=() if name in FAST else pytest.mark.slow) for name in ADVERSARIES]
+)
+def test_an_adversary_is_failed_by_the_gate_that_is_about_it(name: str) -> None:
+    one = ADVERSARIES[name]
+    planner = f"adversaries:{one.planner.__name__}"
+    log = CATALOGUE[one.log].scenario()
+    drives, verdicts = driven(log, planner, Mode.CLOSED, vehicle=one.vehicle)
+    if one.gate == "deadline":
+        times = pd.DataFrame([vars(time) if hasattr(time, "__dict__") else _row(time) for time in drives[0].timings])
+        verdicts = judge_deadline(times.assign(log=log.name, planner=planner, mode="closed"), 0.1, {log.name: ()})
+    failed = {verdict.gate.metric.partition(".")[0] for verdict in verdicts if verdict.outcome is Outcome.FAIL}
+    assert one.gate in failed
+
+
+def _row(time: object) -> dict[str, object]:
+    return {"t_s": time.t, "stage": time.stage, "seconds": time.seconds}  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("name", ["short", "far_ahead", "liar"])
+def test_plans_that_are_none_fail_in_open_loop_too(name: str) -> None:
+    one = ADVERSARIES[name]
+    _, verdicts = driven(CATALOGUE["paper/free_road"].scenario(), f"adversaries:{one.planner.__name__}", Mode.OPEN)
+    assert one.gate in {v.gate.metric.partition(".")[0] for v in verdicts if v.outcome is Outcome.FAIL}
+
+
+def test_no_plan_of_an_adversary_is_driven_as_it_is_where_it_is_impossible() -> None:
+    (drive,), _ = driven(
+        CATALOGUE["paper/free_road"].scenario(), "adversaries:Teleport", Mode.CLOSED, vehicle="perfect"
+    )
+    ego = drive.trace.ego
+    assert np.hypot(np.diff(ego.x), np.diff(ego.y)).max() < 0.01 * 13.0
+
+
+# what others did --------------------------------------------------------------------------------------------------
+
+
+def followed(**changes: object) -> Scenario:
+    """The logged ego drives 12 m/s on a straight road, a car 15 m behind it as well."""
+    behind = ("7", AgentKind.CAR, (4.5, 1.8), moving(-20.0, 0.0, 12.0, 0.0))
+    return scenario(along(grid(8.0, 0.1), 12.0), [behind], **changes)
+
+
+def test_who_is_hit_from_behind_is_not_failed_for_that() -> None:
+    (drive,), verdicts = driven(followed(), "adversaries:Park", Mode.CLOSED, traffic="time")
+    assert drive.trace.end is EndReason.REPLAY_CONTACT
+    outcomes = {verdict.gate.metric: verdict.outcome for verdict in verdicts}
+    assert Outcome.FAIL not in outcomes.values()
+    for metric in ("completed.final", "goal.final", "route_progress.final", "replay_contact.final"):
+        assert outcomes.get(metric, Outcome.INCONCLUSIVE) is Outcome.INCONCLUSIVE, metric
+    assert outcomes["collision_at_fault.count"] is Outcome.PASS
+    (said,) = [v for v in verdicts if v.gate.metric == "completed.final"]
+    assert "the replay ran into the ego (car 7:" in said.reason
+
+
+def test_the_default_traffic_gives_way_and_the_verdict_is_on_the_planner() -> None:
+    (drive,), verdicts = driven(followed(), "adversaries:Park", Mode.CLOSED)
+    assert drive.trace.end is EndReason.END_OF_LOG
+    assert "route_progress.final" in {v.gate.metric for v in verdicts if v.outcome is Outcome.FAIL}
+
+
+def test_a_phantom_ends_no_drive_and_is_named() -> None:
+    """A recorded ego at 10 m/s, and a box that stands on its way from 2 s on: it was driven through."""
+    t = grid(2.0, 0.1)
+    box = ("9", AgentKind.CAR, (4.0, 1.8), lambda t: (0 * t + 30.0, 0 * t, 0 * t))
+    log = scenario(along(grid(4.0, 0.1), 10.0), [box], metadata={}, tags=("recorded",))
+    assert t[-1] == 2.0
+    (drive,), _ = driven(log, "constant_speed", Mode.CLOSED)
+    assert drive.trace.end in (EndReason.END_OF_LOG, EndReason.GOAL)
+    table = evaluate(drive.trace, log).set_index("metric")
+    assert table.loc["phantom.count", "value"] == 1.0
+    assert table.loc["phantom.count", "reason"] == "car 9"
+    assert table.loc["collision.count", "value"] == 0.0
+    made = replace(log, metadata={"generator": "test"}, tags=())
+    (crash,), _ = driven(made, "constant_speed", Mode.CLOSED)
+    assert crash.trace.end is EndReason.COLLISION
+
+
+# reference drives -------------------------------------------------------------------------------------------------
+
+
+def test_reference_drives_end_as_a_planners_would() -> None:
+    log = with_avoidability(CATALOGUE["everyday/cut_in"].scenario())
+    found = {trace.planner: trace for trace in reference_drives(log)}
+    assert set(found) == {DRIVER, CAREFUL}
+    assert found[DRIVER].end is EndReason.GOAL
+    assert found[CAREFUL].ego.t[0] == log.ego.t[0]
+    assert np.hypot(found[CAREFUL].ego.x[0] - log.ego.x[0], found[CAREFUL].ego.y[0] - log.ego.y[0]) < 0.01
+
+
+@pytest.mark.parametrize("recorded", [True, False])
+def test_only_a_recorded_driver_says_what_may_be_asked(recorded: bool) -> None:
+    log = followed(metadata={} if recorded else {"generator": "test"})
+    rows = reference_table(with_avoidability(log))
+    assert set(rows["mode"]) == {REFERENCE}
+    assert rows["oracle"].all()
+    driver = rows[rows["planner"] == DRIVER]["metric"]
+    assert ("gap.min" in set(driver)) == recorded
+    assert {"goal.final", "route_progress.final"} <= set(driver)

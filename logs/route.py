@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import heapq
 from dataclasses import dataclass
-from math import atan2
+from math import atan2, cos, sin
 
 import numpy as np
 
@@ -40,8 +40,12 @@ class Route:
 
 
 def start_lanes(road: Road, ego: EgoState) -> tuple[int, ...]:
-    """The drivable lanes under the ego, the best aligned first; else the lane whose centre line is nearest."""
-    under = [lane for lane in road.lanes_at(ego.x, ego.y) if lane.drivable]
+    """The drivable lanes under the ego, the best aligned first; else the lane whose centre line is nearest.
+
+    An ego where one lane ends and the next begins is on the next.
+    """
+    x, y = ego.x + TIE * cos(ego.yaw), ego.y + TIE * sin(ego.yaw)
+    under = [lane for lane in road.lanes_at(x, y) if lane.drivable]
     if under:
         ranked = sorted(under, key=lambda lane: (_level(abs(_turn(lane, ego))), lane.id))
         aligned = [lane.id for lane in ranked if abs(_turn(lane, ego)) < 1.0]

@@ -89,7 +89,7 @@ _CLOSED = (Mode.CLOSED,)
 DIVERGENCE = Metric(
     "divergence", "m", "none", _CLOSED, _divergence, (MAX,),
     "Distance between the ego and where the log has it at the same time, while the log's ego lasts.",
-    needs="a log that holds the ego's drive",
+    formula="|p - q|", needs="a log that holds the ego's drive",
 )  # fmt: skip
 WEAK = Metric(
     "divergence_weak", "s", "none", _CLOSED, _weak,
@@ -98,10 +98,11 @@ WEAK = Metric(
     parameters=(
         f"along {AWAY_S:g} s of way, at least {LENGTH_M:g} m", f"across {WIDTH_M:g} m", f"a road user {OFF_M:g} m",
     ),
+    formula="first t with |along| > max(1 s v, 4.5 m) or |across| > 3.5 m or a road user elsewhere than in the log",
     needs="a log that holds the ego's drive",
 )  # fmt: skip
 DISPLACED = Metric(
     "displaced", "count", "none", _CLOSED, _displaced, (COUNT,),
     "Road users who were not where the log has them, each once: who gave way, and who was held up by them.",
-    parameters=(f"{OFF_M:g} m",),
+    formula="number of road users farther than this from where the log has them", parameters=(f"{OFF_M:g} m",),
 )  # fmt: skip

@@ -46,19 +46,22 @@ COVERAGE = Metric(
     "coverage", "s", "higher", (Mode.OPEN, Mode.CLOSED), _coverage, (FINAL,),
     "Time that the log lasts from the ego's first state on (log_s; open loop: as long as the log has an ego), and that"
     " was driven or planned (driven_s).",
-    parts=("log_s", "driven_s"),
+    parts=("log_s", "driven_s"), formula="last time - first time",
 )  # fmt: skip
 REPLAY_CONTACT = Metric(
     "replay_contact", "1", "lower", (Mode.CLOSED,), _replay_contact, (FINAL,),
     "1 if a replayed road user ran into the ego without its fault and so ended the drive.",
+    formula="[the drive ended by the replay]",
 )  # fmt: skip
 PLAN_REFUSED = Metric(
     "plan_refused", "1", "lower", (Mode.OPEN, Mode.CLOSED), partial(_with_status, PlanStatus.REFUSED), (RATE,),
     "Share of the frames whose plan does not start at the ego, or is impossible for a road car: it is not driven.",
+    formula="refused plans / plans; bounds: replay/plan_check.py", needs="a plan",
 )  # fmt: skip
 PLAN_CORRECTED = Metric(
     "plan_corrected", "1", "lower", (Mode.OPEN, Mode.CLOSED), partial(_with_status, PlanStatus.CORRECTED), (RATE,),
     "Share of the frames whose plan says another speed, heading, curvature or acceleration than its positions have.",
+    formula="corrected plans / plans; bounds: replay/plan_check.py", needs="a plan",
 )  # fmt: skip
 ENSEMBLE = Metric(
     "ensemble", "1", "none", (Mode.OPEN, Mode.CLOSED),
@@ -69,11 +72,11 @@ ENSEMBLE = Metric(
     ),
     "Whether the verdict on a log holds where it is driven again in worlds that should not matter: share of them in"
     " which it passes, and 1 where one of them has another verdict.",
-    needs="--ensemble N",
+    formula="members that pass / members; [a member has another verdict]", needs="--ensemble N",
 )  # fmt: skip
 PHANTOM = Metric(
     "phantom", "count", "none", (Mode.OPEN, Mode.CLOSED), _phantom, (COUNT,),
     "Boxes in which the recorded ego stood: they are left out of all metrics and end no drive, from 1 s before to 1 s"
     " after.",
-    needs="counted in recorded logs only; 0 in others",
+    formula="number of boxes that overlap the recorded ego's; 0 in synthesised logs",
 )  # fmt: skip

@@ -14,11 +14,12 @@ from worlds import PERIOD, along_x, driving, frame, lanes, planner, standing, st
 from logs import EgoState, Frame, Goal, Plan, PlannerContext, Road, Scenario
 from logs.catalogue import CATALOGUE
 from logs.road import ReferenceLine, nearest, thinned
+from logs.route import Route, find_route, goal_lanes, start_lanes, straight_on
 from logs.transform import jittered, rotated
 from planners.dp_qp import DpQp
 from planners.dp_qp.path_dp import PathDpConfig, path_dp
 from planners.dp_qp.reference_line import make_course
-from planners.prediction import predict
+from planners.prediction import LaneMap, predict
 
 TINY, SAME = 1e-9, 1e-6
 
@@ -110,3 +111,20 @@ def test_a_fork_as_sharp_to_both_sides_goes_to_the_lane_with_the_lower_id(off: f
     assert straight_on(road, 0) == 1
     goal = Goal((np.array([[418.0, -9.0], [421.0, -9.0], [421.0, 9.0], [418.0, 9.0]]),))
     assert find_route(road, EgoState(0.0, 0.0, 0.0, 0.0, 5.0), goal).lanes == (0, 1)
+
+
+def test_who_stands_where_a_lane_ends_is_on_the_next() -> None:
+    end = np.array([400.0, 0.0])
+    road = Road({0: strip(0, along_x(), successors=(1,)), 1: strip(1, along_x(0.0, 40.0) + end)})
+    assert {start_lanes(road, EgoState(0.0, 400.0 + off, 0.0, 0.0, 5.0)) for off in (-TINY, 0.0, TINY)} == {(1,)}
+
+
+def test_who_drives_on_a_marking_may_follow_either_lane() -> None:
+    road, found = lanes(along_x(), 2), []
+    for off in (-TINY, 0.0, TINY):
+        known = frame(EgoState(0.0, 0.0, 0.0, 0.0, 5.0), [driving("a", 30.0, 1.75 + off, 8.0)]).agents
+        found.append(predict(known, 0.0, method="lane_following", lanes=LaneMap.of(road)))
+    assert [len(each) for each in found] == [len(found[0])] * 3
+    for each in found[1:]:
+        np.testing.assert_allclose(each.y, found[0].y, atol=SAME)
+        np.testing.assert_allclose(each.probability, found[0].probability, atol=SAME)

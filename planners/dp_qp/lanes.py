@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from logs.frame import PlannerContext
+from logs.kernel import TIE
 from logs.road import Road
 from logs.route import CostToGo, Route, costs_to_go, start_lanes, straight_on
 from logs.states import EgoState
@@ -84,7 +85,7 @@ class Lanes:
 
     def _index(self, strip: Strip, station: float) -> int:
         ends = np.cumsum([self._road.lanes[lane].length for lane in strip.lanes])
-        return min(int(np.searchsorted(ends, station)), len(strip.lanes) - 1)
+        return min(int(np.searchsorted(ends, station + TIE)), len(strip.lanes) - 1)
 
     def _made(self, lane: int) -> Strip:
         onward, length = [lane], 0.0

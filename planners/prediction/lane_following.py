@@ -25,7 +25,7 @@ from math import atan2, cos, exp, hypot, pi, sin, sqrt
 import numpy as np
 
 from logs.frame import Predictions
-from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.kernel import TIE, BoolArray, FloatArray, IntArray, kernel
 from logs.scenario import AgentKind, Agents
 from logs.states import wrap
 from planners.prediction.lane_map import LaneArrays, LaneMap, lane_point, lane_project, matches
@@ -152,7 +152,7 @@ def _changed_to(map_: LaneArrays, lane: int, left: float, half: float, across: f
     """The neighbour to which a vehicle is changing, else its lane."""
     if abs(across) < DRIFTING_MPS or (left + CHANGE_S * across) * across <= 0.0:
         return lane
-    if abs(left + CHANGE_S * across) <= half:
+    if abs(left + CHANGE_S * across) <= half + TIE:
         return lane
     side = map_.beside[lane, 0 if across > 0.0 else 1]
     return side if side >= 0 else lane

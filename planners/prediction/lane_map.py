@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import FloatArray, IntArray, frozen, kernel
+from logs.kernel import TIE, FloatArray, IntArray, frozen, kernel
 from logs.road import Lane, Road
 from logs.states import wrap
 
@@ -176,7 +176,7 @@ def lane_project(map_: LaneArrays, lane: int, x: float, y: float, within: float)
 
 @kernel
 def matches(map_: LaneArrays, x: float, y: float, yaw: float, lanes: IntArray, found: FloatArray) -> int:
-    """The lanes that a vehicle may be driving on, nearest first.
+    """The lanes that a vehicle may be driving on, nearest first; on a marking both, equally near the first.
 
     Args:
         map_: The lanes.
@@ -197,16 +197,16 @@ def matches(map_: LaneArrays, x: float, y: float, yaw: float, lanes: IntArray, f
             continue
         s, left, half = lane_project(map_, lane, x, y, map_.widest[lane] + BESIDE_M)
         length = map_.step[lane] * (map_.first[lane + 1] - map_.first[lane] - 1)
-        if abs(left) > half + BESIDE_M or s < -0.5 or s > length + 0.5:
+        if abs(left) > half + BESIDE_M + TIE or s < -0.5 - TIE or s > length + 0.5 + TIE:
             continue
         turn = abs(wrap(yaw - lane_point(map_, lane, s)[2]))
         if turn > ASKEW_RAD:
             continue
-        misfit = (left / half) ** 2 + (turn / 0.3) ** 2 + (OUTSIDE if abs(left) > half else 0.0)
+        misfit = (left / half) ** 2 + (turn / 0.3) ** 2 + (OUTSIDE if abs(left) > half + TIE else 0.0)
         at = min(count, len(lanes) - 1)
-        if count == len(lanes) and misfit >= found[at, 3]:
+        if count == len(lanes) and misfit >= found[at, 3] - TIE:
             continue
-        while at > 0 and found[at - 1, 3] > misfit:
+        while at > 0 and found[at - 1, 3] > misfit + TIE:
             lanes[at], found[at] = lanes[at - 1], found[at - 1]
             at -= 1
         lanes[at] = lane
@@ -229,6 +229,6 @@ def road_ahead(map_: LaneArrays, x: float, y: float, toward_x: float, toward_y: 
                 continue
             s, left, half = lane_project(map_, lane, px, py, map_.widest[lane])
             length = map_.step[lane] * (map_.first[lane + 1] - map_.first[lane] - 1)
-            if abs(left) <= half and 0.0 <= s <= length:
+            if abs(left) <= half + TIE and -TIE <= s <= length + TIE:
                 return k * ROAD_STEP_M
     return inf

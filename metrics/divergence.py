@@ -98,7 +98,7 @@ WEAK = Metric(
     parameters=(
         f"along {AWAY_S:g} s of way, at least {LENGTH_M:g} m", f"across {WIDTH_M:g} m", f"a road user {OFF_M:g} m",
     ),
-    formula="first t with |along| > max(1 s v, 4.5 m) or |across| > 3.5 m or a road user elsewhere than in the log",
+    formula=f"first t: |along| > max({AWAY_S:g} s v, {LENGTH_M:g} m) or |across| > {WIDTH_M:g} m or a road user off",
     needs="a log that holds the ego's drive",
 )  # fmt: skip
 DISPLACED = Metric(

@@ -14,7 +14,9 @@ from metrics.phantoms import phantoms
 from metrics.plans import frame_times
 
 
-def _coverage(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
+def _coverage(trace: Trace, scenario: Scenario) -> Mapping[str, Measured] | Unavailable:
+    if trace.mode is Mode.OPEN and len(scenario.ego) < 2:
+        return Unavailable("the log holds one ego state only: there is no drive to plan along")
     start, end = float(scenario.ego.t[0]), trace.ego.t[-1:]
     last = scenario.duration if trace.mode is Mode.CLOSED else float(scenario.ego.t[-1])
     return {
@@ -47,6 +49,7 @@ COVERAGE = Metric(
     "Time that the log lasts from the ego's first state on (log_s; open loop: as long as the log has an ego), and that"
     " was driven or planned (driven_s).",
     parts=("log_s", "driven_s"), formula="last time - first time",
+    needs="open loop: a log that holds a drive",
 )  # fmt: skip
 REPLAY_CONTACT = Metric(
     "replay_contact", "1", "lower", (Mode.CLOSED,), _replay_contact, (FINAL,),

@@ -11,9 +11,9 @@ A broken value of the groups safety and progress is no evidence where the drive 
 road user drove into the ego without its fault): of progress at all, of safety where it is about that road user. One of
 safety or rules is none where a reference drive, a row of mode "reference" in the table, breaks the same bound: the
 recorded driver in any way (planner "driver", there for recorded logs only), the careful driver (planner "careful",
-UN R157) about the same road user. One of progress is none where the collision that ended the drive is none. Not asked
-at all is a log without the value by an `optional` gate, and one in which neither reference drive holds the bound by a
-`reachable` one.
+UN R157) about the same road user; one of comfort where the careful driver breaks it too (a hard stop that is needed).
+One of progress is none where the collision that ended the drive is none. Not asked at all is a log without the value by
+an `optional` gate, and one in which neither reference drive holds the bound by a `reachable` one.
 
 A verdict per gate, planner and mode: FAIL where a log (`over = "worst"`) or the mean over the judged logs breaks the
 bound; else INCONCLUSIVE where a log could not be evaluated, fewer than `min_logs` were judged, or more than
@@ -43,6 +43,8 @@ DRIVER, CAREFUL = "driver", "careful"
 REPLAY_CONTACT = "replay_contact.final"
 NO_COLLISION = Gate("collision_at_fault.count", max=0.0)
 """A collision ends a drive: where it is no evidence, neither is that the drive got no further."""
+EXCUSED = ("safety", "rules", "comfort")
+"""Groups of metrics of which reference drives are asked; of the recorded driver's comfort there is no row."""
 _GROUP = {metric.name: name for name, group in GROUPS.items() for metric in group}
 OUTCOME_COLUMNS = ("gate", "log", "planner", "mode", "outcome", "value", "time_s", "reason")
 
@@ -233,7 +235,7 @@ def _excuse(gate: Gate, log: str, row: _Row, mine: Mapping[tuple[str, str], _Row
     contact = mine.get((log, REPLAY_CONTACT))
     if contact is not None and contact.known and contact.value > 0.0 and _concerns(group, row, contact):
         return f"the replay ran into the ego ({contact.reason})"
-    if group in ("safety", "rules"):
+    if group in EXCUSED:
         return _by_reference(gate, log, row, rows)
     crash = mine.get((log, NO_COLLISION.metric))
     if group == "progress" and crash is not None and crash.known and NO_COLLISION.margin(crash.value) < 0.0:

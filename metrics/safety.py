@@ -288,6 +288,8 @@ def _off_road(trace: Trace, scenario: Scenario) -> Measured:
 
 
 def _plan_collision(trace: Trace, scenario: Scenario) -> Measured:
+    if len(scenario.ego) < 2:
+        return Unavailable("the log holds one ego state only: there is no drive to plan along")
     if not trace.frames:
         return Unavailable("the drive has no plans")
     times = times_after(trace, 0, round(PLAN_HORIZON_S / STEP_S))

@@ -37,7 +37,7 @@ def reference_table(scenario: Scenario) -> pd.DataFrame:
     asked = {DRIVER: ("safety", "rules", "progress") if scenario.is_recorded else ("progress",)}
     tables = []
     for trace in reference_drives(scenario):
-        groups = asked.get(trace.planner, ("safety", "rules", "progress"))
+        groups = asked.get(trace.planner, ("safety", "rules", "progress", "comfort"))
         measures = {metric.name: METRICS[metric.name] for group in groups for metric in GROUPS[group]}
         tables.append(metrics.evaluate(trace, scenario, metrics=measures).assign(mode=REFERENCE))
     return pd.concat(tables, ignore_index=True)

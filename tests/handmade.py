@@ -103,6 +103,7 @@ def scenario(
         duration=float(ego.t[-1]) if duration is None else duration,
         goal=goal,
         vehicle=vehicle or VehicleParameters(),
+        metadata={"generator": "test"},
     )
 
 

@@ -176,14 +176,17 @@ def test_a_broken_bound_that_is_no_evidence_is_inconclusive(
     assert found.planner == "dp_qp"
 
 
-def test_comfort_is_never_excused_and_progress_only_by_the_replay() -> None:
+def test_what_can_be_excused_and_by_what() -> None:
     def judged(metric: str, *rows: dict[str, object]) -> Outcome:
         mine = [
             each | {"metric": metric} for each in (row("a", 0.1), reference("driver", 0.0), reference("careful", 0))
         ]
         return verdict(Gate(metric, min=0.5), table(*mine, *rows)).outcome
 
-    assert judged("lon_accel.min", CONTACT) is FAIL
+    assert judged("speed.max", CONTACT) is INCONCLUSIVE
+    assert judged("tracking_lateral.max_abs", CONTACT) is FAIL
+    assert judged("wrong_way.worst_1s") is INCONCLUSIVE
+    assert judged("lon_accel.min", CONTACT) is INCONCLUSIVE  # the careful driver brakes as hard
     assert judged("completed.final") is FAIL
     assert judged("completed.final", CONTACT) is INCONCLUSIVE
     crash = row("a", 1.0, metric="collision_at_fault.count", reason="car 7: with the front, at fault", unit="count")
@@ -345,14 +348,14 @@ def test_gates_on_metrics_of_ones_own(tmp_path: Path) -> None:
 
 
 def test_the_default_gates_judge_any_closed_loop_drive() -> None:
-    """Whatever a log lacks (others, lanes, goal), none of them is left without a value by it."""
+    """Whatever a log lacks (others, lanes, goal), none of them but those on plans is left without a value by it."""
     default = load_gates(None)
-    needs_a_controller = ("tracking", "pedals", "fallback")
+    needs_plans = ("plan_", "fallback")
     log = scenario(along(grid(3.0), 10.0))
     found = judge(default, evaluate(drive(log), log), {log.name: ()})
-    assert [each.gate for each in found] == [gate for gate in default.gates if not gate.optional]
+    assert {gate for gate in default.gates if not gate.optional and gate.mode != "open"} <= {v.gate for v in found}
     for each in found:
-        if not each.gate.metric.startswith(needs_a_controller):
+        if not each.gate.metric.startswith(needs_plans):
             assert each.outcome is PASS, each.reason
         else:
             assert each.outcome is INCONCLUSIVE

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from planners.dp_qp.route import Route, find_route, goal_lanes, straight_on
 from worlds import PERIOD, along_x, driving, frame, lanes, planner, standing, strip
 
 from logs import EgoState, Frame, Goal, Plan, PlannerContext, Road, Scenario

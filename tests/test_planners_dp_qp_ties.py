@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from drives import along, grid, moving, scenario
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from worlds import PERIOD, along_x, driving, frame, lanes, planner, standing, strip
 
-from logs import EgoState, Frame, Goal, Plan, PlannerContext, Road, Scenario
+from logs import AgentKind, EgoState, Frame, Goal, Plan, PlannerContext, Road, Scenario
 from logs.catalogue import CATALOGUE
 from logs.road import ReferenceLine, nearest, thinned
 from logs.route import Route, find_route, goal_lanes, start_lanes, straight_on
@@ -57,6 +58,29 @@ def test_round_speeds_and_distances_are_like_their_neighbours(v: float, ahead: s
         ego = EgoState(0.0, off, 0.0, 0.0, v + off)
         plans.append(planner(road, ego).plan(frame(ego, others[ahead])))
     assert max(parted(plans[0], other) for other in plans[1:]) < SAME
+
+
+_ROUND = st.tuples(
+    st.sampled_from([-20.0, -10.0, 8.0, 10.0, 15.0, 25.25, 40.0, 60.0]),
+    st.sampled_from([-1.75, 0.0, 0.5, 1.75, 3.5, 7.0]),
+    st.sampled_from([0.0, 0.0, 2.0, 5.0, 10.0]),
+)
+
+
+@pytest.mark.slow
+@settings(max_examples=60)
+@given(st.integers(1, 3), st.sampled_from([0.0, 5.0, 6.0, 10.0, 12.5]), st.lists(_ROUND, max_size=5))
+def test_worlds_of_round_figures_are_like_their_neighbours(
+    count: int, v: float, others: list[tuple[float, float, float]]
+) -> None:
+    """Others at x, y with a speed along x: on markings, beside the ego, at the ends of the grids."""
+    cars = [
+        (f"{i}", AgentKind.CAR, (4.5, 1.8), moving(x, y, speed, 0.0, 0.0)) for i, (x, y, speed) in enumerate(others)
+    ]
+    log = scenario(along(grid(8.0, 0.1), v), cars, road=lanes(along_x(), count))
+    (here,) = plans_of(log, (1.0,))
+    for there, turn in ((jittered(log, TINY), 0.0), (rotated(log, 1e-12), 1e-12), (rotated(log, 0.5), 0.5)):
+        assert parted(here, *plans_of(there, (1.0,)), turn) < 1e-5
 
 
 @settings(max_examples=25)

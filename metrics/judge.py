@@ -8,11 +8,11 @@ What a log says of a gate, the first that holds:
     FAIL            the value is broken
 
 A broken value of the groups safety and progress is no evidence where the drive ended with `replay_contact` (a replayed
-road user drove into the ego without its fault): of progress at all, of safety where it is about that road user. One of
-safety or rules is none where a reference drive, a row of mode "reference" in the table, breaks the same bound: the
-recorded driver in any way (planner "driver", there for recorded logs only), the careful driver (planner "careful",
-UN R157) about the same road user; one of comfort where the careful driver breaks it too (a hard stop that is needed).
-One of progress is none where the collision that ended the drive is none. Not asked at all is a log without the value by
+road user drove into the ego without its fault): of progress at all, of safety where it is about that road user. It is
+none either where a reference drive, a row of mode "reference" in the table, breaks the same bound (`EXCUSED`): the
+recorded driver in any way (planner "driver", there for recorded logs only) in safety and rules; the careful driver
+(planner "careful", UN R157, who knows no rules) about the same road user in safety, and in comfort (a stop that is
+needed). One of progress is none where the collision that ended the drive is none. Not asked at all is a log without the value by
 an `optional` gate, and one in which neither reference drive holds the bound by a `reachable` one.
 
 A verdict per gate, planner and mode: FAIL where a log (`over = "worst"`) or the mean over the judged logs breaks the
@@ -40,11 +40,14 @@ REFERENCE = "reference"
 """Mode of the rows of reference drives."""
 DRIVER, CAREFUL = "driver", "careful"
 """Planner of those rows: the log's own driver, and the careful one of UN R157."""
+_DRIVERS = {DRIVER: "recorded", CAREFUL: "careful"}
 REPLAY_CONTACT = "replay_contact.final"
 NO_COLLISION = Gate("collision_at_fault.count", max=0.0)
 """A collision ends a drive: where it is no evidence, neither is that the drive got no further."""
-EXCUSED = ("safety", "rules", "comfort")
-"""Groups of metrics of which reference drives are asked; of the recorded driver's comfort there is no row."""
+EXCUSED: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {"safety": (DRIVER, CAREFUL), "rules": (DRIVER,), "comfort": (CAREFUL,)}
+)
+"""Which reference drives are asked, by group of metrics."""
 _GROUP = {metric.name: name for name, group in GROUPS.items() for metric in group}
 OUTCOME_COLUMNS = ("gate", "log", "planner", "mode", "outcome", "value", "time_s", "reason")
 
@@ -236,10 +239,10 @@ def _excuse(gate: Gate, log: str, row: _Row, mine: Mapping[tuple[str, str], _Row
     if contact is not None and contact.known and contact.value > 0.0 and _concerns(group, row, contact):
         return f"the replay ran into the ego ({contact.reason})"
     if group in EXCUSED:
-        return _by_reference(gate, log, row, rows)
+        return _by_reference(gate, log, row, rows, EXCUSED[group])
     crash = mine.get((log, NO_COLLISION.metric))
     if group == "progress" and crash is not None and crash.known and NO_COLLISION.margin(crash.value) < 0.0:
-        return _by_reference(NO_COLLISION, log, crash, rows)
+        return _by_reference(NO_COLLISION, log, crash, rows, EXCUSED["safety"])
     return ""
 
 
@@ -248,13 +251,13 @@ def _concerns(group: str, row: _Row, contact: _Row) -> bool:
     return group == "progress" or (group == "safety" and _about(row) == _about(contact))
 
 
-def _by_reference(gate: Gate, log: str, row: _Row, rows: _Rows) -> str:
-    """Which reference drive breaks the bound too; empty: none."""
-    driver, careful = (rows.reference(planner, log, gate.metric) for planner in (DRIVER, CAREFUL))
-    if driver is not None and gate.margin(driver.value) < 0.0:
-        return f"the recorded driver breaks {gate} too: {_shown(driver)}"
-    if careful is not None and gate.margin(careful.value) < 0.0 and _about(careful) == _about(row):
-        return f"the careful driver breaks {gate} too: {_shown(careful)}"
+def _by_reference(gate: Gate, log: str, row: _Row, rows: _Rows, asked: Sequence[str]) -> str:
+    """Which of the reference drives that are asked breaks the bound too; empty: none."""
+    for planner in asked:
+        found = rows.reference(planner, log, gate.metric)
+        alike = found is not None and (planner == DRIVER or _about(found) == _about(row))
+        if found is not None and alike and gate.margin(found.value) < 0.0:
+            return f"the {_DRIVERS[planner]} driver breaks {gate} too: {_shown(found)}"
     return ""
 
 

@@ -14,7 +14,8 @@ from logs.road import ReferenceLine
 from logs.route import find_route
 from logs.scenario import FINDING, Scenario
 from metrics.avoidability import metadata_of
-from metrics.reference_drivers import DRIVERS, Verdict
+from metrics.progress import CAREFUL_M
+from metrics.reference_drivers import DRIVERS, Verdict, careful_drive
 from planners.dp_qp.reference_line import make_course
 
 
@@ -37,7 +38,8 @@ def verdicts(scenario: Scenario) -> tuple[Verdict, ...]:
 
 
 def with_avoidability(scenario: Scenario) -> Scenario:
-    """The scenario with the verdicts on it, as it is, in its metadata; entries that it had are replaced."""
+    """The scenario with the verdicts on it and how far the careful driver comes in its metadata, in place of others."""
     said = {key: text for key, text in scenario.metadata.items() if not key.startswith(FINDING)}
     entries = {key: text for verdict in verdicts(scenario) for key, text in metadata_of(verdict).items()}
-    return replace(scenario, metadata={**said, **entries})
+    way = careful_drive(scenario, reference_line(scenario)).s
+    return replace(scenario, metadata={**said, **entries, CAREFUL_M: repr(float(way[-1] - way[0]))})

@@ -185,7 +185,9 @@ def test_what_can_be_excused_and_by_what() -> None:
 
     assert judged("speed.max", CONTACT) is INCONCLUSIVE
     assert judged("tracking_lateral.max_abs", CONTACT) is FAIL
-    assert judged("wrong_way.worst_1s") is INCONCLUSIVE
+    assert judged("wrong_way.worst_1s") is INCONCLUSIVE  # so does the recorded driver
+    rule = [row("a", 2.0, metric="red_light.count"), reference("careful", 2.0, metric="red_light.count")]
+    assert verdict(Gate("red_light.count", max=0.0), table(*rule)).outcome is FAIL  # who knows no rules excuses none
     assert judged("lon_accel.min", CONTACT) is INCONCLUSIVE  # the careful driver brakes as hard
     assert judged("completed.final") is FAIL
     assert judged("completed.final", CONTACT) is INCONCLUSIVE

@@ -23,7 +23,7 @@ LENGTH = scenario(EGO).vehicle.length
 
 
 def log(*agents: dict[str, object], **changes: object) -> Scenario:
-    return replace(scenario(EGO, agents=tracks(*agents)), **changes)
+    return replace(scenario(EGO, agents=tracks(*agents)), **({"metadata": {}} | changes))
 
 
 def jumping(begin: float, end: float) -> dict[str, object]:

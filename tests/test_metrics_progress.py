@@ -14,7 +14,7 @@ from metrics import GROUPS, evaluate
 from metrics.progress import CAREFUL_M
 from metrics.route import gained, route_of
 
-ASKED = {metric.name: metric for group in ("progress", "tracking") for metric in GROUPS[group]}
+ASKED = {metric.name: metric for group in ("progress", "rules", "tracking") for metric in GROUPS[group]}
 
 
 def judged(log: Scenario, ego: Trajectory | None = None, **changes: object) -> pd.DataFrame:

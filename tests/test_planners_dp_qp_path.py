@@ -547,7 +547,10 @@ def graph_of(found: ChosenPath) -> SlGraph:
 
 
 def outside(along: Course, found: ChosenPath) -> FloatArray:
-    """By how much each corner of the ego is outside the reported corridor along the path `(points, 4)`, m."""
+    """By how much each corner of the ego is outside the reported corridor along the path `(points, 4)`, m.
+
+    Beyond its end, which a corner in front of the rear axle passes before the path ends, there is no corridor: -inf.
+    """
     path, corridor_ = found.path, graph_of(found).corridor
     assert path is not None and corridor_ is not None
     lost = []
@@ -557,7 +560,7 @@ def outside(along: Course, found: ChosenPath) -> FloatArray:
                 at = x + ahead * np.cos(yaw) - side * np.sin(yaw), y + ahead * np.sin(yaw) + side * np.cos(yaw)
                 there, l = along.line.project(*at, s + ahead, 8.0)  # noqa: E741
                 low, high = (np.interp(there, corridor_.first, v) for v in (corridor_.lower, corridor_.upper))
-                lost.append(max(low - SIDE - l, l - high - SIDE))
+                lost.append(max(low - SIDE - l, l - high - SIDE) if there <= corridor_.first[-1] else -np.inf)
     return np.reshape(lost, (-1, 4))
 
 

@@ -113,6 +113,14 @@ def test_a_phantom_ends_no_drive_and_is_named() -> None:
     assert crash.trace.end is EndReason.COLLISION
 
 
+def test_where_only_the_start_is_known_the_careful_driver_says_how_far_one_comes() -> None:
+    log = scenario(along(grid(0.0), 12.0), duration=10.0)
+    for planner, passes in (("constant_speed", True), ("adversaries:Park", False)):
+        _, verdicts = driven(log, planner, Mode.CLOSED)
+        (said,) = [v for v in verdicts if v.gate.metric == "route_progress.final"]
+        assert said.outcome is (Outcome.PASS if passes else Outcome.FAIL), said.reason
+
+
 # reference drives -------------------------------------------------------------------------------------------------
 
 

@@ -12,8 +12,8 @@ road user drove into the ego without its fault): of progress at all, of safety w
 none either where a reference drive, a row of mode "reference" in the table, breaks the same bound (`EXCUSED`): the
 recorded driver in any way (planner "driver", there for recorded logs only) in safety and rules; the careful driver
 (planner "careful", UN R157, who knows no rules) about the same road user in safety, and in comfort (a stop that is
-needed). One of progress is none where the collision that ended the drive is none. Not asked at all is a log without the value by
-an `optional` gate, and one in which neither reference drive holds the bound by a `reachable` one.
+needed). Progress is none where the collision that ended the drive is none. Not asked at all is a log without the value
+by an `optional` gate, and one in which neither reference drive holds the bound by a `reachable` one.
 
 A verdict per gate, planner and mode: FAIL where a log (`over = "worst"`) or the mean over the judged logs breaks the
 bound; else INCONCLUSIVE where a log could not be evaluated, fewer than `min_logs` were judged, or more than
@@ -217,7 +217,8 @@ def _of_logs(
         elif not gate.reachable or _reachable(gate, log, rows):
             why = _excuse(gate, log, row, mine, rows)
             outcome = Outcome.INCONCLUSIVE if why else Outcome(gate.broken)
-            yield LogOutcome(log, outcome, why or row.reason, row.value, row.unit, row.time_s)
+            said = row.reason or (gate.reason if outcome is Outcome.INCONCLUSIVE else "")
+            yield LogOutcome(log, outcome, why or said, row.value, row.unit, row.time_s)
 
 
 def _lack(row: _Row | None) -> str:

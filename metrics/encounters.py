@@ -29,8 +29,7 @@ from logs.scenario import AgentKind, Scenario
 from logs.shapes import corners, distance, overlap, time_to_contact
 from logs.states import wrap
 from logs.trace import Mode, Trace
-from metrics.exposure import seconds_below
-from metrics.metric import MIN, Measured, Metric, Series
+from metrics.metric import MIN, Measured, Metric, Series, time_below
 from metrics.others import Others, ego_boxes, name_of, others_at
 from metrics.path_ahead import GRID_S, grid_of
 from metrics.safety import _apart, _behind, _labels
@@ -263,7 +262,7 @@ PET_PARTS = {
 _CATALOGUE = "criticality metrics catalogue, Westhofen et al., Arch. Comput. Methods Eng. 30 (2023)"
 _GRID = f"every {GRID_S:g} s"
 TTC_ACCELERATED = Metric(
-    "ttc_accelerated", "s", "higher", (Mode.CLOSED,), _ttc_accelerated, (MIN, seconds_below(1.5, "time_below_1500ms")),
+    "ttc_accelerated", "s", "higher", (Mode.CLOSED,), _ttc_accelerated, (MIN, time_below(1.5, "time_below_1500ms")),
     "Least time until boxes touch when all go on along their velocity vectors with their accelerations, no one into "
     "reverse; to the same agents as ttc.",
     f"{_CATALOGUE}; commonroad-crime asks it of a lead in a lane", formula="v(t) = max(v + a t, 0) of each",
@@ -283,7 +282,7 @@ TTCE = Metric(
     parameters=(f"horizon {HORIZON_S:g} s", _GRID), needs="another who comes nearer",
 )  # fmt: skip
 PET = Metric(
-    "pet", "s", "higher", (Mode.CLOSED,), _pet, (MIN, seconds_below(SERIOUS_S, "time_below_1s")),
+    "pet", "s", "higher", (Mode.CLOSED,), _pet, (MIN, time_below(SERIOUS_S, "time_below_1s")),
     "Post-encroachment time: from one leaving a place to the other taking it; the ego first, second, or either at a "
     "crossing.",
     f"Allen, Shin, Cooper, Transp. Res. Rec. 667 (1978); {_CATALOGUE}",

@@ -30,8 +30,7 @@ import numpy as np
 from logs.kernel import FloatArray
 from logs.scenario import AgentKind, Scenario
 from logs.trace import Mode, Trace
-from metrics.exposure import seconds_above, seconds_below
-from metrics.metric import MAX, MIN, Direction, Measured, Metric, Reduction, Series
+from metrics.metric import MAX, MIN, Direction, Measured, Metric, Reduction, Series, time_below, time_outside
 from metrics.path_ahead import COMING_MPS, GRID_S, LOOK_M, STANDING_MPS, Ahead, ahead_of
 from metrics.safety import _labels
 
@@ -138,7 +137,7 @@ HEADWAY = _metric(
     "Gap along the ego's path from its front bumper to the lead.", "s_lead - s_front", _CATALOGUE,
 )  # fmt: skip
 THW = _metric(
-    "thw", "s", "higher", _thw, (MIN, seconds_below(SHORT_THW_S, "time_below_900ms")),
+    "thw", "s", "higher", _thw, (MIN, time_below(SHORT_THW_S, "time_below_900ms")),
     "Time headway: until the ego's front is where the lead's rear is now, at constant speed.", "gap / v",
     _CATALOGUE, f"bound {SHORT_THW_S:g} s (fined in Germany)",
     needs="a lead in the path of an ego that drives", missing=f"{_ALONE} while it drove",
@@ -149,24 +148,24 @@ DRAC = _metric(
     _CATALOGUE,
 )  # fmt: skip
 REQUIRED_DECEL = _metric(
-    "required_decel", "m/s2", "lower", _required, (MAX, seconds_above(EMERGENCY_MPS2, "time_in_emergency")),
+    "required_decel", "m/s2", "lower", _required, (MAX, time_outside(-np.inf, EMERGENCY_MPS2, "time_in_emergency")),
     "Least constant deceleration that avoids a lead that goes on braking as it does until it stands.",
     "b_o + (v - u)^2 / (2 gap) where the speeds meet before the lead stands, else v^2 / (2 (gap + u^2 / (2 b_o)))",
     f"{_CATALOGUE}; emergency: UN R157", f"emergency above {EMERGENCY_MPS2:g} m/s2",
 )  # fmt: skip
 BTN = _metric(
-    "btn", "1", "lower", _btn, (MAX, seconds_above(1.0, "time_above_1")),
+    "btn", "1", "lower", _btn, (MAX, time_outside(-np.inf, 1.0, "time_above_1")),
     "Brake threat number: required over greatest deceleration; above 1 braking alone does not suffice.",
     "a_req / a_max", _CATALOGUE, "a_max: the vehicle's max_decel",
 )  # fmt: skip
 STN = _metric(
-    "stn", "1", "lower", _stn, (MAX, seconds_above(1.0, "time_above_1")),
+    "stn", "1", "lower", _stn, (MAX, time_outside(-np.inf, 1.0, "time_above_1")),
     "Steer threat number: lateral acceleration that is required to pass the lead, over what is available.",
     "2 max(min(l_high + w T + h, h - l_low - w T), 0) / T^2 / a_lat,max, T = gap / (v - u)",
     "commonroad-crime 0.4.5", f"a_lat,max {STEER_MPS2:g} m/s2",
 )  # fmt: skip
 FOLLOWING_GAP = _metric(
-    "following_gap", "m", "higher", _margin, (MIN, seconds_below(0.0, "time_too_near")),
+    "following_gap", "m", "higher", _margin, (MIN, time_below(0.0, "time_too_near")),
     "Gap to the vehicle that the ego follows, less the minimum following gap of UN R157.",
     "gap - max(v t_front(v), 2 m)", "UN R157, 5.2.3.3",
     "t_front 1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6 s at 7.2, 10, 20, 30, 40, 50, 60 km/h, linear between, 1.6 s beyond",

@@ -151,6 +151,15 @@ def worst(found: Sequence[Outcome]) -> Outcome:
     return min(found, key=list(Outcome).index, default=Outcome.INCONCLUSIVE)
 
 
+def verdicts_by_log(verdicts: Sequence[Verdict]) -> dict[tuple[str, str], str]:
+    """The worst that the gates say, "pass", "fail" or "inconclusive", by log and planner, over both loops."""
+    found: dict[tuple[str, str], list[Outcome]] = {}
+    for verdict in verdicts:
+        for log in verdict.logs:
+            found.setdefault((log.log, verdict.planner), []).append(log.outcome)
+    return {key: worst(said).value for key, said in found.items()}
+
+
 def _rows(table: pd.DataFrame) -> _Rows:
     drives: dict[tuple[str, str], dict[tuple[str, str], _Row]] = {}
     columns = ("planner", "mode", "log", "metric", "value", "available", "reason", "unit", "time_s")

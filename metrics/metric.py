@@ -148,7 +148,7 @@ def _largest_abs(series: Series) -> tuple[float, int]:
     return abs(value), step
 
 
-def _first(flags: BoolArray) -> int:
+def first_of(flags: BoolArray) -> int:
     """The first step that is marked, -1 where none is."""
     return int(np.argmax(flags)) if flags.any() else -1
 
@@ -159,11 +159,11 @@ def _final(series: Series) -> tuple[float, int]:
 
 
 def _share(series: Series) -> tuple[float, int]:
-    return float(np.mean(series.value[series.known])), _first(series.value > 0.0)
+    return float(np.mean(series.value[series.known])), first_of(series.value > 0.0)
 
 
 def _total(series: Series) -> tuple[float, int]:
-    return float(np.sum(series.value[series.known])), _first((series.value != 0.0) & series.known)
+    return float(np.sum(series.value[series.known])), first_of((series.value != 0.0) & series.known)
 
 
 def _percentile(q: float) -> Callable[[Series], tuple[float, int]]:
@@ -181,7 +181,7 @@ def holds(t: FloatArray) -> FloatArray:
 
 def _held(series: Series, flags: BoolArray) -> tuple[float, int]:
     """Seconds for which a condition holds."""
-    return float(np.sum(holds(series.t)[flags])), _first(flags)
+    return float(np.sum(holds(series.t)[flags])), first_of(flags)
 
 
 def longest(series: Series, flags: BoolArray) -> tuple[float, int]:
@@ -210,7 +210,7 @@ COUNT = Reduction("count", _total, unit="count", empty=0.0)
 """Sum over the steps; its time is the first step that counts."""
 RATE = Reduction("rate", _share, unit="1", empty=0.0)
 """Mean over the steps of a 0/1 series; its time is the first 1."""
-HAVING = Reduction("rate", lambda series: (float(np.mean(series.known)), _first(series.known)), "1", "lower", 0.0)
+HAVING = Reduction("rate", lambda series: (float(np.mean(series.known)), first_of(series.known)), "1", "lower", 0.0)
 """Share of the steps that have a value; its time is the first of them."""
 SHARE = Reduction("share", lambda series: (float(np.mean(series.known)), -1), "1", "higher", 0.0)
 """Share of the steps that have a value, where each ought to have one: below 1 the mean is over a part only."""

@@ -32,8 +32,8 @@ from logs.kernel import BoolArray, FloatArray, kernel
 from logs.scenario import AgentKind, Scenario
 from logs.shapes import corners
 from logs.trace import Mode, Trace
-from metrics.exposure import seconds_above, seconds_below, share_while
-from metrics.metric import MIN, Measured, Metric, Series, Unavailable
+from metrics.exposure import share_while
+from metrics.metric import MIN, Measured, Metric, Series, Unavailable, time_below, time_outside
 from metrics.others import name_of, others_at
 from metrics.path_ahead import GRID_S, LOOK_M, STANDING_MPS, arc_point, extent, grid_of, within_look
 
@@ -171,7 +171,7 @@ _PARAMETERS = (
 )  # fmt: skip
 RSS_MARGIN = Metric(
     "rss_margin", "m", "higher", (Mode.CLOSED,), _margin,
-    (MIN, seconds_below(0.0, "time_dangerous"), share_while(lambda value: value < 0.0, "share_dangerous")),
+    (MIN, time_below(0.0, "time_dangerous"), share_while(lambda value: value < 0.0, "share_dangerous")),
     "Distance from a dangerous situation of RSS: the greater of the longitudinal and the lateral surplus, the least of "
     "all agents ahead or beside; negative: dangerous.",
     _SOURCE, formula="min over agents of max(d_lon - d_lon,min, d_lat - d_lat,min)", parameters=_PARAMETERS,
@@ -179,7 +179,7 @@ RSS_MARGIN = Metric(
 )  # fmt: skip
 RSS_IMPROPER = Metric(
     "rss_improper", "1", "lower", (Mode.CLOSED,), _response,
-    (seconds_above(0.5, "time"), share_while(lambda value: value > 0.5, "share")),
+    (time_outside(-np.inf, 0.5, "time"), share_while(lambda value: value > 0.5, "share")),
     "Where the ego does not give the proper response of RSS: rho after the danger began it brakes with less than "
     "b_min, or goes on nearing sideways, or it accelerates with more than a_max.",
     _SOURCE, formula="dangerous, and after rho a > -b_min (lateral danger last: v_lat > max(v_lat(rho) - b_lat t, 0))",

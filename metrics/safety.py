@@ -38,7 +38,7 @@ from logs.scenario import AgentKind, Scenario, Tracks
 from logs.shapes import corners, distance, overlap, time_to_contact
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
-from metrics.exposure import TAU_S, integrated_below, seconds_below
+from metrics.exposure import TAU_S, integrated_below
 from metrics.lanes import drivable_lanes, keeps_lane, off_lanes
 from metrics.metric import COUNT, HAVING, MAX, MIN, Measured, Metric, Series, Unavailable, time_above, time_below
 from metrics.others import Others, ego_boxes, name_of, others_at
@@ -371,7 +371,7 @@ GAP_KEPT_VULNERABLE = Metric(
     "Least distance that the ego leaves to a pedestrian or rider as it drives.",
     formula=_KEPT, needs="a pedestrian or rider",
 )  # fmt: skip
-_TTC_TIMES = (MIN, seconds_below(0.95, "time_below_950ms"), seconds_below(TAU_S, "time_below_1500ms"),
+_TTC_TIMES = (MIN, time_below(0.95, "time_below_950ms"), time_below(TAU_S, "time_below_1500ms"),
               integrated_below(TAU_S, "integrated_1500ms"))  # fmt: skip
 _TTC_HOW = (
     f"horizon {TTC_HORIZON_S:g} s", "bounds 0.95 s and 1.5 s (tau of TET and TIT)",

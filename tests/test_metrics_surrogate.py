@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 
 from logs import AgentKind, Scenario, Trajectory, VehicleParameters
 from metrics import GROUPS, evaluate, series
-from metrics.exposure import weights
 from metrics.following import required_decel, required_gap
 from metrics.metric import Metric
 from metrics.path_ahead import ahead_of
@@ -244,9 +243,3 @@ def test_where_a_drive_is_cut_changes_no_step_before(seed: int) -> None:
     for name in set(two["metric"]) - {"pet.ego_first", "pet.ego_second", "pet.crossing"}:
         a, b = (frame.loc[frame["metric"] == name, "value"].to_numpy() for frame in (one, two))
         assert a == pytest.approx(b, abs=1e-9, nan_ok=True), name
-
-
-def test_the_weights_of_the_steps_add_up_to_the_drive() -> None:
-    t = np.array([0.0, 0.1, 0.3, 0.35])
-    assert weights(t) == pytest.approx([0.05, 0.15, 0.125, 0.025])
-    assert weights(t[:1]) == pytest.approx([0.0])

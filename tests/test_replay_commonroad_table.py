@@ -14,8 +14,9 @@ from test_replay_batch import short
 
 from logs import Goal, Scenario
 from logs.mcap import write_scenario
-from replay.closed_loop import run_closed_loop
-from replay.experiments.commonroad import COLUMNS, HAND_MADE, REFERENCE_GOAL, SOURCES, compare, main, source_of
+from metrics.judge import CAREFUL
+from replay.experiments.commonroad import COLUMNS, HAND_MADE, SOURCES, compare, main, source_of
+from replay.reference_drives import reference_table
 
 FILES = ("C-DEU_MONAWest-2_720_T-799", "ZAM_Tutorial-1_1_T-1", "USA_US101-6_1_T-1")
 
@@ -27,22 +28,21 @@ def test_every_scenario_has_one_source(tags: list[str]) -> None:
     assert name in {*SOURCES.values(), HAND_MADE}
 
 
-def reference_reaches(scenario: Scenario) -> float:
-    trace = run_closed_loop(scenario, "constant_speed").trace
-    (found,) = REFERENCE_GOAL.measured(trace, scenario).values()
-    return float(found.value[0])  # type: ignore[union-attr]
+def careful_reaches(scenario: Scenario) -> float:
+    rows = reference_table(scenario).set_index(["planner", "metric"])
+    return float(rows.loc[(CAREFUL, "goal.final"), "value"])
 
 
 def test_the_careful_driver_enters_a_goal_ahead_in_its_time_and_at_its_speed_only() -> None:
     free = short("ahead")
     assert free.goal is not None
-    assert reference_reaches(free) == 1.0
+    assert careful_reaches(free) == 1.0
     aside = tuple(region + np.array([0.0, 30.0]) for region in free.goal.regions)
-    assert reference_reaches(replace(free, goal=Goal(aside))) == 0.0
-    assert reference_reaches(replace(free, goal=replace(free.goal, v=(0.0, 3.0)))) == 0.0
+    assert careful_reaches(replace(free, goal=Goal(aside))) == 0.0
+    assert careful_reaches(replace(free, goal=replace(free.goal, v=(0.0, 3.0)))) == 0.0
     late = replace(free.goal, t=(1.9, 2.0))
-    assert reference_reaches(replace(free, goal=late)) == 1.0
-    assert reference_reaches(replace(free, goal=replace(late, t=(0.1, 0.5)))) == 0.0
+    assert careful_reaches(replace(free, goal=late)) == 1.0
+    assert careful_reaches(replace(free, goal=replace(late, t=(0.1, 0.5)))) == 0.0
 
 
 def test_drives_and_failures_are_counted_by_source(tmp_path: Path) -> None:
@@ -56,8 +56,10 @@ def test_drives_and_failures_are_counted_by_source(tmp_path: Path) -> None:
     rows = table.set_index(["source", "planner"])
     assert set(rows.index) == {(s, p) for s in ("MONA", HAND_MADE, "all") for p in ("constant_speed", "logged")}
     assert list(rows.loc[("MONA", "logged"), ["logs", "goal", "reachable", "goal_of_reachable"]]) == [2, 2, 2, 2]
-    counted = rows[["logs", "reachable", "untouched", "goal_of_untouched"]]
+    counted = rows[["logs", "reachable", "goal_of_reachable"]]
     assert (counted.diff(axis=1).iloc[:, 1:] <= 0).all(axis=None)
+    judged = rows.xs("constant_speed", level="planner")
+    assert (judged["passed"] + judged["failed"] + judged["inconclusive"] == judged["logs"]).all()
     assert list(rows.loc[("all", "constant_speed"), ["logs", "not_evaluated"]]) == [3, 1]
     assert rows.loc[("MONA", "constant_speed"), "not_evaluated"] == 0
     assert (rows["at_fault"] == rows["avoidable"] + rows["unavoidable"] + rows["not_applicable"]).all()

@@ -7,9 +7,8 @@ python -m replay.experiments.commonroad DIR -o OUT [--planner dp_qp ...] [--traf
     OUT/give_way, OUT/time      the runs, as `replan evaluate` writes them
 
 The planner `logged` is always among them. A log's goal is within reach where `logged` enters it (in the same traffic)
-or where the careful driver of UN R157 does, which keeps its lane and never accelerates (`REFERENCE_GOAL`). A replayed
-car may run into that driver and is not counted against it, while such a touch ends a planner's drive; so the table also
-counts the logs whose goal is entered by one of them whom nobody touched before (`UNTOUCHED_GOAL`).
+or where the careful driver of UN R157 does, among the log's traffic (`replay.reference_drives`): they keep their lane,
+never accelerate, and a touch ends their drive as it ends a planner's.
 """
 
 from __future__ import annotations
@@ -18,18 +17,15 @@ import argparse
 import os
 import sys
 from collections.abc import Callable, Sequence
-from functools import lru_cache, partial
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
 from logs.errors import ReplanError
-from logs.scenario import Scenario
-from logs.trace import Mode, Trace
-from metrics.metric import FINAL, Measured, Metric, Series, Unavailable
-from metrics.reference_drivers import STANDING_MPS, STEP_S, careful_drive
-from replay.avoidability import reference_line
+from logs.trace import EndReason, Mode
+from metrics.judge import CAREFUL, verdicts_by_log
+from metrics.judge import REFERENCE as JUDGED_BY
 from replay.batch import RunResult, evaluate_logs
 from replay.batch.results import write_file, write_text
 from replay.config import RunConfig
@@ -54,8 +50,10 @@ COLUMNS = {
     "goal": "drives that enter the goal before the log ends",
     "reachable": "logs whose goal logged or the careful driver enters",
     "goal_of_reachable": "of these, entered",
-    "untouched": "of these, entered by logged or the careful driver before anybody touched it",
-    "goal_of_untouched": "of these, entered",
+    "passed": "logs of which the default gates say pass",
+    "failed": "fail",
+    "inconclusive": "no evidence for or against the planner",
+    "run_into": "drives that the replay ended by running into the ego",
     "collisions": "drives that touch somebody",
     "at_fault": "drives with a collision at fault",
     "avoidable": "of these, avoided by the careful driver",
@@ -69,47 +67,8 @@ COLUMNS = {
 }
 
 
-def _reference_goal(trace: Trace, scenario: Scenario, *, untouched: bool) -> Measured:
-    """1 where the careful driver, on its line, satisfies the scenario's goal before the log ends."""
-    if scenario.goal is None:
-        return Unavailable("the log names no goal")
-    entered, touched = _reference_drive(scenario)
-    reached = entered < touched if untouched else np.isfinite(entered)
-    return Series(trace.ego.t[:1], np.array([float(reached)]))
-
-
-@lru_cache(maxsize=1)
-def _reference_drive(scenario: Scenario) -> tuple[float, float]:
-    """When the careful driver enters the goal, and when somebody who is not counted touches it, in steps; inf: never.
-
-    Both metrics of all planners ask for one log after another, so that one is kept.
-    """
-    goal, start, car = scenario.goal, scenario.ego.state(0), scenario.vehicle
-    if goal is None or start.v <= STANDING_MPS:
-        return np.inf, np.inf
-    line = reference_line(scenario)
-    drive = careful_drive(scenario, line)
-    x, y, yaw = (np.interp(drive.s, line.s, column) for column in (line.xy[:, 0], line.xy[:, 1], line.yaw))
-    x, y = x + car.axle_to_center * np.cos(yaw), y + car.axle_to_center * np.sin(yaw)
-    t = start.t + STEP_S * np.arange(len(drive.s))
-    states = zip(t, x, y, yaw, drive.v, strict=True)
-    entered = next((k for k, state in enumerate(states) if goal.reached(*map(float, state))), np.inf)
-    return entered, drive.touched if drive.touched >= 0 else np.inf
-
-
-REFERENCE_GOAL = Metric(
-    "reference_goal", "1", "none", (Mode.CLOSED,), partial(_reference_goal, untouched=False), (FINAL,),
-    "1 if the careful driver of UN R157, on the lane of the start, enters the goal before the log ends.",
-)  # fmt: skip
-UNTOUCHED_GOAL = Metric(
-    "untouched_goal", "1", "none", (Mode.CLOSED,), partial(_reference_goal, untouched=True), (FINAL,),
-    "1 if the careful driver of UN R157, on the lane of the start, enters the goal before anybody touches it.",
-)  # fmt: skip
-
 ROWS = {
     "goal": "goal.final",
-    "reference_goal": "reference_goal.final",
-    "untouched_goal": "untouched_goal.final",
     "collision": "collision.count",
     "at_fault": "collision_at_fault.count",
     "fallback_rate": "fallback.rate",
@@ -146,8 +105,11 @@ def drives(result: RunResult, traffic: str) -> pd.DataFrame:
     rows["frames"] = [int(frames.get(key, 0)) for key in zip(rows["log"], rows["planner"], strict=True)]
     rows["comfort"] = ~((rows["jerk_p99_mps3"] > JERK_MPS3) | (rows["lat_accel_max_mps2"] > LATERAL_MPS2))
     logged = rows[(rows["planner"] == REFERENCE) & (rows["goal"] == 1.0)]["log"]
-    for name, entered in (("reachable", "reference_goal"), ("untouched", "untouched_goal")):
-        rows[name] = rows["log"].isin(set(logged)) | (rows[entered] == 1.0)
+    careful = (result.table["mode"] == JUDGED_BY) & (result.table["planner"] == CAREFUL)
+    entered = result.table[careful & (result.table["metric"] == ROWS["goal"]) & (result.table["value"] == 1.0)]["log"]
+    rows["reachable"] = rows["log"].isin({*logged, *entered})
+    said = verdicts_by_log(result.verdicts)
+    rows["gates"] = [said.get(key, "") for key in zip(rows["log"], rows["planner"], strict=True)]
     return rows.drop(columns=["applies", "avoids"])
 
 
@@ -180,8 +142,11 @@ def _counted(rows: pd.DataFrame, seconds: pd.DataFrame) -> dict[str, float]:
         "goal": int((rows["goal"] == 1.0).sum()),
         "reachable": int(rows["reachable"].sum()),
         "goal_of_reachable": int(((rows["goal"] == 1.0) & rows["reachable"]).sum()),
-        "untouched": int(rows["untouched"].sum()),
-        "goal_of_untouched": int(((rows["goal"] == 1.0) & rows["untouched"]).sum()),
+        **{
+            column: int((rows["gates"] == outcome).sum())
+            for column, outcome in (("passed", "pass"), ("failed", "fail"), ("inconclusive", "inconclusive"))
+        },
+        "run_into": int(rows["end"].str.startswith(EndReason.REPLAY_CONTACT.value).sum()),
         "collisions": int((rows["collision"] > 0.0).sum()),
         "at_fault": len(fault),
         **{
@@ -233,9 +198,8 @@ def compare(
     tables: list[pd.DataFrame] = []
     parts: list[pd.DataFrame] = []
     for kind in traffic:
-        metrics = tuple(f"replay.experiments.commonroad:{name}" for name in ("REFERENCE_GOAL", "UNTOUCHED_GOAL"))
         loop = LoopConfig(traffic=kind)
-        run = RunConfig(planners=chosen, mode="closed", recording=False, internals="none", metrics=metrics, loop=loop)
+        run = RunConfig(planners=chosen, mode="closed", recording=False, internals="none", loop=loop)
         result = evaluate_logs(logs, run, out / kind, workers=workers, resume=resume)
         for failure in result.failures:
             say(f"traffic {kind}: {failure.line}")

@@ -20,7 +20,7 @@ from rich.text import Text
 
 from logs.trace import EndReason
 from metrics.gates import Outcome
-from metrics.judge import Verdict, worst
+from metrics.judge import Verdict, verdicts_by_log
 from replay.batch import OUTCOMES, RunResult
 from replay.batch.log_result import DriveRecord, LogResult
 
@@ -132,26 +132,17 @@ def _drives(result: RunResult) -> Iterator[RenderableType]:
             table.add_column("closed loop\nended by", overflow="fold", max_width=13)
         table.add_column(Text(column.title), justify="right", no_wrap=True)
     before = ""
-    said = _said(result)
+    said = verdicts_by_log(result.verdicts)
     for row in shown:
         if several and row.log != before:
             table.add_row(Text(row.log))
         verdict = said.get(row.key)
-        word = Text(SAYS[verdict], style=STYLES[verdict]) if verdict else Text(NOTHING)
+        word = Text(SAYS[verdict], style=STYLES[Outcome(verdict)]) if verdict else Text(NOTHING)
         name = Text(f"  {row.planner}" if several else row.log)
         table.add_row(name, word, *(Text(*cell) for cell in row.cells(columns)))
         before = row.log
     legend = Text("\n".join([*LEGEND, *_omitted(len(rows) - len(shown))]), style="dim")
     yield from _titled("Drives", table, legend)
-
-
-def _said(result: RunResult) -> dict[Key, Outcome]:
-    """The worst that the gates say, by log and planner, over both loops."""
-    found: dict[Key, list[Outcome]] = {}
-    for verdict in result.verdicts:
-        for log in verdict.logs:
-            found.setdefault((log.log, verdict.planner), []).append(log.outcome)
-    return {key: worst(outcomes) for key, outcomes in found.items()}
 
 
 def _omitted(count: int) -> list[str]:
@@ -290,7 +281,7 @@ def _latency(result: RunResult) -> Table:
     return table
 
 
-SAYS = {Outcome.PASS: "pass", Outcome.FAIL: "FAIL", Outcome.INCONCLUSIVE: "inconcl."}
+SAYS = {"pass": "pass", "fail": "FAIL", "inconclusive": "inconcl."}
 STYLES = {Outcome.PASS: "green", Outcome.FAIL: "bold red", Outcome.INCONCLUSIVE: "yellow"}
 
 

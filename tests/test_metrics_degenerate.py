@@ -61,7 +61,7 @@ def test_the_instant_of_contact_counts() -> None:
     log = scenario(ego, [stands])
     table = evaluate(drive(log, end=EndReason.COLLISION), log, metrics={"gap": METRICS["gap"]}).set_index("metric")
     assert table.loc["gap.min", "value"] == 0.0
-    assert table.loc["gap.time_below_20cm", "value"] == pytest.approx(0.01)
+    assert table.loc["gap.time_below_20cm", "value"] == pytest.approx(0.005)
 
 
 def test_right_of_way_of_one_state_says_why() -> None:

@@ -180,13 +180,13 @@ def test_the_vulnerable_have_a_time_to_collision_of_their_own() -> None:
 
 def test_at_a_collision_at_fault_ttc_is_zero_and_its_time_counts() -> None:
     """In reverse, 3 m/s, into a car that stands 2 m behind: those behind have no TTC, but the touch after 0.667 s is
-    the ego's fault. The drive ends with it: the last step stands for its 0.01 s."""
+    the ego's fault. The drive ends with it: the last step stands for half of its 0.01 s."""
     log = scenario(along(grid(0.67), -3.0), [car(-TAIL - 2.25 - 2.0, 0.0, 0.0, yaw=0.0)])
     table = judged(log)
     assert table.loc["collision_at_fault.count", "value"] == 1
     assert (table.loc["ttc.min", "value"], table.loc["ttc.min", "reason"]) == (0.0, "car 7")
-    assert table.loc["ttc.time_below_950ms", "value"] == pytest.approx(0.01)
-    assert table.loc["ttc.integrated_1500ms", "value"] == pytest.approx(0.015)
+    assert table.loc["ttc.time_below_950ms", "value"] == pytest.approx(0.005)
+    assert table.loc["ttc.integrated_1500ms", "value"] == pytest.approx(0.0075)
 
 
 def test_who_runs_into_the_ego_from_behind_does_not_change_its_ttc() -> None:

@@ -81,9 +81,9 @@ FIRST_CLOSED = next(column for column in COLUMNS if column.mode == "closed")
 
 LEGEND = (
     "open loop: the log drives, plans are compared with it; ADE 3 s: mean distance of plan and log over 3 s.",
-    "closed loop: the planner drives; route done: of what the log's driver, else the careful driver, does in the whole",
-    "log; TTC: least time to a collision; off plan: largest lateral distance; jerk: seconds beyond 4.13 m/s3.",
-    "verdict: the worst that the gates say of this log; inconclusive: no evidence against the planner, nor for it.",
+    "closed loop: the planner drives; route done: of what the log's driver, else the careful driver, does in all;",
+    "TTC: least time to a collision; off plan: largest lateral distance; jerk: seconds beyond 4.13 m/s3.",
+    "verdict: the worst that the gates say of this log; inconclusive: evidence neither for nor against the planner.",
     "fall back: share of frames in which the planner could not plan.  - : not available (why: metrics.csv).",
 )
 
@@ -100,7 +100,7 @@ def _parts(result: RunResult) -> Iterator[RenderableType]:
             yield from _titled("Planners", _comparison(result))
         frames = int((result.timings["stage"] == "total").sum())
         yield from _titled(f"Planning time (wall clock, {frames} plans)", _latency(result))
-    yield from _titled("Gates", _gates(result))
+    yield from _titled("Gates", _gates(result), *_coverage(result))
     yield from _ensemble(result)
     yield from _notes(result)
     yield from _failures(result)
@@ -295,6 +295,20 @@ def _gates(result: RunResult) -> RenderableType:
         word = Text(verdict.outcome.value.upper(), style=STYLES[verdict.outcome])
         table.add_row(word, Text(str(verdict.gate)), Text(_found(verdict, units.get(verdict.gate.metric, ""))))
     return table
+
+
+def _coverage(result: RunResult) -> Iterator[RenderableType]:
+    """What the verdicts rest on: seconds driven of those logged, by planner and loop."""
+    values = _values(result.table)
+    for planner, mode in dict.fromkeys((drive.planner, drive.mode) for drive in result.drives):
+        driven, logged = (
+            [v for (_, p, m, name), v in values.items() if (p, m, name) == (planner, mode, f"coverage.{part}.final")]
+            for part in ("driven_s", "log_s")
+        )
+        if logged:
+            word = "planned along" if mode == "open" else "driven"
+            seconds = f"{sum(driven):.0f} of {sum(logged):.0f} s"
+            yield Text(f"{planner}, {mode} loop: {seconds} of {len(logged)} logs {word}", style="dim")
 
 
 _ORDER = (Outcome.FAIL, Outcome.INCONCLUSIVE, Outcome.PASS)

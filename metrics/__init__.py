@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from importlib import import_module
 from types import MappingProxyType
@@ -40,7 +40,18 @@ from metrics import (
 from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
 from metrics.phantoms import phantoms, without_phantoms
 
-__all__ = ["COLUMNS", "METRICS", "Metric", "Reduction", "Series", "Unavailable", "evaluate", "load_metric", "series"]
+__all__ = [
+    "COLUMNS",
+    "METRICS",
+    "Metric",
+    "Reduction",
+    "Series",
+    "Unavailable",
+    "evaluate",
+    "evaluate_with_series",
+    "load_metric",
+    "series",
+]
 
 GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
     "accuracy": (
@@ -106,24 +117,40 @@ def evaluate(trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] 
     then says why; else `reason` says on whom or what the value is about ("car 12"), or is empty. `time_s` is when the
     value occurred, NaN where it belongs to no instant.
     """
+    return _table(trace, scenario, _measured(trace, scenario, metrics))
+
+
+def series(trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = METRICS) -> pd.DataFrame:
+    """The steps behind the table, long form: `t_s`, `metric` ("gap", "ade.3s"), `value` (NaN: this step has none)."""
+    return _steps(_measured(trace, scenario, metrics))
+
+
+def evaluate_with_series(
+    trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = METRICS
+) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """`evaluate` and `series`, each metric measured once."""
+    found = list(_measured(trace, scenario, metrics))
+    return _table(trace, scenario, found), _steps(found)
+
+
+def _table(trace: Trace, scenario: Scenario, measured: Iterable[tuple[Metric, str, Measured]]) -> pd.DataFrame:
     head = (scenario.name, trace.planner, trace.mode.value, trace.oracle)
     rows = [
         (*head, *_row(f"{name}.{reduction.name}", metric, reduction, found), metric.version, metric.source)
-        for metric, name, found in _measured(trace, scenario, metrics)
+        for metric, name, found in measured
         for reduction in metric.reductions
     ]
     return pd.DataFrame(rows, columns=list(COLUMNS)).astype({"value": "float64", "time_s": "float64"})
 
 
-def series(trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = METRICS) -> pd.DataFrame:
-    """The steps behind the table, long form: `t_s`, `metric` ("gap", "ade.3s"), `value` (NaN: this step has none)."""
-    found = [(n, s) for _, n, s in _measured(trace, scenario, metrics) if isinstance(s, Series)]
+def _steps(measured: Iterable[tuple[Metric, str, Measured]]) -> pd.DataFrame:
+    found = [(name, steps) for _, name, steps in measured if isinstance(steps, Series)]
     none = np.empty(0)
     return pd.DataFrame(
         {
-            "t_s": np.concatenate([none, *(s.t for _, s in found)]),
-            "metric": [name for name, s in found for _ in range(len(s.t))],
-            "value": np.concatenate([none, *(s.value for _, s in found)]),
+            "t_s": np.concatenate([none, *(steps.t for _, steps in found)]),
+            "metric": [name for name, steps in found for _ in range(len(steps.t))],
+            "value": np.concatenate([none, *(steps.value for _, steps in found)]),
         }
     )
 

@@ -138,10 +138,10 @@ def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, pro
             with progress.attempt(planner, mode):
                 keywords = planner_keywords(planner, run.planner.get(planner, {}))
                 drive = LOOPS[mode](scenario, planner, planner_config=keywords, config=run.loop)
-                table = metrics.evaluate(drive.trace, scenario, metrics=measures)
+                table, steps = metrics.evaluate_with_series(drive.trace, scenario, metrics=measures)
                 progress.tables.append(table)
                 progress.timings.append(_timings(drive))
-                progress.series.append(_series(drive, scenario, measures))
+                progress.series.append(_of_drive(steps, drive))
                 stem = mode.value if len(run.planners) == 1 else f"{mode.value}.{safe_name(planner)}"
                 with progress.attempt(planner, mode):
                     _write_drive(folder, stem, drive, scenario, table, run)
@@ -202,8 +202,8 @@ def _timings(drive: Drive) -> pd.DataFrame:
     return table[TIMING_COLUMNS]
 
 
-def _series(drive: Drive, scenario: Scenario, measures: Mapping[str, Metric]) -> pd.DataFrame:
-    table = metrics.series(drive.trace, scenario, metrics=measures)
-    table.insert(0, "planner", drive.trace.planner)
-    table.insert(1, "mode", drive.trace.mode.value)
-    return table
+def _of_drive(steps: pd.DataFrame, drive: Drive) -> pd.DataFrame:
+    """The steps of a drive's metrics, with its planner and mode before them."""
+    steps.insert(0, "planner", drive.trace.planner)
+    steps.insert(1, "mode", drive.trace.mode.value)
+    return steps

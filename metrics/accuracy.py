@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 from types import MappingProxyType
 
 import numpy as np
@@ -40,6 +40,7 @@ _ACROSS = (1, 3)
 """Which of `_errors` are made across the path: the cross error and that of the heading."""
 
 
+@lru_cache(maxsize=1)  # asked by each metric of this file in turn
 def _errors(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Errors along and cross (m), |e| (m), |heading error| (rad): each `(f, 10 h)` for the longest horizon."""
     log = scenario.ego

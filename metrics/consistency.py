@@ -20,7 +20,7 @@ In open loop plans start at the log's states, so that a plan which the log did n
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
+from functools import lru_cache, partial
 
 import numpy as np
 
@@ -42,14 +42,20 @@ _NO_PLANS = Unavailable("the drive has no plans")
 def _change(trace: Trace, scenario: Scenario, *, lateral: bool) -> Measured:
     if len(trace.frames) < 2:
         return _FEW
-    times = times_after(trace, 0, 10)[1:]
-    now, before = plan_poses(trace.frames[1:], times), plan_poses(trace.frames[:-1], times)
-    dx, dy = now[0] - before[0], now[1] - before[1]
-    size = np.abs(dy * np.cos(before[2]) - dx * np.sin(before[2])) if lateral else np.hypot(dx, dy)
+    times, dx, dy, yaw = _apart(trace)
+    size = np.abs(dy * np.cos(yaw) - dx * np.sin(yaw)) if lateral else np.hypot(dx, dy)
     both = np.isfinite(size)
     count, size = both.sum(axis=1), np.where(both, size, 0.0)
     change = size.max(axis=1) if lateral else size.sum(axis=1) / np.maximum(count, 1)
     return Series(times[:, 0], np.where(count > 0, change, np.nan), missing="successive plans never overlap")
+
+
+@lru_cache(maxsize=1)  # asked by the two metrics of `_change`
+def _apart(trace: Trace) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Times, how far each plan is from the one before (x, y), and the heading of that: each `(f - 1, 11)`."""
+    times = times_after(trace, 0, 10)[1:]
+    now, before = plan_poses(trace.frames[1:], times), plan_poses(trace.frames[:-1], times)
+    return times, now[0] - before[0], now[1] - before[1], before[2]
 
 
 def _extended(trace: Trace, scenario: Scenario) -> Measured:

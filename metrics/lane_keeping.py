@@ -13,6 +13,8 @@ nuPlan and NAVSIM judge (2): below 2 m is compliant, below 6 m half. Lanes that 
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import numpy as np
 
 from logs.kernel import FloatArray
@@ -41,6 +43,7 @@ ASIDE_M, ASIDE_S = 0.5, 2.0
 NO_LANES = Unavailable("the log has no lanes")
 
 
+@lru_cache(maxsize=1)  # asked by both metrics of this file
 def _lanes(trace: Trace, scenario: Scenario) -> Under | Unavailable:
     lanes = drivable_lanes(scenario.road)
     if scenario.road.source is RoadSource.DRIVEN_PATH or lanes is None:

@@ -118,6 +118,7 @@ def drive(perception: str) -> Drive:
     return run_closed_loop(scenario, "dp_qp", config=LoopConfig(perception=perception))
 
 
+@pytest.mark.slow
 def test_a_drive_past_parked_cars_is_slower_with_a_sensor_and_says_why() -> None:
     told, seen = drive("ground_truth"), drive("sensor")
     assert seen.trace.ego.v.min() < told.trace.ego.v.min() - 2.0

@@ -293,6 +293,7 @@ def test_who_follows_in_the_lane_beside_does_not_have_to_brake() -> None:
     assert found.before > 5.0 and found.room > 1.0
 
 
+@pytest.mark.slow
 @settings(max_examples=12, deadline=None)
 @given(st.floats(-2.3, -1.2), st.floats(1.2, 2.3), st.floats(-5.0, 25.0), st.floats(7.0, 13.5))
 def test_between_two_who_walk_at_both_edges_nobody_brakes_hard_or_swerves(
@@ -319,6 +320,7 @@ def past_a_walker(turn: float, w: float) -> Trace:
     return run_closed_loop(Scenario("walker", ego, tracks(who), two_way(), 12.0, vehicle=CAR), "dp_qp").trace
 
 
+@pytest.mark.slow
 def test_the_front_touches_nobody_who_turns_into_the_way() -> None:
     """Wherever the ego is when he turns. (Who walks into its flank when its front is past him cannot be helped.)"""
     ego = past_a_walker(99.0, 1.0).ego

@@ -66,6 +66,7 @@ def test_drives_and_failures_are_counted_by_source(tmp_path: Path) -> None:
     assert len(said) == 1 and "d.mcap" in said[0]
 
 
+@pytest.mark.slow
 def test_three_files_of_three_sources(shared_data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     files = [str(shared_data / "commonroad" / f"{name}.xml") for name in FILES]
     words = [*files, "-o", str(tmp_path / "out"), "-p", "constant_speed", "--workers", "0"]

@@ -131,6 +131,7 @@ def test_the_model_based_ones_are_ahead_of_the_classical_ones() -> None:
     assert 5.0 * max(rms["dlqr_pid"], rms["mpc"]) < min(rms["pure_pursuit"], rms["stanley"], rms["pid"])
 
 
+@pytest.mark.slow
 def test_the_table_has_a_row_per_case_and_prints(capsys: pytest.CaptureFixture[str]) -> None:
     table = compare(["single_track"], ["dlqr_pid"], roads=1, robustness=True)
     assert list(table.variant.unique()) == ["nominal", *VARIANTS]

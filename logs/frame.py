@@ -119,6 +119,10 @@ class Frame:
     lights: Mapping[int, Colour] = field(default_factory=dict)
 
 
+PLAN_HORIZON_S = 3.0
+"""Plans have to reach so far: nuPlan's and NAVSIM's shortest horizons are 3 and 4 s."""
+
+
 def _no_clock(stage: str) -> None:
     """Stage times are not measured."""
 
@@ -134,6 +138,7 @@ class PlannerContext:
         period: Time between two frames, s.
         start: The ego's state at the first frame.
         lap: Call `lap("stage")` when a stage of the plan has ended: replay measures the time.
+        horizon: How far a plan has to reach, s; a shorter one is driven and judged, but counts as incomplete.
     """
 
     road: Road
@@ -142,3 +147,4 @@ class PlannerContext:
     period: float
     start: EgoState
     lap: Callable[[str], None] = _no_clock
+    horizon: float = PLAN_HORIZON_S

@@ -24,6 +24,7 @@ from functools import lru_cache, partial
 
 import numpy as np
 
+from logs.frame import PLAN_HORIZON_S
 from logs.kernel import FloatArray
 from logs.scenario import Scenario
 from logs.trace import Mode, PlannedFrame, Trace
@@ -33,8 +34,6 @@ from metrics.plans import STEP_S, frame_times, plan_columns, plan_poses, times_a
 APART_S, COMPARED_S = 0.5, 4.0
 EC_BOUNDS = (("acceleration", 0.7), ("jerk", 0.5), ("yaw rate", 0.1), ("yaw acceleration", 0.1))
 """Bounds of (3): m/s2, m/s3, rad/s, rad/s2."""
-COMPLETE_S = 3.0
-"""What a plan has to reach: nuPlan's and NAVSIM's shortest horizons are 3 and 4 s."""
 _FEW = Unavailable("fewer than two plans")
 _NO_PLANS = Unavailable("the drive has no plans")
 
@@ -101,10 +100,10 @@ def _complete(trace: Trace, scenario: Scenario) -> Measured:
     reach, log = _horizon(trace, scenario), scenario.ego
     if isinstance(reach, Unavailable):
         return reach
-    asked = (reach.t + COMPLETE_S <= log.t[-1] + 1e-6) | (len(log) < 2)
+    asked = (reach.t + PLAN_HORIZON_S <= log.t[-1] + 1e-6) | (len(log) < 2)
     if not asked.any():
-        return Unavailable(f"the log ends less than {COMPLETE_S:g} s after every frame")
-    return Series(reach.t[asked], np.where(reach.value[asked] >= COMPLETE_S - 1e-6, 1.0, 0.0))
+        return Unavailable(f"the log ends less than {PLAN_HORIZON_S:g} s after every frame")
+    return Series(reach.t[asked], np.where(reach.value[asked] >= PLAN_HORIZON_S - 1e-6, 1.0, 0.0))
 
 
 _BOTH = (Mode.OPEN, Mode.CLOSED)
@@ -135,6 +134,6 @@ PLAN_HORIZON = Metric(
 PLAN_COMPLETE = Metric(
     "plan_complete", "1", "higher", _BOTH, _complete, (replace(RATE, empty=None),),
     "Share of the frames whose plan reaches 3 s at least, where the log lasts so long after them.",
-    formula="1 where t_last - t_i >= 3 s, else 0", parameters=(f"least {COMPLETE_S:g} s",),
+    formula="1 where t_last - t_i >= 3 s, else 0", parameters=(f"least {PLAN_HORIZON_S:g} s",),
     needs="plans, and a logged drive of 3 s after some frame or none at all",
 )  # fmt: skip

@@ -45,7 +45,7 @@ class Cast:
     def at(self, phase: FloatArray) -> Played:
         """The agents at their phases `(n,)`, s; who has no log there is not in the scene."""
         log = self.log
-        pose, there = _play(log.offsets, log.static, log.t, self._columns, phase)
+        pose, there = _play(log.offsets, log.static, log.t, log.gap_after, self._columns, phase)
         return Played(pose, there)
 
     def add(self, t: float, phase: FloatArray, rate: FloatArray, there: BoolArray) -> None:
@@ -86,9 +86,12 @@ def _owners(log: Tracks) -> IntArray:
 
 @kernel
 def _play(
-    offsets: IntArray, static: BoolArray, t: FloatArray, columns: FloatArray, phase: FloatArray
+    offsets: IntArray, static: BoolArray, t: FloatArray, gap_after: BoolArray, columns: FloatArray, phase: FloatArray
 ) -> tuple[FloatArray, BoolArray]:
-    """Rows x, y, yaw (interpolated), vx, vy (of the last sample) `(5, n)` at the phases, and who has a log there."""
+    """Rows x, y, yaw (interpolated), vx, vy (of the last sample) `(5, n)` at the phases, and who has a log there.
+
+    In a gap of a track (`logs.presence`) its agent is not there.
+    """
     n = len(phase)
     pose, there = np.zeros((5, n)), np.zeros(n, np.bool_)
     for i in range(n):
@@ -99,6 +102,7 @@ def _play(
             k = max(first + np.searchsorted(t[first:end], phase[i] + 1e-9, side="right") - 1, first)
         u, j = 0.0, min(k + 1, end - 1)
         if j > k and not static[i]:
+            there[i] = there[i] and not (gap_after[k] and t[k] + 1e-9 < phase[i] < t[j] - 1e-9)
             u = min(max((phase[i] - t[k]) / (t[j] - t[k]), 0.0), 1.0)
         for c in range(3):
             pose[c, i] = columns[c, k] + u * (columns[c, j] - columns[c, k])

@@ -53,7 +53,7 @@ REDUCTIONS = {
     "count": "sum over the steps",
     "rate": "share of the steps: of those with a value, or that have one",
     "share": "share of the frames that have a value, of those that ought to have one",
-    "time_...": "seconds: each step holds until the next, the last one as long as the median step",
+    "time_...": "seconds: each step stands for half of the time to each of its neighbours",
     "worst_episode": "longest unbroken stretch out of bounds, s",
 }
 

@@ -297,7 +297,7 @@ class Scenario:
 
     @property
     def is_recorded(self) -> bool:
-        """Whether its ego was driven by somebody in the world, whose drive can say what a planner may be asked for.
+        """Whether its ego was driven by a person in the world, whose drive can say what a planner may be asked for.
 
         The tags "recorded" and "synthetic" say so; then whoever names its generator, and CommonRoad's files of unknown
         source, are not; any other log is if it holds a drive, more than one state of the ego.

@@ -38,7 +38,7 @@ from metrics.others import ego_boxes
 WINDOW_S = 1.0
 COMPLIANT_M, HALF_M = 2.0, 6.0
 AGAINST_MPS = 0.1
-"""Slower than this nobody drives against a lane: the speed at which a stop is made."""
+"""Slower than this is no driving against a lane: the speed at which a stop is made."""
 ASIDE_M, ASIDE_S = 0.5, 2.0
 NO_LANES = Unavailable("the log has no lanes")
 

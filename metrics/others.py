@@ -1,7 +1,7 @@
 """The other road users on a time grid, as they moved: ground truth for the safety metrics.
 
 The same as `Tracks.truth` at each time of the grid, in one kernel: positions are the logged ones, velocities and
-accelerations those that were estimated (`logs.motion`), and nobody is there in a gap of its track. The ego's and the
+accelerations those that were estimated (`logs.motion`), and no agent is there in a gap of its track. The ego's and the
 others' boxes are arrays over (agent, time); an agent that is not in the scene at a time has `there` False and NaN
 columns.
 """

@@ -4,7 +4,7 @@ Real perception reports boxes where nothing is. A box that overlaps the ego's wh
 is no evidence of a contact. It is left out from the last sample of its track that is `AROUND_S` before the overlap to
 the first that is as long after it; a static one for good, since it is as wrong at any other time.
 
-Only recorded logs are excused (`Scenario.is_recorded`): in a synthesised one whoever made it meant what it holds.
+Only recorded logs are excused (`Scenario.is_recorded`): a synthesised one means what it holds.
 `without_phantoms` gives tracks that have gaps there (`logs.presence`), so that whatever asks them, metrics as well as
 the contact that ends a drive, agrees.
 """

@@ -100,7 +100,7 @@ class Verdict:
         meets: When it touches somebody, s; NaN: never.
         speed: At the touch, else at the end, m/s.
         agent: Id of the agent that the driver touches, else of the one that it would touch without braking; "": none.
-        margin: (6), m; NaN where there is nobody.
+        margin: (6), m; NaN where there is no agent.
         marginal: Whether little would make it another verdict (module docstring).
     """
 
@@ -158,7 +158,7 @@ def _verdict(name: str, driver: int, scenario: Scenario, line: ReferenceLine, st
 
 
 def _nobody_met(name: str, margin: float) -> Verdict:
-    """The verdict where nobody is in the way, missed by `margin` m; NaN: there is nobody."""
+    """The verdict where no agent is in the way, missed by `margin` m; NaN: there is none."""
     marginal = margin < MARGINAL_M
     by = f", by {margin:.1f} m, marginal" if marginal else ""
     reason = f"at constant speed the ego meets nobody{by}"
@@ -180,7 +180,7 @@ class Driven:
         s: Station `(k,)` up to its end, m; `v` speed, `a` acceleration.
         meets: Step of its first touch, -1: none; `whom` the agent, -1: nobody.
         touched: Step in which somebody who is not counted touched it, -1: nobody did.
-        least: Least distance to the agent that was asked about, m (6); minus the depth where it touches somebody.
+        least: Least distance to the agent that was asked about, m (6); minus the depth where it touches one.
     """
 
     s: FloatArray

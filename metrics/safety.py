@@ -80,7 +80,7 @@ def contacts(trace: Trace, scenario: Scenario) -> tuple[Contact, ...]:
 def classify(drive: Trajectory, agents: Tracks, scenario: Scenario) -> tuple[Contact, ...]:
     """The collisions of a drive, or of a piece of it, among the agents as they moved, in order of time.
 
-    Touches at the first state are FROM_START; a piece begins at the drive's start, or where nobody is touched.
+    Touches at the first state are FROM_START; a piece begins at the drive's start, or where no agent is touched.
     """
     ego, others = ego_boxes(drive, scenario), others_at(agents, drive.t)
     vehicle = scenario.vehicle
@@ -236,7 +236,7 @@ def impact_speed(contact: Contact, trace: Trace, scenario: Scenario) -> float:
 
 @kernel
 def _approachable(ego: FloatArray, axle: float, there: BoolArray, pose: FloatArray) -> BoolArray:
-    """Whom the ego drives by or towards `(n, k)`: it moves, and they are not behind."""
+    """Which agents the ego drives by or towards `(n, k)`: it moves, and they are not behind."""
     out = there.copy()
     for k in range(there.shape[1]):
         x, y, yaw = ego[0, k], ego[1, k], ego[2, k]

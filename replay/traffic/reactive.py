@@ -13,7 +13,7 @@ somebody who is not as in the log is in its place, and enters no faster than it 
 
 "reactive": vehicles drive behind whoever is on their path, the ego included, wherever it comes from.
 
-"give_way": vehicles and riders drive as in the log unless they would then run into the ego, or into somebody who is
+"give_way": vehicles and riders drive as in the log unless they would then run into the ego, or into an agent that is
 late because of it, and only where the ego may expect it:
 
 (1) the ego has been ahead (`following` (5)) for `CC_REACT_S` without a break, the reaction time of the careful driver

@@ -2,7 +2,7 @@
 
 Replay writes them there (`replay.avoidability`), since it knows the line; a metric is given the trace and the scenario
 only. What a log says of itself under these keys is dropped when it is read: the entries are of the scenario that is
-driven. Three rows per driver: `reference_cc.applies` is 1 where the ego would meet an agent if it did not brake, else 0;
+driven. Three rows per driver: `reference_cc.applies` is 1 where an ego that did not brake would meet an agent, else 0;
 where it applies, `reference_cc.avoids` is 1 or 0, and `reference_cc.margin` says by how many metres (negative: by how
 many not); else both are unavailable and say why. The entries, of "cc" as of "fsm":
 

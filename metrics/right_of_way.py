@@ -90,7 +90,7 @@ def _failed(series: Series) -> tuple[float, int]:
 FAILED = Reduction("below_1s", _failed, unit="count", direction="lower", empty=0.0)
 PRIORITY_GAP = Metric(
     "priority_gap", "s", "higher", (Mode.CLOSED,), _priority_gap, (MIN, FAILED),
-    "Time from the ego's leaving a spot to its being taken by a road user who goes first there (post-encroachment time).",
+    "Time from the ego's leaving a spot to its being taken by one who goes first there (post-encroachment time).",
     "PET below 1 s: serious; 1.5 s: critical (criticality metrics catalogue, Westhofen et al. 2023)",
     formula="least t_j - t_i >= 0 over boxes i of the ego and j of the other that overlap",
     parameters=(f"grid {GRID_S} s", f"serious {SERIOUS_S:g} s"), needs="lanes that yield, a drive of two states",

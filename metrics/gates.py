@@ -171,7 +171,7 @@ def _check_metric(name: str, place: str, metrics: Mapping[str, Metric]) -> None:
         raise ConfigError(f"{place}: no metric has this name{meant(name, names)}")
 
 
-def meant(word: str, known: Sequence[str]) -> str:
+def meant(word: str, known: Sequence[str], *, cutoff: float = 0.4) -> str:
     """The words ", did you mean '...'?" for a word that is near to a known one; else nothing."""
-    close = difflib.get_close_matches(word, known, n=1, cutoff=0.4)
+    close = difflib.get_close_matches(word, known, n=1, cutoff=cutoff)
     return f", did you mean {close[0]!r}?" if close else ""

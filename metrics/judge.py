@@ -11,9 +11,10 @@ A broken value of the groups safety and progress is no evidence where the drive 
 road user drove into the ego without its fault): of progress at all, of safety where it is about that road user. It is
 none either where a reference drive, a row of mode "reference" in the table, breaks the same bound (`EXCUSED`): the
 recorded driver in any way (planner "driver", there for recorded logs only) in safety and rules; the careful driver
-(planner "careful", UN R157, who knows no rules) about the same road user in safety, and in comfort (a stop that is
-needed). Progress is none where the collision that ended the drive is none. Not asked at all is a log without the value
-by an `optional` gate, and one in which neither reference drive holds the bound by a `reachable` one.
+(planner "careful", UN R157, who knows no rules) in safety and comfort, about the same road user, within `SAME_S` of the
+same time, and where both collide not more slowly than the planner by more than `SLOWER_MPS`. Progress is none where the
+collision that ended the drive is none, and in a log with phantoms, for which planners stop. Not asked at all is a log
+without the value by an `optional` gate, and one in which neither reference drive holds the bound by a `reachable` one.
 
 A verdict per gate, planner and mode: FAIL where a log (`over = "worst"`) or the mean over the judged logs breaks the
 bound; else INCONCLUSIVE where a log could not be evaluated, fewer than `min_logs` were judged, or more than
@@ -44,6 +45,10 @@ _DRIVERS = {DRIVER: "recorded", CAREFUL: "careful"}
 REPLAY_CONTACT = "replay_contact.final"
 NO_COLLISION = Gate("collision_at_fault.count", max=0.0)
 """A collision ends a drive: where it is no evidence, neither is that the drive got no further."""
+SAME_S, SLOWER_MPS = 2.0, 1.0
+"""A stop at another time, or an impact that is clearly harder, is another event (`CC_TTC_S` of the careful driver)."""
+IMPACT = "collision_severity.impact_speed.max"
+PHANTOMS = "phantom.count"
 EXCUSED: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"safety": (DRIVER, CAREFUL), "rules": (DRIVER,), "comfort": (CAREFUL,)}
 )
@@ -175,7 +180,7 @@ def _judge(
     lost = "".join(f"; {log} could not be evaluated: {failed[log]}" for log in logs if log in failed)
     if not logs:
         known = sorted({tag for words in tags.values() for tag in words})
-        words = ", ".join(f"{tag}{meant(tag, known) if tag not in known else ''}" for tag in gate.tags)
+        words = ", ".join(f"{tag}{meant(tag, known, cutoff=0.7) if tag not in known else ''}" for tag in gate.tags)
         return [Verdict(gate, Outcome.INCONCLUSIVE, f"nothing to judge: no log has the tags {words}")]
     drives = [drive for drive in rows.drives if _is_judged(gate, drive, rows)]
     modes = {mode for planner, mode in drives if any(name == gate.metric for _, name in rows.drives[planner, mode])}
@@ -249,10 +254,13 @@ def _excuse(gate: Gate, log: str, row: _Row, mine: Mapping[tuple[str, str], _Row
     if contact is not None and contact.known and contact.value > 0.0 and _concerns(group, row, contact):
         return f"the replay ran into the ego ({contact.reason})"
     if group in EXCUSED:
-        return _by_reference(gate, log, row, rows, EXCUSED[group])
+        return _by_reference(gate, log, row, mine, rows, EXCUSED[group])
     crash = mine.get((log, NO_COLLISION.metric))
     if group == "progress" and crash is not None and crash.known and NO_COLLISION.margin(crash.value) < 0.0:
-        return _by_reference(NO_COLLISION, log, crash, rows, EXCUSED["safety"])
+        return _by_reference(NO_COLLISION, log, crash, mine, rows, EXCUSED["safety"])
+    phantom = mine.get((log, PHANTOMS))
+    if group == "progress" and phantom is not None and phantom.known and phantom.value > 0.0:
+        return f"the log shows planners what was not there ({phantom.reason})"
     return ""
 
 
@@ -261,14 +269,30 @@ def _concerns(group: str, row: _Row, contact: _Row) -> bool:
     return group == "progress" or (group == "safety" and _about(row) == _about(contact))
 
 
-def _by_reference(gate: Gate, log: str, row: _Row, rows: _Rows, asked: Sequence[str]) -> str:
+def _by_reference(
+    gate: Gate, log: str, row: _Row, mine: Mapping[tuple[str, str], _Row], rows: _Rows, asked: Sequence[str]
+) -> str:
     """Which of the reference drives that are asked breaks the bound too; empty: none."""
     for planner in asked:
         found = rows.reference(planner, log, gate.metric)
-        alike = found is not None and (planner == DRIVER or _about(found) == _about(row))
-        if found is not None and alike and gate.margin(found.value) < 0.0:
+        if found is None or gate.margin(found.value) >= 0.0:
+            continue
+        impacts = mine.get((log, IMPACT)), rows.reference(CAREFUL, log, IMPACT)
+        if planner == DRIVER or (_same_event(row, found) and not _harder(*impacts)):
             return f"the {_DRIVERS[planner]} driver breaks {gate} too: {_shown(found)}"
     return ""
+
+
+def _same_event(row: _Row, found: _Row) -> bool:
+    """Whether two values are about the same road user and about the same time; a value without a time is about none."""
+    return _about(row) == _about(found) and abs(row.time_s - found.time_s) <= SAME_S
+
+
+def _harder(impact: _Row | None, careful: _Row | None) -> bool:
+    """Whether the planner collides, and the careful driver does not, or clearly more slowly."""
+    if impact is None or not impact.known:
+        return False
+    return careful is None or impact.value > careful.value + SLOWER_MPS
 
 
 def _about(row: _Row | None) -> str:

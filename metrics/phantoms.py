@@ -1,8 +1,8 @@
 """Phantoms: boxes in which the logged ego stands, which therefore cannot have been there.
 
-Real perception reports boxes where nothing is. A box that overlaps the ego's while the ego was recorded at that place
-is no evidence of a contact. It is left out from the last sample of its track that is `AROUND_S` before the overlap to
-the first that is as long after it; a static one for good, since it is as wrong at any other time.
+Real perception reports boxes where nothing is. A box that reaches `DEEP_M` into the ego's while the ego was recorded at
+that place is no evidence of a contact. It is left out from the last sample of its track that is `AROUND_S` before the
+overlap to the first that is as long after it; a static one for good, since it is as wrong at any other time.
 
 Only recorded logs are excused (`Scenario.is_recorded`): a synthesised one means what it holds.
 `without_phantoms` gives tracks that have gaps there (`logs.presence`), so that whatever asks them, metrics as well as
@@ -24,6 +24,8 @@ from metrics.others import ego_boxes, name_of, others_at
 AROUND_S = 1.0
 """Before and after: 2 s together, more than `logs.presence.MAX_GAP_S`: what is left out is a gap of any track."""
 GRID_S = 0.05
+DEEP_M = 0.3
+"""So deep on every side a box is inside of the ego's: what only grazes it was near, not on it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +59,7 @@ def phantoms(scenario: Scenario) -> tuple[Phantom, ...]:
         inside = near[i].copy()
         for k in np.flatnonzero(inside):
             (x1, y1, yaw1), (x2, y2, yaw2) = boxes[:3, k], others.pose[:3, i, k]
-            inside[k] = overlap(x1, y1, yaw1, car.length, car.width, x2, y2, yaw2, size[0], size[1])
+            inside[k] = overlap(x1, y1, yaw1, car.length - 2.0 * DEEP_M, car.width - 2.0 * DEEP_M, x2, y2, yaw2, *size)
         found += [_phantom(tracks, int(i), float(t[a]), float(t[b])) for a, b in _runs(inside, t)]
     return tuple(dict.fromkeys(found))
 

@@ -113,7 +113,8 @@ def evaluate(
         typer.Option(min=0, help="Drive each log so many times more, in worlds that should not matter: is it fragile?"),
     ] = None,
     deadline: Annotated[
-        float | None, typer.Option(help="Seconds that a plan may take; a gate on it is asked only with this option.")
+        float | None,
+        typer.Option(min=1e-3, help="Seconds that a plan may take; a gate on it is asked only with this option."),
     ] = None,
     workers: Annotated[
         int | None, typer.Option(min=0, help="Processes; 0: in this one. Default: one per core. Same results.")

@@ -12,7 +12,7 @@ of p_(i+1) - p_i (turned round in reverse), and a bar for the mean of a column o
 
 A plan that breaks (2) to (5) is driven and judged by its positions: the columns are computed anew from them, and its
 status says so. One that breaks (1) or (6) is refused: what was driven before goes on, which counts as a fallback.
-The bounds of (1) to (5) are some three times what `dp_qp`, `idm` and `lattice` differ by over the built-in suite and
+The bounds of (1) to (5) are two to ten times what `dp_qp`, `idm` and `lattice` differ by over the built-in suite and
 recorded logs; those of (6) are far beyond a road car, so that a plan that is only too fast is driven and judged.
 """
 
@@ -28,7 +28,7 @@ from logs.kernel import BoolArray, FloatArray
 from logs.states import EgoState, Trajectory, wrapped
 from logs.trace import Plan, PlanStart, PlanStatus
 
-START_M, START_MPS = 0.05, 0.5
+START_M, START_MPS = 0.03, 0.05
 NEAR_M = 1.0
 """The plan being driven counts as a start where the ego is nearer to it than this (ours: 0.5 m)."""
 SPEED_MPS, YAW_RAD, LATERAL_MPS2, ACCEL_MPS = 1.0, 0.1, 2.5, 1.0

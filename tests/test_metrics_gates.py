@@ -147,6 +147,7 @@ def reference(planner: str, value: float, **changes: object) -> dict[str, object
     return row("a", value, planner=planner, mode="reference", oracle=True, **changes)
 
 
+IMPACT = row("a", 4.0, metric="collision_severity.impact_speed.max", unit="m/s")
 CONTACT = row("a", 1.0, metric="replay_contact.final", reason="car 7: from behind", unit="1")
 
 
@@ -159,6 +160,15 @@ CONTACT = row("a", 1.0, metric="replay_contact.final", reason="car 7: from behin
         ([CONTACT | {"value": 0.0, "reason": ""}], FAIL, "car 7"),
         ([reference("careful", 0.4)], INCONCLUSIVE, "the careful driver breaks gap.min >= 0.5 too: 0.4 m (car 7)"),
         ([reference("careful", 0.4, reason="car 8")], FAIL, "car 7"),
+        ([reference("careful", 0.4, time_s=9.0)], FAIL, "car 7"),
+        ([reference("careful", 0.4, time_s=np.nan)], FAIL, "car 7"),
+        (
+            [reference("careful", 0.4), IMPACT, reference("careful", 3.5, metric=IMPACT["metric"])],
+            INCONCLUSIVE,
+            "the careful driver breaks gap.min >= 0.5 too: 0.4 m (car 7)",
+        ),
+        ([reference("careful", 0.4), IMPACT, reference("careful", 1.0, metric=IMPACT["metric"])], FAIL, "car 7"),
+        ([reference("careful", 0.4), IMPACT], FAIL, "car 7"),
         ([reference("careful", 0.6)], FAIL, "car 7"),
         (
             [reference("driver", 0.0, reason="car 3")],
@@ -191,6 +201,7 @@ def test_what_can_be_excused_and_by_what() -> None:
     assert judged("lon_accel.min", CONTACT) is INCONCLUSIVE  # the careful driver brakes as hard
     assert judged("completed.final") is FAIL
     assert judged("completed.final", CONTACT) is INCONCLUSIVE
+    assert judged("goal.final", row("a", 1.0, metric="phantom.count", reason="car 9", unit="count")) is INCONCLUSIVE
     crash = row("a", 1.0, metric="collision_at_fault.count", reason="car 7: with the front, at fault", unit="count")
     assert judged("completed.final", crash) is FAIL
     careful = reference("careful", 1.0, metric="collision_at_fault.count", reason="car 7: with the front, at fault")

@@ -308,7 +308,8 @@ def _coverage(result: RunResult) -> Iterator[RenderableType]:
         if logged:
             word = "planned along" if mode == "open" else "driven"
             seconds = f"{sum(driven):.0f} of {sum(logged):.0f} s"
-            yield Text(f"{planner}, {mode} loop: {seconds} of {len(logged)} logs {word}", style="dim")
+            logs = f"{len(logged)} {'log' if len(logged) == 1 else 'logs'}"
+            yield Text(f"{planner}, {mode} loop: {seconds} {word} in {logs}", style="dim")
 
 
 _ORDER = (Outcome.FAIL, Outcome.INCONCLUSIVE, Outcome.PASS)
@@ -321,7 +322,9 @@ def _found(verdict: Verdict, unit: str) -> str:
         return f"{verdict.reason} (the gate: {why})" if why else verdict.reason
     value = 0.0 if abs(verdict.value) < 1e-9 else verdict.value
     shown = f"{value:.3g}" + (f" {unit}" if unit not in ("", "1", "count") else "")
-    return f"{verdict.planner}: {shown}" + (f", on {verdict.log}" if value else "")
+    lacking = sum(log.outcome is Outcome.INCONCLUSIVE for log in verdict.logs)
+    aside = f"; no evidence in {lacking} of {len(verdict.logs)} logs" if lacking else ""
+    return f"{verdict.planner}: {shown}" + (f", on {verdict.log}" if value else "") + aside
 
 
 def _ensemble(result: RunResult) -> Iterator[RenderableType]:

@@ -1,6 +1,7 @@
 """Planners that a judge must catch, each bad in one way, and the table of which gate catches which.
 
-    python tests/adversaries.py            drives them over the built-in suite and prints adversary x gate (Markdown)
+    python tests/adversaries.py            drives them over the built-in suite and prints adversary x gate (Markdown:
+                                           logs failed, "." none, "-" not asked); `slow` over its own log only
 
 They may be run as any planner: `replan evaluate -p adversaries:Park` from the folder of this file.
 """
@@ -17,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from logs import Frame, Plan, PlannerContext, Trajectory
+from logs.catalogue import CATALOGUE
 from logs.kernel import FloatArray
 from planners.baseline import Tracker
 from planners.constant_speed import arc
@@ -202,6 +204,12 @@ ADVERSARIES = {
 }
 
 
+def _written(folder: Path) -> list[Path]:
+    from replay.synth import synthesise
+
+    return list(synthesise(list(CATALOGUE.values()), folder / "logs", {}))
+
+
 def main() -> None:
     """Print the table."""
     from replay.batch import evaluate_logs
@@ -209,17 +217,21 @@ def main() -> None:
     from replay.drive import LoopConfig
 
     rows: dict[str, dict[str, str]] = {}
-    with tempfile.TemporaryDirectory() as out:
+    with tempfile.TemporaryDirectory() as place:
+        logs = {family.name: path for family, path in zip(CATALOGUE.values(), _written(Path(place)), strict=True)}
         for name, one in ADVERSARIES.items():
+            late = one.gate == "deadline"
             run = RunConfig(
                 planners=(f"adversaries:{one.planner.__name__}",), recording=False, internals="none",
-                loop=LoopConfig(vehicle=one.vehicle),
+                loop=LoopConfig(vehicle=one.vehicle), deadline_s=0.1 if late else 0.0,
             )  # fmt: skip
-            result = evaluate_logs([], run, Path(out) / name, workers=2)
+            asked = [logs[one.log]] if late else list(logs.values())
+            result = evaluate_logs(asked, run, Path(place) / "out" / name, workers=2)
             for verdict in result.verdicts:
                 failed = sum(log.outcome.value == "fail" for log in verdict.logs)
                 rows.setdefault(f"{verdict.gate.metric} {verdict.mode}", {})[name] = str(failed) if failed else "."
             rows.setdefault("exit code", {})[name] = str(result.exit_code)
+    rows["exit code"] = rows.pop("exit code")
     print(f"| gate | {' | '.join(ADVERSARIES)} |", "| --- |" + " --- |" * len(ADVERSARIES), sep="\n")
     for gate, found in rows.items():
         print(f"| {gate} | {' | '.join(found.get(name, '-') for name in ADVERSARIES)} |")

@@ -83,6 +83,7 @@ def test_an_ego_off_the_line_and_off_its_heading_comes_back(l: float, off: float
     assert plan.status is PlanStatus.PLANNED
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_60_degrees_across_at_walking_pace_ends_along_the_lane(side: float) -> None:
     drive = followed(lanes(along_x(), 2), EgoState(0.0, 0.0, 1.0, side * np.radians(60.0), 2.0), seconds=15.0)
@@ -100,6 +101,7 @@ def test_a_lane_without_width_is_driven_along_its_middle(width: float, v: float)
     assert plan.status is PlanStatus.PLANNED and np.abs(plan.trajectory.y).max() < 0.1
 
 
+@pytest.mark.slow
 @given(st.floats(-0.1, 0.6), st.floats(-0.3, 0.3), st.floats(5.0, 9.0))
 @settings(max_examples=6)
 def test_between_two_parked_cars_it_drives_through_or_stops_before(spare: float, l: float, v: float) -> None:  # noqa: E741

@@ -177,6 +177,7 @@ def test_when_nothing_can_be_evaluated_the_tables_are_empty_and_nothing_passes(t
     assert len(pd.read_parquet(tmp_path / "out" / "metrics.parquet")) == 0
 
 
+@pytest.mark.slow
 def test_a_killed_worker_costs_its_log_only(logs: Path, tmp_path: Path, planners: str) -> None:
     config = replace(QUICK, planners=(f"{planners}:Killed",))
     result = run(logs, tmp_path / "out", config, workers=2)
@@ -338,6 +339,7 @@ def square_of(number: int) -> int:
     return number * number
 
 
+@pytest.mark.slow
 def test_the_pool_gives_every_item_once_and_survives_deaths() -> None:
     items = [1, 13, 2, 3, 13, 4]
     answers = dict(run_all(square_of, items, 2))

@@ -83,7 +83,7 @@ def is_gone(pid: int) -> bool:
 
 @pytest.mark.parametrize(
     ("stop", "workers"),
-    [(signal.SIGINT, 0), pytest.param(signal.SIGTERM, 1, marks=pytest.mark.slow), (signal.SIGKILL, 1)],
+    [(signal.SIGINT, 0), *(pytest.param(stop, 1, marks=pytest.mark.slow) for stop in (signal.SIGTERM, signal.SIGKILL))],
 )
 def test_a_resumed_run_gives_the_bytes_of_one_that_was_never_interrupted(
     logs: Path, patient: Path, stop: signal.Signals, workers: int

@@ -184,6 +184,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pedestrian_grid, "LOOP", LoopConfig(vehicle="kinematic_bicycle", controller="dlqr_pid"))
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quick")
 def test_a_cell_is_driven_the_same_twice_and_drawn(tmp_path: Path) -> None:
     cell = Cell(30.0, 0.8, -0.5)

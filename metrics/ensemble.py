@@ -40,9 +40,10 @@ def with_ensemble(
     plain = _said(rules, table, tags)
     found: dict[tuple[str, str, str], list[tuple[Outcome, str]]] = {}
     for (_, name), rows in members.groupby([MEMBER, PERTURBATION], sort=True):
-        said = _said(rules, rows, {log: tags[log] for log in tags if log in set(rows["log"])})
+        logs = set(rows["log"])
+        said = _said(rules, rows, {log: words for log, words in tags.items() if log in logs})
         for key in plain:
-            if key[0] in set(rows["log"]):
+            if key[0] in logs:
                 found.setdefault(key, []).append(_compared(str(name), plain[key], said.get(key)))
     values: dict[tuple[str, str, str, str], tuple[float, str]] = {}
     for key, others in found.items():

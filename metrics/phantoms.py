@@ -12,6 +12,7 @@ the contact that ends a drive, agrees.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from math import inf
 
 import numpy as np
@@ -44,6 +45,7 @@ class Phantom:
     t_to: float
 
 
+@lru_cache(maxsize=1)  # asked by loops, reference drives and metrics of one log in turn
 def phantoms(scenario: Scenario) -> tuple[Phantom, ...]:
     """Those of a recorded log, in order of tracks and time; none in any other."""
     if not scenario.is_recorded or not len(scenario.tracks):
@@ -110,8 +112,3 @@ def without_phantoms(tracks: Tracks, found: tuple[Phantom, ...]) -> Tracks:
         np.r_[0, np.cumsum(sizes[left])],
         *columns,
     )
-
-
-def is_phantom(found: tuple[Phantom, ...], agent: str, t: float) -> bool:
-    """Whether the agent of this id is one at the time `t`, s."""
-    return any(phantom.agent == agent and phantom.t_from < t < phantom.t_to for phantom in found)

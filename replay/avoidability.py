@@ -33,13 +33,17 @@ def reference_line(scenario: Scenario) -> ReferenceLine:
 
 def verdicts(scenario: Scenario) -> tuple[Verdict, ...]:
     """What each reference driver makes of a scenario, from the ego's first state on."""
-    line = reference_line(scenario)
+    return _verdicts(scenario, reference_line(scenario))
+
+
+def _verdicts(scenario: Scenario, line: ReferenceLine) -> tuple[Verdict, ...]:
     return tuple(driver(scenario, line, None) for driver in DRIVERS.values())
 
 
 def with_avoidability(scenario: Scenario) -> Scenario:
     """The scenario with the verdicts on it and how far the careful driver comes in its metadata, in place of others."""
     said = {key: text for key, text in scenario.metadata.items() if not key.startswith(FINDING)}
-    entries = {key: text for verdict in verdicts(scenario) for key, text in metadata_of(verdict).items()}
-    way = careful_drive(scenario, reference_line(scenario)).s
+    line = reference_line(scenario)
+    entries = {key: text for verdict in _verdicts(scenario, line) for key, text in metadata_of(verdict).items()}
+    way = careful_drive(scenario, line).s
     return replace(scenario, metadata={**said, **entries, CAREFUL_M: repr(float(way[-1] - way[0]))})

@@ -6,7 +6,6 @@ Whether a touch is the ego's collision, or the replay ran into it, is said by th
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import inf
 
 import numpy as np
@@ -70,7 +69,6 @@ class Ending:
         self._goal = goal if goal is not None and _asks(goal) else None
         self._watch = RoadWatch(scenario.road)
         self._phantoms = phantoms(scenario)
-        self._seen = self._real = start.tracks
         self._watch.metres_off(*box_center(start.ego, self._vehicle))
 
     def of(self, world: World) -> tuple[EndReason, str] | None:
@@ -78,11 +76,9 @@ class Ending:
 
         What the recorded ego stood in (`metrics.phantoms`) is not touched.
         """
-        world = self._without_phantoms(world)
         touched = self._touched(world)
         if touched:
-            worst = max(touched, key=lambda found: found.at_fault)
-            name = name_of(world.tracks, worst.agent)
+            worst, name = max(touched, key=lambda found: found[0].at_fault)
             if worst.at_fault:
                 return EndReason.COLLISION, name
             return EndReason.REPLAY_CONTACT, f"{name}: {worst.kind.value}"
@@ -95,20 +91,16 @@ class Ending:
             return EndReason.OFF_ROAD, f"box centre {off:.1f} m off the lanes at ({x:.1f}, {y:.1f})"
         return None
 
-    def _without_phantoms(self, world: World) -> World:
-        """The world with the agents that can be touched; made anew only where the traffic has made new tracks."""
-        if world.tracks is not self._seen or self._seen is self._real:
-            self._seen, self._real = world.tracks, without_phantoms(world.tracks, self._phantoms)
-        return replace(world, tracks=self._real)
-
-    def _touched(self, world: World) -> tuple[Contact, ...]:
-        """The touches of the step that led to this world: none before it, but for those at the start."""
+    def _touched(self, world: World) -> list[tuple[Contact, str]]:
+        """The touches of the step that led to this world, each with the agent's name; earlier ones ended the drive."""
         before, self._before = self._before, world.ego
-        if contact(world, self._vehicle) < 0:
-            return ()
+        if contact(world, self._vehicle, self._phantoms) < 0:
+            return []
         states = (before, world.ego)
         columns = (np.array([getattr(state, name) for state in states]) for name in TRAJECTORY_COLUMNS)
-        return classify(Trajectory(*columns), world.tracks, self._scenario)
+        real = without_phantoms(world.tracks, self._phantoms)
+        found = classify(Trajectory(*columns), real, self._scenario)
+        return [(touch, name_of(real, touch.agent)) for touch in found]
 
 
 def _asks(goal: Goal) -> bool:

@@ -13,7 +13,7 @@ from logs.catalogue import CATALOGUE
 from logs.presence import MAX_GAP_S
 from logs.states import EgoState
 from metrics.others import others_at
-from metrics.phantoms import AROUND_S, is_phantom, phantoms, without_phantoms
+from metrics.phantoms import AROUND_S, phantoms, without_phantoms
 from replay.world import World, contact
 
 EGO = drive(straight, 10.0, 12.0)
@@ -41,7 +41,6 @@ def test_a_box_on_the_recorded_ego_is_named_and_left_out_with_a_margin() -> None
     left = without_phantoms(made.tracks, (found,))
     for t in T:
         gone = found.t_from < t < found.t_to
-        assert is_phantom((found,), "7", t) == gone and not is_phantom((found,), "8", t)
         assert left.truth(t).ids == (("8",) if gone else ("7", "8"))
         world = World(EgoState(t, 10.0 * t, 0.0, 0.0, 10.0), made.tracks)
         assert (contact(world, made.vehicle) == 0) == (5.0 - 1e-9 <= t <= 6.0 + 1e-9)

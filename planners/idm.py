@@ -28,15 +28,15 @@ from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.states import EgoState
 from logs.trace import Artefact, Corridor, Decision, Plan, SlGraph, StGraph
 from logs.vehicle import VehicleParameters
-from planners.baseline import Tracker, outlines
-from planners.dp_qp.fallback import along, fall_back
-from planners.dp_qp.path import Path, frenet_start, make_path
-from planners.dp_qp.path_dp import quintic
-from planners.dp_qp.reference_line import Course
-from planners.dp_qp.speed_qp import STEP_S, SpeedQpConfig, limit_profile
-from planners.dp_qp.st_graph import Blocks, StGraphConfig, behind, block_intervals, decide_speed
-from planners.dp_qp.walls import told, wall_outlines, walled
+from planners.frenet.fallback import along, fall_back
+from planners.frenet.path import Path, frenet_start, make_path
+from planners.frenet.profiles import STEP_S, limit_profile
+from planners.frenet.quintic import quintic
+from planners.frenet.reference_path import ReferencePath
+from planners.frenet.st_boundaries import StBoundaries, StGraphConfig, behind, decide_speed, outlines, st_boundaries
+from planners.frenet.start import Tracker
 from planners.rules import Rulebook, Wall, walls_on
+from planners.rules.stops import told, wall_outlines, walled
 
 KNOT_M = 2.0
 STEPS = 80
@@ -95,12 +95,12 @@ class Idm:
         """The roll-out of (1) along the path; a stop where the ego is outside of the reference line's frame."""
         start, start_kind, s0, l0, trouble = self._tracker.begin(frame)
         if trouble:
-            return fall_back(frame, start, start_kind, None, trouble, (), self._vehicle, SpeedQpConfig())
+            return fall_back(frame, start, start_kind, None, trouble, (), self._vehicle)
         path = self._path(start, s0, l0)
         self._lap("path")
         course = self._tracker.course
         skip = behind(course, frame, s0, l0, self._vehicle, keeps_track=True) | _beside(frame, start, self._vehicle)
-        blocks = block_intervals(path, frame, self._vehicle, skip, frozenset(), EXACT)
+        blocks = st_boundaries(path, frame, self._vehicle, skip, frozenset(), EXACT)
         stops = self._rules.stops(frame, start, s0, fresh=frame.previous is None)
         walls = walls_on(stops, path, self._vehicle)
         self._lap("S-T graph")
@@ -118,7 +118,7 @@ class Idm:
         return make_path(line, s0, KNOT_M, _return(d, state, max(15.0, self._config.return_s * speed)))
 
     def _profile(
-        self, path: Path, blocks: Blocks, walls: tuple[Wall, ...], start: EgoState
+        self, path: Path, blocks: StBoundaries, walls: tuple[Wall, ...], start: EgoState
     ) -> tuple[FloatArray, IntArray]:
         """Rows s, v, a `(3, STEPS + 1)`, and per step the row of `blocks` that led; -1: none; beyond them: a wall."""
         c, line = self._config, self._tracker.course.line
@@ -209,7 +209,7 @@ def _beside(frame: Frame, start: EgoState, vehicle: VehicleParameters) -> BoolAr
 
 
 def _told(
-    course: Course, path: Path, blocks: Blocks, walls: tuple[Wall, ...], frame: Frame, profile: FloatArray,
+    course: ReferencePath, path: Path, blocks: StBoundaries, walls: tuple[Wall, ...], frame: Frame, profile: FloatArray,
     leader: IntArray, vehicle: VehicleParameters,
 ) -> tuple[Artefact, ...]:  # fmt: skip
     """Both graphs, and a decision about whoever leads at some time."""
@@ -227,7 +227,7 @@ def _told(
     return (st_graph, _sl_graph(course, path, vehicle), *_unique(leads), *told(walls))
 
 
-def _sl_graph(course: Course, path: Path, vehicle: VehicleParameters) -> SlGraph:
+def _sl_graph(course: ReferencePath, path: Path, vehicle: VehicleParameters) -> SlGraph:
     """The path in its lane, every few metres."""
     at = np.arange(0, len(path.s), 8)
     s, side = path.s[at], 0.5 * vehicle.width

@@ -16,7 +16,7 @@ from logs.scenario import FINDING, Scenario
 from metrics.avoidability import metadata_of
 from metrics.progress import CAREFUL_M
 from metrics.reference_drivers import DRIVERS, Verdict, careful_drive
-from planners.dp_qp.reference_line import make_course
+from planners.frenet.reference_path import make_reference_path
 
 
 def reference_line(scenario: Scenario) -> ReferenceLine:
@@ -28,7 +28,7 @@ def reference_line(scenario: Scenario) -> ReferenceLine:
         if now not in road.lanes[before].successors:
             break
         kept += 1
-    return make_course(road, replace(route, lanes=route.lanes[:kept]), start).line
+    return make_reference_path(road, replace(route, lanes=route.lanes[:kept]), start).line
 
 
 def verdicts(scenario: Scenario) -> tuple[Verdict, ...]:

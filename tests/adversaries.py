@@ -20,8 +20,8 @@ import numpy as np
 from logs import Frame, Plan, PlannerContext, Trajectory
 from logs.catalogue import CATALOGUE
 from logs.kernel import FloatArray
-from planners.baseline import Tracker
 from planners.constant_speed import arc
+from planners.frenet.start import Tracker
 from planners.idm import Idm, IdmConfig
 from replay.plan_check import of_positions
 

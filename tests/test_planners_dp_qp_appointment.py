@@ -15,13 +15,13 @@ from logs import EgoState, Goal, Road, Scenario, Tracks, Trajectory
 from logs.catalogue import CATALOGUE
 from logs.route import find_route
 from logs.trace import EndReason, Trace
-from planners.dp_qp.appointment import LEAST, Appointment, Pace
-from planners.dp_qp.reference_line import make_course
+from planners.dp_qp.scene.goal_window import LEAST, GoalWindow, SpeedTarget
+from planners.frenet.reference_path import make_reference_path
 from replay.closed_loop import run_closed_loop
 
 EGO = EgoState(0.0, 20.0, 0.0, 0.0, 10.0, 0.0, 0.0)
 ROAD = lanes(along_x(0.0, 400.0))
-COURSE = make_course(ROAD, find_route(ROAD, EGO, None), EGO, CAR)
+COURSE = make_reference_path(ROAD, find_route(ROAD, EGO, None), EGO, CAR)
 LIMIT = float(COURSE.limit[0])
 
 
@@ -29,14 +29,14 @@ def region(begin: float, end: float) -> np.ndarray:
     return np.array([[begin, -2.0], [end, -2.0], [end, 2.0], [begin, 2.0]])
 
 
-def appointment(t: tuple[float, float] | None, v: tuple[float, float] | None = None) -> Appointment:
-    return Appointment(Goal((region(200.0, 220.0),), t=t, v=v), COURSE, CAR)
+def appointment(t: tuple[float, float] | None, v: tuple[float, float] | None = None) -> GoalWindow:
+    return GoalWindow(Goal((region(200.0, 220.0),), t=t, v=v), COURSE, CAR)
 
 
 def test_without_goal_or_time_nobody_is_expected() -> None:
-    for one in (Appointment(None, COURSE, CAR), appointment(None)):
-        assert one.pace(0.0, 20.0, 10.0) == Pace()
-        np.testing.assert_array_equal(one.limit(COURSE.line.s, COURSE.limit, Pace()), COURSE.limit)
+    for one in (GoalWindow(None, COURSE, CAR), appointment(None)):
+        assert one.pace(0.0, 20.0, 10.0) == SpeedTarget()
+        np.testing.assert_array_equal(one.limit(COURSE.line.s, COURSE.limit, SpeedTarget()), COURSE.limit)
 
 
 @given(st.floats(0.0, 60.0), st.floats(0.1, 5.0), st.floats(0.0, 180.0), st.floats(0.0, 20.0))
@@ -62,7 +62,7 @@ def test_the_sides_are_those_of_the_region_where_it_is_and_none_elsewhere(y: flo
     square = np.array([[-10.0, -0.5], [10.0, -0.5], [10.0, 0.5], [-10.0, 0.5]]) * (1.0, width)
     square = square @ np.array([[c, s], [-s, c]]) + (200.0, y)
     stations = np.array([COURSE.line.project(x, 0.0)[0] for x in (100.0, 200.0, 260.0)])
-    low, high = Appointment(Goal((square,)), COURSE, CAR).sides(stations)
+    low, high = GoalWindow(Goal((square,)), COURSE, CAR).sides(stations)
     room = min(0.3, 0.25 * width / c)
     assert np.isinf(low[[0, 2]]).all() and np.isinf(high[[0, 2]]).all()
     assert (low[1], high[1]) == pytest.approx((y - 0.5 * width / c + room, y + 0.5 * width / c - room), abs=1e-6)
@@ -75,7 +75,7 @@ def test_the_earlier_the_window_the_faster(first: float, more: float) -> None:
 
 
 def test_the_goals_speed_holds_in_its_region() -> None:
-    limit = appointment(None, (0.0, 5.0)).limit(COURSE.line.s, COURSE.limit, Pace())
+    limit = appointment(None, (0.0, 5.0)).limit(COURSE.line.s, COURSE.limit, SpeedTarget())
     slow = COURSE.line.s[limit < 5.0]
     assert 200.0 - CAR.axle_to_center - 1.0 <= slow.min() and slow.max() <= 220.0 - CAR.axle_to_center + 1.0
 
@@ -120,7 +120,7 @@ def test_a_goal_partly_out_of_the_lane_is_met_where_it_is_in_it(turn: float) -> 
 
 def test_of_two_regions_the_one_in_the_lane_is_met_and_between_them_the_middle_is_kept() -> None:
     near, far = rectangle(83.0, 1.0, 6.0, 1.0), rectangle(403.0, 1.0, 6.0, 1.0)
-    low, high = Appointment(Goal((far, near)), COURSE, CAR).sides(
+    low, high = GoalWindow(Goal((far, near)), COURSE, CAR).sides(
         np.array([COURSE.line.project(x, 0.0)[0] for x in (83.0, 200.0, 403.0 - 60.0)])
     )
     assert np.isfinite(low[0]) and np.isfinite(high[0]) and np.isinf(low[1:]).all() and np.isinf(high[1:]).all()
@@ -130,8 +130,8 @@ def test_of_two_regions_the_one_in_the_lane_is_met_and_between_them_the_middle_i
     whole = rectangle(90.0, 0.0, 20.0, 3.4)
     stations = np.array([COURSE.line.project(x, 0.0)[0] for x in np.arange(81.0, 99.0)])
     for one, two in zip(
-        Appointment(Goal(tuple(triangles)), COURSE, CAR).sides(stations),
-        Appointment(Goal((whole,)), COURSE, CAR).sides(stations),
+        GoalWindow(Goal(tuple(triangles)), COURSE, CAR).sides(stations),
+        GoalWindow(Goal((whole,)), COURSE, CAR).sides(stations),
         strict=True,
     ):
         np.testing.assert_allclose(one, two, atol=1e-6)

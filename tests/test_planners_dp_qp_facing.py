@@ -11,7 +11,7 @@ from worlds import Drive, Other, along_x, driving, followed, gaps, standing, str
 
 from logs import AgentKind, DecisionKind, EgoState, PlanStatus, Road
 from logs.route import Route
-from planners.dp_qp.reference_line import Course, make_course
+from planners.frenet.reference_path import ReferencePath, make_reference_path
 
 EGO = EgoState(0.0, 0.0, 0.0, 0.0, 8.0)
 THING = Other("thing", lambda t: (60.0, 0.0, 0.0, 0.0, 0.0), AgentKind.OBJECT, 5.0, 3.0)
@@ -27,8 +27,8 @@ def two_way(*, crossable: bool = True, right: bool = True) -> Road:
     return Road({0: strip(0, there, **marks), 1: strip(1, back, **marks)}, drives_on_right=right)
 
 
-def course(road: Road) -> Course:
-    return make_course(road, Route((0,), False, 0.0), EGO)
+def course(road: Road) -> ReferencePath:
+    return make_reference_path(road, Route((0,), False, 0.0), EGO)
 
 
 def driven(road: Road, others: Sequence[Other], seconds: float = 20.0) -> Drive:

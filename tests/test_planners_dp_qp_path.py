@@ -16,11 +16,18 @@ from worlds import CAR, Other, along_x, curve, driving, frame, lanes, standing
 from logs import Decision, DecisionKind, EgoState, Plan, ReferenceLine, SlGraph, SolverReport, Trajectory
 from logs.kernel import FloatArray
 from logs.route import find_route
-from planners.dp_qp import corridor, path_qp
-from planners.dp_qp.appointment import Appointment
-from planners.dp_qp.corridor import CorridorConfig, PathObstacle, Room, decide_sides, narrowed, path_obstacles, widened
-from planners.dp_qp.path import MIN_REGULAR, Path, frenet_start, make_path, out_of_frame, states_on_path
-from planners.dp_qp.path_dp import (
+from planners.dp_qp.path import bounds as corridor
+from planners.dp_qp.path import qp as path_qp
+from planners.dp_qp.path.bounds import (
+    CorridorConfig,
+    PathBounds,
+    PathObstacle,
+    decide_sides,
+    narrowed,
+    path_obstacles,
+    widened,
+)
+from planners.dp_qp.path.dp import (
     COLLISION,
     OUTSIDE,
     SAMPLES,
@@ -28,13 +35,15 @@ from planners.dp_qp.path_dp import (
     path_dp,
     path_dp_offset,
     path_dp_to_go,
-    quintic,
     side_costs,
 )
-from planners.dp_qp.path_qp import MAX_DL, PathProblem, PathQp, PathQpConfig
-from planners.dp_qp.path_stage import ChosenPath, PathConfig, PathStage
-from planners.dp_qp.reference_line import Course, make_course
-from planners.dp_qp.steering import COMFORT, bend_bounds, bounded, expected_speed
+from planners.dp_qp.path.qp import MAX_DL, PathProblem, PathQp, PathQpConfig
+from planners.dp_qp.path.stage import ChosenPath, PathConfig, PathStage
+from planners.dp_qp.path.steering import COMFORT, bend_bounds, bounded, expected_speed
+from planners.dp_qp.scene.goal_window import GoalWindow
+from planners.frenet.path import MIN_REGULAR, Path, frenet_start, make_path, out_of_frame, states_on_path
+from planners.frenet.quintic import quintic
+from planners.frenet.reference_path import ReferencePath, make_reference_path
 from planners.qp import QPConfig
 
 SEED = st.integers(0, 2**32 - 1)
@@ -368,9 +377,9 @@ def test_where_the_frame_ends_it_says_why() -> None:
     assert out_of_frame(line, EgoState(0.0, x, y, yaw + np.radians(-60.0), 5.0), 30.0, 8.0) == ""
 
 
-def course(points: FloatArray, count: int = 1) -> Course:
+def course(points: FloatArray, count: int = 1) -> ReferencePath:
     road, ego = lanes(points, count), EgoState(0.0, 0.0, 0.0, 0.0, 8.0)
-    return make_course(road, find_route(road, ego, None), ego)
+    return make_reference_path(road, find_route(road, ego, None), ego)
 
 
 STRAIGHT, LEFT_TURN = course(along_x()), course(curve((30.0, 0.0), (60.0, 1.0 / 30.0), (60.0, 0.0)))
@@ -408,9 +417,9 @@ def test_only_who_stands_on_the_road_ahead_is_an_obstacle() -> None:
     assert [box.agent for box in found] == ["ahead", "kerb"]
 
 
-def room(lower: float = -1.0, upper: float = 1.0, step: float = 1.0, length: float = 100.0) -> Room:
+def room(lower: float = -1.0, upper: float = 1.0, step: float = 1.0, length: float = 100.0) -> PathBounds:
     s = np.arange(0.0, length, step) + np.array(LEADS)[:, None]
-    return Room(s, np.full(s.shape, lower), np.full(s.shape, upper))
+    return PathBounds(s, np.full(s.shape, lower), np.full(s.shape, upper))
 
 
 def test_the_room_ends_short_of_the_centre_of_a_turn() -> None:
@@ -524,19 +533,21 @@ def test_a_lane_is_borrowed_only_beside_an_obstacle() -> None:
 # The stage as a whole.
 
 
-def stage(along: Course, *, passes_left: bool = True) -> PathStage:
+def stage(along: ReferencePath, *, passes_left: bool = True) -> PathStage:
     return PathStage(
         along,
         CAR,
         PathConfig(),
-        Appointment(None, along, CAR),
+        GoalWindow(None, along, CAR),
         horizon=8.0,
         passes_left=passes_left,
         lap=lambda _: None,
     )
 
 
-def chosen(along: Course, ego: EgoState, others: Sequence[Other] = (), previous: Plan | None = None) -> ChosenPath:
+def chosen(
+    along: ReferencePath, ego: EgoState, others: Sequence[Other] = (), previous: Plan | None = None
+) -> ChosenPath:
     """The path of a fresh stage."""
     s, l = along.line.project(ego.x, ego.y)  # noqa: E741
     return stage(along).choose(frame(ego, others, previous=previous), ego, s, l, fresh=True)
@@ -546,7 +557,7 @@ def graph_of(found: ChosenPath) -> SlGraph:
     return next(item for item in found.artefacts if isinstance(item, SlGraph))
 
 
-def outside(along: Course, found: ChosenPath) -> FloatArray:
+def outside(along: ReferencePath, found: ChosenPath) -> FloatArray:
     """By how much each corner of the ego is outside the reported corridor along the path `(points, 4)`, m.
 
     Beyond its end, which a corner in front of the rear axle passes before the path ends, there is no corridor: -inf.
@@ -568,7 +579,9 @@ ROADS = st.lists(st.tuples(st.floats(15.0, 50.0), st.floats(-0.1, 0.1)), min_siz
 PARKED = st.lists(st.tuples(st.floats(15.0, 90.0), st.floats(-3.0, 3.0), st.floats(-0.4, 0.4)), max_size=3)
 
 
-def world(bends: list[tuple[float, float]], parked: list[tuple[float, float, float]]) -> tuple[Course, list[Other]]:
+def world(
+    bends: list[tuple[float, float]], parked: list[tuple[float, float, float]]
+) -> tuple[ReferencePath, list[Other]]:
     """Two lanes along a winding road, the first the course's, and others standing at (s, l, yaw)."""
     ends = np.cumsum([0.0, 30.0] + [length for length, _ in bends])
     kappa = np.interp(np.arange(0.0, ends[-1] + 150.0), ends, [0.0, 0.0] + [k for _, k in bends])
@@ -596,7 +609,7 @@ def test_the_corners_of_the_ego_stay_in_the_corridor(
 
 
 THREE = lanes(along_x(), 3)
-MIDDLE = make_course(
+MIDDLE = make_reference_path(
     THREE, find_route(THREE, EgoState(0.0, 30.0, 3.5, 0.0, 8.0), None), EgoState(0.0, 30.0, 3.5, 0.0, 8.0)
 )
 
@@ -609,7 +622,7 @@ def side_taken(l: float, previous: Plan | None, weights: PathDpConfig, v: float)
         MIDDLE,
         CAR,
         PathConfig(weights),
-        Appointment(None, MIDDLE, CAR),
+        GoalWindow(None, MIDDLE, CAR),
         horizon=8.0,
         passes_left=True,
         lap=lambda _: None,

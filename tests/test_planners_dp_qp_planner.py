@@ -35,13 +35,13 @@ from logs.states import TRAJECTORY_COLUMNS, wrapped
 from logs.transform import mirrored, moved
 from planners.base import Planner
 from planners.dp_qp import DpQp
-from planners.dp_qp.fallback import meets
-from planners.dp_qp.lane_plan import LanePlanner
-from planners.dp_qp.lanes import Lanes
-from planners.dp_qp.path_qp import PathQp
-from planners.dp_qp.path_stage import PathConfig
-from planners.dp_qp.speed_qp import SpeedQp, SpeedQpConfig
-from planners.dp_qp.speed_stage import SpeedConfig
+from planners.dp_qp.lane.plan import LanePlanner
+from planners.dp_qp.path.qp import PathQp
+from planners.dp_qp.path.stage import PathConfig
+from planners.dp_qp.speed.qp import SpeedQp, SpeedQpConfig
+from planners.dp_qp.speed.stage import SpeedConfig
+from planners.frenet.fallback import meets
+from planners.frenet.lane_sequence import LaneSequences
 from planners.prediction import predict
 from planners.qp import QPResult
 from planners.rules import Rulebook
@@ -542,7 +542,7 @@ def test_where_only_the_hardest_braking_keeps_the_distance_that_is_told() -> Non
 
 def test_a_lane_that_was_not_planned_for_long_is_found_again() -> None:
     """The foot point is looked for near the last one, but not where the ego has driven on since."""
-    strip = Lanes(PlannerContext(ONE, None, CAR, PERIOD, EGO)).start(EGO)
+    strip = LaneSequences(PlannerContext(ONE, None, CAR, PERIOD, EGO)).start(EGO)
     driver = LanePlanner(
         strip, Rulebook(ONE, strip.course, CAR), None, CAR, PathConfig(), SpeedConfig(),
         passes_left=True, lap=lambda stage: None,

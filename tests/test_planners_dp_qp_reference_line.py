@@ -1,4 +1,4 @@
-"""Course: smoothing that stays where it was told to, and the width of known roads."""
+"""ReferencePath: smoothing that stays where it was told to, and the width of known roads."""
 
 from __future__ import annotations
 
@@ -11,16 +11,23 @@ from worlds import CAR, along_x, beside, curve, lanes, strip
 from logs import EgoState, Lane, ReferenceLine, Road, VehicleParameters
 from logs.kernel import FloatArray
 from logs.route import Route, find_route
-from planners.dp_qp.reference_line import BENDING_WEIGHT, MAX_SHIFT_M, SPACING_M, Course, make_course, smoothed
+from planners.frenet.reference_path import (
+    BENDING_WEIGHT,
+    MAX_SHIFT_M,
+    SPACING_M,
+    ReferencePath,
+    make_reference_path,
+    smoothed,
+)
 
 EGO = EgoState(0.0, 0.0, 0.0, 0.0, 10.0)
 
 
-def course(road: Road, ego: EgoState = EGO) -> Course:
-    return make_course(road, find_route(road, ego, None), ego)
+def course(road: Road, ego: EgoState = EGO) -> ReferencePath:
+    return make_reference_path(road, find_route(road, ego, None), ego)
 
 
-def at(line: Course, x: float) -> tuple[float, float, float, float, float]:
+def at(line: ReferencePath, x: float) -> tuple[float, float, float, float, float]:
     """Right road edge, right and left lane edge, left road edge, limit beside a place near the x axis."""
     s, _ = line.line.project(x, 0.0)
     columns = (line.road_right, line.lane_right, line.lane_left, line.road_left, line.limit)
@@ -186,7 +193,7 @@ def test_a_lane_without_limit_has_the_roads() -> None:
 
 def test_a_lane_change_on_the_route_is_blended_from_the_ego_on() -> None:
     road = lanes(along_x(), 2)
-    line = make_course(road, Route((0, 1), True, 50.0), EGO).line
+    line = make_reference_path(road, Route((0, 1), True, 50.0), EGO).line
     offsets = np.interp([-20.0, 0.0, 100.0, 200.0], line.xy[:, 0], line.xy[:, 1])
     np.testing.assert_allclose(offsets, (0.0, 0.0, 3.5, 3.5), atol=0.1)
     assert np.abs(line.kappa).max() < 0.05
@@ -213,7 +220,7 @@ def test_a_kinked_lane_is_smoothed_until_a_car_can_be_steered_along(turn: float,
 
     def line(width: float, car: VehicleParameters | None) -> ReferenceLine:
         road = Road({0: strip(0, kinked, 0.5 * width, -0.5 * width)})
-        return make_course(road, Route((0,), False, 0.0), EGO, car).line
+        return make_reference_path(road, Route((0,), False, 0.0), EGO, car).line
 
     for width in (1.9, 5.0):
         plain, steerable = line(width, None), line(width, CAR)

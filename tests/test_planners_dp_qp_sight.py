@@ -13,8 +13,7 @@ from worlds import CAR, Other, frame
 
 from logs import Decision, EgoState, Frame, Visibility
 from logs.catalogue import CATALOGUE
-from planners.dp_qp.path import Path
-from planners.dp_qp.sight import (
+from planners.dp_qp.scene.occlusion import (
     LEAST_MPS,
     PERSON_M,
     REACTION_S,
@@ -24,6 +23,7 @@ from planners.dp_qp.sight import (
     sight_limit,
     stopping_speed,
 )
+from planners.frenet.path import Path
 from replay.closed_loop import run_closed_loop
 from replay.drive import Drive, LoopConfig
 

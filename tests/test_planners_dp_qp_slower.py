@@ -18,12 +18,9 @@ from logs.frame import Visibility
 from logs.kernel import FloatArray
 from logs.route import Route, find_route
 from logs.trace import Candidates, EndReason, Trace
-from planners.dp_qp.corridor import CorridorConfig
-from planners.dp_qp.decide import borrowing_endangers
-from planners.dp_qp.path import make_path
-from planners.dp_qp.reference_line import make_course
-from planners.dp_qp.sight import LEAST_MPS, REACTION_S, WALK_MPS
-from planners.dp_qp.slower import (
+from planners.dp_qp.lane.choice import borrowing_endangers
+from planners.dp_qp.path.bounds import CorridorConfig
+from planners.dp_qp.scene.moving_obstacles import (
     ASIDE_M,
     NEAR_M,
     SPARE_S,
@@ -34,14 +31,17 @@ from planners.dp_qp.slower import (
     movers,
     slower,
 )
-from planners.dp_qp.speed_stage import SPEED_ROOM_MPS
+from planners.dp_qp.scene.occlusion import LEAST_MPS, REACTION_S, WALK_MPS
+from planners.dp_qp.speed.stage import SPEED_ROOM_MPS
+from planners.frenet.path import make_path
+from planners.frenet.reference_path import make_reference_path
 from replay.closed_loop import run_closed_loop
 from replay.drive import LoopConfig
 
 LENGTH, WIDTH = 1.8, 0.6
 EGO = EgoState(0.0, 20.0, 0.0, 0.0, 10.0, 0.0, 0.0)
 ROAD = lanes(along_x(0.0, 600.0))
-COURSE = make_course(ROAD, find_route(ROAD, EGO, None), EGO, CAR)
+COURSE = make_reference_path(ROAD, find_route(ROAD, EGO, None), EGO, CAR)
 AT = COURSE.line.project(EGO.x, 0.0)[0]
 BRAKE = 6.4
 
@@ -211,7 +211,7 @@ def test_where_somebody_comes_he_is_followed_until_that_one_is_gone() -> None:
 @pytest.mark.parametrize(("reach", "free"), [(60.0, False), (300.0, True), (np.inf, True)])
 def test_the_facing_lane_must_be_seen_as_far_as_one_may_come_from(reach: float, free: bool) -> None:
     road = two_way()
-    course = make_course(road, Route((0,), False, 0.0), EGO)
+    course = make_reference_path(road, Route((0,), False, 0.0), EGO)
     at = course.line.project(EGO.x, 0.0)[0]
     view = Visibility(EGO.x, 0.0, 0.0, reach, 2.0 * np.pi, np.empty((0, 4, 2)))
     now = replace(frame(EGO, [goer(45.0, -1.0, 3.0)]), visibility=None if np.isinf(reach) else view)
@@ -341,7 +341,7 @@ def test_the_lane_beside_is_borrowed_only_before_who_need_not_brake_hard(
     road = lanes(along_x(-100.0, 400.0), 2)
     lane, beside = (0, 3.5) if left else (1, 0.0)
     ego = EgoState(0.0, 20.0, 3.5 - beside, 0.0, 10.0, 0.0, 0.0)
-    course = make_course(road, Route((lane,), False, 0.0), ego, CAR)
+    course = make_reference_path(road, Route((lane,), False, 0.0), ego, CAR)
     x = ego.x - CAR.rear_overhang - gap - 2.25
     now = frame(ego, [driving("car", x, beside, ego.v + closing, length=4.5, width=1.8)])
     against = borrowing_endangers(course, now, course.line.project(ego.x, ego.y)[0], CAR, left=left)

@@ -15,22 +15,13 @@ from logs import AgentKind, DecisionKind, EgoState
 from logs.kernel import FloatArray
 from logs.route import find_route
 from logs.shapes import overlap
-from planners.dp_qp import speed_qp
-from planners.dp_qp.path import Path
-from planners.dp_qp.reference_line import make_course
-from planners.dp_qp.speed_dp import COLLISION, DS_M, cost_map, speed_dp
-from planners.dp_qp.speed_qp import (
-    STEP_S,
-    Limits,
-    SpeedLimits,
-    SpeedProblem,
-    SpeedQp,
-    SpeedQpConfig,
-    braking,
-    cruising,
-    limit_profile,
-)
-from planners.dp_qp.st_graph import Blocks, StGraphConfig, behind, block_intervals, decide_speed
+from planners.dp_qp.speed import qp as speed_qp
+from planners.dp_qp.speed.dp import COLLISION, DS_M, cost_map, speed_dp
+from planners.dp_qp.speed.qp import SpeedProblem, SpeedQp, SpeedQpConfig
+from planners.frenet.path import Path
+from planners.frenet.profiles import STEP_S, Limits, SpeedLimits, braking, cruising, limit_profile
+from planners.frenet.reference_path import make_reference_path
+from planners.frenet.st_boundaries import StBoundaries, StGraphConfig, behind, decide_speed, st_boundaries
 from planners.qp import QPConfig
 
 SEED = st.integers(0, 2**32 - 1)
@@ -58,9 +49,9 @@ def turning(radius: float, angle: float = 2.0, spacing: float = 0.4) -> Path:
 STRAIGHT = path_of(np.zeros(301), 0.4)
 
 
-def blocks_of(path: Path, other: Other, config: StGraphConfig = AS_PREDICTED, *, passed: bool = False) -> Blocks:
+def blocks_of(path: Path, other: Other, config: StGraphConfig = AS_PREDICTED, *, passed: bool = False) -> StBoundaries:
     skip = np.zeros(1, np.bool_)
-    return block_intervals(path, frame(EGO, [other]), CAR, skip, frozenset({other.id} if passed else ()), config)
+    return st_boundaries(path, frame(EGO, [other]), CAR, skip, frozenset({other.id} if passed else ()), config)
 
 
 def met(path: Path, other: Other, t: float, margin: float) -> FloatArray:
@@ -150,7 +141,7 @@ def test_the_speed_along_the_path_is_the_projection_of_the_velocity() -> None:
 
 def test_who_follows_is_not_in_the_way() -> None:
     road = lanes(along_x(), 2)
-    course = make_course(road, find_route(road, EGO, None), EGO)
+    course = make_reference_path(road, find_route(road, EGO, None), EGO)
     others = [
         driving("follower", -12.0, 0.0, 9.0),
         driving("beside, behind", -12.0, 3.5, 9.0),

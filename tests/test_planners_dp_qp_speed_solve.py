@@ -10,32 +10,33 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from logs.kernel import FloatArray
-from planners.dp_qp.speed_qp import STEP_S, Limits, SpeedProblem, SpeedQpConfig
-from planners.dp_qp.speed_solve import PATIENCE_S, SolvedSpeed, SpeedSolver
-from planners.dp_qp.st_graph import Blocks
+from planners.dp_qp.speed.braking import PATIENCE_S, SolvedSpeed, SpeedSolver
+from planners.dp_qp.speed.qp import SpeedProblem, SpeedQpConfig
+from planners.frenet.profiles import STEP_S, Limits
+from planners.frenet.st_boundaries import StBoundaries
 
 CONFIG, GAP, MOST = SpeedQpConfig(), 1.0, 9.0
 T = STEP_S * np.arange(CONFIG.knots)
 END = 300.0
 
 
-def blocked(low: float, high: float, begin: float, end: float) -> Blocks:
+def blocked(low: float, high: float, begin: float, end: float) -> StBoundaries:
     """Somebody takes the stations from `low` to `high` m from `begin` to `end` s."""
     taken = (begin - 1e-9 <= T) & (end + 1e-9 >= T)
     lower, upper = (np.where(taken, s, np.nan)[None, :] for s in (low, high))
-    return Blocks(T, np.zeros(1, np.int64), lower, upper, np.zeros(1), np.ones(1))
+    return StBoundaries(T, np.zeros(1, np.int64), lower, upper, np.zeros(1), np.ones(1))
 
 
 def problem(v: float, a: float, upper: FloatArray) -> SpeedProblem:
     return SpeedProblem((v, a), np.zeros(len(T)), upper, np.full(len(T), v + 2.0), v * T, np.full(len(T), v), END)
 
 
-def behind(v: float, blocks: Blocks, a: float = 0.0) -> SpeedProblem:
+def behind(v: float, blocks: StBoundaries, a: float = 0.0) -> SpeedProblem:
     """The ego stays behind whoever blocks."""
     return problem(v, a, np.fmin(np.full(len(T), END), blocks.lower[0] - GAP))
 
 
-def solve(solver: SpeedSolver, v: float, blocks: Blocks, t: float, *, fresh: bool, a: float = 0.0) -> SolvedSpeed:
+def solve(solver: SpeedSolver, v: float, blocks: StBoundaries, t: float, *, fresh: bool, a: float = 0.0) -> SolvedSpeed:
     solved = solver.solve(behind(v, blocks, a), lambda margins: blocks, t, fresh=fresh)
     solver.remember(t, solved)
     return solved
@@ -131,7 +132,9 @@ def test_waiting_braking_is_comfortable_first() -> None:
 @pytest.mark.parametrize("end", [8.0, 12.0, 15.0, 18.0])
 def test_the_end_of_the_path_is_not_driven_over_where_braking_can_keep_it(end: float) -> None:
     """Nobody is in the way; the path ends where the car could not steer on."""
-    nobody = Blocks(T, np.zeros(0, np.int64), np.empty((0, len(T))), np.empty((0, len(T))), np.empty(0), np.empty(0))
+    nobody = StBoundaries(
+        T, np.zeros(0, np.int64), np.empty((0, len(T))), np.empty((0, len(T))), np.empty(0), np.empty(0)
+    )
     short = replace(problem(10.0, 0.0, np.full(len(T), end)), end=end)
     found = SpeedSolver(CONFIG, GAP, MOST).solve(short, lambda margins: nobody, 0.0, fresh=True)
     hardest = Limits(CONFIG.emergency).braking((10.0, 0.0), CONFIG.knots)

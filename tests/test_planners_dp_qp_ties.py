@@ -17,8 +17,8 @@ from logs.road import ReferenceLine, nearest, thinned
 from logs.route import Route, find_route, goal_lanes, start_lanes, straight_on
 from logs.transform import jittered, rotated
 from planners.dp_qp import DpQp
-from planners.dp_qp.path_dp import PathDpConfig, path_dp
-from planners.dp_qp.reference_line import make_course
+from planners.dp_qp.path.dp import PathDpConfig, path_dp
+from planners.frenet.reference_path import make_reference_path
 from planners.prediction import LaneMap, predict
 
 TINY, SAME = 1e-9, 1e-6
@@ -121,7 +121,7 @@ def test_a_course_is_as_wide_at_its_ends_as_beside() -> None:
         shift = np.array([off, 0.0])
         other = replace(left, left=left.left + shift, right=left.right + shift)
         road = Road({0: strip(0, along_x(), left_neighbour=1), 1: other})
-        course = make_course(road, Route((0,), False, 0.0), EgoState(0.0, 0.0, 0.0, 0.0, 5.0))
+        course = make_reference_path(road, Route((0,), False, 0.0), EgoState(0.0, 0.0, 0.0, 0.0, 5.0))
         np.testing.assert_allclose(course.road_left, 5.25, atol=1e-4)
 
 

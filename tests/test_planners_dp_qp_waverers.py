@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from worlds import CAR, Other, frame
 
 from logs import AgentKind, Decision, EgoState, Frame
-from planners.dp_qp.path import Path
-from planners.dp_qp.sight import LEAST_MPS, REACTION_S, WALK_MPS
-from planners.dp_qp.st_graph import StGraphConfig, block_intervals
-from planners.dp_qp.waverers import WAVERS_S, Waverers
+from planners.dp_qp.scene.hesitant_pedestrians import WAVERS_S, HesitantPedestrians
+from planners.dp_qp.scene.occlusion import LEAST_MPS, REACTION_S, WALK_MPS
+from planners.frenet.path import Path
+from planners.frenet.st_boundaries import StGraphConfig, st_boundaries
 
 DECEL, SIZE = 6.0, 0.5
 S = np.arange(0.0, 120.0, 0.5)
@@ -26,14 +26,14 @@ def walker(x: float, y: float, vy: float, kind: AgentKind = AgentKind.PEDESTRIAN
     return Other("w", lambda t: (x, y + vy * t, np.pi / 2.0, 0.0, vy), kind, SIZE, SIZE)
 
 
-def looked(who: Waverers, found: Frame, *, fresh: bool = False) -> tuple[np.ndarray, tuple[Decision, ...]]:
-    blocks = block_intervals(
+def looked(who: HesitantPedestrians, found: Frame, *, fresh: bool = False) -> tuple[np.ndarray, tuple[Decision, ...]]:
+    blocks = st_boundaries(
         STRAIGHT, found, CAR, np.zeros(len(found.agents), bool), frozenset(), StGraphConfig(margin_m=0.3)
     )
     return who.limit(STRAIGHT, ROAD, found, CAR, blocks, DECEL, fresh=fresh)
 
 
-def after(who: Waverers, x: float, d: float, t: float, kind: AgentKind = AgentKind.PEDESTRIAN) -> np.ndarray:
+def after(who: HesitantPedestrians, x: float, d: float, t: float, kind: AgentKind = AgentKind.PEDESTRIAN) -> np.ndarray:
     """The limit `t` s after he walked towards the path, when he stands `d` m beside the ego's side."""
     y = -(0.5 * CAR.width + d + 0.5 * SIZE)
     looked(who, frame(EGO, [walker(x, y - 0.5, 1.2, kind)]), fresh=True)
@@ -42,7 +42,7 @@ def after(who: Waverers, x: float, d: float, t: float, kind: AgentKind = AgentKi
 
 @given(st.floats(8.0, 60.0), st.floats(0.7, 3.0), st.floats(0.0, 40.0))
 def test_the_ego_passes_first_or_could_stop(x: float, d: float, gap: float) -> None:
-    limit = after(Waverers(), x, d, 1.0)
+    limit = after(HesitantPedestrians(), x, d, 1.0)
     v = float(limit.min())
     if v >= ROAD[0] or v <= LEAST_MPS:
         return
@@ -53,23 +53,23 @@ def test_the_ego_passes_first_or_could_stop(x: float, d: float, gap: float) -> N
 
 @given(st.floats(8.0, 60.0), st.floats(0.7, 3.0), st.floats(0.0, 2.0))
 def test_who_stands_farther_away_lowers_the_speed_less(x: float, d: float, more: float) -> None:
-    near, far = (after(Waverers(), x, beside, 1.0).min() for beside in (d, d + more))
+    near, far = (after(HesitantPedestrians(), x, beside, 1.0).min() for beside in (d, d + more))
     assert far >= near
 
 
 def test_only_who_came_a_moment_ago_and_on_foot_is_meant() -> None:
-    who = Waverers()
+    who = HesitantPedestrians()
     assert after(who, 30.0, 0.8, 1.0).min() < 10.0
     np.testing.assert_array_equal(after(who, 30.0, 0.8, WAVERS_S + 0.2), ROAD)
     np.testing.assert_array_equal(after(who, 30.0, 0.8, 1.0, AgentKind.CAR), ROAD)
     standing = frame(EGO, [walker(30.0, -2.0, 0.0)])
-    np.testing.assert_array_equal(looked(Waverers(), standing)[0], ROAD)
+    np.testing.assert_array_equal(looked(HesitantPedestrians(), standing)[0], ROAD)
     after(who, 30.0, 0.8, 1.0)
     np.testing.assert_array_equal(looked(who, standing, fresh=True)[0], ROAD)
 
 
 def test_it_says_why() -> None:
-    who, y = Waverers(), -(0.5 * CAR.width + 0.8 + 0.5 * SIZE)
+    who, y = HesitantPedestrians(), -(0.5 * CAR.width + 0.8 + 0.5 * SIZE)
     after(who, 30.0, 0.8, 1.0)
     (why,) = looked(who, replace(frame(EGO, [walker(30.0, y, 0.0)]), t=1.1))[1]
     assert why.agent == "w" and "stands 0.8 m beside it" in why.reason

@@ -33,7 +33,7 @@ from logs.catalogue import CATALOGUE
 from logs.mcap import write_trace
 from logs.road import ReferenceLine
 from logs.transform import mirrored
-from planners.dp_qp.fallback import meets
+from planners.frenet.fallback import meets
 from planners.lattice import Lattice, LatticeConfig
 from planners.lattice.candidates import headway, lateral_costs
 from planners.lattice.polynomials import (

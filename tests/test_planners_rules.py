@@ -32,7 +32,7 @@ from logs import (
 from logs.kernel import FloatArray
 from logs.route import find_route
 from planners import PLANNERS
-from planners.dp_qp.reference_line import Course, make_course
+from planners.frenet.reference_path import ReferencePath, make_reference_path
 from planners.prediction import predict
 from planners.rules import Rulebook, Stop
 from replay.closed_loop import run_closed_loop
@@ -99,9 +99,9 @@ def book(road: Road, ego: EgoState) -> tuple[Rulebook, float]:
 
 
 @cache
-def along(road: Road) -> tuple[Rulebook, Course]:
+def along(road: Road) -> tuple[Rulebook, ReferencePath]:
     start = EgoState(0.0, 0.0, 0.0, 0.0, 10.0)
-    course = make_course(road, find_route(road, start, None), start)
+    course = make_reference_path(road, find_route(road, start, None), start)
     return Rulebook(road, course, CAR), course
 
 

@@ -26,7 +26,7 @@ from logs import (
 )
 from logs.catalogue.paper import CROSSING_PEDESTRIAN
 from logs.shapes import distance
-from planners.dp_qp.speed_qp import SpeedLimits
+from planners.frenet.profiles import SpeedLimits
 from replay.calibrate import calibrate
 from replay.drive import LoopConfig
 from replay.experiments import paper, pedestrian_grid

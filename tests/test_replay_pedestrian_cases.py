@@ -30,8 +30,8 @@ import pytest
 from logs import AgentKind, EndReason, Scenario, Trace
 from logs.catalogue import CATALOGUE
 from logs.catalogue.paper import HALF_LANE
-from planners.dp_qp.speed_qp import SpeedQpConfig
-from planners.dp_qp.st_graph import StGraphConfig
+from planners.dp_qp.speed.qp import SpeedQpConfig
+from planners.frenet.st_boundaries import StGraphConfig
 from replay.closed_loop import run_closed_loop
 from replay.drive import LoopConfig
 from replay.experiments.pedestrian_grid import RELEASE_S, Cell, braked, braking_intervals

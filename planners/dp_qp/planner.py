@@ -9,13 +9,13 @@ from math import hypot, inf
 from logs.frame import Frame, PlannerContext
 from logs.states import EgoState
 from logs.trace import Artefact, Plan, PlanStart, PlanStatus
-from planners.dp_qp.decide import choose, worth_looking
-from planners.dp_qp.fallback import along, fall_back
-from planners.dp_qp.lane_plan import LanePlan, LanePlanner
-from planners.dp_qp.lanes import Lanes, Strip
-from planners.dp_qp.passing import Passing
-from planners.dp_qp.path_stage import PathConfig
-from planners.dp_qp.speed_stage import SpeedConfig
+from planners.dp_qp.lane.choice import choose, worth_looking
+from planners.dp_qp.lane.passing import Passing
+from planners.dp_qp.lane.plan import LanePlan, LanePlanner
+from planners.dp_qp.path.stage import PathConfig
+from planners.dp_qp.speed.stage import SpeedConfig
+from planners.frenet.fallback import along, fall_back
+from planners.frenet.lane_sequence import LaneSequence, LaneSequences
 from planners.rules import Rulebook
 
 
@@ -46,9 +46,9 @@ class DpQp:
     def __init__(self, context: PlannerContext, config: DpQpConfig | None = None) -> None:
         self._config = config or DpQpConfig()
         self._context, self._vehicle, self._lap = context, context.vehicle, context.lap
-        self._lanes = Lanes(context)
-        self._planners: dict[Strip, LanePlanner] = {}
-        self._passings: dict[Strip, Passing] = {}
+        self._lanes = LaneSequences(context)
+        self._planners: dict[LaneSequence, LanePlanner] = {}
+        self._passings: dict[LaneSequence, Passing] = {}
         self._driven = self._planner(self._lanes.start(context.start))
         self._changed = -inf
 
@@ -68,8 +68,9 @@ class DpQp:
         config = self._config.speed.qp
         path, speed = chosen.path.path, chosen.speed
         if path is None or speed is None or speed.profile is None:
+            limits = config.comfort, config.emergency
             reason = chosen.path.reason or (speed.reason if speed else "")
-            return fall_back(frame, start, start_kind, path, reason, artefacts, self._vehicle, config)
+            return fall_back(frame, start, start_kind, path, reason, artefacts, self._vehicle, limits, config.knots)
         status = PlanStatus.HARD_STOP if speed.unavoidable else PlanStatus.PLANNED
         return Plan(along(path, speed.profile, frame.t), status, speed.reason, start_kind, artefacts)
 
@@ -91,7 +92,7 @@ class DpQp:
         self._lap("lane choice")
         return chosen, (*considered, *more)
 
-    def _passing_in(self, strip: Strip) -> Passing:
+    def _passing_in(self, strip: LaneSequence) -> Passing:
         if strip not in self._passings:
             left = self._context.road.drives_on_right
             self._passings[strip] = Passing(
@@ -99,12 +100,12 @@ class DpQp:
             )
         return self._passings[strip]
 
-    def _planner(self, strip: Strip) -> LanePlanner:
+    def _planner(self, strip: LaneSequence) -> LanePlanner:
         if strip not in self._planners:
             self._planners[strip] = self._new_planner(strip)
         return self._planners[strip]
 
-    def _new_planner(self, strip: Strip) -> LanePlanner:
+    def _new_planner(self, strip: LaneSequence) -> LanePlanner:
         return LanePlanner(
             strip,
             Rulebook(self._context.road, strip.course, self._vehicle),

@@ -22,15 +22,15 @@ import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.vehicle import VehicleParameters
-from planners.dp_qp.path_dp import quintic
-from planners.dp_qp.reference_line import Course
-from planners.dp_qp.speed_qp import braking, limit_profile
-from planners.dp_qp.walls import open_end, upper_bound
+from planners.frenet.profiles import braking, limit_profile
+from planners.frenet.quintic import quintic
+from planners.frenet.reference_path import ReferencePath
 from planners.lattice.checks import REST_MPS, Fault, speed_faults
 from planners.lattice.config import LatticeConfig
 from planners.lattice.polynomials import LEAST_M, STEP_S, STEPS, keep_speed, reach_point, sampled, third_square
 from planners.lattice.scene import STRIDE, Ego, Scene
 from planners.rules import Wall
+from planners.rules.stops import open_end, upper_bound
 
 TRACK_M = 1.0
 """An end offset farther than this from the ego's offset is another track."""
@@ -100,7 +100,9 @@ class Sampler:
         limit: Speed limit along it, curves included, m/s.
     """
 
-    def __init__(self, course: Course, vehicle: VehicleParameters, config: LatticeConfig, *, passes_left: bool) -> None:
+    def __init__(
+        self, course: ReferencePath, vehicle: VehicleParameters, config: LatticeConfig, *, passes_left: bool
+    ) -> None:
         self._course, self._vehicle, self._config = course, vehicle, config
         self._first_side = 1.0 if passes_left else -1.0
         line = course.line

@@ -9,7 +9,7 @@ import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.shapes import overlap
-from planners.dp_qp.path import MAX_TURN, MIN_REGULAR
+from planners.frenet.path import MAX_TURN, MIN_REGULAR
 from planners.lattice.polynomials import STEPS, lateral_polynomial, sampled, states
 
 REST_MPS = 0.05

@@ -8,10 +8,8 @@ from logs.frame import Frame, PlannerContext
 from logs.kernel import FloatArray, IntArray
 from logs.states import Trajectory
 from logs.trace import Candidates, Plan
-from planners.baseline import Tracker
-from planners.dp_qp.fallback import fall_back
-from planners.dp_qp.speed_qp import SpeedQpConfig
-from planners.dp_qp.walls import told as rules_told
+from planners.frenet.fallback import fall_back
+from planners.frenet.start import Tracker
 from planners.lattice.candidates import Pairs, Sampler
 from planners.lattice.checks import REST_MPS, SAID, first_feasible
 from planners.lattice.config import LatticeConfig
@@ -19,6 +17,7 @@ from planners.lattice.polynomials import STEP_S, STEPS, lateral_polynomial, samp
 from planners.lattice.record import told
 from planners.lattice.scene import Ego, Scene, ego_frenet, scene_of
 from planners.rules import Rulebook, walls_ahead
+from planners.rules.stops import told as rules_told
 
 
 class Lattice:
@@ -40,7 +39,7 @@ class Lattice:
         """The cheapest pair that can be driven, ties to the first; else the fallback, and why."""
         start, start_kind, s0, l0, trouble = self._tracker.begin(frame)
         if trouble:
-            return fall_back(frame, start, start_kind, None, trouble, (), self._vehicle, SpeedQpConfig())
+            return fall_back(frame, start, start_kind, None, trouble, (), self._vehicle)
         course = self._tracker.course
         ego = ego_frenet(course.line, start, s0, l0)
         scene = scene_of(course, frame, start, ego, self._vehicle, self._config)
@@ -54,7 +53,7 @@ class Lattice:
         self._lap("choice")
         if chosen < 0:
             reason = "no candidate can be driven: " + ", ".join(f"{n} {why}" for why, n in counted.rejected)
-            return fall_back(frame, start, start_kind, None, reason, (counted,), self._vehicle, SpeedQpConfig())
+            return fall_back(frame, start, start_kind, None, reason, (counted,), self._vehicle)
         row = int(pairs.row[chosen])
         motion = sampled(pairs.lon.coef[row, None], pairs.lon.T[row, None], STEPS)[0]
         lateral = lateral_polynomial(np.array(ego.lateral), pairs.l1[chosen], pairs.length[chosen])

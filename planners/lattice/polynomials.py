@@ -23,8 +23,8 @@ import numpy as np
 from logs.kernel import FloatArray, kernel
 from logs.road import line_frame
 from logs.states import wrap
-from planners.dp_qp.path import MIN_REGULAR
-from planners.dp_qp.path_dp import quintic
+from planners.frenet.path import MIN_REGULAR
+from planners.frenet.quintic import quintic
 
 STEP_S = 0.1
 STEPS = 80

@@ -8,10 +8,9 @@ from logs.frame import Frame
 from logs.kernel import FloatArray
 from logs.trace import Artefact, Corridor, CostTerms, Decision, DecisionKind, GraphObstacle, SlGraph, StGraph
 from logs.vehicle import VehicleParameters
-from planners.baseline import outlines
-from planners.dp_qp.path import Path
-from planners.dp_qp.reference_line import Course
-from planners.dp_qp.st_graph import StGraphConfig, block_intervals, decide_speed
+from planners.frenet.path import Path
+from planners.frenet.reference_path import ReferencePath
+from planners.frenet.st_boundaries import StGraphConfig, decide_speed, outlines, st_boundaries
 from planners.lattice.candidates import COST_PARTS, Pairs
 from planners.lattice.config import LatticeConfig
 from planners.lattice.polynomials import STEP_S
@@ -23,7 +22,7 @@ EVERY = 4
 
 
 def told(
-    course: Course, frame: Frame, ego: Ego, scene: Scene, pairs: Pairs, chosen: int, at: FloatArray,
+    course: ReferencePath, frame: Frame, ego: Ego, scene: Scene, pairs: Pairs, chosen: int, at: FloatArray,
     motion: FloatArray, vehicle: VehicleParameters, config: LatticeConfig,
 ) -> tuple[Artefact, ...]:  # fmt: skip
     """Graphs, decisions and costs of the pair `chosen` with `states` `at` `(9, k)` and `motion` `(3, k)`."""
@@ -49,7 +48,7 @@ def _along(
     skip = np.ones(len(frame.agents), np.bool_)
     skip[scene.agent[~scene.behind[int(changes)]]] = False
     exact = StGraphConfig(config.margin_m, config.vulnerable_margin_m, early_s=0.0, late_s=0.0)
-    blocks = block_intervals(path, frame, vehicle, skip, frozenset(), exact)
+    blocks = st_boundaries(path, frame, vehicle, skip, frozenset(), exact)
     t = STEP_S * np.arange(at.shape[1])
     driven = np.r_[0.0, np.cumsum(step)]
     decisions = decide_speed(blocks, frame, np.interp(blocks.t, t, driven))
@@ -78,7 +77,7 @@ def _passed(
 
 
 def _sl_graph(
-    course: Course, frame: Frame, ego: Ego, scene: Scene, passed: tuple[Decision, ...], at: FloatArray,
+    course: ReferencePath, frame: Frame, ego: Ego, scene: Scene, passed: tuple[Decision, ...], at: FloatArray,
     motion: FloatArray, vehicle: VehicleParameters,
 ) -> SlGraph:  # fmt: skip
     """The chosen offsets over the stations, the road's edges, and who stands near."""

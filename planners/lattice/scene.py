@@ -14,9 +14,9 @@ from logs.scenario import AgentKind
 from logs.shapes import overlap
 from logs.states import EgoState, wrap
 from logs.vehicle import VehicleParameters
-from planners.dp_qp.path import frenet_start
-from planners.dp_qp.reference_line import Course
-from planners.dp_qp.st_graph import behind
+from planners.frenet.path import frenet_start
+from planners.frenet.reference_path import ReferencePath
+from planners.frenet.st_boundaries import behind
 from planners.lattice.config import LatticeConfig
 from planners.lattice.polynomials import STEP_S, STEPS
 
@@ -80,7 +80,7 @@ def ego_frenet(line: ReferenceLine, start: EgoState, s0: float, l0: float) -> Eg
 
 
 def scene_of(
-    course: Course, frame: Frame, start: EgoState, ego: Ego, vehicle: VehicleParameters, config: LatticeConfig
+    course: ReferencePath, frame: Frame, start: EgoState, ego: Ego, vehicle: VehicleParameters, config: LatticeConfig
 ) -> Scene:
     """The scene of a frame for an ego at `start`."""
     agents, futures, line = frame.agents, frame.predictions, course.line
@@ -97,7 +97,7 @@ def scene_of(
     return Scene(agent, pose, frenet, speed, sizes, np.array([rows[agent] for rows in follow]))
 
 
-def _near(course: Course, frame: Frame, start: EgoState, ego: Ego) -> IntArray:
+def _near(course: ReferencePath, frame: Frame, start: EgoState, ego: Ego) -> IntArray:
     """The predictions that come near the reference line as far as the ego can get."""
     line, futures = course.line, frame.predictions
     if not len(futures):

@@ -39,12 +39,12 @@ from logs.rules import Colour
 from logs.states import EgoState, wrap
 from logs.trace import DecisionKind
 from logs.vehicle import VehicleParameters
-from planners.dp_qp.path import Path
-from planners.dp_qp.reference_line import Course
-from planners.dp_qp.speed_qp import STEP_S, braking, cruising, limit_profile
-from planners.dp_qp.st_graph import agents_frenet
-from planners.rules.along import Line, Priority, Walk, Zone, lines_along, zones_along
+from planners.frenet.path import Path
+from planners.frenet.profiles import STEP_S, braking, cruising, limit_profile
+from planners.frenet.reference_path import ReferencePath
+from planners.frenet.st_boundaries import agents_frenet
 from planners.rules.windows import RED, Window, windows
+from planners.rules.zones import Line, Priority, Walk, Zone, lines_along, zones_along
 
 COMFORT, HARD = (2.8, 2.8), (7.0, 12.0)
 """Deceleration m/s2 and jerk m/s3."""
@@ -127,7 +127,7 @@ class _Memory:
 class Rulebook:
     """The rules along one course (module docstring)."""
 
-    def __init__(self, road: Road, course: Course, vehicle: VehicleParameters) -> None:
+    def __init__(self, road: Road, course: ReferencePath, vehicle: VehicleParameters) -> None:
         self._road, self._course, self._vehicle = road, course, vehicle
         self._lines = lines_along(road, course, vehicle.width)
         self._zones = zones_along(road, course, vehicle)

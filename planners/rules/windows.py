@@ -27,7 +27,7 @@ from logs.road import ReferenceLine, Road, inside, line_project_many
 from logs.rules import Colour
 from logs.scenario import AgentKind
 from logs.shapes import overlap
-from planners.rules.along import Priority, Walk, Zone, distances, turned
+from planners.rules.zones import Priority, Walk, Zone, distances, turned
 
 EDGE_M = 1.5
 TOWARDS_MPS = 0.3

@@ -30,7 +30,7 @@ from logs.kernel import FloatArray
 from logs.scenario import Scenario
 from logs.trace import PlannedFrame, StGraph, Trace
 from metrics import METRICS, evaluate
-from planners.dp_qp.st_graph import StGraphConfig
+from planners.frenet.st_boundaries import StGraphConfig
 from replay.batch.results import write_file, write_text
 from replay.closed_loop import run_closed_loop
 from replay.control import CONTROLLERS

@@ -32,8 +32,9 @@ from logs.errors import PlannerError
 from logs.scenario import Scenario
 from logs.trace import EndReason, Trace
 from metrics import METRICS, evaluate
-from planners.dp_qp.speed_qp import SpeedLimits, SpeedQpConfig
-from planners.dp_qp.st_graph import StGraphConfig
+from planners.dp_qp.speed.qp import SpeedQpConfig
+from planners.frenet.profiles import SpeedLimits
+from planners.frenet.st_boundaries import StGraphConfig
 from replay.batch.pool import WorkerLost, run_all
 from replay.closed_loop import run_closed_loop
 from replay.drive import Drive, LoopConfig

@@ -27,7 +27,7 @@ from logs.road import Road
 from logs.rules import Colour, StopLine
 from logs.scenario import Scenario, Tracks
 from metrics.rules import ASIDE_M, ASKEW_RAD, BEHIND_M, RED, on_lane
-from planners.rules.along import turned
+from planners.rules.zones import turned
 from replay.traffic.cast import PERIOD_S
 from replay.traffic.following import (
     ACCEL_MPS2,

@@ -1,4 +1,4 @@
-"""Course: the reference line of a route, with the free width and the speed limit along it.
+"""ReferencePath: the reference line of a route, with the free width and the speed limit along it.
 
 The centre lines of the route are joined (a lane change is blended over its length) and smoothed by a QP over points
 p_i, equally spaced on the raw line r_i:
@@ -49,7 +49,7 @@ JOINT_M = 0.6
 
 
 @dataclass(frozen=True, eq=False)
-class Course:
+class ReferencePath:
     """A reference line and what holds along it; arrays `(n,)` over `line.s`, offsets l in m, positive left.
 
     Attributes:
@@ -108,7 +108,7 @@ def _sampled(knots: FloatArray, table: FloatArray, s: FloatArray) -> FloatArray:
     return out
 
 
-def make_course(road: Road, route: Route, ego: EgoState, car: VehicleParameters | None = None) -> Course:
+def make_reference_path(road: Road, route: Route, ego: EgoState, car: VehicleParameters | None = None) -> ReferencePath:
     """The course of a route for an ego at its start; with a `car`, its steering lock is kept as far as lanes allow."""
     lanes = _extended(road, route)
     line = _steerable(_joined(road, lanes, ego), min(_width(road.lanes[lane]) for lane in lanes), car)
@@ -116,7 +116,7 @@ def make_course(road: Road, route: Route, ego: EgoState, car: VehicleParameters 
     lane_left, lane_right, limit = _own_lane(road, line, lanes, extents)
     road_left, road_right = _reachable(road, extents, lane_left, lane_right)
     facing_left, facing_right = _facing(road, line, extents, road_left, road_right)
-    return Course(
+    return ReferencePath(
         line,
         lane_left,
         lane_right,

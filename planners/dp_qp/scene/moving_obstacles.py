@@ -31,12 +31,12 @@ from logs.road import line_project_many
 from logs.scenario import AgentKind
 from logs.trace import Decision, DecisionKind
 from logs.vehicle import VehicleParameters
-from planners.dp_qp.corridor import STANDING_MPS, CorridorConfig, PathObstacle, swing_span
-from planners.dp_qp.facing import passed_facing
-from planners.dp_qp.path import Path
-from planners.dp_qp.reference_line import Course
-from planners.dp_qp.sight import LEAST_MPS, REACTION_S, WALK_MPS
-from planners.dp_qp.speed_stage import SPEED_ROOM_MPS
+from planners.dp_qp.path.bounds import STANDING_MPS, CorridorConfig, PathObstacle, swing_span
+from planners.dp_qp.path.oncoming_lane import passed_facing
+from planners.dp_qp.scene.occlusion import LEAST_MPS, REACTION_S, WALK_MPS
+from planners.dp_qp.speed.stage import SPEED_ROOM_MPS
+from planners.frenet.path import Path
+from planners.frenet.reference_path import ReferencePath
 
 SLOW_MPS = 7.0
 """Who is faster is followed."""
@@ -70,7 +70,7 @@ SWERVE_MPS2 = 1.6
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Slower:
+class PassTarget:
     """Somebody to be passed.
 
     Attributes:
@@ -101,7 +101,7 @@ NOBODY = Movers()
 
 
 def along_lane(
-    course: Course, frame: Frame, s_ego: float, vehicle: VehicleParameters, passed: frozenset[str] = frozenset()
+    course: ReferencePath, frame: Frame, s_ego: float, vehicle: VehicleParameters, passed: frozenset[str] = frozenset()
 ) -> list[int]:
     """The agents ahead or beside who walk or ride along the road in the ego's direction.
 
@@ -129,9 +129,9 @@ def along_lane(
 
 
 def slower(
-    course: Course, frame: Frame, s_ego: float, who: Sequence[int], stations: FloatArray, vehicle: VehicleParameters,
-    passed: frozenset[str] = frozenset(),
-) -> tuple[Slower, ...]:  # fmt: skip
+    course: ReferencePath, frame: Frame, s_ego: float, who: Sequence[int], stations: FloatArray,
+    vehicle: VehicleParameters, passed: frozenset[str] = frozenset(),
+) -> tuple[PassTarget, ...]:  # fmt: skip
     """The boxes (2) of the agents `who`, for an ego at `stations` `(k,)` at the times of the predictions.
 
     Only of those whom it is past before the last of these times; `SPARE_S` before, unless it is passing them already.
@@ -143,8 +143,14 @@ def slower(
 
 
 def _slower(
-    course: Course, frame: Frame, s_ego: float, i: int, stations: FloatArray, vehicle: VehicleParameters, spare: float
-) -> Slower | None:
+    course: ReferencePath,
+    frame: Frame,
+    s_ego: float,
+    i: int,
+    stations: FloatArray,
+    vehicle: VehicleParameters,
+    spare: float,
+) -> PassTarget | None:
     """(1) and (2) of one agent; None where the ego does not come beside him, or is past him too late."""
     agents, futures, line = frame.agents, frame.predictions, course.line
     t = np.arange(futures.t[0], futures.t[-1] + 1e-9, GRID_S)
@@ -172,11 +178,11 @@ def _slower(
     s_from, s_to = float(lowest[0]), float(highest[0])
     l_from, l_to = float(lowest[1]) - ASIDE_M, float(highest[1]) + ASIDE_M
     box = PathObstacle(agents.ids[i], s_from, s_to, l_from, l_to, aside=ASIDE_M)
-    return Slower(i, box, begin, end, np.vstack(places))
+    return PassTarget(i, box, begin, end, np.vstack(places))
 
 
 def movers(
-    course: Course, frame: Frame, s_ego: float, found: tuple[Slower, ...], stations: FloatArray,
+    course: ReferencePath, frame: Frame, s_ego: float, found: tuple[PassTarget, ...], stations: FloatArray,
     sides: tuple[bool, bool], vehicle: VehicleParameters, config: CorridorConfig, places: tuple[float, ...],
     passed: frozenset[str] = frozenset(),
 ) -> Movers:  # fmt: skip
@@ -210,15 +216,15 @@ def _near_place(places: tuple[float, ...], box: PathObstacle, speed: float, vehi
     return any(begin < place < end + PLACE_M for place in places)
 
 
-def _room(course: Course, box: PathObstacle) -> float:
+def _room(course: ReferencePath, box: PathObstacle) -> float:
     """Between the box and the road's edge, on the side where there is more, m."""
     _, right, _, _, left, _, _, _ = course.at(np.array([0.5 * (box.s_from + box.s_to)]))[:, 0]
     return float(max(left - box.l_to, box.l_from - right))
 
 
 def beside_limit(
-    path: Path, limit: FloatArray, frame: Frame, found: tuple[Slower, ...], vehicle: VehicleParameters, decel: float,
-    margin: float,
+    path: Path, limit: FloatArray, frame: Frame, found: tuple[PassTarget, ...], vehicle: VehicleParameters,
+    decel: float, margin: float,
 ) -> tuple[FloatArray, tuple[Decision, ...]]:  # fmt: skip
     """The speed limit `(m,)` along a path with (3) in it, and for whom; b is `decel`, m/s2.
 
@@ -246,7 +252,7 @@ def beside_limit(
     return out, tuple(told)
 
 
-def swerve_limit(path: Path, limit: FloatArray, course: Course) -> FloatArray:
+def swerve_limit(path: Path, limit: FloatArray, course: ReferencePath) -> FloatArray:
     """The speed limit `(m,)` along a path with (4) in it."""
     swerve = np.abs(path.kappa - np.interp(path.s, course.line.s, course.line.kappa))
     return np.minimum(limit, np.sqrt(SWERVE_MPS2 / np.maximum(swerve, 1e-6)))

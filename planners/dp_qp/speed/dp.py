@@ -18,12 +18,14 @@ one column is ds / dt^2 = 0.5 m/s2.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
 
 import numpy as np
 
 from logs.kernel import TIE, FloatArray, IntArray, kernel
+from planners.rules import Wall
 
 COLLISION = 1e5
 DT_S = 1.0
@@ -139,3 +141,9 @@ def speed_dp(
     for i in range(columns, 0, -1):
         chosen[i - 1] = parent[i, chosen[i]]
     return cost, chosen
+
+
+def wall_map(rows: int, t: FloatArray, walls: Sequence[Wall]) -> FloatArray:
+    """The speed DP's map `(k, rows)` of the walls: no gap is wanted beyond theirs."""
+    lower = np.array([np.where(t < wall.stop.until, wall.bound, np.nan) for wall in walls])
+    return cost_map(rows, lower, np.full(lower.shape, 1e6), np.zeros(len(walls)), 0.0, np.zeros(2), 0.0)

@@ -16,53 +16,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from math import inf, sqrt
+from math import inf
 
 import numpy as np
 from scipy import sparse
 
-from logs.kernel import FloatArray, kernel
+from logs.kernel import FloatArray
 from logs.trace import CostTerms
 from planners.dp_qp import piecewise_jerk
+from planners.frenet.profiles import COMFORT, EMERGENCY, STEP_S, Limits, SpeedLimits
 from planners.qp import QPConfig, QPResult, QuadraticProgram
 
-STEP_S = 0.1
 RELEASE_MPS3 = 10.0
 """Jerk with which braking that is harder than comfort may be let go."""
-
-
-@dataclass(frozen=True)
-class SpeedLimits:
-    """Acceleration and jerk that a profile may use; decelerations positive."""
-
-    accel_mps2: float
-    decel_mps2: float
-    jerk_mps3: float
-
-
-@dataclass(frozen=True)
-class Limits:
-    """The limits of one attempt: `then`, but `first` for as many knots."""
-
-    then: SpeedLimits
-    first: SpeedLimits = SpeedLimits(0.0, 0.0, 0.0)
-    knots: int = 0
-
-    def braking(self, start: tuple[float, float], knots: int, *, share: float = 1.0) -> FloatArray:
-        """Rows s, v, a `(3, knots)` of braking with a share of them."""
-        head = np.array([[0.0], start[:1], start[1:]])
-        if self.knots:
-            soft = self.first
-            head = braking(*start, share * soft.decel_mps2, share * soft.jerk_mps3, STEP_S, self.knots + 1)
-        s, v, a = head[:, -1]
-        hard = self.then
-        tail = braking(v, a, share * hard.decel_mps2, share * hard.jerk_mps3, STEP_S, knots - self.knots)
-        tail[0] += s
-        return np.hstack([head[:, :-1], tail])
-
-    def row(self, name: str, knots: int) -> FloatArray:
-        """One of the limits at each knot `(knots,)`."""
-        return np.where(np.arange(knots) < self.knots, getattr(self.first, name), getattr(self.then, name))
 
 
 @dataclass(frozen=True)
@@ -83,8 +49,8 @@ class SpeedQpConfig:
     w_v: float = 1.0
     w_a: float = 2.0
     w_j: float = 3.0
-    comfort: SpeedLimits = SpeedLimits(1.8, 3.0, 3.0)
-    emergency: SpeedLimits = SpeedLimits(1.8, 7.5, 15.0)
+    comfort: SpeedLimits = COMFORT
+    emergency: SpeedLimits = EMERGENCY
     curve_accel_mps2: float = 3.0
     ease_mps2: float = 1.5
 
@@ -106,63 +72,6 @@ class SpeedQpConfig:
     def horizon(self) -> float:
         """Length of the profile, s."""
         return (self.knots - 1) * STEP_S
-
-
-@kernel
-def limit_profile(
-    sigma: FloatArray, kappa: FloatArray, limit: FloatArray, curve_accel: float, ease: float
-) -> FloatArray:
-    """The speed limit (2) along a path `(m,)`."""
-    out = np.empty(len(sigma))
-    for i in range(len(sigma) - 1, -1, -1):
-        out[i] = min(limit[i], sqrt(curve_accel / max(abs(kappa[i]), 1e-9)))
-        if i < len(sigma) - 1:
-            out[i] = min(out[i], sqrt(out[i + 1] ** 2 + 2.0 * ease * (sigma[i + 1] - sigma[i])))
-    return out
-
-
-@kernel
-def braking(v0: float, a0: float, decel: float, jerk: float, step: float, knots: int) -> FloatArray:
-    """Rows s, v, a `(3, knots)` of braking to a stop: jerk-limited to `-decel`, then held, then standing.
-
-    The stop itself is eased: the next deceleration b is not more than the jerk can release before standstill,
-    b^2 <= 2 jerk v' with the speed v' = v + step (a - b) / 2 that it leaves.
-    """
-    out = np.zeros((3, knots))
-    s, v, a, half = 0.0, v0, a0, 0.5 * jerk * step
-    for i in range(knots):
-        out[0, i], out[1, i], out[2, i] = s, v, a
-        wanted = -min(decel, sqrt(half * half + 2.0 * jerk * max(v + 0.5 * step * a, 0.0)) - half)
-        a_next = max(wanted, a - jerk * step) if wanted < a else min(wanted, a + jerk * step)
-        v_next = v + 0.5 * step * (a + a_next)
-        if v_next <= 1e-6:
-            s += min(v * v / max(-(a + a_next), 1e-6), v * step) if v > 0.0 else 0.0
-            v, a = 0.0, 0.0
-            continue
-        s += step * v + step * step * (a / 3.0 + a_next / 6.0)
-        v, a = v_next, a_next
-    return out
-
-
-@kernel
-def cruising(
-    sigma: FloatArray, limit: FloatArray, v0: float, a0: float, accel: float, decel: float, jerk: float,
-    step: float, knots: int,
-) -> FloatArray:  # fmt: skip
-    """Rows s, v `(2, knots)` of driving at the limit `(m,)` along the path, nobody in the way."""
-    out = np.zeros((2, knots))
-    s, v, a, i = 0.0, v0, a0, 0
-    for k in range(knots):
-        out[0, k], out[1, k] = s, v
-        while i < len(sigma) - 2 and sigma[i + 1] < s:
-            i += 1
-        falling = min(0.0, v * (limit[i + 1] - limit[i]) / (sigma[i + 1] - sigma[i]))
-        wanted = min(max(falling + (limit[i] - v) / 0.6, -decel), accel)
-        a += min(max(wanted - a, -jerk * step), jerk * step)
-        v_next = max(0.0, v + a * step)
-        s += 0.5 * step * (v + v_next)
-        v = v_next
-    return out
 
 
 @dataclass(frozen=True, eq=False, slots=True)

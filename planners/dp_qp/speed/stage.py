@@ -15,28 +15,21 @@ from logs.kernel import FloatArray, IntArray
 from logs.states import EgoState
 from logs.trace import Artefact, Corridor, Decision, DecisionKind, GraphObstacle, GridCost, StGraph
 from logs.vehicle import VehicleParameters
-from planners.dp_qp.appointment import HURRIED_GAP_S
-from planners.dp_qp.corridor import STANDING_MPS
-from planners.dp_qp.path import Path
-from planners.dp_qp.sight import sight_limit
-from planners.dp_qp.speed_dp import DS_M, DT_S, SpeedDpConfig, cost_map, speed_dp
-from planners.dp_qp.speed_qp import (
-    STEP_S,
-    Limits,
-    SpeedProblem,
-    SpeedQpConfig,
-    braking,
-    cruising,
-    limit_profile,
-)
-from planners.dp_qp.speed_solve import RESERVE, SolvedSpeed, SpeedSolver
-from planners.dp_qp.st_graph import Blocks, StGraphConfig, block_intervals, decide_speed
-from planners.dp_qp.walls import open_end, told, upper_bound, wall_map, wall_outlines, walled
-from planners.dp_qp.waverers import Waverers
+from planners.dp_qp.path.bounds import STANDING_MPS
+from planners.dp_qp.scene.goal_window import HURRIED_GAP_S
+from planners.dp_qp.scene.hesitant_pedestrians import HesitantPedestrians
+from planners.dp_qp.scene.occlusion import sight_limit
+from planners.dp_qp.speed.braking import RESERVE, SolvedSpeed, SpeedSolver
+from planners.dp_qp.speed.dp import DS_M, DT_S, SpeedDpConfig, cost_map, speed_dp, wall_map
+from planners.dp_qp.speed.qp import SpeedProblem, SpeedQpConfig
+from planners.frenet.path import Path
+from planners.frenet.profiles import STEP_S, Limits, braking, cruising, limit_profile
+from planners.frenet.st_boundaries import StBoundaries, StGraphConfig, decide_speed, st_boundaries
 from planners.rules import Wall
+from planners.rules.stops import open_end, told, upper_bound, wall_outlines, walled
 
 SPEED_ROOM_MPS = 0.8
-"""Room above the limit that the reference keeps: a tight tube would cost the solver many iterations."""
+"""PathBounds above the limit that the reference keeps: a tight tube would cost the solver many iterations."""
 TILT_MPS2 = 4.0
 """Lateral acceleration for which a curve is braked for as hard as comfort allows, instead of with `ease_mps2`."""
 UNLIKELY = 0.2
@@ -73,7 +66,7 @@ class ChosenSpeed:
     reason: str
     unavoidable: bool
     free_m: float
-    blocks: Blocks
+    blocks: StBoundaries
     artefacts: tuple[Artefact, ...]
 
 
@@ -88,10 +81,10 @@ class _Way:
     alone: FloatArray
     walls: Sequence[Wall]
     hurried: bool
-    blocks: Callable[[StGraphConfig], Blocks]
+    blocks: Callable[[StGraphConfig], StBoundaries]
 
-    def others(self, margins: StGraphConfig) -> Blocks:
-        """Blocks and walls."""
+    def others(self, margins: StGraphConfig) -> StBoundaries:
+        """StBoundaries and walls."""
         return walled(self.blocks(margins), self.walls)
 
 
@@ -100,7 +93,7 @@ class SpeedStage:
 
     def __init__(self, vehicle: VehicleParameters, config: SpeedConfig, lap: Callable[[str], None]) -> None:
         self._vehicle, self._config, self._lap = vehicle, config, lap
-        self._solver, self._waverers = SpeedSolver(config.qp, config.dp.gap_m, vehicle.max_decel), Waverers()
+        self._solver, self._waverers = SpeedSolver(config.qp, config.dp.gap_m, vehicle.max_decel), HesitantPedestrians()
         self._hard_mps2 = RESERVE * config.qp.emergency.decel_mps2
         dp = config.dp
         self._weights = np.array([dp.w_t, dp.w_a, dp.w_j, dp.max_accel_mps2, dp.max_decel_mps2, dp.w_v])
@@ -117,8 +110,8 @@ class SpeedStage:
         and nothing hidden, against which the time lost counts (None: that which is driven).
         """
 
-        def blocks(margins: StGraphConfig) -> Blocks:
-            return block_intervals(path, frame, self._vehicle, skip, passed, margins)
+        def blocks(margins: StGraphConfig) -> StBoundaries:
+            return st_boundaries(path, frame, self._vehicle, skip, passed, margins)
 
         found = blocks(self._config.graph)
         self._lap("S-T graph")
@@ -139,7 +132,7 @@ class SpeedStage:
         told_more = (*ignored, *told(walls), *wavering, *([unseen] if unseen else ()))
         return replace(chosen, artefacts=(*chosen.artefacts, *told_more))
 
-    def _planned(self, way: _Way, blocks: Blocks, *, fresh: bool) -> tuple[ChosenSpeed, SolvedSpeed]:
+    def _planned(self, way: _Way, blocks: StBoundaries, *, fresh: bool) -> tuple[ChosenSpeed, SolvedSpeed]:
         """The speed that minds these blocks."""
         frame, path, walls = way.frame, way.path, way.walls
         v_limit = self._reachable(path, np.where(path.sigma >= self._stop_line(blocks, frame), 0.0, way.limit))
@@ -170,13 +163,13 @@ class SpeedStage:
         return ChosenSpeed(solved.profile, solved.reason, solved.unavoidable, free_m, blocks, artefacts), solved
 
     def _sighted(
-        self, path: Path, limit: FloatArray, blocks: Blocks, frame: Frame
+        self, path: Path, limit: FloatArray, blocks: StBoundaries, frame: Frame
     ) -> tuple[FloatArray, Decision | None]:
         """The limit with what the ego cannot see in it."""
         first = float(np.nanmin(blocks.lower)) + self._vehicle.axle_to_front if len(blocks) else np.inf
         return sight_limit(path, limit, frame, self._vehicle, first, self._hard_mps2)
 
-    def _could_stop(self, profile: FloatArray | None, blocks: Blocks) -> bool:
+    def _could_stop(self, profile: FloatArray | None, blocks: StBoundaries) -> bool:
         """Whether hard braking, `BRANCH_S` after driving on along a profile, would stay behind these blocks."""
         if profile is None:
             return False
@@ -196,7 +189,7 @@ class SpeedStage:
         soft = qp.comfort
         return cruising(path.sigma, v_limit, *start, soft.accel_mps2, soft.decel_mps2, soft.jerk_mps3, STEP_S, qp.knots)
 
-    def _stop_line(self, blocks: Blocks, frame: Frame) -> float:
+    def _stop_line(self, blocks: StBoundaries, frame: Frame) -> float:
         """Station before the first who stands in the path, m; inf where nobody does."""
         standing = frame.agents.speed[blocks.agent] < STANDING_MPS
         entries = blocks.lower[standing]
@@ -204,7 +197,7 @@ class SpeedStage:
             return np.inf
         return max(float(np.nanmin(entries)) - self._config.dp.standstill_gap_m, 0.0)
 
-    def _dp(self, blocks: Blocks, v_limit: FloatArray, way: _Way) -> tuple[GridCost, FloatArray]:
+    def _dp(self, blocks: StBoundaries, v_limit: FloatArray, way: _Way) -> tuple[GridCost, FloatArray]:
         """The grid and its solution, stations at the QP's times `(knots,)`."""
         dp, path, start, walls = self._config.dp, way.path, way.start, way.walls
         rows = int(path.length / DS_M + 1e-6) + 1
@@ -220,7 +213,7 @@ class SpeedStage:
         times = DT_S * np.arange(dp.columns + 1)
         return _thinned(times, cost, chosen), np.interp(self._times, times, DS_M * chosen)
 
-    def _bounded(self, problem: SpeedProblem, blocks: Blocks, decisions: tuple[Decision, ...]) -> SpeedProblem:
+    def _bounded(self, problem: SpeedProblem, blocks: StBoundaries, decisions: tuple[Decision, ...]) -> SpeedProblem:
         """The problem with its bounds of s: below whom the ego yields to, above whom it overtakes."""
         gap = self._config.dp.gap_m
         upper, lower = problem.upper.copy(), np.zeros(len(self._times))
@@ -256,7 +249,9 @@ class SpeedStage:
         return SpeedProblem(start, nowhere, everywhere, limit, s_ref, v_ref, path.length)
 
 
-def _overtakes(blocks: Blocks, decisions: tuple[Decision, ...], profile: FloatArray | None, times: FloatArray) -> bool:
+def _overtakes(
+    blocks: StBoundaries, decisions: tuple[Decision, ...], profile: FloatArray | None, times: FloatArray
+) -> bool:
     """Whether a profile stays clear of everybody whom it should overtake; the DP knows nothing of jerk."""
     overtaken = [i for i, decision in enumerate(decisions) if decision.kind is DecisionKind.OVERTAKE]
     if profile is None or not overtaken:
@@ -271,7 +266,7 @@ def _let_go(decision: Decision) -> Decision:
     return replace(decision, kind=DecisionKind.YIELD, reason=f"{decision.reason}; the ego cannot be there first")
 
 
-def _ignored(blocks: Blocks, frame: Frame) -> tuple[Decision, ...]:
+def _ignored(blocks: StBoundaries, frame: Frame) -> tuple[Decision, ...]:
     """What is told of hypotheses that do not bind."""
     return tuple(
         Decision(
@@ -283,7 +278,7 @@ def _ignored(blocks: Blocks, frame: Frame) -> tuple[Decision, ...]:
     )  # fmt: skip
 
 
-def _meets_movers(blocks: Blocks, frame: Frame) -> bool:
+def _meets_movers(blocks: StBoundaries, frame: Frame) -> bool:
     return bool((frame.agents.speed[blocks.agent] >= STANDING_MPS).any())
 
 
@@ -293,7 +288,7 @@ def _thinned(times: FloatArray, cost: FloatArray, chosen: IntArray) -> GridCost:
     return GridCost(times, DS_M * stride * np.arange(len(cost[0, ::stride])), cost[:, ::stride], chosen // stride)
 
 
-def _outlines(blocks: Blocks, decisions: tuple[Decision, ...]) -> tuple[GraphObstacle, ...]:
+def _outlines(blocks: StBoundaries, decisions: tuple[Decision, ...]) -> tuple[GraphObstacle, ...]:
     found = []
     for i, decision in enumerate(decisions):
         taken = np.isfinite(blocks.lower[i])

@@ -24,6 +24,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from logs.kernel import TIE, FloatArray, IntArray, kernel
+from planners.frenet.quintic import quintic
 
 COLLISION = 1e4
 OUTSIDE = 1e3
@@ -63,19 +64,6 @@ class PathDpConfig:
         half = self.rows // 2
         rows = self.row_spacing_m * np.arange(half, -half - 1, -1)
         return rows if passes_left else -rows
-
-
-@kernel
-def quintic(l0: float, dl0: float, ddl0: float, l1: float, length: float) -> tuple[float, float, float]:
-    """Coefficients c3, c4, c5 of the quintic from (l0, l0', l0'') to (l1, 0, 0) over `length` m."""
-    h = length
-    delta = l1 - l0 - dl0 * h - 0.5 * ddl0 * h * h
-    slope = -dl0 - ddl0 * h
-    bend = -ddl0
-    c3 = (10.0 * delta - 4.0 * slope * h + 0.5 * bend * h * h) / h**3
-    c4 = (-15.0 * delta + 7.0 * slope * h - bend * h * h) / h**4
-    c5 = (6.0 * delta - 3.0 * slope * h + 0.5 * bend * h * h) / h**5
-    return c3, c4, c5
 
 
 @kernel

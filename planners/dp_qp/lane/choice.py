@@ -20,9 +20,9 @@ from logs.frame import Frame
 from logs.kernel import FloatArray
 from logs.trace import Artefact, Candidates
 from logs.vehicle import VehicleParameters
-from planners.dp_qp.lane_plan import LanePlan
-from planners.dp_qp.reference_line import Course
-from planners.dp_qp.st_graph import agents_frenet
+from planners.dp_qp.lane.plan import LanePlan
+from planners.frenet.reference_path import ReferencePath
+from planners.frenet.st_boundaries import agents_frenet
 
 HYSTERESIS_S = 0.5
 LOOK_S = 1.0
@@ -87,19 +87,21 @@ def worth_passing(keep: LanePlan, past: LanePlan, *, under_way: bool) -> str:
     return ""
 
 
-def borrowing_endangers(course: Course, frame: Frame, s_ego: float, vehicle: VehicleParameters, *, left: bool) -> str:
+def borrowing_endangers(
+    course: ReferencePath, frame: Frame, s_ego: float, vehicle: VehicleParameters, *, left: bool
+) -> str:
     """Whom an ego that borrows the road beside its lane would endanger (1), (2); empty where nobody."""
     edges = (course.lane_left, course.road_left) if left else (course.road_right, course.lane_right)
     return _endangered(course, frame, s_ego, vehicle, *edges)
 
 
-def endangered(course: Course, frame: Frame, s_ego: float, vehicle: VehicleParameters) -> str:
+def endangered(course: ReferencePath, frame: Frame, s_ego: float, vehicle: VehicleParameters) -> str:
     """Whom a change into the lane would endanger (1), (2); empty where nobody."""
     return _endangered(course, frame, s_ego, vehicle, course.lane_right, course.lane_left)
 
 
 def _endangered(
-    course: Course, frame: Frame, s_ego: float, vehicle: VehicleParameters, right_edge: FloatArray,
+    course: ReferencePath, frame: Frame, s_ego: float, vehicle: VehicleParameters, right_edge: FloatArray,
     left_edge: FloatArray,
 ) -> str:  # fmt: skip
     """As `endangered`, between two edges `(n,)`."""

@@ -24,12 +24,12 @@ from logs.kernel import FloatArray
 from logs.states import EgoState
 from logs.trace import Artefact, Candidates
 from logs.vehicle import VehicleParameters
-from planners.dp_qp.corridor import CorridorConfig
-from planners.dp_qp.decide import DWELL_S, HYSTERESIS_S, borrowing_endangers, worth_passing
-from planners.dp_qp.lane_plan import FORGET_S, LanePlan, LanePlanner, Past
-from planners.dp_qp.reference_line import Course
-from planners.dp_qp.slower import Slower, along_lane, gone_on, movers, slower
-from planners.dp_qp.speed_qp import STEP_S
+from planners.dp_qp.lane.choice import DWELL_S, HYSTERESIS_S, borrowing_endangers, worth_passing
+from planners.dp_qp.lane.plan import FORGET_S, LanePlan, LanePlanner, Past
+from planners.dp_qp.path.bounds import CorridorConfig
+from planners.dp_qp.scene.moving_obstacles import PassTarget, along_lane, gone_on, movers, slower
+from planners.frenet.profiles import STEP_S
+from planners.frenet.reference_path import ReferencePath
 
 TURNS = 3
 SETTLED_M = 1.0
@@ -115,7 +115,7 @@ class Passing:
         names = frozenset(box.agent for box in told.boxes) & plan.path.passed & {one.box.agent for one in found}
         return (plan, names, stations) if told.boxes[0].agent in names else NO_PLAN
 
-    def _expected(self, course: Course, keep: LanePlan, frame: Frame, start: EgoState) -> FloatArray:
+    def _expected(self, course: ReferencePath, keep: LanePlan, frame: Frame, start: EgoState) -> FloatArray:
         """Where the ego will be at the times of the predictions, by the last plan, else on a road without them."""
         t = frame.predictions.t
         if self._stations is None or len(self._stations) != len(t):
@@ -123,7 +123,7 @@ class Passing:
             return gone_on(t, keep.s, start.v, limit)
         return _carried_on(t - t[0], self._stations, t - self._at)
 
-    def _sides(self, course: Course, keep: LanePlan, frame: Frame) -> tuple[bool, bool]:
+    def _sides(self, course: ReferencePath, keep: LanePlan, frame: Frame) -> tuple[bool, bool]:
         """Whether the road left and right of the lane may be borrowed: on the passing side, and where nobody minds."""
         left, right = (float(np.interp(keep.s, course.line.s, edge)) for edge in (course.lane_left, course.lane_right))
         aside, edge = (keep.l, left) if self._left else (-keep.l, -right)
@@ -147,7 +147,7 @@ def _carried_on(known: FloatArray, stations: FloatArray, t: FloatArray) -> Float
     return np.asarray(np.interp(t, known, stations) + speed * np.maximum(t - known[-1], 0.0))
 
 
-def _same(before: tuple[Slower, ...], after: tuple[Slower, ...]) -> bool:
+def _same(before: tuple[PassTarget, ...], after: tuple[PassTarget, ...]) -> bool:
     """Whether two turns pass the same people at nearly the same places."""
     if [one.agent for one in before] != [one.agent for one in after]:
         return False

@@ -23,8 +23,9 @@ import numpy as np
 
 from logs.kernel import FloatArray
 from logs.trace import Artefact
-from planners.dp_qp.speed_qp import RELEASE_MPS3, STEP_S, Limits, SpeedLimits, SpeedProblem, SpeedQp, SpeedQpConfig
-from planners.dp_qp.st_graph import Blocks, StGraphConfig
+from planners.dp_qp.speed.qp import RELEASE_MPS3, SpeedProblem, SpeedQp, SpeedQpConfig
+from planners.frenet.profiles import STEP_S, Limits, SpeedLimits
+from planners.frenet.st_boundaries import StBoundaries, StGraphConfig
 
 RESERVE = 0.85
 """Share of the limits with which braking must keep the bounds, so that the QP has room to be smooth."""
@@ -100,7 +101,7 @@ class SpeedSolver:
         self._drove_on = self._braked_fully = False
 
     def solve(
-        self, problem: SpeedProblem, blocks: Callable[[StGraphConfig], Blocks], t: float, *, fresh: bool
+        self, problem: SpeedProblem, blocks: Callable[[StGraphConfig], StBoundaries], t: float, *, fresh: bool
     ) -> SolvedSpeed:
         """The profile of a frame at `t`, s; `blocks` makes the S-T graph with other margins."""
         if fresh:
@@ -188,7 +189,7 @@ class SpeedSolver:
             return None
         return SolvedSpeed(_tidied(result.x.reshape(3, -1)), attempt.reason, artefacts=tuple(tried))
 
-    def _last_resort(self, problem: SpeedProblem, blocks: Callable[[StGraphConfig], Blocks]) -> SolvedSpeed:
+    def _last_resort(self, problem: SpeedProblem, blocks: Callable[[StGraphConfig], StBoundaries]) -> SolvedSpeed:
         """(5)."""
         full = Limits(self._utmost).braking(problem.start, self._config.knots)
         left = self._gap - float((full[0] - problem.upper).max())
@@ -209,14 +210,14 @@ class SpeedSolver:
             return SolvedSpeed(full, "full braking, which just does not touch", is_full=True)
         return SolvedSpeed(full, f"full braking {short}", unavoidable=True, is_full=True)
 
-    def _gentle(self, problem: SpeedProblem, blocks: Blocks) -> FloatArray | None:
+    def _gentle(self, problem: SpeedProblem, blocks: StBoundaries) -> FloatArray | None:
         """Comfortable braking to a stop, where that stays behind all blocks by some of the gap; else None."""
         soft = Limits(self._config.comfort)
         stop = soft.braking(_startable(problem.start, soft), self._config.knots)
         stays = stop[0, -1] <= problem.end and blocks.leave(self._times, stop[0], LEAST_GAP * self._gap)
         return stop if stays else None
 
-    def _onward(self, problem: SpeedProblem, blocks: Blocks) -> FloatArray | None:
+    def _onward(self, problem: SpeedProblem, blocks: StBoundaries) -> FloatArray | None:
         """Driving on, at the present speed or accelerating, where that enters no block; else None."""
         v0, a0 = problem.start
         for accel in (0.0, self._config.comfort.accel_mps2):

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from math import hypot
 
-import numpy as np
-
 from logs.frame import Frame, PlannerContext
-from logs.kernel import FloatArray
 from logs.route import find_route
 from logs.states import EgoState
-from logs.trace import Decision, GraphObstacle, PlanStart
-from planners.dp_qp.path import out_of_frame
-from planners.dp_qp.reference_line import Course, make_course
-from planners.dp_qp.st_graph import Blocks
+from logs.trace import PlanStart
+from planners.frenet.path import out_of_frame
+from planners.frenet.reference_path import ReferencePath, make_reference_path
 
 STITCH_M, STITCH_MPS = 0.5, 1.0
 """A plan starts on the previous one where the ego is nearer to it than this, and its speed too."""
@@ -34,7 +29,7 @@ class Tracker:
     """The course of one scenario, and the ego's last station on it, from which the next projection starts."""
 
     def __init__(self, context: PlannerContext) -> None:
-        self.course: Course = make_course(
+        self.course: ReferencePath = make_reference_path(
             context.road, find_route(context.road, context.start, context.goal), context.start
         )
         self._station: float | None = None
@@ -50,14 +45,3 @@ class Tracker:
         s, l = self.course.line.project(state.x, state.y, None if fresh else self._station)  # noqa: E741
         self._station = s
         return s, l
-
-
-def outlines(blocks: Blocks, decisions: Sequence[Decision]) -> tuple[GraphObstacle, ...]:
-    """The blocked intervals as polygons of the S-T graph, each with what was decided about it."""
-    found = []
-    for i, decision in enumerate(decisions):
-        taken = np.isfinite(blocks.lower[i])
-        low: FloatArray = np.column_stack([blocks.t[taken], blocks.lower[i, taken]])
-        high: FloatArray = np.column_stack([blocks.t[taken], blocks.upper[i, taken]])
-        found.append(GraphObstacle(decision.agent, np.vstack([low, high[::-1]]), decision.kind))
-    return tuple(found)

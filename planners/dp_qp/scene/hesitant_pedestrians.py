@@ -18,23 +18,23 @@ from logs.frame import Frame
 from logs.kernel import FloatArray
 from logs.trace import Decision, DecisionKind
 from logs.vehicle import VehicleParameters
-from planners.dp_qp.path import Path
-from planners.dp_qp.sight import LEAST_MPS, LOOK_M, REACTION_S, STEP_M, WALK_MPS
-from planners.dp_qp.st_graph import Blocks
+from planners.dp_qp.scene.occlusion import LEAST_MPS, LOOK_M, REACTION_S, STEP_M, WALK_MPS
+from planners.frenet.path import Path
+from planners.frenet.st_boundaries import StBoundaries
 
 WAVERS_S = 5.0
 STANDS_MPS = 0.3
 
 
-class Waverers:
+class HesitantPedestrians:
     """Remembers who came to the path (module docstring)."""
 
     def __init__(self) -> None:
         self._took: dict[str, float] = {}
 
     def limit(
-        self, path: Path, limit: FloatArray, frame: Frame, vehicle: VehicleParameters, blocks: Blocks, decel: float,
-        *, fresh: bool,
+        self, path: Path, limit: FloatArray, frame: Frame, vehicle: VehicleParameters, blocks: StBoundaries,
+        decel: float, *, fresh: bool,
     ) -> tuple[FloatArray, tuple[Decision, ...]]:  # fmt: skip
         """The speed limit `(m,)` along a path with (1) in it, and for whom; b is `decel`, m/s2."""
         if fresh:

@@ -30,7 +30,7 @@ from logs.kernel import BoolArray, FloatArray, kernel
 from logs.scenario import Agents
 from logs.trace import Decision, DecisionKind
 from logs.vehicle import VehicleParameters
-from planners.dp_qp.path import Path
+from planners.frenet.path import Path
 
 WALK_MPS, PERSON_M = 5.0 / 3.6, 0.3
 REACTION_S = 0.5

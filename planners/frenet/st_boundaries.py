@@ -10,6 +10,7 @@ path are exact, since real boxes are tested: at the path's points, and between t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import cos, hypot, sin, sqrt
 
@@ -21,10 +22,10 @@ from logs.road import line_project
 from logs.scenario import AgentKind
 from logs.shapes import overlap
 from logs.states import wrap
-from logs.trace import Decision, DecisionKind
+from logs.trace import Decision, DecisionKind, GraphObstacle
 from logs.vehicle import VehicleParameters
-from planners.dp_qp.path import Path
-from planners.dp_qp.reference_line import Course
+from planners.frenet.path import Path
+from planners.frenet.reference_path import ReferencePath
 
 CREEPING_MPS = 0.1
 HALVINGS = 4
@@ -59,7 +60,7 @@ class StGraphConfig:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Blocks:
+class StBoundaries:
     """The blocked intervals (1) of `n` predictions at `k` times; NaN where not blocked.
 
     Attributes:
@@ -80,9 +81,9 @@ class Blocks:
     def __len__(self) -> int:
         return len(self.agent)
 
-    def only(self, rows: BoolArray) -> Blocks:
+    def only(self, rows: BoolArray) -> StBoundaries:
         """Some of them `(n,)`."""
-        return Blocks(
+        return StBoundaries(
             self.t, self.agent[rows], self.lower[rows], self.upper[rows], self.speed[rows], self.probability[rows]
         )
 
@@ -208,7 +209,7 @@ def agents_frenet(
 
 
 def behind(
-    course: Course, frame: Frame, s_ego: float, l_ego: float, vehicle: VehicleParameters, *, keeps_track: bool
+    course: ReferencePath, frame: Frame, s_ego: float, l_ego: float, vehicle: VehicleParameters, *, keeps_track: bool
 ) -> np.ndarray:
     """Which agents `(n,)` bool follow behind the ego, so that it is they who must see it.
 
@@ -223,10 +224,10 @@ def behind(
     return is_behind & in_track & (turn < 0.5 * np.pi)
 
 
-def block_intervals(
+def st_boundaries(
     path: Path, frame: Frame, vehicle: VehicleParameters, skip: np.ndarray, passed: frozenset[str],
     config: StGraphConfig,
-) -> Blocks:  # fmt: skip
+) -> StBoundaries:  # fmt: skip
     """The blocked intervals (1) of all predictions but those of agents to `skip` `(agents,)`."""
     agents, predictions = frame.agents, frame.predictions
     stride = max(1, round(config.step_s / (predictions.t[1] - predictions.t[0]))) if len(predictions.t) > 1 else 1
@@ -250,7 +251,7 @@ def block_intervals(
     agent, spans, probability = agent[blocked], spans[blocked], predictions.probability[used][blocked]
     for span in spans:
         _drawn_out(t, span, config)
-    return Blocks(
+    return StBoundaries(
         t, agent, spans[:, 0].copy(), spans[:, 1].copy(), _speeds_along(path, frame, agent, spans), probability
     )
 
@@ -293,7 +294,7 @@ def _margin(agent: str, kind: AgentKind, passed: frozenset[str], config: StGraph
     return config.vulnerable_margin_m if kind.is_vulnerable else config.margin_m
 
 
-def decide_speed(blocks: Blocks, frame: Frame, s_dp: FloatArray) -> tuple[Decision, ...]:
+def decide_speed(blocks: StBoundaries, frame: Frame, s_dp: FloatArray) -> tuple[Decision, ...]:
     """Per block: overtake where the DP profile `(k,)` at the blocks' times passes above, else stop, follow or yield."""
     decisions = []
     for i, who in enumerate(blocks.agent):
@@ -316,3 +317,14 @@ def decide_speed(blocks: Blocks, frame: Frame, s_dp: FloatArray) -> tuple[Decisi
         )
         decisions.append(Decision(frame.agents.ids[who], kind, "speed", reason))
     return tuple(decisions)
+
+
+def outlines(blocks: StBoundaries, decisions: Sequence[Decision]) -> tuple[GraphObstacle, ...]:
+    """The blocked intervals as polygons of the S-T graph, each with what was decided about it."""
+    found = []
+    for i, decision in enumerate(decisions):
+        taken = np.isfinite(blocks.lower[i])
+        low: FloatArray = np.column_stack([blocks.t[taken], blocks.lower[i, taken]])
+        high: FloatArray = np.column_stack([blocks.t[taken], blocks.upper[i, taken]])
+        found.append(GraphObstacle(decision.agent, np.vstack([low, high[::-1]]), decision.kind))
+    return tuple(found)

@@ -23,13 +23,22 @@ from logs.road import Goal
 from logs.states import EgoState
 from logs.trace import Artefact, CostTerms
 from logs.vehicle import VehicleParameters
-from planners.dp_qp.appointment import Appointment, Pace
-from planners.dp_qp.lanes import Strip
-from planners.dp_qp.path_stage import ChosenPath, PathConfig, PathStage
-from planners.dp_qp.slower import NOBODY, Movers, Slower, along_lane, beside_limit, gone_on, slower, swerve_limit
-from planners.dp_qp.speed_solve import RESERVE
-from planners.dp_qp.speed_stage import ChosenSpeed, SpeedConfig, SpeedStage
-from planners.dp_qp.st_graph import behind
+from planners.dp_qp.path.stage import ChosenPath, PathConfig, PathStage
+from planners.dp_qp.scene.goal_window import GoalWindow, SpeedTarget
+from planners.dp_qp.scene.moving_obstacles import (
+    NOBODY,
+    Movers,
+    PassTarget,
+    along_lane,
+    beside_limit,
+    gone_on,
+    slower,
+    swerve_limit,
+)
+from planners.dp_qp.speed.braking import RESERVE
+from planners.dp_qp.speed.stage import ChosenSpeed, SpeedConfig, SpeedStage
+from planners.frenet.lane_sequence import LaneSequence
+from planners.frenet.st_boundaries import behind
 from planners.rules import Rulebook, walls_on
 
 FORGET_S = 0.5
@@ -50,7 +59,7 @@ DUE_S = 15.0
 class Past:
     """Those whom a plan is to pass while they go on, and what the path stage is told of them."""
 
-    found: tuple[Slower, ...]
+    found: tuple[PassTarget, ...]
     movers: Movers
 
 
@@ -68,7 +77,7 @@ class LanePlan:
     """
 
     name: str
-    strip: Strip
+    strip: LaneSequence
     s: float
     l: float  # noqa: E741
     path: ChosenPath
@@ -107,7 +116,7 @@ class LanePlanner:
 
     def __init__(
         self,
-        strip: Strip,
+        strip: LaneSequence,
         rules: Rulebook,
         goal: Goal | None,
         vehicle: VehicleParameters,
@@ -118,7 +127,7 @@ class LanePlanner:
         lap: Callable[[str], None],
     ) -> None:
         self.strip, self._rules = strip, rules
-        self._appointment = Appointment(goal, strip.course, vehicle)
+        self._appointment = GoalWindow(goal, strip.course, vehicle)
         self._vehicle, self._horizon = vehicle, speed.qp.horizon
         self._hard, self._margin = RESERVE * speed.qp.emergency.decel_mps2, speed.graph.vulnerable_margin_m
         self._path = PathStage(
@@ -168,7 +177,7 @@ class LanePlanner:
             speed = replace(speed, artefacts=(*speed.artefacts, *told)) if told else speed
         return LanePlan(name, self.strip, s, l, path, speed, self._costs(name, start, s, speed, pace))
 
-    def _beside(self, frame: Frame, s: float, v: float) -> tuple[Slower, ...]:
+    def _beside(self, frame: Frame, s: float, v: float) -> tuple[PassTarget, ...]:
         """Those who go along the lane, where the ego would come beside them if it drove at the limit.
 
         That is when it comes beside them soonest, and what it needs to know: whom it will follow is not beside it.
@@ -180,7 +189,7 @@ class LanePlanner:
         limit = float(np.interp(s, course.line.s, course.limit))
         return slower(course, frame, s, who, gone_on(t, s, v, limit), self._vehicle)
 
-    def _costs(self, name: str, start: EgoState, s: float, speed: ChosenSpeed | None, pace: Pace) -> CostTerms:
+    def _costs(self, name: str, start: EgoState, s: float, speed: ChosenSpeed | None, pace: SpeedTarget) -> CostTerms:
         lost, braking = self._horizon, FAILED_S
         if speed is not None and speed.profile is not None:
             limit = float(np.interp(s, self.strip.course.line.s, self.strip.course.limit))

@@ -24,16 +24,16 @@ from logs.trace import (
     SolverReport,
 )
 from logs.vehicle import VehicleParameters
-from planners.dp_qp import corridor
-from planners.dp_qp.appointment import Appointment
-from planners.dp_qp.corridor import CorridorConfig, PathObstacle
-from planners.dp_qp.facing import blocking, may_block, passed_facing, waiting_place
-from planners.dp_qp.path import Path, frenet_start, make_path, out_of_frame
-from planners.dp_qp.path_dp import SAMPLES, PathDpConfig, path_dp, path_dp_offsets, path_dp_to_go, side_costs
-from planners.dp_qp.path_qp import MAX_DL, PathProblem, PathQp, PathQpConfig
-from planners.dp_qp.reference_line import Course
-from planners.dp_qp.slower import NOBODY, Movers
-from planners.dp_qp.steering import COMFORT, HARD, bounded, swing
+from planners.dp_qp.path import bounds as corridor
+from planners.dp_qp.path.bounds import CorridorConfig, PathObstacle
+from planners.dp_qp.path.dp import SAMPLES, PathDpConfig, path_dp, path_dp_offsets, path_dp_to_go, side_costs
+from planners.dp_qp.path.oncoming_lane import blocking, may_block, passed_facing, waiting_place
+from planners.dp_qp.path.qp import MAX_DL, PathProblem, PathQp, PathQpConfig
+from planners.dp_qp.path.steering import COMFORT, HARD, bounded, swing
+from planners.dp_qp.scene.goal_window import GoalWindow
+from planners.dp_qp.scene.moving_obstacles import NOBODY, Movers
+from planners.frenet.path import Path, frenet_start, make_path, out_of_frame
+from planners.frenet.reference_path import ReferencePath
 from planners.qp import QPResult
 
 LENGTHS_M = (60.0, 90.0, 130.0, 180.0, 250.0, 340.0)
@@ -110,7 +110,7 @@ class _Task:
     Attributes:
         program: The workspace.
         knots: Stations `(knots,)`, m.
-        space: Room of the ego's points `(points, knots)`, without obstacles; `road` also without the goal's sides.
+        space: Bounds of the ego's points `(points, knots)`, without obstacles; `road` also without the goal's sides.
         swings: How far they swing out, m.
         start: l, l', l''.
         speed: At the start, m/s.
@@ -120,8 +120,8 @@ class _Task:
 
     program: PathQp
     knots: FloatArray
-    space: corridor.Room
-    road: corridor.Room
+    space: corridor.PathBounds
+    road: corridor.PathBounds
     swings: FloatArray
     start: tuple[float, float, float]
     speed: float
@@ -145,10 +145,10 @@ class PathStage:
 
     def __init__(
         self,
-        course: Course,
+        course: ReferencePath,
         vehicle: VehicleParameters,
         config: PathConfig,
-        appointment: Appointment,
+        appointment: GoalWindow,
         *,
         horizon: float,
         passes_left: bool,
@@ -237,7 +237,7 @@ class PathStage:
             decisions = final
 
     def _softly(
-        self, task: _Task, space: corridor.Room, problem: PathProblem, *, fresh: bool
+        self, task: _Task, space: corridor.PathBounds, problem: PathProblem, *, fresh: bool
     ) -> tuple[QPResult, CostTerms, PathProblem, tuple[SolverReport, ...]]:
         """The path that leaves its corridor as little as it must, the problem that it solves, and all reports.
 
@@ -257,7 +257,7 @@ class PathStage:
                 break
         return result, costs, problem, reports
 
-    def _problem(self, task: _Task, space: corridor.Room, near: FloatArray) -> PathProblem:
+    def _problem(self, task: _Task, space: corridor.PathBounds, near: FloatArray) -> PathProblem:
         """The bounds of the path QP: the corridor, loosened to the reach of comfortable steering.
 
         Where that leaves the road's room by more than `FORCED_M`, of hard steering if that leaves it by less. The
@@ -281,7 +281,7 @@ class PathStage:
             least = forced
         return best
 
-    def _aimed(self, space: corridor.Room, obstacles: tuple[PathObstacle, ...]) -> corridor.Room:
+    def _aimed(self, space: corridor.PathBounds, obstacles: tuple[PathObstacle, ...]) -> corridor.PathBounds:
         """The room within the goal's sides, as near to them as it goes; not where somebody stands near the goal."""
         low, high = self._appointment.sides(space.s)
         there = np.isfinite(low) & (low <= space.upper + NEARLY_M) & (high >= space.lower - NEARLY_M)
@@ -292,7 +292,7 @@ class PathStage:
             return space
         lower = np.clip(low, space.lower, np.maximum(space.upper - LEFT_M, space.lower))
         upper = np.clip(high, np.minimum(space.lower + LEFT_M, space.upper), space.upper)
-        return corridor.Room(space.s, np.where(there, lower, space.lower), np.where(there, upper, space.upper))
+        return corridor.PathBounds(space.s, np.where(there, lower, space.lower), np.where(there, upper, space.upper))
 
     def _drivable(self, path: Path, wait: float, speed: float) -> Path:
         """The path to the station at which to wait, if it can stop there, or to where it turns beyond the lock."""
@@ -344,7 +344,7 @@ class PathStage:
 
         return waited
 
-    def _room(self, s: FloatArray, scene: _Scene) -> corridor.Room:
+    def _room(self, s: FloatArray, scene: _Scene) -> corridor.PathBounds:
         borrow = corridor.borrowed(scene.obstacles, s, scene.speed, self._vehicle, scene.facing)
         return corridor.room(
             self._course, s, borrow, left_free=scene.left, right_free=scene.right,

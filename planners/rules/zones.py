@@ -24,14 +24,14 @@ from logs.rules import Crosswalk, StopLine
 from logs.shapes import point_segment
 from logs.states import wrap
 from logs.vehicle import VehicleParameters
-from planners.dp_qp.reference_line import Course
+from planners.frenet.reference_path import ReferencePath
 
 SIDE_M = 0.3
 HALF_CAR_M = 1.0
 STEP_M = 0.5
 """Spacing of the stations that are tried."""
 ROOM_M = 1.0
-"""Room that is left to each side of an ego that waits between two zones."""
+"""PathBounds that is left to each side of an ego that waits between two zones."""
 LINE_BEFORE_M = 15.0
 """A stop line nearer than this before a zone is where one waits for it."""
 FEED_M = 100.0
@@ -67,7 +67,7 @@ class Priority:
 
     Attributes:
         lane: The lane.
-        feeds: Lanes from which it is reached, itself included, and the lights that hold who is on them.
+        feeds: LaneSequences from which it is reached, itself included, and the lights that hold who is on them.
         p_in: Station on its centre line where the zone begins, m; `p_out` where it ends.
         boxes: The zone as boxes along the reference line: x, y, yaw, length, width `(k, 5)`.
         merges: Whether it goes on as the ego's lane does.
@@ -99,7 +99,7 @@ class Zone:
     holds: tuple[float, ...] = ()
 
 
-def lines_along(road: Road, course: Course, width: float) -> tuple[Line, ...]:
+def lines_along(road: Road, course: ReferencePath, width: float) -> tuple[Line, ...]:
     """The stop lines of the course that lights or stop signs may make the ego stop at, in driving order."""
     found = [(mark, _station(mark, course.line, width)) for mark in _marks(road, course.lanes)]
     binding = [
@@ -110,7 +110,7 @@ def lines_along(road: Road, course: Course, width: float) -> tuple[Line, ...]:
     return tuple(sorted(binding, key=lambda line: (line.s, line.id)))
 
 
-def zones_along(road: Road, course: Course, vehicle: VehicleParameters) -> tuple[Zone, ...]:
+def zones_along(road: Road, course: ReferencePath, vehicle: VehicleParameters) -> tuple[Zone, ...]:
     """The zones of the course in driving order."""
     zones = [*_walks(road, course, vehicle.width), *_joined(_priorities(road, course, vehicle.width), vehicle.length)]
     if not zones:
@@ -158,7 +158,7 @@ def _station(mark: StopLine, line: ReferenceLine, width: float) -> float | None:
     return s0 - slope * l0 - abs(slope) * 0.5 * width
 
 
-def _walks(road: Road, course: Course, width: float) -> Iterator[Zone]:
+def _walks(road: Road, course: ReferencePath, width: float) -> Iterator[Zone]:
     line, half = course.line, 0.5 * width + SIDE_M
     for crosswalk in road.crosswalks:
         polygon = crosswalk.polygon
@@ -179,7 +179,7 @@ def _near(line: ReferenceLine, polygon: FloatArray, half: float) -> tuple[float,
     return float(line.s[close[0]]) - 1.0, float(line.s[close[-1]]) + 1.0
 
 
-def _priorities(road: Road, course: Course, width: float) -> Iterator[Zone]:
+def _priorities(road: Road, course: ReferencePath, width: float) -> Iterator[Zone]:
     yielding = [road.lanes[i] for i in course.lanes if road.lanes[i].yields_to]
     before = _predecessors(road) if yielding else {}
     for lane in yielding:

@@ -18,13 +18,13 @@ from logs.kernel import TIE
 from logs.road import Road
 from logs.route import CostToGo, Route, costs_to_go, start_lanes, straight_on
 from logs.states import EgoState
-from planners.dp_qp.reference_line import BEYOND_M, Course, make_course
+from planners.frenet.reference_path import BEYOND_M, ReferencePath, make_reference_path
 
 BEHIND_M = 60.0
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Strip:
+class LaneSequence:
     """A candidate lane.
 
     Attributes:
@@ -35,12 +35,12 @@ class Strip:
     """
 
     lanes: tuple[int, ...]
-    course: Course
+    course: ReferencePath
     changes: int | None
     change_by: float
 
 
-class Lanes:
+class LaneSequences:
     """The strips of one scenario, made when they are first needed.
 
     Args:
@@ -51,17 +51,17 @@ class Lanes:
         self._road = context.road
         self._to_go = costs_to_go(context.road, context.goal)
         self._before = _predecessors(context.road)
-        self._strips: dict[int, Strip] = {}
+        self._strips: dict[int, LaneSequence] = {}
         self._start, self._car = context.start, context.vehicle
 
-    def start(self, ego: EgoState) -> Strip:
+    def start(self, ego: EgoState) -> LaneSequence:
         """The strip to begin with: of the lanes under the ego, the one nearest to the goal."""
         under = start_lanes(self._road, ego)
         aligned = under[:1] if not self._to_go else under
         best = min(aligned, key=lambda lane: (*_rank(self._to_go.get(lane)), under.index(lane)))
         return self.of(best)
 
-    def of(self, lane: int) -> Strip:
+    def of(self, lane: int) -> LaneSequence:
         """The strip that a lane belongs to."""
         if lane not in self._strips:
             strip = self._made(lane)
@@ -69,7 +69,7 @@ class Lanes:
                 self._strips.setdefault(each, strip)
         return self._strips[lane]
 
-    def beside(self, strip: Strip, station: float) -> tuple[tuple[str, Strip], ...]:
+    def beside(self, strip: LaneSequence, station: float) -> tuple[tuple[str, LaneSequence], ...]:
         """The neighbours ("left" or "right") of a strip at a station, as far as the markings may be crossed."""
         lane = self._road.lanes[strip.lanes[self._index(strip, station)]]
         sides = (
@@ -83,11 +83,11 @@ class Lanes:
                 found.append((side, self.of(other)))
         return tuple(found)
 
-    def _index(self, strip: Strip, station: float) -> int:
+    def _index(self, strip: LaneSequence, station: float) -> int:
         ends = np.cumsum([self._road.lanes[lane].length for lane in strip.lanes])
         return min(int(np.searchsorted(ends, station + TIE)), len(strip.lanes) - 1)
 
-    def _made(self, lane: int) -> Strip:
+    def _made(self, lane: int) -> LaneSequence:
         onward, length = [lane], 0.0
         while length < BEYOND_M:
             after = self._next(onward[-1])
@@ -104,8 +104,8 @@ class Lanes:
             behind.insert(0, before)
             length += self._road.lanes[before].length
         lanes = (*behind, *onward)
-        course = make_course(self._road, Route(lanes, False, 0.0), self._start, self._car)
-        return Strip(lanes, course, *self._changes(lanes, len(behind)))
+        course = make_reference_path(self._road, Route(lanes, False, 0.0), self._start, self._car)
+        return LaneSequence(lanes, course, *self._changes(lanes, len(behind)))
 
     def _next(self, lane: int) -> int | None:
         """The successor from which the goal is nearest; where none leads there, straight on."""

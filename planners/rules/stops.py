@@ -8,8 +8,7 @@ import numpy as np
 
 from logs.kernel import FloatArray
 from logs.trace import Decision, GraphObstacle
-from planners.dp_qp.speed_dp import cost_map
-from planners.dp_qp.st_graph import Blocks
+from planners.frenet.st_boundaries import StBoundaries
 from planners.rules import Wall
 
 
@@ -26,12 +25,12 @@ def upper_bound(walls: Sequence[Wall], times: FloatArray, length: float) -> Floa
     return upper
 
 
-def walled(blocks: Blocks, walls: Sequence[Wall]) -> Blocks:
+def walled(blocks: StBoundaries, walls: Sequence[Wall]) -> StBoundaries:
     """The blocks with a row per wall, which belongs to no agent (-1)."""
     if not walls:
         return blocks
     lower = np.array([np.where(blocks.t < wall.stop.until, wall.bound, np.nan) for wall in walls])
-    return Blocks(
+    return StBoundaries(
         blocks.t,
         np.r_[blocks.agent, np.full(len(walls), -1)],
         np.vstack([blocks.lower, lower]),
@@ -39,12 +38,6 @@ def walled(blocks: Blocks, walls: Sequence[Wall]) -> Blocks:
         np.r_[blocks.speed, np.zeros(len(walls))],
         np.r_[blocks.probability, np.ones(len(walls))],
     )
-
-
-def wall_map(rows: int, t: FloatArray, walls: Sequence[Wall]) -> FloatArray:
-    """The speed DP's map `(k, rows)` of the walls: no gap is wanted beyond theirs."""
-    lower = np.array([np.where(t < wall.stop.until, wall.bound, np.nan) for wall in walls])
-    return cost_map(rows, lower, np.full(lower.shape, 1e6), np.zeros(len(walls)), 0.0, np.zeros(2), 0.0)
 
 
 def told(walls: Sequence[Wall]) -> tuple[Decision, ...]:

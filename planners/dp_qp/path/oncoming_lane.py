@@ -22,9 +22,9 @@ from logs.frame import Frame
 from logs.kernel import FloatArray
 from logs.road import line_project_many
 from logs.vehicle import VehicleParameters
-from planners.dp_qp import corridor
-from planners.dp_qp.corridor import CorridorConfig, PathObstacle, Room
-from planners.dp_qp.reference_line import Course
+from planners.dp_qp.path import bounds as corridor
+from planners.dp_qp.path.bounds import CorridorConfig, PathBounds, PathObstacle
+from planners.frenet.reference_path import ReferencePath
 
 FACING_MPS = 5.0
 BACK_M = 10.0
@@ -37,7 +37,7 @@ QUEUE_M = 25.0
 """Who stands so near behind another who stands in the lane waits in a queue."""
 
 
-def may_block(course: Course, obstacles: tuple[PathObstacle, ...], vehicle: VehicleParameters) -> bool:
+def may_block(course: ReferencePath, obstacles: tuple[PathObstacle, ...], vehicle: VehicleParameters) -> bool:
     """Whether somebody leaves less than the ego's width on both sides of the road at his middle, or nearly."""
     right, left = course.at(np.array([0.5 * (box.s_from + box.s_to) for box in obstacles]))[[1, 4]]
     rooms = [max(b - box.l_to, box.l_from - a) for box, a, b in zip(obstacles, right, left, strict=True)]
@@ -45,7 +45,7 @@ def may_block(course: Course, obstacles: tuple[PathObstacle, ...], vehicle: Vehi
 
 
 def blocking(
-    obstacles: tuple[PathObstacle, ...], space: Room, vehicle: VehicleParameters, config: CorridorConfig
+    obstacles: tuple[PathObstacle, ...], space: PathBounds, vehicle: VehicleParameters, config: CorridorConfig
 ) -> tuple[PathObstacle, ...]:
     """The obstacles that leave the ego no room on either side of the road, those in a queue not among them."""
     found = []
@@ -69,7 +69,7 @@ def blocking(
 
 
 def passed_facing(
-    course: Course, frame: Frame, s_ego: float, blocked: tuple[PathObstacle, ...], vehicle: VehicleParameters,
+    course: ReferencePath, frame: Frame, s_ego: float, blocked: tuple[PathObstacle, ...], vehicle: VehicleParameters,
     config: CorridorConfig, stations: FloatArray | None = None,
 ) -> frozenset[str]:  # fmt: skip
     """Whom the ego may pass by the facing lane: nobody is predicted there until it is back, and `facing_margin_s` more.
@@ -104,7 +104,7 @@ def passed_facing(
     return frozenset(found)
 
 
-def _in_sight(course: Course, frame: Frame, s_ego: float, place: float, lasts: float) -> bool:
+def _in_sight(course: ReferencePath, frame: Frame, s_ego: float, place: float, lasts: float) -> bool:
     """(3), for an ego that is back in its lane at a place (m) and safe after `lasts` s."""
     if frame.visibility is None:
         return True
@@ -122,7 +122,7 @@ def _reached(place: float, t: FloatArray, stations: FloatArray) -> float:
     return float(t[np.argmax(stations >= place)]) if len(t) and stations[-1] >= place else np.inf
 
 
-def _meets_facing(course: Course, feet: FloatArray, width: float, span: tuple[float, float, float]) -> bool:
+def _meets_facing(course: ReferencePath, feet: FloatArray, width: float, span: tuple[float, float, float]) -> bool:
     """Whether points (s, l) `(n, 2)` come on the facing lane between the ego and the end of the passing."""
     s_ego, begin, end = span
     s, l = feet.T  # noqa: E741
@@ -134,7 +134,7 @@ def _meets_facing(course: Course, feet: FloatArray, width: float, span: tuple[fl
 
 
 def waiting_place(
-    course: Course, blocked: tuple[PathObstacle, ...], passed: frozenset[str], vehicle: VehicleParameters
+    course: ReferencePath, blocked: tuple[PathObstacle, ...], passed: frozenset[str], vehicle: VehicleParameters
 ) -> float:
     """Station of the rear axle to wait at for the facing lane, m; inf where there is none or nobody to wait for."""
     places = []

@@ -25,7 +25,7 @@ import numpy as np
 from logs.kernel import FloatArray
 from logs.road import Goal
 from logs.vehicle import VehicleParameters
-from planners.dp_qp.reference_line import Course
+from planners.frenet.reference_path import ReferencePath
 
 LEAST = 0.3
 HASTE_S = 3.0
@@ -35,7 +35,7 @@ HURRIED_GAP_S = 0.8
 BESIDE_M = 8.0
 """A region further beside the line is not its goal."""
 SIDE_M = 0.3
-"""Room that the ego's middle keeps to a region's sides, or a quarter of its width."""
+"""PathBounds that the ego's middle keeps to a region's sides, or a quarter of its width."""
 ALONG_M, ROWS = 0.5, 400
 """Step in which a region's sides are taken, and how many at most."""
 JOINED_M = 0.1
@@ -45,7 +45,7 @@ NARROW = 0.5
 
 
 @dataclass(frozen=True, slots=True)
-class Pace:
+class SpeedTarget:
     """What the goal asks of the speed now: a cap, m/s, up to a station, m; whether the ego is late, and how much, s.
 
     And the station, m, beyond which it must not be yet.
@@ -58,7 +58,7 @@ class Pace:
     stop: float = np.inf
 
 
-class Appointment:
+class GoalWindow:
     """The goal along one reference line.
 
     Args:
@@ -67,7 +67,7 @@ class Appointment:
         vehicle: The ego.
     """
 
-    def __init__(self, goal: Goal | None, course: Course, vehicle: VehicleParameters) -> None:
+    def __init__(self, goal: Goal | None, course: ReferencePath, vehicle: VehicleParameters) -> None:
         self._goal = goal
         self._region, (self._begins, _) = (
             _region(goal, course, beside) - vehicle.axle_to_center if goal else np.array([np.nan, np.nan])
@@ -77,7 +77,7 @@ class Appointment:
         self._road_end = float(course.line.s[-1]) - vehicle.axle_to_front
         self._sides = _sides(goal, course) if goal else np.empty((3, 0))
 
-    def limit(self, s: FloatArray, limit: FloatArray, pace: Pace) -> FloatArray:
+    def limit(self, s: FloatArray, limit: FloatArray, pace: SpeedTarget) -> FloatArray:
         """The speed limit `(m,)` at stations of the rear axle `(m,)` with (1) and (2) in it."""
         out = np.where(s <= pace.until, np.minimum(limit, pace.cap), limit)
         out = np.where(s > pace.stop, 0.0, out)
@@ -101,32 +101,32 @@ class Appointment:
         last = self._goal.t[1] if self._goal is not None and self._goal.t is not None else -np.inf
         return last - t if last > t else np.inf
 
-    def pace(self, t: float, s: float, v: float) -> Pace:
+    def pace(self, t: float, s: float, v: float) -> SpeedTarget:
         """What (2) and (3) ask of the rear axle at station `s` at time `t` with speed `v`."""
         goal, (begin, end) = self._goal, self._region
         if goal is None or goal.t is None:
-            return Pace()
+            return SpeedTarget()
         first, last = goal.t
         opens = first + min(ROOM_S, 0.5 * (last - first))
         if not goal.regions:
             early = self._slow(t, s, v, self._road_end - END_M, self._road_end, opens)
             return replace(early, stop=self._road_end - END_M) if early.cap < np.inf else early
         if not np.isfinite(end):  # of a lane far beside the goal's: it is no way to be there sooner
-            return Pace(missed_s=max(self._late(t, s, v, self._begins, last), 0.0))
+            return SpeedTarget(missed_s=max(self._late(t, s, v, self._begins, last), 0.0))
         if s > end:
-            return Pace()
+            return SpeedTarget()
         early = self._slow(t, s, v, end - 0.25 * (end - begin), end, opens)
         if early.cap < np.inf:
             return early
         late = self._late(t, s, v, begin, last)
-        return Pace(hurried=late > -HASTE_S, missed_s=max(late, 0.0))
+        return SpeedTarget(hurried=late > -HASTE_S, missed_s=max(late, 0.0))
 
-    def _slow(self, t: float, s: float, v: float, inner: float, end: float, opens: float) -> Pace:
+    def _slow(self, t: float, s: float, v: float, inner: float, end: float, opens: float) -> SpeedTarget:
         """(2), so that the ego is not beyond `inner` before `opens`."""
         if t + self._least_time(s, inner, v) >= opens:
-            return Pace()
+            return SpeedTarget()
         slowly = LEAST * float(np.interp(s, *self._limit.T))
-        return Pace(max((inner - s) / (opens - t), slowly), end)
+        return SpeedTarget(max((inner - s) / (opens - t), slowly), end)
 
     def _late(self, t: float, s: float, v: float, begin: float, last: float) -> float:
         """How much later than `last` the ego would be at station `begin`, s; -inf where it is there or too late now."""
@@ -141,14 +141,14 @@ class Appointment:
         return float(np.sum(np.diff(stations) / np.maximum(fast, 0.5)))
 
 
-def _region(goal: Goal, course: Course, beside: float) -> FloatArray:
+def _region(goal: Goal, course: ReferencePath, beside: float) -> FloatArray:
     """From where to where the goal's regions lie along the line, m; NaN where they are further beside it."""
     found = [course.line.project(float(x), float(y)) for region in goal.regions for x, y in region]
     stations = [along for along, aside in found if abs(aside) < beside]
     return np.array([min(stations), max(stations)] if stations else [np.nan, np.nan])
 
 
-def _sides(goal: Goal, course: Course) -> FloatArray:
+def _sides(goal: Goal, course: ReferencePath) -> FloatArray:
     """Rows station, least and greatest offset `(3, n)` of (4), NaN where there is no region.
 
     Where there are several, of the one around the line, else of the nearest.

@@ -15,8 +15,8 @@ from logs.shapes import overlap
 from logs.states import EgoState, Trajectory
 from logs.trace import Artefact, Plan, PlanStart, PlanStatus
 from logs.vehicle import VehicleParameters
-from planners.dp_qp.path import Path, states_on_path
-from planners.dp_qp.speed_qp import STEP_S, SpeedQpConfig, braking
+from planners.frenet.path import Path, states_on_path
+from planners.frenet.profiles import COMFORT, EMERGENCY, HORIZON_KNOTS, STEP_S, SpeedLimits, braking
 
 MIN_REST_S = 3.0
 
@@ -31,19 +31,23 @@ def along(path: Path, profile: FloatArray, t: float) -> Trajectory:
 
 def fall_back(
     frame: Frame, start: EgoState, start_kind: PlanStart, path: Path | None, reason: str,
-    artefacts: tuple[Artefact, ...], vehicle: VehicleParameters, config: SpeedQpConfig,
+    artefacts: tuple[Artefact, ...], vehicle: VehicleParameters,
+    limits: tuple[SpeedLimits, SpeedLimits] = (COMFORT, EMERGENCY), knots: int = HORIZON_KNOTS,
 ) -> Plan:  # fmt: skip
-    """The fallback ladder of the module docstring; `path` is this frame's, if the path stage found one."""
+    """The fallback ladder of the module docstring; `path` is this frame's, if there is one.
+
+    `limits` are those of a comfortable and of the hardest stop.
+    """
     rest = _rest(frame)
     if rest is not None and not meets(rest, frame, vehicle):
         return Plan(rest, PlanStatus.PREVIOUS, reason, PlanStart.PREVIOUS_PLAN, artefacts)
     stitched = rest is not None and start_kind is PlanStart.PREVIOUS_PLAN and rest.v[0] > 0.5
     path = path or (_path_of(rest) if rest is not None and stitched else None) or _straight(start)
     status = PlanStatus.COMFORTABLE_STOP
-    for limits in (config.comfort, config.emergency):
-        profile = braking(max(start.v, 0.0), start.a, limits.decel_mps2, limits.jerk_mps3, STEP_S, config.knots)
+    for each in limits:
+        profile = braking(max(start.v, 0.0), start.a, each.decel_mps2, each.jerk_mps3, STEP_S, knots)
         stop = along(path, profile, frame.t)
-        if limits is config.emergency or not meets(stop, frame, vehicle):
+        if each is limits[-1] or not meets(stop, frame, vehicle):
             break
         status = PlanStatus.HARD_STOP
     return Plan(stop, status, reason, start_kind, artefacts)

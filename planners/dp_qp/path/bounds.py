@@ -26,9 +26,9 @@ from logs.road import line_project_many
 from logs.shapes import corners
 from logs.trace import Decision, DecisionKind
 from logs.vehicle import VehicleParameters
-from planners.dp_qp.path import MIN_REGULAR
-from planners.dp_qp.path_dp import quintic
-from planners.dp_qp.reference_line import Course
+from planners.frenet.path import MIN_REGULAR
+from planners.frenet.quintic import quintic
+from planners.frenet.reference_path import ReferencePath
 
 STANDING_MPS = 0.5
 NUDGES = (DecisionKind.NUDGE_LEFT, DecisionKind.NUDGE_RIGHT)
@@ -85,7 +85,7 @@ class PathObstacle:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Room:
+class PathBounds:
     """The corridor at stations `(n,)` or, for several points of the ego, `(points, n)`: bounds of their offsets, m."""
 
     s: FloatArray
@@ -94,7 +94,13 @@ class Room:
 
 
 def path_obstacles(
-    course: Course, frame: Frame, s_ego: float, length: float, vehicle: VehicleParameters, *, facing: bool = False
+    course: ReferencePath,
+    frame: Frame,
+    s_ego: float,
+    length: float,
+    vehicle: VehicleParameters,
+    *,
+    facing: bool = False,
 ) -> tuple[PathObstacle, ...]:
     """The standing agents beside or ahead of the ego, up to `length` m, that stand on the road or near its edge.
 
@@ -130,7 +136,7 @@ def grown(box: PathObstacle, vehicle: VehicleParameters, clearance: float, gap: 
 
 
 def room(
-    course: Course,
+    course: ReferencePath,
     s: FloatArray,
     borrow: FloatArray,
     *,
@@ -138,7 +144,7 @@ def room(
     right_free: bool,
     vehicle: VehicleParameters,
     config: CorridorConfig,
-) -> Room:
+) -> PathBounds:
     """The corridor (1) at stations of any shape.
 
     A free neighbouring lane belongs to it where `borrow` is 1, and the facing lane too where it is 2.
@@ -146,12 +152,12 @@ def room(
     table = course.at(s.ravel())
     side = 0.5 * vehicle.width + config.edge_m
     lower, upper = _room(table, borrow.ravel(), left_free, right_free, side)
-    return Room(s, lower.reshape(s.shape), upper.reshape(s.shape))
+    return PathBounds(s, lower.reshape(s.shape), upper.reshape(s.shape))
 
 
 @kernel
 def _room(table: FloatArray, borrow: FloatArray, left_free: bool, right_free: bool, side: float) -> FloatArray:
-    """Rows lower, upper `(2, k)` of (1) from columns of `Course.table` `(8, k)`."""
+    """Rows lower, upper `(2, k)` of (1) from columns of `ReferencePath.table` `(8, k)`."""
     out = np.empty((2, table.shape[1]))
     for j in range(table.shape[1]):
         further = int(borrow[j])
@@ -190,7 +196,7 @@ def swing_span(box: PathObstacle, speed: float, vehicle: VehicleParameters) -> t
     return box.s_from - vehicle.axle_to_front - swing, box.s_to + vehicle.rear_overhang + swing
 
 
-def free_sides(course: Course, frame: Frame, s_ego: float, config: CorridorConfig) -> tuple[bool, bool]:
+def free_sides(course: ReferencePath, frame: Frame, s_ego: float, config: CorridorConfig) -> tuple[bool, bool]:
     """Whether nobody moves on the reachable road left and right of the own lane, near the ego."""
     agents = frame.agents
     left, right = True, True
@@ -211,7 +217,7 @@ def free_sides(course: Course, frame: Frame, s_ego: float, config: CorridorConfi
 
 
 def decide_sides(
-    obstacles: tuple[PathObstacle, ...], dp_offsets: FloatArray, costs: FloatArray, space: Room,
+    obstacles: tuple[PathObstacle, ...], dp_offsets: FloatArray, costs: FloatArray, space: PathBounds,
     vehicle: VehicleParameters, config: CorridorConfig,
 ) -> tuple[Decision, ...]:  # fmt: skip
     """Nudge left or right as the DP path passes, if there is room.
@@ -252,12 +258,12 @@ def decide_sides(
 
 
 def narrowed(
-    space: Room,
+    space: PathBounds,
     obstacles: tuple[PathObstacle, ...],
     decisions: tuple[Decision, ...],
     vehicle: VehicleParameters,
     config: CorridorConfig,
-) -> tuple[Room, tuple[Decision, ...]]:
+) -> tuple[PathBounds, tuple[Decision, ...]]:
     """The corridor (2); an obstacle that would close it becomes a stop."""
     lower, upper = space.lower.copy(), space.upper.copy()
     final = []
@@ -281,12 +287,12 @@ def narrowed(
             continue
         lower[over], upper[over] = tried
         final.append(decision)
-    return Room(space.s, lower, upper), tuple(final)
+    return PathBounds(space.s, lower, upper), tuple(final)
 
 
 def given_up(
     offsets: FloatArray,
-    space: Room,
+    space: PathBounds,
     obstacles: tuple[PathObstacle, ...],
     decisions: tuple[Decision, ...],
     vehicle: VehicleParameters,
@@ -306,7 +312,7 @@ def given_up(
     return tuple(final)
 
 
-def widened(space: Room, start: tuple[float, float, float], speed: float) -> Room:
+def widened(space: PathBounds, start: tuple[float, float, float], speed: float) -> PathBounds:
     """The room (3): where the ego starts outside of it, it holds a quintic from its state back inside."""
     s, lower, upper = space.s, space.lower, space.upper
     l0, dl0, ddl0 = start
@@ -320,21 +326,21 @@ def widened(space: Room, start: tuple[float, float, float], speed: float) -> Roo
     back = l0 + d * (dl0 + d * (0.5 * ddl0 + d * (c3 + d * (c4 + d * c5))))
     near = s - s[0, 0] <= span
     slack = 0.05 + BULGE * (s - s[0]) ** 2
-    return Room(
+    return PathBounds(
         s,
         np.where(near, np.minimum(lower, back - slack), lower),
         np.where(near, np.maximum(upper, back + slack), upper),
     )
 
 
-def eased(space: Room, swings: FloatArray) -> Room:
+def eased(space: PathBounds, swings: FloatArray) -> PathBounds:
     """The room widened to both sides where the ego's points `(points, n)` swing out by more than it holds."""
     short = (space.lower + swings).max(axis=0) - (space.upper + swings).min(axis=0) + 0.1
     more = 0.5 * np.maximum(short, 0.0)
-    return Room(space.s, space.lower - more, space.upper + more)
+    return PathBounds(space.s, space.lower - more, space.upper + more)
 
 
-def reported(space: Room, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
+def reported(space: PathBounds, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
     """One corridor at the knots that holds those of all points, loosened ones included."""
     s = space.s[0]
     low, high = lower[0].copy(), upper[0].copy()
@@ -344,7 +350,7 @@ def reported(space: Room, lower: FloatArray, upper: FloatArray) -> tuple[FloatAr
     return low, high
 
 
-def beside(space: Room, box: PathObstacle, vehicle: VehicleParameters, config: CorridorConfig) -> BoolArray:
+def beside(space: PathBounds, box: PathObstacle, vehicle: VehicleParameters, config: CorridorConfig) -> BoolArray:
     """The stations `(points, n)` bool at which a point of the ego is beside an obstacle, or nearly.
 
     So far before and behind it that half the distance between two points of the ego, the rear overhang and a knot fit.

@@ -21,8 +21,8 @@ from math import sqrt
 import numpy as np
 
 from logs.kernel import FloatArray, frozen, kernel
-from planners.dp_qp.path import MIN_REGULAR
-from planners.dp_qp.reference_line import Course
+from planners.frenet.path import MIN_REGULAR
+from planners.frenet.reference_path import ReferencePath
 
 COMFORT, HARD = frozen(np.array([4.0, 3.0, 1.8])), frozen(np.array([6.0, 5.0, 0.0]))
 """Lateral acceleration that a path may need, braking and acceleration that the expected speed counts on, m/s2."""
@@ -119,7 +119,7 @@ def bounded(
     return bounds, rates, left, right
 
 
-def swing(course: Course, s: FloatArray, leads: FloatArray) -> FloatArray:
+def swing(course: ReferencePath, s: FloatArray, leads: FloatArray) -> FloatArray:
     """(4) at stations `(n,)` for leads `(k,)`: how far `(k, n)` m a point swings out to the right of a left turn."""
     ahead = leads[:, None]
     turn = course.at((s + AHEAD * ahead).ravel())[7].reshape(len(leads), -1) * ahead

@@ -1,0 +1,1 @@
+"""One candidate lane planned, and the choice between lanes."""

@@ -1,0 +1,1 @@
+"""Speed stage: who goes first (DP), the smoothest speed (QP), and how hard to brake."""

@@ -37,9 +37,8 @@ def corners(x: float, y: float, yaw: float, length: float, width: float) -> Floa
 
 
 @kernel
-def _axis_reach(ax: float, ay: float, yaw: float, length: float, width: float) -> float:
-    """Half of the box's extent along the unit axis (ax, ay)."""
-    c, s = cos(yaw), sin(yaw)
+def _axis_reach(ax: float, ay: float, c: float, s: float, length: float, width: float) -> float:
+    """Half of the extent along the unit axis (ax, ay) of a box whose heading has the cosine c and the sine s."""
     return 0.5 * (length * abs(ax * c + ay * s) + width * abs(ay * c - ax * s))
 
 
@@ -49,13 +48,22 @@ def overlap(
     x2: float, y2: float, yaw2: float, length2: float, width2: float,
 ) -> bool:  # fmt: skip
     """Whether two boxes touch or overlap (1)."""
+    return overlap_turned(x1, y1, cos(yaw1), sin(yaw1), length1, width1, x2, y2, cos(yaw2), sin(yaw2), length2, width2)
+
+
+@kernel
+def overlap_turned(
+    x1: float, y1: float, c1: float, s1: float, length1: float, width1: float,
+    x2: float, y2: float, c2: float, s2: float, length2: float, width2: float,
+) -> bool:  # fmt: skip
+    """`overlap` of boxes whose headings have the cosines c1, c2 and the sines s1, s2."""
     dx, dy = x2 - x1, y2 - y1
     if hypot(dx, dy) > 0.5 * (hypot(length1, width1) + hypot(length2, width2)):
         return False
     for i in range(4):
-        yaw = yaw1 if i < 2 else yaw2
-        ax, ay = (cos(yaw), sin(yaw)) if i % 2 == 0 else (-sin(yaw), cos(yaw))
-        reach = _axis_reach(ax, ay, yaw1, length1, width1) + _axis_reach(ax, ay, yaw2, length2, width2)
+        c, s = (c1, s1) if i < 2 else (c2, s2)
+        ax, ay = (c, s) if i % 2 == 0 else (-s, c)
+        reach = _axis_reach(ax, ay, c1, s1, length1, width1) + _axis_reach(ax, ay, c2, s2, length2, width2)
         if abs(dx * ax + dy * ay) > reach:
             return False
     return True
@@ -98,7 +106,9 @@ def clearance(
     for i in range(4):
         yaw = yaw1 if i < 2 else yaw2
         ax, ay = (cos(yaw), sin(yaw)) if i % 2 == 0 else (-sin(yaw), cos(yaw))
-        reach = _axis_reach(ax, ay, yaw1, length1, width1) + _axis_reach(ax, ay, yaw2, length2, width2)
+        reach = _axis_reach(ax, ay, cos(yaw1), sin(yaw1), length1, width1) + _axis_reach(
+            ax, ay, cos(yaw2), sin(yaw2), length2, width2
+        )
         depth = min(depth, reach - abs((x2 - x1) * ax + (y2 - y1) * ay))
     if depth >= 0.0:
         return -depth
@@ -116,7 +126,9 @@ def time_to_contact(
     for i in range(4):
         yaw = yaw1 if i < 2 else yaw2
         ax, ay = (cos(yaw), sin(yaw)) if i % 2 == 0 else (-sin(yaw), cos(yaw))
-        reach = _axis_reach(ax, ay, yaw1, length1, width1) + _axis_reach(ax, ay, yaw2, length2, width2)
+        reach = _axis_reach(ax, ay, cos(yaw1), sin(yaw1), length1, width1) + _axis_reach(
+            ax, ay, cos(yaw2), sin(yaw2), length2, width2
+        )
         gap, rate = dx * ax + dy * ay, dvx * ax + dvy * ay
         if rate == 0.0:
             if abs(gap) > reach:

@@ -7,9 +7,10 @@ path from the ego), m and s.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, overload
 
 import numpy as np
 
@@ -177,6 +178,37 @@ class StGraph(Graph):
 Artefact = SlGraph | StGraph | Decision | CostTerms | Candidates | SolverReport
 
 
+class Internals(Sequence[Artefact]):
+    """Artefacts that are built when somebody first looks at them.
+
+    Args:
+        reports: Of the solvers: there in any case.
+        build: Makes all artefacts, the reports among them.
+    """
+
+    def __init__(self, reports: tuple[SolverReport, ...], build: Callable[[], tuple[Artefact, ...]]) -> None:
+        self.reports = reports
+        self._build = build
+        self._all: tuple[Artefact, ...] | None = None
+
+    def _built(self) -> tuple[Artefact, ...]:
+        if self._all is None:
+            self._all = self._build()
+        return self._all
+
+    @overload
+    def __getitem__(self, index: int) -> Artefact: ...
+
+    @overload
+    def __getitem__(self, index: slice) -> tuple[Artefact, ...]: ...
+
+    def __getitem__(self, index: int | slice) -> Artefact | tuple[Artefact, ...]:
+        return self._built()[index]
+
+    def __len__(self) -> int:
+        return len(self._built())
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Plan:
     """What a planner answers to a frame.
@@ -186,14 +218,21 @@ class Plan:
         status: Whether it was planned or is a fallback.
         reason: Why, in one sentence; empty for a plan without trouble.
         start: Where it begins.
-        internals: What the planner wants to be seen.
+        internals: What the planner wants to be seen; `Internals` where that is built only for who looks at it.
     """
 
     trajectory: Trajectory
     status: PlanStatus = PlanStatus.PLANNED
     reason: str = ""
     start: PlanStart = PlanStart.EGO
-    internals: tuple[Artefact, ...] = ()
+    internals: Sequence[Artefact] = ()
+
+    def recorded(self, *, keep: bool) -> Plan:
+        """The plan as a trace keeps it: with its internals built, or with no more of them than is there anyway."""
+        if isinstance(self.internals, tuple):
+            return self
+        kept = tuple(self.internals) if keep or not isinstance(self.internals, Internals) else self.internals.reports
+        return replace(self, internals=kept)
 
 
 class Mode(Enum):
@@ -252,9 +291,9 @@ class PlannedFrame:
     visibility: Visibility | None = None
 
     @classmethod
-    def of(cls, frame: Frame, plan: Plan) -> PlannedFrame:
-        """The plan for a frame, with what a trace keeps of the frame."""
-        return cls(frame.t, plan, frame.agents.ids, _thinned(frame.predictions), frame.visibility)
+    def of(cls, frame: Frame, plan: Plan, *, keep: bool = True) -> PlannedFrame:
+        """The plan for a frame, with what a trace keeps of both; the planner's internals if `keep`."""
+        return cls(frame.t, plan.recorded(keep=keep), frame.agents.ids, _thinned(frame.predictions), frame.visibility)
 
 
 def _thinned(predictions: Predictions) -> Predictions:

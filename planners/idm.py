@@ -26,17 +26,24 @@ import numpy as np
 from logs.frame import Frame, PlannerContext
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.states import EgoState
-from logs.trace import Artefact, Corridor, Decision, Plan, SlGraph, StGraph
+from logs.trace import Artefact, Corridor, Decision, Internals, Plan, SlGraph, StGraph
 from logs.vehicle import VehicleParameters
 from planners.frenet.fallback import along, fall_back
-from planners.frenet.path import Path, frenet_start, make_path
+from planners.frenet.occupancy import Occupancy, on_path
+from planners.frenet.path import Path, make_path
 from planners.frenet.profiles import STEP_S, limit_profile
 from planners.frenet.quintic import quintic
-from planners.frenet.reference_path import ReferencePath
-from planners.frenet.st_boundaries import StBoundaries, StGraphConfig, behind, decide_speed, outlines, st_boundaries
-from planners.frenet.start import Tracker
-from planners.rules import Rulebook, Wall, walls_on
-from planners.rules.stops import told, wall_outlines, walled
+from planners.frenet.scene import Scene, behind
+from planners.frenet.st_boundaries import (
+    StBoundaries,
+    StGraphConfig,
+    decide_speed,
+    outlines,
+    st_boundaries,
+    stop_outlines,
+)
+from planners.frenet.start import RouteTracker
+from planners.rules import Rulebook, RuleMemory
 
 KNOT_M = 2.0
 STEPS = 80
@@ -83,51 +90,53 @@ class IdmConfig:
 
 
 class Idm:
-    """Follows the middle of the route with the Intelligent Driver Model; its only memory is its last station."""
+    """Follows the middle of the route; its memory is the last station and what the rules remember."""
 
     def __init__(self, context: PlannerContext, config: IdmConfig | None = None) -> None:
         self._config = config or IdmConfig()
         self._vehicle, self._lap = context.vehicle, context.lap
-        self._tracker = Tracker(context)
-        self._rules = Rulebook(context.road, self._tracker.course, context.vehicle)
+        self._tracker = RouteTracker(context)
+        self._rules = Rulebook(context.road, self._tracker.reference, context.vehicle)
+        self._memory = RuleMemory()
 
     def plan(self, frame: Frame) -> Plan:
         """The roll-out of (1) along the path; a stop where the ego is outside of the reference line's frame."""
-        start, start_kind, s0, l0, trouble = self._tracker.begin(frame)
-        if trouble:
-            return fall_back(frame, start, start_kind, None, trouble, (), self._vehicle)
-        path = self._path(start, s0, l0)
+        scene, start_kind = self._tracker.scene(frame)
+        start = scene.start
+        if frame.previous is None:
+            self._memory = RuleMemory()
+        if scene.trouble:
+            return fall_back(frame, start, start_kind, None, scene.trouble, (), self._vehicle)
+        path = self._path(scene)
         self._lap("path")
-        course = self._tracker.course
-        skip = behind(course, frame, s0, l0, self._vehicle, keeps_track=True) | _beside(frame, start, self._vehicle)
-        blocks = st_boundaries(path, frame, self._vehicle, skip, frozenset(), EXACT)
-        stops = self._rules.stops(frame, start, s0, fresh=frame.previous is None)
-        walls = walls_on(stops, path, self._vehicle)
+        skip = behind(scene, keeps_track=True) | _beside(frame, start, self._vehicle)
+        blocks = st_boundaries(scene, path, skip, frozenset(), EXACT)
+        demanded, self._memory = self._rules.stops(scene, self._memory)
+        stops = on_path(demanded, path, self._vehicle)
         self._lap("S-T graph")
-        profile, leader = self._profile(path, blocks, walls, start)
-        artefacts = _told(course, path, blocks, walls, frame, profile, leader, self._vehicle)
+        profile, leader = self._profile(path, blocks, stops, start)
+        internals = Internals((), lambda: _artefacts(scene, path, blocks, stops, profile, leader))
         self._lap("speed")
-        return Plan(along(path, profile, frame.t), start=start_kind, internals=artefacts)
+        return Plan(along(path, profile, frame.t), start=start_kind, internals=internals)
 
-    def _path(self, start: EgoState, s0: float, l0: float) -> Path:
+    def _path(self, scene: Scene) -> Path:
         """The way back to the reference line and along it, as far as the horizon can reach."""
-        line, speed = self._tracker.course.line, max(start.v, 0.0)
-        state = frenet_start(line, start, s0, l0)
+        line, speed = scene.reference.line, scene.v
         reach = STEPS * STEP_S * (speed + 4.0) + 20.0
         d = KNOT_M * np.arange(int(reach / KNOT_M) + 2)
-        return make_path(line, s0, KNOT_M, _return(d, state, max(15.0, self._config.return_s * speed)))
+        return make_path(line, scene.s, KNOT_M, _return(d, scene.frenet, max(15.0, self._config.return_s * speed)))
 
     def _profile(
-        self, path: Path, blocks: StBoundaries, walls: tuple[Wall, ...], start: EgoState
+        self, path: Path, blocks: StBoundaries, stops: tuple[Occupancy, ...], start: EgoState
     ) -> tuple[FloatArray, IntArray]:
-        """Rows s, v, a `(3, STEPS + 1)`, and per step the row of `blocks` that led; -1: none; beyond them: a wall."""
-        c, line = self._config, self._tracker.course.line
-        limit = np.interp(path.s, line.s, self._tracker.course.limit)
+        """Rows s, v, a `(3, STEPS + 1)`, and per step the row of `blocks` that led; -1: none; beyond them: a stop."""
+        c, line = self._config, self._tracker.reference.line
+        limit = np.interp(path.s, line.s, self._tracker.reference.limit)
         v0 = limit_profile(path.sigma, path.kappa, limit, c.curve_accel_mps2, c.ease_mps2)
         driver = np.array([c.accel_mps2, c.decel_mps2, c.time_gap_s, c.standstill_gap_m, c.hardest_mps2, c.jerk_mps3])
         ahead = round(c.ahead_s / blocks.step) if np.isfinite(blocks.step) else 0
         state = np.array([max(start.v, 0.0), start.a])
-        lead = walled(blocks, [replace(wall, bound=wall.aim + c.standstill_gap_m) for wall in walls])
+        lead = blocks.with_stops([replace(stop, s_from=stop.aim + c.standstill_gap_m) for stop in stops])
         return _rolled_out(path.sigma, v0, lead.t, lead.lower, lead.upper, lead.speed, ahead, state, driver)
 
 
@@ -208,35 +217,34 @@ def _beside(frame: Frame, start: EgoState, vehicle: VehicleParameters) -> BoolAr
     return found
 
 
-def _told(
-    course: ReferencePath, path: Path, blocks: StBoundaries, walls: tuple[Wall, ...], frame: Frame, profile: FloatArray,
-    leader: IntArray, vehicle: VehicleParameters,
+def _artefacts(
+    scene: Scene, path: Path, blocks: StBoundaries, stops: tuple[Occupancy, ...], profile: FloatArray, leader: IntArray
 ) -> tuple[Artefact, ...]:  # fmt: skip
     """Both graphs, and a decision about whoever leads at some time."""
     t = STEP_S * np.arange(profile.shape[1])
-    decisions = decide_speed(blocks, frame, np.interp(blocks.t, t, profile[0]))
+    decisions = decide_speed(blocks, scene, np.interp(blocks.t, t, profile[0]))
     leads = [decision for i, decision in enumerate(decisions) if (leader == i).any()]
-    upper, lead = np.full(len(t), path.length), walled(blocks, walls)
+    upper, lead = np.full(len(t), path.length), blocks.with_stops(stops)
     for n in np.flatnonzero(leader >= 0):
         k = int(np.searchsorted(lead.t, t[n] + 1e-9)) - 1
         upper[n] = np.fmin(lead.lower[leader[n], k], path.length)
     st_graph = StGraph(
         None, Corridor(t, np.zeros(len(t)), upper), np.empty((0, 2)), np.column_stack([t, profile[0]]),
-        (*outlines(blocks, decisions), *wall_outlines(walls, float(t[-1]), path.length)),
+        (*outlines(blocks, decisions), *stop_outlines(stops, float(t[-1]), path.length)),
     )  # fmt: skip
-    return (st_graph, _sl_graph(course, path, vehicle), *_unique(leads), *told(walls))
+    return (st_graph, _sl_graph(scene, path), *_unique(leads), *(stop.decision for stop in stops))
 
 
-def _sl_graph(course: ReferencePath, path: Path, vehicle: VehicleParameters) -> SlGraph:
+def _sl_graph(scene: Scene, path: Path) -> SlGraph:
     """The path in its lane, every few metres."""
     at = np.arange(0, len(path.s), 8)
-    s, side = path.s[at], 0.5 * vehicle.width
+    s, side, reference = path.s[at], 0.5 * scene.vehicle.width, scene.reference
     room = Corridor(
         s,
-        np.interp(s, course.line.s, course.lane_right) + side,
-        np.interp(s, course.line.s, course.lane_left) - side,
+        np.interp(s, reference.line.s, reference.lane_right) + side,
+        np.interp(s, reference.line.s, reference.lane_left) - side,
     )
-    offset = np.array([course.line.project(path.x[i], path.y[i], path.s[i], 2.0)[1] for i in at])
+    offset = np.array([reference.line.project(path.x[i], path.y[i], path.s[i], 2.0)[1] for i in at])
     return SlGraph(None, room, np.empty((0, 2)), np.column_stack([s, offset]), ())
 
 

@@ -55,7 +55,7 @@ class Along:
         wish = self.offset(times)
         way = np.minimum((s - s0) / 20.0, 1.0)
         l = wish + (l0 - wish[0]) * (1.0 - way * way * (3.0 - 2.0 * way))  # noqa: E741
-        points = np.array([self._tracker.course.line.point(*each) for each in zip(s, l, strict=True)])
+        points = np.array([self._tracker.reference.line.point(*each) for each in zip(s, l, strict=True)])
         rough = Trajectory(times, *points.T, np.full(81, start.yaw), v, np.zeros(81), np.zeros(81))
         exact = of_positions(rough)
         yaw = np.r_[start.yaw, exact.yaw[1:]]

@@ -27,7 +27,7 @@ def two_way(*, crossable: bool = True, right: bool = True) -> Road:
     return Road({0: strip(0, there, **marks), 1: strip(1, back, **marks)}, drives_on_right=right)
 
 
-def course(road: Road) -> ReferencePath:
+def reference(road: Road) -> ReferencePath:
     return make_reference_path(road, Route((0,), False, 0.0), EGO)
 
 
@@ -40,7 +40,7 @@ def driven(road: Road, others: Sequence[Other], seconds: float = 20.0) -> Drive:
 
 @pytest.mark.parametrize("right", [True, False])
 def test_the_facing_lane_adjoins_where_its_marking_may_be_crossed(right: bool) -> None:
-    found, shut = course(two_way(right=right)), course(two_way(right=right, crossable=False))
+    found, shut = reference(two_way(right=right)), reference(two_way(right=right, crossable=False))
     near, far = (found.facing_left, found.facing_right) if right else (found.facing_right, found.facing_left)
     assert near is not None and far is not None
     np.testing.assert_allclose(np.abs(near[:-1]), 5.25, atol=1e-6)
@@ -93,6 +93,6 @@ def test_who_waits_before_a_junction_is_not_overtaken() -> None:
     ]
     stem = replace(road.lanes[0], left=x + np.array([0.0, 1.75]), right=x - np.array([0.0, 1.75]), successors=(2, 3))
     forked = Road({**road.lanes, 0: stem, 2: fork[0], 3: fork[1]})
-    assert course(forked).waits == pytest.approx((140.0,), abs=0.5)
+    assert reference(forked).waits == pytest.approx((140.0,), abs=0.5)
     drive = driven(forked, [PARKED])
     assert drive[-1][0].ego.x < 55.0 and max(abs(now.ego.y) for now, _ in drive) < 0.2

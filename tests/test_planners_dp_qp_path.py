@@ -377,12 +377,12 @@ def test_where_the_frame_ends_it_says_why() -> None:
     assert out_of_frame(line, EgoState(0.0, x, y, yaw + np.radians(-60.0), 5.0), 30.0, 8.0) == ""
 
 
-def course(points: FloatArray, count: int = 1) -> ReferencePath:
+def reference(points: FloatArray, count: int = 1) -> ReferencePath:
     road, ego = lanes(points, count), EgoState(0.0, 0.0, 0.0, 0.0, 8.0)
     return make_reference_path(road, find_route(road, ego, None), ego)
 
 
-STRAIGHT, LEFT_TURN = course(along_x()), course(curve((30.0, 0.0), (60.0, 1.0 / 30.0), (60.0, 0.0)))
+STRAIGHT, LEFT_TURN = reference(along_x()), reference(curve((30.0, 0.0), (60.0, 1.0 / 30.0), (60.0, 0.0)))
 SIDE = 0.5 * CAR.width
 CONFIG = CorridorConfig()
 
@@ -423,7 +423,7 @@ def room(lower: float = -1.0, upper: float = 1.0, step: float = 1.0, length: flo
 
 
 def test_the_room_ends_short_of_the_centre_of_a_turn() -> None:
-    tight = course(np.array(curve((30.0, 0.0), (20.0, 0.25), (30.0, 0.0), step=0.5)), 2)
+    tight = reference(np.array(curve((30.0, 0.0), (20.0, 0.25), (30.0, 0.0), step=0.5)), 2)
     s = np.arange(0.0, 80.0, 1.0)
     free = corridor.room(tight, s, np.ones(len(s)), left_free=True, right_free=True, vehicle=CAR, config=CONFIG)
     kappa = np.interp(s, tight.line.s, tight.line.kappa)
@@ -509,7 +509,7 @@ def test_the_expected_speed_brakes_for_curves_as_hard_as_it_may(v0: float, limit
 
 
 def test_nobody_may_move_on_a_lane_that_is_borrowed() -> None:
-    two = course(along_x(), 2)
+    two = reference(along_x(), 2)
     ego = EgoState(0.0, 0.0, 0.0, 0.0, 8.0)
 
     def free(*others: object) -> tuple[bool, bool]:
@@ -582,10 +582,10 @@ PARKED = st.lists(st.tuples(st.floats(15.0, 90.0), st.floats(-3.0, 3.0), st.floa
 def world(
     bends: list[tuple[float, float]], parked: list[tuple[float, float, float]]
 ) -> tuple[ReferencePath, list[Other]]:
-    """Two lanes along a winding road, the first the course's, and others standing at (s, l, yaw)."""
+    """Two lanes along a winding road, the first the reference's, and others standing at (s, l, yaw)."""
     ends = np.cumsum([0.0, 30.0] + [length for length, _ in bends])
     kappa = np.interp(np.arange(0.0, ends[-1] + 150.0), ends, [0.0, 0.0] + [k for _, k in bends])
-    along = course(curve(*[(1.0, float(k)) for k in kappa]), 2)
+    along = reference(curve(*[(1.0, float(k)) for k in kappa]), 2)
     others = []
     for i, (s, l, turn) in enumerate(parked):  # noqa: E741
         x, y, yaw, _ = (*along.line.point(s, l), *along.line.frame(s)[2:])
@@ -682,7 +682,7 @@ def test_an_obstacle_too_near_to_swerve_is_a_stop() -> None:
 
 def test_a_path_ends_where_the_lane_turns_beyond_the_lock() -> None:
     """A hairpin of 2.6 m in a lane of 3 m: driven to its beginning."""
-    hairpin = course(curve((60.0, 0.0), (8.0, 1.0 / 2.6), (60.0, 0.0), step=0.5))
+    hairpin = reference(curve((60.0, 0.0), (8.0, 1.0 / 2.6), (60.0, 0.0), step=0.5))
     found = chosen(hairpin, EgoState(0.0, 0.0, 0.0, 0.0, 5.0))
     assert found.path is not None
     beyond = found.path.sigma > 5.0

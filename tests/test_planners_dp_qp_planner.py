@@ -71,8 +71,8 @@ def assert_sound(plan: Plan) -> None:
     np.testing.assert_allclose(step, 0.5 * dt * (v[1:] + v[:-1]), atol=0.05)
     np.testing.assert_allclose(np.diff(v), 0.5 * dt * (a[1:] + a[:-1]), atol=0.05)
     go = step > 0.05
-    course = np.arctan2(np.diff(y), np.diff(x)) - 0.5 * (yaw[1:] + yaw[:-1])
-    assert np.abs(wrapped(course[go])).max(initial=0.0) < 0.1
+    reference = np.arctan2(np.diff(y), np.diff(x)) - 0.5 * (yaw[1:] + yaw[:-1])
+    assert np.abs(wrapped(reference[go])).max(initial=0.0) < 0.1
 
 
 def plans_in(scenario: Scenario, *, every: int, closed: bool) -> list[Plan]:
@@ -544,7 +544,7 @@ def test_a_lane_that_was_not_planned_for_long_is_found_again() -> None:
     """The foot point is looked for near the last one, but not where the ego has driven on since."""
     strip = LaneSequences(PlannerContext(ONE, None, CAR, PERIOD, EGO)).start(EGO)
     driver = LanePlanner(
-        strip, Rulebook(ONE, strip.course, CAR), None, CAR, PathConfig(), SpeedConfig(),
+        strip, Rulebook(ONE, strip.reference, CAR), None, CAR, PathConfig(), SpeedConfig(),
         passes_left=True, lap=lambda stage: None,
     )  # fmt: skip
     first = driver.locate(EGO, fresh=True)

@@ -23,7 +23,7 @@ from planners.frenet.reference_path import (
 EGO = EgoState(0.0, 0.0, 0.0, 0.0, 10.0)
 
 
-def course(road: Road, ego: EgoState = EGO) -> ReferencePath:
+def reference(road: Road, ego: EgoState = EGO) -> ReferencePath:
     return make_reference_path(road, find_route(road, ego, None), ego)
 
 
@@ -115,7 +115,7 @@ def test_a_line_of_two_points_stays() -> None:
 @settings(max_examples=20)
 def test_known_widths_are_found(width: float, count: int, own: int) -> None:
     own = min(own, count - 1)
-    line = course(lanes(along_x(), count, width=width, limit=7.0), EgoState(0.0, 0.0, own * width, 0.0, 10.0))
+    line = reference(lanes(along_x(), count, width=width, limit=7.0), EgoState(0.0, 0.0, own * width, 0.0, 10.0))
     right = -(own + 0.5) * width
     expected = (right, -0.5 * width, 0.5 * width, right + count * width, 7.0)
     np.testing.assert_allclose(at(line, 100.0), expected, atol=1e-3)
@@ -123,7 +123,7 @@ def test_known_widths_are_found(width: float, count: int, own: int) -> None:
 
 @pytest.mark.parametrize("kappa", [0.02, -0.02])
 def test_known_widths_are_found_in_a_curve(kappa: float) -> None:
-    line = course(lanes(curve((60.0, 0.0), (80.0, kappa), (60.0, 0.0)), 2))
+    line = reference(lanes(curve((60.0, 0.0), (80.0, kappa), (60.0, 0.0)), 2))
     middle = slice(80, 120)
     np.testing.assert_allclose(line.lane_left[middle], 1.75, atol=0.06)  # smoothing cuts the curve by some centimetres
     np.testing.assert_allclose(line.lane_right[middle], -1.75, atol=0.06)
@@ -141,16 +141,16 @@ def pair(left_of_own: dict[str, object], right_of_other: dict[str, object]) -> R
 @pytest.mark.parametrize("other", [True, False])
 def test_a_marking_is_crossed_only_where_both_lanes_allow_it(own: bool, other: bool) -> None:
     road = pair({"left_crossable": own}, {"right_crossable": other})
-    assert at(course(road), 100.0)[3] == pytest.approx(5.25 if own and other else 1.75, abs=1e-3)
-    mirrored = at(course(road, EgoState(0.0, 0.0, 3.5, 0.0, 10.0)), 100.0)
+    assert at(reference(road), 100.0)[3] == pytest.approx(5.25 if own and other else 1.75, abs=1e-3)
+    mirrored = at(reference(road, EgoState(0.0, 0.0, 3.5, 0.0, 10.0)), 100.0)
     assert mirrored[0] == pytest.approx(-5.25 if own and other else -1.75, abs=1e-3)
 
 
 def test_a_marking_two_lanes_away_is_respected() -> None:
     road = lanes(along_x(), 3)
     closed = {i: Lane(**{**vars_of(lane), "left_crossable": i != 1}) for i, lane in road.lanes.items()}
-    assert at(course(Road(closed)), 100.0)[3] == pytest.approx(5.25, abs=1e-3)
-    assert at(course(road), 100.0)[3] == pytest.approx(8.75, abs=1e-3)
+    assert at(reference(Road(closed)), 100.0)[3] == pytest.approx(5.25, abs=1e-3)
+    assert at(reference(road), 100.0)[3] == pytest.approx(8.75, abs=1e-3)
 
 
 def vars_of(lane: Lane) -> dict[str, object]:
@@ -160,12 +160,12 @@ def vars_of(lane: Lane) -> dict[str, object]:
 def test_the_opposite_lane_is_not_to_be_borrowed() -> None:
     opposite = strip(1, beside(along_x(), 3.5)[::-1])
     road = Road({0: strip(0, along_x(), left_opposite=True), 1: opposite})
-    np.testing.assert_allclose(at(course(road), 100.0)[:4], (-1.75, -1.75, 1.75, 1.75), atol=1e-3)
+    np.testing.assert_allclose(at(reference(road), 100.0)[:4], (-1.75, -1.75, 1.75, 1.75), atol=1e-3)
 
 
 def test_a_sidewalk_is_not_to_be_borrowed() -> None:
     road = Road({0: strip(0, along_x()), 1: strip(1, along_x(), 5.25, 1.75, drivable=False)})
-    assert at(course(road), 100.0)[3] == pytest.approx(1.75, abs=1e-3)
+    assert at(reference(road), 100.0)[3] == pytest.approx(1.75, abs=1e-3)
 
 
 def test_a_merging_lane_belongs_to_the_road_only_where_it_adjoins() -> None:
@@ -173,7 +173,7 @@ def test_a_merging_lane_belongs_to_the_road_only_where_it_adjoins() -> None:
     x = along_x(0.0, 200.0)[:, 0]
     middle = -3.5 - 10.0 * np.clip(1.0 - x / 100.0, 0.0, 1.0)
     ramp = strip(2, np.column_stack([x, middle]), left_neighbour=0, successors=())
-    line = course(Road({0: strip(0, along_x(), right_neighbour=2), 2: ramp}))
+    line = reference(Road({0: strip(0, along_x(), right_neighbour=2), 2: ramp}))
     assert at(line, 20.0)[0] == pytest.approx(-1.75, abs=1e-3)
     assert at(line, 150.0)[0] == pytest.approx(-5.25, abs=1e-2)
     np.testing.assert_allclose(line.lane_right, -1.75, atol=1e-3)
@@ -182,13 +182,13 @@ def test_a_merging_lane_belongs_to_the_road_only_where_it_adjoins() -> None:
 def test_the_limit_follows_the_lanes_and_the_route_goes_on_straight() -> None:
     first = strip(0, along_x(-50.0, 100.0), successors=(1,), speed_limit=14.0)
     second = strip(1, along_x(100.0, 300.0), speed_limit=8.0)
-    line = course(Road({0: first, 1: second}))
+    line = reference(Road({0: first, 1: second}))
     assert line.line.length > 340.0
     assert (at(line, 50.0)[4], at(line, 200.0)[4]) == pytest.approx((14.0, 8.0))
 
 
 def test_a_lane_without_limit_has_the_roads() -> None:
-    assert at(course(Road({0: strip(0, along_x())}, default_speed_limit=9.0)), 50.0)[4] == pytest.approx(9.0)
+    assert at(reference(Road({0: strip(0, along_x())}, default_speed_limit=9.0)), 50.0)[4] == pytest.approx(9.0)
 
 
 def test_a_lane_change_on_the_route_is_blended_from_the_ego_on() -> None:
@@ -201,14 +201,14 @@ def test_a_lane_change_on_the_route_is_blended_from_the_ego_on() -> None:
 
 def test_a_loop_of_more_than_a_turn_has_one_line() -> None:
     loop = curve((20.0, 0.0), (1.6 * 2.0 * np.pi * 20.0, 1.0 / 20.0))
-    line = course(lanes(loop)).line
+    line = reference(lanes(loop)).line
     assert line.length == pytest.approx(221.0, abs=2.0)
     assert line.yaw[-1] == pytest.approx(1.6 * 2.0 * np.pi, abs=0.25)
 
 
 def test_a_circular_lane_is_followed_once_round_and_not_for_ever() -> None:
     ring = curve((2.0 * np.pi * 30.0, 1.0 / 30.0))
-    line = course(Road({0: strip(0, ring, successors=(0,))})).line
+    line = reference(Road({0: strip(0, ring, successors=(0,))})).line
     assert 180.0 < line.length < 700.0 and np.isfinite(line.xy).all()
 
 

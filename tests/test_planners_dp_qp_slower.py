@@ -211,13 +211,13 @@ def test_where_somebody_comes_he_is_followed_until_that_one_is_gone() -> None:
 @pytest.mark.parametrize(("reach", "free"), [(60.0, False), (300.0, True), (np.inf, True)])
 def test_the_facing_lane_must_be_seen_as_far_as_one_may_come_from(reach: float, free: bool) -> None:
     road = two_way()
-    course = make_reference_path(road, Route((0,), False, 0.0), EGO)
-    at = course.line.project(EGO.x, 0.0)[0]
+    reference = make_reference_path(road, Route((0,), False, 0.0), EGO)
+    at = reference.line.project(EGO.x, 0.0)[0]
     view = Visibility(EGO.x, 0.0, 0.0, reach, 2.0 * np.pi, np.empty((0, 4, 2)))
     now = replace(frame(EGO, [goer(45.0, -1.0, 3.0)]), visibility=None if np.isinf(reach) else view)
     stations = gone_on(now.predictions.t, at, 9.0, 10.0)
-    found = slower(course, now, at, [0], stations, CAR)
-    told = movers(course, now, at, found, stations, (True, False), CAR, CorridorConfig(), ())
+    found = slower(reference, now, at, [0], stations, CAR)
+    told = movers(reference, now, at, found, stations, (True, False), CAR, CorridorConfig(), ())
     assert len(told.boxes) == 1 and told.facing == (frozenset({"goer"}) if free else frozenset())
 
 
@@ -341,11 +341,11 @@ def test_the_lane_beside_is_borrowed_only_before_who_need_not_brake_hard(
     road = lanes(along_x(-100.0, 400.0), 2)
     lane, beside = (0, 3.5) if left else (1, 0.0)
     ego = EgoState(0.0, 20.0, 3.5 - beside, 0.0, 10.0, 0.0, 0.0)
-    course = make_reference_path(road, Route((lane,), False, 0.0), ego, CAR)
+    reference = make_reference_path(road, Route((lane,), False, 0.0), ego, CAR)
     x = ego.x - CAR.rear_overhang - gap - 2.25
     now = frame(ego, [driving("car", x, beside, ego.v + closing, length=4.5, width=1.8)])
-    against = borrowing_endangers(course, now, course.line.project(ego.x, ego.y)[0], CAR, left=left)
+    against = borrowing_endangers(reference, now, reference.line.project(ego.x, ego.y)[0], CAR, left=left)
     needed = 2.0 + closing + closing**2 / 4.0
     assert bool(against) == (gap < needed) or gap == pytest.approx(needed, abs=0.01)
-    other = borrowing_endangers(course, now, course.line.project(ego.x, ego.y)[0], CAR, left=not left)
+    other = borrowing_endangers(reference, now, reference.line.project(ego.x, ego.y)[0], CAR, left=not left)
     assert other == ""

@@ -74,12 +74,12 @@ def crossings(draw: st.DrawFn) -> tuple[Path, Other]:
     """A path with a turn of any tightness, and somebody who passes near it at some time."""
     path = turning(draw(st.sampled_from([4.0, 8.0, 15.0, 40.0, 1e6])), draw(st.floats(0.5, 3.0)))
     i = draw(st.integers(0, len(path.sigma) - 1))
-    course, speed = draw(st.floats(-np.pi, np.pi)), draw(st.floats(0.0, 20.0))
+    reference, speed = draw(st.floats(-np.pi, np.pi)), draw(st.floats(0.0, 20.0))
     when = draw(st.floats(0.0, 8.0))
-    vx, vy = speed * np.cos(course), speed * np.sin(course)
+    vx, vy = speed * np.cos(reference), speed * np.sin(reference)
     x, y = path.x[i] + draw(st.floats(-6.0, 6.0)) - when * vx, path.y[i] + draw(st.floats(-6.0, 6.0)) - when * vy
     length, width = draw(st.sampled_from([(4.5, 1.8), (0.5, 0.6), (14.0, 2.5)]))
-    return path, Other("it", lambda t: (x + vx * t, y + vy * t, course, vx, vy), length=length, width=width)
+    return path, Other("it", lambda t: (x + vx * t, y + vy * t, reference, vx, vy), length=length, width=width)
 
 
 @given(crossings())
@@ -141,7 +141,7 @@ def test_the_speed_along_the_path_is_the_projection_of_the_velocity() -> None:
 
 def test_who_follows_is_not_in_the_way() -> None:
     road = lanes(along_x(), 2)
-    course = make_reference_path(road, find_route(road, EGO, None), EGO)
+    reference = make_reference_path(road, find_route(road, EGO, None), EGO)
     others = [
         driving("follower", -12.0, 0.0, 9.0),
         driving("beside, behind", -12.0, 3.5, 9.0),
@@ -149,7 +149,7 @@ def test_who_follows_is_not_in_the_way() -> None:
         driving("oncoming from behind", -12.0, 0.0, -1.0),
     ]
     for keeps_track, expected in ((True, [True, True, False, False]), (False, [True, False, False, False])):
-        assert behind(course, frame(EGO, others), 50.0, 0.0, CAR, keeps_track=keeps_track).tolist() == expected
+        assert behind(reference, frame(EGO, others), 50.0, 0.0, CAR, keeps_track=keeps_track).tolist() == expected
 
 
 @given(SEED)

@@ -121,8 +121,8 @@ def test_a_course_is_as_wide_at_its_ends_as_beside() -> None:
         shift = np.array([off, 0.0])
         other = replace(left, left=left.left + shift, right=left.right + shift)
         road = Road({0: strip(0, along_x(), left_neighbour=1), 1: other})
-        course = make_reference_path(road, Route((0,), False, 0.0), EgoState(0.0, 0.0, 0.0, 0.0, 5.0))
-        np.testing.assert_allclose(course.road_left, 5.25, atol=1e-4)
+        reference = make_reference_path(road, Route((0,), False, 0.0), EgoState(0.0, 0.0, 0.0, 0.0, 5.0))
+        np.testing.assert_allclose(reference.road_left, 5.25, atol=1e-4)
 
 
 @pytest.mark.parametrize("off", [-1e-12, 0.0, 1e-12])

@@ -21,11 +21,11 @@ STRAIGHT = curve((400.0, 0.0))
 
 
 def one(
-    x: float, y: float, yaw: float, v: float, *, kind: AgentKind = AgentKind.CAR, course: float | None = None,
+    x: float, y: float, yaw: float, v: float, *, kind: AgentKind = AgentKind.CAR, reference: float | None = None,
     accel: float = 0.0, yaw_rate: float = 0.0,
 ) -> Agents:  # fmt: skip
-    course = yaw if course is None else course
-    columns = (4.5, 1.8, x, y, yaw, v * np.cos(course), v * np.sin(course), yaw_rate, accel)
+    reference = yaw if reference is None else reference
+    columns = (4.5, 1.8, x, y, yaw, v * np.cos(reference), v * np.sin(reference), yaw_rate, accel)
     return Agents(("a",), (kind,), *(np.array([value]) for value in columns))
 
 
@@ -140,7 +140,7 @@ def test_braking_dies_away_and_never_becomes_reversing() -> None:
     [
         (one(50.0, 0.0, np.pi, 10.0), "against the lane"),
         (one(50.0, 9.0, 0.0, 10.0), "beside the lanes"),
-        (one(50.0, 0.0, 0.0, 5.0, course=np.pi), "reverses"),
+        (one(50.0, 0.0, 0.0, 5.0, reference=np.pi), "reverses"),
         (one(50.0, 0.0, 0.05, 5.0, kind=AgentKind.BICYCLE, yaw_rate=0.1), "a bicycle"),
         (one(50.0, 0.0, 1.2, 10.0, yaw_rate=0.2), "across the lane"),
     ],
@@ -174,8 +174,8 @@ def test_500_vehicles_and_a_road_of_loops_end() -> None:
 # --- pedestrians
 
 
-def walker(x: float, y: float, course: float, v: float, accel: float = 0.0) -> Agents:
-    return one(x, y, course, v, kind=AgentKind.PEDESTRIAN, accel=accel)
+def walker(x: float, y: float, reference: float, v: float, accel: float = 0.0) -> Agents:
+    return one(x, y, reference, v, kind=AgentKind.PEDESTRIAN, accel=accel)
 
 
 def said(found: Predictions) -> dict[str, tuple[float, FloatArray]]:

@@ -94,15 +94,15 @@ def frame_of(
 
 def book(road: Road, ego: EgoState) -> tuple[Rulebook, float]:
     """The rulebook of the ego's way, and the station of the ego's rear axle on it."""
-    rules, course = along(road)
-    return rules, course.line.project(ego.x, ego.y)[0]
+    rules, reference = along(road)
+    return rules, reference.line.project(ego.x, ego.y)[0]
 
 
 @cache
 def along(road: Road) -> tuple[Rulebook, ReferencePath]:
     start = EgoState(0.0, 0.0, 0.0, 0.0, 10.0)
-    course = make_reference_path(road, find_route(road, start, None), start)
-    return Rulebook(road, course, CAR), course
+    reference = make_reference_path(road, find_route(road, start, None), start)
+    return Rulebook(road, reference, CAR), reference
 
 
 def demands(

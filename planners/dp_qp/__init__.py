@@ -2,7 +2,7 @@
 
     route            cost to go of every lane to the goal                  route.py
     lanes            the lane that is driven and its neighbours            lanes.py
-    course           the smoothed reference line and the width along it    reference_line.py
+    reference           the smoothed reference line and the width along it    reference_line.py
     path stage       which side of whom, the smoothest path                path_stage.py: steering, corridor, facing,
                                                                            path_dp, path_qp
     speed stage      who goes first, the smoothest speed, how hard to      speed_stage.py: st_graph, walls, sight,

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import partial
-from math import hypot, inf
+from math import inf
 
 from logs.frame import Frame, PlannerContext
 from logs.states import EgoState
-from logs.trace import Artefact, Plan, PlanStart, PlanStatus
+from logs.trace import Artefact, Internals, Plan, PlanStatus
 from planners.dp_qp.lane.choice import choose, worth_looking
-from planners.dp_qp.lane.passing import Passing
+from planners.dp_qp.lane.memory import LaneMemory, PassMemory
+from planners.dp_qp.lane.passing import passing
 from planners.dp_qp.lane.plan import LanePlan, LanePlanner
 from planners.dp_qp.path.stage import PathConfig
 from planners.dp_qp.speed.stage import SpeedConfig
 from planners.frenet.fallback import along, fall_back
 from planners.frenet.lane_sequence import LaneSequence, LaneSequences
+from planners.frenet.start import STITCH_M, STITCH_MPS, start_of
 from planners.rules import Rulebook
 
 
@@ -32,95 +33,88 @@ class DpQpConfig:
 
     path: PathConfig = field(default_factory=PathConfig)
     speed: SpeedConfig = field(default_factory=SpeedConfig)
-    stitch_m: float = 0.5
-    stitch_mps: float = 1.0
+    stitch_m: float = STITCH_M
+    stitch_mps: float = STITCH_MPS
+
+
+@dataclass(eq=False)
+class PlannerMemory:
+    """All that the planner remembers; a fresh frame has a new one.
+
+    Attributes:
+        driven: The lane that is driven; `changed` since when, s.
+        lanes: Of each lane planned so far; `passing` of passing somebody in it.
+    """
+
+    driven: LaneSequence
+    changed: float = -inf
+    lanes: dict[LaneSequence, LaneMemory] = field(default_factory=dict)
+    passing: dict[LaneSequence, PassMemory] = field(default_factory=dict)
 
 
 class DpQp:
-    """DP and QP planner over candidate lanes.
-
-    Memory, dropped where `frame.previous is None`: the lane that is driven and since when; per lane the solvers' warm
-    starts, the last station, and whom the ego is passing there.
-    """
+    """DP and QP planner over candidate lanes."""
 
     def __init__(self, context: PlannerContext, config: DpQpConfig | None = None) -> None:
         self._config = config or DpQpConfig()
         self._context, self._vehicle, self._lap = context, context.vehicle, context.lap
         self._lanes = LaneSequences(context)
         self._planners: dict[LaneSequence, LanePlanner] = {}
-        self._passings: dict[LaneSequence, Passing] = {}
-        self._driven = self._planner(self._lanes.start(context.start))
-        self._changed = -inf
+        self._memory = PlannerMemory(self._lanes.start(context.start))
 
     def plan(self, frame: Frame) -> Plan:
         """A plan from the previous plan or the ego; with a fallback, its status and reason."""
-        fresh = frame.previous is None
-        start, start_kind = self._start(frame)
-        if fresh:
-            for planner in self._planners.values():
-                planner.forget()
-            for passing in self._passings.values():
-                passing.forget()
-            self._driven, self._changed = self._planner(self._lanes.start(start)), -inf
+        start, start_kind = start_of(frame, self._config.stitch_m, self._config.stitch_mps)
+        if frame.previous is None:
+            self._memory = PlannerMemory(self._lanes.start(start))
         self._lap("start")
-        chosen, considered = self._choose(frame, start, fresh=fresh)
-        artefacts = (*chosen.artefacts, *considered)
-        config = self._config.speed.qp
+        chosen, considered = self._choose(frame, start)
+        internals = Internals(chosen.reports, lambda: (*chosen.artefacts(), *considered))
         path, speed = chosen.path.path, chosen.speed
         if path is None or speed is None or speed.profile is None:
-            limits = config.comfort, config.emergency
-            reason = chosen.path.reason or (speed.reason if speed else "")
-            return fall_back(frame, start, start_kind, path, reason, artefacts, self._vehicle, limits, config.knots)
+            qp, reason = self._config.speed.qp, chosen.path.reason or (speed.reason if speed else "")
+            limits = qp.comfort, qp.emergency
+            return fall_back(frame, start, start_kind, path, reason, internals, self._vehicle, limits, qp.knots)
         status = PlanStatus.HARD_STOP if speed.unavoidable else PlanStatus.PLANNED
-        return Plan(along(path, speed.profile, frame.t), status, speed.reason, start_kind, artefacts)
+        return Plan(along(path, speed.profile, frame.t), status, speed.reason, start_kind, internals)
 
-    def _choose(self, frame: Frame, start: EgoState, *, fresh: bool) -> tuple[LanePlan, tuple[Artefact, ...]]:
+    def _choose(self, frame: Frame, start: EgoState) -> tuple[LanePlan, tuple[Artefact, ...]]:
         """The plan in the best lane; the neighbours are planned only where that may pay."""
-        keep = self._driven.plan("keep", frame, start, fresh=fresh)
-        keep, considered = self._passing_in(keep.strip).choose(keep, frame, start, fresh=fresh)
+        memory = self._memory
+        keep = self._planned("keep", memory.driven, frame, start)
+        keep, considered, memory.passing[keep.lane] = passing(
+            keep, self._planner(keep.lane), memory.passing.get(keep.lane, PassMemory()), self._config.path.corridor,
+            passes_left=self._context.road.drives_on_right,
+        )  # fmt: skip
         self._lap("passing")
-        if not worth_looking(keep, since_change=frame.t - self._changed):
+        if not worth_looking(keep, since_change=frame.t - memory.changed):
             return keep, considered
-        beside = self._lanes.beside(keep.strip, keep.s)
-        others = [self._planner(strip).plan(side, frame, start, fresh=fresh) for side, strip in beside]
+        beside = self._lanes.beside(keep.lane, keep.scene.s)
+        others = [self._planned(side, lane, frame, start) for side, lane in beside]
         if not others:
             return keep, considered
-        chosen, more = choose(keep, others, frame, self._vehicle)
+        chosen, more = choose(keep, others)
         if chosen is not keep:
-            self._passing_in(keep.strip).forget()
-            self._driven, self._changed = self._planner(chosen.strip), frame.t
+            memory.passing.pop(keep.lane, None)
+            memory.driven, memory.changed = chosen.lane, frame.t
         self._lap("lane choice")
         return chosen, (*considered, *more)
 
-    def _passing_in(self, strip: LaneSequence) -> Passing:
-        if strip not in self._passings:
-            left = self._context.road.drives_on_right
-            self._passings[strip] = Passing(
-                partial(self._new_planner, strip), self._vehicle, self._config.path.corridor, passes_left=left
+    def _planned(self, name: str, lane: LaneSequence, frame: Frame, start: EgoState) -> LanePlan:
+        planner, memory = self._planner(lane), self._memory.lanes.get(lane, LaneMemory())
+        plan, self._memory.lanes[lane] = planner.plan(name, planner.scene(frame, start, memory), memory)
+        return plan
+
+    def _planner(self, lane: LaneSequence) -> LanePlanner:
+        if lane not in self._planners:
+            self._planners[lane] = LanePlanner(
+                lane,
+                Rulebook(self._context.road, lane.reference, self._vehicle),
+                self._context.goal,
+                self._vehicle,
+                self._config.path,
+                self._config.speed,
+                passes_left=self._context.road.drives_on_right,
+                lap=self._lap,
             )
-        return self._passings[strip]
-
-    def _planner(self, strip: LaneSequence) -> LanePlanner:
-        if strip not in self._planners:
-            self._planners[strip] = self._new_planner(strip)
-        return self._planners[strip]
-
-    def _new_planner(self, strip: LaneSequence) -> LanePlanner:
-        return LanePlanner(
-            strip,
-            Rulebook(self._context.road, strip.course, self._vehicle),
-            self._context.goal,
-            self._vehicle,
-            self._config.path,
-            self._config.speed,
-            passes_left=self._context.road.drives_on_right,
-            lap=self._lap,
-        )
-
-    def _start(self, frame: Frame) -> tuple[EgoState, PlanStart]:
-        if frame.previous is not None:
-            old = frame.previous.trajectory.at(frame.t)
-            near = hypot(old.x - frame.ego.x, old.y - frame.ego.y) <= self._config.stitch_m
-            if near and abs(old.v - frame.ego.v) <= self._config.stitch_mps:
-                return old, PlanStart.PREVIOUS_PLAN
-        return frame.ego, PlanStart.EGO
+        return self._planners[lane]

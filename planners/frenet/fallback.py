@@ -7,6 +7,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from logs.frame import Frame
@@ -31,7 +33,7 @@ def along(path: Path, profile: FloatArray, t: float) -> Trajectory:
 
 def fall_back(
     frame: Frame, start: EgoState, start_kind: PlanStart, path: Path | None, reason: str,
-    artefacts: tuple[Artefact, ...], vehicle: VehicleParameters,
+    artefacts: Sequence[Artefact], vehicle: VehicleParameters,
     limits: tuple[SpeedLimits, SpeedLimits] = (COMFORT, EMERGENCY), knots: int = HORIZON_KNOTS,
 ) -> Plan:  # fmt: skip
     """The fallback ladder of the module docstring; `path` is this frame's, if there is one.

@@ -1,10 +1,10 @@
 """Candidate lanes: the lane that is driven and its neighbours, each with its own reference line (paper, section II-F).
 
-A strip is a lane with those that go on from it without a lane change, chosen so that the goal stays as near as it can.
-What a strip is worth to the route is read off the cost to go of its lanes (`route.costs_to_go`):
+A lane sequence is a lane with those that go on from it without a lane change, chosen so that the goal stays near.
+What it is worth to the route is read off the cost to go of its lanes (`route.costs_to_go`):
 
-(1) changes(strip)  = lane changes between it and the goal
-(2) change_by(strip) = station at which its last lane ends from which the first of these changes is possible
+(1) changes(sequence)  = lane changes between it and the goal
+(2) change_by(sequence) = station at which its last lane ends from which the first of these changes is possible
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ class LaneSequence:
 
     Attributes:
         lanes: In driving order, a stretch behind included.
-        course: Its reference line and widths.
+        reference: Its reference line and widths.
         changes: (1); 0 where it leads to the goal or nobody knows one, None where the goal cannot be reached from it.
         change_by: (2), m; inf where no change is needed.
     """
 
     lanes: tuple[int, ...]
-    course: ReferencePath
+    reference: ReferencePath
     changes: int | None
     change_by: float
 
 
 class LaneSequences:
-    """The strips of one scenario, made when they are first needed.
+    """The lane sequences of one scenario, made when they are first needed.
 
     Args:
         context: Road, goal and start.
@@ -51,27 +51,27 @@ class LaneSequences:
         self._road = context.road
         self._to_go = costs_to_go(context.road, context.goal)
         self._before = _predecessors(context.road)
-        self._strips: dict[int, LaneSequence] = {}
+        self._sequences: dict[int, LaneSequence] = {}
         self._start, self._car = context.start, context.vehicle
 
     def start(self, ego: EgoState) -> LaneSequence:
-        """The strip to begin with: of the lanes under the ego, the one nearest to the goal."""
+        """The sequence to begin with: of the lanes under the ego, the one nearest to the goal."""
         under = start_lanes(self._road, ego)
         aligned = under[:1] if not self._to_go else under
         best = min(aligned, key=lambda lane: (*_rank(self._to_go.get(lane)), under.index(lane)))
         return self.of(best)
 
     def of(self, lane: int) -> LaneSequence:
-        """The strip that a lane belongs to."""
-        if lane not in self._strips:
-            strip = self._made(lane)
-            for each in strip.lanes[strip.lanes.index(lane) :]:
-                self._strips.setdefault(each, strip)
-        return self._strips[lane]
+        """The sequence that a lane belongs to."""
+        if lane not in self._sequences:
+            sequence = self._made(lane)
+            for each in sequence.lanes[sequence.lanes.index(lane) :]:
+                self._sequences.setdefault(each, sequence)
+        return self._sequences[lane]
 
-    def beside(self, strip: LaneSequence, station: float) -> tuple[tuple[str, LaneSequence], ...]:
-        """The neighbours ("left" or "right") of a strip at a station, as far as the markings may be crossed."""
-        lane = self._road.lanes[strip.lanes[self._index(strip, station)]]
+    def beside(self, sequence: LaneSequence, station: float) -> tuple[tuple[str, LaneSequence], ...]:
+        """The neighbours ("left" or "right") of a sequence at a station, as far as the markings may be crossed."""
+        lane = self._road.lanes[sequence.lanes[self._index(sequence, station)]]
         sides = (
             ("left", lane.left_neighbour, lane.left_crossable),
             ("right", lane.right_neighbour, lane.right_crossable),
@@ -83,9 +83,9 @@ class LaneSequences:
                 found.append((side, self.of(other)))
         return tuple(found)
 
-    def _index(self, strip: LaneSequence, station: float) -> int:
-        ends = np.cumsum([self._road.lanes[lane].length for lane in strip.lanes])
-        return min(int(np.searchsorted(ends, station + TIE)), len(strip.lanes) - 1)
+    def _index(self, sequence: LaneSequence, station: float) -> int:
+        ends = np.cumsum([self._road.lanes[lane].length for lane in sequence.lanes])
+        return min(int(np.searchsorted(ends, station + TIE)), len(sequence.lanes) - 1)
 
     def _made(self, lane: int) -> LaneSequence:
         onward, length = [lane], 0.0
@@ -104,8 +104,8 @@ class LaneSequences:
             behind.insert(0, before)
             length += self._road.lanes[before].length
         lanes = (*behind, *onward)
-        course = make_reference_path(self._road, Route(lanes, False, 0.0), self._start, self._car)
-        return LaneSequence(lanes, course, *self._changes(lanes, len(behind)))
+        reference = make_reference_path(self._road, Route(lanes, False, 0.0), self._start, self._car)
+        return LaneSequence(lanes, reference, *self._changes(lanes, len(behind)))
 
     def _next(self, lane: int) -> int | None:
         """The successor from which the goal is nearest; where none leads there, straight on."""
@@ -119,7 +119,7 @@ class LaneSequences:
         return min(before, default=None)
 
     def _changes(self, lanes: tuple[int, ...], first: int) -> tuple[int | None, float]:
-        """Lane changes that the route still needs from a strip (1), and the station by which the first is due (2)."""
+        """Lane changes that the route still needs from lanes (1), and the station by which the first is due (2)."""
         if not self._to_go:
             return 0, np.inf
         needs = [self._to_go[lane].changes if lane in self._to_go else None for lane in lanes]

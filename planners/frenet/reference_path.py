@@ -1,4 +1,4 @@
-"""ReferencePath: the reference line of a route, with the free width and the speed limit along it.
+"""Reference path: the reference line of a route, with the free width and the speed limit along it.
 
 The centre lines of the route are joined (a lane change is blended over its length) and smoothed by a QP over points
 p_i, equally spaced on the raw line r_i:
@@ -20,6 +20,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from math import cos, floor, sin, sqrt
+from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -46,6 +47,19 @@ HALF_LANE_M = 1.75
 REACH_M = 16.0
 JOINT_M = 0.6
 """Boundaries nearer than this are one marking."""
+
+
+class Section(NamedTuple):
+    """The road across stations `(k,)`: edges as of `ReferencePath`, speed limit (m/s), curvature of the line (1/m)."""
+
+    lane_right: FloatArray
+    road_right: FloatArray
+    facing_right: FloatArray
+    lane_left: FloatArray
+    road_left: FloatArray
+    facing_left: FloatArray
+    limit: FloatArray
+    kappa: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,14 +96,14 @@ class ReferencePath:
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @cached_property
-    def table(self) -> FloatArray:
-        """Columns right edge of lane, road, facing lane, left likewise, limit, kappa `(n, 8)` over `line.s`."""
-        names = "lane_right", "road_right", "facing_right", "lane_left", "road_left", "facing_left", "limit"
-        return frozen(np.column_stack([*(getattr(self, name) for name in names), self.line.kappa]))
+    def _table(self) -> FloatArray:
+        """The columns of `Section` `(n, 8)` over `line.s`."""
+        columns = [getattr(self, name) for name in Section._fields if name != "kappa"]
+        return frozen(np.column_stack([*columns, self.line.kappa]))
 
-    def at(self, s: FloatArray) -> FloatArray:
-        """The columns of `table` `(8, k)` at stations `(k,)`; beyond the ends theirs, with no curvature."""
-        return _sampled(self.line.s, self.table, s)
+    def at(self, s: FloatArray) -> Section:
+        """The road at stations `(k,)`; beyond the ends as there, with no curvature."""
+        return Section(*_sampled(self.line.s, self._table, s))
 
 
 @kernel
@@ -109,7 +123,7 @@ def _sampled(knots: FloatArray, table: FloatArray, s: FloatArray) -> FloatArray:
 
 
 def make_reference_path(road: Road, route: Route, ego: EgoState, car: VehicleParameters | None = None) -> ReferencePath:
-    """The course of a route for an ego at its start; with a `car`, its steering lock is kept as far as lanes allow."""
+    """The reference of a route for an ego at its start; a `car` can be steered along it if lanes allow."""
     lanes = _extended(road, route)
     line = _steerable(_joined(road, lanes, ego), min(_width(road.lanes[lane]) for lane in lanes), car)
     extents = _lane_extents(road, line)

@@ -1,35 +1,40 @@
-"""S-T graph: when which part of the path is taken by whom.
+"""S-T boundaries: when which part of the path is taken, and by which agent.
 
 The ego's footprint is swept along the planned path and tested against each predicted footprint:
 
-(1) blocked(agent, t) = { sigma : box of the ego at path(sigma), widened by a margin, overlaps the agent's box at t }
+(1) taken(agent, t) = { sigma : box of the ego at path(sigma), widened by a margin, overlaps the agent's box at t }
 
 which is an interval [lower, upper] of stations of the rear axle for each time sample. Corners and the curvature of the
 path are exact, since real boxes are tested: at the path's points, and between two of them by bisection (`HALVINGS`).
+
+(2) An agent who crosses may come sooner by `early_s` and leave later by `late_s`: the first and the last interval are
+    drawn out in time, less where the event is near and so surer.
+(3) The agent's speed along the path is that of their velocity along the path's heading where they enter it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import cos, hypot, sin, sqrt
+from math import cos, hypot, inf, isnan, sin, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
-from logs.frame import Frame
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
-from logs.road import line_project
-from logs.scenario import AgentKind
-from logs.shapes import overlap
+from logs.shapes import overlap_turned
 from logs.states import wrap
 from logs.trace import Decision, DecisionKind, GraphObstacle
-from logs.vehicle import VehicleParameters
+from planners.frenet.occupancy import Occupancy
 from planners.frenet.path import Path
-from planners.frenet.reference_path import ReferencePath
+from planners.frenet.scene import STANDING_MPS, Scene
 
 CREEPING_MPS = 0.1
+"""Who is slower does not walk: their predicted way is none."""
 HALVINGS = 4
-"""Of the path's spacing, about 0.4 m, towards the edge of a blocked interval."""
+"""Of the path's spacing, about 0.4 m, towards the edge of an interval."""
+ALONG = 0.7
+"""Who moves along the path with this share of their speed is followed, not let go first."""
 
 
 @dataclass(frozen=True)
@@ -61,13 +66,13 @@ class StGraphConfig:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class StBoundaries:
-    """The blocked intervals (1) of `n` predictions at `k` times; NaN where not blocked.
+    """The intervals (1) of `n` predictions at `k` times; NaN where the path is free.
 
     Attributes:
         t: `(k,)` s from the frame.
-        agent: `(n,)` index into the frame's agents.
+        agent: `(n,)` index into the frame's agents; -1 for a stop that belongs to none.
         lower: `(n, k)` m along the path, drawn out in time by what is uncertain; `upper` likewise.
-        speed: `(n,)` the agent's speed along the path where it enters, m/s.
+        speed: `(n,)` the agent's speed along the path where they enter (3), m/s.
         probability: `(n,)` of the prediction.
     """
 
@@ -88,12 +93,12 @@ class StBoundaries:
         )
 
     def meets(self, t: FloatArray, s: FloatArray) -> bool:
-        """Whether a profile s(t) `(m,)` enters a block."""
+        """Whether a profile s(t) `(m,)` enters an interval."""
         at = np.interp(self.t, t, s)
         return bool(((at > self.lower) & (at < self.upper)).any())
 
     def leave(self, t: FloatArray, s: FloatArray, gap: float) -> bool:
-        """Whether a profile s(t) `(m,)` stays behind all blocks by a gap, m."""
+        """Whether a profile s(t) `(m,)` stays behind all intervals by a gap, m."""
         return not bool((np.interp(self.t, t, s) > self.lower - gap).any())
 
     @property
@@ -101,166 +106,74 @@ class StBoundaries:
         """Between two times, s; the predictions may be coarser than `StGraphConfig.step_s`."""
         return float(self.t[1] - self.t[0]) if len(self.t) > 1 else np.inf
 
+    @property
+    def first(self) -> float:
+        """The nearest station that somebody takes at any time, m; inf where the path is free."""
+        return float(np.nanmin(self.lower)) if len(self) else inf
 
-@kernel
-def _first_met(
-    boxes: FloatArray, begin: int, step: int, spacing: float, ego_length: float, ego_width: float,
-    x: float, y: float, yaw: float, length: float, width: float,
-) -> int:  # fmt: skip
-    """The first point from `begin` on, in steps of +-1, at which the ego overlaps a box; -1 where there is none.
-
-    Points too far away to overlap are jumped over: neighbours in `boxes` (rows x, y, yaw, cos, sin of the ego's box)
-    are not further apart than `spacing` m.
-    """
-    other = 0.5 * hypot(length, width)
-    reach = 0.5 * hypot(ego_length, ego_width) + other
-    j = begin
-    while 0 <= j < boxes.shape[1]:
-        dx, dy = x - boxes[0, j], y - boxes[1, j]
-        away = sqrt(dx * dx + dy * dy) - reach
-        if away > 0.0:
-            j += step * (1 + int(away / spacing))
-            continue
-        beside = abs(dy * boxes[3, j] - dx * boxes[4, j]) > 0.5 * ego_width + other
-        if not beside and overlap(
-            boxes[0, j], boxes[1, j], boxes[2, j], ego_length, ego_width, x, y, yaw, length, width
-        ):
-            return j
-        j += step
-    return -1
-
-
-@kernel
-def _ego_boxes(path: FloatArray, rear_to_center: float) -> FloatArray:
-    """Rows x, y, yaw, cos yaw, sin yaw `(5, m)` of the ego's box along a path with rows sigma, x, y, yaw."""
-    out = np.empty((5, path.shape[1]))
-    for j in range(path.shape[1]):
-        c, s = cos(path[3, j]), sin(path[3, j])
-        out[0, j], out[1, j] = path[1, j] + rear_to_center * c, path[2, j] + rear_to_center * s
-        out[2, j], out[3, j], out[4, j] = path[3, j], c, s
-    return out
-
-
-@kernel
-def _edge(
-    sigma: FloatArray, boxes: FloatArray, met: int, step: int, ego_length: float, ego_width: float,
-    x: float, y: float, yaw: float, length: float, width: float,
-) -> float:  # fmt: skip
-    """The station next to point `met`, which overlaps, towards `met + step`, at which the ego does not overlap."""
-    free = met + step
-    if free < 0 or free >= boxes.shape[1]:
-        return sigma[met]
-    low, high = 0.0, 1.0  # share of the way from `met` to `free`: overlaps at low, not at high
-    for _ in range(HALVINGS):
-        u = 0.5 * (low + high)
-        bx, by = (
-            boxes[0, met] + u * (boxes[0, free] - boxes[0, met]),
-            boxes[1, met] + u * (boxes[1, free] - boxes[1, met]),
+    def with_stops(self, stops: Sequence[Occupancy]) -> StBoundaries:
+        """These and a row per stop on the path, which belongs to no agent (-1)."""
+        if not stops:
+            return self
+        lower = np.array([np.where(self.t < stop.until, stop.s_from, np.nan) for stop in stops])
+        return StBoundaries(
+            self.t,
+            np.r_[self.agent, np.full(len(stops), -1)],
+            np.vstack([self.lower, lower]),
+            np.vstack([self.upper, np.where(np.isfinite(lower), np.inf, np.nan)]),
+            np.r_[self.speed, np.zeros(len(stops))],
+            np.r_[self.probability, np.ones(len(stops))],
         )
-        turned = boxes[2, met] + u * wrap(boxes[2, free] - boxes[2, met])
-        if overlap(bx, by, turned, ego_length, ego_width, x, y, yaw, length, width):
-            low = u
-        else:
-            high = u
-    return sigma[met] + high * (sigma[free] - sigma[met])
 
 
-@kernel
-def _sweep_all(
-    path: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, sizes: FloatArray, ego: FloatArray
-) -> FloatArray:
-    """Blocked intervals (1) of predictions `(n, k)`: `(n, 2, k)`.
+class Swept(NamedTuple):
+    """What a sweep takes of the ego and of the time, for the kernel.
 
-    Args:
-        path: Rows sigma, x, y, yaw `(4, m)`.
-        x: Centres of the predicted boxes `(n, k)`.
-        y: `(n, k)`.
-        yaw: `(n, k)`.
-        sizes: Rows length, width, margin `(3, n)`.
-        ego: Rear axle to centre, length, width.
+    Attributes:
+        rear_to_center: From the rear axle to the box's centre, m; `length` and `width` of the box.
+        early: (2), s; `late` likewise.
     """
-    last = path.shape[1] - 1
-    boxes = _ego_boxes(path, ego[0])
-    spacing = 1e-6
-    for j in range(last):
-        spacing = max(spacing, hypot(boxes[0, j + 1] - boxes[0, j], boxes[1, j + 1] - boxes[1, j]))
-    out = np.full((len(x), 2, x.shape[1]), np.nan)
-    for i in range(len(x)):
-        length, width, ego_width = sizes[0, i], sizes[1, i], ego[2] + 2.0 * sizes[2, i]
-        for k in range(x.shape[1]):
-            at = x[i, k], y[i, k], yaw[i, k], length, width
-            first = _first_met(boxes, 0, 1, spacing, ego[1], ego_width, *at)
-            if first >= 0:
-                final = _first_met(boxes, last, -1, spacing, ego[1], ego_width, *at)
-                out[i, 0, k] = _edge(path[0], boxes, first, -1, ego[1], ego_width, *at)
-                out[i, 1, k] = _edge(path[0], boxes, final, 1, ego[1], ego_width, *at)
-    return out
 
-
-@kernel
-def agents_frenet(
-    knots: FloatArray, coef: FloatArray, x: FloatArray, y: FloatArray, s_guess: float, window: float
-) -> FloatArray:
-    """Frenet coordinates `(n, 2)` of points `(n,)`, each looked for around the same guess."""
-    out = np.empty((len(x), 2))
-    for i in range(len(x)):
-        out[i, 0], out[i, 1] = line_project(knots, coef, x[i], y[i], s_guess, window)
-    return out
-
-
-def behind(
-    course: ReferencePath, frame: Frame, s_ego: float, l_ego: float, vehicle: VehicleParameters, *, keeps_track: bool
-) -> np.ndarray:
-    """Which agents `(n,)` bool follow behind the ego, so that it is they who must see it.
-
-    Where the ego keeps its track these are all behind it in its direction; where it changes, those in its track.
-    """
-    agents = frame.agents
-    line = course.line
-    frenet = agents_frenet(line.s, line.coef, agents.x, agents.y, s_ego, 80.0)
-    turn = np.abs([wrap(yaw - frame.ego.yaw) for yaw in agents.yaw])
-    in_track = keeps_track | (np.abs(frenet[:, 1] - l_ego) < 0.5 * (agents.width + vehicle.width) + 0.3)
-    is_behind: np.ndarray = frenet[:, 0] + 0.5 * agents.length < s_ego - vehicle.rear_overhang + 0.5
-    return is_behind & in_track & (turn < 0.5 * np.pi)
+    rear_to_center: float
+    length: float
+    width: float
+    early: float
+    late: float
 
 
 def st_boundaries(
-    path: Path, frame: Frame, vehicle: VehicleParameters, skip: np.ndarray, passed: frozenset[str],
-    config: StGraphConfig,
-) -> StBoundaries:  # fmt: skip
-    """The blocked intervals (1) of all predictions but those of agents to `skip` `(agents,)`."""
-    agents, predictions = frame.agents, frame.predictions
-    stride = max(1, round(config.step_s / (predictions.t[1] - predictions.t[0]))) if len(predictions.t) > 1 else 1
-    used = np.flatnonzero(~skip[predictions.agent]) if len(predictions) else np.empty(0, np.int64)
-    agent = predictions.agent[used]
-    margin = np.array([_margin(agents.ids[i], agents.kinds[i], passed, config) for i in agent])
-    t = predictions.t[::stride] - frame.t
-    x, y, yaw = (np.ascontiguousarray(v[used][:, ::stride]) for v in (predictions.x, predictions.y, predictions.yaw))
-    for i in np.flatnonzero(_is_slow(frame, agent, config.brisk_mps)):
-        ahead = t * config.brisk_mps / frame.agents.speed[agent[i]]
+    scene: Scene, path: Path, skip: BoolArray, passed: frozenset[str], config: StGraphConfig
+) -> StBoundaries:
+    """The intervals (1) of all predictions but those of agents to `skip` `(agents,)`.
+
+    Agents whom the path passes on purpose (`passed`, their ids) have the smallest margin.
+    """
+    agents, futures, car = scene.frame.agents, scene.frame.predictions, scene.vehicle
+    stride = max(1, round(config.step_s / float(futures.t[1] - futures.t[0]))) if len(futures.t) > 1 else 1
+    t = futures.t[::stride] - scene.frame.t
+    rows = np.flatnonzero(~skip[futures.agent]) if len(futures) else np.empty(0, np.int64)
+    margin = np.where(scene.vulnerable, config.vulnerable_margin_m, config.margin_m)
+    for row, name in enumerate(agents.ids if passed else ()):
+        if name in passed:
+            margin[row] = config.passed_margin_m
+    x, y, yaw = (way[rows, ::stride] for way in (futures.x, futures.y, futures.yaw))
+    agent = futures.agent[rows]
+    for i in np.flatnonzero(_is_slow(scene, agent, config.brisk_mps)):
+        ahead = t * config.brisk_mps / scene.speed[agent[i]]
         x[i], y[i], yaw[i] = (_beyond(ahead, t, way[i]) for way in (x, y, yaw))
-    spans = _sweep_all(
-        np.vstack([path.sigma, path.x, path.y, path.yaw]),
-        x,
-        y,
-        yaw,
-        np.vstack([agents.length[agent], agents.width[agent], margin]),
-        np.array([vehicle.axle_to_center, vehicle.length, vehicle.width]),
-    )
-    blocked = np.isfinite(spans[:, 0]).any(axis=1) if len(spans) else np.zeros(0, bool)
-    agent, spans, probability = agent[blocked], spans[blocked], predictions.probability[used][blocked]
-    for span in spans:
-        _drawn_out(t, span, config)
-    return StBoundaries(
-        t, agent, spans[:, 0].copy(), spans[:, 1].copy(), _speeds_along(path, frame, agent, spans), probability
-    )
+    found, lower, upper, speed = _swept(
+        np.vstack([path.sigma, path.x, path.y, path.yaw]), t, agent, x, y, yaw, agents.length, agents.width, margin,
+        agents.vx, agents.vy, Swept(car.axle_to_center, car.length, car.width, config.early_s, config.late_s),
+    )  # fmt: skip
+    return StBoundaries(t, agent[found], lower, upper, speed, futures.probability[rows[found]])
 
 
-def _is_slow(frame: Frame, agent: IntArray, brisk: float) -> np.ndarray:
+def _is_slow(scene: Scene, agent: IntArray, brisk: float) -> BoolArray:
     """Which of the predicted agents `(n,)` walk or ride slower than `brisk`, m/s, but do not stand."""
-    vulnerable = np.array([frame.agents.kinds[i].is_vulnerable for i in agent], bool)
-    speed = frame.agents.speed[agent]
-    return vulnerable & (speed > CREEPING_MPS) & (speed < brisk)
+    if not brisk > 0.0:
+        return np.zeros(len(agent), np.bool_)
+    speed = scene.speed[agent]
+    return np.asarray(scene.vulnerable[agent] & (speed > CREEPING_MPS) & (speed < brisk))
 
 
 def _beyond(ahead: FloatArray, t: FloatArray, way: FloatArray) -> FloatArray:
@@ -269,62 +182,176 @@ def _beyond(ahead: FloatArray, t: FloatArray, way: FloatArray) -> FloatArray:
     return np.interp(ahead, t, way) + slope * np.maximum(ahead - t[-1], 0.0)
 
 
-def _drawn_out(t: FloatArray, span: FloatArray, config: StGraphConfig) -> None:
-    """Let a block `(2, k)` begin sooner and end later, as its first and last interval stand."""
-    taken = np.flatnonzero(np.isfinite(span[0]))
-    first, last = taken[0], taken[-1]
-    begin = t[first] - min(config.early_s, t[first] / 3.0)
-    end = t[last] + (min(config.late_s, 0.5 * t[last]) if last < len(t) - 1 else 0.0)
-    span[:, np.flatnonzero((t >= begin) & (t < t[first]))] = span[:, first, None]
-    span[:, np.flatnonzero((t > t[last]) & (t <= end))] = span[:, last, None]
+@kernel
+def _swept(
+    path: FloatArray, t: FloatArray, agent: IntArray, x: FloatArray, y: FloatArray, yaw: FloatArray,
+    length: FloatArray, width: FloatArray, margin: FloatArray, vx: FloatArray, vy: FloatArray, ego: Swept,
+) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """The predictions `(n, k)` that take the path: their rows `(m,)`, lower and upper `(m, k)`, speed along `(m,)`.
+
+    `path` has the rows sigma, x, y, yaw `(4, points)`; size, margin and velocity are those of the agents.
+    """
+    boxes, spacing = _ego_boxes(path, ego.rear_to_center)
+    low_x, high_x, low_y, high_y = boxes[0].min(), boxes[0].max(), boxes[1].min(), boxes[1].max()
+    rows = np.empty(len(x), np.int64)
+    lower, upper, speed = np.empty(x.shape), np.empty(x.shape), np.empty(len(x))
+    count = 0
+    for i in range(len(x)):
+        who = agent[i]
+        size = length[who], width[who]
+        ego_width = ego.width + 2.0 * margin[who]
+        reach = 0.5 * hypot(ego.length, ego_width) + 0.5 * hypot(size[0], size[1])
+        taken = False
+        for k in range(x.shape[1]):
+            lower[count, k] = upper[count, k] = np.nan
+            if (
+                x[i, k] < low_x - reach or x[i, k] > high_x + reach
+                or y[i, k] < low_y - reach or y[i, k] > high_y + reach
+            ):  # fmt: skip
+                continue
+            other = x[i, k], y[i, k], cos(yaw[i, k]), sin(yaw[i, k]), size[0], size[1]
+            met = _first_met(boxes, 0, 1, spacing, reach, ego.length, ego_width, other)
+            if met >= 0:
+                last = _first_met(boxes, boxes.shape[1] - 1, -1, spacing, reach, ego.length, ego_width, other)
+                lower[count, k] = _edge(path[0], boxes, met, -1, ego.length, ego_width, other)  # (1)
+                upper[count, k] = _edge(path[0], boxes, last, 1, ego.length, ego_width, other)
+                taken = True
+        if taken:
+            rows[count] = i
+            entry = _drawn_out(t, lower[count], upper[count], ego.early, ego.late)
+            at = min(int(np.searchsorted(path[0], entry)), path.shape[1] - 1)
+            speed[count] = vx[who] * cos(path[3, at]) + vy[who] * sin(path[3, at])  # (3)
+            count += 1
+    return rows[:count].copy(), lower[:count].copy(), upper[:count].copy(), speed[:count].copy()
 
 
-def _speeds_along(path: Path, frame: Frame, agent: IntArray, spans: FloatArray) -> FloatArray:
-    speeds = np.zeros(len(agent))
-    for i, who in enumerate(agent):
-        entry = spans[i, 0, int(np.argmax(np.isfinite(spans[i, 0])))]
-        yaw = path.yaw[min(int(np.searchsorted(path.sigma, entry)), len(path.yaw) - 1)]
-        speeds[i] = frame.agents.vx[who] * np.cos(yaw) + frame.agents.vy[who] * np.sin(yaw)
-    return speeds
+@kernel
+def _ego_boxes(path: FloatArray, rear_to_center: float) -> tuple[FloatArray, float]:
+    """Rows x, y, yaw, cos yaw, sin yaw `(5, m)` of the ego's box along a path, and the largest step between two, m."""
+    out = np.empty((5, path.shape[1]))
+    spacing = 1e-6
+    for j in range(path.shape[1]):
+        c, s = cos(path[3, j]), sin(path[3, j])
+        out[0, j], out[1, j] = path[1, j] + rear_to_center * c, path[2, j] + rear_to_center * s
+        out[2, j], out[3, j], out[4, j] = path[3, j], c, s
+        if j > 0:
+            spacing = max(spacing, hypot(out[0, j] - out[0, j - 1], out[1, j] - out[1, j - 1]))
+    return out, spacing
 
 
-def _margin(agent: str, kind: AgentKind, passed: frozenset[str], config: StGraphConfig) -> float:
-    if agent in passed:
-        return config.passed_margin_m
-    return config.vulnerable_margin_m if kind.is_vulnerable else config.margin_m
+@kernel
+def _first_met(
+    boxes: FloatArray, begin: int, step: int, spacing: float, reach: float, length: float, width: float,
+    other: tuple[float, float, float, float, float, float],
+) -> int:  # fmt: skip
+    """The first point from `begin` on, in steps of +-1, at which the ego overlaps a box; -1 where there is none.
+
+    Points farther than `reach` are jumped over: neighbours in `boxes` are not further apart than `spacing` m. The
+    `other` box is x, y, cos yaw, sin yaw, length, width.
+    """
+    j = begin
+    while 0 <= j < boxes.shape[1]:
+        dx, dy = other[0] - boxes[0, j], other[1] - boxes[1, j]
+        away = sqrt(dx * dx + dy * dy) - reach
+        if away > 0.0:
+            j += step * (1 + int(away / spacing))
+            continue
+        if overlap_turned(
+            boxes[0, j], boxes[1, j], boxes[3, j], boxes[4, j], length, width,
+            other[0], other[1], other[2], other[3], other[4], other[5],
+        ):  # fmt: skip
+            return j
+        j += step
+    return -1
 
 
-def decide_speed(blocks: StBoundaries, frame: Frame, s_dp: FloatArray) -> tuple[Decision, ...]:
-    """Per block: overtake where the DP profile `(k,)` at the blocks' times passes above, else stop, follow or yield."""
-    decisions = []
-    for i, who in enumerate(blocks.agent):
-        taken = np.flatnonzero(np.isfinite(blocks.lower[i]))
-        first, last = taken[0], taken[-1]
-        above = s_dp[taken] >= 0.5 * (blocks.lower[i, taken] + blocks.upper[i, taken])
-        ego_first = bool(above.all())
-        speed, total = float(blocks.speed[i]), float(frame.agents.speed[who])
-        if ego_first:
-            kind = DecisionKind.OVERTAKE
-        elif total < 0.5:
-            kind = DecisionKind.STOP
-        elif speed > 0.7 * total:
-            kind = DecisionKind.FOLLOW
+@kernel
+def _edge(
+    sigma: FloatArray, boxes: FloatArray, met: int, step: int, length: float, width: float,
+    other: tuple[float, float, float, float, float, float],
+) -> float:  # fmt: skip
+    """The station next to point `met`, which overlaps, towards `met + step`, at which the ego does not overlap."""
+    free = met + step
+    if free < 0 or free >= boxes.shape[1]:
+        return sigma[met]
+    low, high = 0.0, 1.0  # share of the way from `met` to `free`: overlaps at low, not at high
+    for _ in range(HALVINGS):
+        u = 0.5 * (low + high)
+        x = boxes[0, met] + u * (boxes[0, free] - boxes[0, met])
+        y = boxes[1, met] + u * (boxes[1, free] - boxes[1, met])
+        turned = boxes[2, met] + u * wrap(boxes[2, free] - boxes[2, met])
+        if overlap_turned(
+            x, y, cos(turned), sin(turned), length, width, other[0], other[1], other[2], other[3], other[4], other[5]
+        ):
+            low = u
         else:
-            kind = DecisionKind.YIELD
-        reason = (
-            f"{frame.agents.kinds[who].value} takes the path from {blocks.t[first]:.1f} s to {blocks.t[last]:.1f} s, "
-            f"from {blocks.lower[i, first]:.1f} m on"
-        )
-        decisions.append(Decision(frame.agents.ids[who], kind, "speed", reason))
-    return tuple(decisions)
+            high = u
+    return sigma[met] + high * (sigma[free] - sigma[met])
+
+
+@kernel
+def _drawn_out(t: FloatArray, lower: FloatArray, upper: FloatArray, early: float, late: float) -> float:
+    """Draw an interval `(k,)` out in time (2); returns the station at which the agent enters."""
+    first, last = 0, len(t) - 1
+    while isnan(lower[first]):
+        first += 1
+    while isnan(lower[last]):
+        last -= 1
+    begin = t[first] - min(early, t[first] / 3.0)
+    end = t[last] + (min(late, 0.5 * t[last]) if last < len(t) - 1 else 0.0)
+    for k in range(len(t)):
+        if begin <= t[k] < t[first]:
+            lower[k], upper[k] = lower[first], upper[first]
+        elif t[last] < t[k] <= end:
+            lower[k], upper[k] = lower[last], upper[last]
+    return lower[first]
+
+
+def decide_speed(blocks: StBoundaries, scene: Scene, s_dp: FloatArray) -> tuple[Decision, ...]:
+    """Per row: overtake where a profile `(k,)` at the boundaries' times passes above, else stop, follow or yield."""
+    return tuple(
+        Decision(scene.frame.agents.ids[who], decided(blocks, scene, s_dp, i), "speed", said(blocks, scene, i))
+        for i, who in enumerate(blocks.agent)
+    )
+
+
+def decided(blocks: StBoundaries, scene: Scene, s_dp: FloatArray, row: int) -> DecisionKind:
+    """The decision about one row."""
+    lower, upper, total = blocks.lower[row], blocks.upper[row], float(scene.speed[blocks.agent[row]])
+    taken = np.isfinite(lower)
+    if bool((s_dp[taken] >= 0.5 * (lower[taken] + upper[taken])).all()):
+        return DecisionKind.OVERTAKE
+    if total < STANDING_MPS:
+        return DecisionKind.STOP
+    return DecisionKind.FOLLOW if float(blocks.speed[row]) > ALONG * total else DecisionKind.YIELD
+
+
+def said(blocks: StBoundaries, scene: Scene, row: int) -> str:
+    """When and where a row takes the path, in words."""
+    taken = np.flatnonzero(np.isfinite(blocks.lower[row]))
+    first, last = taken[0], taken[-1]
+    return (
+        f"{scene.frame.agents.kinds[blocks.agent[row]].value} takes the path from {blocks.t[first]:.1f} s to "
+        f"{blocks.t[last]:.1f} s, from {blocks.lower[row, first]:.1f} m on"
+    )
 
 
 def outlines(blocks: StBoundaries, decisions: Sequence[Decision]) -> tuple[GraphObstacle, ...]:
-    """The blocked intervals as polygons of the S-T graph, each with what was decided about it."""
+    """The intervals as polygons of the S-T graph, each with what was decided about it."""
     found = []
     for i, decision in enumerate(decisions):
         taken = np.isfinite(blocks.lower[i])
         low: FloatArray = np.column_stack([blocks.t[taken], blocks.lower[i, taken]])
         high: FloatArray = np.column_stack([blocks.t[taken], blocks.upper[i, taken]])
         found.append(GraphObstacle(decision.agent, np.vstack([low, high[::-1]]), decision.kind))
+    return tuple(found)
+
+
+def stop_outlines(stops: Sequence[Occupancy], horizon: float, length: float) -> tuple[GraphObstacle, ...]:
+    """The stops on a path as rectangles of the S-T graph, to the path's end."""
+    found = []
+    for stop in stops:
+        end, top = min(stop.until, horizon), max(length, stop.s_from)
+        corners = np.array([(0.0, stop.s_from), (end, stop.s_from), (end, top), (0.0, top)])
+        found.append(GraphObstacle(stop.agent, corners, stop.kind))
     return tuple(found)

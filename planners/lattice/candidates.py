@@ -22,22 +22,21 @@ import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.vehicle import VehicleParameters
+from planners.frenet.occupancy import Occupancy, open_end, upper_bound
 from planners.frenet.profiles import braking, limit_profile
 from planners.frenet.quintic import quintic
 from planners.frenet.reference_path import ReferencePath
 from planners.lattice.checks import REST_MPS, Fault, speed_faults
 from planners.lattice.config import LatticeConfig
+from planners.lattice.futures import STRIDE, Ego, Futures
 from planners.lattice.polynomials import LEAST_M, STEP_S, STEPS, keep_speed, reach_point, sampled, third_square
-from planners.lattice.scene import STRIDE, Ego, Scene
-from planners.rules import Wall
-from planners.rules.stops import open_end, upper_bound
 
 TRACK_M = 1.0
 """An end offset farther than this from the ego's offset is another track."""
 SIDE_M = 0.1
 """Who is nearer than this beside a track is on it."""
 SHORT = 4.0
-"""A metre short of a stop that the rules demand counts as so many: who stops there should be seen to have stopped."""
+"""A metre short of a stop that the rules demand counts as so many: who rests there should be seen to have stopped."""
 STOP_S, STOP_M = 1.0, 2.0
 """The ego brakes for a stop that the rules demand so long, and so far, before gentle braking would have to begin."""
 COST_PARTS = ("jerk along", "time", "speed", "sideways", "gap")
@@ -93,70 +92,70 @@ class Pairs:
 
 
 class Sampler:
-    """Makes the pairs along one course.
+    """Makes the pairs along one reference.
 
     Attributes:
-        left: Greatest offset of the rear axle along the course's line, m; `right` the least.
+        left: Greatest offset of the rear axle along the reference's line, m; `right` the least.
         limit: Speed limit along it, curves included, m/s.
     """
 
     def __init__(
-        self, course: ReferencePath, vehicle: VehicleParameters, config: LatticeConfig, *, passes_left: bool
+        self, reference: ReferencePath, vehicle: VehicleParameters, config: LatticeConfig, *, passes_left: bool
     ) -> None:
-        self._course, self._vehicle, self._config = course, vehicle, config
+        self._reference, self._vehicle, self._config = reference, vehicle, config
         self._first_side = 1.0 if passes_left else -1.0
-        line = course.line
-        self.limit = limit_profile(line.s, line.kappa, course.limit, config.curve_accel_mps2, config.ease_mps2)
-        side, middle = 0.5 * vehicle.width + config.edge_m, 0.5 * (course.road_left + course.road_right)
-        self.left = np.maximum(course.road_left - side, middle)
-        self.right = np.minimum(course.road_right + side, middle)
+        line = reference.line
+        self.limit = limit_profile(line.s, line.kappa, reference.limit, config.curve_accel_mps2, config.ease_mps2)
+        side, middle = 0.5 * vehicle.width + config.edge_m, 0.5 * (reference.road_left + reference.road_right)
+        self.left = np.maximum(reference.road_left - side, middle)
+        self.right = np.minimum(reference.road_right + side, middle)
 
-    def pairs(self, ego: Ego, scene: Scene, walls: Sequence[Wall] = ()) -> Pairs:
-        """Every longitudinal polynomial that keeps limits and walls, with every lateral one of its tracks."""
-        config, stations = self._config, self._course.line.s
-        aim = open_end(walls)
-        stops = aim < ego.speed * STOP_S + 0.5 * ego.speed**2 / config.ease_mps2 + STOP_M
-        wanted, offsets = 0.0 if stops else self._wanted_speed(ego), self._offsets(ego)
+    def pairs(self, ego: Ego, futures: Futures, stops: Sequence[Occupancy] = ()) -> Pairs:
+        """Every longitudinal polynomial that keeps limits and stops, with every lateral one of its tracks."""
+        config, stations = self._config, self._reference.line.s
+        aim = open_end(stops)
+        rests = aim < ego.speed * STOP_S + 0.5 * ego.speed**2 / config.ease_mps2 + STOP_M
+        wanted, offsets = 0.0 if rests else self._wanted_speed(ego), self._offsets(ego)
         keeping = _keeping(ego, wanted, config)
-        if stops:
+        if rests:
             keeping = [replace(row, missed=SHORT * max(aim - _end(ego, row), 0.0)) for row in keeping]
             keeping += _resting(ego, aim, config)
-        lon = _stacked(ego, [*keeping, *self._reaching(ego, scene, offsets)])
+        lon = _stacked(ego, [*keeping, *self._reaching(ego, futures, offsets)])
         motion = sampled(lon.coef, lon.T, STEPS)
         allowed = braking(ego.speed, ego.accel, config.ease_mps2, 3.0, STEP_S, STEPS + 1)[1] + 0.3
         bounds = np.array([config.accel_mps2, config.decel_mps2, 0.5])
-        faults = speed_faults(motion, ego.s, stations, self.limit, allowed, _kept(walls, stops=stops), bounds)
+        faults = speed_faults(motion, ego.s, stations, self.limit, allowed, _kept(stops, rests=rests), bounds)
         each = np.where(lon.track < 0, len(offsets), 1) * len(config.lateral_durations_s)
         counts = np.bincount(faults, weights=each, minlength=len(Fault)).astype(np.int64)
         counts[Fault.NONE] = 0
         fit = faults == Fault.NONE
-        return self._paired(ego, scene, lon.picked(fit), motion[fit], offsets, wanted, counts)
+        return self._paired(ego, futures, lon.picked(fit), motion[fit], offsets, wanted, counts)
 
     def _wanted_speed(self, ego: Ego) -> float:
         """The least limit within the next 3 s."""
         s = np.linspace(ego.s, ego.s + 3.0 * ego.speed + 5.0, 8)
-        return float(np.interp(s, self._course.line.s, self.limit).min())
+        return float(np.interp(s, self._reference.line.s, self.limit).min())
 
     def _offsets(self, ego: Ego) -> FloatArray:
         """End offsets `(o,)` that are on the road soon: the middle first, then pairs, the passing side first."""
         spacing = self._config.offset_spacing_m
         soon = ego.s + 2.0 * ego.speed + 10.0
-        left, right = (float(np.interp(soon, self._course.line.s, edge)) for edge in (self.left, self.right))
+        left, right = (float(np.interp(soon, self._reference.line.s, edge)) for edge in (self.left, self.right))
         count = max(floor(left / spacing), floor(-right / spacing), 0)
         both = [side * k * spacing for k in range(1, count + 1) for side in (self._first_side, -self._first_side)]
         return np.array([0.0, *(offset for offset in both if right <= offset <= left)])
 
-    def _reaching(self, ego: Ego, scene: Scene, offsets: FloatArray) -> list[Row]:
+    def _reaching(self, ego: Ego, futures: Futures, offsets: FloatArray) -> list[Row]:
         """Points behind whoever is first on each track when T has passed: at the wanted gap, and nearer."""
         config, car, rows = self._config, self._vehicle, []
         nose = ego.s + car.axle_to_front
-        samples = [min(round(T / (STRIDE * STEP_S)), scene.frenet.shape[2] - 1) for T in config.durations_s]
+        samples = [min(round(T / (STRIDE * STEP_S)), futures.frenet.shape[2] - 1) for T in config.durations_s]
         for track, offset in enumerate(offsets):
-            first, rear = _leaders(scene, ego, float(offset), 0.5 * car.width + config.margin_m, samples)
+            first, rear = _leaders(futures, ego, float(offset), 0.5 * car.width + config.margin_m, samples)
             for T, leader, ahead in zip(config.durations_s, first, rear, strict=True):
                 if not np.isfinite(ahead):
                     continue
-                v1 = max(float(scene.speed[leader]), 0.0)
+                v1 = max(float(futures.speed[leader]), 0.0)
                 for share in (1.0, 0.5):
                     time_gap = share * config.time_gap_s * v1
                     s1 = ahead - nose - config.standstill_gap_m - time_gap
@@ -166,7 +165,7 @@ class Sampler:
         return rows
 
     def _paired(
-        self, ego: Ego, scene: Scene, lon: Longitudinal, motion: FloatArray, offsets: FloatArray, wanted: float,
+        self, ego: Ego, futures: Futures, lon: Longitudinal, motion: FloatArray, offsets: FloatArray, wanted: float,
         faults: IntArray,
     ) -> Pairs:  # fmt: skip
         """The pairs with their costs (1)."""
@@ -183,7 +182,7 @@ class Sampler:
             rows = np.flatnonzero((lon.track < 0) | (lon.track == track))
             moves = abs(float(offset) - ego.lateral[0]) > TRACK_M
             tracked = motion[rows]
-            missing = headway(tracked, ego.s, scene.frenet, scene.speed, scene.behind, offset, box, gaps, moves)
+            missing = headway(tracked, ego.s, futures.frenet, futures.speed, futures.behind, offset, box, gaps, moves)
             sideways, D = lateral_costs(tracked, np.array(ego.lateral), offset, T, weights)
             n = len(rows) * len(T)
             row.append(np.repeat(rows, len(T)))
@@ -208,7 +207,7 @@ class Row:
 
 
 def _keeping(ego: Ego, wanted: float, config: LatticeConfig) -> list[Row]:
-    """Polynomials to speeds up to the wanted one, also the ego's own; and stops, from gentle to as hard as allowed."""
+    """Polynomials to speeds up to the wanted one, also the ego's own; and rests, from gentle to as hard as allowed."""
     speeds = [*np.linspace(0.0, wanted, config.speeds), min(ego.speed, wanted)]
     rows = [Row(keep_speed(ego.speed, ego.accel, v1, T), T, v1) for v1 in speeds for T in config.durations_s]
     for decel in (0.4 * config.ease_mps2, config.ease_mps2, 3.0, 5.0, 0.95 * config.decel_mps2):
@@ -224,13 +223,13 @@ def _resting(ego: Ego, aim: float, config: LatticeConfig) -> list[Row]:
     return [Row(reach_point(ego.speed, ego.accel, aim, 0.0, T), T, 0.0) for T in config.durations_s]
 
 
-def _kept(walls: Sequence[Wall], *, stops: bool) -> FloatArray:
+def _kept(stops: Sequence[Occupancy], *, rests: bool) -> FloatArray:
     """How far the traffic rules let the ego go `(STEPS + 1,)`, m; far from an open stop only at first."""
     t = STEP_S * np.arange(STEPS + 1)
-    upper = upper_bound(walls, t, np.inf)
-    if stops:
+    upper = upper_bound(stops, t, np.inf)
+    if rests:
         return upper
-    timed = upper_bound([wall for wall in walls if wall.stop.until < np.inf], t, np.inf)
+    timed = upper_bound([stop for stop in stops if stop.until < np.inf], t, np.inf)
     return np.where(t < STOP_S, upper, timed)
 
 
@@ -250,13 +249,15 @@ def _stacked(ego: Ego, rows: Sequence[Row]) -> Longitudinal:
     )
 
 
-def _leaders(scene: Scene, ego: Ego, offset: float, side: float, samples: Sequence[int]) -> tuple[IntArray, FloatArray]:
+def _leaders(
+    futures: Futures, ego: Ego, offset: float, side: float, samples: Sequence[int]
+) -> tuple[IntArray, FloatArray]:
     """Who is first on a track at some samples `(t,)` of those that are ahead now, and its rear; inf: nobody."""
-    if not len(scene.agent):
+    if not len(futures.agent):
         return np.zeros(len(samples), np.int64), np.full(len(samples), np.inf)
-    s, l, half_s, half_l = scene.frenet[:, :, samples]  # noqa: E741
+    s, l, half_s, half_l = futures.frenet[:, :, samples]  # noqa: E741
     on_track = np.abs(l - offset) < half_l + side
-    on_track &= ((scene.frenet[0, :, 0] > ego.s) & ~scene.behind[0])[:, None]
+    on_track &= ((futures.frenet[0, :, 0] > ego.s) & ~futures.behind[0])[:, None]
     rear = np.where(on_track, s - half_s, np.inf)
     return np.argmin(rear, axis=0), rear.min(axis=0)
 
@@ -282,7 +283,7 @@ def headway(
         s0: Station of the start.
         others: `futures_frenet`, every `STRIDE`-th sample.
         speed: Of the agents along the line `(n,)`, m/s.
-        behind: `(2, n)`, as of `Scene`.
+        behind: `(2, n)`, as of `Futures`.
         l1: m.
         box: Rear axle to front, to rear, half width, m.
         wanted: g0, tau.

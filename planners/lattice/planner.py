@@ -7,69 +7,74 @@ import numpy as np
 from logs.frame import Frame, PlannerContext
 from logs.kernel import FloatArray, IntArray
 from logs.states import Trajectory
-from logs.trace import Candidates, Plan
+from logs.trace import Artefact, Candidates, Internals, Plan
 from planners.frenet.fallback import fall_back
-from planners.frenet.start import Tracker
+from planners.frenet.occupancy import on_reference
+from planners.frenet.start import RouteTracker
 from planners.lattice.candidates import Pairs, Sampler
 from planners.lattice.checks import REST_MPS, SAID, first_feasible
 from planners.lattice.config import LatticeConfig
+from planners.lattice.futures import Ego, Futures, ego_frenet, futures_of
 from planners.lattice.polynomials import STEP_S, STEPS, lateral_polynomial, sampled, states
-from planners.lattice.record import told
-from planners.lattice.scene import Ego, Scene, ego_frenet, scene_of
-from planners.rules import Rulebook, walls_ahead
-from planners.rules.stops import told as rules_told
+from planners.lattice.record import artefacts
+from planners.rules import Rulebook, RuleMemory
 
 
 class Lattice:
-    """Chooses among pairs of polynomials; its only memory is its last station on the reference line.
+    """Chooses among pairs of polynomials; its memory is the last station and what the rules remember.
 
-    Where no pair can be driven, the ladder of `planners.dp_qp.fallback` answers: the rest of the previous plan, else a
+    Where no pair can be driven, the ladder of `planners.frenet.fallback` answers: the rest of the previous plan, else a
     comfortable stop, else a hard one. Who follows behind is not looked at while the ego keeps its track.
     """
 
     def __init__(self, context: PlannerContext, config: LatticeConfig | None = None) -> None:
         self._config = config or LatticeConfig()
         self._vehicle, self._lap = context.vehicle, context.lap
-        self._tracker = Tracker(context)
-        self._rules = Rulebook(context.road, self._tracker.course, context.vehicle)
+        self._tracker = RouteTracker(context)
+        self._rules = Rulebook(context.road, self._tracker.reference, context.vehicle)
+        self._memory = RuleMemory()
         passes_left = context.road.drives_on_right
-        self._sampler = Sampler(self._tracker.course, self._vehicle, self._config, passes_left=passes_left)
+        self._sampler = Sampler(self._tracker.reference, self._vehicle, self._config, passes_left=passes_left)
 
     def plan(self, frame: Frame) -> Plan:
         """The cheapest pair that can be driven, ties to the first; else the fallback, and why."""
-        start, start_kind, s0, l0, trouble = self._tracker.begin(frame)
-        if trouble:
-            return fall_back(frame, start, start_kind, None, trouble, (), self._vehicle)
-        course = self._tracker.course
-        ego = ego_frenet(course.line, start, s0, l0)
-        scene = scene_of(course, frame, start, ego, self._vehicle, self._config)
+        scene, start_kind = self._tracker.scene(frame)
+        if frame.previous is None:
+            self._memory = RuleMemory()
+        if scene.trouble:
+            return fall_back(frame, scene.start, start_kind, None, scene.trouble, (), self._vehicle)
+        ego = ego_frenet(scene)
+        futures = futures_of(scene, ego, self._config)
         self._lap("scene")
-        stops = self._rules.stops(frame, start, s0, fresh=frame.previous is None)
-        walls = walls_ahead(stops, s0, self._vehicle)
-        pairs = self._sampler.pairs(ego, scene, walls)
+        demanded, self._memory = self._rules.stops(scene, self._memory)
+        stops = on_reference(demanded, scene.s, self._vehicle)
+        pairs = self._sampler.pairs(ego, futures, stops)
         self._lap("candidates")
-        chosen, faults = self._choose(ego, scene, pairs)
+        chosen, faults = self._choose(ego, futures, pairs)
         counted = _counted(pairs, faults, chosen)
         self._lap("choice")
         if chosen < 0:
             reason = "no candidate can be driven: " + ", ".join(f"{n} {why}" for why, n in counted.rejected)
-            return fall_back(frame, start, start_kind, None, reason, (counted,), self._vehicle)
-        row = int(pairs.row[chosen])
+            return fall_back(frame, scene.start, start_kind, None, reason, (counted,), self._vehicle)
+        row, line = int(pairs.row[chosen]), scene.reference.line
         motion = sampled(pairs.lon.coef[row, None], pairs.lon.T[row, None], STEPS)[0]
         lateral = lateral_polynomial(np.array(ego.lateral), pairs.l1[chosen], pairs.length[chosen])
-        at = states(course.line.s, course.line.coef, s0, lateral, pairs.length[chosen], motion)
-        artefacts = told(course, frame, ego, scene, pairs, chosen, at, motion, self._vehicle, self._config)
-        self._lap("record")
-        return Plan(trajectory(frame.t, at), start=start_kind, internals=(*artefacts, *rules_told(walls), counted))
+        at = states(line.s, line.coef, scene.s, lateral, pairs.length[chosen], motion)
 
-    def _choose(self, ego: Ego, scene: Scene, pairs: Pairs) -> tuple[int, IntArray]:
+        def internals() -> tuple[Artefact, ...]:
+            told = artefacts(scene, ego, futures, pairs, chosen, at, motion, self._config)
+            return (*told, *(stop.decision for stop in stops), counted)
+
+        return Plan(trajectory(frame.t, at), start=start_kind, internals=Internals((), internals))
+
+    def _choose(self, ego: Ego, futures: Futures, pairs: Pairs) -> tuple[int, IntArray]:
         """The first pair without a fault, -1 where there is none, and the faults of those before it."""
-        car, line = self._vehicle, self._tracker.course.line
+        car, line = self._vehicle, self._tracker.reference.line
         order = np.argsort(np.round(pairs.costs.sum(axis=0), 9), kind="stable")
         return first_feasible(
             line.s, line.coef, ego.s, np.array(ego.lateral), pairs.lon.coef, pairs.lon.T, pairs.row, pairs.l1,
-            pairs.length, pairs.changes, order, self._sampler.left, self._sampler.right, scene.pose, scene.sizes,
-            scene.behind, np.array([car.axle_to_center, car.length, car.width]),
+            pairs.length, pairs.changes, order, self._sampler.left, self._sampler.right, futures.pose, futures.sizes,
+            futures.behind, np.array([car.axle_to_center, car.length, car.width]),
             np.array([car.max_kappa, self._config.lat_accel_mps2]),
         )  # fmt: skip
 

@@ -1,11 +1,12 @@
 """Traffic rules for every planner: where the ego must stop now, and for what.
 
-    along      what stands along a course: stop lines, crosswalks, lanes that go first; found once per course
+    zones      what stands along a reference path: stop lines, crosswalks, lanes that go first; found once
     windows    when the others take a crosswalk or a place where lanes meet
     rulebook   the demands at one frame, and what is remembered of them
 
-Give a `Rulebook` the course, and each frame the start of the plan; it answers with the stops ahead. Where a road has
-no rules it answers at once. It knows the colours of now and the predictions of the frame, nothing of the future.
+Give a `Rulebook` the reference path, and each frame its scene; it answers with the stops ahead, as occupancy, and with
+what it must be given next time. Where a road has no rules it answers at once. It knows the colours of now and the
+predictions of the frame, nothing of the future.
 
 Sources: lights and stop signs as everywhere (StVO 37, 41 sign 206; Vienna Convention on Road Signs, art. 23). The
 ego stops at a yellow where it comfortably can (ITE, "Determining Vehicle Signal Change and Clearance Intervals":
@@ -13,6 +14,6 @@ ego stops at a yellow where it comfortably can (ITE, "Determining Vehicle Signal
 Right of way: StVO 8; no stop where lanes cross (StVO 11 (1)) or on a crosswalk (StVO 26 (2)).
 """
 
-from planners.rules.rulebook import Rulebook, Stop, Wall, walls_ahead, walls_on
+from planners.rules.rulebook import Rulebook, RuleMemory
 
-__all__ = ["Rulebook", "Stop", "Wall", "walls_ahead", "walls_on"]
+__all__ = ["RuleMemory", "Rulebook"]

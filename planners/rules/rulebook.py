@@ -20,29 +20,27 @@ less. The wait ends when (4) holds for who comes by at speed and for who starts 
 when. A zone behind which there is no room for the ego is not entered either. A demand that comes too late for `COMFORT`
 (priority lane) or `HARD` (crosswalk) is not made: whom the ego would meet is in the S-T graph anyway.
 
-Memory, dropped where the frame is fresh: the lines and zones that it stops for, which are stopped for as long as `HARD`
+Memory (`RuleMemory`): the lines and zones that it stops for, which are stopped for as long as `HARD`
 can; the stop signs at which it came to rest; the zones whose gap it took; since when it stands before a crosswalk.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from math import inf, isfinite
 
 import numpy as np
 
-from logs.frame import Frame
 from logs.kernel import TIE, FloatArray
 from logs.road import Road
 from logs.rules import Colour
-from logs.states import EgoState, wrap
 from logs.trace import DecisionKind
 from logs.vehicle import VehicleParameters
-from planners.frenet.path import Path
+from planners.frenet.occupancy import Occupancy
 from planners.frenet.profiles import STEP_S, braking, cruising, limit_profile
 from planners.frenet.reference_path import ReferencePath
-from planners.frenet.st_boundaries import agents_frenet
+from planners.frenet.scene import Scene
 from planners.rules.windows import RED, Window, windows
 from planners.rules.zones import Line, Priority, Walk, Zone, lines_along, zones_along
 
@@ -69,71 +67,55 @@ ASKEW_RAD = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class Stop:
-    """Where the ego's front must wait.
-
-    Attributes:
-        bound: Station that the front must not pass, m; `aim` where it should come to rest.
-        aim: m.
-        until: How long, s from the frame; inf: nobody knows.
-        name: What stands there ("stop line 7").
-        kind: Stop or yield.
-        reason: Why.
-    """
-
-    bound: float
-    aim: float
-    until: float
-    name: str
-    kind: DecisionKind
-    reason: str
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _Start:
-    """The ego at the plan's start: station of its front, m; distances to a comfortable and a hard stop, m."""
-
-    frame: Frame
-    state: EgoState
-    s: float
-    front: float
-    soft: float
-    hard: float
-    passed: frozenset[str]
-
-
-@dataclass(slots=True)
-class _Memory:
-    """What is remembered of the frames before.
+class RuleMemory:
+    """What is remembered of the frames before; a fresh frame has a new one.
 
     Attributes:
         stopping: Lines and zones that the ego stops for.
         rested: Stop signs at which it came to rest.
         taken: Zones whose gap it took.
-        since: When it came to rest before crosswalks at which somebody stands.
+        since: When it came to rest before crosswalks at which somebody stands, by zone.
     """
 
-    stopping: set[str] = field(default_factory=set)
-    rested: set[int] = field(default_factory=set)
-    taken: set[str] = field(default_factory=set)
-    since: dict[str, float] = field(default_factory=dict)
+    stopping: frozenset[str] = frozenset()
+    rested: frozenset[int] = frozenset()
+    taken: frozenset[str] = frozenset()
+    since: Mapping[str, float] = field(default_factory=dict)
 
-    def forget(self, near: set[str]) -> None:
-        """Forget the zones that are not near any more."""
-        self.taken &= near
-        self.since = {name: t for name, t in self.since.items() if name in near}
+
+@dataclass(slots=True)
+class _Visit:
+    """One frame's work: the scene, whom the path passes, distances to a comfortable and a hard stop (m), the memory.
+
+    The one ahead in the ego's way: station of the rear, m, speed, index; inf, 0, -1: nobody.
+    """
+
+    scene: Scene
+    passed: frozenset[str]
+    soft: float
+    hard: float
+    stopping: frozenset[str]
+    rested: set[int]
+    taken: set[str]
+    since: dict[str, float]
+    leader: tuple[float, float, int] = (inf, 0.0, -1)
+
+    def remembered(self, stops: list[Occupancy]) -> RuleMemory:
+        """What later frames are given."""
+        names = frozenset(stop.agent for stop in stops)
+        return RuleMemory(names, frozenset(self.rested), frozenset(self.taken), dict(self.since))
 
 
 class Rulebook:
-    """The rules along one course (module docstring)."""
+    """The rules along one reference (module docstring)."""
 
-    def __init__(self, road: Road, course: ReferencePath, vehicle: VehicleParameters) -> None:
-        self._road, self._course, self._vehicle = road, course, vehicle
-        self._lines = lines_along(road, course, vehicle.width)
-        self._zones = zones_along(road, course, vehicle)
-        line = course.line
-        self._limit = limit_profile(line.s, line.kappa, course.limit, CURVE_MPS2, EASE_MPS2) if self._zones else line.s
-        self._memory = _Memory()
+    def __init__(self, road: Road, reference: ReferencePath, vehicle: VehicleParameters) -> None:
+        self._road, self._reference, self._vehicle = road, reference, vehicle
+        self._lines = lines_along(road, reference, vehicle.width)
+        self._zones = zones_along(road, reference, vehicle)
+        line = reference.line
+        has_zones = bool(self._zones)
+        self._limit = limit_profile(line.s, line.kappa, reference.limit, CURVE_MPS2, EASE_MPS2) if has_zones else line.s
 
     @property
     def places(self) -> tuple[float, ...]:
@@ -142,123 +124,126 @@ class Rulebook:
         return (*(line.s for line in self._lines), *zones)
 
     def stops(
-        self, frame: Frame, start: EgoState, s: float, passed: frozenset[str] = frozenset(), *, fresh: bool
-    ) -> tuple[Stop, ...]:
-        """The stops for a plan from `start` with its rear axle at station `s`, in driving order.
+        self, scene: Scene, memory: RuleMemory, passed: frozenset[str] = frozenset()
+    ) -> tuple[tuple[Occupancy, ...], RuleMemory]:
+        """The stops for a plan from the scene's start, in driving order, for the ego's front; and what is remembered.
 
         Whom the path passes (`passed`) does not stand in the way behind a zone.
         """
         if not self._lines and not self._zones:
-            return ()
-        if fresh:
-            self._memory = _Memory()
-        v = max(start.v, 0.0)
-        soft, hard = (float(braking(v, start.a, *limits, STEP_S, 2 * KNOTS)[0, -1]) for limits in (COMFORT, HARD))
-        ego = _Start(frame, start, s, s + self._vehicle.axle_to_front, soft, hard, passed)
-        found = [stop for line in self._lines if (stop := self._at_line(line, ego)) is not None]
-        found += self._at_zones(ego, min((stop.bound for stop in found), default=inf))
-        self._memory.stopping = {stop.name for stop in found}
-        return tuple(sorted(found, key=lambda stop: stop.bound))
+            return (), memory
+        soft, hard = (
+            float(braking(scene.v, scene.start.a, *limits, STEP_S, 2 * KNOTS)[0, -1]) for limits in (COMFORT, HARD)
+        )
+        visit = _Visit(
+            scene, passed, soft, hard, memory.stopping, set(memory.rested), set(memory.taken), dict(memory.since)
+        )
+        found = [stop for line in self._lines if (stop := self._at_line(line, visit)) is not None]
+        found += self._at_zones(visit, min((stop.s_from for stop in found), default=inf))
+        return tuple(sorted(found, key=lambda stop: stop.s_from)), visit.remembered(found)
 
-    def _at_line(self, line: Line, ego: _Start) -> Stop | None:
+    def _at_line(self, line: Line, visit: _Visit) -> Occupancy | None:
         """The stop at a line, by (1) to (3)."""
         name = f"stop line {line.id}"
-        held = name in self._memory.stopping
-        ahead = line.s - ego.front
+        held = name in visit.stopping
+        ahead = line.s - visit.scene.front
         if ahead < (-OVER_M if held else 0.0):
-            self._memory.rested.discard(line.id)
+            visit.rested.discard(line.id)
             return None
-        hard = held or ego.hard <= ahead
+        hard = held or visit.hard <= ahead
         if line.light is not None:
-            colour = ego.frame.lights.get(line.light, Colour.OFF)
-            stops = hard if colour in RED else colour is Colour.YELLOW and (held or ego.soft <= ahead - SHORT_M)
+            colour = visit.scene.frame.lights.get(line.light, Colour.OFF)
+            stops = hard if colour in RED else colour is Colour.YELLOW and (held or visit.soft <= ahead - SHORT_M)
             reason = f"{colour.value} light {line.light}"
         else:
-            if ego.frame.ego.v < REST_MPS and ahead <= NEAR_M:
-                self._memory.rested.add(line.id)
-            stops, reason = hard and line.id not in self._memory.rested, "stop sign"
-        return _stop(line.s, ego, inf, name, DecisionKind.STOP, reason) if stops else None
+            if visit.scene.frame.ego.v < REST_MPS and ahead <= NEAR_M:
+                visit.rested.add(line.id)
+            stops, reason = hard and line.id not in visit.rested, "stop sign"
+        return _stop(line.s, visit, inf, name, DecisionKind.STOP, reason) if stops else None
 
-    def _at_zones(self, ego: _Start, barrier: float) -> Iterator[Stop]:
+    def _at_zones(self, visit: _Visit, barrier: float) -> Iterator[Occupancy]:
         """The stops before zones, as far as the stop lines let the ego come."""
-        near = [zone for zone in self._zones if ego.front < zone.s_in and self._looks(zone, ego, barrier)]
-        self._memory.forget({zone.name for zone in near})
+        near = [zone for zone in self._zones if visit.scene.front < zone.s_in and self._looks(zone, visit, barrier)]
+        names = {zone.name for zone in near}
+        visit.taken &= names
+        visit.since = {name: t for name, t in visit.since.items() if name in names}
         if not near:
             return
-        leader = self._leader(ego)
-        sooner, later = (self._motion(ego, accel, leader) for accel in (max(ego.state.a, 0.0), ego.state.a))
+        visit.leader = self._leader(visit)
+        accel = visit.scene.start.a
+        sooner, later = (self._motion(visit, at_first) for at_first in (max(accel, 0.0), accel))
         for zone in near:
-            stop = self._at_zone(zone, ego, sooner, later, leader)
+            stop = self._at_zone(zone, visit, sooner, later)
             if stop is not None:
-                self._memory.taken.discard(zone.name)
+                visit.taken.discard(zone.name)
                 yield stop
 
-    def _looks(self, zone: Zone, ego: _Start, barrier: float) -> bool:
-        ahead = next(hold for hold in zone.holds if hold >= ego.front)
-        return ahead < barrier and ahead - ego.front < 0.5 * ego.state.v**2 / EASE_MPS2 + ego.state.v + LOOK_M
+    def _looks(self, zone: Zone, visit: _Visit, barrier: float) -> bool:
+        ahead = next(hold for hold in zone.holds if hold >= visit.scene.front)
+        return (
+            ahead < barrier
+            and ahead - visit.scene.front < 0.5 * visit.scene.start.v**2 / EASE_MPS2 + visit.scene.start.v + LOOK_M
+        )
 
-    def _at_zone(
-        self, zone: Zone, ego: _Start, sooner: FloatArray, later: FloatArray, leader: tuple[float, float, int]
-    ) -> Stop | None:
+    def _at_zone(self, zone: Zone, visit: _Visit, sooner: FloatArray, later: FloatArray) -> Occupancy | None:
         """The stop before a zone, by (4); the ego enters as with one motion, rows s, v, and leaves as with another."""
-        memory, held, late = self._memory, zone.name in self._memory.stopping, isinstance(zone.by, Walk)
-        t_in, t_out = self._passage(zone, ego.front, sooner)[0], self._passage(zone, ego.front, later)[1]
-        until, why = 0.0, self._no_room(zone, ego, leader)
+        held, late = zone.name in visit.stopping, isinstance(zone.by, Walk)
+        t_in, t_out = (
+            self._passage(zone, visit.scene.front, sooner)[0],
+            self._passage(zone, visit.scene.front, later)[1],
+        )
+        until, why = 0.0, self._no_room(zone, visit)
         if why:
             until = inf
         elif isfinite(t_in):
-            taken = windows(zone, self._course.line, self._road, ego.frame)
-            less = KEPT_S if zone.name in memory.taken else 0.0
+            taken = windows(zone, self._reference.line, self._road, visit.scene.frame)
+            less = KEPT_S if zone.name in visit.taken else 0.0
             against = [each for each in taken if not self._passes(zone, each, t_in, t_out, later, less)]
             late = late and not all(each.waits for each in against)
-            if not against or (not late and self._has_waited(zone, against, ego.frame)):
-                memory.taken.add(zone.name)
+            if not against or (not late and self._has_waited(zone, against, visit)):
+                visit.taken.add(zone.name)
                 return None
-            until, why = self._release(zone, ego, taken, sooner), _told(against[0], ego.frame, t_in, t_out)
+            until, why = self._release(zone, visit, taken, sooner), _said(against[0], visit.scene, t_in, t_out)
         for hold in zone.holds if why else ():
-            room = hold - ego.front
-            if room >= 0.0 and (ego.hard if held or late else ego.soft) <= room:
-                return _stop(hold, ego, until, zone.name, DecisionKind.YIELD, why)
+            room = hold - visit.scene.front
+            if room >= 0.0 and (visit.hard if held or late else visit.soft) <= room:
+                return _stop(hold, visit, until, zone.name, DecisionKind.YIELD, why)
         return None
 
-    def _has_waited(self, zone: Zone, against: list[Window], frame: Frame) -> bool:
+    def _has_waited(self, zone: Zone, against: list[Window], visit: _Visit) -> bool:
         """Whether the ego has stood long enough for pedestrians who stand there too."""
         if not all(each.waits for each in against):
             return False
-        since = self._memory.since
+        since, frame = visit.since, visit.scene.frame
         if frame.ego.v < REST_MPS:
             since.setdefault(zone.name, frame.t)
-        elif frame.ego.v > STANDING_MPS and zone.name not in self._memory.taken:
+        elif frame.ego.v > STANDING_MPS and zone.name not in visit.taken:
             since.pop(zone.name, None)
         return zone.name in since and frame.t - since[zone.name] >= PATIENCE_S - TIE
 
-    def _leader(self, ego: _Start) -> tuple[float, float, int]:
+    def _leader(self, visit: _Visit) -> tuple[float, float, int]:
         """Station of the rear of the one ahead in the ego's way, its speed, its index; inf, 0, -1: nobody."""
-        agents, line = ego.frame.agents, self._course.line
-        frenet = agents_frenet(line.s, line.coef, agents.x, agents.y, ego.s, 80.0)
-        rear = frenet[:, 0] - 0.5 * agents.length
-        aligned = np.array(
-            [abs(wrap(yaw - line.frame(at)[2])) < ASKEW_RAD for yaw, at in zip(agents.yaw, frenet[:, 0], strict=True)],
-            bool,
-        )
-        beside = np.abs(frenet[:, 1]) < 0.5 * (agents.width + self._vehicle.width)
-        beside &= np.array([name not in ego.passed for name in agents.ids], bool)
-        rear = np.where(aligned & beside & (rear > ego.front - 1.0), rear, inf)
+        scene = visit.scene
+        agents, along = scene.frame.agents, scene.agents
+        rear = along.s - 0.5 * agents.length
+        in_way = (np.abs(along.turn) < ASKEW_RAD) & (np.abs(along.l) < 0.5 * (agents.width + self._vehicle.width))
+        in_way &= np.array([name not in visit.passed for name in agents.ids], bool)
+        rear = np.where(in_way & (rear > scene.front - 1.0), rear, inf)
         if not np.isfinite(rear).any():
             return inf, 0.0, -1
         i = int(np.argmin(rear))
-        return float(rear[i]), float(agents.speed[i]), i
+        return float(rear[i]), float(scene.speed[i]), i
 
-    def _motion(self, ego: _Start, accel: float, leader: tuple[float, float, int]) -> FloatArray:
+    def _motion(self, visit: _Visit, accel: float) -> FloatArray:
         """Rows s, v `(2, KNOTS)` of driving freely with this acceleration at first, but not into the one ahead."""
-        motion = self._driven(ego.s, max(ego.state.v, 0.0), accel)
+        motion, leader = self._driven(visit.scene.s, visit.scene.v, accel), visit.leader
         if isfinite(leader[0]):
-            behind = leader[0] - ego.front - ROOM_M + leader[1] * STEP_S * np.arange(KNOTS)
+            behind = leader[0] - visit.scene.front - ROOM_M + leader[1] * STEP_S * np.arange(KNOTS)
             motion[0] = np.minimum(motion[0], np.maximum(behind, 0.0))
         return motion
 
     def _driven(self, s: float, v: float, a: float) -> FloatArray:
-        stations = self._course.line.s
+        stations = self._reference.line.s
         first = max(int(np.searchsorted(stations, s)) - 1, 0)
         ahead = stations[first:] - s
         if len(ahead) < 2:
@@ -283,27 +268,27 @@ class Rulebook:
             extra = max(window.speed - own, 0.0) ** 2 / (2.0 * window.speed * YIELD_MPS2)
         return t_out + clear - less + extra <= window.begin + TIE or _gone(zone, window) <= t_in + TIE
 
-    def _release(self, zone: Zone, ego: _Start, taken: tuple[Window, ...], motion: FloatArray) -> float:
+    def _release(self, zone: Zone, visit: _Visit, taken: tuple[Window, ...], motion: FloatArray) -> float:
         """When the ego may pass the place where it waits, s: (4) holds for all windows, at speed and from rest.
 
         inf where within the horizon it does not.
         """
-        hold = next(each for each in zone.holds if each >= ego.front)
+        hold = next(each for each in zone.holds if each >= visit.scene.front)
         go = self._driven(hold - self._vehicle.axle_to_front, 0.0, 0.0)
-        fastest = float(np.interp(hold, self._course.line.s, self._limit))
+        fastest = float(np.interp(hold, self._reference.line.s, self._limit))
         enters, leaves = (zone.s_in - hold) / max(fastest, 1.0), self._passage(zone, hold, go)[1]
-        arrives = _when(motion, hold - ego.front)
+        arrives = _when(motion, hold - visit.scene.front)
         for wait in sorted({arrives, *(max(_gone(zone, window) - enters, arrives) for window in taken)}):
             if isfinite(wait) and all(self._passes(zone, w, wait + enters, wait + leaves, go, 0.0) for w in taken):
                 return wait
         return inf
 
-    def _no_room(self, zone: Zone, ego: _Start, leader: tuple[float, float, int]) -> str:
+    def _no_room(self, zone: Zone, visit: _Visit) -> str:
         """Why the ego would have to stop in a zone: somebody stands behind it; empty where nobody does."""
-        rear, speed, i = leader
+        rear, speed, i = visit.leader
         if speed >= STANDING_MPS or not zone.s_in < rear < zone.s_out + self._vehicle.length + ROOM_M:
             return ""
-        return f"no room behind it: {_name(ego.frame, i)} stands there"
+        return f"no room behind it: {visit.scene.name(i)} stands there"
 
 
 def _merges(zone: Zone) -> bool:
@@ -317,10 +302,10 @@ def _gone(zone: Zone, window: Window) -> float:
     return window.end + (AFTER_S if isinstance(zone.by, Priority) else 0.0)
 
 
-def _stop(line: float, ego: _Start, until: float, name: str, kind: DecisionKind, reason: str) -> Stop:
+def _stop(line: float, visit: _Visit, until: float, name: str, kind: DecisionKind, reason: str) -> Occupancy:
     """The stop at a line: `SHORT_M` before it; nearer, or over it, only where braking asks for it."""
-    bound = max(line - SHORT_M, min(ego.front + ego.soft, line), ego.front + ego.hard)
-    return Stop(bound, bound - AIM_M, until, name, kind, reason)
+    bound = max(line - SHORT_M, min(visit.scene.front + visit.soft, line), visit.scene.front + visit.hard)
+    return Occupancy(name, bound, until=until, aim=bound - AIM_M, kind=kind, reason=reason)
 
 
 def _when(motion: FloatArray, distance: float) -> float:
@@ -334,39 +319,10 @@ def _when(motion: FloatArray, distance: float) -> float:
     return STEP_S * (k - 1 + (distance - float(motion[0, k - 1])) / step)
 
 
-def _name(frame: Frame, i: int) -> str:
-    return f"{frame.agents.kinds[i].value} {frame.agents.ids[i]}"
-
-
-def _told(window: Window, frame: Frame, t_in: float, t_out: float) -> str:
+def _said(window: Window, scene: Scene, t_in: float, t_out: float) -> str:
     """Whom the ego lets go first, and why."""
     end, out = (f"to {t:.1f} s" if isfinite(t) else "on" for t in (window.end, t_out))
     return (
-        f"{_name(frame, window.agent)} goes first: takes it from {window.begin:.1f} s {end}, "
+        f"{scene.name(window.agent)} goes first: takes it from {window.begin:.1f} s {end}, "
         f"the ego would from {t_in:.1f} s {out}"
     )
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Wall:
-    """A stop on a path, for the rear axle: arc lengths of `Stop.bound` and `Stop.aim`, m, not negative."""
-
-    stop: Stop
-    bound: float
-    aim: float
-
-
-def walls_ahead(stops: tuple[Stop, ...], s: float, vehicle: VehicleParameters) -> tuple[Wall, ...]:
-    """The stops for a rear axle at station `s` that keeps to the reference line."""
-    here = s + vehicle.axle_to_front
-    return tuple(Wall(stop, max(stop.bound - here, 0.0), max(stop.aim - here, 0.0)) for stop in stops)
-
-
-def walls_on(stops: tuple[Stop, ...], path: Path, vehicle: VehicleParameters) -> tuple[Wall, ...]:
-    """The stops that lie on a path."""
-    walls = []
-    for stop in stops:
-        bound, aim = (station - vehicle.axle_to_front for station in (stop.bound, stop.aim))
-        if bound < path.s[-1]:
-            walls.append(Wall(stop, *(max(float(np.interp(at, path.s, path.sigma)), 0.0) for at in (bound, aim))))
-    return tuple(walls)

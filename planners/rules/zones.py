@@ -1,4 +1,4 @@
-"""What the rules of the road hold along one course: its stop lines, and the zones where others may go first.
+"""What the rules of the road hold along one reference: its stop lines, and the zones where others may go first.
 
 A zone is the stretch of the reference line on which the ego's body would be in the way of those who go first:
 
@@ -44,7 +44,7 @@ MERGED_M = 1.5
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A stop line that counts for the course, at the station `s` that the front must not pass, m."""
+    """A stop line that counts for the reference, at the station `s` that the front must not pass, m."""
 
     id: int
     s: float
@@ -99,9 +99,9 @@ class Zone:
     holds: tuple[float, ...] = ()
 
 
-def lines_along(road: Road, course: ReferencePath, width: float) -> tuple[Line, ...]:
-    """The stop lines of the course that lights or stop signs may make the ego stop at, in driving order."""
-    found = [(mark, _station(mark, course.line, width)) for mark in _marks(road, course.lanes)]
+def lines_along(road: Road, reference: ReferencePath, width: float) -> tuple[Line, ...]:
+    """The stop lines of the reference that lights or stop signs may make the ego stop at, in driving order."""
+    found = [(mark, _station(mark, reference.line, width)) for mark in _marks(road, reference.lanes)]
     binding = [
         Line(mark.id, s, mark.light, mark.must_stop)
         for mark, s in found
@@ -110,15 +110,18 @@ def lines_along(road: Road, course: ReferencePath, width: float) -> tuple[Line, 
     return tuple(sorted(binding, key=lambda line: (line.s, line.id)))
 
 
-def zones_along(road: Road, course: ReferencePath, vehicle: VehicleParameters) -> tuple[Zone, ...]:
-    """The zones of the course in driving order."""
-    zones = [*_walks(road, course, vehicle.width), *_joined(_priorities(road, course, vehicle.width), vehicle.length)]
+def zones_along(road: Road, reference: ReferencePath, vehicle: VehicleParameters) -> tuple[Zone, ...]:
+    """The zones of the reference in driving order."""
+    zones = [
+        *_walks(road, reference, vehicle.width),
+        *_joined(_priorities(road, reference, vehicle.width), vehicle.length),
+    ]
     if not zones:
         return ()
     waiting = [
         station
-        for mark in _marks(road, course.lanes)
-        if mark.light is None and (station := _station(mark, course.line, vehicle.width)) is not None
+        for mark in _marks(road, reference.lanes)
+        if mark.light is None and (station := _station(mark, reference.line, vehicle.width)) is not None
     ]
     return _held(sorted(zones, key=lambda zone: (zone.s_in, zone.name)), waiting, vehicle.length)
 
@@ -158,15 +161,17 @@ def _station(mark: StopLine, line: ReferenceLine, width: float) -> float | None:
     return s0 - slope * l0 - abs(slope) * 0.5 * width
 
 
-def _walks(road: Road, course: ReferencePath, width: float) -> Iterator[Zone]:
-    line, half = course.line, 0.5 * width + SIDE_M
+def _walks(road: Road, reference: ReferencePath, width: float) -> Iterator[Zone]:
+    line, half = reference.line, 0.5 * width + SIDE_M
     for crosswalk in road.crosswalks:
         polygon = crosswalk.polygon
         s = np.arange(*_near(line, polygon, half), 0.5 * STEP_M)
         over = [at for at in s if any(inside(*line.point(at, l), polygon) for l in (0.0, half, -half))]  # noqa: E741
         if over:
             middle = 0.5 * (over[0] + over[-1])
-            right, left = (float(np.interp(middle, line.s, edge)) for edge in (course.lane_right, course.lane_left))
+            right, left = (
+                float(np.interp(middle, line.s, edge)) for edge in (reference.lane_right, reference.lane_left)
+            )
             yield Zone(f"crosswalk {crosswalk.id}", Walk(crosswalk, right, left), float(over[0]), float(over[-1]))
 
 
@@ -179,15 +184,15 @@ def _near(line: ReferenceLine, polygon: FloatArray, half: float) -> tuple[float,
     return float(line.s[close[0]]) - 1.0, float(line.s[close[-1]]) + 1.0
 
 
-def _priorities(road: Road, course: ReferencePath, width: float) -> Iterator[Zone]:
-    yielding = [road.lanes[i] for i in course.lanes if road.lanes[i].yields_to]
+def _priorities(road: Road, reference: ReferencePath, width: float) -> Iterator[Zone]:
+    yielding = [road.lanes[i] for i in reference.lanes if road.lanes[i].yields_to]
     before = _predecessors(road) if yielding else {}
     for lane in yielding:
         for other in lane.yields_to:
-            if other in road.lanes and other not in course.lanes:
-                zone = _conflict(course.line, lane, road.lanes[other], width)
+            if other in road.lanes and other not in reference.lanes:
+                zone = _conflict(reference.line, lane, road.lanes[other], width)
                 if zone is not None:
-                    feeds = _feeds(road, other, before, course.lanes)
+                    feeds = _feeds(road, other, before, reference.lanes)
                     assert isinstance(zone.by, Priority)
                     yield replace(zone, by=replace(zone.by, feeds=feeds))
 

@@ -16,13 +16,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from logs.frame import Frame
 from logs.kernel import FloatArray
 from logs.trace import Artefact, Candidates
-from logs.vehicle import VehicleParameters
 from planners.dp_qp.lane.plan import LanePlan
-from planners.frenet.reference_path import ReferencePath
-from planners.frenet.st_boundaries import agents_frenet
+from planners.frenet.scene import Scene
 
 HYSTERESIS_S = 0.5
 LOOK_S = 1.0
@@ -37,19 +34,17 @@ DWELL_S = 3.0
 
 def worth_looking(keep: LanePlan, *, since_change: float) -> bool:
     """Whether the neighbours are planned, given the plan in the lane and the time (s) since the last change."""
-    under_way = abs(keep.l) > INSIDE_M
+    under_way = abs(keep.scene.l) > INSIDE_M
     if under_way:
         return not keep.is_comfortable
-    return keep.strip.changes != 0 or (keep.time_lost > LOOK_S and since_change > DWELL_S) or not keep.is_comfortable
+    return keep.lane.changes != 0 or (keep.time_lost > LOOK_S and since_change > DWELL_S) or not keep.is_comfortable
 
 
-def choose(
-    keep: LanePlan, others: list[LanePlan], frame: Frame, vehicle: VehicleParameters
-) -> tuple[LanePlan, tuple[Artefact, ...]]:
+def choose(keep: LanePlan, others: list[LanePlan]) -> tuple[LanePlan, tuple[Artefact, ...]]:
     """The cheapest lane that may be taken, and what was considered."""
     best, rejected = keep, []
     for other in others:
-        against = _against(other, frame, vehicle)
+        against = _against(other)
         needed = HYSTERESIS_S if best is keep else 0.0
         if not against and not other.cost < best.cost - needed:
             against = f"costs {other.cost:.1f} s, {best.name} {best.cost:.1f} s"
@@ -66,62 +61,52 @@ def choose(
     return best, (*told, Candidates("lanes", 1 + len(others), tuple(rejected)))
 
 
-def _against(other: LanePlan, frame: Frame, vehicle: VehicleParameters) -> str:
+def _against(other: LanePlan) -> str:
     """Why a lane may not be taken; empty where it may."""
     if not other.is_comfortable:
-        return other.path.reason or (other.speed.reason if other.speed else "") or "no plan"
-    if abs(other.l) <= INSIDE_M:
+        return other.trouble
+    if abs(other.scene.l) <= INSIDE_M:
         return ""
-    if frame.ego.v < SLOWEST_CHANGE_MPS:
+    if other.scene.frame.ego.v < SLOWEST_CHANGE_MPS:
         return "too slow to change"
-    return endangered(other.strip.course, frame, other.s, vehicle)
+    return endangered(other.scene)
 
 
 def worth_passing(keep: LanePlan, past: LanePlan, *, under_way: bool) -> str:
     """Why the driven lane is not driven past who is slower; empty where it is."""
     if not past.is_comfortable and (keep.is_comfortable or not under_way):
-        return past.path.reason or (past.speed.reason if past.speed else "") or "no plan"
+        return past.trouble
     needed = -HYSTERESIS_S if under_way else HYSTERESIS_S
     if not past.cost < keep.cost - needed:
         return f"costs {past.cost:.1f} s, keep {keep.cost:.1f} s" + (" and it is not begun" if not under_way else "")
     return ""
 
 
-def borrowing_endangers(
-    course: ReferencePath, frame: Frame, s_ego: float, vehicle: VehicleParameters, *, left: bool
-) -> str:
+def borrowing_endangers(scene: Scene, *, left: bool) -> str:
     """Whom an ego that borrows the road beside its lane would endanger (1), (2); empty where nobody."""
-    edges = (course.lane_left, course.road_left) if left else (course.road_right, course.lane_right)
-    return _endangered(course, frame, s_ego, vehicle, *edges)
+    lane = scene.reference
+    return _endangered(scene, *((lane.lane_left, lane.road_left) if left else (lane.road_right, lane.lane_right)))
 
 
-def endangered(course: ReferencePath, frame: Frame, s_ego: float, vehicle: VehicleParameters) -> str:
-    """Whom a change into the lane would endanger (1), (2); empty where nobody."""
-    return _endangered(course, frame, s_ego, vehicle, course.lane_right, course.lane_left)
+def endangered(scene: Scene) -> str:
+    """Whom a change into the scene's lane would endanger (1), (2); empty where nobody."""
+    return _endangered(scene, scene.reference.lane_right, scene.reference.lane_left)
 
 
-def _endangered(
-    course: ReferencePath, frame: Frame, s_ego: float, vehicle: VehicleParameters, right_edge: FloatArray,
-    left_edge: FloatArray,
-) -> str:  # fmt: skip
+def _endangered(scene: Scene, right_edge: FloatArray, left_edge: FloatArray) -> str:
     """As `endangered`, between two edges `(n,)`."""
-    agents, line = frame.agents, course.line
-    frenet = agents_frenet(line.s, line.coef, agents.x, agents.y, s_ego, 120.0)
-    yaw = np.interp(frenet[:, 0], line.s, line.yaw)
-    along = agents.vx * np.cos(yaw) + agents.vy * np.sin(yaw)
-    left = np.interp(frenet[:, 0], line.s, left_edge)
-    right = np.interp(frenet[:, 0], line.s, right_edge)
-    inside = (frenet[:, 1] - 0.5 * agents.width < left) & (frenet[:, 1] + 0.5 * agents.width > right)
-    rear, front = s_ego - vehicle.rear_overhang, s_ego + vehicle.axle_to_front
-    for i in np.flatnonzero(inside):
-        head, tail = frenet[i, 0] + 0.5 * agents.length[i], frenet[i, 0] - 0.5 * agents.length[i]
-        if tail > front + MIN_GAP_M:
+    agents, along, stations = scene.frame.agents, scene.agents, scene.reference.line.s
+    left, right = (np.interp(along.s, stations, edge) for edge in (left_edge, right_edge))
+    inside = (along.l - 0.5 * agents.width < left) & (along.l + 0.5 * agents.width > right)
+    for i in np.flatnonzero(inside).tolist():
+        head, tail = along.s[i] + 0.5 * agents.length[i], along.s[i] - 0.5 * agents.length[i]
+        if tail > scene.front + MIN_GAP_M:
             continue
-        name = f"{agents.kinds[i].value} {agents.ids[i]}"
-        if head > rear - MIN_GAP_M:
-            return f"{name} is beside"
-        closing = max(0.0, float(along[i]) - frame.ego.v)
-        needed = MIN_GAP_M + REACTION_S * closing + closing**2 / (2.0 * YIELD_MPS2)
-        if rear - head < needed:
-            return f"{name} is {rear - head:.1f} m behind and {closing:.1f} m/s faster: needs {needed:.1f} m"
+        if head > scene.rear - MIN_GAP_M:
+            return f"{scene.name(i)} is beside"  # (2)
+        closing = max(0.0, float(along.v_s[i]) - scene.frame.ego.v)
+        needed = MIN_GAP_M + REACTION_S * closing + closing**2 / (2.0 * YIELD_MPS2)  # (1)
+        gap = scene.rear - head
+        if gap < needed:
+            return f"{scene.name(i)} is {gap:.1f} m behind and {closing:.1f} m/s faster: needs {needed:.1f} m"
     return ""

@@ -13,54 +13,38 @@ The cost of a candidate adds terms in seconds:
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
-from math import hypot, inf
+from dataclasses import dataclass
+from math import hypot
 
 import numpy as np
 
 from logs.frame import Frame
 from logs.road import Goal
 from logs.states import EgoState
-from logs.trace import Artefact, CostTerms
+from logs.trace import Artefact, CostTerms, SolverReport
 from logs.vehicle import VehicleParameters
+from planners.dp_qp.lane.memory import FORGET_S, LaneMemory, PassWay
 from planners.dp_qp.path.stage import ChosenPath, PathConfig, PathStage
 from planners.dp_qp.scene.goal_window import GoalWindow, SpeedTarget
-from planners.dp_qp.scene.moving_obstacles import (
-    NOBODY,
-    Movers,
-    PassTarget,
-    along_lane,
-    beside_limit,
-    gone_on,
-    slower,
-    swerve_limit,
-)
-from planners.dp_qp.speed.braking import RESERVE
-from planners.dp_qp.speed.stage import ChosenSpeed, SpeedConfig, SpeedStage
+from planners.dp_qp.scene.moving_obstacles import along_lane, gone_on, pass_targets
+from planners.dp_qp.scene.pass_target import PassTarget
+from planners.dp_qp.speed.stage import ChosenSpeed, SpeedConfig, SpeedStage, SpeedTask
 from planners.frenet.lane_sequence import LaneSequence
-from planners.frenet.st_boundaries import behind
-from planners.rules import Rulebook, walls_on
+from planners.frenet.occupancy import on_path
+from planners.frenet.scene import Scene, behind, scene_of
+from planners.rules import Rulebook
 
-FORGET_S = 0.5
-"""A lane that was not planned for so long is planned as if for the first time."""
 LOST_M = 15.0
-"""A lane that was not planned for so long is looked for anew: the foot point is not near the last one."""
+"""A start that is farther from the last one is looked for anew: its foot point is not near the last one's."""
 TRACK_M = 1.0
 """A path that stays within this of the ego's offset keeps its track."""
 
 ROUTE_S, URGENCY_S, DEAD_END_S = 1.6, 6.0, 25.0
 CHANGE_S = 1.0
 HARD_S, FAILED_S = 3.0, 50.0
+"""Costs (2) to (4), s: what a lane change is worth in time, so that a change pays only for a clear gain."""
 DUE_S = 15.0
 """A lane change is urgent where less than this is left to drive until it is due, per change."""
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Past:
-    """Those whom a plan is to pass while they go on, and what the path stage is told of them."""
-
-    found: tuple[PassTarget, ...]
-    movers: Movers
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -69,17 +53,16 @@ class LanePlan:
 
     Attributes:
         name: "keep", "pass" (the same lane, past who is slower), "left" or "right".
-        strip: The lane.
-        s: Station of the start, m; `l` its offset.
+        lane: The lane.
+        scene: Of the frame in it.
         path: What the path stage found.
         speed: What the speed stage found; None where there is no path.
         costs: (1)-(5).
     """
 
     name: str
-    strip: LaneSequence
-    s: float
-    l: float  # noqa: E741
+    lane: LaneSequence
+    scene: Scene
     path: ChosenPath
     speed: ChosenSpeed | None
     costs: CostTerms
@@ -106,17 +89,26 @@ class LanePlan:
         return self.speed is not None and self.speed.profile is not None and not self.speed.reason
 
     @property
+    def trouble(self) -> str:
+        """Why it is not comfortable, in words."""
+        return self.path.reason or (self.speed.reason if self.speed else "") or "no plan"
+
+    @property
+    def reports(self) -> tuple[SolverReport, ...]:
+        """Of both stages' solver."""
+        return (*self.path.reports, *(self.speed.reports if self.speed else ()))
+
     def artefacts(self) -> tuple[Artefact, ...]:
         """Of both stages."""
-        return (*self.path.artefacts, *(self.speed.artefacts if self.speed else ()))
+        return (*self.path.artefacts(), *(self.speed.artefacts() if self.speed else ()))
 
 
 class LanePlanner:
-    """Plans in one strip; owns its stages with their solver memory, and the station where the ego was last."""
+    """Plans in one lane sequence; what it remembers is handed in and out."""
 
     def __init__(
         self,
-        strip: LaneSequence,
+        lane: LaneSequence,
         rules: Rulebook,
         goal: Goal | None,
         vehicle: VehicleParameters,
@@ -126,89 +118,86 @@ class LanePlanner:
         passes_left: bool,
         lap: Callable[[str], None],
     ) -> None:
-        self.strip, self._rules = strip, rules
-        self._appointment = GoalWindow(goal, strip.course, vehicle)
+        self.lane, self._rules = lane, rules
+        self._goal = GoalWindow(goal, lane.reference, vehicle)
         self._vehicle, self._horizon = vehicle, speed.qp.horizon
-        self._hard, self._margin = RESERVE * speed.qp.emergency.decel_mps2, speed.graph.vulnerable_margin_m
-        self._path = PathStage(
-            strip.course, vehicle, path, self._appointment, horizon=speed.qp.horizon, passes_left=passes_left, lap=lap
-        )
+        self._path = PathStage(vehicle, path, self._goal, horizon=speed.qp.horizon, passes_left=passes_left, lap=lap)
         self._speed = SpeedStage(vehicle, speed, lap)
-        self._last: tuple[float, float, float] | None = None  # x, y and station of the last start
-        self._planned = -inf
 
     @property
     def places(self) -> tuple[float, ...]:
         """Stations at which lanes part or meet, somebody may have to wait, or others cross, m."""
-        return (*self.strip.course.waits, *self._rules.places)
+        return (*self.lane.reference.waits, *self._rules.places)
 
-    def forget(self) -> None:
-        """The next plan is as the first one: the frames before do not count any more."""
-        self._planned = -inf
-
-    def locate(self, start: EgoState, *, fresh: bool) -> tuple[float, float]:
-        """Station and offset of a start; near the last one unless `fresh` or that is further away than `LOST_M`."""
+    def scene(self, frame: Frame, start: EgoState, memory: LaneMemory) -> Scene:
+        """The scene of a frame in this lane; the start is looked for near the last one."""
         near = None
-        if self._last is not None and not fresh and hypot(start.x - self._last[0], start.y - self._last[1]) < LOST_M:
-            near = self._last[2]
-        s, l = self.strip.course.line.project(start.x, start.y, near)  # noqa: E741
-        self._last = start.x, start.y, s
-        return s, l
+        if memory.place is not None and hypot(start.x - memory.place[0], start.y - memory.place[1]) < LOST_M:
+            near = memory.place[2]
+        return scene_of(frame, start, self.lane.reference, self._vehicle, near)
 
-    def plan(self, name: str, frame: Frame, start: EgoState, *, fresh: bool, past: Past | None = None) -> LanePlan:
-        """Path and speed from `start`, with costs; `name` is "keep" for the lane that is driven."""
-        s, l = self.locate(start, fresh=fresh)  # noqa: E741
-        fresh = fresh or not 0.0 <= frame.t - self._planned <= FORGET_S
-        self._planned = frame.t
-        course = self.strip.course
-        path = self._path.choose(frame, start, s, l, past.movers if past else NOBODY, fresh=fresh)
-        speed, pace = None, self._appointment.pace(frame.t, s, start.v)
+    def plan(
+        self, name: str, scene: Scene, memory: LaneMemory, past: PassWay | None = None
+    ) -> tuple[LanePlan, LaneMemory]:
+        """Path and speed from the scene's start, with costs, and what is remembered.
+
+        `name` is "keep" for the lane that is driven; `past` whom a plan is to pass while they go on.
+        """
+        t, start = scene.frame.t, scene.start
+        if not 0.0 <= t - memory.t <= FORGET_S:
+            memory = LaneMemory()
+        target = self._goal.target(t, scene.s, start.v)
+        path, path_memory = self._path.choose(scene, memory.path, past.way if past else None)
+        speed, speed_memory, rules = None, memory.speed, memory.rules
         if path.path is not None:
-            limit = self._appointment.limit(path.path.s, np.interp(path.path.s, course.line.s, course.limit), pace)
-            skip = behind(course, frame, s, l, self._vehicle, keeps_track=path.shift < TRACK_M and past is None)
-            alone, found = limit, past.found if past else self._beside(frame, s, start.v)
-            limit, told = beside_limit(path.path, limit, frame, found, self._vehicle, self._hard, self._margin)
-            limit = swerve_limit(path.path, limit, course) if past else limit
-            standing = path.passed - {box.agent for box in past.movers.boxes} if past else path.passed
-            walls = walls_on(self._rules.stops(frame, start, s, standing, fresh=fresh), path.path, self._vehicle)
-            speed = self._speed.choose(
-                frame, start, path.path, limit, skip, standing, walls, fresh=fresh, hurried=pace.hurried, alone=alone
+            moving = {box.agent for box in past.way.obstacles} if past else set()
+            standing = path.passed - moving
+            stops, rules = self._rules.stops(scene, memory.rules, standing)
+            task = SpeedTask(
+                path,
+                standing,
+                behind(scene, keeps_track=path.shift < TRACK_M and past is None),
+                on_path(stops, path.path, self._vehicle),
+                past.targets if past else self._beside(scene),
+                past is not None,
+                self._goal,
+                target,
             )
-            speed = replace(speed, artefacts=(*speed.artefacts, *told)) if told else speed
-        return LanePlan(name, self.strip, s, l, path, speed, self._costs(name, start, s, speed, pace))
+            speed, speed_memory = self._speed.choose(scene, path.path, task, memory.speed)
+        plan = LanePlan(name, self.lane, scene, path, speed, self._costs(name, scene, speed, target))
+        return plan, LaneMemory(t, (start.x, start.y, scene.s), path_memory, speed_memory, rules)
 
-    def _beside(self, frame: Frame, s: float, v: float) -> tuple[PassTarget, ...]:
+    def _beside(self, scene: Scene) -> tuple[PassTarget, ...]:
         """Those who go along the lane, where the ego would come beside them if it drove at the limit.
 
         That is when it comes beside them soonest, and what it needs to know: whom it will follow is not beside it.
         """
-        course, t = self.strip.course, frame.predictions.t
-        who = along_lane(course, frame, s, self._vehicle)
+        who = along_lane(scene)
         if not who:
             return ()
-        limit = float(np.interp(s, course.line.s, course.limit))
-        return slower(course, frame, s, who, gone_on(t, s, v, limit), self._vehicle)
+        expected = gone_on(scene.frame.predictions.t, scene.s, scene.start.v, scene.limit)
+        return pass_targets(scene, who, expected)
 
-    def _costs(self, name: str, start: EgoState, s: float, speed: ChosenSpeed | None, pace: SpeedTarget) -> CostTerms:
+    def _costs(self, name: str, scene: Scene, speed: ChosenSpeed | None, target: SpeedTarget) -> CostTerms:
         lost, braking = self._horizon, FAILED_S
         if speed is not None and speed.profile is not None:
-            limit = float(np.interp(s, self.strip.course.line.s, self.strip.course.limit))
-            lost = (speed.free_m - float(speed.profile[0, -1])) / max(limit, 1.0)
+            lost = (speed.free_m - float(speed.profile[0, -1])) / max(scene.limit, 1.0)
             braking = FAILED_S if speed.unavoidable else HARD_S if speed.reason else 0.0
         terms = {
-            "time lost": lost,
-            "lane changes": self._route_cost(s, start),
-            "change": CHANGE_S if name in ("left", "right") else 0.0,
-            "braking": braking,
-            "late": pace.missed_s,
+            "time lost": lost,  # (1)
+            "lane changes": self._route_cost(scene),  # (2)
+            "change": CHANGE_S if name in ("left", "right") else 0.0,  # (3)
+            "braking": braking,  # (4)
+            "late": target.missed_s,  # (5)
         }
         return CostTerms(f"lane {name}", tuple(terms.items()))
 
-    def _route_cost(self, s: float, start: EgoState) -> float:
-        if self.strip.changes is None:
+    def _route_cost(self, scene: Scene) -> float:
+        lane, start = self.lane, scene.start
+        if lane.changes is None:
             return DEAD_END_S
-        if self.strip.changes == 0:
+        if lane.changes == 0:
             return 0.0
-        seconds = min((self.strip.change_by - s) / max(start.v, 5.0), self._appointment.time_left(start.t))
-        left = seconds / (DUE_S * self.strip.changes)
-        return self.strip.changes * (ROUTE_S + URGENCY_S * float(np.clip(1.0 - left, 0.0, 1.0)))
+        seconds = min((lane.change_by - scene.s) / max(start.v, 5.0), self._goal.time_left(start.t))
+        left = seconds / (DUE_S * lane.changes)
+        return lane.changes * (ROUTE_S + URGENCY_S * float(np.clip(1.0 - left, 0.0, 1.0)))

@@ -1,41 +1,48 @@
-"""Corridor: which obstacles the path must pass, on which side, and what width that leaves.
+"""Path bounds: the room that the road gives, and what each obstacle that is passed leaves of it.
 
-Only what stands still, or goes slowly along the lane (`slower`), is passed by the path; what else moves is met in the
-S-T graph. The corridor holds for the ego's axis from the rear axle to the front bumper, at three points, each at its
-own station: so its corners stay in the corridor widened by half its width. (The path DP, coarser, moves the rear axle
-past boxes grown by the ego's length.)
+Only what stands still, or goes slowly along the lane (`scene.moving_obstacles`), is passed by the path; what else moves
+is met in the S-T graph. The bounds hold for the ego's axis at points from the rear axle to the front bumper, each at
+its own station: so its corners stay in the bounds widened by half its width. (The path DP, coarser, moves the rear axle
+past boxes grown by the ego's length.) They are built in named steps:
 
-(1) lower <= l <= upper,  lane (or, beside an obstacle, the reachable road) less half the ego's width,
-    and 1 - kappa l >= MIN_REGULAR: short of the centre of a turn; wider where the ego's nose needs it in a sharp turn
-(2) nudge left of an obstacle:   lower >= its left side + half width + clearance     over its stations
-    nudge right:                 upper <= its right side - half width - clearance
-(3) Where the ego is outside the lane, the room is widened to hold a quintic from its state back into it.
-(4) A bound that steering cannot reach from the start any more is loosened to what it can (`steering`); who is then not
-    cleared is a stop.
+(1) `lane_bounds`   lower <= l <= upper, the lane (or, beside an obstacle, the reachable road) less half the ego's
+                    width, and 1 - kappa l >= MIN_REGULAR: short of the centre of a turn
+(2) `eased`         wider where the ego's nose needs it in a sharp turn
+(3) `towards`       within the sides of the goal region, as near to them as it goes
+(4) `widened`       where the ego is outside the lane: holding a quintic from its state back into it
+(5) `narrowed`      nudge left of an obstacle:  lower >= its left side + half width + clearance     over its stations
+                    nudge right:                upper <= its right side - half width - clearance
+
+A bound that steering cannot reach from the start any more is loosened to what it can (`steering`); who is then not
+cleared is a stop (`given_up`).
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from logs.frame import Frame
 from logs.kernel import TIE, BoolArray, FloatArray, kernel
 from logs.road import line_project_many
 from logs.shapes import corners
 from logs.trace import Decision, DecisionKind
 from logs.vehicle import VehicleParameters
+from planners.frenet.occupancy import Occupancy
 from planners.frenet.path import MIN_REGULAR
 from planners.frenet.quintic import quintic
-from planners.frenet.reference_path import ReferencePath
+from planners.frenet.reference_path import ReferencePath, Section
+from planners.frenet.scene import Scene
 
-STANDING_MPS = 0.5
 NUDGES = (DecisionKind.NUDGE_LEFT, DecisionKind.NUDGE_RIGHT)
 TOLERANCE_M = 0.05
 """What a solution may lack of a clearance."""
 BULGE = 0.03
 """Of a point ahead: half the curvature, 1/m, by which the way of the rear axle is not its own."""
+NEARLY_M, LEFT_M = 0.5, 0.1
+"""A goal farther out of the room than this is not this lane's; and what is left of the room where it is outside."""
+NEAR_ROAD_M = 1.0
+"""Who stands off the road by less than this still counts as an obstacle."""
 
 
 @dataclass(frozen=True)
@@ -66,65 +73,99 @@ class CorridorConfig:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class PathObstacle:
-    """Somebody whom the path may have to pass: a box in the S-L plane, not grown, m.
+class InTheWay:
+    """Who stands in the way, and what of the road beside the lane may be used to pass them.
 
     Attributes:
-        agent: Name.
-        s_from: Station at which the box begins; `s_to` at which it ends.
-        l_from: Offset of its right side; `l_to` of its left side.
-        aside: How much of the box on either side is room for him, not he.
+        obstacles: In order of their stations.
+        left: Whether the lane to the left is free; `right` likewise.
+        facing: Agents who may be passed by the lane of the opposite direction.
+        wait: Station at which to wait until that lane is free, m; inf: there is no need.
     """
 
-    agent: str
-    s_from: float
-    s_to: float
-    l_from: float
-    l_to: float
-    aside: float = 0.0
+    obstacles: tuple[Occupancy, ...] = ()
+    left: bool = True
+    right: bool = True
+    facing: frozenset[str] = frozenset()
+    wait: float = np.inf
+
+    def and_moving(self, more: InTheWay) -> InTheWay:
+        """With those who are passed while they go on; the lanes beside must be free for all."""
+        if not more.obstacles:
+            return self
+        both = tuple(sorted((*self.obstacles, *more.obstacles), key=lambda box: (box.s_from, box.agent)))
+        left, right = self.left and more.left, self.right and more.right
+        return replace(self, obstacles=both, left=left, right=right, facing=self.facing | more.facing)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PathBounds:
-    """The corridor at stations `(n,)` or, for several points of the ego, `(points, n)`: bounds of their offsets, m."""
+    """Bounds of the offsets of the ego's points at stations `(points, n)`, m."""
 
     s: FloatArray
     lower: FloatArray
     upper: FloatArray
 
+    def eased(self, swings: FloatArray) -> PathBounds:
+        """(2): widened to both sides where the points `(points, n)` swing out by more than there is room."""
+        short = (self.lower + swings).max(axis=0) - (self.upper + swings).min(axis=0) + 0.1
+        more = 0.5 * np.maximum(short, 0.0)
+        return PathBounds(self.s, self.lower - more, self.upper + more)
 
-def path_obstacles(
-    course: ReferencePath,
-    frame: Frame,
-    s_ego: float,
-    length: float,
-    vehicle: VehicleParameters,
-    *,
-    facing: bool = False,
-) -> tuple[PathObstacle, ...]:
+    def towards(self, low: FloatArray, high: FloatArray) -> PathBounds:
+        """(3): within offsets of the shape of `s`, where they are finite and within reach."""
+        there = np.isfinite(low) & (low <= self.upper + NEARLY_M) & (high >= self.lower - NEARLY_M)
+        lower = np.clip(low, self.lower, np.maximum(self.upper - LEFT_M, self.lower))
+        upper = np.clip(high, np.minimum(self.lower + LEFT_M, self.upper), self.upper)
+        return PathBounds(self.s, np.where(there, lower, self.lower), np.where(there, upper, self.upper))
+
+    def widened(self, start: tuple[float, float, float], speed: float) -> PathBounds:
+        """(4), for a start (l, l', l'') at the first station."""
+        return PathBounds(self.s, *_widened(self.s, self.lower, self.upper, start[0], start[1], start[2], speed))
+
+    def beside(self, box: Occupancy, vehicle: VehicleParameters, config: CorridorConfig) -> BoolArray:
+        """The stations `(points, n)` bool at which a point of the ego is beside an obstacle, or nearly.
+
+        So far before and behind it that half the distance between two points of the ego, the rear overhang and a knot
+        fit.
+        """
+        between = max(0.5 * vehicle.axle_to_front / max(len(self.s) - 1, 1), vehicle.rear_overhang)
+        gap = between + max(config.gap_m, float(self.s[0, 1] - self.s[0, 0]))
+        return np.asarray((self.s >= box.s_from - gap - TIE) & (self.s <= box.s_to + gap + TIE))
+
+    def reported(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """One corridor at the knots that holds bounds `(points, n)` of all points."""
+        s = self.s[0]
+        low, high = lower[0].copy(), upper[0].copy()
+        for k in range(1, len(self.s)):
+            low = np.minimum(low, np.interp(s, self.s[k], lower[k], left=np.inf))
+            high = np.maximum(high, np.interp(s, self.s[k], upper[k], left=-np.inf))
+        return low, high
+
+
+def standing_obstacles(scene: Scene, length: float, *, facing: bool = False) -> tuple[Occupancy, ...]:
     """The standing agents beside or ahead of the ego, up to `length` m, that stand on the road or near its edge.
 
     With `facing` the facing lane counts as road.
     """
-    columns = [5, 2] if facing else [4, 1]
-    agents = frame.agents
-    found = []
-    reach = length + 30.0
-    near = np.hypot(agents.x - frame.ego.x, agents.y - frame.ego.y) < reach
-    for i in np.flatnonzero(near & (agents.speed < STANDING_MPS)):
-        s, _ = course.line.project(float(agents.x[i]), float(agents.y[i]), s_ego, reach)
+    agents, line, found = scene.frame.agents, scene.reference.line, []
+    near = np.hypot(agents.x - scene.frame.ego.x, agents.y - scene.frame.ego.y) < length + 30.0
+    for i in np.flatnonzero(near & scene.standing):
+        s = float(scene.agents.s[i])
         outline = corners(agents.x[i], agents.y[i], agents.yaw[i], agents.length[i], agents.width[i])
         x, y = np.vstack([outline, 0.5 * (outline + np.roll(outline, 1, axis=0))]).T.copy()  # a curve bulges in between
-        feet = line_project_many(course.line.s, course.line.coef, x, y, s, 10.0 + float(agents.length[i]))
-        box = PathObstacle(agents.ids[i], *(float(v) for k in (0, 1) for v in (feet[:, k].min(), feet[:, k].max())))
-        ahead = box.s_to > s_ego - vehicle.rear_overhang and box.s_from < s_ego + length + vehicle.axle_to_front
-        left, right = course.at(np.array([s]))[columns, 0]
-        if ahead and box.l_from < left + 1.0 and box.l_to > right - 1.0:
+        feet = line_project_many(line.s, line.coef, x, y, s, 10.0 + float(agents.length[i]))
+        (s_from, l_from), (s_to, l_to) = feet.min(axis=0).tolist(), feet.max(axis=0).tolist()
+        box = Occupancy(agents.ids[i], s_from, s_to, l_from, l_to)
+        ahead = box.s_to > scene.rear and box.s_from < scene.front + length
+        road = scene.reference.at(np.array([s]))
+        left, right = (road.facing_left, road.facing_right) if facing else (road.road_left, road.road_right)
+        if ahead and box.l_from < left[0] + NEAR_ROAD_M and box.l_to > right[0] - NEAR_ROAD_M:
             found.append(box)
     return tuple(sorted(found, key=lambda box: (box.s_from, box.agent)))
 
 
-def grown(box: PathObstacle, vehicle: VehicleParameters, clearance: float, gap: float) -> tuple[float, ...]:
+def grown(box: Occupancy, vehicle: VehicleParameters, clearance: float, gap: float) -> tuple[float, ...]:
     """Stations and offsets (s from, s to, l from, l to) that the rear axle must avoid."""
     side = 0.5 * vehicle.width + clearance
     return (
@@ -135,35 +176,39 @@ def grown(box: PathObstacle, vehicle: VehicleParameters, clearance: float, gap: 
     )
 
 
-def room(
-    course: ReferencePath,
-    s: FloatArray,
-    borrow: FloatArray,
-    *,
-    left_free: bool,
-    right_free: bool,
-    vehicle: VehicleParameters,
+def lane_bounds(
+    reference: ReferencePath, s: FloatArray, way: InTheWay, speed: float, vehicle: VehicleParameters,
     config: CorridorConfig,
-) -> PathBounds:
-    """The corridor (1) at stations of any shape.
+) -> PathBounds:  # fmt: skip
+    """(1) at stations of any shape, for an ego that passes obstacles at this speed.
 
-    A free neighbouring lane belongs to it where `borrow` is 1, and the facing lane too where it is 2.
+    A free neighbouring lane belongs to the room where an obstacle is passed, and the facing lane where it is one of
+    those that may be passed by it.
     """
-    table = course.at(s.ravel())
-    side = 0.5 * vehicle.width + config.edge_m
-    lower, upper = _room(table, borrow.ravel(), left_free, right_free, side)
+    borrowed = np.zeros(s.size)
+    for box in way.obstacles:
+        begin, end = swing_span(box, speed, vehicle)
+        over = (s.ravel() > begin) & (s.ravel() < end)
+        borrowed[over] = np.maximum(borrowed[over], 2.0 if box.agent in way.facing else 1.0)
+    section = reference.at(s.ravel())
+    lower, upper = _lane_bounds(section, borrowed, way.left, way.right, 0.5 * vehicle.width + config.edge_m)
     return PathBounds(s, lower.reshape(s.shape), upper.reshape(s.shape))
 
 
 @kernel
-def _room(table: FloatArray, borrow: FloatArray, left_free: bool, right_free: bool, side: float) -> FloatArray:
-    """Rows lower, upper `(2, k)` of (1) from columns of `ReferencePath.table` `(8, k)`."""
-    out = np.empty((2, table.shape[1]))
-    for j in range(table.shape[1]):
-        further = int(borrow[j])
-        low = table[further if right_free else 0, j] + side
-        high = table[3 + (further if left_free else 0), j] - side
-        middle, kappa = 0.5 * (low + high), table[7, j]
+def _lane_bounds(
+    road: Section, borrowed: FloatArray, left_free: bool, right_free: bool, side: float
+) -> tuple[FloatArray, FloatArray]:
+    """Lower and upper of (1) `(k,)`; `borrowed` is 0 where the lane is kept, 1 beside an obstacle, 2 by the facing."""
+    lower, upper = np.empty(len(borrowed)), np.empty(len(borrowed))
+    for j in range(len(borrowed)):
+        low, high = road.lane_right[j], road.lane_left[j]
+        if right_free and borrowed[j] > 0.0:
+            low = road.road_right[j] if borrowed[j] < 2.0 else road.facing_right[j]
+        if left_free and borrowed[j] > 0.0:
+            high = road.road_left[j] if borrowed[j] < 2.0 else road.facing_left[j]
+        low, high = low + side, high - side
+        middle, kappa = 0.5 * (low + high), road.kappa[j]
         center = (1.0 - MIN_REGULAR) / max(abs(kappa), 1e-6)
         if kappa < 0.0:
             low = max(low, -center)
@@ -171,53 +216,60 @@ def _room(table: FloatArray, borrow: FloatArray, left_free: bool, right_free: bo
             high = min(high, center)
         if low > high - 0.1:
             low, high = middle - 0.05, middle + 0.05
-        out[0, j], out[1, j] = low, high
-    return out
+        lower[j], upper[j] = low, high
+    return lower, upper
 
 
-def borrowed(
-    obstacles: tuple[PathObstacle, ...], s: FloatArray, speed: float, vehicle: VehicleParameters,
-    facing: frozenset[str] = frozenset(),
-) -> FloatArray:  # fmt: skip
-    """1 at the stations, of any shape, from which a lane may be borrowed to pass an obstacle, else 0.
+@kernel
+def _widened(
+    s: FloatArray, lower: FloatArray, upper: FloatArray, l0: float, dl0: float, ddl0: float, speed: float
+) -> tuple[FloatArray, FloatArray]:
+    """Lower and upper of (4) `(points, n)`."""
+    ahead = l0 + dl0 * min(5.0, 0.5 * speed)
+    low, high = lower.copy(), upper.copy()
+    if lower[0, 0] <= l0 <= upper[0, 0] and lower[0, 0] <= ahead <= upper[0, 0]:
+        return low, high
+    span = max(12.0, 2.5 * speed)
+    at = np.array([s[0, 0] + span])
+    target = min(max(l0, np.interp(at, s[0], lower[0])[0]), np.interp(at, s[0], upper[0])[0])
+    c3, c4, c5 = quintic(l0, dl0, ddl0, target, span)
+    for p in range(s.shape[0]):
+        for i in range(s.shape[1]):
+            d = s[p, i] - s[0, 0]
+            if d <= span:
+                back = l0 + d * (dl0 + d * (0.5 * ddl0 + d * (c3 + d * (c4 + d * c5))))
+                slack = 0.05 + BULGE * (s[p, i] - s[0, i]) ** 2
+                low[p, i], high[p, i] = min(low[p, i], back - slack), max(high[p, i], back + slack)
+    return low, high
 
-    2 where the obstacle is one of those that may be passed by the `facing` lane.
-    """
-    out = np.zeros(s.shape)
-    for box in obstacles:
-        begin, end = swing_span(box, speed, vehicle)
-        out[(s > begin) & (s < end)] = np.maximum(out[(s > begin) & (s < end)], 2.0 if box.agent in facing else 1.0)
-    return out
 
-
-def swing_span(box: PathObstacle, speed: float, vehicle: VehicleParameters) -> tuple[float, float]:
+def swing_span(box: Occupancy, speed: float, vehicle: VehicleParameters) -> tuple[float, float]:
     """The stations, m, between which the ego leaves its lane to pass an obstacle and is back in it."""
     swing = max(15.0, 2.5 * speed)
     return box.s_from - vehicle.axle_to_front - swing, box.s_to + vehicle.rear_overhang + swing
 
 
-def free_sides(course: ReferencePath, frame: Frame, s_ego: float, config: CorridorConfig) -> tuple[bool, bool]:
+def free_sides(scene: Scene, config: CorridorConfig) -> tuple[bool, bool]:
     """Whether nobody moves on the reachable road left and right of the own lane, near the ego."""
-    agents = frame.agents
-    left, right = True, True
-    reach = config.neighbour_ahead_m + 20.0
-    near = np.hypot(agents.x - frame.ego.x, agents.y - frame.ego.y) < reach
-    for i in np.flatnonzero(near & (agents.speed >= STANDING_MPS)):
-        s, offset = course.line.project(float(agents.x[i]), float(agents.y[i]), s_ego, reach)
-        if not -config.neighbour_behind_m < s - s_ego < config.neighbour_ahead_m:
-            continue
-        edges = [
-            float(np.interp(s, course.line.s, edge))
-            for edge in (course.road_right, course.lane_right, course.lane_left, course.road_left)
-        ]
-        half = 0.5 * agents.width[i]
-        left &= not edges[2] - half < offset < edges[3] + half
-        right &= not edges[0] - half < offset < edges[1] + half
-    return left, right
+    ahead = scene.agents.s - scene.s
+    near = ~scene.standing & (ahead > -config.neighbour_behind_m) & (ahead < config.neighbour_ahead_m)
+    if not near.any():
+        return True, True
+    road, l = scene.reference.at(scene.agents.s[near]), scene.agents.l[near]  # noqa: E741
+    half = 0.5 * scene.frame.agents.width[near]
+    on_left = (road.lane_left - half < l) & (l < road.road_left + half)
+    on_right = (road.road_right - half < l) & (l < road.lane_right + half)
+    return not on_left.any(), not on_right.any()
+
+
+def side_gaps(box: Occupancy, lower: float, upper: float, vehicle: VehicleParameters) -> tuple[float, float]:
+    """What is left beside the ego that passes a box between two bounds of its axis, on the left and on the right, m."""
+    side = 0.5 * vehicle.width
+    return upper - box.l_to - side, box.l_from - side - lower
 
 
 def decide_sides(
-    obstacles: tuple[PathObstacle, ...], dp_offsets: FloatArray, costs: FloatArray, space: PathBounds,
+    obstacles: tuple[Occupancy, ...], dp_offsets: FloatArray, costs: FloatArray, space: PathBounds,
     vehicle: VehicleParameters, config: CorridorConfig,
 ) -> tuple[Decision, ...]:  # fmt: skip
     """Nudge left or right as the DP path passes, if there is room.
@@ -232,14 +284,14 @@ def decide_sides(
     """
     decisions = []
     for box, offset, cost in zip(obstacles, dp_offsets, costs, strict=True):
-        over = beside(space, box, vehicle, config)
+        over = space.beside(box, vehicle, config)
         if not over.any():
             decisions.append(Decision(box.agent, DecisionKind.IGNORE, "path", "beyond the path"))
             continue
         lower, upper = float(space.lower[over].max()), float(space.upper[over].min())
-        side = 0.5 * vehicle.width
-        left_gap, right_gap = upper - box.l_to - side, box.l_from - side - lower
-        if lower > box.l_to + side + config.clearance_m or upper < box.l_from - side - config.clearance_m:
+        left_gap, right_gap = side_gaps(box, lower, upper, vehicle)
+        apart = upper - lower + config.clearance_m
+        if max(left_gap, right_gap) > apart:
             decisions.append(Decision(box.agent, DecisionKind.IGNORE, "path", "is beside the corridor"))
         elif max(left_gap, right_gap) < config.min_clearance_m:
             reason = f"no room: {max(left_gap, 0.0):.2f} m left, {max(right_gap, 0.0):.2f} m right"
@@ -259,19 +311,21 @@ def decide_sides(
 
 def narrowed(
     space: PathBounds,
-    obstacles: tuple[PathObstacle, ...],
+    obstacles: tuple[Occupancy, ...],
     decisions: tuple[Decision, ...],
     vehicle: VehicleParameters,
     config: CorridorConfig,
 ) -> tuple[PathBounds, tuple[Decision, ...]]:
-    """The corridor (2); an obstacle that would close it becomes a stop."""
+    """The bounds (5); an obstacle that would close them becomes a stop."""
+    if not obstacles:
+        return space, decisions
     lower, upper = space.lower.copy(), space.upper.copy()
     final = []
     for box, decision in zip(obstacles, decisions, strict=True):
         if decision.kind not in NUDGES:
             final.append(decision)
             continue
-        over = beside(space, box, vehicle, config)
+        over = space.beside(box, vehicle, config)
         side = 0.5 * vehicle.width
         if decision.kind is DecisionKind.NUDGE_LEFT:
             free = float((upper[over] - box.l_to - side).min(initial=np.inf))
@@ -293,7 +347,7 @@ def narrowed(
 def given_up(
     offsets: FloatArray,
     space: PathBounds,
-    obstacles: tuple[PathObstacle, ...],
+    obstacles: tuple[Occupancy, ...],
     decisions: tuple[Decision, ...],
     vehicle: VehicleParameters,
     config: CorridorConfig,
@@ -301,7 +355,7 @@ def given_up(
     """The decisions, with a stop for whomever a path does not clear: `offsets` are its points' at `space.s`."""
     final = []
     for box, decision in zip(obstacles, decisions, strict=True):
-        over = beside(space, box, vehicle, config)
+        over = space.beside(box, vehicle, config)
         if decision.kind in NUDGES and over.any():
             left = decision.kind is DecisionKind.NUDGE_LEFT
             gap = float((offsets[over] - box.l_to if left else box.l_from - offsets[over]).min()) - 0.5 * vehicle.width
@@ -310,51 +364,3 @@ def given_up(
                 decision = Decision(box.agent, DecisionKind.STOP, "path", reason)
         final.append(decision)
     return tuple(final)
-
-
-def widened(space: PathBounds, start: tuple[float, float, float], speed: float) -> PathBounds:
-    """The room (3): where the ego starts outside of it, it holds a quintic from its state back inside."""
-    s, lower, upper = space.s, space.lower, space.upper
-    l0, dl0, ddl0 = start
-    ahead = l0 + dl0 * min(5.0, 0.5 * speed)
-    if lower[0, 0] <= l0 <= upper[0, 0] and lower[0, 0] <= ahead <= upper[0, 0]:
-        return space
-    span = max(12.0, 2.5 * speed)
-    d = np.minimum(s - s[0, 0], span)
-    target = float(np.clip(l0, *(np.interp(s[0, 0] + span, s[0], edge[0]) for edge in (lower, upper))))
-    c3, c4, c5 = quintic(l0, dl0, ddl0, target, span)
-    back = l0 + d * (dl0 + d * (0.5 * ddl0 + d * (c3 + d * (c4 + d * c5))))
-    near = s - s[0, 0] <= span
-    slack = 0.05 + BULGE * (s - s[0]) ** 2
-    return PathBounds(
-        s,
-        np.where(near, np.minimum(lower, back - slack), lower),
-        np.where(near, np.maximum(upper, back + slack), upper),
-    )
-
-
-def eased(space: PathBounds, swings: FloatArray) -> PathBounds:
-    """The room widened to both sides where the ego's points `(points, n)` swing out by more than it holds."""
-    short = (space.lower + swings).max(axis=0) - (space.upper + swings).min(axis=0) + 0.1
-    more = 0.5 * np.maximum(short, 0.0)
-    return PathBounds(space.s, space.lower - more, space.upper + more)
-
-
-def reported(space: PathBounds, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """One corridor at the knots that holds those of all points, loosened ones included."""
-    s = space.s[0]
-    low, high = lower[0].copy(), upper[0].copy()
-    for k in range(1, len(space.s)):
-        low = np.minimum(low, np.interp(s, space.s[k], lower[k], left=np.inf))
-        high = np.maximum(high, np.interp(s, space.s[k], upper[k], left=-np.inf))
-    return low, high
-
-
-def beside(space: PathBounds, box: PathObstacle, vehicle: VehicleParameters, config: CorridorConfig) -> BoolArray:
-    """The stations `(points, n)` bool at which a point of the ego is beside an obstacle, or nearly.
-
-    So far before and behind it that half the distance between two points of the ego, the rear overhang and a knot fit.
-    """
-    between = max(0.5 * vehicle.axle_to_front / max(len(space.s) - 1, 1), vehicle.rear_overhang)
-    gap = between + max(config.gap_m, float(space.s[0, 1] - space.s[0, 0]))
-    return np.asarray((space.s >= box.s_from - gap - TIE) & (space.s <= box.s_to + gap + TIE))

@@ -19,7 +19,9 @@ passing side.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -29,6 +31,17 @@ from planners.frenet.quintic import quintic
 COLLISION = 1e4
 OUTSIDE = 1e3
 SAMPLES = 10
+
+
+class PathDpWeights(NamedTuple):
+    """Weights of (2) and (3); `reach` m."""
+
+    ref: float
+    dl: float
+    ddl: float
+    near: float
+    reach: float
+    switch: float
 
 
 @dataclass(frozen=True)
@@ -59,6 +72,11 @@ class PathDpConfig:
         if self.columns < 2 or self.rows < 3 or self.rows % 2 == 0 or not self.row_spacing_m > 0.0:
             raise ValueError("path DP needs 2 columns, an odd number of rows >= 3 and a positive spacing")
 
+    @property
+    def weights(self) -> PathDpWeights:
+        """As the kernels take them."""
+        return PathDpWeights(self.w_ref, self.w_dl, self.w_ddl, self.w_near, self.reach_m, self.w_switch)
+
     def offsets(self, *, passes_left: bool) -> FloatArray:
         """The rows `(rows,)`, m, from the passing side to the other."""
         half = self.rows // 2
@@ -66,10 +84,58 @@ class PathDpConfig:
         return rows if passes_left else -rows
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class SlGrid:
+    """The solved grid.
+
+    Attributes:
+        stations: Of the columns `(n,)`, m; `rows` their offsets `(k,)`, m.
+        start: s, l, l', l'' `(4,)`.
+        cost: Cost to come `(n, k)`.
+        chosen: Row per column `(n,)`.
+        sides: Least cost of passing each obstacle on the left and on the right `(b, 2)`.
+    """
+
+    stations: FloatArray
+    rows: FloatArray
+    start: FloatArray
+    cost: FloatArray
+    chosen: IntArray
+    sides: FloatArray
+
+    def offset(self, s: float) -> float:
+        """The DP path's l at a station, m."""
+        return path_dp_offset(self.stations, self.rows, self.chosen, self.start, s)
+
+    def offsets(self, s: FloatArray) -> FloatArray:
+        """The DP path's l at stations `(n,)`, m."""
+        return np.array([self.offset(float(at)) for at in s])
+
+
+def solve_path_dp(
+    stations: FloatArray, rows: FloatArray, start: FloatArray, boxes: FloatArray,
+    room: Callable[[FloatArray], tuple[FloatArray, FloatArray]], config: PathDpConfig,
+) -> SlGrid:  # fmt: skip
+    """The grid over stations `(n,)` and offsets `(k,)`, from `start` (s, l, l', l''), past `boxes` `(b, 5)`.
+
+    `room` gives the bounds of the offsets at stations; see `path_dp`.
+    """
+    step, shape = stations[1] - stations[0], (len(stations), SAMPLES)
+    samples = (stations[:, None] - step + step / SAMPLES * np.arange(1, SAMPLES + 1)).ravel()
+    lower, upper = (edge.reshape(shape) for edge in room(samples))
+    weights = config.weights
+    cost, chosen = path_dp(stations, rows, start, boxes, lower, upper, weights)
+    sides: FloatArray = np.empty((0, 2))
+    if len(boxes):
+        through = cost + path_dp_to_go(stations, rows, boxes, lower, upper, weights)
+        sides = side_costs(stations, rows, through, boxes)
+    return SlGrid(stations, rows, start, cost, chosen, sides)
+
+
 @kernel
 def _edge(
     s0: float, l0: float, dl0: float, ddl0: float, s1: float, l1: float,
-    boxes: FloatArray, lower: FloatArray, upper: FloatArray, column: int, weights: FloatArray, best: float,
+    boxes: FloatArray, lower: FloatArray, upper: FloatArray, column: int, weights: PathDpWeights, best: float,
 ) -> float:  # fmt: skip
     """Cost (2) of the edge; gives up once it exceeds `best`. Corridor bounds `(columns, SAMPLES)` at the samples."""
     length = s1 - s0
@@ -81,7 +147,7 @@ def _edge(
         offset = l0 + d * (dl0 + d * (0.5 * ddl0 + d * (c3 + d * (c4 + d * c5))))
         slope = dl0 + d * (ddl0 + d * (3.0 * c3 + d * (4.0 * c4 + d * 5.0 * c5)))
         bend = ddl0 + d * (6.0 * c3 + d * (12.0 * c4 + d * 20.0 * c5))
-        cost = weights[0] * offset * offset + weights[1] * slope * slope + weights[2] * bend * bend
+        cost = weights.ref * offset * offset + weights.dl * slope * slope + weights.ddl * bend * bend
         outside = max(lower[column, i] - offset, offset - upper[column, i], 0.0)
         if outside > 0.0:
             cost += OUTSIDE * (0.1 + outside)
@@ -90,10 +156,10 @@ def _edge(
                 gap = max(boxes[b, 2] - offset, offset - boxes[b, 3])
                 if gap < -TIE:
                     cost += COLLISION
-                elif gap < weights[4]:
-                    cost += weights[3] * (1.0 - gap / weights[4]) ** 2
+                elif gap < weights.reach:
+                    cost += weights.near * (1.0 - gap / weights.reach) ** 2
                 if boxes[b, 4] * (2.0 * offset - boxes[b, 2] - boxes[b, 3]) < 0.0:
-                    cost += weights[5]
+                    cost += weights.switch
         total += cost * step
         if total >= best:
             return total
@@ -103,7 +169,7 @@ def _edge(
 @kernel
 def path_dp(
     stations: FloatArray, offsets: FloatArray, start: FloatArray,
-    boxes: FloatArray, lower: FloatArray, upper: FloatArray, weights: FloatArray,
+    boxes: FloatArray, lower: FloatArray, upper: FloatArray, weights: PathDpWeights,
 ) -> tuple[FloatArray, IntArray]:  # fmt: skip
     """Solve (4).
 
@@ -114,7 +180,7 @@ def path_dp(
         boxes: `(b, 5)` obstacles: s from, s to, l from, l to, grown by the ego; 1 passed on the left before, -1 right.
         lower: `(n, SAMPLES)` corridor at the samples of the edge into each column.
         upper: `(n, SAMPLES)`.
-        weights: w_ref, w_dl, w_ddl, w_near, reach, w_switch.
+        weights: Of (2) and (3).
 
     Returns:
         Cost to come `(n, k)`, and the chosen row per column `(n,)`.
@@ -147,7 +213,7 @@ def path_dp(
 @kernel
 def path_dp_to_go(
     stations: FloatArray, offsets: FloatArray, boxes: FloatArray, lower: FloatArray, upper: FloatArray,
-    weights: FloatArray,
+    weights: PathDpWeights,
 ) -> FloatArray:  # fmt: skip
     """Least cost `(n, k)` from a node to the grid's end: (4) backwards; args as of `path_dp`."""
     n, k = len(stations), len(offsets)
@@ -197,14 +263,3 @@ def path_dp_offset(stations: FloatArray, offsets: FloatArray, chosen: IntArray, 
             return l0 + d * (dl0 + d * (0.5 * ddl0 + d * (c3 + d * (c4 + d * c5))))
         s0, l0, dl0, ddl0 = stations[i], l1, 0.0, 0.0
     return l0
-
-
-@kernel
-def path_dp_offsets(
-    stations: FloatArray, offsets: FloatArray, chosen: IntArray, start: FloatArray, s: FloatArray
-) -> FloatArray:
-    """`path_dp_offset` at stations `(n,)`."""
-    out = np.empty(len(s))
-    for i in range(len(s)):
-        out[i] = path_dp_offset(stations, offsets, chosen, start, s[i])
-    return out

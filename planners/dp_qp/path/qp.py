@@ -100,12 +100,11 @@ class PathQp:
         self._hard = self._program(soft=False)
         self._soft: QuadraticProgram | None = None
 
-    def solve(self, problem: PathProblem, *, fresh: bool, softly: bool = False) -> tuple[QPResult, CostTerms]:
+    def solve(self, problem: PathProblem, *, softly: bool = False) -> tuple[QPResult, CostTerms]:
         """The path in a corridor.
 
         Args:
             problem: Its start and bounds.
-            fresh: Forget the last solution.
             softly: With the corridor softened; such problems are rare, and each is solved afresh.
 
         Returns:
@@ -114,7 +113,7 @@ class PathQp:
         if softly:
             self._soft = self._soft or self._program(soft=True)
             return self._told(self._soft.solve(*self._vectors(problem, soft=True), fresh=True), problem)
-        return self._told(self._hard.solve(*self._vectors(problem, soft=False), fresh=fresh), problem)
+        return self._told(self._hard.solve(*self._vectors(problem, soft=False), fresh=True), problem)
 
     def _program(self, *, soft: bool) -> QuadraticProgram:
         P, A, sizes = _matrices(self.knots, self.step, self._weights, self.leads, self._settle, soft)

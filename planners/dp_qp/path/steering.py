@@ -119,8 +119,8 @@ def bounded(
     return bounds, rates, left, right
 
 
-def swing(course: ReferencePath, s: FloatArray, leads: FloatArray) -> FloatArray:
+def swing(reference: ReferencePath, s: FloatArray, leads: FloatArray) -> FloatArray:
     """(4) at stations `(n,)` for leads `(k,)`: how far `(k, n)` m a point swings out to the right of a left turn."""
     ahead = leads[:, None]
-    turn = course.at((s + AHEAD * ahead).ravel())[7].reshape(len(leads), -1) * ahead
+    turn = reference.at((s + AHEAD * ahead).ravel()).kappa.reshape(len(leads), -1) * ahead
     return np.asarray(ahead * turn / (1.0 + np.sqrt(1.0 + turn**2)))

@@ -63,30 +63,28 @@ class GoalWindow:
 
     Args:
         goal: None: nobody expects the ego.
-        course: The line.
+        reference: The line.
         vehicle: The ego.
     """
 
-    def __init__(self, goal: Goal | None, course: ReferencePath, vehicle: VehicleParameters) -> None:
+    def __init__(self, goal: Goal | None, reference: ReferencePath, vehicle: VehicleParameters) -> None:
         self._goal = goal
         self._region, (self._begins, _) = (
-            _region(goal, course, beside) - vehicle.axle_to_center if goal else np.array([np.nan, np.nan])
+            _region(goal, reference, beside) - vehicle.axle_to_center if goal else np.array([np.nan, np.nan])
             for beside in (BESIDE_M, np.inf)
         )
-        self._limit = np.column_stack([course.line.s, course.limit])
-        self._road_end = float(course.line.s[-1]) - vehicle.axle_to_front
-        self._sides = _sides(goal, course) if goal else np.empty((3, 0))
+        self._limit = np.column_stack([reference.line.s, reference.limit])
+        self._road_end = float(reference.line.s[-1]) - vehicle.axle_to_front
+        self._sides = _sides(goal, reference) if goal else np.empty((3, 0))
 
-    def limit(self, s: FloatArray, limit: FloatArray, pace: SpeedTarget) -> FloatArray:
-        """The speed limit `(m,)` at stations of the rear axle `(m,)` with (1) and (2) in it."""
-        out = np.where(s <= pace.until, np.minimum(limit, pace.cap), limit)
-        out = np.where(s > pace.stop, 0.0, out)
-        if self._goal is not None and self._goal.v is not None and np.isfinite(self._region).all():
-            fastest = max(self._goal.v[1], 0.0)
-            begin = self._region[0] if fastest > ROOM_MPS else float(self._region.mean())
-            inside = (begin <= s) & (s <= self._region[1])
-            out = np.where(inside, np.minimum(out, max(fastest - ROOM_MPS, 0.5 * fastest)), out)
-        return out
+    @property
+    def slow_zone(self) -> tuple[float, float, float] | None:
+        """(1): from which station to which the rear axle keeps to the goal's speed, m, and that, m/s; None: nowhere."""
+        if self._goal is None or self._goal.v is None or not np.isfinite(self._region).all():
+            return None
+        fastest = max(self._goal.v[1], 0.0)
+        begin = self._region[0] if fastest > ROOM_MPS else float(self._region.mean())
+        return float(begin), float(self._region[1]), max(fastest - ROOM_MPS, 0.5 * fastest)
 
     def sides(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(4) at stations of any shape: least and greatest offset, m; -inf and inf outside of the region."""
@@ -101,7 +99,7 @@ class GoalWindow:
         last = self._goal.t[1] if self._goal is not None and self._goal.t is not None else -np.inf
         return last - t if last > t else np.inf
 
-    def pace(self, t: float, s: float, v: float) -> SpeedTarget:
+    def target(self, t: float, s: float, v: float) -> SpeedTarget:
         """What (2) and (3) ask of the rear axle at station `s` at time `t` with speed `v`."""
         goal, (begin, end) = self._goal, self._region
         if goal is None or goal.t is None:
@@ -141,28 +139,28 @@ class GoalWindow:
         return float(np.sum(np.diff(stations) / np.maximum(fast, 0.5)))
 
 
-def _region(goal: Goal, course: ReferencePath, beside: float) -> FloatArray:
+def _region(goal: Goal, reference: ReferencePath, beside: float) -> FloatArray:
     """From where to where the goal's regions lie along the line, m; NaN where they are further beside it."""
-    found = [course.line.project(float(x), float(y)) for region in goal.regions for x, y in region]
+    found = [reference.line.project(float(x), float(y)) for region in goal.regions for x, y in region]
     stations = [along for along, aside in found if abs(aside) < beside]
     return np.array([min(stations), max(stations)] if stations else [np.nan, np.nan])
 
 
-def _sides(goal: Goal, course: ReferencePath) -> FloatArray:
+def _sides(goal: Goal, reference: ReferencePath) -> FloatArray:
     """Rows station, least and greatest offset `(3, n)` of (4), NaN where there is no region.
 
     Where there are several, of the one around the line, else of the nearest.
     """
-    begin, end = _region(goal, course, BESIDE_M)
+    begin, end = _region(goal, reference, BESIDE_M)
     if not np.isfinite(end):
         return np.empty((3, 0))
     step = max(ALONG_M, (end - begin) / ROWS)
     stations = np.arange(begin + 0.5 * step, end, step)
     pieces: list[list[tuple[float, float]]] = [[] for _ in stations]
     for region in goal.regions:
-        first, last = _region(Goal((region,)), course, np.inf)
+        first, last = _region(Goal((region,)), reference, np.inf)
         for k in np.flatnonzero((first <= stations) & (stations <= last)):
-            x, y, yaw, _ = course.line.frame(float(stations[k]))
+            x, y, yaw, _ = reference.line.frame(float(stations[k]))
             pieces[k] += _across(region - (x, y), yaw)
     low, high = np.array([_nearest(each) for each in pieces]).reshape(-1, 2).T
     width = high - low

@@ -25,11 +25,11 @@ from math import inf, pi, sqrt
 
 import numpy as np
 
-from logs.frame import Frame, Visibility
+from logs.frame import Visibility
 from logs.kernel import BoolArray, FloatArray, kernel
 from logs.scenario import Agents
-from logs.trace import Decision, DecisionKind
 from logs.vehicle import VehicleParameters
+from planners.dp_qp.scene.caps import PathView, SpeedCap
 from planners.frenet.path import Path
 
 WALK_MPS, PERSON_M = 5.0 / 3.6, 0.3
@@ -50,36 +50,30 @@ class Hidden:
     v: float
 
 
-def sight_limit(
-    path: Path, limit: FloatArray, frame: Frame, vehicle: VehicleParameters, until: float, decel: float
-) -> tuple[FloatArray, Decision | None]:
-    """The speed limit `(m,)` along a path with (3) in it, and what lowers it most.
+def caps(view: PathView) -> tuple[SpeedCap, ...]:
+    """(3) beside the hidden ground, up to the first who is in the way and sees beyond; and the sensor's range."""
+    seen, scene = view.scene.frame.visibility, view.scene
+    if seen is None:
+        return ()
+    until, front = view.taken.first + scene.vehicle.axle_to_front, scene.vehicle.axle_to_front
+    hidden = hidden_beside(view.path, seen, scene.frame.agents, scene.vehicle, min(until, LOOK_M), view.hard_mps2)
+    ground = [
+        SpeedCap(
+            one.s - front - STEP_M,
+            one.s - front,
+            one.v,
+            "hidden ground",
+            f"who steps out of the hidden ground {one.s - front:.0f} m ahead, {one.d:.1f} m beside, "
+            f"could be avoided at {one.v:.1f} m/s",
+        )
+        for one in hidden
+    ]
+    return (SpeedCap(-inf, inf, stopping_speed(seen.range, view.hard_mps2)), *ground)
 
-    Args:
-        path: Of the rear axle.
-        limit: The road's, m/s.
-        frame: Where nothing is hidden (`visibility` is None), `limit` is returned.
-        vehicle: The ego.
-        until: Station of the first who is in the way, m: what is beyond is his to see.
-        decel: b, m/s2.
-    """
-    view = frame.visibility
-    if view is None:
-        return limit, None
-    out = np.minimum(limit, stopping_speed(view.range, decel))
-    found = hidden_beside(path, view, frame.agents, vehicle, min(until, LOOK_M), decel)
-    for one in found:
-        at = (path.sigma > one.s - vehicle.axle_to_front - STEP_M) & (path.sigma <= one.s - vehicle.axle_to_front)
-        out = np.where(at, np.minimum(out, one.v), out)
-    ahead = [one for one in found if one.v < np.interp(one.s, path.sigma, limit) - 0.5]
-    if not ahead:
-        return out, None
-    worst = min(ahead, key=lambda one: one.v)
-    reason = (
-        f"who steps out of the hidden ground {worst.s - vehicle.axle_to_front:.0f} m ahead, {worst.d:.1f} m beside, "
-        f"could be avoided at {worst.v:.1f} m/s"
-    )
-    return out, Decision("hidden ground", DecisionKind.YIELD, "speed", reason)
+
+def avoidable_speed(d: float, w: float, decel: float) -> float:
+    """(3): the speed at which the ego passes first or stops for who comes with `w` m/s from `d` m aside, m/s."""
+    return max(2.0 * decel * (d / w - REACTION_S), LEAST_MPS)
 
 
 def stopping_speed(x: float, decel: float) -> float:
@@ -108,7 +102,7 @@ def hidden_beside(
     for i, row in enumerate(hides):
         if row.any():
             d = float(np.abs(side[row]).min() - 0.5 * vehicle.width)
-            v = max(2.0 * decel * ((d - PERSON_M) / WALK_MPS - REACTION_S), LEAST_MPS)
+            v = avoidable_speed(d - PERSON_M, WALK_MPS, decel)
             found.append(Hidden(float(path.sigma[at[i]]), d, v))
     return found
 

@@ -1,28 +1,28 @@
-"""How hard to brake: the mildest of these that keeps the bounds of s is driven.
+"""How hard to brake: a ladder, and the first rung that holds is driven.
 
-(1) Comfortable limits; they give up their reserve, then half of the gap, then more of it and some of the time to spare
-    (`CLEAR`), before anything below is tried.
+(1) Comfortable limits, smoothed by the QP; they give up their reserve, then half of the gap, then more of it and some
+    of the time to spare (`CLEAR`), before anything below is tried.
 (2) Wait: comfortable limits for a moment, then hard ones. Only for `PATIENCE_S` after comfort has ceased to suffice:
     somebody who just begins to walk is not yet predictable, and what a frame demands the next may take back.
 (3) Driving on, where that is clear of everybody by `ONWARD`: better than hard braking for one who comes late.
-(4) Hard limits, the mildest of a ladder with which braking keeps the bounds.
+(4) Hard limits, the mildest with which braking keeps the bounds.
 (5) Driving on as in (3), or all that the brakes can do (`UTMOST_MPS3`) where that stays behind, or driving on where
     that does not touch, or all that the brakes can do.
 
-Memory: since when comfort does not suffice, whether (3) was driven, whether the ego braked fully; none of it where the
-frame is fresh.
+Where a QP was asked and has no answer, only rungs with a QP are left, and none where somebody is to be overtaken: what
+one deceleration cannot, another cannot either.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from math import inf
 
 import numpy as np
 
 from logs.kernel import FloatArray
-from logs.trace import Artefact
+from logs.trace import Artefact, SolverReport
 from planners.dp_qp.speed.qp import RELEASE_MPS3, SpeedProblem, SpeedQp, SpeedQpConfig
 from planners.frenet.profiles import STEP_S, Limits, SpeedLimits
 from planners.frenet.st_boundaries import StBoundaries, StGraphConfig
@@ -31,7 +31,6 @@ RESERVE = 0.85
 """Share of the limits with which braking must keep the bounds, so that the QP has room to be smooth."""
 LEAST_RESERVE = 0.97
 """The same where braking would turn hard otherwise."""
-
 PATIENCE_S = 0.5
 WAIT_S = 0.4
 """The longest wait (2)."""
@@ -53,6 +52,24 @@ ONWARD_S, RESTING_MPS = 0.8, 0.5
 """Driving on lets go of the brake, reaches its acceleration within this time, and does not come to rest."""
 
 
+@dataclass(frozen=True, slots=True)
+class BrakingMemory:
+    """What is remembered of the frames before.
+
+    Attributes:
+        since: Since when comfort does not suffice, s; inf: it does; -inf: nothing is known, and it is not waited.
+        drove_on: Whether (3) was driven; `braked_fully` whether the ego braked as hard as it can.
+    """
+
+    since: float = -inf
+    drove_on: bool = False
+    braked_fully: bool = False
+
+    def after(self, t: float, solved: SolvedSpeed) -> BrakingMemory:
+        """What is remembered of a frame at `t`, s."""
+        return BrakingMemory(inf if not solved.reason else min(self.since, t), solved.is_onward, solved.is_full)
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class SolvedSpeed:
     """What was found.
@@ -72,19 +89,51 @@ class SolvedSpeed:
     is_full: bool = False
     artefacts: tuple[Artefact, ...] = ()
 
-
-@dataclass(frozen=True, eq=False, slots=True)
-class _Attempt:
-    """Limits, the share of them with which braking must keep the bounds, and what of the gap is given up, m."""
-
-    limits: Limits
-    share: float = RESERVE
-    given: float = 0.0
-    reason: str = ""
+    @property
+    def reports(self) -> tuple[SolverReport, ...]:
+        """Of all attempts."""
+        return tuple(item for item in self.artefacts if isinstance(item, SolverReport))
 
 
-class SpeedSolver:
-    """Solves speed problems by (1)-(5); owns the QP workspace.
+@dataclass(eq=False, slots=True)
+class Case:
+    """One frame's problem on the ladder.
+
+    Attributes:
+        problem: Its bounds and what is wanted.
+        taken: The S-T boundaries with any margins, stops included.
+        t: The frame's time, s.
+        memory: Of the frames before.
+        tried: Costs and reports of the QPs asked so far.
+    """
+
+    problem: SpeedProblem
+    taken: Callable[[StGraphConfig], StBoundaries]
+    t: float
+    memory: BrakingMemory
+    tried: list[Artefact] = field(default_factory=list)
+
+    @property
+    def is_patient(self) -> bool:
+        """Whether comfort has sufficed until a moment ago."""
+        return self.t - self.memory.since < PATIENCE_S - 1e-6
+
+    @property
+    def clearance(self) -> StGraphConfig:
+        """With which driving on begins, or goes on."""
+        return TOUCHING if self.memory.drove_on else ONWARD
+
+
+@dataclass(frozen=True, slots=True)
+class Rung:
+    """One way to brake: whether it may be tried, and the attempt, None where it does not hold."""
+
+    applies: Callable[[Case], bool]
+    attempt: Callable[[Case], SolvedSpeed | None]
+
+
+class BrakingLadder:
+    """The rungs of (1) to (5), and the loop over them.
 
     Args:
         config: Limits and weights.
@@ -94,131 +143,139 @@ class SpeedSolver:
 
     def __init__(self, config: SpeedQpConfig, gap_m: float, most_mps2: float) -> None:
         self._config, self._gap = config, gap_m
-        self._utmost = replace(config.emergency, decel_mps2=most_mps2, jerk_mps3=UTMOST_MPS3)
         self._program = SpeedQp(config)
         self._times = STEP_S * np.arange(config.knots)
-        self._since = inf
-        self._drove_on = self._braked_fully = False
+        self._utmost = Limits(replace(config.emergency, decel_mps2=most_mps2, jerk_mps3=UTMOST_MPS3))
+        soft = Limits(config.comfort)
+        self._rungs = (
+            self._smooth(soft, RESERVE),
+            self._smooth(soft, LEAST_RESERVE),
+            self._smooth(soft, LEAST_RESERVE, 0.5 * gap_m),
+            Rung(_untried, self._gentle),
+            *(rung for wait in range(round(WAIT_S / STEP_S), 0, -1) for rung in self._hard(wait)),
+            Rung(lambda case: _untried(case) and not case.is_patient, self._onward_instead),
+            *self._hard(0),
+            Rung(_untried, self._onward_brisk),
+            Rung(_untried, self._full_stop),
+            Rung(_untried, self._onward_bare),
+            Rung(_untried, self._full_braking),
+        )
 
-    def solve(
-        self, problem: SpeedProblem, blocks: Callable[[StGraphConfig], StBoundaries], t: float, *, fresh: bool
-    ) -> SolvedSpeed:
-        """The profile of a frame at `t`, s; `blocks` makes the S-T graph with other margins."""
-        if fresh:
-            self._since, self._drove_on, self._braked_fully = -inf, False, False
-        patient = t - self._since < PATIENCE_S - 1e-6
-        tried: list[Artefact] = []
-        for attempt in self._soft():
-            solved = self._attempt(problem, attempt, tried, fresh=fresh)
-            if solved is not None or (tried and problem.overtakes):
-                return solved or _failed(tried)
-        gentle = None if tried else self._gentle(problem, blocks(CLEAR))
-        if gentle is not None:
-            return SolvedSpeed(gentle, "comfortable braking, which is clear, but with less time to spare than wanted")
-        for attempt in self._waits(problem) if patient else ():
-            solved = self._attempt(problem, attempt, tried, fresh=fresh)
-            if solved is not None:
-                return solved
-        onward = None if patient or tried else self._onward(problem, blocks(self._clearance()))
-        if onward is not None:
-            return SolvedSpeed(onward, "driving on, which is clear, instead of hard braking", is_onward=True)
-        for attempt in self._hard():
-            solved = self._attempt(problem, attempt, tried, fresh=fresh)
-            if solved is not None or (tried and problem.overtakes):
-                return solved or _failed(tried)
-        return _failed(tried) if tried else self._last_resort(problem, blocks)
+    def solve(self, case: Case) -> SolvedSpeed:
+        """The profile of a frame."""
+        for rung in self._rungs:
+            if not rung.applies(case):
+                continue
+            found = rung.attempt(case)
+            if found is not None:
+                return found
+            if case.tried and case.problem.overtakes:
+                break
+        return SolvedSpeed(None, "speed QP: no profile found", artefacts=tuple(case.tried))
 
-    def remember(self, t: float, solved: SolvedSpeed) -> None:
-        """Take note of what a frame at `t`, s, drives."""
-        self._since = inf if not solved.reason else min(self._since, t)
-        self._drove_on, self._braked_fully = solved.is_onward, solved.is_full
+    def _hard(self, wait: int) -> tuple[Rung, ...]:
+        """(4), or (2) with a wait of so many knots; the hardest give up their reserve and, at last, half of the gap.
 
-    def _soft(self) -> tuple[_Attempt, ...]:
-        soft = Limits(self._config.comfort)
-        return _Attempt(soft), _Attempt(soft, LEAST_RESERVE), _Attempt(soft, LEAST_RESERVE, 0.5 * self._gap)
-
-    def _hard(self, wait: int = 0) -> tuple[_Attempt, ...]:
-        """Hard limits after a wait; the hardest give up their reserve and, without a wait, half of the gap.
-
-        Not after full braking, which goes on until the whole gap is kept.
+        The gap not after full braking, which goes on until the whole gap is kept.
         """
-        _, *harder = self._config.ladder()
-        rungs = [(limits, RESERVE, 0.0) for limits in harder]
-        rungs.append((harder[-1], LEAST_RESERVE, 0.0))
-        if not wait and not self._braked_fully:
-            rungs.append((harder[-1], LEAST_RESERVE, 0.5 * self._gap))
         before = f"comfortable braking for {wait * STEP_S:.1f} s, then " if wait else ""
-        return tuple(
-            _Attempt(Limits(limits, self._config.comfort, wait), share, given, before + _keeps(limits, given))
-            for limits, share, given in rungs
-        )
+        _, *harder = self._config.ladder()
+        hardest = Limits(harder[-1], self._config.comfort, wait)
 
-    def _clearance(self) -> StGraphConfig:
-        return TOUCHING if self._drove_on else ONWARD
+        def applies(case: Case) -> bool:
+            return not wait or (case.is_patient and self._stop(case.problem, hardest, LEAST_RESERVE, 0.0) is not None)
 
-    def _waits(self, problem: SpeedProblem) -> Iterator[_Attempt]:
-        """The longest wait with which the hardest braking still keeps the bounds; the mildest limits after it."""
-        for wait in range(round(WAIT_S / STEP_S), 0, -1):
-            attempts = self._hard(wait)
-            if self._stop(problem, attempts[-1]) is not None:
-                yield from attempts
-                return
-
-    def _stop(self, problem: SpeedProblem, attempt: _Attempt) -> FloatArray | None:
-        """Braking with an attempt's limits, rows s, v, a, where it keeps the bounds."""
-        start = _startable(problem.start, attempt.limits)
-        stop = attempt.limits.braking(start, self._config.knots, share=attempt.share)
-        return None if (stop[0] > _eased(problem, attempt)).any() else stop
-
-    def _attempt(
-        self, problem: SpeedProblem, attempt: _Attempt, tried: list[Artefact], *, fresh: bool
-    ) -> SolvedSpeed | None:
-        stop = self._stop(problem, attempt)
-        if stop is None:
-            return None
-        eased = replace(
-            problem,
-            start=_startable(problem.start, attempt.limits),
-            limit=np.maximum(problem.limit, stop[1] + 0.05),
-            lower=np.minimum(problem.lower, np.maximum(problem.s_ref, stop[0])),
-            upper=_eased(problem, attempt),
-        )
-        result, costs = self._program.solve(eased, attempt.limits, fresh=fresh)
-        tried += costs, result.report
-        if not result.report.solved:
-            return None
-        return SolvedSpeed(_tidied(result.x.reshape(3, -1)), attempt.reason, artefacts=tuple(tried))
-
-    def _last_resort(self, problem: SpeedProblem, blocks: Callable[[StGraphConfig], StBoundaries]) -> SolvedSpeed:
-        """(5)."""
-        full = Limits(self._utmost).braking(problem.start, self._config.knots)
-        left = self._gap - float((full[0] - problem.upper).max())
-        short = f"leaves {left:.1f} m" if left > 0.0 else f"comes {-left:.1f} m too far"
-        onward = self._onward(problem, blocks(replace(self._clearance(), brisk_mps=BRISK_MPS)))
-        if onward is not None:
-            return SolvedSpeed(onward, f"driving on, which is clear: full braking {short}", is_onward=True)
-        touching = blocks(TOUCHING)
-        if left > 0.0 or touching.leave(self._times, full[0], 0.0):
-            return SolvedSpeed(
-                full, f"full braking, which {short if left > 0.0 else 'just does not touch'}", is_full=True
+        rungs = [
+            self._smooth(
+                Limits(limits, self._config.comfort, wait), RESERVE, 0.0, before + _keeps(limits, 0.0), applies
             )
-        onward = self._onward(problem, blocks(BARE))
-        if onward is not None:
-            reason = f"driving on, which just does not touch: full braking {short}"
-            return SolvedSpeed(onward, reason, is_onward=True)
-        if not touching.meets(self._times, full[0]):
-            return SolvedSpeed(full, "full braking, which just does not touch", is_full=True)
-        return SolvedSpeed(full, f"full braking {short}", unavoidable=True, is_full=True)
+            for limits in harder
+        ]
+        rungs.append(self._smooth(hardest, LEAST_RESERVE, 0.0, before + _keeps(harder[-1], 0.0), applies))
+        if not wait:
+            given, reason = 0.5 * self._gap, before + _keeps(harder[-1], 0.5 * self._gap)
+            rungs.append(self._smooth(hardest, LEAST_RESERVE, given, reason, lambda case: not case.memory.braked_fully))
+        return tuple(rungs)
 
-    def _gentle(self, problem: SpeedProblem, blocks: StBoundaries) -> FloatArray | None:
-        """Comfortable braking to a stop, where that stays behind all blocks by some of the gap; else None."""
-        soft = Limits(self._config.comfort)
+    def _smooth(
+        self, limits: Limits, share: float, given: float = 0.0, reason: str = "",
+        applies: Callable[[Case], bool] = lambda case: True,
+    ) -> Rung:  # fmt: skip
+        """Braking with a share of these limits keeps the bounds, less what is given up of the gap; smoothed."""
+
+        def attempt(case: Case) -> SolvedSpeed | None:
+            problem, stop = case.problem, self._stop(case.problem, limits, share, given)
+            if stop is None:
+                return None
+            eased = replace(
+                problem,
+                start=_startable(problem.start, limits),
+                limit=np.maximum(problem.limit, stop[1] + 0.05),
+                lower=np.minimum(problem.lower, np.maximum(problem.s_ref, stop[0])),
+                upper=_eased(problem, given),
+            )
+            result, costs = self._program.solve(eased, limits)
+            case.tried += costs, result.report
+            if not result.report.solved:
+                return None
+            return SolvedSpeed(_tidied(result.x.reshape(3, -1)), reason, artefacts=tuple(case.tried))
+
+        return Rung(applies, attempt)
+
+    def _stop(self, problem: SpeedProblem, limits: Limits, share: float, given: float) -> FloatArray | None:
+        """Braking with a share of the limits, rows s, v, a, where it keeps the bounds."""
+        stop = limits.braking(_startable(problem.start, limits), self._config.knots, share=share)
+        return None if (stop[0] > _eased(problem, given)).any() else stop
+
+    def _gentle(self, case: Case) -> SolvedSpeed | None:
+        """(1): comfortable braking to a stop, where that stays behind everybody by some of the gap."""
+        soft, problem = Limits(self._config.comfort), case.problem
         stop = soft.braking(_startable(problem.start, soft), self._config.knots)
-        stays = stop[0, -1] <= problem.end and blocks.leave(self._times, stop[0], LEAST_GAP * self._gap)
-        return stop if stays else None
+        if stop[0, -1] > problem.end or not case.taken(CLEAR).leave(self._times, stop[0], LEAST_GAP * self._gap):
+            return None
+        return SolvedSpeed(stop, "comfortable braking, which is clear, but with less time to spare than wanted")
 
-    def _onward(self, problem: SpeedProblem, blocks: StBoundaries) -> FloatArray | None:
-        """Driving on, at the present speed or accelerating, where that enters no block; else None."""
+    def _onward_instead(self, case: Case) -> SolvedSpeed | None:
+        """(3)."""
+        return self._onward(case, case.clearance, "driving on, which is clear, instead of hard braking")
+
+    def _onward_brisk(self, case: Case) -> SolvedSpeed | None:
+        """(5): as (3), also of those who may walk faster than now."""
+        margins = replace(case.clearance, brisk_mps=BRISK_MPS)
+        return self._onward(case, margins, f"driving on, which is clear: full braking {self._short(case)}")
+
+    def _full_stop(self, case: Case) -> SolvedSpeed | None:
+        """(5): all that the brakes can do, where that leaves some of the gap or stays behind."""
+        full, left = self._full(case)
+        if left <= 0.0 and not case.taken(TOUCHING).leave(self._times, full[0], 0.0):
+            return None
+        reason = f"full braking, which {self._short(case) if left > 0.0 else 'just does not touch'}"
+        return SolvedSpeed(full, reason, is_full=True)
+
+    def _onward_bare(self, case: Case) -> SolvedSpeed | None:
+        """(5): driving on, where that does not touch."""
+        return self._onward(case, BARE, f"driving on, which just does not touch: full braking {self._short(case)}")
+
+    def _full_braking(self, case: Case) -> SolvedSpeed:
+        """(5): all that the brakes can do."""
+        full, _ = self._full(case)
+        if not case.taken(TOUCHING).meets(self._times, full[0]):
+            return SolvedSpeed(full, "full braking, which just does not touch", is_full=True)
+        return SolvedSpeed(full, f"full braking {self._short(case)}", unavoidable=True, is_full=True)
+
+    def _full(self, case: Case) -> tuple[FloatArray, float]:
+        """Rows s, v, a of full braking, and what it leaves of the gap, m."""
+        full = self._utmost.braking(case.problem.start, self._config.knots)
+        return full, self._gap - float((full[0] - case.problem.upper).max())
+
+    def _short(self, case: Case) -> str:
+        """How far full braking comes, in words."""
+        left = self._full(case)[1]
+        return f"leaves {left:.1f} m" if left > 0.0 else f"comes {-left:.1f} m too far"
+
+    def _onward(self, case: Case, margins: StGraphConfig, reason: str) -> SolvedSpeed | None:
+        """Driving on, at the present speed or accelerating, where that meets nobody."""
+        problem, taken = case.problem, case.taken(margins)
         v0, a0 = problem.start
         for accel in (0.0, self._config.comfort.accel_mps2):
             released = np.minimum(min(a0, 0.0) + RELEASE_MPS3 * self._times, 0.0)
@@ -226,9 +283,13 @@ class SpeedSolver:
             v = np.maximum(v0 + np.r_[0.0, np.cumsum(0.5 * STEP_S * (a[1:] + a[:-1]))], 0.0)
             v = np.minimum(v, np.maximum(problem.limit, v0))
             s = np.r_[0.0, np.cumsum(0.5 * STEP_S * (v[1:] + v[:-1]))]
-            if v[-1] > RESTING_MPS and s[-1] <= problem.end and not blocks.meets(self._times, s):
-                return np.vstack([s, v, np.gradient(v, STEP_S)])
+            if v[-1] > RESTING_MPS and s[-1] <= problem.end and not taken.meets(self._times, s):
+                return SolvedSpeed(np.vstack([s, v, np.gradient(v, STEP_S)]), reason, is_onward=True)
         return None
+
+
+def _untried(case: Case) -> bool:
+    return not case.tried
 
 
 def _keeps(limits: SpeedLimits, given: float) -> str:
@@ -236,13 +297,9 @@ def _keeps(limits: SpeedLimits, given: float) -> str:
     return f"hard braking, up to {limits.decel_mps2:.1f} m/s2, keeps {kept}"
 
 
-def _failed(tried: list[Artefact]) -> SolvedSpeed:
-    return SolvedSpeed(None, "speed QP: no profile found", artefacts=tuple(tried))
-
-
-def _eased(problem: SpeedProblem, attempt: _Attempt) -> FloatArray:
-    """The upper bounds without what the attempt gives up of the gap; the path's end stays."""
-    return np.minimum(problem.upper + attempt.given, problem.end)
+def _eased(problem: SpeedProblem, given: float) -> FloatArray:
+    """The upper bounds without what is given up of the gap; the path's end stays."""
+    return np.minimum(problem.upper + given, problem.end)
 
 
 def _startable(start: tuple[float, float], limits: Limits) -> tuple[float, float]:

@@ -21,17 +21,29 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
+from typing import NamedTuple
 
 import numpy as np
 
 from logs.kernel import TIE, FloatArray, IntArray, kernel
-from planners.rules import Wall
+from planners.frenet.occupancy import Occupancy
 
 COLLISION = 1e5
 DT_S = 1.0
 SLOWEST_MPS = 0.5
 """The time lost is counted against this where the limit is lower."""
 DS_M = 0.5
+
+
+class SpeedDpWeights(NamedTuple):
+    """Weights of (1): lost time, speed over the limit, acceleration, jerk; and the limits of an edge, m/s2."""
+
+    time: float
+    over: float
+    accel: float
+    jerk: float
+    max_accel: float
+    max_decel: float
 
 
 @dataclass(frozen=True)
@@ -59,6 +71,11 @@ class SpeedDpConfig:
     time_gap_s: float = 1.2
     max_accel_mps2: float = 2.0
     max_decel_mps2: float = 7.0
+
+    @property
+    def weights(self) -> SpeedDpWeights:
+        """As the kernel takes them."""
+        return SpeedDpWeights(self.w_t, self.w_v, self.w_a, self.w_j, self.max_accel_mps2, self.max_decel_mps2)
 
     def __post_init__(self) -> None:
         if self.columns < 2 or not (self.max_accel_mps2 > 0.0 and self.max_decel_mps2 > 0.0):
@@ -92,7 +109,7 @@ def cost_map(
 
 @kernel
 def speed_dp(
-    occupancy: FloatArray, per_column: int, limit: FloatArray, start: FloatArray, weights: FloatArray, columns: int
+    occupancy: FloatArray, per_column: int, limit: FloatArray, start: FloatArray, weights: SpeedDpWeights, columns: int
 ) -> tuple[FloatArray, IntArray]:
     """Solve (3).
 
@@ -101,7 +118,7 @@ def speed_dp(
         per_column: See there.
         limit: Speed limit at the rows `(rows,)`, m/s.
         start: Speed and acceleration of the ego.
-        weights: w_t, w_a, w_j, largest acceleration, largest deceleration, w_v.
+        weights: Of (1), and the limits of an edge.
         columns: Number of columns after the start.
 
     Returns:
@@ -120,14 +137,14 @@ def speed_dp(
             if cost[i, j] == inf:
                 continue
             v0, a0 = speed[i, j], accel[i, j]
-            low = max(0, int(np.ceil((v0 - weights[4] * DT_S) * DT_S / DS_M - TIE)))
-            high = max(low, int((v0 + weights[3] * DT_S) * DT_S / DS_M + TIE))
+            low = max(0, int(np.ceil((v0 - weights.max_decel * DT_S) * DT_S / DS_M - TIE)))
+            high = max(low, int((v0 + weights.max_accel * DT_S) * DT_S / DS_M + TIE))
             for k in range(j + low, min(rows, j + high + 1)):
                 v = (k - j) * DS_M / DT_S
                 a = (v - v0) / DT_S
                 lost, over = max(DT_S - needed[k] + needed[j], 0.0), max(v - limit[k], 0.0)
-                total = cost[i, j] + weights[1] * a * a + weights[2] * (a - a0) ** 2
-                total += weights[0] * lost + weights[5] * over * over
+                total = cost[i, j] + weights.accel * a * a + weights.jerk * (a - a0) ** 2
+                total += weights.time * lost + weights.over * over * over
                 if total > cost[i + 1, k] - TIE:
                     continue
                 for n in range(1, per_column + 1):
@@ -143,7 +160,7 @@ def speed_dp(
     return cost, chosen
 
 
-def wall_map(rows: int, t: FloatArray, walls: Sequence[Wall]) -> FloatArray:
-    """The speed DP's map `(k, rows)` of the walls: no gap is wanted beyond theirs."""
-    lower = np.array([np.where(t < wall.stop.until, wall.bound, np.nan) for wall in walls])
-    return cost_map(rows, lower, np.full(lower.shape, 1e6), np.zeros(len(walls)), 0.0, np.zeros(2), 0.0)
+def stop_map(rows: int, t: FloatArray, stops: Sequence[Occupancy]) -> FloatArray:
+    """The speed DP's map `(k, rows)` of stops on the path: no gap is wanted beyond theirs."""
+    lower = np.array([np.where(t < stop.until, stop.s_from, np.nan) for stop in stops])
+    return cost_map(rows, lower, np.full(lower.shape, 1e6), np.zeros(len(stops)), 0.0, np.zeros(2), 0.0)

@@ -116,7 +116,7 @@ class SpeedQp:
             config=QPConfig(tolerance=0.05),
         )
 
-    def solve(self, problem: SpeedProblem, limits: Limits, *, fresh: bool) -> tuple[QPResult, CostTerms]:
+    def solve(self, problem: SpeedProblem, limits: Limits) -> tuple[QPResult, CostTerms]:
         """The profile, x = (s, v, a) `(3 knots,)`, and its costs."""
         n = self._config.knots
         v0, a0 = problem.start
@@ -134,7 +134,7 @@ class SpeedQp:
         bounds = piecewise_jerk.bounds((low[0], low[1], low[2]), (high[0], high[1], high[2]), thirds)
         c = self._config
         q = np.concatenate([-2.0 * c.w_s * problem.s_ref, -2.0 * c.w_v * problem.v_ref, np.zeros(n)])
-        result = self._program.solve(q, *bounds, fresh=fresh)
+        result = self._program.solve(q, *bounds, fresh=True)
         return result, self._costs(result.x, problem)
 
     def _costs(self, x: FloatArray, problem: SpeedProblem) -> CostTerms:

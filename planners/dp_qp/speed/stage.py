@@ -1,35 +1,43 @@
-"""Speed stage: blocked intervals, walls, sight, waverers -> speed DP (who goes first) -> bounds -> speed QP (how hard).
+"""Speed stage: S-T boundaries, caps -> speed DP (who goes first) -> bounds -> speed QP (how hard), and the S-T graph.
 
-And the S-T graph of it. Hypotheses that are unlikely bind only where hard braking would come too late for them.
+Hypotheses that are unlikely bind only where hard braking would come too late for them.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from logs.frame import Frame
-from logs.kernel import FloatArray, IntArray
-from logs.states import EgoState
-from logs.trace import Artefact, Corridor, Decision, DecisionKind, GraphObstacle, GridCost, StGraph
+from logs.kernel import BoolArray, FloatArray, IntArray
+from logs.trace import Artefact, Corridor, Decision, DecisionKind, GridCost, SolverReport, StGraph
 from logs.vehicle import VehicleParameters
-from planners.dp_qp.path.bounds import STANDING_MPS
-from planners.dp_qp.scene.goal_window import HURRIED_GAP_S
-from planners.dp_qp.scene.hesitant_pedestrians import HesitantPedestrians
-from planners.dp_qp.scene.occlusion import sight_limit
-from planners.dp_qp.speed.braking import RESERVE, SolvedSpeed, SpeedSolver
-from planners.dp_qp.speed.dp import DS_M, DT_S, SpeedDpConfig, cost_map, speed_dp, wall_map
+from planners.dp_qp.path.stage import ChosenPath
+from planners.dp_qp.scene.caps import LoweredLimit, PathView, lowered
+from planners.dp_qp.scene.goal_window import HURRIED_GAP_S, GoalWindow, SpeedTarget
+from planners.dp_qp.scene.hesitant_pedestrians import came_to_path
+from planners.dp_qp.scene.pass_target import PassTarget
+from planners.dp_qp.scene.producers import OTHERS, OWN
+from planners.dp_qp.speed.braking import RESERVE, BrakingLadder, BrakingMemory, Case, SolvedSpeed
+from planners.dp_qp.speed.dp import DS_M, DT_S, SpeedDpConfig, cost_map, speed_dp, stop_map
 from planners.dp_qp.speed.qp import SpeedProblem, SpeedQpConfig
+from planners.frenet.occupancy import Occupancy, upper_bound
 from planners.frenet.path import Path
 from planners.frenet.profiles import STEP_S, Limits, braking, cruising, limit_profile
-from planners.frenet.st_boundaries import StBoundaries, StGraphConfig, decide_speed, st_boundaries
-from planners.rules import Wall
-from planners.rules.stops import open_end, told, upper_bound, wall_outlines, walled
+from planners.frenet.scene import Scene
+from planners.frenet.st_boundaries import (
+    StBoundaries,
+    StGraphConfig,
+    decide_speed,
+    decided,
+    outlines,
+    st_boundaries,
+    stop_outlines,
+)
 
 SPEED_ROOM_MPS = 0.8
-"""PathBounds above the limit that the reference keeps: a tight tube would cost the solver many iterations."""
+"""Room above the limit that the reference keeps, but not above a cap that is a bound: it makes the profile smooth."""
 TILT_MPS2 = 4.0
 """Lateral acceleration for which a curve is braked for as hard as comfort allows, instead of with `ease_mps2`."""
 UNLIKELY = 0.2
@@ -37,7 +45,9 @@ UNLIKELY = 0.2
 BRANCH_S = 0.5
 """... so long after now."""
 STAY_M = 0.05
-"""Least upper bound of s."""
+"""Least upper bound of s: to stand still is always allowed."""
+DRAWN_ROWS = 4
+"""The grid is drawn with every so many rows: a picture does not need more."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +59,38 @@ class SpeedConfig:
     qp: SpeedQpConfig = field(default_factory=SpeedQpConfig)
 
 
+@dataclass(frozen=True)
+class SpeedMemory:
+    """What the speed stage remembers: how it braked, and who came to the path when, s."""
+
+    braking: BrakingMemory = field(default_factory=BrakingMemory)
+    came: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class SpeedTask:
+    """What the speed stage is asked on a path.
+
+    Attributes:
+        chosen: The path, as the path stage gave it.
+        passed: Agents that the path passes while they stand.
+        skip: Agents who follow behind `(agents,)`.
+        stops: That the rules demand on the path.
+        targets: Those who go along the lane where the ego comes beside them; `is_pass` whether it swings out for them.
+        is_pass: See there.
+        goal: The goal along the lane; `target` what it asks now.
+    """
+
+    chosen: ChosenPath
+    passed: frozenset[str]
+    skip: BoolArray
+    stops: tuple[Occupancy, ...]
+    targets: tuple[PassTarget, ...]
+    is_pass: bool
+    goal: GoalWindow
+    target: SpeedTarget
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class ChosenSpeed:
     """What the speed stage found.
@@ -58,119 +100,116 @@ class ChosenSpeed:
         reason: Why it failed or what it could not keep; empty otherwise.
         unavoidable: Whether even the hardest braking would meet somebody.
         free_m: Station at the horizon's end with nobody in the way, m.
-        blocks: Who takes the path when.
-        artefacts: Graph, decisions, costs, solver report.
+        taken: Who takes the path when.
+        reports: Of the solver.
+        artefacts: Makes graph, decisions, costs and reports for whoever wants to see them.
     """
 
     profile: FloatArray | None
     reason: str
     unavoidable: bool
     free_m: float
-    blocks: StBoundaries
-    artefacts: tuple[Artefact, ...]
+    taken: StBoundaries
+    reports: tuple[SolverReport, ...]
+    artefacts: Callable[[], tuple[Artefact, ...]]
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Way:
-    """What is planned on: a path with its limits `(m,)` and walls, from a start; `blocks` with any margins."""
+    """What is planned on: the scene on its path, the limit, its margins, and whether the ego is late."""
 
-    frame: Frame
-    start: EgoState
-    path: Path
-    limit: FloatArray
-    alone: FloatArray
-    walls: Sequence[Wall]
+    view: PathView
+    limit: LoweredLimit
+    taken: Callable[[StGraphConfig], StBoundaries]
     hurried: bool
-    blocks: Callable[[StGraphConfig], StBoundaries]
 
-    def others(self, margins: StGraphConfig) -> StBoundaries:
-        """StBoundaries and walls."""
-        return walled(self.blocks(margins), self.walls)
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Planned:
+    """A solved speed and what it came from, for the record."""
+
+    solved: SolvedSpeed
+    problem: SpeedProblem
+    blocks: StBoundaries
+    kinds: tuple[DecisionKind, ...]
+    cannot_be_first: bool
+    grid: tuple[FloatArray, IntArray] | None
+    s_dp: FloatArray
 
 
 class SpeedStage:
-    """Chooses the speed of each frame along a path; owns the QP workspace."""
+    """Chooses the speed of each frame along a path."""
 
     def __init__(self, vehicle: VehicleParameters, config: SpeedConfig, lap: Callable[[str], None]) -> None:
         self._vehicle, self._config, self._lap = vehicle, config, lap
-        self._solver, self._waverers = SpeedSolver(config.qp, config.dp.gap_m, vehicle.max_decel), HesitantPedestrians()
+        self._ladder = BrakingLadder(config.qp, config.dp.gap_m, vehicle.max_decel)
         self._hard_mps2 = RESERVE * config.qp.emergency.decel_mps2
-        dp = config.dp
-        self._weights = np.array([dp.w_t, dp.w_a, dp.w_j, dp.max_accel_mps2, dp.max_decel_mps2, dp.w_v])
         self._times = STEP_S * np.arange(config.qp.knots)
 
-    def choose(
-        self, frame: Frame, start: EgoState, path: Path, limit: FloatArray, skip: np.ndarray,
-        passed: frozenset[str], walls: Sequence[Wall] = (), *, fresh: bool, hurried: bool = False,
-        alone: FloatArray | None = None,
-    ) -> ChosenSpeed:  # fmt: skip
-        """The speed along `path` with the speed limit `(m,)` and stops on it; agents to `skip` `(agents,)`.
-
-        Who is `hurried` follows more closely. `alone` `(m,)` is the limit with nobody on the road
-        and nothing hidden, against which the time lost counts (None: that which is driven).
-        """
-
-        def blocks(margins: StGraphConfig) -> StBoundaries:
-            return st_boundaries(path, frame, self._vehicle, skip, passed, margins)
-
-        found = blocks(self._config.graph)
+    def choose(self, scene: Scene, path: Path, task: SpeedTask, memory: SpeedMemory) -> tuple[ChosenSpeed, SpeedMemory]:
+        """The speed along a path; and what is remembered."""
+        config, passed = self._config, task.passed
+        found = st_boundaries(scene, path, task.skip, passed, config.graph)
         self._lap("S-T graph")
-        limit, unseen = self._sighted(path, limit, found, frame)
-        limit, wavering = self._waverers.limit(path, limit, frame, self._vehicle, found, self._hard_mps2, fresh=fresh)
-        shut = path.sigma >= open_end(walls)
-        limit, alone = (np.where(shut, 0.0, each) for each in (limit, limit if alone is None else alone))
-        way = _Way(frame, start, path, limit, alone, walls, hurried, blocks)
-        likely = found.probability > UNLIKELY
-        chosen, solved = self._planned(way, found.only(likely), fresh=fresh)
-        ignored: tuple[Decision, ...] = ()
-        if not likely.all():
-            if self._could_stop(solved.profile, found.only(~likely)):
-                ignored = _ignored(found.only(~likely), frame)
-            else:
-                chosen, solved = self._planned(way, found, fresh=fresh)
-        self._solver.remember(frame.t, solved)
-        told_more = (*ignored, *told(walls), *wavering, *([unseen] if unseen else ()))
-        return replace(chosen, artefacts=(*chosen.artefacts, *told_more))
+        came = came_to_path(scene, found, memory.came)
+        line = scene.reference.line
+        road = np.interp(path.s, line.s, scene.reference.limit)
+        view = PathView(
+            scene, path, road, found, task.stops, task.targets, task.is_pass, task.goal, task.target, came,
+            self._hard_mps2, config.graph.vulnerable_margin_m,
+        )  # fmt: skip
+        bare = LoweredLimit(road, np.zeros(len(road), np.bool_))
+        own = lowered(path.sigma, bare, (cap for caps in OWN for cap in caps(view)))
+        limit = lowered(path.sigma, own, (cap for caps in OTHERS for cap in caps(view)))
 
-    def _planned(self, way: _Way, blocks: StBoundaries, *, fresh: bool) -> tuple[ChosenSpeed, SolvedSpeed]:
-        """The speed that minds these blocks."""
-        frame, path, walls = way.frame, way.path, way.walls
-        v_limit = self._reachable(path, np.where(path.sigma >= self._stop_line(blocks, frame), 0.0, way.limit))
-        grid, s_dp = self._dp(blocks, v_limit, way)
-        decisions = decide_speed(blocks, frame, np.interp(blocks.t, self._times, s_dp))
+        nearest = task.skip.copy()
+        nearest[np.setdiff1d(np.arange(len(nearest)), found.agent)] = True
+
+        def taken(margins: StGraphConfig) -> StBoundaries:
+            """The boundaries with other margins: of those who are in the way, unless they may be faster than now."""
+            skip = task.skip if margins.brisk_mps > config.graph.brisk_mps else nearest
+            return st_boundaries(scene, path, skip, passed, margins).with_stops(task.stops)
+
+        way = _Way(view, limit, taken, task.target.hurried)
+        likely = found.probability > UNLIKELY
+        planned = self._planned(way, found.only(likely) if not likely.all() else found, memory.braking)
+        unlikely = None
+        if not likely.all():
+            if self._could_stop(planned.solved.profile, found.only(~likely)):
+                unlikely = found.only(~likely)
+            else:
+                planned = self._planned(way, found, memory.braking)
+        solved = planned.solved
+        chosen = ChosenSpeed(
+            solved.profile, solved.reason, solved.unavoidable, self._free_m(way, own), planned.blocks, solved.reports,
+            lambda: self._artefacts(way, planned, unlikely),
+        )  # fmt: skip
+        return chosen, SpeedMemory(memory.braking.after(scene.frame.t, solved), came)
+
+    def _planned(self, way: _Way, blocks: StBoundaries, memory: BrakingMemory) -> _Planned:
+        """The speed that minds these boundaries."""
+        scene, path, stops = way.view.scene, way.view.path, way.view.stops
+        v_limit = self._reachable(path, np.where(path.sigma >= self._stop_line(blocks, scene), 0.0, way.limit.v))
+        grid = self._grid(blocks, v_limit, way) if len(blocks) or stops else None
+        s_dp = self._dp_stations(grid) if grid is not None else np.zeros(len(self._times))
+        at = np.interp(blocks.t, self._times, s_dp)
+        kinds = tuple(decided(blocks, scene, at, row) for row in range(len(blocks)))
         self._lap("speed DP")
-        state = max(way.start.v, 0.0), way.start.a
-        constrained = _meets_movers(blocks, frame) or any(wall.stop.until < np.inf for wall in walls)
-        free = self._problem(path, v_limit, s_dp, state, constrained=constrained)
-        free = replace(free, upper=upper_bound(walls, self._times, path.length))
-        problem = self._bounded(free, blocks, decisions)
-        solved = self._solver.solve(problem, way.others, frame.t, fresh=fresh)
-        if not _overtakes(blocks, decisions, solved.profile, self._times):
-            decisions = tuple(_let_go(decision) for decision in decisions)
-            problem, tried = self._bounded(free, blocks, decisions), solved.artefacts
-            solved = self._solver.solve(problem, way.others, frame.t, fresh=fresh)
+        moves = bool((~scene.standing[blocks.agent]).any()) or any(stop.until < np.inf for stop in stops)
+        free = self._problem(way, v_limit, s_dp if moves else None)
+        problem = self._bounded(free, blocks, kinds)
+        solved = self._ladder.solve(Case(problem, way.taken, scene.frame.t, memory))
+        cannot_be_first = not _overtakes(blocks, kinds, solved.profile, self._times)
+        if cannot_be_first:
+            kinds = tuple(DecisionKind.YIELD if kind is DecisionKind.OVERTAKE else kind for kind in kinds)
+            problem, tried = self._bounded(free, blocks, kinds), solved.artefacts
+            solved = self._ladder.solve(Case(problem, way.taken, scene.frame.t, memory))
             solved = replace(solved, artefacts=(*tried, *solved.artefacts))
         self._lap("speed QP")
-        graph = StGraph(
-            grid,
-            Corridor(self._times, problem.lower, problem.upper),
-            np.column_stack([self._times, s_dp]),
-            np.column_stack([self._times, solved.profile[0]]) if solved.profile is not None else np.empty((0, 2)),
-            (*_outlines(blocks, decisions), *wall_outlines(walls, float(self._times[-1]), path.length)),
-        )
-        free_m = float(self._cruise(path, self._reachable(path, way.alone), state)[0, -1])
-        artefacts = (graph, *decisions, *solved.artefacts)
-        return ChosenSpeed(solved.profile, solved.reason, solved.unavoidable, free_m, blocks, artefacts), solved
-
-    def _sighted(
-        self, path: Path, limit: FloatArray, blocks: StBoundaries, frame: Frame
-    ) -> tuple[FloatArray, Decision | None]:
-        """The limit with what the ego cannot see in it."""
-        first = float(np.nanmin(blocks.lower)) + self._vehicle.axle_to_front if len(blocks) else np.inf
-        return sight_limit(path, limit, frame, self._vehicle, first, self._hard_mps2)
+        return _Planned(solved, problem, blocks, kinds, cannot_be_first, grid, s_dp)
 
     def _could_stop(self, profile: FloatArray | None, blocks: StBoundaries) -> bool:
-        """Whether hard braking, `BRANCH_S` after driving on along a profile, would stay behind these blocks."""
+        """Whether hard braking, `BRANCH_S` after driving on along a profile, would stay behind these boundaries."""
         if profile is None:
             return False
         k, qp = round(BRANCH_S / STEP_S), self._config.qp
@@ -189,71 +228,97 @@ class SpeedStage:
         soft = qp.comfort
         return cruising(path.sigma, v_limit, *start, soft.accel_mps2, soft.decel_mps2, soft.jerk_mps3, STEP_S, qp.knots)
 
-    def _stop_line(self, blocks: StBoundaries, frame: Frame) -> float:
+    def _free_m(self, way: _Way, own: LoweredLimit) -> float:
+        """How far the ego would come with nobody on the road, m."""
+        scene, path = way.view.scene, way.view.path
+        return float(self._cruise(path, self._reachable(path, own.v), (scene.v, scene.start.a))[0, -1])
+
+    def _stop_line(self, blocks: StBoundaries, scene: Scene) -> float:
         """Station before the first who stands in the path, m; inf where nobody does."""
-        standing = frame.agents.speed[blocks.agent] < STANDING_MPS
-        entries = blocks.lower[standing]
+        entries = blocks.lower[scene.standing[blocks.agent]]
         if not len(entries):
             return np.inf
         return max(float(np.nanmin(entries)) - self._config.dp.standstill_gap_m, 0.0)
 
-    def _dp(self, blocks: StBoundaries, v_limit: FloatArray, way: _Way) -> tuple[GridCost, FloatArray]:
-        """The grid and its solution, stations at the QP's times `(knots,)`."""
-        dp, path, start, walls = self._config.dp, way.path, way.start, way.walls
+    def _grid(self, blocks: StBoundaries, v_limit: FloatArray, way: _Way) -> tuple[FloatArray, IntArray]:
+        """Cost of the grid and its solution."""
+        dp, path, scene, stops = self._config.dp, way.view.path, way.view.scene, way.view.stops
         rows = int(path.length / DS_M + 1e-6) + 1
         limit = np.interp(DS_M * np.arange(rows), path.sigma, v_limit)
         time_gap = min(dp.time_gap_s, HURRIED_GAP_S) if way.hurried else dp.time_gap_s
         wanted = np.array([dp.standstill_gap_m, time_gap])
         occupancy = cost_map(rows, blocks.lower, blocks.upper, blocks.speed, dp.gap_m, wanted, dp.w_near)
-        if walls:
-            occupancy += wall_map(rows, blocks.t, walls)
+        if stops:
+            occupancy += stop_map(rows, blocks.t, stops)
         per_column = max(1, round(DT_S / blocks.step))
-        ego = np.array([max(start.v, 0.0), start.a])
-        cost, chosen = speed_dp(occupancy, per_column, limit, ego, self._weights, dp.columns)
-        times = DT_S * np.arange(dp.columns + 1)
-        return _thinned(times, cost, chosen), np.interp(self._times, times, DS_M * chosen)
+        return speed_dp(occupancy, per_column, limit, np.array([scene.v, scene.start.a]), dp.weights, dp.columns)
 
-    def _bounded(self, problem: SpeedProblem, blocks: StBoundaries, decisions: tuple[Decision, ...]) -> SpeedProblem:
+    def _dp_stations(self, grid: tuple[FloatArray, IntArray]) -> FloatArray:
+        """The grid's solution at the QP's times `(knots,)`, m."""
+        return np.interp(self._times, DT_S * np.arange(self._config.dp.columns + 1), DS_M * grid[1])
+
+    def _bounded(self, problem: SpeedProblem, blocks: StBoundaries, kinds: tuple[DecisionKind, ...]) -> SpeedProblem:
         """The problem with its bounds of s: below whom the ego yields to, above whom it overtakes."""
         gap = self._config.dp.gap_m
         upper, lower = problem.upper.copy(), np.zeros(len(self._times))
         reach = 0.5 * blocks.step + 1e-9
-        for i, decision in enumerate(decisions):
-            near = np.searchsorted(blocks.t, self._times - reach), np.searchsorted(blocks.t, self._times + reach) - 1
-            sides = [np.clip(side, 0, len(blocks.t) - 1) for side in near]
-            if decision.kind is DecisionKind.OVERTAKE:
+        near = np.searchsorted(blocks.t, self._times - reach), np.searchsorted(blocks.t, self._times + reach) - 1
+        sides = [np.clip(side, 0, len(blocks.t) - 1) for side in near]
+        for i, kind in enumerate(kinds):
+            if kind is DecisionKind.OVERTAKE:
                 edge = np.fmax(blocks.upper[i, sides[0]], blocks.upper[i, sides[1]]) + gap
                 lower = np.fmax(lower, np.where(np.isfinite(edge), edge, 0.0))
             else:
                 edge = np.fmin(blocks.lower[i, sides[0]], blocks.lower[i, sides[1]]) - gap
                 upper = np.fmin(upper, edge)
-        upper = np.maximum(upper, STAY_M)  # to stand still is always allowed, even where somebody may run into the ego
+        upper = np.maximum(upper, STAY_M)
         return replace(problem, lower=np.minimum(lower, upper), upper=upper)
 
-    def _problem(
-        self, path: Path, v_limit: FloatArray, s_dp: FloatArray, start: tuple[float, float], *, constrained: bool
-    ) -> SpeedProblem:
-        """What is wanted and the limit, with nobody in the way."""
-        qp = self._config.qp
-        free = self._cruise(path, v_limit, start)
-        s_ref, v_ref = free
-        if constrained:
-            s_ref = np.minimum(free[0], s_dp)
-            v_ref = np.minimum(free[1], np.gradient(s_ref, STEP_S))
+    def _problem(self, way: _Way, v_limit: FloatArray, s_dp: FloatArray | None) -> SpeedProblem:
+        """What is wanted and the limit, with nobody in the way but stops; `s_dp` `(knots,)` where somebody moves."""
+        qp, path, scene = self._config.qp, way.view.path, way.view.scene
+        start = scene.v, scene.start.a
+        s_ref, v_ref = self._cruise(path, v_limit, start)
+        if s_dp is not None:
+            s_ref = np.minimum(s_ref, s_dp)
+            v_ref = np.minimum(v_ref, np.gradient(s_ref, STEP_S))
         eased = braking(*start, qp.ease_mps2, qp.comfort.jerk_mps3, STEP_S, qp.knots)
         if (eased[1] ** 2 * np.abs(np.interp(eased[0], path.sigma, path.kappa)) > TILT_MPS2).any():
             eased = braking(*start, qp.comfort.decel_mps2, qp.comfort.jerk_mps3, STEP_S, qp.knots)
         ahead = np.interp(s_ref, path.sigma, v_limit)
-        limit = np.maximum(ahead, eased[1]) + SPEED_ROOM_MPS
-        nowhere, everywhere = np.zeros(qp.knots), np.full(qp.knots, path.length)
-        return SpeedProblem(start, nowhere, everywhere, limit, s_ref, v_ref, path.length)
+        at = np.minimum(np.searchsorted(path.sigma, s_ref), len(path.sigma) - 1)
+        room = np.where(way.limit.is_bound[at], 0.0, SPEED_ROOM_MPS)
+        limit = np.maximum(ahead, eased[1]) + room
+        upper = upper_bound(way.view.stops, self._times, path.length)
+        return SpeedProblem(start, np.zeros(qp.knots), upper, limit, s_ref, v_ref, path.length)
+
+    def _artefacts(self, way: _Way, planned: _Planned, unlikely: StBoundaries | None) -> tuple[Artefact, ...]:
+        """Graph, decisions, costs and reports."""
+        scene, path, stops = way.view.scene, way.view.path, way.view.stops
+        blocks, solved = planned.blocks, planned.solved
+        drawn = planned.grid or self._grid(blocks, self._reachable(path, way.limit.v), way)
+        s_dp = self._dp_stations(drawn)
+        decisions = decide_speed(blocks, scene, np.interp(blocks.t, self._times, s_dp))
+        if planned.cannot_be_first:
+            decisions = tuple(_let_go(decision) for decision in decisions)
+        profile = solved.profile
+        graph = StGraph(
+            _thinned(DT_S * np.arange(self._config.dp.columns + 1), *drawn),
+            Corridor(self._times, planned.problem.lower, planned.problem.upper),
+            np.column_stack([self._times, s_dp]),
+            np.column_stack([self._times, profile[0]]) if profile is not None else np.empty((0, 2)),
+            (*outlines(blocks, decisions), *stop_outlines(stops, float(self._times[-1]), path.length)),
+        )
+        ignored = _ignored(unlikely, scene) if unlikely is not None else ()
+        asked = (stop.decision for stop in stops)
+        return (graph, *decisions, *solved.artefacts, *ignored, *asked, *way.limit.decisions)
 
 
 def _overtakes(
-    blocks: StBoundaries, decisions: tuple[Decision, ...], profile: FloatArray | None, times: FloatArray
+    blocks: StBoundaries, kinds: Sequence[DecisionKind], profile: FloatArray | None, times: FloatArray
 ) -> bool:
     """Whether a profile stays clear of everybody whom it should overtake; the DP knows nothing of jerk."""
-    overtaken = [i for i, decision in enumerate(decisions) if decision.kind is DecisionKind.OVERTAKE]
+    overtaken = [i for i, kind in enumerate(kinds) if kind is DecisionKind.OVERTAKE]
     if profile is None or not overtaken:
         return not overtaken
     s = np.interp(blocks.t, times, profile[0])
@@ -266,11 +331,11 @@ def _let_go(decision: Decision) -> Decision:
     return replace(decision, kind=DecisionKind.YIELD, reason=f"{decision.reason}; the ego cannot be there first")
 
 
-def _ignored(blocks: StBoundaries, frame: Frame) -> tuple[Decision, ...]:
-    """What is told of hypotheses that do not bind."""
+def _ignored(blocks: StBoundaries, scene: Scene) -> tuple[Decision, ...]:
+    """What is decided about hypotheses that do not bind."""
     return tuple(
         Decision(
-            frame.agents.ids[who], DecisionKind.IGNORE, "speed",
+            scene.frame.agents.ids[who], DecisionKind.IGNORE, "speed",
             f"may take the path from {float(np.nanmin(lower)):.1f} m on, but that is unlikely ({share:.0%}); "
             "hard braking could still avoid it",
         )
@@ -278,21 +343,7 @@ def _ignored(blocks: StBoundaries, frame: Frame) -> tuple[Decision, ...]:
     )  # fmt: skip
 
 
-def _meets_movers(blocks: StBoundaries, frame: Frame) -> bool:
-    return bool((frame.agents.speed[blocks.agent] >= STANDING_MPS).any())
-
-
 def _thinned(times: FloatArray, cost: FloatArray, chosen: IntArray) -> GridCost:
-    """The grid for the record, every fourth row: a picture does not need more."""
-    stride = 4
-    return GridCost(times, DS_M * stride * np.arange(len(cost[0, ::stride])), cost[:, ::stride], chosen // stride)
-
-
-def _outlines(blocks: StBoundaries, decisions: tuple[Decision, ...]) -> tuple[GraphObstacle, ...]:
-    found = []
-    for i, decision in enumerate(decisions):
-        taken = np.isfinite(blocks.lower[i])
-        t, low, high = blocks.t[taken], blocks.lower[i, taken], blocks.upper[i, taken]
-        outline = np.vstack([np.column_stack([t, low]), np.column_stack([t, high])[::-1]])
-        found.append(GraphObstacle(decision.agent, outline, decision.kind))
-    return tuple(found)
+    """The grid for the record, every fourth row."""
+    rows = DS_M * DRAWN_ROWS * np.arange(len(cost[0, ::DRAWN_ROWS]))
+    return GridCost(times, rows, cost[:, ::DRAWN_ROWS], chosen // DRAWN_ROWS)

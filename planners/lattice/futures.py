@@ -7,16 +7,13 @@ from math import cos, sin, tan
 
 import numpy as np
 
-from logs.frame import Frame
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
-from logs.road import ReferenceLine, line_frame, line_project
+from logs.road import line_frame, line_project
 from logs.scenario import AgentKind
 from logs.shapes import overlap
 from logs.states import EgoState, wrap
 from logs.vehicle import VehicleParameters
-from planners.frenet.path import frenet_start
-from planners.frenet.reference_path import ReferencePath
-from planners.frenet.st_boundaries import behind
+from planners.frenet.scene import Scene, behind
 from planners.lattice.config import LatticeConfig
 from planners.lattice.polynomials import STEP_S, STEPS
 
@@ -44,7 +41,7 @@ class Ego:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Scene:
+class Futures:
     """The n predictions near the ego, on the plan's grid of `STEPS + 1` times.
 
     Attributes:
@@ -64,12 +61,12 @@ class Scene:
     behind: BoolArray
 
 
-def ego_frenet(line: ReferenceLine, start: EgoState, s0: float, l0: float) -> Ego:
-    """The start, whose foot is (s0, l0), in the Frenet frame: `polynomials.states` read backwards.
+def ego_frenet(scene: Scene) -> Ego:
+    """The start in the Frenet frame: `polynomials.states` read backwards.
 
     Near standstill a deceleration that would soon be a reverse is not taken over.
     """
-    lateral = frenet_start(line, start, s0, l0)
+    line, start, s0, l0, lateral = scene.reference.line, scene.start, scene.s, scene.l, scene.frenet
     _, _, yaw_r, kappa_r = line.frame(s0)
     R, turn = 1.0 - kappa_r * l0, wrap(start.yaw - yaw_r)
     speed = max(start.v, 0.0) * cos(turn) / R
@@ -79,27 +76,26 @@ def ego_frenet(line: ReferenceLine, start: EgoState, s0: float, l0: float) -> Eg
     return Ego(s0, lateral, speed, max(accel, -6.0 * speed))
 
 
-def scene_of(
-    course: ReferencePath, frame: Frame, start: EgoState, ego: Ego, vehicle: VehicleParameters, config: LatticeConfig
-) -> Scene:
-    """The scene of a frame for an ego at `start`."""
-    agents, futures, line = frame.agents, frame.predictions, course.line
-    used = _near(course, frame, start, ego)
+def futures_of(scene: Scene, ego: Ego, config: LatticeConfig) -> Futures:
+    """The others of a scene as they are predicted."""
+    frame, start, line = scene.frame, scene.start, scene.reference.line
+    agents, futures = frame.agents, frame.predictions
+    used = _near(scene, ego)
     agent = futures.agent[used]
     pose = _on_grid(futures.t - frame.t, np.stack([futures.x[used], futures.y[used], futures.yaw[used]]))
     sizes = np.vstack([agents.length[agent], agents.width[agent], np.zeros(len(agent))])
     for j, i in enumerate(agent):
-        sizes[2, j] = _margin(start, agents.kinds[i], pose[:, j, 0], sizes[:, j], vehicle, config)
+        sizes[2, j] = _margin(start, agents.kinds[i], pose[:, j, 0], sizes[:, j], scene.vehicle, config)
     thin = [np.ascontiguousarray(rows[:, ::STRIDE]) for rows in pose]
     frenet = futures_frenet(line.s, line.coef, thin[0], thin[1], thin[2], sizes, ego.s)
     speed = (frenet[0, :, 1] - frenet[0, :, 0]) / (STRIDE * STEP_S)
-    follow = [behind(course, frame, ego.s, ego.lateral[0], vehicle, keeps_track=keeps) for keeps in (True, False)]
-    return Scene(agent, pose, frenet, speed, sizes, np.array([rows[agent] for rows in follow]))
+    follow = [behind(scene, keeps_track=keeps) for keeps in (True, False)]
+    return Futures(agent, pose, frenet, speed, sizes, np.array([rows[agent] for rows in follow]))
 
 
-def _near(course: ReferencePath, frame: Frame, start: EgoState, ego: Ego) -> IntArray:
+def _near(scene: Scene, ego: Ego) -> IntArray:
     """The predictions that come near the reference line as far as the ego can get."""
-    line, futures = course.line, frame.predictions
+    line, futures, start = scene.reference.line, scene.frame.predictions, scene.start
     if not len(futures):
         return np.empty(0, np.int64)
     reach = STEPS * STEP_S * (ego.speed + 3.0) + NEAR_M

@@ -1,0 +1,14 @@
+"""Stops that the rules demand and that are not known to end: the ego comes to rest where it should wait."""
+
+from __future__ import annotations
+
+from math import inf
+
+from logs.kernel import TIE
+from planners.dp_qp.scene.caps import PathView, SpeedCap
+from planners.frenet.occupancy import open_end
+
+
+def caps(view: PathView) -> tuple[SpeedCap, ...]:
+    """Standstill from the first open stop on; the rules themselves tell why."""
+    return (SpeedCap(open_end(view.stops) - TIE, inf, 0.0, is_bound=False),)

@@ -30,6 +30,7 @@ from planners.dp_qp.slower import NOBODY, Movers, Slower, along_lane, beside_lim
 from planners.dp_qp.speed_solve import RESERVE
 from planners.dp_qp.speed_stage import ChosenSpeed, SpeedConfig, SpeedStage
 from planners.dp_qp.st_graph import behind
+from planners.piecewise_jerk.solvers import DEFAULT
 from planners.rules import Rulebook, walls_on
 
 FORGET_S = 0.5
@@ -103,7 +104,7 @@ class LanePlan:
 
 
 class LanePlanner:
-    """Plans in one strip; owns its stages with their solver memory, and the station where the ego was last."""
+    """Plans in one strip; owns its stages, and the station where the ego was last."""
 
     def __init__(
         self,
@@ -116,15 +117,17 @@ class LanePlanner:
         *,
         passes_left: bool,
         lap: Callable[[str], None],
+        solver: str = DEFAULT,
     ) -> None:
         self.strip, self._rules = strip, rules
         self._appointment = Appointment(goal, strip.course, vehicle)
         self._vehicle, self._horizon = vehicle, speed.qp.horizon
         self._hard, self._margin = RESERVE * speed.qp.emergency.decel_mps2, speed.graph.vulnerable_margin_m
         self._path = PathStage(
-            strip.course, vehicle, path, self._appointment, horizon=speed.qp.horizon, passes_left=passes_left, lap=lap
-        )
-        self._speed = SpeedStage(vehicle, speed, lap)
+            strip.course, vehicle, path, self._appointment,
+            horizon=speed.qp.horizon, passes_left=passes_left, lap=lap, solver=solver,
+        )  # fmt: skip
+        self._speed = SpeedStage(vehicle, speed, lap, solver)
         self._last: tuple[float, float, float] | None = None  # x, y and station of the last start
         self._planned = -inf
 

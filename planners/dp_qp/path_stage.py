@@ -34,10 +34,11 @@ from planners.dp_qp.path_qp import MAX_DL, PathProblem, PathQp, PathQpConfig
 from planners.dp_qp.reference_line import Course
 from planners.dp_qp.slower import NOBODY, Movers
 from planners.dp_qp.steering import COMFORT, HARD, bounded, swing
+from planners.piecewise_jerk.solvers import DEFAULT
 from planners.qp import QPResult
 
 LENGTHS_M = (60.0, 90.0, 130.0, 180.0, 250.0, 340.0)
-"""Path lengths; the shortest that holds the horizon at the present speed is taken, so that matrices stay constant."""
+"""Path lengths; the shortest that holds the horizon at the present speed is taken, so that weights stay constant."""
 
 
 SHIFT_AHEAD_M = 60.0
@@ -108,7 +109,7 @@ class _Task:
     """What the path QP is asked.
 
     Attributes:
-        program: The workspace.
+        program: The path QP of its length.
         knots: Stations `(knots,)`, m.
         space: Room of the ego's points `(points, knots)`, without obstacles; `road` also without the goal's sides.
         swings: How far they swing out, m.
@@ -141,7 +142,7 @@ class _Found:
 
 
 class PathStage:
-    """Chooses the path of each frame along one course; owns the QP workspaces."""
+    """Chooses the path of each frame along one course; owns the path QP of each length."""
 
     def __init__(
         self,
@@ -153,9 +154,10 @@ class PathStage:
         horizon: float,
         passes_left: bool,
         lap: Callable[[str], None],
+        solver: str = DEFAULT,
     ) -> None:
         self._course, self._vehicle, self._config, self._lap = course, vehicle, config, lap
-        self._appointment, self._horizon = appointment, horizon
+        self._appointment, self._horizon, self._solver = appointment, horizon, solver
         self._rows = config.dp.offsets(passes_left=passes_left)
         self._programs: dict[float, PathQp] = {}
         self._standing: dict[str, float] = {}  # who stands in the way, seen since when
@@ -193,7 +195,7 @@ class PathStage:
         decisions = corridor.decide_sides(obstacles, dp_at, sides, space, self._vehicle, self._config.corridor)
         at = self._course.at(knots)
         task = _Task(program, knots, space, road, swings, frenet, start.v, at[6], at[7])
-        found = self._solved(task, obstacles, decisions, fresh=fresh)
+        found = self._solved(task, obstacles, decisions)
         self._lap("path QP")
         offsets, path = found.offsets, None
         if offsets is not None:
@@ -212,19 +214,17 @@ class PathStage:
         told: tuple[Artefact, ...] = (graph, *_told(found.decisions), found.costs, *found.reports)
         return ChosenPath(path, reason, passed, shift, told)
 
-    def _solved(
-        self, task: _Task, obstacles: tuple[PathObstacle, ...], decisions: tuple[Decision, ...], *, fresh: bool
-    ) -> _Found:
+    def _solved(self, task: _Task, obstacles: tuple[PathObstacle, ...], decisions: tuple[Decision, ...]) -> _Found:
         """The path in the corridor, else out of it as little as can be; then again without whom that cannot clear."""
         config = self._config.corridor
         reports: tuple[SolverReport, ...] = ()
         while True:
             narrow, decisions = corridor.narrowed(task.space, obstacles, decisions, self._vehicle, config)
             problem = self._problem(task, narrow, np.clip(0.0, narrow.lower[0], narrow.upper[0]))
-            result, costs = task.program.solve(problem, fresh=fresh)
+            result, costs = task.program.solve(problem)
             in_corridor, reports = result.report.solved, (*reports, result.report)
             if not in_corridor:
-                result, costs, problem, more = self._softly(task, narrow, problem, fresh=fresh)
+                result, costs, problem, more = self._softly(task, narrow, problem)
                 reports = (*reports, *more)
             bounds = corridor.reported(narrow, problem.lower - task.swings, problem.upper - task.swings)
             if not result.report.solved:
@@ -237,17 +237,17 @@ class PathStage:
             decisions = final
 
     def _softly(
-        self, task: _Task, space: corridor.Room, problem: PathProblem, *, fresh: bool
+        self, task: _Task, space: corridor.Room, problem: PathProblem
     ) -> tuple[QPResult, CostTerms, PathProblem, tuple[SolverReport, ...]]:
         """The path that leaves its corridor as little as it must, the problem that it solves, and all reports.
 
         Solved anew at most `RELINEARISED` times, with the curvature's bounds at its own offsets.
         """
-        result, costs = task.program.solve(problem, fresh=fresh, softly=True)
+        result, costs = task.program.solve(problem, softly=True)
         reports: tuple[SolverReport, ...] = (result.report,)
         for _ in range(RELINEARISED if result.report.solved else 0):
             nearer = self._problem(task, space, result.x.reshape(3, -1)[0])
-            again, again_costs = task.program.solve(nearer, fresh=fresh, softly=True)
+            again, again_costs = task.program.solve(nearer, softly=True)
             reports = (*reports, again.report)
             if not again.report.solved:
                 break
@@ -308,7 +308,8 @@ class PathStage:
         wanted = (speed + 4.0) * self._horizon + 10.0
         length = next((candidate for candidate in LENGTHS_M if candidate >= wanted - TIE), LENGTHS_M[-1])
         if length not in self._programs:
-            self._programs[length] = PathQp(length, length / self._horizon - 5.0, tuple(self._leads), self._config.qp)
+            suited, leads = length / self._horizon - 5.0, tuple(self._leads)
+            self._programs[length] = PathQp(length, suited, leads, self._config.qp, self._solver)
         return self._programs[length]
 
     def _scene(self, frame: Frame, s0: float, speed: float, program: PathQp) -> _Scene:

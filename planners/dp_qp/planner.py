@@ -16,6 +16,7 @@ from planners.dp_qp.lanes import Lanes, Strip
 from planners.dp_qp.passing import Passing
 from planners.dp_qp.path_stage import PathConfig
 from planners.dp_qp.speed_stage import SpeedConfig
+from planners.piecewise_jerk.solvers import DEFAULT, check_solver
 from planners.rules import Rulebook
 
 
@@ -26,21 +27,26 @@ class DpQpConfig:
     Attributes:
         path: The path stage.
         speed: The speed stage.
+        solver: Of the path and speed QPs: "interior_point", "osqp" or "piqp".
         stitch_m: The plan starts on the previous one where the ego is nearer to it than this ...
         stitch_mps: ... and its speed nearer than this; else at the ego.
     """
 
     path: PathConfig = field(default_factory=PathConfig)
     speed: SpeedConfig = field(default_factory=SpeedConfig)
+    solver: str = DEFAULT
     stitch_m: float = 0.5
     stitch_mps: float = 1.0
+
+    def __post_init__(self) -> None:
+        check_solver(self.solver)
 
 
 class DpQp:
     """DP and QP planner over candidate lanes.
 
-    Memory, dropped where `frame.previous is None`: the lane that is driven and since when; per lane the solvers' warm
-    starts, the last station, and whom the ego is passing there.
+    Memory, dropped where `frame.previous is None`: the lane that is driven and since when; per lane the last
+    station, and whom the ego is passing there.
     """
 
     def __init__(self, context: PlannerContext, config: DpQpConfig | None = None) -> None:
@@ -114,6 +120,7 @@ class DpQp:
             self._config.speed,
             passes_left=self._context.road.drives_on_right,
             lap=self._lap,
+            solver=self._config.solver,
         )
 
     def _start(self, frame: Frame) -> tuple[EgoState, PlanStart]:

@@ -25,6 +25,7 @@ from logs.kernel import FloatArray
 from logs.trace import Artefact
 from planners.dp_qp.speed_qp import RELEASE_MPS3, STEP_S, Limits, SpeedLimits, SpeedProblem, SpeedQp, SpeedQpConfig
 from planners.dp_qp.st_graph import Blocks, StGraphConfig
+from planners.piecewise_jerk.solvers import DEFAULT
 
 RESERVE = 0.85
 """Share of the limits with which braking must keep the bounds, so that the QP has room to be smooth."""
@@ -83,18 +84,19 @@ class _Attempt:
 
 
 class SpeedSolver:
-    """Solves speed problems by (1)-(5); owns the QP workspace.
+    """Solves speed problems by (1)-(5); owns the speed QP.
 
     Args:
         config: Limits and weights.
         gap_m: The gap that is in the problems' upper bounds.
         most_mps2: Deceleration at full brake.
+        solver: Of the QP.
     """
 
-    def __init__(self, config: SpeedQpConfig, gap_m: float, most_mps2: float) -> None:
+    def __init__(self, config: SpeedQpConfig, gap_m: float, most_mps2: float, solver: str = DEFAULT) -> None:
         self._config, self._gap = config, gap_m
         self._utmost = replace(config.emergency, decel_mps2=most_mps2, jerk_mps3=UTMOST_MPS3)
-        self._program = SpeedQp(config)
+        self._program = SpeedQp(config, solver)
         self._times = STEP_S * np.arange(config.knots)
         self._since = inf
         self._drove_on = self._braked_fully = False
@@ -108,21 +110,21 @@ class SpeedSolver:
         patient = t - self._since < PATIENCE_S - 1e-6
         tried: list[Artefact] = []
         for attempt in self._soft():
-            solved = self._attempt(problem, attempt, tried, fresh=fresh)
+            solved = self._attempt(problem, attempt, tried)
             if solved is not None or (tried and problem.overtakes):
                 return solved or _failed(tried)
         gentle = None if tried else self._gentle(problem, blocks(CLEAR))
         if gentle is not None:
             return SolvedSpeed(gentle, "comfortable braking, which is clear, but with less time to spare than wanted")
         for attempt in self._waits(problem) if patient else ():
-            solved = self._attempt(problem, attempt, tried, fresh=fresh)
+            solved = self._attempt(problem, attempt, tried)
             if solved is not None:
                 return solved
         onward = None if patient or tried else self._onward(problem, blocks(self._clearance()))
         if onward is not None:
             return SolvedSpeed(onward, "driving on, which is clear, instead of hard braking", is_onward=True)
         for attempt in self._hard():
-            solved = self._attempt(problem, attempt, tried, fresh=fresh)
+            solved = self._attempt(problem, attempt, tried)
             if solved is not None or (tried and problem.overtakes):
                 return solved or _failed(tried)
         return _failed(tried) if tried else self._last_resort(problem, blocks)
@@ -169,9 +171,7 @@ class SpeedSolver:
         stop = attempt.limits.braking(start, self._config.knots, share=attempt.share)
         return None if (stop[0] > _eased(problem, attempt)).any() else stop
 
-    def _attempt(
-        self, problem: SpeedProblem, attempt: _Attempt, tried: list[Artefact], *, fresh: bool
-    ) -> SolvedSpeed | None:
+    def _attempt(self, problem: SpeedProblem, attempt: _Attempt, tried: list[Artefact]) -> SolvedSpeed | None:
         stop = self._stop(problem, attempt)
         if stop is None:
             return None
@@ -182,7 +182,7 @@ class SpeedSolver:
             lower=np.minimum(problem.lower, np.maximum(problem.s_ref, stop[0])),
             upper=_eased(problem, attempt),
         )
-        result, costs = self._program.solve(eased, attempt.limits, fresh=fresh)
+        result, costs = self._program.solve(eased, attempt.limits)
         tried += costs, result.report
         if not result.report.solved:
             return None

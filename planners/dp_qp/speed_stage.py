@@ -33,6 +33,7 @@ from planners.dp_qp.speed_solve import RESERVE, SolvedSpeed, SpeedSolver
 from planners.dp_qp.st_graph import Blocks, StGraphConfig, block_intervals, decide_speed
 from planners.dp_qp.walls import open_end, told, upper_bound, wall_map, wall_outlines, walled
 from planners.dp_qp.waverers import Waverers
+from planners.piecewise_jerk.solvers import DEFAULT
 from planners.rules import Wall
 
 SPEED_ROOM_MPS = 0.8
@@ -96,11 +97,13 @@ class _Way:
 
 
 class SpeedStage:
-    """Chooses the speed of each frame along a path; owns the QP workspace."""
+    """Chooses the speed of each frame along a path; owns the speed solver."""
 
-    def __init__(self, vehicle: VehicleParameters, config: SpeedConfig, lap: Callable[[str], None]) -> None:
+    def __init__(
+        self, vehicle: VehicleParameters, config: SpeedConfig, lap: Callable[[str], None], solver: str = DEFAULT
+    ) -> None:
         self._vehicle, self._config, self._lap = vehicle, config, lap
-        self._solver, self._waverers = SpeedSolver(config.qp, config.dp.gap_m, vehicle.max_decel), Waverers()
+        self._solver, self._waverers = SpeedSolver(config.qp, config.dp.gap_m, vehicle.max_decel, solver), Waverers()
         self._hard_mps2 = RESERVE * config.qp.emergency.decel_mps2
         dp = config.dp
         self._weights = np.array([dp.w_t, dp.w_a, dp.w_j, dp.max_accel_mps2, dp.max_decel_mps2, dp.w_v])

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from itertools import pairwise, product
-from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -15,7 +14,6 @@ from logs import AgentKind, DecisionKind, EgoState
 from logs.kernel import FloatArray
 from logs.route import find_route
 from logs.shapes import overlap
-from planners.dp_qp import speed_qp
 from planners.dp_qp.path import Path
 from planners.dp_qp.reference_line import make_course
 from planners.dp_qp.speed_dp import COLLISION, DS_M, cost_map, speed_dp
@@ -31,7 +29,6 @@ from planners.dp_qp.speed_qp import (
     limit_profile,
 )
 from planners.dp_qp.st_graph import Blocks, StGraphConfig, behind, block_intervals, decide_speed
-from planners.qp import QPConfig
 
 SEED = st.integers(0, 2**32 - 1)
 CONFIG = SpeedQpConfig()
@@ -340,13 +337,7 @@ def speed_problem(seed: int) -> SpeedProblem:
     return SpeedProblem((v0, a0), np.zeros(CONFIG.knots), upper, bound, s_ref, v_ref)
 
 
-def sure_speed_qp() -> SpeedQp:
-    """The same program, solved by the interior-point method."""
-    with patch.object(speed_qp, "QPConfig", lambda tolerance: QPConfig(1e-4, 1, 1, tolerance)):
-        return SpeedQp(CONFIG)
-
-
-FAST, SURE = SpeedQp(CONFIG), sure_speed_qp()
+FAST, SURE = SpeedQp(CONFIG, "interior_point"), SpeedQp(CONFIG, "piqp")
 
 
 def cost_of(x: FloatArray, problem: SpeedProblem) -> float:
@@ -373,12 +364,12 @@ def assert_drivable(x: FloatArray, problem: SpeedProblem, limits: SpeedLimits, s
 @settings(max_examples=25)
 def test_the_speed_qp_keeps_its_bounds_and_finds_the_least_cost(seed: int) -> None:
     problem = speed_problem(seed)
-    (fast, costs), (sure, _) = (program.solve(problem, Limits(CONFIG.comfort), fresh=True) for program in (FAST, SURE))
+    (fast, costs), (sure, _) = (program.solve(problem, Limits(CONFIG.comfort)) for program in (FAST, SURE))
     assert fast.report.solved and sure.report.solved and "PIQP" in sure.report.status
-    assert_drivable(fast.x, problem, CONFIG.comfort, 2e-2)
+    assert_drivable(fast.x, problem, CONFIG.comfort, 1e-4)
     assert_drivable(sure.x, problem, CONFIG.comfort, 1e-6)
     found = cost_of(fast.x, problem)
-    assert found == pytest.approx(cost_of(sure.x, problem), rel=1e-2, abs=0.3)
+    assert found == pytest.approx(cost_of(sure.x, problem), rel=1e-5, abs=1e-5)
     assert sum(value for _, value in costs.terms) == pytest.approx(found, rel=1e-9)
 
 
@@ -387,11 +378,11 @@ def test_the_speed_qp_keeps_its_bounds_and_finds_the_least_cost(seed: int) -> No
 def test_every_step_towards_another_profile_within_the_bounds_costs_more(seed: int, less: float) -> None:
     """The variational inequality of a convex problem, towards what a tighter bound of s allows."""
     problem = speed_problem(seed)
-    best = SURE.solve(problem, Limits(CONFIG.comfort), fresh=True)[0].x
+    best = SURE.solve(problem, Limits(CONFIG.comfort))[0].x
     tight = SpeedProblem(
         problem.start, problem.lower, problem.upper - less, problem.limit, problem.s_ref, problem.v_ref
     )
-    other, _ = SURE.solve(tight, Limits(CONFIG.comfort), fresh=True)
+    other, _ = SURE.solve(tight, Limits(CONFIG.comfort))
     assume(other.report.solved)
     assert cost_of(best + 1e-3 * (other.x - best), problem) >= cost_of(best, problem) - 1e-7
 
@@ -400,7 +391,7 @@ def test_braking_is_a_profile_of_the_qp() -> None:
     """What `braking` says can be kept, the QP can keep."""
     s, v, a = braking(12.0, 0.5, 3.0, 3.0, STEP_S, CONFIG.knots)
     still = SpeedProblem((12.0, 0.5), s - 1e-3, s + 1e-3, v + 1e-3, s, v)
-    result, _ = SURE.solve(still, Limits(CONFIG.comfort), fresh=True)
+    result, _ = SURE.solve(still, Limits(CONFIG.comfort))
     assert result.report.solved
     np.testing.assert_allclose(result.x.reshape(3, -1)[2][:30], a[:30], atol=0.3)
 
@@ -410,7 +401,7 @@ def test_a_bound_behind_the_braking_distance_is_reported() -> None:
     near = SpeedProblem(
         (12.0, 0.0), problem.lower, np.full(CONFIG.knots, 5.0), problem.limit, problem.s_ref, problem.v_ref
     )
-    assert not FAST.solve(near, Limits(CONFIG.emergency), fresh=True)[0].report.solved
+    assert not FAST.solve(near, Limits(CONFIG.emergency))[0].report.solved
 
 
 def decided(other: Other, profile: FloatArray) -> DecisionKind:

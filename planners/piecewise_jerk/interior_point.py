@@ -72,6 +72,8 @@ NARROW_M = 1e-6
 FAR_M = 1e6
 """A bound that is farther away than this is none."""
 TO_BOUNDARY = 0.995
+FLOOR = 0.1
+"""Products z f are not aimed below this share of what (10) asks for: smaller ones only cost digits."""
 ROUNDING, HUGE = 1e-15, 1e128
 """Pivots that are less than this share of their diagonal are rounding, and are replaced by a huge one."""
 PROXIMAL, PROXIMAL_M = 1e-10, 1e-6
@@ -160,7 +162,7 @@ def solve(problem: PiecewiseJerkProblem, accuracy: float, max_iterations: int) -
     point = _first_point(problem, rows)
     step, newton = _blank(rows), _workspace(rows)
     status, iteration, primal, dual, gap = _fault(problem), 0, np.nan, np.nan, np.nan
-    together = problem.soft > 0.0
+    together, least = problem.soft > 0.0, FLOOR * 0.5 * accuracy**2 / point.slack.size
     while status == SPENT:
         primal, dual, gap = _residuals(rows, point, newton)
         status = _verdict(rows, point, newton, primal, dual, gap, accuracy)
@@ -176,7 +178,7 @@ def solve(problem: PiecewiseJerkProblem, accuracy: float, max_iterations: int) -
         primal_step, dual_step = _step_lengths(point, step, 1.0, together)
         mu = gap / point.slack.size
         after = _gap_after(point, step, primal_step, dual_step) / point.slack.size
-        _correct(newton.product, step, (after / mu) ** 3 * mu)  # (9)
+        _correct(newton.product, step, max((after / mu) ** 3 * mu, least))  # (9)
         _direction(rows, point, newton, step, proximal)
         primal_step, dual_step = _step_lengths(point, step, TO_BOUNDARY, together)
         _advance(point, step, primal_step, dual_step)
@@ -427,8 +429,8 @@ def _step_lengths(point: Point, step: Point, share: float, together: bool) -> tu
 
 @kernel
 def _reach(value: FloatArray, change: FloatArray) -> float:
-    """How much of the change keeps the values positive."""
-    steepest = 0.0
+    """How much of the change keeps the values positive; 2 at most, since no more than 1 is gone."""
+    steepest = 0.5
     for i in range(len(value)):
         steepest = max(steepest, -change[i] / value[i])
     return 1.0 / steepest

@@ -17,7 +17,7 @@ Units: those of x (m) and t (m or s); cost without unit.
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import sparse
@@ -121,7 +121,7 @@ def matrices(kind: Structure) -> Matrices:
     now, then = sparse.eye(n - 1, n), sparse.eye(n - 1, n, k=1)
     none = sparse.csc_matrix((n - 1, n))
     third = (then - now) / h  # (3)
-    rows = [
+    rows: list[list[Any]] = [
         [now - then, h * now, h**2 / 3.0 * now + h**2 / 6.0 * then],  # (2)
         [none, now - then, 0.5 * h * (now + then)],  # (1)
         *(_picked(sparse.eye(1, n), k) for k in range(3)),  # the start
@@ -129,9 +129,9 @@ def matrices(kind: Structure) -> Matrices:
         [none, none, third],
         *([then, lead * then, none] for lead in kind.leads),
     ]
-    A = sparse.vstack([sparse.hstack(row) for row in rows], format="csc")
+    A: Any = sparse.bmat(rows, format="csc")
     weights = kind.weights
-    squares = [w * sparse.eye(n) for w in weights[:3]]
+    squares: list[Any] = [w * sparse.eye(n) for w in weights[:3]]
     squares[DDX] = squares[DDX] + weights.dddx * (third.T @ third)
     unit = weights.x or 1.0
     sizes = np.repeat([np.sqrt(unit / w) if w > 0.0 else 1.0 for w in weights[:3]], n)
@@ -159,7 +159,7 @@ def vectors(problem: PiecewiseJerkProblem) -> tuple[FloatArray, FloatArray, Floa
     return q, bounds(problem.lower), bounds(problem.upper)
 
 
-def _picked(rows: sparse.spmatrix, k: int) -> list[sparse.spmatrix]:
+def _picked(rows: Any, k: int) -> list[Any]:
     """The blocks of rows of A that pick x, x' or x'' (k = 0, 1, 2)."""
     none = sparse.csc_matrix(rows.shape)
     return [rows if k == j else none for j in range(3)]

@@ -12,7 +12,6 @@ from logs.scenario import AgentKind
 from logs.trace import (
     Artefact,
     Corridor,
-    CostTerms,
     Decision,
     DecisionKind,
     GraphObstacle,
@@ -31,10 +30,11 @@ from planners.dp_qp.scene.goal_window import GoalWindow
 from planners.frenet.occupancy import Occupancy
 from planners.frenet.path import Path, make_path
 from planners.frenet.scene import Scene
+from planners.piecewise_jerk.solvers import DEFAULT
 from planners.qp import QPResult
 
 LENGTHS_M = (60.0, 90.0, 130.0, 180.0, 250.0, 340.0)
-"""Path lengths; the shortest that holds the horizon at the present speed is taken, so that matrices stay constant."""
+"""Path lengths; the shortest that holds the horizon at the present speed is taken, so that weights stay constant."""
 SHIFT_AHEAD_M = 60.0
 WAITING_MPS2 = 2.0
 """Braking with which it stops at the place from which it could pass by the oncoming lane."""
@@ -122,13 +122,13 @@ class _Task:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Found:
-    """l, l', l'' `(3, knots)` or None; what was decided in the end; the problem solved, costs and reports."""
+    """l, l', l'' `(3, knots)` or None; what the solver answered; what was decided in the end; the problem, reports."""
 
     offsets: FloatArray | None
+    x: FloatArray
     decisions: tuple[Decision, ...]
     narrow: PathBounds
     problem: PathProblem
-    costs: CostTerms
     reports: tuple[SolverReport, ...]
 
 
@@ -144,9 +144,10 @@ class PathStage:
         horizon: float,
         passes_left: bool,
         lap: Callable[[str], None],
+        solver: str = DEFAULT,
     ) -> None:
         self._vehicle, self._config, self._lap = vehicle, config, lap
-        self._goal, self._horizon = goal, horizon
+        self._goal, self._horizon, self._solver = goal, horizon, solver
         self._rows = config.dp.offsets(passes_left=passes_left)
         self._programs: dict[float, PathQp] = {}
         self._leads = np.array([0.0, vehicle.axle_to_front])
@@ -176,7 +177,7 @@ class PathStage:
         def artefacts() -> tuple[Artefact, ...]:
             graph = self._graph(scene, knots, way, grid or self._dp(scene, program, way, {}), found)
             kept = (decision for decision in found.decisions if decision.kind is not DecisionKind.IGNORE)
-            return (graph, *kept, found.costs, *found.reports)
+            return (graph, *kept, program.costs(found.x, found.problem), *found.reports)
 
         chosen = ChosenPath(path, reason, passed, shift, found.reports, artefacts)
         return chosen, PathMemory(standing, sides)
@@ -211,40 +212,40 @@ class PathStage:
         while True:
             narrow, decisions = bounds.narrowed(task.space, obstacles, decisions, car, config)
             problem = self._problem(task, narrow, np.clip(0.0, narrow.lower[0], narrow.upper[0]))
-            result, costs = task.program.solve(problem)
+            result = task.program.solve(problem)
             in_bounds, reports = result.report.solved, (*reports, result.report)
             if not in_bounds:
-                result, costs, problem, more = self._softly(task, narrow, problem)
+                result, problem, more = self._softly(task, narrow, problem)
                 reports = (*reports, *more)
             if not result.report.solved:
-                return _Found(None, decisions, narrow, problem, costs, reports), task.knots
+                return _Found(None, result.x, decisions, narrow, problem, reports), task.knots
             offsets = result.x.reshape(3, -1)
             at = offsets[0] + self._leads[:, None] * offsets[1] - task.swings
             final = bounds.given_up(at, narrow, obstacles, decisions, car, config)
             if in_bounds or final == decisions:
-                return _Found(offsets, final, narrow, problem, costs, reports), task.knots
+                return _Found(offsets, result.x, final, narrow, problem, reports), task.knots
             decisions = final
 
     def _softly(
         self, task: _Task, space: PathBounds, problem: PathProblem
-    ) -> tuple[QPResult, CostTerms, PathProblem, tuple[SolverReport, ...]]:
+    ) -> tuple[QPResult, PathProblem, tuple[SolverReport, ...]]:
         """The path that leaves its bounds as little as it must, the problem that it solves, and all reports.
 
         Solved anew at most `RELINEARISED` times, with the curvature's bounds at its own offsets.
         """
-        result, costs = task.program.solve(problem, softly=True)
+        result = task.program.solve(problem, softly=True)
         reports: tuple[SolverReport, ...] = (result.report,)
         for _ in range(RELINEARISED if result.report.solved else 0):
             nearer = self._problem(task, space, result.x.reshape(3, -1)[0])
-            again, again_costs = task.program.solve(nearer, softly=True)
+            again = task.program.solve(nearer, softly=True)
             reports = (*reports, again.report)
             if not again.report.solved:
                 break
             moved = float(np.abs(again.x - result.x).max())
-            result, costs, problem = again, again_costs, nearer
+            result, problem = again, nearer
             if moved < MOVED_M:
                 break
-        return result, costs, problem, reports
+        return result, problem, reports
 
     def _problem(self, task: _Task, space: PathBounds, near: FloatArray) -> PathProblem:
         """The bounds of the path QP: of the road and the obstacles, loosened to the reach of comfortable steering.
@@ -284,7 +285,8 @@ class PathStage:
         wanted = (speed + 4.0) * self._horizon + 10.0
         length = next((candidate for candidate in LENGTHS_M if candidate >= wanted - TIE), LENGTHS_M[-1])
         if length not in self._programs:
-            self._programs[length] = PathQp(length, length / self._horizon - 5.0, tuple(self._leads), self._config.qp)
+            suited, leads = length / self._horizon - 5.0, tuple(self._leads)
+            self._programs[length] = PathQp(length, suited, leads, self._config.qp, self._solver)
         return self._programs[length]
 
     def _in_the_way(

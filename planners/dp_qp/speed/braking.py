@@ -22,10 +22,12 @@ from math import inf
 import numpy as np
 
 from logs.kernel import FloatArray
-from logs.trace import Artefact, SolverReport
+from logs.trace import SolverReport
 from planners.dp_qp.speed.qp import RELEASE_MPS3, SpeedProblem, SpeedQp, SpeedQpConfig
 from planners.frenet.profiles import STEP_S, Limits, SpeedLimits
 from planners.frenet.st_boundaries import StBoundaries, StGraphConfig
+from planners.piecewise_jerk.solvers import DEFAULT
+from planners.qp import QPResult
 
 RESERVE = 0.85
 """Share of the limits with which braking must keep the bounds, so that the QP has room to be smooth."""
@@ -71,6 +73,14 @@ class BrakingMemory:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class Asked:
+    """A QP and its answer."""
+
+    problem: SpeedProblem
+    result: QPResult
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class SolvedSpeed:
     """What was found.
 
@@ -79,7 +89,7 @@ class SolvedSpeed:
         reason: Why it is not comfortable, or why there is none; empty otherwise.
         unavoidable: Whether nothing could avoid a contact.
         is_onward: Whether it drives on instead of braking; `is_full` whether it brakes as hard as it can.
-        artefacts: Costs and solver reports of all attempts.
+        asked: The QPs of all attempts.
     """
 
     profile: FloatArray | None
@@ -87,12 +97,12 @@ class SolvedSpeed:
     unavoidable: bool = False
     is_onward: bool = False
     is_full: bool = False
-    artefacts: tuple[Artefact, ...] = ()
+    asked: tuple[Asked, ...] = ()
 
     @property
     def reports(self) -> tuple[SolverReport, ...]:
         """Of all attempts."""
-        return tuple(item for item in self.artefacts if isinstance(item, SolverReport))
+        return tuple(each.result.report for each in self.asked)
 
 
 @dataclass(eq=False, slots=True)
@@ -104,14 +114,14 @@ class Case:
         taken: The S-T boundaries with any margins, stops included.
         t: The frame's time, s.
         memory: Of the frames before.
-        tried: Costs and reports of the QPs asked so far.
+        tried: The QPs asked so far.
     """
 
     problem: SpeedProblem
     taken: Callable[[StGraphConfig], StBoundaries]
     t: float
     memory: BrakingMemory
-    tried: list[Artefact] = field(default_factory=list)
+    tried: list[Asked] = field(default_factory=list)
 
     @property
     def is_patient(self) -> bool:
@@ -139,11 +149,15 @@ class BrakingLadder:
         config: Limits and weights.
         gap_m: The gap that is in the problems' upper bounds.
         most_mps2: Deceleration at full brake.
+        solver: Of the QPs.
+
+    Attributes:
+        program: The QP.
     """
 
-    def __init__(self, config: SpeedQpConfig, gap_m: float, most_mps2: float) -> None:
+    def __init__(self, config: SpeedQpConfig, gap_m: float, most_mps2: float, solver: str = DEFAULT) -> None:
         self._config, self._gap = config, gap_m
-        self._program = SpeedQp(config)
+        self.program = SpeedQp(config, solver)
         self._times = STEP_S * np.arange(config.knots)
         self._utmost = Limits(replace(config.emergency, decel_mps2=most_mps2, jerk_mps3=UTMOST_MPS3))
         soft = Limits(config.comfort)
@@ -171,7 +185,7 @@ class BrakingLadder:
                 return found
             if case.tried and case.problem.overtakes:
                 break
-        return SolvedSpeed(None, "speed QP: no profile found", artefacts=tuple(case.tried))
+        return SolvedSpeed(None, "speed QP: no profile found", asked=tuple(case.tried))
 
     def _hard(self, wait: int) -> tuple[Rung, ...]:
         """(4), or (2) with a wait of so many knots; the hardest give up their reserve and, at last, half of the gap.
@@ -214,11 +228,11 @@ class BrakingLadder:
                 lower=np.minimum(problem.lower, np.maximum(problem.s_ref, stop[0])),
                 upper=_eased(problem, given),
             )
-            result, costs = self._program.solve(eased, limits)
-            case.tried += costs, result.report
+            result = self.program.solve(eased, limits)
+            case.tried.append(Asked(eased, result))
             if not result.report.solved:
                 return None
-            return SolvedSpeed(_tidied(result.x.reshape(3, -1)), reason, artefacts=tuple(case.tried))
+            return SolvedSpeed(_tidied(result.x.reshape(3, -1)), reason, asked=tuple(case.tried))
 
         return Rung(applies, attempt)
 

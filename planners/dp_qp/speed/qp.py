@@ -1,6 +1,6 @@
 """Speed QP: the smoothest speed profile between the bounds that the speed DP decided.
 
-Unknown s, v, a at knots every 0.1 s, piecewise-constant jerk (`piecewise_jerk`). Minimise
+Unknown s, v, a at knots every 0.1 s, piecewise-constant jerk (`planners.piecewise_jerk`). Minimise
 
 (1) sum w_s (s - s_ref)^2 + w_v (v - v_ref)^2 + w_a a^2 + w_j jerk^2
 
@@ -8,25 +8,26 @@ subject to s_lower(t) <= s <= s_upper(t) from the decisions, 0 <= v <= v_limit, 
 
 (2) v_limit(sigma) = min(limit, sqrt(a_lat / |kappa|)), lowered so that it can be reached with a comfortable
     deceleration b:  v(sigma)^2 <= v(sigma + d)^2 + 2 b d
-(3) Which limits of acceleration and jerk: `speed_solve` takes the mildest with which braking keeps s_upper, so that the
+(3) Which limits of acceleration and jerk: `braking` takes the mildest with which braking keeps s_upper, so that the
     problem has a solution. Braking that is harder than comfort may be let go with `RELEASE_MPS3`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
 from math import inf
 
 import numpy as np
-from scipy import sparse
 
 from logs.kernel import FloatArray
 from logs.trace import CostTerms
-from planners.dp_qp import piecewise_jerk
 from planners.frenet.profiles import COMFORT, EMERGENCY, STEP_S, Limits, SpeedLimits
-from planners.qp import QPConfig, QPResult, QuadraticProgram
+from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights
+from planners.piecewise_jerk.solvers import DEFAULT, solve
+from planners.qp import QPResult
 
+TOLERANCE = 0.05
+"""By which a solution may violate a bound, in the units of the row."""
 RELEASE_MPS3 = 10.0
 """Jerk with which braking that is harder than comfort may be let go."""
 
@@ -101,43 +102,39 @@ class SpeedProblem:
 
 
 class SpeedQp:
-    """The speed QP: a workspace with constant matrices."""
+    """The speed QP.
 
-    def __init__(self, config: SpeedQpConfig) -> None:
-        self._config = config
-        n = config.knots
-        P, A = _matrices(n, config.w_s, config.w_v, config.w_a, config.w_j)
-        self._program = QuadraticProgram(
-            "speed QP",
-            P,
-            A,
-            equalities=2 * (n - 1),
-            scale=np.repeat([20.0, 4.0, 2.0], n),
-            config=QPConfig(tolerance=0.05),
-        )
+    Args:
+        config: Settings.
+        solver: Name of a solver of `planners.piecewise_jerk.solvers`.
+    """
 
-    def solve(self, problem: SpeedProblem, limits: Limits) -> tuple[QPResult, CostTerms]:
-        """The profile, x = (s, v, a) `(3 knots,)`, and its costs."""
-        n = self._config.knots
+    def __init__(self, config: SpeedQpConfig, solver: str = DEFAULT) -> None:
+        self._config, self._solver = config, solver
+
+    def solve(self, problem: SpeedProblem, limits: Limits) -> QPResult:
+        """The profile, x = (s, v, a) `(3 knots,)`."""
+        return solve(self.stated(problem, limits), self._solver, stage="speed QP", tolerance=TOLERANCE)
+
+    def stated(self, problem: SpeedProblem, limits: Limits) -> PiecewiseJerkProblem:
+        """(1) with its bounds."""
+        c, n = self._config, self._config.knots
         v0, a0 = problem.start
-        jerk = limits.row("jerk_mps3", n - 1)
-        ramp = np.r_[0.0, STEP_S * np.cumsum(jerk)]
+        jerk = limits.row("jerk_mps3", n)
+        ramp = np.r_[0.0, STEP_S * np.cumsum(jerk[:-1])]
         low_a = np.minimum(-limits.row("decel_mps2", n), a0 + 0.5 * ramp)
         high_a = np.maximum(limits.row("accel_mps2", n), a0 - 0.5 * ramp)
-        low = [np.minimum(problem.lower, problem.upper), np.zeros(n), low_a]
-        high = [problem.upper.copy(), problem.limit.copy(), high_a]
-        for k, value in enumerate((0.0, v0, a0)):
-            low[k][0] = high[k][0] = value
-        harder = max(-self._config.comfort.decel_mps2 - a0, 0.0)
-        release = np.where(np.arange(n - 1) < harder / (RELEASE_MPS3 * STEP_S), RELEASE_MPS3, 0.0)
-        thirds = -jerk, np.maximum(jerk, release)
-        bounds = piecewise_jerk.bounds((low[0], low[1], low[2]), (high[0], high[1], high[2]), thirds)
-        c = self._config
-        q = np.concatenate([-2.0 * c.w_s * problem.s_ref, -2.0 * c.w_v * problem.v_ref, np.zeros(n)])
-        result = self._program.solve(q, *bounds, fresh=True)
-        return result, self._costs(result.x, problem)
+        harder = max(-c.comfort.decel_mps2 - a0, 0.0)
+        release = np.where(np.arange(n) < harder / (RELEASE_MPS3 * STEP_S), RELEASE_MPS3, 0.0)
+        lower = np.vstack([np.minimum(problem.lower, problem.upper), np.zeros(n), low_a, -jerk])
+        upper = np.vstack([problem.upper, problem.limit, high_a, np.maximum(jerk, release)])
+        references, weights = np.vstack([problem.s_ref, problem.v_ref]), Weights(c.w_s, c.w_v, c.w_a, c.w_j)
+        return PiecewiseJerkProblem(
+            STEP_S, np.empty(0), np.array([0.0, v0, a0]), weights, references, lower, upper, 0.0
+        )
 
-    def _costs(self, x: FloatArray, problem: SpeedProblem) -> CostTerms:
+    def costs(self, x: FloatArray, problem: SpeedProblem) -> CostTerms:
+        """(1) of a profile, by term."""
         s, v, a = x.reshape(3, self._config.knots)
         c = self._config
         values = {
@@ -147,12 +144,3 @@ class SpeedQp:
             "jerk": c.w_j * float(np.sum(np.diff(a) ** 2)) / STEP_S**2,
         }
         return CostTerms("speed QP", tuple(values.items()))
-
-
-@cache
-def _matrices(n: int, w_s: float, w_v: float, w_a: float, w_j: float) -> tuple[sparse.csc_matrix, sparse.csc_matrix]:
-    """P and A of (1) and its constraints: every lane has its own workspace of them."""
-    eye = sparse.eye(n)
-    jerk = piecewise_jerk.difference_penalty(n) * (w_j / STEP_S**2)
-    P = 2.0 * sparse.block_diag([w_s * eye, w_v * eye, w_a * eye + jerk], format="csc")
-    return sparse.csc_matrix(P), piecewise_jerk.constraint_matrix(n, STEP_S)

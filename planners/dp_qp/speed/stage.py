@@ -35,6 +35,7 @@ from planners.frenet.st_boundaries import (
     st_boundaries,
     stop_outlines,
 )
+from planners.piecewise_jerk.solvers import DEFAULT
 
 SPEED_ROOM_MPS = 0.8
 """Room above the limit that the reference keeps, but not above a cap that is a bound: it makes the profile smooth."""
@@ -140,9 +141,11 @@ class _Planned:
 class SpeedStage:
     """Chooses the speed of each frame along a path."""
 
-    def __init__(self, vehicle: VehicleParameters, config: SpeedConfig, lap: Callable[[str], None]) -> None:
+    def __init__(
+        self, vehicle: VehicleParameters, config: SpeedConfig, lap: Callable[[str], None], solver: str = DEFAULT
+    ) -> None:
         self._vehicle, self._config, self._lap = vehicle, config, lap
-        self._ladder = BrakingLadder(config.qp, config.dp.gap_m, vehicle.max_decel)
+        self._ladder = BrakingLadder(config.qp, config.dp.gap_m, vehicle.max_decel, solver)
         self._hard_mps2 = RESERVE * config.qp.emergency.decel_mps2
         self._times = STEP_S * np.arange(config.qp.knots)
 
@@ -202,9 +205,9 @@ class SpeedStage:
         cannot_be_first = not _overtakes(blocks, kinds, solved.profile, self._times)
         if cannot_be_first:
             kinds = tuple(DecisionKind.YIELD if kind is DecisionKind.OVERTAKE else kind for kind in kinds)
-            problem, tried = self._bounded(free, blocks, kinds), solved.artefacts
+            problem, tried = self._bounded(free, blocks, kinds), solved.asked
             solved = self._ladder.solve(Case(problem, way.taken, scene.frame.t, memory))
-            solved = replace(solved, artefacts=(*tried, *solved.artefacts))
+            solved = replace(solved, asked=(*tried, *solved.asked))
         self._lap("speed QP")
         return _Planned(solved, problem, blocks, kinds, cannot_be_first, grid, s_dp)
 
@@ -311,7 +314,9 @@ class SpeedStage:
         )
         ignored = _ignored(unlikely, scene) if unlikely is not None else ()
         asked = (stop.decision for stop in stops)
-        return (graph, *decisions, *solved.artefacts, *ignored, *asked, *way.limit.decisions)
+        costs = self._ladder.program.costs
+        asked_qps = (part for each in solved.asked for part in (costs(each.result.x, each.problem), each.result.report))
+        return (graph, *decisions, *asked_qps, *ignored, *asked, *way.limit.decisions)
 
 
 def _overtakes(

@@ -39,7 +39,7 @@ from replay.open_loop import run_open_loop
 
 SEED = st.integers(0, 2**32 - 1)
 KINDS = {"roomy": 1.0, "tight": 0.02, "nearly infeasible": 1e-5, "soft": 0.02}
-"""PathBounds on either side of a curve that keeps all bounds, m."""
+"""Room on either side of a curve that keeps all bounds, m."""
 
 
 def curve_of(rng: np.random.Generator, n: int, h: float) -> FloatArray:

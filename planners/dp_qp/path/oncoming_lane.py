@@ -36,7 +36,7 @@ SIGHT_M = 5.0
 QUEUE_M = 25.0
 """Who stands so near behind another who stands in the lane waits in a queue."""
 ROOM_M = 0.5
-"""PathBounds that the oncoming lane must leave beside the ego for it to be worth waiting for."""
+"""Room that the oncoming lane must leave beside the ego for it to be worth waiting for."""
 
 
 def widest_gap(reference: ReferencePath, box: Occupancy, *, oncoming: bool = False) -> float:

@@ -24,10 +24,11 @@ with the settling length a (m).
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import FloatArray
+from logs.kernel import FloatArray, kernel
 from logs.trace import CostTerms
 from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights
 from planners.piecewise_jerk.solvers import DEFAULT, solve
@@ -62,8 +63,7 @@ class PathQpConfig:
             raise ValueError("path QP needs at least 10 knots and positive weights")
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class PathProblem:
+class PathProblem(NamedTuple):
     """One path problem.
 
     Attributes:
@@ -109,18 +109,12 @@ class PathQp:
 
     def stated(self, problem: PathProblem, *, softly: bool) -> PiecewiseJerkProblem:
         """(1)-(6); (1) and (5) together are one square about a point between them."""
-        n, config = self.knots, self._config
-        references = np.zeros((2, n))
-        references[0] = 0.5 * config.w_mid / (config.w_ref + config.w_mid) * (problem.lower[0] + problem.upper[0])
-        lower, upper = (
-            np.vstack([corridor[:1], slope, bend, np.r_[rate, 0.0], corridor[1:]])
-            for corridor, slope, bend, rate in (
-                (problem.lower, problem.slope[0], problem.bend[0], problem.rate[0]),
-                (problem.upper, problem.slope[1], problem.bend[1], problem.rate[1]),
-            )
+        middle = 0.5 * self._config.w_mid / (self._config.w_ref + self._config.w_mid)
+        references, lower, upper = _stated(problem, middle)
+        soft = OUTSIDE if softly else 0.0
+        return PiecewiseJerkProblem(
+            self.step, self._ahead, problem.start, self._weights, references, lower, upper, soft
         )
-        start, soft = np.array(problem.start), OUTSIDE if softly else 0.0
-        return PiecewiseJerkProblem(self.step, self._ahead, start, self._weights, references, lower, upper, soft)
 
     def costs(self, x: FloatArray, problem: PathProblem) -> CostTerms:
         """(1) to (5) of a path, by term."""
@@ -135,3 +129,18 @@ class PathQp:
             "centre": self._config.w_mid * float((l - middle) @ (l - middle)),
         }
         return CostTerms("path QP", tuple(values.items()))
+
+
+@kernel
+def _stated(problem: PathProblem, middle: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """References `(2, n)`, lower and upper bounds of the rows `(4 + leads, n)`; `middle` is the share of the bounds."""
+    points, n = problem.lower.shape
+    references, lower, upper = np.zeros((2, n)), np.zeros((3 + points, n)), np.zeros((3 + points, n))
+    references[0] = middle * (problem.lower[0] + problem.upper[0])
+    lower[0], upper[0] = problem.lower[0], problem.upper[0]
+    lower[1], upper[1] = problem.slope[0], problem.slope[1]
+    lower[2], upper[2] = problem.bend[0], problem.bend[1]
+    lower[3, : n - 1], upper[3, : n - 1] = problem.rate[0], problem.rate[1]
+    for k in range(1, points):
+        lower[3 + k], upper[3 + k] = problem.lower[k], problem.upper[k]  # (6)
+    return references, lower, upper

@@ -15,17 +15,23 @@ subject to s_lower(t) <= s <= s_upper(t) from the decisions, 0 <= v <= v_limit, 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import inf
+from math import inf, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import FloatArray
+from logs.kernel import FloatArray, kernel
 from logs.trace import CostTerms
-from planners.frenet.profiles import COMFORT, EMERGENCY, STEP_S, Limits, SpeedLimits
+from planners.frenet.profiles import COMFORT, EMERGENCY, STEP_S, KnotLimits, Limits, SpeedLimits, braking_within
 from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights
 from planners.piecewise_jerk.solvers import DEFAULT, solve
 from planners.qp import QPResult
 
+NO_LEADS = np.empty(0)
+LIMIT_ROOM_MPS = 0.05
+"""Room that the bound of the speed leaves above the braking that it must hold."""
+REST_MPS, REST_MPS2 = 1e-3, 0.02
+"""Speed and acceleration below which a profile rests."""
 TOLERANCE = 0.05
 """By which a solution may violate a bound, in the units of the row."""
 RELEASE_MPS3 = 10.0
@@ -75,8 +81,7 @@ class SpeedQpConfig:
         return (self.knots - 1) * STEP_S
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class SpeedProblem:
+class SpeedProblem(NamedTuple):
     """One speed problem; arrays `(knots,)`.
 
     Attributes:
@@ -111,6 +116,7 @@ class SpeedQp:
 
     def __init__(self, config: SpeedQpConfig, solver: str = DEFAULT) -> None:
         self._config, self._solver = config, solver
+        self._weights = Weights(config.w_s, config.w_v, config.w_a, config.w_j)
 
     def solve(self, problem: SpeedProblem, limits: Limits) -> QPResult:
         """The profile, x = (s, v, a) `(3 knots,)`."""
@@ -118,20 +124,10 @@ class SpeedQp:
 
     def stated(self, problem: SpeedProblem, limits: Limits) -> PiecewiseJerkProblem:
         """(1) with its bounds."""
-        c, n = self._config, self._config.knots
-        v0, a0 = problem.start
-        jerk = limits.row("jerk_mps3", n)
-        ramp = np.r_[0.0, STEP_S * np.cumsum(jerk[:-1])]
-        low_a = np.minimum(-limits.row("decel_mps2", n), a0 + 0.5 * ramp)
-        high_a = np.maximum(limits.row("accel_mps2", n), a0 - 0.5 * ramp)
-        harder = max(-c.comfort.decel_mps2 - a0, 0.0)
-        release = np.where(np.arange(n) < harder / (RELEASE_MPS3 * STEP_S), RELEASE_MPS3, 0.0)
-        lower = np.vstack([np.minimum(problem.lower, problem.upper), np.zeros(n), low_a, -jerk])
-        upper = np.vstack([problem.upper, problem.limit, high_a, np.maximum(jerk, release)])
-        references, weights = np.vstack([problem.s_ref, problem.v_ref]), Weights(c.w_s, c.w_v, c.w_a, c.w_j)
-        return PiecewiseJerkProblem(
-            STEP_S, np.empty(0), np.array([0.0, v0, a0]), weights, references, lower, upper, 0.0
-        )
+        c = self._config
+        lower, upper, references = _rows(problem, limits.columns, c.comfort.decel_mps2)
+        start = np.array([0.0, *problem.start])
+        return PiecewiseJerkProblem(STEP_S, NO_LEADS, start, self._weights, references, lower, upper, 0.0)
 
     def costs(self, x: FloatArray, problem: SpeedProblem) -> CostTerms:
         """(1) of a profile, by term."""
@@ -144,3 +140,65 @@ class SpeedQp:
             "jerk": c.w_j * float(np.sum(np.diff(a) ** 2)) / STEP_S**2,
         }
         return CostTerms("speed QP", tuple(values.items()))
+
+
+@kernel
+def _rows(problem: SpeedProblem, limits: KnotLimits, comfort: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Lower and upper bounds of the rows s, v, a, jerk `(4, n)` and references of s and v `(2, n)`.
+
+    Bounds of the acceleration hold the start's as far as half of the jerk leads back from it. `comfort`: deceleration,
+    m/s2; harder braking may be let go (3).
+    """
+    n, a0 = len(problem.upper), problem.start[1]
+    lower, upper, references = np.zeros((4, n)), np.empty((4, n)), np.empty((2, n))
+    references[0], references[1] = problem.s_ref, problem.v_ref
+    lower[0], upper[0], upper[1] = np.minimum(problem.lower, problem.upper), problem.upper, problem.limit
+    released = max(-comfort - a0, 0.0) / (RELEASE_MPS3 * STEP_S)
+    total = 0.0
+    for i in range(n):
+        is_first = i < limits.knots
+        jerk = limits.first_jerk if is_first else limits.jerk
+        ramp = STEP_S * total
+        lower[2, i] = min(-(limits.first_decel if is_first else limits.decel), a0 + 0.5 * ramp)
+        upper[2, i] = max(limits.first_accel if is_first else limits.accel, a0 - 0.5 * ramp)
+        lower[3, i], upper[3, i] = -jerk, max(jerk, RELEASE_MPS3 if i < released else 0.0)
+        total += jerk
+    return lower, upper, references
+
+
+@kernel
+def eased(
+    problem: SpeedProblem, limits: KnotLimits, share: float, given: float
+) -> tuple[bool, FloatArray, SpeedProblem]:
+    """Whether braking with a share of the limits keeps the bounds; that braking, rows s, v, a; the problem for it.
+
+    Of the gap `given` m are given up; the path's end stays. The start is one from which the jerk can stop before
+    reversing, the bounds hold the braking.
+    """
+    v0 = problem.start[0]
+    jerk = limits.first_jerk if limits.knots > 0 else limits.jerk
+    a0 = max(problem.start[1], -sqrt(2.0 * 0.9 * jerk * v0))
+    stop = braking_within(v0, a0, limits, share, STEP_S, len(problem.upper))
+    upper = np.minimum(problem.upper + given, problem.end)
+    lower = np.minimum(problem.lower, np.maximum(problem.s_ref, stop[0]))
+    limit = np.maximum(problem.limit, stop[1] + LIMIT_ROOM_MPS)
+    loosened = SpeedProblem((v0, a0), lower, upper, limit, problem.s_ref, problem.v_ref, problem.end)
+    return not (stop[0] > upper).any(), stop, loosened
+
+
+@kernel
+def tidied(x: FloatArray) -> FloatArray:
+    """A profile x = (s, v, a) `(3 n,)` without the solver's last micrometres, rows `(3, n)`.
+
+    Never backwards, exactly at rest where it rests.
+    """
+    out = x.copy().reshape(3, len(x) // 3)
+    furthest = 0.0
+    for i in range(out.shape[1]):
+        furthest = max(furthest, out[0, i])
+        out[0, i] = furthest
+        if out[1, i] < REST_MPS:
+            out[1, i] = 0.0
+            if abs(out[2, i]) < REST_MPS2:
+                out[2, i] = 0.0
+    return out

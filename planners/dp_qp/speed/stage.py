@@ -118,7 +118,7 @@ class ChosenSpeed:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Way:
-    """What is planned on: the scene on its path, the limit, and with nobody on the road; boundaries with any margins."""
+    """What is planned on: the scene on its path, the limit (`own` with nobody on the road), boundaries by margins."""
 
     view: PathView
     limit: LoweredLimit
@@ -129,7 +129,7 @@ class _Way:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Planned:
-    """A solved speed and what it came from, for the record; how far driving at the limit comes, where nobody lowers it."""
+    """A solved speed and what it came from; how far driving at the limit comes, m, where nobody lowers it."""
 
     solved: SolvedSpeed
     problem: SpeedProblem
@@ -187,8 +187,9 @@ class SpeedStage:
             else:
                 planned = self._planned(way, found, memory.braking)
         solved = planned.solved
+        free_m = self._free_m(way, own) if planned.free_m is None else planned.free_m
         chosen = ChosenSpeed(
-            solved.profile, solved.reason, solved.unavoidable, planned.free_m if planned.free_m is not None else self._free_m(way, own), planned.blocks, solved.reports,
+            solved.profile, solved.reason, solved.unavoidable, free_m, planned.blocks, solved.reports,
             lambda: self._artefacts(way, planned, unlikely),
         )  # fmt: skip
         return chosen, SpeedMemory(memory.braking.after(scene.frame.t, solved), came)
@@ -217,9 +218,8 @@ class SpeedStage:
             solved = self._ladder.solve(Case(problem, way.taken, scene.frame.t, memory))
             solved = replace(solved, asked=(*tried, *solved.asked))
         self._lap("speed QP")
-        return _Planned(
-            solved, problem, blocks, kinds, cannot_be_first, grid, s_dp, free_m if limit is way.own.v else None
-        )
+        alone = free_m if limit is way.own.v else None
+        return _Planned(solved, problem, blocks, kinds, cannot_be_first, grid, s_dp, alone)
 
     def _could_stop(self, profile: FloatArray | None, blocks: StBoundaries) -> bool:
         """Whether hard braking, `BRANCH_S` after driving on along a profile, would stay behind these boundaries."""
@@ -239,18 +239,9 @@ class SpeedStage:
         """How far the ego would come with nobody on the road, m."""
         scene, path, soft = way.view.scene, way.view.path, self._soft
         v_limit = self._reachable(path, own.v)
-        end = cruising(
-            path.sigma,
-            v_limit,
-            scene.v,
-            scene.start.a,
-            soft.accel,
-            soft.decel,
-            soft.jerk,
-            STEP_S,
-            self._config.qp.knots,
-        )[0, -1]
-        return float(end)
+        start, knots = (scene.v, scene.start.a), self._config.qp.knots
+        free = cruising(path.sigma, v_limit, *start, soft.accel, soft.decel, soft.jerk, STEP_S, knots)
+        return float(free[0, -1])
 
     def _stop_line(self, blocks: StBoundaries, scene: Scene) -> float:
         """Station before the first who stands in the path, m; inf where nobody does."""

@@ -84,18 +84,18 @@ first products z f, m2."""
 
 
 class Rows(NamedTuple):
-    """The rows of (3); K kinds (x, x', x'', x''', x + lead x'), m = n - 1 rows each, row j of all on c_j .. c_{j+3}.
+    """The rows of (3); K kinds (x, x', x'', x''', x + lead x'), m = n - 1 rows each, N = K m.
+
+    Row j of each kind reads c_j .. c_{j+3}. Arrays `(N,)` are kind by kind; `(2, N)` of lower and upper bounds.
 
     Attributes:
         stencil: Coefficients of (1) `(K, 4)`.
-        scale: To the size of x `(K,)`.
-        cost: q `(K,)`; `wanted` r `(K, m)`.
-        give: Of (3) `(K,)`.
-        bound: Lower and upper `(2, K, m)`.
+        cost: q `(N,)`; `wanted` r likewise.
+        give: Of (3) `(N,)`.
+        bound: `(2, N)`.
     """
 
     stencil: FloatArray
-    scale: FloatArray
     cost: FloatArray
     wanted: FloatArray
     give: FloatArray
@@ -103,7 +103,7 @@ class Rows(NamedTuple):
 
 
 class Point(NamedTuple):
-    """An iterate, or a step: c `(m + 3,)`, y and force `(K, m)`, slacks z and multipliers f `(2, K, m)`."""
+    """An iterate, or a step: c `(m + 3,)`, y and force `(N,)`, slacks z and multipliers f `(2, N)`."""
 
     c: FloatArray
     y: FloatArray
@@ -116,11 +116,12 @@ class Newton(NamedTuple):
     """Work arrays of (7).
 
     Attributes:
-        primal: Residuals of (5) `(2, K, m)`.
-        product: z f and what joins it `(2, K, m)`.
-        stiffness: W~ `(K, m)`.
-        softening: 1 / (1 + give W) `(K, m)`.
-        push: t~ `(K, m)`.
+        primal: Residuals of (5) `(2, N)`.
+        product: z f and what joins it `(2, N)`.
+        inverse: 1 / z `(2, N)`.
+        stiffness: W~ `(N,)`.
+        softening: 1 / (1 + give W) `(N,)`.
+        push: What `A'` gathers or multiplies: q (y - r), q + W~, t~ in turn `(N,)`.
         dual: Residual of (4) `(m + 3,)`, 0 for the fixed coefficients.
         pull: A' force `(m + 3,)`.
         band: The matrix by diagonals, then its factors `(4, m + 3)`.
@@ -128,6 +129,7 @@ class Newton(NamedTuple):
 
     primal: FloatArray
     product: FloatArray
+    inverse: FloatArray
     stiffness: FloatArray
     softening: FloatArray
     push: FloatArray
@@ -169,18 +171,18 @@ def solve(problem: PiecewiseJerkProblem, accuracy: float, max_iterations: int) -
         if status != SPENT or iteration == max_iterations:
             break
         iteration += 1
-        proximal = min(PROXIMAL, PROXIMAL_M / point.multiplier.max())
+        proximal = min(PROXIMAL, PROXIMAL_M / max(_largest(point.multiplier[0]), _largest(point.multiplier[1])))
         _assemble(rows, point, newton, proximal)
         if not _factorise(newton.band):
             status = BROKEN
             break
         _direction(rows, point, newton, step, proximal)
-        primal_step, dual_step = _step_lengths(point, step, 1.0, together)
+        primal_step, dual_step = _step_lengths(point, newton, step, 1.0, together)
         mu = gap / point.slack.size
         after = _gap_after(point, step, primal_step, dual_step) / point.slack.size
         _correct(newton.product, step, max((after / mu) ** 3 * mu, least))  # (9)
         _direction(rows, point, newton, step, proximal)
-        primal_step, dual_step = _step_lengths(point, step, TO_BOUNDARY, together)
+        primal_step, dual_step = _step_lengths(point, newton, step, TO_BOUNDARY, together)
         _advance(point, step, primal_step, dual_step)
     return Solution(_curve(point.c, problem.step), status, iteration, primal, dual, gap)
 
@@ -190,34 +192,36 @@ def rows_of(problem: PiecewiseJerkProblem) -> Rows:
     """The rows (1) of a problem, scaled, with their cost and bounds (3)."""
     kinds, n = problem.lower.shape
     h, m = problem.step, n - 1
-    stencil, scale, cost, give = np.zeros((kinds, 4)), np.ones(kinds), np.zeros(kinds), np.zeros(kinds)
+    stencil, scale, curvature = np.zeros((kinds, 4)), np.ones(kinds), np.zeros(kinds)
     stencil[0, 1], stencil[0, 2], stencil[0, 3] = 1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0  # (1)
     stencil[1, 1], stencil[1, 3] = -0.5, 0.5
     stencil[2, 1], stencil[2, 2], stencil[2, 3] = 1.0, -2.0, 1.0
     stencil[3, 0], stencil[3, 1], stencil[3, 2], stencil[3, 3] = -1.0, 3.0, -3.0, 1.0
     scale[1], scale[2], scale[3] = h, h * h, h * h * h
     for k in range(4):
-        cost[k] = 2.0 * problem.weights[k] / scale[k] ** 2
+        curvature[k] = 2.0 * problem.weights[k] / scale[k] ** 2
     for k in range(4, kinds):
         stencil[k] = stencil[0] + problem.leads[k - 4] / h * stencil[1]
     # curvature of the cost in x: |x_j|^2 <= m^(2k-1) sum_i |scaled row i of kind k|^2, by Cauchy and Schwarz
-    unit = max(cost[0], cost[1] / m, cost[2] / m**3, cost[3] / m**5)
-    cost /= unit
-    wanted, bound = np.zeros((kinds, m)), np.empty((2, kinds, m))
+    unit = max(curvature[0], curvature[1] / m, curvature[2] / m**3, curvature[3] / m**5)
+    cost, wanted, give = np.zeros(kinds * m), np.zeros(kinds * m), np.zeros(kinds * m)
+    bound = np.empty((2, kinds * m))
     for k in range(kinds):
         first = 0 if k == DDDX else 1
-        if k <= DX:
-            wanted[k] = scale[k] * problem.references[k, 1:]
-        if problem.soft > 0.0 and (k == X or k > DDDX):
-            give[k] = unit / (2.0 * problem.soft)
         for j in range(m):
+            i = k * m + j
+            cost[i] = curvature[k] / unit
+            if k <= DX:
+                wanted[i] = scale[k] * problem.references[k, j + 1]
+            if problem.soft > 0.0 and (k == X or k > DDDX):
+                give[i] = unit / (2.0 * problem.soft)
             low = max(scale[k] * problem.lower[k, j + first], -FAR_M)
             high = min(scale[k] * problem.upper[k, j + first], FAR_M)
             if high - low < 2.0 * NARROW_M:
                 middle = 0.5 * (low + high)
                 low, high = middle - NARROW_M, middle + NARROW_M
-            bound[0, k, j], bound[1, k, j] = low, high
-    return Rows(stencil, scale, cost, wanted, give, bound)
+            bound[0, i], bound[1, i] = low, high
+    return Rows(stencil, cost, wanted, give, bound)
 
 
 @kernel
@@ -242,116 +246,152 @@ def _first_point(problem: PiecewiseJerkProblem, rows: Rows) -> Point:
     for i in range(3, len(c)):
         c[i] = 2.0 * c[i - 1] - c[i - 2]
     _apply(rows.stencil, c, point.y)
-    _, kinds, m = rows.bound.shape
-    for side in range(2):
-        sign = 1.0 - 2.0 * side
-        for k in range(kinds):
-            for j in range(m):
-                least = START_SHARE * min(max(rows.bound[1, k, j] - rows.bound[0, k, j], START_LEAST_M), START_MOST_M)
-                point.slack[side, k, j] = max(sign * (point.y[k, j] - rows.bound[side, k, j]), least)
-                point.multiplier[side, k, j] = START_MU / point.slack[side, k, j]
+    size = len(rows.cost)
+    for i in range(size):
+        low, high = rows.bound[0, i], rows.bound[1, i]
+        least = START_SHARE * min(max(high - low, START_LEAST_M), START_MOST_M)
+        point.slack[0, i] = max(point.y[i] - low, least)
+        point.slack[1, i] = max(high - point.y[i], least)
+    point.multiplier[:] = START_MU / point.slack
     return point
 
 
 @kernel
 def _blank(rows: Rows) -> Point:
-    _, kinds, m = rows.bound.shape
-    sides = np.zeros((2, kinds, m))
-    return Point(np.zeros(m + 3), np.zeros((kinds, m)), np.zeros((kinds, m)), sides, np.zeros_like(sides))
+    size = len(rows.cost)
+    ends = size // len(rows.stencil) + 3
+    return Point(np.zeros(ends), np.zeros(size), np.zeros(size), np.zeros((2, size)), np.zeros((2, size)))
 
 
 @kernel
 def _workspace(rows: Rows) -> Newton:
-    _, kinds, m = rows.bound.shape
-    sides, each, ends = np.zeros((2, kinds, m)), np.zeros((kinds, m)), np.zeros(m + 3)
+    size = len(rows.cost)
+    ends = size // len(rows.stencil) + 3
     return Newton(
-        sides, np.zeros_like(sides), each, np.zeros_like(each), np.zeros_like(each), ends, np.zeros_like(ends),
-        np.zeros((4, m + 3)),
+        np.empty((2, size)), np.empty((2, size)), np.empty((2, size)), np.empty(size), np.empty(size), np.empty(size),
+        np.empty(ends), np.empty(ends), np.empty((4, ends)),
     )  # fmt: skip
 
 
 @kernel
 def _apply(stencil: FloatArray, c: FloatArray, out: FloatArray) -> None:
     """Write A c."""
-    kinds, m = out.shape
-    for k in range(kinds):
+    m = len(c) - 3
+    for k in range(len(stencil)):
         a0, a1, a2, a3 = stencil[k]
+        row = out[k * m : (k + 1) * m]
         for j in range(m):
-            out[k, j] = a0 * c[j] + a1 * c[j + 1] + a2 * c[j + 2] + a3 * c[j + 3]
+            row[j] = a0 * c[j] + a1 * c[j + 1] + a2 * c[j + 2] + a3 * c[j + 3]
 
 
 @kernel
 def _gather(stencil: FloatArray, of_rows: FloatArray, out: FloatArray) -> None:
     """Write A' of_rows."""
-    kinds, m = of_rows.shape
+    m = len(out) - 3
     out[:] = 0.0
-    for k in range(kinds):
+    for k in range(len(stencil)):
+        row = of_rows[k * m : (k + 1) * m]
         for i in range(4):
             a = stencil[k, i]
-            for j in range(m):
-                out[j + i] += a * of_rows[k, j]
+            if a != 0.0:
+                to = out[i : i + m]
+                for j in range(m):
+                    to[j] += a * row[j]
+
+
+@kernel
+def _largest(values: FloatArray) -> float:
+    """Largest magnitude."""
+    most = 0.0
+    for i in range(len(values)):
+        most = max(most, abs(values[i]))
+    return most
 
 
 @kernel
 def _residuals(rows: Rows, point: Point, newton: Newton) -> tuple[float, float, float]:
     """Residuals of (4), (5), products of (6); the largest of (5), of (4), and the sum of the products."""
-    _, kinds, m = rows.bound.shape
-    slack, multiplier, force = point.slack, point.multiplier, point.force
-    worst, gap = 0.0, 0.0
-    for k in range(kinds):
-        for j in range(m):
-            force[k, j] = multiplier[0, k, j] - multiplier[1, k, j]
-            at = point.y[k, j] + rows.give[k] * force[k, j]
-            below = (at - rows.bound[0, k, j]) - slack[0, k, j]  # (5)
-            above = -(at - rows.bound[1, k, j]) - slack[1, k, j]
-            newton.primal[0, k, j], newton.primal[1, k, j] = below, above
-            worst = max(worst, abs(below), abs(above))
-            newton.product[0, k, j] = slack[0, k, j] * multiplier[0, k, j]  # (6)
-            newton.product[1, k, j] = slack[1, k, j] * multiplier[1, k, j]
-            gap += newton.product[0, k, j] + newton.product[1, k, j]
-            newton.push[k, j] = rows.cost[k] * (point.y[k, j] - rows.wanted[k, j])
-    _gather(rows.stencil, force, newton.pull)
+    y, force, slack, multiplier = point.y, point.force, point.slack, point.multiplier
+    cost, wanted, give, bound = rows.cost, rows.wanted, rows.give, rows.bound
+    push, primal, product = newton.push, newton.primal, newton.product
+    size = len(y)
+    for i in range(size):
+        force[i] = multiplier[0, i] - multiplier[1, i]
+    for i in range(size):
+        at = y[i] + give[i] * force[i]
+        primal[0, i] = (at - bound[0, i]) - slack[0, i]  # (5)
+        primal[1, i] = -(at - bound[1, i]) - slack[1, i]
+    for i in range(size):
+        push[i] = cost[i] * (y[i] - wanted[i])
+    for side in range(2):
+        for i in range(size):
+            product[side, i] = slack[side, i] * multiplier[side, i]  # (6)
+    gap = 0.0
+    for i in range(size):
+        gap += product[0, i] + product[1, i]
+    _gather(rows.stencil, point.force, newton.pull)
     _gather(rows.stencil, newton.push, newton.dual)
     newton.dual[:] -= newton.pull  # (4)
     newton.dual[:3] = 0.0
-    return worst, np.abs(newton.dual).max(), gap
+    return max(_largest(primal[0]), _largest(primal[1])), _largest(newton.dual), gap
 
 
 @kernel
 def _verdict(rows: Rows, point: Point, newton: Newton, primal: float, dual: float, gap: float, accuracy: float) -> int:
     """`SOLVED` by (10), `INFEASIBLE` by (11), else `SPENT`."""
-    _, kinds, m = rows.bound.shape
-    left = np.abs(newton.pull[3:]).max()
-    small = RESIDUAL * accuracy
-    if gap <= 0.5 * accuracy**2 and primal <= small and dual <= small * (1.0 + left):  # (10)
-        return SOLVED
-    excess = 0.0
-    for k in range(kinds):
-        for j in range(m):
-            low, high = rows.bound[0, k, j], rows.bound[1, k, j]
-            excess += low * point.multiplier[0, k, j] - high * point.multiplier[1, k, j]
-            left = max(left, rows.give[k] * abs(point.force[k, j]))
-    excess -= newton.pull[0] * point.c[0] + newton.pull[1] * point.c[1] + newton.pull[2] * point.c[2]
+    left, small = _largest(newton.pull[3:]), RESIDUAL * accuracy
+    if primal <= small:
+        return SOLVED if gap <= 0.5 * accuracy**2 and dual <= small * (1.0 + left) else SPENT  # (10)
+    force, give, multiplier, bound = (
+        point.force,
+        rows.give,
+        point.multiplier,
+        rows.bound,
+    )
+    excess, size = 0.0, len(force)
+    for i in range(size):
+        excess += bound[0, i] * multiplier[0, i] - bound[1, i] * multiplier[1, i]
+        left = max(left, give[i] * abs(force[i]))
+    for i in range(3):
+        excess -= newton.pull[i] * point.c[i]
     return INFEASIBLE if left < FARKAS * excess else SPENT  # (11)
 
 
 @kernel
 def _assemble(rows: Rows, point: Point, newton: Newton, proximal: float) -> None:
     """The matrix of (7), lower diagonals; the fixed coefficients get rows of the identity."""
-    _, kinds, m = rows.bound.shape
-    band, slack, multiplier = newton.band, point.slack, point.multiplier
+    slack, multiplier, inverse = point.slack, point.multiplier, newton.inverse
+    softening, stiffness, push = newton.softening, newton.stiffness, newton.push
+    cost, give = rows.cost, rows.give
+    size = len(cost)
+    for side in range(2):
+        for i in range(size):
+            inverse[side, i] = 1.0 / slack[side, i]
+    for i in range(size):
+        stiffness[i] = multiplier[0, i] * inverse[0, i] + multiplier[1, i] * inverse[1, i]
+    for i in range(size):
+        softening[i] = 1.0 / (1.0 + (give[i] + proximal) * stiffness[i])
+    for i in range(size):
+        stiffness[i] *= softening[i]
+    for i in range(size):
+        push[i] = cost[i] + stiffness[i]
+    _multiply(rows.stencil, newton.push, newton.band)
+
+
+@kernel
+def _multiply(stencil: FloatArray, diagonal: FloatArray, band: FloatArray) -> None:
+    """Write A' diagonal A by its lower diagonals, with rows of the identity for the fixed coefficients."""
+    m = band.shape[1] - 3
     band[:] = 0.0
-    for k in range(kinds):
-        for j in range(m):
-            barrier = multiplier[0, k, j] / slack[0, k, j] + multiplier[1, k, j] / slack[1, k, j]
-            newton.softening[k, j] = 1.0 / (1.0 + (rows.give[k] + proximal) * barrier)
-            newton.stiffness[k, j] = barrier * newton.softening[k, j]
+    for k in range(len(stencil)):
+        row = diagonal[k * m : (k + 1) * m]
         for i in range(4):
             for d in range(4 - i):
-                product = rows.stencil[k, i] * rows.stencil[k, i + d]
+                product = stencil[k, i] * stencil[k, i + d]
                 if product != 0.0:
+                    to = band[d, i : i + m]
                     for j in range(m):
-                        band[d, j + i] += product * (rows.cost[k] + newton.stiffness[k, j])
+                        to[j] += product * row[j]
     band[0, :3], band[1:, :3] = 1.0, 0.0
 
 
@@ -369,13 +409,13 @@ def _factorise(band: FloatArray) -> bool:
             return False
         if band[0, i] < ROUNDING * diagonal[i]:
             band[0, i] = HUGE
-        pivot = band[0, i]
+        inverse = 1.0 / band[0, i]
         for d in range(1, min(4, size - i)):
-            share = band[d, i] / pivot
+            share = band[d, i] * inverse
             for e in range(d, min(4, size - i)):
                 band[e - d, i + d] -= share * band[e, i]
         for d in range(1, 4):
-            band[d, i] /= pivot
+            band[d, i] *= inverse
     return True
 
 
@@ -386,9 +426,11 @@ def _back_substitute(band: FloatArray, x: FloatArray) -> None:
     for i in range(size):
         for d in range(1, min(4, size - i)):
             x[i + d] -= band[d, i] * x[i]
+    for i in range(size):
+        x[i] /= band[0, i]
     for i in range(size - 1, -1, -1):
-        value = x[i] / band[0, i]
-        for d in range(1, min(4, size - i)):
+        value = x[i]
+        for d in range(min(3, size - 1 - i), 0, -1):
             value -= band[d, i] * x[i + d]
         x[i] = value
 
@@ -396,76 +438,76 @@ def _back_substitute(band: FloatArray, x: FloatArray) -> None:
 @kernel
 def _direction(rows: Rows, point: Point, newton: Newton, step: Point, proximal: float) -> None:
     """Newton's step (7), (8) for the products that are in `newton`."""
-    _, kinds, m = rows.bound.shape
-    slack, multiplier, primal, product = point.slack, point.multiplier, newton.primal, newton.product
-    for k in range(kinds):
-        for j in range(m):
-            below = (product[0, k, j] + multiplier[0, k, j] * primal[0, k, j]) / slack[0, k, j]
-            above = (product[1, k, j] + multiplier[1, k, j] * primal[1, k, j]) / slack[1, k, j]
-            newton.push[k, j] = (above - below) * newton.softening[k, j]  # (7)
+    multiplier, inverse, give = point.multiplier, newton.inverse, rows.give
+    primal, product, push = newton.primal, newton.product, newton.push
+    size = len(push)
+    softening, stiffness = newton.softening, newton.stiffness
+    for i in range(size):
+        below = (product[0, i] + multiplier[0, i] * primal[0, i]) * inverse[0, i]
+        above = (product[1, i] + multiplier[1, i] * primal[1, i]) * inverse[1, i]
+        push[i] = (above - below) * softening[i]  # (7)
     _gather(rows.stencil, newton.push, step.c)
     step.c[:] -= newton.dual
     step.c[:3] = 0.0
     _back_substitute(newton.band, step.c)
     _apply(rows.stencil, step.c, step.y)
-    for k in range(kinds):
-        for j in range(m):
-            force = newton.push[k, j] - newton.stiffness[k, j] * step.y[k, j]  # (8)
-            move = step.y[k, j] + (rows.give[k] + proximal) * force
-            for side in range(2):
-                opening = (move if side == 0 else -move) + primal[side, k, j]
-                step.slack[side, k, j] = opening
-                closing = product[side, k, j] + multiplier[side, k, j] * opening
-                step.multiplier[side, k, j] = -closing / slack[side, k, j]
+    dy, slack, change = step.y, step.slack, step.multiplier
+    for i in range(size):
+        push[i] = dy[i] + (give[i] + proximal) * (push[i] - stiffness[i] * dy[i])  # (8): dy + give d force
+    for i in range(size):
+        slack[0, i] = push[i] + primal[0, i]
+        slack[1, i] = -push[i] + primal[1, i]
+    for side in range(2):
+        for i in range(size):
+            change[side, i] = -(product[side, i] + multiplier[side, i] * slack[side, i]) * inverse[side, i]
 
 
 @kernel
-def _step_lengths(point: Point, step: Point, share: float, together: bool) -> tuple[float, float]:
+def _step_lengths(point: Point, newton: Newton, step: Point, share: float, together: bool) -> tuple[float, float]:
     """Primal and dual share of a step up to which slacks and multipliers stay positive, times `share`; 1 at most."""
-    primal = min(1.0, share * _reach(point.slack.ravel(), step.slack.ravel()))
-    dual = min(1.0, share * _reach(point.multiplier.ravel(), step.multiplier.ravel()))
+    slack, multiplier, inverse = step.slack, step.multiplier, newton.inverse
+    below, above, pull, push = 0.5, 0.5, 0.5, 0.5  # four chains that do not wait for each other
+    for i in range(slack.shape[1]):
+        below = max(below, -slack[0, i] * inverse[0, i])
+        above = max(above, -slack[1, i] * inverse[1, i])
+        pull = max(pull, -multiplier[0, i] / point.multiplier[0, i])
+        push = max(push, -multiplier[1, i] / point.multiplier[1, i])
+    primal, dual = min(1.0, share / max(below, above)), min(1.0, share / max(pull, push))
     return (min(primal, dual), min(primal, dual)) if together else (primal, dual)
-
-
-@kernel
-def _reach(value: FloatArray, change: FloatArray) -> float:
-    """How much of the change keeps the values positive; 2 at most, since no more than 1 is gone."""
-    steepest = 0.5
-    for i in range(len(value)):
-        steepest = max(steepest, -change[i] / value[i])
-    return 1.0 / steepest
 
 
 @kernel
 def _gap_after(point: Point, step: Point, primal: float, dual: float) -> float:
     """Sum of the products z f after a step."""
-    _, kinds, m = point.slack.shape
-    total = 0.0
-    for k in range(kinds):
-        for j in range(m):
-            below = point.slack[0, k, j] + primal * step.slack[0, k, j]
-            above = point.slack[1, k, j] + primal * step.slack[1, k, j]
-            below *= point.multiplier[0, k, j] + dual * step.multiplier[0, k, j]
-            above *= point.multiplier[1, k, j] + dual * step.multiplier[1, k, j]
-            total += below + above
+    slack, opening = point.slack, step.slack
+    multiplier, change = point.multiplier, step.multiplier
+    total, size = 0.0, slack.shape[1]
+    for i in range(size):
+        below = (slack[0, i] + primal * opening[0, i]) * (multiplier[0, i] + dual * change[0, i])
+        above = slack[1, i] + primal * opening[1, i]
+        total += below + above * (multiplier[1, i] + dual * change[1, i])
     return total
 
 
 @kernel
 def _correct(product: FloatArray, step: Point, target: float) -> None:
     """Second-order term and centring of (9)."""
-    flat, slack, multiplier = product.ravel(), step.slack.ravel(), step.multiplier.ravel()
-    for i in range(len(flat)):
-        flat[i] += slack[i] * multiplier[i] - target
+    for side in range(2):
+        for i in range(product.shape[1]):
+            product[side, i] += step.slack[side, i] * step.multiplier[side, i] - target
 
 
 @kernel
 def _advance(point: Point, step: Point, primal: float, dual: float) -> None:
     """The point after a step."""
-    point.c[:] += primal * step.c
-    point.y[:] += primal * step.y
-    point.slack[:] += primal * step.slack
-    point.multiplier[:] += dual * step.multiplier
+    for i in range(len(point.c)):
+        point.c[i] += primal * step.c[i]
+    for i in range(len(point.y)):
+        point.y[i] += primal * step.y[i]
+    for side in range(2):
+        for i in range(len(point.y)):
+            point.slack[side, i] += primal * step.slack[side, i]
+            point.multiplier[side, i] += dual * step.multiplier[side, i]
 
 
 @kernel

@@ -1,20 +1,11 @@
-"""Interior-point method for the piecewise-jerk QP (`problem`), in B-spline coefficients, where it is banded.
+"""Mehrotra's interior-point method for the piecewise-jerk QP, in B-spline coefficients.
 
-A curve with piecewise-constant third derivative is a cubic B-spline with uniform knots. Its coefficients c_0 .. c_{n+1}
-fulfil the dynamics (1), (2) of `problem` by themselves, and each row of its bounds reads four neighbours:
-
-(1) x_i       = (c_i + 4 c_{i+1} + c_{i+2}) / 6              h x'_i      = (c_{i+2} - c_i) / 2
-    h^2 x''_i = c_i - 2 c_{i+1} + c_{i+2}                    h^3 x'''_i  = c_{i+3} - 3 c_{i+2} + 3 c_{i+1} - c_i
-(2) the start fixes c_0, c_1, c_2:  c_1 = x_0 - h^2 x''_0 / 6,   c_0, c_2 = x_0 -+ h x'_0 + h^2 x''_0 / 3
-
-Scaled by 1, h, h^2, h^3 all rows are of the size of x. With A the matrix of (1), the cost is divided by the curvature
-that it has in x at least, so that cost is the square of a distance (m2), and the problem is
+`spline` has the rows (1), the fixed coefficients (2), and the problem
 
 (3) minimise  1/2 sum q (y - r)^2 + 1/2 sum e^2 / give    subject to   y = A c,   lower <= y + e <= upper
 
-over all rows; give = 0 (thus e = 0) for rows that do not give way. A slack z >= 0 and a multiplier f >= 0 per bound,
-the force on a row f = f_lower - f_upper, sign = 1 for lower and -1 for upper bounds. KKT conditions (Nocedal & Wright,
-"Numerical Optimization", 2006, ch. 16.6):
+A slack z >= 0 and a multiplier f >= 0 per bound, force = f_lower - f_upper on a row, sign = 1 for lower and -1 for
+upper bounds. KKT conditions (Nocedal & Wright, "Numerical Optimization", 2006, ch. 16.6):
 
 (4) dual:            A' (q (y - r) - force) = 0   (rows of the free coefficients),   e = give force
 (5) primal:          sign (y + e - bound) - z = 0
@@ -25,6 +16,7 @@ right-hand side of a row and W its barrier's curvature. The matrix has 4 bands: 
 
 (7) (A' (q + W~) A) dc = A' t~ - (A' (q (y - r) - force)),   W = sum f / z,   W~ = W / (1 + give W),
     t = - sum sign (product + f primal) / z,   t~ = t / (1 + give W),   product = z f [+ dz df - sigma mu]
+    (with `PROXIMAL` more give, in the step alone)
 (8) dy = A dc,   d force = t~ - W~ dy,   dz = sign (dy + give d force) + primal,   df = - (product + f dz) / z
 
 Mehrotra's predictor-corrector ("On the implementation of a primal-dual interior point method", 1992): the step with
@@ -48,7 +40,9 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.kernel import FloatArray, kernel
-from planners.piecewise_jerk.problem import DDDX, DX, PiecewiseJerkProblem, X
+from planners.piecewise_jerk.band import back_substitute, factorise
+from planners.piecewise_jerk.problem import DDDX, PiecewiseJerkProblem
+from planners.piecewise_jerk.spline import Rows, apply, coasting, curve_of, gather, multiply, rows_of
 
 SOLVED, SPENT, INFEASIBLE, BROKEN, CROSSED, NOT_FINITE = 1, 2, 3, 4, 5, 6
 """Status codes; `STATUS` has them in words."""
@@ -61,45 +55,22 @@ STATUS = {
     NOT_FINITE: "cost is not finite",
 }
 ACCURACY_M = 1e-4
-"""Distance of (10) from the optimum; what a solver of the general form reaches in practice is 1e-4 to 0.5 m."""
+"""Distance of (10) from the optimum; far below what anybody steers."""
 MAX_ITERATIONS = 60
 RESIDUAL = 1e-2
 """Residuals of (4) and (5) that may be left, as a share of the accuracy."""
 FARKAS = 1e-7
 """(11): the forces' residual, as a share of the contradiction: it holds for all coefficients up to the inverse, m."""
-NARROW_M = 1e-6
-"""Bounds that are nearer to each other than twice this are moved apart to that: the method needs an inside."""
-FAR_M = 1e6
-"""A bound that is farther away than this is none."""
 TO_BOUNDARY = 0.995
+"""Share of the way to the boundary that is gone (9)."""
 FLOOR = 0.1
 """Products z f are not aimed below this share of what (10) asks for: smaller ones only cost digits."""
-ROUNDING, HUGE = 1e-15, 1e128
-"""Pivots that are less than this share of their diagonal are rounding, and are replaced by a huge one."""
 PROXIMAL, PROXIMAL_M = 1e-10, 1e-6
-"""The give of every row in a step: the matrix stays positive definite in floating point, the solution is the same."""
+"""The give of every row in a step, less where the largest multiplier would make more than the second, m, of it: the
+matrix stays positive definite in floating point, and the solution is the same (proximal method of multipliers)."""
 START_SHARE, START_LEAST_M, START_MOST_M, START_MU = 0.1, 0.01, 2.0, 1.0
 """First slacks are at least this share of the room between two bounds, which counts as neither less nor more than this;
 first products z f, m2."""
-
-
-class Rows(NamedTuple):
-    """The rows of (3); K kinds (x, x', x'', x''', x + lead x'), m = n - 1 rows each, N = K m.
-
-    Row j of each kind reads c_j .. c_{j+3}. Arrays `(N,)` are kind by kind; `(2, N)` of lower and upper bounds.
-
-    Attributes:
-        stencil: Coefficients of (1) `(K, 4)`.
-        cost: q `(N,)`; `wanted` r likewise.
-        give: Of (3) `(N,)`.
-        bound: `(2, N)`.
-    """
-
-    stencil: FloatArray
-    cost: FloatArray
-    wanted: FloatArray
-    give: FloatArray
-    bound: FloatArray
 
 
 class Point(NamedTuple):
@@ -173,7 +144,7 @@ def solve(problem: PiecewiseJerkProblem, accuracy: float, max_iterations: int) -
         iteration += 1
         proximal = min(PROXIMAL, PROXIMAL_M / max(_largest(point.multiplier[0]), _largest(point.multiplier[1])))
         _assemble(rows, point, newton, proximal)
-        if not _factorise(newton.band):
+        if not factorise(newton.band):
             status = BROKEN
             break
         _direction(rows, point, newton, step, proximal)
@@ -184,44 +155,7 @@ def solve(problem: PiecewiseJerkProblem, accuracy: float, max_iterations: int) -
         _direction(rows, point, newton, step, proximal)
         primal_step, dual_step = _step_lengths(point, newton, step, TO_BOUNDARY, together)
         _advance(point, step, primal_step, dual_step)
-    return Solution(_curve(point.c, problem.step), status, iteration, primal, dual, gap)
-
-
-@kernel
-def rows_of(problem: PiecewiseJerkProblem) -> Rows:
-    """The rows (1) of a problem, scaled, with their cost and bounds (3)."""
-    kinds, n = problem.lower.shape
-    h, m = problem.step, n - 1
-    stencil, scale, curvature = np.zeros((kinds, 4)), np.ones(kinds), np.zeros(kinds)
-    stencil[0, 1], stencil[0, 2], stencil[0, 3] = 1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0  # (1)
-    stencil[1, 1], stencil[1, 3] = -0.5, 0.5
-    stencil[2, 1], stencil[2, 2], stencil[2, 3] = 1.0, -2.0, 1.0
-    stencil[3, 0], stencil[3, 1], stencil[3, 2], stencil[3, 3] = -1.0, 3.0, -3.0, 1.0
-    scale[1], scale[2], scale[3] = h, h * h, h * h * h
-    for k in range(4):
-        curvature[k] = 2.0 * problem.weights[k] / scale[k] ** 2
-    for k in range(4, kinds):
-        stencil[k] = stencil[0] + problem.leads[k - 4] / h * stencil[1]
-    # curvature of the cost in x: |x_j|^2 <= m^(2k-1) sum_i |scaled row i of kind k|^2, by Cauchy and Schwarz
-    unit = max(curvature[0], curvature[1] / m, curvature[2] / m**3, curvature[3] / m**5)
-    cost, wanted, give = np.zeros(kinds * m), np.zeros(kinds * m), np.zeros(kinds * m)
-    bound = np.empty((2, kinds * m))
-    for k in range(kinds):
-        first = 0 if k == DDDX else 1
-        for j in range(m):
-            i = k * m + j
-            cost[i] = curvature[k] / unit
-            if k <= DX:
-                wanted[i] = scale[k] * problem.references[k, j + 1]
-            if problem.soft > 0.0 and (k == X or k > DDDX):
-                give[i] = unit / (2.0 * problem.soft)
-            low = max(scale[k] * problem.lower[k, j + first], -FAR_M)
-            high = min(scale[k] * problem.upper[k, j + first], FAR_M)
-            if high - low < 2.0 * NARROW_M:
-                middle = 0.5 * (low + high)
-                low, high = middle - NARROW_M, middle + NARROW_M
-            bound[0, i], bound[1, i] = low, high
-    return Rows(stencil, cost, wanted, give, bound)
+    return Solution(curve_of(point.c, problem.step), status, iteration, primal, dual, gap)
 
 
 @kernel
@@ -240,12 +174,8 @@ def _fault(problem: PiecewiseJerkProblem) -> int:
 def _first_point(problem: PiecewiseJerkProblem, rows: Rows) -> Point:
     """The start going on with constant x'; slacks well inside, multipliers to match."""
     point = _blank(rows)
-    c, h = point.c, problem.step
-    x, dx, ddx = problem.start[0], h * problem.start[1], h * h * problem.start[2]
-    c[0], c[1], c[2] = x - dx + ddx / 3.0, x - ddx / 6.0, x + dx + ddx / 3.0  # (2)
-    for i in range(3, len(c)):
-        c[i] = 2.0 * c[i - 1] - c[i - 2]
-    _apply(rows.stencil, c, point.y)
+    point.c[:] = coasting(problem)
+    apply(rows.stencil, point.c, point.y)
     size = len(rows.cost)
     for i in range(size):
         low, high = rows.bound[0, i], rows.bound[1, i]
@@ -271,32 +201,6 @@ def _workspace(rows: Rows) -> Newton:
         np.empty((2, size)), np.empty((2, size)), np.empty((2, size)), np.empty(size), np.empty(size), np.empty(size),
         np.empty(ends), np.empty(ends), np.empty((4, ends)),
     )  # fmt: skip
-
-
-@kernel
-def _apply(stencil: FloatArray, c: FloatArray, out: FloatArray) -> None:
-    """Write A c."""
-    m = len(c) - 3
-    for k in range(len(stencil)):
-        a0, a1, a2, a3 = stencil[k]
-        row = out[k * m : (k + 1) * m]
-        for j in range(m):
-            row[j] = a0 * c[j] + a1 * c[j + 1] + a2 * c[j + 2] + a3 * c[j + 3]
-
-
-@kernel
-def _gather(stencil: FloatArray, of_rows: FloatArray, out: FloatArray) -> None:
-    """Write A' of_rows."""
-    m = len(out) - 3
-    out[:] = 0.0
-    for k in range(len(stencil)):
-        row = of_rows[k * m : (k + 1) * m]
-        for i in range(4):
-            a = stencil[k, i]
-            if a != 0.0:
-                to = out[i : i + m]
-                for j in range(m):
-                    to[j] += a * row[j]
 
 
 @kernel
@@ -329,8 +233,8 @@ def _residuals(rows: Rows, point: Point, newton: Newton) -> tuple[float, float, 
     gap = 0.0
     for i in range(size):
         gap += product[0, i] + product[1, i]
-    _gather(rows.stencil, point.force, newton.pull)
-    _gather(rows.stencil, newton.push, newton.dual)
+    gather(rows.stencil, point.force, newton.pull)
+    gather(rows.stencil, newton.push, newton.dual)
     newton.dual[:] -= newton.pull  # (4)
     newton.dual[:3] = 0.0
     return max(_largest(primal[0]), _largest(primal[1])), _largest(newton.dual), gap
@@ -342,12 +246,7 @@ def _verdict(rows: Rows, point: Point, newton: Newton, primal: float, dual: floa
     left, small = _largest(newton.pull[3:]), RESIDUAL * accuracy
     if primal <= small:
         return SOLVED if gap <= 0.5 * accuracy**2 and dual <= small * (1.0 + left) else SPENT  # (10)
-    force, give, multiplier, bound = (
-        point.force,
-        rows.give,
-        point.multiplier,
-        rows.bound,
-    )
+    force, multiplier, give, bound = point.force, point.multiplier, rows.give, rows.bound
     excess, size = 0.0, len(force)
     for i in range(size):
         excess += bound[0, i] * multiplier[0, i] - bound[1, i] * multiplier[1, i]
@@ -375,64 +274,7 @@ def _assemble(rows: Rows, point: Point, newton: Newton, proximal: float) -> None
         stiffness[i] *= softening[i]
     for i in range(size):
         push[i] = cost[i] + stiffness[i]
-    _multiply(rows.stencil, newton.push, newton.band)
-
-
-@kernel
-def _multiply(stencil: FloatArray, diagonal: FloatArray, band: FloatArray) -> None:
-    """Write A' diagonal A by its lower diagonals, with rows of the identity for the fixed coefficients."""
-    m = band.shape[1] - 3
-    band[:] = 0.0
-    for k in range(len(stencil)):
-        row = diagonal[k * m : (k + 1) * m]
-        for i in range(4):
-            for d in range(4 - i):
-                product = stencil[k, i] * stencil[k, i + d]
-                if product != 0.0:
-                    to = band[d, i : i + m]
-                    for j in range(m):
-                        to[j] += product * row[j]
-    band[0, :3], band[1:, :3] = 1.0, 0.0
-
-
-@kernel
-def _factorise(band: FloatArray) -> bool:
-    """L D L' in place: D in the first row, L below the diagonal in the others; False where a number is not finite.
-
-    A pivot that is nothing but rounding becomes infinite, so that its coefficient does not move (Wright, "Modified
-    Cholesky factorizations in interior-point algorithms for linear programming", 1999).
-    """
-    size = band.shape[1]
-    diagonal = band[0].copy()
-    for i in range(size):
-        if not np.isfinite(band[0, i]):
-            return False
-        if band[0, i] < ROUNDING * diagonal[i]:
-            band[0, i] = HUGE
-        inverse = 1.0 / band[0, i]
-        for d in range(1, min(4, size - i)):
-            share = band[d, i] * inverse
-            for e in range(d, min(4, size - i)):
-                band[e - d, i + d] -= share * band[e, i]
-        for d in range(1, 4):
-            band[d, i] *= inverse
-    return True
-
-
-@kernel
-def _back_substitute(band: FloatArray, x: FloatArray) -> None:
-    """Replace x by (L D L')^-1 x."""
-    size = len(x)
-    for i in range(size):
-        for d in range(1, min(4, size - i)):
-            x[i + d] -= band[d, i] * x[i]
-    for i in range(size):
-        x[i] /= band[0, i]
-    for i in range(size - 1, -1, -1):
-        value = x[i]
-        for d in range(min(3, size - 1 - i), 0, -1):
-            value -= band[d, i] * x[i + d]
-        x[i] = value
+    multiply(rows.stencil, newton.push, newton.band)
 
 
 @kernel
@@ -446,11 +288,11 @@ def _direction(rows: Rows, point: Point, newton: Newton, step: Point, proximal: 
         below = (product[0, i] + multiplier[0, i] * primal[0, i]) * inverse[0, i]
         above = (product[1, i] + multiplier[1, i] * primal[1, i]) * inverse[1, i]
         push[i] = (above - below) * softening[i]  # (7)
-    _gather(rows.stencil, newton.push, step.c)
+    gather(rows.stencil, newton.push, step.c)
     step.c[:] -= newton.dual
     step.c[:3] = 0.0
-    _back_substitute(newton.band, step.c)
-    _apply(rows.stencil, step.c, step.y)
+    back_substitute(newton.band, step.c)
+    apply(rows.stencil, step.c, step.y)
     dy, slack, change = step.y, step.slack, step.multiplier
     for i in range(size):
         push[i] = dy[i] + (give[i] + proximal) * (push[i] - stiffness[i] * dy[i])  # (8): dy + give d force
@@ -508,15 +350,3 @@ def _advance(point: Point, step: Point, primal: float, dual: float) -> None:
         for i in range(len(point.y)):
             point.slack[side, i] += primal * step.slack[side, i]
             point.multiplier[side, i] += dual * step.multiplier[side, i]
-
-
-@kernel
-def _curve(c: FloatArray, h: float) -> FloatArray:
-    """x, x', x'' `(3, n)` of (1)."""
-    n = len(c) - 2
-    curve = np.empty((3, n))
-    for i in range(n):
-        curve[0, i] = (c[i] + 4.0 * c[i + 1] + c[i + 2]) / 6.0
-        curve[1, i] = (c[i + 2] - c[i]) / (2.0 * h)
-        curve[2, i] = (c[i] - 2.0 * c[i + 1] + c[i + 2]) / (h * h)
-    return curve

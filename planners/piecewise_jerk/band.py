@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-import numpy as np
+from math import isfinite
 
 from logs.kernel import FloatArray, kernel
 
@@ -23,7 +23,7 @@ def factorise(band: FloatArray) -> bool:
     size = band.shape[1]
     diagonal = band[0].copy()
     for i in range(size):
-        if not np.isfinite(band[0, i]):
+        if not isfinite(band[0, i]):
             return False
         if band[0, i] < ROUNDING * diagonal[i]:
             band[0, i] = HUGE

@@ -35,6 +35,7 @@ Nothing is warm-started: a solution depends on its problem alone. A mirrored pro
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import NamedTuple
 
 import numpy as np
@@ -42,7 +43,7 @@ import numpy as np
 from logs.kernel import FloatArray, kernel
 from planners.piecewise_jerk.band import back_substitute, factorise
 from planners.piecewise_jerk.problem import DDDX, PiecewiseJerkProblem
-from planners.piecewise_jerk.spline import Rows, apply, coasting, curve_of, gather, multiply, rows_of
+from planners.piecewise_jerk.spline import Rows, apply, coast, curve_of, gather, multiply, rows_of
 
 SOLVED, SPENT, INFEASIBLE, BROKEN, CROSSED, NOT_FINITE = 1, 2, 3, 4, 5, 6
 """Status codes; `STATUS` has them in words."""
@@ -161,20 +162,23 @@ def solve(problem: PiecewiseJerkProblem, accuracy: float, max_iterations: int) -
 @kernel
 def _fault(problem: PiecewiseJerkProblem) -> int:
     """Why there is nothing to solve; `SPENT` where there is."""
-    for k in range(problem.lower.shape[0]):
-        first, last = (0, -1) if k == DDDX else (1, problem.lower.shape[1])
-        if not (problem.lower[k, first:last] <= problem.upper[k, first:last]).all():
-            return CROSSED
-    if not (np.isfinite(problem.start).all() and np.isfinite(problem.references).all()):
-        return NOT_FINITE
-    return SPENT
+    kinds, n = problem.lower.shape
+    for k in range(kinds):
+        first = 0 if k == DDDX else 1
+        for i in range(first, n - 1 + first):
+            if not problem.lower[k, i] <= problem.upper[k, i]:
+                return CROSSED
+    total = problem.start[0] + problem.start[1] + problem.start[2]
+    for i in range(n):
+        total += problem.references[0, i] + problem.references[1, i]
+    return SPENT if isfinite(total) else NOT_FINITE
 
 
 @kernel
 def _first_point(problem: PiecewiseJerkProblem, rows: Rows) -> Point:
     """The start going on with constant x'; slacks well inside, multipliers to match."""
     point = _blank(rows)
-    point.c[:] = coasting(problem)
+    coast(problem, point.c)
     apply(rows.stencil, point.c, point.y)
     size = len(rows.cost)
     for i in range(size):
@@ -182,7 +186,8 @@ def _first_point(problem: PiecewiseJerkProblem, rows: Rows) -> Point:
         least = START_SHARE * min(max(high - low, START_LEAST_M), START_MOST_M)
         point.slack[0, i] = max(point.y[i] - low, least)
         point.slack[1, i] = max(high - point.y[i], least)
-    point.multiplier[:] = START_MU / point.slack
+        for side in range(2):
+            point.multiplier[side, i] = START_MU / point.slack[side, i]
     return point
 
 
@@ -235,8 +240,8 @@ def _residuals(rows: Rows, point: Point, newton: Newton) -> tuple[float, float, 
         gap += product[0, i] + product[1, i]
     gather(rows.stencil, point.force, newton.pull)
     gather(rows.stencil, newton.push, newton.dual)
-    newton.dual[:] -= newton.pull  # (4)
-    newton.dual[:3] = 0.0
+    for i in range(len(newton.dual)):
+        newton.dual[i] = newton.dual[i] - newton.pull[i] if i > 2 else 0.0  # (4)
     return max(_largest(primal[0]), _largest(primal[1])), _largest(newton.dual), gap
 
 
@@ -289,8 +294,8 @@ def _direction(rows: Rows, point: Point, newton: Newton, step: Point, proximal: 
         above = (product[1, i] + multiplier[1, i] * primal[1, i]) * inverse[1, i]
         push[i] = (above - below) * softening[i]  # (7)
     gather(rows.stencil, newton.push, step.c)
-    step.c[:] -= newton.dual
-    step.c[:3] = 0.0
+    for i in range(len(step.c)):
+        step.c[i] = step.c[i] - newton.dual[i] if i > 2 else 0.0
     back_substitute(newton.band, step.c)
     apply(rows.stencil, step.c, step.y)
     dy, slack, change = step.y, step.slack, step.multiplier

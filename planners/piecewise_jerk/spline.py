@@ -63,7 +63,8 @@ def rows_of(problem: PiecewiseJerkProblem) -> Rows:
     for k in range(4):
         curvature[k] = 2.0 * problem.weights[k] / scale[k] ** 2
     for k in range(4, kinds):
-        stencil[k] = stencil[0] + problem.leads[k - 4] / h * stencil[1]
+        for i in range(4):
+            stencil[k, i] = stencil[0, i] + problem.leads[k - 4] / h * stencil[1, i]
     # curvature of the cost in x: |x_j|^2 <= m^(2k-1) sum_i |scaled row i of kind k|^2, by Cauchy and Schwarz
     unit = max(curvature[0], curvature[1] / m, curvature[2] / m**3, curvature[3] / m**5)
     cost, wanted, give = np.zeros(kinds * m), np.zeros(kinds * m), np.zeros(kinds * m)
@@ -87,15 +88,13 @@ def rows_of(problem: PiecewiseJerkProblem) -> Rows:
 
 
 @kernel
-def coasting(problem: PiecewiseJerkProblem) -> FloatArray:
-    """Coefficients `(m + 3,)` of the start going on with constant x'; the first three are those of (2)."""
-    n, h = problem.lower.shape[1], problem.step
+def coast(problem: PiecewiseJerkProblem, c: FloatArray) -> None:
+    """Write the coefficients `(m + 3,)` of the start going on with constant x'; the first three are those of (2)."""
+    h = problem.step
     x, dx, ddx = problem.start[0], h * problem.start[1], h * h * problem.start[2]
-    c = np.empty(n + 2)
     c[0], c[1], c[2] = x - dx + ddx / 3.0, x - ddx / 6.0, x + dx + ddx / 3.0  # (2)
-    for i in range(3, n + 2):
+    for i in range(3, len(c)):
         c[i] = 2.0 * c[i - 1] - c[i - 2]
-    return c
 
 
 @kernel
@@ -103,7 +102,7 @@ def apply(stencil: FloatArray, c: FloatArray, out: FloatArray) -> None:
     """Write A c."""
     m = len(c) - 3
     for k in range(len(stencil)):
-        a0, a1, a2, a3 = stencil[k]
+        a0, a1, a2, a3 = stencil[k, 0], stencil[k, 1], stencil[k, 2], stencil[k, 3]
         row = out[k * m : (k + 1) * m]
         for j in range(m):
             row[j] = a0 * c[j] + a1 * c[j + 1] + a2 * c[j + 2] + a3 * c[j + 3]
@@ -138,7 +137,9 @@ def multiply(stencil: FloatArray, diagonal: FloatArray, band: FloatArray) -> Non
                     to = band[d, i : i + m]
                     for j in range(m):
                         to[j] += product * row[j]
-    band[0, :3], band[1:, :3] = 1.0, 0.0
+    for i in range(3):
+        band[0, i] = 1.0
+        band[1, i] = band[2, i] = band[3, i] = 0.0
 
 
 @kernel

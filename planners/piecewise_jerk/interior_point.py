@@ -56,8 +56,8 @@ STATUS = {
     NOT_FINITE: "cost is not finite",
 }
 ACCURACY_M = 1e-4
-"""Distance of (10) from the optimum, far below what anybody steers; docs/solvers.md has what was measured: the residuals
-and `NARROW_M` add to it where bounds are nearly empty."""
+"""Distance of (10) from the optimum, far below what anybody steers. Where bounds are nearly empty, residuals and
+`NARROW_M` add to it (measured: docs/solvers.md)."""
 MAX_ITERATIONS = 60
 RESIDUAL = 1e-2
 """Residuals of (4) and (5) that may be left, as a share of the accuracy."""

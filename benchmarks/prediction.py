@@ -20,7 +20,7 @@ import pandas as pd
 from logs.convert.commonroad import read_commonroad
 from logs.frame import Predictions
 from logs.scenario import Agents, Scenario
-from planners.prediction import PREDICTORS, LaneMap, predict
+from replay.prediction import PREDICTORS, LaneMap, predict
 
 HORIZONS_S = (1.0, 2.0, 4.0, 6.0)
 STEP_S = 0.1

@@ -42,9 +42,9 @@ from planners.dp_qp.path_qp import PathQp
 from planners.dp_qp.path_stage import PathConfig
 from planners.dp_qp.speed_qp import SpeedQp, SpeedQpConfig
 from planners.dp_qp.speed_stage import SpeedConfig
-from planners.prediction import predict
 from planners.qp import QPResult
 from planners.rules import Rulebook
+from replay.prediction import predict
 
 ONE, TWO = lanes(along_x()), lanes(along_x(), 2)
 EGO = EgoState(0.0, 0.0, 0.0, 0.0, 8.0)

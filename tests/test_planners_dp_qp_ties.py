@@ -19,7 +19,7 @@ from logs.transform import jittered, rotated
 from planners.dp_qp import DpQp
 from planners.dp_qp.path_dp import PathDpConfig, path_dp
 from planners.dp_qp.reference_line import make_course
-from planners.prediction import LaneMap, predict
+from replay.prediction import LaneMap, predict
 
 TINY, SAME = 1e-9, 1e-6
 

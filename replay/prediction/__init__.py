@@ -21,10 +21,10 @@ from logs.errors import unknown_name
 from logs.frame import Predictions
 from logs.kernel import FloatArray
 from logs.scenario import Agents
-from planners.prediction.kinematic import constant_turn_rate, constant_velocity
-from planners.prediction.lane_following import followers
-from planners.prediction.lane_map import LaneMap
-from planners.prediction.pedestrian import walkers
+from replay.prediction.kinematic import constant_turn_rate, constant_velocity
+from replay.prediction.lane_following import followers
+from replay.prediction.lane_map import LaneMap
+from replay.prediction.pedestrian import walkers
 
 __all__ = ["NO_LANES", "PREDICTORS", "LaneMap", "Predictor", "predict"]
 

@@ -28,7 +28,7 @@ from logs.frame import Predictions
 from logs.kernel import TIE, BoolArray, FloatArray, IntArray, kernel
 from logs.scenario import AgentKind, Agents
 from logs.states import wrap
-from planners.prediction.lane_map import LaneArrays, LaneMap, lane_point, lane_project, matches
+from replay.prediction.lane_map import LaneArrays, LaneMap, lane_point, lane_project, matches
 
 CHANGE_S = 1.5
 DRIFTING_MPS = 0.3

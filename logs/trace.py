@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from logs.frame import Frame, Predictions, Visibility
 
 KEPT_STEP_S = 0.5
-"""Predictions are kept in a trace at this step."""
+"""Predictions are kept in a trace at this step, and so are plans where no internals are asked for."""
 
 
 class PlanStatus(Enum):
@@ -258,12 +258,16 @@ class PlannedFrame:
 
 
 def _thinned(predictions: Predictions) -> Predictions:
-    """Every sample that is `KEPT_STEP_S` after the one before, and the last."""
-    t = predictions.t
-    stride = max(1, round(KEPT_STEP_S / float(t[1] - t[0]))) if len(t) > 1 else 1
-    kept = np.unique(np.r_[np.arange(0, len(t), stride), len(t) - 1]) if len(t) else np.arange(0)
+    kept = kept_samples(predictions.t)
     columns = {name: getattr(predictions, name)[:, kept] for name in ("x", "y", "yaw")}
-    return replace(predictions, t=t[kept], **columns)
+    return replace(predictions, t=predictions.t[kept], **columns)
+
+
+def kept_samples(t: FloatArray) -> IntArray:
+    """Which of the samples `(n,)` are kept: each that is `KEPT_STEP_S` after the one before, and the last."""
+    stride = max(1, round(KEPT_STEP_S / float(t[1] - t[0]))) if len(t) > 1 else 1
+    kept = np.arange(0, len(t), stride)
+    return np.append(kept, len(t) - 1) if len(t) and kept[-1] < len(t) - 1 else kept
 
 
 @dataclass(frozen=True, eq=False)

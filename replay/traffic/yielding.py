@@ -21,11 +21,11 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, kernel
+from logs.lanes import on_lane
 from logs.scenario import AgentKind, Agents, Scenario, Tracks
 from logs.shapes import overlap
 from logs.states import EgoState
 from metrics.right_of_way import SERIOUS_S
-from metrics.rules import on_lane
 from replay.prediction import LaneMap
 from replay.prediction.lane_following import followers
 from replay.traffic.following import ACCEL_MPS2, FINE_M, HARDEST_MPS2, Paths

@@ -81,9 +81,6 @@ class CostTerms:
 class Candidates:
     """What a stage chose from, and why it took none of the others.
 
-    A planner that chooses among lanes calls the stage "lanes"; its candidates are "keep", "left" and "right", each with
-    `CostTerms` of stage "lane keep" and so on, in s, and a rejection reads "left: car 7 is beside".
-
     Attributes:
         stage: Name of the stage.
         considered: How many candidates there were.
@@ -93,6 +90,26 @@ class Candidates:
     stage: str
     considered: int
     rejected: tuple[tuple[str, int], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class LaneOption:
+    """A lane that a plan was made for and compared with others.
+
+    Attributes:
+        name: "keep", "left" or "right".
+        terms: What it costs, by term, s.
+        against: Why it was not taken ("car 7 is beside"); empty: it was.
+    """
+
+    name: str
+    terms: tuple[tuple[str, float], ...]
+    against: str = ""
+
+    @property
+    def cost(self) -> float:
+        """Sum of the terms, s."""
+        return sum(value for _, value in self.terms)
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,7 +191,7 @@ class StGraph(Graph):
     """Time (s from the frame) and station along the path (m from the ego): where the speed was chosen."""
 
 
-Artefact = SlGraph | StGraph | Decision | CostTerms | Candidates | SolverReport
+Artefact = SlGraph | StGraph | Decision | CostTerms | Candidates | LaneOption | SolverReport
 
 
 @dataclass(frozen=True, eq=False, slots=True)

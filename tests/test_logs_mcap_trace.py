@@ -21,6 +21,7 @@ from logs import (
     EndReason,
     GraphObstacle,
     GridCost,
+    LaneOption,
     LogError,
     Mode,
     Plan,
@@ -51,6 +52,7 @@ def drive() -> Trace:
     internals = (
         Decision("walker", DecisionKind.YIELD, "speed", "it crosses"),
         CostTerms("path", (("jerk", 1.5), ("centre", np.float64(0.25)))),
+        LaneOption("left", (("time lost", 0.3), ("change", 1.0)), "car 7 is beside"),
         SolverReport("path", True, "solved", 25, 1e-6, np.nan),
         SlGraph(grid, corridor, line, line, (obstacle,)),
         StGraph(None, None, line, line, ()),
@@ -102,6 +104,7 @@ def test_plans_are_kept_with_all_their_internals(tmp_path: Path) -> None:
     assert plan["trajectory"]["x_m"] == drive().ego.x.tolist()
     assert plan["decisions"] == [{"agent": "walker", "kind": "yield", "stage": "speed", "reason": "it crosses"}]
     assert plan["costs"] == [{"stage": "path", "terms": {"jerk": 1.5, "centre": 0.25}}]
+    assert plan["lanes"] == [{"name": "left", "terms": {"time lost": 0.3, "change": 1.0}, "against": "car 7 is beside"}]
     assert plan["solvers"][0]["dual_residual"] is None and plan["solvers"][0]["iterations"] == 25
     path_graph, speed_graph = plan["graphs"]
     assert (path_graph["plane"], speed_graph["plane"], speed_graph["grid"]) == ("sl", "st", None)

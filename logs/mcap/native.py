@@ -251,6 +251,14 @@ class Candidates(msgspec.Struct):
     rejected: dict[str, int]
 
 
+class LaneOption(msgspec.Struct):
+    """A lane that was compared: its cost by term, s, and why it was not taken (empty: it was)."""
+
+    name: str
+    terms: dict[str, float | None]
+    against: str
+
+
 class SolverReport(msgspec.Struct):
     """One call of a solver."""
 
@@ -310,6 +318,7 @@ class Plan(msgspec.Struct):
     solvers: list[SolverReport] = []
     graphs: list[Graph] = []
     candidates: list[Candidates] = []
+    lanes: list[LaneOption] = []
 
 
 class Predictions(msgspec.Struct, rename=serialised):

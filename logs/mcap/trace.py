@@ -2,8 +2,8 @@
 
 Ego and agents are those of the trace; road, goal and vehicle those of the scenario. `internals` says how much of the
 plans is kept: "none" (status, and trajectory at `KEPT_STEP_S`), "summary" (the whole trajectory, decisions, cost terms,
-candidates, solver reports), "full" (and graphs with their grids and corridors; in them null stands for "not reached"
-and "free"; and the predictions). What a sensor showed of the others is always kept.
+candidates, compared lanes, solver reports), "full" (and graphs with their grids and corridors; in them null stands for
+"not reached" and "free"; and the predictions). What a sensor showed of the others is always kept.
 """
 
 from __future__ import annotations
@@ -126,6 +126,8 @@ def _plan(plan: nouns.Plan, internals: Internals) -> native.Plan:
             message.candidates.append(
                 native.Candidates(artefact.stage, artefact.considered, dict(artefact.rejected)),
             )
+        elif isinstance(artefact, nouns.LaneOption):
+            message.lanes.append(native.LaneOption(artefact.name, dict(artefact.terms), artefact.against))
         elif isinstance(artefact, nouns.SolverReport):
             message.solvers.append(_solver(artefact))
         elif internals == "full":

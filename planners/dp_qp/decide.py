@@ -18,7 +18,7 @@ import numpy as np
 
 from logs.frame import Frame
 from logs.kernel import FloatArray
-from logs.trace import Artefact, Candidates
+from logs.trace import Artefact, LaneOption
 from logs.vehicle import VehicleParameters
 from planners.dp_qp.lane_plan import LanePlan
 from planners.dp_qp.reference_line import Course
@@ -47,7 +47,7 @@ def choose(
     keep: LanePlan, others: list[LanePlan], frame: Frame, vehicle: VehicleParameters
 ) -> tuple[LanePlan, tuple[Artefact, ...]]:
     """The cheapest lane that may be taken, and what was considered."""
-    best, rejected = keep, []
+    best, rejected = keep, dict[str, str]()
     for other in others:
         against = _against(other, frame, vehicle)
         needed = HYSTERESIS_S if best is keep else 0.0
@@ -55,15 +55,15 @@ def choose(
             against = f"costs {other.cost:.1f} s, {best.name} {best.cost:.1f} s"
             against += f": not {needed:.1f} s better" if other.cost < best.cost else ""
         if against:
-            rejected.append((f"{other.name}: {against}", 1))
+            rejected[other.name] = against
             continue
         if best is not keep:
-            rejected.append((f"{best.name}: costs {best.cost:.1f} s, {other.name} {other.cost:.1f} s", 1))
+            rejected[best.name] = f"costs {best.cost:.1f} s, {other.name} {other.cost:.1f} s"
         best = other
     if best is not keep:
-        rejected.append((f"keep: costs {keep.cost:.1f} s, {best.name} {best.cost:.1f} s", 1))
-    told = (keep.costs, *(other.costs for other in others))
-    return best, (*told, Candidates("lanes", 1 + len(others), tuple(rejected)))
+        rejected[keep.name] = f"costs {keep.cost:.1f} s, {best.name} {best.cost:.1f} s"
+    compared = (LaneOption(one.name, one.costs.terms, rejected.get(one.name, "")) for one in (keep, *others))
+    return best, tuple(compared)
 
 
 def _against(other: LanePlan, frame: Frame, vehicle: VehicleParameters) -> str:

@@ -144,7 +144,7 @@ def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, pro
                 progress.series.append((drive, steps))
                 stem = mode.value if len(run.planners) == 1 else f"{mode.value}.{safe_name(planner)}"
                 with progress.attempt(planner, mode):
-                    _write_drive(folder, stem, drive, scenario, table, run)
+                    _write_drive(folder, stem, drive, scenario, table, steps, run)
                 if drive.trace.end is EndReason.PLANNER_FAILURE:
                     progress.failures.append(Failure(progress.log, drive.trace.detail, planner, mode.value))
                 files = tuple(f"{final}/{file.name}" for file in sorted(folder.glob(f"{stem}.*")))
@@ -170,14 +170,14 @@ def _drive_member(scenario: Scenario, run: RunConfig, member: int, progress: _Pr
 
 
 def _write_drive(
-    folder: Path, stem: str, drive: Drive, scenario: Scenario, table: pd.DataFrame, run: RunConfig
+    folder: Path, stem: str, drive: Drive, scenario: Scenario, table: pd.DataFrame, steps: pd.DataFrame, run: RunConfig
 ) -> None:
     """The trace as `stem`.mcap, its recording as `stem`.rrd."""
     write_trace(folder / f"{stem}.mcap", drive.trace, scenario, internals=run.internals)
     if run.recording:
         from replay.recording import write_recording
 
-        write_recording(folder / f"{stem}.rrd", drive, scenario, table)
+        write_recording(folder / f"{stem}.rrd", drive, scenario, table, steps)
 
 
 def _record(drive: Drive, files: tuple[str, ...]) -> DriveRecord:

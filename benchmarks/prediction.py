@@ -1,6 +1,10 @@
 """How far predictions are off the log, per method and source, and how long they take.
 
     python benchmarks/prediction.py FOLDER_OF_COMMONROAD_FILES [--every 1.0] [--kind pedestrian]
+    python benchmarks/prediction.py FOLDER_OF_COMMONROAD_FILES --frames      what perception and prediction cost
+
+With `--frames`: CPU time of a whole `Frame` with the loop's defaults, over the built-in suite, and over each file's
+road with `CROWDS` made-up agents on it, nine vehicles to a pedestrian.
 
 At a frame every so many seconds, each agent that moves (or moved within the log) is predicted, and compared with where
 the log has it 1, 2, 4 and 6 s later. `likely` is the error of the most probable hypothesis, `best` of the nearest one
@@ -12,18 +16,24 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
+from logs.catalogue import CATALOGUE
 from logs.convert.commonroad import read_commonroad
 from logs.frame import Predictions
-from logs.scenario import Agents, Scenario
-from planners.prediction import PREDICTORS, LaneMap, predict
+from logs.scenario import AgentKind, Agents, Scenario, Tracks
+from replay.drive import DEFAULT_LOOP
+from replay.perception import Perception
+from replay.prediction import PREDICTORS, LaneMap, predict
+from replay.world import World, logged_ego
 
 HORIZONS_S = (1.0, 2.0, 4.0, 6.0)
 STEP_S = 0.1
+CROWDS, PASSES = (50, 200, 500), 5
 SOURCES = ("mona", "ngsim", "sumo")
 
 
@@ -70,13 +80,60 @@ def rows(scenario: Scenario, method: str, every: float) -> Iterator[tuple[str, s
                     yield source_of(scenario), method, ahead, kinds[name].value, likely, best, took
 
 
+def crowded(scenario: Scenario, n: int) -> Scenario:
+    """The log's road and ego among `n` agents that drive and walk straight on from places on its lanes."""
+    rng, t = np.random.default_rng(0), np.linspace(0.0, 3.0, 31)
+    lanes = [lane for lane in scenario.road.lanes.values() if lane.drivable]
+    rows = []
+    for lane in (lanes[i] for i in rng.integers(len(lanes), size=n)):
+        k = rng.integers(len(lane.center) - 1)
+        heading = np.arctan2(*(lane.center[k + 1] - lane.center[k])[::-1]) + rng.normal(0.0, 0.05)
+        vx, vy = rng.uniform(0.0, 12.0) * np.array([np.cos(heading), np.sin(heading)])
+        x, y = lane.center[k] + rng.normal(0.0, 0.6, 2)
+        rows.append(np.vstack([t, x + vx * t, y + vy * t, *np.array([[heading], [vx], [vy]]) + 0.0 * t]))
+    kinds = tuple(AgentKind.CAR if on_wheels else AgentKind.PEDESTRIAN for on_wheels in rng.uniform(size=n) > 0.1)
+    sizes, offsets = (np.full(n, 4.5), np.full(n, 1.8)), len(t) * np.arange(n + 1)
+    return replace(
+        scenario, tracks=Tracks(tuple(map(str, range(n))), kinds, *sizes, np.zeros(n, bool), offsets, *np.hstack(rows))
+    )
+
+
+def frame_us(scenario: Scenario) -> float:
+    """CPU time of a frame of the first seconds of a log, us: the best of some passes."""
+    perception = Perception(scenario, DEFAULT_LOOP)
+    times = np.arange(0.0, min(scenario.duration, 3.0), 0.1)
+    worlds = [World(logged_ego(scenario.ego, scenario.vehicle, float(t)), scenario.tracks) for t in times]
+    found = []
+    for _ in range(PASSES):
+        begin = time.process_time()
+        for world in worlds:
+            perception.frame(world, None)
+        found.append(1e6 * (time.process_time() - begin) / len(worlds))
+    return min(found)
+
+
+def print_frames(folder: Path) -> None:
+    """The table of `--frames`."""
+    suite = pd.Series({name: frame_us(family.scenario()) for name, family in CATALOGUE.items()})
+    print(f"us a frame, built-in suite: median {suite.median():.0f}, most {suite.max():.0f} ({suite.idxmax()})")
+    roads = [read_commonroad(path) for path in sorted(folder.glob("*.xml"))]
+    made = {road.name: [frame_us(crowded(road, n)) for n in CROWDS] for road in roads}
+    print(
+        pd.DataFrame(made, index=[f"{n} agents" for n in CROWDS]).T.describe().loc[["50%", "max"]].round(0).to_string()
+    )
+
+
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path)
     parser.add_argument("--every", type=float, default=1.0, help="seconds between two frames")
     parser.add_argument("--kind", help="only road users of this kind")
+    parser.add_argument("--frames", action="store_true", help="what a frame costs")
     told = parser.parse_args()
+    if told.frames:
+        print_frames(told.folder)
+        return
     scenarios = [read_commonroad(path) for path in sorted(told.folder.glob("*.xml"))]
     found = [row for s in scenarios for method in PREDICTORS for row in rows(s, method, told.every)]
     names = ["source", "method", "ahead_s", "kind", "likely_m", "best_m", "ms"]

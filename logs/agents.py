@@ -7,9 +7,10 @@ from enum import Enum
 
 import numpy as np
 
-from logs.kernel import FloatArray, frozen
+from logs.kernel import BoolArray, FloatArray, IntArray, frozen
 
 _UNKNOWN = frozen(np.empty(0))
+_UNCODED = frozen(np.empty(0), np.int64)
 
 
 class AgentKind(Enum):
@@ -29,6 +30,19 @@ class AgentKind(Enum):
         return self in (AgentKind.PEDESTRIAN, AgentKind.BICYCLE, AgentKind.MOTORCYCLE)
 
 
+_CODE = {kind: code for code, kind in enumerate(AgentKind)}
+
+
+def codes_of(kinds: tuple[AgentKind, ...]) -> IntArray:
+    """The kinds as numbers, `(n,)`: places in `AgentKind`, by which `among` picks."""
+    return frozen([_CODE[kind] for kind in kinds], np.int64)
+
+
+def among(*kinds: AgentKind) -> BoolArray:
+    """Which codes are one of the kinds: `among(AgentKind.CAR)[agents.codes]` are the cars."""
+    return frozen([kind in kinds for kind in AgentKind], np.bool_)
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Agents:
     """Road users at one instant: `(n,)` each, world frame, box centres, m, rad, m/s.
@@ -36,6 +50,7 @@ class Agents:
     Attributes:
         yaw_rate: rad/s; 0 where it is not known, and of pedestrians, who turn on the spot. `accel` likewise: rate of
             the speed, m/s2. Left out: all 0.
+        codes: `kinds` as numbers (`codes_of`, which makes them where they are left out).
     """
 
     ids: tuple[str, ...]
@@ -49,11 +64,14 @@ class Agents:
     vy: FloatArray
     yaw_rate: FloatArray = field(default_factory=lambda: _UNKNOWN)
     accel: FloatArray = field(default_factory=lambda: _UNKNOWN)
+    codes: IntArray = field(default_factory=lambda: _UNCODED)
 
     def __post_init__(self) -> None:
         for name in ("yaw_rate", "accel"):
             if getattr(self, name) is _UNKNOWN:
                 object.__setattr__(self, name, np.zeros(len(self.ids)))
+        if self.codes is _UNCODED:
+            object.__setattr__(self, "codes", codes_of(self.kinds))
         for name in ("length", "width", "x", "y", "yaw", "vx", "vy", "yaw_rate", "accel"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
 

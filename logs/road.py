@@ -21,7 +21,6 @@ from math import atan2, floor, hypot, sqrt
 from types import MappingProxyType
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from logs.kernel import TIE, FloatArray, frozen, kernel
 from logs.rules import Crosswalk, StopLine
@@ -364,6 +363,8 @@ class ReferenceLine:
         points = points[np.r_[True, np.hypot(*np.diff(points, axis=0).T) > 1e-6]]
         if len(points) < 2:
             raise ValueError("a reference line needs two distinct points")
+        from scipy.interpolate import CubicSpline  # here: it takes as long to load as all else of `logs`
+
         for _ in range(3):
             chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))]
             spline = CubicSpline(chord, points)

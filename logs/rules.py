@@ -24,6 +24,10 @@ class Colour(Enum):
     OFF = "off"
 
 
+RED = (Colour.RED, Colour.RED_YELLOW)
+"""What forbids to cross a stop line."""
+
+
 @dataclass(frozen=True, eq=False)
 class TrafficLight:
     """A traffic light over time.

@@ -8,11 +8,12 @@ from functools import cached_property
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import NDArray
 
-from logs.agents import AgentKind, Agents
+from logs.agents import AgentKind, Agents, among, codes_of
 from logs.kernel import BoolArray, FloatArray, IntArray, frozen, kernel
 from logs.motion import Motion, estimated
-from logs.presence import patience
+from logs.presence import MAX_AGE_S, MAX_GAP_S, patience
 from logs.road import Goal, Road
 from logs.rules import TrafficLight
 from logs.states import Controls, Trajectory
@@ -23,6 +24,9 @@ TREND_S = 1.0
 FINDING = "reference_"
 """Metadata entries that begin so are what the replay found out about a scenario: never read from a log."""
 __all__ = ["FINDING", "AgentKind", "Agents", "Scenario", "Tracks"]
+_TURNING = among(*(kind for kind in AgentKind if kind is not AgentKind.PEDESTRIAN))
+_SHOWN = ("length", "width", "x", "y", "yaw", "vx", "vy", "yaw_rate", "accel")
+_NOT_ASKED = frozen(np.empty(0))
 _State = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 
 
@@ -41,28 +45,75 @@ def _trends(
     seen: IntArray, at: IntArray, offsets: IntArray, t: FloatArray, yaw: FloatArray, x: FloatArray, y: FloatArray,
     vx: FloatArray, vy: FloatArray, speed: FloatArray,
 ) -> FloatArray:  # fmt: skip
-    """Yaw rate and acceleration `(2, n)` of tracks `seen` at samples `at`, over the last `TREND_S`; 0: not known.
-
-    `speed` `(n,)` is the speed at those samples; the earlier one is the logged, else a backward difference.
-    """
-    out = np.zeros((2, len(seen)))
+    """`_trend` of tracks `seen` at samples `at`, `(2, n)`; `speed` `(n,)` is the speed at those samples."""
+    out = np.empty((2, len(seen)))
     for i in range(len(seen)):
-        first, last = offsets[seen[i]], at[i]
-        k = last
-        while k > first and t[last] - t[k - 1] <= TREND_S + 1e-9:
-            k -= 1
-        if k == last and k > first and t[last] - t[k - 1] <= 2.0 * TREND_S:
-            k -= 1
-        if k == last:
-            continue
-        span = t[last] - t[k]
-        out[0, i] = (yaw[last] - yaw[k]) / span
-        was_x, was_y = vx[k], vy[k]
-        if not np.isfinite(was_x + was_y) and k > first:
-            was_x, was_y = (x[k] - x[k - 1]) / (t[k] - t[k - 1]), (y[k] - y[k - 1]) / (t[k] - t[k - 1])
-        if np.isfinite(was_x + was_y):
-            out[1, i] = (speed[i] - np.hypot(was_x, was_y)) / span
+        out[0, i], out[1, i] = _trend(offsets[seen[i]], at[i], t, yaw, x, y, vx, vy, speed[i])
     return out
+
+
+@kernel
+def _trend(
+    first: int, last: int, t: FloatArray, yaw: FloatArray, x: FloatArray, y: FloatArray, vx: FloatArray,
+    vy: FloatArray, speed: float,
+) -> tuple[float, float]:  # fmt: skip
+    """Yaw rate and acceleration over the last `TREND_S` before sample `last`; 0: not known.
+
+    The earlier speed is the logged one, else a backward difference.
+    """
+    k = last
+    while k > first and t[last] - t[k - 1] <= TREND_S + 1e-9:
+        k -= 1
+    if k == last and k > first and t[last] - t[k - 1] <= 2.0 * TREND_S:
+        k -= 1
+    if k == last:
+        return 0.0, 0.0
+    span = t[last] - t[k]
+    was_x, was_y = vx[k], vy[k]
+    if not np.isfinite(was_x + was_y) and k > first:
+        was_x, was_y = (x[k] - x[k - 1]) / (t[k] - t[k - 1]), (y[k] - y[k - 1]) / (t[k] - t[k - 1])
+    accel = (speed - np.hypot(was_x, was_y)) / span if np.isfinite(was_x + was_y) else 0.0
+    return (yaw[last] - yaw[k]) / span, accel
+
+
+@kernel
+def _perceived(
+    offsets: IntArray, static: BoolArray, turns: BoolArray, size: tuple[FloatArray, FloatArray], t: FloatArray,
+    x: FloatArray, y: FloatArray, yaw: FloatArray, vx: FloatArray, vy: FloatArray, patience: FloatArray, time: float,
+) -> tuple[IntArray, FloatArray, bool]:  # fmt: skip
+    """`Tracks.perceived`: who is seen `(k,)`, rows `_SHOWN` `(9, k)`, whether `patience` is lacking.
+
+    `patience` `(m,)` may be empty: then it is lacking where somebody's last sample is so old that it decides.
+    """
+    seen, out = np.empty(len(static), np.int64), np.empty((9, len(static)))
+    count, lacking = 0, False
+    for i in range(len(static)):
+        first = offsets[i]
+        at = first + np.searchsorted(t[first : offsets[i + 1]], time + 1e-9, side="right") - 1
+        age = 0.0 if static[i] else time - t[max(at, first)]
+        if not static[i]:
+            old = age > MAX_AGE_S and age <= MAX_GAP_S
+            lacking = lacking or (at >= first and old and not len(patience))
+            if at < first or age > (patience[at] if old and len(patience) else MAX_AGE_S):
+                continue
+        at = max(at, first)
+        mx, my, before = vx[at], vy[at], max(at - 1, first)
+        span = t[at] - t[before]
+        if not np.isfinite(mx):
+            mx = (x[at] - x[before]) / span if span > 0.0 else 0.0
+        if not np.isfinite(my):
+            my = (y[at] - y[before]) / span if span > 0.0 else 0.0
+        if static[i]:
+            mx, my = 0.0 * mx, 0.0 * my
+        rate, accel = _trend(first, at, t, yaw, x, y, vx, vy, np.hypot(mx, my))
+        seen[count] = i
+        out[0, count], out[1, count] = size[0][i], size[1][i]
+        out[2, count], out[3, count], out[4, count] = x[at] + age * mx, y[at] + age * my, yaw[at]
+        out[5, count], out[6, count] = mx, my
+        out[7, count] = rate if turns[i] else 0.0 * rate
+        out[8, count] = 0.0 if static[i] else accel
+        count += 1
+    return seen[:count], out[:, :count], lacking
 
 
 def _continuous(yaw: FloatArray, offsets: IntArray) -> FloatArray:
@@ -177,23 +228,40 @@ class Tracks:
         owner = np.searchsorted(self.offsets, parts[:-1], side="right") - 1
         return estimated(self.kinds, ~self.static, parts, owner, (self.t, self.x, self.y, self.vx, self.vy))
 
+    @cached_property
+    def codes(self) -> IntArray:
+        """`kinds` as numbers `(n,)` (`logs.agents.among`)."""
+        return codes_of(self.kinds)
+
+    @cached_property
+    def _turns(self) -> BoolArray:
+        """Whose yaw rate counts `(n,)`."""
+        return frozen(_TURNING[self.codes] & ~self.static, np.bool_)
+
+    @cached_property
+    def _names(self) -> NDArray[np.object_]:
+        """Ids and kinds as rows `(2, n)`, so that some can be taken at once."""
+        names = np.empty((2, len(self)), object)
+        names[0], names[1] = self.ids, self.kinds
+        return names
+
     def perceived(self, time: float) -> Agents:
         """The agents as known at `time`: never from a sample later than it.
 
         The last sample not older than its `patience` is carried on with its velocity: the logged one, or, where the
         log has none, the backward difference to the sample before (0 for a first sample).
         """
-        index = _last_samples(self.offsets, self.t, time)
-        age = time - self.t[np.maximum(index, 0)]
-        index = np.where(self.static & (index < 0), self.offsets[:-1], index)
-        seen = np.flatnonzero((index >= 0) & (self.static | (age <= self.patience[index])))
-        at = index[seen]
-        vx, vy = self.velocity(seen, at)
-        age = np.where(self.static[seen], 0.0, age[seen])
-        x, y = self.x[at] + age * vx, self.y[at] + age * vy
-        speed = np.hypot(vx, vy)
-        trends = _trends(seen, at, self.offsets, self.t, self.yaw, self.x, self.y, self.vx, self.vy, speed)
-        return self._agents(seen, (x, y, self.yaw[at], vx, vy), trends[0], trends[1])
+        columns = self.t, self.x, self.y, self.yaw, self.vx, self.vy
+        fixed = self.offsets, self.static, self._turns, (self.length, self.width)
+        seen, rows, lacking = _perceived(*fixed, *columns, _NOT_ASKED, time)
+        if lacking:
+            seen, rows, _ = _perceived(*fixed, *columns, self.patience, time)
+        rows = frozen(rows)  # once: its rows are not copied again
+        shown = dict(zip(_SHOWN, rows, strict=True))
+        if len(seen) == len(self):
+            return Agents(self.ids, self.kinds, codes=self.codes, **shown)
+        ids, kinds = self._names[:, seen].tolist()
+        return Agents(tuple(ids), tuple(kinds), codes=self.codes[seen], **shown)
 
     def truth(self, time: float) -> Agents:
         """The agents as they were at `time`, interpolated: for metrics and drawing, never for a planner.
@@ -231,15 +299,13 @@ class Tracks:
 
     def _agents(self, seen: IntArray, state: _State, yaw_rate: FloatArray, accel: FloatArray) -> Agents:
         """The tracks `seen` at x, y, yaw, vx, vy."""
-        kinds = tuple(self.kinds[i] for i in seen)
-        turns = np.array([kind is not AgentKind.PEDESTRIAN for kind in kinds], float) * ~self.static[seen]
         return Agents(
             tuple(self.ids[i] for i in seen),
-            kinds,
+            tuple(self.kinds[i] for i in seen),
             self.length[seen],
             self.width[seen],
             *state,
-            yaw_rate=turns * yaw_rate,
+            yaw_rate=self._turns[seen] * yaw_rate,
             accel=np.where(self.static[seen], 0.0, accel),
         )
 

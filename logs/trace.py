@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from logs.frame import Frame, Predictions, Visibility
 
 KEPT_STEP_S = 0.5
-"""Predictions are kept in a trace at this step."""
+"""Predictions are kept in a trace at this step, and so are plans where no internals are asked for."""
 
 
 class PlanStatus(Enum):
@@ -82,9 +82,6 @@ class CostTerms:
 class Candidates:
     """What a stage chose from, and why it took none of the others.
 
-    A planner that chooses among lanes calls the stage "lanes"; its candidates are "keep", "left" and "right", each with
-    `CostTerms` of stage "lane keep" and so on, in s, and a rejection reads "left: car 7 is beside".
-
     Attributes:
         stage: Name of the stage.
         considered: How many candidates there were.
@@ -94,6 +91,26 @@ class Candidates:
     stage: str
     considered: int
     rejected: tuple[tuple[str, int], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class LaneOption:
+    """A lane that a plan was made for and compared with others.
+
+    Attributes:
+        name: "keep", "left" or "right".
+        terms: What it costs, by term, s.
+        against: Why it was not taken ("car 7 is beside"); empty: it was.
+    """
+
+    name: str
+    terms: tuple[tuple[str, float], ...]
+    against: str = ""
+
+    @property
+    def cost(self) -> float:
+        """Sum of the terms, s."""
+        return sum(value for _, value in self.terms)
 
 
 @dataclass(frozen=True, slots=True)
@@ -175,7 +192,7 @@ class StGraph(Graph):
     """Time (s from the frame) and station along the path (m from the ego): where the speed was chosen."""
 
 
-Artefact = SlGraph | StGraph | Decision | CostTerms | Candidates | SolverReport
+Artefact = SlGraph | StGraph | Decision | CostTerms | Candidates | LaneOption | SolverReport
 
 
 class Internals(Sequence[Artefact]):
@@ -297,12 +314,16 @@ class PlannedFrame:
 
 
 def _thinned(predictions: Predictions) -> Predictions:
-    """Every sample that is `KEPT_STEP_S` after the one before, and the last."""
-    t = predictions.t
+    kept, some = kept_samples(predictions.t), predictions
+    rows = frozen(np.stack([some.x[:, kept], some.y[:, kept], some.yaw[:, kept]]))  # once: its rows are not copied
+    return type(some)(some.t[kept], some.agent, some.probability, rows[0], rows[1], rows[2], some.method)
+
+
+def kept_samples(t: FloatArray) -> IntArray:
+    """Which of the samples `(n,)` are kept: each that is `KEPT_STEP_S` after the one before, and the last."""
     stride = max(1, round(KEPT_STEP_S / float(t[1] - t[0]))) if len(t) > 1 else 1
-    kept = np.unique(np.r_[np.arange(0, len(t), stride), len(t) - 1]) if len(t) else np.arange(0)
-    columns = {name: getattr(predictions, name)[:, kept] for name in ("x", "y", "yaw")}
-    return replace(predictions, t=t[kept], **columns)
+    kept = np.arange(0, len(t), stride)
+    return np.append(kept, len(t) - 1) if len(t) and kept[-1] < len(t) - 1 else kept
 
 
 @dataclass(frozen=True, eq=False)

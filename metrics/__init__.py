@@ -121,7 +121,10 @@ def evaluate(trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] 
 
 
 def series(trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = METRICS) -> pd.DataFrame:
-    """The steps behind the table, long form: `t_s`, `metric` ("gap", "ade.3s"), `value` (NaN: this step has none)."""
+    """The steps behind the table, long form: `t_s`, `metric` ("gap", "ade.3s"), `value` (NaN: this step has none).
+
+    Sorted by metric, then by time.
+    """
     return _steps(_measured(trace, scenario, metrics))
 
 
@@ -144,12 +147,13 @@ def _table(trace: Trace, scenario: Scenario, measured: Iterable[tuple[Metric, st
 
 
 def _steps(measured: Iterable[tuple[Metric, str, Measured]]) -> pd.DataFrame:
-    found = [(name, steps) for _, name, steps in measured if isinstance(steps, Series)]
+    steps_of = {name: steps for _, name, steps in measured if isinstance(steps, Series)}
+    found = sorted(steps_of.items(), key=lambda item: item[0])
     none = np.empty(0)
     return pd.DataFrame(
         {
             "t_s": np.concatenate([none, *(steps.t for _, steps in found)]),
-            "metric": [name for name, steps in found for _ in range(len(steps.t))],
+            "metric": np.repeat(np.array([name for name, _ in found], object), [len(steps.t) for _, steps in found]),
             "value": np.concatenate([none, *(steps.value for _, steps in found)]),
         }
     )

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import partial
 from types import MappingProxyType
 
 import numpy as np
@@ -30,6 +30,7 @@ from logs.scenario import Scenario
 from logs.states import wrapped
 from logs.trace import Mode, Trace
 from metrics.metric import MAX, MEAN, RATE, SHARE, Measured, Metric, Series, Unavailable
+from metrics.once import once
 from metrics.plans import STEP_S, frame_times, plan_poses, times_after
 
 HORIZONS_S = (1, 3, 5, 8)
@@ -40,12 +41,12 @@ _ACROSS = (1, 3)
 """Which of `_errors` are made across the path: the cross error and that of the heading."""
 
 
-@lru_cache(maxsize=1)  # asked by each metric of this file in turn
+@once
 def _errors(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Errors along and cross (m), |e| (m), |heading error| (rad): each `(f, 10 h)` for the longest horizon."""
     log = scenario.ego
     times = times_after(trace, 1, round(max(HORIZONS_S) / STEP_S))
-    x, y, yaw = plan_poses(trace.frames, times)
+    x, y, yaw = plan_poses(trace, times)
     beyond = (times < log.t[0] - 1e-6) | (times > log.t[-1] + 1e-6)
     log_x, log_y, log_yaw = (np.interp(times, log.t, column) for column in (log.x, log.y, log.yaw))
     dx, dy = np.where(beyond, np.nan, x - log_x), np.where(beyond, np.nan, y - log_y)

@@ -20,15 +20,16 @@ In open loop plans start at the log's states, so that a plan which the log did n
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import partial
 
 import numpy as np
 
 from logs.frame import PLAN_HORIZON_S
-from logs.kernel import FloatArray
+from logs.kernel import FloatArray, IntArray
 from logs.scenario import Scenario
-from logs.trace import Mode, PlannedFrame, Trace
+from logs.trace import Mode, Trace
 from metrics.metric import MAX, MEAN, MIN, P95, RATE, Measured, Metric, Series, Unavailable
+from metrics.once import once
 from metrics.plans import STEP_S, frame_times, plan_columns, plan_poses, times_after
 
 APART_S, COMPARED_S = 0.5, 4.0
@@ -49,11 +50,12 @@ def _change(trace: Trace, scenario: Scenario, *, lateral: bool) -> Measured:
     return Series(times[:, 0], np.where(count > 0, change, np.nan), missing="successive plans never overlap")
 
 
-@lru_cache(maxsize=1)  # asked by the two metrics of `_change`
+@once
 def _apart(trace: Trace) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Times, how far each plan is from the one before (x, y), and the heading of that: each `(f - 1, 11)`."""
     times = times_after(trace, 0, 10)[1:]
-    now, before = plan_poses(trace.frames[1:], times), plan_poses(trace.frames[:-1], times)
+    all_ = np.arange(len(trace.frames))
+    now, before = (plan_poses(trace, times, some) for some in (all_[1:], all_[:-1]))
     return times, now[0] - before[0], now[1] - before[1], before[2]
 
 
@@ -65,18 +67,17 @@ def _extended(trace: Trace, scenario: Scenario) -> Measured:
     if not len(later):
         return Unavailable(f"no two plans are {APART_S} s apart")
     times = times_after(trace, 0, round(COMPARED_S / STEP_S))[later]
-    now = _felt(tuple(trace.frames[i] for i in later), times)
-    before = _felt(tuple(trace.frames[i] for i in earlier[later]), times)
+    now, before = _felt(trace, later, times), _felt(trace, earlier[later], times)
     ratio = np.array([_rms(now[q] - before[q]) / bound for q, (_, bound) in enumerate(EC_BOUNDS)])
     known = np.isfinite(ratio).all(axis=0)
     labels = tuple(EC_BOUNDS[q][0] for q in np.argmax(np.where(known, ratio, 0.0), axis=0))
     return Series(times[:, 0], np.where(known, ratio.max(axis=0), np.nan), labels, "plans 0.5 s apart never overlap")
 
 
-def _felt(frames: tuple[PlannedFrame, ...], times: FloatArray) -> FloatArray:
+def _felt(trace: Trace, which: IntArray, times: FloatArray) -> FloatArray:
     """The four quantities of (3) `(4, f, k)`; NaN where a plan does not reach, or did not begin yet."""
     back = np.concatenate([times[:, :1] - 2.0 * STEP_S, times[:, :1] - STEP_S, times], axis=1)
-    yaw, v, a, kappa = plan_columns(frames, back, ("yaw", "v", "a", "kappa"))
+    yaw, v, a, kappa = plan_columns(trace, back, ("yaw", "v", "a", "kappa"), which)
     size = np.hypot(a, v**2 * kappa)
     jerk, yaw_rate = (np.diff(column, axis=1)[:, 1:] / STEP_S for column in (size, yaw))
     return np.stack([size[:, 2:], jerk, yaw_rate, np.diff(yaw, 2, axis=1) / STEP_S**2])

@@ -23,7 +23,6 @@ from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
 import numpy as np
-from scipy.signal import butter, savgol_filter, sosfilt, sosfilt_zi
 
 from logs.kernel import FloatArray
 from logs.states import Trajectory
@@ -41,11 +40,15 @@ def regular(drive: Trajectory, step: float) -> Trajectory:
 
 
 def _smooth(value: FloatArray) -> FloatArray:
+    from scipy.signal import savgol_filter  # here and below: its import takes longer than that of all metrics
+
     return np.asarray(savgol_filter(value, min(8, len(value)), 2))
 
 
 def _derived(value: FloatArray, t: FloatArray, window: int, degree: int, order: int) -> FloatArray:
     """SG' or SG'' with the mean step as nuPlan takes it."""
+    from scipy.signal import savgol_filter
+
     step = float(np.mean(np.diff(t)))
     return np.asarray(savgol_filter(value, min(window, len(value)), degree, deriv=order, delta=step))
 
@@ -76,6 +79,8 @@ NUPLAN_FORMULAE = MappingProxyType({
 
 def r79_jerk(drive: Trajectory) -> FloatArray:
     """(5) of a drive with steps of `R79_STEP_S`; NaN in the first 0.5 s."""
+    from scipy.signal import butter, sosfilt, sosfilt_zi
+
     sections = butter(R79_ORDER, R79_CUT_HZ, fs=1.0 / R79_STEP_S, output="sos")
     lateral = _lateral(drive)
     low, _ = sosfilt(sections, lateral, zi=sosfilt_zi(sections) * lateral[0])  # (4)

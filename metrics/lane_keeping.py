@@ -13,8 +13,6 @@ nuPlan and NAVSIM judge (2): below 2 m is compliant, below 6 m half. Lanes that 
 
 from __future__ import annotations
 
-from functools import lru_cache
-
 import numpy as np
 
 from logs.kernel import FloatArray
@@ -33,6 +31,7 @@ from metrics.metric import (
     time_above,
     worst_episode,
 )
+from metrics.once import once
 from metrics.others import ego_boxes
 
 WINDOW_S = 1.0
@@ -43,7 +42,7 @@ ASIDE_M, ASIDE_S = 0.5, 2.0
 NO_LANES = Unavailable("the log has no lanes")
 
 
-@lru_cache(maxsize=1)  # asked by both metrics of this file
+@once
 def _lanes(trace: Trace, scenario: Scenario) -> Under | Unavailable:
     lanes = drivable_lanes(scenario.road)
     if scenario.road.source is RoadSource.DRIVEN_PATH or lanes is None:

@@ -7,36 +7,66 @@ The end of the map is not the end of the road: a lane that leads on to no lane o
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, hypot, inf, nan, pi, sin
+from math import ceil, cos, hypot, inf, nan, pi, sin, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
 from logs.kernel import FloatArray, IntArray, frozen, kernel
-from logs.road import Lane, Road, inside
+from logs.road import Lane, Road
 from logs.shapes import point_segment
+from metrics.once import once
 
 BEYOND_M = 10.0
+SURE_M = 1e-6
+"""Boxes are passed over where they are farther than this: rounding must not decide."""
+FEW = 16
+"""Edges of a smallest box, and boxes within a larger one."""
 CROSSING = cos(30.0 / 180.0 * pi)
 """Lanes that lie over each other cross where their directions differ by more than 30 degrees, either way round."""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class LaneArrays:
+class Boxes(NamedTuple):
+    """Boxes round stretches of some polylines, a tree each, so that a long lane costs little more than a short one.
+
+    A box stands before those within it; whoever has no business in one goes on at the next one beside it.
+
+    Attributes:
+        first: `(n + 1,)`: polyline i owns the boxes `first[i] : first[i + 1]`.
+        box: `(g, 4)`: least x, y, greatest x, y of its edges.
+        beside: `(g,)`: the box after all those within this one.
+        edges: `(g, 2)`: the edges of a smallest box, first and end; none of a larger one's.
+    """
+
+    first: IntArray
+    box: FloatArray
+    beside: IntArray
+    edges: IntArray
+
+
+class LaneArrays(NamedTuple):
     """The drivable lanes of a road.
 
     Attributes:
-        points: Outlines of all lanes one after the other `(m, 2)`, m.
+        points: Outlines of all lanes one after the other `(m, 2)`, m; edge k of one leads from its point k - 1 to k.
         offsets: `(n + 1,)`: lane i owns the points `offsets[i] : offsets[i + 1]`.
+        center: Their centre lines `(m / 2, 2)`, m; lane i owns the halves of `offsets`; edge k leads from point k on.
         box: `(n, 4)`: least x, y, greatest x, y.
         limit: `(n,)` the log's speed limit, m/s; NaN where it has none.
+        outline: Boxes of the outlines.
+        middle: Of the centre lines.
     """
 
     points: FloatArray
     offsets: IntArray
+    center: FloatArray
     box: FloatArray
     limit: FloatArray
+    outline: Boxes
+    middle: Boxes
 
 
+@once
 def drivable_lanes(road: Road) -> LaneArrays | None:
     """The lanes that a car may drive on; None where there is none."""
     lanes = [lane for lane in road.lanes.values() if lane.drivable]
@@ -50,7 +80,36 @@ def drivable_lanes(road: Road) -> LaneArrays | None:
     limits = [lane.speed_limit for lane in lanes]
     box = [(*outline.min(axis=0), *outline.max(axis=0)) for outline in outlines]
     offsets = np.r_[0, np.cumsum([len(outline) for outline in outlines])]
-    return LaneArrays(frozen(np.vstack(outlines)), frozen(offsets, np.int64), frozen(box), frozen(limits))
+    centers = [0.5 * (outline[: len(outline) // 2] + outline[: len(outline) // 2 - 1 : -1]) for outline in outlines]
+    return LaneArrays(
+        frozen(np.vstack(outlines)),
+        frozen(offsets, np.int64),
+        frozen(np.vstack(centers)),
+        frozen(box),
+        frozen(limits),
+        _boxes([np.hstack([np.roll(outline, 1, axis=0), outline]) for outline in outlines]),
+        _boxes([np.hstack([center[:-1], center[1:]]) for center in centers]),
+    )
+
+
+def _boxes(polylines: list[FloatArray]) -> Boxes:
+    """Boxes of the edges of polylines, each `(edges, 4)`: begin and end."""
+    trees = [_tree(edges, 0, len(edges)) for edges in polylines]
+    first = np.cumsum([0, *map(len, trees)])
+    rows = np.array([row for tree in trees for row in tree])
+    beside = np.arange(len(rows)) + rows[:, 4].astype(np.int64)
+    return Boxes(frozen(first, np.int64), frozen(rows[:, :4]), frozen(beside, np.int64), frozen(rows[:, 5:], np.int64))
+
+
+def _tree(edges: FloatArray, begin: int, end: int) -> list[tuple[float, ...]]:
+    """Rows of a tree over some edges: box, how many rows it has, first edge and end."""
+    points = edges[begin:end].reshape(-1, 2)
+    box = (*points.min(axis=0), *points.max(axis=0))
+    if end - begin <= FEW:
+        return [(*box, 1, begin, end)]
+    step = max(FEW, ceil((end - begin) / FEW))
+    within = [row for k in range(begin, end, step) for row in _tree(edges, k, min(k + step, end))]
+    return [(*box, 1 + len(within), begin, begin), *within]
 
 
 def _outline(lane: Lane, *, leads_on: bool, entered: bool) -> FloatArray:
@@ -83,16 +142,6 @@ def _continued(road: Road, lane: Lane) -> frozenset[int]:
     return frozenset((lane.id, *lane.successors, *before))
 
 
-def off_lanes(lanes: LaneArrays, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Distance `(k,)` of points `(k,)` to the nearest drivable lane, 0 on one, m. Exact."""
-    return _off_lanes(lanes.points, lanes.offsets, lanes.box, x, y)
-
-
-def limits_at(lanes: LaneArrays, x: FloatArray, y: FloatArray) -> FloatArray:
-    """The log's speed limit `(k,)` at points, m/s: the largest where lanes overlap; NaN where no lane has one."""
-    return _limits_at(lanes.points, lanes.offsets, lanes.box, lanes.limit, x, y)
-
-
 @dataclass(frozen=True, eq=False, slots=True)
 class Under:
     """What lies under points of a drive, `(k,)` each; NaN where no lane does, and where lanes cross.
@@ -108,43 +157,79 @@ class Under:
 
 def under(lanes: LaneArrays, x: FloatArray, y: FloatArray, yaw: FloatArray) -> Under:
     """The lanes under points with a heading."""
-    return Under(*_under(lanes.points, lanes.offsets, lanes.box, x, y, yaw))
+    return Under(*_under(lanes, x, y, yaw))
 
 
 @kernel
-def _on_center(outline: FloatArray, x: float, y: float) -> tuple[float, float, float]:
-    """Unit direction of the centre line at its point nearest to (x, y), and the distance left of it, m.
+def _gap(box: FloatArray, g: int, x: float, y: float) -> float:
+    """Distance of a point from box g (least x, y, greatest x, y), 0 inside of it."""
+    dx, dy = max(box[g, 0] - x, 0.0, x - box[g, 2]), max(box[g, 1] - y, 0.0, y - box[g, 3])
+    return sqrt(dx * dx + dy * dy)
 
-    An outline is the left boundary there and the right one back, so that points i and 2n - 1 - i face each other.
-    """
-    last, best, cx, cy, left = len(outline) - 1, inf, 0.0, 0.0, 0.0
-    for i in range(len(outline) // 2 - 1):
-        ax, ay = 0.5 * (outline[i, 0] + outline[last - i, 0]), 0.5 * (outline[i, 1] + outline[last - i, 1])
-        bx, by = (
-            0.5 * (outline[i + 1, 0] + outline[last - i - 1, 0]),
-            0.5 * (outline[i + 1, 1] + outline[last - i - 1, 1]),
-        )
-        length, found = hypot(bx - ax, by - ay), point_segment(x, y, ax, ay, bx, by)
-        if length > 0.0 and found < best:
-            best, cx, cy = found, (bx - ax) / length, (by - ay) / length
-            left = found if cx * (y - ay) - cy * (x - ax) >= 0.0 else -found
+
+@kernel
+def _on_lane(lanes: LaneArrays, i: int, x: float, y: float) -> bool:
+    """Whether a point lies in lane i: `logs.road.inside`, of the edges that a line from it could cross."""
+    polygon, boxes = lanes.points[lanes.offsets[i] : lanes.offsets[i + 1]], lanes.outline
+    found, g = False, boxes.first[i]
+    while g < boxes.first[i + 1]:
+        if y < boxes.box[g, 1] or y > boxes.box[g, 3] or x > boxes.box[g, 2] + SURE_M:
+            g = boxes.beside[g]
+            continue
+        for k in range(boxes.edges[g, 0], boxes.edges[g, 1]):
+            xi, yi, xj, yj = polygon[k, 0], polygon[k, 1], polygon[k - 1, 0], polygon[k - 1, 1]
+            if (yi > y) != (yj > y) and x < (xj - xi) * (y - yi) / (yj - yi) + xi:
+                found = not found
+        g += 1
+    return found
+
+
+@kernel
+def _not_nearer(line: FloatArray, boxes: Boxes, g: int, x: float, y: float) -> float:
+    """A distance of a point from a polyline that is mostly the least: in the nearest of the boxes within box g."""
+    while boxes.edges[g, 0] == boxes.edges[g, 1]:
+        end, g, near = boxes.beside[g], g + 1, _gap(boxes.box, g + 1, x, y)
+        k = boxes.beside[g]
+        while k < end:
+            gap = _gap(boxes.box, k, x, y)
+            if gap < near:
+                g, near = k, gap
+            k = boxes.beside[k]
+    best = inf
+    for k in range(boxes.edges[g, 0], boxes.edges[g, 1]):
+        best = min(best, point_segment(x, y, line[k, 0], line[k, 1], line[k + 1, 0], line[k + 1, 1]))
+    return best
+
+
+@kernel
+def _on_center(lanes: LaneArrays, i: int, x: float, y: float) -> tuple[float, float, float]:
+    """Unit direction of lane i's centre line at its point nearest to (x, y), and the distance left of it, m."""
+    center = lanes.center[lanes.offsets[i] // 2 : lanes.offsets[i + 1] // 2]
+    best, cx, cy, left, boxes = inf, 0.0, 0.0, 0.0, lanes.middle
+    bound, g = _not_nearer(center, boxes, boxes.first[i], x, y), boxes.first[i]
+    while g < boxes.first[i + 1]:
+        if _gap(boxes.box, g, x, y) > min(best, bound) + SURE_M:
+            g = boxes.beside[g]
+            continue
+        for k in range(boxes.edges[g, 0], boxes.edges[g, 1]):
+            ax, ay, bx, by = center[k, 0], center[k, 1], center[k + 1, 0], center[k + 1, 1]
+            length, found = hypot(bx - ax, by - ay), point_segment(x, y, ax, ay, bx, by)
+            if length > 0.0 and found < best:
+                best, cx, cy = found, (bx - ax) / length, (by - ay) / length
+                left = found if cx * (y - ay) - cy * (x - ax) >= 0.0 else -found
+        g += 1
     return cx, cy, left
 
 
 @kernel
-def _under(
-    points: FloatArray, offsets: IntArray, box: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def _under(lanes: LaneArrays, x: FloatArray, y: FloatArray, yaw: FloatArray) -> tuple[FloatArray, FloatArray]:
     along, left = np.full(len(x), nan), np.full(len(x), nan)
     for k in range(len(x)):
         first_x, first_y, crossing = 0.0, 0.0, False
-        for i in range(len(box)):
-            if not (box[i, 0] <= x[k] <= box[i, 2] and box[i, 1] <= y[k] <= box[i, 3]):
+        for i in range(len(lanes.box)):
+            if _gap(lanes.box, i, x[k], y[k]) > 0.0 or not _on_lane(lanes, i, x[k], y[k]):
                 continue
-            outline = points[offsets[i] : offsets[i + 1]]
-            if not inside(x[k], y[k], outline):
-                continue
-            cx, cy, aside = _on_center(outline, x[k], y[k])
+            cx, cy, aside = _on_center(lanes, i, x[k], y[k])
             if not np.isfinite(along[k]):
                 first_x, first_y, along[k], left[k] = cx, cy, cx * cos(yaw[k]) + cy * sin(yaw[k]), aside
                 continue
@@ -158,28 +243,35 @@ def _under(
 
 
 @kernel
-def _edge_distance(polygon: FloatArray, x: float, y: float) -> float:
-    best, j = inf, len(polygon) - 1
-    for i in range(len(polygon)):
-        best = min(best, point_segment(x, y, polygon[j, 0], polygon[j, 1], polygon[i, 0], polygon[i, 1]))
-        j = i
+def _edge_distance(lanes: LaneArrays, i: int, x: float, y: float, best: float) -> float:
+    """Distance of a point from lane i's outline, m; where that is not less than `best`, anything not less."""
+    polygon, boxes = lanes.points[lanes.offsets[i] : lanes.offsets[i + 1]], lanes.outline
+    g = boxes.first[i]
+    while g < boxes.first[i + 1]:
+        if _gap(boxes.box, g, x, y) > best + SURE_M:
+            g = boxes.beside[g]
+            continue
+        for k in range(boxes.edges[g, 0], boxes.edges[g, 1]):
+            j = k - 1
+            best = min(best, point_segment(x, y, polygon[j, 0], polygon[j, 1], polygon[k, 0], polygon[k, 1]))
+        g += 1
     return best
 
 
 @kernel
-def _off_lanes(points: FloatArray, offsets: IntArray, box: FloatArray, x: FloatArray, y: FloatArray) -> FloatArray:
-    """Lanes whose bounding box is not nearer than the best so far are skipped; the last nearest one is tried first."""
-    n, out, recent = len(box), np.empty(len(x)), 0
+def off_lanes(lanes: LaneArrays, x: FloatArray, y: FloatArray) -> FloatArray:
+    """Distance `(k,)` of points `(k,)` to the nearest drivable lane, 0 on one, m. Exact.
+
+    Lanes whose bounding box is not nearer than the best so far are skipped; the last nearest one is tried first.
+    """
+    n, out, recent = len(lanes.box), np.empty(len(x)), 0
     for k in range(len(x)):
         best, start = inf, recent
         for turn in range(n):
             i = (start + turn) % n
-            gap_x = max(box[i, 0] - x[k], 0.0, x[k] - box[i, 2])
-            gap_y = max(box[i, 1] - y[k], 0.0, y[k] - box[i, 3])
-            if hypot(gap_x, gap_y) >= best:
+            if _gap(lanes.box, i, x[k], y[k]) >= best:
                 continue
-            polygon = points[offsets[i] : offsets[i + 1]]
-            found = 0.0 if inside(x[k], y[k], polygon) else _edge_distance(polygon, x[k], y[k])
+            found = 0.0 if _on_lane(lanes, i, x[k], y[k]) else _edge_distance(lanes, i, x[k], y[k], best)
             if found < best:
                 best, recent = found, i
             if best == 0.0:
@@ -189,14 +281,13 @@ def _off_lanes(points: FloatArray, offsets: IntArray, box: FloatArray, x: FloatA
 
 
 @kernel
-def _limits_at(
-    points: FloatArray, offsets: IntArray, box: FloatArray, limit: FloatArray, x: FloatArray, y: FloatArray
-) -> FloatArray:
+def limits_at(lanes: LaneArrays, x: FloatArray, y: FloatArray) -> FloatArray:
+    """The log's speed limit `(k,)` at points, m/s: the largest where lanes overlap; NaN where no lane has one."""
     out = np.full(len(x), nan)
     for k in range(len(x)):
-        for i in range(len(box)):
-            if not (box[i, 0] <= x[k] <= box[i, 2] and box[i, 1] <= y[k] <= box[i, 3]) or limit[i] <= out[k]:
+        for i in range(len(lanes.box)):
+            if _gap(lanes.box, i, x[k], y[k]) > 0.0 or lanes.limit[i] <= out[k]:
                 continue
-            if inside(x[k], y[k], points[offsets[i] : offsets[i + 1]]) and np.isfinite(limit[i]):
-                out[k] = limit[i]
+            if np.isfinite(lanes.limit[i]) and _on_lane(lanes, i, x[k], y[k]):
+                out[k] = lanes.limit[i]
     return out

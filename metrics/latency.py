@@ -37,7 +37,7 @@ def deadline_misses(timings: pd.DataFrame, deadline_s: float) -> pd.DataFrame:
     if not deadline_s > 0.0:
         raise ValueError(f"a deadline of {deadline_s} s")
     total = timings[timings["stage"] == "total"]
-    rows = [(*drive, *_counted(plans, deadline_s)) for drive, plans in total.groupby(_DRIVE, sort=False)]
+    rows = [(*drive, *_counted(plans, deadline_s)) for drive, plans in total.groupby(_DRIVE, sort=False, observed=True)]
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 

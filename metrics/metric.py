@@ -23,6 +23,7 @@ import numpy as np
 from logs.kernel import BoolArray, FloatArray, frozen
 from logs.scenario import Scenario
 from logs.trace import Mode, Trace
+from metrics.once import last
 
 Direction = Literal["lower", "higher", "none"]
 """Which way is better."""
@@ -127,14 +128,23 @@ class Metric:
     parameters: tuple[str, ...] = ()
     needs: str = ""
 
+    def found(self, trace: Trace, scenario: Scenario) -> Measured | Mapping[str, Measured]:
+        """What `measure` gives, called once for a drive however many scores are made of it."""
+        return _found(trace, scenario, self.measure)
+
     def measured(self, trace: Trace, scenario: Scenario) -> dict[str, Measured]:
         """Its series by full name ("gap", "ade.3s"); one that is unavailable keeps the names of its parts."""
-        found = self.measure(trace, scenario)
+        found = self.found(trace, scenario)
         if isinstance(found, Mapping):
             return {f"{self.name}.{part}": series for part, series in found.items()}
         if isinstance(found, Unavailable) and self.parts and self.parts != ("*",):
             return {f"{self.name}.{part}": found for part in self.parts}
         return {self.name: found}
+
+
+@last(1024)
+def _found(trace: Trace, scenario: Scenario, measure: Measure) -> Measured | Mapping[str, Measured]:
+    return measure(trace, scenario)
 
 
 def _extreme(series: Series, score: FloatArray) -> tuple[float, int]:

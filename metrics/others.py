@@ -15,6 +15,7 @@ import numpy as np
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.scenario import Scenario, Tracks
 from logs.states import Trajectory
+from metrics.once import last
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -36,6 +37,12 @@ class Others:
 
 def others_at(tracks: Tracks, t: FloatArray) -> Others:
     """The agents at the increasing times `t` `(k,)`, interpolated as `Tracks.truth` does."""
+    return _at(tracks, np.asarray(t, np.float64).tobytes())
+
+
+@last(2)  # most ask at the steps of the drive, some every 0.1 s
+def _at(tracks: Tracks, times: bytes) -> Others:
+    t = np.frombuffer(times)
     moved = tracks.motion
     columns = np.stack([tracks.x, tracks.y, tracks.yaw, moved.vx, moved.vy, moved.accel])
     there, found = _on_grid(tracks.offsets, tracks.static, tracks.t, tracks.gap_after, columns, t)

@@ -12,7 +12,6 @@ the contact that ends a drive, agrees.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from math import inf
 
 import numpy as np
@@ -20,6 +19,7 @@ import numpy as np
 from logs.kernel import BoolArray, FloatArray
 from logs.scenario import Scenario, Tracks
 from logs.shapes import overlap
+from metrics.once import once
 from metrics.others import ego_boxes, name_of, others_at
 
 AROUND_S = 1.0
@@ -45,7 +45,7 @@ class Phantom:
     t_to: float
 
 
-@lru_cache(maxsize=1)  # asked by loops, reference drives and metrics of one log in turn
+@once
 def phantoms(scenario: Scenario) -> tuple[Phantom, ...]:
     """Those of a recorded log, in order of tracks and time; none in any other."""
     if not scenario.is_recorded or not len(scenario.tracks):

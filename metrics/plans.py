@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from logs.kernel import FloatArray
-from logs.trace import PlannedFrame, Trace
+from logs.kernel import FloatArray, IntArray, kernel
+from logs.states import TRAJECTORY_COLUMNS
+from logs.trace import Trace
+from metrics.once import once
 
 STEP_S = 0.1
 """Plans are compared at multiples of this after their frame's time."""
@@ -22,17 +24,46 @@ def times_after(trace: Trace, first: int, last: int) -> FloatArray:
     return np.asarray(np.rint(times * 1e9) / 1e9)
 
 
-def plan_columns(frames: tuple[PlannedFrame, ...], times: FloatArray, names: tuple[str, ...]) -> FloatArray:
-    """Columns `(c, f, k)` of each frame's plan at the times `(f, k)`; NaN where the plan does not reach."""
-    out = np.full((len(names), *times.shape), np.nan)
-    for i, frame in enumerate(frames):
-        plan = frame.plan.trajectory
-        for j, name in enumerate(names):
-            out[j, i] = np.interp(times[i], plan.t, getattr(plan, name))
-        out[:, i, (times[i] < plan.t[0] - 1e-6) | (times[i] > plan.t[-1] + 1e-6)] = np.nan
+def plan_columns(trace: Trace, times: FloatArray, names: tuple[str, ...], which: IntArray | None = None) -> FloatArray:
+    """Columns `(c, f, k)` of the plans of the frames `which` `(f,)` (all) at the times `(f, k)`.
+
+    Linear between the plan's samples; NaN where it does not reach.
+    """
+    if not trace.frames:
+        return np.empty((len(names), *times.shape))
+    which = np.arange(len(trace.frames)) if which is None else which
+    wanted = np.array([TRAJECTORY_COLUMNS.index(name) for name in names])
+    return _at(*_plans(trace), wanted, which, np.ascontiguousarray(times))
+
+
+def plan_poses(trace: Trace, times: FloatArray, which: IntArray | None = None) -> FloatArray:
+    """x, y, yaw `(3, f, k)` of the plans at the times `(f, k)` (`plan_columns`)."""
+    return plan_columns(trace, times, ("x", "y", "yaw"), which)
+
+
+@once
+def _plans(trace: Trace) -> tuple[IntArray, FloatArray]:
+    """All plans one after the other: `(f + 1,)` where each begins, and `TRAJECTORY_COLUMNS` `(7, m)`."""
+    plans = [frame.plan.trajectory for frame in trace.frames]
+    rows = np.stack([np.concatenate([getattr(plan, name) for plan in plans]) for name in TRAJECTORY_COLUMNS])
+    return np.cumsum([0, *map(len, plans)]), rows
+
+
+@kernel
+def _at(offsets: IntArray, rows: FloatArray, wanted: IntArray, which: IntArray, times: FloatArray) -> FloatArray:
+    """`plan_columns`: the rows `wanted`, each as `numpy.interp` has it."""
+    out = np.full((len(wanted), *times.shape), np.nan)
+    for f in range(len(which)):
+        first, end = offsets[which[f]], offsets[which[f] + 1]
+        t = rows[0, first:end]
+        for k in range(times.shape[1]):
+            if times[f, k] < t[0] - 1e-6 or times[f, k] > t[-1] + 1e-6:
+                continue
+            now = min(max(times[f, k], t[0]), t[-1])
+            j = np.searchsorted(t, now, side="right") - 1
+            for c in range(len(wanted)):
+                column = rows[wanted[c], first:end]
+                out[c, f, k] = column[j]
+                if t[j] < now:
+                    out[c, f, k] = (column[j + 1] - column[j]) / (t[j + 1] - t[j]) * (now - t[j]) + column[j]
     return out
-
-
-def plan_poses(frames: tuple[PlannedFrame, ...], times: FloatArray) -> FloatArray:
-    """x, y, yaw `(3, f, k)` of each frame's plan at the times `(f, k)`; NaN where the plan does not reach."""
-    return plan_columns(frames, times, ("x", "y", "yaw"))

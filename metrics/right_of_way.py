@@ -16,13 +16,13 @@ from __future__ import annotations
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray
+from logs.lanes import on_lane
 from logs.road import Lane, Road
 from logs.scenario import AgentKind, Scenario
 from logs.trace import Mode, Trace
 from metrics.encounters import encroachment
 from metrics.metric import MIN, Measured, Metric, Reduction, Series, Unavailable
 from metrics.others import ego_boxes, name_of, others_at
-from metrics.rules import on_lane
 
 GRID_S = 0.1
 AROUND_S = 1.0

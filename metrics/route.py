@@ -14,7 +14,6 @@ for noise of recorded positions.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from math import cos, sin
 
 import numpy as np
@@ -24,6 +23,7 @@ from logs.road import Goal, ReferenceLine, Road, inside, line_project_many, thin
 from logs.route import find_route, straight_on
 from logs.scenario import Scenario
 from logs.states import EgoState, Trajectory
+from metrics.once import last, once
 
 SPACING_M, WINDOW_M = 1.0, 30.0
 STRETCH, SLACK_M = 2.0, 0.1
@@ -62,9 +62,9 @@ class Gain:
     cut: float
 
 
-@lru_cache(maxsize=1)
+@once
 def route_of(scenario: Scenario) -> Route:
-    """The route of a scenario; the last one is kept, since several metrics ask for it one after the other."""
+    """The route of a scenario."""
     log = scenario.ego
     path = thinned(np.column_stack([log.x, log.y]), SPACING_M)
     ahead = _onward(scenario.road, log.state(len(log) - 1), scenario.goal)
@@ -76,6 +76,7 @@ def route_of(scenario: Scenario) -> Route:
     return Route(line, driven if driven >= SHORTEST_M else np.nan)
 
 
+@last(2)  # the log's drive and the one that is judged
 def gained(route: Route, drive: Trajectory) -> Gain:
     """How far a drive came on a route (3)."""
     station = line_project_many(route.line.s, route.line.coef, drive.x, drive.y, 0.0, WINDOW_M)[:, 0]  # (2)

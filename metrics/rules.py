@@ -22,21 +22,17 @@ from math import hypot
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, kernel
-from logs.road import Lane, inside
-from logs.rules import Colour, Crosswalk, StopLine
+from logs.lanes import ASIDE_M, BEHIND_M, on_lane
+from logs.road import inside
+from logs.rules import RED, Crosswalk, StopLine
 from logs.scenario import AgentKind, Scenario
-from logs.states import Trajectory, wrapped
+from logs.states import Trajectory
 from logs.trace import Mode, Trace
 from metrics.metric import COUNT, Measured, Metric, Series, Unavailable
 from metrics.others import ego_boxes, name_of, others_at
 
-ASIDE_M = 0.5
 REST_MPS, BEFORE_M = 0.1, 5.0
 HALF_LANE_M = 1.75
-BEHIND_M = 40.0
-"""So far behind a line the way is looked at."""
-ASKEW_RAD = 0.25 * np.pi
-RED = (Colour.RED, Colour.RED_YELLOW)
 
 
 def _counted(trace: Trace, events: list[tuple[int, str]]) -> Series:
@@ -120,20 +116,6 @@ def _counts(line: StopLine, step: int, ego: Trajectory, scenario: Scenario) -> b
         return not ways or not beyond or road.lanes[line.lane] in road.lanes_at(float(x[-1]), float(y[-1]))
     taken = max(on, key=lambda way: (on[way], -way))
     return not line.towards or taken in line.towards
-
-
-def on_lane(lane: Lane, x: FloatArray, y: FloatArray, yaw: FloatArray) -> BoolArray:
-    """Which points `(k,)` with a heading are on a lane and drive along it."""
-    step = np.diff(lane.center, axis=0)
-    middle = 0.5 * (lane.center[1:] + lane.center[:-1])
-    found = np.zeros(len(x), np.bool_)
-    low, high = lane.polygon.min(axis=0), lane.polygon.max(axis=0)
-    near = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
-    for k in np.flatnonzero(near):
-        i = int(np.argmin(np.hypot(middle[:, 0] - x[k], middle[:, 1] - y[k])))
-        off = abs(float(wrapped(np.array(yaw[k] - np.arctan2(step[i, 1], step[i, 0])))))
-        found[k] = off < ASKEW_RAD and inside(float(x[k]), float(y[k]), lane.polygon)
-    return found
 
 
 # crosswalks -------------------------------------------------------------------------------------------------------

@@ -41,6 +41,7 @@ from logs.trace import Mode, Trace
 from metrics.exposure import TAU_S, integrated_below
 from metrics.lanes import drivable_lanes, keeps_lane, off_lanes
 from metrics.metric import COUNT, HAVING, MAX, MIN, Measured, Metric, Series, Unavailable, time_above, time_below
+from metrics.once import once
 from metrics.others import Others, ego_boxes, name_of, others_at
 from metrics.plans import STEP_S, plan_poses, times_after
 
@@ -72,6 +73,7 @@ class Contact:
     at_fault: bool
 
 
+@once
 def contacts(trace: Trace, scenario: Scenario) -> tuple[Contact, ...]:
     """The collisions of a drive in order of time."""
     return classify(trace.ego, trace.agents, scenario)
@@ -293,7 +295,7 @@ def _plan_collision(trace: Trace, scenario: Scenario) -> Measured:
     if not trace.frames:
         return Unavailable("the drive has no plans")
     times = times_after(trace, 0, round(PLAN_HORIZON_S / STEP_S))
-    x, y, yaw = plan_poses(trace.frames, times)
+    x, y, yaw = plan_poses(trace, times)
     ahead, vehicle = scenario.vehicle.axle_to_center, scenario.vehicle
     plans = np.stack([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), yaw])
     grid_ns, column = np.unique(np.rint(times * 1e9).astype(np.int64), return_inverse=True)

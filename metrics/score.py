@@ -37,7 +37,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
+from functools import partial
 from math import prod
 from types import MappingProxyType
 
@@ -47,6 +47,7 @@ from logs.scenario import AgentKind, Scenario
 from logs.trace import Mode, Trace
 from metrics import accuracy, comfort, consistency, lane_keeping, progress, rules, safety
 from metrics.metric import FINAL, Measured, Metric, Series, Unavailable, longest
+from metrics.once import once
 
 TTC_S, LEAST_PROGRESS, MISS_SHARE, NEAR_M, NEAR_RAD = 0.95, 0.2, 0.3, 8.0, 0.8
 OPEN_HORIZONS_S = (3, 5, 8)
@@ -82,7 +83,7 @@ class Formula:
 
 
 def _series(metric: Metric, trace: Trace, scenario: Scenario) -> Series | Unavailable:
-    found = metric.measure(trace, scenario)
+    found = metric.found(trace, scenario)
     if isinstance(found, Mapping):
         raise TypeError(f"{metric.name} has parts")
     return found
@@ -170,7 +171,7 @@ def _inside(trace: Trace, scenario: Scenario) -> Value:
 
 def _horizons(metric: Metric, trace: Trace, scenario: Scenario) -> list[Series] | Unavailable:
     """The series at the horizons of nuPlan that the log allows."""
-    found = metric.measure(trace, scenario)
+    found = metric.found(trace, scenario)
     if not isinstance(found, Mapping):
         return found if isinstance(found, Unavailable) else [found]
     each = [found[f"{h}s"] for h in OPEN_HORIZONS_S]
@@ -252,18 +253,17 @@ def combined(formula: Formula, parts: Mapping[str, Value]) -> tuple[Value, str]:
     return product * (mean if formula.weights else 1.0), f"without: {left_out}" if left_out else ""
 
 
-@lru_cache(maxsize=32)
-def _part(name: str, trace: Trace, scenario: Scenario) -> Value:
-    """A part of a drive; the last ones are kept, since the scores share them."""
+@once
+def _part(trace: Trace, scenario: Scenario, name: str) -> Value:
     return PARTS[name](trace, scenario)
 
 
 def _score(formula: Formula, trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
-    parts = {name: _part(name, trace, scenario) for name in formula.names}
+    parts = {name: _part(trace, scenario, name) for name in formula.names}
     if formula.excused and len(scenario.ego) > 1:
         human = replace(trace, ego=scenario.ego, agents=scenario.tracks, frames=())
         for name, value in parts.items():
-            if value != 1.0 and PARTS[name](human, scenario) == 0.0:
+            if value != 1.0 and _part(human, scenario, name) == 0.0:
                 parts[name] = 1.0
     total, label = combined(formula, parts)
     return {"score": _row(trace, total, label), **{name: _row(trace, value, "") for name, value in parts.items()}}

@@ -10,10 +10,12 @@ from __future__ import annotations
 from dataclasses import replace
 from itertools import pairwise
 
-from logs.road import ReferenceLine
+from logs.road import Goal, ReferenceLine, Road
 from logs.route import find_route
 from logs.scenario import FINDING, Scenario
+from logs.states import EgoState
 from metrics.avoidability import metadata_of
+from metrics.once import once
 from metrics.progress import CAREFUL_M
 from metrics.reference_drivers import DRIVERS, Verdict, careful_drive
 from planners.frenet.reference_path import make_reference_path
@@ -21,8 +23,12 @@ from planners.frenet.reference_path import make_reference_path
 
 def reference_line(scenario: Scenario) -> ReferenceLine:
     """The line from the log's first state along its lane towards the goal; straight on where it has none."""
-    start, road = scenario.ego.state(0), scenario.road
-    route = find_route(road, start, scenario.goal)
+    return _line(scenario.road, scenario.ego.state(0), scenario.goal)
+
+
+@once  # asked before the scenario has its entries, and again for the reference drives
+def _line(road: Road, start: EgoState, goal: Goal | None) -> ReferenceLine:
+    route = find_route(road, start, goal)
     kept = 1
     for before, now in pairwise(route.lanes):
         if now not in road.lanes[before].successors:

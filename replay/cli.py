@@ -199,10 +199,12 @@ def _settings(words: list[str]) -> dict[str, float | str]:
 
 def _evaluated(logs: list[Path], run: RunConfig, out: Path | None, workers: int, *, resume: bool) -> RunResult:
     from replay.batch import evaluate_logs
+    from replay.batch.pool import settle
     from replay.report.progress import progress
     from replay.report.terminal import print_report
 
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does: nothing half-written
+    settle()
     with progress() as (on_start, on_log):
         result = evaluate_logs(logs, run, out, workers=workers, resume=resume, on_start=on_start, on_log=on_log)
     wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 110

@@ -25,7 +25,7 @@ class LoopConfig:
         plan_delay_s: A plan is driven from so long after its frame on (what computing it takes), whole control periods.
         perception: Name in `replay.perception.PERCEPTIONS`.
         sensor: What the sensor can do, where the perception is "sensor".
-        prediction: Name in `planners.prediction.PREDICTORS`, or "oracle": the log's own future, with traffic "time".
+        prediction: Name in `replay.prediction.PREDICTORS`, or "oracle": the log's own future, with traffic "time".
         prediction_horizon_s: How far the others are predicted.
         prediction_step_s: Time between two samples of a prediction.
 

@@ -19,8 +19,8 @@ from logs.frame import Frame, Predictions, Visibility
 from logs.kernel import FloatArray
 from logs.scenario import Agents, Scenario, Tracks
 from logs.trace import Plan
-from planners.prediction import NO_LANES, PREDICTORS, LaneMap, predict
 from replay.drive import LoopConfig
+from replay.prediction import NO_LANES, PREDICTORS, LaneMap, predict
 from replay.sensor import Sensor
 from replay.world import World
 

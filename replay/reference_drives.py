@@ -86,5 +86,9 @@ def _reached(goal: Goal | None, ego: Trajectory, scenario: Scenario) -> int | No
     if goal is None:
         return None
     x, y = ego_boxes(ego, scenario)[:2]
-    states = zip(ego.t, x, y, ego.yaw, ego.v, strict=True)
-    return next((k for k, state in enumerate(states) if goal.reached(*map(float, state))), None)
+    near = np.full(len(x), not goal.regions)
+    for region in goal.regions:
+        (low_x, low_y), (high_x, high_y) = region.min(axis=0), region.max(axis=0)
+        near |= (x >= low_x) & (x <= high_x) & (y >= low_y) & (y <= high_y)
+    states = np.column_stack([ego.t, x, y, ego.yaw, ego.v])
+    return next((k for k in np.flatnonzero(near).tolist() if goal.reached(*states[k].tolist())), None)

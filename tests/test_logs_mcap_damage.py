@@ -142,7 +142,7 @@ def test_a_broken_message_is_named(tmp_path: Path, messages: list[tuple[str, int
 
 
 @pytest.mark.parametrize(("change", "words"), [
-    ({"format_version": "2"}, "format version 2 is newer than 1, .*; update replan"),
+    ({"format_version": "3"}, "format version 3 is newer than 2, .*; update replan"),
     ({"format_version": "one"}, "format_version is 'one'"),
     ({"format_version": "9" * 9999}, "format_version"),
     ({"start_ns": "soon"}, "start_ns is 'soon'"),

@@ -21,6 +21,7 @@ from logs import (
     EndReason,
     GraphObstacle,
     GridCost,
+    LaneOption,
     LogError,
     Mode,
     Plan,
@@ -35,7 +36,8 @@ from logs import (
     TrackingErrors,
     Tracks,
 )
-from logs.mcap import read_scenario, summarise, write_scenario, write_trace
+from logs.mcap import native, read_scenario, summarise, write_scenario, write_trace
+from logs.mcap.writer import BLOCK, scenario_entries, scenario_records, write_log
 
 
 def drive() -> Trace:
@@ -50,6 +52,7 @@ def drive() -> Trace:
     internals = (
         Decision("walker", DecisionKind.YIELD, "speed", "it crosses"),
         CostTerms("path", (("jerk", 1.5), ("centre", np.float64(0.25)))),
+        LaneOption("left", (("time lost", 0.3), ("change", 1.0)), "car 7 is beside"),
         SolverReport("path", True, "solved", 25, 1e-6, np.nan),
         SlGraph(grid, corridor, line, line, (obstacle,)),
         StGraph(None, None, line, line, ()),
@@ -101,6 +104,7 @@ def test_plans_are_kept_with_all_their_internals(tmp_path: Path) -> None:
     assert plan["trajectory"]["x_m"] == drive().ego.x.tolist()
     assert plan["decisions"] == [{"agent": "walker", "kind": "yield", "stage": "speed", "reason": "it crosses"}]
     assert plan["costs"] == [{"stage": "path", "terms": {"jerk": 1.5, "centre": 0.25}}]
+    assert plan["lanes"] == [{"name": "left", "terms": {"time lost": 0.3, "change": 1.0}, "against": "car 7 is beside"}]
     assert plan["solvers"][0]["dual_residual"] is None and plan["solvers"][0]["iterations"] == 25
     path_graph, speed_graph = plan["graphs"]
     assert (path_graph["plane"], speed_graph["plane"], speed_graph["grid"]) == ("sl", "st", None)
@@ -116,14 +120,53 @@ def test_internals_are_kept_as_asked(tmp_path: Path, internals: Any, decisions: 
     assert (len(plan["decisions"]), len(plan["graphs"])) == (decisions, graphs)
 
 
-def test_commands_actuation_and_tracking_have_topics(tmp_path: Path) -> None:
+def test_commands_actuation_and_tracking_have_topics_and_stand_in_blocks(tmp_path: Path) -> None:
     write_trace(tmp_path / "log.mcap", drive(), rich_scenario())
-    assert messages(tmp_path / "log.mcap", "/command")[0][1]["steer_rad"] == 0.5
-    assert messages(tmp_path / "log.mcap", "/actuation")[0][1]["steer_rad"] == 0.2
-    tracking = messages(tmp_path / "log.mcap", "/tracking")
-    assert len(tracking) == 40 and tracking[-1][1] == {
+    assert messages(tmp_path / "log.mcap", "/command")[0][1]["steer_rad"] == [0.5] * 40
+    assert messages(tmp_path / "log.mcap", "/actuation")[0][1]["steer_rad"] == [0.2] * 40
+    ((time, tracking),) = messages(tmp_path / "log.mcap", "/tracking")
+    assert time == tracking["log_time_ns"][0] == START_NS and tracking["log_time_ns"][-1] == START_NS + 390_000_000
+    assert {name: column[-1] for name, column in tracking.items() if name != "log_time_ns"} == {
         "lateral_m": 0.5, "heading_rad": 0.5, "speed_mps": 0.5, "station_m": None,
     }  # fmt: skip
+
+
+@pytest.mark.parametrize("count", [1, BLOCK, BLOCK + 1, 2 * BLOCK + 7])
+def test_blocks_and_single_messages_read_the_same(tmp_path: Path, count: int) -> None:
+    t = seconds(10_000_000 * k for k in range(count))
+    half = np.where(np.arange(count) % 3 > 0, 0.5, np.nan)
+    scenario = replace(rich_scenario(), ego=rich_scenario().ego.resampled(t), controls=Controls(t, half, half, 0.0 * t))
+    found = []
+    for blocks in (False, True):
+        path = tmp_path / f"{blocks}.mcap"
+        write_log(path, scenario_records(scenario), scenario_entries(scenario, blocks=blocks))
+        found.append(read_scenario(path))
+        assert len(messages(path, "/ego")) == (-(-count // BLOCK) if blocks else count)
+    assert differences(*found) == [] and differences(scenario.ego, found[1].ego) == []
+
+
+def test_a_block_whose_columns_or_times_disagree_is_refused(tmp_path: Path) -> None:
+    scenario, block = rich_scenario(), native.BLOCKS[native.Ego]
+    zero = [0.0, 0.0]
+    for times, yaw, what in (
+        ([START_NS, START_NS + 5], [0.0], "columns differ in length: .*yaw_rad 1"),
+        ([START_NS + 5, START_NS], zero, "time goes backwards"),
+        ([START_NS, START_NS], zero, "two messages have the same time"),
+        ([START_NS, 2**63], zero, "beyond any clock"),
+    ):
+        message = block(times, zero, zero, yaw, zero, zero, zero)
+        write_log(tmp_path / "log.mcap", scenario_records(scenario), [(START_NS, "/ego", message)])
+        with pytest.raises(LogError, match=f"topic /ego.*{what}"):
+            read_scenario(tmp_path / "log.mcap")
+
+
+def test_without_internals_a_plan_is_kept_every_half_second_and_at_its_end(tmp_path: Path) -> None:
+    plan = Plan(rich_scenario().ego.resampled(np.r_[np.arange(0.0, 1.25, 0.1), 1.23]))
+    trace = replace(drive(), frames=(PlannedFrame(0.0, plan),))
+    write_trace(tmp_path / "log.mcap", trace, rich_scenario(), internals="none")
+    ((_, message),) = messages(tmp_path / "log.mcap", "/plan")
+    assert message["trajectory"]["t_s"] == pytest.approx([0.0, 0.5, 1.0, 1.23])
+    assert message["trajectory"]["x_m"] == plan.trajectory.x[[0, 5, 10, 13]].tolist()
 
 
 def test_what_a_sensor_showed_is_on_a_topic_of_its_own(tmp_path: Path) -> None:
@@ -209,7 +252,7 @@ def test_the_summary_tells_what_is_missing(tmp_path: Path) -> None:
 
 def test_a_trace_is_called_a_trace(tmp_path: Path) -> None:
     write_trace(tmp_path / "log.mcap", drive(), rich_scenario())
-    assert summarise(tmp_path / "log.mcap").profile == "trace of a drive, native format 1"
+    assert summarise(tmp_path / "log.mcap").profile == "trace of a drive, native format 2"
 
 
 def test_the_summary_of_a_cut_log_tells_what_is_left(tmp_path: Path) -> None:

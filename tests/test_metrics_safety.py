@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from math import pi
 
 import numpy as np
@@ -11,9 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from logs import AgentKind, Lane, Mode, Road, RoadSource, Scenario, Tracks, Trajectory, VehicleParameters
+from logs.kernel import FloatArray
+from logs.road import inside
 from logs.shapes import distance, point_segment, time_to_contact
 from metrics import evaluate, series
-from metrics.lanes import drivable_lanes, off_lanes
+from metrics.lanes import drivable_lanes, limits_at, off_lanes, under
 from metrics.others import ego_boxes, others_at
 from metrics.safety import ContactKind, contacts
 
@@ -281,6 +284,28 @@ def test_distance_off_the_lanes_is_exact(points: list[tuple[float, float]]) -> N
     assert lanes is not None
     out_x, out_y = np.maximum(np.maximum(-110 - x, x - 510), 0), np.maximum(np.maximum(-1.75 - y, y - 5.25), 0)
     assert off_lanes(lanes, x, y) == pytest.approx(np.hypot(out_x, out_y), abs=1e-9)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(2, 400))
+@settings(max_examples=8, deadline=None)
+def test_lanes_of_any_length_are_asked_as_if_edge_by_edge(seed: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    yaw = np.cumsum(rng.normal(0.0, 0.15, count))
+    center = np.cumsum(3.0 * np.column_stack([np.cos(yaw), np.sin(yaw)]), axis=0)
+    normal = 1.75 * np.column_stack([-np.sin(yaw), np.cos(yaw)])
+    lanes = drivable_lanes(Road({0: Lane(0, center + normal, center - normal, speed_limit=13.9)}))
+    assert lanes is not None
+    points = center[rng.integers(0, count, 40)] + rng.normal(0.0, 4.0, (40, 2))
+
+    def away(line: FloatArray) -> list[float]:
+        return [min(point_segment(*p, *a, *b) for a, b in pairwise(line)) for p in points]
+
+    held = [inside(*p, lanes.points) for p in points]
+    closed = np.vstack([lanes.points[-1:], lanes.points])
+    np.testing.assert_array_equal(off_lanes(lanes, *points.T), np.where(held, 0.0, away(closed)))
+    np.testing.assert_array_equal(np.isfinite(limits_at(lanes, *points.T)), held)
+    left = under(lanes, *points.T, np.zeros(40)).left
+    np.testing.assert_array_equal(np.abs(left), np.where(held, away(lanes.center), np.nan))
 
 
 @given(st.integers(0, 500))

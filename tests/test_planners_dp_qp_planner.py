@@ -35,16 +35,16 @@ from logs.states import TRAJECTORY_COLUMNS, wrapped
 from logs.transform import mirrored, moved
 from planners.base import Planner
 from planners.dp_qp import DpQp
+from planners.frenet.fallback import meets
 from planners.dp_qp.lane.plan import LanePlanner
+from planners.frenet.lane_sequence import LaneSequences
 from planners.dp_qp.path.qp import PathQp
 from planners.dp_qp.path.stage import PathConfig
 from planners.dp_qp.speed.qp import SpeedQp, SpeedQpConfig
 from planners.dp_qp.speed.stage import SpeedConfig
-from planners.frenet.fallback import meets
-from planners.frenet.lane_sequence import LaneSequences
-from planners.prediction import predict
 from planners.qp import QPResult
 from planners.rules import Rulebook
+from replay.prediction import predict
 
 ONE, TWO = lanes(along_x()), lanes(along_x(), 2)
 EGO = EgoState(0.0, 0.0, 0.0, 0.0, 8.0)

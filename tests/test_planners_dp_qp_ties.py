@@ -19,7 +19,7 @@ from logs.transform import jittered, rotated
 from planners.dp_qp import DpQp
 from planners.dp_qp.path.dp import PathDpConfig, path_dp
 from planners.frenet.reference_path import make_reference_path
-from planners.prediction import LaneMap, predict
+from replay.prediction import LaneMap, predict
 
 TINY, SAME = 1e-9, 1e-6
 

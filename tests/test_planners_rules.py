@@ -33,9 +33,9 @@ from logs.kernel import FloatArray
 from logs.route import find_route
 from planners import PLANNERS
 from planners.frenet.reference_path import ReferencePath, make_reference_path
-from planners.prediction import predict
 from planners.rules import Rulebook, Stop
 from replay.closed_loop import run_closed_loop
+from replay.prediction import predict
 
 LINE_X = 100.0
 ACROSS = np.array([[LINE_X, 1.75], [LINE_X, -1.75]])

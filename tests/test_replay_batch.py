@@ -247,7 +247,7 @@ def test_exit_codes_three_beats_one_beats_four(failures: list[int], outcomes: li
     none = pd.DataFrame()
     result = RunResult(
         Path(), RunConfig(), Selection(()), (), tuple(Failure("log", "wrong", exit_code=code) for code in failures),
-        none, none, tuple(Verdict(Gate("gap.min", min=0.0), outcome, "") for outcome in outcomes),
+        none, tuple(Verdict(Gate("gap.min", min=0.0), outcome, "") for outcome in outcomes),
     )  # fmt: skip
     if failures:
         assert result.exit_code == min(failures)

@@ -15,11 +15,11 @@ from test_planners_contract import until
 from logs import AgentKind, Agents, ConfigError, EgoState, Frame, Scenario, Tracks, VehicleParameters
 from logs.kernel import FloatArray
 from logs.shapes import overlap
-from planners.prediction import PREDICTORS
 from replay.closed_loop import run_closed_loop
 from replay.drive import LoopConfig
 from replay.open_loop import run_open_loop
 from replay.perception import PERCEPTIONS, Perception
+from replay.prediction import PREDICTORS
 from replay.sensor import SensorConfig
 from replay.world import World, logged_ego
 

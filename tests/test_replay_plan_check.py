@@ -14,10 +14,10 @@ from logs.catalogue import CATALOGUE
 from logs.scenario import Tracks
 from logs.states import wrapped
 from planners.constant_speed import arc
-from planners.prediction import predict
 from replay.closed_loop import run_closed_loop
 from replay.open_loop import run_open_loop
 from replay.plan_check import checked, of_positions
+from replay.prediction import predict
 
 AHEAD = 0.1 * np.arange(51)
 NOBODY = Tracks.empty().perceived(0.0)

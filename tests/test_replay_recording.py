@@ -30,6 +30,7 @@ from logs import (
     Tracks,
 )
 from logs.kernel import FloatArray
+from metrics import series
 from replay.drive import Drive, StageTime
 from replay.recording import scene_times, write_log_recording, write_recording
 from replay.recording.axes import HEIGHT, LABEL_GAP, LETTER, WIDTH, Axes, nice_step, spread, ticks
@@ -205,7 +206,7 @@ TABLE = pd.DataFrame(
 def closed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Drive, Scenario, Recording]:
     path = tmp_path_factory.mktemp("closed") / "deep" / "closed.rrd"
     done, world = drive()
-    write_recording(path, done, world, TABLE)
+    write_recording(path, done, world, TABLE, series(done.trace, world))
     assert [file.name for file in path.parent.iterdir()] == ["closed.rrd"]
     return done, world, Recording(path)
 
@@ -252,8 +253,8 @@ def test_curves_hold_the_numbers_of_the_trace(closed: tuple[Drive, Scenario, Rec
         np.testing.assert_allclose(recording.times(entity), t, atol=1e-9)
         np.testing.assert_array_equal(recording.scalars(entity), values)
     np.testing.assert_allclose(recording.scalars("/plots/speed/limit"), 13.89)
-    jerk = recording.scalars("/plots/jerk/ego")
-    np.testing.assert_allclose(jerk[1:], np.diff(trace.ego.a) / np.diff(trace.ego.t))
+    jerk = series(trace, world).query("metric == 'lon_jerk_state'")["value"].to_numpy()
+    np.testing.assert_array_equal(recording.scalars("/plots/jerk/ego"), jerk)
     stage = [timing.seconds * 1e3 for timing in done.timings if timing.stage == "path_qp"]
     np.testing.assert_allclose(recording.scalars("/plots/stages/path_qp"), stage)
     plan = recording.scalars("/plots/speed/plan")

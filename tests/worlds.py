@@ -25,7 +25,7 @@ from logs.kernel import FloatArray
 from logs.shapes import distance
 from planners.base import Planner
 from planners.dp_qp import DpQp
-from planners.prediction import predict
+from replay.prediction import predict
 
 PERIOD = 0.1
 CAR = VehicleParameters()

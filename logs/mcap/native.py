@@ -1,4 +1,4 @@
-"""The native scenario log, version 1: one MCAP file is one scenario; JSON messages, their JSON Schema in the file.
+"""The native scenario log, version 2: one MCAP file is one scenario; JSON messages, their JSON Schema in the file.
 
     metadata  replan.scenario            format_version, name, source, licence, tags and notes (JSON arrays), start_ns
                                          (log time of t = 0), duration_s, origin_x_m and origin_y_m (what was subtracted
@@ -21,11 +21,16 @@ A field is serialised as its name in code plus its unit (`UNITS`). Time is the m
 a topic's messages stand in order of time. Missing is null (NaN in memory); infinity is refused, except in the graphs of
 a plan, where null stands for "not reached" and "free". A version may gain topics and optional fields; its readers skip
 what they do not know.
+
+Version 2 is version 1 and blocks: on /ego, /controls, /command, /actuation and /tracking a message may be an EgoBlock,
+ControlsBlock or TrackingBlock instead, whose columns hold many samples, each with its log time; the message's own is
+the first one's. Traces are written so (they have 100 samples a second). A log without blocks says that it is version 1.
 """
 
 from __future__ import annotations
 
 from dataclasses import fields
+from functools import cache
 from typing import Any, Literal, get_type_hints
 
 import msgspec
@@ -35,10 +40,13 @@ from logs.scenario import AgentKind
 from logs.trace import DecisionKind
 from logs.vehicle import VehicleParameters
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+WITHOUT_BLOCKS = 1
+"""The version that is written where there are no blocks, so that an older replan reads it."""
 SCENARIO_RECORD, FREE_RECORD, TRACE_RECORD = "replan.scenario", "replan.scenario.metadata", "replan.trace"
 
 UNITS = {
+    "log_time": "ns",
     "t": "s", "x": "m", "y": "m", "yaw": "rad", "v": "mps", "a": "mps2", "kappa": "per_m", "vx": "mps", "vy": "mps",
     "length": "m", "width": "m", "left_x": "m", "left_y": "m", "right_x": "m", "right_y": "m",
     "speed_limit": "mps", "default_speed_limit": "mps", "steer": "rad",
@@ -194,6 +202,19 @@ class Tracking(msgspec.Struct, rename=serialised):
     station: float | None
 
 
+def _block(kind: type[msgspec.Struct]) -> type[msgspec.Struct]:
+    """The Struct of many samples of a kind: their log times, and a list of each of its fields."""
+    hints = get_type_hints(kind)
+    columns: list[tuple[str, Any]] = [(name, list[hints[name]]) for name in kind.__struct_fields__]  # type: ignore[valid-type]
+    said = {"__doc__": f"Many samples: {kind.__doc__}"}
+    fields_ = [("log_time", list[int]), *columns]
+    return msgspec.defstruct(f"{kind.__name__}Block", fields_, rename=serialised, namespace=said, module=__name__)
+
+
+BLOCKS: dict[type[msgspec.Struct], type[msgspec.Struct]] = {kind: _block(kind) for kind in (Ego, Controls, Tracking)}
+"""What a message of a kind may be instead."""
+
+
 class TrajectoryColumns(msgspec.Struct, rename=serialised):
     """Planned states; t is the time since the scenario's start."""
 
@@ -228,6 +249,14 @@ class Candidates(msgspec.Struct):
     stage: str
     considered: int
     rejected: dict[str, int]
+
+
+class LaneOption(msgspec.Struct):
+    """A lane that was compared: its cost by term, s, and why it was not taken (empty: it was)."""
+
+    name: str
+    terms: dict[str, float | None]
+    against: str
 
 
 class SolverReport(msgspec.Struct):
@@ -289,6 +318,7 @@ class Plan(msgspec.Struct):
     solvers: list[SolverReport] = []
     graphs: list[Graph] = []
     candidates: list[Candidates] = []
+    lanes: list[LaneOption] = []
 
 
 class Predictions(msgspec.Struct, rename=serialised):
@@ -319,7 +349,7 @@ TOPICS: dict[str, type[msgspec.Struct]] = {
     "/actuation": Controls,
     "/tracking": Tracking,
 }
-"""What is on which topic; messages of one time stand in the file in this order."""
+"""What is on which topic (or its block); messages of one time stand in the file in this order."""
 
 
 def schema_name(kind: type[msgspec.Struct]) -> str:
@@ -327,6 +357,7 @@ def schema_name(kind: type[msgspec.Struct]) -> str:
     return f"replan.{kind.__name__}"
 
 
+@cache
 def json_schema(kind: type[msgspec.Struct]) -> dict[str, Any]:
     """The JSON Schema of a message, references written out: an object at its root, as viewers want it."""
     (root,), components = msgspec.json.schema_components((kind,))

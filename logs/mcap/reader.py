@@ -7,6 +7,8 @@ nothing. What the log leaves out is filled in as `complete.py` says, and noted.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -159,23 +161,39 @@ def _column(messages: Sequence[Any], name: str) -> FloatArray:
     return np.array([getattr(message, name) for message in messages], dtype=np.float64)
 
 
+def _sampled(stream: Stream, kind: type[msgspec.Struct], start_ns: int) -> dict[str, FloatArray]:
+    """Column t and those of a kind, whether they come one sample a message or in blocks."""
+    block = native.BLOCKS[kind]
+    if stream.schema != native.schema_name(block):
+        stream.check_order(strictly=True)
+        some = stream.decoded(kind)
+        columns = {name: _column(some, name) for name in kind.__struct_fields__}
+        return {"t": _seconds(stream.times, start_ns), **columns}
+    blocks = stream.decoded(block)
+    for time, message in zip(stream.times, blocks, strict=True):
+        _equal_lengths(message, stream.topic, time)
+    joined: dict[str, list[Any]] = {
+        name: list(chain.from_iterable(getattr(message, name) for message in blocks))
+        for name in block.__struct_fields__
+    }
+    times = joined.pop("log_time")
+    if not times:
+        raise LogError("the blocks hold no sample", topic=stream.topic, remedy=MEND)
+    if not 0 <= min(times) <= max(times) <= LAST_TIME_NS:
+        raise LogError("a log time is beyond any clock", topic=stream.topic, remedy=MEND)
+    replace(stream, times=times).check_order(strictly=True)
+    return {"t": _seconds(times, start_ns), **{name: np.array(some, np.float64) for name, some in joined.items()}}
+
+
 def _ego(stream: Stream, start_ns: int, notes: list[str]) -> Trajectory:
-    stream.check_order(strictly=True)
-    states = stream.decoded(native.Ego)
-    columns = {name: _column(states, name) for name in ("x", "y", "yaw", "v", "a", "kappa")}
-    columns["t"] = _seconds(stream.times, start_ns)
     try:
-        return completed(columns, notes)
+        return completed(_sampled(stream, native.Ego, start_ns), notes)
     except ValueError as error:
         raise LogError(str(error), topic=stream.topic, remedy=MEND) from None
 
 
 def _controls(stream: Stream, start_ns: int) -> Controls:
-    stream.check_order(strictly=True)
-    samples = stream.decoded(native.Controls)
-    return Controls(
-        _seconds(stream.times, start_ns), *(_column(samples, name) for name in ("steer", "throttle", "brake"))
-    )
+    return Controls(**_sampled(stream, native.Controls, start_ns))
 
 
 def _tracks(streams: dict[str, Stream], start_ns: int, notes: list[str]) -> Tracks:

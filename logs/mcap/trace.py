@@ -1,9 +1,9 @@
 """A trace as a log: what was driven, what was planned, asked and done; readable again by `read_scenario`.
 
 Ego and agents are those of the trace; road, goal and vehicle those of the scenario. `internals` says how much of the
-plans is kept: "none" (status and trajectory), "summary" (and decisions, cost terms, candidates, solver reports), "full"
-(and graphs with their grids and corridors; in them null stands for "not reached" and "free"; and the predictions). What
-a sensor showed of the others is always kept.
+plans is kept: "none" (status, and trajectory at `KEPT_STEP_S`), "summary" (the whole trajectory, decisions, cost terms,
+candidates, compared lanes, solver reports), "full" (and graphs with their grids and corridors; in them null stands for
+"not reached" and "free"; and the predictions). What a sensor showed of the others is always kept.
 """
 
 from __future__ import annotations
@@ -35,8 +35,11 @@ def write_trace(path: Path, trace: nouns.Trace, scenario: Scenario, *, internals
     """
     try:
         driven = driven_scenario(trace, scenario)
-        records = {**scenario_records(driven), native.TRACE_RECORD: trace_record(trace, internals)}
-        entries = [*scenario_entries(driven), *_trace_entries(trace, scenario.start_ns, internals)]
+        records = {
+            **scenario_records(driven, version=native.FORMAT_VERSION),
+            native.TRACE_RECORD: trace_record(trace, internals),
+        }
+        entries = [*scenario_entries(driven, blocks=True), *_trace_entries(trace, scenario.start_ns, internals)]
         write_log(Path(path), records, entries)
     except LogError as error:
         raise error.at(path) from None
@@ -82,7 +85,7 @@ def _trace_entries(trace: nouns.Trace, start_ns: int, internals: Internals) -> I
         ("/tracking", native.Tracking, trace.tracking),
     ):
         if table is not None:
-            yield from samples(table, kind, topic, start_ns)
+            yield from samples(table, kind, topic, start_ns, blocks=True)
 
 
 def _perceived(shown: Tracks, frames: list[int], start_ns: int) -> Iterator[Entry]:
@@ -104,7 +107,9 @@ def _predictions(frame: nouns.PlannedFrame, some: Predictions) -> native.Predict
 
 
 def _plan(plan: nouns.Plan, internals: Internals) -> native.Plan:
-    columns = [column(getattr(plan.trajectory, name), "/plan", name) for name in TRAJECTORY_COLUMNS]
+    planned = plan.trajectory
+    kept = nouns.kept_samples(planned.t) if internals == "none" else slice(None)
+    columns = [getattr(planned, name)[kept].tolist() for name in TRAJECTORY_COLUMNS]
     message = native.Plan(
         plan.status.name.lower(), plan.reason, plan.start.name.lower(), native.TrajectoryColumns(*columns)
     )
@@ -121,6 +126,8 @@ def _plan(plan: nouns.Plan, internals: Internals) -> native.Plan:
             message.candidates.append(
                 native.Candidates(artefact.stage, artefact.considered, dict(artefact.rejected)),
             )
+        elif isinstance(artefact, nouns.LaneOption):
+            message.lanes.append(native.LaneOption(artefact.name, dict(artefact.terms), artefact.against))
         elif isinstance(artefact, nouns.SolverReport):
             message.solvers.append(_solver(artefact))
         elif internals == "full":

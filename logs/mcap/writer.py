@@ -24,9 +24,10 @@ from logs.kernel import FloatArray
 from logs.mcap import native
 from logs.rules import Colour, StopLine, TrafficLight
 from logs.scenario import Scenario, Tracks
-from logs.states import Trajectory
 
 CHUNK_BYTES = 128 * 1024
+BLOCK = 100
+"""Samples of a block: a second of a drive, so that a killed writer loses little."""
 Entry = tuple[int, str, msgspec.Struct]
 """Log time (ns), topic, message."""
 
@@ -72,8 +73,9 @@ def _add_messages(writer: Any, ordered: Sequence[Entry]) -> None:
     encoder = msgspec.json.Encoder(enc_hook=_plain)
     schemas: dict[type[msgspec.Struct], int] = {}
     channels: dict[str, int] = {}
-    for topic in [topic for topic in native.TOPICS if topic in {entry[1] for entry in ordered}]:
-        kind = native.TOPICS[topic]
+    kinds = {topic: type(message) for _, topic, message in ordered}
+    for topic in [topic for topic in native.TOPICS if topic in kinds]:
+        kind = kinds[topic]
         if kind not in schemas:
             schema = encoder.encode(native.json_schema(kind))
             schemas[kind] = writer.register_schema(native.schema_name(kind), "jsonschema", schema)
@@ -91,13 +93,13 @@ def _plain(value: Any) -> Any:
     raise TypeError(f"{type(value).__name__} in a message")
 
 
-def scenario_records(scenario: Scenario) -> dict[str, dict[str, str]]:
+def scenario_records(scenario: Scenario, *, version: int = native.WITHOUT_BLOCKS) -> dict[str, dict[str, str]]:
     """The metadata records of a scenario."""
     if scenario.start_ns < 0:
         raise LogError("start_ns is negative", remedy="log times are nanoseconds since an epoch")
     encode = msgspec.json.encode
     record = {
-        "format_version": str(native.FORMAT_VERSION),
+        "format_version": str(version),
         "name": scenario.name,
         "source": scenario.source,
         "licence": scenario.licence,
@@ -112,8 +114,8 @@ def scenario_records(scenario: Scenario) -> dict[str, dict[str, str]]:
     return {native.SCENARIO_RECORD: record, **({native.FREE_RECORD: free} if free else {})}
 
 
-def scenario_entries(scenario: Scenario) -> Iterator[Entry]:
-    """The messages of a scenario, topic by topic."""
+def scenario_entries(scenario: Scenario, *, blocks: bool = False) -> Iterator[Entry]:
+    """The messages of a scenario, topic by topic; ego and controls in blocks, if so wanted."""
     start = scenario.start_ns
     vehicle = {name: _finite_all(value, f"vehicle {name}") for name, value in asdict(scenario.vehicle).items()}
     yield start, "/vehicle", native.Vehicle(**vehicle)
@@ -122,9 +124,9 @@ def scenario_entries(scenario: Scenario) -> Iterator[Entry]:
     yield start, "/road", _road(scenario.road)
     yield from _lights(scenario.lights, start)
     yield from _tracks(scenario.tracks, start)
-    yield from _ego(scenario.ego, start)
+    yield from samples(scenario.ego, native.Ego, "/ego", start, blocks=blocks)
     if scenario.controls is not None:
-        yield from samples(scenario.controls, native.Controls, "/controls", start)
+        yield from samples(scenario.controls, native.Controls, "/controls", start, blocks=blocks)
 
 
 def log_times(t: FloatArray, start_ns: int, topic: str) -> list[int]:
@@ -170,8 +172,10 @@ def _finite_all(value: float | tuple[float, ...], name: str) -> float | tuple[fl
     return tuple(finite(item, name) for item in value) if isinstance(value, tuple) else finite(value, name)
 
 
-def samples(table: Any, kind: type[msgspec.Struct], topic: str, start_ns: int) -> Iterator[Entry]:
-    """One message a sample from a struct of arrays with the column t and those of `kind`.
+def samples(
+    table: Any, kind: type[msgspec.Struct], topic: str, start_ns: int, *, blocks: bool = False
+) -> Iterator[Entry]:
+    """A struct of arrays with the column t and those of `kind`: one message a sample, or a block of `BLOCK` of them.
 
     Raises:
         LogError: A value is infinite, or two samples fall on one nanosecond.
@@ -182,12 +186,13 @@ def samples(table: Any, kind: type[msgspec.Struct], topic: str, start_ns: int) -
     for before, time in pairwise(times):
         if time <= before:
             raise LogError("two samples on one nanosecond, or out of order", topic=topic, time_ns=time)
+    if blocks:
+        for k in range(0, len(times), BLOCK):
+            part = [some[k : k + BLOCK] for some in columns]
+            yield times[k], topic, native.BLOCKS[kind](times[k : k + BLOCK], *part)
+        return
     for time, *values in zip(times, *columns, strict=True):
         yield time, topic, kind(*values)
-
-
-def _ego(ego: Trajectory, start_ns: int) -> Iterator[Entry]:
-    return samples(ego, native.Ego, "/ego", start_ns)
 
 
 def _tracks(tracks: Tracks, start_ns: int) -> Iterator[Entry]:

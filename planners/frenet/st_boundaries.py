@@ -194,10 +194,10 @@ def _swept(
     x: FloatArray, y: FloatArray, yaw: FloatArray, length: FloatArray, width: FloatArray, margin: FloatArray,
     vx: FloatArray, vy: FloatArray, ego: Swept,
 ) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
-    """The predictions that take the path: times from now `(m,)`, their rows `(r,)`, lower, upper `(r, m)`, speed `(r,)`.
+    """The predictions that take the path: times from now `(m,)`, rows `(r,)`, lower and upper `(r, m)`, speed `(r,)`.
 
-    Times are `stride` samples apart; `path` has the rows sigma, x, y, yaw `(4, points)`; predictions are `(n, k)`; whom to `skip`, size, margin and
-    velocity are the agents'.
+    Times are `stride` samples apart. `path` has the rows sigma, x, y, yaw `(4, points)`; predictions are `(n, k)`; size,
+    margin, velocity and whether to `skip` them are the agents'.
     """
     boxes, spacing = _ego_boxes(path, ego.rear_to_center)
     low_x, high_x, low_y, high_y = boxes[0].min(), boxes[0].max(), boxes[1].min(), boxes[1].max()

@@ -14,7 +14,7 @@ from typing import Any
 
 import pandas as pd
 
-from replay.batch.results import KEYS, SCHEMA_VERSION, TIMING_COLUMNS, joined, write_json, write_parquet
+from replay.batch.results import KEYS, SCHEMA_VERSION, joined, write_json, write_parquet
 from replay.batch.sources import LOG_CARD
 
 MEMBERS = "ensemble.parquet"
@@ -75,7 +75,6 @@ class LogResult:
         drives: What was driven, planners in the order of the run, open before closed.
         failures: What was not.
         table: Rows of `metrics.evaluate`.
-        timings: Rows of timings.parquet.
         members: Rows of `metrics.evaluate` of the ensemble's drives, with `metrics.ensemble`'s columns; mostly empty.
     """
 
@@ -88,7 +87,6 @@ class LogResult:
     drives: tuple[DriveRecord, ...] = ()
     failures: tuple[Failure, ...] = ()
     table: pd.DataFrame = field(default_factory=pd.DataFrame)
-    timings: pd.DataFrame = field(default_factory=pd.DataFrame)
     members: pd.DataFrame = field(default_factory=pd.DataFrame)
 
 
@@ -105,17 +103,20 @@ class Stamp:
     code: str
 
 
-def keep(folder: Path, result: LogResult, identity: str, stamp: Stamp) -> LogResult:
+def keep(folder: Path, result: LogResult, timings: pd.DataFrame, identity: str, stamp: Stamp) -> LogResult:
     """Write a result into its (still unfinished) folder; returns it with its tables as they will be read back.
+
+    The timings stay in the folder: they are by far the largest table, and nobody asks for them before the end.
 
     Args:
         folder: Where the drives' files are already.
         result: What is kept.
+        timings: Rows of timings.parquet.
         identity: Which input it came from (`LogSource.identity`).
         stamp: What it depends on.
     """
     write_parquet(folder / "metrics.parquet", result.table)
-    write_parquet(folder / "timings.parquet", result.timings)
+    write_parquet(folder / "timings.parquet", timings)
     if len(result.members):
         write_parquet(folder / MEMBERS, result.members)
     card = {
@@ -149,7 +150,8 @@ def kept(folder: Path) -> tuple[LogResult, str, Stamp] | None:
             tuple(_drive(drive) for drive in card["drives"]),
             tuple(Failure(**failure) for failure in card["failures"]),
         )
-        whole = all((folder.parent / file).is_file() for drive in result.drives for file in drive.files)
+        files = [folder.parent / file for drive in result.drives for file in drive.files]
+        whole = all(file.is_file() for file in (*files, folder / "timings.parquet"))
         stamp = Stamp(card["replan"], card["code"])
         return (_with_tables(folder, result), card["input"], stamp) if whole else None
     except (OSError, ValueError, KeyError, TypeError):
@@ -161,6 +163,11 @@ def _drive(card: dict[str, Any]) -> DriveRecord:
 
 
 def _with_tables(folder: Path, result: LogResult) -> LogResult:
-    table, timings = (pd.read_parquet(folder / f"{name}.parquet") for name in ("metrics", "timings"))
+    table = pd.read_parquet(folder / "metrics.parquet")
     members = pd.read_parquet(folder / MEMBERS) if (folder / MEMBERS).exists() else pd.DataFrame()
-    return replace(result, table=joined([table], KEYS), timings=joined([timings], TIMING_COLUMNS[:4]), members=members)
+    return replace(result, table=joined([table], KEYS), members=members)
+
+
+def timings_of(out: Path, result: LogResult) -> pd.DataFrame:
+    """The timings of a log, from its folder in `out`, under the name that it has in the run."""
+    return pd.read_parquet(out / result.folder / "timings.parquet").assign(log=result.name)

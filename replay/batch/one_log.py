@@ -11,7 +11,7 @@ import sys
 import traceback
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from pathlib import Path
 
@@ -48,7 +48,7 @@ class _Progress:
     failures: list[Failure] = field(default_factory=list)
     tables: list[pd.DataFrame] = field(default_factory=list)
     timings: list[pd.DataFrame] = field(default_factory=list)
-    series: list[pd.DataFrame] = field(default_factory=list)
+    series: list[tuple[Drive, pd.DataFrame]] = field(default_factory=list)
     members: list[pd.DataFrame] = field(default_factory=list)
 
     @contextmanager
@@ -72,7 +72,6 @@ class _Progress:
             drives=tuple(self.drives),
             failures=tuple(self.failures),
             table=joined(self.tables, KEYS, metrics.COLUMNS),
-            timings=joined(self.timings, TIMING_COLUMNS[:4], TIMING_COLUMNS),
             members=joined(self.members, [MEMBER, *KEYS]),
         )
 
@@ -93,7 +92,8 @@ def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> 
             _drive_all(driven, run, partial, result.folder, progress)
             for member in range(1, run.ensemble + 1):
                 _drive_member(driven, run, member, progress)
-            result = keep(partial, progress.filled(result), identity, stamp)
+            timings = joined(progress.timings, TIMING_COLUMNS[:4], TIMING_COLUMNS)
+            result = keep(partial, progress.filled(result), timings, identity, stamp)
             partial.rename(out / result.folder)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
@@ -141,17 +141,17 @@ def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, pro
                 table, steps = metrics.evaluate_with_series(drive.trace, scenario, metrics=measures)
                 progress.tables.append(table)
                 progress.timings.append(_timings(drive))
-                progress.series.append(_of_drive(steps, drive))
+                progress.series.append((drive, steps))
                 stem = mode.value if len(run.planners) == 1 else f"{mode.value}.{safe_name(planner)}"
                 with progress.attempt(planner, mode):
-                    _write_drive(folder, stem, drive, scenario, table, run)
+                    _write_drive(folder, stem, drive, scenario, table, steps, run)
                 if drive.trace.end is EndReason.PLANNER_FAILURE:
                     progress.failures.append(Failure(progress.log, drive.trace.detail, planner, mode.value))
                 files = tuple(f"{final}/{file.name}" for file in sorted(folder.glob(f"{stem}.*")))
                 progress.drives.append(_record(drive, files))
     if progress.series:
-        frames = joined(progress.series, ["planner", "mode", "metric", "t_s"])
-        write_parquet(folder / "frames.parquet", frames)
+        found = sorted(progress.series, key=lambda one: (one[0].trace.planner, one[0].trace.mode.value))
+        write_parquet(folder / "frames.parquet", pd.concat([_of_drive(*one) for one in found], ignore_index=True))
 
 
 def _drive_member(scenario: Scenario, run: RunConfig, member: int, progress: _Progress) -> None:
@@ -170,14 +170,14 @@ def _drive_member(scenario: Scenario, run: RunConfig, member: int, progress: _Pr
 
 
 def _write_drive(
-    folder: Path, stem: str, drive: Drive, scenario: Scenario, table: pd.DataFrame, run: RunConfig
+    folder: Path, stem: str, drive: Drive, scenario: Scenario, table: pd.DataFrame, steps: pd.DataFrame, run: RunConfig
 ) -> None:
     """The trace as `stem`.mcap, its recording as `stem`.rrd."""
     write_trace(folder / f"{stem}.mcap", drive.trace, scenario, internals=run.internals)
     if run.recording:
         from replay.recording import write_recording
 
-        write_recording(folder / f"{stem}.rrd", drive, scenario, table)
+        write_recording(folder / f"{stem}.rrd", drive, scenario, table, steps)
 
 
 def _record(drive: Drive, files: tuple[str, ...]) -> DriveRecord:
@@ -196,13 +196,13 @@ def _record(drive: Drive, files: tuple[str, ...]) -> DriveRecord:
 
 
 def _timings(drive: Drive) -> pd.DataFrame:
-    table = pd.DataFrame([asdict(stage) for stage in drive.timings], columns=["t", "stage", "seconds"])
-    table = table.rename(columns={"t": "t_s"})
-    table[["log", "planner", "mode"]] = [drive.trace.scenario, drive.trace.planner, drive.trace.mode.value]
-    return table[TIMING_COLUMNS]
+    trace, laps = drive.trace, drive.timings
+    named = {"log": trace.scenario, "planner": trace.planner, "mode": trace.mode.value}
+    columns = {"t_s": [lap.t for lap in laps], "stage": [lap.stage for lap in laps]}
+    return pd.DataFrame({**named, **columns, "seconds": [lap.seconds for lap in laps]}, columns=TIMING_COLUMNS)
 
 
-def _of_drive(steps: pd.DataFrame, drive: Drive) -> pd.DataFrame:
+def _of_drive(drive: Drive, steps: pd.DataFrame) -> pd.DataFrame:
     """The steps of a drive's metrics, with its planner and mode before them."""
     steps.insert(0, "planner", drive.trace.planner)
     steps.insert(1, "mode", drive.trace.mode.value)

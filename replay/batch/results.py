@@ -70,6 +70,26 @@ def write_parquet(path: Path, table: pd.DataFrame) -> None:
     write_file(path, lambda partial: pq.write_table(arrow, partial, compression="zstd"))
 
 
+def write_timings(path: Path, tables: Iterable[pd.DataFrame]) -> None:
+    """Timings of one log after the other; no more than one of them is in memory."""
+    text, schema = pa.large_string(), {"replan_schema_version": str(SCHEMA_VERSION)}
+    kinds = {name: pa.float64() if name in ("t_s", "seconds") else text for name in TIMING_COLUMNS}
+    columns = pa.schema(list(kinds.items()), metadata=schema)
+
+    def write(partial: Path) -> None:
+        with pq.ParquetWriter(partial, columns, compression="zstd") as writer:
+            for table in tables:
+                writer.write_table(pa.Table.from_pandas(table, columns, preserve_index=False))
+
+    write_file(path, write)
+
+
+def read_timings(path: Path) -> pd.DataFrame:
+    """The timings of a run; words are categories, of which there are few."""
+    words = [name for name in TIMING_COLUMNS if name not in ("t_s", "seconds")]
+    return pq.read_table(path, read_dictionary=words).to_pandas()
+
+
 def joined(tables: Iterable[pd.DataFrame], keys: Sequence[str], columns: Sequence[str] = ()) -> pd.DataFrame:
     """The rows of all tables, sorted by `keys` (stable); `columns` names them where there is no table."""
     parts = [table for table in tables if len(table)]

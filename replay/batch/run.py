@@ -7,7 +7,7 @@ from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from enum import Enum
-from functools import partial
+from functools import cached_property, partial
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -22,20 +22,21 @@ from metrics.judge import Verdict, judge, outcomes
 from metrics.latency import SHARE as LATE
 from metrics.latency import judge_deadline
 from planners import PLANNERS
-from replay.batch.log_result import DriveRecord, Failure, LogResult
+from replay.batch.log_result import DriveRecord, Failure, LogResult, timings_of
 from replay.batch.one_log import all_metrics, evaluate_log
 from replay.batch.pool import WorkerLost, run_all
 from replay.batch.results import (
     KEYS,
-    TIMING_COLUMNS,
     claim,
     clear_partial,
     joined,
     next_free,
+    read_timings,
     write_json,
     write_metrics,
     write_parquet,
     write_text,
+    write_timings,
 )
 from replay.batch.resume import finished, replan_version, stamp_of
 from replay.batch.sources import LogSource, Selection, builtin_suite, select
@@ -59,7 +60,6 @@ class RunResult:
         logs: In the order of the selection.
         failures: Everything that could not be evaluated.
         table: One row per log, planner, mode and metric, sorted.
-        timings: How long each stage of each plan took.
         verdicts: What the gates say.
         resumed: How many logs were taken from an interrupted run.
     """
@@ -70,7 +70,6 @@ class RunResult:
     logs: tuple[LogResult, ...]
     failures: tuple[Failure, ...]
     table: pd.DataFrame
-    timings: pd.DataFrame
     verdicts: tuple[Verdict, ...]
     resumed: int = 0
 
@@ -78,6 +77,11 @@ class RunResult:
     def drives(self) -> tuple[DriveRecord, ...]:
         """All drives, in the order of the logs."""
         return tuple(drive for log in self.logs for drive in log.drives)
+
+    @cached_property
+    def timings(self) -> pd.DataFrame:
+        """How long each stage of each plan took: rows of timings.parquet."""
+        return read_timings(self.out / "timings.parquet")
 
     @property
     def exit_code(self) -> int:
@@ -144,9 +148,11 @@ def evaluate_logs(
     members = joined((result.members for result in results), KEYS, COLUMNS)
     table = with_ensemble(table, members, gates, tags)
     unread = {result.name: "see the errors" for result in results if not result.digest}
-    timings = joined((result.timings for result in results), TIMING_COLUMNS[:4], TIMING_COLUMNS)
+    timings = out / "timings.parquet"
+    sorted_ = sorted((result for result in results if result.folder), key=lambda result: result.name)
+    write_timings(timings, (timings_of(out, result) for result in sorted_))
     verdicts = judge(gates, table, tags, failed=unread)
-    late = judge_deadline(timings, run.deadline_s, tags) if run.deadline_s > 0.0 else ()
+    late = judge_deadline(read_timings(timings), run.deadline_s, tags) if run.deadline_s > 0.0 else ()
     result = RunResult(
         out=out,
         run=run,
@@ -154,7 +160,6 @@ def evaluate_logs(
         logs=results,
         failures=(*failures, *(failure for log in results for failure in log.failures)),
         table=table,
-        timings=timings,
         verdicts=(*verdicts, *late),
         resumed=len(done),
     )
@@ -246,7 +251,6 @@ def _renamed(result: LogResult) -> LogResult:
         drives=tuple(replace(drive, log=name) for drive in result.drives),
         failures=tuple(replace(failure, log=name) for failure in result.failures),
         table=result.table.assign(log=name) if len(result.table) else result.table,
-        timings=result.timings.assign(log=name) if len(result.timings) else result.timings,
         members=result.members.assign(log=name) if len(result.members) else result.members,
     )
 
@@ -254,7 +258,6 @@ def _renamed(result: LogResult) -> LogResult:
 def _write(result: RunResult) -> None:
     write_metrics(result.out, result.table)
     write_parquet(result.out / "verdicts.parquet", outcomes([v for v in result.verdicts if v.gate.metric != LATE]))
-    write_parquet(result.out / "timings.parquet", result.timings)
     write_json(result.out / "summary.json", summary(result))
 
 

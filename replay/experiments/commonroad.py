@@ -101,7 +101,7 @@ def drives(result: RunResult, traffic: str) -> pd.DataFrame:
         "unknown",
     )
     totals = result.timings[result.timings["stage"] == "total"]
-    frames = totals.groupby(["log", "planner"])["seconds"].size()
+    frames = totals.groupby(["log", "planner"], observed=True)["seconds"].size()
     rows["frames"] = [int(frames.get(key, 0)) for key in zip(rows["log"], rows["planner"], strict=True)]
     rows["comfort"] = ~((rows["jerk_p99_mps3"] > JERK_MPS3) | (rows["lat_accel_max_mps2"] > LATERAL_MPS2))
     logged = rows[(rows["planner"] == REFERENCE) & (rows["goal"] == 1.0)]["log"]

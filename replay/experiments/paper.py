@@ -29,7 +29,7 @@ from logs.errors import ConfigError, unknown_name
 from logs.kernel import FloatArray
 from logs.scenario import Scenario
 from logs.trace import PlannedFrame, StGraph, Trace
-from metrics import METRICS, evaluate
+from metrics import METRICS, evaluate, evaluate_with_series
 from planners.frenet.st_boundaries import StGraphConfig
 from replay.batch.results import write_file, write_text
 from replay.closed_loop import run_closed_loop
@@ -122,7 +122,9 @@ def free_road(out: Path, vehicle: str) -> dict[str, str]:
     traces = [(name, one.trace) for name, one in drives.items()]
     picture = figures.path_figure(traces, planned_points(drives["mpc"].trace), scenario)
     write_file(out / "fig09_path.png", lambda part: figures.save(picture, part))
-    write_recording(out / "free_road.rrd", drives["mpc"], scenario, evaluate(drives["mpc"].trace, scenario))
+    write_recording(
+        out / "free_road.rrd", drives["mpc"], scenario, *evaluate_with_series(drives["mpc"].trace, scenario)
+    )
     said = {}
     for name, trace in traces:
         assert trace.tracking is not None, "closed loops have tracking errors"
@@ -146,7 +148,7 @@ def crossing_pedestrian(out: Path, vehicle: str) -> dict[str, str]:
     ends = (CROSSING_PEDESTRIAN.parameters["walk_start_s"] - 2.0, clear + 8.0)
     pedals = figures.pedals_figure(trace, braking, clear, ends)
     write_file(out / "fig12_pedals.png", lambda part: figures.save(pedals, part))
-    write_recording(out / "crossing_pedestrian.rrd", made, scenario, evaluate(trace, scenario))
+    write_recording(out / "crossing_pedestrian.rrd", made, scenario, *evaluate_with_series(trace, scenario))
     return {
         "path blocked in the S-T graph": f"from {moments[0][1].t:.1f} s until {moments[-1][1].t:.1f} s",
         "braking": ", ".join(f"{begin:.2f} to {end:.2f} s ({end - begin:.2f} s)" for begin, end in braking) or "none",

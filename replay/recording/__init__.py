@@ -36,7 +36,13 @@ __all__ = ["write_log_recording", "write_recording"]
 SCENE_STEP_S = 0.1
 
 
-def write_recording(path: Path, drive: Drive, scenario: Scenario, table: DataFrame | None = None) -> None:
+def write_recording(
+    path: Path,
+    drive: Drive,
+    scenario: Scenario,
+    table: DataFrame | None = None,
+    steps: DataFrame | None = None,
+) -> None:
     """Write one drive as a recording: scene, graphs, curves, decisions and the reasons for them.
 
     Args:
@@ -44,6 +50,7 @@ def write_recording(path: Path, drive: Drive, scenario: Scenario, table: DataFra
         drive: The trace and the stage times.
         scenario: The log that was driven.
         table: Rows of `metrics.evaluate` for this trace; None: no metrics in the summary.
+        steps: Rows of `metrics.series` for this trace; None: no curves of metrics.
 
     Raises:
         OSError: The file cannot be written.
@@ -57,7 +64,7 @@ def write_recording(path: Path, drive: Drive, scenario: Scenario, table: DataFra
         StGraph: st_axes([graph for graph in graphs[StGraph] if graph]),
         SlGraph: sl_axes([graph for graph in graphs[SlGraph] if graph]),
     }
-    panels = plots.motion_panels(trace, scenario, times)
+    panels = plots.motion_panels(trace, scenario, times, steps)
     stages = plots.stage_panel(drive.timings)
     panels += [stages] if stages else []
     pages = ("why", "summary") if trace.frames else ("summary",)

@@ -1,4 +1,4 @@
-"""Which lane is driven and why: read off the stage "lanes" of the plans (`logs.trace.Candidates`) and the road."""
+"""Which lane is driven and why: the lanes that the plans compared (`logs.trace.LaneOption`) and the road."""
 
 from __future__ import annotations
 
@@ -8,40 +8,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from logs.road import Road, RoadSource
-from logs.trace import Candidates, CostTerms, Plan, PlannedFrame, Trace
+from logs.trace import LaneOption, Plan, PlannedFrame, Trace
 
-STAGE, PREFIX = "lanes", "lane "
 KEEP = "keep"
 NOT_COMPARED, COMPARED = "keep", "keep: others compared"
 
 
-@dataclass(frozen=True)
-class Option:
-    """One lane that was considered: its cost by term, s, and why it was not taken (empty: it was)."""
-
-    name: str
-    terms: tuple[tuple[str, float], ...]
-    against: str
-
-    @property
-    def cost(self) -> float:
-        """Sum of the terms, s."""
-        return sum(value for _, value in self.terms)
-
-
-def options(plan: Plan) -> tuple[Option, ...]:
+def options(plan: Plan) -> tuple[LaneOption, ...]:
     """The lanes that a plan compared; empty where it compared none."""
-    compared = next((a for a in plan.internals if isinstance(a, Candidates) and a.stage == STAGE), None)
-    if compared is None:
-        return ()
-    against = dict(reason.partition(": ")[::2] for reason, _ in compared.rejected)
-    costs = [a for a in plan.internals if isinstance(a, CostTerms) and a.stage.startswith(PREFIX)]
-    return tuple(
-        Option(name, some.terms, against.get(name, "")) for some in costs for name in [some.stage.removeprefix(PREFIX)]
-    )
+    return tuple(artefact for artefact in plan.internals if isinstance(artefact, LaneOption))
 
 
-def taken(some: Sequence[Option]) -> str:
+def taken(some: Sequence[LaneOption]) -> str:
     """The name of the option that was taken."""
     return next((option.name for option in some if not option.against), KEEP)
 
@@ -97,7 +75,7 @@ def lanes_driven(trace: Trace, road: Road) -> list[int | None]:
     return out
 
 
-def told(some: Sequence[Option]) -> str:
+def told(some: Sequence[LaneOption]) -> str:
     """Why an option was taken, against each of the others, in a sentence."""
     name = taken(some)
     chosen = next(option for option in some if option.name == name)
@@ -105,13 +83,13 @@ def told(some: Sequence[Option]) -> str:
     return f"costs {_cost(chosen)} instead of {others}"
 
 
-def listed(some: Sequence[Option]) -> list[tuple[str, str, str]]:
+def listed(some: Sequence[LaneOption]) -> list[tuple[str, str, str]]:
     """Of each option its name, its cost in words, and why not; of the one that was taken, "taken"."""
     name = taken(some)
     return [(option.name, _cost(option), "taken" if option.name == name else option.against) for option in some]
 
 
-def _cost(option: Option) -> str:
+def _cost(option: LaneOption) -> str:
     """The sum and the terms that matter."""
     terms = ", ".join(f"{name} {value:.1f}" for name, value in option.terms if abs(value) >= 0.05)
     return f"{option.cost:.1f} s" + (f" ({terms})" if terms else "")

@@ -1,7 +1,7 @@
 """Curves and lanes over time: speeds, accelerations, pedals, tracking errors, decisions, stage times.
 
-Only what is in the trace, the scenario and the timings; the jerk is the slope of the acceleration from sample to
-sample. A panel without a finite value is left out.
+Only what is in the trace, the scenario, the timings and the steps of the metrics, of which the jerk is one. A panel
+without a finite value is left out.
 """
 
 from __future__ import annotations
@@ -19,12 +19,17 @@ from logs.road import Road, RoadSource
 from logs.scenario import Scenario
 from logs.states import Controls, Trajectory
 from logs.trace import Decision, DecisionKind, Mode, Plan, PlanStatus, Trace
+from metrics.comfort import LON_JERK_STATE
 from replay.recording import colours, lane_choice
 from replay.recording.columns import Instants, Tape
 from replay.recording.text import path_parts, plain
 
 if TYPE_CHECKING:
+    from pandas import DataFrame
+
     from replay.drive import StageTime
+
+JERK = LON_JERK_STATE.name
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,9 +112,12 @@ def _planned(trace: Trace, value: Callable[[Trajectory], FloatArray]) -> FloatAr
     return out
 
 
-def _slope(t: FloatArray, values: FloatArray) -> FloatArray:
-    """Difference quotient to the sample before `(n,)`; NaN at the first."""
-    return np.r_[np.nan, np.diff(values) / np.diff(t)] if len(t) > 1 else np.full(len(t), np.nan)
+def _measured(steps: DataFrame | None, metric: str) -> tuple[FloatArray, FloatArray]:
+    """Times and values `(n,)` of a metric; none where it was not measured."""
+    if steps is None:
+        return np.empty(0), np.empty(0)
+    mine = steps[steps["metric"] == metric]
+    return mine["t_s"].to_numpy(np.float64), mine["value"].to_numpy(np.float64)
 
 
 def _limits(trace: Trace, scenario: Scenario, times: FloatArray) -> FloatArray:
@@ -147,12 +155,15 @@ def _plan_curves(trace: Trace, value: Callable[[Trajectory], FloatArray]) -> lis
     ]
 
 
-def motion_panels(trace: Trace, scenario: Scenario, times: FloatArray) -> list[Panel]:
-    """Speed, acceleration, jerk, pedals, steering and tracking errors, as far as they are known, until `times` end."""
+def motion_panels(trace: Trace, scenario: Scenario, times: FloatArray, steps: DataFrame | None = None) -> list[Panel]:
+    """Speed, acceleration, jerk, pedals, steering and tracking errors, as far as they are known, until `times` end.
+
+    `steps` are those of `metrics.series`; without them there is no jerk.
+    """
     ego, log = trace.ego, scenario.ego.between(-np.inf, float(times[-1]))
     blue, _, red, *_, grey = colours.SERIES
     compared = trace.mode is Mode.CLOSED and len(log) > 1
-    jerk = _slope(ego.t, ego.a)
+    jerk = _measured(steps, JERK)
     speeds = [
         Curve("limit", "limit", red, times, _limits(trace, scenario, times), 1.0, steps=True),
         *([Curve("log", "log", grey, log.t, log.v, 1.0)] if compared else []),
@@ -160,7 +171,7 @@ def motion_panels(trace: Trace, scenario: Scenario, times: FloatArray) -> list[P
         Curve("ego", "ego", blue, ego.t, ego.v, 2.0),
     ]
     accelerations = [
-        Curve("jerk", "jerk", colours.with_alpha(red, 150), ego.t, jerk, 1.0, spiky=True),
+        Curve("jerk", "jerk", colours.with_alpha(red, 150), *jerk, 1.0, spiky=True),
         *([Curve("log", "log", grey, log.t, log.a, 1.0)] if compared else []),
         *_plan_curves(trace, lambda path: path.a),
         Curve("ego", "ego", blue, ego.t, ego.a, 2.0),
@@ -168,7 +179,7 @@ def motion_panels(trace: Trace, scenario: Scenario, times: FloatArray) -> list[P
     panels = [
         _panel("speed", "Speed [m/s]", speeds, 2.0),
         _panel("acceleration", "Acceleration [m/s²], jerk [m/s³]", accelerations, 1.0),
-        _panel("jerk", "Jerk in full", [Curve("ego", "jerk [m/s³]", red, ego.t, jerk)], 2.0),
+        _panel("jerk", "Jerk in full", [Curve("ego", "jerk [m/s³]", red, *jerk)], 2.0),
         *_pedal_panels(trace, scenario),
         *_error_panels(trace),
     ]

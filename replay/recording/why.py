@@ -24,7 +24,7 @@ from logs.trace import (
 from replay.recording import plots
 from replay.recording.axes import finite
 from replay.recording.columns import Instants, Tape
-from replay.recording.lane_choice import PREFIX, STAGE, Change, changes_under_way, lanes_driven, listed, options
+from replay.recording.lane_choice import Change, changes_under_way, lanes_driven, listed, options
 from replay.recording.others import unseen
 from replay.recording.text import MARKDOWN, cell, document
 
@@ -163,7 +163,7 @@ def _decisions(plan: Plan) -> list[str]:
 
 
 def _candidates(plan: Plan) -> list[str]:
-    stages = [stage for stage in _of(plan, Candidates) if stage.stage != STAGE]
+    stages = _of(plan, Candidates)
     lines = [
         f"- {cell(stage.stage)}: {stage.considered}; not taken: "
         + (", ".join(f"{count} {cell(reason)}" for reason, count in stage.rejected) or "none")
@@ -183,7 +183,7 @@ def _solvers(plan: Plan) -> list[str]:
 
 
 def _costs(plan: Plan) -> list[str]:
-    stages = [some for some in _of(plan, CostTerms) if not some.stage.startswith(PREFIX)]
+    stages = _of(plan, CostTerms)
     lines = [
         f"- {cell(stage.stage)}: {', '.join(f'{cell(name)} {value:.3g}' for name, value in stage.terms)}"
         for stage in stages

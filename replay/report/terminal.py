@@ -270,9 +270,9 @@ def _latency(result: RunResult) -> Table:
         table.add_column(title, overflow="fold")
     for title in ("p50 [ms]", "p95 [ms]", "p99 [ms]", "share"):
         table.add_column(Text(title), justify="right")
-    for planner, rows in result.timings.groupby("planner", sort=False):
+    for planner, rows in result.timings.groupby("planner", sort=False, observed=True):
         whole = float(rows.loc[rows["stage"] == "total", "seconds"].sum())
-        by_stage = rows.groupby("stage", sort=False)["seconds"]
+        by_stage = rows.groupby("stage", sort=False, observed=True)["seconds"]
         for stage, times in sorted(by_stage, key=lambda one: one[0] == "total"):
             quantiles = (f"{1e3 * times.quantile(q):.2f}" for q in (0.5, 0.95, 0.99))
             share = f"{100.0 * times.sum() / whole:.0f}%" if whole > 0.0 else NOTHING

@@ -39,8 +39,8 @@ from logs.scenario import AgentKind, Agents, Scenario, Tracks
 from logs.states import EgoState
 from metrics.others import name_of
 from metrics.reference_drivers import CC_REACT_S
-from planners.prediction import LaneMap
-from planners.prediction.lane_following import FOLLOWING, followers
+from replay.prediction import LaneMap
+from replay.prediction.lane_following import FOLLOWING, followers
 from replay.traffic.cast import PERIOD_S, Cast
 from replay.traffic.following import (
     DECEL_MPS2,

@@ -23,10 +23,10 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.lanes import ASIDE_M, ASKEW_RAD, BEHIND_M, on_lane
 from logs.road import Road
-from logs.rules import Colour, StopLine
+from logs.rules import RED, Colour, StopLine
 from logs.scenario import Scenario, Tracks
-from metrics.rules import ASIDE_M, ASKEW_RAD, BEHIND_M, RED, on_lane
 from planners.rules.zones import turned
 from replay.traffic.cast import PERIOD_S
 from replay.traffic.following import (

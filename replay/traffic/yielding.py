@@ -1,6 +1,6 @@
 """Right of way: who comes from a lane that yields (`Lane.yields_to`) lets the ego by on a lane that goes first.
 
-The ego goes on along its lanes as it may be predicted (`planners.prediction`, each way that it may take), for
+The ego goes on along its lanes as it may be predicted (`replay.prediction`, each way that it may take), for
 `LOOK_AHEAD_S`; its boxes while it is on a lane that goes first are places that it holds by right. An agent that is on
 the lane that yields, or comes to it, goes on as in its log, but no faster than its speed v allows; with the way s from
 here and a = `following.ACCEL_MPS2` it is there after
@@ -21,13 +21,13 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, kernel
+from logs.lanes import on_lane
 from logs.scenario import AgentKind, Agents, Scenario, Tracks
 from logs.shapes import overlap
 from logs.states import EgoState
 from metrics.right_of_way import SERIOUS_S
-from metrics.rules import on_lane
-from planners.prediction import LaneMap
-from planners.prediction.lane_following import followers
+from replay.prediction import LaneMap
+from replay.prediction.lane_following import followers
 from replay.traffic.following import ACCEL_MPS2, FINE_M, HARDEST_MPS2, Paths
 from replay.world import box_center
 

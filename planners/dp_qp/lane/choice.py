@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from logs.kernel import FloatArray
-from logs.trace import Artefact, Candidates
+from logs.trace import Artefact, LaneOption
 from planners.dp_qp.lane.plan import LanePlan
 from planners.frenet.scene import Scene
 
@@ -42,7 +42,7 @@ def worth_looking(keep: LanePlan, *, since_change: float) -> bool:
 
 def choose(keep: LanePlan, others: list[LanePlan]) -> tuple[LanePlan, tuple[Artefact, ...]]:
     """The cheapest lane that may be taken, and what was considered."""
-    best, rejected = keep, []
+    best, rejected = keep, dict[str, str]()
     for other in others:
         against = _against(other)
         needed = HYSTERESIS_S if best is keep else 0.0
@@ -50,15 +50,15 @@ def choose(keep: LanePlan, others: list[LanePlan]) -> tuple[LanePlan, tuple[Arte
             against = f"costs {other.cost:.1f} s, {best.name} {best.cost:.1f} s"
             against += f": not {needed:.1f} s better" if other.cost < best.cost else ""
         if against:
-            rejected.append((f"{other.name}: {against}", 1))
+            rejected[other.name] = against
             continue
         if best is not keep:
-            rejected.append((f"{best.name}: costs {best.cost:.1f} s, {other.name} {other.cost:.1f} s", 1))
+            rejected[best.name] = f"costs {best.cost:.1f} s, {other.name} {other.cost:.1f} s"
         best = other
     if best is not keep:
-        rejected.append((f"keep: costs {keep.cost:.1f} s, {best.name} {best.cost:.1f} s", 1))
-    told = (keep.costs, *(other.costs for other in others))
-    return best, (*told, Candidates("lanes", 1 + len(others), tuple(rejected)))
+        rejected[keep.name] = f"costs {keep.cost:.1f} s, {best.name} {best.cost:.1f} s"
+    compared = (LaneOption(one.name, one.costs.terms, rejected.get(one.name, "")) for one in (keep, *others))
+    return best, tuple(compared)
 
 
 def _against(other: LanePlan) -> str:

@@ -14,7 +14,7 @@ from worlds import curve, lanes
 from logs import AgentKind, Agents, ConfigError, Lane, Predictions, Road, wrap
 from logs.kernel import FloatArray
 from logs.states import wrapped
-from planners.prediction import PREDICTORS, LaneMap, predict
+from replay.prediction import PREDICTORS, LaneMap, predict
 
 COORDINATE = st.floats(-500.0, 500.0)
 STATE = st.tuples(COORDINATE, COORDINATE, st.floats(-4.0, 4.0), st.floats(-30.0, 30.0), st.floats(-30.0, 30.0))

@@ -24,7 +24,7 @@ import numpy as np
 from logs.frame import Predictions
 from logs.kernel import FloatArray
 from logs.scenario import AgentKind, Agents
-from planners.prediction.lane_map import LaneMap, road_ahead
+from replay.prediction.lane_map import LaneMap, road_ahead
 
 WALKING_MPS = 0.3
 SLOWING_MPS2 = -0.4

@@ -24,11 +24,12 @@ from math import atan2, cos, exp, hypot, pi, sin, sqrt
 
 import numpy as np
 
+from logs.agents import AgentKind, Agents, among
 from logs.frame import Predictions
-from logs.kernel import TIE, BoolArray, FloatArray, IntArray, kernel
-from logs.scenario import AgentKind, Agents
+from logs.kernel import TIE, BoolArray, FloatArray, IntArray, frozen, kernel
 from logs.states import wrap
-from planners.prediction.lane_map import LaneArrays, LaneMap, lane_point, lane_project, matches
+from replay.prediction.kinematic import turn_rates, turned
+from replay.prediction.lane_map import LaneArrays, LaneMap, lane_point, lane_project, matches
 
 CHANGE_S = 1.5
 DRIFTING_MPS = 0.3
@@ -47,50 +48,73 @@ WAYS, MATCHED, DEEPEST = 4, 3, 48
 """Most hypotheses of an agent, most lanes that it may be on, most lanes of a way."""
 KNOT_M, FAR_M = 2.0, 1e6
 FOLLOWING = (AgentKind.CAR, AgentKind.TRUCK, AgentKind.BUS, AgentKind.MOTORCYCLE)
+FOLLOW = among(*FOLLOWING)
 
 
 def followers(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
     """The hypotheses of the vehicles that follow a lane; nobody else is in it (module docstring)."""
-    follows = np.array([kind in FOLLOWING for kind in agents.kinds], bool)
-    columns = np.vstack([agents.x, agents.y, agents.yaw, agents.vx, agents.vy, agents.width, agents.accel])
-    agent, probability, way = _follow_all(lanes.arrays, columns, follows, t - t[0])
+    return _predicted(agents, t, lanes, np.zeros(len(agents), np.bool_))
+
+
+def everybody(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
+    """The same, and who follows no lane goes on at a constant turn rate (`kinematic`)."""
+    return _predicted(agents, t, lanes, np.ones(len(agents), np.bool_))
+
+
+def _predicted(agents: Agents, t: FloatArray, lanes: LaneMap, others: BoolArray) -> Predictions:
+    rows = np.empty((9, len(agents)))
+    rows[0], rows[1], rows[2], rows[3], rows[4] = agents.x, agents.y, agents.yaw, agents.vx, agents.vy
+    rows[5], rows[6], rows[7] = turn_rates(agents), agents.width, agents.accel
+    np.arctan2(agents.vy, agents.vx, out=rows[8])
+    agent, probability, way = _predict_all(lanes.arrays, rows, FOLLOW[agents.codes], others, t - t[0])
+    way = frozen(way)  # once: its rows are not copied again
     return Predictions(t, agent, probability, way[0], way[1], way[2], "lane_following")
 
 
 @kernel
-def _follow_all(
-    map_: LaneArrays, columns: FloatArray, follows: BoolArray, ahead: FloatArray
+def _predict_all(
+    map_: LaneArrays, rows: FloatArray, follows: BoolArray, others: BoolArray, ahead: FloatArray
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Hypotheses of those that follow lanes: agent `(h,)`, probability `(h,)`, rows x, y, yaw `(3, h, k)`.
+    """Hypotheses in the order of the agents: agent `(h,)`, probability `(h,)`, rows x, y, yaw `(3, h, k)`.
 
     Args:
         map_: The lanes.
-        columns: Rows x, y, yaw, vx, vy, width, acceleration `(7, n)`.
+        rows: x, y, yaw, vx, vy, yaw rate that goes on, width, acceleration, direction of the velocity `(9, n)`.
         follows: Who may follow a lane `(n,)`.
+        others: Who goes on at a constant turn rate if there is no lane to follow `(n,)`; who does not is left out.
         ahead: Times from now `(k,)`, s.
     """
-    n = columns.shape[1]
-    agent, share = np.empty(n * WAYS, np.int64), np.empty(n * WAYS)
-    out = np.empty((3, n * WAYS, len(ahead)))
+    n = rows.shape[1]
+    most = n + int(follows.sum()) * (WAYS - 1)
+    agent, share, first = np.empty(most, np.int64), np.ones(most), np.empty((most, 3))
+    lanes, length = np.empty((most, DEEPEST), np.int64), np.zeros(most, np.int64)
     ways, depth = np.empty((WAYS, DEEPEST), np.int64), np.empty(WAYS, np.int64)
     shares, start = np.empty(WAYS), np.empty((WAYS, 3))
     count = 0
     for i in range(n):
-        if not follows[i]:
-            continue
-        found = _ways(map_, columns[:, i], ahead[-1], ways, depth, shares, start)
-        total = 0.0
+        found = _ways(map_, rows[:, i], ahead[-1], ways, depth, shares, start) if follows[i] else 0
+        total, kept = 0.0, 0.0
         for h in range(found):
             total += shares[h]
-        kept = 0.0
         for h in range(found):
             kept += shares[h] if shares[h] >= LEAST * total else 0.0
         for h in range(found):
             if shares[h] >= LEAST * total:
-                _roll_out(map_, columns[:, i], ways[h, : depth[h]], start[h], ahead, out[:, count])
-                agent[count], share[count] = i, shares[h] / kept
+                agent[count], share[count], first[count] = i, shares[h] / kept, start[h]
+                length[count], lanes[count, : depth[h]] = depth[h], ways[h, : depth[h]]
                 count += 1
-    return agent[:count], share[:count], out[:, :count]
+        if found == 0 and others[i]:
+            agent[count] = i
+            count += 1
+    out = np.empty((3, count, len(ahead)))
+    dying = _dying(ahead)
+    for h in range(count):
+        one = rows[:, agent[h]]
+        if length[h] > 0:
+            _roll_out(map_, one, lanes[h, : length[h]], first[h], ahead, dying, out[:, h])
+        else:
+            turned(one, one[8], ahead, out[:, h])
+    return agent[:count], share[:count], out
 
 
 @kernel
@@ -102,7 +126,7 @@ def _ways(
 
     Args:
         map_: The lanes.
-        vehicle: `(7,)` as in `_follow_all`.
+        vehicle: `(9,)` as in `_predict_all`.
         horizon: How long it drives.
         ways: Out `(w, deepest)`: lanes of each way.
         depth: Out `(w,)`: how many lanes each has.
@@ -228,14 +252,29 @@ def _on_way(map_: LaneArrays, way: IntArray, s: float) -> tuple[float, float, fl
 
 
 @kernel
-def _wished(speed: float, accel: float, ahead: FloatArray) -> FloatArray:
-    """Mean speeds (1) without the bends from each time to the next `(k,)`, m/s."""
+def _dying(ahead: FloatArray) -> FloatArray:
+    """1 - exp(-t / T_a) of (1) in the middle between each time and the next `(k,)`."""
     out = np.empty(len(ahead))
-    pull = min(max(accel, LEAST_MPS2), MOST_MPS2) * FADE_S
     for k in range(len(ahead)):
         middle = 0.5 * (ahead[k] + ahead[min(k + 1, len(ahead) - 1)])
-        out[k] = max(speed + pull * (1.0 - exp(-middle / FADE_S)), 0.0)
+        out[k] = 1.0 - exp(-middle / FADE_S)
     return out
+
+
+@kernel
+def _wished(speed: float, accel: float, dying: FloatArray) -> FloatArray:
+    """Mean speeds (1) without the bends from each time to the next `(k,)`, m/s."""
+    pull = min(max(accel, LEAST_MPS2), MOST_MPS2) * FADE_S
+    return np.maximum(speed + pull * dying, 0.0)
+
+
+@kernel
+def _bends(map_: LaneArrays, way: IntArray, speed: float) -> bool:
+    """Whether a bend of the way may ask for less than a speed (1); a hair sooner than `_in_bends` finds one."""
+    tightest = 0.0
+    for lane in way:
+        tightest = max(tightest, map_.tightest[lane])
+    return tightest * speed * speed > (1.0 - TIE) * CURVE_MPS2
 
 
 @kernel
@@ -252,14 +291,20 @@ def _in_bends(map_: LaneArrays, way: IntArray, s: float, speed: float, reach: fl
 
 
 @kernel
-def _stations(map_: LaneArrays, way: IntArray, s: float, speed: float, accel: float, ahead: FloatArray) -> FloatArray:
+def _stations(
+    map_: LaneArrays, way: IntArray, s: float, speed: float, accel: float, ahead: FloatArray, dying: FloatArray
+) -> FloatArray:
     """How far the vehicle has come along its way at each time `(k,)`, m (1)."""
-    wished = _wished(speed, accel, ahead)
+    wished = _wished(speed, accel, dying)
     fastest, reach = 0.0, 0.0
     for k in range(len(ahead) - 1):
         fastest, reach = max(fastest, wished[k]), reach + wished[k] * (ahead[k + 1] - ahead[k])
-    square = _in_bends(map_, way, s, fastest, reach)
     gone = np.zeros(len(ahead))
+    if not _bends(map_, way, fastest):
+        for k in range(len(ahead) - 1):
+            gone[k + 1] = gone[k] + wished[k] * (ahead[k + 1] - ahead[k])
+        return gone
+    square = _in_bends(map_, way, s, fastest, reach)
     for k in range(len(ahead) - 1):
         at = min(int(gone[k] / KNOT_M), len(square) - 2)
         u = min(gone[k] / KNOT_M - at, 1.0)
@@ -270,21 +315,25 @@ def _stations(map_: LaneArrays, way: IntArray, s: float, speed: float, accel: fl
 
 @kernel
 def _roll_out(
-    map_: LaneArrays, vehicle: FloatArray, way: IntArray, start: FloatArray, ahead: FloatArray, out: FloatArray
-) -> None:
+    map_: LaneArrays, vehicle: FloatArray, way: IntArray, start: FloatArray, ahead: FloatArray, dying: FloatArray,
+    out: FloatArray,
+) -> None:  # fmt: skip
     """Drive a way (1)-(3): rows x, y, yaw `(3, k)` into `out`; the first column is where the vehicle is."""
     s, left, half = start[0], start[1], start[2]
     along, across = _along(map_, way[0], s, vehicle)
     speed = max(along, 0.0)
-    gone = _stations(map_, way, s, speed, vehicle[6], ahead)
+    gone = _stations(map_, way, s, speed, vehicle[7], ahead, dying)
     paced = max(speed, SLOW_MPS)
     drift = across * paced / speed if speed > DRIFTING_MPS else 0.0
-    room = max(half - 0.5 * vehicle[5], 0.3)
+    room = max(half - 0.5 * vehicle[6], 0.3)
     end = min(max(left + drift * SETTLE_S, -room), room)
     off = left - end
     rate = drift + off / SETTLE_S
     turned, shift_x, shift_y = 0.0, 0.0, 0.0
     for k in range(len(ahead)):
+        if k > 1 and gone[k] == gone[k - 1]:
+            out[:, k] = out[:, k - 1]  # who stands stays
+            continue
         theta = gone[k] / paced
         fade = exp(-theta / SETTLE_S)
         offset = end + (off + rate * theta) * fade

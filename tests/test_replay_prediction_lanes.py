@@ -12,10 +12,10 @@ from worlds import curve, lanes, strip
 
 from logs import AgentKind, Agents, Lane, Predictions, Road
 from logs.kernel import FloatArray
-from planners.prediction import LaneMap, predict
-from planners.prediction.lane_following import CURVE_MPS2
-from planners.prediction.lane_map import lane_point, lane_project
-from planners.prediction.pedestrian import BRAKE_MPS2, KERB_M, walked
+from replay.prediction import LaneMap, predict
+from replay.prediction.lane_following import CURVE_MPS2
+from replay.prediction.lane_map import lane_point, lane_project
+from replay.prediction.pedestrian import BRAKE_MPS2, KERB_M, walked
 
 STRAIGHT = curve((400.0, 0.0))
 

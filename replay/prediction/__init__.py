@@ -21,20 +21,16 @@ from logs.errors import unknown_name
 from logs.frame import Predictions
 from logs.kernel import FloatArray
 from logs.scenario import Agents
-from planners.prediction.kinematic import constant_turn_rate, constant_velocity
-from planners.prediction.lane_following import followers
-from planners.prediction.lane_map import LaneMap
-from planners.prediction.pedestrian import walkers
+from replay.prediction.kinematic import constant_velocity
+from replay.prediction.lane_following import everybody
+from replay.prediction.lane_map import LaneMap
+from replay.prediction.pedestrian import walkers
 
 __all__ = ["NO_LANES", "PREDICTORS", "LaneMap", "Predictor", "predict"]
 
+NO_LANES = LaneMap.unknown()
 Predictor = Callable[[Agents, FloatArray, LaneMap], Predictions]
 """Futures of the agents on a time grid `(k,)`, s, whose first entry is the time at which they were perceived."""
-
-
-def _lane_following(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
-    """Vehicles follow their lanes; who follows none goes on at a constant turn rate."""
-    return _instead(constant_turn_rate(agents, t), followers(agents, t, lanes))
 
 
 def _pedestrian(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
@@ -44,18 +40,16 @@ def _pedestrian(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
 
 def _lanes_and_pedestrians(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
     """Vehicles follow their lanes, pedestrians have several hypotheses, the rest goes on at a constant turn rate."""
-    return _instead(_lane_following(agents, t, lanes), walkers(agents, t, lanes))
+    return _instead(everybody(agents, t, lanes), walkers(agents, t, lanes))
 
 
 PREDICTORS: dict[str, Predictor] = {
     "constant_velocity": lambda agents, t, lanes: constant_velocity(agents, t),
-    "constant_turn_rate": lambda agents, t, lanes: constant_turn_rate(agents, t),
-    "lane_following": _lane_following,
+    "constant_turn_rate": lambda agents, t, lanes: everybody(agents, t, NO_LANES),
+    "lane_following": everybody,
     "pedestrian": _pedestrian,
     "lanes_and_pedestrians": _lanes_and_pedestrians,
 }
-
-NO_LANES = LaneMap.unknown()
 
 
 def predict(
@@ -85,7 +79,7 @@ def predict(
     if method not in PREDICTORS:
         raise unknown_name("prediction method", method, PREDICTORS)
     found = PREDICTORS[method](agents, t + step * np.arange(round(horizon / step) + 1), lanes)
-    return replace(found, method=method)
+    return found if found.method == method else replace(found, method=method)
 
 
 def _instead(general: Predictions, special: Predictions) -> Predictions:

@@ -7,11 +7,13 @@
 
 from __future__ import annotations
 
+from math import cos, pi, sin
+
 import numpy as np
 
+from logs.agents import AgentKind, Agents, among
 from logs.frame import Predictions
-from logs.kernel import FloatArray
-from logs.scenario import AgentKind, Agents
+from logs.kernel import FloatArray, kernel
 
 SLOWEST_MPS = 1.0
 """Below this speed a heading changes mostly by noise: the turn rate counts as zero."""
@@ -19,6 +21,8 @@ MAX_LATERAL_MPS2 = 5.0
 """A turn rate that asks for more than this lateral acceleration is noise, and is cut to it."""
 MAX_KAPPA = 0.2
 """Nor does a vehicle turn tighter than this, 1/m."""
+ON_FOOT = among(AgentKind.PEDESTRIAN, AgentKind.OBJECT)
+"""Who turns on the spot or not at all, by their codes: their yaw rate says nothing of where they go."""
 
 
 def constant_velocity(agents: Agents, t: FloatArray) -> Predictions:
@@ -39,24 +43,26 @@ def constant_velocity(agents: Agents, t: FloatArray) -> Predictions:
 def turn_rates(agents: Agents) -> FloatArray:
     """The yaw rates `(n,)` that go on: of moving vehicles and bicycles, within what they can turn, rad/s."""
     speed = agents.speed
-    on_foot = np.array([kind in (AgentKind.PEDESTRIAN, AgentKind.OBJECT) for kind in agents.kinds], bool)
     most = np.minimum(MAX_LATERAL_MPS2 / np.maximum(speed, SLOWEST_MPS), MAX_KAPPA * speed)
-    return np.where(on_foot | (speed < SLOWEST_MPS), 0.0, np.clip(agents.yaw_rate, -most, most))
+    straight = ON_FOOT[agents.codes] | (speed < SLOWEST_MPS)
+    return np.where(straight, 0.0, np.clip(agents.yaw_rate, -most, most))
 
 
-def constant_turn_rate(agents: Agents, t: FloatArray) -> Predictions:
-    """Each agent goes on at its speed and yaw rate (2), pedestrians straight: one hypothesis per agent."""
-    ahead = t - t[0]
-    half = 0.5 * turn_rates(agents)[:, None] * ahead
-    chord = agents.speed[:, None] * ahead * np.sinc(half / np.pi)
-    direction = np.arctan2(agents.vy, agents.vx)[:, None] + half
-    n = len(agents)
-    return Predictions(
-        t=t,
-        agent=np.arange(n),
-        probability=np.ones(n),
-        x=agents.x[:, None] + chord * np.cos(direction),
-        y=agents.y[:, None] + chord * np.sin(direction),
-        yaw=agents.yaw[:, None] + 2.0 * half,
-        method="constant_turn_rate",
-    )
+@kernel
+def turned(one: FloatArray, direction: float, ahead: FloatArray, out: FloatArray) -> None:
+    """Round a circle (2).
+
+    Args:
+        one: x, y, yaw, vx, vy, yaw rate that goes on `(6,)`.
+        direction: Of its velocity.
+        ahead: Times from now `(k,)`, s.
+        out: Rows x, y, yaw `(3, k)`.
+    """
+    speed = np.hypot(one[3], one[4])
+    for k in range(len(ahead)):
+        half = 0.5 * one[5] * ahead[k]
+        bent = pi * (half / pi)
+        chord = speed * ahead[k] * (sin(bent) / bent if bent != 0.0 else 1.0)
+        toward = direction + half
+        out[0, k], out[1, k] = one[0] + chord * cos(toward), one[1] + chord * sin(toward)
+        out[2, k] = one[2] + 2.0 * half

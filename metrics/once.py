@@ -1,0 +1,47 @@
+"""What several metrics ask of one drive, worked out once: kept while the drive is there, and no longer.
+
+    @once
+    def contacts(trace: Trace, scenario: Scenario) -> tuple[Contact, ...]: ...
+
+The first argument is whose it is (a trace, a scenario, a road), and is held weakly; the others are compared by what
+they are. A result must not refer to the first argument, or it would keep it alive.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from functools import wraps
+from typing import Any, Concatenate, ParamSpec, TypeVar
+from weakref import WeakKeyDictionary
+
+K = TypeVar("K")
+P = ParamSpec("P")
+R = TypeVar("R")
+FEW = 64
+"""So many results of one function are kept of one drive; then the oldest goes."""
+
+
+def once(function: Callable[Concatenate[K, P], R]) -> Callable[Concatenate[K, P], R]:
+    """Call `function` once for the same arguments (module docstring)."""
+    return last(FEW)(function)
+
+
+def last(count: int) -> Callable[[Callable[Concatenate[K, P], R]], Callable[Concatenate[K, P], R]]:
+    """The same, for large results: the newest `count` of each first argument are kept."""
+
+    def decorate(function: Callable[Concatenate[K, P], R]) -> Callable[Concatenate[K, P], R]:
+        kept: WeakKeyDictionary[Any, dict[Hashable, R]] = WeakKeyDictionary()
+
+        @wraps(function)
+        def asked(owner: K, /, *args: P.args, **kwargs: P.kwargs) -> R:
+            known, key = kept.setdefault(owner, {}), (args, *kwargs.items())
+            if key not in known:
+                found = function(owner, *args, **kwargs)
+                if len(known) >= count:
+                    known.pop(next(iter(known)))
+                known[key] = found
+            return known[key]
+
+        return asked
+
+    return decorate

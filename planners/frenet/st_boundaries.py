@@ -196,7 +196,7 @@ def _swept(
 ) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """The predictions that take the path: times from now `(m,)`, rows `(r,)`, lower and upper `(r, m)`, speed `(r,)`.
 
-    Times are `stride` samples apart. `path` has the rows sigma, x, y, yaw `(4, points)`; predictions are `(n, k)`; size,
+    Times are `stride` samples apart. `path` has the rows sigma, x, y, yaw `(4, points)`, predictions are `(n, k)`; size
     margin, velocity and whether to `skip` them are the agents'.
     """
     boxes, spacing = _ego_boxes(path, ego.rear_to_center)

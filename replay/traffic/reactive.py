@@ -41,7 +41,6 @@ from metrics.others import name_of
 from metrics.reference_drivers import CC_REACT_S
 from planners.prediction import LaneMap
 from planners.prediction.lane_following import FOLLOWING, followers
-from replay.traffic.cast import PERIOD_S, Cast
 from replay.traffic.following import (
     DECEL_MPS2,
     STANDING_MPS,
@@ -58,6 +57,7 @@ from replay.traffic.following import (
     moved_on,
     taken,
 )
+from replay.traffic.phase_replay import PERIOD_S, PhaseReplay
 from replay.traffic.red_lights import RedLights
 from replay.traffic.yielding import Yielding
 from replay.world import box_center
@@ -101,8 +101,8 @@ class Reactive:
         log, self._log_ego, self._vehicle = scenario.tracks, scenario.ego, scenario.vehicle
         self._rule = rule
         self._left = log.t[log.offsets[1:] - 1].copy() if len(log) else np.empty(0)
-        self._cast = Cast(log, led_on(log, LaneMap.of(scenario.road)))
-        led = self._cast.log
+        self._replay = PhaseReplay(log, led_on(log, LaneMap.of(scenario.road)))
+        led = self._replay.log
         self._paths = Paths(led.offsets, led.t, led.x, led.y, led.yaw)
         self._enters = log.t[log.offsets[:-1]] if len(log) else np.empty(0)
         self._reacts = np.array([kind in rule.kinds for kind in log.kinds], bool) & ~log.static
@@ -115,6 +115,11 @@ class Reactive:
         self._since, self._braked = np.full(n, inf), np.zeros(n)
         self._next, self._tracks = -inf, Tracks.empty()
 
+    @property
+    def due(self) -> float:
+        """The next time at which the ego is looked at, s."""
+        return self._next
+
     def step(self, ego: EgoState) -> Tracks:
         """The others as they moved up to `ego.t`, and one sample beyond."""
         if self._next == -inf:
@@ -126,14 +131,14 @@ class Reactive:
             self._next += PERIOD_S
             self._enter(self._next, ego)
             self._sample(self._next)
-            self._tracks = self._cast.tracks(self._since)
+            self._tracks = self._replay.tracks(self._since)
         return self._tracks
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Who has been disturbed so far, since when, and how hard they braked."""
         who = np.argsort(self._since, kind="stable")[: int(np.isfinite(self._since).sum())]
-        log = self._cast.log
+        log = self._replay.log
         named = [f"{name_of(log, i)} from {self._since[i]:.1f} s, {self._braked[i]:.1f} m/s2" for i in who[:NAMED]]
         if not named:
             return ()
@@ -144,7 +149,7 @@ class Reactive:
         logged = self._logged_speeds(self._phase)
         slowed = self._late & (logged > STANDING_MPS)
         rate = np.where(slowed, np.divide(self._speed, logged, out=np.ones(len(logged)), where=slowed), 1.0)
-        self._cast.add(t, self._phase, np.minimum(rate, 1.0), self._there)
+        self._replay.add(t, self._phase, np.minimum(rate, 1.0), self._there)
 
     def _logged_speeds(self, phase: FloatArray) -> FloatArray:
         return covered(self._paths, phase, PERIOD_S) / PERIOD_S
@@ -164,7 +169,7 @@ class Reactive:
         slower |= np.isfinite(ahead) & (wanted < logged - SAME_MPS)
         self._delay(self._there & self._reacts & slower, t)
         speed = np.where(self._late, np.clip(wanted, 0.0, logged), logged) * self._there
-        log = self._cast.log
+        log = self._replay.log
         phase = moved_on(self._paths, self._phase, speed * PERIOD_S, t + PERIOD_S)
         waiting = self._late & ~self._there
         self._phase = np.where(waiting, self._phase, np.where(self._late, phase, t + PERIOD_S))
@@ -177,7 +182,7 @@ class Reactive:
 
     def _enter(self, t: float, ego: EgoState) -> None:
         """Let in whose log begins by `t`."""
-        coming = ~self._there & (self._enters <= t + 1e-9) & (self._left >= t - 1e-9) & ~self._cast.log.static
+        coming = ~self._there & (self._enters <= t + 1e-9) & (self._left >= t - 1e-9) & ~self._replay.log.static
         waited = self._late & ~self._there & (self._phase <= self._enters + 1e-9)
         coming = (coming & ~self._late) | waited
         if not coming.any():
@@ -203,8 +208,8 @@ class Reactive:
 
     def _boxes(self, ego: EgoState) -> tuple[FloatArray, FloatArray, BoolArray]:
         """Boxes `(n + 1, 5)`, velocities and accelerations `(n + 1, 3)`, who is as logged; the ego is the last."""
-        played = self._cast.at(self._phase)
-        log = self._cast.log
+        played = self._replay.at(self._phase)
+        log = self._replay.log
         x, y = box_center(ego, self._vehicle)
         c, s = cos(ego.yaw), sin(ego.yaw)
         boxes = np.column_stack([*played.pose[:3], log.length, log.width])
@@ -227,12 +232,12 @@ class Reactive:
     def _in_place(self, ego: EgoState, coming: BoolArray) -> BoolArray:
         """Whose place is taken by somebody who is not as in the log."""
         boxes, _, as_logged = self._boxes(ego)
-        present = np.r_[self._there | self._cast.log.static, True]
+        present = np.r_[self._there | self._replay.log.static, True]
         return taken(boxes, coming, present & ~as_logged)
 
     def _leaders(self, ego: EgoState, whose: BoolArray, t: float) -> Leaders:
         boxes, motion, as_logged = self._boxes(ego)
-        scene = Scene(boxes, motion, np.r_[self._there | self._cast.log.static, True], as_logged)
+        scene = Scene(boxes, motion, np.r_[self._there | self._replay.log.static, True], as_logged)
         heeds, longest = np.ones(len(whose), np.bool_), self._rule.only_ahead
         if longest is not None:
             ahead = ego_ahead(self._paths, self._phase, self._speed, whose, scene)

@@ -28,7 +28,6 @@ from logs.rules import Colour, StopLine
 from logs.scenario import Scenario, Tracks
 from metrics.rules import ASIDE_M, ASKEW_RAD, BEHIND_M, RED, on_lane
 from planners.rules.along import turned
-from replay.traffic.cast import PERIOD_S
 from replay.traffic.following import (
     ACCEL_MPS2,
     DECEL_MPS2,
@@ -40,6 +39,7 @@ from replay.traffic.following import (
     Paths,
     accelerations,
 )
+from replay.traffic.phase_replay import PERIOD_S
 
 
 class Crossing(NamedTuple):

@@ -18,14 +18,14 @@ PERIOD_S = 0.1
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Played:
+class ReplayedAgents:
     """The agents at their phases; rows x, y, yaw, vx, vy `(5, n)` as logged, and who is in the scene `(n,)`."""
 
     pose: FloatArray
     there: BoolArray
 
 
-class Cast:
+class PhaseReplay:
     """Plays a log's tracks and remembers what was played.
 
     Args:
@@ -42,11 +42,11 @@ class Cast:
         vx, vy = self.log.velocity(_owners(self.log), last) if len(log) else (log.vx, log.vy)
         self._columns = np.ascontiguousarray(np.vstack([self.log.x, self.log.y, self.log.yaw, vx, vy]))
 
-    def at(self, phase: FloatArray) -> Played:
+    def at(self, phase: FloatArray) -> ReplayedAgents:
         """The agents at their phases `(n,)`, s; who has no log there is not in the scene."""
         log = self.log
         pose, there = _play(log.offsets, log.static, log.t, log.gap_after, self._columns, phase)
-        return Played(pose, there)
+        return ReplayedAgents(pose, there)
 
     def add(self, t: float, phase: FloatArray, rate: FloatArray, there: BoolArray) -> None:
         """At the time `t` they were at these phases `(n,)`, played at these rates, as far as they are `there`."""

@@ -1,10 +1,9 @@
 """Control, vehicle and record over the control steps until the next frame: the inner loop, compiled.
 
-The rows of a trace, one per control step, are columns: the ego's motion and the actuation at the row's time, what is
-commanded from then on, and the errors against the plan being driven. A step reads row k and writes row k + 1:
+A step reads row k of the trace (`replay.trace_rows`) and writes row k + 1:
 
 (1) errors = the motion of row k against the plan
-(2) command, memory = control(law, memory, motion, errors, plan)            replay.control.split
+(2) command, memory = control(law, memory, motion, errors, plan)            `replay.control.split.control_row`
 (3) row k: command, errors
 (4) motion, state = step(state, command, dt)                                the vehicle's own kernel
 (5) row k + 1: motion, actuation
@@ -19,70 +18,49 @@ from collections.abc import Callable
 from typing import Any
 
 from logs.kernel import FloatArray, kernel
-from logs.states import Command, EgoState
 from logs.trace import Plan
 from replay.control.base import Controller
-from replay.control.split import SplitController, SplitLaw, SplitState, control
-from replay.plan_path import PlanPath, Tracker, deviation
+from replay.control.split import SplitController, control_row, named_law
+from replay.plan_path import PlanPath, Tracker
+from replay.trace_rows import ACTUATION, COMMAND, ERRORS, arrived, state_at, write_state
 from replay.vehicle import kinematic_bicycle, single_track
-from replay.vehicle.base import Motion, Vehicle, motion_of
+from replay.vehicle.base import Plain, Vehicle
 from replay.vehicle.dead_time import Pending, with_room
 from replay.vehicle.drivetrain import Gearbox
 from replay.vehicle.kinematic_bicycle import KinematicBicycle, Kinematics
-from replay.vehicle.single_track import Car, SingleTrack
+from replay.vehicle.single_track import SingleTrack, named_car
 
-MOTION, COMMAND, ACTUATION, ERRORS = slice(0, 10), slice(10, 13), slice(13, 16), slice(16, 20)
-"""Columns of a row: `Motion`; steer, throttle, brake twice; lateral, heading, speed, station (`Deviation`)."""
-COLUMNS = 20
 ANY_NUMBER = 1 << 30
 
 
 @kernel
-def commanded(
-    law: SplitLaw, memory: SplitState, times: FloatArray, knots: FloatArray, rows: FloatArray, k: int
-) -> tuple[tuple[float, float, float], SplitState]:
-    """(1)-(3): the command at row k, and what is remembered then."""
-    row = rows[k]
-    now = Motion(row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9])
-    off = deviation(times, knots, now.t, now.x, now.y, now.yaw, now.v)
-    steer, throttle, brake, memory = control(law, memory, now, off, times, knots)
-    row[10], row[11], row[12] = steer, throttle, brake
-    row[16], row[17], row[18], row[19] = off.lateral, off.heading, off.speed, off.station
-    return (steer, throttle, brake), memory
-
-
-@kernel
-def arrived(row: FloatArray, now: Motion, steer: float, throttle: float, brake: float) -> None:
-    """(5)."""
-    row[0], row[1], row[2], row[3], row[4] = now.t, now.x, now.y, now.yaw, now.v
-    row[5], row[6], row[7], row[8], row[9] = now.a, now.kappa, now.steer, now.yaw_rate, now.v_lat
-    row[13], row[14], row[15] = steer, throttle, brake
-
-
-@kernel
 def run_kinematic(
-    law: SplitLaw, memory: SplitState, times: FloatArray, knots: FloatArray, rows: FloatArray, first: int, count: int,
-    dt: float, car: Kinematics, s: kinematic_bicycle.State,
-) -> tuple[SplitState, kinematic_bicycle.State]:  # fmt: skip
-    """`count` steps of a kinematic bicycle from row `first` on: what is remembered, and its state."""
+    laws: Plain, memory: FloatArray, wheel: FloatArray, times: FloatArray, knots: FloatArray, rows: FloatArray,
+    first: int, count: int, dt: float, numbers: Plain,
+) -> None:  # fmt: skip
+    """`count` steps of a kinematic bicycle from row `first` on; its state stands in the rows."""
+    law, car = named_law(laws), Kinematics(*numbers)
     for k in range(first, first + count):
-        command, memory = commanded(law, memory, times, knots, rows, k)
-        s, now = kinematic_bicycle.step(s, command, car, rows[k, 0], dt)  # (4)
-        arrived(rows[k + 1], now, s.steer, s.throttle, s.brake)
-    return memory, s
+        command = control_row(law, memory, wheel, times, knots, rows, k)  # (1)-(3)
+        row = rows[k]
+        s = kinematic_bicycle.State(row[1], row[2], row[3], row[4], row[7], row[14], row[15])
+        s, now = kinematic_bicycle.step(s, command, car, row[0], dt)  # (4)
+        arrived(rows[k + 1], now, s.steer, s.throttle, s.brake)  # (5)
 
 
 @kernel
 def run_single_track(
-    law: SplitLaw, memory: SplitState, times: FloatArray, knots: FloatArray, rows: FloatArray, first: int, count: int,
-    dt: float, car: Car, s: single_track.State, box: Gearbox, line: Pending,
-) -> tuple[SplitState, single_track.State, Gearbox, Pending]:  # fmt: skip
-    """`count` steps of a single-track vehicle from row `first` on: what is remembered, and its state."""
+    laws: Plain, memory: FloatArray, wheel: FloatArray, times: FloatArray, knots: FloatArray, rows: FloatArray,
+    first: int, count: int, dt: float, numbers: Plain, inner: Plain, gears: Plain, brakes: Plain,
+) -> tuple[Plain, Plain, Plain]:  # fmt: skip
+    """`count` steps of a single-track vehicle from row `first` on: its state, gearbox and brake commands then."""
+    law, car = named_law(laws), named_car(numbers)
+    s, box, line = single_track.State(*inner), Gearbox(*gears), Pending(*brakes)
     for k in range(first, first + count):
-        command, memory = commanded(law, memory, times, knots, rows, k)
+        command = control_row(law, memory, wheel, times, knots, rows, k)  # (1)-(3)
         s, box, line, now = single_track.step(s, box, line, command, car, rows[k, 0], dt)  # (4)
-        arrived(rows[k + 1], now, s.steer, s.throttle, s.brake)
-    return memory, s, box, line
+        arrived(rows[k + 1], now, s.steer, s.throttle, s.brake)  # (5)
+    return s[:], box[:], line[:]
 
 
 Run = Callable[[Any, Any, PlanPath, FloatArray, int, int, float], None]
@@ -92,19 +70,19 @@ Run = Callable[[Any, Any, PlanPath, FloatArray, int, int, float], None]
 def _kinematic(
     driver: SplitController, car: KinematicBicycle, path: PlanPath, rows: FloatArray, first: int, count: int, dt: float
 ) -> None:
-    driver.state, car.inner = run_kinematic(
-        driver.law, driver.state, path.times, path.knots, rows, first, count, dt, car.model, car.inner
-    )
-    car.state = state_at(rows, first + count)
+    memory = driver.laws, driver.memory, driver.wheel
+    run_kinematic(*memory, path.times, path.knots, rows, first, count, dt, car.numbers)
+    car.set_state(state_at(rows, first + count), rows[first + count, ACTUATION])
 
 
 def _single_track(
     driver: SplitController, car: SingleTrack, path: PlanPath, rows: FloatArray, first: int, count: int, dt: float
 ) -> None:
-    line = with_room(car.brakes, round(dt * 1e9))
-    driver.state, car.inner, car.box, car.brakes = run_single_track(
-        driver.law, driver.state, path.times, path.knots, rows, first, count, dt, car.model, car.inner, car.box, line
+    memory, line = (driver.laws, driver.memory, driver.wheel), with_room(car.brakes, round(dt * 1e9))
+    inner, box, line_after = run_single_track(
+        *memory, path.times, path.knots, rows, first, count, dt, car.numbers, car.inner[:], car.box[:], line[:]
     )
+    car.inner, car.box, car.brakes = single_track.State(*inner), Gearbox(*box), Pending(*line_after)
     car.state = state_at(rows, first + count)
 
 
@@ -148,13 +126,3 @@ class PlanPeriod:
         rows[k, COMMAND] = command.steer, command.throttle, command.brake
         rows[k, ERRORS] = path.deviation(state)[:4]
         write_state(rows, k + 1, self._vehicle.step(command, self._period), self._vehicle.actuation)
-
-
-def write_state(rows: FloatArray, k: int, state: EgoState, actuation: Command) -> None:
-    """(5) of a state."""
-    arrived(rows[k], motion_of(state), actuation.steer, actuation.throttle, actuation.brake)
-
-
-def state_at(rows: FloatArray, k: int) -> EgoState:
-    """The ego at row k."""
-    return EgoState(*rows[k, MOTION].tolist())

@@ -20,7 +20,7 @@ from logs.trace import EndReason
 from metrics.others import name_of
 from metrics.phantoms import phantoms, without_phantoms
 from metrics.safety import Contact, classify
-from replay.plan_period import state_at
+from replay.trace_rows import state_at
 from replay.world import AgentBoxes, EgoBox, agent_boxes, box_center, ego_box, touched
 
 CRACK_M = 0.5

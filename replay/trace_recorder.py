@@ -1,4 +1,4 @@
-"""Takes down a closed loop: a row per control step (`replay.plan_period`), a frame per plan."""
+"""Takes down a closed loop: a row per control step (`replay.trace_rows`), a frame per plan."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from logs.frame import Frame
 from logs.states import TRAJECTORY_COLUMNS, Controls, Trajectory
 from logs.trace import Plan, PlannedFrame, TrackingErrors
 from replay.plan_path import PlanPath
-from replay.plan_period import ACTUATION, COLUMNS, COMMAND, ERRORS, state_at, write_state
+from replay.trace_rows import ACTUATION, COLUMNS, COMMAND, ERRORS, state_at, write_state
 from replay.vehicle.base import Vehicle
 
 EGO = slice(0, len(TRAJECTORY_COLUMNS))

@@ -28,15 +28,18 @@ from replay.control.single_pid import (
     steer_by_error,
     steering_pid_law,
 )
-from replay.control.slip import slip_model
+from replay.control.slip import SlipModel, SlipState, slip_model
 from replay.control.stanley import StanleyLaw, stanley_law, steer_at_front
 from replay.control.steering_delay import DelayModel, DelayState, SteeringDelay
-from replay.plan_path import Deviation, Tracker
-from replay.vehicle.base import Motion, Powertrain, motion_of
+from replay.plan_path import Deviation, Tracker, deviation
+from replay.trace_rows import COLUMNS, MOTION, commanded, motion_at
+from replay.vehicle.base import Motion, Plain, Powertrain, motion_of, plain
 from replay.vehicle.pedal_map import PedalMap
 
 DLQR, KINEMATIC_DLQR, PURE_PURSUIT, STANLEY, STEERING_PID = range(5)
 DUAL_LOOP, SPEED_PID = range(2)
+MEMORY, DELAY = 18, slice(15, 18)
+"""Numbers of a `SplitState` as an array (`remembered`), and those of its steering's delay."""
 
 
 class SplitLaw(NamedTuple):
@@ -133,6 +136,55 @@ def control(
     return angle, throttle, brake, SplitState(False, pedal, stop, speed, integral, known)
 
 
+@kernel
+def remembered(m: FloatArray, wheel: FloatArray) -> SplitState:
+    """The state that an array of MEMORY numbers and the wheel's angles hold."""
+    return SplitState(
+        m[0] > 0.0, PedalState(m[1] > 0.0, m[2] > 0.0), StopState(m[3], m[4]), SpeedState(m[5], m[6], m[7]), m[8],
+        DlqrState(SlipState(m[9], m[10], m[11], m[12], m[13], m[14]), DelayState(wheel, m[15], m[16], m[17] > 0.0)),
+    )  # fmt: skip
+
+
+@kernel
+def remember(m: FloatArray, s: SplitState) -> None:
+    """`remembered`, the other way; the wheel's angles are written where they are."""
+    slip, delay = s.dlqr.slip, s.dlqr.delay
+    m[0], m[1], m[2], m[3], m[4] = s.standing, s.pedal.braking, s.pedal.holding, s.stop.jerk, s.stop.offset
+    m[5], m[6], m[7], m[8] = s.speed.integral, s.speed.m, s.speed.error, s.steer_integral
+    m[9], m[10], m[11], m[12] = slip.front, slip.rear, slip.v_lat, slip.turn
+    m[13], m[14], m[15], m[16], m[17] = slip.alpha_front, slip.alpha_rear, delay.offset, delay.delay, delay.known
+
+
+@kernel
+def named_law(p: Plain) -> SplitLaw:
+    """The law that plain tuples hold (`replay.vehicle.base.plain`)."""
+    d = p[2]
+    dlqr = DlqrLaw(d[0], d[1], SlipModel(*d[2]), DelayModel(*d[3]), d[4], d[5], d[6], d[7])
+    others = KinematicLaw(*p[3]), PursuitLaw(*p[4]), StanleyLaw(*p[5]), SteeringPidLaw(*p[6])
+    return SplitLaw(p[0], p[1], dlqr, others[0], others[1], others[2], others[3], SpeedLaw(*p[7]), PedalMap(*p[8]))
+
+
+@kernel
+def control_row(
+    law: SplitLaw, memory: FloatArray, wheel: FloatArray, times: FloatArray, knots: FloatArray, rows: FloatArray, k: int
+) -> tuple[float, float, float]:
+    """The command at row k of a trace, which with the errors is written there; what is remembered, into `memory`."""
+    now = motion_at(rows, k)
+    off = deviation(times, knots, now.t, now.x, now.y, now.yaw, now.v)
+    steer, throttle, brake, state = control(law, remembered(memory, wheel), now, off, times, knots)
+    remember(memory, state)
+    commanded(rows[k], steer, throttle, brake, off)
+    return steer, throttle, brake
+
+
+@kernel
+def control_once(
+    laws: Plain, memory: FloatArray, wheel: FloatArray, times: FloatArray, knots: FloatArray, rows: FloatArray
+) -> tuple[float, float, float]:
+    """The command at the only row."""
+    return control_row(named_law(laws), memory, wheel, times, knots, rows, 0)
+
+
 class SplitController:
     """Steering by one law, pedals by another. See `replay.control.base.Controller`.
 
@@ -141,24 +193,32 @@ class SplitController:
         delay: What is known of the steering, where another controller commands and tells it; None: this one does.
 
     Attributes:
-        law: As given.
-        state: What is remembered.
+        laws: The law as plain tuples.
+        memory: `(MEMORY,)` what is remembered; kernels write into it.
+        wheel: Of `DelayState`, likewise.
     """
 
     notes: tuple[str, ...] = ()
 
     def __init__(self, law: SplitLaw, delay: SteeringDelay | None = None) -> None:
-        self.law, self.state, self._delay = law, start_of(law), delay
-        self._tracker = Tracker()
+        self.laws: Plain = plain(law)
+        self.memory, self.wheel = np.zeros(MEMORY), dlqr_start(law.speed.period).delay.wheel
+        remember(self.memory, start_of(law))
+        self._delay, self._tracker, self._row = delay, Tracker(), np.zeros((1, COLUMNS))
+
+    @property
+    def state(self) -> SplitState:
+        """What is remembered, by name."""
+        return remembered(self.memory, self.wheel)
 
     def control(self, state: EgoState, plan: Plan) -> Command:
         """The command for the next control period."""
         path = self._tracker.path(plan)
         if self._delay is not None:
-            self.state = self.state._replace(dlqr=self.state.dlqr._replace(delay=self._delay.state))
-        off = path.deviation(state)
-        *command, self.state = control(self.law, self.state, motion_of(state), off, path.times, path.knots)
-        return Command(*command)
+            known = self._delay.state
+            self.wheel, self.memory[DELAY] = known.wheel, (known.offset, known.delay, known.known)
+        self._row[0, MOTION] = motion_of(state)
+        return Command(*control_once(self.laws, self.memory, self.wheel, path.times, path.knots, self._row))
 
 
 def start_of(law: SplitLaw) -> SplitState:

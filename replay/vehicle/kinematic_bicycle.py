@@ -28,10 +28,10 @@ from math import atan, ceil, cos, sin, tan
 from typing import TYPE_CHECKING, NamedTuple
 
 from logs.errors import ConfigError
-from logs.kernel import kernel
+from logs.kernel import FloatArray, kernel
 from logs.states import Command, EgoState
 from logs.vehicle import VehicleParameters
-from replay.vehicle.base import Motion
+from replay.vehicle.base import Motion, Plain, plain
 from replay.vehicle.powertrain import Limits, PedalPowertrain, is_rolling, rolling_acceleration
 from replay.vehicle.steering import Steering, steer_rate
 
@@ -155,7 +155,7 @@ class KinematicBicycle:
         rear_ratio: Rear wheel angle per front wheel angle, from -1 to below 1.
 
     Attributes:
-        model: The numbers of (1)-(7).
+        model: The numbers of (1)-(7); `numbers` likewise, as plain tuples.
         inner: The state of (1)-(5).
 
     Raises:
@@ -170,6 +170,7 @@ class KinematicBicycle:
             raise ConfigError(f"rear_ratio must be at least -1 and below 1, got {rear_ratio}")
         self.powertrain = PedalPowertrain(parameters)
         self.model = kinematics_of(parameters, rear_ratio)
+        self.numbers: Plain = plain(self.model)
         self.inner = _initial(self.model, self.powertrain, start)
         self.state = EgoState(*motion(self.inner, float(start.t), self.model))
 
@@ -184,6 +185,11 @@ class KinematicBicycle:
         self.inner, now = step(self.inner, held, self.model, self.state.t, dt)
         self.state = EgoState(*now)
         return self.state
+
+    def set_state(self, state: EgoState, actuation: FloatArray) -> None:
+        """It is somewhere else, its actuators at `actuation` `(3,)`."""
+        self.state, does = state, actuation.tolist()
+        self.inner = State(state.x, state.y, state.yaw, state.v, *does)
 
 
 def kinematics_of(p: VehicleParameters, rear_ratio: float = 0.0) -> Kinematics:

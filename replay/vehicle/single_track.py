@@ -34,7 +34,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from logs.kernel import kernel
 from logs.states import Command, EgoState
 from logs.vehicle import VehicleParameters
-from replay.vehicle.base import Motion
+from replay.vehicle.base import Motion, Plain, plain
 from replay.vehicle.dead_time import Pending, commanded, next_span, pending, with_room
 from replay.vehicle.drivetrain import Drive, Drivetrain, Gearbox, drive_force, shifted, throttle_target
 from replay.vehicle.kinematic_bicycle import MAX_SUBSTEP_S, SHORTEST_LAG_S
@@ -87,6 +87,13 @@ class Car(NamedTuple):
     grade_sin: float
     grade_cos: float
     substep: float
+
+
+@kernel
+def named_car(p: Plain) -> Car:
+    """The car that plain tuples hold (`replay.vehicle.base.plain`)."""
+    front, rear, drive = Tyre(*p[5]), Tyre(*p[6]), Drive(*p[8])
+    return Car(p[0], p[1], p[2], p[3], p[4], front, rear, p[7], drive, p[9], p[10], p[11], p[12], p[13], p[14])
 
 
 @kernel
@@ -276,7 +283,7 @@ class SingleTrack:
         grade: Rise over run, positive uphill.
 
     Attributes:
-        model: The numbers of (1)-(8).
+        model: The numbers of (1)-(8); `numbers` likewise, as plain tuples.
         inner: The state of (1)-(8); `box` is the gearbox, `brakes` the brake commands on their way.
 
     Raises:
@@ -297,6 +304,7 @@ class SingleTrack:
     ) -> None:
         self.powertrain = Drivetrain(parameters)
         self.model = car_of(parameters, self.powertrain, tyre=tyre, tyre_stiffness=tyre_stiffness, grade=grade)
+        self.numbers: Plain = plain(self.model)
         self.inner = cornering(self.model, start, self.powertrain)
         self.box = self.powertrain.gearbox(self.inner.vx, self.inner.throttle)
         self.brakes = pending(parameters.brake_delay, self.inner.brake)

@@ -7,7 +7,7 @@ of the ego: the sample at t + PERIOD_S is made of what is known at t. Who is as 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,14 +15,24 @@ from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.scenario import Tracks
 
 PERIOD_S = 0.1
+ROWS = 64
+"""Samples that there is room for at first; doubled when they are full."""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class ReplayedAgents:
-    """The agents at their phases; rows x, y, yaw, vx, vy `(5, n)` as logged, and who is in the scene `(n,)`."""
+class LoggedTracks(NamedTuple):
+    """`Tracks` as kernels take them; columns x, y, yaw, vx, vy `(5, samples)`."""
 
-    pose: FloatArray
-    there: BoolArray
+    offsets: IntArray
+    static: BoolArray
+    t: FloatArray
+    gap_after: BoolArray
+    columns: FloatArray
+
+
+def logged_tracks(log: Tracks, vx: FloatArray, vy: FloatArray) -> LoggedTracks:
+    """The tracks with these velocities `(samples,)`."""
+    columns = np.ascontiguousarray(np.vstack([log.x, log.y, log.yaw, vx, vy]))
+    return LoggedTracks(log.offsets, log.static, log.t, log.gap_after, columns)
 
 
 class PhaseReplay:
@@ -31,51 +41,47 @@ class PhaseReplay:
     Args:
         log: The tracks; those that never move stay as they are.
         led: The same, each led on beyond the end of its log: what is played. None: the log.
+
+    Attributes:
+        log: What is played.
+        logged: The same for kernels.
     """
 
     def __init__(self, log: Tracks, led: Tracks | None = None) -> None:
-        self.log = led or log
-        self._own = log
-        self._times: list[float] = []
-        self._played: list[tuple[FloatArray, BoolArray]] = []
-        last = np.arange(len(self.log.t))
-        vx, vy = self.log.velocity(_owners(self.log), last) if len(log) else (log.vx, log.vy)
-        self._columns = np.ascontiguousarray(np.vstack([self.log.x, self.log.y, self.log.yaw, vx, vy]))
-
-    def at(self, phase: FloatArray) -> ReplayedAgents:
-        """The agents at their phases `(n,)`, s; who has no log there is not in the scene."""
-        log = self.log
-        pose, there = _play(log.offsets, log.static, log.t, log.gap_after, self._columns, phase)
-        return ReplayedAgents(pose, there)
+        self.log, self._own = led or log, log
+        owner, last = _owners(self.log), np.arange(len(self.log.t))
+        vx, vy = self.log.velocity(owner, last) if len(log) else (self.log.vx, self.log.vy)
+        self.logged, self._logged_own = logged_tracks(self.log, vx, vy), logged_tracks(log, log.vx, log.vy)
+        self._count = 0
+        self._t = np.empty(ROWS)
+        self._pose, self._there = np.empty((ROWS, 5, len(log))), np.empty((ROWS, len(log)), np.bool_)
 
     def add(self, t: float, phase: FloatArray, rate: FloatArray, there: BoolArray) -> None:
         """At the time `t` they were at these phases `(n,)`, played at these rates, as far as they are `there`."""
-        played = self.at(phase)
-        moved = played.pose * np.vstack([np.ones((3, len(rate))), rate, rate])
-        self._times.append(t)
-        self._played.append((moved, played.there & there))
+        k = self._count
+        if k == len(self._t):
+            self._t, self._pose, self._there = (
+                np.concatenate([rows, np.empty_like(rows)]) for rows in (self._t, self._pose, self._there)
+            )
+        self._t[k], self._count = t, k + 1
+        _play(self.logged, phase, rate, there, self._pose[k], self._there[k])
 
     def tracks(self, since: FloatArray) -> Tracks:
         """The log's own samples before `since` `(n,)`, s, and what was played from then on; inf: the log as it is."""
         log, since = self._own, np.where(self._own.static, np.inf, since)
         if not (since < np.inf).any():
             return log
-        owner, times = _owners(log), np.array(self._times)
-        logged = log.t < since[owner] - 1e-9
-        here = np.array([there for _, there in self._played]) & (times[:, None] >= since - 1e-9)
-        k, agent = np.nonzero(here)
-        pose = np.array([pose for pose, _ in self._played])[k, :, agent]
-        kept = np.vstack([log.t, log.x, log.y, log.yaw, log.vx, log.vy])[:, logged]
-        rows, owner = np.hstack([kept, np.vstack([times[k], pose.T])]), np.r_[owner[logged], agent]
-        members, sizes = np.unique(owner, return_counts=True)
+        k = self._count
+        rows, sizes = _merged(self._logged_own, since, self._t[:k], self._pose[:k], self._there[:k])
+        members = np.flatnonzero(sizes)
         return Tracks(
             tuple(log.ids[i] for i in members),
             tuple(log.kinds[i] for i in members),
             log.length[members],
             log.width[members],
             log.static[members],
-            np.r_[0, np.cumsum(sizes)],
-            *rows[:, np.lexsort((rows[0], owner))],
+            np.r_[0, np.cumsum(sizes[members])],
+            *rows,
         )
 
 
@@ -85,26 +91,56 @@ def _owners(log: Tracks) -> IntArray:
 
 
 @kernel
-def _play(
-    offsets: IntArray, static: BoolArray, t: FloatArray, gap_after: BoolArray, columns: FloatArray, phase: FloatArray
-) -> tuple[FloatArray, BoolArray]:
-    """Rows x, y, yaw (interpolated), vx, vy (of the last sample) `(5, n)` at the phases, and who has a log there.
+def played(log: LoggedTracks, i: int, phase: float) -> tuple[float, float, float, float, float, bool]:
+    """x, y, yaw (interpolated), vx, vy (of the last sample) of a track at a phase, and whether it has a log there.
 
     In a gap of a track (`logs.presence`) its agent is not there.
     """
-    n = len(phase)
-    pose, there = np.zeros((5, n)), np.zeros(n, np.bool_)
+    t, columns, first, end = log.t, log.columns, log.offsets[i], log.offsets[i + 1]
+    there = log.static[i] or (t[first] <= phase + 1e-9 and phase <= t[end - 1] + 1e-9)
+    k = first
+    if not log.static[i]:
+        k = max(first + np.searchsorted(t[first:end], phase + 1e-9, side="right") - 1, first)
+    u, j = 0.0, min(k + 1, end - 1)
+    if j > k and not log.static[i]:
+        there = there and not (log.gap_after[k] and t[k] + 1e-9 < phase < t[j] - 1e-9)
+        u = min(max((phase - t[k]) / (t[j] - t[k]), 0.0), 1.0)
+    x = columns[0, k] + u * (columns[0, j] - columns[0, k])
+    y = columns[1, k] + u * (columns[1, j] - columns[1, k])
+    yaw = columns[2, k] + u * (columns[2, j] - columns[2, k])
+    return x, y, yaw, columns[3, k], columns[4, k], there
+
+
+@kernel
+def _play(
+    log: LoggedTracks, phase: FloatArray, rate: FloatArray, there: BoolArray, pose: FloatArray, here: BoolArray
+) -> None:
+    """Into `pose` `(5, n)` and `here` `(n,)`: the agents at their phases, velocities times the rates."""
+    for i in range(len(phase)):
+        x, y, yaw, vx, vy, has_log = played(log, i, phase[i])
+        pose[0, i], pose[1, i], pose[2, i] = x, y, yaw
+        pose[3, i], pose[4, i] = vx * rate[i], vy * rate[i]
+        here[i] = has_log and there[i]
+
+
+@kernel
+def _merged(
+    log: LoggedTracks, since: FloatArray, times: FloatArray, pose: FloatArray, there: BoolArray
+) -> tuple[FloatArray, IntArray]:
+    """Rows t, x, y, yaw, vx, vy `(6, samples)` of the tracks one after the other, and how many samples each has."""
+    n = len(since)
+    sizes = np.zeros(n, np.int64)
+    rows = np.empty((6, len(log.t) + len(times) * n))
+    at = 0
     for i in range(n):
-        first, end = offsets[i], offsets[i + 1]
-        there[i] = static[i] or (t[first] <= phase[i] + 1e-9 and phase[i] <= t[end - 1] + 1e-9)
-        k = first
-        if not static[i]:
-            k = max(first + np.searchsorted(t[first:end], phase[i] + 1e-9, side="right") - 1, first)
-        u, j = 0.0, min(k + 1, end - 1)
-        if j > k and not static[i]:
-            there[i] = there[i] and not (gap_after[k] and t[k] + 1e-9 < phase[i] < t[j] - 1e-9)
-            u = min(max((phase[i] - t[k]) / (t[j] - t[k]), 0.0), 1.0)
-        for c in range(3):
-            pose[c, i] = columns[c, k] + u * (columns[c, j] - columns[c, k])
-        pose[3, i], pose[4, i] = columns[3, k], columns[4, k]
-    return pose, there
+        begin = at
+        for k in range(log.offsets[i], log.offsets[i + 1]):
+            if log.t[k] < since[i] - 1e-9:
+                rows[0, at], rows[1:, at] = log.t[k], log.columns[:, k]
+                at += 1
+        for k in range(len(times)):
+            if there[k, i] and times[k] >= since[i] - 1e-9:
+                rows[0, at], rows[1:, at] = times[k], pose[k, :, i]
+                at += 1
+        sizes[i] = at - begin
+    return rows[:, :at].copy(), sizes

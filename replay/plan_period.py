@@ -22,7 +22,7 @@ from logs.trace import Plan
 from replay.control.base import Controller
 from replay.control.split import SplitController, control_row, named_law
 from replay.plan_path import PlanPath, Tracker
-from replay.trace_rows import ACTUATION, COMMAND, ERRORS, arrived, state_at, write_state
+from replay.trace_rows import ACTUATION, COMMAND, arrived, compared, state_at, write_state
 from replay.vehicle import kinematic_bicycle, single_track
 from replay.vehicle.base import Plain, Vehicle
 from replay.vehicle.dead_time import Pending, with_room
@@ -124,5 +124,5 @@ class PlanPeriod:
         state = self._vehicle.state
         command = self._controller.control(state, plan)
         rows[k, COMMAND] = command.steer, command.throttle, command.brake
-        rows[k, ERRORS] = path.deviation(state)[:4]
+        compared(path.times, path.knots, rows, k)
         write_state(rows, k + 1, self._vehicle.step(command, self._period), self._vehicle.actuation)

@@ -8,7 +8,7 @@ from logs.frame import Frame
 from logs.states import TRAJECTORY_COLUMNS, Controls, Trajectory
 from logs.trace import Plan, PlannedFrame, TrackingErrors
 from replay.plan_path import PlanPath
-from replay.trace_rows import ACTUATION, COLUMNS, COMMAND, ERRORS, state_at, write_state
+from replay.trace_rows import ACTUATION, COLUMNS, COMMAND, ERRORS, compared, write_state
 from replay.vehicle.base import Vehicle
 
 EGO = slice(0, len(TRAJECTORY_COLUMNS))
@@ -48,7 +48,8 @@ class TraceRecorder:
         row[COMMAND] = self.rows[last - 1, COMMAND] if last else np.nan
         row[ERRORS] = np.nan
         if plan is not None:
-            row[ERRORS] = PlanPath.of(plan.trajectory).deviation(state_at(self.rows, last))[:4]
+            path = PlanPath.of(plan.trajectory)
+            compared(path.times, path.knots, self.rows, last)
 
     @property
     def ego(self) -> Trajectory:

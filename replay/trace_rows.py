@@ -6,9 +6,11 @@ against the plan that is driven then.
 
 from __future__ import annotations
 
+from math import nan
+
 from logs.kernel import FloatArray, kernel
 from logs.states import Command, EgoState
-from replay.plan_path import Deviation
+from replay.plan_path import Deviation, deviation
 from replay.vehicle.base import Motion, motion_of
 
 MOTION, COMMAND, ACTUATION, ERRORS = slice(0, 10), slice(10, 13), slice(13, 16), slice(16, 20)
@@ -38,10 +40,18 @@ def commanded(row: FloatArray, steer: float, throttle: float, brake: float, off:
     row[16], row[17], row[18], row[19] = off.lateral, off.heading, off.speed, off.station
 
 
+@kernel
+def compared(times: FloatArray, knots: FloatArray, rows: FloatArray, k: int) -> None:
+    """Write the errors of row k against a plan (`PlanPath`)."""
+    row = rows[k]
+    off = deviation(times, knots, row[0], row[1], row[2], row[3], row[4])
+    row[16], row[17], row[18], row[19] = off.lateral, off.heading, off.speed, off.station
+
+
 def write_state(rows: FloatArray, k: int, state: EgoState, actuation: Command) -> None:
-    """Write motion and actuation of row k."""
-    rows[k, MOTION] = motion_of(state)
-    rows[k, ACTUATION] = actuation.steer, actuation.throttle, actuation.brake
+    """Write motion and actuation of row k; what is commanded there is not known yet."""
+    does = actuation.steer, actuation.throttle, actuation.brake
+    rows[k] = (*motion_of(state), nan, nan, nan, *does, nan, nan, nan, nan)
 
 
 def state_at(rows: FloatArray, k: int) -> EgoState:

@@ -88,7 +88,7 @@ def hold(state: PedalState, v: float, a: float) -> tuple[float, float, PedalStat
 
 
 @kernel
-def led(m: float, train: PedalMap, times: FloatArray, t: float, v: float, h: float) -> tuple[float, float]:
+def compensated(m: float, train: PedalMap, times: FloatArray, t: float, v: float, h: float) -> tuple[float, float]:
     """The acceleration to command at `t` (s) and speed `v` (m/s) for a period `h`, for that of the plan, m/s2; m+ (3).
 
     Args:
@@ -169,7 +169,7 @@ class Lead:
 
     def command(self, path: PlanPath, t: float, v: float) -> float:
         """The acceleration to command at `t` (s) and speed `v` (m/s), for a period, for that of the plan, m/s2."""
-        command, self._m = led(self._m, self._train, path.times, t, v, self._period)
+        command, self._m = compensated(self._m, self._train, path.times, t, v, self._period)
         return command
 
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from logs.errors import ConfigError
 from logs.kernel import FloatArray, kernel
-from replay.control.pedals import led
+from replay.control.pedals import compensated
 from replay.plan_path import Deviation, timed
 from replay.vehicle.base import Motion
 from replay.vehicle.pedal_map import PedalMap, reach
@@ -79,7 +79,7 @@ def accelerate_dual_loop(
     most = law.station_limit
     v_wanted = timed(times, now.t)[1] - min(max(law.station_gain * off.station, -most), most)  # (1)
     error = v_wanted - now.v  # (2)
-    planned, m = led(state.m, train, times, now.t, now.v, law.period)
+    planned, m = compensated(state.m, train, times, now.t, now.v, law.period)
     wanted = planned + law.kp * error + law.ki * state.integral  # (3)
     command, integral = limited(wanted, error, state.integral, train, now.v, law.period)
     return command, SpeedState(integral, m, state.error)

@@ -205,7 +205,7 @@ def ego_ahead(paths: Paths, phase: FloatArray, speed: FloatArray, whose: BoolArr
 @kernel
 def drives_into(paths: Paths, phase: FloatArray, leaders: Leaders) -> BoolArray:
     """Which vehicles `(n,)`, going on as in the log, drive into their leaders (6)."""
-    gap, led, accel = leaders.gap, leaders.speed, leaders.accel
+    gap, pace, accel = leaders.gap, leaders.speed, leaders.accel
     out = np.zeros(len(phase), np.bool_)
     for i in range(len(phase)):
         if not np.isfinite(gap[i]):
@@ -219,8 +219,8 @@ def drives_into(paths: Paths, phase: FloatArray, leaders: Leaders) -> BoolArray:
             part = (paths.t[k + 1] - start) / (paths.t[k + 1] - paths.t[k])
             way += part * hypot(paths.x[k + 1] - paths.x[k], paths.y[k + 1] - paths.y[k])
             tau = paths.t[k + 1] - phase[i]
-            rolls = min(tau, led[i] / brake) if brake > 0.0 else tau
-            out[i] = way >= gap[i] - ROOM_M + led[i] * rolls - 0.5 * brake * rolls * rolls  # (6)
+            rolls = min(tau, pace[i] / brake) if brake > 0.0 else tau
+            out[i] = way >= gap[i] - ROOM_M + pace[i] * rolls - 0.5 * brake * rolls * rolls  # (6)
     return out
 
 

@@ -40,15 +40,15 @@ class PhaseReplay:
 
     Args:
         log: The tracks; those that never move stay as they are.
-        led: The same, each led on beyond the end of its log: what is played. None: the log.
+        extended: The same, each extended beyond the end of its log: what is played. None: the log.
 
     Attributes:
         log: What is played.
         logged: The same for kernels.
     """
 
-    def __init__(self, log: Tracks, led: Tracks | None = None) -> None:
-        self.log, self._own = led or log, log
+    def __init__(self, log: Tracks, extended: Tracks | None = None) -> None:
+        self.log, self._own = extended or log, log
         owner, last = _owners(self.log), np.arange(len(self.log.t))
         vx, vy = self.log.velocity(owner, last) if len(log) else (self.log.vx, self.log.vy)
         self.logged, self._logged_own = logged_tracks(self.log, vx, vy), logged_tracks(log, log.vx, log.vy)

@@ -99,17 +99,18 @@ class Reactive:
         self._rule = rule
         n = len(log)
         left = log.t[log.offsets[1:] - 1].copy() if n else np.empty(0)
-        self._replay = PhaseReplay(log, led_on(log, LaneMap.of(scenario.road)))
-        led = self._replay.log
+        lanes = LaneMap.of(scenario.road)
+        self._replay = PhaseReplay(log, extended(log, lanes))
+        paths = self._replay.log
         self._enters = log.t[log.offsets[:-1]] if n else np.empty(0)
         reacts = np.array([kind in rule.kinds for kind in log.kinds], bool) & ~log.static
         self._agents = Agents(
-            Paths(led.offsets, led.t, led.x, led.y, led.yaw), self._replay.logged, led.length, led.width, reacts,
-            led.t[led.offsets[1:] - 1].copy() if n else left, left,
+            Paths(paths.offsets, paths.t, paths.x, paths.y, paths.yaw), self._replay.logged,
+            paths.length, paths.width, reacts, paths.t[paths.offsets[1:] - 1].copy() if n else left, left,
         )  # fmt: skip
         self._longest = nan if rule.only_ahead is None else rule.only_ahead
-        self._lights = RedLights(scenario, led, reacts)
-        self._yielding = Yielding(scenario, led, reacts & rule.yields)
+        self._lights = RedLights(scenario, paths, reacts)
+        self._yielding = Yielding(scenario, paths, reacts & rule.yields, lanes)
         self._now = nobody_late(n)
         self._next, self._tracks = -inf, Tracks.empty()
 
@@ -206,7 +207,7 @@ class Reactive:
         return taken(scene.boxes, coming, scene.present & ~scene.as_logged)
 
 
-def led_on(log: Tracks, lanes: LaneMap) -> Tracks:
+def extended(log: Tracks, lanes: LaneMap) -> Tracks:
     """The tracks, and after the end of each vehicle's log where its lane most probably leads it, `BEYOND_M` far."""
     last = log.offsets[1:] - 1
     if not len(log) or not len(lanes):

@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import FloatArray, kernel
+from logs.kernel import FloatArray, inner_kernel, kernel
 from logs.states import EgoState, Trajectory, wrap
 from logs.trace import Plan
 
@@ -42,7 +42,7 @@ class Deviation(NamedTuple):
 NO_PLAN = Deviation(*5 * (float("nan"),))
 
 
-@kernel
+@inner_kernel
 def plan_stations(x: FloatArray, y: FloatArray, yaw: FloatArray) -> FloatArray:
     """Stations `(n,)` of a plan's samples, m, not decreasing, from 0."""
     out = np.zeros(len(x))
@@ -114,7 +114,7 @@ def timed(times: FloatArray, t: float) -> tuple[float, float, float]:
     return hermite(times[i, 1], times[i + 1, 1], h * times[i, 2], h * times[i + 1, 2], u), v, a
 
 
-@kernel
+@inner_kernel
 def hermite(p0: float, p1: float, d0: float, d1: float, u: float) -> float:
     """The cubic with values p0, p1 and slopes d0, d1 at u = 0, 1."""
     w = 1.0 - u

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import FloatArray, IntArray, kernel
+from logs.kernel import FloatArray, IntArray, inner_kernel, kernel
 from logs.road import Goal, Road, RoadSource, inside
 from logs.scenario import Scenario, Tracks
 from logs.shapes import point_segment
@@ -40,7 +40,7 @@ def outlines(polygons: list[FloatArray]) -> Outlines:
     return Outlines(np.concatenate([np.zeros((0, 2)), *polygons]), np.cumsum([0, *sizes], dtype=np.int64))
 
 
-@kernel
+@inner_kernel
 def outline_distance(x: float, y: float, polygon: FloatArray) -> float:
     """Distance of a point from a polygon's outline `(n, 2)`, m."""
     best = inf

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from math import nan
 
-from logs.kernel import FloatArray, kernel
+from logs.kernel import FloatArray, inner_kernel, kernel
 from logs.states import Command, EgoState
 from replay.plan_path import Deviation, deviation
 from replay.vehicle.base import Motion, motion_of
@@ -18,14 +18,14 @@ MOTION, COMMAND, ACTUATION, ERRORS = slice(0, 10), slice(10, 13), slice(13, 16),
 COLUMNS = 20
 
 
-@kernel
+@inner_kernel
 def motion_at(rows: FloatArray, k: int) -> Motion:
     """The ego's motion at row k."""
     row = rows[k]
     return Motion(row[0], row[1], row[2], row[3], row[4], row[5], row[6], row[7], row[8], row[9])
 
 
-@kernel
+@inner_kernel
 def arrived(row: FloatArray, now: Motion, steer: float, throttle: float, brake: float) -> None:
     """Write motion and actuation."""
     row[0], row[1], row[2], row[3], row[4] = now.t, now.x, now.y, now.yaw, now.v
@@ -33,7 +33,7 @@ def arrived(row: FloatArray, now: Motion, steer: float, throttle: float, brake: 
     row[13], row[14], row[15] = steer, throttle, brake
 
 
-@kernel
+@inner_kernel
 def commanded(row: FloatArray, steer: float, throttle: float, brake: float, off: Deviation) -> None:
     """Write command and errors."""
     row[10], row[11], row[12] = steer, throttle, brake

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
 from logs.scenario import Tracks
 from logs.shapes import overlap
 from logs.states import EgoState, Trajectory
@@ -129,7 +129,7 @@ def touched(rows: FloatArray, first: int, end: int, car: EgoBox, agents: AgentBo
     return end, who
 
 
-@kernel
+@inner_kernel
 def agent_at(agents: AgentBoxes, i: int, now: float) -> tuple[bool, float, float, float]:
     """Whether agent i is in the scene at `now`, s, and x, y, yaw of its box, as `Tracks.truth` has it."""
     t, first, end = agents.t, agents.offsets[i], agents.offsets[i + 1]

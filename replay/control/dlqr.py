@@ -29,7 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.errors import ConfigError, unknown_name
-from logs.kernel import FloatArray, frozen, kernel
+from logs.kernel import FloatArray, frozen, inner_kernel
 from logs.vehicle import VehicleParameters
 from replay.control.dlqr_kinematic import SHORTEST_LAG_S, gain
 from replay.control.feedforward import commanded, following_at, slip_table, steer_for, table_speeds
@@ -168,7 +168,7 @@ def dlqr_start(period: float) -> DlqrState:
     return DlqrState(NOTHING_LEARNED, nothing_known(period))
 
 
-@kernel
+@inner_kernel
 def steer_slipping(
     law: DlqrLaw, state: DlqrState, now: Motion, off: Deviation, knots: FloatArray
 ) -> tuple[float, DlqrState]:

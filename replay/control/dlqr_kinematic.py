@@ -32,7 +32,7 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.errors import ConfigError
-from logs.kernel import FloatArray, frozen, kernel
+from logs.kernel import FloatArray, frozen, inner_kernel, kernel
 from logs.vehicle import VehicleParameters
 from replay.control.riccati import solve_riccati
 from replay.plan_path import Deviation, path_kappa
@@ -134,7 +134,7 @@ def kinematic_law(p: VehicleParameters, period: float, config: KinematicDlqrConf
     return KinematicLaw(gains, float(p.wheelbase), float(p.max_steer), lag + 0.5 * period)
 
 
-@kernel
+@inner_kernel
 def steer_rolling(law: KinematicLaw, now: Motion, off: Deviation, knots: FloatArray) -> float:
     """Front wheel angle to command, rad."""
     here = atan(law.wheelbase * path_kappa(knots, off.foot))

@@ -14,7 +14,7 @@ from math import nan
 from typing import NamedTuple
 
 from logs.errors import ConfigError
-from logs.kernel import FloatArray, kernel
+from logs.kernel import FloatArray, inner_kernel, kernel
 from replay.control.pedals import compensated
 from replay.plan_path import Deviation, timed
 from replay.vehicle.base import Motion
@@ -85,7 +85,7 @@ def accelerate_dual_loop(
     return command, SpeedState(integral, m, state.error)
 
 
-@kernel
+@inner_kernel
 def limited(
     wanted: float, error: float, integral: float, train: PedalMap, v: float, period: float
 ) -> tuple[float, float]:

@@ -17,7 +17,7 @@ from math import atan, atan2, hypot, sin
 from typing import NamedTuple
 
 from logs.errors import ConfigError
-from logs.kernel import FloatArray, kernel
+from logs.kernel import FloatArray, inner_kernel
 from logs.vehicle import VehicleParameters
 from replay.plan_path import Deviation, path_point
 from replay.vehicle.base import Motion
@@ -54,7 +54,7 @@ def pursuit_law(p: VehicleParameters, config: PurePursuitConfig | None = None) -
     )  # fmt: skip
 
 
-@kernel
+@inner_kernel
 def steer_pursuing(law: PursuitLaw, now: Motion, off: Deviation, knots: FloatArray) -> float:
     """Front wheel angle to command, rad."""
     wanted = min(max(law.time * now.v, law.shortest), law.longest)  # (1)

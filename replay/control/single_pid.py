@@ -16,7 +16,7 @@ from math import isnan, sin
 from typing import NamedTuple
 
 from logs.errors import ConfigError
-from logs.kernel import kernel
+from logs.kernel import inner_kernel
 from logs.vehicle import VehicleParameters
 from replay.control.pid import SpeedLaw, SpeedState, limited
 from replay.plan_path import Deviation
@@ -68,7 +68,7 @@ def steering_pid_law(p: VehicleParameters, period: float, config: SteeringPidCon
     return SteeringPidLaw(float(c.kp), float(c.ki), float(c.kd), float(c.speed_mps), float(p.max_steer), period)
 
 
-@kernel
+@inner_kernel
 def steer_by_error(law: SteeringPidLaw, integral: float, now: Motion, off: Deviation) -> tuple[float, float]:
     """Front wheel angle to command, rad, and the integral after it."""
     slower = 1.0 + (now.v / law.speed) ** 2
@@ -79,7 +79,7 @@ def steer_by_error(law: SteeringPidLaw, integral: float, now: Motion, off: Devia
     return min(max(command, -law.max_steer), law.max_steer), integral
 
 
-@kernel
+@inner_kernel
 def accelerate_by_error(
     law: SpeedLaw, state: SpeedState, train: PedalMap, now: Motion, off: Deviation
 ) -> tuple[float, SpeedState]:

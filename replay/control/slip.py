@@ -16,7 +16,7 @@ from __future__ import annotations
 from math import isnan, nan
 from typing import NamedTuple
 
-from logs.kernel import kernel
+from logs.kernel import inner_kernel, kernel
 from logs.states import EgoState
 from logs.vehicle import VehicleParameters
 from replay.vehicle.base import Motion, motion_of
@@ -82,7 +82,7 @@ def learned(state: SlipState, car: SlipModel, now: Motion) -> SlipState:
     )  # fmt: skip
 
 
-@kernel
+@inner_kernel
 def nearer(ratio: float, phi: float, alpha: float, period: float) -> float:
     """The ratio after one period."""
     rate = GAIN_PER_S * phi * (alpha - ratio * phi) / (PHI_0_RAD * PHI_0_RAD + phi * phi)  # (3)

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import FloatArray, frozen, kernel
+from logs.kernel import FloatArray, frozen, inner_kernel, kernel
 from logs.states import Command, EgoState
 from logs.trace import Plan
 from logs.vehicle import VehicleParameters
@@ -79,7 +79,7 @@ class SplitState(NamedTuple):
     dlqr: DlqrState
 
 
-@kernel
+@inner_kernel
 def steer(
     law: SplitLaw, state: SplitState, now: Motion, off: Deviation, knots: FloatArray
 ) -> tuple[float, float, DlqrState]:
@@ -99,7 +99,7 @@ def steer(
     return angle, state.steer_integral, state.dlqr
 
 
-@kernel
+@inner_kernel
 def accelerate(
     law: SplitLaw, state: SpeedState, now: Motion, off: Deviation, times: FloatArray
 ) -> tuple[float, SpeedState]:
@@ -109,7 +109,7 @@ def accelerate(
     return accelerate_dual_loop(law.speed, state, law.train, now, off, times)
 
 
-@kernel
+@inner_kernel
 def resting(law: SplitLaw, state: SplitState, now: Motion) -> tuple[float, float, float, SplitState]:
     """The command that holds a standstill, and what is remembered: not where the wheel is, nor what was integrated."""
     throttle, brake, pedal = hold(state.pedal, now.v, now.a)
@@ -119,7 +119,7 @@ def resting(law: SplitLaw, state: SplitState, now: Motion) -> tuple[float, float
     return now.steer, throttle, brake, SplitState(True, pedal, state.stop, AT_REST, state.steer_integral, known)
 
 
-@kernel
+@inner_kernel
 def control(
     law: SplitLaw, state: SplitState, now: Motion, off: Deviation, times: FloatArray, knots: FloatArray
 ) -> tuple[float, float, float, SplitState]:
@@ -155,7 +155,7 @@ def remember(m: FloatArray, s: SplitState) -> None:
     m[13], m[14], m[15], m[16], m[17] = slip.alpha_front, slip.alpha_rear, delay.offset, delay.delay, delay.known
 
 
-@kernel
+@inner_kernel
 def named_law(p: Plain) -> SplitLaw:
     """The law that plain tuples hold (`replay.vehicle.base.plain`)."""
     d = p[2]
@@ -164,7 +164,7 @@ def named_law(p: Plain) -> SplitLaw:
     return SplitLaw(p[0], p[1], dlqr, others[0], others[1], others[2], others[3], SpeedLaw(*p[7]), PedalMap(*p[8]))
 
 
-@kernel
+@inner_kernel
 def control_row(
     law: SplitLaw, memory: FloatArray, wheel: FloatArray, times: FloatArray, knots: FloatArray, rows: FloatArray, k: int
 ) -> tuple[float, float, float]:

@@ -17,7 +17,7 @@ from math import atan, cos, sin
 from typing import NamedTuple
 
 from logs.errors import ConfigError
-from logs.kernel import FloatArray, kernel
+from logs.kernel import FloatArray, inner_kernel
 from logs.states import wrap
 from logs.vehicle import VehicleParameters
 from replay.plan_path import Deviation, path_foot, path_point
@@ -51,7 +51,7 @@ def stanley_law(p: VehicleParameters, config: StanleyConfig | None = None) -> St
     return StanleyLaw(float(c.gain), float(c.softening_mps), float(p.wheelbase), float(p.max_steer))
 
 
-@kernel
+@inner_kernel
 def steer_at_front(law: StanleyLaw, now: Motion, off: Deviation, knots: FloatArray) -> float:
     """Front wheel angle to command, rad."""
     x, y = now.x + law.wheelbase * cos(now.yaw), now.y + law.wheelbase * sin(now.yaw)

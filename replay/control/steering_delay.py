@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import FloatArray, kernel
+from logs.kernel import FloatArray, inner_kernel, kernel
 from logs.vehicle import VehicleParameters
 from replay.control.dlqr_kinematic import SHORTEST_LAG_S
 from replay.control.feedforward import at_speed, kappa_rate, steer_for
@@ -84,7 +84,7 @@ def nothing_known(period: float) -> DelayState:
     return DelayState(np.zeros(round(LONGEST_S / period) + 2), 0.0, 0.0, False)
 
 
-@kernel
+@inner_kernel
 def periods(state: DelayState, model: DelayModel) -> int:
     """Whole periods of the delay."""
     return round(state.delay / model.period)

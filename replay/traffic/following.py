@@ -31,7 +31,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
 from logs.shapes import overlap
 from metrics.reference_drivers import CC_BRAKE_MPS2
 
@@ -87,7 +87,7 @@ class Leaders(NamedTuple):
     accel: FloatArray
 
 
-@kernel
+@inner_kernel
 def desired_gap(v: float, v_lead: float) -> float:
     """The desired gap behind a leader, m."""
     closing = v * (v - v_lead) / (2.0 * sqrt(ACCEL_MPS2 * DECEL_MPS2))
@@ -177,13 +177,13 @@ def taken(boxes: FloatArray, coming: BoolArray, others: BoolArray) -> BoolArray:
     return out
 
 
-@kernel
+@inner_kernel
 def _touch(one: FloatArray, two: FloatArray, narrower: float) -> bool:
     width = max(one[4] - narrower, 0.1)
     return overlap(one[0], one[1], one[2], one[3], width, two[0], two[1], two[2], two[3], two[4])
 
 
-@kernel
+@inner_kernel
 def ego_ahead(paths: Paths, phase: FloatArray, speed: FloatArray, whose: BoolArray, scene: Scene) -> BoolArray:
     """Whether the ego is ahead of each of the vehicles `whose` (5), `(n,)`."""
     n, boxes = len(phase), scene.boxes
@@ -202,7 +202,7 @@ def ego_ahead(paths: Paths, phase: FloatArray, speed: FloatArray, whose: BoolArr
     return out
 
 
-@kernel
+@inner_kernel
 def drives_into(paths: Paths, phase: FloatArray, leaders: Leaders) -> BoolArray:
     """Which vehicles `(n,)`, going on as in the log, drive into their leaders (6)."""
     gap, pace, accel = leaders.gap, leaders.speed, leaders.accel
@@ -224,7 +224,7 @@ def drives_into(paths: Paths, phase: FloatArray, leaders: Leaders) -> BoolArray:
     return out
 
 
-@kernel
+@inner_kernel
 def leaders(
     paths: Paths, phase: FloatArray, speed: FloatArray, whose: BoolArray, heeds: BoolArray, scene: Scene
 ) -> Leaders:
@@ -251,7 +251,7 @@ def leaders(
     return out
 
 
-@kernel
+@inner_kernel
 def _nearby(i: int, reach: float, scene: Scene, near: IntArray, heeds: bool) -> int:
     """Who may be in the way of vehicle i, into `near`; how many; the ego only if it heeds it."""
     boxes, count = scene.boxes, 0
@@ -265,7 +265,7 @@ def _nearby(i: int, reach: float, scene: Scene, near: IntArray, heeds: bool) -> 
     return count
 
 
-@kernel
+@inner_kernel
 def _first_touched(
     paths: Paths, i: int, phase: float, reach: float, boxes: FloatArray, near: IntArray
 ) -> tuple[float, int, float, float, float]:
@@ -296,7 +296,7 @@ def _first_touched(
     return inf, -1, 0.0, 0.0, 0.0
 
 
-@kernel
+@inner_kernel
 def _moved(box: FloatArray, leap: FloatArray, u: float) -> FloatArray:
     """A box after the part u of a leap (x, y, yaw)."""
     out = box.copy()
@@ -305,7 +305,7 @@ def _moved(box: FloatArray, leap: FloatArray, u: float) -> FloatArray:
     return out
 
 
-@kernel
+@inner_kernel
 def _touch_at(
     begin: FloatArray, leap: FloatArray, low: float, high: float, other: FloatArray, narrower: float
 ) -> float:

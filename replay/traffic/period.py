@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, kernel
+from logs.kernel import BoolArray, FloatArray, inner_kernel, kernel
 from replay.traffic.following import (
     ACCEL_MPS2,
     STANDING_MPS,
@@ -166,7 +166,7 @@ def advance(
         now.there[i] = now.there[i] and now.phase[i] <= ends + 1e-9
 
 
-@kernel
+@inner_kernel
 def wanted_speed(
     v: float, found: Leaders, i: int, held: float, room: float, logged: float, needed: bool
 ) -> tuple[float, bool]:

@@ -28,7 +28,7 @@ from math import atan, ceil, cos, sin, tan
 from typing import TYPE_CHECKING, NamedTuple
 
 from logs.errors import ConfigError
-from logs.kernel import FloatArray, kernel
+from logs.kernel import FloatArray, inner_kernel, kernel
 from logs.states import Command, EgoState
 from logs.vehicle import VehicleParameters
 from replay.vehicle.base import Motion, Plain, plain
@@ -91,7 +91,7 @@ def derivative(state: State, command: tuple[float, float, float], rolling: bool,
     )
 
 
-@kernel
+@inner_kernel
 def moved(state: State, rate: State, h: float) -> State:
     """The state after `h` s at a constant rate."""
     return State(
@@ -100,7 +100,7 @@ def moved(state: State, rate: State, h: float) -> State:
     )  # fmt: skip
 
 
-@kernel
+@inner_kernel
 def runge_kutta(state: State, command: tuple[float, float, float], rolling: bool, car: Kinematics, h: float) -> State:
     """One classical step of order 4 over `h` s."""
     k1 = derivative(state, command, rolling, car)

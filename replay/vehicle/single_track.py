@@ -31,7 +31,7 @@ from __future__ import annotations
 from math import atan, atan2, ceil, cos, sin, sqrt, tan
 from typing import TYPE_CHECKING, NamedTuple
 
-from logs.kernel import kernel
+from logs.kernel import inner_kernel, kernel
 from logs.states import Command, EgoState
 from logs.vehicle import VehicleParameters
 from replay.vehicle.base import Motion, Plain, plain
@@ -89,14 +89,14 @@ class Car(NamedTuple):
     substep: float
 
 
-@kernel
+@inner_kernel
 def named_car(p: Plain) -> Car:
     """The car that plain tuples hold (`replay.vehicle.base.plain`)."""
     front, rear, drive = Tyre(*p[5]), Tyre(*p[6]), Drive(*p[8])
     return Car(p[0], p[1], p[2], p[3], p[4], front, rear, p[7], drive, p[9], p[10], p[11], p[12], p[13], p[14])
 
 
-@kernel
+@inner_kernel
 def floored(u: float) -> float:
     """floor(u), m/s."""
     u = abs(u)
@@ -110,7 +110,7 @@ def slides(s: State, car: Car) -> bool:
     return abs(lateral) > SLIDING_MPS or abs(s.vy - car.b * s.r) > SLIDING_MPS
 
 
-@kernel
+@inner_kernel
 def along(u: float, direction: float) -> float:
     """How a wheel moves, for friction: as the vehicle does, or where that slides (0) by its own speed u, m/s."""
     return direction if direction != 0.0 else min(max(u / TURNOVER_MPS, -1.0), 1.0)
@@ -149,7 +149,7 @@ def wheel_forces(s: State, direction: float, gear: int, car: Car) -> tuple[float
     return fx_front, fy_front, fx_rear, fy_rear
 
 
-@kernel
+@inner_kernel
 def rate(s: State, command: tuple[float, float, float], moves: bool, direction: float, gear: int, car: Car) -> State:
     """(1)-(8): the state's rate; only the actuators move where the vehicle does not."""
     steer = steer_rate(s.steer, command[0], car.steering)
@@ -172,7 +172,7 @@ def rate(s: State, command: tuple[float, float, float], moves: bool, direction: 
     )  # fmt: skip
 
 
-@kernel
+@inner_kernel
 def moved(s: State, k: State, h: float) -> State:
     """The state after `h` s at a constant rate."""
     return State(
@@ -181,7 +181,7 @@ def moved(s: State, k: State, h: float) -> State:
     )  # fmt: skip
 
 
-@kernel
+@inner_kernel
 def runge_kutta(
     s: State, command: tuple[float, float, float], moves: bool, direction: float, gear: int, car: Car, h: float
 ) -> State:

@@ -57,7 +57,7 @@ def lateral_table(p: VehicleParameters, h: float) -> FloatArray:
 def _slipping(v: float, p: VehicleParameters, h: float) -> FloatArray:
     body, steered = body_model(v, p)
     A = np.zeros((5, 5))
-    A[0, [1, 2]] = 1.0, v
+    A[0, [1, 2]] = 1.0, v  # (2)
     A[2, 3] = 1.0
     A[np.ix_([1, 3], [1, 3])] = body
     A[[1, 3], 4] = steered
@@ -121,10 +121,10 @@ def predicted(along: FloatArray, table: FloatArray, v_0: float, h: float) -> tup
         decay = exp(-h / lag)
         once = lag * (1.0 - decay)
         twice = lag * (h - once)
-        A[k, 0, 0], A[k, 0, 1], A[k, 0, 2] = 1.0, h, twice
+        A[k, 0, 0], A[k, 0, 1], A[k, 0, 2] = 1.0, h, twice  # (1), (4)
         A[k, 1, 1], A[k, 1, 2], A[k, 2, 2] = 1.0, once, decay
         B[k, 0, 0], B[k, 1, 0], B[k, 2, 0] = 0.5 * h * h - twice, h - once, 1.0 - decay
-        now, then = 1.0 + (v / v_0) ** 2, 1.0 + (along[k + 1, 0] / v_0) ** 2
+        now, then = 1.0 + (v / v_0) ** 2, 1.0 + (along[k + 1, 0] / v_0) ** 2  # (3)
         i, u = at_speed(table, v)
         for row in range(5):
             for column in range(6):

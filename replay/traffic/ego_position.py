@@ -85,10 +85,10 @@ class ReplayedByEgoPosition:
         ahead = self._station + max(ego.v, 0.0) * PERIOD_S
         most = FASTEST * PERIOD_S
         if self._stood > STUCK_S + 1e-9 or ahead >= self._log_s[-1]:
-            self._phase += PERIOD_S
+            self._phase += PERIOD_S  # (3)
             self._delay = max(self._delay, self._phase - self._latest(self._station))
         else:
-            self._phase += min(max(self._earliest(ahead) + self._delay - self._phase, 0.0), most)
+            self._phase += min(max(self._earliest(ahead) + self._delay - self._phase, 0.0), most)  # (1), (2)
 
     def _earliest(self, s: float) -> float:
         """The first log time at which the logged ego had come to `s`, s."""

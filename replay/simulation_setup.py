@@ -131,7 +131,7 @@ def _vehicle_notes(config: LoopConfig) -> list[str]:
         notes.append(f"each plan but the first is driven from {config.plan_delay_s:g} s after its frame on")
     if config.plant:
         said = ", ".join(f"{key} = {value}" for key, value in config.plant.items())
-        notes.append(f"the vehicle model differs from what planner and controller are told: {said}")
+        notes.append(f"the vehicle model differs from what planner and controller believe: {said}")
     return notes
 
 

@@ -17,7 +17,7 @@ from replay.world import World, box_center, contact
 
 WAY = drive(straight, 10.0, 6.0)
 N = 300
-CAR_AHEAD = tracks(track("1", [0.0, 6.0], [45.0, 45.0], [1.0, 1.0]))
+CAR_AHEAD = tracks(track("1", np.arange(0.0, 6.1, 0.5), np.full(13, 45.0), np.full(13, 1.0)))
 LOG = replace(scenario(WAY, agents=CAR_AHEAD), road=lanes_along(WAY))
 GOAL = Goal((square(35.0, 0.0, 3.0),), v=(0.0, 8.0))
 

@@ -25,7 +25,7 @@ from logs.trace import Plan
 from logs.vehicle import VehicleParameters
 from replay.control import CONTROLLERS
 from replay.experiments.manoeuvres import PERIOD_S, s_curve
-from replay.rig import controller_of
+from replay.simulation_setup import controller_of
 from replay.vehicle import VEHICLES
 
 SOLVES_EVERY = {"mpc": 5}

@@ -34,6 +34,15 @@ def kernel(function: Callable[P, R]) -> Callable[P, R]:
     return cast("Callable[P, R]", njit(cache=True, error_model="numpy")(function))
 
 
+def inner_kernel(function: Callable[P, R]) -> Callable[P, R]:
+    """A kernel that only kernels call: compiled without the code that takes Python's objects apart.
+
+    For a small one whose arguments are named tuples, that is most of what there is to compile.
+    """
+    unlisted: Any = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}  # numba knows them, its types do not
+    return cast("Callable[P, R]", njit(cache=True, error_model="numpy", **unlisted)(function))
+
+
 def frozen(values: object, dtype: Any = np.float64) -> NDArray[Any]:
     """A contiguous array of `values` over an immutable buffer (bytes): a private copy unless it is one already.
 

@@ -7,14 +7,14 @@ from types import MappingProxyType
 
 from logs.errors import PlannerError
 from logs.scenario import Scenario
-from logs.trace import EndReason, Mode, Trace
+from logs.trace import EndReason, Mode, Plan, Trace
 from replay.drive import DEFAULT_LOOP, Drive, LoopConfig
-from replay.ending import Ending
-from replay.journal import Journal
 from replay.latency import Latency
 from replay.perception import Perception
 from replay.planning import Planning
-from replay.rig import Rig
+from replay.simulation_setup import SimulationSetup
+from replay.termination import Ended, Termination
+from replay.trace_recorder import TraceRecorder
 
 
 def run_closed_loop(
@@ -33,49 +33,50 @@ def run_closed_loop(
         ConfigError: A name of `config` or a keyword of the planner is unknown.
         PlannerError: The planner cannot be loaded or built. (One that fails while driving ends the drive.)
     """
-    rig = Rig.of(scenario, config)
-    world, latency = rig.world(), Latency(config.plan_delay_steps)
+    setup = SimulationSetup.of(scenario, config)
+    world, latency = setup.world(), Latency(config.plan_delay_steps)
     planning = Planning(scenario, planner, planner_config, config, world.ego)
     perception = Perception(scenario, config)
-    ending = Ending(scenario, planning.goal, world)
-    journal = Journal(len(rig.steps) + 1)
-    end = (EndReason.END_OF_LOG, "")
+    termination = Termination(scenario, planning.goal, world.ego)
+    recorder, period = TraceRecorder(setup.steps, setup.vehicle), setup.plan_period()
+    plan: Plan | None = None
+    end: Ended | None = None
+    step = 0
 
-    for step in rig.steps:
-        if step % rig.steps_per_plan == 0:
+    while end is None and step < setup.steps:
+        if step % setup.steps_per_plan == 0:
             try:
                 frame = perception.frame(world, latency.before(step))
                 made = planning.plan(frame)
             except PlannerError as failure:
-                end = (EndReason.PLANNER_FAILURE, str(failure))
+                end = Ended(step, EndReason.PLANNER_FAILURE, str(failure))
                 break
-            journal.planned(frame, made)
+            recorder.planned(frame, made)
             latency.planned(step, made)
         plan = latency.at(step)
-        command = rig.controller.control(world.ego, plan)
-        journal.add(world.ego, command, rig.vehicle.actuation, plan)
-        rig.vehicle.step(command, rig.period)
-        world = rig.world()
-        ended = ending.of(world)
-        if ended:
-            end = ended
-            break
+        until = min(setup.horizon(step, period.most_steps), latency.changes(step))
+        period.run(plan, recorder.rows, step, until - step)
+        end = termination.first(recorder.rows, step + 1, until, world.tracks)
+        if end is None:
+            world = setup.world()
+            end = termination.first(recorder.rows, until, until + 1, world.tracks)
+        step = until
 
-    journal.close(world.ego, rig.vehicle.actuation)
+    recorder.close(end.row if end else step, plan)
     trace = Trace(
         scenario=scenario.name,
         planner=planner,
         mode=Mode.CLOSED,
         oracle=planning.is_oracle or perception.is_oracle,
-        ego=journal.ego,
+        ego=recorder.ego,
         agents=world.tracks,
-        frames=tuple(journal.frames),
-        end=end[0],
-        detail=end[1],
-        commands=journal.commands,
-        actuation=journal.actuation,
-        tracking=journal.errors,
-        notes=(*planning.notes, *perception.notes, *rig.notes, *rig.told),
+        frames=tuple(recorder.frames),
+        end=end.reason if end else EndReason.END_OF_LOG,
+        detail=end.detail if end else "",
+        commands=recorder.commands,
+        actuation=recorder.actuation,
+        tracking=recorder.errors,
+        notes=(*planning.notes, *perception.notes, *setup.notes),
         perceived=perception.shown,
     )
     return Drive(trace, tuple(planning.timings))

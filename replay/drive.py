@@ -1,4 +1,4 @@
-"""What a loop is told, and what it gives back."""
+"""What a loop is configured by, and what it gives back."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class LoopConfig:
         plan_period_s: Time between two frames.
         control_period_s: Time between two commands; the plan period is a multiple of it.
         vehicle: Name in `replay.vehicle.VEHICLES`.
-        plant: What the vehicle model has that planner and controller are not told: VehicleParameters by name, and
+        plant: What the vehicle model has that planner and controller do not know of: VehicleParameters by name, and
             keywords of the model (`replay.vehicle.plant`).
         controller: Name in `replay.control.CONTROLLERS`; the vehicle "perfect" needs none.
         traffic: Name in `replay.traffic.TRAFFIC`.

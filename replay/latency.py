@@ -6,6 +6,8 @@ from collections import deque
 
 from logs.trace import Plan
 
+NEVER = 1 << 62
+
 
 class Latency:
     """Plans on their way: each is driven from `delay` control steps after its frame on; the first one at once.
@@ -30,6 +32,10 @@ class Latency:
         """A plan was made of the frame at `step`."""
         self._coming.append((step + self._delay, plan))
         self.driven = self.driven or plan
+
+    def changes(self, step: int) -> int:
+        """The first step after `step` at which another plan may come to be driven; NEVER where none is on its way."""
+        return next((due for due, _ in self._coming if due > step), NEVER)
 
     def at(self, step: int) -> Plan:
         """The plan to drive at `step`, after the first was made; steps do not decrease."""

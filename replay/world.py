@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import atan, cos, sin
+from math import atan, cos, hypot, sin
+from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
 from logs.scenario import Tracks
 from logs.shapes import overlap
 from logs.states import EgoState, Trajectory
 from logs.vehicle import VehicleParameters
 from metrics.phantoms import Phantom
 from planners.constant_speed import arc
+
+ROUNDING_M = 1e-6
+"""Boxes whose centres are farther apart than half of their diagonals and this cannot touch."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,47 +46,103 @@ def logged_ego(log: Trajectory, vehicle: VehicleParameters, t: float) -> EgoStat
     return replace(state, t=t, steer=atan(vehicle.wheelbase * state.kappa), yaw_rate=state.v * state.kappa)
 
 
-def contact(world: World, vehicle: VehicleParameters, left_out: tuple[Phantom, ...] = ()) -> int:
-    """Index into `world.tracks` of the first agent whose box touches the ego's, as they truly are; -1: none.
+class EgoBox(NamedTuple):
+    """The ego's box: its centre `ahead` of the rear axle, length, width, m."""
 
-    Who is one of the phantoms `left_out` at that time does not count.
+    ahead: float
+    length: float
+    width: float
+
+
+def ego_box(vehicle: VehicleParameters) -> EgoBox:
+    """The box of a vehicle."""
+    return EgoBox(float(vehicle.axle_to_center), float(vehicle.length), float(vehicle.width))
+
+
+class AgentBoxes(NamedTuple):
+    """`Tracks` as kernels take them, ragged likewise; and who is not there when.
+
+    Attributes:
+        offsets: Of `Tracks`, as all but the last.
+        static: Likewise.
+        t: Likewise.
+        gap_after: Likewise.
+        x: Likewise.
+        y: Likewise.
+        yaw: Likewise.
+        length: Likewise.
+        width: Likewise.
+        absent: `(k, 3)`: track, and between which times it does not count, s.
     """
-    tracks, ego = world.tracks, world.ego
-    if not len(tracks):
-        return -1
-    counts = np.ones(len(tracks), np.bool_)
-    for phantom in left_out:
-        if phantom.agent in tracks.ids:
-            counts[tracks.ids.index(phantom.agent)] &= not phantom.t_from < ego.t < phantom.t_to
-    x, y = box_center(ego, vehicle)
-    return _first_contact(
-        counts, tracks.offsets, tracks.static, tracks.t, tracks.gap_after, tracks.x, tracks.y, tracks.yaw,
-        tracks.length, tracks.width, ego.t, x, y, ego.yaw, vehicle.length, vehicle.width,
+
+    offsets: IntArray
+    static: BoolArray
+    t: FloatArray
+    gap_after: BoolArray
+    x: FloatArray
+    y: FloatArray
+    yaw: FloatArray
+    length: FloatArray
+    width: FloatArray
+    absent: FloatArray
+
+
+def agent_boxes(tracks: Tracks, left_out: tuple[Phantom, ...] = ()) -> AgentBoxes:
+    """The tracks, without the phantoms `left_out`."""
+    place = {agent: i for i, agent in enumerate(tracks.ids)} if left_out else {}
+    absent = [(place[one.agent], one.t_from, one.t_to) for one in left_out if one.agent in place]
+    return AgentBoxes(
+        tracks.offsets, tracks.static, tracks.t, tracks.gap_after, tracks.x, tracks.y, tracks.yaw,
+        tracks.length, tracks.width, np.array(absent, float).reshape(-1, 3),
     )  # fmt: skip
 
 
+def contact(world: World, vehicle: VehicleParameters, left_out: tuple[Phantom, ...] = ()) -> int:
+    """Index of the first agent whose box touches the ego's, as they truly are; -1: none.
+
+    The phantoms `left_out` do not count while they are phantoms.
+    """
+    ego = world.ego
+    row = np.array([[ego.t, ego.x, ego.y, ego.yaw]])
+    return touched(row, 0, 1, ego_box(vehicle), agent_boxes(world.tracks, left_out))[1]
+
+
 @kernel
-def _first_contact(
-    counts: BoolArray, offsets: IntArray, static: BoolArray, t: FloatArray, gap_after: BoolArray, xs: FloatArray,
-    ys: FloatArray, yaws: FloatArray, lengths: FloatArray, widths: FloatArray,
-    now: float, x: float, y: float, yaw: float, length: float, width: float,
-) -> int:  # fmt: skip
-    """The first track that counts whose box, where `Tracks.truth(now)` has it, overlaps the given one."""
-    for i in range(len(offsets) - 1):
-        first, end = offsets[i], offsets[i + 1]
-        k, u = first, 0.0
-        if not counts[i]:
-            continue
-        if not static[i]:
-            k = first + np.searchsorted(t[first:end], now + 1e-9, side="right") - 1
-            if k < first or t[end - 1] < now - 1e-9:
+def touched(rows: FloatArray, first: int, end: int, car: EgoBox, agents: AgentBoxes) -> tuple[int, int]:
+    """The first of the rows t, x, y, yaw from `first` to before `end` at which the ego touches an agent, and which.
+
+    Row `end` and agent -1 where it touches none; of several at one row, the first.
+    """
+    own, who = hypot(car.length, car.width), -1
+    for i in range(len(agents.offsets) - 1):
+        near = 0.5 * (own + hypot(agents.length[i], agents.width[i])) + ROUNDING_M
+        for r in range(first, end):
+            there, x, y, yaw = agent_at(agents, i, rows[r, 0])
+            if not there:
                 continue
-            if gap_after[k] and now > t[k] + 1e-9:
-                continue
-            if k + 1 < end:
-                u = min(max((now - t[k]) / (t[k + 1] - t[k]), 0.0), 1.0)
-        j = min(k + 1, end - 1) if u > 0.0 else k
-        ax, ay = xs[k] + u * (xs[j] - xs[k]), ys[k] + u * (ys[j] - ys[k])
-        if overlap(x, y, yaw, length, width, ax, ay, yaws[k] + u * (yaws[j] - yaws[k]), lengths[i], widths[i]):
-            return i
-    return -1
+            ex, ey = rows[r, 1] + car.ahead * cos(rows[r, 3]), rows[r, 2] + car.ahead * sin(rows[r, 3])
+            if (x - ex) ** 2 + (y - ey) ** 2 <= near * near and overlap(
+                ex, ey, rows[r, 3], car.length, car.width, x, y, yaw, agents.length[i], agents.width[i]
+            ):
+                end, who = r, i
+                break
+    return end, who
+
+
+@inner_kernel
+def agent_at(agents: AgentBoxes, i: int, now: float) -> tuple[bool, float, float, float]:
+    """Whether agent i is in the scene at `now`, s, and x, y, yaw of its box, as `Tracks.truth` has it."""
+    t, first, end = agents.t, agents.offsets[i], agents.offsets[i + 1]
+    k, u = first, 0.0
+    if not agents.static[i]:
+        k = first + np.searchsorted(t[first:end], now + 1e-9, side="right") - 1
+        if k < first or t[end - 1] < now - 1e-9 or (agents.gap_after[k] and now > t[k] + 1e-9):
+            return False, 0.0, 0.0, 0.0
+        if k + 1 < end:
+            u = min(max((now - t[k]) / (t[k + 1] - t[k]), 0.0), 1.0)
+    for c in range(len(agents.absent)):
+        if agents.absent[c, 0] == i and agents.absent[c, 1] < now < agents.absent[c, 2]:
+            return False, 0.0, 0.0, 0.0
+    j = min(k + 1, end - 1) if u > 0.0 else k
+    x, y, yaw = agents.x, agents.y, agents.yaw
+    return True, x[k] + u * (x[j] - x[k]), y[k] + u * (y[j] - y[k]), yaw[k] + u * (yaw[j] - yaw[k])

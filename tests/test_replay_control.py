@@ -13,15 +13,15 @@ from scipy.linalg import solve_discrete_are
 
 from logs import ConfigError, EgoState, Plan, Trajectory, VehicleParameters
 from replay.control import CONTROLLERS
-from replay.control.dlqr_kinematic import KinematicDlqr as Dlqr
 from replay.control.dlqr_kinematic import KinematicDlqrConfig as DlqrConfig
-from replay.control.dlqr_kinematic import error_model, regulator
+from replay.control.dlqr_kinematic import error_model, gain, kinematic_law, regulator
 from replay.control.lateral_model import with_rigid_tyres
 from replay.control.pedals import HYSTERESIS_MPS2, Pedals
-from replay.control.pid import DualLoopPid, PidConfig
+from replay.control.pid import AT_REST, PidConfig, accelerate_dual_loop, dual_loop_law
 from replay.control.riccati import solve_riccati
-from replay.control.tracking import PlanPath
+from replay.plan_path import PlanPath
 from replay.vehicle import VEHICLES
+from replay.vehicle.base import motion_of
 from replay.vehicle.powertrain import PedalPowertrain
 
 CAR = VehicleParameters()
@@ -76,7 +76,8 @@ def test_what_cannot_be_stabilised_is_said() -> None:
 @pytest.mark.parametrize("v", [0.1, 0.2, *SPEEDS, 60.0])
 def test_the_tabulated_gain_is_stable(v: float) -> None:
     A, B = error_model(v, CAR.wheelbase, CAR.steer_lag, PERIOD)
-    K = np.array([Dlqr(CAR, PERIOD).gain(v)])
+    gains = kinematic_law(CAR, PERIOD).gains
+    K = np.array([[gain(gains, v, column) for column in range(3)]])
     assert np.abs(np.linalg.eigvals(A - B @ K)).max() < 1.0
 
 
@@ -94,10 +95,10 @@ def test_the_error_model_is_the_exact_hold() -> None:
 
 
 def test_gains_between_the_rows_are_close_to_the_solution() -> None:
-    dlqr = Dlqr(CAR, PERIOD)
+    gains = kinematic_law(CAR, PERIOD).gains
     for v in (2.25, 7.75, 20.3, 44.9):
         exact = regulator(v, CAR.wheelbase, CAR.steer_lag, PERIOD, DlqrConfig()).K[0]
-        np.testing.assert_allclose(dlqr.gain(v), exact, rtol=2e-2)
+        np.testing.assert_allclose([gain(gains, v, column) for column in range(3)], exact, rtol=2e-2)
 
 
 def test_weights_that_make_no_sense_are_refused() -> None:
@@ -217,13 +218,15 @@ def test_pedals_do_not_alternate_with_noise() -> None:
 def test_the_integral_does_not_wind_up() -> None:
     """Ten seconds of an unreachable plan leave no more integral than the first of them."""
     plan = PlanPath.of(drive(np.zeros_like, 40.0, 12.0))
-    pid = DualLoopPid(TRAIN, PERIOD)
+    law, memory = dual_loop_law(PERIOD), AT_REST
     for k in range(1000):
         state = EgoState(k * PERIOD, 0.0, 0.0, 0.0, 5.0)
-        wanted = pid.accelerate(state, plan, plan.deviation(state))
+        off = plan.deviation(state)
+        wanted, memory = accelerate_dual_loop(law, memory, TRAIN.pedal_map, motion_of(state), off, plan.times)
     assert wanted == pytest.approx(TRAIN.coasting(5.0) + TRAIN.full_throttle(5.0))
     calm = EgoState(10.0, 400.0, 0.0, 0.0, 40.0)
-    assert abs(pid.accelerate(calm, plan, plan.deviation(calm))) < 0.1
+    off = plan.deviation(calm)
+    assert abs(accelerate_dual_loop(law, memory, TRAIN.pedal_map, motion_of(calm), off, plan.times)[0]) < 0.1
 
 
 def stop_and_go(t: np.ndarray) -> np.ndarray:

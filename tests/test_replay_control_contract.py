@@ -14,7 +14,7 @@ from logs import Command, EgoState, Plan, Trajectory, VehicleParameters
 from logs.catalogue import CATALOGUE
 from replay.control import CONTROLLERS
 from replay.control.base import Controller
-from replay.rig import controller_of
+from replay.simulation_setup import controller_of
 from replay.vehicle import VEHICLES
 
 CAR = VehicleParameters()

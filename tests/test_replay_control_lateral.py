@@ -13,10 +13,10 @@ from scipy.linalg import solve_discrete_are
 
 from logs import ConfigError, EgoState, Plan, Trajectory, VehicleParameters
 from replay.control import CONTROLLERS
-from replay.control.dlqr import Dlqr, DlqrConfig, regulator
-from replay.control.dlqr_kinematic import KinematicDlqrConfig
+from replay.control.dlqr import DlqrConfig, regulator, schedule
+from replay.control.dlqr_kinematic import KinematicDlqrConfig, gain
 from replay.control.dlqr_kinematic import regulator as kinematic_regulator
-from replay.control.exact import commanded, following_at, slip_table, steer_for
+from replay.control.feedforward import commanded, following_at, slip_table, steer_for
 from replay.control.lateral_model import (
     DISCRETISATIONS,
     at_rear_axle,
@@ -28,8 +28,8 @@ from replay.control.lateral_model import (
     with_steering,
 )
 from replay.control.slip import Slip
-from replay.control.tracking import PlanPath
-from replay.rig import controller_of
+from replay.plan_path import PlanPath
+from replay.simulation_setup import controller_of
 from replay.vehicle import VEHICLES
 
 CAR = VehicleParameters()
@@ -46,6 +46,12 @@ def track(plan: Trajectory, vehicle: str, name: str = "dlqr_pid", plant: Vehicle
         rows.append(path.deviation(car.state).lateral)
         car.step(controller.control(car.state, one), PERIOD)
     return np.array(rows)
+
+
+def gains_at(v: float) -> list[float]:
+    """K from the table."""
+    table = schedule(CAR, PERIOD, DlqrConfig())
+    return [gain(table, v, column) for column in range(5)]
 
 
 # --- the model
@@ -147,7 +153,7 @@ def test_the_gain_is_the_librarys(v: float) -> None:
 def test_the_tabulated_gain_is_stable_at_all_speeds(v: float) -> None:
     A, col, _ = at_rear_axle(error_model(v, CAR), v, CAR)
     A, col = held(*(lambda a, b: (a, b[:, None]))(*with_steering(A, col, CAR.steer_lag)), PERIOD)
-    K = np.array([Dlqr(CAR, PERIOD).gain(v)])
+    K = np.array([gains_at(v)])
     assert np.abs(np.linalg.eigvals(A - col @ K)).max() < 1.0
 
 
@@ -202,7 +208,7 @@ def test_the_series_solves_the_equations_of_motion(v: float, pace: float) -> Non
 def test_steady_error_on_the_linear_plant_is_zero(radius: float, v: float) -> None:
     """The radii and speeds of limits.md (iv), where a feed-forward without k_3 leaves 23 to 51 mm."""
     A, col, E = at_rear_axle(error_model(v, CAR), v, CAR)
-    (p0, d), K = following_at(slip_table(CAR), CAR.wheelbase, (1.0, 1.0), v), Dlqr(CAR, PERIOD).gain(v)
+    (p0, d), K = following_at(slip_table(CAR), CAR.wheelbase, (1.0, 1.0), v), gains_at(v)
     gain, kappa = np.array(K[:4]), 1.0 / radius
 
     def steady(with_k3: float) -> float:

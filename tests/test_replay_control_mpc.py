@@ -11,15 +11,16 @@ from scipy import sparse
 
 from logs import Command, ConfigError, EgoState, Plan, Trajectory, VehicleParameters
 from planners.qp import QPConfig, QuadraticProgram
-from replay.control.exact import slip_table
+from replay.control.feedforward import slip_table
 from replay.control.lateral_model import body_model, with_rigid_tyres
 from replay.control.mpc import Mpc, MpcConfig, TrackingProgram
 from replay.control.mpc_model import GRAVITY, INPUTS, LIMITS, SIDES, STATES, entered, lateral_table, limits, predicted
 from replay.control.quintic import quintic, resampled
-from replay.control.tracking import PlanPath
-from replay.rig import controller_of
+from replay.plan_path import PlanPath
+from replay.simulation_setup import controller_of
 from replay.vehicle import VEHICLES
 from replay.vehicle.drivetrain import Drivetrain
+from replay.vehicle.pedal_map import NO_MOTOR, PedalMap
 
 CAR = VehicleParameters()
 TRAIN = Drivetrain(CAR)
@@ -136,9 +137,9 @@ def test_limits_are_respected(lateral: float, heading: float, speed: float) -> N
     v = 15.0
     along = stage(drive(lambda s: np.full_like(s, 0.02), v, 12.0), 1.0, v)
     A, B = predicted(along, lateral_table(CAR, CONFIG.step_s), CONFIG.speed_mps, CONFIG.step_s)
-    reach = np.tile([-3.0, 1.0], (CONFIG.steps, 1))
+    train = PedalMap(1.0, 1e3, 3.0, 0.0, 0.0, NO_MOTOR, NO_MOTOR, 0.1, 0.1, 0.0)
     grip = 0.7 * GRAVITY
-    bounds = limits(along, reach, grip, (CAR.max_steer, CAR.max_steer_rate), CONFIG.speed_mps, CONFIG.step_s)
+    bounds = limits(along, train, grip, (CAR.max_steer, CAR.max_steer_rate), CONFIG.speed_mps, CONFIG.step_s)
     xi = np.array([0.0, speed, 0.0, lateral, 0.0, heading, 0.0, 0.0])
     result = TrackingProgram(CONFIG).solve(xi, np.zeros(INPUTS), A, B, bounds, fresh=True)
     assert result.report.solved, result.report.status

@@ -21,8 +21,8 @@ from logs.kernel import FloatArray
 from replay.closed_loop import run_closed_loop
 from replay.drive import LoopConfig
 from replay.traffic import TRAFFIC, Reactive
-from replay.traffic.cast import Cast
 from replay.traffic.following import ACCEL_MPS2, HARDEST_MPS2, STANDSTILL_M, TIME_GAP_S, enhanced_idm
+from replay.traffic.phase_replay import PhaseReplay, played
 from replay.world import World, contact, logged_ego
 
 T = np.round(np.arange(0.0, 12.01, 0.1), 9)
@@ -616,6 +616,6 @@ def test_who_is_not_in_the_log_for_a_while_is_not_in_the_traffic() -> None:
     """A track with a gap of 3 s: nobody drives there in reactive traffic either."""
     t = np.r_[np.arange(0.0, 2.05, 0.1), np.arange(5.0, 8.05, 0.1)]
     log = scenario(drive(straight, 10.0, 8.0), agents=tracks(track("7", t, 30.0 + 10.0 * t, 0.0 * t)))
-    cast = Cast(log.tracks)
-    there = [bool(cast.at(np.array([now])).there[0]) for now in (1.0, 2.0, 3.5, 5.0, 6.0)]
+    replay = PhaseReplay(log.tracks)
+    there = [bool(played(replay.logged, 0, now)[5]) for now in (1.0, 2.0, 3.5, 5.0, 6.0)]
     assert there == [True, True, False, True, True]

@@ -11,12 +11,9 @@ from hypothesis import strategies as st
 
 from logs import Command, EgoState, VehicleParameters
 from replay.vehicle import VEHICLES
-from replay.vehicle.kinematic_bicycle import KinematicBicycle, advance
-from replay.vehicle.powertrain import PedalPowertrain
+from replay.vehicle.kinematic_bicycle import KinematicBicycle, State, advance, kinematics_of
 
 CAR = VehicleParameters()
-LAGS = (CAR.throttle_lag, CAR.brake_lag)
-STEERING = (CAR.max_steer, CAR.max_steer_rate, CAR.steer_lag)
 PEDAL = st.floats(0.0, 1.0)
 STEER = st.floats(-1.0, 1.0)
 
@@ -39,8 +36,8 @@ def test_constant_steer_is_a_circle(v: float, steer: float) -> None:
 
 def test_integration_is_of_order_four() -> None:
     """The error of a smooth manoeuvre falls with the fourth power of the sub-step."""
-    start = (0.0, 0.0, 0.0, 12.0, 0.0, 0.0, 0.1)
-    arguments = ((0.03, 0.3, 0.0), (CAR.wheelbase, 0.0), STEERING, LAGS, PedalPowertrain(CAR).limits, 1.0)
+    start = State(0.0, 0.0, 0.0, 12.0, 0.0, 0.0, 0.1)
+    arguments = ((0.03, 0.3, 0.0), kinematics_of(CAR), 1.0)
     exact = np.array(advance(start, *arguments, 20_000))
     steps = np.array([10, 20, 40, 80])
     errors = [np.abs(np.array(advance(start, *arguments, int(n))) - exact).max() for n in steps]

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from logs import Command, EgoState, VehicleParameters
 from logs.vehicle import vehicle_names, vehicle_parameters
-from replay.vehicle.dead_time import DeadTime
+from replay.vehicle.dead_time import pending, spans
 from replay.vehicle.drivetrain import (
     MIN_HOLD_S,
     Drivetrain,
@@ -135,9 +135,10 @@ def test_a_load_leaves_the_forces() -> None:
 @given(st.integers(0, 300), st.lists(st.floats(0.0, 1.0), min_size=1, max_size=40))
 def test_dead_time_delays_and_loses_nothing(delay_ms: int, commands: list[float]) -> None:
     delay = delay_ms / 1e3
-    line, t, effect = DeadTime(delay, -1.0), 0.0, []
+    line, t, effect = pending(delay, -1.0), 0.0, []
     for command in commands:
-        for span, value in line.advance(command, 0.01):
+        found, line = spans(line, command, 0.01)
+        for span, value in found:
             assert span > 0.0
             effect.append((t, value))
             t += span

@@ -65,9 +65,9 @@ def test_in_the_loop_it_has_no_tracking_error_and_the_trace_says_so() -> None:
 def test_the_plant_may_differ_from_what_is_told() -> None:
     plant: dict[str, float | str] = {"mass": 1.2 * CAR.mass, "tyre_friction": 0.4, "tyre": "fiala", "grade": 0.02}
     car = build(SingleTrack, "single_track", CAR, START, plant)
-    assert (car.car.mass, car.car.front.friction) == (pytest.approx(1.2 * CAR.mass), 0.4)
+    assert (car.model.mass, car.model.front.friction) == (pytest.approx(1.2 * CAR.mass), 0.4)
     assert car.powertrain.full_brake(10.0) == pytest.approx(CAR.max_decel / 1.2)
-    assert car.car.grade_sin == pytest.approx(0.02, rel=1e-3)
+    assert car.model.grade_sin == pytest.approx(0.02, rel=1e-3)
     config = LoopConfig(vehicle="single_track", plant=plant)
     trace = run_closed_loop(CATALOGUE["everyday/nudge"].scenario(), "logged", config=config).trace
     assert any("tyre_friction = 0.4" in note for note in trace.notes)

@@ -9,14 +9,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from logs import Command, EgoState, VehicleParameters
-from replay.vehicle.kinematic_bicycle import KinematicBicycle, advance, derivative
-from replay.vehicle.kinematic_rear_steer import KinematicRearSteer
-from replay.vehicle.powertrain import PedalPowertrain
+from logs import Command, ConfigError, EgoState, VehicleParameters
+from replay.vehicle import REAR_RATIO, VEHICLES
+from replay.vehicle.kinematic_bicycle import KinematicBicycle, State, advance, derivative, kinematics_of
 
 CAR = VehicleParameters()
-LAGS, LIMITS = (CAR.throttle_lag, CAR.brake_lag), PedalPowertrain(CAR).limits
-STEERING = (CAR.max_steer, CAR.max_steer_rate, CAR.steer_lag)
 
 
 def start(v: float, kappa: float = 0.0) -> EgoState:
@@ -28,8 +25,8 @@ def test_it_is_the_corrected_equation_at_the_centre_of_gravity(
     v: float, steer: float, ratio: float, yaw: float
 ) -> None:
     """x' = V cos(yaw + beta), y' = V sin(yaw + beta), yaw' = V cos(beta) (tan df - tan dr) / L; no wheel slips."""
-    rate = derivative((0.0, 0.0, yaw, v, steer, 0.0, 0.0), (0.0, 0.0, 0.0), True, (CAR.wheelbase, ratio), STEERING,
-                      LAGS, LIMITS)  # fmt: skip
+    state = State(0.0, 0.0, yaw, v, steer, 0.0, 0.0)
+    rate = derivative(state, (0.0, 0.0, 0.0), True, kinematics_of(CAR, ratio))
     lf, lr = CAR.cog_to_front, CAR.cog_to_rear
     df, dr = steer, ratio * steer
     beta = atan((lf * tan(dr) + lr * tan(df)) / CAR.wheelbase)
@@ -45,7 +42,7 @@ def test_it_is_the_corrected_equation_at_the_centre_of_gravity(
 @given(st.floats(1.0, 20.0), st.floats(0.02, 0.3), st.floats(-0.9, 0.5))
 def test_held_wheels_drive_a_circle_of_the_stated_curvature(v: float, steer: float, ratio: float) -> None:
     free = VehicleParameters(drag=0.0, rolling=0.0)
-    car = KinematicRearSteer(free, start(v), rear_ratio=ratio)
+    car = KinematicBicycle(free, start(v), rear_ratio=ratio)
     for _ in range(200):
         car.step(Command(steer, 0.0, 0.0), 0.01)
     points = []
@@ -58,19 +55,19 @@ def test_held_wheels_drive_a_circle_of_the_stated_curvature(v: float, steer: flo
     np.testing.assert_allclose(radii, 1.0 / state.kappa, rtol=1e-4)
 
 
-def test_without_rear_steering_it_is_the_kinematic_bicycle() -> None:
-    one, two = KinematicRearSteer(CAR, start(8.0, 0.01), rear_ratio=0.0), KinematicBicycle(CAR, start(8.0, 0.01))
-    for k in range(200):
-        command = Command(0.2 * sin(0.1 * k), 0.3 if k < 100 else 0.0, 0.0 if k < 100 else 0.7)
-        a, b = one.step(command, 0.01), two.step(command, 0.01)
-        np.testing.assert_allclose([getattr(a, n) for n in EgoState.__slots__],
-                                   [getattr(b, n) for n in EgoState.__slots__], atol=1e-12)  # fmt: skip
+def test_the_named_vehicle_is_the_bicycle_with_its_ratio_and_a_ratio_out_of_range_is_refused() -> None:
+    named, own = VEHICLES["kinematic_rear_steer"](CAR, start(8.0)), KinematicBicycle(CAR, start(8.0), rear_ratio=-0.2)
+    command = Command(0.2, 0.3, 0.0)
+    assert [named.step(command, 0.01) for _ in range(50)] == [own.step(command, 0.01) for _ in range(50)]
+    assert REAR_RATIO == -0.2 and named.state.v_lat < 0.0
+    with pytest.raises(ConfigError, match="rear_ratio"):
+        KinematicBicycle(CAR, start(8.0), rear_ratio=1.0)
 
 
 def test_opposite_rear_wheels_turn_more_tightly_and_parallel_ones_less() -> None:
     rates = {}
     for ratio in (-0.5, 0.0, 0.5):
-        car = KinematicRearSteer(CAR, start(5.0), rear_ratio=ratio)
+        car = KinematicBicycle(CAR, start(5.0), rear_ratio=ratio)
         for _ in range(100):
             state = car.step(Command(0.2, 0.0, 0.0), 0.01)
         rates[ratio] = state.yaw_rate
@@ -78,8 +75,8 @@ def test_opposite_rear_wheels_turn_more_tightly_and_parallel_ones_less() -> None
 
 
 def test_integration_is_of_order_four() -> None:
-    begin = (0.0, 0.0, 0.0, 12.0, 0.0, 0.0, 0.1)
-    arguments = ((0.03, 0.3, 0.0), (CAR.wheelbase, -0.4), STEERING, LAGS, LIMITS, 1.0)
+    begin = State(0.0, 0.0, 0.0, 12.0, 0.0, 0.0, 0.1)
+    arguments = ((0.03, 0.3, 0.0), kinematics_of(CAR, -0.4), 1.0)
     exact = np.array(advance(begin, *arguments, 20_000))
     steps = np.array([10, 20, 40, 80])
     errors = [np.abs(np.array(advance(begin, *arguments, int(n))) - exact).max() for n in steps]
@@ -88,4 +85,4 @@ def test_integration_is_of_order_four() -> None:
 
 @given(st.floats(-0.1, 0.1), st.floats(-0.9, 0.6))
 def test_it_starts_with_the_curvature_of_the_log(kappa: float, ratio: float) -> None:
-    assert KinematicRearSteer(CAR, start(6.0, kappa), rear_ratio=ratio).state.kappa == pytest.approx(kappa, abs=1e-9)
+    assert KinematicBicycle(CAR, start(6.0, kappa), rear_ratio=ratio).state.kappa == pytest.approx(kappa, abs=1e-9)

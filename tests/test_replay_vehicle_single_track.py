@@ -36,7 +36,7 @@ def kernel_car(p: VehicleParameters = CAR, **keywords: Any) -> Car:
 def energy(car: SingleTrack) -> float:
     """Kinetic, J."""
     s = car.inner
-    return 0.5 * car.car.mass * (s.vx**2 + s.vy**2) + 0.5 * car.car.inertia * s.r**2
+    return 0.5 * car.model.mass * (s.vx**2 + s.vy**2) + 0.5 * car.model.inertia * s.r**2
 
 
 @pytest.mark.parametrize("tyre", ["linear", "fiala", "pacejka"])
@@ -77,7 +77,7 @@ def test_cornering_saturates_at_friction(tyre: str, mu: float) -> None:
     lateral = []
     for k in range(300):
         state = car.step(Command(min(2e-3 * k, 0.3), 0.0, 0.0), 0.01)
-        fxf, fyf, _, fyr = wheel_forces(car.inner, 1.0, 0, car.car)
+        fxf, fyf, _, fyr = wheel_forces(car.inner, 1.0, 0, car.model)
         lateral.append((fyf * cos(state.steer) + fxf * sin(state.steer) + fyr) / FREE.mass)
     assert 0.95 * mu * GRAVITY < max(lateral) <= mu * GRAVITY * (1.0 + 1e-9)
 

@@ -6,13 +6,13 @@ minus that of exact following; the model is (2)-(3) of `replay.control.lateral_m
 (1) x[k+1] = A x[k] + B u[k]          exact for an input held over a period (ZOH); other forms can be compared
 (2) J = sum of x' Q x + u' R u,       R = steer_weight (1 + (v / v_0)^2)^2
 (3) P = Q + A' P (I + B R^-1 B' P)^-1 A,   K = (R + B' P B)^-1 B' P A
-(4) command = feed-forward - K x, both for when the command takes effect, where the steering is late (`LateSteering`)
+(4) command = feed-forward - K x, both for when the command takes effect, where the steering is late (`steering_delay`)
 
 R grows with the lateral acceleration that a steering angle makes: below v_0 the error decays over a distance, above it
 over a time. K is tabulated over speed and interpolated; below the table's first speed, where one can hardly steer, its
 first row holds.
 
-(5) feed-forward = the command of exact following (`replay.control.exact`), read ahead on the path
+(5) feed-forward = the command of exact following (`replay.control.feedforward`), read ahead on the path
 (6) of exact following: heading e_phi = p_0 kappa, its rate r = v kappa + p_0 kappa', its wheel angle
 
 With (6) in x, -K x holds the k_3 term of the feed-forward: on a constant curve all errors vanish. p and d take the slip
@@ -24,20 +24,32 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
 from logs.errors import ConfigError, unknown_name
-from logs.kernel import FloatArray
-from logs.states import EgoState
+from logs.kernel import FloatArray, frozen, inner_kernel
 from logs.vehicle import VehicleParameters
-from replay.control.dlqr_kinematic import SHORTEST_LAG_S, SPEED_STEP_MPS
-from replay.control.exact import commanded, following_at, slip_table, steer_for, table_speeds
-from replay.control.late import LateSteering, lateral_deviation
+from replay.control.dlqr_kinematic import SHORTEST_LAG_S, gain
+from replay.control.feedforward import commanded, following_at, slip_table, steer_for, table_speeds
 from replay.control.lateral_model import DISCRETISATIONS, at_rear_axle, error_model, with_steering
 from replay.control.riccati import solve_riccati
-from replay.control.slip import Slip
-from replay.control.tracking import Deviation, PlanPath
+from replay.control.slip import NOTHING_LEARNED, SlipModel, SlipState, learned, slip_model
+from replay.control.steering_delay import (
+    DelayModel,
+    DelayState,
+    delay_model,
+    lateral_deviation,
+    nothing_known,
+    observed,
+    periods,
+    predicted,
+    record,
+    settled_wheel,
+)
+from replay.plan_path import Deviation
+from replay.vehicle.base import Motion
 
 
 @dataclass(frozen=True)
@@ -94,91 +106,91 @@ def regulator(v: float, p: VehicleParameters, period: float, config: DlqrConfig)
         raise ConfigError(f"DLQR: no stable gain at {v} m/s")
     A, B, _ = at_rear_axle(error_model(v, p), v, p)
     A, B = with_steering(A, B, max(p.steer_lag, SHORTEST_LAG_S))
-    A, B = DISCRETISATIONS[config.discretisation](A, B[:, None], period)
+    A, B = DISCRETISATIONS[config.discretisation](A, B[:, None], period)  # (1)
     weights = (config.lateral_weight, config.lateral_rate_weight, config.heading_weight, config.heading_rate_weight)
     Q = np.diag([*weights, 0.0])
-    R = np.array([[config.steer_weight * (1.0 + (v / config.speed_mps) ** 2) ** 2]])
-    P = solve_riccati(np.ascontiguousarray(A), np.ascontiguousarray(B), Q, R)
+    R = np.array([[config.steer_weight * (1.0 + (v / config.speed_mps) ** 2) ** 2]])  # (2)
+    P = solve_riccati(np.ascontiguousarray(A), np.ascontiguousarray(B), Q, R)  # (3)
     if not np.isfinite(P).all():
         raise ConfigError(f"DLQR: no stable gain at {v} m/s with {config}")
     return Regulator(A, B, Q, R, P, np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A))
 
 
-Row = tuple[float, float, float, float, float]
-"""K."""
-
-
 @lru_cache(maxsize=32)
-def schedule(p: VehicleParameters, period: float, config: DlqrConfig) -> tuple[Row, ...]:
-    """K at `exact.table_speeds`."""
-    gains = [regulator(float(v), p, period, config).K[0] for v in table_speeds()]
-    return tuple((float(k[0]), float(k[1]), float(k[2]), float(k[3]), float(k[4])) for k in gains)
+def schedule(p: VehicleParameters, period: float, config: DlqrConfig) -> FloatArray:
+    """K `(n, 5)` at `feedforward.table_speeds`."""
+    return frozen(np.array([regulator(float(v), p, period, config).K[0] for v in table_speeds()]))
 
 
-class Dlqr:
-    """(4)-(6) for a vehicle with tyres that slip; remembers how much. See `replay.control.base.LateralLaw`.
+class DlqrLaw(NamedTuple):
+    """The numbers of (4)-(6) for a vehicle with tyres that slip.
 
-    Args:
-        parameters: Of the ego.
-        period: Between two commands, s.
-        config: Weights.
-        steering: Where another controller commands, and tells it; None: this one does.
+    Attributes:
+        gains: From `schedule`.
+        slips: From `slip_table`.
+        slip: What the slip is learned by.
+        delay: What the steering's delay is learned by.
+        wheelbase: m.
+        max_steer: rad.
+        lag: Of the steering, s.
+        commands: Whether what this law asks for is what is commanded; else another tells of the steering.
     """
 
-    def __init__(
-        self,
-        parameters: VehicleParameters,
-        period: float,
-        config: DlqrConfig | None = None,
-        steering: LateSteering | None = None,
-    ) -> None:
-        self._max_steer = float(parameters.max_steer)
-        self._wheelbase = float(parameters.wheelbase)
-        self._period, self._lag = period, max(parameters.steer_lag, SHORTEST_LAG_S)
-        self._gains = schedule(parameters, period, config or DlqrConfig())
-        self._slips = slip_table(parameters)
-        self._slip = Slip(parameters, period)
-        self._commands = steering is None
-        self._steering = steering or LateSteering(parameters, period)
+    gains: FloatArray
+    slips: FloatArray
+    slip: SlipModel
+    delay: DelayModel
+    wheelbase: float
+    max_steer: float
+    lag: float
+    commands: bool
 
-    def gain(self, v: float) -> Row:
-        """K at a speed, m/s, linear between the table's rows; the ends hold."""
-        place = min(max(v / SPEED_STEP_MPS - 1.0, 0.0), len(self._gains) - 1.0)
-        i = min(int(place), len(self._gains) - 2)
-        u = place - i
-        k1, k2, k3, k4, k5 = self._gains[i]
-        m1, m2, m3, m4, m5 = self._gains[i + 1]
-        return k1 + u * (m1 - k1), k2 + u * (m2 - k2), k3 + u * (m3 - k3), k4 + u * (m4 - k4), k5 + u * (m5 - k5)
 
-    def rest(self) -> None:
-        """Forget where the wheel is; how late it comes and how much the tyres slip stays known."""
-        if self._commands:
-            self._steering.rest()
+class DlqrState(NamedTuple):
+    """What is known of the tyres and of the steering."""
 
-    def steer(self, state: EgoState, path: PlanPath, off: Deviation) -> float:
-        """Front wheel angle to command, rad."""
-        if not self._commands:
-            return self._command(state, path, off)
-        self._steering.saw(state.steer)
-        command = self._command(state, path, off)
-        self._steering.sent(command)
-        return command
+    slip: SlipState
+    delay: DelayState
 
-    def _command(self, state: EgoState, path: PlanPath, off: Deviation) -> float:
-        v, knots, steering = state.v, path.knots, self._steering
-        self._slip.learn(state)
-        slip, angle = following_at(self._slips, self._wheelbase, self._slip.ratios, v)
-        y = lateral_deviation(state, off, knots, slip)
-        lateral, side, heading, turn = steering.led(y, knots, off.foot, v, angle)
-        foot = off.foot + v * steering.late
-        k_lat, k_rate, k_yaw, k_turn, k_steer = self.gain(v)
-        wheel = steering.wheel if steering.steps else state.steer
-        command = (
-            steer_for(knots, foot, v, commanded(angle, self._lag, self._period))
-            - k_lat * lateral
-            - k_rate * (side + v * heading)
-            - k_yaw * heading
-            - k_turn * turn
-            - k_steer * (wheel - steer_for(knots, foot, v, angle))
-        )
-        return min(max(command, -self._max_steer), self._max_steer)
+
+def dlqr_law(
+    p: VehicleParameters, period: float, config: DlqrConfig | None = None, *, commands: bool = True
+) -> DlqrLaw:
+    """The law for a vehicle whose tyres slip."""
+    return DlqrLaw(
+        schedule(p, period, config or DlqrConfig()), slip_table(p), slip_model(p, period), delay_model(p, period),
+        float(p.wheelbase), float(p.max_steer), max(float(p.steer_lag), SHORTEST_LAG_S), commands,
+    )  # fmt: skip
+
+
+def dlqr_start(period: float) -> DlqrState:
+    """Nothing is known yet."""
+    return DlqrState(NOTHING_LEARNED, nothing_known(period))
+
+
+@inner_kernel
+def steer_slipping(
+    law: DlqrLaw, state: DlqrState, now: Motion, off: Deviation, knots: FloatArray
+) -> tuple[float, DlqrState]:
+    """Front wheel angle to command, rad, and what is known then."""
+    v, delay, model = now.v, state.delay, law.delay
+    if law.commands:
+        delay = observed(delay, model, now.steer)
+    slip = learned(state.slip, law.slip, now)
+    rear, angle = following_at(law.slips, law.wheelbase, (slip.front, slip.rear), v)  # (6)
+    y = lateral_deviation(now, off, knots, rear)
+    lateral, side, heading, turn = predicted(y, delay, model, knots, off.foot, v, angle)
+    foot = off.foot + v * delay.delay
+    wheel = settled_wheel(delay) if periods(delay, model) else now.steer
+    command = (
+        steer_for(knots, foot, v, commanded(angle, law.lag, model.period))  # (5)
+        - gain(law.gains, v, 0) * lateral
+        - gain(law.gains, v, 1) * (side + v * heading)
+        - gain(law.gains, v, 2) * heading
+        - gain(law.gains, v, 3) * turn
+        - gain(law.gains, v, 4) * (wheel - steer_for(knots, foot, v, angle))  # (4)
+    )
+    command = min(max(command, -law.max_steer), law.max_steer)
+    if law.commands:
+        record(delay, model, command)
+    return command, DlqrState(slip, delay)

@@ -27,15 +27,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from math import atan, exp
+from typing import NamedTuple
 
 import numpy as np
 
 from logs.errors import ConfigError
-from logs.kernel import FloatArray
-from logs.states import EgoState
+from logs.kernel import FloatArray, frozen, inner_kernel, kernel
 from logs.vehicle import VehicleParameters
 from replay.control.riccati import solve_riccati
-from replay.control.tracking import Deviation, PlanPath
+from replay.plan_path import Deviation, path_kappa
+from replay.vehicle.base import Motion
 
 SPEED_STEP_MPS = 0.5
 MAX_SPEED_MPS = 60.0
@@ -82,7 +83,7 @@ def error_model(v: float, wheelbase: float, lag: float, period: float) -> tuple[
     turn, decay = v / wheelbase, exp(-period / lag)
     once = lag * (1.0 - decay)
     twice = lag * (period - once)
-    A = np.array([[1.0, v * period, v * turn * twice], [0.0, 1.0, turn * once], [0.0, 0.0, decay]])
+    A = np.array([[1.0, v * period, v * turn * twice], [0.0, 1.0, turn * once], [0.0, 0.0, decay]])  # (4)
     B = np.array([[v * turn * (0.5 * period**2 - twice)], [turn * (period - once)], [1.0 - decay]])
     return A, B
 
@@ -95,48 +96,53 @@ def regulator(v: float, wheelbase: float, lag: float, period: float, config: Kin
     """
     A, B = error_model(v, wheelbase, lag, period)
     Q = np.diag([config.lateral_weight, config.heading_weight, 0.0])
-    R = np.array([[config.steer_weight * (1.0 + (v / config.speed_mps) ** 2) ** 2]])
-    P = solve_riccati(A, B, Q, R)
+    R = np.array([[config.steer_weight * (1.0 + (v / config.speed_mps) ** 2) ** 2]])  # (5)
+    P = solve_riccati(A, B, Q, R)  # (6)
     if not np.isfinite(P).all():
         raise ConfigError(f"DLQR: no stable gain at {v} m/s with {config}")
     return Regulator(A, B, Q, R, P, np.linalg.solve(R + B.T @ P @ B, B.T @ P @ A))
 
 
 @lru_cache(maxsize=32)
-def gain_table(
-    wheelbase: float, lag: float, period: float, config: KinematicDlqrConfig
-) -> tuple[tuple[float, float, float], ...]:
-    """K at the speeds SPEED_STEP_MPS, 2 SPEED_STEP_MPS, ... MAX_SPEED_MPS."""
+def gain_table(wheelbase: float, lag: float, period: float, config: KinematicDlqrConfig) -> FloatArray:
+    """K `(n, 3)` at the speeds SPEED_STEP_MPS, 2 SPEED_STEP_MPS, ... MAX_SPEED_MPS."""
     speeds = SPEED_STEP_MPS * np.arange(1, round(MAX_SPEED_MPS / SPEED_STEP_MPS) + 1)
-    gains = [regulator(float(v), wheelbase, lag, period, config).K[0] for v in speeds]
-    return tuple((float(k[0]), float(k[1]), float(k[2])) for k in gains)
+    return frozen(np.array([regulator(float(v), wheelbase, lag, period, config).K[0] for v in speeds]))
 
 
-class KinematicDlqr:
-    """(7); without memory. See `replay.control.base.LateralLaw`."""
+@kernel
+def gain(gains: FloatArray, v: float, column: int) -> float:
+    """An entry of K at a speed, m/s, linear between the table's rows; the ends hold."""
+    place = min(max(v / SPEED_STEP_MPS - 1.0, 0.0), len(gains) - 1.0)
+    i = min(int(place), len(gains) - 2)
+    return gains[i, column] + (place - i) * (gains[i + 1, column] - gains[i, column])
 
-    def __init__(self, parameters: VehicleParameters, period: float, config: KinematicDlqrConfig | None = None) -> None:
-        lag = max(parameters.steer_lag, SHORTEST_LAG_S)
-        self._wheelbase = parameters.wheelbase
-        self._max_steer = parameters.max_steer
-        self._preview = lag + 0.5 * period
-        self._gains = gain_table(parameters.wheelbase, lag, period, config or KinematicDlqrConfig())
 
-    def gain(self, v: float) -> tuple[float, float, float]:
-        """K at a speed, m/s, linear between the table's rows; the ends hold."""
-        place = min(max(v / SPEED_STEP_MPS - 1.0, 0.0), len(self._gains) - 1.0)
-        i = min(int(place), len(self._gains) - 2)
-        u = place - i
-        one, two = self._gains[i], self._gains[i + 1]
-        return one[0] + u * (two[0] - one[0]), one[1] + u * (two[1] - one[1]), one[2] + u * (two[2] - one[2])
+class KinematicLaw(NamedTuple):
+    """The numbers of (7): K over speed, wheelbase m, max_steer rad, T + dt / 2 s."""
 
-    def rest(self) -> None:
-        """There is nothing to forget."""
+    gains: FloatArray
+    wheelbase: float
+    max_steer: float
+    preview: float
 
-    def steer(self, state: EgoState, path: PlanPath, off: Deviation) -> float:
-        """Front wheel angle to command, rad."""
-        here = atan(self._wheelbase * path.kappa(off.foot))
-        ahead = atan(self._wheelbase * path.kappa(off.foot + state.v * self._preview))
-        k_lat, k_yaw, k_steer = self.gain(state.v)
-        command = ahead - k_lat * off.lateral - k_yaw * off.heading - k_steer * (state.steer - here)
-        return min(max(command, -self._max_steer), self._max_steer)
+
+def kinematic_law(p: VehicleParameters, period: float, config: KinematicDlqrConfig | None = None) -> KinematicLaw:
+    """The law for a vehicle with rigid tyres."""
+    lag = max(float(p.steer_lag), SHORTEST_LAG_S)
+    gains = gain_table(p.wheelbase, lag, period, config or KinematicDlqrConfig())
+    return KinematicLaw(gains, float(p.wheelbase), float(p.max_steer), lag + 0.5 * period)
+
+
+@inner_kernel
+def steer_rolling(law: KinematicLaw, now: Motion, off: Deviation, knots: FloatArray) -> float:
+    """Front wheel angle to command, rad."""
+    here = atan(law.wheelbase * path_kappa(knots, off.foot))
+    ahead = atan(law.wheelbase * path_kappa(knots, off.foot + now.v * law.preview))
+    command = (
+        ahead
+        - gain(law.gains, now.v, 0) * off.lateral
+        - gain(law.gains, now.v, 1) * off.heading
+        - gain(law.gains, now.v, 2) * (now.steer - here)  # (7)
+    )
+    return min(max(command, -law.max_steer), law.max_steer)

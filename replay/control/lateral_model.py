@@ -49,7 +49,7 @@ def error_model(v: float, p: VehicleParameters) -> tuple[FloatArray, FloatArray,
     a, b = p.cog_to_front, p.wheelbase - p.cog_to_front
     m, inertia, front, rear = p.mass, p.yaw_inertia, p.cornering_front, p.cornering_rear
     both, moment, turning = front + rear, b * rear - a * front, a * a * front + b * b * rear
-    A = np.array(
+    A = np.array(  # (2)
         [
             [0.0, 1.0, 0.0, 0.0],
             [0.0, -both / (m * v), both / m, moment / (m * v)],
@@ -69,7 +69,7 @@ def at_rear_axle(
     A, B, E = model
     b = p.wheelbase - p.cog_to_front
     T = np.eye(4)
-    T[0, 2] = T[1, 3] = -b
+    T[0, 2] = T[1, 3] = -b  # (3)
     A = T @ A @ np.linalg.inv(T)
     return A, T @ B, T @ E - A @ np.array([-0.5 * b * b, 0.0, b, 0.0]) / v
 
@@ -119,10 +119,10 @@ def following(v: float, p: VehicleParameters) -> tuple[FloatArray, FloatArray, F
     rear, front, before = np.zeros(3), np.zeros(3), 0.0
     for i in range(3):
         force = (a * m * v * v if i == 0 else (a * b * m - inertia) * before) / length
-        rear[i] = force / p.cornering_rear
+        rear[i] = force / p.cornering_rear  # (4): p_i
         front[i] = (inertia * before + b * force) / (a * p.cornering_front)
         before = v if i == 0 else rear[i - 1]
-        rolling[i] = length * before / v
+        rolling[i] = length * before / v  # (4): L r_i / v
     return rear, front, rolling
 
 
@@ -133,7 +133,7 @@ def body_model(v: float, p: VehicleParameters) -> tuple[FloatArray, FloatArray]:
     steered = np.array([p.cornering_front, 0.0])
     yaw = np.array([a, -b]) / p.yaw_inertia
     side = np.full(2, 1.0 / p.mass) - b * yaw
-    A = np.vstack([side @ forces - np.array([0.0, v]), yaw @ forces])
+    A = np.vstack([side @ forces - np.array([0.0, v]), yaw @ forces])  # (1)
     return A, np.array([side @ steered, yaw @ steered])
 
 

@@ -13,9 +13,9 @@ is held. The actuators' lag is in the prediction of the acceleration and is inve
 (3) steer command   = that of exact following + steer_0 + w (tau + lag + period / 2)
 (4) acceleration    = a_plan, led by the pedal's dead time and lag (`pedals` (3)), + a
 
-The prediction starts when a command of now takes effect (`LateSteering`: how late that is, is learned), with the wheel
-angle of the actuator's model under the commands so far: a controller that starts from the measured angle takes back
-what a late actuator has not done yet.
+The prediction starts when a command of now takes effect (`steering_delay`: the delay is learned), with the wheel angle
+of the actuator's model under the commands so far: a controller that starts from the measured angle takes back what a
+late actuator has not done yet.
 
 A plan carries the times at which it is to be driven, so a plan that comes late is followed from where it should be by
 now. Where no solution is found, the command is that of DLQR and dual-loop PID until the next; `notes` tell how often
@@ -37,8 +37,7 @@ from logs.vehicle import VehicleParameters
 from planners.qp import QPConfig, QPResult, QuadraticProgram
 from replay.control.base import Controller
 from replay.control.dlqr_kinematic import SHORTEST_LAG_S
-from replay.control.exact import commanded, following_at, slip_table, steer_for
-from replay.control.late import LateSteering, lateral_deviation
+from replay.control.feedforward import commanded, following_at, slip_table, steer_for
 from replay.control.mpc_model import (
     GRAVITY,
     INPUTS,
@@ -57,8 +56,9 @@ from replay.control.mpc_model import (
 from replay.control.pedals import Lead, Pedals, SoftStop, Standstill
 from replay.control.quintic import resampled
 from replay.control.slip import Slip
-from replay.control.tracking import Deviation, PlanPath
-from replay.vehicle.base import Powertrain
+from replay.control.steering_delay import SteeringDelay, lateral_deviation
+from replay.plan_path import Deviation, PlanPath
+from replay.vehicle.base import Powertrain, motion_of
 
 RESAMPLED_S = 0.05
 WIDTH = INPUTS + STATES
@@ -249,7 +249,7 @@ class Mpc:
         powertrain: Its longitudinal plant.
         period: Between two commands, s.
         fallback: Drives where there is no solution.
-        steering: What is learned of it; the fallback may read it too.
+        delay: Of the steering, as it is learned; the fallback may read it too.
         config: Horizon and weights.
     """
 
@@ -259,7 +259,7 @@ class Mpc:
         powertrain: Powertrain,
         period: float,
         fallback: Controller,
-        steering: LateSteering | None = None,
+        delay: SteeringDelay | None = None,
         config: MpcConfig | None = None,
     ) -> None:
         self._p, self._train, self._period, self._fallback = parameters, powertrain, period, fallback
@@ -268,7 +268,7 @@ class Mpc:
         self._lag = max(parameters.steer_lag, SHORTEST_LAG_S)
         self._every = max(round(self._config.period_s / period), 1)
         self._program = TrackingProgram(self._config)
-        self._slip, self._steering = Slip(parameters, period), steering or LateSteering(parameters, period)
+        self._slip, self._delay = Slip(parameters, period), delay or SteeringDelay(parameters, period)
         self._pedals, self._standstill = Pedals(powertrain), Standstill()
         self._lead, self._stop = Lead(powertrain, period), SoftStop(powertrain, period)
         self._plan: Plan | None = None
@@ -287,7 +287,7 @@ class Mpc:
     def control(self, state: EgoState, plan: Plan) -> Command:
         """The command for the next control period."""
         path = self._resampled(plan)
-        self._steering.saw(state.steer)
+        self._delay.observe(state.steer)
         other = self._fallback.control(state, plan)
         if self._standstill.holds(state.v, state.t, path):
             self._rest()
@@ -299,7 +299,7 @@ class Mpc:
         tau = self._period * (self._since % self._every)
         self._since += 1
         command = self._command(state, path, off, tau) if self._solved else other
-        self._steering.sent(command.steer)
+        self._delay.record(command.steer)
         return command
 
     def _resampled(self, plan: Plan) -> PlanPath:
@@ -309,22 +309,21 @@ class Mpc:
 
     def _rest(self) -> None:
         self._since, self._solved = 0, False
-        self._steering.rest()
+        self._delay.rest()
         self._lead.rest()
         self._input = np.zeros(INPUTS)
 
     def _solve(self, state: EgoState, path: PlanPath, off: Deviation) -> None:
         config, p = self._config, self._p
-        lags = (self._train.throttle_lag, self._train.brake_lag, self._train.coasting(state.v))
+        train = self._train.pedal_map
+        lags = (train.throttle_lag, train.brake_lag, self._train.coasting(state.v))
         along = entered(
             path.times, path.knots, self._slips, p.wheelbase, self._slip.ratios, lags,
-            state.t, off.foot + state.v * self._steering.late, state.v, config.step_s, config.steps,
+            state.t, off.foot + state.v * self._delay.seconds, state.v, config.step_s, config.steps,
         )  # fmt: skip
         A, B = predicted(along, self._table, config.speed_mps, config.step_s)
         grip = config.friction_share * p.tyre_friction * GRAVITY
-        bounds = limits(
-            along, self._reach(along), grip, (p.max_steer, p.max_steer_rate), config.speed_mps, config.step_s
-        )
+        bounds = limits(along, train, grip, (p.max_steer, p.max_steer_rate), config.speed_mps, config.step_s)
         xi, scale = self._deviation(state, path, off, along), 1.0 + (state.v / config.speed_mps) ** 2
         result = self._program.solve(xi, self._input, A, B, bounds, fresh=not self._solved)
         self._falls.add(state.t, result.report)
@@ -332,29 +331,23 @@ class Mpc:
         self._input = result.x[:INPUTS].copy()
         self._steer, self._steer_rate = xi[7] / scale, self._input[1] / scale
 
-    def _reach(self, along: FloatArray) -> FloatArray:
-        """Least and greatest acceleration at each step."""
-        train = self._train
-        low = [train.coasting(v) - train.full_brake(v) for v in along[:-1, 0].tolist()]
-        high = [train.coasting(v) + train.full_throttle(v) for v in along[:-1, 0].tolist()]
-        return np.column_stack([low, high])
-
     def _deviation(self, state: EgoState, path: PlanPath, off: Deviation, along: FloatArray) -> FloatArray:
         """The deviation xi now."""
-        v, steering = state.v, self._steering
+        v, delay = state.v, self._delay
         slip, angle = following_at(self._slips, self._p.wheelbase, self._slip.ratios, v)
-        y = steering.led(lateral_deviation(state, off, path.knots, slip), path.knots, off.foot, v, angle)
+        now = lateral_deviation(motion_of(state), off, path.knots, slip)
+        y = delay.predict(now, path.knots, off.foot, v, angle)
         scale = 1.0 + (v / self._config.speed_mps) ** 2
-        sigma = scale * (steering.wheel - along[0, 4])
+        sigma = scale * (delay.wheel - along[0, 4])
         return np.array([off.station, off.speed, state.a - along[0, 2], *y, sigma])
 
     def _command(self, state: EgoState, path: PlanPath, off: Deviation, tau: float) -> Command:
         """(3)-(4), `tau` s after the solve."""
         _, angle = following_at(self._slips, self._p.wheelbase, self._slip.ratios, state.v)
-        foot = off.foot + state.v * self._steering.late
+        foot = off.foot + state.v * self._delay.seconds
         steer = steer_for(path.knots, foot, state.v, commanded(angle, self._lag, self._period))
-        steer += self._steer + self._steer_rate * (tau + self._lag + 0.5 * self._period)
-        acceleration = self._lead.command(path, state.t, state.v) + float(self._input[0])
+        steer += self._steer + self._steer_rate * (tau + self._lag + 0.5 * self._period)  # (3)
+        acceleration = self._lead.command(path, state.t, state.v) + float(self._input[0])  # (4)
         acceleration = self._stop.eased(acceleration, state, path)
         steer = min(max(steer, -self._p.max_steer), self._p.max_steer)
         return Command(float(steer), *self._pedals.press(acceleration, state.v))

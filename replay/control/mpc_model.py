@@ -26,9 +26,10 @@ import numpy as np
 
 from logs.kernel import FloatArray, IntArray, frozen, kernel
 from logs.vehicle import VehicleParameters
-from replay.control.exact import at_speed, following_at, steer_for, table_speeds
+from replay.control.feedforward import at_speed, following_at, steer_for, table_speeds
 from replay.control.lateral_model import body_model, has_rigid_tyres, held
-from replay.control.tracking import path_kappa, timed
+from replay.plan_path import path_kappa, timed
+from replay.vehicle.pedal_map import PedalMap, reach
 
 STATES, INPUTS, SIDES = 8, 2, 8
 LIMITS = 3 + SIDES
@@ -48,7 +49,7 @@ PATTERN_A, PATTERN_B = frozen(_A, np.bool_), frozen(_B, np.bool_)
 
 @lru_cache(maxsize=32)
 def lateral_table(p: VehicleParameters, h: float) -> FloatArray:
-    """A and B of (2) held over `h` s `(n, 5, 6)`, of (e_d, v_lat, e_phi, r, steer), at `exact.table_speeds`."""
+    """A and B of (2) held over `h` s `(n, 5, 6)`, of (e_d, v_lat, e_phi, r, steer), at `feedforward.table_speeds`."""
     of = _rigid if has_rigid_tyres(p) else _slipping
     return frozen(np.stack([of(v, p, h) for v in table_speeds().tolist()]))
 
@@ -56,7 +57,7 @@ def lateral_table(p: VehicleParameters, h: float) -> FloatArray:
 def _slipping(v: float, p: VehicleParameters, h: float) -> FloatArray:
     body, steered = body_model(v, p)
     A = np.zeros((5, 5))
-    A[0, [1, 2]] = 1.0, v
+    A[0, [1, 2]] = 1.0, v  # (2)
     A[2, 3] = 1.0
     A[np.ix_([1, 3], [1, 3])] = body
     A[[1, 3], 4] = steered
@@ -120,10 +121,10 @@ def predicted(along: FloatArray, table: FloatArray, v_0: float, h: float) -> tup
         decay = exp(-h / lag)
         once = lag * (1.0 - decay)
         twice = lag * (h - once)
-        A[k, 0, 0], A[k, 0, 1], A[k, 0, 2] = 1.0, h, twice
+        A[k, 0, 0], A[k, 0, 1], A[k, 0, 2] = 1.0, h, twice  # (1), (4)
         A[k, 1, 1], A[k, 1, 2], A[k, 2, 2] = 1.0, once, decay
         B[k, 0, 0], B[k, 1, 0], B[k, 2, 0] = 0.5 * h * h - twice, h - once, 1.0 - decay
-        now, then = 1.0 + (v / v_0) ** 2, 1.0 + (along[k + 1, 0] / v_0) ** 2
+        now, then = 1.0 + (v / v_0) ** 2, 1.0 + (along[k + 1, 0] / v_0) ** 2  # (3)
         i, u = at_speed(table, v)
         for row in range(5):
             for column in range(6):
@@ -140,13 +141,13 @@ def predicted(along: FloatArray, table: FloatArray, v_0: float, h: float) -> tup
 
 @kernel
 def limits(
-    along: FloatArray, reach: FloatArray, grip: float, steering: tuple[float, float], v_0: float, h: float
+    along: FloatArray, train: PedalMap, grip: float, steering: tuple[float, float], v_0: float, h: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(5)-(6) for the deviations: lower and upper bounds `(n, LIMITS)`, polygon rows `(n, SIDES, 2)` of (e_a, sigma).
 
     Args:
         along: From `entered`.
-        reach: Least and greatest acceleration at each step `(n, 2)`, m/s2.
+        train: Of the vehicle: what it can do at each speed.
         grip: mu g, m/s2.
         steering: max_steer rad, max_steer_rate rad/s.
         v_0: Of (3).
@@ -159,12 +160,14 @@ def limits(
         scale, then = 1.0 + (along[k, 0] / v_0) ** 2, 1.0 + (along[k + 1, 0] / v_0) ** 2
         turning = (along[k + 1, 4] - along[k, 4]) / h
         v, steer = along[k + 1, 0], along[k + 1, 4]
-        lower[k, 0], upper[k, 0] = reach[k, 0] - along[k, 3], reach[k, 1] - along[k, 3]
+        least, most = reach(train, along[k, 0])
+        lower[k, 0], upper[k, 0] = least - along[k, 3], most - along[k, 3]  # (5)
         lower[k, 1], upper[k, 1] = scale * (-steering[1] - turning), scale * (steering[1] - turning)
         lower[k, 2], upper[k, 2] = then * (-steering[0] - steer), then * (steering[0] - steer)
         for j in range(SIDES):
             c, s = cos(0.25 * pi * j), sin(0.25 * pi * j)
             sides[k, j, 0], sides[k, j, 1] = c, s * v * v / (along[k + 1, 5] * then)
+            # (6)
             upper[k, 3 + j] = grip * cos(pi / SIDES) - c * along[k + 1, 2] - s * v * v * along[k + 1, 1]
     return lower, upper, sides
 

@@ -22,11 +22,14 @@ speed v on at which it can be released with the jerk j, it follows v = j u^2 / 2
 
 from __future__ import annotations
 
-from math import exp, sqrt
+from math import exp, isnan, nan, sqrt
+from typing import NamedTuple
 
+from logs.kernel import FloatArray, kernel
 from logs.states import EgoState
-from replay.control.tracking import PlanPath
+from replay.plan_path import PlanPath, timed
 from replay.vehicle.base import Powertrain
+from replay.vehicle.pedal_map import PedalMap, coasting, full_throttle
 
 HYSTERESIS_MPS2 = 0.15
 HOLDING_BRAKE = 0.2
@@ -47,90 +50,150 @@ STEEPEST_MPS3 = 15.0
 """Changes of a plan's acceleration beyond this are taken for steps, which (3) does not follow."""
 
 
+class PedalState(NamedTuple):
+    """Whether the brake is the pedal in use, and whether it holds a standstill."""
+
+    braking: bool
+    holding: bool
+
+
+class StopState(NamedTuple):
+    """j m/s3 and o m/s2 of the stop (4) that is being ended; j = 0: none is."""
+
+    jerk: float
+    offset: float
+
+
+NO_PEDAL, NO_STOP = PedalState(False, False), StopState(0.0, 0.0)
+
+
+@kernel
+def press(state: PedalState, train: PedalMap, acceleration: float, v: float) -> tuple[float, float, PedalState]:
+    """Throttle and brake, 0 to 1, for an acceleration (m/s2) at a speed (m/s)."""
+    beyond = acceleration - coasting(train, v)
+    braking = beyond < -HYSTERESIS_MPS2 or (state.braking and beyond <= HYSTERESIS_MPS2)
+    throttle = brake = 0.0
+    if braking:
+        brake = min(max(-beyond / train.max_decel, 0.0), 1.0)  # (2)
+    else:
+        throttle = min(max(beyond / full_throttle(train, v), 0.0), 1.0)  # (1)
+    return throttle, brake, PedalState(braking, False)
+
+
+@kernel
+def hold(state: PedalState, v: float, a: float) -> tuple[float, float, PedalState]:
+    """Throttle and brake that hold a standstill; none while the last of `v` (m/s) goes by itself, `a` (m/s2)."""
+    holding = state.holding or v < STILL_MPS or a > -SLOWING_MPS2
+    return 0.0, HOLDING_BRAKE if holding else 0.0, PedalState(True, holding)
+
+
+@kernel
+def compensated(m: float, train: PedalMap, times: FloatArray, t: float, v: float, h: float) -> tuple[float, float]:
+    """The acceleration to command at `t` (s) and speed `v` (m/s) for a period `h`, for that of the plan, m/s2; m+ (3).
+
+    Args:
+        m: What the acceleration follows; NaN: nothing was commanded yet.
+        train: Of the vehicle.
+        times: Of `PlanPath`.
+        t: Now, s.
+        v: Of the ego, m/s.
+        h: s.
+    """
+    coast = coasting(train, v)
+    later = timed(times, t + train.brake_delay + h)[2]
+    brakes = later < coast
+    now = timed(times, t)[2]
+    before = timed(times, t + train.brake_delay)[2] if brakes else now
+    after = later if brakes else timed(times, t + h)[2]
+    lag = train.brake_lag if brakes else train.throttle_lag
+    m = now if isnan(m) else m
+    steepest = STEEPEST_MPS3 * h
+    following = m + min(max(after - before, -steepest), steepest) + h / CATCH_UP_S * (before - m)  # (3)
+    command = m + (following - m) / (1.0 - exp(-h / lag)) if lag > 0.0 else following
+    return min(command, coast) if brakes else max(command, coast), following
+
+
+@kernel
+def eased(
+    state: StopState, train: PedalMap, times: FloatArray, t: float, v: float, a: float, wanted: float, h: float
+) -> tuple[float, StopState]:
+    """What to command at `t` (s), speed `v` and acceleration `a`, where `wanted` is wanted, m/s2."""
+    v, late, jerk, offset = max(v, 0.0), train.brake_delay + LAGS * train.brake_lag, state.jerk, state.offset
+    if timed(times, t + LOOK_AHEAD_S)[1] > STANDING_MPS:
+        jerk, offset = 0.0, 0.0
+    elif jerk == 0.0 and wanted < 0.0:
+        gentle = max(GENTLE_MPS3, sqrt(-(wanted**3.0) / (24.0 * LONGER_M)))  # (4)
+        if wanted * wanted > 2.0 * gentle * max(v + wanted * late, 0.0):
+            jerk = gentle
+    if jerk == 0.0:
+        return wanted, StopState(jerk, offset)
+    left = sqrt(2.0 * v / jerk)
+    if a > -0.5 * jerk * left:
+        offset -= h * HARDER_PER_S * (jerk * left + a)
+    return offset - jerk * max(left - late, 0.0), StopState(jerk, offset)  # (4)
+
+
+@kernel
+def stands(standing: bool, v: float, t: float, times: FloatArray) -> bool:
+    """Whether to hold the vehicle at speed `v` (m/s) and time `t` (s), and whether it was held until now."""
+    wanted = max(timed(times, t)[1], timed(times, t + LOOK_AHEAD_S)[1])
+    return wanted <= LEAVING_MPS if standing else v < STANDING_MPS and wanted <= STANDING_MPS
+
+
 class Pedals:
     """(1)-(2); remembers which pedal is in use, and whether the brake holds."""
 
     def __init__(self, powertrain: Powertrain) -> None:
-        self._train = powertrain
-        self._braking = self._holding = False
+        self._train, self._state = powertrain.pedal_map, NO_PEDAL
 
     def press(self, acceleration: float, v: float) -> tuple[float, float]:
         """Throttle and brake, 0 to 1, for an acceleration (m/s2) at a speed (m/s)."""
-        self._holding = False
-        beyond = acceleration - self._train.coasting(v)
-        if self._braking and beyond > HYSTERESIS_MPS2:
-            self._braking = False
-        elif not self._braking and beyond < -HYSTERESIS_MPS2:
-            self._braking = True
-        if self._braking:
-            return 0.0, min(max(-beyond / self._train.full_brake(v), 0.0), 1.0)
-        return min(max(beyond / self._train.full_throttle(v), 0.0), 1.0), 0.0
+        throttle, brake, self._state = press(self._state, self._train, acceleration, v)
+        return throttle, brake
 
     def hold(self, v: float, a: float) -> tuple[float, float]:
         """Throttle and brake that hold a standstill; none while the last of `v` (m/s) goes by itself, `a` (m/s2)."""
-        self._braking = True
-        self._holding = self._holding or v < STILL_MPS or a > -SLOWING_MPS2
-        return 0.0, HOLDING_BRAKE if self._holding else 0.0
+        throttle, brake, self._state = hold(self._state, v, a)
+        return throttle, brake
 
 
 class Lead:
     """(3); remembers m, which follows the commands as the acceleration does."""
 
     def __init__(self, powertrain: Powertrain, period: float) -> None:
-        self._train, self._period = powertrain, period
-        self._m: float | None = None
+        self._train, self._period, self._m = powertrain.pedal_map, period, nan
 
     def rest(self) -> None:
         """The vehicle is held: what was commanded is gone."""
-        self._m = None
+        self._m = nan
 
     def command(self, path: PlanPath, t: float, v: float) -> float:
         """The acceleration to command at `t` (s) and speed `v` (m/s), for a period, for that of the plan, m/s2."""
-        train, h = self._train, self._period
-        coast = train.coasting(v)
-        now, soon, late, later = path.accelerations(t, train.brake_delay, h)
-        brakes = later < coast
-        before, after, lag = (late, later, train.brake_lag) if brakes else (now, soon, train.throttle_lag)
-        m = now if self._m is None else self._m
-        steepest = STEEPEST_MPS3 * h
-        self._m = m + min(max(after - before, -steepest), steepest) + h / CATCH_UP_S * (before - m)
-        command = m + (self._m - m) / (1.0 - exp(-h / lag)) if lag > 0.0 else self._m
-        return min(command, coast) if brakes else max(command, coast)
+        command, self._m = compensated(self._m, self._train, path.times, t, v, self._period)
+        return command
 
 
 class SoftStop:
     """(4); remembers j and o of the stop that it ends."""
 
     def __init__(self, powertrain: Powertrain, period: float) -> None:
-        self._period = period
-        self._late = powertrain.brake_delay + LAGS * powertrain.brake_lag
-        self._jerk = self._offset = 0.0
+        self._train, self._period, self._state = powertrain.pedal_map, period, NO_STOP
 
     def eased(self, acceleration: float, state: EgoState, path: PlanPath) -> float:
         """What to command where `acceleration` is wanted, m/s2."""
-        v = max(state.v, 0.0)
-        if path.timed(state.t + LOOK_AHEAD_S)[1] > STANDING_MPS:
-            self._jerk = self._offset = 0.0
-        elif not self._jerk and acceleration < 0.0:
-            jerk = max(GENTLE_MPS3, sqrt(-(acceleration**3) / (24.0 * LONGER_M)))
-            if acceleration**2 > 2.0 * jerk * max(v + acceleration * self._late, 0.0):
-                self._jerk = jerk
-        if not self._jerk:
-            return acceleration
-        left = sqrt(2.0 * v / self._jerk)
-        if state.a > -0.5 * self._jerk * left:
-            self._offset -= self._period * HARDER_PER_S * (self._jerk * left + state.a)
-        return self._offset - self._jerk * max(left - self._late, 0.0)
+        command, self._state = eased(
+            self._state, self._train, path.times, state.t, state.v, state.a, acceleration, self._period
+        )
+        return command
 
 
 class Standstill:
     """Whether the vehicle is to be held: a stop state with hysteresis, so that it neither creeps nor hesitates."""
 
     def __init__(self) -> None:
-        self._holds = False
+        self._stands = False
 
     def holds(self, v: float, t: float, path: PlanPath) -> bool:
         """Whether to hold at speed `v` (m/s) and time `t` (s), following `path`."""
-        wanted = max(path.timed(t)[1], path.timed(t + LOOK_AHEAD_S)[1])
-        self._holds = wanted <= LEAVING_MPS if self._holds else v < STANDING_MPS and wanted <= STANDING_MPS
-        return self._holds
+        self._stands = stands(self._stands, v, t, path.times)
+        return self._stands

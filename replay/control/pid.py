@@ -2,7 +2,7 @@
 
 (1) v_wanted = v_plan - clip(station_gain * e_station, -station_limit, station_limit)     outer loop, e = ego - plan
 (2) e        = v_wanted - v
-(3) a        = a_plan + kp e + ki int(e) dt            inner loop; a_plan led by the pedal's lag (`pedals.Lead`)
+(3) a        = a_plan + kp e + ki int(e) dt            inner loop; a_plan led by the pedal's lag (`pedals` (3))
 (4) a within what the vehicle can do at this speed; the integral stands still while it would push a further out of it
     (conditional integration), so that it does not wind up.
 """
@@ -10,12 +10,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import nan
+from typing import NamedTuple
 
 from logs.errors import ConfigError
-from logs.states import EgoState
-from replay.control.pedals import Lead
-from replay.control.tracking import Deviation, PlanPath
-from replay.vehicle.base import Powertrain
+from logs.kernel import FloatArray, inner_kernel, kernel
+from replay.control.pedals import compensated
+from replay.plan_path import Deviation, timed
+from replay.vehicle.base import Motion
+from replay.vehicle.pedal_map import PedalMap, reach
 
 
 @dataclass(frozen=True)
@@ -40,32 +43,54 @@ class PidConfig:
                 raise ConfigError(f"dual-loop PID: {name} must not be negative, got {getattr(self, name)}")
 
 
-class DualLoopPid:
-    """(1)-(4); remembers the integral. See `replay.control.base.LongitudinalLaw`."""
+class SpeedLaw(NamedTuple):
+    """The numbers of a speed controller: those of (1)-(3), 0 where it has none, kd 1, and the period s."""
 
-    def __init__(self, powertrain: Powertrain, period: float, config: PidConfig | None = None) -> None:
-        self._train = powertrain
-        self._period = period
-        self._config = config or PidConfig()
-        self._integral = 0.0
-        self._lead = Lead(powertrain, period)
+    station_gain: float
+    station_limit: float
+    kp: float
+    ki: float
+    kd: float
+    period: float
 
-    def rest(self) -> None:
-        """Forget the integral, and what was commanded."""
-        self._integral = 0.0
-        self._lead.rest()
 
-    def accelerate(self, state: EgoState, path: PlanPath, off: Deviation) -> float:
-        """Acceleration to command, m/s2."""
-        gains, train = self._config, self._train
-        v_plan = path.timed(state.t)[1]
-        v_wanted = v_plan - min(
-            max(gains.station_gain * off.station, -gains.station_limit_mps), gains.station_limit_mps
-        )
-        error = v_wanted - state.v
-        wanted = self._lead.command(path, state.t, state.v) + gains.kp * error + gains.ki * self._integral
-        coast = train.coasting(state.v)
-        lowest, highest = coast - train.full_brake(state.v), coast + train.full_throttle(state.v)
-        if (wanted < highest or error < 0.0) and (wanted > lowest or error > 0.0):
-            self._integral += self._period * error
-        return min(max(wanted, lowest), highest)
+class SpeedState(NamedTuple):
+    """The integral, m; m of `pedals` (3), m/s2, and the last error, m/s, NaN at first."""
+
+    integral: float
+    m: float
+    error: float
+
+
+AT_REST = SpeedState(0.0, nan, nan)
+
+
+def dual_loop_law(period: float, config: PidConfig | None = None) -> SpeedLaw:
+    """The law of (1)-(4)."""
+    c = config or PidConfig()
+    return SpeedLaw(float(c.station_gain), float(c.station_limit_mps), float(c.kp), float(c.ki), 0.0, period)
+
+
+@kernel
+def accelerate_dual_loop(
+    law: SpeedLaw, state: SpeedState, train: PedalMap, now: Motion, off: Deviation, times: FloatArray
+) -> tuple[float, SpeedState]:
+    """Acceleration to command, m/s2, and what is remembered then."""
+    most = law.station_limit
+    v_wanted = timed(times, now.t)[1] - min(max(law.station_gain * off.station, -most), most)  # (1)
+    error = v_wanted - now.v  # (2)
+    planned, m = compensated(state.m, train, times, now.t, now.v, law.period)
+    wanted = planned + law.kp * error + law.ki * state.integral  # (3)
+    command, integral = limited(wanted, error, state.integral, train, now.v, law.period)
+    return command, SpeedState(integral, m, state.error)
+
+
+@inner_kernel
+def limited(
+    wanted: float, error: float, integral: float, train: PedalMap, v: float, period: float
+) -> tuple[float, float]:
+    """`wanted` within what the vehicle can do at `v`, m/s2; the integral after a period of `error`."""
+    lowest, highest = reach(train, v)
+    if (wanted < highest or error < 0.0) and (wanted > lowest or error > 0.0):
+        integral += period * error  # (4)
+    return min(max(wanted, lowest), highest), integral

@@ -14,11 +14,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import atan, atan2, hypot, sin
+from typing import NamedTuple
 
 from logs.errors import ConfigError
-from logs.states import EgoState
+from logs.kernel import FloatArray, inner_kernel
 from logs.vehicle import VehicleParameters
-from replay.control.tracking import Deviation, PlanPath, path_point
+from replay.plan_path import Deviation, path_point
+from replay.vehicle.base import Motion
 
 
 @dataclass(frozen=True)
@@ -34,25 +36,34 @@ class PurePursuitConfig:
             raise ConfigError("pure pursuit: time_s must be positive and 0 < shortest_m <= longest_m")
 
 
-class PurePursuit:
-    """(1)-(3); without memory. See `replay.control.base.LateralLaw`."""
+class PursuitLaw(NamedTuple):
+    """The numbers of (1)-(3): s, m, m, wheelbase m, max_steer rad."""
 
-    def __init__(self, parameters: VehicleParameters, config: PurePursuitConfig | None = None) -> None:
-        self._wheelbase, self._max_steer = parameters.wheelbase, parameters.max_steer
-        self._config = config or PurePursuitConfig()
+    time: float
+    shortest: float
+    longest: float
+    wheelbase: float
+    max_steer: float
 
-    def rest(self) -> None:
-        """There is nothing to forget."""
 
-    def steer(self, state: EgoState, path: PlanPath, off: Deviation) -> float:
-        """Front wheel angle to command, rad."""
-        wanted = min(max(self._config.time_s * state.v, self._config.shortest_m), self._config.longest_m)
-        s = off.foot + wanted
-        for _ in range(3):  # station at which the distance is as wanted; exact on a straight
-            x, y, _, _ = path_point(path.knots, s)
-            s += wanted - hypot(x - state.x, y - state.y)
-        x, y, _, _ = path_point(path.knots, s)
-        ahead = max(hypot(x - state.x, y - state.y), 1e-3)
-        alpha = atan2(y - state.y, x - state.x) - state.yaw
-        command = atan(2.0 * self._wheelbase * sin(alpha) / ahead)
-        return min(max(command, -self._max_steer), self._max_steer)
+def pursuit_law(p: VehicleParameters, config: PurePursuitConfig | None = None) -> PursuitLaw:
+    """The law for a vehicle."""
+    c = config or PurePursuitConfig()
+    return PursuitLaw(
+        float(c.time_s), float(c.shortest_m), float(c.longest_m), float(p.wheelbase), float(p.max_steer)
+    )  # fmt: skip
+
+
+@inner_kernel
+def steer_pursuing(law: PursuitLaw, now: Motion, off: Deviation, knots: FloatArray) -> float:
+    """Front wheel angle to command, rad."""
+    wanted = min(max(law.time * now.v, law.shortest), law.longest)  # (1)
+    s = off.foot + wanted
+    for _ in range(3):  # station at which the distance is as wanted; exact on a straight
+        x, y, _, _ = path_point(knots, s)
+        s += wanted - hypot(x - now.x, y - now.y)
+    x, y, _, _ = path_point(knots, s)
+    ahead = max(hypot(x - now.x, y - now.y), 1e-3)
+    alpha = atan2(y - now.y, x - now.x) - now.yaw  # (2)
+    command = atan(2.0 * law.wheelbase * sin(alpha) / ahead)  # (3)
+    return min(max(command, -law.max_steer), law.max_steer)

@@ -12,13 +12,16 @@ ISO 3888-1 as well as -2, (0.2, 0.15, 0.3) loses none but is twice as far off on
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import sin
+from math import isnan, sin
+from typing import NamedTuple
 
 from logs.errors import ConfigError
-from logs.states import EgoState
+from logs.kernel import inner_kernel
 from logs.vehicle import VehicleParameters
-from replay.control.tracking import Deviation, PlanPath
-from replay.vehicle.base import Powertrain
+from replay.control.pid import SpeedLaw, SpeedState, limited
+from replay.plan_path import Deviation
+from replay.vehicle.base import Motion
+from replay.vehicle.pedal_map import PedalMap
 
 
 @dataclass(frozen=True)
@@ -48,47 +51,41 @@ class SpeedPidConfig:
             raise ConfigError("speed PID: no gain may be negative")
 
 
-class SteeringPid:
-    """(1); remembers the integral. See `replay.control.base.LateralLaw`."""
+class SteeringPidLaw(NamedTuple):
+    """The numbers of (1), max_steer rad, and the period s."""
 
-    def __init__(self, parameters: VehicleParameters, period: float, config: SteeringPidConfig | None = None) -> None:
-        self._max_steer, self._period, self._config = parameters.max_steer, period, config or SteeringPidConfig()
-        self._integral = 0.0
-
-    def rest(self) -> None:
-        """The integral stays: what it makes up for is there when the vehicle drives on."""
-
-    def steer(self, state: EgoState, path: PlanPath, off: Deviation) -> float:
-        """Front wheel angle to command, rad."""
-        gains = self._config
-        slower = 1.0 + (state.v / gains.speed_mps) ** 2
-        rate = state.v * sin(off.heading)
-        command = -(gains.kp * off.lateral + gains.ki * self._integral + gains.kd * rate) / slower
-        if abs(command) < self._max_steer or command * off.lateral > 0.0:
-            self._integral += self._period * off.lateral
-        return min(max(command, -self._max_steer), self._max_steer)
+    kp: float
+    ki: float
+    kd: float
+    speed: float
+    max_steer: float
+    period: float
 
 
-class SpeedPid:
-    """(2); remembers the integral and the last error. See `replay.control.base.LongitudinalLaw`."""
+def steering_pid_law(p: VehicleParameters, period: float, config: SteeringPidConfig | None = None) -> SteeringPidLaw:
+    """The law for a vehicle."""
+    c = config or SteeringPidConfig()
+    return SteeringPidLaw(float(c.kp), float(c.ki), float(c.kd), float(c.speed_mps), float(p.max_steer), period)
 
-    def __init__(self, powertrain: Powertrain, period: float, config: SpeedPidConfig | None = None) -> None:
-        self._train, self._period, self._config = powertrain, period, config or SpeedPidConfig()
-        self._integral = 0.0
-        self._last: float | None = None
 
-    def rest(self) -> None:
-        """Forget the integral and the last error."""
-        self._integral, self._last = 0.0, None
+@inner_kernel
+def steer_by_error(law: SteeringPidLaw, integral: float, now: Motion, off: Deviation) -> tuple[float, float]:
+    """Front wheel angle to command, rad, and the integral after it."""
+    slower = 1.0 + (now.v / law.speed) ** 2
+    rate = now.v * sin(off.heading)
+    command = -(law.kp * off.lateral + law.ki * integral + law.kd * rate) / slower  # (1)
+    if abs(command) < law.max_steer or command * off.lateral > 0.0:
+        integral += law.period * off.lateral
+    return min(max(command, -law.max_steer), law.max_steer), integral
 
-    def accelerate(self, state: EgoState, path: PlanPath, off: Deviation) -> float:
-        """Acceleration to command, m/s2."""
-        gains, train, error = self._config, self._train, -off.speed
-        rate = 0.0 if self._last is None else (error - self._last) / self._period
-        self._last = error
-        wanted = gains.kp * error + gains.ki * self._integral + gains.kd * rate
-        coast = train.coasting(state.v)
-        lowest, highest = coast - train.full_brake(state.v), coast + train.full_throttle(state.v)
-        if (wanted < highest or error < 0.0) and (wanted > lowest or error > 0.0):
-            self._integral += self._period * error
-        return min(max(wanted, lowest), highest)
+
+@inner_kernel
+def accelerate_by_error(
+    law: SpeedLaw, state: SpeedState, train: PedalMap, now: Motion, off: Deviation
+) -> tuple[float, SpeedState]:
+    """Acceleration to command, m/s2, and what is remembered then."""
+    error = -off.speed
+    rate = 0.0 if isnan(state.error) else (error - state.error) / law.period
+    wanted = law.kp * error + law.ki * state.integral + law.kd * rate  # (2)
+    command, integral = limited(wanted, error, state.integral, train, now.v, law.period)
+    return command, SpeedState(integral, state.m, error)

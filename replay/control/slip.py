@@ -13,8 +13,13 @@ Control, 4.3. With rigid tyres phi = 0 and the ratios stay.
 
 from __future__ import annotations
 
+from math import isnan, nan
+from typing import NamedTuple
+
+from logs.kernel import inner_kernel, kernel
 from logs.states import EgoState
 from logs.vehicle import VehicleParameters
+from replay.vehicle.base import Motion, motion_of
 
 GAIN_PER_S = 16.0
 PHI_0_RAD = 0.005
@@ -23,43 +28,78 @@ LEAST, MOST = 1.0 / 3.0, 4.0
 """Beyond these it is no tyre: where hardly any force acts, slip that the model does not have passes for compliance."""
 
 
-class Slip:
-    """(1)-(3).
+class SlipModel(NamedTuple):
+    """m, I, a, b, L of (1)-(3), the stiffness of both axles, and the period between two states."""
 
-    Attributes:
-        front: Compliance of the front axle over that of the parameters; `rear` likewise.
-    """
+    mass: float
+    inertia: float
+    a: float
+    b: float
+    wheelbase: float
+    front: float
+    rear: float
+    period: float
+
+
+class SlipState(NamedTuple):
+    """The ratios of both axles; what was seen a period ago: v_lat, r, alpha_f, alpha_r, NaN where nothing was."""
+
+    front: float
+    rear: float
+    v_lat: float
+    turn: float
+    alpha_front: float
+    alpha_rear: float
+
+
+NOTHING_LEARNED = SlipState(1.0, 1.0, nan, nan, nan, nan)
+
+
+def slip_model(p: VehicleParameters, period: float) -> SlipModel:
+    """The numbers of (1)-(3)."""
+    a, b = p.cog_to_front, p.wheelbase - p.cog_to_front
+    stiffness = float(p.cornering_front), float(p.cornering_rear)
+    return SlipModel(float(p.mass), float(p.yaw_inertia), float(a), float(b), float(p.wheelbase), *stiffness, period)
+
+
+@kernel
+def learned(state: SlipState, car: SlipModel, now: Motion) -> SlipState:
+    """What is known after the motion one period after the last."""
+    r, v = now.yaw_rate, now.v
+    if v < SLOWEST_MPS:
+        return SlipState(state.front, state.rear, nan, nan, nan, nan)
+    alpha_front, alpha_rear = now.steer - (now.v_lat + car.wheelbase * r) / v, -now.v_lat / v  # (2)
+    if isnan(state.v_lat):
+        return SlipState(state.front, state.rear, now.v_lat, r, alpha_front, alpha_rear)
+    side, spin = (now.v_lat - state.v_lat) / car.period, (r - state.turn) / car.period
+    across = car.mass * car.a * (side + 0.5 * v * (r + state.turn))
+    rear = (across + (car.a * car.b * car.mass - car.inertia) * spin) / car.wheelbase  # (1)
+    front = (car.inertia * spin + car.b * rear) / car.a
+    return SlipState(
+        nearer(state.front, front / car.front, 0.5 * (alpha_front + state.alpha_front), car.period),
+        nearer(state.rear, rear / car.rear, 0.5 * (alpha_rear + state.alpha_rear), car.period),
+        now.v_lat, r, alpha_front, alpha_rear,
+    )  # fmt: skip
+
+
+@inner_kernel
+def nearer(ratio: float, phi: float, alpha: float, period: float) -> float:
+    """The ratio after one period."""
+    rate = GAIN_PER_S * phi * (alpha - ratio * phi) / (PHI_0_RAD * PHI_0_RAD + phi * phi)  # (3)
+    return min(max(ratio + period * rate, LEAST), MOST)
+
+
+class Slip:
+    """(1)-(3); remembers the ratios."""
 
     def __init__(self, parameters: VehicleParameters, period: float) -> None:
-        self._p = parameters
-        self._period = period
-        self._before: tuple[float, float, float, float] | None = None
-        self.front = 1.0
-        self.rear = 1.0
+        self._model, self._state = slip_model(parameters, period), NOTHING_LEARNED
 
     @property
     def ratios(self) -> tuple[float, float]:
-        """Of front and rear."""
-        return self.front, self.rear
+        """Compliance of front and rear axle over that of the parameters."""
+        return self._state.front, self._state.rear
 
     def learn(self, state: EgoState) -> None:
         """Take in the state one period after the last."""
-        p, r, v = self._p, state.yaw_rate, state.v
-        if v < SLOWEST_MPS:
-            self._before = None
-            return
-        now = (state.v_lat, r, state.steer - (state.v_lat + p.wheelbase * r) / v, -state.v_lat / v)
-        before, self._before = self._before, now
-        if before is None:
-            return
-        a, b = p.cog_to_front, p.wheelbase - p.cog_to_front
-        side, spin = (now[0] - before[0]) / self._period, (r - before[1]) / self._period
-        across = p.mass * a * (side + 0.5 * v * (r + before[1]))
-        rear = (across + (a * b * p.mass - p.yaw_inertia) * spin) / p.wheelbase
-        front = (p.yaw_inertia * spin + b * rear) / a
-        self.front = self._nearer(self.front, front / p.cornering_front, 0.5 * (now[2] + before[2]))
-        self.rear = self._nearer(self.rear, rear / p.cornering_rear, 0.5 * (now[3] + before[3]))
-
-    def _nearer(self, ratio: float, phi: float, alpha: float) -> float:
-        rate = GAIN_PER_S * phi * (alpha - ratio * phi) / (PHI_0_RAD**2 + phi * phi)
-        return min(max(ratio + self._period * rate, LEAST), MOST)
+        self._state = learned(self._state, self._model, motion_of(state))

@@ -1,39 +1,262 @@
-"""A controller made of two laws: one steers, the other drives; at a standstill neither does."""
+"""A controller made of two laws: one steers, the other drives; at a standstill neither does.
+
+It is one compiled step, so that the loop can run it for a whole plan period without coming back to Python
+(`replay.plan_period`). Which laws it is made of is data: `SplitLaw` names them and holds their numbers; adding one is
+its kernel, its numbers here, and a branch of `steer` or `accelerate`.
+"""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
+import numpy as np
+
+from logs.kernel import FloatArray, frozen, inner_kernel, kernel
 from logs.states import Command, EgoState
 from logs.trace import Plan
-from replay.control.base import LateralLaw, LongitudinalLaw
-from replay.control.pedals import Pedals, SoftStop, Standstill
-from replay.control.tracking import Tracker
-from replay.vehicle.base import Powertrain
+from logs.vehicle import VehicleParameters
+from replay.control.dlqr import DlqrLaw, DlqrState, dlqr_law, dlqr_start, steer_slipping
+from replay.control.dlqr_kinematic import KinematicLaw, kinematic_law, steer_rolling
+from replay.control.lateral_model import has_rigid_tyres
+from replay.control.pedals import NO_PEDAL, NO_STOP, PedalState, StopState, eased, hold, press, stands
+from replay.control.pid import AT_REST, SpeedLaw, SpeedState, accelerate_dual_loop, dual_loop_law
+from replay.control.pure_pursuit import PursuitLaw, pursuit_law, steer_pursuing
+from replay.control.single_pid import (
+    SpeedPidConfig,
+    SteeringPidLaw,
+    accelerate_by_error,
+    steer_by_error,
+    steering_pid_law,
+)
+from replay.control.slip import SlipModel, SlipState, slip_model
+from replay.control.stanley import StanleyLaw, stanley_law, steer_at_front
+from replay.control.steering_delay import DelayModel, DelayState, SteeringDelay
+from replay.plan_path import Deviation, Tracker, deviation
+from replay.trace_rows import COLUMNS, MOTION, commanded, motion_at
+from replay.vehicle.base import Motion, Plain, Powertrain, motion_of, plain
+from replay.vehicle.pedal_map import PedalMap
+
+DLQR, KINEMATIC_DLQR, PURE_PURSUIT, STANLEY, STEERING_PID = range(5)
+DUAL_LOOP, SPEED_PID = range(2)
+MEMORY, DELAY = 18, slice(15, 18)
+"""Numbers of a `SplitState` as an array (`remembered`), and those of its steering's delay."""
 
 
-class SplitController:
-    """Steering by `lateral`, pedals by `longitudinal`. See `replay.control.base.Controller`.
+class SplitLaw(NamedTuple):
+    """Which laws, their numbers, and the pedals that they are to press.
+
+    Attributes:
+        steers: One of DLQR, KINEMATIC_DLQR, ...
+        drives: DUAL_LOOP or SPEED_PID.
+        dlqr: Of each law, used or not.
+        kinematic: Likewise.
+        pursuit: Likewise.
+        stanley: Likewise.
+        pid: Likewise.
+        speed: Of the law that drives.
+        train: Of the vehicle.
+    """
+
+    steers: int
+    drives: int
+    dlqr: DlqrLaw
+    kinematic: KinematicLaw
+    pursuit: PursuitLaw
+    stanley: StanleyLaw
+    pid: SteeringPidLaw
+    speed: SpeedLaw
+    train: PedalMap
+
+
+class SplitState(NamedTuple):
+    """What the laws remember: standstill, pedal, end of a stop, integrals, tyres and steering."""
+
+    standing: bool
+    pedal: PedalState
+    stop: StopState
+    speed: SpeedState
+    steer_integral: float
+    dlqr: DlqrState
+
+
+@inner_kernel
+def steer(
+    law: SplitLaw, state: SplitState, now: Motion, off: Deviation, knots: FloatArray
+) -> tuple[float, float, DlqrState]:
+    """Front wheel angle to command, rad; the steering integral and what the DLQR knows, after it."""
+    if law.steers == DLQR:
+        angle, known = steer_slipping(law.dlqr, state.dlqr, now, off, knots)
+        return angle, state.steer_integral, known
+    if law.steers == STEERING_PID:
+        angle, integral = steer_by_error(law.pid, state.steer_integral, now, off)
+        return angle, integral, state.dlqr
+    if law.steers == PURE_PURSUIT:
+        angle = steer_pursuing(law.pursuit, now, off, knots)
+    elif law.steers == STANLEY:
+        angle = steer_at_front(law.stanley, now, off, knots)
+    else:
+        angle = steer_rolling(law.kinematic, now, off, knots)
+    return angle, state.steer_integral, state.dlqr
+
+
+@inner_kernel
+def accelerate(
+    law: SplitLaw, state: SpeedState, now: Motion, off: Deviation, times: FloatArray
+) -> tuple[float, SpeedState]:
+    """Acceleration to command, m/s2, and what is remembered then."""
+    if law.drives == SPEED_PID:
+        return accelerate_by_error(law.speed, state, law.train, now, off)
+    return accelerate_dual_loop(law.speed, state, law.train, now, off, times)
+
+
+@inner_kernel
+def resting(law: SplitLaw, state: SplitState, now: Motion) -> tuple[float, float, float, SplitState]:
+    """The command that holds a standstill, and what is remembered: not where the wheel is, nor what was integrated."""
+    throttle, brake, pedal = hold(state.pedal, now.v, now.a)
+    delay = state.dlqr.delay
+    unknown = DelayState(delay.wheel, delay.offset, delay.delay, delay.known and not law.dlqr.commands)
+    known = DlqrState(state.dlqr.slip, unknown)
+    return now.steer, throttle, brake, SplitState(True, pedal, state.stop, AT_REST, state.steer_integral, known)
+
+
+@inner_kernel
+def control(
+    law: SplitLaw, state: SplitState, now: Motion, off: Deviation, times: FloatArray, knots: FloatArray
+) -> tuple[float, float, float, SplitState]:
+    """Steer, throttle and brake for the next control period, and what is remembered then.
 
     A stop ends softly; while the vehicle is held at a standstill, the brake is on and the steering stays where it is.
     """
+    if stands(state.standing, now.v, now.t, times):
+        return resting(law, state, now)
+    angle, integral, known = steer(law, state, now, off, knots)
+    wanted, speed = accelerate(law, state.speed, now, off, times)
+    wanted, stop = eased(state.stop, law.train, times, now.t, now.v, now.a, wanted, law.speed.period)
+    throttle, brake, pedal = press(state.pedal, law.train, wanted, now.v)
+    return angle, throttle, brake, SplitState(False, pedal, stop, speed, integral, known)
 
-    def __init__(
-        self, lateral: LateralLaw, longitudinal: LongitudinalLaw, powertrain: Powertrain, period: float
-    ) -> None:
-        self._lateral = lateral
-        self._longitudinal = longitudinal
-        self._pedals = Pedals(powertrain)
-        self._standstill, self._stop = Standstill(), SoftStop(powertrain, period)
-        self._tracker = Tracker()
+
+@kernel
+def remembered(m: FloatArray, wheel: FloatArray) -> SplitState:
+    """The state that an array of MEMORY numbers and the wheel's angles hold."""
+    return SplitState(
+        m[0] > 0.0, PedalState(m[1] > 0.0, m[2] > 0.0), StopState(m[3], m[4]), SpeedState(m[5], m[6], m[7]), m[8],
+        DlqrState(SlipState(m[9], m[10], m[11], m[12], m[13], m[14]), DelayState(wheel, m[15], m[16], m[17] > 0.0)),
+    )  # fmt: skip
+
+
+@kernel
+def remember(m: FloatArray, s: SplitState) -> None:
+    """`remembered`, the other way; the wheel's angles are written where they are."""
+    slip, delay = s.dlqr.slip, s.dlqr.delay
+    m[0], m[1], m[2], m[3], m[4] = s.standing, s.pedal.braking, s.pedal.holding, s.stop.jerk, s.stop.offset
+    m[5], m[6], m[7], m[8] = s.speed.integral, s.speed.m, s.speed.error, s.steer_integral
+    m[9], m[10], m[11], m[12] = slip.front, slip.rear, slip.v_lat, slip.turn
+    m[13], m[14], m[15], m[16], m[17] = slip.alpha_front, slip.alpha_rear, delay.offset, delay.delay, delay.known
+
+
+@inner_kernel
+def named_law(p: Plain) -> SplitLaw:
+    """The law that plain tuples hold (`replay.vehicle.base.plain`)."""
+    d = p[2]
+    dlqr = DlqrLaw(d[0], d[1], SlipModel(*d[2]), DelayModel(*d[3]), d[4], d[5], d[6], d[7])
+    others = KinematicLaw(*p[3]), PursuitLaw(*p[4]), StanleyLaw(*p[5]), SteeringPidLaw(*p[6])
+    return SplitLaw(p[0], p[1], dlqr, others[0], others[1], others[2], others[3], SpeedLaw(*p[7]), PedalMap(*p[8]))
+
+
+@inner_kernel
+def control_row(
+    law: SplitLaw, memory: FloatArray, wheel: FloatArray, times: FloatArray, knots: FloatArray, rows: FloatArray, k: int
+) -> tuple[float, float, float]:
+    """The command at row k of a trace, which with the errors is written there; what is remembered, into `memory`."""
+    now = motion_at(rows, k)
+    off = deviation(times, knots, now.t, now.x, now.y, now.yaw, now.v)
+    steer, throttle, brake, state = control(law, remembered(memory, wheel), now, off, times, knots)
+    remember(memory, state)
+    commanded(rows[k], steer, throttle, brake, off)
+    return steer, throttle, brake
+
+
+@kernel
+def control_once(
+    laws: Plain, memory: FloatArray, wheel: FloatArray, times: FloatArray, knots: FloatArray, rows: FloatArray
+) -> tuple[float, float, float]:
+    """The command at the only row."""
+    return control_row(named_law(laws), memory, wheel, times, knots, rows, 0)
+
+
+class SplitController:
+    """Steering by one law, pedals by another. See `replay.control.base.Controller`.
+
+    Args:
+        law: Both.
+        delay: What is known of the steering, where another controller commands and tells it; None: this one does.
+
+    Attributes:
+        laws: The law as plain tuples.
+        memory: `(MEMORY,)` what is remembered; kernels write into it.
+        wheel: Of `DelayState`, likewise.
+    """
+
+    notes: tuple[str, ...] = ()
+
+    def __init__(self, law: SplitLaw, delay: SteeringDelay | None = None) -> None:
+        self.laws: Plain = plain(law)
+        self.memory, self.wheel = np.zeros(MEMORY), dlqr_start(law.speed.period).delay.wheel
+        remember(self.memory, start_of(law))
+        self._delay, self._tracker, self._row = delay, Tracker(), np.zeros((1, COLUMNS))
+
+    @property
+    def state(self) -> SplitState:
+        """What is remembered, by name."""
+        return remembered(self.memory, self.wheel)
 
     def control(self, state: EgoState, plan: Plan) -> Command:
         """The command for the next control period."""
         path = self._tracker.path(plan)
-        if self._standstill.holds(state.v, state.t, path):
-            self._lateral.rest()
-            self._longitudinal.rest()
-            return Command(state.steer, *self._pedals.hold(state.v, state.a))
-        off = path.deviation(state)
-        steer = self._lateral.steer(state, path, off)
-        acceleration = self._longitudinal.accelerate(state, path, off)
-        eased = self._stop.eased(acceleration, state, path)
-        return Command(steer, *self._pedals.press(eased, state.v))
+        if self._delay is not None:
+            known = self._delay.state
+            self.wheel, self.memory[DELAY] = known.wheel, (known.offset, known.delay, known.known)
+        self._row[0, MOTION] = motion_of(state)
+        return Command(*control_once(self.laws, self.memory, self.wheel, path.times, path.knots, self._row))
+
+
+def start_of(law: SplitLaw) -> SplitState:
+    """Nothing is remembered yet."""
+    return SplitState(False, NO_PEDAL, NO_STOP, AT_REST, 0.0, dlqr_start(law.speed.period))
+
+
+_UNUSED = frozen(np.zeros((2, 5)))
+_UNUSED_TABLE = frozen(np.zeros((2, 5, 6)))
+
+
+def split_law(
+    steers: int, parameters: VehicleParameters, powertrain: Powertrain, period: float,
+    *, drives: int = DUAL_LOOP, commands: bool = True,
+) -> SplitLaw:  # fmt: skip
+    """The law of a vehicle as controllers believe it to be; with rigid tyres a DLQR is the kinematic one.
+
+    Args:
+        steers: One of DLQR, KINEMATIC_DLQR, ...
+        parameters: Of the vehicle.
+        powertrain: Of the vehicle.
+        period: Between two commands, s.
+        drives: DUAL_LOOP or SPEED_PID.
+        commands: Whether what it asks for is what is commanded.
+    """
+    p, rigid = parameters, has_rigid_tyres(parameters)
+    steers = KINEMATIC_DLQR if rigid and steers == DLQR else steers
+    slipping = dlqr_law(p, period, commands=commands) if steers == DLQR else _no_dlqr(p, period)
+    rolling = kinematic_law(p, period) if steers == KINEMATIC_DLQR else KinematicLaw(_UNUSED, 0.0, 0.0, 0.0)
+    gains = SpeedPidConfig()
+    single = SpeedLaw(0.0, 0.0, float(gains.kp), float(gains.ki), float(gains.kd), period)
+    return SplitLaw(
+        steers, drives, slipping, rolling, pursuit_law(p), stanley_law(p), steering_pid_law(p, period),
+        single if drives == SPEED_PID else dual_loop_law(period), powertrain.pedal_map,
+    )  # fmt: skip
+
+
+def _no_dlqr(p: VehicleParameters, period: float) -> DlqrLaw:
+    """The place of the DLQR where another law steers: its tables need not be solved for."""
+    delay = DelayModel(0.0, 0.0, period, _UNUSED_TABLE)
+    return DlqrLaw(_UNUSED, _UNUSED, slip_model(p, period), delay, float(p.wheelbase), float(p.max_steer), 0.0, False)

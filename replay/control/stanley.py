@@ -14,11 +14,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import atan, cos, sin
+from typing import NamedTuple
 
 from logs.errors import ConfigError
-from logs.states import EgoState, wrap
+from logs.kernel import FloatArray, inner_kernel
+from logs.states import wrap
 from logs.vehicle import VehicleParameters
-from replay.control.tracking import Deviation, PlanPath, path_foot, path_point
+from replay.plan_path import Deviation, path_foot, path_point
+from replay.vehicle.base import Motion
 
 
 @dataclass(frozen=True)
@@ -33,21 +36,27 @@ class StanleyConfig:
             raise ConfigError("Stanley: gain and softening_mps must be positive")
 
 
-class Stanley:
-    """(1); without memory. See `replay.control.base.LateralLaw`."""
+class StanleyLaw(NamedTuple):
+    """The numbers of (1): 1/s, m/s, wheelbase m, max_steer rad."""
 
-    def __init__(self, parameters: VehicleParameters, config: StanleyConfig | None = None) -> None:
-        self._wheelbase, self._max_steer = parameters.wheelbase, parameters.max_steer
-        self._config = config or StanleyConfig()
+    gain: float
+    softening: float
+    wheelbase: float
+    max_steer: float
 
-    def rest(self) -> None:
-        """There is nothing to forget."""
 
-    def steer(self, state: EgoState, path: PlanPath, off: Deviation) -> float:
-        """Front wheel angle to command, rad."""
-        x, y = state.x + self._wheelbase * cos(state.yaw), state.y + self._wheelbase * sin(state.yaw)
-        rx, ry, yaw, _ = path_point(path.knots, path_foot(path.knots, x, y, off.foot + self._wheelbase))
-        lateral = (y - ry) * cos(yaw) - (x - rx) * sin(yaw)
-        towards = atan(self._config.gain * lateral / (self._config.softening_mps + max(state.v, 0.0)))
-        command = wrap(yaw - state.yaw) - towards
-        return min(max(command, -self._max_steer), self._max_steer)
+def stanley_law(p: VehicleParameters, config: StanleyConfig | None = None) -> StanleyLaw:
+    """The law for a vehicle."""
+    c = config or StanleyConfig()
+    return StanleyLaw(float(c.gain), float(c.softening_mps), float(p.wheelbase), float(p.max_steer))
+
+
+@inner_kernel
+def steer_at_front(law: StanleyLaw, now: Motion, off: Deviation, knots: FloatArray) -> float:
+    """Front wheel angle to command, rad."""
+    x, y = now.x + law.wheelbase * cos(now.yaw), now.y + law.wheelbase * sin(now.yaw)
+    rx, ry, yaw, _ = path_point(knots, path_foot(knots, x, y, off.foot + law.wheelbase))
+    lateral = (y - ry) * cos(yaw) - (x - rx) * sin(yaw)
+    towards = atan(law.gain * lateral / (law.softening + max(now.v, 0.0)))
+    command = wrap(yaw - now.yaw) - towards  # (1)
+    return min(max(command, -law.max_steer), law.max_steer)

@@ -25,10 +25,9 @@ from logs.states import Command, Trajectory
 from logs.trace import Plan
 from logs.vehicle import VehicleParameters, vehicle_names, vehicle_parameters
 from replay.control import CONTROLLERS
-from replay.control.base import Telling
-from replay.control.tracking import PlanPath
 from replay.experiments import iso3888
-from replay.rig import controller_of
+from replay.plan_path import PlanPath
+from replay.simulation_setup import controller_of
 from replay.vehicle import VEHICLES
 from replay.vehicle.plant import Table, build
 
@@ -51,7 +50,7 @@ class Manoeuvre:
         name: In the table.
         reference: The plan, at the rear axle.
         cones: Places `(n, 2)` that must not be touched, m.
-        plant: What the vehicle has and nobody is told, such as the road's friction.
+        plant: What the vehicle has and its controller does not know of, such as the road's friction.
     """
 
     name: str
@@ -198,8 +197,8 @@ def follow(
     model = VEHICLES[vehicle]
     if vehicle == "kinematic_bicycle":
         table = {key: value for key, value in table.items() if key not in ("tyre_stiffness", "tyre_friction")}
-    ego, told = build(model, vehicle, car, start, table), build(model, vehicle, car, start, {})
-    driver = controller_of(told, car, controller, PERIOD_S)
+    ego, believed = build(model, vehicle, car, start, table), build(model, vehicle, car, start, {})
+    driver = controller_of(believed, car, controller, PERIOD_S)
     plan, path, rows = Plan(manoeuvre.reference), PlanPath.of(manoeuvre.reference), []
     coming = delay_steps * [Command(ego.state.steer, ego.actuation.throttle, ego.actuation.brake)]
     for _ in range(round(float(manoeuvre.reference.t[-1]) / PERIOD_S)):
@@ -211,7 +210,7 @@ def follow(
         coming.append(driver.control(state, plan))
         ego.step(coming.pop(0), PERIOD_S)
     columns = dict(zip(COLUMNS, np.array(rows).T, strict=True))
-    return Driven(columns, driver.notes if isinstance(driver, Telling) else ())
+    return Driven(columns, driver.notes)
 
 
 def judged(driven: Sequence[Driven], manoeuvre: Manoeuvre, car: VehicleParameters) -> dict[str, float]:

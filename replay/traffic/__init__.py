@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
+from math import inf
 from typing import Protocol
 
 from logs.scenario import Scenario, Tracks
@@ -25,6 +26,16 @@ __all__ = ["TRAFFIC", "TRAFFIC_NOTES", "Reactive", "ReplayedByEgoPosition", "Rep
 class Traffic(Protocol):
     """Moves the others; built once per drive as `factory(scenario)`."""
 
+    @property
+    def due(self) -> float:
+        """The next time at which they look at the ego, s: until then `step` changes nothing; inf: they never do."""
+        ...
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the user must know of the drive so far, one sentence each; goes into the trace."""
+        ...
+
     def step(self, ego: EgoState) -> Tracks:
         """The others as they have moved up to `ego.t`, seeing the ego's states until then.
 
@@ -35,6 +46,9 @@ class Traffic(Protocol):
 
 class ReplayedByTime:
     """The log's tracks, unmoved by what the ego does."""
+
+    due = inf
+    notes: tuple[str, ...] = ()
 
     def __init__(self, scenario: Scenario) -> None:
         self._tracks = scenario.tracks

@@ -19,7 +19,7 @@ from logs.errors import LogError
 from logs.road import ReferenceLine, thinned
 from logs.scenario import Scenario, Tracks
 from logs.states import EgoState
-from replay.traffic.cast import PERIOD_S, Cast
+from replay.traffic.phase_replay import PERIOD_S, PhaseReplay
 
 FASTEST = 2.0
 STUCK_S, STANDING_MPS, NEAR_M = 2.0, 0.1, 1.5
@@ -36,6 +36,8 @@ class ReplayedByEgoPosition:
         LogError: The logged ego does not move, so that its position tells no time.
     """
 
+    notes: tuple[str, ...] = ()
+
     def __init__(self, scenario: Scenario) -> None:
         log = scenario.ego
         points = thinned(np.column_stack([log.x, log.y]), SHORTEST_M)
@@ -46,9 +48,14 @@ class ReplayedByEgoPosition:
             )
         self._line = ReferenceLine.through(points)
         self._log_t, self._log_s = log.t, self._stations(log.x, log.y)
-        self._cast = Cast(scenario.tracks)
+        self._replay = PhaseReplay(scenario.tracks)
         self._phase, self._delay, self._stood = float(log.t[0]), 0.0, 0.0
         self._station, self._next, self._tracks = 0.0, float("-inf"), Tracks.empty()
+
+    @property
+    def due(self) -> float:
+        """The next time at which the ego is looked at, s."""
+        return self._next
 
     def step(self, ego: EgoState) -> Tracks:
         """The others as they moved up to `ego.t`, and one sample beyond."""
@@ -61,7 +68,7 @@ class ReplayedByEgoPosition:
             self._advance(ego)
             self._next += PERIOD_S
             self._add(self._next, (self._phase - before) / PERIOD_S)
-            self._tracks = self._cast.tracks(np.full(len(self._cast.log), -np.inf))
+            self._tracks = self._replay.tracks(np.full(len(self._replay.log), -np.inf))
         return self._tracks
 
     def _stations(self, x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -78,10 +85,10 @@ class ReplayedByEgoPosition:
         ahead = self._station + max(ego.v, 0.0) * PERIOD_S
         most = FASTEST * PERIOD_S
         if self._stood > STUCK_S + 1e-9 or ahead >= self._log_s[-1]:
-            self._phase += PERIOD_S
+            self._phase += PERIOD_S  # (3)
             self._delay = max(self._delay, self._phase - self._latest(self._station))
         else:
-            self._phase += min(max(self._earliest(ahead) + self._delay - self._phase, 0.0), most)
+            self._phase += min(max(self._earliest(ahead) + self._delay - self._phase, 0.0), most)  # (1), (2)
 
     def _earliest(self, s: float) -> float:
         """The first log time at which the logged ego had come to `s`, s."""
@@ -99,5 +106,5 @@ class ReplayedByEgoPosition:
         return float(self._log_t[max(k, 0)])
 
     def _add(self, t: float, rate: float) -> None:
-        n = len(self._cast.log)
-        self._cast.add(t, np.full(n, self._phase), np.full(n, rate), np.ones(n, np.bool_))
+        n = len(self._replay.log)
+        self._replay.add(t, np.full(n, self._phase), np.full(n, rate), np.ones(n, np.bool_))

@@ -26,13 +26,12 @@ A vehicle that goes on as in its log drives into its leader where, within `LOOK_
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import cos, hypot, inf, pi, sin, sqrt, tanh
 from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
 from logs.shapes import overlap
 from metrics.reference_drivers import CC_BRAKE_MPS2
 
@@ -80,8 +79,7 @@ class Scene(NamedTuple):
     as_logged: BoolArray
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Leaders:
+class Leaders(NamedTuple):
     """Per vehicle `(n,)`: gap to the leader (inf: none), its speed and acceleration along the path."""
 
     gap: FloatArray
@@ -89,30 +87,21 @@ class Leaders:
     accel: FloatArray
 
 
-def leaders(
-    paths: Paths, phase: FloatArray, speed: FloatArray, whose: BoolArray, heeds: BoolArray, scene: Scene
-) -> Leaders:
-    """The leaders of the vehicles `whose` `(n,)` at their phases; pairs that both are as logged do not count.
-
-    The ego is nobody's leader but of those who heed it `(n,)`.
-    """
-    return Leaders(*_leaders(paths, phase, speed, whose, heeds, scene))
+@inner_kernel
+def desired_gap(v: float, v_lead: float) -> float:
+    """The desired gap behind a leader, m."""
+    closing = v * (v - v_lead) / (2.0 * sqrt(ACCEL_MPS2 * DECEL_MPS2))
+    return STANDSTILL_M + max(v * TIME_GAP_S + closing, 0.0)  # (1)
 
 
-def desired_gaps(speed: FloatArray, leaders: Leaders) -> FloatArray:
-    """The desired gaps (1), m."""
-    closing = speed * (speed - leaders.speed) / (2.0 * sqrt(ACCEL_MPS2 * DECEL_MPS2))
-    return np.asarray(STANDSTILL_M + np.maximum(speed * TIME_GAP_S + closing, 0.0))
-
-
+@kernel
 def accelerations(speed: FloatArray, leaders: Leaders) -> FloatArray:
     """(4) `(n,)`; without a leader the greatest acceleration."""
-    return np.array(
-        [
-            enhanced_idm(v, gap, led, pull) if np.isfinite(gap) else ACCEL_MPS2
-            for v, gap, led, pull in zip(speed, leaders.gap, leaders.speed, leaders.accel, strict=True)
-        ]
-    ).reshape(-1)
+    out = np.full(len(speed), ACCEL_MPS2)
+    for i in range(len(speed)):
+        if np.isfinite(leaders.gap[i]):
+            out[i] = enhanced_idm(speed[i], leaders.gap[i], leaders.speed[i], leaders.accel[i])
+    return out
 
 
 @kernel
@@ -120,14 +109,14 @@ def enhanced_idm(v: float, gap: float, v_lead: float, a_lead: float) -> float:
     """Acceleration (4) behind a leader, m/s2."""
     gap = max(gap, TOUCHING_M)
     wish = STANDSTILL_M + max(v * TIME_GAP_S + v * (v - v_lead) / (2.0 * sqrt(ACCEL_MPS2 * DECEL_MPS2)), 0.0)
-    idm = ACCEL_MPS2 * (1.0 - (wish / gap) ** 2)
+    idm = ACCEL_MPS2 * (1.0 - (wish / gap) ** 2)  # (2)
     pull = min(a_lead, ACCEL_MPS2)
     if v_lead * (v - v_lead) <= -2.0 * gap * pull and v_lead * v_lead - 2.0 * gap * pull > 0.0:
-        cah = v * v * pull / (v_lead * v_lead - 2.0 * gap * pull)
+        cah = v * v * pull / (v_lead * v_lead - 2.0 * gap * pull)  # (3)
     else:
         cah = pull - max(v - v_lead, 0.0) ** 2 / (2.0 * gap)
     if idm < cah:
-        idm = (1.0 - COOLNESS) * idm + COOLNESS * (cah + DECEL_MPS2 * tanh((idm - cah) / DECEL_MPS2))
+        idm = (1.0 - COOLNESS) * idm + COOLNESS * (cah + DECEL_MPS2 * tanh((idm - cah) / DECEL_MPS2))  # (4)
     return max(idm, -HARDEST_MPS2)
 
 
@@ -188,13 +177,13 @@ def taken(boxes: FloatArray, coming: BoolArray, others: BoolArray) -> BoolArray:
     return out
 
 
-@kernel
+@inner_kernel
 def _touch(one: FloatArray, two: FloatArray, narrower: float) -> bool:
     width = max(one[4] - narrower, 0.1)
     return overlap(one[0], one[1], one[2], one[3], width, two[0], two[1], two[2], two[3], two[4])
 
 
-@kernel
+@inner_kernel
 def ego_ahead(paths: Paths, phase: FloatArray, speed: FloatArray, whose: BoolArray, scene: Scene) -> BoolArray:
     """Whether the ego is ahead of each of the vehicles `whose` (5), `(n,)`."""
     n, boxes = len(phase), scene.boxes
@@ -209,17 +198,14 @@ def ego_ahead(paths: Paths, phase: FloatArray, speed: FloatArray, whose: BoolArr
         half = 0.5 * (boxes[n, 3] * abs(cos(askew)) + boxes[n, 4] * abs(sin(askew)))
         rear = (boxes[n, 0] - x) * c + (boxes[n, 1] - y) * s - half
         onward = scene.motion[n, 0] * c + scene.motion[n, 1] * s > -STANDING_MPS
-        out[i] = j >= 0 and onward and cos(askew) >= cos(ASKEW_RAD) and gap + rear - 0.5 * boxes[i, 3] > 0.0
+        out[i] = j >= 0 and onward and cos(askew) >= cos(ASKEW_RAD) and gap + rear - 0.5 * boxes[i, 3] > 0.0  # (5)
     return out
 
 
+@inner_kernel
 def drives_into(paths: Paths, phase: FloatArray, leaders: Leaders) -> BoolArray:
     """Which vehicles `(n,)`, going on as in the log, drive into their leaders (6)."""
-    return np.asarray(_drives_into(paths, phase, leaders.gap, leaders.speed, leaders.accel))
-
-
-@kernel
-def _drives_into(paths: Paths, phase: FloatArray, gap: FloatArray, led: FloatArray, accel: FloatArray) -> BoolArray:
+    gap, pace, accel = leaders.gap, leaders.speed, leaders.accel
     out = np.zeros(len(phase), np.bool_)
     for i in range(len(phase)):
         if not np.isfinite(gap[i]):
@@ -233,19 +219,21 @@ def _drives_into(paths: Paths, phase: FloatArray, gap: FloatArray, led: FloatArr
             part = (paths.t[k + 1] - start) / (paths.t[k + 1] - paths.t[k])
             way += part * hypot(paths.x[k + 1] - paths.x[k], paths.y[k + 1] - paths.y[k])
             tau = paths.t[k + 1] - phase[i]
-            rolls = min(tau, led[i] / brake) if brake > 0.0 else tau
-            out[i] = way >= gap[i] - ROOM_M + led[i] * rolls - 0.5 * brake * rolls * rolls
+            rolls = min(tau, pace[i] / brake) if brake > 0.0 else tau
+            out[i] = way >= gap[i] - ROOM_M + pace[i] * rolls - 0.5 * brake * rolls * rolls  # (6)
     return out
 
 
-@kernel
-def _leaders(
+@inner_kernel
+def leaders(
     paths: Paths, phase: FloatArray, speed: FloatArray, whose: BoolArray, heeds: BoolArray, scene: Scene
-) -> FloatArray:
-    """Rows gap, speed and acceleration of the leader along the path `(3, n)`; gap inf where there is none."""
+) -> Leaders:
+    """The leaders of the vehicles `whose` `(n,)` at their phases; pairs that both are as logged do not count.
+
+    The ego is nobody's leader but of those who heed it `(n,)`.
+    """
     n = len(phase)
-    out = np.zeros((3, n))
-    out[0] = inf
+    out = Leaders(np.full(n, inf), np.zeros(n), np.zeros(n))
     near = np.empty(n + 1, np.int64)
     for i in range(n):
         if not whose[i]:
@@ -258,12 +246,12 @@ def _leaders(
         if j >= 0:
             ahead = scene.motion[j, 0] * cos(yaw) + scene.motion[j, 1] * sin(yaw)
             pace = hypot(scene.motion[j, 0], scene.motion[j, 1])
-            out[0, i], out[1, i] = gap, max(ahead, 0.0)
-            out[2, i] = scene.motion[j, 2] * ahead / pace if pace > STANDING_MPS else 0.0
+            out.gap[i], out.speed[i] = gap, max(ahead, 0.0)
+            out.accel[i] = scene.motion[j, 2] * ahead / pace if pace > STANDING_MPS else 0.0
     return out
 
 
-@kernel
+@inner_kernel
 def _nearby(i: int, reach: float, scene: Scene, near: IntArray, heeds: bool) -> int:
     """Who may be in the way of vehicle i, into `near`; how many; the ego only if it heeds it."""
     boxes, count = scene.boxes, 0
@@ -277,7 +265,7 @@ def _nearby(i: int, reach: float, scene: Scene, near: IntArray, heeds: bool) -> 
     return count
 
 
-@kernel
+@inner_kernel
 def _first_touched(
     paths: Paths, i: int, phase: float, reach: float, boxes: FloatArray, near: IntArray
 ) -> tuple[float, int, float, float, float]:
@@ -308,7 +296,7 @@ def _first_touched(
     return inf, -1, 0.0, 0.0, 0.0
 
 
-@kernel
+@inner_kernel
 def _moved(box: FloatArray, leap: FloatArray, u: float) -> FloatArray:
     """A box after the part u of a leap (x, y, yaw)."""
     out = box.copy()
@@ -317,7 +305,7 @@ def _moved(box: FloatArray, leap: FloatArray, u: float) -> FloatArray:
     return out
 
 
-@kernel
+@inner_kernel
 def _touch_at(
     begin: FloatArray, leap: FloatArray, low: float, high: float, other: FloatArray, narrower: float
 ) -> float:

@@ -30,39 +30,36 @@ too.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, hypot, inf, sin
+from math import cos, hypot, inf, nan, sin
 
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray
-from logs.scenario import AgentKind, Agents, Scenario, Tracks
+from logs.scenario import AgentKind, Scenario, Tracks
+from logs.scenario import Agents as SeenAgents
 from logs.states import EgoState
 from metrics.others import name_of
 from metrics.reference_drivers import CC_REACT_S
 from replay.prediction import LaneMap
 from replay.prediction.lane_following import FOLLOWING, followers
-from replay.traffic.cast import PERIOD_S, Cast
-from replay.traffic.following import (
-    DECEL_MPS2,
-    STANDING_MPS,
-    STANDSTILL_M,
-    Leaders,
-    Paths,
-    Scene,
-    accelerations,
-    covered,
-    desired_gaps,
-    drives_into,
-    ego_ahead,
-    leaders,
-    moved_on,
-    taken,
+from replay.traffic.following import DECEL_MPS2, STANDSTILL_M, Paths, taken
+from replay.traffic.period import (
+    Agents,
+    Ego,
+    advance,
+    leaders_of,
+    logged_speeds,
+    nobody_late,
+    rates,
+    scene_of,
 )
+from replay.traffic.phase_replay import PERIOD_S, PhaseReplay
 from replay.traffic.red_lights import RedLights
 from replay.traffic.yielding import Yielding
 from replay.world import box_center
 
-EGO_M, SAME_MPS = 1.0, 1e-6
+EGO_M = 1.0
+"""The ego is as in the log where it is no farther than this from where the log has it."""
 BEYOND_M = 100.0
 NAMED = 5
 """So many are named in the notes."""
@@ -100,155 +97,123 @@ class Reactive:
     def __init__(self, scenario: Scenario, rule: Rule = REACTIVE) -> None:
         log, self._log_ego, self._vehicle = scenario.tracks, scenario.ego, scenario.vehicle
         self._rule = rule
-        self._left = log.t[log.offsets[1:] - 1].copy() if len(log) else np.empty(0)
-        self._cast = Cast(log, led_on(log, LaneMap.of(scenario.road)))
-        led = self._cast.log
-        self._paths = Paths(led.offsets, led.t, led.x, led.y, led.yaw)
-        self._enters = log.t[log.offsets[:-1]] if len(log) else np.empty(0)
-        self._reacts = np.array([kind in rule.kinds for kind in log.kinds], bool) & ~log.static
-        self._lights = RedLights(scenario, led, self._reacts)
-        self._yielding = Yielding(scenario, led, self._reacts & rule.yields)
         n = len(log)
-        self._phase, self._speed, self._accel = np.zeros(n), np.zeros(n), np.zeros(n)
-        self._late, self._there = np.zeros(n, np.bool_), np.zeros(n, np.bool_)
-        self._ahead_since = np.full(n, inf)
-        self._since, self._braked = np.full(n, inf), np.zeros(n)
+        left = log.t[log.offsets[1:] - 1].copy() if n else np.empty(0)
+        lanes = LaneMap.of(scenario.road)
+        self._replay = PhaseReplay(log, extended(log, lanes))
+        paths = self._replay.log
+        self._enters = log.t[log.offsets[:-1]] if n else np.empty(0)
+        reacts = np.array([kind in rule.kinds for kind in log.kinds], bool) & ~log.static
+        self._agents = Agents(
+            Paths(paths.offsets, paths.t, paths.x, paths.y, paths.yaw), self._replay.logged,
+            paths.length, paths.width, reacts, paths.t[paths.offsets[1:] - 1].copy() if n else left, left,
+        )  # fmt: skip
+        self._longest = nan if rule.only_ahead is None else rule.only_ahead
+        self._lights = RedLights(scenario, paths, reacts)
+        self._yielding = Yielding(scenario, paths, reacts & rule.yields, lanes)
+        self._now = nobody_late(n)
         self._next, self._tracks = -inf, Tracks.empty()
+
+    @property
+    def due(self) -> float:
+        """The next time at which the ego is looked at, s."""
+        return self._next
 
     def step(self, ego: EgoState) -> Tracks:
         """The others as they moved up to `ego.t`, and one sample beyond."""
+        if ego.t < self._next - 1e-9:
+            return self._tracks
+        box = self._box(ego)
         if self._next == -inf:
             self._next = ego.t
-            self._enter(ego.t, ego)
+            self._enter(ego.t, box)
             self._sample(ego.t)
         while self._next <= ego.t + 1e-9:
-            self._advance(self._next, ego)
+            self._advance(self._next, ego, box)
             self._next += PERIOD_S
-            self._enter(self._next, ego)
+            self._enter(self._next, box)
             self._sample(self._next)
-            self._tracks = self._cast.tracks(self._since)
+            self._tracks = self._replay.tracks(self._now.since)
         return self._tracks
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Who has been disturbed so far, since when, and how hard they braked."""
-        who = np.argsort(self._since, kind="stable")[: int(np.isfinite(self._since).sum())]
-        log = self._cast.log
-        named = [f"{name_of(log, i)} from {self._since[i]:.1f} s, {self._braked[i]:.1f} m/s2" for i in who[:NAMED]]
+        since, braked = self._now.since, self._now.braked
+        who = np.argsort(since, kind="stable")[: int(np.isfinite(since).sum())]
+        log = self._replay.log
+        named = [f"{name_of(log, i)} from {since[i]:.1f} s, {braked[i]:.1f} m/s2" for i in who[:NAMED]]
         if not named:
             return ()
         more = [f"{len(who) - NAMED} more"] if len(who) > NAMED else []
         return (f"not as in the log because of the ego (since when, hardest braking): {'; '.join(named + more)}",)
 
     def _sample(self, t: float) -> None:
-        logged = self._logged_speeds(self._phase)
-        slowed = self._late & (logged > STANDING_MPS)
-        rate = np.where(slowed, np.divide(self._speed, logged, out=np.ones(len(logged)), where=slowed), 1.0)
-        self._cast.add(t, self._phase, np.minimum(rate, 1.0), self._there)
+        now = self._now
+        self._replay.add(t, now.phase, rates(self._agents, now), now.there)
 
-    def _logged_speeds(self, phase: FloatArray) -> FloatArray:
-        return covered(self._paths, phase, PERIOD_S) / PERIOD_S
-
-    def _advance(self, t: float, ego: EgoState) -> None:
+    def _advance(self, t: float, ego: EgoState, box: Ego) -> None:
         """Lead everybody on from `t` by one period."""
-        logged = self._logged_speeds(self._phase)
-        found = self._leaders(ego, self._there & self._reacts, t)
-        held = self._lights.accelerations(t, self._phase, self._speed, self._late & self._there & self._reacts)
-        wanted = self._speed + PERIOD_S * np.minimum(accelerations(self._speed, found), held)
-        slower = np.isfinite(found.gap) & (wanted < logged - SAME_MPS) & (found.gap < desired_gaps(self._speed, found))
-        if self._rule.only_needed:
-            slower &= drives_into(self._paths, self._phase, found)
-        ahead = self._yielding.gaps(ego, self._phase, self._speed, self._there & (not self._as_logged(ego)))
-        waits = accelerations(self._speed, Leaders(ahead, np.zeros(len(ahead)), np.zeros(len(ahead))))
-        wanted = np.minimum(wanted, self._speed + PERIOD_S * waits)
-        slower |= np.isfinite(ahead) & (wanted < logged - SAME_MPS)
-        self._delay(self._there & self._reacts & slower, t)
-        speed = np.where(self._late, np.clip(wanted, 0.0, logged), logged) * self._there
-        log = self._cast.log
-        phase = moved_on(self._paths, self._phase, speed * PERIOD_S, t + PERIOD_S)
-        waiting = self._late & ~self._there
-        self._phase = np.where(waiting, self._phase, np.where(self._late, phase, t + PERIOD_S))
-        self._late &= waiting | (self._phase < t + PERIOD_S - 1e-9) | (speed < logged - SAME_MPS)
-        self._accel = np.where(self._there, (speed - self._speed) / PERIOD_S, 0.0)
-        self._braked = np.maximum(self._braked, np.where(self._late, -self._accel, 0.0))
-        self._speed = speed
-        ends = np.where(self._late, log.t[log.offsets[1:] - 1], self._left) if len(log) else self._left
-        self._there &= self._phase <= ends + 1e-9
+        now, reacts, as_logged = self._now, self._agents.reacts, box[8]
+        held = self._lights.accelerations(t, now.phase, now.speed, now.late & now.there & reacts)
+        room = self._yielding.gaps(ego, now.phase, now.speed, now.there & (not as_logged))
+        advance(self._agents, now, box, held, room, t, self._longest, self._rule.only_needed)
 
-    def _enter(self, t: float, ego: EgoState) -> None:
+    def _enter(self, t: float, box: Ego) -> None:
         """Let in whose log begins by `t`."""
-        coming = ~self._there & (self._enters <= t + 1e-9) & (self._left >= t - 1e-9) & ~self._cast.log.static
-        waited = self._late & ~self._there & (self._phase <= self._enters + 1e-9)
-        coming = (coming & ~self._late) | waited
+        now, agents = self._now, self._agents
+        absent = ~now.there
+        coming = absent & (self._enters <= t + 1e-9) & (agents.left >= t - 1e-9) & ~agents.tracks.static
+        waited = now.late & absent & (now.phase <= self._enters + 1e-9)
+        coming = (coming & ~now.late) | waited
         if not coming.any():
             return
-        self._phase = np.where(coming, np.where(waited, self._enters, t), self._phase)
-        blocked = coming & self._reacts & self._in_place(ego, coming)
+        now.phase[:] = np.where(coming, np.where(waited, self._enters, t), now.phase)
+        blocked = coming & agents.reacts & self._in_place(box, coming)
         self._delay(blocked, self._enters)
-        self._phase = np.where(blocked, self._enters, self._phase)
+        now.phase[blocked] = self._enters[blocked]
         entering = coming & ~blocked
-        self._there |= entering
-        logged = self._logged_speeds(self._phase)
-        self._speed = np.where(entering, logged, self._speed)
-        found = self._leaders(ego, entering & self._reacts, -inf)
+        now.there[entering] = True
+        logged = logged_speeds(agents, now)
+        now.speed[entering] = logged[entering]
+        found = leaders_of(agents, now, box, entering & agents.reacts, -inf, self._longest)
         safe = np.sqrt(found.speed**2 + 2.0 * DECEL_MPS2 * np.maximum(found.gap - STANDSTILL_M, 0.0))
         slowed = entering & np.isfinite(found.gap) & (safe < logged)
         self._delay(slowed, t)
-        self._speed = np.where(slowed, safe, self._speed)
+        now.speed[slowed] = safe[slowed]
 
     def _delay(self, who: BoolArray, since: FloatArray | float) -> None:
         """From `since` on they are not as in the log."""
-        self._late |= who
-        self._since = np.where(who, np.minimum(self._since, since), self._since)
+        now = self._now
+        now.late[who] = True
+        now.since[:] = np.where(who, np.minimum(now.since, since), now.since)
 
-    def _boxes(self, ego: EgoState) -> tuple[FloatArray, FloatArray, BoolArray]:
-        """Boxes `(n + 1, 5)`, velocities and accelerations `(n + 1, 3)`, who is as logged; the ego is the last."""
-        played = self._cast.at(self._phase)
-        log = self._cast.log
+    def _box(self, ego: EgoState) -> Ego:
+        """The ego for kernels."""
         x, y = box_center(ego, self._vehicle)
-        c, s = cos(ego.yaw), sin(ego.yaw)
-        boxes = np.column_stack([*played.pose[:3], log.length, log.width])
-        own = np.array([[x, y, ego.yaw, self._vehicle.length, self._vehicle.width]])
-        heading = np.vstack([np.cos(played.pose[2]), np.sin(played.pose[2])])
-        velocity = np.where(self._reacts, self._speed * heading, played.pose[3:] * self._there)
-        motion = np.column_stack([*velocity, self._accel])
-        return (
-            np.vstack([boxes, own]),
-            np.vstack([motion, [[ego.v * c, ego.v * s, ego.a]]]),
-            np.r_[~self._late, self._as_logged(ego)],
-        )
+        size = float(self._vehicle.length), float(self._vehicle.width)
+        return x, y, ego.yaw, *size, ego.v * cos(ego.yaw), ego.v * sin(ego.yaw), ego.a, self._as_logged(ego)
 
     def _as_logged(self, ego: EgoState) -> bool:
         """Whether the ego is where the log has it."""
-        log, was = self._log_ego, self._log_ego.at(ego.t)
-        lasts = log.t[0] - 1e-6 <= ego.t <= log.t[-1] + 1e-6
-        return bool(lasts) and hypot(was.x - ego.x, was.y - ego.y) <= EGO_M
+        log, t = self._log_ego, ego.t
+        lasts = log.t[0] - 1e-6 <= t <= log.t[-1] + 1e-6
+        away = hypot(float(np.interp(t, log.t, log.x)) - ego.x, float(np.interp(t, log.t, log.y)) - ego.y)
+        return bool(lasts) and away <= EGO_M
 
-    def _in_place(self, ego: EgoState, coming: BoolArray) -> BoolArray:
+    def _in_place(self, box: Ego, coming: BoolArray) -> BoolArray:
         """Whose place is taken by somebody who is not as in the log."""
-        boxes, _, as_logged = self._boxes(ego)
-        present = np.r_[self._there | self._cast.log.static, True]
-        return taken(boxes, coming, present & ~as_logged)
-
-    def _leaders(self, ego: EgoState, whose: BoolArray, t: float) -> Leaders:
-        boxes, motion, as_logged = self._boxes(ego)
-        scene = Scene(boxes, motion, np.r_[self._there | self._cast.log.static, True], as_logged)
-        heeds, longest = np.ones(len(whose), np.bool_), self._rule.only_ahead
-        if longest is not None:
-            ahead = ego_ahead(self._paths, self._phase, self._speed, whose, scene)
-            since = np.where(ahead, np.minimum(self._ahead_since, t), inf)
-            self._ahead_since = np.where(whose, since, self._ahead_since)
-            heeds = self._ahead_since <= t - longest + 1e-9
-        return leaders(self._paths, self._phase, self._speed, whose, heeds, scene)
+        scene = scene_of(self._agents, self._now, box)
+        return taken(scene.boxes, coming, scene.present & ~scene.as_logged)
 
 
-def led_on(log: Tracks, lanes: LaneMap) -> Tracks:
+def extended(log: Tracks, lanes: LaneMap) -> Tracks:
     """The tracks, and after the end of each vehicle's log where its lane most probably leads it, `BEYOND_M` far."""
     last = log.offsets[1:] - 1
     if not len(log) or not len(lanes):
         return log
     vx, vy = log.velocity(np.arange(len(log)), last)
-    ends = Agents(log.ids, log.kinds, log.length, log.width, log.x[last], log.y[last], log.yaw[last], vx, vy)
+    ends = SeenAgents(log.ids, log.kinds, log.length, log.width, log.x[last], log.y[last], log.yaw[last], vx, vy)
     ahead = np.arange(0.0, 30.0, 0.5)
     way = followers(ends, ahead, lanes)
     rows = [np.vstack([getattr(log, c)[log.samples(i)] for c in _COLUMNS]) for i in range(len(log))]

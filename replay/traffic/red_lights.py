@@ -28,7 +28,6 @@ from logs.road import Road
 from logs.rules import RED, Colour, StopLine
 from logs.scenario import Scenario, Tracks
 from planners.rules.zones import turned
-from replay.traffic.cast import PERIOD_S
 from replay.traffic.following import (
     ACCEL_MPS2,
     DECEL_MPS2,
@@ -40,6 +39,7 @@ from replay.traffic.following import (
     Paths,
     accelerations,
 )
+from replay.traffic.phase_replay import PERIOD_S
 
 
 class Crossing(NamedTuple):
@@ -56,19 +56,19 @@ class RedLights:
 
     Args:
         scenario: Its road and lights.
-        led: The paths.
+        paths: The logged paths, each extended along its lane.
         reacts: `(n,)` who may drive by the model.
     """
 
-    def __init__(self, scenario: Scenario, led: Tracks, reacts: BoolArray) -> None:
+    def __init__(self, scenario: Scenario, paths: Tracks, reacts: BoolArray) -> None:
         self._lights = scenario.lights
-        found = list(_crossings(scenario, led, reacts)) if scenario.lights and len(led) else []
+        found = list(_crossings(scenario, paths, reacts)) if scenario.lights and len(paths) else []
         self._owner = np.array([one.owner for one in found], np.int64)
         self._light = np.array([one.light for one in found], np.int64)
         self._at = np.array([one.station for one in found])
         self._stands_until = np.array([one.stands_until for one in found])
-        self._paths = Paths(led.offsets, led.t, led.x, led.y, led.yaw)
-        self._station = _stations(led)
+        self._paths = Paths(paths.offsets, paths.t, paths.x, paths.y, paths.yaw)
+        self._station = _stations(paths)
         self._stops, self._passes = np.zeros(len(found), np.bool_), np.zeros(len(found), np.bool_)
 
     def accelerations(self, t: float, phase: FloatArray, speed: FloatArray, whose: BoolArray) -> FloatArray:
@@ -91,18 +91,18 @@ class RedLights:
         return out
 
 
-def _stations(led: Tracks) -> FloatArray:
+def _stations(paths: Tracks) -> FloatArray:
     """Length `(samples,)` of all paths one after the other, m; only differences within one path mean something."""
-    return np.r_[0.0, np.cumsum(np.hypot(np.diff(led.x), np.diff(led.y)))] if len(led.t) else np.empty(0)
+    return np.r_[0.0, np.cumsum(np.hypot(np.diff(paths.x), np.diff(paths.y)))] if len(paths.t) else np.empty(0)
 
 
-def _crossings(scenario: Scenario, led: Tracks, reacts: BoolArray) -> Iterator[Crossing]:
-    owner = np.repeat(np.arange(len(led)), np.diff(led.offsets))
+def _crossings(scenario: Scenario, paths: Tracks, reacts: BoolArray) -> Iterator[Crossing]:
+    owner = np.repeat(np.arange(len(paths)), np.diff(paths.offsets))
     within = (owner[1:] == owner[:-1]) & reacts[owner[1:]]
-    ahead = 0.5 * led.length[owner]
-    front = np.column_stack([led.x + ahead * np.cos(led.yaw), led.y + ahead * np.sin(led.yaw)])
-    station = _stations(led)
-    stands = np.diff(station) < STANDING_MPS * np.diff(led.t)
+    ahead = 0.5 * paths.length[owner]
+    front = np.column_stack([paths.x + ahead * np.cos(paths.yaw), paths.y + ahead * np.sin(paths.yaw)])
+    station = _stations(paths)
+    stands = np.diff(station) < STANDING_MPS * np.diff(paths.t)
     lights = {light.id: i for i, light in enumerate(scenario.lights)}
     for line in scenario.road.stop_lines:
         if line.light not in lights:
@@ -110,13 +110,13 @@ def _crossings(scenario: Scenario, led: Tracks, reacts: BoolArray) -> Iterator[C
         lane, over = scenario.road.lanes[line.lane], set[int]()
         for k, u in _over(line, scenario.road, front, within):
             i = int(owner[k])
-            if i in over or turned(lane, float(front[k, 0]), float(front[k, 1]), float(led.yaw[k])) >= ASKEW_RAD:
+            if i in over or turned(lane, float(front[k, 0]), float(front[k, 1]), float(paths.yaw[k])) >= ASKEW_RAD:
                 continue
             over.add(i)
-            behind = slice(k + 1, int(np.searchsorted(station[: led.offsets[i + 1]], station[k] + BEHIND_M)))
-            if _counts(line, scenario.road, led.x[behind], led.y[behind], led.yaw[behind]):
-                stood = np.flatnonzero(stands[led.offsets[i] : k + 1])
-                until = led.t[led.offsets[i] + stood[-1] + 1] if len(stood) else -np.inf
+            behind = slice(k + 1, int(np.searchsorted(station[: paths.offsets[i + 1]], station[k] + BEHIND_M)))
+            if _counts(line, scenario.road, paths.x[behind], paths.y[behind], paths.yaw[behind]):
+                stood = np.flatnonzero(stands[paths.offsets[i] : k + 1])
+                until = paths.t[paths.offsets[i] + stood[-1] + 1] if len(stood) else -np.inf
                 at = station[k] + u * (station[k + 1] - station[k])
                 yield Crossing(i, lights[line.light], float(at), float(until))
 

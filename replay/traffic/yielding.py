@@ -48,24 +48,24 @@ class Yielding:
 
     Args:
         scenario: Its road and the ego's size.
-        led: The paths.
+        paths: The logged paths, each extended along its lane.
         reacts: `(n,)` who may drive by the model.
+        lanes: Of the road, by which the ego is predicted.
     """
 
-    def __init__(self, scenario: Scenario, led: Tracks, reacts: BoolArray) -> None:
-        self._road, self._car, self._led = scenario.road, scenario.vehicle, led
-        self._lanes = LaneMap.of(scenario.road)
-        self._paths = Paths(led.offsets, led.t, led.x, led.y, led.yaw)
+    def __init__(self, scenario: Scenario, paths: Tracks, reacts: BoolArray, lanes: LaneMap) -> None:
+        self._road, self._car, self._tracks, self._lanes = scenario.road, scenario.vehicle, paths, lanes
+        self._paths = Paths(paths.offsets, paths.t, paths.x, paths.y, paths.yaw)
         self._ways = [way for i in np.flatnonzero(reacts).tolist() for way in self._ways_of(i)]
 
     def _ways_of(self, i: int) -> Iterator[Way]:
-        led, lanes = self._led, self._road.lanes
-        mine = led.samples(i)
+        paths, lanes = self._tracks, self._road.lanes
+        mine = paths.samples(i)
         for lane in lanes.values():
             first = tuple(k for k in lane.yields_to if k in lanes)
-            on = on_lane(lane, led.x[mine], led.y[mine], led.yaw[mine]) if first else np.zeros(1, np.bool_)
+            on = on_lane(lane, paths.x[mine], paths.y[mine], paths.yaw[mine]) if first else np.zeros(1, np.bool_)
             if on.any():
-                yield Way(i, first, float(led.t[mine][on].max()))
+                yield Way(i, first, float(paths.t[mine][on].max()))
 
     def gaps(self, ego: EgoState, phase: FloatArray, speed: FloatArray, whose: BoolArray) -> FloatArray:
         """Per agent `(n,)` the way to where it must wait for the ego, m; inf where it need not."""
@@ -79,7 +79,7 @@ class Yielding:
             i = way.owner
             by_right = np.logical_or.reduce([on[k] for k in way.first])
             if by_right.any():
-                own = np.array([self._led.length[i], self._led.width[i]])
+                own = np.array([self._tracks.length[i], self._tracks.width[i]])
                 out[i] = min(out[i], _wait(self._paths, i, phase[i], speed[i], own, boxes, by_right, size))
         return out
 

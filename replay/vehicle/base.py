@@ -1,32 +1,58 @@
 """The vehicle's seam: one method.
 
 A vehicle owns its hidden state (actuators, slip) and is built per drive as `Class(parameters, start)`, already moving
-as `start` does. Its longitudinal plant is a `Powertrain`, which controllers may invert.
+as `start` does. Its longitudinal plant is a `Powertrain`, which controllers may invert. What else the loop must know of
+it are two capabilities: whether its tyres slip, and whether it follows plans by itself.
 """
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 from logs.states import Command, EgoState
+from replay.vehicle.pedal_map import PedalMap
+
+if TYPE_CHECKING:
+    from replay.control.base import Controller
+
+
+Plain = tuple[Any, ...]
+"""Named tuples as plain ones: a named one costs a microsecond each time that it goes into a kernel or comes out."""
+
+
+def plain(named: Any) -> Any:
+    """Named tuples, and those within them, as plain ones; what is none of them as it is."""
+    return tuple(plain(item) for item in named) if isinstance(named, tuple) else named
+
+
+class Motion(NamedTuple):
+    """`logs.states.EgoState` as kernels take it, and as it stands in the rows of a trace."""
+
+    t: float
+    x: float
+    y: float
+    yaw: float
+    v: float
+    a: float
+    kappa: float
+    steer: float
+    yaw_rate: float
+    v_lat: float
+
+
+def motion_of(state: EgoState) -> Motion:
+    """A state for kernels."""
+    return Motion(
+        state.t, state.x, state.y, state.yaw, state.v, state.a, state.kappa, state.steer, state.yaw_rate, state.v_lat
+    )
 
 
 class Powertrain(Protocol):
     """Pedals to acceleration, steady state: what a controller may know of the drive train."""
 
     @property
-    def throttle_lag(self) -> float:
-        """Time constant from the throttle to its acceleration, s; `brake_lag` likewise."""
-        ...
-
-    @property
-    def brake_lag(self) -> float:
-        """Time constant from the brake to its deceleration, s."""
-        ...
-
-    @property
-    def brake_delay(self) -> float:
-        """Dead time of the brake before its lag begins, s."""
+    def pedal_map(self) -> PedalMap:
+        """The same for kernels, with lags and dead time."""
         ...
 
     def coasting(self, v: float) -> float:
@@ -58,6 +84,16 @@ class Vehicle(Protocol):
     @property
     def powertrain(self) -> Powertrain:
         """The longitudinal plant."""
+        ...
+
+    @property
+    def has_rigid_tyres(self) -> bool:
+        """Whether its wheels roll without slip."""
+        ...
+
+    @property
+    def own_controller(self) -> Controller | None:
+        """What controls it where it follows plans by itself; None: it needs a controller."""
         ...
 
     def step(self, command: Command, dt: float) -> EgoState:

@@ -30,8 +30,8 @@ import numpy as np
 
 from logs.kernel import FloatArray, frozen, kernel
 from logs.vehicle import VehicleParameters
+from replay.vehicle.pedal_map import SPEED_STEP_MPS, PedalMap, at_speed, coasting, full_throttle, pedal_map
 
-SPEED_STEP_MPS = 0.25
 MAX_SPEED_MPS = 90.0
 RESERVE, CRUISE, LUG, MIN_HOLD_S = 1.15, 1.6, 1.2, 1.0
 SHIFT_THROTTLE = 0.5
@@ -72,24 +72,16 @@ class Gearbox(NamedTuple):
 
 
 @kernel
-def at_speed(table: FloatArray, v: float) -> float:
-    """A table's value at |v|, m/s, linear; the last holds."""
-    place = min(abs(v) / SPEED_STEP_MPS, len(table) - 1.0)
-    i = min(int(place), len(table) - 2)
-    return table[i] + (place - i) * (table[i + 1] - table[i])
-
-
-@kernel
 def wanted_force(v: float, throttle: float, drive: Drive) -> float:
-    """What a throttle asks of the motor at the wheels, m/s2; negative in overrun (3)."""
+    """What a throttle asks of the motor at the wheels, m/s2; negative in overrun."""
     overrun = at_speed(drive.overrun, v)
-    return throttle * (at_speed(drive.most, v) + overrun) - overrun
+    return throttle * (at_speed(drive.most, v) + overrun) - overrun  # (3)
 
 
 @kernel
 def drive_force(v: float, throttle: float, gear: int, drive: Drive) -> float:
-    """What the motor gives at the wheels in a gear (3), m/s2."""
-    return min(wanted_force(v, throttle, drive), at_speed(drive.force[gear], v))
+    """What the motor gives at the wheels in a gear, m/s2."""
+    return min(wanted_force(v, throttle, drive), at_speed(drive.force[gear], v))  # (3)
 
 
 @kernel
@@ -133,29 +125,18 @@ class Drivetrain:
 
     parameters: VehicleParameters
 
-    @property
-    def throttle_lag(self) -> float:
-        """S."""
-        return self.parameters.throttle_lag
-
-    @property
-    def brake_lag(self) -> float:
-        """S."""
-        return self.parameters.brake_lag
-
-    @property
-    def brake_delay(self) -> float:
-        """S."""
-        return self.parameters.brake_delay
+    @cached_property
+    def pedal_map(self) -> PedalMap:
+        """What controllers' kernels take."""
+        return pedal_map(self.parameters, self.tables.most, self.tables.overrun, self.parameters.brake_delay)
 
     def coasting(self, v: float) -> float:
         """Acceleration without pedals, m/s2."""
-        tables = self.tables
-        return -(tables.rolling + tables.drag * v * abs(v) + at_speed(tables.overrun, v))
+        return coasting(self.pedal_map, v)
 
     def full_throttle(self, v: float) -> float:
         """What full throttle adds, m/s2."""
-        return at_speed(self.tables.most, v) + at_speed(self.tables.overrun, v)
+        return full_throttle(self.pedal_map, v)
 
     def full_brake(self, v: float) -> float:
         """What full brake takes, m/s2."""
@@ -187,9 +168,9 @@ def _motor(p: VehicleParameters, v: FloatArray) -> tuple[FloatArray, FloatArray,
     speed, ratios = np.array(p.motor_speed), np.array(p.gears)
     wheel = ratios / (p.wheel_radius * p.mass)
     turning = v * ratios[:, None] / p.wheel_radius
-    force = np.interp(turning, speed, p.motor_torque, right=0.0) * wheel[:, None] * p.drive_efficiency
+    force = np.interp(turning, speed, p.motor_torque, right=0.0) * wheel[:, None] * p.drive_efficiency  # (1)
     fading = np.minimum(turning[-1] / speed[0], 1.0)
-    overrun = fading * np.interp(turning[-1], speed, p.motor_overrun) * wheel[-1]
+    overrun = fading * np.interp(turning[-1], speed, p.motor_overrun) * wheel[-1]  # (2)
     idle = speed[0] * p.wheel_radius / ratios
     idle[0] = 0.0
     return force, overrun, idle

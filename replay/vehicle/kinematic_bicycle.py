@@ -1,16 +1,22 @@
-"""The kinematic bicycle at the rear axle, with steering and pedals that lag.
+"""The kinematic bicycle at the rear axle, with steering and pedals that lag; its rear wheels may steer as well.
+
+With front and rear wheel angles df and dr, speed v along the body, wheelbase L; no wheel slips sideways:
 
 (1) dx/dt   = v cos(yaw) - v_lat sin(yaw)
-(2) dy/dt   = v sin(yaw) + v_lat cos(yaw),        v_lat = v tan(rear)
-(3) dyaw/dt = v (tan(steer) - tan(rear)) / wheelbase
-(4) d(steer)/dt                                   replay.vehicle.steering
+(2) dy/dt   = v sin(yaw) + v_lat cos(yaw),        v_lat = v tan(dr) at the rear axle, the reference point
+(3) dyaw/dt = v (tan(df) - tan(dr)) / L
+(4) d(df)/dt                                      replay.vehicle.steering
 (5) dv/dt, d(throttle)/dt, d(brake)/dt            replay.vehicle.powertrain
+(6) dr = rear_ratio df                            geared: 0 for a car; negative: against each other, turns more tightly
+(7) kappa = cos(dr) (tan(df) - tan(dr)) / L       of the path driven with the wheels held where they are
 
-The rear wheel angle is rear = rear_ratio steer: 0 here, so that v_lat = 0 and dyaw/dt = v tan(steer) / wheelbase =
-v kappa; not 0 in `replay.vehicle.kinematic_rear_steer`, which the kernels serve as well.
+At the centre of gravity (lf, lr to the axles) the same motion reads x' = V cos(yaw + beta), y' = V sin(yaw + beta),
+yaw' = V cos(beta) (tan df - tan dr) / L with beta = atan((lf tan dr + lr tan df) / L), v = V cos(beta). That is the
+paper's equation 1, corrected: it has yaw = V (tan df + tan dr) / L, where the dot, cos(beta) and the sign of the rear
+wheels are missing; its wheels would slip.
 
-Wheels roll without slip (Rajamani, Vehicle Dynamics and Control, 2.2; the reference point at the rear axle makes its
-slip angle 0): there is no friction limit in it, so it follows any curvature at any speed.
+Wheels roll without slip (Rajamani, Vehicle Dynamics and Control, 2.2; without rear steering the reference point at the
+rear axle makes its slip angle 0): there is no friction limit in it, so it follows any curvature at any speed.
 
 Integration: Runge-Kutta of order 4 in sub-steps of at most 10 ms and at most half the shortest lag. Coming to a stand
 is an event within the sub-step: until then it rolls, from then on it stands.
@@ -19,88 +25,124 @@ is an event within the sub-step: until then it rolls, from then on it stands.
 from __future__ import annotations
 
 from math import atan, ceil, cos, sin, tan
+from typing import TYPE_CHECKING, NamedTuple
 
-from logs.kernel import kernel
+from logs.errors import ConfigError
+from logs.kernel import FloatArray, inner_kernel, kernel
 from logs.states import Command, EgoState
 from logs.vehicle import VehicleParameters
+from replay.vehicle.base import Motion, Plain, plain
 from replay.vehicle.powertrain import Limits, PedalPowertrain, is_rolling, rolling_acceleration
 from replay.vehicle.steering import Steering, steer_rate
+
+if TYPE_CHECKING:
+    from replay.control.base import Controller
 
 MAX_SUBSTEP_S = 0.01
 SHORTEST_LAG_S = 1e-3
 """A lag of zero is driven as this."""
+KAPPA_TOLERANCE_PM = 1e-12
+"""The start's curvature is met to this, 1/m: rounding."""
 
-State = tuple[float, float, float, float, float, float, float]
-"""x, y, yaw, v, steer, throttle, brake."""
-Geometry = tuple[float, float]
-"""Wheelbase m, rear_ratio."""
+
+class State(NamedTuple):
+    """Rear axle x, y m; yaw rad; v m/s; front wheel angle rad; throttle, brake 0 to 1."""
+
+    x: float
+    y: float
+    yaw: float
+    v: float
+    steer: float
+    throttle: float
+    brake: float
+
+
+class Kinematics(NamedTuple):
+    """What the kernels take of a vehicle: wheelbase m, rear_ratio, actuators, drive, longest sub-step s."""
+
+    wheelbase: float
+    rear_ratio: float
+    steering: Steering
+    throttle_lag: float
+    brake_lag: float
+    limits: Limits
+    substep: float
 
 
 @kernel
-def yaw_rate(v: float, steer: float, geometry: Geometry) -> float:
-    """(3), rad/s."""
-    return v * (tan(steer) - tan(geometry[1] * steer)) / geometry[0]
+def turn_per_metre(steer: float, car: Kinematics) -> float:
+    """Dyaw / (v dt) of (3), 1/m."""
+    return (tan(steer) - tan(car.rear_ratio * steer)) / car.wheelbase
 
 
 @kernel
-def derivative(
-    state: State, command: tuple[float, float, float], rolling: bool, geometry: Geometry, steering: Steering,
-    lags: tuple[float, float], limits: Limits,
-) -> State:  # fmt: skip
-    """(1)-(5): the state's rate; standing still where not `rolling`."""
-    _, _, yaw, v, steer, throttle, brake = state
-    speed = v if rolling else 0.0
-    v_lat = speed * tan(geometry[1] * steer)
-    return (
-        speed * cos(yaw) - v_lat * sin(yaw),
-        speed * sin(yaw) + v_lat * cos(yaw),
-        yaw_rate(speed, steer, geometry),
-        rolling_acceleration(v, throttle, brake, limits) if rolling else 0.0,
-        steer_rate(steer, command[0], steering),
-        (command[1] - throttle) / lags[0],
-        (command[2] - brake) / lags[1],
+def derivative(state: State, command: tuple[float, float, float], rolling: bool, car: Kinematics) -> State:
+    """(1)-(6): the state's rate; standing still where not `rolling`."""
+    speed = state.v if rolling else 0.0
+    v_lat = speed * tan(car.rear_ratio * state.steer)
+    return State(
+        speed * cos(state.yaw) - v_lat * sin(state.yaw),  # (1)
+        speed * sin(state.yaw) + v_lat * cos(state.yaw),  # (2)
+        speed * (tan(state.steer) - tan(car.rear_ratio * state.steer)) / car.wheelbase,  # (3)
+        rolling_acceleration(state.v, state.throttle, state.brake, car.limits) if rolling else 0.0,  # (5)
+        steer_rate(state.steer, command[0], car.steering),  # (4)
+        (command[1] - state.throttle) / car.throttle_lag,
+        (command[2] - state.brake) / car.brake_lag,
     )
 
 
-@kernel
+@inner_kernel
 def moved(state: State, rate: State, h: float) -> State:
     """The state after `h` s at a constant rate."""
-    return (
-        state[0] + h * rate[0], state[1] + h * rate[1], state[2] + h * rate[2], state[3] + h * rate[3],
-        state[4] + h * rate[4], state[5] + h * rate[5], state[6] + h * rate[6],
+    return State(
+        state.x + h * rate.x, state.y + h * rate.y, state.yaw + h * rate.yaw, state.v + h * rate.v,
+        state.steer + h * rate.steer, state.throttle + h * rate.throttle, state.brake + h * rate.brake,
     )  # fmt: skip
 
 
-@kernel
-def runge_kutta(
-    state: State, command: tuple[float, float, float], rolling: bool, geometry: Geometry, steering: Steering,
-    lags: tuple[float, float], limits: Limits, h: float,
-) -> State:  # fmt: skip
+@inner_kernel
+def runge_kutta(state: State, command: tuple[float, float, float], rolling: bool, car: Kinematics, h: float) -> State:
     """One classical step of order 4 over `h` s."""
-    k1 = derivative(state, command, rolling, geometry, steering, lags, limits)
-    k2 = derivative(moved(state, k1, 0.5 * h), command, rolling, geometry, steering, lags, limits)
-    k3 = derivative(moved(state, k2, 0.5 * h), command, rolling, geometry, steering, lags, limits)
-    k4 = derivative(moved(state, k3, h), command, rolling, geometry, steering, lags, limits)
+    k1 = derivative(state, command, rolling, car)
+    k2 = derivative(moved(state, k1, 0.5 * h), command, rolling, car)
+    k3 = derivative(moved(state, k2, 0.5 * h), command, rolling, car)
+    k4 = derivative(moved(state, k3, h), command, rolling, car)
     return moved(moved(moved(moved(state, k1, h / 6.0), k2, h / 3.0), k3, h / 3.0), k4, h / 6.0)
 
 
 @kernel
-def advance(
-    state: State, command: tuple[float, float, float], geometry: Geometry, steering: Steering,
-    lags: tuple[float, float], limits: Limits, dt: float, steps: int,
-) -> State:  # fmt: skip
+def advance(state: State, command: tuple[float, float, float], car: Kinematics, dt: float, steps: int) -> State:
     """The state after holding `command` (steer, throttle, brake) for `dt` s, in `steps` equal sub-steps."""
     h = dt / steps
     for _ in range(steps):
-        rolling = is_rolling(state[3], state[5], state[6], limits)
-        after = runge_kutta(state, command, rolling, geometry, steering, lags, limits, h)
-        if after[3] < 0.0:
-            until = h * state[3] / (state[3] - after[3])
-            stop = runge_kutta(state, command, True, geometry, steering, lags, limits, until)
-            stop = (stop[0], stop[1], stop[2], 0.0, stop[4], stop[5], stop[6])
-            after = runge_kutta(stop, command, False, geometry, steering, lags, limits, h - until)
+        rolling = is_rolling(state.v, state.throttle, state.brake, car.limits)
+        after = runge_kutta(state, command, rolling, car, h)
+        if after.v < 0.0:
+            until = h * state.v / (state.v - after.v)
+            stop = runge_kutta(state, command, True, car, until)
+            stop = State(stop.x, stop.y, stop.yaw, 0.0, stop.steer, stop.throttle, stop.brake)
+            after = runge_kutta(stop, command, False, car, h - until)
         state = after
     return state
+
+
+@kernel
+def motion(s: State, t: float, car: Kinematics) -> Motion:
+    """The ego's motion at `t`."""
+    a = 0.0
+    if is_rolling(s.v, s.throttle, s.brake, car.limits):
+        a = rolling_acceleration(s.v, s.throttle, s.brake, car.limits)
+    rear, turn = car.rear_ratio * s.steer, turn_per_metre(s.steer, car)
+    return Motion(t, s.x, s.y, s.yaw, s.v, a, turn * cos(rear), s.steer, s.v * turn, s.v * tan(rear))  # (7)
+
+
+@kernel
+def step(
+    state: State, command: tuple[float, float, float], car: Kinematics, t: float, dt: float
+) -> tuple[State, Motion]:
+    """State and motion after holding `command` for `dt` s from `t` on; the time a whole nanosecond."""
+    state = advance(state, command, car, dt, ceil(dt / car.substep - 1e-9))
+    return state, motion(state, round((t + dt) * 1e9) / 1e9, car)
 
 
 class KinematicBicycle:
@@ -110,49 +152,69 @@ class KinematicBicycle:
         parameters: Of the ego.
         start: Where and how it moves at first; steering and pedals are set as that takes. It is not driven in
             reverse: a negative speed is taken as 0.
+        rear_ratio: Rear wheel angle per front wheel angle, from -1 to below 1.
+
+    Attributes:
+        model: The numbers of (1)-(7); `numbers` likewise, as plain tuples.
+        inner: The state of (1)-(5).
+
+    Raises:
+        ConfigError: The ratio is out of its range.
     """
 
-    def __init__(self, parameters: VehicleParameters, start: EgoState) -> None:
-        p = parameters
-        self.powertrain = PedalPowertrain(p)
-        self._geometry: Geometry = (float(p.wheelbase), 0.0)
-        self._steering: Steering = (float(p.max_steer), float(p.max_steer_rate), max(p.steer_lag, SHORTEST_LAG_S))
-        self._lags = (max(p.throttle_lag, SHORTEST_LAG_S), max(p.brake_lag, SHORTEST_LAG_S))
-        self._limits = self.powertrain.limits
-        self._substep = min(MAX_SUBSTEP_S, 0.5 * self._steering[2], 0.5 * min(self._lags))
-        self._state = _initial(p, self.powertrain, start)
-        self._t = start.t
-        self.state = self._ego_state()
+    has_rigid_tyres = True
+    own_controller: Controller | None = None
+
+    def __init__(self, parameters: VehicleParameters, start: EgoState, *, rear_ratio: float = 0.0) -> None:
+        if not -1.0 <= rear_ratio < 1.0:
+            raise ConfigError(f"rear_ratio must be at least -1 and below 1, got {rear_ratio}")
+        self.powertrain = PedalPowertrain(parameters)
+        self.model = kinematics_of(parameters, rear_ratio)
+        self.numbers: Plain = plain(self.model)
+        self.inner = _initial(self.model, self.powertrain, start)
+        self.state = EgoState(*motion(self.inner, float(start.t), self.model))
 
     @property
     def actuation(self) -> Command:
         """Steering and pedals as they are."""
-        return Command(*self._state[4:])
+        return Command(*self.inner[4:])
 
     def step(self, command: Command, dt: float) -> EgoState:
         """Hold the command for `dt` s."""
-        steps = ceil(dt / self._substep - 1e-9)
-        self._state = advance(
-            self._state, (float(command.steer), float(command.throttle), float(command.brake)),
-            self._geometry, self._steering, self._lags, self._limits, dt, steps,
-        )  # fmt: skip
-        self._t = round((self._t + dt) * 1e9) / 1e9
-        self.state = self._ego_state()
+        held = (float(command.steer), float(command.throttle), float(command.brake))
+        self.inner, now = step(self.inner, held, self.model, self.state.t, dt)
+        self.state = EgoState(*now)
         return self.state
 
-    def _ego_state(self) -> EgoState:
-        x, y, yaw, v, steer, throttle, brake = self._state
-        rolling = is_rolling(v, throttle, brake, self._limits)
-        a = rolling_acceleration(v, throttle, brake, self._limits) if rolling else 0.0
-        kappa = tan(steer) / self._geometry[0]
-        return EgoState(self._t, x, y, yaw, v, a, kappa, steer, v * kappa, 0.0)
+    def set_state(self, state: EgoState, actuation: FloatArray) -> None:
+        """It is somewhere else, its actuators at `actuation` `(3,)`."""
+        self.state, does = state, actuation.tolist()
+        self.inner = State(state.x, state.y, state.yaw, state.v, *does)
 
 
-def _initial(p: VehicleParameters, train: PedalPowertrain, start: EgoState) -> State:
+def kinematics_of(p: VehicleParameters, rear_ratio: float = 0.0) -> Kinematics:
+    """What the kernels take."""
+    steering = (float(p.max_steer), float(p.max_steer_rate), max(float(p.steer_lag), SHORTEST_LAG_S))
+    lags = (max(float(p.throttle_lag), SHORTEST_LAG_S), max(float(p.brake_lag), SHORTEST_LAG_S))
+    substep = min(MAX_SUBSTEP_S, 0.5 * steering[2], 0.5 * min(lags))
+    return Kinematics(float(p.wheelbase), float(rear_ratio), steering, *lags, PedalPowertrain(p).limits, substep)
+
+
+def _initial(car: Kinematics, train: PedalPowertrain, start: EgoState) -> State:
     """Steering that gives the start's curvature, pedals that give its acceleration, within their limits."""
-    v = max(start.v, 0.0)
-    steer = min(max(atan(p.wheelbase * start.kappa), -p.max_steer), p.max_steer)
+    v, most = max(float(start.v), 0.0), car.steering[0]
+    steer = min(max(atan(car.wheelbase * start.kappa / (1.0 - car.rear_ratio)), -most), most)
+    for _ in range(20):  # Newton from the small-angle solution
+        missing = start.kappa - _kappa(steer, car)
+        if abs(missing) < KAPPA_TOLERANCE_PM:
+            break
+        slope = (_kappa(steer + 1e-6, car) - _kappa(steer - 1e-6, car)) / 2e-6
+        steer = min(max(steer + missing / slope, -most), most)
     wanted = start.a - train.coasting(v)
     throttle = min(max(wanted / train.full_throttle(v), 0.0), 1.0)
     brake = min(max(-wanted / train.full_brake(v), 0.0), 1.0)
-    return float(start.x), float(start.y), float(start.yaw), float(v), float(steer), float(throttle), float(brake)
+    return State(float(start.x), float(start.y), float(start.yaw), v, float(steer), float(throttle), float(brake))
+
+
+def _kappa(steer: float, car: Kinematics) -> float:
+    return turn_per_metre(steer, car) * cos(car.rear_ratio * steer)  # (7)

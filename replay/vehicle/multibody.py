@@ -27,17 +27,20 @@ from copy import deepcopy
 from dataclasses import replace
 from importlib import import_module
 from math import atan, ceil, cos, exp, hypot, isfinite, nan, sin, sqrt
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from logs.errors import ConfigError
 from logs.states import Command, EgoState
 from logs.vehicle import VehicleParameters
-from replay.vehicle.dead_time import DeadTime
+from replay.vehicle.dead_time import pending, spans
 from replay.vehicle.drivetrain import Drivetrain, Gearbox, drive_force, shifted, throttle_target
 from replay.vehicle.kinematic_bicycle import MAX_SUBSTEP_S
 from replay.vehicle.single_track import Car, State, advance, car_of, cornering, motion, substeps
 from replay.vehicle.steering import steer_rate
 from replay.vehicle.tyres import GRAVITY
+
+if TYPE_CHECKING:
+    from replay.control.base import Controller
 
 SLOW_MPS, LEAVE_MPS, CALM = 1.0, 1.5, 0.1
 SUBSTEP_S = 1e-3
@@ -63,6 +66,9 @@ class Multibody:
         ConfigError: The package commonroad-vehicle-models is not installed, or a keyword has no such value.
     """
 
+    has_rigid_tyres = False
+    own_controller: Controller | None = None
+
     def __init__(self, parameters: VehicleParameters, start: EgoState, *, tyre_stiffness: float = 1.0) -> None:
         self.powertrain = Drivetrain(parameters)
         self._rates, self._init = _package()
@@ -71,11 +77,11 @@ class Multibody:
         self.inner = cornering(self.car, start, self.powertrain)
         self.box = self.powertrain.gearbox(self.inner.vx, self.inner.throttle)
         self.body: list[float] | None = None
-        self._brake = DeadTime(parameters.brake_delay, self.inner.brake)
+        self._brakes = pending(parameters.brake_delay, self.inner.brake)
         self._limits = _limits(self.car, self.package)
         self._stiff = _stiffness(self.car, self.package)
         self._reach = float(self.car.a), 0.5 * float(max(self.package.T_f, self.package.T_r))
-        self._t = start.t
+        self._t = float(start.t)
         self._choose_model()
         self.state = self._ego_state(tuple(self.inner[6:]))
 
@@ -91,7 +97,8 @@ class Multibody:
             ConfigError: The package's model diverged.
         """
         held = (float(command.steer), float(command.throttle), 0.0)
-        for span, brake in self._brake.advance(float(command.brake), dt):
+        taking_effect, self._brakes = spans(self._brakes, float(command.brake), dt)
+        for span, brake in taking_effect:
             held = (held[0], held[1], brake)
             self._choose_model()
             left = span if self.body is None else self._drive(self.body, held, span)
@@ -130,7 +137,7 @@ class Multibody:
         Returns:
             How much of the span is left where the model is not valid any more, s.
         """
-        steps = ceil(span / min(SUBSTEP_S, STABLE * max(body[VX], SLOW_MPS) / self._stiff) - 1e-9)
+        steps = ceil(span / min(SUBSTEP_S, STABLE * max(body[VX], SLOW_MPS) / self._stiff) - 1e-9)  # (3)
         h = span / steps
         throttle, brake, car = self.inner.throttle, self.inner.brake, self.car
         left, valid = 0.0, True
@@ -165,18 +172,17 @@ class Multibody:
         return after
 
     def _pull(self, body: list[float], throttle: float, brake: float) -> float:
-        """The acceleration asked of the wheels (1)-(2), m/s2."""
+        """The acceleration asked of the wheels, m/s2."""
         car, v = self.car, body[VX]
         left = sqrt(max(1.0 - (v * body[YAW_RATE] / (car.front.friction * GRAVITY)) ** 2, 0.1))
-        drive = min(drive_force(v, throttle, self.box.gear, car.drive), self._limits[0] * left)
+        drive = min(drive_force(v, throttle, self.box.gear, car.drive), self._limits[0] * left)  # (2)
         resist = brake * car.drive.max_decel + car.drive.rolling + car.drive.drag * v * abs(v)
-        return max(drive - resist, -self._limits[1] * left)
+        return max(drive - resist, -self._limits[1] * left)  # (1), (2)
 
     def _ego_state(self, held: tuple[float, ...]) -> EgoState:
         s, car = self.inner, self.car
         if self.body is None:
-            a, v_lat, kappa = motion(s, self.box, (held[0], held[1], held[2]), car)
-            return EgoState(self._t, s.x, s.y, s.yaw, s.vx, a, kappa, s.steer, s.r, v_lat)
+            return EgoState(*motion(s, self.box, (held[0], held[1], held[2]), car, self._t))
         inputs = [steer_rate(s.steer, held[0], car.steering), self._pull(self.body, s.throttle, s.brake)]
         k = self._rates(list(self.body), inputs, self.package)
         v_lat = s.vy - car.b * s.r
@@ -224,7 +230,7 @@ def _equivalent(p: VehicleParameters, q: Any) -> VehicleParameters:
 def slowest_wheel(vx: float, vy: float, r: float, steer: float, reach: tuple[float, float]) -> float:
     """How fast the slowest wheel goes ahead (4), m/s; `reach`: to the front axle, half of the track, m."""
     front = vx * cos(steer) + (vy + reach[0] * r) * sin(steer)
-    return min(vx, front) - reach[1] * abs(r)
+    return min(vx, front) - reach[1] * abs(r)  # (4)
 
 
 def least_deflection(body: list[float], q: Any) -> float:

@@ -1,7 +1,7 @@
 """The perfect vehicle: it is where its plan is, so that only planning is judged; the bound of every controller.
 
-It is its own controller: told the plan at each control step, it answers with the command that a kinematic bicycle
-without lags would need, and moves along the plan's path as `replay.control.tracking` has it.
+It is its own controller: given the plan at each control step, it answers with the command that a kinematic bicycle
+without lags would need, and moves along the plan's path as `replay.plan_path` has it.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from math import atan
 from logs.states import Command, EgoState
 from logs.trace import Plan
 from logs.vehicle import VehicleParameters
-from replay.control.tracking import PlanPath, Tracker, path_point
+from replay.plan_path import PlanPath, Tracker, path_point
 from replay.vehicle.powertrain import PedalPowertrain
 
 
@@ -23,6 +23,9 @@ class Perfect:
         start: Where it is until its first step.
     """
 
+    has_rigid_tyres = True
+    notes: tuple[str, ...] = ()
+
     def __init__(self, parameters: VehicleParameters, start: EgoState) -> None:
         self.powertrain = PedalPowertrain(parameters)
         self.state = start
@@ -30,6 +33,11 @@ class Perfect:
         self._wheelbase = parameters.wheelbase
         self._tracker = Tracker()
         self._path: PlanPath | None = None
+
+    @property
+    def own_controller(self) -> Perfect:
+        """Itself."""
+        return self
 
     def control(self, state: EgoState, plan: Plan) -> Command:
         """Take the plan to follow; the command that would drive it."""

@@ -1,4 +1,4 @@
-"""The vehicle model of a drive, built from its name and from what it has that planner and controller are not told.
+"""The vehicle model of a drive, built from its name and from what it has that planner and controller do not know of.
 
 A plant's table (`LoopConfig.plant`) holds VehicleParameters by name (mass, tyre_friction, ...: the model's own, a
 mismatch on purpose) and keywords of the model (tyre, grade, ...). A changed mass keeps the forces of motor, brakes and

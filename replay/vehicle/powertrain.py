@@ -12,9 +12,11 @@ With throttle p and brake q as the actuators have them, 0 to 1:
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from logs.kernel import kernel
 from logs.vehicle import VehicleParameters
+from replay.vehicle.pedal_map import NO_MOTOR, PedalMap, coasting, full_throttle, pedal_map
 
 Limits = tuple[float, float, float, float, float]
 """max_accel, max_power, max_decel, drag, rolling of VehicleParameters: what the kernels take."""
@@ -22,14 +24,14 @@ Limits = tuple[float, float, float, float, float]
 
 @kernel
 def drive_force(v: float, throttle: float, limits: Limits) -> float:
-    """Acceleration by the drive (2), m/s2."""
-    return throttle * min(limits[0], limits[1] / max(abs(v), 1e-3))
+    """Acceleration by the drive, m/s2."""
+    return throttle * min(limits[0], limits[1] / max(abs(v), 1e-3))  # (2)
 
 
 @kernel
 def friction_force(brake: float, limits: Limits) -> float:
-    """Deceleration that brakes and rolling can give (3), m/s2."""
-    return limits[4] + brake * limits[2]
+    """Deceleration that brakes and rolling can give, m/s2."""
+    return limits[4] + brake * limits[2]  # (3)
 
 
 @kernel
@@ -40,8 +42,8 @@ def is_rolling(v: float, throttle: float, brake: float, limits: Limits) -> bool:
 
 @kernel
 def rolling_acceleration(v: float, throttle: float, brake: float, limits: Limits) -> float:
-    """dv/dt while rolling (4), m/s2."""
-    return drive_force(v, throttle, limits) - friction_force(brake, limits) - limits[3] * v * abs(v)
+    """dv/dt while rolling, m/s2."""
+    return drive_force(v, throttle, limits) - friction_force(brake, limits) - limits[3] * v * abs(v)  # (4)
 
 
 @dataclass(frozen=True)
@@ -56,28 +58,18 @@ class PedalPowertrain:
         p = self.parameters
         return float(p.max_accel), float(p.max_power), float(p.max_decel), float(p.drag), float(p.rolling)
 
-    @property
-    def throttle_lag(self) -> float:
-        """S."""
-        return self.parameters.throttle_lag
-
-    @property
-    def brake_lag(self) -> float:
-        """S."""
-        return self.parameters.brake_lag
-
-    @property
-    def brake_delay(self) -> float:
-        """S; this model's brake has none."""
-        return 0.0
+    @cached_property
+    def pedal_map(self) -> PedalMap:
+        """What controllers' kernels take; this model's brake has no dead time."""
+        return pedal_map(self.parameters, NO_MOTOR, NO_MOTOR, 0.0)
 
     def coasting(self, v: float) -> float:
         """Acceleration without pedals, m/s2."""
-        return -(self.parameters.rolling + self.parameters.drag * v * abs(v))
+        return coasting(self.pedal_map, v)
 
     def full_throttle(self, v: float) -> float:
         """What full throttle adds, m/s2."""
-        return min(self.parameters.max_accel, self.parameters.max_power / max(abs(v), 1e-3))
+        return full_throttle(self.pedal_map, v)
 
     def full_brake(self, v: float) -> float:
         """What full brake takes, m/s2."""

@@ -29,16 +29,20 @@ the sub-step. Gears are looked at once a sub-step.
 from __future__ import annotations
 
 from math import atan, atan2, ceil, cos, sin, sqrt, tan
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from logs.kernel import kernel
+from logs.kernel import inner_kernel, kernel
 from logs.states import Command, EgoState
 from logs.vehicle import VehicleParameters
-from replay.vehicle.dead_time import DeadTime
+from replay.vehicle.base import Motion, Plain, plain
+from replay.vehicle.dead_time import Pending, commanded, next_span, pending, with_room
 from replay.vehicle.drivetrain import Drive, Drivetrain, Gearbox, drive_force, shifted, throttle_target
 from replay.vehicle.kinematic_bicycle import MAX_SUBSTEP_S, SHORTEST_LAG_S
 from replay.vehicle.steering import Steering, steer_rate
 from replay.vehicle.tyres import GRAVITY, Tyre, axle_force, axle_tyres, slip_for
+
+if TYPE_CHECKING:
+    from replay.control.base import Controller
 
 SLIP_MPS = 1.0
 SLIDING_MPS = 0.5
@@ -63,7 +67,10 @@ class State(NamedTuple):
 
 
 class Car(NamedTuple):
-    """What the kernels take of a vehicle; names as in the equations, `grade` as sine and cosine."""
+    """What the kernels take of a vehicle; names as in the equations, `grade` as sine and cosine.
+
+    `substep` is the longest that the actuators' lags allow, s.
+    """
 
     mass: float
     inertia: float
@@ -79,13 +86,21 @@ class Car(NamedTuple):
     brake_lag: float
     grade_sin: float
     grade_cos: float
+    substep: float
 
 
-@kernel
+@inner_kernel
+def named_car(p: Plain) -> Car:
+    """The car that plain tuples hold (`replay.vehicle.base.plain`)."""
+    front, rear, drive = Tyre(*p[5]), Tyre(*p[6]), Drive(*p[8])
+    return Car(p[0], p[1], p[2], p[3], p[4], front, rear, p[7], drive, p[9], p[10], p[11], p[12], p[13], p[14])
+
+
+@inner_kernel
 def floored(u: float) -> float:
-    """floor(u) of (5), m/s."""
+    """floor(u), m/s."""
     u = abs(u)
-    return u if u >= SLIP_MPS else 0.5 * (u * u / SLIP_MPS + SLIP_MPS)
+    return u if u >= SLIP_MPS else 0.5 * (u * u / SLIP_MPS + SLIP_MPS)  # (5)
 
 
 @kernel
@@ -95,7 +110,7 @@ def slides(s: State, car: Car) -> bool:
     return abs(lateral) > SLIDING_MPS or abs(s.vy - car.b * s.r) > SLIDING_MPS
 
 
-@kernel
+@inner_kernel
 def along(u: float, direction: float) -> float:
     """How a wheel moves, for friction: as the vehicle does, or where that slides (0) by its own speed u, m/s."""
     return direction if direction != 0.0 else min(max(u / TURNOVER_MPS, -1.0), 1.0)
@@ -103,12 +118,12 @@ def along(u: float, direction: float) -> float:
 
 @kernel
 def loads(pull: float, car: Car) -> tuple[float, float]:
-    """Front and rear axle load (6), N, for a wanted acceleration m/s2."""
+    """Front and rear axle load, N, for a wanted acceleration m/s2."""
     limit = car.front.friction * GRAVITY
     transfer = car.mass * min(max(pull, -limit), limit) * car.height
     weight = car.mass * GRAVITY * car.grade_cos
     wheelbase = car.a + car.b
-    front = min(max((weight * car.b - transfer) / wheelbase, 0.0), weight)
+    front = min(max((weight * car.b - transfer) / wheelbase, 0.0), weight)  # (6)
     return front, weight - front
 
 
@@ -126,7 +141,7 @@ def wheel_forces(s: State, direction: float, gear: int, car: Car) -> tuple[float
     drive_rear = drive if drive > 0.0 else drive * way_rear
     pull = car.front_drive * drive_front + (1.0 - car.front_drive) * drive_rear - friction * way_rear
     load_front, load_rear = loads(pull, car)
-    share = 1.0 - REAR_BRAKE * load_rear / (load_front + load_rear)
+    share = 1.0 - REAR_BRAKE * load_rear / (load_front + load_rear)  # (7)
     wanted_front = car.mass * (car.front_drive * drive_front - share * friction * way_front)
     wanted_rear = car.mass * ((1.0 - car.front_drive) * drive_rear - (1.0 - share) * friction * way_rear)
     fx_front, fy_front = axle_force(left_front / floored(ahead_front), load_front, wanted_front, car.front)
@@ -134,7 +149,7 @@ def wheel_forces(s: State, direction: float, gear: int, car: Car) -> tuple[float
     return fx_front, fy_front, fx_rear, fy_rear
 
 
-@kernel
+@inner_kernel
 def rate(s: State, command: tuple[float, float, float], moves: bool, direction: float, gear: int, car: Car) -> State:
     """(1)-(8): the state's rate; only the actuators move where the vehicle does not."""
     steer = steer_rate(s.steer, command[0], car.steering)
@@ -146,18 +161,18 @@ def rate(s: State, command: tuple[float, float, float], moves: bool, direction: 
     side = fy_front * cosine + fx_front * sine
     v_lat = s.vy - car.b * s.r
     return State(
-        s.vx * cos(s.yaw) - v_lat * sin(s.yaw),
+        s.vx * cos(s.yaw) - v_lat * sin(s.yaw),  # (1)
         s.vx * sin(s.yaw) + v_lat * cos(s.yaw),
         s.r,
         (fx_front * cosine - fy_front * sine + fx_rear) / car.mass
-        - car.drive.drag * s.vx * abs(s.vx) - GRAVITY * car.grade_sin + s.r * s.vy,
-        (side + fy_rear) / car.mass - s.r * s.vx,
-        (car.a * side - car.b * fy_rear) / car.inertia,
-        steer, throttle, brake,
+        - car.drive.drag * s.vx * abs(s.vx) - GRAVITY * car.grade_sin + s.r * s.vy,  # (2)
+        (side + fy_rear) / car.mass - s.r * s.vx,  # (3)
+        (car.a * side - car.b * fy_rear) / car.inertia,  # (4)
+        steer, throttle, brake,  # (8)
     )  # fmt: skip
 
 
-@kernel
+@inner_kernel
 def moved(s: State, k: State, h: float) -> State:
     """The state after `h` s at a constant rate."""
     return State(
@@ -166,7 +181,7 @@ def moved(s: State, k: State, h: float) -> State:
     )  # fmt: skip
 
 
-@kernel
+@inner_kernel
 def runge_kutta(
     s: State, command: tuple[float, float, float], moves: bool, direction: float, gear: int, car: Car, h: float
 ) -> State:
@@ -223,11 +238,11 @@ def advance(
 
 
 @kernel
-def motion(s: State, box: Gearbox, command: tuple[float, float, float], car: Car) -> tuple[float, float, float]:
-    """dvx/dt m/s2, lateral speed of the rear axle m/s, curvature of its path 1/m.
+def motion(s: State, box: Gearbox, command: tuple[float, float, float], car: Car, t: float) -> Motion:
+    """The motion at `t` under a command.
 
-    The curvature is that of the path while the vehicle moves faster than 2 SLIP_MPS, that of the wheel angle below
-    SLIP_MPS, and in between a mixture: at standstill a path has none.
+    The curvature is that of the rear axle's path while the vehicle moves faster than 2 SLIP_MPS, that of the wheel
+    angle below SLIP_MPS, and in between a mixture: at standstill a path has none.
     """
     k = rate(s, command, is_moving(s, box.gear, car), heading_of(s, car), box.gear, car)
     v_lat = s.vy - car.b * s.r
@@ -237,7 +252,22 @@ def motion(s: State, box: Gearbox, command: tuple[float, float, float], car: Car
     if share > 0.0:
         ahead, left = k.vx - s.r * v_lat, k.vy - car.b * k.r + s.r * s.vx
         kappa += share * (s.vx * left - v_lat * ahead) / speed**3
-    return k.vx, v_lat, kappa
+    return Motion(t, s.x, s.y, s.yaw, s.vx, k.vx, kappa, s.steer, s.r, v_lat)
+
+
+@kernel
+def step(
+    s: State, box: Gearbox, line: Pending, command: tuple[float, float, float], car: Car, t: float, dt: float
+) -> tuple[State, Gearbox, Pending, Motion]:
+    """State, gearbox, brake commands on their way and motion after holding `command` for `dt` s from `t` on."""
+    end = line.now_ns + round(dt * 1e9)
+    line = commanded(line, command[2])
+    held = command
+    while line.now_ns < end:
+        span, brake, line = next_span(line, end)
+        held = (command[0], command[1], brake)
+        s, box = advance(s, box, held, car, span, substeps(s.vx, span, car.substep, car))
+    return s, box, line, motion(s, box, held, car, round((t + dt) * 1e9) / 1e9)
 
 
 class SingleTrack:
@@ -252,9 +282,16 @@ class SingleTrack:
         tyre_stiffness: Factor on the cornering stiffness.
         grade: Rise over run, positive uphill.
 
+    Attributes:
+        model: The numbers of (1)-(8); `numbers` likewise, as plain tuples.
+        inner: The state of (1)-(8); `box` is the gearbox, `brakes` the brake commands on their way.
+
     Raises:
         ConfigError: A keyword has no such value.
     """
+
+    has_rigid_tyres = False
+    own_controller: Controller | None = None
 
     def __init__(
         self,
@@ -266,13 +303,13 @@ class SingleTrack:
         grade: float = 0.0,
     ) -> None:
         self.powertrain = Drivetrain(parameters)
-        self.car = car_of(parameters, self.powertrain, tyre=tyre, tyre_stiffness=tyre_stiffness, grade=grade)
-        self.inner = cornering(self.car, start, self.powertrain)
+        self.model = car_of(parameters, self.powertrain, tyre=tyre, tyre_stiffness=tyre_stiffness, grade=grade)
+        self.numbers: Plain = plain(self.model)
+        self.inner = cornering(self.model, start, self.powertrain)
         self.box = self.powertrain.gearbox(self.inner.vx, self.inner.throttle)
-        self._substep = min(MAX_SUBSTEP_S, 0.5 * min(self.car.steering[2], self.car.throttle_lag, self.car.brake_lag))
-        self._brake = DeadTime(parameters.brake_delay, self.inner.brake)
-        self._t = start.t
-        self.state = self._ego_state((self.inner.steer, self.inner.throttle, self.inner.brake))
+        self.brakes = pending(parameters.brake_delay, self.inner.brake)
+        held = (self.inner.steer, self.inner.throttle, self.inner.brake)
+        self.state = EgoState(*motion(self.inner, self.box, held, self.model, float(start.t)))
 
     @property
     def actuation(self) -> Command:
@@ -286,24 +323,11 @@ class SingleTrack:
 
     def step(self, command: Command, dt: float) -> EgoState:
         """Hold the command for `dt` s."""
-        held = (float(command.steer), float(command.throttle), 0.0)
-        for span, brake in self._brake.advance(float(command.brake), dt):
-            held = (held[0], held[1], brake)
-            self.move(held, span)
-        self._t = round((self._t + dt) * 1e9) / 1e9
-        self.state = self._ego_state(held)
+        held = (float(command.steer), float(command.throttle), float(command.brake))
+        line = with_room(self.brakes, round(dt * 1e9))
+        self.inner, self.box, self.brakes, now = step(self.inner, self.box, line, held, self.model, self.state.t, dt)
+        self.state = EgoState(*now)
         return self.state
-
-    def move(self, held: tuple[float, float, float], span: float) -> None:
-        """Advance `inner` and `box` by `span` s."""
-        steps = substeps(self.inner.vx, span, self._substep, self.car)
-        inner, box = advance(self.inner, self.box, held, self.car, span, steps)
-        self.inner, self.box = State(*inner), Gearbox(*box)
-
-    def _ego_state(self, held: tuple[float, float, float]) -> EgoState:
-        s = self.inner
-        a, v_lat, kappa = motion(s, self.box, held, self.car)
-        return EgoState(self._t, s.x, s.y, s.yaw, s.vx, a, kappa, s.steer, s.r, v_lat)
 
 
 def car_of(
@@ -312,12 +336,13 @@ def car_of(
     """What the kernels take; ConfigError as `axle_tyres`."""
     front, rear = axle_tyres(p, tyre, float(tyre_stiffness))
     slope = atan(float(grade))
+    steering: Steering = (float(p.max_steer), float(p.max_steer_rate), max(float(p.steer_lag), SHORTEST_LAG_S))
+    lags = (max(float(p.throttle_lag), SHORTEST_LAG_S), max(float(p.brake_lag), SHORTEST_LAG_S))
     return Car(
         mass=float(p.mass), inertia=float(p.yaw_inertia), a=float(p.cog_to_front), b=float(p.cog_to_rear),
         height=float(p.cog_height), front=front, rear=rear, front_drive=float(p.drive_front_share), drive=train.tables,
-        steering=(float(p.max_steer), float(p.max_steer_rate), max(float(p.steer_lag), SHORTEST_LAG_S)),
-        throttle_lag=max(float(p.throttle_lag), SHORTEST_LAG_S), brake_lag=max(float(p.brake_lag), SHORTEST_LAG_S),
-        grade_sin=sin(slope), grade_cos=cos(slope),
+        steering=steering, throttle_lag=lags[0], brake_lag=lags[1], grade_sin=sin(slope), grade_cos=cos(slope),
+        substep=min(MAX_SUBSTEP_S, 0.5 * min(steering[2], *lags)),
     )  # fmt: skip
 
 

@@ -13,7 +13,7 @@ Steering = tuple[float, float, float]
 
 @kernel
 def steer_rate(steer: float, command: float, steering: Steering) -> float:
-    """Rate of the front wheel angle (1), rad/s."""
+    """Rate of the front wheel angle, rad/s."""
     max_steer, max_rate, lag = steering
     wanted = (min(max(command, -max_steer), max_steer) - steer) / lag
-    return min(max(wanted, -max_rate), max_rate)
+    return min(max(wanted, -max_rate), max_rate)  # (1)

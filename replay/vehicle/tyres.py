@@ -58,40 +58,40 @@ class Tyre(NamedTuple):
 
 @kernel
 def grip_and_peak(load: float, tyre: Tyre) -> tuple[float, float]:
-    """C (N/rad) and D (N) of (1)-(2) at a load, N; both 0 where the axle is off the ground."""
+    """C (N/rad) and D (N) at a load, N; both 0 where the axle is off the ground."""
     ratio = max(load, 0.0) / tyre.load
-    grip = max(1.0 - tyre.sensitivity * (ratio - 1.0), MIN_GRIP)
-    return tyre.cornering * ratio * grip, tyre.friction * tyre.load * ratio * grip
+    grip = max(1.0 - tyre.sensitivity * (ratio - 1.0), MIN_GRIP)  # (1)
+    return tyre.cornering * ratio * grip, tyre.friction * tyre.load * ratio * grip  # (2)
 
 
 @kernel
 def lateral_force(slip: float, load: float, tyre: Tyre) -> float:
-    """Fy of pure lateral slip (3)-(5), N, positive to the left; `slip` is tan(alpha)."""
+    """Fy of pure lateral slip, N, positive to the left; `slip` is tan(alpha)."""
     stiffness, peak = grip_and_peak(load, tyre)
     if tyre.kind == LINEAR:
-        return -stiffness * atan(slip)
+        return -stiffness * atan(slip)  # (3)
     if peak <= 0.0:
         return 0.0
     if tyre.kind == FIALA:
         part = stiffness * abs(slip) / (3.0 * peak)
         if part >= 1.0:
             return -peak if slip > 0.0 else peak
-        return -stiffness * slip * (1.0 - part + part * part / 3.0)
+        return -stiffness * slip * (1.0 - part + part * part / 3.0)  # (4)
     x = stiffness / (tyre.shape * peak) * atan(slip)
-    return -peak * sin(tyre.shape * atan(x - tyre.curvature * (x - atan(x))))
+    return -peak * sin(tyre.shape * atan(x - tyre.curvature * (x - atan(x))))  # (5)
 
 
 @kernel
 def axle_force(slip: float, load: float, wanted: float, tyre: Tyre) -> tuple[float, float]:
-    """Fx and Fy, N, where brakes and drive want `wanted` N along the wheel (6)-(7)."""
+    """Fx and Fy, N, where brakes and drive want `wanted` N along the wheel."""
     side = lateral_force(slip, load, tyre)
     if tyre.kind == LINEAR:
         return wanted, side
     _, peak = grip_and_peak(load, tyre)
     if peak <= 0.0:
         return 0.0, 0.0
-    along = min(max(wanted, -tyre.share * peak), tyre.share * peak)
-    return along, side * sqrt(1.0 - (along / peak) ** 2)
+    along = min(max(wanted, -tyre.share * peak), tyre.share * peak)  # (6)
+    return along, side * sqrt(1.0 - (along / peak) ** 2)  # (7)
 
 
 def axle_tyres(parameters: VehicleParameters, kind: str, stiffness: float) -> tuple[Tyre, Tyre]:

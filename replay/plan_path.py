@@ -1,4 +1,4 @@
-"""How far the ego is off its plan: a plan as a path with stations, and the ego against it.
+"""A plan as a path with stations, and the ego against it: what controllers, the perfect vehicle and the trace share.
 
 The path's station is the arc length driven forward; positions between two samples are cubic in the station (Hermite,
 along their headings), headings and curvatures linear. Standing and measuring noise add nothing to the station:
@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import FloatArray, IntArray, frozen, kernel
+from logs.kernel import FloatArray, inner_kernel, kernel
 from logs.states import EgoState, Trajectory, wrap
 from logs.trace import Plan
 
@@ -42,29 +42,34 @@ class Deviation(NamedTuple):
 NO_PLAN = Deviation(*5 * (float("nan"),))
 
 
-@kernel
+@inner_kernel
 def plan_stations(x: FloatArray, y: FloatArray, yaw: FloatArray) -> FloatArray:
-    """Stations `(n,)` of a plan's samples, m, not decreasing, from 0 (1)-(2)."""
+    """Stations `(n,)` of a plan's samples, m, not decreasing, from 0."""
     out = np.zeros(len(x))
     total = 0.0
     for i in range(1, len(x)):
         mean, half = 0.5 * (yaw[i] + yaw[i - 1]), 0.5 * (yaw[i] - yaw[i - 1])
         along = (x[i] - x[i - 1]) * cos(mean) + (y[i] - y[i - 1]) * sin(mean)
-        total += along * half / sin(half) if 1e-6 < abs(half) < 1.5 else along
-        out[i] = max(out[i - 1], total)
+        total += along * half / sin(half) if 1e-6 < abs(half) < 1.5 else along  # (1)
+        out[i] = max(out[i - 1], total)  # (2)
     return out
 
 
 @kernel
-def spaced(station: FloatArray, spacing: float) -> IntArray:
-    """Indices of the first sample and of those at least `spacing` m after the one kept before."""
-    kept = np.zeros(len(station), np.int64)
-    count = 1
-    for i in range(1, len(station)):
-        if station[i] - station[kept[count - 1]] >= spacing:
-            kept[count] = i
+def path_columns(
+    t: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, v: FloatArray, a: FloatArray, kappa: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """`times` and `knots` of `PlanPath`, of a plan's columns `(n,)`; knots are KNOT_SPACING_M apart at least."""
+    station = plan_stations(x, y, yaw)
+    times, knots = np.empty((len(t), 4)), np.empty((len(t), 5))
+    count = 0
+    for i in range(len(t)):
+        times[i, 0], times[i, 1], times[i, 2], times[i, 3] = t[i], station[i], max(v[i], 0.0), a[i]
+        if i == 0 or station[i] - knots[count - 1, 0] >= KNOT_SPACING_M:
+            knots[count, 0], knots[count, 1], knots[count, 2] = station[i], x[i], y[i]
+            knots[count, 3], knots[count, 4] = yaw[i], kappa[i]
             count += 1
-    return kept[:count]
+    return times, knots[:count].copy()
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -82,26 +87,17 @@ class PlanPath:
     @classmethod
     def of(cls, plan: Trajectory) -> PlanPath:
         """The path and timing of a trajectory."""
-        station = plan_stations(plan.x, plan.y, plan.yaw)
-        kept = spaced(station, KNOT_SPACING_M)
-        knots = np.column_stack([station, plan.x, plan.y, plan.yaw, plan.kappa])[kept]
-        return cls(frozen(np.column_stack([plan.t, station, np.maximum(plan.v, 0.0), plan.a])), frozen(knots))
+        times, knots = path_columns(plan.t, plan.x, plan.y, plan.yaw, plan.v, plan.a, plan.kappa)
+        times.flags.writeable = knots.flags.writeable = False
+        return cls(times, knots)
 
     def deviation(self, state: EgoState) -> Deviation:
         """The ego against the plan at `state.t`."""
-        return Deviation(*deviation(self.times, self.knots, state.t, state.x, state.y, state.yaw, state.v))
+        return deviation(self.times, self.knots, state.t, state.x, state.y, state.yaw, state.v)
 
     def timed(self, t: float) -> tuple[float, float, float]:
         """Station m, speed m/s and acceleration m/s2 of the plan at `t`."""
         return timed(self.times, t)
-
-    def accelerations(self, t: float, later: float, step: float) -> tuple[float, float, float, float]:
-        """Accelerations of the plan at `t` and `later` s after it, each with that `step` s after: m/s2."""
-        return accelerations(self.times, t, later, step)
-
-    def kappa(self, station: float) -> float:
-        """Curvature of the path, 1/m; the ends hold."""
-        return path_kappa(self.knots, station)
 
 
 @kernel
@@ -118,14 +114,7 @@ def timed(times: FloatArray, t: float) -> tuple[float, float, float]:
     return hermite(times[i, 1], times[i + 1, 1], h * times[i, 2], h * times[i + 1, 2], u), v, a
 
 
-@kernel
-def accelerations(times: FloatArray, t: float, later: float, step: float) -> tuple[float, float, float, float]:
-    """The third of `timed` at t, t + step, t + later, t + later + step."""
-    first, second = timed(times, t)[2], timed(times, t + step)[2]
-    return first, second, timed(times, t + later)[2], timed(times, t + later + step)[2]
-
-
-@kernel
+@inner_kernel
 def hermite(p0: float, p1: float, d0: float, d1: float, u: float) -> float:
     """The cubic with values p0, p1 and slopes d0, d1 at u = 0, 1."""
     w = 1.0 - u
@@ -160,11 +149,14 @@ def path_foot(knots: FloatArray, x: float, y: float, near: float) -> float:
     """Station of the foot of a point (3), m."""
     best, least = -1, 1e300
     for i in range(len(knots)):
+        ahead = knots[i, 0] - near
+        if ahead > WINDOW_M:
+            break
         square = (knots[i, 1] - x) ** 2 + (knots[i, 2] - y) ** 2
-        if abs(knots[i, 0] - near) <= WINDOW_M and square < least:
+        if ahead >= -WINDOW_M and square < least:
             best, least = i, square
     s = knots[best, 0] if best >= 0 else min(max(near, knots[0, 0]), knots[-1, 0])
-    for _ in range(12):
+    for _ in range(12):  # (3)
         rx, ry, yaw, kappa = path_point(knots, s)
         along = (x - rx) * cos(yaw) + (y - ry) * sin(yaw)
         left = (y - ry) * cos(yaw) - (x - rx) * sin(yaw)
@@ -176,15 +168,13 @@ def path_foot(knots: FloatArray, x: float, y: float, near: float) -> float:
 
 
 @kernel
-def deviation(
-    times: FloatArray, knots: FloatArray, t: float, x: float, y: float, yaw: float, v: float
-) -> tuple[float, float, float, float, float]:
-    """Lateral, heading, speed and station error and foot station (3)-(5)."""
+def deviation(times: FloatArray, knots: FloatArray, t: float, x: float, y: float, yaw: float, v: float) -> Deviation:
+    """The ego against the plan at `t`."""
     station, speed, _ = timed(times, t)
     s = path_foot(knots, x, y, station)
     rx, ry, heading, _ = path_point(knots, s)
-    lateral = (y - ry) * cos(heading) - (x - rx) * sin(heading)
-    return lateral, wrap(yaw - heading), v - speed, s - station, s
+    lateral = (y - ry) * cos(heading) - (x - rx) * sin(heading)  # (4)
+    return Deviation(lateral, wrap(yaw - heading), v - speed, s - station, s)  # (5)
 
 
 class Tracker:

@@ -1,4 +1,4 @@
-"""Exact following along a path: (4) of `lateral_model` over speed, with the slip that was learned, as kernels.
+"""The feed-forward of exact following along a path: (4) of `lateral_model` over speed, with the slip that was learned.
 
 (1) steer(t) = d_0 kappa + d_1 kappa' + d_2 kappa'' = d_0 kappa(t + d_1 / d_0) + (d_2 - d_1^2 / (2 d_0)) kappa''
 (2) of a command that the steering follows with lag T and that is held for h, (1 + T D) exp(h D / 2) times (1):
@@ -18,7 +18,7 @@ from logs.kernel import FloatArray, frozen, kernel
 from logs.vehicle import VehicleParameters
 from replay.control.dlqr_kinematic import MAX_SPEED_MPS, SPEED_STEP_MPS
 from replay.control.lateral_model import following
-from replay.control.tracking import path_kappa
+from replay.plan_path import path_kappa
 
 SPREAD_S = 0.15
 SLOPE_S = 0.05
@@ -65,7 +65,8 @@ def following_at(
 def commanded(d: tuple[float, float, float], lag: float, hold: float) -> tuple[float, float, float]:
     """The series (2) of the command whose wheel angle has the series d."""
     ahead = lag + 0.5 * hold
-    return d[0], d[1] + ahead * d[0], d[2] + ahead * d[1] + (0.5 * lag * hold + 0.125 * hold * hold) * d[0]
+    second = d[2] + ahead * d[1] + (0.5 * lag * hold + 0.125 * hold * hold) * d[0]
+    return d[0], d[1] + ahead * d[0], second  # (2)
 
 
 @kernel
@@ -76,12 +77,12 @@ def within(knots: FloatArray, s: float, reach: float) -> float:
 
 @kernel
 def steer_for(knots: FloatArray, s: float, v: float, d: tuple[float, float, float]) -> float:
-    """(1) at station `s` of a path, speed `v`, rad."""
+    """Wheel angle at station `s` of a path, speed `v`, rad."""
     at, reach = s + v * d[1] / d[0], v * SPREAD_S
     mid = within(knots, at, reach)
     bend = path_kappa(knots, mid + reach) - 2.0 * path_kappa(knots, mid) + path_kappa(knots, mid - reach)
     bend /= SPREAD_S * SPREAD_S
-    return d[0] * path_kappa(knots, at) + (d[2] - 0.5 * d[1] * d[1] / d[0]) * bend
+    return d[0] * path_kappa(knots, at) + (d[2] - 0.5 * d[1] * d[1] / d[0]) * bend  # (1)
 
 
 @kernel

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from math import ceil
 from typing import TypeVar
 
 from logs.errors import LogError, unknown_name
@@ -11,54 +12,55 @@ from logs.road import RoadSource
 from logs.scenario import Scenario
 from logs.vehicle import VehicleParameters
 from replay.control import CONTROLLERS
-from replay.control.base import Controller, Telling
+from replay.control.base import Controller
 from replay.control.lateral_model import with_rigid_tyres
 from replay.drive import LoopConfig
+from replay.plan_period import PlanPeriod
 from replay.traffic import TRAFFIC, TRAFFIC_NOTES, Traffic
 from replay.vehicle import VEHICLES
 from replay.vehicle.base import Vehicle
-from replay.vehicle.kinematic_bicycle import KinematicBicycle
-from replay.vehicle.kinematic_rear_steer import KinematicRearSteer
-from replay.vehicle.perfect import Perfect
 from replay.vehicle.plant import build
 from replay.world import World, box_center, logged_ego
 
 T = TypeVar("T")
 
+ROUNDING = 1e-7
+"""Of a control period: times that differ by less are the same."""
+
 
 @dataclass(frozen=True, eq=False)
-class Rig:
-    """One drive's machinery.
+class SimulationSetup:
+    """Vehicle, controller and traffic of one drive, and its clock.
 
     Attributes:
         vehicle: At the log's first ego state, moving as it did.
         controller: Knows the vehicle's numbers, not its state.
         traffic: Moves the others.
-        steps: One per control period, from the ego's first sample to the end of the log.
+        steps: Control periods from the ego's first sample to the end of the log.
         steps_per_plan: A frame is due at every so many steps.
         period: Of the control, s.
-        notes: What was assumed about the start, one sentence each.
+        assumptions: About the start, the vehicle and the road, one sentence each.
     """
 
     vehicle: Vehicle
     controller: Controller
     traffic: Traffic
-    steps: range
+    steps: int
     steps_per_plan: int
     period: float
-    notes: tuple[str, ...]
+    assumptions: tuple[str, ...]
 
     @classmethod
-    def of(cls, scenario: Scenario, config: LoopConfig) -> Rig:
-        """The rig for a scenario.
+    def of(cls, scenario: Scenario, config: LoopConfig) -> SimulationSetup:
+        """The setup for a scenario.
 
         Raises:
             LogError: The log ends before the first step.
             ConfigError: No vehicle, controller or traffic of that name, or the plant's table is wrong.
         """
         start_ns = round(float(scenario.ego.t[0]) * 1e9)
-        steps = range((round(scenario.duration * 1e9) - start_ns) // config.control_period_ns)
-        if not steps:
+        steps = (round(scenario.duration * 1e9) - start_ns) // config.control_period_ns
+        if steps < 1:
             raise LogError(
                 f"{scenario.name}: the log ends at the ego's first sample, so that there is nothing to drive",
                 remedy="a closed loop needs a log of at least one control period",
@@ -67,40 +69,51 @@ class Rig:
         period = config.control_period_ns / 1e9
         model = _named("vehicle", VEHICLES, config.vehicle)
         vehicle = build(model, config.vehicle, scenario.vehicle, start, config.plant)
-        told = build(model, config.vehicle, scenario.vehicle, start, {}) if config.plant else vehicle
+        believed = build(model, config.vehicle, scenario.vehicle, start, {}) if config.plant else vehicle
         return cls(
             vehicle=vehicle,
-            controller=controller_of(told, scenario.vehicle, config.controller, period),
+            controller=controller_of(believed, scenario.vehicle, config.controller, period),
             traffic=_named("traffic", TRAFFIC, config.traffic)(scenario),
             steps=steps,
             steps_per_plan=config.plan_period_ns // config.control_period_ns,
             period=period,
-            notes=(*_notes(scenario), *_vehicle_notes(config), *TRAFFIC_NOTES.get(config.traffic, ())),
+            assumptions=(*_notes(scenario), *_vehicle_notes(config), *TRAFFIC_NOTES.get(config.traffic, ())),
         )
 
     @property
-    def told(self) -> tuple[str, ...]:
-        """What controller and traffic tell of the drive so far."""
-        return tuple(note for one in (self.controller, self.traffic) if isinstance(one, Telling) for note in one.notes)
+    def notes(self) -> tuple[str, ...]:
+        """What was assumed, and what controller and traffic have to say of the drive so far."""
+        return (*self.assumptions, *self.controller.notes, *self.traffic.notes)
 
     def world(self) -> World:
         """The world as the vehicle and the traffic have it now."""
         return World(self.vehicle.state, self.traffic.step(self.vehicle.state))
 
+    def plan_period(self) -> PlanPeriod:
+        """What runs controller and vehicle."""
+        return PlanPeriod(self.controller, self.vehicle, self.period)
+
+    def horizon(self, step: int, most: int) -> int:
+        """Up to which step, `most` from `step` on, nothing but the ego moves: to the next frame, or the traffic's."""
+        frame = step - step % self.steps_per_plan + self.steps_per_plan
+        ahead = (self.traffic.due - self.vehicle.state.t) / self.period
+        reacts = step + max(ceil(ahead - ROUNDING), 1) if ahead < most else self.steps
+        return min(frame, reacts, step + most, self.steps)
+
 
 def controller_of(vehicle: Vehicle, parameters: VehicleParameters, name: str, period: float) -> Controller:
-    """The controller of that name for a vehicle as it is told; a perfect vehicle is its own.
+    """The controller of that name for a vehicle as it is believed to be; one that follows plans by itself is its own.
 
-    Kinematic vehicles have rigid tyres, and controllers are told so.
+    Where the vehicle's tyres are rigid, the controller's model has them so.
 
     Raises:
         ConfigError: No controller of that name.
     """
     factory = _named("controller", CONTROLLERS, name)
-    if isinstance(vehicle, Perfect):
-        return vehicle
-    kinematic = isinstance(vehicle, (KinematicBicycle, KinematicRearSteer))
-    return factory(with_rigid_tyres(parameters) if kinematic else parameters, vehicle.powertrain, period)
+    if vehicle.own_controller is not None:
+        return vehicle.own_controller
+    known = with_rigid_tyres(parameters) if vehicle.has_rigid_tyres else parameters
+    return factory(known, vehicle.powertrain, period)
 
 
 def _named(kind: str, table: Mapping[str, Callable[..., T]], name: str) -> Callable[..., T]:
@@ -118,7 +131,7 @@ def _vehicle_notes(config: LoopConfig) -> list[str]:
         notes.append(f"each plan but the first is driven from {config.plan_delay_s:g} s after its frame on")
     if config.plant:
         said = ", ".join(f"{key} = {value}" for key, value in config.plant.items())
-        notes.append(f"the vehicle model differs from what planner and controller are told: {said}")
+        notes.append(f"the vehicle model differs from what planner and controller believe: {said}")
     return notes
 
 

@@ -1,0 +1,93 @@
+"""What a control step costs, by vehicle and controller, and the closed loop around a planner that costs nothing.
+
+    python benchmarks/loop.py [--vehicle NAME ...] [--controller NAME ...] [--repeat 5] [LOG ...]
+
+Microseconds of control, vehicle and record per control step on the paper's S-curve, run in plan periods as the closed
+loop does (`replay.plan_period`); then the closed loop with the planner `constant_speed` over logs (none: the built-in
+suite), as times real time. CPU time of the process, the least of the repetitions; it means this machine on this day.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from time import process_time
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+from rich.console import Console
+from rich.table import Table
+
+from logs.scenario import Scenario
+from logs.trace import Plan
+from logs.vehicle import VehicleParameters
+from replay.batch.sources import builtin_suite, select
+from replay.closed_loop import run_closed_loop
+from replay.control import CONTROLLERS
+from replay.drive import LoopConfig
+from replay.experiments.manoeuvres import PERIOD_S, s_curve
+from replay.plan_period import PlanPeriod
+from replay.simulation_setup import controller_of
+from replay.trace_recorder import TraceRecorder
+from replay.vehicle import VEHICLES
+
+PERIODS_PER_PLAN = 10
+AIM_US = 5.0
+SLOW = ("multibody",)
+"""Measured only where asked for: a thousand times slower."""
+
+
+def step_us(vehicle: str, controller: str) -> float:
+    """A control step, us, over one drive."""
+    car, reference = VehicleParameters(), s_curve(50.0, 12.0, "").reference
+    ego = VEHICLES[vehicle](car, reference.state(0))
+    steps = round(float(reference.t[-1]) / PERIOD_S) // PERIODS_PER_PLAN * PERIODS_PER_PLAN
+    recorder, plan = TraceRecorder(steps, ego), Plan(reference)
+    period = PlanPeriod(controller_of(ego, car, controller, PERIOD_S), ego, PERIOD_S)
+    at_once = min(PERIODS_PER_PLAN, period.most_steps)
+    begin = process_time()
+    for first in range(0, steps, at_once):
+        period.run(plan, recorder.rows, first, at_once)
+    return 1e6 * (process_time() - begin) / steps
+
+
+def times_real_time(scenarios: Sequence[Scenario], vehicle: str, repeat: int) -> float:
+    """Driven seconds per CPU second."""
+    driven = spent = 0.0
+    for scenario in scenarios:
+        took = []
+        for _ in range(repeat + 1):
+            begin = process_time()
+            drive = run_closed_loop(scenario, "constant_speed", config=LoopConfig(vehicle=vehicle))
+            took.append(process_time() - begin)
+        driven, spent = driven + float(drive.trace.ego.t[-1] - drive.trace.ego.t[0]), spent + min(took)
+    return driven / spent
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("logs", nargs="*", type=Path)
+    parser.add_argument("--vehicle", action="append", choices=list(VEHICLES))
+    parser.add_argument("--controller", action="append", choices=list(CONTROLLERS))
+    parser.add_argument("--repeat", type=int, default=5)
+    chosen = parser.parse_args()
+    console, table = Console(), Table("vehicle", "controller", "us per step", title=f"aim {AIM_US} us")
+    for vehicle in chosen.vehicle or [name for name in VEHICLES if name not in SLOW]:
+        for controller in chosen.controller or CONTROLLERS:
+            took = min(step_us(vehicle, controller) for _ in range(chosen.repeat + 1))  # the first may compile
+            table.add_row(vehicle, controller, f"{took:.1f}")
+    console.print(table)
+    sources = select(chosen.logs) if chosen.logs else builtin_suite()
+    scenarios = [source.read() for source in sources.sources]
+    for vehicle in ("kinematic_bicycle", "single_track"):
+        console.print(
+            f"closed loop, constant_speed, {vehicle}: {times_real_time(scenarios, vehicle, chosen.repeat):.0f}x"
+        )
+
+
+if __name__ == "__main__":
+    main()

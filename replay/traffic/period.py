@@ -1,0 +1,196 @@
+"""One period of the reacting traffic as one kernel: who leads whom, who is late from now on, how far everybody gets.
+
+What it means stands in `replay.traffic.reactive`; the arrays of `Phases` are written in place.
+"""
+
+from __future__ import annotations
+
+from math import cos, inf, isfinite, isnan, sin
+from typing import NamedTuple
+
+import numpy as np
+
+from logs.kernel import BoolArray, FloatArray, inner_kernel, kernel
+from replay.traffic.following import (
+    ACCEL_MPS2,
+    STANDING_MPS,
+    Leaders,
+    Paths,
+    Scene,
+    covered,
+    desired_gap,
+    drives_into,
+    ego_ahead,
+    enhanced_idm,
+    leaders,
+    moved_on,
+)
+from replay.traffic.phase_replay import PERIOD_S, LoggedTracks, played
+
+SAME_MPS = 1e-6
+"""Speeds that differ by less are the same."""
+
+
+class Agents(NamedTuple):
+    """Those who are replayed: their paths and sizes, who reacts, when their paths and logs end, `(n,)` each."""
+
+    paths: Paths
+    tracks: LoggedTracks
+    length: FloatArray
+    width: FloatArray
+    reacts: BoolArray
+    ends: FloatArray
+    left: FloatArray
+
+
+class Phases(NamedTuple):
+    """How the agents are, `(n,)` each.
+
+    Attributes:
+        phase: The log time that they are at, s.
+        speed: m/s.
+        accel: m/s2.
+        late: Whether they are not as in the log.
+        there: Whether they are in the scene.
+        ahead_since: Since when the ego has been ahead of them, s; inf: it is not.
+        since: Since when they are not as in the log, s; inf: they are.
+        braked: Their hardest deceleration while late, m/s2.
+    """
+
+    phase: FloatArray
+    speed: FloatArray
+    accel: FloatArray
+    late: BoolArray
+    there: BoolArray
+    ahead_since: FloatArray
+    since: FloatArray
+    braked: FloatArray
+
+
+Ego = tuple[float, float, float, float, float, float, float, float, bool]
+"""x, y, yaw of its box, length, width, velocity x, y, rate of its speed, whether it is as in the log."""
+
+
+def nobody_late(n: int) -> Phases:
+    """All as in the log, and not in the scene yet."""
+    late, there = np.zeros(n, np.bool_), np.zeros(n, np.bool_)
+    never = np.full(n, inf)
+    return Phases(np.zeros(n), np.zeros(n), np.zeros(n), late, there, never, never.copy(), np.zeros(n))
+
+
+@kernel
+def logged_speeds(agents: Agents, now: Phases) -> FloatArray:
+    """Their speeds in the log over the next period `(n,)`, m/s."""
+    return covered(agents.paths, now.phase, PERIOD_S) / PERIOD_S
+
+
+@kernel
+def scene_of(agents: Agents, now: Phases, ego: Ego) -> Scene:
+    """Who is where."""
+    n = len(now.phase)
+    boxes, motion = np.empty((n + 1, 5)), np.empty((n + 1, 3))
+    present, as_logged = np.ones(n + 1, np.bool_), np.ones(n + 1, np.bool_)
+    for i in range(n):
+        x, y, yaw, vx, vy, _ = played(agents.tracks, i, now.phase[i])
+        boxes[i, 0], boxes[i, 1], boxes[i, 2] = x, y, yaw
+        boxes[i, 3], boxes[i, 4] = agents.length[i], agents.width[i]
+        if agents.reacts[i]:
+            vx, vy = now.speed[i] * cos(yaw), now.speed[i] * sin(yaw)
+        elif not now.there[i]:
+            vx, vy = vx * 0.0, vy * 0.0
+        motion[i, 0], motion[i, 1], motion[i, 2] = vx, vy, now.accel[i]
+        present[i], as_logged[i] = now.there[i] or agents.tracks.static[i], not now.late[i]
+    boxes[n, 0], boxes[n, 1], boxes[n, 2], boxes[n, 3], boxes[n, 4] = ego[0], ego[1], ego[2], ego[3], ego[4]
+    motion[n, 0], motion[n, 1], motion[n, 2] = ego[5], ego[6], ego[7]
+    as_logged[n] = ego[8]
+    return Scene(boxes, motion, present, as_logged)
+
+
+@kernel
+def leaders_of(agents: Agents, now: Phases, ego: Ego, whose: BoolArray, t: float, longest: float) -> Leaders:
+    """The leaders of the agents `whose` `(n,)`; the ego is one of theirs whom it has been ahead for `longest` s.
+
+    At t = -inf they know it already; with `longest` NaN all heed it.
+    """
+    scene = scene_of(agents, now, ego)
+    heeds = np.ones(len(whose), np.bool_)
+    if not isnan(longest):
+        ahead = ego_ahead(agents.paths, now.phase, now.speed, whose, scene)
+        for i in range(len(whose)):
+            if whose[i]:
+                now.ahead_since[i] = min(now.ahead_since[i], t) if ahead[i] else inf
+            heeds[i] = now.ahead_since[i] <= t - longest + 1e-9
+    return leaders(agents.paths, now.phase, now.speed, whose, heeds, scene)
+
+
+@kernel
+def advance(
+    agents: Agents, now: Phases, ego: Ego, held: FloatArray, room: FloatArray, t: float, longest: float,
+    only_needed: bool,
+) -> None:  # fmt: skip
+    """Lead everybody on from `t` by one period.
+
+    Args:
+        agents: Who.
+        now: How they are; written.
+        ego: Where it is.
+        held: The greatest accelerations that lights leave them `(n,)`, m/s2.
+        room: The way to where they must wait for the ego `(n,)`, m; inf: they need not.
+        t: s.
+        longest: As `leaders_of`.
+        only_needed: Who is as in the log reacts only where it would drive into its leader.
+    """
+    n, until = len(now.phase), t + PERIOD_S
+    logged = logged_speeds(agents, now)
+    found = leaders_of(agents, now, ego, now.there & agents.reacts, t, longest)
+    needed = drives_into(agents.paths, now.phase, found) if only_needed else np.ones(n, np.bool_)
+    speed, way = np.zeros(n), np.zeros(n)
+    for i in range(n):
+        wanted, slower = wanted_speed(now.speed[i], found, i, held[i], room[i], logged[i], needed[i])
+        if slower and now.there[i] and agents.reacts[i]:
+            now.late[i], now.since[i] = True, min(now.since[i], t)
+        speed[i] = min(max(wanted, 0.0), logged[i]) if now.late[i] else logged[i]
+        speed[i] = speed[i] if now.there[i] else 0.0
+        way[i] = speed[i] * PERIOD_S
+    phase = moved_on(agents.paths, now.phase, way, until)
+    for i in range(n):
+        waits = now.late[i] and not now.there[i]
+        if not waits:
+            now.phase[i] = phase[i] if now.late[i] else until
+        behind = now.phase[i] < until - 1e-9 or speed[i] < logged[i] - SAME_MPS
+        now.late[i] = now.late[i] and (waits or behind)
+        now.accel[i] = (speed[i] - now.speed[i]) / PERIOD_S if now.there[i] else 0.0
+        now.braked[i] = max(now.braked[i], -now.accel[i] if now.late[i] else 0.0)
+        now.speed[i] = speed[i]
+        ends = agents.ends[i] if now.late[i] else agents.left[i]
+        now.there[i] = now.there[i] and now.phase[i] <= ends + 1e-9
+
+
+@inner_kernel
+def wanted_speed(
+    v: float, found: Leaders, i: int, held: float, room: float, logged: float, needed: bool
+) -> tuple[float, bool]:
+    """The speed of agent i after a period as leader, lights and right of way want it; whether that disturbs it."""
+    gap, pull, slower = found.gap[i], ACCEL_MPS2, False
+    if isfinite(gap):
+        pull = enhanced_idm(v, gap, found.speed[i], found.accel[i])
+    wanted = v + PERIOD_S * min(pull, held)
+    if isfinite(gap):
+        slower = needed and wanted < logged - SAME_MPS and gap < desired_gap(v, found.speed[i])
+    if isfinite(room):
+        wanted = min(wanted, v + PERIOD_S * enhanced_idm(v, room, 0.0, 0.0))
+        slower = slower or wanted < logged - SAME_MPS
+    else:
+        wanted = min(wanted, v + PERIOD_S * ACCEL_MPS2)
+    return wanted, slower
+
+
+@kernel
+def rates(agents: Agents, now: Phases) -> FloatArray:
+    """At which rates the log is played at the phases `(n,)`, 1 at most."""
+    logged = logged_speeds(agents, now)
+    out = np.ones(len(logged))
+    for i in range(len(logged)):
+        if now.late[i] and logged[i] > STANDING_MPS:
+            out[i] = min(now.speed[i] / logged[i], 1.0)
+    return out

@@ -1,0 +1,146 @@
+"""The log's tracks, each played at a log time of its own: what the kinds of traffic share.
+
+Where and how an agent is at the phase tau (a log time, s) is what the log has there, interpolated; played at the rate r
+(phase per time), its velocity is r times the logged one. What was played is sampled every `PERIOD_S`, one sample ahead
+of the ego: the sample at t + PERIOD_S is made of what is known at t. Who is as in the log keeps its own samples.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.scenario import Tracks
+
+PERIOD_S = 0.1
+ROWS = 64
+"""Samples that there is room for at first; doubled when they are full."""
+
+
+class LoggedTracks(NamedTuple):
+    """`Tracks` as kernels take them; columns x, y, yaw, vx, vy `(5, samples)`."""
+
+    offsets: IntArray
+    static: BoolArray
+    t: FloatArray
+    gap_after: BoolArray
+    columns: FloatArray
+
+
+def logged_tracks(log: Tracks, vx: FloatArray, vy: FloatArray) -> LoggedTracks:
+    """The tracks with these velocities `(samples,)`."""
+    columns = np.ascontiguousarray(np.vstack([log.x, log.y, log.yaw, vx, vy]))
+    return LoggedTracks(log.offsets, log.static, log.t, log.gap_after, columns)
+
+
+class PhaseReplay:
+    """Plays a log's tracks and remembers what was played.
+
+    Args:
+        log: The tracks; those that never move stay as they are.
+        extended: The same, each extended beyond the end of its log: what is played. None: the log.
+
+    Attributes:
+        log: What is played.
+        logged: The same for kernels.
+    """
+
+    def __init__(self, log: Tracks, extended: Tracks | None = None) -> None:
+        self.log, self._own = extended or log, log
+        owner, last = _owners(self.log), np.arange(len(self.log.t))
+        vx, vy = self.log.velocity(owner, last) if len(log) else (self.log.vx, self.log.vy)
+        self.logged, self._logged_own = logged_tracks(self.log, vx, vy), logged_tracks(log, log.vx, log.vy)
+        self._count = 0
+        self._t = np.empty(ROWS)
+        self._pose, self._there = np.empty((ROWS, 5, len(log))), np.empty((ROWS, len(log)), np.bool_)
+
+    def add(self, t: float, phase: FloatArray, rate: FloatArray, there: BoolArray) -> None:
+        """At the time `t` they were at these phases `(n,)`, played at these rates, as far as they are `there`."""
+        k = self._count
+        if k == len(self._t):
+            self._t, self._pose, self._there = (
+                np.concatenate([rows, np.empty_like(rows)]) for rows in (self._t, self._pose, self._there)
+            )
+        self._t[k], self._count = t, k + 1
+        _play(self.logged, phase, rate, there, self._pose[k], self._there[k])
+
+    def tracks(self, since: FloatArray) -> Tracks:
+        """The log's own samples before `since` `(n,)`, s, and what was played from then on; inf: the log as it is."""
+        log, since = self._own, np.where(self._own.static, np.inf, since)
+        if not (since < np.inf).any():
+            return log
+        k = self._count
+        rows, sizes = _merged(self._logged_own, since, self._t[:k], self._pose[:k], self._there[:k])
+        members = np.flatnonzero(sizes)
+        return Tracks(
+            tuple(log.ids[i] for i in members),
+            tuple(log.kinds[i] for i in members),
+            log.length[members],
+            log.width[members],
+            log.static[members],
+            np.r_[0, np.cumsum(sizes[members])],
+            *rows,
+        )
+
+
+def _owners(log: Tracks) -> IntArray:
+    """The track `(samples,)` of each sample."""
+    return np.repeat(np.arange(len(log)), np.diff(log.offsets))
+
+
+@kernel
+def played(log: LoggedTracks, i: int, phase: float) -> tuple[float, float, float, float, float, bool]:
+    """x, y, yaw (interpolated), vx, vy (of the last sample) of a track at a phase, and whether it has a log there.
+
+    In a gap of a track (`logs.presence`) its agent is not there.
+    """
+    t, columns, first, end = log.t, log.columns, log.offsets[i], log.offsets[i + 1]
+    there = log.static[i] or (t[first] <= phase + 1e-9 and phase <= t[end - 1] + 1e-9)
+    k = first
+    if not log.static[i]:
+        k = max(first + np.searchsorted(t[first:end], phase + 1e-9, side="right") - 1, first)
+    u, j = 0.0, min(k + 1, end - 1)
+    if j > k and not log.static[i]:
+        there = there and not (log.gap_after[k] and t[k] + 1e-9 < phase < t[j] - 1e-9)
+        u = min(max((phase - t[k]) / (t[j] - t[k]), 0.0), 1.0)
+    x = columns[0, k] + u * (columns[0, j] - columns[0, k])
+    y = columns[1, k] + u * (columns[1, j] - columns[1, k])
+    yaw = columns[2, k] + u * (columns[2, j] - columns[2, k])
+    return x, y, yaw, columns[3, k], columns[4, k], there
+
+
+@kernel
+def _play(
+    log: LoggedTracks, phase: FloatArray, rate: FloatArray, there: BoolArray, pose: FloatArray, here: BoolArray
+) -> None:
+    """Into `pose` `(5, n)` and `here` `(n,)`: the agents at their phases, velocities times the rates."""
+    for i in range(len(phase)):
+        x, y, yaw, vx, vy, has_log = played(log, i, phase[i])
+        pose[0, i], pose[1, i], pose[2, i] = x, y, yaw
+        pose[3, i], pose[4, i] = vx * rate[i], vy * rate[i]
+        here[i] = has_log and there[i]
+
+
+@kernel
+def _merged(
+    log: LoggedTracks, since: FloatArray, times: FloatArray, pose: FloatArray, there: BoolArray
+) -> tuple[FloatArray, IntArray]:
+    """Rows t, x, y, yaw, vx, vy `(6, samples)` of the tracks one after the other, and how many samples each has."""
+    n = len(since)
+    sizes = np.zeros(n, np.int64)
+    rows = np.empty((6, len(log.t) + len(times) * n))
+    at = 0
+    for i in range(n):
+        begin = at
+        for k in range(log.offsets[i], log.offsets[i + 1]):
+            if log.t[k] < since[i] - 1e-9:
+                rows[0, at], rows[1:, at] = log.t[k], log.columns[:, k]
+                at += 1
+        for k in range(len(times)):
+            if there[k, i] and times[k] >= since[i] - 1e-9:
+                rows[0, at], rows[1:, at] = times[k], pose[k, :, i]
+                at += 1
+        sizes[i] = at - begin
+    return rows[:, :at].copy(), sizes

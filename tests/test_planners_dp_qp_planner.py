@@ -35,6 +35,7 @@ from logs.states import TRAJECTORY_COLUMNS, wrapped
 from logs.transform import mirrored, moved
 from planners.base import Planner
 from planners.dp_qp import DpQp
+from planners.dp_qp.lane.memory import LaneMemory
 from planners.dp_qp.lane.plan import LanePlanner
 from planners.dp_qp.path.qp import PathQp
 from planners.dp_qp.path.stage import PathConfig
@@ -547,6 +548,8 @@ def test_a_lane_that_was_not_planned_for_long_is_found_again() -> None:
         strip, Rulebook(ONE, strip.reference, CAR), None, CAR, PathConfig(), SpeedConfig(),
         passes_left=True, lap=lambda stage: None,
     )  # fmt: skip
-    first = driver.locate(EGO, fresh=True)
-    later = driver.locate(replace(EGO, x=120.0, y=0.5), fresh=False)
-    assert later == pytest.approx((first[0] + 120.0, 0.5), abs=1e-6)
+    first = driver.scene(frame(EGO), EGO, LaneMemory())
+    _, memory = driver.plan("keep", first, LaneMemory())
+    far = replace(EGO, x=120.0, y=0.5)
+    later = driver.scene(frame(far), far, memory)
+    assert (later.s, later.l) == pytest.approx((first.s + 120.0, 0.5), abs=1e-6)

@@ -96,13 +96,12 @@ def test_lines_with_round_spacings_keep_their_points(count: int, spacing: float,
 def test_two_sides_that_cost_the_same_are_passed_on_the_passing_side() -> None:
     config = PathDpConfig()
     stations, wide = 6.0 * np.arange(1, 11), np.full((10, 10), 4.0)
-    weights = np.array([config.w_ref, config.w_dl, config.w_ddl, config.w_near, config.reach_m, config.w_switch])
     for left in (True, False):
         rows = config.offsets(passes_left=left)
         for off in (-TINY, 0.0, TINY):
             box = np.array([[25.0, 35.0, -1.0 + off, 1.0 + off, 0.0]])
             start = np.array([0.0, off, 0.0, 0.0])
-            _, chosen = path_dp(stations, rows, start, box, -wide, wide, weights)
+            _, chosen = path_dp(stations, rows, start, box, -wide, wide, config.weights)
             assert (rows[chosen[4]] > 0.0) == left
 
 

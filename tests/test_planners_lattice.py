@@ -11,7 +11,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
-from worlds import CAR, Drive, Other, along_x, curve, decided, driving, followed, frame, gaps, lanes, standing
+from worlds import (
+    CAR,
+    Drive,
+    Other,
+    along_x,
+    curve,
+    decided,
+    driving,
+    followed,
+    frame,
+    gaps,
+    lanes,
+    reference,
+    scene,
+    standing,
+)
 
 from logs import (
     AgentKind,
@@ -31,11 +46,11 @@ from logs import (
 )
 from logs.catalogue import CATALOGUE
 from logs.mcap import write_trace
-from logs.road import ReferenceLine
 from logs.transform import mirrored
 from planners.frenet.fallback import meets
 from planners.lattice import Lattice, LatticeConfig
 from planners.lattice.candidates import headway, lateral_costs
+from planners.lattice.futures import ego_frenet
 from planners.lattice.polynomials import (
     LEAST_M,
     STEP_S,
@@ -48,7 +63,6 @@ from planners.lattice.polynomials import (
     states,
     third_square,
 )
-from planners.lattice.scene import ego_frenet
 from replay.closed_loop import run_closed_loop
 from replay.drive import LoopConfig
 from replay.perception import perceive
@@ -116,7 +130,8 @@ def test_at_constant_speed_the_lateral_jerk_is_that_of_the_quintic_in_time(l1: f
     assert cost[0, 0] == pytest.approx(720.0 * l1**2 / 4.0**5, rel=1e-9, abs=1e-12)
 
 
-LINE = ReferenceLine.through(curve(*((0.5, 0.025 * np.sin(s / 25.0)) for s in np.arange(0.0, 240.0, 0.5)), step=0.5))
+COURSE = reference(curve(*((0.5, 0.025 * np.sin(s / 25.0)) for s in np.arange(0.0, 240.0, 0.5)), step=0.5))
+LINE = COURSE.line
 """Its curvature changes smoothly, so that differences are near to derivatives."""
 
 
@@ -145,7 +160,8 @@ def test_the_frenet_start_is_the_inverse_of_the_states(s0: float, l0: float, tur
     start = EgoState(
         0.0, float(x - l0 * np.sin(yaw)), float(y + l0 * np.cos(yaw)), float(yaw + turn), v, max(a, -v), 0.03
     )
-    ego = ego_frenet(LINE, start, s0, l0)
+    ego = ego_frenet(scene(COURSE, start))
+    assert ego.s == pytest.approx(s0, abs=1e-6)
     motion = np.array([[0.0], [ego.speed], [ego.accel]])
     lateral = lateral_polynomial(np.array(ego.lateral), 0.0, 30.0)
     found = states(LINE.s, LINE.coef, s0, lateral, 30.0, motion)[:6, 0]

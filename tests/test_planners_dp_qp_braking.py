@@ -1,4 +1,4 @@
-"""How hard to brake: bounds are kept, hard braking waits only where it may, nothing is remembered by a fresh frame."""
+"""How hard to brake: bounds are kept, the mildest rung that holds is driven, hard braking waits only where it may."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from logs.kernel import FloatArray
-from planners.dp_qp.speed.braking import PATIENCE_S, SolvedSpeed, SpeedSolver
+from planners.dp_qp.speed.braking import PATIENCE_S, BrakingLadder, BrakingMemory, Case, SolvedSpeed
 from planners.dp_qp.speed.qp import SpeedProblem, SpeedQpConfig
 from planners.frenet.profiles import STEP_S, Limits
 from planners.frenet.st_boundaries import StBoundaries
@@ -21,7 +21,7 @@ END = 300.0
 
 
 def blocked(low: float, high: float, begin: float, end: float) -> StBoundaries:
-    """Somebody takes the stations from `low` to `high` m from `begin` to `end` s."""
+    """An agent takes the stations from `low` to `high` m from `begin` to `end` s."""
     taken = (begin - 1e-9 <= T) & (end + 1e-9 >= T)
     lower, upper = (np.where(taken, s, np.nan)[None, :] for s in (low, high))
     return StBoundaries(T, np.zeros(1, np.int64), lower, upper, np.zeros(1), np.ones(1))
@@ -36,10 +36,20 @@ def behind(v: float, blocks: StBoundaries, a: float = 0.0) -> SpeedProblem:
     return problem(v, a, np.fmin(np.full(len(T), END), blocks.lower[0] - GAP))
 
 
-def solve(solver: SpeedSolver, v: float, blocks: StBoundaries, t: float, *, fresh: bool, a: float = 0.0) -> SolvedSpeed:
-    solved = solver.solve(behind(v, blocks, a), lambda margins: blocks, t, fresh=fresh)
-    solver.remember(t, solved)
-    return solved
+LADDER, NOTHING = BrakingLadder(CONFIG, GAP, MOST), BrakingMemory()
+
+
+def solve(
+    v: float, blocks: StBoundaries, t: float = 0.0, memory: BrakingMemory = NOTHING, *, ladder: BrakingLadder = LADDER
+) -> tuple[SolvedSpeed, BrakingMemory]:
+    """What is driven behind whoever blocks, and what is remembered of it."""
+    solved = ladder.solve(Case(behind(v, blocks), lambda margins: blocks, t, memory))
+    return solved, memory.after(t, solved)
+
+
+def solved(v: float, blocks: StBoundaries) -> SolvedSpeed:
+    """By a ladder that remembers nothing."""
+    return solve(v, blocks)[0]
 
 
 speeds = st.floats(3.0, 20.0)
@@ -48,9 +58,9 @@ stations = st.floats(2.0, 80.0)
 
 @given(speeds, stations, st.floats(0.0, 4.0), st.floats(0.2, 6.0))
 @settings(max_examples=60, deadline=None)
-def test_a_plan_that_is_no_last_resort_meets_nobody(v: float, s: float, begin: float, lasts: float) -> None:
+def test_a_plan_that_is_no_last_resort_has_no_contact(v: float, s: float, begin: float, lasts: float) -> None:
     blocks = blocked(s, s + 6.0, begin, begin + lasts)
-    found = solve(SpeedSolver(CONFIG, GAP, MOST), v, blocks, 0.0, fresh=True)
+    found = solved(v, blocks)
     assert found.profile is not None
     if not found.unavoidable:
         assert not blocks.meets(T, found.profile[0])
@@ -61,24 +71,27 @@ def test_a_plan_that_is_no_last_resort_meets_nobody(v: float, s: float, begin: f
 
 @given(speeds, stations)
 @settings(max_examples=40, deadline=None)
-def test_nobody_brakes_harder_than_comfort_where_comfort_does(v: float, s: float) -> None:
+def test_where_comfort_suffices_it_is_comfortable(v: float, s: float) -> None:
     blocks = blocked(s, s + 6.0, 0.0, 8.0)
     soft = Limits(CONFIG.comfort).braking((v, 0.0), CONFIG.knots, share=0.85)
-    found = solve(SpeedSolver(CONFIG, GAP, MOST), v, blocks, 0.0, fresh=True)
+    found = solved(v, blocks)
     if (soft[0] <= s - GAP).all():
         assert found.reason == "" and found.profile is not None
         assert found.profile[2].min() >= -CONFIG.comfort.decel_mps2 - 0.06
 
 
-@given(speeds, stations, st.floats(0.3, 3.0))
+@given(speeds, stations, st.floats(0.3, 3.0), st.floats(-1.0, 1.0), st.booleans())
 @settings(max_examples=30, deadline=None)
-def test_a_fresh_frame_remembers_nothing(v: float, s: float, before: float) -> None:
-    blocks = blocked(s, s + 6.0, 0.0, 8.0)
-    used = SpeedSolver(CONFIG, GAP, MOST)
-    solve(used, v, blocked(before, before + 5.0, 0.0, 8.0), 0.0, fresh=True)
-    again, first = (solve(one, v, blocks, 0.1, fresh=True) for one in (used, SpeedSolver(CONFIG, GAP, MOST)))
-    assert again.reason == first.reason
-    np.testing.assert_array_equal(again.profile, first.profile)  # type: ignore[arg-type]
+def test_what_was_solved_before_changes_nothing(v: float, s: float, before: float, since: float, onward: bool) -> None:
+    """The same case twice gives the same bits, whatever the ladder solved in between; memory goes in and out."""
+    memory, blocks = BrakingMemory(since, drove_on=onward), blocked(s, s + 6.0, 0.0, 8.0)
+    used, new = BrakingLadder(CONFIG, GAP, MOST), BrakingLadder(CONFIG, GAP, MOST)
+    first, after = solve(v, blocks, 0.1, memory, ladder=used)
+    solve(v, blocked(before, before + 5.0, 0.0, 8.0), 0.1, memory, ladder=used)
+    for ladder in (used, new):
+        again, memory_again = solve(v, blocks, 0.1, memory, ladder=ladder)
+        assert again.reason == first.reason and memory_again == after
+        np.testing.assert_array_equal(again.profile, first.profile)  # type: ignore[arg-type]
 
 
 FREE = blocked(290.0, 295.0, 0.0, 8.0)
@@ -87,11 +100,11 @@ CLOSE = blocked(24.0, 30.0, 0.0, 8.0)
 
 
 def test_hard_braking_waits_while_it_may_and_then_no_more() -> None:
-    solver = SpeedSolver(CONFIG, GAP, MOST)
-    assert solve(solver, 12.0, FREE, 0.0, fresh=True).reason == ""
+    found, memory = solve(12.0, FREE)
+    assert found.reason == ""
     reasons = []
     for k in range(1, 9):
-        found = solve(solver, 12.0, CLOSE, k * STEP_S, fresh=False)
+        found, memory = solve(12.0, CLOSE, k * STEP_S, memory)
         reasons.append(found.reason)
         if found.reason.startswith("comfortable braking for"):
             assert found.profile is not None
@@ -103,20 +116,18 @@ def test_hard_braking_waits_while_it_may_and_then_no_more() -> None:
     assert reasons[-1].startswith("hard braking")
 
 
-def test_nobody_waits_for_the_first_frame() -> None:
-    assert solve(SpeedSolver(CONFIG, GAP, MOST), 12.0, CLOSE, 0.0, fresh=True).reason.startswith("hard braking")
+def test_the_first_frame_does_not_wait() -> None:
+    assert solved(12.0, CLOSE).reason.startswith("hard braking")
 
 
-def test_nobody_waits_where_the_hardest_braking_would_then_be_too_late() -> None:
-    solver = SpeedSolver(CONFIG, GAP, MOST)
-    solve(solver, 12.0, FREE, 0.0, fresh=True)
-    found = solve(solver, 12.0, blocked(14.6, 22.0, 0.0, 8.0), 0.1, fresh=False)
+def test_it_does_not_wait_where_the_hardest_braking_would_then_be_too_late() -> None:
+    found, _ = solve(12.0, blocked(14.6, 22.0, 0.0, 8.0), 0.1, solve(12.0, FREE)[1])
     assert found.reason.startswith("hard")
 
 
 @pytest.mark.parametrize(("begin", "onward"), [(2.0, True), (0.8, False)])
 def test_driving_on_instead_of_hard_braking_only_where_it_is_clear(begin: float, onward: bool) -> None:
-    found = solve(SpeedSolver(CONFIG, GAP, MOST), 14.0, blocked(12.0, 20.0, begin, 8.0), 0.0, fresh=True)
+    found = solved(14.0, blocked(12.0, 20.0, begin, 8.0))
     assert found.is_onward is onward
     assert found.unavoidable is not onward
 
@@ -131,23 +142,23 @@ def test_waiting_braking_is_comfortable_first() -> None:
 
 @pytest.mark.parametrize("end", [8.0, 12.0, 15.0, 18.0])
 def test_the_end_of_the_path_is_not_driven_over_where_braking_can_keep_it(end: float) -> None:
-    """Nobody is in the way; the path ends where the car could not steer on."""
-    nobody = StBoundaries(
+    """The way is free; the path ends where the car could not steer on."""
+    free = StBoundaries(
         T, np.zeros(0, np.int64), np.empty((0, len(T))), np.empty((0, len(T))), np.empty(0), np.empty(0)
     )
     short = replace(problem(10.0, 0.0, np.full(len(T), end)), end=end)
-    found = SpeedSolver(CONFIG, GAP, MOST).solve(short, lambda margins: nobody, 0.0, fresh=True)
+    found = LADDER.solve(Case(short, lambda margins: free, 0.0, NOTHING))
     hardest = Limits(CONFIG.emergency).braking((10.0, 0.0), CONFIG.knots)
     assert found.profile is not None and found.reason
     assert found.profile[0, -1] <= max(end, hardest[0, -1]) + 0.06
 
 
-def test_braking_that_ends_in_the_way_before_anybody_comes_avoids_nobody() -> None:
-    """The hardest stop comes to rest beyond his way just before he takes it; driving on is past it by far more."""
+def test_braking_that_ends_in_the_way_before_an_agent_comes_does_not_avoid_them() -> None:
+    """The hardest stop comes to rest beyond their way just before they take it; driving on is past it by far more."""
     v, stop = 10.0, Limits(CONFIG.emergency).braking((10.0, 0.0), CONFIG.knots)[0]
     blocks = blocked(stop[-1] - 4.0, stop[-1] - 0.3, 2.0, 6.0)
     assert not blocks.meets(T, stop) and not blocks.leave(T, stop, 0.0)
-    found = solve(SpeedSolver(CONFIG, GAP, MOST), v, blocks, 0.0, fresh=True)
+    found = solved(v, blocks)
     assert found.is_onward and not found.unavoidable
 
 
@@ -156,8 +167,9 @@ def test_full_braking_goes_on_until_the_whole_gap_is_kept() -> None:
     v = 12.0
     hard = Limits(CONFIG.emergency).braking((v, 0.0), CONFIG.knots, share=0.97)[0, -1]
     half, none = (blocked(float(hard) + room, hard + 50.0, 0.0, 8.0) for room in (0.7 * GAP, -0.3 * GAP))
-    solver = SpeedSolver(CONFIG, GAP, MOST)
-    assert "keeps half of the distance" in solve(solver, v, half, 0.0, fresh=True).reason
-    assert solve(solver, v, none, 1.0, fresh=False).is_full
-    assert solve(solver, v, half, 1.1, fresh=False).is_full
-    assert not solve(solver, v, half, 1.2, fresh=True).is_full
+    first, memory = solve(v, half)
+    assert "keeps half of the distance" in first.reason
+    full, memory = solve(v, none, 1.0, memory)
+    assert full.is_full
+    assert solve(v, half, 1.1, memory)[0].is_full
+    assert not solve(v, half, 1.1)[0].is_full

@@ -1,0 +1,146 @@
+"""S-T boundaries: swept boxes = brute force, margins and uncertain times only add, stops are rows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from worlds import CAR, Other, along_x, driving, path_of, reference, scene, standing
+
+from logs import AgentKind, DecisionKind, EgoState
+from logs.kernel import FloatArray
+from logs.shapes import overlap
+from planners.frenet.path import Path
+from planners.frenet.scene import behind
+from planners.frenet.st_boundaries import StBoundaries, StGraphConfig, decide_speed, st_boundaries
+
+SEED = st.integers(0, 2**32 - 1)
+
+AS_PREDICTED = StGraphConfig(early_s=0.0, late_s=0.0)
+EGO = EgoState(0.0, 0.0, 0.0, 0.0, 8.0)
+
+
+def turning(radius: float, angle: float = 2.0, spacing: float = 0.4) -> Path:
+    """Straight for 15 m, a turn by `angle` rad or 40 m long, straight again."""
+    turn = min(radius * angle, 40.0)
+    s = np.arange(0.0, 15.0 + turn + 30.0, spacing)
+    return path_of(np.where((s > 15.0) & (s < 15.0 + turn), 1.0 / radius, 0.0), spacing)
+
+
+STRAIGHT = path_of(np.zeros(301), 0.4)
+ROAD = reference(along_x())
+
+
+def blocks_of(path: Path, other: Other, config: StGraphConfig = AS_PREDICTED, *, passed: bool = False) -> StBoundaries:
+    names = frozenset({other.id} if passed else ())
+    return st_boundaries(scene(ROAD, EGO, [other]), path, np.zeros(1, np.bool_), names, config)
+
+
+def met(path: Path, other: Other, t: float, margin: float) -> FloatArray:
+    """The stations of the path's points at which the ego's box, widened, overlaps the other's at time t."""
+    x, y, yaw, _, _ = other.at(t)
+    reach = CAR.axle_to_center
+    found = [
+        sigma
+        for sigma, px, py, a in zip(path.sigma, path.x, path.y, path.yaw, strict=True)
+        if overlap(
+            px + reach * np.cos(a), py + reach * np.sin(a), a, CAR.length, CAR.width + 2.0 * margin,
+            x, y, yaw, other.length, other.width,
+        )
+    ]  # fmt: skip
+    return np.array(found)
+
+
+@st.composite
+def crossings(draw: st.DrawFn) -> tuple[Path, Other]:
+    """A path with a turn of any tightness, and somebody who passes near it at some time."""
+    path = turning(draw(st.sampled_from([4.0, 8.0, 15.0, 40.0, 1e6])), draw(st.floats(0.5, 3.0)))
+    i = draw(st.integers(0, len(path.sigma) - 1))
+    yaw, speed = draw(st.floats(-np.pi, np.pi)), draw(st.floats(0.0, 20.0))
+    when = draw(st.floats(0.0, 8.0))
+    vx, vy = speed * np.cos(yaw), speed * np.sin(yaw)
+    x, y = path.x[i] + draw(st.floats(-6.0, 6.0)) - when * vx, path.y[i] + draw(st.floats(-6.0, 6.0)) - when * vy
+    length, width = draw(st.sampled_from([(4.5, 1.8), (0.5, 0.6), (14.0, 2.5)]))
+    return path, Other("it", lambda t: (x + vx * t, y + vy * t, yaw, vx, vy), length=length, width=width)
+
+
+@given(crossings())
+@settings(max_examples=40)
+def test_blocked_intervals_are_where_the_boxes_overlap(crossing: tuple[Path, Other]) -> None:
+    path, other = crossing
+    blocks = blocks_of(path, other)
+    for k, t in enumerate(0.1 * np.arange(81)):
+        stations = met(path, other, float(t), AS_PREDICTED.margin_m)
+        if not len(stations):
+            assert not len(blocks) or np.isnan(blocks.lower[0, k])
+            continue
+        assert max(stations[0] - 0.4, 0.0) - 1e-9 <= blocks.lower[0, k] <= stations[0]
+        assert stations[-1] <= blocks.upper[0, k] <= min(stations[-1] + 0.4, path.length) + 1e-9
+
+
+@given(crossings(), st.floats(0.0, 0.5), st.floats(0.0, 0.5))
+@settings(max_examples=30)
+def test_a_wider_margin_blocks_more(crossing: tuple[Path, Other], first: float, more: float) -> None:
+    path, other = crossing
+    narrow, wide = (
+        blocks_of(path, other, StGraphConfig(margin_m=margin, early_s=0.0, late_s=0.0))
+        for margin in (first, first + more)
+    )
+    assert len(narrow) <= len(wide)
+    if len(narrow):
+        blocked = np.isfinite(narrow.lower[0])
+        assert (wide.lower[0, blocked] <= narrow.lower[0, blocked]).all()
+        assert (wide.upper[0, blocked] >= narrow.upper[0, blocked]).all()
+
+
+@given(crossings())
+@settings(max_examples=30)
+def test_uncertain_times_only_add_to_a_block(crossing: tuple[Path, Other]) -> None:
+    sure, drawn = blocks_of(*crossing), blocks_of(*crossing, StGraphConfig())
+    assert len(sure) == len(drawn)
+    if len(sure):
+        blocked = np.isfinite(sure.lower)
+        np.testing.assert_array_equal(drawn.lower[blocked], sure.lower[blocked])
+        extra = drawn.t[np.isfinite(drawn.lower[0]) & ~blocked[0]]
+        times = sure.t[blocked[0]]
+        assert ((extra > times[0] - 0.4 - 1e-9) & (extra < times[-1] + 0.6 + 1e-9)).all()
+
+
+def test_margins_depend_on_who_it_is() -> None:
+    beside = 0.5 * CAR.width + 0.9
+    assert len(blocks_of(STRAIGHT, standing("car", 30.0, beside + 0.29))) == 1
+    assert len(blocks_of(STRAIGHT, standing("car", 30.0, beside + 0.31))) == 0
+    assert len(blocks_of(STRAIGHT, standing("car", 30.0, beside + 0.11), passed=True)) == 0
+    walker = Other("ped", lambda t: (30.0, beside + 0.59, 0.0, 0.0, 0.0), AgentKind.PEDESTRIAN)
+    assert len(blocks_of(STRAIGHT, walker)) == 1
+
+
+def test_the_speed_along_the_path_is_the_projection_of_the_velocity() -> None:
+    assert blocks_of(STRAIGHT, driving("lead", 20.0, 0.0, 5.0)).speed[0] == pytest.approx(5.0)
+    assert blocks_of(STRAIGHT, driving("oncoming", 70.0, 0.0, -5.0)).speed[0] == pytest.approx(-5.0)
+    assert blocks_of(STRAIGHT, driving("crossing", 20.0, -6.0, 0.0, 3.0)).speed[0] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_who_follows_is_not_in_the_way() -> None:
+    others = [
+        driving("follower", -12.0, 0.0, 9.0),
+        driving("beside, behind", -12.0, 3.5, 9.0),
+        driving("lead", 12.0, 0.0, 5.0),
+        driving("oncoming from behind", -12.0, 0.0, -1.0),
+    ]
+    for keeps_track, expected in ((True, [True, True, False, False]), (False, [True, False, False, False])):
+        assert behind(scene(reference(along_x(), 2), EGO, others), keeps_track=keeps_track).tolist() == expected
+
+
+def decided(other: Other, profile: FloatArray) -> DecisionKind:
+    blocks = blocks_of(STRAIGHT, other)
+    return decide_speed(blocks, scene(ROAD, EGO, [other]), np.interp(blocks.t, [0.0, 8.0], profile))[0].kind
+
+
+def test_words_for_what_is_done() -> None:
+    slow, quick = np.array([0.0, 10.0]), np.array([0.0, 110.0])
+    assert decided(standing("it", 40.0, 0.0), slow) is DecisionKind.STOP
+    assert decided(driving("it", 20.0, 0.0, 5.0), slow) is DecisionKind.FOLLOW
+    assert decided(driving("it", 40.0, -6.0, 0.0, 1.5), slow) is DecisionKind.YIELD
+    assert decided(driving("it", 40.0, -9.0, 0.0, 1.5), quick) is DecisionKind.OVERTAKE

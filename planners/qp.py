@@ -24,6 +24,13 @@ from logs.trace import SolverReport
 
 SOLVED = 1
 RHO = 0.1
+WORDS = {
+    piqp.PIQP_SOLVED: "solved",
+    piqp.PIQP_MAX_ITER_REACHED: "iterations spent",
+    piqp.PIQP_PRIMAL_INFEASIBLE: "called infeasible",
+    piqp.PIQP_DUAL_INFEASIBLE: "called unbounded",
+}
+"""What PIQP's statuses mean."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +39,7 @@ class QPConfig:
 
     Attributes:
         eps: Absolute and relative tolerance of OSQP.
-        max_iterations: Of OSQP, before PIQP is asked.
+        max_iterations: Of OSQP, before PIQP is asked; 0: PIQP is asked at once.
         check_every: Iterations between two tests for convergence.
         tolerance: Largest violation of a bound that still counts as solved, in the units of the row.
     """
@@ -43,8 +50,8 @@ class QPConfig:
     tolerance: float = 2e-2
 
     def __post_init__(self) -> None:
-        if not (self.eps > 0.0 and self.max_iterations > 0 and self.check_every > 0 and self.tolerance > 0.0):
-            raise ValueError("QP settings must be positive")
+        if not (self.eps > 0.0 and self.max_iterations >= 0 and self.check_every > 0 and self.tolerance > 0.0):
+            raise ValueError("QP settings must be positive, max_iterations not negative")
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -87,23 +94,7 @@ class QuadraticProgram:
         self._A.sort_indices()
         self._rows = self._A.tocsr()
         self._zero = np.zeros(columns), np.zeros(rows)
-        self._fast = osqp.OSQP(algebra="builtin")
-        self._fast.setup(
-            P=sparse.triu(self._P, format="csc"),
-            q=np.zeros(columns),
-            A=self._A,
-            l=np.full(rows, -1.0),
-            u=np.full(rows, 1.0),
-            eps_abs=self._config.eps,
-            eps_rel=self._config.eps,
-            max_iter=self._config.max_iterations,
-            check_termination=self._config.check_every,
-            adaptive_rho_interval=50,
-            rho=RHO,
-            scaling=0,
-            polishing=False,
-            verbose=False,
-        )
+        self._fast = _admm(self._P, self._A, self._config) if self._config.max_iterations else None
         self._sure: piqp.SparseSolver | None = None
         self._refilling: tuple[FloatArray, IntArray] | None = None
 
@@ -127,7 +118,8 @@ class QuadraticProgram:
         scale, order = self._refilling
         self._A.data[:] = scale * values
         self._rows.data[:] = self._A.data[order]
-        self._fast.update(Ax=self._A.data)
+        if self._fast is not None:
+            self._fast.update(Ax=self._A.data)
         self._sure = None  # its updates of A lose accuracy from one to the next
 
     def solve(self, q: FloatArray, lower: FloatArray, upper: FloatArray, *, fresh: bool) -> QPResult:
@@ -138,18 +130,22 @@ class QuadraticProgram:
         if not np.isfinite(q).all():
             return self._unsolved("cost is not finite")
         q, lower, upper = self._scale * q, self._row_scale * lower, self._row_scale * upper
-        result = self._solve_fast(q, lower, upper, fresh=fresh)
+        if self._fast is None:
+            return self._solve_surely(q, lower, upper, 0, fresh=fresh)
+        result = self._solve_fast(self._fast, q, lower, upper, fresh=fresh)
         if result.report.solved:
             return result
         self._fast.warm_start(x=self._zero[0], y=self._zero[1])
         return self._solve_surely(q, lower, upper, result.report.iterations, fresh=fresh)
 
-    def _solve_fast(self, q: FloatArray, lower: FloatArray, upper: FloatArray, *, fresh: bool) -> QPResult:
-        self._fast.update(q=q, l=lower, u=upper)
+    def _solve_fast(
+        self, fast: osqp.OSQP, q: FloatArray, lower: FloatArray, upper: FloatArray, *, fresh: bool
+    ) -> QPResult:
+        fast.update(q=q, l=lower, u=upper)
         if fresh:
-            self._fast.update_settings(rho=RHO)
-            self._fast.warm_start(x=self._zero[0], y=self._zero[1])
-        answer = self._fast.solve(raise_error=False)
+            fast.update_settings(rho=RHO)
+            fast.warm_start(x=self._zero[0], y=self._zero[1])
+        answer = fast.solve(raise_error=False)
         info = answer.info
         solved = info.status_val == SOLVED
         return self._checked(
@@ -169,10 +165,13 @@ class QuadraticProgram:
             self._sure.update(c=q, b=lower[:k], h_l=lower[k:], h_u=upper[k:])
         status = self._sure.solve()
         found, info = self._sure.result, self._sure.result.info
-        if status == piqp.PIQP_SOLVED and self._refilling is not None:  # the next problem is near this one
+        if (
+            status == piqp.PIQP_SOLVED and self._refilling is not None and self._fast is not None
+        ):  # the next problem is near this one
             self._fast.warm_start(x=np.array(found.x), y=np.r_[found.y, found.z_u - found.z_l])
         solved = status == piqp.PIQP_SOLVED
-        name = f"{'solved' if solved else str(status).rsplit('.')[-1].lower()} by PIQP after {spent} OSQP iterations"
+        words = WORDS.get(status, "numerical trouble")
+        name = f"{words} by PIQP after {spent} OSQP iterations" if spent else f"{words} by PIQP"
         return self._checked(
             np.array(self._sure.result.x), solved, name, spent + int(info.iter), (info.primal_res, info.dual_res),
             lower, upper,
@@ -193,3 +192,25 @@ class QuadraticProgram:
 
     def _unsolved(self, status: str) -> QPResult:
         return QPResult(self._zero[0], SolverReport(self._stage, False, status, 0, np.nan, np.nan))
+
+
+def _admm(P: sparse.csc_matrix, A: sparse.csc_matrix, config: QPConfig) -> osqp.OSQP:
+    rows, columns = A.shape
+    solver = osqp.OSQP(algebra="builtin")
+    solver.setup(
+        P=sparse.triu(P, format="csc"),
+        q=np.zeros(columns),
+        A=A,
+        l=np.full(rows, -1.0),
+        u=np.full(rows, 1.0),
+        eps_abs=config.eps,
+        eps_rel=config.eps,
+        max_iter=config.max_iterations,
+        check_termination=config.check_every,
+        adaptive_rho_interval=50,
+        rho=RHO,
+        scaling=0,
+        polishing=False,
+        verbose=False,
+    )
+    return solver

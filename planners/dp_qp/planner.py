@@ -17,6 +17,7 @@ from planners.dp_qp.speed.stage import SpeedConfig
 from planners.frenet.fallback import along, fall_back
 from planners.frenet.lane_sequence import LaneSequence, LaneSequences
 from planners.frenet.start import STITCH_M, STITCH_MPS, start_of
+from planners.piecewise_jerk.solvers import DEFAULT, check_solver
 from planners.rules import Rulebook
 
 
@@ -27,14 +28,19 @@ class DpQpConfig:
     Attributes:
         path: The path stage.
         speed: The speed stage.
+        solver: Of the path and speed QPs: "interior_point", "osqp" or "piqp".
         stitch_m: The plan starts on the previous one where the ego is nearer to it than this ...
         stitch_mps: ... and its speed nearer than this; else at the ego.
     """
 
     path: PathConfig = field(default_factory=PathConfig)
     speed: SpeedConfig = field(default_factory=SpeedConfig)
+    solver: str = DEFAULT
     stitch_m: float = STITCH_M
     stitch_mps: float = STITCH_MPS
+
+    def __post_init__(self) -> None:
+        check_solver(self.solver)
 
 
 @dataclass(eq=False)
@@ -116,5 +122,6 @@ class DpQp:
                 self._config.speed,
                 passes_left=self._context.road.drives_on_right,
                 lap=self._lap,
+                solver=self._config.solver,
             )
         return self._planners[lane]

@@ -9,7 +9,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 
@@ -34,6 +36,18 @@ HORIZON_KNOTS = 81
 """Knots of a profile: 8 s."""
 
 
+class KnotLimits(NamedTuple):
+    """`Limits` for kernels: m/s2, m/s3, and the count of the first knots."""
+
+    first_accel: float
+    first_decel: float
+    first_jerk: float
+    accel: float
+    decel: float
+    jerk: float
+    knots: int
+
+
 @dataclass(frozen=True)
 class Limits:
     """The limits of one attempt: `then`, but `first` for as many knots."""
@@ -42,21 +56,33 @@ class Limits:
     first: SpeedLimits = SpeedLimits(0.0, 0.0, 0.0)
     knots: int = 0
 
+    @cached_property
+    def columns(self) -> KnotLimits:
+        """For kernels."""
+        first, then = self.first, self.then
+        return KnotLimits(
+            first.accel_mps2, first.decel_mps2, first.jerk_mps3, then.accel_mps2, then.decel_mps2, then.jerk_mps3,
+            self.knots,
+        )  # fmt: skip
+
     def braking(self, start: tuple[float, float], knots: int, *, share: float = 1.0) -> FloatArray:
         """Rows s, v, a `(3, knots)` of braking with a share of them."""
-        head = np.array([[0.0], start[:1], start[1:]])
-        if self.knots:
-            soft = self.first
-            head = braking(*start, share * soft.decel_mps2, share * soft.jerk_mps3, STEP_S, self.knots + 1)
-        s, v, a = head[:, -1]
-        hard = self.then
-        tail = braking(v, a, share * hard.decel_mps2, share * hard.jerk_mps3, STEP_S, knots - self.knots)
-        tail[0] += s
-        return np.hstack([head[:, :-1], tail])
+        return braking_within(start[0], start[1], self.columns, share, STEP_S, knots)
 
-    def row(self, name: str, knots: int) -> FloatArray:
-        """One of the limits at each knot `(knots,)`."""
-        return np.where(np.arange(knots) < self.knots, getattr(self.first, name), getattr(self.then, name))
+
+@kernel
+def braking_within(v0: float, a0: float, limits: KnotLimits, share: float, step: float, knots: int) -> FloatArray:
+    """Rows s, v, a `(3, knots)` of braking with a share of the limits."""
+    out = np.empty((3, knots))
+    s, v, a = 0.0, v0, a0
+    if limits.knots > 0:
+        head = braking(v0, a0, share * limits.first_decel, share * limits.first_jerk, step, limits.knots + 1)
+        out[:, : limits.knots] = head[:, :-1]
+        s, v, a = head[0, -1], head[1, -1], head[2, -1]
+    tail = braking(v, a, share * limits.decel, share * limits.jerk, step, knots - limits.knots)
+    tail[0] += s
+    out[:, limits.knots :] = tail
+    return out
 
 
 @kernel

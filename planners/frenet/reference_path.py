@@ -96,18 +96,19 @@ class ReferencePath:
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @cached_property
-    def _table(self) -> FloatArray:
+    def table(self) -> FloatArray:
         """The columns of `Section` `(n, 8)` over `line.s`."""
         columns = [getattr(self, name) for name in Section._fields if name != "kappa"]
         return frozen(np.column_stack([*columns, self.line.kappa]))
 
     def at(self, s: FloatArray) -> Section:
         """The road at stations `(k,)`; beyond the ends as there, with no curvature."""
-        return Section(*_sampled(self.line.s, self._table, s))
+        return sections(self.line.s, self.table, s)
 
 
 @kernel
-def _sampled(knots: FloatArray, table: FloatArray, s: FloatArray) -> FloatArray:
+def sections(knots: FloatArray, table: FloatArray, s: FloatArray) -> Section:
+    """`ReferencePath.at` for other kernels: its `line.s`, its `table`, stations `(k,)`."""
     columns, last = table.shape[1], len(knots) - 1
     h = knots[1] - knots[0]
     out = np.empty((columns, len(s)))
@@ -119,7 +120,7 @@ def _sampled(knots: FloatArray, table: FloatArray, s: FloatArray) -> FloatArray:
             out[k, j] = table[i, k] + u * (table[i + 1, k] - table[i, k])
         if not knots[0] <= s[j] <= knots[last]:
             out[columns - 1, j] = 0.0
-    return out
+    return Section(out[0], out[1], out[2], out[3], out[4], out[5], out[6], out[7])
 
 
 def make_reference_path(road: Road, route: Route, ego: EgoState, car: VehicleParameters | None = None) -> ReferencePath:

@@ -31,7 +31,7 @@ HALF_CAR_M = 1.0
 STEP_M = 0.5
 """Spacing of the stations that are tried."""
 ROOM_M = 1.0
-"""PathBounds that is left to each side of an ego that waits between two zones."""
+"""Room that is left to each side of an ego that waits between two zones."""
 LINE_BEFORE_M = 15.0
 """A stop line nearer than this before a zone is where one waits for it."""
 FEED_M = 100.0

@@ -32,6 +32,7 @@ from planners.dp_qp.speed.stage import ChosenSpeed, SpeedConfig, SpeedStage, Spe
 from planners.frenet.lane_sequence import LaneSequence
 from planners.frenet.occupancy import on_path
 from planners.frenet.scene import Scene, behind, scene_of
+from planners.piecewise_jerk.solvers import DEFAULT
 from planners.rules import Rulebook
 
 LOST_M = 15.0
@@ -117,12 +118,15 @@ class LanePlanner:
         *,
         passes_left: bool,
         lap: Callable[[str], None],
+        solver: str = DEFAULT,
     ) -> None:
         self.lane, self._rules = lane, rules
         self._goal = GoalWindow(goal, lane.reference, vehicle)
         self._vehicle, self._horizon = vehicle, speed.qp.horizon
-        self._path = PathStage(vehicle, path, self._goal, horizon=speed.qp.horizon, passes_left=passes_left, lap=lap)
-        self._speed = SpeedStage(vehicle, speed, lap)
+        self._path = PathStage(
+            vehicle, path, self._goal, horizon=speed.qp.horizon, passes_left=passes_left, lap=lap, solver=solver
+        )
+        self._speed = SpeedStage(vehicle, speed, lap, solver)
 
     @property
     def places(self) -> tuple[float, ...]:

@@ -5,9 +5,9 @@ is met in the S-T graph. The bounds hold for the ego's axis at points from the r
 its own station: so its corners stay in the bounds widened by half its width. (The path DP, coarser, moves the rear axle
 past boxes grown by the ego's length.) They are built in named steps:
 
-(1) `lane_bounds`   lower <= l <= upper, the lane (or, beside an obstacle, the reachable road) less half the ego's
+(1) `within_lane`   lower <= l <= upper, the lane (or, beside an obstacle, the reachable road) less half the ego's
                     width, and 1 - kappa l >= MIN_REGULAR: short of the centre of a turn
-(2) `eased`         wider where the ego's nose needs it in a sharp turn
+(2) `road_ahead`    wider where the ego's nose needs it in a sharp turn
 (3) `towards`       within the sides of the goal region, as near to them as it goes
 (4) `widened`       where the ego is outside the lane: holding a quintic from its state back into it
 (5) `narrowed`      nudge left of an obstacle:  lower >= its left side + half width + clearance     over its stations
@@ -20,6 +20,7 @@ cleared is a stop (`given_up`).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,10 +29,11 @@ from logs.road import line_project_many
 from logs.shapes import corners
 from logs.trace import Decision, DecisionKind
 from logs.vehicle import VehicleParameters
+from planners.dp_qp.path.steering import AHEAD, swings_of
 from planners.frenet.occupancy import Occupancy
 from planners.frenet.path import MIN_REGULAR
 from planners.frenet.quintic import quintic
-from planners.frenet.reference_path import ReferencePath, Section
+from planners.frenet.reference_path import ReferencePath, Section, sections
 from planners.frenet.scene import Scene
 
 NUDGES = (DecisionKind.NUDGE_LEFT, DecisionKind.NUDGE_RIGHT)
@@ -106,12 +108,6 @@ class PathBounds:
     lower: FloatArray
     upper: FloatArray
 
-    def eased(self, swings: FloatArray) -> PathBounds:
-        """(2): widened to both sides where the points `(points, n)` swing out by more than there is room."""
-        short = (self.lower + swings).max(axis=0) - (self.upper + swings).min(axis=0) + 0.1
-        more = 0.5 * np.maximum(short, 0.0)
-        return PathBounds(self.s, self.lower - more, self.upper + more)
-
     def towards(self, low: FloatArray, high: FloatArray) -> PathBounds:
         """(3): within offsets of the shape of `s`, where they are finite and within reach."""
         there = np.isfinite(low) & (low <= self.upper + NEARLY_M) & (high >= self.lower - NEARLY_M)
@@ -176,6 +172,12 @@ def grown(box: Occupancy, vehicle: VehicleParameters, clearance: float, gap: flo
     )
 
 
+def borrowed_spans(way: InTheWay, speed: float, vehicle: VehicleParameters) -> FloatArray:
+    """Where road beside the lane is used `(b, 3)`: station from, to, m; 1 the neighbouring lane, 2 the facing, too."""
+    spans = [(*swing_span(box, speed, vehicle), 2.0 if box.agent in way.facing else 1.0) for box in way.obstacles]
+    return np.array(spans).reshape(-1, 3)
+
+
 def lane_bounds(
     reference: ReferencePath, s: FloatArray, way: InTheWay, speed: float, vehicle: VehicleParameters,
     config: CorridorConfig,
@@ -185,28 +187,29 @@ def lane_bounds(
     A free neighbouring lane belongs to the room where an obstacle is passed, and the facing lane where it is one of
     those that may be passed by it.
     """
-    borrowed = np.zeros(s.size)
-    for box in way.obstacles:
-        begin, end = swing_span(box, speed, vehicle)
-        over = (s.ravel() > begin) & (s.ravel() < end)
-        borrowed[over] = np.maximum(borrowed[over], 2.0 if box.agent in way.facing else 1.0)
-    section = reference.at(s.ravel())
-    lower, upper = _lane_bounds(section, borrowed, way.left, way.right, 0.5 * vehicle.width + config.edge_m)
+    road = sections(reference.line.s, reference.table, s.ravel())
+    lower, upper = within_lane(
+        road, s.ravel(), borrowed_spans(way, speed, vehicle), way.left, way.right, 0.5 * vehicle.width + config.edge_m
+    )
     return PathBounds(s, lower.reshape(s.shape), upper.reshape(s.shape))
 
 
 @kernel
-def _lane_bounds(
-    road: Section, borrowed: FloatArray, left_free: bool, right_free: bool, side: float
+def within_lane(
+    road: Section, s: FloatArray, spans: FloatArray, left_free: bool, right_free: bool, side: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Lower and upper of (1) `(k,)`; `borrowed` is 0 where the lane is kept, 1 beside an obstacle, 2 by the facing."""
-    lower, upper = np.empty(len(borrowed)), np.empty(len(borrowed))
-    for j in range(len(borrowed)):
+    """Lower and upper of (1) `(k,)` at stations `(k,)`; `spans` as of `borrowed_spans`, `side` m kept to each edge."""
+    lower, upper = np.empty(len(s)), np.empty(len(s))
+    for j in range(len(s)):
+        borrowed = 0.0
+        for b in range(len(spans)):
+            if spans[b, 0] < s[j] < spans[b, 1]:
+                borrowed = max(borrowed, spans[b, 2])
         low, high = road.lane_right[j], road.lane_left[j]
-        if right_free and borrowed[j] > 0.0:
-            low = road.road_right[j] if borrowed[j] < 2.0 else road.facing_right[j]
-        if left_free and borrowed[j] > 0.0:
-            high = road.road_left[j] if borrowed[j] < 2.0 else road.facing_left[j]
+        if right_free and borrowed > 0.0:
+            low = road.road_right[j] if borrowed < 2.0 else road.facing_right[j]
+        if left_free and borrowed > 0.0:
+            high = road.road_left[j] if borrowed < 2.0 else road.facing_left[j]
         low, high = low + side, high - side
         middle, kappa = 0.5 * (low + high), road.kappa[j]
         center = (1.0 - MIN_REGULAR) / max(abs(kappa), 1e-6)
@@ -218,6 +221,51 @@ def _lane_bounds(
             low, high = middle - 0.05, middle + 0.05
         lower[j], upper[j] = low, high
     return lower, upper
+
+
+class RoadAhead(NamedTuple):
+    """The road at the knots of the path QP, for k points of the ego and n knots.
+
+    Attributes:
+        knots: Stations `(n,)`, m; `s` of the points `(k, n)`.
+        swings: How far the points swing out `(k, n)`, m (`steering`, (4)).
+        lower: Bounds (1), (2) `(k, n)`, m; `upper` likewise.
+        limit: Speed limit `(n,)`, m/s; `kappa` curvature of the reference line, 1/m.
+    """
+
+    knots: FloatArray
+    s: FloatArray
+    swings: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+    limit: FloatArray
+    kappa: FloatArray
+
+
+@kernel
+def road_ahead(
+    line_s: FloatArray, table: FloatArray, s0: float, step: float, n: int, leads: FloatArray, spans: FloatArray,
+    left_free: bool, right_free: bool, side: float,
+) -> RoadAhead:  # fmt: skip
+    """(1) and (2) for points that lead the rear axle by `leads` `(k,)`, m; other args as of `within_lane`."""
+    count = len(leads)
+    knots = s0 + step * np.arange(n)
+    s, lower, upper, turned = np.empty((count, n)), np.empty((count, n)), np.empty((count, n)), np.empty((count, n))
+    for k in range(count):
+        s[k] = knots + leads[k]
+        turned[k] = sections(line_s, table, knots + AHEAD * leads[k]).kappa
+        road = sections(line_s, table, s[k])
+        lower[k], upper[k] = within_lane(road, s[k], spans, left_free, right_free, side)
+    swings = swings_of(turned, leads)
+    for i in range(n):
+        least, most = -np.inf, np.inf
+        for k in range(count):
+            least, most = max(least, lower[k, i] + swings[k, i]), min(most, upper[k, i] + swings[k, i])
+        more = 0.5 * max(least - most + 0.1, 0.0)  # (2)
+        lower[:, i] -= more
+        upper[:, i] += more
+    here = sections(line_s, table, knots)
+    return RoadAhead(knots, s, swings, lower, upper, here.limit, here.kappa)
 
 
 @kernel

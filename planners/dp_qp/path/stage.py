@@ -12,7 +12,6 @@ from logs.scenario import AgentKind
 from logs.trace import (
     Artefact,
     Corridor,
-    CostTerms,
     Decision,
     DecisionKind,
     GraphObstacle,
@@ -22,19 +21,20 @@ from logs.trace import (
 )
 from logs.vehicle import VehicleParameters
 from planners.dp_qp.path import bounds
-from planners.dp_qp.path.bounds import NUDGES, CorridorConfig, InTheWay, PathBounds
+from planners.dp_qp.path.bounds import NUDGES, CorridorConfig, InTheWay, PathBounds, RoadAhead
 from planners.dp_qp.path.dp import PathDpConfig, SlGrid, solve_path_dp
 from planners.dp_qp.path.oncoming_lane import blocking, may_block, passed_by_oncoming_lane, waiting_place
-from planners.dp_qp.path.qp import MAX_DL, PathProblem, PathQp, PathQpConfig
-from planners.dp_qp.path.steering import COMFORT, HARD, bounded, swing
+from planners.dp_qp.path.qp import PathProblem, PathQp, PathQpConfig
+from planners.dp_qp.path.steering import EgoPoints, loosened
 from planners.dp_qp.scene.goal_window import GoalWindow
 from planners.frenet.occupancy import Occupancy
 from planners.frenet.path import Path, make_path
 from planners.frenet.scene import Scene
+from planners.piecewise_jerk.solvers import DEFAULT
 from planners.qp import QPResult
 
 LENGTHS_M = (60.0, 90.0, 130.0, 180.0, 250.0, 340.0)
-"""Path lengths; the shortest that holds the horizon at the present speed is taken, so that matrices stay constant."""
+"""Path lengths; the shortest that holds the horizon at the present speed is taken, so that weights stay constant."""
 SHIFT_AHEAD_M = 60.0
 WAITING_MPS2 = 2.0
 """Braking with which it stops at the place from which it could pass by the oncoming lane."""
@@ -42,8 +42,6 @@ PATIENCE_S = 5.0
 """A vehicle that has stood for so long is passed by the oncoming lane ..."""
 JUNCTION_M = 40.0
 """... unless lanes part or meet within this before it: then it waits for somebody."""
-FORCED_M = 0.3
-"""Steering hard is thought of where comfortable steering would leave the lane by more than this."""
 NEAR_GOAL_M = 15.0
 """Who stands within this of the goal is passed as anywhere else."""
 RELINEARISED, MOVED_M = 2, 0.02
@@ -103,32 +101,26 @@ class _Task:
     Attributes:
         scene: The scene.
         program: The QP for one length.
-        knots: Stations `(knots,)`, m.
-        space: Bounds of the ego's points `(points, knots)`, without obstacles; `road` also without the goal's sides.
-        swings: How far they swing out, m.
-        limit: Speed limit at the knots `(knots,)`, m/s.
-        kappa: Curvature of the reference line there, 1/m.
+        road: At its knots.
+        space: Bounds of the ego's points `(points, knots)`, without obstacles; `wide` also without the goal's sides.
     """
 
     scene: Scene
     program: PathQp
-    knots: FloatArray
+    road: RoadAhead
     space: PathBounds
-    road: PathBounds
-    swings: FloatArray
-    limit: FloatArray
-    kappa: FloatArray
+    wide: PathBounds
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Found:
-    """l, l', l'' `(3, knots)` or None; what was decided in the end; the problem solved, costs and reports."""
+    """l, l', l'' `(3, knots)` or None; what the solver answered; what was decided in the end; the problem, reports."""
 
     offsets: FloatArray | None
+    x: FloatArray
     decisions: tuple[Decision, ...]
     narrow: PathBounds
     problem: PathProblem
-    costs: CostTerms
     reports: tuple[SolverReport, ...]
 
 
@@ -144,9 +136,10 @@ class PathStage:
         horizon: float,
         passes_left: bool,
         lap: Callable[[str], None],
+        solver: str = DEFAULT,
     ) -> None:
         self._vehicle, self._config, self._lap = vehicle, config, lap
-        self._goal, self._horizon = goal, horizon
+        self._goal, self._horizon, self._solver = goal, horizon, solver
         self._rows = config.dp.offsets(passes_left=passes_left)
         self._programs: dict[float, PathQp] = {}
         self._leads = np.array([0.0, vehicle.axle_to_front])
@@ -162,46 +155,51 @@ class PathStage:
         way = way.and_moving(moving) if moving else way
         grid = self._grid(scene, program, way, memory.sides)
         self._lap("path DP")
-        found, knots = self._solved(self._task(scene, program, way, boxes), way.obstacles, grid)
+        task = self._task(scene, program, way, boxes)
+        found, road = self._solved(task, way.obstacles, grid), task.road
         self._lap("path QP")
         offsets, path, shift = found.offsets, None, 0.0
         if offsets is not None:
             path = make_path(scene.reference.line, scene.s, program.step, offsets)
             path = self._drivable(path, way.wait, scene.start.v)
-            shift = float(np.abs(offsets[0, knots < scene.s + SHIFT_AHEAD_M] - offsets[0, 0]).max())
+            shift = float(np.abs(offsets[0, road.knots < scene.s + SHIFT_AHEAD_M] - offsets[0, 0]).max())
         passed = frozenset(decision.agent for decision in found.decisions if decision.kind in NUDGES)
         reason = "" if path is not None else f"path QP: {found.reports[-1].status}"
         sides = {decision.agent: SIDES[decision.kind] for decision in found.decisions if decision.kind in SIDES}
 
         def artefacts() -> tuple[Artefact, ...]:
-            graph = self._graph(scene, knots, way, grid or self._dp(scene, program, way, {}), found)
+            graph = self._graph(road, way, grid or self._dp(scene, program, way, {}), found)
             kept = (decision for decision in found.decisions if decision.kind is not DecisionKind.IGNORE)
-            return (graph, *kept, found.costs, *found.reports)
+            return (graph, *kept, program.costs(found.x, found.problem), *found.reports)
 
         chosen = ChosenPath(path, reason, passed, shift, found.reports, artefacts)
         return chosen, PathMemory(standing, sides)
 
     def _task(self, scene: Scene, program: PathQp, way: InTheWay, boxes: tuple[Occupancy, ...]) -> _Task:
         """The bounds (1) to (4) of `bounds`, without obstacles; the goal's sides are kept where nobody stands near."""
-        knots = scene.s + program.step * np.arange(program.knots)
-        points, swings = knots + self._leads[:, None], swing(scene.reference, knots, self._leads)
-        road = self._lane_bounds(scene, points, way).eased(swings)
-        low, high = self._goal.sides(points)
-        kept = np.isfinite(low)
-        if kept.any():
-            begin, end = points[kept].min() - NEAR_GOAL_M, points[kept].max() + NEAR_GOAL_M
-            if any(box.s_from < end and box.s_to > begin for box in boxes):
-                kept[:] = False
-        road_wide = road.widened(scene.frenet, scene.start.v)
-        space = road.towards(low, high).widened(scene.frenet, scene.start.v) if kept.any() else road_wide
-        at = scene.reference.at(knots)
-        return _Task(scene, program, knots, space, road_wide, swings, at.limit, at.kappa)
+        reference, car, speed = scene.reference, self._vehicle, scene.start.v
+        road = bounds.road_ahead(
+            reference.line.s, reference.table, scene.s, program.step, program.knots, self._leads,
+            bounds.borrowed_spans(way, speed, car), way.left, way.right, 0.5 * car.width + self._config.corridor.edge_m,
+        )  # fmt: skip
+        bare = PathBounds(road.s, road.lower, road.upper)
+        wide = bare.widened(scene.frenet, speed)
+        low, high = self._goal.sides(road.s)
+        if not self._keeps_to_goal(road.s, low, boxes):
+            return _Task(scene, program, road, wide, wide)
+        return _Task(scene, program, road, bare.towards(low, high).widened(scene.frenet, speed), wide)
 
-    def _solved(self, task: _Task, obstacles: tuple[Occupancy, ...], grid: SlGrid | None) -> tuple[_Found, FloatArray]:
-        """The path within the bounds, else out of them as little as can be; then again without whom that cannot clear.
+    @staticmethod
+    def _keeps_to_goal(points: FloatArray, low: FloatArray, boxes: tuple[Occupancy, ...]) -> bool:
+        """Whether the goal's sides are ahead, least offsets `low` `(points, n)`, and nobody stands near the goal."""
+        there = np.isfinite(low)
+        if not there.any():
+            return False
+        begin, end = points[there].min() - NEAR_GOAL_M, points[there].max() + NEAR_GOAL_M
+        return not any(box.s_from < end and box.s_to > begin for box in boxes)
 
-        And the knots.
-        """
+    def _solved(self, task: _Task, obstacles: tuple[Occupancy, ...], grid: SlGrid | None) -> _Found:
+        """The path within the bounds, else out of them as little as can be; then without whom that cannot clear."""
         config, car = self._config.corridor, self._vehicle
         decisions: tuple[Decision, ...] = ()
         if grid is not None:
@@ -211,64 +209,49 @@ class PathStage:
         while True:
             narrow, decisions = bounds.narrowed(task.space, obstacles, decisions, car, config)
             problem = self._problem(task, narrow, np.clip(0.0, narrow.lower[0], narrow.upper[0]))
-            result, costs = task.program.solve(problem)
+            result = task.program.solve(problem)
             in_bounds, reports = result.report.solved, (*reports, result.report)
             if not in_bounds:
-                result, costs, problem, more = self._softly(task, narrow, problem)
+                result, problem, more = self._softly(task, narrow, problem)
                 reports = (*reports, *more)
             if not result.report.solved:
-                return _Found(None, decisions, narrow, problem, costs, reports), task.knots
+                return _Found(None, result.x, decisions, narrow, problem, reports)
             offsets = result.x.reshape(3, -1)
-            at = offsets[0] + self._leads[:, None] * offsets[1] - task.swings
+            at = offsets[0] + self._leads[:, None] * offsets[1] - task.road.swings
             final = bounds.given_up(at, narrow, obstacles, decisions, car, config)
             if in_bounds or final == decisions:
-                return _Found(offsets, final, narrow, problem, costs, reports), task.knots
+                return _Found(offsets, result.x, final, narrow, problem, reports)
             decisions = final
 
     def _softly(
         self, task: _Task, space: PathBounds, problem: PathProblem
-    ) -> tuple[QPResult, CostTerms, PathProblem, tuple[SolverReport, ...]]:
+    ) -> tuple[QPResult, PathProblem, tuple[SolverReport, ...]]:
         """The path that leaves its bounds as little as it must, the problem that it solves, and all reports.
 
         Solved anew at most `RELINEARISED` times, with the curvature's bounds at its own offsets.
         """
-        result, costs = task.program.solve(problem, softly=True)
+        result = task.program.solve(problem, softly=True)
         reports: tuple[SolverReport, ...] = (result.report,)
         for _ in range(RELINEARISED if result.report.solved else 0):
             nearer = self._problem(task, space, result.x.reshape(3, -1)[0])
-            again, again_costs = task.program.solve(nearer, softly=True)
+            again = task.program.solve(nearer, softly=True)
             reports = (*reports, again.report)
             if not again.report.solved:
                 break
             moved = float(np.abs(again.x - result.x).max())
-            result, costs, problem = again, again_costs, nearer
+            result, problem = again, nearer
             if moved < MOVED_M:
                 break
-        return result, costs, problem, reports
+        return result, problem, reports
 
     def _problem(self, task: _Task, space: PathBounds, near: FloatArray) -> PathProblem:
-        """The bounds of the path QP: of the road and the obstacles, loosened to the reach of comfortable steering.
-
-        Where that leaves the road's room by more than `FORCED_M`, of hard steering if that leaves it by less. The
-        bounds of the curvature are those at the offsets `near` `(knots,)`.
-        """
-        start, speed = np.array(task.scene.frenet), task.scene.start.v
-        least = np.inf
-        for limits in (COMFORT, HARD):
-            bend, rate, left, right = bounded(
-                start, speed, task.limit, task.kappa, near, task.program.step, self._car, limits
-            )
-            low = left[0] + self._leads[:, None] * left[1] - task.swings
-            high = right[0] + self._leads[:, None] * right[1] - task.swings
-            forced = max(float((task.road.lower - low).max()), float((high - task.road.upper).max()))
-            if forced < least:
-                slope = np.array([np.minimum(-MAX_DL, left[1]), np.maximum(MAX_DL, right[1])])
-                lower, upper = np.minimum(space.lower, low), np.maximum(space.upper, high)
-                best = PathProblem(start, lower + task.swings, upper + task.swings, slope, bend, rate)
-            if forced <= FORCED_M:
-                break
-            least = forced
-        return best
+        """The bounds of the path QP, as far as steering can keep them; the curvature's are those at offsets `near`."""
+        scene, road = task.scene, task.road
+        points = EgoPoints(self._leads, road.swings, task.wide.lower, task.wide.upper)
+        return loosened(
+            np.array(scene.frenet), scene.start.v, road.limit, road.kappa, near, task.program.step, self._car, points,
+            space.lower, space.upper,
+        )  # fmt: skip
 
     def _drivable(self, path: Path, wait: float, speed: float) -> Path:
         """The path to the station at which to wait, if it can stop there, or to where it turns beyond the lock."""
@@ -284,7 +267,8 @@ class PathStage:
         wanted = (speed + 4.0) * self._horizon + 10.0
         length = next((candidate for candidate in LENGTHS_M if candidate >= wanted - TIE), LENGTHS_M[-1])
         if length not in self._programs:
-            self._programs[length] = PathQp(length, length / self._horizon - 5.0, tuple(self._leads), self._config.qp)
+            suited, leads = length / self._horizon - 5.0, tuple(self._leads)
+            self._programs[length] = PathQp(length, suited, leads, self._config.qp, self._solver)
         return self._programs[length]
 
     def _in_the_way(
@@ -341,16 +325,15 @@ class PathStage:
         start = np.array([scene.s, *scene.frenet])
         return solve_path_dp(stations, self._rows, start, np.reshape(boxes, (-1, 5)), room, self._config.dp)
 
-    def _graph(self, scene: Scene, knots: FloatArray, way: InTheWay, grid: SlGrid, found: _Found) -> SlGraph:
-        offsets, swings = found.offsets, swing(scene.reference, knots, self._leads)
-        problem = found.problem
+    def _graph(self, road: RoadAhead, way: InTheWay, grid: SlGrid, found: _Found) -> SlGraph:
+        offsets, problem, swings = found.offsets, found.problem, road.swings
         low, high = found.narrow.reported(problem.lower - swings, problem.upper - swings)
         boxes = zip(way.obstacles, found.decisions, strict=True)
         return SlGraph(
             GridCost(grid.stations, self._rows, grid.cost, grid.chosen),
-            Corridor(knots, low, high),
-            np.column_stack([knots, grid.offsets(knots)]),
-            np.column_stack([knots, offsets[0]]) if offsets is not None else np.empty((0, 2)),
+            Corridor(road.knots, low, high),
+            np.column_stack([road.knots, grid.offsets(road.knots)]),
+            np.column_stack([road.knots, offsets[0]]) if offsets is not None else np.empty((0, 2)),
             tuple(_outlined(box, decision.kind) for box, decision in boxes),
         )
 

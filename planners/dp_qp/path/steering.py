@@ -17,15 +17,18 @@ A point of the ego's axis `lead` m before the rear axle has the offset, from the
 from __future__ import annotations
 
 from math import sqrt
+from typing import NamedTuple
 
 import numpy as np
 
 from logs.kernel import FloatArray, frozen, kernel
+from planners.dp_qp.path.qp import MAX_DL, PathProblem
 from planners.frenet.path import MIN_REGULAR
-from planners.frenet.reference_path import ReferencePath
 
 COMFORT, HARD = frozen(np.array([4.0, 3.0, 1.8])), frozen(np.array([6.0, 5.0, 0.0]))
 """Lateral acceleration that a path may need, braking and acceleration that the expected speed counts on, m/s2."""
+FORCED_M = 0.3
+"""Steering hard is thought of where comfortable steering would leave the lane by more than this."""
 SHARPEST = 1.0
 """Largest rate of the curvature, 1/m2, however slow the ego is."""
 SHARE = 0.8
@@ -35,6 +38,21 @@ AHEAD = 1.0 / 3.0
 """The swing (4) is that of the curvature at s + lead / 3: exact to second order where the curvature rises linearly."""
 CURVE_MPS2 = 3.0
 """Lateral acceleration for which the speed stage slows down in curves."""
+
+
+class EgoPoints(NamedTuple):
+    """The points of the ego's axis for which the bounds hold.
+
+    Attributes:
+        leads: How far before the rear axle `(k,)`, m.
+        swings: (4) at the knots `(k, n)`, m.
+        road_lower: Room of the road, least offset `(k, n)`, m; `road_upper` greatest.
+    """
+
+    leads: FloatArray
+    swings: FloatArray
+    road_lower: FloatArray
+    road_upper: FloatArray
 
 
 @kernel
@@ -119,8 +137,44 @@ def bounded(
     return bounds, rates, left, right
 
 
-def swing(reference: ReferencePath, s: FloatArray, leads: FloatArray) -> FloatArray:
-    """(4) at stations `(n,)` for leads `(k,)`: how far `(k, n)` m a point swings out to the right of a left turn."""
-    ahead = leads[:, None]
-    turn = reference.at((s + AHEAD * ahead).ravel()).kappa.reshape(len(leads), -1) * ahead
-    return np.asarray(ahead * turn / (1.0 + np.sqrt(1.0 + turn**2)))
+@kernel
+def swings_of(kappa: FloatArray, leads: FloatArray) -> FloatArray:
+    """(4) of leads `(k,)`, m, for the curvature at each `(k, n)`, 1/m: `(k, n)` m to the right in a left turn."""
+    out = np.empty(kappa.shape)
+    for k in range(len(leads)):
+        turn = kappa[k] * leads[k]
+        out[k] = leads[k] * turn / (1.0 + np.sqrt(1.0 + turn**2))
+    return out
+
+
+@kernel
+def loosened(
+    start: FloatArray, v0: float, limit: FloatArray, kappa: FloatArray, near: FloatArray, step: float,
+    car: FloatArray, points: EgoPoints, lower: FloatArray, upper: FloatArray,
+) -> PathProblem:  # fmt: skip
+    """The bounds of the path QP: `lower` and `upper` `(points, n)`, loosened to the reach (3) of comfortable steering.
+
+    Where that leaves the road's room by more than `FORCED_M`, of hard steering if that leaves it by less. The bounds of
+    the curvature are those at the offsets `near` `(n,)`; other args as of `steering`.
+    """
+    least, n, count = np.inf, len(limit), len(points.leads)
+    out = PathProblem(
+        start, lower + points.swings, upper + points.swings, np.empty((2, n)), np.empty((2, n)), np.empty((2, n - 1))
+    )
+    for limits in (COMFORT, HARD):
+        bend, rate, left, right = bounded(start, v0, limit, kappa, near, step, car, limits)
+        low, high = np.empty((count, n)), np.empty((count, n))
+        forced = -np.inf
+        for k in range(count):
+            low[k] = left[0] + points.leads[k] * left[1] - points.swings[k]
+            high[k] = right[0] + points.leads[k] * right[1] - points.swings[k]
+            forced = max(forced, (points.road_lower[k] - low[k]).max(), (high[k] - points.road_upper[k]).max())
+        if forced < least:
+            out.lower[:] = np.minimum(lower, low) + points.swings
+            out.upper[:] = np.maximum(upper, high) + points.swings
+            out.slope[0], out.slope[1] = np.minimum(-MAX_DL, left[1]), np.maximum(MAX_DL, right[1])
+            out.bend[:], out.rate[:] = bend, rate
+        if forced <= FORCED_M:
+            break
+        least = forced
+    return out

@@ -95,6 +95,9 @@ class LoweredLimit:
 
 def lowered(sigma: FloatArray, road: LoweredLimit, caps: Iterable[SpeedCap]) -> LoweredLimit:
     """(1) along a path `(m,)`; a decision for each agent whose cap is worth telling, the lowest of theirs."""
+    caps = tuple(caps)
+    if not caps:
+        return road
     v, bound = road.v.copy(), road.is_bound.copy()
     told: dict[str, SpeedCap] = {}
     for cap in caps:

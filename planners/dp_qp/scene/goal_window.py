@@ -35,7 +35,7 @@ HURRIED_GAP_S = 0.8
 BESIDE_M = 8.0
 """A region further beside the line is not its goal."""
 SIDE_M = 0.3
-"""PathBounds that the ego's middle keeps to a region's sides, or a quarter of its width."""
+"""Room that the ego's middle keeps to a region's sides, or a quarter of its width."""
 ALONG_M, ROWS = 0.5, 400
 """Step in which a region's sides are taken, and how many at most."""
 JOINED_M = 0.1

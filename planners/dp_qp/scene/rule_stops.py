@@ -11,4 +11,5 @@ from planners.frenet.occupancy import open_end
 
 def caps(view: PathView) -> tuple[SpeedCap, ...]:
     """Standstill from the first open stop on; the rules themselves tell why."""
-    return (SpeedCap(open_end(view.stops) - TIE, inf, 0.0, is_bound=False),)
+    begin = open_end(view.stops)
+    return (SpeedCap(begin - TIE, inf, 0.0, is_bound=False),) if begin < inf else ()

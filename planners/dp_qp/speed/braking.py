@@ -22,10 +22,12 @@ from math import inf
 import numpy as np
 
 from logs.kernel import FloatArray
-from logs.trace import Artefact, SolverReport
-from planners.dp_qp.speed.qp import RELEASE_MPS3, SpeedProblem, SpeedQp, SpeedQpConfig
+from logs.trace import SolverReport
+from planners.dp_qp.speed.qp import RELEASE_MPS3, SpeedProblem, SpeedQp, SpeedQpConfig, eased, tidied
 from planners.frenet.profiles import STEP_S, Limits, SpeedLimits
 from planners.frenet.st_boundaries import StBoundaries, StGraphConfig
+from planners.piecewise_jerk.solvers import DEFAULT
+from planners.qp import QPResult
 
 RESERVE = 0.85
 """Share of the limits with which braking must keep the bounds, so that the QP has room to be smooth."""
@@ -71,6 +73,14 @@ class BrakingMemory:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class Asked:
+    """A QP and its answer."""
+
+    problem: SpeedProblem
+    result: QPResult
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class SolvedSpeed:
     """What was found.
 
@@ -79,7 +89,7 @@ class SolvedSpeed:
         reason: Why it is not comfortable, or why there is none; empty otherwise.
         unavoidable: Whether nothing could avoid a contact.
         is_onward: Whether it drives on instead of braking; `is_full` whether it brakes as hard as it can.
-        artefacts: Costs and solver reports of all attempts.
+        asked: The QPs of all attempts.
     """
 
     profile: FloatArray | None
@@ -87,12 +97,12 @@ class SolvedSpeed:
     unavoidable: bool = False
     is_onward: bool = False
     is_full: bool = False
-    artefacts: tuple[Artefact, ...] = ()
+    asked: tuple[Asked, ...] = ()
 
     @property
     def reports(self) -> tuple[SolverReport, ...]:
         """Of all attempts."""
-        return tuple(item for item in self.artefacts if isinstance(item, SolverReport))
+        return tuple(each.result.report for each in self.asked)
 
 
 @dataclass(eq=False, slots=True)
@@ -104,14 +114,14 @@ class Case:
         taken: The S-T boundaries with any margins, stops included.
         t: The frame's time, s.
         memory: Of the frames before.
-        tried: Costs and reports of the QPs asked so far.
+        tried: The QPs asked so far.
     """
 
     problem: SpeedProblem
     taken: Callable[[StGraphConfig], StBoundaries]
     t: float
     memory: BrakingMemory
-    tried: list[Artefact] = field(default_factory=list)
+    tried: list[Asked] = field(default_factory=list)
 
     @property
     def is_patient(self) -> bool:
@@ -139,14 +149,18 @@ class BrakingLadder:
         config: Limits and weights.
         gap_m: The gap that is in the problems' upper bounds.
         most_mps2: Deceleration at full brake.
+        solver: Of the QPs.
+
+    Attributes:
+        program: The QP.
     """
 
-    def __init__(self, config: SpeedQpConfig, gap_m: float, most_mps2: float) -> None:
+    def __init__(self, config: SpeedQpConfig, gap_m: float, most_mps2: float, solver: str = DEFAULT) -> None:
         self._config, self._gap = config, gap_m
-        self._program = SpeedQp(config)
+        self.program = SpeedQp(config, solver)
         self._times = STEP_S * np.arange(config.knots)
         self._utmost = Limits(replace(config.emergency, decel_mps2=most_mps2, jerk_mps3=UTMOST_MPS3))
-        soft = Limits(config.comfort)
+        soft = self._soft = Limits(config.comfort)
         self._rungs = (
             self._smooth(soft, RESERVE),
             self._smooth(soft, LEAST_RESERVE),
@@ -171,7 +185,7 @@ class BrakingLadder:
                 return found
             if case.tried and case.problem.overtakes:
                 break
-        return SolvedSpeed(None, "speed QP: no profile found", artefacts=tuple(case.tried))
+        return SolvedSpeed(None, "speed QP: no profile found", asked=tuple(case.tried))
 
     def _hard(self, wait: int) -> tuple[Rung, ...]:
         """(4), or (2) with a wait of so many knots; the hardest give up their reserve and, at last, half of the gap.
@@ -183,7 +197,7 @@ class BrakingLadder:
         hardest = Limits(harder[-1], self._config.comfort, wait)
 
         def applies(case: Case) -> bool:
-            return not wait or (case.is_patient and self._stop(case.problem, hardest, LEAST_RESERVE, 0.0) is not None)
+            return not wait or (case.is_patient and eased(case.problem, hardest.columns, LEAST_RESERVE, 0.0)[0])
 
         rungs = [
             self._smooth(
@@ -204,33 +218,20 @@ class BrakingLadder:
         """Braking with a share of these limits keeps the bounds, less what is given up of the gap; smoothed."""
 
         def attempt(case: Case) -> SolvedSpeed | None:
-            problem, stop = case.problem, self._stop(case.problem, limits, share, given)
-            if stop is None:
+            fits, _, problem = eased(case.problem, limits.columns, share, given)
+            if not fits:
                 return None
-            eased = replace(
-                problem,
-                start=_startable(problem.start, limits),
-                limit=np.maximum(problem.limit, stop[1] + 0.05),
-                lower=np.minimum(problem.lower, np.maximum(problem.s_ref, stop[0])),
-                upper=_eased(problem, given),
-            )
-            result, costs = self._program.solve(eased, limits)
-            case.tried += costs, result.report
+            result = self.program.solve(problem, limits)
+            case.tried.append(Asked(problem, result))
             if not result.report.solved:
                 return None
-            return SolvedSpeed(_tidied(result.x.reshape(3, -1)), reason, artefacts=tuple(case.tried))
+            return SolvedSpeed(tidied(result.x), reason, asked=tuple(case.tried))
 
         return Rung(applies, attempt)
 
-    def _stop(self, problem: SpeedProblem, limits: Limits, share: float, given: float) -> FloatArray | None:
-        """Braking with a share of the limits, rows s, v, a, where it keeps the bounds."""
-        stop = limits.braking(_startable(problem.start, limits), self._config.knots, share=share)
-        return None if (stop[0] > _eased(problem, given)).any() else stop
-
     def _gentle(self, case: Case) -> SolvedSpeed | None:
         """(1): comfortable braking to a stop, where that stays behind everybody by some of the gap."""
-        soft, problem = Limits(self._config.comfort), case.problem
-        stop = soft.braking(_startable(problem.start, soft), self._config.knots)
+        _, stop, problem = eased(case.problem, self._soft.columns, 1.0, 0.0)
         if stop[0, -1] > problem.end or not case.taken(CLEAR).leave(self._times, stop[0], LEAST_GAP * self._gap):
             return None
         return SolvedSpeed(stop, "comfortable braking, which is clear, but with less time to spare than wanted")
@@ -295,24 +296,3 @@ def _untried(case: Case) -> bool:
 def _keeps(limits: SpeedLimits, given: float) -> str:
     kept = "half of the distance" if given > 0.0 else "the distance"
     return f"hard braking, up to {limits.decel_mps2:.1f} m/s2, keeps {kept}"
-
-
-def _eased(problem: SpeedProblem, given: float) -> FloatArray:
-    """The upper bounds without what is given up of the gap; the path's end stays."""
-    return np.minimum(problem.upper + given, problem.end)
-
-
-def _startable(start: tuple[float, float], limits: Limits) -> tuple[float, float]:
-    """Speed and acceleration from which the jerk can stop before reversing."""
-    v, a = start
-    jerk = limits.first.jerk_mps3 if limits.knots else limits.then.jerk_mps3
-    return v, max(a, -float(np.sqrt(2.0 * 0.9 * jerk * v)))
-
-
-def _tidied(profile: FloatArray) -> FloatArray:
-    """The profile without the solver's last micrometres: never backwards, exactly at rest where it rests."""
-    s, v, a = profile
-    rest = v < 1e-3
-    return np.vstack(
-        [np.maximum.accumulate(np.maximum(s, 0.0)), np.where(rest, 0.0, v), np.where(rest & (np.abs(a) < 0.02), 0.0, a)]
-    )

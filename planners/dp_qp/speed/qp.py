@@ -1,6 +1,6 @@
 """Speed QP: the smoothest speed profile between the bounds that the speed DP decided.
 
-Unknown s, v, a at knots every 0.1 s, piecewise-constant jerk (`piecewise_jerk`). Minimise
+Unknown s, v, a at knots every 0.1 s, piecewise-constant jerk (`planners.piecewise_jerk`). Minimise
 
 (1) sum w_s (s - s_ref)^2 + w_v (v - v_ref)^2 + w_a a^2 + w_j jerk^2
 
@@ -8,25 +8,32 @@ subject to s_lower(t) <= s <= s_upper(t) from the decisions, 0 <= v <= v_limit, 
 
 (2) v_limit(sigma) = min(limit, sqrt(a_lat / |kappa|)), lowered so that it can be reached with a comfortable
     deceleration b:  v(sigma)^2 <= v(sigma + d)^2 + 2 b d
-(3) Which limits of acceleration and jerk: `speed_solve` takes the mildest with which braking keeps s_upper, so that the
+(3) Which limits of acceleration and jerk: `braking` takes the mildest with which braking keeps s_upper, so that the
     problem has a solution. Braking that is harder than comfort may be let go with `RELEASE_MPS3`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
-from math import inf
+from math import inf, sqrt
+from typing import NamedTuple
 
 import numpy as np
-from scipy import sparse
 
-from logs.kernel import FloatArray
+from logs.kernel import FloatArray, kernel
 from logs.trace import CostTerms
-from planners.dp_qp import piecewise_jerk
-from planners.frenet.profiles import COMFORT, EMERGENCY, STEP_S, Limits, SpeedLimits
-from planners.qp import QPConfig, QPResult, QuadraticProgram
+from planners.frenet.profiles import COMFORT, EMERGENCY, STEP_S, KnotLimits, Limits, SpeedLimits, braking_within
+from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights
+from planners.piecewise_jerk.solvers import DEFAULT, solve
+from planners.qp import QPResult
 
+NO_LEADS = np.empty(0)
+LIMIT_ROOM_MPS = 0.05
+"""Room that the bound of the speed leaves above the braking that it must hold."""
+REST_MPS, REST_MPS2 = 1e-3, 0.02
+"""Speed and acceleration below which a profile rests."""
+TOLERANCE = 0.05
+"""By which a solution may violate a bound, in the units of the row."""
 RELEASE_MPS3 = 10.0
 """Jerk with which braking that is harder than comfort may be let go."""
 
@@ -74,8 +81,7 @@ class SpeedQpConfig:
         return (self.knots - 1) * STEP_S
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class SpeedProblem:
+class SpeedProblem(NamedTuple):
     """One speed problem; arrays `(knots,)`.
 
     Attributes:
@@ -101,43 +107,30 @@ class SpeedProblem:
 
 
 class SpeedQp:
-    """The speed QP: a workspace with constant matrices."""
+    """The speed QP.
 
-    def __init__(self, config: SpeedQpConfig) -> None:
-        self._config = config
-        n = config.knots
-        P, A = _matrices(n, config.w_s, config.w_v, config.w_a, config.w_j)
-        self._program = QuadraticProgram(
-            "speed QP",
-            P,
-            A,
-            equalities=2 * (n - 1),
-            scale=np.repeat([20.0, 4.0, 2.0], n),
-            config=QPConfig(tolerance=0.05),
-        )
+    Args:
+        config: Settings.
+        solver: Name of a solver of `planners.piecewise_jerk.solvers`.
+    """
 
-    def solve(self, problem: SpeedProblem, limits: Limits) -> tuple[QPResult, CostTerms]:
-        """The profile, x = (s, v, a) `(3 knots,)`, and its costs."""
-        n = self._config.knots
-        v0, a0 = problem.start
-        jerk = limits.row("jerk_mps3", n - 1)
-        ramp = np.r_[0.0, STEP_S * np.cumsum(jerk)]
-        low_a = np.minimum(-limits.row("decel_mps2", n), a0 + 0.5 * ramp)
-        high_a = np.maximum(limits.row("accel_mps2", n), a0 - 0.5 * ramp)
-        low = [np.minimum(problem.lower, problem.upper), np.zeros(n), low_a]
-        high = [problem.upper.copy(), problem.limit.copy(), high_a]
-        for k, value in enumerate((0.0, v0, a0)):
-            low[k][0] = high[k][0] = value
-        harder = max(-self._config.comfort.decel_mps2 - a0, 0.0)
-        release = np.where(np.arange(n - 1) < harder / (RELEASE_MPS3 * STEP_S), RELEASE_MPS3, 0.0)
-        thirds = -jerk, np.maximum(jerk, release)
-        bounds = piecewise_jerk.bounds((low[0], low[1], low[2]), (high[0], high[1], high[2]), thirds)
+    def __init__(self, config: SpeedQpConfig, solver: str = DEFAULT) -> None:
+        self._config, self._solver = config, solver
+        self._weights = Weights(config.w_s, config.w_v, config.w_a, config.w_j)
+
+    def solve(self, problem: SpeedProblem, limits: Limits) -> QPResult:
+        """The profile, x = (s, v, a) `(3 knots,)`."""
+        return solve(self.stated(problem, limits), self._solver, stage="speed QP", tolerance=TOLERANCE)
+
+    def stated(self, problem: SpeedProblem, limits: Limits) -> PiecewiseJerkProblem:
+        """(1) with its bounds."""
         c = self._config
-        q = np.concatenate([-2.0 * c.w_s * problem.s_ref, -2.0 * c.w_v * problem.v_ref, np.zeros(n)])
-        result = self._program.solve(q, *bounds, fresh=True)
-        return result, self._costs(result.x, problem)
+        lower, upper, references = _rows(problem, limits.columns, c.comfort.decel_mps2)
+        start = np.array([0.0, *problem.start])
+        return PiecewiseJerkProblem(STEP_S, NO_LEADS, start, self._weights, references, lower, upper, 0.0)
 
-    def _costs(self, x: FloatArray, problem: SpeedProblem) -> CostTerms:
+    def costs(self, x: FloatArray, problem: SpeedProblem) -> CostTerms:
+        """(1) of a profile, by term."""
         s, v, a = x.reshape(3, self._config.knots)
         c = self._config
         values = {
@@ -149,10 +142,63 @@ class SpeedQp:
         return CostTerms("speed QP", tuple(values.items()))
 
 
-@cache
-def _matrices(n: int, w_s: float, w_v: float, w_a: float, w_j: float) -> tuple[sparse.csc_matrix, sparse.csc_matrix]:
-    """P and A of (1) and its constraints: every lane has its own workspace of them."""
-    eye = sparse.eye(n)
-    jerk = piecewise_jerk.difference_penalty(n) * (w_j / STEP_S**2)
-    P = 2.0 * sparse.block_diag([w_s * eye, w_v * eye, w_a * eye + jerk], format="csc")
-    return sparse.csc_matrix(P), piecewise_jerk.constraint_matrix(n, STEP_S)
+@kernel
+def _rows(problem: SpeedProblem, limits: KnotLimits, comfort: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Lower and upper bounds of the rows s, v, a, jerk `(4, n)` and references of s and v `(2, n)`.
+
+    Bounds of the acceleration hold the start's as far as half of the jerk leads back from it. `comfort`: deceleration,
+    m/s2; harder braking may be let go (3).
+    """
+    n, a0 = len(problem.upper), problem.start[1]
+    lower, upper, references = np.zeros((4, n)), np.empty((4, n)), np.empty((2, n))
+    references[0], references[1] = problem.s_ref, problem.v_ref
+    lower[0], upper[0], upper[1] = np.minimum(problem.lower, problem.upper), problem.upper, problem.limit
+    released = max(-comfort - a0, 0.0) / (RELEASE_MPS3 * STEP_S)
+    total = 0.0
+    for i in range(n):
+        is_first = i < limits.knots
+        jerk = limits.first_jerk if is_first else limits.jerk
+        ramp = STEP_S * total
+        lower[2, i] = min(-(limits.first_decel if is_first else limits.decel), a0 + 0.5 * ramp)
+        upper[2, i] = max(limits.first_accel if is_first else limits.accel, a0 - 0.5 * ramp)
+        lower[3, i], upper[3, i] = -jerk, max(jerk, RELEASE_MPS3 if i < released else 0.0)
+        total += jerk
+    return lower, upper, references
+
+
+@kernel
+def eased(
+    problem: SpeedProblem, limits: KnotLimits, share: float, given: float
+) -> tuple[bool, FloatArray, SpeedProblem]:
+    """Whether braking with a share of the limits keeps the bounds; that braking, rows s, v, a; the problem for it.
+
+    Of the gap `given` m are given up; the path's end stays. The start is one from which the jerk can stop before
+    reversing, the bounds hold the braking.
+    """
+    v0 = problem.start[0]
+    jerk = limits.first_jerk if limits.knots > 0 else limits.jerk
+    a0 = max(problem.start[1], -sqrt(2.0 * 0.9 * jerk * v0))
+    stop = braking_within(v0, a0, limits, share, STEP_S, len(problem.upper))
+    upper = np.minimum(problem.upper + given, problem.end)
+    lower = np.minimum(problem.lower, np.maximum(problem.s_ref, stop[0]))
+    limit = np.maximum(problem.limit, stop[1] + LIMIT_ROOM_MPS)
+    loosened = SpeedProblem((v0, a0), lower, upper, limit, problem.s_ref, problem.v_ref, problem.end)
+    return not (stop[0] > upper).any(), stop, loosened
+
+
+@kernel
+def tidied(x: FloatArray) -> FloatArray:
+    """A profile x = (s, v, a) `(3 n,)` without the solver's last micrometres, rows `(3, n)`.
+
+    Never backwards, exactly at rest where it rests.
+    """
+    out = x.copy().reshape(3, len(x) // 3)
+    furthest = 0.0
+    for i in range(out.shape[1]):
+        furthest = max(furthest, out[0, i])
+        out[0, i] = furthest
+        if out[1, i] < REST_MPS:
+            out[1, i] = 0.0
+            if abs(out[2, i]) < REST_MPS2:
+                out[2, i] = 0.0
+    return out

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray
+from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.trace import Artefact, Corridor, Decision, DecisionKind, GridCost, SolverReport, StGraph
 from logs.vehicle import VehicleParameters
 from planners.dp_qp.path.stage import ChosenPath
@@ -24,7 +24,7 @@ from planners.dp_qp.speed.dp import DS_M, DT_S, SpeedDpConfig, cost_map, speed_d
 from planners.dp_qp.speed.qp import SpeedProblem, SpeedQpConfig
 from planners.frenet.occupancy import Occupancy, upper_bound
 from planners.frenet.path import Path
-from planners.frenet.profiles import STEP_S, Limits, braking, cruising, limit_profile
+from planners.frenet.profiles import STEP_S, KnotLimits, Limits, braking, cruising, limit_profile
 from planners.frenet.scene import Scene
 from planners.frenet.st_boundaries import (
     StBoundaries,
@@ -35,6 +35,7 @@ from planners.frenet.st_boundaries import (
     st_boundaries,
     stop_outlines,
 )
+from planners.piecewise_jerk.solvers import DEFAULT
 
 SPEED_ROOM_MPS = 0.8
 """Room above the limit that the reference keeps, but not above a cap that is a bound: it makes the profile smooth."""
@@ -46,6 +47,7 @@ BRANCH_S = 0.5
 """... so long after now."""
 STAY_M = 0.05
 """Least upper bound of s: to stand still is always allowed."""
+NOTHING = np.empty(0)
 DRAWN_ROWS = 4
 """The grid is drawn with every so many rows: a picture does not need more."""
 
@@ -116,17 +118,18 @@ class ChosenSpeed:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Way:
-    """What is planned on: the scene on its path, the limit, its margins, and whether the ego is late."""
+    """What is planned on: the scene on its path, the limit (`own` with nobody on the road), boundaries by margins."""
 
     view: PathView
     limit: LoweredLimit
+    own: LoweredLimit
     taken: Callable[[StGraphConfig], StBoundaries]
     hurried: bool
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Planned:
-    """A solved speed and what it came from, for the record."""
+    """A solved speed and what it came from; how far driving at the limit comes, m, where nobody lowers it."""
 
     solved: SolvedSpeed
     problem: SpeedProblem
@@ -135,16 +138,20 @@ class _Planned:
     cannot_be_first: bool
     grid: tuple[FloatArray, IntArray] | None
     s_dp: FloatArray
+    free_m: float | None
 
 
 class SpeedStage:
     """Chooses the speed of each frame along a path."""
 
-    def __init__(self, vehicle: VehicleParameters, config: SpeedConfig, lap: Callable[[str], None]) -> None:
+    def __init__(
+        self, vehicle: VehicleParameters, config: SpeedConfig, lap: Callable[[str], None], solver: str = DEFAULT
+    ) -> None:
         self._vehicle, self._config, self._lap = vehicle, config, lap
-        self._ladder = BrakingLadder(config.qp, config.dp.gap_m, vehicle.max_decel)
+        self._ladder = BrakingLadder(config.qp, config.dp.gap_m, vehicle.max_decel, solver)
         self._hard_mps2 = RESERVE * config.qp.emergency.decel_mps2
         self._times = STEP_S * np.arange(config.qp.knots)
+        self._soft = Limits(config.qp.comfort).columns
 
     def choose(self, scene: Scene, path: Path, task: SpeedTask, memory: SpeedMemory) -> tuple[ChosenSpeed, SpeedMemory]:
         """The speed along a path; and what is remembered."""
@@ -170,7 +177,7 @@ class SpeedStage:
             skip = task.skip if margins.brisk_mps > config.graph.brisk_mps else nearest
             return st_boundaries(scene, path, skip, passed, margins).with_stops(task.stops)
 
-        way = _Way(view, limit, taken, task.target.hurried)
+        way = _Way(view, limit, own, taken, task.target.hurried)
         likely = found.probability > UNLIKELY
         planned = self._planned(way, found.only(likely) if not likely.all() else found, memory.braking)
         unlikely = None
@@ -180,8 +187,9 @@ class SpeedStage:
             else:
                 planned = self._planned(way, found, memory.braking)
         solved = planned.solved
+        free_m = self._free_m(way, own) if planned.free_m is None else planned.free_m
         chosen = ChosenSpeed(
-            solved.profile, solved.reason, solved.unavoidable, self._free_m(way, own), planned.blocks, solved.reports,
+            solved.profile, solved.reason, solved.unavoidable, free_m, planned.blocks, solved.reports,
             lambda: self._artefacts(way, planned, unlikely),
         )  # fmt: skip
         return chosen, SpeedMemory(memory.braking.after(scene.frame.t, solved), came)
@@ -189,24 +197,29 @@ class SpeedStage:
     def _planned(self, way: _Way, blocks: StBoundaries, memory: BrakingMemory) -> _Planned:
         """The speed that minds these boundaries."""
         scene, path, stops = way.view.scene, way.view.path, way.view.stops
-        v_limit = self._reachable(path, np.where(path.sigma >= self._stop_line(blocks, scene), 0.0, way.limit.v))
+        limit = way.limit.v
+        stop_line = self._stop_line(blocks, scene)
+        if stop_line < path.length:
+            limit = np.where(path.sigma >= stop_line, 0.0, limit)
+        v_limit = self._reachable(path, limit)
         grid = self._grid(blocks, v_limit, way) if len(blocks) or stops else None
         s_dp = self._dp_stations(grid) if grid is not None else np.zeros(len(self._times))
         at = np.interp(blocks.t, self._times, s_dp)
         kinds = tuple(decided(blocks, scene, at, row) for row in range(len(blocks)))
         self._lap("speed DP")
         moves = bool((~scene.standing[blocks.agent]).any()) or any(stop.until < np.inf for stop in stops)
-        free = self._problem(way, v_limit, s_dp if moves else None)
-        problem = self._bounded(free, blocks, kinds)
+        free, free_m = self._problem(way, v_limit, s_dp if moves else NOTHING)
+        problem = self._bounded(free, blocks, kinds) if len(blocks) else free
         solved = self._ladder.solve(Case(problem, way.taken, scene.frame.t, memory))
         cannot_be_first = not _overtakes(blocks, kinds, solved.profile, self._times)
         if cannot_be_first:
             kinds = tuple(DecisionKind.YIELD if kind is DecisionKind.OVERTAKE else kind for kind in kinds)
-            problem, tried = self._bounded(free, blocks, kinds), solved.artefacts
+            problem, tried = self._bounded(free, blocks, kinds), solved.asked
             solved = self._ladder.solve(Case(problem, way.taken, scene.frame.t, memory))
-            solved = replace(solved, artefacts=(*tried, *solved.artefacts))
+            solved = replace(solved, asked=(*tried, *solved.asked))
         self._lap("speed QP")
-        return _Planned(solved, problem, blocks, kinds, cannot_be_first, grid, s_dp)
+        alone = free_m if limit is way.own.v else None
+        return _Planned(solved, problem, blocks, kinds, cannot_be_first, grid, s_dp, alone)
 
     def _could_stop(self, profile: FloatArray | None, blocks: StBoundaries) -> bool:
         """Whether hard braking, `BRANCH_S` after driving on along a profile, would stay behind these boundaries."""
@@ -222,19 +235,18 @@ class SpeedStage:
         qp = self._config.qp
         return limit_profile(path.sigma, path.kappa, limit, qp.curve_accel_mps2, qp.ease_mps2)
 
-    def _cruise(self, path: Path, v_limit: FloatArray, start: tuple[float, float]) -> FloatArray:
-        """Rows s, v `(2, knots)` of driving at a limit."""
-        qp = self._config.qp
-        soft = qp.comfort
-        return cruising(path.sigma, v_limit, *start, soft.accel_mps2, soft.decel_mps2, soft.jerk_mps3, STEP_S, qp.knots)
-
     def _free_m(self, way: _Way, own: LoweredLimit) -> float:
         """How far the ego would come with nobody on the road, m."""
-        scene, path = way.view.scene, way.view.path
-        return float(self._cruise(path, self._reachable(path, own.v), (scene.v, scene.start.a))[0, -1])
+        scene, path, soft = way.view.scene, way.view.path, self._soft
+        v_limit = self._reachable(path, own.v)
+        start, knots = (scene.v, scene.start.a), self._config.qp.knots
+        free = cruising(path.sigma, v_limit, *start, soft.accel, soft.decel, soft.jerk, STEP_S, knots)
+        return float(free[0, -1])
 
     def _stop_line(self, blocks: StBoundaries, scene: Scene) -> float:
         """Station before the first who stands in the path, m; inf where nobody does."""
+        if not len(blocks):
+            return np.inf
         entries = blocks.lower[scene.standing[blocks.agent]]
         if not len(entries):
             return np.inf
@@ -272,25 +284,20 @@ class SpeedStage:
                 edge = np.fmin(blocks.lower[i, sides[0]], blocks.lower[i, sides[1]]) - gap
                 upper = np.fmin(upper, edge)
         upper = np.maximum(upper, STAY_M)
-        return replace(problem, lower=np.minimum(lower, upper), upper=upper)
+        return problem._replace(lower=np.minimum(lower, upper), upper=upper)
 
-    def _problem(self, way: _Way, v_limit: FloatArray, s_dp: FloatArray | None) -> SpeedProblem:
-        """What is wanted and the limit, with nobody in the way but stops; `s_dp` `(knots,)` where somebody moves."""
+    def _problem(self, way: _Way, v_limit: FloatArray, s_dp: FloatArray) -> tuple[SpeedProblem, float]:
+        """What is wanted and the limit, with nobody in the way but stops, and how far driving at the limit comes, m.
+
+        `s_dp` is `(knots,)` where somebody moves, else empty.
+        """
         qp, path, scene = self._config.qp, way.view.path, way.view.scene
-        start = scene.v, scene.start.a
-        s_ref, v_ref = self._cruise(path, v_limit, start)
-        if s_dp is not None:
-            s_ref = np.minimum(s_ref, s_dp)
-            v_ref = np.minimum(v_ref, np.gradient(s_ref, STEP_S))
-        eased = braking(*start, qp.ease_mps2, qp.comfort.jerk_mps3, STEP_S, qp.knots)
-        if (eased[1] ** 2 * np.abs(np.interp(eased[0], path.sigma, path.kappa)) > TILT_MPS2).any():
-            eased = braking(*start, qp.comfort.decel_mps2, qp.comfort.jerk_mps3, STEP_S, qp.knots)
-        ahead = np.interp(s_ref, path.sigma, v_limit)
-        at = np.minimum(np.searchsorted(path.sigma, s_ref), len(path.sigma) - 1)
-        room = np.where(way.limit.is_bound[at], 0.0, SPEED_ROOM_MPS)
-        limit = np.maximum(ahead, eased[1]) + room
+        start, soft = (scene.v, scene.start.a), self._soft
+        s_ref, v_ref, limit, free_m = _wanted(
+            path.sigma, path.kappa, v_limit, way.limit.is_bound, s_dp, start, soft, qp.ease_mps2, qp.knots
+        )
         upper = upper_bound(way.view.stops, self._times, path.length)
-        return SpeedProblem(start, np.zeros(qp.knots), upper, limit, s_ref, v_ref, path.length)
+        return SpeedProblem(start, np.zeros(qp.knots), upper, limit, s_ref, v_ref, path.length), free_m
 
     def _artefacts(self, way: _Way, planned: _Planned, unlikely: StBoundaries | None) -> tuple[Artefact, ...]:
         """Graph, decisions, costs and reports."""
@@ -311,7 +318,46 @@ class SpeedStage:
         )
         ignored = _ignored(unlikely, scene) if unlikely is not None else ()
         asked = (stop.decision for stop in stops)
-        return (graph, *decisions, *solved.artefacts, *ignored, *asked, *way.limit.decisions)
+        costs = self._ladder.program.costs
+        asked_qps = (part for each in solved.asked for part in (costs(each.result.x, each.problem), each.result.report))
+        return (graph, *decisions, *asked_qps, *ignored, *asked, *way.limit.decisions)
+
+
+@kernel
+def _wanted(
+    sigma: FloatArray, kappa: FloatArray, v_limit: FloatArray, is_bound: BoolArray, s_dp: FloatArray,
+    start: tuple[float, float], soft: KnotLimits, ease: float, knots: int,
+) -> tuple[FloatArray, FloatArray, FloatArray, float]:  # fmt: skip
+    """References of s and v and the limit of v `(knots,)`, and how far driving at the limit comes, m.
+
+    Args:
+        sigma: Arc lengths `(m,)`, m.
+        kappa: Of the path `(m,)`, 1/m.
+        v_limit: Speed limit along it `(m,)`, m/s.
+        is_bound: Where that is kept exactly `(m,)`.
+        s_dp: Stations of the speed DP `(knots,)`; empty: it decided nothing.
+        start: v, a.
+        soft: Limits of comfort.
+        ease: Deceleration towards a lower limit, m/s2.
+        knots: Of the profile.
+    """
+    v0, a0 = start
+    free = cruising(sigma, v_limit, v0, a0, soft.accel, soft.decel, soft.jerk, STEP_S, knots)
+    s_ref, v_ref = free[0].copy(), free[1].copy()
+    if len(s_dp):
+        s_ref = np.minimum(s_ref, s_dp)
+        for i in range(knots):
+            low, high = max(i - 1, 0), min(i + 1, knots - 1)
+            v_ref[i] = min(v_ref[i], (s_ref[high] - s_ref[low]) / ((high - low) * STEP_S))
+    eased = braking(v0, a0, ease, soft.jerk, STEP_S, knots)
+    if (eased[1] ** 2 * np.abs(np.interp(eased[0], sigma, kappa)) > TILT_MPS2).any():
+        eased = braking(v0, a0, soft.decel, soft.jerk, STEP_S, knots)
+    ahead, at = np.interp(s_ref, sigma, v_limit), np.searchsorted(sigma, s_ref)
+    limit = np.empty(knots)
+    for i in range(knots):
+        room = 0.0 if is_bound[min(at[i], len(sigma) - 1)] else SPEED_ROOM_MPS
+        limit[i] = max(ahead[i], eased[1, i]) + room
+    return s_ref, v_ref, limit, free[0, -1]
 
 
 def _overtakes(

@@ -1,0 +1,76 @@
+"""The door to the solvers of piecewise-jerk QPs. None is warm-started: an answer depends on its problem alone.
+
+`interior_point` is ours (default). `osqp` and `piqp` solve the sparse form through `planners.qp`: OSQP (ADMM) with PIQP
+to the rescue where it runs out of iterations, or PIQP at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+from types import MappingProxyType
+
+from logs.errors import unknown_name
+from logs.trace import SolverReport
+from planners.piecewise_jerk import interior_point
+from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Structure, largest_violation, matrices, structure
+from planners.piecewise_jerk.problem import vectors as sparse_vectors
+from planners.qp import QPConfig, QPResult, QuadraticProgram
+
+DEFAULT = "interior_point"
+OSQP_EPS, OSQP_ITERATIONS = 1e-5, 4000
+"""With which it solves nearly all, cold; at 1e-4 its answers are up to 0.5 m off."""
+
+
+def check_solver(name: str) -> None:
+    """ConfigError where no solver has this name."""
+    if name not in SOLVERS:
+        raise unknown_name("solver", name, SOLVERS)
+
+
+def solve(problem: PiecewiseJerkProblem, solver: str = DEFAULT, *, stage: str, tolerance: float) -> QPResult:
+    """The curve of a problem, x = (x, x', x'') `(3 n,)`, and how the solver got there.
+
+    Args:
+        problem: What is asked.
+        solver: A name of `SOLVERS`.
+        stage: Name in the report.
+        tolerance: Largest violation of a bound that still counts as solved, in the units of the row.
+    """
+    return SOLVERS[solver](problem, stage, tolerance)
+
+
+def _interior_point(problem: PiecewiseJerkProblem, stage: str, tolerance: float) -> QPResult:
+    found = interior_point.solve(problem, interior_point.ACCURACY_M, interior_point.MAX_ITERATIONS)
+    solved, status = found.status == interior_point.SOLVED, interior_point.STATUS[found.status]
+    violation = largest_violation(problem, found.curve) if solved else 0.0
+    if not violation <= tolerance:
+        solved, status = False, f"{status}, but a bound is violated by {violation:.3g}"
+    report = SolverReport(stage, solved, status, found.iterations, found.primal, found.dual)
+    return QPResult(found.curve.ravel(), report)
+
+
+def _osqp(problem: PiecewiseJerkProblem, stage: str, tolerance: float) -> QPResult:
+    return _sparse(problem, stage, QPConfig(OSQP_EPS, OSQP_ITERATIONS, tolerance=tolerance))
+
+
+def _piqp(problem: PiecewiseJerkProblem, stage: str, tolerance: float) -> QPResult:
+    return _sparse(problem, stage, QPConfig(max_iterations=0, tolerance=tolerance))
+
+
+def _sparse(problem: PiecewiseJerkProblem, stage: str, config: QPConfig) -> QPResult:
+    result = _program(structure(problem), stage, config).solve(*sparse_vectors(problem), fresh=True)
+    return QPResult(result.x[: 3 * problem.lower.shape[1]], result.report)
+
+
+@lru_cache(maxsize=64)
+def _program(kind: Structure, stage: str, config: QPConfig) -> QuadraticProgram:
+    """The workspace of a structure; every solve in it is a fresh one, so that it remembers nothing."""
+    form = matrices(kind)
+    return QuadraticProgram(stage, form.P, form.A, equalities=form.equalities, scale=form.sizes, config=config)
+
+
+SOLVERS: MappingProxyType[str, Callable[[PiecewiseJerkProblem, str, float], QPResult]] = MappingProxyType(
+    {"interior_point": _interior_point, "osqp": _osqp, "piqp": _piqp}
+)
+"""By the names that `[planner.dp_qp] solver` takes."""

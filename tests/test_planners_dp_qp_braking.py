@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -146,7 +144,7 @@ def test_the_end_of_the_path_is_not_driven_over_where_braking_can_keep_it(end: f
     free = StBoundaries(
         T, np.zeros(0, np.int64), np.empty((0, len(T))), np.empty((0, len(T))), np.empty(0), np.empty(0)
     )
-    short = replace(problem(10.0, 0.0, np.full(len(T), end)), end=end)
+    short = problem(10.0, 0.0, np.full(len(T), end))._replace(end=end)
     found = LADDER.solve(Case(short, lambda margins: free, 0.0, NOTHING))
     hardest = Limits(CONFIG.emergency).braking((10.0, 0.0), CONFIG.knots)
     assert found.profile is not None and found.reason

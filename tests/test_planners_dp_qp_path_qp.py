@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from unittest.mock import patch
-
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
@@ -12,10 +9,9 @@ from hypothesis import strategies as st
 from worlds import CAR
 
 from logs.kernel import FloatArray
-from planners.dp_qp.path import qp as path_qp
 from planners.dp_qp.path.qp import MAX_DL, PathProblem, PathQp, PathQpConfig
 from planners.dp_qp.path.steering import COMFORT, bend_bounds, bounded, expected_speed
-from planners.qp import QPConfig
+from planners.piecewise_jerk.solvers import DEFAULT
 
 SEED = st.integers(0, 2**32 - 1)
 OFFSET, SLOPE, BEND = st.floats(-3.0, 3.0), st.floats(-0.5, 0.5), st.floats(-0.1, 0.1)
@@ -50,13 +46,7 @@ def cost_of(program: PathQp, x: FloatArray, middle: FloatArray) -> float:
     return float(sum(w * square for w, square in zip(weights, squares, strict=True)))
 
 
-def sure_path_qp() -> PathQp:
-    """The same program, solved by the interior-point method."""
-    with patch.object(path_qp, "QPConfig", lambda tolerance: QPConfig(1e-4, 1, 1, tolerance)):
-        return PathQp(LENGTH, SPEED, LEADS, PathQpConfig())
-
-
-FAST, SURE = PathQp(LENGTH, SPEED, LEADS, PathQpConfig()), sure_path_qp()
+OWN, SURE = (PathQp(LENGTH, SPEED, LEADS, PathQpConfig(), solver) for solver in (DEFAULT, "piqp"))
 
 
 def points_of(x: FloatArray) -> FloatArray:
@@ -83,14 +73,14 @@ def assert_drivable(program: PathQp, x: FloatArray, problem: PathProblem, slack:
 @settings(max_examples=25)
 def test_the_path_qp_keeps_its_bounds_and_finds_the_least_cost(seed: int) -> None:
     problem = path_problem(seed)
-    (fast, costs), (sure, _) = FAST.solve(problem), SURE.solve(problem)
+    fast, sure = OWN.solve(problem), SURE.solve(problem)
     assert fast.report.solved and sure.report.solved and "PIQP" in sure.report.status
-    assert_drivable(FAST, fast.x, problem, 5e-3)
+    assert_drivable(OWN, fast.x, problem, 5e-3)
     assert_drivable(SURE, sure.x, problem, 1e-6)
     middle = 0.5 * (problem.lower[0] + problem.upper[0])
-    best, found = cost_of(SURE, sure.x, middle), cost_of(FAST, fast.x, middle)
+    best, found = cost_of(SURE, sure.x, middle), cost_of(OWN, fast.x, middle)
     assert found == pytest.approx(best, rel=2e-2, abs=0.05)
-    assert sum(value for _, value in costs.terms) == pytest.approx(found, rel=1e-9)
+    assert sum(value for _, value in OWN.costs(fast.x, problem).terms) == pytest.approx(found, rel=1e-9)
 
 
 @given(SEED, st.floats(0.0, 0.6), st.floats(0.0, 0.6))
@@ -99,9 +89,9 @@ def test_every_step_towards_another_path_of_the_corridor_costs_more(seed: int, l
     """The variational inequality of a convex problem: what a narrower corridor allows is allowed, but not better."""
     problem = path_problem(seed)
     middle = 0.5 * (problem.lower[0] + problem.upper[0])
-    best = SURE.solve(problem)[0]
-    narrower = replace(problem, lower=problem.lower + low, upper=problem.upper - high)
-    other = SURE.solve(narrower)[0]
+    best = SURE.solve(problem)
+    narrower = problem._replace(lower=problem.lower + low, upper=problem.upper - high)
+    other = SURE.solve(narrower)
     assume(other.report.solved)
     step = best.x + 1e-3 * (other.x - best.x)
     assert cost_of(SURE, step, middle) >= cost_of(SURE, best.x, middle) - 1e-7
@@ -115,20 +105,20 @@ def closed(seed: int) -> PathProblem:
 
 
 def test_a_closed_corridor_is_reported() -> None:
-    assert not FAST.solve(closed(0))[0].report.solved
+    assert not OWN.solve(closed(0)).report.solved
 
 
 @given(SEED)
 @settings(max_examples=10)
 def test_a_softened_corridor_is_left_as_little_as_it_must(seed: int) -> None:
     """Where it is open hardly at all; where it is closed to both sides alike, and steering keeps its bounds."""
-    free, _ = FAST.solve(path_problem(seed), softly=True)
-    shut, _ = FAST.solve(closed(seed), softly=True)
+    free = OWN.solve(path_problem(seed), softly=True)
+    shut = OWN.solve(closed(seed), softly=True)
     assert free.report.solved and shut.report.solved
     out = np.maximum(path_problem(seed).lower - points_of(free.x), points_of(free.x) - path_problem(seed).upper)
     assert out[:, 1:].max() < 0.05
     wide = np.full((2, KNOTS), 50.0)
-    assert_drivable(FAST, shut.x, replace(closed(seed), lower=-wide, upper=wide), 5e-3)
+    assert_drivable(OWN, shut.x, closed(seed)._replace(lower=-wide, upper=wide), 5e-3)
     at = points_of(shut.x)
     assert 0.5 < (2.9 - at[:, 40]).max() < 4.3 and 0.5 < (at[:, 43] + 1.4).max() < 4.3
 
@@ -141,10 +131,10 @@ def test_a_corridor_loosened_to_the_reach_can_be_kept(l0: float, dl0: float, ddl
     s, leads = np.linspace(0.0, LENGTH, KNOTS), np.array(LEADS)[:, None]
     upper = np.interp(s + leads, np.linspace(0.0, LENGTH, 8), rng.uniform(0.2, 4.0, 8))
     start, none = np.array([l0, dl0, ddl0]), np.zeros(KNOTS)
-    bend, rate, left, right = bounded(start, v, none + 30.0, none, none, FAST.step, TURNS, COMFORT)
+    bend, rate, left, right = bounded(start, v, none + 30.0, none, none, OWN.step, TURNS, COMFORT)
     slope = np.array([np.minimum(-MAX_DL, left[1]), np.maximum(MAX_DL, right[1])])
     high = np.maximum(upper, right[0] + leads * right[1])
-    result, _ = SURE.solve(PathProblem(start, 0.0 * high - 90.0, high, slope, bend, rate))
+    result = SURE.solve(PathProblem(start, 0.0 * high - 90.0, high, slope, bend, rate))
     assert result.report.solved
 
 

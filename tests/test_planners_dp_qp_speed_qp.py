@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from unittest.mock import patch
-
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from logs.kernel import FloatArray
-from planners.dp_qp.speed import qp as speed_qp
 from planners.dp_qp.speed.qp import SpeedProblem, SpeedQp, SpeedQpConfig
 from planners.frenet.profiles import STEP_S, Limits, SpeedLimits, braking
-from planners.qp import QPConfig
 
 SEED = st.integers(0, 2**32 - 1)
 CONFIG = SpeedQpConfig()
@@ -33,13 +29,7 @@ def speed_problem(seed: int) -> SpeedProblem:
     return SpeedProblem((v0, a0), np.zeros(CONFIG.knots), upper, bound, s_ref, v_ref)
 
 
-def sure_speed_qp() -> SpeedQp:
-    """The same program, solved by the interior-point method."""
-    with patch.object(speed_qp, "QPConfig", lambda tolerance: QPConfig(1e-4, 1, 1, tolerance)):
-        return SpeedQp(CONFIG)
-
-
-FAST, SURE = SpeedQp(CONFIG), sure_speed_qp()
+OWN, SURE = SpeedQp(CONFIG), SpeedQp(CONFIG, "piqp")
 
 
 def cost_of(x: FloatArray, problem: SpeedProblem) -> float:
@@ -66,13 +56,13 @@ def assert_drivable(x: FloatArray, problem: SpeedProblem, limits: SpeedLimits, s
 @settings(max_examples=25)
 def test_the_speed_qp_keeps_its_bounds_and_finds_the_least_cost(seed: int) -> None:
     problem = speed_problem(seed)
-    (fast, costs), (sure, _) = (program.solve(problem, Limits(CONFIG.comfort)) for program in (FAST, SURE))
+    fast, sure = (program.solve(problem, Limits(CONFIG.comfort)) for program in (OWN, SURE))
     assert fast.report.solved and sure.report.solved and "PIQP" in sure.report.status
     assert_drivable(fast.x, problem, CONFIG.comfort, 2e-2)
     assert_drivable(sure.x, problem, CONFIG.comfort, 1e-6)
     found = cost_of(fast.x, problem)
     assert found == pytest.approx(cost_of(sure.x, problem), rel=1e-2, abs=0.3)
-    assert sum(value for _, value in costs.terms) == pytest.approx(found, rel=1e-9)
+    assert sum(value for _, value in OWN.costs(fast.x, problem).terms) == pytest.approx(found, rel=1e-9)
 
 
 @given(SEED, st.floats(0.0, 10.0))
@@ -80,11 +70,11 @@ def test_the_speed_qp_keeps_its_bounds_and_finds_the_least_cost(seed: int) -> No
 def test_every_step_towards_another_profile_within_the_bounds_costs_more(seed: int, less: float) -> None:
     """The variational inequality of a convex problem, towards what a tighter bound of s allows."""
     problem = speed_problem(seed)
-    best = SURE.solve(problem, Limits(CONFIG.comfort))[0].x
+    best = SURE.solve(problem, Limits(CONFIG.comfort)).x
     tight = SpeedProblem(
         problem.start, problem.lower, problem.upper - less, problem.limit, problem.s_ref, problem.v_ref
     )
-    other, _ = SURE.solve(tight, Limits(CONFIG.comfort))
+    other = SURE.solve(tight, Limits(CONFIG.comfort))
     assume(other.report.solved)
     assert cost_of(best + 1e-3 * (other.x - best), problem) >= cost_of(best, problem) - 1e-7
 
@@ -93,7 +83,7 @@ def test_braking_is_a_profile_of_the_qp() -> None:
     """What `braking` says can be kept, the QP can keep."""
     s, v, a = braking(12.0, 0.5, 3.0, 3.0, STEP_S, CONFIG.knots)
     still = SpeedProblem((12.0, 0.5), s - 1e-3, s + 1e-3, v + 1e-3, s, v)
-    result, _ = SURE.solve(still, Limits(CONFIG.comfort))
+    result = SURE.solve(still, Limits(CONFIG.comfort))
     assert result.report.solved
     np.testing.assert_allclose(result.x.reshape(3, -1)[2][:30], a[:30], atol=0.3)
 
@@ -103,7 +93,7 @@ def test_a_bound_behind_the_braking_distance_is_reported() -> None:
     near = SpeedProblem(
         (12.0, 0.0), problem.lower, np.full(CONFIG.knots, 5.0), problem.limit, problem.s_ref, problem.v_ref
     )
-    assert not FAST.solve(near, Limits(CONFIG.emergency))[0].report.solved
+    assert not OWN.solve(near, Limits(CONFIG.emergency)).report.solved
 
 
 @pytest.mark.parametrize("wrong", [{"knots": 5}, {"curve_accel_mps2": 0.0}, {"ease_mps2": -1.0}])

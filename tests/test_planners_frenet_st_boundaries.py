@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,8 +13,10 @@ from worlds import CAR, Other, along_x, driving, path_of, reference, scene, stan
 from logs import AgentKind, DecisionKind, EgoState
 from logs.kernel import FloatArray
 from logs.shapes import overlap
+from planners.dp_qp.speed.braking import BARE, CLEAR, ONWARD, TOUCHING
+from planners.frenet.occupancy import Occupancy
 from planners.frenet.path import Path
-from planners.frenet.scene import behind
+from planners.frenet.scene import Scene, behind
 from planners.frenet.st_boundaries import StBoundaries, StGraphConfig, decide_speed, st_boundaries
 
 SEED = st.integers(0, 2**32 - 1)
@@ -144,3 +148,57 @@ def test_words_for_what_is_done() -> None:
     assert decided(driving("it", 20.0, 0.0, 5.0), slow) is DecisionKind.FOLLOW
     assert decided(driving("it", 40.0, -6.0, 0.0, 1.5), slow) is DecisionKind.YIELD
     assert decided(driving("it", 40.0, -9.0, 0.0, 1.5), quick) is DecisionKind.OVERTAKE
+
+
+CROWDS = st.lists(
+    st.tuples(st.floats(0.0, 70.0), st.floats(-9.0, 9.0), st.floats(-8.0, 8.0), st.floats(-4.0, 4.0), st.booleans()),
+    max_size=6,
+)  # fmt: skip
+
+
+def crowd(rows: list[tuple[float, float, float, float, bool]]) -> Scene:
+    """Cars and pedestrians at (x, y) with velocities."""
+    kinds = (AgentKind.PEDESTRIAN, 0.5, 0.6), (AgentKind.CAR, 4.5, 1.8)
+    return scene(ROAD, EGO, [
+        replace(driving(f"it{i}", x, y, vx, vy, length=length, width=width), kind=kind)
+        for i, (x, y, vx, vy, drives) in enumerate(rows) for kind, length, width in (kinds[drives],)
+    ])  # fmt: skip
+
+
+@given(CROWDS, st.sampled_from([CLEAR, ONWARD, TOUCHING, BARE]), st.booleans())
+@settings(max_examples=40)
+def test_who_is_not_met_with_wide_margins_is_not_met_with_narrow_ones(
+    rows: list[tuple[float, float, float, float, bool]], narrow: StGraphConfig, passed: bool
+) -> None:
+    """So that with narrower margins only those are swept again who were found: the same rows, bit by bit."""
+    now, none = crowd(rows), np.zeros(len(rows), np.bool_)
+    names = frozenset(now.frame.agents.ids[:2]) if passed else frozenset()
+    found = st_boundaries(now, STRAIGHT, none, names, StGraphConfig())
+    others = none.copy()
+    others[np.setdiff1d(np.arange(len(rows)), found.agent)] = True
+    every, again = (st_boundaries(now, STRAIGHT, skip, names, narrow) for skip in (none, others))
+    for column in ("t", "agent", "lower", "upper", "speed", "probability"):
+        np.testing.assert_array_equal(getattr(again, column), getattr(every, column))
+
+
+STOPS = st.lists(st.tuples(st.floats(0.0, 80.0), st.sampled_from([2.05, 4.0, np.inf])), max_size=3)
+
+
+@given(CROWDS, STOPS, st.floats(0.0, 12.0), st.floats(-1.5, 1.5))
+@settings(max_examples=40)
+def test_a_stop_is_a_row_that_must_not_be_passed_while_it_lasts(
+    rows: list[tuple[float, float, float, float, bool]], stops: list[tuple[float, float]], v: float, a: float
+) -> None:
+    agents = st_boundaries(crowd(rows), STRAIGHT, np.zeros(len(rows), np.bool_), frozenset(), AS_PREDICTED)
+    whole = agents.with_stops([Occupancy(f"stop {i}", s, until=until) for i, (s, until) in enumerate(stops)])
+    assert len(whole) == len(agents) + len(stops) and (whole.agent[len(agents) :] == -1).all()
+    only = whole.only(np.arange(len(whole)) < len(agents))
+    for column in ("agent", "lower", "upper", "speed", "probability"):
+        np.testing.assert_array_equal(getattr(only, column), getattr(agents, column))
+    t = whole.t
+    s = np.maximum.accumulate(np.maximum(v * t + 0.5 * a * t * t, 0.0))
+    passes = any((s[t < until] > stop).any() for stop, until in stops)
+    assert whole.meets(t, s) == (agents.meets(t, s) or passes)
+    assert whole.leave(t, s, 0.0) == (agents.leave(t, s, 0.0) and not passes)
+    assert whole.first == min([agents.first, *(stop for stop, _ in stops)])
+    np.testing.assert_array_equal(agents.with_stops(()).lower, agents.lower)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from logs.kernel import FloatArray
 from planners.dp_qp.speed.braking import PATIENCE_S, BrakingLadder, BrakingMemory, Case, SolvedSpeed
 from planners.dp_qp.speed.qp import SpeedProblem, SpeedQpConfig
-from planners.frenet.profiles import STEP_S, Limits
+from planners.frenet.profiles import STEP_S, Limits, SpeedLimits
 from planners.frenet.st_boundaries import StBoundaries
 
 CONFIG, GAP, MOST = SpeedQpConfig(), 1.0, 9.0
@@ -171,3 +171,47 @@ def test_full_braking_goes_on_until_the_whole_gap_is_kept() -> None:
     assert full.is_full
     assert solve(v, half, 1.1, memory)[0].is_full
     assert not solve(v, half, 1.1)[0].is_full
+
+
+HARDER = [f"hard braking, up to {level.decel_mps2:.1f} m/s2, keeps" for level in CONFIG.ladder()[1:]]
+
+
+def mildest(v: float, s: float) -> str:
+    """What of the ladder holds first behind who stands from station `s` on, by braking alone: the reason's first words.
+
+    Driving on is none of it: who stands there for the whole horizon is met.
+    """
+    comfort, *harder = CONFIG.ladder()
+
+    def keeps(level: SpeedLimits, share: float, given: float) -> bool:
+        return bool((Limits(level).braking((v, 0.0), CONFIG.knots, share=share)[0] <= s - GAP + given).all())
+
+    if keeps(comfort, 0.97, 0.5 * GAP):
+        return ""
+    if keeps(comfort, 1.0, 0.7 * GAP):
+        return "comfortable braking, which is clear"
+    held = [words for words, level in zip(HARDER, harder, strict=True) if keeps(level, 0.85, 0.0)]
+    if held:
+        return held[0] + " the distance"
+    if keeps(harder[-1], 0.97, 0.0):
+        return HARDER[-1] + " the distance"
+    return HARDER[-1] + " half of the distance" if keeps(harder[-1], 0.97, 0.5 * GAP) else "full braking"
+
+
+@given(st.floats(4.0, 20.0), st.floats(0.3, 1.2))
+@settings(max_examples=60, deadline=None)
+def test_a_milder_rung_that_holds_is_preferred(v: float, share: float) -> None:
+    s = GAP + share * float(Limits(CONFIG.comfort).braking((v, 0.0), CONFIG.knots)[0, -1])
+    expected = mildest(v, s)
+    found = solved(v, blocked(s, END, 0.0, 8.0))
+    assert len(found.reports) <= 1
+    assert found.reason.startswith(expected) and bool(found.reason) == bool(expected)
+
+
+def test_every_rung_is_the_mildest_somewhere() -> None:
+    """That is: the law above looks at all of them."""
+    stop = float(Limits(CONFIG.comfort).braking((14.0, 0.0), CONFIG.knots)[0, -1])
+    words = {solved(14.0, blocked(GAP + share * stop, END, 0.0, 8.0)).reason for share in np.arange(0.2, 1.2, 0.005)}
+    for rung in ("comfortable", *HARDER, f"{HARDER[-1]} half", "full braking, which leaves", "full braking comes"):
+        assert any(reason.startswith(rung) for reason in words), rung
+    assert "" in words

@@ -123,10 +123,10 @@ class Liar(Idm):
         plan = super().plan(frame)
         t = plan.trajectory
         bent = 0.6 * np.sin(2.0 * (t.t - t.t[0])) ** 3
-        told = replace(
+        said = replace(
             t, x=t.x - bent * np.sin(t.yaw), y=t.y + bent * np.cos(t.yaw), a=np.zeros(len(t)), kappa=np.zeros(len(t))
         )
-        return replace(plan, trajectory=told)
+        return replace(plan, trajectory=said)
 
 
 class Short(Idm):

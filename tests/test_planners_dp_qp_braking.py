@@ -30,7 +30,7 @@ def problem(v: float, a: float, upper: FloatArray) -> SpeedProblem:
 
 
 def behind(v: float, blocks: StBoundaries, a: float = 0.0) -> SpeedProblem:
-    """The ego stays behind whoever blocks."""
+    """The ego stays behind the agent who blocks."""
     return problem(v, a, np.fmin(np.full(len(T), END), blocks.lower[0] - GAP))
 
 
@@ -40,7 +40,7 @@ LADDER, NOTHING = BrakingLadder(CONFIG, GAP, MOST), BrakingMemory()
 def solve(
     v: float, blocks: StBoundaries, t: float = 0.0, memory: BrakingMemory = NOTHING, *, ladder: BrakingLadder = LADDER
 ) -> tuple[SolvedSpeed, BrakingMemory]:
-    """What is driven behind whoever blocks, and what is remembered of it."""
+    """What is driven behind the agent who blocks, and what is remembered of it."""
     solved = ladder.solve(Case(behind(v, blocks), lambda margins: blocks, t, memory))
     return solved, memory.after(t, solved)
 

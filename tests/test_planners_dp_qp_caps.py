@@ -98,7 +98,7 @@ X = 0.5 * np.arange(200)
 
 
 def seen(d: float, ahead: float, kind: AgentKind) -> PathView:
-    """Hidden ground, somebody who came to the path, and somebody who goes along the lane, `d` m beside the ego."""
+    """Hidden ground, an agent who came to the path, and one who goes along the lane, `d` m beside the ego."""
     side, x = 0.5 * CAR.width + d, EGO.x + ahead
     corners = np.array([[x, side], [x + 20.0, side], [x + 20.0, side + 5.0], [x, side + 5.0]])
     sight = Visibility(EGO.x, 0.0, 0.0, 100.0, 2.0 * np.pi, corners[None])
@@ -115,9 +115,9 @@ def seen(d: float, ahead: float, kind: AgentKind) -> PathView:
 def test_the_speed_in_a_sentence_is_the_speed_of_the_cap(d: float, ahead: float, kind: AgentKind) -> None:
     looked = seen(d, ahead, kind)
     for producer in (occlusion.caps, hesitant_pedestrians.caps, passing_speed.caps):
-        told = [cap for cap in producer(looked) if cap.reason]
-        assert told
-        for cap in told:
+        said = [cap for cap in producer(looked) if cap.reason]
+        assert said
+        for cap in said:
             assert cap.agent in ("hidden ground", "came", "goes") and cap.is_bound
             assert re.findall(r"([\d.]+) m/s", cap.reason) == [f"{cap.v:.1f}"]
 

@@ -134,7 +134,7 @@ def test_of_two_regions_the_one_in_the_lane_is_met_and_between_them_the_middle_i
         np.testing.assert_allclose(one, two, atol=1e-6)
 
 
-def test_nobody_steers_hard_for_a_goal() -> None:
+def test_the_ego_does_not_steer_hard_for_a_goal() -> None:
     """It begins 10 m ahead, 1.2 m beside the middle of a wide lane, at 15 m/s."""
     trace = drive_to(rectangle(19.0, 1.7, 18.0, 1.0), (0.0, 6.0), Road({0: strip(0, along_x(-20.0, 300.0), 7.0)}), 15.0)
     assert np.abs(trace.ego.v**2 * trace.ego.kappa).max() < 4.0

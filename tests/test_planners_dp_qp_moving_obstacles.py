@@ -118,7 +118,7 @@ def test_the_more_room_the_faster_and_beside_them_only(room: float, kind: AgentK
         for x in np.linspace(0.0, stop, 50):  # as far before them, at v: past in time, or stopped in time
             assert x <= v * room / w + 1e-9 or v * REACTION_S + v * v / (2.0 * BRAKE) <= x + 1e-9 or v == LEAST_MPS
     near = limit_of(replace(seen, margin_m=room + 0.1), passing_speed.caps).v
-    assert (near == limit).all()  # to whom it comes nearer than the margin is followed
+    assert (near == limit).all()  # an agent nearer to the path than the margin is followed
 
 
 # drives
@@ -186,8 +186,8 @@ def test_in_a_wide_lane_they_are_passed_with_room(side: float, kind: AgentKind) 
 def test_a_free_lane_beside_is_borrowed_for_them_and_the_record_says_so() -> None:
     found = drive(lanes(along_x(-20.0, 400.0), 2), [(40.0, -0.8, 4.0)])
     assert found.before > 10.0 and found.room > 1.4 and found.trace.ego.y.max() < 3.0
-    told = [item for one in found.trace.frames for item in one.plan.internals if isinstance(item, Candidates)]
-    assert any(item.stage == "passing" and item.rejected[0][0].startswith("keep: costs") for item in told)
+    counted = [item for one in found.trace.frames for item in one.plan.internals if isinstance(item, Candidates)]
+    assert any(item.stage == "passing" and item.rejected[0][0].startswith("keep: costs") for item in counted)
 
 
 def test_the_facing_lane_is_borrowed_for_them_where_no_one_comes() -> None:
@@ -218,8 +218,8 @@ def chosen(trace: Trace) -> str:
     """Frame by frame: P passes, k could but keeps behind, - no one is to be passed."""
     out = ""
     for one in trace.frames:
-        told = [i.rejected[0][0] for i in one.plan.internals if isinstance(i, Candidates) and i.stage == "passing"]
-        out += "-" if not told else "P" if told[0].startswith("keep:") else "k"
+        why = [i.rejected[0][0] for i in one.plan.internals if isinstance(i, Candidates) and i.stage == "passing"]
+        out += "-" if not why else "P" if why[0].startswith("keep:") else "k"
     return out
 
 

@@ -35,7 +35,7 @@ def test_the_facing_lane_adjoins_where_its_marking_may_be_crossed(right: bool) -
 
 
 @pytest.mark.parametrize("right", [True, False])
-def test_who_blocks_the_lane_is_passed_where_nobody_comes(right: bool) -> None:
+def test_who_blocks_the_lane_is_passed_where_no_one_comes(right: bool) -> None:
     drive = driven(two_way(right=right), [THING])
     y = np.array([now.ego.y for now, _ in drive]) * (1.0 if right else -1.0)
     assert drive[-1][0].ego.x > 120.0 and y.max() > 2.5 and abs(y[-1]) < 0.3

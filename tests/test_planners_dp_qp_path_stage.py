@@ -140,7 +140,7 @@ def test_the_room_is_widened_for_an_ego_outside_of_it(l0: float, dl0: float, ddl
     np.testing.assert_array_equal(wide.lower[far], space.lower[far])
 
 
-def test_nobody_may_move_on_a_lane_that_is_borrowed() -> None:
+def test_no_agent_may_move_on_a_lane_that_is_borrowed() -> None:
     two = reference(along_x(), 2)
 
     def free(*others: Other) -> tuple[bool, bool]:

@@ -253,7 +253,7 @@ def traffic(draw: st.DrawFn) -> list[Other]:
 
 @given(st.floats(0.0, 14.0), traffic())
 @settings(max_examples=50)
-def test_a_plan_meets_nobody_as_predicted_or_says_that_it_cannot_be_avoided(v: float, others: list[Other]) -> None:
+def test_a_plan_touches_no_one_as_predicted_or_says_that_it_cannot_be_avoided(v: float, others: list[Other]) -> None:
     ego = replace(EGO, v=v)
     now = frame(ego, others)
     plan = planner(TWO, ego).plan(now)
@@ -264,7 +264,7 @@ def test_a_plan_meets_nobody_as_predicted_or_says_that_it_cannot_be_avoided(v: f
         assert plan.status is PlanStatus.HARD_STOP
 
 
-def test_whom_the_ego_cannot_pass_first_it_lets_go() -> None:
+def test_an_agent_that_the_ego_cannot_pass_first_is_let_go() -> None:
     """The DP, which knows no jerk, would be there first; the QP cannot."""
     ego = replace(EGO, v=2.03)
     now = frame(ego, [driving("it", 29.565, 35.408, 0.0, -6.6046)])
@@ -303,8 +303,8 @@ def test_parked_cars_are_passed_on_the_free_side(side: float) -> None:
     assert drive[-1][0].ego.x > 120.0
     for name, kind in zip(("first", "second"), expected, strict=True):
         assert gaps(drive, name).min() > 0.5
-        told = {decided(plan, name, "path") for _, plan in drive}
-        assert told <= {kind, None}
+        kinds = {decided(plan, name, "path") for _, plan in drive}
+        assert kinds <= {kind, None}
 
 
 @pytest.mark.parametrize("blocked", [False, True])
@@ -365,8 +365,8 @@ ODD: dict[str, tuple[EgoState, Road, Sequence[Other]]] = {
     "beyond the end of the road": (replace(EGO, x=420.0), ONE, ()),
     "before its begin": (replace(EGO, x=-80.0), ONE, ()),
     "200 others": (EGO, TWO, crowd(200)),
-    "somebody on the ego": (EGO, TWO, [standing("it", 1.0, 0.2)]),
-    "somebody on the standing ego": (replace(EGO, v=0.0), TWO, [standing("it", 1.0, 0.2)]),
+    "an agent on the ego": (EGO, TWO, [standing("it", 1.0, 0.2)]),
+    "an agent on the standing ego": (replace(EGO, v=0.0), TWO, [standing("it", 1.0, 0.2)]),
     "an obstacle in the centre of a turn": (EGO, lanes(TIGHT), [standing("it", 40.0, 5.0, length=1.0, width=1.0)]),
     "a wide road round a tight turn": (EGO, lanes(TIGHT, 3), [standing("it", 43.0, -0.5)]),
     "a loop beyond 360 degrees": (replace(EGO, v=5.0), lanes(LOOP), ()),
@@ -465,7 +465,7 @@ def test_the_stop_keeps_to_the_path_of_the_frame(monkeypatch: pytest.MonkeyPatch
     assert plan.status is PlanStatus.COMFORTABLE_STOP and np.abs(column(plan, "kappa")).max() > 0.02
 
 
-def test_a_previous_plan_that_meets_somebody_is_not_driven_on(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_previous_plan_that_meets_an_agent_is_not_driven_on(monkeypatch: pytest.MonkeyPatch) -> None:
     driver, previous = one_plan()
     failing(PathQp, monkeypatch)
     ego = previous.trajectory.at(0.1)
@@ -505,7 +505,7 @@ def test_the_rest_of_a_previous_plan_is_driven_to_its_end(monkeypatch: pytest.Mo
     assert ego.v < EGO.v
 
 
-def test_what_cannot_be_avoided_is_braked_for_and_told() -> None:
+def test_what_cannot_be_avoided_is_braked_for_and_reported() -> None:
     _, plan = one_plan([standing("it", 9.0, 0.0, width=9.0)])
     assert plan.status is PlanStatus.HARD_STOP and "full braking comes" in plan.reason
     assert column(plan, "a").min() == pytest.approx(-CAR.max_decel, abs=0.2)
@@ -526,14 +526,14 @@ def test_an_unlikely_hypothesis_binds_only_where_hard_braking_would_come_too_lat
     ahead: float, share: float, *, brakes: bool
 ) -> None:
     plan = planner(ONE, EGO).plan(perhaps(ahead, share))
-    told = [each for each in plan.internals if isinstance(each, Decision) and each.stage == "speed"]
-    ignored = [each.reason for each in told if each.kind is DecisionKind.IGNORE]
+    made = [each for each in plan.internals if isinstance(each, Decision) and each.stage == "speed"]
+    ignored = [each.reason for each in made if each.kind is DecisionKind.IGNORE]
     assert bool(column(plan, "a").min() < -0.5) is brakes
     assert bool(ignored) is not brakes
     assert all("unlikely (15%)" in reason for reason in ignored)
 
 
-def test_where_only_the_hardest_braking_keeps_the_distance_that_is_told() -> None:
+def test_where_only_the_hardest_braking_keeps_the_distance_the_reason_says_so() -> None:
     half, less = "hard braking, up to 7.5 m/s2, keeps half of the distance", "full braking, which leaves"
     for ahead, words in ((13.0, half), (12.4, less)):
         _, plan = one_plan([standing("it", ahead, 0.0, width=15.0)])

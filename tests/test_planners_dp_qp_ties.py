@@ -50,9 +50,9 @@ def test_plans_of_the_catalogue_do_not_hang_on_rounding(name: str) -> None:
 
 
 @pytest.mark.parametrize("v", [5.0, 6.0, 8.0, 10.0, 11.0, 12.5])  # rows and lengths of the grids end at such speeds
-@pytest.mark.parametrize("ahead", ["nobody", "standing", "slower"])
+@pytest.mark.parametrize("ahead", ["none", "standing", "slower"])
 def test_round_speeds_and_distances_are_like_their_neighbours(v: float, ahead: str) -> None:
-    others = {"nobody": [], "standing": [standing("a", 50.25, 0.0)], "slower": [driving("a", 30.0, 0.0, v - 5.0)]}
+    others = {"none": [], "standing": [standing("a", 50.25, 0.0)], "slower": [driving("a", 30.0, 0.0, v - 5.0)]}
     road, plans = lanes(along_x(), 1), []
     for off in (0.0, -TINY, TINY):
         ego = EgoState(0.0, off, 0.0, 0.0, v + off)

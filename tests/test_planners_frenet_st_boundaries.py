@@ -58,7 +58,7 @@ def met(path: Path, other: Other, t: float, margin: float) -> FloatArray:
 
 @st.composite
 def crossings(draw: st.DrawFn) -> tuple[Path, Other]:
-    """A path with a turn of any tightness, and somebody who passes near it at some time."""
+    """A path with a turn of any tightness, and an agent who passes near it at some time."""
     path = turning(draw(st.sampled_from([4.0, 8.0, 15.0, 40.0, 1e6])), draw(st.floats(0.5, 3.0)))
     i = draw(st.integers(0, len(path.sigma) - 1))
     yaw, speed = draw(st.floats(-np.pi, np.pi)), draw(st.floats(0.0, 20.0))

@@ -135,7 +135,7 @@ def drive(
     return Trajectory(*map(np.array, columns)), plans
 
 
-def told(plan: Plan, name: str) -> Decision | None:
+def said(plan: Plan, name: str) -> Decision | None:
     found = [item for item in plan.internals if isinstance(item, Decision) and item.agent == name]
     return found[0] if found else None
 
@@ -197,7 +197,7 @@ def test_a_mirrored_junction_demands_the_same(front: float, v: float, y: float, 
         assert (a.s_from, a.until) == pytest.approx((b.s_from, b.until), abs=1e-6)
 
 
-def test_nobody_knows_when_a_light_will_change() -> None:
+def test_it_is_not_known_when_a_light_will_change() -> None:
     """Until the light changes in one of two logs, every plan is the same to the last bit."""
     line = straight(LIGHT)
     log = handmade.scenario(handmade.drive(handmade.straight, 12.0, 6.0), road=line, duration=6.0)
@@ -227,7 +227,7 @@ def test_red_stops_before_the_line_and_green_lets_go(name: str, v: float) -> Non
     assert waiting.v.max() < 0.1
     assert motion.a.min() >= -3.0 - 1e-6
     assert motion.at(green + 1.5).v > 0.3
-    decision = told(plans[20], "stop line 7")
+    decision = said(plans[20], "stop line 7")
     assert decision is not None
     assert (decision.kind, decision.reason) == (DecisionKind.STOP, "red light 9")
 
@@ -245,7 +245,7 @@ def test_who_brakes_for_a_yellow_goes_on_braking() -> None:
     for ahead in np.arange(34.0, 44.0, 1.25):
         ego = at_front(LINE_X - ahead, 13.0)
         motion, plans = drive("dp_qp", straight(LIGHT), ego, seconds=6.0, lights=lambda t: {9: Colour.YELLOW})
-        stops = told(plans[0], "stop line 7") is not None
+        stops = said(plans[0], "stop line 7") is not None
         assert (motion.x[-1] + FRONT < LINE_X) == stops
         assert motion.a.min() >= -3.05
 
@@ -329,10 +329,10 @@ def test_who_stands_before_the_crosswalk_is_let_go_but_not_waited_for_for_ever()
     assert motion.x[motion.v < 0.1].max() + FRONT < 100.0
     assert motion.x[-1] + FRONT > 106.0
     assert motion.a.min() > -3.05
-    assert told(plans[60], "crosswalk 3") is not None
+    assert said(plans[60], "crosswalk 3") is not None
 
 
-def test_on_a_crosswalk_nobody_is_braked_for_hard_who_only_stands_there() -> None:
+def test_on_a_crosswalk_who_only_stands_there_is_not_braked_for_hard() -> None:
     patient = waiter("p", 102.0, -6.6, yaw=0.5 * np.pi)
     assert demands(straight(crosswalks=[WALK]), at_front(80.0, 12.0), [patient]) == ()
     assert demands(straight(crosswalks=[WALK]), at_front(80.0, 12.0), [walker("p", 102.0, -5.0, 1.2)])
@@ -426,12 +426,12 @@ def test_who_is_behind_the_zone_or_leaves_it_demands_nothing() -> None:
 
 
 def test_no_stop_where_lanes_cross() -> None:
-    """A queue behind the junction leaves no room: the ego waits before it, though nobody comes."""
+    """A queue behind the junction leaves no room: the ego waits before it, though no one comes."""
     queue = [standing("last", 109.0, 0.0), standing("first", 115.5, 0.0)]
     motion, plans = drive("dp_qp", junction(), at_front(60.0, 8.0), queue, seconds=12.0)
     assert motion.v[-1] == pytest.approx(0.0, abs=0.05)
     assert motion.x[-1] + FRONT < 98.2
-    decision = told(plans[-1], "lane 11")
+    decision = said(plans[-1], "lane 11")
     assert decision is not None
     assert "no room" in decision.reason
 
@@ -455,14 +455,14 @@ def test_a_road_without_rules_demands_nothing() -> None:
 @pytest.mark.parametrize(
     "who", [standing("parked", 109.0, -1.5), waiter("p", 102.0, -2.0, np.pi)], ids=["car", "walker"]
 )
-def test_nobody_who_stands_at_the_edge_keeps_the_ego_before_a_crosswalk_for_ever(who: Other) -> None:
+def test_who_stands_at_the_edge_does_not_keep_the_ego_before_a_crosswalk_for_ever(who: Other) -> None:
     """A parked car behind it that the path passes; a pedestrian who stands half on the lane's edge."""
     trajectory, _ = drive("dp_qp", straight(crosswalks=[WALK]), EgoState(0.0, 60.0, 0.0, 0.0, 8.0), [who], seconds=25.0)
     assert trajectory.x[-1] > 120.0
 
 
-def test_waiting_for_one_pedestrian_lets_nobody_go_over_the_next() -> None:
-    """Who waited in a queue, and drives on, has not waited for whoever stands there then."""
+def test_waiting_for_one_pedestrian_does_not_let_the_ego_go_over_the_next() -> None:
+    """Who waited in a queue, and drives on, has not waited for those who stand there then."""
     road = straight(crosswalks=[WALK])
     memory, found = RuleMemory(), []
     for t, front, v, name in ((0.0, 91.0, 0.0, "p"), (2.9, 93.0, 2.0, "p"), (60.0, 93.0, 5.0, "q")):

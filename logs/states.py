@@ -80,15 +80,21 @@ class Trajectory:
     kappa: FloatArray
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            column = frozen(getattr(self, field.name))
-            if column.shape != (len(self.t),) or not len(column):
-                raise ValueError(f"{field.name} has shape {column.shape}, expected ({len(self.t)},) and not empty")
-            if not np.isfinite(column).all():
-                raise ValueError(f"{field.name} is not finite at index {int(np.argmin(np.isfinite(column)))}")
-            object.__setattr__(self, field.name, frozen(np.unwrap(column)) if field.name == "yaw" else column)
-        if len(self.t) > 1 and not (np.diff(self.t) > 0.0).all():
-            raise ValueError(f"time does not increase after {self.t[int(np.argmin(np.diff(self.t) > 0.0))]} s")
+        columns = [np.asarray(getattr(self, name), dtype=np.float64) for name in TRAJECTORY_COLUMNS]
+        for name, column in zip(TRAJECTORY_COLUMNS, columns, strict=True):
+            if column.shape != (len(columns[0]),) or not len(column):
+                raise ValueError(f"{name} has shape {column.shape}, expected ({len(columns[0])},) and not empty")
+        rows = np.stack(columns)
+        turns, not_finite, still = _looked_through(rows)
+        if not_finite >= 0:
+            name, index = TRAJECTORY_COLUMNS[not_finite // rows.shape[1]], not_finite % rows.shape[1]
+            raise ValueError(f"{name} is not finite at index {index}")
+        if still >= 0:
+            raise ValueError(f"time does not increase after {rows[0, still]} s")
+        if turns:
+            rows[YAW_ROW] = np.unwrap(rows[YAW_ROW])
+        for name, row in zip(TRAJECTORY_COLUMNS, frozen(rows), strict=True):
+            object.__setattr__(self, name, row)
 
     def __len__(self) -> int:
         return len(self.t)
@@ -115,6 +121,25 @@ class Trajectory:
 
 
 TRAJECTORY_COLUMNS = tuple(field.name for field in fields(Trajectory))
+YAW_ROW = TRAJECTORY_COLUMNS.index("yaw")
+
+
+@kernel
+def _looked_through(rows: FloatArray) -> tuple[bool, int, int]:
+    """Whether the yaw jumps; the first value that is not finite (flat index) and the first time not below the next.
+
+    -1 where there is none; `rows` are the columns `(7, n)`.
+    """
+    turns, count = False, rows.shape[1]
+    for i in range(rows.shape[0]):
+        for k in range(count):
+            if not np.isfinite(rows[i, k]):
+                return turns, i * count + k, -1
+    for k in range(count - 1):
+        turns = turns or not abs(rows[YAW_ROW, k + 1] - rows[YAW_ROW, k]) < pi
+        if not rows[0, k + 1] > rows[0, k]:
+            return turns, -1, k
+    return turns, -1, -1
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -27,8 +27,8 @@ RHO = 0.1
 WORDS = {
     piqp.PIQP_SOLVED: "solved",
     piqp.PIQP_MAX_ITER_REACHED: "iterations spent",
-    piqp.PIQP_PRIMAL_INFEASIBLE: "called infeasible",
-    piqp.PIQP_DUAL_INFEASIBLE: "called unbounded",
+    piqp.PIQP_PRIMAL_INFEASIBLE: "infeasible",
+    piqp.PIQP_DUAL_INFEASIBLE: "unbounded",
 }
 """What PIQP's statuses mean."""
 

@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.kernel import BoolArray, FloatArray, IntArray, frozen, kernel
 from logs.shapes import overlap_turned
 from logs.states import wrap
 from logs.trace import Decision, DecisionKind, GraphObstacle
@@ -150,28 +150,34 @@ def st_boundaries(
     """
     agents, futures, car = scene.frame.agents, scene.frame.predictions, scene.vehicle
     stride = max(1, round(config.step_s / float(futures.t[1] - futures.t[0]))) if len(futures.t) > 1 else 1
-    t = futures.t[::stride] - scene.frame.t
-    rows = np.flatnonzero(~skip[futures.agent]) if len(futures) else np.empty(0, np.int64)
     margin = np.where(scene.vulnerable, config.vulnerable_margin_m, config.margin_m)
-    for row, name in enumerate(agents.ids if passed else ()):
+    for i, name in enumerate(agents.ids if passed else ()):
         if name in passed:
-            margin[row] = config.passed_margin_m
-    x, y, yaw = (way[rows, ::stride] for way in (futures.x, futures.y, futures.yaw))
-    agent = futures.agent[rows]
-    for i in np.flatnonzero(_is_slow(scene, agent, config.brisk_mps)):
-        ahead = t * config.brisk_mps / scene.speed[agent[i]]
-        x[i], y[i], yaw[i] = (_beyond(ahead, t, way[i]) for way in (x, y, yaw))
-    found, lower, upper, speed = _swept(
-        np.vstack([path.sigma, path.x, path.y, path.yaw]), t, agent, x, y, yaw, agents.length, agents.width, margin,
-        agents.vx, agents.vy, Swept(car.axle_to_center, car.length, car.width, config.early_s, config.late_s),
+            margin[i] = config.passed_margin_m
+    ways = _brisk(scene, config.brisk_mps) if config.brisk_mps > 0.0 else (futures.x, futures.y, futures.yaw)
+    t, found, lower, upper, speed = _swept(
+        np.vstack([path.sigma, path.x, path.y, path.yaw]), futures.t, scene.frame.t, stride, futures.agent, skip, *ways,
+        agents.length, agents.width, margin, agents.vx, agents.vy,
+        Swept(car.axle_to_center, car.length, car.width, config.early_s, config.late_s),
     )  # fmt: skip
-    return StBoundaries(t, agent[found], lower, upper, speed, futures.probability[rows[found]])
+    return StBoundaries(t, futures.agent[found], lower, upper, speed, futures.probability[found])
+
+
+def _brisk(scene: Scene, brisk: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """The predictions x, y, yaw `(n, k)`, who walks or rides slower than `brisk`, m/s, as fast as that on their way."""
+    futures = scene.frame.predictions
+    t, slow = futures.t - scene.frame.t, _is_slow(scene, futures.agent, brisk)
+    ways = [way.copy() for way in (futures.x, futures.y, futures.yaw)]
+    for i in np.flatnonzero(slow):
+        ahead = t * brisk / scene.speed[futures.agent[i]]
+        for way in ways:
+            way[i] = _beyond(ahead, t, way[i])
+    x, y, yaw = (frozen(way) for way in ways)
+    return x, y, yaw
 
 
 def _is_slow(scene: Scene, agent: IntArray, brisk: float) -> BoolArray:
     """Which of the predicted agents `(n,)` walk or ride slower than `brisk`, m/s, but do not stand."""
-    if not brisk > 0.0:
-        return np.zeros(len(agent), np.bool_)
     speed = scene.speed[agent]
     return np.asarray(scene.vulnerable[agent] & (speed > CREEPING_MPS) & (speed < brisk))
 
@@ -184,32 +190,36 @@ def _beyond(ahead: FloatArray, t: FloatArray, way: FloatArray) -> FloatArray:
 
 @kernel
 def _swept(
-    path: FloatArray, t: FloatArray, agent: IntArray, x: FloatArray, y: FloatArray, yaw: FloatArray,
-    length: FloatArray, width: FloatArray, margin: FloatArray, vx: FloatArray, vy: FloatArray, ego: Swept,
-) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
-    """The predictions `(n, k)` that take the path: their rows `(m,)`, lower and upper `(m, k)`, speed along `(m,)`.
+    path: FloatArray, times: FloatArray, now: float, stride: int, agent: IntArray, skip: BoolArray,
+    x: FloatArray, y: FloatArray, yaw: FloatArray, length: FloatArray, width: FloatArray, margin: FloatArray,
+    vx: FloatArray, vy: FloatArray, ego: Swept,
+) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
+    """The predictions that take the path: times from now `(m,)`, their rows `(r,)`, lower, upper `(r, m)`, speed `(r,)`.
 
-    `path` has the rows sigma, x, y, yaw `(4, points)`; size, margin and velocity are those of the agents.
+    Times are `stride` samples apart; `path` has the rows sigma, x, y, yaw `(4, points)`; predictions are `(n, k)`; whom to `skip`, size, margin and
+    velocity are the agents'.
     """
     boxes, spacing = _ego_boxes(path, ego.rear_to_center)
     low_x, high_x, low_y, high_y = boxes[0].min(), boxes[0].max(), boxes[1].min(), boxes[1].max()
-    rows = np.empty(len(x), np.int64)
-    lower, upper, speed = np.empty(x.shape), np.empty(x.shape), np.empty(len(x))
+    t = times[::stride] - now
+    rows, speed = np.empty(len(x), np.int64), np.empty(len(x))
+    lower, upper = np.empty((len(x), len(t))), np.empty((len(x), len(t)))
     count = 0
     for i in range(len(x)):
         who = agent[i]
+        if skip[who]:
+            continue
         size = length[who], width[who]
         ego_width = ego.width + 2.0 * margin[who]
         reach = 0.5 * hypot(ego.length, ego_width) + 0.5 * hypot(size[0], size[1])
         taken = False
-        for k in range(x.shape[1]):
+        for k in range(len(t)):
             lower[count, k] = upper[count, k] = np.nan
-            if (
-                x[i, k] < low_x - reach or x[i, k] > high_x + reach
-                or y[i, k] < low_y - reach or y[i, k] > high_y + reach
-            ):  # fmt: skip
+            at_x, at_y = x[i, k * stride], y[i, k * stride]
+            if not (low_x - reach <= at_x <= high_x + reach and low_y - reach <= at_y <= high_y + reach):
                 continue
-            other = x[i, k], y[i, k], cos(yaw[i, k]), sin(yaw[i, k]), size[0], size[1]
+            heading = yaw[i, k * stride]
+            other = at_x, at_y, cos(heading), sin(heading), size[0], size[1]
             met = _first_met(boxes, 0, 1, spacing, reach, ego.length, ego_width, other)
             if met >= 0:
                 last = _first_met(boxes, boxes.shape[1] - 1, -1, spacing, reach, ego.length, ego_width, other)
@@ -218,11 +228,11 @@ def _swept(
                 taken = True
         if taken:
             rows[count] = i
-            entry = _drawn_out(t, lower[count], upper[count], ego.early, ego.late)
+            entry = _drawn_out(t, lower[count], upper[count], ego.early, ego.late)  # (2)
             at = min(int(np.searchsorted(path[0], entry)), path.shape[1] - 1)
             speed[count] = vx[who] * cos(path[3, at]) + vy[who] * sin(path[3, at])  # (3)
             count += 1
-    return rows[:count].copy(), lower[:count].copy(), upper[:count].copy(), speed[:count].copy()
+    return t, rows[:count].copy(), lower[:count].copy(), upper[:count].copy(), speed[:count].copy()
 
 
 @kernel

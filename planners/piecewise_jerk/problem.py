@@ -17,6 +17,7 @@ Units: those of x (m) and t (m or s); cost without unit.
 from __future__ import annotations
 
 from functools import lru_cache
+from math import isfinite, nan
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -69,7 +70,7 @@ def largest_violation(problem: PiecewiseJerkProblem, curve: FloatArray) -> float
     What gives way in (6) does not count.
     """
     h, lower, upper = problem.step, problem.lower, problem.upper
-    x, dx, ddx = curve
+    x, dx, ddx = curve[0], curve[1], curve[2]
     worst = max(abs(x[0] - problem.start[0]), abs(dx[0] - problem.start[1]), abs(ddx[0] - problem.start[2]))
     for i in range(1, curve.shape[1]):
         jerk = (ddx[i] - ddx[i - 1]) / h  # (3)
@@ -82,7 +83,10 @@ def largest_violation(problem: PiecewiseJerkProblem, curve: FloatArray) -> float
             for k in range(len(problem.leads)):
                 ahead = x[i] + problem.leads[k] * dx[i]
                 worst = max(worst, lower[LEADS + k, i] - ahead, ahead - upper[LEADS + k, i])
-    return worst if np.isfinite(curve).all() else np.nan
+    for i in range(curve.shape[1]):
+        if not isfinite(x[i] + dx[i] + ddx[i]):
+            return nan
+    return worst
 
 
 class Structure(NamedTuple):

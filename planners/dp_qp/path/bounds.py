@@ -144,6 +144,8 @@ def standing_obstacles(scene: Scene, length: float, *, facing: bool = False) -> 
 
     With `facing` the facing lane counts as road.
     """
+    if not scene.standing.any():
+        return ()
     agents, line, found = scene.frame.agents, scene.reference.line, []
     near = np.hypot(agents.x - scene.frame.ego.x, agents.y - scene.frame.ego.y) < length + 30.0
     for i in np.flatnonzero(near & scene.standing):
@@ -316,45 +318,52 @@ def side_gaps(box: Occupancy, lower: float, upper: float, vehicle: VehicleParame
     return upper - box.l_to - side, box.l_from - side - lower
 
 
-def decide_sides(
-    obstacles: tuple[Occupancy, ...], dp_offsets: FloatArray, costs: FloatArray, space: PathBounds,
-    vehicle: VehicleParameters, config: CorridorConfig,
-) -> tuple[Decision, ...]:  # fmt: skip
-    """Nudge left or right as the DP path passes, if there is room.
+@dataclass(frozen=True, slots=True)
+class SideChoice:
+    """What can be done about one obstacle, before anything decides.
 
-    Args:
-        obstacles: Of whom to decide.
-        dp_offsets: Of the DP path at each obstacle's middle `(b,)`, m.
-        costs: Of passing on the left and on the right `(b, 2)`, for the reason.
-        space: Of the ego's points.
-        vehicle: The ego.
-        config: Distances.
+    Attributes:
+        box: The obstacle.
+        left: What is left beside the ego that passes it on its left, m; `right` on its right.
+        settled: The decision where there is nothing to choose; None: the obstacle can be passed.
     """
-    decisions = []
-    for box, offset, cost in zip(obstacles, dp_offsets, costs, strict=True):
-        over = space.beside(box, vehicle, config)
-        if not over.any():
-            decisions.append(Decision(box.agent, DecisionKind.IGNORE, "path", "beyond the path"))
-            continue
-        lower, upper = float(space.lower[over].max()), float(space.upper[over].min())
-        left_gap, right_gap = side_gaps(box, lower, upper, vehicle)
-        apart = upper - lower + config.clearance_m
-        if max(left_gap, right_gap) > apart:
-            decisions.append(Decision(box.agent, DecisionKind.IGNORE, "path", "is beside the corridor"))
-        elif max(left_gap, right_gap) < config.min_clearance_m:
-            reason = f"no room: {max(left_gap, 0.0):.2f} m left, {max(right_gap, 0.0):.2f} m right"
-            decisions.append(Decision(box.agent, DecisionKind.STOP, "path", reason))
-        else:
-            goes_left = offset > 0.5 * (box.l_from + box.l_to)
-            if (left_gap if goes_left else right_gap) < config.min_clearance_m:
-                goes_left = not goes_left
-            kind = DecisionKind.NUDGE_LEFT if goes_left else DecisionKind.NUDGE_RIGHT
-            gap = min(left_gap if goes_left else right_gap, config.clearance_m)
-            reason = (
-                f"is in the corridor: pass with {gap + box.aside:.2f} m; left costs {cost[0]:.3g}, right {cost[1]:.3g}"
-            )
-            decisions.append(Decision(box.agent, kind, "path", reason))
-    return tuple(decisions)
+
+    box: Occupancy
+    left: float
+    right: float
+    settled: Decision | None
+
+    def is_open(self, least: float) -> bool:
+        """Whether it can be passed on either side with at least so much, m."""
+        return self.settled is None and min(self.left, self.right) >= least
+
+    def decided(self, goes_left: bool, costs: tuple[float, float] | None, config: CorridorConfig) -> Decision:
+        """The decision for a side, or the other where there is no room; costs of left and right for the reason."""
+        if self.settled is not None:
+            return self.settled
+        if (self.left if goes_left else self.right) < config.min_clearance_m:
+            goes_left = not goes_left
+        gap = min(self.left if goes_left else self.right, config.clearance_m) + self.box.aside
+        only = f"there is no room on the {'right' if goes_left else 'left'}"
+        why = f"left costs {costs[0]:.3g}, right {costs[1]:.3g}" if costs else only
+        kind = DecisionKind.NUDGE_LEFT if goes_left else DecisionKind.NUDGE_RIGHT
+        return Decision(self.box.agent, kind, "path", f"is in the corridor: pass with {gap:.2f} m; {why}")
+
+
+def side_choice(box: Occupancy, space: PathBounds, vehicle: VehicleParameters, config: CorridorConfig) -> SideChoice:
+    """What can be done about an obstacle within the bounds of the ego's points."""
+    over = space.beside(box, vehicle, config)
+    if not over.any():
+        return SideChoice(box, 0.0, 0.0, Decision(box.agent, DecisionKind.IGNORE, "path", "beyond the path"))
+    lower, upper = float(space.lower[over].max()), float(space.upper[over].min())
+    left, right = side_gaps(box, lower, upper, vehicle)
+    settled = None
+    if max(left, right) > upper - lower + config.clearance_m:
+        settled = Decision(box.agent, DecisionKind.IGNORE, "path", "is beside the corridor")
+    elif max(left, right) < config.min_clearance_m:
+        reason = f"no room: {max(left, 0.0):.2f} m left, {max(right, 0.0):.2f} m right"
+        settled = Decision(box.agent, DecisionKind.STOP, "path", reason)
+    return SideChoice(box, left, right, settled)
 
 
 def narrowed(

@@ -153,10 +153,10 @@ class PathStage:
         way, standing = self._in_the_way(scene, program, memory.standing)
         boxes = way.obstacles
         way = way.and_moving(moving) if moving else way
-        grid = self._grid(scene, program, way, memory.sides)
-        self._lap("path DP")
         task = self._task(scene, program, way, boxes)
-        found, road = self._solved(task, way.obstacles, grid), task.road
+        grid, decisions = self._sides(task, way, memory.sides)
+        self._lap("path DP")
+        found, road = self._solved(task, way.obstacles, decisions), task.road
         self._lap("path QP")
         offsets, path, shift = found.offsets, None, 0.0
         if offsets is not None:
@@ -198,13 +198,9 @@ class PathStage:
         begin, end = points[there].min() - NEAR_GOAL_M, points[there].max() + NEAR_GOAL_M
         return not any(box.s_from < end and box.s_to > begin for box in boxes)
 
-    def _solved(self, task: _Task, obstacles: tuple[Occupancy, ...], grid: SlGrid | None) -> _Found:
+    def _solved(self, task: _Task, obstacles: tuple[Occupancy, ...], decisions: tuple[Decision, ...]) -> _Found:
         """The path within the bounds, else out of them as little as can be; then without whom that cannot clear."""
         config, car = self._config.corridor, self._vehicle
-        decisions: tuple[Decision, ...] = ()
-        if grid is not None:
-            at = np.array([grid.offset(box.s_middle) for box in obstacles])
-            decisions = bounds.decide_sides(obstacles, at, grid.sides, task.space, car, config)
         reports: tuple[SolverReport, ...] = ()
         while True:
             narrow, decisions = bounds.narrowed(task.space, obstacles, decisions, car, config)
@@ -306,9 +302,20 @@ class PathStage:
     def _lane_bounds(self, scene: Scene, s: FloatArray, way: InTheWay) -> PathBounds:
         return bounds.lane_bounds(scene.reference, s, way, scene.start.v, self._vehicle, self._config.corridor)
 
-    def _grid(self, scene: Scene, program: PathQp, way: InTheWay, sides: Mapping[str, float]) -> SlGrid | None:
-        """The solved path DP; None where there is nobody of whom to decide."""
-        return self._dp(scene, program, way, sides) if way.obstacles else None
+    def _sides(
+        self, task: _Task, way: InTheWay, before: Mapping[str, float]
+    ) -> tuple[SlGrid | None, tuple[Decision, ...]]:
+        """On which side each obstacle is passed; the path DP is run only where there is room on both, to decide."""
+        config, car = self._config.corridor, self._vehicle
+        choices = [bounds.side_choice(box, task.space, car, config) for box in way.obstacles]
+        if not any(choice.is_open(config.min_clearance_m) for choice in choices):
+            return None, tuple(choice.decided(choice.left > choice.right, None, config) for choice in choices)
+        grid = self._dp(task.scene, task.program, way, before)
+        decisions = []
+        for choice, (left, right) in zip(choices, grid.sides.tolist(), strict=True):
+            goes_left = grid.offset(choice.box.s_middle) > 0.5 * (choice.box.l_from + choice.box.l_to)
+            decisions.append(choice.decided(goes_left, (left, right), config))
+        return grid, tuple(decisions)
 
     def _dp(self, scene: Scene, program: PathQp, way: InTheWay, sides: Mapping[str, float]) -> SlGrid:
         gaps, columns = self._config.corridor, self._config.dp.columns

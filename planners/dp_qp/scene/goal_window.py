@@ -87,9 +87,9 @@ class GoalWindow:
         return float(begin), float(self._region[1]), max(fastest - ROOM_MPS, 0.5 * fastest)
 
     def sides(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(4) at stations of any shape: least and greatest offset, m; -inf and inf outside of the region."""
+        """(4) at increasing stations `(k, n)`: least and greatest offset, m; -inf and inf outside of the region."""
         at, low, high = self._sides
-        if not len(at):
+        if not len(at) or s[0, 0] > at[-1] or s[-1, -1] < at[0]:
             return np.full(s.shape, -np.inf), np.full(s.shape, np.inf)
         low, high = (np.interp(s, at, side, np.nan, np.nan) for side in (low, high))
         return np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)

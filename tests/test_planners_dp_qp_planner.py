@@ -413,9 +413,9 @@ def failing(program: type[PathQp] | type[SpeedQp], monkeypatch: pytest.MonkeyPat
     """Let every solve of a program fail from now on."""
     solve = program.solve
 
-    def fails(self: object, *args: object, **more: object) -> tuple[QPResult, CostTerms]:
-        result, costs = solve(self, *args, **more)  # type: ignore[arg-type]
-        return replace(result, report=replace(result.report, solved=False, status="made to fail")), costs
+    def fails(self: object, *args: object, **more: object) -> QPResult:
+        result = solve(self, *args, **more)  # type: ignore[arg-type]
+        return replace(result, report=replace(result.report, solved=False, status="made to fail"))
 
     monkeypatch.setattr(program, "solve", fails)
 

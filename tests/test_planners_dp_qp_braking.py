@@ -45,9 +45,9 @@ def solve(
     return solved, memory.after(t, solved)
 
 
-def solved(v: float, blocks: StBoundaries) -> SolvedSpeed:
+def solved(v: float, blocks: StBoundaries, ladder: BrakingLadder = LADDER) -> SolvedSpeed:
     """By a ladder that remembers nothing."""
-    return solve(v, blocks)[0]
+    return solve(v, blocks, ladder=ladder)[0]
 
 
 speeds = st.floats(3.0, 20.0)
@@ -173,6 +173,7 @@ def test_full_braking_goes_on_until_the_whole_gap_is_kept() -> None:
     assert not solve(v, half, 1.1)[0].is_full
 
 
+SURE = BrakingLadder(CONFIG, GAP, MOST, "piqp")
 HARDER = [f"hard braking, up to {level.decel_mps2:.1f} m/s2, keeps" for level in CONFIG.ladder()[1:]]
 
 
@@ -203,7 +204,7 @@ def mildest(v: float, s: float) -> str:
 def test_a_milder_rung_that_holds_is_preferred(v: float, share: float) -> None:
     s = GAP + share * float(Limits(CONFIG.comfort).braking((v, 0.0), CONFIG.knots)[0, -1])
     expected = mildest(v, s)
-    found = solved(v, blocked(s, END, 0.0, 8.0))
+    found = solved(v, blocked(s, END, 0.0, 8.0), SURE)
     assert len(found.reports) <= 1
     assert found.reason.startswith(expected) and bool(found.reason) == bool(expected)
 
@@ -211,7 +212,17 @@ def test_a_milder_rung_that_holds_is_preferred(v: float, share: float) -> None:
 def test_every_rung_is_the_mildest_somewhere() -> None:
     """That is: the law above looks at all of them."""
     stop = float(Limits(CONFIG.comfort).braking((14.0, 0.0), CONFIG.knots)[0, -1])
-    words = {solved(14.0, blocked(GAP + share * stop, END, 0.0, 8.0)).reason for share in np.arange(0.2, 1.2, 0.005)}
+    shares = np.arange(0.2, 1.2, 0.005)
+    words = {solved(14.0, blocked(GAP + share * stop, END, 0.0, 8.0), SURE).reason for share in shares}
     for rung in ("comfortable", *HARDER, f"{HARDER[-1]} half", "full braking, which leaves", "full braking comes"):
         assert any(reason.startswith(rung) for reason in words), rung
     assert "" in words
+
+
+@pytest.mark.parametrize("v", [4.0, 4.5, 7.5, 10.0])
+def test_a_rung_that_holds_has_a_profile(v: float) -> None:
+    """At all distances about those where the hardest braking ends: what braking keeps, the QP keeps."""
+    stop = float(Limits(CONFIG.emergency).braking((v, 0.0), CONFIG.knots)[0, -1])
+    found = [solved(v, blocked(stop + more, END, 0.0, 8.0)) for more in np.arange(-0.5, 4.0, 0.1)]
+    assert sum(len(one.reports) for one in found) > 20
+    assert [report.status for one in found for report in one.reports if not report.solved] == []

@@ -16,10 +16,10 @@ from planners.dp_qp.path.bounds import (
     NUDGES,
     InTheWay,
     PathBounds,
-    decide_sides,
     free_sides,
     lane_bounds,
     narrowed,
+    side_choice,
     standing_obstacles,
 )
 from planners.dp_qp.path.dp import (
@@ -99,8 +99,8 @@ def test_a_side_is_taken_only_where_there_is_room(middle: float, width: float, a
     """And the corridor that it leaves keeps the clearance along the whole obstacle, whatever the knots' spacing."""
     box = Occupancy("it", 40.0, 44.5, middle - 0.5 * width, middle + 0.5 * width)
     space = room(-2.0, 3.0, step)
-    decisions = decide_sides((box,), np.array([aim]), np.zeros((1, 2)), space, CAR, GAPS)
-    narrow, (final,) = narrowed(space, (box,), decisions, CAR, GAPS)
+    decision = side_choice(box, space, CAR, GAPS).decided(aim == GOES_LEFT, None, GAPS)
+    narrow, (final,) = narrowed(space, (box,), (decision,), CAR, GAPS)
     lower, upper = narrow.lower, narrow.upper
     left, right = 3.0 - box.l_to - SIDE, box.l_from - SIDE + 2.0
     before, after = 0.5 * CAR.axle_to_front + step, max(0.5 * CAR.axle_to_front, CAR.rear_overhang) + step

@@ -21,7 +21,7 @@ from logs import Frame, Plan, PlannerContext, Trajectory
 from logs.catalogue import CATALOGUE
 from logs.kernel import FloatArray
 from planners.constant_speed import arc
-from planners.frenet.start import Tracker
+from planners.frenet.start import RouteTracker
 from planners.idm import Idm, IdmConfig
 from replay.plan_check import of_positions
 
@@ -29,12 +29,12 @@ STEPS = 0.1 * np.arange(81)
 
 
 class Along:
-    """Follows the reference line at a speed and an offset of its own and sees nobody."""
+    """Follows the reference line at a speed and an offset of its own and does not look."""
 
     accel, brake = 2.0, 2.5
 
     def __init__(self, context: PlannerContext) -> None:
-        self._tracker, self._start = Tracker(context), context.start
+        self._tracker, self._start = RouteTracker(context), context.start
 
     def speed(self, t: float) -> float:
         """The speed wished for at a time, m/s."""
@@ -45,7 +45,8 @@ class Along:
         return np.zeros(len(t))
 
     def plan(self, frame: Frame) -> Plan:
-        start, kind, s0, l0, _ = self._tracker.begin(frame)
+        scene, kind = self._tracker.scene(frame)
+        start, s0, l0 = scene.start, scene.s, scene.l
         v = [start.v]
         for t in STEPS[1:]:
             change = float(np.clip(self.speed(frame.t + t) - v[-1], -0.1 * self.brake, 0.1 * self.accel))
@@ -122,10 +123,10 @@ class Liar(Idm):
         plan = super().plan(frame)
         t = plan.trajectory
         bent = 0.6 * np.sin(2.0 * (t.t - t.t[0])) ** 3
-        told = replace(
+        said = replace(
             t, x=t.x - bent * np.sin(t.yaw), y=t.y + bent * np.cos(t.yaw), a=np.zeros(len(t)), kappa=np.zeros(len(t))
         )
-        return replace(plan, trajectory=told)
+        return replace(plan, trajectory=said)
 
 
 class Short(Idm):

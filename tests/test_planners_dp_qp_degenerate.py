@@ -105,16 +105,16 @@ def test_a_lane_without_width_is_driven_along_its_middle(width: float, v: float)
 @given(st.floats(-0.1, 0.6), st.floats(-0.3, 0.3), st.floats(5.0, 9.0))
 @settings(max_examples=6)
 def test_between_two_parked_cars_it_drives_through_or_stops_before(spare: float, l: float, v: float) -> None:  # noqa: E741
-    """The gap is the ego's width and `spare` to each side: never a touch, and a stop is told."""
+    """The gap is the ego's width and `spare` to each side: never a touch, and a stop is reported."""
     half = 0.5 * CAR.width + spare
     pair = [standing("left", 50.0, l + half + 0.9), standing("right", 50.0, l - half - 0.9)]
     drive = followed(lanes(along_x(), 1, width=7.0), EgoState(0.0, 0.0, 0.0, 0.0, v), pair, seconds=11.0)
     assert min(gaps(drive, name).min() for name in ("left", "right")) > 0.0
     assert all(plan.status is PlanStatus.PLANNED for _, plan in drive)
     last = drive[-1][0].ego
-    told = {(item.agent, item.kind) for _, plan in drive for item in plan.internals if isinstance(item, Decision)}
+    made = {(item.agent, item.kind) for _, plan in drive for item in plan.internals if isinstance(item, Decision)}
     if last.x < 45.0 and last.v < 0.1:
-        assert any(kind is DecisionKind.STOP for _, kind in told)
+        assert any(kind is DecisionKind.STOP for _, kind in made)
     if spare > 0.45 and abs(l) < 0.1:
         assert last.x > 55.0 or last.v > 0.5
 

@@ -35,13 +35,13 @@ from logs.states import TRAJECTORY_COLUMNS, wrapped
 from logs.transform import mirrored, moved
 from planners.base import Planner
 from planners.dp_qp import DpQp
-from planners.frenet.fallback import meets
+from planners.dp_qp.lane.memory import LaneMemory
 from planners.dp_qp.lane.plan import LanePlanner
-from planners.frenet.lane_sequence import LaneSequences
 from planners.dp_qp.path.qp import PathQp
 from planners.dp_qp.path.stage import PathConfig
 from planners.dp_qp.speed.qp import SpeedQp, SpeedQpConfig
 from planners.dp_qp.speed.stage import SpeedConfig
+from planners.frenet.lane_sequence import LaneSequences
 from planners.qp import QPResult
 from planners.rules import Rulebook
 from replay.prediction import predict
@@ -252,7 +252,7 @@ def traffic(draw: st.DrawFn) -> list[Other]:
 
 @given(st.floats(0.0, 14.0), traffic())
 @settings(max_examples=50)
-def test_a_plan_meets_nobody_as_predicted_or_says_that_it_cannot_be_avoided(v: float, others: list[Other]) -> None:
+def test_a_plan_touches_no_one_as_predicted_or_says_that_it_cannot_be_avoided(v: float, others: list[Other]) -> None:
     ego = replace(EGO, v=v)
     now = frame(ego, others)
     plan = planner(TWO, ego).plan(now)
@@ -263,7 +263,7 @@ def test_a_plan_meets_nobody_as_predicted_or_says_that_it_cannot_be_avoided(v: f
         assert plan.status is PlanStatus.HARD_STOP
 
 
-def test_whom_the_ego_cannot_pass_first_it_lets_go() -> None:
+def test_an_agent_that_the_ego_cannot_pass_first_is_let_go() -> None:
     """The DP, which knows no jerk, would be there first; the QP cannot."""
     ego = replace(EGO, v=2.03)
     now = frame(ego, [driving("it", 29.565, 35.408, 0.0, -6.6046)])
@@ -302,8 +302,8 @@ def test_parked_cars_are_passed_on_the_free_side(side: float) -> None:
     assert drive[-1][0].ego.x > 120.0
     for name, kind in zip(("first", "second"), expected, strict=True):
         assert gaps(drive, name).min() > 0.5
-        told = {decided(plan, name, "path") for _, plan in drive}
-        assert told <= {kind, None}
+        kinds = {decided(plan, name, "path") for _, plan in drive}
+        assert kinds <= {kind, None}
 
 
 @pytest.mark.parametrize("blocked", [False, True])
@@ -364,8 +364,8 @@ ODD: dict[str, tuple[EgoState, Road, Sequence[Other]]] = {
     "beyond the end of the road": (replace(EGO, x=420.0), ONE, ()),
     "before its begin": (replace(EGO, x=-80.0), ONE, ()),
     "200 others": (EGO, TWO, crowd(200)),
-    "somebody on the ego": (EGO, TWO, [standing("it", 1.0, 0.2)]),
-    "somebody on the standing ego": (replace(EGO, v=0.0), TWO, [standing("it", 1.0, 0.2)]),
+    "an agent on the ego": (EGO, TWO, [standing("it", 1.0, 0.2)]),
+    "an agent on the standing ego": (replace(EGO, v=0.0), TWO, [standing("it", 1.0, 0.2)]),
     "an obstacle in the centre of a turn": (EGO, lanes(TIGHT), [standing("it", 40.0, 5.0, length=1.0, width=1.0)]),
     "a wide road round a tight turn": (EGO, lanes(TIGHT, 3), [standing("it", 43.0, -0.5)]),
     "a loop beyond 360 degrees": (replace(EGO, v=5.0), lanes(LOOP), ()),
@@ -412,9 +412,9 @@ def failing(program: type[PathQp] | type[SpeedQp], monkeypatch: pytest.MonkeyPat
     """Let every solve of a program fail from now on."""
     solve = program.solve
 
-    def fails(self: object, *args: object, **more: object) -> tuple[QPResult, CostTerms]:
-        result, costs = solve(self, *args, **more)  # type: ignore[arg-type]
-        return replace(result, report=replace(result.report, solved=False, status="made to fail")), costs
+    def fails(self: object, *args: object, **more: object) -> QPResult:
+        result = solve(self, *args, **more)  # type: ignore[arg-type]
+        return replace(result, report=replace(result.report, solved=False, status="made to fail"))
 
     monkeypatch.setattr(program, "solve", fails)
 
@@ -464,7 +464,7 @@ def test_the_stop_keeps_to_the_path_of_the_frame(monkeypatch: pytest.MonkeyPatch
     assert plan.status is PlanStatus.COMFORTABLE_STOP and np.abs(column(plan, "kappa")).max() > 0.02
 
 
-def test_a_previous_plan_that_meets_somebody_is_not_driven_on(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_previous_plan_that_meets_an_agent_is_not_driven_on(monkeypatch: pytest.MonkeyPatch) -> None:
     driver, previous = one_plan()
     failing(PathQp, monkeypatch)
     ego = previous.trajectory.at(0.1)
@@ -504,7 +504,7 @@ def test_the_rest_of_a_previous_plan_is_driven_to_its_end(monkeypatch: pytest.Mo
     assert ego.v < EGO.v
 
 
-def test_what_cannot_be_avoided_is_braked_for_and_told() -> None:
+def test_what_cannot_be_avoided_is_braked_for_and_reported() -> None:
     _, plan = one_plan([standing("it", 9.0, 0.0, width=9.0)])
     assert plan.status is PlanStatus.HARD_STOP and "full braking comes" in plan.reason
     assert column(plan, "a").min() == pytest.approx(-CAR.max_decel, abs=0.2)
@@ -525,14 +525,14 @@ def test_an_unlikely_hypothesis_binds_only_where_hard_braking_would_come_too_lat
     ahead: float, share: float, *, brakes: bool
 ) -> None:
     plan = planner(ONE, EGO).plan(perhaps(ahead, share))
-    told = [each for each in plan.internals if isinstance(each, Decision) and each.stage == "speed"]
-    ignored = [each.reason for each in told if each.kind is DecisionKind.IGNORE]
+    made = [each for each in plan.internals if isinstance(each, Decision) and each.stage == "speed"]
+    ignored = [each.reason for each in made if each.kind is DecisionKind.IGNORE]
     assert bool(column(plan, "a").min() < -0.5) is brakes
     assert bool(ignored) is not brakes
     assert all("unlikely (15%)" in reason for reason in ignored)
 
 
-def test_where_only_the_hardest_braking_keeps_the_distance_that_is_told() -> None:
+def test_where_only_the_hardest_braking_keeps_the_distance_the_reason_says_so() -> None:
     half, less = "hard braking, up to 7.5 m/s2, keeps half of the distance", "full braking, which leaves"
     for ahead, words in ((13.0, half), (12.4, less)):
         _, plan = one_plan([standing("it", ahead, 0.0, width=15.0)])
@@ -547,6 +547,8 @@ def test_a_lane_that_was_not_planned_for_long_is_found_again() -> None:
         strip, Rulebook(ONE, strip.reference, CAR), None, CAR, PathConfig(), SpeedConfig(),
         passes_left=True, lap=lambda stage: None,
     )  # fmt: skip
-    first = driver.locate(EGO, fresh=True)
-    later = driver.locate(replace(EGO, x=120.0, y=0.5), fresh=False)
-    assert later == pytest.approx((first[0] + 120.0, 0.5), abs=1e-6)
+    first = driver.scene(frame(EGO), EGO, LaneMemory())
+    _, memory = driver.plan("keep", first, LaneMemory())
+    far = replace(EGO, x=120.0, y=0.5)
+    later = driver.scene(frame(far), far, memory)
+    assert (later.s, later.l) == pytest.approx((first.s + 120.0, 0.5), abs=1e-6)

@@ -50,9 +50,9 @@ def test_plans_of_the_catalogue_do_not_hang_on_rounding(name: str) -> None:
 
 
 @pytest.mark.parametrize("v", [5.0, 6.0, 8.0, 10.0, 11.0, 12.5])  # rows and lengths of the grids end at such speeds
-@pytest.mark.parametrize("ahead", ["nobody", "standing", "slower"])
+@pytest.mark.parametrize("ahead", ["none", "standing", "slower"])
 def test_round_speeds_and_distances_are_like_their_neighbours(v: float, ahead: str) -> None:
-    others = {"nobody": [], "standing": [standing("a", 50.25, 0.0)], "slower": [driving("a", 30.0, 0.0, v - 5.0)]}
+    others = {"none": [], "standing": [standing("a", 50.25, 0.0)], "slower": [driving("a", 30.0, 0.0, v - 5.0)]}
     road, plans = lanes(along_x(), 1), []
     for off in (0.0, -TINY, TINY):
         ego = EgoState(0.0, off, 0.0, 0.0, v + off)
@@ -96,13 +96,12 @@ def test_lines_with_round_spacings_keep_their_points(count: int, spacing: float,
 def test_two_sides_that_cost_the_same_are_passed_on_the_passing_side() -> None:
     config = PathDpConfig()
     stations, wide = 6.0 * np.arange(1, 11), np.full((10, 10), 4.0)
-    weights = np.array([config.w_ref, config.w_dl, config.w_ddl, config.w_near, config.reach_m, config.w_switch])
     for left in (True, False):
         rows = config.offsets(passes_left=left)
         for off in (-TINY, 0.0, TINY):
             box = np.array([[25.0, 35.0, -1.0 + off, 1.0 + off, 0.0]])
             start = np.array([0.0, off, 0.0, 0.0])
-            _, chosen = path_dp(stations, rows, start, box, -wide, wide, weights)
+            _, chosen = path_dp(stations, rows, start, box, -wide, wide, config.weights)
             assert (rows[chosen[4]] > 0.0) == left
 
 

@@ -11,7 +11,22 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
-from worlds import CAR, Drive, Other, along_x, curve, decided, driving, followed, frame, gaps, lanes, standing
+from worlds import (
+    CAR,
+    Drive,
+    Other,
+    along_x,
+    curve,
+    decided,
+    driving,
+    followed,
+    frame,
+    gaps,
+    lanes,
+    reference,
+    scene,
+    standing,
+)
 
 from logs import (
     AgentKind,
@@ -31,11 +46,11 @@ from logs import (
 )
 from logs.catalogue import CATALOGUE
 from logs.mcap import write_trace
-from logs.road import ReferenceLine
 from logs.transform import mirrored
 from planners.frenet.fallback import meets
 from planners.lattice import Lattice, LatticeConfig
 from planners.lattice.candidates import headway, lateral_costs
+from planners.lattice.futures import ego_frenet
 from planners.lattice.polynomials import (
     LEAST_M,
     STEP_S,
@@ -48,7 +63,6 @@ from planners.lattice.polynomials import (
     states,
     third_square,
 )
-from planners.lattice.scene import ego_frenet
 from replay.closed_loop import run_closed_loop
 from replay.drive import LoopConfig
 from replay.perception import perceive
@@ -68,7 +82,7 @@ def drives(road: Road, ego: EgoState, *others: Other, seconds: float) -> Drive:
     return followed(road, ego, others, seconds=seconds, build=lattice)
 
 
-def told(plan: Plan) -> Candidates:
+def candidates(plan: Plan) -> Candidates:
     return next(item for item in plan.internals if isinstance(item, Candidates))
 
 
@@ -116,7 +130,8 @@ def test_at_constant_speed_the_lateral_jerk_is_that_of_the_quintic_in_time(l1: f
     assert cost[0, 0] == pytest.approx(720.0 * l1**2 / 4.0**5, rel=1e-9, abs=1e-12)
 
 
-LINE = ReferenceLine.through(curve(*((0.5, 0.025 * np.sin(s / 25.0)) for s in np.arange(0.0, 240.0, 0.5)), step=0.5))
+COURSE = reference(curve(*((0.5, 0.025 * np.sin(s / 25.0)) for s in np.arange(0.0, 240.0, 0.5)), step=0.5))
+LINE = COURSE.line
 """Its curvature changes smoothly, so that differences are near to derivatives."""
 
 
@@ -145,7 +160,8 @@ def test_the_frenet_start_is_the_inverse_of_the_states(s0: float, l0: float, tur
     start = EgoState(
         0.0, float(x - l0 * np.sin(yaw)), float(y + l0 * np.cos(yaw)), float(yaw + turn), v, max(a, -v), 0.03
     )
-    ego = ego_frenet(LINE, start, s0, l0)
+    ego = ego_frenet(scene(COURSE, start))
+    assert ego.s == pytest.approx(s0, abs=1e-6)
     motion = np.array([[0.0], [ego.speed], [ego.accel]])
     lateral = lateral_polynomial(np.array(ego.lateral), 0.0, 30.0)
     found = states(LINE.s, LINE.coef, s0, lateral, 30.0, motion)[:6, 0]
@@ -157,11 +173,11 @@ def test_headway_is_the_missing_share_of_the_wanted_gap() -> None:
     motion = sampled(np.array([[0.0, 10.0, 0.0, 0.0, 0.0, 0.0]]), np.array([8.0]), STEPS)
     s = 40.0 + 10.0 * 4 * STEP_S * np.arange(21)  # the gap stays
     others = np.array([[s], [np.zeros(21)], [np.full(21, 2.0)], [np.full(21, 1.0)]])
-    box, speed, nobody = np.array([3.5, 1.0, 0.9]), np.array([10.0]), np.zeros((2, 1), bool)
+    box, speed, unmet = np.array([3.5, 1.0, 0.9]), np.array([10.0]), np.zeros((2, 1), bool)
     gap, wanted = 40.0 - 2.0 - 3.5, 50.0
 
     def missing(l1: float) -> float:
-        return float(headway(motion, 0.0, others, speed, nobody, l1, box, np.array([0.0, 5.0]), False)[0])
+        return float(headway(motion, 0.0, others, speed, unmet, l1, box, np.array([0.0, 5.0]), False)[0])
 
     assert missing(0.0) == pytest.approx((1.0 - gap / wanted) ** 2)
     assert missing(3.0) == 0.0, "another track"
@@ -171,8 +187,8 @@ def test_headway_is_the_missing_share_of_the_wanted_gap() -> None:
 
 
 def check(plan: Plan, now: Frame, road_half: float = 1.75) -> None:
-    """Neither meets anybody nor breaks a bound, and every candidate is accounted for."""
-    way, counted = plan.trajectory, told(plan)
+    """Neither touches an agent nor breaks a bound, and every candidate is accounted for."""
+    way, counted = plan.trajectory, candidates(plan)
     planned = plan.status is PlanStatus.PLANNED
     assert counted.considered == sum(count for _, count in counted.rejected) + planned
     assert all(count > 0 for _, count in counted.rejected)
@@ -194,14 +210,14 @@ OTHER = st.tuples(st.floats(8.0, 90.0), st.floats(-4.0, 4.0), st.floats(-3.0, 12
 
 @settings(max_examples=60)
 @given(st.lists(OTHER, max_size=6), st.floats(0.0, 13.0))
-def test_what_is_chosen_meets_nobody_and_keeps_every_bound(
+def test_what_is_chosen_touches_no_one_and_keeps_every_bound(
     others: list[tuple[float, float, float, float]], v: float
 ) -> None:
     ego = EgoState(0.0, 0.0, 0.0, 0.0, v)
     made = [driving(str(i), x, y, vx + 1e-3, vy) for i, (x, y, vx, vy) in enumerate(others)]
     now = frame(ego, made)
     plan = lattice(lanes(along_x()), ego).plan(now)
-    if plan.status is PlanStatus.PLANNED or told(plan):
+    if plan.status is PlanStatus.PLANNED or candidates(plan):
         check(plan, now)
 
 
@@ -266,7 +282,7 @@ def test_where_nothing_can_be_driven_it_brakes_hard_and_counts_why() -> None:
     plan = lattice(lanes(along_x()), ego).plan(now)
     assert plan.status is PlanStatus.HARD_STOP
     assert "meets somebody" in plan.reason
-    assert told(plan).considered == sum(count for _, count in told(plan).rejected)
+    assert candidates(plan).considered == sum(count for _, count in candidates(plan).rejected)
 
 
 def test_out_of_the_lines_frame_it_stops_and_says_why() -> None:
@@ -281,7 +297,7 @@ def test_it_says_what_it_chose_and_why_not_the_others() -> None:
     plan = lattice(lanes(along_x()), ego).plan(frame(ego, [standing("parked", 25.0, 0.0)]))
     kinds = {type(item) for item in plan.internals}
     assert {SlGraph, StGraph, CostTerms, Candidates} <= kinds
-    reasons = dict(told(plan).rejected)
+    reasons = dict(candidates(plan).rejected)
     assert reasons["meets somebody"] > 0
     assert reasons["dearer than the chosen one"] > 0
 
@@ -295,7 +311,7 @@ def test_the_counts_are_in_the_trace_and_in_words(tmp_path: Path) -> None:
         messages = [json.loads(m.data) for _, _, m in make_reader(stream).iter_messages(topics=["/plan"])]
     assert len(messages) == len(trace.frames)
     for message, planned in zip(messages, trace.frames, strict=True):
-        counted = told(planned.plan)
+        counted = candidates(planned.plan)
         assert message["candidates"] == [
             {"stage": "lattice", "considered": counted.considered, "rejected": dict(counted.rejected)}
         ]

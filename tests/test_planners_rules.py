@@ -32,8 +32,10 @@ from logs import (
 from logs.kernel import FloatArray
 from logs.route import find_route
 from planners import PLANNERS
+from planners.frenet.occupancy import Occupancy
 from planners.frenet.reference_path import ReferencePath, make_reference_path
-from planners.rules import Rulebook, Stop
+from planners.frenet.scene import Scene, scene_of
+from planners.rules import Rulebook, RuleMemory
 from replay.closed_loop import run_closed_loop
 from replay.prediction import predict
 
@@ -92,10 +94,16 @@ def frame_of(
     return Frame(t, ego, known, predict(known, t), previous, lights=lights or {})
 
 
-def book(road: Road, ego: EgoState) -> tuple[Rulebook, float]:
-    """The rulebook of the ego's way, and the station of the ego's rear axle on it."""
-    rules, reference = along(road)
-    return rules, reference.line.project(ego.x, ego.y)[0]
+def scene(
+    road: Road,
+    ego: EgoState,
+    others: Sequence[Other] = (),
+    lights: Mapping[int, Colour] | None = None,
+    *,
+    t: float = 0.0,
+) -> Scene:
+    """A frame along the ego's way."""
+    return scene_of(frame_of(ego, others, lights, t=t), ego, along(road)[1], CAR)
 
 
 @cache
@@ -107,10 +115,9 @@ def along(road: Road) -> tuple[Rulebook, ReferencePath]:
 
 def demands(
     road: Road, ego: EgoState, others: Sequence[Other] = (), lights: Mapping[int, Colour] | None = None
-) -> tuple[Stop, ...]:
+) -> tuple[Occupancy, ...]:
     """What is demanded of an ego of which nothing is remembered."""
-    rules, s = book(road, ego)
-    return rules.stops(frame_of(ego, others, lights), ego, s, fresh=True)
+    return along(road)[0].stops(scene(road, ego, others, lights), RuleMemory())[0]
 
 
 def drive(
@@ -128,7 +135,7 @@ def drive(
     return Trajectory(*map(np.array, columns)), plans
 
 
-def told(plan: Plan, name: str) -> Decision | None:
+def said(plan: Plan, name: str) -> Decision | None:
     found = [item for item in plan.internals if isinstance(item, Decision) and item.agent == name]
     return found[0] if found else None
 
@@ -185,12 +192,12 @@ def test_a_mirrored_junction_demands_the_same(front: float, v: float, y: float, 
     ego, car = at_front(front, v), driving("car", 100.0, y, 0.0, max(speed, 1e-3))
     other = driving("car", 100.0, -y, 0.0, -max(speed, 1e-3))
     one, two = demands(JUNCTION, ego, [car]), demands(MIRRORED, ego, [other])
-    assert [(stop.name, stop.kind) for stop in one] == [(stop.name, stop.kind) for stop in two]
+    assert [(stop.agent, stop.kind) for stop in one] == [(stop.agent, stop.kind) for stop in two]
     for a, b in zip(one, two, strict=True):
-        assert (a.bound, a.until) == pytest.approx((b.bound, b.until), abs=1e-6)
+        assert (a.s_from, a.until) == pytest.approx((b.s_from, b.until), abs=1e-6)
 
 
-def test_nobody_knows_when_a_light_will_change() -> None:
+def test_it_is_not_known_when_a_light_will_change() -> None:
     """Until the light changes in one of two logs, every plan is the same to the last bit."""
     line = straight(LIGHT)
     log = handmade.scenario(handmade.drive(handmade.straight, 12.0, 6.0), road=line, duration=6.0)
@@ -220,7 +227,7 @@ def test_red_stops_before_the_line_and_green_lets_go(name: str, v: float) -> Non
     assert waiting.v.max() < 0.1
     assert motion.a.min() >= -3.0 - 1e-6
     assert motion.at(green + 1.5).v > 0.3
-    decision = told(plans[20], "stop line 7")
+    decision = said(plans[20], "stop line 7")
     assert decision is not None
     assert (decision.kind, decision.reason) == (DecisionKind.STOP, "red light 9")
 
@@ -238,7 +245,7 @@ def test_who_brakes_for_a_yellow_goes_on_braking() -> None:
     for ahead in np.arange(34.0, 44.0, 1.25):
         ego = at_front(LINE_X - ahead, 13.0)
         motion, plans = drive("dp_qp", straight(LIGHT), ego, seconds=6.0, lights=lambda t: {9: Colour.YELLOW})
-        stops = told(plans[0], "stop line 7") is not None
+        stops = said(plans[0], "stop line 7") is not None
         assert (motion.x[-1] + FRONT < LINE_X) == stops
         assert motion.a.min() >= -3.05
 
@@ -252,13 +259,13 @@ def test_a_line_counts_only_for_its_way() -> None:
     elsewhere, mine = (replace(LIGHT, towards=(lane,)) for lane in (5, 1))
     ego = at_front(60.0, 10.0)
     assert demands(straight(elsewhere), ego, (), {9: Colour.RED}) == ()
-    assert [stop.name for stop in demands(straight(mine), ego, (), {9: Colour.RED})] == ["stop line 7"]
+    assert [stop.agent for stop in demands(straight(mine), ego, (), {9: Colour.RED})] == ["stop line 7"]
 
 
 def test_a_skewed_line_is_met_by_the_nearer_corner() -> None:
     skewed = replace(LIGHT, points=np.array([[LINE_X + 1.75, 1.75], [LINE_X - 1.75, -1.75]]))
     plain, nearer = (demands(straight(line), at_front(60.0, 8.0), (), {9: Colour.RED})[0] for line in (LIGHT, skewed))
-    assert plain.bound - nearer.bound == pytest.approx(0.5 * CAR.width, abs=0.02)
+    assert plain.s_from - nearer.s_from == pytest.approx(0.5 * CAR.width, abs=0.02)
 
 
 # --- stop signs
@@ -282,11 +289,11 @@ def test_without_a_memory_who_stands_at_the_line_has_stopped() -> None:
 
 def test_the_memory_of_a_stop_is_dropped_with_the_previous_plan() -> None:
     road, ego = straight(SIGN), at_front(LINE_X - 1.0, 0.0)
-    rules, s = book(road, ego)
-    moving = replace(ego, v=0.5)
-    assert rules.stops(frame_of(ego), ego, s, fresh=True) == ()
-    assert rules.stops(frame_of(moving), moving, s, fresh=False) == ()
-    assert rules.stops(frame_of(moving), moving, s, fresh=True)
+    rules, moving = along(road)[0], scene(road, replace(ego, v=0.5))
+    stops, memory = rules.stops(scene(road, ego), RuleMemory())
+    assert stops == () and memory.rested
+    assert rules.stops(moving, memory)[0] == ()
+    assert rules.stops(moving, RuleMemory())[0]
 
 
 # --- crosswalks
@@ -295,9 +302,9 @@ def test_the_memory_of_a_stop_is_dropped_with_the_previous_plan() -> None:
 def test_who_is_on_the_crosswalk_goes_first() -> None:
     road = straight(crosswalks=[WALK])
     (stop,) = demands(road, at_front(70.0, 10.0), [walker("p", 102.0, -4.0, 1.2)])
-    assert (stop.name, stop.kind) == ("crosswalk 3", DecisionKind.YIELD)
+    assert (stop.agent, stop.kind) == ("crosswalk 3", DecisionKind.YIELD)
     assert stop.reason.startswith("pedestrian p goes first")
-    assert stop.bound + CAR.axle_to_front <= 150.0 + 100.0
+    assert stop.s_from + CAR.axle_to_front <= 150.0 + 100.0
 
 
 @pytest.mark.parametrize(
@@ -322,10 +329,10 @@ def test_who_stands_before_the_crosswalk_is_let_go_but_not_waited_for_for_ever()
     assert motion.x[motion.v < 0.1].max() + FRONT < 100.0
     assert motion.x[-1] + FRONT > 106.0
     assert motion.a.min() > -3.05
-    assert told(plans[60], "crosswalk 3") is not None
+    assert said(plans[60], "crosswalk 3") is not None
 
 
-def test_on_a_crosswalk_nobody_is_braked_for_hard_who_only_stands_there() -> None:
+def test_on_a_crosswalk_who_only_stands_there_is_not_braked_for_hard() -> None:
     patient = waiter("p", 102.0, -6.6, yaw=0.5 * np.pi)
     assert demands(straight(crosswalks=[WALK]), at_front(80.0, 12.0), [patient]) == ()
     assert demands(straight(crosswalks=[WALK]), at_front(80.0, 12.0), [walker("p", 102.0, -5.0, 1.2)])
@@ -400,8 +407,8 @@ def test_the_wait_is_before_the_line_where_there_is_one() -> None:
     line = StopLine(5, 0, np.array([[91.0, 1.75], [91.0, -1.75]]))
     car, ego = driving("car", 100.0, -45.0, 0.0, 10.0), at_front(60.0, 8.0)
     (with_line,), (without,) = demands(junction(line), ego, [car]), demands(junction(), ego, [car])
-    assert with_line.bound == pytest.approx(50.0 + 91.0 - 0.8, abs=0.3)
-    assert without.bound > with_line.bound + 4.0
+    assert with_line.s_from == pytest.approx(50.0 + 91.0 - 0.8, abs=0.3)
+    assert without.s_from > with_line.s_from + 4.0
 
 
 def test_a_red_light_of_the_others_gives_way_to_the_ego() -> None:
@@ -419,12 +426,12 @@ def test_who_is_behind_the_zone_or_leaves_it_demands_nothing() -> None:
 
 
 def test_no_stop_where_lanes_cross() -> None:
-    """A queue behind the junction leaves no room: the ego waits before it, though nobody comes."""
+    """A queue behind the junction leaves no room: the ego waits before it, though no one comes."""
     queue = [standing("last", 109.0, 0.0), standing("first", 115.5, 0.0)]
     motion, plans = drive("dp_qp", junction(), at_front(60.0, 8.0), queue, seconds=12.0)
     assert motion.v[-1] == pytest.approx(0.0, abs=0.05)
     assert motion.x[-1] + FRONT < 98.2
-    decision = told(plans[-1], "lane 11")
+    decision = said(plans[-1], "lane 11")
     assert decision is not None
     assert "no room" in decision.reason
 
@@ -439,8 +446,7 @@ def test_a_priority_vehicle_that_turns_off_before_is_let_be() -> None:
 
 
 def test_a_road_without_rules_demands_nothing() -> None:
-    rules, s = book(straight(), at_front(60.0, 10.0))
-    assert rules.stops(frame_of(at_front(60.0, 10.0)), at_front(60.0, 10.0), s, fresh=True) == ()
+    assert demands(straight(), at_front(60.0, 10.0)) == ()
 
 
 # stops end
@@ -449,20 +455,18 @@ def test_a_road_without_rules_demands_nothing() -> None:
 @pytest.mark.parametrize(
     "who", [standing("parked", 109.0, -1.5), waiter("p", 102.0, -2.0, np.pi)], ids=["car", "walker"]
 )
-def test_nobody_who_stands_at_the_edge_keeps_the_ego_before_a_crosswalk_for_ever(who: Other) -> None:
+def test_who_stands_at_the_edge_does_not_keep_the_ego_before_a_crosswalk_for_ever(who: Other) -> None:
     """A parked car behind it that the path passes; a pedestrian who stands half on the lane's edge."""
     trajectory, _ = drive("dp_qp", straight(crosswalks=[WALK]), EgoState(0.0, 60.0, 0.0, 0.0, 8.0), [who], seconds=25.0)
     assert trajectory.x[-1] > 120.0
 
 
-def test_waiting_for_one_pedestrian_lets_nobody_go_over_the_next() -> None:
-    """Who waited in a queue, and drives on, has not waited for whoever stands there then."""
+def test_waiting_for_one_pedestrian_does_not_let_the_ego_go_over_the_next() -> None:
+    """Who waited in a queue, and drives on, has not waited for those who stand there then."""
     road = straight(crosswalks=[WALK])
-    rules, found = None, []
+    memory, found = RuleMemory(), []
     for t, front, v, name in ((0.0, 91.0, 0.0, "p"), (2.9, 93.0, 2.0, "p"), (60.0, 93.0, 5.0, "q")):
-        ego = replace(at_front(front, v), t=t)
-        made, s = book(road, ego)
-        rules = rules or made
-        frame = frame_of(ego, [waiter(name, 102.0, -3.0, 0.5 * np.pi)], t=t)
-        found.append(rules.stops(frame, ego, s, fresh=not found))
+        now = scene(road, replace(at_front(front, v), t=t), [waiter(name, 102.0, -3.0, 0.5 * np.pi)], t=t)
+        stops, memory = along(road)[0].stops(now, memory)
+        found.append(stops)
     assert all(found) and "pedestrian q goes first" in found[-1][0].reason

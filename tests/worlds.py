@@ -1,9 +1,9 @@
-"""Small worlds for the tests of planners: roads, others that move by a formula, frames, and a perfect follower."""
+"""Small worlds for the tests of planners: roads, others that move by a formula, scenes, and a perfect follower."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -20,11 +20,19 @@ from logs import (
     PlannerContext,
     Road,
     VehicleParameters,
+    Visibility,
 )
 from logs.kernel import FloatArray
+from logs.route import Route, find_route
 from logs.shapes import distance
 from planners.base import Planner
 from planners.dp_qp import DpQp
+from planners.dp_qp.scene.caps import LoweredLimit, PathView, SpeedCap, lowered
+from planners.dp_qp.scene.goal_window import GoalWindow, SpeedTarget
+from planners.frenet.path import Path
+from planners.frenet.reference_path import ReferencePath, make_reference_path
+from planners.frenet.scene import Scene, scene_of
+from planners.frenet.st_boundaries import StGraphConfig, st_boundaries
 from replay.prediction import predict
 
 PERIOD = 0.1
@@ -102,6 +110,61 @@ def lanes(points: FloatArray, count: int = 1, *, width: float = 3.5, limit: floa
         for i in range(count)
     ]  # fmt: skip
     return Road({lane.id: lane for lane in found}, drives_on_right=right)
+
+
+def two_way(*, crossable: bool = True, right: bool = True) -> Road:
+    """A lane along x and one back to its left (to its right where traffic drives on the left)."""
+    side = 1.0 if right else -1.0
+    marks = {"left_opposite": right, "right_opposite": not right, "speed_limit": 10.0}
+    marks["left_crossable" if right else "right_crossable"] = crossable
+    there, back = along_x(), along_x()[::-1] + np.array([0.0, side * 3.5])
+    return Road({0: strip(0, there, **marks), 1: strip(1, back, **marks)}, drives_on_right=right)
+
+
+START = EgoState(0.0, 0.0, 0.0, 0.0, 8.0)
+
+
+def reference(
+    road: Road | FloatArray, count: int = 1, *, ego: EgoState = START, lane: int | None = None
+) -> ReferencePath:
+    """The reference path from an ego on a road, or on `count` lanes along points; of one lane only, if it is named."""
+    road = road if isinstance(road, Road) else lanes(road, count)
+    route = find_route(road, ego, None) if lane is None else Route((lane,), False, 0.0)
+    return make_reference_path(road, route, ego, CAR)
+
+
+def scene(
+    along: ReferencePath, ego: EgoState, others: Sequence[Other] = (), *, t: float = 0.0, seen: Visibility | None = None
+) -> Scene:
+    """An ego and others along a reference path at a time."""
+    return scene_of(replace(frame(ego, others, t=t), visibility=seen), ego, along, CAR)
+
+
+def path_of(kappa: FloatArray, spacing: float) -> Path:
+    """A path through the origin from curvatures at points `spacing` m apart."""
+    sigma = spacing * np.arange(len(kappa))
+    yaw = np.r_[0.0, np.cumsum(0.5 * spacing * (kappa[1:] + kappa[:-1]))]
+    middle = 0.5 * (yaw[1:] + yaw[:-1])
+    x, y = (np.r_[0.0, np.cumsum(spacing * rate)] for rate in (np.cos(middle), np.sin(middle)))
+    return Path(sigma, x, y, yaw, kappa, sigma)
+
+
+def view(now: Scene, path: Path, **more: object) -> PathView:
+    """What a producer of speed caps is given for a path on which all agents are met, with braking of 6 m/s2."""
+    none = np.zeros(len(now.frame.agents), np.bool_)
+    taken = st_boundaries(now, path, none, frozenset(), StGraphConfig())
+    given: dict[str, object] = {
+        "scene": now, "path": path, "limit": np.full(len(path.s), 15.0), "taken": taken, "stops": (), "targets": (),
+        "is_pass": False, "goal": GoalWindow(None, now.reference, now.vehicle), "target": SpeedTarget(), "came": {},
+        "hard_mps2": 6.0, "margin_m": 0.6,
+    }  # fmt: skip
+    return PathView(**{**given, **more})  # type: ignore[arg-type]
+
+
+def limit_of(seen: PathView, producer: Callable[[PathView], tuple[SpeedCap, ...]]) -> LoweredLimit:
+    """The limit of a view with the caps of one producer in it."""
+    road = LoweredLimit(seen.limit, np.zeros(len(seen.limit), np.bool_))
+    return lowered(seen.path.sigma, road, producer(seen))
 
 
 def planner(road: Road, ego: EgoState, goal: Goal | None = None) -> Planner:

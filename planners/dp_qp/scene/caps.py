@@ -103,8 +103,9 @@ def lowered(sigma: FloatArray, road: LoweredLimit, caps: Iterable[SpeedCap]) -> 
     for cap in caps:
         begin, end = np.searchsorted(sigma, (cap.s_from, cap.s_to), side="right")
         there = slice(int(begin), int(end))
-        binds = cap.v < v[there]
-        v[there], bound[there] = np.where(binds, cap.v, v[there]), np.where(binds, cap.is_bound, bound[there])
+        less, same = cap.v < v[there], cap.v == v[there]
+        bound[there] = np.where(less, cap.is_bound, bound[there] | (same & cap.is_bound))
+        v[there] = np.where(less, cap.v, v[there])
         if cap.agent and (cap.v < road.v[there] - WORTH_MPS).any():
             told[cap.agent] = min(told.get(cap.agent, cap), cap, key=lambda each: each.v)
     decisions = (Decision(cap.agent, DecisionKind.YIELD, "speed", cap.reason) for cap in told.values())

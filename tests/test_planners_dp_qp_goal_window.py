@@ -9,19 +9,17 @@ import pytest
 from handmade import track, tracks
 from hypothesis import given
 from hypothesis import strategies as st
-from worlds import CAR, along_x, lanes, strip
+from worlds import CAR, along_x, lanes, reference, strip
 
 from logs import EgoState, Goal, Road, Scenario, Tracks, Trajectory
 from logs.catalogue import CATALOGUE
-from logs.route import find_route
 from logs.trace import EndReason, Trace
 from planners.dp_qp.scene.goal_window import LEAST, GoalWindow, SpeedTarget
-from planners.frenet.reference_path import make_reference_path
 from replay.closed_loop import run_closed_loop
 
 EGO = EgoState(0.0, 20.0, 0.0, 0.0, 10.0, 0.0, 0.0)
 ROAD = lanes(along_x(0.0, 400.0))
-COURSE = make_reference_path(ROAD, find_route(ROAD, EGO, None), EGO, CAR)
+COURSE = reference(ROAD, ego=EGO)
 LIMIT = float(COURSE.limit[0])
 
 
@@ -29,28 +27,27 @@ def region(begin: float, end: float) -> np.ndarray:
     return np.array([[begin, -2.0], [end, -2.0], [end, 2.0], [begin, 2.0]])
 
 
-def appointment(t: tuple[float, float] | None, v: tuple[float, float] | None = None) -> GoalWindow:
+def window(t: tuple[float, float] | None, v: tuple[float, float] | None = None) -> GoalWindow:
     return GoalWindow(Goal((region(200.0, 220.0),), t=t, v=v), COURSE, CAR)
 
 
-def test_without_goal_or_time_nobody_is_expected() -> None:
-    for one in (GoalWindow(None, COURSE, CAR), appointment(None)):
-        assert one.pace(0.0, 20.0, 10.0) == SpeedTarget()
-        np.testing.assert_array_equal(one.limit(COURSE.line.s, COURSE.limit, SpeedTarget()), COURSE.limit)
+def test_without_a_goal_or_its_time_there_is_no_target() -> None:
+    for one in (GoalWindow(None, COURSE, CAR), window(None)):
+        assert one.target(0.0, 20.0, 10.0) == SpeedTarget() and one.slow_zone is None
 
 
 @given(st.floats(0.0, 60.0), st.floats(0.1, 5.0), st.floats(0.0, 180.0), st.floats(0.0, 20.0))
-def test_the_pace_is_never_too_slow_and_late_and_early_exclude_each_other(
+def test_the_target_is_never_too_slow_and_late_and_early_exclude_each_other(
     first: float, lasts: float, s: float, v: float
 ) -> None:
-    pace = appointment((first, first + lasts)).pace(0.0, s, v)
-    assert pace.cap >= LEAST * LIMIT - 1e-9
-    assert not (pace.hurried and np.isfinite(pace.cap))
+    found = window((first, first + lasts)).target(0.0, s, v)
+    assert found.cap >= LEAST * LIMIT - 1e-9
+    assert not (found.hurried and np.isfinite(found.cap))
 
 
 @given(st.floats(0.1, 40.0), st.floats(0.0, 180.0), st.floats(0.0, 20.0))
 def test_who_is_late_is_in_a_hurry_and_an_hour_later_is_as_late_by_an_hour(last: float, s: float, v: float) -> None:
-    sooner, later = (appointment((0.0, last)).pace(t, s, v) for t in (0.0, 0.5 * last))
+    sooner, later = (window((0.0, last)).target(t, s, v) for t in (0.0, 0.5 * last))
     assert sooner.hurried or sooner.missed_s == 0.0
     if sooner.missed_s > 0.0:
         assert later.missed_s == pytest.approx(sooner.missed_s + 0.5 * last)
@@ -61,8 +58,8 @@ def test_the_sides_are_those_of_the_region_where_it_is_and_none_elsewhere(y: flo
     c, s = np.cos(turn), np.sin(turn)
     square = np.array([[-10.0, -0.5], [10.0, -0.5], [10.0, 0.5], [-10.0, 0.5]]) * (1.0, width)
     square = square @ np.array([[c, s], [-s, c]]) + (200.0, y)
-    stations = np.array([COURSE.line.project(x, 0.0)[0] for x in (100.0, 200.0, 260.0)])
-    low, high = GoalWindow(Goal((square,)), COURSE, CAR).sides(stations)
+    stations = np.array([[COURSE.line.project(x, 0.0)[0] for x in (100.0, 200.0, 260.0)]])
+    (low,), (high,) = GoalWindow(Goal((square,)), COURSE, CAR).sides(stations)
     room = min(0.3, 0.25 * width / c)
     assert np.isinf(low[[0, 2]]).all() and np.isinf(high[[0, 2]]).all()
     assert (low[1], high[1]) == pytest.approx((y - 0.5 * width / c + room, y + 0.5 * width / c - room), abs=1e-6)
@@ -70,14 +67,14 @@ def test_the_sides_are_those_of_the_region_where_it_is_and_none_elsewhere(y: flo
 
 @given(st.floats(0.0, 40.0), st.floats(0.0, 20.0))
 def test_the_earlier_the_window_the_faster(first: float, more: float) -> None:
-    sooner, later = (appointment((t, t + 2.0)).pace(0.0, 20.0, 10.0).cap for t in (first, first + more))
+    sooner, later = (window((t, t + 2.0)).target(0.0, 20.0, 10.0).cap for t in (first, first + more))
     assert later <= sooner
 
 
 def test_the_goals_speed_holds_in_its_region() -> None:
-    limit = appointment(None, (0.0, 5.0)).limit(COURSE.line.s, COURSE.limit, SpeedTarget())
-    slow = COURSE.line.s[limit < 5.0]
-    assert 200.0 - CAR.axle_to_center - 1.0 <= slow.min() and slow.max() <= 220.0 - CAR.axle_to_center + 1.0
+    zone = window(None, (0.0, 5.0)).slow_zone
+    assert zone is not None and zone[2] < 5.0
+    assert zone[:2] == pytest.approx((200.0 - CAR.axle_to_center, 220.0 - CAR.axle_to_center), abs=1e-6)
 
 
 def drive_to(region: np.ndarray | None, t: tuple[float, float], road: Road, v: float) -> Trace:
@@ -120,15 +117,14 @@ def test_a_goal_partly_out_of_the_lane_is_met_where_it_is_in_it(turn: float) -> 
 
 def test_of_two_regions_the_one_in_the_lane_is_met_and_between_them_the_middle_is_kept() -> None:
     near, far = rectangle(83.0, 1.0, 6.0, 1.0), rectangle(403.0, 1.0, 6.0, 1.0)
-    low, high = GoalWindow(Goal((far, near)), COURSE, CAR).sides(
-        np.array([COURSE.line.project(x, 0.0)[0] for x in (83.0, 200.0, 403.0 - 60.0)])
-    )
+    stations = np.array([[COURSE.line.project(x, 0.0)[0] for x in (83.0, 200.0, 403.0 - 60.0)]])
+    (low,), (high,) = GoalWindow(Goal((far, near)), COURSE, CAR).sides(stations)
     assert np.isfinite(low[0]) and np.isfinite(high[0]) and np.isinf(low[1:]).all() and np.isinf(high[1:]).all()
     triangles = [
         np.array(corners) for corners in (((80, -1.7), (100, -1.7), (100, 1.7)), ((80, -1.7), (100, 1.7), (80, 1.7)))
     ]
     whole = rectangle(90.0, 0.0, 20.0, 3.4)
-    stations = np.array([COURSE.line.project(x, 0.0)[0] for x in np.arange(81.0, 99.0)])
+    stations = np.array([[COURSE.line.project(x, 0.0)[0] for x in np.arange(81.0, 99.0)]])
     for one, two in zip(
         GoalWindow(Goal(tuple(triangles)), COURSE, CAR).sides(stations),
         GoalWindow(Goal((whole,)), COURSE, CAR).sides(stations),
@@ -137,7 +133,7 @@ def test_of_two_regions_the_one_in_the_lane_is_met_and_between_them_the_middle_i
         np.testing.assert_allclose(one, two, atol=1e-6)
 
 
-def test_nobody_steers_hard_for_a_goal() -> None:
+def test_the_ego_does_not_steer_hard_for_a_goal() -> None:
     """It begins 10 m ahead, 1.2 m beside the middle of a wide lane, at 15 m/s."""
     trace = drive_to(rectangle(19.0, 1.7, 18.0, 1.0), (0.0, 6.0), Road({0: strip(0, along_x(-20.0, 300.0), 7.0)}), 15.0)
     assert np.abs(trace.ego.v**2 * trace.ego.kappa).max() < 4.0

@@ -10,38 +10,26 @@ import pytest
 from handmade import track, tracks
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from test_planners_dp_qp_facing import two_way
-from worlds import CAR, Other, along_x, driving, frame, lanes
+from worlds import CAR, Other, along_x, driving, lanes, limit_of, reference, scene, two_way, view
 
 from logs import AgentKind, Colour, EgoState, Road, Scenario, StopLine, TrafficLight, Trajectory
 from logs.frame import Visibility
 from logs.kernel import FloatArray
-from logs.route import Route, find_route
 from logs.trace import Candidates, EndReason, Trace
 from planners.dp_qp.lane.choice import borrowing_endangers
 from planners.dp_qp.path.bounds import CorridorConfig
-from planners.dp_qp.scene.moving_obstacles import (
-    ASIDE_M,
-    NEAR_M,
-    SPARE_S,
-    SWERVE_MPS,
-    along_lane,
-    beside_limit,
-    gone_on,
-    movers,
-    slower,
-)
+from planners.dp_qp.scene import passing_speed
+from planners.dp_qp.scene.moving_obstacles import ASIDE_M, NEAR_M, SPARE_S, along_lane, gone_on, pass_targets, to_pass
 from planners.dp_qp.scene.occlusion import LEAST_MPS, REACTION_S, WALK_MPS
-from planners.dp_qp.speed.stage import SPEED_ROOM_MPS
+from planners.dp_qp.scene.passing_speed import SWERVE_MPS
 from planners.frenet.path import make_path
-from planners.frenet.reference_path import make_reference_path
 from replay.closed_loop import run_closed_loop
 from replay.drive import LoopConfig
 
 LENGTH, WIDTH = 1.8, 0.6
 EGO = EgoState(0.0, 20.0, 0.0, 0.0, 10.0, 0.0, 0.0)
 ROAD = lanes(along_x(0.0, 600.0))
-COURSE = make_reference_path(ROAD, find_route(ROAD, EGO, None), EGO, CAR)
+COURSE = reference(ROAD, ego=EGO)
 AT = COURSE.line.project(EGO.x, 0.0)[0]
 BRAKE = 6.4
 
@@ -51,7 +39,7 @@ def goer(x: float, y: float, vx: float, vy: float = 0.0, kind: AgentKind = Agent
     return Other("goer", lambda t: (x + vx * t, y + vy * t, yaw, vx, vy), kind, LENGTH, WIDTH)
 
 
-# whom, where, how fast
+# who, where, how fast
 
 
 @pytest.mark.parametrize(
@@ -69,18 +57,18 @@ def goer(x: float, y: float, vx: float, vy: float = 0.0, kind: AgentKind = Agent
     ids=["stands", "fast", "crosses", "oncoming", "car", "motorcycle", "beside the road", "behind"],
 )
 def test_who_is_not_meant(who: Other) -> None:
-    assert along_lane(COURSE, frame(EGO, [who]), AT, CAR) == []
+    assert along_lane(scene(COURSE, EGO, [who])) == []
 
 
 @given(st.floats(3.0, 50.0), st.floats(0.6, 6.5), st.floats(2.5, 14.0), st.floats(-1.2, 1.2), st.floats(-0.1, 0.1))
-def test_the_box_holds_him_as_long_as_the_ego_is_beside_him(
+def test_the_box_holds_them_as_long_as_the_ego_is_beside_them(
     ahead: float, u: float, more: float, y: float, aside: float
 ) -> None:
     x = EGO.x + CAR.axle_to_front + ahead + 0.5 * LENGTH
-    now = frame(EGO, [goer(x, y, u, aside * u)])
-    t = now.predictions.t
+    now = scene(COURSE, EGO, [goer(x, y, u, aside * u)])
+    t = now.frame.predictions.t
     stations = gone_on(t, AT, u + more, u + more)
-    found = slower(COURSE, now, AT, along_lane(COURSE, now, AT, CAR), stations, CAR)
+    found = pass_targets(now, along_lane(now), stations)
     rear, front = (x + u * t + sign * 0.5 * LENGTH for sign in (-1.0, 1.0))
     ego = stations - AT + EGO.x
     beside = (ego + CAR.axle_to_front > rear) & (ego - CAR.rear_overhang < front)
@@ -97,32 +85,32 @@ def test_the_box_holds_him_as_long_as_the_ego_is_beside_him(
 
 
 def test_who_cannot_be_passed_within_the_predictions_is_not_passed() -> None:
-    now = frame(EGO, [goer(60.0, 0.0, 6.5)])
-    stations = gone_on(now.predictions.t, AT, 7.0, 7.0)
-    assert slower(COURSE, now, AT, [0], stations, CAR) == ()
+    now = scene(COURSE, EGO, [goer(60.0, 0.0, 6.5)])
+    assert pass_targets(now, [0], gone_on(now.frame.predictions.t, AT, 7.0, 7.0)) == ()
 
 
 @given(st.floats(1.0, 3.0), st.sampled_from([AgentKind.BICYCLE, AgentKind.PEDESTRIAN]))
-def test_the_more_room_the_faster_and_beside_him_only(room: float, kind: AgentKind) -> None:
-    """Whoever comes into the way with w is passed, or the ego stops before him: wherever he is when he does."""
+def test_the_more_room_the_faster_and_beside_them_only(room: float, kind: AgentKind) -> None:
+    """Who comes into the way with w is passed, or the ego stops before them: wherever it is when they do."""
     y = -room - 0.5 * (CAR.width + WIDTH)
-    now = frame(EGO, [Other("goer", lambda t: (50.0 + 2.0 * t, y, 0.0, 2.0, 0.0), kind, LENGTH, WIDTH)])
-    found = slower(COURSE, now, AT, [0], gone_on(now.predictions.t, AT, 10.0, 10.0), CAR)
+    now = scene(COURSE, EGO, [Other("goer", lambda t: (50.0 + 2.0 * t, y, 0.0, 2.0, 0.0), kind, LENGTH, WIDTH)])
+    found = pass_targets(now, [0], gone_on(now.frame.predictions.t, AT, 10.0, 10.0))
     path = make_path(COURSE.line, AT, 1.0, np.zeros((3, 150)))
     limit = np.full(len(path.s), 60.0)
-    lowered, _ = beside_limit(path, limit, now, found, CAR, BRAKE, 0.6)
+    seen = view(now, path, limit=limit, targets=found, hard_mps2=BRAKE, margin_m=0.6)
+    lowered = limit_of(seen, passing_speed.caps).v
     v = float(lowered.min())
     w = WALK_MPS if kind is AgentKind.PEDESTRIAN else SWERVE_MPS
-    assert v == pytest.approx(max(2.0 * BRAKE * (room / w - REACTION_S) - SPEED_ROOM_MPS, LEAST_MPS), rel=0.02)
+    assert v == pytest.approx(max(2.0 * BRAKE * (room / w - REACTION_S), LEAST_MPS), rel=0.02)
     slow = path.s[lowered < 60.0]
     stop = v * REACTION_S + v * v / (2.0 * BRAKE)
     if v < 60.0:
         assert slow.min() == pytest.approx(max(found[0].begin - stop, AT), abs=0.6)
         assert slow.max() == pytest.approx(found[0].end + NEAR_M, abs=0.6)
-        for x in np.linspace(0.0, stop, 50):  # as far before him, at v: past in time, or stopped in time
-            assert x <= v * room / w or v * REACTION_S + v * v / (2.0 * BRAKE) <= x + 1e-9 or v == LEAST_MPS
-    near, _ = beside_limit(path, limit, now, found, CAR, BRAKE, room + 0.1)
-    assert (near == limit).all()  # to whom it comes nearer than the margin is followed
+        for x in np.linspace(0.0, stop, 50):  # as far before them, at v: past in time, or stopped in time
+            assert x <= v * room / w + 1e-9 or v * REACTION_S + v * v / (2.0 * BRAKE) <= x + 1e-9 or v == LEAST_MPS
+    near = limit_of(replace(seen, margin_m=room + 0.1), passing_speed.caps).v
+    assert (near == limit).all()  # an agent nearer to the path than the margin is followed
 
 
 # drives
@@ -177,7 +165,7 @@ def hardest(trace: Trace) -> tuple[float, float]:
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 @pytest.mark.parametrize("kind", [AgentKind.BICYCLE, AgentKind.PEDESTRIAN])
-def test_in_a_wide_lane_he_is_passed_with_room(side: float, kind: AgentKind) -> None:
+def test_in_a_wide_lane_they_are_passed_with_room(side: float, kind: AgentKind) -> None:
     u = 4.0 if kind is AgentKind.BICYCLE else 1.3
     found = drive(lanes(along_x(-20.0, 400.0), width=5.5), [(40.0, 1.6 * side, u)], kind=kind)
     assert found.before > 10.0 and found.room > 1.4
@@ -187,19 +175,19 @@ def test_in_a_wide_lane_he_is_passed_with_room(side: float, kind: AgentKind) -> 
         assert found.trace.ego.v.min() > 8.5
 
 
-def test_a_free_lane_beside_is_borrowed_for_him_and_the_record_says_so() -> None:
+def test_a_free_lane_beside_is_borrowed_for_them_and_the_record_says_so() -> None:
     found = drive(lanes(along_x(-20.0, 400.0), 2), [(40.0, -0.8, 4.0)])
     assert found.before > 10.0 and found.room > 1.4 and found.trace.ego.y.max() < 3.0
-    told = [item for one in found.trace.frames for item in one.plan.internals if isinstance(item, Candidates)]
-    assert any(item.stage == "passing" and item.rejected[0][0].startswith("keep: costs") for item in told)
+    counted = [item for one in found.trace.frames for item in one.plan.internals if isinstance(item, Candidates)]
+    assert any(item.stage == "passing" and item.rejected[0][0].startswith("keep: costs") for item in counted)
 
 
-def test_the_facing_lane_is_borrowed_for_him_where_nobody_comes() -> None:
+def test_the_facing_lane_is_borrowed_for_them_where_no_one_comes() -> None:
     found = drive(two_way(), [(40.0, -1.0, 3.0)])
     assert found.before > 10.0 and found.room > 1.4
 
 
-def test_where_somebody_comes_he_is_followed_until_that_one_is_gone() -> None:
+def test_where_another_comes_they_are_followed_until_that_one_is_gone() -> None:
     found = drive(two_way(), [(40.0, -1.0, 3.0)], seconds=26.0, cars=((120.0, 3.5, -10.0), (160.0, 3.5, -10.0)))
     assert found.before > 5.0 and found.room > 1.4
     assert found.trace.end is EndReason.END_OF_LOG
@@ -211,22 +199,19 @@ def test_where_somebody_comes_he_is_followed_until_that_one_is_gone() -> None:
 @pytest.mark.parametrize(("reach", "free"), [(60.0, False), (300.0, True), (np.inf, True)])
 def test_the_facing_lane_must_be_seen_as_far_as_one_may_come_from(reach: float, free: bool) -> None:
     road = two_way()
-    reference = make_reference_path(road, Route((0,), False, 0.0), EGO)
-    at = reference.line.project(EGO.x, 0.0)[0]
-    view = Visibility(EGO.x, 0.0, 0.0, reach, 2.0 * np.pi, np.empty((0, 4, 2)))
-    now = replace(frame(EGO, [goer(45.0, -1.0, 3.0)]), visibility=None if np.isinf(reach) else view)
-    stations = gone_on(now.predictions.t, at, 9.0, 10.0)
-    found = slower(reference, now, at, [0], stations, CAR)
-    told = movers(reference, now, at, found, stations, (True, False), CAR, CorridorConfig(), ())
-    assert len(told.boxes) == 1 and told.facing == (frozenset({"goer"}) if free else frozenset())
+    sight = None if np.isinf(reach) else Visibility(EGO.x, 0.0, 0.0, reach, 2.0 * np.pi, np.empty((0, 4, 2)))
+    now = scene(reference(road, ego=EGO, lane=0), EGO, [goer(45.0, -1.0, 3.0)], seen=sight)
+    stations = gone_on(now.frame.predictions.t, now.s, 9.0, 10.0)
+    way = to_pass(now, pass_targets(now, [0], stations), stations, (True, False), CorridorConfig(), ())
+    assert len(way.obstacles) == 1 and way.facing == (frozenset({"goer"}) if free else frozenset())
 
 
 def chosen(trace: Trace) -> str:
-    """Frame by frame: P passes, k could but keeps behind, - nobody is to be passed."""
+    """Frame by frame: P passes, k could but keeps behind, - no one is to be passed."""
     out = ""
     for one in trace.frames:
-        told = [i.rejected[0][0] for i in one.plan.internals if isinstance(i, Candidates) and i.stage == "passing"]
-        out += "-" if not told else "P" if told[0].startswith("keep:") else "k"
+        why = [i.rejected[0][0] for i in one.plan.internals if isinstance(i, Candidates) and i.stage == "passing"]
+        out += "-" if not why else "P" if why[0].startswith("keep:") else "k"
     return out
 
 
@@ -242,7 +227,7 @@ def chosen(trace: Trace) -> str:
     ],
     ids=["at the edge", "at the left edge", "room in the lane", "one after the other", "walking pace", "standing"],
 )
-def test_he_is_passed_once_and_for_all(road: Road, goers: list[tuple[float, float, float]], v: float) -> None:
+def test_they_are_passed_once_and_for_all(road: Road, goers: list[tuple[float, float, float]], v: float) -> None:
     found = drive(road, goers, v=v, seconds=20.0)
     assert found.before > 5.0 and found.room > 1.15
     assert hardest(found.trace)[0] < 2.0
@@ -270,7 +255,7 @@ def test_who_becomes_faster_meanwhile_is_passed_all_the_same() -> None:
 
 
 @pytest.mark.parametrize("rule", [{"light": 1}, {"must_stop": True}], ids=["red light", "stop sign"])
-def test_nobody_is_passed_where_the_ego_has_to_wait(rule: dict[str, object]) -> None:
+def test_no_one_is_passed_where_the_ego_has_to_wait(rule: dict[str, object]) -> None:
     mark = StopLine(7, 0, np.array([[80.0, -1.75], [80.0, 1.75]]), **rule)  # type: ignore[arg-type]
     red = TrafficLight(1, np.array([0.0]), (Colour.RED,))
     found = drive(replace(two_way(), stop_lines=(mark,)), [(35.0, -1.0, 3.0)], lights=(red,))
@@ -296,7 +281,7 @@ def test_who_follows_in_the_lane_beside_does_not_have_to_brake() -> None:
 @pytest.mark.slow
 @settings(max_examples=12, deadline=None)
 @given(st.floats(-2.3, -1.2), st.floats(1.2, 2.3), st.floats(-5.0, 25.0), st.floats(7.0, 13.5))
-def test_between_two_who_walk_at_both_edges_nobody_brakes_hard_or_swerves(
+def test_between_two_who_walk_at_both_edges_it_neither_brakes_hard_nor_swerves(
     right: float, left: float, gap: float, v: float
 ) -> None:
     goers = [(50.0, right, 1.3), (50.0 + gap, left, 1.2)]
@@ -307,7 +292,7 @@ def test_between_two_who_walk_at_both_edges_nobody_brakes_hard_or_swerves(
 
 
 def past_a_walker(turn: float, w: float) -> Trace:
-    """10 m/s past somebody who walks at 1.3 m/s, 0.6 m right of the middle, and turns left at a time with a speed."""
+    """10 m/s past a pedestrian at 1.3 m/s, 0.6 m right of the middle, who turns left at a time with a speed."""
     t = np.arange(0.0, 12.05, 0.1)
     after = np.maximum(t - turn, 0.0)
     x, y = 45.0 + 1.3 * np.minimum(t, turn), np.minimum(w * after - 0.6, 5.0)
@@ -321,8 +306,8 @@ def past_a_walker(turn: float, w: float) -> Trace:
 
 
 @pytest.mark.slow
-def test_the_front_touches_nobody_who_turns_into_the_way() -> None:
-    """Wherever the ego is when he turns. (Who walks into its flank when its front is past him cannot be helped.)"""
+def test_the_front_touches_no_one_who_turns_into_the_way() -> None:
+    """Wherever the ego is when they turn. (Who walks into its flank when its front is past them cannot be helped.)"""
     ego = past_a_walker(99.0, 1.0).ego
     ahead = 45.0 + 1.3 * ego.t - 0.25 - ego.x - CAR.axle_to_front
     assert ahead[-1] < -20.0
@@ -341,11 +326,10 @@ def test_the_lane_beside_is_borrowed_only_before_who_need_not_brake_hard(
     road = lanes(along_x(-100.0, 400.0), 2)
     lane, beside = (0, 3.5) if left else (1, 0.0)
     ego = EgoState(0.0, 20.0, 3.5 - beside, 0.0, 10.0, 0.0, 0.0)
-    reference = make_reference_path(road, Route((lane,), False, 0.0), ego, CAR)
+    course = reference(road, ego=ego, lane=lane)
     x = ego.x - CAR.rear_overhang - gap - 2.25
-    now = frame(ego, [driving("car", x, beside, ego.v + closing, length=4.5, width=1.8)])
-    against = borrowing_endangers(reference, now, reference.line.project(ego.x, ego.y)[0], CAR, left=left)
+    now = scene(course, ego, [driving("car", x, beside, ego.v + closing, length=4.5, width=1.8)])
+    against = borrowing_endangers(now, left=left)
     needed = 2.0 + closing + closing**2 / 4.0
     assert bool(against) == (gap < needed) or gap == pytest.approx(needed, abs=0.01)
-    other = borrowing_endangers(reference, now, reference.line.project(ego.x, ego.y)[0], CAR, left=not left)
-    assert other == ""
+    assert borrowing_endangers(now, left=not left) == ""

@@ -1,4 +1,4 @@
-"""The facing lane: borrowed to pass who blocks the lane, where nobody comes and the marking may be crossed."""
+"""The oncoming lane: borrowed to pass who blocks the lane, where no one comes and the marking may be crossed."""
 
 from __future__ import annotations
 
@@ -7,28 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from worlds import Drive, Other, along_x, driving, followed, gaps, standing, strip
+from worlds import Drive, Other, driving, followed, gaps, reference, standing, strip, two_way
 
 from logs import AgentKind, DecisionKind, EgoState, PlanStatus, Road
-from logs.route import Route
-from planners.frenet.reference_path import ReferencePath, make_reference_path
 
 EGO = EgoState(0.0, 0.0, 0.0, 0.0, 8.0)
 THING = Other("thing", lambda t: (60.0, 0.0, 0.0, 0.0, 0.0), AgentKind.OBJECT, 5.0, 3.0)
 PARKED = standing("parked", 60.0, 0.0, width=3.0)
-
-
-def two_way(*, crossable: bool = True, right: bool = True) -> Road:
-    """A lane along x and one back to its left (to its right where traffic drives on the left)."""
-    side = 1.0 if right else -1.0
-    marks = {"left_opposite": right, "right_opposite": not right, "speed_limit": 10.0}
-    marks["left_crossable" if right else "right_crossable"] = crossable
-    there, back = along_x(), along_x()[::-1] + np.array([0.0, side * 3.5])
-    return Road({0: strip(0, there, **marks), 1: strip(1, back, **marks)}, drives_on_right=right)
-
-
-def reference(road: Road) -> ReferencePath:
-    return make_reference_path(road, Route((0,), False, 0.0), EGO)
 
 
 def driven(road: Road, others: Sequence[Other], seconds: float = 20.0) -> Drive:
@@ -40,7 +25,7 @@ def driven(road: Road, others: Sequence[Other], seconds: float = 20.0) -> Drive:
 
 @pytest.mark.parametrize("right", [True, False])
 def test_the_facing_lane_adjoins_where_its_marking_may_be_crossed(right: bool) -> None:
-    found, shut = reference(two_way(right=right)), reference(two_way(right=right, crossable=False))
+    found, shut = (reference(two_way(right=right, crossable=free), lane=0) for free in (True, False))
     near, far = (found.facing_left, found.facing_right) if right else (found.facing_right, found.facing_left)
     assert near is not None and far is not None
     np.testing.assert_allclose(np.abs(near[:-1]), 5.25, atol=1e-6)
@@ -50,7 +35,7 @@ def test_the_facing_lane_adjoins_where_its_marking_may_be_crossed(right: bool) -
 
 
 @pytest.mark.parametrize("right", [True, False])
-def test_who_blocks_the_lane_is_passed_where_nobody_comes(right: bool) -> None:
+def test_who_blocks_the_lane_is_passed_where_no_one_comes(right: bool) -> None:
     drive = driven(two_way(right=right), [THING])
     y = np.array([now.ego.y for now, _ in drive]) * (1.0 if right else -1.0)
     assert drive[-1][0].ego.x > 120.0 and y.max() > 2.5 and abs(y[-1]) < 0.3
@@ -93,6 +78,6 @@ def test_who_waits_before_a_junction_is_not_overtaken() -> None:
     ]
     stem = replace(road.lanes[0], left=x + np.array([0.0, 1.75]), right=x - np.array([0.0, 1.75]), successors=(2, 3))
     forked = Road({**road.lanes, 0: stem, 2: fork[0], 3: fork[1]})
-    assert reference(forked).waits == pytest.approx((140.0,), abs=0.5)
+    assert reference(forked, lane=0).waits == pytest.approx((140.0,), abs=0.5)
     drive = driven(forked, [PARKED])
     assert drive[-1][0].ego.x < 55.0 and max(abs(now.ego.y) for now, _ in drive) < 0.2

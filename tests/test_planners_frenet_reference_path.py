@@ -1,4 +1,4 @@
-"""ReferencePath: smoothing that stays where it was told to, and the width of known roads."""
+"""Reference path: smoothing that stays within its bound, and the width of known roads."""
 
 from __future__ import annotations
 

@@ -1,0 +1,163 @@
+"""Speed caps: the limit is their minimum, what is said is what is driven, and a new case is one producer."""
+
+from __future__ import annotations
+
+import re
+from itertools import product
+from math import inf
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from worlds import CAR, Other, along_x, driving, followed, lanes, path_of, reference, scene, view
+
+from logs import AgentKind, Decision, DecisionKind, EgoState, Visibility
+from logs.kernel import FloatArray
+from planners.dp_qp.scene import hesitant_pedestrians, occlusion, passing_speed
+from planners.dp_qp.scene.caps import WORTH_MPS, LoweredLimit, PathView, SpeedCap, lowered
+from planners.dp_qp.scene.moving_obstacles import gone_on, pass_targets
+from planners.dp_qp.scene.producers import OTHERS
+from planners.dp_qp.speed import stage
+
+SIGMA = np.arange(0.0, 60.0, 0.5)
+SPEEDS, STATIONS = st.sampled_from([0.0, 2.5, 4.0, 6.5, 9.0, 20.0]), st.floats(-5.0, 65.0)
+
+
+@st.composite
+def speed_caps(draw: st.DrawFn) -> SpeedCap:
+    begin, agent, v = draw(STATIONS), draw(st.sampled_from(["", "a", "b", "c"])), draw(SPEEDS)
+    end = draw(st.sampled_from([inf, begin + 1.0, begin + 20.0]))
+    return SpeedCap(draw(st.sampled_from([-inf, begin])), end, v, agent, f"{v:.1f} m/s", draw(st.booleans()))
+
+
+CAPS = st.lists(speed_caps(), max_size=6)
+ROADS = st.lists(st.floats(3.0, 16.0), min_size=2, max_size=5)
+
+
+def road_of(values: list[float]) -> LoweredLimit:
+    v = np.interp(SIGMA, np.linspace(0.0, 60.0, len(values)), values)
+    return LoweredLimit(v, np.zeros(len(SIGMA), np.bool_))
+
+
+def there(cap: SpeedCap) -> np.ndarray:
+    return (cap.s_from < SIGMA) & (cap.s_to >= SIGMA)
+
+
+@given(ROADS, CAPS)
+def test_the_limit_is_the_least_of_the_road_and_the_caps_that_hold_there(
+    values: list[float], caps: list[SpeedCap]
+) -> None:
+    road = road_of(values)
+    found = lowered(SIGMA, road, caps)
+    least = np.min([road.v, *(np.where(there(cap), cap.v, inf) for cap in caps)], axis=0)
+    np.testing.assert_array_equal(found.v, least)
+    bound = np.any([there(cap) & (cap.v == least) & cap.is_bound for cap in caps] or [road.is_bound], axis=0)
+    np.testing.assert_array_equal(found.is_bound, bound)
+
+
+@given(ROADS, CAPS, st.randoms(use_true_random=False))
+def test_the_order_of_the_caps_does_not_matter(values: list[float], caps: list[SpeedCap], shuffled: object) -> None:
+    road, others = road_of(values), caps.copy()
+    shuffled.shuffle(others)  # type: ignore[attr-defined]
+    one, two = lowered(SIGMA, road, caps), lowered(SIGMA, road, others)
+    np.testing.assert_array_equal(one.v, two.v)
+    np.testing.assert_array_equal(one.is_bound, two.is_bound)
+    assert {(item.agent, item.reason) for item in one.decisions} == {
+        (item.agent, item.reason) for item in two.decisions
+    }
+
+
+@given(ROADS, CAPS)
+def test_a_decision_for_each_who_lowers_the_roads_limit_with_the_lowest_of_their_speeds(
+    values: list[float], caps: list[SpeedCap]
+) -> None:
+    road = road_of(values)
+    worth = [cap for cap in caps if cap.agent and (cap.v < road.v - WORTH_MPS)[there(cap)].any()]
+    found = lowered(SIGMA, road, caps).decisions
+    assert {item.agent for item in found} == {cap.agent for cap in worth} and len(found) == len(
+        {c.agent for c in worth}
+    )
+    for item in found:
+        assert item.reason == f"{min(cap.v for cap in worth if cap.agent == item.agent):.1f} m/s"
+        assert (item.kind, item.stage) == (DecisionKind.YIELD, "speed")
+
+
+@given(ROADS, CAPS)
+def test_what_was_decided_before_is_kept(values: list[float], caps: list[SpeedCap]) -> None:
+    before = Decision("it", DecisionKind.STOP, "speed", "red light")
+    road = road_of(values)
+    found = lowered(SIGMA, LoweredLimit(road.v, road.is_bound, (before,)), caps)
+    assert found.decisions[0] == before
+    assert (road.v == road_of(values).v).all() and not road.is_bound.any()
+
+
+EGO = EgoState(0.0, 20.0, 0.0, 0.0, 10.0)
+COURSE = reference(lanes(along_x(0.0, 400.0)), ego=EGO)
+X = 0.5 * np.arange(200)
+
+
+def seen(d: float, ahead: float, kind: AgentKind) -> PathView:
+    """Hidden ground, an agent who came to the path, and one who goes along the lane, `d` m beside the ego."""
+    side, x = 0.5 * CAR.width + d, EGO.x + ahead
+    corners = np.array([[x, side], [x + 20.0, side], [x + 20.0, side + 5.0], [x, side + 5.0]])
+    sight = Visibility(EGO.x, 0.0, 0.0, 100.0, 2.0 * np.pi, corners[None])
+    came = Other("came", lambda t: (x, -side - 0.25, 0.0, 0.0, 0.0), AgentKind.PEDESTRIAN, 0.5, 0.5)
+    goes = Other("goes", lambda t: (x + 1.3 * t, side + 0.25, 0.0, 1.3, 0.0), kind, 0.5, 0.5)
+    now = scene(COURSE, EGO, [came, goes], seen=sight)
+    targets = pass_targets(now, [1], gone_on(now.frame.predictions.t, now.s, 10.0, 10.0))
+    path = path_of(np.zeros(len(X)), 0.5)
+    moved = type(path)(path.sigma, path.x + EGO.x, path.y, path.yaw, path.kappa, path.s + now.s)
+    return view(now, moved, targets=targets, came={"came": 0.0})
+
+
+@given(st.floats(0.7, 3.0), st.floats(8.0, 40.0), st.sampled_from([AgentKind.PEDESTRIAN, AgentKind.BICYCLE]))
+def test_the_speed_in_a_sentence_is_the_speed_of_the_cap(d: float, ahead: float, kind: AgentKind) -> None:
+    looked = seen(d, ahead, kind)
+    for producer in (occlusion.caps, hesitant_pedestrians.caps, passing_speed.caps):
+        said = [cap for cap in producer(looked) if cap.reason]
+        assert said
+        for cap in said:
+            assert cap.agent in ("hidden ground", "came", "goes") and cap.is_bound
+            assert re.findall(r"([\d.]+) m/s", cap.reason) == [f"{cap.v:.1f}"]
+
+
+def speeds(drive: list) -> tuple[FloatArray, FloatArray]:
+    """Front bumper and speed of the ego at each frame."""
+    return tuple(np.array([(now.ego.x + CAR.axle_to_front, now.ego.v) for now, _ in drive]).T)  # type: ignore[return-value]
+
+
+BEGIN, END, SLOW = 60.0, 80.0, 5.0
+
+
+def school(seen: PathView) -> tuple[SpeedCap, ...]:
+    """A new special case: children may be about beside a school."""
+    front = seen.scene.front + seen.path.sigma[0]
+    begin, end = (station - front + 50.0 for station in (BEGIN, END))  # the road of the test begins at x = -50
+    return (SpeedCap(begin, end, SLOW, "school", f"children may be about: {SLOW:.1f} m/s"),)
+
+
+def test_a_new_special_case_is_one_producer_and_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It is driven, kept exactly, and said; nothing else knows of it."""
+    road, ego = lanes(along_x()), EgoState(0.0, 0.0, 0.0, 0.0, 10.0)
+    x, v = speeds(followed(road, ego, seconds=14.0))
+    assert v[(x > BEGIN) & (x < END)].min() > 9.0
+    monkeypatch.setattr(stage, "OTHERS", (*OTHERS, school))
+    drive = followed(road, ego, seconds=14.0)
+    x, v = speeds(drive)
+    inside = (x > BEGIN + 0.5) & (x < END)
+    assert inside.any() and v[inside].max() <= SLOW + 0.02 and v[inside].min() > SLOW - 0.5
+    assert v[x < BEGIN - 30.0].min() > 9.0 and v[-1] > SLOW + 3.0
+    said = [item for item in drive[0][1].internals if isinstance(item, Decision) and item.agent == "school"]
+    assert [item.reason for item in said] == ["children may be about: 5.0 m/s"]
+    past = drive[-1][1].internals
+    assert not [item for item in past if isinstance(item, Decision) and item.agent == "school"]
+
+
+def test_a_case_that_another_producer_makes_stricter_is_driven_by_the_stricter(monkeypatch: pytest.MonkeyPatch) -> None:
+    walker = driving("walker", BEGIN + 10.0, -9.0, 0.0, 1.2, length=0.5, width=0.6, kind=AgentKind.PEDESTRIAN)
+    road, ego = lanes(along_x()), EgoState(0.0, 0.0, 0.0, 0.0, 10.0)
+    for producers, others in product(((*OTHERS, school), (school, *OTHERS)), ((), (walker,))):
+        monkeypatch.setattr(stage, "OTHERS", producers)
+        x, v = speeds(followed(road, ego, others, seconds=10.0))
+        assert v[(x > BEGIN + 0.5) & (x < END)].max() <= SLOW + 0.02

@@ -1,0 +1,160 @@
+"""Memory goes in and comes out; what a plan came from is built once, and only for who looks."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from copy import deepcopy
+from dataclasses import FrozenInstanceError, fields, is_dataclass, replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from worlds import CAR, PERIOD, Drive, Other, along_x, driving, followed, frame, lanes, planner, standing, two_way
+
+from logs import AgentKind, EgoState, PlannerContext, PlanStatus, SolverReport, StGraph
+from logs.trace import Artefact, Internals
+from planners.dp_qp.lane.memory import LaneMemory, PassMemory
+from planners.dp_qp.lane.passing import passing
+from planners.dp_qp.lane.plan import LanePlan, LanePlanner
+from planners.dp_qp.path.stage import PathConfig
+from planners.dp_qp.speed.stage import SpeedConfig
+from planners.frenet.lane_sequence import LaneSequences
+from planners.rules import Rulebook
+
+TWO, EGO = lanes(along_x(), 2), EgoState(0.0, 0.0, 0.0, 0.0, 9.0)
+
+
+def hesitates(t: float) -> tuple[float, float, float, float, float]:
+    """Walks to the lane's edge, and stands there."""
+    y = min(-5.0 + 1.4 * t, -2.4)
+    return 45.0, y, 0.5 * np.pi, 0.0, 1.4 if y < -2.4 else 0.0
+
+
+CROWD = (
+    standing("parked", 30.0, -2.2),
+    driving("rider", 60.0, -0.8, 3.0, length=1.8, width=0.6, kind=AgentKind.BICYCLE),
+    Other("walker", hesitates, AgentKind.PEDESTRIAN, 0.5, 0.6),
+    driving("beside", -15.0, 3.5, 9.0),
+)
+
+
+def same(one: object, two: object) -> bool:
+    """Whether two values are equal to the last bit, field by field."""
+    if is_dataclass(one):
+        return type(one) is type(two) and all(same(getattr(one, f.name), getattr(two, f.name)) for f in fields(one))
+    if isinstance(one, np.ndarray):
+        return isinstance(two, np.ndarray) and one.shape == two.shape and one.tobytes() == two.tobytes()
+    if isinstance(one, Mapping):
+        return isinstance(two, Mapping) and [*one] == [*two] and all(same(one[key], two[key]) for key in one)
+    if isinstance(one, tuple | list):
+        return len(one) == len(two) and all(map(same, one, two))  # type: ignore[arg-type]
+    return bool(one == two)
+
+
+def lane_planner() -> LanePlanner:
+    lane = LaneSequences(PlannerContext(two_way(), None, CAR, PERIOD, EGO)).start(EGO)
+    rules = Rulebook(two_way(), lane.reference, CAR)
+    return LanePlanner(lane, rules, None, CAR, PathConfig(), SpeedConfig(), passes_left=True, lap=lambda _: None)
+
+
+def found(plan: LanePlan) -> tuple[object, ...]:
+    """What a plan is, without who made it."""
+    speed = plan.speed
+    assert speed is not None
+    return plan.path.path, plan.path.passed, speed.profile, speed.reason, plan.costs, plan.artefacts()
+
+
+@pytest.mark.parametrize(("others", "remembered"), [(CROWD, {"came", "standing"}), (CROWD[1:2], {"came", "passed"})])
+def test_the_same_scene_and_memory_give_the_same_plan_and_memory(others: Sequence[Other], remembered: set[str]) -> None:
+    """All along a drive, in a lane and past who is slower in it; what went in is what it was, to the last bit."""
+    driver, other = lane_planner(), lane_planner()
+    memory, past, ego, kept = LaneMemory(), PassMemory(), EGO, set()
+    for k in range(40):
+        now = frame(ego, others, t=k * PERIOD)
+        before = deepcopy((memory, past))
+        scene = driver.scene(now, ego, memory)
+        keep, after = driver.plan("keep", scene, memory)
+        plan, _, passed = passing(keep, driver, past, PathConfig().corridor, passes_left=True)
+        again, after_again = other.plan("keep", other.scene(now, ego, memory), memory)
+        plan_again, _, passed_again = passing(again, other, past, PathConfig().corridor, passes_left=True)
+        assert same(found(keep), found(again)) and same(found(plan), found(plan_again))
+        assert same(after, after_again) and same(passed, passed_again)
+        assert same((memory, past), before)
+        memory, past = after, passed
+        kinds = {"came": memory.speed.came, "standing": memory.path.standing, "passed": past.passed}
+        kept |= {name for name, value in kinds.items() if value}
+        assert plan.speed is not None and plan.speed.profile is not None and plan.path.path is not None
+        way = plan.path.path
+        s, v, a = plan.speed.profile[:, 1]
+        x, y, yaw, kappa = (float(np.interp(s, way.sigma, c)) for c in (way.x, way.y, way.yaw, way.kappa))
+        ego = EgoState((k + 1) * PERIOD, x, y, yaw, float(v), float(a), kappa)
+    assert kept == remembered  # that is: there was something to remember
+
+
+def test_memories_are_frozen() -> None:
+    memory = LaneMemory()
+    for one in (memory, PassMemory(), memory.path, memory.speed, memory.speed.braking, memory.rules):
+        with pytest.raises(FrozenInstanceError):
+            setattr(one, fields(one)[0].name, None)
+
+
+@given(st.integers(0, 4), st.lists(st.one_of(st.integers(-1, 0), st.just(slice(None)), st.none()), max_size=5))
+def test_internals_are_built_once_and_only_for_who_looks(count: int, looks: list[int | slice | None]) -> None:
+    report, built = SolverReport("a stage", True, "solved", 3, 0.0, 0.0), []
+    parts: tuple[Artefact, ...] = (report, *(replace(report, iterations=i) for i in range(count)))
+
+    def build() -> tuple[Artefact, ...]:
+        built.append(1)
+        return parts
+
+    internals = Internals((report,), build)
+    assert internals.reports == (report,) and not built
+    for look in looks:
+        assert len(internals) == len(parts) if look is None else internals[look] == parts[look]
+    assert len(built) == min(len(looks), 1)
+    assert tuple(internals) == parts and report in internals and len(built) == 1
+
+
+@pytest.fixture
+def counted(monkeypatch: pytest.MonkeyPatch) -> Counter[int]:
+    """How often the artefacts of each lane plan are made."""
+    counts: Counter[int] = Counter()
+    make, kept = LanePlan.artefacts, []
+
+    def artefacts(self: LanePlan) -> tuple[Artefact, ...]:
+        kept.append(self)  # so that no other has its id
+        counts[id(self)] += 1
+        return make(self)
+
+    monkeypatch.setattr(LanePlan, "artefacts", artefacts)
+    return counts
+
+
+def driven() -> Drive:
+    return followed(TWO, EGO, CROWD, seconds=2.0)
+
+
+def test_a_drive_at_which_no_one_looks_builds_nothing(counted: Counter[int]) -> None:
+    drive = driven()
+    reports = [plan.recorded(keep=False).internals for _, plan in drive]
+    assert not counted
+    assert all(item.solved for some in reports for item in some if isinstance(item, SolverReport)) and all(reports)
+    for _, plan in drive:
+        for _ in range(2):
+            assert len(plan.recorded(keep=True).internals) == len(plan.internals) > len(plan.internals[:1])
+    assert len(counted) == len(drive) and set(counted.values()) == {1}
+
+
+def test_what_is_looked_at_late_is_what_was_there_at_once() -> None:
+    """The plans of a drive, each looked at when it was made; and all of them after the drive."""
+    driver, eager = planner(TWO, EGO), []
+    late = driven()
+    for now, plan in late:
+        made = driver.plan(replace(now, previous=now.previous))
+        assert made.status is PlanStatus.PLANNED and same(made.trajectory, plan.trajectory)
+        eager.append(tuple(made.internals))
+    for (_, plan), at_once in zip(late, eager, strict=True):
+        assert same(tuple(plan.internals), at_once)
+    assert any(isinstance(item, StGraph) and len(item.obstacles) for some in eager for item in some)

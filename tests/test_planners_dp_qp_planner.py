@@ -41,6 +41,7 @@ from planners.dp_qp.path.qp import PathQp
 from planners.dp_qp.path.stage import PathConfig
 from planners.dp_qp.speed.qp import SpeedQp, SpeedQpConfig
 from planners.dp_qp.speed.stage import SpeedConfig
+from planners.frenet.fallback import meets
 from planners.frenet.lane_sequence import LaneSequences
 from planners.qp import QPResult
 from planners.rules import Rulebook

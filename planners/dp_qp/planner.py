@@ -8,7 +8,7 @@ from math import inf
 from logs.frame import Frame, PlannerContext
 from logs.states import EgoState
 from logs.trace import Artefact, Internals, Plan, PlanStatus
-from planners.dp_qp.lane.choice import choose, worth_looking
+from planners.dp_qp.lane.choice import choose, hopeless, worth_looking
 from planners.dp_qp.lane.memory import LaneMemory, PassMemory
 from planners.dp_qp.lane.passing import passing
 from planners.dp_qp.lane.plan import LanePlan, LanePlanner
@@ -96,9 +96,18 @@ class DpQp:
         if not worth_looking(keep, since_change=frame.t - memory.changed):
             return keep, considered
         beside = self._lanes.beside(keep.lane, keep.scene.s)
-        others = [self._planned(side, lane, frame, start) for side, lane in beside]
-        if not others:
+        if not beside:
             return keep, considered
+        others: list[LanePlan] = []
+        for side, lane in beside:
+            planner, before = self._planner(lane), memory.lanes.get(lane, LaneMemory())
+            scene = planner.scene(frame, start, before)
+            option = hopeless(side, scene, planner.least_costs(side, scene), keep)
+            if option is not None:
+                considered = (*considered, option)
+                continue
+            plan, memory.lanes[lane] = planner.plan(side, scene, before)
+            others.append(plan)
         chosen, more = choose(keep, others)
         if chosen is not keep:
             memory.passing.pop(keep.lane, None)

@@ -16,13 +16,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import cos, hypot, inf, isnan, sin, sqrt
+from math import cos, hypot, inf, isnan, sin
 from typing import NamedTuple
 
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, frozen, kernel
-from logs.shapes import overlap_turned
+from logs.shapes import axis_gap, overlap_turned
 from logs.states import wrap
 from logs.trace import Decision, DecisionKind, GraphObstacle
 from planners.frenet.occupancy import Occupancy
@@ -33,6 +33,8 @@ CREEPING_MPS = 0.1
 """Who is slower does not walk: their predicted way is none."""
 HALVINGS = 4
 """Of the path's spacing, about 0.4 m, towards the edge of an interval."""
+JUMP = 0.999
+"""Share of a gap that is jumped over, so that rounding does not jump over a touch."""
 ALONG = 0.7
 """Who moves along the path with this share of their speed is followed, not let go first."""
 
@@ -199,7 +201,8 @@ def _swept(
     Times are `stride` samples apart. `path` has the rows sigma, x, y, yaw `(4, points)`, predictions are `(n, k)`; size
     margin, velocity and whether to `skip` them are the agents'.
     """
-    boxes, spacing = _ego_boxes(path, ego.rear_to_center)
+    widest = margin.max() if len(margin) else 0.0
+    boxes, moved = _ego_boxes(path, ego.rear_to_center, 0.5 * hypot(ego.length, ego.width + 2.0 * widest))
     low_x, high_x, low_y, high_y = boxes[0].min(), boxes[0].max(), boxes[1].min(), boxes[1].max()
     t = times[::stride] - now
     rows, speed = np.empty(len(x), np.int64), np.empty(len(x))
@@ -220,9 +223,9 @@ def _swept(
                 continue
             heading = yaw[i, k * stride]
             other = at_x, at_y, cos(heading), sin(heading), size[0], size[1]
-            met = _first_met(boxes, 0, 1, spacing, reach, ego.length, ego_width, other)
+            met = _first_met(boxes, 0, 1, moved, ego.length, ego_width, other)
             if met >= 0:
-                last = _first_met(boxes, boxes.shape[1] - 1, -1, spacing, reach, ego.length, ego_width, other)
+                last = _first_met(boxes, boxes.shape[1] - 1, -1, moved, ego.length, ego_width, other)
                 lower[count, k] = _edge(path[0], boxes, met, -1, ego.length, ego_width, other)  # (1)
                 upper[count, k] = _edge(path[0], boxes, last, 1, ego.length, ego_width, other)
                 taken = True
@@ -236,42 +239,39 @@ def _swept(
 
 
 @kernel
-def _ego_boxes(path: FloatArray, rear_to_center: float) -> tuple[FloatArray, float]:
-    """Rows x, y, yaw, cos yaw, sin yaw `(5, m)` of the ego's box along a path, and the largest step between two, m."""
+def _ego_boxes(path: FloatArray, rear_to_center: float, radius: float) -> tuple[FloatArray, float]:
+    """Rows x, y, yaw, cos yaw, sin yaw `(5, m)` of the ego's box along a path; how far its points move at most, m."""
     out = np.empty((5, path.shape[1]))
-    spacing = 1e-6
+    moved = 1e-6
     for j in range(path.shape[1]):
         c, s = cos(path[3, j]), sin(path[3, j])
         out[0, j], out[1, j] = path[1, j] + rear_to_center * c, path[2, j] + rear_to_center * s
         out[2, j], out[3, j], out[4, j] = path[3, j], c, s
         if j > 0:
-            spacing = max(spacing, hypot(out[0, j] - out[0, j - 1], out[1, j] - out[1, j - 1]))
-    return out, spacing
+            away = hypot(out[0, j] - out[0, j - 1], out[1, j] - out[1, j - 1])
+            moved = max(moved, away + radius * abs(wrap(out[2, j] - out[2, j - 1])))
+    return out, moved
 
 
 @kernel
 def _first_met(
-    boxes: FloatArray, begin: int, step: int, spacing: float, reach: float, length: float, width: float,
+    boxes: FloatArray, begin: int, step: int, moved: float, length: float, width: float,
     other: tuple[float, float, float, float, float, float],
 ) -> int:  # fmt: skip
     """The first point from `begin` on, in steps of +-1, at which the ego overlaps a box; -1 where there is none.
 
-    Points farther than `reach` are jumped over: neighbours in `boxes` are not further apart than `spacing` m. The
-    `other` box is x, y, cos yaw, sin yaw, length, width.
+    Points are jumped over at which the gap cannot have closed: from one to the next no point of the ego's box moves
+    further than `moved` m. The `other` box is x, y, cos yaw, sin yaw, length, width.
     """
     j = begin
     while 0 <= j < boxes.shape[1]:
-        dx, dy = other[0] - boxes[0, j], other[1] - boxes[1, j]
-        away = sqrt(dx * dx + dy * dy) - reach
-        if away > 0.0:
-            j += step * (1 + int(away / spacing))
-            continue
-        if overlap_turned(
+        gap = axis_gap(
             boxes[0, j], boxes[1, j], boxes[3, j], boxes[4, j], length, width,
             other[0], other[1], other[2], other[3], other[4], other[5],
-        ):  # fmt: skip
+        )  # fmt: skip
+        if gap <= 0.0:
             return j
-        j += step
+        j += step * (1 + int(JUMP * gap / moved))
     return -1
 
 

@@ -17,7 +17,7 @@ from __future__ import annotations
 import numpy as np
 
 from logs.kernel import FloatArray
-from logs.trace import Artefact, LaneOption
+from logs.trace import Artefact, CostTerms, LaneOption
 from planners.dp_qp.lane.plan import LanePlan
 from planners.frenet.scene import Scene
 
@@ -38,6 +38,17 @@ def worth_looking(keep: LanePlan, *, since_change: float) -> bool:
     if under_way:
         return not keep.is_comfortable
     return keep.lane.changes != 0 or (keep.time_lost > LOOK_S and since_change > DWELL_S) or not keep.is_comfortable
+
+
+def hopeless(name: str, scene: Scene, least: CostTerms, keep: LanePlan) -> LaneOption | None:
+    """Why a neighbour need not be planned, given what it costs at least; None where it may be taken."""
+    cost = sum(value for _, value in least.terms)
+    against = ""
+    if not cost < keep.cost - HYSTERESIS_S:
+        against = f"costs at least {cost:.1f} s, {keep.name} {keep.cost:.1f} s: not {HYSTERESIS_S:.1f} s better"
+    elif abs(scene.l) > INSIDE_M:
+        against = _unsafe(scene)
+    return LaneOption(name, least.terms, against) if against else None
 
 
 def choose(keep: LanePlan, others: list[LanePlan]) -> tuple[LanePlan, tuple[Artefact, ...]]:
@@ -65,11 +76,12 @@ def _against(other: LanePlan) -> str:
     """Why a lane may not be taken; empty where it may."""
     if not other.is_comfortable:
         return other.trouble
-    if abs(other.scene.l) <= INSIDE_M:
-        return ""
-    if other.scene.frame.ego.v < SLOWEST_CHANGE_MPS:
-        return "too slow to change"
-    return endangered(other.scene)
+    return "" if abs(other.scene.l) <= INSIDE_M else _unsafe(other.scene)
+
+
+def _unsafe(scene: Scene) -> str:
+    """Why a change into the scene's lane may not be begun now; empty where it may."""
+    return "too slow to change" if scene.frame.ego.v < SLOWEST_CHANGE_MPS else endangered(scene)
 
 
 def worth_passing(keep: LanePlan, past: LanePlan, *, under_way: bool) -> str:

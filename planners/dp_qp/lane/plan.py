@@ -171,6 +171,18 @@ class LanePlanner:
         plan = LanePlan(name, self.lane, scene, path, speed, self._costs(name, scene, speed, target))
         return plan, LaneMemory(t, (start.x, start.y, scene.s), path_memory, speed_memory, rules)
 
+    def least_costs(self, name: str, scene: Scene) -> CostTerms:
+        """(2), (3) and (5) of a plan in this lane, without making it: it costs no less, but for time gained."""
+        missed = self._goal.target(scene.frame.t, scene.s, scene.start.v).missed_s
+        return CostTerms(f"lane {name}", tuple(self._own_terms(name, scene, missed).items()))
+
+    def _own_terms(self, name: str, scene: Scene, missed_s: float) -> dict[str, float]:
+        return {
+            "lane changes": self._route_cost(scene),  # (2)
+            "change": CHANGE_S if name in ("left", "right") else 0.0,  # (3)
+            "late": missed_s,  # (5)
+        }
+
     def _beside(self, scene: Scene) -> tuple[PassTarget, ...]:
         """Those who go along the lane, where the ego would come beside them if it drove at the limit.
 
@@ -187,14 +199,10 @@ class LanePlanner:
         if speed is not None and speed.profile is not None:
             lost = (speed.free_m - float(speed.profile[0, -1])) / max(scene.limit, 1.0)
             braking = FAILED_S if speed.unavoidable else HARD_S if speed.reason else 0.0
-        terms = {
-            "time lost": lost,  # (1)
-            "lane changes": self._route_cost(scene),  # (2)
-            "change": CHANGE_S if name in ("left", "right") else 0.0,  # (3)
-            "braking": braking,  # (4)
-            "late": target.missed_s,  # (5)
-        }
-        return CostTerms(f"lane {name}", tuple(terms.items()))
+        own = self._own_terms(name, scene, target.missed_s)
+        order = "time lost", "lane changes", "change", "braking", "late"
+        terms = {**own, "time lost": lost, "braking": braking}  # (1), (4)
+        return CostTerms(f"lane {name}", tuple((term, terms[term]) for term in order))
 
     def _route_cost(self, scene: Scene) -> float:
         lane, start = self.lane, scene.start

@@ -108,7 +108,16 @@ class Trajectory:
 
         For plans and ground truth only: between two samples of a log it knows the later one.
         """
-        return EgoState(t, *(float(np.interp(t, self.t, getattr(self, name))) for name in TRAJECTORY_COLUMNS[1:]))
+        i = int(np.searchsorted(self.t, t, side="right")) - 1
+        if i < 0 or i >= len(self.t) - 1:
+            ends = (float(column[max(i, 0)]) for column in self._columns()[1:])
+            return EgoState(t, *ends)
+        begin, step = float(self.t[i]), float(self.t[i + 1] - self.t[i])
+        pairs = ((float(column[i]), float(column[i + 1])) for column in self._columns()[1:])
+        return EgoState(t, *((after - before) / step * (t - begin) + before for before, after in pairs))
+
+    def _columns(self) -> tuple[FloatArray, ...]:
+        return self.t, self.x, self.y, self.yaw, self.v, self.a, self.kappa
 
     def resampled(self, t: FloatArray) -> Trajectory:
         """Linear interpolation at the times `t` `(m,)`, increasing, within the span."""

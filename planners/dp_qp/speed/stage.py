@@ -169,12 +169,12 @@ class SpeedStage:
         own = lowered(path.sigma, bare, (cap for caps in OWN for cap in caps(view)))
         limit = lowered(path.sigma, own, (cap for caps in OTHERS for cap in caps(view)))
 
-        nearest = task.skip.copy()
-        nearest[np.setdiff1d(np.arange(len(nearest)), found.agent)] = True
-
         def taken(margins: StGraphConfig) -> StBoundaries:
             """The boundaries with other margins: of those who are in the way, unless they may be faster than now."""
-            skip = task.skip if margins.brisk_mps > config.graph.brisk_mps else nearest
+            skip = task.skip
+            if margins.brisk_mps <= config.graph.brisk_mps:
+                skip = np.ones(len(skip), np.bool_)
+                skip[found.agent] = False
             return st_boundaries(scene, path, skip, passed, margins).with_stops(task.stops)
 
         way = _Way(view, limit, own, taken, task.target.hurried)

@@ -16,16 +16,16 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from crowds import CROWDS, crowded
 
 from logs.catalogue import CATALOGUE
 from logs.convert.commonroad import read_commonroad
 from logs.frame import Predictions
-from logs.scenario import AgentKind, Agents, Scenario, Tracks
+from logs.scenario import Agents, Scenario
 from replay.drive import DEFAULT_LOOP
 from replay.perception import Perception
 from replay.prediction import PREDICTORS, LaneMap, predict
@@ -33,7 +33,7 @@ from replay.world import World, logged_ego
 
 HORIZONS_S = (1.0, 2.0, 4.0, 6.0)
 STEP_S = 0.1
-CROWDS, PASSES = (50, 200, 500), 5
+PASSES = 5
 SOURCES = ("mona", "ngsim", "sumo")
 
 
@@ -78,24 +78,6 @@ def rows(scenario: Scenario, method: str, every: float) -> Iterator[tuple[str, s
             for name, likely, best in errors(agents, future, scenario.tracks.truth(float(t) + ahead), ahead):
                 if name in moving:
                     yield source_of(scenario), method, ahead, kinds[name].value, likely, best, took
-
-
-def crowded(scenario: Scenario, n: int) -> Scenario:
-    """The log's road and ego among `n` agents that drive and walk straight on from places on its lanes."""
-    rng, t = np.random.default_rng(0), np.linspace(0.0, 3.0, 31)
-    lanes = [lane for lane in scenario.road.lanes.values() if lane.drivable]
-    rows = []
-    for lane in (lanes[i] for i in rng.integers(len(lanes), size=n)):
-        k = rng.integers(len(lane.center) - 1)
-        heading = np.arctan2(*(lane.center[k + 1] - lane.center[k])[::-1]) + rng.normal(0.0, 0.05)
-        vx, vy = rng.uniform(0.0, 12.0) * np.array([np.cos(heading), np.sin(heading)])
-        x, y = lane.center[k] + rng.normal(0.0, 0.6, 2)
-        rows.append(np.vstack([t, x + vx * t, y + vy * t, *np.array([[heading], [vx], [vy]]) + 0.0 * t]))
-    kinds = tuple(AgentKind.CAR if on_wheels else AgentKind.PEDESTRIAN for on_wheels in rng.uniform(size=n) > 0.1)
-    sizes, offsets = (np.full(n, 4.5), np.full(n, 1.8)), len(t) * np.arange(n + 1)
-    return replace(
-        scenario, tracks=Tracks(tuple(map(str, range(n))), kinds, *sizes, np.zeros(n, bool), offsets, *np.hstack(rows))
-    )
 
 
 def frame_us(scenario: Scenario) -> float:

@@ -308,9 +308,9 @@ class PlannedFrame:
     visibility: Visibility | None = None
 
     @classmethod
-    def of(cls, frame: Frame, plan: Plan, *, keep: bool = True) -> PlannedFrame:
-        """The plan for a frame, with what a trace keeps of both; the planner's internals if `keep`."""
-        return cls(frame.t, plan.recorded(keep=keep), frame.agents.ids, _thinned(frame.predictions), frame.visibility)
+    def of(cls, frame: Frame, plan: Plan) -> PlannedFrame:
+        """The plan for a frame, as it is kept (`Plan.recorded`), with what a trace keeps of the frame."""
+        return cls(frame.t, plan, frame.agents.ids, _thinned(frame.predictions), frame.visibility)
 
 
 def _thinned(predictions: Predictions) -> Predictions:

@@ -23,10 +23,12 @@ def run_closed_loop(
     *,
     planner_config: Mapping[str, object] = MappingProxyType({}),
     config: LoopConfig = DEFAULT_LOOP,
+    keep_internals: bool = True,
 ) -> Drive:
     """Drive a scenario with a planner: plan at `config.plan_period_s`, control and step at `config.control_period_s`.
 
-    The ego starts as logged and is then moved by the vehicle model; the others by `config.traffic`.
+    The ego starts as logged and is then moved by the vehicle model; the others by `config.traffic`. The planner's
+    internals are only built where they are kept.
 
     Raises:
         LogError: The log has no time to drive.
@@ -35,7 +37,7 @@ def run_closed_loop(
     """
     setup = SimulationSetup.of(scenario, config)
     world, latency = setup.world(), Latency(config.plan_delay_steps)
-    planning = Planning(scenario, planner, planner_config, config, world.ego)
+    planning = Planning(scenario, planner, planner_config, config, world.ego, keep_internals=keep_internals)
     perception = Perception(scenario, config)
     termination = Termination(scenario, planning.goal, world.ego)
     recorder, period = TraceRecorder(setup.steps, setup.vehicle), setup.plan_period()

@@ -90,6 +90,11 @@ class RunConfig:
         return (Mode.OPEN, Mode.CLOSED) if self.mode == "both" else (Mode(self.mode),)
 
     @property
+    def keep_internals(self) -> bool:
+        """Whether anything looks at the planner's inside: traces, recordings, metrics from outside."""
+        return self.recording or self.internals != "none" or bool(self.metrics)
+
+    @property
     def gates_path(self) -> Path | None:
         """The file of thresholds; None is the packaged default."""
         return None if self.gates == "default" else Path(self.gates)

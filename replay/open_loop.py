@@ -23,11 +23,13 @@ def run_open_loop(
     *,
     planner_config: Mapping[str, object] = MappingProxyType({}),
     config: LoopConfig = DEFAULT_LOOP,
+    keep_internals: bool = True,
 ) -> Drive:
     """Plan at every `config.plan_period_s` of the ego's log, from its first sample to its last.
 
     Between two samples of the log, the ego is the earlier one carried on: no later sample goes in. Every frame is the
-    planner's first as far as memory goes (`Frame.previous` is None).
+    planner's first as far as memory goes (`Frame.previous` is None). The planner's internals are only built where they
+    are kept.
 
     Raises:
         ConfigError: A name of `config` or a keyword of the planner is unknown.
@@ -35,7 +37,7 @@ def run_open_loop(
     """
     grid = frame_times(scenario.ego, config.plan_period_ns)
     egos = [logged_ego(scenario.ego, scenario.vehicle, t) for t in grid]
-    planning = Planning(scenario, planner, planner_config, config, egos[0])
+    planning = Planning(scenario, planner, planner_config, config, egos[0], keep_internals=keep_internals)
     perception = Perception(scenario, config)
     frames: list[PlannedFrame] = []
     end, detail = EndReason.END_OF_LOG, ""

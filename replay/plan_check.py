@@ -19,13 +19,14 @@ recorded logs; those of (6) are far beyond a road car, so that a plan that is on
 from __future__ import annotations
 
 from dataclasses import replace
-from math import hypot
+from math import atan2, hypot, pi
+from typing import NamedTuple
 
 import numpy as np
 
 from logs.frame import Frame
-from logs.kernel import BoolArray, FloatArray
-from logs.states import EgoState, Trajectory, wrapped
+from logs.kernel import BoolArray, FloatArray, kernel
+from logs.states import EgoState, Trajectory, wrap
 from logs.trace import Plan, PlanStart, PlanStatus
 
 START_M, START_MPS = 0.03, 0.05
@@ -47,14 +48,16 @@ def checked(plan: Plan, frame: Frame) -> Plan:
     trajectory = plan.trajectory
     fault = _start_fault(trajectory, frame)
     if not fault and len(trajectory) > 1:
-        lie = _contradiction(trajectory)
+        off = _off(trajectory)
+        lie = _contradiction(off)
         if lie:
             trajectory = of_positions(trajectory)
+            off = _off(trajectory)
             status = plan.status if plan.status.is_fallback else PlanStatus.CORRECTED
             plan = replace(
                 plan, trajectory=trajectory, status=status, reason="; ".join(filter(None, [plan.reason, lie]))
             )
-        fault = _impossible(trajectory)
+        fault = _impossible(off)
     if not fault:
         return plan
     start = PlanStart.EGO if _rest(frame) is None else PlanStart.PREVIOUS_PLAN
@@ -79,35 +82,81 @@ def _apart(one: EgoState, two: EgoState) -> float:
     return hypot(one.x - two.x, one.y - two.y)
 
 
-def _contradiction(plan: Trajectory) -> str:
+class Off(NamedTuple):
+    """The greatest of each left side of the module docstring over a plan; 0 where no step is judged.
+
+    Attributes:
+        speed: Of (2), m/s.
+        heading: Of (3), rad.
+        lateral: Of (4), m/s2.
+        accel: Of (5), m/s.
+        fastest: Of (6), m/s.
+        hardest: Of (6), m/s2.
+    """
+
+    speed: float
+    heading: float
+    lateral: float
+    accel: float
+    fastest: float
+    hardest: float
+
+
+def _off(plan: Trajectory) -> Off:
+    return measured_off(plan.t, plan.x, plan.y, plan.yaw, plan.v, plan.a, plan.kappa)
+
+
+@kernel
+def measured_off(
+    t: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, v: FloatArray, a: FloatArray, kappa: FloatArray
+) -> Off:
+    """`Off` of a plan's columns `(n,)`, n >= 2."""
+    n = len(t)
+    speed, heading, lateral, accel, fastest, hardest = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    drift = np.empty(n)
+    drift[0], gained = v[0], 0.0
+    h_before, d_before = 0.0, 0.0
+    for i in range(n - 1):
+        dt, dx, dy = t[i + 1] - t[i], x[i + 1] - x[i], y[i + 1] - y[i]
+        d, middle = hypot(dx, dy), 0.5 * (v[i + 1] + v[i])
+        h = atan2(dy, dx) + (pi if middle < 0.0 else 0.0)
+        speed = max(speed, abs(d / dt - 0.5 * (abs(v[i + 1]) + abs(v[i]))))  # (2)
+        if d >= STEP_M:
+            heading = max(heading, abs(wrap(h - 0.5 * (yaw[i + 1] + yaw[i]))))  # (3)
+            if i > 0 and d_before >= STEP_M:
+                bend = wrap(h - h_before) / (0.5 * (d + d_before) * (-1.0 if middle < 0.0 else 1.0))
+                lateral = max(lateral, abs(bend - kappa[i]) * v[i] ** 2)  # (4)
+        h_before, d_before = h, d
+        gained += 0.5 * dt * (a[i + 1] + a[i])
+        drift[i + 1] = v[i + 1] - gained
+        fastest = max(fastest, d / dt)  # (6)
+        hardest = max(hardest, hypot((v[i + 1] - v[i]) / dt, v[i + 1] ** 2 * kappa[i + 1]))  # (6)
+    k = 0
+    for i in range(n):
+        later = min(t[i] + WINDOW_S, t[n - 1])
+        while k < n - 2 and t[k + 1] < later:
+            k += 1
+        u = (later - t[k]) / (t[k + 1] - t[k])
+        accel = max(accel, abs(drift[k] + u * (drift[k + 1] - drift[k]) - drift[i]))  # (5)
+    return Off(speed, heading, lateral, accel, fastest, hardest)
+
+
+def _contradiction(off: Off) -> str:
     """How the columns contradict the positions, (2) to (5); empty where they do not."""
-    dt, d, way, moved = _steps(plan)
-    middle = 0.5 * (plan.v[1:] + plan.v[:-1])
-    off = np.abs(d / dt - 0.5 * (np.abs(plan.v[1:]) + np.abs(plan.v[:-1])))  # (2)
-    if off.max() > SPEED_MPS:
-        return f"its speed is {off.max():.1f} m/s off its positions"
-    h = way + np.where(middle < 0.0, np.pi, 0.0)
-    off = np.abs(wrapped(h - 0.5 * (plan.yaw[1:] + plan.yaw[:-1])))[moved]  # (3)
-    if len(off) and off.max() > YAW_RAD:
-        return f"its heading is {off.max():.2f} rad off its positions"
-    both = moved[1:] & moved[:-1]
-    bend = np.divide(wrapped(np.diff(h)), 0.5 * (d[1:] + d[:-1]) * np.where(middle[1:] < 0.0, -1.0, 1.0), where=both,
-                     out=plan.kappa[1:-1].copy())  # fmt: skip
-    off = np.abs(bend - plan.kappa[1:-1]) * plan.v[1:-1] ** 2  # (4)
-    if len(off) and off.max() > LATERAL_MPS2:
-        return f"its curvature is off its positions by {off.max():.1f} m/s2 of lateral acceleration"
-    drift = plan.v - np.r_[0.0, np.cumsum(0.5 * dt * (plan.a[1:] + plan.a[:-1]))]
-    off = np.abs(np.interp(plan.t + WINDOW_S, plan.t, drift) - drift)  # (5)
-    return f"its acceleration is {off.max():.1f} m/s off its speed over 0.5 s" if off.max() > ACCEL_MPS else ""
+    if off.speed > SPEED_MPS:
+        return f"its speed is {off.speed:.1f} m/s off its positions"
+    if off.heading > YAW_RAD:
+        return f"its heading is {off.heading:.2f} rad off its positions"
+    if off.lateral > LATERAL_MPS2:
+        return f"its curvature is off its positions by {off.lateral:.1f} m/s2 of lateral acceleration"
+    return f"its acceleration is {off.accel:.1f} m/s off its speed over 0.5 s" if off.accel > ACCEL_MPS else ""
 
 
-def _impossible(plan: Trajectory) -> str:
+def _impossible(off: Off) -> str:
     """How a plan breaks (6), empty where it does not."""
-    dt, d, _, _ = _steps(plan)
-    if (d / dt).max() > POSSIBLE_MPS:
-        return f"it asks for {(d / dt).max():.0f} m/s"
-    total = np.hypot(np.diff(plan.v) / dt, (plan.v**2 * plan.kappa)[1:])
-    return f"it asks for an acceleration of {total.max():.0f} m/s2" if total.max() > POSSIBLE_MPS2 else ""
+    if off.fastest > POSSIBLE_MPS:
+        return f"it asks for {off.fastest:.0f} m/s"
+    return f"it asks for an acceleration of {off.hardest:.0f} m/s2" if off.hardest > POSSIBLE_MPS2 else ""
 
 
 def _steps(plan: Trajectory) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:

@@ -43,6 +43,7 @@ class Planning:
         planner_config: Keywords of the planner.
         config: Of the loop.
         start: The ego at the first frame.
+        keep_internals: Whether the plans keep what the planner wants to be seen, beside its solvers' reports.
 
     Attributes:
         is_oracle: Whether the planner knows the log.
@@ -55,7 +56,14 @@ class Planning:
     """
 
     def __init__(
-        self, scenario: Scenario, spec: str, planner_config: Mapping[str, object], config: LoopConfig, start: EgoState
+        self,
+        scenario: Scenario,
+        spec: str,
+        planner_config: Mapping[str, object],
+        config: LoopConfig,
+        start: EgoState,
+        *,
+        keep_internals: bool = True,
     ) -> None:
         goal, note = _goal(scenario)
         self.is_oracle = spec in ORACLES
@@ -63,6 +71,7 @@ class Planning:
         self.notes = tuple(filter(None, (note, given)))
         self.timings: list[StageTime] = []
         self.goal = goal
+        self._keep = keep_internals
         self._name = f"planner '{spec}' on {scenario.name}"
         self._watch = Stopwatch()
         period = config.plan_period_ns / 1e9
@@ -86,7 +95,9 @@ class Planning:
             raise PlannerError(f"{self._name} cannot be built: {_said(error)}") from error
 
     def plan(self, frame: Frame) -> Plan:
-        """The plan for a frame, as it may be driven and judged (`replay.plan_check`).
+        """The plan for a frame, as it may be driven and judged (`replay.plan_check`), with what is kept of it.
+
+        What builds internals refers to the frame, and that to the plan before: it goes no farther than this.
 
         Raises:
             PlannerError: The planner raised, or answered with what is no plan.
@@ -101,7 +112,7 @@ class Planning:
         fault = _fault(plan, frame)
         if fault:
             raise PlannerError(f"{self._name} broke its contract at {frame.t:.2f} s: {fault}")
-        return plan if self.is_oracle else checked(plan, frame)
+        return (plan if self.is_oracle else checked(plan, frame)).recorded(keep=self._keep)
 
 
 def _own(road: Road) -> Road:

@@ -17,6 +17,7 @@ from hypothesis import strategies as st
 from logs import (
     AgentKind,
     ConfigError,
+    CostTerms,
     EgoState,
     EndReason,
     Frame,
@@ -31,12 +32,16 @@ from logs import (
     Road,
     RoadSource,
     Scenario,
+    SolverReport,
     Trace,
     Trajectory,
     VehicleParameters,
 )
+from logs.catalogue import CATALOGUE
 from logs.convert.commonroad import read_commonroad
 from logs.shapes import overlap
+from logs.states import TRAJECTORY_COLUMNS
+from logs.trace import Artefact, Internals
 from metrics.safety import contacts
 from planners.constant_speed import ConstantSpeed
 from replay.closed_loop import run_closed_loop
@@ -125,6 +130,42 @@ def test_frame_previous_is_the_plan_being_driven(plugin: ModuleType) -> None:
     seen.clear()
     run_open_loop(made, "plugin:Remembers")
     assert {a for a, _ in seen} == {None}
+
+
+@pytest.mark.parametrize("run", RUNS)
+def test_internals_are_built_only_where_they_are_kept_and_not_carried_on(plugin: ModuleType, run: Run) -> None:
+    built: list[float] = []
+    before: list[Plan | None] = []
+    report = SolverReport("path QP", True, "solved", 3, 0.0, 0.0)
+
+    class Shows(ConstantSpeed):
+        def plan(self, frame: Frame) -> Plan:
+            before.append(frame.previous)
+
+            def build() -> tuple[Artefact, ...]:
+                built.append(frame.t)
+                return report, CostTerms("path DP", (("road", frame.t),))
+
+            return replace(super().plan(frame), internals=Internals((report,), build))
+
+    plugin.Shows = Shows  # type: ignore[attr-defined]
+    made = scenario(drive(straight, 10.0, 1.0))
+    unseen = run(made, "plugin:Shows", keep_internals=False).trace
+    assert not built and {frame.plan.internals for frame in unseen.frames} == {(report,)}
+    seen = run(made, "plugin:Shows").trace
+    assert built == [frame.t for frame in seen.frames] and all(len(frame.plan.internals) == 2 for frame in seen.frames)
+    assert all(
+        isinstance(plan.internals, tuple) for plan in before if plan is not None
+    )  # else each holds the one before
+
+
+def test_a_planner_drives_the_same_whether_its_internals_are_kept() -> None:
+    made = CATALOGUE["paper/crossing_pedestrian"].scenario()
+    seen, unseen = (run_closed_loop(made, "dp_qp", keep_internals=keep).trace for keep in (True, False))
+    assert all(getattr(seen.ego, name).tobytes() == getattr(unseen.ego, name).tobytes() for name in TRAJECTORY_COLUMNS)
+    for one, two in zip(seen.frames, unseen.frames, strict=True):
+        reports = [item for item in one.plan.internals if isinstance(item, SolverReport)]
+        assert reports == list(two.plan.internals) and len(reports) < len(one.plan.internals)
 
 
 def test_periods_are_as_configured_and_must_fit() -> None:

@@ -136,8 +136,7 @@ def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, pro
     for planner in run.planners:
         for mode in run.modes:
             with progress.attempt(planner, mode):
-                keywords = planner_keywords(planner, run.planner.get(planner, {}))
-                drive = LOOPS[mode](scenario, planner, planner_config=keywords, config=run.loop)
+                drive = _driven(scenario, planner, mode, run, keep=run.keep_internals)
                 table, steps = metrics.evaluate_with_series(drive.trace, scenario, metrics=measures)
                 progress.tables.append(table)
                 progress.timings.append(_timings(drive))
@@ -154,6 +153,11 @@ def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, pro
         write_parquet(folder / "frames.parquet", pd.concat([_of_drive(*one) for one in found], ignore_index=True))
 
 
+def _driven(scenario: Scenario, planner: str, mode: Mode, run: RunConfig, *, keep: bool) -> Drive:
+    keywords = planner_keywords(planner, run.planner.get(planner, {}))
+    return LOOPS[mode](scenario, planner, planner_config=keywords, config=run.loop, keep_internals=keep)
+
+
 def _drive_member(scenario: Scenario, run: RunConfig, member: int, progress: _Progress) -> None:
     """The rows of one member of the ensemble; nothing else of it is kept."""
     name, other = perturbed(scenario, member)
@@ -163,8 +167,7 @@ def _drive_member(scenario: Scenario, run: RunConfig, member: int, progress: _Pr
     for planner in run.planners:
         for mode in run.modes:
             with progress.attempt(planner, mode):
-                keywords = planner_keywords(planner, run.planner.get(planner, {}))
-                drive = LOOPS[mode](other, planner, planner_config=keywords, config=run.loop)
+                drive = _driven(other, planner, mode, run, keep=bool(run.metrics))
                 tables.append(metrics.evaluate(drive.trace, other, metrics=measures))
     progress.members.extend(table.assign(member=member, perturbation=name) for table in tables)
 

@@ -275,6 +275,14 @@ def line_frame(knots: FloatArray, coef: FloatArray, s: float) -> tuple[float, fl
 
 
 @kernel
+def line_curvature(knots: FloatArray, coef: FloatArray, s: float) -> float:
+    """Kappa (2) of the line at station `s`, 1/m."""
+    _, _, dx, dy, ddx, ddy = line_point(knots, coef, s)
+    speed = sqrt(dx * dx + dy * dy)
+    return (dx * ddy - dy * ddx) / (speed * speed * speed)
+
+
+@kernel
 def line_project(
     knots: FloatArray, coef: FloatArray, x: float, y: float, s_guess: float, window: float
 ) -> tuple[float, float]:

@@ -15,7 +15,7 @@ from math import atan2, cos, hypot, pi, sin, tan
 import numpy as np
 
 from logs.kernel import FloatArray, kernel
-from logs.road import ReferenceLine, line_frame
+from logs.road import ReferenceLine, line_curvature, line_frame
 from logs.states import EgoState, wrap
 
 FINE_M = 0.5
@@ -64,7 +64,7 @@ def _fine_path(
         l = offsets[0, i] + d * (offsets[1, i] + d * (0.5 * offsets[2, i] + d * jerk / 6.0))  # noqa: E741
         s = s0 + step * i + d
         x, y, yaw_r, kappa_r = line_frame(knots, coef, s)
-        dkappa_r = line_frame(knots, coef, s + 0.25)[3] - line_frame(knots, coef, s - 0.25)[3]
+        dkappa_r = line_curvature(knots, coef, s + 0.25) - line_curvature(knots, coef, s - 0.25)
         regular = max(1.0 - kappa_r * l, MIN_REGULAR)
         turn = atan2(dl, regular)
         c = cos(turn)

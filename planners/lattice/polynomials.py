@@ -21,7 +21,7 @@ from math import atan2, cos, sin, tan
 import numpy as np
 
 from logs.kernel import FloatArray, kernel
-from logs.road import line_frame
+from logs.road import line_curvature, line_frame
 from logs.states import wrap
 from planners.frenet.path import MIN_REGULAR
 from planners.frenet.quintic import quintic
@@ -93,7 +93,7 @@ def states(
         l, dl, ddl = evaluated(lateral, D, ahead)  # noqa: E741
         x, y, yaw_r, kappa_r = line_frame(knots, coef, s0 + ahead)
         s = s0 + ahead
-        dkappa_r = 2.0 * (line_frame(knots, coef, s + 0.25)[3] - line_frame(knots, coef, s - 0.25)[3])
+        dkappa_r = 2.0 * (line_curvature(knots, coef, s + 0.25) - line_curvature(knots, coef, s - 0.25))
         out[8, k] = 1.0 - kappa_r * l
         R = max(out[8, k], MIN_REGULAR)
         turn = atan2(dl, R)

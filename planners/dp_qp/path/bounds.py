@@ -20,12 +20,13 @@ cleared is a stop (`given_up`).
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import hypot
 from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import TIE, BoolArray, FloatArray, kernel
-from logs.road import line_project_many
+from logs.kernel import TIE, BoolArray, FloatArray, IntArray, kernel
+from logs.road import line_project
 from logs.shapes import corners
 from logs.trace import Decision, DecisionKind
 from logs.vehicle import VehicleParameters
@@ -43,6 +44,8 @@ BULGE = 0.03
 """Of a point ahead: half the curvature, 1/m, by which the way of the rear axle is not its own."""
 NEARLY_M, LEFT_M = 0.5, 0.1
 """A goal farther out of the room than this is not this lane's; and what is left of the room where it is outside."""
+NEAR_PATH_M = 30.0
+"""Who stands farther than this and the path's length from the ego is not looked at."""
 NEAR_ROAD_M = 1.0
 """Who stands off the road by less than this still counts as an obstacle."""
 
@@ -146,21 +149,50 @@ def standing_obstacles(scene: Scene, length: float, *, facing: bool = False) -> 
     """
     if not scene.standing.any():
         return ()
-    agents, line, found = scene.frame.agents, scene.reference.line, []
-    near = np.hypot(agents.x - scene.frame.ego.x, agents.y - scene.frame.ego.y) < length + 30.0
-    for i in np.flatnonzero(near & scene.standing):
-        s = float(scene.agents.s[i])
-        outline = corners(agents.x[i], agents.y[i], agents.yaw[i], agents.length[i], agents.width[i])
-        x, y = np.vstack([outline, 0.5 * (outline + np.roll(outline, 1, axis=0))]).T.copy()  # a curve bulges in between
-        feet = line_project_many(line.s, line.coef, x, y, s, 10.0 + float(agents.length[i]))
-        (s_from, l_from), (s_to, l_to) = feet.min(axis=0).tolist(), feet.max(axis=0).tolist()
-        box = Occupancy(agents.ids[i], s_from, s_to, l_from, l_to)
-        ahead = box.s_to > scene.rear and box.s_from < scene.front + length
-        road = scene.reference.at(np.array([s]))
-        left, right = (road.facing_left, road.facing_right) if facing else (road.road_left, road.road_right)
-        if ahead and box.l_from < left[0] + NEAR_ROAD_M and box.l_to > right[0] - NEAR_ROAD_M:
-            found.append(box)
+    agents, line, ego = scene.frame.agents, scene.reference.line, scene.frame.ego
+    rows, boxes = _standing_boxes(
+        line.s, line.coef, agents.x, agents.y, agents.yaw, agents.length, agents.width, scene.standing, scene.agents.s,
+        ego.x, ego.y, length + NEAR_PATH_M,
+    )  # fmt: skip
+    road = scene.reference.at(scene.agents.s[rows])
+    left, right = (road.facing_left, road.facing_right) if facing else (road.road_left, road.road_right)
+    found = [
+        Occupancy(agents.ids[i], s_from, s_to, l_from, l_to)
+        for i, (s_from, s_to, l_from, l_to), leftmost, rightmost in zip(rows, boxes.tolist(), left, right, strict=True)
+        if s_to > scene.rear and s_from < scene.front + length
+        and l_from < leftmost + NEAR_ROAD_M and l_to > rightmost - NEAR_ROAD_M
+    ]  # fmt: skip
     return tuple(sorted(found, key=lambda box: (box.s_from, box.agent)))
+
+
+@kernel
+def _standing_boxes(
+    knots: FloatArray, coef: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, length: FloatArray,
+    width: FloatArray, standing: BoolArray, s: FloatArray, x_ego: float, y_ego: float, reach: float,
+) -> tuple[IntArray, FloatArray]:  # fmt: skip
+    """Who stands within `reach` m of the ego `(b,)`, and their stations and offsets, from and to `(b, 4)`, m.
+
+    By the feet of their corners and of the middles of their sides, between which a curve bulges; `s` are their
+    stations.
+    """
+    rows, boxes = np.empty(len(x), np.int64), np.empty((len(x), 4))
+    count = 0
+    for i in range(len(x)):
+        if not standing[i] or hypot(x[i] - x_ego, y[i] - y_ego) >= reach:
+            continue
+        outline = corners(x[i], y[i], yaw[i], length[i], width[i])
+        box, guess = boxes[count], s[i]
+        box[0], box[1], box[2], box[3] = np.inf, -np.inf, np.inf, -np.inf
+        for k in range(8):
+            px, py = outline[k % 4, 0], outline[k % 4, 1]
+            if k >= 4:
+                px, py = 0.5 * (px + outline[(k - 5) % 4, 0]), 0.5 * (py + outline[(k - 5) % 4, 1])
+            guess, l = line_project(knots, coef, px, py, guess, 10.0 + length[i])  # noqa: E741
+            box[0], box[1] = min(box[0], guess), max(box[1], guess)
+            box[2], box[3] = min(box[2], l), max(box[3], l)
+        rows[count] = i
+        count += 1
+    return rows[:count].copy(), boxes[:count].copy()
 
 
 def grown(box: Occupancy, vehicle: VehicleParameters, clearance: float, gap: float) -> tuple[float, ...]:

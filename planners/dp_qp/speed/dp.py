@@ -148,6 +148,8 @@ def speed_dp(
                 if total > cost[i + 1, k] - TIE:
                     continue
                 for n in range(1, per_column + 1):
+                    if total > cost[i + 1, k] - TIE:
+                        break
                     row = j + (k - j) * n / per_column
                     total += occupancy[min(i * per_column + n, len(occupancy) - 1), int(row + 0.5)] / per_column
                 if total < cost[i + 1, k] - TIE:

@@ -215,7 +215,8 @@ def test_a_plan_goes_on_where_the_ego_follows(off: dict[str, float], start: Plan
 
 
 def test_the_internals_are_all_there() -> None:
-    plan = planner(TWO, EGO).plan(frame(EGO, CROWD))
+    """Also the path DP: the box can be passed on either side, so that it had to decide."""
+    plan = planner(TWO, EGO).plan(frame(EGO, (standing("box", 35.0, 1.75, length=0.5, width=0.5), *CROWD[1:3])))
     sl, st_ = (next(item for item in plan.internals if isinstance(item, kind)) for kind in (SlGraph, StGraph))
     for graph in (sl, st_):
         assert graph.grid is not None and graph.corridor is not None and len(graph.qp) and len(graph.dp)
@@ -224,6 +225,12 @@ def test_the_internals_are_all_there() -> None:
     np.testing.assert_allclose(st_.qp[:, 0], column(plan, "t"), atol=1e-9)
     assert {item.stage for item in plan.internals if isinstance(item, CostTerms)} == {"path QP", "speed QP"}
     assert all(item.solved for item in plan.internals if isinstance(item, SolverReport))
+
+
+def test_a_dp_that_had_nothing_to_decide_is_not_drawn() -> None:
+    plan = planner(TWO, EGO).plan(frame(EGO, ()))
+    for graph in (item for item in plan.internals if isinstance(item, (SlGraph, StGraph))):
+        assert graph.grid is None and not len(graph.dp) and len(graph.qp)
 
 
 # What it does about others.

@@ -168,7 +168,7 @@ class PathStage:
         sides = {decision.agent: SIDES[decision.kind] for decision in found.decisions if decision.kind in SIDES}
 
         def artefacts() -> tuple[Artefact, ...]:
-            graph = self._graph(road, way, grid or self._dp(scene, program, way, {}), found)
+            graph = self._graph(road, way, grid, found)
             kept = (decision for decision in found.decisions if decision.kind is not DecisionKind.IGNORE)
             return (graph, *kept, program.costs(found.x, found.problem), *found.reports)
 
@@ -332,14 +332,15 @@ class PathStage:
         start = np.array([scene.s, *scene.frenet])
         return solve_path_dp(stations, self._rows, start, np.reshape(boxes, (-1, 5)), room, self._config.dp)
 
-    def _graph(self, road: RoadAhead, way: InTheWay, grid: SlGrid, found: _Found) -> SlGraph:
+    def _graph(self, road: RoadAhead, way: InTheWay, grid: SlGrid | None, found: _Found) -> SlGraph:
+        """The S-L graph, with the DP where it was run."""
         offsets, problem, swings = found.offsets, found.problem, road.swings
         low, high = found.narrow.reported(problem.lower - swings, problem.upper - swings)
         boxes = zip(way.obstacles, found.decisions, strict=True)
         return SlGraph(
-            GridCost(grid.stations, self._rows, grid.cost, grid.chosen),
+            GridCost(grid.stations, self._rows, grid.cost, grid.chosen) if grid is not None else None,
             Corridor(road.knots, low, high),
-            np.column_stack([road.knots, grid.offsets(road.knots)]),
+            np.column_stack([road.knots, grid.offsets(road.knots)]) if grid is not None else np.empty((0, 2)),
             np.column_stack([road.knots, offsets[0]]) if offsets is not None else np.empty((0, 2)),
             tuple(_outlined(box, decision.kind) for box, decision in boxes),
         )

@@ -300,19 +300,18 @@ class SpeedStage:
         return SpeedProblem(start, np.zeros(qp.knots), upper, limit, s_ref, v_ref, path.length), free_m
 
     def _artefacts(self, way: _Way, planned: _Planned, unlikely: StBoundaries | None) -> tuple[Artefact, ...]:
-        """Graph, decisions, costs and reports."""
+        """Graph (with the DP where it was run), decisions, costs and reports."""
         scene, path, stops = way.view.scene, way.view.path, way.view.stops
         blocks, solved = planned.blocks, planned.solved
-        drawn = planned.grid or self._grid(blocks, self._reachable(path, way.limit.v), way)
-        s_dp = self._dp_stations(drawn)
+        drawn, s_dp = planned.grid, planned.s_dp
         decisions = decide_speed(blocks, scene, np.interp(blocks.t, self._times, s_dp))
         if planned.cannot_be_first:
             decisions = tuple(_let_go(decision) for decision in decisions)
         profile = solved.profile
         graph = StGraph(
-            _thinned(DT_S * np.arange(self._config.dp.columns + 1), *drawn),
+            _thinned(DT_S * np.arange(self._config.dp.columns + 1), *drawn) if drawn is not None else None,
             Corridor(self._times, planned.problem.lower, planned.problem.upper),
-            np.column_stack([self._times, s_dp]),
+            np.column_stack([self._times, s_dp]) if drawn is not None else np.empty((0, 2)),
             np.column_stack([self._times, profile[0]]) if profile is not None else np.empty((0, 2)),
             (*outlines(blocks, decisions), *stop_outlines(stops, float(self._times[-1]), path.length)),
         )

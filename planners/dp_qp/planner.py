@@ -113,13 +113,20 @@ class DpQp:
 
     def _planner(self, lane: LaneSequence) -> LanePlanner:
         if lane not in self._planners:
+            speed = self._config.speed
             self._planners[lane] = LanePlanner(
                 lane,
-                Rulebook(self._context.road, lane.reference, self._vehicle),
+                Rulebook(
+                    self._context.road,
+                    lane.reference,
+                    self._vehicle,
+                    curve_accel_mps2=speed.qp.curve_accel_mps2,
+                    ease_mps2=speed.qp.ease_mps2,
+                ),
                 self._context.goal,
                 self._vehicle,
                 self._config.path,
-                self._config.speed,
+                speed,
                 passes_left=self._context.road.drives_on_right,
                 lap=self._lap,
                 solver=self._config.solver,

@@ -19,6 +19,7 @@ from logs.road import ReferenceLine, line_frame
 from logs.states import EgoState, wrap
 
 FINE_M = 0.5
+"""Greatest spacing of the points of a path, m."""
 MAX_TURN = 1.2
 """Heading off the reference line, rad, from which on a path is no function of its station any more."""
 MIN_REGULAR = 0.1

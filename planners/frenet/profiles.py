@@ -18,7 +18,7 @@ import numpy as np
 from logs.kernel import FloatArray, kernel
 
 STEP_S = 0.1
-"""Between two knots of a speed profile."""
+"""Between two knots of a speed profile, and two samples of a plan, s."""
 
 
 @dataclass(frozen=True)
@@ -30,10 +30,14 @@ class SpeedLimits:
     jerk_mps3: float
 
 
-COMFORT, EMERGENCY = SpeedLimits(1.8, 3.0, 3.0), SpeedLimits(1.8, 7.5, 15.0)
-"""What a profile uses where it need not brake harder; and what it uses where it must."""
-HORIZON_KNOTS = 81
-"""Knots of a profile: 8 s."""
+COMFORT = SpeedLimits(1.8, 3.0, 3.0)
+"""What a profile uses where it need not brake harder."""
+EMERGENCY = SpeedLimits(1.8, 7.5, 15.0)
+"""What it uses where it must."""
+HORIZON_STEPS = 80
+"""Steps of a plan: 8 s."""
+HORIZON_KNOTS = HORIZON_STEPS + 1
+"""Knots of a profile."""
 
 
 class KnotLimits(NamedTuple):

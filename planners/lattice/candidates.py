@@ -23,23 +23,25 @@ import numpy as np
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.vehicle import VehicleParameters
 from planners.frenet.occupancy import Occupancy, open_end, upper_bound
-from planners.frenet.profiles import braking, limit_profile
+from planners.frenet.profiles import HORIZON_KNOTS, HORIZON_STEPS, STEP_S, braking, limit_profile
 from planners.frenet.quintic import quintic
 from planners.frenet.reference_path import ReferencePath
+from planners.frenet.scene import TRACK_M
 from planners.lattice.checks import REST_MPS, Fault, speed_faults
 from planners.lattice.config import LatticeConfig
 from planners.lattice.futures import STRIDE, Ego, Futures
-from planners.lattice.polynomials import LEAST_M, STEP_S, STEPS, keep_speed, reach_point, sampled, third_square
+from planners.lattice.polynomials import LEAST_M, keep_speed, reach_point, sampled, third_square
 
-TRACK_M = 1.0
-"""An end offset farther than this from the ego's offset is another track."""
 SIDE_M = 0.1
 """Who is nearer than this beside a track is on it."""
 SHORT = 4.0
 """A metre short of a stop that the rules demand counts as so many: who rests there should be seen to have stopped."""
-STOP_S, STOP_M = 1.0, 2.0
-"""The ego brakes for a stop that the rules demand so long, and so far, before gentle braking would have to begin."""
+STOP_S = 1.0
+"""The ego brakes for a stop that the rules demand so long, s ..."""
+STOP_M = 2.0
+"""... and so far, m, before gentle braking would have to begin."""
 COST_PARTS = ("jerk along", "time", "speed", "sideways", "gap")
+"""The terms of (1) as a recording names them."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -121,8 +123,8 @@ class Sampler:
             keeping = [replace(row, missed=SHORT * max(aim - _end(ego, row), 0.0)) for row in keeping]
             keeping += _resting(ego, aim, config)
         lon = _stacked(ego, [*keeping, *self._reaching(ego, futures, offsets)])
-        motion = sampled(lon.coef, lon.T, STEPS)
-        allowed = braking(ego.speed, ego.accel, config.ease_mps2, 3.0, STEP_S, STEPS + 1)[1] + 0.3
+        motion = sampled(lon.coef, lon.T, HORIZON_STEPS)
+        allowed = braking(ego.speed, ego.accel, config.ease_mps2, 3.0, STEP_S, HORIZON_KNOTS)[1] + 0.3
         bounds = np.array([config.accel_mps2, config.decel_mps2, 0.5])
         faults = speed_faults(motion, ego.s, stations, self.limit, allowed, _kept(stops, rests=rests), bounds)
         each = np.where(lon.track < 0, len(offsets), 1) * len(config.lateral_durations_s)
@@ -224,8 +226,8 @@ def _resting(ego: Ego, aim: float, config: LatticeConfig) -> list[Row]:
 
 
 def _kept(stops: Sequence[Occupancy], *, rests: bool) -> FloatArray:
-    """How far the traffic rules let the ego go `(STEPS + 1,)`, m; far from an open stop only at first."""
-    t = STEP_S * np.arange(STEPS + 1)
+    """How far the traffic rules let the ego go `(HORIZON_KNOTS,)`, m; far from an open stop only at first."""
+    t = STEP_S * np.arange(HORIZON_KNOTS)
     upper = upper_bound(stops, t, np.inf)
     if rests:
         return upper

@@ -10,7 +10,8 @@ import numpy as np
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.shapes import overlap
 from planners.frenet.path import MAX_TURN, MIN_REGULAR
-from planners.lattice.polynomials import STEPS, lateral_polynomial, sampled, states
+from planners.frenet.profiles import HORIZON_STEPS
+from planners.lattice.polynomials import lateral_polynomial, sampled, states
 
 REST_MPS = 0.05
 """Below this the ego stands: who then runs into it is not its doing."""
@@ -44,7 +45,9 @@ SAID = {
     Fault.COLLISION: "meets somebody",
     Fault.STOP_LINE: "passes a place where it must stop",
 }
+"""The faults in words."""
 FAULTS = len(Fault)
+"""Length of a count by fault."""
 
 
 @kernel
@@ -181,7 +184,7 @@ def first_feasible(
     found = np.zeros(FAULTS, np.int64)
     for pair in order:
         i = row[pair]
-        motion = sampled(lon[i : i + 1], T[i : i + 1], STEPS)[0]
+        motion = sampled(lon[i : i + 1], T[i : i + 1], HORIZON_STEPS)[0]
         lateral = lateral_polynomial(start, l1[pair], length[pair])
         at = states(knots, coef, s0, lateral, length[pair], motion)
         unseen = skip[1] if changes[pair] else skip[0]

@@ -10,12 +10,13 @@ from logs.states import Trajectory
 from logs.trace import Artefact, Candidates, Internals, Plan
 from planners.frenet.fallback import fall_back
 from planners.frenet.occupancy import on_reference
+from planners.frenet.profiles import HORIZON_STEPS, STEP_S
 from planners.frenet.start import RouteTracker
 from planners.lattice.candidates import Pairs, Sampler
 from planners.lattice.checks import REST_MPS, SAID, first_feasible
 from planners.lattice.config import LatticeConfig
 from planners.lattice.futures import Ego, Futures, ego_frenet, futures_of
-from planners.lattice.polynomials import STEP_S, STEPS, lateral_polynomial, sampled, states
+from planners.lattice.polynomials import lateral_polynomial, sampled, states
 from planners.lattice.record import artefacts
 from planners.rules import Rulebook, RuleMemory
 
@@ -57,7 +58,7 @@ class Lattice:
             reason = "no candidate can be driven: " + ", ".join(f"{n} {why}" for why, n in counted.rejected)
             return fall_back(frame, scene.start, start_kind, None, reason, (counted,), self._vehicle)
         row, line = int(pairs.row[chosen]), scene.reference.line
-        motion = sampled(pairs.lon.coef[row, None], pairs.lon.T[row, None], STEPS)[0]
+        motion = sampled(pairs.lon.coef[row, None], pairs.lon.T[row, None], HORIZON_STEPS)[0]
         lateral = lateral_polynomial(np.array(ego.lateral), pairs.l1[chosen], pairs.length[chosen])
         at = states(line.s, line.coef, scene.s, lateral, pairs.length[chosen], motion)
 

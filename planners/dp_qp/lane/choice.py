@@ -20,16 +20,22 @@ from logs.kernel import FloatArray
 from logs.trace import Artefact, LaneOption
 from planners.dp_qp.lane.plan import LanePlan
 from planners.frenet.scene import Scene
+from planners.rules.rulebook import YIELD_MPS2
 
 HYSTERESIS_S = 0.5
+"""By how much another lane must be cheaper than the one that is driven, s."""
 LOOK_S = 1.0
-"""Time lost to others from which the neighbours are looked at."""
-MIN_GAP_M, REACTION_S, YIELD_MPS2 = 2.0, 1.0, 2.0
+"""Time lost to others from which the neighbours are looked at, s."""
+MIN_GAP_M = 2.0
+"""Least gap to who follows (1) or is beside (2), m."""
+REACTION_S = 1.0
+"""Of who follows, before they brake with `YIELD_MPS2` (1), s."""
 INSIDE_M = 1.0
-"""An ego nearer than this to a lane's reference line drives in that lane."""
+"""An ego nearer than this to a lane's reference line drives in that lane, m."""
 SLOWEST_CHANGE_MPS = 1.0
+"""A slower ego does not begin to change, m/s: it would stand across the marking."""
 DWELL_S = 3.0
-"""No change back within this time after a change, unless the lane fails."""
+"""No change back within this time after a change, unless the lane fails, s."""
 
 
 def worth_looking(keep: LanePlan, *, since_change: float) -> bool:

@@ -28,8 +28,9 @@ from planners.frenet.profiles import STEP_S
 from planners.frenet.scene import Scene
 
 TURNS = 3
+"""Turns of path and speed in one frame."""
 SETTLED_M = 1.0
-"""Boxes that a further turn moves by less are left."""
+"""Boxes that a further turn moves by less than this are settled, m."""
 
 
 def passing(

@@ -37,14 +37,17 @@ from planners.frenet.reference_path import ReferencePath, Section, sections
 from planners.frenet.scene import Scene
 
 NUDGES = (DecisionKind.NUDGE_LEFT, DecisionKind.NUDGE_RIGHT)
+"""The decisions to pass."""
 TOLERANCE_M = 0.05
-"""What a solution may lack of a clearance."""
+"""What a solution may lack of a clearance, m."""
 BULGE = 0.03
 """Of a point ahead: half the curvature, 1/m, by which the way of the rear axle is not its own."""
-NEARLY_M, LEFT_M = 0.5, 0.1
-"""A goal farther out of the room than this is not this lane's; and what is left of the room where it is outside."""
+NEARLY_M = 0.5
+"""A goal farther out of the room than this is not this lane's, m."""
+LEFT_M = 0.1
+"""What is left of the room where the goal is outside of it, m."""
 NEAR_ROAD_M = 1.0
-"""Who stands off the road by less than this still counts as an obstacle."""
+"""Who stands off the road by less than this still counts as an obstacle, m."""
 
 
 @dataclass(frozen=True)

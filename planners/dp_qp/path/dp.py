@@ -29,8 +29,11 @@ from logs.kernel import TIE, FloatArray, IntArray, kernel
 from planners.frenet.quintic import quintic
 
 COLLISION = 1e4
+"""Cost of a metre of way inside a box (3): more than any detour."""
 OUTSIDE = 1e3
+"""Cost of a metre of way a metre outside of the corridor (2): less than a collision, more than any detour."""
 SAMPLES = 10
+"""Of an edge (2)."""
 
 
 class PathDpWeights(NamedTuple):

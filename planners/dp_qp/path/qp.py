@@ -35,7 +35,9 @@ from planners.piecewise_jerk.solvers import DEFAULT, solve
 from planners.qp import QPResult
 
 MAX_DL = 1.0
+"""Bound of l': 45 degrees off the reference line."""
 OUTSIDE = 1e4
+"""Cost of a shift of (6), softened, 1/m2."""
 TOLERANCE = 1e-2
 """By which a solution may violate a bound, in the units of the row."""
 

@@ -24,7 +24,7 @@ from planners.frenet.scene import Scene
 from planners.frenet.st_boundaries import StBoundaries
 
 WORTH_MPS = 0.5
-"""A cap is told where it lowers the limit by more than this."""
+"""A cap is reported as a decision where it lowers the limit by more than this, m/s."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,9 +19,10 @@ from planners.dp_qp.scene.caps import PathView, SpeedCap
 from planners.dp_qp.scene.occlusion import LOOK_M, STEP_M, WALK_MPS, avoidable_speed
 from planners.frenet.scene import Scene
 from planners.frenet.st_boundaries import StBoundaries
+from planners.rules.windows import TOWARDS_MPS
 
 HESITATES_S = 5.0
-STANDS_MPS = 0.3
+"""So long after they were last predicted on the path they may set off again, s."""
 
 
 def came_to_path(scene: Scene, taken: StBoundaries, came: Mapping[str, float]) -> Mapping[str, float]:
@@ -38,7 +39,7 @@ def caps(view: PathView) -> tuple[SpeedCap, ...]:
     scene, path, agents, found = view.scene, view.path, view.scene.frame.agents, []
     taking = set(view.taken.agent.tolist())
     for i, name in enumerate(agents.ids):
-        if name not in view.came or i in taking or scene.speed[i] >= STANDS_MPS:
+        if name not in view.came or i in taking or scene.speed[i] >= TOWARDS_MPS:
             continue
         away = np.hypot(path.x - agents.x[i], path.y - agents.y[i])
         nearest = int(np.argmin(away))

@@ -32,13 +32,20 @@ from logs.vehicle import VehicleParameters
 from planners.dp_qp.scene.caps import PathView, SpeedCap
 from planners.frenet.path import Path
 
-WALK_MPS, PERSON_M = 5.0 / 3.6, 0.3
+WALK_MPS = 5.0 / 3.6
+"""w, m/s: 5 km/h (UN R157, as above)."""
+PERSON_M = 0.3
+"""r, m."""
 REACTION_S = 0.5
-"""Until the brake bites: a frame, the sensor's latency, the brake's dead time and lag."""
+"""T, s, until the brake bites: a frame, the sensor's latency, the brake's dead time and lag."""
 LEAST_MPS = 2.5
-LOOK_M, STEP_M = 60.0, 1.0
+"""The ego creeps past with this in any case, m/s."""
+LOOK_M = 60.0
+"""So far ahead hidden ground is looked for, m ..."""
+STEP_M = 1.0
+"""... in steps of this, m."""
 SIDE_M = 0.25 * np.arange(1, 15)
-"""Distances from the ego's side at which ground is looked at, m; beyond the last nobody limits a car's speed."""
+"""Distances from the ego's side at which ground is looked at, m; beyond the last it does not limit a car's speed."""
 
 
 @dataclass(frozen=True, slots=True)

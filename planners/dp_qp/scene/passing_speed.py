@@ -16,7 +16,7 @@ from planners.dp_qp.scene.moving_obstacles import NEAR_M
 from planners.dp_qp.scene.occlusion import REACTION_S, WALK_MPS, avoidable_speed
 
 SWERVE_MPS = 0.8
-"""How fast who rides may come into the way; who walks with `WALK_MPS`."""
+"""How fast who rides may come into the way; who walks with `WALK_MPS`, m/s."""
 
 
 def caps(view: PathView) -> tuple[SpeedCap, ...]:

@@ -29,10 +29,13 @@ from logs.kernel import TIE, FloatArray, IntArray, kernel
 from planners.frenet.occupancy import Occupancy
 
 COLLISION = 1e5
+"""Cost of a second inside a blocked interval (2): more than all others together."""
 DT_S = 1.0
-SLOWEST_MPS = 0.5
-"""The time lost is counted against this where the limit is lower."""
+"""Between two columns, s."""
 DS_M = 0.5
+"""Between two rows, m."""
+SLOWEST_MPS = 0.5
+"""The time lost is counted against this where the limit is lower, m/s."""
 
 
 class SpeedDpWeights(NamedTuple):

@@ -28,14 +28,17 @@ from planners.piecewise_jerk.solvers import DEFAULT, solve
 from planners.qp import QPResult
 
 NO_LEADS = np.empty(0)
+"""A speed profile has no points ahead of the rear axle."""
 LIMIT_ROOM_MPS = 0.05
-"""Room that the bound of the speed leaves above the braking that it must hold."""
-REST_MPS, REST_MPS2 = 1e-3, 0.02
-"""Speed and acceleration below which a profile rests."""
+"""Room that the bound of the speed leaves above the braking that it must hold, m/s."""
+REST_MPS = 1e-3
+"""Speed below which a profile rests, m/s ..."""
+REST_MPS2 = 0.02
+"""... and acceleration, m/s2."""
 TOLERANCE = 0.05
 """By which a solution may violate a bound, in the units of the row."""
 RELEASE_MPS3 = 10.0
-"""Jerk with which braking that is harder than comfort may be let go."""
+"""Jerk with which braking that is harder than comfort may be let go, m/s3."""
 
 
 @dataclass(frozen=True)

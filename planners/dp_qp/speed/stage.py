@@ -25,7 +25,7 @@ from planners.dp_qp.speed.qp import SpeedProblem, SpeedQpConfig
 from planners.frenet.occupancy import Occupancy, upper_bound
 from planners.frenet.path import Path
 from planners.frenet.profiles import STEP_S, KnotLimits, Limits, braking, cruising, limit_profile
-from planners.frenet.scene import Scene
+from planners.frenet.scene import UNLIKELY, Scene
 from planners.frenet.st_boundaries import (
     StBoundaries,
     StGraphConfig,
@@ -38,16 +38,15 @@ from planners.frenet.st_boundaries import (
 from planners.piecewise_jerk.solvers import DEFAULT
 
 SPEED_ROOM_MPS = 0.8
-"""Room above the limit that the reference keeps, but not above a cap that is a bound: it makes the profile smooth."""
+"""Room above the limit, m/s, but not above a cap that is a bound: it makes the profile smooth."""
 TILT_MPS2 = 4.0
-"""Lateral acceleration for which a curve is braked for as hard as comfort allows, instead of with `ease_mps2`."""
-UNLIKELY = 0.2
-"""A hypothesis that is not more probable than this binds only so far that hard braking could still avoid it ..."""
+"""Lateral acceleration for which a curve is braked for as hard as comfort allows, instead of with `ease_mps2`, m/s2."""
 BRANCH_S = 0.5
-"""... so long after now."""
+"""An unlikely hypothesis binds only so far that hard braking could still avoid it so long after now, s."""
 STAY_M = 0.05
-"""Least upper bound of s: to stand still is always allowed."""
+"""Least upper bound of s: to stand still is always allowed, m."""
 NOTHING = np.empty(0)
+"""Stations of a speed DP that decided nothing."""
 DRAWN_ROWS = 4
 """The grid is drawn with every so many rows: a picture does not need more."""
 

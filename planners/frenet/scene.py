@@ -25,7 +25,7 @@ from planners.frenet.reference_path import ReferencePath
 WINDOW_SHARE = 1.5
 """An agent's foot is looked for before and behind the ego's as far as this times their distance ..."""
 WINDOW_M = (80.0, 370.0)
-"""... and the first, m, more, not farther than the second, m: a short search, off other branches of a road that winds."""
+"""... and the first, m, more, not farther than the second, m: that keeps off other branches of a road that winds."""
 STANDING_MPS = 0.5
 """Who is slower stands, m/s: the path passes them or stops, the speed does not follow them."""
 UNLIKELY = 0.2

@@ -62,6 +62,7 @@ class CorridorConfig:
         neighbour_behind_m: A neighbouring lane may be borrowed if nobody moves on it from this far behind ...
         neighbour_ahead_m: ... to this far ahead.
         facing_margin_s: The facing lane may be borrowed where nobody comes for so long after the ego has left it, s.
+        patience_s: A vehicle that has stood for so long is passed by the facing lane.
     """
 
     clearance_m: float = 0.6
@@ -71,6 +72,7 @@ class CorridorConfig:
     neighbour_behind_m: float = 40.0
     neighbour_ahead_m: float = 60.0
     facing_margin_s: float = 1.0
+    patience_s: float = 5.0
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.min_clearance_m <= self.clearance_m:

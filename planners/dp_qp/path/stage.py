@@ -39,10 +39,8 @@ SHIFT_AHEAD_M = 60.0
 """A shift within this ahead leaves the track, m."""
 WAITING_MPS2 = 2.0
 """Braking with which it stops at the place from which it could pass by the oncoming lane, m/s2."""
-PATIENCE_S = 5.0
-"""A vehicle that has stood for so long is passed by the oncoming lane, s ..."""
 JUNCTION_M = 40.0
-"""... unless lanes part or meet within this before it, m: then it waits for others."""
+"""Who stands within this before a place where lanes part or meet waits for others, and is not passed, m."""
 NEAR_GOAL_M = 15.0
 """Who stands within this of the goal is passed as anywhere else, m."""
 RELINEARISED = 2
@@ -304,7 +302,7 @@ class PathStage:
         if agents.kinds[agents.ids.index(box.agent)] is AgentKind.OBJECT:
             return True
         queues = any(box.s_from < place < box.s_to + JUNCTION_M for place in scene.reference.waits)
-        return not queues and scene.frame.t - since[box.agent] >= PATIENCE_S
+        return not queues and scene.frame.t - since[box.agent] >= self._config.corridor.patience_s
 
     def _lane_bounds(self, scene: Scene, s: FloatArray, way: InTheWay) -> PathBounds:
         return bounds.lane_bounds(scene.reference, s, way, scene.start.v, self._vehicle, self._config.corridor)

@@ -9,9 +9,9 @@ speeds up to v_1:
 
 As fast as it may: at the speed limit, reached with comfortable acceleration. (1) and (2) hold with some room:
 `ROOM_MPS` of speed, a quarter of the region (`END_M` of the road) and `ROOM_S`. (2) never asks for less than `LEAST` of
-the limit: who drives much slower than others is in their way. In a hurry the ego wants `HURRIED_GAP_S` to the one ahead instead of its
-usual time gap; it drives no faster than the limit. Where a goal has a time but no region, s_1 is the end of the road,
-and who is too early stops there.
+the limit: who drives much slower than others is in their way. In a hurry the ego wants `HURRIED_GAP_S` to the one ahead
+instead of its usual time gap; it drives no faster than the limit. Where a goal has a time but no region, s_1 is the end
+of the road, and who is too early stops there.
 
 (4) l_0(s) + m <= l <= l_1(s) - m      where the region is from l_0 to l_1 beside the line at station s; m = `SIDE_M`
 """

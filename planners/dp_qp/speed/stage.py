@@ -14,7 +14,7 @@ from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.trace import Artefact, Corridor, Decision, DecisionKind, GridCost, SolverReport, StGraph
 from logs.vehicle import VehicleParameters
 from planners.dp_qp.path.stage import ChosenPath
-from planners.dp_qp.scene.caps import LoweredLimit, PathView, lowered
+from planners.dp_qp.scene.caps import CautionConfig, LoweredLimit, PathView, lowered
 from planners.dp_qp.scene.goal_window import HURRIED_GAP_S, GoalWindow, SpeedTarget
 from planners.dp_qp.scene.hesitant_pedestrians import came_to_path
 from planners.dp_qp.scene.pass_target import PassTarget
@@ -56,6 +56,7 @@ class SpeedConfig:
     """Settings of the speed stage, by part."""
 
     graph: StGraphConfig = field(default_factory=StGraphConfig)
+    caution: CautionConfig = field(default_factory=CautionConfig)
     dp: SpeedDpConfig = field(default_factory=SpeedDpConfig)
     qp: SpeedQpConfig = field(default_factory=SpeedQpConfig)
 
@@ -157,12 +158,12 @@ class SpeedStage:
         config, passed = self._config, task.passed
         found = st_boundaries(scene, path, task.skip, passed, config.graph)
         self._lap("S-T graph")
-        came = came_to_path(scene, found, memory.came)
+        came = came_to_path(scene, found, memory.came, config.caution.hesitates_s)
         line = scene.reference.line
         road = np.interp(path.s, line.s, scene.reference.limit)
         view = PathView(
             scene, path, road, found, task.stops, task.targets, task.is_pass, task.goal, task.target, came,
-            self._hard_mps2, config.graph.vulnerable_margin_m,
+            self._hard_mps2, config.graph.vulnerable_margin_m, config.caution,
         )  # fmt: skip
         bare = LoweredLimit(road, np.zeros(len(road), np.bool_))
         own = lowered(path.sigma, bare, (cap for caps in OWN for cap in caps(view)))

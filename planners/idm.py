@@ -151,11 +151,12 @@ def idm_acceleration(
 ) -> float:
     """Acceleration (1) to (3), m/s2; `slope` is dv0/ds, an infinite gap is a free road."""
     v0 = max(v0, SLOWEST_MPS)
-    free = a * (1.0 - (v / v0) ** 4) if v <= v0 else max(-b, v * min(slope, 0.0) - (v - v0) / TRACK_LIMIT_S)
+    tracking = max(-b, v * min(slope, 0.0) - (v - v0) / TRACK_LIMIT_S)  # (3)
+    free = a * (1.0 - (v / v0) ** 4) if v <= v0 else tracking  # (1)
     if gap == inf:
         return free
-    wanted = s0 + max(0.0, v * time_gap + v * (v - v_lead) / (2.0 * sqrt(a * b)))
-    return free - a * (wanted / max(gap, TOUCHING_M)) ** 2
+    wanted = s0 + max(0.0, v * time_gap + v * (v - v_lead) / (2.0 * sqrt(a * b)))  # (2)
+    return free - a * (wanted / max(gap, TOUCHING_M)) ** 2  # (1), (3)
 
 
 @kernel

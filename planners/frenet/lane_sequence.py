@@ -131,7 +131,7 @@ class LaneSequences:
         if fewest == 0:
             return 0, np.inf
         ends = np.cumsum([self._road.lanes[lane].length for lane in lanes])
-        return fewest, float(ends[max(i for i in reachable if needs[i] == fewest)])
+        return fewest, float(ends[max(i for i in reachable if needs[i] == fewest)])  # (1), (2)
 
 
 def _rank(to_go: CostToGo | None) -> tuple[float, float]:

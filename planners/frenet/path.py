@@ -107,9 +107,9 @@ def frenet_start(line: ReferenceLine, state: EgoState, s: float, l: float) -> tu
     dkappa_r = line.frame(s + 0.25)[3] - line.frame(s - 0.25)[3]
     regular = 1.0 - kappa_r * l
     turn = wrap(state.yaw - yaw_r)
-    dl = regular * tan(turn)
+    dl = regular * tan(turn)  # (2)
     ddl = (state.kappa * regular / cos(turn) - kappa_r) * regular / cos(turn) ** 2
-    ddl -= (2.0 * dkappa_r * l + kappa_r * dl) * tan(turn)
+    ddl -= (2.0 * dkappa_r * l + kappa_r * dl) * tan(turn)  # (3)
     return l, dl, ddl
 
 

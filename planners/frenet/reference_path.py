@@ -186,7 +186,7 @@ def smoothed(points: FloatArray, max_shift: float = MAX_SHIFT_M, weight: float =
     normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
     D = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(count - 2, count))
     bends = [D @ sparse.hstack([sparse.diags(normal[:, k]), sparse.diags(tangent[:, k])]) for k in (0, 1)]
-    P = (weight * sum(bend.T @ bend for bend in bends) + sparse.eye(2 * count)).tocsc()
+    P = (weight * sum(bend.T @ bend for bend in bends) + sparse.eye(2 * count)).tocsc()  # (1)
     solver = QuadraticProgram("reference line", P, sparse.eye(2 * count, format="csc"))
     shift = np.full(count, max_shift)
     shift[[0, -1]] = 0.0

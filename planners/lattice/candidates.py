@@ -176,7 +176,7 @@ class Sampler:
         jerk = squared_jerks(lon.coef, lon.T)
         own = np.array(
             [c.w_jerk * jerk, c.w_time * lon.T, c.w_speed * (lon.v1 - wanted) ** 2 + c.w_point * lon.missed**2]
-        )
+        )  # (1)
         box = np.array([car.axle_to_front, car.rear_overhang, 0.5 * car.width])
         gaps, weights = np.array([c.standstill_gap_m, c.time_gap_s]), np.array([c.w_jerk, c.w_lateral_time, c.w_offset])
         row, l1, length, changes, costs = [], [], [], [], []
@@ -306,7 +306,7 @@ def headway(
                 elif v < REST_MPS:
                     continue
                 missing = 1.0 - max(gap, 0.0) / (wanted[0] + wanted[1] * v)
-                out[i] += max(missing, 0.0) ** 2 / others.shape[2]
+                out[i] += max(missing, 0.0) ** 2 / others.shape[2]  # (2)
     return out
 
 
@@ -328,6 +328,6 @@ def lateral_costs(
         for p in range(len(T)):
             D = max(motion[i, 0, min(int(T[p] / STEP_S + 0.5), motion.shape[2] - 1)], LEAST_M)
             c3, c4, c5 = quintic(start[0], start[1], start[2], l1, D)
-            jerk = third_square(c3, c4, c5, D) * (D / T[p]) ** 5
+            jerk = third_square(c3, c4, c5, D) * (D / T[p]) ** 5  # (1), J_l
             cost[i, p], length[i, p] = weights[0] * jerk + weights[1] * T[p] + weights[2] * l1**2, D
     return cost, length

@@ -13,7 +13,7 @@ from planners.frenet.occupancy import on_reference
 from planners.frenet.profiles import HORIZON_STEPS, STEP_S
 from planners.frenet.start import RouteTracker
 from planners.lattice.candidates import Pairs, Sampler
-from planners.lattice.checks import REST_MPS, SAID, first_feasible
+from planners.lattice.checks import REST_MPS, SAID, Body, Others, Room, Tried, first_feasible
 from planners.lattice.config import LatticeConfig
 from planners.lattice.futures import Ego, Futures, ego_frenet, futures_of
 from planners.lattice.polynomials import lateral_polynomial, sampled, states
@@ -73,11 +73,14 @@ class Lattice:
         car, line = self._vehicle, self._tracker.reference.line
         order = np.argsort(np.round(pairs.costs.sum(axis=0), 9), kind="stable")
         return first_feasible(
-            line.s, line.coef, ego.s, np.array(ego.lateral), pairs.lon.coef, pairs.lon.T, pairs.row, pairs.l1,
-            pairs.length, pairs.changes, order, self._sampler.left, self._sampler.right, futures.pose, futures.sizes,
-            futures.behind, np.array([car.axle_to_center, car.length, car.width]),
-            np.array([car.max_kappa, self._config.lat_accel_mps2]),
-        )  # fmt: skip
+            Tried(pairs.lon.coef, pairs.lon.T, pairs.row, pairs.l1, pairs.length, pairs.changes),
+            order,
+            ego.s,
+            np.array(ego.lateral),
+            Room(line.s, line.coef, self._sampler.left, self._sampler.right),
+            Others(futures.pose, futures.sizes, futures.behind),
+            Body(car.axle_to_center, car.length, car.width, car.max_kappa, self._config.lat_accel_mps2),
+        )
 
 
 def _counted(pairs: Pairs, faults: IntArray, chosen: int) -> Candidates:

@@ -180,12 +180,13 @@ class Rulebook:
         hard = held or visit.hard <= ahead
         if line.light is not None:
             colour = visit.scene.frame.lights.get(line.light, Colour.OFF)
-            stops = hard if colour in RED else colour is Colour.YELLOW and (held or visit.soft <= ahead - SHORT_M)
+            yellow = colour is Colour.YELLOW and (held or visit.soft <= ahead - SHORT_M)
+            stops = hard if colour in RED else yellow  # (1), (2)
             reason = f"{colour.value} light {line.light}"
         else:
             if visit.scene.frame.ego.v < REST_MPS and ahead <= NEAR_M:
                 visit.rested.add(line.id)
-            stops, reason = hard and line.id not in visit.rested, "stop sign"
+            stops, reason = hard and line.id not in visit.rested, "stop sign"  # (3)
         return _stop(line.s, visit, inf, name, DecisionKind.STOP, reason) if stops else None
 
     def _at_zones(self, visit: _Visit, barrier: float) -> Iterator[Occupancy]:
@@ -293,7 +294,7 @@ class Rulebook:
         if _merges(zone) and isfinite(t_out) and window.speed > 0.0:
             own = float(np.interp(t_out, STEP_S * np.arange(HORIZON_KNOTS), motion[1]))
             extra = max(window.speed - own, 0.0) ** 2 / (2.0 * window.speed * YIELD_MPS2)
-        return t_out + clear - less + extra <= window.begin + TIE or _gone(zone, window) <= t_in + TIE
+        return t_out + clear - less + extra <= window.begin + TIE or _gone(zone, window) <= t_in + TIE  # (4)
 
     def _release(self, zone: Zone, visit: _Visit, taken: tuple[Window, ...], motion: FloatArray) -> float:
         """When the ego may pass the place where it waits, s: (4) holds for all windows, at speed and from rest.
@@ -325,7 +326,7 @@ def _merges(zone: Zone) -> bool:
 def _gone(zone: Zone, window: Window) -> float:
     """From when on the ego may enter a zone after somebody, s: into a lane that it then shares it follows."""
     if _merges(zone):
-        return window.begin + FOLLOW_S
+        return window.begin + FOLLOW_S  # (4)
     return window.end + (AFTER_S if isinstance(zone.by, Priority) else 0.0)
 
 

@@ -149,7 +149,7 @@ def _along(priority: Priority, i: int, lane: int, frame: Frame) -> Iterator[Wind
     if p - half > priority.p_out:
         return
     if v >= STANDING_MPS:
-        yield Window(max(priority.p_in - p - half, 0.0) / v, (priority.p_out - p + half) / v, i, v)
+        yield Window(max(priority.p_in - p - half, 0.0) / v, (priority.p_out - p + half) / v, i, v)  # (2)
     elif p + half > priority.p_in:
         yield Window(0.0, inf, i, v)
 

@@ -168,7 +168,7 @@ def _walks(road: Road, reference: ReferencePath, width: float) -> Iterator[Zone]
     for crosswalk in road.crosswalks:
         polygon = crosswalk.polygon
         s = np.arange(*_near(line, polygon, half), 0.5 * STEP_M)
-        over = [at for at in s if any(inside(*line.point(at, l), polygon) for l in (0.0, half, -half))]  # noqa: E741
+        over = [at for at in s if any(inside(*line.point(at, l), polygon) for l in (0.0, half, -half))]  # (1)  # noqa: E741
         if over:
             middle = 0.5 * (over[0] + over[-1])
             right, left = (
@@ -229,7 +229,7 @@ def _conflict(line: ReferenceLine, lane: Lane, other: Lane, width: float) -> Zon
     s = np.arange(first, max(last, first + STEP_M), STEP_M)
     frames = np.array([line.frame(at) for at in s])
     reach = 0.5 * width + HALF_CAR_M + SIDE_M
-    met = np.flatnonzero(distances(frames[:, :2], other.center) < reach)
+    met = np.flatnonzero(distances(frames[:, :2], other.center) < reach)  # (2)
     if not len(met):
         return None
     first, last = int(met[0]), int(met[-1])

@@ -217,7 +217,7 @@ def within_lane(
             low = road.road_right[j] if borrowed < 2.0 else road.facing_right[j]
         if left_free and borrowed > 0.0:
             high = road.road_left[j] if borrowed < 2.0 else road.facing_left[j]
-        low, high = low + side, high - side
+        low, high = low + side, high - side  # (1)
         middle, kappa = 0.5 * (low + high), road.kappa[j]
         center = (1.0 - MIN_REGULAR) / max(abs(kappa), 1e-6)
         if kappa < 0.0:
@@ -294,7 +294,7 @@ def _widened(
             if d <= span:
                 back = l0 + d * (dl0 + d * (0.5 * ddl0 + d * (c3 + d * (c4 + d * c5))))
                 slack = 0.05 + BULGE * (s[p, i] - s[0, i]) ** 2
-                low[p, i], high[p, i] = min(low[p, i], back - slack), max(high[p, i], back + slack)
+                low[p, i], high[p, i] = min(low[p, i], back - slack), max(high[p, i], back + slack)  # (4)
     return low, high
 
 
@@ -401,7 +401,7 @@ def narrowed(
             reason = f"no room beside the other obstacles: {max(free, 0.0):.2f} m"
             final.append(Decision(box.agent, DecisionKind.STOP, "path", reason))
             continue
-        lower[over], upper[over] = tried
+        lower[over], upper[over] = tried  # (5)
         final.append(decision)
     return PathBounds(space.s, lower, upper), tuple(final)
 

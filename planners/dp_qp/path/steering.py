@@ -91,7 +91,7 @@ def steering(
     """
     v = np.maximum(expected_speed(v0, limit, kappa, step, limits[2], limits[1], car[2]), SLOWEST_MPS)
     rate = np.minimum(car[1] / v, SHARPEST)
-    return np.minimum(car[0], limits[0] / v**2), np.minimum(rate[:-1], rate[1:])
+    return np.minimum(car[0], limits[0] / v**2), np.minimum(rate[:-1], rate[1:])  # (1), (2)
 
 
 @kernel
@@ -111,7 +111,7 @@ def reach(start: FloatArray, aim: FloatArray, low: FloatArray, high: FloatArray,
     out[:, 0] = start
     for i in range(n - 1):
         now = out[2, i]
-        then = min(max(aim[i + 1], now + step * low[i]), now + step * high[i])
+        then = min(max(aim[i + 1], now + step * low[i]), now + step * high[i])  # (3)
         out[2, i + 1] = then
         out[1, i + 1] = out[1, i] + 0.5 * step * (now + then)
         out[0, i + 1] = out[0, i] + step * out[1, i] + step * step * (now / 3.0 + then / 6.0)
@@ -145,7 +145,7 @@ def swings_of(kappa: FloatArray, leads: FloatArray) -> FloatArray:
     out = np.empty(kappa.shape)
     for k in range(len(leads)):
         turn = kappa[k] * leads[k]
-        out[k] = leads[k] * turn / (1.0 + np.sqrt(1.0 + turn**2))
+        out[k] = leads[k] * turn / (1.0 + np.sqrt(1.0 + turn**2))  # (4)
     return out
 
 

@@ -125,8 +125,8 @@ def lowered(sigma: FloatArray, road: LoweredLimit, caps: Iterable[SpeedCap]) -> 
         begin, end = np.searchsorted(sigma, (cap.s_from, cap.s_to), side="right")
         there = slice(int(begin), int(end))
         less, same = cap.v < v[there], cap.v == v[there]
-        bound[there] = np.where(less, cap.is_bound, bound[there] | (same & cap.is_bound))
-        v[there] = np.where(less, cap.v, v[there])
+        bound[there] = np.where(less, cap.is_bound, bound[there] | (same & cap.is_bound))  # (2)
+        v[there] = np.where(less, cap.v, v[there])  # (1)
         if cap.agent and (cap.v < road.v[there] - WORTH_MPS).any():
             told[cap.agent] = min(told.get(cap.agent, cap), cap, key=lambda each: each.v)
     decisions = (Decision(cap.agent, DecisionKind.YIELD, "speed", cap.reason) for cap in told.values())

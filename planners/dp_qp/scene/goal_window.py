@@ -98,7 +98,7 @@ class GoalWindow:
             return None
         fastest = max(self._goal.v[1], 0.0)
         begin = self._region[0] if fastest > ROOM_MPS else float(self._region.mean())
-        return float(begin), float(self._region[1]), max(fastest - ROOM_MPS, 0.5 * fastest)
+        return float(begin), float(self._region[1]), max(fastest - ROOM_MPS, 0.5 * fastest)  # (1)
 
     def sides(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(4) at increasing stations `(k, n)`: least and greatest offset, m; -inf and inf outside of the region."""
@@ -131,14 +131,14 @@ class GoalWindow:
         if early.cap < np.inf:
             return early
         late = self._late(t, s, v, begin, last)
-        return SpeedTarget(hurried=late > -HASTE_S, missed_s=max(late, 0.0))
+        return SpeedTarget(hurried=late > -HASTE_S, missed_s=max(late, 0.0))  # (3)
 
     def _slow(self, t: float, s: float, v: float, inner: float, end: float, opens: float) -> SpeedTarget:
         """(2), so that the ego is not beyond `inner` before `opens`."""
         if t + self._least_time(s, inner, v) >= opens:
             return SpeedTarget()
         slowly = LEAST * float(np.interp(s, *self._limit.T))
-        return SpeedTarget(max((inner - s) / (opens - t), slowly), end)
+        return SpeedTarget(max((inner - s) / (opens - t), slowly), end)  # (2)
 
     def _late(self, t: float, s: float, v: float, begin: float, last: float) -> float:
         """How much later than `last` the ego would be at station `begin`, s; -inf where it is there or too late now."""
@@ -180,7 +180,7 @@ def _sides(goal: Goal, reference: ReferencePath) -> FloatArray:
     width = high - low
     narrow = ~(width >= NARROW * np.nanmax(width, initial=0.0))
     room = np.where(narrow, np.nan, np.minimum(SIDE_M, 0.25 * width))
-    return np.vstack([stations, low + room, high - room])
+    return np.vstack([stations, low + room, high - room])  # (4)
 
 
 def _nearest(pieces: list[tuple[float, float]]) -> tuple[float, float]:

@@ -106,7 +106,7 @@ def _target(scene: Scene, i: int, stations: FloatArray, spare: float) -> PassTar
         c, s = np.abs(np.cos(turn))[:, None], np.abs(np.sin(turn))[:, None]
         half = 0.5 * np.hstack([c * size[0] + s * size[1], s * size[0] + c * size[1]])
         low, high = feet - half, feet + half
-        beside = (ego + vehicle.axle_to_front > low[:, 0] - NEAR_M) & (ego - vehicle.rear_overhang < high[:, 0])
+        beside = (ego + vehicle.axle_to_front > low[:, 0] - NEAR_M) & (ego - vehicle.rear_overhang < high[:, 0])  # (1)
         past_in_time = not beside[t > t[-1] - spare - 0.5 * STEP_S].any()
         if not beside.any() or not past_in_time:
             return None
@@ -118,7 +118,7 @@ def _target(scene: Scene, i: int, stations: FloatArray, spare: float) -> PassTar
         return None
     s_from, s_to = float(lowest[0]), float(highest[0])
     l_from, l_to = float(lowest[1]) - ASIDE_M, float(highest[1]) + ASIDE_M
-    box = Occupancy(agents.ids[i], s_from, s_to, l_from, l_to, aside=ASIDE_M)
+    box = Occupancy(agents.ids[i], s_from, s_to, l_from, l_to, aside=ASIDE_M)  # (2)
     return PassTarget(i, box, begin, end, np.vstack(places))
 
 

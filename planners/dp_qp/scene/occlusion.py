@@ -80,12 +80,12 @@ def caps(view: PathView) -> tuple[SpeedCap, ...]:
 
 def avoidable_speed(d: float, w: float, decel: float) -> float:
     """(3): the speed at which the ego passes first or stops for who comes with `w` m/s from `d` m aside, m/s."""
-    return max(2.0 * decel * (d / w - REACTION_S), LEAST_MPS)
+    return max(2.0 * decel * (d / w - REACTION_S), LEAST_MPS)  # (3)
 
 
 def stopping_speed(x: float, decel: float) -> float:
     """The speed of which (2) needs just `x` m, m/s."""
-    return decel * (sqrt(REACTION_S**2 + 2.0 * x / decel) - REACTION_S) if x < inf else inf
+    return decel * (sqrt(REACTION_S**2 + 2.0 * x / decel) - REACTION_S) if x < inf else inf  # (2)
 
 
 def hidden_beside(

@@ -119,7 +119,7 @@ class SpeedQp:
 
     def __init__(self, config: SpeedQpConfig, solver: str = DEFAULT) -> None:
         self._config, self._solver = config, solver
-        self._weights = Weights(config.w_s, config.w_v, config.w_a, config.w_j)
+        self._weights = Weights(config.w_s, config.w_v, config.w_a, config.w_j)  # (1)
 
     def solve(self, problem: SpeedProblem, limits: Limits) -> QPResult:
         """The profile, x = (s, v, a) `(3 knots,)`."""
@@ -164,7 +164,7 @@ def _rows(problem: SpeedProblem, limits: KnotLimits, comfort: float) -> tuple[Fl
         ramp = STEP_S * total
         lower[2, i] = min(-(limits.first_decel if is_first else limits.decel), a0 + 0.5 * ramp)
         upper[2, i] = max(limits.first_accel if is_first else limits.accel, a0 - 0.5 * ramp)
-        lower[3, i], upper[3, i] = -jerk, max(jerk, RELEASE_MPS3 if i < released else 0.0)
+        lower[3, i], upper[3, i] = -jerk, max(jerk, RELEASE_MPS3 if i < released else 0.0)  # (3)
         total += jerk
     return lower, upper, references
 

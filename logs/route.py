@@ -1,10 +1,13 @@
 """Route: the cheapest sequence of lanes from the ego to the goal.
 
-Dynamic programming over the lane graph (paper, section II-F: "DP for global planning"), in Dijkstra's order:
+Dynamic programming over the lane graph (paper, section II-F: "DP for global planning"), in Dijkstra's order, from the
+goal backwards:
 
-(1) cost(lane) = min over ways in: cost(before) + length of the step + LANE_CHANGE for a step sideways
+(1) cost(lane) = 0 where the lane holds the goal, else  min over steps: price(step) + cost(lane after it)
 
-A step goes to a successor (the length of the lane driven) or to a same-direction neighbour (no length).
+A step goes to a successor (its price is the length of the lane driven) or to a same-direction neighbour
+(`LANE_CHANGE_M`). Of equal costs (within `TIE`) the one with fewer lane changes counts, then the lower id. The route
+follows the cost to go from the cheapest lane under the ego; of equal ones from the best aligned.
 """
 
 from __future__ import annotations
@@ -57,49 +60,49 @@ def start_lanes(road: Road, ego: EgoState) -> tuple[int, ...]:
 
 def find_route(road: Road, ego: EgoState, goal: Goal | None) -> Route:
     """The route to the goal (1); where there is none or no way to it, the lane under the ego."""
-    starts = start_lanes(road, ego)
-    targets = goal_lanes(road, goal)
-    best: dict[int, float] = {}
-    queue: list[tuple[float, int, int, tuple[int, ...], float]]
-    queue = [(0.0, starts.index(lane), lane, (lane,), 0.0) for lane in starts]
-    while queue:
-        _, order, lane, path, cost = heapq.heappop(queue)
-        if lane in best:
-            continue
-        best[lane] = cost
-        if lane in targets:
-            return Route(path, True, cost)
-        for step, price in _steps(road, road.lanes[lane]):
-            if step not in best:
-                heapq.heappush(queue, (_level(cost + price), order, step, (*path, step), cost + price))
-    return Route(starts[:1], False, 0.0)
+    starts, to_go = start_lanes(road, ego), costs_to_go(road, goal)
+    leading = [lane for lane in starts if lane in to_go]
+    if not leading:
+        return Route(starts[:1], False, 0.0)
+    lanes = [min(leading, key=lambda lane: _level(to_go[lane].cost))]
+    while (after := to_go[lanes[-1]].next) is not None:
+        lanes.append(after)
+    return Route(tuple(lanes), True, to_go[lanes[0]].cost)
 
 
 @dataclass(frozen=True, slots=True)
 class CostToGo:
-    """What is left from a lane's start to the goal: the cost (1) in m, and how many lane changes are in it."""
+    """What is left from a lane's start to the goal.
+
+    Attributes:
+        cost: (1), m.
+        changes: How many lane changes are in it.
+        next: The lane after it; None where it holds the goal.
+    """
 
     cost: float
     changes: int
+    next: int | None
 
 
 def costs_to_go(road: Road, goal: Goal | None) -> dict[int, CostToGo]:
-    """The cost to go of every lane from which the goal can be reached: (1) from the goal backwards; {} without one."""
+    """The cost to go of every lane from which the goal can be reached: (1); {} without a goal."""
     into: dict[int, list[tuple[int, float]]] = {}
     for lane in road.lanes.values():
         if lane.drivable:
             for step, price in _steps(road, lane):
                 into.setdefault(step, []).append((lane.id, price))
-    queue = [(0.0, 0, lane, 0.0) for lane in sorted(goal_lanes(road, goal))]
     best: dict[int, CostToGo] = {}
+    queue: list[tuple[float, int, int, int, float]]
+    queue = [(0.0, 0, lane, lane, 0.0) for lane in sorted(goal_lanes(road, goal))]
     while queue:
-        _, changes, lane_id, cost = heapq.heappop(queue)
+        _, changes, lane_id, after, cost = heapq.heappop(queue)
         if lane_id in best:
             continue
-        best[lane_id] = CostToGo(cost, changes)
+        best[lane_id] = CostToGo(cost, changes, None if after == lane_id else after)
         for before, price in into.get(lane_id, ()):
             sideways = lane_id not in road.lanes[before].successors
-            heapq.heappush(queue, (_level(cost + price), changes + sideways, before, cost + price))
+            heapq.heappush(queue, (_level(cost + price), changes + sideways, before, lane_id, cost + price))  # (1)
     return best
 
 

@@ -30,8 +30,10 @@ PLANNERS: dict[str, PlannerFactory] = {
     "idm": Idm,
     "constant_speed": ConstantSpeed,
 }
+"""The planners by the names that `--planner` takes."""
 
 OWN_PACKAGES = ("logs", "metrics", "planners", "replay")
+"""Names that a user's own package cannot have beside ours."""
 
 
 def load_planner(spec: str, *, also: Iterable[str] = ()) -> PlannerFactory:

@@ -31,7 +31,7 @@ from logs.vehicle import VehicleParameters
 from planners.frenet.fallback import along, fall_back
 from planners.frenet.occupancy import Occupancy, on_path
 from planners.frenet.path import Path, make_path
-from planners.frenet.profiles import STEP_S, limit_profile
+from planners.frenet.profiles import HORIZON_KNOTS, HORIZON_STEPS, STEP_S, limit_profile
 from planners.frenet.quintic import quintic
 from planners.frenet.scene import Scene, behind
 from planners.frenet.st_boundaries import (
@@ -46,14 +46,15 @@ from planners.frenet.start import RouteTracker
 from planners.rules import Rulebook, RuleMemory
 
 KNOT_M = 2.0
-STEPS = 80
+"""Spacing of the knots of the path, m."""
 TOUCHING_M = 0.1
-"""A gap is not less than this in (1)."""
+"""A gap is not less than this in (1), m."""
 SLOWEST_MPS = 0.5
-"""v0 is not less than this in (1) and (3)."""
+"""v0 is not less than this in (1) and (3), m/s."""
 TRACK_LIMIT_S = 0.5
-"""tau of (3)."""
+"""tau of (3), s."""
 EXACT = StGraphConfig(early_s=0.0, late_s=0.0)
+"""Predictions are taken at their word: the time gap is what IDM has for what is uncertain."""
 
 
 @dataclass(frozen=True)
@@ -96,7 +97,11 @@ class Idm:
         self._config = config or IdmConfig()
         self._vehicle, self._lap = context.vehicle, context.lap
         self._tracker = RouteTracker(context)
-        self._rules = Rulebook(context.road, self._tracker.reference, context.vehicle)
+        c = self._config
+        self._rules = Rulebook(
+            context.road, self._tracker.reference, context.vehicle,
+            curve_accel_mps2=c.curve_accel_mps2, ease_mps2=c.ease_mps2,
+        )  # fmt: skip
         self._memory = RuleMemory()
 
     def plan(self, frame: Frame) -> Plan:
@@ -122,14 +127,14 @@ class Idm:
     def _path(self, scene: Scene) -> Path:
         """The way back to the reference line and along it, as far as the horizon can reach."""
         line, speed = scene.reference.line, scene.v
-        reach = STEPS * STEP_S * (speed + 4.0) + 20.0
+        reach = HORIZON_STEPS * STEP_S * (speed + 4.0) + 20.0
         d = KNOT_M * np.arange(int(reach / KNOT_M) + 2)
         return make_path(line, scene.s, KNOT_M, _return(d, scene.frenet, max(15.0, self._config.return_s * speed)))
 
     def _profile(
         self, path: Path, blocks: StBoundaries, stops: tuple[Occupancy, ...], start: EgoState
     ) -> tuple[FloatArray, IntArray]:
-        """Rows s, v, a `(3, STEPS + 1)`, and per step the row of `blocks` that led; -1: none; beyond them: a stop."""
+        """Rows s, v, a `(3, HORIZON_KNOTS)`; per knot the row of `blocks` that led, -1: none; beyond them: a stop."""
         c, line = self._config, self._tracker.reference.line
         limit = np.interp(path.s, line.s, self._tracker.reference.limit)
         v0 = limit_profile(path.sigma, path.kappa, limit, c.curve_accel_mps2, c.ease_mps2)
@@ -146,11 +151,12 @@ def idm_acceleration(
 ) -> float:
     """Acceleration (1) to (3), m/s2; `slope` is dv0/ds, an infinite gap is a free road."""
     v0 = max(v0, SLOWEST_MPS)
-    free = a * (1.0 - (v / v0) ** 4) if v <= v0 else max(-b, v * min(slope, 0.0) - (v - v0) / TRACK_LIMIT_S)
+    tracking = max(-b, v * min(slope, 0.0) - (v - v0) / TRACK_LIMIT_S)  # (3)
+    free = a * (1.0 - (v / v0) ** 4) if v <= v0 else tracking  # (1)
     if gap == inf:
         return free
-    wanted = s0 + max(0.0, v * time_gap + v * (v - v_lead) / (2.0 * sqrt(a * b)))
-    return free - a * (wanted / max(gap, TOUCHING_M)) ** 2
+    wanted = s0 + max(0.0, v * time_gap + v * (v - v_lead) / (2.0 * sqrt(a * b)))  # (2)
+    return free - a * (wanted / max(gap, TOUCHING_M)) ** 2  # (1), (3)
 
 
 @kernel
@@ -177,9 +183,9 @@ def _rolled_out(
     ahead: int, start: FloatArray, driver: FloatArray,
 ) -> tuple[FloatArray, IntArray]:  # fmt: skip
     """The driver (a, b, T, s0, hardest, jerk) from `start` (v, a) along a path with limits; see `Idm._profile`."""
-    out, led = np.zeros((3, STEPS + 1)), np.full(STEPS + 1, -1)
+    out, led = np.zeros((3, HORIZON_KNOTS)), np.full(HORIZON_KNOTS, -1)
     s, v, a, here, k = 0.0, start[0], start[1], 0, 0
-    for n in range(STEPS + 1):
+    for n in range(HORIZON_KNOTS):
         out[0, n], out[1, n], out[2, n] = s, v, a
         while here < len(sigma) - 2 and sigma[here + 1] <= s:
             here += 1

@@ -23,7 +23,9 @@ from logs.kernel import FloatArray, IntArray
 from logs.trace import SolverReport
 
 SOLVED = 1
+"""OSQP's status of a solved problem."""
 RHO = 0.1
+"""Its first step size (rho): its own default."""
 WORDS = {
     piqp.PIQP_SOLVED: "solved",
     piqp.PIQP_MAX_ITER_REACHED: "iterations spent",

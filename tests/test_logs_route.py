@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -162,6 +163,12 @@ def assert_agrees(road: Road, ego: EgoState, goal: Goal | None) -> None:
     assert route.reaches_goal == bool(starts)
     if starts:
         assert route.cost == pytest.approx(min(starts), rel=1e-9, abs=1e-9)
+        driven = [
+            min(price for lane, price in steps(road, road.lanes[now]) if lane == after)
+            for now, after in pairwise(route.lanes)
+        ]
+        assert sum(driven) == pytest.approx(route.cost, rel=1e-9, abs=1e-9)
+        assert route.lanes[-1] in goal_lanes(road, goal)
 
 
 @given(graphs(), st.integers(0, 6))

@@ -12,10 +12,11 @@ from hypothesis import strategies as st
 from worlds import CAR, Other, along_x, limit_of, path_of, reference, scene, view
 
 from logs import AgentKind, EgoState
-from planners.dp_qp.scene.caps import LoweredLimit
-from planners.dp_qp.scene.hesitant_pedestrians import HESITATES_S, came_to_path, caps
-from planners.dp_qp.scene.occlusion import LEAST_MPS, REACTION_S, WALK_MPS
+from planners.dp_qp.scene.caps import CautionConfig, LoweredLimit
+from planners.dp_qp.scene.hesitant_pedestrians import came_to_path, caps
+from planners.dp_qp.scene.occlusion import LEAST_MPS, REACTION_S
 
+CAUTION = CautionConfig()
 DECEL, SIZE = 6.0, 0.5
 S = np.arange(0.0, 120.0, 0.5)
 STRAIGHT = path_of(np.zeros(len(S)), 0.5)
@@ -32,7 +33,7 @@ def walker(x: float, y: float, vy: float, kind: AgentKind = AgentKind.PEDESTRIAN
 def looked(who: Other, t: float = 0.0, came: Came = MappingProxyType({})) -> tuple[LoweredLimit, Came]:
     """The limit, and who came to the path when."""
     found = view(scene(ROAD, EGO, [who], t=t), STRAIGHT, hard_mps2=DECEL)
-    after = came_to_path(found.scene, found.taken, came)
+    after = came_to_path(found.scene, found.taken, came, CAUTION.hesitates_s)
     return limit_of(replace(found, came=after), caps), after
 
 
@@ -51,7 +52,7 @@ def test_the_ego_passes_first_or_could_stop(x: float, d: float, gap: float) -> N
     v = float(limit.min())
     if v >= LIMIT[0] or v <= LEAST_MPS:
         return
-    assert gap / v <= d / WALK_MPS + 1e-9 or v * REACTION_S + v * v / (2.0 * DECEL) <= gap + 0.5 * (S[1] - S[0])
+    assert gap / v <= d / CAUTION.walk_mps + 1e-9 or v * REACTION_S + v * v / (2.0 * DECEL) <= gap + 0.5 * (S[1] - S[0])
     lowered = S[limit < LIMIT]
     assert np.abs(lowered + CAR.axle_to_front - x).max() <= 1.5
 
@@ -65,7 +66,7 @@ def test_who_stands_farther_away_lowers_the_speed_less(x: float, d: float, more:
 def test_only_who_came_a_moment_ago_and_on_foot_is_meant() -> None:
     assert after(30.0, 0.8, 1.0).v.min() < 10.0
     for other in (
-        after(30.0, 0.8, HESITATES_S + 0.2),
+        after(30.0, 0.8, CAUTION.hesitates_s + 0.2),
         after(30.0, 0.8, 1.0, AgentKind.CAR),
         after(30.0, 0.8, 1.0, remembers=False),
     ):

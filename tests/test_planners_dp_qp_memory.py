@@ -15,6 +15,7 @@ from worlds import CAR, PERIOD, Drive, Other, along_x, driving, followed, frame,
 
 from logs import AgentKind, EgoState, PlannerContext, PlanStatus, SolverReport, StGraph
 from logs.trace import Artefact, Internals
+from planners.dp_qp.lane.choice import LaneConfig
 from planners.dp_qp.lane.memory import LaneMemory, PassMemory
 from planners.dp_qp.lane.passing import passing
 from planners.dp_qp.lane.plan import LanePlan, LanePlanner
@@ -76,9 +77,9 @@ def test_the_same_scene_and_memory_give_the_same_plan_and_memory(others: Sequenc
         before = deepcopy((memory, past))
         scene = driver.scene(now, ego, memory)
         keep, after = driver.plan("keep", scene, memory)
-        plan, _, passed = passing(keep, driver, past, PathConfig().corridor, passes_left=True)
+        plan, _, passed = passing(keep, driver, past, PathConfig().corridor, LaneConfig(), passes_left=True)
         again, after_again = other.plan("keep", other.scene(now, ego, memory), memory)
-        plan_again, _, passed_again = passing(again, other, past, PathConfig().corridor, passes_left=True)
+        plan_again, _, passed_again = passing(again, other, past, PathConfig().corridor, LaneConfig(), passes_left=True)
         assert same(found(keep), found(again)) and same(found(plan), found(plan_again))
         assert same(after, after_again) and same(passed, passed_again)
         assert same((memory, past), before)

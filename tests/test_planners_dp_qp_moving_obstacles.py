@@ -19,9 +19,9 @@ from logs.trace import Candidates, EndReason, Trace
 from planners.dp_qp.lane.choice import borrowing_endangers
 from planners.dp_qp.path.bounds import CorridorConfig
 from planners.dp_qp.scene import passing_speed
+from planners.dp_qp.scene.caps import CautionConfig
 from planners.dp_qp.scene.moving_obstacles import ASIDE_M, NEAR_M, SPARE_S, along_lane, gone_on, pass_targets, to_pass
-from planners.dp_qp.scene.occlusion import LEAST_MPS, REACTION_S, WALK_MPS
-from planners.dp_qp.scene.passing_speed import SWERVE_MPS
+from planners.dp_qp.scene.occlusion import LEAST_MPS, REACTION_S
 from planners.frenet.path import make_path
 from replay.closed_loop import run_closed_loop
 from replay.drive import LoopConfig
@@ -32,6 +32,7 @@ ROAD = lanes(along_x(0.0, 600.0))
 COURSE = reference(ROAD, ego=EGO)
 AT = COURSE.line.project(EGO.x, 0.0)[0]
 BRAKE = 6.4
+WALK_MPS = CautionConfig().walk_mps
 
 
 def goer(x: float, y: float, vx: float, vy: float = 0.0, kind: AgentKind = AgentKind.BICYCLE) -> Other:
@@ -100,7 +101,7 @@ def test_the_more_room_the_faster_and_beside_them_only(room: float, kind: AgentK
     seen = view(now, path, limit=limit, targets=found, hard_mps2=BRAKE, margin_m=0.6)
     lowered = limit_of(seen, passing_speed.caps).v
     v = float(lowered.min())
-    w = WALK_MPS if kind is AgentKind.PEDESTRIAN else SWERVE_MPS
+    w = WALK_MPS if kind is AgentKind.PEDESTRIAN else CautionConfig().ride_mps
     assert v == pytest.approx(max(2.0 * BRAKE * (room / w - REACTION_S), LEAST_MPS), rel=0.02)
     slow = path.s[lowered < 60.0]
     stop = v * REACTION_S + v * v / (2.0 * BRAKE)

@@ -12,11 +12,11 @@ from worlds import CAR, Other, agents, along_x, limit_of, path_of, reference, sc
 
 from logs import Decision, EgoState, Visibility
 from logs.catalogue import CATALOGUE
+from planners.dp_qp.scene.caps import CautionConfig
 from planners.dp_qp.scene.occlusion import (
     LEAST_MPS,
     PERSON_M,
     REACTION_S,
-    WALK_MPS,
     Hidden,
     caps,
     hidden_beside,
@@ -25,6 +25,7 @@ from planners.dp_qp.scene.occlusion import (
 from replay.closed_loop import run_closed_loop
 from replay.drive import Drive, LoopConfig
 
+WALK_MPS = CautionConfig().walk_mps
 DECEL = 6.0
 S = np.arange(0.0, 120.0, 0.5)
 STRAIGHT = path_of(np.zeros(len(S)), 0.5)
@@ -60,7 +61,7 @@ def test_who_steps_out_is_passed_or_stopped_for(d: float, x: float, share: float
 
 def hidden_beside_strip(d: float) -> list[Hidden]:
     y = 0.5 * CAR.width + d
-    return hidden_beside(STRAIGHT, seen(strip(20.0, 40.0, y, y + 5.0)), agents(()), CAR, 60.0, DECEL)
+    return hidden_beside(STRAIGHT, seen(strip(20.0, 40.0, y, y + 5.0)), agents(()), CAR, 60.0, DECEL, WALK_MPS)
 
 
 @given(st.floats(0.1, 3.0), st.floats(0.0, 3.0))

@@ -138,7 +138,7 @@ def test_a_corridor_loosened_to_the_reach_can_be_kept(l0: float, dl0: float, ddl
     assert result.report.solved
 
 
-TURNS = np.array([CAR.max_kappa, CAR.max_steer_rate / CAR.wheelbase])
+TURNS = np.array([CAR.max_kappa, CAR.max_steer_rate / CAR.wheelbase, 3.0])
 
 
 @given(st.floats(0.5, 30.0), st.floats(1.0, 40.0), st.floats(-0.2, 0.2))

@@ -166,7 +166,8 @@ def test_a_lane_is_borrowed_only_beside_an_obstacle() -> None:
 
 def stage(along: ReferencePath, config: PathConfig = CONFIG) -> PathStage:
     return PathStage(
-        CAR, config, GoalWindow(None, along, CAR), horizon=8.0, passes_left=True, lap=lambda _: None
+        CAR, config, GoalWindow(None, along, CAR), horizon=8.0, curve_accel_mps2=3.0, passes_left=True,
+        lap=lambda _: None,
     )  # fmt: skip
 
 

@@ -48,14 +48,13 @@ from logs.catalogue import CATALOGUE
 from logs.mcap import write_trace
 from logs.transform import mirrored
 from planners.frenet.fallback import meets
+from planners.frenet.profiles import HORIZON_STEPS, STEP_S
 from planners.lattice import Lattice, LatticeConfig
 from planners.lattice.candidates import headway, lateral_costs
 from planners.lattice.checks import REST_MPS
 from planners.lattice.futures import ego_frenet
 from planners.lattice.polynomials import (
     LEAST_M,
-    STEP_S,
-    STEPS,
     evaluated,
     keep_speed,
     lateral_polynomial,
@@ -125,7 +124,7 @@ def test_the_integral_of_the_squared_jerk(c: tuple[float, float, float], T: floa
 @given(st.floats(-3.0, 3.0), st.floats(3.0, 25.0))
 def test_at_constant_speed_the_lateral_jerk_is_that_of_the_quintic_in_time(l1: float, v: float) -> None:
     """From rest: 720 l1^2 / T^5 (Werling)."""
-    motion = sampled(np.array([[0.0, v, 0.0, 0.0, 0.0, 0.0]]), np.array([8.0]), STEPS)
+    motion = sampled(np.array([[0.0, v, 0.0, 0.0, 0.0, 0.0]]), np.array([8.0]), HORIZON_STEPS)
     cost, length = lateral_costs(motion, np.zeros(3), l1, np.array([4.0]), np.array([1.0, 0.0, 0.0]))
     assert length[0, 0] == pytest.approx(max(4.0 * v, LEAST_M))
     assert cost[0, 0] == pytest.approx(720.0 * l1**2 / 4.0**5, rel=1e-9, abs=1e-12)
@@ -171,7 +170,7 @@ def test_the_frenet_start_is_the_inverse_of_the_states(s0: float, l0: float, tur
 
 
 def test_headway_is_the_missing_share_of_the_wanted_gap() -> None:
-    motion = sampled(np.array([[0.0, 10.0, 0.0, 0.0, 0.0, 0.0]]), np.array([8.0]), STEPS)
+    motion = sampled(np.array([[0.0, 10.0, 0.0, 0.0, 0.0, 0.0]]), np.array([8.0]), HORIZON_STEPS)
     s = 40.0 + 10.0 * 4 * STEP_S * np.arange(21)  # the gap stays
     others = np.array([[s], [np.zeros(21)], [np.full(21, 2.0)], [np.full(21, 1.0)]])
     box, speed, unmet = np.array([3.5, 1.0, 0.9]), np.array([10.0]), np.zeros((2, 1), bool)

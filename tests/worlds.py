@@ -27,7 +27,7 @@ from logs.route import Route, find_route
 from logs.shapes import distance
 from planners.base import Planner
 from planners.dp_qp import DpQp
-from planners.dp_qp.scene.caps import LoweredLimit, PathView, SpeedCap, lowered
+from planners.dp_qp.scene.caps import CautionConfig, LoweredLimit, PathView, SpeedCap, lowered
 from planners.dp_qp.scene.goal_window import GoalWindow, SpeedTarget
 from planners.frenet.path import Path
 from planners.frenet.reference_path import ReferencePath, make_reference_path
@@ -156,7 +156,7 @@ def view(now: Scene, path: Path, **more: object) -> PathView:
     given: dict[str, object] = {
         "scene": now, "path": path, "limit": np.full(len(path.s), 15.0), "taken": taken, "stops": (), "targets": (),
         "is_pass": False, "goal": GoalWindow(None, now.reference, now.vehicle), "target": SpeedTarget(), "came": {},
-        "hard_mps2": 6.0, "margin_m": 0.6,
+        "hard_mps2": 6.0, "margin_m": 0.6, "caution": CautionConfig(),
     }  # fmt: skip
     return PathView(**{**given, **more})  # type: ignore[arg-type]
 

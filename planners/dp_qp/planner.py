@@ -8,7 +8,7 @@ from math import inf
 from logs.frame import Frame, PlannerContext
 from logs.states import EgoState
 from logs.trace import Artefact, Internals, Plan, PlanStatus
-from planners.dp_qp.lane.choice import choose, hopeless, worth_looking
+from planners.dp_qp.lane.choice import LaneConfig, choose, hopeless, worth_looking
 from planners.dp_qp.lane.memory import LaneMemory, PassMemory
 from planners.dp_qp.lane.passing import passing
 from planners.dp_qp.lane.plan import LanePlan, LanePlanner
@@ -28,6 +28,7 @@ class DpQpConfig:
     Attributes:
         path: The path stage.
         speed: The speed stage.
+        lane: The choice between lanes, and of passing.
         solver: Of the path and speed QPs: "interior_point", "osqp" or "piqp".
         stitch_m: The plan starts on the previous one where the ego is nearer to it than this ...
         stitch_mps: ... and its speed nearer than this; else at the ego.
@@ -35,6 +36,7 @@ class DpQpConfig:
 
     path: PathConfig = field(default_factory=PathConfig)
     speed: SpeedConfig = field(default_factory=SpeedConfig)
+    lane: LaneConfig = field(default_factory=LaneConfig)
     solver: str = DEFAULT
     stitch_m: float = STITCH_M
     stitch_mps: float = STITCH_MPS
@@ -90,25 +92,26 @@ class DpQp:
         keep = self._planned("keep", memory.driven, frame, start)
         keep, considered, memory.passing[keep.lane] = passing(
             keep, self._planner(keep.lane), memory.passing.get(keep.lane, PassMemory()), self._config.path.corridor,
-            passes_left=self._context.road.drives_on_right,
+            self._config.lane, passes_left=self._context.road.drives_on_right,
         )  # fmt: skip
         self._lap("passing")
-        if not worth_looking(keep, since_change=frame.t - memory.changed):
+        if not worth_looking(keep, self._config.lane, since_change=frame.t - memory.changed):
             return keep, considered
         beside = self._lanes.beside(keep.lane, keep.scene.s)
         if not beside:
             return keep, considered
         others: list[LanePlan] = []
+        hysteresis = self._config.lane.hysteresis_s
         for side, lane in beside:
             planner, before = self._planner(lane), memory.lanes.get(lane, LaneMemory())
             scene = planner.scene(frame, start, before)
-            option = hopeless(side, scene, planner.least_costs(side, scene), keep)
+            option = hopeless(side, scene, planner.least_costs(side, scene), keep, hysteresis)
             if option is not None:
                 considered = (*considered, option)
                 continue
             plan, memory.lanes[lane] = planner.plan(side, scene, before)
             others.append(plan)
-        chosen, more = choose(keep, others)
+        chosen, more = choose(keep, others, hysteresis)
         if chosen is not keep:
             memory.passing.pop(keep.lane, None)
             memory.driven, memory.changed = chosen.lane, frame.t
@@ -122,13 +125,20 @@ class DpQp:
 
     def _planner(self, lane: LaneSequence) -> LanePlanner:
         if lane not in self._planners:
+            speed = self._config.speed
             self._planners[lane] = LanePlanner(
                 lane,
-                Rulebook(self._context.road, lane.reference, self._vehicle),
+                Rulebook(
+                    self._context.road,
+                    lane.reference,
+                    self._vehicle,
+                    curve_accel_mps2=speed.qp.curve_accel_mps2,
+                    ease_mps2=speed.qp.ease_mps2,
+                ),
                 self._context.goal,
                 self._vehicle,
                 self._config.path,
-                self._config.speed,
+                speed,
                 passes_left=self._context.road.drives_on_right,
                 lap=self._lap,
                 solver=self._config.solver,

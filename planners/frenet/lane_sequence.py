@@ -21,6 +21,7 @@ from logs.states import EgoState
 from planners.frenet.reference_path import BEYOND_M, ReferencePath, make_reference_path
 
 BEHIND_M = 60.0
+"""A sequence holds so much behind the lane that it was made for, m: for those who follow."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -130,7 +131,7 @@ class LaneSequences:
         if fewest == 0:
             return 0, np.inf
         ends = np.cumsum([self._road.lanes[lane].length for lane in lanes])
-        return fewest, float(ends[max(i for i in reachable if needs[i] == fewest)])
+        return fewest, float(ends[max(i for i in reachable if needs[i] == fewest)])  # (1), (2)
 
 
 def _rank(to_go: CostToGo | None) -> tuple[float, float]:

@@ -19,6 +19,7 @@ from logs.road import ReferenceLine, line_curvature, line_frame
 from logs.states import EgoState, wrap
 
 FINE_M = 0.5
+"""Greatest spacing of the points of a path, m."""
 MAX_TURN = 1.2
 """Heading off the reference line, rad, from which on a path is no function of its station any more."""
 MIN_REGULAR = 0.1
@@ -106,9 +107,9 @@ def frenet_start(line: ReferenceLine, state: EgoState, s: float, l: float) -> tu
     dkappa_r = line.frame(s + 0.25)[3] - line.frame(s - 0.25)[3]
     regular = 1.0 - kappa_r * l
     turn = wrap(state.yaw - yaw_r)
-    dl = regular * tan(turn)
+    dl = regular * tan(turn)  # (2)
     ddl = (state.kappa * regular / cos(turn) - kappa_r) * regular / cos(turn) ** 2
-    ddl -= (2.0 * dkappa_r * l + kappa_r * dl) * tan(turn)
+    ddl -= (2.0 * dkappa_r * l + kappa_r * dl) * tan(turn)  # (3)
     return l, dl, ddl
 
 

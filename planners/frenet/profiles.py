@@ -18,7 +18,7 @@ import numpy as np
 from logs.kernel import FloatArray, kernel
 
 STEP_S = 0.1
-"""Between two knots of a speed profile."""
+"""Between two knots of a speed profile, and two samples of a plan, s."""
 
 
 @dataclass(frozen=True)
@@ -30,10 +30,14 @@ class SpeedLimits:
     jerk_mps3: float
 
 
-COMFORT, EMERGENCY = SpeedLimits(1.8, 3.0, 3.0), SpeedLimits(1.8, 7.5, 15.0)
-"""What a profile uses where it need not brake harder; and what it uses where it must."""
-HORIZON_KNOTS = 81
-"""Knots of a profile: 8 s."""
+COMFORT = SpeedLimits(1.8, 3.0, 3.0)
+"""What a profile uses where it need not brake harder."""
+EMERGENCY = SpeedLimits(1.8, 7.5, 15.0)
+"""What it uses where it must."""
+HORIZON_STEPS = 80
+"""Steps of a plan: 8 s."""
+HORIZON_KNOTS = HORIZON_STEPS + 1
+"""Knots of a profile."""
 
 
 class KnotLimits(NamedTuple):
@@ -89,10 +93,10 @@ def braking_within(v0: float, a0: float, limits: KnotLimits, share: float, step:
 def limit_profile(
     sigma: FloatArray, kappa: FloatArray, limit: FloatArray, curve_accel: float, ease: float
 ) -> FloatArray:
-    """The speed limit (2) along a path `(m,)`."""
+    """The speed limit (1) along a path `(m,)`."""
     out = np.empty(len(sigma))
     for i in range(len(sigma) - 1, -1, -1):
-        out[i] = min(limit[i], sqrt(curve_accel / max(abs(kappa[i]), 1e-9)))
+        out[i] = min(limit[i], sqrt(curve_accel / max(abs(kappa[i]), 1e-9)))  # (1)
         if i < len(sigma) - 1:
             out[i] = min(out[i], sqrt(out[i + 1] ** 2 + 2.0 * ease * (sigma[i + 1] - sigma[i])))
     return out
@@ -109,7 +113,7 @@ def braking(v0: float, a0: float, decel: float, jerk: float, step: float, knots:
     s, v, a, half = 0.0, v0, a0, 0.5 * jerk * step
     for i in range(knots):
         out[0, i], out[1, i], out[2, i] = s, v, a
-        wanted = -min(decel, sqrt(half * half + 2.0 * jerk * max(v + 0.5 * step * a, 0.0)) - half)
+        wanted = -min(decel, sqrt(half * half + 2.0 * jerk * max(v + 0.5 * step * a, 0.0)) - half)  # (3)
         a_next = max(wanted, a - jerk * step) if wanted < a else min(wanted, a + jerk * step)
         v_next = v + 0.5 * step * (a + a_next)
         if v_next <= 1e-6:
@@ -134,7 +138,7 @@ def cruising(
         while i < len(sigma) - 2 and sigma[i + 1] < s:
             i += 1
         falling = min(0.0, v * (limit[i + 1] - limit[i]) / (sigma[i + 1] - sigma[i]))
-        wanted = min(max(falling + (limit[i] - v) / 0.6, -decel), accel)
+        wanted = min(max(falling + (limit[i] - v) / 0.6, -decel), accel)  # (2)
         a += min(max(wanted - a, -jerk * step), jerk * step)
         v_next = max(0.0, v + a * step)
         s += 0.5 * step * (v + v_next)

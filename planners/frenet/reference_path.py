@@ -33,7 +33,9 @@ from logs.vehicle import VehicleParameters
 from planners.qp import QuadraticProgram
 
 SPACING_M = 2.0
+"""Between two points of (1), m."""
 BENDING_WEIGHT = 50.0
+"""w of (1)."""
 MAX_SHIFT_M = 0.3
 """The mean over all headings of what bounds of 0.25 m on x and on y leave across a line (0.25 * 4 / pi = 0.32)."""
 ACROSS = 0.97
@@ -41,12 +43,17 @@ ACROSS = 0.97
 HARDER = ((0.5, 200.0), (0.75, 1000.0), (1.0, 1000.0), (1.5, 3000.0))
 """Shift (m) and bending weight of further attempts, where the line bends more than a car can steer."""
 LOCK_SHARE = 0.9
+"""Share of the steering lock that a reference line may need."""
 EDGE_M = 0.1
+"""Room to the lane's edge that a shift leaves the car, m."""
 BEYOND_M = 300.0
+"""The line goes on for so long after the route, m: farther than a plan of 8 s reaches at 130 km/h."""
 HALF_LANE_M = 1.75
+"""Half the width of a lane where the map gives none, m; half of that is the least that is taken."""
 REACH_M = 16.0
+"""Lane edges farther beside the line than this are not looked for, m: about four lanes."""
 JOINT_M = 0.6
-"""Boundaries nearer than this are one marking."""
+"""Boundaries nearer than this are one marking, m."""
 
 
 class Section(NamedTuple):
@@ -179,7 +186,7 @@ def smoothed(points: FloatArray, max_shift: float = MAX_SHIFT_M, weight: float =
     normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
     D = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(count - 2, count))
     bends = [D @ sparse.hstack([sparse.diags(normal[:, k]), sparse.diags(tangent[:, k])]) for k in (0, 1)]
-    P = (weight * sum(bend.T @ bend for bend in bends) + sparse.eye(2 * count)).tocsc()
+    P = (weight * sum(bend.T @ bend for bend in bends) + sparse.eye(2 * count)).tocsc()  # (1)
     solver = QuadraticProgram("reference line", P, sparse.eye(2 * count, format="csc"))
     shift = np.full(count, max_shift)
     shift[[0, -1]] = 0.0

@@ -22,13 +22,20 @@ from logs.vehicle import VehicleParameters
 from planners.frenet.path import frenet_start, out_of_frame
 from planners.frenet.reference_path import ReferencePath
 
-WINDOW_M, WINDOW_SHARE = (80.0, 370.0), 1.5
-"""An agent's foot is looked for so far before and behind the ego's: this times their distance and `WINDOW_M[0]` more,
-not farther than `WINDOW_M[1]`. It keeps the search short, and off other branches of a road that winds."""
+WINDOW_SHARE = 1.5
+"""An agent's foot is looked for before and behind the ego's as far as this times their distance ..."""
+WINDOW_M = (80.0, 370.0)
+"""... and the first, m, more, not farther than the second, m: that keeps off other branches of a road that winds."""
 STANDING_MPS = 0.5
-"""Who is slower stands: in the way of the path, not of the speed."""
-TRACK_ROOM_M, OVERLAP_M = 0.3, 0.5
-"""Who is beside the ego's track by more than this is not in it; whose front is past the ego's rear by less follows."""
+"""Who is slower stands, m/s: the path passes them or stops, the speed does not follow them."""
+UNLIKELY = 0.2
+"""A predicted hypothesis that is not more probable than this is unlikely."""
+TRACK_M = 1.0
+"""The ego keeps its track where its offset changes by less than this, m."""
+TRACK_ROOM_M = 0.3
+"""Who is beside the ego's track by more than this is not in it, m."""
+OVERLAP_M = 0.5
+"""Whose front is past the ego's rear by less than this follows it, m."""
 
 
 class AgentsAlong(NamedTuple):

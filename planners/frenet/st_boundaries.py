@@ -30,7 +30,7 @@ from planners.frenet.path import Path
 from planners.frenet.scene import STANDING_MPS, Scene
 
 CREEPING_MPS = 0.1
-"""Who is slower does not walk: their predicted way is none."""
+"""Who is slower does not walk, m/s: their prediction leads nowhere."""
 HALVINGS = 4
 """Of the path's spacing, about 0.4 m, towards the edge of an interval."""
 JUMP = 0.999

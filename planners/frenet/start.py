@@ -12,8 +12,10 @@ from logs.vehicle import VehicleParameters
 from planners.frenet.reference_path import ReferencePath, make_reference_path
 from planners.frenet.scene import Scene, scene_of
 
-STITCH_M, STITCH_MPS = 0.5, 1.0
-"""A plan starts on the previous one where the ego is nearer to it than this, and its speed too."""
+STITCH_M = 0.5
+"""A plan starts on the previous one where the ego is nearer to it than this, m ..."""
+STITCH_MPS = 1.0
+"""... and its speed nearer than this, m/s."""
 
 
 def start_of(frame: Frame, stitch_m: float = STITCH_M, stitch_mps: float = STITCH_MPS) -> tuple[EgoState, PlanStart]:

@@ -23,23 +23,25 @@ import numpy as np
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.vehicle import VehicleParameters
 from planners.frenet.occupancy import Occupancy, open_end, upper_bound
-from planners.frenet.profiles import braking, limit_profile
+from planners.frenet.profiles import HORIZON_KNOTS, HORIZON_STEPS, STEP_S, braking, limit_profile
 from planners.frenet.quintic import quintic
 from planners.frenet.reference_path import ReferencePath
+from planners.frenet.scene import TRACK_M
 from planners.lattice.checks import REST_MPS, Fault, speed_faults
 from planners.lattice.config import LatticeConfig
 from planners.lattice.futures import STRIDE, Ego, Futures
-from planners.lattice.polynomials import LEAST_M, STEP_S, STEPS, keep_speed, reach_point, sampled, third_square
+from planners.lattice.polynomials import LEAST_M, keep_speed, reach_point, sampled, third_square
 
-TRACK_M = 1.0
-"""An end offset farther than this from the ego's offset is another track."""
 SIDE_M = 0.1
 """Who is nearer than this beside a track is on it."""
 SHORT = 4.0
 """A metre short of a stop that the rules demand counts as so many: who rests there should be seen to have stopped."""
-STOP_S, STOP_M = 1.0, 2.0
-"""The ego brakes for a stop that the rules demand so long, and so far, before gentle braking would have to begin."""
+STOP_S = 1.0
+"""The ego brakes for a stop that the rules demand so long, s ..."""
+STOP_M = 2.0
+"""... and so far, m, before gentle braking would have to begin."""
 COST_PARTS = ("jerk along", "time", "speed", "sideways", "gap")
+"""The terms of (1) as a recording names them."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -121,8 +123,8 @@ class Sampler:
             keeping = [replace(row, missed=SHORT * max(aim - _end(ego, row), 0.0)) for row in keeping]
             keeping += _resting(ego, aim, config)
         lon = _stacked(ego, [*keeping, *self._reaching(ego, futures, offsets)])
-        motion = sampled(lon.coef, lon.T, STEPS)
-        allowed = braking(ego.speed, ego.accel, config.ease_mps2, 3.0, STEP_S, STEPS + 1)[1] + 0.3
+        motion = sampled(lon.coef, lon.T, HORIZON_STEPS)
+        allowed = braking(ego.speed, ego.accel, config.ease_mps2, 3.0, STEP_S, HORIZON_KNOTS)[1] + 0.3
         bounds = np.array([config.accel_mps2, config.decel_mps2, 0.5])
         faults = speed_faults(motion, ego.s, stations, self.limit, allowed, _kept(stops, rests=rests), bounds)
         each = np.where(lon.track < 0, len(offsets), 1) * len(config.lateral_durations_s)
@@ -174,7 +176,7 @@ class Sampler:
         jerk = squared_jerks(lon.coef, lon.T)
         own = np.array(
             [c.w_jerk * jerk, c.w_time * lon.T, c.w_speed * (lon.v1 - wanted) ** 2 + c.w_point * lon.missed**2]
-        )
+        )  # (1)
         box = np.array([car.axle_to_front, car.rear_overhang, 0.5 * car.width])
         gaps, weights = np.array([c.standstill_gap_m, c.time_gap_s]), np.array([c.w_jerk, c.w_lateral_time, c.w_offset])
         row, l1, length, changes, costs = [], [], [], [], []
@@ -224,8 +226,8 @@ def _resting(ego: Ego, aim: float, config: LatticeConfig) -> list[Row]:
 
 
 def _kept(stops: Sequence[Occupancy], *, rests: bool) -> FloatArray:
-    """How far the traffic rules let the ego go `(STEPS + 1,)`, m; far from an open stop only at first."""
-    t = STEP_S * np.arange(STEPS + 1)
+    """How far the traffic rules let the ego go `(HORIZON_KNOTS,)`, m; far from an open stop only at first."""
+    t = STEP_S * np.arange(HORIZON_KNOTS)
     upper = upper_bound(stops, t, np.inf)
     if rests:
         return upper
@@ -304,7 +306,7 @@ def headway(
                 elif v < REST_MPS:
                     continue
                 missing = 1.0 - max(gap, 0.0) / (wanted[0] + wanted[1] * v)
-                out[i] += max(missing, 0.0) ** 2 / others.shape[2]
+                out[i] += max(missing, 0.0) ** 2 / others.shape[2]  # (2)
     return out
 
 
@@ -326,6 +328,6 @@ def lateral_costs(
         for p in range(len(T)):
             D = max(motion[i, 0, min(int(T[p] / STEP_S + 0.5), motion.shape[2] - 1)], LEAST_M)
             c3, c4, c5 = quintic(start[0], start[1], start[2], l1, D)
-            jerk = third_square(c3, c4, c5, D) * (D / T[p]) ** 5
+            jerk = third_square(c3, c4, c5, D) * (D / T[p]) ** 5  # (1), J_l
             cost[i, p], length[i, p] = weights[0] * jerk + weights[1] * T[p] + weights[2] * l1**2, D
     return cost, length

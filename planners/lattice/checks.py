@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from enum import IntEnum
 from math import cos, sin
+from typing import NamedTuple
 
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.shapes import overlap
 from planners.frenet.path import MAX_TURN, MIN_REGULAR
-from planners.lattice.polynomials import STEPS, lateral_polynomial, sampled, states
+from planners.frenet.profiles import HORIZON_STEPS
+from planners.lattice.polynomials import lateral_polynomial, sampled, states
 
 REST_MPS = 0.05
 """Below this the ego stands: who then runs into it is not its doing."""
@@ -44,7 +46,9 @@ SAID = {
     Fault.COLLISION: "meets somebody",
     Fault.STOP_LINE: "passes a place where it must stop",
 }
+"""The faults in words."""
 FAULTS = len(Fault)
+"""Length of a count by fault."""
 
 
 @kernel
@@ -91,20 +95,61 @@ def _outside(l: float, s: float, grid: FloatArray, left: FloatArray, right: Floa
     return max(l - left[at], right[at] - l, 0.0)
 
 
-@kernel
-def _met(
-    x: float, y: float, yaw: float, k: int, others: FloatArray, sizes: FloatArray, skip: BoolArray, car: FloatArray
-) -> bool:
-    """Whether the ego's box, grown by each agent's margin, meets an agent at sample k.
+class Room(NamedTuple):
+    """Where the rear axle may be.
 
-    `others` is x, y, yaw `(3, n, k)`, `sizes` length, width, margin `(3, n)`, `car` axle to centre, length, width.
+    Attributes:
+        knots: Stations of the reference line `(n,)`, uniform, m; `coef` its coefficients `(n-1, 8)`.
+        coef: See there.
+        left: Greatest offset at the knots `(n,)`, m; `right` least.
+        right: See there.
     """
-    cx, cy = x + car[0] * cos(yaw), y + car[0] * sin(yaw)
-    for j in range(others.shape[1]):
+
+    knots: FloatArray
+    coef: FloatArray
+    left: FloatArray
+    right: FloatArray
+
+
+class Others(NamedTuple):
+    """The predictions, as of `Futures`: poses `(3, n, k)`, sizes `(3, n)`, not looked at on which track `(2, n)`."""
+
+    pose: FloatArray
+    sizes: FloatArray
+    behind: BoolArray
+
+
+class Body(NamedTuple):
+    """The ego's box and limits: rear axle to the box's centre, length, width (m), curvature (1/m), a_lat (m/s2)."""
+
+    rear_to_center: float
+    length: float
+    width: float
+    max_kappa: float
+    lat_accel: float
+
+
+class Tried(NamedTuple):
+    """The pairs, as of `Pairs`: longitudinal polynomials `(m, 6)` and durations `(m,)`; per pair the others `(n,)`."""
+
+    lon: FloatArray
+    T: FloatArray
+    row: IntArray
+    l1: FloatArray
+    length: FloatArray
+    changes: BoolArray
+
+
+@kernel
+def _met(x: float, y: float, yaw: float, k: int, others: Others, skip: BoolArray, ego: Body) -> bool:
+    """Whether the ego's box, grown by each agent's margin, meets an agent at sample k."""
+    cx, cy = x + ego.rear_to_center * cos(yaw), y + ego.rear_to_center * sin(yaw)
+    pose, sizes = others.pose, others.sizes
+    for j in range(pose.shape[1]):
         margin = 2.0 * sizes[2, j]
         if not skip[j] and overlap(
-            cx, cy, yaw, car[1] + margin, car[2] + margin,
-            others[0, j, k], others[1, j, k], others[2, j, k], sizes[0, j], sizes[1, j],
+            cx, cy, yaw, ego.length + margin, ego.width + margin,
+            pose[0, j, k], pose[1, j, k], pose[2, j, k], sizes[0, j], sizes[1, j],
         ):  # fmt: skip
             return True
     return False
@@ -112,9 +157,8 @@ def _met(
 
 @kernel
 def drive_fault(
-    at: FloatArray, motion: FloatArray, s0: float, grid: FloatArray, left: FloatArray, right: FloatArray,
-    others: FloatArray, sizes: FloatArray, skip: BoolArray, car: FloatArray, limits: FloatArray,
-) -> int:  # fmt: skip
+    at: FloatArray, motion: FloatArray, s0: float, room: Room, others: Others, skip: BoolArray, ego: Body
+) -> int:
     """The first fault of a candidate's `states` `(9, k)` along time, 0 where it has none.
 
     A bound that the start breaks already may stay broken as much as there, but not more.
@@ -123,18 +167,14 @@ def drive_fault(
         at: `states`.
         motion: Its s, s_dot, s_ddot `(3, k)`.
         s0: Station of the start.
-        grid: Stations of the edges, uniform; `left` and `right` bound the rear axle's offset.
-        left: m.
-        right: m.
-        others: As of `_met`; `sizes`, `skip` and `car` likewise.
-        sizes: m.
-        skip: Who is not looked at.
-        car: m.
-        limits: Greatest curvature, lateral acceleration.
+        room: Of the rear axle.
+        others: The predictions.
+        skip: Who is not looked at `(n,)`.
+        ego: Its box and limits.
     """
-    out = _outside(at[6, 0], s0, grid, left, right) + 0.02
-    kappa_max = max(limits[0], abs(at[5, 0]) + 0.01)
-    lat_max = max(limits[1], at[3, 0] ** 2 * abs(at[5, 0]) + 0.2)
+    out = _outside(at[6, 0], s0, room.knots, room.left, room.right) + 0.02
+    kappa_max = max(ego.max_kappa, abs(at[5, 0]) + 0.01)
+    lat_max = max(ego.lat_accel, at[3, 0] ** 2 * abs(at[5, 0]) + 0.2)
     for k in range(at.shape[1]):
         if at[8, k] < MIN_REGULAR or abs(at[7, k]) > MAX_TURN:
             return Fault.FRAME.value
@@ -142,50 +182,36 @@ def drive_fault(
             return Fault.CURVATURE.value
         if at[3, k] ** 2 * abs(at[5, k]) > lat_max:
             return Fault.LATERAL_ACCELERATION.value
-        if _outside(at[6, k], s0 + motion[0, k], grid, left, right) > out:
+        if _outside(at[6, k], s0 + motion[0, k], room.knots, room.left, room.right) > out:
             return Fault.CORRIDOR.value
-        if k > 0 and at[3, k] > REST_MPS and _met(at[0, k], at[1, k], at[2, k], k, others, sizes, skip, car):
+        if k > 0 and at[3, k] > REST_MPS and _met(at[0, k], at[1, k], at[2, k], k, others, skip, ego):
             return Fault.COLLISION.value
     return Fault.NONE.value
 
 
 @kernel
 def first_feasible(
-    knots: FloatArray, coef: FloatArray, s0: float, start: FloatArray, lon: FloatArray, T: FloatArray,
-    row: IntArray, l1: FloatArray, length: FloatArray, changes: BoolArray, order: IntArray,
-    left: FloatArray, right: FloatArray, others: FloatArray, sizes: FloatArray, skip: BoolArray,
-    car: FloatArray, limits: FloatArray,
-) -> tuple[int, IntArray]:  # fmt: skip
+    tried: Tried, order: IntArray, s0: float, start: FloatArray, room: Room, others: Others, ego: Body
+) -> tuple[int, IntArray]:
     """The first pair in `order` without a fault, -1 where there is none, and how many were found with which fault.
 
     Args:
-        knots: Of the reference line; `coef` likewise.
-        coef: `(n-1, 8)`.
+        tried: The pairs.
+        order: Of them, the cheapest first.
         s0: Station of the start.
         start: l, l', l''.
-        lon: Longitudinal polynomials `(m, 6)`, their durations `T` `(m,)`.
-        T: s.
-        row: Per pair, its longitudinal polynomial, end offset, lateral length, and whether it changes the track.
-        l1: m.
-        length: m.
-        changes: bool.
-        order: Pairs, the cheapest first.
-        left: As of `drive_fault`, on `knots`; `right`, `others`, `sizes`, `car` and `limits` likewise.
-        right: m.
-        others: `(3, n, k)`.
-        sizes: `(3, n)`.
-        skip: `(2, n)`: who is not looked at on the own track, and on another.
-        car: m.
-        limits: 1/m, m/s2.
+        room: Of the rear axle.
+        others: The predictions.
+        ego: Its box and limits.
     """
     found = np.zeros(FAULTS, np.int64)
     for pair in order:
-        i = row[pair]
-        motion = sampled(lon[i : i + 1], T[i : i + 1], STEPS)[0]
-        lateral = lateral_polynomial(start, l1[pair], length[pair])
-        at = states(knots, coef, s0, lateral, length[pair], motion)
-        unseen = skip[1] if changes[pair] else skip[0]
-        fault = drive_fault(at, motion, s0, knots, left, right, others, sizes, unseen, car, limits)
+        i = tried.row[pair]
+        motion = sampled(tried.lon[i : i + 1], tried.T[i : i + 1], HORIZON_STEPS)[0]
+        lateral = lateral_polynomial(start, tried.l1[pair], tried.length[pair])
+        at = states(room.knots, room.coef, s0, lateral, tried.length[pair], motion)
+        unseen = others.behind[1] if tried.changes[pair] else others.behind[0]
+        fault = drive_fault(at, motion, s0, room, others, unseen, ego)
         if fault == 0:
             return pair, found
         found[fault] += 1

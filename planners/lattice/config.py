@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from planners.lattice.polynomials import STEP_S
+from planners.frenet.profiles import STEP_S
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ from logs.scenario import AgentKind
 from logs.shapes import overlap
 from logs.states import EgoState, wrap
 from logs.vehicle import VehicleParameters
+from planners.frenet.profiles import HORIZON_KNOTS, HORIZON_STEPS, STEP_S
 from planners.frenet.scene import Scene, behind
 from planners.lattice.config import LatticeConfig
-from planners.lattice.polynomials import STEP_S, STEPS
 
 STRIDE = 4
 """Samples of the plan per sample of the others' Frenet coordinates."""
@@ -42,11 +42,11 @@ class Ego:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Futures:
-    """The n predictions near the ego, on the plan's grid of `STEPS + 1` times.
+    """The n predictions near the ego, on the plan's grid of `HORIZON_KNOTS` times.
 
     Attributes:
         agent: `(n,)` index into the frame's agents.
-        pose: x, y, yaw `(3, n, STEPS + 1)`; beyond the predictions' horizon everybody stays.
+        pose: x, y, yaw `(3, n, HORIZON_KNOTS)`; beyond the predictions' horizon everybody stays.
         frenet: `futures_frenet` of every `STRIDE`-th time `(4, n, m)`.
         speed: Along the line at first `(n,)`, m/s.
         sizes: Length, width, margin `(3, n)`, m.
@@ -98,7 +98,7 @@ def _near(scene: Scene, ego: Ego) -> IntArray:
     line, futures, start = scene.reference.line, scene.frame.predictions, scene.start
     if not len(futures):
         return np.empty(0, np.int64)
-    reach = STEPS * STEP_S * (ego.speed + 3.0) + NEAR_M
+    reach = HORIZON_STEPS * STEP_S * (ego.speed + 3.0) + NEAR_M
     way = np.vstack([line.xy[(line.s > ego.s - NEAR_M) & (line.s < ego.s + reach)], [[start.x, start.y]]])
     low, high = way.min(axis=0) - NEAR_M, way.max(axis=0) + NEAR_M
     near = (futures.x.max(axis=1) > low[0]) & (futures.x.min(axis=1) < high[0])
@@ -107,8 +107,8 @@ def _near(scene: Scene, ego: Ego) -> IntArray:
 
 
 def _on_grid(t: FloatArray, rows: FloatArray) -> FloatArray:
-    """Rows `(3, n, k)` at times `t` `(k,)` from the frame, at `STEPS + 1` times every `STEP_S`; the ends hold."""
-    at = np.clip(STEP_S * np.arange(STEPS + 1), t[0], t[-1])
+    """Rows `(3, n, k)` at times `t` `(k,)` from the frame, at `HORIZON_KNOTS` times every `STEP_S`; the ends hold."""
+    at = np.clip(STEP_S * np.arange(HORIZON_KNOTS), t[0], t[-1])
     first = np.clip(np.searchsorted(t, at + 1e-9) - 1, 0, max(len(t) - 2, 0))
     after = np.minimum(first + 1, len(t) - 1)
     span = np.where(after > first, t[after] - t[first], 1.0)

@@ -10,12 +10,13 @@ from logs.states import Trajectory
 from logs.trace import Artefact, Candidates, Internals, Plan
 from planners.frenet.fallback import fall_back
 from planners.frenet.occupancy import on_reference
+from planners.frenet.profiles import HORIZON_STEPS, STEP_S
 from planners.frenet.start import RouteTracker
 from planners.lattice.candidates import Pairs, Sampler
-from planners.lattice.checks import REST_MPS, SAID, first_feasible
+from planners.lattice.checks import REST_MPS, SAID, Body, Others, Room, Tried, first_feasible
 from planners.lattice.config import LatticeConfig
 from planners.lattice.futures import Ego, Futures, ego_frenet, futures_of
-from planners.lattice.polynomials import STEP_S, STEPS, lateral_polynomial, sampled, states
+from planners.lattice.polynomials import lateral_polynomial, sampled, states
 from planners.lattice.record import artefacts
 from planners.rules import Rulebook, RuleMemory
 
@@ -57,7 +58,7 @@ class Lattice:
             reason = "no candidate can be driven: " + ", ".join(f"{n} {why}" for why, n in counted.rejected)
             return fall_back(frame, scene.start, start_kind, None, reason, (counted,), self._vehicle)
         row, line = int(pairs.row[chosen]), scene.reference.line
-        motion = sampled(pairs.lon.coef[row, None], pairs.lon.T[row, None], STEPS)[0]
+        motion = sampled(pairs.lon.coef[row, None], pairs.lon.T[row, None], HORIZON_STEPS)[0]
         lateral = lateral_polynomial(np.array(ego.lateral), pairs.l1[chosen], pairs.length[chosen])
         at = states(line.s, line.coef, scene.s, lateral, pairs.length[chosen], motion)
 
@@ -72,11 +73,14 @@ class Lattice:
         car, line = self._vehicle, self._tracker.reference.line
         order = np.argsort(np.round(pairs.costs.sum(axis=0), 9), kind="stable")
         return first_feasible(
-            line.s, line.coef, ego.s, np.array(ego.lateral), pairs.lon.coef, pairs.lon.T, pairs.row, pairs.l1,
-            pairs.length, pairs.changes, order, self._sampler.left, self._sampler.right, futures.pose, futures.sizes,
-            futures.behind, np.array([car.axle_to_center, car.length, car.width]),
-            np.array([car.max_kappa, self._config.lat_accel_mps2]),
-        )  # fmt: skip
+            Tried(pairs.lon.coef, pairs.lon.T, pairs.row, pairs.l1, pairs.length, pairs.changes),
+            order,
+            ego.s,
+            np.array(ego.lateral),
+            Room(line.s, line.coef, self._sampler.left, self._sampler.right),
+            Others(futures.pose, futures.sizes, futures.behind),
+            Body(car.axle_to_center, car.length, car.width, car.max_kappa, self._config.lat_accel_mps2),
+        )
 
 
 def _counted(pairs: Pairs, faults: IntArray, chosen: int) -> Candidates:

@@ -24,11 +24,11 @@ from logs.kernel import FloatArray, kernel
 from logs.road import line_curvature, line_frame
 from logs.states import wrap
 from planners.frenet.path import MIN_REGULAR
+from planners.frenet.profiles import STEP_S
 from planners.frenet.quintic import quintic
 
-STEP_S = 0.1
-STEPS = 80
 LEAST_M = 8.0
+"""A lateral move is not shorter than this (3), m: at low speeds it would be too sharp to steer."""
 
 
 @kernel

@@ -7,12 +7,12 @@ import numpy as np
 from logs.kernel import FloatArray
 from logs.trace import Artefact, Corridor, CostTerms, Decision, DecisionKind, GraphObstacle, SlGraph, StGraph
 from planners.frenet.path import Path
+from planners.frenet.profiles import STEP_S
 from planners.frenet.scene import Scene
 from planners.frenet.st_boundaries import StGraphConfig, decide_speed, outlines, st_boundaries
 from planners.lattice.candidates import COST_PARTS, Pairs
 from planners.lattice.config import LatticeConfig
 from planners.lattice.futures import Ego, Futures
-from planners.lattice.polynomials import STEP_S
 
 EVERY = 4
 """Samples of the plan per point of the S-L graph."""

@@ -56,10 +56,12 @@ STATUS = {
     CROSSED: "bounds cross or are not numbers",
     NOT_FINITE: "cost is not finite",
 }
+"""The status codes in words."""
 ACCURACY_M = 1e-4
 """Distance of (10) from the optimum, far below what anybody steers. Where bounds are nearly empty, residuals and
 `NARROW_M` add to it (measured: docs/solvers.md)."""
 MAX_ITERATIONS = 60
+"""Several times what a problem of a road needs (docs/solvers.md)."""
 RESIDUAL = 1e-2
 """Residuals of (4) and (5) that may be left, as a share of the accuracy."""
 FARKAS = 1e-7
@@ -70,12 +72,19 @@ NEARLY = 1e3
 """The gap is nearly closed where it is less than so many squares of the accuracy."""
 FLOOR = 0.1
 """Products z f are not aimed below this share of what (10) asks for: smaller ones only cost digits."""
-PROXIMAL, PROXIMAL_M = 1e-10, 1e-6
-"""The give of every row in a step, less where the largest multiplier would make more than the second, m, of it: the
-matrix stays positive definite in floating point, and the solution is the same (proximal method of multipliers)."""
-START_SHARE, START_LEAST_M, START_MOST_M, START_MU = 0.1, 0.01, 2.0, 1.0
-"""First slacks are at least this share of the room between two bounds, which counts as neither less nor more than this;
-first products z f, m2."""
+PROXIMAL = 1e-10
+"""The give of every row in a step: the matrix stays positive definite in floating point, and the solution is the same
+(proximal method of multipliers) ..."""
+PROXIMAL_M = 1e-6
+"""... less where the largest multiplier would make more than this, m, of it."""
+START_SHARE = 0.1
+"""First slacks are at least this share of the room between two bounds ..."""
+START_LEAST_M = 0.01
+"""... which counts as not less than this, m ..."""
+START_MOST_M = 2.0
+"""... nor more than this, m."""
+START_MU = 1.0
+"""First products z f, m2."""
 
 
 class Point(NamedTuple):

@@ -34,36 +34,56 @@ import numpy as np
 
 from logs.kernel import TIE, FloatArray
 from logs.road import Road
-from logs.rules import Colour
+from logs.rules import RED, Colour
 from logs.trace import DecisionKind
 from logs.vehicle import VehicleParameters
 from planners.frenet.occupancy import Occupancy
-from planners.frenet.profiles import STEP_S, braking, cruising, limit_profile
+from planners.frenet.profiles import HORIZON_KNOTS, STEP_S, braking, cruising, limit_profile
 from planners.frenet.reference_path import ReferencePath
 from planners.frenet.scene import Scene
-from planners.rules.windows import RED, Window, windows
-from planners.rules.zones import Line, Priority, Walk, Zone, lines_along, zones_along
+from planners.rules.windows import ASKEW_RAD, Window, windows
+from planners.rules.zones import ROOM_M, Line, Priority, Walk, Zone, lines_along, zones_along
 
-COMFORT, HARD = (2.8, 2.8), (7.0, 12.0)
-"""Deceleration m/s2 and jerk m/s3."""
-REST_MPS, NEAR_M = 0.1, 3.0
+COMFORT = 2.8, 2.8
+"""Deceleration (m/s2) and jerk (m/s3) with which the ego stops where it comfortably can; below ITE's 3.05 m/s2."""
+HARD = 7.0, 12.0
+"""Those with which it stops where it must."""
+REST_MPS = 0.1
+"""The ego is at rest below this, m/s."""
+NEAR_M = 3.0
+"""It has stopped at a stop sign where it came to rest within this before the line, m."""
 SHORT_M = 0.8
-"""The front stays this far before a line, where comfort can."""
+"""The front stays this far before a line, where comfort can, m."""
 AIM_M = 0.5
-"""It comes to rest this far before that."""
+"""It comes to rest this far before that, m."""
 OVER_M = 1.0
-"""Who stops for a line and has come over it by less than this still waits."""
-CLEAR_S, WALK_CLEAR_S, AFTER_S, FOLLOW_S, KEPT_S, YIELD_MPS2 = 1.5, 2.0, 0.5, 1.0, 0.5, 2.0
+"""Who stops for a line and has come over it by less than this still waits, m."""
+CLEAR_S = 1.5
+"""c of (4) before a vehicle, s; its sources are in the module docstring."""
+WALK_CLEAR_S = 2.0
+"""c of (4) before a pedestrian, s."""
+AFTER_S = 0.5
+"""How long after a vehicle has left a zone the ego enters it (4), s."""
+FOLLOW_S = 1.0
+"""How long after a vehicle has come into the lane that it then shares with the ego, which follows it (4), s."""
+KEPT_S = 0.5
+"""A gap once taken is kept with so much less of (4), s."""
+YIELD_MPS2 = 2.0
+"""Deceleration that the ego may ask of who comes from behind, m/s2: comfortable (b of IDM)."""
 PATIENCE_S = 3.0
-"""Who stands at a crosswalk and does not begin to walk is waited for so long, from a standstill."""
-KNOTS = 81
-GO_MPS2, GO_MPS3 = 1.5, 2.0
-"""How the ego is assumed to accelerate."""
-CURVE_MPS2, EASE_MPS2 = 3.0, 1.5
+"""Who stands at a crosswalk and does not begin to walk is waited for so long, from a standstill, s."""
+GO_MPS2 = 1.5
+"""Acceleration with which the ego is assumed to go, m/s2 ..."""
+GO_MPS3 = 2.0
+"""... and its jerk, m/s3."""
+CURVE_MPS2 = 3.0
+"""Lateral acceleration in curves with which it is assumed to go, m/s2: of a planner that does not say its own."""
+EASE_MPS2 = 1.5
+"""Deceleration towards a lower limit, m/s2, likewise."""
 LOOK_M = 10.0
-"""Zones are looked at from this before the place where gentle braking for them would begin."""
-STANDING_MPS, ROOM_M = 1.0, 1.0
-ASKEW_RAD = 1.0
+"""Zones are looked at from this before the place where gentle braking for them would begin, m."""
+ROLLING_MPS = 1.0
+"""Slower than this the one ahead makes no room behind a zone, and the ego has not set off from a crosswalk, m/s."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,15 +127,21 @@ class _Visit:
 
 
 class Rulebook:
-    """The rules along one reference (module docstring)."""
+    """The rules along one reference path (module docstring), for an ego that slows down for curves as it says."""
 
-    def __init__(self, road: Road, reference: ReferencePath, vehicle: VehicleParameters) -> None:
+    def __init__(
+        self, road: Road, reference: ReferencePath, vehicle: VehicleParameters, *,
+        curve_accel_mps2: float = CURVE_MPS2, ease_mps2: float = EASE_MPS2,
+    ) -> None:  # fmt: skip
+        self._ease = ease_mps2
         self._road, self._reference, self._vehicle = road, reference, vehicle
         self._lines = lines_along(road, reference, vehicle.width)
         self._zones = zones_along(road, reference, vehicle)
         line = reference.line
         has_zones = bool(self._zones)
-        self._limit = limit_profile(line.s, line.kappa, reference.limit, CURVE_MPS2, EASE_MPS2) if has_zones else line.s
+        self._limit = (
+            limit_profile(line.s, line.kappa, reference.limit, curve_accel_mps2, ease_mps2) if has_zones else line.s
+        )
 
     @property
     def places(self) -> tuple[float, ...]:
@@ -133,7 +159,8 @@ class Rulebook:
         if not self._lines and not self._zones:
             return (), memory
         soft, hard = (
-            float(braking(scene.v, scene.start.a, *limits, STEP_S, 2 * KNOTS)[0, -1]) for limits in (COMFORT, HARD)
+            float(braking(scene.v, scene.start.a, *limits, STEP_S, 2 * HORIZON_KNOTS)[0, -1])
+            for limits in (COMFORT, HARD)
         )
         visit = _Visit(
             scene, passed, soft, hard, memory.stopping, set(memory.rested), set(memory.taken), dict(memory.since)
@@ -153,12 +180,13 @@ class Rulebook:
         hard = held or visit.hard <= ahead
         if line.light is not None:
             colour = visit.scene.frame.lights.get(line.light, Colour.OFF)
-            stops = hard if colour in RED else colour is Colour.YELLOW and (held or visit.soft <= ahead - SHORT_M)
+            yellow = colour is Colour.YELLOW and (held or visit.soft <= ahead - SHORT_M)
+            stops = hard if colour in RED else yellow  # (1), (2)
             reason = f"{colour.value} light {line.light}"
         else:
             if visit.scene.frame.ego.v < REST_MPS and ahead <= NEAR_M:
                 visit.rested.add(line.id)
-            stops, reason = hard and line.id not in visit.rested, "stop sign"
+            stops, reason = hard and line.id not in visit.rested, "stop sign"  # (3)
         return _stop(line.s, visit, inf, name, DecisionKind.STOP, reason) if stops else None
 
     def _at_zones(self, visit: _Visit, barrier: float) -> Iterator[Occupancy]:
@@ -182,7 +210,7 @@ class Rulebook:
         ahead = next(hold for hold in zone.holds if hold >= visit.scene.front)
         return (
             ahead < barrier
-            and ahead - visit.scene.front < 0.5 * visit.scene.start.v**2 / EASE_MPS2 + visit.scene.start.v + LOOK_M
+            and ahead - visit.scene.front < 0.5 * visit.scene.start.v**2 / self._ease + visit.scene.start.v + LOOK_M
         )
 
     def _at_zone(self, zone: Zone, visit: _Visit, sooner: FloatArray, later: FloatArray) -> Occupancy | None:
@@ -217,7 +245,7 @@ class Rulebook:
         since, frame = visit.since, visit.scene.frame
         if frame.ego.v < REST_MPS:
             since.setdefault(zone.name, frame.t)
-        elif frame.ego.v > STANDING_MPS and zone.name not in visit.taken:
+        elif frame.ego.v > ROLLING_MPS and zone.name not in visit.taken:
             since.pop(zone.name, None)
         return zone.name in since and frame.t - since[zone.name] >= PATIENCE_S - TIE
 
@@ -235,10 +263,10 @@ class Rulebook:
         return float(rear[i]), float(scene.speed[i]), i
 
     def _motion(self, visit: _Visit, accel: float) -> FloatArray:
-        """Rows s, v `(2, KNOTS)` of driving freely with this acceleration at first, but not into the one ahead."""
+        """Rows s, v `(2, HORIZON_KNOTS)` of driving freely, at first with this acceleration, not into the one ahead."""
         motion, leader = self._driven(visit.scene.s, visit.scene.v, accel), visit.leader
         if isfinite(leader[0]):
-            behind = leader[0] - visit.scene.front - ROOM_M + leader[1] * STEP_S * np.arange(KNOTS)
+            behind = leader[0] - visit.scene.front - ROOM_M + leader[1] * STEP_S * np.arange(HORIZON_KNOTS)
             motion[0] = np.minimum(motion[0], np.maximum(behind, 0.0))
         return motion
 
@@ -250,7 +278,7 @@ class Rulebook:
             ahead, limit = np.array([0.0, 1.0]), np.full(2, self._limit[-1])
         else:
             limit = self._limit[first:]
-        return cruising(ahead, limit, v, a, GO_MPS2, COMFORT[0], GO_MPS3, STEP_S, KNOTS)
+        return cruising(ahead, limit, v, a, GO_MPS2, COMFORT[0], GO_MPS3, STEP_S, HORIZON_KNOTS)
 
     def _passage(self, zone: Zone, front: float, motion: FloatArray) -> tuple[float, float]:
         """When the ego's front enters a zone and its rear is out of the way, s; inf: later than it is looked ahead.
@@ -264,9 +292,9 @@ class Rulebook:
         """(4) for one window, with `less` of the margin."""
         extra, clear = 0.0, CLEAR_S if isinstance(zone.by, Priority) else WALK_CLEAR_S
         if _merges(zone) and isfinite(t_out) and window.speed > 0.0:
-            own = float(np.interp(t_out, STEP_S * np.arange(KNOTS), motion[1]))
+            own = float(np.interp(t_out, STEP_S * np.arange(HORIZON_KNOTS), motion[1]))
             extra = max(window.speed - own, 0.0) ** 2 / (2.0 * window.speed * YIELD_MPS2)
-        return t_out + clear - less + extra <= window.begin + TIE or _gone(zone, window) <= t_in + TIE
+        return t_out + clear - less + extra <= window.begin + TIE or _gone(zone, window) <= t_in + TIE  # (4)
 
     def _release(self, zone: Zone, visit: _Visit, taken: tuple[Window, ...], motion: FloatArray) -> float:
         """When the ego may pass the place where it waits, s: (4) holds for all windows, at speed and from rest.
@@ -286,7 +314,7 @@ class Rulebook:
     def _no_room(self, zone: Zone, visit: _Visit) -> str:
         """Why the ego would have to stop in a zone: somebody stands behind it; empty where nobody does."""
         rear, speed, i = visit.leader
-        if speed >= STANDING_MPS or not zone.s_in < rear < zone.s_out + self._vehicle.length + ROOM_M:
+        if speed >= ROLLING_MPS or not zone.s_in < rear < zone.s_out + self._vehicle.length + ROOM_M:
             return ""
         return f"no room behind it: {visit.scene.name(i)} stands there"
 
@@ -298,7 +326,7 @@ def _merges(zone: Zone) -> bool:
 def _gone(zone: Zone, window: Window) -> float:
     """From when on the ego may enter a zone after somebody, s: into a lane that it then shares it follows."""
     if _merges(zone):
-        return window.begin + FOLLOW_S
+        return window.begin + FOLLOW_S  # (4)
     return window.end + (AFTER_S if isinstance(zone.by, Priority) else 0.0)
 
 

@@ -6,7 +6,7 @@ way it faces, and nobody knows until when.
 
 Priority lane: a vehicle on it or on a lane that leads to it, in its direction, takes the zone
 
-(1) while the box of a hypothesis touches the zone, where its hypotheses that do weigh `LIKELY` together
+(1) while the box of a hypothesis touches the zone, where its hypotheses that do weigh `UNLIKELY` together
 (2) on the priority lane itself also from (p_in - front) / v to (p_out - rear) / v: it may be predicted to leave the
     lane, and does not; one that stands in the zone takes it until it has gone
 
@@ -24,20 +24,22 @@ import numpy as np
 from logs.frame import Frame
 from logs.kernel import BoolArray, FloatArray, kernel
 from logs.road import ReferenceLine, Road, inside, line_project_many
-from logs.rules import Colour
+from logs.rules import RED
 from logs.scenario import AgentKind
 from logs.shapes import overlap
+from planners.frenet.scene import STANDING_MPS, UNLIKELY
 from planners.rules.zones import Priority, Walk, Zone, distances, turned
 
 EDGE_M = 1.5
+"""Who stands within this of a crosswalk may want to cross, m."""
 TOWARDS_MPS = 0.3
+"""Who comes nearer to it faster than this walks towards it; who is slower stands, m/s."""
 KEPT_M = 0.3
+"""Room beside the ego's half of a crosswalk that pedestrians have, m."""
 START_MPS = 1.2
-LIKELY = 0.2
+"""With which who stands sets off, m/s: as RiLSA 2010 counts pedestrians' clearing times."""
 ASKEW_RAD = 1.0
-"""A vehicle drives along a lane where its heading differs less than this."""
-SLOW_MPS = 0.5
-RED = (Colour.RED, Colour.RED_YELLOW)
+"""A vehicle drives along a lane where its heading differs less than this, rad."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +113,7 @@ def _driving(priority: Priority, road: Road, frame: Frame) -> Iterator[Window]:
         rows = np.flatnonzero(futures.agent == i)
         size = np.array([frame.agents.length[i], frame.agents.width[i]])
         taken = _touched(priority.boxes, futures.x[rows], futures.y[rows], futures.yaw[rows], size)
-        if futures.probability[rows][taken.any(axis=1)].sum() < LIKELY:
+        if futures.probability[rows][taken.any(axis=1)].sum() < UNLIKELY:  # (1)
             continue
         for mine in taken:
             yield from _span(mine, futures.t - frame.t, i, frame)
@@ -146,8 +148,8 @@ def _along(priority: Priority, i: int, lane: int, frame: Frame) -> Iterator[Wind
     v, half = float(agents.speed[i]), 0.5 * float(agents.length[i])
     if p - half > priority.p_out:
         return
-    if v >= SLOW_MPS:
-        yield Window(max(priority.p_in - p - half, 0.0) / v, (priority.p_out - p + half) / v, i, v)
+    if v >= STANDING_MPS:
+        yield Window(max(priority.p_in - p - half, 0.0) / v, (priority.p_out - p + half) / v, i, v)  # (2)
     elif p + half > priority.p_in:
         yield Window(0.0, inf, i, v)
 

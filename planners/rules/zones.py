@@ -27,19 +27,21 @@ from logs.vehicle import VehicleParameters
 from planners.frenet.reference_path import ReferencePath
 
 SIDE_M = 0.3
+"""Room beside the ego's body that (1) and (2) count, m."""
 HALF_CAR_M = 1.0
+"""Half the width of those who go first in (2), m."""
 STEP_M = 0.5
-"""Spacing of the stations that are tried."""
+"""Spacing of the stations that are tried, m."""
 ROOM_M = 1.0
-"""Room that is left to each side of an ego that waits between two zones."""
+"""Room that an ego that waits leaves before and behind it, to a zone and to the one ahead, m."""
 LINE_BEFORE_M = 15.0
-"""A stop line nearer than this before a zone is where one waits for it."""
+"""A stop line nearer than this before a zone is where one waits for it, m."""
 FEED_M = 100.0
-"""Who is nearer than this to a priority lane, on lanes that lead to it, may claim it."""
+"""Who is nearer than this to a priority lane, on lanes that lead to it, may claim it, m."""
 ASIDE_M = 1.0
-"""A stop line counts where the reference line runs within this of it."""
+"""A stop line counts where the reference line runs within this of it, m."""
 MERGED_M = 1.5
-"""Two lanes whose ends are nearer than this merge."""
+"""Two lanes whose ends are nearer than this merge, m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +69,7 @@ class Priority:
 
     Attributes:
         lane: The lane.
-        feeds: LaneSequences from which it is reached, itself included, and the lights that hold who is on them.
+        feeds: Lanes from which it is reached, itself included, and the lights that hold who is on them.
         p_in: Station on its centre line where the zone begins, m; `p_out` where it ends.
         boxes: The zone as boxes along the reference line: x, y, yaw, length, width `(k, 5)`.
         merges: Whether it goes on as the ego's lane does.
@@ -166,7 +168,7 @@ def _walks(road: Road, reference: ReferencePath, width: float) -> Iterator[Zone]
     for crosswalk in road.crosswalks:
         polygon = crosswalk.polygon
         s = np.arange(*_near(line, polygon, half), 0.5 * STEP_M)
-        over = [at for at in s if any(inside(*line.point(at, l), polygon) for l in (0.0, half, -half))]  # noqa: E741
+        over = [at for at in s if any(inside(*line.point(at, l), polygon) for l in (0.0, half, -half))]  # (1)  # noqa: E741
         if over:
             middle = 0.5 * (over[0] + over[-1])
             right, left = (
@@ -227,7 +229,7 @@ def _conflict(line: ReferenceLine, lane: Lane, other: Lane, width: float) -> Zon
     s = np.arange(first, max(last, first + STEP_M), STEP_M)
     frames = np.array([line.frame(at) for at in s])
     reach = 0.5 * width + HALF_CAR_M + SIDE_M
-    met = np.flatnonzero(distances(frames[:, :2], other.center) < reach)
+    met = np.flatnonzero(distances(frames[:, :2], other.center) < reach)  # (2)
     if not len(met):
         return None
     first, last = int(met[0]), int(met[-1])

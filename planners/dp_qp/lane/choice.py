@@ -1,18 +1,20 @@
 """Cross-lane choice: keep the lane or change, by cost with hysteresis and a safety protocol (paper, section II-F).
 
 The neighbours are looked at where the route asks for a change, somebody slow is ahead, the plan in the lane fails, or a
-change is under way (so that it can be aborted). A neighbour is taken where it is cheaper by HYSTERESIS_S and nobody on
-it is endangered:
+change is under way (so that it can be aborted). A neighbour is taken where it is cheaper by `hysteresis_s` and no one
+on it is endangered:
 
 (1) gap behind >= MIN_GAP_M + REACTION_S max(0, v_a - v) + max(0, v_a - v)^2 / (2 YIELD_MPS2)      for each follower
 (2) nobody beside the ego, from MIN_GAP_M behind its rear to MIN_GAP_M before its front
 (3) those ahead are met in the lane's own S-T graph; the plan must not need hard braking
 
 The plan past who is slower (`passing`) is a candidate like a neighbour: it must be comfortable and cheaper by
-HYSTERESIS_S, once it is under way not dearer by more than that, and (1) and (2) hold for the lane that it borrows.
+`hysteresis_s`, once it is under way not dearer by more than that, and (1) and (2) hold for the lane that it borrows.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -20,43 +22,63 @@ from logs.kernel import FloatArray
 from logs.trace import Artefact, CostTerms, LaneOption
 from planners.dp_qp.lane.plan import LanePlan
 from planners.frenet.scene import Scene
+from planners.rules.rulebook import YIELD_MPS2
 
-HYSTERESIS_S = 0.5
-LOOK_S = 1.0
-"""Time lost to others from which the neighbours are looked at."""
-MIN_GAP_M, REACTION_S, YIELD_MPS2 = 2.0, 1.0, 2.0
+MIN_GAP_M = 2.0
+"""Least gap to who follows (1) or is beside (2), m."""
+REACTION_S = 1.0
+"""Of who follows, before they brake with `YIELD_MPS2` (1), s."""
 INSIDE_M = 1.0
-"""An ego nearer than this to a lane's reference line drives in that lane."""
+"""An ego nearer than this to a lane's reference line drives in that lane, m."""
 SLOWEST_CHANGE_MPS = 1.0
-DWELL_S = 3.0
-"""No change back within this time after a change, unless the lane fails."""
+"""A slower ego does not begin to change, m/s: it would stand across the marking."""
 
 
-def worth_looking(keep: LanePlan, *, since_change: float) -> bool:
+@dataclass(frozen=True)
+class LaneConfig:
+    """Settings of the lane choice.
+
+    Attributes:
+        hysteresis_s: By how much another lane, or passing, must be cheaper than keeping the lane, in seconds of cost.
+        look_s: Time lost to others from which the neighbours are looked at.
+        dwell_s: No change back, and no passing anew, within this time, unless the lane fails.
+    """
+
+    hysteresis_s: float = 0.5
+    look_s: float = 1.0
+    dwell_s: float = 3.0
+
+    def __post_init__(self) -> None:
+        if min(self.hysteresis_s, self.look_s, self.dwell_s) < 0.0:
+            raise ValueError("settings of the lane choice must not be negative")
+
+
+def worth_looking(keep: LanePlan, config: LaneConfig, *, since_change: float) -> bool:
     """Whether the neighbours are planned, given the plan in the lane and the time (s) since the last change."""
     under_way = abs(keep.scene.l) > INSIDE_M
     if under_way:
         return not keep.is_comfortable
-    return keep.lane.changes != 0 or (keep.time_lost > LOOK_S and since_change > DWELL_S) or not keep.is_comfortable
+    slow = keep.time_lost > config.look_s and since_change > config.dwell_s
+    return keep.lane.changes != 0 or slow or not keep.is_comfortable
 
 
-def hopeless(name: str, scene: Scene, least: CostTerms, keep: LanePlan) -> LaneOption | None:
+def hopeless(name: str, scene: Scene, least: CostTerms, keep: LanePlan, hysteresis_s: float) -> LaneOption | None:
     """Why a neighbour need not be planned, given what it costs at least; None where it may be taken."""
     cost = sum(value for _, value in least.terms)
     against = ""
-    if not cost < keep.cost - HYSTERESIS_S:
-        against = f"costs at least {cost:.1f} s, {keep.name} {keep.cost:.1f} s: not {HYSTERESIS_S:.1f} s better"
+    if not cost < keep.cost - hysteresis_s:
+        against = f"costs at least {cost:.1f} s, {keep.name} {keep.cost:.1f} s: not {hysteresis_s:.1f} s better"
     elif abs(scene.l) > INSIDE_M:
         against = _unsafe(scene)
     return LaneOption(name, least.terms, against) if against else None
 
 
-def choose(keep: LanePlan, others: list[LanePlan]) -> tuple[LanePlan, tuple[Artefact, ...]]:
+def choose(keep: LanePlan, others: list[LanePlan], hysteresis_s: float) -> tuple[LanePlan, tuple[Artefact, ...]]:
     """The cheapest lane that may be taken, and what was considered."""
     best, rejected = keep, dict[str, str]()
     for other in others:
         against = _against(other)
-        needed = HYSTERESIS_S if best is keep else 0.0
+        needed = hysteresis_s if best is keep else 0.0
         if not against and not other.cost < best.cost - needed:
             against = f"costs {other.cost:.1f} s, {best.name} {best.cost:.1f} s"
             against += f": not {needed:.1f} s better" if other.cost < best.cost else ""
@@ -84,11 +106,11 @@ def _unsafe(scene: Scene) -> str:
     return "too slow to change" if scene.frame.ego.v < SLOWEST_CHANGE_MPS else endangered(scene)
 
 
-def worth_passing(keep: LanePlan, past: LanePlan, *, under_way: bool) -> str:
+def worth_passing(keep: LanePlan, past: LanePlan, hysteresis_s: float, *, under_way: bool) -> str:
     """Why the driven lane is not driven past who is slower; empty where it is."""
     if not past.is_comfortable and (keep.is_comfortable or not under_way):
         return past.trouble
-    needed = -HYSTERESIS_S if under_way else HYSTERESIS_S
+    needed = -hysteresis_s if under_way else hysteresis_s
     if not past.cost < keep.cost - needed:
         return f"costs {past.cost:.1f} s, keep {keep.cost:.1f} s" + (" and it is not begun" if not under_way else "")
     return ""

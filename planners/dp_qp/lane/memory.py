@@ -14,7 +14,7 @@ from planners.dp_qp.speed.stage import SpeedMemory
 from planners.rules import RuleMemory
 
 FORGET_S = 0.5
-"""A lane that was not planned for so long is planned as if for the first time."""
+"""A lane that was not planned for so long is planned as if for the first time, s."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)

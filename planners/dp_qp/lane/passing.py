@@ -18,7 +18,7 @@ import numpy as np
 
 from logs.kernel import FloatArray
 from logs.trace import Artefact, Candidates
-from planners.dp_qp.lane.choice import DWELL_S, HYSTERESIS_S, borrowing_endangers, worth_passing
+from planners.dp_qp.lane.choice import LaneConfig, borrowing_endangers, worth_passing
 from planners.dp_qp.lane.memory import FORGET_S, PassMemory, PassWay
 from planners.dp_qp.lane.plan import LanePlan, LanePlanner
 from planners.dp_qp.path.bounds import CorridorConfig
@@ -28,23 +28,26 @@ from planners.frenet.profiles import STEP_S
 from planners.frenet.scene import Scene
 
 TURNS = 3
+"""Turns of path and speed in one frame."""
 SETTLED_M = 1.0
-"""Boxes that a further turn moves by less are left."""
+"""Boxes that a further turn moves by less than this are settled, m."""
 
 
 def passing(
-    keep: LanePlan, planner: LanePlanner, memory: PassMemory, config: CorridorConfig, *, passes_left: bool
-) -> tuple[LanePlan, tuple[Artefact, ...], PassMemory]:
+    keep: LanePlan, planner: LanePlanner, memory: PassMemory, config: CorridorConfig, lane: LaneConfig, *,
+    passes_left: bool,
+) -> tuple[LanePlan, tuple[Artefact, ...], PassMemory]:  # fmt: skip
     """The plan in the lane, past who is slower where that is worth it, else `keep`; what was considered; the memory."""
     scene, t = keep.scene, keep.scene.frame.t
     if not 0.0 <= t - memory.t <= FORGET_S:
         memory = PassMemory()
-    if not memory.passed and keep.time_lost + keep.braking < HYSTERESIS_S:
+    if not memory.passed and keep.time_lost + keep.braking < lane.hysteresis_s:
         return keep, (), memory
     who, ids = along_lane(scene, memory.passed), scene.frame.agents.ids
     past, names, after = _plan(keep, planner, memory, who, config, passes_left=passes_left)
-    against = worth_passing(keep, past, under_way=bool(names & memory.passed)) if past is not None else "no plan"
-    if not names & memory.passed and any(t - memory.given_up.get(name, -inf) < DWELL_S for name in names):
+    under_way = bool(names & memory.passed)
+    against = worth_passing(keep, past, lane.hysteresis_s, under_way=under_way) if past is not None else "no plan"
+    if not under_way and any(t - memory.given_up.get(name, -inf) < lane.dwell_s for name in names):
         against = "given up a moment ago"
     going = frozenset() if against else names
     given_up = {**memory.given_up, **{ids[i]: t for i in who if ids[i] in memory.passed - going}}

@@ -31,21 +31,26 @@ from planners.dp_qp.scene.pass_target import PassTarget
 from planners.dp_qp.speed.stage import ChosenSpeed, SpeedConfig, SpeedStage, SpeedTask
 from planners.frenet.lane_sequence import LaneSequence
 from planners.frenet.occupancy import on_path
-from planners.frenet.scene import Scene, behind, scene_of
+from planners.frenet.scene import TRACK_M, Scene, behind, scene_of
 from planners.piecewise_jerk.solvers import DEFAULT
 from planners.rules import Rulebook
 
 LOST_M = 15.0
-"""A start that is farther from the last one is looked for anew: its foot point is not near the last one's."""
-TRACK_M = 1.0
-"""A path that stays within this of the ego's offset keeps its track."""
-
-ROUTE_S, URGENCY_S, DEAD_END_S = 1.6, 6.0, 25.0
+"""A start that is farther from the last one is looked for anew: its foot point is not near the last one's, m."""
+ROUTE_S = 1.6
+"""Cost of a lane change that the route needs (2), s: what it is worth in time."""
+URGENCY_S = 6.0
+"""And what is added as it becomes due (2), s."""
+DEAD_END_S = 25.0
+"""Cost of a lane from which the goal cannot be reached (2), s."""
 CHANGE_S = 1.0
-HARD_S, FAILED_S = 3.0, 50.0
-"""Costs (2) to (4), s: what a lane change is worth in time, so that a change pays only for a clear gain."""
+"""Cost of leaving the driven lane (3), s: a change pays only for a clear gain."""
+HARD_S = 3.0
+"""Cost where comfort cannot keep the distance (4), s."""
+FAILED_S = 50.0
+"""Cost where nothing can, or a stage failed (4), s: more than all others together."""
 DUE_S = 15.0
-"""A lane change is urgent where less than this is left to drive until it is due, per change."""
+"""A lane change is urgent where less than this is left to drive until it is due, s per change."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -121,11 +126,12 @@ class LanePlanner:
         solver: str = DEFAULT,
     ) -> None:
         self.lane, self._rules = lane, rules
-        self._goal = GoalWindow(goal, lane.reference, vehicle)
+        self._goal = GoalWindow(goal, lane.reference, vehicle, speed.qp.comfort.accel_mps2)
         self._vehicle, self._horizon = vehicle, speed.qp.horizon
         self._path = PathStage(
-            vehicle, path, self._goal, horizon=speed.qp.horizon, passes_left=passes_left, lap=lap, solver=solver
-        )
+            vehicle, path, self._goal, horizon=speed.qp.horizon, curve_accel_mps2=speed.qp.curve_accel_mps2,
+            passes_left=passes_left, lap=lap, solver=solver,
+        )  # fmt: skip
         self._speed = SpeedStage(vehicle, speed, lap, solver)
 
     @property

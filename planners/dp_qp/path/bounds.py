@@ -38,16 +38,19 @@ from planners.frenet.reference_path import ReferencePath, Section, sections
 from planners.frenet.scene import Scene
 
 NUDGES = (DecisionKind.NUDGE_LEFT, DecisionKind.NUDGE_RIGHT)
+"""The decisions to pass."""
 TOLERANCE_M = 0.05
-"""What a solution may lack of a clearance."""
+"""What a solution may lack of a clearance, m."""
 BULGE = 0.03
 """Of a point ahead: half the curvature, 1/m, by which the way of the rear axle is not its own."""
-NEARLY_M, LEFT_M = 0.5, 0.1
-"""A goal farther out of the room than this is not this lane's; and what is left of the room where it is outside."""
+NEARLY_M = 0.5
+"""A goal farther out of the room than this is not this lane's, m."""
+LEFT_M = 0.1
+"""What is left of the room where the goal is outside of it, m."""
 NEAR_PATH_M = 30.0
 """Who stands farther than this and the path's length from the ego is not looked at."""
 NEAR_ROAD_M = 1.0
-"""Who stands off the road by less than this still counts as an obstacle."""
+"""Who stands off the road by less than this still counts as an obstacle, m."""
 
 
 @dataclass(frozen=True)
@@ -62,6 +65,7 @@ class CorridorConfig:
         neighbour_behind_m: A neighbouring lane may be borrowed if nobody moves on it from this far behind ...
         neighbour_ahead_m: ... to this far ahead.
         facing_margin_s: The facing lane may be borrowed where nobody comes for so long after the ego has left it, s.
+        patience_s: A vehicle that has stood for so long is passed by the facing lane.
     """
 
     clearance_m: float = 0.6
@@ -71,6 +75,7 @@ class CorridorConfig:
     neighbour_behind_m: float = 40.0
     neighbour_ahead_m: float = 60.0
     facing_margin_s: float = 1.0
+    patience_s: float = 5.0
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.min_clearance_m <= self.clearance_m:
@@ -244,7 +249,7 @@ def within_lane(
             low = road.road_right[j] if borrowed < 2.0 else road.facing_right[j]
         if left_free and borrowed > 0.0:
             high = road.road_left[j] if borrowed < 2.0 else road.facing_left[j]
-        low, high = low + side, high - side
+        low, high = low + side, high - side  # (1)
         middle, kappa = 0.5 * (low + high), road.kappa[j]
         center = (1.0 - MIN_REGULAR) / max(abs(kappa), 1e-6)
         if kappa < 0.0:
@@ -321,7 +326,7 @@ def _widened(
             if d <= span:
                 back = l0 + d * (dl0 + d * (0.5 * ddl0 + d * (c3 + d * (c4 + d * c5))))
                 slack = 0.05 + BULGE * (s[p, i] - s[0, i]) ** 2
-                low[p, i], high[p, i] = min(low[p, i], back - slack), max(high[p, i], back + slack)
+                low[p, i], high[p, i] = min(low[p, i], back - slack), max(high[p, i], back + slack)  # (4)
     return low, high
 
 
@@ -428,7 +433,7 @@ def narrowed(
             reason = f"no room beside the other obstacles: {max(free, 0.0):.2f} m"
             final.append(Decision(box.agent, DecisionKind.STOP, "path", reason))
             continue
-        lower[over], upper[over] = tried
+        lower[over], upper[over] = tried  # (5)
         final.append(decision)
     return PathBounds(space.s, lower, upper), tuple(final)
 

@@ -29,8 +29,11 @@ from logs.kernel import TIE, FloatArray, IntArray, kernel
 from planners.frenet.quintic import quintic
 
 COLLISION = 1e4
+"""Cost of a metre of way inside a box (3): more than any detour."""
 OUTSIDE = 1e3
+"""Cost of a metre of way a metre outside of the corridor (2): less than a collision, more than any detour."""
 SAMPLES = 10
+"""Of an edge (2)."""
 
 
 class PathDpWeights(NamedTuple):
@@ -144,10 +147,10 @@ def _edge(
     total = 0.0
     for i in range(SAMPLES):
         d = step * (i + 1)
-        offset = l0 + d * (dl0 + d * (0.5 * ddl0 + d * (c3 + d * (c4 + d * c5))))
+        offset = l0 + d * (dl0 + d * (0.5 * ddl0 + d * (c3 + d * (c4 + d * c5))))  # (1)
         slope = dl0 + d * (ddl0 + d * (3.0 * c3 + d * (4.0 * c4 + d * 5.0 * c5)))
         bend = ddl0 + d * (6.0 * c3 + d * (12.0 * c4 + d * 20.0 * c5))
-        cost = weights.ref * offset * offset + weights.dl * slope * slope + weights.ddl * bend * bend
+        cost = weights.ref * offset * offset + weights.dl * slope * slope + weights.ddl * bend * bend  # (2)
         outside = max(lower[column, i] - offset, offset - upper[column, i], 0.0)
         if outside > 0.0:
             cost += OUTSIDE * (0.1 + outside)
@@ -155,11 +158,11 @@ def _edge(
             if boxes[b, 0] - TIE <= s0 + d <= boxes[b, 1] + TIE:
                 gap = max(boxes[b, 2] - offset, offset - boxes[b, 3])
                 if gap < -TIE:
-                    cost += COLLISION
+                    cost += COLLISION  # (3)
                 elif gap < weights.reach:
-                    cost += weights.near * (1.0 - gap / weights.reach) ** 2
+                    cost += weights.near * (1.0 - gap / weights.reach) ** 2  # (3)
                 if boxes[b, 4] * (2.0 * offset - boxes[b, 2] - boxes[b, 3]) < 0.0:
-                    cost += weights.switch
+                    cost += weights.switch  # (3)
         total += cost * step
         if total >= best:
             return total
@@ -202,7 +205,7 @@ def path_dp(
                     boxes, lower, upper, i, weights, cost[i, row] - cost[i - 1, before],
                 )  # fmt: skip
                 if total < cost[i, row] - TIE:
-                    cost[i, row], parent[i, row] = total, before
+                    cost[i, row], parent[i, row] = total, before  # (4)
     chosen = np.zeros(n, np.int64)
     chosen[n - 1] = np.argmax(cost[n - 1] <= cost[n - 1].min() + TIE)
     for i in range(n - 1, 0, -1):
@@ -228,7 +231,7 @@ def path_dp_to_go(
                         stations[i - 1], offsets[row], 0.0, 0.0, stations[i], offsets[after],
                         boxes, lower, upper, i, weights, best - cost[i, after],
                     )  # fmt: skip
-                    best = min(best, cost[i, after] + edge)
+                    best = min(best, cost[i, after] + edge)  # (4)
             cost[i - 1, row] = best
     return cost
 

@@ -25,18 +25,19 @@ from planners.frenet.reference_path import ReferencePath
 from planners.frenet.scene import Scene
 
 PASSING_MPS = 5.0
-"""What the ego drives at least while it passes."""
+"""What the ego drives at least while it passes (2), m/s."""
 BACK_M = 10.0
-"""So far behind the obstacle the ego is in its lane again."""
+"""So far behind the obstacle the ego is in its lane again (2), m."""
 WAIT_M = 9.0
+"""It waits with its front so far before the obstacle, m: from there it can still steer round it."""
 NEARLY_M = 1.0
-"""A gap is looked at closely where it is less than this wider than the ego."""
+"""A gap is looked at closely where it is less than this wider than the ego, m."""
 SIGHT_M = 5.0
-"""Between two places of the oncoming lane that must be seen."""
+"""Between two places of the oncoming lane that must be seen, m."""
 QUEUE_M = 25.0
-"""Who stands so near behind another who stands in the lane waits in a queue."""
+"""Who stands so near behind another who stands in the lane waits in a queue, m."""
 ROOM_M = 0.5
-"""Room that the oncoming lane must leave beside the ego for it to be worth waiting for."""
+"""Room that the oncoming lane must leave beside the ego for it to be worth waiting for, m."""
 
 
 def widest_gap(reference: ReferencePath, box: Occupancy, *, oncoming: bool = False) -> float:

@@ -35,7 +35,9 @@ from planners.piecewise_jerk.solvers import DEFAULT, solve
 from planners.qp import QPResult
 
 MAX_DL = 1.0
+"""Bound of l': 45 degrees off the reference line."""
 OUTSIDE = 1e4
+"""Cost of a shift of (6), softened, 1/m2."""
 TOLERANCE = 1e-2
 """By which a solution may violate a bound, in the units of the row."""
 
@@ -100,7 +102,7 @@ class PathQp:
         self.step = length / (config.knots - 1)
         a = max(config.settle_s * speed, config.min_settle_m)
         self._config, self._solver, self._ahead = config, solver, np.array(leads[1:], dtype=float)
-        self._weights = Weights(config.w_ref + config.w_mid, (0.5 * a) ** 2, a**4, (0.7 * a) ** 6)
+        self._weights = Weights(config.w_ref + config.w_mid, (0.5 * a) ** 2, a**4, (0.7 * a) ** 6)  # (1) to (5)
 
     def solve(self, problem: PathProblem, *, softly: bool = False) -> QPResult:
         """The path in a corridor, which gives way `softly`: x = (l, l', l'') `(3 knots,)`."""
@@ -110,7 +112,7 @@ class PathQp:
     def stated(self, problem: PathProblem, *, softly: bool) -> PiecewiseJerkProblem:
         """(1)-(6); (1) and (5) together are one square about a point between them."""
         middle = 0.5 * self._config.w_mid / (self._config.w_ref + self._config.w_mid)
-        references, lower, upper = _stated(problem, middle)
+        references, lower, upper = _stated(problem, middle)  # (1), (5)
         soft = OUTSIDE if softly else 0.0
         return PiecewiseJerkProblem(
             self.step, self._ahead, problem.start, self._weights, references, lower, upper, soft

@@ -34,21 +34,25 @@ from planners.piecewise_jerk.solvers import DEFAULT
 from planners.qp import QPResult
 
 LENGTHS_M = (60.0, 90.0, 130.0, 180.0, 250.0, 340.0)
-"""Path lengths; the shortest that holds the horizon at the present speed is taken, so that weights stay constant."""
+"""Path lengths; the shortest that holds the horizon at the present speed is taken, so that weights stay constant, m."""
 SHIFT_AHEAD_M = 60.0
+"""A shift within this ahead leaves the track, m."""
 WAITING_MPS2 = 2.0
-"""Braking with which it stops at the place from which it could pass by the oncoming lane."""
-PATIENCE_S = 5.0
-"""A vehicle that has stood for so long is passed by the oncoming lane ..."""
+"""Braking with which it stops at the place from which it could pass by the oncoming lane, m/s2."""
 JUNCTION_M = 40.0
-"""... unless lanes part or meet within this before it: then it waits for somebody."""
+"""Who stands within this before a place where lanes part or meet waits for others, and is not passed, m."""
 NEAR_GOAL_M = 15.0
-"""Who stands within this of the goal is passed as anywhere else."""
-RELINEARISED, MOVED_M = 2, 0.02
-"""So often the path that cannot keep its bounds is solved anew, until that moves it by less than this."""
-LOCK_SLACK, AT_START_M = 1.05, 5.0
-"""A path ends where its curvature is more than that much of the steering lock's, though not so near to the start."""
+"""Who stands within this of the goal is passed as anywhere else, m."""
+RELINEARISED = 2
+"""So often the path that cannot keep its bounds is solved anew ..."""
+MOVED_M = 0.02
+"""... until that moves it by less than this, m."""
+LOCK_SLACK = 1.05
+"""A path ends where its curvature is more than this share of the steering lock's ..."""
+AT_START_M = 5.0
+"""... but not nearer to the start than this, m."""
 SIDES = {DecisionKind.NUDGE_LEFT: 1.0, DecisionKind.NUDGE_RIGHT: -1.0}
+"""The sides as the path DP takes them."""
 
 
 @dataclass(frozen=True)
@@ -134,6 +138,7 @@ class PathStage:
         goal: GoalWindow,
         *,
         horizon: float,
+        curve_accel_mps2: float,
         passes_left: bool,
         lap: Callable[[str], None],
         solver: str = DEFAULT,
@@ -143,7 +148,7 @@ class PathStage:
         self._rows = config.dp.offsets(passes_left=passes_left)
         self._programs: dict[float, PathQp] = {}
         self._leads = np.array([0.0, vehicle.axle_to_front])
-        self._car = np.array([vehicle.max_kappa, vehicle.max_steer_rate / vehicle.wheelbase])
+        self._car = np.array([vehicle.max_kappa, vehicle.max_steer_rate / vehicle.wheelbase, curve_accel_mps2])
 
     def choose(self, scene: Scene, memory: PathMemory, moving: InTheWay | None = None) -> tuple[ChosenPath, PathMemory]:
         """The path from the scene's start, past those who move, too; and what is remembered."""
@@ -297,7 +302,7 @@ class PathStage:
         if agents.kinds[agents.ids.index(box.agent)] is AgentKind.OBJECT:
             return True
         queues = any(box.s_from < place < box.s_to + JUNCTION_M for place in scene.reference.waits)
-        return not queues and scene.frame.t - since[box.agent] >= PATIENCE_S
+        return not queues and scene.frame.t - since[box.agent] >= self._config.corridor.patience_s
 
     def _lane_bounds(self, scene: Scene, s: FloatArray, way: InTheWay) -> PathBounds:
         return bounds.lane_bounds(scene.reference, s, way, scene.start.v, self._vehicle, self._config.corridor)

@@ -25,19 +25,20 @@ from logs.kernel import FloatArray, frozen, kernel
 from planners.dp_qp.path.qp import MAX_DL, PathProblem
 from planners.frenet.path import MIN_REGULAR
 
-COMFORT, HARD = frozen(np.array([4.0, 3.0, 1.8])), frozen(np.array([6.0, 5.0, 0.0]))
-"""Lateral acceleration that a path may need, braking and acceleration that the expected speed counts on, m/s2."""
+COMFORT = frozen(np.array([4.0, 3.0, 1.8]))
+"""Lateral acceleration that a path may need, braking and acceleration that the expected speed counts on, m/s2 ..."""
+HARD = frozen(np.array([6.0, 5.0, 0.0]))
+"""... and those where comfort would leave the lane by more than `FORCED_M`."""
 FORCED_M = 0.3
-"""Steering hard is thought of where comfortable steering would leave the lane by more than this."""
+"""Steering hard is thought of where comfortable steering would leave the lane by more than this, m."""
 SHARPEST = 1.0
 """Largest rate of the curvature, 1/m2, however slow the ego is."""
 SHARE = 0.8
 """Share of the bounds with which the reach (3) steers: what is left makes the path smooth."""
 SLOWEST_MPS = 1.0
+"""v of (1) and (2) is not less than this, m/s."""
 AHEAD = 1.0 / 3.0
 """The swing (4) is that of the curvature at s + lead / 3: exact to second order where the curvature rises linearly."""
-CURVE_MPS2 = 3.0
-"""Lateral acceleration for which the speed stage slows down in curves."""
 
 
 class EgoPoints(NamedTuple):
@@ -84,12 +85,13 @@ def steering(
         limit: Speed limit at the knots, m/s.
         kappa: Of the reference line at the knots, 1/m.
         step: Between two knots, m.
-        car: Curvature at the lock, 1/m, and its rate over time, 1/(m s).
+        car: Curvature at the lock, 1/m, its rate over time, 1/(m s), and the lateral acceleration for which the speed
+            stage slows down in curves, m/s2.
         limits: `COMFORT` or `HARD`.
     """
-    v = np.maximum(expected_speed(v0, limit, kappa, step, limits[2], limits[1], CURVE_MPS2), SLOWEST_MPS)
+    v = np.maximum(expected_speed(v0, limit, kappa, step, limits[2], limits[1], car[2]), SLOWEST_MPS)
     rate = np.minimum(car[1] / v, SHARPEST)
-    return np.minimum(car[0], limits[0] / v**2), np.minimum(rate[:-1], rate[1:])
+    return np.minimum(car[0], limits[0] / v**2), np.minimum(rate[:-1], rate[1:])  # (1), (2)
 
 
 @kernel
@@ -109,7 +111,7 @@ def reach(start: FloatArray, aim: FloatArray, low: FloatArray, high: FloatArray,
     out[:, 0] = start
     for i in range(n - 1):
         now = out[2, i]
-        then = min(max(aim[i + 1], now + step * low[i]), now + step * high[i])
+        then = min(max(aim[i + 1], now + step * low[i]), now + step * high[i])  # (3)
         out[2, i + 1] = then
         out[1, i + 1] = out[1, i] + 0.5 * step * (now + then)
         out[0, i + 1] = out[0, i] + step * out[1, i] + step * step * (now / 3.0 + then / 6.0)
@@ -143,7 +145,7 @@ def swings_of(kappa: FloatArray, leads: FloatArray) -> FloatArray:
     out = np.empty(kappa.shape)
     for k in range(len(leads)):
         turn = kappa[k] * leads[k]
-        out[k] = leads[k] * turn / (1.0 + np.sqrt(1.0 + turn**2))
+        out[k] = leads[k] * turn / (1.0 + np.sqrt(1.0 + turn**2))  # (4)
     return out
 
 

@@ -24,7 +24,26 @@ from planners.frenet.scene import Scene
 from planners.frenet.st_boundaries import StBoundaries
 
 WORTH_MPS = 0.5
-"""A cap is told where it lowers the limit by more than this."""
+"""A cap is reported as a decision where it lowers the limit by more than this, m/s."""
+
+
+@dataclass(frozen=True)
+class CautionConfig:
+    """How the ego minds who may come into its way.
+
+    Attributes:
+        walk_mps: Who may step out, or set off, walks as fast as this: 5 km/h, up to which UN R157 asks to avoid them.
+        ride_mps: Who rides along the lane may swerve into the way as fast as this.
+        hesitates_s: Who came to the path, and stands beside it, may set off again for so long.
+    """
+
+    walk_mps: float = 5.0 / 3.6
+    ride_mps: float = 0.8
+    hesitates_s: float = 5.0
+
+    def __post_init__(self) -> None:
+        if not min(self.walk_mps, self.ride_mps) > 0.0:
+            raise ValueError("walk_mps and ride_mps must be positive")
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +82,7 @@ class PathView:
         came: Who came to the path and when, s.
         hard_mps2: Deceleration with which the ego must be able to stop for who steps out.
         margin_m: To whom the path comes nearer than this is followed, not passed.
+        caution: How fast others may come into the way.
     """
 
     scene: Scene
@@ -77,6 +97,7 @@ class PathView:
     came: Mapping[str, float]
     hard_mps2: float
     margin_m: float
+    caution: CautionConfig
 
     def arc(self, s: float) -> float:
         """The arc length at a station of the reference path, m; beyond the path's ends as far beyond them."""
@@ -104,8 +125,8 @@ def lowered(sigma: FloatArray, road: LoweredLimit, caps: Iterable[SpeedCap]) -> 
         begin, end = np.searchsorted(sigma, (cap.s_from, cap.s_to), side="right")
         there = slice(int(begin), int(end))
         less, same = cap.v < v[there], cap.v == v[there]
-        bound[there] = np.where(less, cap.is_bound, bound[there] | (same & cap.is_bound))
-        v[there] = np.where(less, cap.v, v[there])
+        bound[there] = np.where(less, cap.is_bound, bound[there] | (same & cap.is_bound))  # (2)
+        v[there] = np.where(less, cap.v, v[there])  # (1)
         if cap.agent and (cap.v < road.v[there] - WORTH_MPS).any():
             told[cap.agent] = min(told.get(cap.agent, cap), cap, key=lambda each: each.v)
     decisions = (Decision(cap.agent, DecisionKind.YIELD, "speed", cap.reason) for cap in told.values())

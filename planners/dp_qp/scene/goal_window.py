@@ -7,11 +7,11 @@ speeds up to v_1:
 (2) v <= (s_1 - s) / (t_0 - t)     where driving on as fast as it may would leave the region before t_0: too early
 (3) in a hurry                     where it would not enter the region by t_1 - `HASTE_S`: too late
 
-As fast as it may: at the speed limit, reached with `ACCEL_MPS2`. (1) and (2) hold with some room: `ROOM_MPS` of speed,
-a quarter of the region (`END_M` of the road) and `ROOM_S`. (2) never asks for less than `LEAST` of the limit: who
-drives much slower than others is in their way. In a hurry the ego wants `HURRIED_GAP_S` to the one ahead instead of its
-usual time gap; it drives no faster than the limit. Where a goal has a time but no region, s_1 is the end of the road,
-and who is too early stops there.
+As fast as it may: at the speed limit, reached with comfortable acceleration. (1) and (2) hold with some room:
+`ROOM_MPS` of speed, a quarter of the region (`END_M` of the road) and `ROOM_S`. (2) never asks for less than `LEAST` of
+the limit: who drives much slower than others is in their way. In a hurry the ego wants `HURRIED_GAP_S` to the one ahead
+instead of its usual time gap; it drives no faster than the limit. Where a goal has a time but no region, s_1 is the end
+of the road, and who is too early stops there.
 
 (4) l_0(s) + m <= l <= l_1(s) - m      where the region is from l_0 to l_1 beside the line at station s; m = `SIDE_M`
 """
@@ -25,21 +25,31 @@ import numpy as np
 from logs.kernel import FloatArray
 from logs.road import Goal
 from logs.vehicle import VehicleParameters
+from planners.frenet.profiles import COMFORT
 from planners.frenet.reference_path import ReferencePath
 
 LEAST = 0.3
+"""Share of the speed limit below which (2) does not slow the ego down."""
 HASTE_S = 3.0
-ACCEL_MPS2 = 1.8
-ROOM_MPS, ROOM_S, END_M = 1.0, 0.2, 3.0
+"""The ego is in a hurry where it would be there less than this before the last time (3), s."""
+ROOM_MPS = 1.0
+"""Room to the goal's greatest speed (1), m/s."""
+ROOM_S = 0.2
+"""Room to its first time (2), s."""
+END_M = 3.0
+"""Room to the end of the road where a goal has no region, m."""
 HURRIED_GAP_S = 0.8
+"""Time gap of an ego in a hurry, s."""
 BESIDE_M = 8.0
-"""A region further beside the line is not its goal."""
+"""A region further beside the line is not its goal, m."""
 SIDE_M = 0.3
-"""Room that the ego's middle keeps to a region's sides, or a quarter of its width."""
-ALONG_M, ROWS = 0.5, 400
-"""Step in which a region's sides are taken, and how many at most."""
+"""Room that the ego's middle keeps to a region's sides, m, or a quarter of its width."""
+ALONG_M = 0.5
+"""Step in which a region's sides are taken, m ..."""
+ROWS = 400
+"""... and how many at most."""
 JOINED_M = 0.1
-"""Regions nearer to each other than this are one."""
+"""Regions nearer to each other than this are one, m."""
 NARROW = 0.5
 """Where a region is narrower than this share of its width, at its corners, its sides are not kept to."""
 
@@ -65,10 +75,14 @@ class GoalWindow:
         goal: None: nobody expects the ego.
         reference: The line.
         vehicle: The ego.
+        accel_mps2: Its comfortable acceleration.
     """
 
-    def __init__(self, goal: Goal | None, reference: ReferencePath, vehicle: VehicleParameters) -> None:
-        self._goal = goal
+    def __init__(
+        self, goal: Goal | None, reference: ReferencePath, vehicle: VehicleParameters,
+        accel_mps2: float = COMFORT.accel_mps2,
+    ) -> None:  # fmt: skip
+        self._goal, self._accel = goal, accel_mps2
         self._region, (self._begins, _) = (
             _region(goal, reference, beside) - vehicle.axle_to_center if goal else np.array([np.nan, np.nan])
             for beside in (BESIDE_M, np.inf)
@@ -84,7 +98,7 @@ class GoalWindow:
             return None
         fastest = max(self._goal.v[1], 0.0)
         begin = self._region[0] if fastest > ROOM_MPS else float(self._region.mean())
-        return float(begin), float(self._region[1]), max(fastest - ROOM_MPS, 0.5 * fastest)
+        return float(begin), float(self._region[1]), max(fastest - ROOM_MPS, 0.5 * fastest)  # (1)
 
     def sides(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
         """(4) at increasing stations `(k, n)`: least and greatest offset, m; -inf and inf outside of the region."""
@@ -117,14 +131,14 @@ class GoalWindow:
         if early.cap < np.inf:
             return early
         late = self._late(t, s, v, begin, last)
-        return SpeedTarget(hurried=late > -HASTE_S, missed_s=max(late, 0.0))
+        return SpeedTarget(hurried=late > -HASTE_S, missed_s=max(late, 0.0))  # (3)
 
     def _slow(self, t: float, s: float, v: float, inner: float, end: float, opens: float) -> SpeedTarget:
         """(2), so that the ego is not beyond `inner` before `opens`."""
         if t + self._least_time(s, inner, v) >= opens:
             return SpeedTarget()
         slowly = LEAST * float(np.interp(s, *self._limit.T))
-        return SpeedTarget(max((inner - s) / (opens - t), slowly), end)
+        return SpeedTarget(max((inner - s) / (opens - t), slowly), end)  # (2)
 
     def _late(self, t: float, s: float, v: float, begin: float, last: float) -> float:
         """How much later than `last` the ego would be at station `begin`, s; -inf where it is there or too late now."""
@@ -135,7 +149,7 @@ class GoalWindow:
         stations = np.linspace(s, max(to, s), 33)
         ahead = stations[1:] - s
         limit = np.interp(0.5 * (stations[1:] + stations[:-1]), *self._limit.T)
-        fast = np.minimum(limit, np.sqrt(v * v + 2.0 * ACCEL_MPS2 * ahead))
+        fast = np.minimum(limit, np.sqrt(v * v + 2.0 * self._accel * ahead))
         return float(np.sum(np.diff(stations) / np.maximum(fast, 0.5)))
 
 
@@ -166,7 +180,7 @@ def _sides(goal: Goal, reference: ReferencePath) -> FloatArray:
     width = high - low
     narrow = ~(width >= NARROW * np.nanmax(width, initial=0.0))
     room = np.where(narrow, np.nan, np.minimum(SIDE_M, 0.25 * width))
-    return np.vstack([stations, low + room, high - room])
+    return np.vstack([stations, low + room, high - room])  # (4)
 
 
 def _nearest(pieces: list[tuple[float, float]]) -> tuple[float, float]:

@@ -1,6 +1,6 @@
 """Who came to the path and stands beside it: they may set off again at any moment, and are passed accordingly.
 
-Somebody on foot or on two wheels hesitates who took the path at most `HESITATES_S` ago as predicted, does not take it
+Somebody on foot or on two wheels hesitates who took the path at most `hesitates_s` ago as predicted, does not take it
 now, and stands. With d from the ego's side to them, the front passes them first or the ego stops before them wherever
 it is if
 
@@ -16,19 +16,19 @@ from collections.abc import Mapping
 import numpy as np
 
 from planners.dp_qp.scene.caps import PathView, SpeedCap
-from planners.dp_qp.scene.occlusion import LOOK_M, STEP_M, WALK_MPS, avoidable_speed
+from planners.dp_qp.scene.occlusion import LOOK_M, STEP_M, avoidable_speed
 from planners.frenet.scene import Scene
 from planners.frenet.st_boundaries import StBoundaries
-
-HESITATES_S = 5.0
-STANDS_MPS = 0.3
+from planners.rules.windows import TOWARDS_MPS
 
 
-def came_to_path(scene: Scene, taken: StBoundaries, came: Mapping[str, float]) -> Mapping[str, float]:
+def came_to_path(
+    scene: Scene, taken: StBoundaries, came: Mapping[str, float], hesitates_s: float
+) -> Mapping[str, float]:
     """Who took the path last when, s, for the frames to come; `came` is that of the frames before."""
     t, agents = scene.frame.t, scene.frame.agents
     now = {agents.ids[i]: t for i in taken.agent if scene.vulnerable[i]}
-    return {name: since for name, since in {**came, **now}.items() if t - since <= HESITATES_S}
+    return {name: since for name, since in {**came, **now}.items() if t - since <= hesitates_s}
 
 
 def caps(view: PathView) -> tuple[SpeedCap, ...]:
@@ -38,7 +38,7 @@ def caps(view: PathView) -> tuple[SpeedCap, ...]:
     scene, path, agents, found = view.scene, view.path, view.scene.frame.agents, []
     taking = set(view.taken.agent.tolist())
     for i, name in enumerate(agents.ids):
-        if name not in view.came or i in taking or scene.speed[i] >= STANDS_MPS:
+        if name not in view.came or i in taking or scene.speed[i] >= TOWARDS_MPS:
             continue
         away = np.hypot(path.x - agents.x[i], path.y - agents.y[i])
         nearest = int(np.argmin(away))
@@ -46,7 +46,7 @@ def caps(view: PathView) -> tuple[SpeedCap, ...]:
         if not 0.0 < ahead < LOOK_M:
             continue
         d = float(away[nearest]) - 0.5 * (scene.vehicle.width + max(agents.length[i], agents.width[i]))
-        v = avoidable_speed(d, WALK_MPS, view.hard_mps2)  # (1)
+        v = avoidable_speed(d, view.caution.walk_mps, view.hard_mps2)  # (1)
         where = f"stands {d:.1f} m beside it, {ahead:.0f} m ahead"
         reason = f"came to the path and {where}: could be avoided at {v:.1f} m/s"
         found.append(SpeedCap(ahead - STEP_M, ahead, v, name, reason))

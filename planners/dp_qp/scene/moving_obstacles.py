@@ -26,35 +26,33 @@ from planners.dp_qp.path.bounds import CorridorConfig, InTheWay, swing_span
 from planners.dp_qp.path.oncoming_lane import passed_by_oncoming_lane, widest_gap
 from planners.dp_qp.scene.pass_target import PassTarget
 from planners.frenet.occupancy import Occupancy
-from planners.frenet.scene import Scene
+from planners.frenet.profiles import STEP_S
+from planners.frenet.scene import UNLIKELY, Scene
 
 KINDS = AgentKind.PEDESTRIAN, AgentKind.BICYCLE
 """Who is passed while they go on."""
 SLOW_MPS = 7.0
-"""Who is faster is followed."""
+"""Who is faster is followed, m/s."""
 NEAR_M = 2.0
-"""The ego is beside them from so far behind them on."""
+"""The ego is beside them from so far behind them on (1), m."""
 ASIDE_M = 0.9
-"""With the path's usual clearance 1.5 m, as German law asks in towns (StVO, 5 (4)); where there is less, 1.15 m.
+"""Room on both sides of them (2), m: with the path's usual clearance 1.5 m, as German law asks in towns (StVO, 5 (4));
+where there is less, 1.15 m.
 
 So much keeps a plan that passes them. Where they are beside the lane that is kept, `passing_speed` alone says how fast.
 """
 ALONG_RAD = 0.4
-"""Who turns further aside crosses."""
+"""Who turns further aside crosses, rad."""
 SLACK = 1.5
 """By this factor whom the ego is passing may be faster, or turn further."""
-UNLIKELY = 0.2
-"""A hypothesis that is not more probable than this is left to the S-T graph."""
 GAIN_MPS2 = 1.2
-"""Acceleration of an ego that nobody holds up."""
+"""Acceleration of an ego with a free road ahead, m/s2."""
 PLACE_M = 10.0
-"""So far before a place at which it may have to wait the ego is back in its lane."""
+"""So far before a place at which it may have to wait the ego is back in its lane, m."""
 REACH_M = 120.0
-"""Who is farther is not looked at."""
-GRID_S = 0.1
-"""Predictions are looked at every so often, however coarse they are."""
+"""Who is farther is not looked at, m."""
 SPARE_S = 1.0
-"""So long before the predictions end the ego must be past whom it begins to pass."""
+"""So long before the predictions end the ego must be past whom it begins to pass, s."""
 
 
 def along_lane(scene: Scene, passed: frozenset[str] = frozenset()) -> list[int]:
@@ -96,7 +94,7 @@ def _target(scene: Scene, i: int, stations: FloatArray, spare: float) -> PassTar
     """(1) and (2) of one agent; None where the ego does not come beside them, or is past them too late."""
     agents, futures, line = scene.frame.agents, scene.frame.predictions, scene.reference.line
     vehicle, s_ego = scene.vehicle, scene.s
-    t = np.arange(futures.t[0], futures.t[-1] + 1e-9, GRID_S)
+    t = np.arange(futures.t[0], futures.t[-1] + 1e-9, STEP_S)
     ego = np.interp(t, futures.t, stations)
     size = np.array([agents.length[i], agents.width[i]])
     lowest, highest = np.full(2, np.inf), np.full(2, -np.inf)  # station and offset
@@ -108,8 +106,8 @@ def _target(scene: Scene, i: int, stations: FloatArray, spare: float) -> PassTar
         c, s = np.abs(np.cos(turn))[:, None], np.abs(np.sin(turn))[:, None]
         half = 0.5 * np.hstack([c * size[0] + s * size[1], s * size[0] + c * size[1]])
         low, high = feet - half, feet + half
-        beside = (ego + vehicle.axle_to_front > low[:, 0] - NEAR_M) & (ego - vehicle.rear_overhang < high[:, 0])
-        past_in_time = not beside[t > t[-1] - spare - 0.5 * GRID_S].any()
+        beside = (ego + vehicle.axle_to_front > low[:, 0] - NEAR_M) & (ego - vehicle.rear_overhang < high[:, 0])  # (1)
+        past_in_time = not beside[t > t[-1] - spare - 0.5 * STEP_S].any()
         if not beside.any() or not past_in_time:
             return None
         lowest, highest = np.minimum(lowest, low[beside].min(axis=0)), np.maximum(highest, high[beside].max(axis=0))
@@ -120,7 +118,7 @@ def _target(scene: Scene, i: int, stations: FloatArray, spare: float) -> PassTar
         return None
     s_from, s_to = float(lowest[0]), float(highest[0])
     l_from, l_to = float(lowest[1]) - ASIDE_M, float(highest[1]) + ASIDE_M
-    box = Occupancy(agents.ids[i], s_from, s_to, l_from, l_to, aside=ASIDE_M)
+    box = Occupancy(agents.ids[i], s_from, s_to, l_from, l_to, aside=ASIDE_M)  # (2)
     return PassTarget(i, box, begin, end, np.vstack(places))
 
 

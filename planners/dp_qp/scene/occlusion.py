@@ -2,7 +2,7 @@
 
 Beside each point of the path the nearest hidden ground is looked for: in the shadow of somebody who does not drive, but
 not where somebody is. Whoever walks out of it with speed w needs (d - r) / w to the ego's side, d from the side to the
-hidden point, r the radius of a person. The ego with its front x before him passes first, or it stops:
+hidden point, r the radius of a person. The ego with its front x before them passes first, or it stops:
 
 (1) x / v <= (d - r) / w                       (2) v T + v^2 / (2 b) <= x              T: reaction, b: deceleration
 
@@ -10,12 +10,12 @@ There is an x at which it can do neither where the greatest x of (1) is less tha
 
 (3) v <= 2 b ((d - r) / w - T)
 
-keeps the ego safe wherever he steps out. It holds for the front at that point; before it, the road's speed limit is
-lowered so that (3) is reached comfortably (`speed_qp.limit_profile`). At `LEAST_MPS` the ego creeps past in any case.
+keeps the ego safe wherever they step out. It holds for the front at that point; before it, the road's speed limit is
+lowered so that (3) is reached comfortably (`profiles.limit_profile`). At `LEAST_MPS` the ego creeps past in any case.
 Beyond the sensor's range nothing is seen: there (2) alone limits the speed, with x its range.
 
-w: UN R157 asks that pedestrians of up to 5 km/h are avoided. The ground is judged as it is seen now: on coming nearer
-more is seen, and the limit rises.
+w is `CautionConfig.walk_mps`: UN R157 asks that pedestrians of up to 5 km/h are avoided. The ground is judged as it is
+seen now: on coming nearer more is seen, and the limit rises.
 """
 
 from __future__ import annotations
@@ -32,13 +32,18 @@ from logs.vehicle import VehicleParameters
 from planners.dp_qp.scene.caps import PathView, SpeedCap
 from planners.frenet.path import Path
 
-WALK_MPS, PERSON_M = 5.0 / 3.6, 0.3
+PERSON_M = 0.3
+"""r, m."""
 REACTION_S = 0.5
-"""Until the brake bites: a frame, the sensor's latency, the brake's dead time and lag."""
+"""T, s, until the brake bites: a frame, the sensor's latency, the brake's dead time and lag."""
 LEAST_MPS = 2.5
-LOOK_M, STEP_M = 60.0, 1.0
+"""The ego creeps past with this in any case, m/s."""
+LOOK_M = 60.0
+"""So far ahead hidden ground is looked for, m ..."""
+STEP_M = 1.0
+"""... in steps of this, m."""
 SIDE_M = 0.25 * np.arange(1, 15)
-"""Distances from the ego's side at which ground is looked at, m; beyond the last nobody limits a car's speed."""
+"""Distances from the ego's side at which ground is looked at, m; beyond the last it does not limit a car's speed."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +61,9 @@ def caps(view: PathView) -> tuple[SpeedCap, ...]:
     if seen is None:
         return ()
     until, front = view.taken.first + scene.vehicle.axle_to_front, scene.vehicle.axle_to_front
-    hidden = hidden_beside(view.path, seen, scene.frame.agents, scene.vehicle, min(until, LOOK_M), view.hard_mps2)
+    hidden = hidden_beside(
+        view.path, seen, scene.frame.agents, scene.vehicle, min(until, LOOK_M), view.hard_mps2, view.caution.walk_mps
+    )
     ground = [
         SpeedCap(
             one.s - front - STEP_M,
@@ -73,19 +80,20 @@ def caps(view: PathView) -> tuple[SpeedCap, ...]:
 
 def avoidable_speed(d: float, w: float, decel: float) -> float:
     """(3): the speed at which the ego passes first or stops for who comes with `w` m/s from `d` m aside, m/s."""
-    return max(2.0 * decel * (d / w - REACTION_S), LEAST_MPS)
+    return max(2.0 * decel * (d / w - REACTION_S), LEAST_MPS)  # (3)
 
 
 def stopping_speed(x: float, decel: float) -> float:
     """The speed of which (2) needs just `x` m, m/s."""
-    return decel * (sqrt(REACTION_S**2 + 2.0 * x / decel) - REACTION_S) if x < inf else inf
+    return decel * (sqrt(REACTION_S**2 + 2.0 * x / decel) - REACTION_S) if x < inf else inf  # (2)
 
 
 def hidden_beside(
-    path: Path, view: Visibility, agents: Agents, vehicle: VehicleParameters, until: float, decel: float
-) -> list[Hidden]:
+    path: Path, view: Visibility, agents: Agents, vehicle: VehicleParameters, until: float, decel: float,
+    walk: float,
+) -> list[Hidden]:  # fmt: skip
     """The nearest hidden ground on either side of the path, at most one per point, from the front to `until` m."""
-    shadows = view.shadows[~_cast_by_movers(view.shadows, agents)]
+    shadows = view.shadows[~_cast_by_movers(view.shadows, agents, walk)]
     if not len(shadows):
         return []
     ahead = np.arange(vehicle.axle_to_front, until, STEP_M)
@@ -102,19 +110,19 @@ def hidden_beside(
     for i, row in enumerate(hides):
         if row.any():
             d = float(np.abs(side[row]).min() - 0.5 * vehicle.width)
-            v = avoidable_speed(d - PERSON_M, WALK_MPS, decel)
+            v = avoidable_speed(d - PERSON_M, walk, decel)
             found.append(Hidden(float(path.sigma[at[i]]), d, v))
     return found
 
 
-def _cast_by_movers(shadows: FloatArray, agents: Agents) -> BoolArray:
-    """Which shadows `(n, 4, 2)` somebody casts who drives: nobody walks out of the wake of a moving car."""
+def _cast_by_movers(shadows: FloatArray, agents: Agents, walk: float) -> BoolArray:
+    """Which shadows `(n, 4, 2)` are cast by agents faster than `walk`, m/s: pedestrians do not come out behind them."""
     if not len(agents):
         return np.zeros(len(shadows), np.bool_)
     near = 0.5 * (shadows[:, 0] + shadows[:, 3])
     away = np.hypot(near[:, :1] - agents.x, near[:, 1:] - agents.y)
     caster = np.argmin(away, axis=1)
-    return np.asarray((agents.speed[caster] > WALK_MPS) & (away.min(axis=1) < agents.length[caster]))
+    return np.asarray((agents.speed[caster] > walk) & (away.min(axis=1) < agents.length[caster]))
 
 
 @kernel

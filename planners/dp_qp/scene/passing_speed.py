@@ -2,8 +2,8 @@
 
 (1) v <= max(2 b (d / w - T), `LEAST_MPS`) beside them and as far before as it takes to stop       (`occlusion`, (3))
 
-d is the room that the path leaves them, w how fast they may come into the way: then the ego either is past them or
-stops before them wherever they do.
+d is the room that the path leaves them, w how fast they may come into the way (`CautionConfig`): then the ego either is
+past them or stops before them wherever they do.
 """
 
 from __future__ import annotations
@@ -13,15 +13,12 @@ import numpy as np
 from logs.scenario import AgentKind
 from planners.dp_qp.scene.caps import PathView, SpeedCap
 from planners.dp_qp.scene.moving_obstacles import NEAR_M
-from planners.dp_qp.scene.occlusion import REACTION_S, WALK_MPS, avoidable_speed
-
-SWERVE_MPS = 0.8
-"""How fast who rides may come into the way; who walks with `WALK_MPS`."""
+from planners.dp_qp.scene.occlusion import REACTION_S, avoidable_speed
 
 
 def caps(view: PathView) -> tuple[SpeedCap, ...]:
     """(1) beside each of the targets; who comes nearer to the path than the margin is followed, in the S-T graph."""
-    path, agents, found = view.path, view.scene.frame.agents, []
+    path, agents, caution, found = view.path, view.scene.frame.agents, view.caution, []
     for one in view.targets:
         at = (path.s > one.begin - NEAR_M) & (path.s < one.end + NEAR_M)
         if not at.any():
@@ -30,7 +27,7 @@ def caps(view: PathView) -> tuple[SpeedCap, ...]:
         d = float(away.min()) - 0.5 * float(view.scene.vehicle.width + agents.width[one.agent])
         if d < view.margin_m:
             continue
-        w = SWERVE_MPS if agents.kinds[one.agent] is AgentKind.BICYCLE else WALK_MPS
+        w = caution.ride_mps if agents.kinds[one.agent] is AgentKind.BICYCLE else caution.walk_mps
         v = avoidable_speed(d, w, view.hard_mps2)  # (1)
         stops = v * REACTION_S + v * v / (2.0 * view.hard_mps2)
         reason = f"goes along the lane: passed with {d:.1f} m and at {v:.1f} m/s, so that the ego could stop for them"

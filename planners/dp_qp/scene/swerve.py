@@ -10,7 +10,7 @@ import numpy as np
 from planners.dp_qp.scene.caps import PathView, SpeedCap
 
 SWERVE_MPS2 = 1.6
-"""Lateral acceleration of a swerve round somebody who could be followed instead."""
+"""Lateral acceleration of a swerve round who could be followed instead, m/s2."""
 
 
 def caps(view: PathView) -> tuple[SpeedCap, ...]:

@@ -34,8 +34,9 @@ RESERVE = 0.85
 LEAST_RESERVE = 0.97
 """The same where braking would turn hard otherwise."""
 PATIENCE_S = 0.5
+"""So long after comfort has ceased to suffice the ego waits (2), s."""
 WAIT_S = 0.4
-"""The longest wait (2)."""
+"""The longest wait (2), s."""
 CLEAR = StGraphConfig(margin_m=0.3, vulnerable_margin_m=0.3, passed_margin_m=0.1, early_s=0.3, late_s=0.15)
 """How clear comfortable braking must be of everybody, to be better than hard braking ..."""
 LEAST_GAP = 0.3
@@ -47,11 +48,13 @@ TOUCHING = StGraphConfig(margin_m=0.05, vulnerable_margin_m=0.05, passed_margin_
 BARE = StGraphConfig(margin_m=0.0, vulnerable_margin_m=0.0, passed_margin_m=0.0, early_s=0.0, late_s=0.0)
 """The footprints as predicted."""
 UTMOST_MPS3 = 30.0
-"""How fast the pedal is stamped on where nothing less will do."""
+"""Jerk of a full brake, where nothing less will do, m/s3."""
 BRISK_MPS = 1.4
-"""How fast a walker may become who just begins: as most do."""
-ONWARD_S, RESTING_MPS = 0.8, 0.5
-"""Driving on lets go of the brake, reaches its acceleration within this time, and does not come to rest."""
+"""How fast a walker may become who just begins, m/s: as most do."""
+ONWARD_S = 0.8
+"""Driving on lets go of the brake and reaches its acceleration within this time, s ..."""
+RESTING_MPS = 0.5
+"""... and does not come to rest: it stays faster than this, m/s."""
 
 
 @dataclass(frozen=True, slots=True)

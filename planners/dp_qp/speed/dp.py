@@ -29,10 +29,13 @@ from logs.kernel import TIE, FloatArray, IntArray, kernel
 from planners.frenet.occupancy import Occupancy
 
 COLLISION = 1e5
+"""Cost of a second inside a blocked interval (2): more than all others together."""
 DT_S = 1.0
-SLOWEST_MPS = 0.5
-"""The time lost is counted against this where the limit is lower."""
+"""Between two columns, s."""
 DS_M = 0.5
+"""Between two rows, m."""
+SLOWEST_MPS = 0.5
+"""The time lost is counted against this where the limit is lower, m/s."""
 
 
 class SpeedDpWeights(NamedTuple):
@@ -99,11 +102,11 @@ def cost_map(
             for row in range(first, last + 1):
                 s = row * DS_M
                 if low - gap + TIE < s < high + gap - TIE:
-                    out[k, row] += COLLISION
+                    out[k, row] += COLLISION  # (2)
                 else:
                     free = low - s if s <= low else s - high
                     if free < space:
-                        out[k, row] += w_near * (1.0 - free / space) ** 2
+                        out[k, row] += w_near * (1.0 - free / space) ** 2  # (2)
     return out
 
 
@@ -143,7 +146,7 @@ def speed_dp(
                 v = (k - j) * DS_M / DT_S
                 a = (v - v0) / DT_S
                 lost, over = max(DT_S - needed[k] + needed[j], 0.0), max(v - limit[k], 0.0)
-                total = cost[i, j] + weights.accel * a * a + weights.jerk * (a - a0) ** 2
+                total = cost[i, j] + weights.accel * a * a + weights.jerk * (a - a0) ** 2  # (1)
                 total += weights.time * lost + weights.over * over * over
                 if total > cost[i + 1, k] - TIE:
                     continue
@@ -153,7 +156,7 @@ def speed_dp(
                     row = j + (k - j) * n / per_column
                     total += occupancy[min(i * per_column + n, len(occupancy) - 1), int(row + 0.5)] / per_column
                 if total < cost[i + 1, k] - TIE:
-                    cost[i + 1, k], parent[i + 1, k] = total, j
+                    cost[i + 1, k], parent[i + 1, k] = total, j  # (3)
                     speed[i + 1, k], accel[i + 1, k] = v, a
     chosen = np.zeros(columns + 1, np.int64)
     chosen[columns] = np.argmax(cost[columns] <= cost[columns].min() + TIE)

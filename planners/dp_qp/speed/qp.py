@@ -28,14 +28,17 @@ from planners.piecewise_jerk.solvers import DEFAULT, solve
 from planners.qp import QPResult
 
 NO_LEADS = np.empty(0)
+"""A speed profile has no points ahead of the rear axle."""
 LIMIT_ROOM_MPS = 0.05
-"""Room that the bound of the speed leaves above the braking that it must hold."""
-REST_MPS, REST_MPS2 = 1e-3, 0.02
-"""Speed and acceleration below which a profile rests."""
+"""Room that the bound of the speed leaves above the braking that it must hold, m/s."""
+REST_MPS = 1e-3
+"""Speed below which a profile rests, m/s ..."""
+REST_MPS2 = 0.02
+"""... and acceleration, m/s2."""
 TOLERANCE = 0.05
 """By which a solution may violate a bound, in the units of the row."""
 RELEASE_MPS3 = 10.0
-"""Jerk with which braking that is harder than comfort may be let go."""
+"""Jerk with which braking that is harder than comfort may be let go, m/s3."""
 
 
 @dataclass(frozen=True)
@@ -116,7 +119,7 @@ class SpeedQp:
 
     def __init__(self, config: SpeedQpConfig, solver: str = DEFAULT) -> None:
         self._config, self._solver = config, solver
-        self._weights = Weights(config.w_s, config.w_v, config.w_a, config.w_j)
+        self._weights = Weights(config.w_s, config.w_v, config.w_a, config.w_j)  # (1)
 
     def solve(self, problem: SpeedProblem, limits: Limits) -> QPResult:
         """The profile, x = (s, v, a) `(3 knots,)`."""
@@ -161,7 +164,7 @@ def _rows(problem: SpeedProblem, limits: KnotLimits, comfort: float) -> tuple[Fl
         ramp = STEP_S * total
         lower[2, i] = min(-(limits.first_decel if is_first else limits.decel), a0 + 0.5 * ramp)
         upper[2, i] = max(limits.first_accel if is_first else limits.accel, a0 - 0.5 * ramp)
-        lower[3, i], upper[3, i] = -jerk, max(jerk, RELEASE_MPS3 if i < released else 0.0)
+        lower[3, i], upper[3, i] = -jerk, max(jerk, RELEASE_MPS3 if i < released else 0.0)  # (3)
         total += jerk
     return lower, upper, references
 

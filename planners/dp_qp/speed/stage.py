@@ -14,7 +14,7 @@ from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.trace import Artefact, Corridor, Decision, DecisionKind, GridCost, SolverReport, StGraph
 from logs.vehicle import VehicleParameters
 from planners.dp_qp.path.stage import ChosenPath
-from planners.dp_qp.scene.caps import LoweredLimit, PathView, lowered
+from planners.dp_qp.scene.caps import CautionConfig, LoweredLimit, PathView, lowered
 from planners.dp_qp.scene.goal_window import HURRIED_GAP_S, GoalWindow, SpeedTarget
 from planners.dp_qp.scene.hesitant_pedestrians import came_to_path
 from planners.dp_qp.scene.pass_target import PassTarget
@@ -25,7 +25,7 @@ from planners.dp_qp.speed.qp import SpeedProblem, SpeedQpConfig
 from planners.frenet.occupancy import Occupancy, upper_bound
 from planners.frenet.path import Path
 from planners.frenet.profiles import STEP_S, KnotLimits, Limits, braking, cruising, limit_profile
-from planners.frenet.scene import Scene
+from planners.frenet.scene import UNLIKELY, Scene
 from planners.frenet.st_boundaries import (
     StBoundaries,
     StGraphConfig,
@@ -38,16 +38,15 @@ from planners.frenet.st_boundaries import (
 from planners.piecewise_jerk.solvers import DEFAULT
 
 SPEED_ROOM_MPS = 0.8
-"""Room above the limit that the reference keeps, but not above a cap that is a bound: it makes the profile smooth."""
+"""Room above the limit, m/s, but not above a cap that is a bound: it makes the profile smooth."""
 TILT_MPS2 = 4.0
-"""Lateral acceleration for which a curve is braked for as hard as comfort allows, instead of with `ease_mps2`."""
-UNLIKELY = 0.2
-"""A hypothesis that is not more probable than this binds only so far that hard braking could still avoid it ..."""
+"""Lateral acceleration for which a curve is braked for as hard as comfort allows, instead of with `ease_mps2`, m/s2."""
 BRANCH_S = 0.5
-"""... so long after now."""
+"""An unlikely hypothesis binds only so far that hard braking could still avoid it so long after now, s."""
 STAY_M = 0.05
-"""Least upper bound of s: to stand still is always allowed."""
+"""Least upper bound of s: to stand still is always allowed, m."""
 NOTHING = np.empty(0)
+"""Stations of a speed DP that decided nothing."""
 DRAWN_ROWS = 4
 """The grid is drawn with every so many rows: a picture does not need more."""
 
@@ -57,6 +56,7 @@ class SpeedConfig:
     """Settings of the speed stage, by part."""
 
     graph: StGraphConfig = field(default_factory=StGraphConfig)
+    caution: CautionConfig = field(default_factory=CautionConfig)
     dp: SpeedDpConfig = field(default_factory=SpeedDpConfig)
     qp: SpeedQpConfig = field(default_factory=SpeedQpConfig)
 
@@ -158,12 +158,12 @@ class SpeedStage:
         config, passed = self._config, task.passed
         found = st_boundaries(scene, path, task.skip, passed, config.graph)
         self._lap("S-T graph")
-        came = came_to_path(scene, found, memory.came)
+        came = came_to_path(scene, found, memory.came, config.caution.hesitates_s)
         line = scene.reference.line
         road = np.interp(path.s, line.s, scene.reference.limit)
         view = PathView(
             scene, path, road, found, task.stops, task.targets, task.is_pass, task.goal, task.target, came,
-            self._hard_mps2, config.graph.vulnerable_margin_m,
+            self._hard_mps2, config.graph.vulnerable_margin_m, config.caution,
         )  # fmt: skip
         bare = LoweredLimit(road, np.zeros(len(road), np.bool_))
         own = lowered(path.sigma, bare, (cap for caps in OWN for cap in caps(view)))

@@ -16,7 +16,7 @@ from logs.trace import Plan
 
 
 class ConstantSpeed:
-    """Goes on along a circular arc; it sees nobody.
+    """Goes on along a circular arc; it sees no one.
 
     Args:
         context: What does not change: `context.road`, `context.goal`, `context.vehicle`, `context.period`.

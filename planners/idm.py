@@ -12,7 +12,7 @@ v0 is the limit of the lane, and of the curve: v0^2 |kappa| <= `curve_accel_mps2
 (4) gap = (s0 + v T) / sqrt(1 - (v / v0)^4)
 
 The leader at a time of the roll-out is whoever is nearest ahead of those whose predicted footprint is on the path then
-or within `ahead_s`: also one who crosses, whose speed along the path is small. Nobody is passed: before what stands in
+or within `ahead_s`: also one who crosses, whose speed along the path is small. No one is passed: before what stands in
 the path the ego stops. Where the traffic rules demand a stop, a leader stands there (`planners.rules`).
 """
 
@@ -161,7 +161,7 @@ def idm_acceleration(
 
 @kernel
 def _leader(lower: FloatArray, upper: FloatArray, k: int, ahead: int, s: float) -> tuple[int, float]:
-    """Row of the nearest block ahead of station `s` from step k to k + ahead, and the gap; -1 and inf: nobody.
+    """Row of the nearest block ahead of station `s` from step k to k + ahead, and the gap; -1, inf: free road.
 
     A block that the ego is in now has gap 0; one that begins later behind the ego is not its leader.
     """
@@ -214,7 +214,7 @@ def _return(d: FloatArray, start: tuple[float, float, float], span: float) -> Fl
 
 
 def _beside(frame: Frame, start: EgoState, vehicle: VehicleParameters) -> BoolArray:
-    """The agents `(n,)` whose centre is not ahead of the ego's front axle: nobody follows them."""
+    """The agents `(n,)` whose centre is not ahead of the ego's front axle: the ego does not follow them."""
     agents = frame.agents
     along_ego = (agents.x - start.x) * cos(start.yaw) + (agents.y - start.y) * sin(start.yaw)
     found: BoolArray = (along_ego < vehicle.wheelbase) & (

@@ -51,7 +51,7 @@ class PlannerMemory:
 
     Attributes:
         driven: The lane that is driven; `changed` since when, s.
-        lanes: Of each lane planned so far; `passing` of passing somebody in it.
+        lanes: Of each lane planned so far; `passing` of passing in it.
     """
 
     driven: LaneSequence

@@ -31,7 +31,7 @@ class LaneSequence:
     Attributes:
         lanes: In driving order, a stretch behind included.
         reference: Its reference line and widths.
-        changes: (1); 0 where it leads to the goal or nobody knows one, None where the goal cannot be reached from it.
+        changes: (1); 0 where it leads to the goal or there is none, None where the goal cannot be reached from it.
         change_by: (2), m; inf where no change is needed.
     """
 

@@ -130,7 +130,7 @@ def cruising(
     sigma: FloatArray, limit: FloatArray, v0: float, a0: float, accel: float, decel: float, jerk: float,
     step: float, knots: int,
 ) -> FloatArray:  # fmt: skip
-    """Rows s, v `(2, knots)` of driving at the limit `(m,)` along the path, nobody in the way."""
+    """Rows s, v `(2, knots)` of driving at the limit `(m,)` along the path, on a free road."""
     out = np.zeros((2, knots))
     s, v, a, i = 0.0, v0, a0, 0
     for k in range(knots):

@@ -356,16 +356,16 @@ def _facing(
     return _one_lane_further(left, to_left), -_one_lane_further(-right, to_right)
 
 
-def _one_lane_further(edge: FloatArray, strips: list[tuple[FloatArray, FloatArray, bool, bool]]) -> FloatArray:
+def _one_lane_further(edge: FloatArray, beside: list[tuple[FloatArray, FloatArray, bool, bool]]) -> FloatArray:
     """The edge `(n,)` moved out over the adjoining lanes, where both lanes let their common marking be crossed.
 
-    A strip is a lane's inner and outer edge `(n,)`, and whether they may be crossed.
+    `beside` holds of each lane its inner and outer edge `(n,)`, and whether they may be crossed.
     """
     closed = np.zeros(len(edge), np.bool_)
-    for _, outer, _, crossable in strips:
+    for _, outer, _, crossable in beside:
         closed |= (np.abs(outer - edge) < JOINT_M) & (not crossable)
     moved = edge
-    for inner, outer, crossable, _ in strips:
+    for inner, outer, crossable, _ in beside:
         adjoins = (np.abs(inner - edge) < JOINT_M) & ~closed & crossable
         moved = np.where(adjoins, np.fmax(moved, outer), moved)
     return moved

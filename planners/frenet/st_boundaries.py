@@ -110,7 +110,7 @@ class StBoundaries:
 
     @property
     def first(self) -> float:
-        """The nearest station that somebody takes at any time, m; inf where the path is free."""
+        """The nearest station that is taken at any time, m; inf where the path is free."""
         return float(np.nanmin(self.lower)) if len(self) else inf
 
     def with_stops(self, stops: Sequence[Occupancy]) -> StBoundaries:
@@ -148,7 +148,7 @@ def st_boundaries(
 ) -> StBoundaries:
     """The intervals (1) of all predictions but those of agents to `skip` `(agents,)`.
 
-    Agents whom the path passes on purpose (`passed`, their ids) have the smallest margin.
+    Agents that the path passes on purpose (`passed`, their ids) have the smallest margin.
     """
     agents, futures, car = scene.frame.agents, scene.frame.predictions, scene.vehicle
     stride = max(1, round(config.step_s / float(futures.t[1] - futures.t[0]))) if len(futures.t) > 1 else 1

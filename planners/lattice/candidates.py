@@ -97,7 +97,7 @@ class Sampler:
     """Makes the pairs along one reference.
 
     Attributes:
-        left: Greatest offset of the rear axle along the reference's line, m; `right` the least.
+        left: Greatest offset of the rear axle along the reference line, m; `right` the least.
         limit: Speed limit along it, curves included, m/s.
     """
 
@@ -254,7 +254,7 @@ def _stacked(ego: Ego, rows: Sequence[Row]) -> Longitudinal:
 def _leaders(
     futures: Futures, ego: Ego, offset: float, side: float, samples: Sequence[int]
 ) -> tuple[IntArray, FloatArray]:
-    """Who is first on a track at some samples `(t,)` of those that are ahead now, and its rear; inf: nobody."""
+    """Who is first on a track at some samples `(t,)` of those that are ahead now, and its rear; inf: there is none."""
     if not len(futures.agent):
         return np.zeros(len(samples), np.int64), np.full(len(samples), np.inf)
     s, l, half_s, half_l = futures.frenet[:, :, samples]  # noqa: E741

@@ -50,7 +50,7 @@ class Futures:
         frenet: `futures_frenet` of every `STRIDE`-th time `(4, n, m)`.
         speed: Along the line at first `(n,)`, m/s.
         sizes: Length, width, margin `(3, n)`, m.
-        behind: `(2, n)` whom the ego need not look at: keeping its track, and changing it.
+        behind: `(2, n)` those that the ego need not look at: keeping its track, and changing it.
     """
 
     agent: IntArray

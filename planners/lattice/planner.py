@@ -63,8 +63,8 @@ class Lattice:
         at = states(line.s, line.coef, scene.s, lateral, pairs.length[chosen], motion)
 
         def internals() -> tuple[Artefact, ...]:
-            told = artefacts(scene, ego, futures, pairs, chosen, at, motion, self._config)
-            return (*told, *(stop.decision for stop in stops), counted)
+            shown = artefacts(scene, ego, futures, pairs, chosen, at, motion, self._config)
+            return (*shown, *(stop.decision for stop in stops), counted)
 
         return Plan(trajectory(frame.t, at), start=start_kind, internals=Internals((), internals))
 

@@ -37,7 +37,7 @@ def _along(
     keep = np.r_[True, step > 1e-3]
     x, y, yaw, kappa = at[0, keep], at[1, keep], at[2, keep], at[5, keep]
     sigma = np.r_[0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y)))]
-    d = np.arange(1.0, 30.0)  # straight on beyond the end, so that whom it stops for is seen
+    d = np.arange(1.0, 30.0)  # straight on beyond the end, so that the one it stops for is seen
     sigma, kappa = np.r_[sigma, sigma[-1] + d], np.r_[kappa, np.zeros(len(d))]
     x, y = np.r_[x, x[-1] + d * np.cos(yaw[-1])], np.r_[y, y[-1] + d * np.sin(yaw[-1])]
     path = Path(sigma, x, y, np.r_[yaw, np.full(len(d), yaw[-1])], kappa, ego.s + sigma)

@@ -58,7 +58,7 @@ STATUS = {
 }
 """The status codes in words."""
 ACCURACY_M = 1e-4
-"""Distance of (10) from the optimum, far below what anybody steers. Where bounds are nearly empty, residuals and
+"""Distance of (10) from the optimum, far below what can be steered. Where bounds are nearly empty, residuals and
 `NARROW_M` add to it (measured: docs/solvers.md)."""
 MAX_ITERATIONS = 60
 """Several times what a problem of a road needs (docs/solvers.md)."""

@@ -18,7 +18,7 @@ Where the lanes merge, the ego is out of the way when its rear is in the zone, a
 brake to the ego's speed at `YIELD_MPS2`: x = (v - v_ego)^2 / (2 v YIELD_MPS2). A gap once taken is kept with `KEPT_S`
 less. The wait ends when (4) holds for who comes by at speed and for who starts from rest; it is open while nothing says
 when. A zone behind which there is no room for the ego is not entered either. A demand that comes too late for `COMFORT`
-(priority lane) or `HARD` (crosswalk) is not made: whom the ego would meet is in the S-T graph anyway.
+(priority lane) or `HARD` (crosswalk) is not made: the agents are in the S-T graph anyway.
 
 Memory (`RuleMemory`): the lines and zones that it stops for, which are stopped for as long as `HARD`
 can; the stop signs at which it came to rest; the zones whose gap it took; since when it stands before a crosswalk.
@@ -94,7 +94,7 @@ class RuleMemory:
         stopping: Lines and zones that the ego stops for.
         rested: Stop signs at which it came to rest.
         taken: Zones whose gap it took.
-        since: When it came to rest before crosswalks at which somebody stands, by zone.
+        since: When it came to rest before crosswalks at which pedestrians stand, by zone.
     """
 
     stopping: frozenset[str] = frozenset()
@@ -105,9 +105,9 @@ class RuleMemory:
 
 @dataclass(slots=True)
 class _Visit:
-    """One frame's work: the scene, whom the path passes, distances to a comfortable and a hard stop (m), the memory.
+    """One frame's work: the scene, who is passed, distances to a comfortable and a hard stop (m), the memory.
 
-    The one ahead in the ego's way: station of the rear, m, speed, index; inf, 0, -1: nobody.
+    The one ahead in the ego's way: station of the rear, m, speed, index; inf, 0, -1: there is none.
     """
 
     scene: Scene
@@ -154,7 +154,7 @@ class Rulebook:
     ) -> tuple[tuple[Occupancy, ...], RuleMemory]:
         """The stops for a plan from the scene's start, in driving order, for the ego's front; and what is remembered.
 
-        Whom the path passes (`passed`) does not stand in the way behind a zone.
+        Agents that the path passes (`passed`) do not stand in the way behind a zone.
         """
         if not self._lines and not self._zones:
             return (), memory
@@ -250,7 +250,7 @@ class Rulebook:
         return zone.name in since and frame.t - since[zone.name] >= PATIENCE_S - TIE
 
     def _leader(self, visit: _Visit) -> tuple[float, float, int]:
-        """Station of the rear of the one ahead in the ego's way, its speed, its index; inf, 0, -1: nobody."""
+        """Station of the rear of the one ahead in the ego's way, its speed, its index; inf, 0, -1: there is none."""
         scene = visit.scene
         agents, along = scene.frame.agents, scene.agents
         rear = along.s - 0.5 * agents.length
@@ -312,7 +312,7 @@ class Rulebook:
         return inf
 
     def _no_room(self, zone: Zone, visit: _Visit) -> str:
-        """Why the ego would have to stop in a zone: somebody stands behind it; empty where nobody does."""
+        """Why the ego would have to stop in a zone: an agent stands behind it; empty where there is room."""
         rear, speed, i = visit.leader
         if speed >= ROLLING_MPS or not zone.s_in < rear < zone.s_out + self._vehicle.length + ROOM_M:
             return ""
@@ -324,7 +324,7 @@ def _merges(zone: Zone) -> bool:
 
 
 def _gone(zone: Zone, window: Window) -> float:
-    """From when on the ego may enter a zone after somebody, s: into a lane that it then shares it follows."""
+    """From when on the ego may enter a zone after an agent, s: into a lane that it then shares it follows."""
     if _merges(zone):
         return window.begin + FOLLOW_S  # (4)
     return window.end + (AFTER_S if isinstance(zone.by, Priority) else 0.0)
@@ -348,7 +348,7 @@ def _when(motion: FloatArray, distance: float) -> float:
 
 
 def _said(window: Window, scene: Scene, t_in: float, t_out: float) -> str:
-    """Whom the ego lets go first, and why."""
+    """Which agent goes first, and why."""
     end, out = (f"to {t:.1f} s" if isfinite(t) else "on" for t in (window.end, t_out))
     return (
         f"{scene.name(window.agent)} goes first: takes it from {window.begin:.1f} s {end}, "

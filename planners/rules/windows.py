@@ -2,7 +2,7 @@
 
 Crosswalk: a pedestrian who is on it, or within `EDGE_M` of it and walks towards it, takes it while a hypothesis has it
 in the ego's half, `KEPT_M` more on each side. Who stands there waits: takes it as if starting now with `START_MPS` the
-way it faces, and nobody knows until when.
+way it faces, for an unknown time.
 
 Priority lane: a vehicle on it or on a lane that leads to it, in its direction, takes the zone
 
@@ -44,7 +44,7 @@ ASKEW_RAD = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Window:
-    """Somebody takes a zone from `begin` to `end`, s from the frame; inf: nobody knows how long.
+    """An agent takes a zone from `begin` to `end`, s from the frame; inf: it is not known how long.
 
     Attributes:
         begin: s.

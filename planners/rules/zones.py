@@ -6,8 +6,8 @@ A zone is the stretch of the reference line on which the ego's body would be in 
 (2) priority lane:   stations at which the reference line is nearer than w / 2 + `HALF_CAR_M` + `SIDE_M` to the middle
                      of a lane that the ego's lane yields to
 
-Zones with less room between them than the ego is long are waited for together, before the first: nobody waits on a
-crosswalk or where lanes cross.
+Zones with less room between them than the ego is long are waited for together, before the first: not on a crosswalk,
+not where lanes cross.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ MERGED_M = 1.5
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """A stop line that counts for the reference, at the station `s` that the front must not pass, m."""
+    """A stop line that counts for the reference path, at the station `s` that the front must not pass, m."""
 
     id: int
     s: float
@@ -88,7 +88,7 @@ class Zone:
     """A stretch in which others may go first.
 
     Attributes:
-        name: As it is told ("crosswalk 3", "lane 17").
+        name: As reasons name it ("crosswalk 3", "lane 17").
         by: Who goes first.
         s_in: Station that the front reaches it at, m; `s_out` that the rear leaves it at.
         holds: Stations that the front does not pass while it waits, in driving order: the first that is ahead counts.
@@ -102,7 +102,7 @@ class Zone:
 
 
 def lines_along(road: Road, reference: ReferencePath, width: float) -> tuple[Line, ...]:
-    """The stop lines of the reference that lights or stop signs may make the ego stop at, in driving order."""
+    """The stop lines of a reference path that lights or stop signs may make the ego stop at, in driving order."""
     found = [(mark, _station(mark, reference.line, width)) for mark in _marks(road, reference.lanes)]
     binding = [
         Line(mark.id, s, mark.light, mark.must_stop)
@@ -113,7 +113,7 @@ def lines_along(road: Road, reference: ReferencePath, width: float) -> tuple[Lin
 
 
 def zones_along(road: Road, reference: ReferencePath, vehicle: VehicleParameters) -> tuple[Zone, ...]:
-    """The zones of the reference in driving order."""
+    """The zones of a reference path in driving order."""
     zones = [
         *_walks(road, reference, vehicle.width),
         *_joined(_priorities(road, reference, vehicle.width), vehicle.length),

@@ -19,7 +19,7 @@ FORGET_S = 0.5
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PassWay:
-    """Whom a plan is to pass while they go on, and what the path stage is given for it."""
+    """Those that a plan is to pass while they go on, and what the path stage is given for it."""
 
     targets: tuple[PassTarget, ...]
     way: InTheWay
@@ -48,9 +48,9 @@ class PassMemory:
 
     Attributes:
         t: When it was thought of last, s.
-        passed: Whom the ego is passing.
+        passed: Those that the ego is passing.
         given_up: Who was not passed in the end, when, s.
-        stations: Of the last plan past somebody, at the times of the predictions since `t` `(k,)`, m; None: none.
+        stations: Of the last plan that passes, at the times of the predictions since `t` `(k,)`, m; None: none.
         lane: Of the plans that pass, apart from those that keep the lane.
     """
 

@@ -1,7 +1,7 @@
 """The driven lane planned past those who are slower: path and speed found in turns (paper, section II-F, "nudge").
 
 The plan that keeps the lane follows them. A second plan of the same lane passes them where `scene.moving_obstacles`
-says; it is taken where it is worth it and endangers nobody (`choice`). Its first turn counts on the speed of a road
+says; it is taken where it is worth it and endangers no one (`choice`). Its first turn counts on the speed of a road
 without them, the next on the speed that the turn before found, at most `TURNS` in one frame; later frames go on from
 the last one's plan. It is a plan only if, by its own speed, it gets past the nearest of them within the predictions.
 
@@ -63,7 +63,7 @@ def _plan(
     keep: LanePlan, planner: LanePlanner, memory: PassMemory, who: list[int], config: CorridorConfig, *,
     passes_left: bool,
 ) -> tuple[LanePlan | None, frozenset[str], PassMemory]:  # fmt: skip
-    """The plan past the nearest, all whom it passes, and the memory; None where there is no such plan."""
+    """The plan past the nearest, all that it passes, and the memory; None where there is no such plan."""
     nothing = None, frozenset[str](), replace(memory, stations=None)
     if not who:
         return nothing
@@ -96,7 +96,7 @@ def _expected(scene: Scene, memory: PassMemory) -> FloatArray:
 
 
 def _sides(scene: Scene, *, passes_left: bool) -> tuple[bool, bool]:
-    """Whether the road left and right of the lane may be borrowed: on the passing side, and where nobody minds."""
+    """Whether the road left and right of the lane may be borrowed: on the passing side, without danger."""
     lane, stations = scene.reference, scene.reference.line.s
     left, right = (float(np.interp(scene.s, stations, edge)) for edge in (lane.lane_left, lane.lane_right))
     aside, edge = (scene.l, left) if passes_left else (-scene.l, -right)

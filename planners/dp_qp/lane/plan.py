@@ -2,7 +2,7 @@
 
 The cost of a candidate adds terms in seconds:
 
-(1) time lost     = (distance with nobody in the way - distance planned) / speed limit, over the horizon
+(1) time lost     = (distance on a free road - distance planned) / speed limit, over the horizon
 (2) lane changes  = n (ROUTE_S + URGENCY_S u),  u from 0 to 1 as the place where the first is due, or the goal's last
                     time, comes near; DEAD_END_S where the goal cannot be reached from the lane
 (3) change        = CHANGE_S for another lane than the one that is driven
@@ -136,7 +136,7 @@ class LanePlanner:
 
     @property
     def places(self) -> tuple[float, ...]:
-        """Stations at which lanes part or meet, somebody may have to wait, or others cross, m."""
+        """Stations at which lanes part or meet, vehicles may have to wait, or others cross, m."""
         return (*self.lane.reference.waits, *self._rules.places)
 
     def scene(self, frame: Frame, start: EgoState, memory: LaneMemory) -> Scene:
@@ -151,7 +151,7 @@ class LanePlanner:
     ) -> tuple[LanePlan, LaneMemory]:
         """Path and speed from the scene's start, with costs, and what is remembered.
 
-        `name` is "keep" for the lane that is driven; `past` whom a plan is to pass while they go on.
+        `name` is "keep" for the lane that is driven; `past` those that a plan is to pass while they go on.
         """
         t, start = scene.frame.t, scene.start
         if not 0.0 <= t - memory.t <= FORGET_S:
@@ -192,7 +192,7 @@ class LanePlanner:
     def _beside(self, scene: Scene) -> tuple[PassTarget, ...]:
         """Those who go along the lane, where the ego would come beside them if it drove at the limit.
 
-        That is when it comes beside them soonest, and what it needs to know: whom it will follow is not beside it.
+        That is when it comes beside them soonest, and what it needs to know: who is followed is not beside it.
         """
         who = along_lane(scene)
         if not who:

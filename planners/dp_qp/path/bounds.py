@@ -62,9 +62,9 @@ class CorridorConfig:
         min_clearance_m: Where there is no more room; with less the ego stops.
         edge_m: To the lane's edge.
         gap_m: Ahead and behind an obstacle, added to its length.
-        neighbour_behind_m: A neighbouring lane may be borrowed if nobody moves on it from this far behind ...
+        neighbour_behind_m: A neighbouring lane may be borrowed if no agent moves on it from this far behind ...
         neighbour_ahead_m: ... to this far ahead.
-        facing_margin_s: The facing lane may be borrowed where nobody comes for so long after the ego has left it, s.
+        facing_margin_s: The facing lane may be borrowed where no agent comes for so long after the ego has left it, s.
         patience_s: A vehicle that has stood for so long is passed by the facing lane.
     """
 
@@ -337,7 +337,7 @@ def swing_span(box: Occupancy, speed: float, vehicle: VehicleParameters) -> tupl
 
 
 def free_sides(scene: Scene, config: CorridorConfig) -> tuple[bool, bool]:
-    """Whether nobody moves on the reachable road left and right of the own lane, near the ego."""
+    """Whether no agent moves on the reachable road left and right of the own lane, near the ego."""
     ahead = scene.agents.s - scene.s
     near = ~scene.standing & (ahead > -config.neighbour_behind_m) & (ahead < config.neighbour_ahead_m)
     if not near.any():
@@ -446,7 +446,7 @@ def given_up(
     vehicle: VehicleParameters,
     config: CorridorConfig,
 ) -> tuple[Decision, ...]:
-    """The decisions, with a stop for whomever a path does not clear: `offsets` are its points' at `space.s`."""
+    """The decisions, with a stop for each agent that a path does not clear: `offsets` are its points' at `space.s`."""
     final = []
     for box, decision in zip(obstacles, decisions, strict=True):
         over = space.beside(box, vehicle, config)

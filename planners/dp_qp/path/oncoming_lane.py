@@ -1,6 +1,6 @@
-"""Passing who blocks the lane by the lane of the opposite direction: whom, and whether nobody comes.
+"""Passing who blocks the lane by the lane of the opposite direction: which agents, and whether the lane is free.
 
-Somebody who stands in the lane and leaves no room on either side of the road, and is in no queue, is passed where the
+An agent that stands in the lane and leaves no room on either side of the road, and is in no queue, is passed where the
 marking between may be crossed and, for the whole stretch from where the ego leaves its lane to where it is back,
 
 (1) no agent is predicted on the oncoming lane there until the ego is back, and `facing_margin_s` more,
@@ -48,7 +48,7 @@ def widest_gap(reference: ReferencePath, box: Occupancy, *, oncoming: bool = Fal
 
 
 def may_block(scene: Scene, obstacles: tuple[Occupancy, ...]) -> bool:
-    """Whether somebody leaves less than the ego's width on both sides of the road, or nearly."""
+    """Whether an agent leaves less than the ego's width on both sides of the road, or nearly."""
     return min((widest_gap(scene.reference, box) for box in obstacles), default=np.inf) < scene.vehicle.width + NEARLY_M
 
 
@@ -78,7 +78,7 @@ def blocking(
 def passed_by_oncoming_lane(
     scene: Scene, blocked: tuple[Occupancy, ...], config: CorridorConfig, stations: FloatArray | None = None
 ) -> frozenset[str]:
-    """Whom the ego may pass by the oncoming lane: nobody is predicted there until it is back, and some time more.
+    """Those that the ego may pass by the oncoming lane: no one is predicted there until it is back, and some time more.
 
     The time that this takes is that of an ego at `stations` `(k,)` at the times of the predictions; None: it counts on
     driving at least `PASSING_MPS`. What lasts longer than the predictions is refused. Beside the obstacle it is too
@@ -144,7 +144,7 @@ def _meets_oncoming(reference: ReferencePath, feet: FloatArray, width: float, sp
 
 
 def waiting_place(scene: Scene, blocked: tuple[Occupancy, ...], passed: frozenset[str]) -> float:
-    """Station of the rear axle to wait at for the oncoming lane, m; inf where there is none or nobody to wait for."""
+    """Station of the rear axle to wait at for the oncoming lane, m; inf where there is none or no need to wait."""
     car = scene.vehicle
     places = [
         box.s_from - car.axle_to_front - WAIT_M

@@ -70,7 +70,7 @@ class PathMemory:
 
     Attributes:
         standing: Who stands in the way, seen since when, s.
-        sides: On which side the last path passed whom: 1 left, -1 right.
+        sides: On which side the last path passed each agent: 1 left, -1 right.
     """
 
     standing: Mapping[str, float] = field(default_factory=dict)
@@ -181,7 +181,7 @@ class PathStage:
         return chosen, PathMemory(standing, sides)
 
     def _task(self, scene: Scene, program: PathQp, way: InTheWay, boxes: tuple[Occupancy, ...]) -> _Task:
-        """The bounds (1) to (4) of `bounds`, without obstacles; the goal's sides are kept where nobody stands near."""
+        """The bounds (1) to (4) of `bounds`, without obstacles; the goal's sides are kept where no one stands near."""
         reference, car, speed = scene.reference, self._vehicle, scene.start.v
         road = bounds.road_ahead(
             reference.line.s, reference.table, scene.s, program.step, program.knots, self._leads,
@@ -196,7 +196,7 @@ class PathStage:
 
     @staticmethod
     def _keeps_to_goal(points: FloatArray, low: FloatArray, boxes: tuple[Occupancy, ...]) -> bool:
-        """Whether the goal's sides are ahead, least offsets `low` `(points, n)`, and nobody stands near the goal."""
+        """Whether the goal's sides are ahead, least offsets `low` `(points, n)`, and no agent stands near the goal."""
         there = np.isfinite(low)
         if not there.any():
             return False
@@ -204,7 +204,7 @@ class PathStage:
         return not any(box.s_from < end and box.s_to > begin for box in boxes)
 
     def _solved(self, task: _Task, obstacles: tuple[Occupancy, ...], decisions: tuple[Decision, ...]) -> _Found:
-        """The path within the bounds, else out of them as little as can be; then without whom that cannot clear."""
+        """The path within the bounds, else out of them as little as can be; then without those that it cannot clear."""
         config, car = self._config.corridor, self._vehicle
         reports: tuple[SolverReport, ...] = ()
         while True:
@@ -297,7 +297,7 @@ class PathStage:
         return replace(way, obstacles=obstacles, facing=by_oncoming, wait=wait), since
 
     def _stays(self, scene: Scene, box: Occupancy, since: Mapping[str, float]) -> bool:
-        """Whether somebody will not drive on soon: no vehicle, or one that stood long where nobody has to wait."""
+        """Whether an agent will not drive on soon: no vehicle, or one that stood long where no one has to wait."""
         agents = scene.frame.agents
         if agents.kinds[agents.ids.index(box.agent)] is AgentKind.OBJECT:
             return True

@@ -53,7 +53,7 @@ class SpeedCap:
     Attributes:
         s_from: Arc length of the rear axle from which it holds, m; `s_to` to which.
         v: The speed, m/s.
-        agent: For whom, or what; empty where there is no reason to be told.
+        agent: The agent or thing that it is for; empty where it is not reported.
         reason: In words.
         is_bound: Whether the speed is kept exactly (2).
     """
@@ -74,14 +74,14 @@ class PathView:
         scene: The scene.
         path: The path.
         limit: The road's speed limit along it `(m,)`, m/s.
-        taken: When which part of it is taken, and by whom.
+        taken: When which part of it is taken, and by which agent.
         stops: That the rules demand on it.
         targets: Those who go along the lane where the ego comes beside them.
         is_pass: Whether the path swings out to pass them.
         goal: The goal along the lane; `target` what it asks now.
         came: Who came to the path and when, s.
         hard_mps2: Deceleration with which the ego must be able to stop for who steps out.
-        margin_m: To whom the path comes nearer than this is followed, not passed.
+        margin_m: An agent that the path comes nearer to than this is followed, not passed.
         caution: How fast others may come into the way.
     """
 
@@ -115,12 +115,12 @@ class LoweredLimit:
 
 
 def lowered(sigma: FloatArray, road: LoweredLimit, caps: Iterable[SpeedCap]) -> LoweredLimit:
-    """(1) along a path `(m,)`; a decision for each agent whose cap is worth telling, the lowest of theirs."""
+    """(1) along a path `(m,)`; a decision for each agent whose cap is worth reporting, the lowest of theirs."""
     caps = tuple(caps)
     if not caps:
         return road
     v, bound = road.v.copy(), road.is_bound.copy()
-    told: dict[str, SpeedCap] = {}
+    reported: dict[str, SpeedCap] = {}
     for cap in caps:
         begin, end = np.searchsorted(sigma, (cap.s_from, cap.s_to), side="right")
         there = slice(int(begin), int(end))
@@ -128,6 +128,6 @@ def lowered(sigma: FloatArray, road: LoweredLimit, caps: Iterable[SpeedCap]) -> 
         bound[there] = np.where(less, cap.is_bound, bound[there] | (same & cap.is_bound))  # (2)
         v[there] = np.where(less, cap.v, v[there])  # (1)
         if cap.agent and (cap.v < road.v[there] - WORTH_MPS).any():
-            told[cap.agent] = min(told.get(cap.agent, cap), cap, key=lambda each: each.v)
-    decisions = (Decision(cap.agent, DecisionKind.YIELD, "speed", cap.reason) for cap in told.values())
+            reported[cap.agent] = min(reported.get(cap.agent, cap), cap, key=lambda each: each.v)
+    decisions = (Decision(cap.agent, DecisionKind.YIELD, "speed", cap.reason) for cap in reported.values())
     return LoweredLimit(v, bound, (*road.decisions, *decisions))

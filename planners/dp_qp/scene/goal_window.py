@@ -72,7 +72,7 @@ class GoalWindow:
     """The goal along one reference line.
 
     Args:
-        goal: None: nobody expects the ego.
+        goal: None: the ego has none.
         reference: The line.
         vehicle: The ego.
         accel_mps2: Its comfortable acceleration.

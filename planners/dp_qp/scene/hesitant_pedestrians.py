@@ -1,6 +1,6 @@
 """Who came to the path and stands beside it: they may set off again at any moment, and are passed accordingly.
 
-Somebody on foot or on two wheels hesitates who took the path at most `hesitates_s` ago as predicted, does not take it
+A pedestrian or rider hesitates who took the path at most `hesitates_s` ago as predicted, does not take it
 now, and stands. With d from the ego's side to them, the front passes them first or the ego stops before them wherever
 it is if
 

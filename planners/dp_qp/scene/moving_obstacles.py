@@ -44,7 +44,7 @@ So much keeps a plan that passes them. Where they are beside the lane that is ke
 ALONG_RAD = 0.4
 """Who turns further aside crosses, rad."""
 SLACK = 1.5
-"""By this factor whom the ego is passing may be faster, or turn further."""
+"""By this factor those that the ego is passing may be faster, or turn further."""
 GAIN_MPS2 = 1.2
 """Acceleration of an ego with a free road ahead, m/s2."""
 PLACE_M = 10.0
@@ -52,13 +52,13 @@ PLACE_M = 10.0
 REACH_M = 120.0
 """Who is farther is not looked at, m."""
 SPARE_S = 1.0
-"""So long before the predictions end the ego must be past whom it begins to pass, s."""
+"""So long before the predictions end the ego must be past those that it begins to pass, s."""
 
 
 def along_lane(scene: Scene, passed: frozenset[str] = frozenset()) -> list[int]:
     """The agents ahead or beside who walk or ride along the road in the ego's direction.
 
-    Whom the ego is passing (`passed`) may become faster by `SLACK`, or turn further aside, before they are not among
+    Those that the ego is passing (`passed`) may become faster by `SLACK`, or turn further aside, and still are among
     them.
     """
     agents, along, found = scene.frame.agents, scene.agents, []
@@ -82,7 +82,7 @@ def pass_targets(
 ) -> tuple[PassTarget, ...]:
     """The boxes (2) of the agents `who`, for an ego at `stations` `(k,)` at the times of the predictions.
 
-    Only of those whom it is past before the last of these times; `SPARE_S` before, unless it is passing them already.
+    Only of those that it is past before the last of these times; `SPARE_S` before, unless it is passing them already.
     """
     spare = [0.0 if scene.frame.agents.ids[i] in passed else SPARE_S for i in who]
     found = [_target(scene, i, stations, each) for i, each in zip(who, spare, strict=True)]
@@ -134,8 +134,8 @@ def to_pass(
         stations: Of the ego at the times of the predictions `(k,)`.
         sides: Whether the road left and right of the lane may be borrowed.
         config: Distances.
-        places: Stations at which lanes part or meet, somebody may have to wait, or others cross, m.
-        passed: Whom the ego is passing already: it may be back in its lane nearer to a place.
+        places: Stations at which lanes part or meet, vehicles may have to wait, or others cross, m.
+        passed: Those that the ego is passing already: it may be back in its lane nearer to a place.
     """
     boxes = tuple(
         one.box

@@ -1,7 +1,7 @@
 """A speed from which the ego can stop for who may step out of ground that it cannot see.
 
-Beside each point of the path the nearest hidden ground is looked for: in the shadow of somebody who does not drive, but
-not where somebody is. Whoever walks out of it with speed w needs (d - r) / w to the ego's side, d from the side to the
+Beside each point of the path the nearest hidden ground is looked for: in the shadow of agents that do not drive, but
+not where an agent is. Who walks out of it with speed w needs (d - r) / w to the ego's side, d from the side to the
 hidden point, r the radius of a person. The ego with its front x before them passes first, or it stops:
 
 (1) x / v <= (d - r) / w                       (2) v T + v^2 / (2 b) <= x              T: reaction, b: deceleration

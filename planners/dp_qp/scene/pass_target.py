@@ -10,7 +10,7 @@ from planners.frenet.occupancy import Occupancy
 
 @dataclass(frozen=True, eq=False, slots=True)
 class PassTarget:
-    """Somebody to be passed.
+    """A road user to be passed.
 
     Attributes:
         agent: Index into the frame's agents.

@@ -1,4 +1,4 @@
-"""How fast the ego swings out round somebody whom it could follow instead.
+"""How fast the ego swings out round a road user that it could follow instead.
 
 (1) v <= sqrt(`SWERVE_MPS2` / |kappa - kappa_r|)      where the path swerves from the reference line
 """
@@ -10,11 +10,11 @@ import numpy as np
 from planners.dp_qp.scene.caps import PathView, SpeedCap
 
 SWERVE_MPS2 = 1.6
-"""Lateral acceleration of a swerve round who could be followed instead, m/s2."""
+"""Lateral acceleration of such a swerve, m/s2."""
 
 
 def caps(view: PathView) -> tuple[SpeedCap, ...]:
-    """(1) at each point of a path that passes somebody who moves, where it is below the road's limit."""
+    """(1) at each point of a path that passes an agent that moves, where it is below the road's limit."""
     if not view.is_pass:
         return ()
     path, line = view.path, view.scene.reference.line

@@ -3,13 +3,13 @@
 (1) Comfortable limits, smoothed by the QP; they give up their reserve, then half of the gap, then more of it and some
     of the time to spare (`CLEAR`), before anything below is tried.
 (2) Wait: comfortable limits for a moment, then hard ones. Only for `PATIENCE_S` after comfort has ceased to suffice:
-    somebody who just begins to walk is not yet predictable, and what a frame demands the next may take back.
+    one who just begins to walk is not yet predictable, and what a frame demands the next may take back.
 (3) Driving on, where that is clear of everybody by `ONWARD`: better than hard braking for one who comes late.
 (4) Hard limits, the mildest with which braking keeps the bounds.
 (5) Driving on as in (3), or all that the brakes can do (`UTMOST_MPS3`) where that stays behind, or driving on where
     that does not touch, or all that the brakes can do.
 
-Where a QP was asked and has no answer, only rungs with a QP are left, and none where somebody is to be overtaken: what
+Where a QP was asked and has no answer, only rungs with a QP are left, and none where an agent is to be overtaken: what
 one deceleration cannot, another cannot either.
 """
 
@@ -278,7 +278,7 @@ class BrakingLadder:
         return f"leaves {left:.1f} m" if left > 0.0 else f"comes {-left:.1f} m too far"
 
     def _onward(self, case: Case, margins: StGraphConfig, reason: str) -> SolvedSpeed | None:
-        """Driving on, at the present speed or accelerating, where that meets nobody."""
+        """Driving on, at the present speed or accelerating, where that meets no one."""
         problem, taken = case.problem, case.taken(margins)
         v0, a0 = problem.start
         for accel in (0.0, self._config.comfort.accel_mps2):

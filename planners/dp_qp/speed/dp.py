@@ -58,7 +58,7 @@ class SpeedDpConfig:
         w_t: Weight of lost time; `w_v` of speed above the limit, `w_a` of acceleration, `w_j` of jerk, `w_near` of
             nearness.
         gap_m: Smallest gap to a blocked interval.
-        standstill_gap_m: Wanted gap to somebody who stands.
+        standstill_gap_m: Wanted gap to an agent that stands.
         time_gap_s: Wanted gap per speed of the one ahead.
         max_accel_mps2: Acceleration of an edge; `max_decel_mps2` its deceleration.
     """

@@ -69,7 +69,7 @@ class SpeedQpConfig:
             raise ValueError("speed QP needs at least 11 knots and positive limits")
 
     def ladder(self) -> tuple[SpeedLimits, ...]:
-        """From comfort to emergency, so that nobody brakes harder than is needed; jerk rises later than braking."""
+        """From comfort to emergency, so that the ego brakes no harder than is needed; jerk rises later than braking."""
         low, high = self.comfort, self.emergency
         decel, jerk = high.decel_mps2 - low.decel_mps2, high.jerk_mps3 - low.jerk_mps3
         between = (
@@ -105,7 +105,7 @@ class SpeedProblem(NamedTuple):
 
     @property
     def overtakes(self) -> bool:
-        """Whether somebody is to be overtaken: what one deceleration cannot, another cannot either."""
+        """Whether an agent is to be overtaken: what one deceleration cannot, another cannot either."""
         return bool((self.lower > 0.0).any())
 
 

@@ -100,8 +100,8 @@ class ChosenSpeed:
     Attributes:
         profile: Rows s, v, a `(3, knots)` every 0.1 s; None where the QP failed.
         reason: Why it failed or what it could not keep; empty otherwise.
-        unavoidable: Whether even the hardest braking would meet somebody.
-        free_m: Station at the horizon's end with nobody in the way, m.
+        unavoidable: Whether even the hardest braking would meet an agent.
+        free_m: Station at the horizon's end on a free road, m.
         taken: Who takes the path when.
         reports: Of the solver.
         artefacts: Makes graph, decisions, costs and reports for whoever wants to see them.
@@ -118,7 +118,7 @@ class ChosenSpeed:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Way:
-    """What is planned on: the scene on its path, the limit (`own` with nobody on the road), boundaries by margins."""
+    """What is planned on: the scene on its path, the limit (`own` on an empty road), boundaries by margins."""
 
     view: PathView
     limit: LoweredLimit
@@ -129,7 +129,7 @@ class _Way:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Planned:
-    """A solved speed and what it came from; how far driving at the limit comes, m, where nobody lowers it."""
+    """A solved speed and what it came from; how far driving at the limit comes, m, where no one else lowers it."""
 
     solved: SolvedSpeed
     problem: SpeedProblem
@@ -236,7 +236,7 @@ class SpeedStage:
         return limit_profile(path.sigma, path.kappa, limit, qp.curve_accel_mps2, qp.ease_mps2)
 
     def _free_m(self, way: _Way, own: LoweredLimit) -> float:
-        """How far the ego would come with nobody on the road, m."""
+        """How far the ego would come on an empty road, m."""
         scene, path, soft = way.view.scene, way.view.path, self._soft
         v_limit = self._reachable(path, own.v)
         start, knots = (scene.v, scene.start.a), self._config.qp.knots
@@ -244,7 +244,7 @@ class SpeedStage:
         return float(free[0, -1])
 
     def _stop_line(self, blocks: StBoundaries, scene: Scene) -> float:
-        """Station before the first who stands in the path, m; inf where nobody does."""
+        """Station before the first that stands in the path, m; inf where none does."""
         if not len(blocks):
             return np.inf
         entries = blocks.lower[scene.standing[blocks.agent]]
@@ -270,7 +270,7 @@ class SpeedStage:
         return np.interp(self._times, DT_S * np.arange(self._config.dp.columns + 1), DS_M * grid[1])
 
     def _bounded(self, problem: SpeedProblem, blocks: StBoundaries, kinds: tuple[DecisionKind, ...]) -> SpeedProblem:
-        """The problem with its bounds of s: below whom the ego yields to, above whom it overtakes."""
+        """The problem with its bounds of s: below those that the ego yields to, above those that it overtakes."""
         gap = self._config.dp.gap_m
         upper, lower = problem.upper.copy(), np.zeros(len(self._times))
         reach = 0.5 * blocks.step + 1e-9
@@ -287,9 +287,9 @@ class SpeedStage:
         return problem._replace(lower=np.minimum(lower, upper), upper=upper)
 
     def _problem(self, way: _Way, v_limit: FloatArray, s_dp: FloatArray) -> tuple[SpeedProblem, float]:
-        """What is wanted and the limit, with nobody in the way but stops, and how far driving at the limit comes, m.
+        """What is wanted and the limit, with nothing in the way but stops, and how far driving at the limit comes, m.
 
-        `s_dp` is `(knots,)` where somebody moves, else empty.
+        `s_dp` is `(knots,)` where an agent moves, else empty.
         """
         qp, path, scene = self._config.qp, way.view.path, way.view.scene
         start, soft = (scene.v, scene.start.a), self._soft
@@ -362,7 +362,7 @@ def _wanted(
 def _overtakes(
     blocks: StBoundaries, kinds: Sequence[DecisionKind], profile: FloatArray | None, times: FloatArray
 ) -> bool:
-    """Whether a profile stays clear of everybody whom it should overtake; the DP knows nothing of jerk."""
+    """Whether a profile stays clear of all that it should overtake; the DP knows nothing of jerk."""
     overtaken = [i for i, kind in enumerate(kinds) if kind is DecisionKind.OVERTAKE]
     if profile is None or not overtaken:
         return not overtaken

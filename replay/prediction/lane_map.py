@@ -16,6 +16,7 @@ import numpy as np
 from logs.kernel import TIE, FloatArray, IntArray, frozen, kernel
 from logs.road import Lane, Road
 from logs.states import wrap
+from metrics.once import once
 
 SPACING_M = 1.0
 BEND_M = 5.0
@@ -69,30 +70,8 @@ class LaneMap:
 
     @classmethod
     def of(cls, road: Road) -> LaneMap:
-        """The drivable lanes of a road."""
-        lanes = [lane for lane in road.lanes.values() if lane.drivable and lane.length >= SHORTEST_M]
-        index = {lane.id: i for i, lane in enumerate(lanes)}
-        sampled = [_sampled(lane) for lane in lanes]
-        follow = [[index[k] for k in lane.successors if k in index] for lane in lanes]
-        beside = [
-            [index.get(k, -1) if k is not None else -1 for k in (lane.left_neighbour, lane.right_neighbour)]
-            for lane in lanes
-        ]
-        pose = np.hstack([np.empty((5, 0)), *(pose for pose, _ in sampled)])
-        reach = [np.r_[(p[:2] - p[4]).min(axis=1), (p[:2] + p[4]).max(axis=1)] for p, _ in sampled]
-        return cls(
-            LaneArrays(
-                frozen(np.cumsum([0, *(pose.shape[1] for pose, _ in sampled)]), np.int64),
-                frozen([step for _, step in sampled]),
-                frozen([np.abs(pose[3]).max() for pose, _ in sampled]),
-                frozen([pose[4].max() for pose, _ in sampled]),
-                frozen(pose),
-                frozen(np.array(reach).reshape(-1, 4)),
-                frozen(np.cumsum([0, *map(len, follow)]), np.int64),
-                frozen([k for some in follow for k in some], np.int64),
-                frozen(np.array(beside).reshape(-1, 2), np.int64),
-            )
-        )
+        """The drivable lanes of a road: made once, perception and traffic of all its drives share them."""
+        return cls(_arrays(road))
 
     @classmethod
     def unknown(cls) -> LaneMap:
@@ -101,6 +80,31 @@ class LaneMap:
 
     def __len__(self) -> int:
         return len(self.arrays.step)
+
+
+@once
+def _arrays(road: Road) -> LaneArrays:
+    lanes = [lane for lane in road.lanes.values() if lane.drivable and lane.length >= SHORTEST_M]
+    index = {lane.id: i for i, lane in enumerate(lanes)}
+    sampled = [_sampled(lane) for lane in lanes]
+    follow = [[index[k] for k in lane.successors if k in index] for lane in lanes]
+    beside = [
+        [index.get(k, -1) if k is not None else -1 for k in (lane.left_neighbour, lane.right_neighbour)]
+        for lane in lanes
+    ]
+    pose = np.hstack([np.empty((5, 0)), *(pose for pose, _ in sampled)])
+    reach = [np.r_[(p[:2] - p[4]).min(axis=1), (p[:2] + p[4]).max(axis=1)] for p, _ in sampled]
+    return LaneArrays(
+        frozen(np.cumsum([0, *(pose.shape[1] for pose, _ in sampled)]), np.int64),
+        frozen([step for _, step in sampled]),
+        frozen([np.abs(pose[3]).max() for pose, _ in sampled]),
+        frozen([pose[4].max() for pose, _ in sampled]),
+        frozen(pose),
+        frozen(np.array(reach).reshape(-1, 4)),
+        frozen(np.cumsum([0, *map(len, follow)]), np.int64),
+        frozen([k for some in follow for k in some], np.int64),
+        frozen(np.array(beside).reshape(-1, 2), np.int64),
+    )
 
 
 def _sampled(lane: Lane) -> tuple[FloatArray, float]:

@@ -39,9 +39,6 @@ class Deviation(NamedTuple):
     foot: float
 
 
-NO_PLAN = Deviation(*5 * (float("nan"),))
-
-
 @inner_kernel
 def plan_stations(x: FloatArray, y: FloatArray, yaw: FloatArray) -> FloatArray:
     """Stations `(n,)` of a plan's samples, m, not decreasing, from 0."""

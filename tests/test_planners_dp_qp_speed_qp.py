@@ -100,3 +100,9 @@ def test_a_bound_behind_the_braking_distance_is_reported() -> None:
 def test_settings_are_checked(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match="speed QP"):
         SpeedQpConfig(**wrong)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("weights", [{"w_j": -3.0}, {"w_s": 0.0, "w_v": 0.0, "w_a": 0.0, "w_j": 0.0}])
+def test_weights_that_make_no_problem_are_refused(weights: dict[str, float]) -> None:
+    with pytest.raises(ValueError, match="weights of the speed QP must not be negative, and one of them positive"):
+        SpeedQpConfig(**weights)

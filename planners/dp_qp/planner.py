@@ -71,7 +71,10 @@ class DpQp:
         self._memory = PlannerMemory(self._lanes.start(context.start))
 
     def plan(self, frame: Frame) -> Plan:
-        """A plan from the previous plan or the ego; with a fallback, its status and reason."""
+        """A plan from the previous plan or the ego; with a fallback, its status and reason.
+
+        A frame without a previous plan is fresh: nothing is remembered.
+        """
         start, start_kind = start_of(frame, self._config.stitch_m, self._config.stitch_mps)
         if frame.previous is None:
             self._memory = PlannerMemory(self._lanes.start(start))

@@ -25,7 +25,7 @@ class PassWay:
     way: InTheWay
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True)
 class LaneMemory:
     """Of one lane.
 
@@ -42,7 +42,7 @@ class LaneMemory:
     rules: RuleMemory = field(default_factory=RuleMemory)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, slots=True)
 class PassMemory:
     """Of passing those who are slower, in one lane.
 

@@ -164,7 +164,6 @@ class LanePlanner:
             standing = path.passed - moving
             stops, rules = self._rules.stops(scene, memory.rules, standing)
             task = SpeedTask(
-                path,
                 standing,
                 behind(scene, keeps_track=path.shift < TRACK_M and past is None),
                 on_path(stops, path.path, self._vehicle),

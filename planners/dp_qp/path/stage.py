@@ -64,7 +64,7 @@ class PathConfig:
     corridor: CorridorConfig = field(default_factory=CorridorConfig)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class PathMemory:
     """What the path stage remembers.
 

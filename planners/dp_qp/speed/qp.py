@@ -65,6 +65,9 @@ class SpeedQpConfig:
     ease_mps2: float = 1.5
 
     def __post_init__(self) -> None:
+        weights = self.w_s, self.w_v, self.w_a, self.w_j
+        if min(weights) < 0.0 or not max(weights) > 0.0:
+            raise ValueError("the weights of the speed QP must not be negative, and one of them positive")
         if self.knots < 11 or not (self.curve_accel_mps2 > 0.0 and self.ease_mps2 > 0.0):
             raise ValueError("speed QP needs at least 11 knots and positive limits")
 

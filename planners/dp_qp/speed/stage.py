@@ -13,7 +13,6 @@ import numpy as np
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.trace import Artefact, Corridor, Decision, DecisionKind, GridCost, SolverReport, StGraph
 from logs.vehicle import VehicleParameters
-from planners.dp_qp.path.stage import ChosenPath
 from planners.dp_qp.scene.caps import CautionConfig, LoweredLimit, PathView, lowered
 from planners.dp_qp.scene.goal_window import HURRIED_GAP_S, GoalWindow, SpeedTarget
 from planners.dp_qp.scene.hesitant_pedestrians import came_to_path
@@ -61,7 +60,7 @@ class SpeedConfig:
     qp: SpeedQpConfig = field(default_factory=SpeedQpConfig)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class SpeedMemory:
     """What the speed stage remembers: how it braked, and who came to the path when, s."""
 
@@ -74,7 +73,6 @@ class SpeedTask:
     """What the speed stage is asked on a path.
 
     Attributes:
-        chosen: The path, as the path stage gave it.
         passed: Agents that the path passes while they stand.
         skip: Agents who follow behind `(agents,)`.
         stops: That the rules demand on the path.
@@ -83,7 +81,6 @@ class SpeedTask:
         goal: The goal along the lane; `target` what it asks now.
     """
 
-    chosen: ChosenPath
     passed: frozenset[str]
     skip: BoolArray
     stops: tuple[Occupancy, ...]
@@ -102,7 +99,6 @@ class ChosenSpeed:
         reason: Why it failed or what it could not keep; empty otherwise.
         unavoidable: Whether even the hardest braking would meet an agent.
         free_m: Station at the horizon's end on a free road, m.
-        taken: Who takes the path when.
         reports: Of the solver.
         artefacts: Makes graph, decisions, costs and reports for whoever wants to see them.
     """
@@ -111,7 +107,6 @@ class ChosenSpeed:
     reason: str
     unavoidable: bool
     free_m: float
-    taken: StBoundaries
     reports: tuple[SolverReport, ...]
     artefacts: Callable[[], tuple[Artefact, ...]]
 
@@ -187,9 +182,9 @@ class SpeedStage:
             else:
                 planned = self._planned(way, found, memory.braking)
         solved = planned.solved
-        free_m = self._free_m(way, own) if planned.free_m is None else planned.free_m
+        free_m = self._free_m(way) if planned.free_m is None else planned.free_m
         chosen = ChosenSpeed(
-            solved.profile, solved.reason, solved.unavoidable, free_m, planned.blocks, solved.reports,
+            solved.profile, solved.reason, solved.unavoidable, free_m, solved.reports,
             lambda: self._artefacts(way, planned, unlikely),
         )  # fmt: skip
         return chosen, SpeedMemory(memory.braking.after(scene.frame.t, solved), came)
@@ -235,10 +230,10 @@ class SpeedStage:
         qp = self._config.qp
         return limit_profile(path.sigma, path.kappa, limit, qp.curve_accel_mps2, qp.ease_mps2)
 
-    def _free_m(self, way: _Way, own: LoweredLimit) -> float:
+    def _free_m(self, way: _Way) -> float:
         """How far the ego would come on an empty road, m."""
         scene, path, soft = way.view.scene, way.view.path, self._soft
-        v_limit = self._reachable(path, own.v)
+        v_limit = self._reachable(path, way.own.v)
         start, knots = (scene.v, scene.start.a), self._config.qp.knots
         free = cruising(path.sigma, v_limit, *start, soft.accel, soft.decel, soft.jerk, STEP_S, knots)
         return float(free[0, -1])

@@ -83,7 +83,7 @@ def _perceived(
 ) -> tuple[IntArray, FloatArray, bool]:  # fmt: skip
     """`Tracks.perceived`: who is seen `(k,)`, rows `_SHOWN` `(9, k)`, whether `patience` is lacking.
 
-    `patience` `(m,)` may be empty: then it is lacking where somebody's last sample is so old that it decides.
+    `patience` `(m,)` may be empty: then it is lacking where an agent's last sample is so old that it decides.
     """
     seen, out = np.empty(len(static), np.int64), np.empty((9, len(static)))
     count, lacking = 0, False

@@ -196,7 +196,7 @@ Artefact = SlGraph | StGraph | Decision | CostTerms | Candidates | LaneOption | 
 
 
 class Internals(Sequence[Artefact]):
-    """Artefacts that are built when somebody first looks at them.
+    """Artefacts that are built when they are first looked at.
 
     Args:
         reports: Of the solvers: there in any case.

@@ -112,7 +112,7 @@ def first_event(
         on: As `metres_off`.
 
     Returns:
-        Row, whether somebody is touched there, metres off the lanes there, the last lane that the ego was on.
+        Row, whether an agent is touched there, metres off the lanes there, the last lane that the ego was on.
     """
     contact, _ = touched(rows, first, end, car, agents)
     for k in range(first, min(contact + 1, end)):

@@ -104,13 +104,14 @@ class DpQp:
         if not beside:
             return keep, considered
         others: list[LanePlan] = []
+        unplanned: list[Artefact] = []
         hysteresis = self._config.lane.hysteresis_s
         for side, lane in beside:
             planner, before = self._planner(lane), memory.lanes.get(lane, LaneMemory())
             scene = planner.scene(frame, start, before)
             option = hopeless(side, scene, planner.least_costs(side, scene), keep, hysteresis)
             if option is not None:
-                considered = (*considered, option)
+                unplanned.append(option)
                 continue
             plan, memory.lanes[lane] = planner.plan(side, scene, before)
             others.append(plan)
@@ -119,7 +120,7 @@ class DpQp:
             memory.passing.pop(keep.lane, None)
             memory.driven, memory.changed = chosen.lane, frame.t
         self._lap("lane choice")
-        return chosen, (*considered, *more)
+        return chosen, (*considered, *more, *unplanned)
 
     def _planned(self, name: str, lane: LaneSequence, frame: Frame, start: EgoState) -> LanePlan:
         planner, memory = self._planner(lane), self._memory.lanes.get(lane, LaneMemory())

@@ -106,7 +106,7 @@ class Stamp:
 def keep(folder: Path, result: LogResult, timings: pd.DataFrame, identity: str, stamp: Stamp) -> LogResult:
     """Write a result into its (still unfinished) folder; returns it with its tables as they will be read back.
 
-    The timings stay in the folder: they are by far the largest table, and nobody asks for them before the end.
+    The timings stay in the folder: they are by far the largest table, and are not asked for before the end.
 
     Args:
         folder: Where the drives' files are already.

@@ -29,7 +29,7 @@ WORTH_MPS = 0.5
 
 @dataclass(frozen=True)
 class CautionConfig:
-    """How the ego minds who may come into its way.
+    """How the ego prepares for road users who may come into its way.
 
     Attributes:
         walk_mps: Who may step out, or set off, walks as fast as this: 5 km/h, up to which UN R157 asks to avoid them.

@@ -4,11 +4,10 @@ Unknown s, v, a at knots every 0.1 s, piecewise-constant jerk (`planners.piecewi
 
 (1) sum w_s (s - s_ref)^2 + w_v (v - v_ref)^2 + w_a a^2 + w_j jerk^2
 
-subject to s_lower(t) <= s <= s_upper(t) from the decisions, 0 <= v <= v_limit, a and jerk limits, and the start.
+subject to s_lower(t) <= s <= s_upper(t) from the decisions, 0 <= v <= v_limit (`planners.frenet.profiles`, (1)), a and
+jerk limits, and the start.
 
-(2) v_limit(sigma) = min(limit, sqrt(a_lat / |kappa|)), lowered so that it can be reached with a comfortable
-    deceleration b:  v(sigma)^2 <= v(sigma + d)^2 + 2 b d
-(3) Which limits of acceleration and jerk: `braking` takes the mildest with which braking keeps s_upper, so that the
+(2) Which limits of acceleration and jerk: `braking` takes the mildest with which braking keeps s_upper, so that the
     problem has a solution. Braking that is harder than comfort may be let go with `RELEASE_MPS3`.
 """
 
@@ -51,7 +50,7 @@ class SpeedQpConfig:
         comfort: Limits that are tried first.
         emergency: Limits where comfort cannot keep a bound.
         curve_accel_mps2: Lateral acceleration in curves.
-        ease_mps2: Deceleration b of (2).
+        ease_mps2: Deceleration b of `planners.frenet.profiles`, (1).
     """
 
     knots: int = 81
@@ -153,7 +152,7 @@ def _rows(problem: SpeedProblem, limits: KnotLimits, comfort: float) -> tuple[Fl
     """Lower and upper bounds of the rows s, v, a, jerk `(4, n)` and references of s and v `(2, n)`.
 
     Bounds of the acceleration hold the start's as far as half of the jerk leads back from it. `comfort`: deceleration,
-    m/s2; harder braking may be let go (3).
+    m/s2; harder braking may be let go (2).
     """
     n, a0 = len(problem.upper), problem.start[1]
     lower, upper, references = np.zeros((4, n)), np.empty((4, n)), np.empty((2, n))
@@ -167,7 +166,7 @@ def _rows(problem: SpeedProblem, limits: KnotLimits, comfort: float) -> tuple[Fl
         ramp = STEP_S * total
         lower[2, i] = min(-(limits.first_decel if is_first else limits.decel), a0 + 0.5 * ramp)
         upper[2, i] = max(limits.first_accel if is_first else limits.accel, a0 - 0.5 * ramp)
-        lower[3, i], upper[3, i] = -jerk, max(jerk, RELEASE_MPS3 if i < released else 0.0)  # (3)
+        lower[3, i], upper[3, i] = -jerk, max(jerk, RELEASE_MPS3 if i < released else 0.0)  # (2)
         total += jerk
     return lower, upper, references
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cache
 
 import numpy as np
 
@@ -164,6 +165,7 @@ class SpeedStage:
         own = lowered(path.sigma, bare, (cap for caps in OWN for cap in caps(view)))
         limit = lowered(path.sigma, own, (cap for caps in OTHERS for cap in caps(view)))
 
+        @cache
         def taken(margins: StGraphConfig) -> StBoundaries:
             """The boundaries with other margins: of those who are in the way, unless they may be faster than now."""
             skip = task.skip
@@ -190,7 +192,7 @@ class SpeedStage:
         return chosen, SpeedMemory(memory.braking.after(scene.frame.t, solved), came)
 
     def _planned(self, way: _Way, blocks: StBoundaries, memory: BrakingMemory) -> _Planned:
-        """The speed that minds these boundaries."""
+        """The speed that keeps to these boundaries."""
         scene, path, stops = way.view.scene, way.view.path, way.view.stops
         limit = way.limit.v
         stop_line = self._stop_line(blocks, scene)

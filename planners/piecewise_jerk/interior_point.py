@@ -26,6 +26,8 @@ sigma = 0 says how far the boundary is, then
     boundary is gone, primal and dual apart, which is quicker, until the gap is nearly closed; then together, so that
     the residual of (4) falls (and always together where rows give way: there e = give force couples them)
 
+The first point is the optimum without bounds, one factorisation away: in most frames it breaks none and is the answer.
+
 (10) Stop: at the optimum the duality gap bounds the distance, 1/2 |x - x*|^2 <= sum z f (the cost is that convex in
      x): so sum z f <= 1/2 accuracy^2, and the residuals of (4), (5) are small.
 (11) Infeasible (Farkas): forces with A' force = 0 on the free coefficients, give force = 0 and
@@ -146,9 +148,16 @@ class Solution(NamedTuple):
 def solve(problem: PiecewiseJerkProblem, accuracy: float, max_iterations: int) -> Solution:
     """The curve of a problem, `accuracy` m from the optimum at most."""
     rows = rows_of(problem)
-    point = _first_point(problem, rows)
-    step, newton = _blank(rows), _workspace(rows)
+    point, step, newton = _blank(rows), _blank(rows), _workspace(rows)
+    coast(problem, point.c)
+    apply(rows.stencil, point.c, point.y)
     status, iteration, primal, dual, gap = _fault(problem), 0, np.nan, np.nan, np.nan
+    if status == SPENT and max_iterations > 0:
+        iteration = 1
+        free = _to_free_optimum(rows, point, newton, step)
+        if free <= RESIDUAL * accuracy and _is_inside(rows, point):
+            return Solution(curve_of(point.c, problem.step), SOLVED, iteration, 0.0, free, 0.0)
+    _open(rows, point)
     least = FLOOR * 0.5 * accuracy**2 / point.slack.size
     while status == SPENT:
         primal, dual, gap = _residuals(rows, point, newton)
@@ -189,11 +198,40 @@ def _fault(problem: PiecewiseJerkProblem) -> int:
 
 
 @kernel
-def _first_point(problem: PiecewiseJerkProblem, rows: Rows) -> Point:
-    """The start going on with constant x'; slacks well inside, multipliers to match."""
-    point = _blank(rows)
-    coast(problem, point.c)
+def _to_free_optimum(rows: Rows, point: Point, newton: Newton, step: Point) -> float:
+    """Move c and y to the optimum without bounds; the residual of (4) there, inf where the matrix is no number."""
+    multiply(rows.stencil, rows.cost, newton.band)
+    if not factorise(newton.band):
+        return np.inf
+    _pull(rows, point, newton)
+    for i in range(len(step.c)):
+        step.c[i] = -newton.dual[i]
+    back_substitute(newton.band, step.c)
+    for i in range(len(step.c)):
+        point.c[i] += step.c[i]
     apply(rows.stencil, point.c, point.y)
+    _pull(rows, point, newton)
+    return _largest(newton.dual)
+
+
+@kernel
+def _is_inside(rows: Rows, point: Point) -> bool:
+    """Whether no bound is broken."""
+    return bool(((rows.bound[0] <= point.y) & (point.y <= rows.bound[1])).all())
+
+
+@kernel
+def _pull(rows: Rows, point: Point, newton: Newton) -> None:
+    """Write A' q (y - r), the cost's slope, of the free coefficients into `newton.dual`."""
+    for i in range(len(point.y)):
+        newton.push[i] = rows.cost[i] * (point.y[i] - rows.wanted[i])
+    gather(rows.stencil, newton.push, newton.dual)
+    newton.dual[:3] = 0.0
+
+
+@kernel
+def _open(rows: Rows, point: Point) -> None:
+    """Slacks well inside, multipliers to match."""
     size = len(rows.cost)
     for i in range(size):
         low, high = rows.bound[0, i], rows.bound[1, i]
@@ -202,7 +240,6 @@ def _first_point(problem: PiecewiseJerkProblem, rows: Rows) -> Point:
         point.slack[1, i] = max(high - point.y[i], least)
         for side in range(2):
             point.multiplier[side, i] = START_MU / point.slack[side, i]
-    return point
 
 
 @kernel
@@ -235,8 +272,7 @@ def _largest(values: FloatArray) -> float:
 def _residuals(rows: Rows, point: Point, newton: Newton) -> tuple[float, float, float]:
     """Residuals of (4), (5), products of (6); the largest of (5), of (4), and the sum of the products."""
     y, force, slack, multiplier = point.y, point.force, point.slack, point.multiplier
-    cost, wanted, give, bound = rows.cost, rows.wanted, rows.give, rows.bound
-    push, primal, product = newton.push, newton.primal, newton.product
+    give, bound, primal, product = rows.give, rows.bound, newton.primal, newton.product
     size = len(y)
     for i in range(size):
         force[i] = multiplier[0, i] - multiplier[1, i]
@@ -244,8 +280,6 @@ def _residuals(rows: Rows, point: Point, newton: Newton) -> tuple[float, float, 
         at = y[i] + give[i] * force[i]
         primal[0, i] = (at - bound[0, i]) - slack[0, i]  # (5)
         primal[1, i] = -(at - bound[1, i]) - slack[1, i]
-    for i in range(size):
-        push[i] = cost[i] * (y[i] - wanted[i])
     for side in range(2):
         for i in range(size):
             product[side, i] = slack[side, i] * multiplier[side, i]  # (6)
@@ -253,9 +287,9 @@ def _residuals(rows: Rows, point: Point, newton: Newton) -> tuple[float, float, 
     for i in range(size):
         gap += product[0, i] + product[1, i]
     gather(rows.stencil, point.force, newton.pull)
-    gather(rows.stencil, newton.push, newton.dual)
-    for i in range(len(newton.dual)):
-        newton.dual[i] = newton.dual[i] - newton.pull[i] if i > 2 else 0.0  # (4)
+    _pull(rows, point, newton)
+    for i in range(3, len(newton.dual)):
+        newton.dual[i] -= newton.pull[i]  # (4)
     return max(_largest(primal[0]), _largest(primal[1])), _largest(newton.dual), gap
 
 

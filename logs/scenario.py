@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
 
@@ -208,6 +208,25 @@ class Tracks:
     def samples(self, index: int) -> slice:
         """The samples of track `index`."""
         return slice(int(self.offsets[index]), int(self.offsets[index + 1]))
+
+    def taken(self, keep: BoolArray) -> Tracks:
+        """The tracks with only the samples `keep` `(m,)`; who has none left is not among them."""
+        owner = np.repeat(np.arange(len(self)), np.diff(self.offsets))
+        sizes = np.bincount(owner[keep], minlength=len(self))
+        left = np.flatnonzero(sizes)
+        return Tracks(
+            tuple(self.ids[i] for i in left),
+            tuple(self.kinds[i] for i in left),
+            self.length[left],
+            self.width[left],
+            self.static[left],
+            np.r_[0, np.cumsum(sizes[left])],
+            *(getattr(self, name)[keep] for name in ("t", "x", "y", "yaw", "vx", "vy")),
+        )
+
+    def shifted(self, seconds: float) -> Tracks:
+        """The tracks so much later."""
+        return replace(self, t=self.t + seconds)
 
     @cached_property
     def patience(self) -> FloatArray:

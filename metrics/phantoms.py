@@ -100,15 +100,4 @@ def without_phantoms(tracks: Tracks, found: tuple[Phantom, ...]) -> Tracks:
         if phantom.agent in tracks.ids:
             mine = owner == tracks.ids.index(phantom.agent)
             keep &= ~(mine & (phantom.t_from < tracks.t) & (tracks.t < phantom.t_to))
-    sizes = np.bincount(owner[keep], minlength=len(tracks))
-    left = np.flatnonzero(sizes)
-    columns = (getattr(tracks, name)[keep] for name in ("t", "x", "y", "yaw", "vx", "vy"))
-    return Tracks(
-        tuple(tracks.ids[i] for i in left),
-        tuple(tracks.kinds[i] for i in left),
-        tracks.length[left],
-        tracks.width[left],
-        tracks.static[left],
-        np.r_[0, np.cumsum(sizes[left])],
-        *columns,
-    )
+    return tracks.taken(keep)

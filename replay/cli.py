@@ -20,6 +20,7 @@ from rich.console import Console
 from logs.errors import ConfigError, ReplanError
 
 if TYPE_CHECKING:
+    from logs.readers import LogSettings
     from replay.batch import RunResult
     from replay.config import RunConfig
 
@@ -38,8 +39,12 @@ app = typer.Typer(
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-convert_app = typer.Typer(help="Make MCAP logs from other formats.", no_args_is_help=True)
-app.add_typer(convert_app, name="convert")
+
+Ego = Annotated[str | None, typer.Option("--ego", help="Take this road user of the log as the ego.")]
+Map = Annotated[Path | None, typer.Option("--map", help="A map that replaces the log's.")]
+Begin = Annotated[float | None, typer.Option("--from", help="Begin so many seconds after the log's.")]
+End = Annotated[float | None, typer.Option("--to", help="End so many seconds after the log's begin.")]
+Settings = Annotated[Path | None, typer.Option("--config", help="TOML file of a run: its [log] table.")]
 
 
 def main() -> None:
@@ -86,7 +91,9 @@ def _root(
 def evaluate(
     logs: Annotated[
         list[Path] | None,
-        typer.Argument(help="MCAP logs, CommonRoad .xml, or folders of them; none: the built-in suite."),
+        typer.Argument(
+            help="Logs of any format (replan convert --formats), or folders of them; none: the built-in suite."
+        ),
     ] = None,
     planner: Annotated[
         list[str] | None,
@@ -139,6 +146,14 @@ def evaluate(
         list[str] | None,
         typer.Option(help="KEY=VALUE of the car that planner and controller are not told (mass=1400); repeatable."),
     ] = None,
+    ego: Ego = None,
+    road_map: Map = None,
+    begin: Begin = None,
+    end: End = None,
+    window: Annotated[
+        float | None,
+        typer.Option(min=1.0, help="Evaluate each log in parts of so many seconds."),
+    ] = None,
 ) -> None:
     """Drive planners over logs, measure, judge by gates, and record.
 
@@ -151,7 +166,7 @@ def evaluate(
       replan evaluate my_logs/ --gates gates.toml --out results/nightly --resume
     """
     with answered():
-        options = {
+        options: dict[str, Any] = {
             "planners": tuple(planner or ()) or None,
             "metrics": tuple(metric or ()) or None,
             "mode": mode,
@@ -169,8 +184,11 @@ def evaluate(
             "perception": perception,
             "plant": _settings(plant) if plant else None,
         }
+        options["log"] = _log_settings(config, ego, road_map, begin, end)
         run = _run(config, options, loop).in_car(car)
-        result = _evaluated(logs or [], run, out, _cores() if workers is None else workers, resume=resume)
+        result = _evaluated(
+            logs or [], run, out, _cores() if workers is None else workers, resume=resume, window=window
+        )
         raise typer.Exit(result.exit_code)
 
 
@@ -197,7 +215,9 @@ def _settings(words: list[str]) -> dict[str, float | str]:
     return found
 
 
-def _evaluated(logs: list[Path], run: RunConfig, out: Path | None, workers: int, *, resume: bool) -> RunResult:
+def _evaluated(
+    logs: list[Path], run: RunConfig, out: Path | None, workers: int, *, resume: bool, window: float | None
+) -> RunResult:
     from replay.batch import evaluate_logs
     from replay.batch.pool import settle
     from replay.report.progress import progress
@@ -206,7 +226,9 @@ def _evaluated(logs: list[Path], run: RunConfig, out: Path | None, workers: int,
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does: nothing half-written
     settle()
     with progress() as (on_start, on_log):
-        result = evaluate_logs(logs, run, out, workers=workers, resume=resume, on_start=on_start, on_log=on_log)
+        result = evaluate_logs(
+            logs, run, out, workers=workers, resume=resume, window=window, on_start=on_start, on_log=on_log
+        )
     wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 110
     print_report(result, Console(width=wide, soft_wrap=False))
     return result
@@ -251,61 +273,80 @@ def synth(
             typer.echo(path)
 
 
-@convert_app.callback()
-def _convert() -> None:
-    pass
-
-
-@convert_app.command()
-def commonroad(
-    files: Annotated[list[Path], typer.Argument(help="CommonRoad XML files, 2018b or 2020a.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="FILE.mcap for one file, else a folder.")],
-    ego: Annotated[str | None, typer.Option(help="Take this vehicle of the traffic as the ego.")] = None,
-    problem: Annotated[int | None, typer.Option(help="Planning problem: its id, or its place from 1.")] = None,
+@app.command()
+def convert(
+    logs: Annotated[
+        list[Path] | None, typer.Argument(help="Logs of any format; a format's name first asks for that one.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="FILE.mcap for one log, else a folder.")] = None,
+    ego: Ego = None,
+    problem: Annotated[
+        int | None, typer.Option(help="CommonRoad: the planning problem, its id or its place from 1.")
+    ] = None,
+    road_map: Map = None,
+    begin: Begin = None,
+    end: End = None,
+    config: Settings = None,
+    formats: Annotated[bool, typer.Option("--formats", help="List the formats that replan reads.")] = False,
 ) -> None:
-    """CommonRoad scenarios to MCAP logs; the recorded human is the ego where the file holds one.
+    """Logs of other formats to replan's own MCAP.
 
     [bold]Examples[/bold]
 
+      replan convert --formats
+      replan convert my_bags/ -o my_logs
       replan convert commonroad USA_US101-6_1_T-1.xml -o us101.mcap
-      replan convert commonroad scenarios/*.xml -o my_logs
     """
     with answered():
-        single = out.suffix == ".mcap"
-        if single and len(files) > 1:
-            raise ConfigError(f"{len(files)} files do not go into one log: give a folder with -o")
-        targets = [out if single else out / f"{file.name.removesuffix('.xml')}.mcap" for file in files]
-        failed = sum(not _converted(*pair, ego, problem) for pair in zip(files, targets, strict=True))
-        if failed:
+        from replay.convert import convert_all, listing
+
+        if formats:
+            typer.echo("\n".join(listing()))
+            return
+        if not logs or out is None:
+            raise ConfigError("name logs and where to write them: replan convert LOG ... -o FOLDER; see --formats")
+        settings = _log_settings(config, ego, road_map, begin, end, problem)
+        if not convert_all(logs, out, settings, say=typer.echo, say_error=say_error):
             raise typer.Exit(3)
 
 
-def _converted(file: Path, target: Path, ego: str | None, problem: int | None) -> bool:
-    """Whether a file could be converted; says what came of it."""
-    from logs.convert import read_commonroad
-    from logs.errors import LogError
-    from logs.mcap import write_scenario
+def _log_settings(
+    config: Path | None,
+    ego: str | None,
+    road_map: Path | None,
+    begin: float | None,
+    end: float | None,
+    problem: int | None = None,
+) -> LogSettings:
+    """The [log] table of the configuration file with the options over it."""
+    from logs.readers.base import LogSettings
+    from replay.config import load_run
 
+    options: dict[str, Any] = {"ego": ego, "begin": begin, "end": end, "problem": problem}
+    given = {key: value for key, value in options.items() if value is not None}
+    given |= {} if road_map is None else {"map": str(road_map)}
     try:
-        scenario = read_commonroad(file, ego=ego, problem=problem)
-        target.parent.mkdir(parents=True, exist_ok=True)
-        write_scenario(target, scenario)
-    except LogError as error:
-        say_error(str(error))
-        return False
-    typer.echo("\n".join([str(target), *(f"    note: {note}" for note in scenario.notes)]))
-    return True
+        return replace(LogSettings() if config is None else load_run(config).log, **given)
+    except ValueError as error:
+        raise ConfigError(str(error)) from None
 
 
 @app.command()
-def inspect(log: Annotated[Path, typer.Argument(help="An MCAP file.")]) -> None:
+def inspect(
+    log: Annotated[Path, typer.Argument(help="A log of any format.")],
+    ego: Ego = None,
+    road_map: Map = None,
+    begin: Begin = None,
+    end: End = None,
+    config: Settings = None,
+) -> None:
     """Say what a log holds, over which time, and what is missing for which evaluation."""
     with answered():
-        from logs.mcap import summarise
+        from logs.summary import summarise
 
-        if not log.is_file():
-            raise ConfigError(f"{log}: no such file")
-        summary = summarise(log)
+        if not log.exists():
+            raise ConfigError(f"{log}: no such file or folder")
+        summary = summarise(log, _log_settings(config, ego, road_map, begin, end))
         typer.echo("\n".join(summary.lines()))
         if summary.error is not None:
             raise typer.Exit(3)
@@ -317,6 +358,11 @@ def view(
     save: Annotated[Path | None, typer.Option(help="Write the log's recording here instead of opening it.")] = None,
     memory_limit: Annotated[str, typer.Option(help="Of the viewer.")] = "2GB",
     web: Annotated[bool, typer.Option("--web", help="Show it in a browser.")] = False,
+    ego: Ego = None,
+    road_map: Map = None,
+    begin: Begin = None,
+    end: End = None,
+    config: Settings = None,
 ) -> None:
     """Open a log or recordings in the Rerun viewer.
 
@@ -328,15 +374,17 @@ def view(
     with answered():
         import tempfile
 
+        from logs.readers import reader_of
         from replay.view import recordings, save_log, show
 
         if not target.exists():
             raise ConfigError(f"{target}: no such file or folder")
-        is_log = target.is_file() and target.suffix != ".rrd"
+        is_log = target.suffix != ".rrd" and (target.is_file() or reader_of(target) is not None)
+        settings = _log_settings(config, ego, road_map, begin, end)
         if save is not None:
             if not is_log:
                 raise ConfigError(f"--save writes the recording of a log; {target} holds recordings already")
-            save_log(target, save)
+            save_log(target, save, settings)
             typer.echo(save)
             return
         if not is_log:
@@ -344,7 +392,7 @@ def view(
             return
         with tempfile.TemporaryDirectory() as folder:
             recording = Path(folder) / f"{target.stem}.rrd"
-            save_log(target, recording)
+            save_log(target, recording, settings)
             show([recording], memory_limit, web=web)
 
 

@@ -10,6 +10,7 @@
 
     deadline_s = 0.0                 # a plan may take so long (0.1 at 10 Hz); 0: not asked, as clocks differ
 
+    [log]                            # logs.readers.LogSettings: what logs do not say, or where they say it
     [loop]                           # LoopConfig
     [planner.dp_qp]                  # keywords of the planner
     [vehicle]                        # VehicleParameters: takes the place of what the logs say
@@ -31,6 +32,7 @@ import msgspec
 import tomli_w
 
 from logs.errors import ConfigError, unknown_name
+from logs.readers.base import LogSettings
 from logs.trace import Mode
 from logs.vehicle import VehicleParameters, vehicle_parameters
 from replay.drive import LoopConfig
@@ -56,6 +58,7 @@ class RunConfig:
         metrics: "module:NAME" of metrics from outside, measured beside the built-in ones.
         ensemble: How many times each log is driven again under a perturbation (`replay.perturb`).
         deadline_s: At most 1 % of a drive's plans may take longer, s; 0: not asked.
+        log: How logs are read.
         loop: Periods and limits of the loops.
         planner: Keywords of each planner, by the name given in `planners`.
         vehicle: Vehicle parameters by name that replace those of the logs; "set" names a known vehicle for all of them.
@@ -69,6 +72,7 @@ class RunConfig:
     metrics: tuple[str, ...] = ()
     ensemble: int = 0
     deadline_s: float = 0.0
+    log: LogSettings = field(default_factory=LogSettings)
     loop: LoopConfig = field(default_factory=LoopConfig)
     planner: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     vehicle: Mapping[str, Any] = field(default_factory=dict)

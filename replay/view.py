@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from logs.errors import ConfigError, ReplanError
+from logs.readers import LogSettings, read_log
 
 MOST = 12
 """Recordings opened at once: each takes memory in the viewer."""
@@ -29,12 +30,11 @@ def recordings(target: Path) -> list[Path]:
     return found
 
 
-def save_log(log: Path, out: Path) -> None:
-    """Write a log (MCAP or CommonRoad) as a recording; LogError where it cannot be read."""
-    from replay.batch.sources import LogSource
+def save_log(log: Path, out: Path, settings: LogSettings | None = None) -> None:
+    """Write a log of any format as a recording; LogError where it cannot be read."""
     from replay.recording import write_log_recording
 
-    write_log_recording(out, LogSource(str(log), log).read())
+    write_log_recording(out, read_log(log, settings))
 
 
 def show(files: list[Path], memory_limit: str, *, web: bool = False) -> None:

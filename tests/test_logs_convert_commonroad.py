@@ -13,10 +13,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from logs import AgentKind, LogError, RoadSource, Scenario
-from logs.convert import CONVERTERS, read_commonroad
+from logs.convert import read_commonroad
 from logs.convert.commonroad_road import _crossable
 from logs.convert.commonroad_tracks import _prediction_error, ego_log, sized, turned, velocities
 from logs.convert.commonroad_xml import Obstacle, parse
+from logs.readers import read_log
 
 HEAD = (
     '<commonRoad timeStepSize="0.1" commonRoadVersion="{version}" benchmarkID="{benchmark}" source="{source}" {more}>'
@@ -506,7 +507,7 @@ def _recorded(folder: Path) -> list[Path]:
 def _convert_all(files: list[Path]) -> None:
     """Each file converts into something drivable; each MONA file has its human."""
     for file in files:
-        scenario = CONVERTERS["commonroad"](file)
+        scenario = read_log(file)
         _facts(scenario)
         assert len(scenario.ego) > 1 or "MONA" not in file.name
 

@@ -16,7 +16,8 @@ from mcap.writer import Writer
 from mcap_cases import differences
 
 from logs import AgentKind, LogError, RoadSource
-from logs.mcap import read_scenario, summarise, write_scenario
+from logs.mcap import read_scenario, write_scenario
+from logs.summary import summarise
 
 ENUMS = {
     "Kind": ["TYPE_UNKNOWN", "TYPE_OTHER", "TYPE_VEHICLE", "TYPE_PEDESTRIAN"],

@@ -36,8 +36,9 @@ from logs import (
     TrackingErrors,
     Tracks,
 )
-from logs.mcap import native, read_scenario, summarise, write_scenario, write_trace
+from logs.mcap import native, read_scenario, write_scenario, write_trace
 from logs.mcap.writer import BLOCK, scenario_entries, scenario_records, write_log
+from logs.summary import summarise
 
 
 def drive() -> Trace:

@@ -269,13 +269,13 @@ def test_folders_are_searched_and_what_is_left_out_is_said(logs: Path, tmp_path:
     (tmp_path / "results" / "closed.mcap").write_bytes(b"")
     selection = select([tmp_path])
     assert [source.path for source in selection.sources] == [deep / "a.mcap"]
-    for word in ("same bytes", "hidden", "not a CommonRoad", "earlier run"):
+    for word in ("same bytes", "hidden", "no reader claims", "earlier run"):
         assert any(word in reason for reason in selection.dropped)
     assert "5 found, 1 kept" in str(selection)
 
 
 def test_an_empty_selection_says_what_was_looked_for(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"no logs in this folder; looked for \*\.mcap"):
+    with pytest.raises(ConfigError, match=r"no logs in this folder; looked for CommonRoad \*\.xml"):
         select([tmp_path])
     (tmp_path / ".hidden.mcap").write_bytes(b"")
     with pytest.raises(ConfigError, match=r"1 found, 0 kept; left out .*hidden"):

@@ -6,20 +6,14 @@ Modules:
     reader.py      native messages -> Scenario          osi.py, osi_lanes.py   ASAM OSI ground truth -> Scenario
     complete.py    what a log leaves out and how it is filled in
     writer.py      Scenario -> native log               trace.py               Trace -> native log
-    summary.py     what a log holds, and what it can be used for
 """
 
 from logs.mcap.reader import read_scenario
-from logs.mcap.summary import Evaluation, LogSummary, TopicSummary, summarise
 from logs.mcap.trace import write_trace
 from logs.mcap.writer import write_scenario
 
 __all__ = [
-    "Evaluation",
-    "LogSummary",
-    "TopicSummary",
     "read_scenario",
-    "summarise",
     "write_scenario",
     "write_trace",
 ]

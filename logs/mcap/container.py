@@ -25,19 +25,12 @@ from logs.errors import LogError
 T = TypeVar("T")
 
 COPY_AGAIN = "copy or record it again"
-CONVERT = "replan reads native scenario logs and ASAM OSI ground truth; `replan convert` makes logs of other formats"
-MAGIC = b"\x89MCAP"
+CONVERT = "`replan convert --formats` lists what replan reads and how a format is added"
 COMPRESSIONS = ("", "zstd", "lz4")
 LAST_TIME_NS = 2**63 - 1
 
 DAMAGE = (McapError, ZstdError, struct.error, ValueError, RuntimeError, OverflowError, MemoryError)
 """What the libraries raise on damaged bytes (checksums: ValueError, lz4: RuntimeError)."""
-
-OTHER_FORMATS = {
-    ".osi": "this is a bare OSI trace: store its messages in an MCAP file, on one channel with the schema "
-    "osi3.GroundTruth",
-    ".xml": "a CommonRoad scenario is converted by `replan convert commonroad FILE -o OUT.mcap`",
-}
 
 
 @dataclass(frozen=True)
@@ -133,7 +126,8 @@ def read_container(path: Path) -> Container:
     error, raw = None, b""
     try:
         raw = _content(path)
-        _check_kind(raw, path.suffix.lower())
+        if not raw:
+            raise LogError("the file is empty", remedy=COPY_AGAIN)
         _fill(raw, streams, metadata)
     except LogError as damage:
         error = damage.at(path)
@@ -145,13 +139,6 @@ def _content(path: Path) -> bytes:
         return path.read_bytes()
     except OSError as error:
         raise LogError(f"cannot be read: {error.strerror or error}") from None
-
-
-def _check_kind(raw: bytes, suffix: str) -> None:
-    if not raw:
-        raise LogError("the file is empty", remedy=COPY_AGAIN)
-    if suffix in OTHER_FORMATS and not raw.startswith(MAGIC):
-        raise LogError("not an MCAP file", remedy=OTHER_FORMATS[suffix])
 
 
 def _fill(raw: bytes, streams: dict[str, Stream], metadata: dict[str, dict[str, str]]) -> None:

@@ -118,9 +118,9 @@ def all_metrics(run: RunConfig) -> Mapping[str, Metric]:
 
 
 def _identified(source: LogSource, scenario: Scenario, folder: Path) -> LogResult:
-    """The log by name and content; what was no MCAP file is written as one, `log.mcap`."""
+    """The log by name and content; what was no native or OSI MCAP is written as one, `log.mcap`."""
     path = source.path
-    if path is None or path.suffix.lower() != ".mcap":
+    if path is None or not source.is_mcap:
         path = folder / "log.mcap"
         write_scenario(path, scenario)
     digest = file_hash(path)

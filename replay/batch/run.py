@@ -102,6 +102,7 @@ def evaluate_logs(
     *,
     workers: int = 0,
     resume: bool = False,
+    window: float | None = None,
     on_start: Callable[[Selection, Path], None] = lambda selection, out: None,
     on_log: Callable[[LogResult], None] = lambda result: None,
 ) -> RunResult:
@@ -114,6 +115,7 @@ def evaluate_logs(
         workers: Number of child processes; 0 evaluates in this process. Results do not depend on it.
         resume: Take the logs that an interrupted run into `out` has finished as they are (`replay.batch.resume`); the
             tables are the same, byte for byte, as those of a run that was never interrupted.
+        window: Seconds: each log is evaluated in parts of this length, each as a log of its own.
         on_start: Called once with what was selected and the result folder.
         on_log: Called as each log ends, in order of ending.
 
@@ -123,7 +125,7 @@ def evaluate_logs(
         PlannerError: None of the planners can be loaded.
     """
     run = run or RunConfig()
-    selection = select(logs) if logs else builtin_suite()
+    selection = select(logs, run.log, window) if logs else builtin_suite()
     gates = load_gates(run.gates_path, metrics=all_metrics(run))
     if run.gates_path is None:
         gates = gates.asked_of(mode.value for mode in run.modes)

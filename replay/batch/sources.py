@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from logs.catalogue import CATALOGUE
 from logs.errors import ConfigError, LogError
+from logs.readers import FORMATS, LogSettings, foreign, logs_in, read_log, reader_of, readers, windows
 from logs.scenario import Scenario
 
 LOG_CARD = "log.json"
@@ -20,31 +21,36 @@ LOG_CARD = "log.json"
 
 @dataclass(frozen=True)
 class LogSource:
-    """Where a log comes from: a file, or a family of the catalogue at its defaults.
+    """Where a log comes from: a file or folder of any format, or a family of the catalogue at its defaults.
 
     Attributes:
         label: What the user calls it.
-        path: The file; None for the catalogue.
+        path: The file or folder; None for the catalogue.
+        settings: How it is read.
     """
 
     label: str
     path: Path | None = None
+    settings: LogSettings = field(default_factory=LogSettings)
 
     def identity(self) -> str:
-        """What tells it from every other input: the file's name and hash, the family's name; LogError as `read`."""
-        return f"catalogue {self.label}" if self.path is None else f"{self.path.name} {file_hash(self.path)}"
+        """What tells it from every other input: the log's name and hash, the family's name; LogError as `read`."""
+        if self.path is None:
+            return f"catalogue {self.label}"
+        part = "" if self.settings == LogSettings() else f" {self.settings}"
+        return f"{self.path.name} {log_hash(self.path)}{part}"
 
     def read(self) -> Scenario:
         """The scenario; LogError where it cannot be read."""
         if self.path is None:
             return CATALOGUE[self.label].scenario()
-        if self.path.suffix.lower() == ".xml":
-            from logs.convert.commonroad import read_commonroad
+        return read_log(self.path, self.settings)
 
-            return read_commonroad(self.path)
-        from logs.mcap import read_scenario
-
-        return read_scenario(self.path)
+    @property
+    def is_mcap(self) -> bool:
+        """Whether it is a native or OSI MCAP that is read as it is: no copy of it is needed beside the results."""
+        reader = None if self.path is None else reader_of(self.path)
+        return reader is not None and reader.name == "native" and self.settings == LogSettings()
 
 
 @dataclass(frozen=True)
@@ -69,47 +75,60 @@ def builtin_suite() -> Selection:
     return Selection(tuple(LogSource(name) for name in CATALOGUE))
 
 
-def select(paths: Sequence[Path | str]) -> Selection:
-    """The logs that files and folders hold.
+def select(paths: Sequence[Path | str], settings: LogSettings | None = None, window: float | None = None) -> Selection:
+    """The logs that files and folders hold, of all formats in `logs.readers`.
 
-    A folder is searched for `*.mcap` and for `*.xml` that are CommonRoad scenarios. Results of earlier runs, hidden
-    files and second copies of the same bytes are left out.
+    A folder that is no log itself is searched for logs. Results of earlier runs, hidden files and second copies of the
+    same bytes are left out. With `window`, each log becomes its parts of so many seconds.
 
     Raises:
         ConfigError: A path does not exist, is of a kind that no reader knows, or nothing is left.
     """
+    settings = settings or LogSettings()
     kept: dict[str, LogSource] = {}
     dropped: list[str] = []
     for path in map(Path, paths):
-        candidates = list(_files(path))
+        candidates = list(_logs(path))
         if not candidates:
-            raise ConfigError(f"{path}: no logs in this folder; looked for *.mcap and CommonRoad *.xml, 0 found")
-        for file, reason in candidates:
-            digest = "" if reason else _identity(file)
+            looked = ", ".join(dict.fromkeys(reader.looks_for for reader in readers()))
+            raise ConfigError(f"{path}: no logs in this folder; looked for {looked}, 0 found; {FORMATS}")
+        for log, reason in candidates:
+            digest = "" if reason else _identity(log)
             twin = kept.get(digest)
             reason = reason or (f"the same bytes as {twin.label}" if twin else "")
             if reason:
-                dropped.append(f"{file}: {reason}")
+                dropped.append(f"{log}: {reason}")
             else:
-                kept[digest] = LogSource(str(file), file)
-    selection = Selection(tuple(kept.values()), tuple(dropped))
+                kept[digest] = LogSource(str(log), log, settings)
+    sources = tuple(kept.values()) if window is None else tuple(p for s in kept.values() for p in _parts(s, window))
+    selection = Selection(sources, tuple(dropped))
     if not kept:
         raise ConfigError(f"no logs to evaluate: {selection}")
     return selection
 
 
-def _files(path: Path) -> Iterator[tuple[Path, str]]:
-    """Candidate files under a path, each with the reason why it is left out ("" keeps it)."""
-    if path.is_dir():
-        for file in sorted(path.rglob("*")):
-            if file.suffix.lower() in (".mcap", ".xml") and file.is_file():
-                yield file, _objection(file, path)
-    elif not path.exists():
+def _parts(source: LogSource, window: float) -> Iterator[LogSource]:
+    """The windows of a log; the log whole where it cannot be read (the evaluation will say why)."""
+    assert source.path is not None
+    try:
+        parts = windows(source.path, source.settings, window)
+    except LogError:
+        parts = (source.settings,)
+    for part in parts:
+        yield replace(source, label=f"{source.label} from {part.begin:g} s", settings=part)
+
+
+def _logs(path: Path) -> Iterator[tuple[Path, str]]:
+    """Candidates at a path, each with the reason why it is left out ("" keeps it)."""
+    if not path.exists():
         raise ConfigError(f"{path}: no such file or folder")
-    elif path.suffix.lower() not in (".mcap", ".xml"):
-        raise ConfigError(f"{path}: not a log that replan reads; expected .mcap, a CommonRoad .xml or a folder of them")
-    else:
+    if reader_of(path) is not None:
         yield path, ""
+    elif path.is_dir():
+        for log, reader in logs_in(path):
+            yield log, _objection(log, path) or ("" if reader else "no reader claims it")
+    else:
+        raise ConfigError(str(foreign(path)))
 
 
 def _objection(file: Path, folder: Path) -> str:
@@ -118,18 +137,25 @@ def _objection(file: Path, folder: Path) -> str:
         return "hidden"
     if (file.parent / LOG_CARD).exists():
         return "a result of an earlier run (name it to evaluate it)"
-    if file.suffix.lower() == ".xml":
-        with file.open("rb") as stream:
-            return "" if b"<commonRoad" in stream.read(4096) else "not a CommonRoad scenario"
     return ""
 
 
 def _identity(file: Path) -> str:
     """Hash of the bytes; the path where they cannot be read (the evaluation will say why)."""
     try:
-        return file_hash(file)
+        return log_hash(file)
     except LogError:
         return str(file.resolve())
+
+
+def log_hash(path: Path) -> str:
+    """SHA-256 of a log's bytes: of the file, or of the names and hashes of the files in its folder."""
+    reader = reader_of(path)
+    files = (path,) if reader is None else reader.files(path)
+    if files == (path,):
+        return file_hash(path)
+    listed = "".join(f"{file.relative_to(path)} {file_hash(file)}\n" for file in files)
+    return hashlib.sha256(listed.encode()).hexdigest()
 
 
 def file_hash(path: Path) -> str:

@@ -13,24 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from logs.errors import LogError
-from logs.mcap import native, osi
-from logs.mcap.container import Container, Stream, read_container
-from logs.mcap.reader import scenario_of
+from logs.readers import LogSettings, read_log, reader_of
+from logs.readers.base import Contents, TopicSummary
 from logs.road import Goal, Road, RoadSource
 from logs.scenario import Scenario
-
-
-@dataclass(frozen=True)
-class TopicSummary:
-    """One topic: what is on it, how often, from when to when (log time, ns; None without messages)."""
-
-    topic: str
-    schema: str
-    encoding: str
-    schema_encoding: str
-    messages: int
-    first_ns: int | None
-    last_ns: int | None
+from logs.vehicle import VehicleParameters
 
 
 @dataclass(frozen=True)
@@ -117,39 +104,28 @@ class LogSummary:
         return out
 
 
-def summarise(path: Path) -> LogSummary:
-    """What the file holds; damage and foreign formats are told in `error`, never raised."""
-    container = read_container(Path(path))
-    scenario, error = None, None
+def summarise(path: Path, settings: LogSettings | None = None) -> LogSummary:
+    """What a log of any format holds; damage and foreign formats are told in `error`, never raised."""
+    reader, scenario, error = reader_of(path), None, None
+    contents = Contents("not a log that replan reads") if reader is None else reader.contents(path)
     try:
-        scenario = scenario_of(container)
+        scenario = read_log(path, settings)
     except LogError as refusal:
         error = refusal
+    files = reader.files(path) if reader is not None and path.exists() else (path,)
     return LogSummary(
-        container.path,
-        _profile(container),
-        container.size,
-        tuple(_topic(stream) for stream in container.streams.values()),
+        path,
+        contents.profile or (reader.summary if reader is not None else ""),
+        sum(file.stat().st_size for file in files if file.is_file()),
+        contents.topics,
         None if scenario is None else _scenario(scenario),
-        () if scenario is None else evaluations(scenario, told="/vehicle" in container.streams),
+        () if scenario is None else evaluations(scenario, told=_tells_vehicle(scenario, contents)),
         error,
     )
 
 
-def _profile(container: Container) -> str:
-    if native.SCENARIO_RECORD in container.metadata:
-        version = container.metadata[native.SCENARIO_RECORD].get("format_version", "?")
-        what = "trace of a drive" if native.TRACE_RECORD in container.metadata else "scenario log"
-        return f"{what}, native format {version}"
-    stream = container.of_schema(*osi.SCHEMAS)
-    if stream is not None:
-        return f"ASAM OSI log, {stream.schema}"
-    return "not a log that replan reads" if container.streams else "no log"
-
-
-def _topic(stream: Stream) -> TopicSummary:
-    first, last = (stream.times[0], stream.times[-1]) if len(stream) else (None, None)
-    return TopicSummary(stream.topic, stream.schema, stream.encoding, stream.schema_encoding, len(stream), first, last)
+def _tells_vehicle(scenario: Scenario, contents: Contents) -> bool:
+    return scenario.vehicle != VehicleParameters() or any(topic.topic == "/vehicle" for topic in contents.topics)
 
 
 def _scenario(scenario: Scenario) -> ScenarioSummary:

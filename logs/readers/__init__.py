@@ -1,0 +1,153 @@
+"""Every log in: one table of readers, asked in order; the first that claims a path reads it.
+
+Adding a format is one file with a `Reader` and one line in `BUILTIN`; from another distribution, an entry point of the
+group `replan.readers` that names a `Reader`:
+
+    [project.entry-points."replan.readers"]
+    mine = "my_package.reader:READER"
+
+Modules:
+    base.py         what a reader is, and the settings of a run's [log] table
+    cut.py          a part of a scenario by time, for readers that read a log whole
+    commonroad.py   CommonRoad XML
+    native.py       replan's own MCAP and ASAM OSI in MCAP: the last word on any .mcap
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from functools import cache
+from importlib.metadata import entry_points
+from math import inf
+from pathlib import Path
+
+from logs.errors import ConfigError, LogError, unknown_name
+from logs.readers import commonroad, native
+from logs.readers.base import LogSettings, Reader
+from logs.readers.cut import cut
+from logs.scenario import Scenario
+
+BUILTIN = (commonroad.READER, native.READER)
+"""In the order in which they are asked."""
+GROUP = "replan.readers"
+FORMATS = "`replan convert --formats` lists what replan reads and how a format is added"
+_SHOWN = 8
+
+__all__ = [
+    "BUILTIN",
+    "FORMATS",
+    "LogSettings",
+    "Reader",
+    "logs_in",
+    "read_log",
+    "reader_called",
+    "reader_of",
+    "readers",
+]
+
+
+@cache
+def readers() -> tuple[Reader, ...]:
+    """All readers, those of other distributions first.
+
+    Raises:
+        ConfigError: An entry point cannot be loaded or is no `Reader`, or two readers have one name.
+    """
+    found: list[Reader] = []
+    for entry in sorted(entry_points(group=GROUP), key=lambda each: each.name):
+        try:
+            reader = entry.load()
+        except Exception as error:  # whatever a foreign module raises when it is imported
+            raise ConfigError(f"the reader {entry.value} cannot be loaded: {type(error).__name__}: {error}") from error
+        if not isinstance(reader, Reader):
+            raise ConfigError(f"the reader {entry.value} is no logs.readers.Reader, but {type(reader).__name__}")
+        found.append(reader)
+    found += BUILTIN
+    names = [reader.name for reader in found]
+    twice = {name for name in names if names.count(name) > 1}
+    if twice:
+        raise ConfigError(f"there are two readers called '{min(twice)}'; rename or uninstall one")
+    return tuple(found)
+
+
+def reader_called(name: str) -> Reader:
+    """A reader by its name; ConfigError where there is none."""
+    table = {reader.name: reader for reader in readers()}
+    if name not in table:
+        raise unknown_name("reader", name, table)
+    return table[name]
+
+
+def reader_of(path: Path) -> Reader | None:
+    """The reader that claims a file or folder, or None."""
+    return next((reader for reader in readers() if reader.claims(path)), None)
+
+
+def read_log(path: Path, settings: LogSettings | None = None, reader: Reader | None = None) -> Scenario:
+    """The scenario in a log of any format; `reader` None: the one that claims it.
+
+    Raises:
+        LogError: The log is damaged, foreign, or lacks what a scenario needs; nothing else is raised for any bytes.
+    """
+    settings = settings or LogSettings()
+    reader = reader or reader_of(path)
+    if reader is None:
+        raise foreign(path)
+    try:
+        scenario = reader.read(path, settings)
+        return scenario if reader.cuts else cut(scenario, settings.begin, settings.end)
+    except LogError as error:
+        raise error if error.file is not None else error.at(path) from None
+
+
+def foreign(path: Path) -> LogError:
+    """The error for what no reader claims: what was found, and the way there."""
+    if not path.exists():
+        return LogError("no such file or folder", file=path)
+    if path.is_dir():
+        names = sorted(entry.name for entry in path.iterdir())
+        held = ", ".join(names[:_SHOWN]) + (f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else "")
+        return LogError(f"not a log that replan reads; the folder holds {held or 'nothing'}", file=path, remedy=FORMATS)
+    try:
+        with path.open("rb") as stream:
+            begin = stream.read(8)
+    except OSError as error:
+        return LogError(f"cannot be read: {error.strerror or error}", file=path)
+    what = f"not a log that replan reads; a {path.suffix or 'nameless'} file that begins with {begin!r}"
+    return LogError(what, file=path, remedy=FORMATS)
+
+
+def logs_in(folder: Path) -> Iterator[tuple[Path, Reader | None]]:
+    """What lies under a folder, sorted: logs with their readers; files named like logs that none claims, with None.
+
+    A claimed folder is one log and is not searched.
+    """
+    for root, folders, files in os.walk(folder):
+        found = {Path(root, name): reader_of(Path(root, name)) for name in (*folders, *files)}
+        folders[:] = sorted(name for name in folders if found[Path(root, name)] is None)
+        suffixes = {suffix for reader in readers() for suffix in reader.suffixes}
+        for path in sorted(found):
+            if found[path] is not None or (path.name not in folders and path.suffix.lower() in suffixes):
+                yield path, found[path]
+
+
+def windows(path: Path, settings: LogSettings, length: float) -> tuple[LogSettings, ...]:
+    """The parts of `length` s of a log between `begin` and `end`; the last is left out if it has less than half.
+
+    Raises:
+        LogError: The log does not say cheaply how long it is.
+    """
+    reader = reader_of(path)
+    span = reader.span(path) if reader is not None else None
+    if span is None and settings.end == inf:
+        scenario = read_log(path, settings)
+        span = settings.begin, settings.begin + scenario.duration
+    end = settings.end if span is None else min(settings.end, span[1])
+    return tuple(settings.between(*part) for part in _parts(settings.begin, end, length))
+
+
+def _parts(begin: float, end: float, length: float) -> Iterator[tuple[float, float]]:
+    count = max(1, int((end - begin) / length + 0.5))
+    for k in range(count):
+        yield begin + k * length, min(begin + (k + 1) * length, end)

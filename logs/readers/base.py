@@ -1,0 +1,116 @@
+"""What a reader of a log format is: one value `Reader` per file, and the settings that all of them take."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from math import inf
+from pathlib import Path
+
+from logs.scenario import Scenario
+
+
+@dataclass(frozen=True)
+class LogSettings:
+    """The `[log]` table of a run: what a log does not say, or where it says it. Readers use what their format needs.
+
+    Attributes:
+        ego: Id of the road user who is taken as the ego; "": the one that the log names.
+        problem: Planning problem of a CommonRoad file, by id or by place from 1; 0: the first.
+        map: Path of a map that replaces the log's (Lanelet2 .osm, 123D map.arrow, OpenDRIVE .xodr); "": the log's own.
+        begin: Seconds after the log's first ego state at which the scenario begins.
+        end: And at which it ends, s; inf: with the log.
+        clock: Times of messages: "log" when they were recorded, "header" as stamped by their sender.
+        topics: Topic or file by role ("ego", "agents", "lights", "goal", "plan", "steering" ...), where the choice by
+            type is not the right one.
+        frames: Name of the log's frame by role: "map" and "base" (rear axle) of transforms.
+        columns: Column of a table by the name that replan has for it ("x": "pos_east_m").
+        car: Sizes of the ego, m, where the log has none: "length", "width", "wheelbase", "rear_overhang".
+    """
+
+    ego: str = ""
+    problem: int = 0
+    map: str = ""
+    begin: float = 0.0
+    end: float = inf
+    clock: str = "log"
+    topics: Mapping[str, str] = field(default_factory=dict)
+    frames: Mapping[str, str] = field(default_factory=dict)
+    columns: Mapping[str, str] = field(default_factory=dict)
+    car: Mapping[str, float] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.begin < self.end:
+            raise ValueError(f"a log from {self.begin} s to {self.end} s is empty: end must be after begin, both >= 0")
+        if self.clock not in ("log", "header"):
+            raise ValueError(f"clock is {self.clock!r}: log or header")
+        if not all(value > 0.0 for value in self.car.values()):
+            raise ValueError("the sizes in car must be positive")
+
+    def between(self, begin: float, end: float) -> LogSettings:
+        """The same, of another part of the log."""
+        return replace(self, begin=begin, end=end)
+
+
+@dataclass(frozen=True)
+class TopicSummary:
+    """One topic or table: what is on it, how often, from when to when (log time, ns; None without messages)."""
+
+    topic: str
+    schema: str
+    encoding: str
+    schema_encoding: str
+    messages: int
+    first_ns: int | None
+    last_ns: int | None
+
+
+@dataclass(frozen=True)
+class Contents:
+    """What a log holds, for `replan inspect`: its format in words ("": the reader's summary) and its topics."""
+
+    profile: str = ""
+    topics: tuple[TopicSummary, ...] = ()
+
+
+def _nothing(path: Path) -> Contents:
+    return Contents()
+
+
+def _itself(path: Path) -> tuple[Path, ...]:
+    return (path,)
+
+
+def _unknown_span(path: Path) -> tuple[float, float] | None:
+    return None
+
+
+@dataclass(frozen=True)
+class Reader:
+    """One format.
+
+    Attributes:
+        name: As in `replan convert NAME` and in messages.
+        summary: What it is, in one line.
+        looks_for: What is looked for in a folder, in words ("*.bag").
+        suffixes: Of its files (".bag"): one that has such a name and is claimed by no reader is named as left out.
+        claims: Whether a path, file or folder, is a log of this format; cheap, raises nothing on any bytes.
+        read: The scenario; raises LogError, and nothing else, on any bytes.
+        files: The files of a log, in a fixed order: what its identity is hashed from.
+        span: Seconds from the log's first to its last moment, cheaply; None where that needs all of it.
+        contents: Its topics, as far as they can be read; raises nothing.
+        settings: The keys of `LogSettings` that it reads besides `begin` and `end`, which hold for all.
+        cuts: Whether it reads only the part between `begin` and `end` itself.
+    """
+
+    name: str
+    summary: str
+    looks_for: str
+    suffixes: tuple[str, ...]
+    claims: Callable[[Path], bool]
+    read: Callable[[Path, LogSettings], Scenario]
+    files: Callable[[Path], tuple[Path, ...]] = _itself
+    span: Callable[[Path], tuple[float, float] | None] = _unknown_span
+    contents: Callable[[Path], Contents] = _nothing
+    settings: tuple[str, ...] = ()
+    cuts: bool = False

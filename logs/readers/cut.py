@@ -1,0 +1,86 @@
+"""A part of a scenario by time: its begin becomes t = 0, what lies outside is left out.
+
+The ego begins and ends there exactly, interpolated. Tracks keep the samples from `HISTORY_S` before the
+begin to the first after the end, so that whoever was there is seen and their motion is known; lights what they showed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import inf
+
+import numpy as np
+
+from logs.errors import LogError
+from logs.kernel import BoolArray, FloatArray
+from logs.rules import TrafficLight
+from logs.scenario import Scenario, Tracks
+from logs.states import Controls, Trajectory
+
+HISTORY_S = 2.0
+"""More than `logs.presence.MAX_GAP_S`: a sample that is older stands for nobody any more."""
+
+
+def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
+    """The part from `begin` to `end`, s after the scenario's start; all of it: the same object.
+
+    Raises:
+        LogError: The ego's log has nothing in that part.
+    """
+    ego = scenario.ego
+    if begin <= 0.0 and end >= scenario.duration:
+        return scenario
+    first, last = max(begin, float(ego.t[0])), min(end, float(ego.t[-1]))
+    if not first < last:
+        if len(ego) == 1:
+            raise LogError("the log has one ego state, its start: there is no part to choose", remedy="drive all of it")
+        what = f"no ego states between {begin:g} s and {end:g} s: they are from {ego.t[0]:g} s to {ego.t[-1]:g} s"
+        raise LogError(what, remedy="choose begin and end within the log")
+    t = np.r_[first, ego.t[(ego.t > first) & (ego.t < last)], last]
+    moved = ego.resampled(t)
+    columns = (getattr(moved, name) for name in ("x", "y", "yaw", "v", "a", "kappa"))
+    goal = scenario.goal
+    if goal is not None and goal.t is not None:
+        goal = replace(goal, t=(goal.t[0] - begin, goal.t[1] - begin))
+    return replace(
+        scenario,
+        name=f"{scenario.name}@{begin:g}",
+        ego=Trajectory(t - begin, *columns),
+        tracks=_tracks(scenario.tracks, begin, end),
+        duration=min(end, scenario.duration) - begin,
+        goal=goal,
+        controls=None if scenario.controls is None else _controls(scenario.controls, begin, end),
+        start_ns=scenario.start_ns + round(1e9 * begin),
+        notes=(*scenario.notes, f"This is the part from {begin:g} s to {min(end, scenario.duration):g} s of the log."),
+        lights=tuple(light for light in (_light(each, begin, end) for each in scenario.lights) if light is not None),
+    )
+
+
+def _tracks(tracks: Tracks, begin: float, end: float) -> Tracks:
+    owner = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets))
+    before = np.r_[-inf, tracks.t[:-1]]
+    before[tracks.offsets[:-1]] = -inf
+    keep = (tracks.t >= begin - HISTORY_S) & ((tracks.t <= end) | (before < end) & np.isfinite(before))
+    keep |= tracks.static[owner]
+    return tracks.taken(keep).shifted(-begin)
+
+
+def _controls(controls: Controls, begin: float, end: float) -> Controls | None:
+    keep = (controls.t >= begin) & (controls.t <= end)
+    if not keep.any():
+        return None
+    return Controls(controls.t[keep] - begin, *(_columns(controls, keep)))
+
+
+def _columns(controls: Controls, keep: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    return controls.steer[keep], controls.throttle[keep], controls.brake[keep]
+
+
+def _light(light: TrafficLight, begin: float, end: float) -> TrafficLight | None:
+    """The light from the last change before the begin on; None where it was not observed before the end."""
+    before = max(int(np.searchsorted(light.t, begin, side="right")) - 1, 0)
+    keep = np.flatnonzero(light.t <= end)
+    keep = keep[keep >= before]
+    if not len(keep):
+        return None
+    return TrafficLight(light.id, light.t[keep] - begin, tuple(light.colours[i] for i in keep))

@@ -1,0 +1,77 @@
+"""`replan convert`: logs of any format to native MCAP, and the list of formats."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+
+from logs.errors import ConfigError, LogError
+from logs.mcap import write_scenario
+from logs.readers import GROUP, LogSettings, Reader, logs_in, read_log, reader_called, reader_of, readers
+
+
+def listing() -> Iterator[str]:
+    """The formats, a line each, and how one is added."""
+    width = max(len(reader.name) for reader in readers())
+    for reader in readers():
+        keys = f"; [log] {', '.join(reader.settings)}" if reader.settings else ""
+        yield f"{reader.name:{width}}  {reader.summary} ({reader.looks_for}{keys})"
+    yield f"Yours: a logs.readers.Reader, named by an entry point of the group {GROUP}; see logs/readers/base.py."
+
+
+def convert_all(
+    logs: Sequence[Path],
+    out: Path,
+    settings: LogSettings,
+    *,
+    say: Callable[[str], None],
+    say_error: Callable[[str], None],
+) -> bool:
+    """Write logs as native MCAP: into `out` if that is named .mcap, else into that folder; whether all could be read.
+
+    A first name that is no path and a reader's asks for that reader: it takes the files whatever their names are.
+
+    Raises:
+        ConfigError: Several logs are to go into one file, or there is nothing to convert.
+    """
+    reader = None
+    if not logs[0].exists() and str(logs[0]) in {each.name for each in readers()}:
+        reader, logs = reader_called(str(logs[0])), logs[1:]
+    found = [log for path in logs for log in _logs_at(path)]
+    if not found:
+        raise ConfigError("no logs to convert; `replan convert --formats` lists what replan reads")
+    single = out.suffix == ".mcap"
+    if single and len(found) > 1:
+        raise ConfigError(f"{len(found)} logs do not go into one log: give a folder with -o")
+    done = [_converted(log, out if single else out / _name(log), settings, reader, say, say_error) for log in found]
+    return all(done)
+
+
+def _logs_at(path: Path) -> Iterator[Path]:
+    if path.is_dir() and reader_of(path) is None:
+        yield from (log for log, reader in logs_in(path) if reader is not None)
+    else:
+        yield path
+
+
+def _name(log: Path) -> str:
+    return f"{log.name if log.is_dir() else log.stem.removesuffix('.cr')}.mcap"
+
+
+def _converted(
+    log: Path,
+    target: Path,
+    settings: LogSettings,
+    reader: Reader | None,
+    say: Callable[[str], None],
+    say_error: Callable[[str], None],
+) -> bool:
+    try:
+        scenario = read_log(log, settings, reader)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        write_scenario(target, scenario)
+    except LogError as error:
+        say_error(str(error))
+        return False
+    say("\n".join([str(target), *(f"    note: {note}" for note in scenario.notes)]))
+    return True

@@ -1,0 +1,153 @@
+"""The table of readers: one claims a log, foreign ones are sent on, a part of a log is that part."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from math import inf
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap_cases import rich_scenario
+
+import logs.readers as table
+from logs import ConfigError, LogError, Scenario
+from logs.catalogue import CATALOGUE
+from logs.mcap import read_scenario, write_scenario
+from logs.readers import LogSettings, Reader, logs_in, read_log, reader_of, readers, windows
+from logs.readers.cut import cut
+from replay.batch.sources import LogSource, select
+
+SCENARIO = CATALOGUE["everyday/cut_in"].scenario()
+
+
+@given(st.floats(0.0, 4.0), st.floats(0.5, 3.0))
+@settings(max_examples=30, deadline=None)
+def test_a_part_is_that_part_of_the_log(begin: float, length: float) -> None:
+    part = cut(SCENARIO, begin, begin + length)
+    assert part.duration == pytest.approx(length) and part.start_ns == SCENARIO.start_ns + round(1e9 * begin)
+    for t in np.linspace(0.0, length, 7):
+        here, there = part.ego.at(float(t)), SCENARIO.ego.at(float(t) + begin)
+        assert (here.x, here.y, here.yaw, here.v) == pytest.approx((there.x, there.y, there.yaw, there.v), abs=1e-9)
+        seen, known = part.tracks.truth(float(t)), SCENARIO.tracks.truth(float(t) + begin)
+        assert seen.ids == known.ids and seen.x == pytest.approx(known.x, abs=1e-6)
+
+
+@given(st.floats(0.1, 2.0), st.floats(0.1, 2.0))
+@settings(max_examples=20, deadline=None)
+def test_a_part_of_a_part_is_a_part(first: float, second: float) -> None:
+    twice, once = cut(cut(SCENARIO, first), second), cut(SCENARIO, first + second)
+    assert twice.ego.x == pytest.approx(once.ego.x[-len(twice.ego) :], abs=1e-9)
+    assert twice.duration == pytest.approx(once.duration)
+
+
+def test_the_whole_is_the_same_object_and_beyond_the_log_is_an_error() -> None:
+    assert cut(SCENARIO, 0.0) is SCENARIO and cut(SCENARIO, 0.0, inf) is SCENARIO
+    with pytest.raises(LogError, match=r"no ego states between 500 s and inf s: they are from 0 s to"):
+        cut(SCENARIO, 500.0)
+
+
+def test_a_cut_log_keeps_lights_controls_and_goal(tmp_path: Path) -> None:
+    whole = rich_scenario(40)
+    path = tmp_path / "rich.mcap"
+    write_scenario(path, whole)
+    begin = 0.5 * float(whole.ego.t[-1])
+    part = read_log(path, LogSettings(begin=begin))
+    assert [light.id for light in part.lights] == [light.id for light in whole.lights]
+    for light, before in zip(part.lights, whole.lights, strict=True):
+        assert light.at(0.01) == before.at(begin + 0.01)
+    assert whole.controls is not None and part.controls is not None
+    assert len(part.controls) == int((whole.controls.t >= begin).sum())
+    write_scenario(tmp_path / "part.mcap", part)
+    assert read_scenario(tmp_path / "part.mcap").ego.x.tolist() == part.ego.x.tolist()
+
+
+def test_windows_cover_the_log(tmp_path: Path) -> None:
+    write_scenario(tmp_path / "log.mcap", SCENARIO)
+    parts = windows(tmp_path / "log.mcap", LogSettings(), 3.0)
+    assert parts[0].begin == 0.0 and parts[-1].end == pytest.approx(SCENARIO.duration)
+    assert all(one.end == other.begin for one, other in pairwise(parts))
+    sources = select([tmp_path], window=3.0).sources
+    assert [source.settings for source in sources] == list(parts)
+    assert len({source.identity() for source in sources}) == len(parts)
+    assert sources[1].read().duration == pytest.approx(3.0)
+
+
+def test_the_settings_are_part_of_what_a_log_is(tmp_path: Path) -> None:
+    path = tmp_path / "log.mcap"
+    write_scenario(path, SCENARIO)
+    plain, late = LogSource("log", path), LogSource("log", path, LogSettings(begin=1.0))
+    assert plain.is_mcap and not late.is_mcap and plain.identity() != late.identity()
+
+
+def test_settings_are_checked() -> None:
+    for wrong, word in (
+        ({"begin": 2.0, "end": 1.0}, "empty"),
+        ({"clock": "wall"}, "clock"),
+        ({"car": {"width": -1.0}}, "positive"),
+    ):
+        with pytest.raises(ValueError, match=word):
+            LogSettings(**wrong)
+
+
+class _Entry:
+    """An entry point."""
+
+    def __init__(self, loaded: Any) -> None:
+        self.name, self.value, self.loaded = "mine", "my_package.reader:READER", loaded
+
+    def load(self) -> Any:
+        if isinstance(self.loaded, Exception):
+            raise self.loaded
+        return self.loaded
+
+
+@pytest.fixture
+def installed(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Installs a reader of another distribution."""
+
+    def install(loaded: Any) -> None:
+        monkeypatch.setattr(table, "entry_points", lambda group: [_Entry(loaded)])
+        readers.cache_clear()
+
+    yield install
+    monkeypatch.undo()
+    readers.cache_clear()
+
+
+def _mine(path: Path, settings: LogSettings) -> Scenario:
+    if path.read_text(encoding="utf-8") != "drive":
+        raise LogError("not a drive")
+    return replace(SCENARIO, name=f"mine {settings.ego}")
+
+
+MINE = Reader("mine", "a format of a team", "*.mine", (".mine",), lambda path: path.suffix == ".mine", _mine)
+
+
+def test_a_reader_from_outside_reads_its_format_everywhere(installed: Any, tmp_path: Path) -> None:
+    installed(MINE)
+    path = tmp_path / "folder" / "a.mine"
+    path.parent.mkdir()
+    path.write_text("drive", encoding="utf-8")
+    assert reader_of(path) is MINE and list(logs_in(tmp_path)) == [(path, MINE)]
+    assert select([tmp_path]).sources[0].read().name == "mine "
+    assert read_log(path, LogSettings(ego="7", begin=1.0)).name == "mine 7@1"
+    path.write_text("nothing", encoding="utf-8")
+    with pytest.raises(LogError) as error:
+        read_log(path)
+    assert str(error.value) == f"{path}: not a drive"
+
+
+def test_a_reader_that_cannot_be_used_is_named(installed: Any) -> None:
+    for loaded, word in (
+        (ImportError("no module x"), "my_package.reader:READER cannot be loaded: ImportError: no module x"),
+        (42, "my_package.reader:READER is no logs.readers.Reader, but int"),
+        (replace(MINE, name="native"), "two readers called 'native'"),
+    ):
+        installed(loaded)
+        with pytest.raises(ConfigError, match=word):
+            readers()

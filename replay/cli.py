@@ -350,6 +350,10 @@ def inspect(
         typer.echo("\n".join(summary.lines()))
         if summary.error is not None:
             raise typer.Exit(3)
+        if summary.read is not None:
+            from metrics.health import report
+
+            typer.echo("\n".join(report(summary.read)))
 
 
 @app.command()

@@ -1,6 +1,6 @@
 """The command line: words in, exit code out; no logic here.
 
-`replan evaluate | synth | convert | inspect | view | metrics | paper | calibrate`
+`replan evaluate | synth | convert | inspect | salvage | view | metrics | paper | calibrate`
 """
 
 from __future__ import annotations
@@ -354,6 +354,22 @@ def inspect(
             from metrics.health import report
 
             typer.echo("\n".join(report(summary.read)))
+
+
+@app.command()
+def salvage(
+    damaged: Annotated[Path, typer.Argument(help="A damaged MCAP file, of any kind.")],
+    out: Annotated[Path, typer.Argument(help="The MCAP file to write.")],
+) -> None:
+    """Keep every intact chunk of a damaged MCAP file, and name what was lost."""
+    with answered():
+        from logs.mcap.salvage import salvage as save
+
+        if not damaged.is_file():
+            raise ConfigError(f"{damaged}: no such file")
+        if out.exists():
+            raise ConfigError(f"{out}: exists already; name a new file")
+        typer.echo("\n".join([str(out), *(f"    {line}" for line in save(damaged, out).lines())]))
 
 
 @app.command()

@@ -10,6 +10,7 @@ Modules:
     base.py         what a reader is, and the settings of a run's [log] table
     cut.py          a part of a scenario by time, for readers that read a log whole
     commonroad.py   CommonRoad XML
+    table.py        pandas frames, CSV and Parquet
     native.py       replan's own MCAP and ASAM OSI in MCAP: the last word on any .mcap
 """
 
@@ -22,13 +23,15 @@ from importlib.metadata import entry_points
 from math import inf
 from pathlib import Path
 
+import numpy as np
+
 from logs.errors import ConfigError, LogError, unknown_name
-from logs.readers import commonroad, native
+from logs.readers import commonroad, native, table
 from logs.readers.base import LogSettings, Reader
 from logs.readers.cut import cut
 from logs.scenario import Scenario
 
-BUILTIN = (commonroad.READER, native.READER)
+BUILTIN = (commonroad.READER, table.READER, native.READER)
 """In the order in which they are asked."""
 GROUP = "replan.readers"
 FORMATS = "`replan convert --formats` lists what replan reads and how a format is added"
@@ -95,7 +98,8 @@ def read_log(path: Path, settings: LogSettings | None = None, reader: Reader | N
     if reader is None:
         raise foreign(path)
     try:
-        scenario = reader.read(path, settings)
+        with np.errstate(all="ignore"):  # absurd numbers are refused as such
+            scenario = reader.read(path, settings)
         return scenario if reader.cuts else cut(scenario, settings.begin, settings.end)
     except LogError as error:
         raise error if error.file is not None else error.at(path) from None

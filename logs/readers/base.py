@@ -6,8 +6,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from math import inf
 from pathlib import Path
+from typing import Any
 
+from logs.errors import LogError
 from logs.scenario import Scenario
+from logs.vehicle import VehicleParameters
 
 
 @dataclass(frozen=True)
@@ -46,6 +49,22 @@ class LogSettings:
             raise ValueError(f"clock is {self.clock!r}: log or header")
         if not all(value > 0.0 for value in self.car.values()):
             raise ValueError("the sizes in car must be positive")
+
+    def vehicle(self) -> VehicleParameters:
+        """The default car with the sizes of `car`.
+
+        Raises:
+            LogError: They make no vehicle.
+        """
+        known = "length", "width", "wheelbase", "rear_overhang"
+        if not set(self.car) <= set(known):
+            wrong = min(set(self.car) - set(known))
+            raise LogError(f"car has no {wrong}", topic="[log]", remedy=f"its keys are {', '.join(known)}")
+        sizes: dict[str, Any] = dict(self.car)
+        try:
+            return replace(VehicleParameters(), **sizes)
+        except ValueError as error:
+            raise LogError(str(error), topic="[log]") from None
 
     def between(self, begin: float, end: float) -> LogSettings:
         """The same, of another part of the log."""

@@ -30,6 +30,12 @@ class AgentKind(Enum):
         return self in (AgentKind.PEDESTRIAN, AgentKind.BICYCLE, AgentKind.MOTORCYCLE)
 
 
+USUAL_SIZE_M = {
+    AgentKind.CAR: (4.5, 1.8), AgentKind.TRUCK: (8.0, 2.5), AgentKind.BUS: (12.0, 2.5),
+    AgentKind.MOTORCYCLE: (2.2, 0.8), AgentKind.BICYCLE: (1.8, 0.7), AgentKind.PEDESTRIAN: (0.5, 0.5),
+    AgentKind.OBJECT: (1.0, 1.0),
+}  # fmt: skip
+"""Length and width where a log has none, m."""
 _CODE = {kind: code for code, kind in enumerate(AgentKind)}
 
 

@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from logs.agents import USUAL_SIZE_M
 from logs.errors import LogError
 from logs.kernel import FloatArray
 from logs.mcap.complete import completed, road_along
@@ -41,12 +42,6 @@ UNITS = {
 }  # fmt: skip
 """Factor to our unit of each that may stand in brackets behind a column's name."""
 TIMES = {"t": 1.0, "t_ms": 1e-3, "t_us": 1e-6, "t_ns": 1e-9}
-SIZES = {
-    AgentKind.CAR: (4.5, 1.8), AgentKind.TRUCK: (8.0, 2.5), AgentKind.BUS: (12.0, 2.5),
-    AgentKind.MOTORCYCLE: (2.2, 0.8), AgentKind.BICYCLE: (1.8, 0.7), AgentKind.PEDESTRIAN: (0.5, 0.5),
-    AgentKind.OBJECT: (1.0, 1.0),
-}  # fmt: skip
-"""Length and width where a log has none, m."""
 ALIASES = {
     "vehicle": "car", "person": "pedestrian", "cyclist": "bicycle", "motorcyclist": "motorcycle", "van": "car",
     "bike": "bicycle", "motorbike": "motorcycle", "unknown": "object", "static": "object", "trailer": "truck",
@@ -290,7 +285,7 @@ def _sizes(
     table: _Table, name: str, order: Any, first: Any, kinds: tuple[AgentKind, ...], notes: list[str]
 ) -> FloatArray:
     """The median of each agent's rows; by kind where there is none."""
-    usual = np.array([SIZES[kind][name == "width"] for kind in kinds])
+    usual = np.array([USUAL_SIZE_M[kind][name == "width"] for kind in kinds])
     if not table.has(name):
         notes.append(f"The log has no {name} of the agents: it is assumed by their kind.")
         return usual

@@ -23,7 +23,9 @@ TREND_S = 1.0
 """Yaw rate and acceleration are backward differences over at most this; one sample back where samples are rarer."""
 FINDING = "reference_"
 """Metadata entries that begin so are what the replay found out about a scenario: never read from a log."""
-__all__ = ["FINDING", "AgentKind", "Agents", "Scenario", "Tracks"]
+EGO_POSE, CENTRE = "ego_pose", "box centre"
+"""Metadata entry, and its value where the log has poses of the ego's box centre, not of its rear axle."""
+__all__ = ["CENTRE", "EGO_POSE", "FINDING", "AgentKind", "Agents", "Scenario", "Tracks"]
 _TURNING = among(*(kind for kind in AgentKind if kind is not AgentKind.PEDESTRIAN))
 _SHOWN = ("length", "width", "x", "y", "yaw", "vx", "vy", "yaw_rate", "accel")
 _NOT_ASKED = frozen(np.empty(0))
@@ -379,6 +381,15 @@ class Scenario:
         object.__setattr__(self, "lights", tuple(sorted(self.lights, key=lambda light: light.id)))
         if len({light.id for light in self.lights}) < len(self.lights):
             raise ValueError("two traffic lights have the same id")
+
+    def in_vehicle(self, vehicle: VehicleParameters) -> Scenario:
+        """The scenario with another ego vehicle: the rear axle stays, or the box centre if the log's poses are such."""
+        ahead = self.vehicle.axle_to_center - vehicle.axle_to_center
+        if self.metadata.get(EGO_POSE) != CENTRE or ahead == 0.0:
+            return replace(self, vehicle=vehicle)
+        ego = self.ego
+        x, y = ego.x + ahead * np.cos(ego.yaw), ego.y + ahead * np.sin(ego.yaw)
+        return replace(self, vehicle=vehicle, ego=replace(ego, x=x, y=y))
 
     @property
     def is_recorded(self) -> bool:

@@ -88,7 +88,7 @@ def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> 
             scenario = source.read()
             result = _identified(source, scenario, partial)
             progress.log = scenario.name
-            driven = with_avoidability(replace(scenario, vehicle=run.driven(scenario.vehicle)))
+            driven = with_avoidability(scenario.in_vehicle(run.driven(scenario.vehicle)))
             _drive_all(driven, run, partial, result.folder, progress)
             for member in range(1, run.ensemble + 1):
                 _drive_member(driven, run, member, progress)

@@ -45,7 +45,7 @@ import numpy as np
 
 from logs.kernel import FloatArray, kernel
 from planners.piecewise_jerk.band import back_substitute, factorise
-from planners.piecewise_jerk.problem import DDDX, PiecewiseJerkProblem
+from planners.piecewise_jerk.problem import DDDX, PiecewiseJerkProblem, largest_violation
 from planners.piecewise_jerk.spline import Rows, apply, coast, curve_of, gather, multiply, rows_of
 
 SOLVED, SPENT, INFEASIBLE, BROKEN, CROSSED, NOT_FINITE = 1, 2, 3, 4, 5, 6
@@ -134,6 +134,7 @@ class Solution(NamedTuple):
         iterations: Matrices factorised.
         primal: Largest residual of (5), m; `dual` of (4), m.
         gap: Sum of the products (6), m2.
+        violation: Largest, of the problem's bounds, in the units of the row (`largest_violation`).
     """
 
     curve: FloatArray
@@ -142,6 +143,7 @@ class Solution(NamedTuple):
     primal: float
     dual: float
     gap: float
+    violation: float
 
 
 @kernel
@@ -156,8 +158,9 @@ def solve(problem: PiecewiseJerkProblem, accuracy: float, max_iterations: int) -
         iteration = 1
         free = _to_free_optimum(rows, point, newton, step)
         if free <= RESIDUAL * accuracy and _is_inside(rows, point):
-            return Solution(curve_of(point.c, problem.step), SOLVED, iteration, 0.0, free, 0.0)
-    _open(rows, point)
+            status, primal, dual, gap = SOLVED, 0.0, free, 0.0
+    if status == SPENT:
+        _open(rows, point)
     least = FLOOR * 0.5 * accuracy**2 / point.slack.size
     while status == SPENT:
         primal, dual, gap = _residuals(rows, point, newton)
@@ -179,7 +182,8 @@ def solve(problem: PiecewiseJerkProblem, accuracy: float, max_iterations: int) -
         _direction(rows, point, newton, step, proximal)
         primal_step, dual_step = _step_lengths(point, newton, step, TO_BOUNDARY, together)
         _advance(point, step, primal_step, dual_step)
-    return Solution(curve_of(point.c, problem.step), status, iteration, primal, dual, gap)
+    curve = curve_of(point.c, problem.step)
+    return Solution(curve, status, iteration, primal, dual, gap, largest_violation(problem, curve))
 
 
 @kernel

@@ -52,6 +52,8 @@ JOINED_M = 0.1
 """Regions nearer to each other than this are one, m."""
 NARROW = 0.5
 """Where a region is narrower than this share of its width, at its corners, its sides are not kept to."""
+NO_SIDES = np.empty((3, 0))
+"""(4) where there is no region."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +91,7 @@ class GoalWindow:
         )
         self._limit = np.column_stack([reference.line.s, reference.limit])
         self._road_end = float(reference.line.s[-1]) - vehicle.axle_to_front
-        self._sides = _sides(goal, reference) if goal else np.empty((3, 0))
+        self._sides = _sides(goal, reference) if goal else NO_SIDES
 
     @property
     def slow_zone(self) -> tuple[float, float, float] | None:
@@ -100,13 +102,10 @@ class GoalWindow:
         begin = self._region[0] if fastest > ROOM_MPS else float(self._region.mean())
         return float(begin), float(self._region[1]), max(fastest - ROOM_MPS, 0.5 * fastest)  # (1)
 
-    def sides(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(4) at increasing stations `(k, n)`: least and greatest offset, m; -inf and inf outside of the region."""
-        at, low, high = self._sides
-        if not len(at) or s[0, 0] > at[-1] or s[-1, -1] < at[0]:
-            return np.full(s.shape, -np.inf), np.full(s.shape, np.inf)
-        low, high = (np.interp(s, at, side, np.nan, np.nan) for side in (low, high))
-        return np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
+    def sides(self, begin: float, end: float) -> FloatArray:
+        """Rows station, least and greatest offset `(3, n)` of (4), m; empty where none are between two stations."""
+        at = self._sides[0]
+        return self._sides if len(at) and at[0] <= end and begin <= at[-1] else NO_SIDES
 
     def time_left(self, t: float) -> float:
         """How long the goal may still be reached, s; inf where it names no time or that is over."""
@@ -167,7 +166,7 @@ def _sides(goal: Goal, reference: ReferencePath) -> FloatArray:
     """
     begin, end = _region(goal, reference, BESIDE_M)
     if not np.isfinite(end):
-        return np.empty((3, 0))
+        return NO_SIDES
     step = max(ALONG_M, (end - begin) / ROWS)
     stations = np.arange(begin + 0.5 * step, end, step)
     pieces: list[list[tuple[float, float]]] = [[] for _ in stations]

@@ -142,6 +142,8 @@ def standing_obstacles(scene: Scene, length: float, *, facing: bool = False) -> 
         line.s, line.coef, agents.x, agents.y, agents.yaw, agents.length, agents.width, scene.standing, scene.agents.s,
         ego.x, ego.y, length + NEAR_PATH_M,
     )  # fmt: skip
+    if not len(rows):
+        return ()
     road = scene.reference.at(scene.agents.s[rows])
     left, right = (road.facing_left, road.facing_right) if facing else (road.road_left, road.road_right)
     found = [

@@ -46,12 +46,16 @@ def expected_speed(
     for i in range(len(limit)):
         out[i] = min(limit[i], sqrt(lateral / max(abs(kappa[i]), 1e-6)))
     for i in range(len(limit) - 2, -1, -1):
-        out[i] = min(out[i], sqrt(out[i + 1] ** 2 + 2.0 * decel * step))
+        most = out[i + 1] ** 2 + 2.0 * decel * step
+        if out[i] ** 2 > most:
+            out[i] = sqrt(most)
     out[0] = v0
     for i in range(1, len(limit)):
-        square = out[i - 1] ** 2
-        slowest, fastest = sqrt(max(square - 2.0 * decel * step, 0.0)), sqrt(square + 2.0 * accel * step)
-        out[i] = min(max(out[i], slowest), fastest)
+        least, most = out[i - 1] ** 2 - 2.0 * decel * step, out[i - 1] ** 2 + 2.0 * accel * step
+        if out[i] ** 2 > most:
+            out[i] = sqrt(most)
+        elif out[i] ** 2 < least:
+            out[i] = sqrt(least)
     return out
 
 

@@ -113,26 +113,22 @@ def road_ahead(
         standing: Stations from, to, of those who stand `(c, 2)`, m: (3) is left out where one does near the goal.
     """
     along, points = np.empty((3, n)), np.empty((6, len(ego.leads), n))
-    along[KNOT] = ego.start[0] + step * np.arange(n)
     for k in range(len(ego.leads)):
-        points[S, k] = along[KNOT] + ego.leads[k]
+        lead, turning = ego.leads[k], np.empty(n)
+        for i in range(n):
+            along[KNOT, i] = ego.start[0] + step * i
+            points[S, k, i], turning[i] = along[KNOT, i] + lead, along[KNOT, i] + AHEAD * lead
         road = sections(line_s, table, points[S, k])
         within_lane(road, points[S, k], borrowed, ego.side, points[LOWER, k], points[UPPER, k])
-        turned = road.kappa
-        if k == 0:
-            along[LIMIT], along[KAPPA] = road.limit, road.kappa
-        else:
-            turned = sections(line_s, table, along[KNOT] + AHEAD * ego.leads[k]).kappa
+        turned = road.kappa if k == 0 else sections(line_s, table, turning).kappa
         for i in range(n):
-            points[SWING, k, i] = swing_of(turned[i], ego.leads[k])
+            points[SWING, k, i] = swing_of(turned[i], lead)
+            if k == 0:
+                along[LIMIT, i], along[KAPPA, i] = road.limit[i], road.kappa[i]
     for_the_nose(points)
-    points[LEAST], points[MOST] = points[LOWER], points[UPPER]
-    aimed = towards(points, sides, standing)
+    towards(points, sides, standing)
     widened(points[S], points[LOWER], points[UPPER], ego.start)
-    if aimed:
-        widened(points[S], points[LEAST], points[MOST], ego.start)
-    else:
-        points[LEAST], points[MOST] = points[LOWER], points[UPPER]
+    widened(points[S], points[LEAST], points[MOST], ego.start)
     references, rows = loosened(along, points, points[LOWER], points[UPPER], HERE, ego, step, middle)
     return RoadAhead(along, points, references, rows)
 
@@ -175,7 +171,7 @@ def within_lane(
 
 @inner_kernel
 def for_the_nose(points: FloatArray) -> None:
-    """(2)."""
+    """(2), and the room with it as `LEAST` and `MOST`."""
     for i in range(points.shape[2]):
         least, most = -np.inf, np.inf
         for k in range(points.shape[1]):
@@ -185,24 +181,27 @@ def for_the_nose(points: FloatArray) -> None:
         for k in range(points.shape[1]):
             points[LOWER, k, i] -= more
             points[UPPER, k, i] += more
+            points[LEAST, k, i], points[MOST, k, i] = points[LOWER, k, i], points[UPPER, k, i]
 
 
 @inner_kernel
-def towards(points: FloatArray, sides: FloatArray, standing: FloatArray) -> bool:
-    """(3), where the sides are within reach; whether they are ahead and no one stands near the goal."""
+def towards(points: FloatArray, sides: FloatArray, standing: FloatArray) -> None:
+    """(3), where the sides are within reach and no one stands near the goal."""
     if sides.shape[1] == 0:
-        return False
+        return
     s, lower, upper = points[S], points[LOWER], points[UPPER]
     within = np.empty((2, s.shape[0], s.shape[1]))
     begin, end = np.inf, -np.inf
     for k in range(s.shape[0]):
         for i in range(s.shape[1]):
-            within[0, k, i], within[1, k, i] = _between(s[k, i], sides)
-            if isfinite(within[0, k, i]):
+            within[0, k, i], within[1, k, i] = _at(s[k, i], sides[0], sides[1]), _at(s[k, i], sides[0], sides[2])
+            if not sides[0, 0] <= s[k, i] <= sides[0, -1]:
+                within[0, k, i] = np.nan
+            elif isfinite(within[0, k, i]):
                 begin, end = min(begin, s[k, i]), max(end, s[k, i])
     for b in range(len(standing)):
         if standing[b, 0] < end + NEAR_GOAL_M and standing[b, 1] > begin - NEAR_GOAL_M:
-            return False
+            return
     for k in range(s.shape[0]):
         for i in range(s.shape[1]):
             low, high = within[0, k, i], within[1, k, i]
@@ -210,24 +209,20 @@ def towards(points: FloatArray, sides: FloatArray, standing: FloatArray) -> bool
             if isfinite(low) and low <= most + NEARLY_M and high >= least - NEARLY_M:
                 lower[k, i] = min(max(low, least), max(most - LEFT_M, least))  # (3)
                 upper[k, i] = min(max(high, min(least + LEFT_M, most)), most)
-    return end >= begin
 
 
 @inner_kernel
-def _between(s: float, sides: FloatArray) -> tuple[float, float]:
-    """The sides at a station, linearly between those that are known; NaN where one is not."""
-    at, last = sides[0], sides.shape[1] - 1
-    if not at[0] <= s <= at[last]:
-        return np.nan, np.nan
-    j = int(np.searchsorted(at, s, "right")) - 1
-    if s == at[j]:
-        return sides[1, j], sides[2, j]
-    share, h = s - at[j], at[j + 1] - at[j]
-    low = (sides[1, j + 1] - sides[1, j]) / h * share + sides[1, j]
-    return low, (sides[2, j + 1] - sides[2, j]) / h * share + sides[2, j]
+def _at(s: float, stations: FloatArray, values: FloatArray) -> float:
+    """The value at a station, linearly between two; beyond the ends as there."""
+    j = int(np.searchsorted(stations, s, "right")) - 1
+    if j < 0:
+        return float(values[0])
+    if j == len(stations) - 1 or s == stations[j]:
+        return float(values[j])
+    return float((values[j + 1] - values[j]) / (stations[j + 1] - stations[j]) * (s - stations[j]) + values[j])
 
 
-@kernel
+@inner_kernel
 def widened(s: FloatArray, lower: FloatArray, upper: FloatArray, start: FloatArray) -> None:
     """(4) in place, of bounds `(points, n)` at stations of that shape, for a start as of `Ego`."""
     l0, dl0, ddl0, speed = start[1], start[2], start[3], start[4]
@@ -235,8 +230,7 @@ def widened(s: FloatArray, lower: FloatArray, upper: FloatArray, start: FloatArr
     if lower[0, 0] <= l0 <= upper[0, 0] and lower[0, 0] <= ahead <= upper[0, 0]:
         return
     span = max(12.0, 2.5 * speed)
-    at = np.array([s[0, 0] + span])
-    target = min(max(l0, np.interp(at, s[0], lower[0])[0]), np.interp(at, s[0], upper[0])[0])
+    target = min(max(l0, _at(s[0, 0] + span, s[0], lower[0])), _at(s[0, 0] + span, s[0], upper[0]))
     c3, c4, c5 = quintic(l0, dl0, ddl0, target, span)
     for p in range(s.shape[0]):
         for i in range(s.shape[1]):
@@ -281,8 +275,9 @@ def loosened(
                     rows[1, row, i] = max(upper[k, i], reached[1, k, i]) + points[SWING, k, i]
             for i in range(n):
                 rows[0, DX, i], rows[1, DX, i] = min(-MAX_DL, left[1, i]), max(MAX_DL, right[1, i])
-            rows[:, DDX] = bend
-            rows[:, DDDX, : n - 1] = rate
+                rows[0, DDX, i], rows[1, DDX, i] = bend[0, i], bend[1, i]
+                if i < n - 1:
+                    rows[0, DDDX, i], rows[1, DDDX, i] = rate[0, i], rate[1, i]
         if forced <= FORCED_M:
             break
         least = forced

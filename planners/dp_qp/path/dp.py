@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import TIE, FloatArray, IntArray, kernel
+from logs.kernel import TIE, FloatArray, IntArray, inner_kernel, kernel
 from planners.frenet.quintic import quintic
 
 COLLISION = 1e4
@@ -137,7 +137,7 @@ def solve_path_dp(
     return SlGrid(stations, rows, start, cost, chosen, sides)
 
 
-@kernel
+@inner_kernel
 def _edge(
     s0: float, l0: float, dl0: float, ddl0: float, s1: float, l1: float,
     boxes: FloatArray, lower: FloatArray, upper: FloatArray, column: int, weights: PathDpWeights, best: float,

@@ -275,6 +275,15 @@ def line_frame(knots: FloatArray, coef: FloatArray, s: float) -> tuple[float, fl
 
 
 @kernel
+def line_frames(knots: FloatArray, coef: FloatArray) -> FloatArray:
+    """Rows x, y, yaw, kappa `(4, n)` of the line at its stations."""
+    out = np.empty((4, len(knots)))
+    for i in range(len(knots)):
+        out[0, i], out[1, i], out[2, i], out[3, i] = line_frame(knots, coef, knots[i])
+    return out
+
+
+@kernel
 def line_curvature(knots: FloatArray, coef: FloatArray, s: float) -> float:
     """Kappa (2) of the line at station `s`, 1/m."""
     _, _, dx, dy, ddx, ddy = line_point(knots, coef, s)
@@ -351,9 +360,9 @@ class ReferenceLine:
     def __post_init__(self) -> None:
         object.__setattr__(self, "s", frozen(self.s))
         object.__setattr__(self, "coef", frozen(self.coef))
-        frames = np.array([line_frame(self.s, self.coef, s) for s in self.s])
-        object.__setattr__(self, "yaw", frozen(np.unwrap(frames[:, 2])))
-        object.__setattr__(self, "kappa", frozen(frames[:, 3]))
+        _, _, yaw, kappa = line_frames(self.s, self.coef)
+        object.__setattr__(self, "yaw", frozen(np.unwrap(yaw)))
+        object.__setattr__(self, "kappa", frozen(kappa))
 
     @classmethod
     def through(cls, points: FloatArray, spacing: float = 1.0) -> ReferenceLine:
@@ -393,7 +402,7 @@ class ReferenceLine:
     @cached_property
     def xy(self) -> FloatArray:
         """Points `(n, 2)` at the stations, m."""
-        return frozen(np.array([line_point(self.s, self.coef, s)[:2] for s in self.s]))
+        return frozen(line_frames(self.s, self.coef)[:2].T)
 
     def frame(self, s: float) -> tuple[float, float, float, float]:
         """x, y, yaw, kappa at station `s`; beyond the ends the line goes on straight."""

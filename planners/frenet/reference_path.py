@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
-from logs.kernel import TIE, FloatArray, frozen, kernel
+from logs.kernel import TIE, FloatArray, frozen, inner_kernel, kernel
 from logs.road import Lane, ReferenceLine, Road, nearest, thinned
 from logs.route import Route, straight_on
 from logs.states import EgoState
@@ -246,7 +246,7 @@ def _resampled(points: FloatArray, u: FloatArray) -> FloatArray:
     return np.column_stack([np.interp(u * chord[-1], chord, points[:, k]) for k in (0, 1)])
 
 
-@kernel
+@inner_kernel
 def _crossing(x: float, y: float, yaw: float, boundary: FloatArray, reach: float) -> float:
     """Offset l at which the normal at (x, y, yaw) crosses a polyline, the nearest; nan beyond `reach`."""
     c, s = cos(yaw), sin(yaw)
@@ -267,9 +267,12 @@ def _crossing(x: float, y: float, yaw: float, boundary: FloatArray, reach: float
 
 @kernel
 def _crossings(xy: FloatArray, yaw: FloatArray, boundary: FloatArray, reach: float) -> FloatArray:
-    out = np.empty(len(yaw))
+    out = np.full(len(yaw), np.nan)
+    low_x, high_x = boundary[:, 0].min() - reach - 1.0, boundary[:, 0].max() + reach + 1.0
+    low_y, high_y = boundary[:, 1].min() - reach - 1.0, boundary[:, 1].max() + reach + 1.0
     for i in range(len(yaw)):
-        out[i] = _crossing(xy[i, 0], xy[i, 1], yaw[i], boundary, reach)
+        if low_x <= xy[i, 0] <= high_x and low_y <= xy[i, 1] <= high_y:
+            out[i] = _crossing(xy[i, 0], xy[i, 1], yaw[i], boundary, reach)
     return out
 
 

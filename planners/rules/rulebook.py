@@ -28,6 +28,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from math import inf, isfinite
 
 import numpy as np
@@ -103,22 +104,34 @@ class RuleMemory:
     since: Mapping[str, float] = field(default_factory=dict)
 
 
-@dataclass(slots=True)
+@dataclass
 class _Visit:
-    """One frame's work: the scene, who is passed, distances to a comfortable and a hard stop (m), the memory.
+    """One frame's work: the scene, who is passed, the memory.
 
     The one ahead in the ego's way: station of the rear, m, speed, index; inf, 0, -1: there is none.
     """
 
     scene: Scene
     passed: frozenset[str]
-    soft: float
-    hard: float
     stopping: frozenset[str]
     rested: set[int]
     taken: set[str]
     since: dict[str, float]
     leader: tuple[float, float, int] = (inf, 0.0, -1)
+
+    @cached_property
+    def soft(self) -> float:
+        """Distance to a comfortable stop, m."""
+        return self._stopping(*COMFORT)
+
+    @cached_property
+    def hard(self) -> float:
+        """Distance to a hard stop, m."""
+        return self._stopping(*HARD)
+
+    def _stopping(self, decel: float, jerk: float) -> float:
+        profile = braking(self.scene.v, self.scene.start.a, decel, jerk, STEP_S, 2 * HORIZON_KNOTS)
+        return float(profile[0, -1])
 
     def remembered(self, stops: list[Occupancy]) -> RuleMemory:
         """What later frames are given."""
@@ -158,13 +171,7 @@ class Rulebook:
         """
         if not self._lines and not self._zones:
             return (), memory
-        soft, hard = (
-            float(braking(scene.v, scene.start.a, *limits, STEP_S, 2 * HORIZON_KNOTS)[0, -1])
-            for limits in (COMFORT, HARD)
-        )
-        visit = _Visit(
-            scene, passed, soft, hard, memory.stopping, set(memory.rested), set(memory.taken), dict(memory.since)
-        )
+        visit = _Visit(scene, passed, memory.stopping, set(memory.rested), set(memory.taken), dict(memory.since))
         found = [stop for line in self._lines if (stop := self._at_line(line, visit)) is not None]
         found += self._at_zones(visit, min((stop.s_from for stop in found), default=inf))
         return tuple(sorted(found, key=lambda stop: stop.s_from)), visit.remembered(found)
@@ -177,16 +184,15 @@ class Rulebook:
         if ahead < (-OVER_M if held else 0.0):
             visit.rested.discard(line.id)
             return None
-        hard = held or visit.hard <= ahead
         if line.light is not None:
             colour = visit.scene.frame.lights.get(line.light, Colour.OFF)
             yellow = colour is Colour.YELLOW and (held or visit.soft <= ahead - SHORT_M)
-            stops = hard if colour in RED else yellow  # (1), (2)
+            stops = held or visit.hard <= ahead if colour in RED else yellow  # (1), (2)
             reason = f"{colour.value} light {line.light}"
         else:
             if visit.scene.frame.ego.v < REST_MPS and ahead <= NEAR_M:
                 visit.rested.add(line.id)
-            stops, reason = hard and line.id not in visit.rested, "stop sign"  # (3)
+            stops, reason = line.id not in visit.rested and (held or visit.hard <= ahead), "stop sign"  # (3)
         return _stop(line.s, visit, inf, name, DecisionKind.STOP, reason) if stops else None
 
     def _at_zones(self, visit: _Visit, barrier: float) -> Iterator[Occupancy]:

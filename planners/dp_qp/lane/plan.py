@@ -16,8 +16,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from math import hypot
 
-import numpy as np
-
 from logs.frame import Frame
 from logs.road import Goal
 from logs.states import EgoState
@@ -49,6 +47,8 @@ HARD_S = 3.0
 """Cost where comfort cannot keep the distance (4), s."""
 FAILED_S = 50.0
 """Cost where nothing can, or a stage failed (4), s: more than all others together."""
+Term = tuple[str, float]
+"""A term of a cost, by name, s."""
 DUE_S = 15.0
 """A lane change is urgent where less than this is left to drive until it is due, s per change."""
 
@@ -76,13 +76,13 @@ class LanePlan:
     @property
     def cost(self) -> float:
         """Sum of (1)-(5), s."""
-        return sum(value for _, value in self.costs.terms)
+        return sum([value for _, value in self.costs.terms])
 
     @property
     def time_lost(self) -> float:
         """(1) and (5), s."""
-        terms = dict(self.costs.terms)
-        return terms["time lost"] + terms["late"]
+        (_, lost), *_, (_, late) = self.costs.terms
+        return lost + late
 
     @property
     def braking(self) -> float:
@@ -151,7 +151,8 @@ class LanePlanner:
     ) -> tuple[LanePlan, LaneMemory]:
         """Path and speed from the scene's start, with costs, and what is remembered.
 
-        `name` is "keep" for the lane that is driven; `past` those that a plan is to pass while they go on.
+        `name` is "keep" for the lane that is driven; `past` those that a plan is to pass while they go on. A path that
+        does not pass the nearest of them is no such plan, and gets no speed.
         """
         t, start = scene.frame.t, scene.start
         if not 0.0 <= t - memory.t <= FORGET_S:
@@ -159,7 +160,7 @@ class LanePlanner:
         target = self._goal.target(t, scene.s, start.v)
         path, path_memory = self._path.choose(scene, memory.path, past.way if past else None)
         speed, speed_memory, rules = None, memory.speed, memory.rules
-        if path.path is not None:
+        if path.path is not None and (past is None or past.way.obstacles[0].agent in path.passed):
             moving = {box.agent for box in past.way.obstacles} if past else set()
             standing = path.passed - moving
             stops, rules = self._rules.stops(scene, memory.rules, standing)
@@ -179,14 +180,14 @@ class LanePlanner:
     def least_costs(self, name: str, scene: Scene) -> CostTerms:
         """(2), (3) and (5) of a plan in this lane, without making it: it costs no less, but for time gained."""
         missed = self._goal.target(scene.frame.t, scene.s, scene.start.v).missed_s
-        return CostTerms(f"lane {name}", tuple(self._own_terms(name, scene, missed).items()))
+        return CostTerms(f"lane {name}", self._own_terms(name, scene, missed))
 
-    def _own_terms(self, name: str, scene: Scene, missed_s: float) -> dict[str, float]:
-        return {
-            "lane changes": self._route_cost(scene),  # (2)
-            "change": CHANGE_S if name in ("left", "right") else 0.0,  # (3)
-            "late": missed_s,  # (5)
-        }
+    def _own_terms(self, name: str, scene: Scene, missed_s: float) -> tuple[Term, Term, Term]:
+        return (
+            ("lane changes", self._route_cost(scene)),  # (2)
+            ("change", CHANGE_S if name in ("left", "right") else 0.0),  # (3)
+            ("late", missed_s),  # (5)
+        )
 
     def _beside(self, scene: Scene) -> tuple[PassTarget, ...]:
         """Those who go along the lane, where the ego would come beside them if it drove at the limit.
@@ -204,10 +205,8 @@ class LanePlanner:
         if speed is not None and speed.profile is not None:
             lost = (speed.free_m - float(speed.profile[0, -1])) / max(scene.limit, 1.0)
             braking = FAILED_S if speed.unavoidable else HARD_S if speed.reason else 0.0
-        own = self._own_terms(name, scene, target.missed_s)
-        order = "time lost", "lane changes", "change", "braking", "late"
-        terms = {**own, "time lost": lost, "braking": braking}  # (1), (4)
-        return CostTerms(f"lane {name}", tuple((term, terms[term]) for term in order))
+        changes, change, late = self._own_terms(name, scene, target.missed_s)
+        return CostTerms(f"lane {name}", (("time lost", lost), changes, change, ("braking", braking), late))  # (1), (4)
 
     def _route_cost(self, scene: Scene) -> float:
         lane, start = self.lane, scene.start
@@ -217,4 +216,4 @@ class LanePlanner:
             return 0.0
         seconds = min((lane.change_by - scene.s) / max(start.v, 5.0), self._goal.time_left(start.t))
         left = seconds / (DUE_S * lane.changes)
-        return lane.changes * (ROUTE_S + URGENCY_S * float(np.clip(1.0 - left, 0.0, 1.0)))
+        return lane.changes * (ROUTE_S + URGENCY_S * min(max(1.0 - left, 0.0), 1.0))

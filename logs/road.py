@@ -22,7 +22,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from logs.kernel import TIE, FloatArray, frozen, kernel
+from logs.kernel import TIE, FloatArray, IntArray, frozen, kernel
 from logs.rules import Crosswalk, StopLine
 
 
@@ -230,16 +230,25 @@ def thinned(points: FloatArray, spacing: float) -> FloatArray:
 
     Only consecutive points are compared, so closed loops survive. A line shorter than `spacing` leaves one point.
     """
-    kept = [points[0]]
-    for point in points[1:]:
-        if hypot(*(point - kept[-1])) >= spacing - TIE:
-            kept.append(point)
-    rest = hypot(*(points[-1] - kept[-1]))
+    kept = _far_apart(np.ascontiguousarray(points, np.float64), spacing).tolist()
+    rest = hypot(*(points[-1] - points[kept[-1]]))
     if len(kept) > 1 and 0.0 < rest < 0.5 * spacing - TIE:
-        kept[-1] = points[-1]
+        kept[-1] = len(points) - 1
     elif len(kept) > 1 and rest > 0.0:
-        kept.append(points[-1])
-    return np.array(kept)
+        kept.append(len(points) - 1)
+    return np.asarray(points[kept])
+
+
+@kernel
+def _far_apart(points: FloatArray, spacing: float) -> IntArray:
+    """The first of the points `(n, 2)`, and each that is no nearer than `spacing` to the one before of these."""
+    kept, count = np.zeros(len(points), np.int64), 1
+    for i in range(1, len(points)):
+        last = kept[count - 1]
+        if hypot(points[i, 0] - points[last, 0], points[i, 1] - points[last, 1]) >= spacing - TIE:
+            kept[count] = i
+            count += 1
+    return kept[:count]
 
 
 @kernel

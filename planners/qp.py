@@ -89,9 +89,11 @@ class QuadraticProgram:
         self._stage, self._config, self._equalities = stage, config or QPConfig(), equalities
         rows, columns = A.shape
         self._scale = np.ones(columns) if scale is None else scale
-        S = sparse.diags(self._scale)
-        self._row_scale = 1.0 / np.abs(A @ S).max(axis=1).toarray().ravel()
-        self._P, self._A = sparse.csc_matrix(S @ P @ S), sparse.csc_matrix(sparse.diags(self._row_scale) @ A @ S)
+        if scale is not None:
+            S = sparse.diags(scale)
+            P, A = S @ P @ S, A @ S
+        self._row_scale = 1.0 / abs(A).max(axis=1).toarray().ravel()
+        self._P, self._A = sparse.csc_matrix(P), sparse.csc_matrix(sparse.diags(self._row_scale) @ A)
         self._P.sort_indices()
         self._A.sort_indices()
         self._rows = self._A.tocsr()

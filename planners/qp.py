@@ -89,11 +89,10 @@ class QuadraticProgram:
         self._stage, self._config, self._equalities = stage, config or QPConfig(), equalities
         rows, columns = A.shape
         self._scale = np.ones(columns) if scale is None else scale
-        if scale is not None:
-            S = sparse.diags(scale)
-            P, A = S @ P @ S, A @ S
-        self._row_scale = 1.0 / abs(A).max(axis=1).toarray().ravel()
-        self._P, self._A = sparse.csc_matrix(P), sparse.csc_matrix(sparse.diags(self._row_scale) @ A)
+        S = sparse.diags(self._scale)
+        cost, limited = (P, A) if scale is None else (S @ P @ S, A @ S)
+        self._row_scale: FloatArray = 1.0 / abs(limited).max(axis=1).toarray().ravel()
+        self._P, self._A = sparse.csc_matrix(cost), sparse.csc_matrix(sparse.diags(self._row_scale) @ limited)
         self._P.sort_indices()
         self._A.sort_indices()
         self._rows = self._A.tocsr()

@@ -116,7 +116,7 @@ class QuadraticProgram:
                 (np.arange(1.0, len(values) + 1.0), self._A.indices, self._A.indptr), self._A.shape
             ).tocsr()
             columns = np.repeat(np.arange(self._A.shape[1]), np.diff(self._A.indptr))
-            scale = self._row_scale[self._A.indices] * self._scale[columns]
+            scale: FloatArray = self._row_scale[self._A.indices] * self._scale[columns]
             self._refilling = scale, places.data.astype(np.int64) - 1
         scale, order = self._refilling
         self._A.data[:] = scale * values

@@ -71,8 +71,6 @@ KEPT_S = 0.5
 """A gap once taken is kept with so much less of (4), s."""
 YIELD_MPS2 = 2.0
 """Deceleration that the ego may ask of who comes from behind, m/s2: comfortable (b of IDM)."""
-PATIENCE_S = 3.0
-"""Who stands at a crosswalk and does not begin to walk is waited for so long, from a standstill, s."""
 GO_MPS2 = 1.5
 """Acceleration with which the ego is assumed to go, m/s2 ..."""
 GO_MPS3 = 2.0
@@ -85,6 +83,21 @@ LOOK_M = 10.0
 """Zones are looked at from this before the place where gentle braking for them would begin, m."""
 ROLLING_MPS = 1.0
 """Slower than this the one ahead makes no room behind a zone, and the ego has not set off from a crosswalk, m/s."""
+
+
+@dataclass(frozen=True)
+class RulesConfig:
+    """Settings of the rules.
+
+    Attributes:
+        patience_s: Who stands at a crosswalk and does not begin to walk is waited for so long, from a standstill.
+    """
+
+    patience_s: float = 3.0
+
+    def __post_init__(self) -> None:
+        if not self.patience_s >= 0.0:
+            raise ValueError("patience_s must not be negative")
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,8 +158,9 @@ class Rulebook:
     def __init__(
         self, road: Road, reference: ReferencePath, vehicle: VehicleParameters, *,
         curve_accel_mps2: float = CURVE_MPS2, ease_mps2: float = EASE_MPS2,
+        config: RulesConfig | None = None,
     ) -> None:  # fmt: skip
-        self._ease = ease_mps2
+        self._ease, self._config = ease_mps2, config or RulesConfig()
         self._road, self._reference, self._vehicle = road, reference, vehicle
         self._lines = lines_along(road, reference, vehicle.width)
         self._zones = zones_along(road, reference, vehicle)
@@ -253,7 +267,7 @@ class Rulebook:
             since.setdefault(zone.name, frame.t)
         elif frame.ego.v > ROLLING_MPS and zone.name not in visit.taken:
             since.pop(zone.name, None)
-        return zone.name in since and frame.t - since[zone.name] >= PATIENCE_S - TIE
+        return zone.name in since and frame.t - since[zone.name] >= self._config.patience_s - TIE
 
     def _leader(self, visit: _Visit) -> tuple[float, float, int]:
         """Station of the rear of the one ahead in the ego's way, its speed, its index; inf, 0, -1: there is none."""

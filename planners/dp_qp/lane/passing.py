@@ -18,7 +18,8 @@ import numpy as np
 
 from logs.kernel import FloatArray
 from logs.trace import Artefact, Candidates
-from planners.dp_qp.lane.choice import LaneConfig, borrowing_endangers, worth_passing
+from planners.dp_qp.lane.choice import borrowing_endangers, worth_passing
+from planners.dp_qp.lane.config import LaneConfig
 from planners.dp_qp.lane.memory import FORGET_S, PassMemory, PassWay
 from planners.dp_qp.lane.plan import LanePlan, LanePlanner
 from planners.dp_qp.path.bounds import CorridorConfig

@@ -27,7 +27,6 @@ EGO_POSE, CENTRE = "ego_pose", "box centre"
 """Metadata entry, and its value where the log has poses of the ego's box centre, not of its rear axle."""
 __all__ = ["CENTRE", "EGO_POSE", "FINDING", "AgentKind", "Agents", "Scenario", "Tracks"]
 _TURNING = among(*(kind for kind in AgentKind if kind is not AgentKind.PEDESTRIAN))
-_SHOWN = ("length", "width", "x", "y", "yaw", "vx", "vy", "yaw_rate", "accel")
 _NOT_ASKED = frozen(np.empty(0))
 _State = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 
@@ -83,7 +82,7 @@ def _perceived(
     offsets: IntArray, static: BoolArray, turns: BoolArray, size: tuple[FloatArray, FloatArray], t: FloatArray,
     x: FloatArray, y: FloatArray, yaw: FloatArray, vx: FloatArray, vy: FloatArray, patience: FloatArray, time: float,
 ) -> tuple[IntArray, FloatArray, bool]:  # fmt: skip
-    """`Tracks.perceived`: who is seen `(k,)`, rows `_SHOWN` `(9, k)`, whether `patience` is lacking.
+    """`Tracks.perceived`: who is seen `(k,)`, rows as in `Agents.of_rows`, whether `patience` is lacking.
 
     `patience` `(m,)` may be empty: then it is lacking where an agent's last sample is so old that it decides.
     """
@@ -277,12 +276,10 @@ class Tracks:
         seen, rows, lacking = _perceived(*fixed, *columns, _NOT_ASKED, time)
         if lacking:
             seen, rows, _ = _perceived(*fixed, *columns, self.patience, time)
-        rows = frozen(rows)  # once: its rows are not copied again
-        shown = dict(zip(_SHOWN, rows, strict=True))
         if len(seen) == len(self):
-            return Agents(self.ids, self.kinds, codes=self.codes, **shown)
+            return Agents.of_rows(self.ids, self.kinds, rows, self.codes)
         ids, kinds = self._names[:, seen].tolist()
-        return Agents(tuple(ids), tuple(kinds), codes=self.codes[seen], **shown)
+        return Agents.of_rows(tuple(ids), tuple(kinds), rows, frozen(self.codes[seen], np.int64))
 
     def truth(self, time: float) -> Agents:
         """The agents as they were at `time`, interpolated: for metrics and drawing, never for a planner.

@@ -23,7 +23,7 @@ def test_the_cost_map_is_its_definition(seed: int) -> None:
     lower = rng.uniform(-2.0, 20.0, (3, 5))
     upper = lower + rng.uniform(0.0, 6.0, (3, 5))
     lower[rng.random((3, 5)) < 0.3] = np.nan
-    speed, gap, wanted, near = rng.uniform(-5.0, 5.0, 3), 1.0, np.array([3.0, 1.2]), 30.0
+    speed, gap, wanted, near = rng.uniform(-5.0, 5.0, 3), 1.0, (3.0, 1.2), 30.0
     found = cost_map(50, lower, upper, speed, gap, wanted, near)
     expected = np.zeros((5, 50))
     for i, k, row in product(range(3), range(5), range(50)):
@@ -52,11 +52,11 @@ def edge(
     return cost + float(np.mean(samples)), v, a
 
 
-def speed_grid(seed: int, rows: int = 9, columns: int = 3) -> tuple[FloatArray, FloatArray, FloatArray]:
+def speed_grid(seed: int, rows: int = 9, columns: int = 3) -> tuple[FloatArray, FloatArray, tuple[float, float]]:
     """Map, limit and start of a small random problem, five samples to a column."""
     rng = np.random.default_rng(seed)
     occupancy = 20.0 * rng.random((5 * columns + 1, rows)) * (rng.random((5 * columns + 1, rows)) < 0.4)
-    return occupancy, rng.uniform(0.5, 3.0, rows), np.array([rng.uniform(0.0, 2.0), rng.uniform(-1.0, 1.0)])
+    return occupancy, rng.uniform(0.5, 3.0, rows), (rng.uniform(0.0, 2.0), rng.uniform(-1.0, 1.0))
 
 
 @given(SEED)
@@ -101,7 +101,7 @@ def test_the_chosen_way_costs_what_the_grid_says(seed: int) -> None:
 def test_a_faster_road_ahead_does_not_hold_the_ego_back(slow: float, faster: float, where: float, share: float) -> None:
     """An empty road on which the limit rises is driven about as far as one on which it does not, or farther."""
     rows, weights = 300, WEIGHTS
-    free, start = np.zeros((41, rows)), np.array([share * slow, 0.0])
+    free, start = np.zeros((41, rows)), (share * slow, 0.0)
     level = np.full(rows, slow)
     rising = np.where(DS_M * np.arange(rows) < where, slow, slow + faster)
     ends = [speed_dp(free, 5, limit, start, weights, 8)[1][-1] for limit in (level, rising)]
@@ -110,5 +110,5 @@ def test_a_faster_road_ahead_does_not_hold_the_ego_back(slow: float, faster: flo
 
 def test_a_tie_goes_to_the_smaller_station() -> None:
     free = np.zeros((16, 5))
-    _, chosen = speed_dp(free, 5, np.full(5, 1.25), np.zeros(2), SpeedDpWeights(0.0, 0.0, 0.0, 0.0, 9.0, 9.0), 3)
+    _, chosen = speed_dp(free, 5, np.full(5, 1.25), (0.0, 0.0), SpeedDpWeights(0.0, 0.0, 0.0, 0.0, 9.0, 9.0), 3)
     assert chosen.tolist() == [0, 0, 0, 0]

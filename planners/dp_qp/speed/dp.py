@@ -18,7 +18,6 @@ one column is ds / dt^2 = 0.5 m/s2.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
 from typing import NamedTuple
@@ -26,7 +25,6 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.kernel import TIE, FloatArray, IntArray, kernel
-from planners.frenet.occupancy import Occupancy
 
 COLLISION = 1e5
 """Cost of a second inside a blocked interval (2): more than all others together."""
@@ -87,8 +85,9 @@ class SpeedDpConfig:
 
 @kernel
 def cost_map(
-    rows: int, lower: FloatArray, upper: FloatArray, speed: FloatArray, gap: float, wanted: FloatArray, w_near: float
-) -> FloatArray:
+    rows: int, lower: FloatArray, upper: FloatArray, speed: FloatArray, gap: float, wanted: tuple[float, float],
+    w_near: float,
+) -> FloatArray:  # fmt: skip
     """The map (2) `(k, rows)` of blocked intervals `(n, k)`; `wanted` = (standstill gap, time gap)."""
     out = np.zeros((lower.shape[1], rows))
     for i in range(len(lower)):
@@ -112,8 +111,9 @@ def cost_map(
 
 @kernel
 def speed_dp(
-    occupancy: FloatArray, per_column: int, limit: FloatArray, start: FloatArray, weights: SpeedDpWeights, columns: int
-) -> tuple[FloatArray, IntArray]:
+    occupancy: FloatArray, per_column: int, limit: FloatArray, start: tuple[float, float], weights: SpeedDpWeights,
+    columns: int,
+) -> tuple[FloatArray, IntArray]:  # fmt: skip
     """Solve (3).
 
     Args:
@@ -163,9 +163,3 @@ def speed_dp(
     for i in range(columns, 0, -1):
         chosen[i - 1] = parent[i, chosen[i]]
     return cost, chosen
-
-
-def stop_map(rows: int, t: FloatArray, stops: Sequence[Occupancy]) -> FloatArray:
-    """The speed DP's map `(k, rows)` of stops on the path: no gap is wanted beyond theirs."""
-    lower = np.array([np.where(t < stop.until, stop.s_from, np.nan) for stop in stops])
-    return cost_map(rows, lower, np.full(lower.shape, 1e6), np.zeros(len(stops)), 0.0, np.zeros(2), 0.0)

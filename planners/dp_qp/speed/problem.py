@@ -19,7 +19,7 @@ import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
 from logs.trace import DecisionKind
-from planners.dp_qp.speed.dp import DS_M, DT_S, SpeedDpWeights, cost_map, speed_dp
+from planners.dp_qp.speed.dp import DS_M, DT_S, LIKELY, SpeedDpWeights, cost_map, occupied_rows, speed_dp
 from planners.dp_qp.speed.qp import SpeedProblem
 from planners.frenet.profiles import STEP_S, KnotLimits, braking, cruising, limit_profile
 from planners.frenet.scene import STANDING_MPS
@@ -64,7 +64,7 @@ class Posed(NamedTuple):
         problem: For the ladder.
         kinds: Codes of the decisions about the boundaries `(n,)`.
         free_m: How far the ego would come with no other road user in the way, m.
-        cost: Of the speed DP's grid `(columns + 1, rows)`; empty where it was not run.
+        cost: Of the speed DP's grid `(columns + 1, rows)`, whole where it `is_drawn`; empty where it was not run.
         chosen: Its rows `(columns + 1,)`.
         s_dp: Its stations at the profile's knots `(knots,)`, zeros where it was not run, m.
     """
@@ -104,7 +104,7 @@ def pose(
         time_gap: Wanted gap per speed of the one ahead, s.
         is_lowered: Whether `limit` may differ from `own`.
         may_overtake: False: who would be overtaken is yielded to.
-        is_drawn: Whether the speed DP is wanted even where it decides nothing.
+        is_drawn: Whether the speed DP is wanted even where it decides nothing, and all of its costs.
         settings: Of the stage.
     """
     v_limit, stop_line = limit, _stop_line(agent, lower, pace, settings.standstill_gap)
@@ -122,7 +122,8 @@ def pose(
     chosen: IntArray = np.empty(0, np.int64)
     s_dp = np.zeros(settings.knots)
     if len(agent) + len(stops) > 0 and (is_drawn or moves or not _stands_from_now(t, lower, upper)):
-        cost, chosen = _grid(v_limit, sigma, t, lower, upper, speed, stops, start, time_gap, settings)
+        worth = inf if is_drawn else LIKELY
+        cost, chosen = _grid(v_limit, sigma, t, lower, upper, speed, stops, start, time_gap, settings, worth)
         s_dp = np.interp(STEP_S * np.arange(settings.knots), DT_S * np.arange(len(chosen)), DS_M * chosen)
     kinds = _decided(t, lower, upper, speed, pace[agent], s_dp)
     if not may_overtake:
@@ -178,21 +179,26 @@ def _stands_from_now(t: FloatArray, lower: FloatArray, upper: FloatArray) -> boo
 @inner_kernel
 def _grid(
     v_limit: FloatArray, sigma: FloatArray, t: FloatArray, lower: FloatArray, upper: FloatArray, speed: FloatArray,
-    stops: FloatArray, start: tuple[float, float], time_gap: float, settings: Settings,
+    stops: FloatArray, start: tuple[float, float], time_gap: float, settings: Settings, worth: float,
 ) -> tuple[FloatArray, IntArray]:  # fmt: skip
     """Cost of the speed DP's grid and its solution: no gap is wanted beyond that of the stops."""
     rows = int(sigma[-1] / DS_M + 1e-6) + 1
     limit = np.interp(DS_M * np.arange(rows), sigma, v_limit)
-    occupancy = cost_map(
-        rows, lower, upper, speed, settings.gap, (settings.standstill_gap, time_gap), settings.w_near
-    )  # fmt: skip
+    wanted, columns = (settings.standstill_gap, time_gap), settings.columns
+    per_column = max(1, round(DT_S / (t[1] - t[0]))) if len(t) > 1 else 1
+    occupancy = cost_map(rows, lower, upper, speed, settings.gap, wanted, settings.w_near)
+    occupied = occupied_rows(rows, lower, upper, speed, wanted, per_column, columns)
     if len(stops):
         begin, end = np.full((len(stops), len(t)), np.nan), np.full((len(stops), len(t)), 1e6)
         for i in range(len(stops)):
             begin[i, t < stops[i, 1]] = stops[i, 0]
         occupancy += cost_map(rows, begin, end, np.zeros(len(stops)), 0.0, (0.0, 0.0), 0.0)
-    per_column = max(1, round(DT_S / (t[1] - t[0]))) if len(t) > 1 else 1
-    return speed_dp(occupancy, per_column, limit, start, settings.weights, settings.columns)
+        occupied[:, 0] = np.minimum(occupied[:, 0], int(stops[:, 0].min() / DS_M))
+        occupied[:, 1] = rows - 1
+    cost, chosen = speed_dp(occupancy, occupied, per_column, limit, start, settings.weights, worth)
+    if not cost[-1].min() < worth - 1.0:
+        cost, chosen = speed_dp(occupancy, occupied, per_column, limit, start, settings.weights, inf)
+    return cost, chosen
 
 
 @inner_kernel

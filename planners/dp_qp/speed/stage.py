@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from functools import cache
 
 import numpy as np
 
@@ -155,27 +154,28 @@ class SpeedStage:
             self._hard_mps2, config.graph.vulnerable_margin_m, config.caution,
         )  # fmt: skip
         bare = LoweredLimit(road, np.zeros(len(road), np.bool_))
-        own = lowered(path.sigma, bare, (cap for caps in OWN for cap in caps(view)))
-        limit = lowered(path.sigma, own, (cap for caps in OTHERS for cap in caps(view)))
+        own = lowered(path.sigma, bare, [cap for caps in OWN for cap in caps(view)])
+        limit = lowered(path.sigma, own, [cap for caps in OTHERS for cap in caps(view)])
+        swept: dict[StGraphConfig, StBoundaries] = {}
 
-        @cache
         def taken(margins: StGraphConfig) -> StBoundaries:
             """The boundaries with other margins: of those who are in the way, unless they may be faster than now."""
-            skip = task.skip
-            if margins.brisk_mps <= config.graph.brisk_mps:
-                skip = np.ones(len(skip), np.bool_)
-                skip[found.agent] = False
-            return st_boundaries(scene, path, skip, passed, margins).with_stops(task.stops)
+            if margins not in swept:
+                skip = task.skip
+                if margins.brisk_mps <= config.graph.brisk_mps:
+                    skip = np.ones(len(skip), np.bool_)
+                    skip[found.agent] = False
+                swept[margins] = st_boundaries(scene, path, skip, passed, margins).with_stops(task.stops)
+            return swept[margins]
 
         way = _Way(view, limit, own, taken)
-        likely = found.probability > UNLIKELY
-        planned = self._planned(way, found.only(likely) if not likely.all() else found, memory.braking)
-        unlikely = None
-        if not likely.all():
-            if self._could_stop(planned.solved.profile, found.only(~likely)):
-                unlikely = found.only(~likely)
-            else:
-                planned = self._planned(way, found, memory.braking)
+        likely, unlikely = found.probability > UNLIKELY, None
+        if not len(found) or likely.all():
+            planned = self._planned(way, found, memory.braking)
+        else:
+            planned, unlikely = self._planned(way, found.only(likely), memory.braking), found.only(~likely)
+            if not self._could_stop(planned.solved.profile, unlikely):
+                planned, unlikely = self._planned(way, found, memory.braking), None
         solved = planned.solved
         chosen = ChosenSpeed(
             solved.profile, solved.reason, solved.unavoidable, planned.posed.free_m, solved.reports,
@@ -243,9 +243,11 @@ class SpeedStage:
 
 def _overtakes(blocks: StBoundaries, kinds: IntArray, profile: FloatArray | None, times: FloatArray) -> bool:
     """Whether a profile stays clear of all that it should overtake; the DP knows nothing of jerk."""
-    overtaken = kinds == OVERTAKE if len(kinds) else kinds
-    if profile is None or not overtaken.any():
-        return not overtaken.any()
+    overtaken = kinds == OVERTAKE
+    if not len(kinds) or not overtaken.any():
+        return True
+    if profile is None:
+        return False
     s = np.interp(blocks.t, times, profile[0])
     return not ((s > blocks.lower[overtaken]) & (s < blocks.upper[overtaken])).any()
 

@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, frozen, inner_kernel, kernel
-from logs.shapes import axis_gap, overlap_turned
+from logs.shapes import axis_gap
 from logs.states import wrap
 from logs.trace import Decision, DecisionKind, GraphObstacle
 from planners.frenet.occupancy import Occupancy
@@ -341,20 +341,28 @@ def _parts_met(parts: FloatArray, around: FloatArray, group: int) -> tuple[int, 
     """From which point of the path to which, exclusive, its parts' envelopes meet one of a prediction; 0, 0: none."""
     begin, end = 0, 0
     x, y, c, s = around[0, group], around[1, group], around[2, group], around[3, group]
-    length, width = around[4, group], around[5, group]
+    length, width = around[4, group] + ROUNDING_M, around[5, group] + ROUNDING_M
     for e in range(parts.shape[1]):
-        dx, dy = x - parts[0, e], y - parts[1, e]
-        straight = abs(c * parts[2, e] + s * parts[3, e])
-        across = abs(s * parts[2, e] - c * parts[3, e])
-        long, wide = parts[4, e] + ROUNDING_M, parts[5, e] + ROUNDING_M
-        if (
-            abs(dx * parts[2, e] + dy * parts[3, e]) <= long + length * straight + width * across
-            and abs(dy * parts[2, e] - dx * parts[3, e]) <= wide + length * across + width * straight
-            and abs(dx * c + dy * s) <= length + long * straight + wide * across
-            and abs(dy * c - dx * s) <= width + long * across + wide * straight
-        ):
+        part = parts[0, e], parts[1, e], parts[2, e], parts[3, e], parts[4, e], parts[5, e]
+        if _touch(x, y, c, s, length, width, part):
             begin, end = (begin if end else e * PART), (e + 1) * PART
     return begin, end
+
+
+@inner_kernel
+def _touch(
+    x: float, y: float, c: float, s: float, length: float, width: float,
+    other: tuple[float, float, float, float, float, float],
+) -> bool:  # fmt: skip
+    """Whether boxes x, y, cos yaw, sin yaw, half length, half width touch (`logs.shapes`, (1))."""
+    dx, dy = other[0] - x, other[1] - y
+    straight, across = abs(c * other[2] + s * other[3]), abs(c * other[3] - s * other[2])
+    return bool(
+        abs(dx * s - dy * c) <= width + other[4] * across + other[5] * straight
+        and abs(dx * c + dy * s) <= length + other[4] * straight + other[5] * across
+        and abs(dx * other[3] - dy * other[2]) <= other[5] + length * across + width * straight
+        and abs(dx * other[2] + dy * other[3]) <= other[4] + length * straight + width * across
+    )
 
 
 @inner_kernel
@@ -389,15 +397,14 @@ def _edge(
     if free < 0 or free >= boxes.shape[1]:
         return sigma[met]
     low, high = 0.0, 1.0  # share of the way from `met` to `free`: overlaps at low, not at high
+    around = other[0], other[1], other[2], other[3], 0.5 * other[4], 0.5 * other[5]
     bend = wrap(boxes[4, free] - boxes[4, met])
     for _ in range(HALVINGS):
         u = 0.5 * (low + high)
         x = boxes[0, met] + u * (boxes[0, free] - boxes[0, met])
         y = boxes[1, met] + u * (boxes[1, free] - boxes[1, met])
         yaw = boxes[4, met] + u * bend
-        if overlap_turned(
-            x, y, cos(yaw), sin(yaw), size[0], size[1], other[0], other[1], other[2], other[3], other[4], other[5]
-        ):
+        if _touch(x, y, cos(yaw), sin(yaw), 0.5 * size[0], 0.5 * size[1], around):
             low = u
         else:
             high = u

@@ -22,7 +22,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from logs.kernel import TIE, FloatArray, IntArray, frozen, kernel
+from logs.kernel import TIE, FloatArray, IntArray, frozen, inner_kernel, kernel
 from logs.rules import Crosswalk, StopLine
 
 
@@ -251,7 +251,7 @@ def _far_apart(points: FloatArray, spacing: float) -> IntArray:
     return kept[:count]
 
 
-@kernel
+@inner_kernel
 def line_point(knots: FloatArray, coef: FloatArray, s: float) -> tuple[float, float, float, float, float, float]:
     """r, r', r'' of the spline at station `s` (m): x, y, x', y', x'', y''.
 
@@ -292,7 +292,7 @@ def line_frames(knots: FloatArray, coef: FloatArray) -> FloatArray:
     return out
 
 
-@kernel
+@inner_kernel
 def line_curvature(knots: FloatArray, coef: FloatArray, s: float) -> float:
     """Kappa (2) of the line at station `s`, 1/m."""
     _, _, dx, dy, ddx, ddy = line_point(knots, coef, s)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.agents import AgentKind, Agents, among, codes_of
-from logs.kernel import BoolArray, FloatArray, IntArray, frozen, kernel
+from logs.kernel import BoolArray, FloatArray, IntArray, frozen, inner_kernel, kernel
 from logs.motion import Motion, estimated
 from logs.presence import MAX_AGE_S, MAX_GAP_S, patience
 from logs.road import Goal, Road
@@ -53,7 +53,7 @@ def _trends(
     return out
 
 
-@kernel
+@inner_kernel
 def _trend(
     first: int, last: int, t: FloatArray, yaw: FloatArray, x: FloatArray, y: FloatArray, vx: FloatArray,
     vy: FloatArray, speed: float,

@@ -137,7 +137,7 @@ def covered(paths: Paths, phase: FloatArray, span: float) -> FloatArray:
     return out
 
 
-@kernel
+@inner_kernel
 def moved_on(paths: Paths, phase: FloatArray, way: FloatArray, now: float) -> FloatArray:
     """The phases after so much of each path `(n,)`, m; the log's standing is passed over, but not beyond `now`."""
     offsets, t, x, y = paths.offsets, paths.t, paths.x, paths.y

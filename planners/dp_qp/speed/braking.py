@@ -224,7 +224,7 @@ class BrakingLadder:
             fits, _, problem, rows = self._eased(case.problem, limits, share, given)
             if not fits:
                 return None
-            result = self.program.solve_rows(rows)
+            result = self.program.solve(rows)
             case.tried.append(Asked(problem, result))
             if not result.report.solved:
                 return None

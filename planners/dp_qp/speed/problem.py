@@ -2,7 +2,7 @@
 
 (1) Limit: that of the path with its caps, 0 from `standstill_gap` before the first that stands in the way on, with
     curves and comfortable braking in it (`profiles.limit_profile`)
-(2) References: driving at the limit (`profiles.cruising`), not ahead of the speed DP where anybody moves
+(2) References: driving at the limit (`profiles.cruising`), not ahead of the speed DP where an agent moves
 (3) Bounds of s: `gap` below those that the ego yields to, `gap` above those that it overtakes, before the stops
 (4) Bound of v: the limit at the reference with some room, but at least the braking that leads there
 

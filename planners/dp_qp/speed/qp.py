@@ -21,7 +21,7 @@ import numpy as np
 
 from logs.kernel import FloatArray, kernel
 from logs.trace import CostTerms
-from planners.frenet.profiles import COMFORT, EMERGENCY, STEP_S, KnotLimits, Limits, SpeedLimits, braking_within
+from planners.frenet.profiles import COMFORT, EMERGENCY, STEP_S, KnotLimits, SpeedLimits, braking_within
 from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights
 from planners.piecewise_jerk.solvers import DEFAULT, solve
 from planners.qp import QPResult
@@ -125,12 +125,8 @@ class SpeedQp:
         self._config, self._solver = config, solver
         self._weights = Weights(config.w_s, config.w_v, config.w_a, config.w_j)  # (1)
 
-    def solve(self, problem: SpeedProblem, limits: Limits) -> QPResult:
-        """The profile, x = (s, v, a) `(3 knots,)`."""
-        return self.solve_rows(rows_of(problem, limits.columns, self._config.comfort.decel_mps2))
-
-    def solve_rows(self, rows: Rows) -> QPResult:
-        """The same with the rows of `rows_of`."""
+    def solve(self, rows: Rows) -> QPResult:
+        """The profile, x = (s, v, a) `(3 knots,)`, of a problem with the rows of `rows_of`."""
         stated = PiecewiseJerkProblem(STEP_S, NO_LEADS, rows[0], self._weights, *rows[1:], 0.0)
         return solve(stated, self._solver, stage="speed QP", tolerance=TOLERANCE)
 

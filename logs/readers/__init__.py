@@ -10,6 +10,7 @@ Modules:
     base.py         what a reader is, and the settings of a run's [log] table
     cut.py          a part of a scenario by time, for readers that read a log whole
     commonroad.py   CommonRoad XML
+    ros/            ROS 2 and ROS 1 bags
     native.py       replan's own MCAP and ASAM OSI in MCAP: the last word on any .mcap
 """
 
@@ -23,12 +24,12 @@ from math import inf
 from pathlib import Path
 
 from logs.errors import ConfigError, LogError, unknown_name
-from logs.readers import commonroad, native
+from logs.readers import commonroad, native, ros
 from logs.readers.base import LogSettings, Reader
 from logs.readers.cut import cut
 from logs.scenario import Scenario
 
-BUILTIN = (commonroad.READER, native.READER)
+BUILTIN = (commonroad.READER, ros.READER, native.READER)
 """In the order in which they are asked."""
 GROUP = "replan.readers"
 FORMATS = "`replan convert --formats` lists what replan reads and how a format is added"

@@ -2,7 +2,8 @@
 
 Perception that numbers the entries of each list anew (1) gives no tracks: an "id" jumps across the street between two
 frames. Then every frame's objects are assigned to those known so far, by the least sum of distances to where these
-should be by now, from the samples before only.
+should be by now, from the samples before only. Outlines of clusters split and merge: one whose size is another than
+that with which an object began is another object, as a box has one size.
 
 (1) more than `JUMPS` of the steps between two samples of an id, at most `STEP_S` apart, are faster than `FASTEST_MPS`,
     or an id stands more than once in so many of the frames
@@ -18,7 +19,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from logs.agents import AgentKind
-from logs.kernel import FloatArray, IntArray
+from logs.kernel import BoolArray, FloatArray, IntArray
 
 STEP_S, FASTEST_MPS, JUMPS = 0.5, 60.0, 0.02
 REACH_M = {AgentKind.PEDESTRIAN: 1.0, AgentKind.OBJECT: 1.5}
@@ -31,6 +32,8 @@ OTHER_KIND_M = 1.0
 """An object of another kind counts as so much farther away: labels flicker."""
 LOST_S = 1.0
 """Who was not seen for longer is not waited for."""
+OTHER_SIZE_M, OTHER_SIZE = 0.5, 0.25
+"""An outline is another object's if its size differs by more than both, m and as a share of the larger one."""
 MEMORY = 5
 """Samples over which the velocity is taken."""
 _FAR = 1e6
@@ -57,10 +60,16 @@ class _Known:
     name: list[int] = field(default_factory=list)
     kind: list[AgentKind] = field(default_factory=list)
     past: list[list[tuple[float, float, float]]] = field(default_factory=list)
+    size: list[FloatArray] = field(default_factory=list)
 
 
-def joined(frame: IntArray, t: FloatArray, x: FloatArray, y: FloatArray, kinds: Sequence[AgentKind]) -> IntArray:
-    """Names `(m,)`, numbered by first appearance, of samples in frames `(m,)`, rising, at times `t` `(m,)`, s."""
+def joined(
+    frame: IntArray, t: FloatArray, x: FloatArray, y: FloatArray, kinds: Sequence[AgentKind], sizes: FloatArray
+) -> IntArray:
+    """Names `(m,)`, numbered by first appearance, of samples in frames `(m,)`, rising, at times `t` `(m,)`, s.
+
+    `sizes` `(m, 2)`: length and width of outlines, NaN of what has a box.
+    """
     names = np.empty(len(frame), np.int64)
     known, count = _Known(), 0
     for part in np.split(np.arange(len(frame)), np.flatnonzero(np.diff(frame)) + 1):
@@ -68,13 +77,14 @@ def joined(frame: IntArray, t: FloatArray, x: FloatArray, y: FloatArray, kinds: 
             continue
         now = float(t[part[0]])
         known = _kept(known, now)
-        found = _assigned(known, now, x[part], y[part], [kinds[i] for i in part])
+        found = _assigned(known, now, x[part], y[part], [kinds[i] for i in part], sizes[part])
         for i, k in zip(part, found, strict=True):
             if k < 0:
                 k, count = len(known.name), count + 1
                 known.name.append(count)
                 known.kind.append(kinds[i])
                 known.past.append([])
+                known.size.append(sizes[i])
             names[i] = known.name[k]
             known.kind[k] = kinds[i]
             known.past[k] = [*known.past[k][1 - MEMORY :], (now, float(x[i]), float(y[i]))]
@@ -83,10 +93,17 @@ def joined(frame: IntArray, t: FloatArray, x: FloatArray, y: FloatArray, kinds: 
 
 def _kept(known: _Known, now: float) -> _Known:
     stay = [k for k, past in enumerate(known.past) if now - past[-1][0] <= LOST_S]
-    return _Known([known.name[k] for k in stay], [known.kind[k] for k in stay], [known.past[k] for k in stay])
+    return _Known(
+        [known.name[k] for k in stay],
+        [known.kind[k] for k in stay],
+        [known.past[k] for k in stay],
+        [known.size[k] for k in stay],
+    )
 
 
-def _assigned(known: _Known, now: float, x: FloatArray, y: FloatArray, kinds: list[AgentKind]) -> list[int]:
+def _assigned(
+    known: _Known, now: float, x: FloatArray, y: FloatArray, kinds: list[AgentKind], sizes: FloatArray
+) -> list[int]:
     """Which known object each of a frame's is; -1: none."""
     out = [-1] * len(x)
     if not known.name:
@@ -101,11 +118,18 @@ def _assigned(known: _Known, now: float, x: FloatArray, y: FloatArray, kinds: li
     )
     away = np.hypot(where[:, 0, None] - x, where[:, 1, None] - y)
     other = np.array([[a is not b for b in kinds] for a in known.kind])
-    cost = np.where(away <= reach[:, None], away + OTHER_KIND_M * other, _FAR)
+    possible = (away <= reach[:, None]) & _alike(np.sort(np.array(known.size))[:, None], np.sort(sizes)[None])
+    cost = np.where(possible, away + OTHER_KIND_M * other, _FAR)
     for k, i in zip(*linear_sum_assignment(cost), strict=True):
         if cost[k, i] < _FAR:
             out[i] = int(k)
     return out
+
+
+def _alike(a: FloatArray, b: FloatArray) -> BoolArray:
+    """Whether sizes `(..., 2)` may be those of one object; unknown ones may."""
+    apart = np.abs(a - b)
+    return np.asarray(~((apart > OTHER_SIZE_M) & (apart > OTHER_SIZE * np.maximum(a, b))).any(axis=-1), np.bool_)
 
 
 def _expected(past: list[tuple[float, float, float]], now: float) -> tuple[float, float]:

@@ -291,7 +291,8 @@ def _identified(samples: Samples, with_ids: bool, t: IntArray, said: list[str]) 
     seconds = (t - t[0])[samples.message] / 1e9 if len(t) else np.empty(0)
     if with_ids and are_identities(samples.ids, samples.message, seconds, samples.x, samples.y):
         return samples
-    names = joined(samples.message, seconds, samples.x, samples.y, samples.kinds)
+    sizes = np.where(samples.turned[:, None], np.column_stack([samples.length, samples.width]), np.nan)
+    names = joined(samples.message, seconds, samples.x, samples.y, samples.kinds, sizes)
     count = int(names.max(initial=0))
     why = "are no identities (they jump)" if with_ids else "are not there"
     said.append(f"Ids of objects {why}: objects are joined from frame to frame by position, to {count} tracks.")
@@ -360,6 +361,7 @@ def tracks_of(samples: Samples, t: FloatArray, said: list[str]) -> Tracks:
     parts = [slice(*ends) for ends in pairwise(offsets)]
     kinds = tuple(Counter(some.kinds[part]).most_common(1)[0][0] for part in parts)
     yaw, length, width = _aligned(some, parts)
+    yaw = _one_front(yaw, some, seconds, parts, kinds, said)
     sizes = _median_sizes(length, width, kinds, parts, said)
     vx, vy = _filled(some, seconds, first, kinds, np.diff(offsets), said)
     return Tracks(
@@ -379,6 +381,34 @@ def _aligned(samples: Samples, parts: list[slice]) -> tuple[FloatArray, FloatArr
                 if turns % 2:
                     length[i], width[i] = width[i], length[i]
     return yaw, length, width
+
+
+def _one_front(
+    yaw: FloatArray, samples: Samples, t: FloatArray, parts: list[slice], kinds: tuple[AgentKind, ...], said: list[str]
+) -> FloatArray:
+    """Headings of boxes whose front and back change places, so that none turns round from one sample to the next.
+
+    The front is where an agent that moves goes, by most of its samples; of one that stands what most headings say.
+    """
+    out, turned = yaw.copy(), 0
+    for part, kind in zip(parts, kinds, strict=True):
+        if kind is AgentKind.PEDESTRIAN or part.stop - part.start < 2:
+            continue
+        # by how many half turns each differs from the one before, summed up
+        steps = np.round(np.diff(yaw[part]) / np.pi)
+        half = np.r_[0.0, np.cumsum(steps)]
+        if not (half % 2).any():
+            continue
+        own = yaw[part] - np.pi * half
+        along = np.diff(samples.x[part]) * np.cos(own[1:]) + np.diff(samples.y[part]) * np.sin(own[1:])
+        speed = along / np.diff(t[part])
+        moves = np.abs(speed) > MOVES_MPS
+        backward = np.sum(np.sign(speed[moves])) < 0 if moves.mean() > 0.5 else (half % 2).mean() > 0.5
+        out[part] = own + (np.pi if backward else 0.0)
+        turned += int(min((half % 2).sum(), len(half) - (half % 2).sum()))
+    if turned:
+        said.append(f"{turned} samples of objects have front and back exchanged and are turned round.")
+    return out
 
 
 def _median_sizes(

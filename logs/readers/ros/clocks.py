@@ -31,17 +31,15 @@ class Clock:
 
     log: IntArray
     stamp: IntArray
-    offset_s: float = 0.0
 
     def __call__(self, log: IntArray) -> IntArray:
         """Log times `(n,)` as times of the scenario's clock."""
         if not len(self.log):
             return log
-        inner = self.stamp[0] + np.rint(
-            np.interp(log - self.log[0], self.log - self.log[0], self.stamp - self.stamp[0])
-        )
+        since = np.interp(log - self.log[0], self.log - self.log[0], self.stamp - self.stamp[0])
+        inner = self.stamp[0] + np.rint(since).astype(np.int64)  # whole: times since an epoch are no floats
         out = np.where(log < self.log[0], log - self.log[0] + self.stamp[0], inner)
-        return np.where(log > self.log[-1], log - self.log[-1] + self.stamp[-1], out).astype(np.int64)
+        return np.where(log > self.log[-1], log - self.log[-1] + self.stamp[-1], out)
 
 
 LOG_CLOCK = Clock(np.empty(0, np.int64), np.empty(0, np.int64))
@@ -61,13 +59,11 @@ def clock_of(log: IntArray, stamps: IntArray, choice: str) -> Clock:
     """The scenario's clock by the ego's messages: their stamps, unless the choice is "log" or there are none."""
     if choice == "log" or not stamped(stamps):
         return LOG_CLOCK
-    rising = np.flatnonzero(np.diff(np.maximum.accumulate(log), prepend=log[0] - 1) > 0)
-    return Clock(log[rising], stamps[rising], float(np.median(offsets(log, stamps))))
+    rising = np.flatnonzero(np.diff(log, prepend=log[0] - 1) > 0)
+    return Clock(log[rising], np.maximum.accumulate(stamps)[rising])
 
 
-def times_of(
-    topic: str, log: IntArray, stamps: IntArray, clock: Clock, notes: list[str], *, header: bool = False
-) -> tuple[IntArray, IntArray]:
+def times_of(topic: str, log: IntArray, stamps: IntArray, clock: Clock, notes: list[str]) -> tuple[IntArray, IntArray]:
     """Times of a topic's messages `(k,)` ns, rising strictly, and which messages they are `(k,)`.
 
     Stale ones (by (1) more than `OTHER_CLOCK_S` later than the topic's usual) are left out, and of several with one
@@ -77,18 +73,17 @@ def times_of(
     if not len(clock.log) or not stamped(stamps):
         times = clock(log)
     else:
-        late = offsets(log, stamps)
+        late = offsets(clock(log), stamps)
         usual = float(np.median(late))
-        if abs(usual - clock.offset_s) > OTHER_CLOCK_S and not header:
+        if abs(usual) > OTHER_CLOCK_S:
             notes.append(
-                f"The stamps of {topic} are of another clock than the ego's ({usual - clock.offset_s:+.1f} s): its log"
-                " times count."
+                f"The stamps of {topic} are of another clock than the ego's ({usual:+.1f} s): its log times count."
             )
             times = clock(log)
         else:
             keep = np.flatnonzero(np.abs(late - usual) <= OTHER_CLOCK_S)
             if len(keep) < len(log):
-                worst = float(np.abs(late).max())
+                worst = float(np.abs(late - usual).max())
                 notes.append(
                     f"{len(log) - len(keep)} of {len(log)} messages of {topic} are stale, by up to {worst:.1f} s, and"
                     " left out."

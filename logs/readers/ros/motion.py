@@ -25,7 +25,6 @@ SLOW_MPS = 0.5
 """Below, the heading says nothing of the curvature: the last one holds."""
 AGENT_WINDOW_S, OBJECT_WINDOW_S = 0.5, 1.0
 """For the boxes of others (10 Hz): outlines of clusters jump by decimetres, and what is no road user hardly moves."""
-_ROWS = 20_000
 
 
 def window_of(t: FloatArray, wanted: float) -> float:
@@ -45,14 +44,37 @@ def rates(
         window: `(n,)` W, s.
         parabola: Else straight lines only.
     """
-    n = len(t)
     begin = np.maximum(first, _begins(t, first, window))
-    width = int((np.arange(n) - begin).max(initial=0)) + 1
-    parts = [
-        _rates(t, values, np.arange(k, min(k + _ROWS, n)), begin, width, parabola=parabola) for k in range(0, n, _ROWS)
-    ]
-    joined = np.concatenate(parts, axis=2) if parts else np.empty((2, len(values), 0))
-    return joined[0], joined[1]
+    rows = np.arange(len(t))
+    span = t - t[begin]
+    scale = np.where(span > 0.0, span, 1.0)
+    powers, moments = np.zeros((5, len(t))), np.zeros((3, len(values), len(t)))
+    for back in range(int((rows - begin).max(initial=0)) + 1):  # one after another: later samples change no bit
+        inside = rows - back >= begin
+        at = np.maximum(rows - back, 0)
+        u = np.where(inside, (t[at] - t) / scale, 0.0)
+        weights = inside * np.array([u**0, u, u**2, u**3, u**4])
+        powers += weights
+        moments += weights[:3, None] * np.where(inside, values[:, at] - values, 0.0)
+    return _solved(powers, moments, scale, parabola=parabola)
+
+
+def _solved(
+    powers: FloatArray, moments: FloatArray, scale: FloatArray, *, parabola: bool
+) -> tuple[FloatArray, FloatArray]:
+    """Rates and changes `(c, n)` from sums of powers of u `(5, n)` and of the values times them `(3, c, n)`."""
+    rate, change = np.full((2, *moments.shape[1:]), np.nan)
+    curved = (powers[0] >= PARABOLA) & parabola
+    det = powers[0] * powers[2] - powers[1] ** 2
+    line = (powers[0] >= 2) & ~curved & (det > 0.0)
+    rate[:, line] = (powers[0] * moments[1] - powers[1] * moments[0])[:, line] / det[line] / scale[line]
+    change[:, line] = 0.0
+    if curved.any():
+        normal = np.array([[powers[i + j][curved] for j in range(3)] for i in range(3)]).transpose(2, 0, 1)
+        found = np.linalg.solve(normal, moments[:, :, curved].transpose(2, 0, 1))
+        rate[:, curved] = (found[:, 1] / scale[curved, None]).T
+        change[:, curved] = (2.0 * found[:, 2] / scale[curved, None] ** 2).T
+    return rate, change
 
 
 def _begins(t: FloatArray, first: IntArray, window: FloatArray) -> IntArray:
@@ -61,35 +83,6 @@ def _begins(t: FloatArray, first: IntArray, window: FloatArray) -> IntArray:
     bounds = np.flatnonzero(np.diff(first, prepend=-1))
     for begin, end in zip(bounds, np.append(bounds[1:], len(t)), strict=True):
         out[begin:end] = begin + np.searchsorted(t[begin:end], t[begin:end] - window[begin:end] - 1e-9)
-    return out
-
-
-def _rates(
-    t: FloatArray, values: FloatArray, rows: IntArray, begin: IntArray, width: int, *, parabola: bool
-) -> FloatArray:
-    at = rows[:, None] - np.arange(width)[::-1]
-    inside = at >= begin[rows, None]
-    at = np.maximum(at, 0)
-    u = np.where(inside, t[at] - t[rows, None], 0.0)
-    count = inside.sum(axis=1)
-    span = -u.min(axis=1)
-    scale = np.where(span > 0.0, span, 1.0)
-    u = u / scale[:, None]
-    z = np.where(inside, values[:, at] - values[:, rows, None], 0.0)
-    powers = [inside.sum(axis=1), *((u**k).sum(axis=1) for k in range(1, 5))]
-    moments = [z.sum(axis=2), (z * u).sum(axis=2), (z * u**2).sum(axis=2)]
-    curved = (count >= PARABOLA) & parabola
-    out = np.full((2, len(values), len(rows)), np.nan)
-    det = powers[0] * powers[2] - powers[1] ** 2
-    line = (count >= 2) & ~curved & (det > 0.0)
-    out[0][:, line] = ((powers[0] * moments[1] - powers[1] * moments[0])[:, line]) / det[line] / scale[line]
-    out[1][:, line] = 0.0
-    if curved.any():
-        normal = np.array([[powers[i + j][curved] for j in range(3)] for i in range(3)]).transpose(2, 0, 1)
-        right = np.array([moment[:, curved] for moment in moments]).transpose(2, 0, 1)
-        found = np.linalg.solve(normal, right)
-        out[0][:, curved] = (found[:, 1] / scale[curved, None]).T
-        out[1][:, curved] = (2.0 * found[:, 2] / scale[curved, None] ** 2).T
     return out
 
 

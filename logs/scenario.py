@@ -16,7 +16,7 @@ from logs.motion import Motion, estimated
 from logs.presence import MAX_AGE_S, MAX_GAP_S, patience
 from logs.road import Goal, Road
 from logs.rules import TrafficLight
-from logs.states import Controls, Trajectory
+from logs.states import Controls, OnboardPlan, Trajectory
 from logs.vehicle import VehicleParameters
 
 TREND_S = 1.0
@@ -349,6 +349,7 @@ class Scenario:
         notes: What was assumed in reading, one sentence each: shown to the user.
         lights: The traffic lights that the road's stop lines name, in order of their ids (ordered here). One that a
             stop line names and that is not among them was not observed.
+        onboard: The plans that the log's own planner made, in order of when they were known.
 
     Raises:
         ValueError: The scenario is shorter than its ego log, or two lights have one id.
@@ -370,6 +371,7 @@ class Scenario:
     metadata: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     lights: tuple[TrafficLight, ...] = ()
+    onboard: tuple[OnboardPlan, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))

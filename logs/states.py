@@ -182,3 +182,16 @@ class Controls:
 
     def __len__(self) -> int:
         return len(self.t)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class OnboardPlan:
+    """A plan that the log's own planner made while it was driven.
+
+    Attributes:
+        known: From when on it was known, s since the scenario's start.
+        trajectory: What was planned, in the scenario's time and world.
+    """
+
+    known: float
+    trajectory: Trajectory

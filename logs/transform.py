@@ -18,7 +18,7 @@ import numpy as np
 from logs.kernel import FloatArray
 from logs.road import Goal, Lane, Road
 from logs.scenario import Scenario, Tracks
-from logs.states import Controls, Trajectory
+from logs.states import Controls, OnboardPlan, Trajectory
 
 MIRRORED = "~mirrored"
 _FLIP = np.array([1.0, -1.0])
@@ -36,6 +36,7 @@ def moved(scenario: Scenario, dx: float, dy: float, dyaw: float) -> Scenario:
     turned = replace(
         scenario,
         ego=replace(ego, yaw=ego.yaw + dyaw),
+        onboard=_with_trajectories(scenario.onboard, lambda one: replace(one, yaw=one.yaw + dyaw)),
         tracks=replace(tracks, yaw=tracks.yaw + dyaw, vx=vx, vy=vy),
         goal=goal,
         origin=(float(x), float(y)),
@@ -90,6 +91,7 @@ def mirrored(scenario: Scenario) -> Scenario:
         scenario,
         name=name.removesuffix(MIRRORED) if name.endswith(MIRRORED) else name + MIRRORED,
         ego=mirrored_trajectory(scenario.ego),
+        onboard=_with_trajectories(scenario.onboard, mirrored_trajectory),
         tracks=_mirrored_tracks(scenario.tracks),
         road=_mirrored_road(scenario.road),
         goal=None if goal is None else _mirrored_goal(goal),
@@ -119,11 +121,16 @@ def _turn(angle: float) -> FloatArray:
 def _placed(scenario: Scenario, points: _Points) -> Scenario:
     """The scenario with all its points `(k, 2)` elsewhere, and nothing else changed."""
     ego, tracks, road, goal = scenario.ego, scenario.tracks, scenario.road, scenario.goal
-    ego_x, ego_y = points(np.column_stack([ego.x, ego.y])).T
+
+    def driven(one: Trajectory) -> Trajectory:
+        own_x, own_y = points(np.column_stack([one.x, one.y])).T
+        return replace(one, x=own_x, y=own_y)
+
     x, y = points(np.column_stack([tracks.x, tracks.y])).T
     return replace(
         scenario,
-        ego=replace(ego, x=ego_x, y=ego_y),
+        ego=driven(ego),
+        onboard=_with_trajectories(scenario.onboard, driven),
         tracks=replace(tracks, x=x, y=y),
         road=replace(
             road,
@@ -135,6 +142,12 @@ def _placed(scenario: Scenario, points: _Points) -> Scenario:
         ),
         goal=None if goal is None else replace(goal, regions=tuple(points(region) for region in goal.regions)),
     )
+
+
+def _with_trajectories(
+    plans: tuple[OnboardPlan, ...], changed: Callable[[Trajectory], Trajectory]
+) -> tuple[OnboardPlan, ...]:
+    return tuple(replace(plan, trajectory=changed(plan.trajectory)) for plan in plans)
 
 
 def _swapped(text: str) -> str:

@@ -1,6 +1,8 @@
 """Planners that are given the Scenario, future included: they calibrate the metrics, and every table marks them.
 
 "logged"    what was driven, as a plan: no error in open loop; in closed loop the car has to follow the log
+"onboard"   what the log's own planner had planned by then (`Scenario.onboard`), to be judged beside others. It knew
+            nothing of the future, but planned for the car where the log has it: no answer to another drive
 """
 
 from __future__ import annotations
@@ -9,10 +11,11 @@ from collections.abc import Callable
 
 import numpy as np
 
+from logs.errors import PlannerError
 from logs.frame import Frame, PlannerContext
 from logs.scenario import Scenario
 from logs.states import TRAJECTORY_COLUMNS, EgoState, Trajectory
-from logs.trace import Plan, PlanStart
+from logs.trace import Plan, PlanStart, PlanStatus
 from planners.base import Planner
 from planners.constant_speed import arc
 
@@ -54,7 +57,46 @@ def _single(state: EgoState, t: float) -> Trajectory:
     return Trajectory(*(np.array([t if name == "t" else getattr(state, name)]) for name in TRAJECTORY_COLUMNS))
 
 
+class Onboard:
+    """The newest plan that the log's own planner had made by the frame's time; older than `oldest_s`: a fallback.
+
+    Args:
+        context: As every planner's.
+        scenario: The whole log; plans made later than a frame are not looked at in it.
+        oldest_s: A plan is followed for so long, s; then the car keeps its speed and curvature.
+
+    Raises:
+        PlannerError: The log has no on-board plans.
+    """
+
+    def __init__(self, context: PlannerContext, scenario: Scenario, *, oldest_s: float = 1.0) -> None:
+        if not scenario.onboard:
+            raise PlannerError(f"{scenario.name} has no on-board plans: 'onboard' needs a log that holds them")
+        self._plans = scenario.onboard
+        self._known = np.array([plan.known for plan in scenario.onboard])
+        self._oldest = oldest_s
+
+    def plan(self, frame: Frame) -> Plan:
+        """The rest of that plan from `frame.t` on, its own samples."""
+        newest = int(np.searchsorted(self._known, frame.t + 1e-9, side="right")) - 1
+        if newest < 0:
+            return self._none(frame, "no on-board plan was made so far")
+        age = frame.t - float(self._known[newest])
+        if age > self._oldest:
+            return self._none(frame, f"the last on-board plan is {age:.1f} s old")
+        planned = self._plans[newest].trajectory
+        t = np.r_[frame.t, planned.t[planned.t > frame.t + 1e-6]]
+        columns = [np.interp(t, planned.t, getattr(planned, name)) for name in TRAJECTORY_COLUMNS[1:]]
+        return Plan(Trajectory(t, *columns))
+
+    @staticmethod
+    def _none(frame: Frame, why: str) -> Plan:
+        rest = arc(frame.ego, frame.t + np.arange(0.0, 2.0, 0.1))
+        return Plan(rest, status=PlanStatus.REFUSED, reason=f"{why}: speed and curvature are kept")
+
+
 ORACLES: dict[str, Callable[..., Planner]] = {
     "logged": Logged,
+    "onboard": Onboard,
 }
 """Each is built as `Class(context, scenario, **config)`."""

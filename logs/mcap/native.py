@@ -13,6 +13,7 @@
     /obstacles       AgentColumns  the same for those that never move; one sample is enough
     /road            Road          once        /goal   Goal   once        /vehicle   Vehicle   once
     /traffic_lights  LightColumns  what lights show from the log time on; those that do not change may be left out
+    /onboard         OnboardPlan   a plan that the log's own planner made, at the log time from which it was known
     /plan, /command, /actuation, /tracking     only in a trace: what was planned, asked, done, missed
     /perceived       AgentColumns  only in a trace: the others as a sensor showed them to the planner, once a frame
     /predictions     Predictions   only in a trace with full internals: their futures as the planner was shown them
@@ -227,6 +228,12 @@ class TrajectoryColumns(msgspec.Struct, rename=serialised):
     kappa: list[float]
 
 
+class OnboardPlan(msgspec.Struct):
+    """A plan that the log's own planner made."""
+
+    trajectory: TrajectoryColumns
+
+
 class Decision(msgspec.Struct):
     """What was decided about an agent in a stage, and why."""
 
@@ -342,6 +349,7 @@ TOPICS: dict[str, type[msgspec.Struct]] = {
     "/agents": AgentColumns,
     "/ego": Ego,
     "/controls": Controls,
+    "/onboard": OnboardPlan,
     "/perceived": AgentColumns,
     "/predictions": Predictions,
     "/plan": Plan,

@@ -23,7 +23,7 @@ from logs.mcap.complete import completed, road_along
 from logs.mcap.container import CONVERT, LAST_TIME_NS, MEND, Container, Stream, read_container
 from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
 from logs.scenario import FINDING, Scenario, Tracks
-from logs.states import Controls, Trajectory
+from logs.states import Controls, OnboardPlan, Trajectory
 from logs.vehicle import VehicleParameters
 
 T = TypeVar("T")
@@ -107,6 +107,7 @@ def _native(container: Container) -> Scenario:
             metadata=_free_metadata(container),
             notes=(*noted, *(note for note in notes if note not in noted)),
             lights=lights,
+            onboard=_onboard(streams.get("/onboard"), start_ns),
         )
     except ValueError as error:
         raise LogError(str(error), topic="/vehicle" if str(error).startswith("vehicle") else None) from None
@@ -317,6 +318,23 @@ def _lights(stream: Stream | None, start_ns: int) -> tuple[TrafficLight, ...]:
                 raise LogError(what, topic=stream.topic, time_ns=time, remedy="keep one of them")
             shown[light][time] = colour
     return tuple(TrafficLight(i, _seconds(list(c), start_ns), tuple(c.values())) for i, c in sorted(shown.items()))
+
+
+def _onboard(stream: Stream | None, start_ns: int) -> tuple[OnboardPlan, ...]:
+    """The plans that were made on board, in order of time."""
+    if stream is None:
+        return ()
+    stream.check_order(strictly=True)
+    known = _seconds(stream.times, start_ns).tolist()
+    out = []
+    for seconds, time, message in zip(known, stream.times, stream.decoded(native.OnboardPlan), strict=True):
+        _equal_lengths(message.trajectory, stream.topic, time)
+        columns = (np.array(column, np.float64) for column in msgspec.structs.astuple(message.trajectory))
+        try:
+            out.append(OnboardPlan(seconds, Trajectory(*columns)))
+        except ValueError as error:
+            raise LogError(str(error), topic=stream.topic, time_ns=time, remedy=MEND) from None
+    return tuple(out)
 
 
 def _dark(road: nouns.Road, lights: Sequence[TrafficLight]) -> tuple[str, ...]:

@@ -24,6 +24,7 @@ from logs.kernel import FloatArray
 from logs.mcap import native
 from logs.rules import Colour, StopLine, TrafficLight
 from logs.scenario import Scenario, Tracks
+from logs.states import TRAJECTORY_COLUMNS
 
 CHUNK_BYTES = 128 * 1024
 BLOCK = 100
@@ -127,6 +128,10 @@ def scenario_entries(scenario: Scenario, *, blocks: bool = False) -> Iterator[En
     yield from samples(scenario.ego, native.Ego, "/ego", start, blocks=blocks)
     if scenario.controls is not None:
         yield from samples(scenario.controls, native.Controls, "/controls", start, blocks=blocks)
+    times = log_times(np.array([plan.known for plan in scenario.onboard]), start, "/onboard")
+    for time, plan in zip(times, scenario.onboard, strict=True):
+        columns = (getattr(plan.trajectory, name).tolist() for name in TRAJECTORY_COLUMNS)
+        yield time, "/onboard", native.OnboardPlan(native.TrajectoryColumns(*columns))
 
 
 def log_times(t: FloatArray, start_ns: int, topic: str) -> list[int]:

@@ -23,9 +23,10 @@ class LogSettings:
         map: Path of a map that replaces the log's (Lanelet2 .osm, 123D map.arrow, OpenDRIVE .xodr); "": the log's own.
         begin: Seconds after the log's first ego state at which the scenario begins.
         end: And at which it ends, s; inf: with the log.
-        clock: Times of messages: "log" when they were recorded, "header" as stamped by their sender.
-        topics: Topic or file by role ("ego", "agents", "lights", "goal", "plan", "steering" ...), where the choice by
-            type is not the right one.
+        clock: Times of messages: "log" when they were recorded, "header" as stamped by their sender; "": the reader's
+            choice for the format, which its notes say.
+        topics: Topic or file by role ("ego", "speed", "acceleration", "agents", "lights", "goal", "plan", "steering"
+            ...), where the choice by type is not the right one; "-": none.
         frames: Name of the log's frame by role: "map" and "base" (rear axle) of transforms.
         columns: Column of a table by the name that replan has for it ("x": "pos_east_m").
         car: Sizes of the ego, m, where the log has none: "length", "width", "wheelbase", "rear_overhang".
@@ -36,7 +37,7 @@ class LogSettings:
     map: str = ""
     begin: float = 0.0
     end: float = inf
-    clock: str = "log"
+    clock: str = ""
     topics: Mapping[str, str] = field(default_factory=dict)
     frames: Mapping[str, str] = field(default_factory=dict)
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -45,7 +46,7 @@ class LogSettings:
     def __post_init__(self) -> None:
         if not 0.0 <= self.begin < self.end:
             raise ValueError(f"a log from {self.begin} s to {self.end} s is empty: end must be after begin, both >= 0")
-        if self.clock not in ("log", "header"):
+        if self.clock not in ("", "log", "header"):
             raise ValueError(f"clock is {self.clock!r}: log or header")
         if not all(value > 0.0 for value in self.car.values()):
             raise ValueError("the sizes in car must be positive")

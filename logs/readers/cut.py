@@ -15,7 +15,7 @@ from logs.errors import LogError
 from logs.kernel import BoolArray, FloatArray
 from logs.rules import TrafficLight
 from logs.scenario import Scenario, Tracks
-from logs.states import Controls, Trajectory
+from logs.states import Controls, OnboardPlan, Trajectory
 
 HISTORY_S = 2.0
 """More than `logs.presence.MAX_GAP_S`: a sample that is older stands for nobody any more."""
@@ -52,6 +52,7 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
         controls=None if scenario.controls is None else _controls(scenario.controls, begin, end),
         start_ns=scenario.start_ns + round(1e9 * begin),
         notes=(*scenario.notes, f"This is the part from {begin:g} s to {min(end, scenario.duration):g} s of the log."),
+        onboard=_onboard(scenario.onboard, begin, end),
         lights=tuple(light for light in (_light(each, begin, end) for each in scenario.lights) if light is not None),
     )
 
@@ -74,6 +75,16 @@ def _controls(controls: Controls, begin: float, end: float) -> Controls | None:
 
 def _columns(controls: Controls, keep: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     return controls.steer[keep], controls.throttle[keep], controls.brake[keep]
+
+
+def _onboard(plans: tuple[OnboardPlan, ...], begin: float, end: float) -> tuple[OnboardPlan, ...]:
+    """The plans known in that part: the newest at its begin, and all up to its end."""
+    first = max(sum(plan.known <= begin for plan in plans) - 1, 0)
+    return tuple(
+        OnboardPlan(plan.known - begin, replace(plan.trajectory, t=plan.trajectory.t - begin))
+        for plan in plans[first:]
+        if plan.known <= end
+    )
 
 
 def _light(light: TrafficLight, begin: float, end: float) -> TrafficLight | None:

@@ -1,0 +1,348 @@
+"""The ego's poses and speed from whatever topics have them.
+
+Poses, in this order: nav_msgs/Odometry in the map frame; the chain of transforms from the map to the car; Odometry in
+another frame; PoseStamped with or without covariance. Of several topics of a kind the one with most messages, then the
+first by name. Speed: the odometry's own; else a topic of velocities; else by `motion` from the poses. A topic of speeds
+or accelerations counts where it has no gap over `COVERS_S`; at a pose's time its last value holds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from logs.errors import LogError
+from logs.kernel import FloatArray, IntArray
+from logs.readers.base import LogSettings
+from logs.readers.ros import schemas
+from logs.readers.ros.bag import Bag, Topic
+from logs.readers.ros.clocks import Clock, clock_of, said, times_of
+from logs.readers.ros.motion import EGO_WINDOW_S, STANDS_MPS, curvature, rates, window_of
+from logs.readers.ros.objects import STAMP
+from logs.readers.ros.transforms import HELD, Frames, Poses, unit
+
+NONE = "-"
+"""Name of a topic that says: none."""
+MAP_NAMES = ("map", "world", "odom", "earth")
+BASE_NAMES = ("base_link", "base_footprint", "ego_vehicle", "hero", "ego")
+LEAST_POSES = 2
+COVERS_S = 0.5
+WARM_UP_S = 0.3
+"""Poses before the first state: from them its speed is known without a later one."""
+POSITION = (
+    "position.x",
+    "position.y",
+    "position.z",
+    "orientation.x",
+    "orientation.y",
+    "orientation.z",
+    "orientation.w",
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Edge:
+    """Transforms as logged: log times and stamps `(n,)` ns, poses `(n, 3)`, `(n, 4)`; whether they never change."""
+
+    log: IntArray
+    stamps: IntArray
+    p: FloatArray
+    q: FloatArray
+    static: bool
+
+
+Edges = Mapping[tuple[str, str], Edge]
+
+
+@dataclass(frozen=True, eq=False)
+class EgoLog:
+    """The ego as logged: where it was found, its clock, frames, and columns `(n,)`; v, a NaN where to be derived."""
+
+    source: str
+    clock: Clock
+    map: str
+    base: str
+    frames: Frames
+    poses: Poses
+    v: FloatArray
+
+
+def topics_of(bag: Bag, kinds: Mapping[str, object] | tuple[str, ...], settings: LogSettings, role: str) -> list[Topic]:
+    """The topics of some message types that have messages, most messages first; what the settings say for the role.
+
+    Raises:
+        LogError: The settings name a topic that is not there or of no such type.
+    """
+    wanted = settings.topics.get(role, "")
+    if wanted == NONE:
+        return []
+    fitting = [topic for topic in bag.topics if topic.kind in kinds and topic.count]
+    if wanted:
+        named = [topic for topic in fitting if topic.name == wanted]
+        if not named:
+            there = next((topic.kind for topic in bag.topics if topic.name == wanted), None)
+            what = f"the topic for {role!r} " + ("is not in the log" if there is None else f"has the type {there}")
+            remedy = f"for this role the log has {', '.join(t.name for t in fitting) or 'none'}; '-' takes none"
+            raise LogError(what, topic=wanted, remedy=remedy)
+        return named
+    return sorted(fitting, key=lambda topic: (-topic.count, topic.name))
+
+
+def read_edges(bag: Bag, begin: int | None, end: int | None) -> dict[tuple[str, str], Edge]:
+    """All transforms between two log times, ns; static ones from the log's begin on."""
+    rows: dict[tuple[str, str], list[tuple[float, ...]]] = {}
+    static: set[tuple[str, str]] = set()
+    moved = (*(f"translation.{c}" for c in "xyz"), *(f"rotation.{c}" for c in "xyzw"))
+    fields = (*STAMP, "header.frame_id", "child_frame_id", *(f"transform.{name}" for name in moved))
+    for topic in bag.topics:
+        if topic.kind not in schemas.TRANSFORMS or not topic.count:
+            continue
+        fixed = topic.name.endswith("static")
+        log, messages = bag.read(topic, (("transforms", fields),), None if fixed else begin, end)
+        for time, (transforms,) in zip(log.tolist(), messages, strict=True):
+            for sec, nsec, parent, child, *pose in transforms:
+                edge = parent.lstrip("/"), child.lstrip("/")
+                rows.setdefault(edge, []).append((time, sec * 1_000_000_000 + nsec, *pose))
+                if fixed:
+                    static.add(edge)
+    return {edge: _edge(values, edge in static) for edge, values in rows.items()}
+
+
+def _edge(rows: list[tuple[float, ...]], static: bool) -> Edge:
+    log = np.array([row[0] for row in rows], dtype=np.int64)
+    stamps = np.array([row[1] for row in rows], dtype=np.int64)
+    pose = np.array([row[2:] for row in rows])
+    good = np.isfinite(pose).all(axis=1)
+    order = np.argsort(log[good], kind="stable")[-1 if static else 0 :]
+    log, stamps, pose = log[good][order], stamps[good][order], pose[good][order]
+    return Edge(log, stamps, pose[:, :3], unit(pose[:, 3:]), static)
+
+
+def _poses(bag: Bag, topic: Topic, path: str, begin: int | None, end: int | None) -> tuple[str, str, Edge, FloatArray]:
+    """Frame, child frame, poses and speeds (NaN: none) of a topic of poses or odometry."""
+    odometry = topic.kind in schemas.ODOMETRY
+    more = ("child_frame_id", "twist.twist.linear.x") if odometry else ()
+    log, rows = bag.read(
+        topic, (*STAMP, "header.frame_id", *(f"{path}.{name}" for name in POSITION), *more), begin, end
+    )
+    if not rows:
+        raise LogError(
+            "no poses in this part of the log", topic=topic.name, remedy="choose begin and end within the log"
+        )
+    values = _edge(
+        [(time, row[0] * 1_000_000_000 + row[1], *row[3:10]) for time, row in zip(log.tolist(), rows, strict=True)],
+        False,
+    )
+    good = np.isfinite([row[3:10] for row in rows]).all(axis=1)
+    speed = np.array([row[11] if odometry else np.nan for row in rows])[good]
+    return rows[0][2].lstrip("/"), rows[0][10].lstrip("/") if odometry else "", values, speed
+
+
+def _map_frame(edges: Edges, named: str, settings: LogSettings) -> str:
+    """The frame of the scenario: as set, "map" and the like where there is one, else what the ego's poses are in."""
+    if "map" in settings.frames:
+        return settings.frames["map"]
+    names = {name for edge in edges for name in edge} | {named}
+    roots = {parent for parent, _ in edges} - {child for _, child in edges}
+    known = [name for name in MAP_NAMES if name in names]
+    return known[0] if known else named or min(roots, default="map")
+
+
+def _base_frame(edges: Edges, map_frame: str, settings: LogSettings) -> tuple[str, str]:
+    """The car's frame, and why it is that one; "" where nothing moves."""
+    if "base" in settings.frames:
+        return settings.frames["base"], "as set"
+    moving = {child: len(edge.log) for (_, child), edge in edges.items() if not edge.static and len(edge.log) > 1}
+    below = {child for _, child in edges}
+    known = [name for name in BASE_NAMES if name in below]
+    if known:
+        return known[0], "by its name"
+    ends = {name: count for name, count in moving.items() if name != map_frame}
+    if not ends:
+        return "", ""
+    why = "the only frame that moves" if len(ends) == 1 else "of the frames that move the one with most transforms"
+    return min(ends, key=lambda name: (-ends[name], name)), why
+
+
+def read_ego(bag: Bag, settings: LogSettings, begin: int | None, end: int | None, notes: list[str]) -> EgoLog:
+    """The ego's poses between two log times, ns.
+
+    Raises:
+        LogError: Nothing in the log says where the ego is.
+    """
+    edges = read_edges(bag, begin, end)
+    wanted = settings.topics.get("ego", "")
+    by_transforms = any(topic.name == wanted and topic.kind in schemas.TRANSFORMS for topic in bag.topics)
+    found = None if by_transforms else _odometry(bag, settings, begin, end, edges)
+    if found is not None:
+        return _from_topic(bag, found, edges, settings, notes)
+    map_frame = _map_frame(edges, "", settings)
+    base, why = _base_frame(edges, map_frame, settings)
+    if not base:
+        raise _no_ego(bag)
+    chain = Frames((p, c, Poses(e.log, e.p, e.q)) for (p, c), e in edges.items()).chain(map_frame, base)
+    fastest = max((edges[p, c] for p, c, _ in chain), key=lambda edge: len(edge.log), default=None)
+    if fastest is None or len(fastest.log) < LEAST_POSES:
+        raise _no_ego(bag)
+    clock = clock_of(fastest.log, fastest.stamps, settings.clock)
+    source = "/tf"
+    steps = " -> ".join([map_frame, *(c if down else p for p, c, down in chain)])
+    notes.append(f"The ego is frame '{base}' ({why}), its pose by transforms: {steps}.")
+    notes += said(source, fastest.log, fastest.stamps, int(fastest.log[0]))
+    frames = _frames(edges, clock, notes)
+    t = frames.times(map_frame, base)
+    if len(t) < LEAST_POSES:
+        raise _no_ego(bag)
+    return EgoLog(
+        source, clock, map_frame, base, frames, frames.poses(map_frame, base, t, HELD), np.full(len(t), np.nan)
+    )
+
+
+_Found = tuple[Topic, str, str, Edge, FloatArray]
+
+
+def _odometry(bag: Bag, settings: LogSettings, begin: int | None, end: int | None, edges: Edges) -> _Found | None:
+    """The topic of odometry or poses that the ego is read from; None: transforms are better or all that there is."""
+    kinds = {**dict.fromkeys(schemas.ODOMETRY, "pose.pose"), **schemas.POSES}
+    topics = [topic for topic in topics_of(bag, kinds, settings, "ego") if topic.count >= LEAST_POSES]
+    if "ego" not in settings.topics:
+        topics = [topic for topic in topics if "goal" not in topic.name and "initialpose" not in topic.name]
+    ordered = sorted(topics, key=lambda topic: topic.kind not in schemas.ODOMETRY)
+    transforms = any(not edge.static and len(edge.log) >= LEAST_POSES for edge in edges.values())
+    for topic in ordered:
+        frame, child, edge, speed = _poses(bag, topic, kinds[topic.kind], begin, end)
+        at_once = topic.kind in schemas.ODOMETRY and frame == _map_frame(edges, frame, settings)
+        if len(edge.log) >= LEAST_POSES and ("ego" in settings.topics or at_once or not transforms):
+            return topic, frame, child, edge, speed
+    return None
+
+
+def _from_topic(bag: Bag, found: _Found, edges: Edges, settings: LogSettings, notes: list[str]) -> EgoLog:
+    topic, frame, child, edge, speed = found
+    others = topics_of(bag, (topic.kind,), replace(settings, topics={}), "ego")
+    several = f" (of {len(others)} such topics the one with most messages)" if len(others) > 1 else ""
+    notes.append(f"The ego's pose is that of {topic.name}{several}, frame '{frame}'.")
+    clock = clock_of(edge.log, edge.stamps, settings.clock)
+    notes += said(topic.name, edge.log, edge.stamps, int(edge.log[0]))
+    t, keep = times_of(topic.name, edge.log, edge.stamps, clock, notes)
+    poses, speed = Poses(t, edge.p[keep], edge.q[keep]), speed[keep]
+    base = settings.frames.get("base", child or "base_link")
+    others_edges = {pair: each for pair, each in edges.items() if pair[1] != base}
+    frames = _frames(others_edges, clock, notes)
+    map_frame = _map_frame(edges, frame, settings)
+    known = frames.edges | {(frame, base): poses}
+    frames = Frames((parent, name, each) for (parent, name), each in known.items())
+    if map_frame != frame and map_frame in frames.path(frame):
+        poses = frames.poses(map_frame, base, t, HELD)
+    else:
+        map_frame = frame
+    if np.ptp(np.nan_to_num(speed)) == 0.0:
+        speed = np.full(len(t), np.nan)  # a speed that never changes is none
+    return EgoLog(topic.name, clock, map_frame, base, frames, poses, speed)
+
+
+def _frames(edges: Edges, clock: Clock, notes: list[str]) -> Frames:
+    out = []
+    for (parent, child), edge in edges.items():
+        if edge.static:
+            out.append((parent, child, Poses(edge.log, edge.p, edge.q)))
+            continue
+        t, keep = times_of(f"/tf {parent} -> {child}", edge.log, edge.stamps, clock, notes)
+        out.append((parent, child, Poses(t, edge.p[keep], edge.q[keep])))
+    return Frames(out)
+
+
+def _no_ego(bag: Bag) -> LogError:
+    held = sorted({topic.kind.replace("/msg/", "/") for topic in bag.topics if topic.count})
+    what = f"nothing in the bag says where the ego is; it holds {', '.join(held) or 'no messages'}"
+    remedy = "needed are /tf from map to base_link, nav_msgs/Odometry or geometry_msgs/PoseStamped (log.topics.ego)"
+    return LogError(what, remedy=remedy)
+
+
+@dataclass(frozen=True, eq=False)
+class Signal:
+    """A number over time: times `(n,)` ns on the scenario's clock, rising, and values."""
+
+    topic: str
+    t: IntArray
+    values: FloatArray
+
+
+def signal(
+    bag: Bag, kinds: Mapping[str, str], settings: LogSettings, role: str, window: tuple[int | None, int | None],
+    clock: Clock, notes: list[str],
+) -> Signal | None:  # fmt: skip
+    """The topic of a role, as numbers; None where there is none with two messages or more."""
+    for topic in topics_of(bag, kinds, settings, role):
+        if topic.count < LEAST_POSES and role not in settings.topics:
+            continue
+        stamp = STAMP if bag.has(topic, "header.stamp") else ("stamp.sec", "stamp.nanosec")
+        log, rows = bag.read(topic, (*stamp, kinds[topic.kind]), *window)
+        rows = [row if np.isfinite(row[2]) else (*row[:2], np.nan) for row in rows]
+        good = np.array([np.isfinite(row[2]) for row in rows], np.bool_)
+        stamps = np.array([row[0] * 1_000_000_000 + row[1] for row in rows], dtype=np.int64)
+        values = np.array([row[2] for row in rows], dtype=np.float64)
+        if not good.any():
+            continue
+        t, keep = times_of(topic.name, log[good], stamps[good], clock, notes)
+        if len(t):
+            return Signal(topic.name, t, values[good][keep])
+    return None
+
+
+def at_poses(some: Signal | None, t: IntArray, word: str, notes: list[str]) -> FloatArray:
+    """The signal's last value at each pose's time `(n,)`; all NaN, and noted, where it does not cover them."""
+    out = np.full(len(t), np.nan)
+    if some is None:
+        return out
+    before = np.searchsorted(some.t, t, side="right") - 1
+    age = np.where(before >= 0, (t - some.t[np.maximum(before, 0)]) / 1e9, np.inf)
+    if age.max() > COVERS_S:
+        notes.append(f"{some.topic} has no {word} for part of the drive and is not used for it.")
+        return out
+    notes.append(f"The ego's {word} is that of {some.topic}.")
+    return some.values[before]
+
+
+def states(ego: EgoLog, v: FloatArray, a: FloatArray, notes: list[str]) -> dict[str, FloatArray]:
+    """Columns x, y, yaw, v, a, kappa `(n,)` of all poses; v and a are derived where they are NaN, kappa always.
+
+    The first `WARM_UP_S` of the log are too few poses for a derived speed: `begin_of` leaves them out.
+    """
+    seconds = (ego.poses.t - ego.poses.t[0]) / 1e9
+    x, y = ego.poses.p[:, 0], ego.poses.p[:, 1]
+    yaw = np.unwrap(ego.poses.yaw)
+    window = np.full(len(seconds), window_of(seconds, EGO_WINDOW_S))
+    values = np.array([x - x[0], y - y[0], yaw])
+    rate, change = rates(seconds, values, np.zeros(len(seconds), np.int64), window, parabola=True)
+    cos, sin = np.cos(yaw), np.sin(yaw)
+    derived_v, derived_a = (each[0] * cos + each[1] * sin for each in (rate, change))
+    if len(seconds) > 1:
+        derived_v[0], derived_a[0], rate[2, 0] = derived_v[1], 0.0, rate[2, 1]
+    stands = np.abs(derived_v) < STANDS_MPS
+    derived_v, derived_a = np.where(stands, 0.0, derived_v), np.where(stands, 0.0, derived_a)
+    lacking = [word for word, column in (("speed", v), ("acceleration", a)) if not np.isfinite(column).all()]
+    notes.append(
+        f"The log has no ego {' and no ego '.join([*lacking, 'curvature'])}: derived from the poses of the last"
+        f" {window[0]:.2g} s (least squares, no later pose)."
+    )
+    v = np.where(np.isfinite(v), v, derived_v)
+    return {
+        "x": x,
+        "y": y,
+        "yaw": yaw,
+        "v": v,
+        "a": np.where(np.isfinite(a), a, derived_a),
+        "kappa": curvature(rate[2], v),
+    }
+
+
+def begin_of(ego: EgoLog, v: FloatArray) -> int:
+    """The first pose that is a state: the first, or where its speed is derived, the first after `WARM_UP_S`."""
+    if np.isfinite(v).all():
+        return 0
+    t = ego.poses.t
+    warm = int(np.searchsorted(t, t[0] + round(1e9 * WARM_UP_S)))
+    return warm if len(t) - warm > len(t) // 2 else 0

@@ -10,6 +10,9 @@ Modules:
     base.py         what a reader is, and the settings of a run's [log] table
     cut.py          a part of a scenario by time, for readers that read a log whole
     commonroad.py   CommonRoad XML
+    arrow123d/      123D's Arrow logs and maps
+    argoverse2/     Argoverse 2: sensor logs, motion-forecasting scenarios
+    recorded/       what readers of recorded data sets share
     native.py       replan's own MCAP and ASAM OSI in MCAP: the last word on any .mcap
 """
 
@@ -23,12 +26,12 @@ from math import inf
 from pathlib import Path
 
 from logs.errors import ConfigError, LogError, unknown_name
-from logs.readers import commonroad, native
+from logs.readers import argoverse2, arrow123d, commonroad, native
 from logs.readers.base import LogSettings, Reader
 from logs.readers.cut import cut
 from logs.scenario import Scenario
 
-BUILTIN = (commonroad.READER, native.READER)
+BUILTIN = (commonroad.READER, arrow123d.READER, argoverse2.READER, native.READER)
 """In the order in which they are asked."""
 GROUP = "replan.readers"
 FORMATS = "`replan convert --formats` lists what replan reads and how a format is added"

@@ -27,7 +27,18 @@ from logs.readers.argoverse2.map import map_beside, road_for
 from logs.readers.arrow123d.labels import AV2_CATEGORIES
 from logs.readers.base import Contents, LogSettings, TopicSummary
 from logs.readers.recorded.boxes import Boxes, car_of, ordered, tracks_of
-from logs.readers.recorded.poses import composed, driven, from_second, kept, rotated, states_at, unit, yaw_of
+from logs.readers.recorded.poses import (
+    composed,
+    driven,
+    from_second,
+    is_unit,
+    kept,
+    rotated,
+    since,
+    states_at,
+    unit,
+    yaw_of,
+)
 from logs.readers.recorded.tables import ipc_table, numbers, reading, whole, words
 from logs.scenario import Scenario
 from logs.vehicle import VehicleParameters
@@ -66,7 +77,8 @@ def contents_of(folder: Path) -> Contents:
         except (LogError, ValueError):
             continue
         first, last = (int(times.min()), int(times.max())) if len(times) else (None, None)
-        topics.append(TopicSummary(path.stem, path.suffix, "arrow", "arrow", len(times), first, last))
+        what = "poses" if path.name == POSES else "boxes"
+        topics.append(TopicSummary(path.name, what, "arrow", "feather", len(times), first, last))
     return Contents("Argoverse 2 sensor log", tuple(topics))
 
 
@@ -98,8 +110,8 @@ def read_sensor_log(folder: Path, settings: LogSettings) -> Scenario:
         index = from_second(kept(drive.t, relative), drive.t, relative[:1], notes)
         ego, vehicle = states_at(drive, index), _vehicle(settings.car, notes)
     start, origin = float(ego.t[0]), np.round([ego.x[0], ego.y[0]])
-    ego = replace(ego, t=ego.t - start, x=ego.x - origin[0], y=ego.y - origin[1])
-    boxes = replace(boxes, t=boxes.t - start, x=boxes.x - origin[0], y=boxes.y - origin[1])
+    ego = replace(ego, t=since(start, ego.t), x=ego.x - origin[0], y=ego.y - origin[1])
+    boxes = replace(boxes, t=since(start, boxes.t), x=boxes.x - origin[0], y=boxes.y - origin[1])
     tracks = tracks_of(ordered(boxes, notes), notes)
     return Scenario(
         name=folder.name,
@@ -141,7 +153,7 @@ def _boxes(
         part = np.column_stack([numbers(table, name) for name in TURN])
         at, apart = _nearest(times, stamps)
         usable = (apart <= POSE_APART_NS) & np.isfinite(local).all(axis=1)
-        usable &= np.isfinite(part).all(axis=1) & ((part * part).sum(axis=1) > 1e-12)
+        usable &= is_unit(part)
         if not usable.all():
             notes.append(
                 f"{(~usable).sum()} of {len(usable)} boxes have no ego pose or no pose of their own: left out."

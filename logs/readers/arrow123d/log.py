@@ -29,7 +29,18 @@ from logs.readers.arrow123d.labels import kinds_of
 from logs.readers.arrow123d.map import before, ends_at, road_of_map
 from logs.readers.base import Contents, TopicSummary
 from logs.readers.recorded.boxes import Boxes, car_of, ordered, tracks_of
-from logs.readers.recorded.poses import driven, from_second, held_curvature, kept, rotated, states_at, unit, yaw_of
+from logs.readers.recorded.poses import (
+    driven,
+    from_second,
+    held_curvature,
+    is_unit,
+    kept,
+    rotated,
+    since,
+    states_at,
+    unit,
+    yaw_of,
+)
 from logs.readers.recorded.tables import Lists, ipc_table, metadata_of, reading, vectors, whole
 from logs.road import Road
 from logs.rules import Colour, StopLine, TrafficLight
@@ -95,8 +106,8 @@ def read_123d(folder: Path) -> Scenario:
     ego = states_at(drive, index)
     start, start_us = float(ego.t[0]), int(rows.time_us[index[0]])
     origin = np.round([ego.x[0], ego.y[0]])
-    ego = replace(ego, t=ego.t - start, x=ego.x - origin[0], y=ego.y - origin[1])
-    shown = replace(boxes, t=boxes.t - start, x=boxes.x - origin[0], y=boxes.y - origin[1])
+    ego = replace(ego, t=since(start, ego.t), x=ego.x - origin[0], y=ego.y - origin[1])
+    shown = replace(boxes, t=since(start, boxes.t), x=boxes.x - origin[0], y=boxes.y - origin[1])
     tracks = tracks_of(shown, notes)
     road, lights = _road(folder, about, ego, (float(origin[0]), float(origin[1])), start_us, notes)
     if (folder / "route_position.arrow").exists():
@@ -284,7 +295,7 @@ def _boxes(folder: Path, first_us: int, notes: list[str]) -> tuple[Boxes, bool]:
         there = stored in table.schema.names
         velocity = vectors(lists.items(stored), 3) if there else np.full((len(t), 3), np.nan)
         velocity, own = _measured(t, box[:, :3], velocity, owner, notes)
-        usable = np.isfinite(box).all(axis=1) & ((box[:, 3:7] ** 2).sum(axis=1) > 1e-12)
+        usable = np.isfinite(box).all(axis=1) & is_unit(box[:, 3:7])
         box[~usable, :3], box[~usable, 3:7] = np.nan, (1.0, 0.0, 0.0, 0.0)
         kinds = _kinds(metadata_of(table), len(names), owner, labels, box[:, 7], notes)
         place, yaw = box[:, :2], yaw_of(unit(box[:, 3:7]))

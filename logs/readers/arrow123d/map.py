@@ -20,7 +20,7 @@ import numpy as np
 
 from logs.errors import LogError
 from logs.kernel import FloatArray
-from logs.readers.recorded.strips import LARGEST_M, Strip, lanes_of
+from logs.readers.recorded.strips import LARGEST_M, LONGEST_M, Strip, lanes_of
 from logs.readers.recorded.tables import COPY_AGAIN, array_of, ipc_table, metadata_of, reading, unpacked, whole
 from logs.road import Lane, Road, inside
 from logs.rules import Crosswalk, StopLine
@@ -191,7 +191,7 @@ def _marks(
 ) -> dict[Any, str]:
     """The marking's name of each (lane, side) that has one."""
     lines = [(line_of_wkb(g), int(f.get("road_line_type") or 0)) for _, f, g in objects.of(ROAD_LINE)]
-    lines = [(line, kind) for line, kind in lines if len(line) > 1 and 0 <= kind < len(MARKS) and _is_near(line, near)]
+    lines = [(line, kind) for line, kind in lines if _is_line(line) and 0 <= kind < len(MARKS) and _is_near(line, near)]
     if not lines:
         notes.append("The map has no road lines: all markings are taken as such that may be crossed.")
         return {}
@@ -208,7 +208,13 @@ def _marks(
     if len({sides[key].tobytes() for key in found}) >= 0.5 * len(exact):
         return found
     notes.append(f"Lanes have the markings of the map's road lines within {MARK_M} m of their edges.")
-    return _marks_nearby(lines, sides)
+    return _marks_nearby(lines, {key: line for key, line in sides.items() if _is_line(line)})
+
+
+def _is_line(points: FloatArray) -> bool:
+    if len(points) < 2 or not (np.abs(points) < LARGEST_M).all():
+        return False
+    return bool(np.hypot(*np.diff(points, axis=0).T).sum() < LONGEST_M)
 
 
 def _marks_nearby(lines: Sequence[tuple[FloatArray, int]], sides: Mapping[Any, FloatArray]) -> dict[Any, str]:
@@ -231,8 +237,6 @@ def _marks_nearby(lines: Sequence[tuple[FloatArray, int]], sides: Mapping[Any, F
 def _dense(line: FloatArray) -> FloatArray:
     """The line with a point at least every `STEP_M`."""
     way = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
-    if not way[-1] < LARGEST_M:
-        return line[:1]
     at = np.linspace(0.0, way[-1], max(2, 1 + int(np.ceil(way[-1] / STEP_M))))
     return np.column_stack([np.interp(at, way, line[:, k]) for k in (0, 1)])
 

@@ -9,7 +9,7 @@ neighbours are useless. So at each state a parabola is fitted to the poses of th
 (3) min over c of  sum_i |p_i - c_0 - c_1 tau_i - c_2 tau_i^2|^2,    tau_i = t_i - t_k in [-WINDOW_S, 0]
     v = c_1 . h,  a = 2 c_2 . h,  yaw rate w = c_1 of the heading,   h the heading's unit vector
 (4) where there are fewer than `ENOUGH` poses or they span less than `SPAN_S`: a straight line, and a = 0
-(5) who moved less than `STILL_M` in the last `STILL_S` stands: v = a = 0
+(5) who moved less than `STILL_M` in the last `STILL_S`, or against v, stands: v = a = 0
 (6) kappa = w / v; below `ROLLING_MPS` the value before, at first 0
 """
 
@@ -17,13 +17,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from logs.kernel import FloatArray, IntArray
+from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.mcap.complete import completed
 from logs.states import Trajectory
 
 WINDOW_S = 0.5
 """With less the acceleration is noise (Argoverse 2: 99th percentile 8.6 m/s2 at 0.1 s, 3.1 at 0.5 s, as driven)."""
 ENOUGH = 5
+ROUNDED = 0.01
+"""Unit quaternions may be off by so much."""
 SPAN_S = 0.3
 ROLLING_MPS = 0.5
 STILL_M, STILL_S = 0.05, 0.3
@@ -34,12 +36,16 @@ SOONEST_S = 0.03
 """Two states are not nearer than this."""
 
 
+def is_unit(q: FloatArray) -> BoolArray:
+    """Which quaternions `(n, 4)` have unit length, but for rounding."""
+    return np.asarray(np.abs(np.sqrt((q * q).sum(axis=1)) - 1.0) < ROUNDED)
+
+
 def unit(q: FloatArray) -> FloatArray:
-    """Quaternions `(n, 4)` of unit length; ValueError where one has none."""
-    size = np.sqrt((q * q).sum(axis=1, keepdims=True))
-    if not (np.isfinite(size) & (size > 1e-6)).all():
-        raise ValueError("an orientation is no quaternion")
-    return q / size
+    """Quaternions `(n, 4)` of unit length exactly; ValueError where one is farther from it than by rounding."""
+    if not is_unit(q).all():
+        raise ValueError("an orientation is no quaternion of unit length")
+    return q / np.sqrt((q * q).sum(axis=1, keepdims=True))
 
 
 def yaw_of(q: FloatArray) -> FloatArray:
@@ -112,7 +118,7 @@ def kept(times: FloatArray, frames: FloatArray) -> IntArray:
     chosen = {int(np.argmin(np.abs(times - frame))) for frame in frames}
     out: list[int] = []
     for i in sorted(chosen):
-        while out and times[i] - times[out[-1]] >= 2.0 * STATE_S:
+        while out and times[i] - times[out[-1]] >= 2.0 * STATE_S - 1e-6:
             j = int(np.searchsorted(times, times[out[-1]] + STATE_S - 1e-6))
             if j >= i or times[i] - times[j] < 0.5 * STATE_S:
                 break
@@ -129,6 +135,11 @@ def from_second(index: IntArray, times: FloatArray, first: FloatArray, notes: li
         return index
     notes.append("The scenario begins at the second frame: velocities are derived from what was before.")
     return index[begin:]
+
+
+def since(start: float, t: FloatArray) -> FloatArray:
+    """Times since `start`, s, in whole nanoseconds, as logs keep them."""
+    return np.asarray(np.rint(1e9 * (t - start)) / 1e9)
 
 
 def held_curvature(rate: FloatArray, v: FloatArray) -> FloatArray:
@@ -156,8 +167,9 @@ def driven(t: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, notes: 
     )
     columns = {"t": t, "x": x, "y": y, "yaw": yaw, "v": v, "a": a, "kappa": held_curvature(first[:, 2], v)}
     if np.isfinite(a).any():
-        earlier = np.maximum(np.searchsorted(t, t - STILL_S, side="right") - 1, 0)
-        still = (np.hypot(x - x[earlier], y - y[earlier]) < STILL_M) & (t - t[earlier] >= STILL_S)
+        earlier = np.maximum(np.searchsorted(t, t - STILL_S + 1e-6, side="right") - 1, 0)
+        moved = (x - x[earlier]) * ahead[:, 0] + (y - y[earlier]) * ahead[:, 1]
+        still = (t - t[earlier] >= STILL_S - 1e-6) & ((np.abs(moved) < STILL_M) | (moved * v < 0.0))
         columns["v"] = np.where(still, 0.0, v)
         columns["a"] = np.where(still | np.isnan(a), 0.0, a)
     return completed(columns, notes)

@@ -18,7 +18,8 @@ from logs.road import Lane
 
 LARGEST_M = 1e7
 """A coordinate beyond this is none: UTM northings end at 1e7."""
-SHORTEST_M = 0.01
+SHORTEST_M, LONGEST_M = 0.01, 1e5
+"""Of a boundary: others are none."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +103,7 @@ def _line(points: FloatArray) -> FloatArray:
     if points.ndim != 2 or len(points) < 2 or not (np.abs(points) < LARGEST_M).all():
         return np.empty((0, 2))
     points = points[np.r_[True, np.hypot(*np.diff(points, axis=0).T) > 1e-6]]
-    return points if np.hypot(*np.diff(points, axis=0).T).sum() > SHORTEST_M else np.empty((0, 2))
+    return points if SHORTEST_M < np.hypot(*np.diff(points, axis=0).T).sum() < LONGEST_M else np.empty((0, 2))
 
 
 def _same_way(lane: Lane, other: Lane) -> bool:

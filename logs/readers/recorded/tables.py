@@ -20,6 +20,8 @@ METADATA = b"metadata"
 """Key of a 123D file's schema under which its metadata are, as msgpack."""
 LARGEST_BYTES = 4_000_000_000
 """Of a table in memory: a longer log than that is none (ten hours of 100 boxes at 10 Hz take 1.5 GB)."""
+LARGEST = 1e8
+"""A length, speed or place beyond this, in m and s, is none."""
 COPY_AGAIN = "copy the log again from its source"
 _WRONG = (
     pa.ArrowException, msgspec.MsgspecError, OSError, EOFError, MemoryError, ValueError, TypeError, KeyError,
@@ -107,8 +109,8 @@ def whole(table: Any, name: str) -> IntArray:
 
 
 def numbers(table: Any, name: str) -> FloatArray:
-    """A column of numbers `(n,)`, NaN where one is missing."""
-    return np.asarray(table[name].cast(pa.float64()).to_numpy(zero_copy_only=False), dtype=np.float64)
+    """A column of numbers `(n,)`, NaN where one is missing or beyond `LARGEST`."""
+    return _bounded(np.array(table[name].cast(pa.float64()).to_numpy(zero_copy_only=False), dtype=np.float64))
 
 
 def words(table: Any, name: str) -> tuple[IntArray, list[str]]:
@@ -117,7 +119,7 @@ def words(table: Any, name: str) -> tuple[IntArray, list[str]]:
 
 
 def vectors(column: Any, size: int) -> FloatArray:
-    """A column of fixed lists `(n, size)`, rows of NaN where one is missing.
+    """A column of fixed lists `(n, size)`, rows of NaN where one is missing, NaN for what is beyond `LARGEST`.
 
     What lies behind an empty entry is undefined, and flattening leaves it out: the rows are put back by the mask.
     """
@@ -127,7 +129,12 @@ def vectors(column: Any, size: int) -> FloatArray:
     out = np.full((len(array), size), np.nan)
     there = ~np.asarray(array.is_null())
     out[there] = np.asarray(array.flatten().cast(pa.float64()).to_numpy(zero_copy_only=False)).reshape(-1, size)
-    return out
+    return _bounded(out)
+
+
+def _bounded(values: FloatArray) -> FloatArray:
+    values[~(np.abs(values) <= LARGEST)] = np.nan
+    return values
 
 
 class Lists:

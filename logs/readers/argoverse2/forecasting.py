@@ -18,13 +18,14 @@ from logs.readers.argoverse2.map import road_for
 from logs.readers.argoverse2.sensor import FORD_FUSION, LICENCE
 from logs.readers.base import Contents, LogSettings, TopicSummary
 from logs.readers.recorded.boxes import Boxes, car_of, ordered, tracks_of
+from logs.readers.recorded.poses import driven
 from logs.readers.recorded.tables import numbers, parquet_table, reading, whole, words
 from logs.scenario import Scenario
 from logs.states import Trajectory
 from logs.vehicle import VehicleParameters
 
 EGO = "AV"
-STEP_S = 0.1
+RATE_HZ = 10.0
 KINDS = {
     "vehicle": AgentKind.CAR, "bus": AgentKind.BUS, "pedestrian": AgentKind.PEDESTRIAN, "cyclist": AgentKind.BICYCLE,
     "motorcyclist": AgentKind.MOTORCYCLE, "riderless_bicycle": AgentKind.BICYCLE,
@@ -58,7 +59,7 @@ def read_forecasting(path: Path, settings: LogSettings) -> Scenario:
         its = _ego_rows(owner, names, step, state, settings.ego or EGO)
         origin = np.round(state[its[0], :2])
         state[:, :2] -= origin
-        t = (step - step[its[0]]) * STEP_S
+        t = (step - step[its[0]]) / RATE_HZ
         vehicle = car_of({**FORD_FUSION, **settings.car}, notes)
         ego = _ego(t[its], state[its], vehicle, notes)
         others = owner != owner[its[0]]
@@ -97,11 +98,11 @@ def _ego(t: FloatArray, state: FloatArray, vehicle: VehicleParameters, notes: li
     """The rear axle's states from those of the centre."""
     x, y, yaw, vx, vy = state.T
     cos, sin = np.cos(yaw), np.sin(yaw)
+    x, y = x - vehicle.axle_to_center * cos, y - vehicle.axle_to_center * sin
     v, unknown = vx * cos + vy * sin, np.full(len(t), np.nan)
-    v = np.where(np.isfinite(v), v, 0.0)
-    back = vehicle.axle_to_center
-    columns = {"t": t, "x": x - back * cos, "y": y - back * sin, "yaw": yaw, "v": v, "a": unknown, "kappa": unknown}
-    return completed(columns, notes)
+    if not np.isfinite(v).all():
+        return driven(t, x, y, yaw, notes)
+    return completed({"t": t, "x": x, "y": y, "yaw": yaw, "v": v, "a": unknown, "kappa": unknown}, notes)
 
 
 def _boxes(

@@ -57,6 +57,8 @@ def ordered(boxes: Boxes, notes: list[str]) -> Boxes:
         notes.append(f"{(~finite).sum()} of {len(finite)} boxes have a pose that is not finite and are left out.")
     boxes = boxes.taken(finite)
     boxes = boxes.taken(np.lexsort((boxes.t, boxes.owner)))
+    if not len(boxes.t):
+        return boxes
     again = np.r_[False, (np.diff(boxes.owner) == 0) & (np.diff(boxes.t) < SOONEST_S)]
     if again.any():
         notes.append(f"{again.sum()} boxes have the id of another one at the same time and are left out.")

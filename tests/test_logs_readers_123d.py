@@ -206,8 +206,7 @@ def test_a_log_without_map_drives_along_its_path_and_says_so(tmp_path: Path) -> 
     assert any("2 traffic lights are left out" in note for note in scenario.notes)
 
 
-@pytest.mark.parametrize("sample", ["", "nuplan"])
-def test_round_trip(log: Path, tmp_path: Path, sample: str) -> None:
+def test_round_trip(log: Path, tmp_path: Path) -> None:
     scenario = read_log(log)
     write_scenario(tmp_path / "native.mcap", scenario)
     assert not differences(_plain(read_scenario(tmp_path / "native.mcap")), _plain(scenario))
@@ -268,7 +267,7 @@ def test_lanes_that_are_no_strips_are_left_out(tmp_path: Path) -> None:
 
 # Damage
 
-MUTATIONS = 400
+MUTATIONS = 250
 PARTS = ("sync", "ego_state_se3", BOXES, "traffic_light_detections", "map")
 SECONDS = 2.0
 
@@ -283,7 +282,7 @@ def damaged(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
 @given(st.sampled_from(PARTS), st.data())
 @settings(max_examples=MUTATIONS, deadline=None, suppress_health_check=list(HealthCheck))
 def test_damage_is_an_error_that_names_the_log(damaged: dict[str, bytes], name: str, data: st.DataObject) -> None:
-    """400 mutated files: a scenario or a LogError, each within 2 s."""
+    """250 mutated files: a scenario or a LogError, each within 2 s."""
     folder, content = Path(damaged[""].decode()), bytearray(damaged[name])
     how = data.draw(st.sampled_from(["flip", "cut", "fill"]))
     at = data.draw(st.integers(0, len(content) - 1))

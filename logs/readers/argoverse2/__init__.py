@@ -20,8 +20,10 @@ SCENARIO = "scenario_*.parquet"
 def _claims(path: Path) -> bool:
     try:
         if path.is_dir():
-            return (path / POSES).is_file() or any(path.glob(SCENARIO))
-        return path.name == POSES or (path.match(SCENARIO) and any(path.parent.glob("log_map_archive_*.json")))
+            return (path / POSES).is_file() or len(list(path.glob(SCENARIO))) == 1
+        return path.name == POSES or (
+            path.match(SCENARIO) and (path.parent / f"log_map_archive_{scenario_id(path)}.json").is_file()
+        )
     except OSError:
         return False
 
@@ -46,6 +48,11 @@ def _table(path: Path) -> Path:
     return min(path.glob(SCENARIO)) if path.is_dir() else path
 
 
+def scenario_id(table: Path) -> str:
+    """The id of a motion-forecasting scenario, from the name of its file."""
+    return table.stem.removeprefix("scenario_")
+
+
 def _files(path: Path) -> tuple[Path, ...]:
     from logs.readers.argoverse2.map import map_beside
 
@@ -54,7 +61,7 @@ def _files(path: Path) -> tuple[Path, ...]:
 
         return files_of(path.parent if path.name == POSES else path)
     table = _table(path)
-    return tuple(each for each in (table, map_beside(table.parent)) if each is not None)
+    return tuple(each for each in (table, map_beside(table.parent, scenario_id(table))) if each is not None)
 
 
 def _contents(path: Path) -> Contents:

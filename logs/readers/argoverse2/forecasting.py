@@ -14,7 +14,8 @@ from logs.agents import AgentKind
 from logs.errors import LogError
 from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.mcap.complete import completed
-from logs.readers.argoverse2.map import road_for
+from logs.readers.argoverse2 import scenario_id
+from logs.readers.argoverse2.map import map_beside, road_for
 from logs.readers.argoverse2.sensor import FORD_FUSION, LICENCE
 from logs.readers.base import Contents, LogSettings, TopicSummary
 from logs.readers.recorded.boxes import Boxes, car_of, ordered, tracks_of
@@ -70,14 +71,14 @@ def read_forecasting(path: Path, settings: LogSettings) -> Scenario:
         name=path.stem,
         ego=ego,
         tracks=tracks,
-        road=road_for(path.parent, origin, ego, notes),
+        road=road_for(map_beside(path.parent, scenario_id(path)), origin, ego, notes),
         duration=float(ego.t[-1]),
         vehicle=vehicle,
         tags=("argoverse2", "recorded"),
         source="Argoverse 2 motion-forecasting scenario",
         licence=LICENCE,
         origin=(float(origin[0]), float(origin[1])),
-        metadata={"scenario_id": path.stem.removeprefix("scenario_"), "ego": settings.ego or EGO},
+        metadata={"scenario_id": scenario_id(path), "ego": settings.ego or EGO},
         notes=tuple(notes),
     )
 

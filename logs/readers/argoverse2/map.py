@@ -26,15 +26,14 @@ KINDS = {"VEHICLE": "surface_street", "BIKE": "bike_lane", "BUS": "bus_lane"}
 """As 123D calls them."""
 
 
-def map_beside(folder: Path) -> Path | None:
+def map_beside(folder: Path, name: str = "*") -> Path | None:
     """The map of a log, in its folder or the folder `map` in it; None: there is none."""
-    found = sorted((*folder.glob("map/log_map_archive_*.json"), *folder.glob("log_map_archive_*.json")))
+    found = sorted((*folder.glob(f"map/log_map_archive_{name}.json"), *folder.glob(f"log_map_archive_{name}.json")))
     return found[0] if found else None
 
 
-def road_for(folder: Path, origin: FloatArray, ego: Trajectory, notes: list[str]) -> Road:
-    """The road of the log in a folder, with an assumed speed limit; along the driven path where there is no map."""
-    path = map_beside(folder)
+def road_for(path: Path | None, origin: FloatArray, ego: Trajectory, notes: list[str]) -> Road:
+    """The road in a map, with an assumed speed limit; along the driven path where there is no map."""
     if path is None:
         return road_along(ego, notes)
     road = road_of_json(path, origin, notes)

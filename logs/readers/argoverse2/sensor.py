@@ -117,7 +117,7 @@ def read_sensor_log(folder: Path, settings: LogSettings) -> Scenario:
         name=folder.name,
         ego=ego,
         tracks=tracks,
-        road=road_for(folder, origin, ego, notes),
+        road=road_for(map_beside(folder), origin, ego, notes),
         duration=float(ego.t[-1]),
         vehicle=vehicle,
         tags=("argoverse2", "recorded"),

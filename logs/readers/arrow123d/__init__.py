@@ -1,7 +1,8 @@
 """123D logs: folders of Arrow files that the tool py123d has made of nuPlan, Waymo, nuScenes, Argoverse 2 and others.
 
 Modules:
-    log.py      frames, ego, boxes, lights
+    log.py      frames, ego, boxes
+    road.py     which map, and the lights over time
     map.py      map.arrow -> Road
     labels.py   what the numbers of its classes mean
 """

@@ -23,10 +23,10 @@ from typing import Any
 import numpy as np
 
 from logs.errors import LogError
-from logs.kernel import BoolArray, FloatArray, IntArray
-from logs.mcap.complete import ASSUMED, assumed_limit, completed, road_along
+from logs.kernel import FloatArray, IntArray
+from logs.mcap.complete import completed
 from logs.readers.arrow123d.labels import kinds_of
-from logs.readers.arrow123d.map import before, ends_at, road_of_map
+from logs.readers.arrow123d.road import LIGHTS, map_of, road_of
 from logs.readers.base import Contents, TopicSummary
 from logs.readers.recorded.boxes import Boxes, car_of, ordered, tracks_of
 from logs.readers.recorded.poses import (
@@ -42,17 +42,11 @@ from logs.readers.recorded.poses import (
     yaw_of,
 )
 from logs.readers.recorded.tables import Lists, ipc_table, metadata_of, reading, vectors, whole
-from logs.road import Road
-from logs.rules import Colour, StopLine, TrafficLight
 from logs.scenario import Scenario
 from logs.states import Trajectory
 from logs.vehicle import VehicleParameters
 
-EGO, BOXES, LIGHTS = "ego_state_se3", "box_detections_se3", "traffic_light_detections"
-COLOURS = (Colour.GREEN, Colour.YELLOW, Colour.RED, Colour.OFF)
-UNKNOWN = 4
-UP = 6
-"""Folders above a log in which the maps of places are looked for."""
+EGO, BOXES = "ego_state_se3", "box_detections_se3"
 SAME_MPS = 1e-5
 """Times are in whole microseconds: differences at 10 m/s come out within 2e-6 m/s."""
 TELLING_MPS = 1e-4
@@ -109,7 +103,7 @@ def read_123d(folder: Path) -> Scenario:
     ego = replace(ego, t=since(start, ego.t), x=ego.x - origin[0], y=ego.y - origin[1])
     shown = replace(boxes, t=since(start, boxes.t), x=boxes.x - origin[0], y=boxes.y - origin[1])
     tracks = tracks_of(shown, notes)
-    road, lights = _road(folder, about, ego, (float(origin[0]), float(origin[1])), start_us, notes)
+    road, lights = road_of(folder, about, ego, (float(origin[0]), float(origin[1])), start_us, notes)
     if (folder / "route_position.arrow").exists():
         notes.append("route_position is the ego's own later path: not read.")
     dataset = str(about.get("dataset") or "")
@@ -338,101 +332,3 @@ def _grouped(owner: IntArray, values: FloatArray) -> Any:
     order = np.argsort(owner, kind="stable")
     there, first = np.unique(owner[order], return_index=True)
     return zip(there.tolist(), np.split(values[order], first[1:]), strict=True)
-
-
-# Road and lights
-
-
-def map_of(folder: Path, about: Mapping[Any, Any]) -> Path | None:
-    """The log's own map, else that of its place in the data root above it; None: there is none."""
-    own = folder / "map.arrow"
-    if own.is_file():
-        return own
-    dataset, place = str(about.get("dataset") or ""), str(about.get("location") or "")
-    if not dataset or not place or {"/", "\\", "\0"} & set(dataset + place) or dataset.startswith("."):
-        return None
-    above = [parent / "maps" / dataset / f"{dataset}_{place}.arrow" for parent in folder.resolve().parents[:UP]]
-    return next((path for path in above if path.is_file()), None)
-
-
-def _road(
-    folder: Path,
-    about: Mapping[Any, Any],
-    ego: Trajectory,
-    origin: tuple[float, float],
-    start_us: int,
-    notes: list[str],
-) -> tuple[Road, tuple[TrafficLight, ...]]:
-    lights = _lights(folder, start_us, notes)
-    path, road = map_of(folder, about), None
-    if path is not None:
-        try:
-            road = road_of_map(path, origin, np.column_stack([ego.x, ego.y]) + origin, notes)
-        except LogError as error:
-            if "lanes" not in error.what:
-                raise
-            notes.append(f"The map beside the log cannot be used: {error.what}.")
-    if road is None:
-        if lights:
-            notes.append(
-                f"The log's {len(lights)} traffic lights are left out, as there are no lanes that they are for."
-            )
-        return road_along(ego, notes), ()
-    lacking = sum(lane.drivable and not np.isfinite(lane.speed_limit) for lane in road.lanes.values())
-    if lacking:
-        road = replace(road, default_speed_limit=assumed_limit(ego))
-        limit = f"{road.default_speed_limit:.1f} m/s"
-        notes.append(f"{lacking} of {len(road.lanes)} lanes have no speed limit: {limit} is assumed ({ASSUMED}).")
-    return _lit(road, lights, notes)
-
-
-def _lights(folder: Path, start_us: int, notes: list[str]) -> tuple[TrafficLight, ...]:
-    """The lights of the log; each has the id of the lane that it is for."""
-    path = folder / f"{LIGHTS}.arrow"
-    if not path.is_file():
-        return ()
-    columns = [f"{LIGHTS}.{name}" for name in ("timestamp_us", "lane_id", "status")]
-    table = ipc_table(path, columns)
-    with reading(path):
-        lists = Lists(table, columns[1])
-        lane, status = lists.numbers(columns[1]), lists.numbers(columns[2])
-        t = (whole(table, columns[0]) - start_us)[lists.row] / 1e6
-        unknown = status >= UNKNOWN
-        if unknown.any():
-            notes.append(
-                f"{unknown.sum()} of {len(status)} observations of traffic lights are of no colour: taken as off."
-            )
-        colours = [COLOURS[s] if 0 <= s < len(COLOURS) else Colour.OFF for s in status]
-        return tuple(_light(int(i), t, lane == i, colours) for i in np.unique(lane))
-
-
-def _light(i: int, t: FloatArray, its: BoolArray, colours: list[Colour]) -> TrafficLight:
-    """A light over time, from one change to the next."""
-    at = np.flatnonzero(its)
-    at = at[np.unique(t[at], return_index=True)[1]]
-    changes = [k for n, k in enumerate(at) if n == 0 or colours[k] is not colours[at[n - 1]]]
-    return TrafficLight(i, t[changes], tuple(colours[k] for k in changes))
-
-
-def _lit(road: Road, lights: tuple[TrafficLight, ...], notes: list[str]) -> tuple[Road, tuple[TrafficLight, ...]]:
-    """The road with a stop line for each light that no stop zone names: at the ends of the lanes before its lane."""
-    named, feeding = {line.light for line in road.stop_lines}, before(road.lanes)
-    lines, lost = list(road.stop_lines), 0
-    number = max((line.id for line in lines), default=-1) + 1
-    for light in lights:
-        if light.id in named or light.id not in road.lanes:
-            lost += light.id not in road.lanes
-            continue
-        own = [line for line in road.stop_lines if line.lane == light.id]
-        places: list[tuple[int, FloatArray, tuple[int, ...]]] = [(line.lane, line.points, ()) for line in own[:1]]
-        places = places or [(i, ends_at(road.lanes[i], 1.0), (light.id,)) for i in feeding.get(light.id, ())]
-        places = places or [(light.id, ends_at(road.lanes[light.id], 0.0), ())]
-        for across, ends, towards in places:
-            lines.append(StopLine(number, across, ends, light.id, towards=towards))
-            number += 1
-    if lost:
-        notes.append(f"{lost} of {len(lights)} traffic lights are for lanes that are not in the map and are left out.")
-    if lights:
-        notes.append("A light stands where the lanes end that lead to its lane, or at the stop zone that lies on them.")
-    wanted = {line.light for line in lines}
-    return replace(road, stop_lines=tuple(lines)), tuple(light for light in lights if light.id in wanted)

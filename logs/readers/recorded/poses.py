@@ -115,7 +115,10 @@ def kept(times: FloatArray, frames: FloatArray) -> IntArray:
     """
     if not len(frames):
         frames = times[[0, -1]]
-    chosen = {int(np.argmin(np.abs(times - frame))) for frame in frames}
+    after = np.clip(np.searchsorted(times, frames), 0, len(times) - 1)
+    earlier = np.maximum(after - 1, 0)
+    nearer = np.abs(times[earlier] - frames) < np.abs(times[after] - frames)
+    chosen = set(np.where(nearer, earlier, after).tolist())
     out: list[int] = []
     for i in sorted(chosen):
         while out and times[i] - times[out[-1]] >= 2.0 * STATE_S - 1e-6:

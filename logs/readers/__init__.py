@@ -14,6 +14,9 @@ Modules:
     comma2k19.py    segments of comma2k19
     table.py        pandas frames, CSV and Parquet
     ros/            ROS 2 and ROS 1 bags
+    arrow123d/      123D's Arrow logs and maps
+    argoverse2/     Argoverse 2: sensor logs, motion-forecasting scenarios
+    recorded/       what readers of recorded data sets share
     native.py       replan's own MCAP and ASAM OSI in MCAP: the last word on any .mcap
 """
 
@@ -29,12 +32,21 @@ from pathlib import Path
 import numpy as np
 
 from logs.errors import ConfigError, LogError, unknown_name
-from logs.readers import comma2k19, commonroad, native, osi, ros, table
+from logs.readers import argoverse2, arrow123d, comma2k19, commonroad, native, osi, ros, table
 from logs.readers.base import LogSettings, Reader
 from logs.readers.cut import cut
 from logs.scenario import Scenario
 
-BUILTIN = (commonroad.READER, osi.READER, comma2k19.READER, table.READER, ros.READER, native.READER)
+BUILTIN = (
+    commonroad.READER,
+    osi.READER,
+    comma2k19.READER,
+    table.READER,
+    ros.READER,
+    arrow123d.READER,
+    argoverse2.READER,
+    native.READER,
+)
 """In the order in which they are asked."""
 GROUP = "replan.readers"
 FORMATS = "`replan convert --formats` lists what replan reads and how a format is added"

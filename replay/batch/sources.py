@@ -6,6 +6,7 @@ An empty selection is an error that says what was looked for: it must not look l
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -149,13 +150,18 @@ def _identity(file: Path) -> str:
 
 
 def log_hash(path: Path) -> str:
-    """SHA-256 of a log's bytes: of the file, or of the names and hashes of the files in its folder."""
+    """SHA-256 of a log's bytes: of the file, or of the names and hashes of its files (a map may lie elsewhere)."""
     reader = reader_of(path)
     files = (path,) if reader is None else reader.files(path)
     if files == (path,):
         return file_hash(path)
-    listed = "".join(f"{file.relative_to(path)} {file_hash(file)}\n" for file in files)
+    listed = "".join(f"{_beside(file, path)} {file_hash(file)}\n" for file in files)
     return hashlib.sha256(listed.encode()).hexdigest()
+
+
+def _beside(file: Path, path: Path) -> str:
+    """Where a file is, seen from a log: the same wherever both are."""
+    return Path(os.path.relpath(file.resolve(), path.resolve())).as_posix()
 
 
 def file_hash(path: Path) -> str:

@@ -125,15 +125,18 @@ def _placed(scenario: Scenario, points: _Points) -> Scenario:
         scenario,
         ego=replace(ego, x=ego_x, y=ego_y),
         tracks=replace(tracks, x=x, y=y),
-        road=replace(
-            road,
-            lanes={
-                i: replace(lane, left=points(lane.left), right=points(lane.right)) for i, lane in road.lanes.items()
-            },
-            stop_lines=tuple(replace(line, points=points(line.points)) for line in road.stop_lines),
-            crosswalks=tuple(replace(each, polygon=points(each.polygon)) for each in road.crosswalks),
-        ),
+        road=placed_road(road, points),
         goal=None if goal is None else replace(goal, regions=tuple(points(region) for region in goal.regions)),
+    )
+
+
+def placed_road(road: Road, points: _Points) -> Road:
+    """The road with all its points `(k, 2)` elsewhere, and nothing else changed."""
+    return replace(
+        road,
+        lanes={i: replace(lane, left=points(lane.left), right=points(lane.right)) for i, lane in road.lanes.items()},
+        stop_lines=tuple(replace(line, points=points(line.points)) for line in road.stop_lines),
+        crosswalks=tuple(replace(each, polygon=points(each.polygon)) for each in road.crosswalks),
     )
 
 

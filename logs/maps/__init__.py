@@ -53,13 +53,15 @@ def read_map(path: Path, settings: LogSettings | None = None) -> MapFile:
     reader = map_reader_of(path)
     settings = settings or LogSettings()
     stamps = tuple((file, file.stat().st_mtime_ns, file.stat().st_size) for file in reader.files(path))
-    return _read(reader, path, stamps, LogSettings(**{key: getattr(settings, key) for key in reader.settings}))
+    return _read(reader, path, stamps, tuple((key, str(getattr(settings, key))) for key in reader.settings))
 
 
 @lru_cache(maxsize=2)
-def _read(reader: MapReader, path: Path, stamps: tuple[tuple[Path, int, int], ...], settings: LogSettings) -> MapFile:
-    """Once for all logs and windows on it, as long as its files are the same."""
-    return reader.read(path, settings)
+def _read(
+    reader: MapReader, path: Path, stamps: tuple[tuple[Path, int, int], ...], said: tuple[tuple[str, str], ...]
+) -> MapFile:
+    """Once for all logs and windows on it, as long as its files and what the settings say are the same."""
+    return reader.read(path, dict(said))
 
 
 def with_map(scenario: Scenario, settings: LogSettings) -> Scenario:

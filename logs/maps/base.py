@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from logs.readers.base import LogSettings
 from logs.road import Road
 
 
@@ -41,14 +40,14 @@ class MapReader:
         name: In messages and notes ("Lanelet2").
         looks_for: Of its files, in words ("*.osm").
         claims: Whether a path is a map of this format; cheap, raises nothing on any bytes.
-        read: The map; raises LogError, and nothing else, on any bytes.
+        read: The map in a file, given what `settings` say; raises LogError, and nothing else, on any bytes.
         files: The files that a map is read from: what its identity is hashed from.
-        settings: The keys of `LogSettings` that it reads.
+        settings: The keys of `LogSettings` that it reads; they hold texts.
     """
 
     name: str
     looks_for: str
     claims: Callable[[Path], bool]
-    read: Callable[[Path, LogSettings], MapFile]
+    read: Callable[[Path, Mapping[str, str]], MapFile]
     files: Callable[[Path], tuple[Path, ...]] = _itself
     settings: tuple[str, ...] = ()

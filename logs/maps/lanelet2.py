@@ -12,7 +12,7 @@ Plane coordinates, the first of these that the map and the settings give:
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -25,7 +25,6 @@ from logs.maps.lanelet2_lanes import lanes_of, strips_of
 from logs.maps.lanelet2_rules import rules_of
 from logs.maps.osm import Element, Osm, read_osm, real
 from logs.maps.projections import UTM_SCALE, Projection, on_earth, projection_named
-from logs.readers.base import LogSettings
 from logs.road import Lane, Road
 
 PROJECTOR_INFO = "map_projector_info.yaml"
@@ -34,7 +33,7 @@ _AUTOWARE = {"LocalCartesianUTM": "utm", "TransverseMercator": "tmerc", "LocalCa
 _LOCAL = ("local_x", "local_y")
 
 
-def read_lanelet2(path: Path, settings: LogSettings) -> MapFile:
+def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
     """Read a map.
 
     Raises:
@@ -47,7 +46,7 @@ def read_lanelet2(path: Path, settings: LogSettings) -> MapFile:
         raise (error if isinstance(error, LogError) else LogError(str(error))).at(path) from None
 
 
-def _map(osm: Osm, path: Path, settings: LogSettings) -> MapFile:
+def _map(osm: Osm, path: Path, settings: Mapping[str, str]) -> MapFile:
     notes: list[str] = []
     nodes, frame, xy = _placed(osm, path, settings)
     rows = {node.id: k for k, node in enumerate(nodes)}
@@ -66,14 +65,14 @@ def _map(osm: Osm, path: Path, settings: LogSettings) -> MapFile:
     return MapFile(road, frame, (*notes, *_left_out(osm)), rules.aliases, side is not None)
 
 
-def _placed(osm: Osm, path: Path, settings: LogSettings) -> tuple[list[Element], str, FloatArray]:
+def _placed(osm: Osm, path: Path, settings: Mapping[str, str]) -> tuple[list[Element], str, FloatArray]:
     """The points that boundaries and lines use, how they came about, and where they are `(n, 2)`, m."""
     used = dict.fromkeys(node for way in osm.ways.values() for node in way.nodes if node in osm.nodes)
     nodes = [osm.nodes[node] for node in used]
     if len(nodes) < 4:
         raise LogError("its ways have less than four points", remedy="give a Lanelet2 map")
     local = all(key in node.tags for node in nodes for key in _LOCAL)
-    if local and not settings.map_origin:
+    if local and not settings.get("map_origin"):
         texts = ((node.tags[key] for key in _LOCAL) for node in nodes)
         return nodes, "local_x and local_y", np.array([[real(text, "local_x") for text in row] for row in texts])
     places = [node.place for node in nodes if node.place is not None]
@@ -89,10 +88,10 @@ def _placed(osm: Osm, path: Path, settings: LogSettings) -> tuple[list[Element],
     return nodes, f"{projection} ({why})", xy
 
 
-def _projection(first: tuple[float, float], path: Path, settings: LogSettings) -> tuple[Projection, str]:
+def _projection(first: tuple[float, float], path: Path, settings: Mapping[str, str]) -> tuple[Projection, str]:
     """The projection by (1), (3) to (5), and who says so."""
-    if settings.map_origin:
-        return projection_named(settings.map_origin), "as [log] map_origin says"
+    if settings.get("map_origin"):
+        return projection_named(settings["map_origin"]), "as [log] map_origin says"
     info = path.with_name(PROJECTOR_INFO)
     if info.is_file():
         return _projector_info(info), f"as {info.name} says"

@@ -29,6 +29,7 @@ from logs.road import Lane, Road
 
 PROJECTOR_INFO = "map_projector_info.yaml"
 NEAR_NULL_DEG = 0.1
+LARGEST_M = 1e9
 _AUTOWARE = {"LocalCartesianUTM": "utm", "TransverseMercator": "tmerc", "LocalCartesian": "enu"}
 _LOCAL = ("local_x", "local_y")
 
@@ -42,8 +43,10 @@ def read_lanelet2(path: Path, settings: Mapping[str, str]) -> MapFile:
     osm = read_osm(path)
     try:
         return _map(osm, path, settings)
-    except (LogError, ValueError, OverflowError) as error:
-        raise (error if isinstance(error, LogError) else LogError(str(error))).at(path) from None
+    except LogError as error:
+        raise error if error.file is not None else error.at(path) from None
+    except (ValueError, OverflowError) as error:
+        raise LogError(str(error), file=path) from None
 
 
 def _map(osm: Osm, path: Path, settings: Mapping[str, str]) -> MapFile:
@@ -83,7 +86,7 @@ def _placed(osm: Osm, path: Path, settings: Mapping[str, str]) -> tuple[list[Ele
         )
     projection, why = _projection(places[0], path, settings)
     xy = projection(np.array([on_earth(*place) for place in places]))
-    if not np.isfinite(xy).all():
+    if not (np.abs(xy) < LARGEST_M).all():
         raise LogError(f"points have no place under {projection}", topic="[log] map_origin", remedy="name its origin")
     return nodes, f"{projection} ({why})", xy
 

@@ -6,8 +6,8 @@ ITSC 2018); `speed_limit` in km/h where it has no unit. A lanelet's boundaries a
 (1) so that the right one begins at the begin of the left one: |l_0 - r_0| + |l_n - r_m| <= |l_0 - r_m| + |l_n - r_0|
 (2) and both so that the left one is on the left: the outline (left there, right back) runs clockwise.
 
-Their points are paired by walking along both, each step to the next pair that is nearest to each other; so a pair lies
-across the lane also in bends, where one boundary is longer.
+(3) Their points are paired in order, with the least sum of squared widths over all pairs (dynamic time warping): pairs
+    lie across the lane also in bends, where one boundary is longer.
 
 Lanelet B follows A where both boundaries of A end where those of B begin; it is beside A where they share a boundary
 from end to end. In Lanelet2 that is the same point and the same way; as many maps give each lanelet its own, ends
@@ -27,7 +27,8 @@ from math import hypot, isfinite, nan
 
 import numpy as np
 
-from logs.kernel import FloatArray
+from logs.errors import LogError
+from logs.kernel import FloatArray, IntArray, kernel
 from logs.maps.osm import Element, Osm
 from logs.road import Lane
 
@@ -35,7 +36,11 @@ SAME_M = 0.05
 """Less than the two parts of a double line are apart."""
 ALIKE_M = 0.2
 LONGEST_PIECE_M, SHORTEST_PIECE_M = 2.0, 0.25
-"""Of the centre line."""
+"""Of boundaries, and of the centre line."""
+MOST_HERE = 100
+"""So many lanelets begin at one place at most, or share a boundary."""
+MOST = 1000
+"""Pieces of a boundary: (3) takes the product of both sides' pieces in time and memory."""
 _DRIVABLE = frozenset({"road", "highway", "play_street", "exit"})
 _OPEN = frozenset({"", "virtual", "stop_line", "pedestrian_marking", "bike_marking", "zebra_marking", "keepout"})
 _CAR = ("vehicle", "car")
@@ -97,10 +102,14 @@ def joined(xyz: FloatArray, ends: Sequence[int]) -> dict[int, int]:
     from scipy.spatial import cKDTree
 
     rows = sorted(set(ends))
-    pairs = cKDTree(xyz[rows]).query_pairs(SAME_M, output_type="ndarray")
-    graph = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(len(rows), len(rows)))
+    cells, cell = np.unique(np.round(5.0 / SAME_M * xyz[rows]), axis=0, return_inverse=True)
+    tree = cKDTree(cells * (SAME_M / 5.0))
+    if tree.count_neighbors(tree, SAME_M) > len(cells) * MOST_HERE:
+        raise LogError("ends of boundaries lie on top of each other by the hundreds", remedy="correct the map")
+    pairs = tree.query_pairs(SAME_M, output_type="ndarray")
+    graph = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(len(cells), len(cells)))
     labels = connected_components(graph, directed=False)[1]
-    return dict(zip(rows, labels.tolist(), strict=True))
+    return dict(zip(rows, labels[cell.ravel()].tolist(), strict=True))
 
 
 def strips_of(osm: Osm, rows: Mapping[int, int], xy: FloatArray, notes: list[str]) -> list[Strip]:
@@ -151,19 +160,45 @@ def _oriented(left: Bound, right: Bound, xy: FloatArray) -> tuple[Bound, Bound]:
 
 
 def paired(left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Boundaries `(n, 2)` and `(m, 2)` with as many points each, point i facing point i (module docstring)."""
-    a, b = _divided(left).tolist(), _divided(right).tolist()
-    i, j, pairs = 0, 0, [(0, 0)]
-    while i < len(a) - 1 or j < len(b) - 1:
-        steps = [(min(i + p, len(a) - 1), min(j + q, len(b) - 1)) for p, q in ((1, 1), (1, 0), (0, 1))]
-        i, j = min(
-            (step for step in steps if step != (i, j)),
-            key=lambda step: hypot(a[step[0]][0] - b[step[1]][0], a[step[0]][1] - b[step[1]][1]),
-        )
-        pairs.append((i, j))
-    l, r = np.array([a[i] for i, _ in pairs]), np.array([b[j] for _, j in pairs])  # noqa: E741
+    """Boundaries `(n, 2)` and `(m, 2)` with as many points each, point i facing point i, by (3)."""
+    a, b = _divided(left), _divided(right)
+    i, j = _pairs(a, b)
+    l, r = a[i], b[j]  # noqa: E741
     keep = _spaced(0.5 * (l + r))
     return l[keep], r[keep]
+
+
+@kernel
+def _pairs(a: FloatArray, b: FloatArray) -> tuple[IntArray, IntArray]:
+    """Rows of two polylines that face each other: the cheapest way by (3) from the first pair to the last."""
+    n, m = len(a), len(b)
+    cost = np.empty((n, m))
+    for i in range(n):
+        for j in range(m):
+            dx, dy, before = a[i, 0] - b[j, 0], a[i, 1] - b[j, 1], 0.0 if i + j == 0 else np.inf
+            if i > 0 and j > 0:
+                before = cost[i - 1, j - 1]
+            if i > 0:
+                before = min(before, cost[i - 1, j])
+            if j > 0:
+                before = min(before, cost[i, j - 1])
+            cost[i, j] = before + dx * dx + dy * dy
+    rows, columns = np.empty(n + m, np.int64), np.empty(n + m, np.int64)
+    i, j, count = n - 1, m - 1, 0
+    rows[0], columns[0] = i, j
+    while i > 0 or j > 0:
+        both = cost[i - 1, j - 1] if i > 0 and j > 0 else np.inf
+        one = cost[i - 1, j] if i > 0 else np.inf
+        other = cost[i, j - 1] if j > 0 else np.inf
+        if both <= one and both <= other:
+            i, j = i - 1, j - 1
+        elif one <= other:
+            i -= 1
+        else:
+            j -= 1
+        count += 1
+        rows[count], columns[count] = i, j
+    return rows[: count + 1][::-1].copy(), columns[: count + 1][::-1].copy()
 
 
 def _spaced(center: FloatArray) -> list[int]:
@@ -180,12 +215,13 @@ def _spaced(center: FloatArray) -> list[int]:
 
 
 def _divided(line: FloatArray) -> FloatArray:
-    """A polyline with no piece longer than `LONGEST_PIECE_M`."""
+    """A polyline with no piece longer than `LONGEST_PIECE_M`; evenly spaced anew where those are more than `MOST`."""
     s = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
-    parts = np.maximum(1, np.ceil(np.diff(s) / LONGEST_PIECE_M)).astype(int)
-    at = np.r_[
-        np.concatenate([s[k] + (s[k + 1] - s[k]) * np.arange(n) / n for k, n in enumerate(parts.tolist())]), s[-1]
-    ]
+    parts = np.maximum(1.0, np.ceil(np.diff(s) / LONGEST_PIECE_M))
+    if parts.sum() > MOST:
+        at = np.linspace(0.0, s[-1], MOST)
+    else:
+        at = np.r_[np.concatenate([np.linspace(s[k], s[k + 1], int(n) + 1)[:-1] for k, n in enumerate(parts)]), s[-1]]
     return np.column_stack([np.interp(at, s, line[:, 0]), np.interp(at, s, line[:, 1])])
 
 
@@ -209,6 +245,9 @@ class _Beside:
             found.begins[ends[left[0]], ends[right[0]], strip.drivable].append(strip.id)
             found.left[ends[left[0]], ends[left[-1]], strip.drivable].append(strip)
             found.right[ends[right[0]], ends[right[-1]], strip.drivable].append(strip)
+        for places in (found.begins, found.left, found.right):
+            if max(map(len, places.values()), default=0) > MOST_HERE:
+                raise LogError(f"more than {MOST_HERE} lanelets begin at one place", remedy="correct the map")
         return found
 
     def after(self, strip: Strip) -> tuple[int, ...]:

@@ -63,6 +63,10 @@ class _Map:
         points = way_points(self.osm.ways[way], self.rows) if way in self.osm.ways else ()
         return self.xy[list(points)] if len(points) > 1 else None
 
+    def tag(self, way: int, key: str) -> str:
+        """A way's tag, "" where it has none or is not there."""
+        return self.osm.ways[way].tags.get(key, "") if way in self.osm.ways else ""
+
     def lanelets(self, element: Element, *roles: str) -> list[int]:
         """The lanes of an element's lanelet members."""
         return [ref for ref in element.named(*roles, kind="relation") if ref in self.lanes]
@@ -121,7 +125,7 @@ def _demands(held: _Map, element: Element) -> Iterator[tuple[Sequence[int], list
         yield owners, lines, element.id, False
     elif subtype == "traffic_sign":
         kinds = {element.tags.get("sign_type", "")}
-        kinds |= {held.osm.ways[ref].tags.get("subtype", "") for ref in element.named("refers") if ref in held.osm.ways}
+        kinds |= {held.tag(ref, "subtype") for ref in element.named("refers")}
         if kinds & {*_STOP, *_YIELD}:
             yield owners, lines, None, bool(kinds & {*_STOP})
     elif subtype == "right_of_way" and lines:
@@ -131,9 +135,9 @@ def _demands(held: _Map, element: Element) -> Iterator[tuple[Sequence[int], list
     elif subtype == "crosswalk" and lines and owners:
         yield owners, lines, None, False
     elif subtype == "road_marking":
-        ways = [ref for ref in element.named("refers") if held.osm.ways[ref].tags.get("type") == "stop_line"]
-        if ways and owners:
-            yield owners, ways, None, True
+        marks = [ref for ref in element.named("refers") if held.tag(ref, "type") == "stop_line"]
+        if marks and owners:
+            yield owners, marks, None, True
 
 
 def _placed(held: _Map, owners: Sequence[int], ways: Sequence[int]) -> Iterator[StopLine]:
@@ -159,7 +163,7 @@ def _crossed(held: _Map, lines: Iterable[FloatArray]) -> list[int]:
     for line, lane in product(lines, held.lanes.values()):
         along = (line[1] - line[0]) / max(float(np.hypot(*(line[1] - line[0]))), 1e-9) * ASIDE_M
         ahead = lane.center[-1] - lane.center[max(0, len(lane.center) - 4)]
-        beyond = lane.center[-1] + ahead / np.hypot(*ahead) * ASIDE_M
+        beyond = lane.center[-1] + ahead / max(float(np.hypot(*ahead)), 1e-9) * ASIDE_M
         half = np.vstack([lane.center[(len(lane.center) - 1) // 2 :], beyond])
         if lane.drivable and len(crossings(line[0] - along, line[1] + along, half)):
             found.append(lane.id)
@@ -237,6 +241,6 @@ def _aliases(held: _Map, elements: Iterable[Element]) -> dict[int, tuple[int, ..
     for element in elements:
         if element.tags.get("subtype") == "traffic_light":
             ways = list(element.named("refers", "ref_line", "light_bulbs"))
-            tags = (held.osm.ways[ref].tags.get("traffic_light_id", "") for ref in ways if ref in held.osm.ways)
+            tags = (held.tag(ref, "traffic_light_id")[:18] for ref in ways)
             found[element.id] = tuple(dict.fromkeys([*ways, *(int(text) for text in tags if text.isdecimal())]))
     return found

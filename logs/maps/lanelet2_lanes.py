@@ -37,6 +37,8 @@ SAME_M = 0.05
 ALIKE_M = 0.2
 LONGEST_PIECE_M, SHORTEST_PIECE_M = 2.0, 0.25
 """Of boundaries, and of the centre line."""
+LONGEST_M = 20_000.0
+"""A lanelet that reaches farther has a point that is not where it should be."""
 MOST_HERE = 100
 """So many lanelets begin at one place at most, or share a boundary."""
 MOST = 1000
@@ -161,7 +163,7 @@ def _oriented(left: Bound, right: Bound, xy: FloatArray) -> tuple[Bound, Bound]:
 
 def paired(left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Boundaries `(n, 2)` and `(m, 2)` with as many points each, point i facing point i, by (3)."""
-    a, b = _divided(left), _divided(right)
+    a, b = (divided(line, LONGEST_PIECE_M, MOST) for line in (left, right))
     i, j = _pairs(a, b)
     l, r = a[i], b[j]  # noqa: E741
     keep = _spaced(0.5 * (l + r))
@@ -214,12 +216,12 @@ def _spaced(center: FloatArray) -> list[int]:
     return keep
 
 
-def _divided(line: FloatArray) -> FloatArray:
-    """A polyline with no piece longer than `LONGEST_PIECE_M`; evenly spaced anew where those are more than `MOST`."""
+def divided(line: FloatArray, longest: float, most: float) -> FloatArray:
+    """A polyline with no piece longer than `longest`, m; evenly spaced anew where those are more than `most`."""
     s = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
-    parts = np.maximum(1.0, np.ceil(np.diff(s) / LONGEST_PIECE_M))
-    if parts.sum() > MOST:
-        at = np.linspace(0.0, s[-1], MOST)
+    parts = np.maximum(1.0, np.ceil(np.diff(s) / longest))
+    if parts.sum() > most:
+        at = np.linspace(0.0, s[-1], int(most))
     else:
         at = np.r_[np.concatenate([np.linspace(s[k], s[k + 1], int(n) + 1)[:-1] for k, n in enumerate(parts)]), s[-1]]
     return np.column_stack([np.interp(at, s, line[:, 0]), np.interp(at, s, line[:, 1])])
@@ -284,8 +286,8 @@ def lanes_of(osm: Osm, strips: Sequence[Strip], xyz: FloatArray, notes: list[str
     beside, lanes = _Beside.of(strips, xyz), {}
     for strip in strips:
         left, right = paired(beside.xy[list(strip.left.points)], beside.xy[list(strip.right.points)])
-        if len(left) < 2:
-            unread["lanelets without length"] += 1
+        if len(left) < 2 or max(np.ptp(line, axis=0).max() for line in (left, right)) > LONGEST_M:
+            unread[f"lanelets without length or longer than {LONGEST_M / 1000.0:g} km"] += 1
             continue
         lanes[strip.id] = Lane(
             strip.id,

@@ -21,15 +21,16 @@ from itertools import product
 
 import numpy as np
 
-from logs.convert.commonroad_rules import meet
+from logs.convert.commonroad_rules import CAR_WIDTH_M
 from logs.kernel import FloatArray
-from logs.maps.lanelet2_lanes import Strip, way_points
+from logs.maps.lanelet2_lanes import LONGEST_M, Strip, divided, way_points
 from logs.maps.osm import Element, Osm
 from logs.road import Lane
 from logs.rules import Crosswalk, StopLine
 
 AT_BEGIN_M = 1.5
 """A stop line nearer to a lane's begin lies across the lanes before."""
+SPACING_M = 0.5
 ASIDE_M = 1.0
 """So much longer are lines to each side, and lanes at their ends, to find who crosses where no lanelet names them."""
 _STOP = ("stop", "stop_sign", "de206", "206", "usR1-1", "R1-1")
@@ -228,12 +229,21 @@ def _yields(held: _Map, elements: Iterable[Element]) -> dict[int, tuple[int, ...
 
 def _meeting(lanes: Mapping[int, Lane], one: int, first: int) -> Iterator[tuple[int, int]]:
     """The lanes that meet: the two themselves, else what follows on them."""
-    if meet(lanes[one].center, lanes[first].center):
+    if meet(lanes[one], lanes[first]):
         yield one, first
         return
     for lane, other in product(lanes[one].successors, lanes[first].successors):
-        if lane != other and lane in lanes and other in lanes and meet(lanes[lane].center, lanes[other].center):
+        if lane != other and lane in lanes and other in lanes and meet(lanes[lane], lanes[other]):
             yield lane, other
+
+
+def meet(one: Lane, other: Lane) -> bool:
+    """Whether cars on the centre lines of two lanes would touch somewhere."""
+    from scipy.spatial import cKDTree  # here: it takes long to load
+
+    lines = (divided(lane.center, SPACING_M, LONGEST_M / SPACING_M) for lane in (one, other))
+    away = np.asarray(cKDTree(next(lines)).query(next(lines))[0])
+    return bool(away.min() < CAR_WIDTH_M)
 
 
 def _aliases(held: _Map, elements: Iterable[Element]) -> dict[int, tuple[int, ...]]:

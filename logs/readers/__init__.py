@@ -115,7 +115,12 @@ def read_log(path: Path, settings: LogSettings | None = None, reader: Reader | N
     try:
         with np.errstate(all="ignore"):  # absurd numbers are refused as such
             scenario = reader.read(path, settings)
-        return scenario if reader.cuts else cut(scenario, settings.begin, settings.end)
+            scenario = scenario if reader.cuts else cut(scenario, settings.begin, settings.end)
+            if settings.map:
+                from logs.maps import with_map
+
+                scenario = with_map(scenario, settings)
+        return scenario
     except LogError as error:
         raise error if error.file is not None else error.at(path) from None
 

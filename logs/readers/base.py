@@ -21,6 +21,7 @@ class LogSettings:
         ego: Id of the road user who is taken as the ego; "": the one that the log names.
         problem: Planning problem of a CommonRoad file, by id or by place from 1; 0: the first.
         map: Path of a map that replaces the log's (Lanelet2 .osm, 123D map.arrow, OpenDRIVE .xodr); "": the log's own.
+        map_origin: Where such a map's coordinates begin, if it does not say so (`logs.maps.projections.FORMS`).
         begin: Seconds after the log's first ego state at which the scenario begins.
         end: And at which it ends, s; inf: with the log.
         clock: Times of messages: "log" when they were recorded, "header" as stamped by their sender; "": the reader's
@@ -35,6 +36,7 @@ class LogSettings:
     ego: str = ""
     problem: int = 0
     map: str = ""
+    map_origin: str = ""
     begin: float = 0.0
     end: float = inf
     clock: str = ""

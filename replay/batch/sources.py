@@ -13,6 +13,7 @@ from pathlib import Path
 
 from logs.catalogue import CATALOGUE
 from logs.errors import ConfigError, LogError
+from logs.maps import map_files
 from logs.readers import FORMATS, LogSettings, foreign, logs_in, read_log, reader_of, readers, windows
 from logs.scenario import Scenario
 
@@ -35,10 +36,13 @@ class LogSource:
     settings: LogSettings = field(default_factory=LogSettings)
 
     def identity(self) -> str:
-        """What tells it from every other input: the log's name and hash, the family's name; LogError as `read`."""
+        """What tells it from every other input: names and hashes of log and map, or the family; LogError as `read`."""
         if self.path is None:
             return f"catalogue {self.label}"
-        part = "" if self.settings == LogSettings() else f" {self.settings}"
+        settings = self.settings
+        if settings.map:
+            settings = replace(settings, map=" ".join(map(file_hash, map_files(Path(settings.map)))))
+        part = "" if settings == LogSettings() else f" {settings}"
         return f"{self.path.name} {log_hash(self.path)}{part}"
 
     def read(self) -> Scenario:

@@ -9,6 +9,7 @@ velocity along it. The times are the frames' GPS times.
 from __future__ import annotations
 
 from pathlib import Path
+from tokenize import TokenError
 from typing import Any
 
 import numpy as np
@@ -48,7 +49,7 @@ def _array(path: Path, name: str, columns: int) -> FloatArray:
                 f"the array has {file.stat().st_size} bytes", topic=name, remedy="this is no minute of poses"
             )
         found: Any = np.load(file, allow_pickle=False)
-    except (OSError, ValueError, EOFError, SyntaxError, MemoryError, OverflowError, TypeError) as error:
+    except (OSError, ValueError, EOFError, SyntaxError, MemoryError, OverflowError, TypeError, TokenError) as error:
         what = f"the array cannot be read: {' '.join(str(error).split())[:120]}"
         raise LogError(what, topic=name, remedy="download the segment again") from None
     array = np.asarray(found)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from enum import Enum
 
 import numpy as np
@@ -30,6 +30,12 @@ class AgentKind(Enum):
         return self in (AgentKind.PEDESTRIAN, AgentKind.BICYCLE, AgentKind.MOTORCYCLE)
 
 
+USUAL_SIZE_M = {
+    AgentKind.CAR: (4.5, 1.8), AgentKind.TRUCK: (8.0, 2.5), AgentKind.BUS: (12.0, 2.5),
+    AgentKind.MOTORCYCLE: (2.2, 0.8), AgentKind.BICYCLE: (1.8, 0.7), AgentKind.PEDESTRIAN: (0.5, 0.5),
+    AgentKind.OBJECT: (1.0, 1.0),
+}  # fmt: skip
+"""Length and width where a log has none, m."""
 _CODE = {kind: code for code, kind in enumerate(AgentKind)}
 
 
@@ -75,6 +81,14 @@ class Agents:
         for name in ("length", "width", "x", "y", "yaw", "vx", "vy", "yaw_rate", "accel"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
+    @classmethod
+    def of_rows(cls, ids: tuple[str, ...], kinds: tuple[AgentKind, ...], rows: FloatArray, codes: IntArray) -> Agents:
+        """The agents whose columns `length` to `accel` are these rows `(9, n)`, copied once."""
+        made = object.__new__(cls)
+        for name, value in zip(_COLUMNS, (ids, kinds, *frozen(rows), codes), strict=True):
+            object.__setattr__(made, name, value)
+        return made
+
     def __len__(self) -> int:
         return len(self.ids)
 
@@ -82,3 +96,6 @@ class Agents:
     def speed(self) -> FloatArray:
         """Length of the velocity vector `(n,)`, m/s."""
         return np.hypot(self.vx, self.vy)
+
+
+_COLUMNS = tuple(each.name for each in fields(Agents))

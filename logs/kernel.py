@@ -43,6 +43,18 @@ def inner_kernel(function: Callable[P, R]) -> Callable[P, R]:
     return cast("Callable[P, R]", njit(cache=True, error_model="numpy", **unlisted)(function))
 
 
+@inner_kernel
+def interpolated(x: float, xp: FloatArray, fp: FloatArray) -> float:
+    """`np.interp` of one number, to the bit: `fp` `(n,)` over increasing `xp`, the ends held outside."""
+    last = len(xp) - 1
+    if x >= xp[last]:
+        return fp[last]
+    if x < xp[0]:
+        return fp[0]
+    k = np.searchsorted(xp, x, side="right") - 1
+    return (fp[k + 1] - fp[k]) / (xp[k + 1] - xp[k]) * (x - xp[k]) + fp[k]
+
+
 def frozen(values: object, dtype: Any = np.float64) -> NDArray[Any]:
     """A contiguous array of `values` over an immutable buffer (bytes): a private copy unless it is one already.
 

@@ -22,7 +22,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from logs.kernel import TIE, FloatArray, frozen, kernel
+from logs.kernel import TIE, FloatArray, IntArray, frozen, inner_kernel, kernel
 from logs.rules import Crosswalk, StopLine
 
 
@@ -230,19 +230,28 @@ def thinned(points: FloatArray, spacing: float) -> FloatArray:
 
     Only consecutive points are compared, so closed loops survive. A line shorter than `spacing` leaves one point.
     """
-    kept = [points[0]]
-    for point in points[1:]:
-        if hypot(*(point - kept[-1])) >= spacing - TIE:
-            kept.append(point)
-    rest = hypot(*(points[-1] - kept[-1]))
+    kept = _far_apart(np.ascontiguousarray(points, np.float64), spacing).tolist()
+    rest = hypot(*(points[-1] - points[kept[-1]]))
     if len(kept) > 1 and 0.0 < rest < 0.5 * spacing - TIE:
-        kept[-1] = points[-1]
+        kept[-1] = len(points) - 1
     elif len(kept) > 1 and rest > 0.0:
-        kept.append(points[-1])
-    return np.array(kept)
+        kept.append(len(points) - 1)
+    return np.asarray(points[kept])
 
 
 @kernel
+def _far_apart(points: FloatArray, spacing: float) -> IntArray:
+    """The first of the points `(n, 2)`, and each that is no nearer than `spacing` to the one before of these."""
+    kept, count = np.zeros(len(points), np.int64), 1
+    for i in range(1, len(points)):
+        last = kept[count - 1]
+        if hypot(points[i, 0] - points[last, 0], points[i, 1] - points[last, 1]) >= spacing - TIE:
+            kept[count] = i
+            count += 1
+    return kept[:count]
+
+
+@inner_kernel
 def line_point(knots: FloatArray, coef: FloatArray, s: float) -> tuple[float, float, float, float, float, float]:
     """r, r', r'' of the spline at station `s` (m): x, y, x', y', x'', y''.
 
@@ -275,6 +284,15 @@ def line_frame(knots: FloatArray, coef: FloatArray, s: float) -> tuple[float, fl
 
 
 @kernel
+def line_frames(knots: FloatArray, coef: FloatArray) -> FloatArray:
+    """Rows x, y, yaw, kappa `(4, n)` of the line at its stations."""
+    out = np.empty((4, len(knots)))
+    for i in range(len(knots)):
+        out[0, i], out[1, i], out[2, i], out[3, i] = line_frame(knots, coef, knots[i])
+    return out
+
+
+@inner_kernel
 def line_curvature(knots: FloatArray, coef: FloatArray, s: float) -> float:
     """Kappa (2) of the line at station `s`, 1/m."""
     _, _, dx, dy, ddx, ddy = line_point(knots, coef, s)
@@ -351,9 +369,9 @@ class ReferenceLine:
     def __post_init__(self) -> None:
         object.__setattr__(self, "s", frozen(self.s))
         object.__setattr__(self, "coef", frozen(self.coef))
-        frames = np.array([line_frame(self.s, self.coef, s) for s in self.s])
-        object.__setattr__(self, "yaw", frozen(np.unwrap(frames[:, 2])))
-        object.__setattr__(self, "kappa", frozen(frames[:, 3]))
+        _, _, yaw, kappa = line_frames(self.s, self.coef)
+        object.__setattr__(self, "yaw", frozen(np.unwrap(yaw)))
+        object.__setattr__(self, "kappa", frozen(kappa))
 
     @classmethod
     def through(cls, points: FloatArray, spacing: float = 1.0) -> ReferenceLine:
@@ -393,7 +411,7 @@ class ReferenceLine:
     @cached_property
     def xy(self) -> FloatArray:
         """Points `(n, 2)` at the stations, m."""
-        return frozen(np.array([line_point(self.s, self.coef, s)[:2] for s in self.s]))
+        return frozen(line_frames(self.s, self.coef)[:2].T)
 
     def frame(self, s: float) -> tuple[float, float, float, float]:
         """x, y, yaw, kappa at station `s`; beyond the ends the line goes on straight."""

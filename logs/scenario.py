@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.agents import AgentKind, Agents, among, codes_of
-from logs.kernel import BoolArray, FloatArray, IntArray, frozen, kernel
+from logs.kernel import BoolArray, FloatArray, IntArray, frozen, inner_kernel, kernel
 from logs.motion import Motion, estimated
 from logs.presence import MAX_AGE_S, MAX_GAP_S, patience
 from logs.road import Goal, Road
@@ -23,9 +23,10 @@ TREND_S = 1.0
 """Yaw rate and acceleration are backward differences over at most this; one sample back where samples are rarer."""
 FINDING = "reference_"
 """Metadata entries that begin so are what the replay found out about a scenario: never read from a log."""
-__all__ = ["FINDING", "AgentKind", "Agents", "Scenario", "Tracks"]
+EGO_POSE, CENTRE = "ego_pose", "box centre"
+"""Metadata entry, and its value where the log has poses of the ego's box centre, not of its rear axle."""
+__all__ = ["CENTRE", "EGO_POSE", "FINDING", "AgentKind", "Agents", "Scenario", "Tracks"]
 _TURNING = among(*(kind for kind in AgentKind if kind is not AgentKind.PEDESTRIAN))
-_SHOWN = ("length", "width", "x", "y", "yaw", "vx", "vy", "yaw_rate", "accel")
 _NOT_ASKED = frozen(np.empty(0))
 _State = tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]
 
@@ -52,7 +53,7 @@ def _trends(
     return out
 
 
-@kernel
+@inner_kernel
 def _trend(
     first: int, last: int, t: FloatArray, yaw: FloatArray, x: FloatArray, y: FloatArray, vx: FloatArray,
     vy: FloatArray, speed: float,
@@ -81,7 +82,7 @@ def _perceived(
     offsets: IntArray, static: BoolArray, turns: BoolArray, size: tuple[FloatArray, FloatArray], t: FloatArray,
     x: FloatArray, y: FloatArray, yaw: FloatArray, vx: FloatArray, vy: FloatArray, patience: FloatArray, time: float,
 ) -> tuple[IntArray, FloatArray, bool]:  # fmt: skip
-    """`Tracks.perceived`: who is seen `(k,)`, rows `_SHOWN` `(9, k)`, whether `patience` is lacking.
+    """`Tracks.perceived`: who is seen `(k,)`, rows as in `Agents.of_rows`, whether `patience` is lacking.
 
     `patience` `(m,)` may be empty: then it is lacking where an agent's last sample is so old that it decides.
     """
@@ -275,12 +276,10 @@ class Tracks:
         seen, rows, lacking = _perceived(*fixed, *columns, _NOT_ASKED, time)
         if lacking:
             seen, rows, _ = _perceived(*fixed, *columns, self.patience, time)
-        rows = frozen(rows)  # once: its rows are not copied again
-        shown = dict(zip(_SHOWN, rows, strict=True))
         if len(seen) == len(self):
-            return Agents(self.ids, self.kinds, codes=self.codes, **shown)
+            return Agents.of_rows(self.ids, self.kinds, rows, self.codes)
         ids, kinds = self._names[:, seen].tolist()
-        return Agents(tuple(ids), tuple(kinds), codes=self.codes[seen], **shown)
+        return Agents.of_rows(tuple(ids), tuple(kinds), rows, frozen(self.codes[seen], np.int64))
 
     def truth(self, time: float) -> Agents:
         """The agents as they were at `time`, interpolated: for metrics and drawing, never for a planner.
@@ -381,6 +380,15 @@ class Scenario:
         object.__setattr__(self, "lights", tuple(sorted(self.lights, key=lambda light: light.id)))
         if len({light.id for light in self.lights}) < len(self.lights):
             raise ValueError("two traffic lights have the same id")
+
+    def in_vehicle(self, vehicle: VehicleParameters) -> Scenario:
+        """The scenario with another ego vehicle: the rear axle stays, or the box centre if the log's poses are such."""
+        ahead = self.vehicle.axle_to_center - vehicle.axle_to_center
+        if self.metadata.get(EGO_POSE) != CENTRE or ahead == 0.0:
+            return replace(self, vehicle=vehicle)
+        ego = self.ego
+        x, y = ego.x + ahead * np.cos(ego.yaw), ego.y + ahead * np.sin(ego.yaw)
+        return replace(self, vehicle=vehicle, ego=replace(ego, x=x, y=y))
 
     @property
     def is_recorded(self) -> bool:

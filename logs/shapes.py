@@ -20,7 +20,7 @@ from math import cos, hypot, inf, sin
 
 import numpy as np
 
-from logs.kernel import FloatArray, kernel
+from logs.kernel import FloatArray, inner_kernel, kernel
 
 
 @kernel
@@ -36,7 +36,7 @@ def corners(x: float, y: float, yaw: float, length: float, width: float) -> Floa
     return out
 
 
-@kernel
+@inner_kernel
 def _axis_reach(ax: float, ay: float, c: float, s: float, length: float, width: float) -> float:
     """Half of the extent along the unit axis (ax, ay) of a box whose heading has the cosine c and the sine s."""
     return 0.5 * (length * abs(ax * c + ay * s) + width * abs(ay * c - ax * s))
@@ -51,7 +51,7 @@ def overlap(
     return overlap_turned(x1, y1, cos(yaw1), sin(yaw1), length1, width1, x2, y2, cos(yaw2), sin(yaw2), length2, width2)
 
 
-@kernel
+@inner_kernel
 def overlap_turned(
     x1: float, y1: float, c1: float, s1: float, length1: float, width1: float,
     x2: float, y2: float, c2: float, s2: float, length2: float, width2: float,
@@ -60,7 +60,7 @@ def overlap_turned(
     return axis_gap(x1, y1, c1, s1, length1, width1, x2, y2, c2, s2, length2, width2) <= 0.0
 
 
-@kernel
+@inner_kernel
 def axis_gap(
     x1: float, y1: float, c1: float, s1: float, length1: float, width1: float,
     x2: float, y2: float, c2: float, s2: float, length2: float, width2: float,

@@ -84,7 +84,21 @@ class Trajectory:
         for name, column in zip(TRAJECTORY_COLUMNS, columns, strict=True):
             if column.shape != (len(columns[0]),) or not len(column):
                 raise ValueError(f"{name} has shape {column.shape}, expected ({len(columns[0])},) and not empty")
-        rows = np.stack(columns)
+        self._keep(np.array(columns))
+
+    @classmethod
+    def of_rows(cls, rows: FloatArray) -> Trajectory:
+        """The trajectory whose columns are these rows `(7, n)`, n >= 1.
+
+        Raises:
+            ValueError: A value is not finite, or time does not increase.
+        """
+        made = object.__new__(cls)
+        made._keep(rows)
+        return made
+
+    def _keep(self, rows: FloatArray) -> None:
+        """Check rows `(7, n)` and hold a copy."""
         turns, not_finite, still = _looked_through(rows)
         if not_finite >= 0:
             name, index = TRAJECTORY_COLUMNS[not_finite // rows.shape[1]], not_finite % rows.shape[1]
@@ -101,20 +115,19 @@ class Trajectory:
 
     def state(self, index: int) -> EgoState:
         """The sample at `index`."""
-        return EgoState(*(float(getattr(self, name)[index]) for name in TRAJECTORY_COLUMNS))
+        return EgoState(*[column.item(index) for column in self._columns()])
 
     def at(self, t: float) -> EgoState:
         """The state at time `t`, linearly interpolated; the ends hold outside the span.
 
         For plans and ground truth only: between two samples of a log it knows the later one.
         """
-        i = int(np.searchsorted(self.t, t, side="right")) - 1
+        i = int(self.t.searchsorted(t, side="right")) - 1
         if i < 0 or i >= len(self.t) - 1:
-            ends = (float(column[max(i, 0)]) for column in self._columns()[1:])
-            return EgoState(t, *ends)
-        begin, step = float(self.t[i]), float(self.t[i + 1] - self.t[i])
-        pairs = ((float(column[i]), float(column[i + 1])) for column in self._columns()[1:])
-        return EgoState(t, *((after - before) / step * (t - begin) + before for before, after in pairs))
+            return EgoState(t, *[column.item(max(i, 0)) for column in self._columns()[1:]])
+        begin, step = self.t.item(i), self.t.item(i + 1) - self.t.item(i)
+        pairs = [(column.item(i), column.item(i + 1)) for column in self._columns()[1:]]
+        return EgoState(t, *[(after - before) / step * (t - begin) + before for before, after in pairs])
 
     def _columns(self) -> tuple[FloatArray, ...]:
         return self.t, self.x, self.y, self.yaw, self.v, self.a, self.kappa

@@ -82,7 +82,7 @@ class ScenarioSummary:
 
 @dataclass(frozen=True)
 class LogSummary:
-    """What a file holds; `scenario` is None and `error` says why where it cannot be evaluated."""
+    """What a log holds; `scenario` is None and `error` says why where it cannot be evaluated; `read` is it whole."""
 
     path: Path
     profile: str
@@ -91,6 +91,7 @@ class LogSummary:
     scenario: ScenarioSummary | None
     evaluations: tuple[Evaluation, ...]
     error: LogError | None
+    read: Scenario | None = None
 
     def lines(self) -> list[str]:
         """The summary as text, one line each."""
@@ -121,6 +122,7 @@ def summarise(path: Path, settings: LogSettings | None = None) -> LogSummary:
         None if scenario is None else _scenario(scenario),
         () if scenario is None else evaluations(scenario, told=_tells_vehicle(scenario, contents)),
         error,
+        scenario,
     )
 
 

@@ -314,16 +314,17 @@ class PlannedFrame:
 
 
 def _thinned(predictions: Predictions) -> Predictions:
-    kept, some = kept_samples(predictions.t), predictions
-    rows = frozen(np.stack([some.x[:, kept], some.y[:, kept], some.yaw[:, kept]]))  # once: its rows are not copied
-    return type(some)(some.t[kept], some.agent, some.probability, rows[0], rows[1], rows[2], some.method)
+    some, kept = predictions, kept_samples(predictions.t)
+    x, y, yaw = frozen(np.array([some.x[:, kept], some.y[:, kept], some.yaw[:, kept]]))  # once: they are not copied
+    return type(some)(some.t[kept], some.agent, some.probability, x, y, yaw, some.method)
 
 
-def kept_samples(t: FloatArray) -> IntArray:
+def kept_samples(t: FloatArray) -> slice | IntArray:
     """Which of the samples `(n,)` are kept: each that is `KEPT_STEP_S` after the one before, and the last."""
     stride = max(1, round(KEPT_STEP_S / float(t[1] - t[0]))) if len(t) > 1 else 1
-    kept = np.arange(0, len(t), stride)
-    return np.append(kept, len(t) - 1) if len(t) and kept[-1] < len(t) - 1 else kept
+    if (len(t) - 1) % stride == 0:
+        return slice(None, None, stride)
+    return np.append(np.arange(0, len(t), stride), len(t) - 1)
 
 
 @dataclass(frozen=True, eq=False)

@@ -132,14 +132,7 @@ def _placed(scenario: Scenario, points: _Points) -> Scenario:
         ego=driven(ego),
         onboard=_with_trajectories(scenario.onboard, driven),
         tracks=replace(tracks, x=x, y=y),
-        road=replace(
-            road,
-            lanes={
-                i: replace(lane, left=points(lane.left), right=points(lane.right)) for i, lane in road.lanes.items()
-            },
-            stop_lines=tuple(replace(line, points=points(line.points)) for line in road.stop_lines),
-            crosswalks=tuple(replace(each, polygon=points(each.polygon)) for each in road.crosswalks),
-        ),
+        road=placed_road(road, points),
         goal=None if goal is None else replace(goal, regions=tuple(points(region) for region in goal.regions)),
     )
 
@@ -148,6 +141,16 @@ def _with_trajectories(
     plans: tuple[OnboardPlan, ...], changed: Callable[[Trajectory], Trajectory]
 ) -> tuple[OnboardPlan, ...]:
     return tuple(replace(plan, trajectory=changed(plan.trajectory)) for plan in plans)
+
+
+def placed_road(road: Road, points: _Points) -> Road:
+    """The road with all its points `(k, 2)` elsewhere, and nothing else changed."""
+    return replace(
+        road,
+        lanes={i: replace(lane, left=points(lane.left), right=points(lane.right)) for i, lane in road.lanes.items()},
+        stop_lines=tuple(replace(line, points=points(line.points)) for line in road.stop_lines),
+        crosswalks=tuple(replace(each, polygon=points(each.polygon)) for each in road.crosswalks),
+    )
 
 
 def _swapped(text: str) -> str:

@@ -24,7 +24,7 @@ from math import cos, hypot, inf, pi, sin
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
 from logs.scenario import AgentKind, Scenario
 from logs.shapes import corners, distance, overlap, time_to_contact
 from logs.states import wrap
@@ -43,7 +43,7 @@ SERIOUS_S = 1.0
 """PET below it is serious (criticality metrics catalogue)."""
 
 
-@kernel
+@inner_kernel
 def _travelled(v: float, a: float, t: float) -> float:
     """Way after t of who does not reverse: stops where v + a t = 0."""
     if a < 0.0 and v + a * t < 0.0:

@@ -13,13 +13,13 @@ Between safe and unsafe both are linear.
 
 from __future__ import annotations
 
-from logs.kernel import kernel
+from logs.kernel import inner_kernel, kernel
 
 FSM_REACT_S, FSM_COMFORT_MPS2, FSM_HARDEST_MPS2, FSM_LEAD_MPS2 = 0.75, 4.0, 6.0, 7.0
 FSM_MARGIN_M, FSM_SAFE_M = 2.0, 2.0
 
 
-@kernel
+@inner_kernel
 def fsm_fuzzy(gap: float, safe: float, unsafe: float) -> float:
     """0 from `safe` on, 1 up to `unsafe`, linear between; a step where both are the same."""
     if gap >= safe:
@@ -51,7 +51,7 @@ def fsm_critical(gap: float, v: float, u: float, a: float) -> float:
     return fsm_fuzzy(gap, reach + square / (2.0 * FSM_COMFORT_MPS2), reach + square / (2.0 * FSM_HARDEST_MPS2))
 
 
-@kernel
+@inner_kernel
 def fsm_deceleration(gap: float, v: float, u: float, a: float) -> float:
     """(1), m/s2."""
     critical = fsm_critical(gap, v, u, a)

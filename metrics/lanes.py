@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import FloatArray, IntArray, frozen, kernel
+from logs.kernel import FloatArray, IntArray, frozen, inner_kernel, kernel
 from logs.road import Lane, Road
 from logs.shapes import point_segment
 from metrics.once import once
@@ -184,7 +184,7 @@ def _on_lane(lanes: LaneArrays, i: int, x: float, y: float) -> bool:
     return found
 
 
-@kernel
+@inner_kernel
 def _not_nearer(line: FloatArray, boxes: Boxes, g: int, x: float, y: float) -> float:
     """A distance of a point from a polyline that is mostly the least: in the nearest of the boxes within box g."""
     while boxes.edges[g, 0] == boxes.edges[g, 1]:
@@ -201,7 +201,7 @@ def _not_nearer(line: FloatArray, boxes: Boxes, g: int, x: float, y: float) -> f
     return best
 
 
-@kernel
+@inner_kernel
 def _on_center(lanes: LaneArrays, i: int, x: float, y: float) -> tuple[float, float, float]:
     """Unit direction of lane i's centre line at its point nearest to (x, y), and the distance left of it, m."""
     center = lanes.center[lanes.offsets[i] // 2 : lanes.offsets[i + 1] // 2]
@@ -242,7 +242,7 @@ def _under(lanes: LaneArrays, x: FloatArray, y: FloatArray, yaw: FloatArray) -> 
     return along, left
 
 
-@kernel
+@inner_kernel
 def _edge_distance(lanes: LaneArrays, i: int, x: float, y: float, best: float) -> float:
     """Distance of a point from lane i's outline, m; where that is not less than `best`, anything not less."""
     polygon, boxes = lanes.points[lanes.offsets[i] : lanes.offsets[i + 1]], lanes.outline

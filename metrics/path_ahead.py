@@ -23,7 +23,7 @@ from math import atan2, cos, hypot, pi, sin
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
 from logs.scenario import Scenario
 from logs.shapes import corners
 from logs.states import Trajectory
@@ -83,7 +83,7 @@ def ahead_of(trace: Trace, scenario: Scenario) -> Ahead:
     return Ahead(ego.t, ego.v, ego.a, agent, *rows)
 
 
-@kernel
+@inner_kernel
 def arc_point(kappa: float, x: float, y: float) -> tuple[float, float]:
     """(1): s and l of a point in the frame of the rear axle."""
     side, up = 1.0 - kappa * y, kappa * x
@@ -91,7 +91,7 @@ def arc_point(kappa: float, x: float, y: float) -> tuple[float, float]:
     return s, (2.0 * y - kappa * (x * x + y * y)) / (1.0 + hypot(side, up))
 
 
-@kernel
+@inner_kernel
 def _clipped(s0: float, l0: float, s1: float, l1: float, half: float) -> float:
     """The least s of a straight piece within |l| <= half; inf where no part of it is."""
     if max(l0, l1) < -half or min(l0, l1) > half:
@@ -109,7 +109,7 @@ def _clipped(s0: float, l0: float, s1: float, l1: float, half: float) -> float:
     return least
 
 
-@kernel
+@inner_kernel
 def extent(
     x: float, y: float, yaw: float, kappa: float, half: float, outline: FloatArray
 ) -> tuple[float, float, float, float, float]:
@@ -130,7 +130,7 @@ def extent(
     return near, s_low, s_high, l_low, l_high
 
 
-@kernel
+@inner_kernel
 def within_look(x: float, y: float, yaw: float, kappa: float, other_x: float, other_y: float, reach: float) -> bool:
     """Whether a box of half diagonal `reach` may lie along the path: near enough, and not round the circle."""
     dx, dy = other_x - x, other_y - y

@@ -47,7 +47,7 @@ from math import cos, hypot, nan, pi, sin
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, kernel
+from logs.kernel import BoolArray, FloatArray, inner_kernel, kernel
 from logs.road import ReferenceLine, line_frame
 from logs.scenario import Scenario
 from logs.shapes import clearance, overlap
@@ -221,7 +221,7 @@ def curve_speeds(s: FloatArray, kappa: FloatArray) -> FloatArray:
     return out
 
 
-@kernel
+@inner_kernel
 def _cc_hazard(
     seen: FloatArray, brakes: bool, came_nearer: float, v: float, box: FloatArray, width: float, late: float
 ) -> bool:
@@ -235,7 +235,7 @@ def _cc_hazard(
     return seen[3] > CC_TOWARDS_MPS and came_nearer > CC_WANDER_M and seen[0] > 0.0
 
 
-@kernel
+@inner_kernel
 def _cc_wish(
     seen: FloatArray, accel: FloatArray, size: FloatArray, box: FloatArray, v: float, clock: FloatArray,
     nearer: FloatArray, late: float, braking: bool,
@@ -261,7 +261,7 @@ def _cc_wish(
     return -CC_BRAKE_MPS2 if braking and held else wish
 
 
-@kernel
+@inner_kernel
 def _fsm_wish(seen: FloatArray, size: FloatArray, box: FloatArray, v: float, a: float, late: float) -> float:
     """Acceleration that "fsm" wishes, without its reaction time."""
     hardest = 0.0
@@ -273,7 +273,7 @@ def _fsm_wish(seen: FloatArray, size: FloatArray, box: FloatArray, v: float, a: 
     return -hardest
 
 
-@kernel
+@inner_kernel
 def _touches(
     x: float, y: float, yaw: float, v: float, k: int, box: FloatArray, there: BoolArray, pose: FloatArray,
     size: FloatArray, left_out: BoolArray,

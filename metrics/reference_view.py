@@ -6,7 +6,7 @@ from math import cos, hypot, sin
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, kernel
+from logs.kernel import BoolArray, FloatArray, inner_kernel, kernel
 from logs.road import line_frame, line_project
 
 NEAR_M, ASIDE_M = 150.0, 20.0
@@ -45,7 +45,7 @@ def look(
         out[i, 5] = 1.0 if vulnerable[i] or abs(w) > abs(u) else 0.0
 
 
-@kernel
+@inner_kernel
 def comes_in(seen: FloatArray, v: float, box: FloatArray, width: float, slack: float, late: float) -> bool:
     """Whether who is beside the band will be in it before the ego is past it and, if it crosses, not out too early.
 

@@ -90,8 +90,9 @@ class QuadraticProgram:
         rows, columns = A.shape
         self._scale = np.ones(columns) if scale is None else scale
         S = sparse.diags(self._scale)
-        self._row_scale = 1.0 / np.abs(A @ S).max(axis=1).toarray().ravel()
-        self._P, self._A = sparse.csc_matrix(S @ P @ S), sparse.csc_matrix(sparse.diags(self._row_scale) @ A @ S)
+        cost, limited = (P, A) if scale is None else (S @ P @ S, A @ S)
+        self._row_scale: FloatArray = 1.0 / abs(limited).max(axis=1).toarray().ravel()
+        self._P, self._A = sparse.csc_matrix(cost), sparse.csc_matrix(sparse.diags(self._row_scale) @ limited)
         self._P.sort_indices()
         self._A.sort_indices()
         self._rows = self._A.tocsr()
@@ -115,7 +116,7 @@ class QuadraticProgram:
                 (np.arange(1.0, len(values) + 1.0), self._A.indices, self._A.indptr), self._A.shape
             ).tocsr()
             columns = np.repeat(np.arange(self._A.shape[1]), np.diff(self._A.indptr))
-            scale = self._row_scale[self._A.indices] * self._scale[columns]
+            scale: FloatArray = self._row_scale[self._A.indices] * self._scale[columns]
             self._refilling = scale, places.data.astype(np.int64) - 1
         scale, order = self._refilling
         self._A.data[:] = scale * values

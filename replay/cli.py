@@ -1,6 +1,6 @@
 """The command line: words in, exit code out; no logic here.
 
-`replan evaluate | synth | convert | inspect | view | metrics | paper | calibrate`
+`replan evaluate | synth | convert | inspect | salvage | export | view | metrics | paper | calibrate`
 """
 
 from __future__ import annotations
@@ -350,6 +350,60 @@ def inspect(
         typer.echo("\n".join(summary.lines()))
         if summary.error is not None:
             raise typer.Exit(3)
+        if summary.read is not None:
+            from metrics.health import report
+
+            typer.echo("\n".join(report(summary.read)))
+
+
+@app.command()
+def salvage(
+    damaged: Annotated[Path, typer.Argument(help="A damaged MCAP file, of any kind.")],
+    out: Annotated[Path, typer.Argument(help="The MCAP file to write.")],
+) -> None:
+    """Keep every intact chunk of a damaged MCAP file, and name what was lost."""
+    with answered():
+        from logs.mcap.salvage import salvage as save
+
+        if not damaged.is_file():
+            raise ConfigError(f"{damaged}: no such file")
+        if out.exists():
+            raise ConfigError(f"{out}: exists already; name a new file")
+        typer.echo("\n".join([str(out), *(f"    {line}" for line in save(damaged, out).lines())]))
+
+
+export_app = typer.Typer(help="Drives in the formats of others.", no_args_is_help=True)
+app.add_typer(export_app, name="export")
+
+
+@export_app.callback()
+def _export() -> None:
+    pass
+
+
+@export_app.command("commonroad-solution")
+def commonroad_solution(
+    trace: Annotated[Path, typer.Argument(help="closed.mcap of a CommonRoad scenario, in a result folder.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="The XML file to write.")],
+    cost: Annotated[str, typer.Option(help="Cost function that the benchmark id names.")] = "JB1",
+) -> None:
+    """A closed drive as a CommonRoad solution, for CommonRoad's own checker.
+
+    [bold]Example[/bold]
+
+      replan evaluate USA_US101-6_1_T-1.xml --vehicle kinematic_bicycle --car bmw_320i -o results/us101
+      replan export commonroad-solution results/us101/USA_US101-6_1_T-1-56aaf9ca/closed.mcap -o solution.xml
+    """
+    with answered():
+        from logs.errors import unknown_name
+        from replay.batch.results import write_text
+        from replay.export import COSTS
+        from replay.export import commonroad_solution as solution
+
+        if cost not in COSTS:
+            raise unknown_name("cost function", cost, COSTS)
+        write_text(out, solution(trace, cost))
+        typer.echo(out)
 
 
 @app.command()

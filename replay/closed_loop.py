@@ -81,4 +81,4 @@ def run_closed_loop(
         notes=(*planning.notes, *perception.notes, *setup.notes),
         perceived=perception.shown,
     )
-    return Drive(trace, tuple(planning.timings))
+    return Drive(trace, planning.timings)

@@ -64,7 +64,7 @@ def run_open_loop(
         notes=(*planning.notes, *perception.notes),
         perceived=perception.shown,
     )
-    return Drive(trace, tuple(planning.timings))
+    return Drive(trace, planning.timings)
 
 
 def frame_times(log: Trajectory, period_ns: int) -> list[float]:

@@ -67,6 +67,8 @@ def checked(plan: Plan, frame: Frame) -> Plan:
 def _start_fault(trajectory: Trajectory, frame: Frame) -> str:
     """How a plan breaks (1), empty where it does not."""
     first, starts = trajectory.state(0), [frame.ego]
+    if _apart(frame.ego, first) <= START_M and abs(frame.ego.v - first.v) <= START_MPS:
+        return ""
     if frame.previous is not None:
         old = frame.previous.trajectory.at(frame.t)
         starts += [old] if _apart(old, frame.ego) <= NEAR_M else []

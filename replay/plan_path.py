@@ -135,13 +135,13 @@ def path_point(knots: FloatArray, s: float) -> tuple[float, float, float, float]
     return x, y, one[3] + u * (two[3] - one[3]), one[4] + u * (two[4] - one[4])
 
 
-@kernel
+@inner_kernel
 def path_kappa(knots: FloatArray, s: float) -> float:
     """Curvature at station `s`, 1/m."""
     return path_point(knots, s)[3]
 
 
-@kernel
+@inner_kernel
 def path_foot(knots: FloatArray, x: float, y: float, near: float) -> float:
     """Station of the foot of a point (3), m."""
     best, least = -1, 1e300

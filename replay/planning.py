@@ -48,7 +48,6 @@ class Planning:
     Attributes:
         is_oracle: Whether the planner knows the log.
         notes: What the user must know: the goal, where the log names none.
-        timings: Of all plans so far.
 
     Raises:
         ConfigError: No such planner, or it does not take such keywords.
@@ -69,7 +68,6 @@ class Planning:
         self.is_oracle = spec in ORACLES
         given = GIVEN_PATH if scenario.road.source is RoadSource.DRIVEN_PATH else ""
         self.notes = tuple(filter(None, (note, given)))
-        self.timings: list[StageTime] = []
         self.goal = goal
         self._keep = keep_internals
         self._name = f"planner '{spec}' on {scenario.name}"
@@ -77,6 +75,11 @@ class Planning:
         period = config.plan_period_ns / 1e9
         context = PlannerContext(_own(scenario.road), goal, scenario.vehicle, period, start, self._watch.lap)
         self._planner = self._built(spec, context, scenario, planner_config)
+
+    @property
+    def timings(self) -> tuple[StageTime, ...]:
+        """Of all plans so far."""
+        return self._watch.times
 
     def _built(
         self, spec: str, context: PlannerContext, scenario: Scenario, planner_config: Mapping[str, object]
@@ -108,7 +111,7 @@ class Planning:
         except Exception as error:
             raise PlannerError(f"{self._name} raised at {frame.t:.2f} s: {_said(error)}") from error
         finally:
-            self.timings.extend(self._watch.stop(frame.t))
+            self._watch.stop(frame.t)
         fault = _fault(plan, frame)
         if fault:
             raise PlannerError(f"{self._name} broke its contract at {frame.t:.2f} s: {fault}")

@@ -25,7 +25,7 @@ import numpy as np
 
 from logs.errors import ConfigError
 from logs.frame import Visibility
-from logs.kernel import BoolArray, FloatArray, kernel
+from logs.kernel import BoolArray, FloatArray, inner_kernel, kernel
 from logs.presence import MAX_AGE_S
 from logs.scenario import AgentKind, Agents, Scenario
 from logs.shapes import corners
@@ -184,7 +184,7 @@ def _tracked(made: list[Measurement], now: float) -> Agents:
     return Agents(tuple(newest), kinds, length, width, x + age * vx, y + age * vy, yaw, vx, vy, yaw_rate, accel)
 
 
-@kernel
+@inner_kernel
 def _crosses(ax: float, ay: float, bx: float, by: float, box: FloatArray) -> bool:
     """Whether the segment from a to b touches a box (x, y, yaw, length, width): slabs in the box's own axes."""
     c, s = cos(box[2]), sin(box[2])

@@ -11,6 +11,7 @@ class Stopwatch:
     """Runs from `start` to `stop`; in between, `lap` is given to the planner as `PlannerContext.lap`."""
 
     def __init__(self) -> None:
+        self._plans: list[tuple[float, dict[str, float]]] = []
         self._laps: dict[str, float] = {}
         self._begin = self._last = 0.0
         self._running = False
@@ -29,9 +30,14 @@ class Stopwatch:
         self._laps[stage] = self._laps.get(stage, 0.0) + now - self._last
         self._last = now
 
-    def stop(self, t: float) -> tuple[StageTime, ...]:
-        """End the plan of the frame at `t`: its stages in order of their first lap, then "total"."""
+    def stop(self, t: float) -> None:
+        """End the plan of the frame at `t`."""
         total = perf_counter() - self._begin
         self._running = False
-        stages = tuple(StageTime(t, stage, seconds) for stage, seconds in self._laps.items() if stage != "total")
-        return (*stages, StageTime(t, "total", total))
+        self._laps.pop("total", None)
+        self._plans.append((t, {**self._laps, "total": total}))
+
+    @property
+    def times(self) -> tuple[StageTime, ...]:
+        """Of all plans so far: their stages in order of their first lap, then "total"."""
+        return tuple(StageTime(t, stage, seconds) for t, laps in self._plans for stage, seconds in laps.items())

@@ -114,8 +114,11 @@ def touched(rows: FloatArray, first: int, end: int, car: EgoBox, agents: AgentBo
     Row `end` and agent -1 where it touches none; of several at one row, the first.
     """
     own, who = hypot(car.length, car.width), -1
+    ahead, at = rows[first:end], abs(car.ahead) + ROUNDING_M
     for i in range(len(agents.offsets) - 1):
         near = 0.5 * (own + hypot(agents.length[i], agents.width[i])) + ROUNDING_M
+        if first < end and not _comes_near(ahead, agents, i, near + at):
+            continue
         for r in range(first, end):
             there, x, y, yaw = agent_at(agents, i, rows[r, 0])
             if not there:
@@ -127,6 +130,21 @@ def touched(rows: FloatArray, first: int, end: int, car: EgoBox, agents: AgentBo
                 end, who = r, i
                 break
     return end, who
+
+
+@inner_kernel
+def _comes_near(rows: FloatArray, agents: AgentBoxes, i: int, reach: float) -> bool:
+    """Whether the samples of agent i around the rows' times come within `reach` m of the rows, in x and in y."""
+    t, first, end = agents.t, agents.offsets[i], agents.offsets[i + 1]
+    k, last = first, first
+    if not agents.static[i]:
+        k = max(first + np.searchsorted(t[first:end], rows[0, 0] + 1e-9, side="right") - 1, first)
+        last = k
+        while last < end - 1 and t[last] < rows[-1, 0] + 1e-9:
+            last += 1
+    x, y = agents.x[k : last + 1], agents.y[k : last + 1]
+    aside = rows[:, 1].min() > x.max() + reach or rows[:, 1].max() < x.min() - reach
+    return not (aside or rows[:, 2].min() > y.max() + reach or rows[:, 2].max() < y.min() - reach)
 
 
 @inner_kernel

@@ -297,7 +297,7 @@ def test_without_speeds_they_come_from_positions(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("messages", "words"), [
-    ([(0, truth(0, host_vehicle_id=None))], "the log has no ego: no host_vehicle_id; name the ego"),
+    ([(0, truth(0, host_vehicle_id=None))], "the log has no ego: no host_vehicle_id; name one of the moving"),
     ([(0, truth(0, host_vehicle_id={"value": 99}))], "host vehicle 99 is not among the objects"),
     ([*frames(3), (9 * 10**8, truth(2))], "time 0.900 s: time does not increase, from 0.200 s to 0.200 s"),
     ([*frames(3), (3 * 10**8, truth(3, moving_object=[car(7, math.nan)]))], "0.300 s: x of moving object 7 is nan"),

@@ -15,7 +15,7 @@ from worlds import CAR, PERIOD, Drive, Other, along_x, driving, followed, frame,
 
 from logs import AgentKind, EgoState, PlannerContext, PlanStatus, SolverReport, StGraph
 from logs.trace import Artefact, Internals
-from planners.dp_qp.lane.choice import LaneConfig
+from planners.dp_qp.lane.config import LaneConfig
 from planners.dp_qp.lane.memory import LaneMemory, PassMemory
 from planners.dp_qp.lane.passing import passing
 from planners.dp_qp.lane.plan import LanePlan, LanePlanner

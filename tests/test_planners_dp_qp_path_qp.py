@@ -9,8 +9,10 @@ from hypothesis import strategies as st
 from worlds import CAR
 
 from logs.kernel import FloatArray
-from planners.dp_qp.path.qp import MAX_DL, PathProblem, PathQp, PathQpConfig
-from planners.dp_qp.path.steering import COMFORT, bend_bounds, bounded, expected_speed
+from planners.dp_qp.path.corridor import MAX_DL
+from planners.dp_qp.path.qp import PathQp, PathQpConfig
+from planners.dp_qp.path.steering import COMFORT, bounded, expected_speed
+from planners.piecewise_jerk.problem import DDDX, DDX, DX, LEADS, PiecewiseJerkProblem, X
 from planners.piecewise_jerk.solvers import DEFAULT
 
 SEED = st.integers(0, 2**32 - 1)
@@ -18,23 +20,31 @@ OFFSET, SLOPE, BEND = st.floats(-3.0, 3.0), st.floats(-0.5, 0.5), st.floats(-0.1
 
 LENGTH, SPEED = 90.0, 6.0
 KNOTS = PathQpConfig().knots
-LEADS = (0.0, CAR.axle_to_front)
+AHEAD = (0.0, CAR.axle_to_front)
+POINTS = [X, LEADS]
+"""Rows of the ego's points."""
 MAX_RATE = 0.5
 
 
-def path_problem(seed: int) -> PathProblem:
+def path_problem(seed: int) -> PiecewiseJerkProblem:
     """A start near the line and a corridor with two obstacles nudged, wide enough to be driven."""
     rng = np.random.default_rng(seed)
-    s = np.linspace(0.0, LENGTH, KNOTS) + np.array(LEADS)[:, None]
+    s = np.linspace(0.0, LENGTH, KNOTS) + np.array(AHEAD)[:, None]
     lower, upper = np.full(s.shape, -1.5), np.full(s.shape, 3.0)
     lower[(s > 30.0) & (s < 42.0)] = rng.uniform(-1.0, 1.5)
     upper[(s > 62.0) & (s < 74.0)] = rng.uniform(-0.8, 1.0)
     kappa = 0.01 * np.sin(s[0] / 20.0 + rng.uniform(0.0, 6.0))
     start = np.array([rng.uniform(-0.5, 0.5), rng.uniform(-0.05, 0.05), rng.uniform(-0.01, 0.01)])
-    bend = bend_bounds(np.full(KNOTS, CAR.max_kappa), kappa, np.zeros(KNOTS))
-    slope, rate = np.full((2, KNOTS), MAX_DL), np.full((2, KNOTS - 1), MAX_RATE)
-    slope[0], rate[0] = -slope[0], -rate[0]
-    return PathProblem(start, lower, upper, slope, bend, rate)
+    both, ones = np.array([[-1.0], [1.0]]), np.ones(KNOTS)
+    return asked(start, lower, upper, MAX_DL * both * ones, CAR.max_kappa * both - kappa, MAX_RATE * both * ones)
+
+
+def asked(
+    start: FloatArray, lower: FloatArray, upper: FloatArray, slope: FloatArray, bend: FloatArray, rate: FloatArray
+) -> PiecewiseJerkProblem:
+    """A problem with bounds of the points `(points, knots)`, and of the first to third derivative `(2, knots)`."""
+    rows = np.array([[at[0], slope[i], bend[i], rate[i], at[1]] for i, at in enumerate((lower, upper))])
+    return OWN.stated(start, np.array([OWN.middle * (rows[0, X] + rows[1, X]), np.zeros(KNOTS)]), rows)
 
 
 def cost_of(program: PathQp, x: FloatArray, middle: FloatArray) -> float:
@@ -46,24 +56,24 @@ def cost_of(program: PathQp, x: FloatArray, middle: FloatArray) -> float:
     return float(sum(w * square for w, square in zip(weights, squares, strict=True)))
 
 
-OWN, SURE = (PathQp(LENGTH, SPEED, LEADS, PathQpConfig(), solver) for solver in (DEFAULT, "piqp"))
+OWN, SURE = (PathQp(LENGTH, SPEED, AHEAD, PathQpConfig(), solver) for solver in (DEFAULT, "piqp"))
 
 
 def points_of(x: FloatArray) -> FloatArray:
     """Offsets `(points, knots)` of the ego's points along a straight line."""
     l, dl, _ = x.reshape(3, -1)  # noqa: E741
-    return np.asarray(l + np.array(LEADS)[:, None] * dl)
+    return np.asarray(l + np.array(AHEAD)[:, None] * dl)
 
 
-def assert_drivable(program: PathQp, x: FloatArray, problem: PathProblem, slack: float) -> None:
+def assert_drivable(program: PathQp, x: FloatArray, problem: PiecewiseJerkProblem, slack: float) -> None:
     l, dl, ddl = x.reshape(3, -1)  # noqa: E741
     h = program.step
     np.testing.assert_allclose((l[0], dl[0], ddl[0]), problem.start, atol=slack)
-    inner = points_of(x)[:, 1:]
-    assert (inner >= problem.lower[:, 1:] - slack).all() and (inner <= problem.upper[:, 1:] + slack).all()
     dddl = np.diff(ddl) / h
-    for value, (low, high) in ((dl, problem.slope), (ddl, problem.bend), (dddl, problem.rate)):
-        assert (value[1:] >= low[1:] - slack).all() and (value[1:] <= high[1:] + slack).all()
+    points = points_of(x)
+    for row, value in ((X, points[0]), (LEADS, points[1]), (DX, dl), (DDX, ddl), (DDDX, dddl)):
+        low, high = problem.lower[row, 1 : len(value)], problem.upper[row, 1 : len(value)]
+        assert (value[1:] >= low - slack).all() and (value[1:] <= high + slack).all()
     np.testing.assert_allclose(dl[1:], dl[:-1] + h * ddl[:-1] + 0.5 * h**2 * dddl, atol=slack)
     steps = l[:-1] + h * dl[:-1] + 0.5 * h**2 * ddl[:-1] + h**3 / 6.0 * dddl
     np.testing.assert_allclose(l[1:], steps, atol=slack)
@@ -77,7 +87,7 @@ def test_the_path_qp_keeps_its_bounds_and_finds_the_least_cost(seed: int) -> Non
     assert fast.report.solved and sure.report.solved and "PIQP" in sure.report.status
     assert_drivable(OWN, fast.x, problem, 5e-3)
     assert_drivable(SURE, sure.x, problem, 1e-6)
-    middle = 0.5 * (problem.lower[0] + problem.upper[0])
+    middle = 0.5 * (problem.lower[X] + problem.upper[X])
     best, found = cost_of(SURE, sure.x, middle), cost_of(OWN, fast.x, middle)
     assert found == pytest.approx(best, rel=2e-2, abs=0.05)
     assert sum(value for _, value in OWN.costs(fast.x, problem).terms) == pytest.approx(found, rel=1e-9)
@@ -88,19 +98,21 @@ def test_the_path_qp_keeps_its_bounds_and_finds_the_least_cost(seed: int) -> Non
 def test_every_step_towards_another_path_of_the_corridor_costs_more(seed: int, low: float, high: float) -> None:
     """The variational inequality of a convex problem: what a narrower corridor allows is allowed, but not better."""
     problem = path_problem(seed)
-    middle = 0.5 * (problem.lower[0] + problem.upper[0])
+    middle = 0.5 * (problem.lower[X] + problem.upper[X])
     best = SURE.solve(problem)
-    narrower = problem._replace(lower=problem.lower + low, upper=problem.upper - high)
+    narrower = problem._replace(lower=problem.lower.copy(), upper=problem.upper.copy())
+    narrower.lower[POINTS] += low
+    narrower.upper[POINTS] -= high
     other = SURE.solve(narrower)
     assume(other.report.solved)
     step = best.x + 1e-3 * (other.x - best.x)
     assert cost_of(SURE, step, middle) >= cost_of(SURE, best.x, middle) - 1e-7
 
 
-def closed(seed: int) -> PathProblem:
+def closed(seed: int) -> PiecewiseJerkProblem:
     """A corridor that no path can keep."""
     problem = path_problem(seed)
-    problem.lower[:, 40], problem.upper[:, 43] = 2.9, -1.4
+    problem.lower[POINTS, 40], problem.upper[POINTS, 43] = 2.9, -1.4
     return problem
 
 
@@ -115,10 +127,12 @@ def test_a_softened_corridor_is_left_as_little_as_it_must(seed: int) -> None:
     free = OWN.solve(path_problem(seed), softly=True)
     shut = OWN.solve(closed(seed), softly=True)
     assert free.report.solved and shut.report.solved
-    out = np.maximum(path_problem(seed).lower - points_of(free.x), points_of(free.x) - path_problem(seed).upper)
+    asked_, at = path_problem(seed), points_of(free.x)
+    out = np.maximum(asked_.lower[POINTS] - at, at - asked_.upper[POINTS])
     assert out[:, 1:].max() < 0.05
-    wide = np.full((2, KNOTS), 50.0)
-    assert_drivable(OWN, shut.x, closed(seed)._replace(lower=-wide, upper=wide), 5e-3)
+    wide = closed(seed)
+    wide.lower[POINTS], wide.upper[POINTS] = -50.0, 50.0
+    assert_drivable(OWN, shut.x, wide, 5e-3)
     at = points_of(shut.x)
     assert 0.5 < (2.9 - at[:, 40]).max() < 4.3 and 0.5 < (at[:, 43] + 1.4).max() < 4.3
 
@@ -128,13 +142,13 @@ def test_a_softened_corridor_is_left_as_little_as_it_must(seed: int) -> None:
 def test_a_corridor_loosened_to_the_reach_can_be_kept(l0: float, dl0: float, ddl0: float, v: float, seed: int) -> None:
     """Whatever one bound asks for, with the lateral acceleration and the steering rate of the speed."""
     rng = np.random.default_rng(seed)
-    s, leads = np.linspace(0.0, LENGTH, KNOTS), np.array(LEADS)[:, None]
+    s, leads = np.linspace(0.0, LENGTH, KNOTS), np.array(AHEAD)[:, None]
     upper = np.interp(s + leads, np.linspace(0.0, LENGTH, 8), rng.uniform(0.2, 4.0, 8))
     start, none = np.array([l0, dl0, ddl0]), np.zeros(KNOTS)
     bend, rate, left, right = bounded(start, v, none + 30.0, none, none, OWN.step, TURNS, COMFORT)
     slope = np.array([np.minimum(-MAX_DL, left[1]), np.maximum(MAX_DL, right[1])])
     high = np.maximum(upper, right[0] + leads * right[1])
-    result = SURE.solve(PathProblem(start, 0.0 * high - 90.0, high, slope, bend, rate))
+    result = SURE.solve(asked(start, 0.0 * high - 90.0, high, slope, bend, np.c_[rate, (0.0, 0.0)]))
     assert result.report.solved
 
 

@@ -13,15 +13,17 @@ from worlds import CAR, Other, along_x, curve, driving, lanes, reference, scene,
 from logs import Decision, DecisionKind, EgoState, SlGraph
 from logs.kernel import FloatArray
 from planners.dp_qp.path.bounds import (
+    NOTHING,
     NUDGES,
     InTheWay,
     PathBounds,
     free_sides,
     lane_bounds,
     narrowed,
-    side_choice,
+    side_choices,
     standing_obstacles,
 )
+from planners.dp_qp.path.corridor import LOWER, UPPER, Ego, S, road_ahead
 from planners.dp_qp.path.dp import PathDpConfig
 from planners.dp_qp.path.stage import ChosenPath, PathConfig, PathMemory, PathStage
 from planners.dp_qp.path.steering import expected_speed
@@ -97,7 +99,7 @@ def test_a_side_is_taken_only_where_there_is_room(middle: float, width: float, a
     """And the corridor that it leaves keeps the clearance along the whole obstacle, whatever the knots' spacing."""
     box = Occupancy("it", 40.0, 44.5, middle - 0.5 * width, middle + 0.5 * width)
     space = room(-2.0, 3.0, step)
-    decision = side_choice(box, space, CAR, GAPS).decided(aim == GOES_LEFT, None, GAPS)
+    decision = side_choices((box,), space, CAR, GAPS)[0].decided(aim == GOES_LEFT, None, GAPS)
     narrow, (final,) = narrowed(space, (box,), (decision,), CAR, GAPS)
     lower, upper = narrow.lower, narrow.upper
     left, right = 3.0 - box.l_to - SIDE, box.l_from - SIDE + 2.0
@@ -130,12 +132,16 @@ def test_two_obstacles_that_close_the_corridor_are_a_stop() -> None:
 
 @given(OFFSET, SLOPE, BEND, st.floats(0.0, 20.0))
 def test_the_room_is_widened_for_an_ego_outside_of_it(l0: float, dl0: float, ddl0: float, speed: float) -> None:
-    space = room()
-    wide = space.widened((l0, dl0, ddl0), speed)
-    assert wide.lower[0, 0] <= l0 <= wide.upper[0, 0]
-    assert (wide.lower <= space.lower).all() and (wide.upper >= space.upper).all()
-    far = space.s > max(12.0, 2.5 * speed) + 1.0
-    np.testing.assert_array_equal(wide.lower[far], space.lower[far])
+    def points(*start: float) -> FloatArray:
+        ego = Ego(np.array([0.0, *start, speed]), np.array(LEADS), np.array([*TURNS, 3.0]), SIDE)
+        line, none = STRAIGHT.line, np.empty((0, 2))
+        return road_ahead(line.s, STRAIGHT.table, ego, 1.0, 100, 0.0, NOTHING, np.empty((3, 0)), none).points
+
+    space, wide = points(0.0, 0.0, 0.0), points(l0, dl0, ddl0)
+    assert wide[LOWER, 0, 0] <= l0 <= wide[UPPER, 0, 0]
+    assert (wide[LOWER] <= space[LOWER]).all() and (wide[UPPER] >= space[UPPER]).all()
+    far = space[S] > max(12.0, 2.5 * speed) + 1.0
+    np.testing.assert_array_equal(wide[LOWER, far], space[LOWER, far])
 
 
 def test_no_agent_may_move_on_a_lane_that_is_borrowed() -> None:

@@ -35,6 +35,7 @@ from logs.states import TRAJECTORY_COLUMNS, wrapped
 from logs.transform import mirrored, moved
 from planners.base import Planner
 from planners.dp_qp import DpQp
+from planners.dp_qp.lane.config import LaneConfig
 from planners.dp_qp.lane.memory import LaneMemory
 from planners.dp_qp.lane.plan import LanePlanner
 from planners.dp_qp.path.qp import PathQp
@@ -546,6 +547,21 @@ def test_where_only_the_hardest_braking_keeps_the_distance_the_reason_says_so() 
         _, plan = one_plan([standing("it", ahead, 0.0, width=15.0)])
         assert plan.status is PlanStatus.PLANNED and plan.reason.startswith(words)
         assert_sound(plan)
+
+
+@pytest.mark.parametrize("config", [LaneConfig(), LaneConfig(route_s=2.0, urgency_s=3.0, change_s=4.0)])
+def test_what_a_lane_costs_at_least_is_weighted_by_settings(config: LaneConfig) -> None:
+    """A change that is not due for long costs `route_s`, one that is due now `urgency_s` more."""
+    strip = LaneSequences(PlannerContext(ONE, None, CAR, PERIOD, EGO)).start(EGO)
+    for due, urgent in ((1e6, 0.0), (0.0, 1.0)):
+        driver = LanePlanner(
+            replace(strip, changes=1, change_by=due), Rulebook(ONE, strip.reference, CAR), None, CAR, PathConfig(),
+            SpeedConfig(), passes_left=True, lap=lambda stage: None, config=config,
+        )  # fmt: skip
+        least = dict(driver.least_costs("left", driver.scene(frame(EGO), EGO, LaneMemory())).terms)
+        assert least == {
+            "lane changes": config.route_s + urgent * config.urgency_s, "change": config.change_s, "late": 0.0,
+        }  # fmt: skip
 
 
 def test_a_lane_that_was_not_planned_for_long_is_found_again() -> None:

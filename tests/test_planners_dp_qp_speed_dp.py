@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from logs.kernel import FloatArray
+from logs.kernel import FloatArray, IntArray
 from planners.dp_qp.speed.dp import COLLISION, DS_M, SpeedDpWeights, cost_map, speed_dp
 
 SEED = st.integers(0, 2**32 - 1)
@@ -23,7 +23,7 @@ def test_the_cost_map_is_its_definition(seed: int) -> None:
     lower = rng.uniform(-2.0, 20.0, (3, 5))
     upper = lower + rng.uniform(0.0, 6.0, (3, 5))
     lower[rng.random((3, 5)) < 0.3] = np.nan
-    speed, gap, wanted, near = rng.uniform(-5.0, 5.0, 3), 1.0, np.array([3.0, 1.2]), 30.0
+    speed, gap, wanted, near = rng.uniform(-5.0, 5.0, 3), 1.0, (3.0, 1.2), 30.0
     found = cost_map(50, lower, upper, speed, gap, wanted, near)
     expected = np.zeros((5, 50))
     for i, k, row in product(range(3), range(5), range(50)):
@@ -52,11 +52,24 @@ def edge(
     return cost + float(np.mean(samples)), v, a
 
 
-def speed_grid(seed: int, rows: int = 9, columns: int = 3) -> tuple[FloatArray, FloatArray, FloatArray]:
+def speed_grid(seed: int, rows: int = 9, columns: int = 3) -> tuple[FloatArray, FloatArray, tuple[float, float]]:
     """Map, limit and start of a small random problem, five samples to a column."""
     rng = np.random.default_rng(seed)
     occupancy = 20.0 * rng.random((5 * columns + 1, rows)) * (rng.random((5 * columns + 1, rows)) < 0.4)
-    return occupancy, rng.uniform(0.5, 3.0, rows), np.array([rng.uniform(0.0, 2.0), rng.uniform(-1.0, 1.0)])
+    return occupancy, rng.uniform(0.5, 3.0, rows), (rng.uniform(0.0, 2.0), rng.uniform(-1.0, 1.0))
+
+
+def solved(
+    occupancy: FloatArray, limit: FloatArray, start: tuple[float, float], weights: SpeedDpWeights, worth: float = np.inf
+) -> tuple[FloatArray, IntArray]:
+    """The DP on a map with five samples to a column, occupied no further than it is."""
+    columns = len(occupancy) // 5
+    occupied = np.array([(len(limit), -1)] * columns)
+    for column in range(columns):
+        rows = np.flatnonzero(occupancy[5 * column + 1 : 5 * column + 6].any(axis=0))
+        if len(rows):
+            occupied[column] = rows[0], rows[-1]
+    return speed_dp(occupancy, occupied, 5, limit, start, weights, worth)
 
 
 @given(SEED)
@@ -65,7 +78,7 @@ def test_dynamic_programming_is_brute_force(seed: int) -> None:
     """Without weights on acceleration and jerk the problem is Markov, so that nothing is cheaper than the DP."""
     occupancy, limit, start = speed_grid(seed)
     weights = SpeedDpWeights(time=30.0, over=3.0, accel=0.0, jerk=0.0, max_accel=100.0, max_decel=100.0)
-    cost, chosen = speed_dp(occupancy, 5, limit, start, weights, 3)
+    cost, chosen = solved(occupancy, limit, start, weights)
     best = np.inf, ()
     for rows in product(range(9), repeat=3):
         if sorted(rows) != list(rows):
@@ -85,7 +98,7 @@ def test_the_chosen_way_costs_what_the_grid_says(seed: int) -> None:
     """With all weights; and it keeps to the accelerations that an edge may have."""
     occupancy, limit, start = speed_grid(seed, rows=16, columns=4)
     weights = WEIGHTS
-    cost, chosen = speed_dp(occupancy, 5, limit, start, weights, 4)
+    cost, chosen = solved(occupancy, limit, start, weights)
     total, now = 0.0, (float(start[0]), float(start[1]))
     assert chosen[0] == 0
     for i, step in enumerate(pairwise(chosen)):
@@ -101,14 +114,24 @@ def test_the_chosen_way_costs_what_the_grid_says(seed: int) -> None:
 def test_a_faster_road_ahead_does_not_hold_the_ego_back(slow: float, faster: float, where: float, share: float) -> None:
     """An empty road on which the limit rises is driven about as far as one on which it does not, or farther."""
     rows, weights = 300, WEIGHTS
-    free, start = np.zeros((41, rows)), np.array([share * slow, 0.0])
+    free, start = np.zeros((41, rows)), (share * slow, 0.0)
     level = np.full(rows, slow)
     rising = np.where(DS_M * np.arange(rows) < where, slow, slow + faster)
-    ends = [speed_dp(free, 5, limit, start, weights, 8)[1][-1] for limit in (level, rising)]
+    ends = [solved(free, limit, start, weights)[1][-1] for limit in (level, rising)]
     assert ends[1] >= 0.85 * ends[0] - 1.0
+
+
+@given(SEED, st.floats(1.001, 3.0))
+@settings(max_examples=25)
+def test_ways_that_are_too_dear_do_not_change_the_chosen_one(seed: int, share: float) -> None:
+    occupancy, limit, start = speed_grid(seed, rows=16, columns=4)
+    cost, chosen = solved(occupancy, limit, start, WEIGHTS)
+    again = solved(occupancy, limit, start, WEIGHTS, share * cost[-1].min() + 1e-3)
+    np.testing.assert_array_equal(again[1], chosen)
+    assert again[0][-1].min() == cost[-1].min()
 
 
 def test_a_tie_goes_to_the_smaller_station() -> None:
     free = np.zeros((16, 5))
-    _, chosen = speed_dp(free, 5, np.full(5, 1.25), np.zeros(2), SpeedDpWeights(0.0, 0.0, 0.0, 0.0, 9.0, 9.0), 3)
+    _, chosen = solved(free, np.full(5, 1.25), (0.0, 0.0), SpeedDpWeights(0.0, 0.0, 0.0, 0.0, 9.0, 9.0))
     assert chosen.tolist() == [0, 0, 0, 0]

@@ -8,7 +8,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from logs.kernel import FloatArray
-from planners.dp_qp.speed.qp import SpeedProblem, SpeedQp, SpeedQpConfig
+from planners.dp_qp.speed.qp import Rows, SpeedProblem, SpeedQp, SpeedQpConfig, rows_of
 from planners.frenet.profiles import STEP_S, Limits, SpeedLimits, braking
 
 SEED = st.integers(0, 2**32 - 1)
@@ -30,6 +30,10 @@ def speed_problem(seed: int) -> SpeedProblem:
 
 
 OWN, SURE = SpeedQp(CONFIG), SpeedQp(CONFIG, "piqp")
+
+
+def rows(problem: SpeedProblem, limits: SpeedLimits = CONFIG.comfort) -> Rows:
+    return rows_of(problem, Limits(limits).columns, CONFIG.comfort.decel_mps2)
 
 
 def cost_of(x: FloatArray, problem: SpeedProblem) -> float:
@@ -56,7 +60,7 @@ def assert_drivable(x: FloatArray, problem: SpeedProblem, limits: SpeedLimits, s
 @settings(max_examples=25)
 def test_the_speed_qp_keeps_its_bounds_and_finds_the_least_cost(seed: int) -> None:
     problem = speed_problem(seed)
-    fast, sure = (program.solve(problem, Limits(CONFIG.comfort)) for program in (OWN, SURE))
+    fast, sure = (program.solve(rows(problem)) for program in (OWN, SURE))
     assert fast.report.solved and sure.report.solved and "PIQP" in sure.report.status
     assert_drivable(fast.x, problem, CONFIG.comfort, 2e-2)
     assert_drivable(sure.x, problem, CONFIG.comfort, 1e-6)
@@ -70,11 +74,11 @@ def test_the_speed_qp_keeps_its_bounds_and_finds_the_least_cost(seed: int) -> No
 def test_every_step_towards_another_profile_within_the_bounds_costs_more(seed: int, less: float) -> None:
     """The variational inequality of a convex problem, towards what a tighter bound of s allows."""
     problem = speed_problem(seed)
-    best = SURE.solve(problem, Limits(CONFIG.comfort)).x
+    best = SURE.solve(rows(problem)).x
     tight = SpeedProblem(
         problem.start, problem.lower, problem.upper - less, problem.limit, problem.s_ref, problem.v_ref
     )
-    other = SURE.solve(tight, Limits(CONFIG.comfort))
+    other = SURE.solve(rows(tight))
     assume(other.report.solved)
     assert cost_of(best + 1e-3 * (other.x - best), problem) >= cost_of(best, problem) - 1e-7
 
@@ -83,7 +87,7 @@ def test_braking_is_a_profile_of_the_qp() -> None:
     """What `braking` says can be kept, the QP can keep."""
     s, v, a = braking(12.0, 0.5, 3.0, 3.0, STEP_S, CONFIG.knots)
     still = SpeedProblem((12.0, 0.5), s - 1e-3, s + 1e-3, v + 1e-3, s, v)
-    result = SURE.solve(still, Limits(CONFIG.comfort))
+    result = SURE.solve(rows(still))
     assert result.report.solved
     np.testing.assert_allclose(result.x.reshape(3, -1)[2][:30], a[:30], atol=0.3)
 
@@ -93,7 +97,7 @@ def test_a_bound_behind_the_braking_distance_is_reported() -> None:
     near = SpeedProblem(
         (12.0, 0.0), problem.lower, np.full(CONFIG.knots, 5.0), problem.limit, problem.s_ref, problem.v_ref
     )
-    assert not OWN.solve(near, Limits(CONFIG.emergency)).report.solved
+    assert not OWN.solve(rows(near, CONFIG.emergency)).report.solved
 
 
 @pytest.mark.parametrize("wrong", [{"knots": 5}, {"curve_accel_mps2": 0.0}, {"ease_mps2": -1.0}])

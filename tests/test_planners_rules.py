@@ -35,7 +35,7 @@ from planners import PLANNERS
 from planners.frenet.occupancy import Occupancy
 from planners.frenet.reference_path import ReferencePath, make_reference_path
 from planners.frenet.scene import Scene, scene_of
-from planners.rules import Rulebook, RuleMemory
+from planners.rules import Rulebook, RuleMemory, RulesConfig
 from replay.closed_loop import run_closed_loop
 from replay.prediction import predict
 
@@ -330,6 +330,17 @@ def test_who_stands_before_the_crosswalk_is_let_go_but_not_waited_for_for_ever()
     assert motion.x[-1] + FRONT > 106.0
     assert motion.a.min() > -3.05
     assert said(plans[60], "crosswalk 3") is not None
+
+
+@pytest.mark.parametrize("patience", [0.0, 2.0])
+def test_how_long_who_stands_before_the_crosswalk_is_waited_for_is_a_setting(patience: float) -> None:
+    road, patient = straight(crosswalks=[WALK]), waiter("p", 102.0, -6.6, yaw=0.5 * np.pi)
+    rules, memory = Rulebook(road, along(road)[1], CAR, config=RulesConfig(patience_s=patience)), RuleMemory()
+    waits = []
+    for t in np.arange(0.0, 4.0, 0.1):
+        stops, memory = rules.stops(scene(road, at_front(95.0, 0.0), [patient], t=float(t)), memory)
+        waits.append(bool(stops))
+    assert sum(waits) == round(10.0 * patience) and not any(waits[round(10.0 * patience) :])
 
 
 def test_on_a_crosswalk_who_only_stands_there_is_not_braked_for_hard() -> None:

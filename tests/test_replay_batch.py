@@ -136,7 +136,7 @@ def test_the_files_of_a_log_are_there_and_readable(logs: Path, tmp_path: Path) -
     folder = result.out / log.folder
     assert {path.name for path in folder.iterdir()} == {
         "open.mcap", "closed.mcap", "open.rrd", "closed.rrd",
-        "frames.parquet", "metrics.parquet", "timings.parquet", "log.json",
+        "frames.parquet", "health.parquet", "metrics.parquet", "timings.parquet", "log.json",
     }  # fmt: skip
     driven = read_scenario(folder / "closed.mcap")
     assert driven.ego.t[-1] == pytest.approx(result.drives[1].t_end_s)

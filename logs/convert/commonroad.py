@@ -28,7 +28,7 @@ from logs.convert.commonroad_xml import Document, Obstacle, Problem, parse
 from logs.errors import LogError
 from logs.kernel import FloatArray
 from logs.road import Goal, Road
-from logs.scenario import AgentKind, Scenario, Tracks
+from logs.scenario import CENTRE, EGO_POSE, AgentKind, Scenario, Tracks
 from logs.states import Trajectory
 from logs.vehicle import VehicleParameters
 
@@ -309,6 +309,7 @@ def _metadata(document: Document, chosen: _Ego) -> dict[str, str]:
         "author": document.author,
         "affiliation": document.affiliation,
         "time_step_s": f"{document.dt:g}",
+        EGO_POSE: CENTRE,
     }
     if chosen.problem is not None:
         found["planning_problem"] = str(chosen.problem.id)

@@ -24,6 +24,7 @@ MIN_PATH = 5.0
 LIMIT_STEP = 10.0 / 3.6
 BEHIND = 10.0
 ASSUMED = "as fast as at the start, at least 50 km/h"
+NO_LANES = "The log has no lanes"
 
 
 def derived_acceleration(t: FloatArray, v: FloatArray) -> FloatArray:
@@ -78,7 +79,7 @@ def road_along(ego: Trajectory, notes: list[str]) -> Road:
     path = np.vstack([path[0] - np.arange(BEHIND, 0.0, -2.0)[:, None] * ahead, path])
     limit = assumed_limit(ego)
     way = "its heading, as it hardly moves" if stands else "the driven path"
-    notes.append(f"The log has no lanes: one lane along {way}, speed limit {limit:.1f} m/s ({ASSUMED}).")
+    notes.append(f"{NO_LANES}: one lane along {way}, speed limit {limit:.1f} m/s ({ASSUMED}).")
     try:
         with np.errstate(all="ignore"):
             return Road.along(path, speed_limit=limit)

@@ -8,17 +8,18 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
 from typing import TypeVar
 
 import msgspec
+from lz4.frame import LZ4FrameDecompressor
 from mcap.exceptions import EndOfFile, InvalidMagic, McapError, RecordLengthLimitExceeded
 from mcap.records import Channel, Chunk, DataEnd, McapRecord, Message, Metadata, Schema
 from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
-from zstandard import ZstdError
+from zstandard import ZstdDecompressor, ZstdError
 
 from logs.errors import LogError
 
@@ -26,6 +27,11 @@ T = TypeVar("T")
 
 COPY_AGAIN = "copy or record it again"
 CONVERT = "`replan convert --formats` lists what replan reads and how a format is added"
+MOST_CHUNK_BYTES = 256 * 2**20
+"""What one chunk may inflate to: writers make chunks of about 1 MiB, of point clouds some ten."""
+MOST_BYTES = 4 * 2**30
+"""What all chunks of a file may inflate to: it is held in memory."""
+SPLIT = "write smaller chunks, or take a part of the log"
 COMPRESSIONS = ("", "zstd", "lz4")
 LAST_TIME_NS = 2**63 - 1
 
@@ -125,7 +131,7 @@ def read_container(path: Path) -> Container:
     metadata: dict[str, dict[str, str]] = {}
     error, raw = None, b""
     try:
-        raw = _content(path)
+        raw = content_of(path)
         if not raw:
             raise LogError("the file is empty", remedy=COPY_AGAIN)
         _fill(raw, streams, metadata)
@@ -134,11 +140,12 @@ def read_container(path: Path) -> Container:
     return Container(path, len(raw), streams, metadata, error)
 
 
-def _content(path: Path) -> bytes:
+def content_of(path: Path) -> bytes:
+    """All bytes of a file; LogError where it cannot be read."""
     try:
         return path.read_bytes()
     except OSError as error:
-        raise LogError(f"cannot be read: {error.strerror or error}") from None
+        raise LogError(f"cannot be read: {error.strerror or error}", file=path) from None
 
 
 def _fill(raw: bytes, streams: dict[str, Stream], metadata: dict[str, dict[str, str]]) -> None:
@@ -187,28 +194,53 @@ def _take(message: Message, channels: dict[int, Stream]) -> None:
 
 def _records(raw: bytes, streams: dict[str, Stream]) -> Iterator[McapRecord]:
     """The records, those of chunks included; damage becomes a LogError."""
-    buffer = BytesIO(raw)
+    buffer, total = BytesIO(raw), 0
     reader = StreamReader(buffer, emit_chunks=True, validate_crcs=True, record_size_limit=len(raw))
     try:
         for record in reader.records:
             if isinstance(record, Chunk):
-                yield from _opened(record)
+                total += record.uncompressed_size
+                if total > MOST_BYTES:
+                    what = f"its chunks inflate to more than {MOST_BYTES / 2**30:.0f} GiB"
+                    raise LogError(what, time_ns=record.message_start_time, remedy=SPLIT)
+                yield from opened(record)
             else:
                 yield record
     except DAMAGE as error:
         raise _damage(error, buffer.tell(), len(raw), streams) from None
 
 
-def _opened(chunk: Chunk) -> list[McapRecord]:
+def opened(chunk: Chunk) -> list[McapRecord]:
+    """The records of a chunk, checked by its checksum; LogError where it is damaged or larger than `MOST_CHUNK_BYTES`.
+
+    Not more than the size that the chunk states is inflated.
+    """
     time, remedy = chunk.message_start_time, COPY_AGAIN
     if chunk.compression not in COMPRESSIONS:
         remedy = "compress with zstd or lz4, or not at all"
         raise LogError(f"a chunk has the unknown compression {chunk.compression!r}", time_ns=time, remedy=remedy)
+    if chunk.uncompressed_size > MOST_CHUNK_BYTES:
+        what = f"a chunk of {len(chunk.data)} bytes would inflate to {chunk.uncompressed_size / 2**20:.0f} MiB"
+        raise LogError(what, time_ns=time, remedy=f"the bound is {MOST_CHUNK_BYTES / 2**20:.0f} MiB; {SPLIT}")
     try:
-        return breakup_chunk(chunk, validate_crc=True)
+        return breakup_chunk(replace(chunk, compression="", data=_inflated(chunk)), validate_crc=True)
     except DAMAGE as error:
         what = f"the chunk that begins there is damaged ({_name(error)})"
         raise LogError(what, time_ns=time, remedy=remedy) from None
+
+
+def _inflated(chunk: Chunk) -> bytes:
+    """The chunk's records; ValueError where they are more or fewer bytes than it states."""
+    size = chunk.uncompressed_size
+    if chunk.compression == "zstd":
+        data: bytes = ZstdDecompressor().stream_reader(BytesIO(chunk.data), read_across_frames=True).read(size + 1)
+    elif chunk.compression == "lz4":
+        data = LZ4FrameDecompressor().decompress(chunk.data, max_length=size + 1)
+    else:
+        data = chunk.data
+    if len(data) != size:
+        raise ValueError(f"it states {size} bytes and holds {'more' if len(data) > size else len(data)}")
+    return data
 
 
 def _damage(error: BaseException, at: int, size: int, streams: dict[str, Stream]) -> LogError:

@@ -19,6 +19,7 @@ import numpy as np
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.message import DecodeError
 
+from logs.agents import USUAL_SIZE_M
 from logs.errors import LogError
 from logs.kernel import FloatArray
 from logs.mcap.complete import ASSUMED, assumed_limit, completed, derived_curvature, road_along
@@ -38,14 +39,9 @@ KINDS = {
     "TYPE_BICYCLE": AgentKind.BICYCLE, "TYPE_STANDUP_SCOOTER": AgentKind.BICYCLE,
     "TYPE_WHEELCHAIR": AgentKind.PEDESTRIAN,
 }  # fmt: skip
+MOST_NAMED = 20
+"""Objects that a message lists."""
 NOT_IN_THE_WAY = {"TYPE_BRIDGE", "TYPE_OVERHEAD_STRUCTURE", "TYPE_SPEED_BUMP", "TYPE_CURBSTONE"}
-SIZES = {
-    AgentKind.CAR: (4.5, 1.8), AgentKind.TRUCK: (8.0, 2.5), AgentKind.BUS: (12.0, 2.5),
-    AgentKind.MOTORCYCLE: (2.2, 0.8), AgentKind.BICYCLE: (1.8, 0.7), AgentKind.PEDESTRIAN: (0.5, 0.5),
-    AgentKind.OBJECT: (1.0, 1.0),
-}  # fmt: skip
-"""Length and width where the log has none, m."""
-
 REQUIRED = {
     "timestamp": ("seconds", "nanos"),
     "host_vehicle_id": ("value",),
@@ -84,17 +80,24 @@ class _Seen:
     lights: int = 0
 
 
-def scenario_of(stream: Stream, name: str) -> Scenario:
-    """The scenario in the messages of one topic.
+def scenario_of(stream: Stream, name: str, ego_id: str = "") -> Scenario:
+    """The scenario in the messages of one topic; the ego is `ego_id`, "": the host that the log names.
 
     Raises:
         LogError: A message cannot be decoded, no ego is named, a pose is not finite, time does not increase.
     """
     notes: list[str] = []
     seen = _decoded(stream)
+    if ego_id:
+        seen.host = next((key for key in seen.rows if str(key) == ego_id), None)
     if seen.host is None or seen.host not in seen.rows:
         what = "no host_vehicle_id" if seen.host is None else f"host vehicle {seen.host} is not among the objects"
-        raise LogError(f"the log has no ego: {what}", topic=stream.topic, remedy="name the ego in host_vehicle_id")
+        what = f"no moving object {ego_id}" if ego_id else what
+        held = ", ".join(map(str, list(seen.rows)[:MOST_NAMED])) or "none"
+        remedy = f"name one of the moving objects ({held}) with --ego"
+        raise LogError(f"the log has no ego: {what}", topic=stream.topic, remedy=remedy)
+    if ego_id:
+        notes.append(f"The ego is object {ego_id}, as asked.")
     _check_finite(seen, stream)
     rows = {key: np.array(seen.rows[key]) for key in seen.rows}
     origin = np.round(rows[seen.host][0, 1:3])
@@ -313,7 +316,7 @@ def _stands_in_the_way(item: Any) -> bool:
 
 def _size(item: Any, kind: AgentKind) -> tuple[float, float]:
     size = item.base.dimension
-    return (size.length, size.width) if min(size.length, size.width) > 0.0 else SIZES[kind]
+    return (size.length, size.width) if min(size.length, size.width) > 0.0 else USUAL_SIZE_M[kind]
 
 
 def _road(seen: _Seen, origin: FloatArray, ego: Trajectory, notes: list[str]) -> Road:

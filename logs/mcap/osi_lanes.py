@@ -69,7 +69,7 @@ def _points(messages: Iterable[Any], origin: FloatArray) -> FloatArray:
     return points[np.r_[True, np.hypot(*np.diff(points, axis=0).T) > 1e-6]] if len(points) else points
 
 
-def _paired(left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
+def paired(left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Both lines at the union of their relative arc lengths, so that no corner is lost and point faces point."""
     ways = [np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))] for line in (left, right)]
     parts = [way / way[-1] for way in ways]
@@ -97,7 +97,7 @@ def _logical(osi: OsiMap, origin: FloatArray) -> tuple[dict[int, Lane], dict[int
         backward = enum_name(message, "move_direction") == "MOVE_DIRECTION_DECREASING_S"
         if backward:
             sides = [sides[1][::-1], sides[0][::-1]]
-        left, right = _paired(*sides)
+        left, right = paired(*sides)
         onward = message.predecessor_lane if backward else message.successor_lane
         kind = enum_name(message, "type").removeprefix("TYPE_").lower()
         lanes[key] = Lane(
@@ -175,7 +175,7 @@ def _bounded(key: int, osi: OsiMap, center: FloatArray, origin: FloatArray) -> L
         crossable.append(all(enum_name(b.classification, "type") in CROSSABLE for b in found))
     if _beside(center, lines[0])[0] < 0.0 < _beside(center, lines[1])[0]:
         lines, crossable = lines[::-1], crossable[::-1]
-    left, right = _paired(*lines)
+    left, right = paired(*lines)
     return Lane(key, left, right, left_crossable=crossable[0], right_crossable=crossable[1], **_facts(osi.lanes[key]))
 
 

@@ -29,16 +29,16 @@ from logs.vehicle import VehicleParameters
 T = TypeVar("T")
 
 
-def read_scenario(path: Path) -> Scenario:
-    """The scenario in a native or OSI log.
+def read_scenario(path: Path, ego: str = "") -> Scenario:
+    """The scenario in a native or OSI log; `ego` names another object of an OSI log than its host.
 
     Raises:
         LogError: The file is damaged, foreign, or breaks the format; nothing else is raised.
     """
-    return scenario_of(read_container(Path(path)))
+    return scenario_of(read_container(Path(path)), ego)
 
 
-def scenario_of(container: Container) -> Scenario:
+def scenario_of(container: Container, ego: str = "") -> Scenario:
     """The scenario in a container.
 
     Raises:
@@ -46,18 +46,18 @@ def scenario_of(container: Container) -> Scenario:
     """
     container.whole()
     try:
-        return _scenario(container)
+        return _scenario(container, ego)
     except LogError as error:
         raise error.at(container.path) from None
 
 
-def _scenario(container: Container) -> Scenario:
+def _scenario(container: Container, ego: str) -> Scenario:
     with np.errstate(all="ignore"):  # absurd numbers are refused as such, further down
         if native.SCENARIO_RECORD in container.metadata:
             return _native(container)
         stream = container.of_schema(*osi.SCHEMAS)
         if stream is not None:
-            return osi.scenario_of(stream, container.path.stem)
+            return osi.scenario_of(stream, container.path.stem, ego)
     held = ", ".join(sorted({s.schema or f"{s.encoding} without schema" for s in container.streams.values()}))
     what = f"neither a native nor an OSI log; it holds {held}"
     if any(s.schema.startswith("replan.") for s in container.streams.values()):

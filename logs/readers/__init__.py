@@ -10,7 +10,13 @@ Modules:
     base.py         what a reader is, and the settings of a run's [log] table
     cut.py          a part of a scenario by time, for readers that read a log whole
     commonroad.py   CommonRoad XML
+    osi.py          bare ASAM OSI traces
+    comma2k19.py    segments of comma2k19
+    table.py        pandas frames, CSV and Parquet
     ros/            ROS 2 and ROS 1 bags
+    arrow123d/      123D's Arrow logs and maps
+    argoverse2/     Argoverse 2: sensor logs, motion-forecasting scenarios
+    recorded/       what readers of recorded data sets share
     native.py       replan's own MCAP and ASAM OSI in MCAP: the last word on any .mcap
 """
 
@@ -23,13 +29,24 @@ from importlib.metadata import entry_points
 from math import inf
 from pathlib import Path
 
+import numpy as np
+
 from logs.errors import ConfigError, LogError, unknown_name
-from logs.readers import commonroad, native, ros
+from logs.readers import argoverse2, arrow123d, comma2k19, commonroad, native, osi, ros, table
 from logs.readers.base import LogSettings, Reader
 from logs.readers.cut import cut
 from logs.scenario import Scenario
 
-BUILTIN = (commonroad.READER, ros.READER, native.READER)
+BUILTIN = (
+    commonroad.READER,
+    osi.READER,
+    comma2k19.READER,
+    table.READER,
+    ros.READER,
+    arrow123d.READER,
+    argoverse2.READER,
+    native.READER,
+)
 """In the order in which they are asked."""
 GROUP = "replan.readers"
 FORMATS = "`replan convert --formats` lists what replan reads and how a format is added"
@@ -96,8 +113,14 @@ def read_log(path: Path, settings: LogSettings | None = None, reader: Reader | N
     if reader is None:
         raise foreign(path)
     try:
-        scenario = reader.read(path, settings)
-        return scenario if reader.cuts else cut(scenario, settings.begin, settings.end)
+        with np.errstate(all="ignore"):  # absurd numbers are refused as such
+            scenario = reader.read(path, settings)
+            scenario = scenario if reader.cuts else cut(scenario, settings.begin, settings.end)
+            if settings.map:
+                from logs.maps import with_map
+
+                scenario = with_map(scenario, settings)
+        return scenario
     except LogError as error:
         raise error if error.file is not None else error.at(path) from None
 

@@ -6,8 +6,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 from math import inf
 from pathlib import Path
+from typing import Any
 
+from logs.errors import LogError
 from logs.scenario import Scenario
+from logs.vehicle import VehicleParameters
 
 
 @dataclass(frozen=True)
@@ -18,6 +21,7 @@ class LogSettings:
         ego: Id of the road user who is taken as the ego; "": the one that the log names.
         problem: Planning problem of a CommonRoad file, by id or by place from 1; 0: the first.
         map: Path of a map that replaces the log's (Lanelet2 .osm, 123D map.arrow, OpenDRIVE .xodr); "": the log's own.
+        map_origin: Where such a map's coordinates begin, if it does not say so (`logs.maps.projections.FORMS`).
         begin: Seconds after the log's first ego state at which the scenario begins.
         end: And at which it ends, s; inf: with the log.
         clock: Times of messages: "log" when they were recorded, "header" as stamped by their sender; "": the reader's
@@ -32,6 +36,7 @@ class LogSettings:
     ego: str = ""
     problem: int = 0
     map: str = ""
+    map_origin: str = ""
     begin: float = 0.0
     end: float = inf
     clock: str = ""
@@ -47,6 +52,22 @@ class LogSettings:
             raise ValueError(f"clock is {self.clock!r}: log or header")
         if not all(value > 0.0 for value in self.car.values()):
             raise ValueError("the sizes in car must be positive")
+
+    def vehicle(self) -> VehicleParameters:
+        """The default car with the sizes of `car`.
+
+        Raises:
+            LogError: They make no vehicle.
+        """
+        known = "length", "width", "wheelbase", "rear_overhang"
+        if not set(self.car) <= set(known):
+            wrong = min(set(self.car) - set(known))
+            raise LogError(f"car has no {wrong}", topic="[log]", remedy=f"its keys are {', '.join(known)}")
+        sizes: dict[str, Any] = dict(self.car)
+        try:
+            return replace(VehicleParameters(), **sizes)
+        except ValueError as error:
+            raise LogError(str(error), topic="[log]") from None
 
     def between(self, begin: float, end: float) -> LogSettings:
         """The same, of another part of the log."""

@@ -19,7 +19,7 @@ def _claims(path: Path) -> bool:
 def _read(path: Path, settings: LogSettings) -> Scenario:
     from logs.mcap.reader import read_scenario
 
-    return read_scenario(path)
+    return read_scenario(path, settings.ego)
 
 
 def _contents(path: Path) -> Contents:
@@ -50,5 +50,5 @@ def _topic(stream: Stream) -> TopicSummary:
 
 READER = Reader(
     "native", "replan's own MCAP, traces included; ASAM OSI ground truth in MCAP", "*.mcap", (".mcap",), _claims, _read,
-    contents=_contents,
+    contents=_contents, settings=("ego",),
 )  # fmt: skip

@@ -8,7 +8,8 @@ from math import inf
 from logs.frame import Frame, PlannerContext
 from logs.states import EgoState
 from logs.trace import Artefact, Internals, Plan, PlanStatus
-from planners.dp_qp.lane.choice import LaneConfig, choose, hopeless, worth_looking
+from planners.dp_qp.lane.choice import choose, hopeless, worth_looking
+from planners.dp_qp.lane.config import LaneConfig
 from planners.dp_qp.lane.memory import LaneMemory, PassMemory
 from planners.dp_qp.lane.passing import passing
 from planners.dp_qp.lane.plan import LanePlan, LanePlanner
@@ -18,7 +19,7 @@ from planners.frenet.fallback import along, fall_back
 from planners.frenet.lane_sequence import LaneSequence, LaneSequences
 from planners.frenet.start import STITCH_M, STITCH_MPS, start_of
 from planners.piecewise_jerk.solvers import DEFAULT, check_solver
-from planners.rules import Rulebook
+from planners.rules import Rulebook, RulesConfig
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,7 @@ class DpQpConfig:
         path: The path stage.
         speed: The speed stage.
         lane: The choice between lanes, and of passing.
+        rules: What the rules of the road leave open.
         solver: Of the path and speed QPs: "interior_point", "osqp" or "piqp".
         stitch_m: The plan starts on the previous one where the ego is nearer to it than this ...
         stitch_mps: ... and its speed nearer than this; else at the ego.
@@ -37,6 +39,7 @@ class DpQpConfig:
     path: PathConfig = field(default_factory=PathConfig)
     speed: SpeedConfig = field(default_factory=SpeedConfig)
     lane: LaneConfig = field(default_factory=LaneConfig)
+    rules: RulesConfig = field(default_factory=RulesConfig)
     solver: str = DEFAULT
     stitch_m: float = STITCH_M
     stitch_mps: float = STITCH_MPS
@@ -138,6 +141,7 @@ class DpQp:
                     self._vehicle,
                     curve_accel_mps2=speed.qp.curve_accel_mps2,
                     ease_mps2=speed.qp.ease_mps2,
+                    config=self._config.rules,
                 ),
                 self._context.goal,
                 self._vehicle,
@@ -146,5 +150,6 @@ class DpQp:
                 passes_left=self._context.road.drives_on_right,
                 lap=self._lap,
                 solver=self._config.solver,
+                config=self._config.lane,
             )
         return self._planners[lane]

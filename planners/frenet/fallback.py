@@ -26,10 +26,22 @@ MIN_REST_S = 3.0
 
 def along(path: Path, profile: FloatArray, t: float) -> Trajectory:
     """The trajectory of a speed profile, rows s, v, a `(3, n)` every 0.1 s from time `t`, along a path."""
-    x, y, yaw, kappa = states_on_path(
-        path.sigma, path.x, path.y, path.yaw, path.kappa, np.ascontiguousarray(profile[0])
-    )
-    return Trajectory(t + STEP_S * np.arange(profile.shape[1]), x, y, yaw, profile[1], profile[2], kappa)
+    rows = _driven(path.sigma, path.x, path.y, path.yaw, path.kappa, np.ascontiguousarray(profile), t)
+    return Trajectory.of_rows(rows)
+
+
+@kernel
+def _driven(
+    sigma: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, kappa: FloatArray, profile: FloatArray, t: float
+) -> FloatArray:
+    """`along` as rows t, x, y, yaw, v, a, kappa `(7, n)`."""
+    out = np.empty((7, profile.shape[1]))
+    where = states_on_path(sigma, x, y, yaw, kappa, profile[0])
+    out[1:4], out[6] = where[:3], where[3]
+    out[4:6] = profile[1:]
+    for k in range(out.shape[1]):
+        out[0, k] = t + STEP_S * k
+    return out
 
 
 def fall_back(

@@ -10,7 +10,7 @@ tan d = l' / D:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import atan2, cos, hypot, pi, sin, tan
+from math import atan2, ceil, cos, hypot, inf, pi, sin, tan
 
 import numpy as np
 
@@ -20,6 +20,10 @@ from logs.states import EgoState, wrap
 
 FINE_M = 0.5
 """Greatest spacing of the points of a path, m."""
+SHIFT_AHEAD_M = 60.0
+"""A shift within this ahead leaves the track, m."""
+AT_START_M = 5.0
+"""A path may be bent more than the lock nearer to its start than this, m."""
 MAX_TURN = 1.2
 """Heading off the reference line, rad, from which on a path is no function of its station any more."""
 MIN_REGULAR = 0.1
@@ -51,10 +55,14 @@ class Path:
 
 @kernel
 def _fine_path(
-    knots: FloatArray, coef: FloatArray, s0: float, step: float, offsets: FloatArray, parts: int
-) -> FloatArray:
-    """Rows sigma, x, y, yaw, kappa, s `(6, m)` of the path with knots `(3, n)` of l, l', l''."""
-    n = offsets.shape[1]
+    knots: FloatArray, coef: FloatArray, s0: float, step: float, offsets: FloatArray, parts: int, sharpest: float,
+    until: float,
+) -> tuple[FloatArray, float]:  # fmt: skip
+    """Rows sigma, x, y, yaw, kappa, s `(6, m)` of the path with knots `(3, n)` of l, l', l''; its shift, m."""
+    n, shift = offsets.shape[1], 0.0
+    for i in range(n):
+        if s0 + step * i < s0 + SHIFT_AHEAD_M:
+            shift = max(shift, abs(offsets[0, i] - offsets[0, 0]))
     out = np.empty((6, (n - 1) * parts + 1))
     for m in range(out.shape[1]):
         i = min(m // parts, n - 2)
@@ -78,13 +86,27 @@ def _fine_path(
         if m > 0:
             out[0, m] = out[0, m - 1] + hypot(out[1, m] - out[1, m - 1], out[2, m] - out[2, m - 1])
             out[3, m] = out[3, m - 1] + wrap(out[3, m] - out[3, m - 1])
-    return out
+        if s > until or (abs(out[4, m]) > sharpest and out[0, m] > AT_START_M):
+            return out[:, :m], shift
+    return out[:, :], shift
+
+
+def drivable_path(
+    line: ReferenceLine, s0: float, step: float, offsets: FloatArray, sharpest: float, until: float
+) -> tuple[Path, float]:
+    """The path through knots of (l, l', l'') `(3, n)`, `step` m apart from station `s0`, and its shift, m.
+
+    It ends before a station and before it is bent more than `sharpest`, 1/m, farther than `AT_START_M` from its start.
+    The shift is the largest change of the offset within `SHIFT_AHEAD_M`.
+    """
+    parts = max(1, ceil(step / FINE_M))
+    rows, shift = _fine_path(line.s, line.coef, s0, step, np.ascontiguousarray(offsets), parts, sharpest, until)
+    return Path(*rows), shift
 
 
 def make_path(line: ReferenceLine, s0: float, step: float, offsets: FloatArray) -> Path:
-    """The path through knots of (l, l', l'') `(3, n)`, `step` m apart from station `s0`."""
-    parts = max(1, int(np.ceil(step / FINE_M)))
-    return Path(*_fine_path(line.s, line.coef, s0, step, np.ascontiguousarray(offsets), parts))
+    """The whole path through knots of (l, l', l'') `(3, n)`, `step` m apart from station `s0`."""
+    return drivable_path(line, s0, step, offsets, inf, inf)[0]
 
 
 def out_of_frame(line: ReferenceLine, state: EgoState, s: float, l: float) -> str:  # noqa: E741

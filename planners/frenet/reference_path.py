@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy import sparse
 
-from logs.kernel import TIE, FloatArray, frozen, kernel
+from logs.kernel import TIE, FloatArray, frozen, inner_kernel, kernel
 from logs.road import Lane, ReferenceLine, Road, nearest, thinned
 from logs.route import Route, straight_on
 from logs.states import EgoState
@@ -38,6 +38,8 @@ BENDING_WEIGHT = 50.0
 """w of (1)."""
 MAX_SHIFT_M = 0.3
 """The mean over all headings of what bounds of 0.25 m on x and on y leave across a line (0.25 * 4 / pi = 0.32)."""
+BEND = np.array([1.0, -2.0, 1.0])
+"""Of three points: what (1) sums the squares of."""
 ACROSS = 0.97
 """Share of the shift that a point may make across the line; the rest along it, which a sharp corner needs."""
 HARDER = ((0.5, 200.0), (0.75, 1000.0), (1.0, 1000.0), (1.5, 3000.0))
@@ -184,13 +186,18 @@ def smoothed(points: FloatArray, max_shift: float = MAX_SHIFT_M, weight: float =
     tangent = np.gradient(raw, axis=0)
     tangent /= np.maximum(np.hypot(*tangent.T)[:, None], 1e-9)
     normal = np.column_stack([-tangent[:, 1], tangent[:, 0]])
-    D = sparse.diags([1.0, -2.0, 1.0], [0, 1, 2], shape=(count - 2, count))
-    bends = [D @ sparse.hstack([sparse.diags(normal[:, k]), sparse.diags(tangent[:, k])]) for k in (0, 1)]
-    P = (weight * sum(bend.T @ bend for bend in bends) + sparse.eye(2 * count)).tocsc()  # (1)
+    three = np.arange(count - 2)[:, None] + np.arange(3)
+    places = np.hstack([three, three + count]).ravel(), np.arange(0, 6 * count - 11, 6)
+    bends = [
+        sparse.csr_matrix((np.hstack([BEND * axis[three, k] for axis in (normal, tangent)]).ravel(), *places))
+        for k in (0, 1)
+    ]
+    P = (weight * (bends[0].T @ bends[0] + bends[1].T @ bends[1]) + sparse.eye(2 * count)).tocsc()  # (1)
     solver = QuadraticProgram("reference line", P, sparse.eye(2 * count, format="csc"))
     shift = np.full(count, max_shift)
     shift[[0, -1]] = 0.0
-    gradient = weight * sum(bend.T @ (D @ raw[:, k]) for k, bend in enumerate(bends))
+    bent = raw[:-2] - 2.0 * raw[1:-1] + raw[2:]
+    gradient = weight * (bends[0].T @ bent[:, 0] + bends[1].T @ bent[:, 1])
     most = np.r_[ACROSS * shift, sqrt(1.0 - ACROSS**2) * shift]  # (2)
     move = solver.solve(gradient, -most, most, fresh=True)
     if not move.report.solved:
@@ -246,7 +253,7 @@ def _resampled(points: FloatArray, u: FloatArray) -> FloatArray:
     return np.column_stack([np.interp(u * chord[-1], chord, points[:, k]) for k in (0, 1)])
 
 
-@kernel
+@inner_kernel
 def _crossing(x: float, y: float, yaw: float, boundary: FloatArray, reach: float) -> float:
     """Offset l at which the normal at (x, y, yaw) crosses a polyline, the nearest; nan beyond `reach`."""
     c, s = cos(yaw), sin(yaw)
@@ -267,9 +274,12 @@ def _crossing(x: float, y: float, yaw: float, boundary: FloatArray, reach: float
 
 @kernel
 def _crossings(xy: FloatArray, yaw: FloatArray, boundary: FloatArray, reach: float) -> FloatArray:
-    out = np.empty(len(yaw))
+    out = np.full(len(yaw), np.nan)
+    low_x, high_x = boundary[:, 0].min() - reach - 1.0, boundary[:, 0].max() + reach + 1.0
+    low_y, high_y = boundary[:, 1].min() - reach - 1.0, boundary[:, 1].max() + reach + 1.0
     for i in range(len(yaw)):
-        out[i] = _crossing(xy[i, 0], xy[i, 1], yaw[i], boundary, reach)
+        if low_x <= xy[i, 0] <= high_x and low_y <= xy[i, 1] <= high_y:
+            out[i] = _crossing(xy[i, 0], xy[i, 1], yaw[i], boundary, reach)
     return out
 
 

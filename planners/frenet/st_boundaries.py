@@ -5,7 +5,7 @@ The ego's footprint is swept along the planned path and tested against each pred
 (1) taken(agent, t) = { sigma : box of the ego at path(sigma), widened by a margin, overlaps the agent's box at t }
 
 which is an interval [lower, upper] of stations of the rear axle for each time sample. Corners and the curvature of the
-path are exact, since real boxes are tested: at the path's points, and between two of them by bisection (`HALVINGS`).
+path are exact, since real boxes are tested (`sweep`): at the path's points, and between two of them by bisection.
 
 (2) An agent who crosses may come sooner by `early_s` and leave later by `late_s`: the first and the last interval are
     drawn out in time, less where the event is near and so surer.
@@ -16,25 +16,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import cos, hypot, inf, isnan, sin
-from typing import NamedTuple
+from math import inf
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, frozen, kernel
-from logs.shapes import axis_gap, overlap_turned
-from logs.states import wrap
+from logs.kernel import BoolArray, FloatArray, IntArray, frozen
 from logs.trace import Decision, DecisionKind, GraphObstacle
 from planners.frenet.occupancy import Occupancy
 from planners.frenet.path import Path
 from planners.frenet.scene import STANDING_MPS, Scene
+from planners.frenet.sweep import Swept, sweep
 
 CREEPING_MPS = 0.1
 """Who is slower does not walk, m/s: their prediction leads nowhere."""
-HALVINGS = 4
-"""Of the path's spacing, about 0.4 m, towards the edge of an interval."""
-JUMP = 0.999
-"""Share of a gap that is jumped over, so that rounding does not jump over a touch."""
+NO_ONE = np.zeros(0, np.bool_)
+"""None of the agents."""
 ALONG = 0.7
 """Who moves along the path with this share of their speed is followed, not let go first."""
 
@@ -128,21 +124,6 @@ class StBoundaries:
         )
 
 
-class Swept(NamedTuple):
-    """What a sweep takes of the ego and of the time, for the kernel.
-
-    Attributes:
-        rear_to_center: From the rear axle to the box's centre, m; `length` and `width` of the box.
-        early: (2), s; `late` likewise.
-    """
-
-    rear_to_center: float
-    length: float
-    width: float
-    early: float
-    late: float
-
-
 def st_boundaries(
     scene: Scene, path: Path, skip: BoolArray, passed: frozenset[str], config: StGraphConfig
 ) -> StBoundaries:
@@ -152,17 +133,16 @@ def st_boundaries(
     """
     agents, futures, car = scene.frame.agents, scene.frame.predictions, scene.vehicle
     stride = max(1, round(config.step_s / float(futures.t[1] - futures.t[0]))) if len(futures.t) > 1 else 1
-    margin = np.where(scene.vulnerable, config.vulnerable_margin_m, config.margin_m)
-    for i, name in enumerate(agents.ids if passed else ()):
-        if name in passed:
-            margin[i] = config.passed_margin_m
     ways = _brisk(scene, config.brisk_mps) if config.brisk_mps > 0.0 else (futures.x, futures.y, futures.yaw)
-    t, found, lower, upper, speed = _swept(
-        np.vstack([path.sigma, path.x, path.y, path.yaw]), futures.t, scene.frame.t, stride, futures.agent, skip, *ways,
-        agents.length, agents.width, margin, agents.vx, agents.vy,
-        Swept(car.axle_to_center, car.length, car.width, config.early_s, config.late_s),
-    )  # fmt: skip
-    return StBoundaries(t, futures.agent[found], lower, upper, speed, futures.probability[found])
+    is_passed = np.array([name in passed for name in agents.ids], np.bool_) if passed else NO_ONE
+    return StBoundaries(*sweep(
+        path.sigma, path.x, path.y, path.yaw, futures.t, scene.frame.t, stride, futures.agent, futures.probability,
+        *ways, agents.length, agents.width, agents.vx, agents.vy, scene.vulnerable, is_passed, skip,
+        Swept(
+            car.axle_to_center, car.length, car.width, config.margin_m, config.vulnerable_margin_m,
+            config.passed_margin_m, config.early_s, config.late_s,
+        ),
+    ))  # fmt: skip
 
 
 def _brisk(scene: Scene, brisk: float) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -188,133 +168,6 @@ def _beyond(ahead: FloatArray, t: FloatArray, way: FloatArray) -> FloatArray:
     """A predicted coordinate `(k,)` at the times `ahead`, s; after its end it goes on as at its end."""
     slope = (way[-1] - way[-2]) / (t[-1] - t[-2])
     return np.interp(ahead, t, way) + slope * np.maximum(ahead - t[-1], 0.0)
-
-
-@kernel
-def _swept(
-    path: FloatArray, times: FloatArray, now: float, stride: int, agent: IntArray, skip: BoolArray,
-    x: FloatArray, y: FloatArray, yaw: FloatArray, length: FloatArray, width: FloatArray, margin: FloatArray,
-    vx: FloatArray, vy: FloatArray, ego: Swept,
-) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
-    """The predictions that take the path: times from now `(m,)`, rows `(r,)`, lower and upper `(r, m)`, speed `(r,)`.
-
-    Times are `stride` samples apart. `path` has the rows sigma, x, y, yaw `(4, points)`, predictions are `(n, k)`; size
-    margin, velocity and whether to `skip` them are the agents'.
-    """
-    widest = margin.max() if len(margin) else 0.0
-    boxes, moved = _ego_boxes(path, ego.rear_to_center, 0.5 * hypot(ego.length, ego.width + 2.0 * widest))
-    low_x, high_x, low_y, high_y = boxes[0].min(), boxes[0].max(), boxes[1].min(), boxes[1].max()
-    t = times[::stride] - now
-    rows, speed = np.empty(len(x), np.int64), np.empty(len(x))
-    lower, upper = np.empty((len(x), len(t))), np.empty((len(x), len(t)))
-    count = 0
-    for i in range(len(x)):
-        who = agent[i]
-        if skip[who]:
-            continue
-        size = length[who], width[who]
-        ego_width = ego.width + 2.0 * margin[who]
-        reach = 0.5 * hypot(ego.length, ego_width) + 0.5 * hypot(size[0], size[1])
-        taken = False
-        for k in range(len(t)):
-            lower[count, k] = upper[count, k] = np.nan
-            at_x, at_y = x[i, k * stride], y[i, k * stride]
-            if not (low_x - reach <= at_x <= high_x + reach and low_y - reach <= at_y <= high_y + reach):
-                continue
-            heading = yaw[i, k * stride]
-            other = at_x, at_y, cos(heading), sin(heading), size[0], size[1]
-            met = _first_met(boxes, 0, 1, moved, ego.length, ego_width, other)
-            if met >= 0:
-                last = _first_met(boxes, boxes.shape[1] - 1, -1, moved, ego.length, ego_width, other)
-                lower[count, k] = _edge(path[0], boxes, met, -1, ego.length, ego_width, other)  # (1)
-                upper[count, k] = _edge(path[0], boxes, last, 1, ego.length, ego_width, other)
-                taken = True
-        if taken:
-            rows[count] = i
-            entry = _drawn_out(t, lower[count], upper[count], ego.early, ego.late)  # (2)
-            at = min(int(np.searchsorted(path[0], entry)), path.shape[1] - 1)
-            speed[count] = vx[who] * cos(path[3, at]) + vy[who] * sin(path[3, at])  # (3)
-            count += 1
-    return t, rows[:count].copy(), lower[:count].copy(), upper[:count].copy(), speed[:count].copy()
-
-
-@kernel
-def _ego_boxes(path: FloatArray, rear_to_center: float, radius: float) -> tuple[FloatArray, float]:
-    """Rows x, y, yaw, cos yaw, sin yaw `(5, m)` of the ego's box along a path; how far its points move at most, m."""
-    out = np.empty((5, path.shape[1]))
-    moved = 1e-6
-    for j in range(path.shape[1]):
-        c, s = cos(path[3, j]), sin(path[3, j])
-        out[0, j], out[1, j] = path[1, j] + rear_to_center * c, path[2, j] + rear_to_center * s
-        out[2, j], out[3, j], out[4, j] = path[3, j], c, s
-        if j > 0:
-            away = hypot(out[0, j] - out[0, j - 1], out[1, j] - out[1, j - 1])
-            moved = max(moved, away + radius * abs(wrap(out[2, j] - out[2, j - 1])))
-    return out, moved
-
-
-@kernel
-def _first_met(
-    boxes: FloatArray, begin: int, step: int, moved: float, length: float, width: float,
-    other: tuple[float, float, float, float, float, float],
-) -> int:  # fmt: skip
-    """The first point from `begin` on, in steps of +-1, at which the ego overlaps a box; -1 where there is none.
-
-    Points are jumped over at which the gap cannot have closed: from one to the next no point of the ego's box moves
-    further than `moved` m. The `other` box is x, y, cos yaw, sin yaw, length, width.
-    """
-    j = begin
-    while 0 <= j < boxes.shape[1]:
-        gap = axis_gap(
-            boxes[0, j], boxes[1, j], boxes[3, j], boxes[4, j], length, width,
-            other[0], other[1], other[2], other[3], other[4], other[5],
-        )  # fmt: skip
-        if gap <= 0.0:
-            return j
-        j += step * (1 + int(JUMP * gap / moved))
-    return -1
-
-
-@kernel
-def _edge(
-    sigma: FloatArray, boxes: FloatArray, met: int, step: int, length: float, width: float,
-    other: tuple[float, float, float, float, float, float],
-) -> float:  # fmt: skip
-    """The station next to point `met`, which overlaps, towards `met + step`, at which the ego does not overlap."""
-    free = met + step
-    if free < 0 or free >= boxes.shape[1]:
-        return sigma[met]
-    low, high = 0.0, 1.0  # share of the way from `met` to `free`: overlaps at low, not at high
-    for _ in range(HALVINGS):
-        u = 0.5 * (low + high)
-        x = boxes[0, met] + u * (boxes[0, free] - boxes[0, met])
-        y = boxes[1, met] + u * (boxes[1, free] - boxes[1, met])
-        turned = boxes[2, met] + u * wrap(boxes[2, free] - boxes[2, met])
-        if overlap_turned(
-            x, y, cos(turned), sin(turned), length, width, other[0], other[1], other[2], other[3], other[4], other[5]
-        ):
-            low = u
-        else:
-            high = u
-    return sigma[met] + high * (sigma[free] - sigma[met])
-
-
-@kernel
-def _drawn_out(t: FloatArray, lower: FloatArray, upper: FloatArray, early: float, late: float) -> float:
-    """Draw an interval `(k,)` out in time (2); returns the station at which the agent enters."""
-    first, last = 0, len(t) - 1
-    while isnan(lower[first]):
-        first += 1
-    while isnan(lower[last]):
-        last -= 1
-    begin = t[first] - min(early, t[first] / 3.0)
-    end = t[last] + (min(late, 0.5 * t[last]) if last < len(t) - 1 else 0.0)
-    for k in range(len(t)):
-        if begin <= t[k] < t[first]:
-            lower[k], upper[k] = lower[first], upper[first]
-        elif t[last] < t[k] <= end:
-            lower[k], upper[k] = lower[last], upper[last]
-    return lower[first]
 
 
 def decide_speed(blocks: StBoundaries, scene: Scene, s_dp: FloatArray) -> tuple[Decision, ...]:

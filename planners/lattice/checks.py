@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
 from logs.shapes import overlap
 from planners.frenet.path import MAX_TURN, MIN_REGULAR
 from planners.frenet.profiles import HORIZON_STEPS
@@ -140,7 +140,7 @@ class Tried(NamedTuple):
     changes: BoolArray
 
 
-@kernel
+@inner_kernel
 def _met(x: float, y: float, yaw: float, k: int, others: Others, skip: BoolArray, ego: Body) -> bool:
     """Whether the ego's box, grown by each agent's margin, meets an agent at sample k."""
     cx, cy = x + ego.rear_to_center * cos(yaw), y + ego.rear_to_center * sin(yaw)
@@ -155,7 +155,7 @@ def _met(x: float, y: float, yaw: float, k: int, others: Others, skip: BoolArray
     return False
 
 
-@kernel
+@inner_kernel
 def drive_fault(
     at: FloatArray, motion: FloatArray, s0: float, room: Room, others: Others, skip: BoolArray, ego: Body
 ) -> int:

@@ -7,13 +7,13 @@ from __future__ import annotations
 
 from math import isfinite
 
-from logs.kernel import FloatArray, kernel
+from logs.kernel import FloatArray, inner_kernel
 
 ROUNDING, HUGE = 1e-15, 1e128
 """Pivots that are less than this share of their diagonal are rounding, and are replaced by a huge one."""
 
 
-@kernel
+@inner_kernel
 def factorise(band: FloatArray) -> bool:
     """L D L' in place: D in the first row, L below the diagonal in the others; False where a number is not finite.
 
@@ -37,7 +37,7 @@ def factorise(band: FloatArray) -> bool:
     return True
 
 
-@kernel
+@inner_kernel
 def back_substitute(band: FloatArray, x: FloatArray) -> None:
     """Replace x by (L D L')^-1 x."""
     size = len(x)

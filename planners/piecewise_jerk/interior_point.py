@@ -43,9 +43,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import FloatArray, kernel
+from logs.kernel import FloatArray, inner_kernel, kernel
 from planners.piecewise_jerk.band import back_substitute, factorise
-from planners.piecewise_jerk.problem import DDDX, PiecewiseJerkProblem
+from planners.piecewise_jerk.problem import DDDX, PiecewiseJerkProblem, largest_violation
 from planners.piecewise_jerk.spline import Rows, apply, coast, curve_of, gather, multiply, rows_of
 
 SOLVED, SPENT, INFEASIBLE, BROKEN, CROSSED, NOT_FINITE = 1, 2, 3, 4, 5, 6
@@ -134,6 +134,7 @@ class Solution(NamedTuple):
         iterations: Matrices factorised.
         primal: Largest residual of (5), m; `dual` of (4), m.
         gap: Sum of the products (6), m2.
+        violation: Largest, of the problem's bounds, in the units of the row (`largest_violation`).
     """
 
     curve: FloatArray
@@ -142,6 +143,7 @@ class Solution(NamedTuple):
     primal: float
     dual: float
     gap: float
+    violation: float
 
 
 @kernel
@@ -156,8 +158,9 @@ def solve(problem: PiecewiseJerkProblem, accuracy: float, max_iterations: int) -
         iteration = 1
         free = _to_free_optimum(rows, point, newton, step)
         if free <= RESIDUAL * accuracy and _is_inside(rows, point):
-            return Solution(curve_of(point.c, problem.step), SOLVED, iteration, 0.0, free, 0.0)
-    _open(rows, point)
+            status, primal, dual, gap = SOLVED, 0.0, free, 0.0
+    if status == SPENT:
+        _open(rows, point)
     least = FLOOR * 0.5 * accuracy**2 / point.slack.size
     while status == SPENT:
         primal, dual, gap = _residuals(rows, point, newton)
@@ -179,10 +182,11 @@ def solve(problem: PiecewiseJerkProblem, accuracy: float, max_iterations: int) -
         _direction(rows, point, newton, step, proximal)
         primal_step, dual_step = _step_lengths(point, newton, step, TO_BOUNDARY, together)
         _advance(point, step, primal_step, dual_step)
-    return Solution(curve_of(point.c, problem.step), status, iteration, primal, dual, gap)
+    curve = curve_of(point.c, problem.step)
+    return Solution(curve, status, iteration, primal, dual, gap, largest_violation(problem, curve))
 
 
-@kernel
+@inner_kernel
 def _fault(problem: PiecewiseJerkProblem) -> int:
     """Why there is nothing to solve; `SPENT` where there is."""
     kinds, n = problem.lower.shape
@@ -197,7 +201,7 @@ def _fault(problem: PiecewiseJerkProblem) -> int:
     return SPENT if isfinite(total) else NOT_FINITE
 
 
-@kernel
+@inner_kernel
 def _to_free_optimum(rows: Rows, point: Point, newton: Newton, step: Point) -> float:
     """Move c and y to the optimum without bounds; the residual of (4) there, inf where the matrix is no number."""
     multiply(rows.stencil, rows.cost, newton.band)
@@ -214,13 +218,13 @@ def _to_free_optimum(rows: Rows, point: Point, newton: Newton, step: Point) -> f
     return _largest(newton.dual)
 
 
-@kernel
+@inner_kernel
 def _is_inside(rows: Rows, point: Point) -> bool:
     """Whether no bound is broken."""
     return bool(((rows.bound[0] <= point.y) & (point.y <= rows.bound[1])).all())
 
 
-@kernel
+@inner_kernel
 def _pull(rows: Rows, point: Point, newton: Newton) -> None:
     """Write A' q (y - r), the cost's slope, of the free coefficients into `newton.dual`."""
     for i in range(len(point.y)):
@@ -229,7 +233,7 @@ def _pull(rows: Rows, point: Point, newton: Newton) -> None:
     newton.dual[:3] = 0.0
 
 
-@kernel
+@inner_kernel
 def _open(rows: Rows, point: Point) -> None:
     """Slacks well inside, multipliers to match."""
     size = len(rows.cost)
@@ -242,14 +246,14 @@ def _open(rows: Rows, point: Point) -> None:
             point.multiplier[side, i] = START_MU / point.slack[side, i]
 
 
-@kernel
+@inner_kernel
 def _blank(rows: Rows) -> Point:
     size = len(rows.cost)
     ends = size // len(rows.stencil) + 3
     return Point(np.zeros(ends), np.zeros(size), np.zeros(size), np.zeros((2, size)), np.zeros((2, size)))
 
 
-@kernel
+@inner_kernel
 def _workspace(rows: Rows) -> Newton:
     size = len(rows.cost)
     ends = size // len(rows.stencil) + 3
@@ -259,7 +263,7 @@ def _workspace(rows: Rows) -> Newton:
     )  # fmt: skip
 
 
-@kernel
+@inner_kernel
 def _largest(values: FloatArray) -> float:
     """Largest magnitude."""
     most = 0.0
@@ -268,7 +272,7 @@ def _largest(values: FloatArray) -> float:
     return most
 
 
-@kernel
+@inner_kernel
 def _residuals(rows: Rows, point: Point, newton: Newton) -> tuple[float, float, float]:
     """Residuals of (4), (5), products of (6); the largest of (5), of (4), and the sum of the products."""
     y, force, slack, multiplier = point.y, point.force, point.slack, point.multiplier
@@ -293,7 +297,7 @@ def _residuals(rows: Rows, point: Point, newton: Newton) -> tuple[float, float, 
     return max(_largest(primal[0]), _largest(primal[1])), _largest(newton.dual), gap
 
 
-@kernel
+@inner_kernel
 def _verdict(rows: Rows, point: Point, newton: Newton, primal: float, dual: float, gap: float, accuracy: float) -> int:
     """`SOLVED` by (10), `INFEASIBLE` by (11), else `SPENT`."""
     left, small = _largest(newton.pull[3:]), RESIDUAL * accuracy
@@ -309,7 +313,7 @@ def _verdict(rows: Rows, point: Point, newton: Newton, primal: float, dual: floa
     return INFEASIBLE if left < FARKAS * excess else SPENT  # (11)
 
 
-@kernel
+@inner_kernel
 def _assemble(rows: Rows, point: Point, newton: Newton, proximal: float) -> None:
     """The matrix of (7), lower diagonals; the fixed coefficients get rows of the identity."""
     slack, multiplier, inverse = point.slack, point.multiplier, newton.inverse
@@ -330,7 +334,7 @@ def _assemble(rows: Rows, point: Point, newton: Newton, proximal: float) -> None
     multiply(rows.stencil, newton.push, newton.band)
 
 
-@kernel
+@inner_kernel
 def _direction(rows: Rows, point: Point, newton: Newton, step: Point, proximal: float) -> None:
     """Newton's step (7), (8) for the products that are in `newton`."""
     multiplier, inverse, give = point.multiplier, newton.inverse, rows.give
@@ -357,7 +361,7 @@ def _direction(rows: Rows, point: Point, newton: Newton, step: Point, proximal: 
             change[side, i] = -(product[side, i] + multiplier[side, i] * slack[side, i]) * inverse[side, i]
 
 
-@kernel
+@inner_kernel
 def _step_lengths(point: Point, newton: Newton, step: Point, share: float, together: bool) -> tuple[float, float]:
     """Primal and dual share of a step up to which slacks and multipliers stay positive, times `share`; 1 at most."""
     slack, multiplier, inverse = step.slack, step.multiplier, newton.inverse
@@ -371,7 +375,7 @@ def _step_lengths(point: Point, newton: Newton, step: Point, share: float, toget
     return (min(primal, dual), min(primal, dual)) if together else (primal, dual)
 
 
-@kernel
+@inner_kernel
 def _gap_after(point: Point, step: Point, primal: float, dual: float) -> float:
     """Sum of the products z f after a step."""
     slack, opening = point.slack, step.slack
@@ -384,7 +388,7 @@ def _gap_after(point: Point, step: Point, primal: float, dual: float) -> float:
     return total
 
 
-@kernel
+@inner_kernel
 def _correct(product: FloatArray, step: Point, target: float) -> None:
     """Second-order term and centring of (9)."""
     for side in range(2):
@@ -392,7 +396,7 @@ def _correct(product: FloatArray, step: Point, target: float) -> None:
             product[side, i] += step.slack[side, i] * step.multiplier[side, i] - target
 
 
-@kernel
+@inner_kernel
 def _advance(point: Point, step: Point, primal: float, dual: float) -> None:
     """The point after a step."""
     for i in range(len(point.c)):

@@ -13,7 +13,7 @@ from types import MappingProxyType
 from logs.errors import unknown_name
 from logs.trace import SolverReport
 from planners.piecewise_jerk import interior_point
-from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Structure, largest_violation, matrices, structure
+from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Structure, matrices, structure
 from planners.piecewise_jerk.problem import vectors as sparse_vectors
 from planners.qp import QPConfig, QPResult, QuadraticProgram
 
@@ -46,9 +46,8 @@ def solve(problem: PiecewiseJerkProblem, solver: str = DEFAULT, *, stage: str, t
 def _interior_point(problem: PiecewiseJerkProblem, stage: str, tolerance: float) -> QPResult:
     found = interior_point.solve(problem, interior_point.ACCURACY_M, interior_point.MAX_ITERATIONS)
     solved, status = found.status == interior_point.SOLVED, interior_point.STATUS[found.status]
-    violation = largest_violation(problem, found.curve) if solved else 0.0
-    if not violation <= tolerance:
-        solved, status = False, f"{status}, but a bound is violated by {violation:.3g}"
+    if solved and not found.violation <= tolerance:
+        solved, status = False, f"{status}, but a bound is violated by {found.violation:.3g}"
     report = SolverReport(stage, solved, status, found.iterations, found.primal, found.dual)
     return QPResult(found.curve.ravel(), report)
 

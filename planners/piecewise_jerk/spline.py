@@ -21,7 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import FloatArray, kernel
+from logs.kernel import FloatArray, inner_kernel
 from planners.piecewise_jerk.problem import DDDX, DX, PiecewiseJerkProblem, X
 
 NARROW_M = 1e-6
@@ -49,7 +49,7 @@ class Rows(NamedTuple):
     bound: FloatArray
 
 
-@kernel
+@inner_kernel
 def rows_of(problem: PiecewiseJerkProblem) -> Rows:
     """The rows (1) of a problem, scaled, with their cost and bounds (3)."""
     kinds, n = problem.lower.shape
@@ -87,7 +87,7 @@ def rows_of(problem: PiecewiseJerkProblem) -> Rows:
     return Rows(stencil, cost, wanted, give, bound)
 
 
-@kernel
+@inner_kernel
 def coast(problem: PiecewiseJerkProblem, c: FloatArray) -> None:
     """Write the coefficients `(m + 3,)` of the start going on with constant x'; the first three are those of (2)."""
     h = problem.step
@@ -97,7 +97,7 @@ def coast(problem: PiecewiseJerkProblem, c: FloatArray) -> None:
         c[i] = 2.0 * c[i - 1] - c[i - 2]
 
 
-@kernel
+@inner_kernel
 def apply(stencil: FloatArray, c: FloatArray, out: FloatArray) -> None:
     """Write A c."""
     m = len(c) - 3
@@ -108,7 +108,7 @@ def apply(stencil: FloatArray, c: FloatArray, out: FloatArray) -> None:
             row[j] = a0 * c[j] + a1 * c[j + 1] + a2 * c[j + 2] + a3 * c[j + 3]
 
 
-@kernel
+@inner_kernel
 def gather(stencil: FloatArray, of_rows: FloatArray, out: FloatArray) -> None:
     """Write A' of_rows."""
     m = len(out) - 3
@@ -123,7 +123,7 @@ def gather(stencil: FloatArray, of_rows: FloatArray, out: FloatArray) -> None:
                     to[j] += a * row[j]
 
 
-@kernel
+@inner_kernel
 def multiply(stencil: FloatArray, diagonal: FloatArray, band: FloatArray) -> None:
     """Write A' diagonal A by its lower diagonals, with rows of the identity for the fixed coefficients."""
     m = band.shape[1] - 3
@@ -142,7 +142,7 @@ def multiply(stencil: FloatArray, diagonal: FloatArray, band: FloatArray) -> Non
         band[1, i] = band[2, i] = band[3, i] = 0.0
 
 
-@kernel
+@inner_kernel
 def curve_of(c: FloatArray, h: float) -> FloatArray:
     """x, x', x'' `(3, n)` of (1)."""
     n = len(c) - 2

@@ -28,6 +28,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from math import inf, isfinite
 
 import numpy as np
@@ -70,8 +71,6 @@ KEPT_S = 0.5
 """A gap once taken is kept with so much less of (4), s."""
 YIELD_MPS2 = 2.0
 """Deceleration that the ego may ask of who comes from behind, m/s2: comfortable (b of IDM)."""
-PATIENCE_S = 3.0
-"""Who stands at a crosswalk and does not begin to walk is waited for so long, from a standstill, s."""
 GO_MPS2 = 1.5
 """Acceleration with which the ego is assumed to go, m/s2 ..."""
 GO_MPS3 = 2.0
@@ -84,6 +83,21 @@ LOOK_M = 10.0
 """Zones are looked at from this before the place where gentle braking for them would begin, m."""
 ROLLING_MPS = 1.0
 """Slower than this the one ahead makes no room behind a zone, and the ego has not set off from a crosswalk, m/s."""
+
+
+@dataclass(frozen=True)
+class RulesConfig:
+    """Settings of the rules.
+
+    Attributes:
+        patience_s: Who stands at a crosswalk and does not begin to walk is waited for so long, from a standstill.
+    """
+
+    patience_s: float = 3.0
+
+    def __post_init__(self) -> None:
+        if not self.patience_s >= 0.0:
+            raise ValueError("patience_s must not be negative")
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,22 +117,34 @@ class RuleMemory:
     since: Mapping[str, float] = field(default_factory=dict)
 
 
-@dataclass(slots=True)
+@dataclass
 class _Visit:
-    """One frame's work: the scene, who is passed, distances to a comfortable and a hard stop (m), the memory.
+    """One frame's work: the scene, who is passed, the memory.
 
     The one ahead in the ego's way: station of the rear, m, speed, index; inf, 0, -1: there is none.
     """
 
     scene: Scene
     passed: frozenset[str]
-    soft: float
-    hard: float
     stopping: frozenset[str]
     rested: set[int]
     taken: set[str]
     since: dict[str, float]
     leader: tuple[float, float, int] = (inf, 0.0, -1)
+
+    @cached_property
+    def soft(self) -> float:
+        """Distance to a comfortable stop, m."""
+        return self._stopping(*COMFORT)
+
+    @cached_property
+    def hard(self) -> float:
+        """Distance to a hard stop, m."""
+        return self._stopping(*HARD)
+
+    def _stopping(self, decel: float, jerk: float) -> float:
+        profile = braking(self.scene.v, self.scene.start.a, decel, jerk, STEP_S, 2 * HORIZON_KNOTS)
+        return float(profile[0, -1])
 
     def remembered(self, stops: list[Occupancy]) -> RuleMemory:
         """What later frames are given."""
@@ -132,8 +158,9 @@ class Rulebook:
     def __init__(
         self, road: Road, reference: ReferencePath, vehicle: VehicleParameters, *,
         curve_accel_mps2: float = CURVE_MPS2, ease_mps2: float = EASE_MPS2,
+        config: RulesConfig | None = None,
     ) -> None:  # fmt: skip
-        self._ease = ease_mps2
+        self._ease, self._config = ease_mps2, config or RulesConfig()
         self._road, self._reference, self._vehicle = road, reference, vehicle
         self._lines = lines_along(road, reference, vehicle.width)
         self._zones = zones_along(road, reference, vehicle)
@@ -158,13 +185,7 @@ class Rulebook:
         """
         if not self._lines and not self._zones:
             return (), memory
-        soft, hard = (
-            float(braking(scene.v, scene.start.a, *limits, STEP_S, 2 * HORIZON_KNOTS)[0, -1])
-            for limits in (COMFORT, HARD)
-        )
-        visit = _Visit(
-            scene, passed, soft, hard, memory.stopping, set(memory.rested), set(memory.taken), dict(memory.since)
-        )
+        visit = _Visit(scene, passed, memory.stopping, set(memory.rested), set(memory.taken), dict(memory.since))
         found = [stop for line in self._lines if (stop := self._at_line(line, visit)) is not None]
         found += self._at_zones(visit, min((stop.s_from for stop in found), default=inf))
         return tuple(sorted(found, key=lambda stop: stop.s_from)), visit.remembered(found)
@@ -177,16 +198,15 @@ class Rulebook:
         if ahead < (-OVER_M if held else 0.0):
             visit.rested.discard(line.id)
             return None
-        hard = held or visit.hard <= ahead
         if line.light is not None:
             colour = visit.scene.frame.lights.get(line.light, Colour.OFF)
             yellow = colour is Colour.YELLOW and (held or visit.soft <= ahead - SHORT_M)
-            stops = hard if colour in RED else yellow  # (1), (2)
+            stops = held or visit.hard <= ahead if colour in RED else yellow  # (1), (2)
             reason = f"{colour.value} light {line.light}"
         else:
             if visit.scene.frame.ego.v < REST_MPS and ahead <= NEAR_M:
                 visit.rested.add(line.id)
-            stops, reason = hard and line.id not in visit.rested, "stop sign"  # (3)
+            stops, reason = line.id not in visit.rested and (held or visit.hard <= ahead), "stop sign"  # (3)
         return _stop(line.s, visit, inf, name, DecisionKind.STOP, reason) if stops else None
 
     def _at_zones(self, visit: _Visit, barrier: float) -> Iterator[Occupancy]:
@@ -247,7 +267,7 @@ class Rulebook:
             since.setdefault(zone.name, frame.t)
         elif frame.ego.v > ROLLING_MPS and zone.name not in visit.taken:
             since.pop(zone.name, None)
-        return zone.name in since and frame.t - since[zone.name] >= PATIENCE_S - TIE
+        return zone.name in since and frame.t - since[zone.name] >= self._config.patience_s - TIE
 
     def _leader(self, visit: _Visit) -> tuple[float, float, int]:
         """Station of the rear of the one ahead in the ego's way, its speed, its index; inf, 0, -1: there is none."""

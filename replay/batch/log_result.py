@@ -75,6 +75,7 @@ class LogResult:
         drives: What was driven, planners in the order of the run, open before closed.
         failures: What was not.
         table: Rows of `metrics.evaluate`.
+        health: Rows of `metrics.health.table`: what is wrong with the log.
         members: Rows of `metrics.evaluate` of the ensemble's drives, with `metrics.ensemble`'s columns; mostly empty.
     """
 
@@ -88,6 +89,7 @@ class LogResult:
     failures: tuple[Failure, ...] = ()
     table: pd.DataFrame = field(default_factory=pd.DataFrame)
     members: pd.DataFrame = field(default_factory=pd.DataFrame)
+    health: pd.DataFrame = field(default_factory=pd.DataFrame)
 
 
 @dataclass(frozen=True)
@@ -117,6 +119,7 @@ def keep(folder: Path, result: LogResult, timings: pd.DataFrame, identity: str, 
     """
     write_parquet(folder / "metrics.parquet", result.table)
     write_parquet(folder / "timings.parquet", timings)
+    write_parquet(folder / "health.parquet", result.health)
     if len(result.members):
         write_parquet(folder / MEMBERS, result.members)
     card = {
@@ -165,7 +168,8 @@ def _drive(card: dict[str, Any]) -> DriveRecord:
 def _with_tables(folder: Path, result: LogResult) -> LogResult:
     table = pd.read_parquet(folder / "metrics.parquet")
     members = pd.read_parquet(folder / MEMBERS) if (folder / MEMBERS).exists() else pd.DataFrame()
-    return replace(result, table=joined([table], KEYS), members=members)
+    health = pd.read_parquet(folder / "health.parquet")
+    return replace(result, table=joined([table], KEYS), members=members, health=health)
 
 
 def timings_of(out: Path, result: LogResult) -> pd.DataFrame:

@@ -22,7 +22,7 @@ from logs.errors import ConfigError, ReplanError
 from logs.mcap import write_scenario, write_trace
 from logs.scenario import Scenario
 from logs.trace import EndReason, Mode
-from metrics import METRICS, Metric, load_metric
+from metrics import METRICS, Metric, health, load_metric
 from metrics.ensemble import MEMBER
 from replay.avoidability import with_avoidability
 from replay.batch.log_result import DriveRecord, Failure, LogResult, Stamp, keep
@@ -88,7 +88,7 @@ def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> 
             scenario = source.read()
             result = _identified(source, scenario, partial)
             progress.log = scenario.name
-            driven = with_avoidability(replace(scenario, vehicle=run.driven(scenario.vehicle)))
+            driven = with_avoidability(scenario.in_vehicle(run.driven(scenario.vehicle)))
             _drive_all(driven, run, partial, result.folder, progress)
             for member in range(1, run.ensemble + 1):
                 _drive_member(driven, run, member, progress)
@@ -125,7 +125,10 @@ def _identified(source: LogSource, scenario: Scenario, folder: Path) -> LogResul
         write_scenario(path, scenario)
     digest = file_hash(path)
     name = safe_name(scenario.name, digest)
-    return LogResult(source.label, scenario.name, digest, name, scenario.tags, scenario.notes)
+    found = health.findings(scenario)
+    notes = (*scenario.notes, *health.sentences(found))
+    table = health.table(scenario.name, found)
+    return LogResult(source.label, scenario.name, digest, name, scenario.tags, notes, health=table)
 
 
 def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, progress: _Progress) -> None:

@@ -37,7 +37,15 @@ SCHEMA_VERSION = 1
 PARTIAL = ".partial-"
 """Names of what is being written begin with this."""
 
-TABLES = ("metrics.parquet", "metrics.csv", "verdicts.parquet", "timings.parquet", "summary.json", "run.toml")
+TABLES = (
+    "metrics.parquet",
+    "metrics.csv",
+    "health.parquet",
+    "verdicts.parquet",
+    "timings.parquet",
+    "summary.json",
+    "run.toml",
+)
 KEYS = ["log", "planner", "mode", "metric"]
 TIMING_COLUMNS = ["log", "planner", "mode", "t_s", "stage", "seconds"]
 

@@ -15,7 +15,7 @@ from typing import Any
 import pandas as pd
 
 from logs.errors import ConfigError, PlannerError, unknown_name
-from metrics import COLUMNS
+from metrics import COLUMNS, health
 from metrics.ensemble import with_ensemble
 from metrics.gates import Outcome, load_gates
 from metrics.judge import Verdict, judge, outcomes
@@ -254,11 +254,14 @@ def _renamed(result: LogResult) -> LogResult:
         failures=tuple(replace(failure, log=name) for failure in result.failures),
         table=result.table.assign(log=name) if len(result.table) else result.table,
         members=result.members.assign(log=name) if len(result.members) else result.members,
+        health=result.health.assign(log=name),
     )
 
 
 def _write(result: RunResult) -> None:
     write_metrics(result.out, result.table)
+    found = [log.health for log in result.logs if len(log.health)] or [health.table("", ())]
+    write_parquet(result.out / "health.parquet", pd.concat(found, ignore_index=True))
     write_parquet(result.out / "verdicts.parquet", outcomes([v for v in result.verdicts if v.gate.metric != LATE]))
     write_json(result.out / "summary.json", summary(result))
 

@@ -6,12 +6,14 @@ An empty selection is an error that says what was looked for: it must not look l
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from logs.catalogue import CATALOGUE
 from logs.errors import ConfigError, LogError
+from logs.maps import map_files
 from logs.readers import FORMATS, LogSettings, foreign, logs_in, read_log, reader_of, readers, windows
 from logs.scenario import Scenario
 
@@ -34,10 +36,13 @@ class LogSource:
     settings: LogSettings = field(default_factory=LogSettings)
 
     def identity(self) -> str:
-        """What tells it from every other input: the log's name and hash, the family's name; LogError as `read`."""
+        """What tells it from every other input: names and hashes of log and map, or the family; LogError as `read`."""
         if self.path is None:
             return f"catalogue {self.label}"
-        part = "" if self.settings == LogSettings() else f" {self.settings}"
+        settings = self.settings
+        if settings.map:
+            settings = replace(settings, map=" ".join(map(file_hash, map_files(Path(settings.map)))))
+        part = "" if settings == LogSettings() else f" {settings}"
         return f"{self.path.name} {log_hash(self.path)}{part}"
 
     def read(self) -> Scenario:
@@ -149,13 +154,18 @@ def _identity(file: Path) -> str:
 
 
 def log_hash(path: Path) -> str:
-    """SHA-256 of a log's bytes: of the file, or of the names and hashes of the files in its folder."""
+    """SHA-256 of a log's bytes: of the file, or of the names and hashes of its files (a map may lie elsewhere)."""
     reader = reader_of(path)
     files = (path,) if reader is None else reader.files(path)
     if files == (path,):
         return file_hash(path)
-    listed = "".join(f"{file.relative_to(path)} {file_hash(file)}\n" for file in files)
+    listed = "".join(f"{_beside(file, path)} {file_hash(file)}\n" for file in files)
     return hashlib.sha256(listed.encode()).hexdigest()
+
+
+def _beside(file: Path, path: Path) -> str:
+    """Where a file is, seen from a log: the same wherever both are."""
+    return Path(os.path.relpath(file.resolve(), path.resolve())).as_posix()
 
 
 def file_hash(path: Path) -> str:

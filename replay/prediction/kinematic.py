@@ -13,7 +13,7 @@ import numpy as np
 
 from logs.agents import AgentKind, Agents, among
 from logs.frame import Predictions
-from logs.kernel import FloatArray, kernel
+from logs.kernel import FloatArray, inner_kernel
 
 SLOWEST_MPS = 1.0
 """Below this speed a heading changes mostly by noise: the turn rate counts as zero."""
@@ -40,15 +40,14 @@ def constant_velocity(agents: Agents, t: FloatArray) -> Predictions:
     )
 
 
-def turn_rates(agents: Agents) -> FloatArray:
-    """The yaw rates `(n,)` that go on: of moving vehicles and bicycles, within what they can turn, rad/s."""
-    speed = agents.speed
-    most = np.minimum(MAX_LATERAL_MPS2 / np.maximum(speed, SLOWEST_MPS), MAX_KAPPA * speed)
-    straight = ON_FOOT[agents.codes] | (speed < SLOWEST_MPS)
-    return np.where(straight, 0.0, np.clip(agents.yaw_rate, -most, most))
+@inner_kernel
+def turn_rate(code: int, speed: float, yaw_rate: float) -> float:
+    """The yaw rate that goes on: of moving vehicles and bicycles, within what they can turn, rad/s."""
+    most = min(MAX_LATERAL_MPS2 / max(speed, SLOWEST_MPS), MAX_KAPPA * speed)
+    return 0.0 if ON_FOOT[code] or speed < SLOWEST_MPS else min(max(yaw_rate, -most), most)
 
 
-@kernel
+@inner_kernel
 def turned(one: FloatArray, direction: float, ahead: FloatArray, out: FloatArray) -> None:
     """Round a circle (2).
 

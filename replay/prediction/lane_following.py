@@ -26,9 +26,9 @@ import numpy as np
 
 from logs.agents import AgentKind, Agents, among
 from logs.frame import Predictions
-from logs.kernel import TIE, BoolArray, FloatArray, IntArray, frozen, kernel
+from logs.kernel import TIE, FloatArray, IntArray, frozen, inner_kernel, kernel
 from logs.states import wrap
-from replay.prediction.kinematic import turn_rates, turned
+from replay.prediction.kinematic import turn_rate, turned
 from replay.prediction.lane_map import LaneArrays, LaneMap, lane_point, lane_project, matches
 
 CHANGE_S = 1.5
@@ -53,46 +53,58 @@ FOLLOW = among(*FOLLOWING)
 
 def followers(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
     """The hypotheses of the vehicles that follow a lane; nobody else is in it (module docstring)."""
-    return _predicted(agents, t, lanes, np.zeros(len(agents), np.bool_))
+    return _predicted(agents, t, lanes, others=False)
 
 
 def everybody(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
     """The same, and who follows no lane goes on at a constant turn rate (`kinematic`)."""
-    return _predicted(agents, t, lanes, np.ones(len(agents), np.bool_))
+    return _predicted(agents, t, lanes, others=True)
 
 
-def _predicted(agents: Agents, t: FloatArray, lanes: LaneMap, others: BoolArray) -> Predictions:
-    rows = np.empty((9, len(agents)))
-    rows[0], rows[1], rows[2], rows[3], rows[4] = agents.x, agents.y, agents.yaw, agents.vx, agents.vy
-    rows[5], rows[6], rows[7] = turn_rates(agents), agents.width, agents.accel
-    np.arctan2(agents.vy, agents.vx, out=rows[8])
-    agent, probability, way = _predict_all(lanes.arrays, rows, FOLLOW[agents.codes], others, t - t[0])
+def _predicted(agents: Agents, t: FloatArray, lanes: LaneMap, *, others: bool) -> Predictions:
+    agent, probability, way = _predict_all(
+        lanes.arrays, agents.codes, agents.x, agents.y, agents.yaw, agents.vx, agents.vy, agents.yaw_rate,
+        agents.width, agents.accel, np.arctan2(agents.vy, agents.vx), t, others,
+    )  # fmt: skip
     way = frozen(way)  # once: its rows are not copied again
     return Predictions(t, agent, probability, way[0], way[1], way[2], "lane_following")
 
 
 @kernel
 def _predict_all(
-    map_: LaneArrays, rows: FloatArray, follows: BoolArray, others: BoolArray, ahead: FloatArray
-) -> tuple[IntArray, FloatArray, FloatArray]:
+    map_: LaneArrays, codes: IntArray, x: FloatArray, y: FloatArray, yaw: FloatArray, vx: FloatArray, vy: FloatArray,
+    yaw_rate: FloatArray, width: FloatArray, accel: FloatArray, direction: FloatArray, t: FloatArray, others: bool,
+) -> tuple[IntArray, FloatArray, FloatArray]:  # fmt: skip
     """Hypotheses in the order of the agents: agent `(h,)`, probability `(h,)`, rows x, y, yaw `(3, h, k)`.
 
     Args:
         map_: The lanes.
-        rows: x, y, yaw, vx, vy, yaw rate that goes on, width, acceleration, direction of the velocity `(9, n)`.
-        follows: Who may follow a lane `(n,)`.
-        others: Who goes on at a constant turn rate if there is no lane to follow `(n,)`; who does not is left out.
-        ahead: Times from now `(k,)`, s.
+        codes: Of `Agents` `(n,)`.
+        x: Likewise.
+        y: Likewise.
+        yaw: Likewise.
+        vx: Likewise.
+        vy: Likewise.
+        yaw_rate: Likewise.
+        width: Likewise.
+        accel: Likewise.
+        direction: Of the velocity `(n,)`, rad.
+        t: Times `(k,)`, s; the first is now.
+        others: Whether those go on at a constant turn rate who have no lane to follow; else they are left out.
     """
-    n = rows.shape[1]
-    most = n + int(follows.sum()) * (WAYS - 1)
+    n, most = len(codes), 0
+    rows, follows, ahead = np.empty((n, 9)), FOLLOW[codes], t - t[0]
+    for i in range(n):
+        rate = turn_rate(codes[i], hypot(vx[i], vy[i]), yaw_rate[i])
+        rows[i] = (x[i], y[i], yaw[i], vx[i], vy[i], rate, width[i], accel[i], direction[i])
+        most += WAYS if follows[i] else 1
     agent, share, first = np.empty(most, np.int64), np.ones(most), np.empty((most, 3))
     lanes, length = np.empty((most, DEEPEST), np.int64), np.zeros(most, np.int64)
     ways, depth = np.empty((WAYS, DEEPEST), np.int64), np.empty(WAYS, np.int64)
     shares, start = np.empty(WAYS), np.empty((WAYS, 3))
     count = 0
     for i in range(n):
-        found = _ways(map_, rows[:, i], ahead[-1], ways, depth, shares, start) if follows[i] else 0
+        found = _ways(map_, rows[i], ahead[-1], ways, depth, shares, start) if follows[i] else 0
         total, kept = 0.0, 0.0
         for h in range(found):
             total += shares[h]
@@ -103,13 +115,13 @@ def _predict_all(
                 agent[count], share[count], first[count] = i, shares[h] / kept, start[h]
                 length[count], lanes[count, : depth[h]] = depth[h], ways[h, : depth[h]]
                 count += 1
-        if found == 0 and others[i]:
+        if found == 0 and others:
             agent[count] = i
             count += 1
     out = np.empty((3, count, len(ahead)))
     dying = _dying(ahead)
     for h in range(count):
-        one = rows[:, agent[h]]
+        one = rows[agent[h]]
         if length[h] > 0:
             _roll_out(map_, one, lanes[h, : length[h]], first[h], ahead, dying, out[:, h])
         else:
@@ -117,7 +129,7 @@ def _predict_all(
     return agent[:count], share[:count], out
 
 
-@kernel
+@inner_kernel
 def _ways(
     map_: LaneArrays, vehicle: FloatArray, horizon: float,
     ways: IntArray, depth: IntArray, shares: FloatArray, start: FloatArray,
@@ -126,7 +138,7 @@ def _ways(
 
     Args:
         map_: The lanes.
-        vehicle: `(9,)` as in `_predict_all`.
+        vehicle: x, y, yaw, vx, vy, yaw rate that goes on, width, acceleration, direction of the velocity `(9,)`.
         horizon: How long it drives.
         ways: Out `(w, deepest)`: lanes of each way.
         depth: Out `(w,)`: how many lanes each has.
@@ -163,7 +175,7 @@ def _ways(
     return made
 
 
-@kernel
+@inner_kernel
 def _along(map_: LaneArrays, lane: int, s: float, vehicle: FloatArray) -> tuple[float, float]:
     """Velocity of a vehicle along and across (to the left of) a lane at its foot, m/s."""
     yaw = lane_point(map_, lane, s)[2]
@@ -171,7 +183,7 @@ def _along(map_: LaneArrays, lane: int, s: float, vehicle: FloatArray) -> tuple[
     return vehicle[3] * c + vehicle[4] * n, vehicle[4] * c - vehicle[3] * n
 
 
-@kernel
+@inner_kernel
 def _changed_to(map_: LaneArrays, lane: int, left: float, half: float, across: float) -> int:
     """The neighbour to which a vehicle is changing, else its lane."""
     if abs(across) < DRIFTING_MPS or (left + CHANGE_S * across) * across <= 0.0:
@@ -182,18 +194,18 @@ def _changed_to(map_: LaneArrays, lane: int, left: float, half: float, across: f
     return side if side >= 0 else lane
 
 
-@kernel
+@inner_kernel
 def _length(map_: LaneArrays, lane: int) -> float:
     return map_.step[lane] * (map_.first[lane + 1] - map_.first[lane] - 1)
 
 
-@kernel
+@inner_kernel
 def _turn(map_: LaneArrays, lane: int, s: float) -> float:
     """By how much a lane turns from station `s` to its end, rad, not negative."""
     return abs(map_.pose[2, map_.first[lane + 1] - 1] - lane_point(map_, lane, s)[2])
 
 
-@kernel
+@inner_kernel
 def _extended(
     map_: LaneArrays, h: int, made: int, reach: float, speed: float,
     ways: IntArray, depth: IntArray, shares: FloatArray, start: FloatArray,
@@ -228,7 +240,7 @@ def _extended(
     return made
 
 
-@kernel
+@inner_kernel
 def _weight(map_: LaneArrays, lane: int, speed: float, away: float) -> float:
     """How much a branch counts that begins `away` m ahead; hardly, where the vehicle is too fast for it."""
     weight = exp(-_turn(map_, lane, 0.0) / TURN_RAD)
@@ -238,7 +250,7 @@ def _weight(map_: LaneArrays, lane: int, speed: float, away: float) -> float:
     return weight
 
 
-@kernel
+@inner_kernel
 def _on_way(map_: LaneArrays, way: IntArray, s: float) -> tuple[float, float, float, float]:
     """x, y, yaw, kappa at a station counted from the start of the way's first lane."""
     d = 0
@@ -251,7 +263,7 @@ def _on_way(map_: LaneArrays, way: IntArray, s: float) -> tuple[float, float, fl
     return lane_point(map_, way[d], s)
 
 
-@kernel
+@inner_kernel
 def _dying(ahead: FloatArray) -> FloatArray:
     """1 - exp(-t / T_a) of (1) in the middle between each time and the next `(k,)`."""
     out = np.empty(len(ahead))
@@ -261,14 +273,14 @@ def _dying(ahead: FloatArray) -> FloatArray:
     return out
 
 
-@kernel
+@inner_kernel
 def _wished(speed: float, accel: float, dying: FloatArray) -> FloatArray:
     """Mean speeds (1) without the bends from each time to the next `(k,)`, m/s."""
     pull = min(max(accel, LEAST_MPS2), MOST_MPS2) * FADE_S
     return np.maximum(speed + pull * dying, 0.0)
 
 
-@kernel
+@inner_kernel
 def _bends(map_: LaneArrays, way: IntArray, speed: float) -> bool:
     """Whether a bend of the way may ask for less than a speed (1); a hair sooner than `_in_bends` finds one."""
     tightest = 0.0
@@ -277,7 +289,7 @@ def _bends(map_: LaneArrays, way: IntArray, speed: float) -> bool:
     return tightest * speed * speed > (1.0 - TIE) * CURVE_MPS2
 
 
-@kernel
+@inner_kernel
 def _in_bends(map_: LaneArrays, way: IntArray, s: float, speed: float, reach: float) -> FloatArray:
     """Squares of the speed that the bends allow (1), every `KNOT_M` from station `s` on; not above `speed`."""
     count = int(reach / KNOT_M) + 2
@@ -290,7 +302,7 @@ def _in_bends(map_: LaneArrays, way: IntArray, s: float, speed: float, reach: fl
     return square
 
 
-@kernel
+@inner_kernel
 def _stations(
     map_: LaneArrays, way: IntArray, s: float, speed: float, accel: float, ahead: FloatArray, dying: FloatArray
 ) -> FloatArray:
@@ -313,7 +325,7 @@ def _stations(
     return gone
 
 
-@kernel
+@inner_kernel
 def _roll_out(
     map_: LaneArrays, vehicle: FloatArray, way: IntArray, start: FloatArray, ahead: FloatArray, dying: FloatArray,
     out: FloatArray,

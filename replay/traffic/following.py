@@ -137,7 +137,7 @@ def covered(paths: Paths, phase: FloatArray, span: float) -> FloatArray:
     return out
 
 
-@kernel
+@inner_kernel
 def moved_on(paths: Paths, phase: FloatArray, way: FloatArray, now: float) -> FloatArray:
     """The phases after so much of each path `(n,)`, m; the log's standing is passed over, but not beyond `now`."""
     offsets, t, x, y = paths.offsets, paths.t, paths.x, paths.y
@@ -273,7 +273,7 @@ def _first_touched(
     first, end = paths.offsets[i], paths.offsets[i + 1]
     k = max(first, first + np.searchsorted(paths.t[first:end], phase, side="right") - 1)
     begin, leap = boxes[i].copy(), np.zeros(3)
-    station = 0.0
+    station, own = 0.0, 0.5 * (begin[3] + begin[4]) + 1.0  # half of length and width: more than half of the diagonal
     while k < end - 1 and station < reach:
         leap[0], leap[1] = paths.x[k + 1] - begin[0], paths.y[k + 1] - begin[1]
         leap[2] = paths.yaw[k + 1] - begin[2]
@@ -281,8 +281,12 @@ def _first_touched(
         steps = int(length / FINE_M) + 1
         for m in range(1, steps + 1):
             best, who = 2.0, -1
+            x, y = begin[0] + m / steps * leap[0], begin[1] + m / steps * leap[1]
             for j in near:
                 brush = EGO_BRUSH_M if j == len(boxes) - 1 else BRUSH_M
+                reaches = own + 0.5 * (boxes[j, 3] + boxes[j, 4])
+                if abs(boxes[j, 0] - x) > reaches or abs(boxes[j, 1] - y) > reaches:
+                    continue
                 if _touch(_moved(begin, leap, m / steps), boxes[j], brush):
                     u = _touch_at(begin, leap, (m - 1.0) / steps, m / steps, boxes[j], brush)
                     if u < best:

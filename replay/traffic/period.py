@@ -25,16 +25,15 @@ from replay.traffic.following import (
     leaders,
     moved_on,
 )
-from replay.traffic.phase_replay import PERIOD_S, LoggedTracks, played
+from replay.traffic.phase_replay import PERIOD_S, LoggedTracks, play, played
 
 SAME_MPS = 1e-6
 """Speeds that differ by less are the same."""
 
 
 class Agents(NamedTuple):
-    """Those who are replayed: their paths and sizes, who reacts, when their paths and logs end, `(n,)` each."""
+    """Those who are replayed: their paths; sizes, who reacts, when their paths and logs end, `(n,)` each."""
 
-    paths: Paths
     tracks: LoggedTracks
     length: FloatArray
     width: FloatArray
@@ -78,10 +77,17 @@ def nobody_late(n: int) -> Phases:
     return Phases(np.zeros(n), np.zeros(n), np.zeros(n), late, there, never, never.copy(), np.zeros(n))
 
 
+@inner_kernel
+def paths_of(agents: Agents) -> Paths:
+    """Their paths."""
+    columns = agents.tracks.columns
+    return Paths(agents.tracks.offsets, agents.tracks.t, columns[0], columns[1], columns[2])
+
+
 @kernel
 def logged_speeds(agents: Agents, now: Phases) -> FloatArray:
     """Their speeds in the log over the next period `(n,)`, m/s."""
-    return covered(agents.paths, now.phase, PERIOD_S) / PERIOD_S
+    return covered(paths_of(agents), now.phase, PERIOD_S) / PERIOD_S
 
 
 @kernel
@@ -112,23 +118,23 @@ def leaders_of(agents: Agents, now: Phases, ego: Ego, whose: BoolArray, t: float
 
     At t = -inf they know it already; with `longest` NaN all heed it.
     """
-    scene = scene_of(agents, now, ego)
+    scene, paths = scene_of(agents, now, ego), paths_of(agents)
     heeds = np.ones(len(whose), np.bool_)
     if not isnan(longest):
-        ahead = ego_ahead(agents.paths, now.phase, now.speed, whose, scene)
+        ahead = ego_ahead(paths, now.phase, now.speed, whose, scene)
         for i in range(len(whose)):
             if whose[i]:
                 now.ahead_since[i] = min(now.ahead_since[i], t) if ahead[i] else inf
             heeds[i] = now.ahead_since[i] <= t - longest + 1e-9
-    return leaders(agents.paths, now.phase, now.speed, whose, heeds, scene)
+    return leaders(paths, now.phase, now.speed, whose, heeds, scene)
 
 
 @kernel
 def advance(
     agents: Agents, now: Phases, ego: Ego, held: FloatArray, room: FloatArray, t: float, longest: float,
-    only_needed: bool,
-) -> None:  # fmt: skip
-    """Lead everybody on from `t` by one period.
+    only_needed: bool, pose: FloatArray, here: BoolArray,
+) -> bool:  # fmt: skip
+    """Lead everybody on from `t` by one period; whether somebody may enter then: else it is sampled (`sample`).
 
     Args:
         agents: Who.
@@ -139,11 +145,13 @@ def advance(
         t: s.
         longest: As `leaders_of`.
         only_needed: Who is as in the log reacts only where it would drive into its leader.
+        pose: As `sample`.
+        here: As `sample`.
     """
     n, until = len(now.phase), t + PERIOD_S
     logged = logged_speeds(agents, now)
     found = leaders_of(agents, now, ego, now.there & agents.reacts, t, longest)
-    needed = drives_into(agents.paths, now.phase, found) if only_needed else np.ones(n, np.bool_)
+    needed = drives_into(paths_of(agents), now.phase, found) if only_needed else np.ones(n, np.bool_)
     speed, way = np.zeros(n), np.zeros(n)
     for i in range(n):
         wanted, slower = wanted_speed(now.speed[i], found, i, held[i], room[i], logged[i], needed[i])
@@ -152,7 +160,7 @@ def advance(
         speed[i] = min(max(wanted, 0.0), logged[i]) if now.late[i] else logged[i]
         speed[i] = speed[i] if now.there[i] else 0.0
         way[i] = speed[i] * PERIOD_S
-    phase = moved_on(agents.paths, now.phase, way, until)
+    phase = moved_on(paths_of(agents), now.phase, way, until)
     for i in range(n):
         waits = now.late[i] and not now.there[i]
         if not waits:
@@ -164,6 +172,37 @@ def advance(
         now.speed[i] = speed[i]
         ends = agents.ends[i] if now.late[i] else agents.left[i]
         now.there[i] = now.there[i] and now.phase[i] <= ends + 1e-9
+    comes = False
+    for i in range(n):
+        comes = comes or enters(agents, now, i, until)
+    if not comes:
+        sample(agents, now, pose, here)
+    return comes
+
+
+@inner_kernel
+def waited(agents: Agents, now: Phases, i: int) -> bool:
+    """Whether agent i is not in the scene since somebody was in its place."""
+    return now.late[i] and not now.there[i] and now.phase[i] <= agents.tracks.t[agents.tracks.offsets[i]] + 1e-9
+
+
+@inner_kernel
+def enters(agents: Agents, now: Phases, i: int, t: float) -> bool:
+    """Whether agent i is not in the scene, and its log has begun by `t`."""
+    if now.late[i] or now.there[i] or agents.tracks.static[i]:
+        return waited(agents, now, i)
+    return agents.tracks.t[agents.tracks.offsets[i]] <= t + 1e-9 and agents.left[i] >= t - 1e-9
+
+
+@kernel
+def entering(agents: Agents, now: Phases, t: float) -> BoolArray:
+    """Who may enter at `t` `(n,)`; their phases are set to it, or to where they waited."""
+    out = np.zeros(len(now.phase), np.bool_)
+    for i in range(len(out)):
+        out[i] = enters(agents, now, i, t)
+        if out[i]:
+            now.phase[i] = agents.tracks.t[agents.tracks.offsets[i]] if waited(agents, now, i) else t
+    return out
 
 
 @inner_kernel
@@ -186,11 +225,11 @@ def wanted_speed(
 
 
 @kernel
-def rates(agents: Agents, now: Phases) -> FloatArray:
-    """At which rates the log is played at the phases `(n,)`, 1 at most."""
+def sample(agents: Agents, now: Phases, pose: FloatArray, here: BoolArray) -> None:
+    """Write how they are (`phase_replay.play`), the log played at its rate at the phases, 1 at most."""
     logged = logged_speeds(agents, now)
-    out = np.ones(len(logged))
+    rates = np.ones(len(logged))
     for i in range(len(logged)):
         if now.late[i] and logged[i] > STANDING_MPS:
-            out[i] = min(now.speed[i] / logged[i], 1.0)
-    return out
+            rates[i] = min(now.speed[i] / logged[i], 1.0)
+    play(agents.tracks, now.phase, rates, now.there, pose, here)

@@ -58,13 +58,17 @@ class PhaseReplay:
 
     def add(self, t: float, phase: FloatArray, rate: FloatArray, there: BoolArray) -> None:
         """At the time `t` they were at these phases `(n,)`, played at these rates, as far as they are `there`."""
+        play(self.logged, phase, rate, there, *self.row(t))
+
+    def row(self, t: float) -> tuple[FloatArray, BoolArray]:
+        """Room for a sample at the time `t`, as `play` writes it."""
         k = self._count
         if k == len(self._t):
             self._t, self._pose, self._there = (
                 np.concatenate([rows, np.empty_like(rows)]) for rows in (self._t, self._pose, self._there)
             )
         self._t[k], self._count = t, k + 1
-        _play(self.logged, phase, rate, there, self._pose[k], self._there[k])
+        return self._pose[k], self._there[k]
 
     def tracks(self, since: FloatArray) -> Tracks:
         """The log's own samples before `since` `(n,)`, s, and what was played from then on; inf: the log as it is."""
@@ -112,7 +116,7 @@ def played(log: LoggedTracks, i: int, phase: float) -> tuple[float, float, float
 
 
 @kernel
-def _play(
+def play(
     log: LoggedTracks, phase: FloatArray, rate: FloatArray, there: BoolArray, pose: FloatArray, here: BoolArray
 ) -> None:
     """Into `pose` `(5, n)` and `here` `(n,)`: the agents at their phases, velocities times the rates."""

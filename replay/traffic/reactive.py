@@ -42,15 +42,16 @@ from metrics.others import name_of
 from metrics.reference_drivers import CC_REACT_S
 from replay.prediction import LaneMap
 from replay.prediction.lane_following import FOLLOWING, followers
-from replay.traffic.following import DECEL_MPS2, STANDSTILL_M, Paths, taken
+from replay.traffic.following import DECEL_MPS2, STANDSTILL_M, taken
 from replay.traffic.period import (
     Agents,
     Ego,
     advance,
+    entering,
     leaders_of,
     logged_speeds,
     nobody_late,
-    rates,
+    sample,
     scene_of,
 )
 from replay.traffic.phase_replay import PERIOD_S, PhaseReplay
@@ -58,6 +59,8 @@ from replay.traffic.red_lights import RedLights
 from replay.traffic.yielding import Yielding
 from replay.world import box_center
 
+Sampled = tuple[FloatArray, BoolArray]
+"""Where `period.sample` writes to."""
 EGO_M = 1.0
 """The ego is as in the log where it is no farther than this from where the log has it."""
 BEYOND_M = 100.0
@@ -102,11 +105,10 @@ class Reactive:
         lanes = LaneMap.of(scenario.road)
         self._replay = PhaseReplay(log, extended(log, lanes))
         paths = self._replay.log
-        self._enters = log.t[log.offsets[:-1]] if n else np.empty(0)
         reacts = np.array([kind in rule.kinds for kind in log.kinds], bool) & ~log.static
         self._agents = Agents(
-            Paths(paths.offsets, paths.t, paths.x, paths.y, paths.yaw), self._replay.logged,
-            paths.length, paths.width, reacts, paths.t[paths.offsets[1:] - 1].copy() if n else left, left,
+            self._replay.logged, paths.length, paths.width, reacts,
+            paths.t[paths.offsets[1:] - 1].copy() if n else left, left,
         )  # fmt: skip
         self._longest = nan if rule.only_ahead is None else rule.only_ahead
         self._lights = RedLights(scenario, paths, reacts)
@@ -126,13 +128,12 @@ class Reactive:
         box = self._box(ego)
         if self._next == -inf:
             self._next = ego.t
-            self._enter(ego.t, box)
-            self._sample(ego.t)
+            self._enter(ego.t, box, self._replay.row(ego.t))
         while self._next <= ego.t + 1e-9:
-            self._advance(self._next, ego, box)
-            self._next += PERIOD_S
-            self._enter(self._next, box)
-            self._sample(self._next)
+            now, self._next = self._next, self._next + PERIOD_S
+            sampled = self._replay.row(self._next)
+            if self._advance(now, ego, box, sampled):
+                self._enter(self._next, box, sampled)
             self._tracks = self._replay.tracks(self._now.since)
         return self._tracks
 
@@ -148,37 +149,35 @@ class Reactive:
         more = [f"{len(who) - NAMED} more"] if len(who) > NAMED else []
         return (f"not as in the log because of the ego (since when, hardest braking): {'; '.join(named + more)}",)
 
-    def _sample(self, t: float) -> None:
-        now = self._now
-        self._replay.add(t, now.phase, rates(self._agents, now), now.there)
-
-    def _advance(self, t: float, ego: EgoState, box: Ego) -> None:
-        """Lead everybody on from `t` by one period."""
+    def _advance(self, t: float, ego: EgoState, box: Ego, sampled: Sampled) -> bool:
+        """Lead everybody on from `t` by one period; whether somebody may enter then: else it is sampled."""
         now, reacts, as_logged = self._now, self._agents.reacts, box[8]
         held = self._lights.accelerations(t, now.phase, now.speed, now.late & now.there & reacts)
         room = self._yielding.gaps(ego, now.phase, now.speed, now.there & (not as_logged))
-        advance(self._agents, now, box, held, room, t, self._longest, self._rule.only_needed)
+        return advance(self._agents, now, box, held, room, t, self._longest, self._rule.only_needed, *sampled)
 
-    def _enter(self, t: float, box: Ego) -> None:
-        """Let in whose log begins by `t`."""
+    def _enter(self, t: float, box: Ego, sampled: Sampled) -> None:
+        """Let in whose log begins by `t`, and sample."""
         now, agents = self._now, self._agents
-        absent = ~now.there
-        coming = absent & (self._enters <= t + 1e-9) & (agents.left >= t - 1e-9) & ~agents.tracks.static
-        waited = now.late & absent & (now.phase <= self._enters + 1e-9)
-        coming = (coming & ~now.late) | waited
-        if not coming.any():
-            return
-        now.phase[:] = np.where(coming, np.where(waited, self._enters, t), now.phase)
+        coming = entering(agents, now, t)
+        if coming.any():
+            self._let_in(t, box, coming)
+        sample(agents, now, *sampled)
+
+    def _let_in(self, t: float, box: Ego, coming: BoolArray) -> None:
+        """Let in those `coming` whose place is free."""
+        now, agents = self._now, self._agents
         blocked = coming & agents.reacts & self._in_place(box, coming)
-        self._delay(blocked, self._enters)
-        now.phase[blocked] = self._enters[blocked]
-        entering = coming & ~blocked
-        now.there[entering] = True
+        begins = agents.tracks.t[agents.tracks.offsets[:-1]]
+        self._delay(blocked, begins)
+        now.phase[blocked] = begins[blocked]
+        free = coming & ~blocked
+        now.there[free] = True
         logged = logged_speeds(agents, now)
-        now.speed[entering] = logged[entering]
-        found = leaders_of(agents, now, box, entering & agents.reacts, -inf, self._longest)
+        now.speed[free] = logged[free]
+        found = leaders_of(agents, now, box, free & agents.reacts, -inf, self._longest)
         safe = np.sqrt(found.speed**2 + 2.0 * DECEL_MPS2 * np.maximum(found.gap - STANDSTILL_M, 0.0))
-        slowed = entering & np.isfinite(found.gap) & (safe < logged)
+        slowed = free & np.isfinite(found.gap) & (safe < logged)
         self._delay(slowed, t)
         now.speed[slowed] = safe[slowed]
 
@@ -197,9 +196,10 @@ class Reactive:
     def _as_logged(self, ego: EgoState) -> bool:
         """Whether the ego is where the log has it."""
         log, t = self._log_ego, ego.t
-        lasts = log.t[0] - 1e-6 <= t <= log.t[-1] + 1e-6
-        away = hypot(float(np.interp(t, log.t, log.x)) - ego.x, float(np.interp(t, log.t, log.y)) - ego.y)
-        return bool(lasts) and away <= EGO_M
+        if not log.t[0] - 1e-6 <= t <= log.t[-1] + 1e-6:
+            return False
+        then = log.at(t)
+        return hypot(then.x - ego.x, then.y - ego.y) <= EGO_M
 
     def _in_place(self, box: Ego, coming: BoolArray) -> BoolArray:
         """Whose place is taken by somebody who is not as in the log."""

@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-from logs.kernel import kernel
+from logs.kernel import inner_kernel, kernel
 from logs.vehicle import VehicleParameters
 from replay.vehicle.pedal_map import NO_MOTOR, PedalMap, coasting, full_throttle, pedal_map
 
@@ -28,19 +28,19 @@ def drive_force(v: float, throttle: float, limits: Limits) -> float:
     return throttle * min(limits[0], limits[1] / max(abs(v), 1e-3))  # (2)
 
 
-@kernel
+@inner_kernel
 def friction_force(brake: float, limits: Limits) -> float:
     """Deceleration that brakes and rolling can give, m/s2."""
     return limits[4] + brake * limits[2]  # (3)
 
 
-@kernel
+@inner_kernel
 def is_rolling(v: float, throttle: float, brake: float, limits: Limits) -> bool:
     """Whether the vehicle moves or is about to (4)."""
     return v > 0.0 or drive_force(0.0, throttle, limits) > friction_force(brake, limits)
 
 
-@kernel
+@inner_kernel
 def rolling_acceleration(v: float, throttle: float, brake: float, limits: Limits) -> float:
     """dv/dt while rolling, m/s2."""
     return drive_force(v, throttle, limits) - friction_force(brake, limits) - limits[3] * v * abs(v)  # (4)

@@ -103,7 +103,7 @@ def floored(u: float) -> float:
     return u if u >= SLIP_MPS else 0.5 * (u * u / SLIP_MPS + SLIP_MPS)  # (5)
 
 
-@kernel
+@inner_kernel
 def slides(s: State, car: Car) -> bool:
     """Whether an axle moves sideways, beyond what standing still would allow."""
     lateral = (s.vy + car.a * s.r) * cos(s.steer) - s.vx * sin(s.steer)
@@ -193,7 +193,7 @@ def runge_kutta(
     return moved(moved(moved(moved(s, k1, h / 6.0), k2, h / 3.0), k3, h / 3.0), k4, h / 6.0)
 
 
-@kernel
+@inner_kernel
 def is_moving(s: State, gear: int, car: Car) -> bool:
     """Whether the vehicle moves, or is about to: forwards only."""
     if s.vx != 0.0 or slides(s, car):
@@ -202,7 +202,7 @@ def is_moving(s: State, gear: int, car: Car) -> bool:
     return pull > car.drive.rolling + s.brake * car.drive.max_decel
 
 
-@kernel
+@inner_kernel
 def heading_of(s: State, car: Car) -> float:
     """1 forwards, -1 backwards, 0 where it slides (`along`)."""
     if slides(s, car):

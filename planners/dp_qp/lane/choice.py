@@ -14,12 +14,11 @@ The plan past who is slower (`passing`) is a candidate like a neighbour: it must
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from logs.kernel import FloatArray
 from logs.trace import Artefact, CostTerms, LaneOption
+from planners.dp_qp.lane.config import LaneConfig
 from planners.dp_qp.lane.plan import LanePlan
 from planners.frenet.scene import Scene
 from planners.rules.rulebook import YIELD_MPS2
@@ -32,25 +31,6 @@ INSIDE_M = 1.0
 """An ego nearer than this to a lane's reference line drives in that lane, m."""
 SLOWEST_CHANGE_MPS = 1.0
 """A slower ego does not begin to change, m/s: it would stand across the marking."""
-
-
-@dataclass(frozen=True)
-class LaneConfig:
-    """Settings of the lane choice.
-
-    Attributes:
-        hysteresis_s: By how much another lane, or passing, must be cheaper than keeping the lane, in seconds of cost.
-        look_s: Time lost to others from which the neighbours are looked at.
-        dwell_s: No change back, and no passing anew, within this time, unless the lane fails.
-    """
-
-    hysteresis_s: float = 0.5
-    look_s: float = 1.0
-    dwell_s: float = 3.0
-
-    def __post_init__(self) -> None:
-        if min(self.hysteresis_s, self.look_s, self.dwell_s) < 0.0:
-            raise ValueError("settings of the lane choice must not be negative")
 
 
 def worth_looking(keep: LanePlan, config: LaneConfig, *, since_change: float) -> bool:

@@ -18,7 +18,8 @@ import numpy as np
 
 from logs.kernel import FloatArray
 from logs.trace import Artefact, Candidates
-from planners.dp_qp.lane.choice import LaneConfig, borrowing_endangers, worth_passing
+from planners.dp_qp.lane.choice import borrowing_endangers, worth_passing
+from planners.dp_qp.lane.config import LaneConfig
 from planners.dp_qp.lane.memory import FORGET_S, PassMemory, PassWay
 from planners.dp_qp.lane.plan import LanePlan, LanePlanner
 from planners.dp_qp.path.bounds import CorridorConfig
@@ -44,6 +45,8 @@ def passing(
     if not memory.passed and keep.time_lost + keep.braking < lane.hysteresis_s:
         return keep, (), memory
     who, ids = along_lane(scene, memory.passed), scene.frame.agents.ids
+    if not who and not memory.passed:
+        return keep, (), PassMemory(t, given_up=memory.given_up, lane=memory.lane)
     past, names, after = _plan(keep, planner, memory, who, config, passes_left=passes_left)
     under_way = bool(names & memory.passed)
     against = worth_passing(keep, past, lane.hysteresis_s, under_way=under_way) if past is not None else "no plan"

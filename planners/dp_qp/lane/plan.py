@@ -1,12 +1,12 @@
 """One candidate lane planned: path and speed in its own Frenet frame, and what that plan is worth.
 
-The cost of a candidate adds terms in seconds:
+The cost of a candidate adds terms in seconds, weighted as `LaneConfig` says:
 
 (1) time lost     = (distance on a free road - distance planned) / speed limit, over the horizon
-(2) lane changes  = n (ROUTE_S + URGENCY_S u),  u from 0 to 1 as the place where the first is due, or the goal's last
-                    time, comes near; DEAD_END_S where the goal cannot be reached from the lane
-(3) change        = CHANGE_S for another lane than the one that is driven
-(4) braking       = HARD_S where comfort cannot keep the distance, FAILED_S where nothing can or a stage failed
+(2) lane changes  = n (route_s + urgency_s u),  u from 0 to 1 as the place where the first is due, or the goal's last
+                    time, comes near; dead_end_s where the goal cannot be reached from the lane
+(3) change        = change_s for another lane than the one that is driven
+(4) braking       = hard_s where comfort cannot keep the distance, failed_s where nothing can or a stage failed
 (5) late          = how much later than the goal's last time the ego would be there at the lane's speed limit
 """
 
@@ -16,13 +16,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from math import hypot
 
-import numpy as np
-
 from logs.frame import Frame
 from logs.road import Goal
 from logs.states import EgoState
 from logs.trace import Artefact, CostTerms, SolverReport
 from logs.vehicle import VehicleParameters
+from planners.dp_qp.lane.config import LaneConfig
 from planners.dp_qp.lane.memory import FORGET_S, LaneMemory, PassWay
 from planners.dp_qp.path.stage import ChosenPath, PathConfig, PathStage
 from planners.dp_qp.scene.goal_window import GoalWindow, SpeedTarget
@@ -37,20 +36,8 @@ from planners.rules import Rulebook
 
 LOST_M = 15.0
 """A start that is farther from the last one is looked for anew: its foot point is not near the last one's, m."""
-ROUTE_S = 1.6
-"""Cost of a lane change that the route needs (2), s: what it is worth in time."""
-URGENCY_S = 6.0
-"""And what is added as it becomes due (2), s."""
-DEAD_END_S = 25.0
-"""Cost of a lane from which the goal cannot be reached (2), s."""
-CHANGE_S = 1.0
-"""Cost of leaving the driven lane (3), s: a change pays only for a clear gain."""
-HARD_S = 3.0
-"""Cost where comfort cannot keep the distance (4), s."""
-FAILED_S = 50.0
-"""Cost where nothing can, or a stage failed (4), s: more than all others together."""
-DUE_S = 15.0
-"""A lane change is urgent where less than this is left to drive until it is due, s per change."""
+Term = tuple[str, float]
+"""A term of a cost, by name, s."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -76,13 +63,13 @@ class LanePlan:
     @property
     def cost(self) -> float:
         """Sum of (1)-(5), s."""
-        return sum(value for _, value in self.costs.terms)
+        return sum([value for _, value in self.costs.terms])
 
     @property
     def time_lost(self) -> float:
         """(1) and (5), s."""
-        terms = dict(self.costs.terms)
-        return terms["time lost"] + terms["late"]
+        (_, lost), *_, (_, late) = self.costs.terms
+        return lost + late
 
     @property
     def braking(self) -> float:
@@ -124,8 +111,9 @@ class LanePlanner:
         passes_left: bool,
         lap: Callable[[str], None],
         solver: str = DEFAULT,
+        config: LaneConfig | None = None,
     ) -> None:
-        self.lane, self._rules = lane, rules
+        self.lane, self._rules, self._config = lane, rules, config or LaneConfig()
         self._goal = GoalWindow(goal, lane.reference, vehicle, speed.qp.comfort.accel_mps2)
         self._vehicle, self._horizon = vehicle, speed.qp.horizon
         self._path = PathStage(
@@ -151,7 +139,8 @@ class LanePlanner:
     ) -> tuple[LanePlan, LaneMemory]:
         """Path and speed from the scene's start, with costs, and what is remembered.
 
-        `name` is "keep" for the lane that is driven; `past` those that a plan is to pass while they go on.
+        `name` is "keep" for the lane that is driven; `past` those that a plan is to pass while they go on. A path that
+        does not pass the nearest of them is no such plan, and gets no speed.
         """
         t, start = scene.frame.t, scene.start
         if not 0.0 <= t - memory.t <= FORGET_S:
@@ -159,7 +148,7 @@ class LanePlanner:
         target = self._goal.target(t, scene.s, start.v)
         path, path_memory = self._path.choose(scene, memory.path, past.way if past else None)
         speed, speed_memory, rules = None, memory.speed, memory.rules
-        if path.path is not None:
+        if path.path is not None and (past is None or past.way.obstacles[0].agent in path.passed):
             moving = {box.agent for box in past.way.obstacles} if past else set()
             standing = path.passed - moving
             stops, rules = self._rules.stops(scene, memory.rules, standing)
@@ -179,14 +168,14 @@ class LanePlanner:
     def least_costs(self, name: str, scene: Scene) -> CostTerms:
         """(2), (3) and (5) of a plan in this lane, without making it: it costs no less, but for time gained."""
         missed = self._goal.target(scene.frame.t, scene.s, scene.start.v).missed_s
-        return CostTerms(f"lane {name}", tuple(self._own_terms(name, scene, missed).items()))
+        return CostTerms(f"lane {name}", self._own_terms(name, scene, missed))
 
-    def _own_terms(self, name: str, scene: Scene, missed_s: float) -> dict[str, float]:
-        return {
-            "lane changes": self._route_cost(scene),  # (2)
-            "change": CHANGE_S if name in ("left", "right") else 0.0,  # (3)
-            "late": missed_s,  # (5)
-        }
+    def _own_terms(self, name: str, scene: Scene, missed_s: float) -> tuple[Term, Term, Term]:
+        return (
+            ("lane changes", self._route_cost(scene)),  # (2)
+            ("change", self._config.change_s if name in ("left", "right") else 0.0),  # (3)
+            ("late", missed_s),  # (5)
+        )
 
     def _beside(self, scene: Scene) -> tuple[PassTarget, ...]:
         """Those who go along the lane, where the ego would come beside them if it drove at the limit.
@@ -200,21 +189,19 @@ class LanePlanner:
         return pass_targets(scene, who, expected)
 
     def _costs(self, name: str, scene: Scene, speed: ChosenSpeed | None, target: SpeedTarget) -> CostTerms:
-        lost, braking = self._horizon, FAILED_S
+        lost, braking = self._horizon, self._config.failed_s
         if speed is not None and speed.profile is not None:
             lost = (speed.free_m - float(speed.profile[0, -1])) / max(scene.limit, 1.0)
-            braking = FAILED_S if speed.unavoidable else HARD_S if speed.reason else 0.0
-        own = self._own_terms(name, scene, target.missed_s)
-        order = "time lost", "lane changes", "change", "braking", "late"
-        terms = {**own, "time lost": lost, "braking": braking}  # (1), (4)
-        return CostTerms(f"lane {name}", tuple((term, terms[term]) for term in order))
+            braking = self._config.failed_s if speed.unavoidable else self._config.hard_s if speed.reason else 0.0
+        changes, change, late = self._own_terms(name, scene, target.missed_s)
+        return CostTerms(f"lane {name}", (("time lost", lost), changes, change, ("braking", braking), late))  # (1), (4)
 
     def _route_cost(self, scene: Scene) -> float:
         lane, start = self.lane, scene.start
         if lane.changes is None:
-            return DEAD_END_S
+            return self._config.dead_end_s
         if lane.changes == 0:
             return 0.0
         seconds = min((lane.change_by - scene.s) / max(start.v, 5.0), self._goal.time_left(start.t))
-        left = seconds / (DUE_S * lane.changes)
-        return lane.changes * (ROUTE_S + URGENCY_S * float(np.clip(1.0 - left, 0.0, 1.0)))
+        left = seconds / (self._config.due_s * lane.changes)
+        return lane.changes * (self._config.route_s + self._config.urgency_s * min(max(1.0 - left, 0.0), 1.0))

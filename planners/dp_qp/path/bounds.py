@@ -1,56 +1,46 @@
-"""Path bounds: the room that the road gives, and what each obstacle that is passed leaves of it.
+"""Path bounds: who stands in the way, on which side they are passed, and what they leave of the corridor.
 
 Only what stands still, or goes slowly along the lane (`scene.moving_obstacles`), is passed by the path; what else moves
-is met in the S-T graph. The bounds hold for the ego's axis at points from the rear axle to the front bumper, each at
-its own station: so its corners stay in the bounds widened by half its width. (The path DP, coarser, moves the rear axle
-past boxes grown by the ego's length.) They are built in named steps:
+is met in the S-T graph. (The path DP, coarser than `corridor`, moves the rear axle past boxes grown by the ego's
+length.)
 
-(1) `within_lane`   lower <= l <= upper, the lane (or, beside an obstacle, the reachable road) less half the ego's
-                    width, and 1 - kappa l >= MIN_REGULAR: short of the centre of a turn
-(2) `road_ahead`    wider where the ego's nose needs it in a sharp turn
-(3) `towards`       within the sides of the goal region, as near to them as it goes
-(4) `widened`       where the ego is outside the lane: holding a quintic from its state back into it
-(5) `narrowed`      nudge left of an obstacle:  lower >= its left side + half width + clearance     over its stations
-                    nudge right:                upper <= its right side - half width - clearance
+(1) nudge left of an obstacle:  lower >= its left side + half width + clearance     over its stations
+    nudge right:                upper <= its right side - half width - clearance
 
-A bound that steering cannot reach from the start any more is loosened to what it can (`steering`); who is then not
+A bound that steering cannot reach from the start any more is loosened to what it can (`corridor`); who is then not
 cleared is a stop (`given_up`).
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import hypot
-from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import TIE, BoolArray, FloatArray, IntArray, kernel
+from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.road import line_project
 from logs.shapes import corners
 from logs.trace import Decision, DecisionKind
 from logs.vehicle import VehicleParameters
-from planners.dp_qp.path.steering import AHEAD, swings_of
+from planners.dp_qp.path.corridor import Borrowed, lane_edges, narrowed_beside, room_beside
 from planners.frenet.occupancy import Occupancy
-from planners.frenet.path import MIN_REGULAR
-from planners.frenet.quintic import quintic
-from planners.frenet.reference_path import ReferencePath, Section, sections
+from planners.frenet.reference_path import ReferencePath
 from planners.frenet.scene import Scene
 
-NUDGES = (DecisionKind.NUDGE_LEFT, DecisionKind.NUDGE_RIGHT)
+SIDES = {DecisionKind.NUDGE_LEFT: 1.0, DecisionKind.NUDGE_RIGHT: -1.0}
+"""The decisions to pass, by the side as kernels take it."""
+NUDGES = tuple(SIDES)
 """The decisions to pass."""
 TOLERANCE_M = 0.05
 """What a solution may lack of a clearance, m."""
-BULGE = 0.03
-"""Of a point ahead: half the curvature, 1/m, by which the way of the rear axle is not its own."""
-NEARLY_M = 0.5
-"""A goal farther out of the room than this is not this lane's, m."""
-LEFT_M = 0.1
-"""What is left of the room where the goal is outside of it, m."""
 NEAR_PATH_M = 30.0
 """Who stands farther than this and the path's length from the ego is not looked at."""
 NEAR_ROAD_M = 1.0
 """Who stands off the road by less than this still counts as an obstacle, m."""
+NOTHING = Borrowed(np.empty((0, 3)), left=True, right=True)
+"""No road beside the lane is used."""
 
 
 @dataclass(frozen=True)
@@ -116,26 +106,19 @@ class PathBounds:
     lower: FloatArray
     upper: FloatArray
 
-    def towards(self, low: FloatArray, high: FloatArray) -> PathBounds:
-        """(3): within offsets of the shape of `s`, where they are finite and within reach."""
-        there = np.isfinite(low) & (low <= self.upper + NEARLY_M) & (high >= self.lower - NEARLY_M)
-        lower = np.clip(low, self.lower, np.maximum(self.upper - LEFT_M, self.lower))
-        upper = np.clip(high, np.minimum(self.lower + LEFT_M, self.upper), self.upper)
-        return PathBounds(self.s, np.where(there, lower, self.lower), np.where(there, upper, self.upper))
+    def room(
+        self, obstacles: Sequence[Occupancy], vehicle: VehicleParameters, config: CorridorConfig
+    ) -> list[list[float]]:
+        """Greatest lower and least upper bound where a point of the ego is beside each obstacle; -inf, inf: nowhere."""
+        return room_beside(self.s, self.lower, self.upper, _boxes(obstacles), self.gap(vehicle, config)).tolist()
 
-    def widened(self, start: tuple[float, float, float], speed: float) -> PathBounds:
-        """(4), for a start (l, l', l'') at the first station."""
-        return PathBounds(self.s, *_widened(self.s, self.lower, self.upper, start[0], start[1], start[2], speed))
+    def gap(self, vehicle: VehicleParameters, config: CorridorConfig) -> float:
+        """So far before and behind an obstacle the ego is beside it, or nearly, m.
 
-    def beside(self, box: Occupancy, vehicle: VehicleParameters, config: CorridorConfig) -> BoolArray:
-        """The stations `(points, n)` bool at which a point of the ego is beside an obstacle, or nearly.
-
-        So far before and behind it that half the distance between two points of the ego, the rear overhang and a knot
-        fit.
+        Half the distance between two points of the ego, the rear overhang and a knot fit.
         """
         between = max(0.5 * vehicle.axle_to_front / max(len(self.s) - 1, 1), vehicle.rear_overhang)
-        gap = between + max(config.gap_m, float(self.s[0, 1] - self.s[0, 0]))
-        return np.asarray((self.s >= box.s_from - gap - TIE) & (self.s <= box.s_to + gap + TIE))
+        return between + max(config.gap_m, float(self.s[0, 1] - self.s[0, 0]))
 
     def reported(self, lower: FloatArray, upper: FloatArray) -> tuple[FloatArray, FloatArray]:
         """One corridor at the knots that holds bounds `(points, n)` of all points."""
@@ -159,6 +142,8 @@ def standing_obstacles(scene: Scene, length: float, *, facing: bool = False) -> 
         line.s, line.coef, agents.x, agents.y, agents.yaw, agents.length, agents.width, scene.standing, scene.agents.s,
         ego.x, ego.y, length + NEAR_PATH_M,
     )  # fmt: skip
+    if not len(rows):
+        return ()
     road = scene.reference.at(scene.agents.s[rows])
     left, right = (road.facing_left, road.facing_right) if facing else (road.road_left, road.road_right)
     found = [
@@ -211,123 +196,25 @@ def grown(box: Occupancy, vehicle: VehicleParameters, clearance: float, gap: flo
     )
 
 
-def borrowed_spans(way: InTheWay, speed: float, vehicle: VehicleParameters) -> FloatArray:
-    """Where road beside the lane is used `(b, 3)`: station from, to, m; 1 the neighbouring lane, 2 the facing, too."""
+def borrowed(way: InTheWay, speed: float, vehicle: VehicleParameters) -> Borrowed:
+    """Where road beside the lane is used: a free neighbouring lane where an obstacle is passed, at this speed.
+
+    And the facing lane where the obstacle is one of those that may be passed by it.
+    """
+    if not way.obstacles:
+        return NOTHING
     spans = [(*swing_span(box, speed, vehicle), 2.0 if box.agent in way.facing else 1.0) for box in way.obstacles]
-    return np.array(spans).reshape(-1, 3)
+    return Borrowed(np.array(spans), way.left, way.right)
 
 
 def lane_bounds(
     reference: ReferencePath, s: FloatArray, way: InTheWay, speed: float, vehicle: VehicleParameters,
     config: CorridorConfig,
 ) -> PathBounds:  # fmt: skip
-    """(1) at stations of any shape, for an ego that passes obstacles at this speed.
-
-    A free neighbouring lane belongs to the room where an obstacle is passed, and the facing lane where it is one of
-    those that may be passed by it.
-    """
-    road = sections(reference.line.s, reference.table, s.ravel())
-    lower, upper = within_lane(
-        road, s.ravel(), borrowed_spans(way, speed, vehicle), way.left, way.right, 0.5 * vehicle.width + config.edge_m
-    )
-    return PathBounds(s, lower.reshape(s.shape), upper.reshape(s.shape))
-
-
-@kernel
-def within_lane(
-    road: Section, s: FloatArray, spans: FloatArray, left_free: bool, right_free: bool, side: float
-) -> tuple[FloatArray, FloatArray]:
-    """Lower and upper of (1) `(k,)` at stations `(k,)`; `spans` as of `borrowed_spans`, `side` m kept to each edge."""
-    lower, upper = np.empty(len(s)), np.empty(len(s))
-    for j in range(len(s)):
-        borrowed = 0.0
-        for b in range(len(spans)):
-            if spans[b, 0] < s[j] < spans[b, 1]:
-                borrowed = max(borrowed, spans[b, 2])
-        low, high = road.lane_right[j], road.lane_left[j]
-        if right_free and borrowed > 0.0:
-            low = road.road_right[j] if borrowed < 2.0 else road.facing_right[j]
-        if left_free and borrowed > 0.0:
-            high = road.road_left[j] if borrowed < 2.0 else road.facing_left[j]
-        low, high = low + side, high - side  # (1)
-        middle, kappa = 0.5 * (low + high), road.kappa[j]
-        center = (1.0 - MIN_REGULAR) / max(abs(kappa), 1e-6)
-        if kappa < 0.0:
-            low = max(low, -center)
-        elif kappa > 0.0:
-            high = min(high, center)
-        if low > high - 0.1:
-            low, high = middle - 0.05, middle + 0.05
-        lower[j], upper[j] = low, high
-    return lower, upper
-
-
-class RoadAhead(NamedTuple):
-    """The road at the knots of the path QP, for k points of the ego and n knots.
-
-    Attributes:
-        knots: Stations `(n,)`, m; `s` of the points `(k, n)`.
-        swings: How far the points swing out `(k, n)`, m (`steering`, (4)).
-        lower: Bounds (1), (2) `(k, n)`, m; `upper` likewise.
-        limit: Speed limit `(n,)`, m/s; `kappa` curvature of the reference line, 1/m.
-    """
-
-    knots: FloatArray
-    s: FloatArray
-    swings: FloatArray
-    lower: FloatArray
-    upper: FloatArray
-    limit: FloatArray
-    kappa: FloatArray
-
-
-@kernel
-def road_ahead(
-    line_s: FloatArray, table: FloatArray, s0: float, step: float, n: int, leads: FloatArray, spans: FloatArray,
-    left_free: bool, right_free: bool, side: float,
-) -> RoadAhead:  # fmt: skip
-    """(1) and (2) for points that lead the rear axle by `leads` `(k,)`, m; other args as of `within_lane`."""
-    count = len(leads)
-    knots = s0 + step * np.arange(n)
-    s, lower, upper, turned = np.empty((count, n)), np.empty((count, n)), np.empty((count, n)), np.empty((count, n))
-    for k in range(count):
-        s[k] = knots + leads[k]
-        turned[k] = sections(line_s, table, knots + AHEAD * leads[k]).kappa
-        road = sections(line_s, table, s[k])
-        lower[k], upper[k] = within_lane(road, s[k], spans, left_free, right_free, side)
-    swings = swings_of(turned, leads)
-    for i in range(n):
-        least, most = -np.inf, np.inf
-        for k in range(count):
-            least, most = max(least, lower[k, i] + swings[k, i]), min(most, upper[k, i] + swings[k, i])
-        more = 0.5 * max(least - most + 0.1, 0.0)  # (2)
-        lower[:, i] -= more
-        upper[:, i] += more
-    here = sections(line_s, table, knots)
-    return RoadAhead(knots, s, swings, lower, upper, here.limit, here.kappa)
-
-
-@kernel
-def _widened(
-    s: FloatArray, lower: FloatArray, upper: FloatArray, l0: float, dl0: float, ddl0: float, speed: float
-) -> tuple[FloatArray, FloatArray]:
-    """Lower and upper of (4) `(points, n)`."""
-    ahead = l0 + dl0 * min(5.0, 0.5 * speed)
-    low, high = lower.copy(), upper.copy()
-    if lower[0, 0] <= l0 <= upper[0, 0] and lower[0, 0] <= ahead <= upper[0, 0]:
-        return low, high
-    span = max(12.0, 2.5 * speed)
-    at = np.array([s[0, 0] + span])
-    target = min(max(l0, np.interp(at, s[0], lower[0])[0]), np.interp(at, s[0], upper[0])[0])
-    c3, c4, c5 = quintic(l0, dl0, ddl0, target, span)
-    for p in range(s.shape[0]):
-        for i in range(s.shape[1]):
-            d = s[p, i] - s[0, 0]
-            if d <= span:
-                back = l0 + d * (dl0 + d * (0.5 * ddl0 + d * (c3 + d * (c4 + d * c5))))
-                slack = 0.05 + BULGE * (s[p, i] - s[0, i]) ** 2
-                low[p, i], high[p, i] = min(low[p, i], back - slack), max(high[p, i], back + slack)  # (4)
-    return low, high
+    """(1) of `corridor` at stations of any shape, for an ego that passes obstacles at this speed."""
+    side = 0.5 * vehicle.width + config.edge_m
+    edges = lane_edges(reference.line.s, reference.table, s.ravel(), borrowed(way, speed, vehicle), side)
+    return PathBounds(s, *edges.reshape(2, *s.shape))
 
 
 def swing_span(box: Occupancy, speed: float, vehicle: VehicleParameters) -> tuple[float, float]:
@@ -387,12 +274,20 @@ class SideChoice:
         return Decision(self.box.agent, kind, "path", f"is in the corridor: pass with {gap:.2f} m; {why}")
 
 
-def side_choice(box: Occupancy, space: PathBounds, vehicle: VehicleParameters, config: CorridorConfig) -> SideChoice:
-    """What can be done about an obstacle within the bounds of the ego's points."""
-    over = space.beside(box, vehicle, config)
-    if not over.any():
+def side_choices(
+    obstacles: tuple[Occupancy, ...], space: PathBounds, vehicle: VehicleParameters, config: CorridorConfig
+) -> list[SideChoice]:
+    """What can be done about obstacles within the bounds of the ego's points."""
+    if not obstacles:
+        return []
+    rooms = space.room(obstacles, vehicle, config)
+    return [_choice(box, room, vehicle, config) for box, room in zip(obstacles, rooms, strict=True)]
+
+
+def _choice(box: Occupancy, room: list[float], vehicle: VehicleParameters, config: CorridorConfig) -> SideChoice:
+    lower, upper = room
+    if lower == -np.inf:
         return SideChoice(box, 0.0, 0.0, Decision(box.agent, DecisionKind.IGNORE, "path", "beyond the path"))
-    lower, upper = float(space.lower[over].max()), float(space.upper[over].min())
     left, right = side_gaps(box, lower, upper, vehicle)
     settled = None
     if max(left, right) > upper - lower + config.clearance_m:
@@ -410,51 +305,44 @@ def narrowed(
     vehicle: VehicleParameters,
     config: CorridorConfig,
 ) -> tuple[PathBounds, tuple[Decision, ...]]:
-    """The bounds (5); an obstacle that would close them becomes a stop."""
-    if not obstacles:
+    """The bounds (1); an obstacle that would close them becomes a stop. Where none is passed, the same bounds."""
+    if not any(decision.kind in SIDES for decision in decisions):
         return space, decisions
-    lower, upper = space.lower.copy(), space.upper.copy()
-    final = []
-    for box, decision in zip(obstacles, decisions, strict=True):
-        if decision.kind not in NUDGES:
-            final.append(decision)
-            continue
-        over = space.beside(box, vehicle, config)
-        side = 0.5 * vehicle.width
-        if decision.kind is DecisionKind.NUDGE_LEFT:
-            free = float((upper[over] - box.l_to - side).min(initial=np.inf))
-            edge = box.l_to + side + min(config.clearance_m, free - 0.02)
-            tried = np.maximum(lower[over], edge), upper[over]
-        else:
-            free = float((box.l_from - side - lower[over]).min(initial=np.inf))
-            edge = box.l_from - side - min(config.clearance_m, free - 0.02)
-            tried = lower[over], np.minimum(upper[over], edge)
-        if free < config.min_clearance_m or (tried[0] > tried[1]).any():
-            reason = f"no room beside the other obstacles: {max(free, 0.0):.2f} m"
-            final.append(Decision(box.agent, DecisionKind.STOP, "path", reason))
-            continue
-        lower[over], upper[over] = tried  # (5)
-        final.append(decision)
+    (lower, upper), room, closed = narrowed_beside(
+        space.s, space.lower, space.upper, _boxes(obstacles, decisions), space.gap(vehicle, config),
+        0.5 * vehicle.width, config.clearance_m, config.min_clearance_m,
+    )  # fmt: skip
+    final = list(decisions)
+    for b in np.flatnonzero(closed):
+        reason = f"no room beside the other obstacles: {max(room[b], 0.0):.2f} m"
+        final[b] = Decision(obstacles[b].agent, DecisionKind.STOP, "path", reason)
     return PathBounds(space.s, lower, upper), tuple(final)
 
 
 def given_up(
-    offsets: FloatArray,
-    space: PathBounds,
+    path: PathBounds,
     obstacles: tuple[Occupancy, ...],
     decisions: tuple[Decision, ...],
     vehicle: VehicleParameters,
     config: CorridorConfig,
 ) -> tuple[Decision, ...]:
-    """The decisions, with a stop for each agent that a path does not clear: `offsets` are its points' at `space.s`."""
+    """The decisions, with a stop for each agent that a path does not clear: its points' offsets are both bounds."""
+    if not any(decision.kind in SIDES for decision in decisions):
+        return decisions
     final = []
-    for box, decision in zip(obstacles, decisions, strict=True):
-        over = space.beside(box, vehicle, config)
-        if decision.kind in NUDGES and over.any():
-            left = decision.kind is DecisionKind.NUDGE_LEFT
-            gap = float((offsets[over] - box.l_to if left else box.l_from - offsets[over]).min()) - 0.5 * vehicle.width
-            if gap < config.min_clearance_m - TOLERANCE_M:
-                reason = f"steering cannot keep clear of it: {gap:.2f} m"
-                decision = Decision(box.agent, DecisionKind.STOP, "path", reason)
+    rooms = path.room(obstacles, vehicle, config)
+    for box, decision, (most, least) in zip(obstacles, decisions, rooms, strict=True):
+        left = decision.kind is DecisionKind.NUDGE_LEFT
+        gap = (least - box.l_to if left else box.l_from - most) - 0.5 * vehicle.width
+        if decision.kind in SIDES and gap < config.min_clearance_m - TOLERANCE_M:
+            reason = f"steering cannot keep clear of it: {gap:.2f} m"
+            decision = Decision(box.agent, DecisionKind.STOP, "path", reason)
         final.append(decision)
     return tuple(final)
+
+
+def _boxes(obstacles: Sequence[Occupancy], decisions: Sequence[Decision] = ()) -> FloatArray:
+    """Obstacles as kernels take them (`corridor.narrowed_beside`); without decisions they are passed on no side."""
+    ways = [SIDES.get(decision.kind, 0.0) for decision in decisions] or [0.0] * len(obstacles)
+    both = zip(obstacles, ways, strict=True)
+    return np.array([(box.s_from, box.s_to, box.l_from, box.l_to, way) for box, way in both])

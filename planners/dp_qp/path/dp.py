@@ -25,7 +25,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import TIE, FloatArray, IntArray, kernel
+from logs.kernel import TIE, FloatArray, IntArray, inner_kernel, kernel
 from planners.frenet.quintic import quintic
 
 COLLISION = 1e4
@@ -34,6 +34,8 @@ OUTSIDE = 1e3
 """Cost of a metre of way a metre outside of the corridor (2): less than a collision, more than any detour."""
 SAMPLES = 10
 """Of an edge (2)."""
+BESIDES = 3.0 * TIE
+"""What costs more than straight on by this is not the least, nor does it tie with it."""
 
 
 class PathDpWeights(NamedTuple):
@@ -135,7 +137,7 @@ def solve_path_dp(
     return SlGrid(stations, rows, start, cost, chosen, sides)
 
 
-@kernel
+@inner_kernel
 def _edge(
     s0: float, l0: float, dl0: float, ddl0: float, s1: float, l1: float,
     boxes: FloatArray, lower: FloatArray, upper: FloatArray, column: int, weights: PathDpWeights, best: float,
@@ -197,14 +199,19 @@ def path_dp(
         )
     for i in range(1, n):
         for row in range(k):
+            straight = cost[i - 1, row] + _edge(
+                stations[i - 1], offsets[row], 0.0, 0.0, stations[i], offsets[row],
+                boxes, lower, upper, i, weights, np.inf,
+            )  # fmt: skip
             for before in range(k):
-                if cost[i - 1, before] >= cost[i, row]:
+                most = min(cost[i, row], straight + BESIDES)
+                if cost[i - 1, before] >= most:
                     continue
                 total = cost[i - 1, before] + _edge(
                     stations[i - 1], offsets[before], 0.0, 0.0, stations[i], offsets[row],
-                    boxes, lower, upper, i, weights, cost[i, row] - cost[i - 1, before],
+                    boxes, lower, upper, i, weights, most - cost[i - 1, before],
                 )  # fmt: skip
-                if total < cost[i, row] - TIE:
+                if total < min(cost[i, row] - TIE, straight + BESIDES):
                     cost[i, row], parent[i, row] = total, before  # (4)
     chosen = np.zeros(n, np.int64)
     chosen[n - 1] = np.argmax(cost[n - 1] <= cost[n - 1].min() + TIE)

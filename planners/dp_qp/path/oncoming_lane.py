@@ -57,11 +57,7 @@ def blocking(
 ) -> tuple[Occupancy, ...]:
     """The obstacles that leave the ego no room on either side of the road, those in a queue not among them."""
     found = []
-    for box in obstacles:
-        over = space.beside(box, vehicle, config)
-        if not over.any():
-            continue
-        lower, upper = float(space.lower[over].max()), float(space.upper[over].min())
+    for box, (lower, upper) in zip(obstacles, space.room(obstacles, vehicle, config), strict=True):
         touches = lower < box.l_to + 0.5 * vehicle.width and upper > box.l_from - 0.5 * vehicle.width
         queue = any(
             other is not box

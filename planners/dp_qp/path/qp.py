@@ -24,18 +24,15 @@ with the settling length a (m).
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import FloatArray, kernel
+from logs.kernel import FloatArray
 from logs.trace import CostTerms
-from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights
+from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights, X
 from planners.piecewise_jerk.solvers import DEFAULT, solve
 from planners.qp import QPResult
 
-MAX_DL = 1.0
-"""Bound of l': 45 degrees off the reference line."""
 OUTSIDE = 1e4
 """Cost of a shift of (6), softened, 1/m2."""
 TOLERANCE = 1e-2
@@ -65,25 +62,6 @@ class PathQpConfig:
             raise ValueError("path QP needs at least 10 knots and positive weights")
 
 
-class PathProblem(NamedTuple):
-    """One path problem.
-
-    Attributes:
-        start: l, l', l'' at the first knot `(3,)`.
-        lower: Bounds (6) `(points, knots)`, m; `upper` likewise.
-        slope: Lower and upper bound of l' `(2, knots)`.
-        bend: Of l'' `(2, knots)`, 1/m.
-        rate: Of l''' `(2, knots - 1)`, 1/m2.
-    """
-
-    start: FloatArray
-    lower: FloatArray
-    upper: FloatArray
-    slope: FloatArray
-    bend: FloatArray
-    rate: FloatArray
-
-
 class PathQp:
     """The path QP over one length.
 
@@ -101,27 +79,27 @@ class PathQp:
         self.length, self.knots, self.leads = length, config.knots, leads
         self.step = length / (config.knots - 1)
         a = max(config.settle_s * speed, config.min_settle_m)
+        self.middle = 0.5 * config.w_mid / (config.w_ref + config.w_mid)
         self._config, self._solver, self._ahead = config, solver, np.array(leads[1:], dtype=float)
         self._weights = Weights(config.w_ref + config.w_mid, (0.5 * a) ** 2, a**4, (0.7 * a) ** 6)  # (1) to (5)
 
-    def solve(self, problem: PathProblem, *, softly: bool = False) -> QPResult:
+    def solve(self, problem: PiecewiseJerkProblem, *, softly: bool = False) -> QPResult:
         """The path in a corridor, which gives way `softly`: x = (l, l', l'') `(3 knots,)`."""
         stage = "path QP without its corridor" if softly else "path QP"
-        return solve(self.stated(problem, softly=softly), self._solver, stage=stage, tolerance=TOLERANCE)
+        asked = problem._replace(soft=OUTSIDE) if softly else problem
+        return solve(asked, self._solver, stage=stage, tolerance=TOLERANCE)
 
-    def stated(self, problem: PathProblem, *, softly: bool) -> PiecewiseJerkProblem:
-        """(1)-(6); (1) and (5) together are one square about a point between them."""
-        middle = 0.5 * self._config.w_mid / (self._config.w_ref + self._config.w_mid)
-        references, lower, upper = _stated(problem, middle)  # (1), (5)
-        soft = OUTSIDE if softly else 0.0
-        return PiecewiseJerkProblem(
-            self.step, self._ahead, problem.start, self._weights, references, lower, upper, soft
-        )
+    def stated(self, start: FloatArray, references: FloatArray, rows: FloatArray) -> PiecewiseJerkProblem:
+        """(1)-(6) for a start (l, l', l'') `(3,)`, with references and rows as of `corridor.loosened`.
 
-    def costs(self, x: FloatArray, problem: PathProblem) -> CostTerms:
+        (1) and (5) together are one square about a point between them: `middle` times the sum of the bounds.
+        """
+        return PiecewiseJerkProblem(self.step, self._ahead, start, self._weights, references, rows[0], rows[1], 0.0)
+
+    def costs(self, x: FloatArray, problem: PiecewiseJerkProblem) -> CostTerms:
         """(1) to (5) of a path, by term."""
         l, dl, ddl = x.reshape(3, self.knots)  # noqa: E741
-        middle = 0.5 * (problem.lower[0] + problem.upper[0])
+        middle = 0.5 * (problem.lower[X] + problem.upper[X])
         weights = self._weights
         values = {
             "reference": self._config.w_ref * float(l @ l),
@@ -131,18 +109,3 @@ class PathQp:
             "centre": self._config.w_mid * float((l - middle) @ (l - middle)),
         }
         return CostTerms("path QP", tuple(values.items()))
-
-
-@kernel
-def _stated(problem: PathProblem, middle: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """References `(2, n)`, lower and upper bounds of the rows `(4 + leads, n)`; `middle` is the share of the bounds."""
-    points, n = problem.lower.shape
-    references, lower, upper = np.zeros((2, n)), np.zeros((3 + points, n)), np.zeros((3 + points, n))
-    references[0] = middle * (problem.lower[0] + problem.upper[0])
-    lower[0], upper[0] = problem.lower[0], problem.upper[0]
-    lower[1], upper[1] = problem.slope[0], problem.slope[1]
-    lower[2], upper[2] = problem.bend[0], problem.bend[1]
-    lower[3, : n - 1], upper[3, : n - 1] = problem.rate[0], problem.rate[1]
-    for k in range(1, points):
-        lower[3 + k], upper[3 + k] = problem.lower[k], problem.upper[k]  # (6)
-    return references, lower, upper

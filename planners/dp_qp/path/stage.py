@@ -21,38 +21,33 @@ from logs.trace import (
 )
 from logs.vehicle import VehicleParameters
 from planners.dp_qp.path import bounds
-from planners.dp_qp.path.bounds import NUDGES, CorridorConfig, InTheWay, PathBounds, RoadAhead
+from planners.dp_qp.path.bounds import NUDGES, SIDES, CorridorConfig, InTheWay, PathBounds
+from planners.dp_qp.path.corridor import HERE, KNOT, LOWER, SWING, UPPER, Ego, RoadAhead, S, loosened, road_ahead
 from planners.dp_qp.path.dp import PathDpConfig, SlGrid, solve_path_dp
 from planners.dp_qp.path.oncoming_lane import blocking, may_block, passed_by_oncoming_lane, waiting_place
-from planners.dp_qp.path.qp import PathProblem, PathQp, PathQpConfig
-from planners.dp_qp.path.steering import EgoPoints, loosened
+from planners.dp_qp.path.qp import PathQp, PathQpConfig
 from planners.dp_qp.scene.goal_window import GoalWindow
 from planners.frenet.occupancy import Occupancy
-from planners.frenet.path import Path, make_path
+from planners.frenet.path import Path, drivable_path
 from planners.frenet.scene import Scene
+from planners.piecewise_jerk.problem import LEADS, PiecewiseJerkProblem, X
 from planners.piecewise_jerk.solvers import DEFAULT
 from planners.qp import QPResult
 
 LENGTHS_M = (60.0, 90.0, 130.0, 180.0, 250.0, 340.0)
 """Path lengths; the shortest that holds the horizon at the present speed is taken, so that weights stay constant, m."""
-SHIFT_AHEAD_M = 60.0
-"""A shift within this ahead leaves the track, m."""
 WAITING_MPS2 = 2.0
 """Braking with which it stops at the place from which it could pass by the oncoming lane, m/s2."""
 JUNCTION_M = 40.0
 """Who stands within this before a place where lanes part or meet waits for others, and is not passed, m."""
-NEAR_GOAL_M = 15.0
-"""Who stands within this of the goal is passed as anywhere else, m."""
 RELINEARISED = 2
 """So often the path that cannot keep its bounds is solved anew ..."""
 MOVED_M = 0.02
 """... until that moves it by less than this, m."""
 LOCK_SLACK = 1.05
-"""A path ends where its curvature is more than this share of the steering lock's ..."""
-AT_START_M = 5.0
-"""... but not nearer to the start than this, m."""
-SIDES = {DecisionKind.NUDGE_LEFT: 1.0, DecisionKind.NUDGE_RIGHT: -1.0}
-"""The sides as the path DP takes them."""
+"""A path ends where its curvature is more than this share of the steering lock's."""
+NO_ONE = np.empty((0, 2))
+"""Stations of none who stand."""
 
 
 @dataclass(frozen=True)
@@ -105,15 +100,18 @@ class _Task:
     Attributes:
         scene: The scene.
         program: The QP for one length.
+        ego: Where the path begins.
         road: At its knots.
-        space: Bounds of the ego's points `(points, knots)`, without obstacles; `wide` also without the goal's sides.
+        space: Bounds of the ego's points `(points, knots)`, without obstacles.
+        problem: The QP in them.
     """
 
     scene: Scene
     program: PathQp
+    ego: Ego
     road: RoadAhead
     space: PathBounds
-    wide: PathBounds
+    problem: PiecewiseJerkProblem
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -124,7 +122,7 @@ class _Found:
     x: FloatArray
     decisions: tuple[Decision, ...]
     narrow: PathBounds
-    problem: PathProblem
+    problem: PiecewiseJerkProblem
     reports: tuple[SolverReport, ...]
 
 
@@ -165,9 +163,7 @@ class PathStage:
         self._lap("path QP")
         offsets, path, shift = found.offsets, None, 0.0
         if offsets is not None:
-            path = make_path(scene.reference.line, scene.s, program.step, offsets)
-            path = self._drivable(path, way.wait, scene.start.v)
-            shift = float(np.abs(offsets[0, road.knots < scene.s + SHIFT_AHEAD_M] - offsets[0, 0]).max())
+            path, shift = self._path(task, offsets, way.wait)
         passed = frozenset(decision.agent for decision in found.decisions if decision.kind in NUDGES)
         reason = "" if path is not None else f"path QP: {found.reports[-1].status}"
         sides = {decision.agent: SIDES[decision.kind] for decision in found.decisions if decision.kind in SIDES}
@@ -181,27 +177,18 @@ class PathStage:
         return chosen, PathMemory(standing, sides)
 
     def _task(self, scene: Scene, program: PathQp, way: InTheWay, boxes: tuple[Occupancy, ...]) -> _Task:
-        """The bounds (1) to (4) of `bounds`, without obstacles; the goal's sides are kept where no one stands near."""
+        """The corridor without obstacles; the goal's sides are kept where none of the `boxes`, who stand, is near."""
         reference, car, speed = scene.reference, self._vehicle, scene.start.v
-        road = bounds.road_ahead(
-            reference.line.s, reference.table, scene.s, program.step, program.knots, self._leads,
-            bounds.borrowed_spans(way, speed, car), way.left, way.right, 0.5 * car.width + self._config.corridor.edge_m,
+        start = np.array((scene.s, *scene.frenet, speed))
+        ego = Ego(start, self._leads, self._car, 0.5 * car.width + self._config.corridor.edge_m)
+        sides = self._goal.sides(scene.s, scene.s + program.length + car.axle_to_front)
+        near = np.array([(box.s_from, box.s_to) for box in boxes]) if boxes and sides.size else NO_ONE
+        road = road_ahead(
+            reference.line.s, reference.table, ego, program.step, program.knots, program.middle,
+            bounds.borrowed(way, speed, car), sides, near,
         )  # fmt: skip
-        bare = PathBounds(road.s, road.lower, road.upper)
-        wide = bare.widened(scene.frenet, speed)
-        low, high = self._goal.sides(road.s)
-        if not self._keeps_to_goal(road.s, low, boxes):
-            return _Task(scene, program, road, wide, wide)
-        return _Task(scene, program, road, bare.towards(low, high).widened(scene.frenet, speed), wide)
-
-    @staticmethod
-    def _keeps_to_goal(points: FloatArray, low: FloatArray, boxes: tuple[Occupancy, ...]) -> bool:
-        """Whether the goal's sides are ahead, least offsets `low` `(points, n)`, and no agent stands near the goal."""
-        there = np.isfinite(low)
-        if not there.any():
-            return False
-        begin, end = points[there].min() - NEAR_GOAL_M, points[there].max() + NEAR_GOAL_M
-        return not any(box.s_from < end and box.s_to > begin for box in boxes)
+        space = PathBounds(road.points[S], road.points[LOWER], road.points[UPPER])
+        return _Task(scene, program, ego, road, space, program.stated(start[1:4], road.references, road.rows))
 
     def _solved(self, task: _Task, obstacles: tuple[Occupancy, ...], decisions: tuple[Decision, ...]) -> _Found:
         """The path within the bounds, else out of them as little as can be; then without those that it cannot clear."""
@@ -209,7 +196,7 @@ class PathStage:
         reports: tuple[SolverReport, ...] = ()
         while True:
             narrow, decisions = bounds.narrowed(task.space, obstacles, decisions, car, config)
-            problem = self._problem(task, narrow, np.clip(0.0, narrow.lower[0], narrow.upper[0]))
+            problem = task.problem if narrow is task.space else self._problem(task, narrow, HERE)
             result = task.program.solve(problem)
             in_bounds, reports = result.report.solved, (*reports, result.report)
             if not in_bounds:
@@ -218,15 +205,17 @@ class PathStage:
             if not result.report.solved:
                 return _Found(None, result.x, decisions, narrow, problem, reports)
             offsets = result.x.reshape(3, -1)
-            at = offsets[0] + self._leads[:, None] * offsets[1] - task.road.swings
-            final = bounds.given_up(at, narrow, obstacles, decisions, car, config)
+            final = decisions
+            if obstacles:
+                at = offsets[0] + self._leads[:, None] * offsets[1] - task.road.points[SWING]
+                final = bounds.given_up(PathBounds(narrow.s, at, at), obstacles, decisions, car, config)
             if in_bounds or final == decisions:
                 return _Found(offsets, result.x, final, narrow, problem, reports)
             decisions = final
 
     def _softly(
-        self, task: _Task, space: PathBounds, problem: PathProblem
-    ) -> tuple[QPResult, PathProblem, tuple[SolverReport, ...]]:
+        self, task: _Task, space: PathBounds, problem: PiecewiseJerkProblem
+    ) -> tuple[QPResult, PiecewiseJerkProblem, tuple[SolverReport, ...]]:
         """The path that leaves its bounds as little as it must, the problem that it solves, and all reports.
 
         Solved anew at most `RELINEARISED` times, with the curvature's bounds at its own offsets.
@@ -245,24 +234,24 @@ class PathStage:
                 break
         return result, problem, reports
 
-    def _problem(self, task: _Task, space: PathBounds, near: FloatArray) -> PathProblem:
-        """The bounds of the path QP, as far as steering can keep them; the curvature's are those at offsets `near`."""
-        scene, road = task.scene, task.road
-        points = EgoPoints(self._leads, road.swings, task.wide.lower, task.wide.upper)
-        return loosened(
-            np.array(scene.frenet), scene.start.v, road.limit, road.kappa, near, task.program.step, self._car, points,
-            space.lower, space.upper,
-        )  # fmt: skip
+    def _problem(self, task: _Task, space: PathBounds, near: FloatArray) -> PiecewiseJerkProblem:
+        """The path QP in a space, as far as steering can keep it; bounds of the curvature as at offsets `near`."""
+        road, program = task.road, task.program
+        asked = loosened(
+            road.along, road.points, space.lower, space.upper, near, task.ego, program.step, program.middle
+        )
+        return program.stated(task.ego.start[1:4], *asked)
 
-    def _drivable(self, path: Path, wait: float, speed: float) -> Path:
-        """The path to the station at which to wait, if it can stop there, or to where it turns beyond the lock."""
-        ends = (np.abs(path.kappa) > LOCK_SLACK * self._vehicle.max_kappa) & (path.sigma > AT_START_M)
-        if path.s[0] + speed**2 / (2.0 * WAITING_MPS2) < wait + 0.5:
-            ends |= path.s > max(wait, path.s[0] + 1.0)
-        if not ends.any():
-            return path
-        end = int(np.argmax(ends))
-        return Path(*(getattr(path, name)[:end] for name in ("sigma", "x", "y", "yaw", "kappa", "s")))
+    def _path(self, task: _Task, offsets: FloatArray, wait: float) -> tuple[Path, float]:
+        """The path to the station at which to wait, if it can stop there, or to where it turns beyond the lock.
+
+        And its shift.
+        """
+        scene, until = task.scene, np.inf
+        if scene.s + scene.start.v**2 / (2.0 * WAITING_MPS2) < wait + 0.5:
+            until = max(wait, scene.s + 1.0)
+        sharpest = LOCK_SLACK * self._vehicle.max_kappa
+        return drivable_path(scene.reference.line, scene.s, task.program.step, offsets, sharpest, until)
 
     def _program(self, speed: float) -> PathQp:
         wanted = (speed + 4.0) * self._horizon + 10.0
@@ -312,7 +301,7 @@ class PathStage:
     ) -> tuple[SlGrid | None, tuple[Decision, ...]]:
         """On which side each obstacle is passed; the path DP is run only where there is room on both, to decide."""
         config, car = self._config.corridor, self._vehicle
-        choices = [bounds.side_choice(box, task.space, car, config) for box in way.obstacles]
+        choices = bounds.side_choices(way.obstacles, task.space, car, config)
         if not any(choice.is_open(config.min_clearance_m) for choice in choices):
             return None, tuple(choice.decided(choice.left > choice.right, None, config) for choice in choices)
         grid = self._dp(task.scene, task.program, way, before)
@@ -339,14 +328,17 @@ class PathStage:
 
     def _graph(self, road: RoadAhead, way: InTheWay, grid: SlGrid | None, found: _Found) -> SlGraph:
         """The S-L graph, with the DP where it was run."""
-        offsets, problem, swings = found.offsets, found.problem, road.swings
-        low, high = found.narrow.reported(problem.lower - swings, problem.upper - swings)
+        offsets, knots = found.offsets, road.along[KNOT]
+        points = [X, *range(LEADS, len(found.problem.lower))]
+        low, high = found.narrow.reported(
+            *(of[points] - road.points[SWING] for of in (found.problem.lower, found.problem.upper))
+        )
         boxes = zip(way.obstacles, found.decisions, strict=True)
         return SlGraph(
             GridCost(grid.stations, self._rows, grid.cost, grid.chosen) if grid is not None else None,
-            Corridor(road.knots, low, high),
-            np.column_stack([road.knots, grid.offsets(road.knots)]) if grid is not None else np.empty((0, 2)),
-            np.column_stack([road.knots, offsets[0]]) if offsets is not None else np.empty((0, 2)),
+            Corridor(knots, low, high),
+            np.column_stack([knots, grid.offsets(knots)]) if grid is not None else np.empty((0, 2)),
+            np.column_stack([knots, offsets[0]]) if offsets is not None else np.empty((0, 2)),
             tuple(_outlined(box, decision.kind) for box, decision in boxes),
         )
 

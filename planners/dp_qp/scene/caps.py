@@ -9,7 +9,7 @@ A producer is a function `caps(view) -> tuple[SpeedCap, ...]`, one file each in 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -114,9 +114,8 @@ class LoweredLimit:
     decisions: tuple[Decision, ...] = ()
 
 
-def lowered(sigma: FloatArray, road: LoweredLimit, caps: Iterable[SpeedCap]) -> LoweredLimit:
+def lowered(sigma: FloatArray, road: LoweredLimit, caps: Sequence[SpeedCap]) -> LoweredLimit:
     """(1) along a path `(m,)`; a decision for each agent whose cap is worth reporting, the lowest of theirs."""
-    caps = tuple(caps)
     if not caps:
         return road
     v, bound = road.v.copy(), road.is_bound.copy()

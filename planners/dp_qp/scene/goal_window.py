@@ -19,10 +19,11 @@ of the road, and who is too early stops there.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import sqrt
 
 import numpy as np
 
-from logs.kernel import FloatArray
+from logs.kernel import FloatArray, kernel
 from logs.road import Goal
 from logs.vehicle import VehicleParameters
 from planners.frenet.profiles import COMFORT
@@ -48,10 +49,14 @@ ALONG_M = 0.5
 """Step in which a region's sides are taken, m ..."""
 ROWS = 400
 """... and how many at most."""
+STEPS = 32
+"""In which the way to a region is taken."""
 JOINED_M = 0.1
 """Regions nearer to each other than this are one, m."""
 NARROW = 0.5
 """Where a region is narrower than this share of its width, at its corners, its sides are not kept to."""
+NO_SIDES = np.empty((3, 0))
+"""(4) where there is no region."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,9 +92,9 @@ class GoalWindow:
             _region(goal, reference, beside) - vehicle.axle_to_center if goal else np.array([np.nan, np.nan])
             for beside in (BESIDE_M, np.inf)
         )
-        self._limit = np.column_stack([reference.line.s, reference.limit])
+        self._limit = reference.line.s, reference.limit
         self._road_end = float(reference.line.s[-1]) - vehicle.axle_to_front
-        self._sides = _sides(goal, reference) if goal else np.empty((3, 0))
+        self._sides = _sides(goal, reference) if goal else NO_SIDES
 
     @property
     def slow_zone(self) -> tuple[float, float, float] | None:
@@ -100,13 +105,10 @@ class GoalWindow:
         begin = self._region[0] if fastest > ROOM_MPS else float(self._region.mean())
         return float(begin), float(self._region[1]), max(fastest - ROOM_MPS, 0.5 * fastest)  # (1)
 
-    def sides(self, s: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(4) at increasing stations `(k, n)`: least and greatest offset, m; -inf and inf outside of the region."""
-        at, low, high = self._sides
-        if not len(at) or s[0, 0] > at[-1] or s[-1, -1] < at[0]:
-            return np.full(s.shape, -np.inf), np.full(s.shape, np.inf)
-        low, high = (np.interp(s, at, side, np.nan, np.nan) for side in (low, high))
-        return np.where(np.isnan(low), -np.inf, low), np.where(np.isnan(high), np.inf, high)
+    def sides(self, begin: float, end: float) -> FloatArray:
+        """Rows station, least and greatest offset `(3, n)` of (4), m; empty where none are between two stations."""
+        at = self._sides[0]
+        return self._sides if len(at) and at[0] <= end and begin <= at[-1] else NO_SIDES
 
     def time_left(self, t: float) -> float:
         """How long the goal may still be reached, s; inf where it names no time or that is over."""
@@ -137,7 +139,7 @@ class GoalWindow:
         """(2), so that the ego is not beyond `inner` before `opens`."""
         if t + self._least_time(s, inner, v) >= opens:
             return SpeedTarget()
-        slowly = LEAST * float(np.interp(s, *self._limit.T))
+        slowly = LEAST * float(np.interp(s, *self._limit))
         return SpeedTarget(max((inner - s) / (opens - t), slowly), end)  # (2)
 
     def _late(self, t: float, s: float, v: float, begin: float, last: float) -> float:
@@ -146,11 +148,24 @@ class GoalWindow:
 
     def _least_time(self, s: float, to: float, v: float) -> float:
         """How long driving as fast as it may takes from station to station, from the speed `v`, s."""
-        stations = np.linspace(s, max(to, s), 33)
-        ahead = stations[1:] - s
-        limit = np.interp(0.5 * (stations[1:] + stations[:-1]), *self._limit.T)
-        fast = np.minimum(limit, np.sqrt(v * v + 2.0 * self._accel * ahead))
-        return float(np.sum(np.diff(stations) / np.maximum(fast, 0.5)))
+        return _least_time(*self._limit, s, max(to, s), v, self._accel)
+
+
+@kernel
+def _least_time(knots: FloatArray, limit: FloatArray, s: float, to: float, v: float, accel: float) -> float:
+    """From station to station in equal steps, s; `limit` is that at knots `(n,)`, m/s. Eight sums, as in NumPy."""
+    step, last, sums = (to - s) / STEPS, len(knots) - 1, np.zeros(8)
+    before = s
+    for i in range(STEPS):
+        after = to if i == STEPS - 1 else (i + 1) * step + s
+        middle = min(max(0.5 * (after + before), knots[0]), knots[last])
+        j = min(int(np.searchsorted(knots, middle, "right")) - 1, last - 1)
+        slope = (limit[j + 1] - limit[j]) / (knots[j + 1] - knots[j])
+        allowed = slope * (middle - knots[j]) + limit[j] if middle < knots[last] else limit[last]
+        fast = min(allowed, sqrt(v * v + 2.0 * accel * (after - s)))
+        sums[i % 8] += (after - before) / max(fast, 0.5)
+        before = after
+    return ((sums[0] + sums[1]) + (sums[2] + sums[3])) + ((sums[4] + sums[5]) + (sums[6] + sums[7]))
 
 
 def _region(goal: Goal, reference: ReferencePath, beside: float) -> FloatArray:
@@ -167,7 +182,7 @@ def _sides(goal: Goal, reference: ReferencePath) -> FloatArray:
     """
     begin, end = _region(goal, reference, BESIDE_M)
     if not np.isfinite(end):
-        return np.empty((3, 0))
+        return NO_SIDES
     step = max(ALONG_M, (end - begin) / ROWS)
     stations = np.arange(begin + 0.5 * step, end, step)
     pieces: list[list[tuple[float, float]]] = [[] for _ in stations]

@@ -26,6 +26,8 @@ def came_to_path(
     scene: Scene, taken: StBoundaries, came: Mapping[str, float], hesitates_s: float
 ) -> Mapping[str, float]:
     """Who took the path last when, s, for the frames to come; `came` is that of the frames before."""
+    if not (came or len(taken)):
+        return came
     t, agents = scene.frame.t, scene.frame.agents
     now = {agents.ids[i]: t for i in taken.agent if scene.vulnerable[i]}
     return {name: since for name, since in {**came, **now}.items() if t - since <= hesitates_s}

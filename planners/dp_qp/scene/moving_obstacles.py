@@ -15,22 +15,24 @@ others cross, is followed; beside them it is too late to turn back.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import atan2, cos, hypot, inf, isfinite, sin
 
 import numpy as np
 
-from logs.kernel import FloatArray
-from logs.road import line_project_many
-from logs.scenario import AgentKind
+from logs.agents import AgentKind, among
+from logs.kernel import BoolArray, FloatArray, IntArray, interpolated, kernel
+from logs.road import line_project
 from logs.vehicle import VehicleParameters
 from planners.dp_qp.path.bounds import CorridorConfig, InTheWay, swing_span
 from planners.dp_qp.path.oncoming_lane import passed_by_oncoming_lane, widest_gap
 from planners.dp_qp.scene.pass_target import PassTarget
 from planners.frenet.occupancy import Occupancy
 from planners.frenet.profiles import STEP_S
+from planners.frenet.reference_path import sections
 from planners.frenet.scene import UNLIKELY, Scene
 
-KINDS = AgentKind.PEDESTRIAN, AgentKind.BICYCLE
-"""Who is passed while they go on."""
+PASSED = among(AgentKind.PEDESTRIAN, AgentKind.BICYCLE)
+"""Who is passed while they go on, by their codes."""
 SLOW_MPS = 7.0
 """Who is faster is followed, m/s."""
 NEAR_M = 2.0
@@ -61,20 +63,34 @@ def along_lane(scene: Scene, passed: frozenset[str] = frozenset()) -> list[int]:
     Those that the ego is passing (`passed`) may become faster by `SLACK`, or turn further aside, and still are among
     them.
     """
-    agents, along, found = scene.frame.agents, scene.agents, []
-    if not len(scene.frame.predictions.t):
+    agents, along, ego = scene.frame.agents, scene.agents, scene.frame.ego
+    may = PASSED[agents.codes] & ~scene.standing
+    if not may.any() or not len(scene.frame.predictions.t):
         return []
-    near = np.hypot(agents.x - scene.frame.ego.x, agents.y - scene.frame.ego.y) < REACH_M
-    for i in np.flatnonzero(near & ~scene.standing & scene.vulnerable):
-        slack = SLACK if agents.ids[i] in passed else 1.0
-        if agents.kinds[i] not in KINDS or scene.speed[i] > slack * SLOW_MPS:
+    slack = np.array([SLACK if name in passed else 1.0 for name in agents.ids])
+    found = _goes_along(
+        scene.reference.line.s, scene.reference.table, may, slack, scene.speed, along.s, along.l, along.v_s, along.v_l,
+        agents.x, agents.y, agents.length, ego.x, ego.y, scene.rear,
+    )  # fmt: skip
+    return np.flatnonzero(found).tolist()
+
+
+@kernel
+def _goes_along(
+    knots: FloatArray, table: FloatArray, may: BoolArray, slack: FloatArray, speed: FloatArray, s: FloatArray,
+    l: FloatArray, v_s: FloatArray, v_l: FloatArray, x: FloatArray, y: FloatArray, length: FloatArray,  # noqa: E741
+    x_ego: float, y_ego: float, rear: float,
+) -> BoolArray:  # fmt: skip
+    """Who of those that `may` goes along the lane `(n,)`, each with its slack; a reference's `line.s` and `table`."""
+    out = np.zeros(len(may), np.bool_)
+    for i in range(len(may)):
+        near, half = hypot(x[i] - x_ego, y[i] - y_ego) < REACH_M, 0.5 * length[i]
+        if not (may[i] and near and speed[i] <= slack[i] * SLOW_MPS and s[i] + half > rear):
             continue
-        road, half = scene.reference.at(along.s[i : i + 1]), 0.5 * float(agents.length[i])
-        on_road = road.road_right[0] - half < along.l[i] < road.road_left[0] + half
-        turned = np.arctan2(abs(along.v_l[i]), along.v_s[i])
-        if on_road and along.s[i] + half > scene.rear and turned <= slack * ALONG_RAD:
-            found.append(int(i))
-    return found
+        road = sections(knots, table, s[i : i + 1])
+        on_road = road.road_right[0] - half < l[i] < road.road_left[0] + half
+        out[i] = on_road and atan2(abs(v_l[i]), v_s[i]) <= slack[i] * ALONG_RAD
+    return out
 
 
 def pass_targets(
@@ -93,33 +109,79 @@ def pass_targets(
 def _target(scene: Scene, i: int, stations: FloatArray, spare: float) -> PassTarget | None:
     """(1) and (2) of one agent; None where the ego does not come beside them, or is past them too late."""
     agents, futures, line = scene.frame.agents, scene.frame.predictions, scene.reference.line
-    vehicle, s_ego = scene.vehicle, scene.s
     t = np.arange(futures.t[0], futures.t[-1] + 1e-9, STEP_S)
-    ego = np.interp(t, futures.t, stations)
-    size = np.array([agents.length[i], agents.width[i]])
-    lowest, highest = np.full(2, np.inf), np.full(2, -np.inf)  # station and offset
-    begin, end, places = np.inf, -np.inf, [np.empty((0, 2))]
-    for row in np.flatnonzero((futures.agent == i) & (futures.probability > UNLIKELY)):
-        x, y, yaw = (np.interp(t, futures.t, way[row]) for way in (futures.x, futures.y, futures.yaw))
-        feet = line_project_many(line.s, line.coef, x, y, s_ego, ego[-1] - s_ego + 60.0)
-        turn = yaw - np.interp(feet[:, 0], line.s, line.yaw)
-        c, s = np.abs(np.cos(turn))[:, None], np.abs(np.sin(turn))[:, None]
-        half = 0.5 * np.hstack([c * size[0] + s * size[1], s * size[0] + c * size[1]])
-        low, high = feet - half, feet + half
-        beside = (ego + vehicle.axle_to_front > low[:, 0] - NEAR_M) & (ego - vehicle.rear_overhang < high[:, 0])  # (1)
-        past_in_time = not beside[t > t[-1] - spare - 0.5 * STEP_S].any()
-        if not beside.any() or not past_in_time:
-            return None
-        lowest, highest = np.minimum(lowest, low[beside].min(axis=0)), np.maximum(highest, high[beside].max(axis=0))
-        lowest[1], highest[1] = min(lowest[1], low[0, 1]), max(highest[1], high[0, 1])  # and where they are now
-        begin, end = min(begin, float(ego[beside][0])), max(end, float(ego[beside][-1]))
-        places.append(np.column_stack([x[beside], y[beside]]))
-    if not np.isfinite(begin):
+    (s_from, s_to, l_from, l_to), (begin, end), places = _boxed(
+        line.s, line.coef, line.yaw, futures.t, futures.agent, futures.probability, futures.x, futures.y, futures.yaw,
+        t, stations, i, agents.length[i], agents.width[i], scene.s, scene.vehicle.axle_to_front,
+        scene.vehicle.rear_overhang, spare,
+    )  # fmt: skip
+    if not isfinite(begin):
         return None
-    s_from, s_to = float(lowest[0]), float(highest[0])
-    l_from, l_to = float(lowest[1]) - ASIDE_M, float(highest[1]) + ASIDE_M
-    box = Occupancy(agents.ids[i], s_from, s_to, l_from, l_to, aside=ASIDE_M)  # (2)
-    return PassTarget(i, box, begin, end, np.vstack(places))
+    box = Occupancy(agents.ids[i], s_from, s_to, l_from - ASIDE_M, l_to + ASIDE_M, aside=ASIDE_M)  # (2)
+    return PassTarget(i, box, begin, end, places)
+
+
+@kernel
+def _boxed(
+    knots: FloatArray, coef: FloatArray, line_yaw: FloatArray, times: FloatArray, owner: IntArray,
+    probability: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, t: FloatArray, stations: FloatArray,
+    agent: int, length: float, width: float, s_ego: float, front: float, overhang: float, spare: float,
+) -> tuple[tuple[float, float, float, float], tuple[float, float], FloatArray]:  # fmt: skip
+    """(1) and (2) of one agent.
+
+    Args:
+        knots: Of the reference line; `coef`, `line_yaw` likewise.
+        coef: Likewise.
+        line_yaw: Likewise.
+        times: Of the predictions `(k,)`, s; `owner` to `yaw` are theirs.
+        owner: Likewise.
+        probability: Likewise.
+        x: Likewise.
+        y: Likewise.
+        yaw: Likewise.
+        t: The times that are looked at `(m,)`, s.
+        stations: Of the ego at `times`, m.
+        agent: Which.
+        length: Of them, m.
+        width: Of them, m.
+        s_ego: Where the ego begins, m.
+        front: Of the ego, ahead of its rear axle, m.
+        overhang: Of the ego, behind it, m.
+        spare: So long before the last time the ego must be past them, s.
+
+    Returns:
+        Least and greatest station and offset; first and last station of the ego beside them, infinite where it does not
+        come there or is past them too late; where they are then `(n, 2)`.
+    """
+    s_from, s_to, l_from, l_to, begin, end = inf, -inf, inf, -inf, inf, -inf
+    m, n = len(t), 0
+    places = np.empty((int((owner == agent).sum()) * m, 2))
+    reach = interpolated(t[m - 1], times, stations) - s_ego + 60.0
+    for row in range(len(owner)):
+        if owner[row] != agent or not probability[row] > UNLIKELY:
+            continue
+        foot, before, first, last, now_from, now_to = s_ego, n, inf, -inf, 0.0, 0.0
+        for k in range(m):
+            at, px, py = t[k], interpolated(t[k], times, x[row]), interpolated(t[k], times, y[row])
+            ego = interpolated(at, times, stations)
+            foot, offset = line_project(knots, coef, px, py, foot, reach)
+            turn = interpolated(at, times, yaw[row]) - interpolated(foot, knots, line_yaw)
+            c, s = abs(cos(turn)), abs(sin(turn))
+            half_s, half_l = 0.5 * (c * length + s * width), 0.5 * (s * length + c * width)
+            if k == 0:  # where they are now
+                now_from, now_to = offset - half_l, offset + half_l
+            if ego + front > foot - half_s - NEAR_M and ego - overhang < foot + half_s:  # (1)
+                if at > t[m - 1] - spare - 0.5 * STEP_S:
+                    return (s_from, s_to, l_from, l_to), (inf, -inf), places[:0]
+                s_from, s_to = min(s_from, foot - half_s), max(s_to, foot + half_s)
+                l_from, l_to = min(l_from, offset - half_l), max(l_to, offset + half_l)
+                first, last = ego if n == before else first, ego
+                places[n, 0], places[n, 1] = px, py
+                n += 1
+        if n == before:
+            return (s_from, s_to, l_from, l_to), (inf, -inf), places[:0]
+        l_from, l_to, begin, end = min(l_from, now_from), max(l_to, now_to), min(begin, first), max(end, last)
+    return (s_from, s_to, l_from, l_to), (begin, end), places[:n]
 
 
 def to_pass(
@@ -153,8 +215,14 @@ def _near_place(places: tuple[float, ...], box: Occupancy, speed: float, vehicle
     return any(begin < place < end + PLACE_M for place in places)
 
 
+@kernel
 def gone_on(t: FloatArray, s_ego: float, v: float, limit: float) -> FloatArray:
     """Stations at times `(k,)` from the first on of an ego that reaches a limit with `GAIN_MPS2` and keeps it."""
-    at = t - t[0]
-    speed = np.clip(limit, v - GAIN_MPS2 * at, v + GAIN_MPS2 * at)
-    return s_ego + np.r_[0.0, np.cumsum(0.5 * np.diff(at) * (speed[1:] + speed[:-1]))]
+    out, total, before = np.empty(len(t)), 0.0, v
+    for k in range(len(t)):
+        at = t[k] - t[0]
+        speed = min(max(limit, v - GAIN_MPS2 * at), v + GAIN_MPS2 * at)
+        if k > 0:
+            total += 0.5 * (at - (t[k - 1] - t[0])) * (speed + before)
+        out[k], before = s_ego + total, speed
+    return out

@@ -18,6 +18,8 @@ from planners.dp_qp.scene.occlusion import REACTION_S, avoidable_speed
 
 def caps(view: PathView) -> tuple[SpeedCap, ...]:
     """(1) beside each of the targets; who comes nearer to the path than the margin is followed, in the S-T graph."""
+    if not view.targets:
+        return ()
     path, agents, caution, found = view.path, view.scene.frame.agents, view.caution, []
     for one in view.targets:
         at = (path.s > one.begin - NEAR_M) & (path.s < one.end + NEAR_M)

@@ -11,5 +11,5 @@ from planners.frenet.occupancy import open_end
 
 def caps(view: PathView) -> tuple[SpeedCap, ...]:
     """Standstill from the first open stop on; the rules themselves tell why."""
-    begin = open_end(view.stops)
+    begin = open_end(view.stops) if view.stops else inf
     return (SpeedCap(begin - TIE, inf, 0.0, is_bound=False),) if begin < inf else ()

@@ -23,7 +23,7 @@ import numpy as np
 
 from logs.kernel import FloatArray
 from logs.trace import SolverReport
-from planners.dp_qp.speed.qp import RELEASE_MPS3, SpeedProblem, SpeedQp, SpeedQpConfig, eased, tidied
+from planners.dp_qp.speed.qp import RELEASE_MPS3, Rows, SpeedProblem, SpeedQp, SpeedQpConfig, eased, tidied
 from planners.frenet.profiles import STEP_S, Limits, SpeedLimits
 from planners.frenet.st_boundaries import StBoundaries, StGraphConfig
 from planners.piecewise_jerk.solvers import DEFAULT
@@ -200,7 +200,7 @@ class BrakingLadder:
         hardest = Limits(harder[-1], self._config.comfort, wait)
 
         def applies(case: Case) -> bool:
-            return not wait or (case.is_patient and eased(case.problem, hardest.columns, LEAST_RESERVE, 0.0)[0])
+            return not wait or (case.is_patient and self._eased(case.problem, hardest, LEAST_RESERVE)[0])
 
         rungs = [
             self._smooth(
@@ -221,10 +221,10 @@ class BrakingLadder:
         """Braking with a share of these limits keeps the bounds, less what is given up of the gap; smoothed."""
 
         def attempt(case: Case) -> SolvedSpeed | None:
-            fits, _, problem = eased(case.problem, limits.columns, share, given)
+            fits, _, problem, rows = self._eased(case.problem, limits, share, given)
             if not fits:
                 return None
-            result = self.program.solve(problem, limits)
+            result = self.program.solve(rows)
             case.tried.append(Asked(problem, result))
             if not result.report.solved:
                 return None
@@ -232,9 +232,15 @@ class BrakingLadder:
 
         return Rung(applies, attempt)
 
+    def _eased(
+        self, problem: SpeedProblem, limits: Limits, share: float, given: float = 0.0
+    ) -> tuple[bool, FloatArray, SpeedProblem, Rows]:
+        """`qp.eased`."""
+        return eased(problem, limits.columns, share, given, self._config.comfort.decel_mps2)
+
     def _gentle(self, case: Case) -> SolvedSpeed | None:
         """(1): comfortable braking to a stop, where that stays behind everybody by some of the gap."""
-        _, stop, problem = eased(case.problem, self._soft.columns, 1.0, 0.0)
+        _, stop, problem, _ = self._eased(case.problem, self._soft, 1.0)
         if stop[0, -1] > problem.end or not case.taken(CLEAR).leave(self._times, stop[0], LEAST_GAP * self._gap):
             return None
         return SolvedSpeed(stop, "comfortable braking, which is clear, but with less time to spare than wanted")

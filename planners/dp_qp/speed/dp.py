@@ -18,18 +18,18 @@ one column is ds / dt^2 = 0.5 m/s2.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import inf
 from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import TIE, FloatArray, IntArray, kernel
-from planners.frenet.occupancy import Occupancy
+from logs.kernel import TIE, FloatArray, IntArray, inner_kernel, kernel
 
 COLLISION = 1e5
 """Cost of a second inside a blocked interval (2): more than all others together."""
+LIKELY = 300.0
+"""What the best way hardly ever costs more than: dearer ones are followed only where there is none cheaper."""
 DT_S = 1.0
 """Between two columns, s."""
 DS_M = 0.5
@@ -87,8 +87,9 @@ class SpeedDpConfig:
 
 @kernel
 def cost_map(
-    rows: int, lower: FloatArray, upper: FloatArray, speed: FloatArray, gap: float, wanted: FloatArray, w_near: float
-) -> FloatArray:
+    rows: int, lower: FloatArray, upper: FloatArray, speed: FloatArray, gap: float, wanted: tuple[float, float],
+    w_near: float,
+) -> FloatArray:  # fmt: skip
     """The map (2) `(k, rows)` of blocked intervals `(n, k)`; `wanted` = (standstill gap, time gap)."""
     out = np.zeros((lower.shape[1], rows))
     for i in range(len(lower)):
@@ -97,8 +98,7 @@ def cost_map(
             low, high = lower[i, k], upper[i, k]
             if np.isnan(low):
                 continue
-            first = max(0, int((low - space) / DS_M))
-            last = min(rows - 1, int((high + space) / DS_M) + 1)
+            first, last = _within_reach(low, high, space, rows)
             for row in range(first, last + 1):
                 s = row * DS_M
                 if low - gap + TIE < s < high + gap - TIE:
@@ -110,54 +110,82 @@ def cost_map(
     return out
 
 
+@inner_kernel
+def _within_reach(low: float, high: float, space: float, rows: int) -> tuple[int, int]:
+    """The first and the last row that is at most `space` m before or behind an interval, or one more."""
+    return max(0, int((low - space) / DS_M)), min(rows - 1, int((high + space) / DS_M) + 1)
+
+
+@inner_kernel
+def occupied_rows(
+    rows: int, lower: FloatArray, upper: FloatArray, speed: FloatArray, wanted: tuple[float, float], per_column: int,
+    columns: int,
+) -> IntArray:  # fmt: skip
+    """First and last row where the map (2) is not zero while an edge goes to the next column `(columns, 2)`."""
+    found = np.empty((columns, 2), np.int64)
+    for column in range(columns):
+        found[column, 0], found[column, 1] = rows, -1
+        for n in range(column * per_column + 1, (column + 1) * per_column + 1):
+            k = min(n, lower.shape[1] - 1)
+            for i in range(len(lower)):
+                if not np.isnan(lower[i, k]):
+                    space = wanted[0] + wanted[1] * max(speed[i], 0.0)
+                    first, last = _within_reach(lower[i, k], upper[i, k], space, rows)
+                    found[column, 0], found[column, 1] = min(found[column, 0], first), max(found[column, 1], last)
+    return found
+
+
 @kernel
 def speed_dp(
-    occupancy: FloatArray, per_column: int, limit: FloatArray, start: FloatArray, weights: SpeedDpWeights, columns: int
-) -> tuple[FloatArray, IntArray]:
+    occupancy: FloatArray, occupied: IntArray, per_column: int, limit: FloatArray, start: tuple[float, float],
+    weights: SpeedDpWeights, worth: float,
+) -> tuple[FloatArray, IntArray]:  # fmt: skip
     """Solve (3).
 
     Args:
         occupancy: The map (2) `(k, rows)`, `per_column` time samples to a column, the first at t = 0.
+        occupied: First and last row where it is not zero, for each column after the start `(columns, 2)`.
         per_column: See there.
         limit: Speed limit at the rows `(rows,)`, m/s.
         start: Speed and acceleration of the ego.
         weights: Of (1), and the limits of an edge.
-        columns: Number of columns after the start.
+        worth: No way is followed that costs as much. Costs do not fall along a way, so that the way that is chosen is
+            the same with any that is by more than the ties above what it costs.
 
     Returns:
         Cost to come `(columns + 1, rows)`, the chosen row per column `(columns + 1,)`.
     """
-    rows = len(limit)
+    rows, columns = len(limit), len(occupied)
     needed = np.zeros(rows)
     for k in range(1, rows):
         needed[k] = needed[k - 1] + DS_M / max(0.5 * (limit[k - 1] + limit[k]), SLOWEST_MPS)
-    cost = np.full((columns + 1, rows), inf)
+    cost, totals = np.full((columns + 1, rows), inf), np.empty(rows)
     speed, accel = np.zeros((columns + 1, rows)), np.zeros((columns + 1, rows))
     parent = np.zeros((columns + 1, rows), np.int64)
     cost[0, 0], speed[0, 0], accel[0, 0] = 0.0, start[0], start[1]
     for i in range(columns):
+        ahead = cost[i + 1]
         for j in range(rows):
-            if cost[i, j] == inf:
+            if cost[i, j] >= worth:
                 continue
-            v0, a0 = speed[i, j], accel[i, j]
+            v0 = speed[i, j]
             low = max(0, int(np.ceil((v0 - weights.max_decel * DT_S) * DT_S / DS_M - TIE)))
-            high = max(low, int((v0 + weights.max_accel * DT_S) * DT_S / DS_M + TIE))
-            for k in range(j + low, min(rows, j + high + 1)):
-                v = (k - j) * DS_M / DT_S
-                a = (v - v0) / DT_S
-                lost, over = max(DT_S - needed[k] + needed[j], 0.0), max(v - limit[k], 0.0)
-                total = cost[i, j] + weights.accel * a * a + weights.jerk * (a - a0) ** 2  # (1)
-                total += weights.time * lost + weights.over * over * over
-                if total > cost[i + 1, k] - TIE:
+            high = min(max(low, int((v0 + weights.max_accel * DT_S) * DT_S / DS_M + TIE)), rows - 1 - j)
+            _price_edges(totals, j, low, high, cost[i, j], v0, accel[i, j], needed, limit, weights)
+            for k in range(j + low, j + high + 1):
+                total = totals[k - j]
+                if total > ahead[k] - TIE:
                     continue
-                for n in range(1, per_column + 1):
-                    if total > cost[i + 1, k] - TIE:
-                        break
-                    row = j + (k - j) * n / per_column
-                    total += occupancy[min(i * per_column + n, len(occupancy) - 1), int(row + 0.5)] / per_column
-                if total < cost[i + 1, k] - TIE:
-                    cost[i + 1, k], parent[i + 1, k] = total, j  # (3)
-                    speed[i + 1, k], accel[i + 1, k] = v, a
+                if k >= occupied[i, 0] and j <= occupied[i, 1]:
+                    for n in range(1, per_column + 1):
+                        row = j + (k - j) * n / per_column
+                        total += occupancy[min(i * per_column + n, len(occupancy) - 1), int(row + 0.5)] / per_column
+                        if total > ahead[k] - TIE:
+                            break
+                if total < ahead[k] - TIE:
+                    ahead[k], parent[i + 1, k] = total, j  # (3)
+                    speed[i + 1, k] = (k - j) * DS_M / DT_S
+                    accel[i + 1, k] = (speed[i + 1, k] - v0) / DT_S
     chosen = np.zeros(columns + 1, np.int64)
     chosen[columns] = np.argmax(cost[columns] <= cost[columns].min() + TIE)
     for i in range(columns, 0, -1):
@@ -165,7 +193,15 @@ def speed_dp(
     return cost, chosen
 
 
-def stop_map(rows: int, t: FloatArray, stops: Sequence[Occupancy]) -> FloatArray:
-    """The speed DP's map `(k, rows)` of stops on the path: no gap is wanted beyond theirs."""
-    lower = np.array([np.where(t < stop.until, stop.s_from, np.nan) for stop in stops])
-    return cost_map(rows, lower, np.full(lower.shape, 1e6), np.zeros(len(stops)), 0.0, np.zeros(2), 0.0)
+@inner_kernel
+def _price_edges(
+    totals: FloatArray, j: int, low: int, high: int, before: float, v0: float, a0: float, needed: FloatArray,
+    limit: FloatArray, weights: SpeedDpWeights,
+) -> None:  # fmt: skip
+    """Write the cost of the ways over row `j` to rows j + low .. j + high, without the map (1): no branch, so quick."""
+    for k in range(j + low, j + high + 1):
+        v = (k - j) * DS_M / DT_S
+        a = (v - v0) / DT_S
+        lost, over = max(DT_S - needed[k] + needed[j], 0.0), max(v - limit[k], 0.0)
+        total = before + weights.accel * a * a + weights.jerk * (a - a0) ** 2  # (1)
+        totals[k - j] = total + (weights.time * lost + weights.over * over * over)

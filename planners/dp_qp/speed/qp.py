@@ -21,11 +21,13 @@ import numpy as np
 
 from logs.kernel import FloatArray, kernel
 from logs.trace import CostTerms
-from planners.frenet.profiles import COMFORT, EMERGENCY, STEP_S, KnotLimits, Limits, SpeedLimits, braking_within
+from planners.frenet.profiles import COMFORT, EMERGENCY, STEP_S, KnotLimits, SpeedLimits, braking_within
 from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights
 from planners.piecewise_jerk.solvers import DEFAULT, solve
 from planners.qp import QPResult
 
+Rows = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+"""As from `rows_of`."""
 NO_LEADS = np.empty(0)
 """A speed profile has no points ahead of the rear axle."""
 LIMIT_ROOM_MPS = 0.05
@@ -123,16 +125,10 @@ class SpeedQp:
         self._config, self._solver = config, solver
         self._weights = Weights(config.w_s, config.w_v, config.w_a, config.w_j)  # (1)
 
-    def solve(self, problem: SpeedProblem, limits: Limits) -> QPResult:
-        """The profile, x = (s, v, a) `(3 knots,)`."""
-        return solve(self.stated(problem, limits), self._solver, stage="speed QP", tolerance=TOLERANCE)
-
-    def stated(self, problem: SpeedProblem, limits: Limits) -> PiecewiseJerkProblem:
-        """(1) with its bounds."""
-        c = self._config
-        lower, upper, references = _rows(problem, limits.columns, c.comfort.decel_mps2)
-        start = np.array([0.0, *problem.start])
-        return PiecewiseJerkProblem(STEP_S, NO_LEADS, start, self._weights, references, lower, upper, 0.0)
+    def solve(self, rows: Rows) -> QPResult:
+        """The profile, x = (s, v, a) `(3 knots,)`, of a problem with the rows of `rows_of`."""
+        stated = PiecewiseJerkProblem(STEP_S, NO_LEADS, rows[0], self._weights, *rows[1:], 0.0)
+        return solve(stated, self._solver, stage="speed QP", tolerance=TOLERANCE)
 
     def costs(self, x: FloatArray, problem: SpeedProblem) -> CostTerms:
         """(1) of a profile, by term."""
@@ -148,8 +144,8 @@ class SpeedQp:
 
 
 @kernel
-def _rows(problem: SpeedProblem, limits: KnotLimits, comfort: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Lower and upper bounds of the rows s, v, a, jerk `(4, n)` and references of s and v `(2, n)`.
+def rows_of(problem: SpeedProblem, limits: KnotLimits, comfort: float) -> Rows:
+    """Start s, v, a `(3,)`, references of s and v `(2, n)`, lower and upper bounds of s, v, a, jerk `(4, n)`.
 
     Bounds of the acceleration hold the start's as far as half of the jerk leads back from it. `comfort`: deceleration,
     m/s2; harder braking may be let go (2).
@@ -168,14 +164,14 @@ def _rows(problem: SpeedProblem, limits: KnotLimits, comfort: float) -> tuple[Fl
         upper[2, i] = max(limits.first_accel if is_first else limits.accel, a0 - 0.5 * ramp)
         lower[3, i], upper[3, i] = -jerk, max(jerk, RELEASE_MPS3 if i < released else 0.0)  # (2)
         total += jerk
-    return lower, upper, references
+    return np.array([0.0, problem.start[0], a0]), references, lower, upper
 
 
 @kernel
 def eased(
-    problem: SpeedProblem, limits: KnotLimits, share: float, given: float
-) -> tuple[bool, FloatArray, SpeedProblem]:
-    """Whether braking with a share of the limits keeps the bounds; that braking, rows s, v, a; the problem for it.
+    problem: SpeedProblem, limits: KnotLimits, share: float, given: float, comfort: float
+) -> tuple[bool, FloatArray, SpeedProblem, Rows]:
+    """Whether braking with a share of the limits keeps the bounds; that braking, rows s, v, a; the QP for it.
 
     Of the gap `given` m are given up; the path's end stays. The start is one from which the jerk can stop before
     reversing, the bounds hold the braking.
@@ -188,7 +184,7 @@ def eased(
     lower = np.minimum(problem.lower, np.maximum(problem.s_ref, stop[0]))
     limit = np.maximum(problem.limit, stop[1] + LIMIT_ROOM_MPS)
     loosened = SpeedProblem((v0, a0), lower, upper, limit, problem.s_ref, problem.v_ref, problem.end)
-    return not (stop[0] > upper).any(), stop, loosened
+    return not (stop[0] > upper).any(), stop, loosened, rows_of(loosened, limits, comfort)
 
 
 @kernel

@@ -1,0 +1,77 @@
+"""Maps that take the place of a log's own (`--map`, `[log] map`): one table of readers, asked in order.
+
+Adding a format is one file with a `MapReader` and one line in `BUILTIN`.
+
+Modules:
+    base.py             what a reader of maps is, and what it makes of a file
+    fit.py              the map under a drive: whether it fits, and the scenario on it
+    projections.py      latitude and longitude to plane coordinates
+    osm.py              OpenStreetMap XML as records
+    lanelet2.py         Lanelet2 maps: where their points are, and their road
+    lanelet2_lanes.py   their lanes; `lanelet2_rules.py` their regulatory elements
+    opendrive.py        OpenDRIVE maps, by pyxodr
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+
+from logs.errors import LogError
+from logs.maps import lanelet2, opendrive
+from logs.maps.base import MapFile, MapReader
+from logs.maps.fit import on_map
+from logs.readers.base import LogSettings
+from logs.scenario import Scenario
+
+BUILTIN = (lanelet2.READER, opendrive.READER)
+"""In the order in which they are asked."""
+__all__ = ["BUILTIN", "MapFile", "MapReader", "map_files", "map_reader_of", "read_map", "with_map"]
+
+
+def map_reader_of(path: Path) -> MapReader:
+    """The reader that claims a map; LogError where none does."""
+    if not path.is_file():
+        raise LogError("no such map", file=path)
+    reader = next((reader for reader in BUILTIN if reader.claims(path)), None)
+    if reader is None:
+        known = ", ".join(f"{reader.name} ({reader.looks_for})" for reader in BUILTIN)
+        raise LogError("not a map that replan reads", file=path, remedy=f"known are {known}")
+    return reader
+
+
+def map_files(path: Path) -> tuple[Path, ...]:
+    """The files that a map is read from, in a fixed order; LogError where no reader claims it."""
+    return map_reader_of(path).files(path)
+
+
+def read_map(path: Path, settings: LogSettings | None = None) -> MapFile:
+    """The map in a file of any format, in its own coordinates.
+
+    Raises:
+        LogError: It is no map, or damaged; nothing else is raised for any bytes.
+    """
+    reader = map_reader_of(path)
+    settings = settings or LogSettings()
+    stamps = tuple((file, file.stat().st_mtime_ns, file.stat().st_size) for file in reader.files(path))
+    return _read(reader, path, stamps, tuple((key, str(getattr(settings, key))) for key in reader.settings))
+
+
+@lru_cache(maxsize=2)
+def _read(
+    reader: MapReader, path: Path, stamps: tuple[tuple[Path, int, int], ...], said: tuple[tuple[str, str], ...]
+) -> MapFile:
+    """Once for all logs and windows on it, as long as its files and what the settings say are the same."""
+    return reader.read(path, dict(said))
+
+
+def with_map(scenario: Scenario, settings: LogSettings) -> Scenario:
+    """The scenario on the map of the settings; itself where they name none.
+
+    Raises:
+        LogError: The map cannot be read, or does not fit the drive.
+    """
+    if not settings.map:
+        return scenario
+    path = Path(settings.map)
+    return on_map(scenario, read_map(path, settings), path, map_reader_of(path).name)

@@ -1,0 +1,142 @@
+"""The map under a drive: the scenario on its road, refused where the drive is not on it.
+
+The ego's path at every `STEP_M` (1), so that a car that stands weighs no more than one that drives: a point is on the
+map where it lies on a lane on which cars may drive, and along where it drives along such a lane (`logs.lanes.on_lane`).
+The map is refused where less than `LEAST_SHARE` of the path is on it, or less than that share of those points along.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from math import isfinite
+from pathlib import Path
+
+import numpy as np
+
+from logs.errors import LogError
+from logs.kernel import BoolArray, FloatArray
+from logs.lanes import on_lane
+from logs.maps.base import MapFile
+from logs.mcap.complete import ASSUMED, NO_LANES, assumed_limit
+from logs.road import Lane, Road, RoadSource
+from logs.scenario import Scenario
+from logs.states import Trajectory
+from logs.transform import placed_road
+
+STEP_M = 1.0
+LEAST_SHARE = 0.5
+
+
+def on_map(scenario: Scenario, found: MapFile, path: Path, kind: str) -> Scenario:
+    """The scenario with the map's road for its own.
+
+    Lights that no stop line of the map names are left out; notes that the log has no lanes too.
+
+    Raises:
+        LogError: The map does not fit the drive.
+    """
+    origin = np.array(scenario.origin)
+    road = placed_road(found.road, lambda points: points - origin)
+    x, y, yaw = _driven(scenario.ego)
+    drivable = [lane for lane in road.lanes.values() if lane.drivable]
+    on, along = _shares(drivable, x, y, yaw)
+    _check(found, path, np.column_stack([x, y]), drivable, on, along)
+    road, lights = _named(road, found.aliases, {light.id for light in scenario.lights})
+    own = scenario.road
+    notes = [note for note in scenario.notes if not note.startswith(NO_LANES)]
+    lanes = "the driven path" if own.source is RoadSource.DRIVEN_PATH else f"the log's own {len(own.lanes)} lanes"
+    notes.append(f"The road is the {kind} map {path.name} ({len(road.lanes)} lanes, {found.frame}) instead of {lanes}.")
+    notes += [f"{path.name}: {note}" for note in found.notes]
+    if not on.all():
+        notes.append(f"{path.name}: {100.0 * on.mean():.0f} % of the driven path lies on its drivable lanes.")
+    if not found.side_known:
+        kept = own.drives_on_right if own.source is RoadSource.LANES else True
+        road = replace(road, drives_on_right=kept)
+        side = "right" if kept else "left"
+        notes.append(f"{path.name} does not show on which side traffic drives: the {side} is assumed.")
+    road = _limited(road, drivable, scenario.ego, path.name, notes)
+    lost = len(scenario.lights) - len(lights)
+    if lost:
+        notes.append(f"{lost} traffic lights of the log are left out: no stop line of {path.name} names them.")
+    return replace(
+        scenario,
+        road=road,
+        notes=tuple(notes),
+        lights=tuple(light for light in scenario.lights if light.id in lights),
+        metadata={**scenario.metadata, "map": path.name},
+    )
+
+
+def _driven(ego: Trajectory) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Columns x, y, yaw `(k,)` of the path by (1): the states at which another `STEP_M` has been driven."""
+    driven = np.r_[0.0, np.cumsum(np.hypot(np.diff(ego.x), np.diff(ego.y)))]
+    at = np.unique(np.searchsorted(driven, np.arange(0.0, driven[-1] + 1e-9, STEP_M)))
+    return ego.x[at], ego.y[at], ego.yaw[at]
+
+
+def _shares(lanes: list[Lane], x: FloatArray, y: FloatArray, yaw: FloatArray) -> tuple[BoolArray, BoolArray]:
+    """Which points `(k,)` lie on one of the lanes, and which drive along one."""
+    on, along = np.zeros(len(x), np.bool_), np.zeros(len(x), np.bool_)
+    road = Road({lane.id: lane for lane in lanes})
+    for k in range(len(x)):
+        there = road.lanes_at(float(x[k]), float(y[k]))
+        on[k] = bool(there)
+        along[k] = any(on_lane(lane, x[k : k + 1], y[k : k + 1], yaw[k : k + 1])[0] for lane in there)
+    return on, along
+
+
+def _check(
+    found: MapFile,
+    path: Path,
+    places: FloatArray,
+    lanes: list[Lane],
+    on: BoolArray,
+    along: BoolArray,
+) -> None:
+    """Refuse a map that is elsewhere or the wrong way round."""
+    if on.mean() < LEAST_SHARE:
+        raise LogError(
+            f"the map {path} does not fit the drive: {100.0 * on.mean():.0f} % of the driven path lies on its drivable"
+            f" lanes, at least {100.0 * LEAST_SHARE:.0f} % must; {_away(places, lanes)} (coordinates: {found.frame})",
+            remedy="give the map of that place, or name the origin of its coordinates as [log] map_origin",
+        )
+    share = float(along.sum() / on.sum())
+    if share < LEAST_SHARE:
+        raise LogError(
+            f"the map {path} does not fit the drive: of the driven path on its lanes {100.0 * share:.0f} % goes along"
+            f" them, at least {100.0 * LEAST_SHARE:.0f} % must: most of it is against or across their direction",
+            remedy="correct the directions of its lanes, or the log's headings",
+        )
+
+
+def _away(places: FloatArray, lanes: list[Lane]) -> str:
+    """How far the drive is from the nearest lane where it is nearest and where it is farthest."""
+    from scipy.spatial import cKDTree  # here: it takes long to load
+
+    away = np.asarray(cKDTree(np.vstack([lane.polygon for lane in lanes])).query(places)[0])
+    return f"the nearest lane is {away.min():.0f} m away at the nearest, {away.max():.0f} m at the farthest"
+
+
+def _named(road: Road, aliases: Mapping[int, tuple[int, ...]], shown: set[int]) -> tuple[Road, set[int]]:
+    """The road whose stop lines call their lights as the log does, and which of the log's lights they name."""
+    called = {}
+    for light, others in aliases.items():
+        known = [name for name in others if name in shown]
+        called[light] = known[0] if light not in shown and len(known) == 1 else light
+    lines = tuple(
+        line if line.light is None else replace(line, light=called.get(line.light, line.light))
+        for line in road.stop_lines
+    )
+    return replace(road, stop_lines=lines), {line.light for line in lines if line.light is not None} & shown
+
+
+def _limited(road: Road, drivable: list[Lane], ego: Trajectory, name: str, notes: list[str]) -> Road:
+    """The road with the assumed limit where lanes have none."""
+    missing = sum(not isfinite(lane.speed_limit) for lane in drivable)
+    if not missing:
+        return road
+    limit = assumed_limit(ego)
+    which = f"{missing} of the {len(drivable)} drivable lanes of {name}"
+    notes.append(f"{which} have no speed limit: {limit:.1f} m/s is assumed ({ASSUMED}).")
+    return replace(road, default_speed_limit=limit)

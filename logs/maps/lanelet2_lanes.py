@@ -1,0 +1,353 @@
+"""Lanelets -> lanes: boundaries that face each other, who follows and who is beside, who may drive and cross where.
+
+Source: Lanelet2, "LaneletAndAreaTagging.md", "LinestringTagging.md" and "GenericTrafficRules.cpp" (Poggenhans et al.,
+ITSC 2018); `speed_limit` in km/h where it has no unit. A lanelet's boundaries are turned
+
+(1) so that the right one begins at the begin of the left one: |l_0 - r_0| + |l_n - r_m| <= |l_0 - r_m| + |l_n - r_0|
+(2) and both so that the left one is on the left: the outline (left there, right back) runs clockwise.
+
+(3) Their points are paired in order, with the least sum of squared widths over all pairs (dynamic time warping): pairs
+    lie across the lane also in bends, where one boundary is longer.
+
+Lanelet B follows A where both boundaries of A end where those of B begin; it is beside A where they share a boundary
+from end to end. In Lanelet2 that is the same point and the same way; as many maps give each lanelet its own, ends
+nearer than `SAME_M` are taken as one point, and ways between the same ends that keep within `ALIKE_M` as one way.
+
+A marking that is painted may be crossed from its dashed side or where `lane_change` says so; a kerb, wall or border may
+not; a virtual boundary and one without a type may, as there is nothing on the road.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import hypot, isfinite, nan
+
+import numpy as np
+
+from logs.errors import LogError
+from logs.kernel import FloatArray, IntArray, kernel
+from logs.maps.osm import Element, Osm
+from logs.road import Lane
+
+SAME_M = 0.05
+"""Less than the two parts of a double line are apart."""
+ALIKE_M = 0.2
+LONGEST_PIECE_M, SHORTEST_PIECE_M = 2.0, 0.25
+"""Of boundaries, and of the centre line."""
+LONGEST_M = 20_000.0
+"""A lanelet that reaches farther has a point that is not where it should be."""
+MOST_HERE = 100
+"""So many lanelets begin at one place at most, or share a boundary."""
+MOST = 1000
+"""Pieces of a boundary: (3) takes the product of both sides' pieces in time and memory."""
+_DRIVABLE = frozenset({"road", "highway", "play_street", "exit"})
+_OPEN = frozenset({"", "virtual", "stop_line", "pedestrian_marking", "bike_marking", "zebra_marking", "keepout"})
+_CAR = ("vehicle", "car")
+_SPEED = re.compile(r"(\d+(?:\.\d+)?)\s*(km/h|kmh|kph|mph|m/s|mps)?")
+_UNITS = {"mph": 0.44704, "m/s": 1.0, "mps": 1.0}
+_KPH = 1.0 / 3.6
+_SIGN_274 = re.compile(r".*274(?:\.\d)?-(\d+)")
+
+Points = tuple[int, ...]
+"""A boundary as rows of the map's points, in the direction of the lane."""
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A lanelet's boundary: its points, the way's tags, and whether the way runs against the lane."""
+
+    points: Points
+    tags: Mapping[str, str]
+    against: bool
+
+    def turned(self) -> Bound:
+        """The same the other way round."""
+        return Bound(self.points[::-1], self.tags, not self.against)
+
+
+@dataclass(frozen=True)
+class Strip:
+    """A lanelet in its direction: its boundaries, what is said of it, and its regulatory elements."""
+
+    id: int
+    left: Bound
+    right: Bound
+    tags: Mapping[str, str]
+    rules: tuple[int, ...]
+
+    @property
+    def drivable(self) -> bool:
+        """Whether a car may drive on it."""
+        named = {key.removeprefix("participant:"): v for key, v in self.tags.items() if key.startswith("participant:")}
+        if named:
+            ways = (":".join(_CAR), *_CAR)
+            return next((named[way] in ("yes", "true", "1") for way in ways if way in named), False)
+        return self.tags.get("subtype") in _DRIVABLE
+
+    @property
+    def two_way(self) -> bool:
+        """Whether cars drive on it in both directions."""
+        return self.drivable and self.tags.get("one_way") in ("no", "false", "0")
+
+    def reverse(self, name: int) -> Strip:
+        """The lanelet driven in the other direction."""
+        return Strip(name, self.right.turned(), self.left.turned(), self.tags, ())
+
+
+def joined(xyz: FloatArray, ends: Sequence[int]) -> dict[int, int]:
+    """A number for each of the rows `ends` of points `(n, 3)`: the same for those that are nearer than `SAME_M`."""
+    from scipy.sparse import coo_array  # here: they take long to load
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    rows = sorted(set(ends))
+    cells, cell = np.unique(np.round(5.0 / SAME_M * xyz[rows]), axis=0, return_inverse=True)
+    tree = cKDTree(cells * (SAME_M / 5.0))
+    if tree.count_neighbors(tree, SAME_M) > len(cells) * MOST_HERE:
+        raise LogError("ends of boundaries lie on top of each other by the hundreds", remedy="correct the map")
+    pairs = tree.query_pairs(SAME_M, output_type="ndarray")
+    graph = coo_array((np.ones(len(pairs)), tuple(pairs.T)), shape=(len(cells), len(cells)))
+    labels = connected_components(graph, directed=False)[1]
+    return dict(zip(rows, labels[cell.ravel()].tolist(), strict=True))
+
+
+def strips_of(osm: Osm, rows: Mapping[int, int], xy: FloatArray, notes: list[str]) -> list[Strip]:
+    """The lanelets of a file, in its order; reversed ones of those for both directions after them."""
+    strips, broken = [], 0
+    lanelets = [each for each in osm.relations.values() if each.tags.get("type") == "lanelet"]
+    for lanelet in lanelets:
+        bounds = [_bound(osm, lanelet, side, rows) for side in ("left", "right")]
+        if bounds[0] is None or bounds[1] is None:
+            broken += 1
+            continue
+        rules = tuple(lanelet.named("regulatory_element", kind="relation"))
+        strips.append(Strip(lanelet.id, *_oriented(bounds[0], bounds[1], xy), lanelet.tags, rules))
+    if broken:
+        notes.append(f"{broken} of {len(lanelets)} lanelets are dropped: they lack a left or a right boundary.")
+    free = 1 + max((strip.id for strip in strips), default=0)
+    both = [strip for strip in strips if strip.two_way]
+    if both:
+        notes.append(f"{len(both)} lanelets are for both directions: each is two lanes on the same ground.")
+    return strips + [strip.reverse(free + k) for k, strip in enumerate(both)]
+
+
+def _bound(osm: Osm, lanelet: Element, side: str, rows: Mapping[int, int]) -> Bound | None:
+    """The boundary on one side; None where it is not one way with two points."""
+    ways = [osm.ways[ref] for ref in lanelet.named(side) if ref in osm.ways]
+    if len(ways) != 1:
+        return None
+    points = way_points(ways[0], rows)
+    return Bound(points, ways[0].tags, against=False) if len(points) > 1 else None
+
+
+def way_points(way: Element, rows: Mapping[int, int]) -> Points:
+    """The points of a way that are in the file, without repetitions one after the other."""
+    found = [rows[node] for node in way.nodes if node in rows]
+    return tuple(row for k, row in enumerate(found) if k == 0 or row != found[k - 1])
+
+
+def _oriented(left: Bound, right: Bound, xy: FloatArray) -> tuple[Bound, Bound]:
+    """The boundaries in the direction of the lane, by (1) and (2)."""
+    l, r = xy[list(left.points)], xy[list(right.points)]  # noqa: E741
+    if hypot(*(l[0] - r[0])) + hypot(*(l[-1] - r[-1])) > hypot(*(l[0] - r[-1])) + hypot(*(l[-1] - r[0])):
+        right, r = right.turned(), r[::-1]
+    outline = np.vstack([l, r[::-1]]) - l[0]
+    x, y = outline.T
+    if float(x @ np.roll(y, -1) - y @ np.roll(x, -1)) > 0.0:
+        return left.turned(), right.turned()
+    return left, right
+
+
+def paired(left: FloatArray, right: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Boundaries `(n, 2)` and `(m, 2)` with as many points each, point i facing point i, by (3)."""
+    a, b = (divided(line, LONGEST_PIECE_M, MOST) for line in (left, right))
+    i, j = _pairs(a, b)
+    l, r = a[i], b[j]  # noqa: E741
+    keep = _spaced(0.5 * (l + r))
+    return l[keep], r[keep]
+
+
+@kernel
+def _pairs(a: FloatArray, b: FloatArray) -> tuple[IntArray, IntArray]:
+    """Rows of two polylines that face each other: the cheapest way by (3) from the first pair to the last."""
+    n, m = len(a), len(b)
+    cost = np.empty((n, m))
+    for i in range(n):
+        for j in range(m):
+            dx, dy, before = a[i, 0] - b[j, 0], a[i, 1] - b[j, 1], 0.0 if i + j == 0 else np.inf
+            if i > 0 and j > 0:
+                before = cost[i - 1, j - 1]
+            if i > 0:
+                before = min(before, cost[i - 1, j])
+            if j > 0:
+                before = min(before, cost[i, j - 1])
+            cost[i, j] = before + dx * dx + dy * dy
+    rows, columns = np.empty(n + m, np.int64), np.empty(n + m, np.int64)
+    i, j, count = n - 1, m - 1, 0
+    rows[0], columns[0] = i, j
+    while i > 0 or j > 0:
+        both = cost[i - 1, j - 1] if i > 0 and j > 0 else np.inf
+        one = cost[i - 1, j] if i > 0 else np.inf
+        other = cost[i, j - 1] if j > 0 else np.inf
+        if both <= one and both <= other:
+            i, j = i - 1, j - 1
+        elif one <= other:
+            i -= 1
+        else:
+            j -= 1
+        count += 1
+        rows[count], columns[count] = i, j
+    return rows[: count + 1][::-1].copy(), columns[: count + 1][::-1].copy()
+
+
+def _spaced(center: FloatArray) -> list[int]:
+    """Rows of a centre line `(n, 2)` that are `SHORTEST_PIECE_M` apart, the first and the last among them."""
+    keep, last = [0], len(center) - 1
+    for k in range(1, last + 1):
+        if hypot(*(center[k] - center[keep[-1]])) >= SHORTEST_PIECE_M:
+            keep.append(k)
+    if keep[-1] != last and len(keep) > 1:
+        keep[-1] = last
+    elif keep[-1] != last and hypot(*(center[last] - center[0])) > 1e-3:
+        keep.append(last)
+    return keep
+
+
+def divided(line: FloatArray, longest: float, most: float) -> FloatArray:
+    """A polyline with no piece longer than `longest`, m; evenly spaced anew where those are more than `most`."""
+    s = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
+    parts = np.maximum(1.0, np.ceil(np.diff(s) / longest))
+    if parts.sum() > most:
+        at = np.linspace(0.0, s[-1], int(most))
+    else:
+        at = np.r_[np.concatenate([np.linspace(s[k], s[k + 1], int(n) + 1)[:-1] for k, n in enumerate(parts)]), s[-1]]
+    return np.column_stack([np.interp(at, s, line[:, 0]), np.interp(at, s, line[:, 1])])
+
+
+@dataclass(frozen=True, eq=False)
+class _Beside:
+    """Which lanes begin where, and which have a boundary between two ends on their left and right."""
+
+    xy: FloatArray
+    ends: Mapping[int, int]
+    begins: defaultdict[tuple[int, int, bool], list[int]]
+    left: defaultdict[tuple[int, int, bool], list[Strip]]
+    right: defaultdict[tuple[int, int, bool], list[Strip]]
+
+    @classmethod
+    def of(cls, strips: Sequence[Strip], xyz: FloatArray) -> _Beside:
+        bounds = [bound.points for strip in strips for bound in (strip.left, strip.right)]
+        ends = joined(xyz, [row for points in bounds for row in (points[0], points[-1])])
+        found = cls(xyz[:, :2], ends, defaultdict(list), defaultdict(list), defaultdict(list))
+        for strip in strips:
+            left, right = strip.left.points, strip.right.points
+            found.begins[ends[left[0]], ends[right[0]], strip.drivable].append(strip.id)
+            found.left[ends[left[0]], ends[left[-1]], strip.drivable].append(strip)
+            found.right[ends[right[0]], ends[right[-1]], strip.drivable].append(strip)
+        for places in (found.begins, found.left, found.right):
+            if max(map(len, places.values()), default=0) > MOST_HERE:
+                raise LogError(f"more than {MOST_HERE} lanelets begin at one place", remedy="correct the map")
+        return found
+
+    def after(self, strip: Strip) -> tuple[int, ...]:
+        """The lanes that begin where a lanelet ends."""
+        key = self.ends[strip.left.points[-1]], self.ends[strip.right.points[-1]], strip.drivable
+        return tuple(i for i in self.begins[key] if i != strip.id)
+
+    def neighbour(self, strip: Strip, side: str, *, same: bool) -> int | None:
+        """The lane that has the boundary on a side of a lanelet as its own, driven in the same direction or not."""
+        bound = getattr(strip, side).points if same else getattr(strip, side).points[::-1]
+        across = side if not same else "left" if side == "right" else "right"
+        key = self.ends[bound[0]], self.ends[bound[-1]], strip.drivable
+        for other in getattr(self, across)[key]:
+            points = getattr(other, across).points
+            if other.id != strip.id and (points == bound or self._alike(points, bound)):
+                return int(other.id)
+        return None
+
+    def _alike(self, one: Points, other: Points) -> bool:
+        lines = [_at_parts(self.xy[list(points)]) for points in (one, other)]
+        return bool(np.hypot(*(lines[0] - lines[1]).T).max() < ALIKE_M)
+
+
+def _at_parts(line: FloatArray) -> FloatArray:
+    """A polyline at its parts 0, 1/8 ... 1."""
+    s = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
+    at = s[-1] * np.arange(9) / 8
+    return np.column_stack([np.interp(at, s, line[:, 0]), np.interp(at, s, line[:, 1])])
+
+
+def lanes_of(osm: Osm, strips: Sequence[Strip], xyz: FloatArray, notes: list[str]) -> dict[int, Lane]:
+    """The lanes by id; `xyz`: the map's points `(n, 3)`."""
+    unread: Counter[str] = Counter()
+    beside, lanes = _Beside.of(strips, xyz), {}
+    for strip in strips:
+        left, right = paired(beside.xy[list(strip.left.points)], beside.xy[list(strip.right.points)])
+        if len(left) < 2 or max(np.ptp(line, axis=0).max() for line in (left, right)) > LONGEST_M:
+            unread[f"lanelets without length or longer than {LONGEST_M / 1000.0:g} km"] += 1
+            continue
+        lanes[strip.id] = Lane(
+            strip.id,
+            left,
+            right,
+            successors=beside.after(strip),
+            left_neighbour=beside.neighbour(strip, "left", same=True),
+            right_neighbour=beside.neighbour(strip, "right", same=True),
+            left_opposite=strip.drivable and beside.neighbour(strip, "left", same=False) is not None,
+            right_opposite=strip.drivable and beside.neighbour(strip, "right", same=False) is not None,
+            speed_limit=_limit(osm, strip, unread),
+            drivable=strip.drivable,
+            left_crossable=crossable(strip.left, near=-1),
+            right_crossable=crossable(strip.right, near=0),
+            kind=strip.tags.get("subtype", "lanelet"),
+        )
+    notes += [f"{count} {what} are ignored." for what, count in sorted(unread.items())]
+    doubled = len(beside.ends) - len(set(beside.ends.values()))
+    if doubled:
+        notes.append(f"{doubled} ends of boundaries lie within {SAME_M} m of another one: they are taken as the same.")
+    return lanes
+
+
+def crossable(bound: Bound, *, near: int) -> bool:
+    """Whether a car on the lane may cross its boundary; `near`: which part of a double marking is the lane's own."""
+    said = next((bound.tags[key] for key in _keys("lane_change") if key in bound.tags), None)
+    if said is not None:
+        return said in ("yes", "true", "1")
+    parts = bound.tags.get("subtype", "").split("_")
+    if bound.tags.get("type") in ("line_thin", "line_thick"):
+        return (parts[::-1] if bound.against else parts)[near] == "dashed"
+    return bound.tags.get("type", "") in _OPEN
+
+
+def _keys(key: str) -> tuple[str, ...]:
+    """A key for cars, for vehicles, for all."""
+    return f"{key}:vehicle:car", f"{key}:vehicle", key
+
+
+def _limit(osm: Osm, strip: Strip, unread: Counter[str]) -> float:
+    """The speed limit of a lanelet, m/s: the lowest of its speed limit signs, else its tag; NaN where it has none."""
+    signs = [osm.relations[ref] for ref in strip.rules if ref in osm.relations]
+    texts = [text for sign in signs if sign.tags.get("subtype") == "speed_limit" for text in _sign_texts(osm, sign)]
+    texts = texts or [strip.tags[key] for key in _keys("speed_limit") if key in strip.tags][:1]
+    limits = [speed_in(text) for text in texts]
+    unread["speed limits that are no number with a unit"] += sum(not isfinite(limit) for limit in limits)
+    unread += Counter()
+    return min(filter(isfinite, limits), default=nan)
+
+
+def _sign_texts(osm: Osm, sign: Element) -> list[str]:
+    texts = [sign.tags[key] for key in ("sign_type", "speed_limit") if key in sign.tags]
+    ways = (osm.ways[ref] for ref in sign.named("refers") if ref in osm.ways)
+    return texts or [way.tags["subtype"] for way in ways if "subtype" in way.tags]
+
+
+def speed_in(text: str) -> float:
+    """The speed in a text ("50", "30 mph", "8.3 m/s", "de274-60"), m/s; NaN where it holds none above 0."""
+    sign = _SIGN_274.fullmatch(text)
+    found = _SPEED.fullmatch(sign[1] if sign is not None else text.strip().lower())
+    if found is None or float(found[1]) <= 0.0 or float(found[1]) >= 1e4:
+        return nan
+    return float(found[1]) * _UNITS.get(found[2] or "", _KPH)

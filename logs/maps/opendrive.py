@@ -1,0 +1,228 @@
+"""OpenDRIVE maps (.xodr), their geometry evaluated by pyxodr (extra `opendrive`): lanes, links, markings, limits.
+
+Source: ASAM OpenDRIVE 1.8, chapters 10 and 11. A lane of a lane section is one lane here. Traffic keeps to its side of
+the road: where that is the right one, lanes with negative ids run along the reference line and the others against it.
+Signals, objects and junction priorities are not read.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from math import isfinite, nan
+from pathlib import Path
+from typing import Any
+from xml.etree.ElementTree import Element, ParseError, TreeBuilder, XMLParser
+
+import numpy as np
+
+from logs.errors import LogError
+from logs.kernel import FloatArray
+from logs.maps.base import MapFile, MapReader
+from logs.road import Lane, Road
+
+RESOLUTION_M = 0.1
+"""Of pyxodr; its lanes end within a few cm of where the next ones begin."""
+KEPT = 5
+"""Every so many points of that are kept."""
+NARROWEST_M = 0.1
+"""A lane that is nowhere wider has no area: it begins or ends there."""
+LARGEST_BYTES, LONGEST_M = 1 << 28, 1e6
+_DRIVABLE = {"driving", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "slipLane", "bidirectional"}
+_CROSSABLE = {"none", "broken", "broken broken", "botts dots"}
+_UNITS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704}
+
+
+@dataclass(frozen=True, eq=False)
+class _Piece:
+    """A lane of a lane section: pyxodr's lane, and the road's and section's XML."""
+
+    number: int
+    lane: Any
+    road: Element
+    section: Element
+
+    @property
+    def place(self) -> int:
+        """Its OpenDRIVE id: from the middle outwards, negative on the right of the reference line."""
+        return int(self.lane.id)
+
+    @property
+    def on_right(self) -> bool:
+        """Whether traffic keeps right there."""
+        return bool(self.lane.traffic_orientation.name == "RIGHT")
+
+    @property
+    def against(self) -> bool:
+        """Whether it is driven against the reference line."""
+        return (self.place < 0) != self.on_right
+
+    @property
+    def drivable(self) -> bool:
+        """Whether cars drive there."""
+        return self.lane.type in _DRIVABLE
+
+
+def read_opendrive(path: Path, settings: Mapping[str, str]) -> MapFile:
+    """Read a map.
+
+    Raises:
+        LogError: pyxodr is not installed or cannot read it, it is no such map, or it has no lane to drive on.
+    """
+    root = _root(path)
+    try:
+        from pyxodr.road_objects.network import RoadNetwork
+    except ImportError:
+        raise LogError("OpenDRIVE needs pyxodr", file=path, remedy="pip install 'replan[opendrive]'") from None
+    try:
+        with np.errstate(all="ignore"):
+            roads = RoadNetwork(str(path), resolution=RESOLUTION_M).get_roads()
+            pieces = list(_pieces(roads, root))
+            lanes = dict(_lanes(pieces))
+    except Exception as error:  # whatever the library raises on a file that it was not made for
+        raise LogError(f"pyxodr cannot read it: {type(error).__name__}: {error}", file=path) from error
+    if not any(lane.drivable for lane in lanes.values()):
+        raise LogError("no lane on which a car may drive", file=path, remedy="give a map with lanes of type driving")
+    sides = Counter(piece.on_right for piece in pieces)
+    road = Road(lanes, drives_on_right=sides[True] >= sides[False])
+    return MapFile(road, "as in the file", tuple(_left_out(root)))
+
+
+class _Tree(TreeBuilder):
+    """Refuses a document type declaration, in which entities could grow without bound."""
+
+    def doctype(self, name: str, pubid: str | None, system: str | None) -> None:
+        raise LogError("it has a document type declaration, which maps do not need", remedy="remove the declaration")
+
+
+def _root(path: Path) -> Element:
+    """The file's XML, once it is known to be of a bounded size."""
+    try:
+        if path.stat().st_size > LARGEST_BYTES:
+            raise LogError(f"larger than {LARGEST_BYTES >> 20} MiB", remedy="cut the map")
+        parser = XMLParser(target=_Tree())
+        parser.feed(path.read_bytes())
+        root = parser.close()
+        if root.tag != "OpenDRIVE":
+            raise LogError(f"root element is <{root.tag}>", remedy="give an OpenDRIVE map (<OpenDRIVE>)")
+        lengths = [float(part.get("length", "nan")) for part in root.iter("geometry")]
+    except OSError as error:
+        raise LogError(f"cannot be read: {error.strerror}", file=path) from None
+    except (ParseError, ValueError, LookupError) as error:
+        raise LogError(f"is no OpenDRIVE: {error}", file=path, remedy="fetch the file again") from None
+    except LogError as error:
+        raise error.at(path) from None
+    if not (all(length >= 0.0 for length in lengths) and sum(lengths) < LONGEST_M):
+        raise LogError("its roads have no length, or more than 1000 km", file=path, remedy="cut the map")
+    return root
+
+
+def _pieces(roads: Sequence[Any], root: Element) -> Iterator[_Piece]:
+    """The lanes that have an area, numbered from 1 in the file's order."""
+    elements = {element.get("id"): element for element in root.findall("road")}
+    number = 0
+    for road in roads:
+        element = elements[str(road.id)]
+        for section, part in zip(road.lane_sections, element.findall("lanes/laneSection"), strict=True):
+            for lane in sorted(section.lanes, key=lambda lane: -int(lane.id)):
+                if lane.type is not None and _apart(lane).max() > NARROWEST_M:
+                    number += 1
+                    yield _Piece(number, lane, element, part)
+
+
+def _apart(lane: Any) -> FloatArray:
+    return np.hypot(*(lane.lane_reference_line[:, :2] - lane.boundary_line[:, :2]).T)
+
+
+def _lanes(pieces: Sequence[_Piece]) -> Iterator[tuple[int, Lane]]:
+    by_lane = {piece.lane: piece for piece in pieces}
+    by_place = {(id(piece.section), piece.place): piece for piece in pieces}
+    for piece in pieces:
+        inner, outer = piece.lane.lane_reference_line[:, :2], piece.lane.boundary_line[:, :2]
+        rows = np.unique(np.r_[np.arange(0, len(inner), KEPT), len(inner) - 1])
+        rows = rows[::-1] if piece.against else rows
+        left, right = (inner, outer) if piece.on_right else (outer, inner)
+        step = 1 if piece.place > 0 else -1
+        beside = by_place.get((id(piece.section), piece.place + step))
+        middle = by_place.get((id(piece.section), piece.place - step or -step))
+        on_left, on_right = (middle, beside) if piece.on_right else (beside, middle)
+        near, far = _crossable(piece, inner=True), _crossable(piece, inner=False)
+        yield (
+            piece.number,
+            Lane(
+                piece.number,
+                left[rows],
+                right[rows],
+                successors=tuple(sorted(_after(piece, by_lane))),
+                left_neighbour=_same(piece, on_left),
+                right_neighbour=_same(piece, on_right),
+                left_opposite=_opposite(piece, on_left),
+                right_opposite=_opposite(piece, on_right),
+                speed_limit=_limit(piece),
+                drivable=piece.drivable,
+                left_crossable=near if piece.on_right else far,
+                right_crossable=far if piece.on_right else near,
+                kind=str(piece.lane.type),
+            ),
+        )
+
+
+def _after(piece: _Piece, by_lane: Mapping[Any, _Piece]) -> Iterator[int]:
+    """The lanes that go on where a lane ends in the direction of traffic."""
+    for lane, contact in piece.lane.predecessor_data if piece.against else piece.lane.successor_data:
+        other = by_lane.get(lane)
+        if other is not None and (contact.name == "END") == other.against and other.drivable == piece.drivable:
+            yield other.number
+
+
+def _same(piece: _Piece, other: _Piece | None) -> int | None:
+    if other is None or not (piece.drivable and other.drivable) or other.against != piece.against:
+        return None
+    return other.number
+
+
+def _opposite(piece: _Piece, other: _Piece | None) -> bool:
+    return other is not None and piece.drivable and other.drivable and other.against != piece.against
+
+
+def _crossable(piece: _Piece, *, inner: bool) -> bool:
+    """Whether the lane's first marking on a side may be crossed; of a double one the lane's own part counts."""
+    step = 1 if piece.place > 0 else -1
+    name = piece.place - step if inner else piece.place
+    lane = next((e for e in piece.section.iter("lane") if e.get("id") == str(name)), None)
+    mark = None if lane is None else lane.find("roadMark")
+    kind = "none" if mark is None else mark.get("type", "none")
+    parts = kind.split()
+    if set(parts) == {"solid", "broken"}:  # named from the middle outwards; that of the middle from left to right
+        own = 0 if (piece.place > 0 if name == 0 else not inner) else -1
+        return parts[own] == "broken"
+    return kind in _CROSSABLE
+
+
+def _limit(piece: _Piece) -> float:
+    """The speed limit at the lane's begin, m/s; NaN where there is none."""
+    lane = next((e for e in piece.section.iter("lane") if e.get("id") == str(piece.place)), None)
+    own = [] if lane is None else lane.findall("speed")
+    start = float(piece.section.get("s", "0"))
+    types = [each for each in piece.road.findall("type") if float(each.get("s", "0")) <= start + 1e-6]
+    for element in (*own[:1], *(each for kind in types[-1:] for each in kind.findall("speed"))):
+        try:
+            speed = float(element.get("max", "")) * _UNITS.get(element.get("unit", "m/s"), nan)
+        except ValueError:
+            continue
+        if isfinite(speed) and speed > 0.0:
+            return speed
+    return nan
+
+
+def _left_out(root: Element) -> Iterator[str]:
+    for tag, words in (("signal", "signals and signs"), ("object", "objects"), ("priority", "priorities of junctions")):
+        count = sum(1 for _ in root.iter(tag))
+        if count:
+            yield f"{count} {words} are not read."
+    if root.find("header/offset") is not None:
+        yield "The header's offset is not applied."
+
+
+READER = MapReader("OpenDRIVE", "*.xodr, with pyxodr", lambda path: path.suffix.lower() == ".xodr", read_opendrive)

@@ -1,0 +1,242 @@
+"""What is left of a damaged MCAP file: every chunk that is whole, in a new file; and what was lost, named.
+
+The file is walked record by record. Where a record is not one (a cut, changed bytes), the next chunk is looked for that
+inflates to its stated size and checksum. Messages outside of chunks have no checksum of their own: they are kept up to
+the first damage. Schemas and channels come from the chunks and, where it is intact, from the summary at the file's end.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from io import BytesIO
+from pathlib import Path
+from typing import Any
+
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, McapRecord, Message, Metadata, Schema
+from mcap.writer import CompressionType, Writer
+
+from logs.errors import LogError
+from logs.mcap.container import COMPRESSIONS, DAMAGE, content_of, opened
+
+BEGIN = 8
+"""Bytes of the magic."""
+HEAD = 9
+"""Bytes of a record's opcode and length."""
+CHUNK_BYTES = 1024 * 1024
+
+
+@dataclass(frozen=True)
+class Lost:
+    """A part that could not be kept: bytes from `at`, messages between two log times (ns; None: the file's begin, end).
+
+    The times are those of the last message before and the first one after it.
+    """
+
+    at: int
+    size: int
+    after_ns: int | None
+    before_ns: int | None
+
+    def __str__(self) -> str:
+        begin = "the begin" if self.after_ns is None else f"{self.after_ns / 1e9:.3f} s"
+        end = "the end" if self.before_ns is None else f"{self.before_ns / 1e9:.3f} s"
+        return f"lost between {begin} and {end}: {self.size} bytes from byte {self.at}"
+
+
+@dataclass
+class Salvage:
+    """What was kept and what was lost; `nameless` messages are whole, but what says their topic is lost."""
+
+    messages: int = 0
+    chunks: int = 0
+    nameless: int = 0
+    lost: list[Lost] = field(default_factory=list)
+
+    def lines(self) -> list[str]:
+        """The report, one line each."""
+        kept = f"kept {self.messages} messages in {self.chunks} intact chunks"
+        nameless = [f"left out {self.nameless} messages whose channel was lost"] if self.nameless else []
+        return [kept, *map(str, self.lost), *nameless] if self.lost else [f"{kept}; nothing was lost"]
+
+
+def salvage(source: Path, target: Path) -> Salvage:
+    """Write what is intact in `source` to `target`, an MCAP file with the same schemas, channels and metadata.
+
+    Raises:
+        LogError: The source cannot be read, is no MCAP file, or holds no intact message; nothing is written then.
+    """
+    raw = content_of(source)
+    report, writer = Salvage(), _Copy()
+    _walk(raw, writer, report)
+    if not report.messages:
+        raise LogError("no intact message is left", file=source, remedy="copy or record it again")
+    part = target.with_name(f".{target.name}.part")
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        writer.write(part)
+        part.replace(target)
+    except OSError as error:
+        raise LogError(f"cannot be written: {error.strerror or error}", file=target) from None
+    finally:
+        part.unlink(missing_ok=True)
+    return report
+
+
+@dataclass
+class _Copy:
+    """The records for the new file."""
+
+    schemas: dict[int, Schema] = field(default_factory=dict)
+    channels: dict[int, Channel] = field(default_factory=dict)
+    messages: list[Message] = field(default_factory=list)
+    metadata: list[Metadata] = field(default_factory=list)
+
+    def take(self, record: McapRecord) -> None:
+        """Keep a record that a reader needs."""
+        if isinstance(record, Schema):
+            self.schemas.setdefault(record.id, record)
+        elif isinstance(record, Channel):
+            self.channels.setdefault(record.id, record)
+        elif isinstance(record, Message):
+            self.messages.append(record)
+        elif isinstance(record, Metadata) and record not in self.metadata:
+            self.metadata.append(record)
+
+    def write(self, path: Path) -> None:
+        """All of it as an MCAP file; messages whose channel was lost are not among them."""
+        with path.open("wb") as file:
+            writer: Any = Writer(file, CHUNK_BYTES, CompressionType.ZSTD, enable_data_crcs=True)
+            writer.start(library="replan salvage")
+            for record in self.metadata:
+                writer.add_metadata(record.name, record.metadata)
+            schemas = {0: 0} | {
+                old: writer.register_schema(schema.name, schema.encoding, schema.data)
+                for old, schema in sorted(self.schemas.items())
+            }
+            channels = {
+                old: writer.register_channel(
+                    channel.topic, channel.message_encoding, schemas.get(channel.schema_id, 0), channel.metadata
+                )
+                for old, channel in sorted(self.channels.items())
+            }
+            for message in self.messages:
+                writer.add_message(
+                    channels[message.channel_id], message.log_time, message.data, message.publish_time, message.sequence
+                )
+            writer.finish()
+
+
+def _walk(raw: bytes, copy: _Copy, report: Salvage) -> None:
+    """Every intact record of the data section into `copy`; then messages without a channel are taken out."""
+    at, last, broken = BEGIN, None, None
+    while at < len(raw):
+        if broken is None and raw[at] == Opcode.DATA_END:
+            break
+        records = _records_at(raw, at, in_step=broken is None, undamaged=not report.lost and broken is None)
+        if records is None:
+            broken = at if broken is None else broken
+            at = _next_chunk(raw, at + 1)
+            continue
+        size, found, is_chunk = records
+        times = [record.log_time for record in found if isinstance(record, Message)]
+        if broken is not None and times:
+            report.lost.append(Lost(broken, at - broken, last, times[0]))
+            broken = None
+        for record in found:
+            copy.take(record)
+        last = times[-1] if times else last
+        report.chunks += is_chunk
+        at += HEAD + size
+    if broken is not None:
+        report.lost.append(Lost(broken, len(raw) - broken, last, None))
+    _summary(raw, copy)
+    orphans = sum(message.channel_id not in copy.channels for message in copy.messages)
+    copy.messages = [message for message in copy.messages if message.channel_id in copy.channels]
+    report.nameless = orphans
+    report.messages = len(copy.messages)
+
+
+def _records_at(
+    raw: bytes, at: int, *, in_step: bool = False, undamaged: bool = False
+) -> tuple[int, list[McapRecord], bool] | None:
+    """Length of the record at a byte, the records in it, whether it is a chunk; None where there is no intact one.
+
+    Not `in_step`, behind damage, only a chunk counts; a message outside of chunks only in what is so far `undamaged`.
+    """
+    if at + HEAD > len(raw):
+        return None
+    code, size = raw[at], struct.unpack_from("<Q", raw, at + 1)[0]
+    if size > len(raw) - at - HEAD:
+        return None
+    body = ReadDataStream(BytesIO(raw[at + HEAD : at + HEAD + size]))
+    try:
+        if code == Opcode.CHUNK:
+            return size, opened(Chunk.read(body)), True
+        if not in_step or (code == Opcode.MESSAGE and not undamaged):
+            return None
+        if code in _PASSED:
+            return size, [], False
+        return size, [_KNOWN[code](body, size)], False
+    except (LogError, KeyError, *DAMAGE):
+        return None
+
+
+def _read_message(stream: Any, size: int) -> McapRecord:
+    return Message.read(stream, size)
+
+
+_KNOWN: dict[int, Any] = {
+    Opcode.SCHEMA: lambda stream, size: Schema.read(stream),
+    Opcode.CHANNEL: lambda stream, size: Channel.read(stream),
+    Opcode.METADATA: lambda stream, size: Metadata.read(stream),
+    Opcode.MESSAGE: _read_message,
+}
+"""Records outside of chunks that are kept."""
+_PASSED = frozenset(Opcode) - frozenset(_KNOWN) - {Opcode.CHUNK}
+"""Records that are passed by: header, indexes, attachments, the summary, the footer."""
+
+
+def _next_chunk(raw: bytes, at: int) -> int:
+    """The next byte at which an intact chunk begins; the file's length where there is none."""
+    at = raw.find(bytes([Opcode.CHUNK]), at)
+    while at >= 0:
+        if _looks_like_chunk(raw, at) and _records_at(raw, at) is not None:
+            return at
+        at = raw.find(bytes([Opcode.CHUNK]), at + 1)
+    return len(raw)
+
+
+def _looks_like_chunk(raw: bytes, at: int) -> bool:
+    """Whether the compression of a chunk that would begin there is one; cheap."""
+    place = at + HEAD + 28
+    if place + 4 > len(raw):
+        return False
+    (size,) = struct.unpack_from("<I", raw, place)
+    return size <= 4 and raw[place + 4 : place + 4 + size] in {name.encode() for name in COMPRESSIONS}
+
+
+def _summary(raw: bytes, copy: _Copy) -> None:
+    """Schemas and channels of the summary, where footer and summary are intact."""
+    footer = len(raw) - BEGIN - HEAD - 20
+    if footer < BEGIN or raw[footer] != Opcode.FOOTER:
+        return
+    begin, offsets = struct.unpack_from("<QQ", raw, footer + HEAD)
+    for record in _plain(raw, begin, min(offsets or footer, footer)):
+        copy.take(record)
+
+
+def _plain(raw: bytes, at: int, end: int) -> Iterator[McapRecord]:
+    while BEGIN <= at < end:
+        size = struct.unpack_from("<Q", raw, at + 1)[0] if at + HEAD <= end else end
+        if at + HEAD + size > end:
+            return
+        if raw[at] in (Opcode.SCHEMA, Opcode.CHANNEL):
+            try:
+                yield _KNOWN[raw[at]](ReadDataStream(BytesIO(raw[at + HEAD : at + HEAD + size])), size)
+            except DAMAGE:
+                return
+        at += HEAD + size

@@ -1,0 +1,334 @@
+"""A 123D log -> Scenario: ego, boxes, lights over time, the map of the log or of its place.
+
+Frames are the rows of sync.arrow; what was seen is looked up by the times of its own table and not by sync's indices,
+which are one frame late in logs of 0.2.0 and up to 3 ms late in asynchronous ones. The log's pose is that of the IMU:
+
+(1) rear axle = p + q r q*,  r the axle in the IMU's frame;   v = v_imu - w r_y,   a = a_imu - w^2 r_x
+
+with w the yaw rate, rad/s, and stored velocities in the body's frame. py123d fills in velocities that a data set does
+not have by differences to the frame before and after (0.1.0: by zeros). Such are not read, as they know a later frame:
+the ego's are derived from the poses before each state, the agents' are left to be differenced backwards, and the
+scenario begins at the second frame, so that there is something before it.
+
+`route_position.arrow` is the ego's own future path and `custom.*` the data set's own words: neither is read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from logs.errors import LogError
+from logs.kernel import FloatArray, IntArray
+from logs.mcap.complete import completed
+from logs.readers.arrow123d.labels import kinds_of
+from logs.readers.arrow123d.road import LIGHTS, map_of, road_of
+from logs.readers.base import Contents, TopicSummary
+from logs.readers.recorded.boxes import Boxes, car_of, ordered, tracks_of
+from logs.readers.recorded.poses import (
+    driven,
+    from_second,
+    held_curvature,
+    is_unit,
+    kept,
+    rotated,
+    since,
+    states_at,
+    unit,
+    yaw_of,
+)
+from logs.readers.recorded.tables import Lists, ipc_table, metadata_of, reading, vectors, whole
+from logs.scenario import Scenario
+from logs.states import Trajectory
+from logs.vehicle import VehicleParameters
+
+EGO, BOXES = "ego_state_se3", "box_detections_se3"
+SAME_MPS = 1e-5
+"""Times are in whole microseconds: differences at 10 m/s come out within 2e-6 m/s."""
+TELLING_MPS = 1e-4
+"""Where differences to both sides are nearer to each other, they say nothing about how a velocity was found."""
+_RECORDED = (
+    "av2", "nuplan", "nuscenes", "wod", "kitti360", "pandaset", "physical-ai-av", "ncore", "nureasoning", "truckdrive",
+)  # fmt: skip
+_ABOUT = ("dataset", "split", "log_name", "location", "version")
+_SIMULATED = ("carla", "lead", "griffin", "opendrive")
+_LICENCES = {
+    "av2": "CC BY-NC-SA 4.0 and the terms of Argoverse 2", "nuplan": "CC BY-NC-SA 4.0 and the terms of nuPlan",
+    "nuscenes": "CC BY-NC-SA 4.0 and the terms of nuScenes", "kitti360": "CC BY-NC-SA 3.0",
+    "pandaset": "CC BY 4.0 and the terms of PandaSet", "wod": "Waymo's, non-commercial",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class EgoRows:
+    """The ego's table: times us `(n,)`, poses of the IMU, velocities of it `(n, 9)` (NaN where there are none)."""
+
+    time_us: IntArray
+    position: FloatArray
+    q: FloatArray
+    dynamic: FloatArray
+    about: Mapping[Any, Any]
+
+    def part(self, name: str) -> FloatArray:
+        """Where a part of the vehicle is in the IMU's frame `(3,)`, m; ValueError where that is not said."""
+        place = np.asarray(self.about.get(name, ()), dtype=np.float64)
+        if place.shape != (7,) or not np.isfinite(place).all():
+            raise ValueError(f"the vehicle has no {name}")
+        return place[:3]
+
+    def world(self, offset: FloatArray) -> FloatArray:
+        """World places `(n, 3)` of a point of the body."""
+        return self.position + rotated(self.q, np.broadcast_to(offset, self.position.shape))
+
+
+def read_123d(folder: Path) -> Scenario:
+    """Read the log in a folder (module docstring); LogError where it cannot be used."""
+    notes: list[str] = []
+    frames_us, about = read_frames(folder)
+    rows = read_ego(folder)
+    with reading(folder / f"{EGO}.arrow"):
+        drive, given = _ego(rows, notes)
+        vehicle = _vehicle(rows, notes)
+    boxes, own = _boxes(folder, int(rows.time_us[0]), notes)
+    index = kept(drive.t, (frames_us - rows.time_us[0]) / 1e6)
+    if not (given and own):
+        index = from_second(index, drive.t, (frames_us[:1] - rows.time_us[0]) / 1e6, notes)
+    ego = states_at(drive, index)
+    start, start_us = float(ego.t[0]), int(rows.time_us[index[0]])
+    origin = np.round([ego.x[0], ego.y[0]])
+    ego = replace(ego, t=since(start, ego.t), x=ego.x - origin[0], y=ego.y - origin[1])
+    shown = replace(boxes, t=since(start, boxes.t), x=boxes.x - origin[0], y=boxes.y - origin[1])
+    tracks = tracks_of(shown, notes)
+    road, lights = road_of(folder, about, ego, (float(origin[0]), float(origin[1])), start_us, notes)
+    if (folder / "route_position.arrow").exists():
+        notes.append("route_position is the ego's own later path: not read.")
+    dataset = str(about.get("dataset") or "")
+    return Scenario(
+        name=str(about.get("log_name") or folder.name),
+        ego=ego,
+        tracks=tracks,
+        road=road,
+        duration=float(ego.t[-1]),
+        vehicle=vehicle,
+        tags=_tags(dataset),
+        source=f"123D log of {dataset or 'an unnamed data set'}, written by py123d {about.get('version') or '?'}",
+        licence=next((words for key, words in _LICENCES.items() if dataset.startswith(key)), "that of the data set"),
+        origin=(float(origin[0]), float(origin[1])),
+        start_ns=1000 * start_us,
+        metadata={key: str(about[key]) for key in _ABOUT if about.get(key)},
+        notes=tuple(notes),
+        lights=lights,
+    )  # fmt: skip
+
+
+def _tags(dataset: str) -> tuple[str, ...]:
+    words = ("recorded",) if dataset.startswith(_RECORDED) else ("synthetic",) if dataset.startswith(_SIMULATED) else ()
+    return ("123d", *words, *((dataset,) if dataset else ()))
+
+
+# Tables
+
+
+def files_of(folder: Path) -> tuple[Path, ...]:
+    """The files of a log that are read."""
+    found = [folder / f"{name}.arrow" for name in ("sync", EGO, BOXES, LIGHTS)]
+    try:
+        found.append(map_of(folder, read_frames(folder)[1]) or folder / "map.arrow")
+    except LogError:
+        found.append(folder / "map.arrow")
+    return tuple(path for path in found if path.is_file())
+
+
+def span_of(folder: Path) -> tuple[float, float] | None:
+    """Seconds from the first frame to the last; None where the frames cannot be read."""
+    try:
+        times, _ = read_frames(folder)
+    except LogError:
+        return None
+    return (0.0, float(times[-1] - times[0]) / 1e6) if len(times) else None
+
+
+def contents_of(folder: Path) -> Contents:
+    """What each modality has at how many frames, from sync.arrow alone."""
+    try:
+        table = ipc_table(folder / "sync.arrow", ("sync.timestamp_us",))
+        times, about = whole(table, "sync.timestamp_us"), metadata_of(table)
+        keys = [name for name in table.schema.names if not name.startswith("sync.")]
+        return Contents(
+            f"123D log of {about.get('dataset')}, py123d {about.get('version')}, {len(times)} frames",
+            tuple(_topic(key, times[~np.asarray(table[key].is_null())]) for key in keys),
+        )
+    except (LogError, ValueError, TypeError, KeyError):
+        return Contents("123D log that cannot be read")
+
+
+def _topic(key: str, times: IntArray) -> TopicSummary:
+    first, last = (1000 * int(times[0]), 1000 * int(times[-1])) if len(times) else (None, None)
+    return TopicSummary(key, key.split(".", maxsplit=1)[0], "arrow", "arrow", len(times), first, last)
+
+
+def read_frames(folder: Path) -> tuple[IntArray, dict[Any, Any]]:
+    """Times of the frames `(n,)`, us, and the log's metadata."""
+    path = folder / "sync.arrow"
+    table = ipc_table(path, ("sync.timestamp_us",))
+    with reading(path):
+        return whole(table, "sync.timestamp_us"), metadata_of(table)
+
+
+def read_ego(folder: Path) -> EgoRows:
+    """The ego's table in order of time, one row per microsecond."""
+    path = folder / f"{EGO}.arrow"
+    if not path.is_file():
+        raise LogError(
+            "the log has no ego: ego_state_se3.arrow is missing", file=folder, remedy="convert it with its ego"
+        )
+    table = ipc_table(path, (f"{EGO}.timestamp_us", f"{EGO}.imu_se3"))
+    with reading(path):
+        times = whole(table, f"{EGO}.timestamp_us")
+        if not len(times):
+            raise LogError("the log has no ego states")
+        times, at = np.unique(times, return_index=True)
+        poses = vectors(table[f"{EGO}.imu_se3"], 7)[at]
+        if not np.isfinite(poses).all():
+            k = int(np.argmin(np.isfinite(poses).all(axis=1)))
+            raise LogError("a pose of the ego is missing or not finite", time_ns=1000 * int(times[k]))
+        name = f"{EGO}.dynamic_state_se3"
+        there = name in table.schema.names
+        dynamic = vectors(table[name], 9)[at] if there else np.full((len(at), 9), np.nan)
+        return EgoRows(times, poses[:, :3], unit(poses[:, 3:]), dynamic, metadata_of(table))
+
+
+# Ego
+
+
+def _ego(rows: EgoRows, notes: list[str]) -> tuple[Trajectory, bool]:
+    """All states of the rear axle, s since the first, and whether their velocities are the log's own."""
+    t = (rows.time_us - rows.time_us[0]) / 1e6
+    axle = rows.part("rear_axle_to_imu_se3")
+    place, yaw = rows.world(axle)[:, :2], np.unwrap(yaw_of(rows.q))
+    if not _own_velocity(t, rows):
+        return driven(t, place[:, 0], place[:, 1], yaw, notes), False
+    rate = rows.dynamic[:, 8]
+    v = rows.dynamic[:, 0] - rate * axle[1]
+    a = rows.dynamic[:, 3] - rate**2 * axle[0]
+    columns = {"t": t, "x": place[:, 0], "y": place[:, 1], "yaw": yaw, "v": v, "a": a, "kappa": held_curvature(rate, v)}
+    return completed(columns, notes), True
+
+
+def _own_velocity(t: FloatArray, rows: EgoRows) -> bool:
+    """Whether the stored velocities are measured: there, not all zero, and no differences of the places (see above)."""
+    velocity = rows.dynamic[:, :3]
+    if not np.isfinite(rows.dynamic[:, [0, 8]]).all() or not velocity.any():
+        return False
+    return not _is_differenced(t, rows.position, rotated(rows.q, velocity), np.zeros(len(t), np.int64))
+
+
+def _is_differenced(t: FloatArray, place: FloatArray, velocity: FloatArray, owner: IntArray) -> bool:
+    """Whether most world velocities are differences of the places `(m, 3)` before and after, of the first ones after.
+
+    Samples are ordered by owner and time.
+    """
+    alike = np.r_[False, owner[1:] == owner[:-1], False]
+    inner, first = np.flatnonzero(alike[:-1] & alike[1:]), np.flatnonzero(~alike[:-1] & alike[1:])
+    if not len(inner):
+        return False
+    central, backward = (_differences(t, place, at, inner - 1) for at in (inner + 1, inner))
+    telling = inner[np.abs(central - backward).max(axis=1) > TELLING_MPS]
+    known = np.asarray(np.isfinite(velocity).all(axis=1))
+    telling, first = telling[known[telling]], first[known[first]]
+    if not len(telling) or not len(first):
+        return False
+    away = np.abs(_differences(t, place, telling + 1, telling - 1) - velocity[telling]).max(axis=1)
+    begin = np.abs(_differences(t, place, first + 1, first) - velocity[first]).max(axis=1)
+    return bool(np.median(away) < SAME_MPS and np.median(begin) < SAME_MPS)
+
+
+def _differences(t: FloatArray, place: FloatArray, after: IntArray, earlier: IntArray) -> FloatArray:
+    span = np.maximum(t[after] - t[earlier], 1e-6)
+    return np.asarray((place[after] - place[earlier]) / span[:, None])
+
+
+def _vehicle(rows: EgoRows, notes: list[str]) -> VehicleParameters:
+    sizes = {key: float(rows.about.get(name) or 0.0) for key, name in _SIZES.items()}
+    sizes = {key: value for key, value in sizes.items() if 0.0 < value < 50.0}
+    ahead = rows.part("center_to_imu_se3") - rows.part("rear_axle_to_imu_se3")
+    if "length" in sizes and np.any(ahead):
+        sizes["rear_overhang"] = 0.5 * sizes["length"] - float(ahead[0])
+    elif "length" in sizes:
+        notes.append("The log has the ego's rear axle in the centre of its box: it is placed as in the default car.")
+    if abs(ahead[1]) > 0.05:
+        notes.append(f"The ego's box is {abs(ahead[1]):.2f} m beside its rear axle in the log: taken as centred on it.")
+    return car_of(sizes, notes)
+
+
+_SIZES = {"length": "length", "width": "width", "wheelbase": "wheel_base"}
+
+
+# Agents
+
+
+def _boxes(folder: Path, first_us: int, notes: list[str]) -> tuple[Boxes, bool]:
+    """All boxes, s since `first_us`, and whether their velocities are the log's own."""
+    path = folder / f"{BOXES}.arrow"
+    none = np.empty(0)
+    if not path.is_file():
+        notes.append("The log has no boxes: there are no other road users.")
+        return Boxes((), (), none, none.astype(np.int64), *(none,) * 7), True
+    columns = [f"{BOXES}.{name}" for name in ("timestamp_us", "bounding_box_se3", "track_token", "label")]
+    table = ipc_table(path, columns)
+    with reading(path):
+        lists = Lists(table, columns[1])
+        box, labels = vectors(lists.items(columns[1]), 10), lists.numbers(columns[3])
+        owner, names = lists.words(columns[2])
+        t = (whole(table, columns[0]) - first_us)[lists.row] / 1e6
+        stored = f"{BOXES}.velocity_3d"
+        there = stored in table.schema.names
+        velocity = vectors(lists.items(stored), 3) if there else np.full((len(t), 3), np.nan)
+        velocity, own = _measured(t, box[:, :3], velocity, owner, notes)
+        usable = np.isfinite(box).all(axis=1) & is_unit(box[:, 3:7])
+        box[~usable, :3], box[~usable, 3:7] = np.nan, (1.0, 0.0, 0.0, 0.0)
+        kinds = _kinds(metadata_of(table), len(names), owner, labels, box[:, 7], notes)
+        place, yaw = box[:, :2], yaw_of(unit(box[:, 3:7]))
+        x, y, length, width, vx, vy = *place.T, *box[:, 7:9].T, *velocity[:, :2].T
+        found = Boxes(tuple(names), kinds, t, owner, x, y, yaw, length, width, vx, vy)
+        return ordered(found, notes), own
+
+
+def _measured(
+    t: FloatArray, place: FloatArray, velocity: FloatArray, owner: IntArray, notes: list[str]
+) -> tuple[FloatArray, bool]:
+    """The agents' velocities, NaN where they are not the log's own, and whether they are."""
+    order = np.lexsort((t, owner))
+    nothing = np.full(velocity.shape, np.nan)
+    if not np.isfinite(velocity).any() or not velocity[np.isfinite(velocity)].any():
+        notes.append("The log has no velocities of the other road users: backward differences of their places.")
+        return nothing, False
+    if _is_differenced(t[order], place[order], velocity[order], owner[order]):
+        notes.append(
+            "The velocities of the other road users are differences to the frame after: backward ones are taken."
+        )
+        return nothing, False
+    known = np.asarray(np.isfinite(velocity).all(axis=1))
+    return np.where(known[:, None], velocity, np.nan), True
+
+
+def _kinds(
+    about: Mapping[Any, Any], count: int, owner: IntArray, labels: IntArray, length: FloatArray, notes: list[str]
+) -> Any:
+    """The kind of each of `count` road users: by their first label, and median length."""
+    there, first = np.unique(owner, return_index=True)
+    label, size = np.full(count, -1), np.zeros(count)
+    label[there] = labels[first]
+    for i, lengths in _grouped(owner, length):
+        size[i] = np.median(lengths)
+    return kinds_of(str(about.get("box_detection_label_class") or ""), label, size, notes)
+
+
+def _grouped(owner: IntArray, values: FloatArray) -> Any:
+    order = np.argsort(owner, kind="stable")
+    there, first = np.unique(owner[order], return_index=True)
+    return zip(there.tolist(), np.split(values[order], first[1:]), strict=True)

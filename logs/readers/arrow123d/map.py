@@ -1,0 +1,324 @@
+"""123D's map.arrow -> Road.
+
+Lanes (layer 0) with successors, neighbours, limits; markings from the road lines (layer 9): where they are the lanes'
+own boundaries, as in Argoverse 2, by that, else a boundary has the type of the road lines within `MARK_M` of it.
+Crosswalks (3). Stop zones (7) become stop lines: a zone names lanes, and lies on them or on those before them; the line
+is where the centre line enters the zone. A zone at the very begin of a lane inside a crossing is a line at the ends of
+the lanes before it, which counts towards that lane. Zones of traffic lights name the light by the lane that it is for.
+Intersections, walkways, car parks, drivable areas and speed bumps have no place in a Road.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from logs.errors import LogError
+from logs.kernel import FloatArray
+from logs.readers.recorded.strips import LARGEST_M, LONGEST_M, Strip, lanes_of
+from logs.readers.recorded.tables import COPY_AGAIN, array_of, ipc_table, metadata_of, reading, unpacked, whole
+from logs.road import Lane, Road, inside
+from logs.rules import Crosswalk, StopLine
+
+LANE, LANE_GROUP, CROSSWALK, STOP_ZONE, ROAD_LINE = 0, 1, 3, 7, 9
+LANE_TYPES = ("undefined", "freeway", "surface_street", "bike_lane", "bus_lane")
+NOT_DRIVABLE = ("bike_lane", "bus_lane")
+MARKS = (
+    "NONE", "UNKNOWN", "DASH_SOLID_YELLOW", "DASH_SOLID_WHITE", "DASHED_WHITE", "DASHED_YELLOW", "DOUBLE_SOLID_YELLOW",
+    "DOUBLE_SOLID_WHITE", "DOUBLE_DASH_YELLOW", "DOUBLE_DASH_WHITE", "SOLID_YELLOW", "SOLID_WHITE", "SOLID_DASH_WHITE",
+    "SOLID_DASH_YELLOW", "SOLID_BLUE",
+)  # fmt: skip
+"""Types of road lines by number."""
+ZONE_LIGHT, ZONE_STOP = 1, 2
+REACH_M = 300.0
+"""So far around the places that are asked for a map is read."""
+MARK_M = 0.35
+STEP_M = 0.5
+CONNECTORS_RIGHT = (0, 5)
+"""Since this version nuPlan's lanes inside crossings have predecessors and successors as they should."""
+KEEPS_LEFT = ("sg-", "singapore")
+
+
+@dataclass(frozen=True, eq=False)
+class MapObjects:
+    """The rows of a map by layer: id, features and geometry of each; and its metadata."""
+
+    layers: Mapping[int, Sequence[tuple[int, dict[Any, Any], bytes]]]
+    about: Mapping[Any, Any] = field(default_factory=dict)
+
+    def of(self, layer: int) -> Sequence[tuple[int, dict[Any, Any], bytes]]:
+        """The objects of a layer."""
+        return self.layers.get(layer, ())
+
+
+def road_of_map(
+    path: Path, origin: tuple[float, float] = (0.0, 0.0), near: FloatArray | None = None, notes: list[str] | None = None
+) -> Road:
+    """The road in a map file (module docstring).
+
+    Args:
+        path: `map.arrow`, or a place's map.
+        origin: Subtracted from all points, m.
+        near: Places `(k, 2)` in the map's coordinates; what lies farther than `REACH_M` outside their bounding box is
+            left out. None: all of the map.
+        notes: Gets what was assumed.
+
+    Raises:
+        LogError: The file is no such map, or has no lanes that can be used.
+    """
+    notes = notes if notes is not None else []
+    objects = read_objects(path)
+    if not objects.of(LANE):
+        raise LogError("the map has no lanes", topic=path.name, remedy="choose another map")
+    with reading(path):
+        return _road(objects, np.asarray(origin, dtype=np.float64), near, notes)
+
+
+def read_objects(path: Path) -> MapObjects:
+    """All rows of a map file; LogError where it is none."""
+    table = ipc_table(path, ("object_id", "map_layer", "features", "wkb"))
+    with reading(path):
+        layers: dict[int, list[tuple[int, dict[Any, Any], bytes]]] = {}
+        columns = table["features"].to_pylist(), table["wkb"].to_pylist()
+        rows = zip(whole(table, "object_id").tolist(), whole(table, "map_layer").tolist(), *columns, strict=True)
+        for i, layer, features, geometry in rows:
+            found = unpacked(features)
+            if not isinstance(found, dict):
+                raise LogError(f"object {i} of layer {layer} has no features", remedy=COPY_AGAIN)
+            layers.setdefault(layer, []).append((i, found, geometry))
+        for layer, some in layers.items():
+            if len({i for i, _, _ in some}) < len(some):
+                raise LogError(f"two objects of layer {layer} have the same id", remedy=COPY_AGAIN)
+        return MapObjects(layers, metadata_of(table))
+
+
+def _road(objects: MapObjects, origin: FloatArray, near: FloatArray | None, notes: list[str]) -> Road:
+    chosen = [(i, f) for i, f, _ in objects.of(LANE) if _is_near(f.get("left_boundary"), near)]
+    if len(chosen) < len(objects.of(LANE)):
+        notes.append(
+            f"Of the map's {len(objects.of(LANE))} lanes those within {REACH_M:.0f} m are read: {len(chosen)}."
+        )
+    marks = _marks(objects, chosen, near, notes)
+    turned = _connectors_turned(objects.about, notes)
+    strips = [_strip(i, f, origin, marks, turned=turned) for i, f in chosen]
+    lanes, keeps_right = lanes_of(strips, notes)
+    if not lanes:
+        raise LogError("the map has no lanes here that can be used", remedy="choose another map")
+    if str(objects.about.get("location") or "").lower().startswith(KEEPS_LEFT):
+        keeps_right = False
+        notes.append("Traffic drives on the left in Singapore.")
+    outlines = ((i, _ring(f, origin)) for i, f, _ in objects.of(CROSSWALK) if _is_near(f.get("outline"), near))
+    walks = tuple(Crosswalk(i, ring) for i, ring in outlines if len(ring) >= 3)
+    zones = [(f, _ring(f, origin)) for _, f, _ in objects.of(STOP_ZONE) if _is_near(f.get("outline"), near)]
+    lines = stop_lines(zones, lanes, notes)
+    if any(len(lane.successors) > 1 for lane in lanes.values()):
+        notes.append("The map has no right of way: who goes first where lanes meet is not known.")
+    return Road(lanes, drives_on_right=keeps_right, stop_lines=lines, crosswalks=walks)
+
+
+def _is_near(points: Any, near: FloatArray | None) -> bool:
+    """Whether a line or outline comes within `REACH_M` of the box around some places."""
+    if near is None or points is None:
+        return True
+    line, near = array_of(points)[:, :2], np.asarray(near)
+    low, high = near.min(axis=0) - REACH_M, near.max(axis=0) + REACH_M
+    return bool((line.max(axis=0) >= low).all() and (line.min(axis=0) <= high).all())
+
+
+def _connectors_turned(about: Mapping[Any, Any], notes: list[str]) -> bool:
+    """Whether predecessors and successors of lanes inside crossings are swapped, as in early maps of nuPlan."""
+    version = tuple(int(part) for part in str(about.get("version") or "").split(".")[:2] if part.isdigit())
+    swapped = str(about.get("dataset") or "").startswith("nuplan") and () < version < CONNECTORS_RIGHT
+    if swapped:
+        notes.append("Lanes inside crossings have predecessors and successors swapped before py123d 0.5.0: put right.")
+    return swapped
+
+
+def _strip(i: int, f: Mapping[str, Any], origin: FloatArray, marks: Mapping[Any, str], *, turned: bool) -> Strip:
+    kind = f.get("lane_type")
+    word = LANE_TYPES[kind] if isinstance(kind, int) and 0 <= kind < len(LANE_TYPES) else "undefined"
+    onward = f.get("predecessor_ids" if turned and kind == 0 else "successor_ids")
+    limit = f.get("speed_limit_mps")
+    sides = [array_of(f[name])[:, :2] for name in ("left_boundary", "right_boundary")]
+    return Strip(
+        i,
+        sides[0] - origin,
+        sides[1] - origin,
+        successors=tuple(dict.fromkeys(_ids(onward))),
+        beside=(_id(f.get("left_lane_id")), _id(f.get("right_lane_id"))),
+        kind=word,
+        marks=(marks.get((i, "left"), ""), marks.get((i, "right"), "")),
+        drivable=word not in NOT_DRIVABLE,
+        speed_limit=float(limit) if isinstance(limit, int | float) else float("nan"),
+    )
+
+
+def _id(value: Any) -> int | None:
+    return value if isinstance(value, int) and not isinstance(value, bool) else None
+
+
+def _ids(values: Any) -> list[int]:
+    return [i for i in values or () if _id(i) is not None]
+
+
+def _ring(f: Mapping[str, Any], origin: FloatArray) -> FloatArray:
+    """An outline `(k, 2)` without its repeated last point; empty where it is none."""
+    ring = array_of(f["outline"])[:, :2]
+    if len(ring) < 4 or not (np.abs(ring) < LARGEST_M).all():
+        return np.empty((0, 2))
+    return np.asarray((ring[:-1] if (ring[0] == ring[-1]).all() else ring) - origin)
+
+
+# Markings
+
+
+def line_of_wkb(geometry: bytes) -> FloatArray:
+    """The points `(n, 2)` of a little-endian EWKB line, 2D or 3D."""
+    kind, count = (int.from_bytes(geometry[at : at + 4], "little") for at in (1, 5))
+    if geometry[:1] != b"\x01" or kind not in (2, 0x80000002):
+        raise ValueError(f"a road line has the geometry type {kind:#x}")
+    size = 2 if kind == 2 else 3
+    return np.frombuffer(geometry, "<f8", count * size, offset=9).reshape(count, size)[:, :2].copy()
+
+
+def _marks(
+    objects: MapObjects, lanes: Sequence[tuple[int, Mapping[str, Any]]], near: FloatArray | None, notes: list[str]
+) -> dict[Any, str]:
+    """The marking's name of each (lane, side) that has one."""
+    lines = [(line_of_wkb(g), int(f.get("road_line_type") or 0)) for _, f, g in objects.of(ROAD_LINE)]
+    lines = [(line, kind) for line, kind in lines if _is_line(line) and 0 <= kind < len(MARKS) and _is_near(line, near)]
+    if not lines:
+        notes.append("The map has no road lines: all markings are taken as such that may be crossed.")
+        return {}
+    exact: dict[bytes, int] = {}
+    for line, kind in lines:
+        key = line.tobytes()
+        exact[key] = max(exact.get(key, 0), kind)
+    sides = {
+        (i, side): np.ascontiguousarray(array_of(f[f"{side}_boundary"])[:, :2])
+        for i, f in lanes
+        for side in ("left", "right")
+    }
+    found = {key: MARKS[exact[line.tobytes()]] for key, line in sides.items() if line.tobytes() in exact}
+    if len({sides[key].tobytes() for key in found}) >= 0.5 * len(exact):
+        return found
+    notes.append(f"Lanes have the markings of the map's road lines within {MARK_M} m of their edges.")
+    return _marks_nearby(lines, {key: line for key, line in sides.items() if _is_line(line)})
+
+
+def _is_line(points: FloatArray) -> bool:
+    if len(points) < 2 or not (np.abs(points) < LARGEST_M).all():
+        return False
+    return bool(np.hypot(*np.diff(points, axis=0).T).sum() < LONGEST_M)
+
+
+def _marks_nearby(lines: Sequence[tuple[FloatArray, int]], sides: Mapping[Any, FloatArray]) -> dict[Any, str]:
+    """The type of the road lines beside most of each edge."""
+    from scipy.spatial import cKDTree
+
+    dense = [(_dense(line), kind) for line, kind in lines]
+    tree = cKDTree(np.vstack([line for line, _ in dense]))
+    kinds = np.concatenate([np.full(len(line), kind) for line, kind in dense])
+    out = {}
+    for key, side in sides.items():
+        points = _dense(side)
+        away, at = tree.query(points, distance_upper_bound=MARK_M)
+        beside = kinds[np.asarray(at)[np.isfinite(away)]]
+        if 2 * len(beside) >= len(points):
+            out[key] = MARKS[Counter(beside.tolist()).most_common(1)[0][0]]
+    return out
+
+
+def _dense(line: FloatArray) -> FloatArray:
+    """The line with a point at least every `STEP_M`."""
+    way = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
+    at = np.linspace(0.0, way[-1], max(2, 1 + int(np.ceil(way[-1] / STEP_M))))
+    return np.column_stack([np.interp(at, way, line[:, k]) for k in (0, 1)])
+
+
+# Stop lines
+
+
+def before(lanes: Mapping[int, Lane]) -> dict[int, list[int]]:
+    """The lanes before each lane."""
+    out: dict[int, list[int]] = {}
+    for lane in lanes.values():
+        for after in lane.successors:
+            out.setdefault(after, []).append(lane.id)
+    return out
+
+
+def ends_at(lane: Lane, part: float) -> FloatArray:
+    """The two ends `(2, 2)` of a line across a lane at a part of its length, 0 to 1."""
+    way = np.r_[0.0, np.cumsum(np.hypot(*np.diff(lane.center, axis=0).T))] / lane.length
+    return np.array([[np.interp(part, way, side[:, k]) for k in (0, 1)] for side in (lane.left, lane.right)])
+
+
+def stop_lines(
+    zones: Sequence[tuple[Mapping[str, Any], FloatArray]], lanes: Mapping[int, Lane], notes: list[str]
+) -> tuple[StopLine, ...]:
+    """The stop lines of stop zones (module docstring); a zone that lies on none of its lanes gives none."""
+    feeding, found, lost = before(lanes), list[StopLine](), 0
+    for f, ring in zones:
+        named = [lanes[i] for i in _ids(f.get("lane_ids")) if i in lanes]
+        placed = [place for lane in named for place in _places(lane, ring, lanes, feeding)] if len(ring) > 2 else []
+        lost += not placed
+        kind = f.get("stop_zone_type")
+        for across, part, towards in placed:
+            for light, ways in _lights(kind, lanes[across], towards):
+                ends = ends_at(lanes[across], part)
+                found.append(StopLine(len(found), across, ends, light, kind == ZONE_STOP, ways))
+    if lost:
+        notes.append(f"{lost} of {len(zones)} stop zones lie on none of the lanes that they name and are left out.")
+    return _joined(found)
+
+
+def _places(
+    lane: Lane, ring: FloatArray, lanes: Mapping[int, Lane], feeding: Mapping[int, Sequence[int]]
+) -> Iterator[tuple[int, float, tuple[int, ...]]]:
+    """Where a zone is entered: lane, part of its length, the lanes after it for which it counts (none: all)."""
+    ahead = [lanes[i] for i in feeding.get(lane.id, ())]
+    part = _entered(lane, ring)
+    if part is not None and (part * lane.length > STEP_M or not ahead):
+        yield lane.id, part, ()
+        return
+    for one in ahead:
+        entry = _entered(one, ring)
+        if entry is not None or part is not None:
+            yield one.id, 1.0 if entry is None else entry, (lane.id,)
+
+
+def _entered(lane: Lane, ring: FloatArray) -> float | None:
+    """The part of a lane's length at which its centre line comes into an outline."""
+    points = _dense(lane.center)
+    within = [inside(x, y, ring) for x, y in points]
+    return within.index(True) / (len(points) - 1) if any(within) else None
+
+
+def _lights(kind: Any, lane: Lane, towards: tuple[int, ...]) -> Iterator[tuple[int | None, tuple[int, ...]]]:
+    """The lights of a line across a lane, and for which lanes each: it has the id of the lane that it is for."""
+    if kind != ZONE_LIGHT:
+        yield None, towards
+    elif not (towards or lane.successors):
+        yield lane.id, ()
+    else:
+        for after in towards or lane.successors:
+            yield after, (after,)
+
+
+def _joined(lines: Sequence[StopLine]) -> tuple[StopLine, ...]:
+    """Lines at the same place that mean the same are one, for all their lanes."""
+    out: dict[Any, StopLine] = {}
+    for line in lines:
+        key = (line.lane, line.points.tobytes(), line.light, line.must_stop)
+        known = out.get(key)
+        ways = (
+            () if known and not (known.towards and line.towards) else (*(known.towards if known else ()), *line.towards)
+        )
+        out[key] = replace(line, id=known.id if known else len(out), towards=tuple(dict.fromkeys(ways)))
+    return tuple(out.values())

@@ -1,0 +1,117 @@
+"""Lanes between two lines: a map's own left and right boundary, its neighbours as candidates, its markings.
+
+Boundaries get as many points as each other by relative arc length. A neighbour is one in the same direction only where
+its centre line runs the same way beside the middle of the lane: maps list oncoming lanes as neighbours too. Traffic
+drives on the left where oncoming lanes are to the right more often.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from logs.kernel import FloatArray
+from logs.mcap.osi_lanes import paired
+from logs.road import Lane
+
+LARGEST_M = 1e7
+"""A coordinate beyond this is none: UTM northings end at 1e7."""
+SHORTEST_M, LONGEST_M = 0.01, 1e5
+"""Of a boundary: others are none."""
+
+
+@dataclass(frozen=True, eq=False)
+class Strip:
+    """A lane as a map has it.
+
+    Attributes:
+        left: Boundary `(n, 2)` in driving direction, m; `right` `(k, 2)`.
+        beside: Ids of the lanes to the left and to the right, None where there is none.
+        marks: Names of the left and the right marking ("DASH_SOLID_YELLOW"; "": not known).
+    """
+
+    id: int
+    left: FloatArray
+    right: FloatArray
+    successors: tuple[int, ...]
+    beside: tuple[int | None, int | None]
+    kind: str
+    marks: tuple[str, str] = ("", "")
+    drivable: bool = True
+    speed_limit: float = float("nan")
+
+
+def lanes_of(strips: Sequence[Strip], notes: list[str]) -> tuple[dict[int, Lane], bool]:
+    """The lanes by id, and whether one drives on the right."""
+    lanes = {strip.id: lane for strip in strips if (lane := _lane(strip)) is not None}
+    if len(lanes) < len(strips):
+        notes.append(f"{len(strips) - len(lanes)} of {len(strips)} lanes are left out: their boundaries are no strip.")
+    out, balance = {}, 0
+    for strip in strips:
+        if strip.id not in lanes:
+            continue
+        lane = lanes[strip.id]
+        left, right = (lanes.get(i) if i is not None else None for i in strip.beside)
+        same = [other is not None and _same_way(lane, other) for other in (left, right)]
+        opposite = [other is not None and not way for other, way in zip((left, right), same, strict=True)]
+        balance += opposite[0] - opposite[1]
+        out[lane.id] = replace(
+            lane,
+            left_neighbour=left.id if left is not None and same[0] else None,
+            right_neighbour=right.id if right is not None and same[1] else None,
+            left_opposite=opposite[0],
+            right_opposite=opposite[1],
+        )
+    return out, balance >= 0
+
+
+def crossable(mark: str, *, left: bool) -> bool:
+    """Whether a marking to the left or right may be crossed; of a double line the near one counts.
+
+    Their names list the lines from left to right; what is no line, or not known, may be crossed.
+    """
+    lines = [part for part in mark.split("_") if part in ("SOLID", "DASH", "DASHED")]
+    return not lines or lines[-1 if left else 0] != "SOLID"
+
+
+def _lane(strip: Strip) -> Lane | None:
+    """The lane, without neighbours; None where its boundaries are no strip."""
+    sides = [_line(side) for side in (strip.left, strip.right)]
+    if min(map(len, sides)) < 2:
+        return None
+    left, right = paired(*sides)
+    moved = np.r_[True, np.hypot(*np.diff(0.5 * (left + right), axis=0).T) > 1e-3]
+    if moved.sum() < 2:
+        return None
+    return Lane(
+        strip.id,
+        left[moved],
+        right[moved],
+        successors=tuple(i for i in strip.successors if i != strip.id),
+        speed_limit=strip.speed_limit if 0.0 < strip.speed_limit < 100.0 else float("nan"),
+        drivable=strip.drivable,
+        left_crossable=crossable(strip.marks[0], left=True),
+        right_crossable=crossable(strip.marks[1], left=False),
+        kind=strip.kind,
+    )
+
+
+def _line(points: FloatArray) -> FloatArray:
+    """The points that differ from the one before; none where one is out of bounds or the line has no length."""
+    if points.ndim != 2 or len(points) < 2 or not (np.abs(points) < LARGEST_M).all():
+        return np.empty((0, 2))
+    points = points[np.r_[True, np.hypot(*np.diff(points, axis=0).T) > 1e-6]]
+    return points if SHORTEST_M < np.hypot(*np.diff(points, axis=0).T).sum() < LONGEST_M else np.empty((0, 2))
+
+
+def _same_way(lane: Lane, other: Lane) -> bool:
+    """Whether two lanes are driven the same way: the other where it is nearest to the middle of the lane."""
+    ahead = lane.center[len(lane.center) // 2] - lane.center[len(lane.center) // 2 - 1]
+    middle = 0.5 * (lane.center[len(lane.center) // 2] + lane.center[len(lane.center) // 2 - 1])
+    steps = np.diff(other.center, axis=0)
+    squares = np.maximum((steps * steps).sum(axis=1), 1e-12)
+    along = np.clip(((middle - other.center[:-1]) * steps).sum(axis=1) / squares, 0.0, 1.0)
+    away = np.hypot(*(other.center[:-1] + along[:, None] * steps - middle).T)
+    return bool(steps[int(np.argmin(away))] @ ahead > 0.0)

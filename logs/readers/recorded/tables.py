@@ -1,0 +1,186 @@
+"""Arrow IPC files (feather among them) and Parquet, columns as arrays; whatever the bytes, a table or a LogError."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+import pyarrow.parquet as pq
+
+from logs.errors import LogError
+from logs.kernel import FloatArray, IntArray
+
+METADATA = b"metadata"
+"""Key of a 123D file's schema under which its metadata are, as msgpack."""
+LARGEST_BYTES = 4_000_000_000
+"""Of a table in memory: a longer log than that is none (ten hours of 100 boxes at 10 Hz take 1.5 GB)."""
+LARGEST = 1e8
+"""A length, speed or place beyond this, in m and s, is none."""
+COPY_AGAIN = "copy the log again from its source"
+_WRONG = (
+    pa.ArrowException, msgspec.MsgspecError, OSError, EOFError, MemoryError, ValueError, TypeError, KeyError,
+    IndexError, AttributeError, OverflowError, NotImplementedError, RecursionError,
+)  # fmt: skip
+"""What damaged or foreign bytes raise in pyarrow, msgspec and NumPy."""
+
+
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Whatever goes wrong with the bytes of a file becomes a LogError that names its part."""
+    try:
+        yield
+    except LogError as error:
+        if error.topic is None:
+            error = LogError(error.what, time_ns=error.time_ns, topic=path.name, remedy=error.remedy)
+        raise error from None
+    except _WRONG as error:
+        what = str(error) if isinstance(error, OSError | pa.ArrowException) else f"{type(error).__name__}: {error}"
+        what = f"cannot be read: {' '.join(what.split())[:200]}"
+        raise LogError(what, topic=path.name, remedy=COPY_AGAIN) from None
+
+
+def ipc_table(path: Path, columns: Sequence[str] = ()) -> Any:
+    """A table of an Arrow IPC file, with at least these columns; checked whole, so that no index in it misleads."""
+    with reading(path):
+        with pa.OSFile(str(path)) as stream, pa.ipc.open_file(stream) as file:
+            _demand(path, columns, file.schema.names)
+            table = file.read_all()
+        return _checked(table)
+
+
+def parquet_table(path: Path, columns: Sequence[str]) -> Any:
+    """These columns of a Parquet file."""
+    with reading(path):
+        with pq.ParquetFile(str(path)) as file:
+            _demand(path, columns, file.schema_arrow.names)
+            if sum(file.metadata.row_group(i).total_byte_size for i in range(file.num_row_groups)) > LARGEST_BYTES:
+                raise LogError(f"it would take more than {LARGEST_BYTES} bytes")
+            table = file.read(columns=list(columns), use_threads=False)
+        return _checked(table)
+
+
+def _demand(path: Path, columns: Sequence[str], there: Sequence[str]) -> None:
+    lacking = [name for name in columns if name not in there]
+    if lacking:
+        raise LogError(f"column {lacking[0]} is missing; there are {', '.join(there[:12]) or 'none'}", topic=path.name)
+
+
+def _checked(table: Any) -> Any:
+    table.validate(full=True)
+    if table.nbytes > LARGEST_BYTES:
+        raise LogError(f"it takes {table.nbytes} bytes, more than {LARGEST_BYTES}")
+    return table.combine_chunks()
+
+
+def metadata_of(table: Any) -> dict[Any, Any]:
+    """The metadata of a 123D file; none: an empty table."""
+    packed = (table.schema.metadata or {}).get(METADATA)
+    found = unpacked(packed) if packed is not None else {}
+    return found if isinstance(found, dict) else {}
+
+
+def unpacked(packed: bytes) -> Any:
+    """msgpack; arrays are left as `array_of` takes them."""
+    return msgspec.msgpack.decode(packed)
+
+
+def array_of(value: Any) -> FloatArray:
+    """A NumPy array as 123D packs it, `(n, 2 or more)`, or a list of points."""
+    if isinstance(value, dict):
+        dtype = value[b"dtype"]
+        if dtype not in ("<f8", "<f4", "<i8", "<i4"):
+            raise ValueError(f"an array has the type {dtype!r}")
+        return np.frombuffer(value[b"data"], dtype).reshape(value[b"shape"]).astype(np.float64)
+    return np.asarray(value, dtype=np.float64)
+
+
+def whole(table: Any, name: str) -> IntArray:
+    """A column of whole numbers `(n,)`; ValueError where one is missing."""
+    column = table[name]
+    if column.null_count or not pa.types.is_integer(column.type):
+        raise ValueError(f"{name} has empty entries or is no column of whole numbers")
+    return column.to_numpy().astype(np.int64)
+
+
+def numbers(table: Any, name: str) -> FloatArray:
+    """A column of numbers `(n,)`, NaN where one is missing or beyond `LARGEST`."""
+    return _bounded(np.array(table[name].cast(pa.float64()).to_numpy(zero_copy_only=False), dtype=np.float64))
+
+
+def words(table: Any, name: str) -> tuple[IntArray, list[str]]:
+    """A column of strings as numbers `(n,)` and what they stand for."""
+    return _coded(_one(table[name]))
+
+
+def vectors(column: Any, size: int) -> FloatArray:
+    """A column of fixed lists `(n, size)`, rows of NaN where one is missing, NaN for what is beyond `LARGEST`.
+
+    What lies behind an empty entry is undefined, and flattening leaves it out: the rows are put back by the mask.
+    """
+    array = _one(column)
+    if not pa.types.is_fixed_size_list(array.type) or array.type.list_size != size:
+        raise ValueError(f"lists of {size} numbers were expected, found {array.type}")
+    out = np.full((len(array), size), np.nan)
+    there = ~np.asarray(array.is_null())
+    out[there] = np.asarray(array.flatten().cast(pa.float64()).to_numpy(zero_copy_only=False)).reshape(-1, size)
+    return _bounded(out)
+
+
+def _bounded(values: FloatArray) -> FloatArray:
+    values[~(np.abs(values) <= LARGEST)] = np.nan
+    return values
+
+
+class Lists:
+    """Columns of lists, one list per row, as long as each other in every row.
+
+    Attributes:
+        row: `(m,)` the row of each item.
+    """
+
+    def __init__(self, table: Any, key: str) -> None:
+        self._table, self._key = table, key
+        self._sizes = self._lengths(key)
+        self.row: IntArray = np.repeat(np.arange(len(table)), self._sizes)
+
+    def _lengths(self, name: str) -> IntArray:
+        return pc.fill_null(pc.list_value_length(_one(self._table[name])), 0).to_numpy().astype(np.int64)
+
+    def items(self, name: str) -> Any:
+        """The items of a column, all rows in one array."""
+        if not np.array_equal(self._lengths(name), self._sizes):
+            raise ValueError(f"{name} and {self._key} have lists of different lengths")
+        return _one(self._table[name]).flatten()
+
+    def numbers(self, name: str) -> IntArray:
+        """Whole numbers `(m,)`."""
+        items = self.items(name)
+        if items.null_count or not pa.types.is_integer(items.type):
+            raise ValueError(f"{name} has empty entries or no whole numbers")
+        return items.to_numpy(zero_copy_only=False).astype(np.int64)
+
+    def words(self, name: str) -> tuple[IntArray, list[str]]:
+        """Strings as numbers `(m,)` and what they stand for."""
+        return _coded(self.items(name))
+
+
+def _one(column: Any) -> Any:
+    """A column as one array."""
+    if not isinstance(column, pa.ChunkedArray):
+        return column
+    return column.chunk(0) if column.num_chunks == 1 else pa.concat_arrays(column.chunks) if column.num_chunks else (
+        pa.array([], type=column.type)
+    )  # fmt: skip
+
+
+def _coded(array: Any) -> tuple[IntArray, list[str]]:
+    if array.null_count or not (pa.types.is_string(array.type) or pa.types.is_large_string(array.type)):
+        raise ValueError("names are missing or are no text")
+    coded = array.dictionary_encode()
+    return coded.indices.to_numpy(zero_copy_only=False).astype(np.int64), coded.dictionary.to_pylist()

@@ -1,0 +1,346 @@
+"""Tables: pandas frames, CSV and Parquet files.
+
+    ego      t, x, y, yaw    and, where known, v, a, kappa, steer, throttle, brake          one row a state
+    agents   t, id, x, y     and, where known, yaw, vx, vy or v, length, width, kind        one row an agent and a time
+
+t is in seconds (any zero), or a date and time; it may be given as t_ns, t_us or t_ms. Positions are world coordinates
+in metres, of the ego's rear axle and the agents' box centres; angles in rad, counter-clockwise from x; speeds in m/s.
+`columns` maps these names to those of the table, with a unit in brackets where it is another one: "heading [deg]",
+"speed [km/h]" (`UNITS`). What is missing is filled in and noted (`logs.mcap.complete`): the ego's v, the agents' yaw
+and velocity by backward differences, sizes by kind.
+
+A log on disk is a folder that holds `ego.csv` or `ego.parquet` and, beside it, `agents.csv` or `agents.parquet`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from logs.agents import USUAL_SIZE_M
+from logs.errors import LogError
+from logs.kernel import FloatArray
+from logs.mcap.complete import completed, road_along
+from logs.readers.base import Contents, LogSettings, Reader, TopicSummary
+from logs.road import Goal, Road
+from logs.scenario import AgentKind, Scenario, Tracks
+from logs.states import Controls
+from logs.vehicle import VehicleParameters
+
+NAMES = ("ego", "agents")
+SUFFIXES = (".csv", ".parquet")
+UNITS = {
+    "": 1.0, "m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "ft": 0.3048, "rad": 1.0, "deg": np.pi / 180.0,
+    "m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704, "kn": 1852.0 / 3600.0, "m/s2": 1.0, "g": 9.80665, "1/m": 1.0,
+    "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "%": 0.01, "1": 1.0,
+}  # fmt: skip
+"""Factor to our unit of each that may stand in brackets behind a column's name."""
+TIMES = {"t": 1.0, "t_ms": 1e-3, "t_us": 1e-6, "t_ns": 1e-9}
+ALIASES = {
+    "vehicle": "car", "person": "pedestrian", "cyclist": "bicycle", "motorcyclist": "motorcycle", "van": "car",
+    "bike": "bicycle", "motorbike": "motorcycle", "unknown": "object", "static": "object", "trailer": "truck",
+}  # fmt: skip
+"""Other words for the kinds."""
+MOVED_M = 0.2
+"""Way over which a heading is derived, m."""
+_WITH_UNIT = re.compile(r"^(?P<name>.*?)(?:\s*\[(?P<unit>[^\]]*)\])?$")
+
+
+def from_frames(
+    ego: pd.DataFrame,
+    agents: pd.DataFrame | None = None,
+    *,
+    name: str = "table",
+    columns: Mapping[str, str] | None = None,
+    road: Road | None = None,
+    goal: Goal | None = None,
+    vehicle: VehicleParameters | None = None,
+    tags: tuple[str, ...] = ("recorded",),
+    source: str = "",
+    licence: str = "",
+) -> Scenario:
+    """The scenario in tables of the ego and of the other road users (module docstring for columns, units, frames).
+
+    Args:
+        ego: One row a state; rows in any order.
+        agents: One row an agent and a time; None: nobody else is there.
+        name: Short and unique within a run.
+        columns: Name in the table, with its unit, by name here; those that are not named have our names.
+        road: In the tables' coordinates; None: one lane along the driven path, noted.
+        goal: Likewise; None: none.
+        vehicle: The ego's; None: the default car, noted.
+        tags: By which gates and reports group; "recorded" or "synthetic" says whether a person drove.
+        source: Where it comes from; `licence` under which terms.
+        licence: See there.
+
+    Raises:
+        LogError: A column is missing or not of numbers, a unit or kind is unknown, a value is not finite, two rows of
+            one agent have one time.
+    """
+    table, notes = _Table(ego, "ego", columns or {}), list[str]()
+    start_ns, t = table.times()
+    order = np.argsort(t, kind="stable")
+    t = t[order]
+    twice = np.flatnonzero(np.diff(t) <= 0.0)
+    if len(twice):
+        raise LogError(f"two rows have the time {t[twice[0]]:g} s", topic="ego", remedy="keep one of them")
+    origin = np.zeros(2)
+    if road is None and goal is None:
+        origin = np.round([table.numbers("x")[order[0]], table.numbers("y")[order[0]]])
+    state = {key: table.numbers(key)[order] for key in ("x", "y", "yaw")}
+    state["x"], state["y"] = state["x"] - origin[0], state["y"] - origin[1]
+    for key in ("v", "a", "kappa"):
+        state[key] = table.numbers(key)[order] if table.has(key) else np.full(len(t), np.nan)
+    if not table.has("v"):
+        notes.append("The log has no ego speed: it is derived from the positions by backward differences.")
+        state["v"] = _forward_speed(t, state)
+    if vehicle is None:
+        notes.append("The log does not describe the ego's vehicle: a mid-size car is assumed.")
+    try:
+        with np.errstate(all="ignore"):  # absurd numbers are refused as such
+            driven = completed({"t": t, **state}, notes)
+        tracks = _tracks(agents, columns or {}, start_ns, origin, notes)
+        return Scenario(
+            name=name,
+            ego=driven,
+            tracks=tracks,
+            road=road_along(driven, notes) if road is None else road,
+            duration=float(t[-1]),
+            goal=goal,
+            vehicle=vehicle or VehicleParameters(),
+            controls=_controls(table, t, order),
+            tags=tags,
+            source=source,
+            licence=licence,
+            origin=(float(origin[0]), float(origin[1])),
+            start_ns=start_ns,
+            notes=tuple(notes),
+        )
+    except ValueError as error:
+        raise LogError(str(error), topic="ego") from None
+
+
+class _Table:
+    """A frame whose columns are asked for by our names."""
+
+    def __init__(self, frame: pd.DataFrame, name: str, columns: Mapping[str, str]) -> None:
+        self.frame, self.name = frame, name
+        self._columns = {ours: self._found(columns.get(ours, ours)) for ours in (*TIMES, *_COLUMNS)}
+        if not len(frame):
+            raise LogError("the table has no rows", topic=name, remedy="give at least one")
+
+    def _found(self, told: str) -> tuple[str, float] | None:
+        """The table's own name of a column and the factor of its unit; None where it has no such column."""
+        if told in self.frame.columns:
+            return told, 1.0
+        match = _WITH_UNIT.match(told)
+        name, unit = (match["name"], match["unit"] or "") if match else (told, "")
+        if unit not in UNITS:
+            raise LogError(f"the unit [{unit}] of {name} is unknown", topic=self.name, remedy=f"known: {_KNOWN_UNITS}")
+        return (name, UNITS[unit]) if name in self.frame.columns else None
+
+    def has(self, ours: str) -> bool:
+        """Whether it has such a column."""
+        return self._columns[ours] is not None
+
+    def column(self, ours: str) -> tuple[pd.Series[Any], float]:
+        """A column and the factor to our unit.
+
+        Raises:
+            LogError: It has none.
+        """
+        found = self._columns[ours]
+        if found is None:
+            held = ", ".join(map(str, self.frame.columns[:12]))
+            what = f"the table has no column {ours}; it has {held}"
+            raise LogError(what, topic=self.name, remedy=f'name it: columns = {{{ours} = "its name [unit]"}}')
+        return self.frame[found[0]], found[1]
+
+    def numbers(self, ours: str) -> FloatArray:
+        """A column in our unit `(n,)`; NaN where it is empty."""
+        column, factor = self.column(ours)
+        try:
+            return np.asarray(pd.to_numeric(column), dtype=np.float64) * factor
+        except (ValueError, TypeError) as error:
+            raise LogError(f"{column.name} is not a column of numbers: {error}", topic=self.name) from None
+
+    def times(self, start_ns: int | None = None) -> tuple[int, FloatArray]:
+        """Nanoseconds of the first row (or `start_ns`), and seconds since then `(n,)`."""
+        ours = next((name for name in TIMES if self.has(name)), "t")
+        column, factor = self.column(ours)
+        if pd.api.types.is_datetime64_any_dtype(column):
+            ns = pd.DatetimeIndex(column).as_unit("ns").asi8
+        elif pd.api.types.is_integer_dtype(column):
+            ns = column.to_numpy().astype(np.int64) * round(factor * TIMES[ours] * 1e9)
+        else:
+            seconds = self.numbers(ours) * TIMES[ours]
+            if not np.isfinite(seconds).all():
+                raise LogError(f"{column.name} is not finite in every row", topic=self.name)
+            if np.abs(seconds).max() > LAST_S:
+                raise LogError(f"{column.name} is beyond any clock", topic=self.name, remedy="give its unit: [ns]")
+            ns = np.round(seconds * 1e9).astype(np.int64)
+        first = int(ns.min()) if start_ns is None else start_ns
+        return max(first, 0), (ns - first) / 1e9
+
+
+LAST_S = 9e9
+"""Seconds of the last time that fits 64 bits of nanoseconds, about."""
+_COLUMNS = (
+    "x", "y", "yaw", "v", "a", "kappa", "steer", "throttle", "brake", "id", "vx", "vy", "length", "width", "kind",
+)  # fmt: skip
+_KNOWN_UNITS = ", ".join(unit for unit in UNITS if unit)
+
+
+def _forward_speed(t: FloatArray, state: Mapping[str, FloatArray]) -> FloatArray:
+    """Backward differences of the position along the heading, m/s."""
+    if len(t) < 2:
+        return np.zeros(len(t))
+    dx, dy, yaw = np.diff(state["x"]), np.diff(state["y"]), state["yaw"][1:]
+    v = (dx * np.cos(yaw) + dy * np.sin(yaw)) / np.diff(t)
+    return np.r_[v[0], v]
+
+
+def _controls(table: _Table, t: FloatArray, order: Any) -> Controls | None:
+    names = "steer", "throttle", "brake"
+    if not any(map(table.has, names)):
+        return None
+    return Controls(t, *(table.numbers(name)[order] if table.has(name) else np.full(len(t), np.nan) for name in names))
+
+
+def _tracks(
+    frame: pd.DataFrame | None, columns: Mapping[str, str], start_ns: int, origin: FloatArray, notes: list[str]
+) -> Tracks:
+    if frame is None or not len(frame):
+        return Tracks.empty()
+    table = _Table(frame, "agents", columns)
+    names = table.column("id")[0].astype(str).to_numpy()
+    _, t = table.times(start_ns)
+    order = np.lexsort((t, names))
+    names, t = names[order], t[order]
+    first = np.flatnonzero(np.r_[True, names[1:] != names[:-1]])
+    offsets = np.r_[first, len(names)]
+    same = np.flatnonzero((np.diff(t) <= 0.0) & (names[1:] == names[:-1]))
+    if len(same):
+        what = f"agent {names[same[0]]} has two rows at {t[same[0]]:g} s"
+        raise LogError(what, topic="agents", remedy="keep one of them")
+    x, y = table.numbers("x")[order] - origin[0], table.numbers("y")[order] - origin[1]
+    yaw = table.numbers("yaw")[order] if table.has("yaw") else _headings(offsets, x, y, notes)
+    vx, vy = _velocities(table, order, yaw)
+    kinds = tuple(_kind(word) for word in table.column("kind")[0].to_numpy()[order][first]) if table.has("kind") else ()
+    if not kinds:
+        notes.append("The log does not say what the agents are: they are taken for cars.")
+        kinds = (AgentKind.CAR,) * len(first)
+    length, width = (_sizes(table, name, order, first, kinds, notes) for name in ("length", "width"))
+    static = np.zeros(len(first), np.bool_)
+    ids = tuple(map(str, names[first]))
+    return Tracks(ids, kinds, length, width, static, offsets, t, x, y, yaw, vx, vy)
+
+
+def _headings(offsets: Any, x: FloatArray, y: FloatArray, notes: list[str]) -> FloatArray:
+    """The direction of the way that each agent has come, over at least `MOVED_M`; a first one looks as it then goes."""
+    notes.append(
+        "The log has no headings of the agents: they are those of the way come, the first of the way that they then go."
+    )
+    yaw = np.zeros(len(x))
+    for first, end in pairwise(offsets):
+        at, known = first, False
+        for k in range(first + 1, end):
+            yaw[k] = yaw[k - 1]
+            if np.hypot(x[k] - x[at], y[k] - y[at]) >= MOVED_M:
+                yaw[k] = np.arctan2(y[k] - y[at], x[k] - x[at])
+                if not known:
+                    yaw[first:k] = yaw[k]
+                at, known = k, True
+    return yaw
+
+
+def _velocities(table: _Table, order: Any, yaw: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """The logged velocities, else the logged speeds along the heading, else NaN (`Tracks` derives them)."""
+    if table.has("vx") and table.has("vy"):
+        return table.numbers("vx")[order], table.numbers("vy")[order]
+    if table.has("v"):
+        v = table.numbers("v")[order]
+        return v * np.cos(yaw), v * np.sin(yaw)
+    return np.full(len(yaw), np.nan), np.full(len(yaw), np.nan)
+
+
+def _kind(word: Any) -> AgentKind:
+    if isinstance(word, AgentKind):
+        return word
+    name = str(word).strip().lower()
+    try:
+        return AgentKind(ALIASES.get(name, name))
+    except ValueError:
+        known = ", ".join(kind.value for kind in AgentKind)
+        raise LogError(f"an agent is a {word!r}", topic="agents", remedy=f"known kinds: {known}") from None
+
+
+def _sizes(
+    table: _Table, name: str, order: Any, first: Any, kinds: tuple[AgentKind, ...], notes: list[str]
+) -> FloatArray:
+    """The median of each agent's rows; by kind where there is none."""
+    usual = np.array([USUAL_SIZE_M[kind][name == "width"] for kind in kinds])
+    if not table.has(name):
+        notes.append(f"The log has no {name} of the agents: it is assumed by their kind.")
+        return usual
+    told = [np.median(part) for part in np.split(table.numbers(name)[order], first[1:])]
+    return np.where(np.isfinite(told) & (np.array(told) > 0.0), told, usual)
+
+
+def _file(folder: Path, name: str) -> Path | None:
+    return next((path for suffix in SUFFIXES if (path := folder / f"{name}{suffix}").is_file()), None)
+
+
+def _claims(path: Path) -> bool:
+    try:
+        return path.is_dir() and _file(path, "ego") is not None
+    except OSError:
+        return False
+
+
+def _files(path: Path) -> tuple[Path, ...]:
+    return tuple(file for name in NAMES if (file := _file(path, name)) is not None)
+
+
+def _loaded(path: Path) -> pd.DataFrame:
+    import pyarrow as pa
+
+    try:
+        return pd.read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path)
+    except (OSError, ValueError, pd.errors.ParserError, pa.ArrowException, OverflowError) as error:
+        what = " ".join(str(error).split())[:200]
+        raise LogError(f"the table cannot be read: {what}", topic=path.name, remedy="write it again") from None
+
+
+def _read(path: Path, settings: LogSettings) -> Scenario:
+    ego = _file(path, "ego")
+    if ego is None:
+        raise LogError("there is no ego.csv or ego.parquet in it", remedy="a table of the ego is what a log needs")
+    agents = _file(path, "agents")
+    vehicle = settings.vehicle() if settings.car else None
+    frames = _loaded(ego), None if agents is None else _loaded(agents)
+    return from_frames(*frames, name=path.name, columns=settings.columns, vehicle=vehicle, tags=("recorded", "table"))
+
+
+def _contents(path: Path) -> Contents:
+    topics = []
+    for file in _files(path):
+        try:
+            frame = _loaded(file)
+        except LogError:
+            continue
+        columns = ", ".join(map(str, frame.columns))
+        topics.append(TopicSummary(file.name, columns, file.suffix[1:], "", len(frame), None, None))
+    return Contents("", tuple(topics))
+
+
+READER = Reader(
+    "table", "tables of ego and agents, CSV or Parquet", "folders with ego.csv or ego.parquet", (), _claims, _read,
+    files=_files, contents=_contents, settings=("columns", "car"),
+)  # fmt: skip

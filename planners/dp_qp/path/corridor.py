@@ -1,0 +1,354 @@
+"""The corridor of the path QP: the room that the road gives the ego, as far as steering can keep it.
+
+The bounds hold for the ego's axis at points from the rear axle to the front bumper, each at its own station: so its
+corners stay in the bounds widened by half its width. They are built in named steps:
+
+(1) `within_lane`   lower <= l <= upper, the lane (or, beside an obstacle, the reachable road) less half the ego's
+                    width, and 1 - kappa l >= MIN_REGULAR: short of the centre of a turn
+(2) `for_the_nose`  wider where the ego's nose needs it in a sharp turn
+(3) `towards`       within the sides of the goal region, as near to them as it goes
+(4) `widened`       where the ego is outside the lane: holding a quintic from its state back into it
+(5) `loosened`      to the reach of comfortable steering (`steering`), where a bound asks for more; of hard steering
+                    where comfort would leave the road's room by more than `FORCED_M` and that leaves it by less
+
+What obstacles leave of it stands in `bounds`.
+"""
+
+from __future__ import annotations
+
+from math import isfinite
+from typing import NamedTuple
+
+import numpy as np
+
+from logs.kernel import TIE, BoolArray, FloatArray, inner_kernel, kernel
+from planners.dp_qp.path.steering import AHEAD, COMFORT, HARD, bounded, swing_of
+from planners.frenet.path import MIN_REGULAR
+from planners.frenet.quintic import quintic
+from planners.frenet.reference_path import Section, sections
+from planners.piecewise_jerk.problem import DDDX, DDX, DX, LEADS, X
+
+KNOT, LIMIT, KAPPA = 0, 1, 2
+"""Rows of `RoadAhead.along`: station of a knot, m; speed limit, m/s; curvature of the reference line, 1/m."""
+S, SWING, LOWER, UPPER, LEAST, MOST = 0, 1, 2, 3, 4, 5
+"""Rows of `RoadAhead.points`: stations, m; how far the points swing out (`steering`, (4)), m; bounds (1) to (4) of
+their offsets, m; the same without (3), m."""
+MAX_DL = 1.0
+"""Bound of l': 45 degrees off the reference line."""
+FORCED_M = 0.3
+"""Steering hard is thought of where comfortable steering would leave the lane by more than this, m."""
+BULGE = 0.03
+"""Of a point ahead: half the curvature, 1/m, by which the way of the rear axle is not its own."""
+NEARLY_M = 0.5
+"""A goal farther out of the room than this is not this lane's, m."""
+LEFT_M = 0.1
+"""What is left of the room where the goal is outside of it, m."""
+NEAR_GOAL_M = 15.0
+"""Who stands within this of the goal is passed as anywhere else: its sides are not kept to then, m."""
+HERE = np.empty(0)
+"""`loosened`: near the reference line."""
+
+
+class Ego(NamedTuple):
+    """The ego and its start, in the lane.
+
+    Attributes:
+        start: s, l, l', l'' and speed, m, 1, 1/m, m/s `(5,)`.
+        leads: How far its points are before the rear axle `(k,)`, the first 0, m.
+        car: As of `steering.bounded` `(3,)`.
+        side: Half its width and what is kept to the lane's edge, m.
+    """
+
+    start: FloatArray
+    leads: FloatArray
+    car: FloatArray
+    side: float
+
+
+class Borrowed(NamedTuple):
+    """The road beside the lane that may be used.
+
+    Attributes:
+        spans: Station from, to, m; 1 the neighbouring lane, 2 the facing one, too `(b, 3)`.
+        left: Whether the lane to the left is free; `right` likewise.
+    """
+
+    spans: FloatArray
+    left: bool
+    right: bool
+
+
+class RoadAhead(NamedTuple):
+    """The road at the n knots of the path QP, for k points of the ego.
+
+    Attributes:
+        along: Rows `KNOT`, `LIMIT`, `KAPPA` `(3, n)`.
+        points: Rows `S` to `MOST` `(6, k, n)`.
+        references: Of the path QP without obstacles `(2, n)` (`PiecewiseJerkProblem`).
+        rows: Its lower and upper bounds `(2, 3 + k, n)`.
+    """
+
+    along: FloatArray
+    points: FloatArray
+    references: FloatArray
+    rows: FloatArray
+
+
+@kernel
+def road_ahead(
+    line_s: FloatArray, table: FloatArray, ego: Ego, step: float, n: int, middle: float, borrowed: Borrowed,
+    sides: FloatArray, standing: FloatArray,
+) -> RoadAhead:  # fmt: skip
+    """(1) to (5) at n knots, `step` m apart.
+
+    Args:
+        line_s: Of the reference line.
+        table: Of the reference path.
+        ego: The ego.
+        step: m.
+        n: Knots.
+        middle: As of `loosened`.
+        borrowed: Road beside the lane.
+        sides: Of the goal `(3, m)` (`GoalWindow.sides`).
+        standing: Stations from, to, of those who stand `(c, 2)`, m: (3) is left out where one does near the goal.
+    """
+    along, points = np.empty((3, n)), np.empty((6, len(ego.leads), n))
+    for k in range(len(ego.leads)):
+        lead, turning = ego.leads[k], np.empty(n)
+        for i in range(n):
+            along[KNOT, i] = ego.start[0] + step * i
+            points[S, k, i], turning[i] = along[KNOT, i] + lead, along[KNOT, i] + AHEAD * lead
+        road = sections(line_s, table, points[S, k])
+        within_lane(road, points[S, k], borrowed, ego.side, points[LOWER, k], points[UPPER, k])
+        turned = road.kappa if k == 0 else sections(line_s, table, turning).kappa
+        for i in range(n):
+            points[SWING, k, i] = swing_of(turned[i], lead)
+            if k == 0:
+                along[LIMIT, i], along[KAPPA, i] = road.limit[i], road.kappa[i]
+    for_the_nose(points)
+    towards(points, sides, standing)
+    widened(points[S], points[LOWER], points[UPPER], ego.start)
+    widened(points[S], points[LEAST], points[MOST], ego.start)
+    references, rows = loosened(along, points, points[LOWER], points[UPPER], HERE, ego, step, middle)
+    return RoadAhead(along, points, references, rows)
+
+
+@kernel
+def lane_edges(line_s: FloatArray, table: FloatArray, s: FloatArray, borrowed: Borrowed, side: float) -> FloatArray:
+    """Lower and upper of (1) `(2, k)` at stations `(k,)`; `side` m are kept to each edge."""
+    out = np.empty((2, len(s)))
+    within_lane(sections(line_s, table, s), s, borrowed, side, out[0], out[1])
+    return out
+
+
+@inner_kernel
+def within_lane(
+    road: Section, s: FloatArray, borrowed: Borrowed, side: float, lower: FloatArray, upper: FloatArray
+) -> None:
+    """Write (1) `(k,)` at stations `(k,)`; `side` m are kept to each edge."""
+    spans = borrowed.spans
+    for j in range(len(s)):
+        used = 0.0
+        for b in range(len(spans)):
+            if spans[b, 0] < s[j] < spans[b, 1]:
+                used = max(used, spans[b, 2])
+        low, high = road.lane_right[j], road.lane_left[j]
+        if borrowed.right and used > 0.0:
+            low = road.road_right[j] if used < 2.0 else road.facing_right[j]
+        if borrowed.left and used > 0.0:
+            high = road.road_left[j] if used < 2.0 else road.facing_left[j]
+        low, high = low + side, high - side  # (1)
+        middle, kappa = 0.5 * (low + high), road.kappa[j]
+        center = (1.0 - MIN_REGULAR) / max(abs(kappa), 1e-6)
+        if kappa < 0.0:
+            low = max(low, -center)
+        elif kappa > 0.0:
+            high = min(high, center)
+        if low > high - 0.1:
+            low, high = middle - 0.05, middle + 0.05
+        lower[j], upper[j] = low, high
+
+
+@inner_kernel
+def for_the_nose(points: FloatArray) -> None:
+    """(2), and the room with it as `LEAST` and `MOST`."""
+    for i in range(points.shape[2]):
+        least, most = -np.inf, np.inf
+        for k in range(points.shape[1]):
+            least = max(least, points[LOWER, k, i] + points[SWING, k, i])
+            most = min(most, points[UPPER, k, i] + points[SWING, k, i])
+        more = 0.5 * max(least - most + 0.1, 0.0)  # (2)
+        for k in range(points.shape[1]):
+            points[LOWER, k, i] -= more
+            points[UPPER, k, i] += more
+            points[LEAST, k, i], points[MOST, k, i] = points[LOWER, k, i], points[UPPER, k, i]
+
+
+@inner_kernel
+def towards(points: FloatArray, sides: FloatArray, standing: FloatArray) -> None:
+    """(3), where the sides are within reach and no one stands near the goal."""
+    if sides.shape[1] == 0:
+        return
+    s, lower, upper = points[S], points[LOWER], points[UPPER]
+    within = np.empty((2, s.shape[0], s.shape[1]))
+    begin, end = np.inf, -np.inf
+    for k in range(s.shape[0]):
+        for i in range(s.shape[1]):
+            within[0, k, i], within[1, k, i] = _at(s[k, i], sides[0], sides[1]), _at(s[k, i], sides[0], sides[2])
+            if not sides[0, 0] <= s[k, i] <= sides[0, -1]:
+                within[0, k, i] = np.nan
+            elif isfinite(within[0, k, i]):
+                begin, end = min(begin, s[k, i]), max(end, s[k, i])
+    for b in range(len(standing)):
+        if standing[b, 0] < end + NEAR_GOAL_M and standing[b, 1] > begin - NEAR_GOAL_M:
+            return
+    for k in range(s.shape[0]):
+        for i in range(s.shape[1]):
+            low, high = within[0, k, i], within[1, k, i]
+            least, most = lower[k, i], upper[k, i]
+            if isfinite(low) and low <= most + NEARLY_M and high >= least - NEARLY_M:
+                lower[k, i] = min(max(low, least), max(most - LEFT_M, least))  # (3)
+                upper[k, i] = min(max(high, min(least + LEFT_M, most)), most)
+
+
+@inner_kernel
+def _at(s: float, stations: FloatArray, values: FloatArray) -> float:
+    """The value at a station, linearly between two; beyond the ends as there."""
+    j = int(np.searchsorted(stations, s, "right")) - 1
+    if j < 0:
+        return float(values[0])
+    if j == len(stations) - 1 or s == stations[j]:
+        return float(values[j])
+    return float((values[j + 1] - values[j]) / (stations[j + 1] - stations[j]) * (s - stations[j]) + values[j])
+
+
+@inner_kernel
+def widened(s: FloatArray, lower: FloatArray, upper: FloatArray, start: FloatArray) -> None:
+    """(4) in place, of bounds `(points, n)` at stations of that shape, for a start as of `Ego`."""
+    l0, dl0, ddl0, speed = start[1], start[2], start[3], start[4]
+    ahead = l0 + dl0 * min(5.0, 0.5 * speed)
+    if lower[0, 0] <= l0 <= upper[0, 0] and lower[0, 0] <= ahead <= upper[0, 0]:
+        return
+    span = max(12.0, 2.5 * speed)
+    target = min(max(l0, _at(s[0, 0] + span, s[0], lower[0])), _at(s[0, 0] + span, s[0], upper[0]))
+    c3, c4, c5 = quintic(l0, dl0, ddl0, target, span)
+    for p in range(s.shape[0]):
+        for i in range(s.shape[1]):
+            d = s[p, i] - s[0, 0]
+            if d <= span:
+                back = l0 + d * (dl0 + d * (0.5 * ddl0 + d * (c3 + d * (c4 + d * c5))))
+                slack = 0.05 + BULGE * (s[p, i] - s[0, i]) ** 2
+                lower[p, i], upper[p, i] = min(lower[p, i], back - slack), max(upper[p, i], back + slack)  # (4)
+
+
+@kernel
+def loosened(
+    along: FloatArray, points: FloatArray, lower: FloatArray, upper: FloatArray, near: FloatArray, ego: Ego,
+    step: float, middle: float,
+) -> tuple[FloatArray, FloatArray]:  # fmt: skip
+    """References and rows of the path QP (`RoadAhead`) for bounds `(points, n)`, loosened to what steering reaches (5).
+
+    The bounds of the curvature are those at the offsets `near` `(n,)`, or where `HERE` as near to the reference line as
+    the bounds are. The references are `middle` times the sum of the bounds (`qp`, (1) and (5)).
+    """
+    n = lower.shape[1]
+    references, rows = np.zeros((2, n)), np.zeros((2, 3 + len(ego.leads), n))
+    offsets, least = np.empty(n), np.inf
+    for i in range(n):
+        offsets[i] = near[i] if len(near) > 0 else min(max(0.0, lower[0, i]), upper[0, i])
+    for hard in range(2):
+        bend, rate, left, right = bounded(
+            ego.start[1:4], ego.start[4], along[LIMIT], along[KAPPA], offsets, step, ego.car, HARD if hard else COMFORT
+        )
+        reached = np.empty((2, len(ego.leads), n))
+        forced = -np.inf
+        for k in range(len(ego.leads)):
+            for i in range(n):
+                reached[0, k, i] = left[0, i] + ego.leads[k] * left[1, i] - points[SWING, k, i]
+                reached[1, k, i] = right[0, i] + ego.leads[k] * right[1, i] - points[SWING, k, i]
+                forced = max(forced, points[LEAST, k, i] - reached[0, k, i], reached[1, k, i] - points[MOST, k, i])
+        if hard == 0 or forced < least:
+            for k in range(len(ego.leads)):
+                row = X if k == 0 else LEADS + k - 1
+                for i in range(n):
+                    rows[0, row, i] = min(lower[k, i], reached[0, k, i]) + points[SWING, k, i]  # (5)
+                    rows[1, row, i] = max(upper[k, i], reached[1, k, i]) + points[SWING, k, i]
+            for i in range(n):
+                rows[0, DX, i], rows[1, DX, i] = min(-MAX_DL, left[1, i]), max(MAX_DL, right[1, i])
+                rows[0, DDX, i], rows[1, DDX, i] = bend[0, i], bend[1, i]
+                if i < n - 1:
+                    rows[0, DDDX, i], rows[1, DDDX, i] = rate[0, i], rate[1, i]
+        if forced <= FORCED_M:
+            break
+        least = forced
+    for i in range(n):
+        references[0, i] = middle * (rows[0, X, i] + rows[1, X, i])
+    return references, rows
+
+
+@kernel
+def room_beside(s: FloatArray, lower: FloatArray, upper: FloatArray, boxes: FloatArray, gap: float) -> FloatArray:
+    """Greatest lower and least upper bound `(b, 2)` at the stations beside boxes `(b, 5)`; -inf, inf: there are none.
+
+    Bounds `(points, n)` at stations of that shape; boxes as of `narrowed_beside`.
+    """
+    out = np.empty((len(boxes), 2))
+    for b in range(len(boxes)):
+        least, most = -np.inf, np.inf
+        for k in range(s.shape[0]):
+            for i in range(s.shape[1]):
+                if _is_beside(s[k, i], boxes[b], gap):
+                    least, most = max(least, lower[k, i]), min(most, upper[k, i])
+        out[b, 0], out[b, 1] = least, most
+    return out
+
+
+@kernel
+def narrowed_beside(
+    s: FloatArray, lower: FloatArray, upper: FloatArray, boxes: FloatArray, gap: float, side: float, clearance: float,
+    least: float,
+) -> tuple[FloatArray, FloatArray, BoolArray]:  # fmt: skip
+    """Bounds `(2, points, n)` that keep clear of boxes, one after the other, and which of them would close them.
+
+    Args:
+        s: Stations `(points, n)`, m.
+        lower: Bounds there, m.
+        upper: Likewise.
+        boxes: Station from, to, offset from, to, m; 1 where they are passed on the left, -1 right, 0 not `(b, 5)`.
+        gap: Kept ahead of and behind a box, m.
+        side: Half the ego's width, m.
+        clearance: To be kept, m, or nearly what there is.
+        least: What there must be, m.
+
+    Returns:
+        The bounds; what is free beside the ego `(b,)`, m; whether that is too little `(b,)`.
+    """
+    out = np.empty((2, s.shape[0], s.shape[1]))
+    out[0], out[1] = lower, upper
+    room, closed = np.full(len(boxes), np.inf), np.zeros(len(boxes), np.bool_)
+    for b in range(len(boxes)):
+        left = boxes[b, 4] > 0.0
+        if boxes[b, 4] == 0.0:
+            continue
+        low, high = room_beside(s, out[0], out[1], boxes[b : b + 1], gap)[0]
+        room[b] = high - boxes[b, 3] - side if left else boxes[b, 2] - side - low
+        kept = min(clearance, room[b] - 0.02)
+        edge = boxes[b, 3] + side + kept if left else boxes[b, 2] - side - kept
+        tried = out.copy()
+        closed[b] = room[b] < least
+        for k in range(s.shape[0]):
+            for i in range(s.shape[1]):
+                if _is_beside(s[k, i], boxes[b], gap):
+                    if left:
+                        tried[0, k, i] = max(tried[0, k, i], edge)
+                    else:
+                        tried[1, k, i] = min(tried[1, k, i], edge)
+                    closed[b] |= tried[0, k, i] > tried[1, k, i]
+        if not closed[b]:
+            out = tried
+    return out, room, closed
+
+
+@inner_kernel
+def _is_beside(s: float, box: FloatArray, gap: float) -> bool:
+    return box[0] - gap - TIE <= s <= box[1] + gap + TIE

@@ -1,0 +1,104 @@
+"""A driven trace in the formats of others.
+
+CommonRoad solution: the ego's states at the scenario's time steps, of the kinematic single track model KS, in which the
+position is the centre of gravity, b behind it the rear axle (commonroad-vehicle-models):
+
+(1) p = r + b (cos yaw, sin yaw),   b = wheelbase - cog_to_front,   r the rear axle in the world
+(2) A drive that reaches the goal between two steps is carried on to the next one with the last acceleration and
+    steering angle: s = v h + a h^2 / 2, yaw' = yaw + s tan(steer) / wheelbase
+
+CommonRoad's checker integrates the model between the states: it accepts what such a vehicle drove, so the drive must be
+one of `--vehicle kinematic_bicycle` with the numbers of one of CommonRoad's vehicles.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
+import numpy as np
+
+from logs.errors import LogError
+from logs.mcap import read_scenario
+from logs.scenario import Scenario
+from logs.states import TRAJECTORY_COLUMNS, Controls, Trajectory
+from logs.trace import EndReason
+from logs.vehicle import vehicle_parameters
+
+TYPES = {"bmw_320i": 2, "vw_vanagon": 3}
+"""Vehicle type of a benchmark id by our name of the vehicle."""
+COSTS = ("JB1", "SA1", "WX1", "SM1", "SM2", "SM3", "MW1", "TR1")
+"""Cost functions that CommonRoad knows: only named in the file, the cost is theirs to compute."""
+VERSION = "2020a"
+
+
+def commonroad_solution(trace: Path, cost: str = COSTS[0]) -> str:
+    """The solution file of a closed drive over a CommonRoad scenario, XML.
+
+    Args:
+        trace: `closed.mcap` of a result folder.
+        cost: The cost function that the benchmark id names.
+
+    Raises:
+        LogError: The file is no such trace, or its vehicle is none of CommonRoad's.
+    """
+    try:
+        scenario = read_scenario(trace)
+        return _solution(scenario, cost)
+    except LogError as error:
+        raise error if error.file is not None else error.at(trace) from None
+
+
+def _solution(scenario: Scenario, cost: str) -> str:
+    said = scenario.metadata
+    if "benchmark" not in said or said.get("trace_mode") != "closed" or scenario.controls is None:
+        remedy = "name closed.mcap of a CommonRoad scenario in a result folder"
+        raise LogError("no closed drive over a CommonRoad scenario", remedy=remedy)
+    car, dt = scenario.vehicle, float(said["time_step_s"])
+    kind = next((number for name, number in TYPES.items() if _same_size(name, scenario)), None)
+    if kind is None:
+        remedy = f"drive with --vehicle kinematic_bicycle --car {' or '.join(TYPES)}"
+        raise LogError("the vehicle is none of CommonRoad's", topic="/vehicle", remedy=remedy)
+    first = round(scenario.start_ns / 1e9 / dt)
+    driven = _carried_on(scenario, dt) if said.get("trace_end") == EndReason.GOAL.name.lower() else scenario.ego
+    steps = np.arange(int(driven.t[-1] / dt + 1e-6) + 1)
+    ego = driven.resampled(np.minimum(dt * steps, driven.t[-1]))
+    steer = _steer_at(scenario.controls, dt * steps)
+    behind = car.wheelbase - car.cog_to_front
+    x = ego.x + behind * np.cos(ego.yaw) + scenario.origin[0]  # (1)
+    y = ego.y + behind * np.sin(ego.yaw) + scenario.origin[1]
+    root = ET.Element("CommonRoadSolution", benchmark_id=f"KS{kind}:{cost}:{said['benchmark']}:{VERSION}")
+    path = ET.SubElement(root, "ksTrajectory", planningProblem=said["planning_problem"])
+    for k in steps:
+        state = ET.SubElement(path, "ksState")
+        values = {"x": x[k], "y": y[k], "steeringAngle": steer[k], "velocity": ego.v[k], "orientation": ego.yaw[k]}
+        for name, value in values.items():
+            ET.SubElement(state, name).text = repr(float(value))
+        ET.SubElement(state, "time").text = str(first + int(k))
+    ET.indent(root)
+    return ET.tostring(root, encoding="unicode", xml_declaration=True) + "\n"
+
+
+def _carried_on(scenario: Scenario, dt: float) -> Trajectory:
+    """The drive to the next time step (2)."""
+    ego, last = scenario.ego, scenario.ego.state(-1)
+    left = dt * np.ceil(last.t / dt - 1e-6) - last.t
+    if left < 1e-6:
+        return ego
+    s = max(last.v * left + 0.5 * last.a * left**2, 0.0)
+    yaw = last.yaw + s * last.kappa
+    middle = 0.5 * (last.yaw + yaw)
+    state = (
+        last.t + left, last.x + s * np.cos(middle), last.y + s * np.sin(middle), yaw, max(last.v + last.a * left, 0.0),
+        last.a, last.kappa,
+    )  # fmt: skip
+    return Trajectory(*(np.r_[getattr(ego, name), x] for name, x in zip(TRAJECTORY_COLUMNS, state, strict=True)))
+
+
+def _same_size(name: str, scenario: Scenario) -> bool:
+    known, car = vehicle_parameters(name), scenario.vehicle
+    return (known.length, known.width, known.wheelbase) == (car.length, car.width, car.wheelbase)
+
+
+def _steer_at(controls: Controls, t: np.ndarray) -> np.ndarray:
+    return np.asarray(np.interp(t, controls.t, np.nan_to_num(controls.steer)))

@@ -1,0 +1,143 @@
+"""Salvage keeps what is whole and names what was lost; chunks are not inflated beyond what they may."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from io import BytesIO
+from pathlib import Path
+
+import pytest
+import zstandard
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap.opcode import Opcode
+from mcap.writer import CompressionType, Writer
+from mcap_cases import differences, rich_scenario
+
+from logs import LogError
+from logs.mcap import read_scenario, write_scenario
+from logs.mcap.container import read_container
+from logs.mcap.salvage import BEGIN, HEAD, salvage
+
+Messages = dict[str, list[tuple[int, bytes]]]
+
+
+def held(path: Path) -> Messages:
+    streams = read_container(path).whole().streams
+    return {topic: list(zip(stream.times, stream.payloads, strict=True)) for topic, stream in streams.items()}
+
+
+def chunks(raw: bytes) -> list[tuple[int, int]]:
+    """Begin and end of each chunk record."""
+    at, found = BEGIN, []
+    while at + HEAD <= len(raw):
+        end = at + HEAD + struct.unpack_from("<Q", raw, at + 1)[0]
+        found += [(at, end)] if raw[at] == Opcode.CHUNK else []
+        at = end
+    return found
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """40 s of two topics, a second a chunk."""
+    path = tmp_path_factory.mktemp("salvage") / "log.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, 600, CompressionType.ZSTD)
+        writer.start()
+        schema = writer.register_schema("by.hand", "jsonschema", b"{}")
+        ids = [writer.register_channel(topic, "json", schema) for topic in ("/one", "/two")]
+        for k in range(400):
+            payload = f'{{"k": {k}, "pad": "{k:040d}"}}'.encode()
+            writer.add_message(ids[k % 2], k * 100_000_000, payload, k * 100_000_000)
+        writer.add_metadata("said", {"by": "hand"})
+        writer.finish()
+    return path
+
+
+def damaged(log: Path, tmp_path: Path, raw: bytes) -> Path:
+    path = tmp_path / "damaged.mcap"
+    path.write_bytes(raw)
+    return path
+
+
+def test_a_whole_log_is_kept_whole(log: Path, tmp_path: Path) -> None:
+    report = salvage(log, tmp_path / "out.mcap")
+    assert held(tmp_path / "out.mcap") == held(log) and report.messages == 400 and not report.lost
+    assert report.lines()[0].endswith("nothing was lost")
+    assert read_container(tmp_path / "out.mcap").metadata == {"said": {"by": "hand"}}
+    whole = tmp_path / "rich.mcap"
+    write_scenario(whole, rich_scenario(12))
+    salvage(whole, tmp_path / "again.mcap")
+    assert differences(read_scenario(whole), read_scenario(tmp_path / "again.mcap")) == []
+
+
+def test_the_chunk_that_is_damaged_is_lost_and_named(log: Path, tmp_path: Path) -> None:
+    raw = bytearray(log.read_bytes())
+    begin, end = chunks(bytes(raw))[5]
+    raw[(begin + end) // 2] ^= 0xFF
+    report = salvage(damaged(log, tmp_path, bytes(raw)), tmp_path / "out.mcap")
+    before = {time for messages in held(log).values() for time, _ in messages}
+    after = {time for messages in held(tmp_path / "out.mcap").values() for time, _ in messages}
+    gone = sorted(before - after)
+    (lost,) = report.lost
+    assert gone and lost.after_ns == gone[0] - 100_000_000 and lost.before_ns == gone[-1] + 100_000_000
+    assert f"lost between {lost.after_ns / 1e9:.3f} s and {lost.before_ns / 1e9:.3f} s" in report.lines()[1]
+
+
+def test_a_cut_log_keeps_what_is_before_the_cut(log: Path, tmp_path: Path) -> None:
+    raw = log.read_bytes()
+    begin, _ = chunks(raw)[7]
+    report = salvage(damaged(log, tmp_path, raw[: begin + 40]), tmp_path / "out.mcap")
+    assert report.lost[-1].before_ns is None and "and the end" in report.lines()[-1]
+    kept, all_ = held(tmp_path / "out.mcap"), held(log)
+    assert all(messages == all_[topic][: len(messages)] for topic, messages in kept.items()) and report.chunks == 7
+
+
+@given(st.lists(st.tuples(st.integers(0, 10**6), st.integers(1, 255)), min_size=1, max_size=6), st.integers(0, 400))
+@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_whatever_the_damage_only_true_messages_are_kept(
+    log: Path, tmp_path: Path, flips: list[tuple[int, int]], cut: int
+) -> None:
+    raw = bytearray(log.read_bytes())
+    for place, bits in flips:
+        raw[place % len(raw)] ^= bits
+    target = tmp_path / "out.mcap"
+    target.unlink(missing_ok=True)
+    try:
+        salvage(damaged(log, tmp_path, bytes(raw[: len(raw) - cut])), target)
+    except LogError as error:
+        assert "no intact message" in str(error) and not target.exists()
+        return
+    true = {message for messages in held(log).values() for message in messages}
+    assert {message for messages in held(target).values() for message in messages} <= true
+
+
+def test_nothing_is_written_where_nothing_is_left(log: Path, tmp_path: Path) -> None:
+    for raw in (b"", b"\x89MCAP0\r\n", log.read_bytes()[:60], bytes(500)):
+        with pytest.raises(LogError, match="no intact message is left"):
+            salvage(damaged(log, tmp_path, raw), tmp_path / "out.mcap")
+    assert [path.name for path in tmp_path.iterdir()] == ["damaged.mcap"]
+
+
+def bomb(tmp_path: Path, stated: int, size: int) -> Path:
+    """A file with one chunk of `size` zeros that states another size."""
+    data = zstandard.ZstdCompressor().compress(bytes(size))
+    chunk = (
+        struct.pack("<QQQII", 0, 0, stated, zlib.crc32(bytes(size)), 4) + b"zstd" + struct.pack("<Q", len(data)) + data
+    )
+    stream = BytesIO()
+    stream.write(b"\x89MCAP0\r\n" + bytes([Opcode.HEADER]) + struct.pack("<QII", 8, 0, 0))
+    stream.write(bytes([Opcode.CHUNK]) + struct.pack("<Q", len(chunk)) + chunk)
+    path = tmp_path / "bomb.mcap"
+    path.write_bytes(stream.getvalue())
+    return path
+
+
+def test_a_chunk_is_not_inflated_beyond_its_bound(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match=r"would inflate to 4096 MiB; the bound is 256 MiB; write smaller chunks"):
+        read_scenario(bomb(tmp_path, 4 * 2**30, 2**20))
+    with pytest.raises(LogError, match=r"chunk that begins there is damaged .*states 1000 bytes and holds more"):
+        read_scenario(bomb(tmp_path, 1000, 64 * 2**20))
+    with pytest.raises(LogError, match="no intact message"):
+        salvage(bomb(tmp_path, 4 * 2**30, 2**20), tmp_path / "out.mcap")

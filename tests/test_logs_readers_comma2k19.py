@@ -1,0 +1,113 @@
+"""comma2k19: a segment made here goes where it was made to go; the recorded one where it is at hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from logs import LogError
+from logs.readers import read_log, reader_of
+from logs.readers.comma2k19 import SEMI_MAJOR_M, _east_north
+
+T = np.arange(0.0, 5.0, 0.05)
+
+
+def segment(
+    folder: Path, heading: float = 0.5, v: float = 12.0, latitude: float = 0.6, longitude: float = -2.1
+) -> Path:
+    """A straight drive at a heading from east, at a place on the earth (a sphere is near enough for a start)."""
+    start = SEMI_MAJOR_M * np.array(
+        [np.cos(latitude) * np.cos(longitude), np.cos(latitude) * np.sin(longitude), np.sin(latitude)]
+    )
+    east, north = _east_north(start)
+    forward = np.cos(heading) * east + np.sin(heading) * north
+    down = -np.cross(east, north)
+    matrix = np.column_stack([forward, np.cross(down, forward), down])  # the camera's axes in ECEF
+    pose = folder / "global_pose"
+    pose.mkdir(parents=True, exist_ok=True)
+    v = 12.0
+    arrays = {
+        "frame_positions": start + v * T[:, None] * forward,
+        "frame_velocities": np.tile(v * forward, (len(T), 1)),
+        "frame_orientations": np.tile(quaternion(matrix), (len(T), 1)),
+        "frame_times": 46408.5 + T,
+        "frame_gps_times": np.column_stack([np.full(len(T), 2012.0), 404106.4 + T]),
+    }
+    for name, array in arrays.items():
+        with (pose / name).open("wb") as file:
+            np.save(file, array)
+    return folder
+
+
+def quaternion(matrix: np.ndarray) -> np.ndarray:
+    """The unit quaternion of a rotation, scalar first: the eigenvector of Bar-Itzhack's matrix."""
+    m = matrix
+    k = np.array(
+        [
+            [m.trace(), m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]],
+            [m[2, 1] - m[1, 2], m[0, 0] - m[1, 1] - m[2, 2], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]],
+            [m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], m[1, 1] - m[0, 0] - m[2, 2], m[1, 2] + m[2, 1]],
+            [m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], m[2, 2] - m[0, 0] - m[1, 1]],
+        ]
+    )
+    return np.asarray(np.linalg.eigh(k)[1][:, -1])
+
+
+@given(st.floats(-3.1, 3.1), st.floats(-1.2, 1.2), st.floats(-3.1, 3.1))
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_it_goes_where_it_was_made_to_go(tmp_path: Path, heading: float, latitude: float, longitude: float) -> None:
+    scenario = read_log(segment(tmp_path / "7", heading, latitude=latitude, longitude=longitude))
+    ego = scenario.ego
+    assert ego.v == pytest.approx(12.0) and np.cos(ego.yaw - heading) == pytest.approx(1.0)
+    assert ego.x == pytest.approx(12.0 * T * np.cos(heading), abs=1e-3)
+    assert ego.y == pytest.approx(12.0 * T * np.sin(heading), abs=1e-3)
+    assert scenario.is_recorded and scenario.start_ns == (315964800 + 2012 * 604800) * 10**9 + round(404106.4e9)
+
+
+def test_what_is_wrong_is_one_line(tmp_path: Path) -> None:
+    folder = segment(tmp_path / "7")
+    reader = reader_of(folder)
+    assert reader is not None and [topic.messages for topic in reader.contents(folder).topics] == [len(T)] * 5
+    for name, content, words in (
+        ("frame_times", np.arange(7.0), "the arrays have 100, 100, 100, 7, 100 rows"),
+        ("frame_positions", np.zeros((100, 3)), "no place on the earth"),
+        ("frame_velocities", np.full((100, 3), np.nan), "a value is not finite"),
+        ("frame_velocities", np.zeros((100, 2)), "expected \\(n, 3\\) numbers"),
+    ):
+        segment(folder)
+        with (folder / "global_pose" / name).open("wb") as file:
+            np.save(file, content)
+        with pytest.raises(LogError, match=words):
+            read_log(folder)
+    segment(folder)
+    (folder / "global_pose" / "frame_gps_times").unlink()
+    with pytest.raises(LogError, match="frame_gps_times: the array cannot be read"):
+        read_log(folder)
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 255)), max_size=8),
+    st.sampled_from(["frame_positions", "frame_times"]),
+)
+@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_mutated_arrays_are_read_or_refused(tmp_path: Path, changes: list[tuple[int, int]], name: str) -> None:
+    file = segment(tmp_path / "7") / "global_pose" / name
+    raw = bytearray(file.read_bytes())
+    for place, value in changes:
+        raw[place % min(len(raw), 400)] = value
+    file.write_bytes(bytes(raw))
+    try:
+        assert np.isfinite(read_log(tmp_path / "7").ego.x).all()
+    except LogError as error:
+        assert str(tmp_path / "7") in str(error) and "\n" not in str(error)
+
+
+def test_the_recorded_segment(shared_data: Path) -> None:
+    scenario = read_log(shared_data / "comma2k19" / "segment_40")
+    assert len(scenario.ego) == 1200 and scenario.duration == pytest.approx(59.95, abs=0.01)
+    way = np.hypot(np.diff(scenario.ego.x), np.diff(scenario.ego.y)).sum()
+    assert way == pytest.approx(float(np.sum(scenario.ego.v[1:] * np.diff(scenario.ego.t))), rel=0.01)

@@ -1,0 +1,205 @@
+"""A log's health: each fault that is planted is found, where it was planted, and a clean log has none."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from logs import Road, Scenario
+from logs.catalogue import CATALOGUE
+from logs.mcap import write_scenario
+from logs.road import Lane, RoadSource
+from logs.rules import Colour, TrafficLight
+from logs.scenario import AgentKind, Tracks
+from logs.states import Trajectory
+from metrics.health import CHECKS, EFFECT, Kind, findings, report, sentences, table
+from replay.batch import evaluate_logs
+from replay.config import RunConfig
+
+T = np.arange(0.0, 8.01, 0.1)
+AT = 40
+"""Index of the sample after which a fault is planted: 4.0 s."""
+
+
+def drive(v: float = 10.0) -> Trajectory:
+    zero = np.zeros_like(T)
+    return Trajectory(T, v * T, zero, zero, zero + v, zero, zero)
+
+
+def track(name: str = "7", y: float = 3.5, v: float = 8.0, t: np.ndarray = T, x0: float = 20.0) -> Tracks:
+    zero = np.zeros_like(t)
+    return Tracks(
+        (name,), (AgentKind.CAR,), np.array([4.5]), np.array([1.8]), np.array([False]), np.array([0, len(t)]),
+        t, x0 + v * t, zero + y, zero, zero + v, zero,
+    )  # fmt: skip
+
+
+def both(one: Tracks, other: Tracks) -> Tracks:
+    names = "length", "width", "static"
+    columns = "t", "x", "y", "yaw", "vx", "vy"
+    return Tracks(
+        (*one.ids, *other.ids), (*one.kinds, *other.kinds),
+        *(np.r_[getattr(one, name), getattr(other, name)] for name in names),
+        np.r_[one.offsets, other.offsets[1:] + one.offsets[-1]],
+        *(np.r_[getattr(one, name), getattr(other, name)] for name in columns),
+    )  # fmt: skip
+
+
+def scenario(ego: Trajectory | None = None, tracks: Tracks | None = None, **more: object) -> Scenario:
+    ego = ego or drive()
+    road = Road.along(np.column_stack([drive().x, drive().y]), speed_limit=14.0)
+    return Scenario("made", ego, tracks or track(), road, 8.0, tags=("recorded",), **more)  # type: ignore[arg-type]
+
+
+def moved(tracks: Tracks, name: str, change: Callable[[np.ndarray], np.ndarray]) -> Tracks:
+    return replace(tracks, **{name: change(np.array(getattr(tracks, name)))})
+
+
+def later(step: float) -> Callable[[np.ndarray], np.ndarray]:
+    return lambda values: np.where(np.arange(len(values)) > AT, values + step, values)
+
+
+def kinds(one: Scenario) -> set[Kind]:
+    return {finding.kind for finding in findings(one)}
+
+
+def test_a_clean_log_has_no_findings() -> None:
+    assert findings(scenario()) == ()
+    assert report(scenario()) == [f"health: nothing found by {len(CHECKS)} checks"]
+
+
+@pytest.mark.parametrize("name", sorted(CATALOGUE))
+def test_the_catalogue_is_clean(name: str) -> None:
+    assert findings(CATALOGUE[name].scenario()) == ()
+
+
+@given(st.floats(0.8, 30.0))
+@settings(max_examples=20, deadline=None)
+def test_an_ego_jump_is_found_where_it_is(step: float) -> None:
+    ego = drive()
+    found, *longer = findings(scenario(replace(ego, x=later(step)(np.array(ego.x)))))
+    assert {one.kind for one in longer} == ({Kind.EGO_SPEED} if step > 0.1 * (80.0 + step) else set())
+    assert found.kind is Kind.EGO_JUMP and found.t_from == pytest.approx(4.0) and found.t_to == pytest.approx(4.1)
+    assert found.value == pytest.approx(step + 1.0)
+
+
+@given(st.floats(3.0, 60.0))
+@settings(max_examples=20, deadline=None)
+def test_a_teleport_is_found_where_it_is(step: float) -> None:
+    found = [one for one in findings(scenario(tracks=moved(track(), "x", later(step)))) if one.kind is Kind.TELEPORT]
+    assert [one.who for one in found] == ["7"] and found[0].value == pytest.approx(step + 0.8)
+    assert (found[0].t_from, found[0].t_to) == (pytest.approx(4.0), pytest.approx(4.1))
+
+
+@pytest.mark.parametrize(("factor", "word"), [(3.6, "km/h"), (2.237, "mph"), (0.3048, "feet"), (0.001, "mm")])
+def test_other_units_are_named(factor: float, word: str) -> None:
+    ego = drive()
+    (found,) = (one for one in findings(scenario(replace(ego, v=ego.v * factor))) if one.kind is Kind.UNITS)
+    assert word in found.text and found.value == pytest.approx(factor)
+    fast = replace(track(), vx=track().vx * factor)
+    two = both(fast, replace(fast, ids=("8",), y=fast.y + 4.0))
+    (found,) = (one for one in findings(scenario(tracks=two)) if one.topic == "agents" and one.kind is Kind.UNITS)
+    assert word in found.text
+
+
+def test_gaps_are_found_with_their_length() -> None:
+    kept = (T < 3.05) | (T > 4.95)
+    ego = drive()
+    columns = {name: getattr(ego, name)[kept] for name in ("t", "x", "y", "yaw", "v", "a", "kappa")}
+    holed = scenario(Trajectory(**columns), track(t=T[kept]))
+    gap, flicker = findings(holed)
+    assert (gap.kind, flicker.kind) == (Kind.EGO_GAP, Kind.AGENT_GAP)
+    assert gap.value == pytest.approx(2.0) and "lost once, 2.0 s together" in flicker.text
+
+
+def test_a_speed_that_the_positions_deny_is_found() -> None:
+    ego = drive()
+    assert Kind.EGO_SPEED in kinds(scenario(replace(ego, v=ego.v * 1.3)))
+    assert Kind.EGO_SPEED not in kinds(scenario(replace(ego, v=ego.v * 1.05)))
+    assert kinds(scenario(tracks=moved(track(), "vx", lambda v: v * 1.6))) == {Kind.AGENT_SPEED}
+    assert kinds(scenario(tracks=moved(track(), "vx", lambda v: v * np.nan))) == set()
+
+
+def test_wrong_headings_are_found() -> None:
+    ego = drive()
+    assert Kind.EGO_HEADING in kinds(scenario(replace(ego, yaw=ego.yaw + 1.2)))
+    assert Kind.EGO_HEADING in kinds(scenario(replace(ego, yaw=later(1.5)(np.array(ego.yaw)))))
+    assert Kind.HEADING_FLIP in kinds(scenario(tracks=moved(track(), "yaw", later(3.0))))
+    backwards = replace(ego, yaw=ego.yaw + np.pi, v=-ego.v)
+    assert Kind.EGO_HEADING not in kinds(scenario(backwards))
+
+
+def test_an_agent_who_goes_on_under_another_name_is_found() -> None:
+    one, other = track("7", t=T[:AT]), track("8", t=T[AT + 2 :])
+    (found,) = findings(scenario(tracks=both(one, other)))
+    assert found.kind is Kind.ID_SWITCH and "goes on as 8" in found.text
+    (other_kind,) = (replace(other, kinds=(AgentKind.PEDESTRIAN,), length=np.array([0.6]), width=np.array([0.6])),)
+    assert Kind.ID_SWITCH not in kinds(scenario(tracks=both(one, other_kind)))
+
+
+def test_twins_and_odd_sizes_are_found() -> None:
+    assert Kind.TWIN in kinds(scenario(tracks=both(track("7"), track("8", y=3.6))))
+    assert Kind.TWIN not in kinds(scenario(tracks=both(track("7"), track("8", y=7.0))))
+    assert kinds(scenario(tracks=replace(track(y=9.0), width=np.array([7.0])))) == {Kind.SIZE}
+
+
+def test_a_phantom_is_named_with_its_time() -> None:
+    there = track("ghost", y=0.0, v=0.0, t=T[AT - 3 : AT + 4], x0=40.0)
+    found = [one for one in findings(scenario(tracks=there)) if one.kind is Kind.PHANTOM]
+    assert [one.who for one in found] == ["ghost"] and "the logged ego stands in car ghost" in found[0].text
+
+
+def test_a_map_that_is_elsewhere_and_a_broken_graph_are_found() -> None:
+    def lane(name: int, x: float, y: float, successors: tuple[int, ...]) -> Lane:
+        along = x + np.linspace(0.0, 50.0, 11)
+        left, right = (np.column_stack([along, np.full(11, y + side)]) for side in (1.75, -1.75))
+        return Lane(name, left, right, successors)
+
+    def on(*lanes: Lane) -> Scenario:
+        return replace(scenario(), road=Road({one.id: one for one in lanes}, RoadSource.LANES))
+
+    whole = on(lane(1, 0.0, 0.0, (2,)), lane(2, 50.0, 0.0, ()))
+    assert findings(whole) == ()
+    (far,) = findings(on(lane(1, 0.0, 30.0, (2,)), lane(2, 50.0, 30.0, ())))
+    assert far.kind is Kind.OFF_MAP and far.value == 1.0 and "up to 30.1 m from" in far.text
+    loop, apart = findings(on(lane(1, 0.0, 0.0, (1, 2)), lane(2, 58.0, 0.0, ())))[-2:]
+    assert "lane 1 follows itself" in loop.text and "begins 8.0 m from its end" in apart.text
+    (edge,) = findings(on(lane(1, 0.0, 0.0, (8,)), lane(2, 50.0, 0.0, (9,))))
+    assert "2 of 2 lanes are followed only by lanes that are not in the map" in edge.text
+
+
+def test_a_light_that_no_line_names_is_found() -> None:
+    light = TrafficLight(5, np.array([0.0]), (Colour.RED,))
+    (found,) = findings(scenario(lights=(light,)))
+    assert found.kind is Kind.LIGHT and found.who == "5"
+
+
+def test_every_kind_says_what_it_does_and_a_sentence_stands_for_many() -> None:
+    assert set(EFFECT) == set(Kind)
+    two = both(track("7"), track("8", y=8.0))
+    jumping = moved(two, "x", lambda x: x + 9.0 * (np.arange(len(x)) % len(T) > AT))
+    found = findings(scenario(tracks=jumping))
+    said = sentences(found)
+    assert len(said) == len({one.kind for one in found})
+    first = "Health, teleport: car 7 jumps 9.8 m in 0.10 s, 4.00 to 4.10 s (1 more of this kind); time to collision"
+    assert any(one.startswith(first) for one in said)
+    assert len(table("made", found)) == len(found)
+
+
+def test_findings_go_into_the_results(tmp_path: Path) -> None:
+    ego = drive()
+    write_scenario(tmp_path / "log.mcap", scenario(replace(ego, x=later(5.0)(np.array(ego.x)))))
+    run = RunConfig(("constant_speed",), mode="open", recording=False, internals="none")
+    result = evaluate_logs([tmp_path / "log.mcap"], run, tmp_path / "out")
+    found = pd.read_parquet(tmp_path / "out" / "health.parquet")
+    assert found["kind"].tolist() == ["ego jump"] and found["log"].tolist() == ["made"]
+    assert any(note.startswith("Health, ego jump:") for note in result.logs[0].notes)
+    again = evaluate_logs([tmp_path / "log.mcap"], run, tmp_path / "out", resume=True)
+    assert again.resumed == 1 and again.logs[0].health.equals(result.logs[0].health)

@@ -13,9 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from logs.agents import AgentKind
+from logs.agents import USUAL_SIZE_M, AgentKind
 from logs.kernel import FloatArray, IntArray
-from logs.mcap.osi import SIZES
 from logs.scenario import Tracks
 from logs.vehicle import VehicleParameters
 
@@ -78,7 +77,7 @@ def tracks_of(boxes: Boxes, notes: list[str]) -> Tracks:
     unsized = ~np.isfinite(sizes).all(axis=1)
     if unsized.any():
         notes.append(f"{unsized.sum()} of {len(there)} road users have no size: that usual for their kind is assumed.")
-        sizes[unsized] = [SIZES[kind] for kind, lacks in zip(kinds, unsized, strict=True) if lacks]
+        sizes[unsized] = [USUAL_SIZE_M[kind] for kind, lacks in zip(kinds, unsized, strict=True) if lacks]
     if static.any():
         notes.append(
             f"{static.sum()} objects (cones, barriers, signs) stay within {STAYS_M} m and are taken as standing there."

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from logs.agents import AgentKind
+from logs.agents import USUAL_SIZE_M, AgentKind
 from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.readers.ros import schemas
 from logs.readers.ros.bag import Bag, Topic
@@ -44,12 +44,6 @@ NOISE_OTHERS_M, NOISES = 0.1, 2.0
 """Noise of box centres (root mean square in the 13 drives of Tartu); a derived velocity counts from so many times the
 standard deviation that follows on: who was seen twice 0.1 s apart is not yet known to move."""
 LEAST_SIZE_M = 0.1
-SIZES = {
-    AgentKind.CAR: (4.5, 1.8), AgentKind.TRUCK: (8.0, 2.5), AgentKind.BUS: (12.0, 2.5),
-    AgentKind.MOTORCYCLE: (2.2, 0.8), AgentKind.BICYCLE: (1.8, 0.7), AgentKind.PEDESTRIAN: (0.5, 0.5),
-    AgentKind.OBJECT: (1.0, 1.0),
-}  # fmt: skip
-"""Length and width where the log has none, m."""
 EGO_WITHIN_M, EGO_LEAST_S = 1.0, 1.0
 """A track whose centre stays so near the ego's for so long while the ego drives is the ego."""
 
@@ -425,7 +419,7 @@ def _median_sizes(
     for k, part in enumerate(parts):
         for row, column in enumerate((length, width)):
             values = column[part][np.isfinite(column[part])]
-            out[row, k] = np.median(values) if len(values) else SIZES[kinds[k]][row]
+            out[row, k] = np.median(values) if len(values) else USUAL_SIZE_M[kinds[k]][row]
             assumed += not len(values)
             varied += bool(len(values) and np.ptp(values) > 0.01)
     if assumed:

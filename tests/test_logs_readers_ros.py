@@ -174,8 +174,11 @@ def test_static_transforms_place_what_a_sensor_saw(tmp_path: Path) -> None:
         assert scenario.tracks.x[part] + scenario.origin[0] == pytest.approx(truth[:, 0], abs=1e-6)
         assert np.cos(scenario.tracks.yaw[part] - truth[:, 2]) == pytest.approx(1.0, abs=1e-9)
     moving = scenario.tracks.samples(0)
+    assert np.isnan(scenario.tracks.vx[moving][0])  # nothing is known yet
     assert scenario.tracks.vx[moving][3:] == pytest.approx(6.0, abs=1e-6)  # derived: the type has no velocity
     assert any("derived from their positions" in note for note in scenario.notes)
+    standing = scenario.tracks.samples(1)
+    assert np.abs(scenario.tracks.vx[standing][1:]).max() == 0.0
 
 
 @pytest.mark.parametrize("in_map", [True, False])

@@ -8,15 +8,14 @@ On-board plans whose points carry no times (Autoware leaves `time_from_start` at
 
 from __future__ import annotations
 
-from dataclasses import replace
 from math import cos, sin
-from typing import Any
 
 import numpy as np
 
 from logs.kernel import FloatArray
 from logs.mcap.complete import derived_acceleration, derived_curvature
 from logs.readers.base import LogSettings
+from logs.readers.recorded.boxes import car_of
 from logs.readers.ros import schemas
 from logs.readers.ros.bag import Bag, Topic
 from logs.readers.ros.clocks import said, times_of
@@ -229,16 +228,7 @@ def _timed(x: FloatArray, y: FloatArray, v: FloatArray) -> FloatArray:
 
 def vehicle_of(settings: LogSettings, notes: list[str]) -> VehicleParameters:
     """The default car with the sizes of the settings; ValueError where they contradict each other."""
-    default = VehicleParameters()
-    car: dict[str, Any] = dict(settings.car)
-    if "length" in car:
-        scale = car["length"] / default.length
-        car.setdefault("wheelbase", scale * default.wheelbase)
-        car.setdefault("rear_overhang", scale * default.rear_overhang)
-    if "wheelbase" in car:
-        car["cog_to_front"] = default.cog_to_front * car["wheelbase"] / default.wheelbase
-    if car:
-        notes.append("The ego's size is as set; masses, tyres and limits are those of the default car.")
-        return replace(default, **car)
+    if settings.car:
+        return car_of(settings.car, notes)
     notes.append("The log does not describe the ego's vehicle: a mid-size car is assumed (set log.car).")
-    return default
+    return VehicleParameters()

@@ -7,6 +7,10 @@ With u = t_i - t_k <= 0 the times of the window's samples relative to its last o
 A parabola has no lag while the acceleration is constant; its end is noisier than a line's. With 1.5 cm of noise at
 50 Hz and W = 0.6 s the speed's standard deviation is 0.06 m/s (difference of two samples: 1.1 m/s), the acceleration's
 0.2 m/s2. Where the window holds fewer than `PARABOLA` samples a straight line is fitted. No later sample goes in.
+
+A straight line's rate has the standard deviation, with sigma the noise of a position
+
+(2) sigma_z' = sigma / sqrt(sum (u_i - mean u)^2)
 """
 
 from __future__ import annotations
@@ -30,6 +34,18 @@ AGENT_WINDOW_S, OBJECT_WINDOW_S = 0.5, 1.0
 def window_of(t: FloatArray, wanted: float) -> float:
     """The window's length for samples at `t` `(n,)`, s."""
     return max(wanted, LEAST * float(np.median(np.diff(t)))) if len(t) > 1 else wanted
+
+
+def spread(t: FloatArray, first: IntArray, window: FloatArray) -> FloatArray:
+    """The root in (2) `(n,)`, s, of the windows of `rates`; 0 where a window has one sample."""
+    begin = np.maximum(first, _begins(t, first, window))
+    count = np.arange(len(t)) - begin + 1
+    since = t - t[begin]
+    sums = np.zeros((2, len(t)))
+    for back in range(int(count.max(initial=0))):
+        u = np.where(back < count, t[np.maximum(np.arange(len(t)) - back, 0)] - t, 0.0) + since * (back < count)
+        sums += u, u**2
+    return np.sqrt(np.maximum(sums[1] - sums[0] ** 2 / count, 0.0))
 
 
 def rates(

@@ -407,3 +407,11 @@ def test_a_drive_on_a_real_map(shared_data: Path, tmp_path: Path) -> None:
     assert len(mapped.road.stop_lines) == 24 and {line.lane for line in mapped.road.stop_lines} >= {4903}
     with pytest.raises(LogError, match=r"does not fit the drive: 0 %"):
         read_log(log, LogSettings(map=str(path.with_name("erm_parking.osm"))))
+
+
+def test_a_123d_map_is_one_of_the_maps(shared_data: Path, tmp_path: Path) -> None:
+    town = read_map(shared_data / "py123d" / "carla_map" / "maps" / "opendrive" / "opendrive_Town02.arrow")
+    assert len(town.road.lanes) == 88 and len(town.road.stop_lines) == 39
+    (tmp_path / "map.arrow").write_bytes(b"ARROW1 and nothing else")
+    with pytest.raises(LogError, match="map.arrow"):
+        read_map(tmp_path / "map.arrow")

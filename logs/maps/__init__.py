@@ -10,6 +10,7 @@ Modules:
     lanelet2.py         Lanelet2 maps: where their points are, and their road
     lanelet2_lanes.py   their lanes; `lanelet2_rules.py` their regulatory elements
     opendrive.py        OpenDRIVE maps, by pyxodr
+    arrow123d.py        123D maps
 """
 
 from __future__ import annotations
@@ -18,13 +19,13 @@ from functools import lru_cache
 from pathlib import Path
 
 from logs.errors import LogError
-from logs.maps import lanelet2, opendrive
+from logs.maps import arrow123d, lanelet2, opendrive
 from logs.maps.base import MapFile, MapReader
 from logs.maps.fit import on_map
 from logs.readers.base import LogSettings
 from logs.scenario import Scenario
 
-BUILTIN = (lanelet2.READER, opendrive.READER)
+BUILTIN = (lanelet2.READER, opendrive.READER, arrow123d.READER)
 """In the order in which they are asked."""
 __all__ = ["BUILTIN", "MapFile", "MapReader", "map_files", "map_reader_of", "read_map", "with_map"]
 

@@ -413,5 +413,5 @@ def test_a_123d_map_is_one_of_the_maps(shared_data: Path, tmp_path: Path) -> Non
     town = read_map(shared_data / "py123d" / "carla_map" / "maps" / "opendrive" / "opendrive_Town02.arrow")
     assert len(town.road.lanes) == 88 and len(town.road.stop_lines) == 39
     (tmp_path / "map.arrow").write_bytes(b"ARROW1 and nothing else")
-    with pytest.raises(LogError, match="map.arrow"):
+    with pytest.raises(LogError, match=r"map\.arrow"):
         read_map(tmp_path / "map.arrow")

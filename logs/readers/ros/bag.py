@@ -7,6 +7,7 @@ and the distribution's own that rosbags knows. With an index in the file only th
 
 from __future__ import annotations
 
+import os
 import struct
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from zstandard import ZstdError, frame_content_size
 
 from logs.errors import LogError
 from logs.kernel import IntArray
@@ -25,6 +27,8 @@ COPY_AGAIN = "copy or record it again"
 LAST_TIME_NS = 2**63 - 1
 MAX_CHUNK_BYTES = 1 << 30
 """What a chunk of a bag may hold when it is decompressed: rosbag2 writes 768 KiB, the largest seen are 100 MiB."""
+_CHUNK_HEAD_BYTES, _FRAME_HEAD_BYTES = 9 + 40, 18
+"""Of an MCAP chunk record before its data, but for the compression's name; of a zstd frame, at most."""
 TIMES: Types = {
     f"builtin_interfaces/msg/{name}": ([], [("sec", (1, ("int32", 0))), ("nanosec", (1, ("uint32", 0)))])
     for name in ("Time", "Duration")
@@ -163,9 +167,21 @@ def _check_chunks(reader: Any, path: Path) -> None:
     storage = getattr(reader, "storage", None)
     for part in getattr(storage, "storages", [storage]):
         for chunk in getattr(part, "chunks", ()):
-            if chunk.uncompressed_size > MAX_CHUNK_BYTES:
-                what = f"a chunk of {chunk.compressed_size} bytes would become {chunk.uncompressed_size}"
+            size = max(chunk.uncompressed_size, _inflated(part, chunk))
+            if size > MAX_CHUNK_BYTES:
+                what = f"a chunk of {chunk.compressed_size} bytes would become {size}"
                 raise LogError(what, file=path, time_ns=chunk.message_start_time, remedy=COPY_AGAIN)
+
+
+def _inflated(part: Any, chunk: Any) -> int:
+    """How many bytes the zstd frame of a chunk says that it holds, whatever the index says; 0: it does not."""
+    if chunk.compression != "zstd":
+        return 0
+    begin = chunk.chunk_start_offset + _CHUNK_HEAD_BYTES + len(chunk.compression)
+    try:
+        return max(0, frame_content_size(os.pread(part.bio.fileno(), _FRAME_HEAD_BYTES, begin)))
+    except (ZstdError, OSError, OverflowError):
+        return 0  # reading it says what is wrong
 
 
 def _parsed(definition: Any, topic: Topic) -> Types:

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-from logs.agents import AgentKind
+from logs.agents import AgentKind, codes_of
 from logs.kernel import BoolArray, FloatArray, IntArray
 
 STEP_S, FASTEST_MPS, JUMPS = 0.5, 60.0, 0.02
@@ -117,9 +117,11 @@ def _assigned(
         ]
     )
     away = np.hypot(where[:, 0, None] - x, where[:, 1, None] - y)
-    other = np.array([[a is not b for b in kinds] for a in known.kind])
-    possible = (away <= reach[:, None]) & _alike(np.sort(np.array(known.size))[:, None], np.sort(sizes)[None])
-    cost = np.where(possible, away + OTHER_KIND_M * other, _FAR)
+    near = np.nonzero(away <= reach[:, None])
+    other = codes_of(tuple(known.kind))[near[0]] != codes_of(tuple(kinds))[near[1]]
+    alike = _alike(np.sort(np.array(known.size))[near[0]], np.sort(sizes)[near[1]])
+    cost = np.full(away.shape, _FAR)
+    cost[near] = np.where(alike, away[near] + OTHER_KIND_M * other, _FAR)
     for k, i in zip(*linear_sum_assignment(cost), strict=True):
         if cost[k, i] < _FAR:
             out[i] = int(k)

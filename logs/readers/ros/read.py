@@ -23,7 +23,8 @@ from logs.readers.ros.bag import Bag, Topic, opened
 from logs.readers.ros.clocks import said, times_of
 from logs.readers.ros.ego import EgoLog, at_poses, begin_of, read_ego, signal, states, topics_of
 from logs.readers.ros.more import Window, controls, goal, lights, onboard, vehicle_of
-from logs.readers.ros.objects import read_messages, samples_of, tracks_of, without_ego
+from logs.readers.ros.objects import read_messages, samples_of
+from logs.readers.ros.tracks import tracks_of, without_ego
 from logs.scenario import Scenario, Tracks
 from logs.states import Trajectory
 from logs.vehicle import VehicleParameters

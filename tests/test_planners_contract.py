@@ -31,6 +31,7 @@ from logs import (
     Tracks,
     Trajectory,
 )
+from logs.states import OnboardPlan
 from planners import PLANNERS, load_planner
 from planners.constant_speed import arc
 from replay.closed_loop import run_closed_loop
@@ -182,7 +183,8 @@ def test_no_agent_sample_later_than_the_frame_can_change_a_plan(name: str, all_s
         for t in times(made):
             plans = []
             for seen in (made.tracks, until(made.tracks, t)):
-                known = replace(made, tracks=seen)
+                onboard = (OnboardPlan(0.0, arc(made.ego.state(0), np.arange(0.0, 9.0, 0.5))),)
+                known = replace(made, tracks=seen, onboard=onboard if name == "onboard" else ())
                 factory = {**PLANNERS, **ORACLES, "nosy": Nosy}[name]
                 planner = factory(context(known), *((known,) if name in ORACLES else ()))
                 plans.append(planner.plan(frame_at(known, t)).trajectory)

@@ -1,0 +1,81 @@
+"""What each of a set of real logs holds, what is wrong with it, and how planners did on it: one table.
+
+    python benchmarks/real_logs.py LOG_OR_FOLDER ... -o OUT [--ego ID]
+
+Both loops with `dp_qp` and `logged`, no recordings, one worker. `OUT/real_logs.md` has a row per log, `OUT/run` the run.
+"""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from pathlib import Path
+
+import pandas as pd
+
+from logs.readers import LogSettings, reader_of
+from metrics.judge import verdicts_by_log
+from replay.batch import RunResult, evaluate_logs
+from replay.batch.sources import select
+from replay.config import RunConfig
+
+PLANNERS = ("dp_qp", "logged")
+HEAD = (
+    "log", "format", "s", "ego states", "road users", "lanes", "findings", "dp_qp open: ADE 3 s, fallback",
+    "dp_qp closed", "verdict", "logged closed",
+)  # fmt: skip
+
+
+def held(path: Path, settings: LogSettings) -> dict[str, list[str]]:
+    """By scenario name: format, duration, states, road users, lanes."""
+    out = {}
+    for source in select([path], settings).sources:
+        scenario, reader = source.read(), reader_of(source.path) if source.path else None
+        kinds = Counter(kind.value for kind in scenario.tracks.kinds)
+        users = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common()) or "none"
+        row = [reader.name if reader else "", f"{scenario.duration:.1f}", str(len(scenario.ego)), users]
+        out[scenario.name] = [*row, str(len(scenario.road.lanes))]
+    return out
+
+
+def row(name: str, about: list[str], result: RunResult) -> list[str]:
+    """The cells of one log."""
+    log = next(log for log in result.logs if log.name == name)
+    found = Counter(log.health["kind"]) if len(log.health) else Counter()
+    findings = ", ".join(f"{count} {kind}" for kind, count in found.items()) or "none"
+    table = result.table[(result.table["log"] == name) & (result.table["planner"] == "dp_qp")]
+    value = table.set_index(["mode", "metric"])["value"]
+    ends = {(drive.planner, drive.mode): drive for drive in log.drives}
+    done = value.get(("closed", "route_progress.final"), float("nan"))
+    closed = ends.get(("dp_qp", "closed"))
+    opened = f"{value.get(('open', 'ade_3s.mean'), float('nan')):.2f} m, {value.get(('open', 'fallback.rate'), 0):.0%}"
+    verdict = verdicts_by_log([v for v in result.verdicts if v.gate]).get((name, "dp_qp"), "")
+    logged = ends.get(("logged", "closed"))
+    return [
+        name, *about, findings, opened, f"{closed.end}, {done:.0%}" if closed else "failed", str(verdict),
+        logged.end if logged else "failed",
+    ]  # fmt: skip
+
+
+def main() -> None:
+    """Evaluate and write the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("logs", nargs="+", type=Path)
+    parser.add_argument("-o", "--out", type=Path, required=True)
+    parser.add_argument("--ego", default="")
+    told = parser.parse_args()
+    settings = LogSettings(ego=told.ego)
+    run = RunConfig(PLANNERS, recording=False, internals="none", log=settings)
+    result = evaluate_logs(told.logs, run, told.out / "run", workers=1)
+    about = {name: cells for path in told.logs for name, cells in held(path, settings).items()}
+    rows = [row(name, about[name], result) for name in about if any(log.name == name for log in result.logs)]
+    frame = pd.DataFrame(rows, columns=list(HEAD))
+    lines = ["| " + " | ".join(HEAD) + " |", "|" + "---|" * len(HEAD)]
+    lines += ["| " + " | ".join(map(str, cells)) + " |" for cells in frame.itertuples(index=False)]
+    lines += [f"\nnot evaluated: {failure.message}" for failure in result.failures]
+    (told.out / "real_logs.md").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    print("\n".join(lines))
+
+
+if __name__ == "__main__":
+    main()

@@ -2,7 +2,7 @@
 
     python benchmarks/real_logs.py LOG_OR_FOLDER ... -o OUT [--ego ID]
 
-Both loops with `dp_qp` and `logged`, no recordings, one worker. `OUT/real_logs.md` has a row per log, `OUT/run` the run.
+Both loops with `dp_qp` and `logged`, without recordings. `OUT/real_logs.md` has a row per log, `OUT/run` is the run.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import pandas as pd
 from logs.readers import LogSettings, reader_of
 from metrics.judge import verdicts_by_log
 from replay.batch import RunResult, evaluate_logs
+from replay.batch.log_result import LogResult
 from replay.batch.sources import select
 from replay.config import RunConfig
 
@@ -26,21 +27,21 @@ HEAD = (
 )  # fmt: skip
 
 
-def held(path: Path, settings: LogSettings) -> dict[str, list[str]]:
-    """By scenario name: format, duration, states, road users, lanes."""
+def held(paths: list[Path], settings: LogSettings) -> dict[str, list[str]]:
+    """By label of the log: format, duration, states, road users, lanes."""
     out = {}
-    for source in select([path], settings).sources:
+    for source in select(paths, settings).sources:
         scenario, reader = source.read(), reader_of(source.path) if source.path else None
         kinds = Counter(kind.value for kind in scenario.tracks.kinds)
         users = ", ".join(f"{count} {kind}" for kind, count in kinds.most_common()) or "none"
         row = [reader.name if reader else "", f"{scenario.duration:.1f}", str(len(scenario.ego)), users]
-        out[scenario.name] = [*row, str(len(scenario.road.lanes))]
+        out[source.label] = [*row, str(len(scenario.road.lanes))]
     return out
 
 
-def row(name: str, about: list[str], result: RunResult) -> list[str]:
+def row(log: LogResult, about: list[str], result: RunResult) -> list[str]:
     """The cells of one log."""
-    log = next(log for log in result.logs if log.name == name)
+    name = log.name
     found = Counter(log.health["kind"]) if len(log.health) else Counter()
     findings = ", ".join(f"{count} {kind}" for kind, count in found.items()) or "none"
     table = result.table[(result.table["log"] == name) & (result.table["planner"] == "dp_qp")]
@@ -48,7 +49,7 @@ def row(name: str, about: list[str], result: RunResult) -> list[str]:
     ends = {(drive.planner, drive.mode): drive for drive in log.drives}
     done = value.get(("closed", "route_progress.final"), float("nan"))
     closed = ends.get(("dp_qp", "closed"))
-    opened = f"{value.get(('open', 'ade_3s.mean'), float('nan')):.2f} m, {value.get(('open', 'fallback.rate'), 0):.0%}"
+    opened = f"{value.get(('open', 'ade.3s.mean'), float('nan')):.2f} m, {value.get(('open', 'fallback.rate'), 0):.0%}"
     verdict = verdicts_by_log([v for v in result.verdicts if v.gate]).get((name, "dp_qp"), "")
     logged = ends.get(("logged", "closed"))
     return [
@@ -67,8 +68,8 @@ def main() -> None:
     settings = LogSettings(ego=told.ego)
     run = RunConfig(PLANNERS, recording=False, internals="none", log=settings)
     result = evaluate_logs(told.logs, run, told.out / "run", workers=1)
-    about = {name: cells for path in told.logs for name, cells in held(path, settings).items()}
-    rows = [row(name, about[name], result) for name in about if any(log.name == name for log in result.logs)]
+    about = held(told.logs, settings)
+    rows = [row(log, about[log.source], result) for log in result.logs if log.digest]
     frame = pd.DataFrame(rows, columns=list(HEAD))
     lines = ["| " + " | ".join(HEAD) + " |", "|" + "---|" * len(HEAD)]
     lines += ["| " + " | ".join(map(str, cells)) + " |" for cells in frame.itertuples(index=False)]

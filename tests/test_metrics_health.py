@@ -16,7 +16,7 @@ from logs import Road, Scenario
 from logs.catalogue import CATALOGUE
 from logs.mcap import write_scenario
 from logs.road import Lane, RoadSource
-from logs.rules import Colour, TrafficLight
+from logs.rules import Colour, StopLine, TrafficLight
 from logs.scenario import AgentKind, Tracks
 from logs.states import Trajectory
 from metrics.health import CHECKS, EFFECT, Kind, findings, report, sentences, table
@@ -176,8 +176,11 @@ def test_a_map_that_is_elsewhere_and_a_broken_graph_are_found() -> None:
 
 
 def test_a_light_that_no_line_names_is_found() -> None:
-    light = TrafficLight(5, np.array([0.0]), (Colour.RED,))
-    (found,) = findings(scenario(lights=(light,)))
+    lights = [TrafficLight(name, np.array([0.0]), (Colour.RED,)) for name in (5, 6)]
+    (found,) = findings(scenario(lights=tuple(lights)))
+    assert found.kind is Kind.LIGHT and found.text == "2 lights are shown, but the road has no stop lines"
+    lined = replace(scenario().road, stop_lines=(StopLine(1, 0, np.array([[70.0, 2.0], [70.0, -2.0]]), light=6),))
+    (found,) = findings(replace(scenario(lights=tuple(lights)), road=lined))
     assert found.kind is Kind.LIGHT and found.who == "5"
 
 

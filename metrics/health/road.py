@@ -3,7 +3,7 @@
 (1) off the map   more than `OFF_SHARE` of the ego's states lie on no drivable lane
 (2) lane graph    a lane follows itself, or begins more than `APART_M` from the end of one that it follows; lanes that
                   end in lanes that are not in the map are its edge, unless they are most of it
-(3) lights        a light that no stop line names
+(3) lights        a light that no stop line names; on a road without stop lines all of them are one finding
 """
 
 from __future__ import annotations
@@ -65,6 +65,11 @@ def lane_graph(scenario: Scenario) -> Iterator[Finding]:
 def lights(scenario: Scenario) -> Iterator[Finding]:
     """(3)."""
     named = {line.light for line in scenario.road.stop_lines}
+    if scenario.lights and not scenario.road.stop_lines:
+        count, begin = len(scenario.lights), min(float(light.t[0]) for light in scenario.lights)
+        text = f"{count} lights are shown, but the road has no stop lines"
+        yield Finding(Kind.LIGHT, "lights", "", begin, scenario.duration, float(count), "1", text)
+        return
     for light in scenario.lights:
         if light.id not in named:
             text = f"light {light.id} is shown, but no stop line of the map names it"

@@ -44,6 +44,7 @@ Ego = Annotated[str | None, typer.Option("--ego", help="Take this road user of t
 Map = Annotated[Path | None, typer.Option("--map", help="A map that replaces the log's.")]
 Begin = Annotated[float | None, typer.Option("--from", help="Begin so many seconds after the log's.")]
 End = Annotated[float | None, typer.Option("--to", help="End so many seconds after the log's begin.")]
+Foxglove = Annotated[bool, typer.Option("--foxglove", help="Channels that Foxglove draws, in what is written.")]
 Settings = Annotated[Path | None, typer.Option("--config", help="TOML file of a run: its [log] table.")]
 
 
@@ -111,6 +112,7 @@ def evaluate(
         typer.Option("--resume", help="Go on with the interrupted run in --out: finished logs are taken as they are."),
     ] = False,
     no_recording: Annotated[bool, typer.Option("--no-recording", help="Write no .rrd files: faster.")] = False,
+    foxglove: Foxglove = False,
     internals: Annotated[
         Literal["none", "summary", "full"] | None,
         typer.Option(help="What of the planner's inside goes into the traces. Default: summary."),
@@ -173,6 +175,7 @@ def evaluate(
             "gates": None if gates is None else str(gates),
             "internals": internals,
             "recording": False if no_recording else None,
+            "foxglove": foxglove or None,
             "ensemble": ensemble,
             "deadline_s": deadline,
         }
@@ -287,6 +290,7 @@ def convert(
     begin: Begin = None,
     end: End = None,
     config: Settings = None,
+    foxglove: Foxglove = False,
     formats: Annotated[bool, typer.Option("--formats", help="List the formats that replan reads.")] = False,
 ) -> None:
     """Logs of other formats to replan's own MCAP.
@@ -295,6 +299,7 @@ def convert(
 
       replan convert --formats
       replan convert my_bags/ -o my_logs
+      replan convert drive.mcap -o for_foxglove.mcap --foxglove
       replan convert commonroad USA_US101-6_1_T-1.xml -o us101.mcap
     """
     with answered():
@@ -306,7 +311,7 @@ def convert(
         if not logs or out is None:
             raise ConfigError("name logs and where to write them: replan convert LOG ... -o FOLDER; see --formats")
         settings = _log_settings(config, ego, road_map, begin, end, problem)
-        if not convert_all(logs, out, settings, say=typer.echo, say_error=say_error):
+        if not convert_all(logs, out, settings, foxglove=foxglove, say=typer.echo, say_error=say_error):
             raise typer.Exit(3)
 
 

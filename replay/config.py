@@ -5,6 +5,7 @@
     gates = "default"                # or a file of thresholds
     internals = "summary"            # what of a planner's inside goes into the traces: "none", "summary", "full"
     recording = true                 # write .rrd files
+    foxglove = false                 # channels that Foxglove draws, in the logs and traces that are written
     metrics = []                     # of your own, beside the built-in ones: "module:NAME"
     ensemble = 0                     # each log so many times more, in worlds that should not matter (replay.perturb)
 
@@ -55,6 +56,7 @@ class RunConfig:
         gates: "default" (the packaged thresholds), or the path of a TOML file.
         internals: How much of the planner's inside is kept in the traces.
         recording: Whether Rerun recordings are written.
+        foxglove: Whether the logs and traces that are written get channels for Foxglove (`replay.foxglove`).
         metrics: "module:NAME" of metrics from outside, measured beside the built-in ones.
         ensemble: How many times each log is driven again under a perturbation (`replay.perturb`).
         deadline_s: At most 1 % of a drive's plans may take longer, s; 0: not asked.
@@ -69,6 +71,7 @@ class RunConfig:
     gates: str = "default"
     internals: Internals = "summary"
     recording: bool = True
+    foxglove: bool = False
     metrics: tuple[str, ...] = ()
     ensemble: int = 0
     deadline_s: float = 0.0

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 
 from logs.errors import ConfigError, LogError
 from logs.mcap import write_scenario
+from logs.mcap.writer import Entry
 from logs.readers import GROUP, LogSettings, Reader, logs_in, read_log, reader_called, reader_of, readers
+from logs.scenario import Scenario
 
 
 def listing() -> Iterator[str]:
@@ -24,15 +26,18 @@ def convert_all(
     out: Path,
     settings: LogSettings,
     *,
+    foxglove: bool = False,
     say: Callable[[str], None],
     say_error: Callable[[str], None],
 ) -> bool:
     """Write logs as native MCAP: into `out` if that is named .mcap, else into that folder; whether all could be read.
 
+    With `foxglove` they get channels that Foxglove draws.
     A first name that is no path and a reader's asks for that reader: it takes the files whatever their names are.
 
     Raises:
-        ConfigError: Several logs are to go into one file, or there is nothing to convert.
+        ConfigError: Several logs are to go into one file, there is nothing to convert, or what Foxglove needs is not
+            installed.
     """
     reader = None
     if not logs[0].exists() and str(logs[0]) in {each.name for each in readers()}:
@@ -43,8 +48,21 @@ def convert_all(
     single = out.suffix == ".mcap"
     if single and len(found) > 1:
         raise ConfigError(f"{len(found)} logs do not go into one log: give a folder with -o")
-    done = [_converted(log, out if single else out / _name(log), settings, reader, say, say_error) for log in found]
+    channels = _channels(foxglove)
+    done = [
+        _converted(log, out if single else out / _name(log), settings, reader, channels, say, say_error)
+        for log in found
+    ]
     return all(done)
+
+
+def _channels(foxglove: bool) -> Callable[[Scenario], Iterable[Entry]]:
+    """What is written beside a scenario."""
+    if not foxglove:
+        return lambda scenario: ()
+    from replay.foxglove import scenario_channels
+
+    return scenario_channels
 
 
 def _logs_at(path: Path) -> Iterator[Path]:
@@ -63,13 +81,14 @@ def _converted(
     target: Path,
     settings: LogSettings,
     reader: Reader | None,
+    channels: Callable[[Scenario], Iterable[Entry]],
     say: Callable[[str], None],
     say_error: Callable[[str], None],
 ) -> bool:
     try:
         scenario = read_log(log, settings, reader)
         target.parent.mkdir(parents=True, exist_ok=True)
-        write_scenario(target, scenario)
+        write_scenario(target, scenario, beside=channels(scenario))
     except LogError as error:
         say_error(str(error))
         return False

@@ -8,7 +8,7 @@ candidates, compared lanes, solver reports), "full" (and graphs with their grids
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Literal
@@ -27,8 +27,15 @@ from logs.states import TRAJECTORY_COLUMNS
 Internals = Literal["none", "summary", "full"]
 
 
-def write_trace(path: Path, trace: nouns.Trace, scenario: Scenario, *, internals: Internals = "summary") -> None:
-    """Write a trace as a native log.
+def write_trace(
+    path: Path,
+    trace: nouns.Trace,
+    scenario: Scenario,
+    *,
+    internals: Internals = "summary",
+    beside: Iterable[Entry] = (),
+) -> None:
+    """Write a trace as a native log, and messages `beside` it on other topics.
 
     Raises:
         LogError: As `write_scenario`.
@@ -40,7 +47,7 @@ def write_trace(path: Path, trace: nouns.Trace, scenario: Scenario, *, internals
             native.TRACE_RECORD: trace_record(trace, internals),
         }
         entries = [*scenario_entries(driven, blocks=True), *_trace_entries(trace, scenario.start_ns, internals)]
-        write_log(Path(path), records, entries)
+        write_log(Path(path), records, [*entries, *beside])
     except LogError as error:
         raise error.at(path) from None
 

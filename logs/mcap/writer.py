@@ -1,8 +1,10 @@
 """Logs out: a Scenario as a native MCAP file.
 
-Same scenario, same bytes. The file is written under a temporary name beside its place and renamed, so that a killed
-writer leaves no half log; chunks are small, so that it loses little. Times become integer nanoseconds: reading returns
-the identical scenario if its times are whole nanoseconds (and |t| is below 26 days).
+Same scenario, same bytes. Beside the native messages a file may hold protobuf messages on topics of their own, for
+viewers (`replay.foxglove`); no reader of replan looks at them. The file is written under a temporary name beside its
+place and renamed, so that a killed writer leaves no half log; chunks are small, so that it loses little. Times become
+integer nanoseconds: reading returns the identical scenario if its times are whole nanoseconds (and |t| is below 26
+days).
 """
 
 from __future__ import annotations
@@ -10,12 +12,14 @@ from __future__ import annotations
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, fields
-from itertools import pairwise
+from itertools import chain, pairwise
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import numpy as np
+from google.protobuf.descriptor_pb2 import FileDescriptorSet
+from google.protobuf.message import Message
 from mcap.writer import CompressionType, Writer
 
 from logs import road as nouns
@@ -29,30 +33,32 @@ from logs.states import TRAJECTORY_COLUMNS
 CHUNK_BYTES = 128 * 1024
 BLOCK = 100
 """Samples of a block: a second of a drive, so that a killed writer loses little."""
-Entry = tuple[int, str, msgspec.Struct]
+Entry = tuple[int, str, msgspec.Struct | Message]
 """Log time (ns), topic, message."""
 
 
-def write_scenario(path: Path, scenario: Scenario) -> None:
-    """Write a scenario as a native log.
+def write_scenario(path: Path, scenario: Scenario, *, beside: Iterable[Entry] = ()) -> None:
+    """Write a scenario as a native log, and messages `beside` it on other topics.
 
     Raises:
         LogError: A value is infinite, two samples fall on one nanosecond, a log time is negative, or the file cannot
             be written.
     """
     try:
-        write_log(Path(path), scenario_records(scenario), scenario_entries(scenario))
+        write_log(Path(path), scenario_records(scenario), chain(scenario_entries(scenario), beside))
     except LogError as error:
         raise error.at(path) from None
 
 
 def write_log(path: Path, records: Mapping[str, Mapping[str, str]], entries: Iterable[Entry]) -> None:
-    """Write metadata records and messages, in order of time, then of `native.TOPICS`.
+    """Write metadata records and messages, in order of time, then of `native.TOPICS`, then of first occurrence.
 
     Raises:
         LogError: The file cannot be written.
     """
-    rank = {topic: index for index, topic in enumerate(native.TOPICS)}
+    entries = list(entries)
+    topics = dict.fromkeys((*native.TOPICS, *(topic for _, topic, _ in entries)))
+    rank = {topic: index for index, topic in enumerate(topics)}
     ordered = sorted(entries, key=lambda entry: (entry[0], rank[entry[1]]))
     part = path.with_name(f".{path.name}.part")
     try:
@@ -61,7 +67,7 @@ def write_log(path: Path, records: Mapping[str, Mapping[str, str]], entries: Ite
             writer.start(profile="replan", library="replan")
             for name, record in records.items():
                 writer.add_metadata(name, dict(record))
-            _add_messages(writer, ordered)
+            _add_messages(writer, ordered, rank)
             writer.finish()
         os.replace(part, path)  # noqa: PTH105
     except OSError as error:
@@ -70,21 +76,45 @@ def write_log(path: Path, records: Mapping[str, Mapping[str, str]], entries: Ite
         part.unlink(missing_ok=True)
 
 
-def _add_messages(writer: Any, ordered: Sequence[Entry]) -> None:
+def _add_messages(writer: Any, ordered: Sequence[Entry], rank: Mapping[str, int]) -> None:
     encoder = msgspec.json.Encoder(enc_hook=_plain)
-    schemas: dict[type[msgspec.Struct], int] = {}
+    schemas: dict[type[msgspec.Struct | Message], int] = {}
     channels: dict[str, int] = {}
     kinds = {topic: type(message) for _, topic, message in ordered}
-    for topic in [topic for topic in native.TOPICS if topic in kinds]:
+    for topic in sorted(kinds, key=rank.__getitem__):
         kind = kinds[topic]
         if kind not in schemas:
-            schema = encoder.encode(native.json_schema(kind))
-            schemas[kind] = writer.register_schema(native.schema_name(kind), "jsonschema", schema)
-        channels[topic] = writer.register_channel(topic, "json", schemas[kind])
+            schemas[kind] = writer.register_schema(*_schema(kind))
+        encoding = "protobuf" if issubclass(kind, Message) else "json"
+        channels[topic] = writer.register_channel(topic, encoding, schemas[kind])
     sequence = dict.fromkeys(channels, 0)
     for time, topic, message in ordered:
-        writer.add_message(channels[topic], time, encoder.encode(message), time, sequence[topic])
+        if isinstance(message, Message):
+            data = message.SerializeToString(deterministic=True)
+        else:
+            data = encoder.encode(message)
+        writer.add_message(channels[topic], time, data, time, sequence[topic])
         sequence[topic] += 1
+
+
+def _schema(kind: type[msgspec.Struct | Message]) -> tuple[str, str, bytes]:
+    """Name, encoding and bytes of the schema of a kind of message."""
+    if issubclass(kind, Message):
+        files: dict[str, Any] = {}
+        _collect(kind.DESCRIPTOR.file, files)
+        described = FileDescriptorSet()
+        for file in files.values():
+            file.CopyToProto(described.file.add())
+        return kind.DESCRIPTOR.full_name, "protobuf", described.SerializeToString(deterministic=True)
+    return native.schema_name(kind), "jsonschema", msgspec.json.encode(native.json_schema(kind))
+
+
+def _collect(file: Any, files: dict[str, Any]) -> None:
+    """A file's descriptor after those of the files that it imports."""
+    if file.name not in files:
+        for other in file.dependencies:
+            _collect(other, files)
+        files[file.name] = file
 
 
 def _plain(value: Any) -> Any:

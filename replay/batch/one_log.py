@@ -9,7 +9,7 @@ import os
 import shutil
 import sys
 import traceback
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
@@ -20,6 +20,7 @@ import pandas as pd
 import metrics
 from logs.errors import ConfigError, ReplanError
 from logs.mcap import write_scenario, write_trace
+from logs.mcap.writer import Entry
 from logs.scenario import Scenario
 from logs.trace import EndReason, Mode
 from metrics import METRICS, Metric, health, load_metric
@@ -86,7 +87,7 @@ def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> 
         with progress.attempt():
             identity = source.identity()
             scenario = source.read()
-            result = _identified(source, scenario, partial)
+            result = _identified(source, scenario, partial, run)
             progress.log = scenario.name
             driven = with_avoidability(scenario.in_vehicle(run.driven(scenario.vehicle)))
             _drive_all(driven, run, partial, result.folder, progress)
@@ -117,13 +118,20 @@ def all_metrics(run: RunConfig) -> Mapping[str, Metric]:
     return found
 
 
-def _identified(source: LogSource, scenario: Scenario, folder: Path) -> LogResult:
-    """The log by name and content; what was no native or OSI MCAP is written as one, `log.mcap`."""
+def _identified(source: LogSource, scenario: Scenario, folder: Path, run: RunConfig) -> LogResult:
+    """The log by name and content; what was no native or OSI MCAP is written as one, `log.mcap`.
+
+    Channels for Foxglove do not count as content.
+    """
     path = source.path
     if path is None or not source.is_mcap:
         path = folder / "log.mcap"
         write_scenario(path, scenario)
     digest = file_hash(path)
+    if run.foxglove and path.parent == folder:
+        from replay.foxglove import scenario_channels
+
+        write_scenario(path, scenario, beside=scenario_channels(scenario))
     name = safe_name(scenario.name, digest)
     found = health.findings(scenario)
     notes = (*scenario.notes, *health.sentences(found))
@@ -179,7 +187,12 @@ def _write_drive(
     folder: Path, stem: str, drive: Drive, scenario: Scenario, table: pd.DataFrame, steps: pd.DataFrame, run: RunConfig
 ) -> None:
     """The trace as `stem`.mcap, its recording as `stem`.rrd."""
-    write_trace(folder / f"{stem}.mcap", drive.trace, scenario, internals=run.internals)
+    beside: Iterable[Entry] = ()
+    if run.foxglove:
+        from replay.foxglove import trace_channels
+
+        beside = trace_channels(drive.trace, scenario)
+    write_trace(folder / f"{stem}.mcap", drive.trace, scenario, internals=run.internals, beside=beside)
     if run.recording:
         from replay.recording import write_recording
 

@@ -173,13 +173,15 @@ def _checked(run: RunConfig) -> tuple[RunConfig, tuple[Failure, ...]]:
     """The run with the planners that can be loaded, their settings resolved, and what is wrong with the others.
 
     Raises:
-        ConfigError: A name or a planner's keyword is unknown.
+        ConfigError: A name or a planner's keyword is unknown, or what Foxglove needs is not installed.
         PlannerError: No planner is left.
     """
     for key, known in _TABLES.items():
         name = getattr(run.loop, key)
         if name not in known:
             raise ConfigError(f"loop.{key}: {unknown_name(key, name, known)}")
+    if run.foxglove:
+        import replay.foxglove  # noqa: F401  # its package is there, or this says so before anything is driven
     named = {*PLANNERS, *ORACLES, *run.planners}
     for name in run.planner:
         if name not in named and ":" not in name:

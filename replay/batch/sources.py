@@ -29,11 +29,13 @@ class LogSource:
         label: What the user calls it.
         path: The file or folder; None for the catalogue.
         settings: How it is read.
+        digest: Its `log_hash` where it is known: a long log in many parts is hashed once; "": not known.
     """
 
     label: str
     path: Path | None = None
     settings: LogSettings = field(default_factory=LogSettings)
+    digest: str = ""
 
     def identity(self) -> str:
         """What tells it from every other input: names and hashes of log and map, or the family; LogError as `read`."""
@@ -43,7 +45,7 @@ class LogSource:
         if settings.map:
             settings = replace(settings, map=" ".join(map(file_hash, map_files(Path(settings.map)))))
         part = "" if settings == LogSettings() else f" {settings}"
-        return f"{self.path.name} {log_hash(self.path)}{part}"
+        return f"{self.path.name} {self.digest or log_hash(self.path)}{part}"
 
     def read(self) -> Scenario:
         """The scenario; LogError where it cannot be read."""
@@ -98,13 +100,14 @@ def select(paths: Sequence[Path | str], settings: LogSettings | None = None, win
             looked = ", ".join(dict.fromkeys(reader.looks_for for reader in readers()))
             raise ConfigError(f"{path}: no logs in this folder; looked for {looked}, 0 found; {FORMATS}")
         for log, reason in candidates:
-            digest = "" if reason else _identity(log)
-            twin = kept.get(digest)
+            digest = "" if reason else _digest(log)
+            key = digest or str(log.resolve())
+            twin = kept.get(key)
             reason = reason or (f"the same bytes as {twin.label}" if twin else "")
             if reason:
                 dropped.append(f"{log}: {reason}")
             else:
-                kept[digest] = LogSource(str(log), log, settings)
+                kept[key] = LogSource(str(log), log, settings, digest)
     sources = tuple(kept.values()) if window is None else tuple(p for s in kept.values() for p in _parts(s, window))
     selection = Selection(sources, tuple(dropped))
     if not kept:
@@ -145,12 +148,12 @@ def _objection(file: Path, folder: Path) -> str:
     return ""
 
 
-def _identity(file: Path) -> str:
-    """Hash of the bytes; the path where they cannot be read (the evaluation will say why)."""
+def _digest(log: Path) -> str:
+    """Hash of the bytes; "" where they cannot be read (the evaluation will say why)."""
     try:
-        return log_hash(file)
+        return log_hash(log)
     except LogError:
-        return str(file.resolve())
+        return ""
 
 
 def log_hash(path: Path) -> str:

@@ -119,6 +119,7 @@ def varied(scenario: Scenario, agents: Sequence[str], values: Mapping[str, float
 
 def _signed(was: Scenario, now: Scenario, agents: Sequence[str], values: Mapping[str, float]) -> Scenario:
     said = ", ".join(f"{name} {VARIATIONS[name].shown(value)}" for name, value in values.items())
+    agents = agents if any(VARIATIONS[name].of != "ego" for name in values) else ()
     about = f" of {', '.join(agents)}" if agents else ""
     notes = (
         f"Varied from {was.name}: {said}{about}.",

@@ -15,7 +15,9 @@ from logs.presence import MAX_AGE_S
 from logs.scenario import Scenario, Tracks
 
 STANDING_MPS = 0.2
-"""Slower is standing: a fifth of a slow walk, above what the noise of tracks leaves in smoothed speeds."""
+"""Slower is standing for sure: above what the noise of tracks leaves in smoothed speeds."""
+GOING_MPS = 0.5
+"""Faster is going for sure. Between them: faster than half of one's greatest speed, as smoothing spreads a start."""
 COURSE_S = 1.0
 """The course at a time is that of the way from so long before to so long after it."""
 COURSE_M = 0.3
@@ -90,13 +92,14 @@ def in_speed(scenario: Scenario, agents: Sequence[str], value: float) -> Scenari
     speed = np.hypot(tracks.motion.vx, tracks.motion.vy)
     times, which = np.unique(tracks.t[mine], return_inverse=True)
     mean = np.bincount(which, weights=speed[mine]) / np.bincount(which)
-    moves = 0.5 * (mean[1:] + mean[:-1]) >= STANDING_MPS
+    slow = min(max(0.5 * float(mean.max()), STANDING_MPS), GOING_MPS)
+    moves = 0.5 * (mean[1:] + mean[:-1]) >= slow
     clock = times[0] + np.r_[0.0, np.cumsum(np.where(moves, np.diff(times) / value, np.diff(times)))]  # (2)
     changed = {}
     for i in places(tracks, agents):
         rows, gaps = _samples(tracks, i), tracks.gap_after[tracks.samples(i)]
         own = np.interp(rows[:, 0], times, clock)
-        rows[:, 4:] *= np.where(speed[tracks.samples(i)] >= STANDING_MPS, value, 1.0)[:, None]
+        rows[:, 4:] *= np.where(speed[tracks.samples(i)] >= slow, value, 1.0)[:, None]
         changed[i] = _filled(np.column_stack([own, rows[:, 1:]]), np.diff(rows[:, 0]), gaps[:-1])
     return replace(scenario, tracks=_with_samples(tracks, changed))
 

@@ -201,7 +201,9 @@ def vary(
     ] = None,
     agent: Annotated[
         list[str] | None,
-        typer.Option("--agent", help="Who is varied; repeatable: all together. Default: of those who move, who comes nearest."),
+        typer.Option(
+            "--agent", help="Who is varied; repeatable: all together. Default: of those who move, who comes nearest."
+        ),
     ] = None,
     planner: Annotated[str | None, typer.Option("--planner", "-p", help="Default: dp_qp.")] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Result folder. Default: results/run-NNN.")] = None,

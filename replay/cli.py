@@ -1,6 +1,6 @@
 """The command line: words in, exit code out; no logic here.
 
-`replan evaluate | synth | convert | inspect | salvage | export | view | metrics | paper | calibrate`
+`replan evaluate | vary | synth | convert | inspect | salvage | export | view | metrics | paper | calibrate`
 """
 
 from __future__ import annotations
@@ -192,6 +192,66 @@ def evaluate(
         result = _evaluated(
             logs or [], run, out, _cores() if workers is None else workers, resume=resume, window=window
         )
+        raise typer.Exit(result.exit_code)
+
+
+@app.command()
+def vary(
+    log: Annotated[str, typer.Argument(help="A log of any format, or a family of the catalogue.")],
+    variation: Annotated[
+        list[str] | None,
+        typer.Option("--vary", help="NAME=LOW:HIGH:COUNT, an axis (one or two), or NAME=VALUE; see --list."),
+    ] = None,
+    agent: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--agent", help="Who is varied; repeatable: all together. Default: of those who move, who comes nearest."
+        ),
+    ] = None,
+    planner: Annotated[str | None, typer.Option("--planner", "-p", help="Default: dp_qp.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Result folder. Default: results/run-NNN.")] = None,
+    resolution: Annotated[
+        float | None, typer.Option(help="How near edges are found. Default: an eighth of two cells' distance.")
+    ] = None,
+    list_agents: Annotated[bool, typer.Option("--list-agents", help="List who is there, the nearest first.")] = False,
+    listing: Annotated[bool, typer.Option("--list", help="List what may be varied.")] = False,
+    config: Annotated[Path | None, typer.Option(help="TOML file of a run; options win over it.")] = None,
+    gates: Annotated[Path | None, typer.Option(help="TOML file of thresholds. Default: the packaged ones.")] = None,
+    recording: Annotated[bool, typer.Option("--recording", help="Write the .rrd file of each drive.")] = False,
+    workers: Annotated[
+        int | None, typer.Option(min=0, help="Processes; 0: in this one. Default: one per core. Same results.")
+    ] = None,
+    ego: Ego = None,
+    road_map: Map = None,
+    begin: Begin = None,
+    end: End = None,
+) -> None:
+    """One log, varied: a surface of pass and fail over one or two parameters, as a table and a picture.
+
+    [bold]Examples[/bold]
+
+      replan vary paper/crossing_pedestrian --vary time=-2:2:9 --vary speed=0.5:1.5:9 -o results/crossing
+      replan vary my_bag --list-agents
+      replan vary my_bag --agent 17 --vary time=-2:2:9 -p dp_qp
+      replan vary my_log.mcap --vary standing_car=20:80:7 --vary ego_speed=0.5:1.5:5
+    """
+    with answered():
+        from replay.vary import command
+
+        if listing:
+            typer.echo("\n".join(command.variations()))
+            return
+        settings = _log_settings(config, ego, road_map, begin, end)
+        scenario = command.opened(log, settings)
+        if list_agents:
+            typer.echo("\n".join(command.agents(scenario)))
+            return
+        options = {"planners": (planner,) if planner else None, "gates": None if gates is None else str(gates)}
+        run = replace(_run(config, options, {}), recording=recording, internals="summary" if recording else "none")
+        asked = command.asked(scenario, variation or [], agent or [], resolution)
+        count = _cores() if workers is None else workers
+        result = command.vary(scenario, asked, run, out, workers=count, say=lambda line: typer.echo(line, err=True))
+        typer.echo("\n".join(result.lines()))
         raise typer.Exit(result.exit_code)
 
 

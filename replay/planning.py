@@ -64,7 +64,7 @@ class Planning:
         *,
         keep_internals: bool = True,
     ) -> None:
-        goal, note = _goal(scenario)
+        goal, note = goal_of(scenario)
         self.is_oracle = spec in ORACLES
         given = GIVEN_PATH if scenario.road.source is RoadSource.DRIVEN_PATH else ""
         self.notes = tuple(filter(None, (note, given)))
@@ -142,7 +142,7 @@ def _said(error: Exception) -> str:
     return f"{type(error).__name__}: {' '.join(str(error).split())}{place}"
 
 
-def _goal(scenario: Scenario) -> tuple[Goal | None, str]:
+def goal_of(scenario: Scenario) -> tuple[Goal | None, str]:
     """The scenario's goal, or the place where its drive ended, and in that case a note."""
     if scenario.goal is not None:
         return scenario.goal, ""

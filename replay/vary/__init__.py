@@ -1,0 +1,15 @@
+"""`replan vary`: one recording becomes a surface of pass and fail over one or two things that are varied in it.
+
+    axes.py        what is varied, over which values
+    encounters.py  who comes how near to the ego: whom to vary
+    bisection.py   where a row goes from pass to something else
+    surface.py     cells -> varied logs -> `replay.batch` -> table, edges, picture
+
+The picture is drawn by `replay.report.surface_figure`.
+"""
+
+from replay.vary.axes import Axis, Question, question
+from replay.vary.encounters import encounters, prepared
+from replay.vary.surface import VaryResult, vary
+
+__all__ = ["Axis", "Question", "VaryResult", "encounters", "prepared", "question", "vary"]

@@ -1,0 +1,120 @@
+"""What is varied: `name=low:high:count` is an axis of the surface, `name=value` holds for all of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import product
+from math import isfinite
+
+import numpy as np
+
+from logs.errors import ConfigError, unknown_name
+from logs.variations import VARIATIONS
+
+FINER = 8
+"""Edges are found to this part of the distance of two cells unless another resolution is asked for."""
+MOST_AXES = 2
+FORM = "write it as NAME=LOW:HIGH:COUNT, or NAME=VALUE for all cells"
+
+
+@dataclass(frozen=True)
+class Axis:
+    """One direction of the surface: a variation and its values, ascending."""
+
+    name: str
+    values: tuple[float, ...]
+
+    @property
+    def label(self) -> str:
+        """The name with its unit."""
+        unit = VARIATIONS[self.name].unit
+        return self.name if unit == "1" else f"{self.name} [{unit}]"
+
+    @property
+    def spacing(self) -> float:
+        """Distance of two values."""
+        return self.values[1] - self.values[0]
+
+
+@dataclass(frozen=True)
+class Question:
+    """A surface that is asked for.
+
+    Attributes:
+        axes: One or two; the first is along the rows of the picture.
+        fixed: Value by name, the same in all cells.
+        agents: Ids of those who are varied; empty: who is inserted.
+        resolution: How near edges are found, in the first axis' unit.
+    """
+
+    axes: tuple[Axis, ...]
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    agents: tuple[str, ...] = ()
+    resolution: float = 0.0
+
+    @property
+    def cells(self) -> Iterator[tuple[float, ...]]:
+        """The values of each cell, row by row (the first axis changes fastest)."""
+        return ((x, *rest) for *rest, x in product(*(axis.values for axis in self.axes[::-1])))
+
+    def values(self, cell: Sequence[float]) -> dict[str, float]:
+        """What is varied in a cell, by name."""
+        return {**self.fixed, **{axis.name: value for axis, value in zip(self.axes, cell, strict=True)}}
+
+    @property
+    def recorded(self) -> tuple[float, ...] | None:
+        """The point of the surface where nothing is varied; None where there is none."""
+        point = tuple(VARIATIONS[axis.name].neutral for axis in self.axes)
+        return point if all(map(isfinite, point)) and not self.fixed else None
+
+    @property
+    def varies_agents(self) -> bool:
+        """Whether agents must be named: somebody is varied, and nobody inserted who would be meant."""
+        kinds = [VARIATIONS[name] for name in (*self.fixed, *(axis.name for axis in self.axes))]
+        return any(kind.of == "agent" for kind in kinds) and not any(kind.inserts for kind in kinds)
+
+
+def question(words: Sequence[str], agents: Sequence[str] = (), resolution: float | None = None) -> Question:
+    """The question that words of `--vary` ask.
+
+    Raises:
+        ConfigError: A word is not of this form, a name is unknown or twice there, a value out of range, no or more
+            than two axes, a resolution that is not positive.
+    """
+    axes: list[Axis] = []
+    fixed: dict[str, float] = {}
+    for word in words:
+        name, values = _parsed(word)
+        if name in fixed or any(axis.name == name for axis in axes):
+            raise ConfigError(f"--vary {word}: {name} is varied twice")
+        if len(values) > 1:
+            axes.append(Axis(name, values))
+        else:
+            fixed[name] = values[0]
+    if not 1 <= len(axes) <= MOST_AXES:
+        raise ConfigError(f"a surface has one or two axes, got {len(axes)}: --vary NAME=LOW:HIGH:COUNT")
+    if resolution is not None and not resolution > 0.0:
+        raise ConfigError(f"--resolution must be positive, got {resolution:g}")
+    return Question(tuple(axes), fixed, tuple(agents), resolution or axes[0].spacing / FINER)
+
+
+def _parsed(word: str) -> tuple[str, tuple[float, ...]]:
+    name, separator, text = word.partition("=")
+    if not separator:
+        raise ConfigError(f"--vary {word}: {FORM}")
+    if name not in VARIATIONS:
+        raise unknown_name("variation", name, VARIATIONS)
+    try:
+        numbers = [float(part) for part in text.split(":")]
+    except ValueError:
+        raise ConfigError(f"--vary {word}: '{text}' is no number; {FORM}") from None
+    if len(numbers) == 1:
+        values = (numbers[0],)
+    elif len(numbers) == 3 and numbers[0] < numbers[1] and numbers[2] >= 2 and numbers[2] == int(numbers[2]):
+        values = tuple(np.linspace(numbers[0], numbers[1], int(numbers[2])).round(12).tolist())
+    else:
+        raise ConfigError(f"--vary {word}: {FORM}; LOW below HIGH, COUNT 2 or more")
+    for value in values:
+        VARIATIONS[name].check(value)
+    return name, values

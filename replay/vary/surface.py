@@ -1,0 +1,265 @@
+"""A surface: cells -> varied logs -> `evaluate_logs` -> table, edges, picture.
+
+    OUT/vary.json                     what was asked for
+    OUT/logs/                         the varied logs: `replan evaluate --mode closed` of one says what its cell says
+    OUT/grid/, OUT/edge-1/, ...       results of the cells, and of the points between them, as `replan evaluate` leaves
+    OUT/surface.parquet, .csv         a row per point: parameters, outcome, gates, least gap, contact, careful driver
+    OUT/edges.csv                     where rows go from pass to something else
+    OUT/surface.png
+
+The outcome of a point is what the gates say of its log, the worst of them: "pass", "fail" or "inconclusive". What is
+inconclusive where the careful driver of UN R157 collides is "unavoidable"; "error" is a point that could not be made
+or driven. Points without a log, and logs that cannot be driven, cost only themselves.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from math import nan
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from logs.errors import ConfigError, LogError
+from logs.mcap import write_scenario
+from logs.readers.base import LogSettings
+from logs.scenario import Scenario
+from logs.variations import VARIATIONS, varied
+from metrics.avoidability import APPLIES, AVOIDS, MARGIN
+from metrics.gates import Outcome
+from metrics.judge import worst
+from metrics.reference_drivers import Outcome as Careful
+from replay.batch import RunResult, evaluate_logs, replan_version
+from replay.batch.log_result import LogResult
+from replay.batch.results import safe_name, write_file, write_json, write_parquet
+from replay.config import RunConfig
+from replay.report.figures import save
+from replay.report.surface_figure import surface_figure
+from replay.vary.axes import Question
+from replay.vary.bisection import ERROR, Bracket, bisected, brackets
+
+UNAVOIDABLE = "unavoidable"
+CARD = "vary.json"
+TABLES = ("surface.parquet", "surface.csv", "edges.csv", "surface.png")
+_CONTACTS = ("collision", "replay_contact")
+
+Cell = tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class VaryResult:
+    """What came of a surface.
+
+    Attributes:
+        out: The folder.
+        question: What was asked for.
+        table: A row per point that was evaluated: the grid first, then the points between.
+        edges: Where rows change, as narrow as they were asked for.
+    """
+
+    out: Path
+    question: Question
+    table: pd.DataFrame
+    edges: tuple[Bracket, ...]
+
+    @property
+    def exit_code(self) -> int:
+        """0; 3 where a point could not be evaluated."""
+        return 3 if (self.table["outcome"] == ERROR).any() else 0
+
+    def lines(self) -> list[str]:
+        """What is to be said of it, line by line."""
+        first = self.question.axes[0]
+        counts = self.table.loc[self.table["part"] == "grid", "outcome"].value_counts()
+        said = [f"cells: {', '.join(f'{n} {name}' for name, n in counts.items())}"]
+        for edge in self.edges:
+            row = "".join(f"{axis.name} {v:.4g}: " for axis, v in zip(self.question.axes[1:], edge.row, strict=True))
+            between = f"{first.name} {edge.low:.6g} ({edge.at_low}) and {edge.high:.6g} ({edge.at_high})"
+            said.append(f"edge at {row}between {between}{'' if edge.is_open else ', not narrower: an error between'}")
+        broken = self.table[self.table["outcome"] == ERROR]
+        said += [f"error: {name}: {why}" for name, why in zip(broken["log"], broken["why"], strict=True)]
+        return [*said, f"written to {self.out}"]
+
+
+def vary(
+    scenario: Scenario,
+    question: Question,
+    run: RunConfig,
+    out: Path,
+    *,
+    workers: int = 0,
+    say: Callable[[str], None] = lambda line: None,
+) -> VaryResult:
+    """Evaluate a surface and write it into `out`; the same tables whatever the number of workers.
+
+    Args:
+        scenario: What is varied, `prepared`.
+        question: Over what.
+        run: Planner (one) and settings; only the closed loop is run, and the log settings are not asked again.
+        out: A folder that is new, empty, or holds an earlier surface.
+        workers: Processes; 0: this one.
+        say: Called with a line before each round.
+
+    Raises:
+        ConfigError: A wrong setting, an agent who is not there, a folder that is not ours to write.
+    """
+    if len(run.planners) != 1:
+        raise ConfigError(f"a surface is of one planner, got {', '.join(run.planners)}")
+    run = replace(run, mode="closed", deadline_s=0.0, log=LogSettings(), ensemble=0)
+    _check_agents(scenario, question)
+    _claim(out)
+    write_json(out / CARD, _card(scenario, question, run))
+    rounds = _Rounds(scenario, question, run, out, workers, say)
+    rounds.evaluate(list(question.cells), "grid")
+    edges: tuple[Bracket, ...] = ()
+    if not VARIATIONS[question.axes[0].name].is_choice:
+        found = brackets({row["cell"]: row["outcome"] for row in rounds.rows})
+        edges = bisected(found, rounds.between, question.resolution)
+    table = pd.DataFrame([{**row, "cell": None} for row in rounds.rows]).drop(columns="cell")
+    result = VaryResult(out, question, table, edges)
+    _write(result, scenario, run.planners[0])
+    return result
+
+
+def _check_agents(scenario: Scenario, question: Question) -> None:
+    there = {*scenario.tracks.ids, *(VARIATIONS[name].inserts for name in question.values(next(question.cells)))}
+    missing = [agent for agent in question.agents if agent not in there]
+    if missing or (question.varies_agents and not question.agents):
+        what = f"no agent is called '{missing[0]}'" if missing else "no agent is named"
+        raise ConfigError(f"{what}; `replan vary LOG --list-agents` lists them")
+
+
+def _claim(out: Path) -> None:
+    """Make the folder; an earlier surface in it is removed. ConfigError where it holds anything else."""
+    entries = sorted(out.iterdir()) if out.is_dir() else []
+    if out.is_file() or (entries and not (out / CARD).is_file()):
+        raise ConfigError(f"{out}: holds no surface of `replan vary`; give --out a new or empty folder")
+    for entry in entries:
+        shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
+    (out / "logs").mkdir(parents=True)
+
+
+def _card(scenario: Scenario, question: Question, run: RunConfig) -> dict[str, Any]:
+    return {
+        "replan": replan_version(),
+        "log": scenario.name,
+        "planner": run.planners[0],
+        "axes": [asdict(axis) for axis in question.axes],
+        "fixed": dict(question.fixed),
+        "agents": list(question.agents),
+        "resolution": question.resolution,
+    }
+
+
+# points -----------------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class _Rounds:
+    """Evaluates points round by round, and keeps their rows."""
+
+    scenario: Scenario
+    question: Question
+    run: RunConfig
+    out: Path
+    workers: int
+    say: Callable[[str], None]
+
+    def __post_init__(self) -> None:
+        self.rows: list[dict[str, Any]] = []
+        self.count = 0
+
+    def between(self, cells: Sequence[Cell]) -> list[str]:
+        """The outcomes of a round of points between cells."""
+        self.count += 1
+        return self.evaluate(cells, f"edge-{self.count}")
+
+    def evaluate(self, cells: Sequence[Cell], part: str) -> list[str]:
+        """The outcomes of a round."""
+        self.say(f"{part}: {len(cells)} points")
+        made = {cell: self._log(cell) for cell in cells}
+        logs = [path for path in made.values() if isinstance(path, Path)]
+        found = evaluate_logs(logs, self.run, self.out / part, workers=self.workers) if logs else None
+        by_source = {} if found is None else {result.source: result for result in found.logs}
+        for cell, path in made.items():
+            said = _broken(path) if isinstance(path, str) else _judged(by_source[str(path)], found)
+            log = _file(self.question.values(cell))
+            self.rows.append({"cell": cell, **self.question.values(cell), "part": part, **said, "log": log})
+        return [row["outcome"] for row in self.rows[-len(cells) :]]
+
+    def _log(self, cell: Cell) -> Path | str:
+        """The file of a varied log, or why there is none."""
+        values = self.question.values(cell)
+        path = self.out / "logs" / _file(values)
+        try:
+            write_scenario(path, varied(self.scenario, self.question.agents, values))
+        except LogError as error:
+            return str(error)
+        return path
+
+
+def _file(values: Mapping[str, float]) -> str:
+    return f"{safe_name(','.join(f'{name}={value:.10g}' for name, value in values.items()))}.mcap"
+
+
+def _broken(why: str) -> dict[str, Any]:
+    return {
+        "outcome": ERROR, "gates": "", "why": why, "end": "", "contact": "", "contact_s": nan,
+        "least_gap_m": nan, "least_gap_s": nan, "careful": "", "careful_margin_m": nan,
+    }  # fmt: skip
+
+
+def _judged(log: LogResult, run: RunResult | None) -> dict[str, Any]:
+    """What `replan evaluate` says of a log, in one row."""
+    assert run is not None
+    if log.failures or not log.drives:
+        return _broken(log.failures[0].line if log.failures else "not driven")
+    said = [(verdict.gate, one) for verdict in run.verdicts for one in verdict.logs if one.log == log.name]
+    outcome = worst([one.outcome for _, one in said])
+    table = log.table[log.table["planner"] == run.run.planners[0]].set_index("metric")
+    value = table["value"].where(table["available"], nan)
+    careful, drive = _careful(value), log.drives[0]
+    excused = outcome is Outcome.INCONCLUSIVE and careful == Careful.UNAVOIDABLE.value
+    blamed = [(gate, one.why) for gate, one in said if one.outcome is outcome and outcome is not Outcome.PASS]
+    contact = drive.end in _CONTACTS
+    return {
+        "outcome": UNAVOIDABLE if excused else outcome.value,
+        "gates": "; ".join(str(gate) for gate, _ in blamed),
+        "why": next((why for _, why in blamed if why), ""),
+        "end": drive.end,
+        "contact": drive.detail if contact else "",
+        "contact_s": drive.t_end_s if contact else nan,
+        "least_gap_m": float(value.get("gap.min", nan)),
+        "least_gap_s": float(table["time_s"].get("gap.min", nan)),
+        "careful": careful,
+        "careful_margin_m": float(value.get(f"reference_cc.{MARGIN.name}", nan)),
+    }
+
+
+def _careful(value: pd.Series[float]) -> str:
+    """Whether the careful driver avoids a contact: as `metrics.reference_drivers.Outcome` says it."""
+    applies = float(value.get(f"reference_cc.{APPLIES.name}", nan))
+    if applies == 0.0:
+        return Careful.NOT_APPLICABLE.value
+    avoids = float(value.get(f"reference_cc.{AVOIDS.name}", nan))
+    return Careful.AVOIDABLE.value if avoids > 0.0 else Careful.UNAVOIDABLE.value
+
+
+# files ------------------------------------------------------------------------------------------------------------
+
+
+def _write(result: VaryResult, scenario: Scenario, planner: str) -> None:
+    out, table, question = result.out, result.table, result.question
+    write_parquet(out / "surface.parquet", table)
+    write_file(out / "surface.csv", lambda partial: table.to_csv(partial, index=False, lineterminator="\n"))
+    columns = [*(axis.name for axis in question.axes[1:]), "low", "high", "at_low", "at_high", "edge"]
+    rows = [(*one.row, one.low, one.high, one.at_low, one.at_high, one.middle) for one in result.edges]
+    edges = pd.DataFrame(rows, columns=columns)
+    write_file(out / "edges.csv", lambda partial: edges.to_csv(partial, index=False, lineterminator="\n"))
+    about = f"; varied: {', '.join(question.agents)}" if question.agents else ""
+    fixed = "".join(f", {name} {VARIATIONS[name].shown(value)}" for name, value in question.fixed.items())
+    title = f"{scenario.name}: {planner}{fixed}{about}"
+    save(surface_figure(table, result.edges, question, title), out / "surface.png")

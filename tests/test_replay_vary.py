@@ -1,0 +1,219 @@
+"""`replan vary`: the surface, its edge, its files; what cannot be evaluated costs only itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from handmade import drive, lanes_along, scenario, square, straight, track, tracks
+from hypothesis import given
+from hypothesis import strategies as st
+from typer.testing import CliRunner, Result
+
+from logs import ConfigError, Goal, Scenario
+from logs.mcap import write_scenario
+from metrics.judge import verdicts_by_log
+from replay.batch import evaluate_logs
+from replay.cli import app
+from replay.config import RunConfig
+from replay.vary import VaryResult, encounters, prepared, question, vary
+from replay.vary.bisection import Bracket, bisected, brackets
+from replay.vary.encounters import nearest_agent
+
+RUN = RunConfig(planners=("constant_speed",), recording=False, internals="none")
+GATES = """
+[[gate]]
+metric = "collision_at_fault.count"
+mode = "closed"
+max = 0
+"""
+RUNNER = CliRunner(env={"COLUMNS": "200", "TERM": "dumb", "NO_COLOR": "1"})
+
+
+def replan(*words: object) -> Result:
+    result = RUNNER.invoke(app, [str(word) for word in words])
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return result
+
+
+def log() -> Scenario:
+    """3 s at 8 m/s towards a goal, a car parked 5 m beside the lane."""
+    ego = drive(straight, 8.0, 2.9)
+    road = lanes_along(ego, width=5.0)
+    made = scenario(ego, road=road, goal=Goal((square(24.0, 0.0, 4.0),)), agents=tracks(
+        track("17", [0.0], [22.0], [5.0], static=True),
+        track("blink", [1.0, 1.1], [8.0, 8.0], [4.0, 4.0]),
+        track("far", [0.0, 2.9], [0.0, 20.0], [40.0, 40.0]),
+    ))  # fmt: skip
+    return replace(made, name="test/parked")
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory: pytest.TempPathFactory) -> VaryResult:
+    """Constant speed past the car, pushed towards its lane; an ego start that is off the road is one of the cells."""
+    out = tmp_path_factory.mktemp("vary")
+    (out / "gates.toml").write_text(GATES, encoding="utf-8")
+    asked = question(["side=-4:0:3", "ego_start=-3:1:2"], ["17"], 0.25)
+    return vary(prepared(log()), asked, replace(RUN, gates=str(out / "gates.toml")), out / "out")
+
+
+def outcomes(result: VaryResult, start: float) -> list[str]:
+    table = result.table[(result.table["part"] == "grid") & (result.table["ego_start"] == start)]
+    return table.sort_values("side")["outcome"].tolist()
+
+
+def test_a_cell_is_what_evaluate_says_of_its_log(result: VaryResult, tmp_path: Path) -> None:
+    (cell,) = result.table.query("side == -4 and ego_start == 1").to_dict("records")
+    alone = evaluate_logs([result.out / "logs" / cell["log"]], replace(RUN, mode="closed", gates=str(
+        result.out.parent / "gates.toml")), tmp_path / "alone")  # fmt: skip
+    assert list(verdicts_by_log(alone.verdicts).values()) == [cell["outcome"]] == ["fail"]
+    gap = alone.table.query("metric == 'gap.min' and planner == 'constant_speed'")["value"].item()
+    assert gap == cell["least_gap_m"]
+    assert "collision_at_fault.count" in cell["gates"] and "17" in cell["contact"]
+    assert cell["contact_s"] == alone.drives[0].t_end_s
+
+
+def test_the_edge_is_where_the_boxes_touch(result: VaryResult) -> None:
+    assert outcomes(result, 1.0) == ["fail", "pass", "pass"]
+    (edge,) = result.edges
+    touching = -(5.0 - 0.5 * (log().vehicle.width + 1.8))
+    assert edge.low <= touching <= edge.high and edge.high - edge.low <= 0.25
+    assert (edge.at_low, edge.at_high) == ("fail", "pass")
+    assert len(result.table[result.table["part"] != "grid"]) == 3
+    written = pd.read_csv(result.out / "edges.csv")
+    assert written[["low", "high"]].iloc[0].tolist() == [edge.low, edge.high]
+
+
+def test_a_cell_that_cannot_be_made_is_named_and_costs_only_itself(result: VaryResult) -> None:
+    assert outcomes(result, -3.0) == ["error"] * 3
+    broken = result.table[result.table["ego_start"] == -3.0]
+    assert broken["why"].str.contains("off the road").all()
+    assert result.exit_code == 3 and any("off the road" in line for line in result.lines())
+
+
+def test_files_and_parameters(result: VaryResult) -> None:
+    table = pd.read_parquet(result.out / "surface.parquet")
+    pd.testing.assert_frame_equal(table, result.table)
+    assert table["log"].is_unique
+    assert (result.out / "surface.png").read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"
+    assert {"vary.json", "surface.csv", "edges.csv", "grid", "edge-1"} <= {p.name for p in result.out.iterdir()}
+
+
+def test_another_time_the_same_bytes_and_no_foreign_folder_is_touched(result: VaryResult, tmp_path: Path) -> None:
+    out = tmp_path / "again"
+    run = replace(RUN, gates=str(result.out.parent / "gates.toml"))
+    (out / "logs").mkdir(parents=True)
+    for name in ("vary.json", "logs/earlier.mcap"):
+        (out / name).write_text("", encoding="utf-8")
+    vary(prepared(log()), result.question, run, out)
+    assert not (out / "logs" / "earlier.mcap").exists()
+    for name in ("surface.csv", "edges.csv", "surface.png", "surface.parquet"):
+        assert (out / name).read_bytes() == (result.out / name).read_bytes()
+    (tmp_path / "diary.txt").write_text("", encoding="utf-8")
+    with pytest.raises(ConfigError, match="no surface"):
+        vary(prepared(log()), result.question, run, tmp_path)
+
+
+@pytest.mark.slow
+def test_the_same_bytes_whatever_the_number_of_workers(result: VaryResult, tmp_path: Path) -> None:
+    run = replace(RUN, gates=str(result.out.parent / "gates.toml"))
+    vary(prepared(log()), result.question, run, tmp_path / "out", workers=2)
+    for name in ("surface.csv", "edges.csv", "surface.png"):
+        assert (tmp_path / "out" / name).read_bytes() == (result.out / name).read_bytes()
+
+
+@given(st.floats(-4.9, 4.9), st.floats(1e-3, 1.0), st.booleans())
+def test_halving_brackets_the_edge(edge: float, resolution: float, passes_above: bool) -> None:
+    def evaluate(cells: Sequence[tuple[float, ...]]) -> list[str]:
+        return ["pass" if (cell[0] >= edge) == passes_above else "fail" for cell in cells]
+
+    cells = [(x, row) for row in (1.0, 2.0) for x in (-5.0, -1.0, 0.0, 5.0)]
+    found = bisected(brackets(dict(zip(cells, evaluate(cells), strict=True))), evaluate, resolution)
+    assert [one.row for one in found] == [(1.0,), (2.0,)]
+    for one in found:
+        assert one.low <= edge <= one.high and one.high - one.low <= resolution * (1.0 + 1e-9)
+        assert evaluate([(one.low,), (one.high,)]) == [one.at_low, one.at_high]
+
+
+def test_an_error_ends_halving_and_is_no_end_of_a_bracket() -> None:
+    assert brackets({(0.0,): "pass", (1.0,): "error", (2.0,): "fail"}) == ()
+    (one,) = bisected([Bracket((), 0.0, 1.0, "pass", "fail")], lambda cells: ["error"], 0.1)
+    assert (one.low, one.high, one.is_open) == (0.0, 1.0, False)
+
+
+def test_who_comes_nearest() -> None:
+    made = prepared(log())
+    found = {one.agent: one for one in encounters(made)}
+    beside = 5.0 - 0.5 * (made.vehicle.width + 1.8)
+    assert found["17"].least == pytest.approx(beside) and (found["17"].t_from, found["17"].t_to) == (0.0, 2.9)
+    assert found["far"].way == 20.0 and list(found) == ["blink", "17", "far"]
+    assert nearest_agent(made) == "far"  # the only one who goes anywhere
+    with pytest.raises(ConfigError, match="nobody"):
+        nearest_agent(replace(made, tracks=tracks()))
+
+
+def test_a_log_without_a_goal_keeps_the_place_where_its_drive_ended() -> None:
+    made = prepared(replace(log(), goal=None))
+    assert made.goal is not None and made.goal.holds_place(23.2 + made.vehicle.axle_to_center, 0.0)
+    assert any("where its drive ended" in note for note in made.notes)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ([], "one or two axes, got 0"),
+        (["time=1"], "one or two axes, got 0"),
+        (["time=0:1:3", "speed=0.5:1:2", "side=0:1:2"], "got 3"),
+        (["tme=0:1:3"], "did you mean 'time'"),
+        (["time=0:1:3", "time=2"], "varied twice"),
+        (["time=1:0:3"], "LOW below HIGH"),
+        (["time=0:1:1.5"], "COUNT"),
+        (["time=now"], "no number"),
+        (["time"], "NAME=LOW:HIGH:COUNT"),
+        (["time=0:99:3"], "from -30 to 30 s"),
+    ],
+)
+def test_wrong_words_are_refused(words: list[str], said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        question(words)
+
+
+def test_the_command_line(tmp_path: Path) -> None:
+    write_scenario(tmp_path / "log.mcap", log())
+    listed = replan("vary", tmp_path / "log.mcap", "--list-agents")
+    assert [line.split()[:2] for line in listed.stdout.splitlines()[1:]] == [
+        ["blink", "car"], ["17", "car"], ["far", "car"]]  # fmt: skip
+    assert "ego_speed" in replan("vary", "x", "--list").stdout
+    words = ["vary", tmp_path / "log.mcap", "--vary", "standing_car=10:60:2", "-p", "constant_speed", "--workers", 0]
+    done = replan(*words, "--resolution", 30, "--out", tmp_path / "out")
+    assert done.exit_code == 0, done.output
+    table = pd.read_csv(tmp_path / "out" / "surface.csv")
+    assert table["outcome"].tolist()[0] in ("fail", "unavoidable", "inconclusive")
+    assert "inserted car" in table["contact"][0]
+    assert f"written to {tmp_path / 'out'}" in done.stdout.replace("\n", "")
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["nowhere", "--vary", "time=0:1:2"], "no such file or folder, and no family"),
+        (["{log}", "--agent", "18", "--vary", "time=0:1:2"], "no agent is called '18'"),
+        (["{log}", "--vary", "time=0:1:2", "-p", "constant_sped"], "did you mean 'constant_speed'"),
+        (["{log}", "--vary", "time=0:1:2", "--resolution", "0"], "--resolution must be positive"),
+    ],
+)
+def test_exit_2_is_one_line(tmp_path: Path, words: list[str], said: str) -> None:
+    write_scenario(tmp_path / "log.mcap", log())
+    filled = [word.format(log=tmp_path / "log.mcap") for word in words]
+    result = replan("vary", *filled, "--out", tmp_path / "out", "--workers", 0)
+    errors = [line for line in result.stderr.splitlines() if line.startswith("error:")]
+    assert result.exit_code == 2 and len(errors) == 1 and said in errors[0]
+
+
+def test_a_family_is_a_log(tmp_path: Path) -> None:
+    listed = replan("vary", "paper/crossing_pedestrian", "--list-agents")
+    assert listed.stdout.splitlines()[1].split()[:2] == ["pedestrian", "pedestrian"]

@@ -45,6 +45,9 @@ Map = Annotated[Path | None, typer.Option("--map", help="A map that replaces the
 Begin = Annotated[float | None, typer.Option("--from", help="Begin so many seconds after the log's.")]
 End = Annotated[float | None, typer.Option("--to", help="End so many seconds after the log's begin.")]
 Foxglove = Annotated[bool, typer.Option("--foxglove", help="Channels that Foxglove draws, in what is written.")]
+Suite = Annotated[
+    str | None, typer.Option("--suite", help="smoke, full, nightly; or a family or group with all its cells.")
+]
 Settings = Annotated[Path | None, typer.Option("--config", help="TOML file of a run: its [log] table.")]
 
 
@@ -156,12 +159,14 @@ def evaluate(
         float | None,
         typer.Option(min=1.0, help="Evaluate each log in parts of so many seconds."),
     ] = None,
+    suite: Suite = None,
 ) -> None:
     """Drive planners over logs, measure, judge by gates, and record.
 
     [bold]Examples[/bold]
 
       replan evaluate                                      the built-in suite
+      replan evaluate --suite full                         300 logs of the catalogue
       replan evaluate my_logs/ --planner dp_qp --planner logged
       replan evaluate a.mcap --planner my_pkg.mine:MyPlanner --mode closed
       replan evaluate my_logs/ --gates gates.toml --out results/nightly
@@ -190,7 +195,7 @@ def evaluate(
         options["log"] = _log_settings(config, ego, road_map, begin, end)
         run = _run(config, options, loop).in_car(car)
         result = _evaluated(
-            logs or [], run, out, _cores() if workers is None else workers, resume=resume, window=window
+            logs or [], run, out, _cores() if workers is None else workers, resume=resume, window=window, suite=suite
         )
         raise typer.Exit(result.exit_code)
 
@@ -279,8 +284,9 @@ def _settings(words: list[str]) -> dict[str, float | str]:
 
 
 def _evaluated(
-    logs: list[Path], run: RunConfig, out: Path | None, workers: int, *, resume: bool, window: float | None
-) -> RunResult:
+    logs: list[Path], run: RunConfig, out: Path | None, workers: int, *, resume: bool, window: float | None,
+    suite: str | None,
+) -> RunResult:  # fmt: skip
     from replay.batch import evaluate_logs
     from replay.batch.pool import settle
     from replay.report.progress import progress
@@ -290,7 +296,7 @@ def _evaluated(
     settle()
     with progress() as (on_start, on_log):
         result = evaluate_logs(
-            logs, run, out, workers=workers, resume=resume, window=window, on_start=on_start, on_log=on_log
+            logs, run, out, workers=workers, resume=resume, window=window, suite=suite, on_start=on_start, on_log=on_log
         )
     wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 110
     print_report(result, Console(width=wide, soft_wrap=False))
@@ -311,7 +317,9 @@ def synth(
     settings: Annotated[
         list[str] | None, typer.Option("--set", help="parameter=number; may be repeated.", metavar="KEY=VALUE")
     ] = None,
+    suite: Suite = None,
     listing: Annotated[bool, typer.Option("--list", help="List the families and their parameters.")] = False,
+    markdown: Annotated[bool, typer.Option("--markdown", help="The page of all: docs/catalogue.md.")] = False,
 ) -> None:
     """Write synthesised logs of the catalogue.
 
@@ -320,19 +328,22 @@ def synth(
       replan synth --list
       replan synth all -o my_logs
       replan synth paper/free_road -o my_logs --set radius_m=40
+      replan synth --suite smoke -o my_logs
     """
     with answered():
-        from logs.catalogue import CATALOGUE
-        from replay.synth import chosen, overrides, synthesise
+        from replay.synth import chosen, listed, markdown_page, overrides, synthesise, write_suite
 
-        if listing:
-            for family in CATALOGUE.values():
-                values = ", ".join(f"{key}={value:g}" for key, value in family.parameters.items())
-                typer.echo(f"{family.name}: {family.summary}\n    {values}")
+        if listing or markdown:
+            typer.echo(markdown_page() if markdown else "\n".join(listed()))
             return
-        if not names or out is None:
-            raise ConfigError("name a family (or all) and a folder: replan synth all -o my_logs; see --list")
-        for path in synthesise(chosen(names), out, overrides(settings or [])):
+        if bool(names) == bool(suite) or out is None:
+            raise ConfigError(
+                "name a family (or all) or a --suite, and a folder: replan synth all -o my_logs; see --list"
+            )
+        if suite and settings:
+            raise ConfigError("--set changes families that are named; the logs of a suite have their parameters")
+        written = write_suite(suite, out) if suite else synthesise(chosen(names or ()), out, overrides(settings or []))
+        for path in written:
             typer.echo(path)
 
 

@@ -3,13 +3,17 @@
 The scenario's metadata hold the generator's version, all parameters, and under `expected_decisions` what a planner may
 decide, as JSON: agent id, or "stop line ID" -> kinds (`DecisionKind` values), one of which it should decide about that
 agent or line at some time of the drive. Those that are not named need no decision.
+
+The logged driver of a scenario touches no one. Where a published grid holds cells in which no one could get through,
+the log ends with the last state `before_contact`, and the metadata say who would have been met, and when.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from itertools import product
 from math import cos, isfinite, sin
 from types import MappingProxyType
 
@@ -31,6 +35,9 @@ class Family:
         parameters: Defaults by name, units in the names.
         tags: Words by which gates and reports group.
         build: All parameters -> Scenario; raises ValueError where they make no sense.
+        grid: Values by parameter, as published: their product are the family's cells; empty: one cell, the defaults.
+        source: Where the numbers are from.
+        holds: All parameters -> whether a cell of the product is one (its target is slower than the ego, say).
     """
 
     name: str
@@ -38,9 +45,25 @@ class Family:
     parameters: Mapping[str, float]
     tags: tuple[str, ...]
     build: Callable[[Mapping[str, float]], Scenario]
+    grid: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    source: str = ""
+    holds: Callable[[Mapping[str, float]], bool] = lambda parameters: True
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "parameters", MappingProxyType(dict(self.parameters)))
+        object.__setattr__(self, "grid", MappingProxyType(dict(self.grid)))
+
+    def cells(self) -> Iterator[dict[str, float]]:
+        """The cells of the grid, the last parameter varying fastest."""
+        for values in product(*self.grid.values()):
+            cell = dict(zip(self.grid, values, strict=True))
+            if self.holds({**self.parameters, **cell}):
+                yield cell
+
+    def named(self, changed: Mapping[str, float]) -> str:
+        """The name of a variant, from which `logs.catalogue.scenario` builds it: every number in full."""
+        variant = ",".join(f"{name}={_number(value)}" for name, value in sorted(changed.items()))
+        return f"{self.name}@{variant}" if variant else self.name
 
     def scenario(self, **overrides: float) -> Scenario:
         """The scenario with these parameters changed; a variant's name lists them.
@@ -70,13 +93,13 @@ class Family:
             "generator": "replan catalogue",
             "generator_version": VERSION,
             "family": self.name,
+            **({"parameter_source": self.source} if self.source else {}),
             **{f"parameter.{name}": repr(float(value)) for name, value in parameters.items()},
             **scenario.metadata,
         }
-        variant = ",".join(f"{name}={value:g}" for name, value in sorted(changed.items()))
         return replace(
             scenario,
-            name=f"{self.name}@{variant}" if variant else self.name,
+            name=self.named(changed),
             tags=("synthetic", *self.tags),
             source=f"replan catalogue: {self.name}",
             licence="Apache-2.0",
@@ -91,8 +114,38 @@ def expects(**kinds: tuple[DecisionKind, ...]) -> dict[str, str]:
     }
 
 
+def _number(value: float) -> str:
+    """As short as it can be read back."""
+    short = f"{value:g}"
+    return short if float(short) == value else repr(float(value))
+
+
 def touches(scenario: Scenario) -> str | None:
     """The first agent that the logged ego touches, or None."""
+    found = _contact(scenario)
+    return None if found is None else found[1]
+
+
+def before_contact(scenario: Scenario) -> Scenario:
+    """The scenario with an ego log that ends before the first contact, which the metadata name; as it is without one.
+
+    Raises:
+        ValueError: Someone is touched at the start.
+    """
+    found = _contact(scenario)
+    if found is None:
+        return scenario
+    step, who = found
+    if step == 0:
+        raise ValueError(f"{who} is in the ego at the start")
+    t = scenario.ego.t
+    said = {"logged_driver_would_meet": who, "logged_driver_would_meet_s": repr(float(t[step]))}
+    ego = scenario.ego.between(float(t[0]), float(t[step - 1]))
+    return replace(scenario, ego=ego, metadata={**scenario.metadata, **said})
+
+
+def _contact(scenario: Scenario) -> tuple[int, str] | None:
+    """The first state of the logged ego that touches an agent, and the agent's id."""
     ego, car = scenario.ego, scenario.vehicle
     for i in range(len(ego)):
         state, others = ego.state(i), scenario.tracks.truth(float(ego.t[i]))
@@ -101,5 +154,5 @@ def touches(scenario: Scenario) -> str | None:
         for k in range(len(others)):
             other = (others.x[k], others.y[k], others.yaw[k], others.length[k], others.width[k])
             if overlap(*box, *(float(value) for value in other)):
-                return others.ids[k]
+                return i, others.ids[k]
     return None

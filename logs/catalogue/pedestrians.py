@@ -20,7 +20,18 @@ from math import copysign, cos, inf, pi, radians, sin, sqrt
 
 import numpy as np
 
-from logs.catalogue.agents import ADULT, Agent, moving, parked, tracks
+from logs.catalogue.agents import (
+    ADULT,
+    BEFORE_M,
+    BESIDE_M,
+    BETWEEN_M,
+    LARGE_CAR,
+    SMALL_CAR,
+    Agent,
+    moving,
+    obstruction,
+    tracks,
+)
 from logs.catalogue.driver import Ahead, drive
 from logs.catalogue.everyday import grid
 from logs.catalogue.family import Family, expects
@@ -34,10 +45,6 @@ from logs.vehicle import VehicleParameters
 RAMP_S = 0.4
 SIDEWALK_M = 4.0
 CHILD = (0.711, 0.298)
-SMALL_CAR, LARGE_CAR = (4.316, 1.79), (4.418, 1.82)
-"""Length and width of the cars of CPNCO, m."""
-BESIDE_M, BEFORE_M, BETWEEN_M = 1.0, 1.0, 1.0
-"""CPNCO: from the ego's side to theirs, from the small car's front to the child's line, from car to car."""
 SLOWING_MPS2, SLOW_BEFORE_M = 1.2, 8.0
 """How the driver slows down towards the parked cars, and how far before them he wants to be slow: he lags behind."""
 WAITS = (DecisionKind.YIELD, DecisionKind.STOP)
@@ -211,12 +218,8 @@ def _runs_out(p: Mapping[str, float]) -> Scenario:
     y0, y1 = -p["start_lateral_m"], HALF_LANE + p["rest_distance_m"]
     leg = Leg(p["walk_start_s"], y1 - y0, p["pedestrian_speed_mps"])
     x, side = _station(p, leg.begin), -(0.5 * car.width + BESIDE_M)
-    small_front = x - BEFORE_M
-    large_front = small_front - SMALL_CAR[0] - BETWEEN_M
-    cars = (
-        parked("small_car", small_front - 0.5 * SMALL_CAR[0], side - 0.5 * SMALL_CAR[1], size=SMALL_CAR),
-        parked("large_car", large_front - 0.5 * LARGE_CAR[0], side - 0.5 * LARGE_CAR[1], size=LARGE_CAR),
-    )
+    cars = obstruction(x, side)
+    large_front = x - BEFORE_M - SMALL_CAR[0] - BETWEEN_M
     t = grid(p["duration_s"])
     child = walker("child", t, (x, y0), (leg,), size=CHILD)
     emerges = float(t[np.argmax(child.samples[:, 2] + 0.5 * CHILD[0] > side)])

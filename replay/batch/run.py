@@ -39,7 +39,7 @@ from replay.batch.results import (
     write_timings,
 )
 from replay.batch.resume import finished, replan_version, stamp_of
-from replay.batch.sources import LogSource, Selection, builtin_suite, select
+from replay.batch.sources import LogSource, Selection, builtin_suite, named_suite, select
 from replay.config import RunConfig, dump_run
 from replay.control import CONTROLLERS
 from replay.oracle import ORACLES
@@ -103,6 +103,7 @@ def evaluate_logs(
     workers: int = 0,
     resume: bool = False,
     window: float | None = None,
+    suite: str | None = None,
     on_start: Callable[[Selection, Path], None] = lambda selection, out: None,
     on_log: Callable[[LogResult], None] = lambda result: None,
 ) -> RunResult:
@@ -116,6 +117,7 @@ def evaluate_logs(
         resume: Take the logs that an interrupted run into `out` has finished as they are (`replay.batch.resume`); the
             tables are the same, byte for byte, as those of a run that was never interrupted.
         window: Seconds: each log is evaluated in parts of this length, each as a log of its own.
+        suite: Instead of logs: a suite of the catalogue, or a family or group of it with all its cells.
         on_start: Called once with what was selected and the result folder.
         on_log: Called as each log ends, in order of ending.
 
@@ -125,7 +127,7 @@ def evaluate_logs(
         PlannerError: None of the planners can be loaded.
     """
     run = run or RunConfig()
-    selection = select(logs, run.log, window) if logs else builtin_suite()
+    selection = _selected(logs, run, window, suite)
     gates = load_gates(run.gates_path, metrics=all_metrics(run))
     if run.gates_path is None:
         gates = gates.asked_of(mode.value for mode in run.modes)
@@ -167,6 +169,14 @@ def evaluate_logs(
     )
     _write(result)
     return result
+
+
+def _selected(logs: Sequence[Path | str], run: RunConfig, window: float | None, suite: str | None) -> Selection:
+    if suite is None:
+        return select(logs, run.log, window) if logs else builtin_suite()
+    if logs or window is not None:
+        raise ConfigError(f"--suite {suite} are logs by themselves: leave out other logs and --window")
+    return named_suite(suite)
 
 
 def _checked(run: RunConfig) -> tuple[RunConfig, tuple[Failure, ...]]:

@@ -11,7 +11,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from logs.catalogue import CATALOGUE
+from logs.catalogue import CATALOGUE, scenario
+from logs.catalogue.suites import suite
 from logs.errors import ConfigError, LogError
 from logs.maps import map_files
 from logs.readers import FORMATS, LogSettings, foreign, logs_in, read_log, reader_of, readers, windows
@@ -23,10 +24,10 @@ LOG_CARD = "log.json"
 
 @dataclass(frozen=True)
 class LogSource:
-    """Where a log comes from: a file or folder of any format, or a family of the catalogue at its defaults.
+    """Where a log comes from: a file or folder of any format, or the catalogue.
 
     Attributes:
-        label: What the user calls it.
+        label: What the user calls it; of the catalogue the name of a scenario (`logs.catalogue.scenario`).
         path: The file or folder; None for the catalogue.
         settings: How it is read.
         digest: Its `log_hash` where it is known: a long log in many parts is hashed once; "": not known.
@@ -38,7 +39,7 @@ class LogSource:
     digest: str = ""
 
     def identity(self) -> str:
-        """What tells it from every other input: names and hashes of log and map, or the family; LogError as `read`."""
+        """What tells it from every other input: names and hashes of log and map, or the name; LogError as `read`."""
         if self.path is None:
             return f"catalogue {self.label}"
         settings = self.settings
@@ -50,7 +51,7 @@ class LogSource:
     def read(self) -> Scenario:
         """The scenario; LogError where it cannot be read."""
         if self.path is None:
-            return CATALOGUE[self.label].scenario()
+            return scenario(self.label)
         return read_log(self.path, self.settings)
 
     @property
@@ -80,6 +81,11 @@ class Selection:
 def builtin_suite() -> Selection:
     """Every family of the catalogue at its defaults."""
     return Selection(tuple(LogSource(name) for name in CATALOGUE))
+
+
+def named_suite(name: str) -> Selection:
+    """A suite of the catalogue, or all cells of one of its families or groups; ConfigError: nothing is called so."""
+    return Selection(tuple(LogSource(label) for label in suite(name)))
 
 
 def select(paths: Sequence[Path | str], settings: LogSettings | None = None, window: float | None = None) -> Selection:

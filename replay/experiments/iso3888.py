@@ -1,12 +1,4 @@
-"""The tracks of ISO 3888-1 (double lane change) and -2 (obstacle avoidance): cones, and a path between them.
-
-Lengths and widths in m, with b the vehicle's width; x = 0 at the first cones, the offset lane is to the left:
-
-    3888-1   entry 15, 1.1 b + 0.25  gap 30    offset lane 25, 1.2 b + 0.25, 3.5 left  gap 25    exit 30, 1.3 b + 0.25
-    3888-2   entry 12, 1.1 b + 0.25  gap 13.5  offset lane 11, b + 1.0, 1.0 clear      gap 12.5  exit 12, at least 3.0
-
-The 3.5 m are from middle to middle; the 1.0 m from the entry lane's left edge to the offset lane's right edge; the
-exit's middle is the entry's. (Other readings are around; these are stated.)
+"""The path of a vehicle through the tracks of ISO 3888 (`logs.catalogue.iso3888`), between their cones.
 
 The path y(x) of the rear axle minimises the integral of y''^2 + W y'''^2 with the body between the cones:
 
@@ -15,61 +7,21 @@ The path y(x) of the rear axle minimises the integral of y''^2 + W y'''^2 with t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy import sparse
 
+from logs.catalogue.iso3888 import Section, cones, double_lane_change, obstacle_avoidance
 from logs.errors import ConfigError
 from logs.kernel import FloatArray
 from logs.vehicle import VehicleParameters
 from planners.qp import QPConfig, QuadraticProgram
 
+__all__ = ["Section", "cones", "double_lane_change", "hit", "obstacle_avoidance", "path"]
 STEP_M = 0.5
 BEFORE_M, AFTER_M = 60.0, 60.0
 JERK_WEIGHT = 100.0
 SPARE_M = 0.1
 """Room that the path leaves beside the cones: the body does not point along the path where the tyres slip."""
-CONE_SPACING_M = 3.0
-
-
-@dataclass(frozen=True)
-class Section:
-    """A lane between cones: from `begin` to `end`, `width`, its middle `offset` to the left; m."""
-
-    begin: float
-    end: float
-    width: float
-    offset: float
-
-
-def double_lane_change(width: float) -> tuple[Section, ...]:
-    """ISO 3888-1 for a vehicle of this width, m."""
-    return (
-        Section(0.0, 15.0, 1.1 * width + 0.25, 0.0),
-        Section(45.0, 70.0, 1.2 * width + 0.25, 3.5),
-        Section(95.0, 125.0, 1.3 * width + 0.25, 0.0),
-    )
-
-
-def obstacle_avoidance(width: float) -> tuple[Section, ...]:
-    """ISO 3888-2 for a vehicle of this width, m."""
-    entry, offset = 1.1 * width + 0.25, width + 1.0
-    return (
-        Section(0.0, 12.0, entry, 0.0),
-        Section(25.5, 36.5, offset, 0.5 * entry + 1.0 + 0.5 * offset),
-        Section(49.0, 61.0, max(1.3 * width + 0.25, 3.0), 0.0),
-    )
-
-
-def cones(sections: tuple[Section, ...]) -> FloatArray:
-    """Places `(n, 2)`, m: along both edges of each section."""
-    rows: list[FloatArray] = []
-    for section in sections:
-        x = np.linspace(section.begin, section.end, round((section.end - section.begin) / CONE_SPACING_M) + 1)
-        edges = [section.offset + side * section.width for side in (-0.5, 0.5)]
-        rows.extend(np.column_stack([x, np.full(len(x), edge)]) for edge in edges)
-    return np.vstack(rows)
 
 
 def hit(places: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, car: VehicleParameters) -> int:

@@ -1,0 +1,206 @@
+"""What the published tests have in common: a target that is met after `TTC_S` by an ego that keeps its speed.
+
+Speeds are in km/h, as the protocols have them. The ego comes with a constant speed on a straight road along x, at
+t = 0 the impact is `TTC_S` away. The logged driver brakes as the others of the catalogue, with at most 3 m/s2 and
+2 m/s3, `reaction_s` after the danger shows; where that is not enough the log ends (`family.before_contact`).
+
+The target crosses along y with a ramp of its run-up, so that with the ego's front at its side its middle is at
+
+(1) y_impact = -b / 2 + b overlap / 100              b the ego's width; overlap from the near, right side, %
+(2) t_off    = TTC_S - (r / 2 + d / u)               set off for the way d at speed u; run-up 2 s_run / u = r
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from math import copysign, pi
+
+import numpy as np
+
+from logs.catalogue.agents import ADULT, BESIDE_M, Agent, moving, obstruction, parked, tracks
+from logs.catalogue.driver import Ahead, drive
+from logs.catalogue.everyday import grid
+from logs.catalogue.family import before_contact, expects
+from logs.catalogue.paper import BEYOND_M, HALF_LANE, SPARE_S, START_M, goal_at_end, walked
+from logs.catalogue.pedestrians import CHILD, SIDEWALK_M, WAITS
+from logs.catalogue.roads import LANE_WIDTH_M, Path, curve, one_lane, two_way
+from logs.kernel import FloatArray
+from logs.road import Road
+from logs.scenario import AgentKind, Scenario
+from logs.trace import DecisionKind
+from logs.vehicle import VehicleParameters
+
+KMH = 1.0 / 3.6
+TTC_S = 6.0
+STOP_M, BEYOND_LINE_M, REST_M = 2.0, 20.0, 2.5
+"""Where the logged driver stops before the target, where the goal begins behind it, how far it goes off the lane."""
+RAMP_S = 0.4
+"""In which a target that has no run-up comes to its speed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A target of the protocols: id, kind, size (length, width) m."""
+
+    id: str
+    kind: AgentKind
+    size: tuple[float, float]
+
+
+PEDESTRIAN = Target("pedestrian", AgentKind.PEDESTRIAN, ADULT)
+CHILD_TARGET = Target("child", AgentKind.PEDESTRIAN, CHILD)
+CYCLIST = Target("cyclist", AgentKind.BICYCLE, (1.89, 0.5))
+MOTORCYCLE = Target("motorcycle", AgentKind.MOTORCYCLE, (2.08, 0.79))
+CAR_TARGET = Target("car", AgentKind.CAR, (4.023, 1.712))
+
+
+def speeds(first: int, last: int, step: int = 5) -> tuple[float, ...]:
+    """The speeds of a grid, both ends among them, km/h."""
+    return tuple(float(v) for v in range(first, last + 1, step))
+
+
+def tested(
+    p: Mapping[str, float], path: Path, road: Road, agents: Sequence[Agent],
+    ahead: Callable[[float, float], Ahead | None], expected: Mapping[str, tuple[DecisionKind, ...]],
+    *, beyond: float | None = None, start: float = START_M,
+) -> Scenario:  # fmt: skip
+    """The scenario of an ego with `ego_kmh` that starts at station `start`.
+
+    Args:
+        p: `ego_kmh` and `duration_s` of them.
+        path: Of the rear axle.
+        road: Around it.
+        agents: All others.
+        ahead: What the logged driver minds.
+        expected: Accepted decisions by agent.
+        beyond: Station at which the goal begins; None: the test has no goal, since nothing leads past the target.
+        start: Of the rear axle, m.
+    """
+    v, duration = p["ego_kmh"] * KMH, p["duration_s"]
+    driven = drive(path, start=start, speed=v, cruise=v, duration=duration, ahead=ahead)
+    goal = None if beyond is None else goal_at_end(path, beyond, right=-HALF_LANE, left=HALF_LANE)
+    metadata = expects(**expected)
+    return before_contact(Scenario("", driven, tracks(agents), road, duration + SPARE_S, goal, metadata=metadata))
+
+
+def straight(p: Mapping[str, float]) -> Path:
+    """A straight path that is long enough for a drive at `ego_kmh`."""
+    return curve((START_M + p["ego_kmh"] * KMH * (p["duration_s"] + SPARE_S) + BEYOND_M, 0.0, 0.0))
+
+
+def impact(overlap_percent: float) -> float:
+    """(1), m."""
+    return VehicleParameters().width * (overlap_percent / 100.0 - 0.5)
+
+
+CROSSING: Mapping[str, float] = {
+    "ego_kmh": 40.0, "target_kmh": 5.0, "overlap_percent": 50.0, "start_m": 4.0, "run_up_m": 1.0, "reaction_s": 0.4,
+    "duration_s": 18.0,
+}  # fmt: skip
+
+
+def crossing(p: Mapping[str, float], target: Target, *, far: bool = False, hidden: str = "") -> Scenario:
+    """A target that crosses from the near side (right), or the far side.
+
+    Args:
+        p: As `CROSSING`; `start_m` is how far from the ego's path the target stands at first.
+        target: Who crosses.
+        far: From the left, over an opposite lane.
+        hidden: "cpnco": behind two parked cars; "cbnao": behind a car whose side is `hidden_m` from the ego's path.
+
+    Raises:
+        ValueError: The way is too short for the run-up.
+    """
+    v, u, car, side = p["ego_kmh"] * KMH, p["target_kmh"] * KMH, VehicleParameters(), 1.0 if far else -1.0
+    t, ramp = grid(p["duration_s"]), max(2.0 * p["run_up_m"] / u, RAMP_S)
+    way = p["start_m"] - side * impact(p["overlap_percent"])
+    off = TTC_S - 0.5 * ramp - way / u  # (2)
+    whole = p["start_m"] + HALF_LANE + REST_M + 0.5 * u * ramp + (LANE_WIDTH_M if far else 0.0)
+    y = side * (p["start_m"] - whole * walked(t - off, whole, u, ramp))
+    line = START_M + car.axle_to_front + v * TTC_S + 0.5 * target.size[1]
+    crosser = moving(target.id, target.kind, target.size, t, np.full(len(t), line), y, yaw=copysign(0.5 * pi, -side))
+    reach = 0.5 * target.size[0]
+    on = np.flatnonzero(np.abs(y) <= HALF_LANE + reach)
+    parked_cars, shows = _hiding(p, hidden, line, y, reach, car)
+    noticed = max(off, float(t[shows])) + p["reaction_s"]
+    clear = float(t[min(on[-1] + 1, len(t) - 1)])
+
+    def ahead(time: float, s: float) -> Ahead | None:
+        gap = line - STOP_M - (s + car.axle_to_front)
+        return Ahead(gap, stop=True) if noticed <= time < clear and gap > -STOP_M else None
+
+    path = straight(p)
+    road = two_way(path, v) if far else one_lane(path, v, sidewalk=SIDEWALK_M)
+    agents = [crosser, *parked_cars]
+    return tested(p, path, road, agents, ahead, {target.id: WAITS}, beyond=line + BEYOND_LINE_M)
+
+
+def _hiding(
+    p: Mapping[str, float], hidden: str, line: float, y: FloatArray, reach: float, car: VehicleParameters
+) -> tuple[tuple[Agent, ...], int]:
+    """The parked cars, and the sample at which the target comes out from behind them."""
+    if not hidden:
+        return (), 0
+    side = -(0.5 * car.width + BESIDE_M) if hidden == "cpnco" else -p["hidden_m"]
+    both = obstruction(line, side)
+    return both if hidden == "cpnco" else both[:1], int(np.argmax(y + reach > side))
+
+
+LEAD: Mapping[str, float] = {
+    "ego_kmh": 50.0, "target_kmh": 20.0, "gap_m": 0.0, "brake_s": 2.0, "brake_mps2": 0.0,
+    "brake_to_kmh": 0.0, "reaction_s": 0.4, "duration_s": 18.0,
+}  # fmt: skip
+FOLLOWS = (DecisionKind.FOLLOW, *WAITS)
+
+
+def lead_speed(t: FloatArray, begin: float, u: float, rate: float, to: float) -> FloatArray:
+    """Speed `(n,)` of who changes from u to `to` with |rate| from `begin` on; rate 0: keeps u. m/s."""
+    if rate == 0.0:
+        return np.full(len(t), u)
+    changed: FloatArray = np.clip((t - begin) * abs(rate), 0.0, abs(u - to))
+    return u + copysign(1.0, to - u) * changed
+
+
+def travelled(t: FloatArray, speed: FloatArray) -> FloatArray:
+    """Way `(n,)` at a speed `(n,)`, m."""
+    return np.r_[0.0, np.cumsum(0.5 * (speed[1:] + speed[:-1]) * np.diff(t))]
+
+
+def beside(overlap_percent: float) -> float:
+    """How far to the left a target ahead is of which |overlap| of the ego's width is met, m; to the right: negative."""
+    return copysign(1.0 - abs(overlap_percent) / 100.0, overlap_percent) * VehicleParameters().width
+
+
+def lead(p: Mapping[str, float], target: Target, y: float) -> Scenario:
+    """A target that is ahead in the lane: stopped, slower, or braking; met after `TTC_S`, or `gap_m` away if positive.
+
+    Args:
+        p: As `LEAD`.
+        target: Who is ahead.
+        y: Where, to the left of the lane's middle, m.
+
+    Raises:
+        ValueError: It would not be met.
+    """
+    v, u, car = p["ego_kmh"] * KMH, p["target_kmh"] * KMH, VehicleParameters()
+    gap = p["gap_m"] if p["gap_m"] > 0.0 else (v - u) * TTC_S
+    if not gap > 0.0:
+        raise ValueError(f"the ego's {p['ego_kmh']:g} km/h do not reach a target with {p['target_kmh']:g} km/h")
+    t = grid(p["duration_s"])
+    speed = lead_speed(t, p["brake_s"], u, p["brake_mps2"], p["brake_to_kmh"] * KMH)
+    half, front = 0.5 * target.size[0], car.axle_to_front
+    x = START_M + front + gap + half + travelled(t, speed)
+    if u > 0.0:
+        other = moving(target.id, target.kind, target.size, t, x, np.full(len(t), y), yaw=0.0)
+    else:
+        other = parked(target.id, float(x[0]), y, size=target.size)
+    shows = p["brake_s"] if p["brake_mps2"] else 0.0
+
+    def ahead(time: float, s: float) -> Ahead | None:
+        distance = float(np.interp(time, t, x)) - half - STOP_M - (s + front)
+        now = float(np.interp(time, t, speed))
+        return None if time < shows + p["reaction_s"] else Ahead(distance, now, stop=now == 0.0)
+
+    path = straight(p)
+    return tested(p, path, one_lane(path, v, sidewalk=SIDEWALK_M), [other], ahead, {target.id: FOLLOWS})

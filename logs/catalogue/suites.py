@@ -1,0 +1,97 @@
+"""Suites: parts of all families' cells, chosen the same way every time.
+
+There is one order of all cells; a suite is its first so many, so that a smaller one is part of a larger. The order goes
+round by round. In a round every family gives one more cell as long as it has any, the families of all groups taking
+turns: no group and no family is without a log as long as there is room, and large grids fill what is left.
+
+Within a family the cells spread: the next is that one which is farthest from all before it, by the places of its values
+in their lists, each list 1 long (a maximin design; Johnson, Moore, Ylvisaker, J. Stat. Plan. Inference 26, 1990). The
+corners of a grid come early. Draws are by the SHA-256 of seed, family and cell: they do not change when a family is
+added elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from hashlib import sha256
+from itertools import chain, islice, zip_longest
+
+import numpy as np
+
+from logs.catalogue import FAMILIES, Family
+from logs.errors import unknown_name
+
+SEED = 1
+
+
+@dataclass(frozen=True)
+class Suite:
+    """How many cells, for what."""
+
+    size: int
+    summary: str
+
+
+SUITES: Mapping[str, Suite] = {
+    "smoke": Suite(20, "some of every group: does it run"),
+    "full": Suite(300, "every family, the corners of its grid first: before a release"),
+    "nightly": Suite(3000, "the grids: at night"),
+}
+
+
+def suite(name: str, seed: int = SEED) -> tuple[str, ...]:
+    """Names of scenarios (`logs.catalogue.scenario`): of a suite, or of all cells of a family or a group.
+
+    Raises:
+        ConfigError: Nothing is called so.
+    """
+    if name in SUITES:
+        return tuple(islice(ordered(seed), SUITES[name].size))
+    families = [family for key, family in FAMILIES.items() if name in (key, key.partition("/")[0])]
+    if not families:
+        raise unknown_name("suite", name, [*SUITES, *groups(), *FAMILIES])
+    return tuple(family.named(cell) for family in families for cell in family.cells())
+
+
+def groups() -> dict[str, list[Family]]:
+    """The families by group."""
+    found: dict[str, list[Family]] = {}
+    for name, family in FAMILIES.items():
+        found.setdefault(name.partition("/")[0], []).append(family)
+    return found
+
+
+def ordered(seed: int = SEED) -> Iterator[str]:
+    """All cells of all families in the order of the module docstring, as names."""
+    turns = zip_longest(*(sorted(group, key=lambda one: _draw(seed, one.name)) for group in groups().values()))
+    ways = [spread(family, seed) for family in chain.from_iterable(turns) if family is not None]
+    while ways:
+        left = []
+        for way in ways:
+            name = next(way, None)
+            if name is not None:
+                yield name
+                left.append(way)
+        ways = left
+
+
+def spread(family: Family, seed: int = SEED) -> Iterator[str]:
+    """The cells of a family, each farthest from those before it; of several the first by draw."""
+    cells = sorted((family.named(cell) for cell in family.cells()), key=lambda name: _draw(seed, name))
+    by_name = {family.named(cell): cell for cell in family.cells()}
+    places = np.array([_place(family, by_name[name]) for name in cells]).reshape(len(cells), -1)
+    far = np.full(len(cells), np.inf)
+    for _ in cells:
+        k = int(np.argmax(far))
+        yield cells[k]
+        far = np.minimum(far, ((places - places[k]) ** 2).sum(axis=1))
+        far[k] = -1.0
+
+
+def _place(family: Family, cell: Mapping[str, float]) -> list[float]:
+    return [values.index(cell[key]) / max(len(values) - 1, 1) for key, values in family.grid.items()]
+
+
+def _draw(seed: int, name: str) -> bytes:
+    return sha256(f"{seed} {name}".encode()).digest()

@@ -23,6 +23,7 @@ from logs.mcap import read_scenario, write_scenario
 from logs.readers import LogSettings, read_log, reader_of, windows
 from logs.readers.cut import cut
 from logs.readers.ros import bag as door
+from logs.readers.ros.clocks import clock_of, times_of
 from logs.readers.ros.fields import decoder
 from logs.readers.ros.identity import are_identities, joined
 from logs.readers.ros.motion import rates
@@ -285,6 +286,13 @@ def test_stale_messages_foreign_clocks_and_dropouts_are_said(tmp_path: Path) -> 
     foreign = read_log(bags.write_ros2(tmp_path / "foreign", rows))
     assert any("another clock than the ego's (+1000.1 s)" in note for note in foreign.notes)
     assert foreign.tracks.t[0] == pytest.approx(0.078, abs=1e-3)
+
+
+def test_of_two_stamps_that_agree_on_nothing_none_counts() -> None:
+    log, notes = np.array([0, 10**9]) + START_NS, list[str]()
+    ego = clock_of(log, log, "")
+    t, kept = times_of("/tf_static", log, log + np.array([-9, 9]) * 10**9, ego, notes)
+    assert t.tolist() == log.tolist() and kept.tolist() == [0, 1] and "its log times count" in notes[0]
 
 
 def test_a_simulations_clock_may_run_slower(tmp_path: Path) -> None:

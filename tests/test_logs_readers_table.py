@@ -104,6 +104,7 @@ def test_what_is_missing_is_derived_causally_and_noted() -> None:
         (ego(), agents(kind="dragon"), "an agent is a 'dragon'"),
         (ego(), pd.concat([agents(), agents()]), "agent a has two rows at 1 s"),
         (ego(), agents().drop(columns="id"), "no column id"),
+        (ego(), agents(id=[None, *["a"] * (len(agents()) - 1)]), "row 0 has no id; name every agent"),
     ],
 )
 def test_wrong_tables_are_one_clear_line(table: pd.DataFrame, others: pd.DataFrame | None, words: str) -> None:

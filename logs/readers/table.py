@@ -219,7 +219,10 @@ def _tracks(
     if frame is None or not len(frame):
         return Tracks.empty()
     table = _Table(frame, "agents", columns)
-    names = table.column("id")[0].astype(str).to_numpy()
+    told = table.column("id")[0]
+    if told.isna().any():
+        raise LogError(f"row {int(told.isna().argmax())} has no id", topic="agents", remedy="name every agent")
+    names = told.astype(str).to_numpy()
     _, t = table.times(start_ns)
     order = np.lexsort((t, names))
     names, t = names[order], t[order]

@@ -75,13 +75,14 @@ def times_of(topic: str, log: IntArray, stamps: IntArray, clock: Clock, notes: l
     else:
         late = offsets(clock(log), stamps)
         usual = float(np.median(late))
-        if abs(usual) > OTHER_CLOCK_S:
+        near = np.flatnonzero(np.abs(late - usual) <= OTHER_CLOCK_S)
+        if abs(usual) > OTHER_CLOCK_S or not len(near):
             notes.append(
                 f"The stamps of {topic} are of another clock than the ego's ({usual:+.1f} s): its log times count."
             )
             times = clock(log)
         else:
-            keep = np.flatnonzero(np.abs(late - usual) <= OTHER_CLOCK_S)
+            keep = near
             if len(keep) < len(log):
                 worst = float(np.abs(late - usual).max())
                 notes.append(

@@ -202,7 +202,7 @@ def evaluate(
 
 @app.command()
 def vary(
-    log: Annotated[str, typer.Argument(help="A log of any format, or a family of the catalogue.")],
+    log: Annotated[str | None, typer.Argument(help="A log of any format, or a family of the catalogue.")] = None,
     variation: Annotated[
         list[str] | None,
         typer.Option("--vary", help="NAME=LOW:HIGH:COUNT, an axis (one or two), or NAME=VALUE; see --list."),
@@ -246,8 +246,9 @@ def vary(
         if listing:
             typer.echo("\n".join(command.variations()))
             return
-        settings = _log_settings(config, ego, road_map, begin, end)
-        scenario = command.opened(log, settings)
+        if log is None:
+            raise ConfigError("name a log or a family: replan vary paper/crossing_pedestrian --vary time=-2:2:9")
+        scenario = command.opened(log, _log_settings(config, ego, road_map, begin, end))
         if list_agents:
             typer.echo("\n".join(command.agents(scenario)))
             return

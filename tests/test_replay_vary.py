@@ -187,7 +187,7 @@ def test_the_command_line(tmp_path: Path) -> None:
     listed = replan("vary", tmp_path / "log.mcap", "--list-agents")
     assert [line.split()[:2] for line in listed.stdout.splitlines()[1:]] == [
         ["blink", "car"], ["17", "car"], ["far", "car"]]  # fmt: skip
-    assert "ego_speed" in replan("vary", "x", "--list").stdout
+    assert "ego_speed" in replan("vary", "--list").stdout
     words = ["vary", tmp_path / "log.mcap", "--vary", "standing_car=10:60:2", "-p", "constant_speed", "--workers", 0]
     done = replan(*words, "--resolution", 30, "--out", tmp_path / "out")
     assert done.exit_code == 0, done.output

@@ -48,7 +48,7 @@ def save(figure: Figure, path: Path) -> None:
     figure.savefig(path, dpi=DPI, metadata={"Software": None})
 
 
-def _figure(width: float, height: float) -> Figure:
+def empty_figure(width: float, height: float) -> Figure:
     """An empty figure in inches, with its canvas.
 
     Raises:
@@ -75,7 +75,7 @@ def path_figure(traces: Sequence[tuple[str, Trace]], planned: FloatArray, scenar
     import matplotlib as mpl
 
     with mpl.rc_context(STYLE):
-        figure = _figure(8.0, 5.6)
+        figure = empty_figure(8.0, 5.6)
         above, below = figure.subplots(2, 1, height_ratios=(2.2, 1.0))
         _lanes(above, scenario)
         name, first = traces[0]
@@ -102,7 +102,7 @@ def st_figure(frames: Sequence[tuple[str, PlannedFrame]], trace: Trace, scenario
     import matplotlib as mpl
 
     with mpl.rc_context(STYLE):
-        figure = _figure(12.0, 2.7 * len(frames))
+        figure = empty_figure(12.0, 2.7 * len(frames))
         rows = figure.subplots(len(frames), 2, width_ratios=(1.5, 1.0), squeeze=False)
         graphs = [_st_graph(frame) for _, frame in frames]
         top = max([float(np.nanmax(g.qp[:, 1])) for g in graphs if g and len(g.qp)], default=50.0)
@@ -132,7 +132,7 @@ def pedals_figure(
     if trace.commands is None or trace.actuation is None:
         raise ConfigError("the drive has no commands to draw")
     with mpl.rc_context(STYLE):
-        figure = _figure(8.0, 6.0)
+        figure = empty_figure(8.0, 6.0)
         panels = figure.subplots(3, 1, sharex=True)
         for panel, name, color in zip(panels[:2], ("throttle", "brake"), (DRIVEN, DP), strict=True):
             panel.plot(trace.commands.t, getattr(trace.commands, name), color=color, lw=1.4, label="commanded")
@@ -186,7 +186,7 @@ def grid_figure(table: pd.DataFrame) -> Figure:
 
     speeds = sorted(table["ego_kmh"].unique())
     with mpl.rc_context({**STYLE, "axes.grid": False, "axes.spines.top": True, "axes.spines.right": True}):
-        figure = _figure(3.1 * len(speeds) + 1.0, 2.4 * len(QUANTITIES) + 0.5)
+        figure = empty_figure(3.1 * len(speeds) + 1.0, 2.4 * len(QUANTITIES) + 0.5)
         rows = figure.subplots(len(QUANTITIES), len(speeds), squeeze=False, sharex=True, sharey=True)
         for panels, (column, label, colors, bounds) in zip(rows, QUANTITIES, strict=True):
             for axes, speed in zip(panels, speeds, strict=True):

@@ -136,17 +136,21 @@ writes one log, `replan synth --suite NAME -o DIR` many, and `replan evaluate --
 them first; NAME is a suite, a family or a group. The same name gives the same bytes.
 
 A log is called `family@parameter=number,...`. Its metadata hold the family, all parameters, where the numbers are from,
-and under `expected_decisions` what a planner may decide about whom. The logged driver brakes with at most 3 m/s2 and
-2 m/s3. He touches no one: in cells where that is not enough, which the grids of UN R157 and Euro NCAP have, the ego's
-log ends before the contact, and `logged_driver_would_meet` names who it would have been. Whether anybody could have
-avoided it, the reference drivers say (`reference_cc`: the careful driver of UN R157), not the planner under test.
+and under `expected_decisions` what a planner may decide about which agent. The logged driver brakes with at most 3 m/s2
+and 2 m/s3, and touches no one: in cells where that is not enough, which the grids of UN R157 and Euro NCAP have, the
+ego's log ends before the contact, and `logged_driver_would_meet` names the agent. Whether a contact could have been
+avoided, the reference drivers say (`reference_cc`: the careful driver of UN R157), not the planner under test.
+
+What is ours where a publication is silent, and what is left out, stands at the head of the family's module in
+`logs/catalogue`. The logs' numbers are facts taken from the named repositories; the protocols, the regulation's text
+and the standard were not read.
 
 `python -m replay.experiments.catalogue -o OUT --suite full` drives a suite and draws, per family and cell, what became
 of it beside the careful driver.
 """
 SUITES_SAID = """A suite is the first so many cells of one order of all (seed {seed}), so that a smaller one is part of
-a larger. The order goes round by round: each family gives one more cell, the one farthest from those before it in its
-grid, the groups taking turns (`logs/catalogue/suites.py`)."""
+a larger. Each family gives a cell first, then about as many as the root of how many it has, each the farthest in its
+grid from those before it (`logs/catalogue/suites.py`)."""
 ABOUT: Mapping[str, str] = {
     "paper": "The tests of the paper. The paper gives no numbers; these are a passenger car's.",
     "everyday": "Everyday driving and traffic rules.",

@@ -15,8 +15,8 @@ ADULT = (0.5, 0.6)
 BICYCLE = (1.8, 0.6)
 SMALL_CAR, LARGE_CAR = (4.316, 1.79), (4.418, 1.82)
 """Length and width of the cars of CPNCO, m."""
-BESIDE_M, BEFORE_M, BETWEEN_M = 1.0, 1.0, 1.0
-"""CPNCO: from the ego's side to theirs, from the small car's front to the child's line, from car to car."""
+BESIDE_M, APART_M = 1.0, 1.0
+"""CPNCO: from the ego's side to theirs; from the small car's front to the child's line, and from car to car."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,8 +37,8 @@ def parked(name: str, x: float, y: float, *, size: tuple[float, float] = CAR) ->
 
 def obstruction(x: float, side: float) -> tuple[Agent, Agent]:
     """The two parked cars of CPNCO before the line x, their left sides at y = `side`, m."""
-    small_front = x - BEFORE_M
-    large_front = small_front - SMALL_CAR[0] - BETWEEN_M
+    small_front = x - APART_M
+    large_front = small_front - SMALL_CAR[0] - APART_M
     return (
         parked("small_car", small_front - 0.5 * SMALL_CAR[0], side - 0.5 * SMALL_CAR[1], size=SMALL_CAR),
         parked("large_car", large_front - 0.5 * LARGE_CAR[0], side - 0.5 * LARGE_CAR[1], size=LARGE_CAR),

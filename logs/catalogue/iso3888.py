@@ -119,7 +119,7 @@ def _track(p: Mapping[str, float], sections: Callable[[float, bool], tuple[Secti
     driven = drive(path, start=0.0, speed=v, cruise=cruise, duration=tenths(last / slow + SPARE_S))
     driven = driven.between(0.0, float(driven.t[np.argmax(driven.x > last + 2.0 * TAPER_M)]))
     duration = float(driven.t[-1])
-    left, right = _lane(there, -BEYOND_M, path.length - approach)
+    left, right = _lane(there, -approach - car.length, path.length - approach)
     shift = np.array([approach, 0.0])
     lane = Lane(1, left + shift, right + shift, speed_limit=v, kind="urban")
     goal = goal_at_end(curve((path.length, 0.0, 0.0)), last + TAPER_M, right=-HALF_LANE, left=HALF_LANE)

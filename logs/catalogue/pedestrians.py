@@ -20,18 +20,7 @@ from math import copysign, cos, inf, pi, radians, sin, sqrt
 
 import numpy as np
 
-from logs.catalogue.agents import (
-    ADULT,
-    BEFORE_M,
-    BESIDE_M,
-    BETWEEN_M,
-    LARGE_CAR,
-    SMALL_CAR,
-    Agent,
-    moving,
-    obstruction,
-    tracks,
-)
+from logs.catalogue.agents import ADULT, APART_M, BESIDE_M, LARGE_CAR, SMALL_CAR, Agent, moving, obstruction, tracks
 from logs.catalogue.driver import Ahead, drive
 from logs.catalogue.everyday import grid
 from logs.catalogue.family import Family, expects
@@ -219,7 +208,7 @@ def _runs_out(p: Mapping[str, float]) -> Scenario:
     leg = Leg(p["walk_start_s"], y1 - y0, p["pedestrian_speed_mps"])
     x, side = _station(p, leg.begin), -(0.5 * car.width + BESIDE_M)
     cars = obstruction(x, side)
-    large_front = x - BEFORE_M - SMALL_CAR[0] - BETWEEN_M
+    large_front = x - APART_M - SMALL_CAR[0] - APART_M
     t = grid(p["duration_s"])
     child = walker("child", t, (x, y0), (leg,), size=CHILD)
     emerges = float(t[np.argmax(child.samples[:, 2] + 0.5 * CHILD[0] > side)])

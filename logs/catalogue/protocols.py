@@ -33,6 +33,7 @@ from logs.vehicle import VehicleParameters
 
 KMH = 1.0 / 3.6
 TTC_S = 6.0
+GOAL_M = 40.0
 STOP_M, BEYOND_LINE_M, REST_M = 2.0, 20.0, 2.5
 """Where the logged driver stops before the target, where the goal begins behind it, how far it goes off the lane."""
 RAMP_S = 0.4
@@ -74,12 +75,13 @@ def tested(
         agents: All others.
         ahead: What the logged driver minds.
         expected: Accepted decisions by agent.
-        beyond: Station at which the goal begins; None: the test has no goal, since nothing leads past the target.
+        beyond: Station at which the goal begins; None: nothing leads past the target, the goal is the path's end, which
+            is so far that a drive lasts as long as the log does.
         start: Of the rear axle, m.
     """
     v, duration = p["ego_kmh"] * KMH, p["duration_s"]
     driven = drive(path, start=start, speed=v, cruise=v, duration=duration, ahead=ahead)
-    goal = None if beyond is None else goal_at_end(path, beyond, right=-HALF_LANE, left=HALF_LANE)
+    goal = goal_at_end(path, path.length - GOAL_M if beyond is None else beyond, right=-HALF_LANE, left=HALF_LANE)
     metadata = expects(**expected)
     return before_contact(Scenario("", driven, tracks(agents), road, duration + SPARE_S, goal, metadata=metadata))
 

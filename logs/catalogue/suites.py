@@ -1,8 +1,12 @@
 """Suites: parts of all families' cells, chosen the same way every time.
 
-There is one order of all cells; a suite is its first so many, so that a smaller one is part of a larger. The order goes
-round by round. In a round every family gives one more cell as long as it has any, the families of all groups taking
-turns: no group and no family is without a log as long as there is room, and large grids fill what is left.
+There is one order of all cells; a suite is its first so many, so that a smaller one is part of a larger. Of a family
+with n cells the k-th, from 0, comes at
+
+(1) k / sqrt(n)
+
+so that first every family gives a cell, the groups taking turns, and then about as many as the root of how many it has
+(power allocation; Bankier, The American Statistician 42, 1988): a large grid is seen, and does not hide the small ones.
 
 Within a family the cells spread: the next is that one which is farthest from all before it, by the places of its values
 in their lists, each list 1 long (a maximin design; Johnson, Moore, Ylvisaker, J. Stat. Plan. Inference 26, 1990). The
@@ -15,7 +19,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from hashlib import sha256
+from heapq import merge
 from itertools import chain, islice, zip_longest
+from math import sqrt
 
 import numpy as np
 
@@ -65,15 +71,14 @@ def groups() -> dict[str, list[Family]]:
 def ordered(seed: int = SEED) -> Iterator[str]:
     """All cells of all families in the order of the module docstring, as names."""
     turns = zip_longest(*(sorted(group, key=lambda one: _draw(seed, one.name)) for group in groups().values()))
-    ways = [spread(family, seed) for family in chain.from_iterable(turns) if family is not None]
-    while ways:
-        left = []
-        for way in ways:
-            name = next(way, None)
-            if name is not None:
-                yield name
-                left.append(way)
-        ways = left
+    families = [family for family in chain.from_iterable(turns) if family is not None]
+    return (name for _, _, name in merge(*(_timed(turn, family, seed) for turn, family in enumerate(families))))
+
+
+def _timed(turn: int, family: Family, seed: int) -> Iterator[tuple[float, int, str]]:
+    """The cells of a family with their places (1) in the order of all."""
+    rate = sqrt(sum(1 for _ in family.cells()))
+    return ((k / rate, turn, name) for k, name in enumerate(spread(family, seed)))
 
 
 def spread(family: Family, seed: int = SEED) -> Iterator[str]:

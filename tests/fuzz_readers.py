@@ -24,7 +24,7 @@ import traceback
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from io import BytesIO
 from pathlib import Path
@@ -37,7 +37,7 @@ import recorded_cases
 import ros_bags as bags
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
-from mcap_cases import rich_scenario
+from mcap_cases import differences, rich_scenario
 
 from logs import LogError, Scenario
 from logs.maps import read_map
@@ -54,6 +54,8 @@ TELLING = [
     b"-", b"e999", b"nan", b"9" * 20, b"<", b">", b'"', b"{", b"]", b",", b"\n", b"\xc3\x28", b"null",
 ]  # fmt: skip
 NUMBERS = [b"0", b"-1", b"1e308", b"nan", b"inf", b"-0.0", b"9" * 20, b"", b"1.5", b"x", b"null", b"1e-320"]
+ROUNDED = (".t", ".known", ".notes", ".duration", "goal.t")
+"""What a native log rounds to nanoseconds, or adds to."""
 VALUE = re.compile(rb'-?\b\d+\.?\d*(?:[eE][-+]?\d+)?\b|"[^"<>{}\n]*"')
 Mutation = Callable[[bytes, np.random.Generator], bytes]
 
@@ -254,6 +256,19 @@ def _salvaged(path: Path) -> object:
     return read_log(out)
 
 
+def _writable(scenario: Scenario, path: Path) -> None:
+    """What was read can be written as a native log and is read again as the same."""
+    out = path.with_name("native.mcap")
+    try:
+        write_scenario(out, scenario)
+        unlike = differences(replace(scenario, onboard=()), replace(read_log(out), onboard=()))
+    except LogError as error:
+        raise AssertionError(f"was read, but cannot be written as a native log: {error}") from error
+    finally:
+        out.unlink(missing_ok=True)
+    assert not [name for name in unlike if not name.endswith(ROUNDED)], unlike
+
+
 def _write_table(folder: Path) -> None:
     folder.mkdir()
     t = np.arange(40) / 10.0
@@ -273,7 +288,9 @@ def judged(case: Case, path: Path) -> tuple[str, str]:
                 reader.contents(path)
                 reader.span(path)
             found = case.read(path)
-        return "read", "" if case.read is not read_log or isinstance(found, Scenario) else f"gave {type(found)}"
+            if isinstance(found, Scenario):
+                _writable(found, path)
+        return "read", ""
     except LogError as error:
         said = str(error)
         if "\n" in said or (case.read is not _salvaged and path.name not in said and str(path) not in said):

@@ -478,6 +478,9 @@ def test_other_files_are_refused(tmp_path: Path) -> None:
         read_commonroad(other)
     with pytest.raises(LogError, match="cannot be read"):
         read_commonroad(tmp_path / "missing.xml")
+    other.write_text('<?xml version="1.0" encoding="UTF-17"?><commonRoad/>')
+    with pytest.raises(LogError, match="is no complete XML: unknown encoding"):
+        read_commonroad(other)
 
 
 # recorded files

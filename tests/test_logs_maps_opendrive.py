@@ -86,6 +86,7 @@ def test_real_maps(shared_data: Path, tmp_path: Path) -> None:
         ('<!DOCTYPE a [<!ENTITY b "c">]><OpenDRIVE/>', "document type declaration"),
         (MAP.replace('length="50"', 'length="1e12"'), "more than 1000 km"),
         (MAP.replace('length="50"', 'length="far"'), "is no OpenDRIVE"),
+        (MAP.replace("<line/>", '<paramPoly3 bU="1e9" dV="0"/>'), "leads more than 100 times its length away"),
     ],
 )
 def test_what_is_no_opendrive_is_refused(text: str, word: str, tmp_path: Path) -> None:

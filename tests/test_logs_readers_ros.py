@@ -295,6 +295,13 @@ def test_of_two_stamps_that_agree_on_nothing_none_counts() -> None:
     assert t.tolist() == log.tolist() and kept.tolist() == [0, 1] and "its log times count" in notes[0]
 
 
+def test_a_transform_without_a_finite_value_is_none(tmp_path: Path) -> None:
+    rows, kind = bags.transforms(), "tf2_msgs/msg/TFMessage"
+    nowhere = {"header": header(START_NS), "child_frame_id": "lidar_2", "transform": {"translation": {"x": np.nan}}}
+    rows.append(("/tf", kind, START_NS + 1, message(kind, transforms=[nowhere])))
+    check_drive(read_log(bags.write_ros2(tmp_path / "bag", rows)))
+
+
 def test_a_simulations_clock_may_run_slower(tmp_path: Path) -> None:
     """Stamps of simulated time, recorded at half its pace: the drive is as stamped, a part of it too."""
     rows = [(a, b, START_NS + 50_000_000_000 + 2 * (t - START_NS), m) for a, b, t, m in bags.odometry()]

@@ -14,7 +14,7 @@ from mcap_cases import differences
 
 import replan
 from logs import AgentKind, LogError
-from logs.mcap import read_scenario
+from logs.mcap import read_scenario, write_scenario
 from logs.readers import LogSettings, read_log, reader_of
 from logs.readers.table import UNITS, from_frames
 from replay.batch import evaluate_logs
@@ -111,6 +111,17 @@ def test_wrong_tables_are_one_clear_line(table: pd.DataFrame, others: pd.DataFra
     with pytest.raises(LogError) as error:
         from_frames(table, others)
     assert words in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(("zero", "start_s"), [(0.0, 100.0), (100.0, 0.5), (105.0, 0.5)])
+def test_the_zero_of_times_may_lie_anywhere(tmp_path: Path, zero: float, start_s: float) -> None:
+    """The others begin half a second before the ego: whatever is negative, all stay where they were and are written."""
+    scenario = from_frames(ego(t=ego().t - zero), agents(t=agents().t - 0.5 - zero))
+    assert scenario.start_ns == round(1e9 * start_s)
+    moved = from_frames(ego(), agents(t=agents().t - 0.5)).tracks.t
+    assert moved.min() == pytest.approx(-0.5) and scenario.tracks.t == pytest.approx(moved, abs=1e-6)
+    write_scenario(tmp_path / "log.mcap", scenario)
+    assert read_scenario(tmp_path / "log.mcap").tracks.t == pytest.approx(moved, abs=1e-6)
 
 
 @pytest.mark.parametrize("suffix", ["csv", "parquet"])

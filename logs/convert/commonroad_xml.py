@@ -129,7 +129,7 @@ def parse(path: Path) -> Document:
         root = ElementTree.parse(path).getroot()
     except OSError as error:
         raise LogError(f"cannot be read: {error.strerror}", file=path, remedy="check the path") from error
-    except (ElementTree.ParseError, ValueError) as error:
+    except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise LogError(f"is no complete XML: {error}", file=path, remedy="fetch the file again") from error
     try:
         return _document(root)

@@ -29,6 +29,8 @@ KEPT = 5
 NARROWEST_M = 0.1
 """A lane that is nowhere wider has no area: it begins or ends there."""
 LARGEST_BYTES, LONGEST_M = 1 << 28, 1e6
+FARTHEST = 100.0
+"""A polynomial may lead so many times its length away: pyxodr walks along it in steps of `RESOLUTION_M`."""
 _DRIVABLE = {"driving", "entry", "exit", "onRamp", "offRamp", "connectingRamp", "slipLane", "bidirectional"}
 _CROSSABLE = {"none", "broken", "broken broken", "botts dots"}
 _UNITS = {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704}
@@ -107,6 +109,9 @@ def _root(path: Path) -> Element:
         if root.tag != "OpenDRIVE":
             raise LogError(f"root element is <{root.tag}>", remedy="give an OpenDRIVE map (<OpenDRIVE>)")
         lengths = [float(part.get("length", "nan")) for part in root.iter("geometry")]
+        far = [
+            part for part in root.iter("geometry") if not _reach(part) <= FARTHEST * float(part.get("length", "nan"))
+        ]
     except OSError as error:
         raise LogError(f"cannot be read: {error.strerror}", file=path) from None
     except (ParseError, ValueError, LookupError) as error:
@@ -115,7 +120,26 @@ def _root(path: Path) -> Element:
         raise error.at(path) from None
     if not (all(length >= 0.0 for length in lengths) and sum(lengths) < LONGEST_M):
         raise LogError("its roads have no length, or more than 1000 km", file=path, remedy="cut the map")
+    if far:
+        what = f"the geometry at s = {far[0].get('s')} leads more than {FARTHEST:.0f} times its length away"
+        raise LogError(what, file=path, remedy="mend its coefficients")
     return root
+
+
+def _reach(geometry: Element) -> float:
+    """How far its polynomials lead at most, m: the sum of |a|, |b| p, |c| p^2, |d| p^3 at their end; else 0."""
+    total = 0.0
+    for part in geometry:
+        if part.tag in ("poly3", "paramPoly3"):
+            whole = part.tag == "paramPoly3" and part.get("pRange", "normalized") == "normalized"
+            p = 1.0 if whole else float(geometry.get("length", "nan"))
+            terms = (
+                abs(float(part.get(key, "0"))) * p**k
+                for k, one in enumerate("abcd")
+                for key in (one, one + "U", one + "V")
+            )
+            total += sum(terms)
+    return total
 
 
 def _pieces(roads: Sequence[Any], root: Element) -> Iterator[_Piece]:

@@ -106,6 +106,7 @@ def from_frames(
         with np.errstate(all="ignore"):  # absurd numbers are refused as such
             driven = completed({"t": t, **state}, notes)
         tracks = _tracks(agents, columns or {}, start_ns, origin, notes)
+        start_ns -= min(0, start_ns + min(0, round(1e9 * float(tracks.t.min(initial=0.0)))))  # no log time before 0
         return Scenario(
             name=name,
             ego=driven,
@@ -186,7 +187,7 @@ class _Table:
                 raise LogError(f"{column.name} is beyond any clock", topic=self.name, remedy="give its unit: [ns]")
             ns = np.round(seconds * 1e9).astype(np.int64)
         first = int(ns.min()) if start_ns is None else start_ns
-        return max(first, 0), (ns - first) / 1e9
+        return first, (ns - first) / 1e9
 
 
 LAST_S = 9e9

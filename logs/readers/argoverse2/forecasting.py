@@ -78,6 +78,7 @@ def read_forecasting(path: Path, settings: LogSettings) -> Scenario:
         source="Argoverse 2 motion-forecasting scenario",
         licence=LICENCE,
         origin=(float(origin[0]), float(origin[1])),
+        start_ns=round(1e9 * int(step[its[0]] - step.min()) / RATE_HZ),
         metadata={"scenario_id": scenario_id(path), "ego": settings.ego or EGO},
         notes=tuple(notes),
     )

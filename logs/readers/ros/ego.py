@@ -246,6 +246,8 @@ def _from_topic(bag: Bag, found: _Found, edges: Edges, settings: LogSettings, no
 def _frames(edges: Edges, clock: Clock, notes: list[str]) -> Frames:
     out = []
     for (parent, child), edge in edges.items():
+        if not len(edge.log):
+            continue  # none of its transforms is finite
         if edge.static:
             out.append((parent, child, Poses(edge.log, edge.p, edge.q)))
             continue

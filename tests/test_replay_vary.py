@@ -13,7 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from typer.testing import CliRunner, Result
 
-from logs import ConfigError, Goal, Scenario
+from logs import AgentKind, ConfigError, Goal, Scenario
 from logs.mcap import write_scenario
 from metrics.judge import verdicts_by_log
 from replay.batch import evaluate_logs
@@ -93,6 +93,16 @@ def test_a_cell_that_cannot_be_made_is_named_and_costs_only_itself(result: VaryR
     broken = result.table[result.table["ego_start"] == -3.0]
     assert broken["why"].str.contains("off the road").all()
     assert result.exit_code == 3 and any("off the road" in line for line in result.lines())
+
+
+def test_whoever_walks_into_the_ego_is_a_contact_too(tmp_path: Path) -> None:
+    t = [0.1 * k for k in range(30)]
+    walker = track("9", t, [14.0] * 30, [-6.0 + 3.0 * time for time in t], kind=AgentKind.PEDESTRIAN, width=0.5,
+                   length=0.5, vx=0.0, vy=3.0)  # fmt: skip
+    into = vary(replace(log(), tracks=tracks(walker)), question(["time=0.2:9.2:2"], ["9"], 9.0), RUN, tmp_path / "out")
+    first, second = into.table.to_dict("records")
+    assert first["contact"].startswith("pedestrian 9") and first["contact_s"] == pytest.approx(1.7, abs=0.3)
+    assert first["least_gap_m"] == 0.0 and second["contact"] == "" and first["end"] == "the replay ran into the ego"
 
 
 def test_files_and_parameters(result: VaryResult) -> None:

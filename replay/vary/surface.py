@@ -27,6 +27,7 @@ from logs.errors import ConfigError, LogError
 from logs.mcap import write_scenario
 from logs.readers.base import LogSettings
 from logs.scenario import Scenario
+from logs.trace import EndReason
 from logs.variations import VARIATIONS, varied
 from metrics.avoidability import APPLIES, AVOIDS, MARGIN
 from metrics.gates import Outcome
@@ -44,7 +45,7 @@ from replay.vary.bisection import ERROR, Bracket, bisected, brackets
 UNAVOIDABLE = "unavoidable"
 CARD = "vary.json"
 TABLES = ("surface.parquet", "surface.csv", "edges.csv", "surface.png")
-_CONTACTS = ("collision", "replay_contact")
+_CONTACTS = (EndReason.COLLISION.value, EndReason.REPLAY_CONTACT.value)
 
 Cell = tuple[float, ...]
 

@@ -52,18 +52,18 @@ def same(one: Scenario, two: Scenario) -> bool:
 
 @everywhere
 def test_cells_build_are_clean_and_are_found_again_by_name(name: str, tmp_path: Path) -> None:
-    """Of each family those cells that a suite takes first; all of them in the slow test below."""
-    for label in islice(spread(FAMILIES[name]), 2):
-        log = scenario(label)
-        assert log.name == label and touches(log) is None
-        assert log.metadata["family"] == name and log.metadata["parameter_source"]
-        assert same(log, scenario(log.name))
-        wanted = json.loads(log.metadata["expected_decisions"]) if "expected_decisions" in log.metadata else {}
-        assert set(wanted) <= set(log.tracks.ids)
-        assert {kind for kinds in wanted.values() for kind in kinds} <= {kind.value for kind in DecisionKind}
-        assert log.goal is not None and not log.goal.holds_place(float(log.ego.x[0]), float(log.ego.y[0]))
-        if not name.startswith("faults/"):
-            assert not findings(log)
+    """Of each family the cell that a suite takes first; all of them in the slow test below."""
+    label = next(spread(FAMILIES[name]))
+    log = scenario(label)
+    assert log.name == label
+    assert log.metadata["family"] == name and log.metadata["parameter_source"]
+    assert same(log, scenario(log.name))
+    wanted = json.loads(log.metadata["expected_decisions"]) if "expected_decisions" in log.metadata else {}
+    assert set(wanted) <= set(log.tracks.ids)
+    assert {kind for kinds in wanted.values() for kind in kinds} <= {kind.value for kind in DecisionKind}
+    assert log.goal is not None and not log.goal.holds_place(float(log.ego.x[0]), float(log.ego.y[0]))
+    if not name.startswith("faults/"):
+        assert not findings(log)
     write_scenario(tmp_path / "a.mcap", log)
     assert same(log, read_log(tmp_path / "a.mcap"))
 
@@ -254,7 +254,7 @@ def test_suites_have_their_sizes_and_are_parts_of_each_other() -> None:
 
 def test_the_seed_decides_the_order() -> None:
     assert suite("full") == suite("full") and suite("full", seed=2) != suite("full")
-    assert set(islice(ordered(3), 10**6)) == set(islice(ordered(1), 10**6))
+    assert sorted(ordered(3)) == sorted(family.named(cell) for family in FAMILIES.values() for cell in family.cells())
 
 
 @everywhere

@@ -66,8 +66,10 @@ PASSED = ("pass", "better", "unavoidable", "run into")
 AT_FAULT = "collision_at_fault.count"
 SLOWER_MPS = 1.0
 """An impact that is so much harder than the careful driver's is the planner's (as in `metrics.judge`)."""
-ACROSS, PANEL_IN = 7, (3.0, 2.4)
+ACROSS, PANEL_IN = 7, (3.2, 2.7)
 TICKS = 7
+WIDE, SIZE = 0.85, 80.0
+"""How much of its place a cell fills, and the mark's size, points squared."""
 
 
 def table_of(results: Path, planner: str) -> pd.DataFrame:
@@ -195,7 +197,7 @@ def _axes(family: Family) -> tuple[str, str]:
 
 
 def _panel(panel: Axes, family: Family, rows: pd.DataFrame) -> None:
-    """The cells of a family by two of its parameters; those that share a place stand side by side."""
+    """The cells of a family by two of its parameters; those that share a place fill it row by row."""
     along, up = _axes(family)
     for name, axis in ((along, panel.xaxis), (up, panel.yaxis)):
         values = family.grid.get(name, ())
@@ -205,21 +207,21 @@ def _panel(panel: Axes, family: Family, rows: pd.DataFrame) -> None:
     places = [tuple(family.grid[name].index(cell[name]) if name else 0 for name in (along, up)) for cell in cells]
     used: dict[tuple[int, ...], int] = {}
     for place, (_, row) in zip(places, rows.iterrows(), strict=True):
-        nth, shared = used.get(place, 0), places.count(place)
+        nth, side = used.get(place, 0), ceil(places.count(place) ** 0.5)
         used[place] = nth + 1
-        x = place[0] + (nth - 0.5 * (shared - 1)) * min(0.5, 0.9 / shared) * 0.6
-        _mark(panel, x, place[1], row, 60.0 if shared == 1 else max(8.0, 60.0 / shared))
+        x, y = (at + WIDE * ((k + 0.5) / side - 0.5) for at, k in zip(place, (nth % side, nth // side), strict=True))
+        _mark(panel, x, y, row, SIZE / side**2)
     panel.set_xlim(-0.6, len(family.grid[along]) - 0.4)
     panel.set_ylim(-0.6, max(len(family.grid.get(up, ())), 1) - 0.4)
     hidden = [name for name in family.grid if name not in (along, up)]
-    panel.set(xlabel=along, ylabel=up, title=family.name + (f"\nside by side: {', '.join(hidden)}" if hidden else ""))
+    panel.set(xlabel=along, ylabel=up, title=family.name + (f"\nand {', '.join(hidden)}" if hidden else ""))
 
 
 def _mark(panel: Axes, x: float, y: float, row: pd.Series, size: float) -> None:
     ring = row["careful"] == "meets"
     panel.scatter(
         [x], [y], s=size, marker="s", color=OUTCOMES[str(row["outcome"])],
-        edgecolors="#000000" if ring else "none", linewidths=1.0,
+        edgecolors="#000000" if ring else "none", linewidths=0.1 * size**0.5,
     )  # fmt: skip
 
 

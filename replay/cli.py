@@ -44,7 +44,7 @@ Ego = Annotated[str | None, typer.Option("--ego", help="Take this road user of t
 Map = Annotated[Path | None, typer.Option("--map", help="A map that replaces the log's.")]
 Begin = Annotated[float | None, typer.Option("--from", help="Begin so many seconds after the log's.")]
 End = Annotated[float | None, typer.Option("--to", help="End so many seconds after the log's begin.")]
-Settings = Annotated[Path | None, typer.Option("--config", help="TOML file of a run: its [log] table.")]
+Settings = Annotated[Path | None, typer.Option("--config", help="TOML file of a run: its \\[log] table.")]
 
 
 def main() -> None:
@@ -438,6 +438,8 @@ def view(
         if save is not None:
             if not is_log:
                 raise ConfigError(f"--save writes the recording of a log; {target} holds recordings already")
+            if save.suffix != ".rrd":
+                raise ConfigError(f"--save {save}: a recording is called FILE.rrd")
             save_log(target, save, settings)
             typer.echo(save)
             return

@@ -48,7 +48,7 @@ Foxglove = Annotated[bool, typer.Option("--foxglove", help="Channels that Foxglo
 Suite = Annotated[
     str | None, typer.Option("--suite", help="smoke, full, nightly; or a family or group with all its cells.")
 ]
-Settings = Annotated[Path | None, typer.Option("--config", help="TOML file of a run: its [log] table.")]
+Settings = Annotated[Path | None, typer.Option("--config", help="TOML file of a run: its \\[log] table.")]
 
 
 def main() -> None:
@@ -515,6 +515,8 @@ def view(
         if save is not None:
             if not is_log:
                 raise ConfigError(f"--save writes the recording of a log; {target} holds recordings already")
+            if save.suffix != ".rrd":
+                raise ConfigError(f"--save {save}: a recording is called FILE.rrd")
             save_log(target, save, settings)
             typer.echo(save)
             return

@@ -36,22 +36,24 @@ def convert_all(
     A first name that is no path and a reader's asks for that reader: it takes the files whatever their names are.
 
     Raises:
-        ConfigError: Several logs are to go into one file, there is nothing to convert, or what Foxglove needs is not
-            installed.
+        ConfigError: A path does not exist, there is nothing to convert, several logs are to go into one file, a log
+            would be written over itself or another, or what Foxglove needs is not installed. Nothing was written then.
     """
     reader = None
     if not logs[0].exists() and str(logs[0]) in {each.name for each in readers()}:
         reader, logs = reader_called(str(logs[0])), logs[1:]
-    found = [log for path in logs for log in _logs_at(path)]
+    found = [log for path in logs for log in _logs_at(path, reader, say)]
     if not found:
         raise ConfigError("no logs to convert; `replan convert --formats` lists what replan reads")
     single = out.suffix == ".mcap"
     if single and len(found) > 1:
         raise ConfigError(f"{len(found)} logs do not go into one log: give a folder with -o")
+    targets = [out if single else out / _name(log) for log in found]
+    _check_targets(found, targets)
     channels = _channels(foxglove)
     done = [
-        _converted(log, out if single else out / _name(log), settings, reader, channels, say, say_error)
-        for log in found
+        _converted(log, target, settings, reader, channels, say, say_error)
+        for log, target in zip(found, targets, strict=True)
     ]
     return all(done)
 
@@ -65,11 +67,33 @@ def _channels(foxglove: bool) -> Callable[[Scenario], Iterable[Entry]]:
     return scenario_channels
 
 
-def _logs_at(path: Path) -> Iterator[Path]:
-    if path.is_dir() and reader_of(path) is None:
-        yield from (log for log, reader in logs_in(path) if reader is not None)
-    else:
+def _logs_at(path: Path, asked: Reader | None, say: Callable[[str], None]) -> Iterator[Path]:
+    """The log, or those of a folder; files named like logs that no reader claims are named as left out."""
+    if not path.exists():
+        raise ConfigError(f"{path}: no such file or folder")
+    if asked is not None or not path.is_dir() or reader_of(path) is not None:
         yield path
+        return
+    for log, reader in logs_in(path):
+        if reader is None:
+            say(f"left out {log}: no reader claims it")
+        else:
+            yield log
+
+
+def _check_targets(logs: Sequence[Path], targets: Sequence[Path]) -> None:
+    """Refuse to write a log over a file of the logs, and two logs into one file."""
+    readers_of = ((log, reader_of(log)) for log in logs)
+    files = (file for log, reader in readers_of for file in ((log,) if reader is None else reader.files(log)))
+    inputs = {file.resolve() for file in files}
+    taken: dict[Path, Path] = {}
+    for log, target in zip(logs, targets, strict=True):
+        place = target.resolve()
+        if place in inputs:
+            raise ConfigError(f"{log}: {target} is one of the logs and would be overwritten; give -o another place")
+        if place in taken:
+            raise ConfigError(f"{taken[place]} and {log} would both become {target}; convert them into two folders")
+        taken[place] = log
 
 
 def _name(log: Path) -> str:
@@ -89,6 +113,9 @@ def _converted(
         scenario = read_log(log, settings, reader)
         target.parent.mkdir(parents=True, exist_ok=True)
         write_scenario(target, scenario, beside=channels(scenario))
+    except OSError as error:
+        say_error(f"{target}: cannot be written: {error.strerror or error}")
+        return False
     except LogError as error:
         say_error(str(error))
         return False

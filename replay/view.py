@@ -31,10 +31,14 @@ def recordings(target: Path) -> list[Path]:
 
 
 def save_log(log: Path, out: Path, settings: LogSettings | None = None) -> None:
-    """Write a log of any format as a recording; LogError where it cannot be read."""
+    """Write a log of any format as a recording; LogError where it cannot be read, ReplanError where `out` cannot."""
     from replay.recording import write_log_recording
 
-    write_log_recording(out, read_log(log, settings))
+    scenario = read_log(log, settings)
+    try:
+        write_log_recording(out, scenario)
+    except OSError as error:
+        raise ReplanError(f"{out}: cannot be written: {error.strerror or error}") from None
 
 
 def show(files: list[Path], memory_limit: str, *, web: bool = False) -> None:

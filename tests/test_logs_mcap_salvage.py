@@ -12,6 +12,7 @@ import zstandard
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.opcode import Opcode
+from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
 from mcap_cases import differences, rich_scenario
 
@@ -111,6 +112,28 @@ def test_whatever_the_damage_only_true_messages_are_kept(
         return
     true = {message for messages in held(log).values() for message in messages}
     assert {message for messages in held(target).values() for message in messages} <= true
+
+
+def test_a_ros_bag_stays_one_and_chunks_without_checksum_are_said(tmp_path: Path) -> None:
+    path = tmp_path / "bag.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, 600, CompressionType.NONE, enable_crcs=False)
+        writer.start(profile="ros2")
+        channel = writer.register_channel("/one", "cdr", writer.register_schema("std_msgs/msg/String", "ros2msg", b""))
+        for k in range(100):
+            writer.add_message(channel, 10**9 + k, bytes(40), 10**9 + k)
+        writer.finish()
+    report = salvage(path, tmp_path / "out.mcap")
+    with (tmp_path / "out.mcap").open("rb") as file:
+        assert make_reader(file).get_header().profile == "ros2"
+    assert report.unchecked == report.chunks > 3
+    assert "of the chunks have no checksum" in report.lines()[-1]
+    raw = bytearray(path.read_bytes())
+    begin, _ = chunks(bytes(raw))[2]
+    at = raw.index((10**9 + 30).to_bytes(8, "little"), begin + HEAD + 40)  # the time of a message
+    raw[at + 6] ^= 0xFF
+    report = salvage(damaged(path, tmp_path, bytes(raw)), tmp_path / "less.mcap")
+    assert len(report.lost) == 1 and report.messages < 100
 
 
 def test_nothing_is_written_where_nothing_is_left(log: Path, tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap_cases import rich_scenario
 
@@ -47,7 +47,7 @@ def test_a_part_of_a_part_is_a_part(first: float, second: float) -> None:
 
 def test_the_whole_is_the_same_object_and_beyond_the_log_is_an_error() -> None:
     assert cut(SCENARIO, 0.0) is SCENARIO and cut(SCENARIO, 0.0, inf) is SCENARIO
-    with pytest.raises(LogError, match=r"no ego states between 500 s and inf s: they are from 0 s to"):
+    with pytest.raises(LogError, match=r"no ego states after 500 s: they are from 0 s to"):
         cut(SCENARIO, 500.0)
 
 
@@ -129,7 +129,9 @@ def _mine(path: Path, settings: LogSettings) -> Scenario:
     return replace(SCENARIO, name=f"mine {settings.ego}")
 
 
-MINE = Reader("mine", "a format of a team", "*.mine", (".mine",), lambda path: path.suffix == ".mine", _mine)
+MINE = Reader(
+    "mine", "a format of a team", "*.mine", (".mine",), lambda path: path.suffix == ".mine", _mine, settings=("ego",)
+)
 
 
 def test_a_reader_from_outside_reads_its_format_everywhere(installed: Any, tmp_path: Path) -> None:
@@ -144,6 +146,40 @@ def test_a_reader_from_outside_reads_its_format_everywhere(installed: Any, tmp_p
     with pytest.raises(LogError) as error:
         read_log(path)
     assert str(error.value) == f"{path}: not a drive"
+
+
+@given(st.floats(0.0, 3.0), st.floats(0.5, 2.0))
+@settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_a_part_and_its_conversion_are_the_same_to_the_last_bit(tmp_path: Path, begin: float, length: float) -> None:
+    """Else `convert` and `evaluate` would give other metrics than `evaluate` of the log as it is."""
+    write_scenario(tmp_path / "log.mcap", SCENARIO)
+    part = read_log(tmp_path / "log.mcap", LogSettings(begin=begin, end=begin + length))
+    write_scenario(tmp_path / "part.mcap", part)
+    again = read_log(tmp_path / "part.mcap")
+    for one, other in ((part.ego, again.ego), (part.tracks, again.tracks)):
+        for name in ("t", "x", "y", "yaw"):
+            assert np.array_equal(getattr(one, name), getattr(other, name))
+    assert part.duration == again.duration
+
+
+def test_samples_on_one_nanosecond_are_refused(installed: Any, tmp_path: Path) -> None:
+    twice = replace(SCENARIO, ego=replace(SCENARIO.ego, t=SCENARIO.ego.t * 1e-10))
+    installed(replace(MINE, read=lambda path, settings: twice))
+    (tmp_path / "a.mine").touch()
+    with pytest.raises(LogError, match=r"a\.mine: in whole nanoseconds: .* increase"):
+        read_log(tmp_path / "a.mine")
+
+
+def test_an_ego_that_a_format_cannot_take_is_refused(installed: Any, tmp_path: Path) -> None:
+    installed(replace(MINE, settings=()))
+    path = tmp_path / "a.mine"
+    path.write_text("drive", encoding="utf-8")
+    for asked, word in ((LogSettings(ego="7"), "ego 7"), (LogSettings(problem=2), "problem 2")):
+        with pytest.raises(LogError, match=f"{word} is asked for, but the format mine has no choice of it"):
+            read_log(path, asked)
+    write_scenario(tmp_path / "native.mcap", SCENARIO)
+    with pytest.raises(LogError, match=r"native\.mcap: ego 7 is asked for, but a native log has its ego"):
+        read_log(tmp_path / "native.mcap", LogSettings(ego="7"))
 
 
 def test_a_reader_that_cannot_be_used_is_named(installed: Any) -> None:

@@ -21,6 +21,7 @@ from hypothesis import strategies as st
 
 from logs import ConfigError, Goal, PlannerError, Scenario
 from logs.mcap import read_scenario, write_scenario
+from logs.readers import LogSettings
 from metrics.gates import Gate, Outcome
 from metrics.judge import Verdict
 from replay.batch import RunResult, evaluate_logs
@@ -314,6 +315,21 @@ def test_results_of_an_earlier_run_are_replaced(logs: Path, tmp_path: Path) -> N
     run(logs, out)
     again = run(logs / "a.mcap", out)
     assert [path.name for path in out.iterdir() if path.is_dir()] == [again.logs[0].folder]
+
+
+def test_a_result_folder_that_holds_the_log_is_not_cleared(logs: Path, tmp_path: Path) -> None:
+    evaluate_logs([logs / "a.mcap"], replace(QUICK, mode="closed"), tmp_path / "out")
+    (trace,) = (tmp_path / "out").glob("*/closed.mcap")
+    with pytest.raises(ConfigError, match=r"closed\.mcap: lies in the result folder .*out, which is cleared"):
+        evaluate_logs([trace], QUICK, tmp_path / "out")
+    assert trace.exists()
+
+
+def test_the_builtin_suite_takes_no_settings_of_logs(tmp_path: Path) -> None:
+    for run, window in ((QUICK, 2.0), (replace(QUICK, log=LogSettings(begin=1.0)), None)):
+        with pytest.raises(ConfigError, match="built-in suite"):
+            evaluate_logs([], run, tmp_path / "out", window=window)
+    assert not (tmp_path / "out").exists()
 
 
 def test_result_folders_are_numbered(tmp_path: Path) -> None:

@@ -70,6 +70,7 @@ def test_help_names_every_command_and_teaches_by_example() -> None:
     for command in (["evaluate"], ["synth"], ["convert", "commonroad"], ["view"]):
         assert f"replan {command[0]}" in replan(*command, "--help").stdout
     assert "Exit codes" in replan("evaluate", "--help").stdout
+    assert "its [log] table" in replan("inspect", "--help").stdout
 
 
 def test_version() -> None:
@@ -225,6 +226,38 @@ def test_convert_commonroad(shared_data: Path, tmp_path: Path) -> None:
     assert replan("convert", "commonroad", broken, broken, "-o", tmp_path / "two.mcap").exit_code == 2
 
 
+def test_convert_writes_over_no_log(folder: Path, tmp_path: Path) -> None:
+    log = tmp_path / "monday" / "drive.mcap"
+    twin = tmp_path / "tuesday" / "drive.mcap"
+    for path in (log, twin):
+        path.parent.mkdir()
+        path.write_bytes((folder / "free.mcap").read_bytes())
+    before = log.read_bytes()
+    for words, said in (
+        ((log, "--to", 1, "-o", log), "is one of the logs and would be overwritten"),
+        ((log.parent, "--to", 1, "-o", log.parent), "is one of the logs and would be overwritten"),
+        ((tmp_path, "-o", tmp_path / "out"), f"{log} and {twin} would both become {tmp_path / 'out' / 'drive.mcap'}"),
+        ((log, tmp_path / "nowhere", "-o", tmp_path / "out"), "nowhere: no such file or folder"),
+    ):
+        result = replan("convert", *words)
+        assert result.exit_code == 2
+        assert said in one_error(result)
+        assert log.read_bytes() == before and not (tmp_path / "out").exists()
+
+
+def test_convert_names_what_it_cannot_take_or_write(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "cut.bag").write_bytes(b"")
+    (tmp_path / "in" / "free.mcap").write_bytes((folder / "free.mcap").read_bytes())
+    result = replan("convert", tmp_path / "in", "-o", tmp_path / "out")
+    assert result.exit_code == 0
+    assert result.stdout.startswith(f"left out {tmp_path / 'in' / 'cut.bag'}: no reader claims it\n")
+    (tmp_path / "file").touch()
+    result = replan("convert", folder / "free.mcap", "-o", tmp_path / "file")
+    assert result.exit_code == 3
+    assert "free.mcap: cannot be written" in one_error(result)
+
+
 def test_commonroad_is_evaluated_directly(shared_data: Path, tmp_path: Path) -> None:
     (file,) = (shared_data / "commonroad").glob("ZAM_Tutorial-1_1_T-1.xml")
     result = evaluate(file, "--out", tmp_path / "out")
@@ -235,6 +268,18 @@ def test_commonroad_is_evaluated_directly(shared_data: Path, tmp_path: Path) -> 
 def test_view_saves_the_recording_of_a_log(folder: Path, tmp_path: Path) -> None:
     assert replan("view", folder / "free.mcap", "--save", tmp_path / "free.rrd").exit_code == 0
     assert (tmp_path / "free.rrd").read_bytes()[:3] == b"RRF"
+
+
+def test_view_saves_over_nothing_but_recordings(folder: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.mcap"
+    other.write_bytes(b"mine")
+    result = replan("view", folder / "free.mcap", "--save", other)
+    assert result.exit_code == 2
+    assert "a recording is called FILE.rrd" in one_error(result)
+    assert other.read_bytes() == b"mine"
+    result = replan("view", folder / "free.mcap", "--save", other / "free.rrd")
+    assert result.exit_code == 3
+    assert "free.rrd: cannot be written" in one_error(result)
 
 
 def test_view_opens_recordings_with_the_viewer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -54,6 +54,8 @@ def scenario_of(container: Container, ego: str = "") -> Scenario:
 def _scenario(container: Container, ego: str) -> Scenario:
     with np.errstate(all="ignore"):  # absurd numbers are refused as such, further down
         if native.SCENARIO_RECORD in container.metadata:
+            if ego:
+                raise LogError(f"ego {ego} is asked for, but a native log has its ego", remedy="leave ego out")
             return _native(container)
         stream = container.of_schema(*osi.SCHEMAS)
         if stream is not None:

@@ -1,8 +1,10 @@
 """What is left of a damaged MCAP file: every chunk that is whole, in a new file; and what was lost, named.
 
 The file is walked record by record. Where a record is not one (a cut, changed bytes), the next chunk is looked for that
-inflates to its stated size and checksum. Messages outside of chunks have no checksum of their own: they are kept up to
-the first damage. Schemas and channels come from the chunks and, where it is intact, from the summary at the file's end.
+inflates to its stated size and checksum, with messages of its stated times only. Chunks that were written without a
+checksum (rosbags does so) are kept, and counted. Messages outside of chunks have no checksum of their own: they are
+kept up to the first damage. Schemas and channels come from the chunks and, where it is intact, from the summary at the
+file's end; the profile (by which a ROS 2 bag is known) from the header, else from the schemas.
 """
 
 from __future__ import annotations
@@ -16,7 +18,7 @@ from typing import Any
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, McapRecord, Message, Metadata, Schema
+from mcap.records import Channel, Chunk, Header, McapRecord, Message, Metadata, Schema
 from mcap.writer import CompressionType, Writer
 
 from logs.errors import LogError
@@ -27,6 +29,9 @@ BEGIN = 8
 HEAD = 9
 """Bytes of a record's opcode and length."""
 CHUNK_BYTES = 1024 * 1024
+CRC = slice(HEAD + 24, HEAD + 28)
+"""Where a chunk's checksum is in its record; 0: none."""
+ROS2_SCHEMAS = frozenset({"ros2msg", "ros2idl"})
 
 
 @dataclass(frozen=True)
@@ -49,10 +54,14 @@ class Lost:
 
 @dataclass
 class Salvage:
-    """What was kept and what was lost; `nameless` messages are whole, but what says their topic is lost."""
+    """What was kept and what was lost; `nameless` messages are whole, but what says their topic is lost.
+
+    `unchecked` chunks have no checksum.
+    """
 
     messages: int = 0
     chunks: int = 0
+    unchecked: int = 0
     nameless: int = 0
     lost: list[Lost] = field(default_factory=list)
 
@@ -60,7 +69,11 @@ class Salvage:
         """The report, one line each."""
         kept = f"kept {self.messages} messages in {self.chunks} intact chunks"
         nameless = [f"left out {self.nameless} messages whose channel was lost"] if self.nameless else []
-        return [kept, *map(str, self.lost), *nameless] if self.lost else [f"{kept}; nothing was lost"]
+        unsure = f"{self.unchecked} of the chunks have no checksum: bytes that changed in their messages are not seen"
+        unchecked = [unsure] if self.unchecked else []
+        if not self.lost:
+            return [f"{kept}; nothing was lost", *unchecked]
+        return [kept, *map(str, self.lost), *nameless, *unchecked]
 
 
 def salvage(source: Path, target: Path) -> Salvage:
@@ -90,6 +103,7 @@ def salvage(source: Path, target: Path) -> Salvage:
 class _Copy:
     """The records for the new file."""
 
+    profile: str = ""
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     messages: list[Message] = field(default_factory=list)
@@ -97,7 +111,9 @@ class _Copy:
 
     def take(self, record: McapRecord) -> None:
         """Keep a record that a reader needs."""
-        if isinstance(record, Schema):
+        if isinstance(record, Header):
+            self.profile = record.profile
+        elif isinstance(record, Schema):
             self.schemas.setdefault(record.id, record)
         elif isinstance(record, Channel):
             self.channels.setdefault(record.id, record)
@@ -110,7 +126,8 @@ class _Copy:
         """All of it as an MCAP file; messages whose channel was lost are not among them."""
         with path.open("wb") as file:
             writer: Any = Writer(file, CHUNK_BYTES, CompressionType.ZSTD, enable_data_crcs=True)
-            writer.start(library="replan salvage")
+            encodings = {schema.encoding for schema in self.schemas.values()}
+            writer.start(self.profile or ("ros2" if encodings & ROS2_SCHEMAS else ""), library="replan salvage")
             for record in self.metadata:
                 writer.add_metadata(record.name, record.metadata)
             schemas = {0: 0} | {
@@ -150,6 +167,7 @@ def _walk(raw: bytes, copy: _Copy, report: Salvage) -> None:
             copy.take(record)
         last = times[-1] if times else last
         report.chunks += is_chunk
+        report.unchecked += is_chunk and not any(raw[at + CRC.start : at + CRC.stop])
         at += HEAD + size
     if broken is not None:
         report.lost.append(Lost(broken, len(raw) - broken, last, None))
@@ -175,7 +193,9 @@ def _records_at(
     body = ReadDataStream(BytesIO(raw[at + HEAD : at + HEAD + size]))
     try:
         if code == Opcode.CHUNK:
-            return size, opened(Chunk.read(body)), True
+            chunk = Chunk.read(body)
+            found = opened(chunk)
+            return (size, found, True) if _in_its_times(chunk, found) else None
         if not in_step or (code == Opcode.MESSAGE and not undamaged):
             return None
         if code in _PASSED:
@@ -185,11 +205,18 @@ def _records_at(
         return None
 
 
+def _in_its_times(chunk: Chunk, records: list[McapRecord]) -> bool:
+    """Whether all messages are of the times that the chunk states."""
+    begin, end = chunk.message_start_time, chunk.message_end_time
+    return all(begin <= record.log_time <= end for record in records if isinstance(record, Message))
+
+
 def _read_message(stream: Any, size: int) -> McapRecord:
     return Message.read(stream, size)
 
 
 _KNOWN: dict[int, Any] = {
+    Opcode.HEADER: lambda stream, size: Header.read(stream),
     Opcode.SCHEMA: lambda stream, size: Schema.read(stream),
     Opcode.CHANNEL: lambda stream, size: Channel.read(stream),
     Opcode.METADATA: lambda stream, size: Metadata.read(stream),
@@ -197,7 +224,7 @@ _KNOWN: dict[int, Any] = {
 }
 """Records outside of chunks that are kept."""
 _PASSED = frozenset(Opcode) - frozenset(_KNOWN) - {Opcode.CHUNK}
-"""Records that are passed by: header, indexes, attachments, the summary, the footer."""
+"""Records that are passed by: indexes, attachments, the summary, the footer."""
 
 
 def _next_chunk(raw: bytes, at: int) -> int:

@@ -9,6 +9,7 @@ group `replan.readers` that names a `Reader`:
 Modules:
     base.py         what a reader is, and the settings of a run's [log] table
     cut.py          a part of a scenario by time, for readers that read a log whole
+    nanoseconds.py  times as native MCAP holds them
     commonroad.py   CommonRoad XML
     osi.py          bare ASAM OSI traces
     comma2k19.py    segments of comma2k19
@@ -35,6 +36,7 @@ from logs.errors import ConfigError, LogError, unknown_name
 from logs.readers import argoverse2, arrow123d, comma2k19, commonroad, native, osi, ros, table
 from logs.readers.base import LogSettings, Reader
 from logs.readers.cut import cut
+from logs.readers.nanoseconds import in_nanoseconds
 from logs.scenario import Scenario
 
 BUILTIN = (
@@ -113,9 +115,10 @@ def read_log(path: Path, settings: LogSettings | None = None, reader: Reader | N
     if reader is None:
         raise foreign(path)
     try:
+        _check_asked(reader, settings)
         with np.errstate(all="ignore"):  # absurd numbers are refused as such
             scenario = reader.read(path, settings)
-            scenario = scenario if reader.cuts else cut(scenario, settings.begin, settings.end)
+            scenario = in_nanoseconds(scenario if reader.cuts else cut(scenario, settings.begin, settings.end))
             if settings.map:
                 from logs.maps import with_map
 
@@ -123,6 +126,14 @@ def read_log(path: Path, settings: LogSettings | None = None, reader: Reader | N
         return scenario
     except LogError as error:
         raise error if error.file is not None else error.at(path) from None
+
+
+def _check_asked(reader: Reader, settings: LogSettings) -> None:
+    """Refuse an ego or a problem that the format cannot be asked for: the log would be another than was meant."""
+    for key, asked in (("ego", settings.ego), ("problem", settings.problem)):
+        if asked and key not in reader.settings:
+            raise LogError(f"{key} {asked} is asked for, but the format {reader.name} has no choice of it",
+                           topic="[log]", remedy=f"leave {key} out")  # fmt: skip
 
 
 def foreign(path: Path) -> LogError:

@@ -34,7 +34,8 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
     if not first < last:
         if len(ego) == 1:
             raise LogError("the log has one ego state, its start: there is no part to choose", remedy="drive all of it")
-        what = f"no ego states between {begin:g} s and {end:g} s: they are from {ego.t[0]:g} s to {ego.t[-1]:g} s"
+        part = f"after {begin:g} s" if end == inf else f"between {begin:g} s and {end:g} s"
+        what = f"no ego states {part}: they are from {ego.t[0]:g} s to {ego.t[-1]:g} s"
         raise LogError(what, remedy="choose begin and end within the log")
     t = np.r_[first, ego.t[(ego.t > first) & (ego.t < last)], last]
     moved = ego.resampled(t)

@@ -15,6 +15,7 @@ from typing import Any
 import pandas as pd
 
 from logs.errors import ConfigError, PlannerError, unknown_name
+from logs.readers import LogSettings
 from metrics import COLUMNS, health
 from metrics.ensemble import with_ensemble
 from metrics.gates import Outcome, load_gates
@@ -138,6 +139,7 @@ def evaluate_logs(
     stamp = stamp_of(run)
     done = finished(out, selection.sources, run, stamp) if resume else {}
     if not done:
+        _check_outside(out, selection.sources, run)
         claim(out)
     write_text(out / "run.toml", dump_run(run))
     on_start(selection, out)
@@ -172,11 +174,24 @@ def evaluate_logs(
 
 
 def _selected(logs: Sequence[Path | str], run: RunConfig, window: float | None, suite: str | None) -> Selection:
+    if suite is None and logs:
+        return select(logs, run.log, window)
+    if window is not None or run.log != LogSettings():
+        raise ConfigError("the built-in suites have no [log] settings and no parts; name logs, or leave them out")
     if suite is None:
-        return select(logs, run.log, window) if logs else builtin_suite()
-    if logs or window is not None:
-        raise ConfigError(f"--suite {suite} are logs by themselves: leave out other logs and --window")
+        return builtin_suite()
+    if logs:
+        raise ConfigError(f"--suite {suite} are logs by themselves: leave out other logs")
     return named_suite(suite)
+
+
+def _check_outside(out: Path, sources: Sequence[LogSource], run: RunConfig) -> None:
+    """Refuse to clear a result folder that holds what the run reads."""
+    read = [source.path for source in sources if source.path is not None]
+    read += [Path(run.log.map)] if run.log.map else []
+    inside = [path for path in read if path.resolve().is_relative_to(out.resolve())]
+    if inside:
+        raise ConfigError(f"{inside[0]}: lies in the result folder {out}, which is cleared; give --out another folder")
 
 
 def _checked(run: RunConfig) -> tuple[RunConfig, tuple[Failure, ...]]:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from logs.errors import LogError
 from logs.readers.base import Contents, LogSettings, Reader
 from logs.scenario import Scenario
 
@@ -39,6 +40,8 @@ def _read(path: Path, settings: LogSettings) -> Scenario:
 
     with reading(path):
         if _is_sensor_log(path):
+            if settings.ego:
+                raise LogError(f"ego {settings.ego} is asked for, but a sensor log has its ego", remedy="leave ego out")
             return read_sensor_log(path.parent if path.name == POSES else path, settings)
         return read_forecasting(_table(path), settings)
 

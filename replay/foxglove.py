@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import fields
+from typing import Any
 
 import numpy as np
 
@@ -160,7 +161,7 @@ def _boxes(agents: Agents, time: int) -> SceneUpdate:
         colour = _colour(colours.with_alpha(colours.KINDS[kind], 200))
         entity = _entity(name, time, [], {"kind": kind.value, "speed_mps": f"{np.hypot(vx, vy):.1f}"})
         entity.cubes.append(CubePrimitive(pose=_pose(x, y, yaw, 0.5 * height), size=size, color=colour))
-        label = {"billboard": True, "scale_invariant": True, "font_size": LABEL_PX}
+        label: dict[str, Any] = {"billboard": True, "scale_invariant": True, "font_size": LABEL_PX}
         above = _pose(x, y, 0.0, height + 0.3)
         entity.texts.append(TextPrimitive(pose=above, text=name, color=_colour(colours.TICK), **label))
         entities.append(entity)
@@ -171,7 +172,7 @@ def _ego(ego: Trajectory, vehicle: VehicleParameters, start: int) -> Iterator[En
     kept = np.isin(ego.t, _thinned(ego.t))
     states = zip(ego.x[kept].tolist(), ego.y[kept].tolist(), ego.yaw[kept].tolist(), strict=True)
     for time, (x, y, yaw) in zip(log_times(ego.t[kept], start, "/foxglove/tf"), states, strict=True):
-        at = {"translation": Vector3(x=x, y=y), "rotation": _turned(yaw)}
+        at: dict[str, Any] = {"translation": Vector3(x=x, y=y), "rotation": _turned(yaw)}
         stamp = _stamp(time)
         yield time, "/foxglove/tf", FrameTransform(timestamp=stamp, parent_frame_id=MAP, child_frame_id=BASE, **at)
     height = HEIGHT_M[AgentKind.CAR]
@@ -179,7 +180,7 @@ def _ego(ego: Trajectory, vehicle: VehicleParameters, start: int) -> Iterator[En
     pose = _pose(vehicle.axle_to_center, 0.0, 0.0, 0.5 * height)
     box = CubePrimitive(pose=pose, size=size, color=_colour(colours.EGO))
     known = [KeyValuePair(key=f.name, value=str(getattr(vehicle, f.name))) for f in fields(vehicle)]
-    bound = {"frame_id": BASE, "id": "ego", "frame_locked": True, "metadata": known}
+    bound: dict[str, Any] = {"frame_id": BASE, "id": "ego", "frame_locked": True, "metadata": known}
     yield start, "/foxglove/ego", SceneUpdate(entities=[SceneEntity(timestamp=_stamp(start), cubes=[box], **bound)])
 
 

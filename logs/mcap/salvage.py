@@ -2,9 +2,9 @@
 
 The file is walked record by record. Where a record is not one (a cut, changed bytes), the next chunk is looked for that
 inflates to its stated size and checksum, with messages of its stated times only. Chunks that were written without a
-checksum (rosbags does so) are kept, and counted. Messages outside of chunks have no checksum of their own: they are kept
-up to the first damage. Schemas and channels come from the chunks and, where it is intact, from the summary at the file's
-end; the profile (by which a ROS 2 bag is known) from the header, else from the schemas.
+checksum (rosbags does so) are kept, and counted. Messages outside of chunks have no checksum of their own: they are
+kept up to the first damage. Schemas and channels come from the chunks and, where it is intact, from the summary at the
+file's end; the profile (by which a ROS 2 bag is known) from the header, else from the schemas.
 """
 
 from __future__ import annotations

@@ -479,7 +479,12 @@ def commonroad_solution(
 
         if cost not in COSTS:
             raise unknown_name("cost function", cost, COSTS)
-        write_text(out, solution(trace, cost))
+        text = solution(trace, cost)
+        try:
+            out.parent.mkdir(parents=True, exist_ok=True)
+            write_text(out, text)
+        except OSError as error:
+            raise ReplanError(f"{out}: cannot be written: {error.strerror or error}") from None
         typer.echo(out)
 
 

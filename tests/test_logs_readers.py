@@ -162,6 +162,16 @@ def test_a_part_and_its_conversion_are_the_same_to_the_last_bit(tmp_path: Path, 
     assert part.duration == again.duration
 
 
+def test_what_a_reader_from_outside_raises_is_its_own_fault(installed: Any, tmp_path: Path) -> None:
+    def clumsy(path: Path, settings: LogSettings) -> Scenario:
+        raise KeyError("x")
+
+    installed(replace(MINE, read=clumsy))
+    (tmp_path / "a.mine").touch()
+    with pytest.raises(LogError, match=r"a\.mine: the reader mine raised KeyError: 'x'; its author: raise LogError"):
+        read_log(tmp_path / "a.mine")
+
+
 def test_samples_on_one_nanosecond_are_refused(installed: Any, tmp_path: Path) -> None:
     twice = replace(SCENARIO, ego=replace(SCENARIO.ego, t=SCENARIO.ego.t * 1e-10))
     installed(replace(MINE, read=lambda path, settings: twice))

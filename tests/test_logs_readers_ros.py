@@ -455,6 +455,9 @@ def test_topics_are_chosen_by_a_stated_rule_and_by_the_settings(tmp_path: Path) 
     assert any("map -> odom -> base_link" in note for note in by_transforms.notes)
     with pytest.raises(LogError, match=r"/tf.*for 'agents' has the type tf2_msgs/msg/TFMessage.*'-' takes none"):
         read_log(path, LogSettings(topics={"agents": "/tf"}))
+    for wrong in (LogSettings(topics={"agnets": "/few"}), LogSettings(frames={"bsae": "base_link"})):
+        with pytest.raises(LogError, match=r"has no (agnets|bsae); its keys are "):
+            read_log(path, wrong)
     sized = read_log(path, LogSettings(car={"length": 4.9, "width": 1.9, "wheelbase": 2.8, "rear_overhang": 1.0}))
     assert (sized.vehicle.length, sized.vehicle.wheelbase) == (4.9, 2.8)
 

@@ -165,3 +165,37 @@ def test_the_example_of_the_documentation_runs(tmp_path: Path, monkeypatch: pyte
     exec(compile(code, "docs/logs.md", "exec"), {})
     scenario = read_scenario(tmp_path / "mine.mcap")
     assert scenario.ego.v == pytest.approx(10.0) and scenario.tracks.perceived(0.2).speed == pytest.approx([8.0])
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("x", np.nan, "agents: x is not finite in row 1; leave such rows out"),
+        ("id", None, "agents: row 1 has no id; name every agent"),
+        ("length", -4.0, "agents: a length is not positive; leave it empty where it is not known"),
+    ],
+)
+def test_rows_of_agents_that_say_nothing_are_refused(key: str, value: Any, said: str) -> None:
+    ego = pd.DataFrame({"t": [0.0, 0.1, 0.2], "x": [0.0, 1.0, 2.0], "y": 0.0, "yaw": 0.0})
+    agents = ego.assign(id="7", length=4.0)
+    agents[key] = [agents[key][0], value, agents[key][2]]
+    with pytest.raises(LogError) as error:
+        from_frames(ego, agents, name="bad")
+    assert str(error.value).endswith(said)
+
+
+def test_a_column_by_an_unknown_name_is_refused() -> None:
+    with pytest.raises(LogError, match=r"columns has speed, which is no name here; known: t, .*\bv\b"):
+        from_frames(ego(), name="bad", columns={"speed": "v"})
+    with pytest.raises(LogError, match=r"no table has the column sped that v is read from"):
+        from_frames(ego(), name="bad", columns={"v": "sped"})
+
+
+def test_times_in_another_unit_are_refused(tmp_path: Path) -> None:
+    ego = pd.DataFrame({"t": np.arange(20) * 100_000_000, "x": np.arange(20.0), "y": 0.0, "yaw": 0.0})
+    ego.to_csv(tmp_path / "ego.csv", index=False)
+    with pytest.raises(
+        LogError, match=r"lasts 1\.9e\+09 s; more than a week is no drive: look at the units of its times"
+    ):
+        read_log(tmp_path)
+    assert read_log(tmp_path, LogSettings(columns={"t": "t [ns]"})).duration == 1.9

@@ -8,12 +8,14 @@ from xml.etree import ElementTree as ET
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from logs import LogError
 from logs.catalogue import CATALOGUE
 from logs.mcap import read_scenario, write_scenario, write_trace
 from logs.scenario import CENTRE, EGO_POSE
 from logs.vehicle import vehicle_parameters
+from replay.cli import app
 from replay.closed_loop import run_closed_loop
 from replay.drive import LoopConfig
 from replay.export import commonroad_solution
@@ -70,3 +72,13 @@ def test_what_is_no_such_drive_is_refused(trace: Path, tmp_path: Path) -> None:
     write_scenario(tmp_path / "other.mcap", replace(driven, vehicle=replace(BMW, length=4.0)))
     with pytest.raises(LogError, match="the vehicle is none of CommonRoad's; drive with --vehicle kinematic_bicycle"):
         commonroad_solution(tmp_path / "other.mcap")
+
+
+def test_the_file_is_written_where_it_is_asked_for_or_the_place_is_named(trace: Path, tmp_path: Path) -> None:
+    words = ["export", "commonroad-solution", str(trace), "-o"]
+    assert CliRunner().invoke(app, [*words, str(tmp_path / "new" / "solution.xml")]).exit_code == 0
+    assert (tmp_path / "new" / "solution.xml").read_text(encoding="utf-8").startswith("<?xml")
+    (tmp_path / "file").touch()
+    result = CliRunner().invoke(app, [*words, str(tmp_path / "file" / "solution.xml")])
+    assert result.exit_code == 3
+    assert "solution.xml: cannot be written" in result.stderr

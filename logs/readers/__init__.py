@@ -53,6 +53,8 @@ BUILTIN = (
 GROUP = "replan.readers"
 FORMATS = "`replan convert --formats` lists what replan reads and how a format is added"
 _SHOWN = 8
+LONGEST_S = 7 * 86400.0
+"""A week: beyond it, times are in another unit (and grids in time would fill the memory)."""
 
 __all__ = [
     "BUILTIN",
@@ -119,6 +121,7 @@ def read_log(path: Path, settings: LogSettings | None = None, reader: Reader | N
         with np.errstate(all="ignore"):  # absurd numbers are refused as such
             scenario = reader.read(path, settings)
             scenario = in_nanoseconds(scenario if reader.cuts else cut(scenario, settings.begin, settings.end))
+            _check_duration(scenario)
             if settings.map:
                 from logs.maps import with_map
 
@@ -126,6 +129,17 @@ def read_log(path: Path, settings: LogSettings | None = None, reader: Reader | N
         return scenario
     except LogError as error:
         raise error if error.file is not None else error.at(path) from None
+    except Exception as error:
+        if reader in BUILTIN:
+            raise
+        what = f"the reader {reader.name} raised {type(error).__name__}: {error}"
+        raise LogError(what, file=path, remedy="its author: raise LogError for a log that cannot be read") from error
+
+
+def _check_duration(scenario: Scenario) -> None:
+    if scenario.duration > LONGEST_S:
+        what = f"the log lasts {scenario.duration:g} s"
+        raise LogError(what, remedy="more than a week is no drive: look at the units of its times")
 
 
 def _check_asked(reader: Reader, settings: LogSettings) -> None:

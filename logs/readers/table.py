@@ -83,6 +83,7 @@ def from_frames(
         LogError: A column is missing or not of numbers, a unit or kind is unknown, a value is not finite, two rows of
             one agent have one time.
     """
+    _check_names(columns or {}, ego, agents)
     table, notes = _Table(ego, "ego", columns or {}), list[str]()
     start_ns, t = table.times()
     order = np.argsort(t, kind="stable")
@@ -198,6 +199,18 @@ _COLUMNS = (
 _KNOWN_UNITS = ", ".join(unit for unit in UNITS if unit)
 
 
+def _check_names(columns: Mapping[str, str], *frames: pd.DataFrame | None) -> None:
+    """Refuse names that are none of ours or of no table: what they were meant for would be derived or left out."""
+    known = (*TIMES, *_COLUMNS)
+    held = [_Table(frame, "tables", columns) for frame in frames if frame is not None and len(frame)]
+    for ours, told in columns.items():
+        if ours not in known:
+            what = f"columns has {ours}, which is no name here"
+            raise LogError(what, topic="[log]", remedy=f"known: {', '.join(known)}")
+        if held and not any(table.has(ours) for table in held):
+            raise LogError(f"no table has the column {told} that {ours} is read from", topic="[log] columns")
+
+
 def _forward_speed(t: FloatArray, state: Mapping[str, FloatArray]) -> FloatArray:
     """Backward differences of the position along the heading, m/s."""
     if len(t) < 2:
@@ -220,10 +233,8 @@ def _tracks(
     if frame is None or not len(frame):
         return Tracks.empty()
     table = _Table(frame, "agents", columns)
-    told = table.column("id")[0]
-    if told.isna().any():
-        raise LogError(f"row {int(told.isna().argmax())} has no id", topic="agents", remedy="name every agent")
-    names = told.astype(str).to_numpy()
+    _check_agents(table)
+    names = table.column("id")[0].astype(str).to_numpy()
     _, t = table.times(start_ns)
     order = np.lexsort((t, names))
     names, t = names[order], t[order]
@@ -244,6 +255,20 @@ def _tracks(
     static = np.zeros(len(first), np.bool_)
     ids = tuple(map(str, names[first]))
     return Tracks(ids, kinds, length, width, static, offsets, t, x, y, yaw, vx, vy)
+
+
+def _check_agents(table: _Table) -> None:
+    """Refuse rows without an id or a place, and sizes that are none."""
+    nameless = table.column("id")[0].isna()
+    if nameless.any():
+        raise LogError(f"row {int(nameless.argmax())} has no id", topic="agents", remedy="name every agent")
+    for name in filter(table.has, ("x", "y", "yaw")):
+        wrong = np.flatnonzero(~np.isfinite(table.numbers(name)))
+        if len(wrong):
+            raise LogError(f"{name} is not finite in row {wrong[0]}", topic="agents", remedy="leave such rows out")
+    for name in ("length", "width"):
+        if table.has(name) and (table.numbers(name) <= 0.0).any():
+            raise LogError(f"a {name} is not positive", topic="agents", remedy="leave it empty where it is not known")
 
 
 def _headings(offsets: Any, x: FloatArray, y: FloatArray, notes: list[str]) -> FloatArray:
@@ -317,7 +342,15 @@ def _loaded(path: Path) -> pd.DataFrame:
 
     try:
         return pd.read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path)
-    except (OSError, ValueError, pd.errors.ParserError, pa.ArrowException, OverflowError) as error:
+    except (
+        OSError,
+        ValueError,
+        LookupError,
+        TypeError,
+        pd.errors.ParserError,
+        pa.ArrowException,
+        OverflowError,
+    ) as error:
         what = " ".join(str(error).split())[:200]
         raise LogError(f"the table cannot be read: {what}", topic=path.name, remedy="write it again") from None
 

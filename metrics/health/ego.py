@@ -36,7 +36,7 @@ FACTORS = {
     3.6: "the speeds look like km/h",
     2.237: "the speeds look like mph",
     100.0: "the speeds look like cm/s",
-    1000.0: "the speeds look like mm/s, or the positions like km",
+    1000.0: "the speeds look like mm/s, the positions like km, or the times like ms",
     0.3048: "the positions look like feet",
     0.01: "the positions look like cm",
     0.001: "the positions look like mm",

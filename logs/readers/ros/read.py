@@ -41,12 +41,27 @@ def read_bag(path: Path, settings: LogSettings) -> Scenario:
     Raises:
         LogError: The bag is damaged or does not say where the ego is; the line says what it holds.
     """
+    _check_roles(settings)
     with np.errstate(all="ignore"), opened(path) as bag:
         try:
             whole = _scenario(path, bag, settings)
         except ValueError as error:
             raise LogError(str(error)) from None
     return cut(whole, settings.begin, settings.end)
+
+
+ROLES = {
+    "topics": ("ego", "speed", "acceleration", "agents", "lights", "goal", "steering", "plan"),
+    "frames": ("map", "base"),
+}
+"""What the settings can name."""
+
+
+def _check_roles(settings: LogSettings) -> None:
+    for key, roles in ROLES.items():
+        wrong = sorted(set(getattr(settings, key)) - set(roles))
+        if wrong:
+            raise LogError(f"{key} has no {wrong[0]}", topic="[log]", remedy=f"its keys are {', '.join(roles)}")
 
 
 def _scenario(path: Path, bag: Bag, settings: LogSettings) -> Scenario:

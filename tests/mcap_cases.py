@@ -199,7 +199,8 @@ def lanes(draw: st.DrawFn, ident: int) -> Lane:
 def lights(draw: st.DrawFn) -> TrafficLight:
     t = draw(times(draw(st.integers(1, 4))))
     colours = draw(st.lists(st.sampled_from(Colour), min_size=len(t), max_size=len(t)))
-    return TrafficLight(draw(st.integers(-(2**40), 2**40)), t + draw(st.integers(0, 3)), tuple(colours))
+    later = np.rint(1e9 * (t + draw(st.integers(0, 3)))) / 1e9  # on a nanosecond, as the times of logs are
+    return TrafficLight(draw(st.integers(-(2**40), 2**40)), later, tuple(colours))
 
 
 @st.composite

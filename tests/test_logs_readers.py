@@ -20,7 +20,9 @@ from logs.catalogue import CATALOGUE
 from logs.mcap import read_scenario, write_scenario
 from logs.readers import LogSettings, Reader, logs_in, read_log, reader_of, readers, windows
 from logs.readers.cut import cut
+from replay.batch import evaluate_logs
 from replay.batch.sources import LogSource, select
+from replay.config import RunConfig
 
 SCENARIO = CATALOGUE["everyday/cut_in"].scenario()
 
@@ -201,3 +203,11 @@ def test_a_reader_that_cannot_be_used_is_named(installed: Any) -> None:
         installed(loaded)
         with pytest.raises(ConfigError, match=word):
             readers()
+
+
+def test_a_map_that_is_not_there_is_found_before_anything_is_written(tmp_path: Path) -> None:
+    run = RunConfig(("constant_speed",), log=LogSettings(map=str(tmp_path / "none.osm")))
+    write_scenario(tmp_path / "log.mcap", SCENARIO)
+    with pytest.raises(ConfigError, match=r"none\.osm: no such map"):
+        evaluate_logs([tmp_path / "log.mcap"], run, tmp_path / "out")
+    assert not (tmp_path / "out").exists()

@@ -136,8 +136,8 @@ def test_a_folder_of_tables_is_a_log(suffix: str, tmp_path: Path) -> None:
     scenario = read_log(folder, with_car)
     assert scenario.name == "drive_7" and scenario.ego.v == pytest.approx(8.0) and scenario.vehicle.width == 2.0
     assert [topic.messages for topic in reader.contents(folder).topics] == [len(T), len(T) + 20]
-    with pytest.raises(LogError, match="car has no height"):
-        read_log(folder, LogSettings(columns={"v": "speed [km/h]"}, car={"height": 2.0}))
+    with pytest.raises(ValueError, match="car has no height: its keys are length, width, wheelbase, rear_overhang"):
+        LogSettings(car={"height": 2.0})
     with pytest.raises(LogError, match=r"unit \[parsec\] of speed is unknown"):
         read_log(folder, LogSettings(columns={"v": "speed [parsec]"}))
 

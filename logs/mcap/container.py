@@ -26,6 +26,7 @@ from logs.errors import LogError
 T = TypeVar("T")
 
 COPY_AGAIN = "copy or record it again"
+SALVAGE = "copy it again, or keep what is whole with `replan salvage`"
 CONVERT = "`replan convert --formats` lists what replan reads and how a format is added"
 MOST_CHUNK_BYTES = 256 * 2**20
 """What one chunk may inflate to: writers make chunks of about 1 MiB, of point clouds some ten."""
@@ -215,7 +216,7 @@ def opened(chunk: Chunk) -> list[McapRecord]:
 
     Not more than the size that the chunk states is inflated.
     """
-    time, remedy = chunk.message_start_time, COPY_AGAIN
+    time, remedy = chunk.message_start_time, SALVAGE
     if chunk.compression not in COMPRESSIONS:
         remedy = "compress with zstd or lz4, or not at all"
         raise LogError(f"a chunk has the unknown compression {chunk.compression!r}", time_ns=time, remedy=remedy)
@@ -250,9 +251,9 @@ def _damage(error: BaseException, at: int, size: int, streams: dict[str, Stream]
         return LogError("not an MCAP file (wrong magic)", remedy=CONVERT)
     if isinstance(error, (EndOfFile, RecordLengthLimitExceeded, InvalidMagic)) or at >= size:
         what = "the file is cut off or damaged" + (": these are the last messages before it" if last else "")
-        return LogError(what, topic=topic, time_ns=time, remedy=COPY_AGAIN)
+        return LogError(what, topic=topic, time_ns=time, remedy=SALVAGE)
     what = f"the file is damaged near byte {at} ({_name(error)})"
-    return LogError(what, topic=topic, time_ns=time, remedy=COPY_AGAIN)
+    return LogError(what, topic=topic, time_ns=time, remedy=SALVAGE)
 
 
 def _name(error: BaseException) -> str:

@@ -12,6 +12,9 @@ from logs.errors import LogError
 from logs.scenario import Scenario
 from logs.vehicle import VehicleParameters
 
+SIZES = ("length", "width", "wheelbase", "rear_overhang")
+"""Keys of `[log.car]`."""
+
 
 @dataclass(frozen=True)
 class LogSettings:
@@ -50,6 +53,8 @@ class LogSettings:
             raise ValueError(f"a log from {self.begin} s to {self.end} s is empty: end must be after begin, both >= 0")
         if self.clock not in ("", "log", "header"):
             raise ValueError(f"clock is {self.clock!r}: log or header")
+        if not set(self.car) <= set(SIZES):
+            raise ValueError(f"car has no {min(set(self.car) - set(SIZES))}: its keys are {', '.join(SIZES)}")
         if not all(value > 0.0 for value in self.car.values()):
             raise ValueError("the sizes in car must be positive")
 
@@ -59,10 +64,6 @@ class LogSettings:
         Raises:
             LogError: They make no vehicle.
         """
-        known = "length", "width", "wheelbase", "rear_overhang"
-        if not set(self.car) <= set(known):
-            wrong = min(set(self.car) - set(known))
-            raise LogError(f"car has no {wrong}", topic="[log]", remedy=f"its keys are {', '.join(known)}")
         sizes: dict[str, Any] = dict(self.car)
         try:
             return replace(VehicleParameters(), **sizes)

@@ -174,6 +174,8 @@ def evaluate_logs(
 
 
 def _selected(logs: Sequence[Path | str], run: RunConfig, window: float | None, suite: str | None) -> Selection:
+    if run.log.map and not Path(run.log.map).is_file():
+        raise ConfigError(f"{run.log.map}: no such map")
     if suite is None and logs:
         return select(logs, run.log, window)
     if window is not None or run.log != LogSettings():

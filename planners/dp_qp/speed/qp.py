@@ -8,7 +8,7 @@ subject to s_lower(t) <= s <= s_upper(t) from the decisions, 0 <= v <= v_limit (
 jerk limits, and the start.
 
 (2) Which limits of acceleration and jerk: `braking` takes the mildest with which braking keeps s_upper, so that the
-    problem has a solution. Braking that is harder than comfort may be let go with `RELEASE_MPS3`.
+    problem has a solution. Braking that is harder than comfort may be let go with `RELEASE_MPS3`, down to comfort.
 """
 
 from __future__ import annotations
@@ -154,7 +154,7 @@ def rows_of(problem: SpeedProblem, limits: KnotLimits, comfort: float) -> Rows:
     lower, upper, references = np.zeros((4, n)), np.empty((4, n)), np.empty((2, n))
     references[0], references[1] = problem.s_ref, problem.v_ref
     lower[0], upper[0], upper[1] = np.minimum(problem.lower, problem.upper), problem.upper, problem.limit
-    released = max(-comfort - a0, 0.0) / (RELEASE_MPS3 * STEP_S)
+    excess = max(-comfort - a0, 0.0)
     total = 0.0
     for i in range(n):
         is_first = i < limits.knots
@@ -162,7 +162,8 @@ def rows_of(problem: SpeedProblem, limits: KnotLimits, comfort: float) -> Rows:
         ramp = STEP_S * total
         lower[2, i] = min(-(limits.first_decel if is_first else limits.decel), a0 + 0.5 * ramp)
         upper[2, i] = max(limits.first_accel if is_first else limits.accel, a0 - 0.5 * ramp)
-        lower[3, i], upper[3, i] = -jerk, max(jerk, RELEASE_MPS3 if i < released else 0.0)  # (2)
+        release = min(excess / STEP_S - i * RELEASE_MPS3, RELEASE_MPS3)  # (2): down to comfort, and no further
+        lower[3, i], upper[3, i] = -jerk, max(jerk, release)
         total += jerk
     return np.array([0.0, problem.start[0], a0]), references, lower, upper
 

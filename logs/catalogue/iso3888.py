@@ -9,7 +9,7 @@ The 3.5 m are from middle to middle, with `edge_based` from the entry's middle t
 1.0 m from the entry lane's left edge to the offset lane's right edge; the exit's middle is the entry's. (Other readings
 are around; these are stated. The standard itself was not read: Project Chrono's demonstration and another one were.)
 
-As a scenario the sections are one lane, that goes straight from one to the next and is wider there; nobody can be met.
+As a scenario the sections are one lane, that goes straight from one to the next and is wider there; no one can be met.
 What is asked is whether the ego stays in it; it may slow down, as the logged driver does.
 """
 
@@ -82,7 +82,7 @@ TAPER_M, LANE_STEP_M = 15.0, 1.0
 LONGER = 3.0
 """Road behind the track: for a drive that does not slow down."""
 APPROACH_M, BRAKE_MPS2, LATERAL_MPS2 = 40.0, 1.2, 2.0
-"""Of the logged driver: way before the track, how he slows down on it, and what he likes to the side."""
+"""Of the logged driver: way before the track, how they slow down on it, and the room they like to the side."""
 
 
 def _lane(sections: tuple[Section, ...], begin: float, end: float) -> tuple[FloatArray, FloatArray]:

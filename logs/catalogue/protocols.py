@@ -73,7 +73,7 @@ def tested(
         path: Of the rear axle.
         road: Around it.
         agents: All others.
-        ahead: What the logged driver minds.
+        ahead: What the logged driver reacts to.
         expected: Accepted decisions by agent.
         beyond: Station at which the goal begins; None: nothing leads past the target, the goal is the path's end, which
             is so far that a drive lasts as long as the log does.

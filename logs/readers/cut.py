@@ -18,7 +18,7 @@ from logs.scenario import Scenario, Tracks
 from logs.states import Controls, OnboardPlan, Trajectory
 
 HISTORY_S = 2.0
-"""More than `logs.presence.MAX_GAP_S`: a sample that is older stands for nobody any more."""
+"""More than `logs.presence.MAX_GAP_S`: a sample that is older stands for no agent any more."""
 
 
 def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:

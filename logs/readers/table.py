@@ -69,7 +69,7 @@ def from_frames(
 
     Args:
         ego: One row a state; rows in any order.
-        agents: One row an agent and a time; None: nobody else is there.
+        agents: One row an agent and a time; None: no other agent is there.
         name: Short and unique within a run.
         columns: Name in the table, with its unit, by name here; those that are not named have our names.
         road: In the tables' coordinates; None: one lane along the driven path, noted.

@@ -52,7 +52,7 @@ class Variation:
         neutral: The value that changes nothing; NaN: every value changes something.
         summary: What a value means, in one line.
         change: (scenario, ids of the agents, value) -> scenario; raises LogError where there is no such scenario.
-        of: What it changes: "agent", "ego", or the id of whom it inserts.
+        of: What it changes: "agent", "ego", or the id of the agent that it inserts.
         is_choice: Whether there is nothing between two values.
     """
 
@@ -87,7 +87,7 @@ class Variation:
 
     @property
     def inserts(self) -> str:
-        """Id of whom it inserts; "": nobody."""
+        """Id of the agent that it inserts; "": none."""
         return "" if self.of in ("agent", "ego") else self.of
 
 
@@ -101,7 +101,7 @@ def varied(scenario: Scenario, agents: Sequence[str], values: Mapping[str, float
 
     Raises:
         ConfigError: A name or an agent is unknown, or a value out of range.
-        LogError: There is no such scenario: the ego would start off the road, too fast for the curve, or in somebody.
+        LogError: There is no such scenario: the ego would start off the road, too fast for a curve, or in an agent.
     """
     for name in values:
         if name not in VARIATIONS:
@@ -123,7 +123,7 @@ def _signed(was: Scenario, now: Scenario, agents: Sequence[str], values: Mapping
     about = f" of {', '.join(agents)}" if agents else ""
     notes = (
         f"Varied from {was.name}: {said}{about}.",
-        "Of the ego's log only the start is kept: it was driven in another world, and judges nobody in this one.",
+        "Of the ego's log only the start is kept: it was driven in another world, and judges no one in this one.",
         "A varied track goes straight on where its recording was cut by the begin or the end of the log.",
     )
     entries = {f"{VARIED}.{name}": repr(float(value)) for name, value in values.items()}

@@ -151,7 +151,7 @@ def copied(scenario: Scenario, agents: Sequence[str], value: float) -> Scenario:
 def continued(was: Scenario, now: Scenario) -> Tracks:
     """The tracks of `now`; who was moved in time since `was` is carried on where begin or end of the log cut them.
 
-    `was` holds whoever was inserted; a copy is compared with whom it copies. What lies far outside of the log is cut.
+    `was` holds whoever was inserted; a copy with its original. What lies far outside of the log is cut.
     """
     tracks, end, changed = now.tracks, now.duration, {}
     known = {name: i for i, name in enumerate(was.tracks.ids)}

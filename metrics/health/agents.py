@@ -29,7 +29,7 @@ from metrics.health.finding import Finding, Kind
 from metrics.others import name_of, others_at
 
 SWITCH_S = 0.6
-"""A tracker that loses somebody has them again within this, s."""
+"""A tracker that loses an agent has them again within this, s."""
 SWITCH_M = 2.0
 """And about there, m."""
 FASTEST_MPS = 70.0

@@ -43,7 +43,7 @@ EFFECT = {
     Kind.UNITS: "all that has metres or seconds in it is off by that factor",
     Kind.OFF_MAP: "lanes, limits, off road and rules do not fit what was driven",
     Kind.LANE_GRAPH: "routes may end early or go in a circle",
-    Kind.LIGHT: "nobody is asked to stop at it: red lights run are not counted",
+    Kind.LIGHT: "no car is asked to stop at it: red lights run are not counted",
 }
 """What each does to which metric."""
 

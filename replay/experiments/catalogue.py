@@ -15,7 +15,7 @@ What a cell is, the first that holds:
     better           no contact, where the careful driver meets someone
     pass             no contact, no gate fails
 
-The careful driver brakes on the ego's line and never steers. Where he meets no one anyway, other things are asked.
+The careful driver brakes on the ego's line and never steers. Where they meet no one anyway, other things are asked.
 """
 
 from __future__ import annotations

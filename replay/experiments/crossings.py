@@ -120,7 +120,7 @@ class DrivenPath:
 
 
 def crossing_of(scenario: Scenario, path: DrivenPath) -> Crossing | None:
-    """(1), (2); None where nobody was on the path ahead of the person who drove."""
+    """(1), (2); None where no one was on the path ahead of the person who drove."""
     t, stations = path.stations(scenario.ego)
     front = _front(scenario)
     found = [

@@ -134,7 +134,7 @@ def advance(
     agents: Agents, now: Phases, ego: Ego, held: FloatArray, room: FloatArray, t: float, longest: float,
     only_needed: bool, pose: FloatArray, here: BoolArray,
 ) -> bool:  # fmt: skip
-    """Lead everybody on from `t` by one period; whether somebody may enter then: else it is sampled (`sample`).
+    """Lead all on from `t` by one period; whether an agent may enter then: else it is sampled (`sample`).
 
     Args:
         agents: Who.

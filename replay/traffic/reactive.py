@@ -150,7 +150,7 @@ class Reactive:
         return (f"not as in the log because of the ego (since when, hardest braking): {'; '.join(named + more)}",)
 
     def _advance(self, t: float, ego: EgoState, box: Ego, sampled: Sampled) -> bool:
-        """Lead everybody on from `t` by one period; whether somebody may enter then: else it is sampled."""
+        """Lead all on from `t` by one period; whether an agent may enter then: else it is sampled."""
         now, reacts, as_logged = self._now, self._agents.reacts, box[8]
         held = self._lights.accelerations(t, now.phase, now.speed, now.late & now.there & reacts)
         room = self._yielding.gaps(ego, now.phase, now.speed, now.there & (not as_logged))

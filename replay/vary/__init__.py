@@ -1,7 +1,7 @@
 """`replan vary`: one recording becomes a surface of pass and fail over one or two things that are varied in it.
 
     axes.py        what is varied, over which values
-    encounters.py  who comes how near to the ego: whom to vary
+    encounters.py  who comes how near to the ego: which agents to vary
     bisection.py   where a row goes from pass to something else
     surface.py     cells -> varied logs -> `replay.batch` -> table, edges, picture
 

@@ -1,4 +1,4 @@
-"""Who comes how near to the ego in a log, so that a user finds whom to vary."""
+"""Who comes how near to the ego in a log, so that a user finds which to vary."""
 
 from __future__ import annotations
 

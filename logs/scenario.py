@@ -391,6 +391,16 @@ class Scenario:
         return replace(self, vehicle=vehicle, ego=replace(ego, x=x, y=y))
 
     @property
+    def family(self) -> str:
+        """What reports group by: the catalogue's family, or what the format calls alike; "": nothing."""
+        return self.metadata.get("family", "")
+
+    @property
+    def dataset(self) -> str:
+        """Where it comes from, without what names this log alone."""
+        return self.metadata.get("dataset") or self.metadata.get("generator") or self.source
+
+    @property
     def is_recorded(self) -> bool:
         """Whether its ego was driven by a person in the world, whose drive can say what a planner may be asked for.
 

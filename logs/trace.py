@@ -319,9 +319,9 @@ def _thinned(predictions: Predictions) -> Predictions:
     return type(some)(some.t[kept], some.agent, some.probability, x, y, yaw, some.method)
 
 
-def kept_samples(t: FloatArray) -> slice | IntArray:
-    """Which of the samples `(n,)` are kept: each that is `KEPT_STEP_S` after the one before, and the last."""
-    stride = max(1, round(KEPT_STEP_S / float(t[1] - t[0]))) if len(t) > 1 else 1
+def kept_samples(t: FloatArray, step: float = KEPT_STEP_S) -> slice | IntArray:
+    """Which of the samples `(n,)` are kept: each that is `step` (s) after the one before, and the last."""
+    stride = max(1, round(step / float(t[1] - t[0]))) if len(t) > 1 else 1
     if (len(t) - 1) % stride == 0:
         return slice(None, None, stride)
     return np.append(np.arange(0, len(t), stride), len(t) - 1)

@@ -7,7 +7,7 @@ from pathlib import Path
 from logs.errors import ConfigError, unknown_name
 from logs.states import EgoState
 from logs.vehicle import VehicleParameters
-from replay.batch.results import write_file
+from replay.batch.tables import write_file
 from replay.config import RunConfig, load_run
 from replay.control.calibration import Calibration
 from replay.vehicle import VEHICLES

@@ -14,7 +14,7 @@ from logs.errors import unknown_name
 from logs.mcap import write_scenario
 from logs.scenario import Scenario
 from replay.avoidability import with_avoidability
-from replay.batch.results import safe_name, write_text
+from replay.batch.tables import safe_name, write_text
 
 TABLE = "suite.csv"
 COLUMNS = ("log", "file", "family", "parameters", "seed", "tags", "accepted_decisions")

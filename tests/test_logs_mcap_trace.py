@@ -36,7 +36,7 @@ from logs import (
     TrackingErrors,
     Tracks,
 )
-from logs.mcap import native, read_scenario, write_scenario, write_trace
+from logs.mcap import native, read_scenario, read_trace, write_scenario, write_trace
 from logs.mcap.writer import BLOCK, scenario_entries, scenario_records, write_log
 from logs.summary import summarise
 
@@ -114,7 +114,7 @@ def test_plans_are_kept_with_all_their_internals(tmp_path: Path) -> None:
     assert path_graph["obstacles"][0]["decision"] == "nudge left"
 
 
-@pytest.mark.parametrize(("internals", "decisions", "graphs"), [("none", 0, 0), ("summary", 1, 0), ("full", 1, 2)])
+@pytest.mark.parametrize(("internals", "decisions", "graphs"), [("none", 0, 0), ("summary", 1, 2), ("full", 1, 2)])
 def test_internals_are_kept_as_asked(tmp_path: Path, internals: Any, decisions: int, graphs: int) -> None:
     write_trace(tmp_path / "log.mcap", drive(), rich_scenario(), internals=internals)
     plan = messages(tmp_path / "log.mcap", "/plan")[1][1]
@@ -170,14 +170,19 @@ def test_without_internals_a_plan_is_kept_every_half_second_and_at_its_end(tmp_p
     assert message["trajectory"]["x_m"] == plan.trajectory.x[[0, 5, 10, 13]].tolist()
 
 
-def test_what_a_sensor_showed_is_on_a_topic_of_its_own(tmp_path: Path) -> None:
-    trace = drive()
+def seen_once(trace: Trace) -> Tracks:
+    """The first agent as a sensor showed it in the second frame."""
     one = trace.agents.samples(0)
     columns = {name: getattr(trace.agents, name)[one][:1] + 0.25 for name in ("x", "y", "yaw", "vx", "vy")}
-    shown = Tracks(
+    return Tracks(
         trace.agents.ids[:1], trace.agents.kinds[:1], trace.agents.length[:1], trace.agents.width[:1],
-        np.zeros(1, bool), np.array([0, 1]), np.array([0.1]), **columns,
+        trace.agents.static[:1], np.array([0, 1]), np.array([0.1]), **columns,
     )  # fmt: skip
+
+
+def test_what_a_sensor_showed_is_on_a_topic_of_its_own(tmp_path: Path) -> None:
+    trace = drive()
+    shown = seen_once(trace)
     write_trace(tmp_path / "log.mcap", replace(trace, perceived=shown), rich_scenario(), internals="none")
     first, (time, second) = messages(tmp_path / "log.mcap", "/perceived")
     assert first == (START_NS, {"id": [], "x_m": [], "y_m": [], "yaw_rad": [], "vx_mps": [], "vy_mps": []})
@@ -187,8 +192,8 @@ def test_what_a_sensor_showed_is_on_a_topic_of_its_own(tmp_path: Path) -> None:
     assert messages(tmp_path / "log.mcap", "/perceived") == []
 
 
-@pytest.mark.parametrize(("internals", "count"), [("none", 0), ("summary", 0), ("full", 1)])
-def test_predictions_are_kept_with_full_internals(tmp_path: Path, internals: Any, count: int) -> None:
+@pytest.mark.parametrize(("internals", "count"), [("none", 0), ("summary", 1), ("full", 1)])
+def test_predictions_are_kept_with_internals(tmp_path: Path, internals: Any, count: int) -> None:
     trace = drive()
     x = np.array([[1.0, 2.0], [1.0, 1.5]])
     some = Predictions(np.array([0.1, 0.6]), np.array([0, 0]), np.array([0.75, 0.25]), x, -x, 0.0 * x, "pedestrian")
@@ -264,3 +269,37 @@ def test_the_summary_of_a_cut_log_tells_what_is_left(tmp_path: Path) -> None:
     assert {t.topic: t.messages for t in summary.topics}["/plan"] == 2
     assert summary.scenario is None and summary.evaluations == ()
     assert summary.lines()[-1].startswith("error: ") and "cut off" in summary.lines()[-1]
+
+
+def test_a_trace_with_all_its_inside_is_read_back(tmp_path: Path) -> None:
+    trace = drive()
+    walker = np.array([[1.0, 2.0, 3.0]])
+    shown = Predictions(np.array([0.1, 0.6, 1.1]), np.array([0]), np.array([1.0]), walker, -walker, 0.0 * walker, "cv")
+    frames = (trace.frames[0], replace(trace.frames[1], agents=("walker",), predictions=shown))
+    trace = replace(trace, frames=frames, perceived=seen_once(trace))
+    write_trace(tmp_path / "log.mcap", trace, rich_scenario(), internals="full")
+    again, scenario = read_trace(tmp_path / "log.mcap")
+    unwritten = replace(shown, yaw=np.full_like(walker, np.nan))
+    expected = replace(trace, frames=(frames[0], replace(frames[1], predictions=unwritten)), notes=scenario.notes)
+    assert differences(expected, again) == []
+    assert differences(rich_scenario().road, scenario.road) == []
+
+
+def test_a_summary_has_graphs_without_grids_and_predictions_at_few_times(tmp_path: Path) -> None:
+    trace = drive()
+    t = np.arange(0.0, 8.1, 0.5)
+    row = np.zeros((1, len(t)))
+    shown = Predictions(0.1 + t, np.array([0]), np.array([1.0]), row + t, row, row, "cv")
+    frames = (trace.frames[0], replace(trace.frames[1], agents=("walker",), predictions=shown))
+    write_trace(tmp_path / "log.mcap", replace(trace, frames=frames), rich_scenario(), internals="summary")
+    (_, frame) = read_trace(tmp_path / "log.mcap")[0].frames
+    graphs = [artefact for artefact in frame.plan.internals if isinstance(artefact, (SlGraph, StGraph))]
+    assert [graph.grid for graph in graphs] == [None, None]
+    assert differences(graphs[0].corridor, trace.frames[1].plan.internals[4].corridor) == []  # type: ignore[union-attr]
+    assert frame.predictions is not None and frame.predictions.x[0].tolist() == [0.0, 2.0, 4.0, 6.0, 8.0]
+
+
+def test_a_log_that_is_no_trace_is_refused(tmp_path: Path) -> None:
+    write_scenario(tmp_path / "log.mcap", rich_scenario())
+    with pytest.raises(LogError, match=r"log\.mcap.*no drive of a planner"):
+        read_trace(tmp_path / "log.mcap")

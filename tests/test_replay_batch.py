@@ -27,8 +27,8 @@ from metrics.judge import Verdict
 from replay.batch import RunResult, evaluate_logs
 from replay.batch.one_log import Failure
 from replay.batch.pool import WorkerLost, run_all
-from replay.batch.results import claim, next_free, safe_name
 from replay.batch.sources import Selection, builtin_suite, select
+from replay.batch.tables import claim, next_free, safe_name
 from replay.config import RunConfig, load_run
 
 QUICK = RunConfig(planners=("constant_speed",), recording=False)

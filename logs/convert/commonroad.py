@@ -306,6 +306,8 @@ def _metadata(document: Document, chosen: _Ego) -> dict[str, str]:
     found = {
         "format": f"CommonRoad {document.version}",
         "benchmark": document.benchmark,
+        "dataset": "CommonRoad",
+        "family": document.benchmark.partition("_T-")[0].rpartition("_")[0] or document.benchmark,
         "author": document.author,
         "affiliation": document.affiliation,
         "time_step_s": f"{document.dt:g}",

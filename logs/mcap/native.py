@@ -16,7 +16,7 @@
     /onboard         OnboardPlan   a plan that the log's own planner made, at the log time from which it was known
     /plan, /command, /actuation, /tracking     only in a trace: what was planned, asked, done, missed
     /perceived       AgentColumns  only in a trace: the others as a sensor showed them to the planner, once a frame
-    /predictions     Predictions   only in a trace with full internals: their futures as the planner was shown them
+    /predictions     Predictions   only in a trace with internals: their futures as the planner was shown them
 
 A field is serialised as its name in code plus its unit (`UNITS`). Time is the message's log time, integer nanoseconds;
 a topic's messages stand in order of time. Missing is null (NaN in memory); infinity is refused, except in the graphs of

@@ -78,7 +78,7 @@ def _native(container: Container) -> Scenario:
     if not 0 <= start_ns <= LAST_TIME_NS:
         raise LogError(f"start_ns is {start_ns}", topic=native.SCENARIO_RECORD, remedy="a log time, nanoseconds")
     ego = _ego(streams["/ego"], start_ns, notes)
-    tracks = _tracks(streams, start_ns, notes)
+    tracks = tracks_of(streams, start_ns, notes)
     road = _road(_one(streams, "/road", native.Road), ego, notes)
     lights = _lights(streams.get("/traffic_lights"), start_ns)
     notes += _dark(road, lights)
@@ -97,7 +97,7 @@ def _native(container: Container) -> Scenario:
             duration=_from_record(record, "duration_s", float, float(ego.t[-1])),
             goal=_goal(_one(streams, "/goal", native.Goal)),
             vehicle=VehicleParameters(**parameters),
-            controls=_controls(controls, start_ns) if controls else None,
+            controls=controls_of(controls, start_ns) if controls else None,
             tags=tuple(_from_record(record, "tags", list[str], [])),
             source=record.get("source", ""),
             licence=record.get("licence", ""),
@@ -155,7 +155,7 @@ def _one(streams: dict[str, Stream], topic: str, kind: type[T]) -> T | None:
     return streams[topic].decoded(kind)[0]
 
 
-def _seconds(times: Sequence[int], start_ns: int) -> FloatArray:
+def seconds(times: Sequence[int], start_ns: int) -> FloatArray:
     """Seconds since the start; the difference is taken in integers, so whole nanoseconds survive."""
     return (np.array(times, dtype=np.int64) - start_ns) / 1e9
 
@@ -164,14 +164,14 @@ def _column(messages: Sequence[Any], name: str) -> FloatArray:
     return np.array([getattr(message, name) for message in messages], dtype=np.float64)
 
 
-def _sampled(stream: Stream, kind: type[msgspec.Struct], start_ns: int) -> dict[str, FloatArray]:
+def sampled(stream: Stream, kind: type[msgspec.Struct], start_ns: int) -> dict[str, FloatArray]:
     """Column t and those of a kind, whether they come one sample a message or in blocks."""
     block = native.BLOCKS[kind]
     if stream.schema != native.schema_name(block):
         stream.check_order(strictly=True)
         some = stream.decoded(kind)
         columns = {name: _column(some, name) for name in kind.__struct_fields__}
-        return {"t": _seconds(stream.times, start_ns), **columns}
+        return {"t": seconds(stream.times, start_ns), **columns}
     blocks = stream.decoded(block)
     for time, message in zip(stream.times, blocks, strict=True):
         _equal_lengths(message, stream.topic, time)
@@ -185,21 +185,22 @@ def _sampled(stream: Stream, kind: type[msgspec.Struct], start_ns: int) -> dict[
     if not 0 <= min(times) <= max(times) <= LAST_TIME_NS:
         raise LogError("a log time is beyond any clock", topic=stream.topic, remedy=MEND)
     replace(stream, times=times).check_order(strictly=True)
-    return {"t": _seconds(times, start_ns), **{name: np.array(some, np.float64) for name, some in joined.items()}}
+    return {"t": seconds(times, start_ns), **{name: np.array(some, np.float64) for name, some in joined.items()}}
 
 
 def _ego(stream: Stream, start_ns: int, notes: list[str]) -> Trajectory:
     try:
-        return completed(_sampled(stream, native.Ego, start_ns), notes)
+        return completed(sampled(stream, native.Ego, start_ns), notes)
     except ValueError as error:
         raise LogError(str(error), topic=stream.topic, remedy=MEND) from None
 
 
-def _controls(stream: Stream, start_ns: int) -> Controls:
-    return Controls(**_sampled(stream, native.Controls, start_ns))
+def controls_of(stream: Stream, start_ns: int) -> Controls:
+    """Steering and pedals of a topic."""
+    return Controls(**sampled(stream, native.Controls, start_ns))
 
 
-def _tracks(streams: dict[str, Stream], start_ns: int, notes: list[str]) -> Tracks:
+def tracks_of(streams: dict[str, Stream], start_ns: int, notes: list[str]) -> Tracks:
     """Tracks from the table and the columns of /agents and /obstacles."""
     table = _one(streams, "/agents/table", native.AgentTable)
     moving = [streams[topic] for topic in ("/agents", "/obstacles") if topic in streams and len(streams[topic])]
@@ -319,7 +320,7 @@ def _lights(stream: Stream | None, start_ns: int) -> tuple[TrafficLight, ...]:
                 what = f"light {light} has two colours at one time"
                 raise LogError(what, topic=stream.topic, time_ns=time, remedy="keep one of them")
             shown[light][time] = colour
-    return tuple(TrafficLight(i, _seconds(list(c), start_ns), tuple(c.values())) for i, c in sorted(shown.items()))
+    return tuple(TrafficLight(i, seconds(list(c), start_ns), tuple(c.values())) for i, c in sorted(shown.items()))
 
 
 def _onboard(stream: Stream | None, start_ns: int) -> tuple[OnboardPlan, ...]:
@@ -327,13 +328,13 @@ def _onboard(stream: Stream | None, start_ns: int) -> tuple[OnboardPlan, ...]:
     if stream is None:
         return ()
     stream.check_order(strictly=True)
-    known = _seconds(stream.times, start_ns).tolist()
+    known = seconds(stream.times, start_ns).tolist()
     out = []
-    for seconds, time, message in zip(known, stream.times, stream.decoded(native.OnboardPlan), strict=True):
+    for at, time, message in zip(known, stream.times, stream.decoded(native.OnboardPlan), strict=True):
         _equal_lengths(message.trajectory, stream.topic, time)
         columns = (np.array(column, np.float64) for column in msgspec.structs.astuple(message.trajectory))
         try:
-            out.append(OnboardPlan(seconds, Trajectory(*columns)))
+            out.append(OnboardPlan(at, Trajectory(*columns)))
         except ValueError as error:
             raise LogError(str(error), topic=stream.topic, time_ns=time, remedy=MEND) from None
     return tuple(out)

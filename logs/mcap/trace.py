@@ -2,8 +2,9 @@
 
 Ego and agents are those of the trace; road, goal and vehicle those of the scenario. `internals` says how much of the
 plans is kept: "none" (status, and trajectory at `KEPT_STEP_S`), "summary" (the whole trajectory, decisions, cost terms,
-candidates, compared lanes, solver reports), "full" (and graphs with their grids and corridors; in them null stands for
-"not reached" and "free"; and the predictions). What a sensor showed of the others is always kept.
+candidates, compared lanes, solver reports, graphs without the grids of costs, predictions every `SUMMARY_STEP_S`),
+"full" (and the grids, and all predictions that the trace has). In graphs null stands for "not reached" and "free". What
+a sensor showed of the others is always kept. `read_trace` gives the drive back.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ from logs.scenario import Scenario, Tracks
 from logs.states import TRAJECTORY_COLUMNS
 
 Internals = Literal["none", "summary", "full"]
+SUMMARY_STEP_S = 2.0
+"""Between two samples of a prediction in a summary: enough to see where two runs expected somebody elsewhere."""
 
 
 def write_trace(
@@ -82,8 +85,8 @@ def _trace_entries(trace: nouns.Trace, start_ns: int, internals: Internals) -> I
     times = log_times(np.array([frame.t for frame in trace.frames]), start_ns, "/plan")
     for time, frame in zip(times, trace.frames, strict=True):
         yield time, "/plan", _plan(frame.plan, internals)
-        if internals == "full" and frame.predictions is not None:
-            yield time, "/predictions", _predictions(frame, frame.predictions)
+        if internals != "none" and frame.predictions is not None:
+            yield time, "/predictions", _predictions(frame, frame.predictions, full=internals == "full")
     if trace.perceived is not None:
         yield from _perceived(trace.perceived, times, start_ns)
     for topic, kind, table in (
@@ -106,11 +109,12 @@ def _perceived(shown: Tracks, frames: list[int], start_ns: int) -> Iterator[Entr
         yield time, "/perceived", native.AgentColumns([shown.ids[i] for i in track[at]], *columns)
 
 
-def _predictions(frame: nouns.PlannedFrame, some: Predictions) -> native.Predictions:
+def _predictions(frame: nouns.PlannedFrame, some: Predictions, *, full: bool) -> native.Predictions:
     ids = [frame.agents[i] for i in some.agent]
     probability = column(some.probability, "/predictions", "probability")
-    x, y = ([column(row, "/predictions", name) for row in getattr(some, name)] for name in ("x", "y"))
-    return native.Predictions(some.method, some.t.tolist(), ids, probability, x, y)
+    kept = slice(None) if full else nouns.kept_samples(some.t, SUMMARY_STEP_S)
+    x, y = ([column(row[kept], "/predictions", name) for row in getattr(some, name)] for name in ("x", "y"))
+    return native.Predictions(some.method, some.t[kept].tolist(), ids, probability, x, y)
 
 
 def _plan(plan: nouns.Plan, internals: Internals) -> native.Plan:
@@ -137,8 +141,8 @@ def _plan(plan: nouns.Plan, internals: Internals) -> native.Plan:
             message.lanes.append(native.LaneOption(artefact.name, dict(artefact.terms), artefact.against))
         elif isinstance(artefact, nouns.SolverReport):
             message.solvers.append(_solver(artefact))
-        elif internals == "full":
-            message.graphs.append(_graph(artefact))
+        else:
+            message.graphs.append(_graph(artefact, full=internals == "full"))
     return message
 
 
@@ -148,10 +152,10 @@ def _solver(report: nouns.SolverReport) -> native.SolverReport:
     )
 
 
-def _graph(graph: nouns.SlGraph | nouns.StGraph) -> native.Graph:
+def _graph(graph: nouns.SlGraph | nouns.StGraph, *, full: bool) -> native.Graph:
     return native.Graph(
         plane="sl" if isinstance(graph, nouns.SlGraph) else "st",
-        grid=_grid(graph.grid),
+        grid=_grid(graph.grid) if full else None,
         corridor=_corridor(graph.corridor),
         dp=_rows(graph.dp),
         qp=_rows(graph.qp),

@@ -1,4 +1,4 @@
-"""Many logs: select (`sources`), evaluate in workers (`pool`, `one_log`), judge, write the tables (`run`, `results`).
+"""Many logs: select (`sources`), evaluate in workers (`pool`, `one_log`), judge, write the tables (`run`, `tables`).
 
 A run that was interrupted goes on where it was (`resume`); what it takes from disk is in `log_result`.
 

@@ -14,8 +14,8 @@ from typing import Any
 
 import pandas as pd
 
-from replay.batch.results import KEYS, SCHEMA_VERSION, joined, write_json, write_parquet
 from replay.batch.sources import LOG_CARD
+from replay.batch.tables import KEYS, SCHEMA_VERSION, joined, write_json, write_parquet
 
 MEMBERS = "ensemble.parquet"
 
@@ -70,6 +70,7 @@ class LogResult:
         name: Of the scenario; the source's label where it could not be read.
         digest: SHA-256 of the log's bytes; empty where it could not be read.
         folder: Its folder's name in the result folder; empty where there is none.
+        family: Of the scenario (`Scenario.family`); `dataset` likewise.
         tags: Of the scenario.
         notes: What was assumed in reading it.
         drives: What was driven, planners in the order of the run, open before closed.
@@ -83,6 +84,8 @@ class LogResult:
     name: str
     digest: str = ""
     folder: str = ""
+    family: str = ""
+    dataset: str = ""
     tags: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     drives: tuple[DriveRecord, ...] = ()
@@ -126,6 +129,8 @@ def keep(folder: Path, result: LogResult, timings: pd.DataFrame, identity: str, 
         "log": result.name,
         "source": result.source,
         "sha256": result.digest,
+        "family": result.family,
+        "dataset": result.dataset,
         "tags": result.tags,
         "notes": result.notes,
         "drives": [asdict(drive) for drive in result.drives],
@@ -148,6 +153,8 @@ def kept(folder: Path) -> tuple[LogResult, str, Stamp] | None:
             card["log"],
             card["sha256"],
             folder.name,
+            card["family"],
+            card["dataset"],
             tuple(card["tags"]),
             tuple(card["notes"]),
             tuple(_drive(drive) for drive in card["drives"]),

@@ -27,8 +27,8 @@ from metrics import METRICS, Metric, health, load_metric
 from metrics.ensemble import MEMBER
 from replay.avoidability import with_avoidability
 from replay.batch.log_result import DriveRecord, Failure, LogResult, Stamp, keep
-from replay.batch.results import KEYS, PARTIAL, TIMING_COLUMNS, joined, safe_name, write_parquet
 from replay.batch.sources import LogSource, file_hash
+from replay.batch.tables import KEYS, PARTIAL, TIMING_COLUMNS, joined, safe_name, write_parquet
 from replay.closed_loop import run_closed_loop
 from replay.config import RunConfig
 from replay.drive import Drive
@@ -136,7 +136,8 @@ def _identified(source: LogSource, scenario: Scenario, folder: Path, run: RunCon
     found = health.findings(scenario)
     notes = (*scenario.notes, *health.sentences(found))
     table = health.table(scenario.name, found)
-    return LogResult(source.label, scenario.name, digest, name, scenario.tags, notes, health=table)
+    groups = scenario.family, scenario.dataset, scenario.tags
+    return LogResult(source.label, scenario.name, digest, name, *groups, notes, health=table)
 
 
 def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, progress: _Progress) -> None:

@@ -18,8 +18,8 @@ from typing import Any
 
 from logs.errors import ConfigError, LogError
 from replay.batch.log_result import LogResult, Stamp, kept
-from replay.batch.results import PARTIAL, TABLES, clear_partial, is_ours
 from replay.batch.sources import LOG_CARD, LogSource
+from replay.batch.tables import PARTIAL, TABLES, clear_partial, is_ours
 from replay.config import RunConfig, dump_run, read_toml
 
 START_OVER = "leave out --resume to start over"

@@ -26,7 +26,9 @@ from planners import PLANNERS
 from replay.batch.log_result import DriveRecord, Failure, LogResult, timings_of
 from replay.batch.one_log import all_metrics, evaluate_log
 from replay.batch.pool import WorkerLost, run_all
-from replay.batch.results import (
+from replay.batch.resume import finished, replan_version, stamp_of
+from replay.batch.sources import LogSource, Selection, builtin_suite, named_suite, select
+from replay.batch.tables import (
     KEYS,
     claim,
     clear_partial,
@@ -39,8 +41,6 @@ from replay.batch.results import (
     write_text,
     write_timings,
 )
-from replay.batch.resume import finished, replan_version, stamp_of
-from replay.batch.sources import LogSource, Selection, builtin_suite, named_suite, select
 from replay.config import RunConfig, dump_run
 from replay.control import CONTROLLERS
 from replay.oracle import ORACLES
@@ -318,6 +318,8 @@ def _log_summary(log: LogResult) -> dict[str, Any]:
         "source": log.source,
         "sha256": log.digest,
         "folder": log.folder,
+        "family": log.family,
+        "dataset": log.dataset,
         "tags": log.tags,
         "notes": log.notes,
         "drives": [asdict(drive) for drive in log.drives],
@@ -326,7 +328,8 @@ def _log_summary(log: LogResult) -> dict[str, Any]:
 
 def _verdict_summary(verdict: Verdict) -> dict[str, Any]:
     """All but what each log says: that is in verdicts.parquet."""
-    return _no_nan({key: value for key, value in asdict(verdict).items() if key != "logs"})
+    said = {key: value for key, value in asdict(verdict).items() if key != "logs"}
+    return {"rule": str(verdict.gate), **_no_nan(said)}
 
 
 def _no_nan(record: dict[str, Any]) -> dict[str, Any]:

@@ -39,7 +39,7 @@ from metrics.gates import Outcome
 from metrics.judge import CAREFUL, IMPACT, REFERENCE, REPLAY_CONTACT
 from replay.batch import evaluate_logs
 from replay.batch.pool import settle
-from replay.batch.results import write_file, write_text
+from replay.batch.tables import write_file, write_text
 from replay.config import RunConfig
 from replay.report.figures import STYLE, empty_figure, save
 

@@ -27,7 +27,7 @@ from logs.trace import EndReason, Mode
 from metrics.judge import CAREFUL, verdicts_by_log
 from metrics.judge import REFERENCE as JUDGED_BY
 from replay.batch import RunResult, evaluate_logs
-from replay.batch.results import write_file, write_text
+from replay.batch.tables import write_file, write_text
 from replay.config import RunConfig
 from replay.drive import LoopConfig
 from replay.traffic import TRAFFIC

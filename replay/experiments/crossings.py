@@ -34,8 +34,8 @@ from logs.road import thinned
 from logs.scenario import Scenario
 from logs.states import Trajectory
 from logs.trace import EndReason, Trace
-from replay.batch.results import write_file, write_text
 from replay.batch.sources import select
+from replay.batch.tables import write_file, write_text
 from replay.closed_loop import run_closed_loop
 from replay.open_loop import run_open_loop
 

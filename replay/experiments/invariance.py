@@ -31,8 +31,8 @@ from metrics.gates import Outcome, load_gates
 from metrics.judge import judge
 from replay.avoidability import with_avoidability
 from replay.batch.pool import WorkerLost, run_all
-from replay.batch.results import write_file
 from replay.batch.sources import LogSource, builtin_suite, select
+from replay.batch.tables import write_file
 from replay.closed_loop import run_closed_loop
 from replay.drive import LoopConfig
 

@@ -31,7 +31,7 @@ from logs.scenario import Scenario
 from logs.trace import PlannedFrame, StGraph, Trace
 from metrics import METRICS, evaluate, evaluate_with_series
 from planners.frenet.st_boundaries import StGraphConfig
-from replay.batch.results import write_file, write_text
+from replay.batch.tables import write_file, write_text
 from replay.closed_loop import run_closed_loop
 from replay.control import CONTROLLERS
 from replay.drive import Drive

@@ -12,8 +12,8 @@ from logs.errors import ConfigError
 from logs.readers import LogSettings
 from logs.scenario import Scenario
 from logs.variations import VARIATIONS
-from replay.batch.results import next_free
 from replay.batch.sources import LogSource
+from replay.batch.tables import next_free
 from replay.config import RunConfig
 from replay.vary import surface
 from replay.vary.axes import Question, question

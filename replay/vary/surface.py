@@ -35,7 +35,7 @@ from metrics.judge import worst
 from metrics.reference_drivers import Outcome as Careful
 from replay.batch import RunResult, evaluate_logs, replan_version
 from replay.batch.log_result import LogResult
-from replay.batch.results import safe_name, write_file, write_json, write_parquet
+from replay.batch.tables import safe_name, write_file, write_json, write_parquet
 from replay.config import RunConfig
 from replay.report.figures import save
 from replay.report.surface_figure import surface_figure

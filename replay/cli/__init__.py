@@ -1,0 +1,20 @@
+"""The command line: words in, exit code out; no logic here.
+
+Commands by what they are about:
+
+evaluate.py    what drives: evaluate, vary, paper, calibrate
+logs.py        what reads and writes logs: synth, convert, inspect, salvage, export
+results.py     what looks at results: view
+about.py       what replan knows: metrics
+app.py         what they share
+"""
+
+from replay.cli import evaluate, logs, results, about  # isort: skip  # the order of the help
+from replay.cli.app import app
+
+__all__ = ["about", "app", "evaluate", "logs", "main", "results"]
+
+
+def main() -> None:
+    """Run the command line; ends the process with its exit code."""
+    app()

@@ -1,0 +1,286 @@
+"""`replan evaluate | vary | paper | calibrate`: what drives."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+from rich.console import Console
+
+from logs.errors import ConfigError
+from replay.cli.app import (
+    Begin,
+    Ego,
+    End,
+    Foxglove,
+    Map,
+    Suite,
+    answered,
+    app,
+    cores,
+    log_settings,
+    run_config,
+)  # fmt: skip
+
+if TYPE_CHECKING:
+    from replay.batch import RunResult
+    from replay.config import RunConfig
+
+EXIT_CODES = (
+    "Exit codes: 0 all gates pass; 1 a gate failed; 2 wrong usage or configuration; 3 a log or planner could not be"
+    " evaluated (the others were); 4 inconclusive: a gate had nothing to judge; 130 interrupted."
+)
+
+
+@app.command(epilog=EXIT_CODES)
+def evaluate(
+    logs: Annotated[
+        list[Path] | None,
+        typer.Argument(
+            help="Logs of any format (replan convert --formats), or folders of them; none: the built-in suite."
+        ),
+    ] = None,
+    planner: Annotated[
+        list[str] | None,
+        typer.Option("--planner", "-p", help='A planner\'s name or "module:Class"; may be repeated. Default: dp_qp.'),
+    ] = None,
+    metric: Annotated[
+        list[str] | None, typer.Option(help='A metric of your own beside the built-in ones, "module:NAME"; repeatable.')
+    ] = None,
+    mode: Annotated[Literal["both", "open", "closed"] | None, typer.Option(help="Loops to run. Default: both.")] = None,
+    config: Annotated[Path | None, typer.Option(help="TOML file of settings; options win over it.")] = None,
+    gates: Annotated[Path | None, typer.Option(help="TOML file of thresholds. Default: the packaged ones.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Result folder. Default: results/run-NNN.")] = None,
+    resume: Annotated[
+        bool,
+        typer.Option("--resume", help="Go on with the interrupted run in --out: finished logs are taken as they are."),
+    ] = False,
+    no_recording: Annotated[bool, typer.Option("--no-recording", help="Write no .rrd files: faster.")] = False,
+    foxglove: Foxglove = False,
+    internals: Annotated[
+        Literal["none", "summary", "full"] | None,
+        typer.Option(help="What of the planner's inside goes into the traces. Default: summary."),
+    ] = None,
+    ensemble: Annotated[
+        int | None,
+        typer.Option(min=0, help="Drive each log so many times more, in worlds that should not matter: is it fragile?"),
+    ] = None,
+    deadline: Annotated[
+        float | None,
+        typer.Option(min=1e-3, help="Seconds that a plan may take; a gate on it is asked only with this option."),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(min=0, help="Processes; 0: in this one. Default: one per core. Same results.")
+    ] = None,
+    vehicle: Annotated[
+        str | None, typer.Option(help="How the ego moves: kinematic_bicycle, single_track, multibody, perfect ...")
+    ] = None,
+    car: Annotated[
+        str | None, typer.Option(help="Whose numbers instead of the log's: bmw_320i, small_electric, vw_vanagon.")
+    ] = None,
+    controller: Annotated[
+        str | None, typer.Option(help="How plans are followed: dlqr_pid, mpc, pure_pursuit, stanley, pid ...")
+    ] = None,
+    traffic: Annotated[
+        str | None, typer.Option(help="The others: as logged but for those who give_way; time, ego_position, reactive.")
+    ] = None,
+    prediction: Annotated[
+        str | None, typer.Option(help="Their futures: constant_velocity, lane_following ..., oracle.")
+    ] = None,
+    perception: Annotated[str | None, typer.Option(help="What is seen: ground_truth or sensor.")] = None,
+    plant: Annotated[
+        list[str] | None,
+        typer.Option(help="KEY=VALUE of the car that planner and controller are not told (mass=1400); repeatable."),
+    ] = None,
+    ego: Ego = None,
+    road_map: Map = None,
+    begin: Begin = None,
+    end: End = None,
+    window: Annotated[
+        float | None,
+        typer.Option(min=1.0, help="Evaluate each log in parts of so many seconds."),
+    ] = None,
+    suite: Suite = None,
+) -> None:
+    """Drive planners over logs, measure, judge by gates, and record.
+
+    [bold]Examples[/bold]
+
+      replan evaluate                                      the built-in suite
+      replan evaluate --suite full                         300 logs of the catalogue
+      replan evaluate my_logs/ --planner dp_qp --planner logged
+      replan evaluate a.mcap --planner my_pkg.mine:MyPlanner --mode closed
+      replan evaluate my_logs/ --gates gates.toml --out results/nightly
+      replan evaluate my_logs/ --gates gates.toml --out results/nightly --resume
+    """
+    with answered():
+        options: dict[str, Any] = {
+            "planners": tuple(planner or ()) or None,
+            "metrics": tuple(metric or ()) or None,
+            "mode": mode,
+            "gates": None if gates is None else str(gates),
+            "internals": internals,
+            "recording": False if no_recording else None,
+            "foxglove": foxglove or None,
+            "ensemble": ensemble,
+            "deadline_s": deadline,
+        }
+        loop = {
+            "vehicle": vehicle,
+            "controller": controller,
+            "traffic": traffic,
+            "prediction": prediction,
+            "perception": perception,
+            "plant": _settings(plant) if plant else None,
+        }
+        options["log"] = log_settings(config, ego, road_map, begin, end)
+        run = run_config(config, options, loop).in_car(car)
+        result = _evaluated(
+            logs or [], run, out, cores() if workers is None else workers, resume=resume, window=window, suite=suite
+        )
+        raise typer.Exit(result.exit_code)
+
+
+@app.command()
+def vary(
+    log: Annotated[str | None, typer.Argument(help="A log of any format, or a family of the catalogue.")] = None,
+    variation: Annotated[
+        list[str] | None,
+        typer.Option("--vary", help="NAME=LOW:HIGH:COUNT, an axis (one or two), or NAME=VALUE; see --list."),
+    ] = None,
+    agent: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--agent", help="Who is varied; repeatable: all together. Default: of those who move, who comes nearest."
+        ),
+    ] = None,
+    planner: Annotated[str | None, typer.Option("--planner", "-p", help="Default: dp_qp.")] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Result folder. Default: results/run-NNN.")] = None,
+    resolution: Annotated[
+        float | None, typer.Option(help="How near edges are found. Default: an eighth of two cells' distance.")
+    ] = None,
+    list_agents: Annotated[bool, typer.Option("--list-agents", help="List who is there, the nearest first.")] = False,
+    listing: Annotated[bool, typer.Option("--list", help="List what may be varied.")] = False,
+    config: Annotated[Path | None, typer.Option(help="TOML file of a run; options win over it.")] = None,
+    gates: Annotated[Path | None, typer.Option(help="TOML file of thresholds. Default: the packaged ones.")] = None,
+    recording: Annotated[bool, typer.Option("--recording", help="Write the .rrd file of each drive.")] = False,
+    workers: Annotated[
+        int | None, typer.Option(min=0, help="Processes; 0: in this one. Default: one per core. Same results.")
+    ] = None,
+    ego: Ego = None,
+    road_map: Map = None,
+    begin: Begin = None,
+    end: End = None,
+) -> None:
+    """One log, varied: a surface of pass and fail over one or two parameters, as a table and a picture.
+
+    [bold]Examples[/bold]
+
+      replan vary paper/crossing_pedestrian --vary time=-2:2:9 --vary speed=0.5:1.5:9 -o results/crossing
+      replan vary my_bag --list-agents
+      replan vary my_bag --agent 17 --vary time=-2:2:9 -p dp_qp
+      replan vary my_log.mcap --vary standing_car=20:80:7 --vary ego_speed=0.5:1.5:5
+    """
+    with answered():
+        from replay.vary import command
+
+        if listing:
+            typer.echo("\n".join(command.variations()))
+            return
+        if log is None:
+            raise ConfigError("name a log or a family: replan vary paper/crossing_pedestrian --vary time=-2:2:9")
+        scenario = command.opened(log, log_settings(config, ego, road_map, begin, end))
+        if list_agents:
+            typer.echo("\n".join(command.agents(scenario)))
+            return
+        options = {"planners": (planner,) if planner else None, "gates": None if gates is None else str(gates)}
+        run = replace(
+            run_config(config, options, {}), recording=recording, internals="summary" if recording else "none"
+        )
+        asked = command.asked(scenario, variation or [], agent or [], resolution)
+        count = cores() if workers is None else workers
+        result = command.vary(scenario, asked, run, out, workers=count, say=lambda line: typer.echo(line, err=True))
+        typer.echo("\n".join(result.lines()))
+        raise typer.Exit(result.exit_code)
+
+
+def _settings(words: list[str]) -> dict[str, float | str]:
+    """Words "key=value"; a value that is no number stays a word."""
+    found: dict[str, float | str] = {}
+    for word in words:
+        key, separator, value = word.partition("=")
+        if not separator or not key:
+            raise ConfigError(f"--plant {word}: write it as KEY=VALUE, for example mass=1400")
+        try:
+            found[key] = float(value)
+        except ValueError:
+            found[key] = value
+    return found
+
+
+def _evaluated(
+    logs: list[Path], run: RunConfig, out: Path | None, workers: int, *, resume: bool, window: float | None,
+    suite: str | None,
+) -> RunResult:  # fmt: skip
+    from replay.batch import evaluate_logs
+    from replay.batch.pool import settle
+    from replay.report.progress import progress
+    from replay.report.terminal import print_report
+
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does: nothing half-written
+    settle()
+    with progress() as (on_start, on_log):
+        result = evaluate_logs(
+            logs, run, out, workers=workers, resume=resume, window=window, suite=suite, on_start=on_start, on_log=on_log
+        )
+    wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 110
+    print_report(result, Console(width=wide, soft_wrap=False))
+    return result
+
+
+@app.command()
+def paper(
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for figures, recordings and tables.")],
+    vehicle: Annotated[
+        list[str] | None,
+        typer.Option(
+            help="Vehicle model of figures and tables, repeatable: the first has the figures. Default: single_track."
+        ),
+    ] = None,
+    roads: Annotated[int, typer.Option(min=0, help="Seeded roads in the table of controllers.")] = 50,
+    workers: Annotated[
+        int | None, typer.Option(min=0, help="Processes; 0: in this one. Default: one per core. Same results.")
+    ] = None,
+) -> None:
+    """Run the experiments of the paper: its figures 9, 10 and 12, recordings, controllers compared, pedestrians.
+
+    A few minutes. What agrees with the paper and what does not: docs/paper.md.
+    """
+    with answered():
+        from replay.experiments.paper import PaperConfig, reproduce
+
+        count = cores() if workers is None else workers
+        config = PaperConfig(tuple(vehicle or ("single_track",)), roads=roads, workers=count)
+        typer.echo(reproduce(out, config, say=lambda line: typer.echo(line, err=True)))
+
+
+@app.command()
+def calibrate(
+    out: Annotated[Path, typer.Option("--out", "-o", help="Folder for calibration.csv and calibration.png.")],
+    vehicle: Annotated[str, typer.Option(help="Vehicle model.")] = "single_track",
+    car: Annotated[
+        str | None, typer.Option(help="Whose numbers: bmw_320i, small_electric, vw_vanagon. Default: the default car.")
+    ] = None,
+    config: Annotated[Path | None, typer.Option(help="TOML file of a run: its \\[vehicle].")] = None,
+) -> None:
+    """Write and plot the table acceleration x speed -> throttle or brake, from the vehicle's own model."""
+    with answered():
+        from replay.calibrate import calibrate as write
+
+        for path in write(out, vehicle, car, config):
+            typer.echo(path)

@@ -1,0 +1,169 @@
+"""`replan synth | convert | inspect | salvage | export`: what reads and writes logs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from logs.errors import ConfigError, ReplanError
+from replay.cli.app import Begin, Ego, End, Foxglove, Map, Settings, Suite, answered, app, log_settings, say_error
+
+
+@app.command()
+def synth(
+    names: Annotated[
+        list[str] | None, typer.Argument(help="Families (paper/free_road), groups (paper), or all.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="Folder to write to.")] = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", help="parameter=number; may be repeated.", metavar="KEY=VALUE")
+    ] = None,
+    suite: Suite = None,
+    listing: Annotated[bool, typer.Option("--list", help="List the families and their parameters.")] = False,
+    markdown: Annotated[bool, typer.Option("--markdown", help="The page of all: docs/catalogue.md.")] = False,
+) -> None:
+    """Write synthesised logs of the catalogue.
+
+    [bold]Examples[/bold]
+
+      replan synth --list
+      replan synth all -o my_logs
+      replan synth paper/free_road -o my_logs --set radius_m=40
+      replan synth --suite smoke -o my_logs
+    """
+    with answered():
+        from replay.synth import chosen, listed, markdown_page, overrides, synthesise, write_suite
+
+        if listing or markdown:
+            typer.echo(markdown_page() if markdown else "\n".join(listed()))
+            return
+        if bool(names) == bool(suite) or out is None:
+            raise ConfigError(
+                "name a family (or all) or a --suite, and a folder: replan synth all -o my_logs; see --list"
+            )
+        if suite and settings:
+            raise ConfigError("--set changes families that are named; the logs of a suite have their parameters")
+        written = write_suite(suite, out) if suite else synthesise(chosen(names or ()), out, overrides(settings or []))
+        for path in written:
+            typer.echo(path)
+
+
+@app.command()
+def convert(
+    logs: Annotated[
+        list[Path] | None, typer.Argument(help="Logs of any format; a format's name first asks for that one.")
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", "-o", help="FILE.mcap for one log, else a folder.")] = None,
+    ego: Ego = None,
+    problem: Annotated[
+        int | None, typer.Option(help="CommonRoad: the planning problem, its id or its place from 1.")
+    ] = None,
+    road_map: Map = None,
+    begin: Begin = None,
+    end: End = None,
+    config: Settings = None,
+    foxglove: Foxglove = False,
+    formats: Annotated[bool, typer.Option("--formats", help="List the formats that replan reads.")] = False,
+) -> None:
+    """Logs of other formats to replan's own MCAP.
+
+    [bold]Examples[/bold]
+
+      replan convert --formats
+      replan convert my_bags/ -o my_logs
+      replan convert drive.mcap -o for_foxglove.mcap --foxglove
+      replan convert commonroad USA_US101-6_1_T-1.xml -o us101.mcap
+    """
+    with answered():
+        from replay.convert import convert_all, listing
+
+        if formats:
+            typer.echo("\n".join(listing()))
+            return
+        if not logs or out is None:
+            raise ConfigError("name logs and where to write them: replan convert LOG ... -o FOLDER; see --formats")
+        settings = log_settings(config, ego, road_map, begin, end, problem)
+        if not convert_all(logs, out, settings, foxglove=foxglove, say=typer.echo, say_error=say_error):
+            raise typer.Exit(3)
+
+
+@app.command()
+def inspect(
+    log: Annotated[Path, typer.Argument(help="A log of any format.")],
+    ego: Ego = None,
+    road_map: Map = None,
+    begin: Begin = None,
+    end: End = None,
+    config: Settings = None,
+) -> None:
+    """Say what a log holds, over which time, and what is missing for which evaluation."""
+    with answered():
+        from logs.summary import summarise
+
+        if not log.exists():
+            raise ConfigError(f"{log}: no such file or folder")
+        summary = summarise(log, log_settings(config, ego, road_map, begin, end))
+        typer.echo("\n".join(summary.lines()))
+        if summary.error is not None:
+            raise typer.Exit(3)
+        if summary.read is not None:
+            from metrics.health import report
+
+            typer.echo("\n".join(report(summary.read)))
+
+
+@app.command()
+def salvage(
+    damaged: Annotated[Path, typer.Argument(help="A damaged MCAP file, of any kind.")],
+    out: Annotated[Path, typer.Argument(help="The MCAP file to write.")],
+) -> None:
+    """Keep every intact chunk of a damaged MCAP file, and name what was lost."""
+    with answered():
+        from logs.mcap.salvage import salvage as save
+
+        if not damaged.is_file():
+            raise ConfigError(f"{damaged}: no such file")
+        if out.exists():
+            raise ConfigError(f"{out}: exists already; name a new file")
+        typer.echo("\n".join([str(out), *(f"    {line}" for line in save(damaged, out).lines())]))
+
+
+export_app = typer.Typer(help="Drives in the formats of others.", no_args_is_help=True)
+app.add_typer(export_app, name="export")
+
+
+@export_app.callback()
+def _export() -> None:
+    pass
+
+
+@export_app.command("commonroad-solution")
+def commonroad_solution(
+    trace: Annotated[Path, typer.Argument(help="closed.mcap of a CommonRoad scenario, in a result folder.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="The XML file to write.")],
+    cost: Annotated[str, typer.Option(help="Cost function that the benchmark id names.")] = "JB1",
+) -> None:
+    """A closed drive as a CommonRoad solution, for CommonRoad's own checker.
+
+    [bold]Example[/bold]
+
+      replan evaluate USA_US101-6_1_T-1.xml --vehicle kinematic_bicycle --car bmw_320i -o results/us101
+      replan export commonroad-solution results/us101/USA_US101-6_1_T-1-56aaf9ca/closed.mcap -o solution.xml
+    """
+    with answered():
+        from logs.errors import unknown_name
+        from replay.batch.tables import write_text
+        from replay.export import COSTS
+        from replay.export import commonroad_solution as solution
+
+        if cost not in COSTS:
+            raise unknown_name("cost function", cost, COSTS)
+        text = solution(trace, cost)
+        try:
+            out.parent.mkdir(parents=True, exist_ok=True)
+            write_text(out, text)
+        except OSError as error:
+            raise ReplanError(f"{out}: cannot be written: {error.strerror or error}") from None
+        typer.echo(out)

@@ -92,6 +92,7 @@ class Comparison:
         groups: `metrics.compare_groups.GROUP_COLUMNS`: means over the suite, its families, tags and datasets.
         partings: `PARTING_COLUMNS`: where two drives part; empty where traces are not at hand.
         verdicts: One per rule.
+        not_looked_at: In so many drives that differ it was not looked for where they part.
     """
 
     baseline: str
@@ -104,6 +105,7 @@ class Comparison:
     groups: pd.DataFrame
     partings: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(PARTING_COLUMNS)))
     verdicts: tuple[RuleVerdict, ...] = ()
+    not_looked_at: int = 0
 
     @property
     def exit_code(self) -> int:
@@ -115,8 +117,17 @@ class Comparison:
 
     def regressions(self, most: int, each: int = 2) -> pd.DataFrame:
         """The worst pairs, at most `each` of one drive: one bad drive does not hide the others."""
-        worse = self.pairs[self.pairs["worse"] > 0.0]
-        return worse[worse.groupby(DRIVE).cumcount() < each].head(most)
+        return _extremes(self.pairs[self.pairs["worse"] > 0.0], most, each)
+
+    def improvements(self, most: int, each: int = 2) -> pd.DataFrame:
+        """Likewise, the greatest improvement first."""
+        better = self.pairs[self.pairs["worse"] < 0.0]
+        order = better.sort_values(["asked", "relative"], ascending=[False, True], kind="stable")
+        return _extremes(order, most, each)
+
+
+def _extremes(pairs: pd.DataFrame, most: int, each: int) -> pd.DataFrame:
+    return pairs[pairs.groupby(DRIVE).cumcount() < each].head(most)
 
 
 def compare(baseline: Side, candidate: Side, gates: Gates) -> Comparison:
@@ -256,10 +267,11 @@ def _in(table: pd.DataFrame, drives: Collection[tuple[str, ...]]) -> BoolArray:
 
 
 def _differences(baseline: Side, candidate: Side, changed: Mapping[str, str]) -> Iterator[str]:
-    for key in dict.fromkeys([*baseline.facts, *candidate.facts]):
-        before, now = (side.facts.get(key, "not there") for side in (baseline, candidate))
-        if before != now:
-            yield f"{key}: {before} -> {now}"
+    old, new = baseline.facts, candidate.facts
+    yield from (f"{key}: {old[key]} -> {new[key]}" for key in old if key in new and old[key] != new[key])
+    for word, keys in (("baseline", [k for k in old if k not in new]), ("candidate", [k for k in new if k not in old])):
+        if keys:
+            yield f"settings of the {word} only: {_named(keys)}"
     both = baseline.logs.merge(candidate.logs, on="log", suffixes=("_b", "_c"))
     for column, what in (("sha256", "another content (SHA-256)"), ("vehicle", "another vehicle")):
         known = (both[f"{column}_b"] != "") & (both[f"{column}_c"] != "")
@@ -268,8 +280,8 @@ def _differences(baseline: Side, candidate: Side, changed: Mapping[str, str]) ->
             yield f"logs with {what}: {_named(names)}"
     if changed:
         yield f"metrics of another version, not compared: {_named([f'{k} ({v})' for k, v in changed.items()])}"
-    old, new = (list(dict.fromkeys(_driven(side.table)["metric"])) for side in (baseline, candidate))
-    for one, two, word in ((old, new, "baseline"), (new, old, "candidate")):
+    before, now = (list(dict.fromkeys(_driven(side.table)["metric"])) for side in (baseline, candidate))
+    for one, two, word in ((before, now, "baseline"), (now, before, "candidate")):
         alone = [name for name in one if name not in set(two)]
         if alone:
             yield f"metrics in the {word} only: {_named(alone)}"

@@ -21,7 +21,7 @@ from rich.text import Text
 from logs.trace import EndReason
 from metrics.gates import Outcome
 from metrics.judge import Verdict, verdicts_by_log
-from replay.batch import OUTCOMES, RunResult
+from replay.batch import RunResult
 from replay.batch.log_result import DriveRecord, LogResult
 
 MAX_ROWS = 30
@@ -100,7 +100,8 @@ def _parts(result: RunResult) -> Iterator[RenderableType]:
             yield from _titled("Planners", _comparison(result))
         frames = int((result.timings["stage"] == "total").sum())
         yield from _titled(f"Planning time (wall clock, {frames} plans)", _latency(result))
-    yield from _titled("Gates", _gates(result), *_coverage(result))
+    judged = _gates(result) if result.shard is None else Text(f"not judged: shard {result.shard}; see replan merge")
+    yield from _titled("Gates", judged, *_coverage(result))
     yield from _ensemble(result)
     yield from _notes(result)
     yield from _failures(result)
@@ -382,7 +383,7 @@ def _ending(result: RunResult) -> Iterator[RenderableType]:
     if recordings:
         yield Text.assemble("Look at a drive:  ", (f"replan view {result.out / recordings[0]}", "bold"))
     code = result.exit_code
-    yield Text(f"Outcome: {OUTCOMES[code].upper()} (exit code {code})", style="bold green" if code == 0 else "bold red")
+    yield Text(f"Outcome: {result.outcome.upper()} (exit code {code})", style="bold green" if code == 0 else "bold red")
 
 
 def _worth_a_look(result: RunResult) -> list[str]:

@@ -229,8 +229,10 @@ def _evaluated(
 ) -> RunResult:  # fmt: skip
     from replay.batch import evaluate_logs
     from replay.batch.pool import settle
+    from replay.report.overview import overview
     from replay.report.progress import progress
     from replay.report.terminal import print_report
+    from replay.results import load
 
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does: nothing half-written
     settle()
@@ -239,7 +241,9 @@ def _evaluated(
             logs, run, out, workers=workers, resume=resume, window=window, suite=suite, on_start=on_start, on_log=on_log
         )
     wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 110
-    print_report(result, Console(width=wide, soft_wrap=False))
+    if result.resumed:
+        typer.echo(f"Resumed: {result.resumed} of {len(result.logs)} logs are those of the interrupted run")
+    print_report(overview(load(result.out)), Console(width=wide, soft_wrap=False), result.out)
     return result
 
 

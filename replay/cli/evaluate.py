@@ -251,10 +251,14 @@ def _evaluated(
 
 def _print(result: RunResult) -> None:
     """The report of a run on stdout."""
+    from replay.report.overview import overview
     from replay.report.terminal import print_report
+    from replay.results import load
 
     wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 110
-    print_report(result, Console(width=wide, soft_wrap=False))
+    if result.resumed:
+        typer.echo(f"Resumed: {result.resumed} of {len(result.logs)} logs are those of the interrupted run")
+    print_report(overview(load(result.out)), Console(width=wide, soft_wrap=False), result.out)
 
 
 @app.command(epilog=EXIT_CODES)

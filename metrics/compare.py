@@ -4,8 +4,8 @@ For a log i that both runs drove, and a metric of one version in both (planner a
 
 (1) delta_i = candidate_i - baseline_i;  0 where |delta_i| <= NOISE_ABS + NOISE_REL max(|baseline_i|, |candidate_i|)
 (2) worse_i = delta_i where lower is better, -delta_i where higher is; none where neither is
-(3) relative_i = worse_i / mean over logs and runs of |value|: by what a regression is ranked; one in a value that is
-    mostly 0 comes first
+(3) relative_i = worse_i / max(mean over logs and runs of |value|, |bound| of a gate on it): by what a regression is
+    ranked; the first collision comes before a little less distance, and that before a millimetre off the plan
 
 Both tables are judged by the same gates, and with the same reference drives (the candidate's): a flip comes from the
 drive, and not from another gate file or another careful driver. It is marginal, and no rule counts it, where the value
@@ -86,7 +86,7 @@ class Comparison:
         baseline: Label; `candidate` likewise.
         differences: Inputs that are not the same, a sentence each.
         only_in_baseline: Drives, "log, planner, mode loop"; `only_in_candidate` likewise.
-        pairs: `PAIR_COLUMNS`, the worst regression first: those of metrics that a gate asks of, by (3), then others.
+        pairs: `PAIR_COLUMNS`, the worst regression first: those of metrics that are asked of, by (3), then others.
             A value that one of the runs lacks is NaN, and `reason` says why; else on whom the candidate's value is.
         flips: `FLIP_COLUMNS`: the outcome of a gate on a log is another one.
         groups: `metrics.compare_groups.GROUP_COLUMNS`: means over the suite, its families, tags and datasets.
@@ -130,12 +130,19 @@ def _extremes(pairs: pd.DataFrame, most: int, each: int) -> pd.DataFrame:
     return pairs[pairs.groupby(DRIVE).cumcount() < each].head(most)
 
 
-def compare(baseline: Side, candidate: Side, gates: Gates) -> Comparison:
-    """Two runs compared by their tables; `metrics.compare_rules.judged` adds what rules say."""
+def compare(baseline: Side, candidate: Side, gates: Gates, also: Collection[str] = ()) -> Comparison:
+    """Two runs compared by their tables; `metrics.compare_rules.judged` adds what rules say.
+
+    Args:
+        baseline: What was.
+        candidate: What is.
+        gates: By which both are judged.
+        also: Metrics that somebody asks of beside the gates: they come before others among the regressions.
+    """
     drives = [_drives(side) for side in (baseline, candidate)]
     changed = _changed_versions(baseline.table, candidate.table)
     fragile = _fragile(baseline.table) | _fragile(candidate.table)
-    pairs = _pairs(baseline.table, candidate.table, changed, {gate.metric for gate in gates.gates})
+    pairs = _pairs(baseline.table, candidate.table, changed, {**dict.fromkeys(also, 0.0), **_bounds(gates)})
     pairs["fragile"] = _in(pairs, fragile)
     flips = _flips(baseline, candidate, gates, changed, drives[0].keys() & drives[1].keys())
     flips["marginal"] |= _in(flips, fragile)
@@ -169,7 +176,9 @@ def _changed_versions(one: pd.DataFrame, two: pd.DataFrame) -> dict[str, str]:
 # pairs ------------------------------------------------------------------------------------------------------------
 
 
-def _pairs(one: pd.DataFrame, two: pd.DataFrame, left_out: Collection[str], asked: Collection[str]) -> pd.DataFrame:
+def _pairs(
+    one: pd.DataFrame, two: pd.DataFrame, left_out: Collection[str], bounds: Mapping[str, float]
+) -> pd.DataFrame:
     both = _driven(one).merge(_driven(two), on=KEYS, suffixes=("_b", "_c"))
     both = both[~both["metric"].isin(left_out) & (both["available_b"] | both["available_c"]).astype(bool)]
     before, now = (both[f"value_{side}"].to_numpy(float) for side in "bc")
@@ -178,15 +187,25 @@ def _pairs(one: pd.DataFrame, two: pd.DataFrame, left_out: Collection[str], aske
     pairs = both[KEYS].assign(
         unit=both["unit_c"], direction=both["direction_c"], baseline=before, candidate=now, delta=delta,
         worse=sign * delta + 0.0,  # (2)
-        asked=both["metric"].isin(asked), fragile=False,
+        asked=both["metric"].isin(list(bounds)), fragile=False,
         time_s=both["time_s_c"].fillna(both["time_s_b"]), reason=_reasons(both),
     )  # fmt: skip
     size = pairs[["baseline", "candidate"]].abs().mean(axis=1).groupby([pairs[key] for key in KEYS[1:]])
-    pairs["relative"] = pairs["worse"] / size.transform("mean").replace(0.0, np.nan)  # (3)
+    scale = np.maximum(size.transform("mean").to_numpy(float), pairs["metric"].map(bounds).fillna(0.0).to_numpy(float))
+    pairs["relative"] = pairs["worse"] / np.where(scale > 0.0, scale, np.nan)  # (3)
     order = pairs.assign(hurts=pairs["worse"] > 0.0).sort_values(
         ["hurts", "asked", "relative", *KEYS], ascending=[False, False, False, True, True, True, True], kind="stable"
     )
     return order[list(PAIR_COLUMNS)].reset_index(drop=True)
+
+
+def _bounds(gates: Gates) -> dict[str, float]:
+    """The greatest |bound| of the gates on each metric that a gate asks of."""
+    found: dict[str, float] = {}
+    for gate in gates.gates:
+        values = [abs(bound) for bound in (gate.min, gate.max) if bound is not None]
+        found[gate.metric] = max(found.get(gate.metric, 0.0), *values)
+    return found
 
 
 def noise(before: np.ndarray, now: np.ndarray) -> BoolArray:

@@ -23,7 +23,7 @@ from logs.mcap import read_trace
 from logs.mcap.container import read_container
 from metrics import COLUMNS, METRICS, Metric, load_metric
 from metrics.compare import DRIVE, PARTING_COLUMNS, Comparison, Side, compare
-from metrics.compare_rules import judged, load_rules
+from metrics.compare_rules import Rule, judged, load_rules
 from metrics.gates import load_gates
 from metrics.judge import REFERENCE
 from replay.batch.sources import LOG_CARD
@@ -161,6 +161,7 @@ def compare_runs(
     planners: tuple[str, ...] = (),
     *,
     gates: Path | None = None,
+    more: tuple[Rule, ...] = (),
     partings: int = MOST_PARTINGS,
 ) -> Comparison:
     """Two runs compared, and judged by the rules of comparison.
@@ -170,6 +171,7 @@ def compare_runs(
         candidate: What is.
         planners: One: only this planner of both. Two: the first of the baseline with the second of the candidate.
         gates: A file of gates and rules; None: the packaged ones.
+        more: Rules beside those of the file.
         partings: In so many drives, the worst first, it is looked for where they part.
 
     Raises:
@@ -178,8 +180,9 @@ def compare_runs(
     pair = (planners[0], planners[-1]) if planners else None
     sides = _sides(baseline, candidate, pair)
     known = _metrics((*baseline.metrics, *candidate.metrics))
-    comparison = compare(*sides, load_gates(gates, metrics=known))
-    comparison = judged(load_rules(gates, metrics=known), comparison, sides[0].tags | sides[1].tags)
+    rules = (*load_rules(gates, metrics=known), *more)
+    comparison = compare(*sides, load_gates(gates, metrics=known), {rule.metric for rule in rules} - {""})
+    comparison = judged(rules, comparison, sides[0].tags | sides[1].tags)
     if baseline.results is None or candidate.results is None or not partings:
         return comparison
     both = (baseline.results, candidate.results)

@@ -185,7 +185,7 @@ def test_between_frames_the_controller_and_the_car_act(row: int, stage: str) -> 
     assert found is not None and (found.t, found.stage) == (trace.ego.t[row], stage)
 
 
-@given(st.floats(0.0, 0.9e-6))
+@given(st.floats(0.0, 0.9e-8))
 @settings(max_examples=5, deadline=None)
 def test_rounding_parts_nothing(size: float) -> None:
     trace = drive()

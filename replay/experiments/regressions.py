@@ -3,8 +3,8 @@
 python -m replay.experiments.regressions -o OUT [LOG ...] [--only NAME ...] [--workers N]
 
 Without logs: the built-in suite. OUT/NAME are the results, OUT/regressions.csv has a row per change (`COLUMNS`): exit
-code, the rules of comparison that it breaks (the packaged ones), and where most of the drives part. The last three
-must break none: the same again, the ego's start moved by 1e-9, and another solver of the same problems.
+code, the rules of comparison that it breaks (the packaged ones and `STRICT`), and where most of the drives part. The
+last three must break none: the same again, the ego's log moved by 1e-9, and another solver of the same problems.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from logs.mcap import write_scenario
 from logs.scenario import Scenario
 from logs.trace import Plan
 from metrics.compare import Comparison
+from metrics.compare_rules import Rule
 from metrics.gates import Outcome
 from planners.dp_qp.planner import DpQp
 from replay.batch import evaluate_logs
@@ -107,6 +108,8 @@ CHANGES: Mapping[str, Change] = {
     "tiny": Change("the ego's log moved by 1e-9 m", BASE, _off),
     "solver": Change("PIQP instead of the built-in interior point method", _planner({"solver": "piqp"})),
 }
+STRICT = Rule("ttc.min", max_decrease=1.0, over="worst")
+"""What changes three logs of seventeen cannot be significant: no log may come a second nearer to a collision."""
 HARMLESS = ("again", "tiny", "solver")
 """Must break no rule."""
 
@@ -127,7 +130,7 @@ def compared(out: Path, names: Sequence[str], changes: Sequence[str], workers: i
         change = CHANGES[name]
         candidate = _run(out, name, change, logs, workers)
         planners = (PLANNER, change.run.planners[0])
-        yield name, compare_runs(opened(baseline), opened(candidate), planners, partings=2 * len(logs))
+        yield name, compare_runs(opened(baseline), opened(candidate), planners, more=(STRICT,), partings=2 * len(logs))
 
 
 def _run(out: Path, name: str, change: Change, logs: Sequence[Scenario], workers: int) -> Path:

@@ -106,15 +106,21 @@ def _extremes(title: str, pairs: pd.DataFrame, watch: Watch | None) -> Iterator[
 
 
 def _groups(comparison: Comparison) -> Iterator[RenderableType]:
-    """What the suite says of metrics that a gate asks of or that clearly changed, then parts of it that clearly did."""
+    """Metrics that a gate asks of or that clearly changed, over the suite, and over parts of it where they clearly did.
+
+    Of the reductions of one metric the one that changed most.
+    """
     groups = comparison.groups[comparison.groups["delta"] != 0.0]
     if groups.empty:
         return
     asked = set(comparison.pairs.loc[comparison.pairs["asked"], "metric"])
     gated, suite = groups["metric"].isin(asked), groups["kind"] == "suite"
-    rank = pd.DataFrame({"part": ~suite, "unsure": ~groups["significant"], "other": ~gated})
+    size = groups["delta"].abs() / groups[["baseline", "candidate"]].abs().max(axis=1)
+    rank = pd.DataFrame({"part": ~suite, "unsure": ~groups["significant"], "other": ~gated, "size": -size})
     shown = groups[suite & (gated | groups["significant"]) | ~suite & gated & groups["significant"]]
-    shown = shown.loc[rank.loc[shown.index].sort_values(["part", "unsure", "other"], kind="stable").index]
+    shown = shown.loc[rank.loc[shown.index].sort_values(["part", "unsure", "other", "size"], kind="stable").index]
+    words = shown["metric"].str.partition(".")[0]
+    shown = shown[~shown.assign(metric=words)[["kind", "group", "planner", "mode", "metric"]].duplicated()]
     titles = ("logs of", "loop", "metric", "logs", "before", "after", "change [95 %]", "better", "worse")
     table = _grid(*titles, right=("logs", "before", "after", "better", "worse"))
     for row in _rows(shown.head(MOST_GROUPS)):

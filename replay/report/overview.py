@@ -21,6 +21,7 @@ import pandas as pd
 
 from logs.trace import EndReason
 from metrics.aggregate import BOTH, SUITE, LogLabels, membership, pass_shares, standings
+from metrics.compare import Comparison
 from metrics.gates import Outcome
 from metrics.judge import outcomes, worst
 from metrics.latency import judge_deadline
@@ -192,6 +193,7 @@ class Overview:
 
     Attributes:
         outcome: In words, as `replan evaluate` ends; `exit_code` likewise.
+        shard: "2/5": which part of a run this is, that is not judged; else "".
         replan: Version that drove.
         config: First 12 hex digits of the SHA-256 of the resolved configuration.
         logs: How many were asked for.
@@ -209,10 +211,12 @@ class Overview:
         notes: What was assumed, with how many logs it concerns, the commonest first.
         failures: What could not be evaluated.
         worst: The drive to look at first.
+        comparison: With a baseline, where there is one.
     """
 
     outcome: str
     exit_code: int
+    shard: str
     replan: str
     config: str
     logs: int
@@ -230,6 +234,7 @@ class Overview:
     notes: tuple[str, ...]
     failures: tuple[str, ...]
     worst: DriveRow | None
+    comparison: Comparison | None
 
     @property
     def whole(self) -> tuple[PassShare, ...]:
@@ -239,12 +244,14 @@ class Overview:
         return tuple(share for share in mine if share.mode == BOTH or share.planner not in together)
 
 
-def overview(results: Results) -> Overview:
+def overview(results: Results, comparison: Comparison | None = None) -> Overview:
     """What a report says of a finished run.
 
     Args:
         results: Of `replay.results.load`.
+        comparison: With a baseline: its rules count in outcome and exit code, the worst of both.
     """
+    code = combined((results.exit_code, comparison.exit_code if comparison else 0))
     values = _values(results.metrics)
     said = log_outcomes(results)
     modes = [mode.value for mode in results.run.modes]
@@ -253,8 +260,9 @@ def overview(results: Results) -> Overview:
     gates = _gates(results, said)
     planners = _planners(results.drives)
     return Overview(
-        outcome=OUTCOMES[results.exit_code],
-        exit_code=results.exit_code,
+        outcome=str(results.summary["outcome"]) if code == results.exit_code else OUTCOMES[code],
+        exit_code=code,
+        shard=str(results.summary.get("shard", "")),
         replan=str(results.summary["replan"]),
         config=sha256((results.path / "run.toml").read_bytes()).hexdigest()[:12],
         logs=len(results.logs),
@@ -265,13 +273,14 @@ def overview(results: Results) -> Overview:
         frames=int((results.timings["stage"] == "total").sum()),
         latency=tuple(_latency(results.timings)),
         gates=gates,
-        shares=_shares(results, said),
+        shares=_shares(results, said) if "shard" not in results.summary else (),
         coverage=tuple(_coverage(results.drives, values)),
         ensembles=len(_ensemble(results.metrics)),
         fragile=tuple(_fragile(results.metrics)),
         notes=tuple(_notes(results.summary["logs"])),
         failures=tuple(_failure(row) for row in results.summary["failures"]),
         worst=_worst(gates, drives),
+        comparison=comparison,
     )
 
 

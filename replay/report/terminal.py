@@ -41,7 +41,8 @@ def _parts(over: Overview, folder: Path) -> Iterator[RenderableType]:
         if len(over.planners) > 1:
             yield from _titled("Planners", _comparison(over))
         yield from _titled(f"Planning time (wall clock, {over.frames} plans)", _latency(over))
-    yield from _titled("Gates", _gates(over), *(Text(each.text, style="dim") for each in over.coverage))
+    judged = Text(f"not judged: shard {over.shard}; see replan merge") if over.shard else _gates(over)
+    yield from _titled("Gates", judged, *(Text(each.text, style="dim") for each in over.coverage))
     yield from _shares(over)
     if over.ensembles:
         title = f"Ensemble: {len(over.fragile)} of {over.ensembles} verdicts are fragile"

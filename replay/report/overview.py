@@ -94,6 +94,7 @@ class GateRow:
     Attributes:
         outcome: "pass", "fail" or "inconclusive".
         rule: "gap.min >= 0.5 [closed]".
+        over: What must hold it: "worst" (every log), or what the logs make together.
         found: In short: of a pass the value nearest to the bound, else the reason.
         reason: The whole sentence.
         why: Why the gate is there.
@@ -107,6 +108,7 @@ class GateRow:
 
     outcome: str
     rule: str
+    over: str
     found: str
     reason: str
     why: str
@@ -448,7 +450,9 @@ def _gate_row(verdict: Mapping[str, Any], unit: str, lacking: int, asked: int) -
         found = str(verdict["reason"])
         found += f" (the gate: {why})" if why and outcome == Outcome.FAIL.value else ""
     rule, reason = str(verdict["rule"]), str(verdict["reason"])
-    return GateRow(outcome, rule, found, reason, why, planner, mode, group, log, value, unit, time_s)
+    return GateRow(
+        outcome, rule, str(verdict["gate"]["over"]), found, reason, why, planner, mode, group, log, value, unit, time_s
+    )
 
 
 def _near(gate: Mapping[str, Any], value: float, unit: str, log: str) -> str:

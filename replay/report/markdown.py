@@ -14,7 +14,6 @@ from urllib.parse import quote
 
 import pandas as pd
 
-from metrics.aggregate import SUITE
 from metrics.compare import Comparison
 from metrics.gates import Outcome
 from replay.report.columns import LEGEND
@@ -129,9 +128,8 @@ def _shares(over: Overview) -> Iterator[str]:
     head = ("logs", "planner", "loop", "pass", "share", "95 % interval", "fail", "inconclusive", "not evaluated")
     yield _table(head, map(_share, over.whole), right=range(3, 9))
     yield "Of all logs: what is inconclusive or could not be evaluated is no pass."
-    groups = sorted((share for share in over.shares if share.kind != SUITE), key=lambda share: share.share)
-    if groups:
-        yield _folded("By family, tag and dataset", _table(head, map(_share, groups), right=range(3, 9)))
+    if over.grouped:
+        yield _folded("By family, tag and dataset", _table(head, map(_share, over.grouped), right=range(3, 9)))
 
 
 def _share(share: PassShare) -> tuple[str, ...]:

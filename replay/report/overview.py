@@ -245,6 +245,16 @@ class Overview:
         together = {share.planner for share in mine if share.mode == BOTH}
         return tuple(share for share in mine if share.mode == BOTH or share.planner not in together)
 
+    @property
+    def grouped(self) -> tuple[PassShare, ...]:
+        """The pass shares of the groups that say something of their own: of two logs or more, and not of all.
+
+        Over the loops that were run, the lowest first.
+        """
+        modes = {share.planner: share.mode for share in self.whole}
+        mine = [share for share in self.shares if 1 < share.logs < self.logs and share.mode == modes[share.planner]]
+        return tuple(sorted(mine, key=lambda share: share.share))
+
 
 def overview(results: Results, comparison: Comparison | None = None) -> Overview:
     """What a report says of a finished run.

@@ -17,4 +17,4 @@ __all__ = ["about", "app", "evaluate", "logs", "main", "results"]
 
 def main() -> None:
     """Run the command line; ends the process with its exit code."""
-    app()
+    app(prog_name="replan")

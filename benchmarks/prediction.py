@@ -23,8 +23,8 @@ import pandas as pd
 from crowds import CROWDS, crowded
 
 from logs.catalogue import CATALOGUE
-from logs.convert.commonroad import read_commonroad
 from logs.frame import Predictions
+from logs.readers.commonroad.read import read_commonroad
 from logs.scenario import Agents, Scenario
 from replay.drive import DEFAULT_LOOP
 from replay.perception import Perception

@@ -60,7 +60,7 @@ def required_decel(gap: FloatArray, v: FloatArray, u: FloatArray, decel: FloatAr
 
 def required_lateral(ahead: Ahead, half: float) -> FloatArray:
     """(5) `(n,)`, m/s2; NaN where the gap is 0 or not known."""
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # hardly closing: never, 0
         time = ahead.gap / np.maximum(ahead.v - ahead.u, 0.0)
         left, right = ahead.high + ahead.w * time + half, half - ahead.low - ahead.w * time
         needed = 2.0 * np.maximum(np.minimum(left, right), 0.0) / time**2

@@ -13,6 +13,8 @@ optional = true                     # not asked of logs without the value (it ne
 reachable = true                    # not asked of logs in which neither reference driver holds it; default: false
 broken = "inconclusive"             # what a broken bound means: "fail" (default) or "inconclusive"
 reason = "why this threshold"       # shown with the verdict
+
+The same file may hold rules of comparison, [[compare]]: `metrics.compare_rules`.
 """
 
 from __future__ import annotations
@@ -110,6 +112,18 @@ def load_gates(path: Path | None, *, metrics: Mapping[str, Metric] = METRICS) ->
     Raises:
         ConfigError: Not readable, unknown key or metric, no or senseless bounds; names the file and the gate.
     """
+    source, tables = gate_tables(path, "gate")
+    if not tables:
+        raise ConfigError(f"{source}: holds no [[gate]]")
+    return Gates(tuple(_gate(table, f"{source}: gate {i}", metrics) for i, table in enumerate(tables, 1)), source)
+
+
+def gate_tables(path: Path | None, kind: str) -> tuple[str, list[dict[str, Any]]]:
+    """The tables [[gate]] or [[compare]] of a file of gates (None: the packaged one), and its name.
+
+    Raises:
+        ConfigError: Not readable, or it holds other tables.
+    """
     source = "default gates" if path is None else str(path)
     try:
         text = (
@@ -118,11 +132,11 @@ def load_gates(path: Path | None, *, metrics: Mapping[str, Metric] = METRICS) ->
         content = tomllib.loads(text)
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ConfigError(f"{source}: cannot read gates: {error}") from error
-    _known(content, ("gate",), source)
-    tables = content.get("gate")
-    if not isinstance(tables, list) or not tables or not all(isinstance(table, dict) for table in tables):
-        raise ConfigError(f"{source}: holds no [[gate]]")
-    return Gates(tuple(_gate(table, f"{source}: gate {i}", metrics) for i, table in enumerate(tables, 1)), source)
+    known_only(content, ("gate", "compare"), source)
+    tables = content.get(kind, [])
+    if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
+        raise ConfigError(f"{source}: holds no [[{kind}]]: {kind} is no list of tables")
+    return source, tables
 
 
 _TYPES: Mapping[str, tuple[type, ...]] = MappingProxyType(
@@ -139,27 +153,32 @@ def _gate(table: Mapping[str, Any], place: str, metrics: Mapping[str, Metric]) -
     if not isinstance(name, str):
         raise ConfigError(f'{place}: needs metric = "name.reduction"')
     place = f"{place} ({name})"
-    _known(table, tuple(field.name for field in fields(Gate)), place)
+    known_only(table, tuple(field.name for field in fields(Gate)), place)
     for key, value in table.items():
         if not isinstance(value, _TYPES[key]) or (isinstance(value, bool) and bool not in _TYPES[key]):
             raise ConfigError(f"{place}: {key} = {value!r} must be {_TYPES[key][-1].__name__}")
     if not all(isinstance(tag, str) for tag in table.get("tags", [])):
         raise ConfigError(f"{place}: tags must be words")
-    _check_metric(name, place, metrics)
+    check_metric(name, place, metrics)
     try:
         return Gate(**{**table, "tags": tuple(table.get("tags", ()))})
     except ValueError as error:
         raise ConfigError(f"{place}: {error}") from error
 
 
-def _known(table: Mapping[str, Any], keys: Sequence[str], place: str) -> None:
+def known_only(table: Mapping[str, Any], keys: Sequence[str], place: str) -> None:
+    """Refuse a key that is none of `keys`; ConfigError."""
     for key in table:
         if key not in keys:
             raise ConfigError(f"{place}: unknown key {key!r}{meant(key, keys)}; known: {', '.join(keys)}")
 
 
-def _check_metric(name: str, place: str, metrics: Mapping[str, Metric]) -> None:
-    """Raise unless the table can hold a row of this name; of open parts ("qp_iterations.*.max") any word will do."""
+def check_metric(name: str, place: str, metrics: Mapping[str, Metric]) -> None:
+    """Raise unless the table can hold a row of this name; of open parts ("qp_iterations.*.max") any word will do.
+
+    Raises:
+        ConfigError: It cannot.
+    """
     names = [
         ".".join(filter(None, (metric.name, part, reduction.name)))
         for metric in metrics.values()

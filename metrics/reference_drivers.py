@@ -222,30 +222,28 @@ def curve_speeds(s: FloatArray, kappa: FloatArray) -> FloatArray:
 
 
 @inner_kernel
-def _cc_hazard(
-    seen: FloatArray, brakes: bool, came_nearer: float, v: float, box: FloatArray, width: float, late: float
-) -> bool:
+def _cc_hazard(seen: FloatArray, brakes: bool, came_nearer: float, v: float, box: FloatArray, late: float) -> bool:
     """(1) to (4) of the module docstring."""
     if not np.isfinite(seen[0]):
         return False
     if seen[2] < 0.0:
         return brakes or v - seen[1] > CC_CLOSING_MPS
     if seen[5] > 0.0:
-        return comes_in(seen, v, box, width, 0.0, late)
+        return comes_in(seen, v, box, 0.0, late)
     return seen[3] > CC_TOWARDS_MPS and came_nearer > CC_WANDER_M and seen[0] > 0.0
 
 
 @inner_kernel
 def _cc_wish(
-    seen: FloatArray, accel: FloatArray, size: FloatArray, box: FloatArray, v: float, clock: FloatArray,
-    nearer: FloatArray, late: float, braking: bool,
+    seen: FloatArray, accel: FloatArray, box: FloatArray, v: float, clock: FloatArray, nearer: FloatArray, late: float,
+    braking: bool,
 ) -> float:  # fmt: skip
     """What "cc" wishes; `clock` (how long each is a hazard) and `nearer` (1) are kept up."""
     wish, held = 0.0, False
     for i in range(len(seen)):
         nearer[i] = max(nearer[i] + STEP_S * seen[i, 3], 0.0) if np.isfinite(seen[i, 0]) else 0.0
         brakes = accel[i] <= -CC_LEAD_MPS2
-        hazard = _cc_hazard(seen[i], brakes, nearer[i], v, box, size[i, 1], late)
+        hazard = _cc_hazard(seen[i], brakes, nearer[i], v, box, late)
         clock[i] = clock[i] + STEP_S if hazard else 0.0
         near = seen[i, 2] < 0.0 and seen[i, 0] < 2.0 + CC_THW_S * v
         held = held or hazard or near
@@ -262,12 +260,12 @@ def _cc_wish(
 
 
 @inner_kernel
-def _fsm_wish(seen: FloatArray, size: FloatArray, box: FloatArray, v: float, a: float, late: float) -> float:
+def _fsm_wish(seen: FloatArray, box: FloatArray, v: float, a: float, late: float) -> float:
     """Acceleration that "fsm" wishes, without its reaction time."""
     hardest = 0.0
     for i in range(len(seen)):
         gap, u = seen[i, 0], seen[i, 1]
-        if not np.isfinite(gap) or not (seen[i, 2] < 0.0 or comes_in(seen[i], v, box, size[i, 1], FSM_AHEAD_S, late)):
+        if not np.isfinite(gap) or not (seen[i, 2] < 0.0 or comes_in(seen[i], v, box, FSM_AHEAD_S, late)):
             continue
         hardest = max(hardest, fsm_deceleration(gap, v, u, a))
     return -hardest
@@ -317,7 +315,7 @@ def _drive(
     After the first touch the drive goes on through who is touched, until both are apart, to know how deep it is.
     """
     n, steps = there.shape
-    out, seen = np.zeros((3, steps)), np.full((n, 6), np.nan)
+    out, seen = np.zeros((3, steps)), np.full((n, 7), np.nan)
     clock, nearer, left_out = np.zeros(n), np.zeros(n), np.zeros(n, np.bool_)
     s, v, a, waited, braking, touched, meets, least = start[0], start[2], 0.0, 0.0, False, -1, -1, np.nan
     k = 0
@@ -346,10 +344,10 @@ def _drive(
         if driver != NOBODY:
             look(knots, coef, k, s, l, box, there, pose, size, vulnerable, seen)
         if driver == CC:
-            wish = _cc_wish(seen, accel[:, k], size, box, v, clock, nearer, late, braking)
+            wish = _cc_wish(seen, accel[:, k], box, v, clock, nearer, late, braking)
             braking = v > 0.0 and wish <= -CC_BRAKE_MPS2
         elif driver == FSM:
-            wish = _fsm_wish(seen, size, box, v, a, late)
+            wish = _fsm_wish(seen, box, v, a, late)
             waited = waited + STEP_S if wish < 0.0 else 0.0
             wish = wish if waited > FSM_REACT_S + late + 1e-9 else 0.0
         at = min(max(int((s - knots[0]) / (knots[1] - knots[0])), 0), len(knots) - 1)

@@ -18,8 +18,9 @@ def look(
     knots: FloatArray, coef: FloatArray, k: int, s: float, l_ego: float, box: FloatArray, there: BoolArray,
     pose: FloatArray, size: FloatArray, vulnerable: BoolArray, out: FloatArray,
 ) -> None:  # fmt: skip
-    """Fill per agent at step k: gap, u, lateral gap, lateral speed towards the band, length along, crosses `(n, 6)`.
+    """Fill per agent at step k what the driver sees of it, `(n, 7)`.
 
+    Gap, u, lateral gap, lateral speed towards the band, extent along the line, whether it crosses, extent across.
     Gap is NaN for who is not there, too far, or not ahead. In the band the lateral gap is negative.
     """
     x, y = line_frame(knots, coef, s)[:2]
@@ -43,10 +44,11 @@ def look(
         out[i, 3] = -w if side > 0.0 else w
         out[i, 4] = 2.0 * half
         out[i, 5] = 1.0 if vulnerable[i] or abs(w) > abs(u) else 0.0
+        out[i, 6] = 2.0 * aside
 
 
 @inner_kernel
-def comes_in(seen: FloatArray, v: float, box: FloatArray, width: float, slack: float, late: float) -> bool:
+def comes_in(seen: FloatArray, v: float, box: FloatArray, slack: float, late: float) -> bool:
     """Whether who is beside the band will be in it before the ego is past it and, if it crosses, not out too early.
 
     `slack` s are given to the one, and `late` s less to both.
@@ -56,5 +58,5 @@ def comes_in(seen: FloatArray, v: float, box: FloatArray, width: float, slack: f
         return False
     enters = aside / towards
     passed = (gap + box[1] + seen[4]) / (v - u) + slack - late
-    leaves = (aside + box[2] + width) / towards
+    leaves = (aside + box[2] + seen[6]) / towards
     return enters < passed and not (seen[5] > 0.0 and leaves - late < gap / (v - u))

@@ -24,6 +24,7 @@ from logs.kernel import FloatArray
 from logs.mcap import read_trace
 from logs.scenario import Scenario
 from logs.trace import Decision, Plan, PlannedFrame, Trace
+from metrics.aggregate import LogLabels
 from replay.batch.tables import SCHEMA_VERSION, read_timings
 from replay.config import RunConfig, load_run
 
@@ -102,6 +103,17 @@ class Results:
     def logs(self) -> pd.DataFrame:
         """A row per log: where it comes from, hash, tags (a list), its folder; "" where it could not be read."""
         return pd.DataFrame(self.summary["logs"], columns=list(LOG_COLUMNS))
+
+    @cached_property
+    def labels(self) -> dict[str, LogLabels]:
+        """Family, dataset and tags of each log that could be read."""
+        logs = [log for log in self.summary["logs"] if log["sha256"]]
+        return {log["log"]: LogLabels(log["family"], log["dataset"], tuple(log["tags"])) for log in logs}
+
+    @property
+    def unread(self) -> tuple[str, ...]:
+        """Logs that could not be read: `failures` says why."""
+        return tuple(log["log"] for log in self.summary["logs"] if not log["sha256"])
 
     @cached_property
     def drives(self) -> pd.DataFrame:

@@ -206,6 +206,24 @@ def test_a_pedestrian_who_is_gone_in_time_is_no_hazard() -> None:
 # --- what does not count
 
 
+def crossing(v: float, at: float, speed: float, begins: float, *, sideways: bool) -> Scenario:
+    """A car that crosses the line from the right; `sideways` as a box that is as wide as it is long, not turned."""
+    y = -12.0 + speed * np.maximum(T - begins, 0.0)
+    size = {"length": 1.9, "width": 4.3} if sideways else SIZE
+    return log(v, track("crosser", T, 0.0 * T + at, y, yaw=0.0 if sideways else 0.5 * np.pi, **size))
+
+
+@settings(max_examples=60)
+@given(st.floats(6.0, 16.0), st.floats(40.0, 80.0), st.floats(1.5, 6.0), st.floats(0.0, 4.0))
+def test_who_crosses_is_in_the_way_for_their_length_and_not_their_width(
+    v: float, at: float, speed: float, begins: float
+) -> None:
+    """The same box on the same way gets the same verdict, whichever of its sides is called its length."""
+    long, wide = (careful_driver(crossing(v, at, speed, begins, sideways=one), LINE) for one in (False, True))
+    assert long.outcome is wide.outcome
+    assert [long.brakes, long.margin] == pytest.approx([wide.brakes, wide.margin], nan_ok=True)
+
+
 def test_nothing_to_avoid_is_not_applicable() -> None:
     lead = track("lead", T, 20.0 + 10.0 * T, np.zeros(len(T)))
     for made in (log(10.0), log(10.0, lead), log(0.0, standing(5.0))):

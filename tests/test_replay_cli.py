@@ -19,7 +19,9 @@ from logs.mcap import read_scenario, write_scenario
 from replay.batch import RunResult, evaluate_logs
 from replay.cli import app
 from replay.config import RunConfig
+from replay.report.overview import overview
 from replay.report.terminal import print_report
+from replay.results import load
 
 RUNNER = CliRunner(env={"COLUMNS": "200", "TERM": "dumb", "NO_COLOR": "1"})
 
@@ -316,9 +318,11 @@ def compared(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> RunResul
     return evaluate_logs([folder], run, tmp_path_factory.mktemp("out"))
 
 
-def report(result: RunResult, width: int) -> str:
-    written = StringIO()
-    print_report(result, Console(width=width, file=written))
+def report(result: RunResult, width: int, **changes: Any) -> str:
+    """The report of a run, with other logs in its summary."""
+    written, results = StringIO(), load(result.out)
+    results = replace(results, summary={**results.summary, **changes})
+    print_report(overview(results), Console(width=width, file=written), result.out)
     return written.getvalue()
 
 
@@ -339,19 +343,23 @@ def test_the_report_marks_oracles_and_has_a_column_per_planner(compared: RunResu
 
 
 def test_the_report_names_units_and_says_what_was_assumed(compared: RunResult) -> None:
-    noted = replace(compared, logs=tuple(replace(log, notes=(f"limit {i}.5 m/s used",)) for i, log in
-                                         enumerate(compared.logs)))  # fmt: skip
-    text = report(noted, 140)
+    logs = load(compared.out).summary["logs"]
+    text = report(compared, 140, logs=[{**log, "notes": [f"limit {i}.5 m/s used"]} for i, log in enumerate(logs)])
     assert "for example: limit 0.5 m/s used (2 of 2 logs)" in text
     assert "m/s3" in text
     assert "p99 [ms]" in text
 
 
 def test_the_recording_to_look_at_is_that_of_the_worst_failure(compared: RunResult) -> None:
-    drives = tuple(
-        replace(drive, files=(f"{drive.log}/{drive.planner}.{drive.mode}.rrd",)) for drive in compared.drives
+    logs = load(compared.out).summary["logs"]
+    recorded = [
+        {**drive, "files": [f"{log['log']}/{drive['planner']}.{drive['mode']}.rrd"]}
+        for log in logs
+        for drive in log["drives"]
+    ]
+    shown = report(
+        compared, 200, logs=[{**log, "drives": [d for d in recorded if d["log"] == log["log"]]} for log in logs]
     )
-    shown = report(replace(compared, logs=(replace(compared.logs[0], drives=drives),)), 200)
     assert "replan view " + str(compared.out / "test/blocked/constant_speed.closed.rrd") in shown
 
 

@@ -16,8 +16,8 @@ from worlds import along_x, lanes, strip
 
 from logs import AgentKind, Colour, EgoState, LogError, Road, Scenario, StopLine, Tracks, TrafficLight
 from logs.catalogue.junctions import junction
-from logs.convert.commonroad import read_commonroad
 from logs.kernel import FloatArray
+from logs.readers.commonroad.read import read_commonroad
 from replay.closed_loop import run_closed_loop
 from replay.drive import LoopConfig
 from replay.traffic import TRAFFIC, Reactive

@@ -21,10 +21,10 @@ from itertools import product
 
 import numpy as np
 
-from logs.convert.commonroad_rules import CAR_WIDTH_M
 from logs.kernel import FloatArray
 from logs.maps.lanelet2_lanes import LONGEST_M, Strip, divided, way_points
 from logs.maps.osm import Element, Osm
+from logs.readers.commonroad.rules import CAR_WIDTH_M
 from logs.road import Lane
 from logs.rules import Crosswalk, StopLine
 

@@ -1,6 +1,7 @@
 """Many logs: select (`sources`), evaluate in workers (`pool`, `one_log`), judge, write the tables (`run`, `tables`).
 
-A run that was interrupted goes on where it was (`resume`); what it takes from disk is in `log_result`.
+A run that was interrupted goes on where it was (`resume`); what it takes from disk is in `log_result`. A run may be
+driven in parts on several machines (`shard`), which are put together again (`merge`).
 
 from replay.batch import evaluate_logs
 from replay.config import RunConfig

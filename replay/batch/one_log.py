@@ -82,7 +82,7 @@ def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> 
     progress = _Progress(source.label)
     partial = out / f"{PARTIAL}{sha256(source.label.encode()).hexdigest()[:16]}-{os.getpid()}"
     partial.mkdir()
-    result = LogResult(source.label, source.label)
+    done: LogResult | None = None
     try:
         with progress.attempt():
             identity = source.identity()
@@ -96,9 +96,10 @@ def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> 
             timings = joined(progress.timings, TIMING_COLUMNS[:4], TIMING_COLUMNS)
             result = keep(partial, progress.filled(result), timings, identity, stamp)
             partial.rename(out / result.folder)
+            done = result
     finally:
         shutil.rmtree(partial, ignore_errors=True)
-    return replace(result, failures=tuple(progress.failures))
+    return replace(done or LogResult(source.label, progress.log), failures=tuple(progress.failures))
 
 
 def all_metrics(run: RunConfig) -> Mapping[str, Metric]:

@@ -62,7 +62,7 @@ def finished(out: Path, sources: Sequence[LogSource], run: RunConfig, stamp: Sta
     if folders or (out / "run.toml").is_file():
         _check_run(out, run)
     found = {folder: kept(folder) for folder in folders if not folder.name.startswith(PARTIAL)}
-    inputs = {_identity(source): index for index, source in enumerate(sources)}
+    inputs = {identity_of(source): index for index, source in enumerate(sources)}
     results: dict[int, LogResult] = {}
     for content in found.values():
         if content is None:
@@ -80,7 +80,7 @@ def finished(out: Path, sources: Sequence[LogSource], run: RunConfig, stamp: Sta
     return results
 
 
-def _identity(source: LogSource) -> str:
+def identity_of(source: LogSource) -> str:
     """Its identity; the label where it cannot be read (the evaluation will say why)."""
     try:
         return source.identity()
@@ -98,15 +98,19 @@ def _check_contents(out: Path) -> None:
 
 def _check_run(out: Path, run: RunConfig) -> None:
     """Refuse another configuration; the gates may be others."""
-    before = dict(_flat(read_toml(out / "run.toml")))
-    now = dict(_flat(_as_read(run)))
-    changed = [key for key in dict.fromkeys([*before, *now]) if before.get(key) != now.get(key) and key != "gates"]
+    changed = changes(read_toml(out / "run.toml"), _as_read(run), besides="gates")
     if changed:
-        said = ", ".join(f"{key} was {_said(before, key)}, is {_said(now, key)}" for key in changed[:3])
-        more = f" and {len(changed) - 3} more" if len(changed) > 3 else ""
         raise ConfigError(
-            f"{out}: was begun with another configuration: {said}{more}; give the same options, or {START_OVER}"
+            f"{out}: was begun with another configuration: {changed}; give the same options, or {START_OVER}"
         )
+
+
+def changes(before: Mapping[str, Any], now: Mapping[str, Any], besides: str = "") -> str:
+    """In which keys but `besides` two configurations differ, in words; "": in none."""
+    was, now = dict(_flat(before)), dict(_flat(now))
+    changed = [key for key in dict.fromkeys([*was, *now]) if was.get(key) != now.get(key) and key != besides]
+    said = ", ".join(f"{key} was {_said(was, key)}, is {_said(now, key)}" for key in changed[:3])
+    return f"{said} and {len(changed) - 3} more" if len(changed) > 3 else said
 
 
 def _as_read(run: RunConfig) -> dict[str, Any]:

@@ -18,7 +18,7 @@ from logs.errors import ConfigError, PlannerError, unknown_name
 from logs.readers import LogSettings
 from metrics import COLUMNS, health
 from metrics.ensemble import with_ensemble
-from metrics.gates import Outcome, load_gates
+from metrics.gates import Gates, Outcome, load_gates
 from metrics.judge import Verdict, judge, outcomes
 from metrics.latency import SHARE as LATE
 from metrics.latency import judge_deadline
@@ -27,6 +27,7 @@ from replay.batch.log_result import DriveRecord, Failure, LogResult, timings_of
 from replay.batch.one_log import all_metrics, evaluate_log
 from replay.batch.pool import WorkerLost, run_all
 from replay.batch.resume import finished, replan_version, stamp_of
+from replay.batch.shard import Shard, write_card
 from replay.batch.sources import LogSource, Selection, builtin_suite, named_suite, select
 from replay.batch.tables import (
     KEYS,
@@ -63,6 +64,7 @@ class RunResult:
         table: One row per log, planner, mode and metric, sorted.
         verdicts: What the gates say.
         resumed: How many logs were taken from an interrupted run.
+        shard: Which part of a run this is, that is not judged; None: all of it.
     """
 
     out: Path
@@ -73,6 +75,7 @@ class RunResult:
     table: pd.DataFrame
     verdicts: tuple[Verdict, ...]
     resumed: int = 0
+    shard: Shard | None = None
 
     @property
     def drives(self) -> tuple[DriveRecord, ...]:
@@ -86,14 +89,21 @@ class RunResult:
 
     @property
     def exit_code(self) -> int:
-        """0 pass, 1 a gate failed, 2 configuration, 3 something could not be evaluated, 4 inconclusive."""
+        """0 pass, 1 a gate failed, 2 configuration, 3 could not be evaluated, 4 inconclusive; of a shard 0: done."""
         codes = {failure.exit_code for failure in self.failures}
         if codes:
             return 2 if 2 in codes else 3
+        if self.shard is not None:
+            return 0
         outcomes = {verdict.outcome for verdict in self.verdicts}
         if Outcome.FAIL in outcomes:
             return 1
         return 4 if Outcome.INCONCLUSIVE in outcomes or not outcomes else 0
+
+    @property
+    def outcome(self) -> str:
+        """The exit code in words."""
+        return "not judged" if self.shard is not None and self.exit_code == 0 else OUTCOMES[self.exit_code]
 
 
 def evaluate_logs(
@@ -105,6 +115,7 @@ def evaluate_logs(
     resume: bool = False,
     window: float | None = None,
     suite: str | None = None,
+    shard: Shard | None = None,
     on_start: Callable[[Selection, Path], None] = lambda selection, out: None,
     on_log: Callable[[LogResult], None] = lambda result: None,
 ) -> RunResult:
@@ -119,6 +130,7 @@ def evaluate_logs(
             tables are the same, byte for byte, as those of a run that was never interrupted.
         window: Seconds: each log is evaluated in parts of this length, each as a log of its own.
         suite: Instead of logs: a suite of the catalogue, or a family or group of it with all its cells.
+        shard: Drive this part of the logs only; `replay.batch.merge` judges all parts together.
         on_start: Called once with what was selected and the result folder.
         on_log: Called as each log ends, in order of ending.
 
@@ -128,10 +140,9 @@ def evaluate_logs(
         PlannerError: None of the planners can be loaded.
     """
     run = run or RunConfig()
-    selection = _selected(logs, run, window, suite)
-    gates = load_gates(run.gates_path, metrics=all_metrics(run))
-    if run.gates_path is None:
-        gates = gates.asked_of(mode.value for mode in run.modes)
+    whole = _selected(logs, run, window, suite)
+    selection = whole if shard is None else shard.part(whole)
+    gates = gates_of(run, run.gates_path)
     run, failures = _checked(run)
     if resume and out is None:
         raise ConfigError("name the folder of the run to be resumed with --out")
@@ -144,11 +155,45 @@ def evaluate_logs(
     write_text(out / "run.toml", dump_run(run))
     on_start(selection, out)
     try:
-        results = _distinct(
-            _evaluated(selection.sources, partial(evaluate_log, run=run, out=out, stamp=stamp), done, workers, on_log)
-        )
+        evaluate = partial(evaluate_log, run=run, out=out, stamp=stamp)
+        results = _evaluated(selection.sources, evaluate, done, workers, on_log)
     finally:
         clear_partial(out)
+    if shard is not None:
+        write_card(out, shard, whole, run, stamp, failures, results)
+    return concluded(out, run, selection, results, gates, failures, resumed=len(done), shard=shard)
+
+
+def gates_of(run: RunConfig, path: Path | None) -> Gates:
+    """The thresholds in a file, or the packaged ones on what the run drives; ConfigError as `load_gates`."""
+    gates = load_gates(path, metrics=all_metrics(run))
+    return gates.asked_of(mode.value for mode in run.modes) if path is None else gates
+
+
+def concluded(
+    out: Path,
+    run: RunConfig,
+    selection: Selection,
+    results: Sequence[LogResult],
+    gates: Gates,
+    failures: Sequence[Failure],
+    *,
+    resumed: int = 0,
+    shard: Shard | None = None,
+) -> RunResult:
+    """The run of these results, judged (but a shard), its tables written into `out`, where the logs' folders are.
+
+    Args:
+        out: The result folder.
+        run: As it was driven.
+        selection: The logs.
+        results: What came of each, in their order.
+        gates: The thresholds.
+        failures: What is about no log.
+        resumed: How many logs were taken from an interrupted run.
+        shard: Which part of a run it is; None: all of it.
+    """
+    results = _distinct(results)
     table = joined((result.table for result in results), KEYS, COLUMNS).astype({"value": float, "time_s": float})
     tags = {result.name: result.tags for result in results if result.digest}
     members = joined((result.members for result in results), KEYS, COLUMNS)
@@ -157,8 +202,8 @@ def evaluate_logs(
     timings = out / "timings.parquet"
     sorted_ = sorted((result for result in results if result.folder), key=lambda result: result.name)
     write_timings(timings, (timings_of(out, result) for result in sorted_))
-    verdicts = judge(gates, table, tags, failed=unread)
-    late = judge_deadline(read_timings(timings), run.deadline_s, tags) if run.deadline_s > 0.0 else ()
+    verdicts = judge(gates, table, tags, failed=unread) if shard is None else ()
+    late = judge_deadline(read_timings(timings), run.deadline_s, tags) if run.deadline_s > 0.0 and not shard else ()
     result = RunResult(
         out=out,
         run=run,
@@ -167,7 +212,8 @@ def evaluate_logs(
         failures=(*failures, *(failure for log in results for failure in log.failures)),
         table=table,
         verdicts=(*verdicts, *late),
-        resumed=len(done),
+        resumed=resumed,
+        shard=shard,
     )
     _write(result)
     return result
@@ -300,7 +346,8 @@ def summary(result: RunResult) -> dict[str, Any]:
     return {
         "replan": replan_version(),
         "python": platform.python_version(),
-        "outcome": OUTCOMES[result.exit_code],
+        **({} if result.shard is None else {"shard": str(result.shard)}),
+        "outcome": result.outcome,
         "exit_code": result.exit_code,
         "logs_left_out": list(result.selection.dropped),
         "logs": [_log_summary(log) for log in result.logs],

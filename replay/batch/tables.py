@@ -5,6 +5,7 @@
     OUT/timings.parquet         log, planner, mode, t_s, stage, seconds                 not the same twice
     OUT/summary.json            outcome, gates, drives, failures
     OUT/run.toml                the resolved configuration
+    OUT/shard.json              of a part of a run: which, of what (`replay.batch.shard`)
     OUT/LOG-HASH/               per log: open.mcap, open.rrd, closed.mcap, closed.rrd, frames.parquet, and what the
                                 tables above are made of: metrics.parquet, timings.parquet, log.json; ensemble.parquet
                                 (with several planners open.PLANNER.mcap and so on; log.mcap where the log was no MCAP)
@@ -37,6 +38,9 @@ SCHEMA_VERSION = 1
 PARTIAL = ".partial-"
 """Names of what is being written begin with this."""
 
+SHARD_CARD = "shard.json"
+"""Which part of a run the folder holds (`replay.batch.shard`)."""
+
 TABLES = (
     "metrics.parquet",
     "metrics.csv",
@@ -44,6 +48,7 @@ TABLES = (
     "verdicts.parquet",
     "timings.parquet",
     "summary.json",
+    SHARD_CARD,
     "run.toml",
 )
 KEYS = ["log", "planner", "mode", "metric"]

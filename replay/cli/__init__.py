@@ -2,7 +2,7 @@
 
 Commands by what they are about:
 
-evaluate.py    what drives: evaluate, vary, paper, calibrate
+evaluate.py    what drives: evaluate, merge, vary, paper, calibrate
 logs.py        what reads and writes logs: synth, convert, inspect, salvage, export
 results.py     what looks at results: view
 about.py       what replan knows: metrics

@@ -1,4 +1,4 @@
-"""`replan evaluate | vary | paper | calibrate`: what drives."""
+"""`replan evaluate | merge | vary | paper | calibrate`: what drives."""
 
 from __future__ import annotations
 
@@ -106,6 +106,9 @@ def evaluate(
         typer.Option(min=1.0, help="Evaluate each log in parts of so many seconds."),
     ] = None,
     suite: Suite = None,
+    shard: Annotated[
+        str | None, typer.Option(metavar="I/N", help="Drive every N-th log only, from the I-th: see replan merge.")
+    ] = None,
 ) -> None:
     """Drive planners over logs, measure, judge by gates, and record.
 
@@ -141,8 +144,9 @@ def evaluate(
         options["log"] = log_settings(config, ego, road_map, begin, end)
         run = run_config(config, options, loop).in_car(car)
         result = _evaluated(
-            logs or [], run, out, cores() if workers is None else workers, resume=resume, window=window, suite=suite
-        )
+            logs or [], run, out, cores() if workers is None else workers,
+            resume=resume, window=window, suite=suite, shard=shard,
+        )  # fmt: skip
         raise typer.Exit(result.exit_code)
 
 
@@ -225,22 +229,60 @@ def _settings(words: list[str]) -> dict[str, float | str]:
 
 def _evaluated(
     logs: list[Path], run: RunConfig, out: Path | None, workers: int, *, resume: bool, window: float | None,
-    suite: str | None,
+    suite: str | None, shard: str | None,
 ) -> RunResult:  # fmt: skip
     from replay.batch import evaluate_logs
     from replay.batch.pool import settle
+    from replay.batch.shard import Shard
     from replay.report.progress import progress
-    from replay.report.terminal import print_report
+
+    part = None if shard is None else Shard.parsed(shard)
 
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does: nothing half-written
     settle()
     with progress() as (on_start, on_log):
         result = evaluate_logs(
-            logs, run, out, workers=workers, resume=resume, window=window, suite=suite, on_start=on_start, on_log=on_log
-        )
-    wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 110
-    print_report(result, Console(width=wide, soft_wrap=False))
+            logs, run, out, workers=workers, resume=resume, window=window, suite=suite, shard=part,
+            on_start=on_start, on_log=on_log,
+        )  # fmt: skip
+    _print(result)
     return result
+
+
+def _print(result: RunResult) -> None:
+    """The report of a run on stdout."""
+    from replay.report.overview import overview
+    from replay.report.terminal import print_report
+    from replay.results import load
+
+    wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 110
+    if result.resumed:
+        typer.echo(f"Resumed: {result.resumed} of {len(result.logs)} logs are those of the interrupted run")
+    print_report(overview(load(result.out)), Console(width=wide, soft_wrap=False), result.out)
+
+
+@app.command(epilog=EXIT_CODES)
+def merge(
+    shards: Annotated[list[Path], typer.Argument(help="Result folders of all shards of a run, in any order.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Result folder.")],
+) -> None:
+    """Put the shards of a run together and judge it: the tables are those of a run without shards, byte for byte.
+
+    Times are a clock's (timings.parquet): they are those of the shards. Shards of other logs, gates, settings or code,
+    that overlap, or of which one is missing, are refused.
+
+    [bold]Example[/bold]
+
+      replan evaluate my_logs/ --shard 1/2 -o shard-1
+      replan evaluate my_logs/ --shard 2/2 -o shard-2
+      replan merge shard-1 shard-2 -o results/merged
+    """
+    with answered():
+        from replay.batch.merge import merge as merged
+
+        result = merged(shards, out)
+        _print(result)
+        raise typer.Exit(result.exit_code)
 
 
 @app.command()

@@ -21,12 +21,12 @@ from pathlib import Path
 
 import numpy as np
 
-from logs.convert.commonroad_road import Asked, road_of
-from logs.convert.commonroad_rules import lights_of, with_rules
-from logs.convert.commonroad_tracks import KINDS, ego_log, sized, tracks_of, trimmed, turned, velocities
-from logs.convert.commonroad_xml import Document, Obstacle, Problem, parse
 from logs.errors import LogError
 from logs.kernel import FloatArray
+from logs.readers.commonroad.document import Document, Obstacle, Problem, parse
+from logs.readers.commonroad.road import Asked, road_of
+from logs.readers.commonroad.rules import lights_of, with_rules
+from logs.readers.commonroad.tracks import KINDS, ego_log, sized, tracks_of, trimmed, turned, velocities
 from logs.road import Goal, Road
 from logs.scenario import CENTRE, EGO_POSE, AgentKind, Scenario, Tracks
 from logs.states import Trajectory

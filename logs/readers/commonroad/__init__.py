@@ -1,4 +1,4 @@
-"""CommonRoad scenarios, XML of 2018b and 2020a (`logs.convert.commonroad`)."""
+"""CommonRoad scenarios, XML of 2018b and 2020a: `document` parses, `read` makes the Scenario of it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def _claims(path: Path) -> bool:
 
 
 def _read(path: Path, settings: LogSettings) -> Scenario:
-    from logs.convert.commonroad import read_commonroad
+    from logs.readers.commonroad.read import read_commonroad
 
     return read_commonroad(path, ego=settings.ego or None, problem=settings.problem or None)
 

@@ -6,7 +6,7 @@ A light repeats its cycle for ever, its first element beginning at step `offset`
 (1) it shows the element that holds the phase (step - offset) mod (sum of the durations), each from its begin to before
     its end
 
-What the records mean for a Scenario is decided by `commonroad_rules.py`.
+What the records mean for a Scenario is decided by `rules.py`.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from dataclasses import dataclass
 from itertools import accumulate
 from xml.etree.ElementTree import Element
 
-from logs.convert.commonroad_elements import integer, number, points_in, references
 from logs.errors import LogError
 from logs.kernel import FloatArray
+from logs.readers.commonroad.elements import integer, number, points_in, references
 from logs.rules import Colour
 
 COLOURS = {

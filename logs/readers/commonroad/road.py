@@ -19,8 +19,8 @@ from math import ceil
 
 import numpy as np
 
-from logs.convert.commonroad_xml import Document, Lanelet
 from logs.kernel import FloatArray
+from logs.readers.commonroad.document import Document, Lanelet
 from logs.road import Lane, Road
 
 NOT_DRIVABLE = {"sidewalk", "crosswalk", "bicycleLane", "shoulder", "busLane", "busStop", "border", "restricted"}

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from test_logs_convert_commonroad import lanelet, points, problem, state, straight, written
+from test_logs_readers_commonroad import lanelet, points, problem, state, straight, written
 
 from logs import Colour, LogError, Scenario, StopLine
-from logs.convert import read_commonroad
-from logs.convert.commonroad_rules import meet
-from logs.convert.commonroad_signals import COLOURS
+from logs.readers.commonroad.read import read_commonroad
+from logs.readers.commonroad.rules import meet
+from logs.readers.commonroad.signals import COLOURS
 
 LEFT, STRAIGHT, RIGHT = 1, 2, 3
 few = settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -13,11 +13,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from logs import AgentKind, LogError, RoadSource, Scenario
-from logs.convert import read_commonroad
-from logs.convert.commonroad_road import _crossable
-from logs.convert.commonroad_tracks import _prediction_error, ego_log, sized, turned, velocities
-from logs.convert.commonroad_xml import Obstacle, parse
 from logs.readers import read_log
+from logs.readers.commonroad.document import Obstacle, parse
+from logs.readers.commonroad.read import read_commonroad
+from logs.readers.commonroad.road import _crossable
+from logs.readers.commonroad.tracks import _prediction_error, ego_log, sized, turned, velocities
 
 HEAD = (
     '<commonRoad timeStepSize="0.1" commonRoadVersion="{version}" benchmarkID="{benchmark}" source="{source}" {more}>'

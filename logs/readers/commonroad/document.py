@@ -1,8 +1,8 @@
 """CommonRoad XML (versions 2018b and 2020a) as plain records, in the file's own coordinates and time steps.
 
 Source of the format: CommonRoad, "XML format documentation", versions 2018b and 2020a. Nothing is judged here: what a
-record means for a Scenario is decided by `commonroad.py`, `commonroad_road.py`, `commonroad_rules.py` and
-`commonroad_tracks.py`.
+record means for a Scenario is decided by `read.py`, `road.py`, `rules.py` and
+`tracks.py`.
 """
 
 from __future__ import annotations
@@ -15,8 +15,10 @@ from xml.etree.ElementTree import Element
 
 import numpy as np
 
-from logs.convert.commonroad_elements import child, integer, interval, middle, number, point_in, points_in, references
-from logs.convert.commonroad_signals import (
+from logs.errors import LogError
+from logs.kernel import FloatArray, frozen
+from logs.readers.commonroad.elements import child, integer, interval, middle, number, point_in, points_in, references
+from logs.readers.commonroad.signals import (
     READ_SIGNS,
     Intersection,
     Light,
@@ -26,8 +28,6 @@ from logs.convert.commonroad_signals import (
     light_of,
     stop_of,
 )
-from logs.errors import LogError
-from logs.kernel import FloatArray, frozen
 
 VERSIONS = ("2018b", "2020a")
 MAX_SPEED_SIGNS = ("274", "274.1", "R2-1", "r301")

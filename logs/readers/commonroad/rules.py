@@ -31,9 +31,9 @@ from math import atan2, ceil, radians
 
 import numpy as np
 
-from logs.convert.commonroad_signals import PRIORITY_SIGNS, STOP_SIGNS, YIELD_SIGNS, Incoming, Intersection, Light
-from logs.convert.commonroad_xml import Document, Lanelet
 from logs.kernel import FloatArray
+from logs.readers.commonroad.document import Document, Lanelet
+from logs.readers.commonroad.signals import PRIORITY_SIGNS, STOP_SIGNS, YIELD_SIGNS, Incoming, Intersection, Light
 from logs.road import Lane, Road
 from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
 from logs.states import wrap

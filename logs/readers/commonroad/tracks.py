@@ -28,8 +28,8 @@ from math import radians
 
 import numpy as np
 
-from logs.convert.commonroad_xml import Document, GoalState, Obstacle
 from logs.kernel import FloatArray
+from logs.readers.commonroad.document import Document, GoalState, Obstacle
 from logs.scenario import AgentKind, Tracks
 from logs.states import Trajectory, wrap
 from logs.vehicle import VehicleParameters

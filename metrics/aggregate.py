@@ -1,0 +1,183 @@
+"""Many logs as one: mean, median, worst and total of every metric, and the share of logs that pass, by group of logs.
+
+Groups are the suite (all logs), each family, each tag, and each dataset. `groups` gives a row per group, planner, loop
+and metric, and of each group and planner the row `PASS`: the share of its logs that pass.
+
+With passed = logs that the gates pass, n = logs of the group, p = passed / n, z = `Z`, the share's interval is
+
+(1)  (p + z^2 / 2n +- z sqrt(p (1 - p) / n + z^2 / 4n^2)) / (1 + z^2 / n)
+
+(Wilson, J. Am. Stat. Assoc. 22 (1927) 209; recommended for few trials by Brown, Cai, DasGupta, Statistical Science 16
+(2001) 101). It takes the logs as drawn at random from those that the group stands for.
+
+n counts every log that was asked for. A log that could not be evaluated counts against the planner, as a failed one
+does. An inconclusive log is no pass either, and is counted apart: a reader may want to know how the share stands
+without it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from math import sqrt
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+Z = 1.959963984540054
+"""Of the normal distribution: 95 % lie within +-Z."""
+
+PASS = "pass"
+"""Name of the rows about the share of logs that pass; it is no metric."""
+SUITE = "suite"
+BOTH = "both"
+"""Mode of the rows about a log's open and closed loop together."""
+STANDINGS = ("failed", "missing", "inconclusive", "passed")
+"""How a log stands, in order of weight when several loops are taken together."""
+_STANDS = {"fail": "failed", "inconclusive": "inconclusive", "pass": "passed"}
+
+COLUMNS = (
+    "kind", "group", "planner", "mode", "metric", "unit", "direction", "logs", "available", "missing", "mean", "median",
+    "worst", "worst_log", "total", "low", "high", "passed", "failed", "inconclusive",
+)  # fmt: skip
+_KEY = ["kind", "group", "planner", "mode", "metric"]
+
+
+@dataclass(frozen=True, slots=True)
+class LogLabels:
+    """What a log belongs to; "" and () where that is not known."""
+
+    family: str = ""
+    dataset: str = ""
+    tags: tuple[str, ...] = ()
+
+
+def wilson(passed: int, n: int) -> tuple[float, float]:
+    """The interval (1) of a share, 95 %; of no trials everything: 0 to 1."""
+    if n == 0:
+        return 0.0, 1.0
+    share, width = passed / n, 1.0 + Z * Z / n
+    middle = share + Z * Z / (2 * n)
+    half = Z * sqrt(share * (1.0 - share) / n + Z * Z / (4.0 * n * n))
+    low = 0.0 if passed == 0 else (middle - half) / width  # (1), which is exactly 0 and 1 at the ends
+    return low, 1.0 if passed == n else (middle + half) / width
+
+
+def membership(labels: Mapping[str, LogLabels]) -> dict[tuple[str, str], tuple[str, ...]]:
+    """The logs of each (kind, group): suite, families, tags, datasets, each by name; a log may have no family."""
+    found: dict[tuple[str, str], list[str]] = {(SUITE, ""): list(labels)}
+    for kind, words in (
+        ("family", {log: (of.family,) for log, of in labels.items()}),
+        ("tag", {log: of.tags for log, of in labels.items()}),
+        ("dataset", {log: (of.dataset,) for log, of in labels.items()}),
+    ):
+        for word in sorted({word for mine in words.values() for word in mine if word}):
+            found[kind, word] = [log for log, mine in words.items() if word in mine]
+    return {key: tuple(logs) for key, logs in found.items()}
+
+
+def standings(
+    verdicts: pd.DataFrame, drives: pd.DataFrame, logs: Collection[str], asked: Sequence[tuple[str, str]]
+) -> pd.DataFrame:
+    """How each log stands with each planner: a row per log, planner and mode, one of `STANDINGS`.
+
+    Args:
+        verdicts: What each log says of each gate: columns log, planner, mode, outcome.
+        drives: What was driven: columns log, planner, mode, oracle.
+        logs: All logs of the run, those that could not be read among them.
+        asked: Planners and modes of the run; an oracle that no gate names does not stand at all.
+    """
+    said: dict[tuple[str, str, str], set[str]] = {}
+    for log, planner, mode, outcome in _rows(verdicts, "log", "planner", "mode", "outcome"):
+        said.setdefault((log, planner, mode), set()).add(_STANDS[outcome])
+    driven = set(_rows(drives, "log", "planner", "mode"))
+    judged = {planner for _, planner, _ in said}
+    unjudged = {planner for planner, oracle in _rows(drives, "planner", "oracle") if oracle} - judged
+    rows = []
+    for planner in dict.fromkeys(planner for planner, _ in asked if planner not in unjudged):
+        modes = [mode for name, mode in asked if name == planner]
+        for log in logs:
+            each = [_stands(said.get((log, planner, mode), set()), (log, planner, mode) in driven) for mode in modes]
+            rows += [(log, planner, mode, one) for mode, one in zip(modes, each, strict=True)]
+            rows += [(log, planner, BOTH, min(each, key=STANDINGS.index))] if len(modes) > 1 else []
+    return pd.DataFrame(rows, columns=["log", "planner", "mode", "standing"])
+
+
+def _stands(said: set[str], driven: bool) -> str:
+    """The worst that was said; of a log that was not driven, and of one of which no gate was asked, that."""
+    return min(
+        said | ({"inconclusive"} if not said else set()) | (set() if driven else {"missing"}), key=STANDINGS.index
+    )
+
+
+def pass_shares(stand: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.DataFrame:
+    """The rows `PASS` of `groups`, of rows of `standings`."""
+    by_log: dict[tuple[str, str], dict[str, str]] = {}
+    for log, planner, mode, standing in _rows(stand, "log", "planner", "mode", "standing"):
+        by_log.setdefault((planner, mode), {})[log] = standing
+    rows = []
+    for (kind, group), logs in membership(labels).items():
+        for (planner, mode), found in by_log.items():
+            count = {word: sum(found[log] == word for log in logs) for word in STANDINGS}
+            low, high = wilson(count["passed"], len(logs))
+            share = count["passed"] / len(logs) if logs else np.nan
+            there = len(logs) - count["missing"]
+            rows.append(
+                {
+                    "kind": kind, "group": group, "planner": planner, "mode": mode, "metric": PASS, "unit": "1",
+                    "direction": "higher", "logs": len(logs), "available": there, "mean": share, "worst_log": "",
+                    "low": low, "high": high, **count,
+                }
+            )  # fmt: skip
+    return _typed(pd.DataFrame(rows, columns=list(COLUMNS)))
+
+
+def groups(table: pd.DataFrame, stand: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.DataFrame:
+    """A row per group, planner, mode and metric, and of each the share that passes; columns `COLUMNS`.
+
+    Args:
+        table: The rows of `metrics.evaluate` of all logs; those of reference drives are left out.
+        stand: Rows of `standings`.
+        labels: Of all logs of the run, in the order of the run.
+
+    Returns:
+        `worst` by the metric's direction, NaN where it has none; `total` the sum; `missing` the logs of the group
+        without a value; sorted, suite first.
+    """
+    mine = table[table["mode"].isin(["open", "closed"]) & table["log"].isin(list(labels))]
+    parts = [_of_group(mine, *key, logs) for key, logs in membership(labels).items()] if len(mine) else []
+    found = _typed(pd.concat([pass_shares(stand, labels), *parts], ignore_index=True))
+    order = {kind: i for i, kind in enumerate((SUITE, "family", "tag", "dataset"))}
+    return found.sort_values(_KEY, key=lambda c: c.map(order) if c.name == "kind" else c, ignore_index=True)
+
+
+def _of_group(table: pd.DataFrame, kind: str, group: str, logs: Sequence[str]) -> pd.DataFrame:
+    rows = table[table["log"].isin(logs)]
+    value = rows["value"].where(rows["available"].astype(bool) & np.isfinite(rows["value"]))
+    sign = rows["direction"].map({"lower": 1.0, "higher": -1.0, "none": np.nan}).astype(float)
+    rows = rows.assign(value=value, bad=value * sign)
+    keys = ["planner", "mode", "metric"]
+    by_metric = rows.groupby(keys, sort=True, observed=True)
+    out = by_metric.agg(
+        unit=("unit", "first"), direction=("direction", "first"), available=("value", "count"),
+        mean=("value", "mean"), median=("value", "median"), total=("value", "sum"),
+    ).reset_index()  # fmt: skip
+    out["total"] = out["total"].where(out["available"] > 0)
+    worst = rows[rows["bad"].notna()].sort_values([*keys, "bad", "log"], ascending=[True] * 3 + [False, True])
+    first = worst.drop_duplicates(keys)[[*keys, "value", "log"]].rename(columns={"value": "worst", "log": "worst_log"})
+    out = out.merge(first, on=keys, how="left").assign(kind=kind, group=group, logs=len(logs))
+    out["missing"] = len(logs) - out["available"]
+    return _typed(out.reindex(columns=list(COLUMNS)))
+
+
+def _typed(rows: pd.DataFrame) -> pd.DataFrame:
+    numbers = ("mean", "median", "worst", "total", "low", "high", "passed", "failed", "inconclusive")
+    counts = ("logs", "available", "missing")
+    kinds = dict.fromkeys(numbers, "float64") | dict.fromkeys(counts, "int64")
+    words: dict[str, Any] = {name: rows[name].fillna("").astype(str) for name in COLUMNS if name not in kinds}
+    return rows.assign(**words).astype(kinds)
+
+
+def _rows(table: pd.DataFrame, *columns: str) -> Iterator[tuple[Any, ...]]:
+    return zip(*(table[name] for name in columns), strict=True)

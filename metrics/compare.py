@@ -1,0 +1,280 @@
+"""Run against run, as tables: what changed on which log, what flipped, by how much over the logs, and who moved first.
+
+For a log i that both runs drove, and a metric of one version in both (planner and mode are the same everywhere):
+
+(1) delta_i = candidate_i - baseline_i;  0 where |delta_i| <= NOISE_ABS + NOISE_REL max(|baseline_i|, |candidate_i|)
+(2) worse_i = delta_i where lower is better, -delta_i where higher is; none where neither is
+(3) relative_i = worse_i / mean over logs and runs of |value|: by what a regression is ranked; one in a value that is
+    mostly 0 comes first
+
+Both tables are judged by the same gates, and with the same reference drives (the candidate's): a flip comes from the
+drive, and not from another gate file or another careful driver. It is marginal, and no rule counts it, where the value
+moved by no more than the noise of (1), or where one of the runs had an ensemble that found the drive fragile.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pandas as pd
+
+from logs.kernel import BoolArray
+from metrics.compare_groups import group_deltas
+from metrics.evidence import ENSEMBLE
+from metrics.gates import Gates, Outcome
+from metrics.judge import REFERENCE, judge, outcomes
+
+NOISE_ABS, NOISE_REL = 1e-9, 1e-6
+"""A difference below this is rounding: sums of another order, a solver's last iterations."""
+NAMED = 5
+"""More logs than these are counted and not named."""
+
+DRIVE = ["log", "planner", "mode"]
+KEYS = [*DRIVE, "metric"]
+PAIR_COLUMNS = (
+    *KEYS, "unit", "direction", "baseline", "candidate", "delta", "worse", "relative", "asked", "fragile",
+    "time_s", "reason",
+)  # fmt: skip
+FLIP_COLUMNS = (
+    *DRIVE, "gate", "metric", "before", "after", "value_before", "value_after", "time_s", "reason", "marginal",
+)  # fmt: skip
+PARTING_COLUMNS = (*DRIVE, "t_s", "stage", "what")
+NOT_ASKED = "not asked"
+"""Outcome of an optional gate on a log without the value."""
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """One of two runs.
+
+    Attributes:
+        label: How it is named.
+        table: Rows of `metrics.evaluate`, reference drives among them.
+        logs: A row per log: log, sha256, family, dataset, tags (a list), vehicle (a hash, "" where it is not known).
+        facts: What it was made with, as text: versions, every key of the configuration.
+        failed: Logs that could not be evaluated, and why.
+    """
+
+    label: str
+    table: pd.DataFrame
+    logs: pd.DataFrame
+    facts: Mapping[str, str]
+    failed: Mapping[str, str]
+
+    @property
+    def tags(self) -> dict[str, tuple[str, ...]]:
+        """Tags by log."""
+        return {log: tuple(tags) for log, tags in zip(self.logs["log"], self.logs["tags"], strict=True)}
+
+
+@dataclass(frozen=True, slots=True)
+class RuleVerdict:
+    """What a rule of comparison says; `reason` is one sentence with what was found."""
+
+    rule: str
+    outcome: Outcome
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """Two runs, compared.
+
+    Attributes:
+        baseline: Label; `candidate` likewise.
+        differences: Inputs that are not the same, a sentence each.
+        only_in_baseline: Drives, "log, planner, mode loop"; `only_in_candidate` likewise.
+        pairs: `PAIR_COLUMNS`, the worst regression first: those of metrics that a gate asks of, by (3), then others.
+            A value that one of the runs lacks is NaN, and `reason` says why; else on whom the candidate's value is.
+        flips: `FLIP_COLUMNS`: the outcome of a gate on a log is another one.
+        groups: `metrics.compare_groups.GROUP_COLUMNS`: means over the suite, its families, tags and datasets.
+        partings: `PARTING_COLUMNS`: where two drives part; empty where traces are not at hand.
+        verdicts: One per rule.
+    """
+
+    baseline: str
+    candidate: str
+    differences: tuple[str, ...]
+    only_in_baseline: tuple[str, ...]
+    only_in_candidate: tuple[str, ...]
+    pairs: pd.DataFrame
+    flips: pd.DataFrame
+    groups: pd.DataFrame
+    partings: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(PARTING_COLUMNS)))
+    verdicts: tuple[RuleVerdict, ...] = ()
+
+    @property
+    def exit_code(self) -> int:
+        """0 pass, 1 a rule failed, 4 inconclusive: nothing to compare, or a rule had nothing to judge."""
+        said = {verdict.outcome for verdict in self.verdicts}
+        if Outcome.FAIL in said:
+            return 1
+        return 4 if self.pairs.empty or Outcome.INCONCLUSIVE in said else 0
+
+    def regressions(self, most: int, each: int = 2) -> pd.DataFrame:
+        """The worst pairs, at most `each` of one drive: one bad drive does not hide the others."""
+        worse = self.pairs[self.pairs["worse"] > 0.0]
+        return worse[worse.groupby(DRIVE).cumcount() < each].head(most)
+
+
+def compare(baseline: Side, candidate: Side, gates: Gates) -> Comparison:
+    """Two runs compared by their tables; `metrics.compare_rules.judged` adds what rules say."""
+    drives = [_drives(side) for side in (baseline, candidate)]
+    changed = _changed_versions(baseline.table, candidate.table)
+    fragile = _fragile(baseline.table) | _fragile(candidate.table)
+    pairs = _pairs(baseline.table, candidate.table, changed, {gate.metric for gate in gates.gates})
+    pairs["fragile"] = _in(pairs, fragile)
+    flips = _flips(baseline, candidate, gates, changed, drives[0].keys() & drives[1].keys())
+    flips["marginal"] |= _in(flips, fragile)
+    return Comparison(
+        baseline.label,
+        candidate.label,
+        tuple(_differences(baseline, candidate, changed)),
+        tuple(said for drive, said in drives[0].items() if drive not in drives[1]),
+        tuple(said for drive, said in drives[1].items() if drive not in drives[0]),
+        pairs,
+        flips,
+        group_deltas(pairs, candidate.logs),
+    )
+
+
+def _driven(table: pd.DataFrame) -> pd.DataFrame:
+    return table[table["mode"] != REFERENCE]
+
+
+def _drives(side: Side) -> dict[tuple[str, str, str], str]:
+    keys = _driven(side.table)[DRIVE].drop_duplicates().itertuples(index=False, name=None)
+    return {(log, planner, mode): f"{log}, {planner}, {mode} loop" for log, planner, mode in keys}
+
+
+def _changed_versions(one: pd.DataFrame, two: pd.DataFrame) -> dict[str, str]:
+    """Rows of the table whose metric has another version, and which."""
+    before, now = (dict(zip(table["metric"], table["version"], strict=True)) for table in (one, two))
+    return {name: f"{before[name]} -> {now[name]}" for name in before if name in now and before[name] != now[name]}
+
+
+# pairs ------------------------------------------------------------------------------------------------------------
+
+
+def _pairs(one: pd.DataFrame, two: pd.DataFrame, left_out: Collection[str], asked: Collection[str]) -> pd.DataFrame:
+    both = _driven(one).merge(_driven(two), on=KEYS, suffixes=("_b", "_c"))
+    both = both[~both["metric"].isin(left_out) & (both["available_b"] | both["available_c"]).astype(bool)]
+    before, now = (both[f"value_{side}"].to_numpy(float) for side in "bc")
+    delta = np.where(noise(before, now), 0.0, now - before)  # (1)
+    sign = both["direction_c"].map({"lower": 1.0, "higher": -1.0}).to_numpy(float)
+    pairs = both[KEYS].assign(
+        unit=both["unit_c"], direction=both["direction_c"], baseline=before, candidate=now, delta=delta,
+        worse=sign * delta + 0.0,  # (2)
+        asked=both["metric"].isin(asked), fragile=False,
+        time_s=both["time_s_c"].fillna(both["time_s_b"]), reason=_reasons(both),
+    )  # fmt: skip
+    size = pairs[["baseline", "candidate"]].abs().mean(axis=1).groupby([pairs[key] for key in KEYS[1:]])
+    pairs["relative"] = pairs["worse"] / size.transform("mean").replace(0.0, np.nan)  # (3)
+    order = pairs.assign(hurts=pairs["worse"] > 0.0).sort_values(
+        ["hurts", "asked", "relative", *KEYS], ascending=[False, False, False, True, True, True, True], kind="stable"
+    )
+    return order[list(PAIR_COLUMNS)].reset_index(drop=True)
+
+
+def noise(before: np.ndarray, now: np.ndarray) -> BoolArray:
+    """Whether two values `(n,)` differ by rounding only (1); False where one is NaN."""
+    with np.errstate(invalid="ignore"):
+        bound = NOISE_ABS + NOISE_REL * np.maximum(np.abs(before), np.abs(now))
+        return np.asarray(np.abs(now - before) <= bound)
+
+
+def _reasons(both: pd.DataFrame) -> list[str]:
+    columns = ("available_b", "available_c", "reason_b", "reason_c")
+    return [
+        _said(before=bool(b), now=bool(c), was=was, why=why)
+        for b, c, was, why in zip(*(both[name] for name in columns), strict=True)
+    ]
+
+
+def _said(*, before: bool, now: bool, was: str, why: str) -> str:
+    if before and now:
+        return why
+    return f"only in the candidate; baseline: {was}" if now else f"only in the baseline; candidate: {why}"
+
+
+# flips ------------------------------------------------------------------------------------------------------------
+
+
+def _flips(
+    baseline: Side,
+    candidate: Side,
+    gates: Gates,
+    left_out: Collection[str],
+    drives: Collection[tuple[str, str, str]],
+) -> pd.DataFrame:
+    """Gates whose outcome on a drive of both runs is another one."""
+    rules = Gates(tuple(gate for gate in gates.gates if gate.metric not in left_out), gates.source)
+    said = [_outcomes(rules, side, candidate.table) for side in (baseline, candidate)]
+    metric = {str(gate): gate.metric for gate in rules.gates}
+    rows = []
+    for key in dict.fromkeys([*said[0], *said[1]]):
+        *drive, gate = key
+        before, now = (outcome.get(key, _UNASKED) for outcome in said)
+        if tuple(drive) in drives and before[0] != now[0]:
+            same = bool(noise(np.array([before[1]]), np.array([now[1]]))[0])
+            when = now[2] if np.isfinite(now[2]) else before[2]
+            change = (before[0], now[0], before[1], now[1], when, now[3] or before[3], same)
+            rows.append((*drive, gate, metric[gate], *change))
+    kinds = {"value_before": float, "value_after": float, "time_s": float, "marginal": bool}
+    return pd.DataFrame(rows, columns=list(FLIP_COLUMNS)).astype(kinds)
+
+
+_Said = tuple[str, float, float, str]
+"""Outcome, value, time, reason."""
+_UNASKED: _Said = (NOT_ASKED, np.nan, np.nan, "")
+
+
+def _outcomes(gates: Gates, side: Side, references: pd.DataFrame) -> dict[tuple[str, str, str, str], _Said]:
+    """What each log says of each gate, by log, planner, mode and gate; reference drives are those of `references`."""
+    mine = references[(references["mode"] == REFERENCE) & references["log"].isin(side.logs["log"])]
+    own = side.table[(side.table["mode"] != REFERENCE) | ~side.table["log"].isin(mine["log"])]
+    found = outcomes(judge(gates, pd.concat([own, mine], ignore_index=True), side.tags, failed=side.failed))
+    keys = found[[*DRIVE, "gate"]].itertuples(index=False, name=None)
+    rows = found[["outcome", "value", "time_s", "reason"]].itertuples(index=False, name=None)
+    return dict(zip(keys, rows, strict=True))
+
+
+def _fragile(table: pd.DataFrame) -> set[tuple[str, ...]]:
+    """Drives whose verdict does not hold in worlds that should not matter, where the run had an ensemble."""
+    found = table[(table["metric"] == f"{ENSEMBLE.name}.fragile") & (table["value"] > 0.0)]
+    return set(found[DRIVE].itertuples(index=False, name=None))
+
+
+def _in(table: pd.DataFrame, drives: Collection[tuple[str, ...]]) -> BoolArray:
+    """Which rows are of one of these drives."""
+    return np.array([key in drives for key in table[DRIVE].itertuples(index=False, name=None)], bool)
+
+
+# inputs -----------------------------------------------------------------------------------------------------------
+
+
+def _differences(baseline: Side, candidate: Side, changed: Mapping[str, str]) -> Iterator[str]:
+    for key in dict.fromkeys([*baseline.facts, *candidate.facts]):
+        before, now = (side.facts.get(key, "not there") for side in (baseline, candidate))
+        if before != now:
+            yield f"{key}: {before} -> {now}"
+    both = baseline.logs.merge(candidate.logs, on="log", suffixes=("_b", "_c"))
+    for column, what in (("sha256", "another content (SHA-256)"), ("vehicle", "another vehicle")):
+        known = (both[f"{column}_b"] != "") & (both[f"{column}_c"] != "")
+        names = list(both.loc[known & (both[f"{column}_b"] != both[f"{column}_c"]), "log"])
+        if names:
+            yield f"logs with {what}: {_named(names)}"
+    if changed:
+        yield f"metrics of another version, not compared: {_named([f'{k} ({v})' for k, v in changed.items()])}"
+    old, new = (list(dict.fromkeys(_driven(side.table)["metric"])) for side in (baseline, candidate))
+    for one, two, word in ((old, new, "baseline"), (new, old, "candidate")):
+        alone = [name for name in one if name not in set(two)]
+        if alone:
+            yield f"metrics in the {word} only: {_named(alone)}"
+
+
+def _named(names: Sequence[str]) -> str:
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return f"{', '.join(names[:NAMED])}{more}"

@@ -1,0 +1,329 @@
+"""Where two drives of one log part: the first thing that differs, in the order in which one thing makes another.
+
+Within a frame: what was shown (others, ego), predictions, route, lane choice, path DP (sides and room), path QP, S-T
+graph, speed DP (who goes first, and room), speed QP, plan; then, on the control rate, command and motion of the car.
+What differs first in time comes before what differs later. Of a planner without internals it is its input or its plan.
+
+(1) parted = something differs by more than TOLERANCE, or in a word (who is there, a decision, a lane, an end)
+(2) where  = the first thing that differs by more than FINE, by time, then by `STAGES`
+
+(2) looks closer than (1): a plan that is off by half a millimetre is the cause of a car that is off by two, and not the
+other way round.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from math import inf, log10
+
+import numpy as np
+
+from logs.kernel import BoolArray, FloatArray
+from logs.trace import Decision, Graph, LaneOption, Mode, PlannedFrame, SlGraph, StGraph, Trace
+
+TOLERANCE = 1e-3
+"""m, rad, m/s, and of pedals their share: a millimetre is less than any metric resolves."""
+FINE = 1e-6
+"""Likewise; above rounding of positions in a city's grid (1e-9 m) and below what solvers leave open."""
+SAME_TIME_S = 1e-6
+
+STAGES = (
+    "vehicle", "input frame", "prediction", "route", "lane choice", "path DP", "path QP", "S-T graph", "speed DP",
+    "speed QP", "plan", "controller", "end",
+)  # fmt: skip
+"""In the order of one instant: earlier commands brought the car to where it is; its next command follows the plan."""
+
+
+@dataclass(frozen=True)
+class Parting:
+    """Where two drives part.
+
+    Attributes:
+        t: s since the scenario's start.
+        stage: One of `STAGES`.
+        what: "t = 3.20 s, speed QP: station at 4 s 12.31 -> 10.02 m".
+    """
+
+    t: float
+    stage: str
+    what: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Off:
+    """One thing that differs: by how much (inf: a word does), in which stage, and how it is said."""
+
+    t: float
+    stage: str
+    size: float
+    say: Callable[[], str]
+
+    @property
+    def place(self) -> tuple[float, int]:
+        return self.t, STAGES.index(self.stage)
+
+
+def parting(one: Trace, two: Trace) -> Parting | None:
+    """Where two drives of one log part, from the first to the second; None: they do not (1)."""
+    found = [*_driven(one, two), *_ended(one, two)]
+    for offs in _framed(one, two):
+        found += offs
+        clear = [off.t for off in found if off.size > FINE]
+        if clear and offs and offs[0].t >= min(clear) and any(off.size > TOLERANCE for off in found):
+            break
+    if not any(off.size > TOLERANCE for off in found):  # (1)
+        return None
+    first = min((off for off in found if off.size > FINE), key=lambda off: off.place)  # (2)
+    return Parting(first.t, first.stage, f"t = {first.t:.2f} s, {first.stage}: {first.say()}")
+
+
+# on the control rate ----------------------------------------------------------------------------------------------
+
+
+def _driven(one: Trace, two: Trace) -> Iterator[_Off]:
+    n = _together(one.ego.t, two.ego.t)
+    t = one.ego.t[:n]
+    moved = "vehicle" if one.mode is Mode.CLOSED else "input frame"
+    for name, unit in (("x", "m"), ("y", "m"), ("v", "m/s")):
+        columns = getattr(one.ego, name)[:n], getattr(two.ego, name)[:n]
+        yield from _rows(t, columns, ("input frame", moved), f"the ego's {name}", unit)
+    if one.commands is not None and two.commands is not None:
+        for name, unit in (("steer", "rad"), ("throttle", ""), ("brake", "")):
+            columns = getattr(one.commands, name)[:n], getattr(two.commands, name)[:n]
+            yield from _rows(t, columns, ("controller", "controller"), f"commanded {name}", unit)
+
+
+def _rows(
+    t: FloatArray, columns: tuple[FloatArray, FloatArray], stages: tuple[str, str], what: str, unit: str
+) -> Iterator[_Off]:
+    """The first row beyond FINE, and the first beyond TOLERANCE; `stages` of the first row, and of the others."""
+    one, two = columns
+    size = _sizes(one, two)
+    for bound in (FINE, TOLERANCE):
+        if (size > bound).any():
+            i = int(np.argmax(size > bound))
+            say = partial(_numbers, what, one[i], two[i], unit)
+            yield _Off(float(t[i]), stages[i > 0], float(size[i]), say)
+
+
+def _together(one: FloatArray, two: FloatArray) -> int:
+    """How many first instants are the same."""
+    n = min(len(one), len(two))
+    apart = np.flatnonzero(np.abs(one[:n] - two[:n]) > SAME_TIME_S)
+    return int(apart[0]) if len(apart) else n
+
+
+def _ended(one: Trace, two: Trace) -> Iterator[_Off]:
+    last = [float(trace.ego.t[-1]) for trace in (one, two)]
+    ends = [f"{trace.end.value}{f': {trace.detail}' if trace.detail else ''}" for trace in (one, two)]
+    if abs(last[0] - last[1]) > SAME_TIME_S or ends[0] != ends[1]:
+        say = f"{ends[0]} at {last[0]:.2f} s -> {ends[1]} at {last[1]:.2f} s"
+        yield _Off(min(last), "end", inf, lambda: say)
+
+
+# frame by frame ---------------------------------------------------------------------------------------------------
+
+
+def _framed(one: Trace, two: Trace) -> Iterator[list[_Off]]:
+    """What differs in each frame, up to the end of the drive that ends first."""
+    end = min(float(trace.ego.t[-1]) for trace in (one, two)) + SAME_TIME_S
+    frames = [{round(f.t / SAME_TIME_S): f for f in trace.frames if f.t <= end} for trace in (one, two)]
+    for key in sorted(frames[0].keys() | frames[1].keys()):
+        before, now = (side.get(key) for side in frames)
+        if before is None or now is None:
+            t, which = key * SAME_TIME_S, "second" if before is None else "first"
+            yield [_Off(t, "input frame", inf, partial(str, f"a plan was made in the {which} drive only"))]
+        else:
+            yield list(_of_frame(one, two, before, now))
+
+
+def _of_frame(one: Trace, two: Trace, before: PlannedFrame, now: PlannedFrame) -> Iterator[_Off]:
+    for stage, found in (
+        ("input frame", _others(one, two, before, now)),
+        ("prediction", _predicted(before, now)),
+        *_inside(before, now),
+        ("plan", _planned(before, now)),
+    ):
+        for size, say in found:
+            yield _Off(before.t, stage, size, say)
+
+
+_Found = Iterator[tuple[float, Callable[[], str]]]
+
+
+def _others(one: Trace, two: Trace, before: PlannedFrame, now: PlannedFrame) -> _Found:
+    """Who was shown, and where they were known to be."""
+    if set(before.agents) != set(now.agents):
+        yield inf, partial(_words, "who is there", before.agents, now.agents)
+        return
+    seen = [trace.agents if trace.perceived is None else trace.perceived for trace in (one, two)]
+    known = [tracks.perceived(before.t) for tracks in seen]
+    if set(known[0].ids) != set(known[1].ids):
+        yield inf, partial(_words, "who is there", known[0].ids, known[1].ids)
+        return
+    order = [known[1].ids.index(name) for name in known[0].ids]
+    for name, unit in (("x", "m"), ("y", "m"), ("yaw", "rad"), ("vx", "m/s"), ("vy", "m/s"), ("length", "m")):
+        where = [f"{name} of {who}" for who in known[0].ids]
+        yield from _largest(getattr(known[0], name), getattr(known[1], name)[order], where.__getitem__, unit)
+
+
+def _predicted(before: PlannedFrame, now: PlannedFrame) -> _Found:
+    old, new = before.predictions, now.predictions
+    if old is None or new is None or old.t.shape != new.t.shape:
+        return
+    names = [tuple(frame.agents[i] for i in some.agent) for frame, some in ((before, old), (now, new))]
+    if names[0] != names[1]:
+        yield inf, partial(_words, "hypotheses", names[0], names[1])
+        return
+    yield from _largest(old.probability, new.probability, lambda i: f"probability of {names[0][i]}", "")
+    for name in ("x", "y"):
+        one, two = getattr(old, name), getattr(new, name)
+        where = [f"{name} of {who} in {t - before.t:g} s" for who in names[0] for t in old.t]
+        yield from _largest(one.ravel(), two.ravel(), where.__getitem__, "m")
+
+
+def _planned(before: PlannedFrame, now: PlannedFrame) -> _Found:
+    old, new = before.plan, now.plan
+    for name in ("status", "start"):
+        words = (getattr(old, name).value, getattr(new, name).value)
+        if words[0] != words[1]:
+            yield inf, partial(str, f"{words[0]} -> {words[1]}{f' ({new.reason})' if new.reason else ''}")
+    if _together(old.trajectory.t, new.trajectory.t) < max(len(old.trajectory), len(new.trajectory)):
+        yield inf, partial(str, f"{len(old.trajectory)} -> {len(new.trajectory)} states, or at other times")
+        return
+    for name, unit in (("x", "m"), ("y", "m"), ("v", "m/s")):
+        where = [f"{name} in {t - before.t:g} s" for t in old.trajectory.t]
+        yield from _largest(getattr(old.trajectory, name), getattr(new.trajectory, name), where.__getitem__, unit)
+
+
+# inside a planner -------------------------------------------------------------------------------------------------
+
+
+def _inside(before: PlannedFrame, now: PlannedFrame) -> Iterator[tuple[str, _Found]]:
+    """What its stages left, where both plans have any of it."""
+    one, two = tuple(before.plan.internals), tuple(now.plan.internals)
+    if not one or not two:
+        return
+    yield "lane choice", _chosen(one, two)
+    paths = _graphs(one, two, SlGraph)
+    if paths is not None:
+        yield "route", _reference(*paths)
+        yield "path DP", _room(*paths, "lateral offset", "station {:g} m", moves=False)
+        yield "path QP", _curve(paths[0].qp, paths[1].qp, "lateral offset", "station {:g} m")
+    yield "path DP", _decided(one, two, "path")
+    speeds = _graphs(one, two, StGraph)
+    if speeds is not None:
+        yield "S-T graph", _outlines(*speeds, "in the way")
+        yield "speed DP", _room(*speeds, "station", "{:g} s", moves=True)
+        yield "speed QP", _curve(speeds[0].qp, speeds[1].qp, "station", "{:g} s")
+    yield "speed DP", _decided(one, two, "speed")
+    for kind, stage in ((SlGraph, "path QP"), (StGraph, "speed QP")):
+        there = [any(isinstance(item, kind) for item in items) for items in (one, two)]
+        if there[0] != there[1]:
+            yield stage, iter([(inf, partial(str, f"solved {'' if there[1] else 'not '}any more"))])
+
+
+def _graphs(one: Sequence[object], two: Sequence[object], kind: type[Graph]) -> tuple[Graph, Graph] | None:
+    found = [next((item for item in items if isinstance(item, kind)), None) for items in (one, two)]
+    return (found[0], found[1]) if found[0] is not None and found[1] is not None else None
+
+
+def _chosen(one: Sequence[object], two: Sequence[object]) -> _Found:
+    taken = [[x.name for x in side if isinstance(x, LaneOption) and not x.against] for side in (one, two)]
+    if taken[0] and taken[1] and taken[0] != taken[1]:
+        costs = "; ".join(
+            f"{x.name} {x.cost:.2f} s{f' ({x.against})' if x.against else ''}" for x in two if isinstance(x, LaneOption)
+        )
+        yield inf, partial(str, f"{taken[0][0]} -> {taken[1][0]} (now {costs})")
+
+
+def _reference(one: Graph, two: Graph) -> _Found:
+    """With the same inputs, another station of the ego or of who stands is another reference line."""
+    if one.corridor is not None and two.corridor is not None and len(one.corridor.first) and len(two.corridor.first):
+        yield from _largest(one.corridor.first[:1], two.corridor.first[:1], lambda i: "station of the ego", "m")
+
+
+def _room(one: Graph, two: Graph, value: str, at: str, *, moves: bool) -> _Found:
+    """Who is in the way (of those who move the graph itself says it), what the DP chose, and the room that is left."""
+    if not moves:
+        yield from _outlines(one, two, "beside the path")
+    sides = [{item.agent: item.decision.value for item in graph.obstacles} for graph in (one, two)]
+    for agent in sides[0].keys() & sides[1].keys():
+        if sides[0][agent] != sides[1][agent]:
+            yield inf, partial(str, f"{agent}: {sides[0][agent]} -> {sides[1][agent]}")
+    yield from _curve(one.dp, two.dp, f"{value} of the DP", at)
+    if one.corridor is not None and two.corridor is not None:
+        for name in ("lower", "upper"):
+            columns = [np.column_stack([c.first, getattr(c, name)]) for c in (one.corridor, two.corridor)]
+            yield from _curve(columns[0], columns[1], f"{name} bound", at)
+
+
+def _outlines(one: Graph, two: Graph, word: str) -> _Found:
+    """Who is in a graph, and where."""
+    names = [tuple(item.agent for item in graph.obstacles) for graph in (one, two)]
+    if names[0] != names[1]:
+        yield inf, partial(_words, f"who is {word}", names[0], names[1])
+        return
+    for old, new in zip(one.obstacles, two.obstacles, strict=True):
+        if old.outline.shape != new.outline.shape:
+            yield inf, partial(str, f"{old.agent} takes the path at other times")
+        else:
+            where = [f"outline of {old.agent}"] * old.outline.size
+            yield from _largest(old.outline.ravel(), new.outline.ravel(), where.__getitem__, "")
+
+
+def _decided(one: Sequence[object], two: Sequence[object], stage: str) -> _Found:
+    said = [
+        {item.agent: item.kind.value for item in side if isinstance(item, Decision) and item.stage == stage}
+        for side in (one, two)
+    ]
+    for agent in dict.fromkeys([*said[0], *said[1]]):
+        before, now = (side.get(agent, "no decision") for side in said)
+        if before != now:
+            yield inf, partial(str, f"{agent}: {before} -> {now}")
+
+
+# numbers and words ------------------------------------------------------------------------------------------------
+
+
+def _sizes(one: FloatArray, two: FloatArray) -> FloatArray:
+    """How far values are apart `(n,)`; inf where only one is a number."""
+    same: BoolArray = (one == two) | (np.isnan(one) & np.isnan(two))
+    with np.errstate(invalid="ignore"):
+        apart = np.abs(two - one)
+    return np.where(same, 0.0, np.where(np.isnan(apart), inf, apart))
+
+
+def _largest(one: FloatArray, two: FloatArray, place: Callable[[int], str], unit: str) -> _Found:
+    if len(one) != len(two):
+        yield inf, partial(str, f"{len(one)} -> {len(two)} values")
+    elif len(one):
+        size = _sizes(one, two)
+        i = int(np.argmax(size))
+        if size[i] > FINE:
+            yield float(size[i]), lambda: _numbers(place(i), one[i], two[i], unit)
+
+
+def _curve(one: FloatArray, two: FloatArray, value: str, at: str) -> _Found:
+    """Curves `(n, 2)` of a value (m) over what `at` says."""
+    if one.shape != two.shape:
+        yield inf, partial(str, f"{value}: {len(one)} -> {len(two)} knots")
+    else:
+        yield from _largest(one[:, 1], two[:, 1], lambda i: f"{value} at {at.format(float(f'{one[i, 0]:.4g}'))}", "m")
+
+
+def _numbers(what: str, one: float, two: float, unit: str) -> str:
+    """Both values with as many digits as show that they differ."""
+    apart = abs(two - one)
+    digits = int(np.clip(1 - np.floor(log10(apart)), 2, 9)) if 0.0 < apart < inf else 2
+    return f"{what} {one:.{digits}f} -> {two:.{digits}f}{f' {unit}' if unit else ''}"
+
+
+def _words(what: str, one: Sequence[str], two: Sequence[str]) -> str:
+    """Who is there now, and who no longer."""
+    new, gone = ([name for name in a if name not in b] for a, b in ((two, one), (one, two)))
+    parts = [f"{word} {', '.join(some[:3])}{' ...' if len(some) > 3 else ''}" for word, some in
+             (("no longer", gone), ("now also", new)) if some]  # fmt: skip
+    return f"{what}: {'; '.join(parts) or 'in another order or number'}"

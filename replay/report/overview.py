@@ -1,0 +1,477 @@
+"""What every report says of a run, as plain words and numbers: terminal, Markdown and HTML render this, and no more.
+
+result = load("results/run-001")
+print_report(overview(result), Console(), result.path)
+
+It holds no clock but the planning times of the run itself, and no path but those within the result folder: the reports
+of a folder are the same, byte for byte, wherever it is.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from math import isfinite, nan
+from typing import Any
+
+import pandas as pd
+
+from logs.trace import EndReason
+from metrics.aggregate import BOTH, SUITE, LogLabels, pass_shares, standings
+from metrics.gates import Outcome
+from metrics.judge import outcomes, worst
+from metrics.latency import judge_deadline
+from replay.report.columns import COLUMNS, COMPARED, Column
+from replay.results import Results
+
+NOTHING = "-"
+ORDER = (Outcome.FAIL.value, Outcome.INCONCLUSIVE.value, Outcome.PASS.value)
+"""Outcomes as reports list them."""
+EXIT_WEIGHT = (2, 3, 1, 4, 0)
+"""Of several exit codes the first in this order is that of all: 3 beats 1 beats 4."""
+
+Key = tuple[str, str]
+"""Log and planner."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """A value in a table: as text, as the number (NaN: there is none), and whether it deserves colour."""
+
+    text: str = NOTHING
+    value: float = nan
+    bad: bool = False
+
+
+@dataclass(frozen=True)
+class DriveRow:
+    """A log and a planner, both loops.
+
+    Attributes:
+        log: Name of the log.
+        planner: Name of the planner; `shown` is with a mark where it knows the log's future.
+        verdict: The worst that the gates say of this log; "" where none was asked.
+        end: How the closed loop ended.
+        cells: One per column of `Overview.columns`.
+        files: Traces and recordings, relative to the result folder.
+        folder: Of the log, relative likewise.
+    """
+
+    log: str
+    planner: str
+    shown: str
+    verdict: str
+    end: Cell
+    cells: tuple[Cell, ...]
+    files: tuple[str, ...]
+    folder: str
+
+    @property
+    def trouble(self) -> int:
+        """How many of its cells are coloured."""
+        return self.end.bad + sum(cell.bad for cell in self.cells)
+
+    @property
+    def recording(self) -> str:
+        """The recording of the closed loop, else of the open one; "" where there is none."""
+        return next(iter(sorted(file for file in self.files if file.endswith(".rrd"))), "")
+
+    @property
+    def trace(self) -> str:
+        """The trace of the closed loop, else of the open one."""
+        return next(iter(sorted(file for file in self.files if file.endswith(".mcap"))), "")
+
+
+@dataclass(frozen=True)
+class GateRow:
+    """What a gate says of one planner in one loop.
+
+    Attributes:
+        outcome: "pass", "fail" or "inconclusive".
+        rule: "gap.min >= 0.5 [closed]".
+        found: In short: of a pass the value nearest to the bound, else the reason.
+        reason: The whole sentence.
+        why: Why the gate is there.
+        planner: "" where none was to be judged; `mode` likewise.
+        log: The worst log; "" where there is none.
+        value: The judged value; NaN where there is none.
+        unit: Of the value.
+        time_s: When it occurred; NaN where it has no time.
+    """
+
+    outcome: str
+    rule: str
+    found: str
+    reason: str
+    why: str
+    planner: str
+    mode: str
+    log: str
+    value: float
+    unit: str
+    time_s: float
+
+
+@dataclass(frozen=True)
+class PassShare:
+    """How many logs of a group pass, with the 95 % interval of the share (`metrics.aggregate`).
+
+    Attributes:
+        kind: "suite", "family", "tag" or "dataset"; `group` is its name, "" of the suite.
+        mode: "open", "closed", or "both" together.
+        missing: Logs that could not be evaluated; they count as not passed, as inconclusive ones do.
+    """
+
+    kind: str
+    group: str
+    planner: str
+    mode: str
+    logs: int
+    passed: int
+    failed: int
+    inconclusive: int
+    missing: int
+    share: float
+    low: float
+    high: float
+
+    @property
+    def name(self) -> str:
+        """The group in words."""
+        return "all logs" if self.kind == SUITE else f"{self.kind} {self.group}"
+
+    @property
+    def text(self) -> str:
+        """The share in words: "15 of 17 pass: 88%, 95% interval 66% to 97%"."""
+        interval = f"{100.0 * self.low:.0f}% to {100.0 * self.high:.0f}%"
+        return f"{self.passed} of {self.logs} pass: {100.0 * self.share:.0f}%, 95% interval {interval}"
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """How much was driven or planned along; `km` is NaN in open loop, where nothing is driven."""
+
+    planner: str
+    mode: str
+    logs: int
+    driven_s: float
+    logged_s: float
+    km: float
+
+    @property
+    def text(self) -> str:
+        """One line."""
+        word = "planned along" if self.mode == "open" else "driven"
+        km = f", {self.km:.2f} km" if isfinite(self.km) else ""
+        logs = f"{self.logs} {'log' if self.logs == 1 else 'logs'}"
+        seconds = f"{self.driven_s:.0f} of {self.logged_s:.0f} s"
+        return f"{self.planner}, {self.mode} loop: {seconds} {word} in {logs}{km}"
+
+
+@dataclass(frozen=True)
+class StageTime:
+    """How long a stage of a plan took: quantiles over all frames of both loops, ms, and its share of the whole."""
+
+    planner: str
+    stage: str
+    p50_ms: float
+    p95_ms: float
+    p99_ms: float
+    share: float
+
+
+@dataclass(frozen=True)
+class Overview:
+    """What a report says, in its order.
+
+    Attributes:
+        outcome: In words, as `replan evaluate` ends; `exit_code` likewise.
+        replan: Version that drove.
+        config: First 12 hex digits of the SHA-256 of the resolved configuration.
+        logs: How many were asked for.
+        columns: Of `drives`.
+        drives: In the order of the run.
+        planners: Names, oracles marked: columns of `compared`.
+        compared: A label, and a text per planner.
+        frames: How many plans the latencies are of.
+        latency: By planner and stage, the whole plan last.
+        gates: What is not passed first.
+        shares: Pass shares: suite, families, tags, datasets.
+        coverage: By planner and loop.
+        ensembles: How many verdicts were tried in worlds that should not matter.
+        fragile: Those that did not hold, a sentence each.
+        notes: What was assumed, with how many logs it concerns, the commonest first.
+        failures: What could not be evaluated.
+        worst: The drive to look at first.
+        shard: Which part of a run this is, that is not judged ("2/5"); "": all of it.
+    """
+
+    outcome: str
+    exit_code: int
+    replan: str
+    config: str
+    logs: int
+    columns: tuple[Column, ...]
+    drives: tuple[DriveRow, ...]
+    planners: tuple[str, ...]
+    compared: tuple[tuple[str, tuple[str, ...]], ...]
+    frames: int
+    latency: tuple[StageTime, ...]
+    gates: tuple[GateRow, ...]
+    shares: tuple[PassShare, ...]
+    coverage: tuple[Coverage, ...]
+    ensembles: int
+    fragile: tuple[str, ...]
+    notes: tuple[str, ...]
+    failures: tuple[str, ...]
+    worst: DriveRow | None
+    shard: str = ""
+
+    @property
+    def whole(self) -> tuple[PassShare, ...]:
+        """The pass shares over all logs, one per planner, over the loops that were run."""
+        mine = [share for share in self.shares if share.kind == SUITE]
+        together = {share.planner for share in mine if share.mode == BOTH}
+        return tuple(share for share in mine if share.mode == BOTH or share.planner not in together)
+
+
+def overview(results: Results) -> Overview:
+    """What a report says of a finished run.
+
+    Args:
+        results: Of `replay.results.load`.
+    """
+    values = _values(results.metrics)
+    said = log_outcomes(results)
+    modes = [mode.value for mode in results.run.modes]
+    columns = tuple(column for column in COLUMNS if column.mode in modes)
+    drives = _drives(results, values, columns, said)
+    gates = _gates(results, said)
+    planners = _planners(results.drives)
+    return Overview(
+        outcome=str(results.summary["outcome"]),
+        exit_code=results.exit_code,
+        replan=str(results.summary["replan"]),
+        config=sha256((results.path / "run.toml").read_bytes()).hexdigest()[:12],
+        logs=len(results.logs),
+        columns=columns,
+        drives=drives,
+        planners=tuple(marked(*one) for one in planners),
+        compared=_compared([planner for planner, _ in planners], modes, values),
+        frames=int((results.timings["stage"] == "total").sum()),
+        latency=tuple(_latency(results.timings)),
+        gates=gates,
+        shares=_shares(results, said),
+        coverage=tuple(_coverage(results.drives, values)),
+        ensembles=len(_ensemble(results.metrics)),
+        fragile=tuple(_fragile(results.metrics)),
+        notes=tuple(_notes(results.summary["logs"])),
+        failures=tuple(_failure(row) for row in results.summary["failures"]),
+        worst=_worst(gates, drives),
+        shard=results.summary.get("shard", ""),
+    )
+
+
+def log_outcomes(results: Results) -> pd.DataFrame:
+    """What each log says of each gate, `Results.verdicts`, and of the deadline, where one was asked."""
+    deadline_s = results.run.deadline_s
+    tags = {log: labels.tags for log, labels in results.labels.items()}
+    late = judge_deadline(results.timings, deadline_s, tags) if deadline_s > 0.0 else ()
+    return pd.concat([results.verdicts, outcomes(late)], ignore_index=True) if late else results.verdicts
+
+
+def combined(codes: Iterable[int]) -> int:
+    """Several exit codes as one."""
+    return min(codes, key=EXIT_WEIGHT.index, default=0)
+
+
+def marked(planner: str, oracle: object) -> str:
+    """The planner's name, with a mark where it knows the log's future."""
+    return f"{planner} (oracle)" if oracle else planner
+
+
+Values = Mapping[tuple[str, str, str, str], float]
+"""By log, planner, mode and metric."""
+
+
+def _values(table: pd.DataFrame) -> Values:
+    found = table[table["available"].astype(bool)]
+    keys = zip(found["log"], found["planner"], found["mode"], found["metric"], strict=True)
+    return dict(zip(keys, map(float, found["value"]), strict=True))
+
+
+def _planners(drives: pd.DataFrame) -> list[tuple[str, bool]]:
+    return list(dict.fromkeys(zip(drives["planner"], map(bool, drives["oracle"]), strict=True)))
+
+
+# drives ---------------------------------------------------------------------------------------------------------------
+
+
+def _drives(results: Results, values: Values, columns: Sequence[Column], said: pd.DataFrame) -> tuple[DriveRow, ...]:
+    verdicts = _verdicts(said)
+    folders = dict(zip(results.logs["log"], results.logs["folder"], strict=True))
+    grouped: dict[Key, list[Any]] = {}
+    for drive in results.drives.itertuples():
+        grouped.setdefault((str(drive.log), str(drive.planner)), []).append(drive)
+    return tuple(
+        DriveRow(
+            log, planner, marked(planner, bool(mine[0].oracle)), verdicts.get((log, planner), ""),
+            _end(next((drive for drive in mine if drive.mode == "closed"), None)),
+            tuple(_cell(column, values.get((log, planner, column.mode, column.metric), nan)) for column in columns),
+            tuple(file for drive in mine for file in drive.files), folders[log],
+        )
+        for (log, planner), mine in grouped.items()
+    )  # fmt: skip
+
+
+def _verdicts(said: pd.DataFrame) -> dict[Key, str]:
+    found: dict[Key, list[Outcome]] = {}
+    for log, planner, outcome in zip(said["log"], said["planner"], said["outcome"], strict=True):
+        found.setdefault((log, planner), []).append(Outcome(outcome))
+    return {key: worst(each).value for key, each in found.items()}
+
+
+def _cell(column: Column, value: float) -> Cell:
+    return Cell(column.show(value), value, column.bad(value)) if isfinite(value) else Cell()
+
+
+CONTACTS = (EndReason.COLLISION.value, EndReason.REPLAY_CONTACT.value)
+SHORT = {
+    EndReason.GOAL.value: "goal",
+    EndReason.END_OF_LOG.value: "end of log",
+    EndReason.REPLAY_CONTACT.value: "run into",
+    EndReason.OFF_ROAD.value: "off the road",
+    EndReason.PLANNER_FAILURE.value: "planner failed",
+}
+
+
+def _end(drive: Any) -> Cell:
+    if drive is None:
+        return Cell()
+    good = drive.end in (EndReason.GOAL.value, EndReason.END_OF_LOG.value)
+    about = f": {drive.detail}" if drive.end in CONTACTS else ""
+    return Cell(f"{SHORT.get(drive.end, drive.end)}{about}", float(drive.t_end_s), not good)
+
+
+def _worst(gates: Sequence[GateRow], drives: Sequence[DriveRow]) -> DriveRow | None:
+    """The drive of the worst failure, else the first that has a recording, else the first."""
+    failed = next(((gate.log, gate.planner) for gate in gates if gate.outcome == Outcome.FAIL.value and gate.log), None)
+    order = sorted(drives, key=lambda drive: ((drive.log, drive.planner) != failed, not drive.recording))
+    return order[0] if order else None
+
+
+# all drives of a planner ------------------------------------------------------------------------------------------
+
+
+def _compared(planners: Sequence[str], modes: Sequence[str], values: Values) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    """Each metric of `COMPARED` over the logs, a text per planner."""
+    by_drive: dict[tuple[str, str, str], list[float]] = {}
+    for (_, planner, mode, metric), value in values.items():
+        by_drive.setdefault((planner, mode, metric), []).append(value)
+    return tuple(
+        (label, tuple(reduce(found) if (found := by_drive.get((p, mode, metric))) else NOTHING for p in planners))
+        for label, mode, metric, reduce in COMPARED
+        if mode in modes
+    )
+
+
+def _latency(timings: pd.DataFrame) -> Iterator[StageTime]:
+    for planner, rows in timings.groupby("planner", sort=False, observed=True):
+        whole = float(rows.loc[rows["stage"] == "total", "seconds"].sum())
+        by_stage = rows.groupby("stage", sort=False, observed=True)["seconds"]
+        for stage, times in sorted(by_stage, key=lambda one: one[0] == "total"):
+            p50, p95, p99 = (1e3 * float(times.quantile(q)) for q in (0.5, 0.95, 0.99))
+            share = float(times.sum()) / whole if whole > 0.0 else nan
+            yield StageTime(str(planner), str(stage), p50, p95, p99, share)
+
+
+def _coverage(drives: pd.DataFrame, values: Values) -> Iterator[Coverage]:
+    """What the verdicts rest on, by planner and loop."""
+    sums: dict[tuple[str, str, str], list[float]] = {}
+    for (_, planner, mode, metric), value in values.items():
+        sums.setdefault((planner, mode, metric), []).append(value)
+    for planner, mode in dict.fromkeys(zip(drives["planner"], drives["mode"], strict=True)):
+        logged = sums.get((planner, mode, "coverage.log_s.final"), [])
+        driven = sums.get((planner, mode, "coverage.driven_s.final"), [])
+        metres = sums.get((planner, mode, "distance.final"), [])
+        if logged:
+            yield Coverage(planner, mode, len(logged), sum(driven), sum(logged), sum(metres) / 1e3 if metres else nan)
+
+
+def _shares(results: Results, said: pd.DataFrame) -> tuple[PassShare, ...]:
+    asked = [(planner, mode.value) for planner in results.run.planners for mode in results.run.modes]
+    labels = results.labels | dict.fromkeys(results.unread, LogLabels())
+    stand = standings(said, results.drives, list(labels), asked)
+    names = ["kind", "group", "planner", "mode", "logs", "passed", "failed", "inconclusive", "missing", "mean"]
+    rows = pass_shares(stand, labels)[[*names, "low", "high"]].itertuples(index=False)
+    return tuple(PassShare(*row[:4], *(int(count) for count in row[4:9]), *row[9:]) for row in rows)
+
+
+# gates ----------------------------------------------------------------------------------------------------------------
+
+
+def _gates(results: Results, said: pd.DataFrame) -> tuple[GateRow, ...]:
+    units = dict(zip(results.metrics["metric"], results.metrics["unit"], strict=True))
+    evidence = said.drop_duplicates(["gate", "log", "planner", "mode"]).groupby(["gate", "planner", "mode"])["outcome"]
+    lacking = {key: (int((each == Outcome.INCONCLUSIVE.value).sum()), len(each)) for key, each in evidence}
+    rows = []
+    for verdict in results.summary["gates"]:
+        unit = units.get(verdict["gate"]["metric"], "")
+        key = verdict["rule"], verdict["planner"], verdict["mode"]
+        rows.append(_gate_row(verdict, unit, *lacking.get(key, (0, 0))))
+    return tuple(sorted(rows, key=lambda row: ORDER.index(row.outcome)))
+
+
+def _gate_row(verdict: Mapping[str, Any], unit: str, lacking: int, asked: int) -> GateRow:
+    value, time_s = (nan if verdict[name] is None else float(verdict[name]) for name in ("value", "time_s"))
+    outcome, why, log = str(verdict["outcome"]), str(verdict["gate"]["reason"]), str(verdict["log"])
+    if outcome == Outcome.PASS.value:
+        near = 0.0 if abs(value) < 1e-9 else value
+        aside = f"; no evidence in {lacking} of {asked} logs" if lacking else ""
+        shown = f"{near:.3g}" + (f" {unit}" if unit not in ("", "1", "count") else "")
+        found = f"{verdict['planner']}: {shown}" + (f", on {log}" if near else "") + aside
+    else:
+        found = str(verdict["reason"])
+        found += f" (the gate: {why})" if why and outcome == Outcome.FAIL.value else ""
+    planner, mode = str(verdict["planner"]), str(verdict["mode"])
+    rule, reason = str(verdict["rule"]), str(verdict["reason"])
+    return GateRow(outcome, rule, found, reason, why, planner, mode, log, value, unit, time_s)
+
+
+# what else is said ------------------------------------------------------------------------------------------------
+
+
+def _ensemble(table: pd.DataFrame) -> pd.DataFrame:
+    return table[(table["metric"] == "ensemble.fragile") & table["available"].astype(bool)]
+
+
+def _fragile(table: pd.DataFrame) -> Iterator[str]:
+    rows = _ensemble(table)
+    for row in rows[rows["value"] > 0.0].itertuples():
+        yield f"{row.log} [{row.planner}, {row.mode} loop]: {row.reason}"
+
+
+def _notes(logs: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Every note once, with how many logs it concerns; notes that differ in numbers only are one."""
+    count: Counter[str] = Counter()
+    texts: dict[str, set[str]] = {}
+    for log in logs:
+        own = [*log["notes"], *(note for drive in log["drives"] for note in drive["notes"])]
+        notes = {re.sub(r"[\d.]*\d", "#", note): note for note in own}
+        count.update(notes.keys())
+        for key, note in notes.items():
+            texts.setdefault(key, set()).add(note)
+    for key, concerned in count.most_common():
+        yield f"{_example(texts[key])} ({concerned} of {len(logs)} logs)"
+
+
+def _example(notes: set[str]) -> str:
+    first = min(notes).rstrip(".")
+    return first if len(notes) == 1 else f"for example: {first}"
+
+
+def _failure(row: Mapping[str, Any]) -> str:
+    return f"{row['message']} [{row['planner']}, {row['mode']} loop]" if row["planner"] else str(row["message"])

@@ -21,6 +21,7 @@ import numpy as np
 import pandas as pd
 
 from logs.kernel import BoolArray
+from metrics.aggregate import LogLabels
 from metrics.compare_groups import group_deltas
 from metrics.evidence import ENSEMBLE
 from metrics.gates import Gates, Outcome
@@ -64,9 +65,12 @@ class Side:
     failed: Mapping[str, str]
 
     @property
-    def tags(self) -> dict[str, tuple[str, ...]]:
-        """Tags by log."""
-        return {log: tuple(tags) for log, tags in zip(self.logs["log"], self.logs["tags"], strict=True)}
+    def labels(self) -> dict[str, LogLabels]:
+        """What each log belongs to."""
+        columns = (self.logs[name] for name in ("log", "family", "dataset", "tags"))
+        return {
+            log: LogLabels(family, dataset, tuple(tags)) for log, family, dataset, tags in zip(*columns, strict=True)
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,7 +275,7 @@ def _outcomes(gates: Gates, side: Side, references: pd.DataFrame) -> dict[tuple[
     """What each log says of each gate, by log, planner, mode and gate; reference drives are those of `references`."""
     mine = references[(references["mode"] == REFERENCE) & references["log"].isin(side.logs["log"])]
     own = side.table[(side.table["mode"] != REFERENCE) | ~side.table["log"].isin(mine["log"])]
-    found = outcomes(judge(gates, pd.concat([own, mine], ignore_index=True), side.tags, failed=side.failed))
+    found = outcomes(judge(gates, pd.concat([own, mine], ignore_index=True), side.labels, failed=side.failed))
     keys = found[[*DRIVE, "gate"]].itertuples(index=False, name=None)
     rows = found[["outcome", "value", "time_s", "reason"]].itertuples(index=False, name=None)
     return dict(zip(keys, rows, strict=True))

@@ -12,7 +12,6 @@ import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from hashlib import sha256
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -21,17 +20,10 @@ from replay.batch.log_result import LogResult, Stamp, kept
 from replay.batch.sources import LOG_CARD, LogSource
 from replay.batch.tables import PARTIAL, TABLES, clear_partial, is_ours
 from replay.config import RunConfig, dump_run, read_toml
+from replay.version import replan_version
 
 START_OVER = "leave out --resume to start over"
 PACKAGES = ("logs", "metrics", "planners", "replay")
-
-
-def replan_version() -> str:
-    """The installed version of replan."""
-    try:
-        return version("replan")
-    except PackageNotFoundError:
-        return "not installed"
 
 
 def stamp_of(run: RunConfig) -> Stamp:

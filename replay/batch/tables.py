@@ -2,6 +2,7 @@
 
     OUT/metrics.parquet, .csv   one row per log, planner, mode and metric reduction     the same for the same inputs
     OUT/verdicts.parquet        one row per gate, log, planner and mode: what this log says    likewise
+    OUT/groups.parquet          one row per group of logs, planner, mode and metric: mean, median, worst   likewise
     OUT/timings.parquet         log, planner, mode, t_s, stage, seconds                 not the same twice
     OUT/summary.json            outcome, gates, drives, failures
     OUT/run.toml                the resolved configuration
@@ -10,9 +11,9 @@
                                 tables above are made of: metrics.parquet, timings.parquet, log.json; ensemble.parquet
                                 (with several planners open.PLANNER.mcap and so on; log.mcap where the log was no MCAP)
 
-`metrics.*` and `frames.parquet` hold no clock, no path and no machine, and are sorted: two runs give the same bytes,
-whatever the number of workers and however often it was interrupted. Every file is written under a temporary name and
-renamed.
+`metrics.*`, `verdicts.*`, `groups.*` and `frames.parquet` hold no clock, no path and no machine, and are sorted: two
+runs give the same bytes, whatever the number of workers and however often it was interrupted. Every file is written
+under a temporary name and renamed.
 """
 
 from __future__ import annotations
@@ -46,6 +47,7 @@ TABLES = (
     "metrics.csv",
     "health.parquet",
     "verdicts.parquet",
+    "groups.parquet",
     "timings.parquet",
     "summary.json",
     SHARD_CARD,

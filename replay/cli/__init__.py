@@ -18,4 +18,4 @@ __all__ = ["about", "app", "compare", "evaluate", "logs", "main", "results"]
 
 def main() -> None:
     """Run the command line; ends the process with its exit code."""
-    app()
+    app(prog_name="replan")

@@ -20,10 +20,12 @@ from typing import Any
 import pandas as pd
 
 from logs.trace import EndReason
-from metrics.aggregate import BOTH, SUITE, LogLabels, pass_shares, standings
+from metrics.aggregate import BOTH, SUITE, LogLabels, membership, pass_shares, standings
+from metrics.compare import Comparison
 from metrics.gates import Outcome
 from metrics.judge import outcomes, worst
 from metrics.latency import judge_deadline
+from replay.batch import OUTCOMES
 from replay.report.columns import COLUMNS, COMPARED, Column
 from replay.results import Results
 
@@ -92,10 +94,12 @@ class GateRow:
     Attributes:
         outcome: "pass", "fail" or "inconclusive".
         rule: "gap.min >= 0.5 [closed]".
+        over: What must hold it: "worst" (every log), or what the logs make together.
         found: In short: of a pass the value nearest to the bound, else the reason.
         reason: The whole sentence.
         why: Why the gate is there.
         planner: "" where none was to be judged; `mode` likewise.
+        group: Which logs, of a gate that is asked of each group; else "".
         log: The worst log; "" where there is none.
         value: The judged value; NaN where there is none.
         unit: Of the value.
@@ -104,11 +108,13 @@ class GateRow:
 
     outcome: str
     rule: str
+    over: str
     found: str
     reason: str
     why: str
     planner: str
     mode: str
+    group: str
     log: str
     value: float
     unit: str
@@ -189,6 +195,7 @@ class Overview:
 
     Attributes:
         outcome: In words, as `replan evaluate` ends; `exit_code` likewise.
+        shard: "2/5": which part of a run this is, that is not judged; else "".
         replan: Version that drove.
         config: First 12 hex digits of the SHA-256 of the resolved configuration.
         logs: How many were asked for.
@@ -206,11 +213,12 @@ class Overview:
         notes: What was assumed, with how many logs it concerns, the commonest first.
         failures: What could not be evaluated.
         worst: The drive to look at first.
-        shard: Which part of a run this is, that is not judged ("2/5"); "": all of it.
+        comparison: With a baseline, where there is one.
     """
 
     outcome: str
     exit_code: int
+    shard: str
     replan: str
     config: str
     logs: int
@@ -228,7 +236,7 @@ class Overview:
     notes: tuple[str, ...]
     failures: tuple[str, ...]
     worst: DriveRow | None
-    shard: str = ""
+    comparison: Comparison | None
 
     @property
     def whole(self) -> tuple[PassShare, ...]:
@@ -237,13 +245,25 @@ class Overview:
         together = {share.planner for share in mine if share.mode == BOTH}
         return tuple(share for share in mine if share.mode == BOTH or share.planner not in together)
 
+    @property
+    def grouped(self) -> tuple[PassShare, ...]:
+        """The pass shares of the groups that say something of their own: of two logs or more, and not of all.
 
-def overview(results: Results) -> Overview:
+        Over the loops that were run, the lowest first.
+        """
+        modes = {share.planner: share.mode for share in self.whole}
+        mine = [share for share in self.shares if 1 < share.logs < self.logs and share.mode == modes[share.planner]]
+        return tuple(sorted(mine, key=lambda share: share.share))
+
+
+def overview(results: Results, comparison: Comparison | None = None) -> Overview:
     """What a report says of a finished run.
 
     Args:
         results: Of `replay.results.load`.
+        comparison: With a baseline: its rules count in outcome and exit code, the worst of both.
     """
+    code = combined((results.exit_code, comparison.exit_code if comparison else 0))
     values = _values(results.metrics)
     said = log_outcomes(results)
     modes = [mode.value for mode in results.run.modes]
@@ -252,8 +272,9 @@ def overview(results: Results) -> Overview:
     gates = _gates(results, said)
     planners = _planners(results.drives)
     return Overview(
-        outcome=str(results.summary["outcome"]),
-        exit_code=results.exit_code,
+        outcome=str(results.summary["outcome"]) if code == results.exit_code else OUTCOMES[code],
+        exit_code=code,
+        shard=str(results.summary.get("shard", "")),
         replan=str(results.summary["replan"]),
         config=sha256((results.path / "run.toml").read_bytes()).hexdigest()[:12],
         logs=len(results.logs),
@@ -264,22 +285,21 @@ def overview(results: Results) -> Overview:
         frames=int((results.timings["stage"] == "total").sum()),
         latency=tuple(_latency(results.timings)),
         gates=gates,
-        shares=_shares(results, said),
+        shares=_shares(results, said) if "shard" not in results.summary else (),
         coverage=tuple(_coverage(results.drives, values)),
         ensembles=len(_ensemble(results.metrics)),
         fragile=tuple(_fragile(results.metrics)),
         notes=tuple(_notes(results.summary["logs"])),
         failures=tuple(_failure(row) for row in results.summary["failures"]),
         worst=_worst(gates, drives),
-        shard=results.summary.get("shard", ""),
+        comparison=comparison,
     )
 
 
 def log_outcomes(results: Results) -> pd.DataFrame:
     """What each log says of each gate, `Results.verdicts`, and of the deadline, where one was asked."""
     deadline_s = results.run.deadline_s
-    tags = {log: labels.tags for log, labels in results.labels.items()}
-    late = judge_deadline(results.timings, deadline_s, tags) if deadline_s > 0.0 else ()
+    late = judge_deadline(results.timings, deadline_s, results.labels) if deadline_s > 0.0 else ()
     return pd.concat([results.verdicts, outcomes(late)], ignore_index=True) if late else results.verdicts
 
 
@@ -402,9 +422,8 @@ def _coverage(drives: pd.DataFrame, values: Values) -> Iterator[Coverage]:
 
 
 def _shares(results: Results, said: pd.DataFrame) -> tuple[PassShare, ...]:
-    asked = [(planner, mode.value) for planner in results.run.planners for mode in results.run.modes]
     labels = results.labels | dict.fromkeys(results.unread, LogLabels())
-    stand = standings(said, results.drives, list(labels), asked)
+    stand = standings(said, results.drives, list(labels), results.run.drives)
     names = ["kind", "group", "planner", "mode", "logs", "passed", "failed", "inconclusive", "missing", "mean"]
     rows = pass_shares(stand, labels)[[*names, "low", "high"]].itertuples(index=False)
     return tuple(PassShare(*row[:4], *(int(count) for count in row[4:9]), *row[9:]) for row in rows)
@@ -415,30 +434,45 @@ def _shares(results: Results, said: pd.DataFrame) -> tuple[PassShare, ...]:
 
 def _gates(results: Results, said: pd.DataFrame) -> tuple[GateRow, ...]:
     units = dict(zip(results.metrics["metric"], results.metrics["unit"], strict=True))
-    evidence = said.drop_duplicates(["gate", "log", "planner", "mode"]).groupby(["gate", "planner", "mode"])["outcome"]
-    lacking = {key: (int((each == Outcome.INCONCLUSIVE.value).sum()), len(each)) for key, each in evidence}
+    found: dict[tuple[str, str, str], dict[str, str]] = {}
+    for gate, log, planner, mode, outcome in said[["gate", "log", "planner", "mode", "outcome"]].itertuples(
+        index=False
+    ):
+        found.setdefault((gate, planner, mode), {})[log] = outcome
+    members = {f"{kind} {group}": set(logs) for (kind, group), logs in membership(results.labels).items()}
     rows = []
     for verdict in results.summary["gates"]:
-        unit = units.get(verdict["gate"]["metric"], "")
-        key = verdict["rule"], verdict["planner"], verdict["mode"]
-        rows.append(_gate_row(verdict, unit, *lacking.get(key, (0, 0))))
+        unit = "" if verdict["gate"]["over"] == "pass_share" else units.get(verdict["gate"]["metric"], "")
+        each = found.get((verdict["rule"], verdict["planner"], verdict["mode"]), {})
+        mine = [outcome for log, outcome in each.items() if log in members.get(verdict.get("group"), each)]
+        rows.append(_gate_row(verdict, unit, mine.count(Outcome.INCONCLUSIVE.value), len(mine)))
     return tuple(sorted(rows, key=lambda row: ORDER.index(row.outcome)))
 
 
 def _gate_row(verdict: Mapping[str, Any], unit: str, lacking: int, asked: int) -> GateRow:
     value, time_s = (nan if verdict[name] is None else float(verdict[name]) for name in ("value", "time_s"))
     outcome, why, log = str(verdict["outcome"]), str(verdict["gate"]["reason"]), str(verdict["log"])
+    planner, mode, group = str(verdict["planner"]), str(verdict["mode"]), str(verdict.get("group", ""))
     if outcome == Outcome.PASS.value:
-        near = 0.0 if abs(value) < 1e-9 else value
         aside = f"; no evidence in {lacking} of {asked} logs" if lacking else ""
-        shown = f"{near:.3g}" + (f" {unit}" if unit not in ("", "1", "count") else "")
-        found = f"{verdict['planner']}: {shown}" + (f", on {log}" if near else "") + aside
+        found = f"{', '.join(filter(None, (planner, group)))}: {_near(verdict['gate'], value, unit, log)}{aside}"
     else:
         found = str(verdict["reason"])
         found += f" (the gate: {why})" if why and outcome == Outcome.FAIL.value else ""
-    planner, mode = str(verdict["planner"]), str(verdict["mode"])
     rule, reason = str(verdict["rule"]), str(verdict["reason"])
-    return GateRow(outcome, rule, found, reason, why, planner, mode, log, value, unit, time_s)
+    return GateRow(
+        outcome, rule, str(verdict["gate"]["over"]), found, reason, why, planner, mode, group, log, value, unit, time_s
+    )
+
+
+def _near(gate: Mapping[str, Any], value: float, unit: str, log: str) -> str:
+    """The value of a pass, and of one that every log must hold where it was nearest to the bound."""
+    if gate["over"] == "pass_share":
+        return f"{100.0 * value:.3g}% of the logs"
+    shown = 0.0 if abs(value) < 1e-9 else value
+    text = f"{shown:.3g}" if abs(shown) < 1e3 else f"{shown:.0f}"
+    text += f" {unit}" if unit not in ("", "1", "count") else ""
+    return f"{text}, on {log}" if shown and gate["over"] == "worst" else text
 
 
 # what else is said ------------------------------------------------------------------------------------------------

@@ -129,7 +129,8 @@ def _groups(comparison: Comparison) -> Iterator[RenderableType]:
     table = _grid(*titles, right=("logs", "before", "after", "better", "worse"))
     for row in _rows(shown.head(MOST_GROUPS)):
         inside = f" [{row.low:+.3g}, {row.high:+.3g}]" if isfinite(row.low) else ""
-        style = "" if not row.significant else "green" if row.better > row.worse else "red" if row.worse else "bold"
+        hurts = row.delta * {"lower": 1.0, "higher": -1.0}.get(row.direction, 0.0)
+        style = "" if not row.significant else "green" if hurts < 0.0 else "red" if hurts > 0.0 else "bold"
         change = Text(f"{row.delta:+.3g}{_unit(row.unit)}{inside}{' *' if row.significant else ''}", style=style)
         values = _number(row.baseline), _number(row.candidate)
         table.add_row(row.group, row.mode, row.metric, str(row.logs), *values, change, str(row.better), str(row.worse))

@@ -2,9 +2,10 @@
 
 python -m replay.experiments.regressions -o OUT [LOG ...] [--only NAME ...] [--ensemble N] [--workers N]
 
-Logs are files, or names of the catalogue; without any: the built-in suite. OUT/NAME are the results, OUT/regressions.csv has a row per change (`COLUMNS`): exit
-code, the rules of comparison that it breaks (the packaged ones and `STRICT`), and where most of the drives part. The
-last three must break none: the same again, the ego's log moved by 1e-9, and another solver of the same problems.
+Logs are files, or names of the catalogue; without any: the built-in suite. OUT/NAME are the results,
+OUT/regressions.csv has a row per change (`COLUMNS`): exit code, the rules of comparison that it breaks (the packaged
+ones and `STRICT`), and where most of the drives part. The last three must break none: the same again, the ego's log
+moved by 1e-9, and another solver of the same problems.
 """
 
 from __future__ import annotations

@@ -94,6 +94,7 @@ class GateRow:
     Attributes:
         outcome: "pass", "fail" or "inconclusive".
         rule: "gap.min >= 0.5 [closed]".
+        over: What must hold it: "worst" (every log), or what the logs make together.
         found: In short: of a pass the value nearest to the bound, else the reason.
         reason: The whole sentence.
         why: Why the gate is there.
@@ -107,6 +108,7 @@ class GateRow:
 
     outcome: str
     rule: str
+    over: str
     found: str
     reason: str
     why: str
@@ -242,6 +244,16 @@ class Overview:
         mine = [share for share in self.shares if share.kind == SUITE]
         together = {share.planner for share in mine if share.mode == BOTH}
         return tuple(share for share in mine if share.mode == BOTH or share.planner not in together)
+
+    @property
+    def grouped(self) -> tuple[PassShare, ...]:
+        """The pass shares of the groups that say something of their own: of two logs or more, and not of all.
+
+        Over the loops that were run, the lowest first.
+        """
+        modes = {share.planner: share.mode for share in self.whole}
+        mine = [share for share in self.shares if 1 < share.logs < self.logs and share.mode == modes[share.planner]]
+        return tuple(sorted(mine, key=lambda share: share.share))
 
 
 def overview(results: Results, comparison: Comparison | None = None) -> Overview:
@@ -448,7 +460,9 @@ def _gate_row(verdict: Mapping[str, Any], unit: str, lacking: int, asked: int) -
         found = str(verdict["reason"])
         found += f" (the gate: {why})" if why and outcome == Outcome.FAIL.value else ""
     rule, reason = str(verdict["rule"]), str(verdict["reason"])
-    return GateRow(outcome, rule, found, reason, why, planner, mode, group, log, value, unit, time_s)
+    return GateRow(
+        outcome, rule, str(verdict["gate"]["over"]), found, reason, why, planner, mode, group, log, value, unit, time_s
+    )
 
 
 def _near(gate: Mapping[str, Any], value: float, unit: str, log: str) -> str:

@@ -5,6 +5,7 @@
     OUT/groups.parquet          one row per group of logs, planner, mode and metric: mean, median, worst   likewise
     OUT/timings.parquet         log, planner, mode, t_s, stage, seconds                 not the same twice
     OUT/summary.json            outcome, gates, drives, failures
+    OUT/report.md, junit.xml    the reports, by `replan evaluate` and `replan report`
     OUT/run.toml                the resolved configuration
     OUT/shard.json              of a part of a run: which, of what (`replay.batch.shard`)
     OUT/LOG-HASH/               per log: open.mcap, open.rrd, closed.mcap, closed.rrd, frames.parquet, and what the
@@ -42,6 +43,8 @@ PARTIAL = ".partial-"
 SHARD_CARD = "shard.json"
 """Which part of a run the folder holds (`replay.batch.shard`)."""
 
+REPORTS = ("report.md", "junit.xml", "report.html")
+
 TABLES = (
     "metrics.parquet",
     "metrics.csv",
@@ -51,6 +54,7 @@ TABLES = (
     "timings.parquet",
     "summary.json",
     SHARD_CARD,
+    *REPORTS,
     "run.toml",
 )
 KEYS = ["log", "planner", "mode", "metric"]

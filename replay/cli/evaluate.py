@@ -109,6 +109,7 @@ def evaluate(
     shard: Annotated[
         str | None, typer.Option(metavar="I/N", help="Drive every N-th log only, from the I-th: see replan merge.")
     ] = None,
+    no_report: Annotated[bool, typer.Option("--no-report", help="Write no report.md and junit.xml.")] = False,
 ) -> None:
     """Drive planners over logs, measure, judge by gates, and record.
 
@@ -145,7 +146,7 @@ def evaluate(
         run = run_config(config, options, loop).in_car(car)
         result = _evaluated(
             logs or [], run, out, cores() if workers is None else workers,
-            resume=resume, window=window, suite=suite, shard=shard,
+            resume=resume, window=window, suite=suite, shard=shard, report=not no_report,
         )  # fmt: skip
         raise typer.Exit(result.exit_code)
 
@@ -229,7 +230,7 @@ def _settings(words: list[str]) -> dict[str, float | str]:
 
 def _evaluated(
     logs: list[Path], run: RunConfig, out: Path | None, workers: int, *, resume: bool, window: float | None,
-    suite: str | None, shard: str | None,
+    suite: str | None, shard: str | None, report: bool,
 ) -> RunResult:  # fmt: skip
     from replay.batch import evaluate_logs
     from replay.batch.pool import settle
@@ -245,20 +246,25 @@ def _evaluated(
             logs, run, out, workers=workers, resume=resume, window=window, suite=suite, shard=part,
             on_start=on_start, on_log=on_log,
         )  # fmt: skip
-    _print(result)
+    _report(result, written=report)
     return result
 
 
-def _print(result: RunResult) -> None:
-    """The report of a run on stdout."""
+def _report(result: RunResult, *, written: bool = True) -> None:
+    """The report of a run on stdout, and the written ones."""
     from replay.report.overview import overview
     from replay.report.terminal import print_report
+    from replay.report.write import write_reports
     from replay.results import load
 
     wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 110
     if result.resumed:
         typer.echo(f"Resumed: {result.resumed} of {len(result.logs)} logs are those of the interrupted run")
-    print_report(overview(load(result.out)), Console(width=wide, soft_wrap=False), result.out)
+    results = load(result.out)
+    over = overview(results)
+    if written:
+        write_reports(results, over, result.out)
+    print_report(over, Console(width=wide, soft_wrap=False), result.out)
 
 
 @app.command(epilog=EXIT_CODES)
@@ -281,7 +287,7 @@ def merge(
         from replay.batch.merge import merge as merged
 
         result = merged(shards, out)
-        _print(result)
+        _report(result)
         raise typer.Exit(result.exit_code)
 
 

@@ -1,0 +1,37 @@
+"""`replan report`: the reports of results that are there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from replay.cli.app import answered, app
+
+
+@app.command()
+def report(
+    results: Annotated[Path, typer.Argument(help="Folder of results.")],
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder for the reports. Default: the results'.")
+    ] = None,
+) -> None:
+    """Write the reports of a finished run: report.md (Markdown) and junit.xml (a test per log and gate).
+
+    `replan evaluate` and `replan merge` write them too. In CI the Markdown is also appended to the summary of the step
+    (GITHUB_STEP_SUMMARY).
+
+    [bold]Examples[/bold]
+
+      replan report results/run-001
+      replan report results/run-001 -o reports
+    """
+    with answered():
+        from replay.report.overview import overview
+        from replay.report.write import write_reports
+        from replay.results import load
+
+        found = load(results)
+        for path in write_reports(found, overview(found), out or results):
+            typer.echo(path)

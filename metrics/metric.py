@@ -85,6 +85,7 @@ class Reduction:
         unit: None: the metric's.
         direction: None: the metric's.
         empty: The value where no step has one (a count of nothing is 0); None: then it is unavailable.
+        bounds: The steps below the first or above the second are those that count; None: it counts otherwise.
     """
 
     name: str
@@ -92,6 +93,7 @@ class Reduction:
     unit: str | None = None
     direction: Direction | None = None
     empty: float | None = None
+    bounds: tuple[float, float] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -237,7 +239,7 @@ def time_below(bound: float, name: str) -> Reduction:
 
 def time_outside(low: float, high: float, name: str) -> Reduction:
     """Seconds during which the value is below `low` or above `high`; 0 where no step has a value."""
-    return Reduction(name, lambda series: _held(series, _outside(low, high, series)), "s", "lower", 0.0)
+    return Reduction(name, lambda series: _held(series, _outside(low, high, series)), "s", "lower", 0.0, (low, high))
 
 
 def time_above(bound: float, name: str) -> Reduction:
@@ -247,7 +249,8 @@ def time_above(bound: float, name: str) -> Reduction:
 
 def worst_episode(low: float, high: float) -> Reduction:
     """Longest unbroken stretch below `low` or above `high`, s; its time is the stretch's first step."""
-    return Reduction("worst_episode", lambda series: longest(series, _outside(low, high, series)), "s", "lower", 0.0)
+    reduce = lambda series: longest(series, _outside(low, high, series))  # noqa: E731
+    return Reduction("worst_episode", reduce, "s", "lower", 0.0, (low, high))
 
 
 def out_of_bounds(low: float, high: float) -> tuple[Reduction, Reduction]:

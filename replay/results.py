@@ -20,6 +20,7 @@ import numpy as np
 import pandas as pd
 
 from logs.errors import ConfigError, unknown_name
+from logs.kernel import FloatArray
 from logs.mcap import read_trace
 from logs.scenario import Scenario
 from logs.trace import Decision, Plan, PlannedFrame, Trace
@@ -176,9 +177,9 @@ class Results:
         what = "name a planner of" if len(found) else f"no {mode} loop of {planner or 'any planner'}; there are"
         raise ConfigError(f"{self.path}: {log}: {what} {there}")
 
-    def _steps(self, log: str, folder: str) -> pd.DataFrame:
+    def _steps(self, log: str, folder: str, asked: list[tuple[str, str, str]] | None = None) -> pd.DataFrame:
         file = self.path / folder / "frames.parquet"
-        table = pd.read_parquet(file) if file.is_file() else pd.DataFrame(columns=["planner", "mode", "t_s"])
+        table = pd.read_parquet(file, filters=asked) if file.is_file() else pd.DataFrame(columns=["planner", "mode", "t_s"])
         table.insert(0, "log", log)
         return table
 
@@ -224,9 +225,29 @@ class DriveResult:
     @cached_property
     def series(self) -> pd.DataFrame:
         """Its metrics step by step: index t_s, a column per metric; NaN where a step has none."""
+        return self._steps.pivot(index="t_s", columns="metric", values="value")
+
+    @cached_property
+    def _steps(self) -> pd.DataFrame:
         folder = str(self._row(self.result.logs)["folder"])
-        rows = self._mine(self.result._steps(self.log, folder))
-        return rows.pivot(index="t_s", columns="metric", values="value")
+        asked = [("planner", "==", self.planner), ("mode", "==", self.mode)]
+        return self.result._steps(self.log, folder, asked)
+
+    def steps(self, metric: str) -> tuple[FloatArray, FloatArray]:
+        """One metric step by step, t (s) and value `(n,)`; empty where it was not measured."""
+        t, values, rows = self._by_metric
+        mine = rows.get(metric, slice(0, 0))
+        return t[mine], values[mine]
+
+    @cached_property
+    def _by_metric(self) -> tuple[FloatArray, FloatArray, dict[str, slice]]:
+        """The steps, and where those of each metric are: they are sorted by metric, then by time."""
+        names = self._steps["metric"].astype("category")
+        order = np.argsort(names.cat.codes.to_numpy(), kind="stable")
+        ends = np.cumsum(np.bincount(names.cat.codes.to_numpy(), minlength=len(names.cat.categories)))
+        rows = {str(name): slice(b, e) for name, b, e in zip(names.cat.categories, [0, *ends[:-1]], ends, strict=True)}
+        t, values = (self._steps[column].to_numpy(np.float64)[order] for column in ("t_s", "value"))
+        return t, values, rows
 
     @cached_property
     def info(self) -> pd.Series[Any]:

@@ -217,7 +217,7 @@ def test_noise_and_fragile_drives_flip_nothing() -> None:
     assert list(found.flips["marginal"]) == [True]
     verdicts = judged((NO_FLIPS, Rule("gap.min", max_decrease=0.1, over="worst")), found, {}).verdicts
     assert [verdict.outcome for verdict in verdicts] == [Outcome.PASS] * 2
-    assert verdicts[0].reason == "0 flips; 1 marginal" and "1 fragile drives left out" in verdicts[1].reason
+    assert verdicts[0].reason == "0 flips; 1 marginal" and "fragile and left out: 1" in verdicts[1].reason
 
 
 def test_rules_and_gates_share_a_file(tmp_path: Path) -> None:

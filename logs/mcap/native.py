@@ -328,6 +328,17 @@ class Plan(msgspec.Struct):
     lanes: list[LaneOption] = []
 
 
+class PlanOutline(msgspec.Struct):
+    """A plan without what its stages searched: decoded ten times faster."""
+
+    status: str
+    reason: str
+    start: str
+    trajectory: TrajectoryColumns
+    decisions: list[Decision] = []
+    lanes: list[LaneOption] = []
+
+
 class Predictions(msgspec.Struct, rename=serialised):
     """Assumed futures: row i of x and y are the box centres of agent id[i] at the times t; ids may come repeatedly."""
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, field, replace
+from math import nan
 from pathlib import Path
 from typing import Any
 
@@ -77,6 +78,7 @@ class LogResult:
         failures: What was not.
         table: Rows of `metrics.evaluate`.
         health: Rows of `metrics.health.table`: what is wrong with the log.
+        seconds: How long it took, for people to read; in no file; NaN where it was there already.
         members: Rows of `metrics.evaluate` of the ensemble's drives, with `metrics.ensemble`'s columns; mostly empty.
     """
 
@@ -93,6 +95,7 @@ class LogResult:
     table: pd.DataFrame = field(default_factory=pd.DataFrame)
     members: pd.DataFrame = field(default_factory=pd.DataFrame)
     health: pd.DataFrame = field(default_factory=pd.DataFrame)
+    seconds: float = nan
 
 
 @dataclass(frozen=True)

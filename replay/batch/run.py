@@ -27,7 +27,7 @@ from planners import PLANNERS
 from replay.batch.log_result import DriveRecord, Failure, LogResult, timings_of
 from replay.batch.one_log import all_metrics, evaluate_log
 from replay.batch.pool import WorkerLost, run_all
-from replay.batch.resume import finished, replan_version, stamp_of
+from replay.batch.resume import finished, stamp_of
 from replay.batch.shard import Shard, write_card
 from replay.batch.sources import LogSource, Selection, builtin_suite, named_suite, select
 from replay.batch.tables import (
@@ -50,6 +50,7 @@ from replay.perception import PERCEPTIONS, PREDICTIONS
 from replay.planner_config import resolved_table
 from replay.traffic import TRAFFIC
 from replay.vehicle import VEHICLES
+from replay.version import replan_version
 
 
 @dataclass(frozen=True, eq=False)

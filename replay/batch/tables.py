@@ -43,8 +43,6 @@ PARTIAL = ".partial-"
 SHARD_CARD = "shard.json"
 """Which part of a run the folder holds (`replay.batch.shard`)."""
 
-REPORTS = ("report.md", "junit.xml", "report.html")
-
 TABLES = (
     "metrics.parquet",
     "metrics.csv",
@@ -54,9 +52,11 @@ TABLES = (
     "timings.parquet",
     "summary.json",
     SHARD_CARD,
-    *REPORTS,
     "run.toml",
 )
+REPORTS = ("report.md", "junit.xml", "report.html")
+FILES = (*TABLES, *REPORTS)
+"""What stands in a result folder beside the folders of the logs."""
 KEYS = ["log", "planner", "mode", "metric"]
 TIMING_COLUMNS = ["log", "planner", "mode", "t_s", "stage", "seconds"]
 
@@ -169,4 +169,4 @@ def is_ours(entry: Path) -> bool:
         return entry.read_text(encoding="utf-8", errors="replace").startswith(HEADER)
     if entry.is_dir():
         return entry.name.startswith(PARTIAL) or (entry / LOG_CARD).is_file()
-    return entry.name in TABLES
+    return entry.name in FILES

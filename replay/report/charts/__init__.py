@@ -1,0 +1,32 @@
+"""Charts as SVG: the pictures of a drive and of a run, in one style, for the HTML report and `replan plot`.
+
+canvas.py    elements, simplification, `Chart`          axes.py      scales, ticks, plot areas
+style.py     colours by role, light and dark            picture.py   several charts as one file, SVG or PNG
+moment.py    when to look at a drive, when gates broke   subject.py   what a drive's pictures are drawn from
+scene.py, graphs.py, curves.py, lanes.py                 the pictures of a drive
+overall.py                                               the pictures of a run and of a comparison
+
+Nothing here measures: what is drawn is in the trace, the tables and the series of the run.
+"""
+
+from replay.report.charts.canvas import Chart
+from replay.report.charts.curves import curves
+from replay.report.charts.graphs import sl_graph, st_graph
+from replay.report.charts.lanes import decisions
+from replay.report.charts.moment import Moment, worst_moment
+from replay.report.charts.scene import scene, scenes
+from replay.report.charts.subject import Subject, subject
+
+__all__ = [
+    "Chart",
+    "Moment",
+    "Subject",
+    "curves",
+    "decisions",
+    "scene",
+    "scenes",
+    "sl_graph",
+    "st_graph",
+    "subject",
+    "worst_moment",
+]

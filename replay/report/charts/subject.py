@@ -1,0 +1,63 @@
+"""What the pictures of a drive are drawn from: its tables, its trace, and one moment in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from math import isfinite
+
+from logs.errors import ConfigError
+from logs.mcap import read_trace
+from logs.scenario import Scenario
+from logs.trace import PlannedFrame, Trace
+from replay.report.charts.moment import Moment, Violation, violations, worst_moment
+from replay.results import DriveResult
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """A drive and the moment that is looked at.
+
+    Attributes:
+        drive: Of the results.
+        moment: When to look, and why.
+        trace: As driven; only the plan at the moment has all of its inside (`read_trace`).
+        scenario: Road, goal, vehicle, lights.
+    """
+
+    drive: DriveResult
+    moment: Moment
+    trace: Trace
+    scenario: Scenario
+
+    @cached_property
+    def violations(self) -> list[Violation]:
+        """The gates that this drive broke, and when."""
+        return violations(self.drive)
+
+    @property
+    def span(self) -> tuple[float, float]:
+        """First and last time of the drive, s; never empty."""
+        first, last = float(self.trace.ego.t[0]), float(self.trace.ego.t[-1])
+        return first, max(last, first + 0.1)
+
+    @cached_property
+    def frame(self) -> PlannedFrame | None:
+        """The plan that was the newest at the moment; None: there was none yet."""
+        earlier = [frame for frame in self.trace.frames if frame.t <= self.moment.t + 1e-9]
+        return earlier[-1] if earlier else None
+
+
+def subject(drive: DriveResult, at: float | None = None) -> Subject:
+    """A drive at a time, or at its worst moment.
+
+    Raises:
+        ConfigError: The drive was over by then, or had not begun.
+        LogError: Its trace is damaged.
+    """
+    moment = worst_moment(drive) if at is None else Moment(at, "as asked")
+    trace, scenario = read_trace(drive.trace_file, (moment.t,))
+    begin, end = float(trace.ego.t[0]), float(trace.ego.t[-1])
+    if not (isfinite(moment.t) and begin - 1e-9 <= moment.t <= end + 1e-9):
+        raise ConfigError(f"{drive.log}, {drive.planner}, {drive.mode} loop: --at {moment.t:g} is not in its {begin:g} to {end:g} s")
+    return Subject(drive, moment, trace, scenario)

@@ -123,7 +123,7 @@ def _groups(comparison: Comparison) -> Iterator[RenderableType]:
     rank = pd.DataFrame({"part": ~suite, "unsure": ~groups["significant"], "other": ~gated, "size": -size})
     shown = groups[suite & (gated | groups["significant"]) | ~suite & gated & groups["significant"]]
     shown = shown.loc[rank.loc[shown.index].sort_values(["part", "unsure", "other", "size"], kind="stable").index]
-    words = shown["metric"].str.partition(".")[0]
+    words = shown["metric"].map(lambda name: name.partition(".")[0])
     shown = shown[~shown.assign(metric=words)[["kind", "group", "planner", "mode", "metric"]].duplicated()]
     titles = ("logs of", "loop", "metric", "logs", "before", "after", "change [95 %]", "better", "worse")
     table = _grid(*titles, right=("logs", "before", "after", "better", "worse"))

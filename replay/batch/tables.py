@@ -31,11 +31,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from logs.errors import ConfigError
+from replay.batch.schema import SCHEMA_VERSION, arrow
 from replay.batch.sources import LOG_CARD
 from replay.config import HEADER
-
-SCHEMA_VERSION = 1
-"""Of the tables and of summary.json; counts up when a column changes its meaning or goes."""
 
 PARTIAL = ".partial-"
 """Names of what is being written begin with this."""
@@ -84,9 +82,8 @@ def write_text(path: Path, text: str) -> None:
 
 def write_parquet(path: Path, table: pd.DataFrame) -> None:
     """The table with its schema version, and nothing that differs between two writings of the same values."""
-    arrow = pa.Table.from_pandas(table, preserve_index=False)
-    arrow = arrow.replace_schema_metadata({"replan_schema_version": str(SCHEMA_VERSION)})
-    write_file(path, lambda partial: pq.write_table(arrow, partial, compression="zstd"))
+    typed = arrow(path.name, table).replace_schema_metadata({"replan_schema_version": str(SCHEMA_VERSION)})
+    write_file(path, lambda partial: pq.write_table(typed, partial, compression="zstd"))
 
 
 def write_timings(path: Path, tables: Iterable[pd.DataFrame]) -> None:

@@ -65,6 +65,11 @@ class Side:
     failed: Mapping[str, str]
 
     @property
+    def tags(self) -> dict[str, tuple[str, ...]]:
+        """Tags by log."""
+        return {log: labels.tags for log, labels in self.labels.items()}
+
+    @property
     def labels(self) -> dict[str, LogLabels]:
         """What each log belongs to."""
         columns = (self.logs[name] for name in ("log", "family", "dataset", "tags"))
@@ -148,7 +153,8 @@ def compare(baseline: Side, candidate: Side, gates: Gates, also: Collection[str]
     fragile = _fragile(baseline.table) | _fragile(candidate.table)
     pairs = _pairs(baseline.table, candidate.table, changed, {**dict.fromkeys(also, 0.0), **_bounds(gates)})
     pairs["fragile"] = _in(pairs, fragile)
-    flips = _flips(baseline, candidate, gates, changed, drives[0].keys() & drives[1].keys())
+    alone = _measured(baseline.table) ^ _measured(candidate.table)
+    flips = _flips(baseline, candidate, gates, changed.keys() | alone, drives[0].keys() & drives[1].keys())
     flips["marginal"] |= _in(flips, fragile)
     return Comparison(
         baseline.label,
@@ -164,6 +170,10 @@ def compare(baseline: Side, candidate: Side, gates: Gates, also: Collection[str]
 
 def _driven(table: pd.DataFrame) -> pd.DataFrame:
     return table[table["mode"] != REFERENCE]
+
+
+def _measured(table: pd.DataFrame) -> set[str]:
+    return set(_driven(table)["metric"])
 
 
 def _drives(side: Side) -> dict[tuple[str, str, str], str]:
@@ -243,7 +253,7 @@ def _flips(
     left_out: Collection[str],
     drives: Collection[tuple[str, str, str]],
 ) -> pd.DataFrame:
-    """Gates whose outcome on a drive of both runs is another one."""
+    """Gates whose outcome on a drive of both runs is another one; what is only asked or no longer asked is none."""
     rules = Gates(tuple(gate for gate in gates.gates if gate.metric not in left_out), gates.source)
     said = [_outcomes(rules, side, candidate.table) for side in (baseline, candidate)]
     metric = {str(gate): gate.metric for gate in rules.gates}
@@ -251,7 +261,7 @@ def _flips(
     for key in dict.fromkeys([*said[0], *said[1]]):
         *drive, gate = key
         before, now = (outcome.get(key, _UNASKED) for outcome in said)
-        if tuple(drive) in drives and before[0] != now[0]:
+        if tuple(drive) in drives and before[0] != now[0] and {before[0], now[0]} != _NO_FLIP:
             same = bool(noise(np.array([before[1]]), np.array([now[1]]))[0])
             when = now[2] if np.isfinite(now[2]) else before[2]
             change = (before[0], now[0], before[1], now[1], when, now[3] or before[3], same)
@@ -263,6 +273,7 @@ def _flips(
 _Said = tuple[str, float, float, str]
 """Outcome, value, time, reason."""
 _UNASKED: _Said = (NOT_ASKED, np.nan, np.nan, "")
+_NO_FLIP = {NOT_ASKED, Outcome.PASS.value}
 
 
 def _outcomes(gates: Gates, side: Side, references: pd.DataFrame) -> dict[tuple[str, str, str, str], _Said]:
@@ -296,7 +307,7 @@ def _differences(baseline: Side, candidate: Side, changed: Mapping[str, str]) ->
         if keys:
             yield f"settings of the {word} only: {_named(keys)}"
     both = baseline.logs.merge(candidate.logs, on="log", suffixes=("_b", "_c"))
-    for column, what in (("sha256", "another content (SHA-256)"), ("vehicle", "another vehicle")):
+    for column, what in (("sha256", "another SHA-256"), ("vehicle", "another vehicle")):
         known = (both[f"{column}_b"] != "") & (both[f"{column}_c"] != "")
         names = list(both.loc[known & (both[f"{column}_b"] != both[f"{column}_c"]), "log"])
         if names:

@@ -202,6 +202,7 @@ def test_a_small_cause_is_named_and_not_its_larger_effect() -> None:
     step = np.where(drive().ego.t >= 2.0, 2.0 * TOLERANCE, 0.0)
     found = parting(drive(), replace(small, ego=replace(small.ego, x=small.ego.x + step)))
     assert found is not None and (found.t, found.stage) == (1.0, "speed QP")
+    assert found.what.endswith("; more than 0.001 from t = 2.00 s on (vehicle)")
 
 
 def test_others_elsewhere_are_an_input() -> None:

@@ -5,6 +5,7 @@
     OUT/groups.parquet          one row per group of logs, planner, mode and metric: mean, median, worst   likewise
     OUT/timings.parquet         log, planner, mode, t_s, stage, seconds                 not the same twice
     OUT/summary.json            outcome, gates, drives, failures
+    OUT/report.md, junit.xml    the reports, by `replan evaluate` and `replan report`
     OUT/run.toml                the resolved configuration
     OUT/shard.json              of a part of a run: which, of what (`replay.batch.shard`)
     OUT/LOG-HASH/               per log: open.mcap, open.rrd, closed.mcap, closed.rrd, frames.parquet, and what the
@@ -51,6 +52,9 @@ TABLES = (
     SHARD_CARD,
     "run.toml",
 )
+REPORTS = ("report.md", "junit.xml", "report.html")
+FILES = (*TABLES, *REPORTS)
+"""What stands in a result folder beside the folders of the logs."""
 KEYS = ["log", "planner", "mode", "metric"]
 TIMING_COLUMNS = ["log", "planner", "mode", "t_s", "stage", "seconds"]
 
@@ -162,4 +166,4 @@ def is_ours(entry: Path) -> bool:
         return entry.read_text(encoding="utf-8", errors="replace").startswith(HEADER)
     if entry.is_dir():
         return entry.name.startswith(PARTIAL) or (entry / LOG_CARD).is_file()
-    return entry.name in TABLES
+    return entry.name in FILES

@@ -33,6 +33,7 @@ from replay.cli.names import completion
 if TYPE_CHECKING:
     from replay.batch import RunResult
     from replay.config import RunConfig
+    from replay.report.model import Overview
 
 EXIT_CODES = (
     "Exit codes: 0 all gates pass; 1 a gate failed; 2 wrong usage or configuration; 3 a log or planner could not be"
@@ -139,6 +140,7 @@ def evaluate(
     shard: Annotated[
         str | None, typer.Option(metavar="I/N", help="Drive every N-th log only, from the I-th: see replan merge.")
     ] = None,
+    no_report: Annotated[bool, typer.Option("--no-report", help="Write no report.md and junit.xml.")] = False,
     as_json: Json = False,
     quiet: Quiet = False,
     verbose: Annotated[
@@ -183,8 +185,7 @@ def evaluate(
             logs or [], run, out, cores() if workers is None else workers,
             resume=resume, window=window, suite=suite, shard=shard, quiet=quiet, verbose=verbose,
         )  # fmt: skip
-        _say(result, as_json=as_json, quiet=quiet)
-        raise typer.Exit(result.exit_code)
+        raise typer.Exit(_say(result, report=not no_report, as_json=as_json, quiet=quiet))
 
 
 @app.command()
@@ -295,35 +296,46 @@ def _evaluated(
         )  # fmt: skip
 
 
-def _say(result: RunResult, *, as_json: bool, quiet: bool) -> None:
-    """The report of a run on stdout; or summary.json and where it lies; or its last line."""
-    from replay.batch.run import summary
+def _say(result: RunResult, *, report: bool, as_json: bool, quiet: bool) -> int:
+    """The written reports, and on stdout the report; or summary.json and where it lies; or its last line.
 
+    Returns:
+        The exit code.
+    """
+    from replay.batch.run import summary
+    from replay.report.overview import overview
+    from replay.report.write import write_reports
+    from replay.results import load
+
+    results = load(result.out)
+    over = overview(results)
+    if report:
+        write_reports(results, over, result.out)
     if as_json:
         say_json({"results": result.out, **summary(result)})
     elif quiet:
-        typer.echo(f"Outcome: {result.outcome.upper()} (exit code {result.exit_code}); results: {result.out}")
+        typer.echo(f"Outcome: {over.outcome.upper()} (exit code {over.exit_code}); results: {result.out}")
     else:
-        _print(result)
+        _print(result, over)
+    return over.exit_code
 
 
-def _print(result: RunResult) -> None:
+def _print(result: RunResult, over: Overview) -> None:
     from rich.console import Console
 
-    from replay.report.overview import overview
     from replay.report.terminal import print_report
-    from replay.results import load
 
     wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 110
     if result.resumed:
         typer.echo(f"Resumed: {result.resumed} of {len(result.logs)} logs are those of the interrupted run")
-    print_report(overview(load(result.out)), Console(width=wide, soft_wrap=False), result.out)
+    print_report(over, Console(width=wide, soft_wrap=False), result.out)
 
 
 @app.command(epilog=EXIT_CODES)
 def merge(
     shards: Annotated[list[Path], typer.Argument(help="Result folders of all shards of a run, in any order.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Result folder.")],
+    no_report: Annotated[bool, typer.Option("--no-report", help="Write no report.md and junit.xml.")] = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -342,8 +354,7 @@ def merge(
         from replay.batch.merge import merge as merged
 
         result = merged(shards, out)
-        _say(result, as_json=as_json, quiet=quiet)
-        raise typer.Exit(result.exit_code)
+        raise typer.Exit(_say(result, report=not no_report, as_json=as_json, quiet=quiet))
 
 
 @app.command()

@@ -82,10 +82,14 @@ def _flips(comparison: Comparison) -> Iterator[RenderableType]:
     if flips.empty:
         yield from _titled("Flips", Text("none: each gate says of each log what it said"))
         return
-    order = flips["after"].map({"fail": 0, "inconclusive": 1}).fillna(2).sort_values(kind="stable").index
+    rank = 2 - 2 * (flips["after"] == "fail") - (flips["before"] == "fail")
+    order = rank.sort_values(kind="stable").index
     table = _grid("log", "loop", "gate", "before", "after", "value", "at")
     for row in _rows(flips.loc[order].head(MOST_FLIPS)):
-        after = Text(f"{row.after}{' (marginal)' if row.marginal else ''}", style=STYLES.get(str(row.after), ""))
+        after = Text(
+            f"{row.after}{' (marginal)' if row.marginal and row.after == 'fail' else ''}",
+            style=STYLES.get(str(row.after), ""),
+        )
         values = f"{_number(row.value_before)} -> {_number(row.value_after)}"
         table.add_row(Text(row.log), row.mode, Text(row.gate), row.before, after, values, _time(row.time_s))
     count = {word: int((flips["after"] == word).sum()) for word in ("fail", "pass")}

@@ -17,7 +17,7 @@ import pandas as pd
 from metrics.compare import Comparison
 from metrics.gates import Outcome
 from replay.report.columns import LEGEND
-from replay.report.overview import NOTHING, DriveRow, GateRow, Overview, PassShare
+from replay.report.model import NOTHING, DriveRow, GateRow, Overview, PassShare
 
 STEP_SUMMARY = "GITHUB_STEP_SUMMARY"
 """Names the file that CI shows as the summary of a step."""

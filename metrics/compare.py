@@ -65,6 +65,11 @@ class Side:
     failed: Mapping[str, str]
 
     @property
+    def tags(self) -> dict[str, tuple[str, ...]]:
+        """Tags by log."""
+        return {log: labels.tags for log, labels in self.labels.items()}
+
+    @property
     def labels(self) -> dict[str, LogLabels]:
         """What each log belongs to."""
         columns = (self.logs[name] for name in ("log", "family", "dataset", "tags"))

@@ -26,8 +26,9 @@ from metrics.compare import DRIVE, PARTING_COLUMNS, Comparison, Side, compare
 from metrics.compare_rules import Rule, judged, load_rules
 from metrics.gates import load_gates
 from metrics.judge import REFERENCE
+from replay.batch.schema import SCHEMA_VERSION
 from replay.batch.sources import LOG_CARD
-from replay.batch.tables import SCHEMA_VERSION, write_file
+from replay.batch.tables import write_file
 from replay.config import read_toml
 from replay.parting import parting
 from replay.results import Results, load

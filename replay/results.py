@@ -25,7 +25,8 @@ from logs.mcap import read_trace
 from logs.scenario import Scenario
 from logs.trace import Decision, Plan, PlannedFrame, Trace
 from metrics.aggregate import LogLabels
-from replay.batch.tables import SCHEMA_VERSION, read_timings
+from replay.batch.schema import SCHEMA_VERSION
+from replay.batch.tables import read_timings
 from replay.config import RunConfig, load_run
 
 LOG_COLUMNS = ("log", "source", "sha256", "folder", "family", "dataset", "tags", "notes")

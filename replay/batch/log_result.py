@@ -15,8 +15,9 @@ from typing import Any
 
 import pandas as pd
 
+from replay.batch.schema import SCHEMA_VERSION
 from replay.batch.sources import LOG_CARD
-from replay.batch.tables import KEYS, SCHEMA_VERSION, joined, write_json, write_parquet
+from replay.batch.tables import KEYS, joined, write_json, write_parquet
 
 MEMBERS = "ensemble.parquet"
 

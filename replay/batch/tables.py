@@ -5,6 +5,7 @@
     OUT/groups.parquet          one row per group of logs, planner, mode and metric: mean, median, worst   likewise
     OUT/timings.parquet         log, planner, mode, t_s, stage, seconds                 not the same twice
     OUT/summary.json            outcome, gates, drives, failures
+    OUT/report.md, junit.xml    the reports, by `replan evaluate` and `replan report`
     OUT/run.toml                the resolved configuration
     OUT/shard.json              of a part of a run: which, of what (`replay.batch.shard`)
     OUT/LOG-HASH/               per log: open.mcap, open.rrd, closed.mcap, closed.rrd, frames.parquet, and what the
@@ -30,11 +31,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from logs.errors import ConfigError
+from replay.batch.schema import SCHEMA_VERSION, arrow
 from replay.batch.sources import LOG_CARD
 from replay.config import HEADER
-
-SCHEMA_VERSION = 1
-"""Of the tables and of summary.json; counts up when a column changes its meaning or goes."""
 
 PARTIAL = ".partial-"
 """Names of what is being written begin with this."""
@@ -53,6 +52,9 @@ TABLES = (
     SHARD_CARD,
     "run.toml",
 )
+REPORTS = ("report.md", "junit.xml", "report.html")
+FILES = (*TABLES, *REPORTS)
+"""What stands in a result folder beside the folders of the logs."""
 KEYS = ["log", "planner", "mode", "metric"]
 TIMING_COLUMNS = ["log", "planner", "mode", "t_s", "stage", "seconds"]
 
@@ -80,9 +82,8 @@ def write_text(path: Path, text: str) -> None:
 
 def write_parquet(path: Path, table: pd.DataFrame) -> None:
     """The table with its schema version, and nothing that differs between two writings of the same values."""
-    arrow = pa.Table.from_pandas(table, preserve_index=False)
-    arrow = arrow.replace_schema_metadata({"replan_schema_version": str(SCHEMA_VERSION)})
-    write_file(path, lambda partial: pq.write_table(arrow, partial, compression="zstd"))
+    typed = arrow(path.name, table).replace_schema_metadata({"replan_schema_version": str(SCHEMA_VERSION)})
+    write_file(path, lambda partial: pq.write_table(typed, partial, compression="zstd"))
 
 
 def write_timings(path: Path, tables: Iterable[pd.DataFrame]) -> None:
@@ -165,4 +166,4 @@ def is_ours(entry: Path) -> bool:
         return entry.read_text(encoding="utf-8", errors="replace").startswith(HEADER)
     if entry.is_dir():
         return entry.name.startswith(PARTIAL) or (entry / LOG_CARD).is_file()
-    return entry.name in TABLES
+    return entry.name in FILES

@@ -3,6 +3,7 @@
 Commands by what they are about:
 
 evaluate.py    what drives: evaluate, merge, vary, paper, calibrate
+report.py      the reports of results
 logs.py        what reads and writes logs: synth, convert, inspect, salvage, export
 results.py     what looks at results: view
 compare.py     run against run: compare, baseline
@@ -10,10 +11,10 @@ about.py       what replan knows: metrics
 app.py         what they share
 """
 
-from replay.cli import evaluate, logs, results, compare, about  # isort: skip  # the order of the help
+from replay.cli import evaluate, report, logs, results, compare, about  # isort: skip  # the order of the help
 from replay.cli.app import app
 
-__all__ = ["about", "app", "compare", "evaluate", "logs", "main", "results"]
+__all__ = ["about", "app", "compare", "evaluate", "logs", "main", "report", "results"]
 
 
 def main() -> None:

@@ -142,8 +142,3 @@ def log_settings(
 def cores() -> int:
     """Cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def worst_code(*codes: int) -> int:
-    """The exit code of several parts of a command: 2 beats 3 beats 1 beats 4 beats 0."""
-    return min(codes, key=(2, 3, 1, 4, 0).index)

@@ -27,7 +27,6 @@ from replay.cli.app import (
     log_settings,
     run_config,
     say_json,
-    worst_code,
 )  # fmt: skip
 from replay.cli.names import completion
 
@@ -36,6 +35,7 @@ if TYPE_CHECKING:
     from replay.batch import RunResult
     from replay.compare import Opened
     from replay.config import RunConfig
+    from replay.report.model import Overview
 
 EXIT_CODES = (
     "Exit codes: 0 all gates pass; 1 a gate failed; 2 wrong usage or configuration; 3 a log or planner could not be"
@@ -146,6 +146,7 @@ def evaluate(
     shard: Annotated[
         str | None, typer.Option(metavar="I/N", help="Drive every N-th log only, from the I-th: see replan merge.")
     ] = None,
+    no_report: Annotated[bool, typer.Option("--no-report", help="Write no report.md and junit.xml.")] = False,
     as_json: Json = False,
     quiet: Quiet = False,
     verbose: Annotated[
@@ -192,8 +193,7 @@ def evaluate(
             resume=resume, window=window, suite=suite, shard=shard, quiet=quiet, verbose=verbose,
         )  # fmt: skip
         compared = None if before is None else _against(before, result)
-        _say(result, compared, as_json=as_json, quiet=quiet)
-        raise typer.Exit(worst_code(result.exit_code, 0 if compared is None else compared[0].exit_code))
+        raise typer.Exit(_say(result, compared, report=not no_report, as_json=as_json, quiet=quiet))
 
 
 @app.command()
@@ -326,42 +326,55 @@ def _against(before: Opened, result: RunResult) -> tuple[Comparison, Opened]:
     return compare_runs(before, after, gates=result.run.gates_path), after
 
 
-def _say(result: RunResult, compared: tuple[Comparison, Opened] | None, *, as_json: bool, quiet: bool) -> None:
-    """The report of a run on stdout; or summary.json and where it lies; or its last line."""
+def _say(
+    result: RunResult, compared: tuple[Comparison, Opened] | None, *, report: bool, as_json: bool, quiet: bool
+) -> int:
+    """The written reports, and on stdout the report; or summary.json and where it lies; or its last line.
+
+    Returns:
+        The exit code.
+    """
     from replay.batch.run import summary
     from replay.cli.compare import shown
     from replay.report.compared import document, last_line
+    from replay.report.overview import overview
+    from replay.report.write import write_reports
+    from replay.results import load
 
+    results = load(result.out)
+    over = overview(results, None if compared is None else compared[0])
+    if report:
+        write_reports(results, over, result.out)
     if as_json:
         more = {} if compared is None else {"comparison": document(compared[0])}
         say_json({"results": result.out, **summary(result), **more})
     elif quiet:
-        typer.echo(f"Outcome: {result.outcome.upper()} (exit code {result.exit_code}); results: {result.out}")
+        typer.echo(f"Outcome: {over.outcome.upper()} (exit code {over.exit_code}); results: {result.out}")
         if compared is not None:
             typer.echo(last_line(compared[0]))
     else:
-        _print(result)
+        _print(result, over)
         if compared is not None:
             shown(*compared)
+    return over.exit_code
 
 
-def _print(result: RunResult) -> None:
+def _print(result: RunResult, over: Overview) -> None:
     from rich.console import Console
 
-    from replay.report.overview import overview
     from replay.report.terminal import print_report
-    from replay.results import load
 
     wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 110
     if result.resumed:
         typer.echo(f"Resumed: {result.resumed} of {len(result.logs)} logs are those of the interrupted run")
-    print_report(overview(load(result.out)), Console(width=wide, soft_wrap=False), result.out)
+    print_report(over, Console(width=wide, soft_wrap=False), result.out)
 
 
 @app.command(epilog=EXIT_CODES)
 def merge(
     shards: Annotated[list[Path], typer.Argument(help="Result folders of all shards of a run, in any order.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Result folder.")],
+    no_report: Annotated[bool, typer.Option("--no-report", help="Write no report.md and junit.xml.")] = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -380,8 +393,7 @@ def merge(
         from replay.batch.merge import merge as merged
 
         result = merged(shards, out)
-        _say(result, None, as_json=as_json, quiet=quiet)
-        raise typer.Exit(result.exit_code)
+        raise typer.Exit(_say(result, None, report=not no_report, as_json=as_json, quiet=quiet))
 
 
 @app.command()

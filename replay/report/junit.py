@@ -25,7 +25,8 @@ from typing import Any
 from xml.etree import ElementTree
 
 from metrics.gates import Outcome
-from replay.report.overview import Overview, log_outcomes
+from replay.report.model import Overview
+from replay.report.overview import log_outcomes
 from replay.results import Results
 
 TIMESTAMP = "1970-01-01T00:00:00"

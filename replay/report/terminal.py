@@ -18,7 +18,7 @@ from rich.text import Text
 
 from metrics.gates import Outcome
 from replay.report.columns import LEGEND
-from replay.report.overview import NOTHING, Cell, DriveRow, Overview
+from replay.report.model import NOTHING, Cell, DriveRow, Overview
 
 MAX_ROWS = 30
 """More drives than these are not listed; those with trouble come first."""

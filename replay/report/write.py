@@ -8,17 +8,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from replay.batch.tables import write_text
+from replay.batch.tables import REPORTS, write_text
 from replay.report.junit import junit
-from replay.report.markdown import markdown
-from replay.report.overview import Overview
+from replay.report.markdown import append_step_summary, markdown
+from replay.report.model import Overview
 from replay.results import Results
 
-MARKDOWN, JUNIT = "report.md", "junit.xml"
+MARKDOWN, JUNIT, _ = REPORTS
 
 
 def write_reports(results: Results, over: Overview, out: Path) -> tuple[Path, ...]:
-    """Write the reports of a run.
+    """Write the reports of a run, and the summary of the CI step where there is one.
 
     Args:
         results: The run.
@@ -33,4 +33,5 @@ def write_reports(results: Results, over: Overview, out: Path) -> tuple[Path, ..
     written = out / MARKDOWN, out / JUNIT
     write_text(written[0], markdown(over, links=(JUNIT,) if beside else None))
     write_text(written[1], junit(results, over))
+    append_step_summary(over)
     return written

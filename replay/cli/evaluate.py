@@ -31,7 +31,9 @@ from replay.cli.app import (
 from replay.cli.names import completion
 
 if TYPE_CHECKING:
+    from metrics.compare import Comparison
     from replay.batch import RunResult
+    from replay.compare import Opened
     from replay.config import RunConfig
     from replay.report.model import Overview
 
@@ -137,6 +139,10 @@ def evaluate(
         typer.Option(min=1.0, help="Evaluate each log in parts of so many seconds."),
     ] = None,
     suite: Suite = None,
+    baseline: Annotated[
+        Path | None,
+        typer.Option(help="Compare with this run (a folder, or a file of replan baseline): its rules count, too."),
+    ] = None,
     shard: Annotated[
         str | None, typer.Option(metavar="I/N", help="Drive every N-th log only, from the I-th: see replan merge.")
     ] = None,
@@ -181,11 +187,13 @@ def evaluate(
         }
         options["log"] = log_settings(config, ego, road_map, begin, end)
         run = run_config(config, options, loop).in_car(car)
+        before = None if baseline is None else _baseline(baseline, run, out, shard)
         result = _evaluated(
             logs or [], run, out, cores() if workers is None else workers,
             resume=resume, window=window, suite=suite, shard=shard, quiet=quiet, verbose=verbose,
         )  # fmt: skip
-        raise typer.Exit(_say(result, report=not no_report, as_json=as_json, quiet=quiet))
+        compared = None if before is None else _against(before, result)
+        raise typer.Exit(_say(result, compared, report=not no_report, as_json=as_json, quiet=quiet))
 
 
 @app.command()
@@ -296,27 +304,63 @@ def _evaluated(
         )  # fmt: skip
 
 
-def _say(result: RunResult, *, report: bool, as_json: bool, quiet: bool) -> int:
+def _baseline(path: Path, run: RunConfig, out: Path | None, shard: str | None) -> Opened:
+    """The run to compare with and the rules, read before anything is driven: what is wrong with them costs no run."""
+    from metrics.compare_rules import load_rules
+    from replay.batch.one_log import all_metrics
+    from replay.compare import opened
+
+    if shard is not None:
+        raise ConfigError("--shard drives a part only: compare what `replan merge` makes of all (replan compare)")
+    if out is not None and path.resolve().is_relative_to(out.resolve()):
+        raise ConfigError(f"--baseline {path}: lies in the result folder {out}, which is cleared")
+    load_rules(run.gates_path, metrics=all_metrics(run))
+    return opened(path)
+
+
+def _against(before: Opened, result: RunResult) -> tuple[Comparison, Opened]:
+    """The comparison of a run with its baseline, and the run as it is read back."""
+    from replay.compare import compare_runs, opened
+
+    after = opened(result.out)
+    return compare_runs(before, after, gates=result.run.gates_path), after
+
+
+def _say(
+    result: RunResult,
+    compared: tuple[Comparison, Opened] | None = None,
+    *,
+    report: bool,
+    as_json: bool,
+    quiet: bool,
+) -> int:
     """The written reports, and on stdout the report; or summary.json and where it lies; or its last line.
 
     Returns:
         The exit code.
     """
     from replay.batch.run import summary
+    from replay.cli.compare import shown
+    from replay.report.compared import document, last_line
     from replay.report.overview import overview
     from replay.report.write import write_reports
     from replay.results import load
 
     results = load(result.out)
-    over = overview(results)
+    over = overview(results, None if compared is None else compared[0])
     if report:
         write_reports(results, over, result.out)
     if as_json:
-        say_json({"results": result.out, **summary(result)})
+        more = {} if compared is None else {"comparison": document(compared[0])}
+        say_json({"results": result.out, **summary(result), **more})
     elif quiet:
         typer.echo(f"Outcome: {over.outcome.upper()} (exit code {over.exit_code}); results: {result.out}")
+        if compared is not None:
+            typer.echo(last_line(compared[0]))
     else:
         _print(result, over)
+        if compared is not None:
+            shown(*compared)
     return over.exit_code
 
 

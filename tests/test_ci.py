@@ -117,6 +117,9 @@ def test_the_github_action_runs_keeps_and_judges(runner: Path) -> None:
     assert run.failed
     summary = json.loads((runner / "replan-results" / "summary.json").read_text(encoding="utf-8"))
     assert [log["log"] for log in summary["logs"]] == ["test/a", "test/b"]
+    assert "speed.mean" in (runner / "summary.md").read_text(encoding="utf-8")
+    for file in ("report.md", "junit.xml"):
+        assert (runner / "replan-results" / file).is_file()
     installed = (runner / "installed").read_text(encoding="utf-8").splitlines()
     assert installed[-1] == str(ROOT)
     assert str(ROOT / "constraints.txt") in installed
@@ -160,11 +163,13 @@ def test_the_gitlab_jobs_drive_shards_and_the_merge_judges_and_so_does_githubs(r
         assert variables.pop("NUMBA_CACHE_DIR") == "$CI_PROJECT_DIR/.replan/kernels"
         result = bash("\n".join([*job["before_script"], *job["script"]]), runner, variables)
         codes.append((name, result.returncode))
+        for report in job["artifacts"].get("reports", {}).values():
+            assert "<failure" in (runner / report).read_text(encoding="utf-8"), result.stderr
         assert all(list(runner.glob(path)) for path in job["artifacts"]["paths"]), result.stderr
     assert codes == [("replan", 0), ("replan", 0), ("replan-merge", 1)], result.stdout + result.stderr
     run = Workflow(runner, cached="", merge="replan-shards/*", out="merged")
     assert run.outputs["run"] == {"exit-code": "1", "outcome": "fail"}, run.said
-    for file in ("metrics.parquet", "verdicts.parquet", "summary.json"):
+    for file in ("metrics.parquet", "verdicts.parquet", "summary.json", "report.md", "junit.xml"):
         assert (runner / "merged" / file).read_bytes() == (runner / "replan-results" / file).read_bytes()
 
 

@@ -26,7 +26,7 @@ def report(
     """Write the reports of a finished run: report.md (Markdown) and junit.xml (a test per log and gate).
 
     `replan evaluate` and `replan merge` write them too. In CI the Markdown is also appended to the summary of the step
-    (GITHUB_STEP_SUMMARY).
+    (GITHUB_STEP_SUMMARY). Exit code 0 where they are written, whatever they say; `replan compare` judges.
 
     [bold]Examples[/bold]
 

@@ -115,15 +115,15 @@ def _groups(comparison: Comparison) -> Iterator[RenderableType]:
     Of the reductions of one metric the one that changed most.
     """
     groups = comparison.groups[comparison.groups["delta"] != 0.0]
-    if groups.empty:
-        return
     asked = set(comparison.pairs.loc[comparison.pairs["asked"], "metric"])
     gated, suite = groups["metric"].isin(asked), groups["kind"] == "suite"
     size = groups["delta"].abs() / groups[["baseline", "candidate"]].abs().max(axis=1)
     rank = pd.DataFrame({"part": ~suite, "unsure": ~groups["significant"], "other": ~gated, "size": -size})
     shown = groups[suite & (gated | groups["significant"]) | ~suite & gated & groups["significant"]]
+    if shown.empty:
+        return
     shown = shown.loc[rank.loc[shown.index].sort_values(["part", "unsure", "other", "size"], kind="stable").index]
-    words = shown["metric"].str.partition(".")[0]
+    words = shown["metric"].map(lambda name: name.partition(".")[0])
     shown = shown[~shown.assign(metric=words)[["kind", "group", "planner", "mode", "metric"]].duplicated()]
     titles = ("logs of", "loop", "metric", "logs", "before", "after", "change [95 %]", "better", "worse")
     table = _grid(*titles, right=("logs", "before", "after", "better", "worse"))

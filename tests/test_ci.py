@@ -155,6 +155,7 @@ def gitlab_jobs() -> Iterator[tuple[str, dict[str, Any]]]:
             yield name, {**base, **job, "variables": {**GITLAB["variables"], **base["variables"], **node}}
 
 
+@pytest.mark.slow
 def test_the_gitlab_jobs_drive_shards_and_the_merge_judges_and_so_does_githubs(runner: Path) -> None:
     (runner / "my logs").rename(runner / "my_logs")
     given = {"REPLAN_LOGS": "my_logs", "REPLAN_ARGS": f"--gates gates.toml {OPTIONS}", "CI_PROJECT_DIR": str(runner)}

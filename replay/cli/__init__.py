@@ -5,14 +5,15 @@ Commands by what they are about:
 evaluate.py    what drives: evaluate, merge, vary, paper, calibrate
 logs.py        what reads and writes logs: synth, convert, inspect, salvage, export
 results.py     what looks at results: view
+plot.py        pictures of a drive: plot
 about.py       what replan knows: metrics
 app.py         what they share
 """
 
-from replay.cli import evaluate, logs, results, about  # isort: skip  # the order of the help
+from replay.cli import evaluate, logs, results, plot, about  # isort: skip  # the order of the help
 from replay.cli.app import app
 
-__all__ = ["about", "app", "evaluate", "logs", "main", "results"]
+__all__ = ["about", "app", "evaluate", "logs", "main", "plot", "results"]
 
 
 def main() -> None:

@@ -13,36 +13,42 @@ tables). Time: integer nanoseconds in logs and loops, seconds since the scenario
     Road, Lane, Goal, ReferenceLine                where
     StopLine, Crosswalk, TrafficLight, Colour      where to stop, and for what
     VehicleParameters                              with what
+
+Each is imported when it is first asked for: who needs the errors only, as the command line, need not wait for numba.
 """
 
-from logs.errors import ConfigError, LogError, PlannerError, ReplanError
-from logs.frame import Frame, PlannerContext, Predictions, Visibility
-from logs.road import Goal, Lane, ReferenceLine, Road, RoadSource
-from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
-from logs.scenario import AgentKind, Agents, Scenario, Tracks
-from logs.states import Command, Controls, EgoState, Trajectory, wrap
-from logs.trace import (
-    Candidates,
-    Corridor,
-    CostTerms,
-    Decision,
-    DecisionKind,
-    EndReason,
-    GraphObstacle,
-    GridCost,
-    LaneOption,
-    Mode,
-    Plan,
-    PlannedFrame,
-    PlanStart,
-    PlanStatus,
-    SlGraph,
-    SolverReport,
-    StGraph,
-    Trace,
-    TrackingErrors,
-)
-from logs.vehicle import VehicleParameters
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from logs.errors import ConfigError, LogError, PlannerError, ReplanError
+    from logs.frame import Frame, PlannerContext, Predictions, Visibility
+    from logs.road import Goal, Lane, ReferenceLine, Road, RoadSource
+    from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
+    from logs.scenario import AgentKind, Agents, Scenario, Tracks
+    from logs.states import Command, Controls, EgoState, Trajectory, wrap
+    from logs.trace import (
+        Candidates,
+        Corridor,
+        CostTerms,
+        Decision,
+        DecisionKind,
+        EndReason,
+        GraphObstacle,
+        GridCost,
+        LaneOption,
+        Mode,
+        Plan,
+        PlannedFrame,
+        PlanStart,
+        PlanStatus,
+        SlGraph,
+        SolverReport,
+        StGraph,
+        Trace,
+        TrackingErrors,
+    )
+    from logs.vehicle import VehicleParameters
 
 __all__ = [
     "AgentKind",
@@ -92,3 +98,24 @@ __all__ = [
     "Visibility",
     "wrap",
 ]
+
+_NAMES = {
+    "logs.errors": "ConfigError LogError PlannerError ReplanError",
+    "logs.frame": "Frame PlannerContext Predictions Visibility",
+    "logs.road": "Goal Lane ReferenceLine Road RoadSource",
+    "logs.rules": "Colour Crosswalk StopLine TrafficLight",
+    "logs.scenario": "AgentKind Agents Scenario Tracks",
+    "logs.states": "Command Controls EgoState Trajectory wrap",
+    "logs.trace": "Candidates Corridor CostTerms Decision DecisionKind EndReason GraphObstacle GridCost LaneOption "
+    "Mode Plan PlannedFrame PlanStart PlanStatus SlGraph SolverReport StGraph Trace TrackingErrors",
+    "logs.vehicle": "VehicleParameters",
+}
+_FROM = {name: module for module, names in _NAMES.items() for name in names.split()}
+
+
+def __getattr__(name: str) -> Any:
+    """A noun, from where it stands."""
+    if name not in _FROM:
+        raise AttributeError(f"module 'logs' has no attribute {name!r}")
+    globals()[name] = value = getattr(import_module(_FROM[name]), name)
+    return value

@@ -25,6 +25,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from logs.kernel import FloatArray
+
 Z = 1.959963984540054
 """Of the normal distribution: 95 % lie within +-Z."""
 
@@ -142,33 +144,58 @@ def groups(table: pd.DataFrame, stand: pd.DataFrame, labels: Mapping[str, LogLab
         labels: Of all logs of the run, in the order of the run.
 
     Returns:
-        `worst` by the metric's direction, NaN where it has none; `total` the sum; `missing` the logs of the group
-        without a value; sorted, suite first.
+        Of each group all metrics of the run; `worst` by the metric's direction, NaN where it has none; `total` the sum;
+        `missing` the logs of the group without a value; sorted, suite first.
     """
     mine = table[table["mode"].isin(["open", "closed"]) & table["log"].isin(list(labels))]
-    parts = [_of_group(mine, *key, logs) for key, logs in membership(labels).items()] if len(mine) else []
+    values = _Values.of(mine)
+    parts = [values.of_group(*key, logs) for key, logs in membership(labels).items()] if len(mine) else []
     found = _typed(pd.concat([pass_shares(stand, labels), *parts], ignore_index=True))
     order = {kind: i for i, kind in enumerate((SUITE, "family", "tag", "dataset"))}
     return found.sort_values(_KEY, key=lambda c: c.map(order) if c.name == "kind" else c, ignore_index=True)
 
 
-def _of_group(table: pd.DataFrame, kind: str, group: str, logs: Sequence[str]) -> pd.DataFrame:
-    rows = table[table["log"].isin(logs)]
-    value = rows["value"].where(rows["available"].astype(bool) & np.isfinite(rows["value"]))
-    sign = rows["direction"].map({"lower": 1.0, "higher": -1.0, "none": np.nan}).astype(float)
-    rows = rows.assign(value=value, bad=value * sign)
-    keys = ["planner", "mode", "metric"]
-    by_metric = rows.groupby(keys, sort=True, observed=True)
-    out = by_metric.agg(
-        unit=("unit", "first"), direction=("direction", "first"), available=("value", "count"),
-        mean=("value", "mean"), median=("value", "median"), total=("value", "sum"),
-    ).reset_index()  # fmt: skip
-    out["total"] = out["total"].where(out["available"] > 0)
-    worst = rows[rows["bad"].notna()].sort_values([*keys, "bad", "log"], ascending=[True] * 3 + [False, True])
-    first = worst.drop_duplicates(keys)[[*keys, "value", "log"]].rename(columns={"value": "worst", "log": "worst_log"})
-    out = out.merge(first, on=keys, how="left").assign(kind=kind, group=group, logs=len(logs))
-    out["missing"] = len(logs) - out["available"]
-    return _typed(out.reindex(columns=list(COLUMNS)))
+@dataclass(frozen=True, eq=False, slots=True)
+class _Values:
+    """The table as a matrix: a row per log (by name), a column per planner, mode and metric; NaN is no value."""
+
+    logs: tuple[str, ...]
+    columns: pd.DataFrame
+    value: FloatArray
+    sign: FloatArray
+    """Of each column: 1 where lower is better, -1 where higher is, NaN where neither."""
+
+    @classmethod
+    def of(cls, table: pd.DataFrame) -> _Values:
+        """The rows of the table; one of a (log, planner, mode, metric) only."""
+        row, logs = pd.factorize(table["log"], sort=True)
+        grouped = table.groupby(["planner", "mode", "metric"], sort=True, observed=True)
+        value = np.full((len(logs), grouped.ngroups), np.nan)
+        known = table["available"].astype(bool) & np.isfinite(table["value"])
+        value[row, grouped.ngroup()] = table["value"].where(known)
+        columns = grouped[["unit", "direction"]].first().reset_index()
+        sign = columns["direction"].map({"lower": 1.0, "higher": -1.0, "none": np.nan}).to_numpy(float)
+        return cls(tuple(map(str, logs)), columns, value, sign)
+
+    def of_group(self, kind: str, group: str, logs: Collection[str]) -> pd.DataFrame:
+        """The rows of some of the logs."""
+        value = self.value[[log in logs for log in self.logs]]
+        names = np.array([log for log in self.logs if log in logs], dtype=object)
+        there = np.isfinite(value)
+        count, total = there.sum(axis=0), np.where(there, value, 0.0).sum(axis=0)
+        some = count > 0
+        mean, median, worst = (np.full(len(some), np.nan) for _ in range(3))
+        worst_log = np.full(len(some), "", dtype=object)
+        if some.any():
+            mean[some], median[some] = total[some] / count[some], np.nanmedian(value[:, some], axis=0)
+        ranked = np.flatnonzero(some & np.isfinite(self.sign))
+        if len(ranked):
+            at = np.where(there[:, ranked], value[:, ranked] * self.sign[ranked], -np.inf).argmax(axis=0)
+            worst[ranked], worst_log[ranked] = value[at, ranked], names[at]
+        return self.columns.assign(
+            kind=kind, group=group, logs=len(logs), available=count, missing=len(logs) - count, mean=mean,
+            median=median, worst=worst, worst_log=worst_log, total=np.where(some, total, np.nan),
+        ).reindex(columns=list(COLUMNS))  # fmt: skip
 
 
 def _typed(rows: pd.DataFrame) -> pd.DataFrame:

@@ -4,8 +4,8 @@ For a log i that both runs drove, and a metric of one version in both (planner a
 
 (1) delta_i = candidate_i - baseline_i;  0 where |delta_i| <= NOISE_ABS + NOISE_REL max(|baseline_i|, |candidate_i|)
 (2) worse_i = delta_i where lower is better, -delta_i where higher is; none where neither is
-(3) relative_i = worse_i / mean over logs and runs of |value|: by what a regression is ranked; one in a value that is
-    mostly 0 comes first
+(3) relative_i = worse_i / max(mean over logs and runs of |value|, |bound| of a gate on it): by what a regression is
+    ranked; the first collision comes before a little less distance, and that before a millimetre off the plan
 
 Both tables are judged by the same gates, and with the same reference drives (the candidate's): a flip comes from the
 drive, and not from another gate file or another careful driver. It is marginal, and no rule counts it, where the value
@@ -21,6 +21,7 @@ import numpy as np
 import pandas as pd
 
 from logs.kernel import BoolArray
+from metrics.aggregate import LogLabels
 from metrics.compare_groups import group_deltas
 from metrics.evidence import ENSEMBLE
 from metrics.gates import Gates, Outcome
@@ -66,7 +67,15 @@ class Side:
     @property
     def tags(self) -> dict[str, tuple[str, ...]]:
         """Tags by log."""
-        return {log: tuple(tags) for log, tags in zip(self.logs["log"], self.logs["tags"], strict=True)}
+        return {log: labels.tags for log, labels in self.labels.items()}
+
+    @property
+    def labels(self) -> dict[str, LogLabels]:
+        """What each log belongs to."""
+        columns = (self.logs[name] for name in ("log", "family", "dataset", "tags"))
+        return {
+            log: LogLabels(family, dataset, tuple(tags)) for log, family, dataset, tags in zip(*columns, strict=True)
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,12 +95,13 @@ class Comparison:
         baseline: Label; `candidate` likewise.
         differences: Inputs that are not the same, a sentence each.
         only_in_baseline: Drives, "log, planner, mode loop"; `only_in_candidate` likewise.
-        pairs: `PAIR_COLUMNS`, the worst regression first: those of metrics that a gate asks of, by (3), then others.
+        pairs: `PAIR_COLUMNS`, the worst regression first: those of metrics that are asked of, by (3), then others.
             A value that one of the runs lacks is NaN, and `reason` says why; else on whom the candidate's value is.
         flips: `FLIP_COLUMNS`: the outcome of a gate on a log is another one.
         groups: `metrics.compare_groups.GROUP_COLUMNS`: means over the suite, its families, tags and datasets.
         partings: `PARTING_COLUMNS`: where two drives part; empty where traces are not at hand.
         verdicts: One per rule.
+        not_looked_at: In so many drives that differ it was not looked for where they part.
     """
 
     baseline: str
@@ -104,6 +114,7 @@ class Comparison:
     groups: pd.DataFrame
     partings: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(PARTING_COLUMNS)))
     verdicts: tuple[RuleVerdict, ...] = ()
+    not_looked_at: int = 0
 
     @property
     def exit_code(self) -> int:
@@ -115,18 +126,35 @@ class Comparison:
 
     def regressions(self, most: int, each: int = 2) -> pd.DataFrame:
         """The worst pairs, at most `each` of one drive: one bad drive does not hide the others."""
-        worse = self.pairs[self.pairs["worse"] > 0.0]
-        return worse[worse.groupby(DRIVE).cumcount() < each].head(most)
+        return _extremes(self.pairs[self.pairs["worse"] > 0.0], most, each)
+
+    def improvements(self, most: int, each: int = 2) -> pd.DataFrame:
+        """Likewise, the greatest improvement first."""
+        better = self.pairs[self.pairs["worse"] < 0.0]
+        order = better.sort_values(["asked", "relative"], ascending=[False, True], kind="stable")
+        return _extremes(order, most, each)
 
 
-def compare(baseline: Side, candidate: Side, gates: Gates) -> Comparison:
-    """Two runs compared by their tables; `metrics.compare_rules.judged` adds what rules say."""
+def _extremes(pairs: pd.DataFrame, most: int, each: int) -> pd.DataFrame:
+    return pairs[pairs.groupby(DRIVE).cumcount() < each].head(most)
+
+
+def compare(baseline: Side, candidate: Side, gates: Gates, also: Collection[str] = ()) -> Comparison:
+    """Two runs compared by their tables; `metrics.compare_rules.judged` adds what rules say.
+
+    Args:
+        baseline: What was.
+        candidate: What is.
+        gates: By which both are judged.
+        also: Metrics that somebody asks of beside the gates: they come before others among the regressions.
+    """
     drives = [_drives(side) for side in (baseline, candidate)]
     changed = _changed_versions(baseline.table, candidate.table)
     fragile = _fragile(baseline.table) | _fragile(candidate.table)
-    pairs = _pairs(baseline.table, candidate.table, changed, {gate.metric for gate in gates.gates})
+    pairs = _pairs(baseline.table, candidate.table, changed, {**dict.fromkeys(also, 0.0), **_bounds(gates)})
     pairs["fragile"] = _in(pairs, fragile)
-    flips = _flips(baseline, candidate, gates, changed, drives[0].keys() & drives[1].keys())
+    alone = _measured(baseline.table) ^ _measured(candidate.table)
+    flips = _flips(baseline, candidate, gates, changed.keys() | alone, drives[0].keys() & drives[1].keys())
     flips["marginal"] |= _in(flips, fragile)
     return Comparison(
         baseline.label,
@@ -144,6 +172,10 @@ def _driven(table: pd.DataFrame) -> pd.DataFrame:
     return table[table["mode"] != REFERENCE]
 
 
+def _measured(table: pd.DataFrame) -> set[str]:
+    return set(_driven(table)["metric"])
+
+
 def _drives(side: Side) -> dict[tuple[str, str, str], str]:
     keys = _driven(side.table)[DRIVE].drop_duplicates().itertuples(index=False, name=None)
     return {(log, planner, mode): f"{log}, {planner}, {mode} loop" for log, planner, mode in keys}
@@ -158,7 +190,9 @@ def _changed_versions(one: pd.DataFrame, two: pd.DataFrame) -> dict[str, str]:
 # pairs ------------------------------------------------------------------------------------------------------------
 
 
-def _pairs(one: pd.DataFrame, two: pd.DataFrame, left_out: Collection[str], asked: Collection[str]) -> pd.DataFrame:
+def _pairs(
+    one: pd.DataFrame, two: pd.DataFrame, left_out: Collection[str], bounds: Mapping[str, float]
+) -> pd.DataFrame:
     both = _driven(one).merge(_driven(two), on=KEYS, suffixes=("_b", "_c"))
     both = both[~both["metric"].isin(left_out) & (both["available_b"] | both["available_c"]).astype(bool)]
     before, now = (both[f"value_{side}"].to_numpy(float) for side in "bc")
@@ -167,15 +201,25 @@ def _pairs(one: pd.DataFrame, two: pd.DataFrame, left_out: Collection[str], aske
     pairs = both[KEYS].assign(
         unit=both["unit_c"], direction=both["direction_c"], baseline=before, candidate=now, delta=delta,
         worse=sign * delta + 0.0,  # (2)
-        asked=both["metric"].isin(asked), fragile=False,
+        asked=both["metric"].isin(list(bounds)), fragile=False,
         time_s=both["time_s_c"].fillna(both["time_s_b"]), reason=_reasons(both),
     )  # fmt: skip
     size = pairs[["baseline", "candidate"]].abs().mean(axis=1).groupby([pairs[key] for key in KEYS[1:]])
-    pairs["relative"] = pairs["worse"] / size.transform("mean").replace(0.0, np.nan)  # (3)
+    scale = np.maximum(size.transform("mean").to_numpy(float), pairs["metric"].map(bounds).fillna(0.0).to_numpy(float))
+    pairs["relative"] = pairs["worse"] / np.where(scale > 0.0, scale, np.nan)  # (3)
     order = pairs.assign(hurts=pairs["worse"] > 0.0).sort_values(
         ["hurts", "asked", "relative", *KEYS], ascending=[False, False, False, True, True, True, True], kind="stable"
     )
     return order[list(PAIR_COLUMNS)].reset_index(drop=True)
+
+
+def _bounds(gates: Gates) -> dict[str, float]:
+    """The greatest |bound| of the gates on each metric that a gate asks of."""
+    found: dict[str, float] = {}
+    for gate in gates.gates:
+        values = [abs(bound) for bound in (gate.min, gate.max) if bound is not None]
+        found[gate.metric] = max(found.get(gate.metric, 0.0), *values)
+    return found
 
 
 def noise(before: np.ndarray, now: np.ndarray) -> BoolArray:
@@ -209,7 +253,7 @@ def _flips(
     left_out: Collection[str],
     drives: Collection[tuple[str, str, str]],
 ) -> pd.DataFrame:
-    """Gates whose outcome on a drive of both runs is another one."""
+    """Gates whose outcome on a drive of both runs is another one; what is only asked or no longer asked is none."""
     rules = Gates(tuple(gate for gate in gates.gates if gate.metric not in left_out), gates.source)
     said = [_outcomes(rules, side, candidate.table) for side in (baseline, candidate)]
     metric = {str(gate): gate.metric for gate in rules.gates}
@@ -217,7 +261,7 @@ def _flips(
     for key in dict.fromkeys([*said[0], *said[1]]):
         *drive, gate = key
         before, now = (outcome.get(key, _UNASKED) for outcome in said)
-        if tuple(drive) in drives and before[0] != now[0]:
+        if tuple(drive) in drives and before[0] != now[0] and {before[0], now[0]} != _NO_FLIP:
             same = bool(noise(np.array([before[1]]), np.array([now[1]]))[0])
             when = now[2] if np.isfinite(now[2]) else before[2]
             change = (before[0], now[0], before[1], now[1], when, now[3] or before[3], same)
@@ -229,13 +273,14 @@ def _flips(
 _Said = tuple[str, float, float, str]
 """Outcome, value, time, reason."""
 _UNASKED: _Said = (NOT_ASKED, np.nan, np.nan, "")
+_NO_FLIP = {NOT_ASKED, Outcome.PASS.value}
 
 
 def _outcomes(gates: Gates, side: Side, references: pd.DataFrame) -> dict[tuple[str, str, str, str], _Said]:
     """What each log says of each gate, by log, planner, mode and gate; reference drives are those of `references`."""
     mine = references[(references["mode"] == REFERENCE) & references["log"].isin(side.logs["log"])]
     own = side.table[(side.table["mode"] != REFERENCE) | ~side.table["log"].isin(mine["log"])]
-    found = outcomes(judge(gates, pd.concat([own, mine], ignore_index=True), side.tags, failed=side.failed))
+    found = outcomes(judge(gates, pd.concat([own, mine], ignore_index=True), side.labels, failed=side.failed))
     keys = found[[*DRIVE, "gate"]].itertuples(index=False, name=None)
     rows = found[["outcome", "value", "time_s", "reason"]].itertuples(index=False, name=None)
     return dict(zip(keys, rows, strict=True))
@@ -256,20 +301,21 @@ def _in(table: pd.DataFrame, drives: Collection[tuple[str, ...]]) -> BoolArray:
 
 
 def _differences(baseline: Side, candidate: Side, changed: Mapping[str, str]) -> Iterator[str]:
-    for key in dict.fromkeys([*baseline.facts, *candidate.facts]):
-        before, now = (side.facts.get(key, "not there") for side in (baseline, candidate))
-        if before != now:
-            yield f"{key}: {before} -> {now}"
+    old, new = baseline.facts, candidate.facts
+    yield from (f"{key}: {old[key]} -> {new[key]}" for key in old if key in new and old[key] != new[key])
+    for word, keys in (("baseline", [k for k in old if k not in new]), ("candidate", [k for k in new if k not in old])):
+        if keys:
+            yield f"settings of the {word} only: {_named(keys)}"
     both = baseline.logs.merge(candidate.logs, on="log", suffixes=("_b", "_c"))
-    for column, what in (("sha256", "another content (SHA-256)"), ("vehicle", "another vehicle")):
+    for column, what in (("sha256", "another SHA-256"), ("vehicle", "another vehicle")):
         known = (both[f"{column}_b"] != "") & (both[f"{column}_c"] != "")
         names = list(both.loc[known & (both[f"{column}_b"] != both[f"{column}_c"]), "log"])
         if names:
             yield f"logs with {what}: {_named(names)}"
     if changed:
         yield f"metrics of another version, not compared: {_named([f'{k} ({v})' for k, v in changed.items()])}"
-    old, new = (list(dict.fromkeys(_driven(side.table)["metric"])) for side in (baseline, candidate))
-    for one, two, word in ((old, new, "baseline"), (new, old, "candidate")):
+    before, now = (list(dict.fromkeys(_driven(side.table)["metric"])) for side in (baseline, candidate))
+    for one, two, word in ((before, now, "baseline"), (now, before, "candidate")):
         alone = [name for name in one if name not in set(two)]
         if alone:
             yield f"metrics in the {word} only: {_named(alone)}"

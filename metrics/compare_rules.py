@@ -152,7 +152,7 @@ def _missing(rule: Rule, comparison: Comparison) -> RuleVerdict:
     gone = comparison.only_in_baseline
     names = f": {'; '.join(gone[:3])}{'; ...' if len(gone) > 3 else ''}" if gone else ""
     outcome = Outcome.FAIL if len(gone) > rule.limit else Outcome.PASS
-    return RuleVerdict(str(rule), outcome, f"{len(gone)} drives of the baseline are missing in the candidate{names}")
+    return RuleVerdict(str(rule), outcome, f"missing in the candidate: {len(gone)} of the baseline's drives{names}")
 
 
 def _flipped(rule: Rule, flips: pd.DataFrame, pairs: pd.DataFrame) -> RuleVerdict | None:
@@ -163,7 +163,8 @@ def _flipped(rule: Rule, flips: pd.DataFrame, pairs: pd.DataFrame) -> RuleVerdic
     clear, aside = bad[~bad["marginal"]], int(bad["marginal"].sum())
     names = "; ".join(f"{row.log} ({row.mode} loop): {row.gate}" for row in clear.head(3).itertuples())
     more = "; ..." if len(clear) > 3 else ""
-    reason = f"{len(clear)} flips{f': {names}{more}' if names else ''}{f'; {aside} marginal' if aside else ''}"
+    count = "1 flip" if len(clear) == 1 else f"{len(clear)} flips"
+    reason = f"{count}{f': {names}{more}' if names else ''}{f'; {aside} marginal' if aside else ''}"
     return RuleVerdict(str(rule), Outcome.FAIL if len(clear) > rule.limit else Outcome.PASS, reason)
 
 
@@ -194,12 +195,13 @@ def _change(rule: Rule, who: str, rows: pd.DataFrame) -> tuple[float, bool, str]
     inside = f" [{low:+.4g}, {high:+.4g}]" if isfinite(low) else ""
     means = " -> ".join(f"{rows[side].agg(rule.over):.4g}" for side in ("baseline", "candidate"))
     reason = f"{who}: {rule.over} {rule.metric} {means}{unit}, {value:+.4g}{inside} over {len(delta)} logs"
-    return sign * value - rule.limit, sure, reason + ("" if sure else ": not significant")
+    over = sign * value - rule.limit
+    return over, sure, reason + (": not significant" if over > 0.0 and not sure else "")
 
 
 def _worst(rule: Rule, who: str, rows: pd.DataFrame, sign: float, unit: str) -> tuple[float, bool, str]:
     held, aside = rows[~rows["fragile"]], int(rows["fragile"].sum())
-    said = f"; {aside} fragile drives left out" if aside else ""
+    said = f"; fragile and left out: {aside}" if aside else ""
     if held.empty:
         return -np.inf, True, f"{who}: no drive that is not fragile{said}"
     row = held.iloc[int(np.argmax(sign * held["delta"].to_numpy(float)))]

@@ -14,6 +14,7 @@ from dataclasses import replace
 
 import pandas as pd
 
+from metrics.aggregate import LogLabels
 from metrics.evidence import ENSEMBLE
 from metrics.gates import Gates, Outcome
 from metrics.judge import judge, outcomes, worst
@@ -24,7 +25,7 @@ _KEY = ["log", "planner", "mode"]
 
 
 def with_ensemble(
-    table: pd.DataFrame, members: pd.DataFrame, gates: Gates, tags: Mapping[str, tuple[str, ...]]
+    table: pd.DataFrame, members: pd.DataFrame, gates: Gates, labels: Mapping[str, LogLabels]
 ) -> pd.DataFrame:
     """The table with the rows (1) and (2) of each drive; as it is where there are no members.
 
@@ -32,16 +33,16 @@ def with_ensemble(
         table: The rows of the unperturbed drives.
         members: The rows of all members, `MEMBER` counted from 1.
         gates: The rules; those on `ensemble` itself are left out here.
-        tags: As of `judge`.
+        labels: As of `judge`.
     """
     if members.empty:
         return table
     rules = replace(gates, gates=tuple(gate for gate in gates.gates if not gate.metric.startswith(ENSEMBLE.name)))
-    plain = _said(rules, table, tags)
+    plain = _said(rules, table, labels)
     found: dict[tuple[str, str, str], list[tuple[Outcome, str]]] = {}
     for (_, name), rows in members.groupby([MEMBER, PERTURBATION], sort=True):
         logs = set(rows["log"])
-        said = _said(rules, rows, {log: words for log, words in tags.items() if log in logs})
+        said = _said(rules, rows, {log: mine for log, mine in labels.items() if log in logs})
         for key in plain:
             if key[0] in logs:
                 found.setdefault(key, []).append(_compared(str(name), plain[key], said.get(key)))
@@ -66,10 +67,10 @@ def _filled(table: pd.DataFrame, values: Mapping[tuple[str, str, str, str], tupl
 
 
 def _said(
-    gates: Gates, table: pd.DataFrame, tags: Mapping[str, tuple[str, ...]]
+    gates: Gates, table: pd.DataFrame, labels: Mapping[str, LogLabels]
 ) -> dict[tuple[str, str, str], pd.DataFrame]:
     """What each log says of each gate, by log, planner and mode."""
-    found = outcomes(judge(gates, table, tags))
+    found = outcomes(judge(gates, table, labels))
     return {(str(key[0]), str(key[1]), str(key[2])): rows for key, rows in found.groupby(_KEY, sort=False)}
 
 

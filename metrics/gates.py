@@ -6,7 +6,13 @@ min = 0.5                           # min, max or both, inclusive
 mode = "closed"                     # optional: "open" or "closed"; without it, each mode that has the metric
 tags = ["pedestrian"]               # optional: only logs that have all of these
 planner = "dp_qp"                   # optional; without it every planner, oracles excepted
-over = "worst"                      # "worst": every log must hold it (default); "mean": the mean over the logs
+over = "worst"                      # what must hold it: every log ("worst", default), or over the logs together "mean",
+                                    # "median", "sum"; "pass_share": a share of the logs (`metrics.over_logs`)
+min_share = 0.95                    # with "pass_share": at least so many of the logs must hold it; lost logs do not
+confident = true                    # and the lower end of the share's 95 % interval too; default: false
+families = ["everyday/cut_in"]      # optional: only logs of one of these families
+datasets = ["nuScenes"]             # optional: only logs of one of these datasets
+per = "family"                      # optional: a verdict for each "family", "tag" or "dataset" by itself
 min_logs = 1                        # how many logs must be judged
 max_missing = 0.1                   # share of the logs that may be without evidence (no value, or excused)
 optional = true                     # not asked of logs without the value (it needs lights, say); default: false
@@ -43,6 +49,9 @@ class Outcome(Enum):
     PASS = "pass"
 
 
+OVER = ("worst", "mean", "median", "sum", "pass_share")
+
+
 @dataclass(frozen=True, slots=True)
 class Gate:
     """One threshold (module docstring)."""
@@ -60,6 +69,11 @@ class Gate:
     max_missing: float = 0.1
     reachable: bool = False
     broken: str = Outcome.FAIL.value
+    min_share: float | None = None
+    confident: bool = False
+    families: tuple[str, ...] = ()
+    datasets: tuple[str, ...] = ()
+    per: str | None = None
 
     def __post_init__(self) -> None:
         if self.min is None and self.max is None:
@@ -70,8 +84,16 @@ class Gate:
             raise ValueError("a bound is not finite")
         if self.mode not in (None, *(mode.value for mode in Mode)):
             raise ValueError(f'mode is {self.mode!r}, not "open" or "closed"')
-        if self.over not in ("worst", "mean"):
-            raise ValueError(f'over is {self.over!r}, not "worst" or "mean"')
+        if self.over not in OVER:
+            raise ValueError(f"over is {self.over!r}, not one of {', '.join(OVER)}")
+        if (self.over == "pass_share") != (self.min_share is not None) or (self.confident and self.min_share is None):
+            raise ValueError('over = "pass_share" needs min_share; min_share and confident need over = "pass_share"')
+        if self.min_share is not None and not 0.0 < self.min_share <= 1.0:
+            raise ValueError(f"min_share is {self.min_share:g}, not a share above 0")
+        if self.confident and self.min_share == 1.0:
+            raise ValueError("confident: no number of logs makes a share of 1 sure")
+        if self.per not in (None, "family", "tag", "dataset"):
+            raise ValueError(f'per is {self.per!r}, not "family", "tag" or "dataset"')
         if self.min_logs < 1:
             raise ValueError("min_logs is below 1: a gate with nothing to judge is no pass")
         if not 0.0 <= self.max_missing < 1.0:
@@ -81,10 +103,25 @@ class Gate:
 
     def __str__(self) -> str:
         """The rule: "gap.min >= 0.5 [closed] [pedestrian]"."""
+        share = ""
+        if self.min_share is not None:
+            share = f" in {100.0 * self.min_share:g} % of logs{', surely' if self.confident else ''}"
+        kinds = (*(f"family {word}" for word in self.families), *(f"dataset {word}" for word in self.datasets))
+        each = f"per {self.per}" if self.per else ""
+        scope = "".join(f" [{word}]" for word in (self.mode, *self.tags, *kinds, self.planner, each) if word)
+        return f"{self.bound}{share}{scope}"
+
+    @property
+    def judged(self) -> str:
+        """What must be within the bounds: "gap.min", "mean gap.min"."""
+        return self.metric if self.over in ("worst", "pass_share") else f"{self.over} {self.metric}"
+
+    @property
+    def bound(self) -> str:
+        """The bounds: "gap.min >= 0.5"."""
         low = f"{self.min:g} <= " if self.min is not None and self.max is not None else ""
         high = f" <= {self.max:g}" if self.max is not None else f" >= {self.min:g}"
-        scope = "".join(f" [{word}]" for word in (self.mode, *self.tags, self.planner) if word)
-        return f"{low}{'mean ' if self.over == 'mean' else ''}{self.metric}{high}{scope}"
+        return f"{low}{self.judged}{high}"
 
     def margin(self, value: float) -> float:
         """How far a value is inside the bounds; negative outside."""
@@ -143,9 +180,13 @@ _TYPES: Mapping[str, tuple[type, ...]] = MappingProxyType(
     {
         "metric": (str,), "min": (int, float), "max": (int, float), "mode": (str,), "tags": (list,), "planner": (str,),
         "over": (str,), "min_logs": (int,), "reason": (str,), "optional": (bool,), "max_missing": (int, float),
-        "reachable": (bool,), "broken": (str,),
+        "reachable": (bool,), "broken": (str,), "min_share": (int, float), "confident": (bool,), "families": (list,),
+        "datasets": (list,), "per": (str,),
     }
 )  # fmt: skip
+
+
+_WORDS = ("tags", "families", "datasets")
 
 
 def _gate(table: Mapping[str, Any], place: str, metrics: Mapping[str, Metric]) -> Gate:
@@ -157,11 +198,12 @@ def _gate(table: Mapping[str, Any], place: str, metrics: Mapping[str, Metric]) -
     for key, value in table.items():
         if not isinstance(value, _TYPES[key]) or (isinstance(value, bool) and bool not in _TYPES[key]):
             raise ConfigError(f"{place}: {key} = {value!r} must be {_TYPES[key][-1].__name__}")
-    if not all(isinstance(tag, str) for tag in table.get("tags", [])):
-        raise ConfigError(f"{place}: tags must be words")
+    for key in _WORDS:
+        if not all(isinstance(word, str) for word in table.get(key, [])):
+            raise ConfigError(f"{place}: {key} must be words")
     check_metric(name, place, metrics)
     try:
-        return Gate(**{**table, "tags": tuple(table.get("tags", ()))})
+        return Gate(**{**table, **{key: tuple(table.get(key, ())) for key in _WORDS}})
     except ValueError as error:
         raise ConfigError(f"{place}: {error}") from error
 

@@ -3,7 +3,7 @@
 What a log says of a gate, the first that holds:
 
     INCONCLUSIVE    the log could not be evaluated, or has no value (a NaN is none)
-    PASS            the value is within the bounds
+    PASS            the value is within the bounds, or the gate asks for the sum of all logs
     INCONCLUSIVE    the value is broken, but is no evidence against the planner (below), or `broken = "inconclusive"`
     FAIL            the value is broken
 
@@ -16,25 +16,26 @@ same time, and where both collide not more slowly than the planner by more than 
 collision that ended the drive is none, and in a log with phantoms, for which planners stop. Not asked at all is a log
 without the value by an `optional` gate, and one in which neither reference drive holds the bound by a `reachable` one.
 
-A verdict per gate, planner and mode: FAIL where a log (`over = "worst"`) or the mean over the judged logs breaks the
-bound; else INCONCLUSIVE where a log could not be evaluated, fewer than `min_logs` were judged, or more than
-`max_missing` of those asked are inconclusive; else PASS. An optional gate has no verdict where no log was asked; tags
-that no log has and planners that are not in the run are INCONCLUSIVE always, since they are most likely misspelt.
+Over the logs together a gate has a verdict per planner and mode, and per group where it asks so (`metrics.over_logs`).
+An optional gate has no verdict where no log was asked; filters that no log passes and planners that are not in the run
+are INCONCLUSIVE always, since they are most likely misspelt.
 """
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import isfinite, nan
+from math import isfinite
 from types import MappingProxyType
 
-import numpy as np
 import pandas as pd
 
 from metrics import GROUPS
+from metrics.aggregate import LogLabels
 from metrics.gates import Gate, Gates, Outcome, meant
+from metrics.over_logs import LogOutcome, Verdict, unit_of, verdict_on
+
+__all__ = ["LogOutcome", "Verdict", "judge", "outcomes", "verdicts_by_log", "worst"]
 
 _NOTHING: Mapping[str, str] = MappingProxyType({})
 REFERENCE = "reference"
@@ -55,45 +56,6 @@ EXCUSED: Mapping[str, tuple[str, ...]] = MappingProxyType(
 """Which reference drives are asked, by group of metrics."""
 _GROUP = {metric.name: name for name, group in GROUPS.items() for metric in group}
 OUTCOME_COLUMNS = ("gate", "log", "planner", "mode", "outcome", "value", "time_s", "reason")
-
-
-@dataclass(frozen=True, slots=True)
-class LogOutcome:
-    """What one log says of a gate: `why` it is inconclusive, else on which road user or thing the value is."""
-
-    log: str
-    outcome: Outcome
-    why: str
-    value: float = nan
-    unit: str = ""
-    time_s: float = nan
-    evaluated: bool = True
-
-
-@dataclass(frozen=True, slots=True)
-class Verdict:
-    """What a gate says of one planner in one mode, and why.
-
-    Attributes:
-        gate: The rule.
-        outcome: Pass, fail or inconclusive.
-        reason: One sentence that names planner, worst log, value and time.
-        planner: "" where no planner was to be judged; `mode` likewise.
-        value: The judged value (the mean with `over = "mean"`, else the worst log's); NaN where there is none.
-        log: The worst log; "" where there is none.
-        time_s: When its value occurred; NaN where it has no time.
-        logs: What each log that was asked says.
-    """
-
-    gate: Gate
-    outcome: Outcome
-    reason: str
-    planner: str = ""
-    mode: str = ""
-    value: float = nan
-    log: str = ""
-    time_s: float = nan
-    logs: tuple[LogOutcome, ...] = ()
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -125,7 +87,7 @@ class _Row:
 def judge(
     gates: Gates,
     table: pd.DataFrame,
-    tags: Mapping[str, tuple[str, ...]],
+    labels: Mapping[str, LogLabels],
     *,
     failed: Mapping[str, str] = _NOTHING,
 ) -> tuple[Verdict, ...]:
@@ -134,21 +96,24 @@ def judge(
     Args:
         gates: The rules.
         table: The rows of all logs, planners and modes, reference drives among them.
-        tags: Tags by log: all logs of the run, so that one without rows is missed.
+        labels: What each log belongs to: all logs of the run, so that one without rows is missed.
         failed: Logs that could not be evaluated, and why.
     """
     rows = _rows(table)
-    return tuple(verdict for gate in gates.gates for verdict in _judge(gate, rows, table, tags, failed))
+    return tuple(verdict for gate in gates.gates for verdict in _judge(gate, rows, table, labels, failed))
 
 
 def outcomes(verdicts: Sequence[Verdict]) -> pd.DataFrame:
-    """What each log says of each gate, a row each: `OUTCOME_COLUMNS`."""
+    """What each log says of each gate, a row each: `OUTCOME_COLUMNS`; once, however many groups it is in."""
     found = [
         (str(v.gate), log.log, v.planner, v.mode, log.outcome.value, log.value, log.time_s, log.why)
         for v in verdicts
         for log in v.logs
     ]
-    return pd.DataFrame(found, columns=list(OUTCOME_COLUMNS)).astype({"value": "float64", "time_s": "float64"})
+    rows = pd.DataFrame(found, columns=list(OUTCOME_COLUMNS)).astype({"value": "float64", "time_s": "float64"})
+    twice = [str(v.gate) for v in verdicts if v.gate.per == "tag"]
+    again = rows.duplicated(["gate", "log", "planner", "mode"]) & rows["gate"].isin(twice)
+    return rows[~again].reset_index(drop=True)
 
 
 def worst(found: Sequence[Outcome]) -> Outcome:
@@ -174,27 +139,59 @@ def _rows(table: pd.DataFrame) -> _Rows:
 
 
 def _judge(
-    gate: Gate, rows: _Rows, table: pd.DataFrame, tags: Mapping[str, tuple[str, ...]], failed: Mapping[str, str]
+    gate: Gate, rows: _Rows, table: pd.DataFrame, labels: Mapping[str, LogLabels], failed: Mapping[str, str]
 ) -> list[Verdict]:
-    logs = [log for log in dict.fromkeys([*tags, *table["log"], *failed]) if _tagged(log, gate, tags, failed)]
+    logs = [log for log in dict.fromkeys([*labels, *table["log"], *failed]) if _selected(log, gate, labels, failed)]
     lost = "".join(f"; {log} could not be evaluated: {failed[log]}" for log in logs if log in failed)
     if not logs:
-        known = sorted({tag for words in tags.values() for tag in words})
-        words = ", ".join(f"{tag}{meant(tag, known, cutoff=0.7) if tag not in known else ''}" for tag in gate.tags)
-        return [Verdict(gate, Outcome.INCONCLUSIVE, f"nothing to judge: no log has the tags {words}")]
+        return [Verdict(gate, Outcome.INCONCLUSIVE, f"nothing to judge: no log has {_filters(gate, labels)}")]
     drives = [drive for drive in rows.drives if _is_judged(gate, drive, rows)]
     modes = {mode for planner, mode in drives if any(name == gate.metric for _, name in rows.drives[planner, mode])}
     if not modes:
         asked = not gate.optional or (gate.planner is not None and all(gate.planner != name for name, _ in rows.drives))
         reason = f"nothing to judge: {_nothing(gate, rows)} in this run{lost}"
         return [Verdict(gate, Outcome.INCONCLUSIVE, reason)] if asked else []
-    found = (_verdict(gate, drive, rows, logs, failed) for drive in drives if drive[1] in modes)
+    found = (
+        verdict_on(gate, drive, tuple(_of_logs(gate, drive, rows, mine, failed)), group)
+        for drive in drives
+        if drive[1] in modes
+        for group, mine in _grouped(logs, gate, labels).items()
+    )
     return [verdict for verdict in found if verdict is not None]
 
 
-def _tagged(log: str, gate: Gate, tags: Mapping[str, tuple[str, ...]], failed: Mapping[str, str]) -> bool:
-    """Whether the gate asks for a log; one that failed before its tags were known may be asked for."""
-    return set(gate.tags) <= set(tags.get(log, ())) or (log in failed and log not in tags)
+def _selected(log: str, gate: Gate, labels: Mapping[str, LogLabels], failed: Mapping[str, str]) -> bool:
+    """Whether the gate asks for a log; one that failed before its labels were known may be asked for."""
+    mine = labels.get(log, LogLabels())
+    asked = (not gate.families or mine.family in gate.families) and (not gate.datasets or mine.dataset in gate.datasets)
+    return (asked and set(gate.tags) <= set(mine.tags)) or (log in failed and log not in labels)
+
+
+def _filters(gate: Gate, labels: Mapping[str, LogLabels]) -> str:
+    """What the gate asks of logs, and what was meant where no log has it: "the tags rian, did you mean 'rain'?"."""
+    known = {
+        "tags": {tag for mine in labels.values() for tag in mine.tags},
+        "families": {mine.family for mine in labels.values()},
+        "datasets": {mine.dataset for mine in labels.values()},
+    }
+    return " and ".join(
+        f"the {kind} " + ", ".join(f"{word}{meant(word, sorted(there), cutoff=0.7) if word not in there else ''}"
+                                   for word in getattr(gate, kind))
+        for kind, there in known.items() if getattr(gate, kind)
+    ) or "a result"  # fmt: skip
+
+
+def _grouped(logs: Sequence[str], gate: Gate, labels: Mapping[str, LogLabels]) -> dict[str, list[str]]:
+    """The logs by what a verdict of its own is asked for; a log that has no such word is in a group for such logs."""
+    if gate.per is None:
+        return {"": list(logs)}
+    found: dict[str, list[str]] = {}
+    for log in logs:
+        mine = labels.get(log, LogLabels())
+        words = {"family": (mine.family,), "dataset": (mine.dataset,), "tag": mine.tags}[gate.per]
+        for word in words or ("",):
+            found.setdefault(f"{gate.per} {word}" if word else f"{gate.per} not known", []).append(log)
+    return dict(sorted(found.items()))
 
 
 def _is_judged(gate: Gate, drive: tuple[str, str], rows: _Rows) -> bool:
@@ -226,7 +223,7 @@ def _of_logs(
         elif row is None or not row.known:
             if not gate.optional:
                 yield LogOutcome(log, Outcome.INCONCLUSIVE, _lack(row))
-        elif gate.margin(row.value) >= 0.0:
+        elif gate.over == "sum" or gate.margin(row.value) >= 0.0:
             yield LogOutcome(log, Outcome.PASS, row.reason, row.value, row.unit, row.time_s)
         elif not gate.reachable or _reachable(gate, log, rows):
             why = _excuse(gate, log, row, mine, rows)
@@ -302,77 +299,4 @@ def _about(row: _Row | None) -> str:
 
 def _shown(row: _Row) -> str:
     about = f" ({row.reason})" if row.reason else ""
-    return f"{row.value:.4g}{_unit(row.unit)}{about}"
-
-
-# all logs ---------------------------------------------------------------------------------------------------------
-
-
-def _verdict(
-    gate: Gate, drive: tuple[str, str], rows: _Rows, logs: Sequence[str], failed: Mapping[str, str]
-) -> Verdict | None:
-    """The verdict on one planner and mode; None: no log was asked."""
-    found = tuple(_of_logs(gate, drive, rows, logs, failed))
-    planner, mode = drive
-    who = f"{planner}, {mode} loop"
-    judged = [log for log in found if isfinite(log.value) and log.outcome is not Outcome.INCONCLUSIVE]
-    if not found:
-        return None if gate.optional else Verdict(gate, Outcome.INCONCLUSIVE, f"{who}: no log was asked", planner, mode)
-    aside = _aside(found)
-    if not judged:
-        return Verdict(gate, Outcome.INCONCLUSIVE, f"{who}: nothing to judge{aside}", planner, mode, logs=found)
-    margins = np.array([gate.margin(log.value) for log in judged])
-    bad = judged[int(np.argmin(margins))]
-    value = float(np.mean([log.value for log in judged])) if gate.over == "mean" else bad.value
-    few = f"; {_logs(len(judged))} judged, {gate.min_logs} must be" if len(judged) < gate.min_logs else ""
-    broken = int((margins < 0.0).sum())
-    share = f"; broken in {broken} of {_logs(len(judged))}" if gate.over == "worst" and broken else ""
-    reason = f"{who}: {_found(gate, value, bad)}{share}{few}{aside}"
-    outcome = _outcome(gate, value, len(judged), found)
-    return Verdict(gate, outcome, reason, planner, mode, value, bad.log, bad.time_s, found)
-
-
-def _outcome(gate: Gate, value: float, judged: int, found: Sequence[LogOutcome]) -> Outcome:
-    if gate.margin(value) < 0.0:
-        return Outcome(gate.broken)
-    lost = any(not log.evaluated for log in found)
-    missing = len(found) - judged > gate.max_missing * len(found) + 1e-9
-    return Outcome.INCONCLUSIVE if lost or missing or judged < gate.min_logs else Outcome.PASS
-
-
-def _found(gate: Gate, value: float, worst_log: LogOutcome) -> str:
-    """What was found: "gap.min = 0.31 m, below 0.5, on log X at 3.20 s (car 12)"."""
-    unit = _unit(worst_log.unit)
-    if gate.min is not None and value < gate.min:
-        bound = f", below {gate.min:g},"
-    elif gate.max is not None and value > gate.max:
-        bound = f", above {gate.max:g},"
-    else:
-        bound = ", within bounds,"
-    mean = gate.over == "mean"
-    where = f"worst {worst_log.value:.4g}{unit} on {worst_log.log}" if mean else f"on {worst_log.log}"
-    when = f" at {worst_log.time_s:.2f} s" if isfinite(worst_log.time_s) else ""
-    about = f" ({worst_log.why})" if worst_log.why else ""
-    return f"{'mean ' if mean else ''}{gate.metric} = {value:.4g}{unit}{bound} {where}{when}{about}"
-
-
-def _unit(unit: str) -> str:
-    return "" if unit in ("1", "count") else f" {unit}"
-
-
-def _logs(count: int) -> str:
-    return "1 log" if count == 1 else f"{count} logs"
-
-
-def _aside(found: Sequence[LogOutcome]) -> str:
-    """What could not be judged: logs without evidence (with the commonest reason), logs without a result."""
-    without = [log for log in found if log.outcome is Outcome.INCONCLUSIVE and log.evaluated]
-    missing = [log for log in found if not log.evaluated]
-    out = ""
-    if without:
-        ran = len(found) - len(missing)
-        common = Counter(log.why for log in without).most_common(1)[0][0]
-        out = f"; no evidence in {len(without)} of {_logs(ran)} ({common})"
-    if missing:
-        out += f"; {_logs(len(missing))} could not be evaluated ({missing[0].log}: {missing[0].why})"
-    return out
+    return f"{row.value:.4g}{unit_of(row.unit)}{about}"

@@ -10,6 +10,7 @@ from collections.abc import Mapping
 
 import pandas as pd
 
+from metrics.aggregate import LogLabels
 from metrics.gates import Gate, Gates
 from metrics.judge import Verdict, judge
 
@@ -41,9 +42,7 @@ def deadline_misses(timings: pd.DataFrame, deadline_s: float) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
-def judge_deadline(
-    timings: pd.DataFrame, deadline_s: float, tags: Mapping[str, tuple[str, ...]]
-) -> tuple[Verdict, ...]:
+def judge_deadline(timings: pd.DataFrame, deadline_s: float, labels: Mapping[str, LogLabels]) -> tuple[Verdict, ...]:
     """The verdicts on the share of late plans, at most `MAX_SHARE` in each drive; arguments as of `deadline_misses`."""
     late = deadline_misses(timings, deadline_s)
     said = [
@@ -54,7 +53,7 @@ def judge_deadline(
         oracle=False, metric=SHARE, value=late["share"], unit="1", available=True, reason=said, time_s=late["worst_t_s"]
     )
     gate = Gate(SHARE, max=MAX_SHARE, reason=f"plans are made within {deadline_s:g} s on this machine")
-    return judge(Gates((gate,), "deadline"), table, tags)
+    return judge(Gates((gate,), "deadline"), table, labels)
 
 
 def _counted(plans: pd.DataFrame, deadline_s: float) -> tuple[int, int, float, float, float]:

@@ -26,6 +26,24 @@ def page(metric: Metric) -> str:
     return "\n".join([metric.name, f"    {metric.meaning}", "", *entries])
 
 
+def facts(metric: Metric) -> dict[str, object]:
+    """All about one metric, as a table's row: what the page says, parts and reductions as lists."""
+    return {
+        "name": metric.name,
+        "meaning": metric.meaning,
+        "unit": metric.unit,
+        "direction": metric.direction,
+        "modes": [mode.value for mode in metric.modes],
+        "parts": list(metric.parts),
+        "reductions": [reduction.name for reduction in metric.reductions],
+        "formula": metric.formula,
+        "parameters": list(metric.parameters),
+        "needs": metric.needs,
+        "source": metric.source,
+        "version": metric.version,
+    }
+
+
 def markdown(groups: Groups) -> str:
     """The page of all metrics."""
     lines = [

@@ -97,6 +97,11 @@ class RunConfig:
         return (Mode.OPEN, Mode.CLOSED) if self.mode == "both" else (Mode(self.mode),)
 
     @property
+    def drives(self) -> tuple[tuple[str, str], ...]:
+        """Planner and mode of each drive of a log."""
+        return tuple((planner, mode.value) for planner in self.planners for mode in self.modes)
+
+    @property
     def keep_internals(self) -> bool:
         """Whether anything looks at the planner's inside: traces, recordings, metrics from outside."""
         return self.recording or self.internals != "none" or bool(self.metrics)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 from logs.errors import ConfigError, LogError
 from logs.mcap import write_scenario
@@ -19,6 +20,12 @@ def listing() -> Iterator[str]:
         keys = f"; [log] {', '.join(reader.settings)}" if reader.settings else ""
         yield f"{reader.name:{width}}  {reader.summary} ({reader.looks_for}{keys})"
     yield f"Yours: a logs.readers.Reader, named by an entry point of the group {GROUP}; see logs/readers/base.py."
+
+
+def table() -> list[dict[str, Any]]:
+    """What `listing` says, as data."""
+    keys = ("name", "summary", "looks_for", "suffixes", "settings")
+    return [{key: getattr(reader, key) for key in keys} for reader in readers()]
 
 
 def convert_all(

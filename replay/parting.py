@@ -25,8 +25,8 @@ from logs.trace import Decision, Graph, LaneOption, Mode, PlannedFrame, SlGraph,
 
 TOLERANCE = 1e-3
 """m, rad, m/s, and of pedals their share: a millimetre is less than any metric resolves."""
-FINE = 1e-6
-"""Likewise; above rounding of positions in a city's grid (1e-9 m) and below what solvers leave open."""
+FINE = 1e-8
+"""Likewise; above rounding (1e-9 m in a city's grid), and as near to it as causes can be told from effects."""
 SAME_TIME_S = 1e-6
 
 STAGES = (
@@ -76,7 +76,9 @@ def parting(one: Trace, two: Trace) -> Parting | None:
     if not any(off.size > TOLERANCE for off in found):  # (1)
         return None
     first = min((off for off in found if off.size > FINE), key=lambda off: off.place)  # (2)
-    return Parting(first.t, first.stage, f"t = {first.t:.2f} s, {first.stage}: {first.say()}")
+    seen = min((off for off in found if off.size > TOLERANCE), key=lambda off: off.place)
+    later = f"; more than {TOLERANCE:g} from t = {seen.t:.2f} s on ({seen.stage})" if first.size <= TOLERANCE else ""
+    return Parting(first.t, first.stage, f"t = {first.t:.2f} s, {first.stage}: {first.say()}{later}")
 
 
 # on the control rate ----------------------------------------------------------------------------------------------
@@ -130,20 +132,25 @@ def _framed(one: Trace, two: Trace) -> Iterator[list[_Off]]:
     """What differs in each frame, up to the end of the drive that ends first."""
     end = min(float(trace.ego.t[-1]) for trace in (one, two)) + SAME_TIME_S
     frames = [{round(f.t / SAME_TIME_S): f for f in trace.frames if f.t <= end} for trace in (one, two)]
+    kept: set[type] = {kind for kind in (SlGraph, StGraph) if all(_holds(trace, kind) for trace in (one, two))}
     for key in sorted(frames[0].keys() | frames[1].keys()):
         before, now = (side.get(key) for side in frames)
         if before is None or now is None:
             t, which = key * SAME_TIME_S, "second" if before is None else "first"
             yield [_Off(t, "input frame", inf, partial(str, f"a plan was made in the {which} drive only"))]
         else:
-            yield list(_of_frame(one, two, before, now))
+            yield list(_of_frame(one, two, before, now, kept))
 
 
-def _of_frame(one: Trace, two: Trace, before: PlannedFrame, now: PlannedFrame) -> Iterator[_Off]:
+def _holds(trace: Trace, kind: type) -> bool:
+    return any(isinstance(item, kind) for frame in trace.frames for item in frame.plan.internals)
+
+
+def _of_frame(one: Trace, two: Trace, before: PlannedFrame, now: PlannedFrame, kept: set[type]) -> Iterator[_Off]:
     for stage, found in (
         ("input frame", _others(one, two, before, now)),
         ("prediction", _predicted(before, now)),
-        *_inside(before, now),
+        *_inside(before, now, kept),
         ("plan", _planned(before, now)),
     ):
         for size, say in found:
@@ -155,7 +162,8 @@ _Found = Iterator[tuple[float, Callable[[], str]]]
 
 def _others(one: Trace, two: Trace, before: PlannedFrame, now: PlannedFrame) -> _Found:
     """Who was shown, and where they were known to be."""
-    if set(before.agents) != set(now.agents):
+    kept = before.predictions is not None and now.predictions is not None  # else no frame is kept: an older trace
+    if kept and set(before.agents) != set(now.agents):
         yield inf, partial(_words, "who is there", before.agents, now.agents)
         return
     seen = [trace.agents if trace.perceived is None else trace.perceived for trace in (one, two)]
@@ -201,8 +209,8 @@ def _planned(before: PlannedFrame, now: PlannedFrame) -> _Found:
 # inside a planner -------------------------------------------------------------------------------------------------
 
 
-def _inside(before: PlannedFrame, now: PlannedFrame) -> Iterator[tuple[str, _Found]]:
-    """What its stages left, where both plans have any of it."""
+def _inside(before: PlannedFrame, now: PlannedFrame, kept: set[type]) -> Iterator[tuple[str, _Found]]:
+    """What its stages left, where both plans have any of it; `kept`: graphs that both traces have at all."""
     one, two = tuple(before.plan.internals), tuple(now.plan.internals)
     if not one or not two:
         return
@@ -221,8 +229,8 @@ def _inside(before: PlannedFrame, now: PlannedFrame) -> Iterator[tuple[str, _Fou
     yield "speed DP", _decided(one, two, "speed")
     for kind, stage in ((SlGraph, "path QP"), (StGraph, "speed QP")):
         there = [any(isinstance(item, kind) for item in items) for items in (one, two)]
-        if there[0] != there[1]:
-            yield stage, iter([(inf, partial(str, f"solved {'' if there[1] else 'not '}any more"))])
+        if kind in kept and there[0] != there[1]:
+            yield stage, iter([(inf, partial(str, "solved now" if there[1] else "no longer solved"))])
 
 
 def _graphs(one: Sequence[object], two: Sequence[object], kind: type[Graph]) -> tuple[Graph, Graph] | None:

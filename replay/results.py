@@ -26,12 +26,13 @@ from logs.mcap import read_trace
 from logs.scenario import Scenario
 from logs.trace import Decision, Plan, PlannedFrame, Trace
 from metrics.aggregate import LogLabels
-from replay.batch.tables import SCHEMA_VERSION, read_timings
+from replay.batch.schema import SCHEMA_VERSION
+from replay.batch.tables import read_timings
 from replay.config import RunConfig, load_run
 
 LOG_COLUMNS = ("log", "source", "sha256", "folder", "family", "dataset", "tags", "notes")
 DRIVE_COLUMNS = ("log", "planner", "mode", "oracle", "end", "detail", "t_end_s", "notes", "files")
-GATE_COLUMNS = ("gate", "planner", "mode", "outcome", "value", "log", "time_s", "reason")
+GATE_COLUMNS = ("gate", "planner", "mode", "group", "outcome", "value", "log", "time_s", "reason")
 FAILURE_COLUMNS = ("log", "planner", "mode", "message", "exit_code")
 DECISION_COLUMNS = ("log", "planner", "mode", "t_s", "agent", "decision", "stage", "reason")
 
@@ -99,9 +100,14 @@ class Results:
         return pd.read_parquet(self.path / "verdicts.parquet")
 
     @cached_property
+    def groups(self) -> pd.DataFrame:
+        """A row per group of logs, planner, mode and metric (`metrics.aggregate`); "pass": how many logs pass."""
+        return pd.read_parquet(self.path / "groups.parquet")
+
+    @cached_property
     def gates(self) -> pd.DataFrame:
-        """A row per gate, planner and mode: what all logs say together; `gate` is its rule as text."""
-        rows = [{**verdict, "gate": verdict["rule"]} for verdict in self.summary["gates"]]
+        """A row per gate, planner, mode and group: what all logs say together; `gate` is its rule as text."""
+        rows = [{"group": "", **verdict, "gate": verdict["rule"]} for verdict in self.summary["gates"]]
         table = pd.DataFrame(rows, columns=list(GATE_COLUMNS))
         return table.astype({"value": "float64", "time_s": "float64"})
 

@@ -7,6 +7,7 @@ import io
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 from logs.catalogue import FAMILIES, Family, numbers, scenario
 from logs.catalogue.suites import SEED, SUITES, groups, suite
@@ -88,6 +89,14 @@ def listed() -> Iterator[str]:
         yield f"{family.name}: {family.summary}\n    {values}{grid}"
     for name, one in SUITES.items():
         yield f"--suite {name}: {one.size} logs; {one.summary}"
+
+
+def table() -> dict[str, Any]:
+    """What `listed` says, as data."""
+    keys = ("name", "summary", "parameters", "grid", "tags", "source")
+    families = [{key: getattr(one, key) for key in keys} | {"cells": _count(one)} for one in FAMILIES.values()]
+    suites = [{"name": name, "size": one.size, "summary": one.summary} for name, one in SUITES.items()]
+    return {"families": families, "suites": suites}
 
 
 def _count(family: Family) -> int:

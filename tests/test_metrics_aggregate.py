@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
@@ -111,6 +111,7 @@ def test_the_worst_goes_by_the_direction_and_what_is_missing_is_counted(directio
     assert (one["mean"], one["missing"]) == (1.0, 1)
 
 
+@settings(max_examples=10)
 @given(st.lists(st.floats(-1e3, 1e3) | st.none(), min_size=1, max_size=8), st.randoms())
 def test_groups_do_not_depend_on_the_order_of_rows(values: list[float | None], random: object) -> None:
     labels = {f"log{i}": LogLabels("even" if i % 2 == 0 else "odd") for i in range(len(values))}

@@ -7,6 +7,7 @@ from drives import along, drive, grid, moving, scenario
 
 from logs import AgentKind
 from metrics import evaluate
+from metrics.aggregate import LogLabels
 from metrics.ensemble import with_ensemble
 from metrics.gates import Gate, Gates
 from replay.perturb import NOISE_M, PERTURBATIONS, START_M, perturbed
@@ -21,7 +22,7 @@ def table(*speeds: float) -> list[pd.DataFrame]:
 
 def ensemble(plain: float, *members: float) -> dict[str, tuple[float, str]]:
     rows = pd.concat([t.assign(member=i, perturbation=f"kind{i}") for i, t in enumerate(table(*members), 1)])
-    found = with_ensemble(table(plain)[0], rows, GATES, {"test/log": ()})
+    found = with_ensemble(table(plain)[0], rows, GATES, {"test/log": LogLabels()})
     found = found[found["metric"].str.startswith("ensemble.")]
     assert found["available"].all()
     return {row.metric: (row.value, row.reason) for row in found.itertuples()}
@@ -42,7 +43,7 @@ def test_a_verdict_that_flips_is_fragile_and_says_where() -> None:
 
 def test_without_members_the_table_stays_and_says_why_there_is_no_value() -> None:
     (plain,) = table(10.0)
-    assert with_ensemble(plain, pd.DataFrame(), GATES, {"test/log": ()}) is plain
+    assert with_ensemble(plain, pd.DataFrame(), GATES, {"test/log": LogLabels()}) is plain
     assert (
         plain.loc[plain["metric"] == "ensemble.fragile", "reason"] == "the run has no ensemble (--ensemble N)"
     ).all()

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from logs import ConfigError, EndReason, LogError
 from metrics import COLUMNS, METRICS, evaluate
+from metrics.aggregate import LogLabels
 from metrics.gates import Gate, Gates, Outcome, load_gates
 from metrics.judge import Verdict, judge, outcomes, worst
 
@@ -33,7 +34,8 @@ def table(*rows: dict[str, object]) -> pd.DataFrame:
 
 def verdicts(gate: Gate, rows: pd.DataFrame, **how: object) -> tuple[Verdict, ...]:
     tags = how.pop("tags", dict.fromkeys(rows["log"], ()))
-    return judge(Gates((gate,), "test"), rows, tags, **how)  # type: ignore[arg-type]
+    labels = {log: LogLabels(tags=words) for log, words in tags.items()}  # type: ignore[attr-defined]
+    return judge(Gates((gate,), "test"), rows, how.pop("labels", labels), **how)  # type: ignore[arg-type]
 
 
 def verdict(gate: Gate, rows: pd.DataFrame, **how: object) -> Verdict:
@@ -365,7 +367,7 @@ def test_the_default_gates_judge_any_closed_loop_drive() -> None:
     default = load_gates(None)
     needs_plans = ("plan_", "fallback")
     log = scenario(along(grid(3.0), 10.0))
-    found = judge(default, evaluate(drive(log), log), {log.name: ()})
+    found = judge(default, evaluate(drive(log), log), {log.name: LogLabels()})
     assert {gate for gate in default.gates if not gate.optional and gate.mode != "open"} <= {v.gate for v in found}
     for each in found:
         if not each.gate.metric.startswith(needs_plans):
@@ -377,7 +379,9 @@ def test_the_default_gates_judge_any_closed_loop_drive() -> None:
 
 def test_the_default_gates_fail_a_drive_that_ended_in_a_crash() -> None:
     log = scenario(along(grid(3.0), 10.0))
-    found = judge(load_gates(None), evaluate(drive(log, end=EndReason.COLLISION, detail="car 7"), log), {log.name: ()})
+    found = judge(
+        load_gates(None), evaluate(drive(log, end=EndReason.COLLISION, detail="car 7"), log), {log.name: LogLabels()}
+    )
     (crash,) = [each for each in found if each.gate.metric == "completed.final"]
     assert crash.outcome is FAIL
     assert crash.reason.endswith("on test/log at 3.00 s (collision: car 7); broken in 1 of 1 log")

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from logs import AgentKind, Colour, Crosswalk, Lane, Road, Scenario, StopLine, Trace, TrafficLight, Trajectory
 from metrics import METRICS, evaluate, series
+from metrics.aggregate import LogLabels
 from metrics.gates import Gate, Gates, Outcome, load_gates
 from metrics.judge import judge
 
@@ -288,17 +289,23 @@ def test_the_series_counts_where_the_table_says() -> None:
 def test_the_default_gates_ask_for_the_rules_where_a_log_has_them() -> None:
     default, free, broken = load_gates(None), scenario(along(grid(3.0), 10.0)), everything()
     asked = {
-        each.gate.metric: each.outcome for each in judge(default, evaluate(drive(broken), broken), {broken.name: ()})
+        each.gate.metric: each.outcome
+        for each in judge(default, evaluate(drive(broken), broken), {broken.name: LogLabels()})
     }
     assert [asked[name] for name in NAMES] == [Outcome.FAIL] * 4
-    none = {each.gate.metric for each in judge(default, evaluate(drive(free), free), {free.name: ()})}
+    none = {each.gate.metric for each in judge(default, evaluate(drive(free), free), {free.name: LogLabels()})}
     assert none.isdisjoint(NAMES)
 
 
 def test_an_optional_gate_is_inconclusive_where_a_log_that_has_it_failed() -> None:
     broken = everything()
     gate = Gates((Gate("red_light.count", max=1, optional=True),), "here")
-    (found,) = judge(gate, evaluate(drive(broken), broken), {broken.name: (), "lost": ()}, failed={"lost": "no lanes"})
+    (found,) = judge(
+        gate,
+        evaluate(drive(broken), broken),
+        {broken.name: LogLabels(), "lost": LogLabels()},
+        failed={"lost": "no lanes"},
+    )
     assert found.outcome is Outcome.INCONCLUSIVE
 
 

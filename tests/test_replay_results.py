@@ -9,6 +9,7 @@ import pytest
 
 from logs import ConfigError, StGraph
 from logs.trace import Decision
+from metrics.aggregate import LogLabels, groups, standings
 from replay.batch import RunResult, evaluate_logs
 from replay.config import RunConfig
 from replay.results import load
@@ -31,6 +32,10 @@ def test_the_tables_are_those_of_the_run(run: RunResult) -> None:
     assert [tuple(row) for row in result.drives[["log", "planner", "mode", "end"]].to_numpy()] == [
         (drive.log, drive.planner, drive.mode, drive.end) for drive in run.drives
     ]
+    labels = {LOG: LogLabels(LOG, "replan catalogue", tuple(result.logs["tags"][0]))}
+    assert result.labels == labels
+    stand = standings(result.verdicts, result.drives, [LOG], result.run.drives)
+    pd.testing.assert_frame_equal(result.groups, groups(result.metrics, stand, labels), check_dtype=False)
     assert list(result.logs["family"]) == [LOG] and list(result.logs["dataset"]) == ["replan catalogue"]
     assert set(result.frames["log"]) == {LOG} and len(result.timings) == len(run.timings)
 

@@ -13,6 +13,7 @@ from drives import along, grid, moving, scenario
 from logs import AgentKind, EndReason, Mode, Scenario
 from logs.catalogue import CATALOGUE
 from metrics import evaluate
+from metrics.aggregate import LogLabels
 from metrics.gates import Outcome, load_gates
 from metrics.judge import CAREFUL, DRIVER, REFERENCE, Verdict, judge
 from metrics.latency import judge_deadline
@@ -32,7 +33,7 @@ def driven(log: Scenario, planner: str, *modes: Mode, **loop: object) -> tuple[l
     drives = [runs[mode](log, planner, config=config) for mode in modes]
     rows = [evaluate(drive.trace, log) for drive in drives]
     gates = load_gates(None).asked_of([mode.value for mode in modes])
-    return drives, judge(gates, pd.concat([*rows, reference_table(log)]), {log.name: log.tags})
+    return drives, judge(gates, pd.concat([*rows, reference_table(log)]), {log.name: LogLabels(tags=log.tags)})
 
 
 @pytest.mark.parametrize(
@@ -45,7 +46,9 @@ def test_an_adversary_is_failed_by_the_gate_that_is_about_it(name: str) -> None:
     drives, verdicts = driven(log, planner, Mode.CLOSED, vehicle=one.vehicle)
     if one.gate == "deadline":
         times = pd.DataFrame([vars(time) if hasattr(time, "__dict__") else _row(time) for time in drives[0].timings])
-        verdicts = judge_deadline(times.assign(log=log.name, planner=planner, mode="closed"), 0.1, {log.name: ()})
+        verdicts = judge_deadline(
+            times.assign(log=log.name, planner=planner, mode="closed"), 0.1, {log.name: LogLabels()}
+        )
     failed = {verdict.gate.metric.partition(".")[0] for verdict in verdicts if verdict.outcome is Outcome.FAIL}
     assert one.gate in failed
 

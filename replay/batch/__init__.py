@@ -11,7 +11,7 @@ result.table          # pandas: one row per log, planner, mode and metric
 result.verdicts       # gates: PASS, FAIL or INCONCLUSIVE, with reasons
 """
 
-from replay.batch.resume import replan_version
 from replay.batch.run import OUTCOMES, RunResult, evaluate_logs
+from replay.version import replan_version
 
 __all__ = ["OUTCOMES", "RunResult", "evaluate_logs", "replan_version"]

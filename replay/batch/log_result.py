@@ -9,13 +9,15 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, field, replace
+from math import nan
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
+from replay.batch.schema import SCHEMA_VERSION
 from replay.batch.sources import LOG_CARD
-from replay.batch.tables import KEYS, SCHEMA_VERSION, joined, write_json, write_parquet
+from replay.batch.tables import KEYS, joined, write_json, write_parquet
 
 MEMBERS = "ensemble.parquet"
 
@@ -77,6 +79,7 @@ class LogResult:
         failures: What was not.
         table: Rows of `metrics.evaluate`.
         health: Rows of `metrics.health.table`: what is wrong with the log.
+        seconds: How long it took, for people to read; in no file; NaN where it was there already.
         members: Rows of `metrics.evaluate` of the ensemble's drives, with `metrics.ensemble`'s columns; mostly empty.
     """
 
@@ -93,6 +96,7 @@ class LogResult:
     table: pd.DataFrame = field(default_factory=pd.DataFrame)
     members: pd.DataFrame = field(default_factory=pd.DataFrame)
     health: pd.DataFrame = field(default_factory=pd.DataFrame)
+    seconds: float = nan
 
 
 @dataclass(frozen=True)

@@ -20,9 +20,10 @@ from logs.errors import ConfigError
 from replay.batch.log_result import Failure, LogResult, Stamp, kept
 from replay.batch.resume import changes, stamp_of
 from replay.batch.run import RunResult, concluded, gates_of
+from replay.batch.schema import SCHEMA_VERSION
 from replay.batch.shard import Shard
 from replay.batch.sources import LogSource, Selection
-from replay.batch.tables import SCHEMA_VERSION, SHARD_CARD, claim, write_text
+from replay.batch.tables import SHARD_CARD, claim, write_text
 from replay.config import load_run, read_toml
 from replay.planner_config import planner_factory
 

@@ -14,6 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from pathlib import Path
+from time import perf_counter
 
 import pandas as pd
 
@@ -79,7 +80,7 @@ class _Progress:
 
 def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> LogResult:
     """Drive one log with each planner in each mode, measure, and write the log's folder into `out`."""
-    progress = _Progress(source.label)
+    progress, begin = _Progress(source.label), perf_counter()
     partial = out / f"{PARTIAL}{sha256(source.label.encode()).hexdigest()[:16]}-{os.getpid()}"
     partial.mkdir()
     done: LogResult | None = None
@@ -99,7 +100,8 @@ def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> 
             done = result
     finally:
         shutil.rmtree(partial, ignore_errors=True)
-    return replace(done or LogResult(source.label, progress.log), failures=tuple(progress.failures))
+    result = done or LogResult(source.label, progress.log)
+    return replace(result, failures=tuple(progress.failures), seconds=perf_counter() - begin)
 
 
 def all_metrics(run: RunConfig) -> Mapping[str, Metric]:

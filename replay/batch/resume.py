@@ -12,26 +12,18 @@ import shutil
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from hashlib import sha256
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from logs.errors import ConfigError, LogError
 from replay.batch.log_result import LogResult, Stamp, kept
 from replay.batch.sources import LOG_CARD, LogSource
-from replay.batch.tables import PARTIAL, TABLES, clear_partial, is_ours
+from replay.batch.tables import FILES, PARTIAL, clear_partial, is_ours
 from replay.config import RunConfig, dump_run, read_toml
+from replay.version import replan_version
 
 START_OVER = "leave out --resume to start over"
 PACKAGES = ("logs", "metrics", "planners", "replay")
-
-
-def replan_version() -> str:
-    """The installed version of replan."""
-    try:
-        return version("replan")
-    except PackageNotFoundError:
-        return "not installed"
 
 
 def stamp_of(run: RunConfig) -> Stamp:
@@ -143,6 +135,6 @@ def _clear(out: Path, broken: Sequence[Path]) -> None:
     clear_partial(out)
     for folder in broken:
         shutil.rmtree(folder)
-    for name in TABLES:
+    for name in FILES:
         if name != "run.toml":
             (out / name).unlink(missing_ok=True)

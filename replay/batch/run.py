@@ -17,6 +17,7 @@ import pandas as pd
 from logs.errors import ConfigError, PlannerError, unknown_name
 from logs.readers import LogSettings
 from metrics import COLUMNS, health
+from metrics.aggregate import LogLabels, groups, standings
 from metrics.ensemble import with_ensemble
 from metrics.gates import Gates, Outcome, load_gates
 from metrics.judge import Verdict, judge, outcomes
@@ -26,7 +27,7 @@ from planners import PLANNERS
 from replay.batch.log_result import DriveRecord, Failure, LogResult, timings_of
 from replay.batch.one_log import all_metrics, evaluate_log
 from replay.batch.pool import WorkerLost, run_all
-from replay.batch.resume import finished, replan_version, stamp_of
+from replay.batch.resume import finished, stamp_of
 from replay.batch.shard import Shard, write_card
 from replay.batch.sources import LogSource, Selection, builtin_suite, named_suite, select
 from replay.batch.tables import (
@@ -49,6 +50,7 @@ from replay.perception import PERCEPTIONS, PREDICTIONS
 from replay.planner_config import resolved_table
 from replay.traffic import TRAFFIC
 from replay.vehicle import VEHICLES
+from replay.version import replan_version
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,15 +197,15 @@ def concluded(
     """
     results = _distinct(results)
     table = joined((result.table for result in results), KEYS, COLUMNS).astype({"value": float, "time_s": float})
-    tags = {result.name: result.tags for result in results if result.digest}
+    labels = {log.name: LogLabels(log.family, log.dataset, log.tags) for log in results if log.digest}
     members = joined((result.members for result in results), KEYS, COLUMNS)
-    table = with_ensemble(table, members, gates, tags)
+    table = with_ensemble(table, members, gates, labels)
     unread = {result.name: "see the errors" for result in results if not result.digest}
     timings = out / "timings.parquet"
     sorted_ = sorted((result for result in results if result.folder), key=lambda result: result.name)
     write_timings(timings, (timings_of(out, result) for result in sorted_))
-    verdicts = judge(gates, table, tags, failed=unread) if shard is None else ()
-    late = judge_deadline(read_timings(timings), run.deadline_s, tags) if run.deadline_s > 0.0 and not shard else ()
+    verdicts = judge(gates, table, labels, failed=unread) if shard is None else ()
+    late = judge_deadline(read_timings(timings), run.deadline_s, labels) if run.deadline_s > 0.0 and not shard else ()
     result = RunResult(
         out=out,
         run=run,
@@ -337,7 +339,12 @@ def _write(result: RunResult) -> None:
     write_metrics(result.out, result.table)
     found = [log.health for log in result.logs if len(log.health)] or [health.table("", ())]
     write_parquet(result.out / "health.parquet", pd.concat(found, ignore_index=True))
-    write_parquet(result.out / "verdicts.parquet", outcomes([v for v in result.verdicts if v.gate.metric != LATE]))
+    said = outcomes([verdict for verdict in result.verdicts if verdict.gate.metric != LATE])
+    write_parquet(result.out / "verdicts.parquet", said)
+    labels = {log.name: LogLabels(log.family, log.dataset, log.tags) for log in result.logs}
+    drives = pd.DataFrame([asdict(drive) for drive in result.drives], columns=["log", "planner", "mode", "oracle"])
+    stand = standings(said, drives, list(labels), result.run.drives)
+    write_parquet(result.out / "groups.parquet", groups(result.table, stand, labels))
     write_json(result.out / "summary.json", summary(result))
 
 

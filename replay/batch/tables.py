@@ -2,17 +2,19 @@
 
     OUT/metrics.parquet, .csv   one row per log, planner, mode and metric reduction     the same for the same inputs
     OUT/verdicts.parquet        one row per gate, log, planner and mode: what this log says    likewise
+    OUT/groups.parquet          one row per group of logs, planner, mode and metric: mean, median, worst   likewise
     OUT/timings.parquet         log, planner, mode, t_s, stage, seconds                 not the same twice
     OUT/summary.json            outcome, gates, drives, failures
+    OUT/report.md, junit.xml    the reports, by `replan evaluate` and `replan report`
     OUT/run.toml                the resolved configuration
     OUT/shard.json              of a part of a run: which, of what (`replay.batch.shard`)
     OUT/LOG-HASH/               per log: open.mcap, open.rrd, closed.mcap, closed.rrd, frames.parquet, and what the
                                 tables above are made of: metrics.parquet, timings.parquet, log.json; ensemble.parquet
                                 (with several planners open.PLANNER.mcap and so on; log.mcap where the log was no MCAP)
 
-`metrics.*` and `frames.parquet` hold no clock, no path and no machine, and are sorted: two runs give the same bytes,
-whatever the number of workers and however often it was interrupted. Every file is written under a temporary name and
-renamed.
+`metrics.*`, `verdicts.*`, `groups.*` and `frames.parquet` hold no clock, no path and no machine, and are sorted: two
+runs give the same bytes, whatever the number of workers and however often it was interrupted. Every file is written
+under a temporary name and renamed.
 """
 
 from __future__ import annotations
@@ -29,11 +31,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from logs.errors import ConfigError
+from replay.batch.schema import SCHEMA_VERSION, arrow
 from replay.batch.sources import LOG_CARD
 from replay.config import HEADER
-
-SCHEMA_VERSION = 1
-"""Of the tables and of summary.json; counts up when a column changes its meaning or goes."""
 
 PARTIAL = ".partial-"
 """Names of what is being written begin with this."""
@@ -46,11 +46,15 @@ TABLES = (
     "metrics.csv",
     "health.parquet",
     "verdicts.parquet",
+    "groups.parquet",
     "timings.parquet",
     "summary.json",
     SHARD_CARD,
     "run.toml",
 )
+REPORTS = ("report.md", "junit.xml", "report.html")
+FILES = (*TABLES, *REPORTS)
+"""What stands in a result folder beside the folders of the logs."""
 KEYS = ["log", "planner", "mode", "metric"]
 TIMING_COLUMNS = ["log", "planner", "mode", "t_s", "stage", "seconds"]
 
@@ -78,9 +82,8 @@ def write_text(path: Path, text: str) -> None:
 
 def write_parquet(path: Path, table: pd.DataFrame) -> None:
     """The table with its schema version, and nothing that differs between two writings of the same values."""
-    arrow = pa.Table.from_pandas(table, preserve_index=False)
-    arrow = arrow.replace_schema_metadata({"replan_schema_version": str(SCHEMA_VERSION)})
-    write_file(path, lambda partial: pq.write_table(arrow, partial, compression="zstd"))
+    typed = arrow(path.name, table).replace_schema_metadata({"replan_schema_version": str(SCHEMA_VERSION)})
+    write_file(path, lambda partial: pq.write_table(typed, partial, compression="zstd"))
 
 
 def write_timings(path: Path, tables: Iterable[pd.DataFrame]) -> None:
@@ -163,4 +166,4 @@ def is_ours(entry: Path) -> bool:
         return entry.read_text(encoding="utf-8", errors="replace").startswith(HEADER)
     if entry.is_dir():
         return entry.name.startswith(PARTIAL) or (entry / LOG_CARD).is_file()
-    return entry.name in TABLES
+    return entry.name in FILES

@@ -3,19 +3,21 @@
 Commands by what they are about:
 
 evaluate.py    what drives: evaluate, merge, vary, paper, calibrate
+report.py      the reports of results
 logs.py        what reads and writes logs: synth, convert, inspect, salvage, export
 results.py     what looks at results: view
+compare.py     run against run: compare, baseline
 plot.py        pictures of a drive: plot
 about.py       what replan knows: metrics
 app.py         what they share
 """
 
-from replay.cli import evaluate, logs, results, plot, about  # isort: skip  # the order of the help
+from replay.cli import evaluate, report, logs, results, compare, plot, about  # isort: skip  # the order of the help
 from replay.cli.app import app
 
-__all__ = ["about", "app", "evaluate", "logs", "main", "plot", "results"]
+__all__ = ["about", "app", "compare", "evaluate", "logs", "main", "plot", "report", "results"]
 
 
 def main() -> None:
     """Run the command line; ends the process with its exit code."""
-    app()
+    app(prog_name="replan")

@@ -1,4 +1,4 @@
-"""`replan metrics`: what replan knows."""
+"""`replan list | metrics`: what replan knows."""
 
 from __future__ import annotations
 
@@ -6,13 +6,41 @@ from typing import Annotated
 
 import typer
 
-from replay.cli.app import answered, app
+from replay.cli.app import Json, answered, app, say_json
+from replay.cli.names import completion
+
+
+@app.command("list")
+def listed(
+    kind: Annotated[
+        str | None,
+        typer.Argument(help="planners, controllers, metrics ...; none: all kinds.", autocompletion=completion("kind")),
+    ] = None,
+    as_json: Json = False,
+) -> None:
+    """List what there is by name, each with one line and where it stands.
+
+    [bold]Examples[/bold]
+
+      replan list
+      replan list controllers
+    """
+    with answered():
+        from replay import listing
+
+        if as_json:
+            kinds = listing.KINDS if kind is None else (kind,)
+            found = {one: listing.entries(one) for one in kinds}
+            say_json(found if kind is None else found[kind])
+        else:
+            typer.echo("\n".join(listing.counts() if kind is None else listing.lines(listing.entries(kind))))
 
 
 @app.command()
 def metrics(
     name: Annotated[str | None, typer.Argument(help='A metric\'s name, or "module:NAME" of your own.')] = None,
     markdown: Annotated[bool, typer.Option("--markdown", help="The page of all: docs/metrics.md.")] = False,
+    as_json: Json = False,
 ) -> None:
     """List the metrics, or say all about one: formula, parameters, source, what it needs.
 
@@ -24,7 +52,10 @@ def metrics(
     with answered():
         from metrics import GROUPS, load_metric, pages
 
-        if name is not None:
+        if as_json:
+            found = [pages.facts(metric) for group in GROUPS.values() for metric in group]
+            say_json(found if name is None else pages.facts(load_metric(name)))
+        elif name is not None:
             typer.echo(pages.page(load_metric(name)))
         else:
             typer.echo(pages.markdown(GROUPS) if markdown else pages.listing(GROUPS))

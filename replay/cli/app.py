@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
+from enum import Enum
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from logs.errors import ConfigError, ReplanError
+from replay.cli.names import completion
 
 if TYPE_CHECKING:
     from logs.readers import LogSettings
@@ -22,7 +25,6 @@ app = typer.Typer(
     help="Replay driving logs through a planner, open loop and closed loop, and judge what it did.\n\n"
     "Start with [bold]replan evaluate[/bold]: it needs no logs, the built-in suite is driven.",
     no_args_is_help=True,
-    add_completion=False,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
     context_settings={"help_option_names": ["-h", "--help"]},
@@ -34,8 +36,15 @@ Begin = Annotated[float | None, typer.Option("--from", help="Begin so many secon
 End = Annotated[float | None, typer.Option("--to", help="End so many seconds after the log's begin.")]
 Foxglove = Annotated[bool, typer.Option("--foxglove", help="Channels that Foxglove draws, in what is written.")]
 Suite = Annotated[
-    str | None, typer.Option("--suite", help="smoke, full, nightly; or a family or group with all its cells.")
+    str | None,
+    typer.Option(
+        "--suite",
+        autocompletion=completion("suite"),
+        help="smoke, full, nightly; or a family or group with all its cells.",
+    ),
 ]
+Json = Annotated[bool, typer.Option("--json", help="One JSON document on stdout, and nothing else there.")]
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say errors and the outcome only.")]
 Settings = Annotated[Path | None, typer.Option("--config", help="TOML file of a run: its \\[log] table.")]
 
 
@@ -57,9 +66,35 @@ def say_error(message: str) -> None:
     typer.echo(f"error: {message}", err=True)
 
 
+def say_json(document: Any) -> None:
+    """One JSON document on stdout; dataclasses are objects, tables lists of rows, what is no number is null."""
+    import json
+
+    typer.echo(json.dumps(_plain(document), indent=2, ensure_ascii=False, allow_nan=False))
+
+
+def _plain(value: Any) -> Any:
+    """As JSON has it."""
+    if is_dataclass(value) and not isinstance(value, type):
+        return {item.name: _plain(getattr(value, item.name)) for item in fields(value)}
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(item) for item in value]
+    if hasattr(value, "to_dict"):
+        return _plain(value.to_dict("records"))
+    if hasattr(value, "item"):  # a number of NumPy's
+        return _plain(value.item())
+    if isinstance(value, float):
+        return value if isfinite(value) else None
+    if isinstance(value, Enum):
+        return value.value
+    return value if isinstance(value, (str, int, type(None))) else str(value)
+
+
 def _version(asked: bool) -> None:
     if asked:
-        from replay.batch import replan_version
+        from replay.version import replan_version
 
         typer.echo(f"replan {replan_version()}")
         raise typer.Exit

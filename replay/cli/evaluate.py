@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
-from rich.console import Console
 
 from logs.errors import ConfigError
 from replay.cli.app import (
@@ -18,18 +17,23 @@ from replay.cli.app import (
     Ego,
     End,
     Foxglove,
+    Json,
     Map,
+    Quiet,
     Suite,
     answered,
     app,
     cores,
     log_settings,
     run_config,
+    say_json,
 )  # fmt: skip
+from replay.cli.names import completion
 
 if TYPE_CHECKING:
     from replay.batch import RunResult
     from replay.config import RunConfig
+    from replay.report.model import Overview
 
 EXIT_CODES = (
     "Exit codes: 0 all gates pass; 1 a gate failed; 2 wrong usage or configuration; 3 a log or planner could not be"
@@ -47,7 +51,12 @@ def evaluate(
     ] = None,
     planner: Annotated[
         list[str] | None,
-        typer.Option("--planner", "-p", help='A planner\'s name or "module:Class"; may be repeated. Default: dp_qp.'),
+        typer.Option(
+            "--planner",
+            "-p",
+            autocompletion=completion("planner"),
+            help='A planner\'s name or "module:Class"; may be repeated. Default: dp_qp.',
+        ),
     ] = None,
     metric: Annotated[
         list[str] | None, typer.Option(help='A metric of your own beside the built-in ones, "module:NAME"; repeatable.')
@@ -78,21 +87,43 @@ def evaluate(
         int | None, typer.Option(min=0, help="Processes; 0: in this one. Default: one per core. Same results.")
     ] = None,
     vehicle: Annotated[
-        str | None, typer.Option(help="How the ego moves: kinematic_bicycle, single_track, multibody, perfect ...")
+        str | None,
+        typer.Option(
+            autocompletion=completion("vehicle"),
+            help="How the ego moves: kinematic_bicycle, single_track, multibody, perfect ...",
+        ),
     ] = None,
     car: Annotated[
-        str | None, typer.Option(help="Whose numbers instead of the log's: bmw_320i, small_electric, vw_vanagon.")
+        str | None,
+        typer.Option(
+            autocompletion=completion("car"),
+            help="Whose numbers instead of the log's: bmw_320i, small_electric, vw_vanagon.",
+        ),
     ] = None,
     controller: Annotated[
-        str | None, typer.Option(help="How plans are followed: dlqr_pid, mpc, pure_pursuit, stanley, pid ...")
+        str | None,
+        typer.Option(
+            autocompletion=completion("controller"),
+            help="How plans are followed: dlqr_pid, mpc, pure_pursuit, stanley, pid ...",
+        ),
     ] = None,
     traffic: Annotated[
-        str | None, typer.Option(help="The others: as logged but for those who give_way; time, ego_position, reactive.")
+        str | None,
+        typer.Option(
+            autocompletion=completion("traffic"),
+            help="The others: as logged but for those who give_way; time, ego_position, reactive.",
+        ),
     ] = None,
     prediction: Annotated[
-        str | None, typer.Option(help="Their futures: constant_velocity, lane_following ..., oracle.")
+        str | None,
+        typer.Option(
+            autocompletion=completion("prediction"),
+            help="Their futures: constant_velocity, lane_following ..., oracle.",
+        ),
     ] = None,
-    perception: Annotated[str | None, typer.Option(help="What is seen: ground_truth or sensor.")] = None,
+    perception: Annotated[
+        str | None, typer.Option(autocompletion=completion("perception"), help="What is seen: ground_truth or sensor.")
+    ] = None,
     plant: Annotated[
         list[str] | None,
         typer.Option(help="KEY=VALUE of the car that planner and controller are not told (mass=1400); repeatable."),
@@ -109,6 +140,13 @@ def evaluate(
     shard: Annotated[
         str | None, typer.Option(metavar="I/N", help="Drive every N-th log only, from the I-th: see replan merge.")
     ] = None,
+    no_report: Annotated[bool, typer.Option("--no-report", help="Write no report.md and junit.xml.")] = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+    verbose: Annotated[
+        bool,
+        typer.Option("--verbose", "-v", help="Say each log as it ends, how long it took and how its drives ended."),
+    ] = False,
 ) -> None:
     """Drive planners over logs, measure, judge by gates, and record.
 
@@ -145,9 +183,9 @@ def evaluate(
         run = run_config(config, options, loop).in_car(car)
         result = _evaluated(
             logs or [], run, out, cores() if workers is None else workers,
-            resume=resume, window=window, suite=suite, shard=shard,
+            resume=resume, window=window, suite=suite, shard=shard, quiet=quiet, verbose=verbose,
         )  # fmt: skip
-        raise typer.Exit(result.exit_code)
+        raise typer.Exit(_say(result, report=not no_report, as_json=as_json, quiet=quiet))
 
 
 @app.command()
@@ -163,7 +201,9 @@ def vary(
             "--agent", help="Who is varied; repeatable: all together. Default: of those who move, who comes nearest."
         ),
     ] = None,
-    planner: Annotated[str | None, typer.Option("--planner", "-p", help="Default: dp_qp.")] = None,
+    planner: Annotated[
+        str | None, typer.Option("--planner", "-p", autocompletion=completion("planner"), help="Default: dp_qp.")
+    ] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="Result folder. Default: results/run-NNN.")] = None,
     resolution: Annotated[
         float | None, typer.Option(help="How near edges are found. Default: an eighth of two cells' distance.")
@@ -180,6 +220,8 @@ def vary(
     road_map: Map = None,
     begin: Begin = None,
     end: End = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """One log, varied: a surface of pass and fail over one or two parameters, as a table and a picture.
 
@@ -192,15 +234,16 @@ def vary(
     """
     with answered():
         from replay.vary import command
+        from replay.vary.encounters import encounters
 
         if listing:
-            typer.echo("\n".join(command.variations()))
+            say_json(command.variation_table()) if as_json else typer.echo("\n".join(command.variations()))
             return
         if log is None:
             raise ConfigError("name a log or a family: replan vary paper/crossing_pedestrian --vary time=-2:2:9")
         scenario = command.opened(log, log_settings(config, ego, road_map, begin, end))
         if list_agents:
-            typer.echo("\n".join(command.agents(scenario)))
+            say_json(encounters(scenario)) if as_json else typer.echo("\n".join(command.agents(scenario)))
             return
         options = {"planners": (planner,) if planner else None, "gates": None if gates is None else str(gates)}
         run = replace(
@@ -208,8 +251,15 @@ def vary(
         )
         asked = command.asked(scenario, variation or [], agent or [], resolution)
         count = cores() if workers is None else workers
-        result = command.vary(scenario, asked, run, out, workers=count, say=lambda line: typer.echo(line, err=True))
-        typer.echo("\n".join(result.lines()))
+        result = command.vary(
+            scenario, asked, run, out, workers=count, say=lambda line: None if quiet else typer.echo(line, err=True)
+        )
+        if as_json:
+            say_json(
+                {"results": result.out, "exit_code": result.exit_code, "edges": result.edges, "table": result.table}
+            )
+        else:
+            typer.echo("\n".join(result.lines()))
         raise typer.Exit(result.exit_code)
 
 
@@ -229,7 +279,7 @@ def _settings(words: list[str]) -> dict[str, float | str]:
 
 def _evaluated(
     logs: list[Path], run: RunConfig, out: Path | None, workers: int, *, resume: bool, window: float | None,
-    suite: str | None, shard: str | None,
+    suite: str | None, shard: str | None, quiet: bool, verbose: bool,
 ) -> RunResult:  # fmt: skip
     from replay.batch import evaluate_logs
     from replay.batch.pool import settle
@@ -237,34 +287,57 @@ def _evaluated(
     from replay.report.progress import progress
 
     part = None if shard is None else Shard.parsed(shard)
-
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does: nothing half-written
     settle()
-    with progress() as (on_start, on_log):
-        result = evaluate_logs(
+    with progress(quiet=quiet, verbose=verbose) as (on_start, on_log):
+        return evaluate_logs(
             logs, run, out, workers=workers, resume=resume, window=window, suite=suite, shard=part,
             on_start=on_start, on_log=on_log,
         )  # fmt: skip
-    _print(result)
-    return result
 
 
-def _print(result: RunResult) -> None:
-    """The report of a run on stdout."""
+def _say(result: RunResult, *, report: bool, as_json: bool, quiet: bool) -> int:
+    """The written reports, and on stdout the report; or summary.json and where it lies; or its last line.
+
+    Returns:
+        The exit code.
+    """
+    from replay.batch.run import summary
     from replay.report.overview import overview
-    from replay.report.terminal import print_report
+    from replay.report.write import write_reports
     from replay.results import load
+
+    results = load(result.out)
+    over = overview(results)
+    if report:
+        write_reports(results, over, result.out)
+    if as_json:
+        say_json({"results": result.out, **summary(result)})
+    elif quiet:
+        typer.echo(f"Outcome: {over.outcome.upper()} (exit code {over.exit_code}); results: {result.out}")
+    else:
+        _print(result, over)
+    return over.exit_code
+
+
+def _print(result: RunResult, over: Overview) -> None:
+    from rich.console import Console
+
+    from replay.report.terminal import print_report
 
     wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 110
     if result.resumed:
         typer.echo(f"Resumed: {result.resumed} of {len(result.logs)} logs are those of the interrupted run")
-    print_report(overview(load(result.out)), Console(width=wide, soft_wrap=False), result.out)
+    print_report(over, Console(width=wide, soft_wrap=False), result.out)
 
 
 @app.command(epilog=EXIT_CODES)
 def merge(
     shards: Annotated[list[Path], typer.Argument(help="Result folders of all shards of a run, in any order.")],
     out: Annotated[Path, typer.Option("--out", "-o", help="Result folder.")],
+    no_report: Annotated[bool, typer.Option("--no-report", help="Write no report.md and junit.xml.")] = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
 ) -> None:
     """Put the shards of a run together and judge it: the tables are those of a run without shards, byte for byte.
 
@@ -281,8 +354,7 @@ def merge(
         from replay.batch.merge import merge as merged
 
         result = merged(shards, out)
-        _print(result)
-        raise typer.Exit(result.exit_code)
+        raise typer.Exit(_say(result, report=not no_report, as_json=as_json, quiet=quiet))
 
 
 @app.command()

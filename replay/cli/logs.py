@@ -8,7 +8,21 @@ from typing import Annotated
 import typer
 
 from logs.errors import ConfigError, ReplanError
-from replay.cli.app import Begin, Ego, End, Foxglove, Map, Settings, Suite, answered, app, log_settings, say_error
+from replay.cli.app import (
+    Begin,
+    Ego,
+    End,
+    Foxglove,
+    Json,
+    Map,
+    Settings,
+    Suite,
+    answered,
+    app,
+    log_settings,
+    say_error,
+    say_json,
+)
 
 
 @app.command()
@@ -23,6 +37,7 @@ def synth(
     suite: Suite = None,
     listing: Annotated[bool, typer.Option("--list", help="List the families and their parameters.")] = False,
     markdown: Annotated[bool, typer.Option("--markdown", help="The page of all: docs/catalogue.md.")] = False,
+    as_json: Json = False,
 ) -> None:
     """Write synthesised logs of the catalogue.
 
@@ -34,8 +49,13 @@ def synth(
       replan synth --suite smoke -o my_logs
     """
     with answered():
-        from replay.synth import chosen, listed, markdown_page, overrides, synthesise, write_suite
+        from replay.synth import chosen, listed, markdown_page, overrides, synthesise, table, write_suite
 
+        if as_json:
+            if not listing:
+                raise ConfigError("--json is for --list")
+            say_json(table())
+            return
         if listing or markdown:
             typer.echo(markdown_page() if markdown else "\n".join(listed()))
             return
@@ -66,6 +86,7 @@ def convert(
     config: Settings = None,
     foxglove: Foxglove = False,
     formats: Annotated[bool, typer.Option("--formats", help="List the formats that replan reads.")] = False,
+    as_json: Json = False,
 ) -> None:
     """Logs of other formats to replan's own MCAP.
 
@@ -77,8 +98,13 @@ def convert(
       replan convert commonroad USA_US101-6_1_T-1.xml -o us101.mcap
     """
     with answered():
-        from replay.convert import convert_all, listing
+        from replay.convert import convert_all, listing, table
 
+        if as_json:
+            if not formats:
+                raise ConfigError("--json is for --formats")
+            say_json(table())
+            return
         if formats:
             typer.echo("\n".join(listing()))
             return
@@ -97,6 +123,7 @@ def inspect(
     begin: Begin = None,
     end: End = None,
     config: Settings = None,
+    as_json: Json = False,
 ) -> None:
     """Say what a log holds, over which time, and what is missing for which evaluation."""
     with answered():
@@ -105,6 +132,12 @@ def inspect(
         if not log.exists():
             raise ConfigError(f"{log}: no such file or folder")
         summary = summarise(log, log_settings(config, ego, road_map, begin, end))
+        if as_json:
+            from metrics.health import findings
+
+            health = None if summary.read is None else findings(summary.read)
+            say_json({**vars(summary), "read": None, "error": summary.error and str(summary.error), "health": health})
+            raise typer.Exit(0 if summary.error is None else 3)
         typer.echo("\n".join(summary.lines()))
         if summary.error is not None:
             raise typer.Exit(3)

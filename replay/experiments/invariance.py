@@ -27,6 +27,7 @@ from logs.scenario import Scenario
 from logs.states import Trajectory
 from logs.transform import jittered, mirrored, mirrored_trajectory, moved_trajectory, rotated, shifted_clock
 from metrics import evaluate
+from metrics.aggregate import LogLabels
 from metrics.gates import Outcome, load_gates
 from metrics.judge import judge
 from replay.avoidability import with_avoidability
@@ -100,7 +101,11 @@ def _rows(scenario: Scenario, planner: str, job: Job) -> Iterator[dict[str, obje
         trace = run_closed_loop(world, planner, config=LoopConfig(traffic=job.traffic)).trace
         table = evaluate(trace, world)
         value = table.set_index("metric")["value"].to_dict()
-        failed = [v.gate.metric for v in judge(gates, table, {world.name: world.tags}) if v.outcome is Outcome.FAIL]
+        failed = [
+            v.gate.metric
+            for v in judge(gates, table, {world.name: LogLabels(tags=world.tags)})
+            if v.outcome is Outcome.FAIL
+        ]
         ego = PERTURBATIONS[name].back(trace.ego)
         still = ego if still is None else still
         yield {

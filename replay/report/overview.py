@@ -12,7 +12,6 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from hashlib import sha256
 from math import isfinite, nan
 from typing import Any
@@ -20,14 +19,16 @@ from typing import Any
 import pandas as pd
 
 from logs.trace import EndReason
-from metrics.aggregate import BOTH, SUITE, LogLabels, pass_shares, standings
+from metrics.aggregate import LogLabels, membership, pass_shares, standings
+from metrics.compare import Comparison
 from metrics.gates import Outcome
 from metrics.judge import outcomes, worst
 from metrics.latency import judge_deadline
+from replay.batch import OUTCOMES
 from replay.report.columns import COLUMNS, COMPARED, Column
+from replay.report.model import NOTHING, Cell, Coverage, DriveRow, GateRow, Overview, PassShare, StageTime
 from replay.results import Results
 
-NOTHING = "-"
 ORDER = (Outcome.FAIL.value, Outcome.INCONCLUSIVE.value, Outcome.PASS.value)
 """Outcomes as reports list them."""
 EXIT_WEIGHT = (2, 3, 1, 4, 0)
@@ -37,213 +38,14 @@ Key = tuple[str, str]
 """Log and planner."""
 
 
-@dataclass(frozen=True)
-class Cell:
-    """A value in a table: as text, as the number (NaN: there is none), and whether it deserves colour."""
-
-    text: str = NOTHING
-    value: float = nan
-    bad: bool = False
-
-
-@dataclass(frozen=True)
-class DriveRow:
-    """A log and a planner, both loops.
-
-    Attributes:
-        log: Name of the log.
-        planner: Name of the planner; `shown` is with a mark where it knows the log's future.
-        verdict: The worst that the gates say of this log; "" where none was asked.
-        end: How the closed loop ended.
-        cells: One per column of `Overview.columns`.
-        files: Traces and recordings, relative to the result folder.
-        folder: Of the log, relative likewise.
-    """
-
-    log: str
-    planner: str
-    shown: str
-    verdict: str
-    end: Cell
-    cells: tuple[Cell, ...]
-    files: tuple[str, ...]
-    folder: str
-
-    @property
-    def trouble(self) -> int:
-        """How many of its cells are coloured."""
-        return self.end.bad + sum(cell.bad for cell in self.cells)
-
-    @property
-    def recording(self) -> str:
-        """The recording of the closed loop, else of the open one; "" where there is none."""
-        return next(iter(sorted(file for file in self.files if file.endswith(".rrd"))), "")
-
-    @property
-    def trace(self) -> str:
-        """The trace of the closed loop, else of the open one."""
-        return next(iter(sorted(file for file in self.files if file.endswith(".mcap"))), "")
-
-
-@dataclass(frozen=True)
-class GateRow:
-    """What a gate says of one planner in one loop.
-
-    Attributes:
-        outcome: "pass", "fail" or "inconclusive".
-        rule: "gap.min >= 0.5 [closed]".
-        found: In short: of a pass the value nearest to the bound, else the reason.
-        reason: The whole sentence.
-        why: Why the gate is there.
-        planner: "" where none was to be judged; `mode` likewise.
-        log: The worst log; "" where there is none.
-        value: The judged value; NaN where there is none.
-        unit: Of the value.
-        time_s: When it occurred; NaN where it has no time.
-    """
-
-    outcome: str
-    rule: str
-    found: str
-    reason: str
-    why: str
-    planner: str
-    mode: str
-    log: str
-    value: float
-    unit: str
-    time_s: float
-
-
-@dataclass(frozen=True)
-class PassShare:
-    """How many logs of a group pass, with the 95 % interval of the share (`metrics.aggregate`).
-
-    Attributes:
-        kind: "suite", "family", "tag" or "dataset"; `group` is its name, "" of the suite.
-        mode: "open", "closed", or "both" together.
-        missing: Logs that could not be evaluated; they count as not passed, as inconclusive ones do.
-    """
-
-    kind: str
-    group: str
-    planner: str
-    mode: str
-    logs: int
-    passed: int
-    failed: int
-    inconclusive: int
-    missing: int
-    share: float
-    low: float
-    high: float
-
-    @property
-    def name(self) -> str:
-        """The group in words."""
-        return "all logs" if self.kind == SUITE else f"{self.kind} {self.group}"
-
-    @property
-    def text(self) -> str:
-        """The share in words: "15 of 17 pass: 88%, 95% interval 66% to 97%"."""
-        interval = f"{100.0 * self.low:.0f}% to {100.0 * self.high:.0f}%"
-        return f"{self.passed} of {self.logs} pass: {100.0 * self.share:.0f}%, 95% interval {interval}"
-
-
-@dataclass(frozen=True)
-class Coverage:
-    """How much was driven or planned along; `km` is NaN in open loop, where nothing is driven."""
-
-    planner: str
-    mode: str
-    logs: int
-    driven_s: float
-    logged_s: float
-    km: float
-
-    @property
-    def text(self) -> str:
-        """One line."""
-        word = "planned along" if self.mode == "open" else "driven"
-        km = f", {self.km:.2f} km" if isfinite(self.km) else ""
-        logs = f"{self.logs} {'log' if self.logs == 1 else 'logs'}"
-        seconds = f"{self.driven_s:.0f} of {self.logged_s:.0f} s"
-        return f"{self.planner}, {self.mode} loop: {seconds} {word} in {logs}{km}"
-
-
-@dataclass(frozen=True)
-class StageTime:
-    """How long a stage of a plan took: quantiles over all frames of both loops, ms, and its share of the whole."""
-
-    planner: str
-    stage: str
-    p50_ms: float
-    p95_ms: float
-    p99_ms: float
-    share: float
-
-
-@dataclass(frozen=True)
-class Overview:
-    """What a report says, in its order.
-
-    Attributes:
-        outcome: In words, as `replan evaluate` ends; `exit_code` likewise.
-        replan: Version that drove.
-        config: First 12 hex digits of the SHA-256 of the resolved configuration.
-        logs: How many were asked for.
-        columns: Of `drives`.
-        drives: In the order of the run.
-        planners: Names, oracles marked: columns of `compared`.
-        compared: A label, and a text per planner.
-        frames: How many plans the latencies are of.
-        latency: By planner and stage, the whole plan last.
-        gates: What is not passed first.
-        shares: Pass shares: suite, families, tags, datasets.
-        coverage: By planner and loop.
-        ensembles: How many verdicts were tried in worlds that should not matter.
-        fragile: Those that did not hold, a sentence each.
-        notes: What was assumed, with how many logs it concerns, the commonest first.
-        failures: What could not be evaluated.
-        worst: The drive to look at first.
-        shard: Which part of a run this is, that is not judged ("2/5"); "": all of it.
-    """
-
-    outcome: str
-    exit_code: int
-    replan: str
-    config: str
-    logs: int
-    columns: tuple[Column, ...]
-    drives: tuple[DriveRow, ...]
-    planners: tuple[str, ...]
-    compared: tuple[tuple[str, tuple[str, ...]], ...]
-    frames: int
-    latency: tuple[StageTime, ...]
-    gates: tuple[GateRow, ...]
-    shares: tuple[PassShare, ...]
-    coverage: tuple[Coverage, ...]
-    ensembles: int
-    fragile: tuple[str, ...]
-    notes: tuple[str, ...]
-    failures: tuple[str, ...]
-    worst: DriveRow | None
-    shard: str = ""
-
-    @property
-    def whole(self) -> tuple[PassShare, ...]:
-        """The pass shares over all logs, one per planner, over the loops that were run."""
-        mine = [share for share in self.shares if share.kind == SUITE]
-        together = {share.planner for share in mine if share.mode == BOTH}
-        return tuple(share for share in mine if share.mode == BOTH or share.planner not in together)
-
-
-def overview(results: Results) -> Overview:
+def overview(results: Results, comparison: Comparison | None = None) -> Overview:
     """What a report says of a finished run.
 
     Args:
         results: Of `replay.results.load`.
+        comparison: With a baseline: its rules count in outcome and exit code, the worst of both.
     """
+    code = combined((results.exit_code, comparison.exit_code if comparison else 0))
     values = _values(results.metrics)
     said = log_outcomes(results)
     modes = [mode.value for mode in results.run.modes]
@@ -252,8 +54,9 @@ def overview(results: Results) -> Overview:
     gates = _gates(results, said)
     planners = _planners(results.drives)
     return Overview(
-        outcome=str(results.summary["outcome"]),
-        exit_code=results.exit_code,
+        outcome=str(results.summary["outcome"]) if code == results.exit_code else OUTCOMES[code],
+        exit_code=code,
+        shard=str(results.summary.get("shard", "")),
         replan=str(results.summary["replan"]),
         config=sha256((results.path / "run.toml").read_bytes()).hexdigest()[:12],
         logs=len(results.logs),
@@ -264,22 +67,21 @@ def overview(results: Results) -> Overview:
         frames=int((results.timings["stage"] == "total").sum()),
         latency=tuple(_latency(results.timings)),
         gates=gates,
-        shares=_shares(results, said),
+        shares=_shares(results, said) if "shard" not in results.summary else (),
         coverage=tuple(_coverage(results.drives, values)),
         ensembles=len(_ensemble(results.metrics)),
         fragile=tuple(_fragile(results.metrics)),
         notes=tuple(_notes(results.summary["logs"])),
         failures=tuple(_failure(row) for row in results.summary["failures"]),
         worst=_worst(gates, drives),
-        shard=results.summary.get("shard", ""),
+        comparison=comparison,
     )
 
 
 def log_outcomes(results: Results) -> pd.DataFrame:
     """What each log says of each gate, `Results.verdicts`, and of the deadline, where one was asked."""
     deadline_s = results.run.deadline_s
-    tags = {log: labels.tags for log, labels in results.labels.items()}
-    late = judge_deadline(results.timings, deadline_s, tags) if deadline_s > 0.0 else ()
+    late = judge_deadline(results.timings, deadline_s, results.labels) if deadline_s > 0.0 else ()
     return pd.concat([results.verdicts, outcomes(late)], ignore_index=True) if late else results.verdicts
 
 
@@ -402,9 +204,8 @@ def _coverage(drives: pd.DataFrame, values: Values) -> Iterator[Coverage]:
 
 
 def _shares(results: Results, said: pd.DataFrame) -> tuple[PassShare, ...]:
-    asked = [(planner, mode.value) for planner in results.run.planners for mode in results.run.modes]
     labels = results.labels | dict.fromkeys(results.unread, LogLabels())
-    stand = standings(said, results.drives, list(labels), asked)
+    stand = standings(said, results.drives, list(labels), results.run.drives)
     names = ["kind", "group", "planner", "mode", "logs", "passed", "failed", "inconclusive", "missing", "mean"]
     rows = pass_shares(stand, labels)[[*names, "low", "high"]].itertuples(index=False)
     return tuple(PassShare(*row[:4], *(int(count) for count in row[4:9]), *row[9:]) for row in rows)
@@ -415,30 +216,45 @@ def _shares(results: Results, said: pd.DataFrame) -> tuple[PassShare, ...]:
 
 def _gates(results: Results, said: pd.DataFrame) -> tuple[GateRow, ...]:
     units = dict(zip(results.metrics["metric"], results.metrics["unit"], strict=True))
-    evidence = said.drop_duplicates(["gate", "log", "planner", "mode"]).groupby(["gate", "planner", "mode"])["outcome"]
-    lacking = {key: (int((each == Outcome.INCONCLUSIVE.value).sum()), len(each)) for key, each in evidence}
+    found: dict[tuple[str, str, str], dict[str, str]] = {}
+    for gate, log, planner, mode, outcome in said[["gate", "log", "planner", "mode", "outcome"]].itertuples(
+        index=False
+    ):
+        found.setdefault((gate, planner, mode), {})[log] = outcome
+    members = {f"{kind} {group}": set(logs) for (kind, group), logs in membership(results.labels).items()}
     rows = []
     for verdict in results.summary["gates"]:
-        unit = units.get(verdict["gate"]["metric"], "")
-        key = verdict["rule"], verdict["planner"], verdict["mode"]
-        rows.append(_gate_row(verdict, unit, *lacking.get(key, (0, 0))))
+        unit = "" if verdict["gate"]["over"] == "pass_share" else units.get(verdict["gate"]["metric"], "")
+        each = found.get((verdict["rule"], verdict["planner"], verdict["mode"]), {})
+        mine = [outcome for log, outcome in each.items() if log in members.get(verdict.get("group"), each)]
+        rows.append(_gate_row(verdict, unit, mine.count(Outcome.INCONCLUSIVE.value), len(mine)))
     return tuple(sorted(rows, key=lambda row: ORDER.index(row.outcome)))
 
 
 def _gate_row(verdict: Mapping[str, Any], unit: str, lacking: int, asked: int) -> GateRow:
     value, time_s = (nan if verdict[name] is None else float(verdict[name]) for name in ("value", "time_s"))
     outcome, why, log = str(verdict["outcome"]), str(verdict["gate"]["reason"]), str(verdict["log"])
+    planner, mode, group = str(verdict["planner"]), str(verdict["mode"]), str(verdict.get("group", ""))
     if outcome == Outcome.PASS.value:
-        near = 0.0 if abs(value) < 1e-9 else value
         aside = f"; no evidence in {lacking} of {asked} logs" if lacking else ""
-        shown = f"{near:.3g}" + (f" {unit}" if unit not in ("", "1", "count") else "")
-        found = f"{verdict['planner']}: {shown}" + (f", on {log}" if near else "") + aside
+        found = f"{', '.join(filter(None, (planner, group)))}: {_near(verdict['gate'], value, unit, log)}{aside}"
     else:
         found = str(verdict["reason"])
         found += f" (the gate: {why})" if why and outcome == Outcome.FAIL.value else ""
-    planner, mode = str(verdict["planner"]), str(verdict["mode"])
     rule, reason = str(verdict["rule"]), str(verdict["reason"])
-    return GateRow(outcome, rule, found, reason, why, planner, mode, log, value, unit, time_s)
+    return GateRow(
+        outcome, rule, str(verdict["gate"]["over"]), found, reason, why, planner, mode, group, log, value, unit, time_s
+    )
+
+
+def _near(gate: Mapping[str, Any], value: float, unit: str, log: str) -> str:
+    """The value of a pass, and of one that every log must hold where it was nearest to the bound."""
+    if gate["over"] == "pass_share":
+        return f"{100.0 * value:.3g}% of the logs"
+    shown = 0.0 if abs(value) < 1e-9 else value
+    text = f"{shown:.3g}" if abs(shown) < 1e3 else f"{shown:.0f}"
+    text += f" {unit}" if unit not in ("", "1", "count") else ""
+    return f"{text}, on {log}" if shown and gate["over"] == "worst" else text
 
 
 # what else is said ------------------------------------------------------------------------------------------------

@@ -16,10 +16,9 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from metrics.aggregate import SUITE
 from metrics.gates import Outcome
 from replay.report.columns import LEGEND
-from replay.report.overview import NOTHING, Cell, DriveRow, Overview
+from replay.report.model import NOTHING, Cell, DriveRow, Overview
 
 MAX_ROWS = 30
 """More drives than these are not listed; those with trouble come first."""
@@ -153,17 +152,12 @@ def _shares(over: Overview) -> Iterator[RenderableType]:
         table.add_column(title, overflow="fold")
     for title in ("pass", "95%", "fail", "inconcl.", "lost"):
         table.add_column(Text(title), justify="right", no_wrap=True)
-    modes = {share.planner: share.mode for share in over.whole}
-    groups = [
-        share for share in over.shares if share.kind != SUITE and 1 < share.logs < over.logs
-        and share.mode == modes.get(share.planner)
-    ]  # fmt: skip
-    for share in (*over.whole, *sorted(groups, key=lambda share: share.share)[:MAX_GROUPS]):
+    for share in (*over.whole, *over.grouped[:MAX_GROUPS]):
         interval = f"{100.0 * share.low:.0f} to {100.0 * share.high:.0f}%"
         counts = (share.failed, share.inconclusive, share.missing)
         passed = f"{share.passed} of {share.logs}"
         table.add_row(Text(share.name), share.planner, passed, interval, *(str(count or NOTHING) for count in counts))
-    left = len(groups) - MAX_GROUPS
+    left = len(over.grouped) - MAX_GROUPS
     more = [Text(f"{left} more groups that pass no less often: groups.parquet", style="dim")] if left > 0 else []
     yield from _titled("Logs that pass", table, *more)
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from math import isfinite
 from pathlib import Path
+from typing import Any
 
 from logs.catalogue import CATALOGUE
 from logs.errors import ConfigError
@@ -26,6 +27,12 @@ def variations() -> Iterator[str]:
     for one in VARIATIONS.values():
         neutral = f"; {one.shown(one.neutral)}: as recorded" if isfinite(one.neutral) else ""
         yield f"{one.name:{width}}  {one.summary} ({one.low:g} to {one.shown(one.high)}{neutral})"
+
+
+def variation_table() -> list[dict[str, Any]]:
+    """What `variations` says, as data."""
+    keys = ("name", "summary", "low", "high", "neutral")
+    return [{key: getattr(one, key) for key in keys} for one in VARIATIONS.values()]
 
 
 def opened(log: str, settings: LogSettings) -> Scenario:

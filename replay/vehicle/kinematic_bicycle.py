@@ -146,7 +146,7 @@ def step(
 
 
 class KinematicBicycle:
-    """The model above; see `replay.vehicle.base.Vehicle`.
+    """A kinematic bicycle whose steering and pedals lag; see `replay.vehicle.base.Vehicle`.
 
     Args:
         parameters: Of the ego.

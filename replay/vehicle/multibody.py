@@ -55,7 +55,7 @@ Rates = Callable[[list[float], list[float], Any], list[float]]
 
 
 class Multibody:
-    """The model above; see `replay.vehicle.base.Vehicle`.
+    """The multi-body model of 29 states of commonroad-vehicle-models; see `replay.vehicle.base.Vehicle`.
 
     Args:
         parameters: Of the ego.

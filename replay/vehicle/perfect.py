@@ -16,7 +16,7 @@ from replay.vehicle.powertrain import PedalPowertrain
 
 
 class Perfect:
-    """Both a `replay.vehicle.base.Vehicle` and a `replay.control.base.Controller`.
+    """Is where its plan is; both a `replay.vehicle.base.Vehicle` and a `replay.control.base.Controller`.
 
     Args:
         parameters: Of the ego; they limit nothing.

@@ -271,7 +271,7 @@ def step(
 
 
 class SingleTrack:
-    """The model above; see `replay.vehicle.base.Vehicle`.
+    """A single track with tyres, load transfer and drive train; see `replay.vehicle.base.Vehicle`.
 
     Args:
         parameters: Of the ego.

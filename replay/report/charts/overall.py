@@ -10,11 +10,10 @@ import numpy as np
 import pandas as pd
 
 from logs.kernel import FloatArray
-from metrics.aggregate import SUITE
 from replay.report.charts.axes import BOTTOM_PX, Plane, for_words, spread
 from replay.report.charts.canvas import Chart, dot, legend, line, rect, shortened, text
 from replay.report.columns import Column
-from replay.report.overview import DriveRow, PassShare
+from replay.report.model import DriveRow, PassShare
 
 WIDTH_PX, ROW_PX, TOP_PX = 560.0, 19.0, 40.0
 LABEL_PX = 230.0
@@ -46,7 +45,7 @@ def _names(plane: Plane, names: Sequence[str]) -> str:
 
 def pass_shares(shares: Sequence[PassShare], planners: int) -> Chart:
     """The share of logs that pass, with its 95 % interval, by group: a dot, a whisker, and the counts."""
-    shown = [share for share in shares if share.kind == SUITE or share.logs > 1][:MAX_SHARES]
+    shown = shares[:MAX_SHARES]
     names = [f"{share.name}, {share.planner}" if planners > 1 else share.name for share in shown]
     plane = _rows_plane(names, (0.0, 100.0))
     marks, counts = [], []

@@ -19,7 +19,7 @@ from metrics.gates import Outcome
 from replay.recording.events import Event, events
 from replay.report.charts import Chart, curves, decisions, scenes, sl_graph, st_graph, subject
 from replay.report.charts.subject import Subject
-from replay.report.overview import DriveRow
+from replay.report.model import DriveRow
 from replay.results import DriveResult, Results
 
 MOST_EVENTS = 60

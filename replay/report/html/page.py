@@ -7,39 +7,34 @@ from functools import cache
 from importlib import resources
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pandas as pd
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
 from logs.errors import ConfigError
-from metrics.aggregate import BOTH
+from metrics.compare import Comparison
 from replay.batch.tables import safe_name, write_text
 from replay.report.charts.canvas import Chart, printable
 from replay.report.charts.overall import distributions, moved, pass_shares
 from replay.report.charts.style import RULES, filled, roles
 from replay.report.html.drive import drive_page
-from replay.report.overview import DriveRow, Overview, PassShare
+from replay.report.model import DriveRow, Overview
 from replay.results import Results
 
-if TYPE_CHECKING:
-    from metrics.compare import Comparison
 
 MOST_REGRESSIONS, MOST_GROUPS, MOST_MOVED = 60, 80, 6
 """Rows of the comparison's tables, and how many metrics are drawn."""
 _ORDER = {"fail": 0, "inconclusive": 1}
 
 
-def write_html(
-    overview: Overview, results: Results, comparison: Comparison | None, path: Path, *, drives: int = 100
-) -> None:
+def write_html(overview: Overview, results: Results, path: Path, *, drives: int = 100) -> None:
     """Write the report as one HTML file; the same run gives the same bytes.
 
     Args:
-        overview: Of the results.
+        overview: Of the results; with its comparison, if there is one.
         results: The run.
-        comparison: With a baseline; None: there is none.
         path: Of the file; links to recordings are relative to it.
         drives: So many drives have a page, the worst first; the table has all of them.
 
@@ -47,7 +42,7 @@ def write_html(
         ConfigError: It cannot be written.
     """
     paged = worst_first(overview.drives)[:drives]
-    anchors, shares = _anchors(paged), _together(overview.shares)
+    anchors, shares = _anchors(paged), [*overview.whole, *overview.grouped]
     page = _environment().get_template("report.html").render(
         overview=overview,
         shares=_markup(pass_shares(shares, len(overview.planners))) if shares else "",
@@ -55,7 +50,7 @@ def write_html(
         anchors=anchors,
         pages=(drive_page(results, row, anchors[row.log, row.planner], path) for row in paged),
         paged=paged,
-        comparison=None if comparison is None else _compared(comparison),
+        comparison=None if overview.comparison is None else _compared(overview.comparison),
         style=Markup(_read("style.css") + roles("auto") + filled(RULES, "auto")),  # our own files
         script=Markup(_read("script.js")),
     )  # fmt: skip
@@ -64,12 +59,6 @@ def write_html(
         write_text(path, page)
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
-
-
-def _together(shares: Sequence[PassShare]) -> list[PassShare]:
-    """Pass shares over both loops together, or over the only one."""
-    both = {(share.kind, share.group, share.planner) for share in shares if share.mode == BOTH}
-    return [share for share in shares if share.mode == BOTH or (share.kind, share.group, share.planner) not in both]
 
 
 def worst_first(drives: Sequence[DriveRow]) -> list[DriveRow]:

@@ -1,0 +1,45 @@
+"""`replan report`: the reports of results that are there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from replay.cli.app import answered, app
+
+
+@app.command()
+def report(
+    results: Annotated[Path, typer.Argument(help="Folder of results.")],
+    baseline: Annotated[
+        Path | None, typer.Option(help="Compare with this: a folder of results, or a file of `replan baseline`.")
+    ] = None,
+    gates: Annotated[
+        Path | None, typer.Option(help="TOML file with the \\[\\[compare]] rules. Default: the packaged ones.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="Folder for the reports. Default: the results'.")
+    ] = None,
+) -> None:
+    """Write the reports of a finished run: report.md (Markdown) and junit.xml (a test per log and gate).
+
+    `replan evaluate` and `replan merge` write them too. In CI the Markdown is also appended to the summary of the step
+    (GITHUB_STEP_SUMMARY).
+
+    [bold]Examples[/bold]
+
+      replan report results/run-001
+      replan report results/run-001 --baseline baseline.parquet -o reports
+    """
+    with answered():
+        from replay.compare import compare_runs, opened
+        from replay.report.overview import overview
+        from replay.report.write import write_reports
+        from replay.results import load
+
+        found = load(results)
+        comparison = None if baseline is None else compare_runs(opened(baseline), opened(results), gates=gates)
+        for path in write_reports(found, overview(found, comparison), out or results):
+            typer.echo(path)

@@ -1,0 +1,203 @@
+"""A comparison for a terminal: are the inputs the same, what flipped, where is it worse and better, where drives part.
+
+Plain letters only, as `replay.report.terminal`.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from math import isfinite
+from typing import Any
+
+import pandas as pd
+from rich import box
+from rich.console import Console, Group, RenderableType
+from rich.padding import Padding
+from rich.table import Table
+from rich.text import Text
+
+from metrics.compare import Comparison
+from metrics.gates import Outcome
+
+MOST_FLIPS, MOST_PAIRS, MOST_GROUPS, MOST_LINES = 20, 8, 14, 10
+"""More are counted and not shown; --json has all."""
+OUTCOMES = {0: "pass", 1: "fail", 4: "inconclusive"}
+STYLES = {"pass": "green", "fail": "bold red", "inconclusive": "yellow"}
+
+Watch = Callable[[str, str, str], str]
+"""Log, planner and mode to the command that shows the drive; "" where it is not at hand."""
+
+
+def print_comparison(comparison: Comparison, console: Console, watch: Watch = lambda log, planner, mode: "") -> None:
+    """The whole comparison."""
+    console.print(Group(*_parts(comparison, watch)))
+
+
+def _parts(comparison: Comparison, watch: Watch) -> Iterator[RenderableType]:
+    yield Text(f"{comparison.baseline} -> {comparison.candidate}", style="bold")
+    yield Text()
+    yield from _inputs(comparison)
+    yield from _flips(comparison)
+    yield from _extremes("Worst regressions", comparison.regressions(MOST_PAIRS), watch)
+    yield from _extremes("Greatest improvements", comparison.improvements(MOST_PAIRS), None)
+    yield from _groups(comparison)
+    yield from _partings(comparison)
+    yield from _rules(comparison)
+    yield from _ending(comparison)
+
+
+def _rows(table: pd.DataFrame) -> Iterator[Any]:
+    return iter(table.itertuples())
+
+
+def _titled(title: str, *parts: RenderableType) -> Iterator[RenderableType]:
+    yield Text(title, style="bold underline")
+    yield from (Padding(part, (0, 0, 0, 2)) if isinstance(part, Text) else part for part in parts)
+    yield Text()
+
+
+def _grid(*columns: str, right: Sequence[str] = ()) -> Table:
+    table = Table(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1, 0, 0))
+    for title in columns:
+        table.add_column(title, overflow="fold", justify="right" if title in right else "left")
+    return table
+
+
+def _inputs(comparison: Comparison) -> Iterator[RenderableType]:
+    lines = comparison.differences or ("the same: logs, configuration, vehicles, versions",)
+    yield from _titled("Inputs", *_listed(lines))
+    for drives, word in ((comparison.only_in_baseline, "baseline"), (comparison.only_in_candidate, "candidate")):
+        if drives:
+            yield from _titled(f"Only in the {word} ({len(drives)})", *_listed(drives))
+
+
+def _listed(lines: Sequence[str]) -> list[Text]:
+    more = [f"{len(lines) - MOST_LINES} more"] if len(lines) > MOST_LINES else []
+    return [Text(line) for line in (*lines[:MOST_LINES], *more)]
+
+
+def _flips(comparison: Comparison) -> Iterator[RenderableType]:
+    flips = comparison.flips
+    if flips.empty:
+        yield from _titled("Flips", Text("none: each gate says of each log what it said"))
+        return
+    rank = 2 - 2 * (flips["after"] == "fail") - (flips["before"] == "fail")
+    order = rank.sort_values(kind="stable").index
+    table = _grid("log", "loop", "gate", "before", "after", "value", "at")
+    for row in _rows(flips.loc[order].head(MOST_FLIPS)):
+        after = Text(
+            f"{row.after}{' (marginal)' if row.marginal and row.after == 'fail' else ''}",
+            style=STYLES.get(str(row.after), ""),
+        )
+        values = f"{_number(row.value_before)} -> {_number(row.value_after)}"
+        table.add_row(Text(row.log), row.mode, Text(row.gate), row.before, after, values, _time(row.time_s))
+    count = {word: int((flips["after"] == word).sum()) for word in ("fail", "pass")}
+    title = f"Flips: {count['fail']} to FAIL, {count['pass']} to pass, {len(flips) - sum(count.values())} others"
+    yield from _titled(title, table, *_more(len(flips), MOST_FLIPS))
+
+
+def _extremes(title: str, pairs: pd.DataFrame, watch: Watch | None) -> Iterator[RenderableType]:
+    if pairs.empty:
+        return
+    table = _grid("log", "loop", "metric", "before -> after", "at", "about")
+    for row in _rows(pairs):
+        values = f"{_number(row.baseline)} -> {_number(row.candidate)}{_unit(row.unit)}"
+        table.add_row(Text(row.log), row.mode, Text(row.metric), values, _time(row.time_s), Text(row.reason))
+    first = pairs.iloc[0]
+    command = watch(first["log"], first["planner"], first["mode"]) if watch else ""
+    yield from _titled(title, table, *([Text.assemble("Look at the first:  ", (command, "bold"))] if command else []))
+
+
+def _groups(comparison: Comparison) -> Iterator[RenderableType]:
+    """Metrics that a gate asks of or that clearly changed, over the suite, and over parts of it where they clearly did.
+
+    Of the reductions of one metric the one that changed most.
+    """
+    groups = comparison.groups[comparison.groups["delta"] != 0.0]
+    if groups.empty:
+        return
+    asked = set(comparison.pairs.loc[comparison.pairs["asked"], "metric"])
+    gated, suite = groups["metric"].isin(asked), groups["kind"] == "suite"
+    size = groups["delta"].abs() / groups[["baseline", "candidate"]].abs().max(axis=1)
+    rank = pd.DataFrame({"part": ~suite, "unsure": ~groups["significant"], "other": ~gated, "size": -size})
+    shown = groups[suite & (gated | groups["significant"]) | ~suite & gated & groups["significant"]]
+    shown = shown.loc[rank.loc[shown.index].sort_values(["part", "unsure", "other", "size"], kind="stable").index]
+    words = shown["metric"].str.partition(".")[0]
+    shown = shown[~shown.assign(metric=words)[["kind", "group", "planner", "mode", "metric"]].duplicated()]
+    titles = ("logs of", "loop", "metric", "logs", "before", "after", "change [95 %]", "better", "worse")
+    table = _grid(*titles, right=("logs", "before", "after", "better", "worse"))
+    for row in _rows(shown.head(MOST_GROUPS)):
+        inside = f" [{row.low:+.3g}, {row.high:+.3g}]" if isfinite(row.low) else ""
+        style = "" if not row.significant else "green" if row.better > row.worse else "red" if row.worse else "bold"
+        change = Text(f"{row.delta:+.3g}{_unit(row.unit)}{inside}{' *' if row.significant else ''}", style=style)
+        values = _number(row.baseline), _number(row.candidate)
+        table.add_row(row.group, row.mode, row.metric, str(row.logs), *values, change, str(row.better), str(row.worse))
+    note = Text("* more than chance over these logs (paired bootstrap, at least 6 logs)", style="dim")
+    yield from _titled("Means over the logs", table, *_more(len(shown), MOST_GROUPS), note)
+
+
+def _partings(comparison: Comparison) -> Iterator[RenderableType]:
+    if len(comparison.partings):
+        table = _grid("log", "loop", "first difference")
+        for row in _rows(comparison.partings):
+            table.add_row(Text(row.log), row.mode, Text(row.what))
+        unseen = comparison.not_looked_at
+        aside = [Text(f"not looked for in {unseen} more drives that differ", style="dim")] if unseen else []
+        yield from _titled("Where drives part", table, *aside)
+
+
+def _rules(comparison: Comparison) -> Iterator[RenderableType]:
+    if comparison.verdicts:
+        table = _grid("outcome", "rule", "what was found")
+        for verdict in sorted(comparison.verdicts, key=lambda verdict: list(Outcome).index(verdict.outcome)):
+            word = verdict.outcome.value
+            table.add_row(Text(word.upper(), style=STYLES[word]), Text(verdict.rule), Text(verdict.reason))
+        yield from _titled("Rules", table)
+
+
+def _ending(comparison: Comparison) -> Iterator[RenderableType]:
+    pairs = comparison.pairs
+    drives = len(pairs[["log", "planner", "mode"]].drop_duplicates())
+    worse, better = int((pairs["worse"] > 0.0).sum()), int((pairs["worse"] < 0.0).sum())
+    same = int((pairs["delta"] == 0.0).sum())
+    yield Text(f"{drives} drives, {len(pairs)} values: {same} the same, {worse} worse, {better} better")
+    code = comparison.exit_code
+    yield Text(f"Comparison: {OUTCOMES[code].upper()} (exit code {code})", style=STYLES[OUTCOMES[code]])
+
+
+def _more(count: int, most: int) -> list[Text]:
+    return [Text(f"{count - most} more: --json", style="dim")] if count > most else []
+
+
+def _number(value: float) -> str:
+    return f"{value:.4g}" if isfinite(value) else "-"
+
+
+def _time(value: float) -> str:
+    return f"{value:.2f} s" if isfinite(value) else "-"
+
+
+def _unit(unit: str) -> str:
+    return "" if unit in ("1", "count") else f" {unit}"
+
+
+def as_json(comparison: Comparison) -> str:
+    """All of it; of the pairs those that differ. NaN is null."""
+    pairs = comparison.pairs[comparison.pairs["delta"] != 0.0]
+    content: dict[str, Any] = {
+        "baseline": comparison.baseline,
+        "candidate": comparison.candidate,
+        "exit_code": comparison.exit_code,
+        "outcome": OUTCOMES[comparison.exit_code],
+        "differences": comparison.differences,
+        "only_in_baseline": comparison.only_in_baseline,
+        "only_in_candidate": comparison.only_in_candidate,
+        "rules": [
+            {"rule": said.rule, "outcome": said.outcome.value, "reason": said.reason} for said in comparison.verdicts
+        ],
+    }
+    tables = {"flips": comparison.flips, "pairs": pairs, "groups": comparison.groups, "partings": comparison.partings}
+    for name, table in tables.items():
+        content[name] = json.loads(table.to_json(orient="records", double_precision=15))
+    return json.dumps(content, indent=2, ensure_ascii=False)

@@ -1,0 +1,37 @@
+"""The reports of a result folder, as files: report.md, junit.xml.
+
+They are made of the results as they are read back, so that a folder from elsewhere has them too, and hold no path but
+those within the folder: whatever holds them, their bytes are the same.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from replay.batch.tables import REPORTS, write_text
+from replay.report.junit import junit
+from replay.report.markdown import append_step_summary, markdown
+from replay.report.model import Overview
+from replay.results import Results
+
+MARKDOWN, JUNIT, _ = REPORTS
+
+
+def write_reports(results: Results, over: Overview, out: Path) -> tuple[Path, ...]:
+    """Write the reports of a run, and the summary of the CI step where there is one.
+
+    Args:
+        results: The run.
+        over: What they say of it.
+        out: Folder for them; made if it is not there. The links of report.md need it to be the result folder.
+
+    Returns:
+        What was written.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    beside = out.resolve() == results.path.resolve()
+    written = out / MARKDOWN, out / JUNIT
+    write_text(written[0], markdown(over, links=(JUNIT,) if beside else None))
+    write_text(written[1], junit(results, over))
+    append_step_summary(over)
+    return written

@@ -15,8 +15,9 @@ from replay.report.charts.canvas import Chart, dot, legend, line, rect, shortene
 from replay.report.columns import Column
 from replay.report.model import DriveRow, PassShare
 
-WIDTH_PX, ROW_PX, TOP_PX = 560.0, 19.0, 40.0
-LABEL_PX = 230.0
+WIDTH_PX, WIDE_PX, ROW_PX, TOP_PX = 440.0, 640.0, 19.0, 40.0
+LABEL_SHARE = 0.4
+"""Of the width, at most, for names."""
 MAX_SHARES, MAX_PAIRS = 40, 20
 FEW = 5
 """A box of quartiles needs more values than this."""
@@ -31,9 +32,9 @@ class Strip:
     logs: tuple[str, ...]
 
 
-def _rows_plane(names: Sequence[str], x: tuple[float, float], top: float = TOP_PX) -> Plane:
+def _rows_plane(names: Sequence[str], x: tuple[float, float], top: float = TOP_PX, width: float = WIDTH_PX) -> Plane:
     height = top + ROW_PX * len(names) + BOTTOM_PX
-    return for_words(Plane(x, (0.0, float(len(names))), WIDTH_PX, height, top=top), names, LABEL_PX)
+    return for_words(Plane(x, (0.0, float(len(names))), width, height, top=top), names, LABEL_SHARE * width)
 
 
 def _names(plane: Plane, names: Sequence[str]) -> str:
@@ -47,7 +48,7 @@ def pass_shares(shares: Sequence[PassShare], planners: int) -> Chart:
     """The share of logs that pass, with its 95 % interval, by group: a dot, a whisker, and the counts."""
     shown = shares[:MAX_SHARES]
     names = [f"{share.name}, {share.planner}" if planners > 1 else share.name for share in shown]
-    plane = _rows_plane(names, (0.0, 100.0))
+    plane = _rows_plane(names, (-2.0, 102.0), width=WIDE_PX)
     marks, counts = [], []
     for k, share in enumerate(shown):
         y = ROW_PX * (k + 0.5)
@@ -60,10 +61,12 @@ def pass_shares(shares: Sequence[PassShare], planners: int) -> Chart:
         counts.append(text(beside, y + 3.5, words, "small end" if high > wide - 50.0 else "small"))
     title = "Logs that pass, with the 95 % interval of the share"
     head = text(2.0, 13.0, title, "title")
-    head += legend(plane.left, 29.0, [("dot", "mark", "all pass"), ("dot", "hollow", "some do not")], WIDTH_PX)
+    head += legend(
+        plane.left, 29.0, [("dot", "mark", "all pass"), ("dot", "hollow", "some do not")], WIDE_PX - plane.left
+    )
     drawn = plane.drawn("".join(marks), x_title="share [%]", y_ticks=False, over=_names(plane, names) + "".join(counts))
     says = f"{title}: " + "; ".join(f"{name}: {share.text}" for name, share in zip(names, shown, strict=True))
-    return Chart("pass_shares", title, says, WIDTH_PX, plane.height, drawn + head)
+    return Chart("pass_shares", title, says, WIDE_PX, plane.height, drawn + head)
 
 
 def distributions(columns: Sequence[Column], drives: Sequence[DriveRow]) -> list[Chart]:
@@ -135,7 +138,7 @@ def moved(pairs: pd.DataFrame, title: str) -> Chart:
         y, kind = ROW_PX * (k + 0.5), "worse" if row.worse > 0.0 else "better"
         marks.append(line(before, y, now, y, kind) + dot(before, y, 4.0, "hollow", f"baseline {row.baseline:.4g}"))
         marks.append(dot(now, y, 4.0, "wrong" if row.worse > 0.0 else "mark", f"candidate {row.candidate:.4g}"))
-    head = text(2.0, 13.0, title, "title") + legend(plane.left, 29.0, _MOVED, WIDTH_PX - plane.left)
+    head = text(2.0, 13.0, title, "title") + legend(2.0, 29.0, _MOVED, WIDTH_PX)
     unit = str(shown["unit"].iloc[0])
     x_title = f"{shown['metric'].iloc[0]}{f' [{unit}]' if unit not in ('', '1', 'count') else ''}"
     drawn = plane.drawn("".join(marks), x_title=x_title, y_ticks=False, over=_names(plane, names))
@@ -144,6 +147,6 @@ def moved(pairs: pd.DataFrame, title: str) -> Chart:
 
 
 _MOVED = (
-    ("dot", "hollow", "baseline"), ("dot", "mark", "candidate"), ("dot", "wrong", "candidate, worse"),
+    ("dot", "hollow", "baseline"), ("dot", "mark", "candidate"),
     ("line", "better", "better"), ("line", "worse", "worse"),
 )  # fmt: skip

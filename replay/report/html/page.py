@@ -23,7 +23,6 @@ from replay.report.html.drive import drive_page
 from replay.report.model import DriveRow, Overview
 from replay.results import Results
 
-
 MOST_REGRESSIONS, MOST_GROUPS, MOST_MOVED = 60, 80, 6
 """Rows of the comparison's tables, and how many metrics are drawn."""
 _ORDER = {"fail": 0, "inconclusive": 1}

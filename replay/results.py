@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow.parquet as pq
 
 from logs.errors import ConfigError, unknown_name
 from logs.kernel import FloatArray
@@ -87,6 +88,11 @@ class Results:
     def metrics(self) -> pd.DataFrame:
         """A row per log, planner, mode and metric; mode "reference" are the recorded and the careful driver."""
         return pd.read_parquet(self.path / "metrics.parquet").drop(columns="schema_version")
+
+    @cached_property
+    def _metric_rows(self) -> dict[Any, Any]:
+        """Where the metrics of each drive are."""
+        return dict(self.metrics.groupby(["log", "planner", "mode"], sort=False).indices)
 
     @cached_property
     def verdicts(self) -> pd.DataFrame:
@@ -178,9 +184,9 @@ class Results:
         what = "name a planner of" if len(found) else f"no {mode} loop of {planner or 'any planner'}; there are"
         raise ConfigError(f"{self.path}: {log}: {what} {there}")
 
-    def _steps(self, log: str, folder: str, asked: list[tuple[str, str, str]] | None = None) -> pd.DataFrame:
+    def _steps(self, log: str, folder: str) -> pd.DataFrame:
         file = self.path / folder / "frames.parquet"
-        table = pd.read_parquet(file, filters=asked) if file.is_file() else pd.DataFrame(columns=["planner", "mode", "t_s"])
+        table = pd.read_parquet(file) if file.is_file() else pd.DataFrame(columns=["planner", "mode", "t_s"])
         table.insert(0, "log", log)
         return table
 
@@ -216,7 +222,8 @@ class DriveResult:
     @cached_property
     def metrics(self) -> pd.DataFrame:
         """Its rows of `Results.metrics`."""
-        return self._mine(self.result.metrics)
+        rows = self.result._metric_rows.get((self.log, self.planner, self.mode), [])
+        return self.result.metrics.take(rows).reset_index(drop=True)
 
     @cached_property
     def verdicts(self) -> pd.DataFrame:
@@ -226,13 +233,8 @@ class DriveResult:
     @cached_property
     def series(self) -> pd.DataFrame:
         """Its metrics step by step: index t_s, a column per metric; NaN where a step has none."""
-        return self._steps.pivot(index="t_s", columns="metric", values="value")
-
-    @cached_property
-    def _steps(self) -> pd.DataFrame:
-        folder = str(self._row(self.result.logs)["folder"])
-        asked = [("planner", "==", self.planner), ("mode", "==", self.mode)]
-        return self.result._steps(self.log, folder, asked)
+        rows = self._mine(self.result._steps(self.log, str(self._row(self.result.logs)["folder"])))
+        return rows.pivot(index="t_s", columns="metric", values="value")
 
     def steps(self, metric: str) -> tuple[FloatArray, FloatArray]:
         """One metric step by step, t (s) and value `(n,)`; empty where it was not measured."""
@@ -242,12 +244,22 @@ class DriveResult:
 
     @cached_property
     def _by_metric(self) -> tuple[FloatArray, FloatArray, dict[str, slice]]:
-        """The steps, and where those of each metric are: they are sorted by metric, then by time."""
-        names = self._steps["metric"].astype("category")
-        order = np.argsort(names.cat.codes.to_numpy(), kind="stable")
-        ends = np.cumsum(np.bincount(names.cat.codes.to_numpy(), minlength=len(names.cat.categories)))
-        rows = {str(name): slice(b, e) for name, b, e in zip(names.cat.categories, [0, *ends[:-1]], ends, strict=True)}
-        t, values = (self._steps[column].to_numpy(np.float64)[order] for column in ("t_s", "value"))
+        """The steps sorted by metric, then by time, and where those of each metric are."""
+        file = self.result.path / str(self._row(self.result.logs)["folder"]) / "frames.parquet"
+        if not file.is_file():
+            return np.empty(0), np.empty(0), {}
+        words = ["planner", "mode", "metric"]
+        table = pq.read_table(file, read_dictionary=words).combine_chunks()
+        planner, mode, metric = (table[name].chunk(0) for name in words)
+        codes = [column.dictionary.to_pylist() for column in (planner, mode, metric)]
+        mine = np.full(len(table), self.planner in codes[0] and self.mode in codes[1])
+        for column, known, name in ((planner, codes[0], self.planner), (mode, codes[1], self.mode)):
+            mine &= column.indices.to_numpy() == (known.index(name) if name in known else -1)
+        of = metric.indices.to_numpy()[mine]
+        order = np.argsort(of, kind="stable")
+        ends = np.cumsum(np.bincount(of, minlength=len(codes[2])))
+        rows = {name: slice(int(b), int(e)) for name, b, e in zip(codes[2], [0, *ends[:-1]], ends, strict=True)}
+        t, values = (table[name].to_numpy()[mine][order] for name in ("t_s", "value"))
         return t, values, rows
 
     @cached_property

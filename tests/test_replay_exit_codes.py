@@ -85,6 +85,11 @@ def case(log: str = "free.mcap", planner: str = "constant_speed", gates: str = "
         (case(gates="fail"), 1),
         (case(gates="fail", more=" --quiet"), 1),
         (case(gates="hour"), 1),
+        (case(more=" --baseline run"), 0),
+        (case("blocked.mcap", more=" --baseline run"), 1),  # its gate passes; the log of the baseline is missing
+        (case("blocked.mcap", more=" --baseline run --quiet"), 1),
+        (case("broken.mcap", more=" --baseline run"), 3),  # 3 beats 1
+        (case(more=" --baseline nowhere"), 2),
         (case(gates="both"), 1),  # 1 beats 4
         (case("nowhere.mcap"), 2),
         (case(gates="nowhere"), 2),

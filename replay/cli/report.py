@@ -23,7 +23,9 @@ def report(
         Path | None, typer.Option("--out", "-o", help="Folder for the reports. Default: the results'.")
     ] = None,
 ) -> None:
-    """Write the reports of a finished run: report.md (Markdown) and junit.xml (a test per log and gate).
+    """Write the reports of a finished run: report.html, report.md, and junit.xml (a test per log and gate).
+
+    The HTML is one file that opens from disk: tables, charts, and a page for each of the 100 worst drives.
 
     `replan evaluate` and `replan merge` write them too. In CI the Markdown is also appended to the summary of the step
     (GITHUB_STEP_SUMMARY). Exit code 0 where they are written, whatever they say; `replan compare` judges.

@@ -1,4 +1,4 @@
-"""The reports of a result folder, as files: report.md, junit.xml.
+"""The reports of a result folder, as files: report.md, junit.xml, report.html.
 
 They are made of the results as they are read back, so that a folder from elsewhere has them too, and hold no path but
 those within the folder: whatever holds them, their bytes are the same.
@@ -9,12 +9,13 @@ from __future__ import annotations
 from pathlib import Path
 
 from replay.batch.tables import REPORTS, write_text
+from replay.report.html import write_html
 from replay.report.junit import junit
 from replay.report.markdown import append_step_summary, markdown
 from replay.report.model import Overview
 from replay.results import Results
 
-MARKDOWN, JUNIT, _ = REPORTS
+MARKDOWN, JUNIT, HTML = REPORTS
 
 
 def write_reports(results: Results, over: Overview, out: Path) -> tuple[Path, ...]:
@@ -30,8 +31,9 @@ def write_reports(results: Results, over: Overview, out: Path) -> tuple[Path, ..
     """
     out.mkdir(parents=True, exist_ok=True)
     beside = out.resolve() == results.path.resolve()
-    written = out / MARKDOWN, out / JUNIT
-    write_text(written[0], markdown(over, links=(JUNIT,) if beside else None))
+    written = out / MARKDOWN, out / JUNIT, out / HTML
+    write_text(written[0], markdown(over, links=(HTML, JUNIT) if beside else None))
     write_text(written[1], junit(results, over))
+    write_html(over, results, written[2])
     append_step_summary(over)
     return written

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from math import ceil, floor, log10
 
 import numpy as np
-from matplotlib.ticker import MaxNLocator
 
 from logs.kernel import FloatArray
-from replay.report.charts.canvas import LETTER_PX, line, text, window
+from replay.report.charts.canvas import LETTER_PX, px, text, window
 
 LEFT_PX, RIGHT_PX, TOP_PX, BOTTOM_PX = 46.0, 10.0, 38.0, 30.0
 """Room around a plot area: for y ticks, for the last x tick, for title and legend, for x ticks and their title."""
@@ -19,13 +19,19 @@ TICK_PX = 62.0, 30.0
 
 def ticks(low: float, high: float, most: int) -> FloatArray:
     """Multiples of 1, 2, 2.5 or 5 times a power of ten within a range: two at least, about `most` at most."""
-    steps = [1, 2, 2.5, 5, 10]
     for bins in range(max(most, 2), 40):
-        found = np.asarray(MaxNLocator(nbins=bins, steps=steps).tick_values(low, high))
-        inside = found[(found >= low - 1e-9 * (high - low)) & (found <= high + 1e-9 * (high - low))]
-        if len(inside) > 1:
-            return inside
+        found = _multiples(low, high, bins)
+        if len(found) > 1:
+            return found
     return np.array([low, high])
+
+
+def _multiples(low: float, high: float, bins: int) -> FloatArray:
+    """The multiples, within a range, of the least nice step that gives at most so many intervals."""
+    rough = (high - low) / bins
+    unit = 10.0 ** floor(log10(rough))
+    step = next(unit * nice for nice in (1.0, 2.0, 2.5, 5.0, 10.0) if unit * nice >= rough * (1.0 - 1e-9))
+    return np.arange(ceil(low / step - 1e-9), floor(high / step + 1e-9) + 1) * step
 
 
 def number(value: float) -> str:
@@ -77,7 +83,7 @@ class Plane:
         if y_ticks:
             rows, beside = self._rows()
             grid, labels = grid + rows, labels + beside
-        frame = line(0.0, high, wide, high, "axis") + line(0.0, 0.0, 0.0, high, "axis")
+        frame = f'<path class="axis" d="M0 0V{px(high)}H{px(wide)}"/>'
         titles = text(self.left + wide, self.height - 3.0, x_title, "tick end")
         titles += text(2.0, self.top - 5.0, y_title, "tick") if y_title else ""
         plot = window(self.left, self.top, wide, high, grid + inside + frame)
@@ -87,20 +93,22 @@ class Plane:
         wide, high = self.inner
         marks = ticks(*self.x, int(wide / TICK_PX[0]))
         at = self.at_x(marks).tolist()
-        grid = "".join(line(x, 0.0, x, high, "grid") for x in at)
-        return grid, "".join(
-            text(min(max(x, 4.0), wide - 4.0), high + 13.0, number(mark), "tick mid")
-            for x, mark in zip(at, marks, strict=True)
+        grid = "".join(f"M{px(x)} 0V{px(high)}" for x in at)
+        labels = "".join(
+            f'<text x="{px(min(max(x, 4.0), wide - 4.0))}" y="{px(high + 13.0)}">{number(mark)}</text>'
+            for x, mark in zip(at, marks.tolist(), strict=True)
         )
+        return f'<path class="grid" d="{grid}"/>', f'<g class="tick mid">{labels}</g>'
 
     def _rows(self) -> tuple[str, str]:
         wide, high = self.inner
         marks = ticks(*self.y, int(high / TICK_PX[1]))
         at = self.at_y(marks).tolist()
-        grid = "".join(line(0.0, y, wide, y, "zero" if mark == 0.0 else "grid") for y, mark in zip(at, marks, strict=True))
-        return grid, "".join(
-            text(-5.0, y + 3.5, number(mark), "tick end") for y, mark in zip(at, marks, strict=True)
+        grid = "".join(f"M0 {px(y)}H{px(wide)}" for y in at)
+        labels = "".join(
+            f'<text x="-5" y="{px(y + 3.5)}">{number(mark)}</text>' for y, mark in zip(at, marks.tolist(), strict=True)
         )
+        return f'<path class="grid" d="{grid}"/>', f'<g class="tick end">{labels}</g>'
 
 
 def for_words(plane: Plane, words: Sequence[str], most: float) -> Plane:

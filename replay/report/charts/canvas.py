@@ -47,15 +47,17 @@ class Chart:
         """As a part of an HTML page, which has the style sheet."""
         return (
             f'<svg class="chart" viewBox="0 0 {px(self.width)} {px(self.height)}" role="img" '
-            f'aria-label="{escape(self.says)}">{self.body}</svg>'
+            f'aria-label="{escape(printable(self.says))}">{self.body}</svg>'
         )
 
-    def alone(self, theme: Theme) -> str:
-        """As a file."""
+    def alone(self, theme: Theme, width: float | None = None) -> str:
+        """As a file, in its own width or another."""
+        wide = width or self.width
+        size = f'width="{px(wide)}" height="{px(wide * self.height / self.width)}"'
         return (
-            f'<svg xmlns="http://www.w3.org/2000/svg" class="chart" width="{px(self.width)}" height="{px(self.height)}" '
-            f'viewBox="0 0 {px(self.width)} {px(self.height)}"><title>{escape(self.title)}</title>'
-            f"<desc>{escape(self.says)}</desc><style>{stylesheet(theme)}</style>"
+            f'<svg xmlns="http://www.w3.org/2000/svg" class="chart" {size} '
+            f'viewBox="0 0 {px(self.width)} {px(self.height)}"><title>{escape(printable(self.title))}</title>'
+            f"<desc>{escape(printable(self.says))}</desc><style>{stylesheet(theme)}</style>"
             f'<rect class="ground" width="100%" height="100%"/>{self.body}</svg>\n'
         )
 
@@ -159,7 +161,12 @@ def cut_line(points: FloatArray, width: float, height: float) -> list[FloatArray
 
 def cut_outline(points: FloatArray, width: float, height: float) -> FloatArray:
     """An outline `(n, 2)` cut at a plot area and a little around it (Sutherland and Hodgman 1974)."""
-    for axis, bound, sign in ((0, -AROUND_PX, 1), (0, width + AROUND_PX, -1), (1, -AROUND_PX, 1), (1, height + AROUND_PX, -1)):
+    for axis, bound, sign in (
+        (0, -AROUND_PX, 1),
+        (0, width + AROUND_PX, -1),
+        (1, -AROUND_PX, 1),
+        (1, height + AROUND_PX, -1),
+    ):
         inside = sign * (points[:, axis] - bound)
         if (inside >= 0.0).all():
             continue
@@ -219,7 +226,7 @@ def group(x: float, y: float, inside: str) -> str:
 
 
 def legend(x: float, y: float, entries: Sequence[tuple[str, str, str]], most: float) -> str:
-    """Samples with words in a row: element ("line", "area", "dot"), class and word each; what has no room is left out."""
+    """Samples in a row: element ("line", "area", "dot"), class and word each; what has no room is left out."""
     out, at = [], x
     for element, kind, word in entries:
         needed = 24.0 + LETTER_PX * len(word) + 8.0

@@ -14,7 +14,7 @@ import numpy as np
 from logs.kernel import FloatArray
 from logs.trace import Mode
 from replay.report.charts.axes import Plane, spread
-from replay.report.charts.canvas import LETTER_PX, Chart, legend, line, polyline, rect, text
+from replay.report.charts.canvas import Chart, legend, line, polyline, rect, text
 from replay.report.charts.moment import Violation
 from replay.report.charts.subject import Subject
 
@@ -23,7 +23,9 @@ KINDS = ("a", "b", "c")
 """Classes of the first, second and third curve of a panel: solid, long dashes, dots."""
 SPIKE = 99.5
 """Jerk has spikes: the axis shows this percentile of its size, and the title the largest value if that is cut off."""
-LEAST_MARK_PX = 2.0
+LEAST_MARK_PX = 3.0
+BOLD_PX = 6.8
+"""Width of a letter of a warning."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,18 +98,28 @@ def _apart(curve: Curve, longest: float = 1.0) -> Curve:
 
 
 def _closed(subject: Subject) -> list[Panel]:
-    ego, tracking, done, asked = subject.trace.ego, subject.trace.tracking, subject.trace.actuation, subject.trace.commands
+    ego, tracking, done, asked = (
+        subject.trace.ego,
+        subject.trace.tracking,
+        subject.trace.actuation,
+        subject.trace.commands,
+    )
     none = Curve("", np.empty(0), np.empty(0))
     plan = Curve("plan", tracking.t, np.interp(tracking.t, ego.t, ego.v) - tracking.speed) if tracking else none
     errors = [Curve(name, tracking.t, getattr(tracking, name)) if tracking else none for name in ("lateral", "station")]
-    speed_error, heading = (Curve(name, tracking.t, getattr(tracking, name)) if tracking else none for name in ("speed", "heading"))
+    speed_error, heading = (
+        Curve(name, tracking.t, getattr(tracking, name)) if tracking else none for name in ("speed", "heading")
+    )
     steers = [Curve(word, some.t, some.steer) if some else none for word, some in (("done", done), ("asked", asked))]
     pedals = [Curve(name, done.t, getattr(done, name)) if done else none for name in ("throttle", "brake")]
-    gaps = [_apart(_measured(subject, "all", "gap")), _apart(_measured(subject, "pedestrians, riders", "gap_vulnerable"))]
+    gaps = [
+        _apart(_measured(subject, "all", "gap")),
+        _apart(_measured(subject, "pedestrians, riders", "gap_vulnerable")),
+    ]
     return [
-        Panel("speed", "Speed [m/s]", (Curve("ego", ego.t, ego.v), plan), 2.0, ("speed", "speed_excess", "speed_ratio"), -0.5),
+        Panel("speed", "Speed [m/s]", (Curve("ego", ego.t, ego.v), plan), 2.0, ("speed",), -0.5),
         *_comfort(subject),
-        Panel("gap", "Distance to the nearest [m]", tuple(gaps), 2.0, ("gap", "collision", "collision_at_fault"), 0.0),
+        Panel("gap", "Distance to the nearest [m]", tuple(gaps), 2.0, ("gap", "collision"), 0.0),
         Panel("ttc", "Time to a collision [s]", (_apart(_measured(subject, "TTC", "ttc")),), 2.0, ("ttc",), 0.0),
         Panel("steer", "Steering [rad]", tuple(steers), 0.05, ("steer_rate",)),
         Panel("pedals", "Pedals [0 to 1]", tuple(pedals), 0.3, ("throttle", "brake", "pedals_together"), 0.0, 1.0),
@@ -149,8 +161,7 @@ def _drawn(subject: Subject, panel: Panel) -> Chart:
     )
     broken = [some for some in subject.violations if some.series.startswith(panel.about) and panel.about]
     shade, words = _shaded(plane, broken)
-    now = float(plane.at_x(subject.moment.t))
-    inside = shade + lines + line(now, 0.0, now, plane.inner[1], "now")
+    inside = shade + lines + now_line(plane, subject.moment.t)
     title = panel.title + _cut_off(panel)
     head = text(2.0, 13.0, title, "title")
     named = [("line", kind, curve.word) for curve, kind in zip(there, KINDS, strict=False)]
@@ -163,7 +174,9 @@ def _cut_off(panel: Panel) -> str:
     """What the axis does not show."""
     values = np.concatenate([curve.known for curve in panel.curves])
     largest = float(np.abs(values).max())
-    return f", up to {largest:.0f} in single steps" if panel.spiky and largest > 1.2 * max(map(abs, panel.range)) else ""
+    return (
+        f", up to {largest:.0f} in single steps" if panel.spiky and largest > 1.2 * max(map(abs, panel.range)) else ""
+    )
 
 
 def _shaded(plane: Plane, broken: Sequence[Violation]) -> tuple[str, str]:
@@ -171,17 +184,23 @@ def _shaded(plane: Plane, broken: Sequence[Violation]) -> tuple[str, str]:
     wide, high = plane.inner
     boxes, words, until = [], [], -np.inf
     found = [(begin, end, some) for some in broken for begin, end in some.spans]
-    spans = sorted(found, key=lambda one: (one[0], one[1], one[2].gate))
-    for begin, end, some in spans:
+    for begin, end, some in sorted(found, key=lambda one: (one[0], one[1], one[2].gate)):
         left, right = plane.at_x(np.array([begin, end])).tolist()
+        left = min(max(left, 0.0), wide - LEAST_MARK_PX)
         right = max(right, left + LEAST_MARK_PX)
         boxes.append(rect(left, 0.0, right - left, high, "broken", some.gate) + line(left, 0.0, left, high, "edge"))
-        room = LETTER_PX * len(some.series) + 16.0
-        at = min(max(left, 0.0), wide - room)
+        room = BOLD_PX * len(some.series) + 14.0
+        at = min(left + 2.0, wide - room)
         if at > until:
             words.append(text(at, 9.0, f"\u26a0 {some.series}", "warn"))
             until = at + room
     return "".join(boxes), "".join(words)
+
+
+def now_line(plane: Plane, t: float) -> str:
+    """The moment that is looked at."""
+    x = min(max(float(plane.at_x(t)), 1.0), plane.inner[0] - 1.0)
+    return line(x, 0.0, x, plane.inner[1], "now")
 
 
 def _said(panel: Panel, there: Sequence[Curve], broken: Sequence[Violation]) -> str:

@@ -175,5 +175,5 @@ def _labels(plane: Plane, graph: Graph) -> str:
         taken.append(at_y)
         half = 0.5 * LETTER_PX * len(words)
         at_x = min(max(0.5 * (float(x[seen].min()) + float(x[seen].max())), half + 2.0), wide - half)
-        out.append(text(at_x, min(max(at_y, 11.0), high - 3.0), words, "mid"))
+        out.append(text(at_x, min(max(at_y, 11.0), high - 3.0), words, "name mid"))
     return "".join(out)

@@ -9,14 +9,17 @@ import numpy as np
 
 from logs.trace import Decision, DecisionKind, PlannedFrame, PlanStatus
 from replay.report.charts.axes import BOTTOM_PX, Plane, for_words
-from replay.report.charts.canvas import LETTER_PX, Chart, line, rect, shortened, text
+from replay.report.charts.canvas import LETTER_PX, Chart, rect, shortened, text
+from replay.report.charts.curves import now_line
 from replay.report.charts.subject import Subject
 
 WIDTH_PX, ROW_PX, TOP_PX = 900.0, 20.0, 22.0
 LABEL_PX = 210.0
 MAX_ROWS = 12
 """Rows of road users; the words beside the picture have all of them."""
-LEAST_PX = 2.0
+LEAST_PX = 3.0
+CALM = ("planned", "columns corrected")
+"""Statuses that are no alarm."""
 STATUS_WORDS = {
     PlanStatus.PLANNED: "planned",
     PlanStatus.CORRECTED: "columns corrected",
@@ -100,18 +103,17 @@ def _joined(rows: Iterable[Row]) -> list[Row]:
     return list(found.values())
 
 
-def decisions(subject: Subject) -> Chart:
-    """Decisions, plan statuses and broken gates as lanes over time."""
+def decisions(subject: Subject, width: float = WIDTH_PX) -> Chart:
+    """Decisions, plan statuses and broken gates as lanes over time; `width` in pixels."""
     rows = _rows(subject)
     title = "Decisions, plans and broken gates over time"
     if not rows:
-        body = text(2.0, 13.0, title, "title") + text(0.5 * WIDTH_PX, 40.0, "the drive has no plans", "says")
-        return Chart("decisions", title, f"{title}: the drive has no plans", WIDTH_PX, 56.0, body)
+        body = text(2.0, 13.0, title, "title") + text(0.5 * width, 40.0, "the drive has no plans", "says")
+        return Chart("decisions", title, f"{title}: the drive has no plans", width, 56.0, body)
     height = TOP_PX + ROW_PX * len(rows) + BOTTOM_PX
-    plane = Plane(subject.span, (0.0, float(len(rows))), WIDTH_PX, height, top=TOP_PX)
+    plane = Plane(subject.span, (0.0, float(len(rows))), width, height, top=TOP_PX)
     plane = for_words(plane, [row.name for row in rows], LABEL_PX)
-    now = float(plane.at_x(subject.moment.t))
-    bars = "".join(_bars(plane, row, k) for k, row in enumerate(rows)) + line(now, 0.0, now, plane.inner[1], "now")
+    bars = "".join(_bars(plane, row, k) for k, row in enumerate(rows)) + now_line(plane, subject.moment.t)
     names = "".join(
         text(-6.0, ROW_PX * k + 14.0, shortened(row.name, plane.left - 8.0), "end", about=row.name)
         for k, row in enumerate(rows)
@@ -119,24 +121,28 @@ def decisions(subject: Subject) -> Chart:
     silent = not any(row.kind == "bar" for row in rows)
     head = text(2.0, 13.0, title + (": the planner names none" if silent else ""), "title")
     drawn = plane.drawn(bars, x_title="time [s]", y_ticks=False, over=names)
-    return Chart("decisions", title, "; ".join(_words(rows)), WIDTH_PX, height, drawn + head)
+    return Chart("decisions", title, "; ".join(_words(rows)), width, height, drawn + head)
 
 
 def _bars(plane: Plane, row: Row, k: int) -> str:
-    out, until = [], -np.inf
+    out, until = [], 0.0
     ends = plane.at_x(np.array([[span.begin, span.end] for span in row.spans]))
     for i, (span, (left, right)) in enumerate(zip(row.spans, ends.tolist(), strict=True)):
+        left = min(left, plane.inner[0] - LEAST_PX)
         wide, y = max(right - left, LEAST_PX), ROW_PX * k
-        about = f"{row.name}: {span.word}, {span.begin:.2f} to {span.end:.2f} s" + (f" ({span.why})" if span.why else "")
-        kind = "alarm" if row.kind == "calm" and span.word not in ("planned", "columns corrected") else row.kind
+        why = f" ({span.why})" if span.why else ""
+        about = f"{row.name}: {span.word}, {span.begin:.2f} to {span.end:.2f} s{why}"
+        kind = "alarm" if row.kind == "calm" and span.word not in CALM else row.kind
         out.append(rect(left, y + 3.0, wide, ROW_PX - 6.0, kind, about))
         needed = LETTER_PX * len(span.word) + 6.0
         after = ends[i + 1, 0] if i + 1 < len(row.spans) else plane.inner[0]
-        room = wide if wide >= needed else after - left - wide
-        at = left + 4.0 if wide >= needed else left + wide + 2.0
-        if room >= needed and at >= until:
+        if wide >= needed or after - left - wide >= needed:
+            at = left + 4.0 if wide >= needed else left + wide + 2.0
             out.append(text(at, y + 14.0, span.word))
             until = at + needed
+        elif left - until >= needed:
+            out.append(text(left - 3.0, y + 14.0, span.word, "end"))
+        until = max(until, left + wide)
     return "".join(out)
 
 

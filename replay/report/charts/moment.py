@@ -6,9 +6,9 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from math import inf, isfinite
+from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from logs.kernel import BoolArray, FloatArray
 from metrics import GROUPS, METRICS
@@ -52,18 +52,18 @@ def worst_moment(drive: DriveResult) -> Moment:
     Gates of safety and rules are worse than others; among equals the first of the gates' file is.
     """
     failed = drive.verdicts[drive.verdicts["outcome"] == Outcome.FAIL.value]
-    rows = [row for row in failed.itertuples() if isfinite(row.time_s)]
+    rows = [row for row in list[Any](failed.itertuples()) if isfinite(row.time_s)]
     if rows:
         worst = min(rows, key=lambda row: _gravity(str(row.gate)))
         about = f" ({worst.reason})" if worst.reason else ""
         return Moment(float(worst.time_s), f"{worst.gate} fails: {worst.value:.4g}{about}")
     failure = "a gate fails, at no instant; " if len(failed) else "no gate fails; "
-    found = drive.metrics.set_index("metric")
+    found = {row.metric: row for row in list[Any](drive.metrics.itertuples()) if row.available and isfinite(row.time_s)}
     for name, words in NEAREST:
-        if name in found.index and bool(found.at[name, "available"]) and isfinite(found.at[name, "time_s"]):
-            value, unit, whom = (found.at[name, column] for column in ("value", "unit", "reason"))
-            about = f" ({whom})" if whom else ""
-            return Moment(float(found.at[name, "time_s"]), f"{failure}{words}: {value:.3g} {unit}{about}")
+        if name in found:
+            near = found[name]
+            about = f" ({near.reason})" if near.reason else ""
+            return Moment(float(near.time_s), f"{failure}{words}: {near.value:.3g} {near.unit}{about}")
     return Moment(0.5 * float(drive.info["t_end_s"]), f"{failure}nobody came near: the middle of the drive")
 
 
@@ -81,7 +81,7 @@ def measured_by(gate: str) -> str:
 def violations(drive: DriveResult) -> list[Violation]:
     """The failed gates of a drive, and when."""
     failed = drive.verdicts[drive.verdicts["outcome"] == Outcome.FAIL.value]
-    return [_violation(drive, str(row.gate), float(row.time_s)) for row in failed.itertuples()]
+    return [_violation(drive, str(row.gate), float(row.time_s)) for row in list[Any](failed.itertuples())]
 
 
 def _violation(drive: DriveResult, gate: str, time_s: float) -> Violation:
@@ -124,8 +124,3 @@ def _spans(t: FloatArray, out: BoolArray) -> Iterator[tuple[float, float]]:
     edge = np.diff(np.r_[False, out, False].astype(np.int64))
     for first, end in zip(np.flatnonzero(edge > 0), np.flatnonzero(edge < 0), strict=True):
         yield float(t[first]), float(t[end - 1])
-
-
-def failed_rules(verdicts: pd.DataFrame) -> list[str]:
-    """The rules that fail in a table of verdicts, once each."""
-    return list(dict.fromkeys(verdicts.loc[verdicts["outcome"] == Outcome.FAIL.value, "gate"]))

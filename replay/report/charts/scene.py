@@ -24,7 +24,6 @@ from replay.report.charts.canvas import (
     cut_outline,
     dot,
     legend,
-    line,
     polyline,
     polylines,
     shortened,
@@ -56,9 +55,16 @@ def scene(subject: Subject, t: float, word: str) -> Chart:
     agents = subject.trace.agents.truth(t)
     inside = _road(view, subject) + _paths(view, subject, planned=planned) + _others(view, agents) + _ego(view, subject)
     title = f"{word[:1].upper()}{word[1:]}: {t:.2f} s, {ego.v:.1f} m/s"
-    drawn = plane.drawn(inside, x_title="ahead of the rear axle [m]", over=_names(view, agents, subject, planned=planned))
+    drawn = plane.drawn(
+        inside, x_title="ahead of the rear axle [m]", over=_names(view, agents, subject, planned=planned)
+    )
     head = text(2.0, 13.0, title, "title") + text(2.0, 33.0, "left [m]", "tick")
-    entries = [("area", "ego", "ego"), ("area", "other", "moves"), ("area", "still", "stands"), ("line", "driven", "driven")]
+    entries = [
+        ("area", "ego", "ego"),
+        ("area", "other", "moves"),
+        ("area", "still", "stands"),
+        ("line", "driven", "driven"),
+    ]
     plan = [("line", "planned", "plan, a dot a second")] if planned and subject.frame else []
     head += legend(60.0, 33.0, [*entries, *plan], WIDTH_PX - 70.0)
     return Chart(f"scene_{word.replace(' ', '_')}", title, _said(title, agents, ego), WIDTH_PX, HEIGHT_PX, drawn + head)
@@ -162,7 +168,7 @@ def _other(view: _View, agents: Agents, i: int) -> str:
     kind = "other" if moving else "still"
     here, velocity = np.array([agents.x[i], agents.y[i]]), np.array([agents.vx[i], agents.vy[i]])
     ends = view.of(np.array([here, here + ARROW_S * velocity]))
-    arrow = line(*ends[0], *ends[1], "heading") if moving else ""
+    arrow = polyline(ends[:, 0], ends[:, 1], "heading") if moving else ""
     small = max(float(np.ptp(box[:, 0])), float(np.ptp(box[:, 1]))) < 2.0 * SMALL_PX
     if small or agents.kinds[i] is AgentKind.PEDESTRIAN:
         return arrow + dot(float(ends[0, 0]), float(ends[0, 1]), SMALL_PX, kind)
@@ -193,7 +199,8 @@ def _names(view: _View, agents: Agents, subject: Subject, *, planned: bool) -> s
         decision = f": {decided[agents.ids[i]]}" if agents.ids[i] in decided else ""
         words = shortened(agents.ids[i], 110.0) + decision
         half = 0.5 * LETTER_PX * len(words)
-        x, y = min(max(x, half), wide - half), y - 8.0 if y > 20.0 else y + 17.0
+        below = y < 20.0 or (y > 0.5 * high and high - y > 20.0)
+        x, y = min(max(x, half), wide - half), y + 18.0 if below else y - 9.0
         if all(abs(y - other_y) > 11.0 or abs(x - other_x) > half + other for other_x, other_y, other in placed):
             placed.append((x, y, half))
             out.append(text(x, y, words, "name mid"))

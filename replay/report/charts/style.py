@@ -24,39 +24,61 @@ DARK = MappingProxyType({
 """Roles by name: `ego` blue, `plan` green, `other` road users orange, `rare` purple, `bad` vermilion."""
 
 FONT = "'DejaVu Sans', Verdana, 'Segoe UI', system-ui, sans-serif"
-RULES = f"""
-.chart{{font:11px {FONT};}}
-.chart text{{fill:$ink;}}.chart .small{{font-size:10px;fill:$muted;}}.chart .tick{{font-size:10px;fill:$muted;}}
-.chart .title{{font-weight:bold;}}.chart .end{{text-anchor:end;}}.chart .mid{{text-anchor:middle;}}
-.chart .says{{fill:$muted;font-style:italic;text-anchor:middle;}}
-.chart text.warn{{fill:$bad;font-weight:bold;font-size:10px;}}
-.chart .ground{{fill:$ground;}}.chart path{{fill:none;stroke-linejoin:round;}}
-.chart .grid{{stroke:$grid;stroke-width:1;}}.chart .axis{{stroke:$axis;stroke-width:1;}}
-.chart .zero{{stroke:$axis;stroke-width:1;stroke-dasharray:1 3;}}
-.chart .now{{stroke:$ink;stroke-width:1.2;stroke-dasharray:6 3;}}
-.chart .a{{stroke:$ego;stroke-width:1.8;}}.chart .b{{stroke:$other;stroke-width:1.6;stroke-dasharray:7 3;}}
-.chart .c{{stroke:$rare;stroke-width:1.6;stroke-dasharray:2 2.5;}}.chart .limit{{stroke:$muted;stroke-dasharray:10 4;}}
-.chart .qp{{stroke:$ego;stroke-width:2.2;}}.chart .dp{{stroke:$other;stroke-width:1.6;stroke-dasharray:5 3;}}
-.chart .driven{{stroke:$ego;stroke-width:1.4;stroke-dasharray:1 3;stroke-linecap:round;}}
-.chart .planned{{stroke:$plan;stroke-width:2.4;}}.chart .second{{fill:$plan;stroke:$ground;}}
-.chart .foreseen{{stroke:$other;stroke-width:1;stroke-dasharray:2 3;}}
-.chart path.road{{fill:$road;}}.chart path.walk{{fill:$walk;}}.chart .lane{{stroke:$lane;stroke-width:.8;}}
-.chart .stop{{stroke:$ink;stroke-width:2.5;}}.chart .zebra{{stroke:$lane;stroke-width:1;stroke-dasharray:3 3;}}
-.chart path.goal{{fill:$free;fill-opacity:.12;stroke:$free;stroke-dasharray:4 3;}}
-.chart .ego{{fill:$ego;stroke:$ink;stroke-width:.8;}}.chart .other{{fill:$other;stroke:$ink;stroke-width:.8;}}
-.chart .still{{fill:$muted;fill-opacity:.55;stroke:$ink;stroke-width:.8;}}.chart .heading{{stroke:$other;stroke-width:1.4;}}
-.chart path.nose{{stroke:$ground;stroke-width:1.4;}}
-.chart .room{{fill:$free;fill-opacity:.13;stroke:$free;stroke-width:.8;stroke-opacity:.6;}}
-.chart .thing{{fill:$other;fill-opacity:.3;stroke:$other;stroke-width:1.3;}}
-.chart .ignored{{fill:$muted;fill-opacity:.12;stroke:$muted;stroke-width:1;stroke-dasharray:2 2;}}
-.chart .broken{{fill:$bad;fill-opacity:.18;}}.chart .edge{{stroke:$bad;stroke-width:1.6;}}
-.chart .bar{{fill:$other;fill-opacity:.32;stroke:$other;}}.chart .calm{{fill:$ego;fill-opacity:.16;stroke:$ego;}}
-.chart .alarm{{fill:$bad;fill-opacity:.3;stroke:$bad;stroke-width:1.4;}}
-.chart .mark{{fill:$ego;stroke:$ground;}}.chart .hollow{{fill:$ground;stroke:$ego;stroke-width:1.6;}}
-.chart .wrong{{fill:$bad;stroke:$ground;}}.chart .whisker{{stroke:$ego;stroke-width:1.6;}}
-.chart .speck{{fill:$ego;fill-opacity:.55;}}.chart .box{{fill:$ego;fill-opacity:.12;stroke:$ego;}}
-.chart .worse{{stroke:$bad;stroke-width:1.6;}}.chart .better{{stroke:$good;stroke-width:1.6;stroke-dasharray:4 2;}}
-"""
+RULES = """
+.chart{font:11px FONT}
+.chart text{fill:$ink}
+.chart .small{font-size:10px;fill:$muted}
+.chart .tick,.chart .tick text{font-size:10px;fill:$muted}
+.chart .name{paint-order:stroke;stroke:$ground;stroke-width:3px;stroke-linejoin:round}
+.chart .title{font-weight:bold}
+.chart .end{text-anchor:end}
+.chart .mid{text-anchor:middle}
+.chart .says{fill:$muted;font-style:italic;text-anchor:middle}
+.chart text.warn{fill:$bad;font-weight:bold;font-size:10px}
+.chart .ground{fill:$ground}
+.chart path{fill:none;stroke-linejoin:round}
+.chart .grid{stroke:$grid;stroke-width:1}
+.chart .axis{stroke:$axis;stroke-width:1}
+.chart .zero{stroke:$axis;stroke-width:1;stroke-dasharray:1 3}
+.chart .now{stroke:$ink;stroke-width:1.2;stroke-dasharray:6 3}
+.chart .a{stroke:$ego;stroke-width:1.8}
+.chart .b{stroke:$other;stroke-width:1.6;stroke-dasharray:7 3}
+.chart .c{stroke:$rare;stroke-width:1.6;stroke-dasharray:2 2.5}
+.chart .limit{stroke:$muted;stroke-dasharray:10 4}
+.chart .qp{stroke:$ego;stroke-width:2.2}
+.chart .dp{stroke:$other;stroke-width:1.6;stroke-dasharray:5 3}
+.chart .driven{stroke:$ego;stroke-width:1.4;stroke-dasharray:1 3;stroke-linecap:round}
+.chart .planned{stroke:$plan;stroke-width:2.4}
+.chart .second{fill:$plan;stroke:$ground}
+.chart .foreseen{stroke:$other;stroke-width:1;stroke-dasharray:2 3}
+.chart path.road{fill:$road}
+.chart path.walk{fill:$walk}
+.chart .lane{stroke:$lane;stroke-width:.8}
+.chart .stop{stroke:$ink;stroke-width:2.5}
+.chart .zebra{stroke:$lane;stroke-width:1;stroke-dasharray:3 3}
+.chart path.goal{fill:$free;fill-opacity:.12;stroke:$free;stroke-dasharray:4 3}
+.chart .ego{fill:$ego;stroke:$ink;stroke-width:.8}
+.chart .other{fill:$other;stroke:$ink;stroke-width:.8}
+.chart .still{fill:$muted;fill-opacity:.55;stroke:$ink;stroke-width:.8}
+.chart .heading{stroke:$other;stroke-width:1.4}
+.chart path.nose{stroke:$ground;stroke-width:1.4}
+.chart .room{fill:$free;fill-opacity:.13;stroke:$free;stroke-width:.8;stroke-opacity:.6}
+.chart .thing{fill:$other;fill-opacity:.3;stroke:$other;stroke-width:1.3}
+.chart .ignored{fill:$muted;fill-opacity:.12;stroke:$muted;stroke-width:1;stroke-dasharray:2 2}
+.chart .broken{fill:$bad;fill-opacity:.18}
+.chart .edge{stroke:$bad;stroke-width:1.6}
+.chart .bar{fill:$other;fill-opacity:.32;stroke:$other}
+.chart .calm{fill:$ego;fill-opacity:.16;stroke:$ego}
+.chart .alarm{fill:$bad;fill-opacity:.3;stroke:$bad;stroke-width:1.4}
+.chart .mark{fill:$ego;stroke:$ground}
+.chart .hollow{fill:$ground;stroke:$ego;stroke-width:1.6}
+.chart .wrong{fill:$bad;stroke:$ground}
+.chart .whisker{stroke:$ego;stroke-width:1.6}
+.chart .speck{fill:$ego;fill-opacity:.55}
+.chart .box{fill:$ego;fill-opacity:.12;stroke:$ego}
+.chart .worse{stroke:$bad;stroke-width:1.6}
+.chart .better{stroke:$good;stroke-width:1.6;stroke-dasharray:4 2}
+""".replace("FONT", FONT)
 
 
 def roles(theme: Theme) -> str:

@@ -59,5 +59,7 @@ def subject(drive: DriveResult, at: float | None = None) -> Subject:
     trace, scenario = read_trace(drive.trace_file, (moment.t,))
     begin, end = float(trace.ego.t[0]), float(trace.ego.t[-1])
     if not (isfinite(moment.t) and begin - 1e-9 <= moment.t <= end + 1e-9):
-        raise ConfigError(f"{drive.log}, {drive.planner}, {drive.mode} loop: --at {moment.t:g} is not in its {begin:g} to {end:g} s")
+        raise ConfigError(
+            f"{drive.log}, {drive.planner}, {drive.mode} loop: --at {moment.t:g} is not in its {begin:g} to {end:g} s"
+        )
     return Subject(drive, moment, trace, scenario)

@@ -1,0 +1,105 @@
+"""`replan plot`: pictures of a drive."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from logs.errors import ConfigError
+from replay.cli.app import answered, app
+
+if TYPE_CHECKING:
+    from replay.results import DriveResult, Results
+
+
+class Charts(StrEnum):
+    """What is drawn."""
+
+    scene = "scene"
+    st = "st"
+    sl = "sl"
+    curves = "curves"
+    decisions = "decisions"
+    all = "all"
+
+
+class Look(StrEnum):
+    """Light or dark ground; auto: an SVG follows its reader's system, a PNG is light."""
+
+    auto = "auto"
+    light = "light"
+    dark = "dark"
+
+
+class Loop(StrEnum):
+    """Which drive."""
+
+    open = "open"
+    closed = "closed"
+
+
+@app.command()
+def plot(
+    result: Annotated[Path, typer.Argument(help="A folder of results.")],
+    log: Annotated[str | None, typer.Option(help="Which log. Without it: the drive to look at first.")] = None,
+    planner: Annotated[str | None, typer.Option(help="Whose drive, where there are several.")] = None,
+    mode: Annotated[Loop | None, typer.Option(help="Default: closed, where it was driven.")] = None,
+    at: Annotated[float | None, typer.Option(help="Time, s. Default: the worst moment.")] = None,
+    chart: Annotated[Charts, typer.Option(help="What is drawn.")] = Charts.all,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", help="FILE.png, FILE.svg, or a folder: each by itself.")
+    ] = None,
+    theme: Annotated[Look, typer.Option(help="Auto: an SVG follows its reader's system, a PNG is light.")] = Look.auto,
+    width: Annotated[int, typer.Option(min=200, max=8000, help="Of the picture, pixels.")] = 1400,
+) -> None:
+    """Draw a drive as SVG or PNG: scene, S-T and S-L graph, curves, decisions.
+
+    [bold]Examples[/bold]
+
+      replan plot results/run-001
+      replan plot results/run-001 --log paper/crossing_pedestrian --at 6.5 --chart st -o st.svg
+    """
+    with answered():
+        from replay.batch.tables import safe_name
+        from replay.report.charts.picture import charts_of, save, together
+        from replay.report.charts.subject import subject
+        from replay.results import load
+
+        drive = _drive(load(result), log, planner, mode.value if mode else None)
+        name = f"{safe_name(drive.log)}-{safe_name(drive.planner)}-{drive.mode}"
+        path = Path(f"{name}-{chart.value}.png") if out is None else out
+        if path.suffix not in ("", ".png", ".svg") and not path.is_dir():
+            raise ConfigError(f"{path}: a picture ends with .png or .svg, a folder has no ending")
+        seen = subject(drive, at)
+        charts = charts_of(seen, chart.value, width)
+        title = f"{drive.log}, {drive.planner}, {drive.mode} loop"
+        why = "" if at is not None else f": {seen.moment.why}"
+        if path.suffix in (".png", ".svg") and not path.is_dir():
+            save(together(charts, title, f"at {seen.moment.t:.2f} s{why}", width), path, theme=theme.value, width=width)
+            typer.echo(f"{path}  ({title}, at {seen.moment.t:.2f} s{why})")
+            return
+        for one in charts:
+            for ending in (".png", ".svg"):
+                file = path / f"{name}-{one.name}{ending}"
+                save(one, file, theme=theme.value, width=width)
+                typer.echo(file)
+
+
+def _drive(results: Results, log: str | None, planner: str | None, mode: str | None) -> DriveResult:
+    """The drive that is asked for; without a log the one to look at first, without a mode the closed loop if any."""
+    from replay.report.overview import overview
+
+    if log is None:
+        rows = overview(results).drives
+        mine = [row for row in rows if planner in (None, row.planner)]
+        order = {"fail": 0, "inconclusive": 1}
+        if not mine:
+            raise ConfigError(f"{results.path}: no drive{f' of {planner}' if planner else ''} to draw")
+        worst = min(mine, key=lambda row: (order.get(row.verdict, 2), -row.trouble))
+        log, planner = worst.log, worst.planner
+    here = results.drives[results.drives["log"] == log]
+    modes = set(here["mode"] if planner is None else here.loc[here["planner"] == planner, "mode"])
+    return results.drive(log, planner, mode or ("open" if modes == {"open"} else "closed"))

@@ -1,0 +1,93 @@
+"""Several charts as one picture, written as SVG or PNG."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from logs.errors import ConfigError
+from replay.batch.tables import write_file, write_text
+from replay.report.charts.canvas import Chart, group, shortened, text
+from replay.report.charts.curves import curves
+from replay.report.charts.graphs import sl_graph, st_graph
+from replay.report.charts.lanes import decisions
+from replay.report.charts.scene import scenes
+from replay.report.charts.style import Theme
+from replay.report.charts.subject import Subject
+
+COLUMN_PX, GAP_PX, MARGIN_PX, HEAD_PX = 440.0, 16.0, 14.0, 44.0
+FORMATS = (".png", ".svg")
+KINDS = ("scene", "st", "sl", "curves", "decisions", "all")
+"""What `charts_of` may be asked for."""
+
+
+def charts_of(subject: Subject, kind: str, width: float) -> list[Chart]:
+    """The charts of a kind (one of `KINDS`) for a picture of a width, pixels."""
+    every: dict[str, Callable[[], list[Chart]]] = {
+        "scene": lambda: scenes(subject),
+        "st": lambda: [st_graph(subject)],
+        "sl": lambda: [sl_graph(subject)],
+        "curves": lambda: curves(subject),
+        "decisions": lambda: [decisions(subject, row_width(width))],
+    }
+    return [chart for name, make in every.items() if kind in (name, "all") for chart in make()]
+
+
+def row_width(width: float) -> float:
+    """Of as many columns as a width has room for, one at least."""
+    columns = max(1, int((width + GAP_PX) / (COLUMN_PX + GAP_PX)))
+    return columns * (COLUMN_PX + GAP_PX) - GAP_PX
+
+
+def together(charts: Sequence[Chart], title: str, says: str, width: float) -> Chart:
+    """Charts below and beside each other, as many columns as a width (pixels) has room for, under a title."""
+    most = len(charts) * (COLUMN_PX + GAP_PX) - GAP_PX
+    full = max(min(row_width(width), most), *(chart.width for chart in charts))
+    placed, x, y, row = [], 0.0, HEAD_PX, 0.0
+    for chart in charts:
+        if x > 0.0 and x + chart.width > full + 1.0:
+            x, y, row = 0.0, y + row + GAP_PX, 0.0
+        placed.append(group(MARGIN_PX + x, y, chart.body))
+        x, row = x + chart.width + GAP_PX, max(row, chart.height)
+    head = text(MARGIN_PX, 18.0, shortened(title, full), "title") + text(
+        MARGIN_PX, 34.0, shortened(says, full), "small"
+    )
+    spoken = f"{title}; {says}: " + "; ".join(chart.title for chart in charts)
+    return Chart("all", title, spoken, full + 2.0 * MARGIN_PX, y + row + MARGIN_PX, head + "".join(placed))
+
+
+def save(chart: Chart, path: Path, *, theme: Theme, width: int) -> None:
+    """Write a picture; format by the ending. The same drive gives the same bytes.
+
+    Args:
+        chart: What to write.
+        path: Ends with .png or .svg.
+        theme: "auto" is light in a PNG, which cannot follow its reader.
+        width: Pixels.
+
+    Raises:
+        ConfigError: Another ending, or it cannot be written.
+    """
+    if path.suffix not in FORMATS:
+        raise ConfigError(f"{path}: a picture ends with .png or .svg")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.suffix == ".svg":
+            write_text(path, chart.alone(theme, width))
+        else:
+            data = _png(chart.alone("light" if theme == "auto" else theme, width))
+            write_file(path, lambda partial: partial.write_bytes(data))
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def _png(svg: str) -> bytes:
+    """The picture with a font that is surely there: that of matplotlib."""
+    import matplotlib as mpl
+    import resvg_py
+
+    fonts = Path(mpl.get_data_path()) / "fonts" / "ttf"
+    files = [str(fonts / f"DejaVuSans{style}.ttf") for style in ("", "-Bold", "-Oblique")]
+    return bytes(
+        resvg_py.svg_to_bytes(svg_string=svg, skip_system_fonts=True, font_files=files, font_family="DejaVu Sans")
+    )

@@ -31,6 +31,7 @@ import pandas as pd
 from logs.errors import ConfigError
 from logs.trace import Mode
 from metrics import METRICS, Metric
+from metrics.aggregate import LogLabels
 from metrics.compare import NOT_ASKED, Comparison, RuleVerdict
 from metrics.compare_groups import intervals, significant
 from metrics.gates import Outcome, check_metric, gate_tables, known_only
@@ -117,31 +118,38 @@ def _rule(table: Mapping[str, Any], place: str, metrics: Mapping[str, Metric]) -
     return rule
 
 
-def judged(rules: tuple[Rule, ...], comparison: Comparison, tags: Mapping[str, tuple[str, ...]]) -> Comparison:
+def judged(rules: tuple[Rule, ...], comparison: Comparison, labels: Mapping[str, LogLabels]) -> Comparison:
     """The comparison with what the rules say of it, in their order; an optional one may say nothing.
 
     Args:
         rules: What may not get worse.
         comparison: Two runs.
-        tags: Tags by log.
+        labels: What each log belongs to.
     """
-    said = (_said(rule, comparison, tags) for rule in rules)
-    return replace(comparison, verdicts=tuple(verdict for verdict in said if verdict is not None))
+    said = ((rule, _said(rule, comparison, labels)) for rule in rules)
+    return replace(comparison, verdicts=tuple(_with_why(rule, found) for rule, found in said if found is not None))
 
 
-def _said(rule: Rule, comparison: Comparison, tags: Mapping[str, tuple[str, ...]]) -> RuleVerdict | None:
+def _with_why(rule: Rule, verdict: RuleVerdict) -> RuleVerdict:
+    """The verdict; of a broken rule with its reason."""
+    if verdict.outcome is not Outcome.FAIL or not rule.reason:
+        return verdict
+    return replace(verdict, reason=f"{verdict.reason} (the rule: {rule.reason})")
+
+
+def _said(rule: Rule, comparison: Comparison, labels: Mapping[str, LogLabels]) -> RuleVerdict | None:
     if rule.max_missing is not None:
         return _missing(rule, comparison)
     if rule.max_flips is not None:
-        return _flipped(rule, _scope(rule, comparison.flips, tags), _scope(rule, comparison.pairs, tags))
-    mine = _scope(rule, comparison.pairs, tags)
+        return _flipped(rule, _scope(rule, comparison.flips, labels), _scope(rule, comparison.pairs, labels))
+    mine = _scope(rule, comparison.pairs, labels)
     mine = mine[(mine["metric"] == rule.metric) & mine["delta"].notna()]
     return _moved(rule, mine)
 
 
-def _scope(rule: Rule, table: pd.DataFrame, tags: Mapping[str, tuple[str, ...]]) -> pd.DataFrame:
+def _scope(rule: Rule, table: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.DataFrame:
     """The rows of the mode, the planner and the tags that a rule names."""
-    asked = table["log"].map(lambda log: set(rule.tags) <= set(tags.get(log, ()))).astype(bool)
+    asked = table["log"].map(lambda log: set(rule.tags) <= set(labels[log].tags if log in labels else ())).astype(bool)
     for column, value in (("mode", rule.mode), ("planner", rule.planner)):
         if value is not None:
             asked &= table[column] == value
@@ -194,7 +202,7 @@ def _change(rule: Rule, who: str, rows: pd.DataFrame) -> tuple[float, bool, str]
     sure = not rule.significant or bool(significant(np.array([low]), np.array([high]), logs)[0])
     inside = f" [{low:+.4g}, {high:+.4g}]" if isfinite(low) else ""
     means = " -> ".join(f"{rows[side].agg(rule.over):.4g}" for side in ("baseline", "candidate"))
-    reason = f"{who}: {rule.over} {rule.metric} {means}{unit}, {value:+.4g}{inside} over {len(delta)} logs"
+    reason = f"{who}: {rule.over} {rule.metric} {means}{unit}, {value:+.4g}{inside} over {_logs(len(delta))}"
     over = sign * value - rule.limit
     return over, sure, reason + (": not significant" if over > 0.0 and not sure else "")
 
@@ -208,6 +216,10 @@ def _worst(rule: Rule, who: str, rows: pd.DataFrame, sign: float, unit: str) -> 
     where = f"on {row['log']}" + (f" at {row['time_s']:.2f} s" if isfinite(row["time_s"]) else "")
     reason = f"{who}: {rule.metric} {row['baseline']:.4g} -> {row['candidate']:.4g}{unit} {where}{said}"
     return sign * float(row["delta"]) - rule.limit, True, reason
+
+
+def _logs(count: int) -> str:
+    return "1 log" if count == 1 else f"{count} logs"
 
 
 def _unit(unit: str) -> str:

@@ -138,16 +138,17 @@ def _shared(
     unsure = sum(log.outcome is Outcome.INCONCLUSIVE and log.evaluated for log in found)
     low, high = wilson(passed, n)
     if (passed + unsure) / n < least:
-        outcome, how = Outcome(gate.broken), "below"
+        outcome, how = Outcome(gate.broken), f"below {100.0 * least:g} %"
     elif passed / n < least:
-        outcome, how = Outcome.INCONCLUSIVE, "with what is inconclusive below"
+        outcome, how = Outcome.INCONCLUSIVE, f"below {100.0 * least:g} %, unless what is inconclusive passes"
     elif gate.confident and low < least:
-        outcome, how = Outcome.INCONCLUSIVE, "but not surely at least"
+        outcome, how = Outcome.INCONCLUSIVE, f"but not surely {100.0 * least:g} %"
+    elif _lacking(gate, judged, found):
+        outcome, how = Outcome.INCONCLUSIVE, f"at least {100.0 * least:g} %, but of too few that were judged"
     else:
-        outcome = Outcome.INCONCLUSIVE if _lacking(gate, judged, found) else Outcome.PASS
-        how = "at least"
+        outcome, how = Outcome.PASS, f"at least {100.0 * least:g} %"
     interval = f"95 % interval {100.0 * low:.3g} to {100.0 * high:.3g} %"
-    share = f"holds in {passed} of {_logs(n)} ({100.0 * passed / n:.3g} %, {interval}), {how} {100.0 * least:g} %"
+    share = f"holds in {passed} of {_logs(n)} ({100.0 * passed / n:.3g} %, {interval}), {how}"
     worst = f"worst {bad.value:.4g}{unit_of(bad.unit)} {_place(bad)}"
     return passed / n, outcome, f"{gate.bound} {share}; {worst}"
 

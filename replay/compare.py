@@ -37,7 +37,7 @@ MOST_PARTINGS = 20
 """In more drives it is not looked for where they part: the worst first."""
 BASELINE = b"replan_baseline"
 """Key of the metadata of a baseline's file."""
-NOT_INPUTS = ("recording", "foxglove", "internals", "gates", "planners", "mode", "metrics", "deadline_s")
+NOT_INPUTS = ("recording", "foxglove", "internals", "gates", "planners", "mode", "metrics", "deadline_s", "ensemble")
 """Keys of a run that change no drive, or whose change shows in what was driven."""
 UNKNOWN = "not known"
 """Stage where a trace cannot be read."""
@@ -79,7 +79,8 @@ def opened(path: Path | str) -> Opened:
 def _logs(results: Results) -> pd.DataFrame:
     """`Side.logs`; what an older version did not write is empty."""
     table = results.logs
-    text = table[["log", "sha256", "family", "dataset"]].fillna("")
+    text = table[["log", "sha256", "family", "dataset"]].astype(object)
+    text = text.where(text.notna(), "")
     text["tags"] = [list(tags) if isinstance(tags, list) else [] for tags in table["tags"]]
     text["vehicle"] = [_vehicle(results, log.get("drives", ())) for log in results.summary["logs"]]
     return text
@@ -183,7 +184,7 @@ def compare_runs(
     known = _metrics((*baseline.metrics, *candidate.metrics))
     rules = (*load_rules(gates, metrics=known), *more)
     comparison = compare(*sides, load_gates(gates, metrics=known), {rule.metric for rule in rules} - {""})
-    comparison = judged(rules, comparison, sides[0].tags | sides[1].tags)
+    comparison = judged(rules, comparison, sides[0].labels | sides[1].labels)
     if baseline.results is None or candidate.results is None or not partings:
         return comparison
     both = (baseline.results, candidate.results)

@@ -317,7 +317,8 @@ def _largest(one: FloatArray, two: FloatArray, place: Callable[[int], str], unit
 def _curve(one: FloatArray, two: FloatArray, value: str, at: str) -> _Found:
     """Curves `(n, 2)` of a value (m) over what `at` says."""
     if one.shape != two.shape:
-        yield inf, partial(str, f"{value}: {len(one)} -> {len(two)} knots")
+        counts = " -> ".join(f"{len(curve)} knots" if len(curve) else "none" for curve in (one, two))
+        yield inf, partial(str, f"{value}: {counts}")
     else:
         yield from _largest(one[:, 1], two[:, 1], lambda i: f"{value} at {at.format(float(f'{one[i, 0]:.4g}'))}", "m")
 

@@ -17,6 +17,7 @@ import yaml
 from test_replay_batch import short
 
 from logs.mcap import write_scenario
+from replay.batch import OUTCOMES
 
 ROOT = Path(__file__).parents[1]
 GITHUB, GITLAB, OWN = (
@@ -117,6 +118,9 @@ def test_the_github_action_runs_keeps_and_judges(runner: Path) -> None:
     assert run.failed
     summary = json.loads((runner / "replan-results" / "summary.json").read_text(encoding="utf-8"))
     assert [log["log"] for log in summary["logs"]] == ["test/a", "test/b"]
+    assert "speed.mean" in (runner / "summary.md").read_text(encoding="utf-8")
+    for file in ("report.md", "junit.xml"):
+        assert (runner / "replan-results" / file).is_file()
     installed = (runner / "installed").read_text(encoding="utf-8").splitlines()
     assert installed[-1] == str(ROOT)
     assert str(ROOT / "constraints.txt") in installed
@@ -151,6 +155,7 @@ def gitlab_jobs() -> Iterator[tuple[str, dict[str, Any]]]:
             yield name, {**base, **job, "variables": {**GITLAB["variables"], **base["variables"], **node}}
 
 
+@pytest.mark.slow
 def test_the_gitlab_jobs_drive_shards_and_the_merge_judges_and_so_does_githubs(runner: Path) -> None:
     (runner / "my logs").rename(runner / "my_logs")
     given = {"REPLAN_LOGS": "my_logs", "REPLAN_ARGS": f"--gates gates.toml {OPTIONS}", "CI_PROJECT_DIR": str(runner)}
@@ -160,12 +165,26 @@ def test_the_gitlab_jobs_drive_shards_and_the_merge_judges_and_so_does_githubs(r
         assert variables.pop("NUMBA_CACHE_DIR") == "$CI_PROJECT_DIR/.replan/kernels"
         result = bash("\n".join([*job["before_script"], *job["script"]]), runner, variables)
         codes.append((name, result.returncode))
+        for report in job["artifacts"].get("reports", {}).values():
+            assert "<failure" in (runner / report).read_text(encoding="utf-8"), result.stderr
         assert all(list(runner.glob(path)) for path in job["artifacts"]["paths"]), result.stderr
     assert codes == [("replan", 0), ("replan", 0), ("replan-merge", 1)], result.stdout + result.stderr
-    run = Workflow(runner, cached="", merge="replan-shards/*", out="merged")
+    run = Workflow(runner, merge="replan-shards/*", out="merged", baseline="replan-results")
     assert run.outputs["run"] == {"exit-code": "1", "outcome": "fail"}, run.said
     for file in ("metrics.parquet", "verdicts.parquet", "summary.json"):
         assert (runner / "merged" / file).read_bytes() == (runner / "replan-results" / file).read_bytes()
+
+    assert "flip" in (runner / "merged" / "junit.xml").read_text(encoding="utf-8")  # a rule of the comparison
+
+
+def test_the_github_action_drives_a_shard_and_keeps_the_exit_code(runner: Path) -> None:
+    run = Workflow(runner, logs="my logs", gates="gates.toml", args=f"{OPTIONS} --quiet", shard="2/2")
+    assert run.outputs["run"] == {"exit-code": "0", "outcome": "not judged"}, run.said
+    assert not run.failed
+    assert (runner / "replan-results" / "shard.json").is_file()
+    script = next(step["run"] for step in GITHUB["runs"]["steps"] if step.get("id") == "run")
+    said = {int(code): word.strip('"') for code, word in re.findall(r'^ *(\d)\) outcome=(\w+|"[^"]*")', script, re.M)}
+    assert said == OUTCOMES
 
 
 def test_the_own_workflow_runs_what_there_is() -> None:

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from logs import ConfigError
 from metrics import COLUMNS
+from metrics.aggregate import LogLabels
 from metrics.compare import NOT_ASKED, Comparison, Side, compare, noise
 from metrics.compare_groups import MIN_PAIRS, MIN_SIGNIFICANT, intervals
 from metrics.compare_rules import Rule, judged, load_rules
@@ -46,8 +47,8 @@ def of(before: dict[str, float], now: dict[str, float], *gates: Gate, **changes:
 
 
 def said(comparison: Comparison, *rules: Rule) -> list[str]:
-    tags = {log: ("synthetic", log[0]) for log in comparison.pairs["log"]}
-    return [verdict.outcome.value for verdict in judged(rules, comparison, tags).verdicts]
+    labels = {log: LogLabels(tags=("synthetic", log[0])) for log in comparison.pairs["log"]}
+    return [verdict.outcome.value for verdict in judged(rules, comparison, labels).verdicts]
 
 
 GAPS = st.dictionaries(st.sampled_from([f"{x}{i}" for x in "ab" for i in range(6)]), st.floats(-3.0, 3.0), min_size=1)

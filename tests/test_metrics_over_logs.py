@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -176,6 +178,12 @@ def test_a_log_that_could_not_be_read_is_in_a_group_of_its_own() -> None:
     assert {v.group: v.outcome for v in found} == {
         "family cut_in": PASS, "family merge": PASS, "family not known": INCONCLUSIVE,
     }  # fmt: skip
+
+
+def test_the_page_of_gates_has_every_key_and_no_other() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "gates.md").read_text(encoding="utf-8")
+    rows = [line.split("|")[1] for line in page.partition("| key |")[2].partition("## ")[0].splitlines()[2:] if line]
+    assert {word for row in rows for word in re.findall(r"`(\w+)`", row)} == {field.name for field in fields(Gate)}
 
 
 # files ------------------------------------------------------------------------------------------------------------

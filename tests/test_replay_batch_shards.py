@@ -19,10 +19,10 @@ from logs.mcap import write_scenario
 from replay.batch import RunResult, evaluate_logs
 from replay.batch.merge import merge
 from replay.batch.shard import Shard
-from replay.batch.tables import TABLES
+from replay.batch.tables import REPORTS, TABLES
 from replay.config import RunConfig
 
-CLOCK = {"timings.parquet"}
+CLOCK = {"timings.parquet", "report.md", "report.html"}
 """Not the same twice."""
 
 
@@ -81,7 +81,7 @@ def test_merged_shards_are_the_run_byte_for_byte(logs: Path, tmp_path: Path, who
     """Seven shards of five logs: two of them have none."""
     merged = merge(shards(logs, tmp_path, of)[::-1], tmp_path / "merged")
     expected = files(whole.out)
-    assert {*TABLES} - CLOCK - {"shard.json"} <= expected.keys()
+    assert {*TABLES} - CLOCK - {*REPORTS} - {"shard.json"} <= expected.keys()
     assert files(merged.out) == expected
     assert merged.exit_code == whole.exit_code == 3
 
@@ -173,6 +173,13 @@ def test_the_command_line_drives_shards_and_judges_when_merged(logs: Path, tmp_p
     result = replan("merge", tmp_path / "1", tmp_path / "2", "-o", tmp_path / "merged")
     assert result.exit_code == 1
     assert "FAIL" in result.stdout
+    replan("evaluate", logs / "a.mcap", one, *words, "-o", tmp_path / "whole")
+    assert files(tmp_path / "merged") == files(tmp_path / "whole")
+    again = ("merge", tmp_path / "1", tmp_path / "2", "--baseline", tmp_path / "whole", "-q", "-o")
+    compared = replan(*again, tmp_path / "merged")
+    assert (compared.exit_code, len(compared.stdout.splitlines())) == (1, 2)
+    assert one_error(replan(*again, tmp_path))
+    assert "junit.xml" in files(tmp_path / "merged")
     lacking = replan("merge", tmp_path / "1", "-o", tmp_path / "other")
     assert lacking.exit_code == 2
     assert "2/2" in one_error(lacking)

@@ -10,8 +10,8 @@ import os
 import shutil
 import tempfile
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -68,12 +68,22 @@ def merge(folders: Sequence[Path | str], out: Path | str) -> RunResult:
     _check_outside(found, out)
     text = (found[0].folder / "run.toml").read_text(encoding="utf-8")
     run = replace(load_run(found[0].folder / "run.toml"), gates=str(read_toml(found[0].folder / "run.toml")["gates"]))
-    with tempfile.TemporaryDirectory() as folder:
-        gates = gates_of(run, _gates_file(found[0].gates, Path(folder)))
+    with gates_in(found[0].folder) as path:
+        gates = gates_of(run, path)
     claim(out)
     write_text(out / "run.toml", text)
     _copy_folders(found, out)
     return concluded(out, run, _selection(found), _results(found), gates, found[0].failures)
+
+
+@contextmanager
+def gates_in(shard: Path) -> Iterator[Path | None]:
+    """The thresholds of a shard as a file, for a while; None: the packaged ones. ConfigError: it is no whole shard."""
+    text = _card(shard)["gates"]
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "gates.toml"
+        path.write_text(text or "", encoding="utf-8")
+        yield None if text is None else path
 
 
 def _parts(folders: Sequence[Path]) -> tuple[Part, ...]:
@@ -93,7 +103,8 @@ def _parts(folders: Sequence[Path]) -> tuple[Part, ...]:
     return tuple(found)
 
 
-def _part(folder: Path) -> Part:
+def _card(folder: Path) -> Mapping[str, Any]:
+    """What `shard.json` says; ConfigError where it is not there or of another version."""
     try:
         card: Mapping[str, Any] = json.loads((folder / SHARD_CARD).read_text(encoding="utf-8"))
     except FileNotFoundError:
@@ -104,6 +115,11 @@ def _part(folder: Path) -> Part:
     if card.get("schema_version") != SCHEMA_VERSION:
         was = card.get("schema_version")
         raise ConfigError(f"{folder}: its tables are of version {was}, this replan reads {SCHEMA_VERSION}")
+    return card
+
+
+def _part(folder: Path) -> Part:
+    card = _card(folder)
     return Part(
         folder,
         Shard(card["number"], card["of"]),
@@ -159,15 +175,6 @@ def _check_all(found: Sequence[Part]) -> None:
 
 def _said(stamp: Stamp) -> str:
     return f"replan {stamp.replan}, code {stamp.code[:8]}"
-
-
-def _gates_file(text: str | None, folder: Path) -> Path | None:
-    """The thresholds of the shards as a file in `folder`; None: the packaged ones."""
-    if text is None:
-        return None
-    path = folder / "gates.toml"
-    path.write_text(text, encoding="utf-8")
-    return path
 
 
 def _selection(found: Sequence[Part]) -> Selection:

@@ -2,20 +2,23 @@
 
 Commands by what they are about:
 
-evaluate.py    what drives: evaluate, merge, vary, paper, calibrate
+evaluate.py    what drives: evaluate, vary, paper, calibrate
+shards.py      the shards of a run put together: merge
 report.py      the reports of results
 logs.py        what reads and writes logs: synth, convert, inspect, salvage, export
 results.py     what looks at results: view
 compare.py     run against run: compare, baseline
 plot.py        pictures of a drive: plot
-about.py       what replan knows: metrics
+about.py       what replan knows: list, metrics
+names.py       names for shell completion
+ending.py      what is said and written at the end of a run
 app.py         what they share
 """
 
-from replay.cli import evaluate, report, logs, results, compare, plot, about  # isort: skip  # the order of the help
+from replay.cli import evaluate, shards, report, logs, results, compare, plot, about  # isort: skip  # the order of the help
 from replay.cli.app import app
 
-__all__ = ["about", "app", "compare", "evaluate", "logs", "main", "plot", "report", "results"]
+__all__ = ["about", "app", "compare", "evaluate", "logs", "main", "plot", "report", "results", "shards"]
 
 
 def main() -> None:

@@ -5,12 +5,16 @@ from __future__ import annotations
 import os
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from logs.errors import ConfigError
-from replay.cli.app import answered, app
+from replay.cli.app import Json, answered, app, say_json
+
+if TYPE_CHECKING:
+    from metrics.compare import Comparison
+    from replay.compare import Opened
 
 EXIT_CODES = (
     "Exit codes: 0 no rule of comparison is broken; 1 one is; 2 wrong usage; 3 a run cannot be read; 4 inconclusive:"
@@ -35,7 +39,7 @@ def compare(
     gates: Annotated[
         Path | None, typer.Option(help="TOML file of thresholds and \\[\\[compare]] rules. Default: the packaged ones.")
     ] = None,
-    json: Annotated[bool, typer.Option("--json", help="Everything as JSON, instead of the tables.")] = False,
+    as_json: Json = False,
     no_partings: Annotated[
         bool, typer.Option("--no-partings", help="Do not look for where drives part: no trace is read.")
     ] = False,
@@ -49,10 +53,8 @@ def compare(
       replan compare results/run-001 --planner idm --planner dp_qp
     """
     with answered():
-        from rich.console import Console
-
-        from replay.compare import MOST_PARTINGS, compare_runs, opened, watched
-        from replay.report.compared import as_json, print_comparison
+        from replay.compare import MOST_PARTINGS, compare_runs, opened
+        from replay.report.compared import document
 
         planners = tuple(planner or ())
         if len(planners) > 2 or len(runs) > 2 or (len(runs) == 1 and len(planners) != 2):
@@ -60,13 +62,22 @@ def compare(
         baseline, candidate = opened(runs[0]), opened(runs[-1])
         most = 0 if no_partings else MOST_PARTINGS
         comparison = compare_runs(baseline, candidate, planners, gates=gates, partings=most)
-        if json:
-            typer.echo(as_json(comparison))
+        if as_json:
+            say_json(document(comparison))
         else:
-            wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 130
-            console = Console(width=wide, soft_wrap=False)
-            print_comparison(comparison, console, lambda *drive: watched(candidate, *drive))
+            shown(comparison, candidate)
         raise typer.Exit(comparison.exit_code)
+
+
+def shown(comparison: Comparison, candidate: Opened) -> None:
+    """A comparison as tables on stdout."""
+    from rich.console import Console
+
+    from replay.compare import watched
+    from replay.report.compared import print_comparison
+
+    wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 130
+    print_comparison(comparison, Console(width=wide, soft_wrap=False), lambda *drive: watched(candidate, *drive))
 
 
 @app.command()

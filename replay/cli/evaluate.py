@@ -1,10 +1,8 @@
-"""`replan evaluate | merge | vary | paper | calibrate`: what drives."""
+"""`replan evaluate | vary | paper | calibrate`: what drives."""
 
 from __future__ import annotations
 
-import os
 import signal
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -28,17 +26,12 @@ from replay.cli.app import (
     run_config,
     say_json,
 )  # fmt: skip
+from replay.cli.ending import EXIT_CODES, Baseline, NoReport, before_all, ended
 from replay.cli.names import completion
 
 if TYPE_CHECKING:
     from replay.batch import RunResult
     from replay.config import RunConfig
-    from replay.report.model import Overview
-
-EXIT_CODES = (
-    "Exit codes: 0 all gates pass; 1 a gate failed; 2 wrong usage or configuration; 3 a log or planner could not be"
-    " evaluated (the others were); 4 inconclusive: a gate had nothing to judge; 130 interrupted."
-)
 
 
 @app.command(epilog=EXIT_CODES)
@@ -137,10 +130,11 @@ def evaluate(
         typer.Option(min=1.0, help="Evaluate each log in parts of so many seconds."),
     ] = None,
     suite: Suite = None,
+    baseline: Baseline = None,
     shard: Annotated[
         str | None, typer.Option(metavar="I/N", help="Drive every N-th log only, from the I-th: see replan merge.")
     ] = None,
-    no_report: Annotated[bool, typer.Option("--no-report", help="Write no report.md and junit.xml.")] = False,
+    no_report: NoReport = False,
     as_json: Json = False,
     quiet: Quiet = False,
     verbose: Annotated[
@@ -181,11 +175,15 @@ def evaluate(
         }
         options["log"] = log_settings(config, ego, road_map, begin, end)
         run = run_config(config, options, loop).in_car(car)
+        if baseline is not None and shard is not None:
+            raise ConfigError("--shard drives a part only: give --baseline to replan merge")
+        before = None if baseline is None else before_all(baseline, run, run.gates_path, out)
         result = _evaluated(
             logs or [], run, out, cores() if workers is None else workers,
             resume=resume, window=window, suite=suite, shard=shard, quiet=quiet, verbose=verbose,
         )  # fmt: skip
-        raise typer.Exit(_say(result, report=not no_report, as_json=as_json, quiet=quiet))
+        code = ended(result, before, gates=run.gates_path, report=not no_report, as_json=as_json, quiet=quiet)
+        raise typer.Exit(code)
 
 
 @app.command()
@@ -294,67 +292,6 @@ def _evaluated(
             logs, run, out, workers=workers, resume=resume, window=window, suite=suite, shard=part,
             on_start=on_start, on_log=on_log,
         )  # fmt: skip
-
-
-def _say(result: RunResult, *, report: bool, as_json: bool, quiet: bool) -> int:
-    """The written reports, and on stdout the report; or summary.json and where it lies; or its last line.
-
-    Returns:
-        The exit code.
-    """
-    from replay.batch.run import summary
-    from replay.report.overview import overview
-    from replay.report.write import write_reports
-    from replay.results import load
-
-    results = load(result.out)
-    over = overview(results)
-    if report:
-        write_reports(results, over, result.out)
-    if as_json:
-        say_json({"results": result.out, **summary(result)})
-    elif quiet:
-        typer.echo(f"Outcome: {over.outcome.upper()} (exit code {over.exit_code}); results: {result.out}")
-    else:
-        _print(result, over)
-    return over.exit_code
-
-
-def _print(result: RunResult, over: Overview) -> None:
-    from rich.console import Console
-
-    from replay.report.terminal import print_report
-
-    wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 110
-    if result.resumed:
-        typer.echo(f"Resumed: {result.resumed} of {len(result.logs)} logs are those of the interrupted run")
-    print_report(over, Console(width=wide, soft_wrap=False), result.out)
-
-
-@app.command(epilog=EXIT_CODES)
-def merge(
-    shards: Annotated[list[Path], typer.Argument(help="Result folders of all shards of a run, in any order.")],
-    out: Annotated[Path, typer.Option("--out", "-o", help="Result folder.")],
-    no_report: Annotated[bool, typer.Option("--no-report", help="Write no report.md and junit.xml.")] = False,
-    as_json: Json = False,
-    quiet: Quiet = False,
-) -> None:
-    """Put the shards of a run together and judge it: the tables are those of a run without shards, byte for byte.
-
-    Times are a clock's (timings.parquet): they are those of the shards. Shards of other logs, gates, settings or code,
-    that overlap, or of which one is missing, are refused.
-
-    [bold]Example[/bold]
-
-      replan evaluate my_logs/ --shard 1/2 -o shard-1
-      replan evaluate my_logs/ --shard 2/2 -o shard-2
-      replan merge shard-1 shard-2 -o results/merged
-    """
-    with answered():
-        from replay.batch.merge import merge as merged
-
-        result = merged(shards, out)
-        raise typer.Exit(_say(result, report=not no_report, as_json=as_json, quiet=quiet))
 
 
 @app.command()

@@ -28,7 +28,7 @@ def report(
     The HTML is one file that opens from disk: tables, charts, and a page for each of the 100 worst drives.
 
     `replan evaluate` and `replan merge` write them too. In CI the Markdown is also appended to the summary of the step
-    (GITHUB_STEP_SUMMARY).
+    (GITHUB_STEP_SUMMARY). Exit code 0 where they are written, whatever they say; `replan compare` judges.
 
     [bold]Examples[/bold]
 

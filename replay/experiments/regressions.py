@@ -1,10 +1,11 @@
 """Is a regression noticed? One of each kind is planted in the planner, and the run compared with the untouched one.
 
-python -m replay.experiments.regressions -o OUT [LOG ...] [--only NAME ...] [--workers N]
+python -m replay.experiments.regressions -o OUT [LOG ...] [--only NAME ...] [--ensemble N] [--workers N]
 
-Without logs: the built-in suite. OUT/NAME are the results, OUT/regressions.csv has a row per change (`COLUMNS`): exit
-code, the rules of comparison that it breaks (the packaged ones and `STRICT`), and where most of the drives part. The
-last three must break none: the same again, the ego's log moved by 1e-9, and another solver of the same problems.
+Logs are files, or names of the catalogue; without any: the built-in suite. OUT/NAME are the results,
+OUT/regressions.csv has a row per change (`COLUMNS`): exit code, the rules of comparison that it breaks (the packaged
+ones and `STRICT`), and where most of the drives part. The last three must break none: the same again, the ego's log
+moved by 1e-9, and another solver of the same problems.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from metrics.compare_rules import Rule
 from metrics.gates import Outcome
 from planners.dp_qp.planner import DpQp
 from replay.batch import evaluate_logs
-from replay.batch.sources import LogSource, builtin_suite
+from replay.batch.sources import LogSource, builtin_suite, select
 from replay.batch.tables import safe_name, write_file
 from replay.compare import compare_runs, opened
 from replay.config import RunConfig
@@ -114,18 +115,23 @@ HARMLESS = ("again", "tiny", "solver")
 """Must break no rule."""
 
 
-def compared(out: Path, names: Sequence[str], changes: Sequence[str], workers: int) -> Iterator[tuple[str, Comparison]]:
+def compared(
+    out: Path, names: Sequence[str], changes: Sequence[str], workers: int, ensemble: int = 0
+) -> Iterator[tuple[str, Comparison]]:
     """Each change, compared with the baseline, as it is there.
 
     Args:
         out: Folder for logs and results.
-        names: Of logs of the catalogue; none: the built-in suite.
+        names: Files, or names of logs of the catalogue; none: the built-in suite.
         changes: Of `CHANGES`.
         workers: Processes.
+        ensemble: Members of each drive of the baseline: with some, it is known which drives are fragile.
     """
-    sources = [LogSource(name) for name in names] or list(builtin_suite().sources)
+    files = [Path(name) for name in names if Path(name).exists()]
+    sources = [LogSource(name) for name in names if not Path(name).exists()]
+    sources += select(files).sources if files else () if names else builtin_suite().sources
     logs = [source.read() for source in sources]
-    baseline = _run(out, "baseline", Change("", BASE), logs, workers)
+    baseline = _run(out, "baseline", Change("", replace(BASE, ensemble=ensemble)), logs, workers)
     for name in changes:
         change = CHANGES[name]
         candidate = _run(out, name, change, logs, workers)
@@ -169,14 +175,15 @@ def row(name: str, comparison: Comparison) -> dict[str, Any]:
 def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("logs", nargs="*", help="names of the catalogue; none: the built-in suite")
+    parser.add_argument("logs", nargs="*", help="files, or names of the catalogue")
     parser.add_argument("-o", "--out", type=Path, required=True)
     parser.add_argument("--only", nargs="+", choices=list(CHANGES), default=list(CHANGES))
+    parser.add_argument("--ensemble", type=int, default=0)
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     asked = parser.parse_args()
     rows = []
     try:
-        for name, comparison in compared(asked.out, asked.logs, asked.only, asked.workers):
+        for name, comparison in compared(asked.out, asked.logs, asked.only, asked.workers, asked.ensemble):
             rows.append(row(name, comparison))
             sys.stdout.write("\n".join(f"{key}: {value}" for key, value in rows[-1].items()) + "\n\n")
             sys.stdout.flush()

@@ -5,8 +5,8 @@ Plain letters only, as `replay.report.terminal`.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import fields
 from math import isfinite
 from typing import Any
 
@@ -115,21 +115,22 @@ def _groups(comparison: Comparison) -> Iterator[RenderableType]:
     Of the reductions of one metric the one that changed most.
     """
     groups = comparison.groups[comparison.groups["delta"] != 0.0]
-    if groups.empty:
-        return
     asked = set(comparison.pairs.loc[comparison.pairs["asked"], "metric"])
     gated, suite = groups["metric"].isin(asked), groups["kind"] == "suite"
     size = groups["delta"].abs() / groups[["baseline", "candidate"]].abs().max(axis=1)
     rank = pd.DataFrame({"part": ~suite, "unsure": ~groups["significant"], "other": ~gated, "size": -size})
     shown = groups[suite & (gated | groups["significant"]) | ~suite & gated & groups["significant"]]
+    if shown.empty:
+        return
     shown = shown.loc[rank.loc[shown.index].sort_values(["part", "unsure", "other", "size"], kind="stable").index]
-    words = shown["metric"].str.partition(".")[0]
+    words = shown["metric"].map(lambda name: name.partition(".")[0])
     shown = shown[~shown.assign(metric=words)[["kind", "group", "planner", "mode", "metric"]].duplicated()]
     titles = ("logs of", "loop", "metric", "logs", "before", "after", "change [95 %]", "better", "worse")
     table = _grid(*titles, right=("logs", "before", "after", "better", "worse"))
     for row in _rows(shown.head(MOST_GROUPS)):
         inside = f" [{row.low:+.3g}, {row.high:+.3g}]" if isfinite(row.low) else ""
-        style = "" if not row.significant else "green" if row.better > row.worse else "red" if row.worse else "bold"
+        hurts = row.delta * {"lower": 1.0, "higher": -1.0}.get(row.direction, 0.0)
+        style = "" if not row.significant else "green" if hurts < 0.0 else "red" if hurts > 0.0 else "bold"
         change = Text(f"{row.delta:+.3g}{_unit(row.unit)}{inside}{' *' if row.significant else ''}", style=style)
         values = _number(row.baseline), _number(row.candidate)
         table.add_row(row.group, row.mode, row.metric, str(row.logs), *values, change, str(row.better), str(row.worse))
@@ -162,8 +163,12 @@ def _ending(comparison: Comparison) -> Iterator[RenderableType]:
     worse, better = int((pairs["worse"] > 0.0).sum()), int((pairs["worse"] < 0.0).sum())
     same = int((pairs["delta"] == 0.0).sum())
     yield Text(f"{drives} drives, {len(pairs)} values: {same} the same, {worse} worse, {better} better")
-    code = comparison.exit_code
-    yield Text(f"Comparison: {OUTCOMES[code].upper()} (exit code {code})", style=STYLES[OUTCOMES[code]])
+    yield Text(last_line(comparison), style=STYLES[OUTCOMES[comparison.exit_code]])
+
+
+def last_line(comparison: Comparison) -> str:
+    """The outcome in one line."""
+    return f"Comparison: {OUTCOMES[comparison.exit_code].upper()} (exit code {comparison.exit_code})"
 
 
 def _more(count: int, most: int) -> list[Text]:
@@ -182,22 +187,8 @@ def _unit(unit: str) -> str:
     return "" if unit in ("1", "count") else f" {unit}"
 
 
-def as_json(comparison: Comparison) -> str:
-    """All of it; of the pairs those that differ. NaN is null."""
-    pairs = comparison.pairs[comparison.pairs["delta"] != 0.0]
-    content: dict[str, Any] = {
-        "baseline": comparison.baseline,
-        "candidate": comparison.candidate,
-        "exit_code": comparison.exit_code,
-        "outcome": OUTCOMES[comparison.exit_code],
-        "differences": comparison.differences,
-        "only_in_baseline": comparison.only_in_baseline,
-        "only_in_candidate": comparison.only_in_candidate,
-        "rules": [
-            {"rule": said.rule, "outcome": said.outcome.value, "reason": said.reason} for said in comparison.verdicts
-        ],
-    }
-    tables = {"flips": comparison.flips, "pairs": pairs, "groups": comparison.groups, "partings": comparison.partings}
-    for name, table in tables.items():
-        content[name] = json.loads(table.to_json(orient="records", double_precision=15))
-    return json.dumps(content, indent=2, ensure_ascii=False)
+def document(comparison: Comparison) -> dict[str, Any]:
+    """All of it, for JSON; of the pairs those that differ."""
+    changed = comparison.pairs[comparison.pairs["delta"] != 0.0]
+    content = {item.name: getattr(comparison, item.name) for item in fields(comparison)}
+    return {"outcome": OUTCOMES[comparison.exit_code], "exit_code": comparison.exit_code, **content, "pairs": changed}

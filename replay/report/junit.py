@@ -24,6 +24,8 @@ from math import isfinite
 from typing import Any
 from xml.etree import ElementTree
 
+import pandas as pd
+
 from metrics.gates import Outcome
 from replay.report.model import Overview
 from replay.report.overview import log_outcomes
@@ -53,13 +55,15 @@ def junit(results: Results, over: Overview) -> str:
         results: The run.
         over: What reports say of it; with a baseline its comparison.
     """
+    said = log_outcomes(results)
     suites = [("run", list(_of_run(results, over)))]
     suites += [
-        (f"{planner}.{mode}", list(_of_drives(results, over, planner, mode))) for planner, mode in results.run.drives
+        (f"{planner}.{mode}", list(_of_drives(results, over, said, planner, mode)))
+        for planner, mode in results.run.drives
     ]
     if over.comparison is not None:
         rules = over.comparison.verdicts
-        suites.append(("compare", [Case("compare", said.rule, said.outcome.value, said.reason) for said in rules]))
+        suites.append(("compare", [Case("compare", one.rule, one.outcome.value, one.reason) for one in rules]))
     root = ElementTree.Element("testsuites")
     for i, (name, cases) in enumerate((name, cases) for name, cases in suites if cases):
         root.append(_suite(i, name, cases, over))
@@ -77,12 +81,12 @@ def _of_run(results: Results, over: Overview) -> Iterator[Case]:
             yield Case("run.all logs", gate.rule, gate.outcome, gate.reason)
 
 
-def _of_drives(results: Results, over: Overview, planner: str, mode: str) -> Iterator[Case]:
+def _of_drives(results: Results, over: Overview, said: pd.DataFrame, planner: str, mode: str) -> Iterator[Case]:
     """The tests of one planner and loop: gates over all logs, then each log."""
     for gate in over.gates:
         if (gate.planner, gate.mode) == (planner, mode) and (gate.over != WORST or gate.outcome == "inconclusive"):
             yield Case(f"{planner}.{mode}.{gate.group or 'all logs'}", gate.rule, gate.outcome, gate.reason)
-    said, together = log_outcomes(results), {gate.rule for gate in over.gates if gate.over != WORST}
+    together = {gate.rule for gate in over.gates if gate.over != WORST}
     said = said[(said["planner"] == planner) & (said["mode"] == mode) & ~said["gate"].isin(together)]
     rows = dict(iter(said.groupby("log", sort=False)))
     mine = results.drives[(results.drives["planner"] == planner) & (results.drives["mode"] == mode)]

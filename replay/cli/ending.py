@@ -1,0 +1,100 @@
+"""What is said and written at the end of a run, of `replan evaluate` and `replan merge` alike."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from logs.errors import ConfigError
+from replay.cli.app import say_json
+
+if TYPE_CHECKING:
+    from replay.batch import RunResult
+    from replay.compare import Opened
+    from replay.config import RunConfig
+    from replay.report.model import Overview
+
+EXIT_CODES = (
+    "Exit codes: 0 all gates pass; 1 a gate failed; 2 wrong usage or configuration; 3 a log or planner could not be"
+    " evaluated (the others were); 4 inconclusive: a gate had nothing to judge; 130 interrupted."
+)
+Baseline = Annotated[
+    Path | None,
+    typer.Option(help="Compare with this run (a folder, or a file of replan baseline): its rules count, too."),
+]
+NoReport = Annotated[bool, typer.Option("--no-report", help="Write no report.md and junit.xml.")]
+
+
+def before_all(path: Path, run: RunConfig, gates: Path | None, out: Path | None) -> Opened:
+    """The run to compare with, and the rules, read before anything is driven: what is wrong with them costs no run.
+
+    Raises:
+        ConfigError: One of them cannot be read, or the baseline lies in the result folder.
+    """
+    from metrics.compare_rules import load_rules
+    from replay.batch.one_log import all_metrics
+    from replay.compare import opened
+
+    if out is not None and path.resolve().is_relative_to(out.resolve()):
+        raise ConfigError(f"--baseline {path}: lies in the result folder {out}, which is cleared")
+    load_rules(gates, metrics=all_metrics(run))
+    return opened(path)
+
+
+def ended(
+    result: RunResult, before: Opened | None, *, gates: Path | None, report: bool, as_json: bool, quiet: bool
+) -> int:
+    """The written reports, and on stdout the report; or summary.json and where it lies; or its last lines.
+
+    Args:
+        result: The run.
+        before: What it is compared with.
+        gates: The file of its thresholds and rules; None: the packaged ones.
+        report: Whether files are written.
+        as_json: One document on stdout.
+        quiet: The outcome alone.
+
+    Returns:
+        The exit code.
+    """
+    from replay.batch.run import summary
+    from replay.cli.compare import shown
+    from replay.compare import compare_runs, opened
+    from replay.report.compared import document, last_line
+    from replay.report.overview import overview
+    from replay.report.write import write_reports
+    from replay.results import load
+
+    results = load(result.out)
+    after = None if before is None else opened(result.out)
+    compared = None if before is None or after is None else compare_runs(before, after, gates=gates)
+    over = overview(results, compared)
+    if report:
+        write_reports(results, over, result.out)
+    if as_json:
+        more = {} if compared is None else {"comparison": document(compared)}
+        say_json({"results": result.out, **summary(result), **more})
+    elif quiet:
+        typer.echo(f"Outcome: {over.outcome.upper()} (exit code {over.exit_code}); results: {result.out}")
+        if compared is not None:
+            typer.echo(last_line(compared))
+    else:
+        _print(result, over)
+        if compared is not None and after is not None:
+            shown(compared, after)
+    return over.exit_code
+
+
+def _print(result: RunResult, over: Overview) -> None:
+    from rich.console import Console
+
+    from replay.report.terminal import print_report
+
+    wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 110
+    if result.resumed:
+        typer.echo(f"Resumed: {result.resumed} of {len(result.logs)} logs are those of the interrupted run")
+    print_report(over, Console(width=wide, soft_wrap=False), result.out)

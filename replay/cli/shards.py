@@ -1,0 +1,44 @@
+"""`replan merge`: the shards of a run put together."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from replay.cli.app import Json, Quiet, answered, app
+from replay.cli.ending import EXIT_CODES, Baseline, NoReport, before_all, ended
+
+
+@app.command(epilog=EXIT_CODES)
+def merge(
+    shards: Annotated[list[Path], typer.Argument(help="Result folders of all shards of a run, in any order.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="Result folder.")],
+    baseline: Baseline = None,
+    no_report: NoReport = False,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Put the shards of a run together and judge it: the tables are those of a run without shards, byte for byte.
+
+    Times are a clock's (timings.parquet): they are those of the shards. Shards of other logs, gates, settings or code,
+    that overlap, or of which one is missing, are refused.
+
+    [bold]Example[/bold]
+
+      replan evaluate my_logs/ --shard 1/2 -o shard-1
+      replan evaluate my_logs/ --shard 2/2 -o shard-2
+      replan merge shard-1 shard-2 -o results/merged
+    """
+    with answered():
+        from replay.batch.merge import gates_in
+        from replay.batch.merge import merge as merged
+        from replay.config import load_run
+
+        with gates_in(shards[0]) as gates:
+            run = load_run(shards[0] / "run.toml")
+            before = None if baseline is None else before_all(baseline, run, gates, out)
+            result = merged(shards, out)
+            code = ended(result, before, gates=gates, report=not no_report, as_json=as_json, quiet=quiet)
+        raise typer.Exit(code)

@@ -1,0 +1,142 @@
+"""What the command line ends with, over every case: 0, 1, 2, 3, 4 or 130, and never a traceback."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import product
+from pathlib import Path
+
+import pytest
+from handmade import drive, lanes_along, scenario, square, straight, track, tracks
+from typer.testing import CliRunner
+
+from logs import Goal
+from logs.mcap import write_scenario
+from replay.cli import app
+from replay.report.overview import combined
+
+PLANNERS = """
+from planners.constant_speed import ConstantSpeed
+
+class Raising(ConstantSpeed):
+    def plan(self, frame):
+        raise RuntimeError("out of ideas")
+
+class Interrupted(ConstantSpeed):
+    def plan(self, frame):
+        raise KeyboardInterrupt
+"""
+GATES = {
+    "pass": 'metric = "fallback.rate"\nmax = 0',
+    "fail": 'metric = "fallback.rate"\nmin = 1',
+    "inconclusive": 'metric = "gap.min"\nmin = 0.5',
+    "tag": 'metric = "fallback.rate"\nmax = 0\ntags = ["rian"]',
+    "hour": 'metric = "coverage.driven_s.final"\nmin = 3600\nover = "sum"',
+    "sure": 'metric = "fallback.rate"\nmax = 0\nover = "pass_share"\nmin_share = 0.9\nconfident = true',
+    "key": 'metric = "fallback.rate"\nmaximum = 0',
+}
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Logs, gates, planners that misbehave, and results of two runs."""
+    folder = tmp_path_factory.mktemp("cases")
+    ego = drive(straight, 8.0, 2.9)
+    free = scenario(ego, road=lanes_along(ego), goal=Goal((square(27.0, 0.0, 4.0),)))
+    blocked = replace(free, tracks=tracks(track("wall", [0.0], [24.0], [0.0], static=True)))
+    for name, log in (("free", free), ("blocked", blocked)):
+        write_scenario(folder / f"{name}.mcap", replace(log, name=f"test/{name}"))
+    (folder / "broken.mcap").write_bytes((folder / "free.mcap").read_bytes()[:-100])
+    (folder / "misbehaving.py").write_text(PLANNERS, encoding="utf-8")
+    for name, rule in GATES.items():
+        (folder / f"{name}.toml").write_text(f"[[gate]]\n{rule}\n", encoding="utf-8")
+    both = (GATES[name] for name in ("fail", "inconclusive"))
+    (folder / "both.toml").write_text("".join(f"[[gate]]\n{rule}\n" for rule in both), encoding="utf-8")
+    quick = ("--workers", "0", "--no-recording", "--gates", str(folder / "pass.toml"))
+    for name, log in (("run", "free"), ("other", "blocked")):
+        CliRunner().invoke(
+            app, ["evaluate", str(folder / f"{log}.mcap"), "-p", "constant_speed", *quick, "-o", str(folder / name)]
+        )
+    rule = '[[compare]]\nmetric = "ttc.min"\nmax_decrease = 0.1\n'
+    (folder / "nothing.toml").write_text(f"[[gate]]\n{GATES['pass']}\n{rule}", encoding="utf-8")
+    (folder / "damaged.parquet").write_bytes(b"PAR1")
+    shutil.copytree(folder / "run", folder / "unfinished")
+    (folder / "unfinished" / "summary.json").unlink()
+    return folder
+
+
+EVALUATE = "evaluate {log} -p {planner} --gates {gates}.toml --workers 0 --no-recording -o {out}"
+
+
+def case(log: str = "free.mcap", planner: str = "constant_speed", gates: str = "pass", more: str = "") -> str:
+    return EVALUATE.format(log=log, planner=planner, gates=gates, out="OUT") + more
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        (case(), 0),
+        (case(more=" --quiet"), 0),
+        (case(more=" --json"), 0),
+        (case(more=" --no-report"), 0),
+        (case(gates="fail", more=" --shard 1/1"), 0),  # a shard is not judged
+        (case(gates="fail"), 1),
+        (case(gates="fail", more=" --quiet"), 1),
+        (case(gates="hour"), 1),
+        (case(more=" --baseline run"), 0),
+        (case("blocked.mcap", more=" --baseline run"), 1),  # its gate passes; the log of the baseline is missing
+        (case("blocked.mcap", more=" --baseline run --quiet"), 1),
+        (case("broken.mcap", more=" --baseline run"), 3),  # 3 beats 1
+        (case(more=" --baseline nowhere"), 2),
+        (case(gates="both"), 1),  # 1 beats 4
+        (case("nowhere.mcap"), 2),
+        (case(gates="nowhere"), 2),
+        (case(gates="key"), 2),
+        (case(planner="constant_sped"), 2),
+        (case(more=" --sideways"), 2),
+        (case(more=" --shard 3/2"), 2),
+        ("report nowhere", 2),
+        ("report unfinished -o OUT", 2),
+        ("merge run -o OUT", 2),
+        ("compare run nowhere", 2),
+        (case("broken.mcap"), 3),
+        (case("broken.mcap free.mcap", gates="fail"), 3),  # 3 beats 1
+        (case("broken.mcap free.mcap", gates="inconclusive"), 3),  # and 4
+        (case(planner="misbehaving:Raising"), 3),
+        (case(planner="misbehaving:Raising -p constant_speed", gates="fail"), 3),
+        (case(planner="no_such_module:X"), 3),
+        (case("broken.mcap", more=" --quiet"), 3),
+        (case(gates="inconclusive"), 4),
+        (case(gates="tag"), 4),
+        (case(gates="sure"), 4),  # one log shows no share of 90 %
+        (case(planner="misbehaving:Interrupted"), 130),
+        ("report run -o OUT", 0),
+        ("report run --baseline run -o OUT", 0),
+        ("report other --baseline run -o OUT", 0),  # they are written, whatever they say
+        ("report run --baseline nowhere -o OUT", 2),
+        ("compare run run", 0),
+        ("compare run other", 1),  # the log of the baseline is missing
+        ("compare damaged.parquet run", 3),
+        ("compare run run --gates nothing.toml", 4),
+        ("baseline run -o OUT.parquet", 0),
+    ],
+)
+def test_exit_codes(place: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: str, code: int) -> None:
+    monkeypatch.chdir(place)
+    monkeypatch.syspath_prepend(str(place))
+    done = CliRunner(env={"COLUMNS": "100"}).invoke(app, words.replace("OUT", str(tmp_path / "out")).split())
+    assert done.exit_code == code, done.output
+    assert done.exception is None or isinstance(done.exception, SystemExit)
+    assert "Traceback" not in done.stdout
+    if code in (2, 130):
+        assert "error" in done.stderr.lower() and not (tmp_path / "out" / "summary.json").exists()
+
+
+@pytest.mark.parametrize("order", [min, max])
+def test_of_several_exit_codes_2_beats_3_beats_1_beats_4(order: Callable[..., int]) -> None:
+    weight = [2, 3, 1, 4, 0]
+    for codes in product(weight, repeat=2):
+        assert combined(codes) == order(codes, key=lambda code: weight.index(code) * (1 if order is min else -1))
+    assert combined(()) == 0

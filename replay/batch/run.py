@@ -343,7 +343,8 @@ def _write(result: RunResult) -> None:
     write_parquet(result.out / "verdicts.parquet", said)
     labels = {log.name: LogLabels(log.family, log.dataset, log.tags) for log in result.logs}
     drives = pd.DataFrame([asdict(drive) for drive in result.drives], columns=["log", "planner", "mode", "oracle"])
-    stand = standings(said, drives, list(labels), result.run.drives)
+    crashed = [(failure.log, failure.planner, failure.mode) for failure in result.failures]
+    stand = standings(said, drives, list(labels), result.run.drives, crashed)
     write_parquet(result.out / "groups.parquet", groups(result.table, stand, labels))
     write_json(result.out / "summary.json", summary(result))
 

@@ -188,6 +188,13 @@ def test_significance_needs_the_logs_to_agree_and_to_be_enough() -> None:
     assert said(of(base, agree), RISES) == ["pass"]
 
 
+def test_a_rule_says_the_interval_of_the_table() -> None:
+    found = of({f"a{i}": 2.0 for i in range(8)}, {f"a{i}": 1.0 + 0.37 * (i * 5 % 8) for i in range(8)})
+    suite = found.groups[found.groups["kind"] == "suite"].iloc[0]
+    (verdict,) = judged((FALLS,), found, {}).verdicts
+    assert f"[{suite['low']:+.4g}, {suite['high']:+.4g}]" in verdict.reason
+
+
 @pytest.mark.parametrize(
     ("rule", "outcome"),
     [

@@ -34,7 +34,7 @@ RULES = """
 .chart .end{text-anchor:end}
 .chart .mid{text-anchor:middle}
 .chart .says{fill:$muted;font-style:italic;text-anchor:middle}
-.chart text.warn{fill:$bad;font-weight:bold;font-size:10px}
+.chart text.warn{fill:$bad;font-weight:bold;font-size:10px;paint-order:stroke;stroke:$ground;stroke-width:2.5px}
 .chart .ground{fill:$ground}
 .chart path{fill:none;stroke-linejoin:round}
 .chart .grid{stroke:$grid;stroke-width:1}

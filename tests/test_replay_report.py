@@ -232,6 +232,16 @@ def test_markdown_tables_are_those_of_the_overview(results: Results) -> None:
     assert "closed loop ended by" in drives[0] and len(drives[0]) == len(over.columns) + 5
 
 
+def test_of_many_drives_the_worst_are_in_sight(results: Results) -> None:
+    over = overview(results)
+    many = replace(over, drives=tuple(replace(over.drives[i % 6], log=f"log{i}") for i in range(60)))
+    shown, folded = (rows[1:] for rows in tables(markdown(many)) if rows[0][0] == "log")
+    assert (len(shown), len(folded)) == (25, 35)
+    weight = {"FAIL": 0, "inconclusive": 1, "-": 2, "pass": 3}
+    order = [weight[row[2]] for row in (*shown, *folded)]
+    assert order == sorted(order) and order[0] == 0
+
+
 def test_a_hostile_name_is_only_a_name(results: Results) -> None:
     text = markdown(overview(results))
     names = {row[0] for row in table(text, "log")[1:]}

@@ -29,12 +29,14 @@ Watch = Callable[[str, str, str], str]
 """Log, planner and mode to the command that shows the drive; "" where it is not at hand."""
 
 
-def print_comparison(comparison: Comparison, console: Console, watch: Watch = lambda log, planner, mode: "") -> None:
-    """The whole comparison."""
-    console.print(Group(*_parts(comparison, watch)))
+def print_comparison(
+    comparison: Comparison, console: Console, watch: Watch = lambda log, planner, mode: "", *, alone: bool = True
+) -> None:
+    """The whole comparison; its exit code where it is the command's (`alone`), and not a part of it."""
+    console.print(Group(*_parts(comparison, watch, alone=alone)))
 
 
-def _parts(comparison: Comparison, watch: Watch) -> Iterator[RenderableType]:
+def _parts(comparison: Comparison, watch: Watch, *, alone: bool) -> Iterator[RenderableType]:
     worst = comparison.regressions(1)
     command = watch(*worst.iloc[0][DRIVE]) if len(worst) else ""
     comparison = _with_planners(comparison)
@@ -47,7 +49,7 @@ def _parts(comparison: Comparison, watch: Watch) -> Iterator[RenderableType]:
     yield from _groups(comparison)
     yield from _partings(comparison)
     yield from _rules(comparison)
-    yield from _ending(comparison)
+    yield from _ending(comparison, alone=alone)
 
 
 def _rows(table: pd.DataFrame) -> Iterator[Any]:
@@ -172,18 +174,19 @@ def _rules(comparison: Comparison) -> Iterator[RenderableType]:
         yield from _titled("Rules", table)
 
 
-def _ending(comparison: Comparison) -> Iterator[RenderableType]:
+def _ending(comparison: Comparison, *, alone: bool) -> Iterator[RenderableType]:
     pairs = comparison.pairs
     drives = len(pairs[["log", "planner", "mode"]].drop_duplicates())
     worse, better = int((pairs["worse"] > 0.0).sum()), int((pairs["worse"] < 0.0).sum())
     same = int((pairs["delta"] == 0.0).sum())
     yield Text(f"{drives} drives, {len(pairs)} values: {same} the same, {worse} worse, {better} better")
-    yield Text(last_line(comparison), style=STYLES[OUTCOMES[comparison.exit_code]])
+    yield Text(last_line(comparison, alone=alone), style=STYLES[OUTCOMES[comparison.exit_code]])
 
 
-def last_line(comparison: Comparison) -> str:
-    """The outcome in one line."""
-    return f"Comparison: {OUTCOMES[comparison.exit_code].upper()} (exit code {comparison.exit_code})"
+def last_line(comparison: Comparison, *, alone: bool = True) -> str:
+    """The outcome in one line, with the exit code where it is the command's."""
+    code = f" (exit code {comparison.exit_code})" if alone else ""
+    return f"Comparison: {OUTCOMES[comparison.exit_code].upper()}{code}"
 
 
 def _more(count: int, most: int) -> list[Text]:

@@ -143,7 +143,7 @@ def _said(rule: Rule, comparison: Comparison, labels: Mapping[str, LogLabels]) -
     if rule.max_flips is not None:
         return _flipped(rule, _scope(rule, comparison.flips, labels), _scope(rule, comparison.pairs, labels))
     mine = _scope(rule, comparison.pairs, labels)
-    mine = mine[(mine["metric"] == rule.metric) & mine["delta"].notna()]
+    mine = mine[(mine["metric"] == rule.metric) & mine["delta"].notna()].sort_values("log")  # draws as of the groups
     return _moved(rule, mine)
 
 

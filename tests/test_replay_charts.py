@@ -18,11 +18,13 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from typer.testing import CliRunner
 
-from logs import Decision, DecisionKind, Plan, PlannedFrame, PlanStatus, StGraph, Trajectory
-from logs.mcap import read_trace
+from logs import Decision, DecisionKind, PlanStatus
+from logs.mcap import read_moment, read_trace
+from logs.trace import LaneOption, Said
 from replay.batch import RunResult, evaluate_logs
 from replay.cli import app
 from replay.config import RunConfig
+from replay.recording.events import events
 from replay.report.charts import Chart, curves, decisions, scenes, sl_graph, st_graph, subject
 from replay.report.charts.axes import ticks
 from replay.report.charts.canvas import KEPT_PX, cut_line, cut_outline, polyline, px, simplified, text
@@ -152,7 +154,12 @@ HITS = ("collision_at_fault.count <= 0 [closed]", "fail", 1.0, 9.0, "car 7: with
         ([(*HITS[:3], nan, "")], NEAR, 6.0, "a gate fails, at no instant; least time to a collision: 2 s"),
         ([(BRAKES[0], "pass", 0.0, 1.0, "")], NEAR, 6.0, "no gate fails; least time to a collision: 2 s"),
         ([], NEAR[:1], 7.0, "no gate fails; least distance to another road user: 0.8 m (car 7)"),
-        ([], [("gap.min", False, nan, "m", nan, "alone")], 10.0, "no gate fails; nobody came near"),
+        (
+            [],
+            [("gap.min", False, nan, "m", nan, "alone")],
+            10.0,
+            "no gate fails; no distance to others was measured",
+        ),
     ],
 )
 def test_the_worst_moment_and_why(verdicts: list[Any], metrics: list[Any], t: float, why: str) -> None:
@@ -199,18 +206,17 @@ def test_the_metric_of_a_rule(rule: str, metric: str) -> None:
 # a drive ------------------------------------------------------------------------------------------------------------
 
 
-def frames(*kinds: DecisionKind | None) -> list[PlannedFrame]:
-    path = Trajectory(*np.zeros((7, 1)))
+def said(*kinds: DecisionKind | None) -> list[Said]:
     some = [() if kind is None else (Decision("ped 7", kind, "speed", f"why {i}"),) for i, kind in enumerate(kinds)]
     status = [PlanStatus.PLANNED, PlanStatus.HARD_STOP]
-    return [PlannedFrame(0.1 * i, Plan(path, status[i > 2], internals=inside)) for i, inside in enumerate(some)]
+    return [Said(0.1 * i, status[i > 2], "", inside) for i, inside in enumerate(some)]
 
 
 def test_decisions_hold_until_the_next_frame() -> None:
-    some = frames(None, DecisionKind.YIELD, DecisionKind.YIELD, None, DecisionKind.STOP, DecisionKind.IGNORE)
+    some = said(None, DecisionKind.YIELD, DecisionKind.YIELD, None, DecisionKind.STOP, DecisionKind.IGNORE)
     (row,) = decided(some, 1.0)
-    said = [(round(span.begin, 9), round(span.end, 9), span.word, span.why) for span in row.spans]
-    assert said == [(0.1, 0.3, "yield", "why 1"), (0.4, 0.5, "stop", "why 4")]
+    spans = [(round(span.begin, 9), round(span.end, 9), span.word, span.why) for span in row.spans]
+    assert spans == [(0.1, 0.3, "yield", "why 1"), (0.4, 0.5, "stop", "why 4")]
     assert [(span.word, round(span.end, 9)) for span in statuses(some, 1.0).spans] == [
         ("planned", 0.3),
         ("hard stop", 1.0),
@@ -218,18 +224,19 @@ def test_decisions_hold_until_the_next_frame() -> None:
     assert decided([], 1.0) == [] and statuses([], 1.0).spans == ()
 
 
-def test_a_trace_read_for_one_plan_is_the_trace(run: RunResult) -> None:
-    whole, _ = read_trace(load(run.out).drive(LOG, "dp_qp").trace_file)
-    part, _ = read_trace(load(run.out).drive(LOG, "dp_qp").trace_file, (3.04,))
-    kept = [frame.t for frame in part.frames if any(isinstance(item, StGraph) for item in frame.plan.internals)]
-    assert kept == [pytest.approx(3.0)] and [f.t for f in part.frames] == [f.t for f in whole.frames]
-    for one, other in zip(part.frames, whole.frames, strict=True):
-        np.testing.assert_array_equal(one.plan.trajectory.x, other.plan.trajectory.x)
-        told = [[item for item in f.plan.internals if isinstance(item, Decision)] for f in (one, other)]
-        assert told[0] == told[1] and one.plan.status is other.plan.status
-    assert [repr(item)[:40] for item in part.frames[30].plan.internals] == [
-        repr(item)[:40] for item in whole.frames[30].plan.internals
-    ]
+def test_a_moment_of_a_trace_is_that_of_the_whole(run: RunResult) -> None:
+    file = load(run.out).drive(LOG, "dp_qp").trace_file
+    (whole, _), (part, _, said) = read_trace(file), read_moment(file, 3.04)
+    (frame,) = part.frames
+    assert frame.t == whole.frames[30].t == pytest.approx(3.0) and len(frame.plan.internals) > 4
+    assert repr(frame.plan) == repr(whole.frames[30].plan) and repr(frame.predictions) == repr(
+        whole.frames[30].predictions
+    )
+    for one, other in zip(said, whole.frames, strict=True):
+        told = tuple(item for item in other.plan.internals if isinstance(item, (Decision, LaneOption)))
+        assert (one.t, one.status, one.reason, one.internals) == (other.t, other.plan.status, other.plan.reason, told)
+    assert events(part, said) == events(whole)
+    assert read_moment(file, -1.0)[0].frames == ()
 
 
 @pytest.mark.parametrize("planner", ["dp_qp", "constant_speed"])

@@ -91,7 +91,7 @@ def _compared(comparison: Comparison) -> dict[str, Any]:
     worse = comparison.regressions(MOST_REGRESSIONS, each=3)
     return {
         "of": comparison,
-        "flips": _dicts(comparison.flips),
+        "flips": _dicts(_failing_first(comparison.flips)),
         "regressions": _dicts(worse),
         "improvements": _dicts(comparison.improvements(MOST_IMPROVEMENTS)),
         "groups": _dicts(order.head(MOST_GROUPS)),
@@ -99,6 +99,11 @@ def _compared(comparison: Comparison) -> dict[str, Any]:
         "partings": _dicts(comparison.partings),
         "charts": [_markup(chart) for chart in _moved(comparison)],
     }
+
+
+def _failing_first(flips: pd.DataFrame) -> pd.DataFrame:
+    rank = 2 - 2 * (flips["after"] == "fail") - (flips["before"] == "fail")
+    return flips.loc[rank.sort_values(kind="stable").index]
 
 
 def _moved(comparison: Comparison) -> list[Chart]:

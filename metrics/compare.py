@@ -102,6 +102,7 @@ class Comparison:
         partings: `PARTING_COLUMNS`: where two drives part; empty where traces are not at hand.
         verdicts: One per rule.
         not_looked_at: In so many drives that differ it was not looked for where they part.
+        not_compared: Metrics that a gate or a rule asks of, and that the baseline has in another version or alone.
     """
 
     baseline: str
@@ -115,6 +116,7 @@ class Comparison:
     partings: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(PARTING_COLUMNS)))
     verdicts: tuple[RuleVerdict, ...] = ()
     not_looked_at: int = 0
+    not_compared: tuple[str, ...] = ()
 
     @property
     def exit_code(self) -> int:
@@ -151,9 +153,11 @@ def compare(baseline: Side, candidate: Side, gates: Gates, also: Collection[str]
     drives = [_drives(side) for side in (baseline, candidate)]
     changed = _changed_versions(baseline.table, candidate.table)
     fragile = _fragile(baseline.table) | _fragile(candidate.table)
-    pairs = _pairs(baseline.table, candidate.table, changed, {**dict.fromkeys(also, 0.0), **_bounds(gates)})
+    asked = {**dict.fromkeys(also, 0.0), **_bounds(gates)}
+    pairs = _pairs(baseline.table, candidate.table, changed, asked)
     pairs["fragile"] = _in(pairs, fragile)
     alone = _measured(baseline.table) ^ _measured(candidate.table)
+    valued = _measured(baseline.table[baseline.table["available"].astype(bool)])
     flips = _flips(baseline, candidate, gates, changed.keys() | alone, drives[0].keys() & drives[1].keys())
     flips["marginal"] |= _in(flips, fragile)
     return Comparison(
@@ -165,6 +169,7 @@ def compare(baseline: Side, candidate: Side, gates: Gates, also: Collection[str]
         pairs,
         flips,
         group_deltas(pairs, candidate.logs),
+        not_compared=tuple(sorted(asked.keys() & (changed.keys() | alone & valued))),
     )
 
 

@@ -72,7 +72,7 @@ def opened(path: Path | str) -> Opened:
     try:
         side = Side(path.name, results.metrics, _logs(results), _facts(results), _failed(results))
         return Opened(side, results, tuple(read_toml(path / "run.toml").get("metrics", ())))
-    except (OSError, pa.ArrowException, KeyError) as error:
+    except (OSError, ValueError, KeyError) as error:
         raise LogError(f"cannot be read as results: {error}", file=path) from None
 
 
@@ -147,11 +147,14 @@ def _baseline(path: Path) -> Opened:
         raise ConfigError(f"{path}: is no baseline; `replan baseline RESULTS -o {path.name}` writes one") from None
     except (OSError, pa.ArrowException, ValueError) as error:
         raise LogError(f"cannot be read as a baseline: {error}", file=path) from None
-    if head["schema_version"] != SCHEMA_VERSION:
-        raise ConfigError(f"{path}: of version {head['schema_version']}, this replan reads {SCHEMA_VERSION}")
-    rows = table.replace_schema_metadata(None).to_pandas().assign(source="")[list(COLUMNS)]
-    logs = pd.DataFrame(head["logs"], columns=["log", "sha256", "family", "dataset", "tags", "vehicle"])
-    return Opened(Side(path.name, rows, logs, head["facts"], head["failed"]), None, tuple(head["metrics"]))
+    try:
+        if head["schema_version"] != SCHEMA_VERSION:
+            raise ConfigError(f"{path}: of version {head['schema_version']}, this replan reads {SCHEMA_VERSION}")
+        rows = table.replace_schema_metadata(None).to_pandas().assign(source="")[list(COLUMNS)]
+        logs = pd.DataFrame(head["logs"], columns=["log", "sha256", "family", "dataset", "tags", "vehicle"])
+        return Opened(Side(path.name, rows, logs, head["facts"], head["failed"]), None, tuple(head["metrics"]))
+    except (KeyError, TypeError) as error:
+        raise LogError(f"cannot be read as a baseline: something is missing in it: {error}", file=path) from None
 
 
 # comparing --------------------------------------------------------------------------------------------------------
@@ -239,7 +242,7 @@ def _with_partings(
     for log, planner, mode in order.itertuples(index=False, name=None):
         names = pair or (planner, planner)
         files = [results.drive(log, name, mode).trace_file for results, name in zip(both, names, strict=True)]
-        if files[0].read_bytes() == files[1].read_bytes():
+        if all(file.is_file() for file in files) and files[0].read_bytes() == files[1].read_bytes():
             continue
         looked += 1
         if looked <= most:

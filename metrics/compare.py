@@ -42,6 +42,8 @@ FLIP_COLUMNS = (
     *DRIVE, "gate", "metric", "before", "after", "value_before", "value_after", "time_s", "reason", "marginal",
 )  # fmt: skip
 PARTING_COLUMNS = (*DRIVE, "t_s", "stage", "what")
+BY_LOG = ("worst", "pass_share")
+"""What gates are `over` that each log passes or fails by itself."""
 NOT_ASKED = "not asked"
 """Outcome of an optional gate on a log without the value."""
 
@@ -258,8 +260,12 @@ def _flips(
     left_out: Collection[str],
     drives: Collection[tuple[str, str, str]],
 ) -> pd.DataFrame:
-    """Gates whose outcome on a drive of both runs is another one; what is only asked or no longer asked is none."""
-    rules = Gates(tuple(gate for gate in gates.gates if gate.metric not in left_out), gates.source)
+    """Gates whose outcome on a drive of both runs is another one; what is only asked or no longer asked is none.
+
+    Not of gates on a mean, median or sum: a log by itself breaks none of them.
+    """
+    asked = (gate for gate in gates.gates if gate.over in BY_LOG and gate.metric not in left_out)
+    rules = Gates(tuple(asked), gates.source)
     said = [_outcomes(rules, side, candidate.table) for side in (baseline, candidate)]
     metric = {str(gate): gate.metric for gate in rules.gates}
     rows = []

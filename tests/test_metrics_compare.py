@@ -210,6 +210,13 @@ def test_what_a_rule_asks(rule: Rule, outcome: str) -> None:
     assert said(found, rule) == [outcome]
 
 
+def test_a_log_does_not_flip_a_gate_on_a_mean() -> None:
+    runs = {"a1": 1.0, "a2": 1.0}, {"a1": 1.0, "a2": 0.4}
+    mean = of(*runs, replace(GAP, over="mean"))
+    assert mean.flips.empty and said(mean, NO_FLIPS) == ["pass"]
+    assert said(of(*runs, replace(GAP, over="pass_share", min_share=0.5)), NO_FLIPS) == ["fail"]
+
+
 def test_noise_and_fragile_drives_flip_nothing() -> None:
     near = {"a1": 0.5 + 1e-8}, {"a1": 0.5 - 1e-8}
     assert list(of(*near).flips["marginal"]) == [True] and said(of(*near), NO_FLIPS) == ["pass"]

@@ -58,6 +58,7 @@ class Side:
         logs: A row per log: log, sha256, family, dataset, tags (a list), vehicle (a hash, "" where it is not known).
         facts: What it was made with, as text: versions, every key of the configuration.
         failed: Logs that could not be evaluated, and why.
+        crashed: Drives (log, planner, mode) in which the planner failed: what the table has of them is a beginning.
     """
 
     label: str
@@ -65,6 +66,7 @@ class Side:
     logs: pd.DataFrame
     facts: Mapping[str, str]
     failed: Mapping[str, str]
+    crashed: tuple[tuple[str, str, str], ...] = ()
 
     @property
     def tags(self) -> dict[str, tuple[str, ...]]:
@@ -96,7 +98,8 @@ class Comparison:
     Attributes:
         baseline: Label; `candidate` likewise.
         differences: Inputs that are not the same, a sentence each.
-        only_in_baseline: Drives, "log, planner, mode loop"; `only_in_candidate` likewise.
+        only_in_baseline: Drives, "log, planner, mode loop", and those that failed in the candidate only;
+            `only_in_candidate` likewise.
         pairs: `PAIR_COLUMNS`, the worst regression first: those of metrics that are asked of, by (3), then others.
             A value that one of the runs lacks is NaN, and `reason` says why; else on whom the candidate's value is.
         flips: `FLIP_COLUMNS`: the outcome of a gate on a log is another one.
@@ -166,8 +169,8 @@ def compare(baseline: Side, candidate: Side, gates: Gates, also: Collection[str]
         baseline.label,
         candidate.label,
         tuple(_differences(baseline, candidate, changed)),
-        tuple(said for drive, said in drives[0].items() if drive not in drives[1]),
-        tuple(said for drive, said in drives[1].items() if drive not in drives[0]),
+        tuple(_alone(drives, baseline.crashed, candidate.crashed)),
+        tuple(_alone(drives[::-1], candidate.crashed, baseline.crashed)),
         pairs,
         flips,
         group_deltas(pairs, candidate.logs),
@@ -186,6 +189,17 @@ def _measured(table: pd.DataFrame) -> set[str]:
 def _drives(side: Side) -> dict[tuple[str, str, str], str]:
     keys = _driven(side.table)[DRIVE].drop_duplicates().itertuples(index=False, name=None)
     return {(log, planner, mode): f"{log}, {planner}, {mode} loop" for log, planner, mode in keys}
+
+
+def _alone(
+    drives: Sequence[Mapping[tuple[str, str, str], str]], mine: Collection[object], theirs: Collection[object]
+) -> Iterator[str]:
+    """The drives that only the first run has, or that failed in the other only."""
+    for drive, said in drives[0].items():
+        if drive not in drives[1]:
+            yield said
+        elif drive in theirs and drive not in mine:
+            yield f"{said} (failed)"
 
 
 def _changed_versions(one: pd.DataFrame, two: pd.DataFrame) -> dict[str, str]:

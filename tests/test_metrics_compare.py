@@ -229,6 +229,15 @@ def test_noise_and_fragile_drives_flip_nothing() -> None:
     assert verdicts[0].reason == "0 flips; 1 marginal" and "fragile and left out: 1" in verdicts[1].reason
 
 
+def test_a_drive_in_which_the_planner_failed_is_missing() -> None:
+    one, two = side("old", row("a1", 1.0)), side("new", row("a1", 1.0))
+    crashed = replace(two, crashed=(("a1", "dp_qp", "closed"),))
+    found = compare(one, crashed, Gates((GAP,), "test"))
+    assert found.only_in_baseline == ("a1, dp_qp, closed loop (failed)",) and said(found, NONE_MISSING) == ["fail"]
+    assert said(compare(crashed, crashed, Gates((GAP,), "test")), NONE_MISSING) == ["pass"]
+    assert compare(crashed, two, Gates((GAP,), "test")).only_in_candidate == ("a1, dp_qp, closed loop (failed)",)
+
+
 def test_evidence_that_is_gone_is_no_pass() -> None:
     logs = [f"a{i}" for i in range(20)]
     base, gone = dict.fromkeys(logs, 1.0), dict.fromkeys(logs[:3], np.nan)

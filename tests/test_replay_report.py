@@ -319,6 +319,6 @@ def test_replan_report_writes_them_where_it_is_told(results: Results, tmp_path: 
     clean = {key: None for key in os.environ if key.startswith("GITHUB_")}
     done = CliRunner(env=clean).invoke(app, ["report", str(results.path), "-o", str(tmp_path / "reports")])
     assert done.exit_code == 0, done.output
-    assert sorted(path.name for path in (tmp_path / "reports").iterdir()) == ["junit.xml", "report.md"]
+    assert sorted(path.name for path in (tmp_path / "reports").iterdir()) == ["junit.xml", "report.html", "report.md"]
     assert "](" not in (tmp_path / "reports/report.md").read_text(encoding="utf-8").replace("\\](", "")
     assert CliRunner(env=clean).invoke(app, ["report", str(tmp_path / "nowhere")]).exit_code == 2

@@ -42,6 +42,8 @@ FLIP_COLUMNS = (
     *DRIVE, "gate", "metric", "before", "after", "value_before", "value_after", "time_s", "reason", "marginal",
 )  # fmt: skip
 PARTING_COLUMNS = (*DRIVE, "t_s", "stage", "what")
+BY_LOG = ("worst", "pass_share")
+"""What gates are `over` that each log passes or fails by itself."""
 NOT_ASKED = "not asked"
 """Outcome of an optional gate on a log without the value."""
 
@@ -56,6 +58,7 @@ class Side:
         logs: A row per log: log, sha256, family, dataset, tags (a list), vehicle (a hash, "" where it is not known).
         facts: What it was made with, as text: versions, every key of the configuration.
         failed: Logs that could not be evaluated, and why.
+        crashed: Drives (log, planner, mode) in which the planner failed: what the table has of them is a beginning.
     """
 
     label: str
@@ -63,6 +66,7 @@ class Side:
     logs: pd.DataFrame
     facts: Mapping[str, str]
     failed: Mapping[str, str]
+    crashed: tuple[tuple[str, str, str], ...] = ()
 
     @property
     def tags(self) -> dict[str, tuple[str, ...]]:
@@ -94,7 +98,8 @@ class Comparison:
     Attributes:
         baseline: Label; `candidate` likewise.
         differences: Inputs that are not the same, a sentence each.
-        only_in_baseline: Drives, "log, planner, mode loop"; `only_in_candidate` likewise.
+        only_in_baseline: Drives, "log, planner, mode loop", and those that failed in the candidate only;
+            `only_in_candidate` likewise.
         pairs: `PAIR_COLUMNS`, the worst regression first: those of metrics that are asked of, by (3), then others.
             A value that one of the runs lacks is NaN, and `reason` says why; else on whom the candidate's value is.
         flips: `FLIP_COLUMNS`: the outcome of a gate on a log is another one.
@@ -102,6 +107,7 @@ class Comparison:
         partings: `PARTING_COLUMNS`: where two drives part; empty where traces are not at hand.
         verdicts: One per rule.
         not_looked_at: In so many drives that differ it was not looked for where they part.
+        not_compared: Metrics that a gate or a rule asks of, and that the baseline has in another version or alone.
     """
 
     baseline: str
@@ -115,6 +121,7 @@ class Comparison:
     partings: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(PARTING_COLUMNS)))
     verdicts: tuple[RuleVerdict, ...] = ()
     not_looked_at: int = 0
+    not_compared: tuple[str, ...] = ()
 
     @property
     def exit_code(self) -> int:
@@ -151,20 +158,23 @@ def compare(baseline: Side, candidate: Side, gates: Gates, also: Collection[str]
     drives = [_drives(side) for side in (baseline, candidate)]
     changed = _changed_versions(baseline.table, candidate.table)
     fragile = _fragile(baseline.table) | _fragile(candidate.table)
-    pairs = _pairs(baseline.table, candidate.table, changed, {**dict.fromkeys(also, 0.0), **_bounds(gates)})
+    asked = {**dict.fromkeys(also, 0.0), **_bounds(gates)}
+    pairs = _pairs(baseline.table, candidate.table, changed, asked)
     pairs["fragile"] = _in(pairs, fragile)
     alone = _measured(baseline.table) ^ _measured(candidate.table)
+    valued = _measured(baseline.table[baseline.table["available"].astype(bool)])
     flips = _flips(baseline, candidate, gates, changed.keys() | alone, drives[0].keys() & drives[1].keys())
     flips["marginal"] |= _in(flips, fragile)
     return Comparison(
         baseline.label,
         candidate.label,
         tuple(_differences(baseline, candidate, changed)),
-        tuple(said for drive, said in drives[0].items() if drive not in drives[1]),
-        tuple(said for drive, said in drives[1].items() if drive not in drives[0]),
+        tuple(_alone(drives, baseline.crashed, candidate.crashed)),
+        tuple(_alone(drives[::-1], candidate.crashed, baseline.crashed)),
         pairs,
         flips,
         group_deltas(pairs, candidate.logs),
+        not_compared=tuple(sorted(asked.keys() & (changed.keys() | alone & valued))),
     )
 
 
@@ -179,6 +189,17 @@ def _measured(table: pd.DataFrame) -> set[str]:
 def _drives(side: Side) -> dict[tuple[str, str, str], str]:
     keys = _driven(side.table)[DRIVE].drop_duplicates().itertuples(index=False, name=None)
     return {(log, planner, mode): f"{log}, {planner}, {mode} loop" for log, planner, mode in keys}
+
+
+def _alone(
+    drives: Sequence[Mapping[tuple[str, str, str], str]], mine: Collection[object], theirs: Collection[object]
+) -> Iterator[str]:
+    """The drives that only the first run has, or that failed in the other only."""
+    for drive, said in drives[0].items():
+        if drive not in drives[1]:
+            yield said
+        elif drive in theirs and drive not in mine:
+            yield f"{said} (failed)"
 
 
 def _changed_versions(one: pd.DataFrame, two: pd.DataFrame) -> dict[str, str]:
@@ -253,8 +274,12 @@ def _flips(
     left_out: Collection[str],
     drives: Collection[tuple[str, str, str]],
 ) -> pd.DataFrame:
-    """Gates whose outcome on a drive of both runs is another one; what is only asked or no longer asked is none."""
-    rules = Gates(tuple(gate for gate in gates.gates if gate.metric not in left_out), gates.source)
+    """Gates whose outcome on a drive of both runs is another one; what is only asked or no longer asked is none.
+
+    Not of gates on a mean, median or sum: a log by itself breaks none of them.
+    """
+    asked = (gate for gate in gates.gates if gate.over in BY_LOG and gate.metric not in left_out)
+    rules = Gates(tuple(asked), gates.source)
     said = [_outcomes(rules, side, candidate.table) for side in (baseline, candidate)]
     metric = {str(gate): gate.metric for gate in rules.gates}
     rows = []

@@ -182,7 +182,8 @@ def test_significance_needs_the_logs_to_agree_and_to_be_enough() -> None:
     agree = {name: 1.5 - 0.01 * i for i, name in enumerate(names)}
     split = {name: 1.0 if i else 6.0 for i, name in enumerate(names)}
     few = dict(list(agree.items())[:-1])
-    assert [said(of(base, now), FALLS)[0] for now in (agree, split, few)] == ["fail", "pass", "pass"]
+    assert [said(of(base, now), FALLS)[0] for now in (agree, split, few)] == ["fail", "pass", "inconclusive"]
+    assert said(of(base, dict.fromkeys(few, 2.1)), FALLS) == ["pass"]
     assert said(of(base, few), replace(FALLS, significant=False)) == ["fail"]
     assert said(of(base, agree), replace(FALLS, max_decrease=0.6)) == ["pass"]
     assert said(of(base, agree), RISES) == ["pass"]
@@ -216,6 +217,13 @@ def test_what_a_rule_asks(rule: Rule, outcome: str) -> None:
     assert said(found, rule) == [outcome]
 
 
+def test_a_log_does_not_flip_a_gate_on_a_mean() -> None:
+    runs = {"a1": 1.0, "a2": 1.0}, {"a1": 1.0, "a2": 0.4}
+    mean = of(*runs, replace(GAP, over="mean"))
+    assert mean.flips.empty and said(mean, NO_FLIPS) == ["pass"]
+    assert said(of(*runs, replace(GAP, over="pass_share", min_share=0.5)), NO_FLIPS) == ["fail"]
+
+
 def test_noise_and_fragile_drives_flip_nothing() -> None:
     near = {"a1": 0.5 + 1e-8}, {"a1": 0.5 - 1e-8}
     assert list(of(*near).flips["marginal"]) == [True] and said(of(*near), NO_FLIPS) == ["pass"]
@@ -226,6 +234,32 @@ def test_noise_and_fragile_drives_flip_nothing() -> None:
     verdicts = judged((NO_FLIPS, Rule("gap.min", max_decrease=0.1, over="worst")), found, {}).verdicts
     assert [verdict.outcome for verdict in verdicts] == [Outcome.PASS] * 2
     assert verdicts[0].reason == "0 flips; 1 marginal" and "fragile and left out: 1" in verdicts[1].reason
+
+
+def test_a_drive_in_which_the_planner_failed_is_missing() -> None:
+    one, two = side("old", row("a1", 1.0)), side("new", row("a1", 1.0))
+    crashed = replace(two, crashed=(("a1", "dp_qp", "closed"),))
+    found = compare(one, crashed, Gates((GAP,), "test"))
+    assert found.only_in_baseline == ("a1, dp_qp, closed loop (failed)",) and said(found, NONE_MISSING) == ["fail"]
+    assert said(compare(crashed, crashed, Gates((GAP,), "test")), NONE_MISSING) == ["pass"]
+    assert compare(crashed, two, Gates((GAP,), "test")).only_in_candidate == ("a1, dp_qp, closed loop (failed)",)
+
+
+def test_evidence_that_is_gone_is_no_pass() -> None:
+    logs = [f"a{i}" for i in range(20)]
+    base, gone = dict.fromkeys(logs, 1.0), dict.fromkeys(logs[:3], np.nan)
+    assert said(of(base, base | gone), NO_FLIPS) == ["inconclusive"]  # 3 of 20 without a value
+    assert said(of(base, base | dict.fromkeys(logs[:2], np.nan)), NO_FLIPS) == ["pass"]
+    assert said(of(base, base | gone, replace(GAP, optional=True)), NO_FLIPS) == ["pass"]
+    optional = replace(RISES, optional=True)
+    for now in (row("a1", 0.1, version=2), row("a1", 0.1, metric="thw.min")):
+        found = compare(side("old", row("a1", 1.0)), side("new", now), Gates((GAP,), "test"))
+        assert found.not_compared == ("gap.min",) and said(found, optional) == ["inconclusive"]
+    other = [row("a1", 1.0, metric="thw.min")]
+    found = compare(
+        side("old", row("a1", 1.0), *other), side("new", row("a1", 0.1, version=2), *other), Gates((GAP,), "")
+    )
+    assert said(found, NO_FLIPS, replace(NO_FLIPS, gate="thw.min")) == ["inconclusive", "pass"]
 
 
 def test_rules_and_gates_share_a_file(tmp_path: Path) -> None:

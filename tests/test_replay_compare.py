@@ -112,6 +112,24 @@ def test_what_cannot_be_read_is_named(runs: tuple[Path, Path], tmp_path: Path) -
     ):
         with pytest.raises(error, match=words):
             opened(path)
+    assert replan("baseline", runs[0], "-o", tmp_path).exit_code == 2  # a folder is there
+
+
+def test_a_damaged_folder_is_an_error_in_one_line(runs: tuple[Path, Path], tmp_path: Path) -> None:
+    lost = tmp_path / "lost"
+    shutil.copytree(runs[1], lost)
+    for trace in lost.glob("*/*.mcap"):
+        trace.unlink()
+    assert set(of(runs[0], lost).partings["stage"]) == {"not known"}
+    for file, content, code in (
+        ("metrics.parquet", "PAR1", 3), ("verdicts.parquet", "", 3), ("timings.parquet", None, 3),
+        ("summary.json", "[]", 2), ("summary.json", '{"schema_version": 1}', 2),
+    ):  # fmt: skip
+        damaged = tmp_path / f"{file}-{content}"
+        shutil.copytree(runs[1], damaged)
+        (damaged / file).unlink() if content is None else (damaged / file).write_text(content)
+        result = replan("report", damaged)
+        assert result.exit_code == code and file in result.stderr and "Traceback" not in result.stderr
 
 
 # the command line -------------------------------------------------------------------------------------------------

@@ -25,7 +25,7 @@ Baseline = Annotated[
     Path | None,
     typer.Option(help="Compare with this run (a folder, or a file of replan baseline): its rules count, too."),
 ]
-NoReport = Annotated[bool, typer.Option("--no-report", help="Write no report.md and junit.xml.")]
+NoReport = Annotated[bool, typer.Option("--no-report", help="Write no report.html, report.md and junit.xml.")]
 
 
 def before_all(path: Path, run: RunConfig, gates: Path | None, out: Path | None) -> Opened:

@@ -9,7 +9,8 @@ For a log i that both runs drove, and a metric of one version in both (planner a
 
 Both tables are judged by the same gates, and with the same reference drives (the candidate's): a flip comes from the
 drive, and not from another gate file or another careful driver. It is marginal, and no rule counts it, where the value
-moved by no more than the noise of (1), or where one of the runs had an ensemble that found the drive fragile.
+moved by no more than the noise of (1), or where the baseline had an ensemble that found the drive fragile: a candidate
+does not excuse itself.
 """
 
 from __future__ import annotations
@@ -107,6 +108,7 @@ class Comparison:
         partings: `PARTING_COLUMNS`: where two drives part; empty where traces are not at hand.
         verdicts: One per rule.
         not_looked_at: In so many drives that differ it was not looked for where they part.
+        other_logs: Logs of one name that have another content (SHA-256) in the two runs.
         not_compared: Metrics that a gate or a rule asks of, and that the baseline has in another version or alone.
     """
 
@@ -122,6 +124,7 @@ class Comparison:
     verdicts: tuple[RuleVerdict, ...] = ()
     not_looked_at: int = 0
     not_compared: tuple[str, ...] = ()
+    other_logs: tuple[str, ...] = ()
 
     @property
     def exit_code(self) -> int:
@@ -157,7 +160,7 @@ def compare(baseline: Side, candidate: Side, gates: Gates, also: Collection[str]
     """
     drives = [_drives(side) for side in (baseline, candidate)]
     changed = _changed_versions(baseline.table, candidate.table)
-    fragile = _fragile(baseline.table) | _fragile(candidate.table)
+    fragile = _fragile(baseline.table)
     asked = {**dict.fromkeys(also, 0.0), **_bounds(gates)}
     pairs = _pairs(baseline.table, candidate.table, changed, asked)
     pairs["fragile"] = _in(pairs, fragile)
@@ -175,6 +178,7 @@ def compare(baseline: Side, candidate: Side, gates: Gates, also: Collection[str]
         flips,
         group_deltas(pairs, candidate.logs),
         not_compared=tuple(sorted(asked.keys() & (changed.keys() | alone & valued))),
+        other_logs=tuple(_other(baseline, candidate, "sha256")),
     )
 
 
@@ -331,10 +335,8 @@ def _differences(baseline: Side, candidate: Side, changed: Mapping[str, str]) ->
     for word, keys in (("baseline", [k for k in old if k not in new]), ("candidate", [k for k in new if k not in old])):
         if keys:
             yield f"settings of the {word} only: {_named(keys)}"
-    both = baseline.logs.merge(candidate.logs, on="log", suffixes=("_b", "_c"))
     for column, what in (("sha256", "another SHA-256"), ("vehicle", "another vehicle")):
-        known = (both[f"{column}_b"] != "") & (both[f"{column}_c"] != "")
-        names = list(both.loc[known & (both[f"{column}_b"] != both[f"{column}_c"]), "log"])
+        names = _other(baseline, candidate, column)
         if names:
             yield f"logs with {what}: {_named(names)}"
     if changed:
@@ -344,6 +346,13 @@ def _differences(baseline: Side, candidate: Side, changed: Mapping[str, str]) ->
         alone = [name for name in one if name not in set(two)]
         if alone:
             yield f"metrics in the {word} only: {_named(alone)}"
+
+
+def _other(baseline: Side, candidate: Side, column: str) -> list[str]:
+    """Logs of both runs of which a column is known and not the same."""
+    both = baseline.logs.merge(candidate.logs, on="log", suffixes=("_b", "_c"))
+    known = (both[f"{column}_b"] != "") & (both[f"{column}_c"] != "")
+    return list(both.loc[known & (both[f"{column}_b"] != both[f"{column}_c"]), "log"])
 
 
 def _named(names: Sequence[str]) -> str:

@@ -153,8 +153,7 @@ def _said(rule: Rule, comparison: Comparison, labels: Mapping[str, LogLabels]) -
     if rule.metric in comparison.not_compared:
         return RuleVerdict(str(rule), Outcome.INCONCLUSIVE, f"nothing to judge: {_incomparable([rule.metric])}")
     mine = _scope(rule, comparison.pairs, labels)
-    mine = mine[(mine["metric"] == rule.metric) & mine["delta"].notna()].sort_values("log")  # draws as of the groups
-    return _moved(rule, mine)
+    return _moved(rule, mine[mine["metric"] == rule.metric].sort_values("log"))  # draws as of the groups
 
 
 def _scope(rule: Rule, table: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.DataFrame:
@@ -168,13 +167,23 @@ def _scope(rule: Rule, table: pd.DataFrame, labels: Mapping[str, LogLabels]) -> 
 
 def _missing(rule: Rule, comparison: Comparison) -> RuleVerdict:
     gone = comparison.only_in_baseline
-    names = f": {'; '.join(gone[:3])}{'; ...' if len(gone) > 3 else ''}" if gone else ""
-    outcome = Outcome.FAIL if len(gone) > rule.limit else Outcome.PASS
-    return RuleVerdict(str(rule), outcome, f"missing in the candidate: {len(gone)} of the baseline's drives{names}")
+    names = f": {_few(gone, '; ')}" if gone else ""
+    reason = f"missing in the candidate: {len(gone)} of the baseline's drives{names}"
+    if len(gone) > rule.limit:
+        return RuleVerdict(str(rule), Outcome.FAIL, reason)
+    other = comparison.other_logs
+    if other:
+        reason += f"; with another content (SHA-256), so no longer the same: {_few(other)}"
+    return RuleVerdict(str(rule), Outcome.INCONCLUSIVE if other else Outcome.PASS, reason)
 
 
 def _incomparable(metrics: Sequence[str]) -> str:
-    return f"of another version, or in the baseline only: {', '.join(metrics[:3])}{', ...' if len(metrics) > 3 else ''}"
+    return f"of another version, or in the baseline only: {_few(metrics)}"
+
+
+def _few(names: Sequence[str], between: str = ", ") -> str:
+    """The first three of names."""
+    return between.join([*names[:3], *(["..."] if len(names) > 3 else [])])
 
 
 def _flipped(rule: Rule, flips: pd.DataFrame, pairs: pd.DataFrame, gone: Sequence[str]) -> RuleVerdict | None:
@@ -213,9 +222,10 @@ def _nothing(rule: Rule) -> RuleVerdict | None:
 
 def _moved(rule: Rule, pairs: pd.DataFrame) -> RuleVerdict | None:
     """What the rule says of the planner and loop that it is broken most by."""
-    if pairs.empty:
+    if not pairs["baseline"].notna().any():
         return _nothing(rule)
-    found = [_change(rule, f"{p}, {m} loop", rows) for (p, m), rows in pairs.groupby(["planner", "mode"], sort=True)]
+    by = pairs[pairs["baseline"].notna()].groupby(["planner", "mode"], sort=True)
+    found = [_change(rule, f"{planner}, {mode} loop", rows) for (planner, mode), rows in by]
     _, outcome, reason = max(found, key=lambda one: (SEVERITY.index(one[1]), one[0]))
     return RuleVerdict(str(rule), outcome, reason)
 
@@ -223,6 +233,18 @@ def _moved(rule: Rule, pairs: pd.DataFrame) -> RuleVerdict | None:
 def _change(rule: Rule, who: str, rows: pd.DataFrame) -> tuple[float, Outcome, str]:
     """By how much one planner and loop is over the limit, what that means, and what was found."""
     sign = 1.0 if rule.max_increase is not None else -1.0
+    lost = rows[rows["delta"].isna()]
+    rows = rows[rows["delta"].notna()]
+    if rows.empty:
+        what = f"{who}: {rule.metric} has a value in {_logs(len(lost))} of the baseline, and in none of the candidate"
+        return -np.inf, Outcome.INCONCLUSIVE, what
+    over, outcome, reason = _of_values(rule, who, rows, sign)
+    aside = f"; no value any more in {_logs(len(lost))}" if len(lost) else ""
+    return over, outcome, f"{reason}{aside}"
+
+
+def _of_values(rule: Rule, who: str, rows: pd.DataFrame, sign: float) -> tuple[float, Outcome, str]:
+    """`_change` of the logs that have both values."""
     delta, unit = rows["delta"].to_numpy(float), _unit(str(rows["unit"].iloc[0]))
     if rule.over == "worst":
         return _worst(rule, who, rows, sign, unit)

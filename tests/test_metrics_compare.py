@@ -236,6 +236,28 @@ def test_noise_and_fragile_drives_flip_nothing() -> None:
     assert verdicts[0].reason == "0 flips; 1 marginal" and "fragile and left out: 1" in verdicts[1].reason
 
 
+def test_a_candidate_does_not_excuse_itself() -> None:
+    """Only where the baseline was fragile already is a flip no evidence."""
+    fragile = row("a1", 1.0, metric="ensemble.fragile")
+    found = compare(side("old", row("a1", 1.0)), side("new", row("a1", 0.1), fragile), Gates((GAP,), "test"))
+    assert list(found.flips["marginal"]) == [False] and said(found, NO_FLIPS) == ["fail"]
+
+
+def test_a_log_with_another_content_is_not_the_same_log() -> None:
+    one, two = side("old", row("a1", 1.0)), side("new", row("a1", 1.0), sha="2")
+    found = compare(one, two, Gates((GAP,), "test"))
+    (verdict,) = judged((NONE_MISSING,), found, {}).verdicts
+    assert found.other_logs == ("a1",) and verdict.outcome is Outcome.INCONCLUSIVE and "a1" in verdict.reason
+
+
+def test_values_that_are_gone_are_counted_and_all_gone_is_no_pass() -> None:
+    base = {f"a{i}": 1.0 for i in range(8)}
+    (verdict,) = judged((FALLS,), of(base, base | {"a0": np.nan}), {}).verdicts
+    assert verdict.outcome is Outcome.PASS and verdict.reason.endswith("over 7 logs; no value any more in 1 log")
+    (verdict,) = judged((FALLS,), of(base, dict.fromkeys(base, np.nan)), {}).verdicts
+    assert verdict.outcome is Outcome.INCONCLUSIVE and "in none of the candidate" in verdict.reason
+
+
 def test_a_drive_in_which_the_planner_failed_is_missing() -> None:
     one, two = side("old", row("a1", 1.0)), side("new", row("a1", 1.0))
     crashed = replace(two, crashed=(("a1", "dp_qp", "closed"),))

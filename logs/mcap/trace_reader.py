@@ -134,11 +134,12 @@ def _plan(message: native.Plan | native.PlanOutline) -> nouns.Plan:
         nouns.PlanStatus[message.status.upper()],
         message.reason,
         nouns.PlanStart[message.start.upper()],
-        tuple(_artefacts(message)),
+        tuple(artefacts_of(message)),
     )
 
 
-def _artefacts(message: native.Plan | native.PlanOutline) -> Iterator[nouns.Artefact]:
+def artefacts_of(message: native.Plan | native.PlanOutline) -> Iterator[nouns.Artefact]:
+    """The inside of a plan, kind by kind."""
     whole = message if isinstance(message, native.Plan) else None
     for d in message.decisions:
         yield nouns.Decision(d.agent, d.kind, d.stage, d.reason)

@@ -50,14 +50,16 @@ class Channel(Generic[T]):
         out: Where it writes.
         said: Where it prints (its stderr), read along so that it never has to wait; -1: nowhere.
         kind: What is received.
+        patient: Whether this side waits without deadlines: a planner.
     """
 
-    def __init__(self, into: int, out: int, kind: Any, said: int = -1) -> None:
+    def __init__(self, into: int, out: int, kind: Any, said: int = -1, *, patient: bool = False) -> None:
         self._into, self._out, self._said_at = into, out, said
         self._encoder, self._decoder = msgspec.msgpack.Encoder(enc_hook=_plain), msgspec.msgpack.Decoder(kind)
-        self._buffer, self.said = bytearray(PIPE_BYTES), b""
+        self._buffer, self._filled, self.said = bytearray(PIPE_BYTES), 0, b""
+        self._patient = patient
         for fd in {into, out, said} - {-1}:
-            os.set_blocking(fd, False)
+            os.set_blocking(fd, patient)
             widen(fd)
 
     def send(self, message: msgspec.Struct, deadline: float = float("inf")) -> None:
@@ -68,17 +70,20 @@ class Channel(Generic[T]):
             GoneError: It has closed the channel.
             TypeError: A value cannot be sent.
         """
-        self._encoder.encode_into(message, self._buffer, HEADER.size)
-        HEADER.pack_into(self._buffer, 0, len(self._buffer) - HEADER.size)
-        with memoryview(self._buffer) as whole:
-            sent = 0
-            while sent < len(whole):
-                try:
-                    sent += os.write(self._into, whole[sent:])
-                except BlockingIOError:
-                    self._wait(self._into, select.POLLOUT, deadline)
-                except OSError:
-                    raise GoneError from None
+        payload = self._encoder.encode(message)
+        left = [memoryview(HEADER.pack(len(payload))), memoryview(payload)]
+        while left:
+            try:
+                sent = os.writev(self._into, left)
+            except BlockingIOError:
+                self._wait(self._into, select.POLLOUT, deadline)
+                continue
+            except OSError:
+                raise GoneError from None
+            while left and sent >= len(left[0]):
+                sent -= len(left.pop(0))
+            if left:
+                left[0] = left[0][sent:]
 
     def receive(self, deadline: float = float("inf")) -> T:
         """The next message, where it comes before the deadline.
@@ -88,31 +93,35 @@ class Channel(Generic[T]):
             GoneError: The channel was closed.
             GarbageError: What came is no message of the type.
         """
-        (size,) = HEADER.unpack(self._read(HEADER.size, deadline))
+        self._read(HEADER.size, deadline)
+        (size,) = HEADER.unpack_from(self._buffer)
         if size > LARGEST_BYTES:
             raise GarbageError(f"a message of {size} bytes")
+        end = HEADER.size + size
+        self._read(end, deadline)
         try:
-            found: T = self._decoder.decode(self._read(size, deadline))
+            found: T = self._decoder.decode(memoryview(self._buffer)[HEADER.size : end])
         except (msgspec.DecodeError, UnicodeDecodeError) as error:
             raise GarbageError(" ".join(str(error).split())) from None
+        rest = self._buffer[end : self._filled]
+        self._buffer[: len(rest)] = rest
+        self._filled = len(rest)
         return found
 
-    def _read(self, size: int, deadline: float) -> bytes | bytearray:
-        whole = bytearray()
-        while len(whole) < size:
-            try:
-                part = os.read(self._out, size - len(whole))
-            except BlockingIOError:
+    def _read(self, size: int, deadline: float) -> None:
+        """Until `size` bytes are in the buffer; what comes with them stays for the next message."""
+        if size > len(self._buffer):
+            self._buffer = self._buffer.ljust(size, b"\0")
+        while self._filled < size:
+            if not self._patient:
                 self._wait(self._out, select.POLLIN, deadline)
-                continue
+            try:
+                came = os.readv(self._out, [memoryview(self._buffer)[self._filled :]])
             except OSError:
                 raise GoneError from None
-            if not part:
+            if not came:
                 raise GoneError
-            if len(part) == size:
-                return part
-            whole += part
-        return whole
+            self._filled += came
 
     def _wait(self, fd: int, event: int, deadline: float) -> None:
         """Until `fd` is ready; what is printed meanwhile is kept."""

@@ -12,8 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
+import numpy as np
 
 from logs.errors import ConfigError, ReplanError, said
+from logs.states import Trajectory
 from logs.trace import Plan
 from planners.base import Planner
 from replay.apart import schema
@@ -25,7 +27,7 @@ from replay.stopwatch import Stopwatch
 
 def main() -> None:
     """Answer what comes on stdin until it closes."""
-    channel: Channel[Any] = Channel(os.dup(1), os.dup(0), schema.Question)
+    channel: Channel[Any] = Channel(os.dup(1), os.dup(0), schema.Question, patient=True)
     nothing = os.open(os.devnull, os.O_RDONLY)
     os.dup2(nothing, 0)
     os.close(nothing)
@@ -41,6 +43,11 @@ def main() -> None:
         pass
     finally:
         sys.stdout.flush()
+
+
+def warm() -> None:
+    """Load the kernel that every plan needs: the compiler takes 0.2 s to wake, once and not in each process."""
+    Trajectory(*np.arange(14.0).reshape(7, 2))
 
 
 class Seat:

@@ -42,6 +42,7 @@ def main() -> None:
     os.set_blocking(waker, False)
     signal.set_wakeup_fd(waker, warn_on_full_buffer=False)
     signal.signal(signal.SIGCHLD, lambda number, frame: None)
+    child.warm()
     gc.collect()
     gc.freeze()
     live: dict[int, int] = {}

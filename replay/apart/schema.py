@@ -24,8 +24,8 @@ from logs.states import EgoState
 from logs.vehicle import VehicleParameters
 
 SCHEMA_VERSION = 1
-LARGEST_BYTES = 256 << 20
-"""A longer message is none."""
+LARGEST_BYTES = 64 << 20
+"""A planner's message is no longer: the first four characters of any text would be a greater length."""
 
 Column = bytes | list[float]
 

@@ -9,6 +9,9 @@ from logs.errors import ConfigError
 from logs.trace import Trace
 from replay.sensor import SensorConfig
 
+TRUSTED = "the planner was trusted: it ran in the process that holds the log"
+"""The note of a drive whose planner was not kept apart and does not come with replan."""
+
 
 @dataclass(frozen=True)
 class ApartConfig:

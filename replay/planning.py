@@ -18,7 +18,7 @@ from logs.states import EgoState
 from logs.trace import Plan
 from planners.base import Planner
 from replay.apart.proxy import ApartPlanner, FaultError
-from replay.drive import ApartConfig, LoopConfig, StageTime
+from replay.drive import TRUSTED, ApartConfig, LoopConfig, StageTime
 from replay.oracle import ORACLES
 from replay.plan_check import checked
 from replay.planner_config import is_apart, is_built_in, planner_factory
@@ -27,7 +27,6 @@ from replay.stopwatch import Stopwatch
 SHORTEST_DRIVE_M = 10.0
 """A goal is made of a drive's end only where the drive led at least this far away."""
 GOAL_LENGTH_M, GOAL_WIDTH_M = 5.0, 4.0
-TRUSTED = "the planner was trusted: it ran in the process that holds the log"
 GIVEN_PATH = (
     "the road is the driven path: the planner knows where the log's driver went; open-loop errors across the path say"
     " nothing"

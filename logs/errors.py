@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from difflib import get_close_matches
 from pathlib import Path
+from traceback import extract_tb
 
 
 class ReplanError(Exception):
@@ -70,3 +71,10 @@ def unknown_name(kind: str, name: str, known: Iterable[str]) -> ConfigError:
     near = get_close_matches(name, names, n=1, cutoff=0.6)
     hint = f"did you mean '{near[0]}'?" if near else f"known are: {', '.join(names) or 'none'}"
     return ConfigError(f"no {kind} is called '{name}'; {hint}")
+
+
+def said(error: BaseException) -> str:
+    """An exception of a user's code in one line, with the place that raised it."""
+    places = extract_tb(error.__traceback__)
+    place = f" ({Path(places[-1].filename).name}:{places[-1].lineno})" if places else ""
+    return f"{type(error).__name__}: {' '.join(str(error).split())}{place}"

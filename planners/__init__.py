@@ -51,8 +51,8 @@ def load_planner(spec: str, *, also: Iterable[str] = ()) -> PlannerFactory:
     if spec in PLANNERS:
         return PLANNERS[spec]
     module_name, separator, class_name = spec.partition(":")
-    if module_name == "exec":
-        raise ConfigError(f"planner '{spec}': planners in a process of their own are not supported by this version")
+    if module_name in ("exec", "tcp"):
+        raise ConfigError(f"planner '{spec}': write exec:COMMAND or tcp://HOST:PORT; no such is loaded into Python")
     if not separator:
         raise unknown_name("planner", spec, [*PLANNERS, *also, "module:Class"])
     if not module_name or not class_name:
@@ -73,7 +73,7 @@ def _imported(spec: str, module_name: str) -> ModuleType:
             raise PlannerError(
                 f"planner '{spec}': {error}; '{package}' is the name of a package of replan, so a package of yours"
                 f" with that name cannot be imported beside it: rename yours"
-                f" (or, in a later version, run the planner in its own process with exec:COMMAND)"
+                f" (or run the planner as a program of its own: exec:COMMAND)"
             ) from error
         raise PlannerError(
             f"planner '{spec}': {error}; install the package, or run from its folder, or set PYTHONPATH"

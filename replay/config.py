@@ -1,6 +1,6 @@
 """What a run does: `RunConfig`, from a TOML file and back.
 
-    planners = ["dp_qp"]             # names, or "module:Class"
+    planners = ["dp_qp"]             # names, "module:Class", "exec:COMMAND" or "tcp://HOST:PORT"
     mode = "both"                    # "open", "closed" or "both"
     gates = "default"                # or a file of thresholds
     internals = "summary"            # what of a planner's inside goes into the traces: "none", "summary", "full"
@@ -13,6 +13,7 @@
 
     [log]                            # logs.readers.LogSettings: what logs do not say, or where they say it
     [loop]                           # LoopConfig
+    [loop.apart]                     # ApartConfig: planners of your own in their process, and its limits
     [planner.dp_qp]                  # keywords of the planner
     [vehicle]                        # VehicleParameters: takes the place of what the logs say
     set = "vw_vanagon"               # all of a known vehicle's, a file of `logs/vehicles`; other keys are put over it
@@ -51,7 +52,7 @@ class RunConfig:
     """One run: which planners, in which loops, judged by what.
 
     Attributes:
-        planners: Names of PLANNERS or ORACLES, or "module:Class"; one column of the results each.
+        planners: Names as `replay.planning.Planning` takes them; one column of the results each.
         mode: Which loops are run.
         gates: "default" (the packaged thresholds), or the path of a TOML file.
         internals: How much of the planner's inside is kept in the traces.

@@ -9,6 +9,41 @@ from logs.errors import ConfigError
 from logs.trace import Trace
 from replay.sensor import SensorConfig
 
+TRUSTED = "the planner was trusted: it ran in the process that holds the log"
+"""The note of a drive whose planner was not kept apart and does not come with replan."""
+
+
+@dataclass(frozen=True)
+class ApartConfig:
+    """How planners that are not built in are kept apart (docs/planners_apart.md).
+
+    Attributes:
+        trust: Planners named "module:Class" run in the process that holds the log: faster, and no limit holds.
+        plan_timeout_s: A plan may take so long.
+        start_timeout_s: Building the planner may take so long, and so may its first plan (kernels, models).
+        log_timeout_s: All of it may take so long in one drive; 0: no limit.
+        memory_gb: Data of the planner's process; 0: no limit.
+        environment: Variables that it is given beside `replay.apart.processes.ENVIRONMENT`.
+
+    Raises:
+        ConfigError: A limit is negative, or a plan has no time.
+    """
+
+    trust: bool = False
+    plan_timeout_s: float = 10.0
+    start_timeout_s: float = 60.0
+    log_timeout_s: float = 0.0
+    memory_gb: float = 8.0
+    environment: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("plan_timeout_s", "start_timeout_s"):
+            if not 1e-3 <= getattr(self, name) < 1e6:
+                raise ConfigError(f"loop.apart.{name} must be positive, got {getattr(self, name)}")
+        for name in ("log_timeout_s", "memory_gb"):
+            if not 0.0 <= getattr(self, name) < 1e6:
+                raise ConfigError(f"loop.apart.{name} must not be negative, got {getattr(self, name)}")
+
 
 @dataclass(frozen=True)
 class LoopConfig:
@@ -28,6 +63,7 @@ class LoopConfig:
         prediction: Name in `replay.prediction.PREDICTORS`, or "oracle": the log's own future, with traffic "time".
         prediction_horizon_s: How far the others are predicted.
         prediction_step_s: Time between two samples of a prediction.
+        apart: How planners that are not built in are kept apart.
 
     Raises:
         ConfigError: A period is not positive, or the periods do not fit.
@@ -45,6 +81,7 @@ class LoopConfig:
     plan_delay_s: float = 0.0
     perception: str = "ground_truth"
     sensor: SensorConfig = field(default_factory=SensorConfig)
+    apart: ApartConfig = field(default_factory=ApartConfig)
 
     def __post_init__(self) -> None:
         for name in ("plan_period_s", "control_period_s", "prediction_horizon_s", "prediction_step_s"):

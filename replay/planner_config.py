@@ -11,11 +11,31 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, is_dataclass
 from typing import Any, get_args, get_type_hints
 
-from planners import load_planner
+from planners import PLANNERS, load_planner
 from replay.config import dotted, known_keys, strict
+from replay.drive import ApartConfig
 from replay.oracle import ORACLES
 
 Factory = Callable[..., Any]
+
+
+FOREIGN = ("exec:", "tcp://")
+"""How planners are named that are no Python of ours to load."""
+
+
+def is_built_in(spec: str) -> bool:
+    """Whether a planner comes with replan."""
+    return spec in PLANNERS or spec in ORACLES
+
+
+def is_foreign(spec: str) -> bool:
+    """Whether a planner is a program or a node: "exec:COMMAND" or "tcp://HOST:PORT"."""
+    return spec.startswith(FOREIGN)
+
+
+def is_apart(spec: str, apart: ApartConfig) -> bool:
+    """Whether a planner runs in a process of its own; a name that is none at all does not."""
+    return is_foreign(spec) or (not is_built_in(spec) and all(spec.partition(":")) and not apart.trust)
 
 
 def planner_factory(spec: str) -> Factory:

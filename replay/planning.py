@@ -6,23 +6,22 @@ import inspect
 from collections.abc import Mapping
 from dataclasses import replace
 from math import cos, hypot, sin
-from pathlib import Path
-from traceback import extract_tb
 
 import numpy as np
 
-from logs.errors import ConfigError, PlannerError, ReplanError
+from logs.errors import ConfigError, PlannerError, ReplanError, said
 from logs.frame import Frame, PlannerContext
 from logs.road import Goal, Road, RoadSource
 from logs.scenario import Scenario
 from logs.shapes import corners
 from logs.states import EgoState
 from logs.trace import Plan
-from planners import load_planner
 from planners.base import Planner
-from replay.drive import LoopConfig, StageTime
+from replay.apart.proxy import ApartPlanner, FaultError
+from replay.drive import TRUSTED, ApartConfig, LoopConfig, StageTime
 from replay.oracle import ORACLES
 from replay.plan_check import checked
+from replay.planner_config import is_apart, is_built_in, planner_factory
 from replay.stopwatch import Stopwatch
 
 SHORTEST_DRIVE_M = 10.0
@@ -39,8 +38,8 @@ class Planning:
 
     Args:
         scenario: What is driven; only an oracle is given it.
-        spec: A name in PLANNERS or ORACLES, or "module:Class".
-        planner_config: Keywords of the planner.
+        spec: A name in PLANNERS or ORACLES, "module:Class", "exec:COMMAND" or "tcp://HOST:PORT".
+        planner_config: Keywords of the planner; of one that is kept apart, its table in the configuration.
         config: Of the loop.
         start: The ego at the first frame.
         keep_internals: Whether the plans keep what the planner wants to be seen, beside its solvers' reports.
@@ -67,14 +66,15 @@ class Planning:
         goal, note = goal_of(scenario)
         self.is_oracle = spec in ORACLES
         given = GIVEN_PATH if scenario.road.source is RoadSource.DRIVEN_PATH else ""
-        self.notes = tuple(filter(None, (note, given)))
+        trusted = "" if is_built_in(spec) or is_apart(spec, config.apart) else TRUSTED
+        self.notes = tuple(filter(None, (note, given, trusted)))
         self.goal = goal
         self._keep = keep_internals
         self._name = f"planner '{spec}' on {scenario.name}"
         self._watch = Stopwatch()
         period = config.plan_period_ns / 1e9
         context = PlannerContext(_own(scenario.road), goal, scenario.vehicle, period, start, self._watch.lap)
-        self._planner = self._built(spec, context, scenario, planner_config)
+        self._planner = self._built(spec, context, scenario, planner_config, config.apart)
 
     @property
     def timings(self) -> tuple[StageTime, ...]:
@@ -82,20 +82,24 @@ class Planning:
         return self._watch.times
 
     def _built(
-        self, spec: str, context: PlannerContext, scenario: Scenario, planner_config: Mapping[str, object]
+        self, spec: str, context: PlannerContext, scenario: Scenario, table: Mapping[str, object], apart: ApartConfig
     ) -> Planner:
-        factory = ORACLES[spec] if spec in ORACLES else load_planner(spec, also=ORACLES)
-        arguments = (context, scenario) if spec in ORACLES else (context,)
         try:
-            inspect.signature(factory).bind(*arguments, **planner_config)
-        except TypeError as error:
-            raise ConfigError(f"planner '{spec}' cannot be built so: {error}") from None
-        try:
-            return factory(*arguments, **planner_config)
+            if is_apart(spec, apart):
+                return ApartPlanner(spec, context, table, apart, self._watch.took, keep_internals=self._keep)
+            factory = planner_factory(spec)
+            arguments = (context, scenario) if spec in ORACLES else (context,)
+            try:
+                inspect.signature(factory).bind(*arguments, **table)
+            except TypeError as error:
+                raise ConfigError(f"planner '{spec}' cannot be built so: {error}") from None
+            return factory(*arguments, **table)
         except ReplanError:
             raise
+        except FaultError as error:
+            raise PlannerError(f"{self._name} {error}") from None
         except Exception as error:
-            raise PlannerError(f"{self._name} cannot be built: {_said(error)}") from error
+            raise PlannerError(f"{self._name} cannot be built: {said(error)}") from error
 
     def plan(self, frame: Frame) -> Plan:
         """The plan for a frame, as it may be driven and judged (`replay.plan_check`), with what is kept of it.
@@ -108,8 +112,10 @@ class Planning:
         self._watch.start()
         try:
             plan = self._planner.plan(frame)
+        except FaultError as error:
+            raise PlannerError(f"{self._name} {error}") from None
         except Exception as error:
-            raise PlannerError(f"{self._name} raised at {frame.t:.2f} s: {_said(error)}") from error
+            raise PlannerError(f"{self._name} raised at {frame.t:.2f} s: {said(error)}") from error
         finally:
             self._watch.stop(frame.t)
         fault = _fault(plan, frame)
@@ -133,13 +139,6 @@ def _fault(plan: object, frame: Frame) -> str:
     if plan.status.is_fallback and not plan.reason:
         return f"its status is '{plan.status.value}' without a reason"
     return ""
-
-
-def _said(error: Exception) -> str:
-    """An exception in one line, with the place that raised it."""
-    places = extract_tb(error.__traceback__)
-    place = f" ({Path(places[-1].filename).name}:{places[-1].lineno})" if places else ""
-    return f"{type(error).__name__}: {' '.join(str(error).split())}{place}"
 
 
 def goal_of(scenario: Scenario) -> tuple[Goal | None, str]:

@@ -37,6 +37,15 @@ class Stopwatch:
         self._laps.pop("total", None)
         self._plans.append((t, {**self._laps, "total": total}))
 
+    def took(self, stage: str, seconds: float) -> None:
+        """A stage that another process has measured."""
+        self._laps[stage] = self._laps.get(stage, 0.0) + seconds
+
+    @property
+    def laps(self) -> dict[str, float]:
+        """The stages of the plan made last, s."""
+        return self._laps
+
     @property
     def times(self) -> tuple[StageTime, ...]:
         """Of all plans so far: their stages in order of their first lap, then "total"."""

@@ -263,7 +263,7 @@ def test_a_name_that_is_none_is_a_configuration_error() -> None:
         load_planner("loged", also=ORACLES)
     with pytest.raises(ConfigError, match="module:Class"):
         load_planner("mine:")
-    with pytest.raises(ConfigError, match="not supported"):
+    with pytest.raises(ConfigError, match="no such is loaded into Python"):
         load_planner("exec:./planner")
 
 

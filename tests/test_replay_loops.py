@@ -45,12 +45,13 @@ from logs.trace import Artefact, Internals
 from metrics.safety import contacts
 from planners.constant_speed import ConstantSpeed
 from replay.closed_loop import run_closed_loop
-from replay.drive import Drive, LoopConfig
+from replay.drive import ApartConfig, Drive, LoopConfig
 from replay.open_loop import frame_times, run_open_loop
 from replay.stopwatch import Stopwatch
 from replay.world import World, box_center, contact, logged_ego
 
 BY_TIME = LoopConfig(traffic="time")
+TRUSTED = LoopConfig(apart=ApartConfig(trust=True))  # so that tests can see into planners
 Run = Callable[..., Drive]
 RUNS = (run_open_loop, run_closed_loop)
 CAR = VehicleParameters()
@@ -125,10 +126,10 @@ def test_frame_previous_is_the_plan_being_driven(plugin: ModuleType) -> None:
 
     plugin.Remembers = Remembers  # type: ignore[attr-defined]
     made = scenario(drive(straight, 10.0, 1.0))
-    run_closed_loop(made, "plugin:Remembers")
+    run_closed_loop(made, "plugin:Remembers", config=TRUSTED)
     assert [a for a, _ in seen] == [None, *(b for _, b in seen[:-1])]
     seen.clear()
-    run_open_loop(made, "plugin:Remembers")
+    run_open_loop(made, "plugin:Remembers", config=TRUSTED)
     assert {a for a, _ in seen} == {None}
 
 
@@ -150,9 +151,9 @@ def test_internals_are_built_only_where_they_are_kept_and_not_carried_on(plugin:
 
     plugin.Shows = Shows  # type: ignore[attr-defined]
     made = scenario(drive(straight, 10.0, 1.0))
-    unseen = run(made, "plugin:Shows", keep_internals=False).trace
+    unseen = run(made, "plugin:Shows", config=TRUSTED, keep_internals=False).trace
     assert not built and {frame.plan.internals for frame in unseen.frames} == {(report,)}
-    seen = run(made, "plugin:Shows").trace
+    seen = run(made, "plugin:Shows", config=TRUSTED).trace
     assert built == [frame.t for frame in seen.frames] and all(len(frame.plan.internals) == 2 for frame in seen.frames)
     assert all(
         isinstance(plan.internals, tuple) for plan in before if plan is not None
@@ -368,12 +369,12 @@ def test_without_a_goal_it_is_where_the_drive_ended(plugin: ModuleType) -> None:
             super().__init__(context)
 
     plugin.Asks = Asks  # type: ignore[attr-defined]
-    trace = run_closed_loop(scenario(drive(straight, 10.0, 5.0)), "plugin:Asks").trace
+    trace = run_closed_loop(scenario(drive(straight, 10.0, 5.0)), "plugin:Asks", config=TRUSTED).trace
     assert trace.end is EndReason.GOAL and trace.ego.x[-1] == pytest.approx(47.5, abs=0.11)
     assert any("where its drive ended" in note for note in trace.notes)
     stays = scenario(drive(straight, 0.5, 5.0), road=lanes_along(drive(straight, 10.0, 5.0)))
-    assert run_closed_loop(stays, "plugin:Asks").trace.end is EndReason.END_OF_LOG
-    run_open_loop(scenario(drive(straight, 10.0, 5.0)), "plugin:Asks")
+    assert run_closed_loop(stays, "plugin:Asks", config=TRUSTED).trace.end is EndReason.END_OF_LOG
+    run_open_loop(scenario(drive(straight, 10.0, 5.0)), "plugin:Asks", config=TRUSTED)
     assert goals[0] is not None and goals[0].holds_place(50.0 + CAR.axle_to_center, 0.0)
     assert goals[1] is None and goals[2] is not None
 
@@ -462,7 +463,7 @@ def test_a_planner_that_fails_ends_the_drive_with_one_line(
     plugin: ModuleType, run: Run, broken: type, said: str, frames: int
 ) -> None:
     plugin.Broken = broken  # type: ignore[attr-defined]
-    trace: Trace = run(lasting(drive(straight, 10.0, 3.0), 3.0), "plugin:Broken").trace
+    trace: Trace = run(lasting(drive(straight, 10.0, 3.0), 3.0), "plugin:Broken", config=TRUSTED).trace
     assert trace.end is EndReason.PLANNER_FAILURE
     assert said in trace.detail and "\n" not in trace.detail
     assert "plugin:Broken" in trace.detail and "handmade" in trace.detail
@@ -480,9 +481,9 @@ def test_a_planner_that_cannot_be_built_is_an_error(plugin: ModuleType, run: Run
     plugin.NeedsMore = NeedsMore  # type: ignore[attr-defined]
     made = scenario(drive(straight, 10.0, 3.0))
     with pytest.raises(PlannerError, match=r"plugin:NeedsMore.*handmade.*weights\.bin"):
-        run(made, "plugin:NeedsMore")
+        run(made, "plugin:NeedsMore", config=TRUSTED)
     with pytest.raises(ConfigError, match="unexpected keyword argument 'wieght'"):
-        run(made, "plugin:NeedsMore", planner_config={"wieght": 2.0})
+        run(made, "plugin:NeedsMore", config=TRUSTED, planner_config={"wieght": 2.0})
     with pytest.raises(ConfigError, match="did you mean 'logged'"):
         run(made, "loged")
 
@@ -511,7 +512,7 @@ def test_what_the_others_do_later_changes_nothing_before(plugin: ModuleType) -> 
     one = lasting(log, 6.0, agents=tracks(track("a", log.t, log.x, np.full_like(far, 20.0))))
     two = lasting(log, 6.0, agents=tracks(track("a", log.t, log.x + far - 20.0, far)))
     for run in RUNS:
-        before, after = run(one, "plugin:Nosy").trace, run(two, "plugin:Nosy").trace
+        before, after = (run(each, "plugin:Nosy", config=TRUSTED).trace for each in (one, two))
         for a, b in zip(before.frames, after.frames, strict=True):
             if a.t < 3.05:
                 assert_same(a.plan.trajectory, b.plan.trajectory)
@@ -528,7 +529,7 @@ def test_an_s_curve_at_12_mps_is_tracked_within_the_aim(plugin: ModuleType) -> N
         drive = drive(s_curve, 12.0, 15.0)
 
     plugin.Center = Center  # type: ignore[attr-defined]
-    trace = run_closed_loop(lasting(drive(s_curve, 12.0, 14.0), 14.0), "plugin:Center").trace
+    trace = run_closed_loop(lasting(drive(s_curve, 12.0, 14.0), 14.0), "plugin:Center", config=TRUSTED).trace
     assert trace.end is EndReason.END_OF_LOG and trace.tracking is not None and trace.commands is not None
     assert np.abs(trace.tracking.lateral).max() < 0.02
     assert np.abs(trace.tracking.speed).max() < 0.02

@@ -15,6 +15,7 @@ from logs.scenario import Tracks
 from logs.states import wrapped
 from planners.constant_speed import arc
 from replay.closed_loop import run_closed_loop
+from replay.drive import ApartConfig, LoopConfig
 from replay.open_loop import run_open_loop
 from replay.plan_check import checked, of_positions
 from replay.prediction import predict
@@ -136,7 +137,7 @@ def test_what_comes_with_replan_is_never_refused(planner: str) -> None:
 def test_the_planner_of_each_loop_is_given_a_road_of_its_own() -> None:
     log = scenario(along(grid(1.0), 10.0))
     for run in (run_open_loop, run_closed_loop):
-        run(log, "test_replay_plan_check:Keeps")
+        run(log, "test_replay_plan_check:Keeps", config=LoopConfig(apart=ApartConfig(trust=True)))
     one, two = Keeps.roads
     assert one is not two
     assert not {id(lane) for lane in one.lanes.values()} & {id(lane) for lane in log.road.lanes.values()}

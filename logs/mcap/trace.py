@@ -84,7 +84,7 @@ def trace_record(trace: nouns.Trace, internals: Internals) -> dict[str, str]:
 def _trace_entries(trace: nouns.Trace, start_ns: int, internals: Internals) -> Iterator[Entry]:
     times = log_times(np.array([frame.t for frame in trace.frames]), start_ns, "/plan")
     for time, frame in zip(times, trace.frames, strict=True):
-        yield time, "/plan", _plan(frame.plan, internals)
+        yield time, "/plan", plan_message(frame.plan, internals)
         if internals != "none" and frame.predictions is not None:
             yield time, "/predictions", _predictions(frame, frame.predictions, full=internals == "full")
     if trace.perceived is not None:
@@ -117,7 +117,8 @@ def _predictions(frame: nouns.PlannedFrame, some: Predictions, *, full: bool) ->
     return native.Predictions(some.method, some.t[kept].tolist(), ids, probability, x, y)
 
 
-def _plan(plan: nouns.Plan, internals: Internals) -> native.Plan:
+def plan_message(plan: nouns.Plan, internals: Internals) -> native.Plan:
+    """A plan with as much of its inside as is asked for."""
     planned = plan.trajectory
     kept = nouns.kept_samples(planned.t) if internals == "none" else slice(None)
     columns = [getattr(planned, name)[kept].tolist() for name in TRAJECTORY_COLUMNS]

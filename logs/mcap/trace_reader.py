@@ -149,11 +149,12 @@ def _plan(message: native.Plan) -> nouns.Plan:
         nouns.PlanStatus[message.status.upper()],
         message.reason,
         nouns.PlanStart[message.start.upper()],
-        tuple(_artefacts(message)),
+        tuple(artefacts_of(message)),
     )
 
 
-def _artefacts(message: native.Plan) -> Iterator[nouns.Artefact]:
+def artefacts_of(message: native.Plan) -> Iterator[nouns.Artefact]:
+    """The inside of a plan, kind by kind."""
     decisions, lanes = _decided(message)
     yield from decisions
     for c in message.costs:

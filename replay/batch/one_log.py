@@ -35,7 +35,7 @@ from replay.config import RunConfig
 from replay.drive import Drive
 from replay.open_loop import run_open_loop
 from replay.perturb import perturbed
-from replay.planner_config import planner_keywords
+from replay.planner_config import is_apart, planner_keywords
 from replay.reference_drives import reference_table
 
 LOOPS = {Mode.OPEN: run_open_loop, Mode.CLOSED: run_closed_loop}
@@ -169,7 +169,8 @@ def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, pro
 
 
 def _driven(scenario: Scenario, planner: str, mode: Mode, run: RunConfig, *, keep: bool) -> Drive:
-    keywords = planner_keywords(planner, run.planner.get(planner, {}))
+    table = run.planner.get(planner, {})
+    keywords = table if is_apart(planner, run.loop.apart) else planner_keywords(planner, table)
     return LOOPS[mode](scenario, planner, planner_config=keywords, config=run.loop, keep_internals=keep)
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import importlib.util
 import shutil
+import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from hashlib import sha256
@@ -33,6 +34,9 @@ def stamp_of(run: RunConfig) -> Stamp:
     digest = sha256()
     for file in files:
         digest.update(f"{file.relative_to(root)}\n".encode() + file.read_bytes())
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.append(here)
     for name in (*run.planners, *run.metrics):
         module, separator, _ = name.partition(":")
         spec = importlib.util.find_spec(module) if separator else None

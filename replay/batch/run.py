@@ -24,6 +24,7 @@ from metrics.judge import Verdict, judge, outcomes
 from metrics.latency import SHARE as LATE
 from metrics.latency import judge_deadline
 from planners import PLANNERS
+from replay.apart.proxy import described
 from replay.batch.log_result import DriveRecord, Failure, LogResult, timings_of
 from replay.batch.one_log import all_metrics, evaluate_log
 from replay.batch.pool import WorkerLost, run_all
@@ -47,7 +48,7 @@ from replay.config import RunConfig, dump_run
 from replay.control import CONTROLLERS
 from replay.oracle import ORACLES
 from replay.perception import PERCEPTIONS, PREDICTIONS
-from replay.planner_config import resolved_table
+from replay.planner_config import is_apart, resolved_table
 from replay.traffic import TRAFFIC
 from replay.vehicle import VEHICLES
 from replay.version import replan_version
@@ -267,7 +268,10 @@ def _checked(run: RunConfig) -> tuple[RunConfig, tuple[Failure, ...]]:
     errors: list[PlannerError] = []
     for planner in run.planners:
         try:
-            left[planner] = resolved_table(planner, run.planner.get(planner, {}))
+            apart, table = run.loop.apart, run.planner.get(planner, {})
+            left[planner] = (
+                described(planner, table, apart) if is_apart(planner, apart) else resolved_table(planner, table)
+            )
         except PlannerError as error:
             errors.append(error)
     if not left:

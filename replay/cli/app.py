@@ -114,13 +114,19 @@ def _root(
     pass
 
 
-def run_config(config: Path | None, options: dict[str, Any], loop: dict[str, Any]) -> RunConfig:
+def run_config(
+    config: Path | None, options: dict[str, Any], loop: dict[str, Any], apart: dict[str, Any] | None = None
+) -> RunConfig:
     """The configuration file with the options over it; None is an option that was not given."""
     from replay.config import RunConfig, load_run
 
+    def over(table: Any, given: dict[str, Any]) -> Any:
+        return replace(table, **{key: value for key, value in given.items() if value is not None})
+
     run = RunConfig() if config is None else load_run(config)
-    looped = replace(run.loop, **{key: value for key, value in loop.items() if value is not None})
-    return replace(run, loop=looped, **{key: value for key, value in options.items() if value is not None})
+    limits = over(run.loop.apart, apart or {})
+    made: RunConfig = over(run, {**options, "loop": over(run.loop, {**loop, "apart": limits})})
+    return made
 
 
 def log_settings(

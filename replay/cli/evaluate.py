@@ -48,8 +48,20 @@ def evaluate(
             "--planner",
             "-p",
             autocompletion=completion("planner"),
-            help='A planner\'s name or "module:Class"; may be repeated. Default: dp_qp.',
+            help='A name, "module:Class", "exec:COMMAND" or "tcp://HOST:PORT"; may be repeated. Default: dp_qp.',
         ),
+    ] = None,
+    trust: Annotated[
+        bool, typer.Option("--trust", help="Run planners of your own in our process: faster, and no limit holds.")
+    ] = False,
+    plan_timeout: Annotated[
+        float | None, typer.Option(min=1e-3, help="Seconds after which a planner that does not answer is given up: 10.")
+    ] = None,
+    log_timeout: Annotated[
+        float | None, typer.Option(min=0.0, help="Seconds that it may take in a whole drive. Default: no limit.")
+    ] = None,
+    planner_memory: Annotated[
+        float | None, typer.Option(min=0.0, metavar="GB", help="What its process may hold; 0: no limit. Default: 8.")
     ] = None,
     metric: Annotated[
         list[str] | None, typer.Option(help='A metric of your own beside the built-in ones, "module:NAME"; repeatable.')
@@ -174,7 +186,13 @@ def evaluate(
             "plant": _settings(plant) if plant else None,
         }
         options["log"] = log_settings(config, ego, road_map, begin, end)
-        run = run_config(config, options, loop).in_car(car)
+        apart = {
+            "trust": trust or None,
+            "plan_timeout_s": plan_timeout,
+            "log_timeout_s": log_timeout,
+            "memory_gb": planner_memory,
+        }
+        run = run_config(config, options, loop, apart).in_car(car)
         if baseline is not None and shard is not None:
             raise ConfigError("--shard drives a part only: give --baseline to replan merge")
         before = None if baseline is None else before_all(baseline, run, run.gates_path, out)

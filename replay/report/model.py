@@ -174,7 +174,7 @@ class Overview:
         logs: How many were asked for.
         columns: Of `drives`.
         drives: In the order of the run.
-        planners: Names, oracles marked: columns of `compared`.
+        planners: Names, oracles and the trusted marked: columns of `compared`.
         compared: A label, and a text per planner.
         frames: How many plans the latencies are of.
         latency: By planner and stage, the whole plan last.

@@ -27,6 +27,7 @@ from metrics.gates import Outcome
 from metrics.judge import outcomes, worst
 from metrics.latency import judge_deadline
 from replay.batch import OUTCOMES
+from replay.drive import TRUSTED
 from replay.report.columns import COLUMNS, COMPARED, Column
 from replay.report.model import NOTHING, Cell, Coverage, DriveRow, GateRow, Overview, PassShare, StageTime
 from replay.results import Results
@@ -64,8 +65,8 @@ def overview(results: Results, comparison: Comparison | None = None) -> Overview
         logs=len(results.logs),
         columns=columns,
         drives=drives,
-        planners=tuple(marked(*one) for one in planners),
-        compared=_compared([planner for planner, _ in planners], modes, values),
+        planners=tuple(planners.values()),
+        compared=_compared(list(planners), modes, values),
         frames=int((results.timings["stage"] == "total").sum()),
         latency=tuple(_latency(results.timings)),
         gates=gates,
@@ -105,9 +106,10 @@ def combined(codes: Iterable[int]) -> int:
     return min(codes, key=EXIT_WEIGHT.index, default=0)
 
 
-def marked(planner: str, oracle: object) -> str:
-    """The planner's name, with a mark where it knows the log's future."""
-    return f"{planner} (oracle)" if oracle else planner
+def marked(drive: Any) -> str:
+    """The name of a drive's planner, with a mark where it knew the log's future, or could have looked."""
+    mark = " (oracle)" if drive.oracle else " (trusted)" if TRUSTED in list(drive.notes) else ""
+    return f"{drive.planner}{mark}"
 
 
 Values = Mapping[tuple[str, str, str, str], float]
@@ -120,8 +122,9 @@ def _values(table: pd.DataFrame) -> Values:
     return dict(zip(keys, map(float, found["value"]), strict=True))
 
 
-def _planners(drives: pd.DataFrame) -> list[tuple[str, bool]]:
-    return list(dict.fromkeys(zip(drives["planner"], map(bool, drives["oracle"]), strict=True)))
+def _planners(drives: pd.DataFrame) -> dict[str, str]:
+    """Names, and as they are marked."""
+    return {str(drive.planner): marked(drive) for drive in drives.itertuples()}
 
 
 # drives ---------------------------------------------------------------------------------------------------------------
@@ -135,7 +138,7 @@ def _drives(results: Results, values: Values, columns: Sequence[Column], said: p
         grouped.setdefault((str(drive.log), str(drive.planner)), []).append(drive)
     return tuple(
         DriveRow(
-            log, planner, marked(planner, bool(mine[0].oracle)), verdicts.get((log, planner), ""),
+            log, planner, marked(mine[0]), verdicts.get((log, planner), ""),
             _end(next((drive for drive in mine if drive.mode == "closed"), None)),
             tuple(_cell(column, values.get((log, planner, column.mode, column.metric), nan)) for column in columns),
             tuple(file for drive in mine for file in drive.files), folders[log],

@@ -24,6 +24,7 @@ from metrics.judge import Verdict, judge, outcomes
 from metrics.latency import SHARE as LATE
 from metrics.latency import judge_deadline
 from planners import PLANNERS
+from replay.batch.lock import held
 from replay.batch.log_result import DriveRecord, Failure, LogResult, timings_of
 from replay.batch.one_log import all_metrics, evaluate_log
 from replay.batch.pool import WorkerLost, run_all
@@ -138,7 +139,7 @@ def evaluate_logs(
 
     Raises:
         ConfigError: No logs, an unknown name, gates that cannot be read, a folder that is not ours to write, nothing
-            that could be resumed with these logs, this configuration and this code.
+            that could be resumed with these logs, this configuration and this code; another run writes into `out`.
         PlannerError: None of the planners can be loaded.
     """
     run = run or RunConfig()
@@ -150,20 +151,21 @@ def evaluate_logs(
         raise ConfigError("name the folder of the run to be resumed with --out")
     out = next_free() if out is None else Path(out)
     stamp = stamp_of(run)
-    done = finished(out, selection.sources, run, stamp) if resume else {}
-    if not done:
-        _check_outside(out, selection.sources, run)
-        claim(out)
-    write_text(out / "run.toml", dump_run(run))
-    on_start(selection, out)
-    try:
-        evaluate = partial(evaluate_log, run=run, out=out, stamp=stamp)
-        results = _evaluated(selection.sources, evaluate, done, workers, on_log)
-    finally:
-        clear_partial(out)
-    if shard is not None:
-        write_card(out, shard, whole, run, stamp, failures, results)
-    return concluded(out, run, selection, results, gates, failures, resumed=len(done), shard=shard)
+    with held(out):
+        done = finished(out, selection.sources, run, stamp) if resume else {}
+        if not done:
+            _check_outside(out, selection.sources, run)
+            claim(out)
+        write_text(out / "run.toml", dump_run(run))
+        on_start(selection, out)
+        try:
+            evaluate = partial(evaluate_log, run=run, out=out, stamp=stamp)
+            results = _evaluated(selection.sources, evaluate, done, workers, on_log)
+        finally:
+            clear_partial(out)
+        if shard is not None:
+            write_card(out, shard, whole, run, stamp, failures, results)
+        return concluded(out, run, selection, results, gates, failures, resumed=len(done), shard=shard)
 
 
 def gates_of(run: RunConfig, path: Path | None) -> Gates:

@@ -6,12 +6,10 @@ import inspect
 from collections.abc import Mapping
 from dataclasses import replace
 from math import cos, hypot, sin
-from pathlib import Path
-from traceback import extract_tb
 
 import numpy as np
 
-from logs.errors import ConfigError, PlannerError, ReplanError
+from logs.errors import ConfigError, PlannerError, ReplanError, raised
 from logs.frame import Frame, PlannerContext
 from logs.road import Goal, Road, RoadSource
 from logs.scenario import Scenario
@@ -94,8 +92,8 @@ class Planning:
             return factory(*arguments, **planner_config)
         except ReplanError:
             raise
-        except Exception as error:
-            raise PlannerError(f"{self._name} cannot be built: {_said(error)}") from error
+        except (Exception, SystemExit) as error:
+            raise PlannerError(f"{self._name} cannot be built: {raised(error)}") from error
 
     def plan(self, frame: Frame) -> Plan:
         """The plan for a frame, as it may be driven and judged (`replay.plan_check`), with what is kept of it.
@@ -108,8 +106,8 @@ class Planning:
         self._watch.start()
         try:
             plan = self._planner.plan(frame)
-        except Exception as error:
-            raise PlannerError(f"{self._name} raised at {frame.t:.2f} s: {_said(error)}") from error
+        except (Exception, SystemExit) as error:
+            raise PlannerError(f"{self._name} raised at {frame.t:.2f} s: {raised(error)}") from error
         finally:
             self._watch.stop(frame.t)
         fault = _fault(plan, frame)
@@ -133,13 +131,6 @@ def _fault(plan: object, frame: Frame) -> str:
     if plan.status.is_fallback and not plan.reason:
         return f"its status is '{plan.status.value}' without a reason"
     return ""
-
-
-def _said(error: Exception) -> str:
-    """An exception in one line, with the place that raised it."""
-    places = extract_tb(error.__traceback__)
-    place = f" ({Path(places[-1].filename).name}:{places[-1].lineno})" if places else ""
-    return f"{type(error).__name__}: {' '.join(str(error).split())}{place}"
 
 
 def goal_of(scenario: Scenario) -> tuple[Goal | None, str]:

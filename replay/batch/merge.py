@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from logs.errors import ConfigError
+from replay.batch.lock import held
 from replay.batch.log_result import Failure, LogResult, Stamp, kept
 from replay.batch.resume import changes, stamp_of
 from replay.batch.run import RunResult, concluded, gates_of
@@ -62,7 +63,8 @@ def merge(folders: Sequence[Path | str], out: Path | str) -> RunResult:
 
     Raises:
         ConfigError: A folder is no whole shard; they are of different runs (logs, configuration, gates, version, code),
-            or of another version or code than there is now; one is there twice or missing; `out` is not ours to write.
+            or of another version or code than there is now; one is there twice or missing; `out` is not ours to write,
+            or in use.
     """
     found, out = _parts([Path(folder) for folder in folders]), Path(out)
     _check_outside(found, out)
@@ -70,10 +72,11 @@ def merge(folders: Sequence[Path | str], out: Path | str) -> RunResult:
     run = replace(load_run(found[0].folder / "run.toml"), gates=str(read_toml(found[0].folder / "run.toml")["gates"]))
     with gates_in(found[0].folder) as path:
         gates = gates_of(run, path)
-    claim(out)
-    write_text(out / "run.toml", text)
-    _copy_folders(found, out)
-    return concluded(out, run, _selection(found), _results(found), gates, found[0].failures)
+    with held(out):
+        claim(out)
+        write_text(out / "run.toml", text)
+        _copy_folders(found, out)
+        return concluded(out, run, _selection(found), _results(found), gates, found[0].failures)
 
 
 @contextmanager

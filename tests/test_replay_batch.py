@@ -93,6 +93,7 @@ def identical(first: Path, second: Path) -> bool:
     return all((first / name).read_bytes() == (second / name).read_bytes() for name in names)
 
 
+@pytest.mark.slow  # .ci/run compares two runs of the whole suite
 def test_two_runs_and_any_number_of_workers_give_the_same_bytes(logs: Path, tmp_path: Path) -> None:
     config = replace(QUICK, planners=("constant_speed", "dp_qp"))
     outs = [run(logs, tmp_path / str(i), config, workers=workers).out for i, workers in enumerate((0, 0, 2))]

@@ -3,6 +3,7 @@
     ReplanError                 one line that names the thing, the place and the remedy
      |- LogError                a log cannot be read or evaluated            exit code 3
      |- PlannerError            a planner cannot be loaded, or raised        exit code 3
+     |- OutputError             a file cannot be written: a full disk        exit code 3
      '- ConfigError             a wrong option, key, threshold or name       exit code 2
 
 The command line prints `str(error)` and never a traceback for these; any other exception is a bug.
@@ -10,9 +11,11 @@ The command line prints `str(error)` and never a traceback for these; any other 
 
 from __future__ import annotations
 
+import os
 import re
 import sysconfig
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
 from traceback import extract_tb
@@ -66,6 +69,19 @@ class PlannerError(ReplanError):
 
 class ConfigError(ReplanError):
     """A wrong option, configuration key, gate or name."""
+
+
+class OutputError(ReplanError):
+    """A file cannot be written: the disk is full, or no one may write there."""
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """What the system raises inside becomes an OutputError that names the file."""
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {os.strerror(error.errno) if error.errno else error}") from error
 
 
 OWN_FOLDERS = tuple(str(Path(__file__).parents[1] / name) for name in ("logs", "metrics", "planners", "replay"))

@@ -18,7 +18,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from logs.errors import ConfigError
+from logs.errors import ConfigError, writing
 from replay.batch.tables import LOCK
 
 _NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.EINVAL)
@@ -41,8 +41,10 @@ def held(out: Path) -> Iterator[None]:
     except OSError as error:
         raise ConfigError(f"{out}: cannot be the result folder: {error.strerror}") from None
     try:
-        os.ftruncate(handle, 0)
-        os.pwrite(handle, _card(), 0) if hasattr(os, "pwrite") else os.write(handle, _card())
+        with writing(path):
+            os.ftruncate(handle, 0)
+            os.lseek(handle, 0, os.SEEK_SET)
+            os.write(handle, _card())
         yield
     finally:
         if sys.platform == "win32":  # has no file removed that is open

@@ -19,7 +19,7 @@ from time import perf_counter
 import pandas as pd
 
 import metrics
-from logs.errors import ConfigError, ReplanError, raised
+from logs.errors import ConfigError, OutputError, ReplanError, raised, writing
 from logs.mcap import write_scenario, write_trace
 from logs.mcap.writer import Entry
 from logs.scenario import Scenario
@@ -59,6 +59,8 @@ class _Progress:
         place = (planner, mode.value if mode else None)
         try:
             yield
+        except OutputError:
+            raise
         except ReplanError as error:
             code = 2 if isinstance(error, ConfigError) else 3
             self.failures.append(Failure(self.log, str(error), *place, exit_code=code))
@@ -92,12 +94,16 @@ class _Progress:
 
 
 def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> LogResult:
-    """Drive one log with each planner in each mode, measure, and write the log's folder into `out`."""
+    """Drive one log with each planner in each mode, measure, and write the log's folder into `out`.
+
+    Where it cannot be written (the disk is full), `LogResult.stopped` says so, and nothing of it is left.
+    """
     progress, begin = _Progress(source.label), perf_counter()
     partial = out / f"{PARTIAL}{sha256(source.label.encode()).hexdigest()[:16]}-{os.getpid()}"
-    partial.mkdir()
     done: LogResult | None = None
     try:
+        with writing(partial):
+            partial.mkdir()
         with progress.attempt():
             identity = source.identity()
             scenario = source.read()
@@ -109,8 +115,11 @@ def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> 
                 _drive_member(driven, run, member, progress)
             timings = joined(progress.timings, TIMING_COLUMNS[:4], TIMING_COLUMNS)
             result = keep(partial, progress.filled(result), timings, identity, stamp)
-            partial.rename(out / result.folder)
+            with writing(out / result.folder):
+                partial.rename(out / result.folder)
             done = result
+    except OutputError as error:
+        return LogResult(source.label, progress.log, stopped=str(error))
     finally:
         shutil.rmtree(partial, ignore_errors=True)
     result = done or LogResult(source.label, progress.log)

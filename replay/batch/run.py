@@ -5,6 +5,7 @@ from __future__ import annotations
 import platform
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from enum import Enum
 from functools import cached_property, partial
@@ -14,7 +15,7 @@ from typing import Any
 
 import pandas as pd
 
-from logs.errors import ConfigError
+from logs.errors import ConfigError, OutputError
 from logs.readers import LogSettings
 from metrics import COLUMNS, health
 from metrics.aggregate import LogLabels, groups, standings
@@ -135,6 +136,7 @@ def evaluate_logs(
         ConfigError: No logs, an unknown name, gates that cannot be read, a folder that is not ours to write, nothing
             that could be resumed with these logs, this configuration and this code; another run writes into `out`.
         PlannerError: None of the planners can be loaded.
+        OutputError: The disk is full; finished logs are kept for `resume`.
     """
     run = run or RunConfig()
     whole = _selected(logs, run, window, suite)
@@ -145,7 +147,7 @@ def evaluate_logs(
         raise ConfigError("name the folder of the run to be resumed with --out")
     out = next_free() if out is None else Path(out)
     stamp = stamp_of(run)
-    with held(out):
+    with held(out), _to_be_resumed(out):
         done = finished(out, selection.sources, run, stamp) if resume else {}
         if not done:
             _check_outside(out, selection.sources, run)
@@ -160,6 +162,16 @@ def evaluate_logs(
         if shard is not None:
             write_card(out, shard, whole, run, stamp, failures, results)
         return concluded(out, run, selection, results, gates, failures, resumed=len(done), shard=shard)
+
+
+@contextmanager
+def _to_be_resumed(out: Path) -> Iterator[None]:
+    """Where the disk is full, how to go on is said, too."""
+    try:
+        yield
+    except OutputError as error:
+        how = f"what is finished is kept: make room, and give the same command with --out {out} --resume"
+        raise OutputError(f"{error}; {how}") from error
 
 
 def gates_of(run: RunConfig, path: Path | None) -> Gates:
@@ -257,6 +269,8 @@ def _evaluated(
     for place, ended in _each([sources[index] for index in left], evaluate, workers):
         index = left[place]
         results[index] = _lost(sources[index], ended) if isinstance(ended, WorkerLost) else ended
+        if results[index].stopped:
+            raise OutputError(results[index].stopped)
         on_log(results[index])
     return tuple(results[index] for index in range(len(sources)))
 

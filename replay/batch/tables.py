@@ -31,7 +31,7 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from logs.errors import ConfigError
+from logs.errors import ConfigError, writing
 from replay.batch.schema import SCHEMA_VERSION, arrow
 from replay.batch.sources import LOG_CARD
 from replay.config import HEADER
@@ -70,11 +70,12 @@ def safe_name(name: str, digest: str = "") -> str:
 
 
 def write_file(path: Path, write: Callable[[Path], object]) -> None:
-    """Let `write` fill a temporary file beside `path`, then rename it: `path` is whole or not there."""
+    """Let `write` fill a temporary file beside `path`, then rename it: `path` is whole or not there (OutputError)."""
     partial = path.with_name(f"{PARTIAL}{path.name}")
     try:
-        write(partial)
-        partial.replace(path)
+        with writing(path):
+            write(partial)
+            partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
 

@@ -252,6 +252,22 @@ class Plan:
         return replace(self, internals=kept)
 
 
+@dataclass(frozen=True, slots=True)
+class Said:
+    """What a plan says of itself, without its trajectory and what was searched: when, how it came about, decisions.
+
+    Attributes:
+        t: Of its frame, s.
+        status: As the plan's; `reason` likewise.
+        internals: Its decisions and compared lanes, among others.
+    """
+
+    t: float
+    status: PlanStatus
+    reason: str
+    internals: Sequence[Artefact]
+
+
 class Mode(Enum):
     """Open loop: the ego is the log's. Closed loop: the ego is driven."""
 
@@ -306,6 +322,11 @@ class PlannedFrame:
     agents: tuple[str, ...] = ()
     predictions: Predictions | None = None
     visibility: Visibility | None = None
+
+    @property
+    def said(self) -> Said:
+        """What the plan says of itself."""
+        return Said(self.t, self.plan.status, self.plan.reason, self.plan.internals)
 
     @classmethod
     def of(cls, frame: Frame, plan: Plan) -> PlannedFrame:

@@ -80,7 +80,11 @@ def membership(labels: Mapping[str, LogLabels]) -> dict[tuple[str, str], tuple[s
 
 
 def standings(
-    verdicts: pd.DataFrame, drives: pd.DataFrame, logs: Collection[str], asked: Sequence[tuple[str, str]]
+    verdicts: pd.DataFrame,
+    drives: pd.DataFrame,
+    logs: Collection[str],
+    asked: Sequence[tuple[str, str]],
+    crashed: Collection[tuple[str, str | None, str | None]] = (),
 ) -> pd.DataFrame:
     """How each log stands with each planner: a row per log, planner and mode, one of `STANDINGS`.
 
@@ -89,6 +93,7 @@ def standings(
         drives: What was driven: columns log, planner, mode, oracle.
         logs: All logs of the run, those that could not be read among them.
         asked: Planners and modes of the run; an oracle that no gate names does not stand at all.
+        crashed: Log, planner and mode of what could not be evaluated, as far as it was driven; None: any.
     """
     said: dict[tuple[str, str, str], set[str]] = {}
     for log, planner, mode, outcome in _rows(verdicts, "log", "planner", "mode", "outcome"):
@@ -100,14 +105,21 @@ def standings(
     for planner in dict.fromkeys(planner for planner, _ in asked if planner not in unjudged):
         modes = [mode for name, mode in asked if name == planner]
         for log in logs:
-            each = [_stands(said.get((log, planner, mode), set()), (log, planner, mode) in driven) for mode in modes]
+            lost = [mode for of, name, mode in crashed if of == log and name in (None, planner)]
+            each = [
+                _stands(
+                    said.get((log, planner, mode), set()),
+                    driven=(log, planner, mode) in driven and mode not in lost and None not in lost,
+                )
+                for mode in modes
+            ]
             rows += [(log, planner, mode, one) for mode, one in zip(modes, each, strict=True)]
             rows += [(log, planner, BOTH, min(each, key=STANDINGS.index))] if len(modes) > 1 else []
     return pd.DataFrame(rows, columns=["log", "planner", "mode", "standing"])
 
 
-def _stands(said: set[str], driven: bool) -> str:
-    """The worst that was said; of a log that was not driven, and of one of which no gate was asked, that."""
+def _stands(said: set[str], *, driven: bool) -> str:
+    """The worst that was said; of a log that was not driven to the end, and of one that no gate asked of, that."""
     return min(
         said | ({"inconclusive"} if not said else set()) | (set() if driven else {"missing"}), key=STANDINGS.index
     )

@@ -9,7 +9,8 @@ For a log i that both runs drove, and a metric of one version in both (planner a
 
 Both tables are judged by the same gates, and with the same reference drives (the candidate's): a flip comes from the
 drive, and not from another gate file or another careful driver. It is marginal, and no rule counts it, where the value
-moved by no more than the noise of (1), or where one of the runs had an ensemble that found the drive fragile.
+moved by no more than the noise of (1), or where the baseline had an ensemble that found the drive fragile: a candidate
+does not excuse itself.
 """
 
 from __future__ import annotations
@@ -42,6 +43,8 @@ FLIP_COLUMNS = (
     *DRIVE, "gate", "metric", "before", "after", "value_before", "value_after", "time_s", "reason", "marginal",
 )  # fmt: skip
 PARTING_COLUMNS = (*DRIVE, "t_s", "stage", "what")
+BY_LOG = ("worst", "pass_share")
+"""What gates are `over` that each log passes or fails by itself."""
 NOT_ASKED = "not asked"
 """Outcome of an optional gate on a log without the value."""
 
@@ -56,6 +59,7 @@ class Side:
         logs: A row per log: log, sha256, family, dataset, tags (a list), vehicle (a hash, "" where it is not known).
         facts: What it was made with, as text: versions, every key of the configuration.
         failed: Logs that could not be evaluated, and why.
+        crashed: Drives (log, planner, mode) in which the planner failed: what the table has of them is a beginning.
     """
 
     label: str
@@ -63,6 +67,7 @@ class Side:
     logs: pd.DataFrame
     facts: Mapping[str, str]
     failed: Mapping[str, str]
+    crashed: tuple[tuple[str, str, str], ...] = ()
 
     @property
     def tags(self) -> dict[str, tuple[str, ...]]:
@@ -94,7 +99,8 @@ class Comparison:
     Attributes:
         baseline: Label; `candidate` likewise.
         differences: Inputs that are not the same, a sentence each.
-        only_in_baseline: Drives, "log, planner, mode loop"; `only_in_candidate` likewise.
+        only_in_baseline: Drives, "log, planner, mode loop", and those that failed in the candidate only;
+            `only_in_candidate` likewise.
         pairs: `PAIR_COLUMNS`, the worst regression first: those of metrics that are asked of, by (3), then others.
             A value that one of the runs lacks is NaN, and `reason` says why; else on whom the candidate's value is.
         flips: `FLIP_COLUMNS`: the outcome of a gate on a log is another one.
@@ -102,6 +108,8 @@ class Comparison:
         partings: `PARTING_COLUMNS`: where two drives part; empty where traces are not at hand.
         verdicts: One per rule.
         not_looked_at: In so many drives that differ it was not looked for where they part.
+        other_logs: Logs of one name that have another content (SHA-256) in the two runs.
+        not_compared: Metrics that a gate or a rule asks of, and that the baseline has in another version or alone.
     """
 
     baseline: str
@@ -115,6 +123,8 @@ class Comparison:
     partings: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(PARTING_COLUMNS)))
     verdicts: tuple[RuleVerdict, ...] = ()
     not_looked_at: int = 0
+    not_compared: tuple[str, ...] = ()
+    other_logs: tuple[str, ...] = ()
 
     @property
     def exit_code(self) -> int:
@@ -150,21 +160,25 @@ def compare(baseline: Side, candidate: Side, gates: Gates, also: Collection[str]
     """
     drives = [_drives(side) for side in (baseline, candidate)]
     changed = _changed_versions(baseline.table, candidate.table)
-    fragile = _fragile(baseline.table) | _fragile(candidate.table)
-    pairs = _pairs(baseline.table, candidate.table, changed, {**dict.fromkeys(also, 0.0), **_bounds(gates)})
+    fragile = _fragile(baseline.table)
+    asked = {**dict.fromkeys(also, 0.0), **_bounds(gates)}
+    pairs = _pairs(baseline.table, candidate.table, changed, asked)
     pairs["fragile"] = _in(pairs, fragile)
     alone = _measured(baseline.table) ^ _measured(candidate.table)
+    valued = _measured(baseline.table[baseline.table["available"].astype(bool)])
     flips = _flips(baseline, candidate, gates, changed.keys() | alone, drives[0].keys() & drives[1].keys())
     flips["marginal"] |= _in(flips, fragile)
     return Comparison(
         baseline.label,
         candidate.label,
         tuple(_differences(baseline, candidate, changed)),
-        tuple(said for drive, said in drives[0].items() if drive not in drives[1]),
-        tuple(said for drive, said in drives[1].items() if drive not in drives[0]),
+        tuple(_alone(drives, baseline.crashed, candidate.crashed)),
+        tuple(_alone(drives[::-1], candidate.crashed, baseline.crashed)),
         pairs,
         flips,
         group_deltas(pairs, candidate.logs),
+        not_compared=tuple(sorted(asked.keys() & (changed.keys() | alone & valued))),
+        other_logs=tuple(_other(baseline, candidate, "sha256")),
     )
 
 
@@ -179,6 +193,17 @@ def _measured(table: pd.DataFrame) -> set[str]:
 def _drives(side: Side) -> dict[tuple[str, str, str], str]:
     keys = _driven(side.table)[DRIVE].drop_duplicates().itertuples(index=False, name=None)
     return {(log, planner, mode): f"{log}, {planner}, {mode} loop" for log, planner, mode in keys}
+
+
+def _alone(
+    drives: Sequence[Mapping[tuple[str, str, str], str]], mine: Collection[object], theirs: Collection[object]
+) -> Iterator[str]:
+    """The drives that only the first run has, or that failed in the other only."""
+    for drive, said in drives[0].items():
+        if drive not in drives[1]:
+            yield said
+        elif drive in theirs and drive not in mine:
+            yield f"{said} (failed)"
 
 
 def _changed_versions(one: pd.DataFrame, two: pd.DataFrame) -> dict[str, str]:
@@ -253,8 +278,12 @@ def _flips(
     left_out: Collection[str],
     drives: Collection[tuple[str, str, str]],
 ) -> pd.DataFrame:
-    """Gates whose outcome on a drive of both runs is another one; what is only asked or no longer asked is none."""
-    rules = Gates(tuple(gate for gate in gates.gates if gate.metric not in left_out), gates.source)
+    """Gates whose outcome on a drive of both runs is another one; what is only asked or no longer asked is none.
+
+    Not of gates on a mean, median or sum: a log by itself breaks none of them.
+    """
+    asked = (gate for gate in gates.gates if gate.over in BY_LOG and gate.metric not in left_out)
+    rules = Gates(tuple(asked), gates.source)
     said = [_outcomes(rules, side, candidate.table) for side in (baseline, candidate)]
     metric = {str(gate): gate.metric for gate in rules.gates}
     rows = []
@@ -306,10 +335,8 @@ def _differences(baseline: Side, candidate: Side, changed: Mapping[str, str]) ->
     for word, keys in (("baseline", [k for k in old if k not in new]), ("candidate", [k for k in new if k not in old])):
         if keys:
             yield f"settings of the {word} only: {_named(keys)}"
-    both = baseline.logs.merge(candidate.logs, on="log", suffixes=("_b", "_c"))
     for column, what in (("sha256", "another SHA-256"), ("vehicle", "another vehicle")):
-        known = (both[f"{column}_b"] != "") & (both[f"{column}_c"] != "")
-        names = list(both.loc[known & (both[f"{column}_b"] != both[f"{column}_c"]), "log"])
+        names = _other(baseline, candidate, column)
         if names:
             yield f"logs with {what}: {_named(names)}"
     if changed:
@@ -319,6 +346,13 @@ def _differences(baseline: Side, candidate: Side, changed: Mapping[str, str]) ->
         alone = [name for name in one if name not in set(two)]
         if alone:
             yield f"metrics in the {word} only: {_named(alone)}"
+
+
+def _other(baseline: Side, candidate: Side, column: str) -> list[str]:
+    """Logs of both runs of which a column is known and not the same."""
+    both = baseline.logs.merge(candidate.logs, on="log", suffixes=("_b", "_c"))
+    known = (both[f"{column}_b"] != "") & (both[f"{column}_c"] != "")
+    return list(both.loc[known & (both[f"{column}_b"] != both[f"{column}_c"]), "log"])
 
 
 def _named(names: Sequence[str]) -> str:

@@ -15,7 +15,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pandas as pd
-from scipy.stats import bootstrap
 
 from logs.kernel import BoolArray, FloatArray, IntArray
 
@@ -77,6 +76,8 @@ def _group(known: pd.DataFrame, kind: str, name: str, members: Sequence[str]) ->
 
 def intervals(deltas: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Bounds (2), `(m,)` each, of m metrics over n logs `(m, n)`; NaN deltas are logs without the value."""
+    from scipy.stats import bootstrap  # here: it takes longer to load than all metrics
+
     there = np.isfinite(deltas)
     low = np.where(there.sum(axis=1) < MIN_PAIRS, np.nan, 0.0)
     high = low.copy()

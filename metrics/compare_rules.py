@@ -14,11 +14,15 @@ optional = true                     # no verdict where no log has the metric; de
 reason = "why this rule"            # shown with the verdict
 
 Marginal flips and, with "worst", fragile drives (`metrics.compare`) break no rule; the reason counts them.
+
+A rule is INCONCLUSIVE, optional or not, where evidence that the baseline had is gone: its metric is of another version,
+or in the baseline only; gates that passed have no value now, in more than LOST_SHARE of the logs; or the change is
+beyond the limit, `significant` is asked, and there are fewer logs than any change can be significant on.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
 from pathlib import Path
@@ -33,12 +37,15 @@ from logs.trace import Mode
 from metrics import METRICS, Metric
 from metrics.aggregate import LogLabels
 from metrics.compare import NOT_ASKED, Comparison, RuleVerdict
-from metrics.compare_groups import intervals, significant
+from metrics.compare_groups import MIN_SIGNIFICANT, intervals, significant
 from metrics.gates import Outcome, check_metric, gate_tables, known_only
 
 OVER = ("mean", "median", "worst")
 KINDS = ("max_increase", "max_decrease", "max_flips", "max_missing")
 """A rule has exactly one of these."""
+SEVERITY = (Outcome.PASS, Outcome.INCONCLUSIVE, Outcome.FAIL)
+LOST_SHARE = 0.1
+"""So large a share of a gate's logs may lose the value that passed it: as many as a gate passes without by default."""
 
 
 @dataclass(frozen=True)
@@ -141,10 +148,12 @@ def _said(rule: Rule, comparison: Comparison, labels: Mapping[str, LogLabels]) -
     if rule.max_missing is not None:
         return _missing(rule, comparison)
     if rule.max_flips is not None:
-        return _flipped(rule, _scope(rule, comparison.flips, labels), _scope(rule, comparison.pairs, labels))
+        gone = [name for name in comparison.not_compared if rule.gate in ("", name)]
+        return _flipped(rule, _scope(rule, comparison.flips, labels), _scope(rule, comparison.pairs, labels), gone)
+    if rule.metric in comparison.not_compared:
+        return RuleVerdict(str(rule), Outcome.INCONCLUSIVE, f"nothing to judge: {_incomparable([rule.metric])}")
     mine = _scope(rule, comparison.pairs, labels)
-    mine = mine[(mine["metric"] == rule.metric) & mine["delta"].notna()]
-    return _moved(rule, mine)
+    return _moved(rule, mine[mine["metric"] == rule.metric].sort_values("log"))  # draws as of the groups
 
 
 def _scope(rule: Rule, table: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.DataFrame:
@@ -158,12 +167,26 @@ def _scope(rule: Rule, table: pd.DataFrame, labels: Mapping[str, LogLabels]) -> 
 
 def _missing(rule: Rule, comparison: Comparison) -> RuleVerdict:
     gone = comparison.only_in_baseline
-    names = f": {'; '.join(gone[:3])}{'; ...' if len(gone) > 3 else ''}" if gone else ""
-    outcome = Outcome.FAIL if len(gone) > rule.limit else Outcome.PASS
-    return RuleVerdict(str(rule), outcome, f"missing in the candidate: {len(gone)} of the baseline's drives{names}")
+    names = f": {_few(gone, '; ')}" if gone else ""
+    reason = f"missing in the candidate: {len(gone)} of the baseline's drives{names}"
+    if len(gone) > rule.limit:
+        return RuleVerdict(str(rule), Outcome.FAIL, reason)
+    other = comparison.other_logs
+    if other:
+        reason += f"; with another content (SHA-256), so no longer the same: {_few(other)}"
+    return RuleVerdict(str(rule), Outcome.INCONCLUSIVE if other else Outcome.PASS, reason)
 
 
-def _flipped(rule: Rule, flips: pd.DataFrame, pairs: pd.DataFrame) -> RuleVerdict | None:
+def _incomparable(metrics: Sequence[str]) -> str:
+    return f"of another version, or in the baseline only: {_few(metrics)}"
+
+
+def _few(names: Sequence[str], between: str = ", ") -> str:
+    """The first three of names."""
+    return between.join([*names[:3], *(["..."] if len(names) > 3 else [])])
+
+
+def _flipped(rule: Rule, flips: pd.DataFrame, pairs: pd.DataFrame, gone: Sequence[str]) -> RuleVerdict | None:
     if pairs.empty:
         return _nothing(rule)
     bad = flips[(flips["after"] == Outcome.FAIL.value) & flips["before"].isin([Outcome.PASS.value, NOT_ASKED])]
@@ -173,7 +196,23 @@ def _flipped(rule: Rule, flips: pd.DataFrame, pairs: pd.DataFrame) -> RuleVerdic
     more = "; ..." if len(clear) > 3 else ""
     count = "1 flip" if len(clear) == 1 else f"{len(clear)} flips"
     reason = f"{count}{f': {names}{more}' if names else ''}{f'; {aside} marginal' if aside else ''}"
-    return RuleVerdict(str(rule), Outcome.FAIL if len(clear) > rule.limit else Outcome.PASS, reason)
+    if len(clear) > rule.limit:
+        return RuleVerdict(str(rule), Outcome.FAIL, reason)
+    lost = _lost(flips[flips["metric"] == rule.gate] if rule.gate else flips, pairs)
+    missing = [f"gates not compared, {_incomparable(gone)}"] if gone else []
+    missing += [f"passed before, and without a value now in too many logs: {lost}"] if lost else []
+    outcome = Outcome.INCONCLUSIVE if missing else Outcome.PASS
+    return RuleVerdict(str(rule), outcome, "; ".join([reason, *missing]))
+
+
+def _lost(flips: pd.DataFrame, pairs: pd.DataFrame) -> str:
+    """The gates that too many logs passed, and of which they have no value any more; "" where there are none."""
+    mine = flips[(flips["before"] == Outcome.PASS.value) & (flips["after"] == Outcome.INCONCLUSIVE.value)]
+    bad = []
+    for (planner, mode, gate), rows in mine[mine["value_after"].isna()].groupby(["planner", "mode", "gate"]):
+        of = pairs.loc[(pairs["planner"] == planner) & (pairs["mode"] == mode), "log"].nunique()
+        bad += [f"{gate} ({len(rows)} of {of})"] if len(rows) > LOST_SHARE * of else []
+    return "; ".join([*bad[:3], *(["..."] if len(bad) > 3 else [])])
 
 
 def _nothing(rule: Rule) -> RuleVerdict | None:
@@ -183,16 +222,29 @@ def _nothing(rule: Rule) -> RuleVerdict | None:
 
 def _moved(rule: Rule, pairs: pd.DataFrame) -> RuleVerdict | None:
     """What the rule says of the planner and loop that it is broken most by."""
-    if pairs.empty:
+    if not pairs["baseline"].notna().any():
         return _nothing(rule)
-    found = [_change(rule, f"{p}, {m} loop", rows) for (p, m), rows in pairs.groupby(["planner", "mode"], sort=True)]
-    over, sure, reason = max(found, key=lambda one: (one[0] > 0.0 and one[1], one[0]))
-    return RuleVerdict(str(rule), Outcome.FAIL if over > 0.0 and sure else Outcome.PASS, reason)
+    by = pairs[pairs["baseline"].notna()].groupby(["planner", "mode"], sort=True)
+    found = [_change(rule, f"{planner}, {mode} loop", rows) for (planner, mode), rows in by]
+    _, outcome, reason = max(found, key=lambda one: (SEVERITY.index(one[1]), one[0]))
+    return RuleVerdict(str(rule), outcome, reason)
 
 
-def _change(rule: Rule, who: str, rows: pd.DataFrame) -> tuple[float, bool, str]:
-    """By how much one planner and loop is over the limit, whether that is sure enough, and what was found."""
+def _change(rule: Rule, who: str, rows: pd.DataFrame) -> tuple[float, Outcome, str]:
+    """By how much one planner and loop is over the limit, what that means, and what was found."""
     sign = 1.0 if rule.max_increase is not None else -1.0
+    lost = rows[rows["delta"].isna()]
+    rows = rows[rows["delta"].notna()]
+    if rows.empty:
+        what = f"{who}: {rule.metric} has a value in {_logs(len(lost))} of the baseline, and in none of the candidate"
+        return -np.inf, Outcome.INCONCLUSIVE, what
+    over, outcome, reason = _of_values(rule, who, rows, sign)
+    aside = f"; no value any more in {_logs(len(lost))}" if len(lost) else ""
+    return over, outcome, f"{reason}{aside}"
+
+
+def _of_values(rule: Rule, who: str, rows: pd.DataFrame, sign: float) -> tuple[float, Outcome, str]:
+    """`_change` of the logs that have both values."""
     delta, unit = rows["delta"].to_numpy(float), _unit(str(rows["unit"].iloc[0]))
     if rule.over == "worst":
         return _worst(rule, who, rows, sign, unit)
@@ -204,18 +256,23 @@ def _change(rule: Rule, who: str, rows: pd.DataFrame) -> tuple[float, bool, str]
     means = " -> ".join(f"{rows[side].agg(rule.over):.4g}" for side in ("baseline", "candidate"))
     reason = f"{who}: {rule.over} {rule.metric} {means}{unit}, {value:+.4g}{inside} over {_logs(len(delta))}"
     over = sign * value - rule.limit
-    return over, sure, reason + (": not significant" if over > 0.0 and not sure else "")
+    if over <= 0.0 or sure:
+        return over, Outcome.FAIL if over > 0.0 else Outcome.PASS, reason
+    if len(delta) < MIN_SIGNIFICANT:
+        return over, Outcome.INCONCLUSIVE, f"{reason}: too few to say whether that is chance"
+    return over, Outcome.PASS, f"{reason}: not significant"
 
 
-def _worst(rule: Rule, who: str, rows: pd.DataFrame, sign: float, unit: str) -> tuple[float, bool, str]:
+def _worst(rule: Rule, who: str, rows: pd.DataFrame, sign: float, unit: str) -> tuple[float, Outcome, str]:
     held, aside = rows[~rows["fragile"]], int(rows["fragile"].sum())
     said = f"; fragile and left out: {aside}" if aside else ""
     if held.empty:
-        return -np.inf, True, f"{who}: no drive that is not fragile{said}"
+        return -np.inf, Outcome.PASS, f"{who}: no drive that is not fragile{said}"
     row = held.iloc[int(np.argmax(sign * held["delta"].to_numpy(float)))]
     where = f"on {row['log']}" + (f" at {row['time_s']:.2f} s" if isfinite(row["time_s"]) else "")
     reason = f"{who}: {rule.metric} {row['baseline']:.4g} -> {row['candidate']:.4g}{unit} {where}{said}"
-    return sign * float(row["delta"]) - rule.limit, True, reason
+    over = sign * float(row["delta"]) - rule.limit
+    return over, Outcome.FAIL if over > 0.0 else Outcome.PASS, reason
 
 
 def _logs(count: int) -> str:

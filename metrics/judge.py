@@ -3,6 +3,7 @@
 What a log says of a gate, the first that holds:
 
     INCONCLUSIVE    the log could not be evaluated, or has no value (a NaN is none)
+    INCONCLUSIVE    the value is within the bounds, but the drive crashed: what more it would have shown is not known
     PASS            the value is within the bounds, or the gate asks for the sum of all logs
     INCONCLUSIVE    the value is broken, but is no evidence against the planner (below), or `broken = "inconclusive"`
     FAIL            the value is broken
@@ -38,6 +39,7 @@ from metrics.over_logs import LogOutcome, Verdict, unit_of, verdict_on
 __all__ = ["LogOutcome", "Verdict", "judge", "outcomes", "verdicts_by_log", "worst"]
 
 _NOTHING: Mapping[str, str] = MappingProxyType({})
+_NO_DRIVE: Mapping[tuple[str, str, str], str] = MappingProxyType({})
 REFERENCE = "reference"
 """Mode of the rows of reference drives."""
 DRIVER, CAREFUL = "driver", "careful"
@@ -64,6 +66,7 @@ class _Rows:
 
     drives: Mapping[tuple[str, str], Mapping[tuple[str, str], _Row]]
     oracles: frozenset[str]
+    crashed: Mapping[tuple[str, str, str], str]
 
     def reference(self, planner: str, log: str, metric: str) -> _Row | None:
         """The value of a reference drive; None where it has none."""
@@ -90,6 +93,7 @@ def judge(
     labels: Mapping[str, LogLabels],
     *,
     failed: Mapping[str, str] = _NOTHING,
+    crashed: Mapping[tuple[str, str, str], str] = _NO_DRIVE,
 ) -> tuple[Verdict, ...]:
     """The verdicts on a table of `evaluate` rows, in the order of the gates.
 
@@ -98,8 +102,9 @@ def judge(
         table: The rows of all logs, planners and modes, reference drives among them.
         labels: What each log belongs to: all logs of the run, so that one without rows is missed.
         failed: Logs that could not be evaluated, and why.
+        crashed: Drives that ended in an error, by log, planner and mode, and in which.
     """
-    rows = _rows(table)
+    rows = _rows(table, crashed)
     return tuple(verdict for gate in gates.gates for verdict in _judge(gate, rows, table, labels, failed))
 
 
@@ -130,12 +135,12 @@ def verdicts_by_log(verdicts: Sequence[Verdict]) -> dict[tuple[str, str], str]:
     return {key: worst(said).value for key, said in found.items()}
 
 
-def _rows(table: pd.DataFrame) -> _Rows:
+def _rows(table: pd.DataFrame, crashed: Mapping[tuple[str, str, str], str]) -> _Rows:
     drives: dict[tuple[str, str], dict[tuple[str, str], _Row]] = {}
     columns = ("planner", "mode", "log", "metric", "value", "available", "reason", "unit", "time_s")
     for planner, mode, log, metric, *rest in zip(*(table[name] for name in columns), strict=True):
         drives.setdefault((planner, mode), {})[log, metric] = _Row(*rest)
-    return _Rows(drives, frozenset(table.loc[table["oracle"].astype(bool), "planner"]))
+    return _Rows(drives, frozenset(table.loc[table["oracle"].astype(bool), "planner"]), crashed)
 
 
 def _judge(
@@ -224,6 +229,9 @@ def _of_logs(
             if not gate.optional:
                 yield LogOutcome(log, Outcome.INCONCLUSIVE, _lack(row))
         elif gate.over == "sum" or gate.margin(row.value) >= 0.0:
+            if (log, *drive) in rows.crashed:
+                yield LogOutcome(log, Outcome.INCONCLUSIVE, rows.crashed[log, *drive], evaluated=False)
+                continue
             yield LogOutcome(log, Outcome.PASS, row.reason, row.value, row.unit, row.time_s)
         elif not gate.reachable or _reachable(gate, log, rows):
             why = _excuse(gate, log, row, mine, rows)

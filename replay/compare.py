@@ -70,9 +70,9 @@ def opened(path: Path | str) -> Opened:
         return _baseline(path)
     results = load(path)
     try:
-        side = Side(path.name, results.metrics, _logs(results), _facts(results), _failed(results))
+        side = Side(path.name, results.metrics, _logs(results), _facts(results), _failed(results), _crashed(results))
         return Opened(side, results, tuple(read_toml(path / "run.toml").get("metrics", ())))
-    except (OSError, pa.ArrowException, KeyError) as error:
+    except (OSError, ValueError, KeyError) as error:
         raise LogError(f"cannot be read as results: {error}", file=path) from None
 
 
@@ -121,6 +121,11 @@ def _failed(results: Results) -> dict[str, str]:
     return {log: said.get(log, "not evaluated") for log in sorted(unread)}
 
 
+def _crashed(results: Results) -> tuple[tuple[str, str, str], ...]:
+    rows = results.failures[["log", "planner", "mode"]].dropna().drop_duplicates()
+    return tuple(rows.itertuples(index=False, name=None))
+
+
 # the file ---------------------------------------------------------------------------------------------------------
 
 
@@ -132,6 +137,7 @@ def write_baseline(run: Opened, path: Path) -> None:
         "facts": dict(side.facts),
         "logs": side.logs.to_dict("records"),
         "failed": dict(side.failed),
+        "crashed": [list(drive) for drive in side.crashed],
         "metrics": list(run.metrics),
     }
     table = pa.Table.from_pandas(side.table.drop(columns="source"), preserve_index=False)
@@ -147,11 +153,16 @@ def _baseline(path: Path) -> Opened:
         raise ConfigError(f"{path}: is no baseline; `replan baseline RESULTS -o {path.name}` writes one") from None
     except (OSError, pa.ArrowException, ValueError) as error:
         raise LogError(f"cannot be read as a baseline: {error}", file=path) from None
-    if head["schema_version"] != SCHEMA_VERSION:
-        raise ConfigError(f"{path}: of version {head['schema_version']}, this replan reads {SCHEMA_VERSION}")
-    rows = table.replace_schema_metadata(None).to_pandas().assign(source="")[list(COLUMNS)]
-    logs = pd.DataFrame(head["logs"], columns=["log", "sha256", "family", "dataset", "tags", "vehicle"])
-    return Opened(Side(path.name, rows, logs, head["facts"], head["failed"]), None, tuple(head["metrics"]))
+    try:
+        if head["schema_version"] != SCHEMA_VERSION:
+            raise ConfigError(f"{path}: of version {head['schema_version']}, this replan reads {SCHEMA_VERSION}")
+        rows = table.replace_schema_metadata(None).to_pandas().assign(source="")[list(COLUMNS)]
+        logs = pd.DataFrame(head["logs"], columns=["log", "sha256", "family", "dataset", "tags", "vehicle"])
+        crashed = tuple(tuple(drive) for drive in head.get("crashed", ()))
+        side = Side(path.name, rows, logs, head["facts"], head["failed"], crashed)
+        return Opened(side, None, tuple(head["metrics"]))
+    except (KeyError, TypeError) as error:
+        raise LogError(f"cannot be read as a baseline: something is missing in it: {error}", file=path) from None
 
 
 # comparing --------------------------------------------------------------------------------------------------------
@@ -217,7 +228,8 @@ def _only(run: Opened, side: Side, planner: str, name: str) -> Side:
     mine = table[table["planner"] == planner].assign(planner=name)
     mine = mine if name == planner else mine.assign(oracle=False)
     references = table[table["mode"] == REFERENCE]
-    return replace(side, table=pd.concat([mine, references], ignore_index=True))
+    crashed = tuple((log, name, mode) for log, driven, mode in side.crashed if driven == planner)
+    return replace(side, table=pd.concat([mine, references], ignore_index=True), crashed=crashed)
 
 
 def _without(side: Side, planners: set[str]) -> Side:
@@ -239,7 +251,7 @@ def _with_partings(
     for log, planner, mode in order.itertuples(index=False, name=None):
         names = pair or (planner, planner)
         files = [results.drive(log, name, mode).trace_file for results, name in zip(both, names, strict=True)]
-        if files[0].read_bytes() == files[1].read_bytes():
+        if all(file.is_file() for file in files) and files[0].read_bytes() == files[1].read_bytes():
             continue
         looked += 1
         if looked <= most:

@@ -11,16 +11,18 @@ docs/results.md says what each column means. `SCHEMA_VERSION` counts up when one
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pq
 
-from logs.errors import ConfigError, unknown_name
+from logs.errors import ConfigError, LogError, unknown_name
 from logs.kernel import FloatArray
 from logs.mcap import read_trace
 from logs.scenario import Scenario
@@ -35,6 +37,10 @@ DRIVE_COLUMNS = ("log", "planner", "mode", "oracle", "end", "detail", "t_end_s",
 GATE_COLUMNS = ("gate", "planner", "mode", "group", "outcome", "value", "log", "time_s", "reason")
 FAILURE_COLUMNS = ("log", "planner", "mode", "message", "exit_code")
 DECISION_COLUMNS = ("log", "planner", "mode", "t_s", "agent", "decision", "stage", "reason")
+SUMMARY_KEYS = frozenset({"exit_code", "logs", "gates", "failures"})
+"""Without these a summary.json is not replan's."""
+
+Table = TypeVar("Table")
 
 
 def load(path: Path | str) -> Results:
@@ -54,12 +60,25 @@ def load(path: Path | str) -> Results:
         raise ConfigError(f"{folder}: no results of a finished run (no summary.json in it; {hint})") from None
     except (OSError, ValueError) as error:
         raise ConfigError(f"{folder / 'summary.json'}: cannot be read: {error}") from None
+    if not isinstance(summary, dict):
+        raise ConfigError(f"{folder / 'summary.json'}: holds no summary of a run")
     if summary.get("schema_version") != SCHEMA_VERSION:
         was = summary.get("schema_version")
         raise ConfigError(
             f"{folder}: its tables are of version {was}, this replan reads {SCHEMA_VERSION}; evaluate again"
         )
+    missing = SUMMARY_KEYS - summary.keys()
+    if missing:
+        raise ConfigError(f"{folder / 'summary.json'}: is not whole: no {', '.join(sorted(missing))}; evaluate again")
     return Results(folder, summary)
+
+
+def _table(file: Path, read: Callable[[Path], Table]) -> Table:
+    """What is in a table's file; LogError where it is not there or damaged."""
+    try:
+        return read(file)
+    except (OSError, pa.ArrowException) as error:
+        raise LogError(f"cannot be read: {error}", file=file) from None
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +106,7 @@ class Results:
     @cached_property
     def metrics(self) -> pd.DataFrame:
         """A row per log, planner, mode and metric; mode "reference" are the recorded and the careful driver."""
-        return pd.read_parquet(self.path / "metrics.parquet").drop(columns="schema_version")
+        return _table(self.path / "metrics.parquet", pd.read_parquet).drop(columns="schema_version")
 
     @cached_property
     def _metric_rows(self) -> dict[Any, Any]:
@@ -97,12 +116,12 @@ class Results:
     @cached_property
     def verdicts(self) -> pd.DataFrame:
         """A row per gate, log, planner and mode: what this log says of the gate."""
-        return pd.read_parquet(self.path / "verdicts.parquet")
+        return _table(self.path / "verdicts.parquet", pd.read_parquet)
 
     @cached_property
     def groups(self) -> pd.DataFrame:
         """A row per group of logs, planner, mode and metric (`metrics.aggregate`); "pass": how many logs pass."""
-        return pd.read_parquet(self.path / "groups.parquet")
+        return _table(self.path / "groups.parquet", pd.read_parquet)
 
     @cached_property
     def gates(self) -> pd.DataFrame:
@@ -141,12 +160,12 @@ class Results:
     @cached_property
     def timings(self) -> pd.DataFrame:
         """How long each stage of each plan took, s."""
-        return read_timings(self.path / "timings.parquet")
+        return _table(self.path / "timings.parquet", read_timings)
 
     @cached_property
     def health(self) -> pd.DataFrame:
         """What is wrong with the logs."""
-        return pd.read_parquet(self.path / "health.parquet")
+        return _table(self.path / "health.parquet", pd.read_parquet)
 
     @cached_property
     def frames(self) -> pd.DataFrame:
@@ -186,7 +205,7 @@ class Results:
 
     def _steps(self, log: str, folder: str) -> pd.DataFrame:
         file = self.path / folder / "frames.parquet"
-        table = pd.read_parquet(file) if file.is_file() else pd.DataFrame(columns=["planner", "mode", "t_s"])
+        table = _table(file, pd.read_parquet) if file.is_file() else pd.DataFrame(columns=["planner", "mode", "t_s"])
         table.insert(0, "log", log)
         return table
 
@@ -249,7 +268,7 @@ class DriveResult:
         if not file.is_file():
             return np.empty(0), np.empty(0), {}
         words = ["planner", "mode", "metric"]
-        table = pq.read_table(file, read_dictionary=words).combine_chunks()
+        table = _table(file, lambda path: pq.read_table(path, read_dictionary=words)).combine_chunks()
         planner, mode, metric = (table[name].chunk(0) for name in words)
         codes = [column.dictionary.to_pylist() for column in (planner, mode, metric)]
         mine = np.full(len(table), self.planner in codes[0] and self.mode in codes[1])

@@ -112,6 +112,7 @@ class Workflow:
         return words.replace("always()", "True").replace("&&", "and")
 
 
+@pytest.mark.slow
 def test_the_github_action_runs_keeps_and_judges(runner: Path) -> None:
     run = Workflow(runner, logs="my logs/a.mcap\nmy logs/b*.mcap\n", gates="gates.toml", args=OPTIONS)
     assert run.outputs["run"] == {"exit-code": "1", "outcome": "fail"}, run.said
@@ -177,6 +178,7 @@ def test_the_gitlab_jobs_drive_shards_and_the_merge_judges_and_so_does_githubs(r
     assert "flip" in (runner / "merged" / "junit.xml").read_text(encoding="utf-8")  # a rule of the comparison
 
 
+@pytest.mark.slow
 def test_the_github_action_drives_a_shard_and_keeps_the_exit_code(runner: Path) -> None:
     run = Workflow(runner, logs="my logs", gates="gates.toml", args=f"{OPTIONS} --quiet", shard="2/2")
     assert run.outputs["run"] == {"exit-code": "0", "outcome": "not judged"}, run.said

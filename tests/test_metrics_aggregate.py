@@ -58,6 +58,16 @@ def test_a_missing_or_crashed_log_counts_against_and_an_inconclusive_one_apart()
     assert (suite["mean"], suite["low"], suite["high"]) == pytest.approx((1 / 3, *wilson(1, 3)))
 
 
+@pytest.mark.parametrize("crashed", [("a", "dp_qp", "open"), ("a", "dp_qp", None), ("a", None, None)])
+def test_a_drive_that_crashed_is_missing_whatever_its_gates_say(crashed: tuple[str, str | None, str | None]) -> None:
+    found = said(("a", "dp_qp", "open", "pass"), ("b", "dp_qp", "open", "pass"))
+    driven = drives(("a", "dp_qp", "open"), ("b", "dp_qp", "open"))
+    stand = standings(found, driven, ["a", "b"], ASKED[:1], [crashed, ("b", "dp_qp", "closed"), ("b", "idm", None)])
+    assert list(stand["standing"]) == ["missing", "passed"]
+    failed = standings(said(("a", "dp_qp", "open", "fail")), driven, ["a"], ASKED[:1], [crashed])
+    assert list(failed["standing"]) == ["failed"]
+
+
 @given(st.lists(st.sampled_from(["pass", "fail", "inconclusive", "lost"]), min_size=1, max_size=12))
 def test_every_log_is_counted_once_and_a_lost_one_never_helps(outcomes: list[str]) -> None:
     logs = [f"log{i}" for i in range(len(outcomes))]

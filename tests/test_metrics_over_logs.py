@@ -102,6 +102,17 @@ def test_what_is_lost_counts_as_failed_and_what_is_inconclusive_as_neither(
     assert (as_failed.outcome, as_failed.value) == (found.outcome, found.value)
 
 
+@pytest.mark.parametrize("gate", [Gate(GAP, min=0.5), Gate(GAP, min=0.5, over="mean"), share(0.9)])
+def test_a_drive_that_crashed_can_fail_and_not_pass(gate: Gate) -> None:
+    crashed = {("a", "dp_qp", "closed"): "out of ideas"}
+    labels = {"a": LogLabels(), "b": LogLabels()}
+    good, bad = (judge(Gates((gate,), "test"), table({"a": value, "b": 1.0}), labels, crashed=crashed)[0]
+                 for value in (1.0, -1.0))  # fmt: skip
+    assert good.outcome is (FAIL if gate.over == "pass_share" else INCONCLUSIVE)
+    assert "1 log could not be evaluated (a: out of ideas)" in good.reason
+    assert bad.outcome is FAIL
+
+
 def test_too_many_without_evidence_are_no_pass_of_a_share() -> None:
     values: dict[str, float | None] = {f"log{i}": 1.0 if i < 8 else None for i in range(10)}
     assert verdict(share(0.5, max_missing=0.2), values).outcome is PASS

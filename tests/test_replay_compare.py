@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -111,6 +112,24 @@ def test_what_cannot_be_read_is_named(runs: tuple[Path, Path], tmp_path: Path) -
     ):
         with pytest.raises(error, match=words):
             opened(path)
+    assert replan("baseline", runs[0], "-o", tmp_path).exit_code == 2  # a folder is there
+
+
+def test_a_damaged_folder_is_an_error_in_one_line(runs: tuple[Path, Path], tmp_path: Path) -> None:
+    lost = tmp_path / "lost"
+    shutil.copytree(runs[1], lost)
+    for trace in lost.glob("*/*.mcap"):
+        trace.unlink()
+    assert set(of(runs[0], lost).partings["stage"]) == {"not known"}
+    for file, content, code in (
+        ("metrics.parquet", "PAR1", 3), ("verdicts.parquet", "", 3), ("timings.parquet", None, 3),
+        ("summary.json", "[]", 2), ("summary.json", '{"schema_version": 1}', 2),
+    ):  # fmt: skip
+        damaged = tmp_path / f"{file}-{content}"
+        shutil.copytree(runs[1], damaged)
+        (damaged / file).unlink() if content is None else (damaged / file).write_text(content)
+        result = replan("report", damaged)
+        assert result.exit_code == code and file in result.stderr and "Traceback" not in result.stderr
 
 
 # the command line -------------------------------------------------------------------------------------------------
@@ -120,7 +139,7 @@ def test_the_report_says_inputs_regressions_partings_and_rules(runs: tuple[Path,
     result = replan("compare", *runs)
     for words in (
         "before -> after", "loop.plan_delay_s: 0.0 -> 0.1", "Worst regressions", "Where drives part",
-        "controller: commanded", "replan view ", "at most 0 flips to FAIL", "Comparison: ",
+        "controller: commanded", "[idm]", "replan view ", "at most 0 flips to FAIL", "Comparison: ",
     ):  # fmt: skip
         assert words in result.stdout
     content = json.loads(replan("compare", *runs, "--json", "--no-partings").stdout)
@@ -167,7 +186,10 @@ def test_evaluate_counts_the_rules_against_its_baseline(runs: tuple[Path, Path],
     same = replan(*common, "--out", tmp_path / "a", "--baseline", file)
     late = replan(*common, "--out", tmp_path / "b", "--baseline", file, "--config", delay, "--quiet")
     assert (same.exit_code, late.exit_code) == (0, 1), same.stdout
-    assert "Comparison: PASS (exit code 0)" in same.stdout and "Comparison: FAIL (exit code 1)" in late.stdout
+    assert re.search(r"^Comparison: PASS *$", same.stdout, re.MULTILINE)
+    for result, words in ((same, "Outcome: PASS (exit code 0)"), (late, "Outcome: FAIL (exit code 1)")):
+        assert result.stdout.rstrip().splitlines()[-1].startswith(words), "the last line is that of the whole"
+    assert "Comparison: FAIL\n" in late.stdout
     assert replan(*common, "--out", tmp_path / "a", "--baseline", tmp_path / "a").exit_code == 2
     assert replan(*common, "--out", tmp_path / "c", "--baseline", tmp_path / "no").exit_code == 2
     assert not (tmp_path / "c").exists()

@@ -49,7 +49,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     for name, log in (("free", free), ("blocked", blocked)):
         write_scenario(folder / f"{name}.mcap", replace(log, name=f"test/{name}"))
     (folder / "broken.mcap").write_bytes((folder / "free.mcap").read_bytes()[:-100])
-    (folder / "misbehaving.py").write_text(PLANNERS, encoding="utf-8")
+    (folder / "misbehaving_cases.py").write_text(PLANNERS, encoding="utf-8")
     for name, rule in GATES.items():
         (folder / f"{name}.toml").write_text(f"[[gate]]\n{rule}\n", encoding="utf-8")
     both = (GATES[name] for name in ("fail", "inconclusive"))
@@ -104,15 +104,15 @@ def case(log: str = "free.mcap", planner: str = "constant_speed", gates: str = "
         (case("broken.mcap"), 3),
         (case("broken.mcap free.mcap", gates="fail"), 3),  # 3 beats 1
         (case("broken.mcap free.mcap", gates="inconclusive"), 3),  # and 4
-        (case(planner="misbehaving:Raising"), 3),
-        (case(planner="misbehaving:Raising -p constant_speed", gates="fail"), 3),
+        (case(planner="misbehaving_cases:Raising"), 3),
+        (case(planner="misbehaving_cases:Raising -p constant_speed", gates="fail"), 3),
         (case(planner="no_such_module:X"), 3),
         (case("broken.mcap", more=" --quiet"), 3),
         (case(gates="inconclusive"), 4),
         (case(gates="tag"), 4),
         (case(gates="sure"), 4),  # one log shows no share of 90 %
-        (case(planner="misbehaving:Interrupted"), 3),  # it raises, in its own process
-        (case(planner="misbehaving:Interrupted --trust"), 130),
+        (case(planner="misbehaving_cases:Interrupted"), 3),  # it raises, in its own process
+        (case(planner="misbehaving_cases:Interrupted --trust"), 130),
         ("report run -o OUT", 0),
         ("report run --baseline run -o OUT", 0),
         ("report other --baseline run -o OUT", 0),  # they are written, whatever they say

@@ -143,6 +143,35 @@ def test_what_all_logs_say_together_is_a_test_of_its_own(results: Results) -> No
     assert isinstance(misspelt.result[0], Skipped) and "did you mean 'constant_speed'" in misspelt.result[0].message
 
 
+def test_a_planner_that_crashes_on_a_log_is_an_error_and_counts_against(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(str(tmp_path))
+    (tmp_path / "crashing.py").write_text(
+        "from planners.constant_speed import ConstantSpeed\n\n\nclass Crashing(ConstantSpeed):\n"
+        "    def plan(self, frame):\n        if len(frame.agents):\n            raise RuntimeError('out of ideas')\n"
+        "        return super().plan(frame)\n"
+    )
+    (tmp_path / "gates.toml").write_text('[[gate]]\nmetric = "coverage.log_s.final"\nmin = 1\n')
+    config = RunConfig(
+        planners=("crashing:Crashing",), mode="open", recording=False, gates=str(tmp_path / "gates.toml")
+    )
+    logs = [tmp_path / "free.mcap", tmp_path / "crossed.mcap"]
+    ego = drive(straight, 8.0, 2.0)
+    other = tracks(track("car", [0.0, 2.0], [60.0, 60.0], [20.0, 20.0]))
+    for log, agents in zip(logs, (None, other), strict=True):
+        write_scenario(log, replace(scenario(ego, agents=agents, road=lanes_along(ego)), name=log.stem))
+    found = load(evaluate_logs(logs, config, tmp_path / "out").out)
+    over = overview(found)
+    assert over.exit_code == 3 and {gate.outcome for gate in over.gates} == {"inconclusive"}
+    (share,) = over.whole
+    assert (share.logs, share.passed, share.missing) == (2, 1, 1)
+    suite = parsed(found)["crashing:Crashing.open"]
+    (broken,) = (case for case in suite if case.result and case.name == "evaluated")
+    assert isinstance(broken.result[0], Error) and "out of ideas" in broken.result[0].message
+    assert broken.classname.endswith(".crossed")
+
+
 @given(st.text(max_size=30))
 def test_any_name_is_legal_xml(name: str) -> None:
     from replay.report.junit import Case, _suite
@@ -201,6 +230,16 @@ def test_markdown_tables_are_those_of_the_overview(results: Results) -> None:
     assert len(drives) - 1 == len(over.drives) == 6
     assert drives[1][:3] == ["test/blocked", "constant_speed", "FAIL"]  # the worst first
     assert "closed loop ended by" in drives[0] and len(drives[0]) == len(over.columns) + 5
+
+
+def test_of_many_drives_the_worst_are_in_sight(results: Results) -> None:
+    over = overview(results)
+    many = replace(over, drives=tuple(replace(over.drives[i % 6], log=f"log{i}") for i in range(60)))
+    shown, folded = (rows[1:] for rows in tables(markdown(many)) if rows[0][0] == "log")
+    assert (len(shown), len(folded)) == (25, 35)
+    weight = {"FAIL": 0, "inconclusive": 1, "-": 2, "pass": 3}
+    order = [weight[row[2]] for row in (*shown, *folded)]
+    assert order == sorted(order) and order[0] == 0
 
 
 def test_a_hostile_name_is_only_a_name(results: Results) -> None:
@@ -312,13 +351,14 @@ def test_a_folder_says_the_same_wherever_it_is(results: Results, tmp_path: Path)
     )
     for before, after in zip(one, two, strict=True):
         assert before.read_bytes() == after.read_bytes()
-        assert str(results.path).encode() not in before.read_bytes()
+        for place in (results.path, *{Path(source).parent for source in results.logs["source"]}):
+            assert str(place).encode() not in before.read_bytes()
 
 
 def test_replan_report_writes_them_where_it_is_told(results: Results, tmp_path: Path) -> None:
     clean = {key: None for key in os.environ if key.startswith("GITHUB_")}
     done = CliRunner(env=clean).invoke(app, ["report", str(results.path), "-o", str(tmp_path / "reports")])
     assert done.exit_code == 0, done.output
-    assert sorted(path.name for path in (tmp_path / "reports").iterdir()) == ["junit.xml", "report.md"]
+    assert sorted(path.name for path in (tmp_path / "reports").iterdir()) == ["junit.xml", "report.html", "report.md"]
     assert "](" not in (tmp_path / "reports/report.md").read_text(encoding="utf-8").replace("\\](", "")
     assert CliRunner(env=clean).invoke(app, ["report", str(tmp_path / "nowhere")]).exit_code == 2

@@ -10,10 +10,11 @@ Modules:
 
 from logs.mcap.reader import read_scenario
 from logs.mcap.trace import write_trace
-from logs.mcap.trace_reader import read_trace
+from logs.mcap.trace_reader import read_moment, read_trace
 from logs.mcap.writer import write_scenario
 
 __all__ = [
+    "read_moment",
     "read_scenario",
     "read_trace",
     "write_scenario",

@@ -205,7 +205,9 @@ def concluded(
     timings = out / "timings.parquet"
     sorted_ = sorted((result for result in results if result.folder), key=lambda result: result.name)
     write_timings(timings, (timings_of(out, result) for result in sorted_))
-    verdicts = judge(gates, table, labels, failed=unread) if shard is None else ()
+    errors = [failure for result in results for failure in result.failures]
+    crashed = {(one.log, one.planner, one.mode): one.message for one in errors if one.planner and one.mode}
+    verdicts = judge(gates, table, labels, failed=unread, crashed=crashed) if shard is None else ()
     late = judge_deadline(read_timings(timings), run.deadline_s, labels) if run.deadline_s > 0.0 and not shard else ()
     result = RunResult(
         out=out,
@@ -347,7 +349,8 @@ def _write(result: RunResult) -> None:
     write_parquet(result.out / "verdicts.parquet", said)
     labels = {log.name: LogLabels(log.family, log.dataset, log.tags) for log in result.logs}
     drives = pd.DataFrame([asdict(drive) for drive in result.drives], columns=["log", "planner", "mode", "oracle"])
-    stand = standings(said, drives, list(labels), result.run.drives)
+    crashed = [(failure.log, failure.planner, failure.mode) for failure in result.failures]
+    stand = standings(said, drives, list(labels), result.run.drives, crashed)
     write_parquet(result.out / "groups.parquet", groups(result.table, stand, labels))
     write_json(result.out / "summary.json", summary(result))
 

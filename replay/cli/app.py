@@ -56,6 +56,11 @@ def answered() -> Iterator[None]:
     except ReplanError as error:
         say_error(str(error))
         raise typer.Exit(2 if isinstance(error, ConfigError) else 3) from None
+    except BrokenPipeError:
+        raise
+    except OSError as error:  # a file that cannot be written, say
+        say_error(str(error))
+        raise typer.Exit(2) from None
     except KeyboardInterrupt as interruption:
         say_error(str(interruption) or "interrupted")
         raise typer.Exit(130) from None

@@ -69,15 +69,16 @@ def compare(
         raise typer.Exit(comparison.exit_code)
 
 
-def shown(comparison: Comparison, candidate: Opened) -> None:
-    """A comparison as tables on stdout."""
+def shown(comparison: Comparison, candidate: Opened, *, alone: bool = True) -> None:
+    """A comparison as tables on stdout; `alone`: its exit code is the command's."""
     from rich.console import Console
 
     from replay.compare import watched
     from replay.report.compared import print_comparison
 
     wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 130
-    print_comparison(comparison, Console(width=wide, soft_wrap=False), lambda *drive: watched(candidate, *drive))
+    console = Console(width=wide, soft_wrap=False)
+    print_comparison(comparison, console, lambda *drive: watched(candidate, *drive), alone=alone)
 
 
 @app.command()

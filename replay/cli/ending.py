@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from replay.batch import RunResult
     from replay.compare import Opened
     from replay.config import RunConfig
-    from replay.report.model import Overview
 
 EXIT_CODES = (
     "Exit codes: 0 all gates pass; 1 a gate failed; 2 wrong usage or configuration; 3 a log or planner could not be"
@@ -26,7 +25,7 @@ Baseline = Annotated[
     Path | None,
     typer.Option(help="Compare with this run (a folder, or a file of replan baseline): its rules count, too."),
 ]
-NoReport = Annotated[bool, typer.Option("--no-report", help="Write no report.md and junit.xml.")]
+NoReport = Annotated[bool, typer.Option("--no-report", help="Write no report.html, report.md and junit.xml.")]
 
 
 def before_all(path: Path, run: RunConfig, gates: Path | None, out: Path | None) -> Opened:
@@ -61,11 +60,14 @@ def ended(
     Returns:
         The exit code.
     """
+    from rich.console import Console
+
     from replay.batch.run import summary
     from replay.cli.compare import shown
     from replay.compare import compare_runs, opened
     from replay.report.compared import document, last_line
     from replay.report.overview import overview
+    from replay.report.terminal import print_ending, print_report
     from replay.report.write import write_reports
     from replay.results import load
 
@@ -79,22 +81,16 @@ def ended(
         more = {} if compared is None else {"comparison": document(compared)}
         say_json({"results": result.out, **summary(result), **more})
     elif quiet:
-        typer.echo(f"Outcome: {over.outcome.upper()} (exit code {over.exit_code}); results: {result.out}")
         if compared is not None:
-            typer.echo(last_line(compared))
+            typer.echo(last_line(compared, alone=False))
+        typer.echo(f"Outcome: {over.outcome.upper()} (exit code {over.exit_code}); results: {result.out}")
     else:
-        _print(result, over)
+        wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 110
+        console = Console(width=wide, soft_wrap=False)
+        if result.resumed:
+            typer.echo(f"Resumed: {result.resumed} of {len(result.logs)} logs are those of the interrupted run")
+        print_report(over, console, result.out, ending=False)
         if compared is not None and after is not None:
-            shown(compared, after)
+            shown(compared, after, alone=False)
+        print_ending(over, console, result.out)
     return over.exit_code
-
-
-def _print(result: RunResult, over: Overview) -> None:
-    from rich.console import Console
-
-    from replay.report.terminal import print_report
-
-    wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 110
-    if result.resumed:
-        typer.echo(f"Resumed: {result.resumed} of {len(result.logs)} logs are those of the interrupted run")
-    print_report(over, Console(width=wide, soft_wrap=False), result.out)

@@ -136,7 +136,8 @@ def inspect(
             from metrics.health import findings
 
             health = None if summary.read is None else findings(summary.read)
-            say_json({**vars(summary), "read": None, "error": summary.error and str(summary.error), "health": health})
+            said = {key: value for key, value in vars(summary).items() if key != "read"}
+            say_json({**said, "error": summary.error and str(summary.error), "health": health})
             raise typer.Exit(0 if summary.error is None else 3)
         typer.echo("\n".join(summary.lines()))
         if summary.error is not None:

@@ -136,7 +136,10 @@ def compared(
         change = CHANGES[name]
         candidate = _run(out, name, change, logs, workers)
         planners = (PLANNER, change.run.planners[0])
-        yield name, compare_runs(opened(baseline), opened(candidate), planners, more=(STRICT,), partings=2 * len(logs))
+        before, after = opened(baseline), opened(candidate)
+        if change.logs is not _same:  # their hashes say that they are others: asked is what 1e-9 m alone does
+            after = replace(after, side=replace(after.side, logs=before.side.logs))
+        yield name, compare_runs(before, after, planners, more=(STRICT,), partings=2 * len(logs))
 
 
 def _run(out: Path, name: str, change: Change, logs: Sequence[Scenario], workers: int) -> Path:

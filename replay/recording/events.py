@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import rerun as rr
 
-from logs.trace import Decision, DecisionKind, EndReason, Trace
+from logs.trace import Decision, DecisionKind, EndReason, Said, Trace
 from replay.recording.columns import Instants, Tape
 from replay.recording.lane_choice import KEEP, options, taken, told
 from replay.recording.text import plain
@@ -24,21 +24,25 @@ class Event:
     words: str
 
 
-def events(trace: Trace) -> list[Event]:
-    """Changes of status, of decisions, of the lane and of what a plan says of itself, and the end."""
+def events(trace: Trace, said: Sequence[Said] | None = None) -> list[Event]:
+    """Changes of status, of decisions, of the lane and of what a plan says of itself, and the end.
+
+    Args:
+        trace: The drive.
+        said: What its plans say, where the trace does not have them all.
+    """
     found: list[Event] = []
-    status, said, decided = None, "", dict[str, str]()
-    for frame in trace.frames:
-        plan = frame.plan
+    status, gist, decided = None, "", dict[str, str]()
+    for plan in [frame.said for frame in trace.frames] if said is None else said:
         if plan.status is not status and (status is not None or plan.status.is_fallback):
             level = "WARN" if plan.status.is_fallback else "INFO"
-            found.append(Event(frame.t, level, f"{plan.status.value} {f'({plan.reason})' if plan.reason else ''}"))
-        elif not plan.status.is_fallback and plan.reason and _gist(plan.reason) != said:
-            found.append(Event(frame.t, "INFO", plan.reason))
-        said = _gist(plan.reason)
+            found.append(Event(plan.t, level, f"{plan.status.value} {f'({plan.reason})' if plan.reason else ''}"))
+        elif not plan.status.is_fallback and plan.reason and _gist(plan.reason) != gist:
+            found.append(Event(plan.t, "INFO", plan.reason))
+        gist = _gist(plan.reason)
         some = options(plan)
         if taken(some) != KEEP:
-            found.append(Event(frame.t, "INFO", f"changes lane to the {taken(some)}: {told(some)}"))
+            found.append(Event(plan.t, "INFO", f"changes lane to the {taken(some)}: {told(some)}"))
         now = {
             artefact.agent: f"{artefact.kind.value} ({artefact.reason})"
             for artefact in plan.internals
@@ -47,7 +51,7 @@ def events(trace: Trace) -> list[Event]:
         for agent in dict.fromkeys([*now, *decided]):
             before, after = decided.get(agent, "no decision ()"), now.get(agent, "no decision ()")
             if before.split(" (")[0] != after.split(" (")[0]:
-                found.append(Event(frame.t, "INFO", f"{agent}: {after.removesuffix(' ()')}"))
+                found.append(Event(plan.t, "INFO", f"{agent}: {after.removesuffix(' ()')}"))
         status, decided = plan.status, now
     grave = trace.end in (
         EndReason.COLLISION, EndReason.REPLAY_CONTACT, EndReason.OFF_ROAD, EndReason.PLANNER_FAILURE,

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from logs.road import Road, RoadSource
-from logs.trace import LaneOption, Plan, PlannedFrame, Trace
+from logs.trace import LaneOption, Plan, PlannedFrame, Said, Trace
 
 KEEP = "keep"
 NOT_COMPARED, COMPARED = "keep", "keep: others compared"
 
 
-def options(plan: Plan) -> tuple[LaneOption, ...]:
+def options(plan: Plan | Said) -> tuple[LaneOption, ...]:
     """The lanes that a plan compared; empty where it compared none."""
     return tuple(artefact for artefact in plan.internals if isinstance(artefact, LaneOption))
 

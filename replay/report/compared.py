@@ -6,7 +6,7 @@ Plain letters only, as `replay.report.terminal`.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import fields
+from dataclasses import fields, replace
 from math import isfinite
 from typing import Any
 
@@ -17,7 +17,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from metrics.compare import Comparison
+from metrics.compare import DRIVE, Comparison
 from metrics.gates import Outcome
 
 MOST_FLIPS, MOST_PAIRS, MOST_GROUPS, MOST_LINES = 20, 8, 14, 10
@@ -29,26 +29,45 @@ Watch = Callable[[str, str, str], str]
 """Log, planner and mode to the command that shows the drive; "" where it is not at hand."""
 
 
-def print_comparison(comparison: Comparison, console: Console, watch: Watch = lambda log, planner, mode: "") -> None:
-    """The whole comparison."""
-    console.print(Group(*_parts(comparison, watch)))
+def print_comparison(
+    comparison: Comparison, console: Console, watch: Watch = lambda log, planner, mode: "", *, alone: bool = True
+) -> None:
+    """The whole comparison; its exit code where it is the command's (`alone`), and not a part of it."""
+    console.print(Group(*_parts(comparison, watch, alone=alone)))
 
 
-def _parts(comparison: Comparison, watch: Watch) -> Iterator[RenderableType]:
+def _parts(comparison: Comparison, watch: Watch, *, alone: bool) -> Iterator[RenderableType]:
+    worst = comparison.regressions(1)
+    command = watch(*worst.iloc[0][DRIVE]) if len(worst) else ""
+    comparison = _with_planners(comparison)
     yield Text(f"{comparison.baseline} -> {comparison.candidate}", style="bold")
     yield Text()
     yield from _inputs(comparison)
     yield from _flips(comparison)
-    yield from _extremes("Worst regressions", comparison.regressions(MOST_PAIRS), watch)
-    yield from _extremes("Greatest improvements", comparison.improvements(MOST_PAIRS), None)
+    yield from _extremes("Worst regressions", comparison.regressions(MOST_PAIRS), command)
+    yield from _extremes("Greatest improvements", comparison.improvements(MOST_PAIRS), "")
     yield from _groups(comparison)
     yield from _partings(comparison)
     yield from _rules(comparison)
-    yield from _ending(comparison)
+    yield from _ending(comparison, alone=alone)
 
 
 def _rows(table: pd.DataFrame) -> Iterator[Any]:
     return iter(table.itertuples())
+
+
+def _with_planners(comparison: Comparison) -> Comparison:
+    """Where there are several planners, each log and group with its planner behind it."""
+    if comparison.pairs["planner"].nunique() < 2:
+        return comparison
+    pairs, flips, groups, partings = (
+        table.assign(**{name: table[name] + " [" + table["planner"] + "]"} if len(table) else {})
+        for table, name in (
+            (comparison.pairs, "log"), (comparison.flips, "log"), (comparison.groups, "group"),
+            (comparison.partings, "log"),
+        )
+    )  # fmt: skip
+    return replace(comparison, pairs=pairs, flips=flips, groups=groups, partings=partings)
 
 
 def _titled(title: str, *parts: RenderableType) -> Iterator[RenderableType]:
@@ -97,15 +116,13 @@ def _flips(comparison: Comparison) -> Iterator[RenderableType]:
     yield from _titled(title, table, *_more(len(flips), MOST_FLIPS))
 
 
-def _extremes(title: str, pairs: pd.DataFrame, watch: Watch | None) -> Iterator[RenderableType]:
+def _extremes(title: str, pairs: pd.DataFrame, command: str) -> Iterator[RenderableType]:
     if pairs.empty:
         return
     table = _grid("log", "loop", "metric", "before -> after", "at", "about")
     for row in _rows(pairs):
         values = f"{_number(row.baseline)} -> {_number(row.candidate)}{_unit(row.unit)}"
         table.add_row(Text(row.log), row.mode, Text(row.metric), values, _time(row.time_s), Text(row.reason))
-    first = pairs.iloc[0]
-    command = watch(first["log"], first["planner"], first["mode"]) if watch else ""
     yield from _titled(title, table, *([Text.assemble("Look at the first:  ", (command, "bold"))] if command else []))
 
 
@@ -157,18 +174,19 @@ def _rules(comparison: Comparison) -> Iterator[RenderableType]:
         yield from _titled("Rules", table)
 
 
-def _ending(comparison: Comparison) -> Iterator[RenderableType]:
+def _ending(comparison: Comparison, *, alone: bool) -> Iterator[RenderableType]:
     pairs = comparison.pairs
     drives = len(pairs[["log", "planner", "mode"]].drop_duplicates())
     worse, better = int((pairs["worse"] > 0.0).sum()), int((pairs["worse"] < 0.0).sum())
     same = int((pairs["delta"] == 0.0).sum())
     yield Text(f"{drives} drives, {len(pairs)} values: {same} the same, {worse} worse, {better} better")
-    yield Text(last_line(comparison), style=STYLES[OUTCOMES[comparison.exit_code]])
+    yield Text(last_line(comparison, alone=alone), style=STYLES[OUTCOMES[comparison.exit_code]])
 
 
-def last_line(comparison: Comparison) -> str:
-    """The outcome in one line."""
-    return f"Comparison: {OUTCOMES[comparison.exit_code].upper()} (exit code {comparison.exit_code})"
+def last_line(comparison: Comparison, *, alone: bool = True) -> str:
+    """The outcome in one line, with the exit code where it is the command's."""
+    code = f" (exit code {comparison.exit_code})" if alone else ""
+    return f"Comparison: {OUTCOMES[comparison.exit_code].upper()}{code}"
 
 
 def _more(count: int, most: int) -> list[Text]:

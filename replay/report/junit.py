@@ -4,7 +4,8 @@ A suite per planner and loop. In it, `classname` is PLANNER.LOOP.LOG and `name` 
 
     failure     the log breaks the gate's bound
     skipped     it is inconclusive
-    error       the log could not be driven: one test "evaluated" per log, whose time is that of the drive, simulated
+    error       the log could not be driven to the end, or not at all: one test "evaluated" per log, whose time is that
+                of the drive, simulated
 
 What a gate says of all logs together (a mean, a share of passes, too little evidence) is a test of the class
 PLANNER.LOOP.all logs, or of its group; a log by itself does not fail such a gate. Beside them there is a suite "run" of
@@ -28,7 +29,7 @@ import pandas as pd
 
 from metrics.gates import Outcome
 from replay.report.model import Overview
-from replay.report.overview import log_outcomes
+from replay.report.overview import log_outcomes, without_folders
 from replay.results import Results
 
 TIMESTAMP = "1970-01-01T00:00:00"
@@ -88,16 +89,16 @@ def _of_drives(results: Results, over: Overview, said: pd.DataFrame, planner: st
             yield Case(f"{planner}.{mode}.{gate.group or 'all logs'}", gate.rule, gate.outcome, gate.reason)
     together = {gate.rule for gate in over.gates if gate.over != WORST}
     said = said[(said["planner"] == planner) & (said["mode"] == mode) & ~said["gate"].isin(together)]
+    short = without_folders(results)
     rows = dict(iter(said.groupby("log", sort=False)))
     mine = results.drives[(results.drives["planner"] == planner) & (results.drives["mode"] == mode)]
     drives = dict(zip(mine["log"], mine["t_end_s"].astype(float), strict=True))
     for log in results.logs["log"]:
-        where = f"{planner}.{mode}.{str(log).replace('.', '_')}"
-        if log not in drives:
-            yield Case(where, EVALUATED, "error", _why(results, log, planner, mode))
-            continue
-        yield Case(where, EVALUATED, "pass", time_s=drives[log])
-        yield from (_case(where, row) for row in rows[log].itertuples()) if log in rows else ()
+        where = f"{planner}.{mode}.{short(str(log)).replace('.', '_')}"
+        why = short(_why(results, log, planner, mode)) or ("" if log in drives else "no result")
+        yield Case(where, EVALUATED, "error" if why else "pass", why, drives.get(log, 0.0))
+        if log in drives and log in rows:
+            yield from (_case(where, row) for row in rows[log].itertuples())
 
 
 def _case(where: str, row: Any) -> Case:
@@ -108,12 +109,12 @@ def _case(where: str, row: Any) -> Case:
 
 
 def _why(results: Results, log: str, planner: str, mode: str) -> str:
-    """Why a log was not driven."""
+    """Why a log was not driven to the end; "" where it was."""
     found = [
         failure["message"] for failure in results.summary["failures"]
         if failure["log"] == log and failure["planner"] in (None, planner) and failure["mode"] in (None, mode)
     ]  # fmt: skip
-    return "; ".join(found) or "no result"
+    return "; ".join(found)
 
 
 def _suite(number: int, name: str, cases: Iterable[Case], over: Overview) -> ElementTree.Element:

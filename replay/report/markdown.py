@@ -150,9 +150,13 @@ def _drives(over: Overview, *, linked: bool) -> Iterator[str]:
     head = ("log", "planner", "verdict", *names[:first], *ended, *names[first:], *(["files"] if linked else []))
     order = sorted(over.drives, key=lambda row: (WEIGHT[row.verdict], -row.trouble))
     rows = [_drive(row, first, len(names), linked=linked) for row in order]
-    table = _raw_table([_text(name) for name in head], rows, right=[i for i in range(3, len(head)) if i != 3 + first])
+    names, right = [_text(name) for name in head], [i for i in range(3, len(head)) if i != 3 + first]
     yield "## Drives"
-    yield table if len(rows) <= MAX_OPEN else _folded(f"{len(rows)} drives, the worst first", table)
+    yield _raw_table(names, rows[:MAX_OPEN], right)
+    if len(rows) > MAX_OPEN:
+        yield _folded(
+            f"{len(rows) - MAX_OPEN} drives more, none of them worse", _raw_table(names, rows[MAX_OPEN:], right)
+        )
     yield "\n".join(f"- {_text(line)}" for line in LEGEND)
 
 

@@ -9,11 +9,13 @@ of a folder are the same, byte for byte, wherever it is.
 
 from __future__ import annotations
 
+import os
 import re
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from hashlib import sha256
 from math import isfinite, nan
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -73,7 +75,7 @@ def overview(results: Results, comparison: Comparison | None = None) -> Overview
         ensembles=len(_ensemble(results.metrics)),
         fragile=tuple(_fragile(results.metrics)),
         notes=tuple(_notes(results.summary["logs"])),
-        failures=tuple(_failure(row) for row in results.summary["failures"]),
+        failures=tuple(map(without_folders(results), map(_failure, results.summary["failures"]))),
         worst=_worst(gates, drives),
         comparison=comparison,
     )
@@ -84,6 +86,19 @@ def log_outcomes(results: Results) -> pd.DataFrame:
     deadline_s = results.run.deadline_s
     late = judge_deadline(results.timings, deadline_s, results.labels) if deadline_s > 0.0 else ()
     return pd.concat([results.verdicts, outcomes(late)], ignore_index=True) if late else results.verdicts
+
+
+def without_folders(results: Results) -> Callable[[str], str]:
+    """A text with the logs that could not be read called by their files' names, wherever these lay."""
+    labels = [Path(label) for label in results.logs["source"]]
+    folders = sorted({f"{path.parent}{os.sep}" for path in labels if path.is_absolute()}, key=len, reverse=True)
+
+    def short(text: str) -> str:
+        for folder in folders:
+            text = text.replace(folder, "")
+        return text
+
+    return short
 
 
 def combined(codes: Iterable[int]) -> int:
@@ -208,7 +223,8 @@ def _coverage(drives: pd.DataFrame, values: Values) -> Iterator[Coverage]:
 
 def _shares(results: Results, said: pd.DataFrame) -> tuple[PassShare, ...]:
     labels = results.labels | dict.fromkeys(results.unread, LogLabels())
-    stand = standings(said, results.drives, list(labels), results.run.drives)
+    crashed = [(row["log"], row["planner"], row["mode"]) for row in results.summary["failures"]]
+    stand = standings(said, results.drives, list(labels), results.run.drives, crashed)
     names = ["kind", "group", "planner", "mode", "logs", "passed", "failed", "inconclusive", "missing", "mean"]
     rows = pass_shares(stand, labels)[[*names, "low", "high"]].itertuples(index=False)
     return tuple(PassShare(*row[:4], *(int(count) for count in row[4:9]), *row[9:]) for row in rows)
@@ -225,11 +241,12 @@ def _gates(results: Results, said: pd.DataFrame) -> tuple[GateRow, ...]:
     ):
         found.setdefault((gate, planner, mode), {})[log] = outcome
     members = {f"{kind} {group}": set(logs) for (kind, group), logs in membership(results.labels).items()}
-    rows = []
+    rows, short = [], without_folders(results)
     for verdict in results.summary["gates"]:
         unit = "" if verdict["gate"]["over"] == "pass_share" else units.get(verdict["gate"]["metric"], "")
         each = found.get((verdict["rule"], verdict["planner"], verdict["mode"]), {})
         mine = [outcome for log, outcome in each.items() if log in members.get(verdict.get("group"), each)]
+        verdict = {**verdict, "reason": short(verdict["reason"])}
         rows.append(_gate_row(verdict, unit, mine.count(Outcome.INCONCLUSIVE.value), len(mine)))
     return tuple(sorted(rows, key=lambda row: ORDER.index(row.outcome)))
 

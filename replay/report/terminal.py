@@ -29,12 +29,19 @@ SAYS = {"pass": "pass", "fail": "FAIL", "inconclusive": "inconcl."}
 STYLES = {Outcome.PASS.value: "green", Outcome.FAIL.value: "bold red", Outcome.INCONCLUSIVE.value: "yellow"}
 
 
-def print_report(over: Overview, console: Console, folder: Path) -> None:
-    """The whole report on the results in a folder."""
-    console.print(Group(*_parts(over, folder)))
+def print_report(over: Overview, console: Console, folder: Path, *, ending: bool = True) -> None:
+    """The whole report on the results in a folder; without its `ending` where something stands between."""
+    console.print(Group(*_parts(over)))
+    if ending:
+        print_ending(over, console, folder)
 
 
-def _parts(over: Overview, folder: Path) -> Iterator[RenderableType]:
+def print_ending(over: Overview, console: Console, folder: Path) -> None:
+    """Where the results are, and the outcome: the last line of a run."""
+    console.print(Group(*_ending(over, folder)))
+
+
+def _parts(over: Overview) -> Iterator[RenderableType]:
     if over.drives:
         yield from _drives(over)
         if len(over.planners) > 1:
@@ -51,7 +58,6 @@ def _parts(over: Overview, folder: Path) -> Iterator[RenderableType]:
     if over.failures:
         title = f"Could not be evaluated ({len(over.failures)})"
         yield from _titled(title, *_listed(over.failures, MAX_ROWS, "summary.json"))
-    yield from _ending(over, folder)
 
 
 def _titled(title: str, *parts: RenderableType) -> Iterator[RenderableType]:
@@ -163,7 +169,8 @@ def _shares(over: Overview) -> Iterator[RenderableType]:
 
 
 def _ending(over: Overview, folder: Path) -> Iterator[RenderableType]:
-    yield Text(f"Results: {folder}  (metrics.csv, summary.json, a folder per log)")
+    there = [name for name in ("report.html", "metrics.csv", "summary.json") if (folder / name).is_file()]
+    yield Text(f"Results: {folder}  ({', '.join((*there, 'a folder per log'))})")
     if over.worst is not None and over.worst.recording:
         yield Text.assemble("Look at a drive:  ", (f"replan view {folder / over.worst.recording}", "bold"))
     code = over.exit_code

@@ -126,25 +126,32 @@ def _after(tenths: int) -> str:
 
 def simplified(points: FloatArray, tolerance: float = KEPT_PX) -> IntArray:
     """Which points of a line `(n, 2)` draw it within `tolerance` (Douglas and Peucker 1973), level by level."""
-    kept = np.array([0, len(points) - 1]) if len(points) > 1 else np.zeros(1, np.int64)
-    while len(kept) < len(points):
-        begin, end = kept[:-1], kept[1:]
-        owner = np.repeat(np.arange(len(begin)), end - begin)
-        chord = points[end] - points[begin]
-        length = np.hypot(chord[:, 0], chord[:, 1])
-        away = points[: kept[-1]] - points[begin][owner]
-        across = np.abs(chord[owner, 0] * away[:, 1] - chord[owner, 1] * away[:, 0])
-        distance = np.where(length[owner] > 0.0, across / np.where(length > 0.0, length, 1.0)[owner], 0.0)
-        straight = np.hypot(away[:, 0], away[:, 1])
-        distance = np.where(length[owner] > 0.0, distance, straight)
-        worst = np.maximum.reduceat(distance, begin)
-        split = np.flatnonzero(worst > tolerance)
-        if not len(split):
-            break
+    kept = [np.array([0, len(points) - 1] if len(points) > 1 else [0])]
+    begin, end = kept[0][:-1], kept[0][1:]
+    while True:
+        wide = end - begin > 1
+        begin, end = begin[wide], end[wide]
+        if not len(begin):
+            return np.sort(np.concatenate(kept))
+        inner = end - begin - 1
+        start = np.cumsum(inner) - inner
+        owner = np.repeat(np.arange(len(begin)), inner)
+        at = np.arange(len(owner)) + (begin + 1 - start)[owner]
+        distance = _distances(points[at], points[begin][owner], points[end][owner])
+        worst = np.maximum.reduceat(distance, start)
         hits = np.flatnonzero(distance == worst[owner])
-        first = hits[np.searchsorted(hits, begin[split])]
-        kept = np.union1d(kept, first)
-    return kept
+        split, bent = at[hits[np.searchsorted(hits, start)]], worst > tolerance
+        kept.append(split[bent])
+        begin, end = np.r_[begin[bent], split[bent]], np.r_[split[bent], end[bent]]
+
+
+def _distances(points: FloatArray, begin: FloatArray, end: FloatArray) -> FloatArray:
+    """Of points `(n, 2)` to the lines through begin and end; to the point where these coincide."""
+    chord, away = end - begin, points - begin
+    length = np.hypot(chord[:, 0], chord[:, 1])
+    across = np.abs(chord[:, 0] * away[:, 1] - chord[:, 1] * away[:, 0])
+    near = np.hypot(away[:, 0], away[:, 1])
+    return np.divide(across, length, out=near, where=length > 0.0)
 
 
 AROUND_PX = 12.0

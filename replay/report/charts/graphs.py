@@ -68,7 +68,7 @@ def _graph(subject: Subject, kind: _Kind) -> Chart:
 
 
 def _absent(subject: Subject, kind: _Kind) -> str:
-    kept = any(plan.plan.internals for plan in subject.trace.frames)
+    kept = any(said.internals for said in subject.said)
     return _NO_GRAPH.format(title=kind.title) if kept else _none_kept(subject)
 
 

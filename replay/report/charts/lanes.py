@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from logs.trace import Decision, DecisionKind, PlannedFrame, PlanStatus
+from logs.trace import Decision, DecisionKind, PlanStatus, Said
 from replay.report.charts.axes import BOTTOM_PX, Plane, for_words
 from replay.report.charts.canvas import LETTER_PX, Chart, rect, shortened, text
 from replay.report.charts.curves import now_line
@@ -49,26 +49,26 @@ class Row:
     kind: str = "bar"
 
 
-def decided(frames: Sequence[PlannedFrame], end: float) -> list[Row]:
+def decided(plans: Sequence[Said], end: float) -> list[Row]:
     """What was decided about whom, from when to when; who was ignored only has no row. First come first.
 
     A decision holds until the next frame; neighbouring frames with the same are one span, whose reason is the first.
     """
     rows: dict[str, list[Span]] = {}
-    stops = [*(frame.t for frame in frames[1:]), max(end, frames[-1].t)] if frames else []
-    for frame, stop in zip(frames, stops, strict=True):
-        now = [some for some in frame.plan.internals if isinstance(some, Decision)]
+    stops = [*(plan.t for plan in plans[1:]), max(end, plans[-1].t)] if plans else []
+    for plan, stop in zip(plans, stops, strict=True):
+        now = [some for some in plan.internals if isinstance(some, Decision)]
         for one in {some.agent: some for some in now if some.kind is not DecisionKind.IGNORE}.values():
-            _extend(rows.setdefault(one.agent, []), Span(frame.t, stop, one.kind.value, one.reason))
+            _extend(rows.setdefault(one.agent, []), Span(plan.t, stop, one.kind.value, one.reason))
     return [Row(agent, tuple(spans)) for agent, spans in rows.items()]
 
 
-def statuses(frames: Sequence[PlannedFrame], end: float) -> Row:
+def statuses(plans: Sequence[Said], end: float) -> Row:
     """How the plans came about."""
     spans: list[Span] = []
-    stops = [*(frame.t for frame in frames[1:]), max(end, frames[-1].t)] if frames else []
-    for frame, stop in zip(frames, stops, strict=True):
-        _extend(spans, Span(frame.t, stop, STATUS_WORDS[frame.plan.status], frame.plan.reason))
+    stops = [*(plan.t for plan in plans[1:]), max(end, plans[-1].t)] if plans else []
+    for plan, stop in zip(plans, stops, strict=True):
+        _extend(spans, Span(plan.t, stop, STATUS_WORDS[plan.status], plan.reason))
     return Row("plan", tuple(spans), "calm")
 
 
@@ -81,14 +81,14 @@ def _extend(spans: list[Span], one: Span) -> None:
 
 
 def _rows(subject: Subject) -> list[Row]:
-    frames, end = subject.trace.frames, subject.span[1]
-    everybody = decided(frames, end)
+    plans, end = subject.said, subject.span[1]
+    everybody = decided(plans, end)
     broken = [
         Row(some.series, tuple(Span(begin, stop, "fails", some.gate) for begin, stop in some.spans), "alarm")
         for some in subject.violations
         if some.spans
     ]
-    status = [statuses(frames, end)] if frames else []
+    status = [statuses(plans, end)] if plans else []
     longest = sorted(everybody, key=lambda row: -sum(span.end - span.begin for span in row.spans))[:MAX_ROWS]
     return [*status, *(row for row in everybody if row in longest), *_joined(broken)]
 

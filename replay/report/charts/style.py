@@ -34,17 +34,15 @@ RULES = """
 .chart .end{text-anchor:end}
 .chart .mid{text-anchor:middle}
 .chart .says{fill:$muted;font-style:italic;text-anchor:middle}
-.chart text.warn{fill:$bad;font-weight:bold;font-size:10px}
+.chart text.warn{fill:$bad;font-weight:bold;font-size:10px;paint-order:stroke;stroke:$ground;stroke-width:2.5px}
 .chart .ground{fill:$ground}
 .chart path{fill:none;stroke-linejoin:round}
 .chart .grid{stroke:$grid;stroke-width:1}
 .chart .axis{stroke:$axis;stroke-width:1}
-.chart .zero{stroke:$axis;stroke-width:1;stroke-dasharray:1 3}
 .chart .now{stroke:$ink;stroke-width:1.2;stroke-dasharray:6 3}
 .chart .a{stroke:$ego;stroke-width:1.8}
 .chart .b{stroke:$other;stroke-width:1.6;stroke-dasharray:7 3}
 .chart .c{stroke:$rare;stroke-width:1.6;stroke-dasharray:2 2.5}
-.chart .limit{stroke:$muted;stroke-dasharray:10 4}
 .chart .qp{stroke:$ego;stroke-width:2.2}
 .chart .dp{stroke:$other;stroke-width:1.6;stroke-dasharray:5 3}
 .chart .driven{stroke:$ego;stroke-width:1.4;stroke-dasharray:1 3;stroke-linecap:round}

@@ -7,9 +7,9 @@ from functools import cached_property
 from math import isfinite
 
 from logs.errors import ConfigError
-from logs.mcap import read_trace
+from logs.mcap import read_moment
 from logs.scenario import Scenario
-from logs.trace import PlannedFrame, Trace
+from logs.trace import PlannedFrame, Said, Trace
 from replay.report.charts.moment import Moment, Violation, violations, worst_moment
 from replay.results import DriveResult
 
@@ -21,14 +21,16 @@ class Subject:
     Attributes:
         drive: Of the results.
         moment: When to look, and why.
-        trace: As driven; only the plan at the moment has all of its inside (`read_trace`).
+        trace: As driven; of the plans only the one that was the newest at the moment.
         scenario: Road, goal, vehicle, lights.
+        said: What each plan says of itself.
     """
 
     drive: DriveResult
     moment: Moment
     trace: Trace
     scenario: Scenario
+    said: tuple[Said, ...]
 
     @cached_property
     def violations(self) -> list[Violation]:
@@ -41,11 +43,10 @@ class Subject:
         first, last = float(self.trace.ego.t[0]), float(self.trace.ego.t[-1])
         return first, max(last, first + 0.1)
 
-    @cached_property
+    @property
     def frame(self) -> PlannedFrame | None:
         """The plan that was the newest at the moment; None: there was none yet."""
-        earlier = [frame for frame in self.trace.frames if frame.t <= self.moment.t + 1e-9]
-        return earlier[-1] if earlier else None
+        return self.trace.frames[0] if self.trace.frames else None
 
 
 def subject(drive: DriveResult, at: float | None = None) -> Subject:
@@ -56,10 +57,10 @@ def subject(drive: DriveResult, at: float | None = None) -> Subject:
         LogError: Its trace is damaged.
     """
     moment = worst_moment(drive) if at is None else Moment(at, "as asked")
-    trace, scenario = read_trace(drive.trace_file, (moment.t,))
+    trace, scenario, said = read_moment(drive.trace_file, moment.t)
     begin, end = float(trace.ego.t[0]), float(trace.ego.t[-1])
     if not (isfinite(moment.t) and begin - 1e-9 <= moment.t <= end + 1e-9):
         raise ConfigError(
             f"{drive.log}, {drive.planner}, {drive.mode} loop: --at {moment.t:g} is not in its {begin:g} to {end:g} s"
         )
-    return Subject(drive, moment, trace, scenario)
+    return Subject(drive, moment, trace, scenario, said)

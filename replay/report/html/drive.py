@@ -127,7 +127,7 @@ def drive_page(results: Results, row: DriveRow, anchor: str, page: Path) -> Driv
         seen, why = subject(shown), ""
     except LogError as error:
         seen, why = None, f"no pictures: {error.what}"
-    found = events(seen.trace) if seen else []
+    found = events(seen.trace, seen.said) if seen else []
     labels = results.labels.get(row.log)
     detail = f": {shown.info['detail']}" if shown.info["detail"] else ""
     return DrivePage(

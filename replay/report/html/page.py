@@ -23,7 +23,7 @@ from replay.report.html.drive import drive_page
 from replay.report.model import DriveRow, Overview
 from replay.results import Results
 
-MOST_REGRESSIONS, MOST_GROUPS, MOST_MOVED = 60, 80, 6
+MOST_REGRESSIONS, MOST_IMPROVEMENTS, MOST_GROUPS, MOST_MOVED = 60, 20, 80, 6
 """Rows of the comparison's tables, and how many metrics are drawn."""
 _ORDER = {"fail": 0, "inconclusive": 1}
 
@@ -84,19 +84,26 @@ def _markup(chart: Chart) -> Markup:
 def _compared(comparison: Comparison) -> dict[str, Any]:
     """The comparison as lists of rows."""
     groups = comparison.groups
-    shown = groups[groups["significant"].astype(bool) | (groups["kind"] == "suite")]
+    asked = groups["metric"].isin(set(comparison.pairs.loc[comparison.pairs["asked"].astype(bool), "metric"]))
+    shown = groups[groups["significant"].astype(bool) | asked & (groups["kind"] == "suite")]
     moving = shown[shown["delta"].abs() > 0.0]
     order = moving.assign(rank=~moving["significant"].astype(bool)).sort_values("rank", kind="stable")
     worse = comparison.regressions(MOST_REGRESSIONS, each=3)
     return {
         "of": comparison,
-        "flips": _dicts(comparison.flips),
+        "flips": _dicts(_failing_first(comparison.flips)),
         "regressions": _dicts(worse),
+        "improvements": _dicts(comparison.improvements(MOST_IMPROVEMENTS)),
         "groups": _dicts(order.head(MOST_GROUPS)),
         "more_groups": max(len(order) - MOST_GROUPS, 0),
         "partings": _dicts(comparison.partings),
         "charts": [_markup(chart) for chart in _moved(comparison)],
     }
+
+
+def _failing_first(flips: pd.DataFrame) -> pd.DataFrame:
+    rank = 2 - 2 * (flips["after"] == "fail") - (flips["before"] == "fail")
+    return flips.loc[rank.sort_values(kind="stable").index]
 
 
 def _moved(comparison: Comparison) -> list[Chart]:

@@ -22,7 +22,9 @@ from metrics import evaluate
 from replay.apart.processes import _warm
 from replay.apart.proxy import clean, described
 from replay.batch.one_log import LOOPS
+from replay.batch.resume import stamp_of
 from replay.closed_loop import run_closed_loop
+from replay.config import RunConfig
 from replay.drive import ApartConfig, LoopConfig
 from replay.open_loop import run_open_loop
 
@@ -157,6 +159,15 @@ def test_trust_is_said() -> None:
     assert not any("trusted" in note for note in kept_apart.trace.notes)
     for each in (trusted, kept_apart):
         assert {lap.stage for lap in each.timings} == {"arc", "total"}
+
+
+def test_another_program_is_not_resumed_with(tmp_path: Path) -> None:
+    program = tmp_path / "planner.py"
+    stamps = []
+    for text in ("one", "two", "one"):
+        program.write_text(text, encoding="utf-8")
+        stamps.append(stamp_of(RunConfig(planners=(f"exec:{sys.executable} {program} --fast",))))
+    assert stamps[0] == stamps[2] != stamps[1]
 
 
 def test_control_characters_do_not_reach_the_terminal() -> None:

@@ -146,6 +146,18 @@ class Daemon(Raises):
         return None
 
 
+class Hangs(Raises):
+    """Says by a file who it is, and hangs; it has a process of its own beside."""
+
+    def bad(self, frame: Frame) -> object:
+        beside = os.fork()
+        if beside:
+            Path("hangs.partial").write_text(f"{os.getpid()} {beside}", encoding="utf-8")
+            Path("hangs.partial").rename("hangs")
+        while True:
+            pass
+
+
 class Threads(ConstantSpeed):
     """Prints and works beside its planning, for ever."""
 

@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -11,13 +15,16 @@ from handmade import drive, lanes_along, scenario, straight, track, tracks
 
 from logs import ConfigError, EndReason, PlannerError, Scenario, Trace
 from logs.catalogue import CATALOGUE
+from logs.mcap import write_scenario
 from logs.mcap.trace import plan_message
 from logs.states import TRAJECTORY_COLUMNS
 from metrics import evaluate
 from replay.apart.processes import _warm
 from replay.apart.proxy import clean, described
 from replay.batch.one_log import LOOPS
+from replay.batch.resume import stamp_of
 from replay.closed_loop import run_closed_loop
+from replay.config import RunConfig
 from replay.drive import ApartConfig, LoopConfig
 from replay.open_loop import run_open_loop
 
@@ -154,8 +161,38 @@ def test_trust_is_said() -> None:
         assert {lap.stage for lap in each.timings} == {"arc", "total"}
 
 
+def test_another_program_is_not_resumed_with(tmp_path: Path) -> None:
+    program = tmp_path / "planner.py"
+    stamps = []
+    for text in ("one", "two", "one"):
+        program.write_text(text, encoding="utf-8")
+        stamps.append(stamp_of(RunConfig(planners=(f"exec:{sys.executable} {program} --fast",))))
+    assert stamps[0] == stamps[2] != stamps[1]
+
+
 def test_control_characters_do_not_reach_the_terminal() -> None:
     assert clean("a\x1b[2J\r\nb\x00\u202ec") == "a?[2J b??c"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", ["0", "1"])
+@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
+def test_a_run_that_ends_takes_a_planner_along_that_hangs(tmp_path: Path, how: signal.Signals, workers: str) -> None:
+    write_scenario(tmp_path / "log.mcap", short_log())
+    command = [sys.executable, "-P", "-c", "from replay.cli import main; main()", "evaluate", "log.mcap"]
+    options = ["-p", "bad_planners:Hangs", "--plan-timeout", "1000", "--workers", workers, "-o", "out"]
+    places = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    with subprocess.Popen([*command, *options], cwd=tmp_path, env=places, stderr=subprocess.PIPE) as run:
+        while not (tmp_path / "hangs").exists():
+            assert run.poll() is None
+            time.sleep(0.05)
+        run.send_signal(how)
+        run.communicate(timeout=60.0)
+    assert run.returncode == (-9 if how is signal.SIGKILL else 130)
+    pids, until = (tmp_path / "hangs").read_text(encoding="utf-8").split(), time.monotonic() + 10.0
+    while any(Path("/proc", pid).exists() for pid in pids) and time.monotonic() < until:
+        time.sleep(0.05)
+    assert not [pid for pid in pids if Path("/proc", pid).exists()]
 
 
 def children() -> list[str]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+import select
 import signal
 import socket
 import subprocess
@@ -117,19 +118,17 @@ class Launcher:
             left = until - time.monotonic()
             if left <= 0.0:
                 return None
-            self._control.settimeout(left)
             try:
-                data = self._control.recv(1 << 16)
-            except OSError:
+                select.select([self._control], [], [], left)
+                data = self._control.recv(1 << 16, socket.MSG_DONTWAIT)
+            except BlockingIOError:
+                continue
+            except (OSError, ValueError):  # it is closed
                 return None
-            finally:
-                with suppress(OSError):
-                    self._control.settimeout(None)
             if not data:
                 return None
             *lines, self._rest = (self._rest + data).split(b"\n")
-            for ended in map(json.loads, lines):
-                self._ended[ended["ended"]] = ended["status"]
+            self._ended.update((ended["ended"], ended["status"]) for ended in map(json.loads, lines))
         return self._ended[key]
 
     def kill(self, key: int) -> None:

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from logs.errors import ConfigError, LogError
+from replay.apart.proxy import command_of
 from replay.batch.log_result import LogResult, Stamp, kept
 from replay.batch.sources import LOG_CARD, LogSource
 from replay.batch.tables import FILES, PARTIAL, check_ours, clear_partial
@@ -34,15 +35,24 @@ def stamp_of(run: RunConfig) -> Stamp:
     digest = sha256()
     for file in files:
         digest.update(f"{file.relative_to(root)}\n".encode() + file.read_bytes())
+    for name in (*run.planners, *run.metrics):
+        for file in _files_of(name):
+            digest.update(f"{file.name}\n".encode() + file.read_bytes())
+    return Stamp(replan_version(), digest.hexdigest())
+
+
+def _files_of(name: str) -> list[Path]:
+    """The file of a user's module ("module:NAME"), or those that a command names ("exec:COMMAND")."""
+    if name.startswith("exec:"):
+        words = command_of(name)
+        found = [Path(shutil.which(words[0]) or words[0]), *map(Path, words[1:])]
+        return [file for file in found if file.is_file()]
     here = str(Path.cwd())
     if here not in sys.path:
         sys.path.append(here)
-    for name in (*run.planners, *run.metrics):
-        module, separator, _ = name.partition(":")
-        spec = importlib.util.find_spec(module) if separator else None
-        if spec is not None and spec.origin and Path(spec.origin).is_file():
-            digest.update(f"{module}\n".encode() + Path(spec.origin).read_bytes())
-    return Stamp(replan_version(), digest.hexdigest())
+    module, separator, _ = name.partition(":")
+    spec = importlib.util.find_spec(module) if separator else None
+    return [Path(spec.origin)] if spec is not None and spec.origin and Path(spec.origin).is_file() else []
 
 
 def finished(out: Path, sources: Sequence[LogSource], run: RunConfig, stamp: Stamp) -> dict[int, LogResult]:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from logs.errors import ConfigError
-from replay.cli.app import say_json
+from replay.cli.app import say, say_json
 
 if TYPE_CHECKING:
     from replay.batch import RunResult
@@ -81,9 +81,9 @@ def ended(
         more = {} if compared is None else {"comparison": document(compared)}
         say_json({"results": result.out, **summary(result), **more})
     elif quiet:
-        typer.echo(f"Outcome: {over.outcome.upper()} (exit code {over.exit_code}); results: {result.out}")
+        say(f"Outcome: {over.outcome.upper()} (exit code {over.exit_code}); results: {result.out}")
         if compared is not None:
-            typer.echo(last_line(compared))
+            say(last_line(compared))
     else:
         _print(result, over)
         if compared is not None and after is not None:
@@ -92,11 +92,11 @@ def ended(
 
 
 def _print(result: RunResult, over: Overview) -> None:
-    from rich.console import Console
 
+    from replay.report.console import SafeConsole
     from replay.report.terminal import print_report
 
     wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 110
     if result.resumed:
-        typer.echo(f"Resumed: {result.resumed} of {len(result.logs)} logs are those of the interrupted run")
-    print_report(over, Console(width=wide, soft_wrap=False), result.out)
+        say(f"Resumed: {result.resumed} of {len(result.logs)} logs are those of the interrupted run")
+    print_report(over, SafeConsole(width=wide, soft_wrap=False), result.out)

@@ -7,7 +7,10 @@ the same source as plain Python.
 
 from __future__ import annotations
 
+import multiprocessing
+import sys
 from collections.abc import Callable
+from functools import cache
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numpy as np
@@ -31,7 +34,7 @@ R = TypeVar("R")
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
     """Compile `function` when it is first called; types as in its annotations."""
-    return cast("Callable[P, R]", njit(cache=True, error_model="numpy")(function))
+    return _compiled(function)
 
 
 def inner_kernel(function: Callable[P, R]) -> Callable[P, R]:
@@ -39,8 +42,43 @@ def inner_kernel(function: Callable[P, R]) -> Callable[P, R]:
 
     For a small one whose arguments are named tuples, that is most of what there is to compile.
     """
-    unlisted: Any = {"no_cpython_wrapper": True, "no_cfunc_wrapper": True}  # numba knows them, its types do not
-    return cast("Callable[P, R]", njit(cache=True, error_model="numpy", **unlisted)(function))
+    return _compiled(function, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+
+
+def _compiled(function: Callable[P, R], **unlisted: Any) -> Callable[P, R]:
+    """With its machine code on disk where it can be kept; `unlisted`: numba knows them, its types do not."""
+    options: Any = {"error_model": "numpy", **unlisted}
+    try:
+        compiled = njit(cache=True, **options)(function)
+    except RuntimeError:  # no folder for it that can be written
+        say_not_kept()
+        return cast("Callable[P, R]", njit(**options)(function))
+    store = getattr(compiled, "_cache", None)  # not there with NUMBA_DISABLE_JIT
+    if store is not None:
+        store.save_overload = _forgiving(store.save_overload)
+    return cast("Callable[P, R]", compiled)
+
+
+def _forgiving(save: Callable[..., None]) -> Callable[..., None]:
+    """Keeps machine code where it can: a full disk costs another compilation, and not the drive."""
+
+    def saved(*arguments: Any) -> None:
+        try:
+            save(*arguments)
+        except OSError:
+            say_not_kept()
+
+    return saved
+
+
+@cache
+def say_not_kept() -> None:
+    """Say once, and not in workers, that kernels are compiled anew in each process."""
+    if multiprocessing.parent_process() is None:
+        sys.stderr.write(
+            "note: compiled kernels cannot be kept (no folder for them can be written, or the disk is full): each"
+            " process compiles them anew, which takes about a minute; set NUMBA_CACHE_DIR to a folder with room\n"
+        )
 
 
 @inner_kernel

@@ -23,4 +23,7 @@ __all__ = ["about", "app", "compare", "evaluate", "logs", "main", "plot", "repor
 
 def main() -> None:
     """Run the command line; ends the process with its exit code."""
+    from replay.report.console import encode_all
+
+    encode_all()
     app(prog_name="replan")

@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from replay.cli.app import Json, answered, app, say_json
+from replay.cli.app import Json, answered, app, say, say_json
 from replay.cli.names import completion
 
 
@@ -33,7 +33,7 @@ def listed(
             found = {one: listing.entries(one) for one in kinds}
             say_json(found if kind is None else found[kind])
         else:
-            typer.echo("\n".join(listing.counts() if kind is None else listing.lines(listing.entries(kind))))
+            say("\n".join(listing.counts() if kind is None else listing.lines(listing.entries(kind))))
 
 
 @app.command()
@@ -56,6 +56,6 @@ def metrics(
             found = [pages.facts(metric) for group in GROUPS.values() for metric in group]
             say_json(found if name is None else pages.facts(load_metric(name)))
         elif name is not None:
-            typer.echo(pages.page(load_metric(name)))
+            say(pages.page(load_metric(name)))
         else:
-            typer.echo(pages.markdown(GROUPS) if markdown else pages.listing(GROUPS))
+            say(pages.markdown(GROUPS) if markdown else pages.listing(GROUPS))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import sys
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass, replace
@@ -72,16 +73,24 @@ def answered() -> Iterator[None]:
         raise typer.Exit(130) from None
 
 
+def say(text: object = "", *, err: bool = False) -> None:
+    """On stdout or stderr, with control characters that can be seen: none reaches the terminal."""
+    from replay.report.console import visible
+
+    typer.echo(visible(text), err=err)
+
+
 def say_error(message: str) -> None:
     """One line on stderr."""
-    typer.echo(f"error: {message}", err=True)
+    say(f"error: {message}", err=True)
 
 
 def say_json(document: Any) -> None:
     """One JSON document on stdout; dataclasses are objects, tables lists of rows, what is no number is null."""
     import json
 
-    typer.echo(json.dumps(_plain(document), indent=2, ensure_ascii=False, allow_nan=False))
+    ascii_only = "utf" not in (sys.stdout.encoding or "").lower()  # else "?" would be written
+    say(json.dumps(_plain(document), indent=2, ensure_ascii=ascii_only, allow_nan=False))
 
 
 def _plain(value: Any) -> Any:
@@ -107,7 +116,7 @@ def _version(asked: bool) -> None:
     if asked:
         from replay.version import replan_version
 
-        typer.echo(f"replan {replan_version()}")
+        say(f"replan {replan_version()}")
         raise typer.Exit
 
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from logs.errors import ConfigError
-from replay.cli.app import Json, answered, app, say_json
+from replay.cli.app import Json, answered, app, say, say_json
 
 if TYPE_CHECKING:
     from metrics.compare import Comparison
@@ -71,13 +71,12 @@ def compare(
 
 def shown(comparison: Comparison, candidate: Opened, *, alone: bool = True) -> None:
     """A comparison as tables on stdout; `alone`: its exit code is the command's."""
-    from rich.console import Console
-
     from replay.compare import watched
     from replay.report.compared import print_comparison
+    from replay.report.console import SafeConsole
 
     wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 130
-    console = Console(width=wide, soft_wrap=False)
+    console = SafeConsole(width=wide, soft_wrap=False)
     print_comparison(comparison, console, lambda *drive: watched(candidate, *drive), alone=alone)
 
 
@@ -98,4 +97,4 @@ def baseline(
         if not out.parent.is_dir():
             raise ConfigError(f"{out}: no such folder")
         write_baseline(opened(results), out)
-        typer.echo(f"{out}: {out.stat().st_size / 1e3:.0f} kB")
+        say(f"{out}: {out.stat().st_size / 1e3:.0f} kB")

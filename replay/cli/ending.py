@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from logs.errors import ConfigError
-from replay.cli.app import say_json
+from replay.cli.app import say, say_json
 
 if TYPE_CHECKING:
     from replay.batch import RunResult
@@ -60,13 +60,12 @@ def ended(
     Returns:
         The exit code.
     """
-    from rich.console import Console
-
     from replay.batch.lock import held
     from replay.batch.run import summary
     from replay.cli.compare import shown
     from replay.compare import compare_runs, opened
     from replay.report.compared import document, last_line
+    from replay.report.console import SafeConsole
     from replay.report.overview import overview
     from replay.report.terminal import print_ending, print_report
     from replay.report.write import write_reports
@@ -84,13 +83,13 @@ def ended(
         say_json({"results": result.out, **summary(result), **more})
     elif quiet:
         if compared is not None:
-            typer.echo(last_line(compared, alone=False))
-        typer.echo(f"Outcome: {over.outcome.upper()} (exit code {over.exit_code}); results: {result.out}")
+            say(last_line(compared, alone=False))
+        say(f"Outcome: {over.outcome.upper()} (exit code {over.exit_code}); results: {result.out}")
     else:
         wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 110
-        console = Console(width=wide, soft_wrap=False)
+        console = SafeConsole(width=wide, soft_wrap=False)
         if result.resumed:
-            typer.echo(f"Resumed: {result.resumed} of {len(result.logs)} logs are those of the interrupted run")
+            say(f"Resumed: {result.resumed} of {len(result.logs)} logs are those of the interrupted run")
         print_report(over, console, result.out, ending=False)
         if compared is not None and after is not None:
             shown(compared, after, alone=False)

@@ -24,6 +24,7 @@ from replay.cli.app import (
     cores,
     log_settings,
     run_config,
+    say,
     say_json,
 )  # fmt: skip
 from replay.cli.ending import EXIT_CODES, Baseline, NoReport, before_all, ended
@@ -253,13 +254,13 @@ def vary(
         from replay.vary.encounters import encounters
 
         if listing:
-            say_json(command.variation_table()) if as_json else typer.echo("\n".join(command.variations()))
+            say_json(command.variation_table()) if as_json else say("\n".join(command.variations()))
             return
         if log is None:
             raise ConfigError("name a log or a family: replan vary paper/crossing_pedestrian --vary time=-2:2:9")
         scenario = command.opened(log, log_settings(config, ego, road_map, begin, end))
         if list_agents:
-            say_json(encounters(scenario)) if as_json else typer.echo("\n".join(command.agents(scenario)))
+            say_json(encounters(scenario)) if as_json else say("\n".join(command.agents(scenario)))
             return
         options = {"planners": (planner,) if planner else None, "gates": None if gates is None else str(gates)}
         run = replace(
@@ -268,14 +269,14 @@ def vary(
         asked = command.asked(scenario, variation or [], agent or [], resolution)
         count = cores() if workers is None else workers
         result = command.vary(
-            scenario, asked, run, out, workers=count, say=lambda line: None if quiet else typer.echo(line, err=True)
+            scenario, asked, run, out, workers=count, say=lambda line: None if quiet else say(line, err=True)
         )
         if as_json:
             say_json(
                 {"results": result.out, "exit_code": result.exit_code, "edges": result.edges, "table": result.table}
             )
         else:
-            typer.echo("\n".join(result.lines()))
+            say("\n".join(result.lines()))
         raise typer.Exit(result.exit_code)
 
 
@@ -335,7 +336,7 @@ def paper(
 
         count = cores() if workers is None else workers
         config = PaperConfig(tuple(vehicle or ("single_track",)), roads=roads, workers=count)
-        typer.echo(reproduce(out, config, say=lambda line: typer.echo(line, err=True)))
+        say(reproduce(out, config, say=lambda line: say(line, err=True)))
 
 
 @app.command()
@@ -352,4 +353,4 @@ def calibrate(
         from replay.calibrate import calibrate as write
 
         for path in write(out, vehicle, car, config):
-            typer.echo(path)
+            say(path)

@@ -20,6 +20,7 @@ from replay.cli.app import (
     answered,
     app,
     log_settings,
+    say,
     say_error,
     say_json,
 )
@@ -57,7 +58,7 @@ def synth(
             say_json(table())
             return
         if listing or markdown:
-            typer.echo(markdown_page() if markdown else "\n".join(listed()))
+            say(markdown_page() if markdown else "\n".join(listed()))
             return
         if bool(names) == bool(suite) or out is None:
             raise ConfigError(
@@ -67,7 +68,7 @@ def synth(
             raise ConfigError("--set changes families that are named; the logs of a suite have their parameters")
         written = write_suite(suite, out) if suite else synthesise(chosen(names or ()), out, overrides(settings or []))
         for path in written:
-            typer.echo(path)
+            say(path)
 
 
 @app.command()
@@ -106,12 +107,12 @@ def convert(
             say_json(table())
             return
         if formats:
-            typer.echo("\n".join(listing()))
+            say("\n".join(listing()))
             return
         if not logs or out is None:
             raise ConfigError("name logs and where to write them: replan convert LOG ... -o FOLDER; see --formats")
         settings = log_settings(config, ego, road_map, begin, end, problem)
-        if not convert_all(logs, out, settings, foxglove=foxglove, say=typer.echo, say_error=say_error):
+        if not convert_all(logs, out, settings, foxglove=foxglove, say=say, say_error=say_error):
             raise typer.Exit(3)
 
 
@@ -139,13 +140,13 @@ def inspect(
             said = {key: value for key, value in vars(summary).items() if key != "read"}
             say_json({**said, "error": summary.error and str(summary.error), "health": health})
             raise typer.Exit(0 if summary.error is None else 3)
-        typer.echo("\n".join(summary.lines()))
+        say("\n".join(summary.lines()))
         if summary.error is not None:
             raise typer.Exit(3)
         if summary.read is not None:
             from metrics.health import report
 
-            typer.echo("\n".join(report(summary.read)))
+            say("\n".join(report(summary.read)))
 
 
 @app.command()
@@ -161,7 +162,7 @@ def salvage(
             raise ConfigError(f"{damaged}: no such file")
         if out.exists():
             raise ConfigError(f"{out}: exists already; name a new file")
-        typer.echo("\n".join([str(out), *(f"    {line}" for line in save(damaged, out).lines())]))
+        say("\n".join([str(out), *(f"    {line}" for line in save(damaged, out).lines())]))
 
 
 export_app = typer.Typer(help="Drives in the formats of others.", no_args_is_help=True)
@@ -198,4 +199,4 @@ def commonroad_solution(
         with writing(out):
             out.parent.mkdir(parents=True, exist_ok=True)
             write_text(out, text)
-        typer.echo(out)
+        say(out)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from logs.errors import ConfigError
-from replay.cli.app import answered, app
+from replay.cli.app import answered, app, say
 
 if TYPE_CHECKING:
     from replay.results import DriveResult, Results
@@ -79,13 +79,13 @@ def plot(
         why = "" if at is not None else f": {seen.moment.why}"
         if path.suffix in (".png", ".svg") and not path.is_dir():
             save(together(charts, title, f"at {seen.moment.t:.2f} s{why}", width), path, theme=theme.value, width=width)
-            typer.echo(f"{path}  ({title}, at {seen.moment.t:.2f} s{why})")
+            say(f"{path}  ({title}, at {seen.moment.t:.2f} s{why})")
             return
         for one in charts:
             for ending in (".png", ".svg"):
                 file = path / f"{name}-{one.name}{ending}"
                 save(one, file, theme=theme.value, width=width)
-                typer.echo(file)
+                say(file)
 
 
 def _drive(results: Results, log: str | None, planner: str | None, mode: str | None) -> DriveResult:

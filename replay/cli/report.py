@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from replay.cli.app import answered, app
+from replay.cli.app import answered, app, say
 
 
 @app.command()
@@ -44,4 +44,4 @@ def report(
         found = load(results)
         comparison = None if baseline is None else compare_runs(opened(baseline), opened(results), gates=gates)
         for path in write_reports(found, overview(found, comparison), out or results):
-            typer.echo(path)
+            say(path)

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from logs.errors import ConfigError
-from replay.cli.app import Begin, Ego, End, Map, Settings, answered, app, log_settings
+from replay.cli.app import Begin, Ego, End, Map, Settings, answered, app, log_settings, say
 
 
 @app.command()
@@ -47,7 +47,7 @@ def view(
             if save.suffix != ".rrd":
                 raise ConfigError(f"--save {save}: a recording is called FILE.rrd")
             save_log(target, save, settings)
-            typer.echo(save)
+            say(save)
             return
         if not is_log:
             show([target] if target.is_file() else recordings(target), memory_limit, web=web, port=port)

@@ -13,11 +13,11 @@ from math import isfinite
 from pathlib import Path
 from time import monotonic
 
-from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from replay.batch.log_result import LogResult
 from replay.batch.sources import Selection
+from replay.report.console import SafeConsole
 
 LEAST_S, MOST_S = 5.0, 60.0
 """Off a terminal a line comes when another tenth of the logs is done, but not within 5 s, and each minute."""
@@ -74,7 +74,7 @@ def progress(
         KeyboardInterrupt: As it came, with words that say what is left of the run and how to go on with it.
     """
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    console = Console(stderr=True)
+    console = SafeConsole(stderr=True)
     begun: list[tuple[Path, Pace]] = []
     on_terminal = sys.stderr.isatty()
     with Progress(*columns, console=console, transient=True, disable=quiet or not on_terminal) as bar:

@@ -3,6 +3,7 @@
     ReplanError                 one line that names the thing, the place and the remedy
      |- LogError                a log cannot be read or evaluated            exit code 3
      |- PlannerError            a planner cannot be loaded, or raised        exit code 3
+     |- OutputError             a file cannot be written: a full disk        exit code 3
      '- ConfigError             a wrong option, key, threshold or name       exit code 2
 
 The command line prints `str(error)` and never a traceback for these; any other exception is a bug.
@@ -10,10 +11,15 @@ The command line prints `str(error)` and never a traceback for these; any other 
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import os
+import re
+import sysconfig
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from difflib import get_close_matches
 from pathlib import Path
 from traceback import extract_tb
+from typing import Any
 
 
 class ReplanError(Exception):
@@ -65,16 +71,49 @@ class ConfigError(ReplanError):
     """A wrong option, configuration key, gate or name."""
 
 
+class OutputError(ReplanError):
+    """A file cannot be written: the disk is full, or no one may write there."""
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """What the system raises inside becomes an OutputError that names the file."""
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(f"{path}: cannot be written: {os.strerror(error.errno) if error.errno else error}") from error
+
+
+OWN_FOLDERS = tuple(str(Path(__file__).parents[1] / name) for name in ("logs", "metrics", "planners", "replay"))
+_LIBRARIES = tuple(sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib"))
+LONGEST_MESSAGE = 400
+
+
+def raised(error: BaseException, *, of: Callable[..., Any] | None = None) -> str:
+    """What was raised, in one line, with the place: the innermost in the user's code, where it is in the call at all.
+
+    Args:
+        error: The exception.
+        of: The user's function that is to blame where nothing of theirs is in the traceback.
+    """
+    try:
+        words = " ".join(str(error).split())
+    except Exception:  # their exception's own text
+        words = "(its message cannot be read)"
+    words = re.sub(r"\b0x[0-9a-f]{6,}\b", "0x...", words)[:LONGEST_MESSAGE]  # addresses differ from run to run
+    places = [(place.filename, place.lineno) for place in extract_tb(error.__traceback__)]
+    theirs = [place for place in places if not place[0].startswith((*OWN_FOLDERS, *_LIBRARIES, "<"))]
+    code = getattr(of, "__code__", None)
+    named = [(code.co_filename, code.co_firstlineno)] if code is not None else []
+    if isinstance(error, SyntaxError) and error.filename:
+        named, theirs = [(error.filename, error.lineno)], []
+    file, line = [*places, *named, *theirs][-1] if places or named else ("", 0)
+    return f"{type(error).__name__}: {words}" + (f" ({Path(file).name}:{line})" if file else "")
+
+
 def unknown_name(kind: str, name: str, known: Iterable[str]) -> ConfigError:
     """The error for a name that is not in a table: says the nearest one, or all of them."""
     names = sorted(known)
     near = get_close_matches(name, names, n=1, cutoff=0.6)
     hint = f"did you mean '{near[0]}'?" if near else f"known are: {', '.join(names) or 'none'}"
     return ConfigError(f"no {kind} is called '{name}'; {hint}")
-
-
-def said(error: BaseException) -> str:
-    """An exception of a user's code in one line, with the place that raised it."""
-    places = extract_tb(error.__traceback__)
-    place = f" ({Path(places[-1].filename).name}:{places[-1].lineno})" if places else ""
-    return f"{type(error).__name__}: {' '.join(str(error).split())}{place}"

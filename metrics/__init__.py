@@ -6,15 +6,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from importlib import import_module
+from operator import index
 from types import MappingProxyType
 
 import numpy as np
 import pandas as pd
 
-from logs.errors import ConfigError
+from logs.errors import ConfigError, raised
 from logs.scenario import Scenario
 from logs.trace import Trace
 from metrics import (
@@ -110,14 +111,21 @@ COLUMNS = (
 )  # fmt: skip
 
 
-def evaluate(trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = METRICS) -> pd.DataFrame:
+Broken = Callable[[Metric, str, BaseException], None]
+"""Called with a metric that raised or gave what is no measurement, what is to be said of it, and the error."""
+
+
+def evaluate(
+    trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = METRICS, broken: Broken | None = None
+) -> pd.DataFrame:
     """One row per metric and reduction of the trace's mode, columns `COLUMNS`; the same input gives the same bits.
 
     `metric` is "gap.min" or, with a part, "ade.3s.mean". `value` is NaN where `available` is False, and `reason`
     then says why; else `reason` says on whom or what the value is about ("car 12"), or is empty. `time_s` is when the
-    value occurred, NaN where it belongs to no instant.
+    value occurred, NaN where it belongs to no instant. A metric that raises is unavailable where `broken` is
+    given, which is then called; else the error is the caller's.
     """
-    return _table(trace, scenario, _measured(trace, scenario, metrics))
+    return _table(trace, scenario, _measured(trace, scenario, metrics, broken), broken)
 
 
 def series(trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = METRICS) -> pd.DataFrame:
@@ -129,17 +137,19 @@ def series(trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = 
 
 
 def evaluate_with_series(
-    trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = METRICS
+    trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = METRICS, broken: Broken | None = None
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """`evaluate` and `series`, each metric measured once."""
-    found = list(_measured(trace, scenario, metrics))
-    return _table(trace, scenario, found), _steps(found)
+    found = list(_measured(trace, scenario, metrics, broken))
+    return _table(trace, scenario, found, broken), _steps(found)
 
 
-def _table(trace: Trace, scenario: Scenario, measured: Iterable[tuple[Metric, str, Measured]]) -> pd.DataFrame:
+def _table(
+    trace: Trace, scenario: Scenario, measured: Iterable[tuple[Metric, str, Measured]], broken: Broken | None
+) -> pd.DataFrame:
     head = (scenario.name, trace.planner, trace.mode.value, trace.oracle)
     rows = [
-        (*head, *_row(f"{name}.{reduction.name}", metric, reduction, found), metric.version, metric.source)
+        (*head, *_row(f"{name}.{reduction.name}", metric, reduction, found, broken), metric.version, metric.source)
         for metric, name, found in measured
         for reduction in metric.reductions
     ]
@@ -163,7 +173,7 @@ def load_metric(spec: str) -> Metric:
     """A metric by name ("gap") or from outside ("module:NAME", a `Metric` object).
 
     Raises:
-        ConfigError: It is not there, or is no `Metric`.
+        ConfigError: It is not there, cannot be imported, or is no `Metric`.
     """
     if spec in METRICS:
         return METRICS[spec]
@@ -172,26 +182,38 @@ def load_metric(spec: str) -> Metric:
         raise ConfigError(f"metric {spec!r} is not built in; one of your own is named module:NAME")
     try:
         metric = getattr(import_module(module), name)
-    except (ImportError, AttributeError) as error:
-        raise ConfigError(f"metric {spec!r} cannot be loaded: {error}") from error
+    except (Exception, SystemExit) as error:
+        raise ConfigError(f"metric {spec!r} cannot be loaded: {raised(error)}") from error
     if not isinstance(metric, Metric):
         raise ConfigError(f"metric {spec!r} is a {type(metric).__name__}, not a metrics.Metric")
     return metric
 
 
 def _measured(
-    trace: Trace, scenario: Scenario, metrics: Mapping[str, Metric]
+    trace: Trace, scenario: Scenario, metrics: Mapping[str, Metric], broken: Broken | None = None
 ) -> Iterator[tuple[Metric, str, Measured]]:
     """Every metric of the trace's mode, part by part; what is a phantom is left out for all of them."""
     judged = replace(trace, agents=without_phantoms(trace.agents, phantoms(scenario)))
     for metric in metrics.values():
         if trace.mode in metric.modes:
-            for name, found in metric.measured(judged, scenario).items():
+            for name, found in _asked(metric, judged, scenario, broken).items():
                 yield metric, name, found
 
 
+def _asked(metric: Metric, trace: Trace, scenario: Scenario, broken: Broken | None) -> dict[str, Measured]:
+    """What the metric measured; that it raised, where this is not the caller's."""
+    try:
+        return metric.measured(trace, scenario)
+    except (Exception, SystemExit) as error:
+        if broken is None:
+            raise
+        reason = raised(error, of=metric.measure)
+        broken(metric, reason, error)
+        return metric.unavailable(Unavailable(reason))
+
+
 def _row(
-    name: str, metric: Metric, reduction: Reduction, found: Measured
+    name: str, metric: Metric, reduction: Reduction, found: Measured, broken: Broken | None
 ) -> tuple[str, float, str, str, bool, str, float]:
     """From `metric` to `time_s`."""
     unit, direction = reduction.unit or metric.unit, reduction.direction or metric.direction
@@ -202,8 +224,24 @@ def _row(
         if reduction.empty is None:
             return name, nan, unit, direction, False, found.missing, nan
         return name, reduction.empty, unit, direction, True, "", nan
-    value, step = reduction.reduce(found)
+    try:
+        value, step = _reduced(reduction, found)
+    except (Exception, SystemExit) as error:
+        if broken is None:
+            raise
+        reason = raised(error, of=reduction.reduce)
+        broken(metric, reason, error)
+        return name, nan, unit, direction, False, reason, nan
     if not np.isfinite(value):
         return name, nan, unit, direction, False, f"{reduction.name} of the steps is {value}, which is no number", nan
     label = found.labels[step] if found.labels and step >= 0 else ""
     return name, value, unit, direction, True, label, float(found.t[step]) if step >= 0 else nan
+
+
+def _reduced(reduction: Reduction, found: Series) -> tuple[float, int]:
+    """The value and its step; TypeError or ValueError where a reduction gives anything else."""
+    value, step = reduction.reduce(found)
+    number, place = float(value), index(step)
+    if not -1 <= place < len(found.t):
+        raise ValueError(f"step {place} of {len(found.t)}")
+    return number, place

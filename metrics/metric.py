@@ -16,7 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -40,7 +40,7 @@ class Series:
         missing: Why steps have no value: the reason given where no step has one.
 
     Raises:
-        ValueError: Columns differ in length or are empty, or a value is infinite.
+        ValueError: Columns differ in length or are empty, a time is not finite, or a value is infinite.
     """
 
     t: FloatArray
@@ -53,6 +53,8 @@ class Series:
             object.__setattr__(self, name, frozen(getattr(self, name)))
         if self.t.shape != self.value.shape or self.t.ndim != 1 or not len(self.t):
             raise ValueError(f"series: t has shape {self.t.shape}, value {self.value.shape}")
+        if not np.isfinite(self.t).all():
+            raise ValueError("series: a time is not finite")
         if np.isinf(self.value).any():
             raise ValueError("series: a value is infinite; a missing one is NaN")
         if self.labels and len(self.labels) != len(self.t):
@@ -114,6 +116,9 @@ class Metric:
         formula: What is computed, in plain text ("sqrt(x^2 + y^2)"); empty: `meaning` says all.
         parameters: Its constants with their units, as "bound 0.95 s".
         needs: What must be there for it to be available; empty: it always is.
+
+    Raises:
+        ValueError: A field is not what it should be.
     """
 
     name: str
@@ -130,18 +135,43 @@ class Metric:
     parameters: tuple[str, ...] = ()
     needs: str = ""
 
+    def __post_init__(self) -> None:
+        names = [getattr(reduction, "name", "") for reduction in self.reductions]
+        rules = {
+            "name: one word": isinstance(self.name, str) and self.name.split() == [self.name],
+            "unit: a word": isinstance(self.unit, str),
+            f"direction: one of {', '.join(get_args(Direction))}": self.direction in get_args(Direction),
+            "modes: a tuple of Mode": bool(self.modes) and all(isinstance(mode, Mode) for mode in self.modes),
+            "measure: a function (trace, scenario)": callable(self.measure),
+            "reductions: a tuple of Reduction": all(isinstance(one, Reduction) for one in self.reductions),
+            "reductions: at least one, with names of their own": len({*names}) == len(names) > 0,
+        }
+        broken = next((rule for rule, holds in rules.items() if not holds), None)
+        if broken is not None:
+            raise ValueError(f"metric {self.name!r}: {broken}")
+
     def found(self, trace: Trace, scenario: Scenario) -> Measured | Mapping[str, Measured]:
         """What `measure` gives, called once for a drive however many scores are made of it."""
         return _found(trace, scenario, self.measure)
 
     def measured(self, trace: Trace, scenario: Scenario) -> dict[str, Measured]:
-        """Its series by full name ("gap", "ade.3s"); one that is unavailable keeps the names of its parts."""
+        """Its series by full name ("gap", "ade.3s"); one that is unavailable keeps the names of its parts.
+
+        Raises:
+            TypeError: `measure` returned something else.
+        """
         found = self.found(trace, scenario)
+        for one in found.values() if isinstance(found, Mapping) else (found,):
+            if not isinstance(one, Series) and not (isinstance(one, Unavailable) and isinstance(one.reason, str)):
+                raise TypeError(f"it returned {type(one).__name__}, not a Series, Unavailable, or a mapping to these")
         if isinstance(found, Mapping):
             return {f"{self.name}.{part}": series for part, series in found.items()}
-        if isinstance(found, Unavailable) and self.parts and self.parts != ("*",):
-            return {f"{self.name}.{part}": found for part in self.parts}
-        return {self.name: found}
+        return self.unavailable(found) if isinstance(found, Unavailable) else {self.name: found}
+
+    def unavailable(self, found: Unavailable) -> dict[str, Measured]:
+        """All its series, unavailable for one reason."""
+        parts = () if self.parts == ("*",) else self.parts
+        return {f"{self.name}.{part}": found for part in parts} or {self.name: found}
 
 
 @last(1024)

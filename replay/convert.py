@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from logs.errors import ConfigError, LogError
+from logs.errors import ConfigError, LogError, writing
 from logs.mcap import write_scenario
 from logs.mcap.writer import Entry
 from logs.readers import GROUP, LogSettings, Reader, logs_in, read_log, reader_called, reader_of, readers
@@ -45,6 +45,7 @@ def convert_all(
     Raises:
         ConfigError: A path does not exist, there is nothing to convert, several logs are to go into one file, a log
             would be written over itself or another, or what Foxglove needs is not installed. Nothing was written then.
+        OutputError: A log cannot be written.
     """
     reader = None
     if not logs[0].exists() and str(logs[0]) in {each.name for each in readers()}:
@@ -118,11 +119,9 @@ def _converted(
 ) -> bool:
     try:
         scenario = read_log(log, settings, reader)
-        target.parent.mkdir(parents=True, exist_ok=True)
+        with writing(target):
+            target.parent.mkdir(parents=True, exist_ok=True)
         write_scenario(target, scenario, beside=channels(scenario))
-    except OSError as error:
-        say_error(f"{target}: cannot be written: {error.strerror or error}")
-        return False
     except LogError as error:
         say_error(str(error))
         return False

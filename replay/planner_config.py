@@ -11,6 +11,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, is_dataclass
 from typing import Any, get_args, get_type_hints
 
+from logs.errors import ConfigError
 from planners import PLANNERS, load_planner
 from replay.config import dotted, known_keys, strict
 from replay.drive import ApartConfig
@@ -83,3 +84,12 @@ def _config_class(factory: Factory) -> type | None:
         return None
     found = [kind for kind in (hint, *get_args(hint)) if isinstance(kind, type) and is_dataclass(kind)]
     return found[0] if found else None
+
+
+def check_keywords(planner: str, table: Mapping[str, Any]) -> None:
+    """Refuse what the planner cannot be built with; ConfigError says what is missing or too much."""
+    given = (None, None) if planner in ORACLES else (None,)  # the context, and for an oracle the log
+    try:
+        inspect.signature(planner_factory(planner)).bind(*given, **planner_keywords(planner, table))
+    except TypeError as error:
+        raise ConfigError(f"planner '{planner}' cannot be built so: {error}") from None

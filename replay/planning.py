@@ -9,7 +9,7 @@ from math import cos, hypot, sin
 
 import numpy as np
 
-from logs.errors import ConfigError, PlannerError, ReplanError, said
+from logs.errors import ConfigError, PlannerError, ReplanError, raised
 from logs.frame import Frame, PlannerContext
 from logs.road import Goal, Road, RoadSource
 from logs.scenario import Scenario
@@ -98,8 +98,8 @@ class Planning:
             raise
         except FaultError as error:
             raise PlannerError(f"{self._name} {error}") from None
-        except Exception as error:
-            raise PlannerError(f"{self._name} cannot be built: {said(error)}") from error
+        except (Exception, SystemExit) as error:
+            raise PlannerError(f"{self._name} cannot be built: {raised(error)}") from error
 
     def plan(self, frame: Frame) -> Plan:
         """The plan for a frame, as it may be driven and judged (`replay.plan_check`), with what is kept of it.
@@ -114,8 +114,8 @@ class Planning:
             plan = self._planner.plan(frame)
         except FaultError as error:
             raise PlannerError(f"{self._name} {error}") from None
-        except Exception as error:
-            raise PlannerError(f"{self._name} raised at {frame.t:.2f} s: {said(error)}") from error
+        except (Exception, SystemExit) as error:
+            raise PlannerError(f"{self._name} raised at {frame.t:.2f} s: {raised(error)}") from error
         finally:
             self._watch.stop(frame.t)
         fault = _fault(plan, frame)

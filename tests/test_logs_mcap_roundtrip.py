@@ -14,6 +14,7 @@ from mcap_cases import START_NS, differences, rich_scenario, scenarios
 
 import logs
 from logs import Lane, LogError, Road, Scenario, Trajectory, VehicleParameters
+from logs.errors import OutputError
 from logs.mcap import native, read_scenario, write_scenario
 
 once = settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -134,5 +135,5 @@ def test_a_failed_write_leaves_the_old_log(tmp_path: Path) -> None:
 
 
 def test_a_place_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"nowhere.*cannot be written: No such file or directory"):
+    with pytest.raises(OutputError, match=r"nowhere.*cannot be written: No such file or directory"):
         write_scenario(tmp_path / "nowhere" / "log.mcap", rich_scenario())

@@ -35,6 +35,7 @@ def test_the_table_is_that_of_the_vehicle_of_the_option_or_of_the_configuration(
     assert reach[2] < reach[1], "the weak brakes of the configuration reach less"
 
 
+@pytest.mark.slow
 def test_a_run_drives_the_known_vehicle_and_its_configuration_says_so(tmp_path: Path) -> None:
     log = tmp_path / "log.mcap"
     write_scenario(log, scenario(drive(straight, 8.0, 1.0)))

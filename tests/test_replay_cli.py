@@ -292,6 +292,7 @@ def test_view_opens_recordings_with_the_viewer(tmp_path: Path, monkeypatch: pyte
         return subprocess.CompletedProcess(command, 0 if len(calls) < 3 else 1)
 
     monkeypatch.setattr("replay.view.subprocess.run", viewer)
+    monkeypatch.setenv("DISPLAY", ":0")
     for name in ("a/closed.rrd", "a/open.rrd"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         (tmp_path / name).write_bytes(b"")

@@ -21,7 +21,7 @@ from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, Header, McapRecord, Message, Metadata, Schema
 from mcap.writer import CompressionType, Writer
 
-from logs.errors import LogError
+from logs.errors import LogError, writing
 from logs.mcap.container import COMPRESSIONS, DAMAGE, content_of, opened
 
 BEGIN = 8
@@ -89,11 +89,10 @@ def salvage(source: Path, target: Path) -> Salvage:
         raise LogError("no intact message is left", file=source, remedy="copy or record it again")
     part = target.with_name(f".{target.name}.part")
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        writer.write(part)
-        part.replace(target)
-    except OSError as error:
-        raise LogError(f"cannot be written: {error.strerror or error}", file=target) from None
+        with writing(target):
+            target.parent.mkdir(parents=True, exist_ok=True)
+            writer.write(part)
+            part.replace(target)
     finally:
         part.unlink(missing_ok=True)
     return report

@@ -9,7 +9,6 @@ days).
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, fields
 from itertools import chain, pairwise
@@ -23,7 +22,7 @@ from google.protobuf.message import Message
 from mcap.writer import CompressionType, Writer
 
 from logs import road as nouns
-from logs.errors import LogError
+from logs.errors import LogError, writing
 from logs.kernel import FloatArray
 from logs.mcap import native
 from logs.rules import Colour, StopLine, TrafficLight
@@ -41,8 +40,8 @@ def write_scenario(path: Path, scenario: Scenario, *, beside: Iterable[Entry] = 
     """Write a scenario as a native log, and messages `beside` it on other topics.
 
     Raises:
-        LogError: A value is infinite, two samples fall on one nanosecond, a log time is negative, or the file cannot
-            be written.
+        LogError: A value is infinite, two samples fall on one nanosecond, or a log time is negative.
+        OutputError: The file cannot be written.
     """
     try:
         write_log(Path(path), scenario_records(scenario), chain(scenario_entries(scenario), beside))
@@ -54,7 +53,7 @@ def write_log(path: Path, records: Mapping[str, Mapping[str, str]], entries: Ite
     """Write metadata records and messages, in order of time, then of `native.TOPICS`, then of first occurrence.
 
     Raises:
-        LogError: The file cannot be written.
+        OutputError: The file cannot be written.
     """
     entries = list(entries)
     topics = dict.fromkeys((*native.TOPICS, *(topic for _, topic, _ in entries)))
@@ -62,16 +61,15 @@ def write_log(path: Path, records: Mapping[str, Mapping[str, str]], entries: Ite
     ordered = sorted(entries, key=lambda entry: (entry[0], rank[entry[1]]))
     part = path.with_name(f".{path.name}.part")
     try:
-        with part.open("wb") as file:
+        with writing(path), part.open("wb") as file:
             writer: Any = Writer(file, CHUNK_BYTES, CompressionType.ZSTD, enable_data_crcs=True)
             writer.start(profile="replan", library="replan")
             for name, record in records.items():
                 writer.add_metadata(name, dict(record))
             _add_messages(writer, ordered, rank)
             writer.finish()
-        os.replace(part, path)  # noqa: PTH105
-    except OSError as error:
-        raise LogError(f"cannot be written: {error.strerror or error}", file=path) from None
+        with writing(path):
+            part.replace(path)
     finally:
         part.unlink(missing_ok=True)
 

@@ -14,14 +14,14 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from logs.errors import ConfigError, ReplanError, said
+from logs.errors import ConfigError, ReplanError, raised
 from logs.states import Trajectory
 from logs.trace import Plan
 from planners.base import Planner
 from replay.apart import schema
 from replay.apart.channel import Channel, GoneError
 from replay.apart.convert import context_of, frame_of, plan_sent
-from replay.planner_config import planner_factory, planner_keywords, resolved_table
+from replay.planner_config import check_keywords, planner_factory, planner_keywords, resolved_table
 from replay.stopwatch import Stopwatch
 
 
@@ -67,20 +67,22 @@ class Seat:
             except ReplanError as error:
                 answer = schema.Failed(str(error), "config" if isinstance(error, ConfigError) else "load")
             except BaseException as error:  # also SystemExit: the planner has raised, and no more
-                answer = schema.Failed(said(error), "raised" if isinstance(question, schema.Frame) else "build")
+                answer = schema.Failed(raised(error), "raised" if isinstance(question, schema.Frame) else "build")
             self._send(answer)
 
     def _send(self, answer: msgspec.Struct) -> None:
         try:
             self._channel.send(answer)
         except (TypeError, ValueError, OverflowError) as error:
-            self._channel.send(schema.Failed(f"what it returned cannot be sent: {said(error)}", "contract"))
+            self._channel.send(schema.Failed(f"what it returned cannot be sent: {raised(error)}", "contract"))
 
     def _answer(self, question: Any) -> msgspec.Struct:
         if isinstance(question, schema.Frame):
             return self._planned(question)
         if isinstance(question, schema.Describe):
-            return schema.Described(resolved_table(question.planner, question.config))
+            table = resolved_table(question.planner, question.config)
+            check_keywords(question.planner, table)
+            return schema.Described(table)
         keywords = planner_keywords(question.planner, question.config)
         context = context_of(question.context, self._watch.lap)
         self._planner = planner_factory(question.planner)(context, **keywords)

@@ -80,6 +80,7 @@ class LogResult:
         table: Rows of `metrics.evaluate`.
         health: Rows of `metrics.health.table`: what is wrong with the log.
         seconds: How long it took, for people to read; in no file; NaN where it was there already.
+        stopped: Why it could not be written, and with it the run; empty: it was.
         members: Rows of `metrics.evaluate` of the ensemble's drives, with `metrics.ensemble`'s columns; mostly empty.
     """
 
@@ -97,6 +98,7 @@ class LogResult:
     members: pd.DataFrame = field(default_factory=pd.DataFrame)
     health: pd.DataFrame = field(default_factory=pd.DataFrame)
     seconds: float = nan
+    stopped: str = ""
 
 
 @dataclass(frozen=True)

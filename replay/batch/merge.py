@@ -16,14 +16,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from logs.errors import ConfigError
+from logs.errors import ConfigError, writing
+from replay.batch.lock import held
 from replay.batch.log_result import Failure, LogResult, Stamp, kept
 from replay.batch.resume import changes, stamp_of
 from replay.batch.run import RunResult, concluded, gates_of
 from replay.batch.schema import SCHEMA_VERSION
 from replay.batch.shard import Shard
 from replay.batch.sources import LogSource, Selection
-from replay.batch.tables import SHARD_CARD, claim, write_text
+from replay.batch.tables import PARTIAL, SHARD_CARD, claim, write_text
 from replay.config import load_run, read_toml
 from replay.planner_config import planner_factory
 
@@ -62,7 +63,9 @@ def merge(folders: Sequence[Path | str], out: Path | str) -> RunResult:
 
     Raises:
         ConfigError: A folder is no whole shard; they are of different runs (logs, configuration, gates, version, code),
-            or of another version or code than there is now; one is there twice or missing; `out` is not ours to write.
+            or of another version or code than there is now; one is there twice or missing; `out` is not ours to write,
+            or in use.
+        OutputError: The disk is full.
     """
     found, out = _parts([Path(folder) for folder in folders]), Path(out)
     _check_outside(found, out)
@@ -70,10 +73,11 @@ def merge(folders: Sequence[Path | str], out: Path | str) -> RunResult:
     run = replace(load_run(found[0].folder / "run.toml"), gates=str(read_toml(found[0].folder / "run.toml")["gates"]))
     with gates_in(found[0].folder) as path:
         gates = gates_of(run, path)
-    claim(out)
-    write_text(out / "run.toml", text)
-    _copy_folders(found, out)
-    return concluded(out, run, _selection(found), _results(found), gates, found[0].failures)
+    with held(out):
+        claim(out)
+        write_text(out / "run.toml", text)
+        _copy_folders(found, out)
+        return concluded(out, run, _selection(found), _results(found), gates, found[0].failures)
 
 
 @contextmanager
@@ -206,7 +210,13 @@ def _copy_folders(found: Sequence[Part], out: Path) -> None:
     for part in found:
         for result in part.results:
             if result.folder:
-                shutil.copytree(part.folder / result.folder, out / result.folder, copy_function=_linked)
+                partial = out / f"{PARTIAL}{result.folder}"
+                try:
+                    with writing(out / result.folder):
+                        shutil.copytree(part.folder / result.folder, partial, copy_function=_linked)
+                        partial.rename(out / result.folder)
+                finally:
+                    shutil.rmtree(partial, ignore_errors=True)
 
 
 def _linked(source: str, target: str) -> str:

@@ -19,7 +19,7 @@ from time import perf_counter
 import pandas as pd
 
 import metrics
-from logs.errors import ConfigError, ReplanError
+from logs.errors import ConfigError, OutputError, ReplanError, raised, writing
 from logs.mcap import write_scenario, write_trace
 from logs.mcap.writer import Entry
 from logs.scenario import Scenario
@@ -59,13 +59,28 @@ class _Progress:
         place = (planner, mode.value if mode else None)
         try:
             yield
+        except OutputError:
+            raise
         except ReplanError as error:
             code = 2 if isinstance(error, ConfigError) else 3
             self.failures.append(Failure(self.log, str(error), *place, exit_code=code))
         except (Exception, SystemExit) as error:
-            what = f"{type(error).__name__}: {error}"
-            line = f"{self.log}: a bug in replan or in the planner: {what}; traceback in summary.json"
-            self.failures.append(Failure(self.log, " ".join(line.split()), *place, traceback=traceback.format_exc()))
+            line = f"{self.log}: a bug in replan: {raised(error)}; traceback in summary.json"
+            self.failures.append(Failure(self.log, line, *place, traceback=traceback.format_exc()))
+
+    def broken(self, planner: str, mode: Mode) -> metrics.Broken:
+        """What is noted of a metric of this drive that raises: it costs itself only."""
+
+        def noted(metric: Metric, reason: str, error: BaseException) -> None:
+            ours = METRICS.get(metric.name) is metric
+            what = "a bug in replan, in its" if ours else "not available is the"
+            line = f"{self.log}: {what} metric '{metric.name}': {reason}; traceback in summary.json"
+            said = {(known.message, known.planner, known.mode) for known in self.failures}
+            if (line, planner, mode.value) not in said:  # each reduction, each member of an ensemble
+                trace = "".join(traceback.format_exception(error))
+                self.failures.append(Failure(self.log, line, planner, mode.value, traceback=trace))
+
+        return noted
 
     def filled(self, result: LogResult) -> LogResult:
         """The result with what there is so far."""
@@ -79,12 +94,16 @@ class _Progress:
 
 
 def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> LogResult:
-    """Drive one log with each planner in each mode, measure, and write the log's folder into `out`."""
+    """Drive one log with each planner in each mode, measure, and write the log's folder into `out`.
+
+    Where it cannot be written (the disk is full), `LogResult.stopped` says so, and nothing of it is left.
+    """
     progress, begin = _Progress(source.label), perf_counter()
     partial = out / f"{PARTIAL}{sha256(source.label.encode()).hexdigest()[:16]}-{os.getpid()}"
-    partial.mkdir()
     done: LogResult | None = None
     try:
+        with writing(partial):
+            partial.mkdir()
         with progress.attempt():
             identity = source.identity()
             scenario = source.read()
@@ -96,8 +115,11 @@ def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> 
                 _drive_member(driven, run, member, progress)
             timings = joined(progress.timings, TIMING_COLUMNS[:4], TIMING_COLUMNS)
             result = keep(partial, progress.filled(result), timings, identity, stamp)
-            partial.rename(out / result.folder)
+            with writing(out / result.folder):
+                partial.rename(out / result.folder)
             done = result
+    except OutputError as error:
+        return LogResult(source.label, progress.log, stopped=str(error))
     finally:
         shutil.rmtree(partial, ignore_errors=True)
     result = done or LogResult(source.label, progress.log)
@@ -152,7 +174,9 @@ def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, pro
         for mode in run.modes:
             with progress.attempt(planner, mode):
                 drive = _driven(scenario, planner, mode, run, keep=run.keep_internals)
-                table, steps = metrics.evaluate_with_series(drive.trace, scenario, metrics=measures)
+                table, steps = metrics.evaluate_with_series(
+                    drive.trace, scenario, metrics=measures, broken=progress.broken(planner, mode)
+                )
                 progress.tables.append(table)
                 progress.timings.append(_timings(drive))
                 progress.series.append((drive, steps))
@@ -184,7 +208,8 @@ def _drive_member(scenario: Scenario, run: RunConfig, member: int, progress: _Pr
         for mode in run.modes:
             with progress.attempt(planner, mode):
                 drive = _driven(other, planner, mode, run, keep=bool(run.metrics))
-                tables.append(metrics.evaluate(drive.trace, other, metrics=measures))
+                noted = progress.broken(planner, mode)
+                tables.append(metrics.evaluate(drive.trace, other, metrics=measures, broken=noted))
     progress.members.extend(table.assign(member=member, perturbation=name) for table in tables)
 
 

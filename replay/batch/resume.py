@@ -20,7 +20,7 @@ from logs.errors import ConfigError, LogError
 from replay.apart.proxy import command_of
 from replay.batch.log_result import LogResult, Stamp, kept
 from replay.batch.sources import LOG_CARD, LogSource
-from replay.batch.tables import FILES, PARTIAL, clear_partial, is_ours
+from replay.batch.tables import FILES, PARTIAL, check_ours, clear_partial
 from replay.config import RunConfig, dump_run, read_toml
 from replay.version import replan_version
 
@@ -61,9 +61,7 @@ def finished(out: Path, sources: Sequence[LogSource], run: RunConfig, stamp: Sta
     Raises:
         ConfigError: `out` holds something else than such a run of these logs, this configuration and this code.
     """
-    if not out.exists():
-        return {}
-    _check_contents(out)
+    check_ours(out)
     folders = [folder for folder in sorted(out.iterdir()) if (folder / LOG_CARD).is_file()]
     if folders or (out / "run.toml").is_file():
         _check_run(out, run)
@@ -92,14 +90,6 @@ def identity_of(source: LogSource) -> str:
         return source.identity()
     except LogError:
         return source.label
-
-
-def _check_contents(out: Path) -> None:
-    if not out.is_dir():
-        raise ConfigError(f"{out}: cannot be the result folder: it is a file")
-    foreign = [entry.name for entry in sorted(out.iterdir()) if not is_ours(entry)]
-    if foreign:
-        raise ConfigError(f"{out}: holds {foreign[0]}, which is no result of replan; give --out another folder")
 
 
 def _check_run(out: Path, run: RunConfig) -> None:

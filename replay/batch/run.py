@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import platform
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from enum import Enum
 from functools import cached_property, partial
@@ -14,7 +15,7 @@ from typing import Any
 
 import pandas as pd
 
-from logs.errors import ConfigError, PlannerError, unknown_name
+from logs.errors import ConfigError, OutputError
 from logs.readers import LogSettings
 from metrics import COLUMNS, health
 from metrics.aggregate import LogLabels, groups, standings
@@ -23,8 +24,8 @@ from metrics.gates import Gates, Outcome, load_gates
 from metrics.judge import Verdict, judge, outcomes
 from metrics.latency import SHARE as LATE
 from metrics.latency import judge_deadline
-from planners import PLANNERS
-from replay.apart.proxy import described
+from replay.batch.checks import checked
+from replay.batch.lock import held
 from replay.batch.log_result import DriveRecord, Failure, LogResult, timings_of
 from replay.batch.one_log import all_metrics, evaluate_log
 from replay.batch.pool import WorkerLost, run_all
@@ -45,12 +46,6 @@ from replay.batch.tables import (
     write_timings,
 )
 from replay.config import RunConfig, dump_run
-from replay.control import CONTROLLERS
-from replay.oracle import ORACLES
-from replay.perception import PERCEPTIONS, PREDICTIONS
-from replay.planner_config import is_apart, resolved_table
-from replay.traffic import TRAFFIC
-from replay.vehicle import VEHICLES
 from replay.version import replan_version
 
 
@@ -139,32 +134,44 @@ def evaluate_logs(
 
     Raises:
         ConfigError: No logs, an unknown name, gates that cannot be read, a folder that is not ours to write, nothing
-            that could be resumed with these logs, this configuration and this code.
+            that could be resumed with these logs, this configuration and this code; another run writes into `out`.
         PlannerError: None of the planners can be loaded.
+        OutputError: The disk is full; finished logs are kept for `resume`.
     """
     run = run or RunConfig()
     whole = _selected(logs, run, window, suite)
     selection = whole if shard is None else shard.part(whole)
     gates = gates_of(run, run.gates_path)
-    run, failures = _checked(run)
+    run, failures = checked(run)
     if resume and out is None:
         raise ConfigError("name the folder of the run to be resumed with --out")
     out = next_free() if out is None else Path(out)
     stamp = stamp_of(run)
-    done = finished(out, selection.sources, run, stamp) if resume else {}
-    if not done:
-        _check_outside(out, selection.sources, run)
-        claim(out)
-    write_text(out / "run.toml", dump_run(run))
-    on_start(selection, out)
+    with held(out), _to_be_resumed(out):
+        done = finished(out, selection.sources, run, stamp) if resume else {}
+        if not done:
+            _check_outside(out, selection.sources, run)
+            claim(out)
+        write_text(out / "run.toml", dump_run(run))
+        on_start(selection, out)
+        try:
+            evaluate = partial(evaluate_log, run=run, out=out, stamp=stamp)
+            results = _evaluated(selection.sources, evaluate, done, workers, on_log)
+        finally:
+            clear_partial(out)
+        if shard is not None:
+            write_card(out, shard, whole, run, stamp, failures, results)
+        return concluded(out, run, selection, results, gates, failures, resumed=len(done), shard=shard)
+
+
+@contextmanager
+def _to_be_resumed(out: Path) -> Iterator[None]:
+    """Where the disk is full, how to go on is said, too."""
     try:
-        evaluate = partial(evaluate_log, run=run, out=out, stamp=stamp)
-        results = _evaluated(selection.sources, evaluate, done, workers, on_log)
-    finally:
-        clear_partial(out)
-    if shard is not None:
-        write_card(out, shard, whole, run, stamp, failures, results)
-    return concluded(out, run, selection, results, gates, failures, resumed=len(done), shard=shard)
+        yield
+    except OutputError as error:
+        how = f"what is finished is kept: make room, and give the same command with --out {out} --resume"
+        raise OutputError(f"{error}; {how}") from error
 
 
 def gates_of(run: RunConfig, path: Path | None) -> Gates:
@@ -247,49 +254,6 @@ def _check_outside(out: Path, sources: Sequence[LogSource], run: RunConfig) -> N
         raise ConfigError(f"{inside[0]}: lies in the result folder {out}, which is cleared; give --out another folder")
 
 
-def _checked(run: RunConfig) -> tuple[RunConfig, tuple[Failure, ...]]:
-    """The run with the planners that can be loaded, their settings resolved, and what is wrong with the others.
-
-    Raises:
-        ConfigError: A name or a planner's keyword is unknown, or what Foxglove needs is not installed.
-        PlannerError: No planner is left.
-    """
-    for key, known in _TABLES.items():
-        name = getattr(run.loop, key)
-        if name not in known:
-            raise ConfigError(f"loop.{key}: {unknown_name(key, name, known)}")
-    if run.foxglove:
-        import replay.foxglove  # noqa: F401  # its package is there, or this says so before anything is driven
-    named = {*PLANNERS, *ORACLES, *run.planners}
-    for name in run.planner:
-        if name not in named and ":" not in name:
-            raise unknown_name("planner (in the configuration)", name, named)
-    left: dict[str, Mapping[str, Any]] = {}
-    errors: list[PlannerError] = []
-    for planner in run.planners:
-        try:
-            apart, table = run.loop.apart, run.planner.get(planner, {})
-            left[planner] = (
-                described(planner, table, apart) if is_apart(planner, apart) else resolved_table(planner, table)
-            )
-        except PlannerError as error:
-            errors.append(error)
-    if not left:
-        raise errors[0]
-    failures = tuple(Failure("", str(error)) for error in errors)
-    return replace(run, planners=tuple(left), planner=left), failures
-
-
-_TABLES: Mapping[str, Collection[str]] = {
-    "vehicle": VEHICLES,
-    "controller": CONTROLLERS,
-    "traffic": TRAFFIC,
-    "prediction": PREDICTIONS,
-    "perception": PERCEPTIONS,
-}
-"""The names that the keys of [loop] may have."""
-
-
 def _evaluated(
     sources: Sequence[LogSource],
     evaluate: Callable[[LogSource], LogResult],
@@ -305,6 +269,8 @@ def _evaluated(
     for place, ended in _each([sources[index] for index in left], evaluate, workers):
         index = left[place]
         results[index] = _lost(sources[index], ended) if isinstance(ended, WorkerLost) else ended
+        if results[index].stopped:
+            raise OutputError(results[index].stopped)
         on_log(results[index])
     return tuple(results[index] for index in range(len(sources)))
 

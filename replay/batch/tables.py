@@ -23,6 +23,7 @@ import json
 import re
 import shutil
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -30,13 +31,16 @@ import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from logs.errors import ConfigError
+from logs.errors import ConfigError, writing
 from replay.batch.schema import SCHEMA_VERSION, arrow
 from replay.batch.sources import LOG_CARD
 from replay.config import HEADER
 
 PARTIAL = ".partial-"
 """Names of what is being written begin with this."""
+
+LOCK = ".lock"
+"""The file by which a run holds its folder (`replay.batch.lock`)."""
 
 SHARD_CARD = "shard.json"
 """Which part of a run the folder holds (`replay.batch.shard`)."""
@@ -66,11 +70,12 @@ def safe_name(name: str, digest: str = "") -> str:
 
 
 def write_file(path: Path, write: Callable[[Path], object]) -> None:
-    """Let `write` fill a temporary file beside `path`, then rename it: `path` is whole or not there."""
+    """Let `write` fill a temporary file beside `path`, then rename it: `path` is whole or not there (OutputError)."""
     partial = path.with_name(f"{PARTIAL}{path.name}")
     try:
-        write(partial)
-        partial.replace(path)
+        with writing(path):
+            write(partial)
+            partial.replace(path)
     finally:
         partial.unlink(missing_ok=True)
 
@@ -129,29 +134,36 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 
 
 def next_free(parent: Path = Path("results")) -> Path:
-    """The first of `parent/run-001`, `parent/run-002`, ... that is not there."""
-    number = 1
-    while (parent / f"run-{number:03d}").exists():
-        number += 1
-    return parent / f"run-{number:03d}"
+    """The first of `parent/run-001`, `parent/run-002`, ... that is not there, made: no other run is given it.
+
+    Raises:
+        ConfigError: It cannot be made.
+    """
+    for number in count(1):
+        out = parent / f"run-{number:03d}"
+        try:
+            out.mkdir(parents=True)
+        except FileExistsError:
+            continue
+        except OSError as error:
+            raise ConfigError(f"{out}: cannot be the result folder: {error.strerror}; name one with --out") from None
+        return out
+    raise AssertionError
 
 
 def claim(out: Path) -> None:
-    """Make the result folder; what an earlier run wrote into it is removed.
+    """Empty a folder that is held (`replay.batch.lock`); ConfigError as `check_ours`."""
+    check_ours(out)
+    for entry in out.iterdir():
+        if entry.name != LOCK:
+            shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
 
-    Raises:
-        ConfigError: It is a file, cannot be made, or holds anything that no run wrote.
-    """
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-        entries = sorted(out.iterdir())
-    except OSError as error:
-        raise ConfigError(f"{out}: cannot be the result folder: {error.strerror}") from None
-    foreign = [entry.name for entry in entries if not is_ours(entry)]
+
+def check_ours(out: Path) -> None:
+    """ConfigError where a folder holds anything that no run wrote."""
+    foreign = [entry.name for entry in sorted(out.iterdir()) if not is_ours(entry)]
     if foreign:
         raise ConfigError(f"{out}: holds {foreign[0]}, which is no result of replan; give --out a new or empty folder")
-    for entry in entries:
-        shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
 
 
 def clear_partial(out: Path) -> None:
@@ -166,4 +178,4 @@ def is_ours(entry: Path) -> bool:
         return entry.read_text(encoding="utf-8", errors="replace").startswith(HEADER)
     if entry.is_dir():
         return entry.name.startswith(PARTIAL) or (entry / LOG_CARD).is_file()
-    return entry.name in FILES
+    return entry.name in (*FILES, LOCK)

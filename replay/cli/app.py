@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -47,6 +48,9 @@ Json = Annotated[bool, typer.Option("--json", help="One JSON document on stdout,
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say errors and the outcome only.")]
 Settings = Annotated[Path | None, typer.Option("--config", help="TOML file of a run: its \\[log] table.")]
 
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+"""What the system says where there is no more room."""
+
 
 @contextmanager
 def answered() -> Iterator[None]:
@@ -58,9 +62,11 @@ def answered() -> Iterator[None]:
         raise typer.Exit(2 if isinstance(error, ConfigError) else 3) from None
     except BrokenPipeError:
         raise
-    except OSError as error:  # a file that cannot be written, say
-        say_error(str(error))
-        raise typer.Exit(2) from None
+    except OSError as error:  # a file that cannot be written, or a full disk
+        full = error.errno in FULL
+        what = f"{error.filename or 'standard output'}: cannot be written: {error.strerror}"
+        say_error(what if full else str(error))
+        raise typer.Exit(3 if full else 2) from None
     except KeyboardInterrupt as interruption:
         say_error(str(interruption) or "interrupted")
         raise typer.Exit(130) from None

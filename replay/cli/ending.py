@@ -62,6 +62,7 @@ def ended(
     """
     from rich.console import Console
 
+    from replay.batch.lock import held
     from replay.batch.run import summary
     from replay.cli.compare import shown
     from replay.compare import compare_runs, opened
@@ -71,12 +72,13 @@ def ended(
     from replay.report.write import write_reports
     from replay.results import load
 
-    results = load(result.out)
-    after = None if before is None else opened(result.out)
-    compared = None if before is None or after is None else compare_runs(before, after, gates=gates)
-    over = overview(results, compared)
-    if report:
-        write_reports(results, over, result.out)
+    with held(result.out):
+        results = load(result.out)
+        after = None if before is None else opened(result.out)
+        compared = None if before is None or after is None else compare_runs(before, after, gates=gates)
+        over = overview(results, compared)
+        if report:
+            write_reports(results, over, result.out)
     if as_json:
         more = {} if compared is None else {"comparison": document(compared)}
         say_json({"results": result.out, **summary(result), **more})

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from logs.errors import ConfigError, ReplanError
+from logs.errors import ConfigError, writing
 from replay.cli.app import (
     Begin,
     Ego,
@@ -195,9 +195,7 @@ def commonroad_solution(
         if cost not in COSTS:
             raise unknown_name("cost function", cost, COSTS)
         text = solution(trace, cost)
-        try:
+        with writing(out):
             out.parent.mkdir(parents=True, exist_ok=True)
             write_text(out, text)
-        except OSError as error:
-            raise ReplanError(f"{out}: cannot be written: {error.strerror or error}") from None
         typer.echo(out)

@@ -17,6 +17,7 @@ def view(
     save: Annotated[Path | None, typer.Option(help="Write the log's recording here instead of opening it.")] = None,
     memory_limit: Annotated[str, typer.Option(help="Of the viewer.")] = "2GB",
     web: Annotated[bool, typer.Option("--web", help="Show it in a browser.")] = False,
+    port: Annotated[int, typer.Option(min=1, max=65535, help="Of the page, with --web; on this machine only.")] = 9090,
     ego: Ego = None,
     road_map: Map = None,
     begin: Begin = None,
@@ -49,9 +50,9 @@ def view(
             typer.echo(save)
             return
         if not is_log:
-            show([target] if target.is_file() else recordings(target), memory_limit, web=web)
+            show([target] if target.is_file() else recordings(target), memory_limit, web=web, port=port)
             return
         with tempfile.TemporaryDirectory() as folder:
             recording = Path(folder) / f"{target.stem}.rrd"
             save_log(target, recording, settings)
-            show([recording], memory_limit, web=web)
+            show([recording], memory_limit, web=web, port=port)

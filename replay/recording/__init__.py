@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun as rr
 
+from logs.errors import writing
 from logs.kernel import FloatArray
 from logs.scenario import Scenario
 from logs.trace import EndReason, Graph, Mode, PlannedFrame, SlGraph, StGraph, Trace
@@ -23,6 +24,7 @@ from replay.recording.blueprint import Contents, blueprint
 from replay.recording.columns import Instants, Tape
 from replay.recording.graphs import draw_graph
 from replay.recording.others import draw_others
+from replay.recording.outlet import outlet
 from replay.recording.scene import draw_scene
 from replay.recording.text import application_name, field_name, plain
 
@@ -53,7 +55,7 @@ def write_recording(
         steps: Rows of `metrics.series` for this trace; None: no curves of metrics.
 
     Raises:
-        OSError: The file cannot be written.
+        OutputError: The file cannot be written.
     """
     trace = drive.trace
     times = scene_times(trace, float(trace.ego.t[-1]))
@@ -89,7 +91,7 @@ def write_log_recording(path: Path, scenario: Scenario) -> None:
     """Write a log by itself: the scene, and the ego's speed, acceleration and steering.
 
     Raises:
-        OSError: The file cannot be written.
+        OutputError: The file cannot be written.
     """
     trace = Trace(scenario.name, "log", Mode.OPEN, False, scenario.ego, scenario.tracks, (), EndReason.END_OF_LOG)
     times = scene_times(trace, scenario.duration)
@@ -144,21 +146,24 @@ def _digest(trace: Trace) -> str:
 @contextmanager
 def _tape(path: Path, application: str, name: str, digest: str, contents: Contents) -> Iterator[Tape]:
     """The open recording under a temporary name, renamed when all is written; errors of the library are raised."""
-    path.parent.mkdir(parents=True, exist_ok=True)
     unfinished = path.with_name(f"{path.name}.part")
-    unfinished.touch()  # an OSError that says why, where the library has an error of its own
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
     strict = rr.strict_mode()
     rr.set_strict_mode(True)
     stream = rr.RecordingStream(application_name(application), recording_id=digest, send_properties=False)
     try:
-        stream.set_log_time_enabled(False)
-        stream.save(unfinished, default_blueprint=blueprint(contents))
-        stream.send_recording_name(plain(name))
-        yield Tape(stream)
-        stream.disconnect()
-        unfinished.replace(path)
+        with writing(path):
+            with outlet(unfinished) as pipe:
+                try:
+                    stream.set_log_time_enabled(False)
+                    stream.save(pipe, default_blueprint=blueprint(contents))
+                    stream.send_recording_name(plain(name))
+                    yield Tape(stream)
+                finally:
+                    stream.disconnect()
+            unfinished.replace(path)
     finally:
-        stream.disconnect()
         rr.set_strict_mode(strict)
         unfinished.unlink(missing_ok=True)
 

@@ -6,8 +6,6 @@ two in a row are equal. Needs a Vulkan driver; a software one will do (Mesa's la
 
 from __future__ import annotations
 
-import os
-import socket
 import subprocess
 import sysconfig
 import tempfile
@@ -22,6 +20,7 @@ from rerun.experimental import ViewerClient
 
 from logs.errors import ReplanError
 from replay.recording.columns import SIM_TIME
+from replay.viewer import LOOPBACK, environment, free_port
 
 PAUSE_S = 0.3
 
@@ -100,13 +99,10 @@ def _until(done: Callable[[], bool], timeout: float, alive: Callable[[], None], 
 def _viewer(size: str, timeout: float) -> Iterator[tuple[Any, Callable[[], None]]]:
     """A headless viewer, its client, and a check that it is alive; it ends with the block."""
     binary = Path(sysconfig.get_paths()["platlib"]) / "rerun_cli" / "rerun"
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        port = probe.getsockname()[1]
-    command = [str(binary), "--headless", "--port", str(port), "--bind", "127.0.0.1", "--window-size", size]
-    with tempfile.TemporaryFile("w+") as log:
-        environment = {**os.environ, "RUST_LOG": "error"}
-        process = subprocess.Popen(command, env=environment, stdout=log, stderr=subprocess.STDOUT)
+    port = free_port()
+    command = [str(binary), "--headless", "--port", str(port), "--bind", LOOPBACK, "--window-size", size]
+    with tempfile.TemporaryFile("w+") as log, environment(RUST_LOG="error") as variables:
+        process = subprocess.Popen(command, env=variables, stdout=log, stderr=subprocess.STDOUT)
         try:
             yield _connect(port, timeout, lambda: _check(process, log)), lambda: _check(process, log)
         finally:

@@ -18,6 +18,7 @@ from logs.scenario import Scenario
 from logs.shapes import corners
 from logs.states import Trajectory
 from logs.trace import PlannedFrame, StGraph, Trace
+from replay.batch.tables import write_file
 from replay.world import box_center
 
 if TYPE_CHECKING:
@@ -45,7 +46,7 @@ BEHIND_M, AHEAD_M, BESIDE_M = 8.0, 42.0, 8.0
 
 def save(figure: Figure, path: Path) -> None:
     """Write the picture (format by the path's ending); the same figure gives the same bytes."""
-    figure.savefig(path, dpi=DPI, metadata={"Software": None})
+    write_file(path, lambda partial: figure.savefig(partial, dpi=DPI, metadata={"Software": None}))
 
 
 def empty_figure(width: float, height: float) -> Figure:

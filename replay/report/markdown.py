@@ -14,6 +14,7 @@ from urllib.parse import quote
 
 import pandas as pd
 
+from logs.errors import writing
 from metrics.compare import Comparison
 from metrics.gates import Outcome
 from replay.report.columns import LEGEND
@@ -47,7 +48,7 @@ def append_step_summary(over: Overview, environment: Mapping[str, str] = os.envi
     if name:
         path = Path(name)
         left = STEP_BYTES - (path.stat().st_size if path.exists() else 0)
-        with path.open("a", encoding="utf-8", newline="\n") as file:
+        with writing(path), path.open("a", encoding="utf-8", newline="\n") as file:
             file.write(shortened(markdown(over, links=None), left))
 
 

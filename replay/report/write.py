@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from logs.errors import writing
 from replay.batch.tables import REPORTS, write_text
 from replay.report.html import write_html
 from replay.report.junit import junit
@@ -29,7 +30,8 @@ def write_reports(results: Results, over: Overview, out: Path) -> tuple[Path, ..
     Returns:
         What was written.
     """
-    out.mkdir(parents=True, exist_ok=True)
+    with writing(out):
+        out.mkdir(parents=True, exist_ok=True)
     beside = out.resolve() == results.path.resolve()
     written = out / MARKDOWN, out / JUNIT, out / HTML
     write_text(written[0], markdown(over, links=(HTML, JUNIT) if beside else None))

@@ -34,8 +34,9 @@ from metrics.gates import Outcome
 from metrics.judge import worst
 from metrics.reference_drivers import Outcome as Careful
 from replay.batch import RunResult, evaluate_logs, replan_version
+from replay.batch.lock import held
 from replay.batch.log_result import LogResult
-from replay.batch.tables import safe_name, write_file, write_json, write_parquet
+from replay.batch.tables import LOCK, safe_name, write_file, write_json, write_parquet
 from replay.config import RunConfig
 from replay.report.figures import save
 from replay.report.surface_figure import surface_figure
@@ -105,12 +106,19 @@ def vary(
         say: Called with a line before each round.
 
     Raises:
-        ConfigError: A wrong setting, an agent who is not there, a folder that is not ours to write.
+        ConfigError: A wrong setting, an agent who is not there, a folder that is not ours to write, or in use.
     """
     if len(run.planners) != 1:
         raise ConfigError(f"a surface is of one planner, got {', '.join(run.planners)}")
     run = replace(run, mode="closed", deadline_s=0.0, log=LogSettings(), ensemble=0)
     _check_agents(scenario, question)
+    with held(out):
+        return _surface(scenario, question, run, out, workers, say)
+
+
+def _surface(
+    scenario: Scenario, question: Question, run: RunConfig, out: Path, workers: int, say: Callable[[str], None]
+) -> VaryResult:
     _claim(out)
     write_json(out / CARD, _card(scenario, question, run))
     rounds = _Rounds(scenario, question, run, out, workers, say)
@@ -134,13 +142,13 @@ def _check_agents(scenario: Scenario, question: Question) -> None:
 
 
 def _claim(out: Path) -> None:
-    """Make the folder; an earlier surface in it is removed. ConfigError where it holds anything else."""
-    entries = sorted(out.iterdir()) if out.is_dir() else []
-    if out.is_file() or (entries and not (out / CARD).is_file()):
+    """Remove an earlier surface from the folder, which is held. ConfigError where it holds anything else."""
+    entries = [entry for entry in out.iterdir() if entry.name != LOCK]
+    if entries and not (out / CARD).is_file():
         raise ConfigError(f"{out}: holds no surface of `replan vary`; give --out a new or empty folder")
     for entry in entries:
         shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
-    (out / "logs").mkdir(parents=True)
+    (out / "logs").mkdir()
 
 
 def _card(scenario: Scenario, question: Question, run: RunConfig) -> dict[str, Any]:

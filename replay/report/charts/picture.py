@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from logs.errors import ConfigError
+from logs.errors import ConfigError, writing
 from replay.batch.tables import write_file, write_text
 from replay.report.charts.canvas import Chart, group, shortened, text
 from replay.report.charts.curves import curves
@@ -66,19 +66,18 @@ def save(chart: Chart, path: Path, *, theme: Theme, width: int) -> None:
         width: Pixels.
 
     Raises:
-        ConfigError: Another ending, or it cannot be written.
+        ConfigError: Another ending.
+        OutputError: It cannot be written.
     """
     if path.suffix not in FORMATS:
         raise ConfigError(f"{path}: a picture ends with .png or .svg")
-    try:
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         if path.suffix == ".svg":
             write_text(path, chart.alone(theme, width))
         else:
             data = _png(chart.alone("light" if theme == "auto" else theme, width))
             write_file(path, lambda partial: partial.write_bytes(data))
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
 
 
 def _png(svg: str) -> bytes:

@@ -13,7 +13,7 @@ import pandas as pd
 from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
-from logs.errors import ConfigError
+from logs.errors import writing
 from metrics.compare import Comparison
 from replay.batch.tables import safe_name, write_text
 from replay.report.charts.canvas import Chart, printable
@@ -38,7 +38,7 @@ def write_html(overview: Overview, results: Results, path: Path, *, drives: int 
         drives: So many drives have a page, the worst first; the table has all of them.
 
     Raises:
-        ConfigError: It cannot be written.
+        OutputError: It cannot be written.
     """
     paged = worst_first(overview.drives)[:drives]
     anchors, shares = _anchors(paged), [*overview.whole, *overview.grouped]
@@ -53,11 +53,9 @@ def write_html(overview: Overview, results: Results, path: Path, *, drives: int 
         style=Markup(_read("style.css") + roles("auto") + filled(RULES, "auto")),  # our own files
         script=Markup(_read("script.js")),
     )  # fmt: skip
-    try:
+    with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, page)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written: {error.strerror}") from None
 
 
 def worst_first(drives: Sequence[DriveRow]) -> list[DriveRow]:

@@ -30,6 +30,7 @@ from replay.batch.pool import WorkerLost, run_all
 from replay.batch.sources import Selection, builtin_suite, select
 from replay.batch.tables import claim, next_free, safe_name
 from replay.config import RunConfig, load_run
+from replay.drive import ApartConfig
 
 QUICK = RunConfig(planners=("constant_speed",), recording=False)
 
@@ -180,8 +181,18 @@ def test_when_nothing_can_be_evaluated_the_tables_are_empty_and_nothing_passes(t
 
 
 @pytest.mark.slow
+def test_a_killed_planner_costs_its_drives_only(logs: Path, tmp_path: Path, planners: str) -> None:
+    result = run(logs, tmp_path / "out", replace(QUICK, planners=(f"{planners}:Killed", "logged")), workers=2)
+    assert [failure.log for failure in result.failures] == ["test/b", "test/b"]
+    assert all("was killed (SIGKILL)" in failure.message for failure in result.failures)
+    assert len(result.drives) == 12 and result.exit_code == 3
+
+
+@pytest.mark.slow
 def test_a_killed_worker_costs_its_log_only(logs: Path, tmp_path: Path, planners: str) -> None:
-    config = replace(QUICK, planners=(f"{planners}:Killed",))
+    """Of a planner that is trusted, so that it takes the worker along."""
+    trusted = replace(QUICK.loop, apart=ApartConfig(trust=True))
+    config = replace(QUICK, planners=(f"{planners}:Killed",), loop=trusted)
     result = run(logs, tmp_path / "out", config, workers=2)
     assert [Path(failure.log).name for failure in result.failures] == ["b.mcap"]
     assert "SIGKILL" in result.failures[0].message

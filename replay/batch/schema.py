@@ -1,6 +1,6 @@
 """The schema of the tables of a run, in one place: what is written has these columns, and docs/results.md is this page.
 
-python -m replay.batch.schema > docs/results.md
+python -c 'from replay.batch.schema import markdown; print(markdown())' > docs/results.md
 """
 
 from __future__ import annotations

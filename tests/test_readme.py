@@ -56,7 +56,8 @@ def test_every_command_runs_in_order(desk: Path, monkeypatch: pytest.MonkeyPatch
     monkeypatch.syspath_prepend(str(desk))
     shown: list[list[str]] = []
     done = subprocess.CompletedProcess([], 0)
-    monkeypatch.setattr("replay.view.subprocess.run", lambda command, check: shown.append(command) or done)
+    monkeypatch.setattr("replay.view.subprocess.run", lambda command, **_: shown.append(command) or done)
+    monkeypatch.setenv("DISPLAY", ":0")
     assert len(commands("replan")) >= 8
     for words in commands("replan"):
         if words == ["evaluate"]:

@@ -29,6 +29,7 @@ from logs import (
     StGraph,
     Tracks,
 )
+from logs.errors import OutputError
 from logs.kernel import FloatArray
 from metrics import series
 from replay.drive import Drive, StageTime
@@ -490,7 +491,7 @@ def test_a_failed_writing_leaves_nothing_and_restores_the_library(
     assert list(tmp_path.iterdir()) == []
     assert rr.strict_mode() is before
     (tmp_path / "file").touch()
-    with pytest.raises(OSError, match="file"):
+    with pytest.raises(OutputError, match="file"):
         write_recording(tmp_path / "file" / "some.rrd", done, world)
 
 

@@ -258,7 +258,7 @@ def _room(one: Graph, two: Graph, value: str, at: str, *, moves: bool) -> _Found
     if not moves:
         yield from _outlines(one, two, "beside the path")
     sides = [{item.agent: item.decision.value for item in graph.obstacles} for graph in (one, two)]
-    for agent in sides[0].keys() & sides[1].keys():
+    for agent in (name for name in sides[0] if name in sides[1]):  # in their order: a set of words has none
         if sides[0][agent] != sides[1][agent]:
             yield inf, partial(str, f"{agent}: {sides[0][agent]} -> {sides[1][agent]}")
     yield from _curve(one.dp, two.dp, f"{value} of the DP", at)

@@ -190,7 +190,7 @@ class Peeps(ConstantSpeed):
     def plan(self, frame: Frame) -> Plan:
         found = [*_objects(), *_frames(), *_environment(), *_files()]
         if frame.t > 0.15:
-            raise ValueError(f"found {sorted(set(found))}")
+            raise ValueError(f"found {sorted(set(found), key=lambda word: (word.startswith('file'), word))}")
         return super().plan(frame)
 
 

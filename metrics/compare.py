@@ -102,7 +102,7 @@ class Comparison:
         only_in_baseline: Drives, "log, planner, mode loop", and those that failed in the candidate only;
             `only_in_candidate` likewise.
         pairs: `PAIR_COLUMNS`, the worst regression first: those of metrics that are asked of, by (3), then others.
-            A value that one of the runs lacks is NaN, and `reason` says why; else on whom the candidate's value is.
+            A value that one of the runs lacks is NaN, and `reason` says why; else what the candidate's value is about.
         flips: `FLIP_COLUMNS`: the outcome of a gate on a log is another one.
         groups: `metrics.compare_groups.GROUP_COLUMNS`: means over the suite, its families, tags and datasets.
         partings: `PARTING_COLUMNS`: where two drives part; empty where traces are not at hand.
@@ -156,7 +156,7 @@ def compare(baseline: Side, candidate: Side, gates: Gates, also: Collection[str]
         baseline: What was.
         candidate: What is.
         gates: By which both are judged.
-        also: Metrics that somebody asks of beside the gates: they come before others among the regressions.
+        also: Metrics that are asked of beside the gates: they come before others among the regressions.
     """
     drives = [_drives(side) for side in (baseline, candidate)]
     changed = _changed_versions(baseline.table, candidate.table)

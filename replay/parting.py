@@ -26,7 +26,7 @@ from logs.trace import Decision, Graph, LaneOption, Mode, PlannedFrame, SlGraph,
 TOLERANCE = 1e-3
 """m, rad, m/s, and of pedals their share: a millimetre is less than any metric resolves."""
 FINE = 1e-8
-"""Likewise; above rounding (1e-9 m in a city's grid), and as near to it as causes can be told from effects."""
+"""Likewise; above rounding (1e-9 m in a city's grid), and as near to it as causes and effects can be separated."""
 SAME_TIME_S = 1e-6
 
 STAGES = (

@@ -186,7 +186,7 @@ def _cyclist(p: Mapping[str, float]) -> Scenario:
 
 CYCLIST = Family(
     "everyday/cyclist",
-    "a cyclist rides in the lane, a car comes on the facing one: pass him after it",
+    "a cyclist rides in the lane, a car comes on the facing one: pass them after it",
     {
         "ego_speed_mps": 10.0,
         "cyclist_speed_mps": 4.0,

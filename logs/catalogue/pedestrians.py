@@ -223,7 +223,7 @@ def _runs_out(p: Mapping[str, float]) -> Scenario:
 
 RUNS_OUT = Family(
     "pedestrian/runs_out",
-    "a child runs out from behind parked cars (CPNCO): be slow where nobody can be seen",
+    "a child runs out from behind parked cars (CPNCO): be slow where no one can be seen",
     {
         "ego_speed_mps": 8.3,
         "pedestrian_speed_mps": 1.39,
@@ -334,7 +334,7 @@ def _along(p: Mapping[str, float]) -> Scenario:
 
 ALONG = Family(
     "pedestrian/along",
-    "a pedestrian walks along the lane ahead (CPLA) and leaves it: follow him, then drive on",
+    "a pedestrian walks along the lane ahead (CPLA) and leaves it: follow them, then drive on",
     {
         "ego_speed_mps": 10.0,
         "pedestrian_speed_mps": 1.39,

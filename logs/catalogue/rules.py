@@ -103,7 +103,7 @@ def _crosswalk(p: Mapping[str, float]) -> Scenario:
 
 CROSSWALK = Family(
     "everyday/crosswalk",
-    "a pedestrian waits at a crosswalk and crosses when the car has slowed down: let him go first",
+    "a pedestrian waits at a crosswalk and crosses when the car has slowed down: let them go first",
     {
         "ego_speed_mps": 10.0,
         "distance_m": 80.0,

@@ -27,7 +27,7 @@ from logs.states import TRAJECTORY_COLUMNS
 
 Internals = Literal["none", "summary", "full"]
 SUMMARY_STEP_S = 2.0
-"""Between two samples of a prediction in a summary: enough to see where two runs expected somebody elsewhere."""
+"""Between two samples of a prediction in a summary: enough to see where two runs expected an agent elsewhere."""
 
 
 def write_trace(

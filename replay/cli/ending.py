@@ -72,8 +72,8 @@ def ended(
     from replay.results import load
 
     with held(result.out):
-        results = load(result.out)
         after = None if before is None else opened(result.out)
+        results = load(result.out) if after is None or after.results is None else after.results
         compared = None if before is None or after is None else compare_runs(before, after, gates=gates)
         over = overview(results, compared)
         if report:

@@ -79,7 +79,7 @@ def _none_kept(subject: Subject) -> str:
 
 def _said(graph: Graph) -> str:
     found = [f"{some.agent}: {some.decision.value}" for some in graph.obstacles]
-    return ", ".join(found) if found else "nobody in the way"
+    return ", ".join(found) if found else "no agent in the way"
 
 
 def _entries(graph: Graph) -> list[tuple[str, str, str]]:

@@ -50,7 +50,7 @@ class Row:
 
 
 def decided(plans: Sequence[Said], end: float) -> list[Row]:
-    """What was decided about whom, from when to when; who was ignored only has no row. First come first.
+    """What was decided about which agent, from when to when; who was ignored only has no row. First come first.
 
     A decision holds until the next frame; neighbouring frames with the same are one span, whose reason is the first.
     """

@@ -1,0 +1,134 @@
+"""Scenarios in other worlds: what changes, what must not, and there and back (the mirror: `test_catalogue`)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass, replace
+from functools import cache
+from math import pi
+
+import numpy as np
+import pytest
+from drives import drive
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from logs import Controls, Goal, Scenario
+from logs.catalogue import CATALOGUE
+from logs.transform import jittered, mirrored, mirrored_trajectory, moved, moved_trajectory, rotated, shifted_clock
+from metrics import evaluate
+
+FAMILIES = ("everyday/cut_in", "everyday/traffic_light", "everyday/crosswalk", "everyday/junction", "paper/free_road")
+PLACES = ("left", "right", "points", "polygon", "regions")
+
+
+@cache
+def world(name: str) -> Scenario:
+    """A family's log with a goal whose heading is bounded, controls and an origin, so that every field is filled."""
+    log = CATALOGUE[name].scenario()
+    regions = log.goal.regions if log.goal is not None else ()
+    square = np.array([[90.0, -3.0], [99.0, -3.0], [99.0, 3.0]])
+    zero = np.zeros(len(log.ego))
+    return replace(
+        log,
+        goal=Goal((*regions, square), t=(0.0, 99.0), v=(0.0, 60.0), yaw=(-0.4, 1.1)),
+        controls=Controls(log.ego.t, zero + 0.1, zero, zero),
+        origin=(691_000.0, 5_336_000.0),
+    )
+
+
+def leaves(node: object, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], object]]:
+    """Every value in a scenario with the names that lead to it."""
+    if is_dataclass(node):
+        for field in fields(node):
+            yield from leaves(getattr(node, field.name), (*path, field.name))
+    elif hasattr(node, "items"):
+        for key, value in node.items():
+            yield from leaves(value, (*path, str(key)))
+    elif isinstance(node, tuple) and any(is_dataclass(each) or isinstance(each, np.ndarray) for each in node):
+        for i, value in enumerate(node):
+            yield from leaves(value, (*path, str(i)))
+    else:
+        yield path, node
+
+
+def same(one: Scenario, two: Scenario, within: float) -> None:
+    first, second = dict(leaves(one)), dict(leaves(two))
+    assert first.keys() == second.keys()
+    for path, value in first.items():
+        if isinstance(value, (np.ndarray, float)) or path[-1] in ("origin", "yaw"):
+            np.testing.assert_allclose(value, second[path], rtol=0.0, atol=within, err_msg=".".join(path))
+        else:
+            assert value == second[path], path
+
+
+@settings(max_examples=20)
+@given(st.sampled_from(FAMILIES), st.floats(-7.0, 7.0), st.floats(-200.0, 200.0), st.floats(-200.0, 200.0))
+def test_turned_there_and_back_is_the_identity(name: str, angle: float, x: float, y: float) -> None:
+    log = replace(world(name), origin=(30.0, -40.0))
+    same(rotated(rotated(log, angle, (x, y)), -angle, (x, y)), log, 1e-9)
+
+
+@settings(max_examples=20)
+@given(st.sampled_from(FAMILIES), st.floats(-7.0, 7.0), st.floats(-200.0, 200.0), st.floats(-200.0, 200.0))
+def test_every_place_turns_and_nothing_else_changes(name: str, angle: float, x: float, y: float) -> None:
+    log, turn = world(name), np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    here, there, about = dict(leaves(log)), dict(leaves(rotated(log, angle, (x, y)))), np.array([[x], [y]])
+    for path, value in here.items():
+        *parents, leaf = path
+        if leaf in PLACES or PLACES[-1] in parents:
+            expected = (turn @ (value.T - about) + about).T
+        elif leaf == "origin":
+            expected = turn @ value
+        elif leaf in ("x", "y"):
+            expected = (turn @ (np.array([here[*parents, "x"], here[*parents, "y"]]) - about) + about)["xy".index(leaf)]
+        elif leaf in ("vx", "vy"):
+            expected = (turn @ np.array([here[*parents, "vx"], here[*parents, "vy"]]))[("vx", "vy").index(leaf)]
+        elif leaf == "yaw":
+            expected = np.asarray(value) + angle
+        else:
+            np.testing.assert_array_equal(there[path], value, err_msg=".".join(path))
+            continue
+        np.testing.assert_allclose(there[path], expected, rtol=1e-12, atol=1e-9, err_msg=".".join(path))
+
+
+def test_the_clock_alone_is_set() -> None:
+    log = world("everyday/traffic_light")
+    later = shifted_clock(log, 5_000_000_007)
+    assert later.start_ns == log.start_ns + 5_000_000_007
+    same(shifted_clock(later, -5_000_000_007), log, 0.0)
+    changed = {path for (path, a), (_, b) in zip(leaves(log), leaves(later), strict=True) if a is not b}
+    assert changed == {("start_ns",)}
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+def test_errors_are_as_large_as_asked_seeded_and_everywhere(name: str) -> None:
+    log = world(name)
+    near, again, other = jittered(log, 1e-9), jittered(log, 1e-9), jittered(log, 1e-9, seed=1)
+    same(near, log, 2.1e-9)
+    same(near, again, 0.0)
+    for path, value in leaves(log):
+        measured = path[-1] in (*PLACES, "x", "y", "yaw", "vx", "vy") or PLACES[-1] in path or path[0] == "ego"
+        if measured and isinstance(value, np.ndarray) and path[-1] != "t":
+            here = dict(leaves(near))[path]
+            assert value.size == 0 or (np.max(here != value) and np.max(here != dict(leaves(other))[path])), path
+
+
+@pytest.mark.parametrize("name", FAMILIES)
+@pytest.mark.parametrize("mirror", [False, True])
+def test_metrics_of_a_drive_do_not_change(name: str, mirror: bool) -> None:
+    log = world(name)
+    there = moved(mirrored(log) if mirror else log, 30.0, -20.0, 0.7)
+    ego = moved_trajectory(mirrored_trajectory(log.ego) if mirror else log.ego, 30.0, -20.0, 0.7)
+    one, two = evaluate(drive(log), log), evaluate(drive(there, ego), there)
+    assert one.metric.tolist() == two.metric.tolist() and one.available.tolist() == two.available.tolist()
+    np.testing.assert_allclose(two.value, one.value, rtol=1e-6, atol=1e-6, equal_nan=True)
+    assert one.available.sum() > 10
+
+
+@given(st.floats(-pi, pi))
+def test_a_trajectory_moves_as_its_scenario(angle: float) -> None:
+    log = world("everyday/cut_in")
+    one, two = moved(log, 3.0, 4.0, angle).ego, moved_trajectory(log.ego, 3.0, 4.0, angle)
+    for name in ("x", "y", "yaw", "v", "kappa"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(two, name))

@@ -16,7 +16,7 @@ Jilkov, Survey of Maneuvering Target Tracking I, IEEE Trans. AES 39, 2003):
 
 A track without noise is followed exactly, and nothing is differenced. With 5 cm of noise, at 5 to 100 Hz, the speed of
 who drives on is off by 0.1 m/s at most; of who brakes with 8 m/s2 by 0.5 m/s, in the second around each change and at
-the track's ends; a pedestrian's stop within 0.4 s is spread over 0.9 s (tests/test_logs_motion.py). Smoothers in
+the track's ends; a pedestrian's stop within 0.4 s is spread over 0.9 s (tests/logs/test_motion.py). Smoothers in
 libraries (SciPy's smoothing splines) know no measured velocities, and take a millisecond for each track and axis.
 Both sides of a gap (`logs.presence`) are estimated apart.
 """

@@ -1,0 +1,201 @@
+"""Tables in: from pandas frames, from CSV and Parquet, with other names and units; what is wrong is named."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from mcap_cases import differences
+
+import replan
+from logs import AgentKind, LogError
+from logs.mcap import read_scenario, write_scenario
+from logs.readers import LogSettings, read_log, reader_of
+from logs.readers.table import UNITS, from_frames
+from replay.batch import evaluate_logs
+from replay.config import RunConfig
+
+T = np.arange(0.0, 6.01, 0.1)
+
+
+def ego(**more: Any) -> pd.DataFrame:
+    return pd.DataFrame({"t": 100.0 + T, "x": 5000.0 + 8.0 * T, "y": 200.0, "yaw": 0.0, "v": 8.0, **more})
+
+
+def agents(**more: Any) -> pd.DataFrame:
+    one = {"t": 100.0 + T, "id": "b", "x": 5030.0 + 6.0 * T, "y": 200.0, "yaw": 0.0, "vx": 6.0, "vy": 0.0}
+    two = {"t": 101.0 + T[:20], "id": "a", "x": 5020.0, "y": 203.0 - T[:20], "yaw": -1.5, "vx": 0.0, "vy": -1.0}
+    frames = [pd.DataFrame({**one, "kind": "car"}), pd.DataFrame({**two, "kind": "person"})]
+    return pd.concat(frames, ignore_index=True).assign(**more)
+
+
+def test_ten_lines_make_a_log_that_is_evaluated(tmp_path: Path) -> None:
+    scenario = replan.from_frames(ego(), agents(), name="mine")
+    replan.write_log(tmp_path / "mine.mcap", scenario)
+    assert differences(read_scenario(tmp_path / "mine.mcap"), scenario) == []
+    result = evaluate_logs([tmp_path / "mine.mcap"], RunConfig(("logged",), recording=False), tmp_path / "out")
+    assert not result.failures and len(result.drives) == 2
+
+
+def test_frames_times_and_sizes_are_as_documented() -> None:
+    scenario = from_frames(ego(), agents())
+    assert scenario.origin == (5000.0, 200.0) and scenario.start_ns == 100_000_000_000
+    assert scenario.ego.x == pytest.approx(8.0 * T) and scenario.ego.t == pytest.approx(T)
+    assert scenario.tracks.ids == ("a", "b")
+    assert scenario.tracks.kinds == (AgentKind.PEDESTRIAN, AgentKind.CAR)
+    assert scenario.tracks.length.tolist() == [0.5, 4.5]
+    assert float(scenario.tracks.t[0]) == pytest.approx(1.0)
+    said = " ".join(scenario.notes)
+    for word in ("no length", "no lanes", "does not describe the ego's vehicle", "no ego acceleration"):
+        assert word in said
+
+
+@given(st.sampled_from(sorted(set(UNITS) - {"", "1", "%", "s", "ms", "us", "ns", "g"})), st.permutations(range(len(T))))
+@settings(max_examples=40, deadline=None)
+def test_other_names_units_and_orders_of_rows_give_the_same(unit: str, order: list[int]) -> None:
+    length, angle = unit in ("m", "cm", "mm", "km", "ft"), unit in ("rad", "deg")
+    ours = "x" if length else "yaw" if angle else "v"
+    table = ego(yaw=0.1).iloc[order].rename(columns={ours: "theirs"})
+    table["theirs"] = table["theirs"] / UNITS[unit]
+    if unit in ("m/s2", "1/m"):
+        return
+    plain, other = from_frames(ego(yaw=0.1)), from_frames(table, columns={ours: f"theirs [{unit}]"})
+    for name in ("x", "y", "yaw", "v"):
+        assert getattr(other.ego, name) == pytest.approx(getattr(plain.ego, name), abs=1e-9)
+
+
+@pytest.mark.parametrize("unit", ["ns", "us", "ms"])
+def test_times_may_be_integers_or_dates(unit: str) -> None:
+    per = {"ns": 10**9, "us": 10**6, "ms": 10**3}[unit]
+    ticks = np.round((1e9 + T) * per).astype(np.int64)
+    whole = ego(t=ticks).rename(columns={"t": f"t_{unit}"})
+    date = ego(t=pd.to_datetime(ticks, unit=unit))
+    zoned = ego(t=pd.to_datetime(ticks, unit=unit, utc=True))
+    for table in (whole, date, zoned):
+        scenario = from_frames(table)
+        assert scenario.start_ns == 10**18 and scenario.ego.t == pytest.approx(T, abs=1e-9)
+
+
+def test_what_is_missing_is_derived_causally_and_noted() -> None:
+    bare = from_frames(ego().drop(columns="v"), agents().drop(columns=["yaw", "vx", "vy", "kind"]))
+    assert bare.ego.v == pytest.approx(8.0) and "no ego speed" in bare.notes[0]
+    walker, car = bare.tracks.samples(0), bare.tracks.samples(1)
+    assert bare.tracks.yaw[walker][5:] == pytest.approx(-np.pi / 2) and bare.tracks.yaw[car] == pytest.approx(0.0)
+    assert bare.tracks.perceived(3.0).speed == pytest.approx([1.0, 6.0], abs=1e-6)
+    assert any("taken for cars" in note for note in bare.notes)
+    with_speed = from_frames(ego(), agents(v=3.0).drop(columns=["vx", "vy"]))
+    assert with_speed.tracks.perceived(3.0).speed == pytest.approx([3.0, 3.0])
+
+
+@pytest.mark.parametrize(
+    ("table", "others", "words"),
+    [
+        (ego().drop(columns="yaw"), None, "no column yaw; it has t, x, y, v; name it"),
+        (ego(x="here"), None, "x is not a column of numbers"),
+        (ego(y=np.nan), None, "y is not finite"),
+        (ego(t=5.0), None, "two rows have the time 0 s; keep one"),
+        (ego(t=1e30), None, "beyond any clock"),
+        (ego().iloc[:0], None, "the table has no rows"),
+        (ego(), agents(kind="dragon"), "an agent is a 'dragon'"),
+        (ego(), pd.concat([agents(), agents()]), "agent a has two rows at 1 s"),
+        (ego(), agents().drop(columns="id"), "no column id"),
+        (ego(), agents(id=[None, *["a"] * (len(agents()) - 1)]), "row 0 has no id; name every agent"),
+    ],
+)
+def test_wrong_tables_are_one_clear_line(table: pd.DataFrame, others: pd.DataFrame | None, words: str) -> None:
+    with pytest.raises(LogError) as error:
+        from_frames(table, others)
+    assert words in str(error.value) and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(("zero", "start_s"), [(0.0, 100.0), (100.0, 0.5), (105.0, 0.5)])
+def test_the_zero_of_times_may_lie_anywhere(tmp_path: Path, zero: float, start_s: float) -> None:
+    """The others begin half a second before the ego: whatever is negative, all stay where they were and are written."""
+    scenario = from_frames(ego(t=ego().t - zero), agents(t=agents().t - 0.5 - zero))
+    assert scenario.start_ns == round(1e9 * start_s)
+    moved = from_frames(ego(), agents(t=agents().t - 0.5)).tracks.t
+    assert moved.min() == pytest.approx(-0.5) and scenario.tracks.t == pytest.approx(moved, abs=1e-6)
+    write_scenario(tmp_path / "log.mcap", scenario)
+    assert read_scenario(tmp_path / "log.mcap").tracks.t == pytest.approx(moved, abs=1e-6)
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_a_folder_of_tables_is_a_log(suffix: str, tmp_path: Path) -> None:
+    folder = tmp_path / "drive_7"
+    folder.mkdir()
+    for name, table in (("ego", ego().rename(columns={"v": "speed"}).assign(speed=28.8)), ("agents", agents())):
+        getattr(table, f"to_{suffix}")(folder / f"{name}.{suffix}", index=False)
+    reader = reader_of(folder)
+    assert reader is not None and reader.name == "table"
+    with_car = LogSettings(columns={"v": "speed [km/h]"}, car={"width": 2.0, "length": 5.0})
+    scenario = read_log(folder, with_car)
+    assert scenario.name == "drive_7" and scenario.ego.v == pytest.approx(8.0) and scenario.vehicle.width == 2.0
+    assert [topic.messages for topic in reader.contents(folder).topics] == [len(T), len(T) + 20]
+    with pytest.raises(ValueError, match="car has no height: its keys are length, width, wheelbase, rear_overhang"):
+        LogSettings(car={"height": 2.0})
+    with pytest.raises(LogError, match=r"unit \[parsec\] of speed is unknown"):
+        read_log(folder, LogSettings(columns={"v": "speed [parsec]"}))
+
+
+@given(st.lists(st.tuples(st.integers(0, 10**6), st.integers(0, 255)), max_size=8), st.sampled_from(["csv", "parquet"]))
+@settings(max_examples=200, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+def test_mutated_tables_are_read_or_refused(tmp_path: Path, changes: list[tuple[int, int]], suffix: str) -> None:
+    folder = tmp_path / suffix
+    folder.mkdir(exist_ok=True)
+    getattr(ego(), f"to_{suffix}")(folder / f"ego.{suffix}", index=False)
+    raw = bytearray((folder / f"ego.{suffix}").read_bytes())
+    for place, value in changes:
+        raw[place % len(raw)] = value
+    (folder / f"ego.{suffix}").write_bytes(bytes(raw))
+    try:
+        assert np.isfinite(read_log(folder).ego.x).all()
+    except LogError as error:
+        assert str(folder) in str(error) and "\n" not in str(error)
+
+
+def test_the_example_of_the_documentation_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = (Path(__file__).parents[3] / "docs" / "logs.md").read_text(encoding="utf-8")
+    code = page.partition("```python\n")[2].partition("```")[0]
+    monkeypatch.chdir(tmp_path)
+    exec(compile(code, "docs/logs.md", "exec"), {})
+    scenario = read_scenario(tmp_path / "mine.mcap")
+    assert scenario.ego.v == pytest.approx(10.0) and scenario.tracks.perceived(0.2).speed == pytest.approx([8.0])
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "said"),
+    [
+        ("x", np.nan, "agents: x is not finite in row 1; leave such rows out"),
+        ("id", None, "agents: row 1 has no id; name every agent"),
+        ("length", -4.0, "agents: a length is not positive; leave it empty where it is not known"),
+    ],
+)
+def test_rows_of_agents_that_say_nothing_are_refused(key: str, value: Any, said: str) -> None:
+    ego = pd.DataFrame({"t": [0.0, 0.1, 0.2], "x": [0.0, 1.0, 2.0], "y": 0.0, "yaw": 0.0})
+    agents = ego.assign(id="7", length=4.0)
+    agents[key] = [agents[key][0], value, agents[key][2]]
+    with pytest.raises(LogError) as error:
+        from_frames(ego, agents, name="bad")
+    assert str(error.value).endswith(said)
+
+
+def test_a_column_by_an_unknown_name_is_refused() -> None:
+    with pytest.raises(LogError, match=r"columns has speed, which is no name here; known: t, .*\bv\b"):
+        from_frames(ego(), name="bad", columns={"speed": "v"})
+    with pytest.raises(LogError, match=r"no table has the column sped that v is read from"):
+        from_frames(ego(), name="bad", columns={"v": "sped"})
+
+
+def test_times_in_another_unit_are_refused(tmp_path: Path) -> None:
+    ego = pd.DataFrame({"t": np.arange(20) * 100_000_000, "x": np.arange(20.0), "y": 0.0, "yaw": 0.0})
+    ego.to_csv(tmp_path / "ego.csv", index=False)
+    with pytest.raises(
+        LogError, match=r"lasts 1\.9e\+09 s; more than a week is no drive: look at the units of its times"
+    ):
+        read_log(tmp_path)
+    assert read_log(tmp_path, LogSettings(columns={"t": "t [ns]"})).duration == 1.9

@@ -1,0 +1,272 @@
+"""The contract of a planner, executable: every planner of the table, on scenarios made by hand and of the catalogue.
+
+To run it on a planner of your own, add it to PLANNERS, or call `check_plan` on your plans.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from dataclasses import fields, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cut_tracks import until
+from handmade import drive, s_curve, scenario, square, straight, track, tracks
+from hypothesis import given
+from hypothesis import strategies as st
+
+import logs.catalogue
+from logs import (
+    AgentKind,
+    ConfigError,
+    EgoState,
+    Frame,
+    Goal,
+    Plan,
+    PlannerContext,
+    PlannerError,
+    PlanStart,
+    Scenario,
+    Tracks,
+    Trajectory,
+)
+from logs.states import OnboardPlan
+from planners import PLANNERS, load_planner
+from planners.constant_speed import arc
+from replay.closed_loop import run_closed_loop
+from replay.drive import LoopConfig
+from replay.oracle import ORACLES
+from replay.perception import perceive
+from replay.world import World, logged_ego
+
+CONFIG = LoopConfig()
+
+
+def busy_street() -> Scenario:
+    """An S-curve with a slower car ahead, a parked car at the edge and a pedestrian who walks across."""
+    ego = drive(s_curve, 12.0, 10.0)
+    lead = drive(s_curve, 8.0, 10.0)
+    parked, t = ego.at(8.0), np.arange(0.0, 10.01, 0.1)
+    return scenario(
+        ego,
+        agents=tracks(
+            track("lead", lead.t, lead.x + 30.0 * np.cos(lead.yaw), lead.y + 30.0 * np.sin(lead.yaw), yaw=lead.yaw),
+            track("parked", [0.0], [parked.x], [parked.y - 2.5], yaw=parked.yaw, static=True),
+            track("walker", t, np.full_like(t, 70.0), -4.0 + 1.4 * t, kind=AgentKind.PEDESTRIAN, length=0.5, width=0.5),
+        ),
+    )
+
+
+SCENES = {
+    "free": lambda: scenario(drive(s_curve, 12.0, 10.0)),
+    "busy": busy_street,
+    "standing": lambda: scenario(
+        drive(straight, lambda t: np.interp(t, [0.0, 2.0, 8.0], [0.0, 0.0, 9.0]), 8.0),
+        agents=tracks(track("ahead", [0.0], [40.0], [0.0], static=True)),
+    ),
+    "goal": lambda: scenario(drive(straight, 10.0, 8.0), goal=Goal((square(60.0, 0.0, 3.0),))),
+}
+
+
+def scenes() -> dict[str, Scenario]:
+    made = {name: build() for name, build in SCENES.items()}
+    families = getattr(logs.catalogue, "CATALOGUE", {})
+    return made | {name: family.scenario() for name, family in families.items()}
+
+
+@pytest.fixture(scope="module")
+def all_scenes() -> dict[str, Scenario]:
+    return scenes()
+
+
+def context(made: Scenario) -> PlannerContext:
+    start = logged_ego(made.ego, made.vehicle, float(made.ego.t[0]))
+    return PlannerContext(made.road, made.goal, made.vehicle, CONFIG.plan_period_s, start)
+
+
+def frame_at(made: Scenario, t: float, seen: Tracks | None = None) -> Frame:
+    ego = logged_ego(made.ego, made.vehicle, t)
+    return perceive(World(ego, made.tracks if seen is None else seen), None, CONFIG)
+
+
+def times(made: Scenario) -> Iterator[float]:
+    first, last = float(made.ego.t[0]), float(made.ego.t[-1])
+    yield from (first, round(first + 0.35 * (last - first), 2), round(first + 0.7 * (last - first), 2))
+
+
+def assert_same(one: Trajectory, two: Trajectory, tolerance: float = 0.0) -> None:
+    for field in fields(Trajectory):
+        columns = getattr(one, field.name), getattr(two, field.name)
+        np.testing.assert_allclose(*columns, rtol=0.0, atol=tolerance, err_msg=field.name)
+
+
+def check_plan(plan: Plan, frame: Frame) -> None:
+    """What holds for every plan."""
+    assert isinstance(plan, Plan)
+    way = plan.trajectory
+    assert way.t[0] == pytest.approx(frame.t, abs=1e-9)
+    assert (np.diff(way.t) > 0.0).all()
+    assert all(np.isfinite(getattr(way, field.name)).all() for field in fields(Trajectory))
+    assert bool(plan.reason) or not plan.status.is_fallback, "a fallback says why"
+    begins: EgoState = frame.ego
+    if plan.start is PlanStart.PREVIOUS_PLAN:
+        assert frame.previous is not None, "without a previous plan it cannot start there"
+        begins = frame.previous.trajectory.at(frame.t)
+    assert np.hypot(way.x[0] - begins.x, way.y[0] - begins.y) < 0.05
+    assert way.v[0] == pytest.approx(begins.v, abs=0.05)
+
+
+def snapshot(frame: Frame) -> list[object]:
+    arrays = [getattr(frame.agents, n).copy() for n in ("x", "y", "yaw", "vx", "vy", "length", "width")]
+    return [frame.ego, frame.t, *arrays, frame.predictions.x.copy(), frame.predictions.y.copy()]
+
+
+@pytest.mark.parametrize("name", PLANNERS)
+def test_plans_are_sound_deterministic_and_leave_the_frame_untouched(
+    name: str, all_scenes: dict[str, Scenario]
+) -> None:
+    for made in all_scenes.values():
+        one, two = (load_planner(name)(context(made)) for _ in range(2))
+        for t in times(made):
+            frame = frame_at(made, t)
+            before = snapshot(frame)
+            plan = one.plan(frame)
+            check_plan(plan, frame)
+            for was, now in zip(before, snapshot(frame), strict=True):
+                np.testing.assert_array_equal(was, now)
+            assert_same(plan.trajectory, two.plan(frame).trajectory)
+
+
+@pytest.mark.parametrize("name", PLANNERS)
+def test_without_a_previous_plan_nothing_is_remembered(name: str, all_scenes: dict[str, Scenario]) -> None:
+    for made in all_scenes.values():
+        used = load_planner(name)(context(made))
+        *earlier, last = times(made)
+        for t in earlier:
+            used.plan(frame_at(made, t))
+        frame = frame_at(made, last)
+        again = load_planner(name)(context(made)).plan(frame).trajectory
+        assert_same(used.plan(frame).trajectory, again, 1e-9)  # a solver set up by another problem rounds otherwise
+
+
+class Nosy:
+    """Its plan depends on everything in the frame: the witness that a leak would be seen."""
+
+    def __init__(self, context: PlannerContext) -> None:
+        pass
+
+    def plan(self, frame: Frame) -> Plan:
+        seen = [getattr(frame.agents, n).sum() for n in ("x", "y", "yaw", "vx", "vy")]
+        seen += [len(frame.agents), frame.predictions.x.sum(), frame.predictions.y.sum()]
+        return Plan(arc(replace(frame.ego, x=frame.ego.x + sum(seen)), frame.t + np.arange(3.0)))
+
+
+@pytest.mark.parametrize("name", [*PLANNERS, *ORACLES, "nosy"])
+def test_no_agent_sample_later_than_the_frame_can_change_a_plan(name: str, all_scenes: dict[str, Scenario]) -> None:
+    for made in all_scenes.values():
+        for t in times(made):
+            plans = []
+            for seen in (made.tracks, until(made.tracks, t)):
+                onboard = (OnboardPlan(0.0, arc(made.ego.state(0), np.arange(0.0, 9.0, 0.5))),)
+                known = replace(made, tracks=seen, onboard=onboard if name == "onboard" else ())
+                factory = {**PLANNERS, **ORACLES, "nosy": Nosy}[name]
+                planner = factory(context(known), *((known,) if name in ORACLES else ()))
+                plans.append(planner.plan(frame_at(known, t)).trajectory)
+            assert_same(*plans)
+
+
+@given(st.floats(0.0, 4.0), st.integers(0, 2**32 - 1))
+def test_no_agent_sample_later_than_the_frame_is_perceived(t: float, seed: int) -> None:
+    """Ragged tracks, with and without logged velocities, at any time."""
+    rng = np.random.default_rng(seed)
+    agents = []
+    for i in range(4):
+        when = np.sort(rng.uniform(0.0, 4.0, rng.integers(1, 12)))
+        speed = {"vx": rng.normal(size=len(when)), "vy": rng.normal(size=len(when))} if i % 2 else {}
+        agents.append(track(str(i), when, rng.normal(size=len(when)), rng.normal(size=len(when)), **speed))
+    whole = tracks(*agents)
+    one, two = whole.perceived(t), until(whole, t).perceived(t)
+    assert one.ids == two.ids
+    for column in ("x", "y", "yaw", "vx", "vy"):
+        np.testing.assert_array_equal(getattr(one, column), getattr(two, column))
+
+
+@pytest.mark.parametrize("name", PLANNERS)
+def test_in_closed_loop_every_plan_starts_where_it_says(name: str) -> None:
+    made = replace(busy_street(), duration=10.0)
+    trace = run_closed_loop(made, name).trace
+    for before, now in zip((None, *trace.frames), trace.frames, strict=False):
+        ego = trace.ego.at(now.t)
+        frame = Frame(now.t, ego, made.tracks.perceived(now.t), frame_at(made, 0.0).predictions, before and before.plan)
+        check_plan(now.plan, frame)
+
+
+# --- the template
+
+
+@given(st.floats(-5.0, 30.0), st.floats(-0.2, 0.2), st.floats(-4.0, 4.0))
+def test_constant_speed_is_the_arc_of_the_kinematic_equations(v: float, kappa: float, yaw: float) -> None:
+    t = np.linspace(0.0, 5.0, 5001)
+    way = arc(EgoState(0.0, 3.0, -2.0, yaw, v, 0.0, kappa), t)
+    heading = yaw + v * kappa * t
+    middle = 0.5 * (heading[1:] + heading[:-1])
+    x = 3.0 + np.r_[0.0, np.cumsum(v * np.cos(middle)) * 1e-3]
+    y = -2.0 + np.r_[0.0, np.cumsum(v * np.sin(middle)) * 1e-3]
+    np.testing.assert_allclose(way.x, x, atol=1e-4)
+    np.testing.assert_allclose(way.y, y, atol=1e-4)
+    np.testing.assert_allclose(way.yaw - way.yaw[0], heading - heading[0], atol=1e-9)
+
+
+# --- loading
+
+
+@pytest.fixture
+def own_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A working directory for modules of the user's."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    known = set(sys.modules)
+    yield tmp_path
+    for name in set(sys.modules) - known:
+        del sys.modules[name]
+
+
+def test_a_planner_of_the_users_own_is_found_in_the_working_directory(own_module: Path) -> None:
+    (own_module / "mine_a.py").write_text("from planners.constant_speed import ConstantSpeed as MyPlanner\n")
+    assert load_planner("mine_a:MyPlanner").__name__ == "ConstantSpeed"
+    with pytest.raises(PlannerError, match="did you mean 'MyPlanner'"):
+        load_planner("mine_a:MyPlaner")
+    with pytest.raises(PlannerError, match="is no planner"):
+        load_planner("mine_a:__name__")
+
+
+def test_a_name_that_is_none_is_a_configuration_error() -> None:
+    with pytest.raises(ConfigError, match="did you mean 'constant_speed'"):
+        load_planner("constant_sped")
+    with pytest.raises(ConfigError, match="did you mean 'logged'"):
+        load_planner("loged", also=ORACLES)
+    with pytest.raises(ConfigError, match="module:Class"):
+        load_planner("mine:")
+    with pytest.raises(ConfigError, match="no such is loaded into Python"):
+        load_planner("exec:./planner")
+
+
+def test_modules_that_cannot_be_imported_become_one_line(own_module: Path) -> None:
+    (own_module / "mine_b.py").write_text("raise RuntimeError('no licence\\nfound')\n")
+    (own_module / "mine_c.py").write_text("def broken(:\n")
+    with pytest.raises(PlannerError, match=r"no_such_module.*PYTHONPATH"):
+        load_planner("no_such_module:Planner")
+    with pytest.raises(PlannerError, match=r"RuntimeError: no licence found \(mine_b.py:1\)$"):
+        load_planner("mine_b:Planner")
+    with pytest.raises(PlannerError, match="SyntaxError"):
+        load_planner("mine_c:Planner")
+
+
+def test_a_clash_of_names_is_explained(own_module: Path) -> None:
+    (own_module / "mine_d.py").write_text("from metrics.my_metric import score\n")
+    (own_module / "mine_e.py").write_text("from logs import my_reader\n")
+    for spec, package in (("planners.mine:P", "planners"), ("mine_d:P", "metrics"), ("mine_e:P", "logs")):
+        with pytest.raises(PlannerError, match=f"'{package}' is the name of a package of replan.*rename yours.*exec:"):
+            load_planner(spec)

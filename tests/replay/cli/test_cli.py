@@ -1,0 +1,329 @@
+"""The command line: exit codes, one-line errors, and a report that a stranger can read."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+from dataclasses import replace
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import pytest
+from command_line import evaluate, gates, one_error, replan
+from rich.console import Console
+
+from logs.mcap import read_scenario
+from replay.batch import RunResult, evaluate_logs
+from replay.config import RunConfig
+from replay.report.overview import overview
+from replay.report.terminal import print_report
+from replay.results import load
+
+
+def test_help_names_every_command_and_teaches_by_example() -> None:
+    words = replan("--help").stdout
+    for command in ("evaluate", "synth", "convert", "inspect", "view"):
+        assert command in words
+    for command in (["evaluate"], ["synth"], ["convert", "commonroad"], ["view"]):
+        assert f"replan {command[0]}" in replan(*command, "--help").stdout
+    assert "Exit codes" in replan("evaluate", "--help").stdout
+    assert "its [log] table" in replan("inspect", "--help").stdout
+
+
+def test_version() -> None:
+    assert re.match(r"replan \S", replan("--version").stdout)
+
+
+def test_exit_0_and_the_report_when_all_gates_pass(folder: Path, tmp_path: Path) -> None:
+    result = evaluate(folder / "free.mcap", "--out", tmp_path / "out")
+    assert result.exit_code == 0, result.output
+    for word in ("test/free", " goal ", "PASS", "p50 [ms]", str(tmp_path / "out"), "exit code 0"):
+        assert word in result.stdout
+    assert "error" not in result.stderr
+
+
+def test_exit_1_when_a_gate_fails_and_the_report_says_which_and_why(folder: Path, tmp_path: Path) -> None:
+    result = evaluate(folder / "blocked.mcap", "--out", tmp_path / "out")
+    assert result.exit_code == 1
+    for word in ("FAIL", "collision_at_fault.count", "wall", "exit code 1"):
+        assert word in result.stdout
+
+
+def test_exit_4_when_there_is_nothing_to_judge(folder: Path, tmp_path: Path) -> None:
+    rule = gates(tmp_path / "gates.toml", 'metric = "gap.min"\nmin = 0.5')
+    result = evaluate(folder / "free.mcap", "--gates", rule, "--out", tmp_path / "out")
+    assert result.exit_code == 4
+    assert "INCONCLUSIVE" in result.stdout
+
+
+def test_exit_3_beats_1_and_the_good_log_is_evaluated(folder: Path, tmp_path: Path) -> None:
+    bad = tmp_path / "bad.mcap"
+    bad.write_bytes((folder / "free.mcap").read_bytes()[:-100])
+    result = evaluate(bad, folder / "blocked.mcap", "--out", tmp_path / "out")
+    assert result.exit_code == 3
+    assert str(bad) in one_error(result)
+    assert "test/blocked" in result.stdout
+    assert "FAIL" in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["nowhere"], "nowhere: no such file or folder"),
+        (["{empty}"], "no logs in this folder"),
+        (["{free}", "--planner", "constant_sped"], "did you mean 'constant_speed'?"),
+        (["{free}", "--gates", "nowhere.toml"], "nowhere.toml"),
+        (["{free}", "--gates", "{wrong_gate}"], "did you mean 'gap.min'"),
+        (["{free}", "--config", "{wrong_key}"], "did you mean 'loop.plan_period_s'?"),
+        (["{free}", "--out", "{empty}/../foreign"], "no result of replan"),
+    ],
+)
+def test_exit_2_is_one_line(folder: Path, tmp_path: Path, words: list[str], said: str) -> None:
+    (tmp_path / "empty").mkdir()
+    (tmp_path / "foreign").mkdir()
+    (tmp_path / "foreign" / "diary.txt").write_text("", encoding="utf-8")
+    wrong_key = tmp_path / "run.toml"
+    wrong_key.write_text("[loop]\nplan_perod_s = 0.1", encoding="utf-8")
+    places = {
+        "empty": tmp_path / "empty",
+        "free": folder / "free.mcap",
+        "wrong_gate": gates(tmp_path / "gates.toml", 'metric = "gap.mim"\nmin = 1'),
+        "wrong_key": wrong_key,
+    }
+    out = [] if "--out" in words else ["--out", tmp_path / "out"]
+    result = evaluate(*(word.format(**places) for word in words), *out)
+    assert result.exit_code == 2
+    assert said in one_error(result)
+    assert not (tmp_path / "out").exists()
+
+
+def test_an_unknown_option_or_value_is_exit_2() -> None:
+    assert replan("evaluate", "--sideways").exit_code == 2
+    assert replan("evaluate", "--mode", "sideways").exit_code == 2
+
+
+def test_options_win_over_the_configuration(folder: Path, tmp_path: Path) -> None:
+    config = tmp_path / "run.toml"
+    config.write_text('planners = ["dp_qp"]\nmode = "both"\n[loop]\nplan_period_s = 0.2\n', encoding="utf-8")
+    evaluate(folder / "free.mcap", "--config", config, "--mode", "open", "--out", tmp_path / "out")
+    written = (tmp_path / "out" / "run.toml").read_text(encoding="utf-8")
+    for line in ('"constant_speed"', 'mode = "open"', "plan_period_s = 0.2", "recording = false"):
+        assert line in written
+
+
+def test_without_out_the_folder_is_numbered_and_said(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for number in (1, 2):
+        result = evaluate(folder / "free.mcap", "--mode", "open")
+        assert str(Path("results") / f"run-00{number}") in result.stdout
+        assert (tmp_path / "results" / f"run-00{number}" / "metrics.csv").exists()
+
+
+def test_synth_lists_writes_and_repeats_itself(tmp_path: Path) -> None:
+    listing = replan("synth", "--list").stdout
+    assert "paper/free_road" in listing
+    assert "radius_m=50" in listing
+    for out in ("one", "two"):
+        assert replan("synth", "paper", "everyday/nudge", "-o", tmp_path / out).exit_code == 0
+    written = sorted(path.relative_to(tmp_path / "one") for path in (tmp_path / "one").rglob("*.mcap"))
+    assert Path("everyday/nudge.mcap") in written
+    assert Path("paper/free_road.mcap") in written
+    assert all((tmp_path / "one" / p).read_bytes() == (tmp_path / "two" / p).read_bytes() for p in written)
+
+
+def test_synth_with_parameters_says_so_in_the_log(tmp_path: Path) -> None:
+    result = replan("synth", "paper/free_road", "-o", tmp_path, "--set", "ego_speed_mps=9")
+    (path,) = tmp_path.rglob("*.mcap")
+    assert str(path) in result.stdout.replace("\n", "")
+    log = read_scenario(path)
+    assert log.ego.v[0] == pytest.approx(9.0)
+    assert "9.0" in log.metadata["parameter.ego_speed_mps"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["paper/free_raod", "-o", "{out}"], "did you mean 'paper/free_road'?"),
+        (["paper/free_road"], "replan synth all -o"),
+        (["paper/free_road", "-o", "{out}", "--set", "radius_m"], "parameter=number"),
+        (["paper/free_road", "-o", "{out}", "--set", "radius_m=wide"], "'wide' is no number"),
+        (["paper/free_road", "-o", "{out}", "--set", "radios_m=1"], "no parameter radios_m"),
+    ],
+)
+def test_synth_refuses_in_one_line(tmp_path: Path, words: list[str], said: str) -> None:
+    result = replan("synth", *(word.format(out=tmp_path / "out") for word in words))
+    assert result.exit_code == 2
+    assert said in one_error(result)
+    assert not (tmp_path / "out").exists()
+
+
+def test_inspect_says_what_a_log_holds(folder: Path, tmp_path: Path) -> None:
+    result = replan("inspect", folder / "blocked.mcap")
+    assert result.exit_code == 0
+    for word in ("test/blocked", "obstacles: 1", "closed loop"):
+        assert word in result.stdout
+    bad = tmp_path / "bad.mcap"
+    bad.write_bytes(b"not an MCAP file")
+    assert replan("inspect", bad).exit_code == 3
+    assert replan("inspect", tmp_path / "nowhere.mcap").exit_code == 2
+
+
+def test_convert_commonroad(shared_data: Path, tmp_path: Path) -> None:
+    files = sorted((shared_data / "commonroad").glob("USA_US101-6*.xml"))
+    assert replan("convert", "commonroad", *files, "-o", tmp_path / "one.mcap").exit_code == 0
+    assert len(read_scenario(tmp_path / "one.mcap").tracks)
+    broken = tmp_path / "broken.xml"
+    broken.write_text("<commonRoad>", encoding="utf-8")
+    result = replan("convert", "commonroad", broken, *files, "-o", tmp_path / "many")
+    assert result.exit_code == 3
+    assert str(broken) in one_error(result)
+    assert [path.name for path in (tmp_path / "many").iterdir()] == [f"{files[0].stem}.mcap"]
+    assert replan("convert", "commonroad", broken, broken, "-o", tmp_path / "two.mcap").exit_code == 2
+
+
+def test_convert_writes_over_no_log(folder: Path, tmp_path: Path) -> None:
+    log = tmp_path / "monday" / "drive.mcap"
+    twin = tmp_path / "tuesday" / "drive.mcap"
+    for path in (log, twin):
+        path.parent.mkdir()
+        path.write_bytes((folder / "free.mcap").read_bytes())
+    before = log.read_bytes()
+    for words, said in (
+        ((log, "--to", 1, "-o", log), "is one of the logs and would be overwritten"),
+        ((log.parent, "--to", 1, "-o", log.parent), "is one of the logs and would be overwritten"),
+        ((tmp_path, "-o", tmp_path / "out"), f"{log} and {twin} would both become {tmp_path / 'out' / 'drive.mcap'}"),
+        ((log, tmp_path / "nowhere", "-o", tmp_path / "out"), "nowhere: no such file or folder"),
+    ):
+        result = replan("convert", *words)
+        assert result.exit_code == 2
+        assert said in one_error(result)
+        assert log.read_bytes() == before and not (tmp_path / "out").exists()
+
+
+def test_convert_names_what_it_cannot_take_or_write(folder: Path, tmp_path: Path) -> None:
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "cut.bag").write_bytes(b"")
+    (tmp_path / "in" / "free.mcap").write_bytes((folder / "free.mcap").read_bytes())
+    result = replan("convert", tmp_path / "in", "-o", tmp_path / "out")
+    assert result.exit_code == 0
+    assert result.stdout.startswith(f"left out {tmp_path / 'in' / 'cut.bag'}: no reader claims it\n")
+    (tmp_path / "file").touch()
+    result = replan("convert", folder / "free.mcap", "-o", tmp_path / "file")
+    assert result.exit_code == 3
+    assert "free.mcap: cannot be written" in one_error(result)
+
+
+def test_commonroad_is_evaluated_directly(shared_data: Path, tmp_path: Path) -> None:
+    (file,) = (shared_data / "commonroad").glob("ZAM_Tutorial-1_1_T-1.xml")
+    result = evaluate(file, "--out", tmp_path / "out")
+    assert result.exit_code in (0, 1)
+    assert list((tmp_path / "out").glob("*/log.mcap"))
+
+
+def test_view_saves_the_recording_of_a_log(folder: Path, tmp_path: Path) -> None:
+    assert replan("view", folder / "free.mcap", "--save", tmp_path / "free.rrd").exit_code == 0
+    assert (tmp_path / "free.rrd").read_bytes()[:3] == b"RRF"
+
+
+def test_view_saves_over_nothing_but_recordings(folder: Path, tmp_path: Path) -> None:
+    other = tmp_path / "other.mcap"
+    other.write_bytes(b"mine")
+    result = replan("view", folder / "free.mcap", "--save", other)
+    assert result.exit_code == 2
+    assert "a recording is called FILE.rrd" in one_error(result)
+    assert other.read_bytes() == b"mine"
+    result = replan("view", folder / "free.mcap", "--save", other / "free.rrd")
+    assert result.exit_code == 3
+    assert "free.rrd: cannot be written" in one_error(result)
+
+
+def test_view_opens_recordings_with_the_viewer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls: list[list[str]] = []
+
+    def viewer(command: list[str], **_: Any) -> subprocess.CompletedProcess[str]:
+        calls.append(command)
+        return subprocess.CompletedProcess(command, 0 if len(calls) < 3 else 1)
+
+    monkeypatch.setattr("replay.view.subprocess.run", viewer)
+    monkeypatch.setenv("DISPLAY", ":0")
+    for name in ("a/closed.rrd", "a/open.rrd"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_bytes(b"")
+    assert replan("view", tmp_path).exit_code == 0
+    assert calls[0][-2:] == [str(tmp_path / "a" / "closed.rrd"), str(tmp_path / "a" / "open.rrd")]
+    assert replan("view", tmp_path / "a" / "open.rrd").exit_code == 0
+    assert calls[1][-1] == str(tmp_path / "a" / "open.rrd")
+    result = replan("view", tmp_path)
+    assert result.exit_code == 3
+    assert "without a display" in one_error(result)
+
+
+def test_view_refuses_what_holds_no_recording(folder: Path, tmp_path: Path) -> None:
+    assert "no recording" in one_error(replan("view", tmp_path))
+    assert replan("view", tmp_path / "nowhere").exit_code == 2
+    for number in range(20):
+        (tmp_path / f"{number}.rrd").write_bytes(b"")
+    assert "too many" in one_error(replan("view", tmp_path))
+
+
+@pytest.fixture(scope="module")
+def compared(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> RunResult:
+    run = RunConfig(planners=("constant_speed", "logged"), recording=False)
+    return evaluate_logs([folder], run, tmp_path_factory.mktemp("out"))
+
+
+def report(result: RunResult, width: int, **changes: Any) -> str:
+    """The report of a run, with other logs in its summary."""
+    written, results = StringIO(), load(result.out)
+    results = replace(results, summary={**results.summary, **changes})
+    print_report(overview(results), Console(width=width, file=written), result.out)
+    return written.getvalue()
+
+
+@pytest.mark.parametrize("width", [80, 100, 140])
+def test_the_report_fits_the_terminal_and_is_plain(compared: RunResult, width: int) -> None:
+    lines = report(compared, width).splitlines()
+    assert max(map(len, lines)) <= width
+    assert "constant_speed" in "".join(lines)
+    assert all(char.isascii() or char == "\N{BOX DRAWINGS LIGHT HORIZONTAL}" for line in lines for char in line)
+
+
+def test_the_report_marks_oracles_and_has_a_column_per_planner(compared: RunResult) -> None:
+    text = report(compared, 140)
+    assert re.search(r"over all logs +constant_speed +logged \(oracle\)", text)
+    assert re.search(r"collisions at fault \(closed\) +1 +1", text)
+    assert re.search(r"ADE over 3 s, mean \[m\] \(open\) +- +-", text)  # the logs last less than 3 s
+    assert re.search(r"test/blocked *\n  constant_speed .*collision:", text)
+
+
+def test_the_report_names_units_and_says_what_was_assumed(compared: RunResult) -> None:
+    logs = load(compared.out).summary["logs"]
+    text = report(compared, 140, logs=[{**log, "notes": [f"limit {i}.5 m/s used"]} for i, log in enumerate(logs)])
+    assert "for example: limit 0.5 m/s used (2 of 2 logs)" in text
+    assert "m/s3" in text
+    assert "p99 [ms]" in text
+
+
+def test_the_recording_to_look_at_is_that_of_the_worst_failure(compared: RunResult) -> None:
+    logs = load(compared.out).summary["logs"]
+    recorded = [
+        {**drive, "files": [f"{log['log']}/{drive['planner']}.{drive['mode']}.rrd"]}
+        for log in logs
+        for drive in log["drives"]
+    ]
+    shown = report(
+        compared, 200, logs=[{**log, "drives": [d for d in recorded if d["log"] == log["log"]]} for log in logs]
+    )
+    assert "replan view " + str(compared.out / "test/blocked/constant_speed.closed.rrd") in shown
+
+
+def test_a_long_report_shows_trouble_first(compared: RunResult, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("replay.report.terminal.MAX_ROWS", 1)
+    text = report(compared, 140)
+    assert "3 more drives" in text
+    drives = text.partition("Planners")[0]
+    assert "collision" in drives
+    assert "yes" not in drives

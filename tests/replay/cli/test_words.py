@@ -1,0 +1,223 @@
+"""The command line for people and scripts: lists, JSON on stdout, quiet and verbose, progress, completion, speed."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from command_line import evaluate, gates, one_error, replan
+from hypothesis import given
+from hypothesis import strategies as st
+
+import logs
+import replan as public
+from logs.catalogue import FAMILIES
+from logs.catalogue.suites import SUITES
+from logs.readers import readers
+from logs.vehicle import vehicle_names
+from metrics import METRICS
+from planners import PLANNERS
+from replay.batch.log_result import LogResult
+from replay.cli.names import names
+from replay.control import CONTROLLERS
+from replay.listing import KINDS, entries
+from replay.oracle import ORACLES
+from replay.perception import PERCEPTIONS, PREDICTIONS
+from replay.report.progress import LEAST_S, Pace, progress
+from replay.traffic import TRAFFIC
+from replay.vehicle import VEHICLES
+
+ROOT = Path(__file__).parents[3]
+TABLES = {
+    "planners": (*PLANNERS, *ORACLES),
+    "controllers": CONTROLLERS,
+    "vehicles": VEHICLES,
+    "cars": vehicle_names(),
+    "traffic": TRAFFIC,
+    "predictions": PREDICTIONS,
+    "perceptions": PERCEPTIONS,
+    "metrics": METRICS,
+    "families": FAMILIES,
+    "suites": SUITES,
+    "readers": [reader.name for reader in readers()],
+}
+
+
+def python(*words: str, **env: str) -> subprocess.CompletedProcess[str]:
+    places = {**os.environ, "PYTHONPATH": str(ROOT), **env}
+    return subprocess.run([sys.executable, *words], env=places, capture_output=True, text=True, check=False)
+
+
+def test_every_name_of_every_table_is_listed_with_a_line_and_a_place() -> None:
+    assert KINDS.keys() == TABLES.keys()
+    for kind, names_of in TABLES.items():
+        found = entries(kind)
+        assert [one.name for one in found] == list(names_of)
+        for one in found:
+            assert one.says.strip(), one
+            assert "\n" not in one.says
+            module, _, line = one.where.partition(":")
+            file = ROOT / (module if module.endswith(".toml") else module.replace(".", "/"))
+            source = next(path for path in (file, file.with_suffix(".py"), file / "__init__.py") if path.is_file())
+            text = source.read_text(encoding="utf-8").splitlines()
+            assert not line or text[int(line) - 1].lstrip().startswith(("def ", "class ", "@", '"', "lambda ")), one
+
+
+def test_list_says_how_many_there_are_of_each_kind_and_which() -> None:
+    counts = dict(line.split() for line in replan("list").stdout.splitlines())
+    assert counts == {kind: str(len(list(found))) for kind, found in TABLES.items()}
+    assert "pure_pursuit: Steering by pure pursuit" in replan("list", "controllers").stdout
+    assert "did you mean 'planners'?" in one_error(replan("list", "planers"))
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        (("list",), lambda said: said["planners"][0]["name"] == "dp_qp"),
+        (("list", "cars"), lambda said: [one["name"] for one in said] == list(vehicle_names())),
+        (("metrics",), lambda said: [one["name"] for one in said] == list(METRICS)),
+        (("metrics", "gap"), lambda said: said["unit"] == "m" and "min" in said["reductions"]),
+        (("synth", "--list"), lambda said: {one["name"] for one in said["families"]} == FAMILIES.keys()),
+        (("convert", "--formats"), lambda said: "native" in [one["name"] for one in said]),
+        (("vary", "--list"), lambda said: "speed" in [one["name"] for one in said]),
+        (("vary", "paper/crossing_pedestrian", "--list-agents"), lambda said: said[0]["kind"] == "pedestrian"),
+        (("inspect", "{free}"), lambda said: said["scenario"]["name"] == "test/free" and said["health"] == []),
+    ],
+)
+def test_json_is_one_document_and_says_what_the_words_say(folder: Path, words: tuple[str, ...], found: Any) -> None:
+    result = replan(*(word.format(free=folder / "free.mcap") for word in words), "--json")
+    assert result.exit_code == 0
+    assert found(json.loads(result.stdout))
+    assert replan(*(word.format(free=folder / "free.mcap") for word in words)).exit_code == 0
+
+
+def test_the_json_of_a_run_is_its_summary(folder: Path, tmp_path: Path) -> None:
+    rule = gates(tmp_path / "gates.toml", 'metric = "gap.min"\nmin = 0.5')
+    words = (folder / "free.mcap", "--gates", rule, "--out", tmp_path / "out")
+    result = evaluate(*words, "--json")
+    said = json.loads(result.stdout)
+    written = json.loads((tmp_path / "out" / "summary.json").read_text(encoding="utf-8"))
+    assert {"results": str(tmp_path / "out"), **written} == {"schema_version": written["schema_version"], **said}
+    assert (result.exit_code, said["exit_code"]) == (4, 4)
+    for number in (1, 2):
+        evaluate(*words[:-1], tmp_path / f"{number}", "--shard", f"{number}/2")
+    merged = replan("merge", tmp_path / "1", tmp_path / "2", "-o", tmp_path / "merged", "--json")
+    assert json.loads(merged.stdout)["logs"] == said["logs"]
+
+
+def test_the_json_of_a_surface_has_its_points(folder: Path, tmp_path: Path) -> None:
+    words = ("vary", folder / "blocked.mcap", "--agent", "wall", "--vary", "ego_speed=0.5:1:2", "-p", "constant_speed")
+    result = replan(*words, "--resolution", 0.5, "--workers", 0, "-o", tmp_path / "out", "--json", "--quiet")
+    said = json.loads(result.stdout)
+    assert [point["ego_speed"] for point in said["table"]] == [0.5, 1.0]
+    assert result.exit_code == said["exit_code"] == 0
+    assert result.stderr == ""
+
+
+def test_errors_leave_stdout_empty_and_quiet_says_them(folder: Path, tmp_path: Path) -> None:
+    for words in (("synth", "all", "--json"), ("convert", "x", "--json"), ("evaluate", "nowhere", "--json", "-q")):
+        result = replan(*words)
+        assert (result.exit_code, result.stdout) == (2, "")
+        assert one_error(result)
+    bad = tmp_path / "bad.mcap"
+    bad.write_bytes((folder / "free.mcap").read_bytes()[:-100])
+    inspected = replan("inspect", bad, "--json")
+    assert inspected.exit_code == 3
+    assert "bad.mcap" in json.loads(inspected.stdout)["error"]
+    quiet = evaluate(bad, folder / "free.mcap", "-q", "--out", tmp_path / "out")
+    assert str(bad) in one_error(quiet)
+    assert quiet.stderr.count("\n") == 1
+    assert quiet.stdout.splitlines() == [
+        f"Outcome: NOT ALL COULD BE EVALUATED (exit code 3); results: {tmp_path / 'out'}"
+    ]
+
+
+def test_verbose_says_each_log_as_it_ends(folder: Path, tmp_path: Path) -> None:
+    result = evaluate(folder, "--mode", "closed", "--out", tmp_path / "out", "-v")
+    first, second = [line for line in result.stderr.splitlines() if " of 2  " in line]
+    assert first.startswith("1 of 2  test/blocked  ")
+    assert second.startswith("2 of 2  test/free  ")
+    assert second.endswith("constant_speed closed: goal reached")
+    assert " s  " in first
+    again = evaluate(folder, "--mode", "closed", "--out", tmp_path / "out", "-v", "--resume")
+    assert again.stderr.count("there already") == 2
+
+
+@given(st.lists(st.floats(0.01, 40.0), min_size=1, max_size=200))
+def test_lines_off_a_terminal_are_few_and_none_comes_too_soon(steps: list[float]) -> None:
+    pace, now, said = Pace(len(steps), 100.0), 100.0, []
+    for step in steps:
+        now += step
+        line = pace.step(now, driven=True)
+        if line is not None:
+            said.append((now, line))
+    times = [100.0, *(t for t, _ in said)]
+    assert all(after - before >= LEAST_S for before, after in pairwise(times))
+    assert len(said) <= 9 + (now - 100.0) / 60.0
+    assert all(line.endswith(" left") for _, line in said)
+
+
+def test_the_pace_is_that_of_the_logs_that_were_driven() -> None:
+    pace = Pace(300, 0.0)
+    for _ in range(100):
+        assert pace.step(1.0, driven=False) is None  # there already
+    for index in range(50):
+        line = pace.step(1.0 + index, driven=True)
+    assert line == "150 of 300 logs, 1 logs/s, about 2 min left"
+
+
+def test_progress_is_said_on_stderr_as_lines(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from replay.batch.sources import Selection
+
+    clock = iter(range(0, 1000, 10))
+    monkeypatch.setattr("replay.report.progress.monotonic", lambda: float(next(clock)))
+    done = replace(LogResult("a", "a"), seconds=1.0)
+    with progress() as (on_start, on_log):
+        on_start(Selection(tuple("abcde")), Path("out"))  # type: ignore[arg-type]
+        for _ in "abcde":
+            on_log(done)
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.splitlines()[:2] == ["5 logs -> out", "1 of 5 logs, 0.1 logs/s, about 40 s left"]
+    assert len(said.err.splitlines()) == 5  # the report follows the last log
+
+
+def test_the_command_line_is_there_at_once() -> None:
+    heavy = "numba numpy scipy pandas pyarrow matplotlib rerun"
+    code = f"import sys, replay.cli, replan; print(*sorted(set('{heavy}'.split()) & set(sys.modules)))"
+    result = python("-c", code)
+    assert (result.stdout.strip(), result.stderr) == ("", "")
+
+
+def test_the_light_packages_have_every_name_that_they_promise() -> None:
+    for module in (logs, public):
+        for name in module.__all__:
+            assert getattr(module, name).__name__ in (name, "write_scenario")
+        with pytest.raises(AttributeError, match="nothing"):
+            _ = module.nothing
+        assert set(module._FROM) == set(module.__all__)
+
+
+def test_completion_knows_the_tables_without_importing_them() -> None:
+    options = {"planner": "planners", "controller": "controllers", "vehicle": "vehicles", "traffic": "traffic",
+               "prediction": "predictions", "perception": "perceptions", "suite": "suites", "car": "cars"}  # fmt: skip
+    for option, kind in options.items():
+        assert sorted(names(option)) == sorted(TABLES[kind]), option
+    assert list(names("kind")) == list(KINDS)
+
+
+def test_a_shell_is_given_names() -> None:
+    words = {"_REPLAN_COMPLETE": "complete_bash", "COMP_WORDS": "replan evaluate --controller p", "COMP_CWORD": "3"}
+    result = python("-m", "replan", **words)
+    assert result.stdout.split() == ["pure_pursuit", "pid"]
+    named = {"_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"}  # else the shell above this process counts
+    assert "replan" in python("-m", "replan", "--show-completion", "bash", **named).stdout

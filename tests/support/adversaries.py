@@ -1,0 +1,245 @@
+"""Planners that a judge must catch, each bad in one way, and the table of which gate catches which.
+
+    python tests/support/adversaries.py
+
+drives them over the built-in suite and prints adversary x gate (Markdown: logs failed, "." none, "-" not asked); `slow`
+over its own log only.
+
+They may be run as any planner: `replan evaluate -p adversaries:Park` from the folder of this file.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from logs import Frame, Plan, PlannerContext, Trajectory
+from logs.catalogue import CATALOGUE
+from logs.kernel import FloatArray
+from planners.constant_speed import arc
+from planners.frenet.start import RouteTracker
+from planners.idm import Idm, IdmConfig
+from replay.plan_check import of_positions
+
+STEPS = 0.1 * np.arange(81)
+
+
+class Along:
+    """Follows the reference line at a speed and an offset of its own and does not look."""
+
+    accel, brake = 2.0, 2.5
+
+    def __init__(self, context: PlannerContext) -> None:
+        self._tracker, self._start = RouteTracker(context), context.start
+
+    def speed(self, t: float) -> float:
+        """The speed wished for at a time, m/s."""
+        return self._start.v
+
+    def offset(self, t: FloatArray) -> FloatArray:
+        """The offset wished for, m."""
+        return np.zeros(len(t))
+
+    def plan(self, frame: Frame) -> Plan:
+        scene, kind = self._tracker.scene(frame)
+        start, s0, l0 = scene.start, scene.s, scene.l
+        v = [start.v]
+        for t in STEPS[1:]:
+            change = float(np.clip(self.speed(frame.t + t) - v[-1], -0.1 * self.brake, 0.1 * self.accel))
+            v.append(max(0.0, v[-1] + change))
+        s = s0 + np.r_[0.0, np.cumsum(0.05 * (np.array(v[1:]) + np.array(v[:-1])))]
+        times = frame.t + STEPS
+        wish = self.offset(times)
+        way = np.minimum((s - s0) / 20.0, 1.0)
+        l = wish + (l0 - wish[0]) * (1.0 - way * way * (3.0 - 2.0 * way))  # noqa: E741
+        points = np.array([self._tracker.reference.line.point(*each) for each in zip(s, l, strict=True)])
+        rough = Trajectory(times, *points.T, np.full(81, start.yaw), v, np.zeros(81), np.zeros(81))
+        exact = of_positions(rough)
+        yaw = np.r_[start.yaw, exact.yaw[1:]]
+        return Plan(replace(exact, yaw=yaw, kappa=np.r_[start.kappa, exact.kappa[1:]]), start=kind)
+
+
+class Park(Along):
+    """Brakes to a stop and stays."""
+
+    def speed(self, t: float) -> float:
+        return 0.0
+
+
+class Creep(Along):
+    """Crawls at walking pace."""
+
+    def speed(self, t: float) -> float:
+        return 1.0
+
+
+class Speeder(Along):
+    """Half as fast again as it began, whatever the limit."""
+
+    def speed(self, t: float) -> float:
+        return 1.5 * max(self._start.v, 10.0)
+
+
+class WrongWay(Along):
+    """Drives a lane's width to the left."""
+
+    def offset(self, t: FloatArray) -> FloatArray:
+        return np.minimum((t - self._start.t) / 3.0, 1.0) * 3.5
+
+
+class Swerver(Along):
+    """Sways across its lane."""
+
+    def offset(self, t: FloatArray) -> FloatArray:
+        return 0.8 * np.sin(2.0 * np.pi * (t - self._start.t) / 2.5)
+
+
+class Tailgate(Idm):
+    """Keeps hardly any distance."""
+
+    def __init__(self, context: PlannerContext) -> None:
+        super().__init__(context, IdmConfig(time_gap_s=0.1, standstill_gap_m=0.3, decel_mps2=8.0))
+
+
+class RedRunner(Idm):
+    """Knows no lights, no signs, no crosswalks."""
+
+    def __init__(self, context: PlannerContext) -> None:
+        super().__init__(replace(context, road=replace(context.road, stop_lines=(), crosswalks=())))
+
+
+class Lawful(Idm):
+    """What the next ones spoil."""
+
+
+class Liar(Idm):
+    """Brakes and steers by jerks, and says that it goes on evenly and straight."""
+
+    def plan(self, frame: Frame) -> Plan:
+        plan = super().plan(frame)
+        t = plan.trajectory
+        bent = 0.6 * np.sin(2.0 * (t.t - t.t[0])) ** 3
+        said = replace(
+            t, x=t.x - bent * np.sin(t.yaw), y=t.y + bent * np.cos(t.yaw), a=np.zeros(len(t)), kappa=np.zeros(len(t))
+        )
+        return replace(plan, trajectory=said)
+
+
+class Short(Idm):
+    """Plans of one state."""
+
+    def plan(self, frame: Frame) -> Plan:
+        plan = super().plan(frame)
+        return replace(plan, trajectory=plan.trajectory.between(frame.t, frame.t))
+
+
+class Slow(Idm):
+    """Takes longer to plan than a period lasts."""
+
+    def plan(self, frame: Frame) -> Plan:
+        time.sleep(0.11)
+        return super().plan(frame)
+
+
+class Random:
+    """Steers and accelerates by chance, another one in each run."""
+
+    def __init__(self, context: PlannerContext) -> None:
+        self._chance = np.random.default_rng()
+
+    def plan(self, frame: Frame) -> Plan:
+        ego = frame.ego
+        v = np.maximum(ego.v + self._chance.uniform(-3.0, 2.0) * STEPS, 0.0)
+        way = np.r_[0.0, np.cumsum(0.05 * (v[1:] + v[:-1]))]
+        unit = arc(replace(ego, t=0.0, v=1.0, kappa=ego.kappa + self._chance.uniform(-0.03, 0.03)), way + 1e-9 * STEPS)
+        return Plan(of_positions(Trajectory(frame.t + STEPS, unit.x, unit.y, unit.yaw, v, 0.0 * v, unit.kappa)))
+
+
+class Teleport(Idm):
+    """Every plan begins 0.45 m ahead of the ego."""
+
+    def plan(self, frame: Frame) -> Plan:
+        plan = super().plan(frame)
+        t = plan.trajectory
+        return replace(plan, trajectory=replace(t, x=t.x + 0.45 * np.cos(t.yaw[0]), y=t.y + 0.45 * np.sin(t.yaw[0])))
+
+
+class FarAhead:
+    """Plans straight on, 1000 km in 8 s."""
+
+    def __init__(self, context: PlannerContext) -> None:
+        pass
+
+    def plan(self, frame: Frame) -> Plan:
+        return Plan(arc(replace(frame.ego, v=1.25e5), frame.t + STEPS))
+
+
+@dataclass(frozen=True)
+class Adversary:
+    """A planner, how it is run, a log and the gate (first words) that catches it there."""
+
+    planner: Callable[..., object]
+    log: str
+    gate: str
+    vehicle: str = "kinematic_bicycle"
+
+
+ADVERSARIES = {
+    "park": Adversary(Park, "paper/free_road", "route_progress"),
+    "creep": Adversary(Creep, "paper/free_road", "route_progress"),
+    "tailgate": Adversary(Tailgate, "everyday/follow", "thw"),
+    "wrong_way": Adversary(WrongWay, "everyday/cyclist", "collision_at_fault"),
+    "red_runner": Adversary(RedRunner, "everyday/traffic_light", "red_light"),
+    "swerver": Adversary(Swerver, "paper/free_road", "lat_jerk_state"),
+    "speeder": Adversary(Speeder, "paper/free_road", "speed_excess"),
+    "liar": Adversary(Liar, "paper/free_road", "plan_corrected"),
+    "short": Adversary(Short, "paper/free_road", "plan_complete"),
+    "slow": Adversary(Slow, "paper/free_road", "deadline"),
+    "random": Adversary(Random, "paper/free_road", "off_road"),
+    "teleport": Adversary(Teleport, "paper/free_road", "plan_refused", "perfect"),
+    "far_ahead": Adversary(FarAhead, "paper/free_road", "plan_refused"),
+}
+
+
+def _written(folder: Path) -> list[Path]:
+    from replay.synth import synthesise
+
+    return list(synthesise(list(CATALOGUE.values()), folder / "logs", {}))
+
+
+def main() -> None:
+    """Print the table."""
+    from replay.batch import evaluate_logs
+    from replay.config import RunConfig
+    from replay.drive import LoopConfig
+
+    rows: dict[str, dict[str, str]] = {}
+    with tempfile.TemporaryDirectory() as place:
+        logs = {family.name: path for family, path in zip(CATALOGUE.values(), _written(Path(place)), strict=True)}
+        for name, one in ADVERSARIES.items():
+            late = one.gate == "deadline"
+            run = RunConfig(
+                planners=(f"adversaries:{one.planner.__name__}",), recording=False, internals="none",
+                loop=LoopConfig(vehicle=one.vehicle), deadline_s=0.1 if late else 0.0,
+            )  # fmt: skip
+            asked = [logs[one.log]] if late else list(logs.values())
+            result = evaluate_logs(asked, run, Path(place) / "out" / name, workers=2)
+            for verdict in result.verdicts:
+                failed = sum(log.outcome.value == "fail" for log in verdict.logs)
+                rows.setdefault(f"{verdict.gate.metric} {verdict.mode}", {})[name] = str(failed) if failed else "."
+            rows.setdefault("exit code", {})[name] = str(result.exit_code)
+    rows["exit code"] = rows.pop("exit code")
+    print(f"| gate | {' | '.join(ADVERSARIES)} |", "| --- |" + " --- |" * len(ADVERSARIES), sep="\n")
+    for gate, found in rows.items():
+        print(f"| {gate} | {' | '.join(found.get(name, '-') for name in ADVERSARIES)} |")
+
+
+if __name__ == "__main__":
+    sys.path.insert(0, str(Path(__file__).parent))
+    main()

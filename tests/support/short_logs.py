@@ -1,0 +1,35 @@
+"""Logs of two seconds, and runs over them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from handmade import drive, lanes_along, scenario, square, straight, track, tracks
+
+from logs import Goal, Scenario
+from replay.batch import RunResult, evaluate_logs
+from replay.config import RunConfig
+
+QUICK = RunConfig(planners=("constant_speed",), recording=False)
+
+
+def short(name: str, *, v: float = 10.0, parked: bool = False) -> Scenario:
+    """Two seconds straight on."""
+    log = drive(straight, v, 2.0)
+    others = tracks(track("parked", [0.0], [60.0], [3.0], static=True)) if parked else None
+    made = scenario(log, agents=others, road=lanes_along(log), goal=Goal((square(v * 2.0, 0.0, 4.0),)))
+    return replace(made, name=name, tags=("short",))
+
+
+def run(logs: Path | Sequence[Path], out: Path, config: RunConfig = QUICK, **options: int) -> RunResult:
+    return evaluate_logs([logs] if isinstance(logs, Path) else logs, config, out, **options)
+
+
+def identical(first: Path, second: Path) -> bool:
+    """Whether everything that must not depend on the run is the same, byte for byte."""
+    names = ["metrics.parquet", "metrics.csv"]
+    for pattern in ("*/metrics.parquet", "*/frames.parquet", "*/*.mcap"):
+        names += [str(path.relative_to(first)) for path in first.glob(pattern)]
+    return all((first / name).read_bytes() == (second / name).read_bytes() for name in names)

@@ -134,7 +134,7 @@ class Kind(Generic[T]):
             return import_module(module)
         except (Exception, SystemExit) as error:
             hint = "; install the package, or run from its folder, or set PYTHONPATH"
-            hint = self._clash(error) or (hint if isinstance(error, ImportError) else "")
+            hint = self._clash(error) or (hint if isinstance(error, ModuleNotFoundError) else "")
             raise self.error(f"{self.name} '{spec}' cannot be loaded: {raised(error)}{hint}") from error
 
     def _absent(self, spec: str, name: str, module: ModuleType, error: Exception) -> ConfigError | PlannerError:

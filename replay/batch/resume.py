@@ -1,7 +1,7 @@
 """Going on with a run that was interrupted: the logs whose folders are whole are taken as they are.
 
 A folder is taken if it came from the same input (name and bytes) under the same configuration, version and source of
-replan and of what users add by name (planners, metrics, controllers ...); gates may differ, they are applied at the end.
+replan and of what users add by name (planners, metrics, ...); gates may differ, they are applied at the end.
 Anything else in the folder of the run is a reason to refuse: nothing is evaluated anew silently, and nothing of another
 run is mixed in.
 """

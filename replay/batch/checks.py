@@ -51,6 +51,11 @@ def checked(run: RunConfig) -> tuple[RunConfig, tuple[Failure, ...]]:
     if run.foxglove:
         import replay.foxglove  # noqa: F401  # its package is there, or this says so before anything is driven
     _check_tables(run)
+    if run.charts:
+        from replay.report.charts.layout import CHART  # that imports what reads results, and they this
+
+        for chart in run.charts:
+            CHART.find(chart)
     left: dict[str, Mapping[str, Any]] = {}
     errors: list[PlannerError] = []
     for planner in run.planners:

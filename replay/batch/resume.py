@@ -17,6 +17,7 @@ from typing import Any
 
 from logs.errors import ConfigError, LogError
 from logs.extension import Kind
+from logs.readers import READER
 from metrics import METRIC
 from planners import PLANNER
 from replay.apart.proxy import command_of
@@ -48,6 +49,7 @@ def _files_of(run: RunConfig) -> Iterator[Path]:
     """The files of all that is not ours: modules ("module:NAME", entry points), and what commands name."""
     yield from (file for name in run.planners for file in _of_planner(name))
     named: list[tuple[Kind[Any], str]] = [(METRIC, name) for name in run.metrics]
+    named += [(READER, name) for name in (*READER.entries(), run.log.reader) if name]
     named += [(kind, getattr(run.loop, key)) for key, (kind, _) in KINDS.items()]
     for kind, name in named:
         file = None if name in kind.besides else kind.file(name)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from math import inf
 from pathlib import Path
 
-from logs.catalogue import CATALOGUE, scenario
+from logs.catalogue import CATALOGUE, FAMILY, scenario
 from logs.catalogue.suites import suite
 from logs.errors import ConfigError, LogError
 from logs.maps import map_files
@@ -55,12 +55,13 @@ class LogSource:
     def identity(self) -> str:
         """What tells it from every other input: names and hashes of log and map, or the name; LogError as `read`."""
         if self.path is None:
-            return f"catalogue {self.label}"
+            file = FAMILY.file(self.label.partition("@")[0])
+            return f"catalogue {self.label}{f' {file_hash(file)}' if file else ''}"
         settings = self.settings
         if settings.map:
             settings = replace(settings, map=" ".join(map(file_hash, map_files(Path(settings.map)))))
         part = "" if settings == LogSettings() else f" {settings}"
-        return f"{self.path.name} {self.digest or log_hash(self.path)}{part}"
+        return f"{self.path.name} {self.digest or log_hash(self.path, settings)}{part}"
 
     def read(self) -> Scenario:
         """The scenario; LogError where it cannot be read."""
@@ -83,7 +84,7 @@ class LogSource:
     @property
     def is_mcap(self) -> bool:
         """Whether it is a native or OSI MCAP that is read as it is: no copy of it is needed beside the results."""
-        reader = None if self.path is None else reader_of(self.path)
+        reader = None if self.path is None else reader_of(self.path, self.settings)
         return reader is not None and reader.name == "native" and self.settings == LogSettings()
 
 
@@ -127,12 +128,12 @@ def select(paths: Sequence[Path | str], settings: LogSettings | None = None, win
     kept: dict[str, LogSource] = {}
     dropped: list[str] = []
     for path in map(Path, paths):
-        candidates = list(_logs(path))
+        candidates = list(_logs(path, settings))
         if not candidates:
-            looked = ", ".join(dict.fromkeys(reader.looks_for for reader in readers()))
+            looked = ", ".join(dict.fromkeys(reader.looks_for for reader in readers(settings.reader)))
             raise ConfigError(f"{path}: no logs in this folder; looked for {looked}, 0 found; {FORMATS}")
         for log, reason in candidates:
-            digest = "" if reason else _digest(log)
+            digest = "" if reason else _digest(log, settings)
             key = digest or str(log.resolve())
             twin = kept.get(key)
             reason = reason or (f"the same bytes as {twin.label}" if twin else "")
@@ -158,14 +159,14 @@ def _parts(source: LogSource, window: float) -> Iterator[LogSource]:
         yield replace(source, label=f"{source.label} from {part.begin:g} s", settings=part)
 
 
-def _logs(path: Path) -> Iterator[tuple[Path, str]]:
+def _logs(path: Path, settings: LogSettings) -> Iterator[tuple[Path, str]]:
     """Candidates at a path, each with the reason why it is left out ("" keeps it)."""
     if not path.exists():
         raise ConfigError(f"{path}: no such file or folder")
-    if reader_of(path) is not None:
+    if reader_of(path, settings) is not None:
         yield path, ""
     elif path.is_dir():
-        for log, reader in logs_in(path):
+        for log, reader in logs_in(path, settings):
             yield log, _objection(log, path) or ("" if reader else "no reader claims it")
     else:
         raise ConfigError(str(foreign(path)))
@@ -188,17 +189,17 @@ def _files(reader: Reader, log: Path) -> tuple[Path, ...]:
         return ()
 
 
-def _digest(log: Path) -> str:
+def _digest(log: Path, settings: LogSettings) -> str:
     """Hash of the bytes; "" where they cannot be read (the evaluation will say why)."""
     try:
-        return log_hash(log)
+        return log_hash(log, settings)
     except LogError:
         return ""
 
 
-def log_hash(path: Path) -> str:
+def log_hash(path: Path, settings: LogSettings | None = None) -> str:
     """SHA-256 of a log's bytes: of the file, or of the names and hashes of its files (a map may lie elsewhere)."""
-    reader = reader_of(path)
+    reader = reader_of(path, settings)
     files = (path,) if reader is None else reader.files(path)
     if files == (path,):
         return file_hash(path)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import textwrap
@@ -56,6 +57,10 @@ def commands(page: Path) -> Iterator[tuple[list[str], int]]:
                 yield words, int(m[1]) if (m := EXIT.search(line)) else 0
 
 
+def named(page: Path) -> str:
+    return page.relative_to(ROOT).as_posix()
+
+
 def with_commands() -> list[Path]:
     return [page for page in PAGES if any(commands(page))]
 
@@ -73,6 +78,8 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def put_files(page: Path, folder: Path) -> None:
+    if page.parent.parent == ROOT / "examples":
+        shutil.copytree(page.parent, folder, dirs_exist_ok=True)
     for block in blocks(page, "python", "toml"):
         if block.why is None and (name := file_name(block)):
             (folder / name).write_text(block.text, encoding="utf-8")
@@ -91,7 +98,7 @@ def run(words: list[str]) -> tuple[int, str]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("page", with_commands(), ids=lambda page: page.name)
+@pytest.mark.parametrize("page", with_commands(), ids=named)
 def test_every_command_runs_in_order(page: Path, desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shown: list[list[str]] = []
     done = subprocess.CompletedProcess([], 0)
@@ -106,11 +113,11 @@ def test_every_command_runs_in_order(page: Path, desk: Path, monkeypatch: pytest
             assert exit_code == code, f"{shlex.join(words)}: {said}"
     finally:
         for name in set(sys.modules) - before:
-            if Path(getattr(sys.modules[name], "__file__", None) or "/").parent == desk:
+            if Path(getattr(sys.modules[name], "__file__", None) or "/").is_relative_to(desk):
                 del sys.modules[name]
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python", "toml")], ids=lambda page: page.name)
+@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python", "toml")], ids=named)
 def test_programs_and_settings_are_whole(page: Path, desk: Path) -> None:
     """Programs compile; those without a name run; settings are TOML."""
     put_files(page, desk)

@@ -10,6 +10,7 @@
     charts = []                      # likewise, in the report
     ensemble = 0                     # each log so many times more, in worlds that should not matter (replay.perturb)
 
+    repeat_s = 2.0                   # so much of a drive of your own planner is driven twice: is it deterministic?
     deadline_s = 0.0                 # a plan may take so long (0.1 at 10 Hz); 0: not asked, as clocks differ
 
     [log]                            # logs.readers.LogSettings: what logs do not say, or where they say it
@@ -73,6 +74,8 @@ class RunConfig:
         metrics: "module:NAME" of metrics from outside, measured beside the built-in ones.
         charts: "module:NAME" of charts from outside, drawn in the report beside the built-in ones.
         ensemble: How many times each log is driven again under a perturbation (`replay.perturb`).
+        repeat_s: So much of the start of a drive is driven twice where the planner does not come with replan
+            (`replay.determinism`), s; 0: nothing.
         deadline_s: At most 1 % of a drive's plans may take longer, s; 0: not asked.
         log: How logs are read.
         loop: Periods and limits of the loops.
@@ -91,6 +94,7 @@ class RunConfig:
     metrics: tuple[str, ...] = ()
     charts: tuple[str, ...] = ()
     ensemble: int = 0
+    repeat_s: float = 2.0
     deadline_s: float = 0.0
     log: LogSettings = field(default_factory=LogSettings)
     loop: LoopConfig = field(default_factory=LoopConfig)

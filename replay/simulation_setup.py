@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from math import ceil
+from math import ceil, floor, inf
 from types import MappingProxyType
 from typing import Any
 
@@ -36,7 +36,7 @@ class SimulationSetup:
         vehicle: At the log's first ego state, moving as it did.
         controller: Knows the vehicle's numbers, not its state.
         traffic: Moves the others.
-        steps: Control periods from the ego's first sample to the end of the log.
+        steps: Control periods from the ego's first sample to the end of the log, or to the last that is asked for.
         steps_per_plan: A frame is due at every so many steps.
         period: Of the control, s.
         assumptions: About the start, the vehicle and the road, one sentence each.
@@ -51,8 +51,8 @@ class SimulationSetup:
     assumptions: tuple[str, ...]
 
     @classmethod
-    def of(cls, scenario: Scenario, config: LoopConfig) -> SimulationSetup:
-        """The setup for a scenario.
+    def of(cls, scenario: Scenario, config: LoopConfig, until_s: float = inf) -> SimulationSetup:
+        """The setup for a scenario, whose last step begins at `until_s`, s since its start.
 
         Raises:
             LogError: The log ends before the first step.
@@ -67,6 +67,8 @@ class SimulationSetup:
             )
         start = replace(logged_ego(scenario.ego, scenario.vehicle, start_ns / 1e9), t=start_ns / 1e9)
         period = config.control_period_ns / 1e9
+        if until_s < scenario.duration:
+            steps = min(steps, max(0, floor((until_s - start_ns / 1e9) / period + ROUNDING)) + 1)
         model = configured(VEHICLE, config.vehicle, config.settings)
         vehicle = build(model, config.vehicle, scenario.vehicle, start, config.plant)
         believed = build(model, config.vehicle, scenario.vehicle, start, {}) if config.plant else vehicle

@@ -7,16 +7,30 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import inf
 from pathlib import Path
 
 from logs.catalogue import CATALOGUE, FAMILY, scenario
 from logs.catalogue.suites import suite
 from logs.errors import ConfigError, LogError
 from logs.maps import map_files
-from logs.readers import FORMATS, LogSettings, foreign, logs_in, read_log, reader_of, readers, windows
+from logs.readers import FORMATS, LogSettings, Reader, foreign, logs_in, read_log, reader_of, readers, windows
 from logs.scenario import Scenario
+
+BYTES_PER_S: Mapping[str, float] = {
+    "native": 1e3,
+    "commonroad": 80e3,
+    "osi": 50e3,
+    "comma2k19": 2e3,
+    "table": 20e3,
+    "ros": 25e3,
+    "123d": 165e3,
+    "argoverse2": 65e3,
+}
+"""Size of a second of drive by format, medians of our logs: only for the order in which they are driven."""
+_OTHER_BYTES_PER_S = 50e3
 
 LOG_CARD = "log.json"
 """A file that replan puts beside the traces of a log: what lies beside it is a result, not an input."""
@@ -54,6 +68,18 @@ class LogSource:
         if self.path is None:
             return scenario(self.label)
         return read_log(self.path, self.settings)
+
+    @property
+    def expected_s(self) -> float:
+        """About how long the drive is, s, by the log's size; of the catalogue 0: that would have to be made first."""
+        if self.path is None:
+            return 0.0
+        if self.settings.end < inf:
+            return self.settings.end - self.settings.begin
+        reader = reader_of(self.path)
+        files = () if reader is None else _files(reader, self.path)
+        size = sum(file.stat().st_size for file in files if file.is_file())
+        return size / BYTES_PER_S.get(reader.name if reader else "", _OTHER_BYTES_PER_S)
 
     @property
     def is_mcap(self) -> bool:
@@ -153,6 +179,14 @@ def _objection(file: Path, folder: Path) -> str:
     if (file.parent / LOG_CARD).exists():
         return "a result of an earlier run (name it to evaluate it)"
     return ""
+
+
+def _files(reader: Reader, log: Path) -> tuple[Path, ...]:
+    """The files of a log; none where it cannot be read (the evaluation will say why)."""
+    try:
+        return reader.files(log)
+    except LogError:
+        return ()
 
 
 def _digest(log: Path, settings: LogSettings) -> str:

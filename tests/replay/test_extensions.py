@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import runpy
 import shutil
 import subprocess
 import sys
@@ -98,7 +99,7 @@ def installed(desk: Path) -> None:
 def test_what_the_page_shows_drives_and_is_in_the_results(desk: Path) -> None:
     config = load_run(Path("run.toml"))
     result = replan.evaluate(
-        suite="my_family:EMPTY", config=config, out="out", mode="closed", internals="none", recording=False
+        suite="my_family:EMPTY", config=config, out="out", mode="closed", internals="none", recording=False, loop=OWN
     )
     assert list(result.failures["message"]) == []
     assert list(result.logs["log"]) == ["team/empty@speed_mps=8", "team/empty@speed_mps=10"]
@@ -117,8 +118,7 @@ def test_what_the_page_shows_drives_and_is_in_the_results(desk: Path) -> None:
 
 
 def test_a_reader_named_in_the_settings_reads_first(desk: Path) -> None:
-    lines = "".join(f"{0.1 * k:.1f} {k:.1f} 0.0 0.0\n" for k in range(30))
-    Path("drive.txy").write_text(lines, encoding="utf-8")
+    runpy.run_path("write_txy.py")
     done = CliRunner().invoke(app, ["convert", "my_reader:READER", "drive.txy", "-o", "drive.mcap"])
     assert done.exit_code == 0, done.output
     Path("log.toml").write_text('[log]\nreader = "my_reader:READER"\n', encoding="utf-8")
@@ -146,10 +146,19 @@ def test_installed_packages_give_names(desk: Path) -> None:
 def test_the_command_line_and_its_workers_find_them(desk: Path) -> None:
     script = "from replay.cli import main\nif __name__ == '__main__':\n    main()\n"
     Path("call.py").write_text(f"import sys\nsys.path.append({str(ROOT)!r})\n{script}", encoding="utf-8")
-    words = (
-        "evaluate --suite my_family:EMPTY --config run.toml -p my_planner:Held --metric my_metric:WIDTH --mode closed"
-    )
-    command = [sys.executable, "-P", "call.py", *words.split(), "--workers", "2", "--no-recording", "-o", "out"]
+    words = [
+        "evaluate",
+        "--suite",
+        "my_family:EMPTY",
+        "--config",
+        "run.toml",
+        "-p",
+        "my_planner:Held",
+        "--mode",
+        "closed",
+    ]
+    words += ["--metric", "my_metric:WIDTH", *(word for key, name in OWN.items() for word in (f"--{key}", name))]
+    command = [sys.executable, "-P", "call.py", *words, "--workers", "2", "--no-recording", "-o", "out"]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode in (0, 1, 4), done.stderr
     assert replan.load("out").failures.empty

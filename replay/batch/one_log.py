@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import sys
 import traceback
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
@@ -129,14 +128,11 @@ def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> 
 
 
 def all_metrics(run: RunConfig) -> Mapping[str, Metric]:
-    """The built-in metrics and the run's own; modules are looked for in the working directory too.
+    """The built-in metrics and the run's own.
 
     Raises:
         ConfigError: A metric cannot be loaded, or has the name of another.
     """
-    here = str(Path.cwd())
-    if run.metrics and here not in sys.path:
-        sys.path.append(here)
     found = dict(METRICS)
     for metric in map(load_metric, run.metrics):
         if metric.name in found:

@@ -7,16 +7,30 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import inf
 from pathlib import Path
 
-from logs.catalogue import CATALOGUE, scenario
+from logs.catalogue import CATALOGUE, FAMILY, scenario
 from logs.catalogue.suites import suite
 from logs.errors import ConfigError, LogError
 from logs.maps import map_files
-from logs.readers import FORMATS, LogSettings, foreign, logs_in, read_log, reader_of, readers, windows
+from logs.readers import FORMATS, LogSettings, Reader, foreign, logs_in, read_log, reader_of, readers, windows
 from logs.scenario import Scenario
+
+BYTES_PER_S: Mapping[str, float] = {
+    "native": 1e3,
+    "commonroad": 80e3,
+    "osi": 50e3,
+    "comma2k19": 2e3,
+    "table": 20e3,
+    "ros": 25e3,
+    "123d": 165e3,
+    "argoverse2": 65e3,
+}
+"""Size of a second of drive by format, medians of our logs: only for the order in which they are driven."""
+_OTHER_BYTES_PER_S = 50e3
 
 LOG_CARD = "log.json"
 """A file that replan puts beside the traces of a log: what lies beside it is a result, not an input."""
@@ -41,12 +55,13 @@ class LogSource:
     def identity(self) -> str:
         """What tells it from every other input: names and hashes of log and map, or the name; LogError as `read`."""
         if self.path is None:
-            return f"catalogue {self.label}"
+            file = FAMILY.file(self.label.partition("@")[0])
+            return f"catalogue {self.label}{f' {file_hash(file)}' if file else ''}"
         settings = self.settings
         if settings.map:
             settings = replace(settings, map=" ".join(map(file_hash, map_files(Path(settings.map)))))
         part = "" if settings == LogSettings() else f" {settings}"
-        return f"{self.path.name} {self.digest or log_hash(self.path)}{part}"
+        return f"{self.path.name} {self.digest or log_hash(self.path, settings)}{part}"
 
     def read(self) -> Scenario:
         """The scenario; LogError where it cannot be read."""
@@ -55,9 +70,21 @@ class LogSource:
         return read_log(self.path, self.settings)
 
     @property
+    def expected_s(self) -> float:
+        """About how long the drive is, s, by the log's size; of the catalogue 0: that would have to be made first."""
+        if self.path is None:
+            return 0.0
+        if self.settings.end < inf:
+            return self.settings.end - self.settings.begin
+        reader = reader_of(self.path)
+        files = () if reader is None else _files(reader, self.path)
+        size = sum(file.stat().st_size for file in files if file.is_file())
+        return size / BYTES_PER_S.get(reader.name if reader else "", _OTHER_BYTES_PER_S)
+
+    @property
     def is_mcap(self) -> bool:
         """Whether it is a native or OSI MCAP that is read as it is: no copy of it is needed beside the results."""
-        reader = None if self.path is None else reader_of(self.path)
+        reader = None if self.path is None else reader_of(self.path, self.settings)
         return reader is not None and reader.name == "native" and self.settings == LogSettings()
 
 
@@ -101,12 +128,12 @@ def select(paths: Sequence[Path | str], settings: LogSettings | None = None, win
     kept: dict[str, LogSource] = {}
     dropped: list[str] = []
     for path in map(Path, paths):
-        candidates = list(_logs(path))
+        candidates = list(_logs(path, settings))
         if not candidates:
-            looked = ", ".join(dict.fromkeys(reader.looks_for for reader in readers()))
+            looked = ", ".join(dict.fromkeys(reader.looks_for for reader in readers(settings.reader)))
             raise ConfigError(f"{path}: no logs in this folder; looked for {looked}, 0 found; {FORMATS}")
         for log, reason in candidates:
-            digest = "" if reason else _digest(log)
+            digest = "" if reason else _digest(log, settings)
             key = digest or str(log.resolve())
             twin = kept.get(key)
             reason = reason or (f"the same bytes as {twin.label}" if twin else "")
@@ -132,14 +159,14 @@ def _parts(source: LogSource, window: float) -> Iterator[LogSource]:
         yield replace(source, label=f"{source.label} from {part.begin:g} s", settings=part)
 
 
-def _logs(path: Path) -> Iterator[tuple[Path, str]]:
+def _logs(path: Path, settings: LogSettings) -> Iterator[tuple[Path, str]]:
     """Candidates at a path, each with the reason why it is left out ("" keeps it)."""
     if not path.exists():
         raise ConfigError(f"{path}: no such file or folder")
-    if reader_of(path) is not None:
+    if reader_of(path, settings) is not None:
         yield path, ""
     elif path.is_dir():
-        for log, reader in logs_in(path):
+        for log, reader in logs_in(path, settings):
             yield log, _objection(log, path) or ("" if reader else "no reader claims it")
     else:
         raise ConfigError(str(foreign(path)))
@@ -154,17 +181,25 @@ def _objection(file: Path, folder: Path) -> str:
     return ""
 
 
-def _digest(log: Path) -> str:
+def _files(reader: Reader, log: Path) -> tuple[Path, ...]:
+    """The files of a log; none where it cannot be read (the evaluation will say why)."""
+    try:
+        return reader.files(log)
+    except LogError:
+        return ()
+
+
+def _digest(log: Path, settings: LogSettings) -> str:
     """Hash of the bytes; "" where they cannot be read (the evaluation will say why)."""
     try:
-        return log_hash(log)
+        return log_hash(log, settings)
     except LogError:
         return ""
 
 
-def log_hash(path: Path) -> str:
+def log_hash(path: Path, settings: LogSettings | None = None) -> str:
     """SHA-256 of a log's bytes: of the file, or of the names and hashes of its files (a map may lie elsewhere)."""
-    reader = reader_of(path)
+    reader = reader_of(path, settings)
     files = (path,) if reader is None else reader.files(path)
     if files == (path,):
         return file_hash(path)

@@ -32,6 +32,7 @@ from replay.cli.names import completion
 
 if TYPE_CHECKING:
     from replay.batch import RunResult
+    from replay.batch.engine import Engine
     from replay.config import RunConfig
 
 
@@ -147,6 +148,12 @@ def evaluate(
     shard: Annotated[
         str | None, typer.Option(metavar="I/N", help="Drive every N-th log only, from the I-th: see replan merge.")
     ] = None,
+    engine: Annotated[
+        Literal["local", "ray"], typer.Option(help="Where logs are driven: on this machine, or on Ray. Same results.")
+    ] = "local",
+    address: Annotated[
+        str | None, typer.Option(help="Of a Ray cluster: auto, HOST:6379, ray://HOST:10001. Default: one for this run.")
+    ] = None,
     no_report: NoReport = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -198,7 +205,7 @@ def evaluate(
             raise ConfigError("--shard drives a part only: give --baseline to replan merge")
         before = None if baseline is None else before_all(baseline, run, run.gates_path, out)
         result = _evaluated(
-            logs or [], run, out, cores() if workers is None else workers,
+            logs or [], run, out, _engine(engine, address, workers),
             resume=resume, window=window, suite=suite, shard=shard, quiet=quiet, verbose=verbose,
         )  # fmt: skip
         code = ended(result, before, gates=run.gates_path, report=not no_report, as_json=as_json, quiet=quiet)
@@ -294,8 +301,23 @@ def _settings(words: list[str]) -> dict[str, float | str]:
     return found
 
 
+def _engine(name: str, address: str | None, workers: int | None) -> Engine:
+    """Where the logs are driven."""
+    from replay.batch.engine import Local
+
+    if name == "ray":
+        from replay.batch.on_ray import OnRay
+
+        if workers == 0:
+            raise ConfigError("--workers 0 is this process, which is not --engine ray: leave one of them out")
+        return OnRay(address or "", workers)
+    if address is not None:
+        raise ConfigError("--address is of a Ray cluster: give --engine ray, too")
+    return Local(cores() if workers is None else workers)
+
+
 def _evaluated(
-    logs: list[Path], run: RunConfig, out: Path | None, workers: int, *, resume: bool, window: float | None,
+    logs: list[Path], run: RunConfig, out: Path | None, engine: Engine, *, resume: bool, window: float | None,
     suite: str | None, shard: str | None, quiet: bool, verbose: bool,
 ) -> RunResult:  # fmt: skip
     from replay.batch import evaluate_logs
@@ -308,7 +330,7 @@ def _evaluated(
     settle()
     with progress(quiet=quiet, verbose=verbose) as (on_start, on_log):
         return evaluate_logs(
-            logs, run, out, workers=workers, resume=resume, window=window, suite=suite, shard=part,
+            logs, run, out, engine=engine, resume=resume, window=window, suite=suite, shard=part,
             on_start=on_start, on_log=on_log,
         )  # fmt: skip
 

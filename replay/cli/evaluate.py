@@ -33,6 +33,8 @@ from replay.cli.names import completion
 if TYPE_CHECKING:
     from replay.batch import RunResult
     from replay.batch.engine import Engine
+    from replay.batch.log_result import LogResult
+    from replay.batch.publish import Place
     from replay.config import RunConfig
 
 
@@ -174,6 +176,8 @@ def evaluate(
       replan evaluate my_logs/ --gates gates.toml --out results/nightly --resume
     """
     with answered():
+        from replay.batch.publish import result_place
+
         options: dict[str, Any] = {
             "planners": tuple(planner or ()) or None,
             "metrics": tuple(metric or ()) or None,
@@ -204,11 +208,14 @@ def evaluate(
         if baseline is not None and shard is not None:
             raise ConfigError("--shard drives a part only: give --baseline to replan merge")
         before = None if baseline is None else before_all(baseline, run, run.gates_path, out)
-        result = _evaluated(
-            logs or [], run, out, _engine(engine, address, workers),
-            resume=resume, window=window, suite=suite, shard=shard, quiet=quiet, verbose=verbose,
-        )  # fmt: skip
-        code = ended(result, before, gates=run.gates_path, report=not no_report, as_json=as_json, quiet=quiet)
+        with result_place(out, resume=resume) as place:
+            result = _evaluated(
+                logs or [], run, place, _engine(engine, address, workers),
+                resume=resume, window=window, suite=suite, shard=shard, quiet=quiet, verbose=verbose,
+            )  # fmt: skip
+            code = ended(result, before, gates=run.gates_path, report=not no_report, as_json=as_json, quiet=quiet)
+        if place.url and not quiet:
+            say(f"all of it is at {place.url}", err=True)
         raise typer.Exit(code)
 
 
@@ -317,7 +324,7 @@ def _engine(name: str, address: str | None, workers: int | None) -> Engine:
 
 
 def _evaluated(
-    logs: list[Path], run: RunConfig, out: Path | None, engine: Engine, *, resume: bool, window: float | None,
+    logs: list[Path], run: RunConfig, place: Place, engine: Engine, *, resume: bool, window: float | None,
     suite: str | None, shard: str | None, quiet: bool, verbose: bool,
 ) -> RunResult:  # fmt: skip
     from replay.batch import evaluate_logs
@@ -329,9 +336,14 @@ def _evaluated(
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does: nothing half-written
     settle()
     with progress(quiet=quiet, verbose=verbose) as (on_start, on_log):
+
+        def said_and_kept(result: LogResult) -> None:
+            on_log(result)
+            place.keep(result)
+
         return evaluate_logs(
-            logs, run, out, engine=engine, resume=resume, window=window, suite=suite, shard=part,
-            on_start=on_start, on_log=on_log,
+            logs, run, place.folder, engine=engine, resume=resume, window=window, suite=suite, shard=part,
+            on_start=on_start, on_log=said_and_kept,
         )  # fmt: skip
 
 

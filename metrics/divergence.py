@@ -15,13 +15,16 @@ more than resampled tracks differ by.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from itertools import chain
+
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray
 from logs.scenario import Scenario
 from logs.trace import Mode, Trace
 from metrics.metric import COUNT, HAVING, MAX, Measured, Metric, Reduction, Series, Unavailable
-from metrics.others import name_of, others_at
+from metrics.others import each, name_of, some_at
 
 AWAY_S, LENGTH_M, WIDTH_M = 1.0, 5.0, 3.5
 OFF_M = 0.5
@@ -38,20 +41,22 @@ def _apart(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, Fl
     return np.hypot(dx, dy) * lasts, along * lasts, (c * dy - s * dx) / WIDTH_M * lasts
 
 
-def _off(trace: Trace, scenario: Scenario) -> BoolArray:
-    """Which agents `(n, k)` are not where the log has them (2)."""
-    log, agents = scenario.tracks, trace.agents
-    if agents is log or not len(log):
-        return np.zeros((len(log), len(trace.ego)), np.bool_)
-    here, there = others_at(agents, trace.ego.t), others_at(log, trace.ego.t)
-    row = {name: i for i, name in enumerate(agents.ids)}
-    at = np.array([row.get(name, -1) for name in log.ids])
-    present = here.there[at] & (at >= 0)[:, None] if len(agents) else np.zeros_like(there.there)
-    away = np.zeros_like(there.there)
-    both = present & there.there
-    if len(agents):
-        away[both] = np.hypot(*(here.pose[:2, at] - there.pose[:2])[:, both]) > OFF_M
-    return np.asarray(away | (present != there.there))
+def _off(trace: Trace, scenario: Scenario) -> Iterator[tuple[int, BoolArray]]:
+    """Of each agent of the log that is not where the log has it (2): its index, and when `(k,)`."""
+    log, agents, t = scenario.tracks, trace.agents, trace.ego.t
+    if agents is log:
+        return
+    index = {name: i for i, name in enumerate(agents.ids)}
+    for i, there, row in each(log, t):
+        at = index.get(log.ids[i], -1)
+        here = some_at(agents, np.array([at] if at >= 0 else [], np.int64), t)
+        off = there.there[row].copy()
+        if at >= 0:
+            both = here.there[0] & there.there[row]
+            off = here.there[0] != there.there[row]
+            off[both] = np.hypot(*(here.pose[:2, 0] - there.pose[:2, row])[:, both]) > OFF_M
+        if off.any():
+            yield i, off
 
 
 def _divergence(trace: Trace, scenario: Scenario) -> Measured:
@@ -64,21 +69,21 @@ def _weak(trace: Trace, scenario: Scenario) -> Measured:
     if len(scenario.ego) < 2:
         return _NO_DRIVE
     _, along, across = _apart(trace, scenario)
-    off = _off(trace, scenario)
-    reasons = {"the ego along its way": np.abs(along) > 1.0, "the ego across its way": np.abs(across) > 1.0}
-    reasons |= {name_of(scenario.tracks, i): off[i] for i in np.flatnonzero(off.any(axis=1)).tolist()}
-    parted = np.logical_or.reduce(list(reasons.values()))
+    parted, begins = np.zeros(len(trace.ego), np.bool_), dict[str, int]()
+    ways = ("the ego along its way", np.abs(along) > 1.0), ("the ego across its way", np.abs(across) > 1.0)
+    for name, off in chain(ways, ((name_of(scenario.tracks, i), off) for i, off in _off(trace, scenario))):
+        parted |= off
+        begins |= {name: int(np.argmax(off))} if off.any() else {}
     weak, first = np.maximum.accumulate(parted), int(np.argmax(parted))
-    why = "; ".join(name for name, found in reasons.items() if found[first])
+    why = "; ".join(name for name, begin in begins.items() if begin == first)
     t = trace.ego.t
     return Series(t, np.where(weak, t, np.nan), (why,) * len(t), "the drive never parts from the log")
 
 
 def _displaced(trace: Trace, scenario: Scenario) -> Measured:
-    off = _off(trace, scenario)
     counts, labels = np.zeros(len(trace.ego)), [""] * len(trace.ego)
-    for i in np.flatnonzero(off.any(axis=1)).tolist():
-        step = int(np.argmax(off[i]))
+    for i, off in _off(trace, scenario):
+        step = int(np.argmax(off))
         counts[step] += 1.0
         labels[step] = "; ".join(filter(None, [labels[step], name_of(scenario.tracks, i)]))
     return Series(trace.ego.t, counts, tuple(labels))

@@ -30,7 +30,7 @@ from logs.shapes import corners, distance, overlap, time_to_contact
 from logs.states import wrap
 from logs.trace import Mode, Trace
 from metrics.metric import MIN, Measured, Metric, Series, time_below
-from metrics.others import Others, ego_boxes, name_of, others_at
+from metrics.others import Others, each, ego_boxes, name_of, named, pieces
 from metrics.path_ahead import GRID_S, grid_of
 from metrics.safety import _apart, _behind, _labels
 
@@ -191,43 +191,48 @@ def encroachment(
     return out
 
 
-def _scene(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, Others]:
-    """Grid, the ego's boxes on it and accelerations, its (axle to centre, length, width), and the others."""
+def _scene(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Grid, the ego's boxes on it and accelerations, and its (axle to centre, length, width)."""
     ego, car = grid_of(trace), scenario.vehicle
     accel = ego.a * np.where(ego.v < 0.0, -1.0, 1.0)
     box = np.array([car.axle_to_center, car.length, car.width])
-    return ego.t, ego_boxes(ego, scenario), accel, box, others_at(trace.agents, ego.t)
+    return ego.t, ego_boxes(ego, scenario), accel, box
 
 
 def _ttc_accelerated(trace: Trace, scenario: Scenario) -> Measured:
-    t, boxes, ego_accel, box, others = _scene(trace, scenario)
-    least, agent = _accelerated(
-        boxes, ego_accel, box, others.there, others.pose, others.size, np.nan_to_num(others.accel)
-    )
+    t, boxes, ego_accel, box = _scene(trace, scenario)
+    least, agent = np.full(len(t), np.nan), np.full(len(t), -1)
+    for k, seen, others in pieces(trace.agents, t):
+        accel = np.nan_to_num(others.accel)
+        least[k], row = _accelerated(boxes[:, k], ego_accel[k], box, others.there, others.pose, others.size, accel)
+        agent[k] = named(seen, row)
     nothing = f"never on a course to touch within {HORIZON_S:g} s"
     return Series(t, least, _labels(trace, agent), nothing)
 
 
 def _encounter(trace: Trace, scenario: Scenario, *, row: int) -> Measured:
-    t, boxes, _, box, others = _scene(trace, scenario)
-    found, agent = _closest(boxes, box, others.there, others.pose, others.size)
+    t, boxes, _, box = _scene(trace, scenario)
+    found, agent = np.full((2, len(t)), np.nan), np.full(len(t), -1)
+    for k, seen, others in pieces(trace.agents, t):
+        found[:, k], who = _closest(boxes[:, k], box, others.there, others.pose, others.size)
+        agent[k] = named(seen, who)
     value = found[row] if row == 0 else np.where(found[1] > 0.0, found[1], np.nan)
-    nothing = "no other road user in the scene" if row == 0 or not others.there.any() else "no other came nearer"
+    nothing = "no other road user in the scene" if row == 0 or not (agent >= 0).any() else "no other came nearer"
     return Series(t, value, _labels(trace, agent), nothing)
 
 
 def _pet(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
-    t, boxes, _, box, others = _scene(trace, scenario)
+    t, boxes, _, box = _scene(trace, scenario)
     best = {part: np.full(len(t), np.nan) for part in PET_PARTS}
     labels = {part: [""] * len(t) for part in PET_PARTS}
-    for i in range(len(trace.agents)):
-        mine, theirs = _may_meet(boxes, box, others, i)
+    for i, others, row in each(trace.agents, t):
+        mine, theirs = _may_meet(boxes, box, others, row)
         if trace.agents.static[i] or not len(mine) or not len(theirs):
             continue
         name = name_of(trace.agents, i)
         across = 0.0 if trace.agents.kinds[i] is AgentKind.PEDESTRIAN else CROSSING_RAD
         for angle, after, before in ((0.0, "ego_first", "ego_second"), (across, "crossing", "crossing")):
-            found = encroachment(boxes, mine, others.pose[:, i], theirs, box[1:], others.size[i], angle)
+            found = encroachment(boxes, mine, others.pose[:, row], theirs, box[1:], others.size[row], angle)
             for part, steps, sign, order in ((after, found[0], 1, "second"), (before, found[1], -1, "first")):
                 at = np.flatnonzero(steps >= 0)
                 for k, pet in zip(at, np.abs(t[at + sign * steps[at]] - t[at]), strict=True):
@@ -237,7 +242,7 @@ def _pet(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
 
 
 def _may_meet(boxes: FloatArray, box: FloatArray, others: Others, i: int) -> tuple[IntArray, IntArray]:
-    """The steps of the ego and of agent i that lie in the rectangle which the other's drive takes."""
+    """The steps of the ego and of the agent in row i that lie in the rectangle which the other's drive takes."""
     x, y = others.pose[:2, i][:, others.there[i]]
     reach = 0.5 * float(np.hypot(box[1], box[2]) + np.hypot(*others.size[i]))
     if not len(x):

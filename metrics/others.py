@@ -4,10 +4,15 @@ The same as `Tracks.truth` at each time of the grid, in one kernel: positions ar
 accelerations those that were estimated (`logs.motion`), and no agent is there in a gap of its track. The ego's and the
 others' boxes are arrays over (agent, time); an agent that is not in the scene at a time has `there` False and NaN
 columns.
+
+Over a long drive with many who come and go that array grows with the square of its length. So metrics walk over it, in
+pieces of time with those who are there (`pieces`), or over one agent after the other (`each`); what has up to
+`MOST_CELLS` is one piece.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +21,11 @@ from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.scenario import Scenario, Tracks
 from logs.states import Trajectory
 from metrics.once import last
+
+MOST_CELLS = 1_000_000
+"""Agents by times that are in memory at once: 49 bytes each."""
+PIECE_STEPS = 4096
+"""Of a piece of a longer drive, where no more than `MOST_CELLS` come of it."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -42,11 +52,53 @@ def others_at(tracks: Tracks, t: FloatArray) -> Others:
 
 @last(2)  # most ask at the steps of the drive, some every 0.1 s
 def _at(tracks: Tracks, times: bytes) -> Others:
-    t = np.frombuffer(times)
-    moved = tracks.motion
-    columns = np.stack([tracks.x, tracks.y, tracks.yaw, moved.vx, moved.vy, moved.accel])
-    there, found = _on_grid(tracks.offsets, tracks.static, tracks.t, tracks.gap_after, columns, t)
-    return Others(there, found[:5], found[5], np.column_stack([tracks.length, tracks.width]))
+    return some_at(tracks, np.arange(len(tracks)), np.frombuffer(times))
+
+
+def some_at(tracks: Tracks, agents: IntArray, t: FloatArray) -> Others:
+    """`others_at` of the tracks `agents` `(n,)` alone."""
+    lengths, moved = np.diff(tracks.offsets)[agents], tracks.motion
+    offsets = np.r_[0, np.cumsum(lengths)]
+    at = np.repeat(tracks.offsets[agents] - offsets[:-1], lengths) + np.arange(offsets[-1])
+    columns = np.stack([some[at] for some in (tracks.x, tracks.y, tracks.yaw, moved.vx, moved.vy, moved.accel)])
+    there, found = _on_grid(offsets, tracks.static[agents], tracks.t[at], tracks.gap_after[at], columns, t)
+    return Others(there, found[:5], found[5], np.column_stack([tracks.length, tracks.width])[agents])
+
+
+def pieces(tracks: Tracks, t: FloatArray) -> Iterator[tuple[slice, IntArray, Others]]:
+    """Steps of the increasing times `t` `(k,)`, the tracks who are there then in their order, and `some_at` of both."""
+    if len(tracks) * len(t) <= MOST_CELLS:
+        yield slice(0, len(t)), np.arange(len(tracks)), others_at(tracks, t)
+        return
+    begin = 0
+    while begin < len(t):
+        end = min(begin + PIECE_STEPS, len(t))
+        agents = there_between(tracks, t[begin], t[end - 1])
+        while len(agents) * (end - begin) > MOST_CELLS and end - begin > 1:
+            end = begin + (end - begin) // 2
+            agents = there_between(tracks, t[begin], t[end - 1])
+        yield slice(begin, end), agents, some_at(tracks, agents, t[begin:end])
+        begin = end
+
+
+def each(tracks: Tracks, t: FloatArray) -> Iterator[tuple[int, Others, int]]:
+    """All tracks in their order, each with some at the increasing times `t` `(k,)` and its row among them."""
+    count = max(MOST_CELLS // len(t), 1)
+    for begin in range(0, len(tracks), count):
+        agents = np.arange(begin, min(begin + count, len(tracks)))
+        others = others_at(tracks, t) if len(agents) == len(tracks) else some_at(tracks, agents, t)
+        yield from ((begin + row, others, row) for row in range(len(agents)))
+
+
+def named(agents: IntArray, rows: IntArray) -> IntArray:
+    """The tracks of rows `(k,)` of a piece, -1 of row -1."""
+    return np.asarray(np.r_[agents, -1][rows])
+
+
+def there_between(tracks: Tracks, first: float, last: float) -> IntArray:
+    """The tracks that have a sample before `last` and one after `first`, s, or are static, in their order."""
+    spans = (tracks.t[tracks.offsets[:-1]] <= last + 1e-9) & (tracks.t[tracks.offsets[1:] - 1] >= first - 1e-9)
+    return np.flatnonzero(spans | tracks.static)
 
 
 def name_of(tracks: Tracks, index: int) -> str:

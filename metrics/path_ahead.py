@@ -28,7 +28,7 @@ from logs.scenario import Scenario
 from logs.shapes import corners
 from logs.states import Trajectory
 from logs.trace import Trace
-from metrics.others import others_at
+from metrics.others import named, pieces
 
 GRID_S = 0.1
 LOOK_M = 150.0
@@ -76,10 +76,13 @@ def grid_of(trace: Trace) -> Trajectory:
 def ahead_of(trace: Trace, scenario: Scenario) -> Ahead:
     """Who was in front, on `grid_of(trace)`."""
     ego, car = grid_of(trace), scenario.vehicle
-    others = others_at(trace.agents, ego.t)
     states = np.stack([ego.x, ego.y, ego.yaw, ego.v, ego.kappa])
     box = np.array([car.axle_to_center, car.length, car.width])
-    rows, agent = _leads(states, box, others.there, others.pose, others.size, np.nan_to_num(others.accel))
+    rows, agent = np.full((7, len(ego)), np.nan), np.full(len(ego), -1)
+    for k, seen, others in pieces(trace.agents, ego.t):
+        accel = np.nan_to_num(others.accel)
+        rows[:, k], row = _leads(states[:, k], box, others.there, others.pose, others.size, accel)
+        agent[k] = named(seen, row)
     return Ahead(ego.t, ego.v, ego.a, agent, *rows)
 
 

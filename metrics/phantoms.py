@@ -20,7 +20,7 @@ from logs.kernel import BoolArray, FloatArray
 from logs.scenario import Scenario, Tracks
 from logs.shapes import overlap
 from metrics.once import once
-from metrics.others import ego_boxes, name_of, others_at
+from metrics.others import each, ego_boxes, name_of
 
 AROUND_S = 1.0
 """Before and after: 2 s together, more than `logs.presence.MAX_GAP_S`: what is left out is a gap of any track."""
@@ -52,17 +52,16 @@ def phantoms(scenario: Scenario) -> tuple[Phantom, ...]:
         return ()
     ego, tracks = scenario.ego, scenario.tracks
     t = np.union1d(ego.t, np.arange(ego.t[0], ego.t[-1], GRID_S))
-    boxes, others, car = ego_boxes(ego.resampled(t), scenario), others_at(tracks, t), scenario.vehicle
-    reach = 0.5 * (np.hypot(car.length, car.width) + np.hypot(*others.size.T))
-    near = others.there & (np.hypot(others.pose[0] - boxes[0], others.pose[1] - boxes[1]) <= reach[:, None])
+    boxes, car = ego_boxes(ego.resampled(t), scenario), scenario.vehicle
     found = []
-    for i in np.flatnonzero(near.any(axis=1)):
-        size = others.size[i]
-        inside = near[i].copy()
+    for i, others, row in each(tracks, t):
+        size, pose = others.size[row], others.pose[:3, row]
+        reach = 0.5 * (np.hypot(car.length, car.width) + np.hypot(*size))
+        inside = others.there[row] & (np.hypot(pose[0] - boxes[0], pose[1] - boxes[1]) <= reach)
         for k in np.flatnonzero(inside):
-            (x1, y1, yaw1), (x2, y2, yaw2) = boxes[:3, k], others.pose[:3, i, k]
+            (x1, y1, yaw1), (x2, y2, yaw2) = boxes[:3, k], pose[:, k]
             inside[k] = overlap(x1, y1, yaw1, car.length - 2.0 * DEEP_M, car.width - 2.0 * DEEP_M, x2, y2, yaw2, *size)
-        found += [_phantom(tracks, int(i), float(t[a]), float(t[b])) for a, b in _runs(inside, t)]
+        found += [_phantom(tracks, i, float(t[a]), float(t[b])) for a, b in _runs(inside, t)]
     return tuple(dict.fromkeys(found))
 
 

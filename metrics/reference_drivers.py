@@ -40,7 +40,7 @@ who judges `JUDGED_S` earlier or later comes to another one: crossing paths, (2)
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from functools import partial
 from math import cos, hypot, nan, pi, sin
@@ -53,7 +53,7 @@ from logs.scenario import Scenario
 from logs.shapes import clearance, overlap
 from logs.states import EgoState
 from metrics.fuzzy_safety import FSM_REACT_S, fsm_deceleration
-from metrics.others import Others, name_of, others_at
+from metrics.others import Others, name_of, others_at, there_between
 from metrics.reference_view import comes_in, look
 
 STEP_S = 0.02
@@ -136,6 +136,7 @@ def _verdict(name: str, driver: int, scenario: Scenario, line: ReferenceLine, st
     if start.v <= STANDING_MPS:
         return Verdict(name, Outcome.NOT_APPLICABLE, "the ego does not drive at the start")
     t = np.arange(start.t, min(scenario.duration, start.t + LONGEST_S) + 1e-9, STEP_S)
+    scenario = _among(scenario, t)
     drive = partial(_driven, scenario=scenario, line=line, start=start, others=others_at(scenario.tracks, t))
     passive = drive(NOBODY)
     if passive.meets < 0:
@@ -169,7 +170,19 @@ def careful_drive(scenario: Scenario, line: ReferenceLine) -> Driven:
     """How "cc" drives from the log's first state along `line`, a row every `STEP_S`, until it touches somebody."""
     start = scenario.ego.state(0)
     t = np.arange(start.t, min(scenario.duration, start.t + LONGEST_S) + 1e-9, STEP_S)
+    scenario = _among(scenario, t)
     return _driven(CC, scenario, line, start, others_at(scenario.tracks, t))
+
+
+def _among(scenario: Scenario, t: FloatArray) -> Scenario:
+    """The scenario with those tracks only who are there at some of the times."""
+    tracks = scenario.tracks
+    there = there_between(tracks, t[0], t[-1])
+    if len(there) == len(tracks):
+        return scenario
+    return replace(
+        scenario, tracks=tracks.taken(np.isin(np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets)), there))
+    )
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -22,7 +22,7 @@ from logs.scenario import AgentKind, Scenario
 from logs.trace import Mode, Trace
 from metrics.encounters import encroachment
 from metrics.metric import MIN, Measured, Metric, Reduction, Series, Unavailable
-from metrics.others import ego_boxes, name_of, others_at
+from metrics.others import each, ego_boxes, name_of
 
 GRID_S = 0.1
 AROUND_S = 1.0
@@ -37,15 +37,17 @@ def _priority_gap(trace: Trace, scenario: Scenario) -> Measured:
         return Unavailable("the drive holds one ego state only")
     t = np.arange(float(trace.ego.t[0]), float(trace.ego.t[-1]), GRID_S)
     ego = trace.ego.resampled(t)
-    boxes, others = ego_boxes(ego, scenario), others_at(trace.agents, t)
+    boxes, drivers = ego_boxes(ego, scenario), _drivers(trace)
     size = np.array([scenario.vehicle.length, scenario.vehicle.width])
     gap, labels = np.full(len(t), np.nan), [""] * len(t)
     for lane, first in pairs:
         mine = _around(on_lane(lane, boxes[0], boxes[1], ego.yaw))
-        for i in _drivers(trace) if mine.any() else ():
-            theirs = _around(on_lane(first, *others.pose[:3, i])) & others.there[i]
+        for i, others, row in each(trace.agents, t) if mine.any() else ():
+            if i not in drivers:
+                continue
+            theirs = _around(on_lane(first, *others.pose[:3, row])) & others.there[row]
             steps = np.flatnonzero(mine), np.flatnonzero(theirs)
-            step, found = _left(boxes, steps[0], others.pose[:, i], steps[1], size, others.size[i])
+            step, found = _left(boxes, steps[0], others.pose[:, row], steps[1], size, others.size[row])
             if step >= 0 and not gap[step] <= found * GRID_S:
                 gap[step], labels[step] = found * GRID_S, name_of(trace.agents, i)
     return Series(t, gap, tuple(labels), "the ego was never before somebody who goes first")
@@ -56,10 +58,10 @@ def _pairs(road: Road) -> list[tuple[Lane, Lane]]:
     return [(lane, road.lanes[i]) for lane in road.lanes.values() for i in lane.yields_to if i in road.lanes]
 
 
-def _drivers(trace: Trace) -> list[int]:
+def _drivers(trace: Trace) -> set[int]:
     """The agents that may have the right of way on a lane."""
     kinds = trace.agents.kinds
-    return [i for i, kind in enumerate(kinds) if kind not in (AgentKind.PEDESTRIAN, AgentKind.OBJECT)]
+    return {i for i, kind in enumerate(kinds) if kind not in (AgentKind.PEDESTRIAN, AgentKind.OBJECT)}
 
 
 def _around(on: BoolArray) -> BoolArray:

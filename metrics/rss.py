@@ -34,7 +34,7 @@ from logs.shapes import corners
 from logs.trace import Mode, Trace
 from metrics.exposure import share_while
 from metrics.metric import MIN, Measured, Metric, Series, Unavailable, time_below, time_outside
-from metrics.others import name_of, others_at
+from metrics.others import each, name_of
 from metrics.path_ahead import GRID_S, LOOK_M, STANDING_MPS, arc_point, extent, grid_of, within_look
 
 RHO_S = 0.75
@@ -133,14 +133,13 @@ def _across(ego: FloatArray, start: int, k: int) -> float:
 def _rss(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, FloatArray, list[str], list[str]]:
     """Time, least margin (NaN: no agent is asked), 1 where any response is improper, and the labels of both."""
     ego, car = grid_of(trace), scenario.vehicle
-    others = others_at(trace.agents, ego.t)
     states = np.stack([ego.x, ego.y, ego.yaw, ego.v, ego.kappa])
     box = np.array([car.axle_to_center, car.length, car.width])
     margin, improper = np.full(len(ego.t), np.nan), np.zeros(len(ego.t))
     labels, blamed = [""] * len(ego.t), [""] * len(ego.t)
-    for i, kind in enumerate(trace.agents.kinds):
-        movable = kind is not AgentKind.OBJECT and not bool(trace.agents.static[i])
-        found = _margins(states, box, others.there[i], others.pose[:, i], others.size[i], movable)
+    for i, others, row in each(trace.agents, ego.t):
+        movable = trace.agents.kinds[i] is not AgentKind.OBJECT and not bool(trace.agents.static[i])
+        found = _margins(states, box, others.there[row], others.pose[:, row], others.size[row], movable)
         name, least = name_of(trace.agents, i), np.maximum(found[0], found[1])
         for k in np.flatnonzero(np.isfinite(least) & ~(margin <= least)):
             margin[k], labels[k] = least[k], name

@@ -29,7 +29,7 @@ from logs.scenario import AgentKind, Scenario
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
 from metrics.metric import COUNT, Measured, Metric, Series, Unavailable
-from metrics.others import ego_boxes, name_of, others_at
+from metrics.others import ego_boxes, name_of, some_at, there_between
 
 REST_MPS, BEFORE_M = 0.1, 5.0
 HALF_LANE_M = 1.75
@@ -125,15 +125,17 @@ def _crosswalk(trace: Trace, scenario: Scenario) -> Measured:
     if not scenario.road.crosswalks:
         return Unavailable("the log has no crosswalk")
     events = []
-    walkers = [i for i, kind in enumerate(trace.agents.kinds) if kind is AgentKind.PEDESTRIAN]
-    ego, others = ego_boxes(trace.ego, scenario), others_at(trace.agents, trace.ego.t)
+    walkers = np.flatnonzero([kind is AgentKind.PEDESTRIAN for kind in trace.agents.kinds])
+    ego, t = ego_boxes(trace.ego, scenario), trace.ego.t
     size = np.array([scenario.vehicle.length, scenario.vehicle.width])
-    for crosswalk in scenario.road.crosswalks if walkers else ():
+    for crosswalk in scenario.road.crosswalks if len(walkers) else ():
         for first, last in _passages(crosswalk, ego, size):
             way = np.ascontiguousarray(ego[:2, first : last + 1])
-            for i in walkers:
-                on = _on_half(others.pose[:2, i, first : last + 1], way, crosswalk.polygon)
-                on &= others.there[i, first : last + 1] & (np.abs(trace.ego.v[first : last + 1]) > REST_MPS)
+            seen = np.intersect1d(walkers, there_between(trace.agents, t[first], t[last]))
+            others = some_at(trace.agents, seen, t[first : last + 1])
+            for row, i in enumerate(seen.tolist()):
+                on = _on_half(others.pose[:2, row], way, crosswalk.polygon)
+                on &= others.there[row] & (np.abs(trace.ego.v[first : last + 1]) > REST_MPS)
                 if on.any():
                     events.append((first + int(np.argmax(on)), f"crosswalk {crosswalk.id}: {name_of(trace.agents, i)}"))
     return _counted(trace, events)

@@ -42,7 +42,7 @@ from metrics.exposure import TAU_S, integrated_below
 from metrics.lanes import drivable_lanes, keeps_lane, off_lanes
 from metrics.metric import COUNT, HAVING, MAX, MIN, Measured, Metric, Series, Unavailable, time_above, time_below
 from metrics.once import once
-from metrics.others import Others, ego_boxes, name_of, others_at
+from metrics.others import PIECE_STEPS, ego_boxes, name_of, named, pieces, some_at, there_between
 from metrics.plans import STEP_S, plan_poses, times_after
 
 STANDING_MPS = 0.05
@@ -84,13 +84,15 @@ def classify(drive: Trajectory, agents: Tracks, scenario: Scenario) -> tuple[Con
 
     Touches at the first state are FROM_START; a piece begins at the drive's start, or where no agent is touched.
     """
-    ego, others = ego_boxes(drive, scenario), others_at(agents, drive.t)
-    vehicle = scenario.vehicle
-    first = _first_contacts(ego, vehicle.length, vehicle.width, others.there, others.pose, others.size)
-    steps = sorted((int(step), agent) for agent, step in enumerate(first) if step >= 0)
+    ego, vehicle = ego_boxes(drive, scenario), scenario.vehicle
+    first: dict[int, int] = {}
+    for steps, there, others in pieces(agents, drive.t):
+        touched = _first_contacts(ego[:, steps], vehicle.length, vehicle.width, others.there, others.pose, others.size)
+        for row in np.flatnonzero(touched >= 0).tolist():
+            first.setdefault(int(there[row]), steps.start + int(touched[row]))
     found = []
-    for step, agent in steps:
-        kind = _kind(step, agent, drive, agents, scenario, others)
+    for step, agent in sorted((step, agent) for agent, step in first.items()):
+        kind = _kind(step, agent, drive, agents, scenario)
         fault = kind in (ContactKind.STOPPED_TRACK, ContactKind.ACTIVE_FRONT)
         if kind is ContactKind.LATERAL:
             x, y, yaw = ego[:3, step]
@@ -100,10 +102,11 @@ def classify(drive: Trajectory, agents: Tracks, scenario: Scenario) -> tuple[Con
     return tuple(found)
 
 
-def _kind(step: int, agent: int, drive: Trajectory, agents: Tracks, scenario: Scenario, others: Others) -> ContactKind:
+def _kind(step: int, agent: int, drive: Trajectory, agents: Tracks, scenario: Scenario) -> ContactKind:
     ego, vehicle = drive.state(step), scenario.vehicle
-    x, y, yaw, vx, vy = others.pose[:, agent, step]
-    if step == 0 or not others.there[agent, step - 1]:
+    other = some_at(agents, np.array([agent]), drive.t[max(step - 1, 0) : step + 1])
+    x, y, yaw, vx, vy = other.pose[:, 0, -1]
+    if step == 0 or not other.there[0, 0]:
         return ContactKind.FROM_START
     if abs(ego.v) <= STANDING_MPS:
         return ContactKind.STOPPED_EGO
@@ -112,7 +115,7 @@ def _kind(step: int, agent: int, drive: Trajectory, agents: Tracks, scenario: Sc
     if _behind(ego.x, ego.y, ego.yaw, x, y):
         return ContactKind.ACTIVE_REAR
     nose_x, nose_y = ego.x + vehicle.axle_to_front * cos(ego.yaw), ego.y + vehicle.axle_to_front * sin(ego.yaw)
-    if overlap(nose_x, nose_y, ego.yaw, 0.0, vehicle.width, x, y, yaw, *others.size[agent]):
+    if overlap(nose_x, nose_y, ego.yaw, 0.0, vehicle.width, x, y, yaw, *other.size[0]):
         return ContactKind.ACTIVE_FRONT
     return ContactKind.LATERAL
 
@@ -157,11 +160,14 @@ def _gaps(
     pose: FloatArray,
     size: FloatArray,
     wanted: BoolArray,
+    recent: int,
 ) -> tuple[FloatArray, IntArray]:
-    """Per step the least distance to a wanted agent (NaN: none there) and its index (-1)."""
+    """Per step the least distance to a wanted agent (NaN: none there) and its index (-1).
+
+    `recent` was the nearest before, and is looked at first.
+    """
     steps, reach = there.shape[1], 0.5 * hypot(length, width)
     gap, nearest = np.full(steps, np.nan), np.full(steps, -1, np.int64)
-    recent = 0
     for k in range(steps):
         best = inf
         for turn in range(len(size)):
@@ -231,8 +237,8 @@ def _wanted(trace: Trace, vulnerable_only: bool) -> BoolArray:
 
 def impact_speed(contact: Contact, trace: Trace, scenario: Scenario) -> float:
     """Length of the difference of the velocity vectors at the first touch, m/s."""
-    others = others_at(trace.agents, trace.ego.t[contact.step : contact.step + 1])
-    mine, theirs = ego_boxes(trace.ego, scenario)[3:, contact.step], others.pose[3:, contact.agent, 0]
+    other = some_at(trace.agents, np.array([contact.agent]), trace.ego.t[contact.step : contact.step + 1])
+    mine, theirs = ego_boxes(trace.ego, scenario)[3:, contact.step], other.pose[3:, 0, 0]
     return float(np.hypot(*(theirs - mine)))
 
 
@@ -250,21 +256,32 @@ def _approachable(ego: FloatArray, axle: float, there: BoolArray, pose: FloatArr
 
 
 def _gap(trace: Trace, scenario: Scenario, *, vulnerable_only: bool, kept: bool = False) -> Measured:
-    ego, others = ego_boxes(trace.ego, scenario), others_at(trace.agents, trace.ego.t)
-    wanted, vehicle = _wanted(trace, vulnerable_only), scenario.vehicle
-    there = _approachable(ego, vehicle.axle_to_center, others.there, others.pose) if kept else others.there
-    gap, nearest = _gaps(ego, vehicle.length, vehicle.width, there, others.pose, others.size, wanted)
+    ego, wanted, vehicle = ego_boxes(trace.ego, scenario), _wanted(trace, vulnerable_only), scenario.vehicle
+    gap, nearest = np.full(len(trace.ego), np.nan), np.full(len(trace.ego), -1)
+    recent = 0
+    for steps, seen, others in pieces(trace.agents, trace.ego.t):
+        there = (
+            _approachable(ego[:, steps], vehicle.axle_to_center, others.there, others.pose) if kept else others.there
+        )
+        after = int(np.searchsorted(seen, recent)) % max(len(seen), 1)
+        gap[steps], row = _gaps(
+            ego[:, steps], vehicle.length, vehicle.width, there, others.pose, others.size, wanted[seen], after
+        )
+        nearest[steps] = named(seen, row)
+        recent = max(int(nearest[steps.stop - 1]), 0)
     nobody = "no pedestrian or rider in the scene" if vulnerable_only else "no other road user in the scene"
     return Series(trace.ego.t, gap, _labels(trace, nearest), nobody)
 
 
 def _ttc(trace: Trace, scenario: Scenario, *, vulnerable_only: bool) -> Measured:
-    ego, others, vehicle = ego_boxes(trace.ego, scenario), others_at(trace.agents, trace.ego.t), scenario.vehicle
-    wanted = _wanted(trace, vulnerable_only)
-    least, whom = _contact_times(
-        ego, vehicle.axle_to_center, vehicle.length, vehicle.width, others.there, others.pose, others.size, wanted,
-        TTC_HORIZON_S,
-    )  # fmt: skip
+    ego, wanted, vehicle = ego_boxes(trace.ego, scenario), _wanted(trace, vulnerable_only), scenario.vehicle
+    least, whom = np.full(len(trace.ego), np.nan), np.full(len(trace.ego), -1)
+    for steps, seen, others in pieces(trace.agents, trace.ego.t):
+        least[steps], row = _contact_times(
+            ego[:, steps], vehicle.axle_to_center, vehicle.length, vehicle.width, others.there, others.pose,
+            others.size, wanted[seen], TTC_HORIZON_S,
+        )  # fmt: skip
+        whom[steps] = named(seen, row)
     for contact in contacts(trace, scenario):
         if contact.at_fault and wanted[contact.agent]:
             least[contact.step], whom[contact.step] = 0.0, contact.agent
@@ -298,11 +315,18 @@ def _plan_collision(trace: Trace, scenario: Scenario) -> Measured:
     x, y, yaw = plan_poses(trace, times)
     ahead, vehicle = scenario.vehicle.axle_to_center, scenario.vehicle
     plans = np.stack([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), yaw])
-    grid_ns, column = np.unique(np.rint(times * 1e9).astype(np.int64), return_inverse=True)
-    others = others_at(trace.agents, grid_ns / 1e9)
-    first, whom = _plan_contacts(
-        plans, column.reshape(times.shape), vehicle.length, vehicle.width, others.there, others.pose, others.size
-    )
+    first, whom = np.full(len(times), -1), np.full(len(times), -1)
+    for begin in range(0, len(times), PIECE_STEPS):
+        part = slice(begin, begin + PIECE_STEPS)
+        grid_ns, column = np.unique(np.rint(times[part] * 1e9).astype(np.int64), return_inverse=True)
+        grid = grid_ns / 1e9
+        seen = there_between(trace.agents, grid[0], grid[-1])
+        others = some_at(trace.agents, seen, grid)
+        first[part], row = _plan_contacts(
+            plans[:, part], column.reshape(-1, times.shape[1]), vehicle.length, vehicle.width, others.there,
+            others.pose, others.size,
+        )  # fmt: skip
+        whom[part] = named(seen, row)
     after = np.where(first >= 0, first * STEP_S, np.nan)
     return Series(times[:, 0], after, _labels(trace, whom), f"no plan touches anybody within {PLAN_HORIZON_S:g} s")
 

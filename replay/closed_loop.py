@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import inf
 from types import MappingProxyType
 
 from logs.errors import PlannerError
@@ -24,18 +25,19 @@ def run_closed_loop(
     planner_config: Mapping[str, object] = MappingProxyType({}),
     config: LoopConfig = DEFAULT_LOOP,
     keep_internals: bool = True,
+    until_s: float = inf,
 ) -> Drive:
     """Drive a scenario with a planner: plan at `config.plan_period_s`, control and step at `config.control_period_s`.
 
     The ego starts as logged and is then moved by the vehicle model; the others by `config.traffic`. The planner's
-    internals are only built where they are kept.
+    internals are only built where they are kept. The last frame is at `until_s`, s since the scenario's start.
 
     Raises:
         LogError: The log has no time to drive.
         ConfigError: A name of `config` or a keyword of the planner is unknown.
         PlannerError: The planner cannot be loaded or built. (One that fails while driving ends the drive.)
     """
-    setup = SimulationSetup.of(scenario, config)
+    setup = SimulationSetup.of(scenario, config, until_s)
     world, latency = setup.world(), Latency(config.plan_delay_steps)
     planning = Planning(scenario, planner, planner_config, config, world.ego, keep_internals=keep_internals)
     perception = Perception(scenario, config)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from math import inf
 from types import MappingProxyType
 
 import numpy as np
@@ -24,18 +25,20 @@ def run_open_loop(
     planner_config: Mapping[str, object] = MappingProxyType({}),
     config: LoopConfig = DEFAULT_LOOP,
     keep_internals: bool = True,
+    until_s: float = inf,
 ) -> Drive:
     """Plan at every `config.plan_period_s` of the ego's log, from its first sample to its last.
 
     Between two samples of the log, the ego is the earlier one carried on: no later sample goes in. Every frame is the
     planner's first as far as memory goes (`Frame.previous` is None). The planner's internals are only built where they
-    are kept.
+    are kept. The last frame is at `until_s`, s since the scenario's start.
 
     Raises:
         ConfigError: A name of `config` or a keyword of the planner is unknown.
         PlannerError: The planner cannot be loaded or built. (One that fails at a frame ends the loop there.)
     """
-    grid = frame_times(scenario.ego, config.plan_period_ns)
+    every = frame_times(scenario.ego, config.plan_period_ns)
+    grid = every[:1] + [t for t in every[1:] if t <= until_s]
     egos = [logged_ego(scenario.ego, scenario.vehicle, t) for t in grid]
     planning = Planning(scenario, planner, planner_config, config, egos[0], keep_internals=keep_internals)
     perception = Perception(scenario, config)

@@ -26,7 +26,7 @@ from logs.scenario import Scenario, Tracks
 from logs.states import wrapped
 from metrics.health.ego import FACTORS, NEAR
 from metrics.health.finding import Finding, Kind
-from metrics.others import name_of, others_at
+from metrics.others import name_of, pieces
 
 SWITCH_S = 0.6
 """A tracker that loses an agent has them again within this, s."""
@@ -164,13 +164,14 @@ def twins(scenario: Scenario) -> Iterator[Finding]:
     if len(tracks) < 2:
         return
     t = np.arange(0.0, scenario.duration + 1e-9, GRID_S)
-    at = others_at(tracks, t)
     met: dict[tuple[int, int], list[int]] = defaultdict(list)
-    for k in range(len(t)):
-        here = np.flatnonzero(at.there[:, k])
-        order = here[np.argsort(at.pose[0, here, k], kind="stable")]
-        for one, other in _near(at.pose[:2, order, k]):
-            met[tuple(sorted((int(order[one]), int(order[other]))))].append(k)  # type: ignore[index]
+    for piece, seen, at in pieces(tracks, t):
+        for k in range(at.there.shape[1]):
+            here = np.flatnonzero(at.there[:, k])
+            order = here[np.argsort(at.pose[0, here, k], kind="stable")]
+            for one, other in _near(at.pose[:2, order, k]):
+                pair = sorted((int(seen[order[one]]), int(seen[order[other]])))
+                met[tuple(pair)].append(piece.start + k)  # type: ignore[index]
     for (i, j), steps in sorted(met.items()):
         if GRID_S * (len(steps) - 1) >= TWIN_S and not (tracks.static[i] and tracks.static[j]):
             lasting = GRID_S * (len(steps) - 1)

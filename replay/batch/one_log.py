@@ -7,19 +7,19 @@ from __future__ import annotations
 
 import os
 import shutil
-import sys
 import traceback
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
+from math import inf
 from pathlib import Path
 from time import perf_counter
 
 import pandas as pd
 
 import metrics
-from logs.errors import ConfigError, OutputError, ReplanError, raised, writing
+from logs.errors import ConfigError, OutputError, PlannerError, ReplanError, raised, writing
 from logs.mcap import write_scenario, write_trace
 from logs.mcap.writer import Entry
 from logs.scenario import Scenario
@@ -32,10 +32,11 @@ from replay.batch.sources import LogSource, file_hash
 from replay.batch.tables import KEYS, PARTIAL, TIMING_COLUMNS, joined, safe_name, write_parquet
 from replay.closed_loop import run_closed_loop
 from replay.config import RunConfig
+from replay.determinism import NOT_DETERMINISTIC, with_probe
 from replay.drive import Drive
 from replay.open_loop import run_open_loop
 from replay.perturb import perturbed
-from replay.planner_config import is_apart, planner_keywords
+from replay.planner_config import is_apart, is_built_in, planner_keywords
 from replay.reference_drives import reference_table
 
 LOOPS = {Mode.OPEN: run_open_loop, Mode.CLOSED: run_closed_loop}
@@ -127,14 +128,11 @@ def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> 
 
 
 def all_metrics(run: RunConfig) -> Mapping[str, Metric]:
-    """The built-in metrics and the run's own; modules are looked for in the working directory too.
+    """The built-in metrics and the run's own.
 
     Raises:
         ConfigError: A metric cannot be loaded, or has the name of another.
     """
-    here = str(Path.cwd())
-    if run.metrics and here not in sys.path:
-        sys.path.append(here)
     found = dict(METRICS)
     for metric in map(load_metric, run.metrics):
         if metric.name in found:
@@ -173,7 +171,7 @@ def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, pro
     for planner in run.planners:
         for mode in run.modes:
             with progress.attempt(planner, mode):
-                drive = _driven(scenario, planner, mode, run, keep=run.keep_internals)
+                drive = _probed(_driven(scenario, planner, mode, run, keep=run.keep_internals), scenario, mode, run)
                 table, steps = metrics.evaluate_with_series(
                     drive.trace, scenario, metrics=measures, broken=progress.broken(planner, mode)
                 )
@@ -192,10 +190,25 @@ def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, pro
         write_parquet(folder / "frames.parquet", pd.concat([_of_drive(*one) for one in found], ignore_index=True))
 
 
-def _driven(scenario: Scenario, planner: str, mode: Mode, run: RunConfig, *, keep: bool) -> Drive:
+def _driven(scenario: Scenario, planner: str, mode: Mode, run: RunConfig, *, keep: bool, until_s: float = inf) -> Drive:
     table = run.planner.get(planner, {})
     keywords = table if is_apart(planner, run.loop.apart) else planner_keywords(planner, table)
-    return LOOPS[mode](scenario, planner, planner_config=keywords, config=run.loop, keep_internals=keep)
+    return LOOPS[mode](
+        scenario, planner, planner_config=keywords, config=run.loop, keep_internals=keep, until_s=until_s
+    )
+
+
+def _probed(drive: Drive, scenario: Scenario, mode: Mode, run: RunConfig) -> Drive:
+    """The drive, marked where its planner is the user's own and is not deterministic (`RunConfig.repeat_s`)."""
+    planner, until_s = drive.trace.planner, float(scenario.ego.t[0]) + run.repeat_s
+    if not run.repeat_s or drive.trace.oracle or is_built_in(planner) or not drive.trace.frames:
+        return drive
+    try:
+        again = _driven(scenario, planner, mode, run, keep=False, until_s=until_s).trace
+    except PlannerError as error:
+        note = f"{NOT_DETERMINISTIC}driven twice, it can be built only once: {error}"
+        return replace(drive, trace=replace(drive.trace, notes=(*drive.trace.notes, note)))
+    return replace(drive, trace=with_probe(drive.trace, again, until_s))
 
 
 def _drive_member(scenario: Scenario, run: RunConfig, member: int, progress: _Progress) -> None:

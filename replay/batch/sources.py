@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 from math import inf
 from pathlib import Path
 
-from logs.catalogue import CATALOGUE, scenario
+from logs.catalogue import CATALOGUE, FAMILY, scenario
 from logs.catalogue.suites import suite
 from logs.errors import ConfigError, LogError
 from logs.maps import map_files
@@ -69,14 +69,15 @@ class LogSource:
         Of a remote log sizes and versions are taken for the hash: it is not fetched for that.
         """
         if self.path is None and not self.remote:
-            return f"catalogue {self.label}"
+            file = FAMILY.file(self.label.partition("@")[0])
+            return f"catalogue {self.label}{f' {file_hash(file)}' if file else ''}"
         settings = self.settings
         if settings.map:
             settings = replace(settings, map=" ".join(map(file_hash, map_files(Path(settings.map)))))
         part = "" if settings == LogSettings() else f" {settings}"
         if self.path is None:
-            return f"{self.label.rpartition('/')[2]} {_version(self.remote) or self.label}{part}"
-        return f"{self.path.name} {self.digest or log_hash(self.path)}{part}"
+            return f"{self._entry} {_version(self.remote) or self.label}{part}"
+        return f"{self.path.name} {self.digest or log_hash(self.path, settings)}{part}"
 
     @contextmanager
     def fetched(self) -> Iterator[LogSource]:
@@ -87,9 +88,14 @@ class LogSource:
         with tempfile.TemporaryDirectory(prefix="replan-") as scratch:
             fetch(self.remote, Path(scratch))
             try:
-                yield replace(self, path=Path(scratch, self.label.rpartition("/")[2]), remote=())
+                yield replace(self, path=Path(scratch, self._entry), remote=())
             except LogError as error:
                 raise error.at(self.label) from None
+
+    @property
+    def _entry(self) -> str:
+        """The name of a remote log's file or folder."""
+        return self.remote[0].name.partition("/")[0]
 
     def read(self) -> Scenario:
         """The scenario; LogError where it cannot be read."""
@@ -105,7 +111,7 @@ class LogSource:
         if self.path is None:
             size = sum(file.size for file in self.remote)
             return size / BYTES_PER_S.get(self.format, _OTHER_BYTES_PER_S)
-        reader = reader_of(self.path)
+        reader = reader_of(self.path, self.settings)
         files = () if reader is None else _files(reader, self.path)
         size = sum(file.stat().st_size for file in files if file.is_file())
         return size / BYTES_PER_S.get(reader.name if reader else "", _OTHER_BYTES_PER_S)
@@ -113,7 +119,7 @@ class LogSource:
     @property
     def is_mcap(self) -> bool:
         """Whether it is a native or OSI MCAP that is read as it is: no copy of it is needed beside the results."""
-        reader = None if self.path is None else reader_of(self.path)
+        reader = None if self.path is None else reader_of(self.path, self.settings)
         return reader is not None and reader.name == "native" and self.settings == LogSettings()
 
 
@@ -160,7 +166,7 @@ def select(paths: Sequence[Path | str], settings: LogSettings | None = None, win
         url = url_of(place)
         candidates = list(_remote(url, settings) if url else _local(local_path(place), settings))
         if not candidates:
-            looked = ", ".join(dict.fromkeys(reader.looks_for for reader in readers()))
+            looked = ", ".join(dict.fromkeys(reader.looks_for for reader in readers(settings.reader)))
             raise ConfigError(f"{url or place}: no logs in this folder; looked for {looked}, 0 found; {FORMATS}")
         for log, reason in candidates:
             source = log if reason or log.remote else _hashed(log)
@@ -192,7 +198,7 @@ def _parts(source: LogSource, window: float) -> Iterator[LogSource]:
 
 def _local(path: Path, settings: LogSettings) -> Iterator[tuple[LogSource, str]]:
     """The logs at a path, each with the reason why it is left out ("" keeps it)."""
-    return ((LogSource(str(log), log, settings), reason) for log, reason in _logs(path))
+    return ((LogSource(str(log), log, settings), reason) for log, reason in _logs(path, settings))
 
 
 def _remote(url: str, settings: LogSettings) -> Iterator[tuple[LogSource, str]]:
@@ -209,8 +215,8 @@ def _remote(url: str, settings: LogSettings) -> Iterator[tuple[LogSource, str]]:
         for path, file in at.items():
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_bytes(begins.get(file, b""))
-        for log, reason in _logs(root):
-            reader = reader_of(log)
+        for log, reason in _logs(root, settings):
+            reader = reader_of(log, settings)
             names = log.relative_to(root.parent).as_posix().removeprefix(root.name)
             parts = [
                 replace(at[path], name=path.relative_to(log.parent).as_posix()) for path in _needed(reader, log, at)
@@ -241,17 +247,17 @@ def _version(files: Sequence[RemoteFile]) -> str:
 
 def _hashed(source: LogSource) -> LogSource:
     assert source.path is not None
-    return replace(source, digest=_digest(source.path))
+    return replace(source, digest=_digest(source.path, source.settings))
 
 
-def _logs(path: Path) -> Iterator[tuple[Path, str]]:
+def _logs(path: Path, settings: LogSettings) -> Iterator[tuple[Path, str]]:
     """Candidates at a path, each with the reason why it is left out ("" keeps it)."""
     if not path.exists():
         raise ConfigError(f"{path}: no such file or folder")
-    if reader_of(path) is not None:
+    if reader_of(path, settings) is not None:
         yield path, ""
     elif path.is_dir():
-        for log, reader in logs_in(path):
+        for log, reader in logs_in(path, settings):
             yield log, _objection(log, path) or ("" if reader else "no reader claims it")
     else:
         raise ConfigError(str(foreign(path)))
@@ -274,17 +280,17 @@ def _files(reader: Reader, log: Path) -> tuple[Path, ...]:
         return ()
 
 
-def _digest(log: Path) -> str:
+def _digest(log: Path, settings: LogSettings) -> str:
     """Hash of the bytes; "" where they cannot be read (the evaluation will say why)."""
     try:
-        return log_hash(log)
+        return log_hash(log, settings)
     except LogError:
         return ""
 
 
-def log_hash(path: Path) -> str:
+def log_hash(path: Path, settings: LogSettings | None = None) -> str:
     """SHA-256 of a log's bytes: of the file, or of the names and hashes of its files (a map may lie elsewhere)."""
-    reader = reader_of(path)
+    reader = reader_of(path, settings)
     files = (path,) if reader is None else reader.files(path)
     if files == (path,):
         return file_hash(path)

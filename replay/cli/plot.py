@@ -10,20 +10,10 @@ import typer
 
 from logs.errors import ConfigError
 from replay.cli.app import answered, app, say
+from replay.cli.names import completion
 
 if TYPE_CHECKING:
     from replay.results import DriveResult, Results
-
-
-class Charts(StrEnum):
-    """What is drawn."""
-
-    scene = "scene"
-    st = "st"
-    sl = "sl"
-    curves = "curves"
-    decisions = "decisions"
-    all = "all"
 
 
 class Look(StrEnum):
@@ -48,7 +38,13 @@ def plot(
     planner: Annotated[str | None, typer.Option(help="Whose drive, where there are several.")] = None,
     mode: Annotated[Loop | None, typer.Option(help="Default: closed, where it was driven.")] = None,
     at: Annotated[float | None, typer.Option(help="Time, s. Default: the worst moment.")] = None,
-    chart: Annotated[Charts, typer.Option(help="What is drawn.")] = Charts.all,
+    chart: Annotated[
+        str,
+        typer.Option(
+            autocompletion=completion("chart"),
+            help="What is drawn: scene, st, sl, curves, decisions, all, or module:NAME of your own.",
+        ),
+    ] = "all",
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="FILE.png, FILE.svg, or a folder: each by itself.")
     ] = None,
@@ -70,11 +66,11 @@ def plot(
 
         drive = _drive(load(result), log, planner, mode.value if mode else None)
         name = f"{safe_name(drive.log)}-{safe_name(drive.planner)}-{drive.mode}"
-        path = Path(f"{name}-{chart.value}.png") if out is None else out
+        path = Path(f"{name}-{safe_name(chart)}.png") if out is None else out
         if path.suffix not in ("", ".png", ".svg") and not path.is_dir():
             raise ConfigError(f"{path}: a picture ends with .png or .svg, a folder has no ending")
         seen = subject(drive, at)
-        charts = charts_of(seen, chart.value, width)
+        charts = charts_of(seen, chart, width)
         title = f"{drive.log}, {drive.planner}, {drive.mode} loop"
         why = "" if at is not None else f": {seen.moment.why}"
         if path.suffix in (".png", ".svg") and not path.is_dir():

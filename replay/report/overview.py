@@ -27,6 +27,7 @@ from metrics.gates import Outcome
 from metrics.judge import outcomes, worst
 from metrics.latency import judge_deadline
 from replay.batch import OUTCOMES
+from replay.determinism import NOT_DETERMINISTIC
 from replay.drive import TRUSTED
 from replay.report.columns import COLUMNS, COMPARED, Column
 from replay.report.model import NOTHING, Cell, Coverage, DriveRow, GateRow, Overview, PassShare, StageTime
@@ -106,10 +107,15 @@ def combined(codes: Iterable[int]) -> int:
     return min(codes, key=EXIT_WEIGHT.index, default=0)
 
 
-def marked(drive: Any) -> str:
-    """The name of a drive's planner, with a mark where it knew the log's future, or could have looked."""
-    mark = " (oracle)" if drive.oracle else " (trusted)" if TRUSTED in list(drive.notes) else ""
-    return f"{drive.planner}{mark}"
+def marked(drives: Sequence[Any]) -> str:
+    """The name of the planner of drives, with a mark where it knew the log's future, could have looked, or dices."""
+    notes, oracle = [str(note) for drive in drives for note in drive.notes], any(drive.oracle for drive in drives)
+    marks = {
+        "oracle": oracle,
+        "trusted": TRUSTED in notes and not oracle,
+        "not deterministic": any(note.startswith(NOT_DETERMINISTIC) for note in notes),
+    }
+    return " ".join([str(drives[0].planner), *(f"({mark})" for mark, holds in marks.items() if holds)])
 
 
 Values = Mapping[tuple[str, str, str, str], float]
@@ -124,7 +130,10 @@ def _values(table: pd.DataFrame) -> Values:
 
 def _planners(drives: pd.DataFrame) -> dict[str, str]:
     """Names, and as they are marked."""
-    return {str(drive.planner): marked(drive) for drive in drives.itertuples()}
+    grouped: dict[str, list[Any]] = {}
+    for drive in drives.itertuples():
+        grouped.setdefault(str(drive.planner), []).append(drive)
+    return {planner: marked(mine) for planner, mine in grouped.items()}
 
 
 # drives ---------------------------------------------------------------------------------------------------------------
@@ -138,7 +147,7 @@ def _drives(results: Results, values: Values, columns: Sequence[Column], said: p
         grouped.setdefault((str(drive.log), str(drive.planner)), []).append(drive)
     return tuple(
         DriveRow(
-            log, planner, marked(mine[0]), verdicts.get((log, planner), ""),
+            log, planner, marked(mine), verdicts.get((log, planner), ""),
             _end(next((drive for drive in mine if drive.mode == "closed"), None)),
             tuple(_cell(column, values.get((log, planner, column.mode, column.metric), nan)) for column in columns),
             tuple(file for drive in mine for file in drive.files), folders[log],

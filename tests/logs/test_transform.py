@@ -1,4 +1,4 @@
-"""Scenarios in other worlds: what changes, what must not, and there and back (the mirror: `test_logs_catalogue`)."""
+"""Scenarios in other worlds: what changes, what must not, and there and back (the mirror: `test_catalogue`)."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ def test_what_needs_nothing_is_always_available() -> None:
 
 
 def test_a_page_of_ones_own_metric_and_of_none() -> None:
-    assert "For a test." in said("test_metrics_metric:MINE")
+    assert "For a test." in said("metrics_of_mine:MINE")
     result = CliRunner().invoke(app, ["metrics", "gpa"])
     assert result.exit_code == 2
     assert "gpa" in result.output

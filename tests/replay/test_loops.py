@@ -452,7 +452,7 @@ class Silent(ConstantSpeed):
 @pytest.mark.parametrize(
     ("broken", "said", "frames"),
     [
-        (Raises, "raised at 0.60 s: ValueError: no way ahead (test_replay_loops.py:", 6),
+        (Raises, "raised at 0.60 s: ValueError: no way ahead (test_loops.py:", 6),
         (ReturnsNone, "returned NoneType instead of a Plan", 0),
         (StartsLate, "starts at 0.500 s, not at the frame's time", 0),
         (NotFinite, "x is not finite", 0),

@@ -137,7 +137,7 @@ def test_what_comes_with_replan_is_never_refused(planner: str) -> None:
 def test_the_planner_of_each_loop_is_given_a_road_of_its_own() -> None:
     log = scenario(along(grid(1.0), 10.0))
     for run in (run_open_loop, run_closed_loop):
-        run(log, "test_replay_plan_check:Keeps", config=LoopConfig(apart=ApartConfig(trust=True)))
+        run(log, f"{__name__}:Keeps", config=LoopConfig(apart=ApartConfig(trust=True)))
     one, two = Keeps.roads
     assert one is not two
     assert not {id(lane) for lane in one.lanes.values()} & {id(lane) for lane in log.road.lanes.values()}

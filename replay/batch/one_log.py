@@ -108,10 +108,10 @@ def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> 
     try:
         with writing(partial):
             partial.mkdir()
-        with progress.attempt():
+        with progress.attempt(), source.fetched() as near:
             identity = source.identity()
-            scenario = source.read()
-            result = _identified(source, scenario, partial, run)
+            scenario = near.read()
+            result = _identified(near, scenario, partial, run)
             progress.log = scenario.name
             driven = with_avoidability(scenario.in_vehicle(run.driven(scenario.vehicle)))
             _drive_all(driven, run, partial, result.folder, progress)

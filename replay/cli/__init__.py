@@ -6,6 +6,7 @@ evaluate.py    what drives: evaluate, vary, paper, calibrate
 shards.py      the shards of a run put together: merge
 report.py      the reports of results
 logs.py        what reads and writes logs: synth, convert, inspect, salvage, export
+warmup.py      kernels compiled beforehand: warmup
 results.py     what looks at results: view
 compare.py     run against run: compare, baseline
 plot.py        pictures of a drive: plot
@@ -15,10 +16,10 @@ ending.py      what is said and written at the end of a run
 app.py         what they share
 """
 
-from replay.cli import evaluate, shards, report, logs, results, compare, plot, about  # isort: skip  # the order of the help
+from replay.cli import evaluate, shards, report, logs, results, compare, plot, about, warmup  # isort: skip  # the order of the help
 from replay.cli.app import app
 
-__all__ = ["about", "app", "compare", "evaluate", "logs", "main", "plot", "report", "results", "shards"]
+__all__ = ["about", "app", "compare", "evaluate", "logs", "main", "plot", "report", "results", "shards", "warmup"]
 
 
 def main() -> None:

@@ -11,7 +11,7 @@ from replay.batch.pool import run_all
 
 ASK = """
 import os, tempfile
-if os.environ.get("READ_ONLY"):  # root may write everywhere: so does it say no
+if os.environ.get("READ_ONLY"):  # stands for a file system that is read-only: root may write anywhere else
     def refused(*_, **__):
         raise OSError("read-only file system")
     os.makedirs = os.mkdir = tempfile.TemporaryFile = refused

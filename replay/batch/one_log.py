@@ -19,7 +19,7 @@ from time import perf_counter
 import pandas as pd
 
 import metrics
-from logs.errors import ConfigError, OutputError, PlannerError, ReplanError, raised, writing
+from logs.errors import ConfigError, OutputError, PlannerError, ReplanError, of_users, raised, writing
 from logs.mcap import write_scenario, write_trace
 from logs.mcap.writer import Entry
 from logs.scenario import Scenario
@@ -69,7 +69,8 @@ class _Progress:
             code = 2 if isinstance(error, ConfigError) else 3
             self.failures.append(Failure(self.log, str(error), *place, exit_code=code))
         except (Exception, SystemExit) as error:
-            line = f"{self.log}: a bug in replan: {raised(error)}; traceback in summary.json"
+            whose = "raised by code that the run names" if of_users(error) else "a bug in replan"
+            line = f"{self.log}: {whose}: {raised(error)}; traceback in summary.json"
             self.failures.append(Failure(self.log, line, *place, traceback=traceback.format_exc()))
 
     def broken(self, planner: str, mode: Mode) -> metrics.Broken:

@@ -70,6 +70,9 @@ def evaluate(
     metric: Annotated[
         list[str] | None, typer.Option(help='A metric of your own beside the built-in ones, "module:NAME"; repeatable.')
     ] = None,
+    chart: Annotated[
+        list[str] | None, typer.Option(help='A chart of your own in the report, "module:NAME"; repeatable.')
+    ] = None,
     mode: Annotated[Literal["both", "open", "closed"] | None, typer.Option(help="Loops to run. Default: both.")] = None,
     config: Annotated[Path | None, typer.Option(help="TOML file of settings; options win over it.")] = None,
     gates: Annotated[Path | None, typer.Option(help="TOML file of thresholds. Default: the packaged ones.")] = None,
@@ -181,6 +184,7 @@ def evaluate(
         options: dict[str, Any] = {
             "planners": tuple(planner or ()) or None,
             "metrics": tuple(metric or ()) or None,
+            "charts": tuple(chart or ()) or None,
             "mode": mode,
             "gates": None if gates is None else str(gates),
             "internals": internals,

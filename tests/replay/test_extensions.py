@@ -204,6 +204,17 @@ def test_a_module_that_raises_is_named_with_its_line(desk: Path) -> None:
         checked(loop(controller="my_broken:X"))
 
 
+def test_one_that_raises_in_a_drive_costs_that_drive_and_is_named_with_its_line(desk: Path) -> None:
+    Path("my_raising.py").write_text("def see(scenario, config):\n    return 1 / 0\n", encoding="utf-8")
+    result = replan.evaluate(
+        suite="my_family:EMPTY", planners="constant_speed", out="out", mode="open", internals="none", recording=False,
+        loop={"perception": "my_raising:see"},
+    )  # fmt: skip
+    assert len(result.failures) == 2 and result.exit_code == 3
+    says = "raised by code that the run names: ZeroDivisionError: division by zero (my_raising.py:2)"
+    assert all(says in message for message in result.failures["message"])
+
+
 def test_what_lacks_a_member_of_its_protocol_is_refused(desk: Path) -> None:
     Path("my_half.py").write_text("class Half:\n    def __init__(self, *given): ...\n", encoding="utf-8")
     for key, lacks in (("controller", "notes"), ("vehicle", "state")):

@@ -81,7 +81,7 @@ def write_recording(
         plots.draw_panels(tape, panels, frames)
         plots.draw_lanes(tape, plots.state_lanes(trace, scenario.road), frames)
         if trace.frames:
-            why.draw_why(tape, trace, scenario.road, planned)
+            why.draw_why(tape, trace, scenario, planned)
         events.draw_events(tape, events.events(trace), planned)
         words.draw_summary(tape, words.summary(trace, scenario, table))
         _send_metrics(tape, table)

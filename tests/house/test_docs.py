@@ -15,6 +15,7 @@ import sys
 import textwrap
 import tomllib
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -150,9 +151,12 @@ def shown_commands(page: Path) -> Iterator[list[str]]:
         yield shlex.split(line.replace("\n", " "), comments=True)[1:]
 
 
+command_line = cache(lambda: get_command(app))
+
+
 @pytest.mark.parametrize("page", PAGES, ids=named)
 def test_every_option_of_a_shown_command_exists(page: Path) -> None:
-    root = get_command(app)
+    root = command_line()
     for words in shown_commands(page):
         command, rest = root, words
         while rest and rest[0] in getattr(command, "commands", {}):

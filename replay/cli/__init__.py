@@ -6,6 +6,7 @@ evaluate.py    what drives: evaluate, vary, paper, calibrate
 shards.py      the shards of a run put together: merge
 report.py      the reports of results
 logs.py        what reads and writes logs: synth, convert, inspect, salvage, export
+warmup.py      kernels compiled beforehand: warmup
 results.py     what looks at results: view
 compare.py     run against run: compare, baseline
 plot.py        pictures of a drive: plot
@@ -17,7 +18,7 @@ ending.py      what is said and written at the end of a run
 app.py         what they share
 """
 
-from replay.cli import evaluate, shards, report, logs, results, compare, plot, explain, frame, about  # isort: skip  # the order of the help
+from replay.cli import evaluate, shards, report, logs, results, compare, plot, explain, frame, about, warmup  # isort: skip  # the order of the help
 from replay.cli.app import app
 
 __all__ = [
@@ -33,6 +34,7 @@ __all__ = [
     "report",
     "results",
     "shards",
+    "warmup",
 ]
 
 

@@ -146,6 +146,6 @@ def _terms(terms: Sequence[tuple[str, float]]) -> str:
 
 def _touch(one: Touch) -> str:
     unit = "s" if one.plane == "S-T" else "m"
-    for_whom = f" ({one.agent})" if one.agent else ""
+    of_whom = f" ({one.agent})" if one.agent else ""
     span = f"from {one.first:.1f} {unit} to {one.last:.1f} {unit}"
-    return f"{one.plane} {one.bound} bound{for_whom} {span}, at {one.at:.1f} m"
+    return f"{one.plane} {one.bound} bound{of_whom} {span}, at {one.at:.1f} m"

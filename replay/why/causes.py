@@ -16,7 +16,7 @@ avoids it. What a planner decided counts as its reason only where the numbers be
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from enum import Enum
 from math import isfinite, nan
@@ -127,10 +127,12 @@ class Account:
     not_passed: tuple[str, ...] = ()
 
 
-def accounts(trace: Trace, scenario: Scenario, loop: LoopConfig | None = None) -> Iterator[Account]:
+def accounts(
+    trace: Trace, scenario: Scenario, loop: LoopConfig | None = None, earlier: Iterable[float] = ()
+) -> Iterator[Account]:
     """The account of each frame of a drive; arguments as `shown`."""
     explainer = Explainer(scenario)
-    return (explainer.account(frame) for frame in shown(trace, scenario, loop))
+    return (explainer.account(frame) for frame in shown(trace, scenario, loop, earlier))
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -18,6 +18,8 @@ from typing import Any
 
 import pandas as pd
 
+from logs.catalogue import scenario
+from logs.mcap import write_scenario
 from replay.batch import RunResult, evaluate_logs
 from replay.batch.engine import Engine, Local
 from replay.batch.log_result import LogResult
@@ -98,8 +100,10 @@ def end() -> None:
     """The end of a run of so many logs, made of one that was driven."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder)
-        (log,) = evaluate_logs((), RUN, out, suite="paper/free_road").logs[:1]
-        for count in (100, 1000, 3000):
+        write_scenario(out / "log.mcap", scenario("paper/free_road"))
+        out = out / "run"
+        (log,) = evaluate_logs([out.parent / "log.mcap"], RUN, out).logs
+        for count in (100, 1000):
             named = [f"log/{k:07d}" for k in range(count)]
             logs = [_named(log, name) for name in named]
             selection = Selection(tuple(LogSource(name) for name in named))

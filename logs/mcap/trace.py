@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Literal
 
@@ -49,8 +50,8 @@ def write_trace(
             **scenario_records(driven, version=native.FORMAT_VERSION),
             native.TRACE_RECORD: trace_record(trace, internals),
         }
-        entries = [*scenario_entries(driven, blocks=True), *_trace_entries(trace, scenario.start_ns, internals)]
-        write_log(Path(path), records, [*entries, *beside])
+        entries = scenario_entries(driven, blocks=True), _trace_entries(trace, scenario.start_ns, internals)
+        write_log(Path(path), records, chain(*entries, beside))
     except LogError as error:
         raise error.at(path) from None
 

@@ -15,6 +15,7 @@ from time import monotonic
 
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
+from logs.kernel import cold
 from replay.batch.log_result import LogResult
 from replay.batch.sources import Selection
 from replay.report.console import SafeConsole
@@ -106,6 +107,8 @@ def progress(
             for reason in selection.dropped:
                 say(f"left out: {reason}")
             say(f"{len(selection.sources)} logs -> {out}")
+            if cold():
+                say("compiling kernels (once; about a minute): replan warmup does it beforehand")
 
         def on_log(result: LogResult) -> None:
             for failure in result.failures:

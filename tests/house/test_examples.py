@@ -1,4 +1,4 @@
-"""Examples do what they say. The notebook runs from its first cell to its last, and is kept without outputs."""
+"""The metric measures what it says; the notebook runs, shows what it says, and is kept without outputs."""
 
 from __future__ import annotations
 

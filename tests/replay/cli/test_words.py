@@ -30,6 +30,7 @@ from replay.control import CONTROLLERS
 from replay.listing import KINDS, entries
 from replay.oracle import ORACLES
 from replay.perception import PERCEPTIONS, PREDICTIONS
+from replay.report.charts.layout import CHARTS
 from replay.report.progress import LEAST_S, Pace, progress
 from replay.traffic import TRAFFIC
 from replay.vehicle import VEHICLES
@@ -43,6 +44,7 @@ TABLES = {
     "traffic": TRAFFIC,
     "predictions": PREDICTIONS,
     "perceptions": PERCEPTIONS,
+    "charts": CHARTS,
     "metrics": METRICS,
     "families": FAMILIES,
     "suites": SUITES,

@@ -1,6 +1,6 @@
 """What many logs cost: wall per log by engine, Ray's overhead, bytes per log, and what the end of a run needs per log.
 
-python -m benchmarks.scale curve       the suite "smoke" by 0, 1, 2 workers and on Ray (docs/scale.md)
+python -m benchmarks.scale curve       a quarter of the suite "smoke" by 0, 1, 2 workers and on Ray (docs/scale.md)
 python -m benchmarks.scale overhead    a task that does nothing and returns the folder of a log
 python -m benchmarks.scale end         `concluded` on so many logs: seconds and peak memory of this process
 """
@@ -18,16 +18,20 @@ from typing import Any
 
 import pandas as pd
 
+from logs.catalogue import scenario
+from logs.mcap import write_scenario
 from replay.batch import RunResult, evaluate_logs
 from replay.batch.engine import Engine, Local
 from replay.batch.log_result import LogResult
 from replay.batch.on_ray import OnRay
 from replay.batch.pool import run_all
 from replay.batch.run import concluded, gates_of
+from replay.batch.shard import Shard
 from replay.batch.sources import LogSource, Selection
 from replay.config import RunConfig
 
 RUN = RunConfig(recording=False, internals="none")
+END = replace(RUN, planners=("constant_speed",))
 SUITE = "smoke"
 ITEMS = 200
 
@@ -71,7 +75,7 @@ def curve() -> None:
 
 
 def _evaluated(engine: Engine, folder: Path) -> RunResult:
-    return evaluate_logs((), RUN, folder, suite=SUITE, engine=engine)
+    return evaluate_logs((), END, folder, suite=SUITE, engine=engine, shard=Shard(1, 4))
 
 
 def answer(_: int) -> tuple[Any, dict[str, bytes]]:
@@ -98,12 +102,14 @@ def end() -> None:
     """The end of a run of so many logs, made of one that was driven."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder)
-        (log,) = evaluate_logs((), RUN, out, suite="paper/free_road").logs[:1]
-        for count in (100, 1000, 3000):
+        write_scenario(out / "log.mcap", scenario("paper/free_road"))
+        out = out / "run"
+        (log,) = evaluate_logs([out.parent / "log.mcap"], END, out).logs
+        for count in (100, 400):
             named = [f"log/{k:07d}" for k in range(count)]
             logs = [_named(log, name) for name in named]
             selection = Selection(tuple(LogSource(name) for name in named))
-            wall, _, _ = timed(lambda logs=logs, s=selection: concluded(out, RUN, s, logs, gates_of(RUN, None), ()))
+            wall, _, _ = timed(lambda logs=logs, s=selection: concluded(out, END, s, logs, gates_of(END, None), ()))
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
             sizes = {name: (out / name).stat().st_size / count for name in ("metrics.parquet", "timings.parquet")}
             sizes["summary.json"] = (out / "summary.json").stat().st_size / count

@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 import shutil
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -94,6 +94,18 @@ def fetch(files: Sequence[RemoteFile], folder: Path) -> None:
             system.get_file(path, str(target))
         if target.stat().st_size != file.size:
             raise LogError("has changed since it was listed", file=file.url, remedy="evaluate again")
+
+
+def ranged(file: RemoteFile) -> Callable[[int, int], bytes]:
+    """What has the bytes of a file from a place up to another; LogError where they cannot be had."""
+
+    def fetched(begin: int, end: int) -> bytes:
+        with _asked(file.url, LogError):
+            system, path = _system(file.url)
+            found: bytes = system.cat_file(path, start=begin, end=end)
+            return found
+
+    return fetched
 
 
 def put(content: Path, url: str) -> None:

@@ -19,7 +19,7 @@ from logs.catalogue.suites import suite
 from logs.errors import ConfigError, LogError
 from logs.maps import map_files
 from logs.readers import FORMATS, LogSettings, Reader, foreign, logs_in, read_log, reader_of, readers, windows
-from logs.remote import RemoteFile, fetch, heads, listed, local_path, url_of
+from logs.remote import RemoteFile, fetch, heads, listed, local_path, ranged, url_of
 from logs.scenario import Scenario
 
 BYTES_PER_S: Mapping[str, float] = {
@@ -86,11 +86,21 @@ class LogSource:
             yield self
             return
         with tempfile.TemporaryDirectory(prefix="replan-") as scratch:
-            fetch(self.remote, Path(scratch))
+            if not self._part_fetched(Path(scratch, self._entry)):
+                fetch(self.remote, Path(scratch))
             try:
                 yield replace(self, path=Path(scratch, self._entry), remote=())
             except LogError as error:
                 raise error.at(self.label) from None
+
+    def _part_fetched(self, path: Path) -> bool:
+        """Whether the part that is asked for is at `path` now: of native MCAP no more needs to be fetched."""
+        begin, end, (file, *more) = self.settings.begin, self.settings.end, self.remote
+        if self.format != "native" or more or not (begin > 0.0 or end < inf):
+            return False
+        from logs.mcap.part import write_part
+
+        return write_part(ranged(file), file.size, begin, end, path)
 
     @property
     def _entry(self) -> str:

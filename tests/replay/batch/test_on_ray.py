@@ -23,6 +23,7 @@ ray: Any = pytest.importorskip("ray", reason="the extra ray is not installed: pi
 PLANNER = '''
 import os, pathlib, signal, time
 import manner
+import ray
 from planners.constant_speed import ConstantSpeed
 
 class Slow(ConstantSpeed):
@@ -30,7 +31,8 @@ class Slow(ConstantSpeed):
     def plan(self, frame):
         if frame.t == 0.0:
             folder = pathlib.Path(manner.FOLDER)
-            (folder / f"{os.getppid()}-{time.monotonic_ns()}").write_text(os.environ.get("RAY_NODE_ID", ""))
+            node = ray.get_runtime_context().get_node_id() if ray.is_initialized() else ""
+            (folder / f"{node}-{time.monotonic_ns()}").touch()
             time.sleep(manner.PAUSE_S)
         return super().plan(frame)
 
@@ -92,11 +94,11 @@ def test_two_nodes_of_which_one_is_killed_give_the_bytes_of_this_process(
     config = trusted("slow_planner:Slow")
 
     def kill() -> None:
-        while len(list(slow.iterdir())) < 2:
+        while not list(slow.glob(f"{nodes.second.node_id}-*")):
             time.sleep(0.02)
         nodes.remove_node(nodes.second, allow_graceful=False)
 
-    killer = threading.Thread(target=kill)
+    killer = threading.Thread(target=kill, daemon=True)
     killer.start()
     there = run(logs, tmp_path / "ray", config, OnRay(nodes.address))
     killer.join(60.0)

@@ -167,6 +167,17 @@ def test_a_lost_connection_is_one_line(bucket: Any, monkeypatch: pytest.MonkeyPa
     assert "no connection or an error there: " in result.stderr
 
 
+def test_a_part_of_a_log_by_url_gives_the_bytes_of_the_part_here(bucket: Any, logs: Path, tmp_path: Path) -> None:
+    bucket.put(str(logs / "a.mcap"), "fleet/a.mcap")
+    for place, out in ((str(logs / "a.mcap"), "here"), ("s3://fleet/a.mcap", "there")):
+        replan("evaluate", place, "--from", "0.5", "--to", "1.8", *QUICK, "-o", out)
+    assert len(files_of(tmp_path / "here")) > 8
+    there = files_of(tmp_path / "there")
+    assert {name: data for name, data in files_of(tmp_path / "here").items() if name != "run.toml"} == {
+        name: data for name, data in there.items() if name != "run.toml"
+    }
+
+
 def test_inspect_reads_a_url(bucket: Any, logs: Path) -> None:
     bucket.put(str(logs / "a.mcap"), "fleet/a.mcap")
     result = replan("inspect", "s3://fleet/a.mcap")

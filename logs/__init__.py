@@ -20,6 +20,8 @@ Each is imported when it is first asked for: who needs the errors only, as the c
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+import replan.own
+
 if TYPE_CHECKING:
     from logs.errors import ConfigError, LogError, PlannerError, ReplanError
     from logs.frame import Frame, PlannerContext, Predictions, Visibility
@@ -116,6 +118,6 @@ _FROM = {name: module for module, names in _NAMES.items() for name in names.spli
 def __getattr__(name: str) -> Any:
     """A noun, from where it stands."""
     if name not in _FROM:
-        raise AttributeError(f"module 'logs' has no attribute {name!r}")
+        return replan.own.missing("logs")(name)
     globals()[name] = value = getattr(import_module(_FROM[name]), name)
     return value

@@ -84,7 +84,9 @@ def writing(path: Path) -> Iterator[None]:
         raise OutputError(f"{path}: cannot be written: {os.strerror(error.errno) if error.errno else error}") from error
 
 
-OWN_FOLDERS = tuple(str(Path(__file__).parents[1] / name) for name in ("logs", "metrics", "planners", "replay"))
+OWN_FOLDERS = tuple(
+    str(Path(__file__).parents[1] / name) for name in ("logs", "metrics", "planners", "replan", "replay")
+)
 _LIBRARIES = tuple(sysconfig.get_path(name) for name in ("stdlib", "purelib", "platlib"))
 LONGEST_MESSAGE = 400
 

@@ -107,7 +107,7 @@ class LogSummary:
 
 def summarise(path: Path, settings: LogSettings | None = None) -> LogSummary:
     """What a log of any format holds; damage and foreign formats are told in `error`, never raised."""
-    reader, scenario, error = reader_of(path), None, None
+    reader, scenario, error = reader_of(path, settings), None, None
     contents = Contents("not a log that replan reads") if reader is None else reader.contents(path)
     try:
         scenario = read_log(path, settings)

@@ -8,14 +8,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from importlib import import_module
 from operator import index
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 
-from logs.errors import ConfigError, raised
+import replan.own
+from logs.errors import raised
+from logs.extension import Kind, an_instance
 from logs.frame_store import light
 from logs.scenario import Scenario
 from logs.trace import Trace
@@ -172,24 +174,13 @@ def _steps(steps_of: Mapping[str, Series]) -> pd.DataFrame:
     )
 
 
-def load_metric(spec: str) -> Metric:
-    """A metric by name ("gap") or from outside ("module:NAME", a `Metric` object).
+METRIC: Kind[Metric] = Kind("metric", "metrics", METRICS, an_instance(Metric, "metrics.Metric"))
+"""Those of ours, and of users."""
 
-    Raises:
-        ConfigError: It is not there, cannot be imported, or is no `Metric`.
-    """
-    if spec in METRICS:
-        return METRICS[spec]
-    module, _, name = spec.partition(":")
-    if not name:
-        raise ConfigError(f"metric {spec!r} is not built in; one of your own is named module:NAME")
-    try:
-        metric = getattr(import_module(module), name)
-    except (Exception, SystemExit) as error:
-        raise ConfigError(f"metric {spec!r} cannot be loaded: {raised(error)}") from error
-    if not isinstance(metric, Metric):
-        raise ConfigError(f"metric {spec!r} is a {type(metric).__name__}, not a metrics.Metric")
-    return metric
+
+def load_metric(spec: str) -> Metric:
+    """A metric by name ("gap"), or from outside ("module:NAME", a `Metric` object); ConfigError as `Kind.find`."""
+    return METRIC.find(spec)
 
 
 def _measured(
@@ -250,3 +241,7 @@ def _reduced(reduction: Reduction, found: Series) -> tuple[float, int]:
     if not -1 <= place < len(found.t):
         raise ValueError(f"step {place} of {len(found.t)}")
     return number, place
+
+
+if not TYPE_CHECKING:  # a type checker would take any name for one of ours
+    __getattr__ = replan.own.missing("metrics")

@@ -8,13 +8,12 @@ To write your own, read `logs/frame.py` (what a planner is given) and `planners/
 
 from __future__ import annotations
 
-import importlib
-import sys
 from collections.abc import Callable, Iterable
-from pathlib import Path
-from types import ModuleType
+from typing import TYPE_CHECKING
 
-from logs.errors import ConfigError, PlannerError, unknown_name
+import replan.own
+from logs.errors import ConfigError, PlannerError
+from logs.extension import Kind
 from planners.base import Planner
 from planners.constant_speed import ConstantSpeed
 from planners.dp_qp import DpQp
@@ -32,64 +31,32 @@ PLANNERS: dict[str, PlannerFactory] = {
 }
 """The planners by the names that `--planner` takes."""
 
-OWN_PACKAGES = ("logs", "metrics", "planners", "replay")
-"""Names that a user's own package cannot have beside ours."""
+
+def _wrong(thing: object) -> str:
+    """What is wrong with a planner's factory."""
+    fits = callable(thing) and (not isinstance(thing, type) or callable(getattr(thing, "plan", None)))
+    return "" if fits else "is no planner: it needs a method plan(frame) -> Plan"
+
+
+PLANNER: Kind[PlannerFactory] = Kind("planner", "planners", PLANNERS, _wrong, PlannerError, "module:Class")
+"""Those of ours, and of users."""
 
 
 def load_planner(spec: str, *, also: Iterable[str] = ()) -> PlannerFactory:
     """What builds the planner that the user named.
 
     Args:
-        spec: A name in PLANNERS, or "module:Class"; the module is looked for in the Python path and then in the
-            working directory.
+        spec: A name in PLANNERS or of an entry point, or "module:Class".
         also: Names that the caller knows besides, for the message where `spec` is no name at all.
 
     Raises:
         ConfigError: No planner has this name.
         PlannerError: The module cannot be imported, or has no such planner.
     """
-    if spec in PLANNERS:
-        return PLANNERS[spec]
-    module_name, separator, class_name = spec.partition(":")
-    if module_name in ("exec", "tcp"):
+    if spec.partition(":")[0] in ("exec", "tcp"):
         raise ConfigError(f"planner '{spec}': write exec:COMMAND or tcp://HOST:PORT; no such is loaded into Python")
-    if not separator:
-        raise unknown_name("planner", spec, [*PLANNERS, *also, "module:Class"])
-    if not module_name or not class_name:
-        raise ConfigError(f"planner '{spec}': write it as module:Class, for example my_package.mine:MyPlanner")
-    return _planner_class(spec, _imported(spec, module_name), class_name)
+    return PLANNER.find(spec, also=also)
 
 
-def _imported(spec: str, module_name: str) -> ModuleType:
-    """The user's module; whatever importing it raises becomes one line."""
-    here = str(Path.cwd())
-    if here not in sys.path:
-        sys.path.append(here)
-    try:
-        return importlib.import_module(module_name)
-    except ImportError as error:
-        package = (error.name or "").partition(".")[0]
-        if package in OWN_PACKAGES:
-            raise PlannerError(
-                f"planner '{spec}': {error}; '{package}' is the name of a package of replan, so a package of yours"
-                f" with that name cannot be imported beside it: rename yours"
-                f" (or run the planner as a program of its own: exec:COMMAND)"
-            ) from error
-        raise PlannerError(
-            f"planner '{spec}': {error}; install the package, or run from its folder, or set PYTHONPATH"
-        ) from error
-    except Exception as error:
-        raise PlannerError(
-            f"planner '{spec}': importing {module_name} raised {type(error).__name__}: {' '.join(str(error).split())}"
-        ) from error
-
-
-def _planner_class(spec: str, module: ModuleType, class_name: str) -> PlannerFactory:
-    factory = getattr(module, class_name, None)
-    if factory is None:
-        candidates = [name for name, value in vars(module).items() if hasattr(value, "plan")]
-        raise PlannerError(f"planner '{spec}': {unknown_name(f'planner in {module.__name__}', class_name, candidates)}")
-    if not callable(factory) or (isinstance(factory, type) and not callable(getattr(factory, "plan", None))):
-        raise PlannerError(f"planner '{spec}': {class_name} is no planner: it needs a method plan(frame) -> Plan")
-    loaded: PlannerFactory = factory
-    return loaded
+if not TYPE_CHECKING:  # a type checker would take any name for one of ours
+    __getattr__ = replan.own.missing("planners")

@@ -38,7 +38,8 @@ MOST_PARTINGS = 20
 BASELINE = b"replan_baseline"
 """Key of the metadata of a baseline's file."""
 NOT_INPUTS = (
-    "recording", "foxglove", "internals", "gates", "planners", "mode", "metrics", "deadline_s", "ensemble", "repeat_s",
+    "recording", "foxglove", "internals", "gates", "planners", "mode", "metrics", "charts", "deadline_s", "ensemble",
+    "repeat_s",
 )  # fmt: skip
 """Keys of a run that change no drive, or whose change shows in what was driven."""
 UNKNOWN = "not known"

@@ -7,6 +7,7 @@
     recording = true                 # write .rrd files
     foxglove = false                 # channels that Foxglove draws, in the logs and traces that are written
     metrics = []                     # of your own, beside the built-in ones: "module:NAME"
+    charts = []                      # likewise, in the report
     ensemble = 0                     # each log so many times more, in worlds that should not matter (replay.perturb)
 
     repeat_s = 2.0                   # so much of a drive of your own planner is driven twice: is it deterministic?
@@ -15,7 +16,9 @@
     [log]                            # logs.readers.LogSettings: what logs do not say, or where they say it
     [loop]                           # LoopConfig
     [loop.apart]                     # ApartConfig: planners of your own in their process, and its limits
-    [planner.dp_qp]                  # keywords of the planner
+    [planner.dp_qp]                  # keywords of the planner; likewise, of what [loop] names:
+    [controller.mpc]                 # also [traffic.NAME], [prediction.NAME], [perception.NAME]
+    [vehicle_model.single_track]     # of the vehicle model; [loop.plant] is what the controller does not know
     [vehicle]                        # VehicleParameters: takes the place of what the logs say
     set = "vw_vanagon"               # all of a known vehicle's, a file of `logs/vehicles`; other keys are put over it
 
@@ -45,6 +48,15 @@ Internals = Literal["none", "summary", "full"]
 
 HEADER = "# The resolved configuration of a run, written by `replan evaluate`; give it to --config to run that again.\n"
 
+SETTINGS: Mapping[str, str] = {
+    "vehicle": "vehicle_model",
+    "controller": "controller",
+    "traffic": "traffic",
+    "prediction": "prediction",
+    "perception": "perception",
+}
+"""What [loop] names, and the table that has the settings of each by name ([vehicle] are the car's numbers)."""
+
 T = TypeVar("T")
 
 
@@ -60,6 +72,7 @@ class RunConfig:
         recording: Whether Rerun recordings are written.
         foxglove: Whether the logs and traces that are written get channels for Foxglove (`replay.foxglove`).
         metrics: "module:NAME" of metrics from outside, measured beside the built-in ones.
+        charts: "module:NAME" of charts from outside, drawn in the report beside the built-in ones.
         ensemble: How many times each log is driven again under a perturbation (`replay.perturb`).
         repeat_s: So much of the start of a drive is driven twice where the planner does not come with replan
             (`replay.determinism`), s; 0: nothing.
@@ -67,6 +80,8 @@ class RunConfig:
         log: How logs are read.
         loop: Periods and limits of the loops.
         planner: Keywords of each planner, by the name given in `planners`.
+        vehicle_model: Keywords of each vehicle model, by the name given in `loop.vehicle`; `controller`, `traffic`,
+            `prediction` and `perception` likewise.
         vehicle: Vehicle parameters by name that replace those of the logs; "set" names a known vehicle for all of them.
     """
 
@@ -77,12 +92,18 @@ class RunConfig:
     recording: bool = True
     foxglove: bool = False
     metrics: tuple[str, ...] = ()
+    charts: tuple[str, ...] = ()
     ensemble: int = 0
     repeat_s: float = 2.0
     deadline_s: float = 0.0
     log: LogSettings = field(default_factory=LogSettings)
     loop: LoopConfig = field(default_factory=LoopConfig)
     planner: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    vehicle_model: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    controller: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    traffic: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    prediction: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    perception: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     vehicle: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -95,6 +116,9 @@ class RunConfig:
                 raise ConfigError(f"{name} must not be negative, got {getattr(self, name)}")
         known_keys(self.vehicle, ("set", *(item.name for item in fields(VehicleParameters))), "vehicle")
         self.driven(VehicleParameters())
+        chosen = {key: getattr(self, table).get(getattr(self.loop, key), {}) for key, table in SETTINGS.items()}
+        settings = {key: dict(table) for key, table in chosen.items() if table}
+        object.__setattr__(self, "loop", replace(self.loop, settings=settings))
 
     @property
     def modes(self) -> tuple[Mode, ...]:
@@ -162,7 +186,9 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 def dump_run(run: RunConfig) -> str:
     """The configuration as TOML, every default spelled out; `load_run` reads it back to an equal one."""
-    return HEADER + tomli_w.dumps(_plain(asdict(run)))
+    table = asdict(run)
+    del table["loop"]["settings"]  # the tables that they are from are there
+    return HEADER + tomli_w.dumps(_plain(table))
 
 
 def _plain(value: Any) -> Any:
@@ -193,7 +219,7 @@ def strict(cls: type[T], table: Mapping[str, Any], where: str = "") -> T:
 
 
 def _known_tree(cls: type, table: Mapping[str, Any], where: str) -> None:
-    known_keys(table, (item.name for item in fields(cls) if item.init), where)
+    known_keys(table, (item.name for item in fields(cls) if item.metadata.get("key", item.init)), where)
     hints = get_type_hints(cls)
     for key, value in table.items():
         kind = hints[key]

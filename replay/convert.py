@@ -9,7 +9,7 @@ from typing import Any
 from logs.errors import ConfigError, LogError, writing
 from logs.mcap import write_scenario
 from logs.mcap.writer import Entry
-from logs.readers import GROUP, LogSettings, Reader, logs_in, read_log, reader_called, reader_of, readers
+from logs.readers import READER, LogSettings, Reader, logs_in, read_log, reader_called, reader_of, readers
 from logs.scenario import Scenario
 
 
@@ -19,7 +19,7 @@ def listing() -> Iterator[str]:
     for reader in readers():
         keys = f"; [log] {', '.join(reader.settings)}" if reader.settings else ""
         yield f"{reader.name:{width}}  {reader.summary} ({reader.looks_for}{keys})"
-    yield f"Yours: a logs.readers.Reader, named by an entry point of the group {GROUP}; see logs/readers/base.py."
+    yield f"Yours: a replan.Reader, as module:NAME or by an entry point of the group {READER.group}; docs/extend.md."
 
 
 def table() -> list[dict[str, Any]]:
@@ -48,16 +48,17 @@ def convert_all(
         OutputError: A log cannot be written.
     """
     reader = None
-    if not logs[0].exists() and str(logs[0]) in {each.name for each in readers()}:
-        reader, logs = reader_called(str(logs[0])), logs[1:]
-    found = [log for path in logs for log in _logs_at(path, reader, say)]
+    first = str(logs[0])
+    if not logs[0].exists() and (":" in first or first in {each.name for each in readers()}):
+        reader, logs = reader_called(first), logs[1:]
+    found = [log for path in logs for log in _logs_at(path, reader, settings, say)]
     if not found:
         raise ConfigError("no logs to convert; `replan convert --formats` lists what replan reads")
     single = out.suffix == ".mcap"
     if single and len(found) > 1:
         raise ConfigError(f"{len(found)} logs do not go into one log: give a folder with -o")
     targets = [out if single else out / _name(log) for log in found]
-    _check_targets(found, targets)
+    _check_targets(found, targets, settings)
     channels = _channels(foxglove)
     done = [
         _converted(log, target, settings, reader, channels, say, say_error)
@@ -75,23 +76,23 @@ def _channels(foxglove: bool) -> Callable[[Scenario], Iterable[Entry]]:
     return scenario_channels
 
 
-def _logs_at(path: Path, asked: Reader | None, say: Callable[[str], None]) -> Iterator[Path]:
+def _logs_at(path: Path, asked: Reader | None, settings: LogSettings, say: Callable[[str], None]) -> Iterator[Path]:
     """The log, or those of a folder; files named like logs that no reader claims are named as left out."""
     if not path.exists():
         raise ConfigError(f"{path}: no such file or folder")
-    if asked is not None or not path.is_dir() or reader_of(path) is not None:
+    if asked is not None or not path.is_dir() or reader_of(path, settings) is not None:
         yield path
         return
-    for log, reader in logs_in(path):
+    for log, reader in logs_in(path, settings):
         if reader is None:
             say(f"left out {log}: no reader claims it")
         else:
             yield log
 
 
-def _check_targets(logs: Sequence[Path], targets: Sequence[Path]) -> None:
+def _check_targets(logs: Sequence[Path], targets: Sequence[Path], settings: LogSettings) -> None:
     """Refuse to write a log over a file of the logs, and two logs into one file."""
-    readers_of = ((log, reader_of(log)) for log in logs)
+    readers_of = ((log, reader_of(log, settings)) for log in logs)
     files = (file for log, reader in readers_of for file in ((log,) if reader is None else reader.files(log)))
     inputs = {file.resolve() for file in files}
     taken: dict[Path, Path] = {}

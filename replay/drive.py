@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from logs.errors import ConfigError
 from logs.trace import Trace
@@ -52,7 +53,7 @@ class LoopConfig:
     Attributes:
         plan_period_s: Time between two frames.
         control_period_s: Time between two commands; the plan period is a multiple of it.
-        vehicle: Name in `replay.vehicle.VEHICLES`.
+        vehicle: Name in `replay.vehicle.VEHICLES`, or "module:Class" as all that is named here (docs/extend.md).
         plant: What the vehicle model has that planner and controller do not know of: VehicleParameters by name, and
             keywords of the model (`replay.vehicle.plant`).
         controller: Name in `replay.control.CONTROLLERS`; the vehicle "perfect" needs none.
@@ -64,6 +65,7 @@ class LoopConfig:
         prediction_horizon_s: How far the others are predicted.
         prediction_step_s: Time between two samples of a prediction.
         apart: How planners that are not built in are kept apart.
+        settings: Keywords of what is named here, by its key; a run's come from its tables (`RunConfig.controller` ...).
 
     Raises:
         ConfigError: A period is not positive, or the periods do not fit.
@@ -82,6 +84,7 @@ class LoopConfig:
     perception: str = "ground_truth"
     sensor: SensorConfig = field(default_factory=SensorConfig)
     apart: ApartConfig = field(default_factory=ApartConfig)
+    settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict, metadata={"key": False})
 
     def __post_init__(self) -> None:
         for name in ("plan_period_s", "control_period_s", "prediction_horizon_s", "prediction_step_s"):

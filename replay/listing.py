@@ -16,19 +16,21 @@ from importlib import import_module
 from importlib.resources import files
 from typing import Any
 
-from logs.catalogue import FAMILIES
+from logs.catalogue import families
 from logs.catalogue.suites import SUITES
 from logs.errors import unknown_name
+from logs.extension import Kind
 from logs.readers import readers
 from logs.vehicle import vehicle_names
-from metrics import METRICS
-from planners import PLANNERS
-from replay.control import CONTROLLERS
+from metrics import METRIC
+from planners import PLANNER
+from replay.control import CONTROLLER
 from replay.oracle import ORACLES
-from replay.perception import PERCEPTIONS, PREDICTIONS
-from replay.prediction import PREDICTORS
-from replay.traffic import TRAFFIC
-from replay.vehicle import VEHICLES
+from replay.perception import PERCEPTION, PREDICTIONS
+from replay.prediction import PREDICTION
+from replay.report.charts.layout import CHART
+from replay.traffic import TRAFFIC_KIND
+from replay.vehicle import VEHICLE
 
 
 @dataclass(frozen=True)
@@ -65,7 +67,7 @@ def counts() -> list[str]:
 
 
 def _planners() -> Iterator[Entry]:
-    yield from _coded(PLANNERS)
+    yield from _coded(_all(PLANNER))
     for one in _coded(ORACLES):
         yield Entry(one.name, f"{one.says} (oracle)", one.where)
 
@@ -76,20 +78,26 @@ def _coded(table: Mapping[str, Callable[..., Any]]) -> Iterator[Entry]:
         yield Entry(name, _first_line(thing), _where(thing))
 
 
+def _all(kind: Kind[Any]) -> dict[str, Any]:
+    """Ours, then those of other distributions."""
+    return {**kind.builtin, **kind.installed()}
+
+
 def _tabled(module: str, names: Mapping[str, Callable[..., Any]] | Iterable[str]) -> Iterator[Entry]:
     """By the table in a module's docstring: `"name"    what it is`."""
     doc = inspect.getdoc(import_module(module)) or ""
     code = names if isinstance(names, Mapping) else {}
     for name in names:
         found = re.search(rf'^ *"?{name}"?  +(\S.*(?:\n {{10,}}\S.*)*)', doc, re.MULTILINE)
-        says = " ".join(found[1].split()) if found else ""
+        says = " ".join(found[1].split()) if found else _first_line(code[name]) if name in code else ""
         yield Entry(name, re.sub(r" *\(`[^)]*\)$", "", says), _where(code[name]) if name in code else module)
 
 
 def _predictions() -> Iterator[Entry]:
-    where = {one.name: one.where for one in _coded(PREDICTORS)}
-    for one in _tabled("replay.prediction", PREDICTIONS):
-        yield Entry(one.name, one.says, where.get(one.name, "replay.perception"))
+    where = {one.name: one for one in _coded(_all(PREDICTION))}
+    for one in _tabled("replay.prediction", tuple(dict.fromkeys((*PREDICTIONS, *where)))):
+        own = where.get(one.name, one)
+        yield Entry(one.name, one.says or own.says, "replay.perception" if own is one else own.where)
 
 
 def _cars() -> Iterator[Entry]:
@@ -118,14 +126,15 @@ def _where(thing: Any) -> str:
 
 KINDS: Mapping[str, Callable[[], Iterable[Entry]]] = {
     "planners": _planners,
-    "controllers": lambda: _coded(CONTROLLERS),
-    "vehicles": lambda: _coded(VEHICLES),
+    "controllers": lambda: _coded(_all(CONTROLLER)),
+    "vehicles": lambda: _coded(_all(VEHICLE)),
     "cars": _cars,
-    "traffic": lambda: _tabled("replay.traffic", TRAFFIC),
+    "traffic": lambda: _tabled("replay.traffic", _all(TRAFFIC_KIND)),
     "predictions": _predictions,
-    "perceptions": lambda: _tabled("replay.perception", PERCEPTIONS),
-    "metrics": lambda: (Entry(name, one.meaning, _where(one.measure)) for name, one in METRICS.items()),
-    "families": lambda: (Entry(name, one.summary, _where(one.build)) for name, one in FAMILIES.items()),
+    "perceptions": lambda: _tabled("replay.perception", _all(PERCEPTION)),
+    "charts": lambda: _coded(_all(CHART)),
+    "metrics": lambda: (Entry(name, one.meaning, _where(one.measure)) for name, one in _all(METRIC).items()),
+    "families": lambda: (Entry(name, one.summary, _where(one.build)) for name, one in families().items()),
     "suites": lambda: (Entry(name, one.summary, "logs.catalogue.suites") for name, one in SUITES.items()),
     "readers": lambda: (Entry(one.name, one.summary, _where(one.read)) for one in readers()),
 }

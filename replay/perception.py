@@ -14,14 +14,15 @@ from collections.abc import Callable
 
 import numpy as np
 
-from logs.errors import unknown_name
+from logs.extension import Kind
 from logs.frame import Frame, Predictions, Visibility
 from logs.kernel import FloatArray
 from logs.scenario import Agents, Scenario, Tracks
 from logs.trace import Plan
 from replay.drive import LoopConfig
-from replay.prediction import NO_LANES, PREDICTORS, LaneMap, predict
+from replay.prediction import NO_LANES, PREDICTION, PREDICTORS, LaneMap, Predictor, predict
 from replay.sensor import Sensor
+from replay.settings import configured
 from replay.world import World
 
 ORACLE = "oracle"
@@ -37,10 +38,13 @@ def ground_truth(world: World) -> tuple[Agents, None]:
     return world.tracks.perceived(world.ego.t), None
 
 
-PERCEPTIONS: dict[str, Callable[[Scenario, LoopConfig], Sight]] = {
+PERCEPTIONS: dict[str, Callable[..., Sight]] = {
     "ground_truth": lambda scenario, config: ground_truth,
     "sensor": lambda scenario, config: Sensor(scenario, config.sensor).see,
 }
+"""Each is built once per drive as `factory(scenario, config, **settings)`."""
+PERCEPTION: Kind[Callable[..., Sight]] = Kind("perception", "perceptions", PERCEPTIONS)
+"""Finds those, and users' own."""
 
 
 class Perception:
@@ -59,17 +63,12 @@ class Perception:
     """
 
     def __init__(self, scenario: Scenario, config: LoopConfig) -> None:
-        for kind, name, known in (
-            ("perception", config.perception, tuple(PERCEPTIONS)),
-            ("prediction", config.prediction, PREDICTIONS),
-        ):
-            if name not in known:
-                raise unknown_name(kind, name, known)
         self._config, self._log, self._lanes = config, scenario.tracks, LaneMap.of(scenario.road)
         self._lights = scenario.lights
-        self._sight = PERCEPTIONS[config.perception](scenario, config)
+        self._sight = configured(PERCEPTION, config.perception, config.settings)(scenario, config)
         self._shown: list[tuple[float, Agents]] = []
         self.is_oracle = config.prediction == ORACLE
+        self._predictor = None if self.is_oracle else configured(PREDICTION, config.prediction, config.settings)
         self.notes = tuple(_notes(config))
 
     def frame(self, world: World, previous: Plan | None) -> Frame:
@@ -81,7 +80,7 @@ class Perception:
         predictions = (
             logged_futures(self._log, agents, _grid(t, self._config))
             if self.is_oracle
-            else _predicted(agents, t, self._config, self._lanes)
+            else _predicted(agents, t, self._config, self._lanes, self._predictor)
         )
         lights = {light.id: light.at(t) for light in self._lights}
         return Frame(t, world.ego, agents, predictions, previous, visibility, lights)
@@ -98,9 +97,11 @@ def perceive(world: World, previous: Plan | None, config: LoopConfig, *, lanes: 
     return Frame(world.ego.t, world.ego, agents, _predicted(agents, world.ego.t, config, lanes), previous)
 
 
-def _predicted(agents: Agents, t: float, config: LoopConfig, lanes: LaneMap) -> Predictions:
-    horizon, step = config.prediction_horizon_s, config.prediction_step_s
-    return predict(agents, t, horizon=horizon, step=step, method=config.prediction, lanes=lanes)
+def _predicted(
+    agents: Agents, t: float, config: LoopConfig, lanes: LaneMap, predictor: Predictor | None = None
+) -> Predictions:
+    horizon, step, method = config.prediction_horizon_s, config.prediction_step_s, config.prediction
+    return predict(agents, t, horizon=horizon, step=step, method=method, lanes=lanes, predictor=predictor)
 
 
 def _grid(t: float, config: LoopConfig) -> FloatArray:

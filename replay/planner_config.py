@@ -1,21 +1,15 @@
-"""A planner's table in the configuration -> the keywords that it is built with.
-
-A planner takes its settings either as keywords (`horizon_s: float = 8.0`), or all in one keyword `config`, annotated
-with a frozen dataclass: then `[planner.NAME]` mirrors that dataclass, sub-tables included.
-"""
+"""What builds the planner of a name, where it runs, and the keywords that its table in the configuration stands for."""
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, is_dataclass
-from typing import Any, get_args, get_type_hints
+from typing import Any
 
-from logs.errors import ConfigError
-from planners import PLANNERS, load_planner
-from replay.config import dotted, known_keys, strict
+from planners import PLANNER, PLANNERS, load_planner
+from replay.config import dotted
 from replay.drive import ApartConfig
 from replay.oracle import ORACLES
+from replay.settings import check, keywords_of, resolved
 
 Factory = Callable[..., Any]
 
@@ -36,7 +30,8 @@ def is_foreign(spec: str) -> bool:
 
 def is_apart(spec: str, apart: ApartConfig) -> bool:
     """Whether a planner runs in a process of its own; a name that is none at all does not."""
-    return is_foreign(spec) or (not is_built_in(spec) and all(spec.partition(":")) and not apart.trust)
+    named = all(spec.partition(":")) or (not is_built_in(spec) and spec in PLANNER.entries())
+    return is_foreign(spec) or (not is_built_in(spec) and named and not apart.trust)
 
 
 def planner_factory(spec: str) -> Factory:
@@ -45,51 +40,16 @@ def planner_factory(spec: str) -> Factory:
 
 
 def planner_keywords(spec: str, table: Mapping[str, Any]) -> dict[str, Any]:
-    """The keywords that a configuration table stands for.
-
-    Raises:
-        ConfigError: A key is unknown, or a value of the wrong type or refused.
-    """
-    factory, where = planner_factory(spec), dotted("planner", spec)
-    config = _config_class(factory)
-    if config is not None:
-        return {"config": strict(config, table, where)} if table else {}
-    parameters = inspect.signature(factory).parameters.values()
-    if not any(parameter.kind is parameter.VAR_KEYWORD for parameter in parameters):
-        known_keys(table, [p.name for p in parameters if p.kind is p.KEYWORD_ONLY], where)
-    return dict(table)
+    """The keywords that a planner's table stands for; ConfigError where it is wrong (`replay.settings`)."""
+    return keywords_of(planner_factory(spec), table, dotted("planner", spec))
 
 
 def resolved_table(spec: str, table: Mapping[str, Any]) -> dict[str, Any]:
-    """The table with every default spelled out; `planner_keywords` makes the same planner of it.
-
-    Raises:
-        ConfigError: As `planner_keywords`.
-    """
-    keywords, factory = planner_keywords(spec, table), planner_factory(spec)
-    config = _config_class(factory)
-    if config is not None:
-        return asdict(keywords.get("config") or config())
-    parameters = inspect.signature(factory).parameters.values()
-    defaults = {p.name: p.default for p in parameters if p.kind is p.KEYWORD_ONLY and p.default is not p.empty}
-    return {**defaults, **keywords}
+    """The table with every default spelled out; ConfigError as `planner_keywords`."""
+    return resolved(planner_factory(spec), table, dotted("planner", spec))
 
 
-def _config_class(factory: Factory) -> type | None:
-    """The dataclass by which the keyword `config` is annotated, or None."""
-    target = factory.__init__ if isinstance(factory, type) else factory  # type: ignore[misc]
-    try:
-        hint = get_type_hints(target).get("config")
-    except NameError:  # annotations that exist for a type checker only
-        return None
-    found = [kind for kind in (hint, *get_args(hint)) if isinstance(kind, type) and is_dataclass(kind)]
-    return found[0] if found else None
-
-
-def check_keywords(planner: str, table: Mapping[str, Any]) -> None:
+def check_keywords(spec: str, table: Mapping[str, Any]) -> None:
     """Refuse what the planner cannot be built with; ConfigError says what is missing or too much."""
-    given = (None, None) if planner in ORACLES else (None,)  # the context, and for an oracle the log
-    try:
-        inspect.signature(planner_factory(planner)).bind(*given, **planner_keywords(planner, table))
-    except TypeError as error:
-        raise ConfigError(f"planner '{planner}' cannot be built so: {error}") from None
+    given = 2 if spec in ORACLES else 1  # the context, and for an oracle the log
+    check(planner_factory(spec), table, dotted("planner", spec), f"planner '{spec}'", given)

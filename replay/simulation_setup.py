@@ -2,27 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import ceil, floor, inf
-from typing import TypeVar
+from types import MappingProxyType
+from typing import Any
 
-from logs.errors import LogError, unknown_name
+from logs.errors import LogError
 from logs.road import RoadSource
 from logs.scenario import Scenario
 from logs.vehicle import VehicleParameters
-from replay.control import CONTROLLERS
+from replay.control import CONTROLLER
 from replay.control.base import Controller
 from replay.control.lateral_model import with_rigid_tyres
 from replay.drive import LoopConfig
 from replay.plan_period import PlanPeriod
-from replay.traffic import TRAFFIC, TRAFFIC_NOTES, Traffic
-from replay.vehicle import VEHICLES
+from replay.settings import check_members, configured
+from replay.traffic import TRAFFIC_KIND, TRAFFIC_NOTES, Traffic
+from replay.vehicle import VEHICLE
 from replay.vehicle.base import Vehicle
 from replay.vehicle.plant import build
 from replay.world import World, box_center, logged_ego
-
-T = TypeVar("T")
 
 ROUNDING = 1e-7
 """Of a control period: times that differ by less are the same."""
@@ -69,13 +69,15 @@ class SimulationSetup:
         period = config.control_period_ns / 1e9
         if until_s < scenario.duration:
             steps = min(steps, max(0, floor((until_s - start_ns / 1e9) / period + ROUNDING)) + 1)
-        model = _named("vehicle", VEHICLES, config.vehicle)
+        model = configured(VEHICLE, config.vehicle, config.settings)
         vehicle = build(model, config.vehicle, scenario.vehicle, start, config.plant)
         believed = build(model, config.vehicle, scenario.vehicle, start, {}) if config.plant else vehicle
+        traffic = configured(TRAFFIC_KIND, config.traffic, config.settings)(scenario)
+        check_members("traffic", config.traffic, traffic, Traffic)
         return cls(
             vehicle=vehicle,
-            controller=controller_of(believed, scenario.vehicle, config.controller, period),
-            traffic=_named("traffic", TRAFFIC, config.traffic)(scenario),
+            controller=controller_of(believed, scenario.vehicle, config.controller, period, config.settings),
+            traffic=traffic,
             steps=steps,
             steps_per_plan=config.plan_period_ns // config.control_period_ns,
             period=period,
@@ -103,25 +105,27 @@ class SimulationSetup:
         return min(frame, reacts, step + most, self.steps)
 
 
-def controller_of(vehicle: Vehicle, parameters: VehicleParameters, name: str, period: float) -> Controller:
+def controller_of(
+    vehicle: Vehicle,
+    parameters: VehicleParameters,
+    name: str,
+    period: float,
+    settings: Mapping[str, Mapping[str, Any]] = MappingProxyType({}),
+) -> Controller:
     """The controller of that name for a vehicle as it is believed to be; one that follows plans by itself is its own.
 
     Where the vehicle's tyres are rigid, the controller's model has them so.
 
     Raises:
-        ConfigError: No controller of that name.
+        ConfigError: No controller of that name, it does not take these settings (`LoopConfig.settings`), or is none.
     """
-    factory = _named("controller", CONTROLLERS, name)
+    factory = configured(CONTROLLER, name, settings)
     if vehicle.own_controller is not None:
         return vehicle.own_controller
     known = with_rigid_tyres(parameters) if vehicle.has_rigid_tyres else parameters
-    return factory(known, vehicle.powertrain, period)
-
-
-def _named(kind: str, table: Mapping[str, Callable[..., T]], name: str) -> Callable[..., T]:
-    if name not in table:
-        raise unknown_name(kind, name, table)
-    return table[name]
+    controller = factory(known, vehicle.powertrain, period)
+    check_members("controller", name, controller, Controller)
+    return controller
 
 
 def _vehicle_notes(config: LoopConfig) -> list[str]:

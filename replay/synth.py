@@ -9,7 +9,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from logs.catalogue import FAMILIES, Family, numbers, scenario
+from logs.catalogue import FAMILY, Family, families, numbers, scenario
 from logs.catalogue.suites import SEED, SUITES, groups, suite
 from logs.errors import unknown_name
 from logs.mcap import write_scenario
@@ -22,17 +22,19 @@ COLUMNS = ("log", "file", "family", "parameters", "seed", "tags", "accepted_deci
 
 
 def chosen(names: Sequence[str]) -> tuple[Family, ...]:
-    """The families of these names; "all" is every one, a group ("paper") all of its own.
+    """The families of these names; "all" is every one, a group ("paper") all of its own, "module:NAME" a user's.
 
     Raises:
         ConfigError: No family or group has the name.
     """
     found: dict[str, Family] = {}
+    known = families()
     for name in names:
-        matches = [key for key in FAMILIES if name in ("all", key, key.partition("/")[0])]
+        own = {name: FAMILY.find(name)} if ":" in name else {}
+        matches = own or {key: one for key, one in known.items() if name in ("all", key, key.partition("/")[0])}
         if not matches:
-            raise unknown_name("family", name, [*FAMILIES, "all"])
-        found.update((key, FAMILIES[key]) for key in matches)
+            raise unknown_name("family", name, [*known, "all"])
+        found.update(matches)
     return tuple(found.values())
 
 
@@ -83,7 +85,7 @@ def _written(one: Scenario, out: Path) -> Path:
 
 def listed() -> Iterator[str]:
     """Families with parameters and the size of their grids, then the suites: lines for the terminal."""
-    for family in FAMILIES.values():
+    for family in families().values():
         values = ", ".join(f"{key}={value:g}" for key, value in family.parameters.items())
         grid = f"\n    grid of {_count(family)}: {_grid(family)}" if family.grid else ""
         yield f"{family.name}: {family.summary}\n    {values}{grid}"
@@ -94,9 +96,9 @@ def listed() -> Iterator[str]:
 def table() -> dict[str, Any]:
     """What `listed` says, as data."""
     keys = ("name", "summary", "parameters", "grid", "tags", "source")
-    families = [{key: getattr(one, key) for key in keys} | {"cells": _count(one)} for one in FAMILIES.values()]
+    found = [{key: getattr(one, key) for key in keys} | {"cells": _count(one)} for one in families().values()]
     suites = [{"name": name, "size": one.size, "summary": one.summary} for name, one in SUITES.items()]
-    return {"families": families, "suites": suites}
+    return {"families": found, "suites": suites}
 
 
 def _count(family: Family) -> int:

@@ -4,7 +4,8 @@ from collections.abc import Iterable
 
 from logs.catalogue import euro_ncap, everyday, faults, iso3888, paper, pedestrians, rules, unece_r157
 from logs.catalogue.family import Family
-from logs.errors import ConfigError, unknown_name
+from logs.errors import ConfigError
+from logs.extension import Kind, an_instance
 from logs.scenario import Scenario
 
 CATALOGUE: dict[str, Family] = {
@@ -15,18 +16,29 @@ FAMILIES: dict[str, Family] = CATALOGUE | {
     family.name: family for family in (*euro_ncap.FAMILIES, *unece_r157.FAMILIES, *iso3888.FAMILIES, *faults.FAMILIES)
 }
 """Those and the ones with published grids."""
+FAMILY: Kind[Family] = Kind("family", "families", FAMILIES, an_instance(Family, "replan.Family"))
+"""Finds those, and users' own."""
+
+
+def families() -> dict[str, Family]:
+    """Ours, and those of other distributions; ConfigError where an entry point has another name than its family."""
+    found = FAMILY.installed()
+    for name, family in found.items():
+        if family.name != name:
+            raise ConfigError(f"the entry point of the family '{family.name}' is called '{name}'; give them one name")
+    return FAMILIES | found
 
 
 def scenario(name: str) -> Scenario:
     """The scenario of a name as scenarios have it: "family" or "family@parameter=number,parameter=number".
 
+    The family may be "module:NAME", of users' own.
+
     Raises:
         ConfigError: No family has that name, or it refuses the parameters.
     """
     family, _, words = name.partition("@")
-    if family not in FAMILIES:
-        raise unknown_name("family", family, FAMILIES)
-    return FAMILIES[family].scenario(**numbers(words.split(",") if words else (), name))
+    return FAMILY.find(family).scenario(**numbers(words.split(",") if words else (), name))
 
 
 def numbers(words: Iterable[str], where: str) -> dict[str, float]:
@@ -46,4 +58,4 @@ def numbers(words: Iterable[str], where: str) -> dict[str, float]:
     return out
 
 
-__all__ = ["CATALOGUE", "FAMILIES", "Family", "numbers", "scenario"]
+__all__ = ["CATALOGUE", "FAMILIES", "FAMILY", "Family", "families", "numbers", "scenario"]

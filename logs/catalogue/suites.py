@@ -25,7 +25,7 @@ from math import sqrt
 
 import numpy as np
 
-from logs.catalogue import FAMILIES, Family
+from logs.catalogue import FAMILIES, FAMILY, Family, families
 from logs.errors import unknown_name
 
 SEED = 1
@@ -49,15 +49,21 @@ SUITES: Mapping[str, Suite] = {
 def suite(name: str, seed: int = SEED) -> tuple[str, ...]:
     """Names of scenarios (`logs.catalogue.scenario`): of a suite, or of all cells of a family or a group.
 
+    A suite has families of ours only; one of the user's own is "module:NAME".
+
     Raises:
         ConfigError: Nothing is called so.
     """
     if name in SUITES:
         return tuple(islice(ordered(seed), SUITES[name].size))
-    families = [family for key, family in FAMILIES.items() if name in (key, key.partition("/")[0])]
-    if not families:
-        raise unknown_name("suite", name, [*SUITES, *groups(), *FAMILIES])
-    return tuple(family.named(cell) for family in families for cell in family.cells())
+    if ":" in name:
+        own = FAMILY.find(name)
+        return tuple(name + own.named(cell).removeprefix(own.name) for cell in own.cells())
+    known = families()
+    meant = [family for key, family in known.items() if name in (key, key.partition("/")[0])]
+    if not meant:
+        raise unknown_name("suite", name, [*SUITES, *groups(), *known])
+    return tuple(family.named(cell) for family in meant for cell in family.cells())
 
 
 def groups() -> dict[str, list[Family]]:

@@ -1,7 +1,7 @@
 """Every log in: one table of readers, asked in order; the first that claims a path reads it.
 
-Adding a format is one file with a `Reader` and one line in `BUILTIN`; from another distribution, an entry point of the
-group `replan.readers` that names a `Reader`:
+Adding a format is one file with a `Reader` and one line in `BUILTIN`; one of your own is named by
+`reader = "my_module:READER"` in a run's [log] table, or by an entry point of the group `replan.readers`:
 
     [project.entry-points."replan.readers"]
     mine = "my_package.reader:READER"
@@ -26,13 +26,13 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator
 from functools import cache
-from importlib.metadata import entry_points
 from math import inf
 from pathlib import Path
 
 import numpy as np
 
 from logs.errors import ConfigError, LogError, unknown_name
+from logs.extension import Kind, an_instance
 from logs.readers import argoverse2, arrow123d, comma2k19, commonroad, native, osi, ros, table
 from logs.readers.base import LogSettings, Reader
 from logs.readers.cut import cut
@@ -50,7 +50,10 @@ BUILTIN = (
     native.READER,
 )
 """In the order in which they are asked."""
-GROUP = "replan.readers"
+READER: Kind[Reader] = Kind(
+    "reader", "readers", {one.name: one for one in BUILTIN}, an_instance(Reader, "replan.Reader")
+)
+"""Finds those, and users' own."""
 FORMATS = "`replan convert --formats` lists what replan reads and how a format is added"
 _SHOWN = 8
 LONGEST_S = 7 * 86400.0
@@ -59,6 +62,7 @@ LONGEST_S = 7 * 86400.0
 __all__ = [
     "BUILTIN",
     "FORMATS",
+    "READER",
     "LogSettings",
     "Reader",
     "logs_in",
@@ -70,40 +74,34 @@ __all__ = [
 
 
 @cache
-def readers() -> tuple[Reader, ...]:
-    """All readers, those of other distributions first.
+def readers(first: str = "") -> tuple[Reader, ...]:
+    """All readers in the order in which they are asked: `first` (`LogSettings.reader`), of other distributions, ours.
 
     Raises:
-        ConfigError: An entry point cannot be loaded or is no `Reader`, or two readers have one name.
+        ConfigError: One cannot be loaded or is no `Reader`, or two have one name.
     """
-    found: list[Reader] = []
-    for entry in sorted(entry_points(group=GROUP), key=lambda each: each.name):
-        try:
-            reader = entry.load()
-        except Exception as error:  # whatever a foreign module raises when it is imported
-            raise ConfigError(f"the reader {entry.value} cannot be loaded: {type(error).__name__}: {error}") from error
-        if not isinstance(reader, Reader):
-            raise ConfigError(f"the reader {entry.value} is no logs.readers.Reader, but {type(reader).__name__}")
-        found.append(reader)
-    found += BUILTIN
+    found = (*READER.installed().values(), *BUILTIN)
+    found = (*([READER.find(first)] if ":" in first else []), *found)
     names = [reader.name for reader in found]
     twice = {name for name in names if names.count(name) > 1}
     if twice:
         raise ConfigError(f"there are two readers called '{min(twice)}'; rename or uninstall one")
-    return tuple(found)
+    if first and ":" not in first:
+        table = dict(zip(names, found, strict=True))
+        if first not in table:
+            raise unknown_name("reader", first, table)
+        found = (table[first], *(reader for reader in found if reader.name != first))
+    return found
 
 
 def reader_called(name: str) -> Reader:
-    """A reader by its name; ConfigError where there is none."""
-    table = {reader.name: reader for reader in readers()}
-    if name not in table:
-        raise unknown_name("reader", name, table)
-    return table[name]
+    """A reader by its name, or "module:NAME"; ConfigError where there is none."""
+    return readers(name)[0]
 
 
-def reader_of(path: Path) -> Reader | None:
+def reader_of(path: Path, settings: LogSettings | None = None) -> Reader | None:
     """The reader that claims a file or folder, or None."""
-    return next((reader for reader in readers() if reader.claims(path)), None)
+    return next((reader for reader in readers(settings.reader if settings else "") if reader.claims(path)), None)
 
 
 def read_log(path: Path, settings: LogSettings | None = None, reader: Reader | None = None) -> Scenario:
@@ -113,7 +111,7 @@ def read_log(path: Path, settings: LogSettings | None = None, reader: Reader | N
         LogError: The log is damaged, foreign, or lacks what a scenario needs; nothing else is raised for any bytes.
     """
     settings = settings or LogSettings()
-    reader = reader or reader_of(path)
+    reader = reader or reader_of(path, settings)
     if reader is None:
         raise foreign(path)
     try:
@@ -167,15 +165,15 @@ def foreign(path: Path) -> LogError:
     return LogError(what, file=path, remedy=FORMATS)
 
 
-def logs_in(folder: Path) -> Iterator[tuple[Path, Reader | None]]:
+def logs_in(folder: Path, settings: LogSettings | None = None) -> Iterator[tuple[Path, Reader | None]]:
     """What lies under a folder, sorted: logs with their readers; files named like logs that none claims, with None.
 
     A claimed folder is one log and is not searched.
     """
     for root, folders, files in os.walk(folder):
-        found = {Path(root, name): reader_of(Path(root, name)) for name in (*folders, *files)}
+        found = {Path(root, name): reader_of(Path(root, name), settings) for name in (*folders, *files)}
         folders[:] = sorted(name for name in folders if found[Path(root, name)] is None)
-        suffixes = {suffix for reader in readers() for suffix in reader.suffixes}
+        suffixes = {suffix for reader in readers(settings.reader if settings else "") for suffix in reader.suffixes}
         for path in sorted(found):
             if found[path] is not None or (path.name not in folders and path.suffix.lower() in suffixes):
                 yield path, found[path]
@@ -187,7 +185,7 @@ def windows(path: Path, settings: LogSettings, length: float) -> tuple[LogSettin
     Raises:
         LogError: The log does not say cheaply how long it is.
     """
-    reader = reader_of(path)
+    reader = reader_of(path, settings)
     span = reader.span(path) if reader is not None else None
     if span is None and settings.end == inf:
         scenario = read_log(path, settings)

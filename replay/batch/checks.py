@@ -2,33 +2,37 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import Any
 
 from logs.errors import ConfigError, PlannerError, unknown_name
+from logs.extension import Kind
 from logs.states import EgoState
 from logs.vehicle import VehicleParameters
-from planners import PLANNERS
+from planners import PLANNER, PLANNERS
 from replay.apart.proxy import described
 from replay.batch.log_result import Failure
-from replay.config import RunConfig
-from replay.control import CONTROLLERS
+from replay.config import SETTINGS, RunConfig, dotted
+from replay.control import CONTROLLER
 from replay.oracle import ORACLES
-from replay.perception import PERCEPTIONS, PREDICTIONS
+from replay.perception import ORACLE, PERCEPTION
 from replay.planner_config import check_keywords, is_apart, planner_keywords, resolved_table
-from replay.traffic import TRAFFIC
-from replay.vehicle import VEHICLES
+from replay.prediction import PREDICTION
+from replay.settings import check, configured, keywords_of, resolved
+from replay.simulation_setup import controller_of
+from replay.traffic import TRAFFIC_KIND
+from replay.vehicle import VEHICLE
 from replay.vehicle.plant import build, parted
 
-_TABLES: Mapping[str, Collection[str]] = {
-    "vehicle": VEHICLES,
-    "controller": CONTROLLERS,
-    "traffic": TRAFFIC,
-    "prediction": PREDICTIONS,
-    "perception": PERCEPTIONS,
+KINDS: Mapping[str, tuple[Kind[Callable[..., Any]], int]] = {
+    "vehicle": (VEHICLE, 2),
+    "controller": (CONTROLLER, 3),
+    "traffic": (TRAFFIC_KIND, 1),
+    "prediction": (PREDICTION, 3),
+    "perception": (PERCEPTION, 2),
 }
-"""The names that the keys of [loop] may have."""
+"""By the keys of [loop]: what finds what they name, and how many arguments it is given before its settings."""
 _OF_THE_LOG = ("length", "wheelbase", "rear_overhang")
 """Whether these fit each other depends on the log's vehicle."""
 
@@ -41,14 +45,17 @@ def checked(run: RunConfig) -> tuple[RunConfig, tuple[Failure, ...]]:
             what Foxglove needs is not installed.
         PlannerError: No planner is left.
     """
-    for key, known in _TABLES.items():
-        name = getattr(run.loop, key)
-        if name not in known:
-            raise ConfigError(f"loop.{key}: {unknown_name(key, name, known)}")
+    tables: dict[str, Any] = {SETTINGS[key]: _table(key, run) for key in KINDS}
+    run = replace(run, **tables)
     _check_plant(run)
     if run.foxglove:
         import replay.foxglove  # noqa: F401  # its package is there, or this says so before anything is driven
     _check_tables(run)
+    if run.charts:
+        from replay.report.charts.layout import CHART  # that imports what reads results, and they this
+
+        for chart in run.charts:
+            CHART.find(chart)
     left: dict[str, Mapping[str, Any]] = {}
     errors: list[PlannerError] = []
     for planner in run.planners:
@@ -62,6 +69,28 @@ def checked(run: RunConfig) -> tuple[RunConfig, tuple[Failure, ...]]:
     return replace(run, planners=tuple(left), planner=left), failures
 
 
+def _table(key: str, run: RunConfig) -> Mapping[str, Mapping[str, Any]]:
+    """The settings of what a key of [loop] names, with its defaults; ConfigError where they or the name are wrong."""
+    kind, given = KINDS[key]
+    tables, chosen = getattr(run, SETTINGS[key]), getattr(run.loop, key)
+    for name, table in tables.items():
+        if name in kind.builtin or name == chosen:
+            keywords_of(kind.find(name), table, dotted(SETTINGS[key], name))
+        elif ":" not in name:
+            kind.place(name)
+    if key == "prediction" and chosen == ORACLE:
+        return {}
+    try:
+        factory = kind.find(chosen)
+    except ConfigError as error:
+        raise ConfigError(f"loop.{key}: {error}") from None
+    where = dotted(SETTINGS[key], chosen)
+    table = tables.get(chosen, {})
+    check(factory, table, where, f"{key} '{chosen}'", given)
+    found = resolved(factory, table, where)
+    return {chosen: found} if found else {}
+
+
 def _resolved(planner: str, run: RunConfig) -> dict[str, Any]:
     """The planner's table with its defaults, found out where it will run; checked that it can be built of it."""
     table, apart = run.planner.get(planner, {}), run.loop.apart
@@ -73,17 +102,20 @@ def _resolved(planner: str, run: RunConfig) -> dict[str, Any]:
 
 
 def _check_plant(run: RunConfig) -> None:
-    """Refuse a vehicle or a plant that no log can have; the log's own numbers are not known yet."""
+    """Refuse a vehicle, plant or controller that no log can have; the log's own numbers are not known yet."""
     default = VehicleParameters()
     vehicle = run.driven(default) if "set" in run.vehicle else default
     parted(run.loop.plant)
     table = {key: value for key, value in run.loop.plant.items() if key not in _OF_THE_LOG}
-    build(VEHICLES[run.loop.vehicle], run.loop.vehicle, vehicle, EgoState(0.0, 0.0, 0.0, 0.0, 0.0), table)
+    model, start = configured(VEHICLE, run.loop.vehicle, run.loop.settings), EgoState(0.0, 0.0, 0.0, 0.0, 0.0)
+    built = build(model, run.loop.vehicle, vehicle, start, table)
+    if run.loop.controller not in CONTROLLER.builtin:
+        controller_of(built, vehicle, run.loop.controller, run.loop.control_period_ns / 1e9, run.loop.settings)
 
 
 def _check_tables(run: RunConfig) -> None:
     """Refuse a table of a planner that is not there, or that this planner does not take, be it driven or not."""
-    named = {*PLANNERS, *ORACLES, *run.planners}
+    named = {*PLANNERS, *ORACLES, *PLANNER.entries(), *run.planners}
     for name, table in run.planner.items():
         if name not in named and ":" not in name:
             raise unknown_name("planner (in the configuration)", name, named)

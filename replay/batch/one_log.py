@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import os
 import shutil
-import sys
 import traceback
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
@@ -109,10 +108,10 @@ def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> 
     try:
         with writing(partial):
             partial.mkdir()
-        with progress.attempt():
+        with progress.attempt(), source.fetched() as near:
             identity = source.identity()
-            scenario = source.read()
-            result = _identified(source, scenario, partial, run)
+            scenario = near.read()
+            result = _identified(near, scenario, partial, run)
             progress.log = scenario.name
             driven = with_avoidability(scenario.in_vehicle(run.driven(scenario.vehicle)))
             _drive_all(driven, run, partial, result.folder, progress)
@@ -132,14 +131,11 @@ def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> 
 
 
 def all_metrics(run: RunConfig) -> Mapping[str, Metric]:
-    """The built-in metrics and the run's own; modules are looked for in the working directory too.
+    """The built-in metrics and the run's own.
 
     Raises:
         ConfigError: A metric cannot be loaded, or has the name of another.
     """
-    here = str(Path.cwd())
-    if run.metrics and here not in sys.path:
-        sys.path.append(here)
     found = dict(METRICS)
     for metric in map(load_metric, run.metrics):
         if metric.name in found:

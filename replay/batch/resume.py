@@ -1,15 +1,14 @@
 """Going on with a run that was interrupted: the logs whose folders are whole are taken as they are.
 
 A folder is taken if it came from the same input (name and bytes) under the same configuration, version and source of
-replan and of the user's planners and metrics; gates may differ, they are applied at the end. Anything else in the
-folder of the run is a reason to refuse: nothing is evaluated anew silently, and nothing of another run is mixed in.
+replan and of what users add by name (planners, metrics, ...); gates may differ, they are applied at the end.
+Anything else in the folder of the run is a reason to refuse: nothing is evaluated anew silently, and nothing of another
+run is mixed in.
 """
 
 from __future__ import annotations
 
-import importlib.util
 import shutil
-import sys
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from hashlib import sha256
@@ -17,11 +16,17 @@ from pathlib import Path
 from typing import Any
 
 from logs.errors import ConfigError, LogError
+from logs.extension import Kind
+from logs.readers import READER
+from metrics import METRIC
+from planners import PLANNER
 from replay.apart.proxy import command_of
+from replay.batch.checks import KINDS
 from replay.batch.log_result import LogResult, Stamp, kept
 from replay.batch.sources import LOG_CARD, LogSource
 from replay.batch.tables import FILES, PARTIAL, check_ours, clear_partial
 from replay.config import RunConfig, dump_run, read_toml
+from replay.oracle import ORACLES
 from replay.version import replan_version
 
 START_OVER = "leave out --resume to start over"
@@ -29,30 +34,37 @@ PACKAGES = ("logs", "metrics", "planners", "replay")
 
 
 def stamp_of(run: RunConfig) -> Stamp:
-    """Version, and hash of the source files of replan and of the modules that the run names ("module:NAME")."""
+    """Version, and hash of the source files of replan and of the modules that the run names."""
     root = Path(__file__).parents[2]
     files = [file for package in PACKAGES for file in sorted((root / package).rglob("*.py"))]
     digest = sha256()
     for file in files:
         digest.update(f"{file.relative_to(root)}\n".encode() + file.read_bytes())
-    for name in (*run.planners, *run.metrics):
-        for file in _files_of(name):
-            digest.update(f"{file.name}\n".encode() + file.read_bytes())
+    for file in _files_of(run):
+        digest.update(f"{file.name}\n".encode() + file.read_bytes())
     return Stamp(replan_version(), digest.hexdigest())
 
 
-def _files_of(name: str) -> list[Path]:
-    """The file of a user's module ("module:NAME"), or those that a command names ("exec:COMMAND")."""
-    if name.startswith("exec:"):
-        words = command_of(name)
-        found = [Path(shutil.which(words[0]) or words[0]), *map(Path, words[1:])]
-        return [file for file in found if file.is_file()]
-    here = str(Path.cwd())
-    if here not in sys.path:
-        sys.path.append(here)
-    module, separator, _ = name.partition(":")
-    spec = importlib.util.find_spec(module) if separator else None
-    return [Path(spec.origin)] if spec is not None and spec.origin and Path(spec.origin).is_file() else []
+def _files_of(run: RunConfig) -> Iterator[Path]:
+    """The files of all that is not ours: modules ("module:NAME", entry points), and what commands name."""
+    yield from (file for name in run.planners for file in _of_planner(name))
+    named: list[tuple[Kind[Any], str]] = [(METRIC, name) for name in run.metrics]
+    named += [(READER, name) for name in (*READER.entries(), run.log.reader) if name]
+    named += [(kind, getattr(run.loop, key)) for key, (kind, _) in KINDS.items()]
+    for kind, name in named:
+        file = None if name in kind.besides else kind.file(name)
+        yield from () if file is None else (file,)
+
+
+def _of_planner(name: str) -> list[Path]:
+    if name in ORACLES or name.startswith("tcp:"):
+        return []
+    if not name.startswith("exec:"):
+        file = PLANNER.file(name)
+        return [] if file is None else [file]
+    words = command_of(name)
+    found = [Path(shutil.which(words[0]) or words[0]), *map(Path, words[1:])]
+    return [file for file in found if file.is_file()]
 
 
 def finished(out: Path, sources: Sequence[LogSource], run: RunConfig, stamp: Stamp) -> dict[int, LogResult]:

@@ -25,10 +25,11 @@ from metrics.judge import Verdict, judge, outcomes
 from metrics.latency import SHARE as LATE
 from metrics.latency import judge_deadline
 from replay.batch.checks import checked
+from replay.batch.engine import Engine, Local
 from replay.batch.lock import held
 from replay.batch.log_result import DriveRecord, Failure, LogResult, timings_of
-from replay.batch.one_log import all_metrics, evaluate_log
-from replay.batch.pool import WorkerLost, run_all
+from replay.batch.one_log import all_metrics
+from replay.batch.pool import WorkerLost
 from replay.batch.resume import finished, stamp_of
 from replay.batch.shard import Shard, write_card
 from replay.batch.sources import LogSource, Selection, builtin_suite, named_suite, select
@@ -110,6 +111,7 @@ def evaluate_logs(
     out: Path | str | None = None,
     *,
     workers: int = 0,
+    engine: Engine | None = None,
     resume: bool = False,
     window: float | None = None,
     suite: str | None = None,
@@ -124,6 +126,7 @@ def evaluate_logs(
         run: Planners, loops, gates; None: all defaults.
         out: Result folder: new, empty, or results of an earlier run, which are replaced; None: `results/run-NNN`.
         workers: Number of child processes; 0 evaluates in this process. Results do not depend on it.
+        engine: Where the logs are driven, with the same results; None: `workers` of this machine.
         resume: Take the logs that an interrupted run into `out` has finished as they are (`replay.batch.resume`); the
             tables are the same, byte for byte, as those of a run that was never interrupted.
         window: Seconds: each log is evaluated in parts of this length, each as a log of its own.
@@ -138,7 +141,7 @@ def evaluate_logs(
         PlannerError: None of the planners can be loaded.
         OutputError: The disk is full; finished logs are kept for `resume`.
     """
-    run = run or RunConfig()
+    run, engine = run or RunConfig(), engine or Local(workers)
     whole = _selected(logs, run, window, suite)
     selection = whole if shard is None else shard.part(whole)
     gates = gates_of(run, run.gates_path)
@@ -155,8 +158,8 @@ def evaluate_logs(
         write_text(out / "run.toml", dump_run(run))
         on_start(selection, out)
         try:
-            evaluate = partial(evaluate_log, run=run, out=out, stamp=stamp)
-            results = _evaluated(selection.sources, evaluate, done, workers, on_log)
+            evaluate = partial(engine.evaluate, run=run, out=out, stamp=stamp)
+            results = _evaluated(selection.sources, evaluate, done, on_log)
         finally:
             clear_partial(out)
         if shard is not None:
@@ -256,9 +259,8 @@ def _check_outside(out: Path, sources: Sequence[LogSource], run: RunConfig) -> N
 
 def _evaluated(
     sources: Sequence[LogSource],
-    evaluate: Callable[[LogSource], LogResult],
+    evaluate: Callable[[Sequence[LogSource]], Iterator[tuple[int, LogResult | WorkerLost]]],
     done: Mapping[int, LogResult],
-    workers: int,
     on_log: Callable[[LogResult], None],
 ) -> tuple[LogResult, ...]:
     """The results in the order of the logs; those that are there already first."""
@@ -266,21 +268,13 @@ def _evaluated(
     for result in done.values():
         on_log(result)
     left = [index for index in range(len(sources)) if index not in done]
-    for place, ended in _each([sources[index] for index in left], evaluate, workers):
+    for place, ended in evaluate([sources[index] for index in left]):
         index = left[place]
         results[index] = _lost(sources[index], ended) if isinstance(ended, WorkerLost) else ended
         if results[index].stopped:
             raise OutputError(results[index].stopped)
         on_log(results[index])
     return tuple(results[index] for index in range(len(sources)))
-
-
-def _each(
-    sources: Sequence[LogSource], evaluate: Callable[[LogSource], LogResult], workers: int
-) -> Iterator[tuple[int, LogResult | WorkerLost]]:
-    if workers > 0:
-        return run_all(evaluate, sources, max(1, min(workers, len(sources))))
-    return ((index, evaluate(source)) for index, source in enumerate(sources))
 
 
 def _lost(source: LogSource, lost: WorkerLost) -> LogResult:

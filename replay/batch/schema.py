@@ -289,6 +289,7 @@ stands in the first column of `metrics.*`, in the metadata of every Parquet file
 `summary.json` and `log.json`. SI units; the unit stands in the name of a column (`t_s`) or in the column `unit`. Text
 is `large_string`, numbers are `float64`, also in a table without rows.
 
+<!-- not run: it needs a run; tests/replay/test_results.py does the same -->
 ```python
 import replan
 

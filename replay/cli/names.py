@@ -17,12 +17,13 @@ TABLES = {
     "traffic": (("replay/traffic/__init__.py", "TRAFFIC"),),
     "prediction": (("replay/prediction/__init__.py", "PREDICTORS"),),
     "perception": (("replay/perception.py", "PERCEPTIONS"),),
+    "chart": (("replay/report/charts/layout.py", "CHARTS"),),
     "suite": (("logs/catalogue/suites.py", "SUITES"),),
     "kind": (("replay/listing.py", "KINDS"),),
 }
 """Of each option the tables of its names: file and variable."""
 
-BESIDES = {"prediction": ("oracle",)}
+BESIDES = {"prediction": ("oracle",), "chart": ("all",)}
 """Names that are in no table."""
 
 

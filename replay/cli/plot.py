@@ -10,20 +10,10 @@ import typer
 
 from logs.errors import ConfigError
 from replay.cli.app import answered, app, say
+from replay.cli.names import completion
 
 if TYPE_CHECKING:
     from replay.results import DriveResult, Results
-
-
-class Charts(StrEnum):
-    """What is drawn."""
-
-    scene = "scene"
-    st = "st"
-    sl = "sl"
-    curves = "curves"
-    decisions = "decisions"
-    all = "all"
 
 
 class Look(StrEnum):
@@ -48,7 +38,13 @@ def plot(
     planner: Annotated[str | None, typer.Option(help="Whose drive, where there are several.")] = None,
     mode: Annotated[Loop | None, typer.Option(help="Default: closed, where it was driven.")] = None,
     at: Annotated[float | None, typer.Option(help="Time, s. Default: the worst moment.")] = None,
-    chart: Annotated[Charts, typer.Option(help="What is drawn.")] = Charts.all,
+    chart: Annotated[
+        str,
+        typer.Option(
+            autocompletion=completion("chart"),
+            help="What is drawn: scene, st, sl, curves, decisions, all, or module:NAME of your own.",
+        ),
+    ] = "all",
     out: Annotated[
         Path | None, typer.Option("--out", "-o", help="FILE.png, FILE.svg, or a folder: each by itself.")
     ] = None,
@@ -68,13 +64,13 @@ def plot(
         from replay.report.charts.subject import subject
         from replay.results import load
 
-        drive = _drive(load(result), log, planner, mode.value if mode else None)
+        drive = drive_of(load(result), log, planner, mode.value if mode else None)
         name = f"{safe_name(drive.log)}-{safe_name(drive.planner)}-{drive.mode}"
-        path = Path(f"{name}-{chart.value}.png") if out is None else out
+        path = Path(f"{name}-{safe_name(chart)}.png") if out is None else out
         if path.suffix not in ("", ".png", ".svg") and not path.is_dir():
             raise ConfigError(f"{path}: a picture ends with .png or .svg, a folder has no ending")
         seen = subject(drive, at)
-        charts = charts_of(seen, chart.value, width)
+        charts = charts_of(seen, chart, width)
         title = f"{drive.log}, {drive.planner}, {drive.mode} loop"
         why = "" if at is not None else f": {seen.moment.why}"
         if path.suffix in (".png", ".svg") and not path.is_dir():
@@ -88,7 +84,7 @@ def plot(
                 say(file)
 
 
-def _drive(results: Results, log: str | None, planner: str | None, mode: str | None) -> DriveResult:
+def drive_of(results: Results, log: str | None, planner: str | None, mode: str | None) -> DriveResult:
     """The drive that is asked for; without a log the one to look at first, without a mode the closed loop if any."""
     from replay.report.overview import overview
 
@@ -97,7 +93,7 @@ def _drive(results: Results, log: str | None, planner: str | None, mode: str | N
         mine = [row for row in rows if planner in (None, row.planner)]
         order = {"fail": 0, "inconclusive": 1}
         if not mine:
-            raise ConfigError(f"{results.path}: no drive{f' of {planner}' if planner else ''} to draw")
+            raise ConfigError(f"{results.path}: no drive{f' of {planner}' if planner else ''}")
         worst = min(mine, key=lambda row: (order.get(row.verdict, 2), -row.trouble))
         log, planner = worst.log, worst.planner
     here = results.drives[results.drives["log"] == log]

@@ -1,16 +1,18 @@
 """How a plan is followed: a Plan and the ego's state give a Command.
 
-CONTROLLERS    by name, each built as `factory(parameters, powertrain, period)`; adding one is one file and one
-               line here; a law that only steers or only drives is a part of `SplitController` (`split`)
+CONTROLLERS    by name, each built as `factory(parameters, powertrain, period, **settings)`; adding one is one file and
+               one line here; a law that only steers or only drives is a part of `SplitController` (`split`)
+CONTROLLER     finds those, and users' own
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 
+from logs.extension import Kind
 from logs.vehicle import VehicleParameters
 from replay.control.base import Controller
-from replay.control.mpc import Mpc
+from replay.control.mpc import Mpc, MpcConfig
 from replay.control.split import (
     DLQR,
     KINEMATIC_DLQR,
@@ -24,7 +26,7 @@ from replay.control.split import (
 from replay.control.steering_delay import SteeringDelay
 from replay.vehicle.base import Powertrain
 
-ControllerFactory = Callable[[VehicleParameters, Powertrain, float], Controller]
+ControllerFactory = Callable[..., Controller]
 
 
 def dlqr_pid(parameters: VehicleParameters, powertrain: Powertrain, period: float) -> Controller:
@@ -37,11 +39,13 @@ def dlqr_kinematic_pid(parameters: VehicleParameters, powertrain: Powertrain, pe
     return SplitController(split_law(KINEMATIC_DLQR, parameters, powertrain, period))
 
 
-def mpc_or_dlqr(parameters: VehicleParameters, powertrain: Powertrain, period: float) -> Controller:
+def mpc_or_dlqr(
+    parameters: VehicleParameters, powertrain: Powertrain, period: float, *, config: MpcConfig | None = None
+) -> Controller:
     """Steering and speed by MPC; where that has no solution, as `dlqr_pid`."""
     delay = SteeringDelay(parameters, period)
     fallback = SplitController(split_law(DLQR, parameters, powertrain, period, commands=False), delay)
-    return Mpc(parameters, powertrain, period, fallback, delay)
+    return Mpc(parameters, powertrain, period, fallback, delay, config)
 
 
 def pure_pursuit_pid(parameters: VehicleParameters, powertrain: Powertrain, period: float) -> Controller:
@@ -67,3 +71,5 @@ CONTROLLERS: dict[str, ControllerFactory] = {
     "stanley": stanley_pid,
     "pid": pid_pid,
 }
+
+CONTROLLER: Kind[ControllerFactory] = Kind("controller", "controllers", CONTROLLERS)

@@ -8,7 +8,7 @@
     oracle                   the log's own future: not made here (`replay.perception`)
 
 A predictor is given the agents as perceived at one instant and the lanes, nothing else: it has no memory and no way to
-the log. Adding one is one function and one line in PREDICTORS.
+the log; its settings are keywords. Adding one is one function and one line in PREDICTORS.
 """
 
 from __future__ import annotations
@@ -18,7 +18,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from logs.errors import unknown_name
+from logs.errors import ConfigError
+from logs.extension import Kind
 from logs.frame import Predictions
 from logs.kernel import FloatArray
 from logs.scenario import Agents
@@ -27,11 +28,12 @@ from replay.prediction.lane_following import everybody
 from replay.prediction.lane_map import LaneMap
 from replay.prediction.pedestrian import walkers
 
-__all__ = ["NO_LANES", "PREDICTORS", "LaneMap", "Predictor", "predict"]
+__all__ = ["NO_LANES", "PREDICTION", "PREDICTORS", "LaneMap", "Predictor", "predict"]
 
 NO_LANES = LaneMap.unknown()
-Predictor = Callable[[Agents, FloatArray, LaneMap], Predictions]
-"""Futures of the agents on a time grid `(k,)`, s, whose first entry is the time at which they were perceived."""
+Predictor = Callable[..., Predictions]
+"""`predictor(agents, t, lanes, **settings)`: futures of the agents on a time grid `(k,)`, s, whose first entry is the
+time at which they were perceived."""
 
 
 def _pedestrian(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
@@ -51,6 +53,8 @@ PREDICTORS: dict[str, Predictor] = {
     "pedestrian": _pedestrian,
     "lanes_and_pedestrians": _lanes_and_pedestrians,
 }
+PREDICTION: Kind[Predictor] = Kind("prediction", "predictions", PREDICTORS, besides=("oracle",))
+"""Finds those, and users' own."""
 
 
 def predict(
@@ -61,6 +65,7 @@ def predict(
     step: float = 0.1,
     method: str = "constant_velocity",
     lanes: LaneMap = NO_LANES,
+    predictor: Predictor | None = None,
 ) -> Predictions:
     """Futures of `agents`, perceived at `t`, on the grid t, t + step, ... t + horizon (s).
 
@@ -71,15 +76,17 @@ def predict(
         t: s since the scenario's start.
         horizon: How far, s.
         step: Between two samples, s.
-        method: Name in PREDICTORS.
+        method: Name in PREDICTORS, or "module:function".
         lanes: `LaneMap.of(road)`, made once per scenario; left out, no lane is known, and nobody follows one.
+        predictor: What is called `method`, where it has been found already.
 
     Raises:
-        ConfigError: No predictor is called `method`.
+        ConfigError: No predictor is called `method`, or it gives no `Predictions`.
     """
-    if method not in PREDICTORS:
-        raise unknown_name("prediction method", method, PREDICTORS)
-    found = PREDICTORS[method](agents, t + step * np.arange(round(horizon / step) + 1), lanes)
+    predictor = predictor or PREDICTION.find(method)
+    found = predictor(agents, t + step * np.arange(round(horizon / step) + 1), lanes)
+    if not isinstance(found, Predictions):
+        raise ConfigError(f"prediction '{method}' returned {type(found).__name__} instead of Predictions")
     return found if found.method == method else replace(found, method=method)
 
 

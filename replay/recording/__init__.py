@@ -107,7 +107,7 @@ def _draw_part(
         if axis:
             draw_graph(tape, planned, _graphs(frames, kind), axis)
     if frames:
-        why.draw_why(tape, trace, scenario.road, planned)
+        why.draw_why(tape, trace, scenario, planned)
 
 
 def write_log_recording(path: Path, scenario: Scenario) -> None:

@@ -117,6 +117,9 @@ def _right(contents: Contents) -> tuple[list[rrb.Container | rrb.View], list[flo
     views: list[rrb.Container | rrb.View] = []
     shares: list[float] = []
     panels = {panel.entity.removeprefix("plots/"): panel for panel in contents.panels}
+    nowhere = set(panels) - {name for names, _ in ROWS for name in names}
+    if nowhere:
+        raise ValueError(f"the panel '{min(nowhere)}' is in no row of ROWS: it would not be seen")
     for names, share in ROWS:
         row = [_plot(panels[name]) for name in names if name in panels]
         if row:

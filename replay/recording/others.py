@@ -14,12 +14,13 @@ import numpy as np
 import rerun as rr
 
 from logs.frame import Visibility
-from logs.kernel import FloatArray, IntArray
-from logs.scenario import AgentKind, Agents, Tracks
+from logs.kernel import FloatArray
+from logs.scenario import Agents
 from logs.trace import PlannedFrame, Trace
 from replay.recording import colours
 from replay.recording.columns import Instants, Tape, joined, pixels, strips
 from replay.recording.text import plain
+from replay.why.shown import SAME_TIME_S, picked
 
 NEAR_M = 90.0
 """Predictions of agents farther from the ego than this are not drawn."""
@@ -29,7 +30,6 @@ SHADOW_STEP = 0.03
 """Angle between two lines of the hatching of hidden ground, rad."""
 ARC_STEP = 0.1
 LOW, GHOST_HEIGHT = 0.06, 1.4
-SAME_TIME_S = 1e-6
 
 
 def draw_others(tape: Tape, trace: Trace, frames: Instants) -> None:
@@ -115,10 +115,10 @@ def perceived_only(trace: Trace, t: float) -> Agents:
     if trace.perceived is None:
         known, there = trace.agents.perceived(t), set(trace.agents.truth(t).ids)
         rows = np.array([i for i, name in enumerate(known.ids) if name not in there], dtype=np.int64)
-        return _agents(known.ids, known.kinds, known, rows, rows)
+        return picked(known, rows, rows)
     tracks = trace.perceived
     at = np.flatnonzero(np.abs(tracks.t - t) < SAME_TIME_S)
-    return _agents(tracks.ids, tracks.kinds, tracks, np.searchsorted(tracks.offsets, at, side="right") - 1, at)
+    return picked(tracks, np.searchsorted(tracks.offsets, at, side="right") - 1, at)
 
 
 def unseen(trace: Trace, t: float) -> list[tuple[str, float]]:
@@ -129,16 +129,6 @@ def unseen(trace: Trace, t: float) -> list[tuple[str, float]]:
     away = np.hypot(there.x - x, there.y - y)
     near = np.argsort(away, kind="stable")
     return [(there.ids[i], float(away[i])) for i in near if away[i] <= NEAR_M and there.ids[i] not in shown]
-
-
-def _agents(
-    ids: Sequence[str], kinds: Sequence[AgentKind], some: Agents | Tracks, rows: IntArray, at: IntArray
-) -> Agents:
-    """The agents `rows` with the sizes there and the poses at `at`."""
-    poses = (getattr(some, name)[at] for name in ("x", "y", "yaw", "vx", "vy"))
-    return Agents(
-        tuple(ids[i] for i in rows), tuple(kinds[i] for i in rows), some.length[rows], some.width[rows], *poses
-    )
 
 
 def _draw_sensor(tape: Tape, planned: Sequence[PlannedFrame], frames: Instants) -> None:

@@ -8,7 +8,7 @@ from typing import TypeVar
 import numpy as np
 import rerun as rr
 
-from logs.road import Road
+from logs.scenario import Scenario
 from logs.trace import (
     Candidates,
     CostTerms,
@@ -18,116 +18,80 @@ from logs.trace import (
     PlannedFrame,
     PlanStatus,
     SolverReport,
-    StGraph,
     Trace,
 )
 from replay.recording import plots
-from replay.recording.axes import finite
 from replay.recording.columns import Instants, Tape
 from replay.recording.lane_choice import Change, changes_under_way, lanes_driven, listed, options
 from replay.recording.others import unseen
 from replay.recording.text import MARKDOWN, cell, document
+from replay.why import Account, Course, accounts, sentences
+from replay.why.course import BRAKES_MPS2
 
 A = TypeVar("A")
 
 MAX_DECISIONS = 15
 """More decisions than these are counted, not listed (those that are not "ignore" come first)."""
 MAX_MISSING = 6
-BRAKING_MPS2, STANDING_MPS = -0.3, 0.1
+SAME_MPS = 0.05
 QUIET = (plots.FREE_DRIVE, plots.KEEP)
-STAYS_BEHIND = (DecisionKind.STOP, DecisionKind.YIELD, DecisionKind.FOLLOW)
 
 
-def draw_why(tape: Tape, trace: Trace, road: Road, instants: Instants) -> None:
+def draw_why(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants) -> None:
     """A page per frame."""
     tape.static("why", rr.TextDocument.from_fields(media_type=MARKDOWN))
-    changes = changes_under_way(trace.frames, lanes_driven(trace, road))
+    changes = changes_under_way(trace.frames, lanes_driven(trace, scenario.road))
     pages = [
-        document(why(frame, unseen(trace, frame.t), change))
-        for frame, change in zip(trace.frames, changes, strict=True)
+        document(why(frame, account, unseen(trace, frame.t), change))
+        for frame, account, change in zip(trace.frames, accounts(trace, scenario), changes, strict=True)
     ]
     tape.rows("why", instants, rr.TextDocument.columns(text=pages))
 
 
-def why(frame: PlannedFrame, missing: Sequence[tuple[str, float]] = (), change: Change | None = None) -> list[str]:
+def why(
+    frame: PlannedFrame, account: Account, missing: Sequence[tuple[str, float]] = (), change: Change | None = None
+) -> list[str]:
     """The page of a frame: what is planned and because of whom, then decisions, lanes, solvers and costs.
 
     Args:
         frame: The plan.
+        account: Why it slows down or stands.
         missing: Who is near but was not shown to the planner, and how far away, m.
         change: The change of lane that is under way.
     """
     plan = frame.plan
-    lines = [f"### t = {frame.t:.2f} s: {_headline(plan)}"]
-    if plan.status.is_fallback:
-        lines += ["", f"**{cell(plan.status.value)}**" + (f": {cell(plan.reason)}" if plan.reason else "")]
-    elif plan.reason:
+    lines = [f"### t = {frame.t:.2f} s: {_headline(plan, account.course)}"]
+    if plan.reason and not plan.status.is_fallback:
         lines += ["", f"**Reason: {cell(plan.reason)}**"]
     if change is not None:
         lines += ["", f"**Changes lane to the {change.name}** since t = {change.t:.2f} s: {cell(change.reason)}"]
-    lines += ["", *_cause(plan), _course(frame.t, plan)]
+    for sentence in sentences(account):
+        first, colon, rest = sentence.partition(": ")
+        lines += ["", f"**{cell(first)}**{colon}{cell(rest)}"]
+    lines += ["", _course(frame.t, plan, account.course)]
     lines += _missing(missing)
     return [*lines, *_decisions(plan), *_lanes(plan), *_candidates(plan), *_solvers(plan), *_costs(plan)]
 
 
-def _headline(plan: Plan) -> str:
+def _headline(plan: Plan, course: Course) -> str:
     """What the car does within the next second, and the decisions in a word each."""
-    path = plan.trajectory
-    ahead = min(float(path.t[0]) + 1.0, float(path.t[-1]))
-    change = (float(np.interp(ahead, path.t, path.v)) - float(path.v[0])) / max(ahead - float(path.t[0]), 1e-9)
-    if max(float(path.v[0]), float(np.interp(ahead, path.t, path.v))) < STANDING_MPS:
-        does = "stands"
-    else:
-        does = "brakes" if change < BRAKING_MPS2 else "accelerates" if change > -BRAKING_MPS2 else "keeps its speed"
     words = [] if plan.status is PlanStatus.PLANNED else [plots.STATUS_WORDS[plan.status]]
     if any(isinstance(artefact, Decision) for artefact in plan.internals):
         words += [word for word in (plots.longitudinal(plan), plots.lateral(plan)) if word not in QUIET]
-    return ": ".join([does, ", ".join(words)]) if words else does
-
-
-def _cause(plan: Plan) -> list[str]:
-    """For whom the plan brakes or stands: of those whom the ego stays behind the one that it comes nearest to."""
-    path = plan.trajectory
-    if float(path.a.min()) > BRAKING_MPS2 and float(path.v.max()) > STANDING_MPS:
-        return []
-    decided = {d.agent: d for d in _of(plan, Decision) if d.kind in STAYS_BEHIND}
-    if not decided:
-        return ["Nobody is in the way: it slows down for the road (speed limit, curve, end) or the goal.", ""]
-    found = nearest(plan)
-    decision = decided.get(found[0], next(iter(decided.values()))) if found else next(iter(decided.values()))
-    room = f" Nearest in {found[2]:.1f} s: {max(found[1], 0.0):.1f} m are left." if found else ""
-    because = f"**Slows down for {cell(decision.agent)} ({decision.kind.value})**"
-    return [f"{because}: {cell(decision.reason)}.{room}" if decision.reason else f"{because}.{room}", ""]
-
-
-def nearest(plan: Plan) -> tuple[str, float, float] | None:
-    """Of the obstacles in the S-T graph behind which the plan stays: which it comes nearest to, m, and when, s."""
-    found: list[tuple[float, float, str]] = []
-    for graph in _of(plan, StGraph):
-        line = finite(graph.qp)
-        for obstacle in graph.obstacles if len(line) else ():
-            outline = finite(obstacle.outline)
-            if obstacle.decision in STAYS_BEHIND and len(outline):
-                gap = outline[:, 1] - np.interp(outline[:, 0], line[:, 0], line[:, 1])
-                i = int(np.argmin(gap))
-                found.append((float(gap[i]), float(outline[i, 0]), obstacle.agent))
-    gap_t_agent = min(found, default=None)
-    return (gap_t_agent[2], gap_t_agent[0], gap_t_agent[1]) if gap_t_agent else None
+    return ": ".join([course.action.value, ", ".join(words)]) if words else course.action.value
 
 
 def _of(plan: Plan, kind: type[A]) -> list[A]:
     return [artefact for artefact in plan.internals if isinstance(artefact, kind)]
 
 
-def _course(t: float, plan: Plan) -> str:
+def _course(t: float, plan: Plan, course: Course) -> str:
     """In a sentence what the plan's trajectory does."""
-    path = plan.trajectory
-    slowest, hardest = int(np.argmin(path.v)), int(np.argmin(path.a))
-    words = [f"Speed {path.v[0]:.1f} m/s, {path.v[-1]:.1f} m/s after {path.t[-1] - t:.1f} s"]
-    if path.v[slowest] < min(path.v[0], path.v[-1]) - 0.05:
-        words.append(f"slowest {path.v[slowest]:.1f} m/s at t = {path.t[slowest]:.1f} s")
-    if path.a[hardest] < BRAKING_MPS2:
-        words.append(f"hardest braking {path.a[hardest]:.1f} m/s² at t = {path.t[hardest]:.1f} s")
+    words = [f"Speed {course.v_start:.1f} m/s, {course.v_end:.1f} m/s after {course.duration:.1f} s"]
+    if course.v_least < min(course.v_start, course.v_end) - SAME_MPS:
+        words.append(f"slowest {course.v_least:.1f} m/s at t = {t + course.t_least:.1f} s")
+    if course.a_least < BRAKES_MPS2:
+        words.append(f"hardest braking {course.a_least:.1f} m/s² at t = {t + course.t_hardest:.1f} s")
     return f"{'; '.join(words)}. Starts {plan.start.value}."
 
 
@@ -173,7 +137,7 @@ def _candidates(plan: Plan) -> list[str]:
 
 
 def _solvers(plan: Plan) -> list[str]:
-    reports = [artefact for artefact in plan.internals if isinstance(artefact, SolverReport)]
+    reports = _of(plan, SolverReport)
     lines = [
         f"- {cell(r.stage)}: {'' if r.solved else '**not solved**: '}{cell(r.status)}, {r.iterations} iterations,"
         f" residuals {_short(r.primal_residual)}, {_short(r.dual_residual)}"

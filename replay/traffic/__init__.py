@@ -11,20 +11,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import partial
 from math import inf
 from typing import Protocol
 
+from logs.extension import Kind
 from logs.scenario import Scenario, Tracks
 from logs.states import EgoState
 from replay.traffic.ego_position import ReplayedByEgoPosition
 from replay.traffic.reactive import GIVE_WAY, Reactive
 
-__all__ = ["TRAFFIC", "TRAFFIC_NOTES", "Reactive", "ReplayedByEgoPosition", "ReplayedByTime", "Traffic"]
+__all__ = ["TRAFFIC", "TRAFFIC_KIND", "TRAFFIC_NOTES", "Reactive", "ReplayedByEgoPosition", "ReplayedByTime", "Traffic"]
 
 
 class Traffic(Protocol):
-    """Moves the others; built once per drive as `factory(scenario)`."""
+    """Moves the others; built once per drive as `factory(scenario, **settings)`."""
 
     @property
     def due(self) -> float:
@@ -58,12 +58,20 @@ class ReplayedByTime:
         return self._tracks
 
 
-TRAFFIC: dict[str, Callable[[Scenario], Traffic]] = {
-    "give_way": partial(Reactive, rule=GIVE_WAY),
+def give_way(scenario: Scenario) -> Traffic:
+    """As in the log, but for those who give way."""
+    return Reactive(scenario, GIVE_WAY)
+
+
+TRAFFIC: dict[str, Callable[..., Traffic]] = {
+    "give_way": give_way,
     "time": ReplayedByTime,
     "ego_position": ReplayedByEgoPosition,
     "reactive": Reactive,
 }
+
+TRAFFIC_KIND: Kind[Callable[..., Traffic]] = Kind("traffic", "traffic", TRAFFIC)
+"""Finds those, and users' own."""
 
 TRAFFIC_NOTES: dict[str, tuple[str, ...]] = {
     "ego_position": (

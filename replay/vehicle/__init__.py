@@ -1,7 +1,8 @@
 """How the ego moves: a Command and a time step give the next EgoState.
 
-VEHICLES    the models by name, each built as `Class(parameters, start)`; adding one is one file and one line here; what
-            may be set of a model are its keywords (replay.vehicle.plant)
+VEHICLES    the models by name, each built as `Class(parameters, start, **settings)`; adding one is one file and one
+            line here; what may be set of a model are its keywords (replay.vehicle.plant)
+VEHICLE     finds those, and users' own
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 
+from logs.extension import Kind
 from replay.vehicle.base import Vehicle
 from replay.vehicle.kinematic_bicycle import KinematicBicycle
 from replay.vehicle.multibody import Multibody
@@ -27,3 +29,5 @@ VEHICLES: dict[str, VehicleFactory] = {
     "multibody": Multibody,
     "perfect": Perfect,
 }
+
+VEHICLE: Kind[VehicleFactory] = Kind("vehicle", "vehicles", VEHICLES)

@@ -14,6 +14,8 @@ from typing import Any, TypeVar
 
 from logs.errors import ConfigError, unknown_name
 from logs.vehicle import VehicleParameters
+from replay.settings import check_members
+from replay.vehicle.base import Vehicle
 
 T = TypeVar("T")
 Table = Mapping[str, float | str]
@@ -31,7 +33,9 @@ def build(model: Callable[..., T], name: str, parameters: VehicleParameters, sta
         if key not in known:
             known_here = [*known, *_scalars()]
             raise ConfigError(f"loop.plant, vehicle '{name}': {unknown_name('key', key, known_here)}")
-    return model(own(parameters, numbers), start, **keywords)
+    vehicle = model(own(parameters, numbers), start, **keywords)
+    check_members("vehicle", name, vehicle, Vehicle)
+    return vehicle
 
 
 def parted(table: Table) -> tuple[dict[str, Any], dict[str, float | str]]:

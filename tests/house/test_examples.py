@@ -1,16 +1,23 @@
-"""The notebook runs from its first cell to its last, shows what it says, and is kept without outputs."""
+"""The metric measures what it says; the notebook runs, shows what it says, and is kept without outputs."""
 
 from __future__ import annotations
 
 import ast
+import importlib
 import json
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
+import numpy as np
 import pytest
+from drives import along, drive, grid, moving, scenario
 
-NOTEBOOK = json.loads((Path(__file__).parents[2] / "examples" / "results.ipynb").read_text(encoding="utf-8"))
+from logs import AgentKind
+from metrics import Unavailable
+
+NOTEBOOK_FILE = Path(__file__).parents[2] / "examples" / "results.ipynb"
+NOTEBOOK = json.loads(NOTEBOOK_FILE.read_text(encoding="utf-8"))
 
 
 def shown(source: str, names: dict[str, Any]) -> Any:
@@ -46,3 +53,21 @@ def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     assert worst["value"] == gaps["value"].min()
     assert [obstacle.agent for obstacle in names["graph"].obstacles] == ["pedestrian"]
     assert ("pedestrian", "yield") in decisions.index
+
+
+def test_the_metric_is_the_speed_beside_someone_on_foot(monkeypatch: pytest.MonkeyPatch) -> None:
+    """At 8 m/s along x; someone stands 2 m beside the path, then farther off than is looked."""
+    monkeypatch.syspath_prepend(str(NOTEBOOK_FILE.parent))
+    metric = importlib.import_module("passing_speed").PASSING_SPEED
+    ego = along(grid(10.0), 8.0)
+    for kind, y, value in (("pedestrian", 2.0, 8.0), ("pedestrian", 3.5, None), ("car", 2.0, None)):
+        log = scenario(ego, [("other", AgentKind(kind), (0.5, 0.5), moving(40.0, y, 0.0, 0.0, yaw=0.0))])
+        measured = metric.measure(drive(log), log)
+        if value is None:
+            assert isinstance(measured, Unavailable) or not measured.known.any()
+        else:
+            steps = measured.value[measured.known]
+            assert np.all(steps == value)
+            body = log.vehicle.length / value
+            assert abs(0.1 * len(steps) - body) <= 0.1 + 1e-9  # seconds beside the body
+            assert {label for label in measured.labels if label} == {"other"}

@@ -258,7 +258,7 @@ def test_modules_that_cannot_be_imported_become_one_line(own_module: Path) -> No
     (own_module / "mine_c.py").write_text("def broken(:\n")
     with pytest.raises(PlannerError, match=r"no_such_module.*PYTHONPATH"):
         load_planner("no_such_module:Planner")
-    with pytest.raises(PlannerError, match=r"RuntimeError: no licence found$"):
+    with pytest.raises(PlannerError, match=r"RuntimeError: no licence found \(mine_b.py:1\)$"):
         load_planner("mine_b:Planner")
     with pytest.raises(PlannerError, match="SyntaxError"):
         load_planner("mine_c:Planner")

@@ -4,6 +4,7 @@ canvas.py    elements, simplification, `Chart`          axes.py      scales, tic
 style.py     colours by role, light and dark            picture.py   several charts as one file, SVG or PNG
 moment.py    when to look at a drive, when gates broke   subject.py   what a drive's pictures are drawn from
 scene.py, graphs.py, curves.py, lanes.py                 the pictures of a drive
+layout.py                                                them by name, where each stands, and those of users
 overall.py                                               the pictures of a run and of a comparison
 
 Nothing here measures: what is drawn is in the trace, the tables and the series of the run.

@@ -2,35 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from logs.errors import ConfigError, writing
 from replay.batch.tables import write_file, write_text
 from replay.report.charts.canvas import Chart, group, shortened, text
-from replay.report.charts.curves import curves
-from replay.report.charts.graphs import sl_graph, st_graph
 from replay.report.charts.lanes import decisions
-from replay.report.charts.scene import scenes
+from replay.report.charts.layout import CHART, drawn
 from replay.report.charts.style import Theme
 from replay.report.charts.subject import Subject
 
 COLUMN_PX, GAP_PX, MARGIN_PX, HEAD_PX = 440.0, 16.0, 14.0, 44.0
 FORMATS = (".png", ".svg")
-KINDS = ("scene", "st", "sl", "curves", "decisions", "all")
-"""What `charts_of` may be asked for."""
+ALL = "all"
 
 
 def charts_of(subject: Subject, kind: str, width: float) -> list[Chart]:
-    """The charts of a kind (one of `KINDS`) for a picture of a width, pixels."""
-    every: dict[str, Callable[[], list[Chart]]] = {
-        "scene": lambda: scenes(subject),
-        "st": lambda: [st_graph(subject)],
-        "sl": lambda: [sl_graph(subject)],
-        "curves": lambda: curves(subject),
-        "decisions": lambda: [decisions(subject, row_width(width))],
-    }
-    return [chart for name, make in every.items() if kind in (name, "all") for chart in make()]
+    """The charts of a name (`replay.report.charts.layout.CHART`), or `ALL`, for a picture of a width, pixels."""
+    names = CHART.names() if kind == ALL else (kind,)
+    wide = row_width(width)
+    found = [[decisions(subject, wide)] if name == "decisions" else drawn(subject, name) for name in names]
+    return [chart for charts in found for chart in charts]
 
 
 def row_width(width: float) -> float:

@@ -17,7 +17,8 @@ from markupsafe import Markup
 from logs.errors import LogError
 from metrics.gates import Outcome
 from replay.recording.events import Event, events
-from replay.report.charts import Chart, curves, decisions, scenes, sl_graph, st_graph, subject
+from replay.report.charts import Chart, subject
+from replay.report.charts.layout import placed
 from replay.report.charts.subject import Subject
 from replay.report.model import DriveRow
 from replay.results import DriveResult, Results
@@ -128,6 +129,7 @@ def drive_page(results: Results, row: DriveRow, anchor: str, page: Path) -> Driv
     except LogError as error:
         seen, why = None, f"no pictures: {error.what}"
     found = events(seen.trace, seen.said) if seen else []
+    charts = placed(seen, results.run.charts) if seen else {}
     labels = results.labels.get(row.log)
     detail = f": {shown.info['detail']}" if shown.info["detail"] else ""
     return DrivePage(
@@ -135,9 +137,8 @@ def drive_page(results: Results, row: DriveRow, anchor: str, page: Path) -> Driv
         seen.moment.t if seen else float("nan"), seen.moment.why if seen else why,
         f"{shown.info['end']}{detail}, after {shown.info['t_end_s']:.2f} s",
         tuple(line for drive in drives for line in _verdicts(drive.verdicts)),
-        _drawn([*scenes(seen), st_graph(seen), sl_graph(seen)]) if seen else (),
-        _drawn([decisions(seen)])[0] if seen else Markup(),
-        _drawn(curves(seen)) if seen else (),
+        _drawn(charts.get("pictures", ())), Markup().join(_drawn(charts.get("decided", ()))),
+        _drawn(charts.get("curves", ())),
         tuple(found[:MOST_EVENTS]), max(len(found) - MOST_EVENTS, 0),
         tuple((drive.mode, tuple(_metrics(drive))) for drive in drives),
         tuple(_missing(drives)), tuple(_files(results, drives, page)), _plot(results, row, seen, page),

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
+from importlib.metadata import EntryPoint
 from itertools import pairwise
 from math import inf
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -14,8 +17,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap_cases import rich_scenario
 
-import logs.readers as table
-from logs import ConfigError, LogError, Scenario
+from logs import ConfigError, LogError, Scenario, extension
 from logs.catalogue import CATALOGUE
 from logs.mcap import read_scenario, write_scenario
 from logs.readers import LogSettings, Reader, logs_in, read_log, reader_of, readers, windows
@@ -100,24 +102,16 @@ def test_settings_are_checked() -> None:
             LogSettings(**wrong)
 
 
-class _Entry:
-    """An entry point."""
-
-    def __init__(self, loaded: Any) -> None:
-        self.name, self.value, self.loaded = "mine", "my_package.reader:READER", loaded
-
-    def load(self) -> Any:
-        if isinstance(self.loaded, Exception):
-            raise self.loaded
-        return self.loaded
-
-
 @pytest.fixture
 def installed(monkeypatch: pytest.MonkeyPatch) -> Any:
     """Installs a reader of another distribution."""
 
     def install(loaded: Any) -> None:
-        monkeypatch.setattr(table, "entry_points", lambda group: [_Entry(loaded)])
+        entry = EntryPoint("mine", "my_reader:READER", "replan.readers")
+        monkeypatch.setattr(extension, "_installed", lambda group, path: (entry,))
+        module = ModuleType("my_reader")
+        vars(module).update({} if loaded is None else {"READER": loaded})
+        monkeypatch.setitem(sys.modules, "my_reader", module)
         readers.cache_clear()
 
     yield install
@@ -196,8 +190,8 @@ def test_an_ego_that_a_format_cannot_take_is_refused(installed: Any, tmp_path: P
 
 def test_a_reader_that_cannot_be_used_is_named(installed: Any) -> None:
     for loaded, word in (
-        (ImportError("no module x"), "my_package.reader:READER cannot be loaded: ImportError: no module x"),
-        (42, "my_package.reader:READER is no logs.readers.Reader, but int"),
+        (None, "no reader in my_reader is called 'READER'"),
+        (42, "reader 'mine' is a int, not a replan.Reader"),
         (replace(MINE, name="native"), "two readers called 'native'"),
     ):
         installed(loaded)

@@ -68,6 +68,7 @@ from replay.drive import LoopConfig
 from replay.perception import perceive
 from replay.planner_config import planner_keywords
 from replay.recording.why import why
+from replay.why import accounts
 from replay.world import World, logged_ego
 
 SPEED = st.floats(0.0, 30.0)
@@ -311,12 +312,12 @@ def test_the_counts_are_in_the_trace_and_in_words(tmp_path: Path) -> None:
     with (tmp_path / "trace.mcap").open("rb") as stream:
         messages = [json.loads(m.data) for _, _, m in make_reader(stream).iter_messages(topics=["/plan"])]
     assert len(messages) == len(trace.frames)
-    for message, planned in zip(messages, trace.frames, strict=True):
+    for message, planned, account in zip(messages, trace.frames, accounts(trace, made), strict=True):
         counted = candidates(planned.plan)
         assert message["candidates"] == [
             {"stage": "lattice", "considered": counted.considered, "rejected": dict(counted.rejected)}
         ]
-        assert any(f"lattice: {counted.considered}; not taken: " in line for line in why(planned))
+        assert any(f"lattice: {counted.considered}; not taken: " in line for line in why(planned, account))
 
 
 def test_the_configuration_is_a_table() -> None:

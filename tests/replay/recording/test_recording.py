@@ -41,6 +41,7 @@ from replay.recording.road import covered, dashes
 from replay.recording.screenshot import Picture, ScreenshotError, take_pictures
 from replay.recording.text import DRAWABLE, application_name, cell, path_parts, plain
 from replay.recording.why import why
+from replay.why import accounts
 
 # ---------------------------------------------------------------------------------------------------------- laws
 
@@ -292,7 +293,7 @@ def test_lanes_of_states_change_when_the_plans_do(closed: tuple[Drive, Scenario,
 def test_why_tells_decisions_reasons_solvers_and_costs(closed: tuple[Drive, Scenario, Recording]) -> None:
     _, _, recording = closed
     pages = recording.column("/why", "TextDocument:text").flatten().to_pylist()
-    assert "t = 8.00 s: brakes: yield" in pages[80]
+    assert "t = 8.00 s: slows down: yield" in pages[80]
     for words in (
         "Slows down for ped 7 (yield)",
         "in the path until 11.5 s",
@@ -484,10 +485,12 @@ def test_events_name_changes_and_the_end() -> None:
 
 
 def test_many_decisions_are_counted_not_listed() -> None:
-    done, _ = drive()
+    done, world = drive()
     ignored = tuple(Decision(f"car {i}", DecisionKind.IGNORE, "path", "far") for i in range(300))
     stop = Decision("wall", DecisionKind.STOP, "speed", "ahead")
-    page = "\n".join(why(PlannedFrame(0.0, replace(done.trace.frames[0].plan, internals=(*ignored, stop)))))
+    frame = PlannedFrame(0.0, replace(done.trace.frames[0].plan, internals=(*ignored, stop)))
+    (account,) = accounts(replace(done.trace, frames=(frame,)), world)
+    page = "\n".join(why(frame, account))
     assert "wall: stop" in page and "and 286 more" in page
 
 

@@ -15,8 +15,6 @@ from sample_drive import drive, road
 from logs import (
     AgentKind,
     Agents,
-    Decision,
-    DecisionKind,
     EgoState,
     Frame,
     LaneOption,
@@ -35,10 +33,18 @@ from replay.recording import write_recording
 from replay.recording.events import events
 from replay.recording.lane_choice import changes_under_way, choices, lanes_driven, options, told
 from replay.recording.others import futures, hatching, perceived_only, rim, unseen
-from replay.recording.why import nearest, why
+from replay.recording.why import why
+from replay.why import accounts
 
 EGO = EgoState(3.0, 0.0, 0.0, 0.0, 10.0)
 PLAN = drive()[0].trace.frames[30].plan
+
+
+def page(trace: Trace, index: int, *more: object) -> str:
+    """The page of a frame."""
+    _, world = drive()
+    account = list(accounts(trace, world))[index]
+    return "\n".join(why(trace.frames[index], account, *more))  # type: ignore[arg-type]
 
 
 def agents(count: int) -> Agents:
@@ -177,8 +183,8 @@ def test_who_was_not_seen_is_named_with_the_distance() -> None:
     at = truth.ids.index("car 12")
     ego = trace.ego.at(6.0)
     assert dict(missing)["car 12"] == pytest.approx(np.hypot(truth.x[at] - ego.x, truth.y[at] - ego.y))
-    page = "\n".join(why(trace.frames[60], missing))
-    assert "**Not seen by the sensor:**" in page and "car 12 (" in page
+    text = page(done.trace, 60, missing)
+    assert "**Not seen by the sensor:**" in text and "car 12 (" in text
 
 
 # ------------------------------------------------------------------------------------------------- lanes and why
@@ -206,9 +212,9 @@ def test_a_change_of_lane_is_told_with_its_costs() -> None:
     lines = [event for event in events(trace) if "changes lane" in event.words]
     assert [event.t for event in lines] == [2.0]
     assert "to the left: costs 1.3 s (time lost 0.3, change 1.0) instead of keep 7.4 s" in lines[0].words
-    page = "\n".join(why(trace.frames[15]))
-    assert "- **left**: 1.3 s (time lost 0.3, change 1.0); car 7 is beside" in page
-    assert "- **keep**: 7.4 s (time lost 7.4); taken" in page
+    text = page(trace, 15)
+    assert "- **left**: 1.3 s (time lost 0.3, change 1.0); car 7 is beside" in text
+    assert "- **keep**: 7.4 s (time lost 7.4); taken" in text
     assert told(options(trace.frames[20].plan)).endswith("keep 7.4 s (time lost 7.4)")
 
 
@@ -221,7 +227,7 @@ def test_a_change_is_under_way_until_the_lane_is_left() -> None:
     ]  # fmt: skip
     under_way = changes_under_way(trace.frames, lanes)
     assert under_way[30] is not None and under_way[30].t == 2.0
-    assert "Changes lane to the left** since t = 2.00 s" in "\n".join(why(trace.frames[30], (), under_way[30]))
+    assert "Changes lane to the left** since t = 2.00 s" in page(trace, 30, (), under_way[30])
 
 
 def test_the_lane_under_the_ego_is_the_one_it_drives() -> None:
@@ -241,23 +247,6 @@ def test_rows_of_lanes_are_in_the_recording(tmp_path: Path) -> None:
     assert "/state/lane" not in recording.moving, "one lane needs no row"
 
 
-def test_the_one_to_brake_for_is_the_nearest_in_the_graph() -> None:
-    done, _ = drive()
-    plan = done.trace.frames[85].plan
-    agent, gap, t = nearest(plan) or ("", 0.0, 0.0)
-    assert agent == "ped 7"
-    assert -0.5 < gap < 8.0 and 0.0 <= t <= 8.0
-    assert "Slows down for ped 7 (yield)" in "\n".join(why(done.trace.frames[85]))
-
-
-def test_who_slows_down_for_nobody_says_so() -> None:
-    done, _ = drive()
-    plan = replace(done.trace.frames[85].plan, internals=())
-    assert "Nobody is in the way" in "\n".join(why(PlannedFrame(8.5, plan)))
-    ignored = (Decision("car 1", DecisionKind.IGNORE, "speed", "far"),)
-    assert "Nobody is in the way" in "\n".join(why(PlannedFrame(8.5, replace(plan, internals=ignored))))
-
-
 def test_the_reason_of_a_plan_is_shown_and_is_an_event_once() -> None:
     done, _ = drive()
     reasons = ["", "braking leaves 1.2 m", "braking leaves 1.1 m", "", "braking leaves 1.0 m"]
@@ -267,4 +256,4 @@ def test_the_reason_of_a_plan_is_shown_and_is_an_event_once() -> None:
     )
     found = [event.t for event in events(replace(done.trace, frames=frames)) if "leaves" in event.words]
     assert found == pytest.approx([0.1, 0.4])
-    assert "**Reason: braking leaves 1.1 m**" in "\n".join(why(frames[2]))
+    assert "**Reason: braking leaves 1.1 m**" in page(replace(done.trace, frames=frames), 2)

@@ -1,0 +1,52 @@
+"""A metric: how fast the ego drives beside people on foot or on two wheels.
+
+    replan evaluate LOGS --metric passing_speed:PASSING_SPEED
+
+(1) value(t) = v(t) where the middle of such a road user is within REACH_M of the ego's middle line, beside its body;
+    NaN in every other step
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from logs import Mode, Scenario, Trace
+from metrics import Metric, Series, Unavailable
+from metrics.metric import MAX
+
+REACH_M = 3.0
+"""Half of a car's width and the 2 m that German law asks for beside riders out of town (StVO, 5 (4))."""
+STEP_S = 0.1
+"""Steps at which is looked, s."""
+
+
+def _passing_speed(trace: Trace, scenario: Scenario) -> Series | Unavailable:
+    if not any(kind.is_vulnerable for kind in trace.agents.kinds):
+        return Unavailable("no one on foot or on two wheels in the log")
+    ego, car = trace.ego, scenario.vehicle
+    t = np.arange(ego.t[0], ego.t[-1], STEP_S)
+    at = np.searchsorted(ego.t, t)
+    value, labels = np.full(len(t), np.nan), [""] * len(t)
+    for step, i in enumerate(at):
+        agents = trace.agents.truth(float(ego.t[i]))
+        dx, dy = agents.x - ego.x[i], agents.y - ego.y[i]
+        ahead = dx * np.cos(ego.yaw[i]) + dy * np.sin(ego.yaw[i])
+        side = dy * np.cos(ego.yaw[i]) - dx * np.sin(ego.yaw[i])
+        soft = np.array([kind.is_vulnerable for kind in agents.kinds], bool)
+        near = soft & (ahead > -car.rear_overhang) & (ahead < car.axle_to_front) & (np.abs(side) < REACH_M)
+        if near.any():  # (1)
+            value[step] = ego.v[i]
+            labels[step] = agents.ids[int(np.flatnonzero(near)[0])]
+    return Series(ego.t[at], value, tuple(labels), missing="no one was passed")
+
+
+PASSING_SPEED = Metric(
+    "passing_speed",
+    "m/s",
+    "lower",
+    (Mode.CLOSED,),
+    _passing_speed,
+    (MAX,),
+    f"Speed while someone on foot or on two wheels is beside the ego, within {REACH_M} m.",
+    needs="someone on foot or on two wheels",
+)

@@ -1,0 +1,80 @@
+"""Our packages before all others of their names: these are common ones, and a user's `metrics.py` may lie nearby.
+
+Python searches the folder of a script, or the working directory, before installed packages. So whatever of replan is
+imported first puts a finder before all others that gives `logs`, `metrics`, `planners` and `replay` from where this
+package lies. What clashes nevertheless is said in one message with both files and the way out.
+
+It stands beside the public names, and imports nothing of ours: all four packages begin with it.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Sequence
+from importlib.abc import MetaPathFinder
+from importlib.machinery import ModuleSpec, PathFinder
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("logs", "metrics", "planners", "replay")
+
+
+class OwnPackages(MetaPathFinder):
+    """Finds our packages, and nothing else."""
+
+    def find_spec(
+        self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Where a package of ours is; None for any other name."""
+        return PathFinder.find_spec(fullname, [str(ROOT)]) if fullname in PACKAGES else None
+
+
+def first() -> None:
+    """From here on, our packages are found before others of their names.
+
+    Raises:
+        ImportError: Another of these names is imported already.
+    """
+    for name in PACKAGES:
+        module = sys.modules.get(name)
+        places = [] if module is None else [module.__file__ or "", *getattr(module, "__path__", ())]
+        if module is not None and not any(Path(place).resolve().is_relative_to(ROOT / name) for place in places):
+            theirs = next(filter(None, places), "in memory")
+            raise ImportError(f"{clash(name, theirs)}, or `import replan` before it", name=name)
+    if not any(type(finder).__name__ == OwnPackages.__name__ for finder in sys.meta_path):
+        sys.meta_path.insert(0, OwnPackages())
+
+
+def rival(package: str) -> str:
+    """The file or folder in the Python path that has the name of a package of ours; "": there is none."""
+    for folder in (Path(entry or ".").resolve() for entry in sys.path):
+        for file in (folder / package / "__init__.py", folder / f"{package}.py", folder / package):
+            if folder != ROOT and file.exists():
+                return str(file)
+    return ""
+
+
+def clash(package: str, theirs: str) -> str:
+    """What is to be said of a file of the user's that has the name of a package of ours."""
+    ours = ROOT / package / "__init__.py"
+    yours = f"yours ({theirs})" if theirs else "a package of yours with that name"
+    says = f"'{package}' is the name of a package of replan ({ours})"
+    return f"{says}: {yours} cannot be imported beside it; rename yours"
+
+
+def missing(package: str) -> Callable[[str], Any]:
+    """The `__getattr__` of a package: where what is not in it may be meant of the user's, both files are named."""
+
+    def lacking(name: str) -> Any:
+        theirs = "" if name.startswith("__") else rival(package)
+        own = ROOT / package / name
+        if theirs and not (own.is_dir() or own.with_suffix(".py").is_file()):
+            raise ImportError(f"no '{name}' in '{package}': {clash(package, theirs)}", name=package)
+        raise AttributeError(f"module '{package}' has no attribute {name!r}")
+
+    return lacking
+
+
+first()

@@ -1,0 +1,131 @@
+"""What `import replan` does in one call: drive and judge (`evaluate`), and compare two runs (`compare`)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from logs.errors import ConfigError
+from metrics.compare import Comparison
+from replay.batch import evaluate_logs
+from replay.config import Internals, RunConfig, RunMode, load_run
+from replay.results import Results, load
+
+if TYPE_CHECKING:
+    from planners.base import Planner
+
+
+def evaluate(
+    logs: Path | str | Sequence[Path | str] = (),
+    *,
+    planners: str | type[Planner] | Sequence[str | type[Planner]] | None = None,
+    out: Path | str | None = None,
+    mode: RunMode | None = None,
+    gates: Path | str | None = None,
+    metrics: Sequence[str] | None = None,
+    charts: Sequence[str] | None = None,
+    recording: bool | None = None,
+    internals: Internals | None = None,
+    config: RunConfig | Path | str | None = None,
+    suite: str | None = None,
+    window: float | None = None,
+    workers: int = 0,
+    resume: bool = False,
+    loop: dict[str, Any] | None = None,
+) -> Results:
+    """Drive planners over logs, measure, judge by gates, and write everything into one folder, as `replan evaluate`.
+
+    What is left out is as in `config`, and where that says nothing, the default of `replay.config.RunConfig`.
+
+    Args:
+        logs: Files and folders of any format; none: the built-in suite.
+        planners: Names, "module:Class", "exec:COMMAND", or classes that can be imported.
+        out: Result folder: new, empty, or results of an earlier run, which are replaced; None: `results/run-NNN`.
+        mode: "open", "closed" or "both".
+        gates: A TOML file of thresholds.
+        metrics: "module:NAME" of metrics of your own.
+        charts: "module:NAME" of charts of your own.
+        recording: Whether .rrd files are written.
+        internals: What of a planner's inside is kept: "none", "summary", "full".
+        config: All settings of a run, or a TOML file of them.
+        suite: Instead of logs: a suite of the catalogue, or a family or group of it.
+        window: Seconds: each log is evaluated in parts of this length.
+        workers: Child processes; 0 evaluates in this one. Results do not depend on it. With any, a script needs
+            `if __name__ == "__main__":`.
+        resume: Go on with an interrupted run into `out`.
+        loop: Keys of [loop] (`replay.drive.LoopConfig`): {"controller": "mpc", "plan_period_s": 0.2}.
+
+    Raises:
+        ConfigError: No logs, a wrong name or setting; nothing was run.
+        PlannerError: None of the planners can be loaded.
+        OutputError: The disk is full.
+    """
+    run = load_run(Path(config)) if isinstance(config, (str, Path)) else config or RunConfig()
+    given = {
+        "planners": None if planners is None else tuple(map(named, _each(planners))),
+        "mode": mode,
+        "gates": None if gates is None else str(gates),
+        "metrics": None if metrics is None else tuple(metrics),
+        "charts": None if charts is None else tuple(charts),
+        "recording": recording,
+        "internals": internals,
+        "loop": None if loop is None else _over(run.loop, loop),
+    }
+    run = _over(run, {key: value for key, value in given.items() if value is not None})
+    places = [logs] if isinstance(logs, (str, Path)) else list(logs)
+    done = evaluate_logs(places, run, out, workers=workers, resume=resume, window=window, suite=suite)
+    return load(done.out)
+
+
+def compare(
+    baseline: Results | Path | str,
+    candidate: Results | Path | str,
+    *,
+    planners: Sequence[str] = (),
+    gates: Path | str | None = None,
+) -> Comparison:
+    """Two runs compared per log and metric, as `replan compare`.
+
+    Args:
+        baseline: Results, their folder, or a file of `replan baseline`.
+        candidate: Likewise.
+        planners: One: only this planner of both. Two: the first of the baseline with the second of the candidate.
+        gates: A TOML file of thresholds and rules of comparison; None: the packaged ones.
+
+    Raises:
+        ConfigError: There are no such results, or no such planner in them.
+        LogError: They are damaged.
+    """
+    from replay.compare import compare_runs, opened
+
+    sides = [opened(run.path if isinstance(run, Results) else run) for run in (baseline, candidate)]
+    return compare_runs(sides[0], sides[1], tuple(planners), gates=None if gates is None else Path(gates))
+
+
+def named(planner: str | type) -> str:
+    """The name by which a worker finds a planner: of a class "module:Class".
+
+    Raises:
+        ConfigError: The class is of a script or a notebook, which a worker cannot import.
+    """
+    if isinstance(planner, str):
+        return planner
+    if planner.__module__ == "__main__" or "<locals>" in planner.__qualname__:
+        raise ConfigError(
+            f"planner {planner.__qualname__}: put it into a file of its own, which its process can import"
+        )
+    return f"{planner.__module__}:{planner.__qualname__}"
+
+
+def _each(planners: str | type[Planner] | Sequence[str | type[Planner]]) -> Sequence[str | type[Planner]]:
+    return [planners] if isinstance(planners, (str, type)) else planners
+
+
+def _over(config: Any, given: dict[str, Any]) -> Any:
+    """A configuration with keys replaced; ConfigError where there is no such key."""
+    try:
+        return replace(config, **given)
+    except TypeError as error:
+        raise ConfigError(f"{type(config).__name__}: {error}") from None

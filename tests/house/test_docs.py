@@ -1,0 +1,170 @@
+"""What README and documentation show is run: commands and programs of a page in order, in a folder of its own.
+
+A block that is not run says why in a comment before it, `<!-- not run: REASON -->`; a command that ends with another
+exit code than 0 says so behind it, `# exit code 1`. A program is a file whose name is its first line.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import shutil
+import subprocess
+import sys
+import textwrap
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+from command_line import replan
+from typer.main import get_command
+
+from replay.cli import app
+
+ROOT = Path(__file__).parents[2]
+PAGES = (*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "examples").rglob("*.md")))
+FENCE = re.compile(
+    r"(?:<!-- not run: (?P<why>[^\n]+?) -->\n)?^ *```(?P<kind>\w*)\n(?P<text>.*?)^ *```$", re.MULTILINE | re.DOTALL
+)
+EXIT = re.compile(r"# exit code (\d)")
+
+
+class Block(NamedTuple):
+    """A block of a page: its language, text, and why it is not run."""
+
+    kind: str
+    text: str
+    why: str | None
+
+
+def blocks(page: Path, *kinds: str) -> list[Block]:
+    found = FENCE.finditer(page.read_text(encoding="utf-8"))
+    made = [Block(m["kind"], textwrap.dedent(m["text"]), m["why"]) for m in found]
+    return [block for block in made if block.kind in kinds]
+
+
+def file_name(block: Block) -> str | None:
+    """The file that a block is, if its first line names one."""
+    m = re.fullmatch(r"# (\S+\.(?:py|toml|yml))", block.text.partition("\n")[0])
+    return m and m[1]
+
+
+def commands(page: Path) -> Iterator[tuple[list[str], int]]:
+    """Words and exit code of every command of a page that is run, in order."""
+    for block in blocks(page, "sh"):
+        for line in block.text.replace("\\\n", " ").splitlines() if block.why is None else ():
+            if words := shlex.split(line, comments=True):
+                yield words, int(m[1]) if (m := EXIT.search(line)) else 0
+
+
+def named(page: Path) -> str:
+    return page.relative_to(ROOT).as_posix()
+
+
+def with_commands() -> list[Path]:
+    return [page for page in PAGES if any(commands(page))]
+
+
+@pytest.fixture
+def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder with nothing in it but the examples, from which programs find ours."""
+    for example in (ROOT / "examples").glob("*.py"):
+        (tmp_path / example.name).write_bytes(example.read_bytes())
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", f"{ROOT}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return tmp_path
+
+
+def put_files(page: Path, folder: Path) -> None:
+    if page.parent.parent == ROOT / "examples":
+        shutil.copytree(page.parent, folder, dirs_exist_ok=True)
+    for block in blocks(page, "python", "toml"):
+        if block.why is None and (name := file_name(block)):
+            (folder / name).write_text(block.text, encoding="utf-8")
+
+
+def run(words: list[str]) -> tuple[int, str]:
+    """A command, quickly: replan in this process, without recordings."""
+    program, *rest = words
+    if program == "replan":
+        extra = ["--workers", "0", "--no-recording"] if rest[0] == "evaluate" else []
+        result = replan(*rest, *extra)
+        return result.exit_code, result.output
+    assert program == "python", f"{shlex.join(words)}: say why it is not run"
+    done = subprocess.run([sys.executable, *rest], capture_output=True, text=True, check=False)
+    return done.returncode, done.stdout + done.stderr
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("page", with_commands(), ids=named)
+def test_every_command_runs_in_order(page: Path, desk: Path) -> None:
+    before = set(sys.modules)
+    put_files(page, desk)
+    try:
+        for words, code in commands(page):
+            if words[:2] == ["replan", "view"]:
+                continue  # a viewer is a window: tests/replay has what it opens
+            exit_code, said = run(words)
+            assert exit_code == code, f"{shlex.join(words)}: {said}"
+    finally:
+        for name in set(sys.modules) - before:
+            if Path(getattr(sys.modules[name], "__file__", None) or "/").is_relative_to(desk):
+                del sys.modules[name]
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if blocks(page, "python", "toml")], ids=named)
+def test_programs_and_settings_are_whole(page: Path, desk: Path) -> None:
+    """Programs compile; those without a name run; settings are TOML."""
+    put_files(page, desk)
+    for block in blocks(page, "toml"):
+        assert tomllib.loads(block.text)
+    for block in blocks(page, "python"):
+        compile(block.text, page.name, "exec")
+        if block.why is None and file_name(block) is None:
+            done = subprocess.run([sys.executable, "-c", block.text], capture_output=True, text=True, check=False)
+            assert done.returncode == 0, done.stderr
+
+
+def test_every_program_of_a_page_is_run() -> None:
+    """A named program is run by a command of its page, or is a module that a command or another program names."""
+    for page in PAGES:
+        said = " ".join(" ".join(words) for words, _ in commands(page))
+        programs = [block for block in blocks(page, "python") if block.why is None and file_name(block)]
+        for block in programs:
+            name = Path(file_name(block) or "").stem
+            others = [other.text for other in programs if other is not block]
+            assert re.search(rf"\b{name}\b", said + " ".join(others)), f"{page.name}: {name}.py is run by nothing"
+
+
+def shown_commands(page: Path) -> Iterator[list[str]]:
+    """The words of every `replan ...` of a page, run or not: in blocks, indented, and in the text."""
+    text = page.read_text(encoding="utf-8").replace("\\\n", " ")
+    fenced = "\n".join(block.text for block in blocks(page, "sh")).replace("\\\n", " ")
+    lines = re.findall(r"^ *(replan .+)$", fenced, re.MULTILINE) + re.findall(r"^ {4,}(replan .+)$", text, re.MULTILINE)
+    lines += re.findall(r"`(replan [^`]+)`", text)
+    for line in lines:
+        yield shlex.split(line.replace("\n", " "), comments=True)[1:]
+
+
+@pytest.mark.parametrize("page", PAGES, ids=named)
+def test_every_option_of_a_shown_command_exists(page: Path) -> None:
+    root = get_command(app)
+    for words in shown_commands(page):
+        command, rest = root, words
+        while rest and rest[0] in getattr(command, "commands", {}):
+            command, rest = command.commands[rest[0]], rest[1:]
+        assert command is not root or words[0].startswith("-"), f"replan {shlex.join(words)}: no such command"
+        known = {option for param in (*command.params, *root.params) for option in (*param.opts, *param.secondary_opts)}
+        asked = {word.partition("=")[0] for word in rest if re.match(r"--?[a-zA-Z]", word)}
+        assert asked <= known | {"--help", "-h"}, f"replan {shlex.join(words)}: {asked - known}"
+
+
+def test_shown_code_is_fenced_as_a_language() -> None:
+    """Code in no language would be run by nothing."""
+    for page in PAGES:
+        text = page.read_text(encoding="utf-8")
+        assert not re.search(r"^ *```(?:bash|shell|console|py)$", text, re.MULTILINE), page.name

@@ -18,6 +18,7 @@ import pandas as pd
 import replan.own
 from logs.errors import raised
 from logs.extension import Kind, an_instance
+from logs.frame_store import light
 from logs.scenario import Scenario
 from logs.trace import Trace
 from metrics import (
@@ -186,7 +187,9 @@ def _measured(
     trace: Trace, scenario: Scenario, metrics: Mapping[str, Metric], broken: Broken | None = None
 ) -> Iterator[tuple[Metric, str, Measured]]:
     """Every metric of the trace's mode, part by part; what is a phantom is left out for all of them."""
-    judged = replace(trace, agents=without_phantoms(trace.agents, phantoms(scenario)))
+    ours = all(METRICS.get(name) is metric for name, metric in metrics.items())  # none looks at graphs or predictions
+    frames = light(trace.frames) if ours else trace.frames
+    judged = replace(trace, agents=without_phantoms(trace.agents, phantoms(scenario)), frames=frames)
     for metric in metrics.values():
         if trace.mode in metric.modes:
             for name, found in _asked(metric, judged, scenario, broken).items():

@@ -76,7 +76,7 @@ def run_closed_loop(
         oracle=planning.is_oracle or perception.is_oracle,
         ego=recorder.ego,
         agents=world.tracks,
-        frames=tuple(recorder.frames),
+        frames=recorder.frames.frames,
         end=end.reason if end else EndReason.END_OF_LOG,
         detail=end.detail if end else "",
         commands=recorder.commands,

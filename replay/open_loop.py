@@ -9,6 +9,7 @@ from types import MappingProxyType
 import numpy as np
 
 from logs.errors import PlannerError
+from logs.frame_store import FrameStore
 from logs.scenario import Scenario
 from logs.states import TRAJECTORY_COLUMNS, EgoState, Trajectory
 from logs.trace import EndReason, Mode, PlannedFrame, Trace
@@ -44,7 +45,7 @@ def run_open_loop(
     egos = [logged_ego(scenario.ego, scenario.vehicle, t) for t in grid]
     planning = seat(scenario, planner, planner_config, config, egos[0], keep_internals=keep_internals)
     perception = Perception(scenario, config)
-    frames: list[PlannedFrame] = []
+    frames = FrameStore()
     end, detail = EndReason.END_OF_LOG, ""
 
     for ego in egos:
@@ -63,7 +64,7 @@ def run_open_loop(
         oracle=planning.is_oracle or perception.is_oracle,
         ego=_trajectory(egos[: max(len(frames), 1)]),
         agents=scenario.tracks,
-        frames=tuple(frames),
+        frames=frames.frames,
         end=end,
         detail=detail,
         notes=(*planning.notes, *perception.notes),

@@ -20,6 +20,7 @@ import numpy as np
 from logs import trace as nouns
 from logs.errors import LogError
 from logs.frame import Predictions
+from logs.frame_store import light
 from logs.kernel import FloatArray
 from logs.mcap import native
 from logs.mcap.writer import Entry, column, log_times, samples, scenario_entries, scenario_records, write_log
@@ -83,7 +84,7 @@ def trace_record(trace: nouns.Trace, internals: Internals) -> dict[str, str]:
 
 
 def _trace_entries(trace: nouns.Trace, start_ns: int, internals: Internals) -> Iterator[Entry]:
-    times = log_times(np.array([frame.t for frame in trace.frames]), start_ns, "/plan")
+    times = log_times(np.array([frame.t for frame in light(trace.frames)]), start_ns, "/plan")
     for time, frame in zip(times, trace.frames, strict=True):
         yield time, "/plan", plan_message(frame.plan, internals)
         if internals != "none" and frame.predictions is not None:

@@ -43,8 +43,8 @@ def quaternions(yaw: FloatArray) -> FloatArray:
     return np.column_stack([zero, zero, np.sin(0.5 * yaw), np.cos(0.5 * yaw)])
 
 
-def draw_scene(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants, frames: Instants) -> None:
-    """All of the scene: `instants` for what moves, `frames` for what is planned."""
+def draw_scene(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants) -> None:
+    """Road, goal, lights, ego and log; the others and the plans: `draw_moving`."""
     draw_road(tape, scenario.road)
     draw_goal(tape, scenario)
     draw_lights(tape, scenario, instants)
@@ -52,14 +52,17 @@ def draw_scene(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants,
     _draw_driven(tape, trace.ego, instants)
     if trace.ego is not scenario.ego and len(scenario.ego) > 1:
         _draw_log(tape, trace, scenario, instants)
+
+
+def draw_moving(tape: Tape, trace: Trace, instants: Instants, frames: Instants) -> None:
+    """The others at some instants, and the plans of some frames, those in force at the instants: `trace.frames`."""
     agents = [trace.agents.truth(float(t)) for t in instants.t]
-    still = {trace.agents.ids[i] for i in np.flatnonzero(trace.agents.static)}
     for kind in AgentKind:
         if kind in trace.agents.kinds:
             _draw_kind(tape, kind, agents, instants)
     _draw_velocities(tape, agents, instants)
     plans = [frame.plan for frame in trace.frames]
-    _draw_names(tape, trace.ego, agents, plans, instants, still)
+    _draw_names(tape, trace.ego, agents, plans, instants, int(frames.frame[0]) if plans else 0)
     if plans:
         _draw_plans(tape, plans, frames, max(1.0, float(trace.ego.v.max())))
 
@@ -176,9 +179,9 @@ def _draw_names(
     agents: Sequence[Agents],
     plans: Sequence[Plan],
     instants: Instants,
-    still: set[str],
+    begin: int,
 ) -> None:
-    """Ids above the agents that matter, with the decision in its colour."""
+    """Ids above the agents that matter, with the decision in its colour; `begin` is the frame of the first plan."""
     xy, _ = _resampled(ego, instants.t)
     decided = [_decided(plan) for plan in plans] or [{}]
     points: list[tuple[float, float, float]] = []
@@ -186,7 +189,7 @@ def _draw_names(
     colour: list[int] = []
     counts: list[int] = []
     for some, frame, (x, y) in zip(agents, instants.frame, xy, strict=True):
-        here = decided[min(int(frame), len(decided) - 1)]
+        here = decided[min(int(frame) - begin, len(decided) - 1)]
         named = _named(some, here, float(x), float(y))
         counts.append(len(named))
         for i in named:

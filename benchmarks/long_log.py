@@ -135,7 +135,8 @@ def measured(console: Console, scenario: Scenario, mode: Mode, chosen: argparse.
     """The stages of one drive, as a worker has them (`replay.batch.one_log`)."""
     import metrics
     from logs.mcap import write_trace
-    from replay.batch.one_log import LOOPS
+    from replay.batch.one_log import LOOPS, SHOWN
+    from replay.batch.steps import Steps, StepsFile
     from replay.reference_drives import reference_table
 
     keep = not chosen.no_recording or chosen.internals != "none"
@@ -145,14 +146,20 @@ def measured(console: Console, scenario: Scenario, mode: Mode, chosen: argparse.
     with stage(console, f"{mode.value}: drive"):
         drive = LOOPS[mode](scenario, chosen.planner, keep_internals=keep)
     with stage(console, f"{mode.value}: metrics"):
-        table, steps = metrics.evaluate_with_series(drive.trace, scenario)
+        steps, found = StepsFile(folder), dict[str, Steps]()
+        keeping = lambda name, series: found.setdefault(name, steps.put(name, series))  # noqa: E731
+        table = metrics.evaluate(drive.trace, scenario, found=keeping)
+        steps.add(chosen.planner, mode.value, tuple(found.values()))
+        shown = steps.table([found[name] for name in SHOWN if name in found])
+    with stage(console, f"{mode.value}: frames.parquet"):
+        steps.write()
     with stage(console, f"{mode.value}: trace"):
         write_trace(folder / "drive.mcap", drive.trace, scenario, internals=chosen.internals)
     if not chosen.no_recording:
         from replay.recording import write_recording
 
         with stage(console, f"{mode.value}: recording"):
-            write_recording(folder / "drive.rrd", drive, scenario, table, steps)
+            write_recording(folder / "drive.rrd", drive, scenario, table, shown)
     sizes = ", ".join(f"{file.name} {file.stat().st_size / 1e6:.1f} MB" for file in sorted(folder.glob("drive.*")))
     console.print(f"{drive.trace.end.value} at {drive.trace.ego.t[-1]:.0f} s; {sizes}")
 

@@ -88,7 +88,7 @@ class Follower:
         return float((self.bend / max(np.abs(ahead).max(initial=0.0), 1e-4)) ** 0.5)
 
     def lead(self, frame: Frame, s: float) -> tuple[float, float]:
-        """Free way to the nearest agent on the line, m, and their speed along it, m/s; nobody: SIGHT_M, no hurry."""
+        """Free way to the nearest agent on the line, m, and their speed along it, m/s; else SIGHT_M and the limit."""
         nearest, speed, agents = SIGHT_M, self.limit, frame.agents
         for i in range(len(agents)):
             there, side = self.line.project(agents.x[i], agents.y[i])

@@ -91,6 +91,15 @@ _LIBRARIES = tuple(sysconfig.get_path(name) for name in ("stdlib", "purelib", "p
 LONGEST_MESSAGE = 400
 
 
+def of_users(error: BaseException) -> bool:
+    """Whether what was raised passed through code that is neither ours nor a library's."""
+    return any(_is_users(place.filename) for place in extract_tb(error.__traceback__))
+
+
+def _is_users(file: str) -> bool:
+    return not file.startswith((*OWN_FOLDERS, *_LIBRARIES, "<"))
+
+
 def raised(error: BaseException, *, of: Callable[..., Any] | None = None) -> str:
     """What was raised, in one line, with the place: the innermost in the user's code, where it is in the call at all.
 
@@ -104,7 +113,7 @@ def raised(error: BaseException, *, of: Callable[..., Any] | None = None) -> str
         words = "(its message cannot be read)"
     words = re.sub(r"\b0x[0-9a-f]{6,}\b", "0x...", words)[:LONGEST_MESSAGE]  # addresses differ from run to run
     places = [(place.filename, place.lineno) for place in extract_tb(error.__traceback__)]
-    theirs = [place for place in places if not place[0].startswith((*OWN_FOLDERS, *_LIBRARIES, "<"))]
+    theirs = [place for place in places if _is_users(place[0])]
     code = getattr(of, "__code__", None)
     named = [(code.co_filename, code.co_firstlineno)] if code is not None else []
     if isinstance(error, SyntaxError) and error.filename:

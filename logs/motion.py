@@ -24,6 +24,7 @@ Both sides of a gap (`logs.presence`) are estimated apart.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from math import log
 
 import numpy as np
@@ -58,7 +59,7 @@ _NEGLIGIBLE = 1e-9
 """Models with less weight are not smoothed."""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
+@dataclass(frozen=True, eq=False)
 class Motion:
     """Velocity m/s and acceleration m/s2 at each sample of some tracks, `(m,)` each, world."""
 
@@ -67,7 +68,7 @@ class Motion:
     ax: FloatArray
     ay: FloatArray
 
-    @property
+    @cached_property
     def accel(self) -> FloatArray:
         """Rate of the speed `(m,)`, m/s2."""
         speed = np.hypot(self.vx, self.vy)

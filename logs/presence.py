@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.kernel import BoolArray, FloatArray, IntArray
 
 MAX_AGE_S = 0.5
 """An agent that is sampled often is no longer assumed to be there when it was not seen for longer than this."""
@@ -41,12 +41,12 @@ def patience(offsets: IntArray, static: BoolArray, t: FloatArray) -> FloatArray:
     return out
 
 
-@kernel
 def _after(t: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
     """(1) of the samples `last` `(k,)` of tracks that begin at `first`; `MAX_GAP_S` where there is no interval."""
-    out = np.full(len(last), MAX_GAP_S)
-    for i in range(len(last)):
-        begin = max(first[i], last[i] - INTERVALS)
-        if begin < last[i]:
-            out[i] = min(max(MISSED * np.median(np.diff(t[begin : last[i] + 1])), MAX_AGE_S), MAX_GAP_S)
-    return out
+    count = np.minimum(last - first, INTERVALS)
+    back = np.arange(INTERVALS)
+    end = last[:, None] - np.where(back < count[:, None], back, 0)
+    steps = np.sort(np.where(back < count[:, None], t[end] - t[end - 1], np.inf), axis=1)
+    row = np.arange(len(last))
+    median = (steps[row, np.maximum(count - 1, 0) // 2] + steps[row, count // 2]) / 2.0
+    return np.clip(MISSED * median, MAX_AGE_S, MAX_GAP_S)

@@ -359,7 +359,7 @@ class Trace:
         oracle: Whether the planner knew the log's future.
         ego: As driven: at the control rate in closed loop, on the frame grid in open loop.
         agents: As they moved.
-        frames: The plans, in order of time.
+        frames: The plans, in order of time; a tuple, of a long drive a `logs.frame_store.FrameStore`.
         commands: What the controller asked for, on `ego.t`; None in open loop.
         actuation: What the actuators did, on `ego.t`; None in open loop.
         tracking: On `ego.t`; None in open loop.
@@ -376,7 +376,7 @@ class Trace:
     oracle: bool
     ego: Trajectory
     agents: Tracks
-    frames: tuple[PlannedFrame, ...]
+    frames: Sequence[PlannedFrame]
     end: EndReason
     detail: str = ""
     commands: Controls | None = None

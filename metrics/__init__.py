@@ -6,7 +6,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from operator import index
 from types import MappingProxyType
@@ -18,6 +18,7 @@ import pandas as pd
 import replan.own
 from logs.errors import raised
 from logs.extension import Kind, an_instance
+from logs.frame_store import light
 from logs.scenario import Scenario
 from logs.trace import Trace
 from metrics import (
@@ -118,16 +119,29 @@ Broken = Callable[[Metric, str, BaseException], None]
 
 
 def evaluate(
-    trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = METRICS, broken: Broken | None = None
+    trace: Trace,
+    scenario: Scenario,
+    *,
+    metrics: Mapping[str, Metric] = METRICS,
+    broken: Broken | None = None,
+    found: Callable[[str, Series], None] = lambda name, series: None,
 ) -> pd.DataFrame:
     """One row per metric and reduction of the trace's mode, columns `COLUMNS`; the same input gives the same bits.
 
     `metric` is "gap.min" or, with a part, "ade.3s.mean". `value` is NaN where `available` is False, and `reason`
     then says why; else `reason` says on whom or what the value is about ("car 12"), or is empty. `time_s` is when the
     value occurred, NaN where it belongs to no instant. A metric that raises is unavailable where `broken` is
-    given, which is then called; else the error is the caller's.
+    given, which is then called; else the error is the caller's. `found` is called with each series and its name as it
+    is measured: it is not kept here.
     """
-    return _table(trace, scenario, _measured(trace, scenario, metrics, broken), broken)
+    head, rows = (scenario.name, trace.planner, trace.mode.value, trace.oracle), []
+    for metric, name, steps in _measured(trace, scenario, metrics, broken):
+        if isinstance(steps, Series):
+            found(name, steps)
+        for reduction in metric.reductions:
+            row = _row(f"{name}.{reduction.name}", metric, reduction, steps, broken)
+            rows.append((*head, *row, metric.version, metric.source))
+    return pd.DataFrame(rows, columns=list(COLUMNS)).astype({"value": "float64", "time_s": "float64"})
 
 
 def series(trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = METRICS) -> pd.DataFrame:
@@ -135,31 +149,20 @@ def series(trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = 
 
     Sorted by metric, then by time.
     """
-    return _steps(_measured(trace, scenario, metrics))
+    steps = ((name, found) for _, name, found in _measured(trace, scenario, metrics) if isinstance(found, Series))
+    return _steps(dict(steps))
 
 
 def evaluate_with_series(
     trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = METRICS, broken: Broken | None = None
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """`evaluate` and `series`, each metric measured once."""
-    found = list(_measured(trace, scenario, metrics, broken))
-    return _table(trace, scenario, found, broken), _steps(found)
+    steps: dict[str, Series] = {}
+    table = evaluate(trace, scenario, metrics=metrics, broken=broken, found=steps.__setitem__)
+    return table, _steps(steps)
 
 
-def _table(
-    trace: Trace, scenario: Scenario, measured: Iterable[tuple[Metric, str, Measured]], broken: Broken | None
-) -> pd.DataFrame:
-    head = (scenario.name, trace.planner, trace.mode.value, trace.oracle)
-    rows = [
-        (*head, *_row(f"{name}.{reduction.name}", metric, reduction, found, broken), metric.version, metric.source)
-        for metric, name, found in measured
-        for reduction in metric.reductions
-    ]
-    return pd.DataFrame(rows, columns=list(COLUMNS)).astype({"value": "float64", "time_s": "float64"})
-
-
-def _steps(measured: Iterable[tuple[Metric, str, Measured]]) -> pd.DataFrame:
-    steps_of = {name: steps for _, name, steps in measured if isinstance(steps, Series)}
+def _steps(steps_of: Mapping[str, Series]) -> pd.DataFrame:
     found = sorted(steps_of.items(), key=lambda item: item[0])
     none = np.empty(0)
     return pd.DataFrame(
@@ -184,7 +187,9 @@ def _measured(
     trace: Trace, scenario: Scenario, metrics: Mapping[str, Metric], broken: Broken | None = None
 ) -> Iterator[tuple[Metric, str, Measured]]:
     """Every metric of the trace's mode, part by part; what is a phantom is left out for all of them."""
-    judged = replace(trace, agents=without_phantoms(trace.agents, phantoms(scenario)))
+    ours = all(METRICS.get(name) is metric for name, metric in metrics.items())  # none looks at graphs or predictions
+    frames = light(trace.frames) if ours else trace.frames
+    judged = replace(trace, agents=without_phantoms(trace.agents, phantoms(scenario)), frames=frames)
     for metric in metrics.values():
         if trace.mode in metric.modes:
             for name, found in _asked(metric, judged, scenario, broken).items():

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from logs.errors import ConfigError, unknown_name
+from logs.errors import ConfigError
 from logs.states import EgoState
 from logs.vehicle import VehicleParameters
 from replay.batch.tables import write_file
 from replay.config import RunConfig, load_run
 from replay.control.calibration import Calibration
-from replay.vehicle import VEHICLES
+from replay.vehicle import VEHICLE
 from replay.vehicle.plant import build
 
 STANDING = EgoState(0.0, 0.0, 0.0, 0.0, 0.0)
@@ -30,13 +30,12 @@ def calibrate(
     Raises:
         ConfigError: A name is unknown, the model has no power train, or the folder cannot be made.
     """
-    if model not in VEHICLES:
-        raise unknown_name("vehicle", model, VEHICLES)
+    vehicle = VEHICLE.find(model)
     if model == "perfect":
         raise ConfigError("the perfect vehicle has no pedals: there is nothing to calibrate")
     run = RunConfig() if config is None else load_run(config)
     parameters = run.in_car(car).driven(VehicleParameters())
-    table = Calibration.of(build(VEHICLES[model], model, parameters, STANDING, {}).powertrain)
+    table = Calibration.of(build(vehicle, model, parameters, STANDING, {}).powertrain)
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:

@@ -12,7 +12,7 @@ from logs.trace import EndReason, Mode, Plan, Trace
 from replay.drive import DEFAULT_LOOP, Drive, LoopConfig
 from replay.latency import Latency
 from replay.perception import Perception
-from replay.planning import Planning
+from replay.planning import Planning, Seat
 from replay.simulation_setup import SimulationSetup
 from replay.termination import Ended, Termination
 from replay.trace_recorder import TraceRecorder
@@ -26,11 +26,13 @@ def run_closed_loop(
     config: LoopConfig = DEFAULT_LOOP,
     keep_internals: bool = True,
     until_s: float = inf,
+    seat: Seat = Planning,
 ) -> Drive:
     """Drive a scenario with a planner: plan at `config.plan_period_s`, control and step at `config.control_period_s`.
 
     The ego starts as logged and is then moved by the vehicle model; the others by `config.traffic`. The planner's
     internals are only built where they are kept. The last frame is at `until_s`, s since the scenario's start.
+    `seat` builds what asks the planner.
 
     Raises:
         LogError: The log has no time to drive.
@@ -39,7 +41,7 @@ def run_closed_loop(
     """
     setup = SimulationSetup.of(scenario, config, until_s)
     world, latency = setup.world(), Latency(config.plan_delay_steps)
-    planning = Planning(scenario, planner, planner_config, config, world.ego, keep_internals=keep_internals)
+    planning = seat(scenario, planner, planner_config, config, world.ego, keep_internals=keep_internals)
     perception = Perception(scenario, config)
     termination = Termination(scenario, planning.goal, world.ego)
     recorder, period = TraceRecorder(setup.steps, setup.vehicle), setup.plan_period()
@@ -74,7 +76,7 @@ def run_closed_loop(
         oracle=planning.is_oracle or perception.is_oracle,
         ego=recorder.ego,
         agents=world.tracks,
-        frames=tuple(recorder.frames),
+        frames=recorder.frames.frames,
         end=end.reason if end else EndReason.END_OF_LOG,
         detail=end.detail if end else "",
         commands=recorder.commands,

@@ -9,12 +9,13 @@ from types import MappingProxyType
 import numpy as np
 
 from logs.errors import PlannerError
+from logs.frame_store import FrameStore
 from logs.scenario import Scenario
 from logs.states import TRAJECTORY_COLUMNS, EgoState, Trajectory
 from logs.trace import EndReason, Mode, PlannedFrame, Trace
 from replay.drive import DEFAULT_LOOP, Drive, LoopConfig
 from replay.perception import Perception
-from replay.planning import Planning
+from replay.planning import Planning, Seat
 from replay.world import World, logged_ego
 
 
@@ -26,12 +27,14 @@ def run_open_loop(
     config: LoopConfig = DEFAULT_LOOP,
     keep_internals: bool = True,
     until_s: float = inf,
+    seat: Seat = Planning,
 ) -> Drive:
     """Plan at every `config.plan_period_s` of the ego's log, from its first sample to its last.
 
     Between two samples of the log, the ego is the earlier one carried on: no later sample goes in. Every frame is the
     planner's first as far as memory goes (`Frame.previous` is None). The planner's internals are only built where they
     are kept. The last frame is at `until_s`, s since the scenario's start.
+    `seat` builds what asks the planner.
 
     Raises:
         ConfigError: A name of `config` or a keyword of the planner is unknown.
@@ -40,9 +43,9 @@ def run_open_loop(
     every = frame_times(scenario.ego, config.plan_period_ns)
     grid = every[:1] + [t for t in every[1:] if t <= until_s]
     egos = [logged_ego(scenario.ego, scenario.vehicle, t) for t in grid]
-    planning = Planning(scenario, planner, planner_config, config, egos[0], keep_internals=keep_internals)
+    planning = seat(scenario, planner, planner_config, config, egos[0], keep_internals=keep_internals)
     perception = Perception(scenario, config)
-    frames: list[PlannedFrame] = []
+    frames = FrameStore()
     end, detail = EndReason.END_OF_LOG, ""
 
     for ego in egos:
@@ -61,7 +64,7 @@ def run_open_loop(
         oracle=planning.is_oracle or perception.is_oracle,
         ego=_trajectory(egos[: max(len(frames), 1)]),
         agents=scenario.tracks,
-        frames=tuple(frames),
+        frames=frames.frames,
         end=end,
         detail=detail,
         notes=(*planning.notes, *perception.notes),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from math import cos, hypot, sin
 
@@ -47,6 +47,8 @@ class Planning:
     Attributes:
         is_oracle: Whether the planner knows the log.
         notes: What the user must know: the goal, where the log names none.
+        goal: As the planner is given it; `context` all that it is built with.
+        context: See there.
 
     Raises:
         ConfigError: No such planner, or it does not take such keywords.
@@ -73,8 +75,8 @@ class Planning:
         self._name = f"planner '{spec}' on {scenario.name}"
         self._watch = Stopwatch()
         period = config.plan_period_ns / 1e9
-        context = PlannerContext(_own(scenario.road), goal, scenario.vehicle, period, start, self._watch.lap)
-        self._planner = self._built(spec, context, scenario, planner_config, config.apart)
+        self.context = PlannerContext(_own(scenario.road), goal, scenario.vehicle, period, start, self._watch.lap)
+        self._planner = self._built(spec, self.context, scenario, planner_config, config.apart)
 
     @property
     def timings(self) -> tuple[StageTime, ...]:
@@ -122,6 +124,10 @@ class Planning:
         if fault:
             raise PlannerError(f"{self._name} broke its contract at {frame.t:.2f} s: {fault}")
         return (plan if self.is_oracle else checked(plan, frame)).recorded(keep=self._keep)
+
+
+Seat = Callable[..., Planning]
+"""What builds a `Planning`, of its arguments."""
 
 
 def _own(road: Road) -> Road:

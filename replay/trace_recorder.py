@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from logs.frame import Frame
+from logs.frame_store import FrameStore
 from logs.states import TRAJECTORY_COLUMNS, Controls, Trajectory
 from logs.trace import Plan, PlannedFrame, TrackingErrors
 from replay.plan_path import PlanPath
@@ -30,7 +31,7 @@ class TraceRecorder:
     def __init__(self, steps: int, vehicle: Vehicle) -> None:
         self.rows = np.empty((steps + 1, COLUMNS))
         self.count = 0
-        self.frames: list[PlannedFrame] = []
+        self.frames = FrameStore()
         write_state(self.rows, 0, vehicle.state, vehicle.actuation)
 
     def planned(self, frame: Frame, plan: Plan) -> None:

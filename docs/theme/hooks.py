@@ -15,7 +15,6 @@ import posixpath
 import re
 from pathlib import Path
 from typing import Any
-from xml.etree import ElementTree
 
 from latex2mathml.converter import convert
 from markdown.extensions import Extension
@@ -36,8 +35,7 @@ FENCES = {".py": "python", ".toml": "toml", ".yml": "yaml", ".cpp": "cpp", ".hpp
 class Mathematics(InlineProcessor):
     """`$x$` as MathML."""
 
-    def handleMatch(self, m: re.Match[str], data: str) -> tuple[ElementTree.Element, int, int]:  # noqa: N802, D102
-        ElementTree.register_namespace("", "http://www.w3.org/1998/Math/MathML")
+    def handleMatch(self, m: re.Match[str], data: str) -> tuple[str, int, int]:  # noqa: N802, D102
         return self.md.htmlStash.store(convert(m.group(1))), m.start(0), m.end(0)
 
 

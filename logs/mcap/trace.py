@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import Literal
 
@@ -19,6 +20,7 @@ import numpy as np
 from logs import trace as nouns
 from logs.errors import LogError
 from logs.frame import Predictions
+from logs.frame_store import light
 from logs.kernel import FloatArray
 from logs.mcap import native
 from logs.mcap.writer import Entry, column, log_times, samples, scenario_entries, scenario_records, write_log
@@ -49,8 +51,8 @@ def write_trace(
             **scenario_records(driven, version=native.FORMAT_VERSION),
             native.TRACE_RECORD: trace_record(trace, internals),
         }
-        entries = [*scenario_entries(driven, blocks=True), *_trace_entries(trace, scenario.start_ns, internals)]
-        write_log(Path(path), records, [*entries, *beside])
+        entries = scenario_entries(driven, blocks=True), _trace_entries(trace, scenario.start_ns, internals)
+        write_log(Path(path), records, chain(*entries, beside))
     except LogError as error:
         raise error.at(path) from None
 
@@ -82,7 +84,7 @@ def trace_record(trace: nouns.Trace, internals: Internals) -> dict[str, str]:
 
 
 def _trace_entries(trace: nouns.Trace, start_ns: int, internals: Internals) -> Iterator[Entry]:
-    times = log_times(np.array([frame.t for frame in trace.frames]), start_ns, "/plan")
+    times = log_times(np.array([frame.t for frame in light(trace.frames)]), start_ns, "/plan")
     for time, frame in zip(times, trace.frames, strict=True):
         yield time, "/plan", plan_message(frame.plan, internals)
         if internals != "none" and frame.predictions is not None:

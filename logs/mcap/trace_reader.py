@@ -110,6 +110,8 @@ def _trace(container: Container, scenario: Scenario, frames: Iterator[nouns.Plan
 def _perceived(streams: dict[str, Stream], start_ns: int) -> Tracks | None:
     if "/perceived" not in streams:
         return None
+    if "/agents/table" not in streams:  # there is no other: nothing was seen
+        return Tracks.empty()
     return tracks_of({**streams, "/agents": streams["/perceived"], "/obstacles": _none("/obstacles")}, start_ns, [])
 
 

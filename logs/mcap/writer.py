@@ -1,10 +1,11 @@
 """Logs out: a Scenario as a native MCAP file.
 
-Same scenario, same bytes. Beside the native messages a file may hold protobuf messages on topics of their own, for
-viewers (`replay.foxglove`); no reader of replan looks at them. The file is written under a temporary name beside its
-place and renamed, so that a killed writer leaves no half log; chunks are small, so that it loses little. Times become
-integer nanoseconds: reading returns the identical scenario if its times are whole nanoseconds (and |t| is below 26
-days).
+Same scenario, same bytes. Messages are encoded one by one and wait in a file for their turn, so that a long drive takes
+no more memory than a short one. Beside the native messages a file may hold protobuf messages on topics of their own,
+for viewers (`replay.foxglove`); no reader of replan looks at them. The file is written under a temporary name beside
+its place and renamed, so that a killed writer leaves no half log; chunks are small, so that it loses little. Times
+become integer nanoseconds: reading returns the identical scenario if its times are whole nanoseconds (and |t| is below
+26 days).
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict, fields
 from itertools import chain, pairwise
 from pathlib import Path
-from typing import Any
+from tempfile import SpooledTemporaryFile
+from typing import IO, Any
 
 import msgspec
 import numpy as np
@@ -30,6 +32,8 @@ from logs.scenario import Scenario, Tracks
 from logs.states import TRAJECTORY_COLUMNS
 
 CHUNK_BYTES = 128 * 1024
+SPOOL_BYTES = 16 * 2**20
+"""So many bytes of messages wait in memory; more in a file."""
 BLOCK = 100
 """Samples of a block: a second of a drive, so that a killed writer loses little."""
 Entry = tuple[int, str, msgspec.Struct | Message]
@@ -55,18 +59,14 @@ def write_log(path: Path, records: Mapping[str, Mapping[str, str]], entries: Ite
     Raises:
         OutputError: The file cannot be written.
     """
-    entries = list(entries)
-    topics = dict.fromkeys((*native.TOPICS, *(topic for _, topic, _ in entries)))
-    rank = {topic: index for index, topic in enumerate(topics)}
-    ordered = sorted(entries, key=lambda entry: (entry[0], rank[entry[1]]))
     part = path.with_name(f".{path.name}.part")
     try:
-        with writing(path), part.open("wb") as file:
+        with writing(path), part.open("wb") as file, SpooledTemporaryFile(SPOOL_BYTES, dir=str(path.parent)) as spool:
             writer: Any = Writer(file, CHUNK_BYTES, CompressionType.ZSTD, enable_data_crcs=True)
             writer.start(profile="replan", library="replan")
             for name, record in records.items():
                 writer.add_metadata(name, dict(record))
-            _add_messages(writer, ordered, rank)
+            _add_messages(writer, entries, spool)
             writer.finish()
         with writing(path):
             part.replace(path)
@@ -74,11 +74,11 @@ def write_log(path: Path, records: Mapping[str, Mapping[str, str]], entries: Ite
         part.unlink(missing_ok=True)
 
 
-def _add_messages(writer: Any, ordered: Sequence[Entry], rank: Mapping[str, int]) -> None:
-    encoder = msgspec.json.Encoder(enc_hook=_plain)
+def _add_messages(writer: Any, entries: Iterable[Entry], spool: IO[bytes]) -> None:
+    kinds, places = _spooled(entries, spool)
+    rank = {topic: index for index, topic in enumerate(dict.fromkeys((*native.TOPICS, *kinds)))}
     schemas: dict[type[msgspec.Struct | Message], int] = {}
     channels: dict[str, int] = {}
-    kinds = {topic: type(message) for _, topic, message in ordered}
     for topic in sorted(kinds, key=rank.__getitem__):
         kind = kinds[topic]
         if kind not in schemas:
@@ -86,13 +86,29 @@ def _add_messages(writer: Any, ordered: Sequence[Entry], rank: Mapping[str, int]
         encoding = "protobuf" if issubclass(kind, Message) else "json"
         channels[topic] = writer.register_channel(topic, encoding, schemas[kind])
     sequence = dict.fromkeys(channels, 0)
-    for time, topic, message in ordered:
+    for time, topic, begin, size in sorted(places, key=lambda place: (place[0], rank[place[1]])):
+        spool.seek(begin)
+        writer.add_message(channels[topic], time, spool.read(size), time, sequence[topic])
+        sequence[topic] += 1
+
+
+def _spooled(
+    entries: Iterable[Entry], spool: IO[bytes]
+) -> tuple[dict[str, type[msgspec.Struct | Message]], list[tuple[int, str, int, int]]]:
+    """The kind of each topic, and of each message its log time, topic, and where it is in the spool."""
+    encoder = msgspec.json.Encoder(enc_hook=_plain)
+    kinds: dict[str, type[msgspec.Struct | Message]] = {}
+    places, end = [], 0
+    for time, topic, message in entries:
         if isinstance(message, Message):
             data = message.SerializeToString(deterministic=True)
         else:
             data = encoder.encode(message)
-        writer.add_message(channels[topic], time, data, time, sequence[topic])
-        sequence[topic] += 1
+        kinds.setdefault(topic, type(message))
+        places.append((time, topic, end, len(data)))
+        spool.write(data)
+        end += len(data)
+    return kinds, places
 
 
 def _schema(kind: type[msgspec.Struct | Message]) -> tuple[str, str, bytes]:
@@ -176,8 +192,8 @@ def log_times(t: FloatArray, start_ns: int, topic: str) -> list[int]:
     return [int(time) for time in times]
 
 
-def column(values: FloatArray, topic: str, name: str) -> list[float]:
-    """The values as a list; NaN stands for missing.
+def check(values: FloatArray, topic: str, name: str) -> None:
+    """NaN stands for missing.
 
     Raises:
         LogError: A value is infinite.
@@ -185,6 +201,11 @@ def column(values: FloatArray, topic: str, name: str) -> list[float]:
     if np.isinf(values).any():
         where = int(np.flatnonzero(np.isinf(values))[0])
         raise LogError(f"{native.serialised(name)} is infinite at index {where}", topic=topic, remedy="use NaN")
+
+
+def column(values: FloatArray, topic: str, name: str) -> list[float]:
+    """The values as a list; LogError as `check`."""
+    check(values, topic, name)
     out: list[float] = values.tolist()
     return out
 
@@ -213,19 +234,18 @@ def samples(
     Raises:
         LogError: A value is infinite, or two samples fall on one nanosecond.
     """
-    times = log_times(table.t, start_ns, topic)
-    names = kind.__struct_fields__
-    columns = [column(getattr(table, name), topic, name) for name in names]
-    for before, time in pairwise(times):
-        if time <= before:
-            raise LogError("two samples on one nanosecond, or out of order", topic=topic, time_ns=time)
-    if blocks:
-        for k in range(0, len(times), BLOCK):
-            part = [some[k : k + BLOCK] for some in columns]
+    times, names = log_times(table.t, start_ns, topic), kind.__struct_fields__
+    for name in names:
+        check(getattr(table, name), topic, name)
+    late = np.flatnonzero(np.diff(np.array(times, np.int64)) <= 0)
+    if len(late):
+        raise LogError("two samples on one nanosecond, or out of order", topic=topic, time_ns=times[late[0] + 1])
+    for k in range(0, len(times), BLOCK):
+        part = [getattr(table, name)[k : k + BLOCK].tolist() for name in names]
+        if blocks:
             yield times[k], topic, native.BLOCKS[kind](times[k : k + BLOCK], *part)
-        return
-    for time, *values in zip(times, *columns, strict=True):
-        yield time, topic, kind(*values)
+        else:
+            yield from ((time, topic, kind(*values)) for time, *values in zip(times[k : k + BLOCK], *part, strict=True))
 
 
 def _tracks(tracks: Tracks, start_ns: int) -> Iterator[Entry]:
@@ -244,7 +264,7 @@ def _tracks(tracks: Tracks, start_ns: int) -> Iterator[Entry]:
     if ((np.diff(times) <= 0) & (np.diff(track) == 0)).any():
         raise LogError("an agent has two samples on one nanosecond", topic="/agents")
     for name in ("vx", "vy"):
-        column(getattr(tracks, name), "/agents", name)
+        check(getattr(tracks, name), "/agents", name)
     for topic, chosen in (("/obstacles", tracks.static[track]), ("/agents", ~tracks.static[track])):
         where = np.flatnonzero(chosen)
         order = where[np.lexsort((track[where], times[where]))]

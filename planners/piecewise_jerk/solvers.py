@@ -6,9 +6,13 @@ to the rescue where it runs out of iterations, or PIQP at once.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from copy import deepcopy
 from functools import lru_cache
 from types import MappingProxyType
+from typing import NamedTuple
 
 from logs.errors import unknown_name
 from logs.trace import SolverReport
@@ -40,7 +44,32 @@ def solve(problem: PiecewiseJerkProblem, solver: str = DEFAULT, *, stage: str, t
         stage: Name in the report.
         tolerance: Largest violation of a bound that still counts as solved, in the units of the row.
     """
-    return SOLVERS[solver](problem, stage, tolerance)
+    result = SOLVERS[solver](problem, stage, tolerance)
+    asked = _WATCHED.get()
+    if asked is not None:
+        asked.append(Asked(deepcopy(problem), deepcopy(result)))
+    return result
+
+
+class Asked(NamedTuple):
+    """A problem and its answer."""
+
+    problem: PiecewiseJerkProblem
+    result: QPResult
+
+
+_WATCHED: ContextVar[list[Asked] | None] = ContextVar("watched", default=None)
+
+
+@contextmanager
+def watched() -> Iterator[list[Asked]]:
+    """Within it all problems that are solved and their answers are kept: for debugging, they change nothing."""
+    asked: list[Asked] = []
+    token = _WATCHED.set(asked)
+    try:
+        yield asked
+    finally:
+        _WATCHED.reset(token)
 
 
 def _interior_point(problem: PiecewiseJerkProblem, stage: str, tolerance: float) -> QPResult:

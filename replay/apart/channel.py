@@ -35,7 +35,7 @@ class GarbageError(Exception):
     """What came is no message."""
 
 
-def _plain(value: object) -> object:
+def plain(value: object) -> object:
     """Numbers of NumPy's in a planner's answer."""
     if isinstance(value, np.generic):
         return value.item()
@@ -55,7 +55,7 @@ class Channel(Generic[T]):
 
     def __init__(self, into: int, out: int, kind: Any, said: int = -1, *, patient: bool = False) -> None:
         self._into, self._out, self._said_at = into, out, said
-        self._encoder, self._decoder = msgspec.msgpack.Encoder(enc_hook=_plain), msgspec.msgpack.Decoder(kind)
+        self._encoder, self._decoder = msgspec.msgpack.Encoder(enc_hook=plain), msgspec.msgpack.Decoder(kind)
         self._buffer, self._filled, self.said = bytearray(PIPE_BYTES), 0, b""
         self._patient = patient
         for fd in {into, out, said} - {-1}:

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
+from logs.kernel import cold
 from replay.batch.one_log import evaluate_log
 from replay.batch.pool import WorkerLost, run_all
 
@@ -51,7 +52,8 @@ class Local:
         job = Job(run, out, stamp)
         if self.workers == 0:
             return ((index, job(source)) for index, source in enumerate(sources))
-        return longest_first(sources, lambda ordered: run_all(job, ordered, max(1, min(self.workers, len(sources)))))
+        workers = max(1, min(self.workers, len(sources)))
+        return longest_first(sources, lambda ordered: run_all(job, ordered, workers, one_first=cold()))
 
 
 @dataclass(frozen=True)

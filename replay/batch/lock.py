@@ -44,7 +44,7 @@ def held(out: Path) -> Iterator[None]:
         with writing(path):
             os.ftruncate(handle, 0)
             os.lseek(handle, 0, os.SEEK_SET)
-            os.write(handle, _card())
+            os.write(handle, card())
         yield
     finally:
         if sys.platform == "win32":  # has no file removed that is open
@@ -64,7 +64,7 @@ def _taken(path: Path) -> int:
         handle, ours = _opened(path)
         locked = _locked(handle)
         if locked is None:
-            locked = ours or _has_ended(_read(handle))
+            locked = ours or has_ended(_read(handle))
         if not locked:
             card = _read(handle)
             os.close(handle)
@@ -100,7 +100,7 @@ def _locked(handle: int) -> bool | None:
     return True
 
 
-def _card() -> bytes:
+def card() -> bytes:
     """Who holds it, for people and for a file system without locks."""
     since = datetime.now(UTC).isoformat(timespec="seconds")
     card = {"pid": os.getpid(), "host": socket.gethostname(), "since": since, "started": _started(os.getpid())}
@@ -123,7 +123,7 @@ def _said(card: dict[str, Any], path: Path) -> str:
     return f"another run writes into it ({who}); wait for it, or give --out another folder; if it has ended: rm {path}"
 
 
-def _has_ended(card: dict[str, Any]) -> bool:
+def has_ended(card: dict[str, Any]) -> bool:
     """Whether the holder was a process of this machine, and is no more."""
     if card.get("host") != socket.gethostname():
         return False

@@ -9,7 +9,7 @@ import os
 import shutil
 import traceback
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
 from hashlib import sha256
 from math import inf
@@ -19,17 +19,19 @@ from time import perf_counter
 import pandas as pd
 
 import metrics
-from logs.errors import ConfigError, OutputError, PlannerError, ReplanError, raised, writing
+from logs.errors import ConfigError, OutputError, PlannerError, ReplanError, of_users, raised, writing
 from logs.mcap import write_scenario, write_trace
 from logs.mcap.writer import Entry
 from logs.scenario import Scenario
-from logs.trace import EndReason, Mode
+from logs.trace import EndReason, Mode, Trace
 from metrics import METRICS, Metric, health, load_metric
+from metrics.comfort import LON_JERK_STATE
 from metrics.ensemble import MEMBER
 from replay.avoidability import with_avoidability
 from replay.batch.log_result import DriveRecord, Failure, LogResult, Stamp, keep
 from replay.batch.sources import LogSource, file_hash
-from replay.batch.tables import KEYS, PARTIAL, TIMING_COLUMNS, joined, safe_name, write_parquet
+from replay.batch.steps import Steps, StepsFile
+from replay.batch.tables import KEYS, PARTIAL, TIMING_COLUMNS, joined, safe_name
 from replay.closed_loop import run_closed_loop
 from replay.config import RunConfig
 from replay.determinism import NOT_DETERMINISTIC, with_probe
@@ -39,6 +41,8 @@ from replay.perturb import perturbed
 from replay.planner_config import is_apart, is_built_in, planner_keywords
 from replay.reference_drives import reference_table
 
+SHOWN = (LON_JERK_STATE.name,)
+"""The metrics of which a recording shows the steps."""
 LOOPS = {Mode.OPEN: run_open_loop, Mode.CLOSED: run_closed_loop}
 
 
@@ -51,7 +55,6 @@ class _Progress:
     failures: list[Failure] = field(default_factory=list)
     tables: list[pd.DataFrame] = field(default_factory=list)
     timings: list[pd.DataFrame] = field(default_factory=list)
-    series: list[tuple[Drive, pd.DataFrame]] = field(default_factory=list)
     members: list[pd.DataFrame] = field(default_factory=list)
 
     @contextmanager
@@ -66,7 +69,8 @@ class _Progress:
             code = 2 if isinstance(error, ConfigError) else 3
             self.failures.append(Failure(self.log, str(error), *place, exit_code=code))
         except (Exception, SystemExit) as error:
-            line = f"{self.log}: a bug in replan: {raised(error)}; traceback in summary.json"
+            whose = "raised by code that the run names" if of_users(error) else "a bug in replan"
+            line = f"{self.log}: {whose}: {raised(error)}; traceback in summary.json"
             self.failures.append(Failure(self.log, line, *place, traceback=traceback.format_exc()))
 
     def broken(self, planner: str, mode: Mode) -> metrics.Broken:
@@ -105,10 +109,10 @@ def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> 
     try:
         with writing(partial):
             partial.mkdir()
-        with progress.attempt():
+        with progress.attempt(), source.fetched() as near:
             identity = source.identity()
-            scenario = source.read()
-            result = _identified(source, scenario, partial, run)
+            scenario = near.read()
+            result = _identified(near, scenario, partial, run)
             progress.log = scenario.name
             driven = with_avoidability(scenario.in_vehicle(run.driven(scenario.vehicle)))
             _drive_all(driven, run, partial, result.folder, progress)
@@ -164,30 +168,42 @@ def _identified(source: LogSource, scenario: Scenario, folder: Path, run: RunCon
 
 
 def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, progress: _Progress) -> None:
-    measures = all_metrics(run)
     if Mode.CLOSED in run.modes:
         with progress.attempt():
             progress.tables.append(reference_table(scenario))
-    for planner in run.planners:
-        for mode in run.modes:
-            with progress.attempt(planner, mode):
-                drive = _probed(_driven(scenario, planner, mode, run, keep=run.keep_internals), scenario, mode, run)
-                table, steps = metrics.evaluate_with_series(
-                    drive.trace, scenario, metrics=measures, broken=progress.broken(planner, mode)
-                )
-                progress.tables.append(table)
-                progress.timings.append(_timings(drive))
-                progress.series.append((drive, steps))
-                stem = mode.value if len(run.planners) == 1 else f"{mode.value}.{safe_name(planner)}"
+    with closing(StepsFile(folder)) as steps:
+        for planner in run.planners:
+            for mode in run.modes:
                 with progress.attempt(planner, mode):
-                    _write_drive(folder, stem, drive, scenario, table, steps, run)
-                if drive.trace.end is EndReason.PLANNER_FAILURE:
-                    progress.failures.append(Failure(progress.log, drive.trace.detail, planner, mode.value))
-                files = tuple(f"{final}/{file.name}" for file in sorted(folder.glob(f"{stem}.*")))
-                progress.drives.append(_record(drive, files))
-    if progress.series:
-        found = sorted(progress.series, key=lambda one: (one[0].trace.planner, one[0].trace.mode.value))
-        write_parquet(folder / "frames.parquet", pd.concat([_of_drive(*one) for one in found], ignore_index=True))
+                    stem = mode.value if len(run.planners) == 1 else f"{mode.value}.{safe_name(planner)}"
+                    trace = _drive_one(scenario, planner, mode, run, folder / stem, progress, steps)
+                    if trace.end is EndReason.PLANNER_FAILURE:
+                        progress.failures.append(Failure(progress.log, trace.detail, planner, mode.value))
+                    files = tuple(f"{final}/{file.name}" for file in sorted(folder.glob(f"{stem}.*")))
+                    progress.drives.append(_record(trace, files))
+                    del trace  # before the next one is driven: of an hour it is large
+        steps.write()
+
+
+def _drive_one(
+    scenario: Scenario, planner: str, mode: Mode, run: RunConfig, file: Path, progress: _Progress, steps: StepsFile
+) -> Trace:
+    """Drive, measure and write one planner in one loop; `file` is without its suffix."""
+    drive = _probed(_driven(scenario, planner, mode, run, keep=run.keep_internals), scenario, mode, run)
+    found: dict[str, Steps] = {}
+
+    def put(name: str, series: metrics.Series) -> None:
+        found[name] = steps.put(name, series)
+
+    broken = progress.broken(planner, mode)
+    table = metrics.evaluate(drive.trace, scenario, metrics=all_metrics(run), broken=broken, found=put)
+    steps.add(drive.trace.planner, mode.value, tuple(found.values()))
+    progress.tables.append(table)
+    progress.timings.append(_timings(drive))
+    with progress.attempt(planner, mode):
+        shown = steps.table([found[name] for name in SHOWN if name in found])
+        _write_drive(file, drive, scenario, table, shown, run)
+    return drive.trace
 
 
 def _driven(scenario: Scenario, planner: str, mode: Mode, run: RunConfig, *, keep: bool, until_s: float = inf) -> Drive:
@@ -227,23 +243,22 @@ def _drive_member(scenario: Scenario, run: RunConfig, member: int, progress: _Pr
 
 
 def _write_drive(
-    folder: Path, stem: str, drive: Drive, scenario: Scenario, table: pd.DataFrame, steps: pd.DataFrame, run: RunConfig
+    file: Path, drive: Drive, scenario: Scenario, table: pd.DataFrame, steps: pd.DataFrame, run: RunConfig
 ) -> None:
-    """The trace as `stem`.mcap, its recording as `stem`.rrd."""
+    """The trace as `file`.mcap, its recording as `file`.rrd."""
     beside: Iterable[Entry] = ()
     if run.foxglove:
         from replay.foxglove import trace_channels
 
         beside = trace_channels(drive.trace, scenario)
-    write_trace(folder / f"{stem}.mcap", drive.trace, scenario, internals=run.internals, beside=beside)
+    write_trace(Path(f"{file}.mcap"), drive.trace, scenario, internals=run.internals, beside=beside)
     if run.recording:
         from replay.recording import write_recording
 
-        write_recording(folder / f"{stem}.rrd", drive, scenario, table, steps)
+        write_recording(Path(f"{file}.rrd"), drive, scenario, table, steps)
 
 
-def _record(drive: Drive, files: tuple[str, ...]) -> DriveRecord:
-    trace = drive.trace
+def _record(trace: Trace, files: tuple[str, ...]) -> DriveRecord:
     return DriveRecord(
         log=trace.scenario,
         planner=trace.planner,
@@ -262,10 +277,3 @@ def _timings(drive: Drive) -> pd.DataFrame:
     named = {"log": trace.scenario, "planner": trace.planner, "mode": trace.mode.value}
     columns = {"t_s": [lap.t for lap in laps], "stage": [lap.stage for lap in laps]}
     return pd.DataFrame({**named, **columns, "seconds": [lap.seconds for lap in laps]}, columns=TIMING_COLUMNS)
-
-
-def _of_drive(drive: Drive, steps: pd.DataFrame) -> pd.DataFrame:
-    """The steps of a drive's metrics, with its planner and mode before them."""
-    steps.insert(0, "planner", drive.trace.planner)
-    steps.insert(1, "mode", drive.trace.mode.value)
-    return steps

@@ -49,21 +49,26 @@ class _Worker(Generic[T, R]):
         return result
 
 
-def run_all(function: Callable[[T], R], items: Sequence[T], workers: int) -> Iterator[tuple[int, R | WorkerLost]]:
+def run_all(
+    function: Callable[[T], R], items: Sequence[T], workers: int, *, one_first: bool = False
+) -> Iterator[tuple[int, R | WorkerLost]]:
     """Apply a module-level function to items in child processes; yields `(index, result)` as they end.
 
     Args:
         function: Picklable; what it raises kills its worker, so it should return its errors.
         items: Picklable; handed out in order.
         workers: Number of child processes, at least 1.
+        one_first: The last item is done alone, before the others: what all need on disk is made once, and not by each.
 
     Closing the iterator, or an exception in its consumer (KeyboardInterrupt), kills the workers.
     """
     waiting = list(range(len(items)))[::-1]
+    if one_first:
+        waiting.append(waiting.pop(0))
     crew: list[_Worker[T, R]] = []
     try:
         while waiting or crew:
-            while waiting and len(crew) < workers:
+            while waiting and len(crew) < (1 if one_first else workers):
                 crew.append(_hired(function))
                 _hand_out(crew[-1], items, waiting)
             for worker in _ready(crew):
@@ -75,6 +80,7 @@ def run_all(function: Callable[[T], R], items: Sequence[T], workers: int) -> Ite
                     crew.remove(worker)
                     _dismiss(worker)
                 if index is not None:
+                    one_first = False
                     yield index, result
     finally:
         for worker in crew:

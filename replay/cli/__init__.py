@@ -6,19 +6,36 @@ evaluate.py    what drives: evaluate, vary, paper, calibrate
 shards.py      the shards of a run put together: merge
 report.py      the reports of results
 logs.py        what reads and writes logs: synth, convert, inspect, salvage, export
+warmup.py      kernels compiled beforehand: warmup
 results.py     what looks at results: view
 compare.py     run against run: compare, baseline
 plot.py        pictures of a drive: plot
+explain.py     a drive in words: explain
+frame.py       one frame planned again: frame
 about.py       what replan knows: list, metrics
 names.py       names for shell completion
 ending.py      what is said and written at the end of a run
 app.py         what they share
 """
 
-from replay.cli import evaluate, shards, report, logs, results, compare, plot, about  # isort: skip  # the order of the help
+from replay.cli import evaluate, shards, report, logs, results, compare, plot, explain, frame, about, warmup  # isort: skip  # the order of the help
 from replay.cli.app import app
 
-__all__ = ["about", "app", "compare", "evaluate", "logs", "main", "plot", "report", "results", "shards"]
+__all__ = [
+    "about",
+    "app",
+    "compare",
+    "evaluate",
+    "explain",
+    "frame",
+    "logs",
+    "main",
+    "plot",
+    "report",
+    "results",
+    "shards",
+    "warmup",
+]
 
 
 def main() -> None:

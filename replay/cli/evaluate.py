@@ -32,6 +32,9 @@ from replay.cli.names import completion
 
 if TYPE_CHECKING:
     from replay.batch import RunResult
+    from replay.batch.engine import Engine
+    from replay.batch.log_result import LogResult
+    from replay.batch.publish import Place
     from replay.config import RunConfig
 
 
@@ -66,6 +69,9 @@ def evaluate(
     ] = None,
     metric: Annotated[
         list[str] | None, typer.Option(help='A metric of your own beside the built-in ones, "module:NAME"; repeatable.')
+    ] = None,
+    chart: Annotated[
+        list[str] | None, typer.Option(help='A chart of your own in the report, "module:NAME"; repeatable.')
     ] = None,
     mode: Annotated[Literal["both", "open", "closed"] | None, typer.Option(help="Loops to run. Default: both.")] = None,
     config: Annotated[Path | None, typer.Option(help="TOML file of settings; options win over it.")] = None,
@@ -147,6 +153,12 @@ def evaluate(
     shard: Annotated[
         str | None, typer.Option(metavar="I/N", help="Drive every N-th log only, from the I-th: see replan merge.")
     ] = None,
+    engine: Annotated[
+        Literal["local", "ray"], typer.Option(help="Where logs are driven: on this machine, or on Ray. Same results.")
+    ] = "local",
+    address: Annotated[
+        str | None, typer.Option(help="Of a Ray cluster: auto, HOST:6379, ray://HOST:10001. Default: one for this run.")
+    ] = None,
     no_report: NoReport = False,
     as_json: Json = False,
     quiet: Quiet = False,
@@ -167,9 +179,12 @@ def evaluate(
       replan evaluate my_logs/ --gates gates.toml --out results/nightly --resume
     """
     with answered():
+        from replay.batch.publish import result_place
+
         options: dict[str, Any] = {
             "planners": tuple(planner or ()) or None,
             "metrics": tuple(metric or ()) or None,
+            "charts": tuple(chart or ()) or None,
             "mode": mode,
             "gates": None if gates is None else str(gates),
             "internals": internals,
@@ -197,11 +212,14 @@ def evaluate(
         if baseline is not None and shard is not None:
             raise ConfigError("--shard drives a part only: give --baseline to replan merge")
         before = None if baseline is None else before_all(baseline, run, run.gates_path, out)
-        result = _evaluated(
-            logs or [], run, out, cores() if workers is None else workers,
-            resume=resume, window=window, suite=suite, shard=shard, quiet=quiet, verbose=verbose,
-        )  # fmt: skip
-        code = ended(result, before, gates=run.gates_path, report=not no_report, as_json=as_json, quiet=quiet)
+        with result_place(out, resume=resume) as place:
+            result = _evaluated(
+                logs or [], run, place, _engine(engine, address, workers),
+                resume=resume, window=window, suite=suite, shard=shard, quiet=quiet, verbose=verbose,
+            )  # fmt: skip
+            code = ended(result, before, gates=run.gates_path, report=not no_report, as_json=as_json, quiet=quiet)
+        if place.url and not quiet:
+            say(f"all of it is at {place.url}", err=True)
         raise typer.Exit(code)
 
 
@@ -294,8 +312,23 @@ def _settings(words: list[str]) -> dict[str, float | str]:
     return found
 
 
+def _engine(name: str, address: str | None, workers: int | None) -> Engine:
+    """Where the logs are driven."""
+    from replay.batch.engine import Local
+
+    if name == "ray":
+        from replay.batch.on_ray import OnRay
+
+        if workers == 0:
+            raise ConfigError("--workers 0 is this process, which is not --engine ray: leave one of them out")
+        return OnRay(address or "", workers)
+    if address is not None:
+        raise ConfigError("--address is of a Ray cluster: give --engine ray, too")
+    return Local(cores() if workers is None else workers)
+
+
 def _evaluated(
-    logs: list[Path], run: RunConfig, out: Path | None, workers: int, *, resume: bool, window: float | None,
+    logs: list[Path], run: RunConfig, place: Place, engine: Engine, *, resume: bool, window: float | None,
     suite: str | None, shard: str | None, quiet: bool, verbose: bool,
 ) -> RunResult:  # fmt: skip
     from replay.batch import evaluate_logs
@@ -307,9 +340,14 @@ def _evaluated(
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does: nothing half-written
     settle()
     with progress(quiet=quiet, verbose=verbose) as (on_start, on_log):
+
+        def said_and_kept(result: LogResult) -> None:
+            on_log(result)
+            place.keep(result)
+
         return evaluate_logs(
-            logs, run, out, workers=workers, resume=resume, window=window, suite=suite, shard=part,
-            on_start=on_start, on_log=on_log,
+            logs, run, place.folder, engine=engine, resume=resume, window=window, suite=suite, shard=part,
+            on_start=on_start, on_log=said_and_kept,
         )  # fmt: skip
 
 

@@ -128,11 +128,13 @@ def inspect(
 ) -> None:
     """Say what a log holds, over which time, and what is missing for which evaluation."""
     with answered():
+        from logs.remote import here
         from logs.summary import summarise
 
-        if not log.exists():
-            raise ConfigError(f"{log}: no such file or folder")
-        summary = summarise(log, log_settings(config, ego, road_map, begin, end))
+        with here(log) as near:
+            if not near.exists():
+                raise ConfigError(f"{log}: no such file or folder")
+            summary = summarise(near, log_settings(config, ego, road_map, begin, end))
         if as_json:
             from metrics.health import findings
 

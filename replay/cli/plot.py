@@ -64,7 +64,7 @@ def plot(
         from replay.report.charts.subject import subject
         from replay.results import load
 
-        drive = _drive(load(result), log, planner, mode.value if mode else None)
+        drive = drive_of(load(result), log, planner, mode.value if mode else None)
         name = f"{safe_name(drive.log)}-{safe_name(drive.planner)}-{drive.mode}"
         path = Path(f"{name}-{safe_name(chart)}.png") if out is None else out
         if path.suffix not in ("", ".png", ".svg") and not path.is_dir():
@@ -84,7 +84,7 @@ def plot(
                 say(file)
 
 
-def _drive(results: Results, log: str | None, planner: str | None, mode: str | None) -> DriveResult:
+def drive_of(results: Results, log: str | None, planner: str | None, mode: str | None) -> DriveResult:
     """The drive that is asked for; without a log the one to look at first, without a mode the closed loop if any."""
     from replay.report.overview import overview
 
@@ -93,7 +93,7 @@ def _drive(results: Results, log: str | None, planner: str | None, mode: str | N
         mine = [row for row in rows if planner in (None, row.planner)]
         order = {"fail": 0, "inconclusive": 1}
         if not mine:
-            raise ConfigError(f"{results.path}: no drive{f' of {planner}' if planner else ''} to draw")
+            raise ConfigError(f"{results.path}: no drive{f' of {planner}' if planner else ''}")
         worst = min(mine, key=lambda row: (order.get(row.verdict, 2), -row.trouble))
         log, planner = worst.log, worst.planner
     here = results.drives[results.drives["log"] == log]

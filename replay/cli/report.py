@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from logs.errors import ConfigError
 from replay.cli.app import answered, app, say
 
 
@@ -36,12 +37,16 @@ def report(
       replan report results/run-001 --baseline baseline.parquet -o reports
     """
     with answered():
+        from logs.remote import here, url_of
         from replay.compare import compare_runs, opened
         from replay.report.overview import overview
         from replay.report.write import write_reports
         from replay.results import load
 
-        found = load(results)
-        comparison = None if baseline is None else compare_runs(opened(baseline), opened(results), gates=gates)
-        for path in write_reports(found, overview(found, comparison), out or results):
-            say(path)
+        if url_of(results) and out is None:
+            raise ConfigError(f"{url_of(results)}: name a folder for its reports with --out")
+        with here(results) as near:
+            found = load(near)
+            comparison = None if baseline is None else compare_runs(opened(baseline), opened(near), gates=gates)
+            for path in write_reports(found, overview(found, comparison), out or near):
+                say(path)

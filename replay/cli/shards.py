@@ -32,13 +32,21 @@ def merge(
       replan merge shard-1 shard-2 -o results/merged
     """
     with answered():
+        from contextlib import ExitStack
+
+        from logs.remote import here
         from replay.batch.merge import gates_in
         from replay.batch.merge import merge as merged
+        from replay.batch.publish import result_place
         from replay.config import load_run
 
-        with gates_in(shards[0]) as gates:
-            run = load_run(shards[0] / "run.toml")
+        with ExitStack() as near:
+            folders = [near.enter_context(here(shard)) for shard in shards]
+            gates = near.enter_context(gates_in(folders[0]))
+            run = load_run(folders[0] / "run.toml")
             before = None if baseline is None else before_all(baseline, run, gates, out)
-            result = merged(shards, out)
+            place = near.enter_context(result_place(out))
+            assert place.folder is not None
+            result = merged(folders, place.folder)
             code = ended(result, before, gates=gates, report=not no_report, as_json=as_json, quiet=quiet)
         raise typer.Exit(code)

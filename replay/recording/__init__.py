@@ -5,14 +5,17 @@ Import this package only where something is drawn: it loads the viewer's library
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from hashlib import sha256
+from math import ceil
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 import rerun as rr
 
+from logs.frame_store import light
 from logs.kernel import FloatArray
 from logs.scenario import Scenario
 from logs.trace import EndReason, Graph, Mode, PlannedFrame, SlGraph, StGraph, Trace
@@ -23,7 +26,7 @@ from replay.recording.columns import Instants, Tape
 from replay.recording.file import recording_file
 from replay.recording.graphs import draw_graph
 from replay.recording.others import draw_others
-from replay.recording.scene import draw_scene
+from replay.recording.scene import draw_moving, draw_scene
 from replay.recording.text import field_name
 
 if TYPE_CHECKING:
@@ -34,6 +37,8 @@ if TYPE_CHECKING:
 __all__ = ["write_log_recording", "write_recording"]
 
 SCENE_STEP_S = 0.1
+PART = 1000
+"""Frames that are drawn at once; the axes of graphs are made of so many."""
 
 
 def write_recording(
@@ -55,15 +60,16 @@ def write_recording(
     Raises:
         OutputError: The file cannot be written.
     """
-    trace = drive.trace
+    whole, trace = drive.trace, replace(drive.trace, frames=light(drive.trace.frames))
     times = scene_times(trace, float(trace.ego.t[-1]))
     frames = np.array([frame.t for frame in trace.frames]) if trace.frames else times
     instants, planned = Instants.among(times, frames), Instants.among(frames, frames)
-    graphs: dict[type[Graph], list[Graph | None]] = {kind: _graphs(trace.frames, kind) for kind in (StGraph, SlGraph)}
+    some = whole.frames[:: max(1, ceil(len(frames) / PART))]
     axes: dict[type[Graph], Axes | None] = {
-        StGraph: st_axes([graph for graph in graphs[StGraph] if graph]),
-        SlGraph: sl_axes([graph for graph in graphs[SlGraph] if graph]),
+        StGraph: st_axes([graph for graph in _graphs(some, StGraph) if graph]),
+        SlGraph: sl_axes([graph for graph in _graphs(some, SlGraph) if graph]),
     }
+    del some
     panels = plots.motion_panels(trace, scenario, times, steps)
     stages = plots.stage_panel(drive.timings)
     panels += [stages] if stages else []
@@ -72,18 +78,35 @@ def write_recording(
     contents = Contents(panels, axes[StGraph], axes[SlGraph], len(lanes), pages, _bounds(trace, scenario))
     application = f"replan {scenario.name} {trace.mode.value} loop"
     with recording_file(path, application, trace.planner, _digest(trace), blueprint(contents)) as tape:
-        draw_scene(tape, trace, scenario, instants, planned)
-        draw_others(tape, trace, planned)
-        for kind, axis in axes.items():
-            if axis:
-                draw_graph(tape, planned, graphs[kind], axis)
+        draw_scene(tape, trace, scenario, instants)
+        for begin in range(0, len(planned), PART):
+            part = range(begin, begin + PART)
+            _draw_part(tape, whole, scenario, instants.within(part), planned.within(part), axes)
         plots.draw_panels(tape, panels, frames)
         plots.draw_lanes(tape, lanes, frames)
-        if trace.frames:
-            why.draw_why(tape, trace, scenario, planned)
         events.draw_events(tape, events.events(trace), planned)
-        words.draw_summary(tape, words.summary(trace, scenario, table))
+        words.draw_summary(tape, words.summary(whole, scenario, table))
         _send_metrics(tape, table)
+
+
+def _draw_part(
+    tape: Tape,
+    whole: Trace,
+    scenario: Scenario,
+    instants: Instants,
+    planned: Instants,
+    axes: Mapping[type[Graph], Axes | None],
+) -> None:
+    """What there is of others, plans and graphs in some frames: a long drive has no more than these in memory."""
+    frames = whole.frames[int(planned.frame[0]) : int(planned.frame[-1]) + 1]
+    trace = replace(whole, frames=frames)
+    draw_moving(tape, trace, instants, planned)
+    draw_others(tape, trace, planned)
+    for kind, axis in axes.items():
+        if axis:
+            draw_graph(tape, planned, _graphs(frames, kind), axis)
+    if frames:
+        why.draw_why(tape, trace, scenario, planned)
 
 
 def write_log_recording(path: Path, scenario: Scenario) -> None:
@@ -98,7 +121,8 @@ def write_log_recording(path: Path, scenario: Scenario) -> None:
     contents = Contents(panels, None, None, 0, ("summary",), _bounds(trace, scenario))
     instants = Instants.among(times, times)
     with recording_file(path, f"replan {scenario.name} log", "log", _digest(trace), blueprint(contents)) as tape:
-        draw_scene(tape, trace, scenario, instants, instants)
+        draw_scene(tape, trace, scenario, instants)
+        draw_moving(tape, trace, instants, instants)
         plots.draw_panels(tape, panels, times)
         words.draw_summary(tape, words.log_summary(scenario))
 

@@ -36,6 +36,11 @@ class Instants:
     def __len__(self) -> int:
         return len(self.t)
 
+    def within(self, frames: range) -> Instants:
+        """Those in which some frames are in force."""
+        mine = (self.frame >= frames.start) & (self.frame < frames.stop)
+        return Instants(self.t[mine], self.frame[mine])
+
     def columns(self) -> list[rr.TimeColumn]:
         """Both timelines; times are rounded to the nanosecond (the viewer's own conversion truncates)."""
         nanoseconds = np.round(self.t * 1e9).astype("timedelta64[ns]")

@@ -132,9 +132,7 @@ def _blueprint(paths: set[str], names: tuple[str, str], values: dict[str, FloatA
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(*left, row_shares=[1.35, 1.0][: len(left)]),
-            rrb.Vertical(
-                *right, *_tabs(states), row_shares=[0.8, 1.0, 1.0, 0.8, 0.8, 1.1][: len(right) + bool(states)]
-            ),
+            rrb.Vertical(*right, row_shares=[1.1, 1.0, 1.0, 0.9, 0.9, 1.4][: len(right)]),
             column_shares=[1.75, 1.0],
             name="Pair",
         ),

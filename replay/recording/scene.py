@@ -46,8 +46,8 @@ def quaternions(yaw: FloatArray) -> FloatArray:
     return np.column_stack([zero, zero, np.sin(0.5 * yaw), np.cos(0.5 * yaw)])
 
 
-def draw_scene(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants, frames: Instants) -> None:
-    """All of the scene: `instants` for what moves, `frames` for what is planned."""
+def draw_scene(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants) -> None:
+    """Road, goal, lights, ego and log; the others and the plans: `draw_moving`."""
     draw_road(tape, scenario.road)
     draw_goal(tape, scenario)
     draw_lights(tape, scenario, instants)
@@ -55,9 +55,13 @@ def draw_scene(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants,
     _draw_driven(tape, trace.ego, instants)
     if trace.ego is not scenario.ego and len(scenario.ego) > 1:
         _draw_log(tape, trace, scenario, instants)
+
+
+def draw_moving(tape: Tape, trace: Trace, instants: Instants, frames: Instants) -> None:
+    """The others at some instants, and the plans of some frames, those in force at the instants: `trace.frames`."""
     agents = [trace.agents.truth(float(t)) for t in instants.t]
     plans = [frame.plan for frame in trace.frames]
-    here = _decided_at(plans, instants)
+    here = _decided_at(plans, instants, int(frames.frame[0]) if plans else 0)
     xy, yaw = _resampled(trace.ego, instants.t)
     full = [
         in_full(some.ids, some.x, some.y, about, (x, y)) for some, about, (x, y) in zip(agents, here, xy, strict=True)
@@ -126,10 +130,10 @@ def _draw_log(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants) 
     tape.rows("world/log/ego", instants, boxes, there.astype(np.int64))
 
 
-def _decided_at(plans: Sequence[Plan], instants: Instants) -> list[dict[str, Decision]]:
-    """What the plan in force at each instant decides about each agent."""
+def _decided_at(plans: Sequence[Plan], instants: Instants, begin: int) -> list[dict[str, Decision]]:
+    """What the plan in force at each instant decides about each agent; `begin` is the frame of the first plan."""
     each = [decided(plan) for plan in plans] or [{}]
-    return [each[min(int(frame), len(each) - 1)] for frame in instants.frame]
+    return [each[min(int(frame) - begin, len(each) - 1)] for frame in instants.frame]
 
 
 def _draw_kind(

@@ -13,8 +13,9 @@ from math import isfinite
 from pathlib import Path
 from time import monotonic
 
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
+from logs.kernel import cold
 from replay.batch.log_result import LogResult
 from replay.batch.sources import Selection
 from replay.report.console import SafeConsole
@@ -31,33 +32,47 @@ class Pace:
         total: How many logs there are.
         begin: When the first was begun, s.
         done: How many have ended.
+        left: What is expected of those that have not ended, in the unit of `step`'s `cost`; None: one each.
         driven: How many of them were not there already.
+        spent: What had been expected of those.
         last: When the last line was said, s.
         tenth: How many tenths had been done then.
     """
 
     total: int
     begin: float
+    left: float | None = None
     done: int = 0
     driven: int = 0
+    spent: float = 0.0
     last: float = 0.0
     tenth: int = 0
 
     def __post_init__(self) -> None:
         self.last = self.begin
+        self.left = float(self.total) if self.left is None else self.left
 
-    def step(self, now: float, *, driven: bool) -> str | None:
+    def step(self, now: float, *, driven: bool, cost: float = 1.0) -> str | None:
         """A log has ended at `now`, s; the line that is due, if one is. The last log needs none: the report follows."""
-        self.done, self.driven = self.done + 1, self.driven + driven
+        assert self.left is not None
+        self.done, self.driven, self.left = self.done + 1, self.driven + driven, max(self.left - cost, 0.0)
+        self.spent += cost * driven
         tenth = 10 * self.done // self.total
         due = now - self.last >= (LEAST_S if tenth > self.tenth else MOST_S)
         if not due or self.done == self.total or not self.driven:
             return None
         self.last, self.tenth = now, tenth
-        rate = self.driven / max(now - self.begin, 1e-9)
-        left = (self.total - self.done) / rate
+        return f"{self.done} of {self.total} logs, {self.rest(now)}"
+
+    def rest(self, now: float) -> str:
+        """Rate, and the time that is left at it: the longest logs come first, so that it goes by what is expected."""
+        assert self.left is not None
+        if not self.spent:
+            return ""
+        elapsed = max(now - self.begin, 1e-9)
+        left = elapsed * self.left / self.spent
         when = f"{left:.0f} s" if left < 90.0 else f"{left / 60.0:.0f} min"
-        return f"{self.done} of {self.total} logs, {rate:.2g} logs/s, about {when} left"
+        return f"{60.0 * self.driven / elapsed:.3g} logs/min, about {when} left"
 
 
 @contextmanager
@@ -73,30 +88,35 @@ def progress(
     Raises:
         KeyboardInterrupt: As it came, with words that say what is left of the run and how to go on with it.
     """
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rest]}"))
     console = SafeConsole(stderr=True)
     begun: list[tuple[Path, Pace]] = []
+    costs: dict[str, float] = {}
     on_terminal = sys.stderr.isatty()
     with Progress(*columns, console=console, transient=True, disable=quiet or not on_terminal) as bar:
-        task = bar.add_task("evaluating", total=None)
+        task = bar.add_task("evaluating", total=None, rest="")
 
         def say(line: str | None, *, always: bool = False) -> None:
             if line is not None and (always or not quiet):
                 console.print(line, markup=False, highlight=False, soft_wrap=True)
 
         def on_start(selection: Selection, out: Path) -> None:
-            begun.append((out, Pace(len(selection.sources), monotonic())))
+            costs.update({source.label: source.expected_s or 1.0 for source in selection.sources})
+            begun.append((out, Pace(len(selection.sources), monotonic(), sum(costs.values()))))
             bar.update(task, total=len(selection.sources))
             for reason in selection.dropped:
                 say(f"left out: {reason}")
             say(f"{len(selection.sources)} logs -> {out}")
+            if cold():
+                say("compiling kernels (once; about a minute): replan warmup does it beforehand")
 
         def on_log(result: LogResult) -> None:
-            bar.advance(task)
             for failure in result.failures:
                 say(f"error: {failure.line}", always=True)
             pace = begun[0][1]
-            line = pace.step(monotonic(), driven=isfinite(result.seconds))
+            now, driven = monotonic(), isfinite(result.seconds) or not result.folder
+            line = pace.step(now, driven=driven, cost=costs[result.source])
+            bar.update(task, advance=1, rest=pace.rest(now))
             if verbose:
                 say(f"{pace.done} of {pace.total}  {_ended(result)}")
             elif not on_terminal:

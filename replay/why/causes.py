@@ -16,7 +16,7 @@ avoids it. What a planner decided counts as its reason only where the numbers be
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from enum import Enum
 from math import isfinite, nan
@@ -29,6 +29,7 @@ from logs.rules import RED, Colour, StopLine
 from logs.scenario import Scenario
 from logs.trace import Decision, DecisionKind, Plan, StGraph, Trace
 from replay.drive import LoopConfig
+from replay.why.alternatives import not_passed
 from replay.why.course import BRAKES_MPS2, LOOK_S, STANDING_MPS, STEP_S, Course, Held
 from replay.why.meetings import Meeting, meetings
 from replay.why.shown import Shown, shown
@@ -115,6 +116,7 @@ class Account:
         t: Of the frame, s.
         course: What it does.
         predicted: Whether the others' predictions were there to look at.
+        not_passed: Why who is in the way is not passed, as far as the planner says.
         causes: Of slowing down or standing; empty where it does neither. One is of kind NONE where nothing was found.
     """
 
@@ -122,12 +124,15 @@ class Account:
     course: Course
     predicted: bool
     causes: tuple[Cause, ...]
+    not_passed: tuple[str, ...] = ()
 
 
-def accounts(trace: Trace, scenario: Scenario, loop: LoopConfig | None = None) -> Iterator[Account]:
+def accounts(
+    trace: Trace, scenario: Scenario, loop: LoopConfig | None = None, earlier: Iterable[float] = ()
+) -> Iterator[Account]:
     """The account of each frame of a drive; arguments as `shown`."""
     explainer = Explainer(scenario)
-    return (explainer.account(frame) for frame in shown(trace, scenario, loop))
+    return (explainer.account(frame) for frame in shown(trace, scenario, loop, earlier))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -178,7 +183,8 @@ class Explainer:
         found = sorted(found, key=_order)
         if not found and not failed:
             found = [*_begun(case)] or [self._none(case)]
-        return Account(frame.planned.t, course, predicted, (*failed, *found))
+        why_not = not_passed(plan) if found and found[0].kind is CauseKind.AGENT else ()
+        return Account(frame.planned.t, course, predicted, (*failed, *found), why_not)
 
     def _met(self, case: _Case) -> list[Meeting]:
         """Those in the way; who the planner passes (nudge, overtake) has no margin."""

@@ -21,8 +21,9 @@ def sentences(account: Account) -> list[str]:
     for i, cause in enumerate(rest[:MOST]):
         opening = _opening(account) if i == 0 else "Also"
         lines.append(_none(account, cause) if cause.kind is CauseKind.NONE else f"{opening} {_said(account, cause)}.")
-    more = len(rest) - MOST
-    return [*lines, f"And {more} more cause{'s' if more > 1 else ''}."] if more > 0 else lines
+    if len(rest) > MOST:
+        lines.append(f"And {len(rest) - MOST} more.")
+    return [*lines, f"{rest[0].who} is not passed: {'; '.join(account.not_passed)}."] if account.not_passed else lines
 
 
 def _opening(account: Account) -> str:

@@ -6,7 +6,7 @@ predictions are therefore made anew by the loop's settings, and thinned as they 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -41,15 +41,21 @@ class Shown:
     lights: Mapping[int, Colour]
 
 
-def shown(trace: Trace, scenario: Scenario, loop: LoopConfig | None = None) -> Iterator[Shown]:
+def shown(
+    trace: Trace, scenario: Scenario, loop: LoopConfig | None = None, earlier: Iterable[float] = ()
+) -> Iterator[Shown]:
     """What was shown at each frame of a trace.
 
     Args:
         trace: The drive.
         scenario: As it was driven.
         loop: With which it was driven, where the trace was read from a file; None: the trace is as it was made.
+        earlier: Times of frames before those of the trace, s: a sensor remembers them.
     """
     perception = None if loop is None else Perception(scenario, loop)
+    if perception is not None and loop is not None and loop.perception != "ground_truth":
+        for t in earlier:
+            perception.frame(World(trace.ego.at(t), trace.agents), None)
     for frame in trace.frames:
         lights = {light.id: light.at(frame.t) for light in scenario.lights}
         if perception is None:

@@ -15,11 +15,15 @@ import sys
 import textwrap
 import tomllib
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
 import pytest
 from command_line import replan
+from typer.main import get_command
+
+from replay.cli import app
 
 ROOT = Path(__file__).parents[2]
 PAGES = (*sorted(ROOT.glob("*.md")), *sorted((ROOT / "docs").glob("*.md")), *sorted((ROOT / "examples").rglob("*.md")))
@@ -72,7 +76,6 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         (tmp_path / example.name).write_bytes(example.read_bytes())
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("PYTHONPATH", f"{ROOT}{os.pathsep}{os.environ.get('PYTHONPATH', '')}")
-    monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.syspath_prepend(str(tmp_path))
     return tmp_path
 
@@ -99,16 +102,13 @@ def run(words: list[str]) -> tuple[int, str]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("page", with_commands(), ids=named)
-def test_every_command_runs_in_order(page: Path, desk: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    shown: list[list[str]] = []
-    done = subprocess.CompletedProcess([], 0)
-    monkeypatch.setattr("replay.view.subprocess.run", lambda command, **_: shown.append(command) or done)
+def test_every_command_runs_in_order(page: Path, desk: Path) -> None:
     before = set(sys.modules)
     put_files(page, desk)
     try:
         for words, code in commands(page):
             if words[:2] == ["replan", "view"]:
-                continue  # a viewer is a window: tests/replay tests what is opened
+                continue  # a viewer is a window: tests/replay has what it opens
             exit_code, said = run(words)
             assert exit_code == code, f"{shlex.join(words)}: {said}"
     finally:
@@ -139,6 +139,32 @@ def test_every_program_of_a_page_is_run() -> None:
             name = Path(file_name(block) or "").stem
             others = [other.text for other in programs if other is not block]
             assert re.search(rf"\b{name}\b", said + " ".join(others)), f"{page.name}: {name}.py is run by nothing"
+
+
+def shown_commands(page: Path) -> Iterator[list[str]]:
+    """The words of every `replan ...` of a page, run or not: in blocks, indented, and in the text."""
+    text = page.read_text(encoding="utf-8").replace("\\\n", " ")
+    fenced = "\n".join(block.text for block in blocks(page, "sh")).replace("\\\n", " ")
+    lines = re.findall(r"^ *(replan .+)$", fenced, re.MULTILINE) + re.findall(r"^ {4,}(replan .+)$", text, re.MULTILINE)
+    lines += re.findall(r"`(replan [^`]+)`", text)
+    for line in lines:
+        yield shlex.split(line.replace("\n", " "), comments=True)[1:]
+
+
+command_line = cache(lambda: get_command(app))
+
+
+@pytest.mark.parametrize("page", PAGES, ids=named)
+def test_every_option_of_a_shown_command_exists(page: Path) -> None:
+    root = command_line()
+    for words in shown_commands(page):
+        command, rest = root, words
+        while rest and rest[0] in getattr(command, "commands", {}):
+            command, rest = command.commands[rest[0]], rest[1:]
+        assert command is not root or words[0].startswith("-"), f"replan {shlex.join(words)}: no such command"
+        known = {option for param in (*command.params, *root.params) for option in (*param.opts, *param.secondary_opts)}
+        asked = {word.partition("=")[0] for word in rest if re.match(r"--?[a-zA-Z]", word)}
+        assert asked <= known | {"--help", "-h"}, f"replan {shlex.join(words)}: {asked - known}"
 
 
 def test_shown_code_is_fenced_as_a_language() -> None:

@@ -1,4 +1,4 @@
-"""The metric measures what it says. The notebook runs from its first cell to its last, shows what it says, and is kept without outputs."""
+"""The metric measures what it says; the notebook runs, shows what it says, and is kept without outputs."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from typing import Any
 import matplotlib as mpl
 import numpy as np
 import pytest
+import yaml
 from drives import along, drive, grid, moving, scenario
 
 from logs import AgentKind
@@ -71,3 +72,13 @@ def test_the_metric_is_the_speed_beside_someone_on_foot(monkeypatch: pytest.Monk
             body = log.vehicle.length / value
             assert abs(0.1 * len(steps) - body) <= 0.1 + 1e-9  # seconds beside the body
             assert {label for label in measured.labels if label} == {"other"}
+
+
+def test_the_workflow_of_the_ci_repository_uses_inputs_that_exist_and_files_that_are_there() -> None:
+    folder = NOTEBOOK_FILE.parent / "ci_repository"
+    action = yaml.safe_load((NOTEBOOK_FILE.parents[1] / "ci" / "github" / "action.yml").read_text(encoding="utf-8"))
+    flow = yaml.safe_load((folder / ".github" / "workflows" / "planner.yml").read_text(encoding="utf-8"))
+    asked = flow["jobs"]["replan"]["steps"][-1]["with"]
+    assert set(asked) <= set(action["inputs"])
+    assert (folder / asked["gates"]).exists()
+    assert (folder / asked["planner"].partition(":")[0].replace(".", "/")).with_suffix(".py").exists()

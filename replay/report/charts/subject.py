@@ -12,6 +12,7 @@ from logs.scenario import Scenario
 from logs.trace import PlannedFrame, Said, Trace
 from replay.report.charts.moment import Moment, Violation, violations, worst_moment
 from replay.results import DriveResult
+from replay.why import accounts, sentences
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +37,15 @@ class Subject:
     def violations(self) -> list[Violation]:
         """The gates that this drive broke, and when."""
         return violations(self.drive)
+
+    @cached_property
+    def because(self) -> tuple[str, ...]:
+        """What the plan does at the moment, and why, in sentences; empty where there is none."""
+        if self.frame is None:
+            return ()
+        earlier = [one.t for one in self.said if one.t < self.frame.t]
+        (account,) = accounts(self.trace, self.scenario, self.drive.result.run.loop, earlier)
+        return (f"The plan of t = {account.t:.2f} s: {account.course.action.value}.", *sentences(account))
 
     @property
     def span(self) -> tuple[float, float]:

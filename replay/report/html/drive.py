@@ -72,6 +72,7 @@ class DrivePage:
         tags: Words of the log.
         time_s: The moment that is looked at; NaN where there are no pictures.
         why: Why that one; where there are no pictures, why not.
+        because: What the plan does there, and why, in sentences.
         end: How the drive ended.
         verdicts: Of both loops, failed ones first.
         pictures: Scenes and graphs; then `decided`, and `curves`.
@@ -89,6 +90,7 @@ class DrivePage:
     tags: tuple[str, ...]
     time_s: float
     why: str
+    because: tuple[str, ...]
     end: str
     verdicts: tuple[VerdictLine, ...]
     pictures: tuple[Markup, ...]
@@ -135,6 +137,7 @@ def drive_page(results: Results, row: DriveRow, anchor: str, page: Path) -> Driv
     return DrivePage(
         anchor, row, shown.mode, labels.tags if labels else (),
         seen.moment.t if seen else float("nan"), seen.moment.why if seen else why,
+        seen.because if seen else (),
         f"{shown.info['end']}{detail}, after {shown.info['t_end_s']:.2f} s",
         tuple(line for drive in drives for line in _verdicts(drive.verdicts)),
         _drawn(charts.get("pictures", ())), Markup().join(_drawn(charts.get("decided", ()))),

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import resource
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-import pandas as pd
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
@@ -17,9 +16,12 @@ from typer.testing import CliRunner
 
 from logs.errors import OutputError
 from logs.mcap import read_scenario, write_scenario, write_trace
-from metrics import evaluate_with_series
+from logs.scenario import Scenario
+from logs.trace import Trace
+from metrics import evaluate, evaluate_with_series
 from replay.batch import evaluate_logs
-from replay.batch.tables import write_metrics, write_parquet, write_text
+from replay.batch.steps import Steps, StepsFile
+from replay.batch.tables import write_metrics, write_text
 from replay.cli import app
 from replay.closed_loop import run_closed_loop
 from replay.recording import write_log_recording, write_recording
@@ -49,12 +51,18 @@ def writers(logs: Path) -> dict[str, Callable[[Path], object]]:
         "closed.mcap": lambda path: write_trace(path, drive.trace, scenario, internals="full"),
         "closed.rrd": lambda path: write_recording(path, drive, scenario, table, steps),
         "log.rrd": lambda path: write_log_recording(path, scenario),
-        "frames.parquet": lambda path: write_parquet(
-            path, pd.DataFrame({"planner": "p", "mode": "closed", **steps}, index=steps.index)
-        ),
+        "frames.parquet": lambda path: _write_steps(path.parent, drive.trace, scenario),
         "metrics.csv": lambda path: write_metrics(path.parent, table),
         "report.md": lambda path: write_text(path, LONG_LINE),
     }
+
+
+def _write_steps(folder: Path, trace: Trace, scenario: Scenario) -> None:
+    with closing(StepsFile(folder)) as steps:
+        found: list[Steps] = []
+        evaluate(trace, scenario, found=lambda name, series: found.append(steps.put(name, series)))
+        steps.add("p", "closed", tuple(found))
+        steps.write()
 
 
 KINDS = ("log.mcap", "closed.mcap", "closed.rrd", "log.rrd", "frames.parquet", "metrics.csv", "report.md")

@@ -30,6 +30,7 @@ from replay.control import CONTROLLERS
 from replay.listing import KINDS, entries
 from replay.oracle import ORACLES
 from replay.perception import PERCEPTIONS, PREDICTIONS
+from replay.report.charts.layout import CHARTS
 from replay.report.progress import LEAST_S, Pace, progress
 from replay.traffic import TRAFFIC
 from replay.vehicle import VEHICLES
@@ -43,6 +44,7 @@ TABLES = {
     "traffic": TRAFFIC,
     "predictions": PREDICTIONS,
     "perceptions": PERCEPTIONS,
+    "charts": CHARTS,
     "metrics": METRICS,
     "families": FAMILIES,
     "suites": SUITES,
@@ -150,6 +152,12 @@ def test_verbose_says_each_log_as_it_ends(folder: Path, tmp_path: Path) -> None:
     assert again.stderr.count("there already") == 2
 
 
+def test_what_is_left_goes_by_the_length_of_the_logs() -> None:
+    pace = Pace(12, 0.0, left=2 * 50.0 + 10 * 1.0)
+    pace.step(50.0, driven=True, cost=50.0)
+    assert pace.step(100.0, driven=True, cost=50.0) == "2 of 12 logs, 1.2 logs/min, about 10 s left"
+
+
 @given(st.lists(st.floats(0.01, 40.0), min_size=1, max_size=200))
 def test_lines_off_a_terminal_are_few_and_none_comes_too_soon(steps: list[float]) -> None:
     pace, now, said = Pace(len(steps), 100.0), 100.0, []
@@ -170,24 +178,24 @@ def test_the_pace_is_that_of_the_logs_that_were_driven() -> None:
         assert pace.step(1.0, driven=False) is None  # there already
     for index in range(50):
         line = pace.step(1.0 + index, driven=True)
-    assert line == "150 of 300 logs, 1 logs/s, about 2 min left"
+    assert line == "150 of 300 logs, 60 logs/min, about 2 min left"
 
 
 def test_progress_is_said_on_stderr_as_lines(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from replay.batch.sources import Selection
+    from replay.batch.sources import LogSource, Selection
 
     clock = iter(range(0, 1000, 10))
     monkeypatch.setattr("replay.report.progress.monotonic", lambda: float(next(clock)))
     done = replace(LogResult("a", "a"), seconds=1.0)
     with progress() as (on_start, on_log):
-        on_start(Selection(tuple("abcde")), Path("out"))  # type: ignore[arg-type]
+        on_start(Selection(tuple(map(LogSource, "abcde"))), Path("out"))
         for _ in "abcde":
             on_log(done)
     said = capsys.readouterr()
     assert said.out == ""
-    assert said.err.splitlines()[:2] == ["5 logs -> out", "1 of 5 logs, 0.1 logs/s, about 40 s left"]
+    assert said.err.splitlines()[:2] == ["5 logs -> out", "1 of 5 logs, 6 logs/min, about 40 s left"]
     assert len(said.err.splitlines()) == 5  # the report follows the last log
 
 

@@ -15,7 +15,7 @@ from logs.mcap import write_scenario
 from replay.batch import evaluate_logs
 from replay.compare import compare_runs, opened
 from replay.config import RunConfig
-from replay.report.charts import worst_moment
+from replay.report.charts import subject, worst_moment
 from replay.report.html import write_html
 from replay.report.overview import overview
 from replay.results import Results, load
@@ -127,6 +127,8 @@ def test_what_it_says_is_what_the_run_says(page: Page, results: Results) -> None
     moment = worst_moment(results.drive(HOSTILE, "constant_speed"))
     assert moment.why.startswith("collision_at_fault.count <= 0 [closed] fails: 1")
     assert f"Look at {moment.t:.2f} s : {moment.why.split('<img')[0]}" in text
+    because = subject(results.drive(HOSTILE, "dp_qp")).because
+    assert because[0].startswith("The plan of t = ") and because[0] in text
 
 
 def test_same_run_same_bytes_wherever_it_is(results: Results, tmp_path: Path) -> None:

@@ -25,6 +25,7 @@ from replay.why import Account, Action, Cause, CauseKind, accounts, sentences
 from replay.why.causes import CURVE_MPS2, STAYS_BEHIND, Explainer
 from replay.why.course import LOOK_S, Held
 from replay.why.meetings import GAP_M, HEADWAY_S, VULNERABLE_MARGIN_M, fine
+from replay.why.sentences import MOST
 from replay.why.shown import Shown, shown
 from replay.why.way import Way, Ways
 
@@ -97,7 +98,7 @@ def check(case: Shown, account: Account, world: Scenario, ways: Ways) -> None:
     if case.predictions is not None and len(case.predictions):
         away = gaps(case, held.s, way, world)
         check_others(case, causes, held, away)
-    for sentence, cause in zip(said[len(account.causes) - len(causes) :], causes, strict=False):
+    for sentence, cause in zip(said[len(account.causes) - len(causes) :], causes[:MOST], strict=False):
         check_numbers(sentence, cause, account)
 
 

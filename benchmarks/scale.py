@@ -1,0 +1,126 @@
+"""What many logs cost: wall per log by engine, Ray's overhead, bytes per log, and what the end of a run needs per log.
+
+python -m benchmarks.scale curve       a quarter of the suite "smoke" by 0, 1, 2 workers and on Ray (docs/scale.md)
+python -m benchmarks.scale overhead    a task that does nothing and returns the folder of a log
+python -m benchmarks.scale end         `concluded` on so many logs: seconds and peak memory of this process
+"""
+
+from __future__ import annotations
+
+import resource
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from logs.catalogue import scenario
+from logs.mcap import write_scenario
+from replay.batch import RunResult, evaluate_logs
+from replay.batch.engine import Engine, Local
+from replay.batch.log_result import LogResult
+from replay.batch.on_ray import OnRay
+from replay.batch.pool import run_all
+from replay.batch.run import concluded, gates_of
+from replay.batch.shard import Shard
+from replay.batch.sources import LogSource, Selection
+from replay.config import RunConfig
+
+RUN = RunConfig(recording=False, internals="none")
+END = replace(RUN, planners=("constant_speed",))
+SUITE = "smoke"
+ITEMS = 200
+
+
+def main(word: str) -> None:
+    """Run one of the measurements."""
+    {"curve": curve, "overhead": overhead, "end": end}[word]()
+
+
+def timed(call: Callable[[], Any]) -> tuple[float, float, Any]:
+    """Wall s, CPU s of this process and of the children that it waited for, and what came of it."""
+    begin, used = time.perf_counter(), _cpu()
+    result = call()
+    return time.perf_counter() - begin, _cpu() - used, result
+
+
+def _cpu() -> float:
+    found = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]
+    return sum(one.ru_utime + one.ru_stime for one in found)
+
+
+def curve() -> None:
+    """Each engine over the suite; kernels are compiled and loaded by a run before."""
+    engines: dict[str, Engine] = {
+        "local 0": Local(0),
+        "local 1": Local(1),
+        "local 2": Local(2),
+        "ray 1": OnRay(workers=1),
+        "ray 2": OnRay(workers=2),
+    }
+    with tempfile.TemporaryDirectory() as folder:
+        _evaluated(Local(0), Path(folder))
+        for name, engine in engines.items():
+            wall, cpu, result = timed(lambda engine=engine: _evaluated(engine, Path(folder)))
+            inside = sum(log.seconds for log in result.logs)
+            n = len(result.logs)
+            each = f"wall {wall / n:.2f} s, CPU {cpu / n:.2f} s, in drives {inside / n:.2f} s"
+            print(f"{name:8s} {n} logs: a log {each}")
+        sizes = [file.stat().st_size for file in Path(folder).glob("*/*")]
+        print(f"{sum(sizes) / n / 1e3:.0f} kB of files a log")
+
+
+def _evaluated(engine: Engine, folder: Path) -> RunResult:
+    return evaluate_logs((), END, folder, suite=SUITE, engine=engine, shard=Shard(1, 4))
+
+
+def answer(_: int) -> tuple[Any, dict[str, bytes]]:
+    """As much as the task of a log returns: its metrics, and 300 kB in 6 files."""
+    return pd.DataFrame({"metric": ["gap.min"] * 400, "value": 1.0}), {str(k): bytes(50_000) for k in range(6)}
+
+
+def overhead() -> None:
+    """Wall per item that does nothing, where the workers are warm."""
+    one = OnRay(workers=4)
+    with one._connected(RUN) as ray:
+        task = ray.remote(answer).options(max_retries=3, num_cpus=1)
+        list(one._streamed(ray, task.remote, range(20)))
+        wall, cpu, _ = timed(lambda: list(one._streamed(ray, task.remote, range(ITEMS))))
+    print(f"ray:   {1e3 * wall / ITEMS:.1f} ms wall, {1e3 * cpu / ITEMS:.1f} ms CPU of the driver a log")
+    stream = run_all(answer, range(ITEMS + 20), 2)
+    for _ in range(20):
+        next(stream)
+    wall, cpu, _ = timed(lambda: list(stream))
+    print(f"local: {1e3 * wall / ITEMS:.1f} ms wall a log")
+
+
+def end() -> None:
+    """The end of a run of so many logs, made of one that was driven."""
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder)
+        write_scenario(out / "log.mcap", scenario("paper/free_road"))
+        out = out / "run"
+        (log,) = evaluate_logs([out.parent / "log.mcap"], END, out).logs
+        for count in (100, 400):
+            named = [f"log/{k:07d}" for k in range(count)]
+            logs = [_named(log, name) for name in named]
+            selection = Selection(tuple(LogSource(name) for name in named))
+            wall, _, _ = timed(lambda logs=logs, s=selection: concluded(out, END, s, logs, gates_of(END, None), ()))
+            peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+            sizes = {name: (out / name).stat().st_size / count for name in ("metrics.parquet", "timings.parquet")}
+            sizes["summary.json"] = (out / "summary.json").stat().st_size / count
+            said = ", ".join(f"{name} {size:.0f} B" for name, size in sizes.items())
+            print(f"{count} logs: {1e3 * wall / count:.1f} ms a log, peak {peak:.0f} MB; a log: {said}")
+
+
+def _named(log: LogResult, name: str) -> LogResult:
+    drives = tuple(replace(drive, log=name) for drive in log.drives)
+    return replace(log, name=name, drives=drives, table=log.table.assign(log=name), health=log.health.assign(log=name))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1])

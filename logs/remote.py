@@ -1,0 +1,194 @@
+"""Files by URL (`s3://`, `gs://`, ... whatever fsspec knows), by one door: listed, fetched, written.
+
+A URL stands where a path may, also as a `Path`, which has lost a slash ("s3:/bucket/key"); `file://` is a local path.
+Who may read is what the environment says (as fsspec documents it: AWS_ACCESS_KEY_ID, AWS_ENDPOINT_URL ...); no
+credential is an option or stands in a file of a run.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from logs.errors import ConfigError, LogError, OutputError, ReplanError
+
+_URL = re.compile(r"([a-z][a-z0-9+.-]+):/+(.*)", re.IGNORECASE | re.DOTALL)  # a drive of Windows has one letter
+_VERSIONS = ("ETag", "etag", "md5Hash", "LastModified", "last_modified", "mtime", "created")
+"""What file systems call what changes with the content, the surest first."""
+
+
+@dataclass(frozen=True)
+class RemoteFile:
+    """A file at a URL.
+
+    Attributes:
+        url: Where.
+        name: Under the URL that was listed, "/" between folders.
+        size: Bytes.
+        version: Changes with the content; "": not known.
+    """
+
+    url: str
+    name: str
+    size: int
+    version: str
+
+
+def url_of(place: Path | str) -> str:
+    """The URL that a place is; "" where it is a local path."""
+    found = _URL.fullmatch(str(place).replace("\\", "/"))
+    return f"{found[1].lower()}://{found[2]}".rstrip("/") if found and found[1].lower() != "file" else ""
+
+
+def local_path(place: Path | str) -> Path:
+    """A local path, also of `file:///...`."""
+    found = _URL.fullmatch(str(place))
+    return Path(f"/{found[2]}") if found and found[1].lower() == "file" else Path(place)
+
+
+def listed(url: str) -> tuple[RemoteFile, ...]:
+    """The file at a URL, or all files under it, sorted; none: nothing is there. ConfigError: it cannot be asked."""
+    with _asked(url, ConfigError):
+        system, path = _system(url)
+        system.invalidate_cache()
+        found: dict[str, Any] = system.find(path, detail=True)
+    base = path.rstrip("/")
+    files = []
+    for key, info in sorted(found.items()):
+        name = key.removeprefix(base).lstrip("/") or Path(base).name
+        version = next((str(info[word]).strip('"') for word in _VERSIONS if info.get(word)), "")
+        files.append(RemoteFile(url if key == base else f"{url}/{name}", name, int(info.get("size") or 0), version))
+    return tuple(file for file in files if not file.url.endswith("/"))
+
+
+def heads(files: Sequence[RemoteFile], size: int) -> list[bytes]:
+    """The first bytes of files, fetched together; ConfigError where one cannot be."""
+    if not files:
+        return []
+    with _asked(files[0].url, ConfigError):
+        system = _system(files[0].url)[0]
+        ends = [min(size, file.size) for file in files]
+        found: list[bytes] = system.cat_ranges(
+            [system._strip_protocol(file.url) for file in files], [0] * len(ends), ends
+        )
+        return found
+
+
+def fetch(files: Sequence[RemoteFile], folder: Path) -> None:
+    """Files under their names into a local folder; LogError where one is gone, changed, or has no room."""
+    need, free = sum(file.size for file in files), shutil.disk_usage(folder).free
+    if need > free:
+        what = f"{need / 1e6:.0f} MB are to be fetched, {free / 1e6:.0f} MB are free in {folder.parent}"
+        raise LogError(what, file=files[0].url, remedy="set TMPDIR to a folder with room")
+    for file in files:
+        target = folder / file.name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        with _asked(file.url, LogError):
+            system, path = _system(file.url)
+            system.get_file(path, str(target))
+        if target.stat().st_size != file.size:
+            raise LogError("has changed since it was listed", file=file.url, remedy="evaluate again")
+
+
+def ranged(file: RemoteFile) -> Callable[[int, int], bytes]:
+    """What has the bytes of a file from a place up to another; LogError where they cannot be had."""
+
+    def fetched(begin: int, end: int) -> bytes:
+        with _asked(file.url, LogError):
+            system, path = _system(file.url)
+            found: bytes = system.cat_file(path, start=begin, end=end)
+            return found
+
+    return fetched
+
+
+def put(content: Path, url: str) -> None:
+    """A local file to a URL; OutputError."""
+    with _asked(url, OutputError):
+        system, path = _system(url)
+        system.put_file(str(content), path)
+
+
+def put_new(content: bytes, url: str) -> bool:
+    """Bytes to a URL where nothing is; whether nothing was. ConfigError: it cannot be written there."""
+    with _asked(url, ConfigError):
+        system, path = _system(url)
+        try:
+            system.pipe_file(path, content, mode="create")
+        except FileExistsError:
+            return False
+        return True
+
+
+def content(url: str) -> bytes:
+    """What is at a URL; ConfigError."""
+    with _asked(url, ConfigError):
+        system, path = _system(url)
+        found: bytes = system.cat_file(path)
+        return found
+
+
+def remove(urls: Sequence[str]) -> None:
+    """Files away; OutputError."""
+    for url in urls:
+        with _asked(url, OutputError):
+            system, path = _system(url)
+            system.rm_file(path)
+
+
+@contextmanager
+def here(place: Path | str) -> Iterator[Path]:
+    """A local path as it is; of a URL a copy, all of it, for as long. ConfigError: nothing is there."""
+    url = url_of(place)
+    if not url:
+        yield local_path(place)
+        return
+    files = listed(url)
+    if not files:
+        raise ConfigError(f"{url}: nothing is there")
+    with tempfile.TemporaryDirectory(prefix="replan-") as scratch:
+        root = Path(scratch) / Path(url).name
+        is_file = len(files) == 1 and files[0].url == url
+        fetch(files, root.parent if is_file else _made(root))
+        yield root
+
+
+def _made(folder: Path) -> Path:
+    folder.mkdir()
+    return folder
+
+
+def _system(url: str) -> tuple[Any, str]:
+    """The file system of a URL, and the path in it."""
+    try:
+        from fsspec.core import url_to_fs
+    except ImportError:
+        raise ConfigError(f"{url}: URLs need fsspec: pip install 'replan[s3]'") from None
+    try:
+        system, path = url_to_fs(url)
+    except (ImportError, ValueError) as error:
+        raise ConfigError(f"{url}: {error}; of S3: pip install 'replan[s3]'") from None
+    return system, str(path)
+
+
+@contextmanager
+def _asked(url: str, kind: type[ReplanError]) -> Iterator[None]:
+    """What a file system raises, of whatever kind its library has, as one line."""
+    try:
+        yield
+    except (ReplanError, FileExistsError):
+        raise
+    except FileNotFoundError:
+        raise kind(f"{url}: not there; look at bucket and key") from None
+    except PermissionError as error:
+        hint = "set what fsspec documents for it in the environment (S3: AWS_ACCESS_KEY_ID, AWS_PROFILE)"
+        raise kind(f"{url}: no permission: {error}; {hint}") from None
+    except Exception as error:
+        what = " ".join(str(error).split())[:200]
+        raise kind(f"{url}: no connection or an error there: {type(error).__name__}: {what}; try again") from None

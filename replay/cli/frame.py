@@ -1,0 +1,43 @@
+"""`replan frame`: one frame planned again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from replay.cli.app import answered, app, say
+from replay.cli.plot import Loop, drive_of
+
+
+@app.command()
+def frame(
+    result: Annotated[Path, typer.Argument(help="A folder of results.")],
+    at: Annotated[float, typer.Option(help="Time, s: the last frame not later is planned again.")],
+    log: Annotated[str | None, typer.Option(help="Which log. Without it: the drive to look at first.")] = None,
+    of: Annotated[str | None, typer.Option("--of", help="Whose drive, where there are several.")] = None,
+    planner: Annotated[str | None, typer.Option(help="Another planner, which is given this frame alone.")] = None,
+    mode: Annotated[Loop | None, typer.Option(help="Default: closed, where it was driven.")] = None,
+    dump: Annotated[Path | None, typer.Option(help="Write frames, plan and QPs here: FILE.msgpack.")] = None,
+    debug: Annotated[bool, typer.Option("--debug", help="Open the debugger before the frame is planned.")] = False,
+) -> None:
+    """Drive up to a frame again, in one process, and plan it with a report: stages, times, sizes, residuals.
+
+    [bold]Examples[/bold]
+
+      replan frame results/run-001 --at 6.5 --dump frame.msgpack
+      replan frame results/run-001 --at 6.5 --planner idm
+    """
+    with answered():
+        from replay.frame_again import planned_again, report_of
+        from replay.frame_dump import dump as write_dump
+        from replay.results import load
+
+        drive = drive_of(load(result), log, of, mode.value if mode else None)
+        again = planned_again(drive, at, planner, debug=debug)
+        for line in report_of(again):
+            say(line)
+        if dump is not None:
+            write_dump(dump, again.dump)
+            say(f"\n{dump}: {dump.stat().st_size / 1e6:.1f} MB; replay.frame_dump.load reads it")

@@ -1,0 +1,51 @@
+"""`replan warmup`: kernels compiled beforehand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from replay.cli.app import Json, Quiet, answered, app, run_config, say, say_error, say_json
+from replay.cli.names import completion
+
+
+@app.command()
+def warmup(
+    planner: Annotated[
+        list[str] | None,
+        typer.Option("--planner", "-p", autocompletion=completion("planner"), help="Repeatable. Default: dp_qp."),
+    ] = None,
+    config: Annotated[Path | None, typer.Option(help="TOML file of a run: what it drives with.")] = None,
+    as_json: Json = False,
+    quiet: Quiet = False,
+) -> None:
+    """Compile the kernels that a run needs, and keep them: the first log is then driven at once.
+
+    They are kept in NUMBA_CACHE_DIR, else beside the installed code, else in the user's cache folder: docs/ci.md.
+
+    [bold]Examples[/bold]
+
+      replan warmup
+      NUMBA_CACHE_DIR=/var/cache/replan replan warmup --planner dp_qp --planner lattice
+    """
+    with answered():
+        options: dict[str, Any] = {"planners": tuple(planner or ()) or None}
+        run = run_config(config, options, {})
+        from replay.warmup import warm_up
+
+        if not quiet:
+            say("compiling kernels (a minute or two; seconds where they are there already)", err=True)
+        done = warm_up(run)
+        for failure in done.failures:
+            say_error(failure.message)
+        where = "nowhere: no folder can be written" if done.folder is None else done.folder
+        if as_json:
+            say_json(
+                {"seconds": done.seconds, "compiled": done.compiled, "folder": done.folder, "failures": done.failures}
+            )
+        elif not quiet:
+            say(f"{done.compiled} kernels compiled, {done.seconds:.1f} s; kept in: {where}")
+        if done.failures:
+            raise typer.Exit(3)

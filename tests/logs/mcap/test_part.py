@@ -1,0 +1,70 @@
+"""A part of a native file by its index: the scenario of the whole, cut, for a few of its bytes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from handmade import drive, lanes_along, scenario, straight, track, tracks
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from logs import Scenario
+from logs.mcap import write_scenario
+from logs.mcap.part import write_part
+from logs.readers import LogSettings, read_log
+
+SECONDS = 400.0
+
+
+def long_log() -> Scenario:
+    """Some minutes straight on; others come and go."""
+    log = drive(straight, 10.0, SECONDS)
+    t = np.arange(0.0, SECONDS, 0.1)
+    others = [track(f"other{k}", t[k::5] * 1.0, 10.0 * t[k::5] + 20.0, np.full(len(t[k::5]), 3.0)) for k in range(5)]
+    return replace(scenario(log, agents=tracks(*others), road=lanes_along(log)), name="test/long")
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("logs") / "long.mcap"
+    write_scenario(path, long_log())
+    return path
+
+
+def part(whole: Path, begin: float, end: float) -> tuple[Path, int]:
+    """The part's file, and how many bytes of the whole it took."""
+    raw, taken = whole.read_bytes(), []
+
+    def ranged(first: int, last: int) -> bytes:
+        taken.append(last - first)
+        return raw[first:last]
+
+    path = whole.parent / "part" / whole.name
+    path.parent.mkdir(exist_ok=True)
+    assert write_part(ranged, len(raw), begin, end, path)
+    return path, sum(taken)
+
+
+@given(st.floats(0.0, SECONDS - 2.0), st.floats(1.0, 100.0))
+@settings(max_examples=10)
+def test_a_part_is_that_of_the_whole(whole: Path, begin: float, length: float) -> None:
+    asked = LogSettings(begin=begin, end=begin + length)
+    path, _ = part(whole, begin, begin + length)
+    files = [whole.parent / "one.mcap", whole.parent / "other.mcap"]
+    for file, source in zip(files, (whole, path), strict=True):
+        write_scenario(file, read_log(source, asked))
+    assert files[0].read_bytes() == files[1].read_bytes()
+
+
+def test_a_short_part_takes_few_bytes(whole: Path) -> None:
+    _, taken = part(whole, 200.0, 210.0)
+    assert taken < 0.5 * whole.stat().st_size
+
+
+def test_what_has_no_index_is_needed_whole(whole: Path, tmp_path: Path) -> None:
+    raw = whole.read_bytes()
+    for content in (raw[:-1], raw[:1000], bytes(100)):
+        assert not write_part(lambda a, b, c=content: c[a:b], len(content), 200.0, 210.0, tmp_path / "part.mcap")

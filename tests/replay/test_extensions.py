@@ -1,0 +1,296 @@
+"""Whatever is chosen by name may be a user's: docs/extend.md is run as it stands, and by entry points."""
+
+from __future__ import annotations
+
+import re
+import runpy
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+import replan
+from logs import readers
+from logs.errors import ConfigError
+from logs.extension import Kind
+from replay.batch import evaluate_logs
+from replay.batch.checks import KINDS, checked
+from replay.cli import app
+from replay.config import SETTINGS, RunConfig, dump_run, load_run
+from replay.drive import LoopConfig
+
+ROOT = Path(__file__).parents[2]
+PAGE = (ROOT / "docs" / "extend.md").read_text(encoding="utf-8")
+OWN = {
+    "vehicle": "my_vehicle:Late",
+    "controller": "my_controller:Proportional",
+    "traffic": "my_traffic:Without",
+    "prediction": "my_prediction:stopping",
+    "perception": "my_perception:ahead",
+}
+NAMES = {
+    "vehicles": ("late", "my_vehicle:Late"),
+    "controllers": ("proportional", "my_controller:Proportional"),
+    "traffic": ("without", "my_traffic:Without"),
+    "predictions": ("stopping", "my_prediction:stopping"),
+    "perceptions": ("ahead", "my_perception:ahead"),
+    "planners": ("held", "my_planner:Held"),
+    "metrics": ("width", "my_metric:WIDTH"),
+    "readers": ("txy", "my_reader:READER"),
+    "charts": ("my_speed", "my_chart:speed"),
+    "families": ("team/empty", "my_family:EMPTY"),
+}
+"""By the group of entry points: a name, and what it stands for."""
+PLANNER = """
+from planners.constant_speed import ConstantSpeed
+
+
+class Held(ConstantSpeed):
+    '''Mine.'''
+"""
+METRIC = """
+from metrics.metric import MAX
+from replan import Metric, Mode, Series
+
+
+def width(trace, scenario):
+    return Series(trace.ego.t, 0.0 * trace.ego.t + scenario.vehicle.width)
+
+
+WIDTH = Metric("width", "m", "none", (Mode.CLOSED,), width, (MAX,), "For a test.")
+"""
+MORE = {"my_planner.py": PLANNER, "my_metric.py": METRIC}
+
+
+@pytest.fixture
+def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A user's folder, outside of the repository, with the files that the page shows."""
+    for name, text in re.findall(r"^```(?:python|toml)\n# (\S+)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL):
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    for name, text in MORE.items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    known = set(sys.modules)
+    yield tmp_path
+    readers.readers.cache_clear()
+    for name in set(sys.modules) - known:
+        if name.startswith("my_"):
+            del sys.modules[name]
+
+
+def installed(desk: Path) -> None:
+    """The user's modules as a distribution with entry points."""
+    card = desk / "site" / "team-1.0.dist-info"
+    card.mkdir(parents=True)
+    for file in desk.glob("my_*.py"):
+        shutil.move(file, desk / "site" / file.name)
+    groups = "".join(f"[replan.{group}]\n{name} = {place}\n" for group, (name, place) in NAMES.items())
+    (card / "entry_points.txt").write_text(groups, encoding="utf-8")
+    (card / "METADATA").write_text("Metadata-Version: 2.1\nName: team\nVersion: 1.0\n", encoding="utf-8")
+    sys.path.append(str(desk / "site"))
+    readers.readers.cache_clear()
+
+
+def test_what_the_page_shows_drives_and_is_in_the_results(desk: Path) -> None:
+    config = load_run(Path("run.toml"))
+    result = replan.evaluate(
+        suite="my_family:EMPTY", config=config, out="out", mode="closed", internals="none", recording=False, loop=OWN
+    )
+    assert list(result.failures["message"]) == []
+    assert list(result.logs["log"]) == ["team/empty@speed_mps=8", "team/empty@speed_mps=10"]
+    assert set(result.drives["end"]) == {"goal reached"}
+    run = load_run(Path("out/run.toml"))
+    assert run.vehicle_model == {OWN["vehicle"]: {"delay_s": 0.02}}  # as set
+    assert run.controller == {OWN["controller"]: {"gain": 0.05}}
+    assert run.prediction == {OWN["prediction"]: {"decel_mps2": 2.0}}  # by default
+    assert run.perception == {OWN["perception"]: {"range_m": 50.0}} and run.traffic == {OWN["traffic"]: {"who": ""}}
+    lateral = result.metrics.query("metric == 'tracking_lateral.max_abs' and mode == 'closed'")["value"]
+    assert (lateral < 0.2).all()
+    drawn = CliRunner().invoke(app, ["plot", "out", "--chart", "my_chart:speed", "-o", "speed.svg"])
+    assert drawn.exit_code == 0 and "My speed" in Path("speed.svg").read_text(encoding="utf-8")
+    done = CliRunner().invoke(app, ["report", "out"])
+    assert done.exit_code == 0 and "My speed" in Path("out/report.html").read_text(encoding="utf-8")
+
+
+def test_a_reader_named_in_the_settings_reads_first(desk: Path) -> None:
+    runpy.run_path("write_txy.py")
+    done = CliRunner().invoke(app, ["convert", "my_reader:READER", "drive.txy", "-o", "drive.mcap"])
+    assert done.exit_code == 0, done.output
+    Path("log.toml").write_text('[log]\nreader = "my_reader:READER"\n', encoding="utf-8")
+    done = CliRunner().invoke(app, ["inspect", "drive.txy", "--config", "log.toml"])
+    assert done.exit_code == 0 and "t x y yaw, a line each" in done.output
+    ego = replan.read_log(Path("drive.mcap")).ego
+    assert ego.x[-1] - ego.x[0] == pytest.approx(29.0)
+
+
+def test_installed_packages_give_names(desk: Path) -> None:
+    installed(desk)
+    loop = {key: NAMES[kind.plural][0] for key, (kind, _) in KINDS.items()}
+    result = replan.evaluate(
+        suite="team/empty", planners="held", metrics=["width"], out="out", mode="closed", internals="none",
+        recording=False, loop=loop,
+    )  # fmt: skip
+    assert list(result.failures["message"]) == [] and set(result.drives["planner"]) == {"held"}
+    assert "width.max" in set(result.metrics["metric"])
+    for group, (name, _) in NAMES.items():
+        listed = CliRunner().invoke(app, ["list", group])
+        assert f"{name}: " in listed.output, listed.output
+
+
+@pytest.mark.slow
+def test_the_command_line_and_its_workers_find_them(desk: Path) -> None:
+    script = "from replay.cli import main\nif __name__ == '__main__':\n    main()\n"
+    Path("call.py").write_text(f"import sys\nsys.path.append({str(ROOT)!r})\n{script}", encoding="utf-8")
+    words = [
+        "evaluate",
+        "--suite",
+        "my_family:EMPTY",
+        "--config",
+        "run.toml",
+        "-p",
+        "my_planner:Held",
+        "--mode",
+        "closed",
+    ]
+    words += ["--metric", "my_metric:WIDTH", *(word for key, name in OWN.items() for word in (f"--{key}", name))]
+    command = [sys.executable, "-P", "call.py", *words, "--workers", "2", "--no-recording", "-o", "out"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode in (0, 1, 4), done.stderr
+    assert replan.load("out").failures.empty
+
+
+# --- wrong names and settings, before anything is driven
+
+
+def loop(**names: str) -> RunConfig:
+    return RunConfig(("constant_speed",), loop=LoopConfig(**names))
+
+
+@pytest.mark.parametrize("key", KINDS)
+def test_a_wrong_name_says_the_nearest(desk: Path, key: str) -> None:
+    kind = KINDS[key][0]
+    module, _, name = OWN[key].partition(":")
+    for spec, said in (
+        (name[:-1], "no .* is called .*module:NAME"),
+        (f"{module}:{name}s", f"no {key} in {module} is called .*did you mean '{name}'"),
+        (f"{module}:", "write it as module:NAME"),
+        ("my_nothing:X", "No module named 'my_nothing'.*PYTHONPATH"),
+        (next(iter(kind.builtin))[:-1], "did you mean"),
+    ):
+        with pytest.raises(ConfigError, match=f"^loop.{key}: .*{said}"):
+            checked(loop(**{key: spec}))
+
+
+@pytest.mark.parametrize("key", KINDS)
+def test_a_wrong_setting_is_refused_and_names_its_key(desk: Path, key: str) -> None:
+    table, own = SETTINGS[key], OWN[key]
+    with pytest.raises(ConfigError, match=rf'{table}\."{own}"\.gian'):
+        checked(RunConfig(("constant_speed",), loop=LoopConfig(**{key: own}), **{table: {own: {"gian": 1.0}}}))
+    with pytest.raises(ConfigError, match=r"no .* is called 'unknown'"):
+        checked(RunConfig(("constant_speed",), **{table: {"unknown": {}}}))
+    Path("my_needy.py").write_text("def needy(*given, must): ...\n", encoding="utf-8")
+    with pytest.raises(ConfigError, match=f"{key} 'my_needy:needy' cannot be built so: missing .* argument: 'must'"):
+        checked(loop(**{key: "my_needy:needy"}))
+
+
+def test_a_module_that_raises_is_named_with_its_line(desk: Path) -> None:
+    Path("my_broken.py").write_text("x = 1\ny = x / 0\n", encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"cannot be loaded: ZeroDivisionError: .*\(my_broken\.py:2\)$"):
+        checked(loop(controller="my_broken:X"))
+
+
+def test_one_that_raises_in_a_drive_costs_that_drive_and_is_named_with_its_line(desk: Path) -> None:
+    Path("my_raising.py").write_text("def see(scenario, config):\n    return 1 / 0\n", encoding="utf-8")
+    result = replan.evaluate(
+        suite="my_family:EMPTY", planners="constant_speed", out="out", mode="open", internals="none", recording=False,
+        loop={"perception": "my_raising:see"},
+    )  # fmt: skip
+    assert len(result.failures) == 2 and result.exit_code == 3
+    says = "raised by code that the run names: ZeroDivisionError: division by zero (my_raising.py:2)"
+    assert all(says in message for message in result.failures["message"])
+
+
+def test_what_lacks_a_member_of_its_protocol_is_refused(desk: Path) -> None:
+    Path("my_half.py").write_text("class Half:\n    def __init__(self, *given): ...\n", encoding="utf-8")
+    for key, lacks in (("controller", "notes"), ("vehicle", "state")):
+        with pytest.raises(ConfigError, match=f"{key} 'my_half:Half': what it built is a Half without {lacks}"):
+            checked(loop(**{key: "my_half:Half"}))
+
+
+def test_settings_of_built_in_ones_are_their_configuration() -> None:
+    run = RunConfig(
+        ("idm",), loop=LoopConfig(controller="mpc", vehicle="single_track"), controller={"mpc": {"steps": 9}}
+    )
+    found, _ = checked(run)
+    assert found.controller["mpc"]["steps"] == 9 and found.controller["mpc"]["step_s"] == 0.1
+    assert found.vehicle_model["single_track"]["tyre"] == "pacejka"
+    assert found.loop.settings["controller"] == found.controller["mpc"]
+    with pytest.raises(ConfigError, match=r"controller\.mpc\.steps: expected int"):
+        checked(RunConfig(("idm",), controller={"mpc": {"steps": 1.5}}))
+
+
+def test_the_resolved_run_is_read_back_to_the_same(desk: Path) -> None:
+    found, _ = checked(RunConfig(("constant_speed",), loop=LoopConfig(**OWN)))
+    Path("again.toml").write_text(dump_run(found), encoding="utf-8")
+    again = load_run(Path("again.toml"))
+    assert {**vars(again), "gates": ""} == {**vars(found), "gates": ""}
+    assert checked(again)[0] == again
+
+
+def test_resume_refuses_where_a_setting_or_the_source_has_changed(desk: Path) -> None:
+    run = RunConfig(
+        ("constant_speed",), "open", recording=False, internals="none", loop=LoopConfig(prediction=OWN["prediction"])
+    )
+    evaluate_logs((), run, "out", suite="my_family:EMPTY")
+    assert evaluate_logs((), run, "out", suite="my_family:EMPTY", resume=True).resumed == 2
+    other = RunConfig(**{**vars(run), "prediction": {OWN["prediction"]: {"decel_mps2": 3.0}}})
+    with pytest.raises(ConfigError, match=r"prediction.*decel_mps2 was 2.0, is 3.0"):
+        evaluate_logs((), other, "out", suite="my_family:EMPTY", resume=True)
+    module = Path("my_prediction.py")
+    module.write_text(f"{module.read_text(encoding='utf-8')}# changed\n", encoding="utf-8")
+    with pytest.raises(ConfigError, match="other code"):
+        evaluate_logs((), run, "out", suite="my_family:EMPTY", resume=True)
+
+
+def test_two_of_one_name_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    from importlib.metadata import EntryPoint
+
+    kind: Kind[object] = Kind("thing", "things", {"a": print})
+    twice = tuple(EntryPoint("b", value, kind.group) for value in ("x:B", "y:B"))
+    for entries in (twice, (EntryPoint("a", "x:A", kind.group),)):
+        monkeypatch.setattr("logs.extension._installed", lambda group, path, found=entries: found)
+        with pytest.raises(ConfigError, match="there are two things called"):
+            kind.find("b")
+
+
+# --- charts and panels that would not be seen
+
+
+def test_a_chart_or_panel_without_a_place_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    import numpy as np
+
+    from replay.recording.blueprint import Contents, _right
+    from replay.recording.plots import Panel
+    from replay.report.charts import layout
+
+    monkeypatch.setitem(layout.CHARTS, "extra", lambda subject: [])
+    with pytest.raises(ValueError, match="the chart 'extra' has no place in LAYOUT"):
+        layout.placed(None)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="the panel 'extra' is in no row of ROWS"):
+        _right(Contents([Panel("plots/extra", "", (), 1.0)], None, None, False, (), np.zeros((2, 2))))
+
+
+@pytest.mark.parametrize(
+    ("body", "said"), [("return 1 / 0", "ZeroDivisionError"), ("return 7", "int instead of a Chart")]
+)
+def test_a_chart_that_fails_says_why_in_its_place(desk: Path, body: str, said: str) -> None:
+    from replay.report.charts.layout import drawn
+
+    Path(f"my_bad_{len(body)}.py").write_text(f"def bad(subject):\n    {body}\n", encoding="utf-8")
+    (chart,) = drawn(None, f"my_bad_{len(body)}:bad")  # type: ignore[arg-type]
+    assert said in chart.says and "my_bad" in chart.body

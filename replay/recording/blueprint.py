@@ -22,13 +22,13 @@ from replay.recording.columns import FRAME, ROOM, SIM_TIME
 from replay.recording.plots import Panel
 
 PAGES = {"why": "Why", "numbers": "Solvers and costs", "recent": "Events until now", "summary": "Summary"}
-GRAPHS = {"st": "S-T graph: DP yellow, QP blue", "sl": "S-L graph: DP yellow, QP blue"}
+GRAPHS = {"st": "S-T graph: DP yellow, QP blue, as it then happened white", "sl": "S-L graph: DP yellow, QP blue"}
 ROWS = {
     "overview": ((("speed",), 1.3), (("acceleration", "jerk"), 1.3)),
     "planner": ((("speed",), 1.2), (("stages",), 1.2)),
     "control": (
         (("speed",), 1.0), (("acceleration", "jerk"), 1.0), (("pedals",), 1.0),
-        (("steer",), 1.0), (("error_across",), 1.0), (("error_along",), 1.0), (("tyres",), 1.0),
+        (("steer",), 1.0), (("error_across",), 1.0), (("error_along",), 1.0), (("slip",), 1.0), (("friction",), 1.0),
     ),
 }  # fmt: skip
 """Panels of each layout in order and their shares of the height; those of one row are tabs of one place."""

@@ -27,7 +27,7 @@ ROWS = {
     "overview": ((("speed",), 1.3), (("acceleration", "jerk"), 1.3)),
     "planner": ((("speed",), 1.2), (("stages",), 1.2)),
     "control": (
-        (("speed",), 1.0), (("acceleration", "jerk"), 1.0), (("pedals",), 1.0),
+        (("speed",), 1.0), (("acceleration",), 1.0), (("pedals",), 1.0),
         (("steer",), 1.0), (("error_across",), 1.0), (("error_along",), 1.0), (("slip",), 1.0), (("friction",), 1.0),
     ),
 }  # fmt: skip
@@ -111,8 +111,7 @@ def _control(contents: Contents, panels: Mapping[str, Panel]) -> rrb.Container:
         rrb.Vertical(*rows[part], row_shares=shares[part]) for part in (slice(0, half), slice(half, None)) if rows[part]
     ]
     below = [_decisions()] if contents.lanes else []
-    words = _pages(contents, ("why",))
-    left = rrb.Vertical(scene_behind(), *below, words, row_shares=[2.0, *[0.9] * len(below), 1.0])
+    left = rrb.Vertical(scene_behind(), *below, row_shares=[2.0, 1.0][: 1 + len(below)])
     return rrb.Horizontal(left, *columns, column_shares=[1.0] * (1 + len(columns)), name="Control")
 
 

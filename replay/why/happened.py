@@ -14,7 +14,7 @@ import numpy as np
 from logs.kernel import FloatArray
 from logs.scenario import Scenario, Tracks
 from logs.states import Trajectory
-from logs.trace import PlannedFrame, StGraph, Trace
+from logs.trace import DecisionKind, PlannedFrame, StGraph, Trace
 from planners.frenet.sweep import Swept, sweep
 from replay.why.course import arc_lengths
 
@@ -27,13 +27,14 @@ SAME_M = 1e-3
 
 
 def happened(trace: Trace, scenario: Scenario) -> Iterator[list[FloatArray]]:
-    """For each frame the outlines `(k, 2)` of those in its S-T graph: s from the frame, m from the ego."""
+    """For each frame the outlines `(k, 2)` of whom its S-T graph decides about: s from it, m from the ego."""
     car, rows = scenario.vehicle, {name: i for i, name in enumerate(trace.agents.ids)}
     ego = Swept(car.axle_to_center, car.length, car.width, 0.0, 0.0, 0.0, 0.0, 0.0)
     end = float(trace.ego.t[-1])
     for frame in trace.frames:
         graph = next((each for each in frame.plan.internals if isinstance(each, StGraph)), None)
-        names = dict.fromkeys(thing.agent for thing in graph.obstacles if thing.agent in rows) if graph else {}
+        things = [thing for thing in graph.obstacles if thing.decision is not DecisionKind.IGNORE] if graph else []
+        names = dict.fromkeys(thing.agent for thing in things if thing.agent in rows)
         if not names:
             yield []
             continue

@@ -1,6 +1,6 @@
 """Who is drawn in full: in dense traffic a picture that shows all alike shows nothing.
 
-(1) in full = about whom the plan decides anything but "ignore", and the `NEAREST` that are nearest, within `NEAR_M`
+(1) in full = those that the plan decides about (not "ignore"), and the `NEAREST` that are nearest, within `NEAR_M`
 (2) few     = where no more than `NEAREST` are there, all of them
 
 The others are faint boxes without a name, an arrow and a predicted path.
@@ -37,7 +37,7 @@ def in_full(
         ids: `(n,)`.
         x: World, m, `(n,)`; `y` likewise.
         y: See there.
-        about: Whom the plan decides about.
+        about: Those that the plan decides about.
         ego: Where the ego is.
     """
     if len(ids) <= NEAREST:

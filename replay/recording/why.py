@@ -56,7 +56,7 @@ def draw_why(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants) -
 def why(
     frame: PlannedFrame, account: Account, missing: Sequence[tuple[str, float]] = (), change: Change | None = None
 ) -> list[str]:
-    """The page of a frame: what is planned and because of whom, then decisions, lanes and candidates.
+    """The page of a frame: what is planned and because of what, then decisions, lanes and candidates.
 
     Args:
         frame: The plan.

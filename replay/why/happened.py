@@ -27,7 +27,7 @@ SAME_M = 1e-3
 
 
 def happened(trace: Trace, scenario: Scenario) -> Iterator[list[FloatArray]]:
-    """For each frame the outlines `(k, 2)` of whom its S-T graph decides about: s from it, m from the ego."""
+    """For each frame the outlines `(k, 2)` of those that its S-T graph decides about: s from it, m from the ego."""
     car, rows = scenario.vehicle, {name: i for i, name in enumerate(trace.agents.ids)}
     ego = Swept(car.axle_to_center, car.length, car.width, 0.0, 0.0, 0.0, 0.0, 0.0)
     end = float(trace.ego.t[-1])

@@ -36,10 +36,15 @@ def recordings(target: Path, log: str | None = None) -> list[Path]:
     if not found:
         raise ConfigError(f"{target}: no recording (*.rrd) in it; `replan evaluate` without --no-recording writes them")
     if log is not None:
-        found = [file for file in found if log.replace("/", "_") in str(file.relative_to(target))]
+        found = [file for file in found if _letters(log) in _letters(str(file.relative_to(target)))]
         if not found:
             raise ConfigError(f"{target}: no recording of a log called {log}")
     return found
+
+
+def _letters(name: str) -> str:
+    """A name without the marks that its folder does not have."""
+    return re.sub(r"[^0-9A-Za-z]+", "_", name)
 
 
 def to_open(target: Path, log: str | None, folder: Path) -> list[Path]:
@@ -53,12 +58,12 @@ def to_open(target: Path, log: str | None, folder: Path) -> list[Path]:
     Raises:
         ConfigError: There is no recording, or there are too many and no results to say which are worst.
     """
-    found = recordings(target, log)
     if log is None and (target / "summary.json").is_file():
         from replay.recording.index import write_index
 
         index, worst = write_index(folder / "index.rrd", target, MOST)
         return [*worst, index]
+    found = recordings(target, log)
     if len(found) > MOST:
         raise ConfigError(
             f"{target}: {len(found)} recordings are too many to open at once (at most {MOST});"

@@ -23,7 +23,7 @@ from replay.recording.columns import FRAME, ROOM, SIM_TIME
 from replay.recording.plots import Panel
 
 PAGES = {"why": "Why", "numbers": "Solvers and costs", "recent": "Events until now", "summary": "Summary"}
-GRAPHS = {"st": "S-T graph: DP yellow, QP blue, as it then happened white", "sl": "S-L graph: DP yellow, QP blue"}
+GRAPHS = {"st": "S-T graph: DP yellow, QP blue, as it then happened pink", "sl": "S-L graph: DP yellow, QP blue"}
 ROWS = {
     "overview": ((("speed",), 1.3), (("acceleration", "jerk"), 1.3)),
     "planner": ((("speed",), 1.2), (("stages",), 1.2)),

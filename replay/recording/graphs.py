@@ -230,7 +230,7 @@ def _draw_obstacles(
 
 
 def draw_happened(tape: Tape, instants: Instants, outlines: Sequence[Sequence[FloatArray]], axes: Axes) -> None:
-    """White outlines of those in the S-T graphs as they then moved, a list per frame."""
+    """Outlines of those in the S-T graphs as they then moved, a list per frame."""
     flat = [outline for some in outlines for outline in some]
     frame = np.repeat(np.arange(len(outlines)), [len(some) for some in outlines])
     points, lengths = joined(flat, 2)

@@ -13,12 +13,14 @@ import pytest
 from command_line import evaluate, gates, one_error, replan
 from rich.console import Console
 
+from logs.errors import ConfigError
 from logs.mcap import read_scenario
 from replay.batch import RunResult, evaluate_logs
 from replay.config import RunConfig
 from replay.report.overview import overview
 from replay.report.terminal import print_report
 from replay.results import load
+from replay.view import recordings
 
 
 def test_help_names_every_command_and_teaches_by_example() -> None:
@@ -299,6 +301,15 @@ def test_the_index_lists_the_worst_first_and_says_how_others_are_opened(recorded
     (page,) = Recording(tmp_path / "index.rrd").static("/index", "TextDocument:text").to_pylist()
     assert page.index("test/blocked") < page.index("test/free") and "1 of 2 recordings" in page
     assert "--log LOG" in page and [file.parent.name.split("-")[0] for file in worst] == ["test_blocked"]
+
+
+def test_a_log_is_found_by_its_name_as_the_index_has_it(tmp_path: Path) -> None:
+    folder = tmp_path / "unece_r157_cut_in_accel_mps2_-3_gap_m_0-0a1b2c3d"
+    folder.mkdir()
+    (folder / "closed.rrd").write_bytes(b"")
+    assert recordings(tmp_path, "unece_r157/cut_in@accel_mps2=-3,gap_m=0") == [folder / "closed.rrd"]
+    with pytest.raises(ConfigError, match="called cut_out"):
+        recordings(tmp_path, "cut_out")
 
 
 def test_view_of_two_drives_writes_them_as_one(recorded: Path, tmp_path: Path) -> None:

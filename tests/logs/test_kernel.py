@@ -29,3 +29,38 @@ def test_without_a_cache_kernels_are_compiled_anew_and_it_is_said_once(without: 
     assert said[0].stdout == said[1].stdout != ""
     assert said[0].stderr.count("compiled kernels cannot be kept") == 1 and "NUMBA_CACHE_DIR" in said[0].stderr
     assert said[1].stderr == ""
+
+
+OUTER = """
+from constants import RATE
+from inner import times
+from logs.kernel import compiled_here, kernel
+
+@kernel
+def outer(x: float) -> float:
+    return times(x) + RATE
+
+print(outer(2.0), compiled_here())
+"""
+INNER = """
+from logs.kernel import inner_kernel
+
+@inner_kernel
+def times(x: float) -> float:
+    return {factor} * x
+"""
+
+
+def test_code_on_disk_is_stale_where_a_kernel_that_is_called_or_a_constant_has_changed(tmp_path: Path) -> None:
+    """The file of the outer kernel stays as it is; numba alone would go on with the old code."""
+    (tmp_path / "outer.py").write_text(OUTER, encoding="utf-8")
+    path = os.pathsep.join([str(tmp_path), str(Path.cwd()), *sys.path])
+    environment = {**os.environ, "PYTHONPATH": path, "NUMBA_CACHE_DIR": str(tmp_path / "kept")}
+    environment.pop("NUMBA_DISABLE_JIT", None)
+    said = []
+    for factor, rate in ((3, 1), (3, 1), (5, 1), (5, 7)):
+        (tmp_path / "inner.py").write_text(INNER.format(factor=factor), encoding="utf-8")
+        (tmp_path / "constants.py").write_text(f"RATE = {rate}.0", encoding="utf-8")
+        run = [sys.executable, "-B", str(tmp_path / "outer.py")]
+        said.append(subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout.split())
+    assert said == [["7.0", "2"], ["7.0", "0"], ["11.0", "2"], ["17.0", "1"]]

@@ -1,0 +1,91 @@
+"""What the machine code of a kernel depends on, as a hash: its code, the kernels that it calls, constants of modules.
+
+Numba asks a kernel's own file only. But the kernels that it calls are compiled into it, and so are the values of the
+modules' constants: when those change, code on disk that was kept for the unchanged file would go on computing with the
+old ones, in a cache that outlives an installation just as in a checkout.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import cache
+from hashlib import sha256
+from types import CodeType, FunctionType, ModuleType
+from typing import Any
+
+import numpy as np
+from numba.core.caching import IndexDataCacheFile
+from numba.core.dispatcher import Dispatcher
+
+OWN = ("logs", "metrics", "planners", "replay")
+
+
+@cache
+def stamp(kernel: Any) -> str:
+    """SHA-256 of all that the machine code of a kernel (a dispatcher of numba's) depends on, hexadecimal."""
+    digest = sha256(repr(sorted(kernel.targetoptions.items())).encode())
+    for part in _parts(kernel.py_func, {kernel}):
+        digest.update(f"{part}\n".encode())
+    return digest.hexdigest()
+
+
+def _parts(function: FunctionType, seen: set[Any]) -> Iterator[str]:
+    """A function's code, and what its global names stand for; kernels in `seen` are left out, and added to it."""
+    yield f"{function.__qualname__} {function.__defaults__!r}"
+    for code in _codes(function.__code__):
+        yield f"{code.co_code.hex()} {code.co_varnames} {[_said(c) for c in code.co_consts]}"
+        for value in _named(code, function.__globals__):
+            if not isinstance(value, Dispatcher):
+                yield _said(value)
+            elif value not in seen:
+                seen.add(value)
+                yield from _parts(value.py_func, seen)
+
+
+def _codes(code: CodeType) -> Iterator[CodeType]:
+    """A code object, and those in it (comprehensions)."""
+    yield code
+    for each in code.co_consts:
+        if isinstance(each, CodeType):
+            yield from _codes(each)
+
+
+def _named(code: CodeType, names: dict[str, Any]) -> Iterator[Any]:
+    """What the global names of a code stand for, and attributes of modules of ours."""
+    found = [names[name] for name in code.co_names if name in names]
+    yield from found
+    for module in found:
+        if isinstance(module, ModuleType) and module.__name__.partition(".")[0] in OWN:
+            yield from (vars(module)[name] for name in code.co_names if name in vars(module))
+
+
+def _said(value: Any) -> str:
+    """A value in words that change where it does, and are the same in every process."""
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype} {value.shape} {value.tobytes().hex()}"
+    if isinstance(value, frozenset):
+        return f"frozenset {sorted(map(_said, value))}"
+    if isinstance(value, tuple):
+        return f"({', '.join(map(_said, value))})"
+    if isinstance(value, type):
+        return f"{value.__module__}.{value.__qualname__} {getattr(value, '_fields', '')}"
+    if value is None or isinstance(value, bool | int | float | complex | str | bytes):
+        return repr(value)
+    return f"{type(value).__qualname__} {getattr(value, '__name__', '')}"
+
+
+class KernelIndex(IndexDataCacheFile):
+    """Numba's index of a kernel's machine code on disk, which is fresh where `stamp` is the same."""
+
+    def __init__(self, kernel: Any) -> None:
+        self._kernel = kernel
+        numbas = kernel._cache._cache_file
+        super().__init__(numbas._cache_path, numbas._index_name.removesuffix(".nbi"), "")  # type: ignore[no-untyped-call]
+
+    @property
+    def _source_stamp(self) -> str:
+        return stamp(self._kernel)  # asked when it is first used: by then all that it calls is there
+
+    @_source_stamp.setter
+    def _source_stamp(self, _: object) -> None:
+        """Numba's own is not asked."""

@@ -24,10 +24,11 @@ from replay.recording.axes import Axes, sl_axes, st_axes
 from replay.recording.blueprint import Contents, blueprint
 from replay.recording.columns import Instants, Tape
 from replay.recording.file import recording_file
-from replay.recording.graphs import draw_graph
+from replay.recording.graphs import draw_graph, draw_happened
 from replay.recording.others import draw_others
 from replay.recording.scene import draw_moving, draw_scene
 from replay.recording.text import field_name
+from replay.why.happened import happened
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -105,6 +106,9 @@ def _draw_part(
     for kind, axis in axes.items():
         if axis:
             draw_graph(tape, planned, _graphs(frames, kind), axis)
+    st = axes[StGraph]
+    if st is not None:
+        draw_happened(tape, planned, list(happened(trace, scenario)), st)
     if frames:
         why.draw_why(tape, trace, scenario, planned)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import rerun.blueprint as rrb
@@ -22,13 +23,13 @@ from replay.recording.columns import FRAME, ROOM, SIM_TIME
 from replay.recording.plots import Panel
 
 PAGES = {"why": "Why", "numbers": "Solvers and costs", "recent": "Events until now", "summary": "Summary"}
-GRAPHS = {"st": "S-T graph: DP yellow, QP blue", "sl": "S-L graph: DP yellow, QP blue"}
+GRAPHS = {"st": "S-T graph: DP yellow, QP blue, as it then happened white", "sl": "S-L graph: DP yellow, QP blue"}
 ROWS = {
     "overview": ((("speed",), 1.3), (("acceleration", "jerk"), 1.3)),
     "planner": ((("speed",), 1.2), (("stages",), 1.2)),
     "control": (
-        (("speed",), 1.0), (("acceleration", "jerk"), 1.0), (("pedals",), 1.0),
-        (("steer",), 1.0), (("error_across",), 1.0), (("error_along",), 1.0), (("tyres",), 1.0),
+        (("speed",), 1.0), (("acceleration",), 1.0), (("pedals",), 1.0),
+        (("steer",), 1.0), (("error_across",), 1.0), (("error_along",), 1.0), (("slip",), 1.0), (("friction",), 1.0),
     ),
 }  # fmt: skip
 """Panels of each layout in order and their shares of the height; those of one row are tabs of one place."""
@@ -111,8 +112,7 @@ def _control(contents: Contents, panels: Mapping[str, Panel]) -> rrb.Container:
         rrb.Vertical(*rows[part], row_shares=shares[part]) for part in (slice(0, half), slice(half, None)) if rows[part]
     ]
     below = [_decisions()] if contents.lanes else []
-    words = _pages(contents, ("why",))
-    left = rrb.Vertical(scene_behind(), *below, words, row_shares=[2.0, *[0.9] * len(below), 1.0])
+    left = rrb.Vertical(scene_behind(), *below, row_shares=[2.0, 1.0][: 1 + len(below)])
     return rrb.Horizontal(left, *columns, column_shares=[1.0] * (1 + len(columns)), name="Control")
 
 
@@ -169,7 +169,7 @@ def graph_view(name: str, origin: str, entity: str) -> rrb.Spatial2DView:
 
 def _rows(layout: str, panels: Mapping[str, Panel]) -> tuple[list[rrb.Container | rrb.View], list[float]]:
     """The rows of curves of a layout that have something to show, and their shares."""
-    found = [([_plot(panels[name]) for name in names if name in panels], share) for names, share in ROWS[layout]]
+    found = [([plot(panels[name]) for name in names if name in panels], share) for names, share in ROWS[layout]]
     return (
         [rrb.Tabs(*views, active_tab=0) if len(views) > 1 else views[0] for views, _ in found if views],
         [share for views, share in found if views],
@@ -186,9 +186,13 @@ def _page_views(contents: Contents, names: Sequence[str]) -> list[rrb.View]:
 
 
 def _decisions() -> rrb.Container:
-    """The lanes of states, which have no numbers on their left: room for these, so that their axis is the curves'."""
-    room = rrb.TextDocumentView(origin=f"/{ROOM}", name=" ", titlebar=False)
     lanes = rrb.StateTimelineView(origin="/state", name="Decisions and status", time_view=time_axis())
+    return lanes_beside_numbers(lanes)
+
+
+def lanes_beside_numbers(lanes: rrb.Container | rrb.View, under: str = "") -> rrb.Container:
+    """Lanes of states, which have no numbers on their left: room for these, so that their axis is the curves'."""
+    room = rrb.TextDocumentView(origin=f"{under}/{ROOM}", name=" ", titlebar=False)
     return rrb.Horizontal(room, lanes, column_shares=[NUMBERS, 1.0 - NUMBERS])
 
 
@@ -202,9 +206,10 @@ def time_axis() -> rrb.TimeAxis:
     return rrb.TimeAxis(link="LinkToGlobal")
 
 
-def _plot(panel: Panel) -> rrb.TimeSeriesView:
+def plot(panel: Panel, **more: Any) -> rrb.TimeSeriesView:
+    """A panel as a view; `more` where its curves are not those below its entity."""
     return rrb.TimeSeriesView(
-        origin=f"/{panel.entity}",
+        **{"origin": f"/{panel.entity}", **more},
         name=panel.title,
         axis_x=time_axis(),
         axis_y=rrb.ScalarAxis(range=panel.y_range),

@@ -229,6 +229,18 @@ def _draw_obstacles(
     _draw_labels(tape, instants, axes, offsets, [(i, obstacle) for i, obstacle, _ in shown], filled, owner)
 
 
+def draw_happened(tape: Tape, instants: Instants, outlines: Sequence[Sequence[FloatArray]], axes: Axes) -> None:
+    """White outlines of those in the S-T graphs as they then moved, a list per frame."""
+    flat = [outline for some in outlines for outline in some]
+    frame = np.repeat(np.arange(len(outlines)), [len(some) for some in outlines])
+    points, lengths = joined(flat, 2)
+    edges, owner = outline_segments(points, np.array(lengths, dtype=np.int64), axes.window)
+    entity = f"{axes.entity}/window/happened"
+    tape.static(entity, rr.LineStrips2D.from_fields(colors=[colours.HAPPENED], radii=[pixels(0.9)], draw_order=2.0))
+    lines = rr.LineStrips2D.columns(strips=strips(edges.reshape(-1, 2), np.full(len(edges), 2)))
+    tape.rows(entity, instants, lines, np.bincount(frame[owner], minlength=len(outlines)))
+
+
 def _draw_labels(
     tape: Tape,
     instants: Instants,

@@ -24,15 +24,16 @@ from logs.kernel import FloatArray
 from logs.trace import Trace
 from replay.parting import Parting, parting
 from replay.recording import colours
-from replay.recording.blueprint import graph_view, scene_behind, time_axis
+from replay.recording.blueprint import graph_view, lanes_beside_numbers, plot, scene_behind, time_axis
 from replay.recording.columns import SIM_TIME, Instants, Tape
 from replay.recording.file import recording_file
-from replay.recording.plots import with_two_numbers
+from replay.recording.plots import Curve, Panel
 from replay.recording.text import MARKDOWN, cell, document
 
 SIDES = ("A", "B")
 SHADES = (0x5AC8FFFF, 0xFF963CFF)
-CURVES = (("speed", "Speed [m/s]"), ("acceleration", "Acceleration [m/s²]"))
+CURVES = (("speed", "Speed [m/s]", "v", 2.0), ("acceleration", "Acceleration [m/s²]", "a", 1.0))
+"""Panel, title, column of the trace, least span of the axis."""
 GRAPHS = (("st", "S-T graph"), ("sl", "S-L graph"))
 LEGENDS = {"gap": "distance", "v": "speed [m/s]", "a": "acceleration [m/s²]"}
 DIFFERENCES: tuple[tuple[str, tuple[str, ...]], ...] = (
@@ -65,7 +66,7 @@ def write_pair(path: Path, recordings: tuple[Path, Path], traces: tuple[Trace, T
     where = parting(one, two)
     paths = {chunk.entity_path for some in chunks for chunk in some}
     digest = sha256("".join([*map(str, recordings), *names]).encode()).hexdigest()[:32]
-    layout = _blueprint(paths, names, values)
+    layout = _blueprint(paths, names, traces, t, values)
     with recording_file(path, f"replan pair {one.scenario}", " and ".join(names), digest, layout) as tape:
         for some in chunks:
             tape.stream.send_chunks(some)
@@ -116,7 +117,9 @@ def _draw_parting(tape: Tape, where: Parting | None, seen: str, names: tuple[str
         tape.rows("parts", Instants.among(np.array([where.t]), frames), rr.Scalars.columns(scalars=[0.0]))
 
 
-def _blueprint(paths: set[str], names: tuple[str, str], values: dict[str, FloatArray]) -> rrb.Blueprint:
+def _blueprint(
+    paths: set[str], names: tuple[str, str], traces: tuple[Trace, Trace], t: FloatArray, values: dict[str, FloatArray]
+) -> rrb.Blueprint:
     """Scenes and graphs of both side by side on the left, words and curves on the right."""
     scenes = [scene_behind(f"{side}: {name}", f"/{side}") for side, name in zip(SIDES, names, strict=True)]
     left: list[rrb.Container | rrb.View] = [rrb.Horizontal(*scenes), *_tabs(_graphs(paths))]
@@ -127,12 +130,13 @@ def _blueprint(paths: set[str], names: tuple[str, str], values: dict[str, FloatA
         for side in SIDES
         if any(path.startswith(f"/{side}/state") for path in paths)
     ]
-    right: list[rrb.Container | rrb.View] = [said, *(_curves(name, title, paths) for name, title in CURVES)]
-    right += [*(_difference(title, shown, values) for title, shown in DIFFERENCES), *_tabs(states)]
+    curves = [_curves(panel, paths) for panel in _panels(traces)]
+    apart = [_difference(title, shown, t, values) for title, shown in DIFFERENCES]
+    right = [said, *_tabs(curves), *_tabs(apart), *(lanes_beside_numbers(part, "/A") for part in _tabs(states))]
     return rrb.Blueprint(
         rrb.Horizontal(
             rrb.Vertical(*left, row_shares=[1.35, 1.0][: len(left)]),
-            rrb.Vertical(*right, row_shares=[1.1, 1.0, 1.0, 0.9, 0.9, 1.4][: len(right)]),
+            rrb.Vertical(*right, row_shares=[0.9, 1.3, 1.3, 1.3][: len(right)]),
             column_shares=[1.75, 1.0],
             name="Pair",
         ),
@@ -159,33 +163,31 @@ def _graphs(paths: set[str]) -> list[rrb.Container]:
     ]
 
 
-def _curves(name: str, title: str, paths: set[str]) -> rrb.View:
+def _panels(traces: tuple[Trace, Trace]) -> list[Panel]:
+    """The ego's curves of both, for their axes and legends; they are in the recordings already."""
+    return [
+        Panel(
+            f"plots/{name}",
+            title,
+            tuple(
+                Curve(side, side, shade, trace.ego.t, getattr(trace.ego, column))
+                for side, shade, trace in zip(SIDES, SHADES, traces, strict=True)
+            ),
+            span,
+        )
+        for name, title, column, span in CURVES
+    ]
+
+
+def _curves(panel: Panel, paths: set[str]) -> rrb.View:
     """The ego's curve of both."""
-    shown = {f"/{side}/plots/{name}/ego": (side, shade) for side, shade in zip(SIDES, SHADES, strict=True)}
-    return rrb.TimeSeriesView(
-        origin="/",
-        contents=[path for path in shown if path in paths],
-        name=title,
-        axis_x=time_axis(),
-        overrides={
-            path: rr.SeriesLines(names=[side], colors=[shade]) for path, (side, shade) in shown.items() if path in paths
-        },
-        plot_legend=rrb.PlotLegend(corner="RightTop"),
-        interaction=rrb.PlotInteraction(tooltip_mode="All"),
-    )
+    shown = {f"/{side}/{panel.entity}/ego": (side, shade) for side, shade in zip(SIDES, SHADES, strict=True)}
+    there = {path: rr.SeriesLines(names=[side], colors=[c]) for path, (side, c) in shown.items() if path in paths}
+    return plot(panel, origin="/", contents=list(there), overrides=there)
 
 
-def _difference(title: str, names: tuple[str, ...], values: dict[str, FloatArray]) -> rrb.View:
+def _difference(title: str, names: Sequence[str], t: FloatArray, values: dict[str, FloatArray]) -> rrb.View:
     """The curves of the difference that share an axis."""
-    every = np.concatenate([[-0.5, 0.5], *(values[name][np.isfinite(values[name])] for name in names)])
-    low, high = float(every.min()), float(every.max())
-    room = 0.05 * (high - low)
-    return rrb.TimeSeriesView(
-        origin="/",
-        contents=[*(f"/difference/{name}" for name in names), "/parts"],
-        name=title,
-        axis_x=time_axis(),
-        axis_y=rrb.ScalarAxis(range=with_two_numbers(low - room, high + room)),
-        plot_legend=rrb.PlotLegend(corner="LeftTop"),
-        interaction=rrb.PlotInteraction(tooltip_mode="All"),
-    )
+    curves = tuple(Curve(name, LEGENDS[name], MARK, t, values[name]) for name in names)
+    entities = [*(f"/difference/{name}" for name in names), "/parts"]
+    return plot(Panel("difference", title, curves, 1.0), origin="/", contents=entities)

@@ -23,6 +23,7 @@ from metrics.comfort import LON_JERK_STATE
 from replay.recording import colours, lane_choice
 from replay.recording.columns import ROOM, Instants, Tape
 from replay.recording.text import path_parts, plain
+from replay.tyre_use import tyre_use
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -100,7 +101,7 @@ Corner = Literal["RightTop", "RightBottom", "LeftTop", "LeftBottom"]
 CORNERS: tuple[Corner, ...] = ("RightTop", "RightBottom", "LeftTop", "LeftBottom")
 LEGEND = 0.16, 0.14
 """Width of a legend, and height of one of its rows, as shares of a panel of usual size."""
-MOST_NUMBERS = 6.0
+MOST_NUMBERS = 8.0
 """The viewer writes multiples of a power of ten along an axis, those that leave room: no more than this."""
 
 
@@ -217,6 +218,7 @@ def motion_panels(trace: Trace, scenario: Scenario, times: FloatArray, steps: Da
         _panel("jerk", "Jerk in full", [Curve("ego", "jerk [m/s³]", red, *jerk)], 2.0),
         *_pedal_panels(trace, scenario),
         *_error_panels(trace),
+        *_tyre_panels(trace, scenario),
     ]
     return [panel for panel in panels if panel]
 
@@ -269,6 +271,19 @@ def _error_panels(trace: Trace) -> list[Panel | None]:
     return [
         _panel("error_across", "Tracking error: across", across, 0.1),
         _panel("error_along", "Tracking error: along", along, 0.2),
+    ]
+
+
+def _tyre_panels(trace: Trace, scenario: Scenario) -> list[Panel | None]:
+    """Slip angles and the share of the friction that is used."""
+    if trace.actuation is None or len(trace.ego) < 2:
+        return []
+    blue, yellow, red, *_ = colours.SERIES
+    use, t = tyre_use(trace.ego, trace.actuation, scenario.vehicle), trace.ego.t
+    slips = (Curve("front", "front", blue, t, use.front), Curve("rear", "rear", yellow, t, use.rear))
+    return [
+        _panel("slip", "Tyre slip angles [rad]", slips, 0.02),
+        _panel("friction", "Friction used [0..1]", [Curve("friction", "of the tyres", red, t, use.friction)], 0.2),
     ]
 
 

@@ -7,6 +7,7 @@ The camera follows by itself: a view whose origin is the entity `world/ego` move
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import cos, hypot, sin
 
 import numpy as np
 import rerun as rr
@@ -179,17 +180,17 @@ def _draw_velocities(tape: Tape, agents: Sequence[Agents], full: Sequence[IntArr
     tape.rows(entity, instants, arrows, counts)
 
 
-def _beyond(some: Agents, i: int, eye: FloatArray) -> tuple[float, float, float]:
+def _beyond(some: Agents, i: int, eye: Sequence[float]) -> tuple[float, float, float]:
     """Where the name of an agent goes, so that it hides no part of them: beyond them as the ego sees them.
 
     A label hangs below its point, so that is by its height, as seen from above and from behind the ego.
     """
     x, y, yaw = eye
     turn = float(some.yaw[i]) - yaw
-    half = 0.5 * (abs(np.cos(turn)) * float(some.length[i]) + abs(np.sin(turn)) * float(some.width[i]))
-    away = float(np.hypot(some.x[i] - x, some.y[i] - y)) + EYE_BACK_M
+    half = 0.5 * (abs(cos(turn)) * float(some.length[i]) + abs(sin(turn)) * float(some.width[i]))
+    away = hypot(some.x[i] - x, some.y[i] - y) + EYE_BACK_M
     ahead, up = half + LABEL_M, HEIGHTS[some.kinds[i]] + LABEL_RISE * away
-    return float(some.x[i] + ahead * np.cos(yaw)), float(some.y[i] + ahead * np.sin(yaw)), up
+    return float(some.x[i] + ahead * cos(yaw)), float(some.y[i] + ahead * sin(yaw)), up
 
 
 def _draw_names(
@@ -204,7 +205,7 @@ def _draw_names(
     points: list[tuple[float, float, float]] = []
     words: list[str] = []
     colour: list[int] = []
-    for some, rows, about, eye in zip(agents, full, here, ego, strict=True):
+    for some, rows, about, eye in zip(agents, full, here, ego.tolist(), strict=True):
         for i in rows:
             decision = about.get(some.ids[i])
             points.append(_beyond(some, int(i), eye))

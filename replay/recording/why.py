@@ -33,6 +33,8 @@ A = TypeVar("A")
 MAX_DECISIONS = 15
 """More decisions than these are counted, not listed (those that are not "ignore" come first)."""
 MAX_MISSING = 6
+PASS = "pass: "
+"""So a planner begins what speaks against passing, among its candidates."""
 SAME_MPS = 0.05
 QUIET = (plots.FREE_DRIVE, plots.KEEP)
 
@@ -71,6 +73,7 @@ def why(
     for sentence in sentences(account):
         first, colon, rest = sentence.partition(": ")
         lines += ["", f"**{cell(first)}**{colon}{cell(rest)}"]
+    lines += _not_passed(plan)
     lines += ["", _course(frame.t, plan, account.course)]
     lines += _missing(missing)
     return [*lines, *_decisions(plan), *_lanes(plan), *_candidates(plan)]
@@ -134,6 +137,20 @@ def _decisions(plan: Plan) -> list[str]:
     ]
     more = [f"- and {len(found) - MAX_DECISIONS} more"] if len(found) > MAX_DECISIONS else []
     return ["", "#### Decisions (s from now, m along the path)", "", *lines, *more]
+
+
+def _not_passed(plan: Plan) -> list[str]:
+    """Why whoever is followed is not passed, in the planner's words, where it compared passing with staying behind."""
+    followed = [d.agent for d in _of(plan, Decision) if d.kind is DecisionKind.FOLLOW]
+    against = [
+        reason.removeprefix(PASS)
+        for stage in _of(plan, Candidates)
+        if stage.stage == "passing"
+        for reason, _ in stage.rejected
+        if reason.startswith(PASS)
+    ]
+    named = ", ".join(cell(name) for name in dict.fromkeys(followed))
+    return ["", f"**Not passed ({named or 'those ahead'}):** {cell('; '.join(against))}"] if against else []
 
 
 def _candidates(plan: Plan) -> list[str]:

@@ -12,7 +12,9 @@ import sys
 from collections.abc import Iterator
 from enum import Enum
 from functools import cache
+from glob import escape
 from hashlib import sha256
+from pathlib import Path
 from types import CodeType, FunctionType, ModuleType
 from typing import Any
 
@@ -101,12 +103,30 @@ def _held(cls: type) -> str:
 
 
 class KernelIndex(IndexDataCacheFile):
-    """Numba's index of a kernel's machine code on disk, which is fresh where `stamp` is the same."""
+    """Numba's index of a kernel's machine code on disk, which is fresh where `stamp` is the same.
+
+    A file of machine code is named by all that it is for. Numba numbers the files of a kernel: where two processes
+    compile it at once for different arguments, the one's code may end under the other's number, and is run as that.
+    """
 
     def __init__(self, kernel: Any) -> None:
         self._kernel = kernel
         numbas = kernel._cache._cache_file
-        super().__init__(numbas._cache_path, numbas._index_name.removesuffix(".nbi"), "")  # type: ignore[no-untyped-call]
+        self._base = numbas._index_name.removesuffix(".nbi")
+        super().__init__(numbas._cache_path, self._base, "")  # type: ignore[no-untyped-call]
+
+    def save(self, key: Any, data: Any) -> None:
+        """Keep the machine code of one kind of arguments; what is kept of another `stamp` is removed."""
+        kept = self._load_index()  # type: ignore[no-untyped-call]
+        if not kept:
+            self._clear()
+        kept[key] = f"{self._base}.{sha256(f'{self._source_stamp} {key!r}'.encode()).hexdigest()[:16]}.nbc"
+        self._save_data(kept[key], data)  # type: ignore[no-untyped-call]
+        self._save_index(kept)  # type: ignore[no-untyped-call]
+
+    def _clear(self) -> None:
+        for stale in Path(self._cache_path).glob(f"{escape(self._base)}.*.nbc"):
+            stale.unlink(missing_ok=True)
 
     @property
     def _source_stamp(self) -> str:

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
+
+from logs.kernel import interpolated
+from logs.kernel_stamp import KernelIndex
 
 NO_PLACE = "import numba.core.caching as c; c.CacheImpl._locator_classes = []\n"
 NO_ROOM = """
 import errno, numba.core.caching as c
 def full(*arguments):
     raise OSError(errno.ENOSPC, "No space left on device")
-c.IndexDataCacheFile.save = full
+c.IndexDataCacheFile._save_data = full
 c.IndexDataCacheFile.load = lambda *arguments: None
 """
 USE = "from logs.shapes import corners\nprint(corners(1.0, 2.0, 0.5, 4.0, 2.0))\n"
@@ -102,3 +107,35 @@ def test_code_on_disk_is_stale_where_a_name_a_field_or_a_member_has_changed(tmp_
         run = [sys.executable, "-B", str(tmp_path / "named.py")]
         said.append(float(subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout))
     assert said == [16.0, 2.0, 1.0, 2.0, 12.0]
+
+
+@pytest.mark.skipif("NUMBA_DISABLE_JIT" in os.environ, reason="nothing is compiled")
+def test_two_processes_that_compile_at_once_never_find_the_code_of_each_other(tmp_path: Path) -> None:
+    """Law over the orders in which two processes look, keep the index, and keep the code of their own arguments."""
+    compiled = cast("Any", interpolated)
+    for order in itertools.permutations(("look a", "data a", "index a", "look b", "data b", "index b")):
+        if any(order.index(f"look {x}") > min(order.index(f"data {x}"), order.index(f"index {x}")) for x in "ab"):
+            continue
+        if any(order.index(f"data {x}") > order.index(f"index {x}") for x in "ab"):
+            continue
+        steps: dict[str, list[Any]] = {"a": [], "b": []}
+        folder = tmp_path / "".join(step[0] + step[-1] for step in order)
+        folder.mkdir()
+        for step in order:
+            what, who = step.split()
+            index = KernelIndex(compiled)
+            index._cache_path, index._index_path = str(folder), str(folder / "kernel.nbi")
+            if what == "look":
+                steps[who] = [index._load_index()]
+            index._load_index = lambda kept=steps[who][0]: dict(kept)  # what it saw when it looked
+            index._save_data = index._save_data if what == "data" else lambda *_: None
+            index._clear = index._clear if what == "data" else lambda: None
+            index._save_index = index._save_index if what == "index" else lambda *_: None
+            if what != "look":
+                index.save(who, f"code of {who}")
+        last = KernelIndex(compiled)
+        last._cache_path, last._index_path = str(folder), str(folder / "kernel.nbi")
+        for who in "ab":
+            assert last.load(who) in (None, f"code of {who}"), order
+        in_turn = order.index("look b") == 3 or order.index("look a") == 3
+        assert not in_turn or all(last.load(who) for who in "ab"), order

@@ -7,7 +7,10 @@ old ones, in a cache that outlives an installation just as in a checkout.
 
 from __future__ import annotations
 
+import re
+import sys
 from collections.abc import Iterator
+from enum import Enum
 from functools import cache
 from glob import escape
 from hashlib import sha256
@@ -19,6 +22,7 @@ import numpy as np
 from numba.core.caching import IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
 
+_WORD = re.compile(r"[A-Za-z_]\w*")
 OWN = ("logs", "metrics", "planners", "replay")
 
 
@@ -33,9 +37,10 @@ def stamp(kernel: Any) -> str:
 
 def _parts(function: FunctionType, seen: set[Any]) -> Iterator[str]:
     """A function's code, and what its global names stand for; kernels in `seen` are left out, and added to it."""
-    yield f"{function.__qualname__} {function.__defaults__!r}"
+    yield f"{function.__qualname__} {_said(function.__defaults__)}"
+    yield from (_said(each) for each in _hinted(function.__annotations__, function.__globals__))
     for code in _codes(function.__code__):
-        yield f"{code.co_code.hex()} {code.co_varnames} {[_said(c) for c in code.co_consts]}"
+        yield f"{code.co_code.hex()} {code.co_names} {code.co_varnames} {[_said(c) for c in code.co_consts]}"
         for value in _named(code, function.__globals__):
             if not isinstance(value, Dispatcher):
                 yield _said(value)
@@ -61,6 +66,14 @@ def _named(code: CodeType, names: dict[str, Any]) -> Iterator[Any]:
             yield from (vars(module)[name] for name in code.co_names if name in vars(module))
 
 
+def _hinted(hints: dict[str, Any], names: dict[str, Any]) -> Iterator[type]:
+    """The classes that annotations name: a kernel's machine code has the places of their fields."""
+    for hint in hints.values():
+        said = getattr(hint, "__forward_arg__", hint)
+        found = [names.get(word) for word in _WORD.findall(said)] if isinstance(said, str) else [said]
+        yield from (each for each in found if isinstance(each, type))
+
+
 def _said(value: Any) -> str:
     """A value in words that change where it does, and are the same in every process."""
     if isinstance(value, np.ndarray):
@@ -68,12 +81,25 @@ def _said(value: Any) -> str:
     if isinstance(value, frozenset):
         return f"frozenset {sorted(map(_said, value))}"
     if isinstance(value, tuple):
-        return f"({', '.join(map(_said, value))})"
+        return f"{getattr(value, '_fields', '')}({', '.join(map(_said, value))})"
+    if isinstance(value, Enum):  # also of whole numbers
+        return f"{type(value).__qualname__}.{value.name} {value.value!r}"
     if isinstance(value, type):
-        return f"{value.__module__}.{value.__qualname__} {getattr(value, '_fields', '')}"
+        return f"{value.__module__}.{value.__qualname__} {_held(value)}"
     if value is None or isinstance(value, bool | int | float | complex | str | bytes):
         return repr(value)
     return f"{type(value).__qualname__} {getattr(value, '__name__', '')}"
+
+
+def _held(cls: type) -> str:
+    """What a class of constants or a named tuple holds, in words; "": it is another."""
+    if issubclass(cls, Enum):
+        return str([_said(member) for member in cls])
+    fields = getattr(cls, "_fields", None)
+    if fields is None:
+        return ""
+    within = _hinted(getattr(cls, "__annotations__", {}), vars(sys.modules[cls.__module__]))
+    return f"{fields} {_said(tuple(cls._field_defaults.values()))} {[*map(_said, within)]}"  # type: ignore[attr-defined]
 
 
 class KernelIndex(IndexDataCacheFile):

@@ -71,6 +71,44 @@ def test_code_on_disk_is_stale_where_a_kernel_that_is_called_or_a_constant_has_c
     assert said == [["7.0", "2"], ["7.0", "0"], ["11.0", "2"], ["17.0", "1"]]
 
 
+NAMED = """
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+
+from logs.kernel import kernel
+
+class Pair(NamedTuple):
+    {first}: float
+    {second}: float
+
+class Step(Enum):
+    LONG = {step}
+
+@kernel
+def f(pair: Pair) -> float:
+    return np.{function}(pair.{field}) + Step.LONG.value
+
+print(f(Pair(1.0, 4.0)))
+"""
+
+
+def test_code_on_disk_is_stale_where_a_name_a_field_or_a_member_has_changed(tmp_path: Path) -> None:
+    """The bytecode of these is the same: it has the places of names and constants only."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path.cwd()), *sys.path])}
+    environment |= {"NUMBA_CACHE_DIR": str(tmp_path / "kept")}
+    environment.pop("NUMBA_DISABLE_JIT", None)
+    this = {"first": "x", "second": "y", "step": 0, "function": "square", "field": "y"}
+    said = []
+    for change in ({}, {"function": "sqrt"}, {"field": "x"}, {"first": "y", "second": "x"}, {"step": 10}):
+        this |= change
+        (tmp_path / "named.py").write_text(NAMED.format(**this), encoding="utf-8")
+        run = [sys.executable, "-B", str(tmp_path / "named.py")]
+        said.append(float(subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout))
+    assert said == [16.0, 2.0, 1.0, 2.0, 12.0]
+
+
 @pytest.mark.skipif("NUMBA_DISABLE_JIT" in os.environ, reason="nothing is compiled")
 def test_two_processes_that_compile_at_once_never_find_the_code_of_each_other(tmp_path: Path) -> None:
     """Law over the orders in which two processes look, keep the index, and keep the code of their own arguments."""

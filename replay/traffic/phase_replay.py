@@ -2,11 +2,13 @@
 
 Where and how an agent is at the phase tau (a log time, s) is what the log has there, interpolated; played at the rate r
 (phase per time), its velocity is r times the logged one. What was played is sampled every `PERIOD_S`, one sample ahead
-of the ego: the sample at t + PERIOD_S is made of what is known at t. Who is as in the log keeps its own samples.
+of the ego: the sample at t + PERIOD_S is made of what is known at t. Who is as in the log keeps its own samples; of the
+others those are kept in which they are there, so that an hour with thousands who come and go takes what it shows.
 """
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -15,8 +17,8 @@ from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.scenario import Tracks
 
 PERIOD_S = 0.1
-ROWS = 64
-"""Samples that there is room for at first; doubled when they are full."""
+ROOM = 1024
+"""Samples of agents that there is room for at first; doubled when they are full."""
 
 
 class LoggedTracks(NamedTuple):
@@ -35,6 +37,14 @@ def logged_tracks(log: Tracks, vx: FloatArray, vy: FloatArray) -> LoggedTracks:
     return LoggedTracks(log.offsets, log.static, log.t, log.gap_after, columns)
 
 
+class Row(NamedTuple):
+    """One sample of all: time, s, x, y, yaw, vx, vy `(5, n)`, and who is there `(n,)`."""
+
+    t: float
+    pose: FloatArray
+    there: BoolArray
+
+
 class PhaseReplay:
     """Plays a log's tracks and remembers what was played.
 
@@ -51,10 +61,10 @@ class PhaseReplay:
         self.log, self._own = extended or log, log
         owner, last = _owners(self.log), np.arange(len(self.log.t))
         vx, vy = self.log.velocity(owner, last) if len(log) else (self.log.vx, self.log.vy)
-        self.logged, self._logged_own = logged_tracks(self.log, vx, vy), logged_tracks(log, log.vx, log.vy)
-        self._count = 0
-        self._t = np.empty(ROWS)
-        self._pose, self._there = np.empty((ROWS, 5, len(log))), np.empty((ROWS, len(log)), np.bool_)
+        self.logged = logged_tracks(self.log, vx, vy)
+        self._rows, self._seen = list[Row](), 0
+        self._taken, self._count = np.zeros(len(log), np.bool_), 0
+        self._who, self._played = np.empty(ROOM, np.int64), np.empty((ROOM, 6))
 
     def add(self, t: float, phase: FloatArray, rate: FloatArray, there: BoolArray) -> None:
         """At the time `t` they were at these phases `(n,)`, played at these rates, as far as they are `there`."""
@@ -62,21 +72,20 @@ class PhaseReplay:
 
     def row(self, t: float) -> tuple[FloatArray, BoolArray]:
         """Room for a sample at the time `t`, as `play` writes it."""
-        k = self._count
-        if k == len(self._t):
-            self._t, self._pose, self._there = (
-                np.concatenate([rows, np.empty_like(rows)]) for rows in (self._t, self._pose, self._there)
-            )
-        self._t[k], self._count = t, k + 1
-        return self._pose[k], self._there[k]
+        n = len(self._own)
+        self._rows.append(Row(t, np.empty((5, n)), np.empty(n, np.bool_)))
+        return self._rows[-1].pose, self._rows[-1].there
 
     def tracks(self, since: FloatArray) -> Tracks:
-        """The log's own samples before `since` `(n,)`, s, and what was played from then on; inf: the log as it is."""
+        """The log's own samples before `since` `(n,)`, s, and what was played from then on; inf: the log as it is.
+
+        Who was inf at the last call is not before the last row that there was then.
+        """
         log, since = self._own, np.where(self._own.static, np.inf, since)
-        if not (since < np.inf).any():
+        self._take(since)
+        if not self._taken.any():
             return log
-        k = self._count
-        rows, sizes = _merged(self._logged_own, since, self._t[:k], self._pose[:k], self._there[:k])
+        rows, sizes = _merged(self._logged_own, since, self._who[: self._count], self._played[: self._count])
         members = np.flatnonzero(sizes)
         return Tracks(
             tuple(log.ids[i] for i in members),
@@ -87,6 +96,26 @@ class PhaseReplay:
             np.r_[0, np.cumsum(sizes[members])],
             *rows,
         )
+
+    @cached_property
+    def _logged_own(self) -> LoggedTracks:
+        return logged_tracks(self._own, self._own.vx, self._own.vy)
+
+    def _take(self, since: FloatArray) -> None:
+        """Keep the samples since the last call of those who are not as in the log, the one before of who is new."""
+        wanted = since < np.inf
+        for k, row in enumerate(self._rows):
+            whose = wanted & ~self._taken if k < self._seen else wanted
+            self._append(row, np.flatnonzero(whose & row.there & (row.t >= since - 1e-9)))
+        self._rows, self._seen, self._taken = self._rows[-1:], 1, wanted
+
+    def _append(self, row: Row, who: IntArray) -> None:
+        first, self._count = self._count, self._count + len(who)
+        while self._count > len(self._who):
+            self._who, self._played = (np.concatenate([old, np.empty_like(old)]) for old in (self._who, self._played))
+        self._who[first : self._count] = who
+        self._played[first : self._count, 0] = row.t
+        self._played[first : self._count, 1:] = row.pose[:, who].T
 
 
 def _owners(log: Tracks) -> IntArray:
@@ -128,23 +157,26 @@ def play(
 
 
 @kernel
-def _merged(
-    log: LoggedTracks, since: FloatArray, times: FloatArray, pose: FloatArray, there: BoolArray
-) -> tuple[FloatArray, IntArray]:
-    """Rows t, x, y, yaw, vx, vy `(6, samples)` of the tracks one after the other, and how many samples each has."""
+def _merged(log: LoggedTracks, since: FloatArray, who: IntArray, played: FloatArray) -> tuple[FloatArray, IntArray]:
+    """Rows t, x, y, yaw, vx, vy `(6, samples)` of the tracks one after the other, and how many samples each has.
+
+    Of the log before `since` `(n,)`, s; then what was `played` `(m, 6)`, `who` `(m,)`, in the order of time.
+    """
     n = len(since)
-    sizes = np.zeros(n, np.int64)
-    rows = np.empty((6, len(log.t) + len(times) * n))
-    at = 0
+    begin, sizes = np.zeros(n, np.int64), np.zeros(n, np.int64)
     for i in range(n):
-        begin = at
-        for k in range(log.offsets[i], log.offsets[i + 1]):
-            if log.t[k] < since[i] - 1e-9:
-                rows[0, at], rows[1:, at] = log.t[k], log.columns[:, k]
-                at += 1
-        for k in range(len(times)):
-            if there[k, i] and times[k] >= since[i] - 1e-9:
-                rows[0, at], rows[1:, at] = times[k], pose[k, :, i]
-                at += 1
-        sizes[i] = at - begin
-    return rows[:, :at].copy(), sizes
+        own = log.t[log.offsets[i] : log.offsets[i + 1]]
+        sizes[i] = np.searchsorted(own, since[i] - 1e-9, side="left")
+    kept = sizes.copy()
+    for i in who:
+        sizes[i] += 1
+    rows, at = np.empty((6, sizes.sum())), 0
+    for i in range(n):
+        first, end = log.offsets[i], log.offsets[i] + kept[i]
+        rows[0, at : at + kept[i]] = log.t[first:end]
+        rows[1:, at : at + kept[i]] = log.columns[:, first:end]
+        begin[i], at = at + kept[i], at + sizes[i]
+    for k in range(len(who)):
+        rows[:, begin[who[k]]] = played[k]
+        begin[who[k]] += 1
+    return rows, sizes

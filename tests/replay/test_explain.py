@@ -95,15 +95,8 @@ def test_explain_states_a_decision_that_the_family_accepts() -> None:
     check_states_what_is_accepted("everyday/nudge")
 
 
-FOLLOWED = pytest.mark.xfail(
-    strict=True, reason="who walks at 45 degrees has 0.707 of their speed along the lane: followed, above ALONG (0.7)"
-)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=FOLLOWED if name == "pedestrian/jaywalker" else ()) for name in CATALOGUE]
-)
+@pytest.mark.parametrize("name", CATALOGUE)
 def test_explain_states_a_decision_that_every_family_accepts(name: str) -> None:
     check_states_what_is_accepted(name)
 

@@ -11,6 +11,8 @@ from replay.why.meetings import GAP_M, HEADWAY_S
 
 MOST = 3
 """More causes than these are counted."""
+NOW_S = 0.05
+"""What begins sooner is now, as times are said to a tenth."""
 
 
 def sentences(account: Account) -> list[str]:
@@ -31,8 +33,11 @@ def _opening(account: Account) -> str:
     course = account.course
     if course.action is Action.STANDS:
         return "Stands"
-    later = "" if course.action is Action.SLOWS else f" from t = {account.t + course.t_brakes:.1f} s on"
-    return f"Slows down{later}"
+    if course.action is Action.SLOWS:
+        return "Slows down"
+    if course.t_brakes < NOW_S:
+        return "Brakes now"
+    return f"Slows down from t = {account.t + course.t_brakes:.1f} s on"
 
 
 def _said(account: Account, cause: Cause) -> str:

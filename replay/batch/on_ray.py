@@ -128,7 +128,8 @@ def code_of(run: RunConfig, folder: Path) -> Path:
     """A copy of the user's code that a run names, for the nodes, in `folder`; returns `folder`.
 
     Of each planner, metric, controller ... "module:NAME" that is not installed: its package whole (weights beside it,
-    too), or its file; and the other modules beside it, which it may import. Of "exec:COMMAND" the files here that the command names.
+    too), or its file; and the other modules beside it, which it may import. Of "exec:COMMAND" the files here that the
+    command names.
     """
     for name in (*run.planners, *run.metrics, *_of_loop(run), run.log.reader):
         if name.startswith("exec:"):

@@ -6,13 +6,11 @@ from collections.abc import Callable
 from math import isfinite
 
 from replay.why.causes import Account, Cause, CauseKind
-from replay.why.course import Action
+from replay.why.course import STEP_S, Action
 from replay.why.meetings import GAP_M, HEADWAY_S
 
 MOST = 3
 """More causes than these are counted."""
-NOW_S = 0.05
-"""What begins sooner is now, as times are said to a tenth."""
 
 
 def sentences(account: Account) -> list[str]:
@@ -35,9 +33,9 @@ def _opening(account: Account) -> str:
         return "Stands"
     if course.action is Action.SLOWS:
         return "Slows down"
-    if course.t_brakes < NOW_S:
-        return "Brakes now"
-    return f"Slows down from t = {account.t + course.t_brakes:.1f} s on"
+    return "Slows down " + (
+        f"from t = {account.t + course.t_brakes:.1f} s on" if course.t_brakes >= STEP_S else "at first"
+    )
 
 
 def _said(account: Account, cause: Cause) -> str:

@@ -294,3 +294,15 @@ def test_a_chart_that_fails_says_why_in_its_place(desk: Path, body: str, said: s
     Path(f"my_bad_{len(body)}.py").write_text(f"def bad(subject):\n    {body}\n", encoding="utf-8")
     (chart,) = drawn(None, f"my_bad_{len(body)}:bad")  # type: ignore[arg-type]
     assert said in chart.says and "my_bad" in chart.body
+
+
+@pytest.mark.parametrize("what", ["vehicle", "controller"])
+def test_what_raises_when_it_is_built_is_named_before_anything_is_driven(
+    what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "raises_when_built.py").write_text("def it(*_):\n    raise ValueError('no table')\n", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    name = "raises_when_built:it"
+    run = RunConfig(loop=LoopConfig(**{what: name}))  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match=rf"{what} '{name}' cannot be built: ValueError: no table .*built\.py:2"):
+        checked(run)

@@ -18,8 +18,8 @@ from typing import IO, overload
 from logs.errors import writing
 from logs.trace import Graph, PlannedFrame
 
-WHOLE = 3000
-"""Five minutes at 10 Hz: 140 MB among thirty road users."""
+WHOLE = 600
+"""Two minutes at 5 Hz: 28 MB among thirty road users."""
 
 
 class FrameStore(Sequence[PlannedFrame]):

@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
+from logs.frame_store import light
 from logs.kernel import FloatArray, IntArray, kernel
-from logs.states import TRAJECTORY_COLUMNS
+from logs.states import TRAJECTORY_COLUMNS, Trajectory
 from logs.trace import Trace
-from metrics.once import once
 
 STEP_S = 0.1
 """Plans are compared at multiples of this after their frame's time."""
+PIECE = 1000
+"""So many plans are laid out at a time: all those of an hour are 80 MB."""
 
 
 def frame_times(trace: Trace) -> FloatArray:
@@ -29,11 +33,14 @@ def plan_columns(trace: Trace, times: FloatArray, names: tuple[str, ...], which:
 
     Linear between the plan's samples; NaN where it does not reach.
     """
-    if not trace.frames:
-        return np.empty((len(names), *times.shape))
-    which = np.arange(len(trace.frames)) if which is None else which
+    frames = light(trace.frames)
+    which = np.arange(len(frames)) if which is None else which
     wanted = np.array([TRAJECTORY_COLUMNS.index(name) for name in names])
-    return _at(*_plans(trace), wanted, which, np.ascontiguousarray(times))
+    out = np.empty((len(names), *times.shape))
+    for k in range(0, len(which), PIECE):
+        plans = [frames[f].plan.trajectory for f in which[k : k + PIECE]]
+        out[:, k : k + PIECE] = _at(*_rows(plans), wanted, np.ascontiguousarray(times[k : k + PIECE]))
+    return out
 
 
 def plan_poses(trace: Trace, times: FloatArray, which: IntArray | None = None) -> FloatArray:
@@ -41,20 +48,18 @@ def plan_poses(trace: Trace, times: FloatArray, which: IntArray | None = None) -
     return plan_columns(trace, times, ("x", "y", "yaw"), which)
 
 
-@once
-def _plans(trace: Trace) -> tuple[IntArray, FloatArray]:
-    """All plans one after the other: `(f + 1,)` where each begins, and `TRAJECTORY_COLUMNS` `(7, m)`."""
-    plans = [frame.plan.trajectory for frame in trace.frames]
+def _rows(plans: Sequence[Trajectory]) -> tuple[IntArray, FloatArray]:
+    """Plans one after the other: `(f + 1,)` where each begins, and `TRAJECTORY_COLUMNS` `(7, m)`."""
     rows = np.stack([np.concatenate([getattr(plan, name) for plan in plans]) for name in TRAJECTORY_COLUMNS])
     return np.cumsum([0, *map(len, plans)]), rows
 
 
 @kernel
-def _at(offsets: IntArray, rows: FloatArray, wanted: IntArray, which: IntArray, times: FloatArray) -> FloatArray:
+def _at(offsets: IntArray, rows: FloatArray, wanted: IntArray, times: FloatArray) -> FloatArray:
     """`plan_columns`: the rows `wanted`, each as `numpy.interp` has it."""
     out = np.full((len(wanted), *times.shape), np.nan)
-    for f in range(len(which)):
-        first, end = offsets[which[f]], offsets[which[f] + 1]
+    for f in range(len(times)):
+        first, end = offsets[f], offsets[f + 1]
         t = rows[0, first:end]
         for k in range(times.shape[1]):
             if times[f, k] < t[0] - 1e-6 or times[f, k] > t[-1] + 1e-6:

@@ -8,18 +8,21 @@ evaluated just now or before an interruption makes no difference to a byte of th
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
 from math import nan
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 
 from replay.batch.schema import SCHEMA_VERSION
 from replay.batch.sources import LOG_CARD
-from replay.batch.tables import KEYS, joined, write_json, write_parquet
+from replay.batch.tables import write_json, write_parquet
 
-MEMBERS = "ensemble.parquet"
+METRICS, MEMBERS, HEALTH, TIMINGS = "metrics.parquet", "ensemble.parquet", "health.parquet", "timings.parquet"
 
 
 @dataclass(frozen=True)
@@ -77,11 +80,8 @@ class LogResult:
         notes: What was assumed in reading it.
         drives: What was driven, planners in the order of the run, open before closed.
         failures: What was not.
-        table: Rows of `metrics.evaluate`.
-        health: Rows of `metrics.health.table`: what is wrong with the log.
         seconds: How long it took, for people to read; in no file; NaN where it was there already.
         stopped: Why it could not be written, and with it the run; empty: it was.
-        members: Rows of `metrics.evaluate` of the ensemble's drives, with `metrics.ensemble`'s columns; mostly empty.
     """
 
     source: str
@@ -94,11 +94,25 @@ class LogResult:
     notes: tuple[str, ...] = ()
     drives: tuple[DriveRecord, ...] = ()
     failures: tuple[Failure, ...] = ()
-    table: pd.DataFrame = field(default_factory=pd.DataFrame)
-    members: pd.DataFrame = field(default_factory=pd.DataFrame)
-    health: pd.DataFrame = field(default_factory=pd.DataFrame)
     seconds: float = nan
     stopped: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class LogTables:
+    """The tables of one log; they are in its folder only, so that a run over many logs holds none of them.
+
+    Attributes:
+        metrics: Rows of `metrics.evaluate`.
+        members: Rows of `metrics.evaluate` of the ensemble's drives, with `metrics.ensemble`'s columns; mostly empty.
+        health: Rows of `metrics.health.table`: what is wrong with the log.
+        timings: Rows of timings.parquet.
+    """
+
+    metrics: pd.DataFrame
+    members: pd.DataFrame
+    health: pd.DataFrame
+    timings: pd.DataFrame
 
 
 @dataclass(frozen=True)
@@ -114,23 +128,21 @@ class Stamp:
     code: str
 
 
-def keep(folder: Path, result: LogResult, timings: pd.DataFrame, identity: str, stamp: Stamp) -> LogResult:
-    """Write a result into its (still unfinished) folder; returns it with its tables as they will be read back.
-
-    The timings stay in the folder: they are by far the largest table, and are not asked for before the end.
+def keep(folder: Path, result: LogResult, tables: LogTables, identity: str, stamp: Stamp) -> None:
+    """Write a result into its (still unfinished) folder.
 
     Args:
         folder: Where the drives' files are already.
         result: What is kept.
-        timings: Rows of timings.parquet.
+        tables: Likewise.
         identity: Which input it came from (`LogSource.identity`).
         stamp: What it depends on.
     """
-    write_parquet(folder / "metrics.parquet", result.table)
-    write_parquet(folder / "timings.parquet", timings)
-    write_parquet(folder / "health.parquet", result.health)
-    if len(result.members):
-        write_parquet(folder / MEMBERS, result.members)
+    write_parquet(folder / METRICS, tables.metrics)
+    write_parquet(folder / TIMINGS, tables.timings)
+    write_parquet(folder / HEALTH, tables.health)
+    if len(tables.members):
+        write_parquet(folder / MEMBERS, tables.members)
     card = {
         "log": result.name,
         "source": result.source,
@@ -145,7 +157,6 @@ def keep(folder: Path, result: LogResult, timings: pd.DataFrame, identity: str, 
         **asdict(stamp),
     }
     write_json(folder / LOG_CARD, card)
-    return _with_tables(folder, result)
 
 
 def kept(folder: Path) -> tuple[LogResult, str, Stamp] | None:
@@ -167,9 +178,11 @@ def kept(folder: Path) -> tuple[LogResult, str, Stamp] | None:
             tuple(Failure(**failure) for failure in card["failures"]),
         )
         files = [folder.parent / file for drive in result.drives for file in drive.files]
-        whole = all(file.is_file() for file in (*files, folder / "timings.parquet"))
+        whole = all(file.is_file() for file in (*files, folder / TIMINGS))
         stamp = Stamp(card["replan"], card["code"])
-        return (_with_tables(folder, result), card["input"], stamp) if whole else None
+        for name in (METRICS, HEALTH, *([MEMBERS] if (folder / MEMBERS).exists() else [])):
+            pq.read_table(folder / name)
+        return (result, card["input"], stamp) if whole else None
     except (OSError, ValueError, KeyError, TypeError):
         return None
 
@@ -178,13 +191,20 @@ def _drive(card: dict[str, Any]) -> DriveRecord:
     return DriveRecord(**{**card, "notes": tuple(card["notes"]), "files": tuple(card["files"])})
 
 
-def _with_tables(folder: Path, result: LogResult) -> LogResult:
-    table = pd.read_parquet(folder / "metrics.parquet")
-    members = pd.read_parquet(folder / MEMBERS) if (folder / MEMBERS).exists() else pd.DataFrame()
-    health = pd.read_parquet(folder / "health.parquet")
-    return replace(result, table=joined([table], KEYS), members=members, health=health)
+def table_of(out: Path, results: Iterable[LogResult], name: str) -> pd.DataFrame:
+    """A table of all logs, from their folders in `out`, under the names that they have in the run; empty: of none."""
+    files = [(result, out / result.folder / name) for result in results if result.folder]
+    tables = [_named(pq.read_table(file), result.name) for result, file in files if file.exists()]
+    tables = [table for table in tables if len(table)]
+    return pa.concat_tables(tables, promote_options="permissive").to_pandas() if tables else pd.DataFrame()
+
+
+def _named(table: pa.Table, log: str) -> pa.Table:
+    place = table.schema.get_field_index("log")
+    field = table.schema.field(place)
+    return table.set_column(place, field, pa.repeat(pa.scalar(log, field.type), len(table)))
 
 
 def timings_of(out: Path, result: LogResult) -> pd.DataFrame:
     """The timings of a log, from its folder in `out`, under the name that it has in the run."""
-    return pd.read_parquet(out / result.folder / "timings.parquet").assign(log=result.name)
+    return pd.read_parquet(out / result.folder / TIMINGS).assign(log=result.name)

@@ -28,7 +28,7 @@ from metrics import METRICS, Metric, health, load_metric
 from metrics.comfort import LON_JERK_STATE
 from metrics.ensemble import MEMBER
 from replay.avoidability import with_avoidability
-from replay.batch.log_result import DriveRecord, Failure, LogResult, Stamp, keep
+from replay.batch.log_result import DriveRecord, Failure, LogResult, LogTables, Stamp, keep
 from replay.batch.sources import LogSource, file_hash
 from replay.batch.steps import Steps, StepsFile
 from replay.batch.tables import KEYS, PARTIAL, TIMING_COLUMNS, joined, safe_name
@@ -89,12 +89,15 @@ class _Progress:
 
     def filled(self, result: LogResult) -> LogResult:
         """The result with what there is so far."""
-        return replace(
-            result,
-            drives=tuple(self.drives),
-            failures=tuple(self.failures),
-            table=joined(self.tables, KEYS, metrics.COLUMNS),
+        return replace(result, drives=tuple(self.drives), failures=tuple(self.failures))
+
+    def tables_with(self, found: pd.DataFrame) -> LogTables:
+        """The tables of what there is so far, and the log's health."""
+        return LogTables(
+            metrics=joined(self.tables, KEYS, metrics.COLUMNS),
             members=joined(self.members, [MEMBER, *KEYS]),
+            health=found,
+            timings=joined(self.timings, TIMING_COLUMNS[:4], TIMING_COLUMNS),
         )
 
 
@@ -112,14 +115,14 @@ def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> 
         with progress.attempt(), source.fetched() as near:
             identity = source.identity()
             scenario = near.read()
-            result = _identified(near, scenario, partial, run)
+            result, found = _identified(near, scenario, partial, run)
             progress.log = scenario.name
             driven = with_avoidability(scenario.in_vehicle(run.driven(scenario.vehicle)))
             _drive_all(driven, run, partial, result.folder, progress)
             for member in range(1, run.ensemble + 1):
                 _drive_member(driven, run, member, progress)
-            timings = joined(progress.timings, TIMING_COLUMNS[:4], TIMING_COLUMNS)
-            result = keep(partial, progress.filled(result), timings, identity, stamp)
+            result = progress.filled(result)
+            keep(partial, result, progress.tables_with(found), identity, stamp)
             with writing(out / result.folder):
                 partial.rename(out / result.folder)
             done = result
@@ -145,8 +148,8 @@ def all_metrics(run: RunConfig) -> Mapping[str, Metric]:
     return found
 
 
-def _identified(source: LogSource, scenario: Scenario, folder: Path, run: RunConfig) -> LogResult:
-    """The log by name and content; what was no native or OSI MCAP is written as one, `log.mcap`.
+def _identified(source: LogSource, scenario: Scenario, folder: Path, run: RunConfig) -> tuple[LogResult, pd.DataFrame]:
+    """The log by name and content, and its health; what was no native or OSI MCAP is written as one, `log.mcap`.
 
     Channels for Foxglove do not count as content.
     """
@@ -164,7 +167,7 @@ def _identified(source: LogSource, scenario: Scenario, folder: Path, run: RunCon
     notes = (*scenario.notes, *health.sentences(found))
     table = health.table(scenario.name, found)
     groups = scenario.family, scenario.dataset, scenario.tags
-    return LogResult(source.label, scenario.name, digest, name, *groups, notes, health=table)
+    return LogResult(source.label, scenario.name, digest, name, *groups, notes), table
 
 
 def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, progress: _Progress) -> None:

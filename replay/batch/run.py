@@ -27,7 +27,17 @@ from metrics.latency import judge_deadline
 from replay.batch.checks import checked
 from replay.batch.engine import Engine, Local
 from replay.batch.lock import held
-from replay.batch.log_result import DriveRecord, Failure, LogResult, timings_of
+from replay.batch.log_result import (
+    HEALTH,
+    MEMBERS,
+    METRICS,
+    TIMINGS,
+    DriveRecord,
+    Failure,
+    LogResult,
+    table_of,
+    timings_of,
+)
 from replay.batch.one_log import all_metrics
 from replay.batch.pool import WorkerLost
 from replay.batch.resume import finished, stamp_of
@@ -84,7 +94,7 @@ class RunResult:
     @cached_property
     def timings(self) -> pd.DataFrame:
         """How long each stage of each plan took: rows of timings.parquet."""
-        return read_timings(self.out / "timings.parquet")
+        return read_timings(self.out / TIMINGS)
 
     @property
     def exit_code(self) -> int:
@@ -207,12 +217,12 @@ def concluded(
         shard: Which part of a run it is; None: all of it.
     """
     results = _distinct(results)
-    table = joined((result.table for result in results), KEYS, COLUMNS).astype({"value": float, "time_s": float})
+    table = joined([table_of(out, results, METRICS)], KEYS, COLUMNS).astype({"value": float, "time_s": float})
     labels = {log.name: LogLabels(log.family, log.dataset, log.tags) for log in results if log.digest}
-    members = joined((result.members for result in results), KEYS, COLUMNS)
+    members = joined([table_of(out, results, MEMBERS)], KEYS, COLUMNS)
     table = with_ensemble(table, members, gates, labels)
     unread = {result.name: "see the errors" for result in results if not result.digest}
-    timings = out / "timings.parquet"
+    timings = out / TIMINGS
     sorted_ = sorted((result for result in results if result.folder), key=lambda result: result.name)
     write_timings(timings, (timings_of(out, result) for result in sorted_))
     errors = [failure for result in results for failure in result.failures]
@@ -295,16 +305,13 @@ def _renamed(result: LogResult) -> LogResult:
         name=name,
         drives=tuple(replace(drive, log=name) for drive in result.drives),
         failures=tuple(replace(failure, log=name) for failure in result.failures),
-        table=result.table.assign(log=name) if len(result.table) else result.table,
-        members=result.members.assign(log=name) if len(result.members) else result.members,
-        health=result.health.assign(log=name),
     )
 
 
 def _write(result: RunResult) -> None:
     write_metrics(result.out, result.table)
-    found = [log.health for log in result.logs if len(log.health)] or [health.table("", ())]
-    write_parquet(result.out / "health.parquet", pd.concat(found, ignore_index=True))
+    found = table_of(result.out, result.logs, HEALTH)
+    write_parquet(result.out / HEALTH, found if len(found) else health.table("", ()))
     said = outcomes([verdict for verdict in result.verdicts if verdict.gate.metric != LATE])
     write_parquet(result.out / "verdicts.parquet", said)
     labels = {log.name: LogLabels(log.family, log.dataset, log.tags) for log in result.logs}

@@ -228,7 +228,9 @@ def _judged(log: LogResult, run: RunResult | None) -> dict[str, Any]:
         return _broken(log.failures[0].line if log.failures else "not driven")
     said = [(verdict.gate, one) for verdict in run.verdicts for one in verdict.logs if one.log == log.name]
     outcome = worst([one.outcome for _, one in said])
-    table = log.table[log.table["planner"] == run.run.planners[0]].set_index("metric")
+    table = run.table[(run.table["log"] == log.name) & (run.table["planner"] == run.run.planners[0])].set_index(
+        "metric"
+    )
     value = table["value"].where(table["available"], nan)
     careful, drive = _careful(value), log.drives[0]
     excused = outcome is Outcome.INCONCLUSIVE and careful == Careful.UNAVOIDABLE.value

@@ -186,9 +186,9 @@ def _asked(url: str, kind: type[ReplanError]) -> Iterator[None]:
         raise
     except FileNotFoundError:
         raise kind(f"{url}: not there; look at bucket and key") from None
-    except PermissionError as error:
-        hint = "set what fsspec documents for it in the environment (S3: AWS_ACCESS_KEY_ID, AWS_PROFILE)"
-        raise kind(f"{url}: no permission: {error}; {hint}") from None
     except Exception as error:
+        if isinstance(error, PermissionError) or "Credentials" in type(error).__name__:  # botocore's are no such error
+            hint = "set what fsspec documents for it in the environment (S3: AWS_ACCESS_KEY_ID, AWS_PROFILE)"
+            raise kind(f"{url}: no permission: {error}; {hint}") from None
         what = " ".join(str(error).split())[:200]
         raise kind(f"{url}: no connection or an error there: {type(error).__name__}: {what}; try again") from None

@@ -39,14 +39,14 @@ def parting(trace: Trace, again: Trace, until_s: float) -> str:
             return _ended(again if other is None else trace)
         said = _apart(one, other)
         if said:
-            return f"driven twice, {said} at {one.t:.2f} s"
+            return f"{trace.planner}, driven twice: {said} at {one.t:.2f} s"
     return ""
 
 
 def _ended(trace: Trace) -> str:
     """Why there is one frame fewer."""
     why = trace.detail if trace.end is EndReason.PLANNER_FAILURE else f"it ended by {trace.end.value}"
-    return f"driven twice, it goes on only once: {why}"
+    return f"{trace.planner}, driven twice: it goes on only once: {why}"
 
 
 def _apart(one: PlannedFrame, other: PlannedFrame) -> str:

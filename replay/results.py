@@ -307,7 +307,14 @@ class DriveResult:
         return self._read[1]
 
     def frame(self, at: float) -> PlannedFrame:
-        """The last frame not later than `at` (s since the scenario's start); ConfigError where there is none."""
+        """The last frame not later than `at`, s since the scenario's start.
+
+        Raises:
+            ConfigError: There is none, or the drive had ended.
+        """
+        if at > self.trace.ego.t[-1] + 1e-6 and isfinite(at):
+            ended = f"it ended at {self.trace.ego.t[-1]:.2f} s: {self.trace.end.value}"
+            raise ConfigError(f"{self.log}, {self.planner}, {self.mode} loop: no plan at {at:g} s; {ended}")
         t = np.array([frame.t for frame in self.trace.frames])
         index = int(np.searchsorted(t, at + 1e-9, side="right")) - 1
         if index < 0 or not isfinite(at):

@@ -225,7 +225,7 @@ def _probed(drive: Drive, scenario: Scenario, mode: Mode, run: RunConfig) -> Dri
     try:
         again = _driven(scenario, planner, mode, run, keep=False, until_s=until_s).trace
     except PlannerError as error:
-        note = f"{NOT_DETERMINISTIC}driven twice, it can be built only once: {error}"
+        note = f"{NOT_DETERMINISTIC}{planner}, driven twice: it can be built only once: {error}"
         return replace(drive, trace=replace(drive.trace, notes=(*drive.trace.notes, note)))
     return replace(drive, trace=with_probe(drive.trace, again, until_s))
 

@@ -68,6 +68,7 @@ def test_what_is_not_there_is_named(run: RunResult, tmp_path: Path) -> None:
         (lambda: result.drive(LOG), "name a planner of dp_qp"),
         (lambda: result.drive(LOG, "idm"), "no closed loop of idm"),
         (lambda: result.drive(LOG, "dp_qp").plan(-1.0), "its first is at 0.00 s"),
+        (lambda: result.drive(LOG, "dp_qp").plan(1e9), r"it ended at \d+.\d\d s: "),
     ):
         with pytest.raises(ConfigError, match=words):
             ask()

@@ -54,6 +54,11 @@ class Agents:
     """Road users at one instant: `(n,)` each, world frame, box centres, m, rad, m/s.
 
     Attributes:
+        ids: Names.
+        kinds: What they are.
+        length: Of the box; `width` likewise.
+        x: Of the box's centre; `y` likewise; `yaw` of the box, counter-clockwise from x.
+        vx: Velocity in the world, not in the box; `vy` likewise.
         yaw_rate: rad/s; 0 where it is not known, and of pedestrians, who turn on the spot. `accel` likewise: rate of
             the speed, m/s2. Left out: all 0.
         codes: `kinds` as numbers (`codes_of`, which makes them where they are left out).

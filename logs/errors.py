@@ -122,9 +122,9 @@ def raised(error: BaseException, *, of: Callable[..., Any] | None = None) -> str
     return f"{type(error).__name__}: {words}" + (f" ({Path(file).name}:{line})" if file else "")
 
 
-def unknown_name(kind: str, name: str, known: Iterable[str]) -> ConfigError:
-    """The error for a name that is not in a table: says the nearest one, or all of them."""
+def unknown_name(kind: str, name: str, known: Iterable[str], within: str = "") -> ConfigError:
+    """The error for a name that is not in a table, `within` being the table's ("loop."): says the nearest, or all."""
     names = sorted(known)
     near = get_close_matches(name, names, n=1, cutoff=0.6)
-    hint = f"did you mean '{near[0]}'?" if near else f"known are: {', '.join(names) or 'none'}"
-    return ConfigError(f"no {kind} is called '{name}'; {hint}")
+    hint = f"did you mean '{within}{near[0]}'?" if near else f"known are: {', '.join(names) or 'none'}"
+    return ConfigError(f"no {kind} is called '{within}{name}'; {hint}")

@@ -5,7 +5,8 @@ disk, IEEE arithmetic (no fastmath), division by zero gives inf or nan as in Num
 the same source as plain Python.
 
 Where the machine code is: `NUMBA_CACHE_DIR`, else `__pycache__` beside the sources, else the user's cache folder. It
-belongs to a source file's content and place, a version of numba, and a processor (`NUMBA_CPU_NAME`).
+belongs to a kernel's code and all that goes into it (`logs.kernel_stamp`), its file's place, a version of numba, and a
+processor (`NUMBA_CPU_NAME`).
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ import numpy as np
 from numba import njit
 from numba.core import caching, event
 from numpy.typing import NDArray
+
+from logs.kernel_stamp import KernelIndex
 
 FloatArray = NDArray[np.floating[Any]]
 IntArray = NDArray[np.int64]
@@ -67,6 +70,7 @@ def _compiled(function: Callable[P, R], **unlisted: Any) -> Callable[P, R]:
         return cast("Callable[P, R]", njit(**options)(function))
     store = getattr(compiled, "_cache", None)  # not there with NUMBA_DISABLE_JIT
     if store is not None:
+        store._cache_file = KernelIndex(compiled)
         store.save_overload = _forgiving(store.save_overload)
         _STORED.append(compiled)
     return cast("Callable[P, R]", compiled)

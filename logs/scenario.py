@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -211,7 +211,7 @@ class Tracks:
         return slice(int(self.offsets[index]), int(self.offsets[index + 1]))
 
     def taken(self, keep: BoolArray) -> Tracks:
-        """The tracks with only the samples `keep` `(m,)`; who has none left is not among them."""
+        """The tracks with only the samples `keep` `(m,)`; who has none left is not among them. By name: `only`."""
         owner = np.repeat(np.arange(len(self)), np.diff(self.offsets))
         sizes = np.bincount(owner[keep], minlength=len(self))
         left = np.flatnonzero(sizes)
@@ -224,6 +224,11 @@ class Tracks:
             np.r_[0, np.cumsum(sizes[left])],
             *(getattr(self, name)[keep] for name in ("t", "x", "y", "yaw", "vx", "vy")),
         )
+
+    def only(self, ids: Collection[str]) -> Tracks:
+        """The tracks of these road users, whole."""
+        kept = np.array([name in ids for name in self.ids], np.bool_)
+        return self.taken(np.repeat(kept, np.diff(self.offsets)))
 
     def shifted(self, seconds: float) -> Tracks:
         """The tracks so much later."""

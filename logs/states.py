@@ -32,7 +32,19 @@ def wrapped(angles: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True)
 class EgoState:
-    """The ego at one instant (module docstring for units); `v_lat` is the rear axle's lateral speed, m/s."""
+    """The ego at one instant, at the rear axle.
+
+    Attributes:
+        t: s since the scenario's start.
+        x: World, m; `y` likewise.
+        yaw: rad, counter-clockwise from x.
+        v: Along the body, m/s, negative in reverse.
+        a: Rate of v, m/s2.
+        kappa: Curvature of the path of the rear axle, 1/m, positive to the left.
+        steer: Front wheel angle, rad, positive to the left.
+        yaw_rate: rad/s.
+        v_lat: Lateral speed of the rear axle, m/s.
+    """
 
     t: float
     x: float

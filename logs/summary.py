@@ -17,7 +17,7 @@ from logs.readers import LogSettings, read_log, reader_of
 from logs.readers.base import Contents, TopicSummary
 from logs.road import Goal, Road, RoadSource
 from logs.scenario import Scenario
-from logs.vehicle import VehicleParameters
+from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
 
 
 @dataclass(frozen=True)
@@ -127,7 +127,10 @@ def summarise(path: Path, settings: LogSettings | None = None) -> LogSummary:
 
 
 def _tells_vehicle(scenario: Scenario, contents: Contents) -> bool:
-    return scenario.vehicle != VehicleParameters() or any(topic.topic == "/vehicle" for topic in contents.topics)
+    assumed = any(note.startswith(VEHICLE_ASSUMED) for note in scenario.notes)  # of a converted log, too
+    return not assumed and (
+        scenario.vehicle != VehicleParameters() or any(topic.topic == "/vehicle" for topic in contents.topics)
+    )
 
 
 def _scenario(scenario: Scenario) -> ScenarioSummary:
@@ -246,7 +249,7 @@ def _scenario_lines(scenario: ScenarioSummary) -> list[str]:
         ego += f" ({scenario.ego_rate:.1f} Hz), {scenario.ego_speed[0]:.1f} to {scenario.ego_speed[1]:.1f} m/s"
     return [
         f"name: {scenario.name}" + (f" [{', '.join(scenario.tags)}]" if scenario.tags else ""),
-        f"source: {scenario.source or 'not told'}; licence: {scenario.licence or 'not told'}",
+        f"source: {scenario.source or 'not stated'}; licence: {scenario.licence or 'not stated'}",
         f"duration: {scenario.duration:.2f} s",
         f"ego: {ego}",
         f"agents: {agents or 'none'}; obstacles: {scenario.obstacles}",

@@ -62,7 +62,14 @@ class DecisionKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Decision:
-    """What was decided in a stage ("path", "speed") about an agent, a stop ("stop line 3") or hidden ground; why."""
+    """What was decided in a stage ("path", "speed") about an agent, a stop ("stop line 3") or hidden ground; why.
+
+    Attributes:
+        agent: Its name in `Agents.ids`, or that of the stop.
+        kind: What is to be done.
+        stage: "path" or "speed".
+        reason: In one sentence or less.
+    """
 
     agent: str
     kind: DecisionKind

@@ -13,6 +13,9 @@ from typing import Any
 
 from logs.errors import unknown_name
 
+VEHICLE_ASSUMED = "The log does not describe the ego's vehicle: a mid-size car is assumed"
+"""Begins the note of a log without one; a converted log keeps it."""
+
 
 @dataclass(frozen=True)
 class VehicleParameters:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from logs.road import Goal, Lane, ReferenceLine, Road
     from logs.scenario import AgentKind, Agents, Scenario, Tracks
     from logs.states import Command, EgoState, Trajectory
-    from logs.trace import Decision, Mode, Plan, PlanStatus, Trace
+    from logs.trace import Decision, DecisionKind, Mode, Plan, PlanStatus, Trace
     from logs.vehicle import VehicleParameters
     from metrics.compare import Comparison
     from metrics.metric import Metric, Reduction, Series, Unavailable
@@ -55,6 +55,7 @@ __all__ = [
     "ConfigError",
     "Controller",
     "Decision",
+    "DecisionKind",
     "DriveResult",
     "EgoState",
     "Family",
@@ -110,7 +111,7 @@ _NAMES = {
     "logs.road": "Goal Lane ReferenceLine Road",
     "logs.scenario": "AgentKind Agents Scenario Tracks",
     "logs.states": "Command EgoState Trajectory",
-    "logs.trace": "Decision Mode Plan PlanStatus Trace",
+    "logs.trace": "Decision DecisionKind Mode Plan PlanStatus Trace",
     "logs.vehicle": "VehicleParameters",
     "metrics.compare": "Comparison",
     "metrics.metric": "Metric Reduction Series Unavailable",

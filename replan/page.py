@@ -15,6 +15,7 @@ HEAD = """# `import replan`
 
 The public names, on one page. Everything has types (`py.typed`); `help(replan.evaluate)` says all about one. The
 packages behind (`logs`, `metrics`, `planners`, `replay`) may be imported as well; only the names here stay as they are.
+Their fields and arguments are in the [API reference](reference.md).
 `import replan` first: then no `metrics.py` or `logs/` of yours is taken for one of them. This page is made from the
 code (`replan/page.py`).
 """
@@ -22,7 +23,8 @@ SECTIONS = {
     "Drive, judge, compare": "evaluate compare load Results DriveResult Comparison RunConfig LoopConfig",
     "Logs": "read_log from_frames write_log Scenario Trace LogSettings",
     "What a planner sees and answers": "Planner PlannerContext Frame Plan Trajectory EgoState Agents AgentKind Tracks "
-    "Predictions Visibility Road Lane Goal ReferenceLine VehicleParameters PlanStatus Decision",
+    "Predictions Visibility Road Lane Goal ReferenceLine VehicleParameters PlanStatus Decision "
+    "DecisionKind",
     "What a metric is": "Metric Series Reduction Unavailable Mode",
     "What else can be added (docs/extend.md)": "Vehicle Controller Command Traffic World LaneMap Reader Chart Subject "
     "Family",

@@ -236,7 +236,7 @@ def known_keys(table: Mapping[str, Any], known: Iterable[str], where: str) -> No
     names = list(known)
     for key in table:
         if key not in names:
-            raise unknown_name("key", dotted(where, key), [dotted(where, name) for name in names])
+            raise unknown_name("key", dotted("", key), [dotted("", name) for name in names], where and f"{where}.")
 
 
 def dotted(where: str, key: str) -> str:

@@ -8,7 +8,7 @@ from math import inf
 from pathlib import Path
 from typing import Any
 
-from logs.errors import ConfigError, PlannerError
+from logs.errors import ConfigError, PlannerError, ReplanError, of_users, raised
 from logs.frame import Frame
 from logs.mcap import read_scenario
 from logs.scenario import Scenario
@@ -125,13 +125,19 @@ def _by_another(
     """The last frame planned by another planner, fresh."""
     clock, frame = Stopwatch(), replace(watch.frames[-1], previous=None)
     context, table = replace(watch.context, lap=clock.lap), drive.result.run.planner.get(planner, {})
-    made = planner_factory(planner)(context, **planner_keywords(planner, table))
-    if debug:
-        breakpoint()
-    with watched() as asked:
-        clock.start()
-        plan = checked(made.plan(frame), frame).recorded(keep=True)
-        clock.stop(frame.t)
+    factory, keywords = planner_factory(planner), planner_keywords(planner, table)
+    try:
+        made = factory(context, **keywords)
+        if debug:
+            breakpoint()
+        with watched() as asked:
+            clock.start()
+            plan = checked(made.plan(frame), frame).recorded(keep=True)
+            clock.stop(frame.t)
+    except Exception as error:
+        if isinstance(error, ReplanError) or not of_users(error):
+            raise
+        raise PlannerError(f"planner '{planner}' raised at {frame.t:.2f} s: {raised(error)}") from error
     dump = FrameDump(drive.log, planner, table, context, (frame,), plan, tuple(asked))
     return PlannedAgain(scenario, dump, {time.stage: time.seconds for time in clock.times}, None)
 

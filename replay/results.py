@@ -12,8 +12,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
+from math import isfinite
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -91,7 +92,7 @@ class Results:
     """
 
     path: Path
-    summary: dict[str, Any]
+    summary: dict[str, Any] = field(repr=False)  # megabytes of a large run
 
     @cached_property
     def run(self) -> RunConfig:
@@ -309,7 +310,7 @@ class DriveResult:
         """The last frame not later than `at` (s since the scenario's start); ConfigError where there is none."""
         t = np.array([frame.t for frame in self.trace.frames])
         index = int(np.searchsorted(t, at + 1e-9, side="right")) - 1
-        if index < 0:
+        if index < 0 or not isfinite(at):
             first = f"its first is at {t[0]:.2f} s" if len(t) else "it has none"
             raise ConfigError(f"{self.log}, {self.planner}, {self.mode} loop: no plan at {at:g} s; {first}")
         return self.trace.frames[index]

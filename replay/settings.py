@@ -63,7 +63,9 @@ def check(factory: Callable[..., Any], table: Table, where: str, what: str, give
     try:
         inspect.signature(factory).bind(*given * (None,), **keywords_of(factory, table, where))
     except TypeError as error:
-        raise ConfigError(f"{what} cannot be built so: {error}") from None
+        raise ConfigError(
+            f"{what} cannot be built so: {error}; it is given {given} argument{'s' * (given != 1)} and its settings"
+        ) from None
 
 
 def configured(kind: Kind[F], name: str, settings: Mapping[str, Table]) -> F:

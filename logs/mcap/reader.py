@@ -24,7 +24,7 @@ from logs.mcap.container import CONVERT, LAST_TIME_NS, MEND, Container, Stream, 
 from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
 from logs.scenario import FINDING, Scenario, Tracks
 from logs.states import Controls, OnboardPlan, Trajectory
-from logs.vehicle import VehicleParameters
+from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
 
 T = TypeVar("T")
 
@@ -84,7 +84,7 @@ def _native(container: Container) -> Scenario:
     notes += _dark(road, lights)
     vehicle = _one(streams, "/vehicle", native.Vehicle)
     if vehicle is None:
-        notes.append("The log does not describe the ego's vehicle: a mid-size car is assumed.")
+        notes.append(f"{VEHICLE_ASSUMED}.")
     parameters = {} if vehicle is None else msgspec.structs.asdict(vehicle)
     controls = streams.get("/controls", streams.get("/actuation"))
     noted = _from_record(record, "notes", list[str], [])

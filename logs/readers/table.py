@@ -31,7 +31,7 @@ from logs.readers.base import Contents, LogSettings, Reader, TopicSummary
 from logs.road import Goal, Road
 from logs.scenario import AgentKind, Scenario, Tracks
 from logs.states import Controls
-from logs.vehicle import VehicleParameters
+from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
 
 NAMES = ("ego", "agents")
 SUFFIXES = (".csv", ".parquet")
@@ -65,13 +65,15 @@ def from_frames(
     source: str = "",
     licence: str = "",
 ) -> Scenario:
-    """The scenario in tables of the ego and of the other road users (module docstring for columns, units, frames).
+    """The scenario in tables of the ego and of the other road users (units and frames: docs/logs.md).
 
     Args:
-        ego: One row a state; rows in any order.
-        agents: One row an agent and a time; None: no other agent is there.
+        ego: One row a state, in any order: t, x, y, yaw; where known v, a, kappa, steer, throttle, brake.
+        agents: One row an agent and a time: t, id, x, y; where known yaw, vx, vy or v, length, width, kind. None: no
+            other agent is there.
         name: Short and unique within a run.
-        columns: Name in the table, with its unit, by name here; those that are not named have our names.
+        columns: Name in the table, with its unit, by name here, for both tables; those that are not named have our
+            names.
         road: In the tables' coordinates; None: one lane along the driven path, noted.
         goal: Likewise; None: none.
         vehicle: The ego's; None: the default car, noted.
@@ -102,7 +104,7 @@ def from_frames(
         notes.append("The log has no ego speed: it is derived from the positions by backward differences.")
         state["v"] = _forward_speed(t, state)
     if vehicle is None:
-        notes.append("The log does not describe the ego's vehicle: a mid-size car is assumed.")
+        notes.append(f"{VEHICLE_ASSUMED}.")
     try:
         with np.errstate(all="ignore"):  # absurd numbers are refused as such
             driven = completed({"t": t, **state}, notes)

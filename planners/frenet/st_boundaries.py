@@ -31,8 +31,8 @@ CREEPING_MPS = 0.1
 """Who is slower does not walk, m/s: their prediction leads nowhere."""
 NO_ONE = np.zeros(0, np.bool_)
 """None of the agents."""
-ALONG = 0.7
-"""Who moves along the path with this share of their speed is followed, not let go first."""
+ALONG = 0.8
+"""Who moves along the path with this share of their speed is followed, not let go first; at 45 degrees they cross."""
 
 
 @dataclass(frozen=True)

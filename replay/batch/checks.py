@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
 
-from logs.errors import ConfigError, PlannerError, unknown_name
+from logs.errors import ConfigError, PlannerError, ReplanError, of_users, raised, unknown_name
 from logs.extension import Kind
 from logs.states import EgoState
 from logs.vehicle import VehicleParameters
@@ -108,9 +109,23 @@ def _check_plant(run: RunConfig) -> None:
     parted(run.loop.plant)
     table = {key: value for key, value in run.loop.plant.items() if key not in _OF_THE_LOG}
     model, start = configured(VEHICLE, run.loop.vehicle, run.loop.settings), EgoState(0.0, 0.0, 0.0, 0.0, 0.0)
-    built = build(model, run.loop.vehicle, vehicle, start, table)
-    if run.loop.controller not in CONTROLLER.builtin:
+    with _built(f"vehicle '{run.loop.vehicle}'"):
+        built = build(model, run.loop.vehicle, vehicle, start, table)
+    if run.loop.controller in CONTROLLER.builtin:
+        return
+    with _built(f"controller '{run.loop.controller}'"):
         controller_of(built, vehicle, run.loop.controller, run.loop.control_period_ns / 1e9, run.loop.settings)
+
+
+@contextmanager
+def _built(what: str) -> Iterator[None]:
+    """What code of the user's raises where it is built, as ConfigError: each log would fail by it."""
+    try:
+        yield
+    except (Exception, SystemExit) as error:
+        if isinstance(error, ReplanError) or not of_users(error):
+            raise
+        raise ConfigError(f"{what} cannot be built: {raised(error)}") from error
 
 
 def _check_tables(run: RunConfig) -> None:

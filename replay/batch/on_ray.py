@@ -26,7 +26,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from logs.errors import ConfigError, LogError, writing
+from logs.readers.base import LogSettings
 from replay.apart.proxy import command_of
+from replay.batch.checks import KINDS
 from replay.batch.engine import longest_first
 from replay.batch.log_result import Failure, LogResult, Stamp
 from replay.batch.one_log import evaluate_log
@@ -35,6 +37,7 @@ from replay.batch.resume import stamp_of
 from replay.batch.sources import LogSource
 from replay.batch.tables import PARTIAL
 from replay.config import RunConfig
+from replay.drive import LoopConfig
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -124,10 +127,11 @@ class OnRay:
 def code_of(run: RunConfig, folder: Path) -> Path:
     """A copy of the user's code that a run names, for the nodes, in `folder`; returns `folder`.
 
-    Of each planner and metric "module:NAME" that is not installed: its package whole (weights beside it, too), or its
-    file; and the other modules beside it, which it may import. Of "exec:COMMAND" the files here that the command names.
+    Of each planner, metric, controller ... "module:NAME" that is not installed: its package whole (weights beside it,
+    too), or its file; and the other modules beside it, which it may import. Of "exec:COMMAND" the files here that the
+    command names.
     """
-    for name in (*run.planners, *run.metrics):
+    for name in (*run.planners, *run.metrics, *_of_loop(run), run.log.reader):
         if name.startswith("exec:"):
             for word in command_of(name):
                 if Path(word).is_file() and not Path(word).is_absolute():
@@ -142,6 +146,11 @@ def code_of(run: RunConfig, folder: Path) -> Path:
         if place.is_dir():
             shutil.copytree(place, folder / place.name, ignore=shutil.ignore_patterns(*LEFT_OUT), dirs_exist_ok=True)
     return folder
+
+
+def _of_loop(run: RunConfig) -> tuple[str, ...]:
+    """What is chosen by name in [loop]."""
+    return tuple(getattr(run.loop, key) for key in KINDS)
 
 
 def _place_of(package: str) -> Path | None:
@@ -209,7 +218,7 @@ def _on_node(source: LogSource, job: tuple[RunConfig, Stamp]) -> tuple[LogResult
 
 def _refusal(run: RunConfig, stamp: Stamp, source: LogSource) -> Failure | None:
     """Why this node may not drive the log: it would be by other code than here, or it cannot see it."""
-    theirs = _stamp_here(run.planners, run.metrics)
+    theirs = _stamp_here(run.planners, run.metrics, _of_loop(run), run.log.reader)
     if theirs != stamp:
         what = f"node {platform.node()} has replan {theirs.replan} with code {theirs.code[:8]}"
         remedy = f"install there what is here: {stamp.replan} with code {stamp.code[:8]}"
@@ -222,9 +231,10 @@ def _refusal(run: RunConfig, stamp: Stamp, source: LogSource) -> Failure | None:
 
 
 @cache
-def _stamp_here(planners: tuple[str, ...], metrics: tuple[str, ...]) -> Stamp:
+def _stamp_here(planners: tuple[str, ...], metrics: tuple[str, ...], of_loop: tuple[str, ...], reader: str) -> Stamp:
     """The stamp of this node, once in each of its processes."""
-    return stamp_of(RunConfig(planners=planners, metrics=metrics))
+    loop = LoopConfig(**dict(zip(KINDS, of_loop, strict=True)))  # type: ignore[arg-type]
+    return stamp_of(RunConfig(planners=planners, metrics=metrics, loop=loop, log=LogSettings(reader=reader)))
 
 
 _settled = cache(settle)

@@ -3,18 +3,36 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from logs.errors import ConfigError
 from replay.cli.app import Begin, Ego, End, Map, Settings, answered, app, log_settings, say
 
+if TYPE_CHECKING:
+    from logs.readers import LogSettings
+
 
 @app.command()
 def view(
-    target: Annotated[Path, typer.Argument(help="A log, a recording (.rrd), or a folder of results.")],
-    save: Annotated[Path | None, typer.Option(help="Write the log's recording here instead of opening it.")] = None,
+    targets: Annotated[
+        list[Path], typer.Argument(help="A log, a recording (.rrd), or a folder of results; or two drives of one log.")
+    ],
+    log: Annotated[str | None, typer.Option("--log", help="Of a folder, the recordings of this log.")] = None,
+    save: Annotated[
+        Path | None, typer.Option(help="Write the recording of the log, or of both drives, and open nothing.")
+    ] = None,
+    screenshot: Annotated[
+        Path | None, typer.Option("--screenshot", help="Write a picture (PNG), without a display, and open nothing.")
+    ] = None,
+    video: Annotated[
+        Path | None, typer.Option("--video", help="Write a video: FILE.gif, or with ffmpeg FILE.mp4; --from, --to.")
+    ] = None,
+    at: Annotated[float, typer.Option(help="The picture's time, s.")] = 0.0,
+    layout: Annotated[str, typer.Option(help="Of picture and video: overview, planner, control.")] = "overview",
+    tile: Annotated[str | None, typer.Option("--tile", help="A picture of this view only, by its title.")] = None,
+    size: Annotated[str, typer.Option(help="Of picture and video, pixels.")] = "1920x1080",
     memory_limit: Annotated[str, typer.Option(help="Of the viewer.")] = "2GB",
     web: Annotated[bool, typer.Option("--web", help="Show it in a browser.")] = False,
     port: Annotated[int, typer.Option(min=1, max=65535, help="Of the page, with --web; on this machine only.")] = 9090,
@@ -24,35 +42,78 @@ def view(
     end: End = None,
     config: Settings = None,
 ) -> None:
-    """Open a log or recordings in the Rerun viewer.
+    """Open a log or recordings in the Rerun viewer; or two drives of one log in one window.
 
     [bold]Examples[/bold]
 
       replan view results/run-001
       replan view my_log.mcap --save my_log.rrd
+      replan view results/main results/mine --log everyday/cut_in
+      replan view results/run-001 --log cut_in --screenshot cut_in.png --at 6.5 --layout planner
     """
     with answered():
         import tempfile
 
-        from logs.readers import reader_of
-        from replay.view import recordings, save_log, show
+        from replay.view import LAYOUTS, picture, show
 
+        if layout not in LAYOUTS:
+            raise ConfigError(f"--layout {layout}: there are {', '.join(LAYOUTS)}")
+        drawn = screenshot is not None or video is not None
+        with tempfile.TemporaryDirectory() as kept:
+            span = (None, None) if video is not None else (begin, end)
+            settings = log_settings(config, ego, road_map, *span)
+            files = _files(targets, log, Path(kept), settings, one=drawn)
+            if save is not None:
+                _saved(files, save, Path(kept))
+                say(save)
+            if screenshot is not None:
+                picture(files[-1], screenshot, at, layout, tile, size)
+                say(screenshot)
+            if video is not None:
+                from replay.view import filmed
+
+                say(f"{video}: {filmed(files[-1], video, begin, end, layout, size)} frames")
+            if save is None and not drawn:
+                show(files, memory_limit, web=web, port=port)
+
+
+def _files(targets: list[Path], log: str | None, kept: Path, settings: LogSettings, *, one: bool) -> list[Path]:
+    """The recordings to open, those that are made for it in `kept`; `one`: of several it must be said which."""
+    from logs.readers import reader_of
+    from replay.view import pair, recordings, save_log, to_open, write_pair
+
+    for target in targets:
         if not target.exists():
             raise ConfigError(f"{target}: no such file or folder")
-        is_log = target.suffix != ".rrd" and (target.is_file() or reader_of(target) is not None)
-        settings = log_settings(config, ego, road_map, begin, end)
-        if save is not None:
-            if not is_log:
-                raise ConfigError(f"--save writes the recording of a log; {target} holds recordings already")
-            if save.suffix != ".rrd":
-                raise ConfigError(f"--save {save}: a recording is called FILE.rrd")
-            save_log(target, save, settings)
-            say(save)
-            return
-        if not is_log:
-            show([target] if target.is_file() else recordings(target), memory_limit, web=web, port=port)
-            return
-        with tempfile.TemporaryDirectory() as folder:
-            recording = Path(folder) / f"{target.stem}.rrd"
-            save_log(target, recording, settings)
-            show([recording], memory_limit, web=web, port=port)
+    if len(targets) > 2:
+        raise ConfigError("name one log, recording or folder, or two drives of one log")
+    if len(targets) == 2:
+        write_pair(kept / "pair.rrd", pair(targets[0], targets[1], log))
+        return [kept / "pair.rrd"]
+    (target,) = targets
+    if target.suffix != ".rrd" and (target.is_file() or reader_of(target) is not None):
+        recording = kept / f"{target.stem}.rrd"
+        save_log(target, recording, settings)
+        return [recording]
+    if target.is_file():
+        return [target]
+    if not one:
+        return to_open(target, log, kept)
+    found = recordings(target, log)
+    if len(found) > 1:
+        raise ConfigError(f"{target}: {len(found)} recordings; name one, for example {found[0]}")
+    return found
+
+
+def _saved(files: list[Path], out: Path, kept: Path) -> None:
+    from shutil import copyfile
+
+    from logs.errors import writing
+
+    if files[0].parent != kept:
+        raise ConfigError(f"--save writes the recording of a log or of two drives; {files[0]} is a recording already")
+    if out.suffix != ".rrd":
+        raise ConfigError(f"--save {out}: a recording is called FILE.rrd")
+    with writing(out):
+        out.parent.mkdir(parents=True, exist_ok=True)
+        copyfile(files[0], out)

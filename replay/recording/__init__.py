@@ -5,8 +5,7 @@ Import this package only where something is drawn: it loads the viewer's library
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from hashlib import sha256
 from math import ceil
@@ -16,7 +15,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun as rr
 
-from logs.errors import writing
 from logs.frame_store import light
 from logs.kernel import FloatArray
 from logs.scenario import Scenario
@@ -25,11 +23,12 @@ from replay.recording import events, plots, why, words
 from replay.recording.axes import Axes, sl_axes, st_axes
 from replay.recording.blueprint import Contents, blueprint
 from replay.recording.columns import Instants, Tape
-from replay.recording.graphs import draw_graph
+from replay.recording.file import recording_file
+from replay.recording.graphs import draw_graph, draw_happened
 from replay.recording.others import draw_others
-from replay.recording.outlet import outlet
 from replay.recording.scene import draw_moving, draw_scene
-from replay.recording.text import application_name, field_name, plain
+from replay.recording.text import field_name
+from replay.why.happened import happened
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -75,16 +74,17 @@ def write_recording(
     panels = plots.motion_panels(trace, scenario, times, steps)
     stages = plots.stage_panel(drive.timings)
     panels += [stages] if stages else []
-    pages = ("why", "summary") if trace.frames else ("summary",)
-    contents = Contents(panels, axes[StGraph], axes[SlGraph], True, pages, _bounds(trace, scenario))
+    pages = ("why", "numbers", "recent", "summary") if trace.frames else ("recent", "summary")
+    lanes = plots.state_lanes(trace, scenario.road)
+    contents = Contents(panels, axes[StGraph], axes[SlGraph], len(lanes), pages, _bounds(trace, scenario))
     application = f"replan {scenario.name} {trace.mode.value} loop"
-    with _tape(path, application, trace.planner, _digest(trace), contents) as tape:
+    with recording_file(path, application, trace.planner, _digest(trace), blueprint(contents)) as tape:
         draw_scene(tape, trace, scenario, instants)
         for begin in range(0, len(planned), PART):
             part = range(begin, begin + PART)
             _draw_part(tape, whole, scenario, instants.within(part), planned.within(part), axes)
         plots.draw_panels(tape, panels, frames)
-        plots.draw_lanes(tape, plots.state_lanes(trace, scenario.road), frames)
+        plots.draw_lanes(tape, lanes, frames)
         events.draw_events(tape, events.events(trace), planned)
         words.draw_summary(tape, words.summary(whole, scenario, table))
         _send_metrics(tape, table)
@@ -106,6 +106,9 @@ def _draw_part(
     for kind, axis in axes.items():
         if axis:
             draw_graph(tape, planned, _graphs(frames, kind), axis)
+    st = axes[StGraph]
+    if st is not None:
+        draw_happened(tape, planned, list(happened(trace, scenario)), st)
     if frames:
         why.draw_why(tape, trace, scenario, planned)
 
@@ -119,9 +122,9 @@ def write_log_recording(path: Path, scenario: Scenario) -> None:
     trace = Trace(scenario.name, "log", Mode.OPEN, False, scenario.ego, scenario.tracks, (), EndReason.END_OF_LOG)
     times = scene_times(trace, scenario.duration)
     panels = plots.motion_panels(trace, scenario, times)
-    contents = Contents(panels, None, None, False, ("summary",), _bounds(trace, scenario))
+    contents = Contents(panels, None, None, 0, ("summary",), _bounds(trace, scenario))
     instants = Instants.among(times, times)
-    with _tape(path, f"replan {scenario.name} log", "log", _digest(trace), contents) as tape:
+    with recording_file(path, f"replan {scenario.name} log", "log", _digest(trace), blueprint(contents)) as tape:
         draw_scene(tape, trace, scenario, instants)
         draw_moving(tape, trace, instants, instants)
         plots.draw_panels(tape, panels, times)
@@ -165,31 +168,6 @@ def _digest(trace: Trace) -> str:
     for column in (trace.ego.t, trace.ego.x, trace.ego.y, trace.ego.v):
         digest.update(column.tobytes())
     return digest.hexdigest()[:32]
-
-
-@contextmanager
-def _tape(path: Path, application: str, name: str, digest: str, contents: Contents) -> Iterator[Tape]:
-    """The open recording under a temporary name, renamed when all is written; errors of the library are raised."""
-    unfinished = path.with_name(f"{path.name}.part")
-    with writing(path):
-        path.parent.mkdir(parents=True, exist_ok=True)
-    strict = rr.strict_mode()
-    rr.set_strict_mode(True)
-    stream = rr.RecordingStream(application_name(application), recording_id=digest, send_properties=False)
-    try:
-        with writing(path):
-            with outlet(unfinished) as pipe:
-                try:
-                    stream.set_log_time_enabled(False)
-                    stream.save(pipe, default_blueprint=blueprint(contents))
-                    stream.send_recording_name(plain(name))
-                    yield Tape(stream)
-                finally:
-                    stream.disconnect()
-            unfinished.replace(path)
-    finally:
-        rr.set_strict_mode(strict)
-        unfinished.unlink(missing_ok=True)
 
 
 def _send_metrics(tape: Tape, table: DataFrame | None) -> None:

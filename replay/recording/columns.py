@@ -17,6 +17,8 @@ from logs.kernel import FloatArray, IntArray
 
 SIM_TIME = "sim_time"
 FRAME = "frame"
+ROOM = "room"
+"""A page without words."""
 
 
 @dataclass(frozen=True, eq=False)

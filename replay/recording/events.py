@@ -12,7 +12,7 @@ import rerun as rr
 from logs.trace import Decision, DecisionKind, EndReason, Said, Trace
 from replay.recording.columns import Instants, Tape
 from replay.recording.lane_choice import KEEP, options, taken, told
-from replay.recording.text import plain
+from replay.recording.text import MARKDOWN, cell, document, plain
 
 
 @dataclass(frozen=True)
@@ -66,8 +66,26 @@ def _gist(reason: str) -> str:
     return re.sub(r"[\d.]+", "#", reason)
 
 
+MOST_RECENT = 6
+"""Rows of the page of recent events: whole in a window of usual size."""
+
+
+def recent(found: Sequence[Event], t: float) -> list[str]:
+    """The page of the last events not later than `t`, the newest first; grave ones are bold."""
+    past = [event for event in found if event.t <= t + 1e-9]
+    rows = [
+        f"- **{event.t:.1f} s** {cell(event.words) if event.level == 'INFO' else f'**{cell(event.words)}**'}"
+        for event in past[::-1][:MOST_RECENT]
+    ]
+    return rows or ["nothing yet"]
+
+
 def draw_events(tape: Tape, found: Sequence[Event], frames: Instants) -> None:
-    """One line of the log view per event."""
+    """One line of the log view per event, and a page of the recent ones at each of their times."""
+    tape.static("recent", rr.TextDocument.from_fields(media_type=MARKDOWN))
+    changes = np.unique([*frames.t[:1], *(event.t for event in found)])
+    pages = [document(recent(found, float(t))) for t in changes]
+    tape.rows("recent", Instants.among(changes, frames.t), rr.TextDocument.columns(text=pages))
     times = np.array([event.t for event in found])
     instants = Instants.among(times, frames.t)
     shown = rr.TextLog.columns(text=[plain(event.words) for event in found], level=[event.level for event in found])

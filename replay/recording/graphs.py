@@ -18,7 +18,7 @@ import rerun as rr
 from logs.kernel import FloatArray, IntArray
 from logs.trace import DecisionKind, Graph, GraphObstacle, GridCost
 from replay.recording import colours
-from replay.recording.axes import Axes, begin, finite, nice_step, spread, ticks
+from replay.recording.axes import LABEL_GAP, LETTER, Axes, begin, finite, nice_step, spread, ticks
 from replay.recording.columns import Instants, Tape, joined, pixels, strips
 from replay.recording.hatch import outline_segments, strokes
 from replay.recording.text import plain
@@ -226,25 +226,39 @@ def _draw_obstacles(
     tape.static(entity, rr.LineStrips2D.from_fields(radii=[pixels(1.2)], draw_order=-4.0))
     drawn = rr.LineStrips2D.columns(strips=lines, colors=colour[edge_owner])
     tape.rows(entity, instants, drawn, np.bincount(frame[edge_owner], minlength=len(graphs)))
-    _draw_labels(tape, instants, axes, [(i, obstacle) for i, obstacle, _ in shown], filled, owner)
+    _draw_labels(tape, instants, axes, offsets, [(i, obstacle) for i, obstacle, _ in shown], filled, owner)
+
+
+def draw_happened(tape: Tape, instants: Instants, outlines: Sequence[Sequence[FloatArray]], axes: Axes) -> None:
+    """Outlines of those in the S-T graphs as they then moved, a list per frame."""
+    flat = [outline for some in outlines for outline in some]
+    frame = np.repeat(np.arange(len(outlines)), [len(some) for some in outlines])
+    points, lengths = joined(flat, 2)
+    edges, owner = outline_segments(points, np.array(lengths, dtype=np.int64), axes.window)
+    entity = f"{axes.entity}/window/happened"
+    tape.static(entity, rr.LineStrips2D.from_fields(colors=[colours.HAPPENED], radii=[pixels(0.9)], draw_order=2.0))
+    lines = rr.LineStrips2D.columns(strips=strips(edges.reshape(-1, 2), np.full(len(edges), 2)))
+    tape.rows(entity, instants, lines, np.bincount(frame[owner], minlength=len(outlines)))
 
 
 def _draw_labels(
     tape: Tape,
     instants: Instants,
     axes: Axes,
+    offsets: FloatArray,
     shown: Sequence[tuple[int, GraphObstacle]],
     filled: FloatArray,
     owner: IntArray,
 ) -> None:
-    """A label at the middle stroke of each visible obstacle, decided ones first, moved apart where they crowd."""
+    """A label beside each visible obstacle, decided ones first, moved apart where they crowd."""
     begins = np.searchsorted(owner, np.arange(len(shown) + 1))
     rows: list[list[tuple[FloatArray, str, int]]] = [[] for _ in range(len(instants))]
     for k, (i, obstacle) in enumerate(shown):
         if begins[k + 1] > begins[k]:
-            middle = filled[(begins[k] + begins[k + 1]) // 2].mean(axis=0)
             words = plain(f"{obstacle.agent}: {obstacle.decision.value}")
-            rows[i].append((middle, words, colours.DECISIONS[obstacle.decision]))
+            visible = filled[begins[k] : begins[k + 1]] - [offsets[i], 0.0]
+            at = beside(visible, len(words), axes) + np.array([offsets[i], 0.0])
+            rows[i].append((at, words, colours.DECISIONS[obstacle.decision]))
     kept = [_worth(row) for row in rows]
     placed = [
         spread(np.array([at for at, _, _ in row]).reshape(-1, 2), [len(words) for _, words, _ in row], axes)
@@ -257,6 +271,24 @@ def _draw_labels(
     colour = np.array([label[2] for label in flat], dtype=np.uint32)
     shown_labels = rr.Points2D.columns(positions=points, labels=[label[1] for label in flat], colors=colour)
     tape.rows(entity, instants, shown_labels, counts)
+
+
+def beside(strokes: FloatArray, letters: int, axes: Axes) -> FloatArray:
+    """Where the label of an obstacle goes, so that it hides none of it: over its left end, else under it.
+
+    Args:
+        strokes: `(k, 2, 2)` its visible part, from left to right, x from where the graph begins.
+        letters: Of the label.
+        axes: Of the graph.
+    """
+    kx, ky = axes.scale
+    half, tall = 0.5 * LETTER * letters / kx, LABEL_GAP / ky
+    covered = strokes[strokes[:, 0, 0] <= strokes[0, 0, 0] + 2.0 * half]
+    x = min(float(strokes[0, 0, 0]) + half, axes.x[1] - half)
+    over, under = float(covered[:, 1, 1].max()) + tall, float(covered[:, 0, 1].min()) - 0.2 * tall
+    if over > axes.y[1] and under - tall < axes.y[0]:  # it fills the graph
+        return np.array([x, axes.y[1]])
+    return np.array([x, over if over <= axes.y[1] else under])
 
 
 def _worth(labels: list[tuple[FloatArray, str, int]]) -> list[tuple[FloatArray, str, int]]:

@@ -18,12 +18,13 @@ from logs.kernel import FloatArray
 from logs.scenario import Agents
 from logs.trace import PlannedFrame, Trace
 from replay.recording import colours
+from replay.recording.attention import decided, in_full
 from replay.recording.columns import Instants, Tape, joined, pixels, strips
 from replay.recording.text import plain
 from replay.why.shown import SAME_TIME_S, picked
 
 NEAR_M = 90.0
-"""Predictions of agents farther from the ego than this are not drawn."""
+"""Of agents farther from the ego than this no prediction is drawn, and it is not said that they are unseen."""
 SHORTEST_M = 0.5
 """A predicted path shorter than this is that of somebody who stays."""
 SHADOW_STEP = 0.03
@@ -62,13 +63,16 @@ def _draw_predictions(tape: Tape, trace: Trace, frames: Instants) -> None:
 
 
 def futures(frame: PlannedFrame, x: float, y: float) -> list[tuple[str, float, FloatArray]]:
-    """Agent, probability and path `(k, 2)` of each hypothesis that goes somewhere and begins near a place."""
+    """Agent, probability and path `(k, 2)` of each hypothesis that goes somewhere, of those who are drawn in full."""
     some = frame.predictions
     if some is None or not len(some) or not len(some.t):
         return []
     near = np.hypot(some.x[:, 0] - x, some.y[:, 0] - y) <= NEAR_M
+    _, first = np.unique(some.agent, return_index=True)
+    names = [frame.agents[some.agent[i]] for i in first]
+    kept = some.agent[first][in_full(names, some.x[first, 0], some.y[first, 0], decided(frame.plan), (x, y))]
     reach = np.hypot(some.x - some.x[:, :1], some.y - some.y[:, :1]).max(axis=1)
-    rows = np.flatnonzero(near & (reach >= SHORTEST_M))
+    rows = np.flatnonzero(near & np.isin(some.agent, kept) & (reach >= SHORTEST_M))
     return [
         (frame.agents[some.agent[i]], float(some.probability[i]), np.column_stack([some.x[i], some.y[i]])) for i in rows
     ]

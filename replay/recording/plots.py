@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import cycle
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import rerun as rr
@@ -21,8 +21,9 @@ from logs.states import Controls, Trajectory
 from logs.trace import Decision, DecisionKind, Mode, Plan, PlanStatus, Trace
 from metrics.comfort import LON_JERK_STATE
 from replay.recording import colours, lane_choice
-from replay.recording.columns import Instants, Tape
+from replay.recording.columns import ROOM, Instants, Tape
 from replay.recording.text import path_parts, plain
+from replay.tyre_use import tyre_use
 
 if TYPE_CHECKING:
     from pandas import DataFrame
@@ -74,12 +75,47 @@ class Panel:
 
     @property
     def y_range(self) -> tuple[float, float]:
-        """The axis: all finite values (of spiky curves 96 in 100) and some room."""
+        """The axis: all finite values (of spiky curves 96 in 100), some room, and at least two numbers on it."""
         shown = [(curve.values[np.isfinite(curve.values)], curve.spiky) for curve in self.curves]
         spans = [np.percentile(values, (2.0, 98.0) if spiky else (0.0, 100.0)) for values, spiky in shown]
         low, high = float(np.min(spans)), float(np.max(spans))
-        half = 0.57 * max(high - low, self.least_span)
-        return 0.5 * (low + high) - half, 0.5 * (low + high) + half
+        middle, half = 0.5 * (low + high), 0.57 * max(high - low, self.least_span)
+        return with_two_numbers(middle - half, middle + half)
+
+    @property
+    def corner(self) -> Corner:
+        """Where the legend hides least of the curves: a corner of `CORNERS`, the first of the best."""
+        (low, high), wide, tall = self.y_range, *LEGEND
+        begin, end = min(curve.t[0] for curve in self.curves), max(curve.t[-1] for curve in self.curves)
+        hidden: dict[Corner, float] = dict.fromkeys(CORNERS, 0.0)
+        for curve in self.curves:
+            x, y = (curve.t - begin) / max(end - begin, 1e-9), (curve.values - low) / (high - low)
+            for corner in CORNERS:
+                across = x > 1.0 - wide if "Right" in corner else x < wide
+                room = tall * len(self.curves) + 0.05
+                hidden[corner] += float(np.mean(across & (y > 1.0 - room if "Top" in corner else y < room)))
+        return min(CORNERS, key=hidden.__getitem__)
+
+
+Corner = Literal["RightTop", "RightBottom", "LeftTop", "LeftBottom"]
+CORNERS: tuple[Corner, ...] = ("RightTop", "RightBottom", "LeftTop", "LeftBottom")
+LEGEND = 0.16, 0.14
+"""Width of a legend, and height of one of its rows, as shares of a panel of usual size."""
+MOST_NUMBERS = 8.0
+"""The viewer writes multiples of a power of ten along an axis, those that leave room: no more than this."""
+
+
+def with_two_numbers(low: float, high: float) -> tuple[float, float]:
+    """A range of values, made longer where the viewer would write fewer than two numbers along it."""
+    step = 10.0 ** np.ceil(np.log10((high - low) / MOST_NUMBERS) - 1e-9)
+    first, last = step * np.ceil(low / step - 1e-9), step * np.floor(high / step + 1e-9)
+    if last > first:
+        return low, high
+    margin = 0.08 * step
+    if last < first:  # none
+        return float(last - margin), float(first + margin)
+    above, below = first + step - high, low - (first - step)
+    return (low, float(first + step + margin)) if above <= below else (float(first - step - margin), high)
 
 
 def _panel(entity: str, title: str, curves: Iterable[Curve | None], least_span: float) -> Panel | None:
@@ -182,6 +218,7 @@ def motion_panels(trace: Trace, scenario: Scenario, times: FloatArray, steps: Da
         _panel("jerk", "Jerk in full", [Curve("ego", "jerk [m/s³]", red, *jerk)], 2.0),
         *_pedal_panels(trace, scenario),
         *_error_panels(trace),
+        *_tyre_panels(trace, scenario),
     ]
     return [panel for panel in panels if panel]
 
@@ -234,6 +271,19 @@ def _error_panels(trace: Trace) -> list[Panel | None]:
     return [
         _panel("error_across", "Tracking error: across", across, 0.1),
         _panel("error_along", "Tracking error: along", along, 0.2),
+    ]
+
+
+def _tyre_panels(trace: Trace, scenario: Scenario) -> list[Panel | None]:
+    """Slip angles and the share of the friction that is used."""
+    if trace.actuation is None or len(trace.ego) < 2:
+        return []
+    blue, yellow, red, *_ = colours.SERIES
+    use, t = tyre_use(trace.ego, trace.actuation, scenario.vehicle), trace.ego.t
+    slips = (Curve("front", "front", blue, t, use.front), Curve("rear", "rear", yellow, t, use.rear))
+    return [
+        _panel("slip", "Tyre slip angles [rad]", slips, 0.02),
+        _panel("friction", "Friction used [0..1]", [Curve("friction", "of the tyres", red, t, use.friction)], 0.2),
     ]
 
 
@@ -303,17 +353,17 @@ def state_lanes(trace: Trace, road: Road) -> list[Lane]:
     """Plan status, decisions and choice of lane (where the planner tells them), the lane under the ego, the end."""
     t = [frame.t for frame in trace.frames]
     plans = [frame.plan for frame in trace.frames]
-    lanes = [changes("plan", t, [STATUS_WORDS[plan.status] for plan in plans])]
+    lanes = [changes("Plan", t, [STATUS_WORDS[plan.status] for plan in plans])]
     if any(isinstance(artefact, Decision) for plan in plans for artefact in plan.internals):
-        lanes.append(changes("along", t, [longitudinal(plan) for plan in plans]))
-        lanes.append(changes("across", t, [lateral(plan) for plan in plans]))
+        lanes.append(changes("Decision-along", t, [longitudinal(plan) for plan in plans]))
+        lanes.append(changes("Decision-across", t, [lateral(plan) for plan in plans]))
     driven = lane_choice.lanes_driven(trace, road)
     if any(lane_choice.options(plan) for plan in plans):
-        lanes.append(changes("lane_choice", t, lane_choice.choices(trace.frames, driven)))
+        lanes.append(changes("Choice-of-lane", t, lane_choice.choices(trace.frames, driven)))
     if len(set(driven) - {None}) > 1:
-        lanes.append(changes("lane", t, [OFF_LANES if lane is None else f"lane {lane}" for lane in driven]))
+        lanes.append(changes("Lane", t, [OFF_LANES if lane is None else f"lane {lane}" for lane in driven]))
     first, last = min([*t, float(trace.ego.t[0])]), float(trace.ego.t[-1])
-    return [lane for lane in lanes if lane.t] + [changes("drive", [first, last], ["driving", trace.end.value])]
+    return [lane for lane in lanes if lane.t] + [changes("Drive", [first, last], ["driving", trace.end.value])]
 
 
 STATUS_WORDS = {
@@ -327,15 +377,32 @@ STATUS_WORDS = {
 """The statuses in two words, for lanes; the sentences are in the texts."""
 
 
+LETTER, MARGIN = 0.0125, 0.015
+"""Room that a letter of a state's label takes, and that around a label, as shares of the whole drive."""
+
+
+def labelled(lane: Lane, end: float) -> list[str]:
+    """The values of a lane, those too short for their label marked by a space: these are drawn without one."""
+    lasts = np.diff([*lane.t, end]) / max(end - lane.t[0], 1e-9)
+    return [
+        value if last >= MARGIN + LETTER * len(value) else f"{value} "
+        for value, last in zip(lane.values, lasts, strict=True)
+    ]
+
+
 def draw_lanes(tape: Tape, lanes: Sequence[Lane], frames: FloatArray) -> None:
     """Coloured lanes of states."""
     known = STATE_COLOURS | {STATUS_WORDS[status]: colour for status, colour in colours.STATUSES.items()}
+    end = max((lane.t[-1] for lane in lanes), default=0.0)
+    tape.static(ROOM, rr.TextDocument(" "))
     for lane in lanes:
         entity = f"state/{rr.escape_entity_path_part(lane.name)}"
-        values = sorted(set(lane.values))
+        states = labelled(lane, end)
+        values = sorted(set(states))
         others = [value for value in dict.fromkeys(lane.values) if value not in known]
-        shade = dict(zip(others, cycle(NAMED), strict=False))
-        shades = np.array([{**shade, **known}[value] for value in values], dtype=np.uint32)
-        tape.static(entity, rr.StateConfiguration(values=values, labels=values, colors=shades))
+        shade = {**dict(zip(others, cycle(NAMED), strict=False)), **known}
+        shades = np.array([shade[value.rstrip()] for value in values], dtype=np.uint32)
+        labels = [" " if value.endswith(" ") else value for value in values]
+        tape.static(entity, rr.StateConfiguration(values=values, labels=labels, colors=shades))
         instants = Instants.among(np.array(lane.t), frames)
-        tape.rows(entity, instants, rr.StateChange.columns(state=list(lane.values)))
+        tape.rows(entity, instants, rr.StateChange.columns(state=states))

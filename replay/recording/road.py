@@ -27,6 +27,8 @@ LIGHTS = {
 }
 STOP_SIGN = 0xFF6E64FF
 LAMP_M, LAMP_HEIGHT_M = 0.45, 1.2
+GOAL_NAME_M = 8.0
+"""At this height a name is over its region, as seen from behind the ego."""
 
 
 def at_height(points: FloatArray, z: float) -> FloatArray:
@@ -200,7 +202,7 @@ def draw_goal(tape: Tape, scenario: Scenario) -> None:
         return
     _draw_hatched(tape, "world/goal", regions, colours.GOAL, 1.0)
     points, _ = joined(regions, 2)
-    name = rr.Points3D([[*points.mean(axis=0), 0.5]], labels=["goal"], colors=colours.GOAL, radii=0.01)
+    name = rr.Points3D([[*points.mean(axis=0), GOAL_NAME_M]], labels=["goal"], colors=colours.GOAL, radii=0.01)
     tape.static("world/goal/name", name, rr.Points3D.from_fields(show_labels=True))
 
 

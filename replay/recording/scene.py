@@ -7,6 +7,7 @@ The camera follows by itself: a view whose origin is the entity `world/ego` move
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import cos, hypot, sin
 
 import numpy as np
 import rerun as rr
@@ -14,9 +15,10 @@ import rerun as rr
 from logs.kernel import FloatArray, IntArray
 from logs.scenario import AgentKind, Agents, Scenario
 from logs.states import Trajectory
-from logs.trace import Decision, DecisionKind, Plan, Trace
+from logs.trace import Decision, Plan, Trace
 from logs.vehicle import VehicleParameters
 from replay.recording import colours
+from replay.recording.attention import decided, in_full
 from replay.recording.columns import Instants, Tape, joined, pixels, strips
 from replay.recording.road import at_height, draw_goal, draw_lights, draw_lines, draw_road
 from replay.recording.text import plain
@@ -31,8 +33,10 @@ HEIGHTS = {
     AgentKind.OBJECT: 1.0,
 }
 EGO_HEIGHT = 1.4
-LABEL_RANGE_M = 60.0
-MAX_NEAR_LABELS = 8
+FAINT = 60
+"""Opacity of those who are not drawn in full, of 255."""
+LABEL_M, EYE_BACK_M, LABEL_RISE = 2.7, 18.0, 0.03
+"""A label's height from above; how far behind the ego the eye is; by how much a name is raised per metre from there."""
 PLAN_POINTS = 60
 FILLED = rr.components.FillMode.TransparentFillMajorWireframe
 
@@ -57,12 +61,17 @@ def draw_scene(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants)
 def draw_moving(tape: Tape, trace: Trace, instants: Instants, frames: Instants) -> None:
     """The others at some instants, and the plans of some frames, those in force at the instants: `trace.frames`."""
     agents = [trace.agents.truth(float(t)) for t in instants.t]
+    plans = [frame.plan for frame in trace.frames]
+    here = _decided_at(plans, instants, int(frames.frame[0]) if plans else 0)
+    xy, yaw = _resampled(trace.ego, instants.t)
+    full = [
+        in_full(some.ids, some.x, some.y, about, (x, y)) for some, about, (x, y) in zip(agents, here, xy, strict=True)
+    ]
     for kind in AgentKind:
         if kind in trace.agents.kinds:
-            _draw_kind(tape, kind, agents, instants)
-    _draw_velocities(tape, agents, instants)
-    plans = [frame.plan for frame in trace.frames]
-    _draw_names(tape, trace.ego, agents, plans, instants, int(frames.frame[0]) if plans else 0)
+            _draw_kind(tape, kind, agents, full, instants)
+    _draw_velocities(tape, agents, full, instants)
+    _draw_names(tape, agents, full, here, np.column_stack([xy, yaw]), instants)
     if plans:
         _draw_plans(tape, plans, frames, max(1.0, float(trace.ego.v.max())))
 
@@ -122,8 +131,16 @@ def _draw_log(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants) 
     tape.rows("world/log/ego", instants, boxes, there.astype(np.int64))
 
 
-def _draw_kind(tape: Tape, kind: AgentKind, agents: Sequence[Agents], instants: Instants) -> None:
-    """Boxes of one kind of agent; their ids show when they are pointed at."""
+def _decided_at(plans: Sequence[Plan], instants: Instants, begin: int) -> list[dict[str, Decision]]:
+    """What the plan in force at each instant decides about each agent; `begin` is the frame of the first plan."""
+    each = [decided(plan) for plan in plans] or [{}]
+    return [each[min(int(frame) - begin, len(each) - 1)] for frame in instants.frame]
+
+
+def _draw_kind(
+    tape: Tape, kind: AgentKind, agents: Sequence[Agents], full: Sequence[IntArray], instants: Instants
+) -> None:
+    """Boxes of one kind of agent, faint of those who are not drawn in full; their ids show when they are pointed at."""
     chosen = [np.array([i for i, k in enumerate(some.kinds) if k is kind], dtype=np.int64) for some in agents]
     xy, length, width, yaw = (
         np.concatenate([column[at] for column, at in zip(columns, chosen, strict=True)])
@@ -138,17 +155,23 @@ def _draw_kind(tape: Tape, kind: AgentKind, agents: Sequence[Agents], instants: 
     half = np.column_stack([length, width, np.full(len(xy), height)]) / 2.0
     names = {name: plain(name) for name in {name for some in agents for name in some.ids}}
     labels = [names[some.ids[i]] for some, at in zip(agents, chosen, strict=True) for i in at]
-    style = rr.Boxes3D.from_fields(colors=[colours.KINDS[kind]], fill_mode=FILLED, show_labels=False)
+    seen = np.concatenate([np.isin(at, some) for at, some in zip(chosen, full, strict=True)])
+    colour = np.where(seen, colours.KINDS[kind], colours.with_alpha(colours.KINDS[kind], FAINT)).astype(np.uint32)
+    style = rr.Boxes3D.from_fields(fill_mode=FILLED, show_labels=False)
     boxes = rr.Boxes3D.columns(
-        centers=at_height(xy, height / 2.0), half_sizes=half, quaternions=quaternions(yaw), labels=labels
+        centers=at_height(xy, height / 2.0),
+        half_sizes=half,
+        quaternions=quaternions(yaw),
+        labels=labels,
+        colors=colour,
     )
     tape.static(f"world/agents/{kind.value}", style)
     tape.rows(f"world/agents/{kind.value}", instants, boxes, [len(at) for at in chosen])
 
 
-def _draw_velocities(tape: Tape, agents: Sequence[Agents], instants: Instants) -> None:
-    """Where each moving agent will be in a second at its velocity."""
-    moving = [np.flatnonzero(np.nan_to_num(some.speed) > 0.3) for some in agents]
+def _draw_velocities(tape: Tape, agents: Sequence[Agents], full: Sequence[IntArray], instants: Instants) -> None:
+    """Where each moving agent that is drawn in full will be in a second at its velocity."""
+    moving = [at[np.nan_to_num(some.speed)[at] > 0.3] for some, at in zip(agents, full, strict=True)]
     starts, counts = joined([np.column_stack([some.x, some.y])[at] for some, at in zip(agents, moving, strict=True)], 2)
     vectors, _ = joined([np.column_stack([some.vx, some.vy])[at] for some, at in zip(agents, moving, strict=True)], 2)
     entity = "world/agents/velocity"
@@ -157,44 +180,35 @@ def _draw_velocities(tape: Tape, agents: Sequence[Agents], instants: Instants) -
     tape.rows(entity, instants, arrows, counts)
 
 
-def _decided(plan: Plan) -> dict[str, Decision]:
-    """The decision to be named at each agent: the last that is not "ignore"."""
-    found: dict[str, Decision] = {}
-    for artefact in plan.internals:
-        if isinstance(artefact, Decision) and artefact.kind is not DecisionKind.IGNORE:
-            found[artefact.agent] = artefact
-    return found
+def _beyond(some: Agents, i: int, eye: Sequence[float]) -> tuple[float, float, float]:
+    """Where the name of an agent goes, so that it hides no part of them: beyond them as the ego sees them.
 
-
-def _named(some: Agents, decided: dict[str, Decision], x: float, y: float) -> list[int]:
-    """The agents to be labelled: those with a decision, then the nearest ones in sight."""
-    away = np.hypot(some.x - x, some.y - y)
-    near = [int(i) for i in np.argsort(away, kind="stable")[:MAX_NEAR_LABELS] if away[i] <= LABEL_RANGE_M]
-    return sorted({i for i, name in enumerate(some.ids) if name in decided} | set(near))
+    A label hangs below its point, so that is by its height, as seen from above and from behind the ego.
+    """
+    x, y, yaw = eye
+    turn = float(some.yaw[i]) - yaw
+    half = 0.5 * (abs(cos(turn)) * float(some.length[i]) + abs(sin(turn)) * float(some.width[i]))
+    away = hypot(some.x[i] - x, some.y[i] - y) + EYE_BACK_M
+    ahead, up = half + LABEL_M, HEIGHTS[some.kinds[i]] + LABEL_RISE * away
+    return float(some.x[i] + ahead * cos(yaw)), float(some.y[i] + ahead * sin(yaw)), up
 
 
 def _draw_names(
     tape: Tape,
-    ego: Trajectory,
     agents: Sequence[Agents],
-    plans: Sequence[Plan],
+    full: Sequence[IntArray],
+    here: Sequence[dict[str, Decision]],
+    ego: FloatArray,
     instants: Instants,
-    begin: int,
 ) -> None:
-    """Ids above the agents that matter, with the decision in its colour; `begin` is the frame of the first plan."""
-    xy, _ = _resampled(ego, instants.t)
-    decided = [_decided(plan) for plan in plans] or [{}]
+    """Ids above the agents that are drawn in full, with the decision in its colour; `ego` `(n, 3)` x, y, yaw."""
     points: list[tuple[float, float, float]] = []
     words: list[str] = []
     colour: list[int] = []
-    counts: list[int] = []
-    for some, frame, (x, y) in zip(agents, instants.frame, xy, strict=True):
-        here = decided[min(int(frame) - begin, len(decided) - 1)]
-        named = _named(some, here, float(x), float(y))
-        counts.append(len(named))
-        for i in named:
-            decision = here.get(some.ids[i])
-            points.append((float(some.x[i]), float(some.y[i]), HEIGHTS[some.kinds[i]] + 1.2))
+    for some, rows, about, eye in zip(agents, full, here, ego.tolist(), strict=True):
+        for i in rows:
+            decision = about.get(some.ids[i])
+            points.append(_beyond(some, int(i), eye))
             words.append(plain(f"{some.ids[i]}: {decision.kind.value}" if decision else some.ids[i]))
             colour.append(colours.DECISIONS[decision.kind] if decision else colours.TICK)
     entity = "world/agents/names"
@@ -202,7 +216,7 @@ def _draw_names(
     shown = rr.Points3D.columns(
         positions=np.array(points).reshape(-1, 3), labels=words, colors=np.array(colour, dtype=np.uint32)
     )
-    tape.rows(entity, instants, shown, counts)
+    tape.rows(entity, instants, shown, [len(rows) for rows in full])
 
 
 def _draw_plans(tape: Tape, plans: Sequence[Plan], frames: Instants, fastest: float) -> None:

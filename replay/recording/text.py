@@ -24,7 +24,7 @@ _MARKDOWN = str.maketrans({mark: f"\\{mark}" for mark in "\\`*_[]<>|#~"})
 def plain(text: object) -> str:
     """One line of drawable characters: white space becomes a space, what cannot be drawn "?"."""
     composed = unicodedata.normalize("NFC", " ".join(str(text).split()))
-    return "".join(mark if mark in DRAWABLE else "?" for mark in composed)
+    return _drawable(composed)
 
 
 def cell(text: object) -> str:
@@ -34,7 +34,11 @@ def cell(text: object) -> str:
 
 def document(lines: Iterable[str]) -> str:
     """Markdown of lines of ours, each drawable; a user's words in them must have come through `cell`."""
-    return "\n".join("".join(mark if mark in DRAWABLE else "?" for mark in line) for line in lines)
+    return "\n".join(map(_drawable, lines))
+
+
+def _drawable(text: str) -> str:
+    return text if DRAWABLE.issuperset(text) else "".join(mark if mark in DRAWABLE else "?" for mark in text)
 
 
 def table(header: Iterable[str], rows: Iterable[Iterable[object]]) -> list[str]:

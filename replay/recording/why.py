@@ -33,25 +33,30 @@ A = TypeVar("A")
 MAX_DECISIONS = 15
 """More decisions than these are counted, not listed (those that are not "ignore" come first)."""
 MAX_MISSING = 6
+PASS = "pass: "
+"""So a planner begins what speaks against passing, among its candidates."""
 SAME_MPS = 0.05
 QUIET = (plots.FREE_DRIVE, plots.KEEP)
 
 
 def draw_why(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants) -> None:
-    """A page per frame."""
-    tape.static("why", rr.TextDocument.from_fields(media_type=MARKDOWN))
+    """A page per frame; a second one, that is read rarely, with what the solvers say."""
+    for page in ("why", "numbers"):
+        tape.static(page, rr.TextDocument.from_fields(media_type=MARKDOWN))
     changes = changes_under_way(trace.frames, lanes_driven(trace, scenario.road))
     pages = [
         document(why(frame, account, unseen(trace, frame.t), change))
         for frame, account, change in zip(trace.frames, accounts(trace, scenario), changes, strict=True)
     ]
     tape.rows("why", instants, rr.TextDocument.columns(text=pages))
+    inside = [document(numbers(frame)) for frame in trace.frames]
+    tape.rows("numbers", instants, rr.TextDocument.columns(text=inside))
 
 
 def why(
     frame: PlannedFrame, account: Account, missing: Sequence[tuple[str, float]] = (), change: Change | None = None
 ) -> list[str]:
-    """The page of a frame: what is planned and because of whom, then decisions, lanes, solvers and costs.
+    """The page of a frame: what is planned and because of what, then decisions, lanes and candidates.
 
     Args:
         frame: The plan.
@@ -68,9 +73,17 @@ def why(
     for sentence in sentences(account):
         first, colon, rest = sentence.partition(": ")
         lines += ["", f"**{cell(first)}**{colon}{cell(rest)}"]
+    lines += _not_passed(plan)
     lines += ["", _course(frame.t, plan, account.course)]
     lines += _missing(missing)
-    return [*lines, *_decisions(plan), *_lanes(plan), *_candidates(plan), *_solvers(plan), *_costs(plan)]
+    return [*lines, *_decisions(plan), *_lanes(plan), *_candidates(plan)]
+
+
+def numbers(frame: PlannedFrame) -> list[str]:
+    """The page of a frame that is read when a plan is odd: cost terms, and what the solvers say of themselves."""
+    plan = frame.plan
+    found = [*_costs(plan), *_solvers(plan)]
+    return [f"### t = {frame.t:.2f} s", *(found or ["", "The planner tells neither costs nor solvers."])]
 
 
 def _headline(plan: Plan, course: Course) -> str:
@@ -124,6 +137,20 @@ def _decisions(plan: Plan) -> list[str]:
     ]
     more = [f"- and {len(found) - MAX_DECISIONS} more"] if len(found) > MAX_DECISIONS else []
     return ["", "#### Decisions (s from now, m along the path)", "", *lines, *more]
+
+
+def _not_passed(plan: Plan) -> list[str]:
+    """Why whoever is followed is not passed, in the planner's words, where it compared passing with staying behind."""
+    followed = [d.agent for d in _of(plan, Decision) if d.kind is DecisionKind.FOLLOW]
+    against = [
+        reason.removeprefix(PASS)
+        for stage in _of(plan, Candidates)
+        if stage.stage == "passing"
+        for reason, _ in stage.rejected
+        if reason.startswith(PASS)
+    ]
+    named = ", ".join(cell(name) for name in dict.fromkeys(followed))
+    return ["", f"**Not passed ({named or 'those ahead'}):** {cell('; '.join(against))}"] if against else []
 
 
 def _candidates(plan: Plan) -> list[str]:

@@ -86,6 +86,7 @@ def legend(trace: Trace) -> list[str]:
     graph = [
         "- Graphs: grid nodes from blue (cheapest of their column) to yellow, nodes that were not reached are not "
         "drawn; DP yellow, QP light blue, corridor green",
+        "- Pink outlines in the S-T graph: where those in it then were, as they moved, without margin",
         "- Obstacles in the colour of the decision: stop and yield red, follow orange, overtake green, nudge violet, "
         "ignore grey",
     ]

@@ -18,7 +18,7 @@ from rich.text import Text
 
 from metrics.gates import Outcome
 from replay.report.columns import LEGEND
-from replay.report.model import NOTHING, Cell, DriveRow, Overview
+from replay.report.model import NOTHING, Cell, DriveRow, GateRow, Overview
 
 MAX_ROWS = 30
 """More drives than these are not listed; those with trouble come first."""
@@ -145,8 +145,14 @@ def _gates(over: Overview) -> RenderableType:
     for title in ("outcome", "rule", "what was found"):
         table.add_column(title, overflow="fold", no_wrap=title == "outcome")
     for row in over.gates:
-        table.add_row(Text(row.outcome.upper(), style=STYLES[row.outcome]), Text(row.rule), Text(row.found))
+        table.add_row(Text(row.outcome.upper(), style=STYLES[row.outcome]), Text(_rule(row)), Text(row.found))
     return table
+
+
+def _rule(row: GateRow) -> str:
+    """The rule with its loop: a gate of either loop is a row for each."""
+    loop = f" [{row.mode}]" if row.mode else ""
+    return row.rule if loop in row.rule else row.rule + loop
 
 
 def _shares(over: Overview) -> Iterator[RenderableType]:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from math import isfinite
 
 from replay.why.causes import Account, Cause, CauseKind
-from replay.why.course import Action
+from replay.why.course import STEP_S, Action
 from replay.why.meetings import GAP_M, HEADWAY_S
 
 MOST = 3
@@ -31,8 +31,11 @@ def _opening(account: Account) -> str:
     course = account.course
     if course.action is Action.STANDS:
         return "Stands"
-    later = "" if course.action is Action.SLOWS else f" from t = {account.t + course.t_brakes:.1f} s on"
-    return f"Slows down{later}"
+    if course.action is Action.SLOWS:
+        return "Slows down"
+    return "Slows down " + (
+        f"from t = {account.t + course.t_brakes:.1f} s on" if course.t_brakes >= STEP_S else "at first"
+    )
 
 
 def _said(account: Account, cause: Cause) -> str:

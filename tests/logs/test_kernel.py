@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any, cast
 
 import pytest
+
+from logs.kernel import interpolated
+from logs.kernel_stamp import KernelIndex
 
 NO_PLACE = "import numba.core.caching as c; c.CacheImpl._locator_classes = []\n"
 NO_ROOM = """
 import errno, numba.core.caching as c
 def full(*arguments):
     raise OSError(errno.ENOSPC, "No space left on device")
-c.IndexDataCacheFile.save = full
+c.IndexDataCacheFile._save_data = full
 c.IndexDataCacheFile.load = lambda *arguments: None
 """
 USE = "from logs.shapes import corners\nprint(corners(1.0, 2.0, 0.5, 4.0, 2.0))\n"
@@ -29,3 +34,108 @@ def test_without_a_cache_kernels_are_compiled_anew_and_it_is_said_once(without: 
     assert said[0].stdout == said[1].stdout != ""
     assert said[0].stderr.count("compiled kernels cannot be kept") == 1 and "NUMBA_CACHE_DIR" in said[0].stderr
     assert said[1].stderr == ""
+
+
+OUTER = """
+from constants import RATE
+from inner import times
+from logs.kernel import compiled_here, kernel
+
+@kernel
+def outer(x: float) -> float:
+    return times(x) + RATE
+
+print(outer(2.0), compiled_here())
+"""
+INNER = """
+from logs.kernel import inner_kernel
+
+@inner_kernel
+def times(x: float) -> float:
+    return {factor} * x
+"""
+
+
+def test_code_on_disk_is_stale_where_a_kernel_that_is_called_or_a_constant_has_changed(tmp_path: Path) -> None:
+    """The file of the outer kernel stays as it is; numba alone would go on with the old code."""
+    (tmp_path / "outer.py").write_text(OUTER, encoding="utf-8")
+    path = os.pathsep.join([str(tmp_path), str(Path.cwd()), *sys.path])
+    environment = {**os.environ, "PYTHONPATH": path, "NUMBA_CACHE_DIR": str(tmp_path / "kept")}
+    environment.pop("NUMBA_DISABLE_JIT", None)
+    said = []
+    for factor, rate in ((3, 1), (3, 1), (5, 1), (5, 7)):
+        (tmp_path / "inner.py").write_text(INNER.format(factor=factor), encoding="utf-8")
+        (tmp_path / "constants.py").write_text(f"RATE = {rate}.0", encoding="utf-8")
+        run = [sys.executable, "-B", str(tmp_path / "outer.py")]
+        said.append(subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout.split())
+    assert said == [["7.0", "2"], ["7.0", "0"], ["11.0", "2"], ["17.0", "1"]]
+
+
+NAMED = """
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+
+from logs.kernel import kernel
+
+class Pair(NamedTuple):
+    {first}: float
+    {second}: float
+
+class Step(Enum):
+    LONG = {step}
+
+@kernel
+def f(pair: Pair) -> float:
+    return np.{function}(pair.{field}) + Step.LONG.value
+
+print(f(Pair(1.0, 4.0)))
+"""
+
+
+def test_code_on_disk_is_stale_where_a_name_a_field_or_a_member_has_changed(tmp_path: Path) -> None:
+    """The bytecode of these is the same: it has the places of names and constants only."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path.cwd()), *sys.path])}
+    environment |= {"NUMBA_CACHE_DIR": str(tmp_path / "kept")}
+    environment.pop("NUMBA_DISABLE_JIT", None)
+    this = {"first": "x", "second": "y", "step": 0, "function": "square", "field": "y"}
+    said = []
+    for change in ({}, {"function": "sqrt"}, {"field": "x"}, {"first": "y", "second": "x"}, {"step": 10}):
+        this |= change
+        (tmp_path / "named.py").write_text(NAMED.format(**this), encoding="utf-8")
+        run = [sys.executable, "-B", str(tmp_path / "named.py")]
+        said.append(float(subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout))
+    assert said == [16.0, 2.0, 1.0, 2.0, 12.0]
+
+
+@pytest.mark.skipif("NUMBA_DISABLE_JIT" in os.environ, reason="nothing is compiled")
+def test_two_processes_that_compile_at_once_never_find_the_code_of_each_other(tmp_path: Path) -> None:
+    """Law over the orders in which two processes look, keep the index, and keep the code of their own arguments."""
+    compiled = cast("Any", interpolated)
+    for order in itertools.permutations(("look a", "data a", "index a", "look b", "data b", "index b")):
+        if any(order.index(f"look {x}") > min(order.index(f"data {x}"), order.index(f"index {x}")) for x in "ab"):
+            continue
+        if any(order.index(f"data {x}") > order.index(f"index {x}") for x in "ab"):
+            continue
+        steps: dict[str, list[Any]] = {"a": [], "b": []}
+        folder = tmp_path / "".join(step[0] + step[-1] for step in order)
+        folder.mkdir()
+        for step in order:
+            what, who = step.split()
+            index = KernelIndex(compiled)
+            index._cache_path, index._index_path = str(folder), str(folder / "kernel.nbi")
+            if what == "look":
+                steps[who] = [index._load_index()]
+            index._load_index = lambda kept=steps[who][0]: dict(kept)  # what it saw when it looked
+            index._save_data = index._save_data if what == "data" else lambda *_: None
+            index._clear = index._clear if what == "data" else lambda: None
+            index._save_index = index._save_index if what == "index" else lambda *_: None
+            if what != "look":
+                index.save(who, f"code of {who}")
+        last = KernelIndex(compiled)
+        last._cache_path, last._index_path = str(folder), str(folder / "kernel.nbi")
+        for who in "ab":
+            assert last.load(who) in (None, f"code of {who}"), order
+        in_turn = order.index("look b") == 3 or order.index("look a") == 3
+        assert not in_turn or all(last.load(who) for who in "ab"), order

@@ -207,6 +207,17 @@ def test_yaw_is_continuous_within_each_track_and_the_same_direction(seed: int) -
         assert (np.abs(np.diff(new.yaw[new.samples(i)])) <= pi + 1e-9).all()
 
 
+@given(seed=st.integers(0, 50), keep=st.sets(st.integers(0, 5)))
+def test_some_by_name_are_they_with_all_their_samples(seed: int, keep: set[int]) -> None:
+    tracks = ragged(seed)
+    names = [name for i, name in enumerate(tracks.ids) if i in keep]
+    some = tracks.only([*names, "no one"])
+    assert list(some.ids) == names
+    for i, name in enumerate(names):
+        mine, theirs = some.samples(i), tracks.samples(tracks.ids.index(name))
+        assert np.array_equal(some.t[mine], tracks.t[theirs]) and np.array_equal(some.x[mine], tracks.x[theirs])
+
+
 def test_the_empty_scene() -> None:
     none = Tracks.empty()
     assert len(none) == len(none.perceived(0.0)) == len(none.truth(0.0)) == 0

@@ -56,6 +56,7 @@ def test_any_misspelled_key_is_refused_with_the_right_one_named(name: str, extra
     [
         ("planers = ['dp_qp']", "no key is called 'planers'; did you mean 'planners'?"),
         ("[loop]\nplan_period = 0.1", "no key is called 'loop.plan_period'; did you mean 'loop.plan_period_s'?"),
+        ("[loop]\nmode = 'open'", "no key is called 'loop.mode'; known are: apart, control_period_s"),
         ("[loop]\nplan_period_s = '0.1'", "loop.plan_period_s: expected float, got str"),
         ("[loop]\nplan_period_s = true", "loop.plan_period_s: expected float, got bool"),
         ("[loop]\nplan_period_s = 0.015", "must be a multiple"),

@@ -13,7 +13,7 @@ from command_line import one_error, replan
 
 from logs import Decision, Scenario
 from logs.catalogue import CATALOGUE
-from logs.errors import LogError
+from logs.errors import LogError, PlannerError
 from logs.mcap import write_scenario
 from planners.piecewise_jerk.solvers import solve
 from replay.batch import evaluate_logs
@@ -95,15 +95,8 @@ def test_explain_states_a_decision_that_the_family_accepts() -> None:
     check_states_what_is_accepted("everyday/nudge")
 
 
-FOLLOWED = pytest.mark.xfail(
-    strict=True, reason="who walks at 45 degrees has 0.707 of their speed along the lane: followed, above ALONG (0.7)"
-)
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=FOLLOWED if name == "pedestrian/jaywalker" else ()) for name in CATALOGUE]
-)
+@pytest.mark.parametrize("name", CATALOGUE)
 def test_explain_states_a_decision_that_every_family_accepts(name: str) -> None:
     check_states_what_is_accepted(name)
 
@@ -163,3 +156,14 @@ def test_what_is_no_dump_is_a_clean_error(content: bytes, tmp_path: Path) -> Non
     (tmp_path / "frame.msgpack").write_bytes(content)
     with pytest.raises(LogError, match="is no dump of a frame"):
         load(tmp_path / "frame.msgpack")
+
+
+def test_another_planner_that_raises_is_an_error_with_its_place(
+    results: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = "class Raises:\n    def __init__(self, _):\n        pass\n\n    def plan(self, _):\n"
+    text += "        raise KeyError('no')\n"
+    (tmp_path / "raises_at_a_frame.py").write_text(text, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(PlannerError, match=r"raised at 1\.00 s: KeyError: 'no' \(raises_at_a_frame\.py:6\)"):
+        planned_again(results.drive(LOG, "dp_qp"), 1.0, "raises_at_a_frame:Raises")

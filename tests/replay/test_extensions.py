@@ -42,7 +42,7 @@ NAMES = {
     "metrics": ("width", "my_metric:WIDTH"),
     "readers": ("txy", "my_reader:READER"),
     "charts": ("my_speed", "my_chart:speed"),
-    "families": ("team/empty", "my_family:EMPTY"),
+    "families": ("team/parked", "my_family:PARKED"),
 }
 """By the group of entry points: a name, and what it stands for."""
 PLANNER = """
@@ -99,16 +99,16 @@ def installed(desk: Path) -> None:
 def test_what_the_page_shows_drives_and_is_in_the_results(desk: Path) -> None:
     config = load_run(Path("run.toml"))
     result = replan.evaluate(
-        suite="my_family:EMPTY", config=config, out="out", mode="closed", internals="none", recording=False, loop=OWN
+        suite="my_family:PARKED", config=config, out="out", mode="closed", internals="none", recording=False, loop=OWN
     )
     assert list(result.failures["message"]) == []
-    assert list(result.logs["log"]) == ["team/empty@speed_mps=8", "team/empty@speed_mps=10"]
+    assert list(result.logs["log"]) == ["team/parked@speed_mps=8", "team/parked@speed_mps=10"]
     assert set(result.drives["end"]) == {"goal reached"}
     run = load_run(Path("out/run.toml"))
     assert run.vehicle_model == {OWN["vehicle"]: {"delay_s": 0.02}}  # as set
     assert run.controller == {OWN["controller"]: {"gain": 0.05}}
     assert run.prediction == {OWN["prediction"]: {"decel_mps2": 2.0}}  # by default
-    assert run.perception == {OWN["perception"]: {"range_m": 50.0}} and run.traffic == {OWN["traffic"]: {"who": ""}}
+    assert run.perception == {OWN["perception"]: {"range_m": 50.0}} and run.traffic == {OWN["traffic"]: {"who": "near"}}
     lateral = result.metrics.query("metric == 'tracking_lateral.max_abs' and mode == 'closed'")["value"]
     assert (lateral < 0.2).all()
     drawn = CliRunner().invoke(app, ["plot", "out", "--chart", "my_chart:speed", "-o", "speed.svg"])
@@ -132,7 +132,7 @@ def test_installed_packages_give_names(desk: Path) -> None:
     installed(desk)
     loop = {key: NAMES[kind.plural][0] for key, (kind, _) in KINDS.items()}
     result = replan.evaluate(
-        suite="team/empty", planners="held", metrics=["width"], out="out", mode="closed", internals="none",
+        suite="team/parked", planners="held", metrics=["width"], out="out", mode="closed", internals="none",
         recording=False, loop=loop,
     )  # fmt: skip
     assert list(result.failures["message"]) == [] and set(result.drives["planner"]) == {"held"}
@@ -149,7 +149,7 @@ def test_the_command_line_and_its_workers_find_them(desk: Path) -> None:
     words = [
         "evaluate",
         "--suite",
-        "my_family:EMPTY",
+        "my_family:PARKED",
         "--config",
         "run.toml",
         "-p",
@@ -207,7 +207,7 @@ def test_a_module_that_raises_is_named_with_its_line(desk: Path) -> None:
 def test_one_that_raises_in_a_drive_costs_that_drive_and_is_named_with_its_line(desk: Path) -> None:
     Path("my_raising.py").write_text("def see(scenario, config):\n    return 1 / 0\n", encoding="utf-8")
     result = replan.evaluate(
-        suite="my_family:EMPTY", planners="constant_speed", out="out", mode="open", internals="none", recording=False,
+        suite="my_family:PARKED", planners="constant_speed", out="out", mode="open", internals="none", recording=False,
         loop={"perception": "my_raising:see"},
     )  # fmt: skip
     assert len(result.failures) == 2 and result.exit_code == 3
@@ -246,15 +246,15 @@ def test_resume_refuses_where_a_setting_or_the_source_has_changed(desk: Path) ->
     run = RunConfig(
         ("constant_speed",), "open", recording=False, internals="none", loop=LoopConfig(prediction=OWN["prediction"])
     )
-    evaluate_logs((), run, "out", suite="my_family:EMPTY")
-    assert evaluate_logs((), run, "out", suite="my_family:EMPTY", resume=True).resumed == 2
+    evaluate_logs((), run, "out", suite="my_family:PARKED")
+    assert evaluate_logs((), run, "out", suite="my_family:PARKED", resume=True).resumed == 2
     other = RunConfig(**{**vars(run), "prediction": {OWN["prediction"]: {"decel_mps2": 3.0}}})
     with pytest.raises(ConfigError, match=r"prediction.*decel_mps2 was 2.0, is 3.0"):
-        evaluate_logs((), other, "out", suite="my_family:EMPTY", resume=True)
+        evaluate_logs((), other, "out", suite="my_family:PARKED", resume=True)
     module = Path("my_prediction.py")
     module.write_text(f"{module.read_text(encoding='utf-8')}# changed\n", encoding="utf-8")
     with pytest.raises(ConfigError, match="other code"):
-        evaluate_logs((), run, "out", suite="my_family:EMPTY", resume=True)
+        evaluate_logs((), run, "out", suite="my_family:PARKED", resume=True)
 
 
 def test_two_of_one_name_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -294,3 +294,15 @@ def test_a_chart_that_fails_says_why_in_its_place(desk: Path, body: str, said: s
     Path(f"my_bad_{len(body)}.py").write_text(f"def bad(subject):\n    {body}\n", encoding="utf-8")
     (chart,) = drawn(None, f"my_bad_{len(body)}:bad")  # type: ignore[arg-type]
     assert said in chart.says and "my_bad" in chart.body
+
+
+@pytest.mark.parametrize("what", ["vehicle", "controller"])
+def test_what_raises_when_it_is_built_is_named_before_anything_is_driven(
+    what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "raises_when_built.py").write_text("def it(*_):\n    raise ValueError('no table')\n", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    name = "raises_when_built:it"
+    run = RunConfig(loop=LoopConfig(**{what: name}))  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match=rf"{what} '{name}' cannot be built: ValueError: no table .*built\.py:2"):
+        checked(run)

@@ -71,3 +71,12 @@ def test_what_is_not_there_is_named(run: RunResult, tmp_path: Path) -> None:
     ):
         with pytest.raises(ConfigError, match=words):
             ask()
+
+
+@pytest.mark.parametrize("at", [float("nan"), float("inf"), -1.0])
+def test_a_time_without_a_plan_is_an_error_and_a_run_is_said_in_one_line(run: RunResult, at: float) -> None:
+    results = load(run.out)
+    first = results.drives.iloc[0]
+    with pytest.raises(ConfigError, match="no plan at"):
+        results.drive(first["log"], first["planner"], first["mode"]).frame(at)
+    assert len(repr(results)) < 300

@@ -26,7 +26,7 @@ from logs.road import Goal
 from logs.rules import Colour, TrafficLight
 from logs.shapes import corners
 from logs.states import Controls, OnboardPlan, Trajectory
-from logs.vehicle import VehicleParameters
+from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
 
 GOAL_LENGTH_M, GOAL_WIDTH_M = 5.0, 4.0
 """The region around a goal pose, along and across."""
@@ -230,5 +230,5 @@ def vehicle_of(settings: LogSettings, notes: list[str]) -> VehicleParameters:
     """The default car with the sizes of the settings; ValueError where they contradict each other."""
     if settings.car:
         return car_of(settings.car, notes)
-    notes.append("The log does not describe the ego's vehicle: a mid-size car is assumed (set log.car).")
+    notes.append(f"{VEHICLE_ASSUMED} (set log.car).")
     return VehicleParameters()

@@ -17,6 +17,8 @@ from logs import AgentKind, LogError
 from logs.mcap import read_scenario, write_scenario
 from logs.readers import LogSettings, read_log, reader_of
 from logs.readers.table import UNITS, from_frames
+from logs.summary import summarise
+from logs.vehicle import VehicleParameters
 from replay.batch import evaluate_logs
 from replay.config import RunConfig
 
@@ -40,6 +42,13 @@ def test_ten_lines_make_a_log_that_is_evaluated(tmp_path: Path) -> None:
     assert differences(read_scenario(tmp_path / "mine.mcap"), scenario) == []
     result = evaluate_logs([tmp_path / "mine.mcap"], RunConfig(("logged",), recording=False), tmp_path / "out")
     assert not result.failures and len(result.drives) == 2
+
+
+def test_a_converted_log_does_not_claim_a_vehicle_that_was_assumed(tmp_path: Path) -> None:
+    for name, vehicle in (("assumed", None), ("theirs", VehicleParameters(mass=2000.0))):
+        replan.write_log(tmp_path / f"{name}.mcap", from_frames(ego(), vehicle=vehicle))
+        said = "\n".join(summarise(tmp_path / f"{name}.mcap").lines())
+        assert ("tracking: the log's vehicle" in said) is (vehicle is not None)
 
 
 def test_frames_times_and_sizes_are_as_documented() -> None:

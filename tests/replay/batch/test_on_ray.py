@@ -149,3 +149,12 @@ def test_what_is_sent_is_the_users_code_and_no_more(tmp_path: Path, monkeypatch:
 def test_no_cluster_at_the_address_is_one_line(logs: Path, tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match=r"--address 127.0.0.1:1: no connection: .*ray start --head"):
         run(logs, tmp_path / "out", QUICK, OnRay("127.0.0.1:1"))
+
+
+def test_code_of_a_controller_is_sent_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "my_sent_controller.py").write_text("def mine(*_):\n    raise ValueError\n", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    target = tmp_path / "sent"
+    target.mkdir()
+    code_of(replace(QUICK, loop=replace(QUICK.loop, controller="my_sent_controller:mine")), target)
+    assert (target / "my_sent_controller.py").is_file()

@@ -13,12 +13,14 @@ import pytest
 from command_line import evaluate, gates, one_error, replan
 from rich.console import Console
 
+from logs.errors import ConfigError
 from logs.mcap import read_scenario
 from replay.batch import RunResult, evaluate_logs
 from replay.config import RunConfig
 from replay.report.overview import overview
 from replay.report.terminal import print_report
 from replay.results import load
+from replay.view import recordings
 
 
 def test_help_names_every_command_and_teaches_by_example() -> None:
@@ -259,6 +261,82 @@ def test_view_opens_recordings_with_the_viewer(tmp_path: Path, monkeypatch: pyte
     result = replan("view", tmp_path)
     assert result.exit_code == 3
     assert "without a display" in one_error(result)
+
+
+@pytest.fixture(scope="module")
+def recorded(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Results with recordings: one log passes, one fails."""
+    run = RunConfig(planners=("constant_speed",))
+    return evaluate_logs([folder], run, tmp_path_factory.mktemp("recorded")).out
+
+
+def test_view_of_results_opens_an_index_and_the_worst(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[list[str]] = []
+
+    def viewer(command: list[str], **_: Any) -> subprocess.CompletedProcess[str]:
+        opened.append([part for part in command if part.endswith(".rrd")])
+        assert Path(opened[-1][-1]).is_file()
+        return subprocess.CompletedProcess(command, 0)
+
+    monkeypatch.setattr("replay.view.subprocess.run", viewer)
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr("replay.view.MOST", 1)
+    assert replan("view", recorded).exit_code == 0
+    assert [Path(file).name for file in opened[0]] == ["closed.rrd", "index.rrd"]
+    assert "blocked" in opened[0][0], "the worst"
+    assert replan("view", recorded, "--log", "test/free").exit_code == 2, "two recordings, one may be open"
+    monkeypatch.setattr("replay.view.MOST", 2)
+    assert replan("view", recorded, "--log", "test/free").exit_code == 0
+    assert all("test_free" in file for file in opened[1]) and len(opened[1]) == 2
+
+
+def test_the_index_lists_the_worst_first_and_says_how_others_are_opened(recorded: Path, tmp_path: Path) -> None:
+    from recordings import Recording
+
+    from replay.recording.index import write_index
+
+    _, worst = write_index(tmp_path / "index.rrd", recorded, 1)
+    (page,) = Recording(tmp_path / "index.rrd").static("/index", "TextDocument:text").to_pylist()
+    assert page.index("test/blocked") < page.index("test/free") and "1 of 2 recordings" in page
+    assert "--log LOG" in page and [file.parent.name.split("-")[0] for file in worst] == ["test_blocked"]
+
+
+def test_a_log_is_found_by_its_name_as_the_index_has_it(tmp_path: Path) -> None:
+    folder = tmp_path / "unece_r157_cut_in_accel_mps2_-3_gap_m_0-0a1b2c3d"
+    folder.mkdir()
+    (folder / "closed.rrd").write_bytes(b"")
+    assert recordings(tmp_path, "unece_r157/cut_in@accel_mps2=-3,gap_m=0") == [folder / "closed.rrd"]
+    with pytest.raises(ConfigError, match="called cut_out"):
+        recordings(tmp_path, "cut_out")
+
+
+def test_view_of_two_drives_writes_them_as_one(recorded: Path, tmp_path: Path) -> None:
+    one = next(recorded.glob("test_free*/closed.rrd"))
+    both = tmp_path / "both.rrd"
+    assert replan("view", one, one.with_name("open.rrd"), "--save", both).exit_code == 0
+    assert both.is_file()
+    assert "2 recordings are in both" in one_error(replan("view", recorded, recorded, "--log", "free"))
+    other = next(recorded.glob("test_blocked*/closed.rrd"))
+    assert "two drives of one log" in one_error(replan("view", one, other, "--save", both))
+    assert "two folders" in one_error(replan("view", one, recorded, "--save", both))
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--layout", "nothing"], "overview, planner, control"),
+        (["--screenshot", "x.png", "--size", "big"], "1920x1080"),
+        (["--video", "x.mp4", "--from", "1", "--to", "2"], "ffmpeg"),
+        (["--video", "x.gif", "--from", "2", "--to", "1"], "no time between"),
+    ],
+)
+def test_view_says_what_cannot_be_drawn(
+    recorded: Path, options: list[str], said: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("replay.recording.video.shutil.which", lambda name: None)
+    assert said in one_error(replan("view", next(recorded.glob("test_free*/closed.rrd")), *options))
 
 
 def test_view_refuses_what_holds_no_recording(folder: Path, tmp_path: Path) -> None:

@@ -28,7 +28,7 @@ from logs import (
     StGraph,
     Tracks,
 )
-from logs.errors import OutputError
+from logs.errors import ConfigError, OutputError
 from logs.kernel import FloatArray
 from metrics import series
 from replay.drive import Drive, StageTime
@@ -38,7 +38,7 @@ from replay.recording.columns import Instants, Tape
 from replay.recording.events import events
 from replay.recording.hatch import Window, outline_segments, strokes
 from replay.recording.road import covered, dashes
-from replay.recording.screenshot import Picture, ScreenshotError, take_pictures
+from replay.recording.screenshot import Picture, arranged, take_pictures
 from replay.recording.text import DRAWABLE, application_name, cell, path_parts, plain
 from replay.recording.why import why
 from replay.why import accounts
@@ -278,16 +278,18 @@ def test_the_pedestrian_blocks_the_graph_until_it_has_left(closed: tuple[Drive, 
 
 def test_lanes_of_states_change_when_the_plans_do(closed: tuple[Drive, Scenario, Recording]) -> None:
     _, _, recording = closed
-    states = recording.column("/state/plan", "StateChange:state").to_pylist()
-    assert list(zip(recording.times("/state/plan").tolist(), states, strict=True)) == [
+    states = recording.column("/state/Plan", "StateChange:state").to_pylist()
+    assert list(zip(recording.times("/state/Plan").tolist(), states, strict=True)) == [
         (0.0, ["planned"]),
-        (14.0, ["previous plan"]),
+        (14.0, ["previous plan "]),  # too short for its label
         (14.3, ["planned"]),
     ]
-    assert recording.column("/state/drive", "StateChange:state").to_pylist() == [["driving"], ["goal reached"]]
-    for lane in ("plan", "along", "across", "drive"):
+    assert recording.column("/state/Drive", "StateChange:state").to_pylist() == [["driving"], ["goal reached "]]
+    for lane in ("Plan", "Decision-along", "Decision-across", "Drive"):
         shown = set(recording.column(f"/state/{lane}", "StateChange:state").flatten().to_pylist())
         assert shown == set(recording.static(f"/state/{lane}", "StateConfiguration:values").to_pylist())
+    labels = recording.static("/state/Plan", "StateConfiguration:labels").to_pylist()
+    assert labels == ["planned", " "]
 
 
 def test_why_tells_decisions_reasons_solvers_and_costs(closed: tuple[Drive, Scenario, Recording]) -> None:
@@ -297,12 +299,12 @@ def test_why_tells_decisions_reasons_solvers_and_costs(closed: tuple[Drive, Scen
     for words in (
         "Slows down for ped 7 (yield)",
         "in the path until 11.5 s",
-        "speed QP",
-        "75 iterations",
-        "obstacle 3.5",
     ):
         assert words in pages[80]
-    assert "the previous plan goes on" in pages[141] and "not solved" in pages[141]
+    inside = recording.column("/numbers", "TextDocument:text").flatten().to_pylist()
+    for words in ("speed QP", "75 iterations", "obstacle 3.5"):
+        assert words in inside[80] and words not in pages[80]
+    assert "the previous plan goes on" in pages[141] and "not solved" in inside[141]
     assert "Slows down" not in pages[141]
 
 
@@ -338,7 +340,7 @@ def test_no_box_is_not_finite(closed: tuple[Drive, Scenario, Recording]) -> None
     _, _, recording = closed
     for entity, batch in recording.moving.items():
         for name in batch.schema.names:
-            if name.split(":")[0] in ("Boxes3D", "Transform3D", "Arrows3D") and not name.endswith("labels"):
+            if name.split(":")[0] in ("Boxes3D", "Transform3D", "Arrows3D") and not name.endswith(("labels", "colors")):
                 assert np.isfinite(recording.points(entity, name)).all()
 
 
@@ -461,7 +463,7 @@ def test_a_log_by_itself(tmp_path: Path) -> None:
     recording = Recording(tmp_path / "log.rrd")
     np.testing.assert_array_equal(recording.scalars("/plots/speed/ego"), world.ego.v)
     assert len(recording.times("/world/ego")) == 201
-    assert not {"/why", "/events", "/state/plan"} & set(recording.moving)
+    assert not {"/why", "/events", "/state/Plan"} & set(recording.moving)
     start = replace(world, ego=world.ego.between(0.0, 0.0))
     write_log_recording(tmp_path / "start.rrd", start)
     assert len(Recording(tmp_path / "start.rrd").times("/world/agents/truck")) == 201
@@ -511,14 +513,40 @@ def test_the_viewer_draws_all_views_without_a_complaint(tmp_path: Path) -> None:
     write_recording(tmp_path / "closed.rrd", done, replace(world, name="".join(sorted(DRAWABLE))), TABLE)
     pictures = [
         Picture(tmp_path / "all.png", 5.5),
-        Picture(tmp_path / "st.png", 5.5, "S-T graph: DP yellow, QP blue"),
-        Picture(tmp_path / "later.png", 15.0, "S-T graph: DP yellow, QP blue"),
+        Picture(tmp_path / "st.png", 5.5, "S-T graph: DP yellow, QP blue, as it then happened pink"),
+        Picture(tmp_path / "later.png", 15.0, "S-T graph: DP yellow, QP blue, as it then happened pink"),
+        Picture(tmp_path / "control.png", 15.0, layout="control"),
+        Picture(tmp_path / "hidden.png", 15.0, "Steering [rad]"),
     ]
     assert take_pictures(tmp_path / "closed.rrd", pictures, size="1600x900") == []
     assert all(picture.out.read_bytes()[1:4] == b"PNG" for picture in pictures)
-    assert pictures[1].out.read_bytes() != pictures[2].out.read_bytes()
-    with pytest.raises(ScreenshotError, match="no view 'nothing'"):
+    assert len({picture.out.read_bytes() for picture in pictures}) == len(pictures)
+    with pytest.raises(ConfigError, match="no view 'nothing'"):
         take_pictures(tmp_path / "closed.rrd", [Picture(tmp_path / "x.png", 0.0, "nothing")], size="800x600")
+
+
+def test_a_hidden_tab_is_opened_in_the_layout_that_was_asked_for() -> None:
+    kept = {
+        "/container/r": {"ContainerBlueprint": {"container_kind": "Tabs", "contents": ["container/o", "container/c"]}},
+        "/container/o": {
+            "ContainerBlueprint": {
+                "container_kind": "Tabs",
+                "contents": ["view/1", "view/2"],
+                "display_name": "Overview",
+            }
+        },
+        "/container/c": {
+            "ContainerBlueprint": {"container_kind": "Vertical", "contents": "view/3", "display_name": "Control"}
+        },
+        **{f"/view/{i}": {"ViewBlueprint": {"display_name": name}} for i, name in ((1, "a"), (2, "b"), (3, "b"))},
+    }
+    parts, view = arranged(kept, "control", "b")
+    assert view == "3" and parts["/container/r"]["ContainerBlueprint"]["active_tab"] == "container/c"
+    parts, view = arranged(kept, "overview", "b")
+    assert view == "2" and parts["/container/o"]["ContainerBlueprint"]["active_tab"] == "view/2"
+    assert parts["/top_panel"]["PanelBlueprint"]["state"] == "Hidden" and "/top_panel" not in kept
+    with pytest.raises(ConfigError, match="no layout 'planner'"):
+        arranged(kept, "planner", None)
 
 
 def test_the_road_of_the_sample_is_where_its_line_is() -> None:

@@ -7,6 +7,7 @@ import shutil
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 
 import pandas as pd
@@ -27,9 +28,11 @@ from metrics.gates import Outcome
 from replay.batch import evaluate_logs
 from replay.cli import app
 from replay.config import RunConfig
+from replay.report.console import SafeConsole
 from replay.report.junit import junit
 from replay.report.markdown import STEP_BYTES, append_step_summary, markdown, shortened
 from replay.report.overview import overview
+from replay.report.terminal import print_report
 from replay.report.write import write_reports
 from replay.results import Results, load
 
@@ -94,6 +97,13 @@ def kinds(suite: TestSuite, *, gates: bool) -> Counter[str]:
         if "all logs" not in case.classname and (case.name != "evaluated") is gates:
             found[type(case.result[0]).__name__ if case.result else "pass"] += 1
     return found
+
+
+def test_the_terminal_names_the_loop_of_each_verdict(results: Results, tmp_path: Path) -> None:
+    over, written = overview(results), StringIO()
+    print_report(over, SafeConsole(file=written, width=400), tmp_path)
+    assert {row.mode for row in over.gates} >= set(MODES)
+    assert all(f"{row.rule} [{row.mode}]" in written.getvalue() for row in over.gates if row.mode)
 
 
 def test_junit_counts_what_the_tables_say(results: Results) -> None:

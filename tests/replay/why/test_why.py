@@ -110,8 +110,12 @@ def check_opening(sentence: str, plan: Plan, account: Account) -> None:
         return
     later = re.match(r"Slows down from t = ([\d.]+) s on", sentence)
     assert sentence.startswith("Slows down")
-    assert (later is None) == (account.course.action is Action.SLOWS)
+    at_first = sentence.startswith("Slows down at first")
+    assert (later is None and not at_first) == (account.course.action is Action.SLOWS)
+    if at_first:
+        assert path.a[path.t <= path.t[0] + 0.1].min() <= -0.3
     if later:
+        assert float(later[1]) > path.t[0] + 0.01
         begins = np.abs(path.t - float(later[1])) <= 0.051 + float(np.diff(path.t).max())
         assert path.a[begins].min() <= -0.3
 

@@ -1,7 +1,7 @@
 """What a long log costs: peak memory and CPU time by stage, of one drive after the other.
 
     python benchmarks/long_log.py [--seconds 3600] [--planner constant_speed] [--mode open --mode closed]
-                                  [--internals summary] [--no-recording] [--write FILE]
+                                  [--internals summary] [--no-recording] [--denser 1] [--write FILE]
 
 The log: a straight road of two lanes, 10 m/s, and some thirty road users at a time who come and go: cars on the facing
 lane, pedestrians on both sides. Peaks are of the resident set (Linux), set back before each stage.
@@ -37,13 +37,13 @@ CARS_M, PEDESTRIANS_M = 30.0, 60.0
 """Between two of a kind, m; those who come the other way are met twice as often."""
 
 
-def long_log(seconds: float) -> Scenario:
-    """The log of the module docstring."""
+def long_log(seconds: float, denser: float = 1.0) -> Scenario:
+    """The log of the module docstring; so many times as many road users."""
     path = curve((SPEED_MPS * (seconds + 60.0), 0.0, 0.0))
     t = np.round(SAMPLE_S * np.arange(round(seconds / SAMPLE_S) + 1), 9)
     x, y, yaw, kappa = path.at(50.0 + SPEED_MPS * t)
     ego = Trajectory(t, x, y, yaw, np.full(len(t), SPEED_MPS), np.zeros(len(t)), kappa)
-    return Scenario("long", ego, tracks(list(_others(path, t))), _road(path), seconds)
+    return Scenario("long", ego, tracks(list(_others(path, t, denser))), _road(path), seconds)
 
 
 def _road(path: Path) -> Road:
@@ -65,12 +65,12 @@ def _numbered(lane: Lane, name: int, beside: int, successors: tuple[int, ...]) -
     )  # fmt: skip
 
 
-def _others(path: Path, t: FloatArray) -> Iterator[Agent]:
+def _others(path: Path, t: FloatArray, denser: float) -> Iterator[Agent]:
     """Who is within `SEEN_M` of the ego is in the log; each comes and goes once."""
     ego = 50.0 + SPEED_MPS * t
-    for k, start in enumerate(np.arange(100.0, 2.0 * ego[-1], CARS_M)):
+    for k, start in enumerate(np.arange(100.0, 2.0 * ego[-1], CARS_M / denser)):
         yield from _seen(path, f"car{k}", AgentKind.CAR, CAR, t, start - SPEED_MPS * t, ego, LANE_WIDTH_M, pi)
-    for k, start in enumerate(np.arange(80.0, ego[-1], PEDESTRIANS_M)):
+    for k, start in enumerate(np.arange(80.0, ego[-1], PEDESTRIANS_M / denser)):
         aside = BESIDE_M if k % 2 else -BESIDE_M
         left = aside + (LANE_WIDTH_M if k % 2 else 0.0)
         yield from _seen(path, f"walker{k}", AgentKind.PEDESTRIAN, ADULT, t, start + 0.0 * t, ego, left, 0.0)
@@ -113,17 +113,18 @@ def main() -> None:
     parser.add_argument("--mode", action="append", choices=[mode.value for mode in Mode])
     parser.add_argument("--internals", default="summary")
     parser.add_argument("--no-recording", action="store_true")
+    parser.add_argument("--denser", type=float, default=1.0, help="so many times as many road users")
     parser.add_argument("--write", type=File, help="write the log there, and no more")
     chosen = parser.parse_args()
     if chosen.write:
-        write_scenario(chosen.write, long_log(chosen.seconds))
+        write_scenario(chosen.write, long_log(chosen.seconds, chosen.denser))
         return
     console = Console()
     console.print(vars(chosen))
     with tempfile.TemporaryDirectory() as folder:
         file = File(folder) / "long.mcap"
         with stage(console, "synthesise and write"):
-            write_scenario(file, long_log(chosen.seconds))
+            write_scenario(file, long_log(chosen.seconds, chosen.denser))
         with stage(console, "read"):
             scenario = read_scenario(file)
         console.print(f"{len(scenario.tracks)} road users, {len(scenario.tracks.t)} samples")

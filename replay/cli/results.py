@@ -62,9 +62,8 @@ def view(
         with tempfile.TemporaryDirectory() as kept:
             span = (None, None) if video is not None else (begin, end)
             settings = log_settings(config, ego, road_map, *span)
-            files = _files(targets, log, Path(kept), settings, one=drawn)
+            files = _files(targets, log, Path(kept), settings, save, one=drawn)
             if save is not None:
-                _saved(files, save, Path(kept))
                 say(save)
             if screenshot is not None:
                 picture(files[-1], screenshot, at, layout, tile, size)
@@ -77,8 +76,10 @@ def view(
                 show(files, memory_limit, web=web, port=port)
 
 
-def _files(targets: list[Path], log: str | None, kept: Path, settings: LogSettings, *, one: bool) -> list[Path]:
-    """The recordings to open, those that are made for it in `kept`; `one`: of several it must be said which."""
+def _files(
+    targets: list[Path], log: str | None, kept: Path, settings: LogSettings, save: Path | None, *, one: bool
+) -> list[Path]:
+    """The recordings to open; what is made for it is `save`, else in `kept`; `one`: which of several must be said."""
     from logs.readers import reader_of
     from replay.view import pair, recordings, save_log, to_open, write_pair
 
@@ -88,13 +89,16 @@ def _files(targets: list[Path], log: str | None, kept: Path, settings: LogSettin
     if len(targets) > 2:
         raise ConfigError("name one log, recording or folder, or two drives of one log")
     if len(targets) == 2:
-        write_pair(kept / "pair.rrd", pair(targets[0], targets[1], log))
-        return [kept / "pair.rrd"]
+        both, recording = pair(targets[0], targets[1], log), _place(save) or kept / "pair.rrd"
+        write_pair(recording, both)
+        return [recording]
     (target,) = targets
     if target.suffix != ".rrd" and (target.is_file() or reader_of(target) is not None):
-        recording = kept / f"{target.stem}.rrd"
+        recording = _place(save) or kept / f"{target.stem}.rrd"
         save_log(target, recording, settings)
         return [recording]
+    if save is not None:
+        raise ConfigError(f"--save writes the recording of a log or of two drives; {target} has its recordings already")
     if target.is_file():
         return [target]
     if not one:
@@ -105,15 +109,13 @@ def _files(targets: list[Path], log: str | None, kept: Path, settings: LogSettin
     return found
 
 
-def _saved(files: list[Path], out: Path, kept: Path) -> None:
-    from shutil import copyfile
-
+def _place(save: Path | None) -> Path | None:
+    """Where a recording is saved, its folder made; ConfigError where it is called otherwise."""
     from logs.errors import writing
 
-    if files[0].parent != kept:
-        raise ConfigError(f"--save writes the recording of a log or of two drives; {files[0]} is a recording already")
-    if out.suffix != ".rrd":
-        raise ConfigError(f"--save {out}: a recording is called FILE.rrd")
-    with writing(out):
-        out.parent.mkdir(parents=True, exist_ok=True)
-        copyfile(files[0], out)
+    if save is not None and save.suffix != ".rrd":
+        raise ConfigError(f"--save {save}: a recording is called FILE.rrd")
+    if save is not None:
+        with writing(save):
+            save.parent.mkdir(parents=True, exist_ok=True)
+    return save

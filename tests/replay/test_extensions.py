@@ -274,7 +274,7 @@ def test_two_of_one_name_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_a_chart_or_panel_without_a_place_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     import numpy as np
 
-    from replay.recording.blueprint import Contents, _right
+    from replay.recording.blueprint import Contents, blueprint
     from replay.recording.plots import Panel
     from replay.report.charts import layout
 
@@ -282,7 +282,7 @@ def test_a_chart_or_panel_without_a_place_is_an_error(monkeypatch: pytest.Monkey
     with pytest.raises(ValueError, match="the chart 'extra' has no place in LAYOUT"):
         layout.placed(None)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="the panel 'extra' is in no row of ROWS"):
-        _right(Contents([Panel("plots/extra", "", (), 1.0)], None, None, False, (), np.zeros((2, 2))))
+        blueprint(Contents([Panel("plots/extra", "", (), 1.0)], None, None, 0, (), np.zeros((2, 2))))
 
 
 @pytest.mark.parametrize(

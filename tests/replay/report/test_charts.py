@@ -299,7 +299,7 @@ def test_plot_writes_pictures(run: RunResult, tmp_path: Path) -> None:
     [
         (("--log", "paper/crossing"), "paper/crossing_pedestrian"),
         (("--log", LOG), "name a planner of dp_qp"),
-        (("--planner", "idm"), "no drive of idm to draw"),
+        (("--planner", "idm"), "no drive of idm"),
         (("--planner", "dp_qp", "--mode", "open"), "no open loop of dp_qp"),
         (("--planner", "dp_qp", "--at", 99), "--at 99 is not in its 0 to"),
         (("-o", "picture.pdf"), "a picture ends with .png or .svg"),

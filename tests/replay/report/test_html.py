@@ -127,7 +127,7 @@ def test_what_it_says_is_what_the_run_says(page: Page, results: Results) -> None
     moment = worst_moment(results.drive(HOSTILE, "constant_speed"))
     assert moment.why.startswith("collision_at_fault.count <= 0 [closed] fails: 1")
     assert f"Look at {moment.t:.2f} s : {moment.why.split('<img')[0]}" in text
-    because = subject(results.drive(HOSTILE, "dp_qp")).because
+    because = subject(results.drive(HOSTILE, "dp_qp", "open")).because  # the loop in which a gate fails
     assert because[0].startswith("The plan of t = ") and because[0] in text
 
 

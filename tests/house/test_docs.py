@@ -23,6 +23,7 @@ import pytest
 from command_line import replan
 from typer.main import get_command
 
+from logs.readers import readers
 from replay.cli import app
 
 ROOT = Path(__file__).parents[2]
@@ -112,6 +113,7 @@ def test_every_command_runs_in_order(page: Path, desk: Path) -> None:
             exit_code, said = run(words)
             assert exit_code == code, f"{shlex.join(words)}: {said}"
     finally:
+        readers.cache_clear()  # two pages may have a reader of one name
         for name in set(sys.modules) - before:
             if Path(getattr(sys.modules[name], "__file__", None) or "/").is_relative_to(desk):
                 del sys.modules[name]

@@ -19,7 +19,7 @@ from logs.errors import writing
 from logs.trace import Graph, PlannedFrame
 
 WHOLE = 600
-"""Two minutes at 5 Hz: 28 MB among thirty road users."""
+"""A minute at 10 Hz: 28 MB among thirty road users."""
 
 
 class FrameStore(Sequence[PlannedFrame]):

@@ -1,4 +1,4 @@
-"""A drive in words: what was decided and for whom, what it cost and what else there was; `replan explain`."""
+"""A drive in words: what was decided about which agent, what it cost and what else there was; `replan explain`."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from replay.results import DriveResult
 from replay.why import Account, accounts, sentences
 from replay.why.alternatives import KEEP, Touch, touched
 
-TOLD = 5
+MOST_LINES = 5
 """Of a list longer than this the rest is counted."""
 
 
@@ -38,7 +38,7 @@ class Explanation:
         account: What they are made of.
         fallback: Whether the planner failed; `reason` is its own sentence.
         reason: See there.
-        decisions: About whom what was decided, why, and in which stage.
+        decisions: What was decided, about which agent, why, and in which stage.
         costs: Of what was chosen, by stage and term.
         lanes: That were compared: cost by term, and why not.
         candidates: How many there were, and why the others were not taken.
@@ -133,10 +133,10 @@ def lines_of(one: Explanation) -> Iterator[str]:
 
 def _some(what: str, lines: Sequence[str]) -> Iterator[str]:
     """A heading with the first lines under it; nothing where there are none."""
-    for i, line in enumerate(lines[:TOLD]):
+    for i, line in enumerate(lines[:MOST_LINES]):
         yield f"    {what if i == 0 else '':<13} {line}"
-    if len(lines) > TOLD:
-        yield f"    {'':<13} and {len(lines) - TOLD} more"
+    if len(lines) > MOST_LINES:
+        yield f"    {'':<13} and {len(lines) - MOST_LINES} more"
 
 
 def _terms(terms: Sequence[tuple[str, float]]) -> str:

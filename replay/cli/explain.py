@@ -20,7 +20,7 @@ def explain(
     at: Annotated[float | None, typer.Option(help="This instant, s. Default: each change of decision.")] = None,
     as_json: Json = False,
 ) -> None:
-    """Say what was decided and for whom, why, what else there was and what it cost: docs/why.md.
+    """Say what was decided about which agent, why, what else there was and what it cost: docs/why.md.
 
     [bold]Examples[/bold]
 

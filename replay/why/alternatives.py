@@ -40,7 +40,7 @@ class Touch:
 
 
 def not_passed(plan: Plan) -> tuple[str, ...]:
-    """Why nobody is passed, as far as the planner says: other lanes, and its own past who is slower."""
+    """Why no agent is passed, as far as the planner says: other lanes, and its own past who is slower."""
     lanes = [each for each in plan.internals if isinstance(each, LaneOption)]
     if any(not each.against and each.name != KEEP for each in lanes):
         return ()

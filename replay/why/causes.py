@@ -40,7 +40,7 @@ OVER_MPS = 0.3
 CURVE_MPS2 = 2.5
 """Lateral acceleration above which a curve is a reason to be slower: below what planners allow themselves (3.0)."""
 SOON_S = 1.0
-"""What is nearer than this much time is taken to be so far: nobody brakes to a limit within no time."""
+"""What is nearer than this much time is taken to be so far: no driver brakes to a limit within no time."""
 LEAST_MPS2 = 0.05
 """A limit, curve or goal that asks for less is none to brake for."""
 MOST_MPS2 = 9.81
@@ -241,7 +241,7 @@ def _drawn(case: _Case) -> dict[str, float]:
 
 
 def _decided(plan: Plan) -> dict[str, Decision]:
-    """For whom the planner stays behind, the first word about each."""
+    """Those behind which the planner stays, the first word about each."""
     found: dict[str, Decision] = {}
     for each in plan.internals:
         if isinstance(each, Decision) and each.kind in STAYS_BEHIND:
@@ -374,7 +374,7 @@ def _words(case: _Case, said: set[str]) -> list[Cause]:
 
 
 def _is_near(case: _Case, name: str) -> bool:
-    """Whether somebody is, or is predicted to be, within `NEAR_M` of the way."""
+    """Whether an agent is, or is predicted to be, within `NEAR_M` of the way."""
     agents, futures, way = case.frame.agents, case.frame.predictions, case.way
     i = agents.ids.index(name)
     reach = NEAR_M + 0.5 * float(np.hypot(agents.length[i], agents.width[i]))

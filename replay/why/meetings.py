@@ -31,7 +31,7 @@ from replay.why.way import Way
 
 MARGIN_M, VULNERABLE_MARGIN_M = 0.3, 0.6
 GAP_M = 2.0
-"""Who comes nearer than this behind somebody has met them: room left at standstill (IDM's s0)."""
+"""Who comes nearer than this behind an agent has met them: room left at standstill (IDM's s0)."""
 HEADWAY_S = 2.0
 """Who follows should be no nearer: the rule of two seconds."""
 TOO_LATE_M = 0.1
@@ -40,7 +40,7 @@ TOO_LATE_M = 0.1
 
 @dataclass(frozen=True, slots=True)
 class Meeting:
-    """Somebody in the way of a plan that is held.
+    """An agent in the way of a plan that is held.
 
     Attributes:
         agent: Their id.
@@ -81,10 +81,10 @@ def meetings(
     times, poses = fine(futures)
     x, y, yaw = poses
     ego = Swept(car.axle_to_center, car.length, car.width, MARGIN_M, VULNERABLE_MARGIN_M, 0.0, 0.0, 0.0)
-    nobody, rows = np.zeros(len(agents), np.bool_), np.arange(float(len(futures)))
+    none, rows = np.zeros(len(agents), np.bool_), np.arange(float(len(futures)))
     _, who, lower, upper, along, row = sweep(  # in the place of probabilities: which rows they are
         way.s, way.x, way.y, way.yaw, times, float(times[0]), 1, futures.agent, rows, x, y, yaw,
-        agents.length, agents.width, agents.vx, agents.vy, VULNERABLE[agents.codes], passed, nobody, ego,
+        agents.length, agents.width, agents.vx, agents.vy, VULNERABLE[agents.codes], passed, none, ego,
     )  # fmt: skip
     found: dict[int, Meeting] = {}
     for i, agent in enumerate(who.tolist()):
@@ -127,7 +127,7 @@ def _order(one: Meeting) -> tuple[bool, bool, float, float]:
 
 
 def _meeting(held: Held, way: Way, agents: Agents, taken: _Taken, car: VehicleParameters) -> Meeting | None:
-    """How somebody is in the way; None: only from behind."""
+    """How an agent is in the way; None: only from behind."""
     here, lower, upper = np.isfinite(taken.lower), taken.lower, taken.upper
     first = int(np.flatnonzero(here)[0])
     if _is_behind(way, held.s[first], taken.pose[:, first], car):
@@ -168,7 +168,7 @@ def _need(held: Held, lower: FloatArray, first: int) -> float:
 
 
 def _is_behind(way: Way, s: float, pose: FloatArray, car: VehicleParameters) -> bool:
-    """Whether somebody's centre is behind that of the ego at a station."""
+    """Whether an agent's centre is behind that of the ego at a station."""
     x, y, yaw = _center(way, s, car)
     return bool((pose[0] - x) * cos(yaw) + (pose[1] - y) * sin(yaw) < 0.0)
 

@@ -57,7 +57,7 @@ def _none(account: Account, cause: Cause) -> str:
         return f"{_opening(account)}; no cause found: what the planner expected of the others was not kept."
     near = f" {cause.who}, {cause.away_m:.1f} m away, is on its way, but would not be met." if cause.who else ""
     return (
-        f"{_opening(account)}; no cause found: {_held(account, cause)} it would meet nobody ahead of it within"
+        f"{_opening(account)}; no cause found: {_held(account, cause)} it would meet no one ahead of it within"
         f" {cause.time_s:.0f} s, and no limit, curve, line, goal or end of the road within {cause.distance_m:.0f} m"
         f" asks for it.{near}"
     )

@@ -8,16 +8,15 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
+from command_line import replan
 from handmade import drive, lanes_along, scenario, square, straight, track, tracks
 from hypothesis import given
 from hypothesis import strategies as st
-from typer.testing import CliRunner, Result
 
 from logs import AgentKind, ConfigError, Goal, Scenario
 from logs.mcap import write_scenario
 from metrics.judge import verdicts_by_log
 from replay.batch import evaluate_logs
-from replay.cli import app
 from replay.config import RunConfig
 from replay.vary import VaryResult, encounters, prepared, question, vary
 from replay.vary.bisection import Bracket, bisected, brackets
@@ -30,14 +29,6 @@ metric = "collision_at_fault.count"
 mode = "closed"
 max = 0
 """
-RUNNER = CliRunner(env={"COLUMNS": "200", "TERM": "dumb", "NO_COLOR": "1"})
-
-
-def replan(*words: object) -> Result:
-    result = RUNNER.invoke(app, [str(word) for word in words])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    return result
 
 
 def log() -> Scenario:

@@ -34,7 +34,7 @@ LOOPS = {"open": run_open_loop, "closed": run_closed_loop}
 
 
 class SlowDown:
-    """The README's: brakes gently, straight on; sees nobody."""
+    """The README's: brakes gently, straight on; looks at no agent."""
 
     def __init__(self, context: PlannerContext) -> None:
         pass
@@ -137,9 +137,9 @@ def check_others(case: Shown, causes: list[Cause], held: Held, away: FloatArray)
             reach = GAP_M if cause.is_met else HEADWAY_S * held.v
             assert np.nanmin(away[rows, k]) <= np.hypot(reach, VULNERABLE_MARGIN_M) + 0.5
     touched = {ids[i] for i in np.flatnonzero((np.nan_to_num(away, nan=1e9) <= 0.0).any(axis=1))}
-    assert touched <= met, "nobody is met without being said"
-    nobody = [cause for cause in causes if cause.kind is CauseKind.NONE]
-    assert not (nobody and touched)
+    assert touched <= met, "no agent is met without being said"
+    unexplained = [cause for cause in causes if cause.kind is CauseKind.NONE]
+    assert not (unexplained and touched)
 
 
 def check_numbers(sentence: str, cause: Cause, account: Account) -> None:
@@ -247,7 +247,7 @@ def test_a_word_about_who_is_near_the_way_is_the_planners() -> None:
 def test_where_nothing_explains_it_no_cause_is_found() -> None:
     world = world_with()
     (said,) = sentences(why_of(world, braking(world)))
-    assert said.startswith("Slows down; no cause found: at 10.0 m/s it would meet nobody")
+    assert said.startswith("Slows down; no cause found: at 10.0 m/s it would meet no one")
 
 
 def test_a_red_light_is_a_cause_a_green_one_is_not() -> None:
@@ -300,7 +300,7 @@ def test_who_stands_would_meet_somebody_if_it_drove_off() -> None:
 @settings(max_examples=8)
 @given(st.floats(4.0, 20.0), st.floats(12.0, 80.0), st.floats(0.0, 8.0))
 def test_braking_as_much_as_is_needed_stays_behind(speed: float, ahead: float, theirs: float) -> None:
-    """Somebody who goes on along the lane: with `need` the ego never comes nearer than the gap, with less it does."""
+    """An agent that goes on along the lane: with `need` the ego never comes nearer than the gap, with less it does."""
     t = np.arange(0.0, 1.01, 0.1)
     still = [0.0] * len(t)
     lead = track("lead", t.tolist(), (ahead + theirs * t).tolist(), still, vx=[theirs] * len(t), vy=still)

@@ -22,8 +22,9 @@ import numpy as np
 from numba.core.caching import IndexDataCacheFile
 from numba.core.dispatcher import Dispatcher
 
+from replan.own import PACKAGES
+
 _WORD = re.compile(r"[A-Za-z_]\w*")
-OWN = ("logs", "metrics", "planners", "replay")
 
 
 @cache
@@ -62,7 +63,7 @@ def _named(code: CodeType, names: dict[str, Any]) -> Iterator[Any]:
     found = [names[name] for name in code.co_names if name in names]
     yield from found
     for module in found:
-        if isinstance(module, ModuleType) and module.__name__.partition(".")[0] in OWN:
+        if isinstance(module, ModuleType) and module.__name__.partition(".")[0] in PACKAGES:
             yield from (vars(module)[name] for name in code.co_names if name in vars(module))
 
 

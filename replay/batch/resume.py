@@ -20,6 +20,7 @@ from logs.extension import Kind
 from logs.readers import READER
 from metrics import METRIC
 from planners import PLANNER
+from replan.own import PACKAGES
 from replay.apart.proxy import command_of
 from replay.batch.checks import KINDS
 from replay.batch.log_result import LogResult, Stamp, kept
@@ -30,7 +31,6 @@ from replay.oracle import ORACLES
 from replay.version import replan_version
 
 START_OVER = "leave out --resume to start over"
-PACKAGES = ("logs", "metrics", "planners", "replay")
 
 
 def stamp_of(run: RunConfig) -> Stamp:

@@ -20,8 +20,7 @@ from short_logs import identical, short
 from logs.mcap import write_scenario
 
 SEED, ROUNDS = 5, 14
-REPLAN = (sys.executable, "-c", "from replay.cli import main; main()")
-COMMAND = (*REPLAN, "evaluate", "logs", "-p", "constant_speed", "-p", "idm", "--workers", "2")
+COMMAND = (sys.executable, "-m", "replan", "evaluate", "logs", "-p", "constant_speed", "-p", "idm", "--workers", "2")
 TABLES = ("metrics.parquet", "metrics.csv", "verdicts.parquet", "groups.parquet", "health.parquet", "junit.xml")
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(sys.platform != "linux", reason="children are read from /proc")]
 

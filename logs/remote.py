@@ -11,7 +11,7 @@ import re
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -142,26 +142,48 @@ def remove(urls: Sequence[str]) -> None:
             system.rm_file(path)
 
 
+class Near:
+    """What is at a place, on this machine: a local path as it is, of a URL a copy that goes with this object.
+
+    Args:
+        place: Path or URL.
+        but: Files of a folder that are not copied, by their ending (".rrd").
+
+    Attributes:
+        path: Where it is.
+
+    Raises:
+        ConfigError: Nothing is at the URL.
+        LogError: It cannot be fetched.
+    """
+
+    def __init__(self, place: Path | str, but: tuple[str, ...] = ()) -> None:
+        url, self.path = url_of(place), local_path(place)
+        self._scratch: tempfile.TemporaryDirectory[str] | None = None
+        if not url:
+            return
+        files = listed(url)
+        if not files:
+            raise ConfigError(f"{url}: nothing is there")
+        self._scratch = tempfile.TemporaryDirectory(prefix="replan-")
+        self.path = Path(self._scratch.name, Path(url).name)
+        if files[0].url == url:
+            fetch(files, self.path.parent)
+        else:
+            self.path.mkdir()
+            fetch([file for file in files if not file.name.endswith(but)], self.path)
+
+    def close(self) -> None:
+        """The copy goes now."""
+        if self._scratch is not None:
+            self._scratch.cleanup()
+
+
 @contextmanager
 def here(place: Path | str) -> Iterator[Path]:
-    """A local path as it is; of a URL a copy, all of it, for as long. ConfigError: nothing is there."""
-    url = url_of(place)
-    if not url:
-        yield local_path(place)
-        return
-    files = listed(url)
-    if not files:
-        raise ConfigError(f"{url}: nothing is there")
-    with tempfile.TemporaryDirectory(prefix="replan-") as scratch:
-        root = Path(scratch) / Path(url).name
-        is_file = len(files) == 1 and files[0].url == url
-        fetch(files, root.parent if is_file else _made(root))
-        yield root
-
-
-def _made(folder: Path) -> Path:
-    folder.mkdir()
-    return folder
+    """`Near.path` for as long."""
+    with closing(Near(place)) as near:
+        yield near.path
 
 
 def _system(url: str) -> tuple[Any, str]:

@@ -54,6 +54,7 @@ def view(
     with answered():
         import tempfile
 
+        from logs.remote import Near
         from replay.view import LAYOUTS, picture, show
 
         if layout not in LAYOUTS:
@@ -62,7 +63,8 @@ def view(
         with tempfile.TemporaryDirectory() as kept:
             span = (None, None) if video is not None else (begin, end)
             settings = log_settings(config, ego, road_map, *span)
-            files = _files(targets, log, Path(kept), settings, save, one=drawn)
+            copies = [Near(target) for target in targets]
+            files = _files([copy.path for copy in copies], log, Path(kept), settings, save, one=drawn)
             if save is not None:
                 say(save)
             if screenshot is not None:

@@ -128,6 +128,7 @@ def test_a_reader_named_in_the_settings_reads_first(desk: Path) -> None:
     assert ego.x[-1] - ego.x[0] == pytest.approx(29.0)
 
 
+@pytest.mark.slow
 def test_installed_packages_give_names(desk: Path) -> None:
     installed(desk)
     loop = {key: NAMES[kind.plural][0] for key, (kind, _) in KINDS.items()}

@@ -45,8 +45,6 @@ LEAST_MPS2 = 0.05
 """A limit, curve or goal that asks for less is none to brake for."""
 MOST_MPS2 = 9.81
 """A line that asks for more cannot be kept."""
-SIGN_M = 3.0
-"""A stop sign nearer than this has been stopped for, if the ego is not standing."""
 GOAL_ROOM_M = 10.0
 """Who comes to rest no farther than this before the end of the goal's region stops for the goal."""
 SAME_M = 0.1

@@ -25,7 +25,7 @@ c.IndexDataCacheFile.load = lambda *arguments: None
 USE = "from logs.shapes import corners\nprint(corners(1.0, 2.0, 0.5, 4.0, 2.0))\n"
 
 
-@pytest.mark.parametrize("without", [NO_PLACE, NO_ROOM])
+@pytest.mark.parametrize("without", [NO_PLACE, pytest.param(NO_ROOM, marks=pytest.mark.slow)])
 def test_without_a_cache_kernels_are_compiled_anew_and_it_is_said_once(without: str, tmp_path: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path.cwd()), *sys.path])}
     environment.pop("NUMBA_DISABLE_JIT", None)
@@ -94,6 +94,7 @@ print(f(Pair(1.0, 4.0)))
 """
 
 
+@pytest.mark.slow
 def test_code_on_disk_is_stale_where_a_name_a_field_or_a_member_has_changed(tmp_path: Path) -> None:
     """The bytecode of these is the same: it has the places of names and constants only."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path.cwd()), *sys.path])}

@@ -141,6 +141,7 @@ def test_a_reader_named_in_the_settings_reads_first(desk: Path) -> None:
     assert ego.x[-1] - ego.x[0] == pytest.approx(29.0)
 
 
+@pytest.mark.slow
 def test_installed_packages_give_names(desk: Path) -> None:
     installed(desk)
     loop = {key: NAMES[kind.plural][0] for key, (kind, _) in KINDS.items()}
@@ -330,7 +331,7 @@ def test_a_chart_that_fails_is_said_by_the_command_and_in_the_report_too(desk: P
     assert said in again.stderr and again.exit_code == 0
 
 
-@pytest.mark.parametrize("what", ["vehicle", "controller"])
+@pytest.mark.parametrize("what", ["vehicle", "controller", "traffic", "perception", "prediction"])
 def test_what_raises_when_it_is_built_is_named_before_anything_is_driven(
     what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -340,3 +341,14 @@ def test_what_raises_when_it_is_built_is_named_before_anything_is_driven(
     run = RunConfig(loop=LoopConfig(**{what: name}))  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match=rf"{what} '{name}' cannot be built: ValueError: no table .*built\.py:2"):
         checked(run)
+
+
+@pytest.mark.parametrize("what", ["traffic", "perception", "prediction"])
+def test_what_a_built_in_log_lacks_is_no_fault_of_the_settings(
+    what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / f"needs_{what}.py").write_text("def it(*_):\n    return {}['car 17']\n", encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    name = f"needs_{what}:it"
+    run, failures = checked(RunConfig(loop=LoopConfig(**{what: name})))  # type: ignore[arg-type]
+    assert getattr(run.loop, what) == name and not failures

@@ -7,6 +7,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from replay.batch.pool import run_all
 
 ASK = """
@@ -32,6 +34,7 @@ def _asked(folder: Path, **more: str) -> tuple[list[str], str]:
     return done.stdout.splitlines(), done.stderr
 
 
+@pytest.mark.slow
 def test_kernels_are_compiled_once_for_a_processor_and_read_where_nothing_can_be_written(tmp_path: Path) -> None:
     kept = tmp_path / "kernels"
     kept.mkdir()
@@ -45,6 +48,7 @@ def test_kernels_are_compiled_once_for_a_processor_and_read_where_nothing_can_be
     assert other == first
 
 
+@pytest.mark.slow
 def test_of_work_that_all_need_one_worker_does_the_first(tmp_path: Path) -> None:
     ended = [index for index, _ in run_all(_marked, [tmp_path / str(k) for k in range(4)], 4, one_first=True)]
     others = {int((tmp_path / str(k)).read_text()) for k in range(3)}

@@ -507,6 +507,7 @@ def viewer() -> None:
         pytest.skip("no Vulkan driver: the viewer cannot draw (Debian: mesa-vulkan-drivers)")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("viewer")
 def test_the_viewer_draws_all_views_without_a_complaint(tmp_path: Path) -> None:
     done, world = drive(pedestrian="".join(sorted(DRAWABLE)))

@@ -19,8 +19,15 @@ from replay.batch.resume import stamp_of
 from replay.batch.sources import LogSource
 from replay.config import RunConfig
 
-SCENES = ("paper/crossing_pedestrian", "everyday/junction", "everyday/traffic_light")
-"""Walkers and cars, lanes that join and cross, lights and stop lines: together nearly all that a drive may call."""
+SCENES = (
+    "paper/crossing_pedestrian",
+    "paper/static_obstacles",
+    "everyday/cyclist",
+    "everyday/crosswalk",
+    "everyday/traffic_light",
+    "everyday/junction",
+)
+"""Walkers, cyclists, cars, what stands in the way, lanes that join and cross, lights: what the built-in suite calls."""
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from replay.apart.proxy import ApartPlanner, FaultError
 from replay.drive import TRUSTED, ApartConfig, LoopConfig, StageTime
 from replay.oracle import ORACLES
 from replay.plan_check import checked
-from replay.planner_config import is_apart, is_built_in, planner_factory
+from replay.planner_config import is_apart, is_built_in, planner_factory, prepared
 from replay.stopwatch import Stopwatch
 
 SHORTEST_DRIVE_M = 10.0
@@ -43,6 +43,7 @@ class Planning:
         config: Of the loop.
         start: The ego at the first frame.
         keep_internals: Whether the plans keep what the planner wants to be seen, beside its solvers' reports.
+        again: Whether it is the second drive of two that are compared (`replay.apart.processes.Load`).
 
     Attributes:
         is_oracle: Whether the planner knows the log.
@@ -64,6 +65,7 @@ class Planning:
         start: EgoState,
         *,
         keep_internals: bool = True,
+        again: bool = False,
     ) -> None:
         goal, note = goal_of(scenario)
         self.is_oracle = spec in ORACLES
@@ -71,7 +73,7 @@ class Planning:
         trusted = "" if is_built_in(spec) or is_apart(spec, config.apart) else TRUSTED
         self.notes = tuple(filter(None, (note, given, trusted)))
         self.goal = goal
-        self._keep = keep_internals
+        self._keep, self._again = keep_internals, again
         self._name = f"planner '{spec}' on {scenario.name}"
         self._watch = Stopwatch()
         period = config.plan_period_ns / 1e9
@@ -88,14 +90,15 @@ class Planning:
     ) -> Planner:
         try:
             if is_apart(spec, apart):
-                return ApartPlanner(spec, context, table, apart, self._watch.took, keep_internals=self._keep)
+                took, keep = self._watch.took, self._keep
+                return ApartPlanner(spec, context, table, apart, took, keep_internals=keep, again=self._again)
             factory = planner_factory(spec)
             arguments = (context, scenario) if spec in ORACLES else (context,)
             try:
                 inspect.signature(factory).bind(*arguments, **table)
             except TypeError as error:
                 raise ConfigError(f"planner '{spec}' cannot be built so: {error}") from None
-            return factory(*arguments, **table)
+            return prepared(spec, table)(*arguments, **table)
         except ReplanError:
             raise
         except FaultError as error:

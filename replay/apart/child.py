@@ -21,13 +21,38 @@ from planners.base import Planner
 from replay.apart import schema
 from replay.apart.channel import Channel, GoneError
 from replay.apart.convert import context_of, frame_of, plan_sent
-from replay.planner_config import check_keywords, planner_factory, planner_keywords, resolved_table
+from replay.planner_config import check_keywords, planner_keywords, prepared, resolved_table
 from replay.stopwatch import Stopwatch
 
 
 def main() -> None:
     """Answer what comes on stdin until it closes."""
     channel: Channel[Any] = Channel(os.dup(1), os.dup(0), schema.Question, patient=True)
+    _settle_in()
+    try:
+        Seat(channel).serve()
+    except GoneError:
+        pass
+    finally:
+        sys.stdout.flush()
+
+
+def load(planner: str, settings: bytes) -> None:
+    """What all drives of a planner have in common: its module, and what its class loads (`prepared`).
+
+    Args:
+        planner: "module:Class".
+        settings: Its table in the configuration, MessagePack.
+    """
+    _settle_in()
+    try:
+        prepared(planner, planner_keywords(planner, msgspec.msgpack.decode(settings)))
+    finally:
+        sys.stdout.flush()
+
+
+def _settle_in() -> None:
+    """Nothing to read on stdin, stdout is stderr, and the working directory is searched last."""
     nothing = os.open(os.devnull, os.O_RDONLY)
     os.dup2(nothing, 0)
     os.close(nothing)
@@ -37,12 +62,6 @@ def main() -> None:
     here = str(Path.cwd())
     if here not in sys.path:
         sys.path.append(here)
-    try:
-        Seat(channel).serve()
-    except GoneError:
-        pass
-    finally:
-        sys.stdout.flush()
 
 
 def warm() -> None:
@@ -85,7 +104,7 @@ class Seat:
             return schema.Described(table)
         keywords = planner_keywords(question.planner, question.config)
         context = context_of(question.context, self._watch.lap)
-        self._planner = planner_factory(question.planner)(context, **keywords)
+        self._planner = prepared(question.planner, keywords)(context, **keywords)
         self._keep = question.keep_internals
         return schema.Ready()
 

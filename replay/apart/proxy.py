@@ -11,13 +11,15 @@ from collections.abc import Callable, Mapping
 from typing import Any
 from urllib.parse import urlsplit
 
+import msgspec
+
 from logs.errors import ConfigError, PlannerError
 from logs.frame import Frame, PlannerContext
 from logs.trace import Plan
 from replay.apart import schema
 from replay.apart.channel import Channel, GarbageError, GoneError, LateError
 from replay.apart.convert import context_message, frame_message, plan_of
-from replay.apart.processes import Process, started
+from replay.apart.processes import Load, Process, started
 from replay.drive import ApartConfig
 
 LAST_CHARACTERS, LAST_LINES = 300, 3
@@ -62,6 +64,7 @@ class ApartPlanner:
         limits: What it may take.
         took: Is given the stages of a plan and how long they took, s.
         keep_internals: Whether the inside of its plans is kept.
+        again: As in `Load`.
 
     Raises:
         ConfigError: The planner does not take such settings.
@@ -78,17 +81,19 @@ class ApartPlanner:
         took: Callable[[str, float], None],
         *,
         keep_internals: bool,
+        again: bool = False,
     ) -> None:
         self._limits, self._took, self._made = limits, took, 0
         self._left = limits.log_timeout_s or float("inf")
-        self._to = _opened(spec, limits)
-        self._end = weakref.finalize(self, self._to.close)
         config = {key: value for key, value in table.items() if value is not None}
-        hello = schema.Hello(schema.SCHEMA_VERSION, spec, config, context_message(context), keep_internals)
         try:
-            answer = self._asked(hello, limits.start_timeout_s, "while it was built")
+            load = Load(spec, msgspec.msgpack.encode(config), again)
         except TypeError as error:
             raise ConfigError(f"planner '{spec}': its settings cannot be sent: {error}") from None
+        self._to = _opened(spec, limits, load)
+        self._end = weakref.finalize(self, self._to.close)
+        hello = schema.Hello(schema.SCHEMA_VERSION, spec, config, context_message(context), keep_internals)
+        answer = self._asked(hello, limits.start_timeout_s, "while it was built")
         if isinstance(answer, schema.Failed):
             self._failed(answer, "cannot be built")
         if not isinstance(answer, schema.Ready):
@@ -183,11 +188,12 @@ def described(spec: str, table: Mapping[str, object], limits: ApartConfig) -> di
     raise PlannerError(message if message.startswith("planner") else f"planner '{spec}': {message}")
 
 
-def _opened(spec: str, limits: ApartConfig) -> Process | Node:
+def _opened(spec: str, limits: ApartConfig, load: Load | None = None) -> Process | Node:
     if spec.startswith("tcp:"):
         return Node(spec, limits.start_timeout_s)
-    argv = command_of(spec) if spec.startswith("exec:") else None
-    return started(argv, schema.Answer, memory_gb=limits.memory_gb, environment=limits.environment)
+    if spec.startswith("exec:"):
+        return started(command_of(spec), schema.Answer, limits)
+    return started(None, schema.Answer, limits, load)
 
 
 def command_of(spec: str) -> list[str]:

@@ -11,11 +11,13 @@ within 4/3 - 1/(3 m) of the shortest makespan on m workers), so that no long log
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
+from uuid import uuid4
 
 from logs.kernel import cold
+from replay.apart.processes import loaded_for
 from replay.batch.one_log import evaluate_log
 from replay.batch.pool import WorkerLost, run_all
 
@@ -51,22 +53,40 @@ class Local:
         """As `Engine.evaluate`."""
         job = Job(run, out, stamp)
         if self.workers == 0:
-            return ((index, job(source)) for index, source in enumerate(sources))
+            return _here(job, sources)
         workers = max(1, min(self.workers, len(sources)))
         return longest_first(sources, lambda ordered: run_all(job, ordered, workers, one_first=cold()))
 
 
 @dataclass(frozen=True)
 class Job:
-    """`evaluate_log` of everything but the log."""
+    """`evaluate_log` of everything but the log; a planner's module is loaded once in each process that it is called in.
+
+    Attributes:
+        run: What is driven.
+        out: The result folder.
+        stamp: See `evaluate_log`.
+        name: Which run it is, of all that there ever are.
+    """
 
     run: RunConfig
     out: Path
     stamp: Stamp
+    name: str = field(default_factory=lambda: uuid4().hex)
 
     def __call__(self, source: LogSource) -> LogResult:
         """As `evaluate_log`."""
+        loaded_for(self.name)
         return evaluate_log(source, self.run, self.out, self.stamp)
+
+
+def _here(job: Job, sources: Sequence[LogSource]) -> Iterator[tuple[int, LogResult]]:
+    """In this process, which may go on to other things."""
+    try:
+        for index, source in enumerate(sources):
+            yield index, job(source)
+    finally:
+        loaded_for("")
 
 
 def longest_first(

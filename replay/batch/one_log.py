@@ -11,6 +11,7 @@ import traceback
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from hashlib import sha256
 from math import inf
 from pathlib import Path
@@ -39,6 +40,7 @@ from replay.drive import Drive
 from replay.open_loop import run_open_loop
 from replay.perturb import perturbed
 from replay.planner_config import is_apart, is_built_in, planner_keywords
+from replay.planning import Planning
 from replay.reference_drives import reference_table
 
 SHOWN = (LON_JERK_STATE.name,)
@@ -209,11 +211,26 @@ def _drive_one(
     return drive.trace
 
 
-def _driven(scenario: Scenario, planner: str, mode: Mode, run: RunConfig, *, keep: bool, until_s: float = inf) -> Drive:
+def _driven(
+    scenario: Scenario,
+    planner: str,
+    mode: Mode,
+    run: RunConfig,
+    *,
+    keep: bool,
+    until_s: float = inf,
+    again: bool = False,
+) -> Drive:
     table = run.planner.get(planner, {})
     keywords = table if is_apart(planner, run.loop.apart) else planner_keywords(planner, table)
     return LOOPS[mode](
-        scenario, planner, planner_config=keywords, config=run.loop, keep_internals=keep, until_s=until_s
+        scenario,
+        planner,
+        planner_config=keywords,
+        config=run.loop,
+        keep_internals=keep,
+        until_s=until_s,
+        seat=partial(Planning, again=again),
     )
 
 
@@ -223,7 +240,7 @@ def _probed(drive: Drive, scenario: Scenario, mode: Mode, run: RunConfig) -> Dri
     if not run.repeat_s or drive.trace.oracle or is_built_in(planner) or not drive.trace.frames:
         return drive
     try:
-        again = _driven(scenario, planner, mode, run, keep=False, until_s=until_s).trace
+        again = _driven(scenario, planner, mode, run, keep=False, until_s=until_s, again=True).trace
     except PlannerError as error:
         note = f"{NOT_DETERMINISTIC}{planner}, driven twice: it can be built only once: {error}"
         return replace(drive, trace=replace(drive.trace, notes=(*drive.trace.notes, note)))

@@ -28,7 +28,7 @@ from uuid import uuid4
 
 from logs.errors import ConfigError, LogError, writing
 from logs.readers.base import LogSettings
-from replay.apart.proxy import command_of
+from replay.apart.link import command_of
 from replay.batch.checks import KINDS
 from replay.batch.engine import Job, longest_first
 from replay.batch.log_result import Failure, LogResult, Stamp
@@ -77,7 +77,9 @@ class OnRay:
             job = ray.put((run, stamp, uuid4().hex))
             task = ray.remote(_on_node).options(max_retries=RETRIES, num_cpus=1)
             yield from longest_first(
-                absolute, lambda ordered: _kept(self._streamed(ray, lambda one: task.remote(one, job), ordered), out)
+                absolute,
+                lambda ordered: _kept(self._streamed(ray, lambda one: task.remote(one, job), ordered), out),
+                lambda source: source.expected_s,
             )
 
     @contextmanager
@@ -210,7 +212,7 @@ def _on_node(source: LogSource, job: tuple[RunConfig, Stamp, str]) -> tuple[LogR
     if wrong is not None:
         return LogResult(source.label, source.label, failures=(wrong,)), {}
     with tempfile.TemporaryDirectory(prefix="replan-") as scratch:
-        result = Job(run, Path(scratch), stamp, name)(source)
+        (result,) = Job(run, Path(scratch), stamp, name)([source])
         files = {path.relative_to(scratch).as_posix(): path.read_bytes() for path in Path(scratch).glob("*/*")}
         _settled()
         return result, files

@@ -36,7 +36,7 @@ from replay.batch.tables import KEYS, PARTIAL, TIMING_COLUMNS, joined, safe_name
 from replay.closed_loop import run_closed_loop
 from replay.config import RunConfig
 from replay.determinism import NOT_DETERMINISTIC, with_probe
-from replay.drive import Drive
+from replay.drive import Drive, Place
 from replay.open_loop import run_open_loop
 from replay.perturb import perturbed
 from replay.planner_config import is_apart, is_built_in, planner_keywords
@@ -177,24 +177,37 @@ def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, pro
         with progress.attempt():
             progress.tables.append(reference_table(scenario))
     with closing(StepsFile(folder)) as steps:
-        for planner in run.planners:
-            for mode in run.modes:
-                with progress.attempt(planner, mode):
-                    stem = mode.value if len(run.planners) == 1 else f"{mode.value}.{safe_name(planner)}"
-                    trace = _drive_one(scenario, planner, mode, run, folder / stem, progress, steps)
-                    if trace.end is EndReason.PLANNER_FAILURE:
-                        progress.failures.append(Failure(progress.log, trace.detail, planner, mode.value))
-                    files = tuple(f"{final}/{file.name}" for file in sorted(folder.glob(f"{stem}.*")))
-                    progress.drives.append(_record(trace, files))
-                    del trace  # before the next one is driven: of an hour it is large
+        for planner, mode, place in _places(run):
+            with progress.attempt(planner, mode):
+                stem = mode.value if len(run.planners) == 1 else f"{mode.value}.{safe_name(planner)}"
+                trace = _drive_one(scenario, planner, mode, run, place, folder / stem, progress, steps)
+                if trace.end is EndReason.PLANNER_FAILURE:
+                    progress.failures.append(Failure(progress.log, trace.detail, planner, mode.value))
+                files = tuple(f"{final}/{file.name}" for file in sorted(folder.glob(f"{stem}.*")))
+                progress.drives.append(_record(trace, files))
+                del trace  # before the next one is driven: of an hour it is large
         steps.write()
 
 
+def _places(run: RunConfig, member: int = 0) -> Iterator[tuple[str, Mode, Place]]:
+    """Planner and loop of each drive of a log, or of a member of its ensemble."""
+    for i, planner in enumerate(run.planners):
+        for j, mode in enumerate(run.modes):
+            yield planner, mode, Place(member, i, j)
+
+
 def _drive_one(
-    scenario: Scenario, planner: str, mode: Mode, run: RunConfig, file: Path, progress: _Progress, steps: StepsFile
+    scenario: Scenario,
+    planner: str,
+    mode: Mode,
+    run: RunConfig,
+    place: Place,
+    file: Path,
+    progress: _Progress,
+    steps: StepsFile,
 ) -> Trace:
     """Drive, measure and write one planner in one loop; `file` is without its suffix."""
-    drive = _probed(_driven(scenario, planner, mode, run, keep=run.keep_internals), scenario, mode, run)
+    drive = _probed(_driven(scenario, planner, mode, run, place, keep=run.keep_internals), scenario, mode, run, place)
     found: dict[str, Steps] = {}
 
     def put(name: str, series: metrics.Series) -> None:
@@ -216,10 +229,10 @@ def _driven(
     planner: str,
     mode: Mode,
     run: RunConfig,
+    place: Place,
     *,
     keep: bool,
     until_s: float = inf,
-    again: bool = False,
 ) -> Drive:
     table = run.planner.get(planner, {})
     keywords = table if is_apart(planner, run.loop.apart) else planner_keywords(planner, table)
@@ -230,17 +243,18 @@ def _driven(
         config=run.loop,
         keep_internals=keep,
         until_s=until_s,
-        seat=partial(Planning, again=again),
+        seat=partial(Planning, place=place),
     )
 
 
-def _probed(drive: Drive, scenario: Scenario, mode: Mode, run: RunConfig) -> Drive:
+def _probed(drive: Drive, scenario: Scenario, mode: Mode, run: RunConfig, place: Place) -> Drive:
     """The drive, marked where its planner is the user's own and is not deterministic (`RunConfig.repeat_s`)."""
     planner, until_s = drive.trace.planner, float(scenario.ego.t[0]) + run.repeat_s
     if not run.repeat_s or drive.trace.oracle or is_built_in(planner) or not drive.trace.frames:
         return drive
     try:
-        again = _driven(scenario, planner, mode, run, keep=False, until_s=until_s, again=True).trace
+        second = replace(place, again=True)
+        again = _driven(scenario, planner, mode, run, second, keep=False, until_s=until_s).trace
     except PlannerError as error:
         note = f"{NOT_DETERMINISTIC}{planner}, driven twice: it can be built only once: {error}"
         return replace(drive, trace=replace(drive.trace, notes=(*drive.trace.notes, note)))
@@ -253,12 +267,11 @@ def _drive_member(scenario: Scenario, run: RunConfig, member: int, progress: _Pr
     other = with_avoidability(other)
     measures = all_metrics(run)
     tables = [reference_table(other)] if Mode.CLOSED in run.modes else []
-    for planner in run.planners:
-        for mode in run.modes:
-            with progress.attempt(planner, mode):
-                drive = _driven(other, planner, mode, run, keep=bool(run.metrics))
-                noted = progress.broken(planner, mode)
-                tables.append(metrics.evaluate(drive.trace, other, metrics=measures, broken=noted))
+    for planner, mode, place in _places(run, member):
+        with progress.attempt(planner, mode):
+            drive = _driven(other, planner, mode, run, place, keep=bool(run.metrics))
+            noted = progress.broken(planner, mode)
+            tables.append(metrics.evaluate(drive.trace, other, metrics=measures, broken=noted))
     progress.members.extend(table.assign(member=member, perturbation=name) for table in tables)
 
 

@@ -19,7 +19,7 @@ from replay.apart.processes import _warm, loaded_for
 from replay.batch.one_log import LOOPS
 from replay.batch.run import evaluate_logs
 from replay.config import RunConfig
-from replay.drive import DEFAULT_LOOP, ApartConfig, LoopConfig
+from replay.drive import DEFAULT_LOOP, ApartConfig, LoopConfig, Place
 from replay.open_loop import run_open_loop
 from replay.planning import Planning
 
@@ -60,7 +60,7 @@ def loads(name: str) -> int:
 
 def driven(planner: str, *, again: bool = False, config: LoopConfig = DEFAULT_LOOP, **settings: object) -> Trace:
     def seat(*given: object, **named: object) -> Planning:
-        return Planning(*given, again=again, **named)  # type: ignore[arg-type]
+        return Planning(*given, place=Place(again=again), **named)  # type: ignore[arg-type]
 
     return run_open_loop(short("test/a"), planner, planner_config=settings, config=config, seat=seat).trace
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import rerun as rr
 import rerun.blueprint as rrb
 
+from logs.words import counted
 from replay.recording.file import recording_file
 from replay.recording.text import MARKDOWN, cell, document, table
 from replay.report.model import DriveRow
@@ -32,7 +33,7 @@ def write_index(path: Path, folder: Path, most: int) -> tuple[Path, list[Path]]:
     over = overview(load(folder))
     rows = sorted(over.drives, key=lambda row: (_weight(row), -row.trouble, row.log))
     opened = [row for row in rows if row.recording][:most]
-    lines = [f"# {cell(over.outcome)}: {len(rows)} drives, worst first", "", *_said(rows, opened, folder)]
+    lines = [f"# {cell(over.outcome)}: {counted(len(rows), 'drive')}, worst first", "", *_said(rows, opened, folder)]
     names = [column.title.replace("\n", " ") for column in over.columns]
     body = [
         (row.log, row.shown, row.verdict or "not judged", row.end.text, *(c.text for c in row.cells)) for row in rows
@@ -55,8 +56,8 @@ def _weight(row: DriveRow) -> int:
 def _said(rows: Sequence[DriveRow], opened: Sequence[DriveRow], folder: Path) -> list[str]:
     """What is open, and how the others are opened."""
     there = [row for row in rows if row.recording]
-    lines = [f"Open beside this page: {len(opened)} of {len(there)} recordings, those of the worst drives."]
+    lines = [f"Open beside this page: {len(opened)} of {counted(len(there), 'recording')}, those of the worst drives."]
     if len(there) > len(opened):
         lines += ["", f"Another one: `replan view {document([str(folder)])} --log LOG`."]
     without = len(rows) - len(there)
-    return [*lines, *(["", f"{without} drives have no recording."] if without else [])]
+    return [*lines, *(["", f"Without recording: {counted(without, 'drive')}."] if without else [])]

@@ -74,9 +74,17 @@ def heads(files: Sequence[RemoteFile], size: int) -> list[bytes]:
     with _asked(files[0].url, ConfigError):
         system = _system(files[0].url)[0]
         ends = [min(size, file.size) for file in files]
-        found: list[bytes] = system.cat_ranges(
+        found: list[bytes | Exception] = system.cat_ranges(
             [system._strip_protocol(file.url) for file in files], [0] * len(ends), ends
         )
+    return [_head(file, head) for file, head in zip(files, found, strict=True)]
+
+
+def _head(file: RemoteFile, found: bytes | Exception) -> bytes:
+    """What was found, unless it is what was raised."""
+    with _asked(file.url, ConfigError):
+        if isinstance(found, Exception):
+            raise found
         return found
 
 

@@ -64,8 +64,8 @@ def savgol(x: FloatArray, window: int, degree: int, order: int = 0, step: float 
     wanted[order] = factorial(order) / scale
     around = np.flip(np.arange(window) - (window - 1) / 2)
     y = np.asarray(convolve1d(x, _nearest(around ** np.arange(degree + 1.0)[:, None], wanted), mode="constant"))
-    y[:half] = _fitted(x[:window], degree, order, np.arange(half)) / scale
-    y[-half:] = _fitted(x[-window:], degree, order, np.arange(window - half, window)) / scale
+    y[:half] = _fitted(x[:window], degree, order, np.arange(float(half))) / scale
+    y[-half:] = _fitted(x[-window:], degree, order, np.arange(float(window - half), window)) / scale
     return y
 
 

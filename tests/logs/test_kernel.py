@@ -15,7 +15,12 @@ import pytest
 from logs.kernel import interpolated
 from logs.kernel_stamp import KernelIndex
 
-NO_PLACE = "import numba.core.caching as c; c.CacheImpl._locator_classes = []\n"
+NO_PLACE = """
+import numba.core.caching as c
+class Without(list):
+    append = lambda *_: None
+c.CacheImpl._locator_classes = Without()
+"""
 NO_ROOM = """
 import errno, numba.core.caching as c
 def full(*arguments):

@@ -36,6 +36,7 @@ from metrics.metric import changed
 
 NUPLAN_STEP_S, NUPLAN_LEAST_S = 0.1, 0.4
 """Below 5 samples nuPlan's polynomials are not defined."""
+EPSILON = float(np.finfo(np.float64).eps)
 R79_STEP_S, R79_MEAN_S, R79_CUT_HZ, R79_ORDER = 0.01, 0.5, 0.5, 4
 R79_SECTIONS = np.array([
     [5.845142433144487e-8, 1.1690284866288973e-7, 5.845142433144487e-8, 1.0, -1.9426382305401135, 0.9435972784703671],
@@ -57,16 +58,28 @@ def regular(drive: Trajectory, step: float) -> Trajectory:
 
 def savgol(x: FloatArray, window: int, degree: int, order: int = 0, step: float = 1.0) -> FloatArray:
     """(0) of `x` `(n,)`, of which n is at least `window`: SG, or of that `order` with samples `step` s apart."""
-    from scipy.ndimage import convolve1d  # here: it is no other's
-
     scale, half = step**order, window // 2
     wanted = np.zeros(degree + 1)
     wanted[order] = factorial(order) / scale
     around = np.flip(np.arange(window) - (window - 1) / 2)
-    y = np.asarray(convolve1d(x, _nearest(around ** np.arange(degree + 1.0)[:, None], wanted), mode="constant"))
-    y[:half] = _fitted(x[:window], degree, order, np.arange(float(half))) / scale
-    y[-half:] = _fitted(x[-window:], degree, order, np.arange(float(window - half), window)) / scale
+    weights = _nearest(around ** np.arange(degree + 1.0)[:, None], wanted)[::-1]
+    y = np.empty(len(x))
+    first = (window - 1) // 2
+    y[first : len(x) - half] = _weighted(x, weights, half)
+    y[:half] = _fitted(x[:window], degree, order, np.arange(0.0, half)) / scale
+    y[-half:] = _fitted(x[-window:], degree, order, np.arange(window - half, float(window))) / scale
     return y
+
+
+def _weighted(x: FloatArray, weights: FloatArray, half: int) -> FloatArray:
+    """Sums of `x` `(n,)` weighted in all windows `(n-w+1,)`, added up as SciPy does: equal weights together."""
+    last, count = len(weights) - 1, len(x) - len(weights) + 1
+    at = [x[k : k + count] for k in range(last + 1)]
+    for sign in (1.0, -1.0) if last % 2 == 0 else ():
+        if (np.abs(weights - sign * weights[::-1])[:half] <= EPSILON).all():
+            pairs = ((at[k] + sign * at[last - k]) * weights[k] for k in range(half))
+            return np.asarray(sum(pairs, at[half] * weights[half]))
+    return np.asarray(sum((at[k] * weights[k] for k in range(last)), at[last] * weights[last]))
 
 
 def _fitted(x: FloatArray, degree: int, order: int, at: FloatArray) -> FloatArray:
@@ -84,7 +97,7 @@ def _fitted(x: FloatArray, degree: int, order: int, at: FloatArray) -> FloatArra
 
 def _nearest(a: FloatArray, b: FloatArray) -> FloatArray:
     """The least squares x of a x = b."""
-    return np.asarray(lstsq(a, b, cond=float(np.finfo(np.float64).eps) * max(a.shape))[0])
+    return np.asarray(lstsq(a, b, cond=EPSILON * max(a.shape))[0])
 
 
 def _smooth(value: FloatArray) -> FloatArray:

@@ -21,7 +21,7 @@ ELSEWHERE = (
     "copy the .rrd to a machine with one and open it there with `rerun FILE.rrd`, or add --web to see it in a browser"
 )
 MOST = 12
-"""Recordings opened at once: each takes memory in the viewer, which has no way to load one when it is asked for."""
+"""Recordings opened at once: each takes memory in the viewer; the index has links to all."""
 
 
 def recordings(target: Path, log: str | None = None) -> list[Path]:

@@ -27,6 +27,7 @@ from replay.recording.lane_choice import Change, changes_under_way, lanes_driven
 from replay.recording.others import unseen
 from replay.recording.text import MARKDOWN, cell, document
 from replay.why import Account, Course, accounts, sentences
+from replay.why.alternatives import telling
 from replay.why.course import BRAKES_MPS2
 
 A = TypeVar("A")
@@ -177,7 +178,7 @@ def _solvers(plan: Plan) -> list[str]:
 def _costs(plan: Plan) -> list[str]:
     stages = _of(plan, CostTerms)
     lines = [
-        f"- {cell(stage.stage)}: {', '.join(f'{cell(name)} {value:.3g}' for name, value in stage.terms)}"
+        f"- {cell(stage.stage)}: {', '.join(f'{cell(name)} {value:.3g}' for name, value in telling(stage.terms)) or 0}"
         for stage in stages
     ]
     return ["", "#### Cost terms", "", *lines] if lines else []

@@ -27,3 +27,9 @@ def test_a_begin_that_cannot_be_read_is_one_line_that_names_it(store: Any) -> No
     store.rm("/fleet/b.mcap")
     with pytest.raises(ConfigError, match=r"^memory://fleet/b.mcap: not there"):
         heads(files, 2)
+
+
+def test_a_name_that_leads_out_of_its_folder_is_refused(store: Any) -> None:
+    store.pipe("/fleet/a/../../evil.mcap", b"abc")
+    with pytest.raises(ConfigError, match=r"a/../../evil.mcap: has '..' in its name"):
+        listed("memory://fleet")

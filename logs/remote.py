@@ -10,6 +10,7 @@ from __future__ import annotations
 import re
 import shutil
 import tempfile
+import weakref
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
@@ -62,6 +63,8 @@ def listed(url: str) -> tuple[RemoteFile, ...]:
     files = []
     for key, info in sorted(found.items()):
         name = key.removeprefix(base).lstrip("/") or Path(base).name
+        if ".." in name.split("/"):
+            raise ConfigError(f"{url}/{name}: has '..' in its name, which would lead out of a folder; rename it")
         version = next((str(info[word]).strip('"') for word in _VERSIONS if info.get(word)), "")
         files.append(RemoteFile(url if key == base else f"{url}/{name}", name, int(info.get("size") or 0), version))
     return tuple(file for file in files if not file.url.endswith("/"))
@@ -74,9 +77,17 @@ def heads(files: Sequence[RemoteFile], size: int) -> list[bytes]:
     with _asked(files[0].url, ConfigError):
         system = _system(files[0].url)[0]
         ends = [min(size, file.size) for file in files]
-        found: list[bytes] = system.cat_ranges(
+        found: list[bytes | Exception] = system.cat_ranges(
             [system._strip_protocol(file.url) for file in files], [0] * len(ends), ends
         )
+    return [_head(file, head) for file, head in zip(files, found, strict=True)]
+
+
+def _head(file: RemoteFile, found: bytes | Exception) -> bytes:
+    """What was found, unless it is what was raised."""
+    with _asked(file.url, ConfigError):
+        if isinstance(found, Exception):
+            raise found
         return found
 
 
@@ -151,6 +162,7 @@ class Near:
 
     Attributes:
         path: Where it is.
+        place: Path or URL, for people.
 
     Raises:
         ConfigError: Nothing is at the URL.
@@ -159,14 +171,16 @@ class Near:
 
     def __init__(self, place: Path | str, but: tuple[str, ...] = ()) -> None:
         url, self.path = url_of(place), local_path(place)
-        self._scratch: tempfile.TemporaryDirectory[str] | None = None
+        self.place = url or str(self.path)
+        self._removed: Callable[[], object] = _nothing
         if not url:
             return
         files = listed(url)
         if not files:
             raise ConfigError(f"{url}: nothing is there")
-        self._scratch = tempfile.TemporaryDirectory(prefix="replan-")
-        self.path = Path(self._scratch.name, Path(url).name)
+        scratch = tempfile.mkdtemp(prefix="replan-")
+        self._removed = weakref.finalize(self, shutil.rmtree, scratch, ignore_errors=True)
+        self.path = Path(scratch, Path(url).name)
         if files[0].url == url:
             fetch(files, self.path.parent)
         else:
@@ -175,8 +189,11 @@ class Near:
 
     def close(self) -> None:
         """The copy goes now."""
-        if self._scratch is not None:
-            self._scratch.cleanup()
+        self._removed()
+
+
+def _nothing() -> None:
+    """Where there is no copy."""
 
 
 @contextmanager

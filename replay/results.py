@@ -66,19 +66,19 @@ def loaded(near: Near) -> Results:
         summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     except FileNotFoundError:
         hint = "it was interrupted: `--resume` finishes it" if (folder / "run.toml").is_file() else "see --out"
-        raise ConfigError(f"{folder}: no results of a finished run (no summary.json in it; {hint})") from None
+        raise ConfigError(f"{near.place}: no results of a finished run (no summary.json in it; {hint})") from None
     except (OSError, ValueError) as error:
-        raise ConfigError(f"{folder / 'summary.json'}: cannot be read: {error}") from None
+        raise ConfigError(f"{near.place}/summary.json: cannot be read: {error}") from None
     if not isinstance(summary, dict):
-        raise ConfigError(f"{folder / 'summary.json'}: holds no summary of a run")
+        raise ConfigError(f"{near.place}/summary.json: holds no summary of a run")
     if summary.get("schema_version") != SCHEMA_VERSION:
         was = summary.get("schema_version")
         raise ConfigError(
-            f"{folder}: its tables are of version {was}, this replan reads {SCHEMA_VERSION}; evaluate again"
+            f"{near.place}: its tables are of version {was}, this replan reads {SCHEMA_VERSION}; evaluate again"
         )
     missing = SUMMARY_KEYS - summary.keys()
     if missing:
-        raise ConfigError(f"{folder / 'summary.json'}: is not whole: no {', '.join(sorted(missing))}; evaluate again")
+        raise ConfigError(f"{near.place}/summary.json: is not whole: no {', '.join(sorted(missing))}; evaluate again")
     return Results(folder, summary, near)
 
 

@@ -29,6 +29,9 @@ from logs.words import counted
 
 T = TypeVar("T")
 
+UNSEEN = "agents have no sample and are left out."
+"""How the note ends on those who are in the table only."""
+
 
 def read_scenario(path: Path, ego: str = "") -> Scenario:
     """The scenario in a native or OSI log; `ego` names another object of an OSI log than its host.
@@ -221,7 +224,7 @@ def tracks_of(streams: dict[str, Stream], start_ns: int, notes: list[str]) -> Tr
     _check_tracks(row, times, table.id)
     there = np.unique(row)
     if len(there) < len(rows):
-        notes.append(f"{len(rows) - len(there)} of {len(rows)} agents have no sample and are left out.")
+        notes.append(f"{len(rows) - len(there)} of {len(rows)} {UNSEEN}")
     offsets = np.r_[0, np.cumsum(np.bincount(row, minlength=len(rows))[there])]
     x, y, yaw, vx, vy = (np.array(column, dtype=np.float64)[order] for column in columns)
     try:

@@ -28,7 +28,7 @@ class DriveRow:
 
     Attributes:
         log: Name of the log.
-        planner: Name of the planner; `shown` is with its marks: oracle, trusted, not deterministic.
+        planner: Name of the planner; `shown` is with its marks: oracle, trusted, batched, not deterministic.
         verdict: The worst that the gates say of this log; "" where none was asked.
         end: How the closed loop ended.
         cells: One per column of `Overview.columns`.

@@ -37,9 +37,9 @@ def print_report(over: Overview, console: Console, folder: Path, *, ending: bool
         print_ending(over, console, folder)
 
 
-def print_ending(over: Overview, console: Console, folder: Path) -> None:
-    """Where the results are, and the outcome: the last line of a run."""
-    console.print(Group(*_ending(over, folder)))
+def print_ending(over: Overview, console: Console, folder: Path, place: str = "") -> None:
+    """Where the results are (`place`: where those of the folder go), and the outcome: the last line of a run."""
+    console.print(Group(*_ending(over, folder, place or str(folder))))
 
 
 def _parts(over: Overview) -> Iterator[RenderableType]:
@@ -179,11 +179,11 @@ def _shares(over: Overview) -> Iterator[RenderableType]:
     yield from _titled("Logs that pass", table, *more)
 
 
-def _ending(over: Overview, folder: Path) -> Iterator[RenderableType]:
+def _ending(over: Overview, folder: Path, place: str) -> Iterator[RenderableType]:
     there = [name for name in ("report.html", "metrics.csv", "summary.json") if (folder / name).is_file()]
-    yield Text(f"Results: {folder}  ({', '.join((*there, 'a folder per log'))})")
+    yield Text(f"Results: {place}  ({', '.join((*there, 'a folder per log'))})")
     if over.worst is not None and over.worst.recording:
-        yield Text.assemble("Look at a drive:  ", (f"replan view {folder / over.worst.recording}", "bold"))
+        yield Text.assemble("Look at a drive:  ", (f"replan view {place}/{over.worst.recording}", "bold"))
     code = over.exit_code
     words = f"Outcome: {over.outcome.upper()} (exit code {code})"
     yield Text(words, style="bold green" if code == 0 else "bold red")

@@ -151,9 +151,7 @@ class _Case:
     def cause(self, kind: CauseKind, distance: float, need: float, who: str = "", value: float = nan) -> Cause:
         """A cause at a place on the way."""
         time = self.held.when(distance)
-        return Cause(
-            kind, who, hold_mps=self.held.v, time_s=time, distance_m=distance, need_mps2=need, value=value
-        )  # fmt: skip
+        return Cause(kind, who, hold_mps=self.held.v, time_s=time, distance_m=distance, need_mps2=need, value=value)
 
 
 class Explainer:

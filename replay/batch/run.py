@@ -40,6 +40,7 @@ from replay.batch.log_result import (
     timings_of,
 )
 from replay.batch.one_log import all_metrics
+from replay.batch.origin import write_origin
 from replay.batch.pool import WorkerLost
 from replay.batch.resume import finished, stamp_of
 from replay.batch.shard import Shard, write_card
@@ -169,6 +170,7 @@ def evaluate_logs(
             _check_outside(out, selection.sources, run)
             claim(out)
         write_text(out / "run.toml", dump_run(run))
+        write_origin(out)
         on_start(selection, out)
         try:
             evaluate = partial(engine.evaluate, run=run, out=out, stamp=stamp)

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from replay.batch.engine import Engine
     from replay.batch.log_result import LogResult
     from replay.batch.publish import Place
+    from replay.batch.sources import Selection
     from replay.config import RunConfig
 
 
@@ -222,7 +223,8 @@ def evaluate(
                 logs or [], run, place, _engine(engine, address, workers),
                 resume=resume, window=window, suite=suite, shard=shard, quiet=quiet, verbose=verbose,
             )  # fmt: skip
-            code = ended(result, before, gates=run.gates_path, report=not no_report, as_json=as_json, quiet=quiet)
+            said = {"report": not no_report, "as_json": as_json, "quiet": quiet}
+            code = ended(result, before, place.url, gates=run.gates_path, **said)
         if place.url and not quiet:
             say(f"all of it is at {place.url}", err=True)
         raise typer.Exit(code)
@@ -350,9 +352,13 @@ def _evaluated(
             on_log(result)
             place.keep(result)
 
+        def begun(selection: Selection, out: Path) -> None:
+            place.check_outside(selection.sources)
+            on_start(selection, out)
+
         return evaluate_logs(
             logs, run, place.folder, engine=engine, resume=resume, window=window, suite=suite, shard=part,
-            on_start=on_start, on_log=said_and_kept,
+            on_start=begun, on_log=said_and_kept,
         )  # fmt: skip
 
 

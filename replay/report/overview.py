@@ -21,6 +21,7 @@ from typing import Any
 import pandas as pd
 
 from logs.trace import EndReason
+from logs.words import counted
 from metrics.aggregate import LogLabels, membership, pass_shares, standings
 from metrics.compare import Comparison
 from metrics.gates import Outcome
@@ -311,7 +312,7 @@ def _notes(logs: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         for key, note in notes.items():
             texts.setdefault(key, set()).add(note)
     for key, concerned in count.most_common():
-        yield f"{_example(texts[key])} ({concerned} of {len(logs)} logs)"
+        yield f"{_example(texts[key])} ({concerned} of {counted(len(logs), 'log')})"
 
 
 def _example(notes: set[str]) -> str:

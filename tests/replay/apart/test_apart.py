@@ -120,6 +120,7 @@ def test_a_variable_that_is_named_is_passed_on(monkeypatch: pytest.MonkeyPatch) 
     assert "variable SECRET_LOG" in ended("bad_planners:Peeps", LoopConfig(apart=limits)).detail
 
 
+@pytest.mark.slow
 def test_the_whole_drive_may_be_limited() -> None:
     limits = ApartConfig(log_timeout_s=5.0)
     assert (

@@ -134,7 +134,7 @@ class Forks:
         until = time.monotonic() + ENDING_S
         for pid in [pid for pid, asked in self.live.items() if "load" not in asked]:
             _kill(pid)
-        while any("load" in asked for asked in self.live.values()) and time.monotonic() < until:
+        while self.live and time.monotonic() < until:
             time.sleep(0.005)
             self._reap()
         for pid in self.live:

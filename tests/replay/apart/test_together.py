@@ -117,7 +117,12 @@ return [ValueError("no way ahead") if f.t > 0.45 and len(f.agents.ids) else a fo
 """
 FAILS: dict[str, tuple[str, str, list[bool], str]] = {
     "one": ("", ONE_FAILS, [False, True, False], "raised at 0.50 s: ValueError: no way ahead"),
-    "raises": ("", "if frames[0].t > 0.45: raise ValueError('all')", [True] * 3, "raised at 0.50 s: ValueError: all"),
+    "raises_all": (
+        "",
+        "if frames[0].t > 0.45: raise ValueError('all')",
+        [True] * 3,
+        "raised at 0.50 s: ValueError: all",
+    ),
     "few": ("", "return []", [True] * 3, "broke its contract at 0.00 s: plan_batch returned 0 plans instead of 3"),
     "dies": (
         "",

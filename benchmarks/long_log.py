@@ -25,6 +25,7 @@ from logs.catalogue.agents import ADULT, CAR, Agent, tracks
 from logs.catalogue.roads import LANE_WIDTH_M, Path, curve, two_way
 from logs.kernel import FloatArray
 from logs.mcap import read_scenario, write_scenario
+from logs.memory import give_back
 from logs.road import Lane, Road
 from logs.scenario import AgentKind, Scenario
 from logs.states import Trajectory
@@ -92,6 +93,7 @@ def _seen(
 def stage(console: Console, name: str) -> Iterator[None]:
     """Say what it took."""
     gc.collect()
+    give_back()  # as a worker does between the stages of a long drive
     File("/proc/self/clear_refs").write_text("5")
     begin = process_time()
     yield

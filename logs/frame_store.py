@@ -1,8 +1,8 @@
 """The frames of a drive while it is driven and after: of a long one, what is large waits in a file.
 
-A plan's graphs and the predictions are most of a frame (40 kB of 46 among thirty road users). The first `WHOLE` frames
-are kept as they are; of later ones these go into a file without a name and are read back each time they are asked for,
-equal to the bit. What metrics look at stays in memory (`light`).
+A plan's trajectory, graphs and costs and the predictions are most of a frame (46 kB of 47 among thirty road users).
+The first `WHOLE` frames are kept as they are; of later ones these go into a file without a name and are read back each
+time they are asked for, equal to the bit. What else metrics look at stays in memory (`light`).
 """
 
 from __future__ import annotations
@@ -15,11 +15,81 @@ from dataclasses import replace
 from pathlib import Path
 from typing import IO, overload
 
+import numpy as np
+
 from logs.errors import writing
-from logs.trace import Graph, PlannedFrame
+from logs.kernel import FloatArray
+from logs.states import TRAJECTORY_COLUMNS, Trajectory
+from logs.trace import Candidates, CostTerms, Graph, PlannedFrame
 
 WHOLE = 600
 """A minute at 10 Hz: 28 MB among thirty road users."""
+_LARGE = (Graph, CostTerms, Candidates)
+"""What no metric looks at."""
+COLUMN = {name: row for row, name in enumerate(TRAJECTORY_COLUMNS)}
+
+
+class Scratch:
+    """A file without a name, which goes with this."""
+
+    def __init__(self) -> None:
+        self._file: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  it goes with this
+        weakref.finalize(self, self._file.close)
+        self._end, self._reads = 0, False
+
+    def put(self, data: bytes) -> int:
+        """Where the data are from now on."""
+        begin = self._end
+        if self._reads:
+            self._file.seek(begin)
+        self._file.write(data)
+        self._end, self._reads = begin + len(data), False
+        return begin
+
+    def get(self, begin: int, size: int) -> bytes:
+        """So many bytes of what is there."""
+        self._file.seek(begin)
+        self._reads = True
+        return self._file.read(size)
+
+
+class Filed(Trajectory):
+    """A trajectory whose columns are read from a file each time they are asked for."""
+
+    __slots__ = ("_begin", "_file", "_size")
+    _file: Scratch
+    _begin: int
+    _size: int
+
+    @classmethod
+    def put(cls, path: Trajectory, file: Scratch) -> Filed:
+        """A trajectory, from now on in the file."""
+        data = np.stack([getattr(path, name) for name in TRAJECTORY_COLUMNS]).tobytes()
+        made = object.__new__(cls)
+        for name, value in (("_file", file), ("_begin", file.put(data)), ("_size", len(data))):
+            object.__setattr__(made, name, value)
+        return made
+
+    @property
+    def loaded(self) -> Trajectory:
+        """The same in memory."""
+        made = object.__new__(Trajectory)
+        for name, row in zip(TRAJECTORY_COLUMNS, self._rows(), strict=True):
+            object.__setattr__(made, name, row)
+        return made
+
+    def _rows(self) -> FloatArray:
+        return np.frombuffer(self._file.get(self._begin, self._size)).reshape(len(TRAJECTORY_COLUMNS), -1)
+
+    def __getattr__(self, name: str) -> FloatArray:
+        if name not in COLUMN:
+            raise AttributeError(name)
+        return np.asarray(self._rows()[COLUMN[name]])
+
+
+def loaded(path: Trajectory) -> Trajectory:
+    """The trajectory in memory: for who looks at several of its columns."""
+    return path.loaded if isinstance(path, Filed) else path
 
 
 class FrameStore(Sequence[PlannedFrame]):
@@ -36,7 +106,7 @@ class FrameStore(Sequence[PlannedFrame]):
         self._whole = whole
         self._frames: list[PlannedFrame] = []
         self._places: list[tuple[int, int]] = []
-        self._file: IO[bytes] | None = None
+        self._file: Scratch | None = None
 
     def append(self, frame: PlannedFrame) -> None:
         """One more."""
@@ -45,16 +115,12 @@ class FrameStore(Sequence[PlannedFrame]):
             return
         data = pickle.dumps((frame.plan.internals, frame.predictions, frame.visibility), pickle.HIGHEST_PROTOCOL)
         with writing(Path(tempfile.gettempdir())):
-            if self._file is None:
-                self._file = tempfile.TemporaryFile()  # noqa: SIM115  it goes with this
-                weakref.finalize(self, self._file.close)
-            begin = self._file.seek(0, 2)
-            self._file.write(data)
-        self._places.append((begin, len(data)))
-        small = tuple(item for item in frame.plan.internals if not isinstance(item, Graph))
-        self._frames.append(
-            replace(frame, plan=replace(frame.plan, internals=small), predictions=None, visibility=None)
-        )
+            self._file = self._file or Scratch()
+            path = Filed.put(frame.plan.trajectory, self._file)
+            self._places.append((self._file.put(data), len(data)))
+        small = tuple(item for item in frame.plan.internals if not isinstance(item, _LARGE))
+        plan = replace(frame.plan, trajectory=path, internals=small)
+        self._frames.append(replace(frame, plan=plan, predictions=None, visibility=None))
 
     @property
     def frames(self) -> Sequence[PlannedFrame]:
@@ -63,7 +129,7 @@ class FrameStore(Sequence[PlannedFrame]):
 
     @property
     def light(self) -> tuple[PlannedFrame, ...]:
-        """The frames without graphs, predictions and visibility, where these are in the file."""
+        """The frames as they are in memory: later ones without graphs, costs, predictions ..., their plans `Filed`."""
         return tuple(self._frames)
 
     def __len__(self) -> int:
@@ -85,10 +151,9 @@ class FrameStore(Sequence[PlannedFrame]):
         frame = self._frames[index]
         if index < self._whole or self._file is None:
             return frame
-        begin, size = self._places[index - self._whole]
-        self._file.seek(begin)
-        internals, predictions, visibility = pickle.loads(self._file.read(size))
-        plan = replace(frame.plan, internals=internals)
+        place = self._places[index - self._whole]
+        internals, predictions, visibility = pickle.loads(self._file.get(*place))
+        plan = replace(frame.plan, trajectory=loaded(frame.plan.trajectory), internals=internals)
         return replace(frame, plan=plan, predictions=predictions, visibility=visibility)
 
 

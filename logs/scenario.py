@@ -296,10 +296,8 @@ class Tracks:
 
         Velocity and acceleration are those of `motion`, in which later samples are.
         """
-        before = _last_samples(self.offsets, self.t, time)
+        seen, before = self._there(time)
         last = self.offsets[1:] - 1
-        gone = self.gap_after[before] & (time > self.t[before] + 1e-9)
-        seen = np.flatnonzero(self.static | ((before >= 0) & (self.t[last] >= time - 1e-9) & ~gone))
         at = np.where(self.static[seen], self.offsets[seen], before[seen])
         after = np.where(self.static[seen] | self.gap_after[at], at, np.minimum(at + 1, last[seen]))
         span = self.t[after] - self.t[at]
@@ -310,6 +308,17 @@ class Tracks:
         speed = np.hypot(vx, vy)
         trends = _trends(seen, at, self.offsets, self.t, self.yaw, self.x, self.y, self.vx, self.vy, speed)
         return self._agents(seen, (x, y, yaw, vx, vy), trends[0], accel)
+
+    def ids_at(self, time: float) -> tuple[str, ...]:
+        """Of `truth(time)`, the names alone."""
+        return tuple(self.ids[i] for i in self._there(time)[0])
+
+    def _there(self, time: float) -> tuple[IntArray, IntArray]:
+        """Who is in the scene at `time` `(k,)`, and the last sample until then of each track `(n,)`; -1: none."""
+        before = _last_samples(self.offsets, self.t, time)
+        last = self.offsets[1:] - 1
+        gone = self.gap_after[before] & (time > self.t[before] + 1e-9)
+        return np.flatnonzero(self.static | ((before >= 0) & (self.t[last] >= time - 1e-9) & ~gone)), before
 
     def velocity(self, seen: IntArray, at: IntArray) -> tuple[FloatArray, FloatArray]:
         """Vectors vx and vy `(k,)` of the tracks `seen` at their samples `at`: logged, else backward differences."""

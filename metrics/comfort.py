@@ -23,6 +23,7 @@ from functools import partial
 
 import numpy as np
 
+from logs.frame_store import loaded
 from logs.kernel import FloatArray
 from logs.scenario import Scenario
 from logs.states import Trajectory
@@ -107,7 +108,8 @@ def _planned(signal: Signal, trace: Trace, scenario: Scenario) -> Measured:
         return Unavailable("the drive has no plans")
     worst = np.full(len(trace.frames), np.nan)
     for i, frame in enumerate(trace.frames):
-        values = np.abs(signal(frame.plan.trajectory))[frame.plan.trajectory.t <= frame.t + PLAN_HORIZON_S + 1e-9]
+        path = loaded(frame.plan.trajectory)
+        values = np.abs(signal(path))[path.t <= frame.t + PLAN_HORIZON_S + 1e-9]
         if np.isfinite(values).any():
             worst[i] = np.nanmax(values)
     return Series(frame_times(trace), worst, missing=f"the plans are shorter than {WINDOW_S} s")

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from logs.frame_store import light
+from logs.frame_store import light, loaded
 from logs.kernel import FloatArray, IntArray, kernel
 from logs.states import TRAJECTORY_COLUMNS, Trajectory
 from logs.trace import Trace
@@ -38,7 +38,7 @@ def plan_columns(trace: Trace, times: FloatArray, names: tuple[str, ...], which:
     wanted = np.array([TRAJECTORY_COLUMNS.index(name) for name in names])
     out = np.empty((len(names), *times.shape))
     for k in range(0, len(which), PIECE):
-        plans = [frames[f].plan.trajectory for f in which[k : k + PIECE]]
+        plans = [loaded(frames[f].plan.trajectory) for f in which[k : k + PIECE]]
         out[:, k : k + PIECE] = _at(*_rows(plans), wanted, np.ascontiguousarray(times[k : k + PIECE]))
     return out
 

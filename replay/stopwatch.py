@@ -11,7 +11,7 @@ class Stopwatch:
     """Runs from `start` to `stop`; in between, `lap` is given to the planner as `PlannerContext.lap`."""
 
     def __init__(self) -> None:
-        self._plans: list[tuple[float, dict[str, float]]] = []
+        self._times: list[StageTime] = []
         self._laps: dict[str, float] = {}
         self._begin = self._last = 0.0
         self._running = False
@@ -35,7 +35,8 @@ class Stopwatch:
         total = perf_counter() - self._begin
         self._running = False
         self._laps.pop("total", None)
-        self._plans.append((t, {**self._laps, "total": total}))
+        laps = {**self._laps, "total": total}
+        self._times += [StageTime(t, stage, seconds) for stage, seconds in laps.items()]
 
     def took(self, stage: str, seconds: float) -> None:
         """A stage that another process has measured."""
@@ -54,4 +55,4 @@ class Stopwatch:
     @property
     def times(self) -> tuple[StageTime, ...]:
         """Of all plans so far: their stages in order of their first lap, then "total"."""
-        return tuple(StageTime(t, stage, seconds) for t, laps in self._plans for stage, seconds in laps.items())
+        return tuple(self._times)

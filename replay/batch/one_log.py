@@ -21,8 +21,10 @@ import pandas as pd
 
 import metrics
 from logs.errors import ConfigError, OutputError, PlannerError, ReplanError, of_users, raised, writing
+from logs.frame_store import FrameStore
 from logs.mcap import write_scenario, write_trace
 from logs.mcap.writer import Entry
+from logs.memory import give_back
 from logs.scenario import Scenario
 from logs.trace import EndReason, Mode, Trace
 from metrics import METRICS, Metric, health, load_metric
@@ -214,7 +216,9 @@ def _drive_one(
         found[name] = steps.put(name, series)
 
     broken = progress.broken(planner, mode)
+    _tidy(drive.trace)
     table = metrics.evaluate(drive.trace, scenario, metrics=all_metrics(run), broken=broken, found=put)
+    _tidy(drive.trace)
     steps.add(drive.trace.planner, mode.value, tuple(found.values()))
     progress.tables.append(table)
     progress.timings.append(_timings(drive))
@@ -222,6 +226,12 @@ def _drive_one(
         shown = steps.table([found[name] for name in SHOWN if name in found])
         _write_drive(file, drive, scenario, table, shown, run)
     return drive.trace
+
+
+def _tidy(trace: Trace) -> None:
+    """After a stage of a long drive."""
+    if isinstance(trace.frames, FrameStore):
+        give_back()
 
 
 def _driven(
@@ -285,6 +295,7 @@ def _write_drive(
 
         beside = trace_channels(drive.trace, scenario)
     write_trace(Path(f"{file}.mcap"), drive.trace, scenario, internals=run.internals, beside=beside)
+    _tidy(drive.trace)
     if run.recording:
         from replay.recording import write_recording
 

@@ -15,8 +15,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun as rr
 
+from logs.around import Around
 from logs.frame_store import light
 from logs.kernel import FloatArray
+from logs.memory import give_back
 from logs.scenario import Scenario
 from logs.trace import EndReason, Graph, Mode, PlannedFrame, SlGraph, StGraph, Trace
 from replay.recording import events, plots, states, why, words
@@ -38,8 +40,8 @@ if TYPE_CHECKING:
 __all__ = ["write_log_recording", "write_recording"]
 
 SCENE_STEP_S = 0.1
-PART = 1000
-"""Frames that are drawn at once; the axes of graphs are made of so many."""
+PART, SAMPLE = 500, 1000
+"""Frames that are drawn at once, and of which the axes of graphs are made."""
 
 
 def write_recording(
@@ -65,7 +67,7 @@ def write_recording(
     times = scene_times(trace, float(trace.ego.t[-1]))
     frames = np.array([frame.t for frame in trace.frames]) if trace.frames else times
     instants, planned = Instants.among(times, frames), Instants.among(frames, frames)
-    some = whole.frames[:: max(1, ceil(len(frames) / PART))]
+    some = whole.frames[:: max(1, ceil(len(frames) / SAMPLE))]
     axes: dict[type[Graph], Axes | None] = {
         StGraph: st_axes([graph for graph in _graphs(some, StGraph) if graph]),
         SlGraph: sl_axes([graph for graph in _graphs(some, SlGraph) if graph]),
@@ -85,6 +87,8 @@ def write_recording(
         for begin in range(0, len(planned), PART):
             part = range(begin, begin + PART)
             _draw_part(tape, whole, scenario, instants.within(part), planned.within(part), axes)
+            if len(planned) > PART:
+                give_back()
         plots.draw_panels(tape, panels, frames)
         states.draw_lanes(tape, lanes, frames)
         events.draw_events(tape, events.events(trace), planned)
@@ -102,8 +106,8 @@ def _draw_part(
 ) -> None:
     """What there is of others, plans and graphs in some frames: a long drive has no more than these in memory."""
     frames = whole.frames[int(planned.frame[0]) : int(planned.frame[-1]) + 1]
-    trace = replace(whole, frames=frames)
-    draw_moving(tape, trace, instants, planned)
+    trace = _around(whole, frames, instants.t)
+    draw_moving(tape, trace, frozenset(whole.agents.kinds), instants, planned)
     draw_others(tape, trace, planned)
     for kind, axis in axes.items():
         if axis:
@@ -113,6 +117,14 @@ def _draw_part(
         draw_happened(tape, planned, list(happened(trace, scenario)), st)
     if frames:
         why.draw_why(tape, trace, scenario, planned)
+
+
+def _around(whole: Trace, frames: Sequence[PlannedFrame], t: FloatArray) -> Trace:
+    """The part of a trace for some frames and the instants `t` `(k,)`, s, with who is there until their plans end."""
+    begin = min([float(t[0]), *(frame.t for frame in frames[:1])])
+    end = max([float(t[-1]), *(float(frame.plan.trajectory.t[-1]) for frame in frames)])
+    shown = None if whole.perceived is None else Around().of(whole.perceived, begin, end)
+    return replace(whole, frames=frames, agents=Around().of(whole.agents, begin, end), perceived=shown)
 
 
 def write_log_recording(path: Path, scenario: Scenario) -> None:
@@ -128,7 +140,7 @@ def write_log_recording(path: Path, scenario: Scenario) -> None:
     instants = Instants.among(times, times)
     with recording_file(path, f"replan {scenario.name} log", "log", _digest(trace), blueprint(contents)) as tape:
         draw_scene(tape, trace, scenario, instants)
-        draw_moving(tape, trace, instants, instants)
+        draw_moving(tape, trace, frozenset(trace.agents.kinds), instants, instants)
         plots.draw_panels(tape, panels, times)
         words.draw_summary(tape, words.log_summary(scenario))
 

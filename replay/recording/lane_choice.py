@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from logs.kernel import FloatArray
 from logs.road import Road, RoadSource
 from logs.trace import LaneOption, Plan, PlannedFrame, Said, Trace
 
@@ -64,15 +65,20 @@ def lanes_driven(trace: Trace, road: Road) -> list[int | None]:
     """The drivable lane under the ego's reference point at each frame; where lanes overlap, the one it came along."""
     if road.source is not RoadSource.LANES:
         return [None] * len(trace.frames)
-    ego, out = trace.ego, list[int | None]()
-    for frame in trace.frames:
-        x, y = float(np.interp(frame.t, ego.t, ego.x)), float(np.interp(frame.t, ego.t, ego.y))
+    out = list[int | None]()
+    for x, y in places(trace).tolist():
         under = [lane.id for lane in road.lanes_at(x, y) if lane.drivable]
         before = road.lanes.get(out[-1]) if out and out[-1] is not None else None
         onward = [i for i in under if before is not None and (i == before.id or i in before.successors)]
         first = under[0] if under else None
         out.append(min(onward, key=lambda i: before is None or i != before.id) if onward else first)
     return out
+
+
+def places(trace: Trace) -> FloatArray:
+    """Where the ego is at each frame `(f, 2)`, m."""
+    ego, t = trace.ego, np.array([frame.t for frame in trace.frames])
+    return np.column_stack([np.interp(t, ego.t, ego.x), np.interp(t, ego.t, ego.y)])
 
 
 def told(some: Sequence[LaneOption]) -> str:

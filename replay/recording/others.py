@@ -20,6 +20,7 @@ from logs.trace import PlannedFrame, Trace
 from replay.recording import colours
 from replay.recording.attention import decided, in_full
 from replay.recording.columns import Instants, Tape, joined, pixels, strips
+from replay.recording.lane_choice import places
 from replay.recording.text import plain
 from replay.why.shown import SAME_TIME_S, picked
 
@@ -48,8 +49,8 @@ def _draw_predictions(tape: Tape, trace: Trace, frames: Instants) -> None:
     lines: list[FloatArray] = []
     colour: list[int] = []
     counts: list[int] = []
-    for frame in trace.frames:
-        drawn = futures(frame, *_place(trace, frame.t))
+    for frame, (x, y) in zip(trace.frames, places(trace).tolist(), strict=True):
+        drawn = futures(frame, x, y)
         lines += [line for _, _, line in drawn]
         colour += [colours.with_alpha(colours.KINDS[kinds[name]], _alpha(p)) for name, p, _ in drawn]
         counts.append(len(drawn))
@@ -117,7 +118,7 @@ def _draw_perceived(tape: Tape, trace: Trace, frames: Instants) -> None:
 def perceived_only(trace: Trace, t: float) -> Agents:
     """What the planner was shown in the frame at `t` and the true boxes do not show."""
     if trace.perceived is None:
-        known, there = trace.agents.perceived(t), set(trace.agents.truth(t).ids)
+        known, there = trace.agents.perceived(t), set(trace.agents.ids_at(t))
         rows = np.array([i for i, name in enumerate(known.ids) if name not in there], dtype=np.int64)
         return picked(known, rows, rows)
     tracks = trace.perceived

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 import rerun as rr
 
+from logs.frame_store import loaded
 from logs.kernel import FloatArray
 from logs.road import RoadSource
 from logs.scenario import Scenario
@@ -142,7 +143,7 @@ def _planned(trace: Trace, value: Callable[[Trajectory], FloatArray]) -> FloatAr
     starts = np.searchsorted(trace.ego.t, np.array([frame.t for frame in trace.frames]) - 1e-9)
     stops = np.r_[starts[1:], len(out)]
     for frame, start, stop in zip(trace.frames, starts, stops, strict=True):
-        path = frame.plan.trajectory
+        path = loaded(frame.plan.trajectory)
         out[start:stop] = np.interp(trace.ego.t[start:stop], path.t, value(path))
     return out
 
@@ -168,11 +169,9 @@ def _limits(trace: Trace, scenario: Scenario, times: FloatArray) -> FloatArray:
 
 def _ahead(trace: Trace, value: Callable[[Trajectory], FloatArray], lag: float) -> tuple[FloatArray, FloatArray]:
     """At each time what the plan that is `lag` seconds old said of it: times `(k,)` and values `(k,)`."""
-    said = [
-        (frame.t + lag, np.interp(frame.t + lag, frame.plan.trajectory.t, value(frame.plan.trajectory)))
-        for frame in trace.frames
-        if frame.t + lag <= min(frame.plan.trajectory.t[-1], trace.ego.t[-1]) + 1e-9
-    ]
+    plans = ((frame.t + lag, loaded(frame.plan.trajectory)) for frame in trace.frames)
+    end = trace.ego.t[-1]
+    said = [(t, np.interp(t, path.t, value(path))) for t, path in plans if t <= min(path.t[-1], end) + 1e-9]
     t, values = np.array(said, dtype=np.float64).reshape(-1, 2).T
     return t, values
 

@@ -6,7 +6,7 @@ The camera follows by itself: a view whose origin is the entity `world/ego` move
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from math import cos, hypot, sin
 
 import numpy as np
@@ -58,8 +58,11 @@ def draw_scene(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants)
         _draw_log(tape, trace, scenario, instants)
 
 
-def draw_moving(tape: Tape, trace: Trace, instants: Instants, frames: Instants) -> None:
-    """The others at some instants, and the plans of some frames, those in force at the instants: `trace.frames`."""
+def draw_moving(tape: Tape, trace: Trace, kinds: Collection[AgentKind], instants: Instants, frames: Instants) -> None:
+    """The others at some instants, and the plans of some frames, those in force at the instants: `trace.frames`.
+
+    `kinds` are those of all road users of the drive.
+    """
     agents = [trace.agents.truth(float(t)) for t in instants.t]
     plans = [frame.plan for frame in trace.frames]
     here = _decided_at(plans, instants, int(frames.frame[0]) if plans else 0)
@@ -68,7 +71,7 @@ def draw_moving(tape: Tape, trace: Trace, instants: Instants, frames: Instants) 
         in_full(some.ids, some.x, some.y, about, (x, y)) for some, about, (x, y) in zip(agents, here, xy, strict=True)
     ]
     for kind in AgentKind:
-        if kind in trace.agents.kinds:
+        if kind in kinds:
             _draw_kind(tape, kind, agents, full, instants)
     _draw_velocities(tape, agents, full, instants)
     _draw_names(tape, agents, full, here, np.column_stack([xy, yaw]), instants)

@@ -8,13 +8,14 @@ others those are kept in which they are there, so that an hour with thousands wh
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from logs.around import BACK_S, Recent, Spans, heads
-from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.kernel import BoolArray, FloatArray, IntArray, frozen, kernel
 from logs.scenario import Tracks
 
 PERIOD_S = 0.1
@@ -48,7 +49,7 @@ class LoggedTracks(NamedTuple):
 
 def logged_tracks(log: Tracks, vx: FloatArray, vy: FloatArray) -> LoggedTracks:
     """The tracks with these velocities `(samples,)`."""
-    columns = np.ascontiguousarray(np.vstack([log.x, log.y, log.yaw, vx, vy]))
+    columns = frozen(np.vstack([log.x, log.y, log.yaw, vx, vy]))
     return LoggedTracks(log.offsets[:-1], log.offsets[1:], log.static, log.t, log.gap_after, columns)
 
 
@@ -69,15 +70,17 @@ class PhaseReplay:
         extended: The same, each extended beyond the end of its log: what is played. None: the log.
 
     Attributes:
-        log: What is played.
+        log: What is played, with the velocities that it is played with.
         logged: The same for kernels.
     """
 
     def __init__(self, log: Tracks, extended: Tracks | None = None) -> None:
-        self.log, self._own = extended or log, log
-        owner, last = _owners(self.log), np.arange(len(self.log.t))
-        vx, vy = self.log.velocity(owner, last) if len(log) else (self.log.vx, self.log.vy)
-        self.logged = logged_tracks(self.log, vx, vy)
+        path, self._own = extended or log, log
+        owner, last = _owners(path), np.arange(len(path.t))
+        vx, vy = path.velocity(owner, last) if len(log) else (path.vx, path.vy)
+        self.logged = logged_tracks(path, vx, vy)
+        x, y, yaw, vx, vy = self.logged.columns
+        self.log = replace(path, x=x, y=y, yaw=yaw, vx=vx, vy=vy)  # of the same memory
         self._rows, self._seen = list[Row](), 0
         self._taken, self._count = np.zeros(len(log), np.bool_), 0
         self._who, self._played = np.empty(ROOM, np.int64), np.empty((ROOM, 6))

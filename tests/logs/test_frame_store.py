@@ -10,7 +10,7 @@ import msgspec
 import pytest
 
 from logs.catalogue import scenario
-from logs.frame_store import FrameStore, light
+from logs.frame_store import Filed, FrameStore, light
 from logs.mcap import write_trace
 from logs.mcap.trace import plan_message
 from logs.trace import Graph, PlannedFrame
@@ -45,7 +45,11 @@ def test_frames_come_back_to_the_bit(driven: Drive, whole: int) -> None:
     for index in (*range(0, len(frames), 17), -1):
         back = store[index]
         assert bits(back) == bits(frames[index])
-        assert back.t == frames[index].t and back.plan.trajectory is frames[index].plan.trajectory
+        assert back.t == frames[index].t
+        for path in (back.plan.trajectory, light(store)[index].plan.trajectory):
+            assert path.x.tobytes() == frames[index].plan.trajectory.x.tobytes()
+            assert path.at(back.t + 0.55) == frames[index].plan.trajectory.at(back.t + 0.55)
+            assert not path.kappa.flags.writeable
     assert [frame.t for frame in store[-3:]] == [frame.t for frame in frames[-3:]]
     with pytest.raises(IndexError):
         store[len(frames)]
@@ -54,7 +58,7 @@ def test_frames_come_back_to_the_bit(driven: Drive, whole: int) -> None:
 def test_what_is_large_is_not_in_memory(driven: Drive) -> None:
     small = light(stored(tuple(driven.trace.frames), 0))
     assert not any(isinstance(item, Graph) for frame in small for item in frame.plan.internals)
-    assert all(frame.predictions is None for frame in small)
+    assert all(frame.predictions is None and isinstance(frame.plan.trajectory, Filed) for frame in small)
     assert len(pickle.dumps(small)) < 0.5 * len(pickle.dumps(tuple(driven.trace.frames)))
     assert isinstance(stored(tuple(driven.trace.frames), 10_000).frames, tuple), "a short drive is a tuple as before"
 

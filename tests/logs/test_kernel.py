@@ -15,7 +15,12 @@ import pytest
 from logs.kernel import interpolated
 from logs.kernel_stamp import KernelIndex
 
-NO_PLACE = "import numba.core.caching as c; c.CacheImpl._locator_classes = []\n"
+NO_PLACE = """
+import numba.core.caching as c
+class Nowhere(list):
+    def append(self, place): ...
+c.CacheImpl._locator_classes = Nowhere()
+"""
 NO_ROOM = """
 import errno, numba.core.caching as c
 def full(*arguments):

@@ -206,6 +206,11 @@ class Tracks:
             none,
         )
 
+    @property
+    def whole(self) -> Tracks:
+        """What these are a part of (`logs.around.Recent`): themselves."""
+        return self
+
     def samples(self, index: int) -> slice:
         """The samples of track `index`."""
         return slice(int(self.offsets[index]), int(self.offsets[index + 1]))

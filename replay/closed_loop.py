@@ -75,7 +75,7 @@ def run_closed_loop(
         mode=Mode.CLOSED,
         oracle=planning.is_oracle or perception.is_oracle,
         ego=recorder.ego,
-        agents=world.tracks,
+        agents=world.tracks.whole,
         frames=recorder.frames.frames,
         end=end.reason if end else EndReason.END_OF_LOG,
         detail=end.detail if end else "",

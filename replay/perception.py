@@ -14,6 +14,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from logs.around import Around
 from logs.extension import Kind
 from logs.frame import Frame, Predictions, Visibility
 from logs.kernel import FloatArray
@@ -33,13 +34,20 @@ Sight = Callable[[World], tuple[Agents, Visibility | None]]
 """The agents as they are shown to the planner, and what ground can be seen (None: all)."""
 
 
-def ground_truth(world: World) -> tuple[Agents, None]:
-    """Everybody, as known at the world's time."""
-    return world.tracks.perceived(world.ego.t), None
+class GroundTruth:
+    """Sees everybody, as known at the world's time."""
+
+    def __init__(self) -> None:
+        self._around = Around()
+
+    def see(self, world: World) -> tuple[Agents, None]:
+        """The agents, and that nothing is hidden."""
+        t = world.ego.t
+        return self._around.of(world.tracks, t, t).perceived(t), None
 
 
 PERCEPTIONS: dict[str, Callable[..., Sight]] = {
-    "ground_truth": lambda scenario, config: ground_truth,
+    "ground_truth": lambda scenario, config: GroundTruth().see,
     "sensor": lambda scenario, config: Sensor(scenario, config.sensor).see,
 }
 """Each is built once per drive as `factory(scenario, config, **settings)`."""
@@ -93,7 +101,7 @@ class Perception:
 
 def perceive(world: World, previous: Plan | None, config: LoopConfig, *, lanes: LaneMap = NO_LANES) -> Frame:
     """The frame by ground truth and `config.prediction` (not an oracle) at the world's time; for single frames."""
-    agents, _ = ground_truth(world)
+    agents, _ = GroundTruth().see(world)
     return Frame(world.ego.t, world.ego, agents, _predicted(agents, world.ego.t, config, lanes), previous)
 
 

@@ -23,6 +23,7 @@ from math import atan2, cos, hypot, pi, radians, sin
 
 import numpy as np
 
+from logs.around import Around
 from logs.errors import ConfigError
 from logs.frame import Visibility
 from logs.kernel import BoolArray, FloatArray, inner_kernel, kernel
@@ -103,6 +104,7 @@ class Sensor:
     def __init__(self, scenario: Scenario, config: SensorConfig) -> None:
         self._name, self._vehicle, self._config = scenario.name, scenario.vehicle, config
         self._made: deque[Measurement] = deque()
+        self._around = Around()
 
     def see(self, world: World) -> tuple[Agents, Visibility]:
         """The agents as they reach the planner at the world's time, and what the sensor could see of the ground."""
@@ -117,7 +119,7 @@ class Sensor:
 
     def _measured(self, world: World) -> Measurement:
         t, config = world.ego.t, self._config
-        agents = world.tracks.perceived(t)
+        agents = self._around.of(world.tracks, t, t).perceived(t)
         x, y = box_center(world.ego, self._vehicle)
         boxes = np.column_stack([agents.x, agents.y, agents.yaw, agents.length, agents.width])
         hiding = np.array([config.occlusion and not kind.is_vulnerable for kind in agents.kinds], bool)

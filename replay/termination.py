@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from logs.around import Around
 from logs.kernel import FloatArray, IntArray, inner_kernel, kernel
 from logs.road import Goal, Road, RoadSource, inside
 from logs.scenario import Scenario, Tracks
@@ -149,29 +150,33 @@ class Termination:
         self._phantoms = phantoms(scenario)
         self._monitor = OffRoadMonitor(scenario.road)
         self._monitor.metres_off(*box_center(start, scenario.vehicle))
-        self._tracks, self._agents = scenario.tracks, agent_boxes(scenario.tracks, self._phantoms)
+        self._around, self._tracks = Around(), Tracks.empty()
+        self._agents = agent_boxes(self._tracks)
 
     def first(self, rows: FloatArray, first: int, end: int, tracks: Tracks) -> Ended | None:
         """The first end within the rows from `first` (at least 1) to before `end`; None while the drive goes on.
 
         At one row, a collision comes before the goal, and that before the road's edge.
         """
-        if tracks is not self._tracks:
-            self._tracks, self._agents = tracks, agent_boxes(tracks, self._phantoms)
+        if first >= end:
+            return None
+        near = self._around.of(tracks, rows[first, 0], rows[end - 1, 0])
+        if near is not self._tracks:
+            self._tracks, self._agents = near, agent_boxes(near, self._phantoms)
         monitor = self._monitor
         while first < end:
             k, hit, off, monitor.on = first_event(
                 rows, first, end, self._car, self._agents, self._near, monitor.lanes, monitor.on
             )
-            ended = self._judged(rows, k, off, hit=hit) if k < end else None
+            ended = self._judged(rows, k, off, tracks if hit else None) if k < end else None
             if ended:
                 return ended
             first = k + 1
         return None
 
-    def _judged(self, rows: FloatArray, k: int, off: float, *, hit: bool) -> Ended | None:
+    def _judged(self, rows: FloatArray, k: int, off: float, touching: Tracks | None) -> Ended | None:
         ego = state_at(rows, k)
-        worst, name = self._worst(state_at(rows, k - 1), ego) if hit else (None, "")
+        worst, name = self._worst(state_at(rows, k - 1), ego, touching) if touching is not None else (None, "")
         if worst is not None and worst.at_fault:
             return Ended(k, EndReason.COLLISION, name)
         if worst is not None:
@@ -183,11 +188,11 @@ class Termination:
             return Ended(k, EndReason.OFF_ROAD, f"box centre {off:.1f} m off the lanes at ({x:.1f}, {y:.1f})")
         return None
 
-    def _worst(self, before: EgoState, ego: EgoState) -> tuple[Contact | None, str]:
+    def _worst(self, before: EgoState, ego: EgoState, tracks: Tracks) -> tuple[Contact | None, str]:
         """The worst touch of the step between two states, with the agent's name; earlier ones ended the drive."""
         states = (before, ego)
         columns = (np.array([getattr(state, name) for state in states]) for name in TRAJECTORY_COLUMNS)
-        real = without_phantoms(self._tracks, self._phantoms)
+        real = without_phantoms(tracks.whole, self._phantoms)
         found = classify(Trajectory(*columns), real, self._scenario)
         worst = max(found, key=lambda touch: touch.at_fault, default=None)
         return worst, "" if worst is None else name_of(real, worst.agent)

@@ -25,6 +25,7 @@ from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
 from logs.scenario import FINDING, Scenario, Tracks
 from logs.states import Controls, OnboardPlan, Trajectory
 from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
+from logs.words import counted
 
 T = TypeVar("T")
 
@@ -150,7 +151,7 @@ def _one(streams: dict[str, Stream], topic: str, kind: type[T]) -> T | None:
         return None
     if len(streams[topic]) > 1:
         raise LogError(
-            f"{len(streams[topic])} messages, expected one",
+            f"{counted(len(streams[topic]), 'message')}, expected one",
             topic=topic,
             time_ns=streams[topic].times[1],
             remedy="keep one of them",

@@ -20,7 +20,7 @@ from replay.config import SETTINGS, RunConfig, dotted
 from replay.control import CONTROLLER
 from replay.oracle import ORACLES
 from replay.perception import ORACLE, PERCEPTION
-from replay.planner_config import check_keywords, is_apart, planner_keywords, resolved_table
+from replay.planner_config import check_keywords, is_apart, is_built_in, planner_keywords, resolved_table
 from replay.prediction import PREDICTION, LaneMap, predict
 from replay.settings import check, configured, keywords_of, resolved
 from replay.simulation_setup import controller_of
@@ -103,6 +103,8 @@ def _resolved(planner: str, run: RunConfig) -> dict[str, Any]:
     table, apart = run.planner.get(planner, {}), run.loop.apart
     if is_apart(planner, apart):
         return described(planner, table, apart)
+    if apart.batch and not is_built_in(planner):
+        raise ConfigError("--batch is for planners in a process of their own: leave out --trust")
     resolved = resolved_table(planner, table)
     check_keywords(planner, resolved)
     return resolved

@@ -79,7 +79,7 @@ def ended(
         compared = None if before is None or after is None else compare_runs(before, after, gates=gates)
         over = overview(results, compared)
         if report:
-            write_reports(results, over, result.out)
+            over = write_reports(results, over, result.out)
     if as_json:
         more = {} if compared is None else {"comparison": document(compared)}
         say_json({"results": place, **summary(result), **more})

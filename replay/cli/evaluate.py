@@ -68,6 +68,10 @@ def evaluate(
     planner_memory: Annotated[
         float | None, typer.Option(min=0.0, metavar="GB", help="What its process may hold; 0: no limit. Default: 8.")
     ] = None,
+    batch: Annotated[
+        int | None,
+        typer.Option(min=0, help="Logs driven in lock step, for a planner with plan_batch. Default: each by itself."),
+    ] = None,
     metric: Annotated[
         list[str] | None, typer.Option(help='A metric of your own beside the built-in ones, "module:NAME"; repeatable.')
     ] = None,
@@ -208,6 +212,7 @@ def evaluate(
             "plan_timeout_s": plan_timeout,
             "log_timeout_s": log_timeout,
             "memory_gb": planner_memory,
+            "batch": batch,
         }
         run = run_config(config, options, loop, apart).in_car(car)
         if baseline is not None and shard is not None:

@@ -38,6 +38,7 @@ def report(
     """
     with answered():
         from logs.remote import url_of
+        from replay.batch.tables import REPORTS
         from replay.compare import compare_runs, opened
         from replay.report.overview import overview
         from replay.report.write import write_reports
@@ -47,5 +48,9 @@ def report(
             raise ConfigError(f"{url_of(results)}: name a folder for its reports with --out")
         found = load(results)
         comparison = None if baseline is None else compare_runs(opened(baseline), opened(found.path), gates=gates)
-        for path in write_reports(found, overview(found, comparison), out or found.path):
-            say(path)
+        folder = out or found.path
+        written = write_reports(found, overview(found, comparison), folder)
+        for name in REPORTS:
+            say(folder / name)
+        for line in written.broken:
+            say(line, err=True)

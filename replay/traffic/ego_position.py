@@ -19,6 +19,7 @@ from logs.errors import LogError
 from logs.road import ReferenceLine, thinned
 from logs.scenario import Scenario, Tracks
 from logs.states import EgoState
+from metrics.others import there_between
 from replay.traffic.phase_replay import PERIOD_S, PhaseReplay
 
 FASTEST = 2.0
@@ -106,5 +107,5 @@ class ReplayedByEgoPosition:
         return float(self._log_t[max(k, 0)])
 
     def _add(self, t: float, rate: float) -> None:
-        n = len(self._replay.log)
-        self._replay.add(t, np.full(n, self._phase), np.full(n, rate), np.ones(n, np.bool_))
+        who = there_between(self._replay.log, self._phase, self._phase)
+        self._replay.add(t, who, np.full(len(who), self._phase), np.full(len(who), rate))

@@ -32,6 +32,7 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
+from logs.scenario import Tracks
 from logs.shapes import overlap
 from metrics.reference_drivers import CC_BRAKE_MPS2
 
@@ -54,13 +55,25 @@ FINE_M = 1.0
 
 
 class Paths(NamedTuple):
-    """The logged paths, ragged as in Tracks: path i owns the samples `offsets[i] : offsets[i + 1]`."""
+    """The logged paths, or some of them: path i owns the samples `first[i] : end[i]`."""
 
-    offsets: IntArray
+    first: IntArray
+    end: IntArray
     t: FloatArray
     x: FloatArray
     y: FloatArray
     yaw: FloatArray
+
+
+def paths_along(tracks: Tracks) -> Paths:
+    """The paths of all tracks."""
+    return Paths(tracks.offsets[:-1], tracks.offsets[1:], tracks.t, tracks.x, tracks.y, tracks.yaw)
+
+
+def places(who: IntArray, some: IntArray) -> IntArray:
+    """Where each of `some` `(m,)` is among `who` `(k,)`, which increase; -1: it is not among them."""
+    at = np.searchsorted(who, some)
+    return np.where(np.append(who, -1)[at] == some, at, -1)
 
 
 class Scene(NamedTuple):
@@ -123,10 +136,10 @@ def enhanced_idm(v: float, gap: float, v_lead: float, a_lead: float) -> float:
 @kernel
 def covered(paths: Paths, phase: FloatArray, span: float) -> FloatArray:
     """Length of each logged path from its phase to `span` s later `(n,)`, m."""
-    offsets, t, x, y = paths.offsets, paths.t, paths.x, paths.y
+    t, x, y = paths.t, paths.x, paths.y
     out = np.zeros(len(phase))
     for i in range(len(phase)):
-        first, end = offsets[i], offsets[i + 1]
+        first, end = paths.first[i], paths.end[i]
         until = phase[i] + span
         for k in range(max(first, first + np.searchsorted(t[first:end], phase[i], side="right") - 1), end - 1):
             if t[k] >= until:
@@ -140,10 +153,10 @@ def covered(paths: Paths, phase: FloatArray, span: float) -> FloatArray:
 @inner_kernel
 def moved_on(paths: Paths, phase: FloatArray, way: FloatArray, now: float) -> FloatArray:
     """The phases after so much of each path `(n,)`, m; the log's standing is passed over, but not beyond `now`."""
-    offsets, t, x, y = paths.offsets, paths.t, paths.x, paths.y
+    t, x, y = paths.t, paths.x, paths.y
     out = phase.copy()
     for i in range(len(phase)):
-        first, end = offsets[i], offsets[i + 1]
+        first, end = paths.first[i], paths.end[i]
         left = way[i]
         k = max(first, first + np.searchsorted(t[first:end], phase[i] + 1e-12, side="right") - 1)
         while k < end - 1:
@@ -210,7 +223,7 @@ def drives_into(paths: Paths, phase: FloatArray, leaders: Leaders) -> BoolArray:
     for i in range(len(phase)):
         if not np.isfinite(gap[i]):
             continue
-        first, end = paths.offsets[i], paths.offsets[i + 1]
+        first, end = paths.first[i], paths.end[i]
         way, brake = 0.0, max(-accel[i], 0.0)
         for k in range(max(first, first + np.searchsorted(paths.t[first:end], phase[i], side="right") - 1), end - 1):
             start = max(phase[i], paths.t[k])
@@ -270,7 +283,7 @@ def _first_touched(
     paths: Paths, i: int, phase: float, reach: float, boxes: FloatArray, near: IntArray
 ) -> tuple[float, int, float, float, float]:
     """Distance along path i to the first touch, whom (-1: nobody within reach), and the box's x, y and yaw there."""
-    first, end = paths.offsets[i], paths.offsets[i + 1]
+    first, end = paths.first[i], paths.end[i]
     k = max(first, first + np.searchsorted(paths.t[first:end], phase, side="right") - 1)
     begin, leap = boxes[i].copy(), np.zeros(3)
     station, own = 0.0, 0.5 * (begin[3] + begin[4]) + 1.0  # half of length and width: more than half of the diagonal

@@ -1,16 +1,17 @@
 """One period of the reacting traffic as one kernel: who leads whom, who is late from now on, how far everybody gets.
 
-What it means stands in `replay.traffic.reactive`; the arrays of `Phases` are written in place.
+What it means stands in `replay.traffic.reactive`; the arrays of `Phases` are written in place. They are of those who
+may be in the scene (`replay.traffic.coming`), and so is `n` here.
 """
 
 from __future__ import annotations
 
 from math import cos, inf, isfinite, isnan, sin
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, inner_kernel, kernel
+from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
 from replay.traffic.following import (
     ACCEL_MPS2,
     STANDING_MPS,
@@ -41,6 +42,11 @@ class Agents(NamedTuple):
     ends: FloatArray
     left: FloatArray
 
+    def some(self, who: IntArray) -> Agents:
+        """The agents `who` `(k,)`."""
+        length, width, reacts = self.length[who], self.width[who], self.reacts[who]
+        return Agents(self.tracks.some(who), length, width, reacts, self.ends[who], self.left[who])
+
 
 class Phases(NamedTuple):
     """How the agents are, `(n,)` each.
@@ -65,6 +71,11 @@ class Phases(NamedTuple):
     since: FloatArray
     braked: FloatArray
 
+    def some(self, who: IntArray) -> Phases:
+        """How the agents `who` `(k,)` are."""
+        columns: list[Any] = [column[who] for column in self]
+        return Phases(*columns)
+
 
 Ego = tuple[float, float, float, float, float, float, float, float, bool]
 """x, y, yaw of its box, length, width, velocity x, y, rate of its speed, whether it is as in the log."""
@@ -81,7 +92,7 @@ def nobody_late(n: int) -> Phases:
 def paths_of(agents: Agents) -> Paths:
     """Their paths."""
     columns = agents.tracks.columns
-    return Paths(agents.tracks.offsets, agents.tracks.t, columns[0], columns[1], columns[2])
+    return Paths(agents.tracks.first, agents.tracks.end, agents.tracks.t, columns[0], columns[1], columns[2])
 
 
 @kernel
@@ -183,7 +194,7 @@ def advance(
 @inner_kernel
 def waited(agents: Agents, now: Phases, i: int) -> bool:
     """Whether agent i is not in the scene since somebody was in its place."""
-    return now.late[i] and not now.there[i] and now.phase[i] <= agents.tracks.t[agents.tracks.offsets[i]] + 1e-9
+    return now.late[i] and not now.there[i] and now.phase[i] <= agents.tracks.t[agents.tracks.first[i]] + 1e-9
 
 
 @inner_kernel
@@ -191,7 +202,7 @@ def enters(agents: Agents, now: Phases, i: int, t: float) -> bool:
     """Whether agent i is not in the scene, and its log has begun by `t`."""
     if now.late[i] or now.there[i] or agents.tracks.static[i]:
         return waited(agents, now, i)
-    return agents.tracks.t[agents.tracks.offsets[i]] <= t + 1e-9 and agents.left[i] >= t - 1e-9
+    return agents.tracks.t[agents.tracks.first[i]] <= t + 1e-9 and agents.left[i] >= t - 1e-9
 
 
 @kernel
@@ -201,7 +212,7 @@ def entering(agents: Agents, now: Phases, t: float) -> BoolArray:
     for i in range(len(out)):
         out[i] = enters(agents, now, i, t)
         if out[i]:
-            now.phase[i] = agents.tracks.t[agents.tracks.offsets[i]] if waited(agents, now, i) else t
+            now.phase[i] = agents.tracks.t[agents.tracks.first[i]] if waited(agents, now, i) else t
     return out
 
 

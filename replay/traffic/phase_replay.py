@@ -8,11 +8,12 @@ others those are kept in which they are there, so that an hour with thousands wh
 
 from __future__ import annotations
 
-from functools import cached_property
-from typing import NamedTuple
+from functools import cached_property, partial
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from logs.around import BACK_S, Recent, Spans, heads
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.scenario import Tracks
 
@@ -22,25 +23,40 @@ ROOM = 1024
 
 
 class LoggedTracks(NamedTuple):
-    """`Tracks` as kernels take them; columns x, y, yaw, vx, vy `(5, samples)`."""
+    """`Tracks` as kernels take them, or some of them: `(k,)` per track, `(m,)` per sample of the whole.
 
-    offsets: IntArray
+    Attributes:
+        first: Its first sample; `end` one beyond its last.
+        end: See there.
+        static: Of `Tracks`.
+        t: Likewise.
+        gap_after: Likewise.
+        columns: x, y, yaw, vx, vy `(5, m)`.
+    """
+
+    first: IntArray
+    end: IntArray
     static: BoolArray
     t: FloatArray
     gap_after: BoolArray
     columns: FloatArray
 
+    def some(self, who: IntArray) -> LoggedTracks:
+        """The tracks `who` `(k,)`."""
+        return self._replace(first=self.first[who], end=self.end[who], static=self.static[who])
+
 
 def logged_tracks(log: Tracks, vx: FloatArray, vy: FloatArray) -> LoggedTracks:
     """The tracks with these velocities `(samples,)`."""
     columns = np.ascontiguousarray(np.vstack([log.x, log.y, log.yaw, vx, vy]))
-    return LoggedTracks(log.offsets, log.static, log.t, log.gap_after, columns)
+    return LoggedTracks(log.offsets[:-1], log.offsets[1:], log.static, log.t, log.gap_after, columns)
 
 
 class Row(NamedTuple):
-    """One sample of all: time, s, x, y, yaw, vx, vy `(5, n)`, and who is there `(n,)`."""
+    """One sample of some: time, s, tracks `(k,)`, increasing, x, y, yaw, vx, vy `(5, k)`, and who is there `(k,)`."""
 
     t: float
+    who: IntArray
     pose: FloatArray
     there: BoolArray
 
@@ -65,37 +81,51 @@ class PhaseReplay:
         self._rows, self._seen = list[Row](), 0
         self._taken, self._count = np.zeros(len(log), np.bool_), 0
         self._who, self._played = np.empty(ROOM, np.int64), np.empty((ROOM, 6))
+        self._spans = Spans(log)
 
-    def add(self, t: float, phase: FloatArray, rate: FloatArray, there: BoolArray) -> None:
-        """At the time `t` they were at these phases `(n,)`, played at these rates, as far as they are `there`."""
-        play(self.logged, phase, rate, there, *self.row(t))
+    def add(self, t: float, who: IntArray, phase: FloatArray, rate: FloatArray) -> None:
+        """At the time `t` the tracks `who` `(k,)` were at these phases, played at these rates."""
+        there = np.ones(len(who), np.bool_)
+        play(self.logged.some(who), phase, rate, there, *self.row(t, who))
 
-    def row(self, t: float) -> tuple[FloatArray, BoolArray]:
-        """Room for a sample at the time `t`, as `play` writes it."""
-        n = len(self._own)
-        self._rows.append(Row(t, np.empty((5, n)), np.empty(n, np.bool_)))
+    def row(self, t: float, who: IntArray) -> tuple[FloatArray, BoolArray]:
+        """Room for a sample of the tracks `who` at the time `t`, as `play` writes it."""
+        self._rows.append(Row(t, who, np.empty((5, len(who))), np.empty(len(who), np.bool_)))
         return self._rows[-1].pose, self._rows[-1].there
 
     def tracks(self, since: FloatArray) -> Tracks:
         """The log's own samples before `since` `(n,)`, s, and what was played from then on; inf: the log as it is.
 
-        Who was inf at the last call is not before the last row that there was then.
+        Who was inf at the last call is not before the last row that there was then. Where anybody is not as in the
+        log, those around the last row, of all that they are a part of.
         """
-        log, since = self._own, np.where(self._own.static, np.inf, since)
+        since = np.where(self._own.static, np.inf, since)
         self._take(since)
         if not self._taken.any():
-            return log
-        rows, sizes = _merged(self._logged_own, since, self._who[: self._count], self._played[: self._count])
-        members = np.flatnonzero(sizes)
-        return Tracks(
-            tuple(log.ids[i] for i in members),
-            tuple(log.kinds[i] for i in members),
-            log.length[members],
-            log.width[members],
-            log.static[members],
-            np.r_[0, np.cumsum(sizes[members])],
-            *rows,
-        )
+            return self._own
+        now, count = self._rows[-1].t, self._count
+        recent = int(np.searchsorted(self._played[:count, 0], now - BACK_S))
+        who, low, high = self._spans.within(now, now)
+        members = np.union1d(who, self._who[recent:count])
+        first = self._own.offsets[members]
+        end, at = first.copy(), np.searchsorted(members, who)
+        first[at], end[at] = low, high
+        columns = self._columns(since, members, first, end, slice(recent, count))
+        return Recent(*columns, all_of_them=partial(self._whole, since, count))
+
+    def _whole(self, since: FloatArray, count: int) -> Tracks:
+        """All samples of all, as they are with so many played."""
+        own = self._own.offsets
+        return Tracks(*self._columns(since, np.arange(len(self._own)), own[:-1].copy(), own[1:].copy(), slice(count)))
+
+    def _columns(
+        self, since: FloatArray, who: IntArray, first: IntArray, end: IntArray, some: slice
+    ) -> tuple[Any, ...]:
+        """What `Tracks` is made of: the log's samples `first` to before `end` of those `who`, `some` of the played."""
+        played = np.searchsorted(who, self._who[some])
+        rows, sizes = _merged(self._logged_own, since[who], first, end, played, self._played[some])
+        left = np.flatnonzero(sizes)
+        return *heads(self._own, who[left]), np.r_[0, np.cumsum(sizes[left])], *rows
 
     @cached_property
     def _logged_own(self) -> LoggedTracks:
@@ -105,17 +135,17 @@ class PhaseReplay:
         """Keep the samples since the last call of those who are not as in the log, the one before of who is new."""
         wanted = since < np.inf
         for k, row in enumerate(self._rows):
-            whose = wanted & ~self._taken if k < self._seen else wanted
-            self._append(row, np.flatnonzero(whose & row.there & (row.t >= since - 1e-9)))
+            mine = wanted[row.who] & row.there & (row.t >= since[row.who] - 1e-9)
+            self._append(row, np.flatnonzero(mine & ~self._taken[row.who] if k < self._seen else mine))
         self._rows, self._seen, self._taken = self._rows[-1:], 1, wanted
 
-    def _append(self, row: Row, who: IntArray) -> None:
-        first, self._count = self._count, self._count + len(who)
+    def _append(self, row: Row, which: IntArray) -> None:
+        first, self._count = self._count, self._count + len(which)
         while self._count > len(self._who):
             self._who, self._played = (np.concatenate([old, np.empty_like(old)]) for old in (self._who, self._played))
-        self._who[first : self._count] = who
+        self._who[first : self._count] = row.who[which]
         self._played[first : self._count, 0] = row.t
-        self._played[first : self._count, 1:] = row.pose[:, who].T
+        self._played[first : self._count, 1:] = row.pose[:, which].T
 
 
 def _owners(log: Tracks) -> IntArray:
@@ -129,7 +159,7 @@ def played(log: LoggedTracks, i: int, phase: float) -> tuple[float, float, float
 
     In a gap of a track (`logs.presence`) its agent is not there.
     """
-    t, columns, first, end = log.t, log.columns, log.offsets[i], log.offsets[i + 1]
+    t, columns, first, end = log.t, log.columns, log.first[i], log.end[i]
     there = log.static[i] or (t[first] <= phase + 1e-9 and phase <= t[end - 1] + 1e-9)
     k = first
     if not log.static[i]:
@@ -157,24 +187,26 @@ def play(
 
 
 @kernel
-def _merged(log: LoggedTracks, since: FloatArray, who: IntArray, played: FloatArray) -> tuple[FloatArray, IntArray]:
-    """Rows t, x, y, yaw, vx, vy `(6, samples)` of the tracks one after the other, and how many samples each has.
+def _merged(
+    log: LoggedTracks, since: FloatArray, first: IntArray, end: IntArray, who: IntArray, played: FloatArray
+) -> tuple[FloatArray, IntArray]:
+    """Rows t, x, y, yaw, vx, vy `(6, samples)` of some tracks one after the other, and how many samples each has.
 
-    Of the log before `since` `(n,)`, s; then what was `played` `(m, 6)`, `who` `(m,)`, in the order of time.
+    Of the log the samples from `first` to before `end` `(k,)` that are before `since` `(k,)`, s; then what was
+    `played` `(m, 6)`, of which of them (`who` `(m,)`), in the order of time.
     """
     n = len(since)
-    begin, sizes = np.zeros(n, np.int64), np.zeros(n, np.int64)
+    begin, kept = np.zeros(n, np.int64), np.zeros(n, np.int64)
     for i in range(n):
-        own = log.t[log.offsets[i] : log.offsets[i + 1]]
-        sizes[i] = np.searchsorted(own, since[i] - 1e-9, side="left")
-    kept = sizes.copy()
+        kept[i] = np.searchsorted(log.t[first[i] : end[i]], since[i] - 1e-9, side="left")
+    sizes = kept.copy()
     for i in who:
         sizes[i] += 1
     rows, at = np.empty((6, sizes.sum())), 0
     for i in range(n):
-        first, end = log.offsets[i], log.offsets[i] + kept[i]
-        rows[0, at : at + kept[i]] = log.t[first:end]
-        rows[1:, at : at + kept[i]] = log.columns[:, first:end]
+        low, high = first[i], first[i] + kept[i]
+        rows[0, at : at + kept[i]] = log.t[low:high]
+        rows[1:, at : at + kept[i]] = log.columns[:, low:high]
         begin[i], at = at + kept[i], at + sizes[i]
     for k in range(len(who)):
         rows[:, begin[who[k]]] = played[k]

@@ -42,6 +42,7 @@ from metrics.others import name_of
 from metrics.reference_drivers import CC_REACT_S
 from replay.prediction import LaneMap
 from replay.prediction.lane_following import FOLLOWING, followers
+from replay.traffic.coming import Coming
 from replay.traffic.following import DECEL_MPS2, STANDSTILL_M, taken
 from replay.traffic.period import (
     Agents,
@@ -50,7 +51,6 @@ from replay.traffic.period import (
     entering,
     leaders_of,
     logged_speeds,
-    nobody_late,
     sample,
     scene_of,
 )
@@ -106,14 +106,11 @@ class Reactive:
         self._replay = PhaseReplay(log, extended(log, lanes))
         paths = self._replay.log
         reacts = np.array([kind in rule.kinds for kind in log.kinds], bool) & ~log.static
-        self._agents = Agents(
-            self._replay.logged, paths.length, paths.width, reacts,
-            paths.t[paths.offsets[1:] - 1].copy() if n else left, left,
-        )  # fmt: skip
+        ends = paths.t[paths.offsets[1:] - 1].copy() if n else left
+        self._coming = Coming(Agents(self._replay.logged, paths.length, paths.width, reacts, ends, left))
         self._longest = nan if rule.only_ahead is None else rule.only_ahead
         self._lights = RedLights(scenario, paths, reacts)
         self._yielding = Yielding(scenario, paths, reacts & rule.yields, lanes)
-        self._now = nobody_late(n)
         self._next, self._tracks = -inf, Tracks.empty()
 
     @property
@@ -128,19 +125,21 @@ class Reactive:
         box = self._box(ego)
         if self._next == -inf:
             self._next = ego.t
-            self._enter(ego.t, box, self._replay.row(ego.t))
+            self._coming.until(ego.t, ego.t)
+            self._enter(ego.t, box, self._replay.row(ego.t, self._coming.who))
         while self._next <= ego.t + 1e-9:
             now, self._next = self._next, self._next + PERIOD_S
-            sampled = self._replay.row(self._next)
+            self._coming.until(now, self._next)
+            sampled = self._replay.row(self._next, self._coming.who)
             if self._advance(now, ego, box, sampled):
                 self._enter(self._next, box, sampled)
-            self._tracks = self._replay.tracks(self._now.since)
+            self._tracks = self._replay.tracks(self._coming.all.since)
         return self._tracks
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Who has been disturbed so far, since when, and how hard they braked."""
-        since, braked = self._now.since, self._now.braked
+        since, braked = self._coming.all.since, self._coming.all.braked
         who = np.argsort(since, kind="stable")[: int(np.isfinite(since).sum())]
         log = self._replay.log
         named = [f"{name_of(log, i)} from {since[i]:.1f} s, {braked[i]:.1f} m/s2" for i in who[:NAMED]]
@@ -151,14 +150,14 @@ class Reactive:
 
     def _advance(self, t: float, ego: EgoState, box: Ego, sampled: Sampled) -> bool:
         """Lead all on from `t` by one period; whether an agent may enter then: else it is sampled."""
-        now, reacts, as_logged = self._now, self._agents.reacts, box[8]
-        held = self._lights.accelerations(t, now.phase, now.speed, now.late & now.there & reacts)
-        room = self._yielding.gaps(ego, now.phase, now.speed, now.there & (not as_logged))
-        return advance(self._agents, now, box, held, room, t, self._longest, self._rule.only_needed, *sampled)
+        who, agents, now, as_logged = self._coming.who, self._coming.agents, self._coming.now, box[8]
+        held = self._lights.accelerations(t, who, now.phase, now.speed, now.late & now.there & agents.reacts)
+        room = self._yielding.gaps(ego, who, now.phase, now.speed, now.there & (not as_logged))
+        return advance(agents, now, box, held, room, t, self._longest, self._rule.only_needed, *sampled)
 
     def _enter(self, t: float, box: Ego, sampled: Sampled) -> None:
         """Let in whose log begins by `t`, and sample."""
-        now, agents = self._now, self._agents
+        now, agents = self._coming.now, self._coming.agents
         coming = entering(agents, now, t)
         if coming.any():
             self._let_in(t, box, coming)
@@ -166,9 +165,9 @@ class Reactive:
 
     def _let_in(self, t: float, box: Ego, coming: BoolArray) -> None:
         """Let in those `coming` whose place is free."""
-        now, agents = self._now, self._agents
+        now, agents = self._coming.now, self._coming.agents
         blocked = coming & agents.reacts & self._in_place(box, coming)
-        begins = agents.tracks.t[agents.tracks.offsets[:-1]]
+        begins = agents.tracks.t[agents.tracks.first]
         self._delay(blocked, begins)
         now.phase[blocked] = begins[blocked]
         free = coming & ~blocked
@@ -183,7 +182,7 @@ class Reactive:
 
     def _delay(self, who: BoolArray, since: FloatArray | float) -> None:
         """From `since` on they are not as in the log."""
-        now = self._now
+        now = self._coming.now
         now.late[who] = True
         now.since[:] = np.where(who, np.minimum(now.since, since), now.since)
 
@@ -203,7 +202,7 @@ class Reactive:
 
     def _in_place(self, box: Ego, coming: BoolArray) -> BoolArray:
         """Whose place is taken by somebody who is not as in the log."""
-        scene = scene_of(self._agents, self._now, box)
+        scene = scene_of(self._coming.agents, self._coming.now, box)
         return taken(scene.boxes, coming, scene.present & ~scene.as_logged)
 
 

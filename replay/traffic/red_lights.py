@@ -38,6 +38,8 @@ from replay.traffic.following import (
     Leaders,
     Paths,
     accelerations,
+    paths_along,
+    places,
 )
 from replay.traffic.phase_replay import PERIOD_S
 
@@ -67,27 +69,35 @@ class RedLights:
         self._light = np.array([one.light for one in found], np.int64)
         self._at = np.array([one.station for one in found])
         self._stands_until = np.array([one.stands_until for one in found])
-        self._paths = Paths(paths.offsets, paths.t, paths.x, paths.y, paths.yaw)
+        self._paths = paths_along(paths)
         self._station = _stations(paths)
         self._stops, self._passes = np.zeros(len(found), np.bool_), np.zeros(len(found), np.bool_)
 
-    def accelerations(self, t: float, phase: FloatArray, speed: FloatArray, whose: BoolArray) -> FloatArray:
-        """The greatest accelerations `(n,)` that the lights leave to the vehicles `whose` from `t` on, m/s2."""
+    def accelerations(
+        self, t: float, who: IntArray, phase: FloatArray, speed: FloatArray, whose: BoolArray
+    ) -> FloatArray:
+        """The greatest accelerations `(k,)` that the lights leave to those `whose` of `who` from `t` on, m/s2."""
         out = np.full(len(phase), ACCEL_MPS2)
         if not len(self._owner):
             return out
+        at = places(who, self._owner)
+        some = np.flatnonzero((at >= 0) & np.append(whose, False)[at])
+        at, stops, passes = at[some], self._stops[some], self._passes[some]
+        self._stops[:], self._passes[:] = False, False
+        if not len(some):
+            return out
         shown = [light.at(t) for light in self._lights]
-        red = np.array([colour in RED for colour in shown])[self._light]
-        yellow = np.array([colour is Colour.YELLOW for colour in shown])[self._light]
-        gap, v = _gaps(self._paths, self._station, phase, self._owner, self._at), speed[self._owner]
-        counts = whose[self._owner] & (red | yellow) & (gap > 0.0) & (gap <= LOOK_M + LOOK_S * v)
-        counts &= self._stands_until <= t + PERIOD_S + 1e-9
-        able = v * v <= 2.0 * gap * np.where(yellow | self._passes, DECEL_MPS2, HARDEST_MPS2)
-        self._stops = counts & (self._stops | able)
-        self._passes = counts & ~self._stops
+        red = np.array([colour in RED for colour in shown])[self._light[some]]
+        yellow = np.array([colour is Colour.YELLOW for colour in shown])[self._light[some]]
+        gap, v = _gaps(self._paths, self._station, phase[at], self._owner[some], self._at[some]), speed[at]
+        counts = (red | yellow) & (gap > 0.0) & (gap <= LOOK_M + LOOK_S * v)
+        counts &= self._stands_until[some] <= t + PERIOD_S + 1e-9
+        able = v * v <= 2.0 * gap * np.where(yellow | passes, DECEL_MPS2, HARDEST_MPS2)
+        stops = counts & (stops | able)
+        self._stops[some], self._passes[some] = stops, counts & ~stops
         still = np.zeros(len(gap))
-        wanted = accelerations(v, Leaders(np.where(self._stops, gap, np.inf), still, still))
-        np.minimum.at(out, self._owner, wanted)
+        wanted = accelerations(v, Leaders(np.where(stops, gap, np.inf), still, still))
+        np.minimum.at(out, at, wanted)
         return out
 
 
@@ -146,11 +156,11 @@ def _counts(line: StopLine, road: Road, x: FloatArray, y: FloatArray, yaw: Float
 
 @kernel
 def _gaps(paths: Paths, station: FloatArray, phase: FloatArray, owner: IntArray, at: FloatArray) -> FloatArray:
-    """Length of path `(k,)` that each owner has before it at its phase until the station `at`, m."""
+    """Length of path `(k,)` that each owner has before it at its phase `(k,)` until the station `at` `(k,)`, m."""
     out = np.empty(len(owner))
     for c in range(len(owner)):
-        first, end = paths.offsets[owner[c]], paths.offsets[owner[c] + 1]
-        now = phase[owner[c]]
+        first, end = paths.first[owner[c]], paths.end[owner[c]]
+        now = phase[c]
         k = min(max(first, first + np.searchsorted(paths.t[first:end], now, side="right") - 1), end - 2)
         u = min(max((now - paths.t[k]) / (paths.t[k + 1] - paths.t[k]), 0.0), 1.0)
         out[c] = at[c] - station[k] - u * (station[k + 1] - station[k])

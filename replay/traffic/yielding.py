@@ -20,7 +20,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, inner_kernel, kernel
+from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
 from logs.lanes import on_lane
 from logs.scenario import AgentKind, Agents, Scenario, Tracks
 from logs.shapes import overlap_turned
@@ -28,7 +28,7 @@ from logs.states import EgoState
 from metrics.right_of_way import SERIOUS_S
 from replay.prediction import LaneMap
 from replay.prediction.lane_following import followers
-from replay.traffic.following import ACCEL_MPS2, FINE_M, HARDEST_MPS2, Paths
+from replay.traffic.following import ACCEL_MPS2, FINE_M, HARDEST_MPS2, Paths, paths_along, places
 from replay.world import ROUNDING_M, box_center
 
 LOOK_AHEAD_S, STEP_S = 6.0, 0.25
@@ -55,8 +55,10 @@ class Yielding:
 
     def __init__(self, scenario: Scenario, paths: Tracks, reacts: BoolArray, lanes: LaneMap) -> None:
         self._road, self._car, self._tracks, self._lanes = scenario.road, scenario.vehicle, paths, lanes
-        self._paths = Paths(paths.offsets, paths.t, paths.x, paths.y, paths.yaw)
+        self._paths = paths_along(paths)
         self._ways = [way for i in np.flatnonzero(reacts).tolist() for way in self._ways_of(i)]
+        self._owner = np.array([way.owner for way in self._ways], np.int64)
+        self._until = np.array([way.until for way in self._ways])
 
     def _ways_of(self, i: int) -> Iterator[Way]:
         paths, lanes = self._tracks, self._road.lanes
@@ -67,20 +69,25 @@ class Yielding:
             if on.any():
                 yield Way(i, first, float(paths.t[mine][on].max()))
 
-    def gaps(self, ego: EgoState, phase: FloatArray, speed: FloatArray, whose: BoolArray) -> FloatArray:
-        """Per agent `(n,)` the way to where it must wait for the ego, m; inf where it need not."""
+    def gaps(self, ego: EgoState, who: IntArray, phase: FloatArray, speed: FloatArray, whose: BoolArray) -> FloatArray:
+        """The way of those `whose` of the tracks `who` to where they must wait for the ego `(k,)`, m; inf: need not."""
         out = np.full(len(phase), np.inf)
-        ways = [way for way in self._ways if whose[way.owner] and phase[way.owner] <= way.until + 1e-9]
+        if not self._ways:
+            return out
+        at = places(who, self._owner)
+        some = (at >= 0) & np.append(whose, False)[at]
+        some &= np.append(phase, np.nan)[at] <= self._until + 1e-9
+        ways = [(self._ways[k], at[k]) for k in np.flatnonzero(some)]
         if not ways:
             return out
-        boxes, on = self._boxes({k for way in ways for k in way.first}, ego)
+        boxes, on = self._boxes({k for way, _ in ways for k in way.first}, ego)
         size = np.array([self._car.length, self._car.width])
-        for way in ways:
+        for way, k in ways:
             i = way.owner
-            by_right = np.logical_or.reduce([on[k] for k in way.first])
+            by_right = np.logical_or.reduce([on[lane] for lane in way.first])
             if by_right.any():
                 own = np.array([self._tracks.length[i], self._tracks.width[i]])
-                out[i] = min(out[i], _wait(self._paths, i, phase[i], speed[i], own, boxes, by_right, size))
+                out[k] = min(out[k], _wait(self._paths, i, phase[k], speed[k], own, boxes, by_right, size))
         return out
 
     def _boxes(self, first: set[int], ego: EgoState) -> tuple[FloatArray, dict[int, BoolArray]]:
@@ -101,7 +108,7 @@ def _wait(
     boxes: FloatArray, by_right: BoolArray, size: FloatArray,
 ) -> float:  # fmt: skip
     """Way of agent i to the first of the boxes `(4, k)` if it must wait for one, and can there, m; else inf."""
-    first, end = paths.offsets[i], paths.offsets[i + 1]
+    first, end = paths.first[i], paths.end[i]
     station, clear, place, meets = 0.0, 0.0, np.inf, False
     c2, s2 = np.cos(boxes[3]), np.sin(boxes[3])
     near = 0.5 * (hypot(own[0], own[1]) + hypot(size[0], size[1])) + ROUNDING_M

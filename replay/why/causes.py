@@ -11,7 +11,8 @@ avoids it. What a planner decided counts as its reason only where the numbers be
 (5) goal    reached before its time, too fast, or passed although the plan comes to rest at it
 (6) end     the map ends on the way, and the plan comes to rest before it
 (7) word    a planner's STOP or YIELD for who is near the way but not met, or for a thing without a place
-(8) begun   nothing of these, and the plan brakes hardest at its start and no more before it stands: it lets go of the
+(8) passed  nothing of these, but a planner's OVERTAKE of who is near the way: the plan brakes before it goes first
+(9) begun   nothing of these, and the plan brakes hardest at its start and less before it stands: it lets go of the
             ego's own braking
 """
 
@@ -181,7 +182,7 @@ class Explainer:
         found += _words(case, {cause.who for cause in found})
         found = sorted(found, key=_order)
         if not found and not failed:
-            found = [*_begun(case)] or [self._none(case)]
+            found = _passed(case) or [*_begun(case)] or [self._none(case)]
         why_not = not_passed(plan) if found and found[0].kind is CauseKind.AGENT else ()
         return Account(frame.planned.t, course, predicted, (*failed, *found), why_not)
 
@@ -344,7 +345,7 @@ def _end(case: _Case) -> Iterator[Cause]:
 
 
 def _begun(case: _Case) -> Iterator[Cause]:
-    """(8)."""
+    """(9)."""
     path, course = case.plan.trajectory, case.course
     t, a = path.t - path.t[0], float(path.a[0])
     if a <= BRAKES_MPS2 and course.t_hardest == 0.0 and case.held.t_from == 0.0 and not case.held.stands:
@@ -373,6 +374,16 @@ def _words(case: _Case, said: set[str]) -> list[Cause]:
             continue
         out.append(Cause(CauseKind.WORD, name, decision.kind.value, decision.reason, False, case.held.v))
     return out
+
+
+def _passed(case: _Case) -> list[Cause]:
+    """(8)."""
+    return [
+        Cause(CauseKind.WORD, each.agent, each.kind.value, each.reason, True, case.held.v)
+        for each in case.plan.internals
+        if isinstance(each, Decision) and each.kind is DecisionKind.OVERTAKE
+        if each.agent in case.frame.agents.ids and _is_near(case, each.agent)
+    ]
 
 
 def _is_near(case: _Case, name: str) -> bool:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -24,8 +25,11 @@ print(gc.isenabled())
 
 
 def _asked(folder: Path, **more: str) -> tuple[list[str], str]:
-    """What a fresh process says with its kernels in a folder: its lines, and what is on stderr."""
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path.cwd()), *sys.path]), **more}
+    """What a fresh process says with its kernels in a folder, none beside the sources: its lines, and stderr."""
+    copy = folder.parent / "copy"
+    for package in ("logs", "replan"):
+        shutil.copytree(package, copy / package, ignore=shutil.ignore_patterns("__pycache__"), dirs_exist_ok=True)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(copy), *sys.path]), **more}
     environment.pop("NUMBA_DISABLE_JIT", None)
     done = subprocess.run(
         [sys.executable, "-c", ASK], env={**environment, "NUMBA_CACHE_DIR": str(folder)}, cwd=folder.parent,

@@ -19,8 +19,9 @@ from logs.mcap import write_scenario
 from logs.mcap.trace import plan_message
 from logs.states import TRAJECTORY_COLUMNS
 from metrics import evaluate
+from replay.apart.link import clean
 from replay.apart.processes import _warm
-from replay.apart.proxy import clean, described
+from replay.apart.proxy import described
 from replay.batch.one_log import LOOPS
 from replay.batch.resume import stamp_of
 from replay.closed_loop import run_closed_loop

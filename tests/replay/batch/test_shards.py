@@ -22,7 +22,7 @@ from replay.batch.shard import Shard
 from replay.batch.tables import REPORTS, TABLES
 from replay.config import RunConfig
 
-CLOCK = {"timings.parquet", "report.md", "report.html"}
+CLOCK = {"timings.parquet", "report.md", "report.html", "origin.json"}
 """Not the same twice."""
 
 

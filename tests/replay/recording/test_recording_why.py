@@ -253,9 +253,9 @@ def test_rows_of_lanes_are_in_the_recording(tmp_path: Path) -> None:
     done, world = drive()
     write_recording(tmp_path / "some.rrd", replace(done, trace=changing()), world)
     recording = Recording(tmp_path / "some.rrd")
-    states = recording.column("/state/Choice-of-lane", "StateChange:state").flatten().to_pylist()
+    states = recording.column("/Choice-of-lane", "StateChange:state").flatten().to_pylist()
     assert [state.rstrip() for state in states] == ["keep", "keep: others compared", "change left"]
-    assert "/state/Lane" not in recording.moving, "one lane needs no row"
+    assert "/Lane" not in recording.moving, "one lane needs no row"
 
 
 def test_the_reason_of_a_plan_is_shown_and_is_an_event_once() -> None:

@@ -14,9 +14,9 @@ def test_who_is_not_as_in_the_log_is_as_played_from_the_sample_before() -> None:
     """By hand: two cars, played half a period late; the second is late from 0.1 s on, known at 0.2 s."""
     t = PERIOD_S * np.arange(4)
     log = tracks(track("1", t, np.arange(4.0), 0.0 * t), track("2", t, np.arange(4.0, 8.0), 0.0 * t))
-    replay, both = PhaseReplay(log), np.ones(2, bool)
+    replay, both = PhaseReplay(log), np.arange(2)
     for k in range(4):
-        replay.add(k * PERIOD_S, np.full(2, max((k - 0.5) * PERIOD_S, 0.0)), np.ones(2), both)
+        replay.add(k * PERIOD_S, both, np.full(2, max((k - 0.5) * PERIOD_S, 0.0)), np.ones(2))
         seen = replay.tracks(np.array([np.inf, np.inf if k < 2 else PERIOD_S]))
         assert (seen is log) == (k < 2)
     np.testing.assert_allclose(seen.t, np.r_[t, t], atol=1e-12)
@@ -27,15 +27,15 @@ def test_memory_is_that_of_who_is_late_and_not_of_all_at_all_times() -> None:
     """500 cars over 600 samples are 12 MB of poses; with one late car less than 0.5 MB are held."""
     t = np.arange(0.0, 60.5, 0.5)
     log = tracks(*(track(str(i), t, t, np.full(121, 10.0 * i)) for i in range(500)))
-    replay, since = PhaseReplay(log), np.r_[1.0, np.full(499, np.inf)]
+    replay, since, everybody = PhaseReplay(log), np.r_[1.0, np.full(499, np.inf)], np.arange(500)
     rows = [PERIOD_S * k for k in range(600)]
-    replay.add(rows[0], np.zeros(500), np.ones(500), np.ones(500, bool))
+    replay.add(rows[0], everybody, np.zeros(500), np.ones(500))
     replay.tracks(since)
     tracemalloc.start()
     for now in rows[1:]:
-        replay.add(now, np.full(500, now), np.ones(500), np.ones(500, bool))
+        replay.add(now, everybody, np.full(500, now), np.ones(500))
         seen = replay.tracks(since)
-    sizes = np.diff(seen.offsets).tolist()
+    sizes = np.diff(seen.whole.offsets).tolist()
     del seen
     held = tracemalloc.get_traced_memory()[0]
     tracemalloc.stop()

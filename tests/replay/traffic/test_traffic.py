@@ -34,7 +34,7 @@ ROAD = lanes(along_x(-100.0, 500.0), 2)
 def run(log: Scenario, mode: str, egos: Egos) -> Tracks:
     traffic = TRAFFIC[mode](log)
     found = [traffic.step(ego) for ego in egos]
-    return found[-1]
+    return found[-1].whole
 
 
 def logged(log: Scenario, until: float = 12.0) -> Egos:
@@ -133,6 +133,22 @@ def test_around_the_logged_drive_all_drive_as_logged_to_the_bit(mode: str, seed:
 def test_around_an_ego_that_drives_as_logged_all_drive_as_logged(mode: str) -> None:
     log = busy(3)
     assert_same_motion(run(log, mode, logged(log)), log.tracks, atol=0.02, until=11.7)
+
+
+@pytest.mark.parametrize("mode", ["give_way", "reactive", "ego_position"])
+def test_those_around_now_are_as_all_have_them(mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("logs.around.BACK_S", 3.0)
+    monkeypatch.setattr("replay.traffic.phase_replay.BACK_S", 3.0)
+    log, fewer = busy(3), 0
+    traffic = TRAFFIC[mode](log)
+    for ego in at_speed(lambda t: max(10.0 - 2.0 * t, 1.0)):
+        now = traffic.step(ego)
+        one, two = now.perceived(ego.t), now.whole.perceived(ego.t)
+        assert one.ids == two.ids
+        for name in ("x", "y", "yaw", "vx", "vy", "yaw_rate", "accel"):
+            assert getattr(one, name).tobytes() == getattr(two, name).tobytes()
+        fewer += len(now.t) < len(now.whole.t)
+    assert fewer > 50, "they never were fewer than all"
 
 
 @pytest.mark.parametrize("mode", TRAFFIC)
@@ -374,7 +390,7 @@ def test_the_drive_says_who_gave_way_since_when_and_how_hard_they_braked() -> No
     egos = at_speed(lambda t: 10.0 if t < 2.0 else max(10.0 - 4.0 * (t - 2.0), 2.0))
     assert isinstance(traffic, Reactive) and traffic.notes == ()
     for ego in egos:
-        moved = traffic.step(ego)
+        moved = traffic.step(ego).whole
     (said,) = traffic.notes
     since = float(said.split("car b from ")[1].split(" s")[0])
     hardest = float(said.split(" s, ")[1].split(" m/s2")[0])

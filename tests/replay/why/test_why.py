@@ -22,10 +22,11 @@ from replay.closed_loop import run_closed_loop
 from replay.drive import ApartConfig, LoopConfig
 from replay.open_loop import run_open_loop
 from replay.why import Account, Action, Cause, CauseKind, accounts, sentences
+from replay.why.alternatives import NOISE, SHOWS, telling
 from replay.why.causes import CURVE_MPS2, STAYS_BEHIND, Explainer
-from replay.why.course import LOOK_S, Held
+from replay.why.course import LOOK_S, Course, Held
 from replay.why.meetings import GAP_M, HEADWAY_S, VULNERABLE_MARGIN_M, fine
-from replay.why.sentences import MOST
+from replay.why.sentences import MOST, conflicts
 from replay.why.shown import Shown, shown
 from replay.why.way import Way, Ways
 
@@ -98,7 +99,9 @@ def check(case: Shown, account: Account, world: Scenario, ways: Ways) -> None:
     if case.predictions is not None and len(case.predictions):
         away = gaps(case, held.s, way, world)
         check_others(case, causes, held, away)
-    for sentence, cause in zip(said[len(account.causes) - len(causes) :], causes[:MOST], strict=False):
+    told = conflicts(account)
+    assert all(cause in told or any(cause.who in one.reason for one in told) for cause in causes)
+    for sentence, cause in zip(said[len(account.causes) - len(causes) :], told[:MOST], strict=False):
         check_numbers(sentence, cause, account)
 
 
@@ -242,6 +245,33 @@ def test_a_word_about_who_is_near_the_way_is_the_planners() -> None:
     may = Decision("waits", DecisionKind.YIELD, "speed", "may step out")
     said = sentences(why_of(world, braking(world, (may,))))
     assert said == ["Slows down for waits (yield): may step out; so the planner says."]
+
+
+@pytest.mark.parametrize(("y", "kind"), [(3.2, CauseKind.WORD), (12.0, CauseKind.NONE)])
+def test_who_is_overtaken_near_the_way_is_inferred_where_nothing_else_is_found(y: float, kind: CauseKind) -> None:
+    world = world_with(track("walks", [0.0], [30.0], [y], static=True))
+    account = why_of(world, braking(world, (Decision("walks", DecisionKind.OVERTAKE, "speed", "steps out later"),)))
+    (cause,) = account.causes
+    assert cause.kind is kind and cause.inferred
+    said = (
+        "Slows down for walks (inferred; the planner decided: overtake): steps out later; near its way, but at 10.0 m/s"
+    )
+    assert (sentences(account) == [f"{said} not met."]) is (kind is CauseKind.WORD)
+
+
+def test_one_conflict_is_said_once() -> None:
+    lane, car = Cause(CauseKind.STOP, "lane 5", "yield", "car 3 goes first", False), Cause(CauseKind.AGENT, "car 3")
+    course = Course(Action.SLOWS, 8.0, 0.0, 0.0, 8.0, 8.0, -1.0, 0.0, 0.0)
+    for others, told in ((("car 3",), 1), (("car 33",), 2), (("3", "car"), 2), (("car 3", "b"), 2)):
+        account = Account(0.0, course, True, (lane, *(replace(car, who=who) for who in others)))
+        assert len(conflicts(account)) == len(sentences(account)) == told
+
+
+@given(st.lists(st.tuples(st.sampled_from("abc"), st.floats(0.0, 1e6)), min_size=1, max_size=8))
+def test_the_terms_that_are_told_make_up_the_cost(terms: list[tuple[str, float]]) -> None:
+    total, told = sum(value for _, value in terms), sum(value for _, value in telling(terms))
+    assert abs(total - told) <= len(terms) * max(NOISE, SHOWS * total)
+    assert telling([(name, 1e-9 * value / 1e6) for name, value in terms]) == []
 
 
 def test_where_nothing_explains_it_no_cause_is_found() -> None:

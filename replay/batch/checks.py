@@ -37,7 +37,6 @@ KINDS: Mapping[str, tuple[Kind[Callable[..., Any]], int]] = {
 }
 """By the keys of [loop]: what finds what they name, and how many arguments it is given before its settings."""
 SCENE = "paper/crossing_pedestrian"
-ANYTHING = (Exception, SystemExit)
 REFUSALS = (ValueError, TypeError)
 """What is raised by who refuses a setting."""
 _OF_THE_LOG = ("length", "wheelbase", "rear_overhang")
@@ -129,34 +128,51 @@ def _check_plant(run: RunConfig) -> None:
 def _check_others(run: RunConfig) -> None:
     """Refuse the user's traffic, perception or prediction that refuses its settings, by a log that is built in.
 
-    What else it raises may be that log's fault: it is heard of from the user's own.
+    What it raises there by its defaults, too, may be that log's fault: it is heard of from the user's own.
     """
     loop, scene = run.loop, cache(lambda: scenario(SCENE))
-    if loop.traffic not in TRAFFIC_KIND.builtin:
-        with _built("traffic", loop.traffic, REFUSALS):
-            configured(TRAFFIC_KIND, loop.traffic, loop.settings)(scene())
-    if loop.perception not in PERCEPTION.builtin:
-        with _built("perception", loop.perception, REFUSALS):
-            configured(PERCEPTION, loop.perception, loop.settings)(scene(), loop)
-    if loop.prediction not in (*PREDICTION.builtin, ORACLE):
-        with _built("prediction", loop.prediction, REFUSALS):
-            tracks, t = scene().tracks, scene().ego.state(0).t
-            ours = configured(PREDICTION, loop.prediction, loop.settings)
-            predict(tracks.perceived(t), t, method=loop.prediction, lanes=LaneMap.of(scene().road), predictor=ours)
+
+    def predicted(predictor: Any) -> object:
+        tracks, t = scene().tracks, scene().ego.state(0).t
+        lanes = LaneMap.of(scene().road)
+        return predict(tracks.perceived(t), t, method=loop.prediction, lanes=lanes, predictor=predictor)
+
+    makes: Mapping[str, Callable[[Any], object]] = {
+        "traffic": lambda factory: factory(scene()),
+        "perception": lambda factory: factory(scene(), loop),
+        "prediction": predicted,
+    }
+    for key, make in makes.items():
+        kind, name = KINDS[key][0], getattr(loop, key)
+        if name in kind.builtin or name == ORACLE:
+            continue
+        error = _refusal(make, configured(kind, name, loop.settings))
+        if error is not None and _refusal(make, configured(kind, name, {})) is None:
+            raise ConfigError(f"{key} '{name}' cannot be built: {raised(error)}") from error
+
+
+def _refusal(make: Callable[[Any], object], factory: Any) -> BaseException | None:
+    """What the user's code raises as who refuses a setting does."""
+    try:
+        make(factory)
+    except ConfigError:
+        raise
+    except (Exception, SystemExit) as error:
+        return error if isinstance(error, REFUSALS) and of_users(error) else None
+    return None
 
 
 @contextmanager
-def _built(kind: str, name: str, refusals: tuple[type[BaseException], ...] = ANYTHING) -> Iterator[None]:
-    """What code of the user's raises where it is built, if one of `refusals`, as ConfigError: each log would fail."""
+def _built(kind: str, name: str) -> Iterator[None]:
+    """What code of the user's raises where it is built, as ConfigError: each log would fail."""
     try:
         yield
     except ConfigError:
         raise
     except (Exception, SystemExit) as error:
-        if isinstance(error, refusals) and of_users(error):
+        if of_users(error):
             raise ConfigError(f"{kind} '{name}' cannot be built: {raised(error)}") from error
-        if refusals is ANYTHING:
-            raise
+        raise
 
 
 def _check_tables(run: RunConfig) -> None:

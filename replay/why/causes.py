@@ -12,7 +12,8 @@ avoids it. What a planner decided counts as its reason only where the numbers be
 (6) end     the map ends on the way, and the plan comes to rest before it
 (7) word    a planner's STOP or YIELD for who is near the way but not met, or for a thing without a place
 (8) passed  nothing of these, but a planner's OVERTAKE of who is near the way: the plan brakes before it goes first
-(9) begun   nothing of these, and the plan brakes hardest at its start: it lets go of the ego's own braking
+(9) begun   nothing of these, and the plan brakes hardest at its start and less before it stands: it lets go of the
+            ego's own braking
 """
 
 from __future__ import annotations
@@ -312,10 +313,13 @@ def _goal(case: _Case, scenario: Scenario) -> Iterator[Cause]:
     if not inside or way.s[inside[0]] > held.reach:
         return
     first, last = float(way.s[inside[0]]), float(way.s[inside[-1]])
-    yield from _in_time(case, goal, last)
+    ends = inside[-1] < len(way.s) - 1  # else the region goes on beyond what is looked at
+    if ends:
+        yield from _in_time(case, goal, last)
     if goal.v is not None and held.v > goal.v[1] + OVER_MPS:
         ahead = max(last - held.s_from, held.v * SOON_S)
-        yield case.cause(CauseKind.GOAL, first, (held.v**2 - goal.v[1] ** 2) / (2.0 * ahead), "speed", goal.v[1])
+        need = (held.v**2 - goal.v[1] ** 2) / (2.0 * ahead) if ends else nan
+        yield case.cause(CauseKind.GOAL, first, need, "speed", goal.v[1])
     elif case.course.v_end < STANDING_MPS and last - GOAL_ROOM_M <= held.planned[-1] <= last:
         yield case.cause(CauseKind.GOAL, first, held.need(last), "place")
 
@@ -344,7 +348,7 @@ def _begun(case: _Case) -> Iterator[Cause]:
     t, a = path.t - path.t[0], float(path.a[0])
     if a <= BRAKES_MPS2 and course.t_hardest == 0.0 and case.held.t_from == 0.0 and not case.held.stands:
         over = np.flatnonzero(path.a > BRAKES_MPS2)
-        if len(over):
+        if len(over) and path.v[over[0]] > STANDING_MPS:
             yield Cause(CauseKind.BEGUN, hold_mps=case.held.v, time_s=float(t[over[0]]), value=a)
 
 

@@ -321,6 +321,37 @@ def test_the_goal_is_a_cause_of_who_comes_to_rest_at_it() -> None:
     assert (cause.kind, cause.who) == (CauseKind.GOAL, "place")
 
 
+@pytest.mark.parametrize(("end", "kind"), [(60.0, CauseKind.GOAL), (400.0, CauseKind.NONE)])
+def test_the_goals_time_is_a_cause_where_its_region_ends_before(end: float, kind: CauseKind) -> None:
+    """At 10 m/s from 0 s on: 60 m are passed long before 60 s, 400 m are not looked at."""
+    region = np.array([[-5.0, -3.0], [end, -3.0], [end, 3.0], [-5.0, 3.0]])
+    world = world_with(goal=Goal((region,), t=(60.0, 70.0)))
+    (cause,) = why_of(world, braking(world)).causes
+    assert cause.kind is kind
+
+
+def straight_on(v: FloatArray, a: FloatArray) -> Plan:
+    """Along x for 8 s."""
+    t = np.linspace(0.0, 8.0, 81)
+    s = np.r_[0.0, np.cumsum(0.05 * (v[1:] + v[:-1]))]
+    return Plan(Trajectory(t, s, 0.0 * t, 0.0 * t, v, a, 0.0 * t))
+
+
+@pytest.mark.parametrize(("accel", "action"), [(0.0, Action.HOLDS), (-0.5, Action.SPEEDS), (0.5, Action.SLOWS)])
+def test_a_plan_in_reverse_does_not_stand(accel: float, action: Action) -> None:
+    v = -4.0 + accel * np.linspace(0.0, 8.0, 81)
+    account = why_of(world_with(), straight_on(v, np.full(81, accel)))
+    assert (account.course.action, sentences(account)) == (action, [])
+
+
+@pytest.mark.parametrize(("until", "kind"), [(2.0, CauseKind.BEGUN), (6.0, CauseKind.NONE)])
+def test_who_brakes_until_they_stand_does_not_let_go(until: float, kind: CauseKind) -> None:
+    t = np.linspace(0.0, 8.0, 81)
+    plan = straight_on(6.0 - np.minimum(t, until), np.where(t < until, -1.0, 0.0))
+    (cause,) = why_of(world_with(speed=6.0), plan).causes
+    assert cause.kind is kind
+
+
 def test_who_stands_would_meet_somebody_if_it_drove_off() -> None:
     world = world_with(track("queue", [0.0], [8.0], [0.0], static=True), speed=0.0)
     (said,) = sentences(why_of(world, braking(world)))

@@ -153,11 +153,12 @@ class Kind(Generic[T]):
 
 
 def _offered(module: ModuleType) -> Iterator[tuple[str, Any]]:
-    """What a module has for others: what its `__all__` names, else what has no underscore and is not imported."""
+    """What a module has for others: what `__all__` names, else what is its own or imported under a name of its own."""
     names = getattr(module, "__all__", None)
     for name, thing in vars(module).items():
-        home = getattr(thing, "__module__", "") if hasattr(thing, "__qualname__") else module.__name__
-        if name in names if names is not None else not name.startswith("_") and home == module.__name__:
+        imported = getattr(thing, "__module__", module.__name__) != module.__name__
+        own = not name.startswith("_") and not (imported and getattr(thing, "__name__", "") == name)
+        if own if names is None else name in names:
             yield name, thing
 
 

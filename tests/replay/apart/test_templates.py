@@ -194,6 +194,7 @@ def test_a_run_loads_it_twice_in_a_worker_and_still_sees_what_is_not_determinist
     assert not _warm["launcher"].templates
 
 
+@pytest.mark.slow
 def test_a_worker_that_is_killed_takes_its_templates_along() -> None:
     code = """
         import os, time

@@ -11,14 +11,13 @@ RUN python -m venv /opt/replan \
 
 FROM python:3.11-slim
 COPY --from=built /opt/replan /opt/replan
-# Machine code for any x86-64 or arm64 processor, so that the image may be built on one and run on another.
+# Kernels are for x86-64-v3 where the image is built on one that has it, and run on all that have (docs/ci.md).
 ENV PATH=/opt/replan/bin:$PATH \
-    NUMBA_CPU_NAME=generic \
     NUMBA_CACHE_DIR=/opt/replan/kernels \
     PYTHONDONTWRITEBYTECODE=1 \
     TMPDIR=/scratch \
     MPLCONFIGDIR=/scratch/matplotlib
-RUN mkdir --mode=1777 /scratch && replan warmup && chmod -R a+rX,go-w /opt/replan \
+RUN mkdir --mode=1777 /scratch && replan warmup --all && chmod -R a+rX,go-w /opt/replan \
     && useradd --create-home --uid 10001 replan && mkdir /results && chown replan /results \
     && rm -rf /scratch/*
 USER replan

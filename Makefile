@@ -1,6 +1,6 @@
 # Habit's door to ./dev, which needs no make.
-.PHONY: evaluate test bench docs clean
-evaluate test bench docs:
+.PHONY: evaluate test bench docs wheel clean
+evaluate test bench docs wheel:
 	@./dev $@
 clean:
 	rm -rf .venv build dist site *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -9,7 +9,7 @@ A thing of a kind is named as
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache, reduce
 from importlib import import_module
@@ -139,7 +139,7 @@ class Kind(Generic[T]):
 
     def _absent(self, spec: str, name: str, module: ModuleType, error: Exception) -> ConfigError | PlannerError:
         """The error for a module that has no such thing: names the nearest."""
-        there = [key for key, thing in vars(module).items() if not key.startswith("_") and not self.wrong(thing)]
+        there = [key for key, thing in _offered(module) if not self.wrong(thing)]
         said = self._clash(error) if rival(module.__name__) else ""
         nearest = unknown_name(f"{self.name} in {module.__name__}", name, there)
         return self.error(f"{self.name} '{spec}': {nearest}{said}")
@@ -150,6 +150,15 @@ class Kind(Generic[T]):
         package = str(of).partition(".")[0]
         program = " (or run the planner as a program of its own: exec:COMMAND)" if self.error is PlannerError else ""
         return f"; {clash(package, rival(package))}{program}" if package in PACKAGES else ""
+
+
+def _offered(module: ModuleType) -> Iterator[tuple[str, Any]]:
+    """What a module has for others: what its `__all__` names, else what has no underscore and is not imported."""
+    names = getattr(module, "__all__", None)
+    for name, thing in vars(module).items():
+        home = getattr(thing, "__module__", "") if hasattr(thing, "__qualname__") else module.__name__
+        if name in names if names is not None else not name.startswith("_") and home == module.__name__:
+            yield name, thing
 
 
 @cache

@@ -4,9 +4,9 @@ A kernel is a pure module-level function of scalars and arrays. `kernel` compile
 disk, IEEE arithmetic (no fastmath), division by zero gives inf or nan as in NumPy. `NUMBA_DISABLE_JIT=1` runs
 the same source as plain Python.
 
-Where the machine code is: `NUMBA_CACHE_DIR`, else `__pycache__` beside the sources, else the user's cache folder. It
-belongs to a kernel's code and all that goes into it (`logs.kernel_stamp`), its file's place, a version of numba, and a
-processor (`NUMBA_CPU_NAME`).
+Where the machine code is: `NUMBA_CACHE_DIR`, else `__pycache__` beside the sources, else the user's cache folder; and a
+wheel may bring some, in `__pycache__` (`./dev wheel`). It belongs to a kernel's code and all that goes into it
+(`logs.kernel_stamp`), the line where it begins, versions of Python and numba, and a processor (`PORTABLE`).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from typing import Any, ParamSpec, TypeVar, cast
 import numba
 import numpy as np
 from numba import njit
-from numba.core import caching, event
+from numba.core import caching, codegen, event
 from numpy.typing import NDArray
 
 from logs.kernel_stamp import KernelIndex
@@ -40,11 +40,39 @@ Far above rounding and far below what anybody measures. Round figures are common
 must not have their edges on them: comparisons lean by this to the side that their code states.
 """
 
+PORTABLE = "x86-64-v3"
+"""The processor that kernels are compiled for where the machine has it and the user chose none (`NUMBA_CPU_NAME`).
+
+Intel since Haswell (2013), AMD since Excavator (2015). Their machine code may be shipped, and is the same on each.
+"""
+PORTABLE_HAS = frozenset({"+avx2", "+bmi", "+bmi2", "+f16c", "+fma", "+lzcnt", "+movbe", "+xsave"})
+"""What it has beyond x86-64-v2, in LLVM's words (x86-64 psABI 1.0, table 3.1)."""
+
 P = ParamSpec("P")
 R = TypeVar("R")
 
 _STORED: list[Any] = []
 """Numba's dispatchers of all kernels that are imported and have a place on disk."""
+
+
+def _choose_processor() -> None:
+    """`PORTABLE`, where it may be."""
+    chosen = cast("Any", numba.config)
+    if chosen.CPU_NAME is None and chosen.CPU_FEATURES is None:
+        has = codegen.get_host_cpu_features().split(",")  # type: ignore[no-untyped-call]
+        if PORTABLE_HAS.issubset(has):
+            chosen.CPU_NAME, chosen.CPU_FEATURES = PORTABLE, ""
+
+
+_choose_processor()
+
+
+class _Brought(caching.InTreeCacheLocator):
+    """Beside the source, to be read: the last of all places, where none can be written and a wheel brought kernels."""
+
+    def ensure_cache_path(self) -> None:
+        if next(Path(self.get_cache_path()).glob("*.nbi"), None) is None:  # type: ignore[no-untyped-call]
+            raise FileNotFoundError
 
 
 def kernel(function: Callable[P, R]) -> Callable[P, R]:
@@ -135,16 +163,14 @@ def _usable(folder: str) -> None:
 
 cast("Any", caching)._CacheLocator.ensure_cache_path = lambda self: _usable(self.get_cache_path())
 """As numba has it, but once a folder and not once a kernel."""
+cast("Any", caching).CacheImpl._locator_classes.append(_Brought)
 
 
 def cold() -> bool:
     """Whether the disk has no machine code for this processor of any kernel that is imported."""
-    return bool(_STORED) and not any(map(_on_disk, _STORED))
-
-
-def _on_disk(compiled: Any) -> bool:
-    processor = compiled.targetctx.codegen().magic_tuple()
-    return any(key[1] == processor for key in compiled._cache._cache_file._load_index())
+    return bool(_STORED) and not any(
+        each._cache._cache_file.holds(each.targetctx.codegen().magic_tuple()) for each in _STORED
+    )
 
 
 def compiled_here() -> int:

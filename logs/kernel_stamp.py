@@ -108,13 +108,27 @@ class KernelIndex(IndexDataCacheFile):
 
     A file of machine code is named by all that it is for. Numba numbers the files of a kernel: where two processes
     compile it at once for different arguments, the one's code may end under the other's number, and is run as that.
+
+    What its folder does not have may lie beside the source, where a wheel brought it.
     """
 
-    def __init__(self, kernel: Any) -> None:
+    def __init__(self, kernel: Any, folder: str | None = None) -> None:
         self._kernel = kernel
         numbas = kernel._cache._cache_file
         self._base = numbas._index_name.removesuffix(".nbi")
-        super().__init__(numbas._cache_path, self._base, "")  # type: ignore[no-untyped-call]
+        super().__init__(folder or numbas._cache_path, self._base, "")  # type: ignore[no-untyped-call]
+        beside = str(Path(kernel.py_func.__code__.co_filename).parent / "__pycache__")
+        self._beside = None if beside == self._cache_path else KernelIndex(kernel, beside)
+
+    def load(self, key: Any) -> Any:
+        """The machine code of one kind of arguments, as numba kept it; None: there is none."""
+        found = super().load(key)  # type: ignore[no-untyped-call]
+        return self._beside.load(key) if found is None and self._beside else found
+
+    def holds(self, processor: Any) -> bool:
+        """Whether there is any for a processor (numba's `magic_tuple`)."""
+        kept = self._load_index()  # type: ignore[no-untyped-call]
+        return any(key[1] == processor for key in kept) or (self._beside is not None and self._beside.holds(processor))
 
     def save(self, key: Any, data: Any) -> None:
         """Keep the machine code of one kind of arguments; what is kept of another `stamp` is removed."""

@@ -10,8 +10,9 @@ from __future__ import annotations
 import re
 import shutil
 import tempfile
+import weakref
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -62,6 +63,8 @@ def listed(url: str) -> tuple[RemoteFile, ...]:
     files = []
     for key, info in sorted(found.items()):
         name = key.removeprefix(base).lstrip("/") or Path(base).name
+        if ".." in name.split("/"):
+            raise ConfigError(f"{url}/{name}: has '..' in its name, which would lead out of a folder; rename it")
         version = next((str(info[word]).strip('"') for word in _VERSIONS if info.get(word)), "")
         files.append(RemoteFile(url if key == base else f"{url}/{name}", name, int(info.get("size") or 0), version))
     return tuple(file for file in files if not file.url.endswith("/"))
@@ -74,9 +77,17 @@ def heads(files: Sequence[RemoteFile], size: int) -> list[bytes]:
     with _asked(files[0].url, ConfigError):
         system = _system(files[0].url)[0]
         ends = [min(size, file.size) for file in files]
-        found: list[bytes] = system.cat_ranges(
+        found: list[bytes | Exception] = system.cat_ranges(
             [system._strip_protocol(file.url) for file in files], [0] * len(ends), ends
         )
+    return [_head(file, head) for file, head in zip(files, found, strict=True)]
+
+
+def _head(file: RemoteFile, found: bytes | Exception) -> bytes:
+    """What was found, unless it is what was raised."""
+    with _asked(file.url, ConfigError):
+        if isinstance(found, Exception):
+            raise found
         return found
 
 
@@ -142,26 +153,54 @@ def remove(urls: Sequence[str]) -> None:
             system.rm_file(path)
 
 
+class Near:
+    """What is at a place, on this machine: a local path as it is, of a URL a copy that goes with this object.
+
+    Args:
+        place: Path or URL.
+        but: Files of a folder that are not copied, by their ending (".rrd").
+
+    Attributes:
+        path: Where it is.
+        place: Path or URL, for people.
+
+    Raises:
+        ConfigError: Nothing is at the URL.
+        LogError: It cannot be fetched.
+    """
+
+    def __init__(self, place: Path | str, but: tuple[str, ...] = ()) -> None:
+        url, self.path = url_of(place), local_path(place)
+        self.place = url or str(self.path)
+        self._removed: Callable[[], object] = _nothing
+        if not url:
+            return
+        files = listed(url)
+        if not files:
+            raise ConfigError(f"{url}: nothing is there")
+        scratch = tempfile.mkdtemp(prefix="replan-")
+        self._removed = weakref.finalize(self, shutil.rmtree, scratch, ignore_errors=True)
+        self.path = Path(scratch, Path(url).name)
+        if files[0].url == url:
+            fetch(files, self.path.parent)
+        else:
+            self.path.mkdir()
+            fetch([file for file in files if not file.name.endswith(but)], self.path)
+
+    def close(self) -> None:
+        """The copy goes now."""
+        self._removed()
+
+
+def _nothing() -> None:
+    """Where there is no copy."""
+
+
 @contextmanager
 def here(place: Path | str) -> Iterator[Path]:
-    """A local path as it is; of a URL a copy, all of it, for as long. ConfigError: nothing is there."""
-    url = url_of(place)
-    if not url:
-        yield local_path(place)
-        return
-    files = listed(url)
-    if not files:
-        raise ConfigError(f"{url}: nothing is there")
-    with tempfile.TemporaryDirectory(prefix="replan-") as scratch:
-        root = Path(scratch) / Path(url).name
-        is_file = len(files) == 1 and files[0].url == url
-        fetch(files, root.parent if is_file else _made(root))
-        yield root
-
-
-def _made(folder: Path) -> Path:
-    folder.mkdir()
-    return folder
+    """`Near.path` for as long."""
+    with closing(Near(place)) as near:
+        yield near.path
 
 
 def _system(url: str) -> tuple[Any, str]:

@@ -18,6 +18,7 @@ from logs.readers.base import Contents, TopicSummary
 from logs.road import Goal, Road, RoadSource
 from logs.scenario import Scenario
 from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
+from logs.words import counted
 
 
 @dataclass(frozen=True)
@@ -196,7 +197,8 @@ def evaluations(scenario: Scenario, *, told: bool) -> tuple[Evaluation, ...]:
     unlimited = sum(not np.isfinite(lane.speed_limit) for lane in road.lanes.values())
     compared = f"{len(ego)} ego states to compare with" if len(ego) > 1 else "one ego state only: nothing to compare"
     lasting = f"{scenario.duration:.1f} s to drive" if scenario.duration > 0.0 else "the log lasts 0 s"
-    others = f"{len(tracks)} others" if len(tracks) else "nobody else is in the log: only comfort, progress and lanes"
+    alone = "nobody else is in the log: only comfort, progress and lanes"
+    others = counted(len(tracks), "other") if len(tracks) else alone
     return (
         Evaluation("open loop against the driven ego", len(ego) > 1, compared),
         Evaluation("closed loop", scenario.duration > 0.0, lasting),
@@ -226,12 +228,13 @@ def _rules(scenario: Scenario) -> tuple[bool, str]:
     """Whether there are rules that can be kept or broken, and which."""
     road, shown = scenario.road, {light.id for light in scenario.lights}
     counts = {
-        "stop lines with a light": sum(line.light in shown for line in road.stop_lines),
-        "stop signs": sum(line.must_stop for line in road.stop_lines),
-        "crosswalks": len(road.crosswalks),
-        "lanes that give way": sum(bool(lane.yields_to) for lane in road.lanes.values()),
+        "stop line": sum(line.light in shown for line in road.stop_lines),
+        "stop sign": sum(line.must_stop for line in road.stop_lines),
+        "crosswalk": len(road.crosswalks),
+        "lane": sum(bool(lane.yields_to) for lane in road.lanes.values()),
     }
-    held = ", ".join(f"{count} {name}" for name, count in counts.items() if count)
+    said = {"stop line": " with a light", "lane": " giving way"}
+    held = ", ".join(f"{counted(count, name)}{said.get(name, '')}" for name, count in counts.items() if count)
     return bool(held), held or "the log names none"
 
 
@@ -243,8 +246,8 @@ def _topic_line(topic: TopicSummary) -> str:
 
 
 def _scenario_lines(scenario: ScenarioSummary) -> list[str]:
-    road, agents = scenario.road, ", ".join(f"{count} {kind}" for kind, count in scenario.agents.items())
-    ego = f"{scenario.ego_samples} states from {scenario.ego_span[0]:.2f} to {scenario.ego_span[1]:.2f} s"
+    road, agents = scenario.road, ", ".join(counted(count, kind) for kind, count in scenario.agents.items())
+    ego = f"{counted(scenario.ego_samples, 'state')} from {scenario.ego_span[0]:.2f} to {scenario.ego_span[1]:.2f} s"
     if scenario.ego_samples > 1:
         ego += f" ({scenario.ego_rate:.1f} Hz), {scenario.ego_speed[0]:.1f} to {scenario.ego_speed[1]:.1f} m/s"
     return [
@@ -253,10 +256,11 @@ def _scenario_lines(scenario: ScenarioSummary) -> list[str]:
         f"duration: {scenario.duration:.2f} s",
         f"ego: {ego}",
         f"agents: {agents or 'none'}; obstacles: {scenario.obstacles}",
-        f"road: {road.lanes} lanes ({road.drivable} drivable), {road.length_km:.2f} km,"
+        f"road: {counted(road.lanes, 'lane')} ({road.drivable} drivable), {road.length_km:.2f} km,"
         f" {road.without_speed_limit} without speed limit; {road.source}",
-        f"rules: {road.stop_lines} stop lines ({road.with_light} with a light, {road.must_stop} with a stop sign),"
-        f" {scenario.lights} lights, {road.crosswalks} crosswalks, {road.giving_way} lanes give way",
+        f"rules: {counted(road.stop_lines, 'stop line')} ({road.with_light} with a light, {road.must_stop} with a"
+        f" stop sign), {counted(scenario.lights, 'light')}, {counted(road.crosswalks, 'crosswalk')},"
+        f" {counted(road.giving_way, 'lane')} giving way",
         f"goal: {scenario.goal or 'none'}",
         *(f"metadata {key}: {value}" for key, value in scenario.metadata.items()),
         *(f"note: {note}" for note in scenario.notes),

@@ -21,6 +21,7 @@ import pyarrow.parquet as pq
 from logs.errors import ConfigError, LogError, unknown_name
 from logs.mcap import read_trace
 from logs.mcap.container import read_container
+from logs.remote import Near
 from metrics import COLUMNS, METRICS, Metric, load_metric
 from metrics.compare import DRIVE, PARTING_COLUMNS, Comparison, Side, compare
 from metrics.compare_rules import Rule, judged, load_rules
@@ -31,7 +32,7 @@ from replay.batch.sources import LOG_CARD
 from replay.batch.tables import write_file
 from replay.config import read_toml
 from replay.parting import parting
-from replay.results import Results, load
+from replay.results import RECORDINGS, Results, loaded
 
 MOST_PARTINGS = 20
 """In more drives it is not looked for where they part: the worst first."""
@@ -62,16 +63,17 @@ class Opened:
 
 
 def opened(path: Path | str) -> Opened:
-    """The run in a result folder, or in a file that `write_baseline` wrote.
+    """The run in a result folder, or in a file that `write_baseline` wrote; either may be a URL.
 
     Raises:
         ConfigError: There is none, or of another version.
         LogError: It is damaged.
     """
-    path = Path(path)
+    near = Near(path, RECORDINGS)
+    path = near.path
     if path.is_file():
         return _baseline(path)
-    results = load(path)
+    results = loaded(near)
     try:
         side = Side(path.name, results.metrics, _logs(results), _facts(results), _failed(results), _crashed(results))
         return Opened(side, results, tuple(read_toml(path / "run.toml").get("metrics", ())))

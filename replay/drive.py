@@ -12,6 +12,10 @@ from replay.sensor import SensorConfig
 
 TRUSTED = "the planner was trusted: it ran in the process that holds the log"
 """The note of a drive whose planner was not kept apart and does not come with replan."""
+BATCHED = "batched: the planner's process was shared with other logs, up to {} in all"
+"""The note of a drive whose frames were planned together with those of other logs."""
+MOST_TOGETHER = 64
+"""Logs in lock step: their answers, 1 MB each where the inside of plans is kept, have to fit into a message."""
 
 
 @dataclass(frozen=True)
@@ -25,9 +29,10 @@ class ApartConfig:
         log_timeout_s: All of it may take so long in one drive; 0: no limit.
         memory_gb: Data of the planner's process; 0: no limit.
         environment: Variables that it is given beside `replay.apart.processes.ENVIRONMENT`.
+        batch: So many logs are in lock step, and their frames are planned together (`plan_batch`); 0: each by itself.
 
     Raises:
-        ConfigError: A limit is negative, or a plan has no time.
+        ConfigError: A limit is negative, a plan has no time, or there are too many logs together.
     """
 
     trust: bool = False
@@ -36,14 +41,37 @@ class ApartConfig:
     log_timeout_s: float = 0.0
     memory_gb: float = 8.0
     environment: tuple[str, ...] = ()
+    batch: int = 0
 
     def __post_init__(self) -> None:
+        if not 0 <= self.batch <= MOST_TOGETHER:
+            raise ConfigError(f"loop.apart.batch must be from 0 to {MOST_TOGETHER}, got {self.batch}")
         for name in ("plan_timeout_s", "start_timeout_s"):
             if not 1e-3 <= getattr(self, name) < 1e6:
                 raise ConfigError(f"loop.apart.{name} must be positive, got {getattr(self, name)}")
         for name in ("log_timeout_s", "memory_gb"):
             if not 0.0 <= getattr(self, name) < 1e6:
                 raise ConfigError(f"loop.apart.{name} must not be negative, got {getattr(self, name)}")
+
+
+@dataclass(frozen=True, order=True)
+class Place:
+    """Which of a log's drives it is; they are driven in this order.
+
+    Attributes:
+        member: Of the ensemble; 0: the log itself.
+        planner: Of the run's, by place.
+        mode: Of its loops, by place.
+        again: Whether it is the second drive of a start, which is compared with the first (`replay.determinism`).
+    """
+
+    member: int = 0
+    planner: int = 0
+    mode: int = 0
+    again: bool = False
+
+
+FIRST = Place()
 
 
 @dataclass(frozen=True)

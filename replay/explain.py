@@ -21,7 +21,7 @@ from logs.trace import (
 from replay.drive import LoopConfig
 from replay.results import DriveResult
 from replay.why import Account, accounts, sentences
-from replay.why.alternatives import KEEP, Touch, touched
+from replay.why.alternatives import KEEP, Touch, telling, touched
 
 MOST_LINES = 5
 """Of a list longer than this the rest is counted."""
@@ -140,8 +140,10 @@ def _some(what: str, lines: Sequence[str]) -> Iterator[str]:
 
 
 def _terms(terms: Sequence[tuple[str, float]]) -> str:
-    total = sum(value for _, value in terms)
-    return f"{total:.3g} = " + " + ".join(f"{name} {value:.3g}" for name, value in terms) if terms else "no terms"
+    if not terms:
+        return "no terms"
+    told, total = telling(terms), sum(value for _, value in terms)
+    return f"{total:.3g} = " + " + ".join(f"{name} {value:.3g}" for name, value in told) if told else "0"
 
 
 def _touch(one: Touch) -> str:

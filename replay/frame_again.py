@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from math import inf
-from pathlib import Path
 from typing import Any
 
 from logs.errors import ConfigError, PlannerError, ReplanError, of_users, raised
@@ -13,9 +12,10 @@ from logs.frame import Frame
 from logs.mcap import read_scenario
 from logs.scenario import Scenario
 from logs.trace import Plan, PlannedFrame, SolverReport
+from logs.words import counted
 from planners.piecewise_jerk.solvers import Asked, watched
 from replay.batch.one_log import LOOPS
-from replay.batch.sources import LogSource, file_hash
+from replay.batch.origin import log_of
 from replay.config import RunConfig
 from replay.drive import Drive
 from replay.explain import explanation, lines_of
@@ -89,7 +89,7 @@ def planned_again(drive: DriveResult, at: float, planner: str | None = None, *, 
     for spec in (drive.planner, planner or drive.planner):
         if is_foreign(spec) or spec in ORACLES:
             raise ConfigError(f"planner '{spec}': a frame is planned again only by Python planners that know no log")
-    scenario, table = log_of(drive, run), run.planner.get(drive.planner, {})
+    scenario, table = _scenario(drive, run), run.planner.get(drive.planner, {})
     watch, made = _driven(drive, scenario, recorded.t, debug=debug and planner is None)
     if planner is not None:
         return _by_another(drive, scenario, watch, planner, debug=debug)
@@ -149,7 +149,7 @@ def _same(plan: Plan, recorded: Plan) -> bool:
     return all((getattr(new, name)[rows] == getattr(old, name)).all() for name in ("x", "y", "yaw", "v", "a"))
 
 
-def log_of(drive: DriveResult, run: RunConfig) -> Scenario:
+def _scenario(drive: DriveResult, run: RunConfig) -> Scenario:
     """The log of a drive as it was driven: from the results where it is there, else from where it was read.
 
     Raises:
@@ -160,12 +160,7 @@ def log_of(drive: DriveResult, run: RunConfig) -> Scenario:
     if path.is_file():
         scenario = read_scenario(path)
     else:
-        path = Path(str(row["source"]))
-        if not path.is_file():
-            raise ConfigError(f"{path}: is not here; it is needed to drive up to a frame (a window cannot be named)")
-        if file_hash(path) != row["sha256"]:
-            raise ConfigError(f"{path}: is not the log of this run any more: its bytes are others")
-        scenario = LogSource(str(path), path, run.log).read()
+        scenario = log_of(drive.result.path, str(row["source"]), str(row["sha256"]), run.log)
     return scenario.in_vehicle(run.driven(scenario.vehicle))
 
 
@@ -178,14 +173,15 @@ def report_of(again: PlannedAgain) -> Iterator[str]:
     futures = frame.predictions
     yield (
         f"  ego {frame.ego.x:.2f}, {frame.ego.y:.2f} m, {frame.ego.v:.2f} m/s, {frame.ego.a:.2f} m/s²; "
-        f"{len(frame.agents)} agents, {len(futures)} predictions of {len(futures.t)} samples ({futures.method})"
+        f"{counted(len(frame.agents), 'agent')}, {counted(len(futures), 'prediction')} of"
+        f" {counted(len(futures.t), 'sample')} ({futures.method})"
     )
     stages = ", ".join(f"{stage} {1e3 * seconds:.2f}" for stage, seconds in again.seconds.items())
     yield f"  stages [ms, with compiling]: {stages}"
     for asked in dump.problems:
         yield f"  {_qp(asked)}"
     for report in (each for each in plan.internals if isinstance(each, SolverReport) and not dump.problems):
-        yield f"  {report.stage}: {report.status}, {report.iterations} iterations"
+        yield f"  {report.stage}: {report.status}, {counted(report.iterations, 'iteration')}"
     yield ""
     planned = PlannedFrame.of(frame, plan)
     shown = Shown(planned, frame.agents, planned.predictions, frame.lights)
@@ -199,7 +195,7 @@ def _qp(asked: Asked) -> str:
     bounds = int((abs(problem.lower) < 1e9).sum() + (abs(problem.upper) < 1e9).sum())
     said = "solved" if report.solved else "NOT SOLVED"
     return (
-        f"{report.stage}: {3 * knots} unknowns, {2 * (knots - 1) + 3} equalities, {bounds} finite bounds,"
-        f" {leads} leads; {said} ({report.status}), {report.iterations} iterations,"
+        f"{report.stage}: {3 * knots} unknowns, {2 * (knots - 1) + 3} equalities, {counted(bounds, 'finite bound')},"
+        f" {counted(leads, 'lead')}; {said} ({report.status}), {counted(report.iterations, 'iteration')},"
         f" residuals {report.primal_residual:.1e}, {report.dual_residual:.1e}"
     )

@@ -39,6 +39,24 @@ def planner_factory(spec: str) -> Factory:
     return ORACLES[spec] if spec in ORACLES else load_planner(spec, also=ORACLES)
 
 
+_prepared: dict[Factory, Mapping[str, Any]] = {}
+"""With what each class of planners was prepared last, in this process."""
+
+
+def prepared(spec: str, keywords: Mapping[str, Any]) -> Factory:
+    """What builds the planner, which has loaded what all its drives share.
+
+    A class may have a class method `prepare(**keywords)`, which is given the keywords of the planner before it is built
+    of them: called once in a process, and once in that from which the processes of drives are forked.
+    """
+    factory = planner_factory(spec)
+    prepare = getattr(factory, "prepare", None)
+    if prepare is not None and _prepared.get(factory) != keywords:
+        prepare(**keywords)
+        _prepared[factory] = keywords
+    return factory
+
+
 def planner_keywords(spec: str, table: Mapping[str, Any]) -> dict[str, Any]:
     """The keywords that a planner's table stands for; ConfigError where it is wrong (`replay.settings`)."""
     return keywords_of(planner_factory(spec), table, dotted("planner", spec))

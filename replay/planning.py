@@ -17,11 +17,13 @@ from logs.shapes import corners
 from logs.states import EgoState
 from logs.trace import Plan
 from planners.base import Planner
-from replay.apart.proxy import ApartPlanner, FaultError
-from replay.drive import TRUSTED, ApartConfig, LoopConfig, StageTime
+from replay.apart.link import FaultError
+from replay.apart.proxy import ApartPlanner
+from replay.apart.together import log_here
+from replay.drive import BATCHED, FIRST, TRUSTED, ApartConfig, LoopConfig, Place, StageTime
 from replay.oracle import ORACLES
 from replay.plan_check import checked
-from replay.planner_config import is_apart, is_built_in, planner_factory
+from replay.planner_config import is_apart, is_built_in, planner_factory, prepared
 from replay.stopwatch import Stopwatch
 
 SHORTEST_DRIVE_M = 10.0
@@ -43,6 +45,7 @@ class Planning:
         config: Of the loop.
         start: The ego at the first frame.
         keep_internals: Whether the plans keep what the planner wants to be seen, beside its solvers' reports.
+        place: Which of the log's drives it is.
 
     Attributes:
         is_oracle: Whether the planner knows the log.
@@ -64,14 +67,17 @@ class Planning:
         start: EgoState,
         *,
         keep_internals: bool = True,
+        place: Place = FIRST,
     ) -> None:
         goal, note = goal_of(scenario)
         self.is_oracle = spec in ORACLES
         given = GIVEN_PATH if scenario.road.source is RoadSource.DRIVEN_PATH else ""
         trusted = "" if is_built_in(spec) or is_apart(spec, config.apart) else TRUSTED
-        self.notes = tuple(filter(None, (note, given, trusted)))
+        shared = is_apart(spec, config.apart) and log_here() is not None
+        batched = BATCHED.format(config.apart.batch) if shared else ""
+        self.notes = tuple(filter(None, (note, given, trusted, batched)))
         self.goal = goal
-        self._keep = keep_internals
+        self._keep, self._place = keep_internals, place
         self._name = f"planner '{spec}' on {scenario.name}"
         self._watch = Stopwatch()
         period = config.plan_period_ns / 1e9
@@ -88,14 +94,15 @@ class Planning:
     ) -> Planner:
         try:
             if is_apart(spec, apart):
-                return ApartPlanner(spec, context, table, apart, self._watch.took, keep_internals=self._keep)
+                watch, keep = self._watch, self._keep
+                return ApartPlanner(spec, context, table, apart, watch, keep_internals=keep, place=self._place)
             factory = planner_factory(spec)
             arguments = (context, scenario) if spec in ORACLES else (context,)
             try:
                 inspect.signature(factory).bind(*arguments, **table)
             except TypeError as error:
                 raise ConfigError(f"planner '{spec}' cannot be built so: {error}") from None
-            return factory(*arguments, **table)
+            return prepared(spec, table)(*arguments, **table)
         except ReplanError:
             raise
         except FaultError as error:

@@ -26,6 +26,7 @@ import pyarrow.parquet as pq
 from logs.errors import ConfigError, LogError, unknown_name
 from logs.kernel import FloatArray
 from logs.mcap import read_trace
+from logs.remote import Near
 from logs.scenario import Scenario
 from logs.trace import Decision, Plan, PlannedFrame, Trace
 from metrics.aggregate import LogLabels
@@ -38,6 +39,7 @@ DRIVE_COLUMNS = ("log", "planner", "mode", "oracle", "end", "detail", "t_end_s",
 GATE_COLUMNS = ("gate", "planner", "mode", "group", "outcome", "value", "log", "time_s", "reason")
 FAILURE_COLUMNS = ("log", "planner", "mode", "message", "exit_code")
 DECISION_COLUMNS = ("log", "planner", "mode", "t_s", "agent", "decision", "stage", "reason")
+RECORDINGS = (".rrd",)
 SUMMARY_KEYS = frozenset({"exit_code", "logs", "gates", "failures"})
 """Without these a summary.json is not replan's."""
 
@@ -48,30 +50,36 @@ def load(path: Path | str) -> Results:
     """The results of a run.
 
     Args:
-        path: The result folder.
+        path: The result folder, or its URL: all but its recordings is fetched, for as long as the results are kept.
 
     Raises:
         ConfigError: It is no result folder, or of another version.
+        LogError: It cannot be fetched.
     """
-    folder = Path(path)
+    return loaded(Near(path, RECORDINGS))
+
+
+def loaded(near: Near) -> Results:
+    """`load` of a folder that is here, or has been fetched."""
+    folder = near.path
     try:
         summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     except FileNotFoundError:
         hint = "it was interrupted: `--resume` finishes it" if (folder / "run.toml").is_file() else "see --out"
-        raise ConfigError(f"{folder}: no results of a finished run (no summary.json in it; {hint})") from None
+        raise ConfigError(f"{near.place}: no results of a finished run (no summary.json in it; {hint})") from None
     except (OSError, ValueError) as error:
-        raise ConfigError(f"{folder / 'summary.json'}: cannot be read: {error}") from None
+        raise ConfigError(f"{near.place}/summary.json: cannot be read: {error}") from None
     if not isinstance(summary, dict):
-        raise ConfigError(f"{folder / 'summary.json'}: holds no summary of a run")
+        raise ConfigError(f"{near.place}/summary.json: holds no summary of a run")
     if summary.get("schema_version") != SCHEMA_VERSION:
         was = summary.get("schema_version")
         raise ConfigError(
-            f"{folder}: its tables are of version {was}, this replan reads {SCHEMA_VERSION}; evaluate again"
+            f"{near.place}: its tables are of version {was}, this replan reads {SCHEMA_VERSION}; evaluate again"
         )
     missing = SUMMARY_KEYS - summary.keys()
     if missing:
-        raise ConfigError(f"{folder / 'summary.json'}: is not whole: no {', '.join(sorted(missing))}; evaluate again")
-    return Results(folder, summary)
+        raise ConfigError(f"{near.place}/summary.json: is not whole: no {', '.join(sorted(missing))}; evaluate again")
+    return Results(folder, summary, near)
 
 
 def _table(file: Path, read: Callable[[Path], Table]) -> Table:
@@ -93,6 +101,7 @@ class Results:
 
     path: Path
     summary: dict[str, Any] = field(repr=False)  # megabytes of a large run
+    _near: Near | None = field(default=None, repr=False)
 
     @cached_property
     def run(self) -> RunConfig:

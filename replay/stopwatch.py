@@ -42,6 +42,11 @@ class Stopwatch:
         """A stage that another process has measured."""
         self._laps[stage] = self._laps.get(stage, 0.0) + seconds
 
+    def waited(self, seconds: float) -> None:
+        """The plan was not being made for so long: it is not counted."""
+        self._begin += seconds
+        self._last += seconds
+
     @property
     def laps(self) -> dict[str, float]:
         """The stages of the plan made last, s."""

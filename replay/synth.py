@@ -14,6 +14,7 @@ from logs.catalogue.suites import SEED, SUITES, groups, suite
 from logs.errors import unknown_name
 from logs.mcap import write_scenario
 from logs.scenario import Scenario
+from logs.words import counted
 from replay.avoidability import with_avoidability
 from replay.batch.tables import safe_name, write_text
 
@@ -90,7 +91,7 @@ def listed() -> Iterator[str]:
         grid = f"\n    grid of {_count(family)}: {_grid(family)}" if family.grid else ""
         yield f"{family.name}: {family.summary}\n    {values}{grid}"
     for name, one in SUITES.items():
-        yield f"--suite {name}: {one.size} logs; {one.summary}"
+        yield f"--suite {name}: {counted(one.size, 'log')}; {one.summary}"
 
 
 def table() -> dict[str, Any]:

@@ -8,18 +8,20 @@ import subprocess
 import sys
 import tempfile
 from pathlib import Path
+from typing import Literal
 
 from logs.errors import ConfigError, ReplanError, writing
 from logs.readers import LogSettings, read_log
 from replay.viewer import LOOPBACK, environment, free_port, in_use
 
+Theme = Literal["dark", "light"]
 LAYOUTS = ("overview", "planner", "control")
 """The tabs of a recording, each a whole window."""
 ELSEWHERE = (
     "copy the .rrd to a machine with one and open it there with `rerun FILE.rrd`, or add --web to see it in a browser"
 )
 MOST = 12
-"""Recordings opened at once: each takes memory in the viewer, which has no way to load one when it is asked for."""
+"""Recordings opened at once: each takes memory in the viewer; the index has links to all."""
 
 
 def recordings(target: Path, log: str | None = None) -> list[Path]:
@@ -140,17 +142,19 @@ def show(files: list[Path], memory_limit: str, *, web: bool = False, port: int =
         raise ReplanError(f"the viewer ended with an error (above); without a display or graphics driver, {ELSEWHERE}")
 
 
-def picture(recording: Path, out: Path, at: float, layout: str, tile: str | None, size: str) -> None:
+def picture(recording: Path, out: Path, at: float, layout: str, tile: str | None, size: str, theme: Theme) -> None:
     """A picture of a recording at a time, s; ConfigError where it has no such layout or tile."""
     from replay.recording.screenshot import Picture, take_pictures
 
     _check_size(size)
     with writing(out):
         out.parent.mkdir(parents=True, exist_ok=True)
-        take_pictures(recording, [Picture(out, at, tile, layout)], size=size)
+        take_pictures(recording, [Picture(out, at, tile, layout)], size=size, theme=theme)
 
 
-def filmed(recording: Path, out: Path, begin: float | None, end: float | None, layout: str, size: str) -> int:
+def filmed(
+    recording: Path, out: Path, begin: float | None, end: float | None, layout: str, size: str, theme: Theme
+) -> int:
     """A video of a recording between two times, s (None: where it begins and ends); how many frames it has."""
     from replay.recording.readback import span
     from replay.recording.video import film
@@ -159,7 +163,7 @@ def filmed(recording: Path, out: Path, begin: float | None, end: float | None, l
     first, last = span(recording)
     with tempfile.TemporaryDirectory() as folder:
         start, stop = first if begin is None else begin, last if end is None else end
-        return film(recording, out, start, stop, Path(folder), layout=layout, size=size)
+        return film(recording, out, start, stop, Path(folder), layout=layout, size=size, theme=theme)
 
 
 def _check_size(size: str) -> None:

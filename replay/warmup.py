@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from time import perf_counter
+from typing import Any
 
 from logs.errors import OutputError
 from logs.kernel import cache_folder, compiled_here
-from replay.batch.checks import checked
+from planners import PLANNERS
+from replay.batch.checks import KINDS, checked
 from replay.batch.engine import Local
 from replay.batch.log_result import Failure, LogResult
 from replay.batch.resume import stamp_of
 from replay.batch.sources import LogSource
 from replay.config import RunConfig
 
-SCENES = ("paper/crossing_pedestrian", "everyday/junction", "everyday/traffic_light")
-"""Walkers and cars, lanes that join and cross, lights and stop lines: together nearly all that a drive may call."""
+SCENES = (
+    "paper/crossing_pedestrian",
+    "paper/static_obstacles",
+    "everyday/cyclist",
+    "everyday/crosswalk",
+    "everyday/traffic_light",
+    "everyday/junction",
+)
+"""Walkers, cyclists, cars, what stands in the way, lanes that join and cross, lights: what the built-in suite calls."""
 
 
 @dataclass(frozen=True)
@@ -37,14 +47,36 @@ class Warmed:
     failures: tuple[Failure, ...]
 
 
-def warm_up(run: RunConfig) -> Warmed:
-    """Compile what a run needs, in this process.
+ELSEWHERE = ("multibody",)
+"""What has no kernels, and needs a package that may not be there."""
+
+
+def everything() -> Iterator[RunConfig]:
+    """Runs that need the kernels of all that is built in: of all planners, and of each other choice in its turn."""
+    yield RunConfig(planners=tuple(PLANNERS))
+    apart = RunConfig(mode="closed", recording=False, internals="none")
+    yield replace(apart, planner={"dp_qp": {"solver": "osqp"}})
+    for key, (kind, _) in KINDS.items():
+        for name in kind.builtin:
+            if name not in (getattr(apart.loop, key), *ELSEWHERE):
+                instead: dict[str, Any] = {key: name}
+                yield replace(apart, loop=replace(apart.loop, **instead))
+
+
+def warm_up(*runs: RunConfig) -> Warmed:
+    """Compile what runs need, in this process.
 
     Raises:
         ConfigError, PlannerError: As `replay.batch.evaluate_logs`.
         OutputError: There is no room for what the drives write.
     """
     begin = perf_counter()
+    failures = tuple(failure for run in runs for failure in _driven(run))
+    return Warmed(perf_counter() - begin, compiled_here(), cache_folder(), failures)
+
+
+def _driven(run: RunConfig) -> tuple[Failure, ...]:
+    """Drive the scenes as a run does; what could not be driven."""
     run, failures = checked(run)
     with TemporaryDirectory(prefix="replan-warmup-") as folder:
         sources = [LogSource(scene) for scene in SCENES]
@@ -52,5 +84,4 @@ def warm_up(run: RunConfig) -> Warmed:
     results = [result for result in ended if isinstance(result, LogResult)]
     for stopped in filter(None, (result.stopped for result in results)):
         raise OutputError(stopped)
-    failed = (*failures, *(failure for result in results for failure in result.failures))
-    return Warmed(perf_counter() - begin, compiled_here(), cache_folder(), failed)
+    return (*failures, *(failure for result in results for failure in result.failures))

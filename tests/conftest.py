@@ -9,7 +9,12 @@ import pytest
 from hypothesis import settings
 
 settings.register_profile("replan", deadline=None, derandomize=True)  # kernels compile when first called
-settings.load_profile("replan")
+settings.register_profile("fast", settings.get_profile("replan"), max_examples=30)
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Fewer examples of each law where the slow tests are left out, too."""
+    settings.load_profile("fast" if config.option.markexpr == "not slow" else "replan")
 
 
 @pytest.fixture(scope="session")

@@ -16,6 +16,7 @@
     /onboard         OnboardPlan   a plan that the log's own planner made, at the log time from which it was known
     /plan, /command, /actuation, /tracking     only in a trace: what was planned, asked, done, missed
     /perceived       AgentColumns  only in a trace: the others as a sensor showed them to the planner, once a frame
+    /perceived/table AgentTable    once, where some of those are not in /agents/table or of another kind or size there
     /predictions     Predictions   only in a trace with internals: their futures as the planner was shown them
 
 A field is serialised as its name in code plus its unit (`UNITS`). Time is the message's log time, integer nanoseconds;
@@ -359,6 +360,7 @@ TOPICS: dict[str, type[msgspec.Struct]] = {
     "/ego": Ego,
     "/controls": Controls,
     "/onboard": OnboardPlan,
+    "/perceived/table": AgentTable,
     "/perceived": AgentColumns,
     "/predictions": Predictions,
     "/plan": Plan,

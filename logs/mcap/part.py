@@ -3,17 +3,19 @@
 The summary at the file's end says when each chunk begins and ends, and which topics are in it. Fetched are, besides the
 summary and the metadata, the chunks
 
-(1) that overlap [begin - `HISTORY_S`, end] of the log,
+(1) that overlap [begin - `HISTORY_S`, end + `HISTORY_S`] of the log,
 (2) of each topic the last before and the first behind that: a message may stand for samples around it (blocks),
 (3) with anything but the samples of `PERIODIC`: road, vehicle and goal, lights that changed long ago,
 (4) the first, in which the log's first ego state is.
 
-They are written as a file of their own, whose scenario, cut (`logs.readers.cut`), is that of the whole file, cut.
+They are written as a file of their own, whose scenario, cut (`logs.readers.cut`), is that of the whole file, cut. Its
+table of agents is that of the whole, too: where some have no sample in the part, they are left out of it.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
 from typing import Any, TypeVar
@@ -27,7 +29,8 @@ from mcap.writer import MCAP0_MAGIC
 from logs.errors import LogError
 from logs.mcap import native
 from logs.mcap.container import DAMAGE
-from logs.mcap.reader import read_scenario
+from logs.mcap.reader import UNSEEN, read_scenario
+from logs.mcap.writer import write_scenario
 from logs.readers.cut import HISTORY_S
 
 PERIODIC = ("/ego", "/agents", "/controls", "/actuation")
@@ -51,10 +54,16 @@ def write_part(ranged: Ranged, size: int, begin: float, end: float, path: Path) 
         if record is None or "start_ns" not in record:
             return False
         start_ns = msgspec.json.decode(record["start_ns"], type=int)
-        chunks = _chosen(summary, start_ns + 1e9 * (begin - HISTORY_S), start_ns + 1e9 * end)
+        chunks = _chosen(summary, start_ns + 1e9 * (begin - HISTORY_S), start_ns + 1e9 * (end + HISTORY_S))
+        if not chunks:
+            return False
         path.write_bytes(b"".join(_pieces(ranged, summary, chunks)))
         noted = msgspec.json.decode(record.get("notes", "[]"), type=tuple[str, ...])
-        return read_scenario(path).notes == noted
+        scenario = read_scenario(path)
+        made_up = [note for note in scenario.notes[len(noted) :] if not note.endswith(UNSEEN)]
+        if not made_up and scenario.notes != noted:
+            write_scenario(path, replace(scenario, notes=noted))
+        return not made_up
     except (*DAMAGE, LogError, StopIteration):
         return False
 
@@ -89,7 +98,7 @@ def _chosen(summary: Sequence[McapRecord], first_ns: float, last_ns: float) -> l
     """The chunks (1) to (4), in the order of the file."""
     chunks = sorted(_of(summary, ChunkIndex), key=lambda chunk: chunk.chunk_start_offset)
     rare = {channel.id for channel in _of(summary, Channel) if channel.topic not in PERIODIC}
-    kept = {0}
+    kept = set(range(len(chunks[:1])))  # (4)
     kept |= {k for k, chunk in enumerate(chunks) if _overlaps(chunk, first_ns, last_ns)}  # (1)
     for channel in {number for chunk in chunks for number in chunk.message_index_offsets}:
         having = [k for k, chunk in enumerate(chunks) if channel in chunk.message_index_offsets]
@@ -111,10 +120,24 @@ def _pieces(ranged: Ranged, summary: Sequence[McapRecord], chunks: Sequence[Chun
     for index in indices:
         yield ranged(index.offset, index.offset + index.length)
     yield _written([*_of(summary, Schema), *_of(summary, Channel)])
-    for chunk in chunks:
-        yield ranged(chunk.chunk_start_offset, chunk.chunk_start_offset + chunk.chunk_length)
+    for begin, end in _runs(chunks):
+        yield ranged(begin, end)
     yield _written([DataEnd(data_section_crc=0), Footer(summary_start=0, summary_offset_start=0, summary_crc=0)])
     yield MCAP0_MAGIC
+
+
+def _runs(chunks: Sequence[ChunkIndex]) -> list[tuple[int, int]]:
+    """From where to where chunks lie; neighbours are one, with the indices between: a request costs more than those."""
+    runs: list[tuple[int, int]] = []
+    behind = -1
+    for chunk in chunks:
+        begin = chunk.chunk_start_offset
+        end = begin + chunk.chunk_length
+        if begin == behind:
+            begin = runs.pop()[0]
+        runs.append((begin, end))
+        behind = end + chunk.message_index_length
+    return runs
 
 
 def _written(records: Sequence[Any]) -> bytes:

@@ -25,8 +25,12 @@ from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
 from logs.scenario import FINDING, Scenario, Tracks
 from logs.states import Controls, OnboardPlan, Trajectory
 from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
+from logs.words import counted
 
 T = TypeVar("T")
+
+UNSEEN = "agents have no sample and are left out."
+"""How the note ends on those who are in the table only."""
 
 
 def read_scenario(path: Path, ego: str = "") -> Scenario:
@@ -147,7 +151,7 @@ def _one(streams: dict[str, Stream], topic: str, kind: type[T]) -> T | None:
         return None
     if len(streams[topic]) > 1:
         raise LogError(
-            f"{len(streams[topic])} messages, expected one",
+            f"{counted(len(streams[topic]), 'message')}, expected one",
             topic=topic,
             time_ns=streams[topic].times[1],
             remedy="keep one of them",
@@ -220,7 +224,7 @@ def tracks_of(streams: dict[str, Stream], start_ns: int, notes: list[str]) -> Tr
     _check_tracks(row, times, table.id)
     there = np.unique(row)
     if len(there) < len(rows):
-        notes.append(f"{len(rows) - len(there)} of {len(rows)} agents have no sample and are left out.")
+        notes.append(f"{len(rows) - len(there)} of {len(rows)} {UNSEEN}")
     offsets = np.r_[0, np.cumsum(np.bincount(row, minlength=len(rows))[there])]
     x, y, yaw, vx, vy = (np.array(column, dtype=np.float64)[order] for column in columns)
     try:

@@ -23,6 +23,7 @@ from mcap.writer import CompressionType, Writer
 
 from logs.errors import LogError, writing
 from logs.mcap.container import COMPRESSIONS, DAMAGE, content_of, opened
+from logs.words import counted
 
 BEGIN = 8
 """Bytes of the magic."""
@@ -67,8 +68,8 @@ class Salvage:
 
     def lines(self) -> list[str]:
         """The report, one line each."""
-        kept = f"kept {self.messages} messages in {self.chunks} intact chunks"
-        nameless = [f"left out {self.nameless} messages whose channel was lost"] if self.nameless else []
+        kept = f"kept {counted(self.messages, 'message')} in {counted(self.chunks, 'intact chunk')}"
+        nameless = [f"left out {counted(self.nameless, 'message')} whose channel was lost"] if self.nameless else []
         unsure = f"{self.unchecked} of the chunks have no checksum: bytes that changed in their messages are not seen"
         unchecked = [unsure] if self.unchecked else []
         if not self.lost:

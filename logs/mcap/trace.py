@@ -23,7 +23,7 @@ from logs.frame import Predictions
 from logs.frame_store import light
 from logs.kernel import FloatArray
 from logs.mcap import native
-from logs.mcap.writer import Entry, column, log_times, samples, scenario_entries, scenario_records, write_log
+from logs.mcap.writer import Entry, column, log_times, samples, scenario_entries, scenario_records, table_of, write_log
 from logs.scenario import Scenario, Tracks
 from logs.states import TRAJECTORY_COLUMNS
 
@@ -90,6 +90,8 @@ def _trace_entries(trace: nouns.Trace, start_ns: int, internals: Internals) -> I
         if internals != "none" and frame.predictions is not None:
             yield time, "/predictions", _predictions(frame, frame.predictions, full=internals == "full")
     if trace.perceived is not None:
+        if not _who(trace.perceived).items() <= _who(trace.agents).items():
+            yield start_ns, "/perceived/table", table_of(trace.perceived)
         yield from _perceived(trace.perceived, times, start_ns)
     for topic, kind, table in (
         ("/command", native.Controls, trace.commands),
@@ -98,6 +100,12 @@ def _trace_entries(trace: nouns.Trace, start_ns: int, internals: Internals) -> I
     ):
         if table is not None:
             yield from samples(table, kind, topic, start_ns, blocks=True)
+
+
+def _who(tracks: Tracks) -> dict[str, tuple[object, ...]]:
+    """Kind and size of each."""
+    columns = zip(tracks.kinds, tracks.length.tolist(), tracks.width.tolist(), strict=True)
+    return dict(zip(tracks.ids, columns, strict=True))
 
 
 def _perceived(shown: Tracks, frames: list[int], start_ns: int) -> Iterator[Entry]:

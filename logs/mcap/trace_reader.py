@@ -110,9 +110,11 @@ def _trace(container: Container, scenario: Scenario, frames: Iterator[nouns.Plan
 def _perceived(streams: dict[str, Stream], start_ns: int) -> Tracks | None:
     if "/perceived" not in streams:
         return None
-    if "/agents/table" not in streams:  # there is no other: nothing was seen
+    table = streams.get("/perceived/table", streams.get("/agents/table"))
+    if table is None:  # there is no other: nothing was seen
         return Tracks.empty()
-    return tracks_of({**streams, "/agents": streams["/perceived"], "/obstacles": _none("/obstacles")}, start_ns, [])
+    seen = {"/agents/table": table, "/agents": streams["/perceived"]}
+    return tracks_of(seen, start_ns, [])
 
 
 def _none(topic: str) -> Stream:

@@ -251,14 +251,7 @@ def samples(
 def _tracks(tracks: Tracks, start_ns: int) -> Iterator[Entry]:
     if not len(tracks):
         return
-    table = native.AgentTable(
-        list(tracks.ids),
-        list(tracks.kinds),
-        tracks.length.tolist(),
-        tracks.width.tolist(),
-        tracks.static.tolist(),
-    )
-    yield start_ns, "/agents/table", table
+    yield start_ns, "/agents/table", table_of(tracks)
     track = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets))
     times = np.array(log_times(tracks.t, start_ns, "/agents"), dtype=np.int64)
     if ((np.diff(times) <= 0) & (np.diff(track) == 0)).any():
@@ -271,6 +264,12 @@ def _tracks(tracks: Tracks, start_ns: int) -> Iterator[Entry]:
         for group in np.split(order, np.flatnonzero(np.diff(times[order])) + 1):
             if len(group):
                 yield int(times[group[0]]), topic, _agents(tracks, track[group].tolist(), group)
+
+
+def table_of(tracks: Tracks) -> native.AgentTable:
+    """Who they are."""
+    sizes = tracks.length.tolist(), tracks.width.tolist()
+    return native.AgentTable(list(tracks.ids), list(tracks.kinds), *sizes, tracks.static.tolist())
 
 
 def _agents(tracks: Tracks, ids: list[int], group: Any) -> native.AgentColumns:

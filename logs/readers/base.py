@@ -33,7 +33,8 @@ class LogSettings:
         topics: Topic or file by role ("ego", "speed", "acceleration", "agents", "lights", "goal", "plan", "steering"
             ...), where the choice by type is not the right one; "-": none.
         frames: Name of the log's frame by role: "map" and "base" (rear axle) of transforms.
-        columns: Column of a table by the name that replan has for it ("x": "pos_east_m").
+        columns: Column of a table by the name that replan has for it ("x": "pos_east_m"; of one of the
+            tables "ego.x", "agents.x").
         car: Sizes of the ego, m, where the log has none: "length", "width", "wheelbase", "rear_overhang".
     """
 

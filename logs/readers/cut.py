@@ -1,7 +1,8 @@
 """A part of a scenario by time: its begin becomes t = 0, what lies outside is left out.
 
 The ego begins and ends there exactly, interpolated. Tracks keep the samples from `HISTORY_S` before the
-begin to the first after the end, so that whoever was there is seen and their motion is known; lights what they showed.
+begin to the first after the end, if that is no later than as much behind it, so that whoever was there is seen and
+their motion is known; lights what they showed.
 """
 
 from __future__ import annotations
@@ -19,6 +20,8 @@ from logs.states import Controls, OnboardPlan, Trajectory
 
 HISTORY_S = 2.0
 """More than `logs.presence.MAX_GAP_S`: a sample that is older stands for no agent any more."""
+CLOSE_S = 1e-9
+"""A sample so close to begin or end is that: logs hold whole nanoseconds."""
 
 
 def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
@@ -37,7 +40,7 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
         part = f"after {begin:g} s" if end == inf else f"between {begin:g} s and {end:g} s"
         what = f"no ego states {part}: they are from {ego.t[0]:g} s to {ego.t[-1]:g} s"
         raise LogError(what, remedy="choose begin and end within the log")
-    t = np.r_[first, ego.t[(ego.t > first) & (ego.t < last)], last]
+    t = np.r_[first, ego.t[(ego.t > first + CLOSE_S) & (ego.t < last - CLOSE_S)], last]
     moved = ego.resampled(t)
     columns = (getattr(moved, name) for name in ("x", "y", "yaw", "v", "a", "kappa"))
     goal = scenario.goal
@@ -62,7 +65,8 @@ def _tracks(tracks: Tracks, begin: float, end: float) -> Tracks:
     owner = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets))
     before = np.r_[-inf, tracks.t[:-1]]
     before[tracks.offsets[:-1]] = -inf
-    keep = (tracks.t >= begin - HISTORY_S) & ((tracks.t <= end) | (before < end) & np.isfinite(before))
+    after = (before < end) & np.isfinite(before) & (tracks.t <= end + HISTORY_S)
+    keep = (tracks.t >= begin - HISTORY_S) & ((tracks.t <= end) | after)
     keep |= tracks.static[owner]
     return tracks.taken(keep).shifted(-begin)
 

@@ -72,8 +72,8 @@ def from_frames(
         agents: One row an agent and a time: t, id, x, y; where known yaw, vx, vy or v, length, width, kind. None: no
             other agent is there.
         name: Short and unique within a run.
-        columns: Name in the table, with its unit, by name here, for both tables; those that are not named have our
-            names.
+        columns: Name in the table, with its unit, by name here: for both tables ("v"), or for one ("ego.v",
+            "agents.v"). Those that are not named have our names.
         road: In the tables' coordinates; None: one lane along the driven path, noted.
         goal: Likewise; None: none.
         vehicle: The ego's; None: the default car, noted.
@@ -85,7 +85,7 @@ def from_frames(
         LogError: A column is missing or not of numbers, a unit or kind is unknown, a value is not finite, two rows of
             one agent have one time.
     """
-    _check_names(columns or {}, ego, agents)
+    _check_names(columns or {}, {"ego": ego, "agents": agents})
     table, notes = _Table(ego, "ego", columns or {}), list[str]()
     start_ns, t = table.times()
     order = np.argsort(t, kind="stable")
@@ -135,7 +135,8 @@ class _Table:
 
     def __init__(self, frame: pd.DataFrame, name: str, columns: Mapping[str, str]) -> None:
         self.frame, self.name = frame, name
-        self._columns = {ours: self._found(columns.get(ours, ours)) for ours in (*TIMES, *_COLUMNS)}
+        told = {ours: columns.get(f"{name}.{ours}", columns.get(ours, ours)) for ours in (*TIMES, *_COLUMNS)}
+        self._columns = {ours: self._found(theirs) for ours, theirs in told.items()}
         if not len(frame):
             raise LogError("the table has no rows", topic=name, remedy="give at least one")
 
@@ -201,16 +202,17 @@ _COLUMNS = (
 _KNOWN_UNITS = ", ".join(unit for unit in UNITS if unit)
 
 
-def _check_names(columns: Mapping[str, str], *frames: pd.DataFrame | None) -> None:
+def _check_names(columns: Mapping[str, str], frames: Mapping[str, pd.DataFrame | None]) -> None:
     """Refuse names that are none of ours or of no table: what they were meant for would be derived or left out."""
     known = (*TIMES, *_COLUMNS)
-    held = [_Table(frame, "tables", columns) for frame in frames if frame is not None and len(frame)]
-    for ours, told in columns.items():
-        if ours not in known:
-            what = f"columns has {ours}, which is no name here"
-            raise LogError(what, topic="[log]", remedy=f"known: {', '.join(known)}")
-        if held and not any(table.has(ours) for table in held):
-            raise LogError(f"no table has the column {told} that {ours} is read from", topic="[log] columns")
+    held = [_Table(frame, name, columns) for name, frame in frames.items() if frame is not None and len(frame)]
+    for key, told in columns.items():
+        of, _, ours = key.rpartition(".")
+        if ours not in known or of not in ("", *NAMES):
+            what = f"columns has {key}, which is no name here"
+            raise LogError(what, topic="[log]", remedy=f"known: {', '.join(known)}; of one table: ego.v, agents.v ...")
+        if held and not any(table.has(ours) for table in held if of in ("", table.name)):
+            raise LogError(f"no table has the column {told} that {key} is read from", topic="[log] columns")
 
 
 def _forward_speed(t: FloatArray, state: Mapping[str, FloatArray]) -> FloatArray:

@@ -3,8 +3,10 @@
 schema      the messages (docs/planners_apart.md says them field by field)
 convert     frames and plans <-> messages
 channel     messages over file descriptors, with deadlines
-launcher    a small warm process per worker from which planners' processes are forked
+launcher    a small warm process per worker from which planners' processes are forked, and templates of them
 processes   the worker's side of it: a process that is started, waited for, killed
 child       the Python planner in its process
+link        a message and its answer, within limits
+together    several logs in lock step, whose frames one planner plans at once
 proxy       the planner that a loop sees
 """

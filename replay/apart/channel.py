@@ -95,7 +95,7 @@ class Channel(Generic[T]):
         """
         self._read(HEADER.size, deadline)
         (size,) = HEADER.unpack_from(self._buffer)
-        if size > LARGEST_BYTES:
+        if size > LARGEST_BYTES and not self._patient:
             raise GarbageError(f"a message of {size} bytes")
         end = HEADER.size + size
         self._read(end, deadline)

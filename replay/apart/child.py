@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,19 +16,45 @@ import msgspec
 import numpy as np
 
 from logs.errors import ConfigError, ReplanError, raised
+from logs.frame import Frame
 from logs.states import Trajectory
 from logs.trace import Plan
 from planners.base import Planner
 from replay.apart import schema
 from replay.apart.channel import Channel, GoneError
 from replay.apart.convert import context_of, frame_of, plan_sent
-from replay.planner_config import check_keywords, planner_factory, planner_keywords, resolved_table
+from replay.planner_config import check_keywords, planner_factory, planner_keywords, prepared, resolved_table
 from replay.stopwatch import Stopwatch
 
 
 def main() -> None:
     """Answer what comes on stdin until it closes."""
     channel: Channel[Any] = Channel(os.dup(1), os.dup(0), schema.Question, patient=True)
+    _settle_in()
+    try:
+        Seat(channel).serve()
+    except GoneError:
+        pass
+    finally:
+        sys.stdout.flush()
+
+
+def load(planner: str, settings: bytes) -> None:
+    """What all drives of a planner have in common: its module, and what its class loads (`prepared`).
+
+    Args:
+        planner: "module:Class".
+        settings: Its table in the configuration, MessagePack.
+    """
+    _settle_in()
+    try:
+        prepared(planner, planner_keywords(planner, msgspec.msgpack.decode(settings)))
+    finally:
+        sys.stdout.flush()
+
+
+def _settle_in() -> None:
+    """Nothing to read on stdin, stdout is stderr, and the working directory is searched last."""
     nothing = os.open(os.devnull, os.O_RDONLY)
     os.dup2(nothing, 0)
     os.close(nothing)
@@ -37,12 +64,6 @@ def main() -> None:
     here = str(Path.cwd())
     if here not in sys.path:
         sys.path.append(here)
-    try:
-        Seat(channel).serve()
-    except GoneError:
-        pass
-    finally:
-        sys.stdout.flush()
 
 
 def warm() -> None:
@@ -51,52 +72,86 @@ def warm() -> None:
 
 
 class Seat:
-    """One planner and its clock."""
+    """One planner, or those of several logs which plan together, and their clock."""
 
     def __init__(self, channel: Channel[Any]) -> None:
         self._channel, self._watch = channel, Stopwatch()
-        self._planner: Planner | None = None
+        self._planners: list[Planner | None] = []
+        self._together: Any = None
         self._keep = False
 
     def serve(self) -> None:
         """Answer every message; what the planner raises becomes an answer, too."""
         while True:
             question = self._channel.receive()
+            answer = _tried(self._answer, question)
             try:
-                answer = self._answer(question)
-            except ReplanError as error:
-                answer = schema.Failed(str(error), "config" if isinstance(error, ConfigError) else "load")
-            except BaseException as error:  # also SystemExit: the planner has raised, and no more
-                answer = schema.Failed(raised(error), "raised" if isinstance(question, schema.Frame) else "build")
-            self._send(answer)
-
-    def _send(self, answer: msgspec.Struct) -> None:
-        try:
-            self._channel.send(answer)
-        except (TypeError, ValueError, OverflowError) as error:
-            self._channel.send(schema.Failed(f"what it returned cannot be sent: {raised(error)}", "contract"))
+                self._channel.send(answer)
+            except (TypeError, ValueError, OverflowError) as error:
+                self._channel.send(schema.Failed(f"what it returned cannot be sent: {raised(error)}", "contract"))
 
     def _answer(self, question: Any) -> msgspec.Struct:
         if isinstance(question, schema.Frame):
-            return self._planned(question)
+            return self._sent(self._planned(lambda planners, frames: planners[0].plan(frames[0]), [0], [question]))
+        if isinstance(question, schema.Frames):
+            return self._planned_together(question)
         if isinstance(question, schema.Describe):
-            table = resolved_table(question.planner, question.config)
-            check_keywords(question.planner, table)
-            return schema.Described(table)
-        keywords = planner_keywords(question.planner, question.config)
-        context = context_of(question.context, self._watch.lap)
-        self._planner = planner_factory(question.planner)(context, **keywords)
-        self._keep = question.keep_internals
+            return _described(question)
+        if isinstance(question, schema.Hellos):
+            return schema.Answers([_tried(self._built, hello) for hello in question.each])
+        return self._built(question)
+
+    def _built(self, hello: schema.Hello) -> schema.Ready:
+        self._planners.append(None)
+        keywords = planner_keywords(hello.planner, hello.config)
+        context = context_of(hello.context, self._watch.lap)
+        factory: Any = prepared(hello.planner, keywords)
+        self._planners[-1] = factory(context, **keywords)
+        self._together, self._keep = getattr(factory, "plan_batch", None), hello.keep_internals
         return schema.Ready()
 
-    def _planned(self, message: schema.Frame) -> msgspec.Struct:
-        assert self._planner is not None, "a frame came before the context"
-        frame = frame_of(message)
+    def _planned_together(self, question: schema.Frames) -> msgspec.Struct:
+        plans = self._planned(lambda planners, frames: self._together(frames, planners), question.seats, question.each)
+        if not isinstance(plans, list | tuple) or len(plans) != len(question.seats):
+            what = f"{len(plans)} plans" if isinstance(plans, list | tuple) else type(plans).__name__
+            return schema.Failed(f"plan_batch returned {what} instead of {len(question.seats)} plans", "contract")
+        return schema.Answers([self._sent(plan) for plan in plans])
+
+    def _planned(
+        self, plan: Callable[[list[Any], list[Frame]], Any], seats: list[int], sent: list[schema.Frame]
+    ) -> Any:
+        """What the planners of some seats answer to their frames."""
+        planners, frames = [self._planners[seat] for seat in seats], [frame_of(message) for message in sent]
+        assert None not in planners, "a frame came before the context"
         self._watch.start()
         try:
-            plan: object = self._planner.plan(frame)
+            return plan(planners, frames)
         finally:
-            self._watch.stop(frame.t)
+            self._watch.stop(frames[0].t)
+
+    def _sent(self, plan: object) -> schema.Plan | schema.Failed:
+        if isinstance(plan, BaseException):
+            return schema.Failed(raised(plan), "raised")
         if not isinstance(plan, Plan):
             return schema.Failed(f"it returned {type(plan).__name__} instead of a Plan", "contract")
         return plan_sent(plan.recorded(keep=self._keep), self._watch.laps, inside=True)
+
+
+def _tried(answer: Callable[[Any], Any], question: Any) -> Any:
+    """The answer to a question, or what was raised instead."""
+    try:
+        return answer(question)
+    except ReplanError as error:
+        return schema.Failed(str(error), "config" if isinstance(error, ConfigError) else "load")
+    except BaseException as error:  # also SystemExit: the planner has raised, and no more
+        planning = isinstance(question, schema.Frame | schema.Frames)
+        return schema.Failed(raised(error), "raised" if planning else "build")
+
+
+def _described(question: schema.Describe) -> schema.Described:
+    table = resolved_table(question.planner, question.config)
+    check_keywords(question.planner, table)
+    if question.batch and not callable(getattr(planner_factory(question.planner), "plan_batch", None)):
+        remedy = "add plan_batch(frames, planners), or leave out --batch"
+        raise ConfigError(f"planner '{question.planner}' has no plan_batch: {remedy}")
+    return schema.Described(table)

@@ -2,54 +2,40 @@
 
 from __future__ import annotations
 
-import shlex
-import shutil
-import socket
 import time
-import weakref
-from collections.abc import Callable, Mapping
-from typing import Any
-from urllib.parse import urlsplit
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import msgspec
 
 from logs.errors import ConfigError, PlannerError
 from logs.frame import Frame, PlannerContext
 from logs.trace import Plan
 from replay.apart import schema
-from replay.apart.channel import Channel, GarbageError, GoneError, LateError
+from replay.apart.channel import GarbageError, GoneError, LateError
 from replay.apart.convert import context_message, frame_message, plan_of
-from replay.apart.processes import Process, started
-from replay.drive import ApartConfig
-
-LAST_CHARACTERS, LAST_LINES = 300, 3
-"""So much of what it printed last is shown of a planner that has failed."""
-
-
-class FaultError(Exception):
-    """What a planner did wrong, as it follows its name in a sentence."""
+from replay.apart.link import FaultError, Link, address_of, clean, command_of, last_words, opened
+from replay.apart.processes import Load
+from replay.apart.together import Shared, log_here
+from replay.drive import FIRST, ApartConfig, Place
+from replay.planner_config import is_foreign
+from replay.stopwatch import Stopwatch
 
 
-class Node:
-    """A planner that runs already, reached over TCP; `Process` for what is ours to end."""
+class Asked(Protocol):
+    """What answers: a process of the drive's own, or one that it shares."""
 
-    def __init__(self, spec: str, within_s: float) -> None:
-        host, port = address_of(spec)
-        try:
-            link = socket.create_connection((host, port), within_s)
-        except OSError as error:
-            raise FaultError(f"cannot be reached: {error.strerror or error}") from None
-        link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        fd = link.detach()
-        self.channel: Channel[Any] = Channel(fd, fd, schema.Answer)
+    def ask(self, message: Any, limit: float, when: str) -> schema.Answer:
+        """See `Link.ask`."""
+        ...
 
-    def close(self) -> None:
-        """The drive is over."""
-        self.channel.close()
+    def fault(self, what: str) -> FaultError:
+        """See `Link.fault`."""
+        ...
 
-    kill = close
-
-    def ending(self) -> str:
-        """How it ended."""
-        return "it closed the connection"
+    def kill(self) -> None:
+        """See `Link.kill`."""
+        ...
 
 
 class ApartPlanner:
@@ -60,8 +46,9 @@ class ApartPlanner:
         context: As every planner's; its clock is not used.
         table: The planner's table in the configuration.
         limits: What it may take.
-        took: Is given the stages of a plan and how long they took, s.
+        watch: Is given the stages of a plan and how long they took, s.
         keep_internals: Whether the inside of its plans is kept.
+        place: Which of the log's drives it is.
 
     Raises:
         ConfigError: The planner does not take such settings.
@@ -75,26 +62,27 @@ class ApartPlanner:
         context: PlannerContext,
         table: Mapping[str, object],
         limits: ApartConfig,
-        took: Callable[[str, float], None],
+        watch: Stopwatch,
         *,
         keep_internals: bool,
+        place: Place = FIRST,
     ) -> None:
-        self._limits, self._took, self._made = limits, took, 0
-        self._left = limits.log_timeout_s or float("inf")
-        self._to = _opened(spec, limits)
-        self._end = weakref.finalize(self, self._to.close)
+        self._limits, self._watch, self._made = limits, watch, 0
         config = {key: value for key, value in table.items() if value is not None}
-        hello = schema.Hello(schema.SCHEMA_VERSION, spec, config, context_message(context), keep_internals)
         try:
-            answer = self._asked(hello, limits.start_timeout_s, "while it was built")
+            load = Load(spec, msgspec.msgpack.encode(config), place.again)
         except TypeError as error:
             raise ConfigError(f"planner '{spec}': its settings cannot be sent: {error}") from None
+        log = log_here() if limits.batch else None
+        self._link: Asked = Link(spec, limits, load) if log is None else Shared(log, place, limits, load, watch)
+        hello = schema.Hello(schema.SCHEMA_VERSION, spec, config, context_message(context), keep_internals)
+        answer = self._link.ask(hello, limits.start_timeout_s, "while it was built")
         if isinstance(answer, schema.Failed):
             self._failed(answer, "cannot be built")
         if not isinstance(answer, schema.Ready):
-            raise self._fault("cannot be built: it did not answer hello with ready")
+            raise self._link.fault("cannot be built: it did not answer hello with ready")
         if answer.schema != schema.SCHEMA_VERSION:
-            raise self._fault(
+            raise self._link.fault(
                 f"cannot be built: it speaks version {answer.schema} of the messages, replan {schema.SCHEMA_VERSION}"
             )
 
@@ -103,49 +91,25 @@ class ApartPlanner:
         limit = self._limits.plan_timeout_s
         limit = limit if self._made else max(limit, self._limits.start_timeout_s)
         self._made += 1
-        answer = self._asked(frame_message(frame), limit, f"at t = {frame.t:.2f} s")
+        answer = self._link.ask(frame_message(frame), limit, f"at t = {frame.t:.2f} s")
         if isinstance(answer, schema.Failed):
             how = "broke its contract" if answer.what == "contract" else "raised"
             self._failed(answer, f"{how} at {frame.t:.2f} s")
         if not isinstance(answer, schema.Plan):
-            raise self._fault(f"broke its contract at {frame.t:.2f} s: it did not answer a frame with a plan")
+            raise self._link.fault(f"broke its contract at {frame.t:.2f} s: it did not answer a frame with a plan")
         for stage, seconds in answer.laps.items():
-            self._took(stage, seconds)
+            self._watch.took(stage, seconds)
         try:
             return plan_of(answer)
         except (ValueError, KeyError) as error:
-            raise self._fault(f"broke its contract at {frame.t:.2f} s: {clean(str(error))}") from None
-
-    def _asked(self, message: Any, limit: float, when: str) -> schema.Answer:
-        """The answer within a limit; Fault says why there is none."""
-        begin, limited = time.monotonic(), min(limit, self._left)
-        try:
-            self._to.channel.send(message, begin + limited)
-            answer: schema.Answer = self._to.channel.receive(begin + limited)
-        except LateError:
-            if limited < limit:
-                raise self._fault(f"took more than {self._limits.log_timeout_s:g} s in this drive, {when}") from None
-            raise self._fault(f"did not answer within {limit:g} s {when}") from None
-        except GarbageError as error:
-            raise self._fault(f"sent what is no message {when}: {clean(str(error))}") from None
-        except GoneError:
-            raise self._fault(f"has gone {when}: {self._to.ending()}") from None
-        self._left -= time.monotonic() - begin
-        return answer
+            raise self._link.fault(f"broke its contract at {frame.t:.2f} s: {clean(str(error))}") from None
 
     def _failed(self, answer: schema.Failed, how: str) -> None:
         """Raise what a planner says of itself."""
-        self._to.kill()
+        self._link.kill()
         if answer.what in ("config", "load"):
             raise (ConfigError if answer.what == "config" else PlannerError)(clean(answer.message))
         raise FaultError(f"{how}: {clean(answer.message)}")
-
-    def _fault(self, what: str) -> FaultError:
-        """The fault, with what the planner printed last; its process is ended."""
-        self._to.channel.listen()
-        last = last_words(self._to.channel.said)
-        self._to.kill()
-        return FaultError(f"{what}; it printed last: {last}" if last else what)
 
 
 def described(spec: str, table: Mapping[str, object], limits: ApartConfig) -> dict[str, Any]:
@@ -155,16 +119,15 @@ def described(spec: str, table: Mapping[str, object], limits: ApartConfig) -> di
         ConfigError: A key is unknown, a value of the wrong type, the command or address is none.
         PlannerError: It cannot be loaded.
     """
-    if spec.startswith("exec:"):
-        command_of(spec)
+    if is_foreign(spec):
+        (command_of if spec.startswith("exec:") else address_of)(spec)
+        if limits.batch:
+            raise ConfigError(f"planner '{spec}' has no plan_batch, as a Python planner may have: leave out --batch")
         return dict(table)
-    if spec.startswith("tcp:"):
-        address_of(spec)
-        return dict(table)
-    process = _opened(spec, limits)
+    process = opened(spec, limits)
     config = {key: value for key, value in table.items() if value is not None}
     try:
-        process.channel.send(schema.Describe(spec, config), time.monotonic() + limits.start_timeout_s)
+        process.channel.send(schema.Describe(spec, config, limits.batch > 0), time.monotonic() + limits.start_timeout_s)
         answer = process.channel.receive(time.monotonic() + limits.start_timeout_s)
     except LateError:
         process.kill()
@@ -181,43 +144,3 @@ def described(spec: str, table: Mapping[str, object], limits: ApartConfig) -> di
     if isinstance(answer, schema.Failed) and answer.what == "config":
         raise ConfigError(message)
     raise PlannerError(message if message.startswith("planner") else f"planner '{spec}': {message}")
-
-
-def _opened(spec: str, limits: ApartConfig) -> Process | Node:
-    if spec.startswith("tcp:"):
-        return Node(spec, limits.start_timeout_s)
-    argv = command_of(spec) if spec.startswith("exec:") else None
-    return started(argv, schema.Answer, memory_gb=limits.memory_gb, environment=limits.environment)
-
-
-def command_of(spec: str) -> list[str]:
-    """The words of "exec:COMMAND", as a shell would split them; no shell sees them. ConfigError where it is none."""
-    try:
-        words = shlex.split(spec.removeprefix("exec:"))
-    except ValueError as error:
-        raise ConfigError(f"planner '{spec}': {error}") from None
-    if not words or shutil.which(words[0]) is None:
-        raise ConfigError(f"planner '{spec}': there is no program {words[0] if words else ''} that can be run")
-    return words
-
-
-def address_of(spec: str) -> tuple[str, int]:
-    """Host and port of "tcp://HOST:PORT"; ConfigError where it is none."""
-    try:
-        parts = urlsplit(spec)
-        if parts.scheme == "tcp" and parts.hostname and parts.port:
-            return parts.hostname, parts.port
-    except ValueError:
-        pass
-    raise ConfigError(f"planner '{spec}': write it as tcp://HOST:PORT, for example tcp://127.0.0.1:7000")
-
-
-def last_words(printed: bytes) -> str:
-    """The end of what was printed, in one clean line."""
-    lines = [line for line in printed.decode("utf-8", "replace").splitlines() if line.strip()]
-    return clean(" | ".join(line.strip() for line in lines[-LAST_LINES:]))[-LAST_CHARACTERS:]
-
-
-def clean(text: str) -> str:
-    """Text of a planner's for our messages: in one line, without control characters."""
-    return "".join(each if each.isprintable() else "?" for each in " ".join(text.split()))

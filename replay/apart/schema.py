@@ -109,10 +109,11 @@ class Hello(msgspec.Struct, tag="hello"):
 
 
 class Describe(msgspec.Struct, tag="describe"):
-    """Before any drive, asked of Python planners only: does it load, and what are its settings?"""
+    """Before any drive, asked of Python planners only: does it load, what are its settings, can it plan a batch?"""
 
     planner: str
     config: dict[str, Any]
+    batch: bool = False
 
 
 class Agents(msgspec.Struct):
@@ -240,5 +241,24 @@ class Failed(msgspec.Struct, tag="failed"):
     what: str = "raised"
 
 
-Question = Hello | Describe | Frame
-Answer = Ready | Described | Plan | Failed
+class Hellos(msgspec.Struct, tag="hellos"):
+    """To Python planners only: the drives of several logs begin; answered by `Answers`, or `Failed` for all."""
+
+    each: list[Hello]
+
+
+class Frames(msgspec.Struct, tag="frames"):
+    """To Python planners only: a step of these drives (`seats` are places in `Hellos`); answered as `Hellos`."""
+
+    seats: list[int]
+    each: list[Frame]
+
+
+class Answers(msgspec.Struct, tag="answers"):
+    """To each, in their order."""
+
+    each: list[Ready | Plan | Failed]
+
+
+Question = Hello | Describe | Frame | Hellos | Frames
+Answer = Ready | Described | Plan | Failed | Answers

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import cache
 from typing import Any
 
-from logs.errors import ConfigError, PlannerError, ReplanError, of_users, raised, unknown_name
+from logs.catalogue import scenario
+from logs.errors import ConfigError, PlannerError, of_users, raised, unknown_name
 from logs.extension import Kind
 from logs.states import EgoState
 from logs.vehicle import VehicleParameters
@@ -18,8 +20,8 @@ from replay.config import SETTINGS, RunConfig, dotted
 from replay.control import CONTROLLER
 from replay.oracle import ORACLES
 from replay.perception import ORACLE, PERCEPTION
-from replay.planner_config import check_keywords, is_apart, planner_keywords, resolved_table
-from replay.prediction import PREDICTION
+from replay.planner_config import check_keywords, is_apart, is_built_in, planner_keywords, resolved_table
+from replay.prediction import PREDICTION, LaneMap, predict
 from replay.settings import check, configured, keywords_of, resolved
 from replay.simulation_setup import controller_of
 from replay.traffic import TRAFFIC_KIND
@@ -34,6 +36,9 @@ KINDS: Mapping[str, tuple[Kind[Callable[..., Any]], int]] = {
     "perception": (PERCEPTION, 2),
 }
 """By the keys of [loop]: what finds what they name, and how many arguments it is given before its settings."""
+SCENE = "paper/crossing_pedestrian"
+REFUSALS = (ValueError, TypeError)
+"""What is raised by who refuses a setting."""
 _OF_THE_LOG = ("length", "wheelbase", "rear_overhang")
 """Whether these fit each other depends on the log's vehicle."""
 
@@ -49,6 +54,7 @@ def checked(run: RunConfig) -> tuple[RunConfig, tuple[Failure, ...]]:
     tables: dict[str, Any] = {SETTINGS[key]: _table(key, run) for key in KINDS}
     run = replace(run, **tables)
     _check_plant(run)
+    _check_others(run)
     if run.foxglove:
         import replay.foxglove  # noqa: F401  # its package is there, or this says so before anything is driven
     _check_tables(run)
@@ -97,6 +103,8 @@ def _resolved(planner: str, run: RunConfig) -> dict[str, Any]:
     table, apart = run.planner.get(planner, {}), run.loop.apart
     if is_apart(planner, apart):
         return described(planner, table, apart)
+    if apart.batch and not is_built_in(planner):
+        raise ConfigError("--batch is for planners in a process of their own: leave out --trust")
     resolved = resolved_table(planner, table)
     check_keywords(planner, resolved)
     return resolved
@@ -109,23 +117,62 @@ def _check_plant(run: RunConfig) -> None:
     parted(run.loop.plant)
     table = {key: value for key, value in run.loop.plant.items() if key not in _OF_THE_LOG}
     model, start = configured(VEHICLE, run.loop.vehicle, run.loop.settings), EgoState(0.0, 0.0, 0.0, 0.0, 0.0)
-    with _built(f"vehicle '{run.loop.vehicle}'"):
+    with _built("vehicle", run.loop.vehicle):
         built = build(model, run.loop.vehicle, vehicle, start, table)
     if run.loop.controller in CONTROLLER.builtin:
         return
-    with _built(f"controller '{run.loop.controller}'"):
+    with _built("controller", run.loop.controller):
         controller_of(built, vehicle, run.loop.controller, run.loop.control_period_ns / 1e9, run.loop.settings)
 
 
+def _check_others(run: RunConfig) -> None:
+    """Refuse the user's traffic, perception or prediction that refuses its settings, by a log that is built in.
+
+    What it raises there by its defaults, too, may be that log's fault: it is heard of from the user's own.
+    """
+    loop, scene = run.loop, cache(lambda: scenario(SCENE))
+
+    def predicted(predictor: Any) -> object:
+        tracks, t = scene().tracks, scene().ego.state(0).t
+        lanes = LaneMap.of(scene().road)
+        return predict(tracks.perceived(t), t, method=loop.prediction, lanes=lanes, predictor=predictor)
+
+    makes: Mapping[str, Callable[[Any], object]] = {
+        "traffic": lambda factory: factory(scene()),
+        "perception": lambda factory: factory(scene(), loop),
+        "prediction": predicted,
+    }
+    for key, make in makes.items():
+        kind, name = KINDS[key][0], getattr(loop, key)
+        if name in kind.builtin or name == ORACLE:
+            continue
+        error = _refusal(make, configured(kind, name, loop.settings))
+        if error is not None and _refusal(make, configured(kind, name, {})) is None:
+            raise ConfigError(f"{key} '{name}' cannot be built: {raised(error)}") from error
+
+
+def _refusal(make: Callable[[Any], object], factory: Any) -> BaseException | None:
+    """What the user's code raises as who refuses a setting does."""
+    try:
+        make(factory)
+    except ConfigError:
+        raise
+    except (Exception, SystemExit) as error:
+        return error if isinstance(error, REFUSALS) and of_users(error) else None
+    return None
+
+
 @contextmanager
-def _built(what: str) -> Iterator[None]:
-    """What code of the user's raises where it is built, as ConfigError: each log would fail by it."""
+def _built(kind: str, name: str) -> Iterator[None]:
+    """What code of the user's raises where it is built, as ConfigError: each log would fail."""
     try:
         yield
+    except ConfigError:
+        raise
     except (Exception, SystemExit) as error:
-        if isinstance(error, ReplanError) or not of_users(error):
-            raise
-        raise ConfigError(f"{what} cannot be built: {raised(error)}") from error
+        if of_users(error):
+            raise ConfigError(f"{kind} '{name}' cannot be built: {raised(error)}") from error
+        raise
 
 
 def _check_tables(run: RunConfig) -> None:

@@ -17,8 +17,10 @@ from pathlib import Path
 from typing import Any
 
 from logs.errors import ConfigError, writing
+from logs.words import counted
 from replay.batch.lock import held
 from replay.batch.log_result import Failure, LogResult, Stamp, kept
+from replay.batch.origin import write_origin
 from replay.batch.resume import changes, stamp_of
 from replay.batch.run import RunResult, concluded, gates_of
 from replay.batch.schema import SCHEMA_VERSION
@@ -76,6 +78,7 @@ def merge(folders: Sequence[Path | str], out: Path | str) -> RunResult:
     with held(out):
         claim(out)
         write_text(out / "run.toml", text)
+        write_origin(out)
         _copy_folders(found, out)
         return concluded(out, run, _selection(found), _results(found), gates, found[0].failures)
 
@@ -156,7 +159,9 @@ def _check_same(one: Part, other: Part) -> None:
     if one.inputs != other.inputs:
         mine, theirs = Counter(one.inputs), Counter(other.inputs)
         differing = [*(mine - theirs), *(theirs - mine)] or ["their order"]
-        raise ConfigError(f"{both}: {len(one.inputs)} and {len(other.inputs)} logs; they differ in {differing[0]}")
+        raise ConfigError(
+            f"{both}: {len(one.inputs)} and {counted(len(other.inputs), 'log')}; they differ in {differing[0]}"
+        )
     if one.stamp != other.stamp:
         raise ConfigError(f"{both}: driven with {_said(one.stamp)} and with {_said(other.stamp)}")
     changed = changes(read_toml(one.folder / "run.toml"), read_toml(other.folder / "run.toml"))

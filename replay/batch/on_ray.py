@@ -24,14 +24,14 @@ from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar
+from uuid import uuid4
 
 from logs.errors import ConfigError, LogError, writing
 from logs.readers.base import LogSettings
-from replay.apart.proxy import command_of
+from replay.apart.link import command_of
 from replay.batch.checks import KINDS
-from replay.batch.engine import longest_first
+from replay.batch.engine import Job, longest_first
 from replay.batch.log_result import Failure, LogResult, Stamp
-from replay.batch.one_log import evaluate_log
 from replay.batch.pool import WorkerLost, settle
 from replay.batch.resume import stamp_of
 from replay.batch.sources import LogSource
@@ -74,10 +74,12 @@ class OnRay:
         """
         absolute = [_absolute(source) for source in sources]
         with self._connected(run) as ray:
-            job = ray.put((run, stamp))
+            job = ray.put((run, stamp, uuid4().hex))
             task = ray.remote(_on_node).options(max_retries=RETRIES, num_cpus=1)
             yield from longest_first(
-                absolute, lambda ordered: _kept(self._streamed(ray, lambda one: task.remote(one, job), ordered), out)
+                absolute,
+                lambda ordered: _kept(self._streamed(ray, lambda one: task.remote(one, job), ordered), out),
+                lambda source: source.expected_s,
             )
 
     @contextmanager
@@ -203,14 +205,14 @@ def _answer(ray: Any, reference: Any) -> tuple[Any, Any] | WorkerLost:
     return answer
 
 
-def _on_node(source: LogSource, job: tuple[RunConfig, Stamp]) -> tuple[LogResult, dict[str, bytes]]:
+def _on_node(source: LogSource, job: tuple[RunConfig, Stamp, str]) -> tuple[LogResult, dict[str, bytes]]:
     """A task: a log's result, and the files of its folder by their names in the result folder."""
-    run, stamp = job
+    run, stamp, name = job
     wrong = _refusal(run, stamp, source)
     if wrong is not None:
         return LogResult(source.label, source.label, failures=(wrong,)), {}
     with tempfile.TemporaryDirectory(prefix="replan-") as scratch:
-        result = evaluate_log(source, run, Path(scratch), stamp)
+        (result,) = Job(run, Path(scratch), stamp, name)([source])
         files = {path.relative_to(scratch).as_posix(): path.read_bytes() for path in Path(scratch).glob("*/*")}
         _settled()
         return result, files

@@ -11,6 +11,7 @@ import traceback
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import closing, contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from hashlib import sha256
 from math import inf
 from pathlib import Path
@@ -37,10 +38,11 @@ from replay.batch.tables import KEYS, PARTIAL, TIMING_COLUMNS, joined, safe_name
 from replay.closed_loop import run_closed_loop
 from replay.config import RunConfig
 from replay.determinism import NOT_DETERMINISTIC, with_probe
-from replay.drive import Drive
+from replay.drive import Drive, Place
 from replay.open_loop import run_open_loop
 from replay.perturb import perturbed
 from replay.planner_config import is_apart, is_built_in, planner_keywords
+from replay.planning import Planning
 from replay.reference_drives import reference_table
 
 SHOWN = (LON_JERK_STATE.name,)
@@ -177,24 +179,37 @@ def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, pro
         with progress.attempt():
             progress.tables.append(reference_table(scenario))
     with closing(StepsFile(folder)) as steps:
-        for planner in run.planners:
-            for mode in run.modes:
-                with progress.attempt(planner, mode):
-                    stem = mode.value if len(run.planners) == 1 else f"{mode.value}.{safe_name(planner)}"
-                    trace = _drive_one(scenario, planner, mode, run, folder / stem, progress, steps)
-                    if trace.end is EndReason.PLANNER_FAILURE:
-                        progress.failures.append(Failure(progress.log, trace.detail, planner, mode.value))
-                    files = tuple(f"{final}/{file.name}" for file in sorted(folder.glob(f"{stem}.*")))
-                    progress.drives.append(_record(trace, files))
-                    del trace  # before the next one is driven: of an hour it is large
+        for planner, mode, place in _places(run):
+            with progress.attempt(planner, mode):
+                stem = mode.value if len(run.planners) == 1 else f"{mode.value}.{safe_name(planner)}"
+                trace = _drive_one(scenario, planner, mode, run, place, folder / stem, progress, steps)
+                if trace.end is EndReason.PLANNER_FAILURE:
+                    progress.failures.append(Failure(progress.log, trace.detail, planner, mode.value))
+                files = tuple(f"{final}/{file.name}" for file in sorted(folder.glob(f"{stem}.*")))
+                progress.drives.append(_record(trace, files))
+                del trace  # before the next one is driven: of an hour it is large
         steps.write()
 
 
+def _places(run: RunConfig, member: int = 0) -> Iterator[tuple[str, Mode, Place]]:
+    """Planner and loop of each drive of a log, or of a member of its ensemble."""
+    for i, planner in enumerate(run.planners):
+        for j, mode in enumerate(run.modes):
+            yield planner, mode, Place(member, i, j)
+
+
 def _drive_one(
-    scenario: Scenario, planner: str, mode: Mode, run: RunConfig, file: Path, progress: _Progress, steps: StepsFile
+    scenario: Scenario,
+    planner: str,
+    mode: Mode,
+    run: RunConfig,
+    place: Place,
+    file: Path,
+    progress: _Progress,
+    steps: StepsFile,
 ) -> Trace:
     """Drive, measure and write one planner in one loop; `file` is without its suffix."""
-    drive = _probed(_driven(scenario, planner, mode, run, keep=run.keep_internals), scenario, mode, run)
+    drive = _probed(_driven(scenario, planner, mode, run, place, keep=run.keep_internals), scenario, mode, run, place)
     found: dict[str, Steps] = {}
 
     def put(name: str, series: metrics.Series) -> None:
@@ -219,21 +234,37 @@ def _tidy(trace: Trace) -> None:
         give_back()
 
 
-def _driven(scenario: Scenario, planner: str, mode: Mode, run: RunConfig, *, keep: bool, until_s: float = inf) -> Drive:
+def _driven(
+    scenario: Scenario,
+    planner: str,
+    mode: Mode,
+    run: RunConfig,
+    place: Place,
+    *,
+    keep: bool,
+    until_s: float = inf,
+) -> Drive:
     table = run.planner.get(planner, {})
     keywords = table if is_apart(planner, run.loop.apart) else planner_keywords(planner, table)
     return LOOPS[mode](
-        scenario, planner, planner_config=keywords, config=run.loop, keep_internals=keep, until_s=until_s
+        scenario,
+        planner,
+        planner_config=keywords,
+        config=run.loop,
+        keep_internals=keep,
+        until_s=until_s,
+        seat=partial(Planning, place=place),
     )
 
 
-def _probed(drive: Drive, scenario: Scenario, mode: Mode, run: RunConfig) -> Drive:
+def _probed(drive: Drive, scenario: Scenario, mode: Mode, run: RunConfig, place: Place) -> Drive:
     """The drive, marked where its planner is the user's own and is not deterministic (`RunConfig.repeat_s`)."""
     planner, until_s = drive.trace.planner, float(scenario.ego.t[0]) + run.repeat_s
     if not run.repeat_s or drive.trace.oracle or is_built_in(planner) or not drive.trace.frames:
         return drive
     try:
-        again = _driven(scenario, planner, mode, run, keep=False, until_s=until_s).trace
+        second = replace(place, again=True)
+        again = _driven(scenario, planner, mode, run, second, keep=False, until_s=until_s).trace
     except PlannerError as error:
         note = f"{NOT_DETERMINISTIC}{planner}, driven twice: it can be built only once: {error}"
         return replace(drive, trace=replace(drive.trace, notes=(*drive.trace.notes, note)))
@@ -246,12 +277,11 @@ def _drive_member(scenario: Scenario, run: RunConfig, member: int, progress: _Pr
     other = with_avoidability(other)
     measures = all_metrics(run)
     tables = [reference_table(other)] if Mode.CLOSED in run.modes else []
-    for planner in run.planners:
-        for mode in run.modes:
-            with progress.attempt(planner, mode):
-                drive = _driven(other, planner, mode, run, keep=bool(run.metrics))
-                noted = progress.broken(planner, mode)
-                tables.append(metrics.evaluate(drive.trace, other, metrics=measures, broken=noted))
+    for planner, mode, place in _places(run, member):
+        with progress.attempt(planner, mode):
+            drive = _driven(other, planner, mode, run, place, keep=bool(run.metrics))
+            noted = progress.broken(planner, mode)
+            tables.append(metrics.evaluate(drive.trace, other, metrics=measures, broken=noted))
     progress.members.extend(table.assign(member=member, perturbation=name) for table in tables)
 
 

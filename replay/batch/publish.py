@@ -2,7 +2,8 @@
 
 What is there at any time is what an interrupted run would have left: `run.toml`, and the folders of the logs that are
 finished, each with its card `log.json` written last; a folder without card is not whole and is not taken. Tables and
-reports follow at the end. `--resume` fetches what is there first.
+reports follow at the end. `--resume` fetches what is there first. What an earlier run left there goes as the first log
+is sent: a run that cannot begin (a name is wrong, a log is not there) removes nothing.
 
 One run at a time: the object `.lock` is written only where there is none, which S3 (conditional writes) and Google's
 store do in one step. No object store ends a lock with its holder: that of a process of this machine that has ended is
@@ -22,7 +23,7 @@ from logs.errors import ConfigError, ReplanError
 from logs.remote import RemoteFile, content, fetch, listed, local_path, put, put_new, remove, url_of
 from replay.batch.lock import card, has_ended
 from replay.batch.log_result import LogResult
-from replay.batch.sources import LOG_CARD
+from replay.batch.sources import LOG_CARD, LogSource
 from replay.batch.tables import FILES, LOCK, PARTIAL
 
 
@@ -33,12 +34,22 @@ class Place:
     Attributes:
         folder: On this machine; None: the next free one.
         url: Where it goes from there; "": nowhere.
-        there: The names of the files that are at the URL and need not go there again.
+        there: When each file was written that is at the URL and need not go there again unless it is written anew.
+        old: What is at the URL and goes before anything is sent.
     """
 
     folder: Path | None
     url: str = ""
-    there: set[str] = field(default_factory=set)
+    there: dict[str, int] = field(default_factory=dict)
+    old: list[str] = field(default_factory=list)
+
+    def check_outside(self, sources: Sequence[LogSource]) -> None:
+        """ConfigError where the URL holds a log that is to be driven: it would be removed."""
+        urls = [file.url for source in sources for file in source.remote]
+        inside = [url for url in urls if self.url and url.startswith(f"{self.url}/")]
+        if inside:
+            where = f"lies in the results {self.url}, which are replaced"
+            raise ConfigError(f"{inside[0]}: {where}; give --out another place")
 
     def keep(self, result: LogResult) -> None:
         """Send a log's folder, and before the first `run.toml`; OutputError."""
@@ -53,16 +64,18 @@ class Place:
 
     def _send(self, files: Sequence[Path]) -> None:
         assert self.folder is not None
+        remove(self.old)
+        self.old = []
         for path in files:
-            name = path.relative_to(self.folder).as_posix()
-            if name not in self.there:
+            name, written = path.relative_to(self.folder).as_posix(), path.stat().st_mtime_ns
+            if self.there.get(name) != written:
                 put(path, f"{self.url}/{name}")
-                self.there.add(name)
+                self.there[name] = written
 
 
 @contextmanager
 def result_place(out: Path | str | None, *, resume: bool = False) -> Iterator[Place]:
-    """A place for a run's results; at a URL it is held, and what is there is fetched (`resume`) or removed.
+    """A place for a run's results; at a URL it is held, and what is there is fetched (`resume`) or replaced.
 
     Raises:
         ConfigError: Another run writes there, it holds something else than results, or it cannot be written.
@@ -76,7 +89,7 @@ def result_place(out: Path | str | None, *, resume: bool = False) -> Iterator[Pl
     try:
         with tempfile.TemporaryDirectory(prefix="replan-") as scratch:
             folder = Path(scratch, "results")
-            place = Place(folder, url, _begun(url, folder, resume=resume))
+            place = _begun(url, folder, resume=resume)
             try:
                 yield place
                 place.finish()
@@ -86,8 +99,8 @@ def result_place(out: Path | str | None, *, resume: bool = False) -> Iterator[Pl
         remove([f"{url}/{LOCK}"])
 
 
-def _begun(url: str, folder: Path, *, resume: bool) -> set[str]:
-    """Take or remove the results that are there; the names of the files that stay."""
+def _begun(url: str, folder: Path, *, resume: bool) -> Place:
+    """The place, with what stays of the results that are there."""
     files = [file for file in listed(url) if file.name != LOCK]
     cards = {file.name.partition("/")[0] for file in files if file.name.endswith(f"/{LOG_CARD}")}
     logs = [file for file in files if "/" in file.name]
@@ -100,11 +113,11 @@ def _begun(url: str, folder: Path, *, resume: bool) -> set[str]:
         )
     whole = [file for file in logs if file.name.partition("/")[0] in cards] if resume else []
     kept = [*whole, *(file for file in files if resume and file.name == "run.toml")]
-    remove([file.url for file in _cards_first(files) if file not in kept])
     if kept:
         folder.mkdir()
         fetch(kept, folder)
-    return {file.name for file in whole}
+    there = {file.name: (folder / file.name).stat().st_mtime_ns for file in kept}
+    return Place(folder, url, there, [file.url for file in _cards_first(files) if file not in kept])
 
 
 def _cards_first(files: Sequence[RemoteFile]) -> list[RemoteFile]:

@@ -21,7 +21,7 @@ from logs.readers import READER
 from metrics import METRIC
 from planners import PLANNER
 from replan.own import PACKAGES
-from replay.apart.proxy import command_of
+from replay.apart.link import command_of
 from replay.batch.checks import KINDS
 from replay.batch.log_result import LogResult, Stamp, kept
 from replay.batch.sources import LOG_CARD, LogSource

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import platform
+import shutil
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -25,7 +26,7 @@ from metrics.judge import Verdict, judge, outcomes
 from metrics.latency import SHARE as LATE
 from metrics.latency import judge_deadline
 from replay.batch.checks import checked
-from replay.batch.engine import Engine, Local
+from replay.batch.engine import Engine, Local, teams_of
 from replay.batch.lock import held
 from replay.batch.log_result import (
     HEALTH,
@@ -39,6 +40,7 @@ from replay.batch.log_result import (
     timings_of,
 )
 from replay.batch.one_log import all_metrics
+from replay.batch.origin import write_origin
 from replay.batch.pool import WorkerLost
 from replay.batch.resume import finished, stamp_of
 from replay.batch.shard import Shard, write_card
@@ -155,17 +157,20 @@ def evaluate_logs(
     whole = _selected(logs, run, window, suite)
     selection = whole if shard is None else shard.part(whole)
     gates = gates_of(run, run.gates_path)
+    if run.loop.apart.batch:
+        _check_together(engine, window, shard)
     run, failures = checked(run)
     if resume and out is None:
         raise ConfigError("name the folder of the run to be resumed with --out")
     out = next_free() if out is None else Path(out)
     stamp = stamp_of(run)
     with held(out), _to_be_resumed(out):
-        done = finished(out, selection.sources, run, stamp) if resume else {}
+        done = _whole(out, finished(out, selection.sources, run, stamp), selection, run) if resume else {}
         if not done:
             _check_outside(out, selection.sources, run)
             claim(out)
         write_text(out / "run.toml", dump_run(run))
+        write_origin(out)
         on_start(selection, out)
         try:
             evaluate = partial(engine.evaluate, run=run, out=out, stamp=stamp)
@@ -175,6 +180,27 @@ def evaluate_logs(
         if shard is not None:
             write_card(out, shard, whole, run, stamp, failures, results)
         return concluded(out, run, selection, results, gates, failures, resumed=len(done), shard=shard)
+
+
+def _check_together(engine: Engine, window: float | None, shard: Shard | None) -> None:
+    """Refuse what does not go with logs in lock step."""
+    if not isinstance(engine, Local):
+        raise ConfigError("--batch drives logs together on this machine only: leave out --engine, or --batch")
+    if shard is not None:
+        raise ConfigError(
+            "--batch puts the logs of a run together, and --shard takes them apart: leave out one of them"
+        )
+    if window is not None:
+        raise ConfigError("--batch would show a planner the later parts of a log, with --window: leave out one of them")
+
+
+def _whole(out: Path, done: Mapping[int, LogResult], selection: Selection, run: RunConfig) -> dict[int, LogResult]:
+    """Of the logs that are done those without others that are not, in lock step with them; the rest is cleared away."""
+    teams = teams_of(len(selection.sources), run.loop.apart.batch)
+    left = {index: done[index] for team in teams if all(index in done for index in team) for index in team}
+    for index in done.keys() - left.keys():
+        shutil.rmtree(out / done[index].folder)
+    return left
 
 
 @contextmanager

@@ -311,6 +311,7 @@ list(plan.internals)  # S-T and S-L graphs, decisions, costs: logs/trace.py
 | `timings.parquet` | below | no: a clock |
 | `summary.json` | version, outcome, exit code, logs and drives, gates, failures | yes, but for Python's version |
 | `run.toml` | the resolved configuration | yes |
+| `origin.json` | the directory in which the run was started, from which its logs are found again | no: a place |
 | `report.md`, `report.html`, `junit.xml` | the reports | yes, but for the planning times in `report.*` |
 | `shard.json` | of a shard: which part of which run it is ([ci.md](ci.md)) | yes |
 | `LOG-HASH/open.mcap`, `closed.mcap` | traces: the drive as a log, with plans and their inside | yes |

@@ -7,6 +7,7 @@
     OUT/summary.json            outcome, gates, drives, failures
     OUT/report.md, junit.xml    the reports, by `replan evaluate` and `replan report`
     OUT/run.toml                the resolved configuration
+    OUT/origin.json             the directory in which the run was started: where its logs are (`replay.batch.origin`)
     OUT/shard.json              of a part of a run: which, of what (`replay.batch.shard`)
     OUT/LOG-HASH/               per log: open.mcap, open.rrd, closed.mcap, closed.rrd, frames.parquet, and what the
                                 tables above are made of: metrics.parquet, timings.parquet, log.json; ensemble.parquet
@@ -45,6 +46,9 @@ LOCK = ".lock"
 SHARD_CARD = "shard.json"
 """Which part of a run the folder holds (`replay.batch.shard`)."""
 
+ORIGIN = "origin.json"
+"""Where the run was started (`replay.batch.origin`)."""
+
 TABLES = (
     "metrics.parquet",
     "metrics.csv",
@@ -55,6 +59,7 @@ TABLES = (
     "summary.json",
     SHARD_CARD,
     "run.toml",
+    ORIGIN,
 )
 REPORTS = ("report.md", "junit.xml", "report.html")
 FILES = (*TABLES, *REPORTS)

@@ -53,9 +53,6 @@ def compare(
       replan compare results/run-001 --planner idm --planner dp_qp
     """
     with answered():
-        from contextlib import ExitStack
-
-        from logs.remote import here
         from replay.compare import MOST_PARTINGS, compare_runs, opened
         from replay.report.compared import document
 
@@ -63,14 +60,13 @@ def compare(
         if len(planners) > 2 or len(runs) > 2 or (len(runs) == 1 and len(planners) != 2):
             raise ConfigError("name two runs, or one run and two planners: replan compare RESULT -p idm -p dp_qp")
         most = 0 if no_partings else MOST_PARTINGS
-        with ExitStack() as near:
-            folders = [near.enter_context(here(run)) for run in runs]
-            baseline, candidate = opened(folders[0]), opened(folders[-1])
-            comparison = compare_runs(baseline, candidate, planners, gates=gates, partings=most)
-            if as_json:
-                say_json(document(comparison))
-            else:
-                shown(comparison, candidate)
+        candidate = opened(runs[-1])
+        baseline = opened(runs[0]) if len(runs) == 2 else candidate
+        comparison = compare_runs(baseline, candidate, planners, gates=gates, partings=most)
+        if as_json:
+            say_json(document(comparison))
+        else:
+            shown(comparison, candidate)
         raise typer.Exit(comparison.exit_code)
 
 

@@ -45,13 +45,14 @@ def before_all(path: Path, run: RunConfig, gates: Path | None, out: Path | None)
 
 
 def ended(
-    result: RunResult, before: Opened | None, *, gates: Path | None, report: bool, as_json: bool, quiet: bool
-) -> int:
+    result: RunResult, before: Opened | None, url: str, *, gates: Path | None, report: bool, as_json: bool, quiet: bool
+) -> int:  # fmt: skip
     """The written reports, and on stdout the report; or summary.json and where it lies; or its last lines.
 
     Args:
         result: The run.
         before: What it is compared with.
+        url: Where it goes from its folder; "": it stays there.
         gates: The file of its thresholds and rules; None: the packaged ones.
         report: Whether files are written.
         as_json: One document on stdout.
@@ -71,20 +72,21 @@ def ended(
     from replay.report.write import write_reports
     from replay.results import load
 
+    place = url or str(result.out)
     with held(result.out):
         after = None if before is None else opened(result.out)
         results = load(result.out) if after is None or after.results is None else after.results
         compared = None if before is None or after is None else compare_runs(before, after, gates=gates)
         over = overview(results, compared)
         if report:
-            write_reports(results, over, result.out)
+            over = write_reports(results, over, result.out)
     if as_json:
         more = {} if compared is None else {"comparison": document(compared)}
-        say_json({"results": result.out, **summary(result), **more})
+        say_json({"results": place, **summary(result), **more})
     elif quiet:
         if compared is not None:
             say(last_line(compared, alone=False))
-        say(f"Outcome: {over.outcome.upper()} (exit code {over.exit_code}); results: {result.out}")
+        say(f"Outcome: {over.outcome.upper()} (exit code {over.exit_code}); results: {place}")
     else:
         wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 110
         console = SafeConsole(width=wide, soft_wrap=False)
@@ -93,5 +95,5 @@ def ended(
         print_report(over, console, result.out, ending=False)
         if compared is not None and after is not None:
             shown(compared, after, alone=False)
-        print_ending(over, console, result.out)
+        print_ending(over, console, result.out, place)
     return over.exit_code

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from replay.batch.engine import Engine
     from replay.batch.log_result import LogResult
     from replay.batch.publish import Place
+    from replay.batch.sources import Selection
     from replay.config import RunConfig
 
 
@@ -66,6 +67,10 @@ def evaluate(
     ] = None,
     planner_memory: Annotated[
         float | None, typer.Option(min=0.0, metavar="GB", help="What its process may hold; 0: no limit. Default: 8.")
+    ] = None,
+    batch: Annotated[
+        int | None,
+        typer.Option(min=0, help="Logs driven in lock step, for a planner with plan_batch. Default: each by itself."),
     ] = None,
     metric: Annotated[
         list[str] | None, typer.Option(help='A metric of your own beside the built-in ones, "module:NAME"; repeatable.')
@@ -207,6 +212,7 @@ def evaluate(
             "plan_timeout_s": plan_timeout,
             "log_timeout_s": log_timeout,
             "memory_gb": planner_memory,
+            "batch": batch,
         }
         run = run_config(config, options, loop, apart).in_car(car)
         if baseline is not None and shard is not None:
@@ -217,7 +223,8 @@ def evaluate(
                 logs or [], run, place, _engine(engine, address, workers),
                 resume=resume, window=window, suite=suite, shard=shard, quiet=quiet, verbose=verbose,
             )  # fmt: skip
-            code = ended(result, before, gates=run.gates_path, report=not no_report, as_json=as_json, quiet=quiet)
+            said = {"report": not no_report, "as_json": as_json, "quiet": quiet}
+            code = ended(result, before, place.url, gates=run.gates_path, **said)
         if place.url and not quiet:
             say(f"all of it is at {place.url}", err=True)
         raise typer.Exit(code)
@@ -345,9 +352,13 @@ def _evaluated(
             on_log(result)
             place.keep(result)
 
+        def begun(selection: Selection, out: Path) -> None:
+            place.check_outside(selection.sources)
+            on_start(selection, out)
+
         return evaluate_logs(
             logs, run, place.folder, engine=engine, resume=resume, window=window, suite=suite, shard=part,
-            on_start=on_start, on_log=said_and_kept,
+            on_start=begun, on_log=said_and_kept,
         )  # fmt: skip
 
 

@@ -37,7 +37,8 @@ def report(
       replan report results/run-001 --baseline baseline.parquet -o reports
     """
     with answered():
-        from logs.remote import here, url_of
+        from logs.remote import url_of
+        from replay.batch.tables import REPORTS
         from replay.compare import compare_runs, opened
         from replay.report.overview import overview
         from replay.report.write import write_reports
@@ -45,8 +46,11 @@ def report(
 
         if url_of(results) and out is None:
             raise ConfigError(f"{url_of(results)}: name a folder for its reports with --out")
-        with here(results) as near:
-            found = load(near)
-            comparison = None if baseline is None else compare_runs(opened(baseline), opened(near), gates=gates)
-            for path in write_reports(found, overview(found, comparison), out or near):
-                say(path)
+        found = load(results)
+        comparison = None if baseline is None else compare_runs(opened(baseline), opened(found.path), gates=gates)
+        folder = out or found.path
+        written = write_reports(found, overview(found, comparison), folder)
+        for name in REPORTS:
+            say(folder / name)
+        for line in written.broken:
+            say(line, err=True)

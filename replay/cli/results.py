@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
 from logs.errors import ConfigError
+from logs.words import counted
 from replay.cli.app import Begin, Ego, End, Map, Settings, answered, app, log_settings, say
 
 if TYPE_CHECKING:
@@ -33,6 +34,7 @@ def view(
     layout: Annotated[str, typer.Option(help="Of picture and video: overview, planner, control.")] = "overview",
     tile: Annotated[str | None, typer.Option("--tile", help="A picture of this view only, by its title.")] = None,
     size: Annotated[str, typer.Option(help="Of picture and video, pixels.")] = "1920x1080",
+    theme: Annotated[Literal["dark", "light"], typer.Option(help="Of picture and video.")] = "dark",
     memory_limit: Annotated[str, typer.Option(help="Of the viewer.")] = "2GB",
     web: Annotated[bool, typer.Option("--web", help="Show it in a browser.")] = False,
     port: Annotated[int, typer.Option(min=1, max=65535, help="Of the page, with --web; on this machine only.")] = 9090,
@@ -54,6 +56,7 @@ def view(
     with answered():
         import tempfile
 
+        from logs.remote import Near
         from replay.view import LAYOUTS, picture, show
 
         if layout not in LAYOUTS:
@@ -62,16 +65,17 @@ def view(
         with tempfile.TemporaryDirectory() as kept:
             span = (None, None) if video is not None else (begin, end)
             settings = log_settings(config, ego, road_map, *span)
-            files = _files(targets, log, Path(kept), settings, save, one=drawn)
+            copies = [Near(target) for target in targets]
+            files = _files([copy.path for copy in copies], log, Path(kept), settings, save, one=drawn)
             if save is not None:
                 say(save)
             if screenshot is not None:
-                picture(files[-1], screenshot, at, layout, tile, size)
+                picture(files[-1], screenshot, at, layout, tile, size, theme)
                 say(screenshot)
             if video is not None:
                 from replay.view import filmed
 
-                say(f"{video}: {filmed(files[-1], video, begin, end, layout, size)} frames")
+                say(f"{video}: {counted(filmed(files[-1], video, begin, end, layout, size, theme), 'frame')}")
             if save is None and not drawn:
                 show(files, memory_limit, web=web, port=port)
 

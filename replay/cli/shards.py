@@ -48,5 +48,5 @@ def merge(
             place = near.enter_context(result_place(out))
             assert place.folder is not None
             result = merged(folders, place.folder)
-            code = ended(result, before, gates=gates, report=not no_report, as_json=as_json, quiet=quiet)
+            code = ended(result, before, place.url, gates=gates, report=not no_report, as_json=as_json, quiet=quiet)
         raise typer.Exit(code)

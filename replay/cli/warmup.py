@@ -18,6 +18,7 @@ def warmup(
         typer.Option("--planner", "-p", autocompletion=completion("planner"), help="Repeatable. Default: dp_qp."),
     ] = None,
     config: Annotated[Path | None, typer.Option(help="TOML file of a run: what it drives with.")] = None,
+    every: Annotated[bool, typer.Option("--all", help="Also those of all else that is built in.")] = False,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -33,11 +34,11 @@ def warmup(
     with answered():
         options: dict[str, Any] = {"planners": tuple(planner or ()) or None}
         run = run_config(config, options, {})
-        from replay.warmup import warm_up
+        from replay.warmup import everything, warm_up
 
         if not quiet:
             say("compiling kernels (a minute or two; seconds where they are there already)", err=True)
-        done = warm_up(run)
+        done = warm_up(run, *(everything() if every else ()))
         for failure in done.failures:
             say_error(failure.message)
         where = "nowhere: no folder can be written" if done.folder is None else done.folder

@@ -21,7 +21,7 @@ from logs.kernel import FloatArray
 from logs.memory import give_back
 from logs.scenario import Scenario
 from logs.trace import EndReason, Graph, Mode, PlannedFrame, SlGraph, StGraph, Trace
-from replay.recording import events, plots, why, words
+from replay.recording import events, plots, states, why, words
 from replay.recording.axes import Axes, sl_axes, st_axes
 from replay.recording.blueprint import Contents, blueprint
 from replay.recording.columns import Instants, Tape
@@ -77,8 +77,10 @@ def write_recording(
     stages = plots.stage_panel(drive.timings)
     panels += [stages] if stages else []
     pages = ("why", "numbers", "recent", "summary") if trace.frames else ("recent", "summary")
-    lanes = plots.state_lanes(trace, scenario.road)
-    contents = Contents(panels, axes[StGraph], axes[SlGraph], len(lanes), pages, _bounds(trace, scenario))
+    lanes = states.state_lanes(trace, scenario.road)
+    contents = Contents(
+        panels, axes[StGraph], axes[SlGraph], [lane.name for lane in lanes], pages, _bounds(trace, scenario)
+    )
     application = f"replan {scenario.name} {trace.mode.value} loop"
     with recording_file(path, application, trace.planner, _digest(trace), blueprint(contents)) as tape:
         draw_scene(tape, trace, scenario, instants)
@@ -88,7 +90,7 @@ def write_recording(
             if len(planned) > PART:
                 give_back()
         plots.draw_panels(tape, panels, frames)
-        plots.draw_lanes(tape, lanes, frames)
+        states.draw_lanes(tape, lanes, frames)
         events.draw_events(tape, events.events(trace), planned)
         words.draw_summary(tape, words.summary(whole, scenario, table))
         _send_metrics(tape, table)
@@ -134,7 +136,7 @@ def write_log_recording(path: Path, scenario: Scenario) -> None:
     trace = Trace(scenario.name, "log", Mode.OPEN, False, scenario.ego, scenario.tracks, (), EndReason.END_OF_LOG)
     times = scene_times(trace, scenario.duration)
     panels = plots.motion_panels(trace, scenario, times)
-    contents = Contents(panels, None, None, 0, ("summary",), _bounds(trace, scenario))
+    contents = Contents(panels, None, None, (), ("summary",), _bounds(trace, scenario))
     instants = Instants.among(times, times)
     with recording_file(path, f"replan {scenario.name} log", "log", _digest(trace), blueprint(contents)) as tape:
         draw_scene(tape, trace, scenario, instants)

@@ -37,14 +37,19 @@ ROWS = {
 
 @dataclass(frozen=True, eq=False)
 class Contents:
-    """What there is to show: panels, graphs, rows of decisions, which pages, and the corners of the map `(2, 2)`."""
+    """What there is to show: panels, graphs, lanes of states, which pages, and the corners of the map `(2, 2)`."""
 
     panels: Sequence[Panel]
     st: Axes | None
     sl: Axes | None
-    lanes: int
+    lanes: Sequence[str]
     pages: Sequence[str]
     bounds: FloatArray
+
+    @property
+    def lanes_share(self) -> float:
+        """Of the height, for the lanes of states: each has as much."""
+        return 0.35 + 0.24 * len(self.lanes)
 
 
 NUMBERS = 0.032
@@ -84,8 +89,8 @@ def _overview(contents: Contents, panels: Mapping[str, Panel]) -> rrb.Container:
     left = [top, rrb.Horizontal(*graphs)] if graphs else [top]
     rows, shares = _rows("overview", panels)
     if contents.lanes:
-        rows += [_decisions(), rrb.Tabs(*_page_views(contents, ("recent",)), _events(), active_tab=0)]
-        shares += [0.35 + 0.24 * contents.lanes, 0.9]
+        rows += [_decisions(contents), rrb.Tabs(*_page_views(contents, ("recent",)), _events(), active_tab=0)]
+        shares += [contents.lanes_share, 0.9]
     return rrb.Horizontal(
         rrb.Vertical(*left, row_shares=[1.35, 1.0][: len(left)]),
         rrb.Vertical(*rows, row_shares=shares),
@@ -98,7 +103,7 @@ def _planner(contents: Contents, panels: Mapping[str, Panel]) -> rrb.Container:
     """The graphs large, the words, what the solvers and the stages did."""
     rows, shares = _rows("planner", panels)
     words = rrb.Vertical(_pages(contents, ("why",)), _pages(contents, ("numbers",)), row_shares=[1.3, 1.0])
-    right = rrb.Vertical(scene_behind(), *rows, _decisions(), row_shares=[2.0, *shares, 0.35 + 0.24 * contents.lanes])
+    right = rrb.Vertical(scene_behind(), *rows, _decisions(contents), row_shares=[2.0, *shares, contents.lanes_share])
     graphs = _graphs(contents)
     columns = [rrb.Vertical(*graphs), words, right] if graphs else [words, right]
     return rrb.Horizontal(*columns, column_shares=[1.3, 0.9, 1.2][-len(columns) :], name="Planner")
@@ -111,7 +116,7 @@ def _control(contents: Contents, panels: Mapping[str, Panel]) -> rrb.Container:
     columns = [
         rrb.Vertical(*rows[part], row_shares=shares[part]) for part in (slice(0, half), slice(half, None)) if rows[part]
     ]
-    below = [_decisions()] if contents.lanes else []
+    below = [_decisions(contents)] if contents.lanes else []
     left = rrb.Vertical(scene_behind(), *below, row_shares=[2.0, 1.0][: 1 + len(below)])
     return rrb.Horizontal(left, *columns, column_shares=[1.0] * (1 + len(columns)), name="Control")
 
@@ -185,9 +190,14 @@ def _page_views(contents: Contents, names: Sequence[str]) -> list[rrb.View]:
     return [rrb.TextDocumentView(origin=f"/{name}", name=PAGES[name]) for name in names if name in contents.pages]
 
 
-def _decisions() -> rrb.Container:
-    lanes = rrb.StateTimelineView(origin="/state", name="Decisions and status", time_view=time_axis())
-    return lanes_beside_numbers(lanes)
+def _decisions(contents: Contents) -> rrb.Container:
+    return lanes_beside_numbers(state_view("Decisions and status", contents.lanes))
+
+
+def state_view(name: str, lanes: Sequence[str], under: str = "") -> rrb.StateTimelineView:
+    """Lanes of states; `under`: where the recording's entities are ("/A")."""
+    shown = [f"{under}/{lane}" for lane in lanes]
+    return rrb.StateTimelineView(origin=under or "/", contents=shown, name=name, time_view=time_axis())
 
 
 def lanes_beside_numbers(lanes: rrb.Container | rrb.View, under: str = "") -> rrb.Container:

@@ -1,4 +1,10 @@
-"""The colours of a recording: packed 0xRRGGBBAA, readable on a dark and on a light ground."""
+"""The colours of a recording: packed 0xRRGGBBAA, readable on a dark and on a light ground.
+
+Contrast of two colours (WCAG 2.2), with the relative luminance L of sRGB:
+
+(1) contrast = (L_light + 0.05) / (L_dark + 0.05)
+(2) L        = 0.2126 R + 0.7152 G + 0.0722 B,  linear light: about (value / 255)^2.2
+"""
 
 from __future__ import annotations
 
@@ -22,7 +28,7 @@ FREE = 0x50C896FF
 HAPPENED = 0xFF5AD2FF
 AXIS = 0xA0A4ACFF
 GRID = 0x50545C90
-TICK = 0x9A9EA6FF
+TICK = 0x7E828AFF
 
 SURFACE = 0x2A2C31FF
 WALK = 0x34322EFF
@@ -31,6 +37,9 @@ FAINT = 0x5F646CFF
 MARKING = 0xB4B4B4FF
 OPPOSITE = 0xE6BE3CFF
 GOAL = 0x50D278FF
+WORDS_LUMINANCE = 0.22
+"""Of words, at most: a contrast of 3 (WCAG: least for large text) to the plates of the viewer, of 0.012 and 0.81."""
+GAMMA = 2.2
 
 KINDS = {
     AgentKind.CAR: 0xF09632FF,
@@ -58,11 +67,24 @@ STATUSES = {
     PlanStatus.HARD_STOP: 0xC83232FF,
     PlanStatus.REFUSED: 0x8C32C8FF,
 }
-SERIES = (0x5AC8FFFF, 0xFFC850FF, 0xFF6E64FF, 0x78DC82FF, 0xC896FFFF, 0x50D2C8FF, 0xFF96C8FF, 0xBEBEBEFF)
+SERIES = (0x4AB8F5FF, 0xE8AC30FF, 0xFF6E64FF, 0x78DC82FF, 0xC896FFFF, 0x50D2C8FF, 0xFF96C8FF, 0x9E9E9EFF)
 
 _RAMP_AT = np.array([0.0, 0.35, 0.65, 1.0])
 _COST_RAMP = np.array([[70, 110, 230], [40, 170, 170], [120, 205, 90], [255, 225, 60]], dtype=np.float64)
 _SPEED_RAMP = np.array([[255, 70, 60], [255, 190, 60], [120, 220, 90], [60, 230, 170]], dtype=np.float64)
+
+
+def luminance(colour: int) -> float:
+    """(2)."""
+    linear = [(((colour >> shift) & 255) / 255.0) ** GAMMA for shift in (24, 16, 8)]
+    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
+
+
+def of_words(colour: int) -> int:
+    """The colour, no lighter than words may be: of a label, whose plate is dark or light with the theme."""
+    share = min(1.0, (WORDS_LUMINANCE / max(luminance(colour), 1e-9)) ** (1.0 / GAMMA))
+    red, green, blue = (round(share * ((colour >> shift) & 255)) for shift in (24, 16, 8))
+    return (red << 24) | (green << 16) | (blue << 8) | (colour & 255)
 
 
 def with_alpha(colour: int, alpha: int) -> int:

@@ -163,8 +163,8 @@ def _draw_fill(
     *,
     wide: float = 1.0,
 ) -> None:
-    """Strokes `(k, 2, 2)` in a colour each, a little wider than their distance."""
-    style = rr.LineStrips2D.from_fields(radii=[0.55 * wide * STROKE], draw_order=-5.0)
+    """Strokes `(k, 2, 2)` in a colour each, half as wide again as their distance: their soft edges leave no gaps."""
+    style = rr.LineStrips2D.from_fields(radii=[0.75 * wide * STROKE], draw_order=-5.0)
     tape.static(entity, style)
     lines = strips(filled.reshape(-1, 2), np.full(len(filled), 2))
     shown = rr.LineStrips2D.columns(strips=lines, colors=colour)
@@ -258,7 +258,7 @@ def _draw_labels(
             words = plain(f"{obstacle.agent}: {obstacle.decision.value}")
             visible = filled[begins[k] : begins[k + 1]] - [offsets[i], 0.0]
             at = beside(visible, len(words), axes) + np.array([offsets[i], 0.0])
-            rows[i].append((at, words, colours.DECISIONS[obstacle.decision]))
+            rows[i].append((at, words, colours.of_words(colours.DECISIONS[obstacle.decision])))
     kept = [_worth(row) for row in rows]
     placed = [
         spread(np.array([at for at, _, _ in row]).reshape(-1, 2), [len(words) for _, words, _ in row], axes)

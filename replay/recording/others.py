@@ -38,14 +38,15 @@ def draw_others(tape: Tape, trace: Trace, frames: Instants) -> None:
     """All of the above, a row per frame; what a trace does not hold is left out."""
     if any(frame.predictions is not None for frame in trace.frames):
         _draw_predictions(tape, trace, frames)
-    if trace.frames and len(trace.agents):
+    if trace.frames and (len(trace.agents) or trace.perceived is not None):
         _draw_perceived(tape, trace, frames)
     if any(frame.visibility is not None for frame in trace.frames):
         _draw_sensor(tape, trace.frames, frames)
 
 
 def _draw_predictions(tape: Tape, trace: Trace, frames: Instants) -> None:
-    kinds = dict(zip(trace.agents.ids, trace.agents.kinds, strict=True))
+    known = [trace.agents] if trace.perceived is None else [trace.perceived, trace.agents]
+    kinds = {name: kind for some in known for name, kind in zip(some.ids, some.kinds, strict=True)}
     lines: list[FloatArray] = []
     colour: list[int] = []
     counts: list[int] = []

@@ -24,10 +24,11 @@ from logs.kernel import FloatArray
 from logs.trace import Trace
 from replay.parting import Parting, parting
 from replay.recording import colours
-from replay.recording.blueprint import graph_view, lanes_beside_numbers, plot, scene_behind, time_axis
+from replay.recording.blueprint import graph_view, lanes_beside_numbers, plot, scene_behind, state_view
 from replay.recording.columns import SIM_TIME, Instants, Tape
 from replay.recording.file import recording_file
 from replay.recording.plots import Curve, Panel
+from replay.recording.states import LANES
 from replay.recording.text import MARKDOWN, cell, document
 
 SIDES = ("A", "B")
@@ -126,9 +127,9 @@ def _blueprint(
     pages = [rrb.TextDocumentView(origin=f"/{side}/why", name=f"{side}: why") for side in SIDES]
     said = rrb.Tabs(rrb.TextDocumentView(origin="/parting", name="Where they part"), *pages, active_tab=0)
     states = [
-        rrb.StateTimelineView(origin=f"/{side}/state", name=f"{side}: decisions and status", time_view=time_axis())
+        state_view(f"{side}: decisions and status", there, f"/{side}")
         for side in SIDES
-        if any(path.startswith(f"/{side}/state") for path in paths)
+        if (there := [lane for lane in LANES if f"/{side}/{lane}" in paths])
     ]
     curves = [_curves(panel, paths) for panel in _panels(traces)]
     apart = [_difference(title, shown, t, values) for title, shown in DIFFERENCES]

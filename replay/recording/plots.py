@@ -1,4 +1,4 @@
-"""Curves and lanes over time: speeds, accelerations, pedals, tracking errors, decisions, stage times.
+"""Curves over time: speeds, accelerations, pedals, tracking errors, tyres, stage times.
 
 Only what is in the trace, the scenario, the timings and the steps of the metrics, of which the jerk is one. A panel
 without a finite value is left out.
@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from itertools import cycle
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
@@ -16,13 +15,13 @@ import rerun as rr
 
 from logs.frame_store import loaded
 from logs.kernel import FloatArray
-from logs.road import Road, RoadSource
+from logs.road import RoadSource
 from logs.scenario import Scenario
 from logs.states import Controls, Trajectory
-from logs.trace import Decision, DecisionKind, Mode, Plan, PlanStatus, Trace
+from logs.trace import Mode, Trace
 from metrics.comfort import LON_JERK_STATE
-from replay.recording import colours, lane_choice
-from replay.recording.columns import ROOM, Instants, Tape
+from replay.recording import colours
+from replay.recording.columns import Instants, Tape
 from replay.recording.text import path_parts, plain
 from replay.tyre_use import tyre_use
 
@@ -296,112 +295,3 @@ def stage_panel(timings: Sequence[StageTime]) -> Panel | None:
         colour, width = (colours.SERIES[-1], 2.0) if stage == "total" else (colours.SERIES[k % 7], 1.2)
         curves.append(Curve(part, plain(stage), colour, t, 1e3 * seconds, width, spiky=True))
     return _panel("stages", "Stage times [ms]", curves, 0.2)
-
-
-NAMED = (0x5A6478FF, 0x46505FFF)
-"""Colours of states that are only names."""
-OFF_LANES = "off the lanes"
-LONGITUDINAL = (DecisionKind.STOP, DecisionKind.YIELD, DecisionKind.FOLLOW, DecisionKind.OVERTAKE)
-FREE_DRIVE, KEEP, BOTH = "drive on", "keep", "nudge left and right"
-
-
-def longitudinal(plan: Plan) -> str:
-    """The strongest of a plan's decisions about speed."""
-    kinds = {artefact.kind for artefact in plan.internals if isinstance(artefact, Decision)}
-    return next((kind.value for kind in LONGITUDINAL if kind in kinds), FREE_DRIVE)
-
-
-def lateral(plan: Plan) -> str:
-    """A plan's decisions about the side."""
-    kinds = {artefact.kind for artefact in plan.internals if isinstance(artefact, Decision)}
-    left, right = DecisionKind.NUDGE_LEFT in kinds, DecisionKind.NUDGE_RIGHT in kinds
-    if left and right:
-        return BOTH
-    return DecisionKind.NUDGE_LEFT.value if left else DecisionKind.NUDGE_RIGHT.value if right else KEEP
-
-
-STATE_COLOURS = {
-    **{kind.value: colours.DECISIONS[kind] for kind in DecisionKind},
-    FREE_DRIVE: 0x3C6EAAFF,
-    KEEP: 0x3C6EAAFF,
-    BOTH: 0xC090FFFF,
-    lane_choice.NOT_COMPARED: 0x3C6EAAFF,
-    lane_choice.COMPARED: 0x5082BEFF,
-    "change left": colours.DECISIONS[DecisionKind.NUDGE_LEFT],
-    "change right": colours.DECISIONS[DecisionKind.NUDGE_RIGHT],
-    OFF_LANES: 0xC83232FF,
-}
-
-
-@dataclass(frozen=True)
-class Lane:
-    """One lane of states: a value per change."""
-
-    name: str
-    t: tuple[float, ...]
-    values: tuple[str, ...]
-
-
-def changes(name: str, t: Sequence[float], values: Sequence[str]) -> Lane:
-    """A lane of the values that differ from the one before."""
-    kept = [i for i in range(len(values)) if i == 0 or values[i] != values[i - 1]]
-    return Lane(name, tuple(t[i] for i in kept), tuple(values[i] for i in kept))
-
-
-def state_lanes(trace: Trace, road: Road) -> list[Lane]:
-    """Plan status, decisions and choice of lane (where the planner tells them), the lane under the ego, the end."""
-    t = [frame.t for frame in trace.frames]
-    plans = [frame.plan for frame in trace.frames]
-    lanes = [changes("Plan", t, [STATUS_WORDS[plan.status] for plan in plans])]
-    if any(isinstance(artefact, Decision) for plan in plans for artefact in plan.internals):
-        lanes.append(changes("Decision-along", t, [longitudinal(plan) for plan in plans]))
-        lanes.append(changes("Decision-across", t, [lateral(plan) for plan in plans]))
-    driven = lane_choice.lanes_driven(trace, road)
-    if any(lane_choice.options(plan) for plan in plans):
-        lanes.append(changes("Choice-of-lane", t, lane_choice.choices(trace.frames, driven)))
-    if len(set(driven) - {None}) > 1:
-        lanes.append(changes("Lane", t, [OFF_LANES if lane is None else f"lane {lane}" for lane in driven]))
-    first, last = min([*t, float(trace.ego.t[0])]), float(trace.ego.t[-1])
-    return [lane for lane in lanes if lane.t] + [changes("Drive", [first, last], ["driving", trace.end.value])]
-
-
-STATUS_WORDS = {
-    PlanStatus.PLANNED: "planned",
-    PlanStatus.CORRECTED: "plan corrected",
-    PlanStatus.PREVIOUS: "previous plan",
-    PlanStatus.COMFORTABLE_STOP: "comfortable stop",
-    PlanStatus.HARD_STOP: "hard stop",
-    PlanStatus.REFUSED: "plan refused",
-}
-"""The statuses in two words, for lanes; the sentences are in the texts."""
-
-
-LETTER, MARGIN = 0.0125, 0.015
-"""Room that a letter of a state's label takes, and that around a label, as shares of the whole drive."""
-
-
-def labelled(lane: Lane, end: float) -> list[str]:
-    """The values of a lane, those too short for their label marked by a space: these are drawn without one."""
-    lasts = np.diff([*lane.t, end]) / max(end - lane.t[0], 1e-9)
-    return [
-        value if last >= MARGIN + LETTER * len(value) else f"{value} "
-        for value, last in zip(lane.values, lasts, strict=True)
-    ]
-
-
-def draw_lanes(tape: Tape, lanes: Sequence[Lane], frames: FloatArray) -> None:
-    """Coloured lanes of states."""
-    known = STATE_COLOURS | {STATUS_WORDS[status]: colour for status, colour in colours.STATUSES.items()}
-    end = max((lane.t[-1] for lane in lanes), default=0.0)
-    tape.static(ROOM, rr.TextDocument(" "))
-    for lane in lanes:
-        entity = f"state/{rr.escape_entity_path_part(lane.name)}"
-        states = labelled(lane, end)
-        values = sorted(set(states))
-        others = [value for value in dict.fromkeys(lane.values) if value not in known]
-        shade = {**dict(zip(others, cycle(NAMED), strict=False)), **known}
-        shades = np.array([shade[value.rstrip()] for value in values], dtype=np.uint32)
-        labels = [" " if value.endswith(" ") else value for value in values]
-        tape.static(entity, rr.StateConfiguration(values=values, labels=labels, colors=shades))
-        instants = Instants.among(np.array(lane.t), frames)
-        tape.rows(entity, instants, rr.StateChange.columns(state=states))

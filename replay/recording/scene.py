@@ -213,7 +213,7 @@ def _draw_names(
             decision = about.get(some.ids[i])
             points.append(_beyond(some, int(i), eye))
             words.append(plain(f"{some.ids[i]}: {decision.kind.value}" if decision else some.ids[i]))
-            colour.append(colours.DECISIONS[decision.kind] if decision else colours.TICK)
+            colour.append(colours.of_words(colours.DECISIONS[decision.kind] if decision else colours.TICK))
     entity = "world/agents/names"
     tape.static(entity, rr.Points3D.from_fields(radii=[pixels(0.01)], show_labels=True))
     shown = rr.Points3D.columns(

@@ -24,7 +24,8 @@ from rerun.experimental import ViewerClient
 
 from logs.errors import ConfigError, ReplanError
 from replay.recording.columns import SIM_TIME
-from replay.view import LAYOUTS
+from replay.recording.theme import SETTINGS, clicked
+from replay.view import LAYOUTS, Theme
 from replay.viewer import LOOPBACK, environment, free_port
 
 PAUSE_S = 0.3
@@ -57,7 +58,12 @@ class Picture:
 
 
 def take_pictures(
-    recording: Path, pictures: Sequence[Picture], *, size: str = "1920x1080", timeout: float = 60.0
+    recording: Path,
+    pictures: Sequence[Picture],
+    *,
+    size: str = "1920x1080",
+    theme: Theme = "dark",
+    timeout: float = 60.0,
 ) -> list[str]:
     """Take pictures of a recording.
 
@@ -65,6 +71,7 @@ def take_pictures(
         recording: The .rrd file.
         pictures: What to take, in this order.
         size: Of a picture of the whole window, pixels: WIDTHxHEIGHT.
+        theme: Of the viewer.
         timeout: For starting, loading and each picture, s.
 
     Returns:
@@ -75,7 +82,7 @@ def take_pictures(
         ScreenshotError: No graphics driver, the viewer died, or a picture never settled.
     """
     width, height = (int(part) for part in size.split("x"))
-    with _viewer(f"{width}x{height + HEADER_PX}", timeout) as (client, alive):
+    with _viewer(f"{width}x{height + HEADER_PX}", theme, timeout) as (client, alive):
         client.open([str(recording.resolve())])
         _until(lambda: not client.get_state().loading, timeout, alive, "the recording does not load")
         kept = client.get_blueprint("recording").blueprint
@@ -188,7 +195,7 @@ def _until(done: Callable[[], bool], timeout: float, alive: Callable[[], None], 
 
 
 @contextmanager
-def _viewer(size: str, timeout: float) -> Iterator[tuple[Any, Callable[[], None]]]:
+def _viewer(size: str, theme: Theme, timeout: float) -> Iterator[tuple[Any, Callable[[], None]]]:
     """A headless viewer, its client, and a check that it is alive; it ends with the block."""
     binary = Path(sysconfig.get_paths()["platlib"]) / "rerun_cli" / "rerun"
     port = free_port()
@@ -196,7 +203,13 @@ def _viewer(size: str, timeout: float) -> Iterator[tuple[Any, Callable[[], None]
     with tempfile.TemporaryFile("w+") as log, environment(RUST_LOG="error") as variables:
         process = subprocess.Popen(command, env=variables, stdout=log, stderr=subprocess.STDOUT)
         try:
-            yield _connect(port, timeout, lambda: _check(process, log)), lambda: _check(process, log)
+            client = _connect(port, timeout, lambda: _check(process, log))
+            if theme != "dark":  # which it is
+                client.set_location(SETTINGS)
+                wrong = clicked(theme, binary, port, variables, timeout)
+                if wrong:
+                    raise ScreenshotError(f"the viewer's theme cannot be set: {wrong}")
+            yield client, lambda: _check(process, log)
         finally:
             process.terminate()
             try:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import unicodedata
 from collections.abc import Iterable
+from pathlib import Path
 
 import rerun as rr
 
@@ -41,10 +42,23 @@ def _drawable(text: str) -> str:
     return text if DRAWABLE.issuperset(text) else "".join(mark if mark in DRAWABLE else "?" for mark in text)
 
 
+class Marked(str):
+    """A cell of a table that is Markdown of ours."""
+
+
+def link(words: object, file: Path) -> Marked:
+    """Words that open a recording where they are clicked; the words alone where its path cannot be drawn."""
+    path = file.as_posix()
+    can = DRAWABLE.issuperset(path) and not set("<>|\\") & set(path)
+    return Marked(f"[{cell(words)}](<{path}>)" if can else cell(words))
+
+
 def table(header: Iterable[str], rows: Iterable[Iterable[object]]) -> list[str]:
     """The lines of a Markdown table, with an empty line before and after it."""
     names = list(header)
-    body = ["| " + " | ".join(cell(value) for value in row) + " |" for row in rows]
+    body = [
+        "| " + " | ".join(value if isinstance(value, Marked) else cell(value) for value in row) + " |" for row in rows
+    ]
     return ["", "| " + " | ".join(names) + " |", "|" + " --- |" * len(names), *body, ""]
 
 

@@ -12,11 +12,14 @@ from PIL import Image
 
 from logs.errors import ConfigError, ReplanError, writing
 from replay.recording.screenshot import Picture, take_pictures
+from replay.view import Theme
 
 FRAMES_PER_S = 10.0
 """As often as planners plan."""
 BY_PILLOW = (".gif", ".png")
 """Animated; anything else needs ffmpeg."""
+EVEN = "pad=ceil(iw/2)*2:ceil(ih/2)*2"
+"""Width and height are even where colours have half the resolution, as most players want it."""
 
 
 def can_write(out: Path) -> None:
@@ -27,7 +30,9 @@ def can_write(out: Path) -> None:
         )
 
 
-def film(recording: Path, out: Path, begin: float, end: float, folder: Path, *, layout: str, size: str) -> int:
+def film(
+    recording: Path, out: Path, begin: float, end: float, folder: Path, *, layout: str, size: str, theme: Theme
+) -> int:
     """Write the video of a recording from `begin` to `end`, s; the frames go to `folder`; how many there are.
 
     Raises:
@@ -39,7 +44,7 @@ def film(recording: Path, out: Path, begin: float, end: float, folder: Path, *, 
     if not len(times):
         raise ConfigError(f"--from {begin:g} --to {end:g}: no time between them")
     pictures = [Picture(folder / f"{i:05d}.png", float(t), layout=layout) for i, t in enumerate(times)]
-    take_pictures(recording, pictures, size=size)
+    take_pictures(recording, pictures, size=size, theme=theme)
     with writing(out):
         out.parent.mkdir(parents=True, exist_ok=True)
         (_by_pillow if out.suffix in BY_PILLOW else _by_ffmpeg)([picture.out for picture in pictures], out)
@@ -53,7 +58,7 @@ def _by_pillow(frames: Sequence[Path], out: Path) -> None:
 
 def _by_ffmpeg(frames: Sequence[Path], out: Path) -> None:
     command = ["ffmpeg", "-y", "-loglevel", "error", "-framerate", f"{FRAMES_PER_S:g}"]
-    command += ["-i", str(frames[0].parent / "%05d.png"), "-pix_fmt", "yuv420p", str(out)]
+    command += ["-i", str(frames[0].parent / "%05d.png"), "-vf", EVEN, "-pix_fmt", "yuv420p", str(out)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         raise ReplanError(f"{out}: ffmpeg failed: {' '.join(done.stderr[-400:].split())}")

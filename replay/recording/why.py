@@ -20,12 +20,14 @@ from logs.trace import (
     SolverReport,
     Trace,
 )
-from replay.recording import plots
+from logs.words import counted
+from replay.recording import states
 from replay.recording.columns import Instants, Tape
 from replay.recording.lane_choice import Change, changes_under_way, lanes_driven, listed, options
 from replay.recording.others import unseen
 from replay.recording.text import MARKDOWN, cell, document
 from replay.why import Account, Course, accounts, sentences
+from replay.why.alternatives import telling
 from replay.why.course import BRAKES_MPS2
 
 A = TypeVar("A")
@@ -36,7 +38,7 @@ MAX_MISSING = 6
 PASS = "pass: "
 """So a planner begins what speaks against passing, among its candidates."""
 SAME_MPS = 0.05
-QUIET = (plots.FREE_DRIVE, plots.KEEP)
+QUIET = (states.FREE_DRIVE, states.KEEP)
 
 
 def draw_why(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants) -> None:
@@ -88,9 +90,9 @@ def numbers(frame: PlannedFrame) -> list[str]:
 
 def _headline(plan: Plan, course: Course) -> str:
     """What the car does within the next second, and the decisions in a word each."""
-    words = [] if plan.status is PlanStatus.PLANNED else [plots.STATUS_WORDS[plan.status]]
+    words = [] if plan.status is PlanStatus.PLANNED else [states.STATUS_WORDS[plan.status]]
     if any(isinstance(artefact, Decision) for artefact in plan.internals):
-        words += [word for word in (plots.longitudinal(plan), plots.lateral(plan)) if word not in QUIET]
+        words += [word for word in (states.longitudinal(plan), states.lateral(plan)) if word not in QUIET]
     return ": ".join([course.action.value, ", ".join(words)]) if words else course.action.value
 
 
@@ -166,8 +168,8 @@ def _candidates(plan: Plan) -> list[str]:
 def _solvers(plan: Plan) -> list[str]:
     reports = _of(plan, SolverReport)
     lines = [
-        f"- {cell(r.stage)}: {'' if r.solved else '**not solved**: '}{cell(r.status)}, {r.iterations} iterations,"
-        f" residuals {_short(r.primal_residual)}, {_short(r.dual_residual)}"
+        f"- {cell(r.stage)}: {'' if r.solved else '**not solved**: '}{cell(r.status)},"
+        f" {counted(r.iterations, 'iteration')}, residuals {_short(r.primal_residual)}, {_short(r.dual_residual)}"
         for r in reports
     ]
     return ["", "#### Solvers (primal, dual residual)", "", *lines] if lines else []
@@ -176,7 +178,7 @@ def _solvers(plan: Plan) -> list[str]:
 def _costs(plan: Plan) -> list[str]:
     stages = _of(plan, CostTerms)
     lines = [
-        f"- {cell(stage.stage)}: {', '.join(f'{cell(name)} {value:.3g}' for name, value in stage.terms)}"
+        f"- {cell(stage.stage)}: {', '.join(f'{cell(name)} {value:.3g}' for name, value in telling(stage.terms)) or 0}"
         for stage in stages
     ]
     return ["", "#### Cost terms", "", *lines] if lines else []

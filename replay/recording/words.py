@@ -10,6 +10,7 @@ import rerun as rr
 
 from logs.scenario import Scenario
 from logs.trace import Graph, Trace
+from logs.words import counted
 from replay.recording.columns import Tape
 from replay.recording.text import MARKDOWN, cell, document, table
 
@@ -57,14 +58,14 @@ def _metrics(metrics: DataFrame | None) -> list[str]:
 def log_facts(scenario: Scenario) -> list[str]:
     """What the log holds."""
     kinds = [kind.value for kind in scenario.tracks.kinds]
-    counts = ", ".join(f"{kinds.count(kind)} {kind}" for kind in dict.fromkeys(kinds)) or "none"
+    counts = ", ".join(counted(kinds.count(kind), kind) for kind in dict.fromkeys(kinds)) or "none"
     span = scenario.ego.t[-1] - scenario.ego.t[0]
     ego = f"{len(scenario.ego)} states over {span:.1f} s" if len(scenario.ego) > 1 else "its start only"
     facts = [
         ("duration", f"{scenario.duration:.1f} s"),
         ("ego", ego),
         ("agents", counts),
-        ("road", f"{len(scenario.road.lanes)} lanes ({scenario.road.source.value})"),
+        ("road", f"{counted(len(scenario.road.lanes), 'lane')} ({scenario.road.source.value})"),
         ("tags", ", ".join(scenario.tags)),
         ("source", scenario.source),
         ("licence", scenario.licence),

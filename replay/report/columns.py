@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 
@@ -54,12 +54,28 @@ COLUMNS = (
 """Open loop first; the closed loop's columns come after how its drive ended."""
 
 LEGEND = (
-    "open loop: the log drives, plans are compared with it; ADE 3 s: mean distance of plan and log over 3 s.",
-    "closed loop: the planner drives; route done: of what the log's driver, else the careful driver, does in all;",
-    "TTC: least time to a collision; off plan: largest lateral distance; jerk: seconds beyond 4.13 m/s3.",
-    "verdict: the worst that the gates say of this log; inconclusive: evidence neither for nor against the planner.",
-    "fall back: share of frames in which the planner could not plan.  - : not available (why: metrics.csv).",
+    ("open", "open loop: the log drives, plans are compared with it; ADE 3 s: mean distance of plan and log over 3 s."),
+    (
+        "closed",
+        "closed loop: the planner drives; route done: of what the log's driver, else the careful driver, does in all;",
+    ),
+    (
+        "closed",
+        "TTC: least time to a collision; off plan: largest lateral distance; jerk: seconds beyond 4.13 m/s3.",
+    ),
+    (
+        "",
+        "verdict: the worst that the gates say of this log; inconclusive: evidence neither for nor against a planner.",
+    ),
+    ("", "fall back: share of frames in which the planner could not plan.  - : not available (why: metrics.csv)."),
 )
+"""Loop ("": either) and line."""
+
+
+def legend(columns: Sequence[Column]) -> list[str]:
+    """What some columns mean, and what stands beside them."""
+    loops = {"", *(column.mode for column in columns)}
+    return [line for loop, line in LEGEND if loop in loops]
 
 
 def _mean(digits: int) -> Callable[[list[float]], str]:

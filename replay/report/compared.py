@@ -17,6 +17,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from logs.words import counted
 from metrics.compare import DRIVE, Comparison
 from metrics.gates import Outcome
 
@@ -161,7 +162,7 @@ def _partings(comparison: Comparison) -> Iterator[RenderableType]:
         for row in _rows(comparison.partings):
             table.add_row(Text(row.log), row.mode, Text(row.what))
         unseen = comparison.not_looked_at
-        aside = [Text(f"not looked for in {unseen} more drives that differ", style="dim")] if unseen else []
+        aside = [Text(f"not looked for in {counted(unseen, 'more drive')} that differ", style="dim")] if unseen else []
         yield from _titled("Where drives part", table, *aside)
 
 
@@ -179,7 +180,9 @@ def _ending(comparison: Comparison, *, alone: bool) -> Iterator[RenderableType]:
     drives = len(pairs[["log", "planner", "mode"]].drop_duplicates())
     worse, better = int((pairs["worse"] > 0.0).sum()), int((pairs["worse"] < 0.0).sum())
     same = int((pairs["delta"] == 0.0).sum())
-    yield Text(f"{drives} drives, {len(pairs)} values: {same} the same, {worse} worse, {better} better")
+    yield Text(
+        f"{counted(drives, 'drive')}, {counted(len(pairs), 'value')}: {same} the same, {worse} worse, {better} better"
+    )
     yield Text(last_line(comparison, alone=alone), style=STYLES[OUTCOMES[comparison.exit_code]])
 
 

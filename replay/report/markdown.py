@@ -15,10 +15,11 @@ from urllib.parse import quote
 import pandas as pd
 
 from logs.errors import writing
+from logs.words import counted
 from metrics.compare import Comparison
 from metrics.gates import Outcome
-from replay.report.columns import LEGEND
-from replay.report.model import NOTHING, DriveRow, GateRow, Overview, PassShare
+from replay.report.columns import legend
+from replay.report.model import BROKEN, NOTHING, DriveRow, GateRow, Overview, PassShare
 
 STEP_SUMMARY = "GITHUB_STEP_SUMMARY"
 """Names the file that CI shows as the summary of a step."""
@@ -81,6 +82,7 @@ def _parts(over: Overview, links: Iterable[str] | None) -> Iterator[str]:
         yield f"## Planners\n\n{_table(('over all logs', *over.planners), rows)}"
     yield _list("Driven", [share.text for share in over.coverage])
     yield _list(f"Ensemble: {len(over.fragile)} of {over.ensembles} verdicts are fragile", over.fragile)
+    yield _list(BROKEN, over.broken)
     yield _list("Notes", over.notes)
     yield _latency(over)
 
@@ -156,9 +158,10 @@ def _drives(over: Overview, *, linked: bool) -> Iterator[str]:
     yield _raw_table(names, rows[:MAX_OPEN], right)
     if len(rows) > MAX_OPEN:
         yield _folded(
-            f"{len(rows) - MAX_OPEN} drives more, none of them worse", _raw_table(names, rows[MAX_OPEN:], right)
+            f"{counted(len(rows) - MAX_OPEN, 'drive')} more, none of them worse",
+            _raw_table(names, rows[MAX_OPEN:], right),
         )
-    yield "\n".join(f"- {_text(line)}" for line in LEGEND)
+    yield "\n".join(f"- {_text(line)}" for line in legend(over.columns))
 
 
 def _drive(row: DriveRow, first: int, columns: int, *, linked: bool) -> list[str]:
@@ -177,7 +180,7 @@ def _latency(over: Overview) -> str:
         for row in over.latency
     ]
     head = ("planner", "stage", "p50 [ms]", "p95 [ms]", "p99 [ms]", "share")
-    return _folded(f"Planning time (wall clock, {over.frames} plans)", _table(head, rows, right=range(2, 6)))
+    return _folded(f"Planning time (wall clock, {counted(over.frames, 'plan')})", _table(head, rows, right=range(2, 6)))
 
 
 def _percent(share: float) -> str:

@@ -10,6 +10,7 @@ from metrics.compare import Comparison
 from replay.report.columns import Column
 
 NOTHING = "-"
+BROKEN = "Charts that could not be drawn"
 
 
 @dataclass(frozen=True)
@@ -27,7 +28,7 @@ class DriveRow:
 
     Attributes:
         log: Name of the log.
-        planner: Name of the planner; `shown` is with its marks: oracle, trusted, not deterministic.
+        planner: Name of the planner; `shown` is with its marks: oracle, trusted, batched, not deterministic.
         verdict: The worst that the gates say of this log; "" where none was asked.
         end: How the closed loop ended.
         cells: One per column of `Overview.columns`.
@@ -187,6 +188,7 @@ class Overview:
         failures: What could not be evaluated.
         worst: The drive to look at first.
         comparison: With a baseline, where there is one.
+        broken: Charts that could not be drawn, a sentence each: known when the page with them is written.
     """
 
     outcome: str
@@ -210,6 +212,7 @@ class Overview:
     failures: tuple[str, ...]
     worst: DriveRow | None
     comparison: Comparison | None
+    broken: tuple[str, ...] = ()
 
     @property
     def whole(self) -> tuple[PassShare, ...]:

@@ -21,6 +21,7 @@ from typing import Any
 import pandas as pd
 
 from logs.trace import EndReason
+from logs.words import counted
 from metrics.aggregate import LogLabels, membership, pass_shares, standings
 from metrics.compare import Comparison
 from metrics.gates import Outcome
@@ -28,7 +29,7 @@ from metrics.judge import outcomes, worst
 from metrics.latency import judge_deadline
 from replay.batch import OUTCOMES
 from replay.determinism import NOT_DETERMINISTIC
-from replay.drive import TRUSTED
+from replay.drive import BATCHED, TRUSTED
 from replay.report.columns import COLUMNS, COMPARED, Column
 from replay.report.model import NOTHING, Cell, Coverage, DriveRow, GateRow, Overview, PassShare, StageTime
 from replay.results import Results
@@ -108,11 +109,12 @@ def combined(codes: Iterable[int]) -> int:
 
 
 def marked(drives: Sequence[Any]) -> str:
-    """The name of the planner of drives, with a mark where it knew the log's future, could have looked, or dices."""
+    """The name of the planner of drives, with marks: it knew the log's future, could have looked, was shared, dices."""
     notes, oracle = [str(note) for drive in drives for note in drive.notes], any(drive.oracle for drive in drives)
     marks = {
         "oracle": oracle,
         "trusted": TRUSTED in notes and not oracle,
+        "batched": any(note.startswith(BATCHED.partition(":")[0]) for note in notes),
         "not deterministic": any(note.startswith(NOT_DETERMINISTIC) for note in notes),
     }
     return " ".join([str(drives[0].planner), *(f"({mark})" for mark, holds in marks.items() if holds)])
@@ -310,7 +312,7 @@ def _notes(logs: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         for key, note in notes.items():
             texts.setdefault(key, set()).add(note)
     for key, concerned in count.most_common():
-        yield f"{_example(texts[key])} ({concerned} of {len(logs)} logs)"
+        yield f"{_example(texts[key])} ({concerned} of {counted(len(logs), 'log')})"
 
 
 def _example(notes: set[str]) -> str:

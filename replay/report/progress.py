@@ -16,6 +16,7 @@ from time import monotonic
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from logs.kernel import cold
+from logs.words import counted
 from replay.batch.log_result import LogResult
 from replay.batch.sources import Selection
 from replay.report.console import SafeConsole
@@ -62,7 +63,7 @@ class Pace:
         if not due or self.done == self.total or not self.driven:
             return None
         self.last, self.tenth = now, tenth
-        return f"{self.done} of {self.total} logs, {self.rest(now)}"
+        return f"{self.done} of {counted(self.total, 'log')}, {self.rest(now)}"
 
     def rest(self, now: float) -> str:
         """Rate, and the time that is left at it: the longest logs come first, so that it goes by what is expected."""
@@ -106,7 +107,7 @@ def progress(
             bar.update(task, total=len(selection.sources))
             for reason in selection.dropped:
                 say(f"left out: {reason}")
-            say(f"{len(selection.sources)} logs -> {out}")
+            say(f"{counted(len(selection.sources), 'log')} -> {out}")
             if cold():
                 say("compiling kernels (once; about a minute): replan warmup does it beforehand")
 

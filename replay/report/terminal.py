@@ -16,9 +16,10 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from logs.words import counted
 from metrics.gates import Outcome
-from replay.report.columns import LEGEND
-from replay.report.model import NOTHING, Cell, DriveRow, GateRow, Overview
+from replay.report.columns import legend
+from replay.report.model import BROKEN, NOTHING, Cell, DriveRow, GateRow, Overview
 
 MAX_ROWS = 30
 """More drives than these are not listed; those with trouble come first."""
@@ -36,9 +37,9 @@ def print_report(over: Overview, console: Console, folder: Path, *, ending: bool
         print_ending(over, console, folder)
 
 
-def print_ending(over: Overview, console: Console, folder: Path) -> None:
-    """Where the results are, and the outcome: the last line of a run."""
-    console.print(Group(*_ending(over, folder)))
+def print_ending(over: Overview, console: Console, folder: Path, place: str = "") -> None:
+    """Where the results are (`place`: where those of the folder go), and the outcome: the last line of a run."""
+    console.print(Group(*_ending(over, folder, place or str(folder))))
 
 
 def _parts(over: Overview) -> Iterator[RenderableType]:
@@ -46,13 +47,15 @@ def _parts(over: Overview) -> Iterator[RenderableType]:
         yield from _drives(over)
         if len(over.planners) > 1:
             yield from _titled("Planners", _comparison(over))
-        yield from _titled(f"Planning time (wall clock, {over.frames} plans)", _latency(over))
+        yield from _titled(f"Planning time (wall clock, {counted(over.frames, 'plan')})", _latency(over))
     judged = Text(f"not judged: shard {over.shard}; see replan merge") if over.shard else _gates(over)
     yield from _titled("Gates", judged, *(Text(each.text, style="dim") for each in over.coverage))
     yield from _shares(over)
     if over.ensembles:
         title = f"Ensemble: {len(over.fragile)} of {over.ensembles} verdicts are fragile"
         yield from _titled(title, *_listed(over.fragile, MAX_ROWS, "metrics.csv"))
+    if over.broken:
+        yield from _titled(BROKEN, *_listed(over.broken, MAX_NOTES, "report.html"))
     if over.notes:
         yield from _titled("Notes", *_listed(over.notes, MAX_NOTES, "summary.json"))
     if over.failures:
@@ -98,8 +101,8 @@ def _drives(over: Overview) -> Iterator[RenderableType]:
         table.add_row(name, word, *(Text(cell.text, "red" if cell.bad else "") for cell in _cells(row, first)))
         before = row.log
     left = len(rows) - len(shown)
-    omitted = [f"{left} more drives without more trouble than these: metrics.csv"] if left else []
-    yield from _titled("Drives", table, Text("\n".join([*LEGEND, *omitted]), style="dim"))
+    omitted = [f"{counted(left, 'more drive')} without more trouble than these: metrics.csv"] if left else []
+    yield from _titled("Drives", table, Text("\n".join([*legend(over.columns), *omitted]), style="dim"))
 
 
 def _first_closed(over: Overview) -> int:
@@ -170,15 +173,17 @@ def _shares(over: Overview) -> Iterator[RenderableType]:
         passed = f"{share.passed} of {share.logs}"
         table.add_row(Text(share.name), share.planner, passed, interval, *(str(count or NOTHING) for count in counts))
     left = len(over.grouped) - MAX_GROUPS
-    more = [Text(f"{left} more groups that pass no less often: groups.parquet", style="dim")] if left > 0 else []
+    more = (
+        [Text(f"{counted(left, 'more group')} passing no less often: groups.parquet", style="dim")] if left > 0 else []
+    )
     yield from _titled("Logs that pass", table, *more)
 
 
-def _ending(over: Overview, folder: Path) -> Iterator[RenderableType]:
+def _ending(over: Overview, folder: Path, place: str) -> Iterator[RenderableType]:
     there = [name for name in ("report.html", "metrics.csv", "summary.json") if (folder / name).is_file()]
-    yield Text(f"Results: {folder}  ({', '.join((*there, 'a folder per log'))})")
+    yield Text(f"Results: {place}  ({', '.join((*there, 'a folder per log'))})")
     if over.worst is not None and over.worst.recording:
-        yield Text.assemble("Look at a drive:  ", (f"replan view {folder / over.worst.recording}", "bold"))
+        yield Text.assemble("Look at a drive:  ", (f"replan view {place}/{over.worst.recording}", "bold"))
     code = over.exit_code
     words = f"Outcome: {over.outcome.upper()} (exit code {code})"
     yield Text(words, style="bold green" if code == 0 else "bold red")

@@ -6,6 +6,7 @@ those within the folder: whatever holds them, their bytes are the same.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from logs.errors import writing
@@ -19,7 +20,7 @@ from replay.results import Results
 MARKDOWN, JUNIT, HTML = REPORTS
 
 
-def write_reports(results: Results, over: Overview, out: Path) -> tuple[Path, ...]:
+def write_reports(results: Results, over: Overview, out: Path) -> Overview:
     """Write the reports of a run, and the summary of the CI step where there is one.
 
     Args:
@@ -28,14 +29,13 @@ def write_reports(results: Results, over: Overview, out: Path) -> tuple[Path, ..
         out: Folder for them; made if it is not there. The links of report.md need it to be the result folder.
 
     Returns:
-        What was written.
+        What they say, with the charts that could not be drawn.
     """
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
     beside = out.resolve() == results.path.resolve()
-    written = out / MARKDOWN, out / JUNIT, out / HTML
-    write_text(written[0], markdown(over, links=(HTML, JUNIT) if beside else None))
-    write_text(written[1], junit(results, over))
-    write_html(over, results, written[2])
+    over = replace(over, broken=write_html(over, results, out / HTML))
+    write_text(out / MARKDOWN, markdown(over, links=(HTML, JUNIT) if beside else None))
+    write_text(out / JUNIT, junit(results, over))
     append_step_summary(over)
-    return written
+    return over

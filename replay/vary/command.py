@@ -11,6 +11,7 @@ from typing import Any
 from logs.catalogue import CATALOGUE
 from logs.errors import ConfigError
 from logs.readers import LogSettings
+from logs.remote import here
 from logs.scenario import Scenario
 from logs.variations import VARIATIONS
 from replay.batch.sources import LogSource
@@ -42,9 +43,9 @@ def opened(log: str, settings: LogSettings) -> Scenario:
         ConfigError: There is no such file, folder or family.
         LogError: It cannot be read.
     """
-    path = Path(log)
-    if path.exists():
-        return prepared(LogSource(log, path, settings).read())
+    with here(log) as path:
+        if path.exists():
+            return prepared(LogSource(log, path, settings).read())
     if log not in CATALOGUE:
         raise ConfigError(f"{log}: no such file or folder, and no family of the catalogue (replan synth --list)")
     return prepared(LogSource(log).read())

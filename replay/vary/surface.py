@@ -29,6 +29,7 @@ from logs.readers.base import LogSettings
 from logs.scenario import Scenario
 from logs.trace import EndReason
 from logs.variations import VARIATIONS, varied
+from logs.words import counted
 from metrics.avoidability import APPLIES, AVOIDS, MARGIN
 from metrics.gates import Outcome
 from metrics.judge import worst
@@ -188,7 +189,7 @@ class _Rounds:
 
     def evaluate(self, cells: Sequence[Cell], part: str) -> list[str]:
         """The outcomes of a round."""
-        self.say(f"{part}: {len(cells)} points")
+        self.say(f"{part}: {counted(len(cells), 'point')}")
         made = {cell: self._log(cell) for cell in cells}
         logs = [path for path in made.values() if isinstance(path, Path)]
         found = evaluate_logs(logs, self.run, self.out / part, workers=self.workers) if logs else None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,6 +14,10 @@ KEEP, PASSING = "keep", "passing"
 """The lane option of the lane that is driven; the stage that weighs driving past who is slower."""
 TOUCH_M = 0.1
 """A solution nearer to a bound than this touches it."""
+NOISE = 1e-6
+"""A cost of no more is what the tolerance of a solver leaves of none."""
+SHOWS = 1e-3
+"""A term of less than this share of all does not show in the three digits of their sum."""
 BOUND_M = 6.0
 """An obstacle bounds a solution from no farther than this: gaps are kept to it."""
 
@@ -37,6 +41,12 @@ class Touch:
     first: float
     last: float
     at: float
+
+
+def telling(terms: Sequence[tuple[str, float]]) -> list[tuple[str, float]]:
+    """The terms of a cost that tell something: neither noise nor beyond the digits of their sum."""
+    least = max(NOISE, SHOWS * sum(abs(value) for _, value in terms))
+    return [(name, value) for name, value in terms if abs(value) > least]
 
 
 def not_passed(plan: Plan) -> tuple[str, ...]:

@@ -11,7 +11,9 @@ avoids it. What a planner decided counts as its reason only where the numbers be
 (5) goal    reached before its time, too fast, or passed although the plan comes to rest at it
 (6) end     the map ends on the way, and the plan comes to rest before it
 (7) word    a planner's STOP or YIELD for who is near the way but not met, or for a thing without a place
-(8) begun   nothing of these, and the plan brakes hardest at its start: it lets go of the ego's own braking
+(8) passed  nothing of these, but a planner's OVERTAKE of who is near the way: the plan brakes before it goes first
+(9) begun   nothing of these, and the plan brakes hardest at its start and less before it stands: it lets go of the
+            ego's own braking
 """
 
 from __future__ import annotations
@@ -45,8 +47,6 @@ LEAST_MPS2 = 0.05
 """A limit, curve or goal that asks for less is none to brake for."""
 MOST_MPS2 = 9.81
 """A line that asks for more cannot be kept."""
-SIGN_M = 3.0
-"""A stop sign nearer than this has been stopped for, if the ego is not standing."""
 GOAL_ROOM_M = 10.0
 """Who comes to rest no farther than this before the end of the goal's region stops for the goal."""
 SAME_M = 0.1
@@ -152,9 +152,7 @@ class _Case:
     def cause(self, kind: CauseKind, distance: float, need: float, who: str = "", value: float = nan) -> Cause:
         """A cause at a place on the way."""
         time = self.held.when(distance)
-        return Cause(
-            kind, who, hold_mps=self.held.v, time_s=time, distance_m=distance, need_mps2=need, value=value
-        )  # fmt: skip
+        return Cause(kind, who, hold_mps=self.held.v, time_s=time, distance_m=distance, need_mps2=need, value=value)
 
 
 class Explainer:
@@ -182,7 +180,7 @@ class Explainer:
         found += _words(case, {cause.who for cause in found})
         found = sorted(found, key=_order)
         if not found and not failed:
-            found = [*_begun(case)] or [self._none(case)]
+            found = _passed(case) or [*_begun(case)] or [self._none(case)]
         why_not = not_passed(plan) if found and found[0].kind is CauseKind.AGENT else ()
         return Account(frame.planned.t, course, predicted, (*failed, *found), why_not)
 
@@ -315,10 +313,13 @@ def _goal(case: _Case, scenario: Scenario) -> Iterator[Cause]:
     if not inside or way.s[inside[0]] > held.reach:
         return
     first, last = float(way.s[inside[0]]), float(way.s[inside[-1]])
-    yield from _in_time(case, goal, last)
+    ends = inside[-1] < len(way.s) - 1  # else the region goes on beyond what is looked at
+    if ends:
+        yield from _in_time(case, goal, last)
     if goal.v is not None and held.v > goal.v[1] + OVER_MPS:
         ahead = max(last - held.s_from, held.v * SOON_S)
-        yield case.cause(CauseKind.GOAL, first, (held.v**2 - goal.v[1] ** 2) / (2.0 * ahead), "speed", goal.v[1])
+        need = (held.v**2 - goal.v[1] ** 2) / (2.0 * ahead) if ends else nan
+        yield case.cause(CauseKind.GOAL, first, need, "speed", goal.v[1])
     elif case.course.v_end < STANDING_MPS and last - GOAL_ROOM_M <= held.planned[-1] <= last:
         yield case.cause(CauseKind.GOAL, first, held.need(last), "place")
 
@@ -342,12 +343,12 @@ def _end(case: _Case) -> Iterator[Cause]:
 
 
 def _begun(case: _Case) -> Iterator[Cause]:
-    """(8)."""
+    """(9)."""
     path, course = case.plan.trajectory, case.course
     t, a = path.t - path.t[0], float(path.a[0])
     if a <= BRAKES_MPS2 and course.t_hardest == 0.0 and case.held.t_from == 0.0 and not case.held.stands:
         over = np.flatnonzero(path.a > BRAKES_MPS2)
-        if len(over):
+        if len(over) and path.v[over[0]] > STANDING_MPS:
             yield Cause(CauseKind.BEGUN, hold_mps=case.held.v, time_s=float(t[over[0]]), value=a)
 
 
@@ -371,6 +372,16 @@ def _words(case: _Case, said: set[str]) -> list[Cause]:
             continue
         out.append(Cause(CauseKind.WORD, name, decision.kind.value, decision.reason, False, case.held.v))
     return out
+
+
+def _passed(case: _Case) -> list[Cause]:
+    """(8)."""
+    return [
+        Cause(CauseKind.WORD, each.agent, each.kind.value, each.reason, True, case.held.v)
+        for each in case.plan.internals
+        if isinstance(each, Decision) and each.kind is DecisionKind.OVERTAKE
+        if each.agent in case.frame.agents.ids and _is_near(case, each.agent)
+    ]
 
 
 def _is_near(case: _Case, name: str) -> bool:

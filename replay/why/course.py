@@ -66,7 +66,7 @@ class Course:
 
     @property
     def is_asked(self) -> bool:
-        """Whether there is something to explain: it brakes at some time, or stands."""
+        """Whether there is something to explain: it brakes at some time as it drives forward, or stands."""
         return self.action is Action.STANDS or bool(np.isfinite(self.t_brakes))
 
     @classmethod
@@ -86,6 +86,8 @@ class Course:
 
 
 def _action(now: float, then: float, ahead: float) -> Action:
+    """By the speeds now and then, m/s, whichever way."""
+    now, then = abs(now), abs(then)
     if max(now, then) < STANDING_MPS:
         return Action.STANDS
     accel = (then - now) / max(ahead, 1e-9)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from math import isfinite
 
 from replay.why.causes import Account, Cause, CauseKind
@@ -16,7 +17,7 @@ MOST = 3
 def sentences(account: Account) -> list[str]:
     """Why a plan slows down or stands, the first cause first; empty where it does neither and is no fallback."""
     failed = [cause for cause in account.causes if cause.kind is CauseKind.FALLBACK]
-    rest = [cause for cause in account.causes if cause.kind is not CauseKind.FALLBACK]
+    rest = conflicts(account)
     lines = [f"Fallback: {_listed(cause.who, cause.reason)}." for cause in failed]
     for i, cause in enumerate(rest[:MOST]):
         opening = _opening(account) if i == 0 else "Also"
@@ -24,6 +25,28 @@ def sentences(account: Account) -> list[str]:
     if len(rest) > MOST:
         lines.append(f"And {len(rest) - MOST} more.")
     return [*lines, f"{rest[0].who} is not passed: {'; '.join(account.not_passed)}."] if account.not_passed else lines
+
+
+def conflicts(account: Account) -> list[Cause]:
+    """The causes but fallbacks, without who is in the reason of an earlier one ("car 3 goes first"): one conflict."""
+    said: list[Cause] = []
+    named: set[str] = set()
+    causes = [cause for cause in account.causes if cause.kind is not CauseKind.FALLBACK]
+    people = [cause.who for cause in causes if cause.kind in (CauseKind.AGENT, CauseKind.WORD)]
+    for cause in causes:
+        if cause.who not in named:
+            said.append(cause)
+        if cause.kind is CauseKind.STOP:
+            named |= _named(cause.reason, people)
+    return said
+
+
+def _named(reason: str, people: Sequence[str]) -> set[str]:
+    """Whose name is in a reason; of several that of the last: the first may be the word for what they are."""
+    found = {
+        hit.start(): who for who in people for hit in re.finditer(rf"(?<!\w){re.escape(who)}(?!\w)", reason) if who
+    }
+    return {found[max(found)]} if found else set()
 
 
 def _opening(account: Account) -> str:
@@ -121,6 +144,10 @@ def _end(account: Account, cause: Cause) -> str:
     return _listed(f"the map ends {cause.distance_m:.1f} m on", _need("stopping before it", cause))
 
 
+def _word(account: Account, cause: Cause) -> str:
+    return f"near its way, but {_held(account, cause)} not met" if cause.inferred else "so the planner says"
+
+
 _WORDS: dict[CauseKind, tuple[str, Callable[[Account, Cause], str]]] = {
     CauseKind.AGENT: ("", _agent),
     CauseKind.STOP: ("", _stop),
@@ -129,6 +156,6 @@ _WORDS: dict[CauseKind, tuple[str, Callable[[Account, Cause], str]]] = {
     CauseKind.GOAL: ("the goal", _goal),
     CauseKind.ROAD_END: ("the end of the road", _end),
     CauseKind.BEGUN: ("braking that has begun before", _begun),
-    CauseKind.WORD: ("", lambda account, cause: "so the planner says"),
+    CauseKind.WORD: ("", _word),
 }
 """Name (empty: the cause's own) and numbers by kind."""

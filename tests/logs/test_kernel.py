@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -14,7 +15,12 @@ import pytest
 from logs.kernel import interpolated
 from logs.kernel_stamp import KernelIndex
 
-NO_PLACE = "import numba.core.caching as c; c.CacheImpl._locator_classes = []\n"
+NO_PLACE = """
+import numba.core.caching as c
+class Without(list):
+    append = lambda *_: None
+c.CacheImpl._locator_classes = Without()
+"""
 NO_ROOM = """
 import errno, numba.core.caching as c
 def full(*arguments):
@@ -25,7 +31,7 @@ c.IndexDataCacheFile.load = lambda *arguments: None
 USE = "from logs.shapes import corners\nprint(corners(1.0, 2.0, 0.5, 4.0, 2.0))\n"
 
 
-@pytest.mark.parametrize("without", [NO_PLACE, NO_ROOM])
+@pytest.mark.parametrize("without", [NO_PLACE, pytest.param(NO_ROOM, marks=pytest.mark.slow)])
 def test_without_a_cache_kernels_are_compiled_anew_and_it_is_said_once(without: str, tmp_path: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path.cwd()), *sys.path])}
     environment.pop("NUMBA_DISABLE_JIT", None)
@@ -94,6 +100,7 @@ print(f(Pair(1.0, 4.0)))
 """
 
 
+@pytest.mark.slow
 def test_code_on_disk_is_stale_where_a_name_a_field_or_a_member_has_changed(tmp_path: Path) -> None:
     """The bytecode of these is the same: it has the places of names and constants only."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path.cwd()), *sys.path])}
@@ -107,6 +114,48 @@ def test_code_on_disk_is_stale_where_a_name_a_field_or_a_member_has_changed(tmp_
         run = [sys.executable, "-B", str(tmp_path / "named.py")]
         said.append(float(subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout))
     assert said == [16.0, 2.0, 1.0, 2.0, 12.0]
+
+
+BROUGHT = """
+import os, tempfile
+if os.environ.get("READ_ONLY"):  # stands for file systems that are read-only: root may write anywhere else
+    def refused(*_, **__):
+        raise OSError("read-only file system")
+    os.makedirs = os.mkdir = os.replace = tempfile.TemporaryFile = refused
+from logs.kernel import compiled_here, kernel
+
+@kernel
+def times(x: float) -> float:
+    return {factor} * x
+
+print(times(2.0), compiled_here())
+"""
+
+
+def test_code_beside_the_sources_is_found_where_they_are_copied_and_only_what_it_is_for(tmp_path: Path) -> None:
+    """As a wheel brings it: at another place, read-only, another folder chosen; not for another processor or code."""
+    built, used, other = tmp_path / "built", tmp_path / "used", tmp_path / "other"
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path.cwd()), *sys.path])}
+    for name in ("NUMBA_DISABLE_JIT", "NUMBA_CACHE_DIR", "NUMBA_CPU_NAME"):
+        environment.pop(name, None)
+
+    def said(factor: int, **more: str) -> list[str]:
+        (used / "times.py").write_text(BROUGHT.format(factor=factor), encoding="utf-8")
+        run = [sys.executable, "-B", str(used / "times.py")]
+        done = subprocess.run(run, env={**environment, **more}, capture_output=True, text=True, check=True)
+        return [*done.stdout.split(), done.stderr.partition(":")[0]]
+
+    used.mkdir()
+    assert said(3) == ["6.0", "1", ""]
+    used.rename(built)
+    shutil.copytree(built, used)
+    assert said(3) == ["6.0", "0", ""]
+    assert said(3, READ_ONLY="1") == ["6.0", "0", ""]
+    assert said(3, NUMBA_CACHE_DIR=str(other)) == ["6.0", "0", ""]
+    assert not list(other.rglob("*.nb?"))
+    assert said(3, NUMBA_CPU_NAME="generic", NUMBA_CACHE_DIR=str(other)) == ["6.0", "1", ""]
+    assert said(5, READ_ONLY="1") == ["10.0", "1", "note"]
+    assert said(5, NUMBA_CACHE_DIR=str(other)) == ["10.0", "1", ""]
 
 
 @pytest.mark.skipif("NUMBA_DISABLE_JIT" in os.environ, reason="nothing is compiled")

@@ -176,7 +176,7 @@ def test_the_route_costs_what_an_independent_library_finds(road: Road, target: i
     assert_agrees(road, EGO, Goal((square(2.5, 100.0 * target, 1.0),)))
 
 
-@pytest.mark.parametrize("stride", [5, pytest.param(1, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("stride", [8, pytest.param(1, marks=pytest.mark.slow)])
 def test_on_real_lane_graphs_too(shared_data: Path, stride: int) -> None:
     """Recorded maps, each from its own start to its own goal; some of them need a lane change."""
     changes = []

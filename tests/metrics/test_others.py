@@ -13,11 +13,13 @@ from metrics.others import each, others_at, pieces
 from replay.closed_loop import run_closed_loop
 from replay.open_loop import run_open_loop
 
-LOGS = ("everyday/junction", "everyday/crosswalk", "pedestrian/group", "everyday/cyclist")
+CASES = [
+    ("everyday/junction", 40, 7), ("everyday/crosswalk", 1, 1), ("pedestrian/group", 900, 250),
+    ("everyday/cyclist", 40, 7),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize("name", LOGS)
-@pytest.mark.parametrize(("cells", "steps"), [(1, 1), (40, 7), (900, 250)])
+@pytest.mark.parametrize(("name", "cells", "steps"), CASES)
 def test_the_size_of_the_pieces_changes_no_bit(
     monkeypatch: pytest.MonkeyPatch, name: str, cells: int, steps: int
 ) -> None:

@@ -117,6 +117,19 @@ def test_what_the_page_shows_drives_and_is_in_the_results(desk: Path) -> None:
     assert done.exit_code == 0 and "My speed" in Path("out/report.html").read_text(encoding="utf-8")
 
 
+def test_the_vehicle_from_scratch_is_driven_by_every_kind_of_controller(desk: Path) -> None:
+    for controller in ("dlqr_pid", "mpc", "pid", OWN["controller"]):
+        loop = {"vehicle": "my_electric:Electric", "controller": controller}
+        result = replan.evaluate(
+            suite="my_family:PARKED", planners=["constant_speed"], out=f"out-{controller[:4]}", mode="closed",
+            internals="none", recording=False, loop=loop,
+        )  # fmt: skip
+        assert list(result.failures["message"]) == [], controller
+        assert set(result.drives["end"]) == {"goal reached"}, controller
+        lateral = result.metrics.query("metric == 'tracking_lateral.max_abs' and mode == 'closed'")["value"]
+        assert (lateral < 0.2).all(), controller
+
+
 def test_a_reader_named_in_the_settings_reads_first(desk: Path) -> None:
     runpy.run_path("write_txy.py")
     done = CliRunner().invoke(app, ["convert", "my_reader:READER", "drive.txy", "-o", "drive.mcap"])
@@ -128,6 +141,7 @@ def test_a_reader_named_in_the_settings_reads_first(desk: Path) -> None:
     assert ego.x[-1] - ego.x[0] == pytest.approx(29.0)
 
 
+@pytest.mark.slow
 def test_installed_packages_give_names(desk: Path) -> None:
     installed(desk)
     loop = {key: NAMES[kind.plural][0] for key, (kind, _) in KINDS.items()}
@@ -268,6 +282,16 @@ def test_two_of_one_name_are_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
             kind.find("b")
 
 
+def test_what_a_module_only_imports_is_not_named_as_its_own(desk: Path) -> None:
+    text = "from math import sin\nfrom pathlib import Path\n\ndef mine(): ...\nclass Mine: ...\n"
+    Path("my_things.py").write_text(text, encoding="utf-8")
+    Path("my_list.py").write_text("from my_things import mine, Mine\n__all__ = ['mine']\n", encoding="utf-8")
+    kind: Kind[object] = Kind("thing", "things", {})
+    for module, known in (("my_things", "Mine, mine"), ("my_list", "mine")):
+        with pytest.raises(ConfigError, match=f"known are: {known}$"):
+            kind.find(f"{module}:zzz")
+
+
 # --- charts and panels that would not be seen
 
 
@@ -296,6 +320,17 @@ def test_a_chart_that_fails_says_why_in_its_place(desk: Path, body: str, said: s
     assert said in chart.says and "my_bad" in chart.body
 
 
+def test_a_chart_that_fails_is_said_by_the_command_and_in_the_report_too(desk: Path) -> None:
+    Path("my_broken.py").write_text("def chart(subject):\n    return 1 / 0\n", encoding="utf-8")
+    words = "evaluate --suite my_family:PARKED -p constant_speed --mode closed --chart my_broken:chart --workers 0"
+    done = CliRunner(env={"COLUMNS": "200"}).invoke(app, [*words.split(), "--no-recording", "-o", "out"])
+    said = "The chart my_broken:chart could not be drawn: ZeroDivisionError"
+    assert said in done.output and "(2 of 2 drives)" in done.output
+    assert "The chart my" in Path("out/report.md").read_text(encoding="utf-8")
+    again = CliRunner().invoke(app, ["report", "out"])
+    assert said in again.stderr and again.exit_code == 0
+
+
 @pytest.mark.parametrize("what", ["vehicle", "controller"])
 def test_what_raises_when_it_is_built_is_named_before_anything_is_driven(
     what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -306,3 +341,28 @@ def test_what_raises_when_it_is_built_is_named_before_anything_is_driven(
     run = RunConfig(loop=LoopConfig(**{what: name}))  # type: ignore[arg-type]
     with pytest.raises(ConfigError, match=rf"{what} '{name}' cannot be built: ValueError: no table .*built\.py:2"):
         checked(run)
+
+
+@pytest.mark.parametrize("what", ["traffic", "perception", "prediction"])
+def test_a_setting_that_is_refused_is_found_before_anything_is_driven(
+    what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    body = "def it(*_, gain: float = 1.0):\n    if gain < 0:\n        raise ValueError('below')\n    return {}[gain]\n"
+    (tmp_path / f"refuses_{what}.py").write_text(body, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    name = f"refuses_{what}:it"
+    run = RunConfig(loop=LoopConfig(**{what: name}), **{SETTINGS[what]: {name: {"gain": -1.0}}})  # type: ignore[arg-type]
+    with pytest.raises(ConfigError, match=rf"{what} '{name}' cannot be built: ValueError: below .*\.py:3"):
+        checked(run)
+
+
+@pytest.mark.parametrize("what", ["traffic", "perception", "prediction"])
+def test_what_a_built_in_log_lacks_is_no_fault_of_the_settings(
+    what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    body = "def it(*_, gain: float = 1.0):\n    return min(gain * car for car in ())\n"
+    (tmp_path / f"needs_{what}.py").write_text(body, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    name = f"needs_{what}:it"
+    run, failures = checked(RunConfig(loop=LoopConfig(**{what: name})))  # type: ignore[arg-type]
+    assert getattr(run.loop, what) == name and not failures

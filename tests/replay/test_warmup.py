@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
+
+import pytest
 
 from replay.batch.pool import run_all
 
@@ -22,8 +25,11 @@ print(gc.isenabled())
 
 
 def _asked(folder: Path, **more: str) -> tuple[list[str], str]:
-    """What a fresh process says with its kernels in a folder: its lines, and what is on stderr."""
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path.cwd()), *sys.path]), **more}
+    """What a fresh process says with its kernels in a folder, none beside the sources: its lines, and stderr."""
+    copy = folder.parent / "copy"
+    for package in ("logs", "replan"):
+        shutil.copytree(package, copy / package, ignore=shutil.ignore_patterns("__pycache__"), dirs_exist_ok=True)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(copy), *sys.path]), **more}
     environment.pop("NUMBA_DISABLE_JIT", None)
     done = subprocess.run(
         [sys.executable, "-c", ASK], env={**environment, "NUMBA_CACHE_DIR": str(folder)}, cwd=folder.parent,
@@ -32,6 +38,7 @@ def _asked(folder: Path, **more: str) -> tuple[list[str], str]:
     return done.stdout.splitlines(), done.stderr
 
 
+@pytest.mark.slow
 def test_kernels_are_compiled_once_for_a_processor_and_read_where_nothing_can_be_written(tmp_path: Path) -> None:
     kept = tmp_path / "kernels"
     kept.mkdir()
@@ -45,6 +52,7 @@ def test_kernels_are_compiled_once_for_a_processor_and_read_where_nothing_can_be
     assert other == first
 
 
+@pytest.mark.slow
 def test_of_work_that_all_need_one_worker_does_the_first(tmp_path: Path) -> None:
     ended = [index for index, _ in run_all(_marked, [tmp_path / str(k) for k in range(4)], 4, one_first=True)]
     others = {int((tmp_path / str(k)).read_text()) for k in range(3)}

@@ -1,4 +1,4 @@
-"""Logs of two seconds, and runs over them."""
+"""Logs of two or three seconds, and runs over them."""
 
 from __future__ import annotations
 
@@ -21,6 +21,14 @@ def short(name: str, *, v: float = 10.0, parked: bool = False) -> Scenario:
     others = tracks(track("parked", [0.0], [60.0], [3.0], static=True)) if parked else None
     made = scenario(log, agents=others, road=lanes_along(log), goal=Goal((square(v * 2.0, 0.0, 4.0),)))
     return replace(made, name=name, tags=("short",))
+
+
+def free_and_blocked() -> tuple[Scenario, Scenario]:
+    """Not quite three seconds each: nobody there, and a car parked where a careful driver still stops."""
+    ego = drive(straight, 8.0, 2.9)
+    free = scenario(ego, road=lanes_along(ego), goal=Goal((square(27.0, 0.0, 4.0),)))
+    wall = tracks(track("wall", [0.0], [24.0], [0.0], static=True))
+    return replace(free, name="test/free"), replace(free, tracks=wall, name="test/blocked")
 
 
 def run(logs: Path | Sequence[Path], out: Path, config: RunConfig = QUICK, **options: int) -> RunResult:

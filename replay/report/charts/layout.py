@@ -31,7 +31,8 @@ LAYOUT: Mapping[str, tuple[str, ...]] = {
 """By place in the page of a drive, from top to bottom, the charts that stand there."""
 OWN = "pictures"
 """Where users' own stand."""
-BROKEN_PX = (440.0, 40.0)
+BROKEN, BROKEN_PX = "broken", (440.0, 40.0)
+"""Name and size of what stands in the place of a chart that could not be drawn."""
 
 
 def placed(subject: Subject, own: Sequence[str] = ()) -> dict[str, list[Chart]]:
@@ -74,4 +75,4 @@ def _some(charts: Any) -> list[Any]:
 def _broken(name: str, why: str) -> Chart:
     width, height = BROKEN_PX
     body = text(0.0, 14.0, shortened(name, width), "title") + text(0.0, 32.0, shortened(why, width), "small", about=why)
-    return Chart("broken", name, f"The chart {name} could not be drawn: {why}", width, height, body)
+    return Chart(BROKEN, name, f"The chart {name} could not be drawn: {why}", width, height, body)

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from logs.kernel import FloatArray
+from logs.words import counted
 from replay.report.charts.axes import BOTTOM_PX, Plane, for_words, spread
 from replay.report.charts.canvas import Chart, dot, legend, line, rect, shortened, text
 from replay.report.columns import Column
@@ -100,7 +101,8 @@ def _distribution(column: Column, strips: Sequence[Strip]) -> Chart:
     head = text(2.0, 13.0, title, "title")
     drawn = plane.drawn(marks, x_title=f"{column.metric}, a dot a log", y_ticks=False, over=_names(plane, names))
     says = f"{title}: " + "; ".join(
-        f"{s.name}: {s.values.min():.3g} to {s.values.max():.3g}, median {np.median(s.values):.3g}, {len(s.logs)} logs"
+        f"{s.name}: {s.values.min():.3g} to {s.values.max():.3g}, median {np.median(s.values):.3g},"
+        f" {counted(len(s.logs), 'log')}"
         for s in strips
     )
     return Chart(column.metric, title, says, WIDTH_PX, plane.height, drawn + head)

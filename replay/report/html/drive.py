@@ -18,7 +18,7 @@ from logs.errors import LogError
 from metrics.gates import Outcome
 from replay.recording.events import Event, events
 from replay.report.charts import Chart, subject
-from replay.report.charts.layout import placed
+from replay.report.charts.layout import BROKEN, placed
 from replay.report.charts.subject import Subject
 from replay.report.model import DriveRow
 from replay.results import DriveResult, Results
@@ -82,6 +82,7 @@ class DrivePage:
         missing: Reason, and the metrics that are not available for it.
         files: Recordings, else traces.
         plot: The command that draws the same pictures.
+        broken: Charts that could not be drawn, a sentence each.
     """
 
     anchor: str
@@ -102,6 +103,7 @@ class DrivePage:
     missing: tuple[tuple[str, str], ...]
     files: tuple[Recording, ...]
     plot: str
+    broken: tuple[str, ...]
 
     @property
     def failed(self) -> tuple[VerdictLine, ...]:
@@ -145,6 +147,7 @@ def drive_page(results: Results, row: DriveRow, anchor: str, page: Path) -> Driv
         tuple(found[:MOST_EVENTS]), max(len(found) - MOST_EVENTS, 0),
         tuple((drive.mode, tuple(_metrics(drive))) for drive in drives),
         tuple(_missing(drives)), tuple(_files(results, drives, page)), _plot(results, row, seen, page),
+        tuple(chart.says for some in charts.values() for chart in some if chart.name == BROKEN),
     )  # fmt: skip
 
 

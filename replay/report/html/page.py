@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
 from importlib import resources
 from math import isfinite
@@ -14,12 +15,13 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
 from logs.errors import writing
+from logs.words import counted
 from metrics.compare import Comparison
 from replay.batch.tables import safe_name, write_text
 from replay.report.charts.canvas import Chart, printable
 from replay.report.charts.overall import distributions, moved, pass_shares
 from replay.report.charts.style import RULES, filled, roles
-from replay.report.html.drive import drive_page
+from replay.report.html.drive import DrivePage, drive_page
 from replay.report.model import DriveRow, Overview
 from replay.results import Results
 
@@ -28,7 +30,7 @@ MOST_REGRESSIONS, MOST_IMPROVEMENTS, MOST_GROUPS, MOST_MOVED = 60, 20, 80, 6
 _ORDER = {"fail": 0, "inconclusive": 1}
 
 
-def write_html(overview: Overview, results: Results, path: Path, *, drives: int = 100) -> None:
+def write_html(overview: Overview, results: Results, path: Path, *, drives: int = 100) -> tuple[str, ...]:
     """Write the report as one HTML file; the same run gives the same bytes.
 
     Args:
@@ -37,9 +39,20 @@ def write_html(overview: Overview, results: Results, path: Path, *, drives: int 
         path: Of the file; links to recordings are relative to it.
         drives: So many drives have a page, the worst first; the table has all of them.
 
+    Returns:
+        Charts that could not be drawn, a sentence each, with how many pages it concerns.
+
     Raises:
         OutputError: It cannot be written.
     """
+    broken = Counter[str]()
+
+    def pages() -> Iterator[DrivePage]:
+        for row in paged:
+            made = drive_page(results, row, anchors[row.log, row.planner], path)
+            broken.update(made.broken)
+            yield made
+
     paged = worst_first(overview.drives)[:drives]
     anchors, shares = _anchors(paged), [*overview.whole, *overview.grouped]
     page = _environment().get_template("report.html").render(
@@ -47,7 +60,7 @@ def write_html(overview: Overview, results: Results, path: Path, *, drives: int 
         shares=_markup(pass_shares(shares, len(overview.planners))) if shares else "",
         distributions=[_markup(chart) for chart in distributions(overview.columns, overview.drives)],
         anchors=anchors,
-        pages=(drive_page(results, row, anchors[row.log, row.planner], path) for row in paged),
+        pages=pages(),
         paged=paged,
         comparison=None if overview.comparison is None else _compared(overview.comparison),
         style=Markup(_read("style.css") + roles("auto") + filled(RULES, "auto")),  # our own files
@@ -56,6 +69,7 @@ def write_html(overview: Overview, results: Results, path: Path, *, drives: int 
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, page)
+    return tuple(f"{said} ({times} of {counted(len(paged), 'drive')})" for said, times in broken.items())
 
 
 def worst_first(drives: Sequence[DriveRow]) -> list[DriveRow]:

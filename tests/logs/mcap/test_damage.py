@@ -289,8 +289,8 @@ def test_the_summary_counts_the_rules(tmp_path: Path) -> None:
     write_scenario(tmp_path / "log.mcap", rich_scenario())
     lines = summarise(tmp_path / "log.mcap").lines()
     what = "lights, stop signs, crosswalks, right of way"
-    assert f"yes  {what}: 1 stop lines with a light, 1 stop signs, 1 crosswalks, 1 lanes that give way" in lines
-    assert "rules: 2 stop lines (1 with a light, 1 with a stop sign), 2 lights, 1 crosswalks, 1 lanes give way" in lines
+    assert f"yes  {what}: 1 stop line with a light, 1 stop sign, 1 crosswalk, 1 lane giving way" in lines
+    assert "rules: 2 stop lines (1 with a light, 1 with a stop sign), 2 lights, 1 crosswalk, 1 lane giving way" in lines
 
 
 def test_agents_without_samples_are_left_out_and_told(tmp_path: Path) -> None:

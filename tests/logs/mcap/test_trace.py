@@ -192,6 +192,18 @@ def test_what_a_sensor_showed_is_on_a_topic_of_its_own(tmp_path: Path) -> None:
     assert messages(tmp_path / "log.mcap", "/perceived") == []
 
 
+def test_who_is_not_there_or_larger_may_be_shown(tmp_path: Path) -> None:
+    """A perception of one's own may show a false positive, or a wrong size."""
+    trace = drive()
+    seen = seen_once(trace)
+    for wrong in (replace(seen, ids=("ghost",)), replace(seen, length=seen.length + 1.0)):
+        write_trace(tmp_path / "log.mcap", replace(trace, perceived=wrong), rich_scenario())
+        again, driven = read_trace(tmp_path / "log.mcap")
+        assert again.perceived is not None
+        assert (again.perceived.ids, again.perceived.length.tolist()) == (wrong.ids, wrong.length.tolist())
+        assert differences(trace.agents, driven.tracks) == []
+
+
 @pytest.mark.parametrize(("internals", "count"), [("none", 0), ("summary", 1), ("full", 1)])
 def test_predictions_are_kept_with_internals(tmp_path: Path, internals: Any, count: int) -> None:
     trace = drive()

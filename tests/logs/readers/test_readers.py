@@ -49,6 +49,16 @@ def test_a_part_of_a_part_is_a_part(first: float, second: float) -> None:
     assert twice.duration == pytest.approx(once.duration)
 
 
+@pytest.mark.parametrize("off", [-(2.0**-51), 0.0, 2.0**-51])
+def test_a_part_may_begin_and_end_a_rounding_off_a_sample(tmp_path: Path, off: float) -> None:
+    """As 3 * 0.7 s is of 2.1 s: `--window 0.7` of a log at 10 Hz."""
+    path = tmp_path / "log.mcap"
+    write_scenario(path, SCENARIO)
+    begin, end = float(SCENARIO.ego.t[7]) + off, float(SCENARIO.ego.t[21]) + off
+    part = read_log(path, LogSettings(begin=begin, end=end))
+    assert len(part.ego) == 15 and part.ego.t[0] == 0.0
+
+
 def test_the_whole_is_the_same_object_and_beyond_the_log_is_an_error() -> None:
     assert cut(SCENARIO, 0.0) is SCENARIO and cut(SCENARIO, 0.0, inf) is SCENARIO
     with pytest.raises(LogError, match=r"no ego states after 500 s: they are from 0 s to"):

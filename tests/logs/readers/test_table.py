@@ -198,6 +198,23 @@ def test_a_column_by_an_unknown_name_is_refused() -> None:
         from_frames(ego(), name="bad", columns={"speed": "v"})
     with pytest.raises(LogError, match=r"no table has the column sped that v is read from"):
         from_frames(ego(), name="bad", columns={"v": "sped"})
+    for wrong in ("others.v", "ego.speed"):
+        with pytest.raises(LogError, match=rf"columns has {wrong}, which is no name here; .*ego\.v, agents\.v"):
+            from_frames(ego(), agents(), columns={wrong: "v"})
+    with pytest.raises(LogError, match=r"no table has the column yaw2 that agents\.yaw is read from"):
+        from_frames(ego().rename(columns={"yaw": "yaw2"}), agents(), columns={"yaw": "yaw2", "agents.yaw": "yaw2"})
+
+
+def test_the_two_tables_may_have_names_of_their_own() -> None:
+    plain = from_frames(ego(), agents())
+    columns = {"t": "time", "ego.x": "east [cm]", "agents.x": "px", "agents.yaw": "course [deg]"}
+    mine = ego().rename(columns={"t": "time", "x": "east"})
+    theirs = agents().rename(columns={"t": "time", "x": "px", "yaw": "course"})
+    mine["east"], theirs["course"] = 100.0 * mine["east"], np.rad2deg(theirs["course"])
+    other = from_frames(mine, theirs, columns=columns)
+    for name in ("t", "x", "y", "yaw"):
+        np.testing.assert_allclose(getattr(other.ego, name), getattr(plain.ego, name), atol=1e-9)
+        np.testing.assert_allclose(getattr(other.tracks, name), getattr(plain.tracks, name), atol=1e-9)
 
 
 def test_times_in_another_unit_are_refused(tmp_path: Path) -> None:

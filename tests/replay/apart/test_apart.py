@@ -19,8 +19,9 @@ from logs.mcap import write_scenario
 from logs.mcap.trace import plan_message
 from logs.states import TRAJECTORY_COLUMNS
 from metrics import evaluate
+from replay.apart.link import clean
 from replay.apart.processes import _warm
-from replay.apart.proxy import clean, described
+from replay.apart.proxy import described
 from replay.batch.one_log import LOOPS
 from replay.batch.resume import stamp_of
 from replay.closed_loop import run_closed_loop
@@ -119,6 +120,7 @@ def test_a_variable_that_is_named_is_passed_on(monkeypatch: pytest.MonkeyPatch) 
     assert "variable SECRET_LOG" in ended("bad_planners:Peeps", LoopConfig(apart=limits)).detail
 
 
+@pytest.mark.slow
 def test_the_whole_drive_may_be_limited() -> None:
     limits = ApartConfig(log_timeout_s=5.0)
     assert (

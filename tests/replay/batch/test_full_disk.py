@@ -69,7 +69,7 @@ KINDS = ("log.mcap", "closed.mcap", "closed.rrd", "log.rrd", "frames.parquet", "
 
 
 @pytest.mark.parametrize("name", KINDS)
-@settings(max_examples=8, phases=[Phase.generate])
+@settings(max_examples=4, phases=[Phase.generate])
 @given(share=st.floats(0.0, 1.0))
 def test_a_file_is_whole_or_not_there(
     writers: dict[str, Callable[[Path], object]], tmp_path_factory: pytest.TempPathFactory, name: str, share: float
@@ -89,7 +89,7 @@ def test_a_file_is_whole_or_not_there(
     assert (folder / name).exists()
 
 
-@pytest.mark.parametrize("size", [0, 300, 3000, 9000])
+@pytest.mark.parametrize("size", [0, 3000, *(pytest.param(size, marks=pytest.mark.slow) for size in (300, 9000))])
 def test_a_run_ends_in_one_line_and_is_resumed(logs: Path, tmp_path: Path, size: int) -> None:
     """At 0 bytes nothing can be begun, then the run's settings, the drives of a log, the tables of the run."""
     whole = run(logs, tmp_path / "whole", QUICK)

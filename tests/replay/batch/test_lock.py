@@ -63,7 +63,7 @@ def test_nothing_of_the_lock_is_left_and_the_folder_may_be_used_again(logs: Path
     assert [entry.name for entry in (tmp_path / "mine").iterdir()] == ["thesis.tex"]
 
 
-@pytest.mark.parametrize("wait", ["killed", "of an earlier life"])
+@pytest.mark.parametrize("wait", ["killed", pytest.param("of an earlier life", marks=pytest.mark.slow)])
 def test_the_lock_of_a_dead_process_is_taken_over(tmp_path: Path, system: str, wait: str) -> None:
     holder = subprocess.Popen([sys.executable, "-c", HOLDER, str(tmp_path)], stdout=subprocess.PIPE, text=True)
     assert holder.stdout is not None and holder.stdout.readline() == "held\n"

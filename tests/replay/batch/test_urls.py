@@ -16,6 +16,7 @@ from short_logs import short
 from logs.mcap import write_scenario
 from logs.remote import listed, local_path, url_of
 from replay.batch.sources import select
+from replay.results import load
 
 pytestmark = [pytest.mark.slow, pytest.mark.filterwarnings("ignore")]  # botocore and the server leave sockets open
 moto: Any = pytest.importorskip("moto.server", reason="moto is not installed: pip install moto[s3] flask flask-cors")
@@ -70,7 +71,7 @@ def replan(*words: str) -> Any:
 
 def files_of(folder: Path) -> dict[str, bytes]:
     """What must be the same: all but clocks, and where the logs were."""
-    names = {"timings.parquet", "summary.json", "log.json"}
+    names = {"timings.parquet", "summary.json", "log.json", "origin.json"}
     return {str(path.relative_to(folder)): path.read_bytes()
             for path in folder.rglob("*") if path.is_file() and path.name not in names}  # fmt: skip
 
@@ -107,6 +108,26 @@ def test_results_at_a_url_are_those_of_a_folder_and_are_resumed(bucket: Any, log
     bucket.get("fleet/results/one", str(tmp_path / "again"), recursive=True)
     assert files_of(tmp_path / "here") == files_of(tmp_path / "again")
     assert not bucket.exists("fleet/results/one/.lock")
+
+
+def test_results_at_a_url_are_looked_at(bucket: Any, logs: Path, tmp_path: Path) -> None:
+    """Each command says of them what it says of the same folder here."""
+    words = ["evaluate", str(logs / "a.mcap"), "-p", "constant_speed", "--mode", "closed", "--workers", "0"]
+    assert replan(*words, "-o", "here").exit_code == 0
+    bucket.put("here", "fleet/there", recursive=True)
+    bucket.put(str(logs / "a.mcap"), "fleet/log.mcap")
+    there = "s3://fleet/there"
+    assert load(there).metrics.equals(load("here").metrics)
+    for words in (["explain"], ["explain", "--at", "1"]):
+        assert replan(words[0], there, *words[1:]).stdout == replan(words[0], "here", *words[1:]).stdout
+    for words in (["compare", there, "here"], ["frame", there, "--at", "1"], ["report", there, "-o", "reports"]):
+        assert replan(*words).exit_code == 0
+    for words in (["plot", there, "-o", "one.png"], ["baseline", there, "-o", "one.parquet"],
+                  ["view", there, "here", "--log", "test/a", "--save", "one.rrd"],
+                  ["view", "s3://fleet/log.mcap", "--save", "two.rrd"]):  # fmt: skip
+        assert replan(*words).exit_code == 0
+        assert Path(words[-1]).stat().st_size > 1000
+    assert replan("vary", "s3://fleet/nothing.mcap", "--list-agents").exit_code == 2
 
 
 def test_shards_at_urls_are_merged(bucket: Any, logs: Path, tmp_path: Path) -> None:

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from handmade import drive, lanes_along, scenario, square, straight, track, tracks
+from short_logs import free_and_blocked
 
-from logs import Goal
 from logs.mcap import write_scenario
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Two logs of not quite three seconds: nobody there, and a car parked where a careful driver still stops."""
+    """`free.mcap` and `blocked.mcap`, once in each process of the tests: to be read only."""
     out = tmp_path_factory.mktemp("logs")
-    ego = drive(straight, 8.0, 2.9)
-    free = scenario(ego, road=lanes_along(ego), goal=Goal((square(27.0, 0.0, 4.0),)))
-    blocked = replace(free, tracks=tracks(track("wall", [0.0], [24.0], [0.0], static=True)))
-    write_scenario(out / "free.mcap", replace(free, name="test/free"))
-    write_scenario(out / "blocked.mcap", replace(blocked, name="test/blocked"))
+    for log in free_and_blocked():
+        write_scenario(out / f"{log.name.removeprefix('test/')}.mcap", log)
     return out

@@ -300,6 +300,9 @@ def test_the_index_lists_the_worst_first_and_says_how_others_are_opened(recorded
     _, worst = write_index(tmp_path / "index.rrd", recorded, 1)
     (page,) = Recording(tmp_path / "index.rrd").static("/index", "TextDocument:text").to_pylist()
     assert page.index("test/blocked") < page.index("test/free") and "1 of 2 recordings" in page
+    for row in load(recorded).drives.query("mode == 'closed'").itertuples():
+        (file,) = (recorded.resolve() / file for file in row.files if file.endswith(".rrd"))
+        assert f"| [{row.log}](<{file.as_posix()}>) |" in page and file.is_file()
     assert "--log LOG" in page and [file.parent.name.split("-")[0] for file in worst] == ["test_blocked"]
 
 

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
-from dataclasses import replace
 from itertools import product
 from pathlib import Path
 
 import pytest
-from handmade import drive, lanes_along, scenario, square, straight, track, tracks
 from typer.testing import CliRunner
 
-from logs import Goal
-from logs.mcap import write_scenario
 from replay.cli import app
 from replay.report.overview import combined
 
@@ -40,14 +36,9 @@ GATES = {
 
 
 @pytest.fixture(scope="module")
-def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def place(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Logs, gates, planners that misbehave, and results of two runs."""
-    folder = tmp_path_factory.mktemp("cases")
-    ego = drive(straight, 8.0, 2.9)
-    free = scenario(ego, road=lanes_along(ego), goal=Goal((square(27.0, 0.0, 4.0),)))
-    blocked = replace(free, tracks=tracks(track("wall", [0.0], [24.0], [0.0], static=True)))
-    for name, log in (("free", free), ("blocked", blocked)):
-        write_scenario(folder / f"{name}.mcap", replace(log, name=f"test/{name}"))
+    folder = Path(shutil.copytree(folder, tmp_path_factory.mktemp("cases"), dirs_exist_ok=True))
     (folder / "broken.mcap").write_bytes((folder / "free.mcap").read_bytes()[:-100])
     (folder / "misbehaving_cases.py").write_text(PLANNERS, encoding="utf-8")
     for name, rule in GATES.items():

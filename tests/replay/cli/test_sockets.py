@@ -112,6 +112,7 @@ def test_no_command_opens_a_socket(logs: Path, tmp_path: Path) -> None:
         assert "SOCKET" not in said and "Traceback" not in said, said
 
 
+@pytest.mark.slow
 def test_the_viewer_listens_on_this_machine_only_and_has_no_analytics(logs: Path, tmp_path: Path) -> None:
     write_log_recording(tmp_path / "log.rrd", read_scenario(logs / "a.mcap"))
     with socket.socket() as probe:

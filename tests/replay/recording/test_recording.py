@@ -32,7 +32,7 @@ from logs.errors import ConfigError, OutputError
 from logs.kernel import FloatArray
 from metrics import series
 from replay.drive import Drive, StageTime
-from replay.recording import scene_times, write_log_recording, write_recording
+from replay.recording import colours, scene_times, write_log_recording, write_recording
 from replay.recording.axes import HEIGHT, LABEL_GAP, LETTER, WIDTH, Axes, nice_step, spread, ticks
 from replay.recording.columns import Instants, Tape
 from replay.recording.events import events
@@ -278,17 +278,17 @@ def test_the_pedestrian_blocks_the_graph_until_it_has_left(closed: tuple[Drive, 
 
 def test_lanes_of_states_change_when_the_plans_do(closed: tuple[Drive, Scenario, Recording]) -> None:
     _, _, recording = closed
-    states = recording.column("/state/Plan", "StateChange:state").to_pylist()
-    assert list(zip(recording.times("/state/Plan").tolist(), states, strict=True)) == [
+    states = recording.column("/Plan", "StateChange:state").to_pylist()
+    assert list(zip(recording.times("/Plan").tolist(), states, strict=True)) == [
         (0.0, ["planned"]),
         (14.0, ["previous plan "]),  # too short for its label
         (14.3, ["planned"]),
     ]
-    assert recording.column("/state/Drive", "StateChange:state").to_pylist() == [["driving"], ["goal reached "]]
+    assert recording.column("/Drive", "StateChange:state").to_pylist() == [["driving"], ["goal reached "]]
     for lane in ("Plan", "Decision-along", "Decision-across", "Drive"):
-        shown = set(recording.column(f"/state/{lane}", "StateChange:state").flatten().to_pylist())
-        assert shown == set(recording.static(f"/state/{lane}", "StateConfiguration:values").to_pylist())
-    labels = recording.static("/state/Plan", "StateConfiguration:labels").to_pylist()
+        shown = set(recording.column(f"/{lane}", "StateChange:state").flatten().to_pylist())
+        assert shown == set(recording.static(f"/{lane}", "StateConfiguration:values").to_pylist())
+    labels = recording.static("/Plan", "StateConfiguration:labels").to_pylist()
     assert labels == ["planned", " "]
 
 
@@ -463,7 +463,7 @@ def test_a_log_by_itself(tmp_path: Path) -> None:
     recording = Recording(tmp_path / "log.rrd")
     np.testing.assert_array_equal(recording.scalars("/plots/speed/ego"), world.ego.v)
     assert len(recording.times("/world/ego")) == 201
-    assert not {"/why", "/events", "/state/Plan"} & set(recording.moving)
+    assert not {"/why", "/events", "/Plan"} & set(recording.moving)
     start = replace(world, ego=world.ego.between(0.0, 0.0))
     write_log_recording(tmp_path / "start.rrd", start)
     assert len(Recording(tmp_path / "start.rrd").times("/world/agents/truck")) == 201
@@ -507,6 +507,7 @@ def viewer() -> None:
         pytest.skip("no Vulkan driver: the viewer cannot draw (Debian: mesa-vulkan-drivers)")
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("viewer")
 def test_the_viewer_draws_all_views_without_a_complaint(tmp_path: Path) -> None:
     done, world = drive(pedestrian="".join(sorted(DRAWABLE)))
@@ -552,3 +553,9 @@ def test_a_hidden_tab_is_opened_in_the_layout_that_was_asked_for() -> None:
 def test_the_road_of_the_sample_is_where_its_line_is() -> None:
     x, y, _ = to_world(np.array([50.0]), np.array([0.0]))
     assert LINE.project(float(x[0]), float(y[0]))[0] == pytest.approx(50.0, abs=0.05)
+
+
+@pytest.mark.parametrize("colour", [*colours.DECISIONS.values(), colours.TICK, colours.GOAL])
+def test_words_are_read_on_dark_and_on_light_plates(colour: int) -> None:
+    words = colours.luminance(colours.of_words(colour)) + 0.05
+    assert min(words / (0.012 + 0.05), (0.81 + 0.05) / words) >= 3.0

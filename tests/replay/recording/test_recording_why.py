@@ -133,6 +133,17 @@ def test_the_recording_draws_hypotheses_ghosts_and_the_sensor(sensed: Drive, tmp
     drawn = recording.counts("/world/predictions", "LineStrips3D:strips")
     expected = [len(futures(f, f.visibility.x, f.visibility.y)) for f in trace.frames if f.visibility]
     assert drawn.tolist() == expected and max(expected) == 1
+
+
+def test_who_is_shown_and_is_not_there_is_drawn(sensed: Drive, tmp_path: Path) -> None:
+    """A perception of one's own may show false positives."""
+    world = replace(CATALOGUE["paper/crossing_pedestrian"].scenario(), tracks=Tracks.empty())
+    false = replace(sensed, trace=replace(sensed.trace, agents=Tracks.empty()))
+    write_recording(tmp_path / "false.rrd", false, world)
+    recording = Recording(tmp_path / "false.rrd")
+    ghosts = recording.counts("/world/perceived", "Boxes3D:centers")
+    assert ghosts.tolist() == [len(frame.agents) for frame in false.trace.frames] and max(ghosts) == 1
+    assert recording.counts("/world/predictions", "LineStrips3D:strips").max() == 1
     assert (recording.counts("/world/sensor/edge", "LineStrips3D:strips") == 1).all()
 
 
@@ -242,9 +253,9 @@ def test_rows_of_lanes_are_in_the_recording(tmp_path: Path) -> None:
     done, world = drive()
     write_recording(tmp_path / "some.rrd", replace(done, trace=changing()), world)
     recording = Recording(tmp_path / "some.rrd")
-    states = recording.column("/state/Choice-of-lane", "StateChange:state").flatten().to_pylist()
+    states = recording.column("/Choice-of-lane", "StateChange:state").flatten().to_pylist()
     assert [state.rstrip() for state in states] == ["keep", "keep: others compared", "change left"]
-    assert "/state/Lane" not in recording.moving, "one lane needs no row"
+    assert "/Lane" not in recording.moving, "one lane needs no row"
 
 
 def test_the_reason_of_a_plan_is_shown_and_is_an_event_once() -> None:

@@ -13,19 +13,20 @@ from pathlib import Path
 import pandas as pd
 import pytest
 import xmlschema
-from handmade import drive, lanes_along, scenario, square, straight, track, tracks
+from handmade import drive, lanes_along, scenario, straight, track, tracks
 from hypothesis import given
 from hypothesis import strategies as st
 from junitparser import Error, Failure, JUnitXml, Skipped, TestSuite
 from markdown_it import MarkdownIt
+from short_logs import free_and_blocked
 from typer.testing import CliRunner
 
-from logs import Goal
 from logs.mcap import write_scenario
 from metrics.compare import PAIR_COLUMNS, Comparison, RuleVerdict
 from metrics.compare_groups import GROUP_COLUMNS
 from metrics.gates import Outcome
 from replay.batch import evaluate_logs
+from replay.batch.tables import REPORTS
 from replay.cli import app
 from replay.config import RunConfig
 from replay.report.console import SafeConsole
@@ -72,11 +73,9 @@ planner = "constant_sped"
 def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
     """A log that passes, one with a crash, one with a hostile name, and one that cannot be read."""
     folder = tmp_path_factory.mktemp("logs")
-    ego = drive(straight, 8.0, 2.9)
-    free = scenario(ego, road=lanes_along(ego), goal=Goal((square(27.0, 0.0, 4.0),)))
-    blocked = replace(free, tracks=tracks(track("wall", [0.0], [24.0], [0.0], static=True)))
-    write_scenario(folder / "a.mcap", replace(free, name="test/free", tags=("rain",)))
-    write_scenario(folder / "b.mcap", replace(blocked, name="test/blocked"))
+    free, blocked = free_and_blocked()
+    write_scenario(folder / "a.mcap", replace(free, tags=("rain",)))
+    write_scenario(folder / "b.mcap", blocked)
     write_scenario(folder / "c.mcap", replace(free, name=HOSTILE))
     (folder / "d.mcap").write_bytes((folder / "a.mcap").read_bytes()[:-100])
     (folder / "gates.toml").write_text(GATES, encoding="utf-8")
@@ -356,10 +355,10 @@ def test_the_limit_of_ci_is_kept_with_what_is_there_already(results: Results, tm
 
 def test_a_folder_says_the_same_wherever_it_is(results: Results, tmp_path: Path) -> None:
     shutil.copytree(results.path, tmp_path / "elsewhere" / "run")
-    one, two = (
-        write_reports(found, overview(found), found.path) for found in (results, load(tmp_path / "elsewhere/run"))
-    )
-    for before, after in zip(one, two, strict=True):
+    both = (results, load(tmp_path / "elsewhere/run"))
+    for found in both:
+        write_reports(found, overview(found), found.path)
+    for before, after in ([found.path / name for found in both] for name in REPORTS):
         assert before.read_bytes() == after.read_bytes()
         for place in (results.path, *{Path(source).parent for source in results.logs["source"]}):
             assert str(place).encode() not in before.read_bytes()

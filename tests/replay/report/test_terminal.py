@@ -68,6 +68,7 @@ def test_no_command_lets_a_name_through(tmp_path: Path) -> None:
         assert not any(raw in done.output for raw in RAW)
 
 
+@pytest.mark.slow
 def test_an_encoding_that_lacks_a_letter_is_no_traceback(tmp_path: Path) -> None:
     write_scenario(tmp_path / "北.mcap", short("x"))
     path = os.pathsep.join([str(Path.cwd()), *sys.path])

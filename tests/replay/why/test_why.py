@@ -22,10 +22,11 @@ from replay.closed_loop import run_closed_loop
 from replay.drive import ApartConfig, LoopConfig
 from replay.open_loop import run_open_loop
 from replay.why import Account, Action, Cause, CauseKind, accounts, sentences
+from replay.why.alternatives import NOISE, SHOWS, telling
 from replay.why.causes import CURVE_MPS2, STAYS_BEHIND, Explainer
-from replay.why.course import LOOK_S, Held
+from replay.why.course import LOOK_S, Course, Held
 from replay.why.meetings import GAP_M, HEADWAY_S, VULNERABLE_MARGIN_M, fine
-from replay.why.sentences import MOST
+from replay.why.sentences import MOST, conflicts
 from replay.why.shown import Shown, shown
 from replay.why.way import Way, Ways
 
@@ -98,7 +99,9 @@ def check(case: Shown, account: Account, world: Scenario, ways: Ways) -> None:
     if case.predictions is not None and len(case.predictions):
         away = gaps(case, held.s, way, world)
         check_others(case, causes, held, away)
-    for sentence, cause in zip(said[len(account.causes) - len(causes) :], causes[:MOST], strict=False):
+    told = conflicts(account)
+    assert all(cause in told or any(cause.who in one.reason for one in told) for cause in causes)
+    for sentence, cause in zip(said[len(account.causes) - len(causes) :], told[:MOST], strict=False):
         check_numbers(sentence, cause, account)
 
 
@@ -244,6 +247,33 @@ def test_a_word_about_who_is_near_the_way_is_the_planners() -> None:
     assert said == ["Slows down for waits (yield): may step out; so the planner says."]
 
 
+@pytest.mark.parametrize(("y", "kind"), [(3.2, CauseKind.WORD), (12.0, CauseKind.NONE)])
+def test_who_is_overtaken_near_the_way_is_inferred_where_nothing_else_is_found(y: float, kind: CauseKind) -> None:
+    world = world_with(track("walks", [0.0], [30.0], [y], static=True))
+    account = why_of(world, braking(world, (Decision("walks", DecisionKind.OVERTAKE, "speed", "steps out later"),)))
+    (cause,) = account.causes
+    assert cause.kind is kind and cause.inferred
+    said = (
+        "Slows down for walks (inferred; the planner decided: overtake): steps out later; near its way, but at 10.0 m/s"
+    )
+    assert (sentences(account) == [f"{said} not met."]) is (kind is CauseKind.WORD)
+
+
+def test_one_conflict_is_said_once() -> None:
+    lane, car = Cause(CauseKind.STOP, "lane 5", "yield", "car 3 goes first", False), Cause(CauseKind.AGENT, "car 3")
+    course = Course(Action.SLOWS, 8.0, 0.0, 0.0, 8.0, 8.0, -1.0, 0.0, 0.0)
+    for others, told in ((("car 3",), 1), (("car 33",), 2), (("3", "car"), 2), (("car 3", "b"), 2)):
+        account = Account(0.0, course, True, (lane, *(replace(car, who=who) for who in others)))
+        assert len(conflicts(account)) == len(sentences(account)) == told
+
+
+@given(st.lists(st.tuples(st.sampled_from("abc"), st.floats(0.0, 1e6)), min_size=1, max_size=8))
+def test_the_terms_that_are_told_make_up_the_cost(terms: list[tuple[str, float]]) -> None:
+    total, told = sum(value for _, value in terms), sum(value for _, value in telling(terms))
+    assert abs(total - told) <= len(terms) * max(NOISE, SHOWS * total)
+    assert telling([(name, 1e-9 * value / 1e6) for name, value in terms]) == []
+
+
 def test_where_nothing_explains_it_no_cause_is_found() -> None:
     world = world_with()
     (said,) = sentences(why_of(world, braking(world)))
@@ -289,6 +319,37 @@ def test_the_goal_is_a_cause_of_who_comes_to_rest_at_it() -> None:
     world = world_with(goal=Goal((square(27.0, 0.0, 4.0),)), speed=7.0)
     (cause,) = why_of(world, braking(world)).causes
     assert (cause.kind, cause.who) == (CauseKind.GOAL, "place")
+
+
+@pytest.mark.parametrize(("end", "kind"), [(60.0, CauseKind.GOAL), (400.0, CauseKind.NONE)])
+def test_the_goals_time_is_a_cause_where_its_region_ends_before(end: float, kind: CauseKind) -> None:
+    """At 10 m/s from 0 s on: 60 m are passed long before 60 s, 400 m are not looked at."""
+    region = np.array([[-5.0, -3.0], [end, -3.0], [end, 3.0], [-5.0, 3.0]])
+    world = world_with(goal=Goal((region,), t=(60.0, 70.0)))
+    (cause,) = why_of(world, braking(world)).causes
+    assert cause.kind is kind
+
+
+def straight_on(v: FloatArray, a: FloatArray) -> Plan:
+    """Along x for 8 s."""
+    t = np.linspace(0.0, 8.0, 81)
+    s = np.r_[0.0, np.cumsum(0.05 * (v[1:] + v[:-1]))]
+    return Plan(Trajectory(t, s, 0.0 * t, 0.0 * t, v, a, 0.0 * t))
+
+
+@pytest.mark.parametrize(("accel", "action"), [(0.0, Action.HOLDS), (-0.5, Action.SPEEDS), (0.5, Action.SLOWS)])
+def test_a_plan_in_reverse_does_not_stand(accel: float, action: Action) -> None:
+    v = -4.0 + accel * np.linspace(0.0, 8.0, 81)
+    account = why_of(world_with(), straight_on(v, np.full(81, accel)))
+    assert (account.course.action, sentences(account)) == (action, [])
+
+
+@pytest.mark.parametrize(("until", "kind"), [(2.0, CauseKind.BEGUN), (6.0, CauseKind.NONE)])
+def test_who_brakes_until_they_stand_does_not_let_go(until: float, kind: CauseKind) -> None:
+    t = np.linspace(0.0, 8.0, 81)
+    plan = straight_on(6.0 - np.minimum(t, until), np.where(t < until, -1.0, 0.0))
+    (cause,) = why_of(world_with(speed=6.0), plan).causes
+    assert cause.kind is kind
 
 
 def test_who_stands_would_meet_somebody_if_it_drove_off() -> None:

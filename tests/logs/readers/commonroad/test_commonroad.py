@@ -455,7 +455,7 @@ def _convert_all(files: list[Path]) -> None:
 
 
 def test_recorded_files_convert(shared_data: Path) -> None:
-    _convert_all(_recorded(shared_data)[1::6])
+    _convert_all(_recorded(shared_data)[1::15])
 
 
 @pytest.mark.slow

@@ -573,6 +573,7 @@ def test_a_part_is_the_same_as_of_the_whole(plain: Path) -> None:
     assert len(windows(plain, LogSettings(), 2.0)) == 3
 
 
+@pytest.mark.slow
 def test_a_part_reads_no_more_than_it_needs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Ten minutes with images: six seconds of them cost a fifteenth of the bytes at most."""
     duration = 600.0
@@ -638,7 +639,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
 
 
 @given(st.data(), st.sampled_from(["plain.mcap", "plain.mcap", "zstd.mcap", "log.db3", "old.bag"]))
-@settings(max_examples=250, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_any_bytes_give_a_log_or_a_log_error(small: dict[str, bytes], tmp_path: Path, data: Any, name: str) -> None:
     path = tmp_path / name
     path.write_bytes(data.draw(st.composite(lambda draw: shaken(small[name], draw))()))

@@ -151,7 +151,7 @@ class Metric:
             raise ValueError(f"metric {self.name!r}: {broken}")
 
     def found(self, trace: Trace, scenario: Scenario) -> Measured | Mapping[str, Measured]:
-        """What `measure` gives, called once for a drive however many scores are made of it."""
+        """What `measure` gives, called once for a drive however many scores are made of it; of a long one again."""
         return _found(trace, scenario, self.measure)
 
     def measured(self, trace: Trace, scenario: Scenario) -> dict[str, Measured]:
@@ -174,9 +174,17 @@ class Metric:
         return {f"{self.name}.{part}": found for part in parts} or {self.name: found}
 
 
-@last(1024)
 def _found(trace: Trace, scenario: Scenario, measure: Measure) -> Measured | Mapping[str, Measured]:
+    return (_all if len(trace.ego) <= LONG_STEPS else _newest)(trace, scenario, measure)
+
+
+def _asked(trace: Trace, scenario: Scenario, measure: Measure) -> Measured | Mapping[str, Measured]:
     return measure(trace, scenario)
+
+
+_all, _newest = last(1024)(_asked), last(8)(_asked)
+LONG_STEPS = 60_000
+"""Of a drive with more steps (ten minutes at 100 Hz: 1 MB a series) the newest series are kept: scores ask again."""
 
 
 def _extreme(series: Series, score: FloatArray) -> tuple[float, int]:

@@ -113,8 +113,9 @@ def _perceived(shown: Tracks, frames: list[int], start_ns: int) -> Iterator[Entr
     times = np.array(log_times(shown.t, start_ns, "/perceived"), dtype=np.int64)
     track = np.repeat(np.arange(len(shown)), np.diff(shown.offsets))
     order = np.lexsort((track, times))
+    ordered = times[order]
     for time in frames:
-        at = order[np.searchsorted(times[order], time) : np.searchsorted(times[order], time, side="right")]
+        at = order[np.searchsorted(ordered, time) : np.searchsorted(ordered, time, side="right")]
         columns = (getattr(shown, name)[at].tolist() for name in ("x", "y", "yaw", "vx", "vy"))
         yield time, "/perceived", native.AgentColumns([shown.ids[i] for i in track[at]], *columns)
 

@@ -74,7 +74,9 @@ def futures(frame: PlannedFrame, x: float, y: float) -> list[tuple[str, float, F
     names = [frame.agents[some.agent[i]] for i in first]
     kept = some.agent[first][in_full(names, some.x[first, 0], some.y[first, 0], decided(frame.plan), (x, y))]
     reach = np.hypot(some.x - some.x[:, :1], some.y - some.y[:, :1]).max(axis=1)
-    rows = np.flatnonzero(near & np.isin(some.agent, kept) & (reach >= SHORTEST_M))
+    whose = np.zeros(len(frame.agents), np.bool_)
+    whose[kept] = True
+    rows = np.flatnonzero(near & whose[some.agent] & (reach >= SHORTEST_M))
     return [
         (frame.agents[some.agent[i]], float(some.probability[i]), np.column_stack([some.x[i], some.y[i]])) for i in rows
     ]

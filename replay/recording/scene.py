@@ -12,7 +12,7 @@ from math import cos, hypot, sin
 import numpy as np
 import rerun as rr
 
-from logs.kernel import FloatArray, IntArray
+from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.scenario import AgentKind, Agents, Scenario
 from logs.states import Trajectory
 from logs.trace import Decision, Plan, Trace
@@ -158,7 +158,7 @@ def _draw_kind(
     half = np.column_stack([length, width, np.full(len(xy), height)]) / 2.0
     names = {name: plain(name) for name in {name for some in agents for name in some.ids}}
     labels = [names[some.ids[i]] for some, at in zip(agents, chosen, strict=True) for i in at]
-    seen = np.concatenate([np.isin(at, some) for at, some in zip(chosen, full, strict=True)])
+    seen = np.concatenate([_marked(some, len(all_))[at] for at, some, all_ in zip(chosen, full, agents, strict=True)])
     colour = np.where(seen, colours.KINDS[kind], colours.with_alpha(colours.KINDS[kind], FAINT)).astype(np.uint32)
     style = rr.Boxes3D.from_fields(fill_mode=FILLED, show_labels=False)
     boxes = rr.Boxes3D.columns(
@@ -170,6 +170,13 @@ def _draw_kind(
     )
     tape.static(f"world/agents/{kind.value}", style)
     tape.rows(f"world/agents/{kind.value}", instants, boxes, [len(at) for at in chosen])
+
+
+def _marked(rows: IntArray, count: int) -> BoolArray:
+    """Which of so many are among the rows."""
+    out = np.zeros(count, np.bool_)
+    out[rows] = True
+    return out
 
 
 def _draw_velocities(tape: Tape, agents: Sequence[Agents], full: Sequence[IntArray], instants: Instants) -> None:

@@ -149,7 +149,7 @@ def picture(recording: Path, out: Path, at: float, layout: str, tile: str | None
     _check_size(size)
     with writing(out):
         out.parent.mkdir(parents=True, exist_ok=True)
-        take_pictures(recording, [Picture(out, at, tile, layout)], size=size, theme=theme)
+    take_pictures(recording, [Picture(out, at, tile, layout)], size=size, theme=theme)
 
 
 def filmed(

@@ -9,12 +9,12 @@ A picture has no header (menu, warnings about the driver) and no time panel; the
 from __future__ import annotations
 
 import subprocess
-import sysconfig
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.resources import files
 from io import BytesIO
 from pathlib import Path
 from typing import IO, Any
@@ -23,6 +23,7 @@ from PIL import Image
 from rerun.experimental import ViewerClient
 
 from logs.errors import ConfigError, ReplanError
+from replay.batch.tables import write_file
 from replay.recording.columns import SIM_TIME
 from replay.recording.theme import SETTINGS, clicked
 from replay.view import LAYOUTS, Theme
@@ -80,6 +81,7 @@ def take_pictures(
     Raises:
         ConfigError: There is no such layout or view.
         ScreenshotError: No graphics driver, the viewer died, or a picture never settled.
+        OutputError: A picture cannot be written.
     """
     width, height = (int(part) for part in size.split("x"))
     with _viewer(f"{width}x{height + HEADER_PX}", theme, timeout) as (client, alive):
@@ -174,7 +176,7 @@ def _settle(client: Any, picture: Picture, view: str | None, timeout: float, ali
     _until(settled, timeout, alive, f"the picture at {picture.t} s never settled")
     if view is None:
         last = _without_header(last)
-    picture.out.write_bytes(last)
+    write_file(picture.out, lambda partial: partial.write_bytes(last))
 
 
 def _without_header(png: bytes) -> bytes:
@@ -197,7 +199,7 @@ def _until(done: Callable[[], bool], timeout: float, alive: Callable[[], None], 
 @contextmanager
 def _viewer(size: str, theme: Theme, timeout: float) -> Iterator[tuple[Any, Callable[[], None]]]:
     """A headless viewer, its client, and a check that it is alive; it ends with the block."""
-    binary = Path(sysconfig.get_paths()["platlib"]) / "rerun_cli" / "rerun"
+    binary = Path(str(files("rerun_cli").joinpath("rerun")))
     port = free_port()
     command = [str(binary), "--headless", "--port", str(port), "--bind", LOOPBACK, "--window-size", size]
     with tempfile.TemporaryFile("w+") as log, environment(RUST_LOG="error") as variables:

@@ -132,6 +132,7 @@ print(times(2.0), compiled_here())
 """
 
 
+@pytest.mark.slow
 def test_code_beside_the_sources_is_found_where_they_are_copied_and_only_what_it_is_for(tmp_path: Path) -> None:
     """As a wheel brings it: at another place, read-only, another folder chosen; not for another processor or code."""
     built, used, other = tmp_path / "built", tmp_path / "used", tmp_path / "other"

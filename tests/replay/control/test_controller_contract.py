@@ -43,7 +43,9 @@ def assert_lawful(commands: list[Command]) -> None:
 
 
 @pytest.mark.parametrize("name", CONTROLLERS)
-@pytest.mark.parametrize("family", CATALOGUE)
+@pytest.mark.parametrize(
+    "family", [pytest.param(name, marks=[pytest.mark.slow] * (i % 3 > 0)) for i, name in enumerate(CATALOGUE)]
+)
 def test_every_controller_follows_every_logged_drive(name: str, family: str) -> None:
     """Finite, within the limits, one pedal at a time; and the car is still on its drive in the end."""
     logged = CATALOGUE[family].scenario().ego

@@ -42,9 +42,15 @@ def conflicts(account: Account) -> list[Cause]:
 
 
 def _named(reason: str, people: Sequence[str]) -> set[str]:
-    """Whose name is in a reason; of several that of the last: the first may be the word for what they are."""
+    """Whose name is in a reason; of several that of the last: the first may be the word for what they are.
+
+    Many are called by a number: those with a fraction are measured.
+    """
     found = {
-        hit.start(): who for who in people for hit in re.finditer(rf"(?<!\w){re.escape(who)}(?!\w)", reason) if who
+        hit.start(): who
+        for who in people
+        for hit in re.finditer(rf"(?<![\w.]){re.escape(who)}(?!\w|\.\d)", reason)
+        if who
     }
     return {found[max(found)]} if found else set()
 

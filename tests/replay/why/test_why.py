@@ -260,11 +260,14 @@ def test_who_is_overtaken_near_the_way_is_inferred_where_nothing_else_is_found(y
 
 
 def test_one_conflict_is_said_once() -> None:
-    lane, car = Cause(CauseKind.STOP, "lane 5", "yield", "car 3 goes first", False), Cause(CauseKind.AGENT, "car 3")
+    why = "car 3 goes first: takes it from 2.0 s on, the ego would from 1.0 s to 4.0 s"
+    lane, car = Cause(CauseKind.STOP, "lane 5", "yield", why, False), Cause(CauseKind.AGENT, "car 3")
     course = Course(Action.SLOWS, 8.0, 0.0, 0.0, 8.0, 8.0, -1.0, 0.0, 0.0)
-    for others, told in ((("car 3",), 1), (("car 33",), 2), (("3", "car"), 2), (("car 3", "b"), 2)):
+    numbers = (("2", "0"), 3), (("3", "4"), 2)
+    for others, told in ((("car 3",), 1), (("car 33",), 2), (("3", "car"), 2), (("car 3", "b"), 2), *numbers):
         account = Account(0.0, course, True, (lane, *(replace(car, who=who) for who in others)))
         assert len(conflicts(account)) == len(sentences(account)) == told
+        assert {"3", "car 3"}.isdisjoint(cause.who for cause in conflicts(account))
 
 
 @given(st.lists(st.tuples(st.sampled_from("abc"), st.floats(0.0, 1e6)), min_size=1, max_size=8))

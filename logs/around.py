@@ -8,8 +8,8 @@ least `OWN`. `BACK_S` is longer than a sample stands for its agent (`logs.presen
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, field, fields
 from functools import cached_property
 
 import numpy as np
@@ -117,6 +117,11 @@ class Recent(Tracks):
     def whole(self) -> Tracks:
         """The tracks since the begin."""
         return self.all_of_them()
+
+    def only(self, ids: Collection[str]) -> Tracks:
+        """As `Tracks.only`, of the whole, too."""
+        columns = (getattr(super(Recent, self).only(ids), each.name) for each in fields(Tracks))
+        return Recent(*columns, all_of_them=lambda: self.whole.only(ids))
 
 
 def _part(tracks: Tracks, who: IntArray, low: IntArray, high: IntArray) -> Tracks:

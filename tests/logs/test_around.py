@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from logs import AgentKind, Agents, Tracks
-from logs.around import BACK_S, SPAN_S, Around
+from logs.around import BACK_S, SPAN_S, Around, Recent
 from logs.states import EgoState
 from logs.vehicle import VehicleParameters
 from replay.world import World, contact
@@ -75,3 +75,14 @@ def test_a_part_is_kept_for_its_span_and_holds_no_more_than_around_it() -> None:
     inner = [part.t[part.samples(i)] for i in range(len(part))]
     assert all((t > 50.0 - BACK_S - 2.0).sum() >= len(t) - 12 for t in inner[:-1])
     assert Around().of(part, 50.0, 50.0) is part
+
+
+def test_some_of_those_around_now_are_some_of_the_whole() -> None:
+    whole = come_and_go(2)
+    now = whole.taken(whole.t >= 60.0)
+    recent = Recent(*(getattr(now, each.name) for each in fields(Tracks)), all_of_them=lambda: whole)
+    few = now.ids[:2]
+    assert recent.only(few).ids == recent.only(few).whole.ids == few
+    assert recent.only(few).t.tobytes() == now.only(few).t.tobytes()
+    assert recent.only(few).whole.t.tobytes() == whole.only(few).t.tobytes()
+    assert recent.only(few).only(few[1:]).whole.ids == few[1:]

@@ -217,7 +217,7 @@ class Launcher:
             )  # fmt: skip
         self.forks = Forks(control)
         self.templates: dict[Load, Forks | None] = {}
-        self.close = weakref.finalize(self, _ended_with, control, self._process)
+        self.close = weakref.finalize(self, _ended_with, control, self._process, self.templates)
 
     @property
     def alive(self) -> bool:
@@ -239,7 +239,11 @@ class Launcher:
         return self.templates[load]
 
 
-def _ended_with(control: socket.socket, process: subprocess.Popen[bytes]) -> None:
+def _ended_with(
+    control: socket.socket, process: subprocess.Popen[bytes], templates: Mapping[Load, Forks | None]
+) -> None:
+    for each in filter(None, templates.values()):
+        each.close()  # they end by that alone: it would wait for them
     control.close()
     with suppress(subprocess.TimeoutExpired):
         process.wait(10.0)

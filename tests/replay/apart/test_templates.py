@@ -15,6 +15,7 @@ from short_logs import short
 
 from logs import EndReason, PlannerError, Trace
 from logs.states import TRAJECTORY_COLUMNS
+from replay.apart.launcher import ENDING_S
 from replay.apart.processes import _warm, loaded_for
 from replay.batch.one_log import LOOPS
 from replay.batch.run import evaluate_logs
@@ -169,6 +170,14 @@ def test_a_class_prepares_itself_once_and_everywhere_alike() -> None:
         found += [plans(driven(planner, file="b")) for _ in range(2)]
         assert loads("prepared") == expected
     assert found[0] == found[1] == found[2] == found[3], "a seed that the module sets holds in each drive"
+
+
+def test_a_launcher_that_is_not_needed_any_more_ends_at_once() -> None:
+    driven(written("ended"))
+    begin = time.monotonic()
+    _warm["launcher"].close()
+    assert time.monotonic() - begin < 0.5 * ENDING_S
+    assert driven(written("ended")).end is EndReason.END_OF_LOG
 
 
 DRAWN = """

@@ -20,7 +20,7 @@ from logs.errors import ConfigError, writing
 from logs.words import counted
 from replay.batch.lock import held
 from replay.batch.log_result import Failure, LogResult, Stamp, kept
-from replay.batch.origin import write_origin
+from replay.batch.origin import begun_in, write_origin
 from replay.batch.resume import changes, stamp_of
 from replay.batch.run import RunResult, concluded, gates_of
 from replay.batch.schema import SCHEMA_VERSION
@@ -78,7 +78,7 @@ def merge(folders: Sequence[Path | str], out: Path | str) -> RunResult:
     with held(out):
         claim(out)
         write_text(out / "run.toml", text)
-        write_origin(out)
+        write_origin(out, begun_in(found[0].folder, (result.source for result in found[0].results)))
         _copy_folders(found, out)
         return concluded(out, run, _selection(found), _results(found), gates, found[0].failures)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Iterable
 from pathlib import Path
 
 from logs.errors import ConfigError
@@ -18,14 +19,21 @@ from replay.batch.sources import LogSource, log_hash, select
 from replay.batch.tables import ORIGIN, write_json
 
 
-def write_origin(out: Path) -> None:
-    """Note the working directory beside the results; OutputError."""
-    here = Path.cwd()
+def write_origin(out: Path, begun: Path | None = None) -> None:
+    """Note beside the results where they were begun (None: in the working directory); OutputError."""
+    here = begun or Path.cwd()
     try:
         seen = Path(os.path.relpath(here, out.resolve())).as_posix()
     except ValueError:  # on another drive of Windows
         seen = ""
     write_json(out / ORIGIN, {"directory": str(here), "from_results": seen})
+
+
+def begun_in(out: Path, sources: Iterable[str]) -> Path:
+    """Where results were begun: the first place from which one of their logs is seen, else the working directory."""
+    logs = [local_path(source) for source in sources if not url_of(source)]
+    seen = (place for place in _directories(out) if any((place / log).exists() for log in logs))
+    return Path(os.path.normpath(next(seen, Path.cwd())))
 
 
 def log_of(out: Path, source: str, digest: str, settings: LogSettings) -> Scenario:

@@ -14,6 +14,7 @@ from logs.mcap import write_scenario
 from logs.readers import LogSettings
 from replay.batch.origin import log_of, write_origin
 from replay.batch.sources import log_hash
+from replay.results import load
 
 SOURCE = Path("my_logs", "a.mcap")
 
@@ -82,3 +83,14 @@ def test_a_frame_is_planned_again_and_a_run_resumed_from_another_directory(
     assert "to the bit" in replan("frame", "work/out", "--at", "0.5").stdout
     (tmp_path / "work" / SOURCE).unlink()
     assert "is not at" in one_error(replan("frame", "work/out", "--at", "0.5"))
+
+
+def test_the_logs_of_merged_shards_are_where_those_were_begun(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "work" / SOURCE).parent.mkdir(parents=True)
+    write_scenario(tmp_path / "work" / SOURCE, short("test/a"))
+    monkeypatch.chdir(tmp_path / "work")
+    evaluate(SOURCE, "--mode", "open", "--shard", "1/1", "-o", "shard")
+    monkeypatch.chdir(tmp_path)
+    replan("merge", "work/shard", "-o", "merged")
+    (row,) = load(tmp_path / "merged").logs.itertuples()
+    assert log_of(tmp_path / "merged", row.source, row.sha256, LogSettings()).name == "test/a"

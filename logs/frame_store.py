@@ -11,6 +11,7 @@ import pickle
 import tempfile
 import weakref
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import IO, overload
@@ -29,20 +30,26 @@ _LARGE = (Graph, CostTerms, Candidates)
 COLUMN = {name: row for row, name in enumerate(TRAJECTORY_COLUMNS)}
 
 
+def _closed(file: IO[bytes]) -> None:
+    with suppress(OSError):  # of a full disk, on which nothing of it is wanted any more
+        file.close()
+
+
 class Scratch:
     """A file without a name, which goes with this."""
 
     def __init__(self) -> None:
         self._file: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  it goes with this
-        weakref.finalize(self, self._file.close)
+        self.close = weakref.finalize(self, _closed, self._file)
         self._end, self._reads = 0, False
 
     def put(self, data: bytes) -> int:
-        """Where the data are from now on."""
+        """Where the data are from now on; OSError where there is no room for them."""
         begin = self._end
         if self._reads:
             self._file.seek(begin)
         self._file.write(data)
+        self._file.flush()  # a full disk is found here, and not where they are read
         self._end, self._reads = begin + len(data), False
         return begin
 

@@ -15,6 +15,7 @@ from short_logs import QUICK, identical, run
 from typer.testing import CliRunner
 
 from logs.errors import OutputError
+from logs.frame_store import Scratch
 from logs.mcap import read_scenario, write_scenario, write_trace
 from logs.scenario import Scenario
 from logs.trace import Trace
@@ -104,6 +105,14 @@ def test_a_run_ends_in_one_line_and_is_resumed(logs: Path, tmp_path: Path, size:
     left = [path for path in out.rglob("*") if path.name.startswith((".partial", ".lock")) or path.suffix == ".part"]
     assert not left and not (out / "summary.json").exists()
     assert identical(whole.out, evaluate_logs([logs], QUICK, out, resume=True).out)
+
+
+def test_frames_that_find_no_room_are_said_as_they_are_put() -> None:
+    scratch = Scratch()
+    with room(100):
+        with pytest.raises(OSError, match="File too large"):
+            scratch.put(b"little, and still too much " * 10)
+        scratch.close()
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from math import isfinite
 
 import numpy as np
 
@@ -44,9 +45,9 @@ class Touch:
 
 
 def telling(terms: Sequence[tuple[str, float]]) -> list[tuple[str, float]]:
-    """The terms of a cost that tell something: neither noise nor beyond the digits of their sum."""
-    least = max(NOISE, SHOWS * sum(abs(value) for _, value in terms))
-    return [(name, value) for name, value in terms if abs(value) > least]
+    """The terms of a cost that tell something: neither noise nor beyond the digits of their sum; what is no number."""
+    least = max(NOISE, SHOWS * sum(abs(value) for _, value in terms if isfinite(value)))
+    return [(name, value) for name, value in terms if abs(value) > least or not isfinite(value)]
 
 
 def not_passed(plan: Plan) -> tuple[str, ...]:

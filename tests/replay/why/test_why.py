@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import fields, replace
-from math import isfinite
+from math import inf, isfinite, nan
 
 import numpy as np
 import pytest
@@ -275,6 +275,8 @@ def test_the_terms_that_are_told_make_up_the_cost(terms: list[tuple[str, float]]
     total, told = sum(value for _, value in terms), sum(value for _, value in telling(terms))
     assert abs(total - told) <= len(terms) * max(NOISE, SHOWS * total)
     assert telling([(name, 1e-9 * value / 1e6) for name, value in terms]) == []
+    beside = telling([*terms, ("blocked", inf), ("bug", nan)])
+    assert [name for name, _ in beside] == [*(name for name, _ in telling(terms)), "blocked", "bug"]
 
 
 def test_where_nothing_explains_it_no_cause_is_found() -> None:

@@ -42,9 +42,12 @@ def clicked(theme: Theme, binary: Path, port: int, variables: Mapping[str, str],
     ]
     said = "".join(json.dumps({"jsonrpc": "2.0", **message}) + "\n" for message in messages)
     command = [str(binary), "viewer-mcp", "--endpoint", f"http://{LOOPBACK}:{port}"]
-    done = subprocess.run(
-        command, input=said, env=dict(variables), capture_output=True, text=True, timeout=timeout, check=False
-    )
+    try:
+        done = subprocess.run(
+            command, input=said, env=dict(variables), capture_output=True, text=True, timeout=timeout, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return f"its server for agents did not answer within {timeout:g} s"
     answers = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
     result = next((one.get("result", one) for one in answers if one.get("id") == 2), {"isError": True})
     return str(result.get("content", done.stderr)) if result.get("isError", True) else ""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -40,6 +41,7 @@ from replay.recording.hatch import Window, outline_segments, strokes
 from replay.recording.road import covered, dashes
 from replay.recording.screenshot import Picture, arranged, take_pictures
 from replay.recording.text import DRAWABLE, application_name, cell, path_parts, plain
+from replay.recording.theme import clicked
 from replay.recording.why import why
 from replay.why import accounts
 
@@ -559,3 +561,10 @@ def test_the_road_of_the_sample_is_where_its_line_is() -> None:
 def test_words_are_read_on_dark_and_on_light_plates(colour: int) -> None:
     words = colours.luminance(colours.of_words(colour)) + 0.05
     assert min(words / (0.012 + 0.05), (0.81 + 0.05) / words) >= 3.0
+
+
+def test_a_viewer_that_does_not_set_its_theme_is_said_in_time(tmp_path: Path) -> None:
+    hangs = tmp_path / "viewer"
+    hangs.write_text("#!/bin/sh\nexec sleep 60\n", encoding="utf-8")
+    hangs.chmod(0o755)
+    assert clicked("light", hangs, 1, os.environ, 0.1).endswith("did not answer within 0.1 s")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from inspect import getattr_static
 from typing import Any
 
 from planners import PLANNER, PLANNERS, load_planner
@@ -39,6 +40,12 @@ def planner_factory(spec: str) -> Factory:
     return ORACLES[spec] if spec in ORACLES else load_planner(spec, also=ORACLES)
 
 
+def of_class(factory: Factory, name: str) -> Callable[..., Any] | None:
+    """A class method, or a static one, of a class of planners; None: it has none, or its planners mean their own."""
+    shared = isinstance(getattr_static(factory, name, None), classmethod | staticmethod)
+    return getattr(factory, name) if shared else None
+
+
 _prepared: dict[Factory, Mapping[str, Any]] = {}
 """With what each class of planners was prepared last, in this process."""
 
@@ -50,7 +57,7 @@ def prepared(spec: str, keywords: Mapping[str, Any]) -> Factory:
     of them: called once in a process, and once in that from which the processes of drives are forked.
     """
     factory = planner_factory(spec)
-    prepare = getattr(factory, "prepare", None)
+    prepare = of_class(factory, "prepare")
     if prepare is not None and _prepared.get(factory) != keywords:
         prepare(**keywords)
         _prepared[factory] = keywords

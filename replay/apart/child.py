@@ -23,7 +23,7 @@ from planners.base import Planner
 from replay.apart import schema
 from replay.apart.channel import Channel, GoneError
 from replay.apart.convert import context_of, frame_of, plan_sent
-from replay.planner_config import check_keywords, planner_factory, planner_keywords, prepared, resolved_table
+from replay.planner_config import check_keywords, of_class, planner_factory, planner_keywords, prepared, resolved_table
 from replay.stopwatch import Stopwatch
 
 
@@ -107,7 +107,7 @@ class Seat:
         context = context_of(hello.context, self._watch.lap)
         factory: Any = prepared(hello.planner, keywords)
         self._planners[-1] = factory(context, **keywords)
-        self._together, self._keep = getattr(factory, "plan_batch", None), hello.keep_internals
+        self._together, self._keep = of_class(factory, "plan_batch"), hello.keep_internals
         return schema.Ready()
 
     def _planned_together(self, question: schema.Frames) -> msgspec.Struct:
@@ -151,7 +151,7 @@ def _tried(answer: Callable[[Any], Any], question: Any) -> Any:
 def _described(question: schema.Describe) -> schema.Described:
     table = resolved_table(question.planner, question.config)
     check_keywords(question.planner, table)
-    if question.batch and not callable(getattr(planner_factory(question.planner), "plan_batch", None)):
-        remedy = "add plan_batch(frames, planners), or leave out --batch"
+    if question.batch and of_class(planner_factory(question.planner), "plan_batch") is None:
+        remedy = "add the class method plan_batch(cls, frames, planners), or leave out --batch"
         raise ConfigError(f"planner '{question.planner}' has no plan_batch: {remedy}")
     return schema.Described(table)

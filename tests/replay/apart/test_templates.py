@@ -172,6 +172,17 @@ def test_a_class_prepares_itself_once_and_everywhere_alike() -> None:
     assert found[0] == found[1] == found[2] == found[3], "a seed that the module sets holds in each drive"
 
 
+def test_a_method_of_a_planner_that_is_called_prepare_is_its_own() -> None:
+    own = """
+        class Mine(ConstantSpeed):
+            def prepare(self, frame):
+                return frame
+            def plan(self, frame):
+                return super().plan(self.prepare(frame))
+        """
+    assert driven(written("own", own)).end is EndReason.END_OF_LOG
+
+
 def test_a_launcher_that_is_not_needed_any_more_ends_at_once() -> None:
     driven(written("ended"))
     begin = time.monotonic()

@@ -96,7 +96,8 @@ class Channel(Generic[T]):
         self._read(HEADER.size, deadline)
         (size,) = HEADER.unpack_from(self._buffer)
         if size > LARGEST_BYTES and not self._patient:
-            raise GarbageError(f"a message of {size} bytes")
+            what = f"a message of {size} bytes, more than {LARGEST_BYTES}"
+            raise GarbageError(f"{what} (keep less inside of plans, or give a smaller --batch)")
         end = HEADER.size + size
         self._read(end, deadline)
         try:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import settings
 
 settings.register_profile("replan", deadline=None, derandomize=True)  # kernels compile when first called
-settings.register_profile("fast", settings.get_profile("replan"), max_examples=30)
+settings.register_profile("fast", settings.get_profile("replan"), max_examples=20)
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -62,6 +62,7 @@ def times(x: float) -> float:
 """
 
 
+@pytest.mark.slow
 def test_code_on_disk_is_stale_where_a_kernel_that_is_called_or_a_constant_has_changed(tmp_path: Path) -> None:
     """The file of the outer kernel stays as it is; numba alone would go on with the old code."""
     (tmp_path / "outer.py").write_text(OUTER, encoding="utf-8")

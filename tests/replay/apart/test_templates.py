@@ -130,7 +130,7 @@ BAD = {
 }
 
 
-@pytest.mark.parametrize("name", BAD)
+@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name == "hangs")) for name in BAD])
 def test_a_module_that_cannot_be_loaded_is_said_as_without_a_template(name: str) -> None:
     planner, said = written(name, BAD[name][0] + "\n" + MINE), list[str]()
     limits = LoopConfig(apart=ApartConfig(start_timeout_s=1.0, memory_gb=2.0))

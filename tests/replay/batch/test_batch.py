@@ -342,7 +342,8 @@ def test_the_pool_gives_every_item_once_and_survives_deaths() -> None:
         assert isinstance(answers[index], WorkerLost) if item == 13 else answers[index] == item * item
 
 
-@pytest.mark.parametrize("workers", [pytest.param("0", marks=pytest.mark.slow), "1"])
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", ["0", "1"])
 def test_an_interrupted_run_leaves_nothing_half_written(logs: Path, tmp_path: Path, workers: str) -> None:
     (tmp_path / "asleep.py").write_text(
         "import pathlib, time\nclass Asleep:\n    def __init__(self, context): pass\n"

@@ -123,9 +123,9 @@ def test_a_log_that_no_node_sees_and_other_code_are_said(logs: Path, tmp_path: P
 
     stamp = on_ray.stamp_of(QUICK)
     gone = LogSource("gone.mcap", tmp_path / "gone.mcap")
-    result, files = on_ray._on_node(gone, (QUICK, stamp))
+    result, files = on_ray._on_node(gone, (QUICK, stamp, "one"))
     assert "must lie in a folder that all nodes share" in result.failures[0].message and not files
-    result, files = on_ray._on_node(LogSource("a", logs / "0.mcap"), (QUICK, replace(stamp, code="f" * 64)))
+    result, files = on_ray._on_node(LogSource("a", logs / "0.mcap"), (QUICK, replace(stamp, code="f" * 64), "one"))
     assert "install there what is here" in result.failures[0].message and not files
 
 

@@ -197,7 +197,7 @@ def evaluations(scenario: Scenario, *, told: bool) -> tuple[Evaluation, ...]:
     unlimited = sum(not np.isfinite(lane.speed_limit) for lane in road.lanes.values())
     compared = f"{len(ego)} ego states to compare with" if len(ego) > 1 else "one ego state only: nothing to compare"
     lasting = f"{scenario.duration:.1f} s to drive" if scenario.duration > 0.0 else "the log lasts 0 s"
-    alone = "nobody else is in the log: only comfort, progress and lanes"
+    alone = "no one else is in the log: only comfort, progress and lanes"
     others = counted(len(tracks), "other") if len(tracks) else alone
     return (
         Evaluation("open loop against the driven ego", len(ego) > 1, compared),

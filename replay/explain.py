@@ -142,8 +142,8 @@ def _some(what: str, lines: Sequence[str]) -> Iterator[str]:
 def _terms(terms: Sequence[tuple[str, float]]) -> str:
     if not terms:
         return "no terms"
-    told, total = telling(terms), sum(value for _, value in terms)
-    return f"{total:.3g} = " + " + ".join(f"{name} {value:.3g}" for name, value in told) if told else "0"
+    shown, total = telling(terms), sum(value for _, value in terms)
+    return f"{total:.3g} = " + " + ".join(f"{name} {value:.3g}" for name, value in shown) if shown else "0"
 
 
 def _touch(one: Touch) -> str:

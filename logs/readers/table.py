@@ -135,17 +135,17 @@ class _Table:
 
     def __init__(self, frame: pd.DataFrame, name: str, columns: Mapping[str, str]) -> None:
         self.frame, self.name = frame, name
-        told = {ours: columns.get(f"{name}.{ours}", columns.get(ours, ours)) for ours in (*TIMES, *_COLUMNS)}
-        self._columns = {ours: self._found(theirs) for ours, theirs in told.items()}
+        given = {ours: columns.get(f"{name}.{ours}", columns.get(ours, ours)) for ours in (*TIMES, *_COLUMNS)}
+        self._columns = {ours: self._found(theirs) for ours, theirs in given.items()}
         if not len(frame):
             raise LogError("the table has no rows", topic=name, remedy="give at least one")
 
-    def _found(self, told: str) -> tuple[str, float] | None:
+    def _found(self, given: str) -> tuple[str, float] | None:
         """The table's own name of a column and the factor of its unit; None where it has no such column."""
-        if told in self.frame.columns:
-            return told, 1.0
-        match = _WITH_UNIT.match(told)
-        name, unit = (match["name"], match["unit"] or "") if match else (told, "")
+        if given in self.frame.columns:
+            return given, 1.0
+        match = _WITH_UNIT.match(given)
+        name, unit = (match["name"], match["unit"] or "") if match else (given, "")
         if unit not in UNITS:
             raise LogError(f"the unit [{unit}] of {name} is unknown", topic=self.name, remedy=f"known: {_KNOWN_UNITS}")
         return (name, UNITS[unit]) if name in self.frame.columns else None
@@ -206,13 +206,13 @@ def _check_names(columns: Mapping[str, str], frames: Mapping[str, pd.DataFrame |
     """Refuse names that are none of ours or of no table: what they were meant for would be derived or left out."""
     known = (*TIMES, *_COLUMNS)
     held = [_Table(frame, name, columns) for name, frame in frames.items() if frame is not None and len(frame)]
-    for key, told in columns.items():
+    for key, given in columns.items():
         of, _, ours = key.rpartition(".")
         if ours not in known or of not in ("", *NAMES):
             what = f"columns has {key}, which is no name here"
             raise LogError(what, topic="[log]", remedy=f"known: {', '.join(known)}; of one table: ego.v, agents.v ...")
         if held and not any(table.has(ours) for table in held if of in ("", table.name)):
-            raise LogError(f"no table has the column {told} that {key} is read from", topic="[log] columns")
+            raise LogError(f"no table has the column {given} that {key} is read from", topic="[log] columns")
 
 
 def _forward_speed(t: FloatArray, state: Mapping[str, FloatArray]) -> FloatArray:
@@ -322,8 +322,8 @@ def _sizes(
     if not table.has(name):
         notes.append(f"The log has no {name} of the agents: it is assumed by their kind.")
         return usual
-    told = [np.median(part) for part in np.split(table.numbers(name)[order], first[1:])]
-    return np.where(np.isfinite(told) & (np.array(told) > 0.0), told, usual)
+    given = [np.median(part) for part in np.split(table.numbers(name)[order], first[1:])]
+    return np.where(np.isfinite(given) & (np.array(given) > 0.0), given, usual)
 
 
 def _file(folder: Path, name: str) -> Path | None:

@@ -24,7 +24,7 @@ def short(name: str, *, v: float = 10.0, parked: bool = False) -> Scenario:
 
 
 def free_and_blocked() -> tuple[Scenario, Scenario]:
-    """Not quite three seconds each: nobody there, and a car parked where a careful driver still stops."""
+    """Not quite three seconds each: no one is there, and a car parked where a careful driver still stops."""
     ego = drive(straight, 8.0, 2.9)
     free = scenario(ego, road=lanes_along(ego), goal=Goal((square(27.0, 0.0, 4.0),)))
     wall = tracks(track("wall", [0.0], [24.0], [0.0], static=True))

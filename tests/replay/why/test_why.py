@@ -99,9 +99,9 @@ def check(case: Shown, account: Account, world: Scenario, ways: Ways) -> None:
     if case.predictions is not None and len(case.predictions):
         away = gaps(case, held.s, way, world)
         check_others(case, causes, held, away)
-    told = conflicts(account)
-    assert all(cause in told or any(cause.who in one.reason for one in told) for cause in causes)
-    for sentence, cause in zip(said[len(account.causes) - len(causes) :], told[:MOST], strict=False):
+    worded = conflicts(account)
+    assert all(cause in worded or any(cause.who in one.reason for one in worded) for cause in causes)
+    for sentence, cause in zip(said[len(account.causes) - len(causes) :], worded[:MOST], strict=False):
         check_numbers(sentence, cause, account)
 
 
@@ -264,16 +264,16 @@ def test_one_conflict_is_said_once() -> None:
     lane, car = Cause(CauseKind.STOP, "lane 5", "yield", why, False), Cause(CauseKind.AGENT, "car 3")
     course = Course(Action.SLOWS, 8.0, 0.0, 0.0, 8.0, 8.0, -1.0, 0.0, 0.0)
     numbers = (("2", "0"), 3), (("3", "4"), 2)
-    for others, told in ((("car 3",), 1), (("car 33",), 2), (("3", "car"), 2), (("car 3", "b"), 2), *numbers):
+    for others, worded in ((("car 3",), 1), (("car 33",), 2), (("3", "car"), 2), (("car 3", "b"), 2), *numbers):
         account = Account(0.0, course, True, (lane, *(replace(car, who=who) for who in others)))
-        assert len(conflicts(account)) == len(sentences(account)) == told
+        assert len(conflicts(account)) == len(sentences(account)) == worded
         assert {"3", "car 3"}.isdisjoint(cause.who for cause in conflicts(account))
 
 
 @given(st.lists(st.tuples(st.sampled_from("abc"), st.floats(0.0, 1e6)), min_size=1, max_size=8))
 def test_the_terms_that_are_told_make_up_the_cost(terms: list[tuple[str, float]]) -> None:
-    total, told = sum(value for _, value in terms), sum(value for _, value in telling(terms))
-    assert abs(total - told) <= len(terms) * max(NOISE, SHOWS * total)
+    total, worded = sum(value for _, value in terms), sum(value for _, value in telling(terms))
+    assert abs(total - worded) <= len(terms) * max(NOISE, SHOWS * total)
     assert telling([(name, 1e-9 * value / 1e6) for name, value in terms]) == []
     beside = telling([*terms, ("blocked", inf), ("bug", nan)])
     assert [name for name, _ in beside] == [*(name for name, _ in telling(terms)), "blocked", "bug"]

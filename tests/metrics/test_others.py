@@ -13,10 +13,13 @@ from metrics.others import each, others_at, pieces
 from replay.closed_loop import run_closed_loop
 from replay.open_loop import run_open_loop
 
+LOGS = ("everyday/junction", "everyday/crosswalk", "pedestrian/group", "everyday/cyclist")
+SIZES = ((40, 7), (1, 1), (900, 250))
 CASES = [
-    ("everyday/junction", 40, 7), ("everyday/crosswalk", 1, 1), ("pedestrian/group", 900, 250),
-    ("everyday/cyclist", 40, 7),
-]  # fmt: skip
+    pytest.param(name, *size, marks=[pytest.mark.slow] * (i % len(SIZES) != k))
+    for i, name in enumerate(LOGS)
+    for k, size in enumerate(SIZES)
+]
 
 
 @pytest.mark.parametrize(("name", "cells", "steps"), CASES)

@@ -24,6 +24,8 @@ from replay.drive import DEFAULT_LOOP, ApartConfig, LoopConfig, Place
 from replay.open_loop import run_open_loop
 from replay.planning import Planning
 
+pytestmark = pytest.mark.usefixtures("folder")
+
 COUNTED = """
 from planners.constant_speed import ConstantSpeed
 with open("loads.{name}", "a") as file:
@@ -31,15 +33,6 @@ with open("loads.{name}", "a") as file:
 {more}
 """
 MINE = "class Mine(ConstantSpeed): pass\n"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """The working directory, where modules are written: one for all, as each has a launcher of its own."""
-    before, here = Path.cwd(), tmp_path_factory.mktemp("planners")
-    os.chdir(here)
-    yield here
-    os.chdir(before)
 
 
 @pytest.fixture(autouse=True)

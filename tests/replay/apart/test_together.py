@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from textwrap import dedent
@@ -22,6 +21,8 @@ from replay.batch import RunResult, evaluate_logs
 from replay.batch.engine import teams_of
 from replay.config import RunConfig
 from replay.drive import ApartConfig, LoopConfig
+
+pytestmark = pytest.mark.usefixtures("folder")
 
 PLANNER = """
 from planners.constant_speed import ConstantSpeed
@@ -43,15 +44,6 @@ class Mine(ConstantSpeed):
         {batch}
         return [planner.plan(frame) for planner, frame in zip(planners, frames, strict=True)]
 """
-
-
-@pytest.fixture(scope="module", autouse=True)
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
-    """The working directory, where planners are written: one for all, as each has a launcher of its own."""
-    before, here = Path.cwd(), tmp_path_factory.mktemp("together")
-    os.chdir(here)
-    yield here
-    os.chdir(before)
 
 
 def written(name: str, built: str = "", batch: str = "") -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import resource
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import replace
@@ -33,12 +34,14 @@ LONG_LINE = "the disk is full " * 40
 @contextmanager
 def room(size: int) -> Iterator[None]:
     """No file may grow beyond so many bytes: writing more fails at that byte, as on a full disk."""
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before, bytecode = resource.getrlimit(resource.RLIMIT_FSIZE), sys.dont_write_bytecode
+    sys.dont_write_bytecode = True  # a module that is imported now would leave half of its .pyc behind
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
     try:
         yield
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        sys.dont_write_bytecode = bytecode
 
 
 @pytest.fixture(scope="module")
@@ -70,7 +73,7 @@ KINDS = ("log.mcap", "closed.mcap", "closed.rrd", "log.rrd", "frames.parquet", "
 
 
 @pytest.mark.parametrize("name", KINDS)
-@settings(max_examples=4, phases=[Phase.generate])
+@settings(max_examples=max(settings.default.max_examples // 12, 4), phases=[Phase.generate])
 @given(share=st.floats(0.0, 1.0))
 def test_a_file_is_whole_or_not_there(
     writers: dict[str, Callable[[Path], object]], tmp_path_factory: pytest.TempPathFactory, name: str, share: float

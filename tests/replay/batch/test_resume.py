@@ -28,7 +28,7 @@ import os, pathlib, time
 from planners.constant_speed import ConstantSpeed
 
 class Patient(ConstantSpeed):
-    """Waits where anybody else is in the scene (with the file `alone`: where nobody is), until it may go on."""
+    """Waits where anybody else is in the scene (with the file `alone`: where no one is), until it may go on."""
     def plan(self, frame):
         folder = pathlib.Path(__file__).parent
         waits = bool(len(frame.agents)) != (folder / "alone").exists()

@@ -639,7 +639,9 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
 
 
 @given(st.data(), st.sampled_from(["plain.mcap", "plain.mcap", "zstd.mcap", "log.db3", "old.bag"]))
-@settings(max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(
+    max_examples=settings.default.max_examples * 5 // 2, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
 def test_any_bytes_give_a_log_or_a_log_error(small: dict[str, bytes], tmp_path: Path, data: Any, name: str) -> None:
     path = tmp_path / name
     path.write_bytes(data.draw(st.composite(lambda draw: shaken(small[name], draw))()))

@@ -3,25 +3,28 @@
 With the gain of a drive along the route (`route`), the whole log taken as the yardstick however short the drive was:
 
 (1) route_progress(t) = gain(t) / gain of the log's driver at the log's end
-    where the log has no drive: over the distance of the competent and careful driver (metadata `CAREFUL_M`);
-    where that yardstick is below 2 m: 1, and 0 for a drive that went back more than 2 m
+    where the log has no drive: over the gain of the route follower (metadata `FOLLOWER_M`);
+    unavailable where that yardstick is below 2 m: then nothing says how far a planner should get
 (2) progress = min(1, max(gain, c) / max(gain of the log's driver, c)), 0 where gain < -c;  c = 2 m      (nuPlan)
 (3) completion = gain / length of the route, in 0 .. 1                                                   (CARLA)
-    all three: 1 at least where the drive ended at the goal, unless more than 2 m of it were cut
+    all three: 1 at least where the drive ended in the goal's region, unless more than 2 m of it were cut
 (4) distance(t) = length of the path of the rear axle driven since the start
 (5) speed_excess(t) = max(v - limit, 0),  speed_ratio(t) = v / limit - 1
 (6) speed_limit_compliance = max(0, 1 - integral of (5) dt / (2.23 m/s T)),  T the time on lanes with a limit  (nuPlan)
+(7) no vehicle reaches a goal that is farther than it comes in the time at 9.81 m/s2 up to 70 m/s
 """
 
 from __future__ import annotations
 
 from functools import partial
+from math import cos, sin
 
 import numpy as np
 
 from logs.kernel import FloatArray
-from logs.road import RoadSource
+from logs.road import Goal, RoadSource
 from logs.scenario import Scenario
+from logs.shapes import point_segment
 from logs.states import Trajectory
 from logs.trace import EndReason, Mode, Trace
 from metrics.lanes import drivable_lanes, limits_at
@@ -45,8 +48,10 @@ FLOOR_M = 2.0
 EXCESS_MPS = 2.23
 """5 mph."""
 OVER_MPS, OVER_RATIO = 1.0, 0.1
-CAREFUL_M = "reference_cc.travelled_m"
-"""Metadata entry: how far the competent and careful driver comes in the log's time, m."""
+FOLLOWER_M = "reference_follower.gain_m"
+"""Metadata entry: how far the route follower (`replay.reference_drives`) comes along the route, m."""
+REACH_MPS2, REACH_MPS = 9.81, 70.0
+"""No road vehicle accelerates harder (adhesion of 1 g) or, above its speed at the start, drives faster."""
 _ALONE = Unavailable("the log holds one ego state only: there is no drive to compare with")
 
 
@@ -61,15 +66,25 @@ def _distance(trace: Trace, scenario: Scenario) -> Measured:
 def _route_progress(trace: Trace, scenario: Scenario) -> Measured:
     route = route_of(scenario)
     if len(scenario.ego) > 1:
-        asked = float(gained(route, scenario.ego).metres[-1])
-    elif CAREFUL_M in scenario.metadata:
-        asked = float(scenario.metadata[CAREFUL_M])
+        until = trace.ego.t[-1] if _ended_by_time(trace, scenario) else scenario.ego.t[-1]
+        asked, who = float(np.interp(until, scenario.ego.t, gained(route, scenario.ego).metres)), "the log's driver"
+    elif FOLLOWER_M in scenario.metadata:
+        asked, who = float(scenario.metadata[FOLLOWER_M]), "the route follower"
     else:
-        return Unavailable("the log holds one ego state only, and no reference driver's distance")
-    gain = gained(route, trace.ego)
+        return Unavailable("the log holds one ego state only, and no route follower was driven")
     if asked < FLOOR_M:
-        return Series(trace.ego.t, np.where(gain.metres < -FLOOR_M, 0.0, 1.0))
-    return Series(trace.ego.t, _arrived(trace, gain, gain.metres / asked))
+        return Unavailable(f"{who} gets {asked:.1f} m along the route: no yardstick for progress")
+    gain = gained(route, trace.ego)
+    return Series(trace.ego.t, _arrived(trace, scenario, gain, gain.metres / asked))
+
+
+def _ended_by_time(trace: Trace, scenario: Scenario) -> bool:
+    """Whether the drive ended at a goal that is a time only: the log's driver had no longer either."""
+    return trace.end is EndReason.GOAL and scenario.goal is not None and _is_time_only(scenario.goal)
+
+
+def _is_time_only(goal: Goal) -> bool:
+    return not goal.regions and goal.v is None and goal.yaw is None
 
 
 def _progress(trace: Trace, scenario: Scenario) -> Measured:
@@ -78,7 +93,7 @@ def _progress(trace: Trace, scenario: Scenario) -> Measured:
     route = route_of(scenario)
     asked, gain = gained(route, scenario.ego).metres[-1], gained(route, trace.ego)
     ratio = np.minimum(np.maximum(gain.metres, FLOOR_M) / max(asked, FLOOR_M), 1.0)
-    return Series(trace.ego.t, _arrived(trace, gain, np.where(gain.metres < -FLOOR_M, 0.0, ratio)))
+    return Series(trace.ego.t, _arrived(trace, scenario, gain, np.where(gain.metres < -FLOOR_M, 0.0, ratio)))
 
 
 def _completion(trace: Trace, scenario: Scenario) -> Measured:
@@ -86,12 +101,12 @@ def _completion(trace: Trace, scenario: Scenario) -> Measured:
     if not np.isfinite(route.length):
         return Unavailable("the log has neither a goal that lanes lead to nor a drive of 10 m")
     gain = gained(route, trace.ego)
-    return Series(trace.ego.t, _arrived(trace, gain, np.clip(gain.metres / route.length, 0.0, 1.0)))
+    return Series(trace.ego.t, _arrived(trace, scenario, gain, np.clip(gain.metres / route.length, 0.0, 1.0)))
 
 
-def _arrived(trace: Trace, gain: Gain, share: FloatArray) -> FloatArray:
-    """A share `(n,)` that is 1 at least where the drive ended at the goal, unless more than 2 m of it were cut."""
-    if trace.end is EndReason.GOAL and gain.cut <= FLOOR_M:
+def _arrived(trace: Trace, scenario: Scenario, gain: Gain, share: FloatArray) -> FloatArray:
+    """A share `(n,)` that is 1 at least where the drive ended in the goal's region, at most 2 m of it cut."""
+    if trace.end is EndReason.GOAL and gain.cut <= FLOOR_M and not _ended_by_time(trace, scenario):
         share[-1] = max(share[-1], 1.0)
     return share
 
@@ -133,7 +148,30 @@ def _at_end(trace: Trace, *, good: bool) -> Series:
 def _goal(trace: Trace, scenario: Scenario) -> Measured:
     if scenario.goal is None:
         return Unavailable("the log names no goal")
+    if _is_time_only(scenario.goal):
+        return Unavailable("the goal is a time only: progress along the route is asked instead")
+    out_of_reach = _out_of_reach(scenario.goal, scenario)
+    if out_of_reach and trace.end is not EndReason.GOAL:
+        return Unavailable(out_of_reach)
     return _at_end(trace, good=trace.end is EndReason.GOAL)
+
+
+def _out_of_reach(goal: Goal, scenario: Scenario) -> str:
+    """Why no vehicle reaches a goal in time, by (7); empty: one might."""
+    start, first = scenario.ego.state(0), float(scenario.ego.t[0])
+    last = min(scenario.duration, goal.t[1] if goal.t else scenario.duration)
+    if goal.t and goal.t[0] > scenario.duration:
+        return f"the log ends at {scenario.duration:.1f} s, and the goal begins at {goal.t[0]:.1f} s"
+    ahead = scenario.vehicle.axle_to_center
+    x, y = start.x + ahead * cos(start.yaw), start.y + ahead * sin(start.yaw)
+    if not goal.regions or goal.holds_place(x, y):
+        return ""
+    edges = [(a, b) for region in goal.regions for a, b in zip(region, np.roll(region, -1, axis=0), strict=True)]
+    away = min(point_segment(x, y, *a, *b) for a, b in edges)
+    top, time = max(start.v, REACH_MPS), last - first
+    faster = min(time, (top - start.v) / REACH_MPS2)
+    reach = start.v * faster + 0.5 * REACH_MPS2 * faster**2 + top * (time - faster)  # (7)
+    return "" if away <= reach else f"no vehicle reaches the goal: {away:.0f} m in {time:.1f} s from {start.v:.1f} m/s"
 
 
 def _completed(trace: Trace, scenario: Scenario) -> Measured:
@@ -148,10 +186,11 @@ DISTANCE = Metric(
 )  # fmt: skip
 ROUTE_PROGRESS = Metric(
     "route_progress", "1", "higher", _CLOSED, _route_progress, (FINAL,),
-    "Gain along the route over that of the log's driver in the whole log, else of the careful driver; not capped.",
-    formula="gain(t) / gain of the log's driver at the log's end; 1 where that is below 2 m, and at the goal",
+    "Gain along the route over that of the log's driver in the whole log, else of the route follower; not capped.",
+    version=2,
+    formula="gain(t) / gain of the log's driver at the log's end, else of the route follower; 1 at the goal",
     parameters=("floor 2 m", "a step counts at most 2 |v| dt, where it is more than 0.1 m above"),
-    needs="a logged drive, else the careful driver's distance",
+    needs="a logged drive, else the route follower's, of 2 m",
 )  # fmt: skip
 PROGRESS = Metric(
     "progress", "1", "higher", _CLOSED, _progress, (FINAL,),
@@ -189,8 +228,9 @@ SPEED_RATIO = Metric(
     formula="|v| / limit - 1", parameters=("over: 0.1",), needs=_LIMITS,
 )  # fmt: skip
 GOAL = Metric(
-    "goal", "1", "higher", _CLOSED, _goal, (FINAL,), "1 if the drive ended at the goal.",
-    formula="1 if it ended there, else 0", needs="a goal in the log",
+    "goal", "1", "higher", _CLOSED, _goal, (FINAL,), "1 if the drive ended at the goal.", version=2,
+    formula="1 if it ended there, else 0", parameters=(f"reach {REACH_MPS2} m/s2 up to {REACH_MPS:g} m/s",),
+    needs="a goal that is a place, and that a vehicle can reach in the time",
 )  # fmt: skip
 COMPLETED = Metric(
     "completed", "1", "higher", _CLOSED, _completed, (FINAL,), "1 if the drive ended at the goal or the log's end.",

@@ -16,8 +16,7 @@ from logs.scenario import FINDING, Scenario
 from logs.states import EgoState
 from metrics.avoidability import metadata_of
 from metrics.once import once
-from metrics.progress import CAREFUL_M
-from metrics.reference_drivers import DRIVERS, Verdict, careful_drive
+from metrics.reference_drivers import DRIVERS, Verdict
 from planners.frenet.reference_path import make_reference_path
 
 
@@ -47,9 +46,8 @@ def _verdicts(scenario: Scenario, line: ReferenceLine) -> tuple[Verdict, ...]:
 
 
 def with_avoidability(scenario: Scenario) -> Scenario:
-    """The scenario with the verdicts on it and how far the careful driver comes in its metadata, in place of others."""
+    """The scenario with the verdicts on it in its metadata, in place of those that it has."""
     said = {key: text for key, text in scenario.metadata.items() if not key.startswith(FINDING)}
     line = reference_line(scenario)
     entries = {key: text for verdict in _verdicts(scenario, line) for key, text in metadata_of(verdict).items()}
-    way = careful_drive(scenario, line).s
-    return replace(scenario, metadata={**said, **entries, CAREFUL_M: repr(float(way[-1] - way[0]))})
+    return replace(scenario, metadata={**said, **entries})

@@ -1,16 +1,21 @@
-"""Reference drives: what the log's own driver and the careful driver make of a log, measured as every drive is.
+"""Reference drives: what other drivers make of a log, measured as every drive is.
 
     "driver"     the ego as logged, among the others as logged; there where the log holds a drive
     "careful"    the careful driver of UN R157 (`metrics.reference_drivers`) from the log's first state along the lane
+    "follower"   the route follower: the planner `idm` in a perfect car, which accelerates, steers along its route,
+                 follows others and obeys the rules, among the traffic of the run
 
 They end as a planner's drive would: in the goal, or where a road user touches them. Their rows of the table have the
 mode "reference" and are oracles; `metrics.judge` asks them whether a broken bound is evidence against a planner. Of a
-synthesised log's driver only progress is measured: such a log excuses no collision.
+synthesised log's driver only progress is measured: such a log excuses no collision. The follower is measured for
+progress alone. It takes time to drive: it is driven where the log holds no drive to measure progress by, or where a
+planner of the run misses the goal.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -21,25 +26,57 @@ from logs.scenario import Scenario
 from logs.states import Trajectory
 from logs.trace import EndReason, Mode, Trace
 from metrics import GROUPS, METRICS
-from metrics.judge import CAREFUL, DRIVER, REFERENCE
+from metrics.judge import CAREFUL, DRIVER, FOLLOWER, REFERENCE
+from metrics.metric import FINAL
 from metrics.others import ego_boxes, name_of
 from metrics.phantoms import phantoms, without_phantoms
+from metrics.progress import FOLLOWER_M, GOAL
 from metrics.reference_drivers import RETURN_S, STEP_S, careful_drive
+from metrics.route import gained, route_of
 from metrics.safety import contacts
 from replay.avoidability import reference_line
+from replay.closed_loop import run_closed_loop
+from replay.drive import LoopConfig
 
 SHORTEST = 2
 """An ego log of fewer states is no drive."""
+FOLLOWER_PERIOD_S = 0.5
+"""How often the follower plans: its plans are smooth, and five times as many take five times as long."""
+
+
+def with_follower(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, pd.DataFrame]:
+    """The scenario with the follower's progress in its metadata (`metrics.progress.FOLLOWER_M`), and the rows on it.
+
+    Args:
+        scenario: What is driven.
+        loop: Of the run: the traffic is the same, the car is perfect, the others are perceived as they are.
+    """
+    traffic = {key: table for key, table in loop.settings.items() if key == "traffic"}
+    same = LoopConfig(FOLLOWER_PERIOD_S, vehicle="perfect", traffic=loop.traffic, settings=traffic)
+    driven = run_closed_loop(scenario, "idm", config=same, keep_internals=False).trace
+    trace = replace(driven, planner=FOLLOWER, oracle=True, frames=())
+    gain = gained(route_of(scenario), trace.ego).metres[-1]
+    scenario = replace(scenario, metadata={**scenario.metadata, FOLLOWER_M: repr(float(gain))})
+    return scenario, _measured(trace, scenario, ("progress",))
+
+
+def missed_goal(table: pd.DataFrame) -> bool:
+    """Whether a planner's drive in a table of metrics misses a goal that it could have reached."""
+    goal = table[(table["metric"] == f"{GOAL.name}.{FINAL.name}") & (table["mode"] == Mode.CLOSED.value)]
+    return bool((goal["value"] < 1.0).any())
+
+
+def _measured(trace: Trace, scenario: Scenario, groups: tuple[str, ...]) -> pd.DataFrame:
+    measures = {metric.name: METRICS[metric.name] for group in groups for metric in GROUPS[group]}
+    return metrics.evaluate(trace, scenario, metrics=measures).assign(mode=REFERENCE)
 
 
 def reference_table(scenario: Scenario) -> pd.DataFrame:
-    """The rows of the reference drives of a scenario; columns as of `metrics.evaluate`."""
+    """The rows of the log's own and the careful driver; columns as of `metrics.evaluate`."""
     asked = {DRIVER: ("safety", "rules", "progress") if scenario.is_recorded else ("progress",)}
-    tables = []
-    for trace in reference_drives(scenario):
-        groups = asked.get(trace.planner, ("safety", "rules", "progress", "comfort"))
-        measures = {metric.name: METRICS[metric.name] for group in groups for metric in GROUPS[group]}
-        tables.append(metrics.evaluate(trace, scenario, metrics=measures).assign(mode=REFERENCE))
+    drives = reference_drives(scenario)
+    every = ("safety", "rules", "progress", "comfort")
+    tables = [_measured(trace, scenario, asked.get(trace.planner, every)) for trace in drives]
     return pd.concat(tables, ignore_index=True)
 
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from logs import EndReason, Goal, Lane, RoadSource, Scenario, TrackingErrors, Trajectory
 from metrics import GROUPS, evaluate
-from metrics.progress import CAREFUL_M
+from metrics.progress import FOLLOWER_M
 from metrics.route import gained, route_of
 
 ASKED = {metric.name: metric for group in ("progress", "rules", "tracking") for metric in GROUPS[group]}
@@ -98,22 +98,42 @@ def test_a_log_that_stands_still_asks_for_nothing() -> None:
     still = scenario(along(grid(5.0, 0.1), 0.0))
     for ego in (still.ego, along(grid(5.0), 0.2)):
         table = judged(still, ego)["value"]
-        assert table["progress.final"] == table["route_progress.final"] == 1.0
-    assert judged(still, along(grid(5.0), -1.0)).loc["route_progress.final", "value"] == 0.0
+        assert table["progress.final"] == 1.0
+    assert "no yardstick for progress" in judged(still).loc["route_progress.final", "reason"]
     assert "neither a goal" in judged(still).loc["completion.final", "reason"]
 
 
-def test_without_a_logged_drive_the_careful_driver_is_the_yardstick() -> None:
+def test_without_a_logged_drive_the_route_follower_is_the_yardstick() -> None:
     alone = scenario(along(np.zeros(1), 10.0), duration=5.0)
     ego = along(grid(5.0), 10.0)
     table = judged(alone, ego)
     assert table.loc["progress.final", "reason"].startswith("the log holds one ego state only")
-    assert "no reference driver's distance" in table.loc["route_progress.final", "reason"]
-    told = replace(alone, metadata={CAREFUL_M: "40.0"})
+    assert "no route follower was driven" in table.loc["route_progress.final", "reason"]
+    told = replace(alone, metadata={FOLLOWER_M: "40.0"})
     assert judged(told, ego).loc["route_progress.final", "value"] == pytest.approx(50.0 / 40.0, abs=1e-3)
     region = Goal((np.array([[95.0, -2.0], [99.0, -2.0], [99.0, 2.0], [95.0, 2.0]]),))
     way = judged(replace(told, goal=region), ego).loc["completion.final", "value"]
     assert way == pytest.approx(50.0 / (95.0 - alone.vehicle.axle_to_center), abs=0.01)
+
+
+def test_a_goal_that_is_a_time_only_asks_for_progress() -> None:
+    """A log of 12 s at 10 m/s whose goal begins after 5 s: a drive of 50 m has come as far as its driver then had."""
+    log = scenario(along(grid(12.0), 10.0), goal=Goal(t=(5.0, 6.0)))
+    for speed in (10.0, 5.0, 0.0):
+        table = judged(log, along(grid(5.0), speed), end=EndReason.GOAL)
+        assert "the goal is a time only" in table.loc["goal.final", "reason"]
+        assert table.loc["route_progress.final", "value"] == pytest.approx(speed / 10.0, abs=0.01)
+
+
+@given(st.floats(0.0, 20.0), st.floats(1.0, 400.0), st.floats(1.0, 8.0))
+def test_a_goal_that_no_vehicle_reaches_is_not_asked_by_name(speed: float, ahead: float, until: float) -> None:
+    """A vehicle that accelerates with 1 g all the way comes to every goal that is asked."""
+    region = np.array([[ahead, -2.0], [ahead + 5.0, -2.0], [ahead + 5.0, 2.0], [ahead, 2.0]])
+    log = scenario(along(np.zeros(1), speed), duration=until, goal=Goal((region,)))
+    found = judged(log, along(grid(until), 0.0)).loc["goal.final"]
+    away = ahead - log.vehicle.axle_to_center
+    assert found["available"] == (away <= speed * until + 0.5 * 9.81 * until**2)
+    assert found["available"] or found["reason"].startswith("no vehicle reaches the goal")
 
 
 def test_progress_leads_around_bends_and_over_lane_changes() -> None:
@@ -129,7 +149,7 @@ def test_progress_leads_around_bends_and_over_lane_changes() -> None:
     assert judged(log, bend(56.5)).loc["route_progress.final", "value"] == pytest.approx(1.0, abs=0.01)
     lanes = scenario(along(np.zeros(1), 10.0), road=straight_road(lanes=2), duration=12.0,
                      goal=Goal((np.array([[90.0, 1.8], [110.0, 1.8], [110.0, 5.0], [90.0, 5.0]]),)),
-                     metadata={CAREFUL_M: "80"})  # fmt: skip
+                     metadata={FOLLOWER_M: "80"})  # fmt: skip
     s = grid(8.0)
     change = along(s, 10.0)
     change = replace(change, y=3.5 / (1.0 + np.exp(-(change.x - 40.0) / 5.0)))
@@ -150,7 +170,7 @@ def test_a_lane_change_in_the_middle_of_the_route_is_no_leap() -> None:
         lanes[i] = Lane(i, left, right, (i + 2,) if i < 2 else (), **beside)
     region = np.array([[200.0, 1.75], [220.0, 1.75], [220.0, 5.25], [200.0, 5.25]])
     log = scenario(along(np.zeros(1), 10.0), road=replace(straight_road(), lanes=lanes), duration=20.0,
-                   goal=Goal((region,)), metadata={CAREFUL_M: "200"})  # fmt: skip
+                   goal=Goal((region,)), metadata={FOLLOWER_M: "200"})  # fmt: skip
     ego = along(grid(20.0), 10.0)
     ego = replace(ego, y=3.5 / (1.0 + np.exp(-(ego.x - 140.0) / 5.0)))
     assert gained(route_of(log), ego).cut == 0.0
@@ -171,7 +191,7 @@ def test_progress_does_not_change_with_the_map(turn: float, dx: float, dy: float
 
 @pytest.mark.parametrize("end", EndReason)
 def test_goal_and_completion_are_the_end_of_the_drive(end: EndReason) -> None:
-    log = replace(LOG, goal=Goal())
+    log = replace(LOG, goal=Goal(v=(0.0, 20.0)))
     table = judged(log, end=end, detail="car 12")
     assert table.loc["goal.final", "value"] == (end is EndReason.GOAL)
     assert table.loc["completed.final", "value"] == (end in (EndReason.GOAL, EndReason.END_OF_LOG))

@@ -21,19 +21,20 @@ from replay.avoidability import with_avoidability
 from replay.closed_loop import run_closed_loop
 from replay.drive import Drive, LoopConfig
 from replay.open_loop import run_open_loop
-from replay.reference_drives import reference_drives, reference_table
+from replay.reference_drives import reference_drives, reference_table, with_follower
 
 FAST = ("park", "short", "teleport")
 
 
 def driven(log: Scenario, planner: str, *modes: Mode, **loop: object) -> tuple[list[Drive], tuple[Verdict, ...]]:
-    log = with_avoidability(log)
     config = LoopConfig(**loop)  # type: ignore[arg-type]
+    log, follower = with_follower(with_avoidability(log), config)
     runs = {Mode.OPEN: run_open_loop, Mode.CLOSED: run_closed_loop}
     drives = [runs[mode](log, planner, config=config) for mode in modes]
     rows = [evaluate(drive.trace, log) for drive in drives]
     gates = load_gates(None).asked_of([mode.value for mode in modes])
-    return drives, judge(gates, pd.concat([*rows, reference_table(log)]), {log.name: LogLabels(tags=log.tags)})
+    table = pd.concat([*rows, reference_table(log), follower])
+    return drives, judge(gates, table, {log.name: LogLabels(tags=log.tags)})
 
 
 @pytest.mark.parametrize(
@@ -86,8 +87,8 @@ def test_who_is_hit_from_behind_is_not_failed_for_that() -> None:
     assert drive.trace.end is EndReason.REPLAY_CONTACT
     outcomes = {verdict.gate.metric: verdict.outcome for verdict in verdicts}
     assert Outcome.FAIL not in outcomes.values()
-    for metric in ("completed.final", "goal.final", "route_progress.final", "replay_contact.final"):
-        assert outcomes.get(metric, Outcome.INCONCLUSIVE) is Outcome.INCONCLUSIVE, metric
+    for metric in ("completed.final", "route_progress.final", "replay_contact.final"):
+        assert outcomes[metric] is Outcome.INCONCLUSIVE, metric
     assert outcomes["collision_at_fault.count"] is Outcome.PASS
     (said,) = [v for v in verdicts if v.gate.metric == "completed.final"]
     assert "the replay ran into the ego (car 7:" in said.reason
@@ -116,7 +117,7 @@ def test_a_phantom_ends_no_drive_and_is_named() -> None:
     assert crash.trace.end is EndReason.COLLISION
 
 
-def test_where_only_the_start_is_known_the_careful_driver_says_how_far_one_comes() -> None:
+def test_where_only_the_start_is_known_the_route_follower_is_the_yardstick() -> None:
     log = scenario(along(grid(0.0), 12.0), duration=10.0)
     for planner, passes in (("constant_speed", True), ("adversaries:Park", False)):
         _, verdicts = driven(log, planner, Mode.CLOSED)

@@ -95,7 +95,7 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
     ),
     "evidence": (
         evidence.COVERAGE, evidence.REPLAY_CONTACT, evidence.PLAN_REFUSED, evidence.PLAN_CORRECTED, evidence.ENSEMBLE,
-        evidence.PHANTOM,
+        evidence.ASKED, evidence.PHANTOM,
         divergence.DIVERGENCE, divergence.WEAK, divergence.DISPLACED,
     ),
     "reference": (avoidability.CC, avoidability.FSM),

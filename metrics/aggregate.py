@@ -97,7 +97,8 @@ def standings(
     """
     said: dict[tuple[str, str, str], set[str]] = {}
     for log, planner, mode, outcome in _rows(verdicts, "log", "planner", "mode", "outcome"):
-        said.setdefault((log, planner, mode), set()).add(_STANDS[outcome])
+        if outcome in _STANDS:
+            said.setdefault((log, planner, mode), set()).add(_STANDS[outcome])
     driven = set(_rows(drives, "log", "planner", "mode"))
     judged = {planner for _, planner, _ in said}
     unjudged = {planner for planner, oracle in _rows(drives, "planner", "oracle") if oracle} - judged

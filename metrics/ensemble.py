@@ -1,10 +1,12 @@
-"""Robust or fragile: does the verdict on a log hold in worlds in which it should be the same?
+"""Rows of the table that the gates make: is a verdict robust or fragile, and how many of the gates were asked?
 
 A member is the log driven again under one perturbation (`replay.perturb`). What a log says of a planner in one mode is
 the worst of what it says of the gates. With the unperturbed drive among the members:
 
 (1) ensemble.pass_share = members that pass / members
 (2) ensemble.fragile    = 1 where a member's verdict is another than the unperturbed drive's, else 0
+
+`asked.share` is the share of the gates that were asked of a drive.
 """
 
 from __future__ import annotations
@@ -15,7 +17,7 @@ from dataclasses import replace
 import pandas as pd
 
 from metrics.aggregate import LogLabels
-from metrics.evidence import ENSEMBLE
+from metrics.evidence import ASKED, ENSEMBLE
 from metrics.gates import Gates, Outcome
 from metrics.judge import judge, outcomes, worst
 
@@ -56,13 +58,25 @@ def with_ensemble(
     return _filled(table, values)
 
 
+def with_asked(table: pd.DataFrame, gates: Gates, labels: Mapping[str, LogLabels]) -> pd.DataFrame:
+    """The table with the row `asked.share` of each drive: the share of the other gates that are asked of it."""
+    rules = replace(gates, gates=tuple(gate for gate in gates.gates if not gate.metric.startswith(ASKED.name)))
+    values: dict[tuple[str, str, str, str], tuple[float, str]] = {}
+    for key, rows in _said(rules, table, labels).items():
+        missing = rows.loc[rows["outcome"] == Outcome.NOT_ASKED.value, "gate"]
+        reason = f"not asked: {', '.join(missing)}" if len(missing) else ""
+        values[*key, f"{ASKED.name}.share"] = 1.0 - len(missing) / len(rows), reason
+    return _filled(table, values)
+
+
 def _filled(table: pd.DataFrame, values: Mapping[tuple[str, str, str, str], tuple[float, str]]) -> pd.DataFrame:
     """The table with the values and reasons of these rows, by log, planner, mode and metric."""
+    keys = list(zip(*(table[name] for name in (*_KEY, "metric")), strict=True))
+    at = table.index[[i for i, key in enumerate(keys) if key in values]]
+    found = [values[key] for key in keys if key in values]
     out = table.copy()
-    for i, key in enumerate(zip(*(table[name] for name in (*_KEY, "metric")), strict=True)):
-        if key in values:
-            out.loc[out.index[i], "value"], out.loc[out.index[i], "reason"] = values[key]
-            out.loc[out.index[i], "available"] = True
+    out.loc[at, "value"], out.loc[at, "reason"] = [value for value, _ in found], [reason for _, reason in found]
+    out.loc[at, "available"] = True
     return out
 
 

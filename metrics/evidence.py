@@ -77,6 +77,12 @@ ENSEMBLE = Metric(
     " which it passes, and 1 where one of them has another verdict.",
     formula="members that pass / members; [a member has another verdict]", needs="--ensemble N",
 )  # fmt: skip
+ASKED = Metric(
+    "asked", "1", "none", (Mode.OPEN, Mode.CLOSED), lambda trace, scenario: Unavailable("no gates were judged"),
+    (Reduction("share", lambda series: (float(series.value[0]), -1), direction="higher"),),
+    "Share of the gates of this loop that were asked of this log: the others had nothing to judge.",
+    formula="gates that pass, fail or are inconclusive / gates of the loop", needs="a run with gates",
+)  # fmt: skip
 PHANTOM = Metric(
     "phantom", "count", "none", (Mode.OPEN, Mode.CLOSED), _phantom, (COUNT,),
     "Boxes in which the recorded ego stood: they are left out of all metrics and end no drive, from 1 s before to 1 s"

@@ -16,7 +16,9 @@ per = "family"                      # optional: a verdict for each "family", "ta
 min_logs = 1                        # how many logs must be judged
 max_missing = 0.1                   # share of the logs that may be without evidence (no value, or excused)
 optional = true                     # not asked of logs without the value (it needs lights, say); default: false
-reachable = true                    # not asked of logs in which neither reference driver holds it; default: false
+reachable = true                    # inconclusive where no reference drive and no other planner holds it; false
+evidence = "traffic"                # a pass needs evidence about "traffic", "lights", "limit" or "lane" ...
+min_evidence = 0.8                  # ... over this share of the driven time; else the log is inconclusive
 broken = "inconclusive"             # what a broken bound means: "fail" (default) or "inconclusive"
 reason = "why this threshold"       # shown with the verdict
 
@@ -42,13 +44,16 @@ from metrics import METRICS, Metric
 
 
 class Outcome(Enum):
-    """What a gate says; in order of weight when several are taken together, the first wins."""
+    """The outcome of a gate; in order of weight when several are taken together: the first wins."""
 
     FAIL = "fail"
     INCONCLUSIVE = "inconclusive"
     PASS = "pass"
+    NOT_ASKED = "not asked"
 
 
+EVIDENCE = ("traffic", "lights", "limit", "lane")
+"""What a gate may need evidence about: the parts of the metric `evidence`."""
 OVER = ("worst", "mean", "median", "sum", "pass_share")
 
 
@@ -68,6 +73,8 @@ class Gate:
     optional: bool = False
     max_missing: float = 0.1
     reachable: bool = False
+    evidence: str | None = None
+    min_evidence: float = 0.8
     broken: str = Outcome.FAIL.value
     min_share: float | None = None
     confident: bool = False
@@ -98,6 +105,10 @@ class Gate:
             raise ValueError("min_logs is below 1: a gate with nothing to judge is no pass")
         if not 0.0 <= self.max_missing < 1.0:
             raise ValueError(f"max_missing is {self.max_missing:g}, not a share of at least 0 and below 1")
+        if self.evidence not in (None, *EVIDENCE):
+            raise ValueError(f"evidence is {self.evidence!r}, not one of {', '.join(EVIDENCE)}")
+        if not 0.0 <= self.min_evidence <= 1.0:
+            raise ValueError(f"min_evidence is {self.min_evidence:g}, not a share")
         if self.broken not in (Outcome.FAIL.value, Outcome.INCONCLUSIVE.value):
             raise ValueError(f'broken is {self.broken!r}, not "fail" or "inconclusive"')
 
@@ -181,7 +192,7 @@ _TYPES: Mapping[str, tuple[type, ...]] = MappingProxyType(
         "metric": (str,), "min": (int, float), "max": (int, float), "mode": (str,), "tags": (list,), "planner": (str,),
         "over": (str,), "min_logs": (int,), "reason": (str,), "optional": (bool,), "max_missing": (int, float),
         "reachable": (bool,), "broken": (str,), "min_share": (int, float), "confident": (bool,), "families": (list,),
-        "datasets": (list,), "per": (str,),
+        "datasets": (list,), "per": (str,), "evidence": (str,), "min_evidence": (int, float),
     }
 )  # fmt: skip
 

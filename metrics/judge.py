@@ -1,21 +1,25 @@
 """Judging: the gates on the table of a run, log by log, and then over the logs.
 
-What a log says of a gate, the first that holds:
+The outcome of a gate on a log is the first of these that holds:
 
-    INCONCLUSIVE    the log could not be evaluated, or has no value (a NaN is none)
-    INCONCLUSIVE    the value is within the bounds, but the drive crashed: what more it would have shown is not known
+    INCONCLUSIVE    the log could not be evaluated, or has no value (NaN is no value) although the gate is not optional
+    NOT ASKED       the gate is optional and the log has no value; the reason of the metric says why
+    INCONCLUSIVE    the value is within the bounds, but the drive crashed, or less than `min_evidence` of it has the
+                    evidence that the gate names (`evidence.PART.share`): traffic, lights, limit or lane
     PASS            the value is within the bounds, or the gate asks for the sum of all logs
-    INCONCLUSIVE    the value is broken, but is no evidence against the planner (below), or `broken = "inconclusive"`
-    FAIL            the value is broken
+    INCONCLUSIVE    the value is out of bounds, the gate is `reachable`, and no yardstick holds the bound
+    INCONCLUSIVE    the value is out of bounds, but is excused (below), or `broken = "inconclusive"`
+    FAIL            the value is out of bounds
 
-A broken value of the groups safety and progress is no evidence where the drive ended with `replay_contact` (a replayed
-road user drove into the ego without its fault): of progress at all, of safety where it is about that road user. It is
-none either where a reference drive, a row of mode "reference" in the table, breaks the same bound (`EXCUSED`): the
-recorded driver in any way (planner "driver", there for recorded logs only) in safety and rules; the careful driver
-(planner "careful", UN R157, who knows no rules) in safety and comfort, about the same road user, within `SAME_S` of the
-same time, and where both collide not more slowly than the planner by more than `SLOWER_MPS`. Progress is none where the
-collision that ended the drive is none, and in a log with phantoms, for which planners stop. Not asked at all is a log
-without the value by an `optional` gate, and one in which neither reference drive holds the bound by a `reachable` one.
+Yardsticks of a `reachable` gate are the reference drives (rows of mode "reference": `REFERENCES`) and all other
+planners of the run.
+
+A value is excused by a reference drive of `EXCUSED` that breaks the same bound in the same event: the values are about
+the same road user or thing, at most `SAME_S` apart, and the planner's is not clearly worse (`WORSE`). In safety and
+comfort an event without a road user excuses nothing. A collision is not excused where the careful driver of UN R157
+collides more slowly by more than `SLOWER_MPS`. Safety and progress are excused, too, by a replayed road user that drove
+into the ego (`replay_contact`): safety where it is about that road user. Progress is excused where the
+collision that ended the drive is, and where a phantom of the log stops the route follower as well.
 
 Over the logs together a gate has a verdict per planner and mode, and per group where it asks so (`metrics.over_logs`).
 An optional gate has no verdict where no log was asked; filters that no log passes and planners that are not in the run
@@ -24,7 +28,7 @@ are INCONCLUSIVE always, since they are most likely misspelt.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from math import isfinite
 from types import MappingProxyType
@@ -42,20 +46,24 @@ _NOTHING: Mapping[str, str] = MappingProxyType({})
 _NO_DRIVE: Mapping[tuple[str, str, str], str] = MappingProxyType({})
 REFERENCE = "reference"
 """Mode of the rows of reference drives."""
-DRIVER, CAREFUL = "driver", "careful"
-"""Planner of those rows: the log's own driver, and the careful one of UN R157."""
-_DRIVERS = {DRIVER: "recorded", CAREFUL: "careful"}
+DRIVER, CAREFUL, FOLLOWER = "driver", "careful", "follower"
+REFERENCES = {DRIVER: "the recorded driver", CAREFUL: "the careful driver", FOLLOWER: "the route follower"}
+"""Planner of those rows: the log's own driver; the careful driver of UN R157, which brakes only and knows no rules; and
+the route follower, which accelerates, steers and obeys the rules (`replay.reference_drives`)."""
 REPLAY_CONTACT = "replay_contact.final"
 NO_COLLISION = Gate("collision_at_fault.count", max=0.0)
 """A collision ends a drive: where it is no evidence, neither is that the drive got no further."""
-SAME_S, SLOWER_MPS = 2.0, 1.0
-"""A stop at another time, or an impact that is clearly harder, is another event (`CC_TTC_S` of the careful driver)."""
+SAME_S, SLOWER_MPS, WORSE = 2.0, 1.0, 1.5
+"""A stop at another time, or an impact that is clearly harder, is another event (`CC_TTC_S` of the careful driver). A
+value that is farther out of bounds than `WORSE` times the reference drive's holds more than that event."""
 IMPACT = "collision_severity.impact_speed.max"
 PHANTOMS = "phantom.count"
 EXCUSED: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"safety": (DRIVER, CAREFUL), "rules": (DRIVER,), "comfort": (CAREFUL,)}
 )
 """Which reference drives are asked, by group of metrics."""
+NAMED = ("safety", "comfort")
+"""Groups whose events are excused only where they are about a road user."""
 _GROUP = {metric.name: name for name, group in GROUPS.items() for metric in group}
 OUTCOME_COLUMNS = ("gate", "log", "planner", "mode", "outcome", "value", "time_s", "reason")
 
@@ -109,7 +117,7 @@ def judge(
 
 
 def outcomes(verdicts: Sequence[Verdict]) -> pd.DataFrame:
-    """What each log says of each gate, a row each: `OUTCOME_COLUMNS`; once, however many groups it is in."""
+    """The outcome of each gate on each log, a row each (`OUTCOME_COLUMNS`), once however many groups the log is in."""
     found = [
         (str(v.gate), log.log, v.planner, v.mode, log.outcome.value, log.value, log.time_s, log.why)
         for v in verdicts
@@ -121,13 +129,14 @@ def outcomes(verdicts: Sequence[Verdict]) -> pd.DataFrame:
     return rows[~again].reset_index(drop=True)
 
 
-def worst(found: Sequence[Outcome]) -> Outcome:
-    """Several outcomes taken together; INCONCLUSIVE where there is none."""
-    return min(found, key=list(Outcome).index, default=Outcome.INCONCLUSIVE)
+def worst(found: Iterable[Outcome]) -> Outcome:
+    """Several outcomes taken together, those NOT ASKED left out; INCONCLUSIVE where there is none."""
+    asked = (outcome for outcome in found if outcome is not Outcome.NOT_ASKED)
+    return min(asked, key=list(Outcome).index, default=Outcome.INCONCLUSIVE)
 
 
 def verdicts_by_log(verdicts: Sequence[Verdict]) -> dict[tuple[str, str], str]:
-    """The worst that the gates say, "pass", "fail" or "inconclusive", by log and planner, over both loops."""
+    """The worst outcome, "pass", "fail" or "inconclusive", by log and planner, over both loops."""
     found: dict[tuple[str, str], list[Outcome]] = {}
     for verdict in verdicts:
         for log in verdict.logs:
@@ -156,13 +165,12 @@ def _judge(
         asked = not gate.optional or (gate.planner is not None and all(gate.planner != name for name, _ in rows.drives))
         reason = f"nothing to judge: {_nothing(gate, rows)} in this run{lost}"
         return [Verdict(gate, Outcome.INCONCLUSIVE, reason)] if asked else []
-    found = (
+    return [
         verdict_on(gate, drive, tuple(_of_logs(gate, drive, rows, mine, failed)), group)
         for drive in drives
         if drive[1] in modes
         for group, mine in _grouped(logs, gate, labels).items()
-    )
-    return [verdict for verdict in found if verdict is not None]
+    ]
 
 
 def _selected(log: str, gate: Gate, labels: Mapping[str, LogLabels], failed: Mapping[str, str]) -> bool:
@@ -218,26 +226,29 @@ def _nothing(gate: Gate, rows: _Rows) -> str:
 def _of_logs(
     gate: Gate, drive: tuple[str, str], rows: _Rows, logs: Sequence[str], failed: Mapping[str, str]
 ) -> Iterator[LogOutcome]:
-    """What the logs that are asked say."""
+    """The outcome of each log that the gate selects (module docstring)."""
     mine = rows.drives[drive]
     ran = {log for log, _ in mine}
     for log in logs:
         row = mine.get((log, gate.metric))
         if log in failed or log not in ran:
             yield LogOutcome(log, Outcome.INCONCLUSIVE, failed.get(log, "no result"), evaluated=False)
-        elif row is None or not row.known:
-            if not gate.optional:
-                yield LogOutcome(log, Outcome.INCONCLUSIVE, _lack(row))
-        elif gate.over == "sum" or gate.margin(row.value) >= 0.0:
-            if (log, *drive) in rows.crashed:
+            continue
+        if row is None or not row.known:
+            yield LogOutcome(log, Outcome.NOT_ASKED if gate.optional else Outcome.INCONCLUSIVE, _lack(row))
+            continue
+        crashed, outcome, why = (log, *drive) in rows.crashed, Outcome.PASS, row.reason
+        if gate.over == "sum" or gate.margin(row.value) >= 0.0:
+            if crashed:
                 yield LogOutcome(log, Outcome.INCONCLUSIVE, rows.crashed[log, *drive], evaluated=False)
                 continue
-            yield LogOutcome(log, Outcome.PASS, row.reason, row.value, row.unit, row.time_s)
-        elif not gate.reachable or _reachable(gate, log, rows):
-            why = _excuse(gate, log, row, mine, rows)
-            outcome = Outcome.INCONCLUSIVE if why else Outcome(gate.broken)
-            said = row.reason or (gate.reason if outcome is Outcome.INCONCLUSIVE else "")
-            yield LogOutcome(log, outcome, why or said, row.value, row.unit, row.time_s)
+            lacking = _lacking_evidence(gate, log, mine)
+            outcome, why = (Outcome.INCONCLUSIVE, lacking) if lacking else (outcome, why)
+        else:
+            excuse = _excuse(gate, log, row, drive, rows)
+            outcome = Outcome.INCONCLUSIVE if excuse else Outcome(gate.broken)
+            why = excuse or row.reason or (gate.reason if outcome is Outcome.INCONCLUSIVE else "")
+        yield LogOutcome(log, outcome, why, row.value, row.unit, row.time_s)
 
 
 def _lack(row: _Row | None) -> str:
@@ -246,27 +257,40 @@ def _lack(row: _Row | None) -> str:
     return row.reason if not row.available else "the value is not a number"
 
 
-def _reachable(gate: Gate, log: str, rows: _Rows) -> bool:
-    """Whether a reference drive holds the bound."""
-    drives = (rows.reference(planner, log, gate.metric) for planner in (DRIVER, CAREFUL))
-    return any(row is not None and gate.margin(row.value) >= 0.0 for row in drives)
+def _lacking_evidence(gate: Gate, log: str, mine: Mapping[tuple[str, str], _Row]) -> str:
+    """Why a value within the bounds is no pass: too little of the drive has the evidence; empty: it has enough."""
+    share = mine.get((log, f"evidence.{gate.evidence}.share"))
+    if share is None or not share.known or share.value >= gate.min_evidence:
+        return ""
+    known = f"evidence about {gate.evidence} covers {100.0 * share.value:.3g} % of the drive"
+    return f"{known}, less than {100.0 * gate.min_evidence:g} %" + (f" ({share.reason})" if share.reason else "")
 
 
-def _excuse(gate: Gate, log: str, row: _Row, mine: Mapping[tuple[str, str], _Row], rows: _Rows) -> str:
+def _excuse(gate: Gate, log: str, row: _Row, drive: tuple[str, str], rows: _Rows) -> str:
     """Why a broken value is no evidence against the planner (module docstring); empty: it is."""
-    group = _GROUP.get(gate.metric.partition(".")[0], "")
+    mine, group = rows.drives[drive], _GROUP.get(gate.metric.partition(".")[0], "")
+    if gate.reachable and not _reached(gate, log, drive, rows):
+        return "neither a reference drive nor another planner of the run holds it"
     contact = mine.get((log, REPLAY_CONTACT))
     if contact is not None and contact.known and contact.value > 0.0 and _concerns(group, row, contact):
         return f"the replay ran into the ego ({contact.reason})"
     if group in EXCUSED:
-        return _by_reference(gate, log, row, mine, rows, EXCUSED[group])
-    crash = mine.get((log, NO_COLLISION.metric))
+        return _by_reference(gate, log, row, mine, rows)
+    crash, phantom = mine.get((log, NO_COLLISION.metric)), mine.get((log, PHANTOMS))
     if group == "progress" and crash is not None and crash.known and NO_COLLISION.margin(crash.value) < 0.0:
-        return _by_reference(NO_COLLISION, log, crash, mine, rows, EXCUSED["safety"])
-    phantom = mine.get((log, PHANTOMS))
-    if group == "progress" and phantom is not None and phantom.known and phantom.value > 0.0:
-        return f"the log shows planners what was not there ({phantom.reason})"
+        return _by_reference(NO_COLLISION, log, crash, mine, rows)
+    follower = rows.reference(FOLLOWER, log, gate.metric)
+    stopped = follower is not None and gate.margin(follower.value) < 0.0
+    if group == "progress" and stopped and phantom is not None and phantom.known and phantom.value > 0.0:
+        return f"the log shows what was not there ({phantom.reason}), and stops the route follower, too"
     return ""
+
+
+def _reached(gate: Gate, log: str, drive: tuple[str, str], rows: _Rows) -> bool:
+    """Whether a reference drive or another planner of the run holds the bound in this log."""
+    others = (key for key in rows.drives if key != drive and key[1] in (drive[1], REFERENCE))
+    found = (rows.drives[key].get((log, gate.metric)) for key in others)
+    return any(row is not None and row.known and gate.margin(row.value) >= 0.0 for row in found)
 
 
 def _concerns(group: str, row: _Row, contact: _Row) -> bool:
@@ -274,23 +298,21 @@ def _concerns(group: str, row: _Row, contact: _Row) -> bool:
     return group == "progress" or (group == "safety" and _about(row) == _about(contact))
 
 
-def _by_reference(
-    gate: Gate, log: str, row: _Row, mine: Mapping[tuple[str, str], _Row], rows: _Rows, asked: Sequence[str]
-) -> str:
-    """Which of the reference drives that are asked breaks the bound too; empty: none."""
-    for planner in asked:
+def _by_reference(gate: Gate, log: str, row: _Row, mine: Mapping[tuple[str, str], _Row], rows: _Rows) -> str:
+    """Which reference drive breaks the bound in the same event (module docstring); empty: none."""
+    group = _GROUP[gate.metric.partition(".")[0]]
+    for planner in EXCUSED[group]:
         found = rows.reference(planner, log, gate.metric)
         if found is None or gate.margin(found.value) >= 0.0:
             continue
+        if _about(row) != _about(found) or not abs(row.time_s - found.time_s) <= SAME_S:
+            continue
+        if (group in NAMED and not _about(row)) or gate.margin(row.value) < WORSE * gate.margin(found.value):
+            continue
         impacts = mine.get((log, IMPACT)), rows.reference(CAREFUL, log, IMPACT)
-        if planner == DRIVER or (_same_event(row, found) and not _harder(*impacts)):
-            return f"the {_DRIVERS[planner]} driver breaks {gate} too: {_shown(found)}"
+        if planner == DRIVER or not _harder(*impacts):
+            return f"{REFERENCES[planner]} breaks {gate} too: {_shown(found)}"
     return ""
-
-
-def _same_event(row: _Row, found: _Row) -> bool:
-    """Whether two values are about the same road user and about the same time; a value without a time is about none."""
-    return _about(row) == _about(found) and abs(row.time_s - found.time_s) <= SAME_S
 
 
 def _harder(impact: _Row | None, careful: _Row | None) -> bool:

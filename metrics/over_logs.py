@@ -41,7 +41,7 @@ from metrics.gates import Gate, Outcome
 
 @dataclass(frozen=True, slots=True)
 class LogOutcome:
-    """What one log says of a gate: `why` it is inconclusive, else on which road user or thing the value is."""
+    """The outcome of a gate on one log: `why` it is inconclusive or not asked, else the road user that it is about."""
 
     log: str
     outcome: Outcome
@@ -58,13 +58,13 @@ class Verdict:
 
     Attributes:
         gate: The rule.
-        outcome: Pass, fail or inconclusive.
+        outcome: Pass, fail, inconclusive or not asked.
         reason: One sentence that names planner, worst log, value and time.
         planner: "" where no planner was to be judged; `mode` likewise.
         value: The judged value (what `over` makes of the logs, or the worst log's); NaN where there is none.
         log: The worst log; "" where there is none.
         time_s: When its value occurred; NaN where it has no time.
-        logs: What each log that was asked says.
+        logs: The outcome of each log that the gate selects.
         group: "family everyday/cut_in" where the gate has a verdict per group; else "".
     """
 
@@ -85,23 +85,23 @@ _REDUCE: Mapping[str, Callable[[Sequence[float]], float]] = MappingProxyType(
 )
 
 
-def verdict_on(gate: Gate, drive: tuple[str, str], found: tuple[LogOutcome, ...], group: str = "") -> Verdict | None:
-    """The verdict on one planner and mode.
+def verdict_on(gate: Gate, drive: tuple[str, str], logs: tuple[LogOutcome, ...], group: str = "") -> Verdict:
+    """The verdict on one planner and mode; NOT ASKED where no log was asked and the gate is optional.
 
     Args:
         gate: The rule.
         drive: Planner and mode.
-        found: What each log that was asked says.
-        group: Which logs these are; "": all that the gate asks for.
-
-    Returns:
-        None: no log was asked, and the gate is optional.
+        logs: The outcome of each log that the gate selects.
+        group: Which logs these are; "": all that the gate selects.
     """
     planner, mode = drive
     who = f"{planner}, {mode} loop" + (f", {group}" if group else "")
-    nothing = Verdict(gate, Outcome.INCONCLUSIVE, f"{who}: no log was asked", planner, mode, logs=found, group=group)
+    nothing = Verdict(gate, Outcome.INCONCLUSIVE, f"{who}: no log was asked", planner, mode, logs=logs, group=group)
+    found = tuple(log for log in logs if log.outcome is not Outcome.NOT_ASKED)
     if not found:
-        return None if gate.optional else nothing
+        why = Counter(log.why for log in logs).most_common(1)
+        reason = f"{who}: no log was asked" + (f" ({why[0][0]})" if why else "")
+        return replace(nothing, outcome=Outcome.NOT_ASKED if gate.optional else Outcome.INCONCLUSIVE, reason=reason)
     judged = [log for log in found if isfinite(log.value) and log.outcome is not Outcome.INCONCLUSIVE]
     aside = _aside(found)
     if not judged:

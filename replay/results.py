@@ -115,7 +115,7 @@ class Results:
 
     @cached_property
     def metrics(self) -> pd.DataFrame:
-        """A row per log, planner, mode and metric; mode "reference" are the recorded and the careful driver."""
+        """A row per log, planner, mode and metric; mode "reference" are the reference drives."""
         return _table(self.path / "metrics.parquet", pd.read_parquet).drop(columns="schema_version")
 
     @cached_property

@@ -20,7 +20,7 @@ from logs.errors import ConfigError, OutputError
 from logs.readers import LogSettings
 from metrics import COLUMNS, health
 from metrics.aggregate import LogLabels, groups, standings
-from metrics.ensemble import with_ensemble
+from metrics.ensemble import with_asked, with_ensemble
 from metrics.gates import Gates, Outcome, load_gates
 from metrics.judge import Verdict, judge, outcomes
 from metrics.latency import SHARE as LATE
@@ -106,7 +106,7 @@ class RunResult:
             return 2 if 2 in codes else 3
         if self.shard is not None:
             return 0
-        outcomes = {verdict.outcome for verdict in self.verdicts}
+        outcomes = {verdict.outcome for verdict in self.verdicts} - {Outcome.NOT_ASKED}
         if Outcome.FAIL in outcomes:
             return 1
         return 4 if Outcome.INCONCLUSIVE in outcomes or not outcomes else 0
@@ -246,7 +246,7 @@ def concluded(
     table = joined([table_of(out, results, METRICS)], KEYS, COLUMNS).astype({"value": float, "time_s": float})
     labels = {log.name: LogLabels(log.family, log.dataset, log.tags) for log in results if log.digest}
     members = joined([table_of(out, results, MEMBERS)], KEYS, COLUMNS)
-    table = with_ensemble(table, members, gates, labels)
+    table = with_asked(with_ensemble(table, members, gates, labels), gates, labels)
     unread = {result.name: "see the errors" for result in results if not result.digest}
     timings = out / TIMINGS
     sorted_ = sorted((result for result in results if result.folder), key=lambda result: result.name)

@@ -54,7 +54,7 @@ def _columns(*rows: tuple[str, str, str]) -> tuple[Column, ...]:
 _DRIVE = _columns(
     ("log", "text", "name of the log"),
     ("planner", "text", "as it was named in the run; of mode `reference`: the reference driver"),
-    ("mode", "text", "`open`, `closed`, or `reference`: what the recorded and the careful driver did or could do"),
+    ("mode", "text", "`open`, `closed`, or `reference`: what the reference drives did or could do"),
 )
 _METRICS = (
     *_DRIVE,

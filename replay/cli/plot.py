@@ -85,7 +85,11 @@ def plot(
 
 
 def drive_of(results: Results, log: str | None, planner: str | None, mode: str | None) -> DriveResult:
-    """The drive that is asked for; without a log the one to look at first, without a mode the closed loop if any."""
+    """The drive that is asked for; without a log the one to look at first.
+
+    Without a mode the loop in which a gate failed; of both, and of neither, the closed loop if there is one.
+    """
+    from metrics.gates import Outcome
     from replay.report.overview import overview
 
     if log is None:
@@ -98,4 +102,5 @@ def drive_of(results: Results, log: str | None, planner: str | None, mode: str |
         log, planner = worst.log, worst.planner
     here = results.drives[results.drives["log"] == log]
     modes = set(here["mode"] if planner is None else here.loc[here["planner"] == planner, "mode"])
-    return results.drive(log, planner, mode or ("open" if modes == {"open"} else "closed"))
+    drives = [results.drive(log, planner, each) for each in ([mode] if mode else sorted(modes) or ["closed"])]
+    return next((drive for drive in drives if (drive.verdicts["outcome"] == Outcome.FAIL.value).any()), drives[0])

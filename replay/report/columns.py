@@ -57,7 +57,7 @@ LEGEND = (
     ("open", "open loop: the log drives, plans are compared with it; ADE 3 s: mean distance of plan and log over 3 s."),
     (
         "closed",
-        "closed loop: the planner drives; route done: of what the log's driver, else the careful driver, does in all;",
+        "closed loop: the planner drives; route done: of what the log's driver, else the route follower, does in all;",
     ),
     (
         "closed",
@@ -65,7 +65,7 @@ LEGEND = (
     ),
     (
         "",
-        "verdict: the worst that the gates say of this log; inconclusive: evidence neither for nor against a planner.",
+        "verdict: the worst outcome of the gates, and how many of them were asked; inconclusive: no evidence either way.",
     ),
     ("", "fall back: share of frames in which the planner could not plan.  - : not available (why: metrics.csv)."),
 )

@@ -88,7 +88,8 @@ def _of_drives(results: Results, over: Overview, said: pd.DataFrame, planner: st
         if (gate.planner, gate.mode) == (planner, mode) and (gate.over != WORST or gate.outcome == "inconclusive"):
             yield Case(f"{planner}.{mode}.{gate.group or 'all logs'}", gate.rule, gate.outcome, gate.reason)
     together = {gate.rule for gate in over.gates if gate.over != WORST}
-    said = said[(said["planner"] == planner) & (said["mode"] == mode) & ~said["gate"].isin(together)]
+    asked = (said["outcome"] != Outcome.NOT_ASKED.value) & ~said["gate"].isin(together)
+    said = said[(said["planner"] == planner) & (said["mode"] == mode) & asked]
     short = without_folders(results)
     rows = dict(iter(said.groupby("log", sort=False)))
     mine = results.drives[(results.drives["planner"] == planner) & (results.drives["mode"] == mode)]

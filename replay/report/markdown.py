@@ -118,6 +118,8 @@ def _gates(over: Overview) -> Iterator[str]:
     if good:
         table = _table(("outcome", "rule", "loop", "what was found"), map(_gate, good))
         yield _folded(f"{len(good)} verdicts pass", table)
+    if over.not_asked:
+        yield _folded(f"{len(over.not_asked)} gates were not asked of some drives", _list("", over.not_asked))
 
 
 def _gate(gate: GateRow) -> tuple[str, ...]:

@@ -29,7 +29,8 @@ class DriveRow:
     Attributes:
         log: Name of the log.
         planner: Name of the planner; `shown` is with its marks: oracle, trusted, batched, not deterministic.
-        verdict: The worst that the gates say of this log; "" where none was asked.
+        verdict: The worst outcome of the gates on this log; "" where none was asked.
+        asked: How many of the gates were asked, of how many: "24/41".
         end: How the closed loop ended.
         cells: One per column of `Overview.columns`.
         files: Traces and recordings, relative to the result folder.
@@ -40,6 +41,7 @@ class DriveRow:
     planner: str
     shown: str
     verdict: str
+    asked: str
     end: Cell
     cells: tuple[Cell, ...]
     files: tuple[str, ...]
@@ -179,7 +181,8 @@ class Overview:
         compared: A label, and a text per planner.
         frames: How many plans the latencies are of.
         latency: By planner and stage, the whole plan last.
-        gates: What is not passed first.
+        gates: What is not passed first; those that were asked of no log are left out.
+        not_asked: The gates that were not asked of a log, with the commonest reason, a line each.
         shares: Pass shares: suite, families, tags, datasets.
         coverage: By planner and loop.
         ensembles: How many verdicts were tried in worlds that should not matter.
@@ -204,6 +207,7 @@ class Overview:
     frames: int
     latency: tuple[StageTime, ...]
     gates: tuple[GateRow, ...]
+    not_asked: tuple[str, ...]
     shares: tuple[PassShare, ...]
     coverage: tuple[Coverage, ...]
     ensembles: int

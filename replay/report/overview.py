@@ -30,6 +30,7 @@ from metrics.latency import judge_deadline
 from replay.batch import OUTCOMES
 from replay.determinism import NOT_DETERMINISTIC
 from replay.drive import BATCHED, TRUSTED
+from replay.report.charts.moment import gravity
 from replay.report.columns import COLUMNS, COMPARED, Column
 from replay.report.model import NOTHING, Cell, Coverage, DriveRow, GateRow, Overview, PassShare, StageTime
 from replay.results import Results
@@ -72,6 +73,7 @@ def overview(results: Results, comparison: Comparison | None = None) -> Overview
         frames=int((results.timings["stage"] == "total").sum()),
         latency=tuple(_latency(results.timings)),
         gates=gates,
+        not_asked=tuple(_not_asked(said)),
         shares=_shares(results, said) if "shard" not in results.summary else (),
         coverage=tuple(_coverage(results.drives, values)),
         ensembles=len(_ensemble(results.metrics)),
@@ -149,7 +151,7 @@ def _drives(results: Results, values: Values, columns: Sequence[Column], said: p
         grouped.setdefault((str(drive.log), str(drive.planner)), []).append(drive)
     return tuple(
         DriveRow(
-            log, planner, marked(mine), verdicts.get((log, planner), ""),
+            log, planner, marked(mine), *verdicts.get((log, planner), ("", "")),
             _end(next((drive for drive in mine if drive.mode == "closed"), None)),
             tuple(_cell(column, values.get((log, planner, column.mode, column.metric), nan)) for column in columns),
             tuple(file for drive in mine for file in drive.files), folders[log],
@@ -158,11 +160,22 @@ def _drives(results: Results, values: Values, columns: Sequence[Column], said: p
     )  # fmt: skip
 
 
-def _verdicts(said: pd.DataFrame) -> dict[Key, str]:
+def _verdicts(said: pd.DataFrame) -> dict[Key, tuple[str, str]]:
+    """The worst outcome on each log and planner, and how many gates were asked: "24/41"."""
     found: dict[Key, list[Outcome]] = {}
     for log, planner, outcome in zip(said["log"], said["planner"], said["outcome"], strict=True):
         found.setdefault((log, planner), []).append(Outcome(outcome))
-    return {key: worst(each).value for key, each in found.items()}
+    asked = {key: sum(outcome is not Outcome.NOT_ASKED for outcome in each) for key, each in found.items()}
+    return {key: (worst(each).value, f"{asked[key]}/{len(each)}") for key, each in found.items()}
+
+
+def _not_asked(said: pd.DataFrame) -> Iterator[str]:
+    """The rules that were not asked of some drives, those of most drives first, with the commonest reason."""
+    drives = said.groupby("gate")["log"].count()
+    rows = said[said["outcome"] == Outcome.NOT_ASKED.value].groupby("gate", sort=True)["reason"]
+    for gate, reasons in sorted(rows, key=lambda one: (-len(one[1]), one[0])):
+        common = Counter(reasons).most_common(1)[0][0]
+        yield f"{gate}: in {len(reasons)} of {counted(int(drives[gate]), 'drive')} ({common})"
 
 
 def _cell(column: Column, value: float) -> Cell:
@@ -188,8 +201,10 @@ def _end(drive: Any) -> Cell:
 
 
 def _worst(gates: Sequence[GateRow], drives: Sequence[DriveRow]) -> DriveRow | None:
-    """The drive of the worst failure, else the first that has a recording, else the first."""
-    failed = next(((gate.log, gate.planner) for gate in gates if gate.outcome == Outcome.FAIL.value and gate.log), None)
+    """The drive of the gravest failure, else the first that has a recording, else the first."""
+    broken = [gate for gate in gates if gate.outcome == Outcome.FAIL.value and gate.log]
+    gravest = min(broken, key=lambda gate: gravity(gate.rule), default=None)
+    failed = gravest and (gravest.log, gravest.planner)
     order = sorted(drives, key=lambda drive: ((drive.log, drive.planner) != failed, not drive.recording))
     return order[0] if order else None
 
@@ -254,9 +269,12 @@ def _gates(results: Results, said: pd.DataFrame) -> tuple[GateRow, ...]:
     members = {f"{kind} {group}": set(logs) for (kind, group), logs in membership(results.labels).items()}
     rows, short = [], without_folders(results)
     for verdict in results.summary["gates"]:
+        if verdict["outcome"] == Outcome.NOT_ASKED.value:
+            continue
         unit = "" if verdict["gate"]["over"] == "pass_share" else units.get(verdict["gate"]["metric"], "")
         each = found.get((verdict["rule"], verdict["planner"], verdict["mode"]), {})
         mine = [outcome for log, outcome in each.items() if log in members.get(verdict.get("group"), each)]
+        mine = [outcome for outcome in mine if outcome != Outcome.NOT_ASKED.value]
         verdict = {**verdict, "reason": short(verdict["reason"])}
         rows.append(_gate_row(verdict, unit, mine.count(Outcome.INCONCLUSIVE.value), len(mine)))
     return tuple(sorted(rows, key=lambda row: ORDER.index(row.outcome)))

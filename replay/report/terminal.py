@@ -50,6 +50,8 @@ def _parts(over: Overview) -> Iterator[RenderableType]:
         yield from _titled(f"Planning time (wall clock, {counted(over.frames, 'plan')})", _latency(over))
     judged = Text(f"not judged: shard {over.shard}; see replan merge") if over.shard else _gates(over)
     yield from _titled("Gates", judged, *(Text(each.text, style="dim") for each in over.coverage))
+    if over.not_asked:
+        yield from _titled("Gates that were not asked", *_listed(over.not_asked, MAX_NOTES, "report.html"))
     yield from _shares(over)
     if over.ensembles:
         title = f"Ensemble: {len(over.fragile)} of {over.ensembles} verdicts are fragile"
@@ -97,7 +99,8 @@ def _drives(over: Overview) -> Iterator[RenderableType]:
         if several and row.log != before:
             table.add_row(Text(row.log))
         name = Text(f"  {row.shown}" if several else row.log)
-        word = Text(SAYS[row.verdict], style=STYLES[row.verdict]) if row.verdict else Text(NOTHING)
+        verdict = f"{SAYS[row.verdict]} {row.asked}" if row.verdict else NOTHING
+        word = Text(verdict, style=STYLES.get(row.verdict, ""))
         table.add_row(name, word, *(Text(cell.text, "red" if cell.bad else "") for cell in _cells(row, first)))
         before = row.log
     left = len(rows) - len(shown)

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from logs import ConfigError, EndReason, LogError
 from metrics import COLUMNS, METRICS, evaluate
 from metrics.aggregate import LogLabels
+from metrics.ensemble import with_asked
 from metrics.gates import Gate, Gates, Outcome, load_gates
 from metrics.judge import Verdict, judge, outcomes, worst
 
@@ -160,24 +161,23 @@ CONTACT = row("a", 1.0, metric="replay_contact.final", reason="car 7: from behin
         ([CONTACT], INCONCLUSIVE, "the replay ran into the ego (car 7: from behind)"),
         ([CONTACT | {"reason": "car 8: from behind"}], FAIL, "car 7"),
         ([CONTACT | {"value": 0.0, "reason": ""}], FAIL, "car 7"),
-        ([reference("careful", 0.4)], INCONCLUSIVE, "the careful driver breaks gap.min >= 0.5 too: 0.4 m (car 7)"),
-        ([reference("careful", 0.4, reason="car 8")], FAIL, "car 7"),
-        ([reference("careful", 0.4, time_s=9.0)], FAIL, "car 7"),
-        ([reference("careful", 0.4, time_s=np.nan)], FAIL, "car 7"),
+        ([reference("careful", 0.2)], INCONCLUSIVE, "the careful driver breaks gap.min >= 0.5 too: 0.2 m (car 7)"),
+        ([reference("careful", 0.2, reason="car 8")], FAIL, "car 7"),
+        ([reference("careful", 0.2, time_s=9.0)], FAIL, "car 7"),
+        ([reference("careful", 0.2, time_s=np.nan)], FAIL, "car 7"),
+        ([reference("careful", 0.4)], FAIL, "car 7"),  # 0.4 m below the bound, and not 0.1 m
         (
-            [reference("careful", 0.4), IMPACT, reference("careful", 3.5, metric=IMPACT["metric"])],
+            [reference("careful", 0.2), IMPACT, reference("careful", 3.5, metric=IMPACT["metric"])],
             INCONCLUSIVE,
-            "the careful driver breaks gap.min >= 0.5 too: 0.4 m (car 7)",
+            "the careful driver breaks gap.min >= 0.5 too: 0.2 m (car 7)",
         ),
-        ([reference("careful", 0.4), IMPACT, reference("careful", 1.0, metric=IMPACT["metric"])], FAIL, "car 7"),
-        ([reference("careful", 0.4), IMPACT], FAIL, "car 7"),
+        ([reference("careful", 0.2), IMPACT, reference("careful", 1.0, metric=IMPACT["metric"])], FAIL, "car 7"),
+        ([reference("careful", 0.2), IMPACT], FAIL, "car 7"),
         ([reference("careful", 0.6)], FAIL, "car 7"),
-        (
-            [reference("driver", 0.0, reason="car 3")],
-            INCONCLUSIVE,
-            "the recorded driver breaks gap.min >= 0.5 too: 0 m (car 3)",
-        ),
-        ([reference("driver", 0.5, reason="car 3")], FAIL, "car 7"),
+        ([reference("driver", 0.0)], INCONCLUSIVE, "the recorded driver breaks gap.min >= 0.5 too: 0 m (car 7)"),
+        ([reference("driver", 0.0, reason="car 3")], FAIL, "car 7"),  # another road user
+        ([reference("driver", 0.0, time_s=13.1)], FAIL, "car 7"),  # another time
+        ([reference("driver", 0.5)], FAIL, "car 7"),
     ],
 )
 def test_a_broken_bound_that_is_no_evidence_is_inconclusive(
@@ -203,25 +203,60 @@ def test_what_can_be_excused_and_by_what() -> None:
     assert judged("lon_accel.min", CONTACT) is INCONCLUSIVE  # the careful driver brakes as hard
     assert judged("completed.final") is FAIL
     assert judged("completed.final", CONTACT) is INCONCLUSIVE
-    assert judged("goal.final", row("a", 1.0, metric="phantom.count", reason="car 9", unit="count")) is INCONCLUSIVE
+    phantom = row("a", 1.0, metric="phantom.count", reason="car 9", unit="count")
+    follower = reference("follower", 0.0, metric="goal.final")
+    assert judged("goal.final", phantom) is FAIL  # the follower was not stopped by it
+    assert judged("goal.final", phantom, follower) is INCONCLUSIVE
     crash = row("a", 1.0, metric="collision_at_fault.count", reason="car 7: with the front, at fault", unit="count")
     assert judged("completed.final", crash) is FAIL
     careful = reference("careful", 1.0, metric="collision_at_fault.count", reason="car 7: with the front, at fault")
     assert judged("completed.final", crash, careful) is INCONCLUSIVE
 
 
-def test_a_goal_is_asked_for_where_a_reference_driver_reaches_it() -> None:
-    gate = Gate("goal.final", min=1, reachable=True)
+@pytest.mark.parametrize("metric", ["gap.min", "lon_accel.min"])
+def test_an_event_without_a_road_user_excuses_nothing(metric: str) -> None:
+    """Hard braking for nothing at 3 s is not excused because the careful driver brakes for nothing, too."""
+    mine, theirs = row("a", 0.1, metric=metric, reason=""), reference("careful", 0.1, metric=metric, reason="")
+    assert verdict(Gate(metric, min=0.5), table(mine, theirs)).outcome is FAIL
 
-    def judged(value: float, **references: float) -> Outcome:
+
+def test_a_goal_is_missed_where_a_reference_drive_or_another_planner_reaches_it() -> None:
+    gate = Gate("goal.final", min=1, reachable=True, optional=True)
+
+    def judged(value: float, *others: dict[str, object], **references: float) -> Outcome:
         rows = [reference(planner, reached, metric="goal.final") for planner, reached in references.items()]
-        return verdict(gate, table(row("a", value, metric="goal.final"), *rows)).outcome
+        return verdicts(gate, table(row("a", value, metric="goal.final"), *rows, *others))[0].outcome
 
     assert judged(0.0, driver=1.0, careful=0.0) is FAIL
     assert judged(0.0, driver=0.0, careful=1.0) is FAIL
+    assert judged(0.0, follower=1.0) is FAIL
+    assert judged(0.0, row("a", 1.0, metric="goal.final", planner="idm"), follower=0.0) is FAIL
+    assert judged(0.0, row("b", 1.0, metric="goal.final", planner="idm"), follower=0.0) is INCONCLUSIVE
     assert judged(0.0, driver=0.0, careful=0.0) is INCONCLUSIVE
     assert judged(0.0) is INCONCLUSIVE
     assert judged(1.0) is PASS
+    assert judged(np.nan) is Outcome.NOT_ASKED  # its metric says by name why no vehicle reaches it
+
+
+@given(st.floats(0.0, 1.0), st.floats(0.0, 1.0), st.booleans())
+def test_a_pass_needs_evidence_and_a_broken_bound_does_not(share: float, least: float, broken: bool) -> None:
+    gate = Gate("gap.min", min=0.5, evidence="traffic", min_evidence=least)
+    evidence = row("a", share, metric="evidence.traffic.share", reason="traffic is recorded until 0.1 s")
+    found = verdict(gate, table(row("a", 0.1 if broken else 0.7), evidence))
+    assert found.outcome is (FAIL if broken else PASS if share >= least else INCONCLUSIVE)
+    assert (found.outcome is INCONCLUSIVE) == ("traffic is recorded until 0.1 s" in found.logs[0].why)
+
+
+def test_what_is_not_asked_is_counted_and_can_be_gated() -> None:
+    rows = table(row("a", 0.7), row("a", np.nan, metric="ttc.min"), row("a", np.nan, metric="asked.share"))
+    gates = Gates((AT_LEAST, Gate("ttc.min", min=1.0, optional=True), Gate("asked.share", min=0.6)), "test")
+    filled = with_asked(rows, gates, {"a": LogLabels()})
+    found = judge(gates, filled, {"a": LogLabels()})
+    assert [v.outcome for v in found] == [PASS, Outcome.NOT_ASKED, FAIL]
+    assert found[1].logs[0].why == "nobody there"
+    assert (found[2].value, found[2].logs[0].why) == (0.5, "not asked: ttc.min >= 1")
+    assert worst(v.outcome for v in found[:2]) is PASS
+    assert worst([Outcome.NOT_ASKED]) is INCONCLUSIVE
 
 
 def test_what_each_log_says_is_a_table() -> None:
@@ -371,9 +406,9 @@ def test_the_default_gates_judge_any_closed_loop_drive() -> None:
     assert {gate for gate in default.gates if not gate.optional and gate.mode != "open"} <= {v.gate for v in found}
     for each in found:
         if not each.gate.metric.startswith(needs_plans):
-            assert each.outcome is PASS, each.reason
+            assert each.outcome in ((PASS, Outcome.NOT_ASKED) if each.gate.optional else (PASS,)), each.reason
         else:
-            assert each.outcome is INCONCLUSIVE
+            assert each.outcome is (Outcome.NOT_ASKED if each.gate.optional else INCONCLUSIVE)
         assert each.gate.reason
 
 

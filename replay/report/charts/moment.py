@@ -15,8 +15,8 @@ from metrics import GROUPS, METRICS
 from metrics.gates import Outcome
 from replay.results import DriveResult
 
-GRAVE = ("safety", "rules")
-"""Groups of metrics whose failed gates are looked at before the others."""
+GRAVE = ("collision_at_fault", "safety", "rules", "progress")
+"""Metrics and groups of metrics, the gravest first: the failed gates that are looked at before the others."""
 NEAREST = (("ttc.min", "least time to a collision"), ("gap.min", "least distance to another road user"))
 """What is looked at where no gate failed."""
 _GROUP = {metric.name: name for name, group in GROUPS.items() for metric in group}
@@ -54,10 +54,10 @@ def worst_moment(drive: DriveResult) -> Moment:
     failed = drive.verdicts[drive.verdicts["outcome"] == Outcome.FAIL.value]
     rows = [row for row in list[Any](failed.itertuples()) if isfinite(row.time_s)]
     if rows:
-        worst = min(rows, key=lambda row: _gravity(str(row.gate)))
+        worst = min(rows, key=lambda row: gravity(str(row.gate)))
         about = f" ({worst.reason})" if worst.reason else ""
         return Moment(float(worst.time_s), f"{worst.gate} fails: {worst.value:.4g}{about}")
-    failure = "a gate fails, at no instant; " if len(failed) else "no gate fails; "
+    failure = "a gate fails, at no instant; " if len(failed) else f"no gate of the {drive.mode} loop fails; "
     found = {row.metric: row for row in list[Any](drive.metrics.itertuples()) if row.available and isfinite(row.time_s)}
     for name, words in NEAREST:
         if name in found:
@@ -70,9 +70,10 @@ def worst_moment(drive: DriveResult) -> Moment:
     )
 
 
-def _gravity(gate: str) -> int:
-    group = _GROUP.get(measured_by(gate).partition(".")[0], "")
-    return GRAVE.index(group) if group in GRAVE else len(GRAVE)
+def gravity(gate: str) -> int:
+    """The place of a rule in `GRAVE`, by its metric, else by the group of its metric."""
+    metric = measured_by(gate).partition(".")[0]
+    return next((i for i, word in enumerate(GRAVE) if word in (metric, _GROUP.get(metric, ""))), len(GRAVE))
 
 
 def measured_by(gate: str) -> str:

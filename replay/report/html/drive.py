@@ -25,7 +25,7 @@ from replay.results import DriveResult, Results
 
 MOST_EVENTS = 60
 """Events on a page; what is beyond is counted."""
-_WEIGHT = {Outcome.FAIL.value: 0, Outcome.INCONCLUSIVE.value: 1, Outcome.PASS.value: 2}
+_WEIGHT = {outcome.value: weight for weight, outcome in enumerate(Outcome)}
 
 
 @dataclass(frozen=True)
@@ -107,13 +107,19 @@ class DrivePage:
 
     @property
     def failed(self) -> tuple[VerdictLine, ...]:
-        """Verdicts that are no pass."""
-        return tuple(line for line in self.verdicts if line.outcome != Outcome.PASS.value)
+        """Verdicts that fail or are inconclusive."""
+        good = (Outcome.PASS.value, Outcome.NOT_ASKED.value)
+        return tuple(line for line in self.verdicts if line.outcome not in good)
 
     @property
     def passed(self) -> tuple[VerdictLine, ...]:
-        """Verdicts that are."""
+        """Verdicts that pass."""
         return tuple(line for line in self.verdicts if line.outcome == Outcome.PASS.value)
+
+    @property
+    def not_asked(self) -> tuple[VerdictLine, ...]:
+        """Gates that were not asked of this drive."""
+        return tuple(line for line in self.verdicts if line.outcome == Outcome.NOT_ASKED.value)
 
 
 def drive_page(results: Results, row: DriveRow, anchor: str, page: Path) -> DrivePage:

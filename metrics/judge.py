@@ -19,7 +19,8 @@ the same road user or thing, at most `SAME_S` apart, and the planner's is not cl
 comfort an event without a road user excuses nothing. A collision is not excused where the careful driver of UN R157
 collides more slowly by more than `SLOWER_MPS`. Safety and progress are excused, too, by a replayed road user that drove
 into the ego (`replay_contact`): safety where it is about that road user. Progress is excused where the
-collision that ended the drive is, and where a phantom of the log stops the route follower as well.
+collision that ended the drive is, and where a phantom of the log stops the route follower as well. Nothing excuses a
+drive in which the planner failed.
 
 Over the logs together a gate has a verdict per planner and mode, and per group where it asks so (`metrics.over_logs`).
 An optional gate has no verdict where no log was asked; filters that no log passes and planners that are not in the run
@@ -269,6 +270,8 @@ def _lacking_evidence(gate: Gate, log: str, mine: Mapping[tuple[str, str], _Row]
 def _excuse(gate: Gate, log: str, row: _Row, drive: tuple[str, str], rows: _Rows) -> str:
     """Why a broken value is no evidence against the planner (module docstring); empty: it is."""
     mine, group = rows.drives[drive], _GROUP.get(gate.metric.partition(".")[0], "")
+    if (log, *drive) in rows.crashed:
+        return ""
     if gate.reachable and not _reached(gate, log, drive, rows):
         return "neither a reference drive nor another planner of the run holds it"
     contact = mine.get((log, REPLAY_CONTACT))

@@ -213,6 +213,14 @@ def test_what_can_be_excused_and_by_what() -> None:
     assert judged("completed.final", crash, careful) is INCONCLUSIVE
 
 
+@pytest.mark.parametrize("metric", ["completed.final", "goal.final"])
+def test_nothing_excuses_a_drive_in_which_the_planner_failed(metric: str) -> None:
+    gate, mine = Gate(metric, min=1, reachable=metric == "goal.final"), row("a", 0.0, metric=metric)
+    crashed = {("a", "dp_qp", "closed"): "the planner failed at 0.00 s"}
+    assert verdict(gate, table(mine, CONTACT), crashed=crashed).outcome is FAIL
+    assert verdict(gate, table(mine, CONTACT)).outcome is INCONCLUSIVE
+
+
 @pytest.mark.parametrize("metric", ["gap.min", "lon_accel.min"])
 def test_an_event_without_a_road_user_excuses_nothing(metric: str) -> None:
     """Hard braking for nothing at 3 s is not excused because the careful driver brakes for nothing, too."""

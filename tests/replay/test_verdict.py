@@ -10,8 +10,9 @@ import pytest
 from adversaries import ADVERSARIES
 from drives import along, grid, moving, scenario
 
-from logs import AgentKind, EndReason, Mode, Scenario
+from logs import AgentKind, EndReason, Goal, Mode, Scenario
 from logs.catalogue import CATALOGUE
+from logs.readers.cut import cut
 from metrics import evaluate
 from metrics.aggregate import LogLabels
 from metrics.gates import Outcome, load_gates
@@ -146,3 +147,25 @@ def test_only_a_recorded_driver_says_what_may_be_asked(recorded: bool) -> None:
     driver = rows[rows["planner"] == DRIVER]["metric"]
     assert ("gap.min" in set(driver)) == recorded
     assert {"goal.final", "route_progress.final"} <= set(driver)
+
+
+# progress ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_short_log_before_a_red_light_is_measured_by_a_driver_that_stops_there() -> None:
+    """The last 3 s before the log's driver stands at the light, its first state alone: no more way is asked for."""
+    whole = CATALOGUE["everyday/traffic_light"].scenario()
+    stands = float(whole.ego.t[np.argmax(whole.ego.v < 0.1)])
+    log = cut(whole, stands - 3.0, stands)
+    alone = replace(log, ego=log.ego.between(0.0, 0.0), goal=None)
+    _, verdicts = driven(alone, "dp_qp", Mode.CLOSED)
+    (said,) = [v for v in verdicts if v.gate.metric == "route_progress.final"]
+    assert said.outcome is Outcome.PASS, said.reason
+
+
+@pytest.mark.parametrize("planner", ["adversaries:Park", "adversaries:Creep"])
+def test_who_survives_until_a_goal_in_time_has_not_arrived(planner: str) -> None:
+    log = replace(CATALOGUE["paper/free_road"].scenario(), goal=Goal(t=(10.0, 11.0)))
+    (drive,), verdicts = driven(log, planner, Mode.CLOSED)
+    assert drive.trace.end is EndReason.GOAL
+    assert {v.gate.metric for v in verdicts if v.outcome is Outcome.FAIL} >= {"route_progress.final"}

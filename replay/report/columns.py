@@ -65,7 +65,7 @@ LEGEND = (
     ),
     (
         "",
-        "verdict: the worst outcome of the gates, and how many of them were asked; inconclusive: no evidence either way.",
+        "verdict: the worst outcome of the gates, and how many of them were asked; inconclusive: no evidence.",
     ),
     ("", "fall back: share of frames in which the planner could not plan.  - : not available (why: metrics.csv)."),
 )

@@ -36,8 +36,7 @@ from logs.errors import ConfigError
 from logs.trace import Mode
 from metrics import METRICS, Metric
 from metrics.aggregate import LogLabels
-from metrics.compare import NOT_ASKED, Comparison, RuleVerdict
-from metrics.compare_groups import MIN_SIGNIFICANT, intervals, significant
+from metrics.compare import MIN_SIGNIFICANT, NOT_ASKED, Comparison, RuleVerdict, intervals, significant
 from metrics.gates import Outcome, check_metric, gate_tables, known_only
 
 OVER = ("mean", "median", "worst")

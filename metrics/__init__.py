@@ -39,7 +39,6 @@ from metrics import (
     safety,
     score,
     severity,
-    tracking,
 )
 from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
 from metrics.phantoms import phantoms, without_phantoms
@@ -84,11 +83,8 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
         progress.ROUTE_PROGRESS,
         progress.COMPLETION,
     ),
-    "tracking": (tracking.LATERAL, tracking.HEADING, tracking.SPEED, tracking.STATION),
-    "effort": (
-        effort.THROTTLE, effort.BRAKE, effort.PEDALS_TOGETHER, effort.PEDAL_SWITCHES, effort.STEER_RATE,
-        effort.QP_ITERATIONS, effort.SOLVER_UNSOLVED, effort.FALLBACK,
-    ),
+    "tracking": effort.TRACKING,
+    "effort": effort.EFFORT,
     "consistency": (
         consistency.PLAN_CHANGE, consistency.PLAN_CHANGE_LATERAL,
         consistency.EXTENDED_COMFORT, consistency.PLAN_HORIZON, consistency.PLAN_COMPLETE,

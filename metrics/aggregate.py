@@ -107,23 +107,14 @@ def standings(
         modes = [mode for name, mode in asked if name == planner]
         for log in logs:
             lost = [mode for of, name, mode in crashed if of == log and name in (None, planner)]
-            each = [
-                _stands(
-                    said.get((log, planner, mode), set()),
-                    driven=(log, planner, mode) in driven and mode not in lost and None not in lost,
-                )
-                for mode in modes
-            ]
+            each = []
+            for mode in modes:
+                found = said.get((log, planner, mode)) or {"inconclusive"}
+                whole = (log, planner, mode) in driven and mode not in lost and None not in lost
+                each.append(min(found if whole else found | {"missing"}, key=STANDINGS.index))
             rows += [(log, planner, mode, one) for mode, one in zip(modes, each, strict=True)]
             rows += [(log, planner, BOTH, min(each, key=STANDINGS.index))] if len(modes) > 1 else []
     return pd.DataFrame(rows, columns=["log", "planner", "mode", "standing"])
-
-
-def _stands(said: set[str], *, driven: bool) -> str:
-    """The worst that was said; of a log that was not driven to the end, and of one that no gate asked of, that."""
-    return min(
-        said | ({"inconclusive"} if not said else set()) | (set() if driven else {"missing"}), key=STANDINGS.index
-    )
 
 
 def pass_shares(stand: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.DataFrame:
@@ -137,14 +128,11 @@ def pass_shares(stand: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.Data
             count = {word: sum(found[log] == word for log in logs) for word in STANDINGS}
             low, high = wilson(count["passed"], len(logs))
             share = count["passed"] / len(logs) if logs else np.nan
-            there = len(logs) - count["missing"]
-            rows.append(
-                {
-                    "kind": kind, "group": group, "planner": planner, "mode": mode, "metric": PASS, "unit": "1",
-                    "direction": "higher", "logs": len(logs), "available": there, "mean": share, "worst_log": "",
-                    "low": low, "high": high, **count,
-                }
-            )  # fmt: skip
+            rows.append({
+                "kind": kind, "group": group, "planner": planner, "mode": mode, "metric": PASS, "unit": "1",
+                "direction": "higher", "logs": len(logs), "available": len(logs) - count["missing"], "mean": share,
+                "worst_log": "", "low": low, "high": high, **count,
+            })  # fmt: skip
     return _typed(pd.DataFrame(rows, columns=list(COLUMNS)))
 
 
@@ -161,54 +149,38 @@ def groups(table: pd.DataFrame, stand: pd.DataFrame, labels: Mapping[str, LogLab
         `missing` the logs of the group without a value; sorted, suite first.
     """
     mine = table[table["mode"].isin(["open", "closed"]) & table["log"].isin(list(labels))]
-    values = _Values.of(mine)
-    parts = [values.of_group(*key, logs) for key, logs in membership(labels).items()] if len(mine) else []
-    found = _typed(pd.concat([pass_shares(stand, labels), *parts], ignore_index=True))
+    row, logs = pd.factorize(mine["log"], sort=True)
+    by = mine.groupby(["planner", "mode", "metric"], sort=True, observed=True)
+    value = np.full((len(logs), by.ngroups), np.nan)  # a row per log, a column per planner, mode and metric
+    value[row, by.ngroup()] = mine["value"].where(mine["available"].astype(bool) & np.isfinite(mine["value"]))
+    columns = by[["unit", "direction"]].first().reset_index()
+    parts = [pass_shares(stand, labels)]
+    for (kind, group), members in membership(labels).items() if len(mine) else ():
+        chosen = np.array([log in members for log in logs])
+        found = _reduced(columns, value[chosen], logs.to_numpy(object)[chosen])
+        count = found["available"]
+        parts.append(found.assign(kind=kind, group=group, logs=len(members), missing=len(members) - count))
+    found = _typed(pd.concat([part.reindex(columns=list(COLUMNS)) for part in parts], ignore_index=True))
     order = {kind: i for i, kind in enumerate((SUITE, "family", "tag", "dataset"))}
     return found.sort_values(_KEY, key=lambda c: c.map(order) if c.name == "kind" else c, ignore_index=True)
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class _Values:
-    """The table as a matrix: a row per log (by name), a column per planner, mode and metric; NaN is no value."""
-
-    logs: tuple[str, ...]
-    columns: pd.DataFrame
-    value: FloatArray
-    sign: FloatArray
-    """Of each column: 1 where lower is better, -1 where higher is, NaN where neither."""
-
-    @classmethod
-    def of(cls, table: pd.DataFrame) -> _Values:
-        """The rows of the table; one of a (log, planner, mode, metric) only."""
-        row, logs = pd.factorize(table["log"], sort=True)
-        grouped = table.groupby(["planner", "mode", "metric"], sort=True, observed=True)
-        value = np.full((len(logs), grouped.ngroups), np.nan)
-        known = table["available"].astype(bool) & np.isfinite(table["value"])
-        value[row, grouped.ngroup()] = table["value"].where(known)
-        columns = grouped[["unit", "direction"]].first().reset_index()
-        sign = columns["direction"].map({"lower": 1.0, "higher": -1.0, "none": np.nan}).to_numpy(float)
-        return cls(tuple(map(str, logs)), columns, value, sign)
-
-    def of_group(self, kind: str, group: str, logs: Collection[str]) -> pd.DataFrame:
-        """The rows of some of the logs."""
-        value = self.value[[log in logs for log in self.logs]]
-        names = np.array([log for log in self.logs if log in logs], dtype=object)
-        there = np.isfinite(value)
-        count, total = there.sum(axis=0), np.where(there, value, 0.0).sum(axis=0)
-        some = count > 0
-        mean, median, worst = (np.full(len(some), np.nan) for _ in range(3))
-        worst_log = np.full(len(some), "", dtype=object)
-        if some.any():
-            mean[some], median[some] = total[some] / count[some], np.nanmedian(value[:, some], axis=0)
-        ranked = np.flatnonzero(some & np.isfinite(self.sign))
-        if len(ranked):
-            at = np.where(there[:, ranked], value[:, ranked] * self.sign[ranked], -np.inf).argmax(axis=0)
-            worst[ranked], worst_log[ranked] = value[at, ranked], names[at]
-        return self.columns.assign(
-            kind=kind, group=group, logs=len(logs), available=count, missing=len(logs) - count, mean=mean,
-            median=median, worst=worst, worst_log=worst_log, total=np.where(some, total, np.nan),
-        ).reindex(columns=list(COLUMNS))  # fmt: skip
+def _reduced(columns: pd.DataFrame, value: FloatArray, logs: np.ndarray) -> pd.DataFrame:
+    """The columns with their reductions over the values `(logs, columns)`; NaN is no value."""
+    there = np.isfinite(value)
+    count, total = there.sum(axis=0), np.where(there, value, 0.0).sum(axis=0)
+    some = count > 0
+    mean, median, worst = (np.full(len(some), np.nan) for _ in range(3))
+    worst_log = np.full(len(some), "", dtype=object)
+    if some.any():
+        mean[some], median[some] = total[some] / count[some], np.nanmedian(value[:, some], axis=0)
+    sign = columns["direction"].map({"lower": 1.0, "higher": -1.0, "none": np.nan}).to_numpy(float)
+    ranked = np.flatnonzero(some & np.isfinite(sign))
+    if len(ranked):
+        at = np.where(there[:, ranked], value[:, ranked] * sign[ranked], -np.inf).argmax(axis=0)
+        worst[ranked], worst_log[ranked] = value[at, ranked], logs[at]
+    total = np.where(some, total, np.nan)
+    return columns.assign(available=count, mean=mean, median=median, worst=worst, worst_log=worst_log, total=total)
 
 
 def _typed(rows: pd.DataFrame) -> pd.DataFrame:

@@ -8,11 +8,26 @@ State signals, not filtered (in simulation they are free of noise), differentiat
 (3) jerk_state = |A(t) - A(t - W)| / W,  A the acceleration vector (a, a_lat) turned into the world
 (4) yaw_rate = (yaw(t) - yaw(t - W)) / W,  yaw_accel = (yaw(t) - 2 yaw(t - W) + yaw(t - 2 W)) / W^2
 
-Beside them the filtered ones of nuPlan and UN R79 (`filters`), for logs with noise and for their publishers' scores.
-nuPlan's Savitzky-Golay cascade spans 2.2 s: it sees 2.9 of a ramp of 6 m/s3, and 6.3 where the log is cut after it.
+Beside them the filtered signals of nuPlan and UN R79, for logs with noise and for their publishers' scores. SG(w, p) is
+the smoothing filter of Savitzky and Golay over w samples with polynomials of degree p, SG' and SG'' the derivatives of
+its polynomials (`scipy.signal.savgol_filter`); a window longer than the drive is cut to it.
 
-What a drive is judged by is the time out of bounds and the longest stretch of it: both are the same for one slam in
-20 s and in 120 s; percentiles over the whole drive, which are shown too, are not.
+nuPlan (devkit e9241677, state_extractors.py), the drive sampled every 0.1 s:
+
+(5) lon_accel = SG(8, 2) of a,  lat_accel = SG(8, 2) of a_lat
+(6) lon_jerk = SG'(15, 2) of SG(8, 2) of a,  jerk = SG'(15, 2) of SG(8, 2) of hypot(a, a_lat)
+(7) yaw_rate = SG'(5, 2) of yaw,  yaw_accel = SG''(5, 3) of yaw
+
+The even window shifts the signal by half a sample; (6) is d|a|/dt and not |da/dt|. Both are nuPlan's. The cascade (6)
+spans 2.2 s: it sees 2.9 of a ramp of 6 m/s3, and 6.3 where the log is cut after it.
+
+UN R79 (lateral jerk of automated lane changes), the drive sampled every 0.01 s:
+
+(8) B = a_lat through a causal Butterworth low-pass of 4th order at 0.5 Hz, at rest on its first value
+(9) lat_jerk = mean of dB/dt over 0.5 s = (B(t) - B(t - 0.5 s)) / 0.5 s
+
+A drive is judged by its time out of bounds and the longest stretch of it: both are the same for one slam in 20 s and in
+120 s; percentiles over the whole drive, which are shown too, are not.
 """
 
 from __future__ import annotations
@@ -28,7 +43,6 @@ from logs.kernel import FloatArray
 from logs.scenario import Scenario
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
-from metrics import filters
 from metrics.metric import (
     MAX,
     MAX_ABS,
@@ -36,6 +50,7 @@ from metrics.metric import (
     MIN,
     P95,
     P99,
+    Measure,
     Measured,
     Metric,
     Reduction,
@@ -48,6 +63,19 @@ from metrics.plans import frame_times
 
 WINDOW_S = 0.1
 PLAN_HORIZON_S = 5.0
+NUPLAN_STEP_S, NUPLAN_LEAST_S = 0.1, 0.4
+"""Below 5 samples nuPlan's polynomials are not defined."""
+R79_STEP_S, R79_MEAN_S, R79_CUT_HZ, R79_ORDER = 0.01, 0.5, 0.5, 4
+R79_JERK_MPS3 = 5.0
+NUPLAN_BOUNDS = {
+    "lon_accel": ("m/s2", -4.05, 2.40),
+    "lat_accel": ("m/s2", -4.89, 4.89),
+    "lon_jerk": ("m/s3", -4.13, 4.13),
+    "jerk": ("m/s3", -8.37, 8.37),
+    "yaw_rate": ("rad/s", -0.95, 0.95),
+    "yaw_accel": ("rad/s2", -1.93, 1.93),
+}
+"""Unit, least and greatest value."""
 Signal = Callable[[Trajectory], FloatArray]
 
 
@@ -90,15 +118,43 @@ def yaw_accel(drive: Trajectory) -> FloatArray:
     return np.where(known, (drive.yaw - 2.0 * before + start) / WINDOW_S**2, np.nan)
 
 
+def _savgol(value: FloatArray, window: int, degree: int, order: int = 0, step: float = 1.0) -> FloatArray:
+    """SG, SG' or SG'' (`order` 0, 1, 2) of samples `step` s apart."""
+    from scipy.signal import savgol_filter  # here: its import takes longer than that of all metrics
+
+    return np.asarray(savgol_filter(value, min(window, len(value)), degree, deriv=order, delta=step))
+
+
+def _nuplan_jerk(value: Signal, drive: Trajectory) -> FloatArray:
+    """(6) of an acceleration."""
+    return _savgol(_savgol(value(drive), 8, 2), 15, 2, 1, float(np.mean(np.diff(drive.t))))
+
+
+def _nuplan_yaw(degree: int, order: int, drive: Trajectory) -> FloatArray:
+    """(7)."""
+    return _savgol(drive.yaw, 5, degree, order, float(np.mean(np.diff(drive.t))))
+
+
+def r79_jerk(drive: Trajectory) -> FloatArray:
+    """(9) of a drive with steps of `R79_STEP_S`; NaN in the first 0.5 s."""
+    from scipy.signal import butter, sosfilt, sosfilt_zi
+
+    sections = butter(R79_ORDER, R79_CUT_HZ, fs=1.0 / R79_STEP_S, output="sos")
+    lateral = lat_accel(drive)
+    low, _ = sosfilt(sections, lateral, zi=sosfilt_zi(sections) * lateral[0])  # (8)
+    return changed(drive.t, np.asarray(low), R79_MEAN_S)  # (9)
+
+
 def _driven(signal: Signal, trace: Trace, scenario: Scenario) -> Measured:
     return Series(trace.ego.t, signal(trace.ego), missing=f"the drive is shorter than {WINDOW_S} s")
 
 
 def _filtered(signal: Signal, step: float, least: float, trace: Trace, scenario: Scenario) -> Measured:
-    """The signal of the drive resampled to `step` s."""
-    if float(trace.ego.t[-1] - trace.ego.t[0]) < least - 1e-9:
+    """The signal of the drive resampled to `step` s from its start, linear between its samples."""
+    first, length = trace.ego.t[0], float(trace.ego.t[-1] - trace.ego.t[0])
+    if length < least - 1e-9:
         return Unavailable(f"the drive is shorter than {least} s")
-    drive = filters.regular(trace.ego, step)
+    drive = trace.ego.resampled(first + step * np.arange(int((length + 1e-9) / step) + 1))
     return Series(drive.t, signal(drive))
 
 
@@ -115,47 +171,27 @@ def _planned(signal: Signal, trace: Trace, scenario: Scenario) -> Measured:
     return Series(frame_times(trace), worst, missing=f"the plans are shorter than {WINDOW_S} s")
 
 
-_SPREAD = (MAX_ABS, P95, P99)
-_NUPLAN = "bounds: nuPlan devkit e9241677, ego_is_comfortable"
-_R79 = "bound: UN R79, there on a filtered signal"
-_DRIVEN = f"a drive of {WINDOW_S} s"
-
-# name, unit, low, high
-NUPLAN_BOUNDS = {
-    "lon_accel": ("m/s2", -4.05, 2.40),
-    "lat_accel": ("m/s2", -4.89, 4.89),
-    "lon_jerk": ("m/s3", -4.13, 4.13),
-    "jerk": ("m/s3", -8.37, 8.37),
-    "yaw_rate": ("rad/s", -0.95, 0.95),
-    "yaw_accel": ("rad/s2", -1.93, 1.93),
-}
-R79_JERK_MPS3 = 5.0
-
-
-def _bounds(low: float, high: float, unit: str) -> str:
-    return f"bounds {low:g} to {high:g} {unit}" if low != -high else f"bound {high:g} {unit}"
-
-
-def _metric(
-    name: str, signal: Signal, bounds: tuple[str, float, float], meaning: str, formula: str,
-    *, extra: tuple[Reduction, ...] = (), source: str = _NUPLAN,
+def _bounded(
+    name: str, measure: Measure, bounds: tuple[str, float, float], more: tuple[Reduction, ...], meaning: str,
+    formula: str, source: str, parameters: tuple[str, ...], needs: str, version: int = 1,
 ) -> Metric:  # fmt: skip
+    """A signal of the drive with its time out of bounds."""
     unit, low, high = bounds
+    asked = f"bounds {low:g} to {high:g} {unit}" if low != -high else f"bound {high:g} {unit}"
     return Metric(
-        name, unit, "lower", (Mode.CLOSED,), partial(_driven, signal), (*_SPREAD, *extra, *out_of_bounds(low, high)),
-        meaning, source, 2, formula=formula, parameters=(_bounds(low, high, unit), f"W {WINDOW_S} s"), needs=_DRIVEN,
+        name, unit, "lower", (Mode.CLOSED,), measure, (MAX_ABS, *more, *out_of_bounds(low, high)), meaning, source,
+        version, formula=formula, parameters=(asked, *parameters), needs=needs,
     )  # fmt: skip
 
 
-def _nuplan_metric(kind: str, meaning: str) -> Metric:
-    (unit, low, high), signal = NUPLAN_BOUNDS[kind], filters.NUPLAN[kind]
-    return Metric(
-        f"{kind}_nuplan", unit, "lower", (Mode.CLOSED,),
-        partial(_filtered, signal, filters.NUPLAN_STEP_S, filters.NUPLAN_LEAST_S),
-        (MAX_ABS, *out_of_bounds(low, high)), meaning,
-        "nuPlan devkit e9241677, ego_is_comfortable; there at the ego's centre",
-        formula=filters.NUPLAN_FORMULAE[kind], parameters=(_bounds(low, high, unit), f"step {filters.NUPLAN_STEP_S} s"),
-        needs=f"a drive of {filters.NUPLAN_LEAST_S} s",
+def _state(
+    name: str, signal: Signal, bounds: tuple[str, float, float], meaning: str, formula: str,
+    source: str = "bounds: nuPlan devkit e9241677, ego_is_comfortable", more: tuple[Reduction, ...] = (),
+) -> Metric:  # fmt: skip
+    window, reductions = (f"W {WINDOW_S} s",), (P95, P99, *more)
+    return _bounded(
+        name, partial(_driven, signal), bounds, reductions, meaning, formula, source, window,
+        f"a drive of {WINDOW_S} s", 2,
     )  # fmt: skip
 
 
@@ -166,50 +202,67 @@ def _plan_metric(name: str, unit: str, signal: Signal, meaning: str, formula: st
     )  # fmt: skip
 
 
-LON_ACCEL = _metric(
+LON_ACCEL = _state(
     "lon_accel", lon_accel, NUPLAN_BOUNDS["lon_accel"],
     "Acceleration along the body; min is the hardest braking.", "a, the state's",
-    extra=(replace(MIN, direction="higher"), MAX),
+    more=(replace(MIN, direction="higher"), MAX),
 )  # fmt: skip
-LAT_ACCEL = _metric(
+LAT_ACCEL = _state(
     "lat_accel", lat_accel, NUPLAN_BOUNDS["lat_accel"], "Lateral acceleration at the rear axle.", "v^2 kappa"
 )
-LON_JERK_STATE = _metric(
+LON_JERK_STATE = _state(
     "lon_jerk_state", lon_jerk, NUPLAN_BOUNDS["lon_jerk"],
     "Backward difference of the state's acceleration.", "(a(t) - a(t - W)) / W",
 )  # fmt: skip
-LAT_JERK_STATE = _metric(
+LAT_JERK_STATE = _state(
     "lat_jerk_state", lat_jerk, ("m/s3", -R79_JERK_MPS3, R79_JERK_MPS3),
-    "Backward difference of the lateral acceleration.", "(v^2 kappa (t) - v^2 kappa (t - W)) / W", source=_R79,
+    "Backward difference of the lateral acceleration.", "(v^2 kappa (t) - v^2 kappa (t - W)) / W",
+    "bound: UN R79, there on a filtered signal",
 )  # fmt: skip
-JERK_STATE = _metric(
+JERK_STATE = _state(
     "jerk_state", jerk, NUPLAN_BOUNDS["jerk"], "Size of the change of the acceleration vector in the world.",
     "|A(t) - A(t - W)| / W, A = a (cos yaw, sin yaw) + v^2 kappa (-sin yaw, cos yaw)",
-    source=f"{_NUPLAN}, which takes d|A|/dt",
+    "bounds: nuPlan devkit e9241677, ego_is_comfortable, which takes d|A|/dt",
 )  # fmt: skip
-YAW_RATE = _metric(
+YAW_RATE = _state(
     "yaw_rate", yaw_rate, NUPLAN_BOUNDS["yaw_rate"], "Backward difference of the heading.",
     "(yaw(t) - yaw(t - W)) / W",
 )  # fmt: skip
-YAW_ACCEL = _metric(
+YAW_ACCEL = _state(
     "yaw_accel", yaw_accel, NUPLAN_BOUNDS["yaw_accel"], "Second backward difference of the heading.",
     "(yaw(t) - 2 yaw(t - W) + yaw(t - 2 W)) / W^2",
 )  # fmt: skip
-NUPLAN = (
-    _nuplan_metric("lon_accel", "Acceleration along the body, as nuPlan filters it."),
-    _nuplan_metric("lat_accel", "Lateral acceleration, as nuPlan filters it."),
-    _nuplan_metric("lon_jerk", "Longitudinal jerk, as nuPlan filters it: a cascade of 2.2 s."),
-    _nuplan_metric("jerk", "Rate of the size of the acceleration, as nuPlan filters it: turning it counts nothing."),
-    _nuplan_metric("yaw_rate", "Yaw rate, as nuPlan filters it."),
-    _nuplan_metric("yaw_accel", "Yaw acceleration, as nuPlan filters it."),
-)
-LAT_JERK_R79 = Metric(
-    "lat_jerk_r79", "m/s3", "lower", (Mode.CLOSED,),
-    partial(_filtered, filters.r79_jerk, filters.R79_STEP_S, filters.R79_MEAN_S),
-    (MAX_ABS, *out_of_bounds(-R79_JERK_MPS3, R79_JERK_MPS3)),
-    "Lateral jerk as UN R79 measures it: low-pass, derivative, moving mean.", "UN R79 (read at second hand)",
-    formula="mean over 0.5 s of dB/dt = (B(t) - B(t - 0.5 s)) / 0.5 s, B = Butterworth low-pass of v^2 kappa",
-    parameters=(f"bound {R79_JERK_MPS3:g} m/s3", "order 4", "cut-off 0.5 Hz", "rate 100 Hz"), needs="a drive of 0.5 s",
+NUPLAN = tuple(
+    _bounded(
+        f"{kind}_nuplan", partial(_filtered, signal, NUPLAN_STEP_S, NUPLAN_LEAST_S), NUPLAN_BOUNDS[kind], (),
+        f"{what}, as nuPlan filters it{aside}.", formula,
+        "nuPlan devkit e9241677, ego_is_comfortable; there at the ego's centre", (f"step {NUPLAN_STEP_S} s",),
+        f"a drive of {NUPLAN_LEAST_S} s",
+    )
+    for kind, what, aside, signal, formula in (
+        ("lon_accel", "Acceleration along the body", "", lambda drive: _savgol(drive.a, 8, 2), "SG(8, 2) of a"),
+        (
+            "lat_accel", "Lateral acceleration", "", lambda drive: _savgol(lat_accel(drive), 8, 2),
+            "SG(8, 2) of v^2 kappa",
+        ),
+        (
+            "lon_jerk", "Longitudinal jerk", ": a cascade of 2.2 s", partial(_nuplan_jerk, lon_accel),
+            "SG'(15, 2) of SG(8, 2) of a",
+        ),
+        (
+            "jerk", "Rate of the size of the acceleration", ": turning it counts nothing",
+            partial(_nuplan_jerk, lambda drive: np.hypot(drive.a, lat_accel(drive))),
+            "SG'(15, 2) of SG(8, 2) of hypot(a, v^2 kappa)",
+        ),
+        ("yaw_rate", "Yaw rate", "", partial(_nuplan_yaw, 2, 1), "SG'(5, 2) of yaw"),
+        ("yaw_accel", "Yaw acceleration", "", partial(_nuplan_yaw, 3, 2), "SG''(5, 3) of yaw"),
+    )
+)  # fmt: skip
+LAT_JERK_R79 = _bounded(
+    "lat_jerk_r79", partial(_filtered, r79_jerk, R79_STEP_S, R79_MEAN_S), ("m/s3", -R79_JERK_MPS3, R79_JERK_MPS3), (),
+    "Lateral jerk as UN R79 measures it: low-pass, derivative, moving mean.",
+    "mean over 0.5 s of dB/dt = (B(t) - B(t - 0.5 s)) / 0.5 s, B = Butterworth low-pass of v^2 kappa",
+    "UN R79 (read at second hand)", ("order 4", "cut-off 0.5 Hz", "rate 100 Hz"), "a drive of 0.5 s",
 )  # fmt: skip
 PLAN_LON_ACCEL = _plan_metric(
     "plan_lon_accel", "m/s2", lon_accel, "Largest planned acceleration or braking within 5 s of the frame.", "max |a|"

@@ -1,29 +1,39 @@
-"""Run against run, as tables: what changed on which log, what flipped, by how much over the logs, and who moved first.
+"""Run against run, as tables: what changed on which log, which gates flipped, and by how much over many logs.
 
 For a log i that both runs drove, and a metric of one version in both (planner and mode are the same everywhere):
 
 (1) delta_i = candidate_i - baseline_i;  0 where |delta_i| <= NOISE_ABS + NOISE_REL max(|baseline_i|, |candidate_i|)
-(2) worse_i = delta_i where lower is better, -delta_i where higher is; none where neither is
-(3) relative_i = worse_i / max(mean over logs and runs of |value|, |bound| of a gate on it): by what a regression is
-    ranked; the first collision comes before a little less distance, and that before a millimetre off the plan
+(2) worse_i = delta_i where lower is better, -delta_i where higher is better; none where neither is
+(3) relative_i = worse_i / max(mean over logs and runs of |value|, |bound| of a gate on it). Regressions are ranked by
+    it: the first collision comes before a little less distance, and that before a millimetre off the plan
 
-Both tables are judged by the same gates, and with the same reference drives (the candidate's): a flip comes from the
-drive, and not from another gate file or another careful driver. It is marginal, and no rule counts it, where the value
-moved by no more than the noise of (1), or where the baseline had an ensemble that found the drive fragile: a candidate
-does not excuse itself.
+Over a group of n logs with a value in both runs:
+
+(4) delta = 1/n sum_i delta_i
+(5) [low, high] = 2.5th and 97.5th percentile of (4) over RESAMPLES draws of n logs with replacement, a log's two values
+    drawn together (paired percentile bootstrap: Efron and Tibshirani, An Introduction to the Bootstrap, 1993, ch. 13)
+(6) significant = 0 is outside of (5), and n >= MIN_SIGNIFICANT
+
+The draws are seeded: equal tables give equal intervals. The percentile method has bounds also where most differences
+are exactly 0; BCa does not. With fewer logs than MIN_PAIRS there is no interval.
+
+Both tables are judged by the same gates and the candidate's reference drives, so that a flip is caused by the drive and
+not by another gate file or reference driver. A flip is marginal, and no rule counts it, where the value moved by no
+more than the noise of (1), or where the baseline's ensemble found the drive fragile. The candidate's own ensemble does
+not excuse it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
-from logs.kernel import BoolArray
+from logs.kernel import BoolArray, FloatArray, IntArray
 from metrics.aggregate import LogLabels
-from metrics.compare_groups import group_deltas
 from metrics.evidence import ENSEMBLE
 from metrics.gates import Gates, Outcome
 from metrics.judge import REFERENCE, judge, outcomes
@@ -32,8 +42,16 @@ NOISE_ABS, NOISE_REL = 1e-9, 1e-6
 """A difference below this is rounding: sums of another order, a solver's last iterations."""
 NAMED = 5
 """More logs than these are counted and not named."""
+MIN_PAIRS = 3
+"""Resampling fewer logs says nothing."""
+MIN_SIGNIFICANT = 6
+"""Fewer logs all move one way by chance more often than at 5 % (sign test: 2 / 2^5 = 6 %)."""
+CONFIDENCE, RESAMPLES, SEED = 0.95, 2000, 20260101
+BATCH = 250
+"""Draws at a time: bounds memory, and is part of what makes the draws the same."""
 
 DRIVE = ["log", "planner", "mode"]
+SCORE = ["planner", "mode", "metric"]
 KEYS = [*DRIVE, "metric"]
 PAIR_COLUMNS = (
     *KEYS, "unit", "direction", "baseline", "candidate", "delta", "worse", "relative", "asked", "fragile",
@@ -42,9 +60,13 @@ PAIR_COLUMNS = (
 FLIP_COLUMNS = (
     *DRIVE, "gate", "metric", "before", "after", "value_before", "value_after", "time_s", "reason", "marginal",
 )  # fmt: skip
+GROUP_COLUMNS = (
+    "kind", "group", *SCORE, "unit", "direction", "logs", "baseline", "candidate", "delta", "low", "high", "better",
+    "worse", "significant",
+)  # fmt: skip
 PARTING_COLUMNS = (*DRIVE, "t_s", "stage", "what")
 BY_LOG = ("worst", "pass_share")
-"""What gates are `over` that each log passes or fails by itself."""
+"""`over` of the gates that each log passes or fails by itself; a log breaks no gate on a mean, median or sum."""
 NOT_ASKED = "not asked"
 """Outcome of an optional gate on a log without the value."""
 
@@ -54,12 +76,12 @@ class Side:
     """One of two runs.
 
     Attributes:
-        label: How it is named.
+        label: Its name.
         table: Rows of `metrics.evaluate`, reference drives among them.
         logs: A row per log: log, sha256, family, dataset, tags (a list), vehicle (a hash, "" where it is not known).
         facts: What it was made with, as text: versions, every key of the configuration.
         failed: Logs that could not be evaluated, and why.
-        crashed: Drives (log, planner, mode) in which the planner failed: what the table has of them is a beginning.
+        crashed: Drives (log, planner, mode) in which the planner failed; the table holds their beginning.
     """
 
     label: str
@@ -70,22 +92,25 @@ class Side:
     crashed: tuple[tuple[str, str, str], ...] = ()
 
     @property
-    def tags(self) -> dict[str, tuple[str, ...]]:
-        """Tags by log."""
-        return {log: labels.tags for log, labels in self.labels.items()}
-
-    @property
     def labels(self) -> dict[str, LogLabels]:
         """What each log belongs to."""
-        columns = (self.logs[name] for name in ("log", "family", "dataset", "tags"))
-        return {
-            log: LogLabels(family, dataset, tuple(tags)) for log, family, dataset, tags in zip(*columns, strict=True)
-        }
+        rows = self.logs[["log", "family", "dataset", "tags"]].itertuples(index=False, name=None)
+        return {log: LogLabels(family, dataset, tuple(tags)) for log, family, dataset, tags in rows}
+
+    @property
+    def driven(self) -> pd.DataFrame:
+        """The rows of the table without those of reference drives."""
+        return self.table[self.table["mode"] != REFERENCE]
+
+    @property
+    def drives(self) -> list[tuple[str, str, str]]:
+        """Log, planner and mode of each drive."""
+        return list(self.driven[DRIVE].drop_duplicates().itertuples(index=False, name=None))
 
 
 @dataclass(frozen=True, slots=True)
 class RuleVerdict:
-    """What a rule of comparison says; `reason` is one sentence with what was found."""
+    """Verdict of a rule of comparison; `reason` is one sentence with what was found."""
 
     rule: str
     outcome: Outcome
@@ -101,15 +126,15 @@ class Comparison:
         differences: Inputs that are not the same, a sentence each.
         only_in_baseline: Drives, "log, planner, mode loop", and those that failed in the candidate only;
             `only_in_candidate` likewise.
-        pairs: `PAIR_COLUMNS`, the worst regression first: those of metrics that are asked of, by (3), then others.
+        pairs: `PAIR_COLUMNS`, the worst regression first: metrics that a gate or rule names, by (3), then the others.
             A value that one of the runs lacks is NaN, and `reason` says why; else what the candidate's value is about.
-        flips: `FLIP_COLUMNS`: the outcome of a gate on a log is another one.
-        groups: `metrics.compare_groups.GROUP_COLUMNS`: means over the suite, its families, tags and datasets.
-        partings: `PARTING_COLUMNS`: where two drives part; empty where traces are not at hand.
+        flips: `FLIP_COLUMNS`: gates whose outcome on a log changed.
+        groups: `GROUP_COLUMNS`: means over the suite, its families, tags and datasets.
+        partings: `PARTING_COLUMNS`: first differences of two drives; empty where traces are not at hand.
         verdicts: One per rule.
-        not_looked_at: In so many drives that differ it was not looked for where they part.
+        not_looked_at: Number of drives that differ and whose first difference was not looked for.
         other_logs: Logs of one name that have another content (SHA-256) in the two runs.
-        not_compared: Metrics that a gate or a rule asks of, and that the baseline has in another version or alone.
+        not_compared: Metrics that a gate or a rule names, and that the baseline has in another version or alone.
     """
 
     baseline: str
@@ -129,122 +154,98 @@ class Comparison:
     @property
     def exit_code(self) -> int:
         """0 pass, 1 a rule failed, 4 inconclusive: nothing to compare, or a rule had nothing to judge."""
-        said = {verdict.outcome for verdict in self.verdicts}
-        if Outcome.FAIL in said:
+        found = {verdict.outcome for verdict in self.verdicts}
+        if Outcome.FAIL in found:
             return 1
-        return 4 if self.pairs.empty or Outcome.INCONCLUSIVE in said else 0
+        return 4 if self.pairs.empty or Outcome.INCONCLUSIVE in found else 0
 
     def regressions(self, most: int, each: int = 2) -> pd.DataFrame:
         """The worst pairs, at most `each` of one drive: one bad drive does not hide the others."""
-        return _extremes(self.pairs[self.pairs["worse"] > 0.0], most, each)
+        worse = self.pairs[self.pairs["worse"] > 0.0]
+        return worse[worse.groupby(DRIVE).cumcount() < each].head(most)
 
     def improvements(self, most: int, each: int = 2) -> pd.DataFrame:
         """Likewise, the greatest improvement first."""
         better = self.pairs[self.pairs["worse"] < 0.0]
-        order = better.sort_values(["asked", "relative"], ascending=[False, True], kind="stable")
-        return _extremes(order, most, each)
-
-
-def _extremes(pairs: pd.DataFrame, most: int, each: int) -> pd.DataFrame:
-    return pairs[pairs.groupby(DRIVE).cumcount() < each].head(most)
+        better = better.sort_values(["asked", "relative"], ascending=[False, True], kind="stable")
+        return better[better.groupby(DRIVE).cumcount() < each].head(most)
 
 
 def compare(baseline: Side, candidate: Side, gates: Gates, also: Collection[str] = ()) -> Comparison:
-    """Two runs compared by their tables; `metrics.compare_rules.judged` adds what rules say.
+    """Two runs compared by their tables; `metrics.compare_rules.judged` adds the verdicts of rules.
 
     Args:
         baseline: What was.
         candidate: What is.
-        gates: By which both are judged.
-        also: Metrics that are asked of beside the gates: they come before others among the regressions.
+        gates: Gates by which both are judged.
+        also: Metrics that rules name beside the gates: they come before others among the regressions.
     """
-    drives = [_drives(side) for side in (baseline, candidate)]
-    changed = _changed_versions(baseline.table, candidate.table)
-    fragile = _fragile(baseline.table)
-    asked = {**dict.fromkeys(also, 0.0), **_bounds(gates)}
-    pairs = _pairs(baseline.table, candidate.table, changed, asked)
-    pairs["fragile"] = _in(pairs, fragile)
-    alone = _measured(baseline.table) ^ _measured(candidate.table)
-    valued = _measured(baseline.table[baseline.table["available"].astype(bool)])
-    flips = _flips(baseline, candidate, gates, changed.keys() | alone, drives[0].keys() & drives[1].keys())
-    flips["marginal"] |= _in(flips, fragile)
+    before, now = (
+        dict(zip(side.table["metric"], side.table["version"], strict=True)) for side in (baseline, candidate)
+    )
+    changed = {name: f"{before[name]} -> {now[name]}" for name in before if name in now and before[name] != now[name]}
+    alone = set(baseline.driven["metric"]) ^ set(candidate.driven["metric"])
+    valued = set(baseline.driven.loc[baseline.driven["available"].astype(bool), "metric"])
+    ensemble = baseline.table[
+        (baseline.table["metric"] == f"{ENSEMBLE.name}.fragile") & (baseline.table["value"] > 0.0)
+    ]
+    fragile = pd.MultiIndex.from_frame(ensemble[DRIVE])
+    bounds = dict.fromkeys(also, 0.0)
+    for gate in gates.gates:
+        bounds[gate.metric] = max(bounds.get(gate.metric, 0.0), abs(gate.min or 0.0), abs(gate.max or 0.0))
+    pairs = _pairs(baseline.driven, candidate.driven, changed, bounds)
+    pairs["fragile"] = pd.MultiIndex.from_frame(pairs[DRIVE]).isin(fragile)
+    flips = _flips(baseline, candidate, gates, changed.keys() | alone)
+    flips["marginal"] |= pd.MultiIndex.from_frame(flips[DRIVE]).isin(fragile)
     return Comparison(
         baseline.label,
         candidate.label,
         tuple(_differences(baseline, candidate, changed)),
-        tuple(_alone(drives, baseline.crashed, candidate.crashed)),
-        tuple(_alone(drives[::-1], candidate.crashed, baseline.crashed)),
+        _missing(baseline, candidate),
+        _missing(candidate, baseline),
         pairs,
         flips,
         group_deltas(pairs, candidate.logs),
-        not_compared=tuple(sorted(asked.keys() & (changed.keys() | alone & valued))),
+        not_compared=tuple(sorted(bounds.keys() & (changed.keys() | alone & valued))),
         other_logs=tuple(_other(baseline, candidate, "sha256")),
     )
 
 
-def _driven(table: pd.DataFrame) -> pd.DataFrame:
-    return table[table["mode"] != REFERENCE]
-
-
-def _measured(table: pd.DataFrame) -> set[str]:
-    return set(_driven(table)["metric"])
-
-
-def _drives(side: Side) -> dict[tuple[str, str, str], str]:
-    keys = _driven(side.table)[DRIVE].drop_duplicates().itertuples(index=False, name=None)
-    return {(log, planner, mode): f"{log}, {planner}, {mode} loop" for log, planner, mode in keys}
-
-
-def _alone(
-    drives: Sequence[Mapping[tuple[str, str, str], str]], mine: Collection[object], theirs: Collection[object]
-) -> Iterator[str]:
-    """The drives that only the first run has, or that failed in the other only."""
-    for drive, said in drives[0].items():
-        if drive not in drives[1]:
-            yield said
-        elif drive in theirs and drive not in mine:
-            yield f"{said} (failed)"
-
-
-def _changed_versions(one: pd.DataFrame, two: pd.DataFrame) -> dict[str, str]:
-    """Rows of the table whose metric has another version, and which."""
-    before, now = (dict(zip(table["metric"], table["version"], strict=True)) for table in (one, two))
-    return {name: f"{before[name]} -> {now[name]}" for name in before if name in now and before[name] != now[name]}
-
-
-# pairs ------------------------------------------------------------------------------------------------------------
+def _missing(one: Side, two: Side) -> tuple[str, ...]:
+    """The drives that only the first run has, or that failed in the second only."""
+    there, failed = set(two.drives), set(two.crashed) - set(one.crashed)
+    return tuple(
+        f"{drive[0]}, {drive[1]}, {drive[2]} loop{' (failed)' if drive in there else ''}"
+        for drive in one.drives
+        if drive not in there or drive in failed
+    )
 
 
 def _pairs(
-    one: pd.DataFrame, two: pd.DataFrame, left_out: Collection[str], bounds: Mapping[str, float]
+    baseline: pd.DataFrame, candidate: pd.DataFrame, left_out: Collection[str], bounds: Mapping[str, float]
 ) -> pd.DataFrame:
-    both = _driven(one).merge(_driven(two), on=KEYS, suffixes=("_b", "_c"))
+    """`PAIR_COLUMNS` of the rows of both runs, the metrics `left_out` excepted; `bounds` of gates by metric."""
+    both = baseline.merge(candidate, on=KEYS, suffixes=("_b", "_c"))
     both = both[~both["metric"].isin(left_out) & (both["available_b"] | both["available_c"]).astype(bool)]
-    before, now = (both[f"value_{side}"].to_numpy(float) for side in "bc")
+    before, now = both["value_b"].to_numpy(float), both["value_c"].to_numpy(float)
     delta = np.where(noise(before, now), 0.0, now - before)  # (1)
     sign = both["direction_c"].map({"lower": 1.0, "higher": -1.0}).to_numpy(float)
+    there = [both[name].to_numpy(bool) for name in ("available_b", "available_c")]
+    lost = "only in the baseline; candidate: " + both["reason_c"].astype(object)
+    new = "only in the candidate; baseline: " + both["reason_b"].astype(object)
     pairs = both[KEYS].assign(
         unit=both["unit_c"], direction=both["direction_c"], baseline=before, candidate=now, delta=delta,
         worse=sign * delta + 0.0,  # (2)
-        asked=both["metric"].isin(list(bounds)), fragile=False,
-        time_s=both["time_s_c"].fillna(both["time_s_b"]), reason=_reasons(both),
+        asked=both["metric"].isin(list(bounds)), fragile=False, time_s=both["time_s_c"].fillna(both["time_s_b"]),
+        reason=np.select([there[0] & there[1], there[1]], [both["reason_c"], new], lost),
     )  # fmt: skip
-    size = pairs[["baseline", "candidate"]].abs().mean(axis=1).groupby([pairs[key] for key in KEYS[1:]])
+    size = pairs[["baseline", "candidate"]].abs().mean(axis=1).groupby([pairs[key] for key in SCORE])
     scale = np.maximum(size.transform("mean").to_numpy(float), pairs["metric"].map(bounds).fillna(0.0).to_numpy(float))
     pairs["relative"] = pairs["worse"] / np.where(scale > 0.0, scale, np.nan)  # (3)
     order = pairs.assign(hurts=pairs["worse"] > 0.0).sort_values(
         ["hurts", "asked", "relative", *KEYS], ascending=[False, False, False, True, True, True, True], kind="stable"
     )
     return order[list(PAIR_COLUMNS)].reset_index(drop=True)
-
-
-def _bounds(gates: Gates) -> dict[str, float]:
-    """The greatest |bound| of the gates on each metric that a gate asks of."""
-    found: dict[str, float] = {}
-    for gate in gates.gates:
-        values = [abs(bound) for bound in (gate.min, gate.max) if bound is not None]
-        found[gate.metric] = max(found.get(gate.metric, 0.0), *values)
-    return found
 
 
 def noise(before: np.ndarray, now: np.ndarray) -> BoolArray:
@@ -254,107 +255,124 @@ def noise(before: np.ndarray, now: np.ndarray) -> BoolArray:
         return np.asarray(np.abs(now - before) <= bound)
 
 
-def _reasons(both: pd.DataFrame) -> list[str]:
-    columns = ("available_b", "available_c", "reason_b", "reason_c")
-    return [
-        _said(before=bool(b), now=bool(c), was=was, why=why)
-        for b, c, was, why in zip(*(both[name] for name in columns), strict=True)
-    ]
+class _Judged(NamedTuple):
+    """Outcome of a gate on a log; of an optional gate on a log without the value the default."""
+
+    outcome: str = NOT_ASKED
+    value: float = np.nan
+    time_s: float = np.nan
+    reason: str = ""
 
 
-def _said(*, before: bool, now: bool, was: str, why: str) -> str:
-    if before and now:
-        return why
-    return f"only in the candidate; baseline: {was}" if now else f"only in the baseline; candidate: {why}"
-
-
-# flips ------------------------------------------------------------------------------------------------------------
-
-
-def _flips(
-    baseline: Side,
-    candidate: Side,
-    gates: Gates,
-    left_out: Collection[str],
-    drives: Collection[tuple[str, str, str]],
-) -> pd.DataFrame:
-    """Gates whose outcome on a drive of both runs is another one; what is only asked or no longer asked is none.
-
-    Not of gates on a mean, median or sum: a log by itself breaks none of them.
-    """
-    asked = (gate for gate in gates.gates if gate.over in BY_LOG and gate.metric not in left_out)
-    rules = Gates(tuple(asked), gates.source)
-    said = [_outcomes(rules, side, candidate.table) for side in (baseline, candidate)]
+def _flips(baseline: Side, candidate: Side, gates: Gates, left_out: Collection[str]) -> pd.DataFrame:
+    """`FLIP_COLUMNS` of drives of both runs. A change between a pass and not being asked is no flip."""
+    rules = Gates(tuple(g for g in gates.gates if g.over in BY_LOG and g.metric not in left_out), gates.source)
     metric = {str(gate): gate.metric for gate in rules.gates}
-    rows = []
-    for key in dict.fromkeys([*said[0], *said[1]]):
-        *drive, gate = key
-        before, now = (outcome.get(key, _UNASKED) for outcome in said)
-        if tuple(drive) in drives and before[0] != now[0] and {before[0], now[0]} != _NO_FLIP:
-            same = bool(noise(np.array([before[1]]), np.array([now[1]]))[0])
-            when = now[2] if np.isfinite(now[2]) else before[2]
-            change = (before[0], now[0], before[1], now[1], when, now[3] or before[3], same)
-            rows.append((*drive, gate, metric[gate], *change))
+    old, new = (_judged(rules, side, candidate.table) for side in (baseline, candidate))
+    both, rows = {*baseline.drives} & {*candidate.drives}, []
+    for key in dict.fromkeys([*old, *new]):
+        before, now = old.get(key, _Judged()), new.get(key, _Judged())
+        change = {before.outcome, now.outcome}
+        if key[:3] not in both or len(change) == 1 or change == {NOT_ASKED, Outcome.PASS.value}:
+            continue
+        marginal = bool(noise(np.array(before.value), np.array(now.value)))
+        when = now.time_s if np.isfinite(now.time_s) else before.time_s
+        values = (before.outcome, now.outcome, before.value, now.value, when, now.reason or before.reason, marginal)
+        rows.append((*key, metric[key[3]], *values))
     kinds = {"value_before": float, "value_after": float, "time_s": float, "marginal": bool}
     return pd.DataFrame(rows, columns=list(FLIP_COLUMNS)).astype(kinds)
 
 
-_Said = tuple[str, float, float, str]
-"""Outcome, value, time, reason."""
-_UNASKED: _Said = (NOT_ASKED, np.nan, np.nan, "")
-_NO_FLIP = {NOT_ASKED, Outcome.PASS.value}
-
-
-def _outcomes(gates: Gates, side: Side, references: pd.DataFrame) -> dict[tuple[str, str, str, str], _Said]:
-    """What each log says of each gate, by log, planner, mode and gate; reference drives are those of `references`."""
+def _judged(gates: Gates, side: Side, references: pd.DataFrame) -> dict[tuple[str, str, str, str], _Judged]:
+    """Outcomes by log, planner, mode and gate; the reference drives are those of `references` where it has any."""
     mine = references[(references["mode"] == REFERENCE) & references["log"].isin(side.logs["log"])]
     own = side.table[(side.table["mode"] != REFERENCE) | ~side.table["log"].isin(mine["log"])]
     found = outcomes(judge(gates, pd.concat([own, mine], ignore_index=True), side.labels, failed=side.failed))
-    keys = found[[*DRIVE, "gate"]].itertuples(index=False, name=None)
-    rows = found[["outcome", "value", "time_s", "reason"]].itertuples(index=False, name=None)
-    return dict(zip(keys, rows, strict=True))
-
-
-def _fragile(table: pd.DataFrame) -> set[tuple[str, ...]]:
-    """Drives whose verdict does not hold in worlds that should not matter, where the run had an ensemble."""
-    found = table[(table["metric"] == f"{ENSEMBLE.name}.fragile") & (table["value"] > 0.0)]
-    return set(found[DRIVE].itertuples(index=False, name=None))
-
-
-def _in(table: pd.DataFrame, drives: Collection[tuple[str, ...]]) -> BoolArray:
-    """Which rows are of one of these drives."""
-    return np.array([key in drives for key in table[DRIVE].itertuples(index=False, name=None)], bool)
-
-
-# inputs -----------------------------------------------------------------------------------------------------------
+    rows = found[[*DRIVE, "gate", *_Judged._fields]].itertuples(index=False, name=None)
+    return {row[:4]: _Judged(*row[4:]) for row in rows}
 
 
 def _differences(baseline: Side, candidate: Side, changed: Mapping[str, str]) -> Iterator[str]:
+    """Sentences on the settings, logs and metrics that are not the same."""
     old, new = baseline.facts, candidate.facts
     yield from (f"{key}: {old[key]} -> {new[key]}" for key in old if key in new and old[key] != new[key])
-    for word, keys in (("baseline", [k for k in old if k not in new]), ("candidate", [k for k in new if k not in old])):
-        if keys:
-            yield f"settings of the {word} only: {_named(keys)}"
-    for column, what in (("sha256", "another SHA-256"), ("vehicle", "another vehicle")):
-        names = _other(baseline, candidate, column)
+    metrics = [list(dict.fromkeys(side.driven["metric"])) for side in (baseline, candidate)]
+    changes = [f"{name} ({versions})" for name, versions in changed.items()]
+    for what, names in (
+        ("settings of the baseline only", [key for key in old if key not in new]),
+        ("settings of the candidate only", [key for key in new if key not in old]),
+        ("logs with another SHA-256", _other(baseline, candidate, "sha256")),
+        ("logs with another vehicle", _other(baseline, candidate, "vehicle")),
+        ("metrics of another version, not compared", changes),
+        ("metrics in the baseline only", [name for name in metrics[0] if name not in metrics[1]]),
+        ("metrics in the candidate only", [name for name in metrics[1] if name not in metrics[0]]),
+    ):
         if names:
-            yield f"logs with {what}: {_named(names)}"
-    if changed:
-        yield f"metrics of another version, not compared: {_named([f'{k} ({v})' for k, v in changed.items()])}"
-    before, now = (list(dict.fromkeys(_driven(side.table)["metric"])) for side in (baseline, candidate))
-    for one, two, word in ((before, now, "baseline"), (now, before, "candidate")):
-        alone = [name for name in one if name not in set(two)]
-        if alone:
-            yield f"metrics in the {word} only: {_named(alone)}"
+            more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+            yield f"{what}: {', '.join(names[:NAMED])}{more}"
 
 
 def _other(baseline: Side, candidate: Side, column: str) -> list[str]:
     """Logs of both runs of which a column is known and not the same."""
     both = baseline.logs.merge(candidate.logs, on="log", suffixes=("_b", "_c"))
-    known = (both[f"{column}_b"] != "") & (both[f"{column}_c"] != "")
-    return list(both.loc[known & (both[f"{column}_b"] != both[f"{column}_c"]), "log"])
+    one, two = both[f"{column}_b"], both[f"{column}_c"]
+    return list(both.loc[(one != "") & (two != "") & (one != two), "log"])
 
 
-def _named(names: Sequence[str]) -> str:
-    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    return f"{', '.join(names[:NAMED])}{more}"
+# groups of logs ---------------------------------------------------------------------------------------------------
+
+
+def group_deltas(pairs: pd.DataFrame, logs: pd.DataFrame) -> pd.DataFrame:
+    """`GROUP_COLUMNS`: rows by group of logs (the suite, parts of it with several logs), planner, mode and metric.
+
+    Args:
+        pairs: Rows of `PAIR_COLUMNS`.
+        logs: A row per log: log, family, dataset, tags.
+    """
+    known = pairs[pairs["delta"].notna()]
+    there = logs[logs["log"].isin(set(known["log"]))]
+    members = [("suite", "all", list(there["log"]))] if len(there) else []
+    for kind in ("family", "tags", "dataset"):
+        for name, group in there[["log", kind]].explode(kind).dropna().groupby(kind, sort=True)["log"]:
+            if name and 1 < len(group) < len(there):
+                members.append((kind.removesuffix("s"), str(name), list(group)))
+    parts = [_group(known[known["log"].isin(group)]).assign(kind=kind, group=name) for kind, name, group in members]
+    numbers = dict.fromkeys(("baseline", "candidate", "delta", "low", "high"), float)
+    empty = pd.DataFrame(columns=list(GROUP_COLUMNS)).astype({**numbers, "significant": bool})
+    return pd.concat(parts, ignore_index=True)[list(GROUP_COLUMNS)] if parts else empty
+
+
+def _group(pairs: pd.DataFrame) -> pd.DataFrame:
+    """Means (4), intervals (5) and significance (6) of each planner, mode and metric."""
+    by = pairs.assign(better=pairs["worse"] < 0.0, worse=pairs["worse"] > 0.0).groupby(SCORE, sort=True)
+    table = by.agg(
+        unit=("unit", "first"), direction=("direction", "first"), logs=("log", "size"), baseline=("baseline", "mean"),
+        candidate=("candidate", "mean"), delta=("delta", "mean"), better=("better", "sum"), worse=("worse", "sum"),
+    )  # fmt: skip
+    deltas = pairs.pivot_table(index=SCORE, columns="log", values="delta", sort=True).loc[table.index]
+    low, high = intervals(deltas.to_numpy(float))
+    clear = significant(low, high, table["logs"].to_numpy())
+    return table.assign(low=low, high=high, significant=clear).reset_index()
+
+
+def intervals(deltas: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Bounds (5), `(m,)` each, of m metrics over n logs `(m, n)`; NaN deltas are logs without the value."""
+    from scipy.stats import bootstrap  # here: it takes longer to load than all metrics
+
+    there = np.isfinite(deltas)
+    low = np.where(there.sum(axis=1) < MIN_PAIRS, np.nan, 0.0)
+    high = low.copy()
+    moved = np.isfinite(low) & (np.nan_to_num(deltas) != 0.0).any(axis=1)
+    for pattern in np.unique(there[moved], axis=0):
+        rows = moved & (there == pattern).all(axis=1)
+        found = bootstrap(
+            (deltas[rows][:, pattern],), np.mean, axis=-1, vectorized=True, confidence_level=CONFIDENCE,
+            n_resamples=RESAMPLES, batch=BATCH, method="percentile", rng=np.random.default_rng(SEED),
+        ).confidence_interval  # fmt: skip
+        low[rows], high[rows] = found.low, found.high
+    return low, high
+
+
+def significant(low: FloatArray, high: FloatArray, logs: IntArray) -> BoolArray:
+    """Whether changes with these intervals, over these numbers of logs, are more than chance (6)."""
+    return np.asarray(((low > 0.0) | (high < 0.0)) & (logs >= MIN_SIGNIFICANT))

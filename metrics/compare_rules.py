@@ -26,7 +26,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import isfinite
 from pathlib import Path
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -36,8 +35,7 @@ from logs.errors import ConfigError
 from logs.trace import Mode
 from metrics import METRICS, Metric
 from metrics.aggregate import LogLabels
-from metrics.compare import NOT_ASKED, Comparison, RuleVerdict
-from metrics.compare_groups import MIN_SIGNIFICANT, intervals, significant
+from metrics.compare import MIN_SIGNIFICANT, NOT_ASKED, Comparison, RuleVerdict, intervals, significant
 from metrics.gates import Outcome, check_metric, gate_tables, known_only
 
 OVER = ("mean", "median", "worst")
@@ -90,6 +88,11 @@ class Rule:
         """The number that must not be exceeded."""
         return float(next(value for kind in KINDS if (value := getattr(self, kind)) is not None))
 
+    @property
+    def sign(self) -> float:
+        """1 where the metric may not rise, -1 where it may not fall."""
+        return 1.0 if self.max_increase is not None else -1.0
+
     def __str__(self) -> str:
         """The rule: "mean ade.3s.mean rises by at most 0.05, where significant [open]"."""
         scope = "".join(f" [{word}]" for word in (self.mode, *self.tags, self.planner) if word)
@@ -97,7 +100,7 @@ class Rule:
             return f"at most {self.max_missing} drives missing"
         if self.max_flips is not None:
             return f"at most {self.max_flips} flips to FAIL{f' of {self.gate}' if self.gate else ''}{scope}"
-        word = "rises" if self.max_increase is not None else "falls"
+        word = "rises" if self.sign > 0.0 else "falls"
         sure = ", where significant" if self.significant else ""
         return f"{self.over} {self.metric} {word} by at most {self.limit:g}{sure}{scope}"
 
@@ -106,54 +109,63 @@ def load_rules(path: Path | None, *, metrics: Mapping[str, Metric] = METRICS) ->
     """The rules of a TOML file; the packaged ones where it has none, or for None.
 
     Raises:
-        ConfigError: Not readable, unknown key or metric, a rule that says nothing; names the file and the rule.
+        ConfigError: Not readable, unknown key or metric, or a contradictory rule; names the file and the rule.
     """
     source, tables = gate_tables(path, "compare")
     if not tables:
         source, tables = gate_tables(None, "compare")
-    return tuple(_rule(table, f"{source}: compare {i}", metrics) for i, table in enumerate(tables, 1))
-
-
-def _rule(table: Mapping[str, Any], place: str, metrics: Mapping[str, Metric]) -> Rule:
-    known_only(table, tuple(Rule.__dataclass_fields__), place)
-    try:
-        rule = msgspec.convert(dict(table), Rule)
-    except msgspec.ValidationError as error:
-        raise ConfigError(f"{place}: {error}") from None
-    for name in filter(None, (rule.metric, rule.gate)):
-        check_metric(name, f"{place} ({name})", metrics)
-    return rule
+    rules = []
+    for i, table in enumerate(tables, 1):
+        place = f"{source}: compare {i}"
+        known_only(table, tuple(Rule.__dataclass_fields__), place)
+        try:
+            rules.append(rule := msgspec.convert(dict(table), Rule))
+        except msgspec.ValidationError as error:
+            raise ConfigError(f"{place}: {error}") from None
+        for name in filter(None, (rule.metric, rule.gate)):
+            check_metric(name, f"{place} ({name})", metrics)
+    return tuple(rules)
 
 
 def judged(rules: tuple[Rule, ...], comparison: Comparison, labels: Mapping[str, LogLabels]) -> Comparison:
-    """The comparison with what the rules say of it, in their order; an optional one may say nothing.
+    """The comparison with the verdicts of the rules, in their order; an optional rule may have none.
 
     Args:
-        rules: What may not get worse.
+        rules: Bounds on what may get worse.
         comparison: Two runs.
         labels: What each log belongs to.
     """
-    said = ((rule, _said(rule, comparison, labels)) for rule in rules)
-    return replace(comparison, verdicts=tuple(_with_why(rule, found) for rule, found in said if found is not None))
+    verdicts = []
+    for rule in rules:
+        found = _judged(rule, comparison, labels)
+        if found is not None:
+            outcome, reason = found
+            why = f" (the rule: {rule.reason})" if outcome is Outcome.FAIL and rule.reason else ""
+            verdicts.append(RuleVerdict(str(rule), outcome, f"{reason}{why}"))
+    return replace(comparison, verdicts=tuple(verdicts))
 
 
-def _with_why(rule: Rule, verdict: RuleVerdict) -> RuleVerdict:
-    """The verdict; of a broken rule with its reason."""
-    if verdict.outcome is not Outcome.FAIL or not rule.reason:
-        return verdict
-    return replace(verdict, reason=f"{verdict.reason} (the rule: {rule.reason})")
-
-
-def _said(rule: Rule, comparison: Comparison, labels: Mapping[str, LogLabels]) -> RuleVerdict | None:
+def _judged(rule: Rule, comparison: Comparison, labels: Mapping[str, LogLabels]) -> tuple[Outcome, str] | None:
+    """Outcome and reason; None where an optional rule has nothing to judge."""
     if rule.max_missing is not None:
         return _missing(rule, comparison)
+    pairs, flips = (_scope(rule, table, labels) for table in (comparison.pairs, comparison.flips))
+    gone = [name for name in comparison.not_compared if (rule.metric or rule.gate) in ("", name)]
+    incomparable = f"of another version, or in the baseline only: {_few(gone)}" if gone else ""
     if rule.max_flips is not None:
-        gone = [name for name in comparison.not_compared if rule.gate in ("", name)]
-        return _flipped(rule, _scope(rule, comparison.flips, labels), _scope(rule, comparison.pairs, labels), gone)
-    if rule.metric in comparison.not_compared:
-        return RuleVerdict(str(rule), Outcome.INCONCLUSIVE, f"nothing to judge: {_incomparable([rule.metric])}")
-    mine = _scope(rule, comparison.pairs, labels)
-    return _moved(rule, mine[mine["metric"] == rule.metric].sort_values("log"))  # draws as of the groups
+        if len(pairs):
+            return _flipped(rule, flips, pairs, incomparable)
+        nothing = "no drives to compare"
+    elif incomparable:
+        return Outcome.INCONCLUSIVE, f"nothing to judge: {incomparable}"
+    else:
+        measured = pairs[(pairs["metric"] == rule.metric) & pairs["baseline"].notna()].sort_values("log")
+        if len(measured):  # in the order of the logs, as in the groups: it decides the draws
+            by = measured.groupby(["planner", "mode"], sort=True)
+            found = [_change(rule, f"{planner}, {mode} loop", rows) for (planner, mode), rows in by]
+            return max(found, key=lambda one: (SEVERITY.index(one[1]), one[0]))[1:]
+        nothing = f"{rule.metric} was measured in both runs on no log that is asked"
+    return None if rule.optional else (Outcome.INCONCLUSIVE, f"nothing to judge: {nothing}")
 
 
 def _scope(rule: Rule, table: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.DataFrame:
@@ -165,119 +177,84 @@ def _scope(rule: Rule, table: pd.DataFrame, labels: Mapping[str, LogLabels]) -> 
     return table[asked]
 
 
-def _missing(rule: Rule, comparison: Comparison) -> RuleVerdict:
-    gone = comparison.only_in_baseline
-    names = f": {_few(gone, '; ')}" if gone else ""
-    reason = f"missing in the candidate: {len(gone)} of the baseline's drives{names}"
-    if len(gone) > rule.limit:
-        return RuleVerdict(str(rule), Outcome.FAIL, reason)
-    other = comparison.other_logs
-    if other:
-        reason += f"; with another content (SHA-256), so no longer the same: {_few(other)}"
-    return RuleVerdict(str(rule), Outcome.INCONCLUSIVE if other else Outcome.PASS, reason)
-
-
-def _incomparable(metrics: Sequence[str]) -> str:
-    return f"of another version, or in the baseline only: {_few(metrics)}"
-
-
 def _few(names: Sequence[str], between: str = ", ") -> str:
-    """The first three of names."""
+    """The first three names."""
     return between.join([*names[:3], *(["..."] if len(names) > 3 else [])])
 
 
-def _flipped(rule: Rule, flips: pd.DataFrame, pairs: pd.DataFrame, gone: Sequence[str]) -> RuleVerdict | None:
-    if pairs.empty:
-        return _nothing(rule)
+def _missing(rule: Rule, comparison: Comparison) -> tuple[Outcome, str]:
+    gone, other = comparison.only_in_baseline, comparison.other_logs
+    names = f": {_few(gone, '; ')}" if gone else ""
+    reason = f"missing in the candidate: {len(gone)} of the baseline's drives{names}"
+    if len(gone) > rule.limit:
+        return Outcome.FAIL, reason
+    if other:
+        return Outcome.INCONCLUSIVE, f"{reason}; with another content (SHA-256), so no longer the same: {_few(other)}"
+    return Outcome.PASS, reason
+
+
+def _flipped(rule: Rule, flips: pd.DataFrame, pairs: pd.DataFrame, incomparable: str) -> tuple[Outcome, str]:
+    flips = flips[flips["metric"] == rule.gate] if rule.gate else flips
     bad = flips[(flips["after"] == Outcome.FAIL.value) & flips["before"].isin([Outcome.PASS.value, NOT_ASKED])]
-    bad = bad[bad["metric"] == rule.gate] if rule.gate else bad
-    clear, aside = bad[~bad["marginal"]], int(bad["marginal"].sum())
-    names = "; ".join(f"{row.log} ({row.mode} loop): {row.gate}" for row in clear.head(3).itertuples())
-    more = "; ..." if len(clear) > 3 else ""
+    clear, marginal = bad[~bad["marginal"]], int(bad["marginal"].sum())
+    names = _few([f"{row.log} ({row.mode} loop): {row.gate}" for row in clear.itertuples()], "; ")
     count = "1 flip" if len(clear) == 1 else f"{len(clear)} flips"
-    reason = f"{count}{f': {names}{more}' if names else ''}{f'; {aside} marginal' if aside else ''}"
+    reason = f"{count}{f': {names}' if names else ''}{f'; {marginal} marginal' if marginal else ''}"
     if len(clear) > rule.limit:
-        return RuleVerdict(str(rule), Outcome.FAIL, reason)
-    lost = _lost(flips[flips["metric"] == rule.gate] if rule.gate else flips, pairs)
-    missing = [f"gates not compared, {_incomparable(gone)}"] if gone else []
-    missing += [f"passed before, and without a value now in too many logs: {lost}"] if lost else []
-    outcome = Outcome.INCONCLUSIVE if missing else Outcome.PASS
-    return RuleVerdict(str(rule), outcome, "; ".join([reason, *missing]))
+        return Outcome.FAIL, reason
+    lost = []
+    passed = flips[(flips["before"] == Outcome.PASS.value) & (flips["after"] == Outcome.INCONCLUSIVE.value)]
+    for (planner, mode, gate), rows in passed[passed["value_after"].isna()].groupby(["planner", "mode", "gate"]):
+        logs = pairs.loc[(pairs["planner"] == planner) & (pairs["mode"] == mode), "log"].nunique()
+        lost += [f"{gate} ({len(rows)} of {logs})"] if len(rows) > LOST_SHARE * logs else []
+    missing = [f"gates not compared, {incomparable}"] if incomparable else []
+    missing += [f"passed before, and without a value now in too many logs: {_few(lost, '; ')}"] if lost else []
+    return Outcome.INCONCLUSIVE if missing else Outcome.PASS, "; ".join([reason, *missing])
 
 
-def _lost(flips: pd.DataFrame, pairs: pd.DataFrame) -> str:
-    """The gates that too many logs passed, and of which they have no value any more; "" where there are none."""
-    mine = flips[(flips["before"] == Outcome.PASS.value) & (flips["after"] == Outcome.INCONCLUSIVE.value)]
-    bad = []
-    for (planner, mode, gate), rows in mine[mine["value_after"].isna()].groupby(["planner", "mode", "gate"]):
-        of = pairs.loc[(pairs["planner"] == planner) & (pairs["mode"] == mode), "log"].nunique()
-        bad += [f"{gate} ({len(rows)} of {of})"] if len(rows) > LOST_SHARE * of else []
-    return "; ".join([*bad[:3], *(["..."] if len(bad) > 3 else [])])
-
-
-def _nothing(rule: Rule) -> RuleVerdict | None:
-    what = f"{rule.metric} was measured in both runs on no log that is asked" if rule.metric else "no drives to compare"
-    return None if rule.optional else RuleVerdict(str(rule), Outcome.INCONCLUSIVE, f"nothing to judge: {what}")
-
-
-def _moved(rule: Rule, pairs: pd.DataFrame) -> RuleVerdict | None:
-    """What the rule says of the planner and loop that it is broken most by."""
-    if not pairs["baseline"].notna().any():
-        return _nothing(rule)
-    by = pairs[pairs["baseline"].notna()].groupby(["planner", "mode"], sort=True)
-    found = [_change(rule, f"{planner}, {mode} loop", rows) for (planner, mode), rows in by]
-    _, outcome, reason = max(found, key=lambda one: (SEVERITY.index(one[1]), one[0]))
-    return RuleVerdict(str(rule), outcome, reason)
-
-
-def _change(rule: Rule, who: str, rows: pd.DataFrame) -> tuple[float, Outcome, str]:
-    """By how much one planner and loop is over the limit, what that means, and what was found."""
-    sign = 1.0 if rule.max_increase is not None else -1.0
-    lost = rows[rows["delta"].isna()]
-    rows = rows[rows["delta"].notna()]
+def _change(rule: Rule, drives: str, rows: pd.DataFrame) -> tuple[float, Outcome, str]:
+    """By how much one planner and loop is over the limit, its outcome, and what was found."""
+    lost, rows = rows[rows["delta"].isna()], rows[rows["delta"].notna()]
     if rows.empty:
-        what = f"{who}: {rule.metric} has a value in {_logs(len(lost))} of the baseline, and in none of the candidate"
-        return -np.inf, Outcome.INCONCLUSIVE, what
-    over, outcome, reason = _of_values(rule, who, rows, sign)
+        found = f"{rule.metric} has a value in {_logs(len(lost))} of the baseline, and in none of the candidate"
+        return -np.inf, Outcome.INCONCLUSIVE, f"{drives}: {found}"
+    unit = str(rows["unit"].iloc[0])
+    unit = "" if unit in ("1", "count") else f" {unit}"
+    over, outcome, reason = (_worst if rule.over == "worst" else _together)(rule, rows, unit)
     aside = f"; no value any more in {_logs(len(lost))}" if len(lost) else ""
-    return over, outcome, f"{reason}{aside}"
+    return over, outcome, f"{drives}: {reason}{aside}"
 
 
-def _of_values(rule: Rule, who: str, rows: pd.DataFrame, sign: float) -> tuple[float, Outcome, str]:
-    """`_change` of the logs that have both values."""
-    delta, unit = rows["delta"].to_numpy(float), _unit(str(rows["unit"].iloc[0]))
-    if rule.over == "worst":
-        return _worst(rule, who, rows, sign, unit)
+def _together(rule: Rule, rows: pd.DataFrame, unit: str) -> tuple[float, Outcome, str]:
+    """The mean or median change over logs that have both values."""
+    delta = rows["delta"].to_numpy(float)
     value = float(np.median(delta) if rule.over == "median" else np.mean(delta))
-    (low,), (high,) = intervals(delta[None, :]) if rule.over == "mean" else ([np.nan], [np.nan])
-    logs = np.array([len(delta)])
-    sure = not rule.significant or bool(significant(np.array([low]), np.array([high]), logs)[0])
-    inside = f" [{low:+.4g}, {high:+.4g}]" if isfinite(low) else ""
+    low, high = intervals(delta[None, :]) if rule.over == "mean" else np.full((2, 1), np.nan)
+    inside = f" [{low[0]:+.4g}, {high[0]:+.4g}]" if isfinite(low[0]) else ""
     means = " -> ".join(f"{rows[side].agg(rule.over):.4g}" for side in ("baseline", "candidate"))
-    reason = f"{who}: {rule.over} {rule.metric} {means}{unit}, {value:+.4g}{inside} over {_logs(len(delta))}"
-    over = sign * value - rule.limit
-    if over <= 0.0 or sure:
-        return over, Outcome.FAIL if over > 0.0 else Outcome.PASS, reason
+    reason = f"{rule.over} {rule.metric} {means}{unit}, {value:+.4g}{inside} over {_logs(len(delta))}"
+    over = rule.sign * value - rule.limit
+    if over <= 0.0:
+        return over, Outcome.PASS, reason
+    if not rule.significant or significant(low, high, np.array([len(delta)]))[0]:
+        return over, Outcome.FAIL, reason
     if len(delta) < MIN_SIGNIFICANT:
         return over, Outcome.INCONCLUSIVE, f"{reason}: too few to say whether that is chance"
     return over, Outcome.PASS, f"{reason}: not significant"
 
 
-def _worst(rule: Rule, who: str, rows: pd.DataFrame, sign: float, unit: str) -> tuple[float, Outcome, str]:
-    held, aside = rows[~rows["fragile"]], int(rows["fragile"].sum())
-    said = f"; fragile and left out: {aside}" if aside else ""
+def _worst(rule: Rule, rows: pd.DataFrame, unit: str) -> tuple[float, Outcome, str]:
+    """The worst change of a drive that is not fragile."""
+    held, fragile = rows[~rows["fragile"]], int(rows["fragile"].sum())
+    left_out = f"; fragile and left out: {fragile}" if fragile else ""
     if held.empty:
-        return -np.inf, Outcome.PASS, f"{who}: no drive that is not fragile{said}"
-    row = held.iloc[int(np.argmax(sign * held["delta"].to_numpy(float)))]
+        return -np.inf, Outcome.PASS, f"no drive that is not fragile{left_out}"
+    row = held.iloc[int(np.argmax(rule.sign * held["delta"].to_numpy(float)))]
     where = f"on {row['log']}" + (f" at {row['time_s']:.2f} s" if isfinite(row["time_s"]) else "")
-    reason = f"{who}: {rule.metric} {row['baseline']:.4g} -> {row['candidate']:.4g}{unit} {where}{said}"
-    over = sign * float(row["delta"]) - rule.limit
+    over = rule.sign * float(row["delta"]) - rule.limit
+    reason = f"{rule.metric} {row['baseline']:.4g} -> {row['candidate']:.4g}{unit} {where}{left_out}"
     return over, Outcome.FAIL if over > 0.0 else Outcome.PASS, reason
 
 
 def _logs(count: int) -> str:
     return "1 log" if count == 1 else f"{count} logs"
-
-
-def _unit(unit: str) -> str:
-    return "" if unit in ("1", "count") else f" {unit}"

@@ -1,65 +1,70 @@
-"""What the drive cost: pedals, steering, solver iterations, fallbacks.
+"""Control: what the drive cost in pedals, steering, solver iterations and fallbacks, and how well it kept to the plan.
 
-Pedals are judged as commanded (the actuators' lags let one pedal rise while the other falls).
+Pedals are judged as commanded (the actuators' lags let one pedal rise while the other falls). Tracking errors are
+`Trace.tracking`: how well controller and vehicle kept to the plan.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 
 import numpy as np
 
+from logs.kernel import FloatArray
 from logs.scenario import Scenario
 from logs.states import Controls
 from logs.trace import Mode, SolverReport, Trace
 from metrics.comfort import WINDOW_S
-from metrics.metric import COUNT, MAX, MAX_ABS, MEAN, P95, RATE, Measured, Metric, Series, Unavailable, changed
+from metrics.metric import (
+    COUNT,
+    MAX,
+    MAX_ABS,
+    MEAN,
+    P95,
+    RATE,
+    RMS,
+    Direction,
+    Measured,
+    Metric,
+    Reduction,
+    Series,
+    Unavailable,
+    changed,
+)  # fmt: skip
 from metrics.plans import frame_times
 
 PRESSED = 1e-6
 """A pedal command above this is pressed."""
-_NO_COMMANDS = Unavailable("the drive has no commands")
-_NO_REPORTS = Unavailable("the plans hold no solver reports")
+_BOTH = (Mode.OPEN, Mode.CLOSED)
 
 
-def _pedal(column: str, trace: Trace, scenario: Scenario) -> Measured:
-    if trace.commands is None or not len(trace.commands):
-        return _NO_COMMANDS
-    return Series(trace.commands.t, getattr(trace.commands, column))
-
-
-def _together(trace: Trace, scenario: Scenario) -> Measured:
-    commands = trace.commands
-    if commands is None or not len(commands):
-        return _NO_COMMANDS
+def _together(commands: Controls) -> FloatArray:
     known = np.isfinite(commands.throttle) & np.isfinite(commands.brake)
-    both = (commands.throttle > PRESSED) & (commands.brake > PRESSED)
-    return Series(commands.t, np.where(known, both.astype(np.float64), np.nan))
+    return np.where(known, (commands.throttle > PRESSED) & (commands.brake > PRESSED), np.nan)
 
 
-def _switches(trace: Trace, scenario: Scenario) -> Measured:
+def _switches(commands: Controls) -> FloatArray:
     """1 at each step that presses the other pedal than the one pressed last; coasting between does not count."""
-    commands = trace.commands
-    if commands is None or not len(commands):
-        return _NO_COMMANDS
     pedal = np.where(commands.brake > PRESSED, -1, np.where(commands.throttle > PRESSED, 1, 0))
     pressed = np.flatnonzero(pedal)
     switches = np.zeros(len(commands))
     switches[pressed[1:]] = pedal[pressed[1:]] != pedal[pressed[:-1]]
-    return Series(commands.t, switches)
+    return switches
+
+
+def _commanded(value: Callable[[Controls], FloatArray], trace: Trace, scenario: Scenario) -> Measured:
+    if trace.commands is None or not len(trace.commands):
+        return Unavailable("the drive has no commands")
+    return Series(trace.commands.t, value(trace.commands))
 
 
 def _steer_rate(trace: Trace, scenario: Scenario) -> Measured:
-    controls = _best_known(trace)
+    controls = trace.actuation if trace.actuation is not None else trace.commands
     if controls is None or not len(controls):
-        return _NO_COMMANDS
+        return Unavailable("the drive has no commands")
     rate = changed(controls.t, controls.steer, WINDOW_S)
     return Series(controls.t, rate, missing=f"the drive is shorter than {WINDOW_S} s")
-
-
-def _best_known(trace: Trace) -> Controls | None:
-    return trace.actuation if trace.actuation is not None else trace.commands
 
 
 def _reports(trace: Trace) -> list[tuple[SolverReport, ...]]:
@@ -68,21 +73,18 @@ def _reports(trace: Trace) -> list[tuple[SolverReport, ...]]:
 
 
 def _iterations(trace: Trace, scenario: Scenario) -> Unavailable | Mapping[str, Measured]:
-    frames = _reports(trace)
-    stages = sorted({report.stage for reports in frames for report in reports})
-    if not stages:
-        return _NO_REPORTS
-    t, out = frame_times(trace), {}
-    for stage in stages:
+    frames, found = _reports(trace), {}
+    for stage in sorted({report.stage for reports in frames for report in reports}):
         counts = [[report.iterations for report in reports if report.stage == stage] for reports in frames]
-        out[stage] = Series(t, np.array([float(max(count)) if count else np.nan for count in counts]))
-    return out
+        values = np.array([float(max(count)) if count else np.nan for count in counts])
+        found[stage] = Series(frame_times(trace), values)
+    return found or Unavailable("the plans hold no solver reports")
 
 
 def _unsolved(trace: Trace, scenario: Scenario) -> Measured:
     frames = _reports(trace)
     if not any(frames):
-        return _NO_REPORTS
+        return Unavailable("the plans hold no solver reports")
     failures = [[f"{r.stage}: {r.status}" for r in reports if not r.solved] for reports in frames]
     counts = np.array([float(len(failed)) for failed in failures])
     return Series(frame_times(trace), counts, tuple("; ".join(failed) for failed in failures))
@@ -96,40 +98,64 @@ def _fallback(trace: Trace, scenario: Scenario) -> Measured:
     return Series(frame_times(trace), np.array([float(p.status.is_fallback) for p in plans]), tuple(labels))
 
 
-_CLOSED, _BOTH = (Mode.CLOSED,), (Mode.OPEN, Mode.CLOSED)
-_COMMANDS, _REPORTS = "commands of a controller", "solver reports in the plans"
-_PRESSED = (f"pressed above {PRESSED:g}",)
-THROTTLE = Metric(
-    "throttle", "1", "none", _CLOSED, partial(_pedal, "throttle"), (MEAN, MAX), "Commanded throttle.",
-    formula="throttle", needs=_COMMANDS,
+def _tracked(column: str, trace: Trace, scenario: Scenario) -> Measured:
+    if trace.tracking is None or not len(trace.tracking.t):
+        return Unavailable("the drive has no tracking errors: no controller was in it")
+    return Series(trace.tracking.t, getattr(trace.tracking, column))
+
+
+def _pedals(
+    name: str, value: Callable[[Controls], FloatArray], unit: str, direction: Direction,
+    reductions: tuple[Reduction, ...], meaning: str, formula: str,
+) -> Metric:  # fmt: skip
+    return Metric(
+        name, unit, direction, (Mode.CLOSED,), partial(_commanded, value), reductions, meaning, formula=formula,
+        parameters=(f"pressed above {PRESSED:g}",) if unit == "count" else (), needs="commands of a controller",
+    )  # fmt: skip
+
+
+EFFORT = (
+    _pedals("throttle", lambda given: given.throttle, "1", "none", (MEAN, MAX), "Commanded throttle.", "throttle"),
+    _pedals("brake", lambda given: given.brake, "1", "none", (MEAN, MAX), "Commanded brake.", "brake"),
+    _pedals(
+        "pedals_together", _together, "count", "lower", (COUNT,), "Steps that command throttle and brake at once.",
+        "sum of 1 where both are pressed",
+    ),
+    _pedals(
+        "pedal_switches", _switches, "count", "lower", (COUNT,), "Changes from throttle to brake or back.",
+        "sum of 1 where the other pedal than the last one is pressed",
+    ),
+    Metric(
+        "steer_rate", "rad/s", "lower", (Mode.CLOSED,), _steer_rate, (MAX_ABS, P95),
+        "Backward difference of the front wheel angle over 0.1 s, as actuated, else as commanded.",
+        formula="(steer(t) - steer(t - W)) / W", parameters=(f"W {WINDOW_S} s",), needs="commands of a controller",
+    ),
+    Metric(
+        "qp_iterations", "count", "lower", _BOTH, _iterations, (MEAN, P95, MAX),
+        "Solver iterations per frame and stage, the largest where a stage solves several times.", parts=("*",),
+        formula="max over a frame's calls of a stage", needs="solver reports in the plans",
+    ),
+    Metric(
+        "solver_unsolved", "count", "lower", _BOTH, _unsolved, (COUNT,), "Solver calls that did not end solved.",
+        formula="sum of calls that are not solved", needs="solver reports in the plans",
+    ),
+    Metric(
+        "fallback", "1", "lower", _BOTH, _fallback, (RATE,), "Share of the frames whose plan is a fallback.",
+        formula="1 where the status is a fallback, else 0", needs="plans",
+    ),
 )  # fmt: skip
-BRAKE = Metric(
-    "brake", "1", "none", _CLOSED, partial(_pedal, "brake"), (MEAN, MAX), "Commanded brake.",
-    formula="brake", needs=_COMMANDS,
-)  # fmt: skip
-PEDALS_TOGETHER = Metric(
-    "pedals_together", "count", "lower", _CLOSED, _together, (COUNT,), "Steps that command throttle and brake at once.",
-    formula="sum of 1 where both are pressed", parameters=_PRESSED, needs=_COMMANDS,
-)  # fmt: skip
-PEDAL_SWITCHES = Metric(
-    "pedal_switches", "count", "lower", _CLOSED, _switches, (COUNT,), "Changes from throttle to brake or back.",
-    formula="sum of 1 where the other pedal than the last one is pressed", parameters=_PRESSED, needs=_COMMANDS,
-)  # fmt: skip
-STEER_RATE = Metric(
-    "steer_rate", "rad/s", "lower", _CLOSED, _steer_rate, (MAX_ABS, P95),
-    "Backward difference of the front wheel angle over 0.1 s, as actuated, else as commanded.",
-    formula="(steer(t) - steer(t - W)) / W", parameters=(f"W {WINDOW_S} s",), needs=_COMMANDS,
-)  # fmt: skip
-QP_ITERATIONS = Metric(
-    "qp_iterations", "count", "lower", _BOTH, _iterations, (MEAN, P95, MAX),
-    "Solver iterations per frame and stage, the largest where a stage solves several times.", parts=("*",),
-    formula="max over a frame's calls of a stage", needs=_REPORTS,
-)  # fmt: skip
-SOLVER_UNSOLVED = Metric(
-    "solver_unsolved", "count", "lower", _BOTH, _unsolved, (COUNT,), "Solver calls that did not end solved.",
-    formula="sum of calls that are not solved", needs=_REPORTS,
-)  # fmt: skip
-FALLBACK = Metric(
-    "fallback", "1", "lower", _BOTH, _fallback, (RATE,), "Share of the frames whose plan is a fallback.",
-    formula="1 where the status is a fallback, else 0", needs="plans",
+TRACKING = tuple(
+    Metric(
+        f"tracking_{column}", unit, "lower", (Mode.CLOSED,), partial(_tracked, column), (RMS, MAX_ABS, P95),
+        f"{meaning}.", formula=formula, needs="a controller in the drive",
+    )
+    for column, unit, meaning, formula in (
+        ("lateral", "m", "Distance of the ego from the plan's path, positive to the left", "(p - foot) . n"),
+        (
+            "heading", "rad", "Heading of the ego minus that of the plan's path, principal value",
+            "wrap(yaw - yaw_path)",
+        ),
+        ("speed", "m/s", "Speed of the ego minus the plan's at the same time", "v - v_plan(t)"),
+        ("station", "m", "Station of the ego minus the plan's at the same time, along the path", "s - s_plan(t)"),
+    )
 )  # fmt: skip

@@ -23,7 +23,10 @@ from metrics.judge import judge, outcomes, worst
 
 MEMBER, PERTURBATION = "member", "perturbation"
 """The columns of a table of members beside those of `metrics.evaluate`."""
-_KEY = ["log", "planner", "mode"]
+_DRIVE = ["log", "planner", "mode"]
+Drive = tuple[str, str, str]
+Values = dict[tuple[str, str, str, str], tuple[float, str]]
+"""Value and reason by log, planner, mode and metric."""
 
 
 def with_ensemble(
@@ -40,38 +43,37 @@ def with_ensemble(
     if members.empty:
         return table
     rules = replace(gates, gates=tuple(gate for gate in gates.gates if not gate.metric.startswith(ENSEMBLE.name)))
-    plain = _said(rules, table, labels)
-    found: dict[tuple[str, str, str], list[tuple[Outcome, str]]] = {}
+    plain = _by_drive(rules, table, labels)
+    found: dict[Drive, list[tuple[Outcome, str]]] = {}
     for (_, name), rows in members.groupby([MEMBER, PERTURBATION], sort=True):
         logs = set(rows["log"])
-        said = _said(rules, rows, {log: mine for log, mine in labels.items() if log in logs})
-        for key in plain:
-            if key[0] in logs:
-                found.setdefault(key, []).append(_compared(str(name), plain[key], said.get(key)))
-    values: dict[tuple[str, str, str, str], tuple[float, str]] = {}
-    for key, others in found.items():
-        base = worst([Outcome(outcome) for outcome in plain[key]["outcome"]])
-        passed = sum(outcome is Outcome.PASS for outcome in (base, *(outcome for outcome, _ in others)))
+        member = _by_drive(rules, rows, {log: mine for log, mine in labels.items() if log in logs})
+        for drive, base in plain.items():
+            if drive[0] in logs:
+                found.setdefault(drive, []).append(_compared(str(name), base, member.get(drive)))
+    values: Values = {}
+    for drive, others in found.items():
+        passed = sum(one is Outcome.PASS for one in (worst(plain[drive].values()), *(one for one, _ in others)))
         changes = [change for _, change in others if change]
-        values[*key, f"{ENSEMBLE.name}.pass_share"] = passed / (len(others) + 1.0), ""  # (1)
-        values[*key, f"{ENSEMBLE.name}.fragile"] = float(bool(changes)), "; ".join(changes)  # (2)
+        values[*drive, f"{ENSEMBLE.name}.pass_share"] = passed / (len(others) + 1.0), ""  # (1)
+        values[*drive, f"{ENSEMBLE.name}.fragile"] = float(bool(changes)), "; ".join(changes)  # (2)
     return _filled(table, values)
 
 
 def with_asked(table: pd.DataFrame, gates: Gates, labels: Mapping[str, LogLabels]) -> pd.DataFrame:
     """The table with the row `asked.share` of each drive: the share of the other gates that are asked of it."""
     rules = replace(gates, gates=tuple(gate for gate in gates.gates if not gate.metric.startswith(ASKED.name)))
-    values: dict[tuple[str, str, str, str], tuple[float, str]] = {}
-    for key, rows in _said(rules, table, labels).items():
-        missing = rows.loc[rows["outcome"] == Outcome.NOT_ASKED.value, "gate"]
-        reason = f"not asked: {', '.join(missing)}" if len(missing) else ""
-        values[*key, f"{ASKED.name}.share"] = 1.0 - len(missing) / len(rows), reason
+    values: Values = {}
+    for drive, said in _by_drive(rules, table, labels).items():
+        missing = [gate for gate, outcome in said.items() if outcome is Outcome.NOT_ASKED]
+        reason = f"not asked: {', '.join(missing)}" if missing else ""
+        values[*drive, f"{ASKED.name}.share"] = 1.0 - len(missing) / len(said), reason
     return _filled(table, values)
 
 
-def _filled(table: pd.DataFrame, values: Mapping[tuple[str, str, str, str], tuple[float, str]]) -> pd.DataFrame:
-    """The table with the values and reasons of these rows, by log, planner, mode and metric."""
-    keys = list(zip(*(table[name] for name in (*_KEY, "metric")), strict=True))
+def _filled(table: pd.DataFrame, values: Values) -> pd.DataFrame:
+    """The table with these values and reasons."""
+    keys = list(zip(*(table[name] for name in (*_DRIVE, "metric")), strict=True))
     at = table.index[[i for i, key in enumerate(keys) if key in values]]
     found = [values[key] for key in keys if key in values]
     out = table.copy()
@@ -80,21 +82,19 @@ def _filled(table: pd.DataFrame, values: Mapping[tuple[str, str, str, str], tupl
     return out
 
 
-def _said(
-    gates: Gates, table: pd.DataFrame, labels: Mapping[str, LogLabels]
-) -> dict[tuple[str, str, str], pd.DataFrame]:
-    """What each log says of each gate, by log, planner and mode."""
-    found = outcomes(judge(gates, table, labels))
-    return {(str(key[0]), str(key[1]), str(key[2])): rows for key, rows in found.groupby(_KEY, sort=False)}
+def _by_drive(gates: Gates, table: pd.DataFrame, labels: Mapping[str, LogLabels]) -> dict[Drive, dict[str, Outcome]]:
+    """Outcomes by gate, of each log, planner and mode."""
+    found: dict[Drive, dict[str, Outcome]] = {}
+    said = outcomes(judge(gates, table, labels))
+    for *drive, gate, outcome in zip(*(said[name] for name in (*_DRIVE, "gate", "outcome")), strict=True):
+        found.setdefault((drive[0], drive[1], drive[2]), {})[gate] = Outcome(outcome)
+    return found
 
 
-def _compared(name: str, plain: pd.DataFrame, member: pd.DataFrame | None) -> tuple[Outcome, str]:
+def _compared(name: str, plain: dict[str, Outcome], member: dict[str, Outcome] | None) -> tuple[Outcome, str]:
     """A member's verdict, and how it differs: "turned: pass -> fail (gap.min >= 0.5)"; empty: it does not."""
     if member is None:
         return Outcome.INCONCLUSIVE, f"{name}: not evaluated"
-    before, now = (worst([Outcome(outcome) for outcome in rows["outcome"]]) for rows in (plain, member))
-    if before is now:
-        return now, ""
-    one, two = (rows.set_index("gate")["outcome"] for rows in (plain, member))
-    gates = [str(gate) for gate in one.index if two.get(gate) != one[gate]]
-    return now, f"{name}: {before.value} -> {now.value} ({', '.join(gates)})"
+    before, now = worst([*plain.values()]), worst([*member.values()])
+    gates = ", ".join(gate for gate, outcome in plain.items() if member.get(gate) is not outcome)
+    return now, "" if before is now else f"{name}: {before.value} -> {now.value} ({gates})"

@@ -21,26 +21,22 @@ BEYOND_M = 10.0
 SURE_M = 1e-6
 """Boxes are passed over where they are farther than this: rounding must not decide."""
 FEW = 16
-"""Edges of a smallest box, and boxes within a larger one."""
+"""Least number of edges in a box."""
 CROSSING = cos(30.0 / 180.0 * pi)
 """Lanes that lie over each other cross where their directions differ by more than 30 degrees, either way round."""
 
 
 class Boxes(NamedTuple):
-    """Boxes round stretches of some polylines, a tree each, so that a long lane costs little more than a short one.
-
-    A box stands before those within it; whoever has no business in one goes on at the next one beside it.
+    """Boxes round stretches of polylines: a query looks only at the edges in boxes that are near.
 
     Attributes:
         first: `(n + 1,)`: polyline i owns the boxes `first[i] : first[i + 1]`.
         box: `(g, 4)`: least x, y, greatest x, y of its edges.
-        beside: `(g,)`: the box after all those within this one.
-        edges: `(g, 2)`: the edges of a smallest box, first and end; none of a larger one's.
+        edges: `(g, 2)`: its first edge, and the edge after its last.
     """
 
     first: IntArray
     box: FloatArray
-    beside: IntArray
     edges: IntArray
 
 
@@ -93,23 +89,16 @@ def drivable_lanes(road: Road) -> LaneArrays | None:
 
 
 def _boxes(polylines: list[FloatArray]) -> Boxes:
-    """Boxes of the edges of polylines, each `(edges, 4)`: begin and end."""
-    trees = [_tree(edges, 0, len(edges)) for edges in polylines]
-    first = np.cumsum([0, *map(len, trees)])
-    rows = np.array([row for tree in trees for row in tree])
-    beside = np.arange(len(rows)) + rows[:, 4].astype(np.int64)
-    return Boxes(frozen(first, np.int64), frozen(rows[:, :4]), frozen(beside, np.int64), frozen(rows[:, 5:], np.int64))
-
-
-def _tree(edges: FloatArray, begin: int, end: int) -> list[tuple[float, ...]]:
-    """Rows of a tree over some edges: box, how many rows it has, first edge and end."""
-    points = edges[begin:end].reshape(-1, 2)
-    box = (*points.min(axis=0), *points.max(axis=0))
-    if end - begin <= FEW:
-        return [(*box, 1, begin, end)]
-    step = max(FEW, ceil((end - begin) / FEW))
-    within = [row for k in range(begin, end, step) for row in _tree(edges, k, min(k + step, end))]
-    return [(*box, 1 + len(within), begin, begin), *within]
+    """Boxes of the edges of polylines, each `(n, 4)` (begin and end): sqrt(n) edges in a box, at least `FEW`."""
+    first, box, rows = [0], [], []
+    for edges in polylines:
+        step = max(FEW, ceil(sqrt(len(edges))))
+        for k in range(0, len(edges), step):
+            points = edges[k : k + step].reshape(-1, 2)
+            box.append((*points.min(axis=0), *points.max(axis=0)))
+            rows.append((k, min(k + step, len(edges))))
+        first.append(len(box))
+    return Boxes(frozen(first, np.int64), frozen(box), frozen(rows, np.int64))
 
 
 def _outline(lane: Lane, *, leads_on: bool, entered: bool) -> FloatArray:
@@ -171,34 +160,15 @@ def _gap(box: FloatArray, g: int, x: float, y: float) -> float:
 def _on_lane(lanes: LaneArrays, i: int, x: float, y: float) -> bool:
     """Whether a point lies in lane i: `logs.road.inside`, of the edges that a line from it could cross."""
     polygon, boxes = lanes.points[lanes.offsets[i] : lanes.offsets[i + 1]], lanes.outline
-    found, g = False, boxes.first[i]
-    while g < boxes.first[i + 1]:
+    found = False
+    for g in range(boxes.first[i], boxes.first[i + 1]):
         if y < boxes.box[g, 1] or y > boxes.box[g, 3] or x > boxes.box[g, 2] + SURE_M:
-            g = boxes.beside[g]
             continue
         for k in range(boxes.edges[g, 0], boxes.edges[g, 1]):
             xi, yi, xj, yj = polygon[k, 0], polygon[k, 1], polygon[k - 1, 0], polygon[k - 1, 1]
             if (yi > y) != (yj > y) and x < (xj - xi) * (y - yi) / (yj - yi) + xi:
                 found = not found
-        g += 1
     return found
-
-
-@inner_kernel
-def _not_nearer(line: FloatArray, boxes: Boxes, g: int, x: float, y: float) -> float:
-    """A distance of a point from a polyline that is mostly the least: in the nearest of the boxes within box g."""
-    while boxes.edges[g, 0] == boxes.edges[g, 1]:
-        end, g, near = boxes.beside[g], g + 1, _gap(boxes.box, g + 1, x, y)
-        k = boxes.beside[g]
-        while k < end:
-            gap = _gap(boxes.box, k, x, y)
-            if gap < near:
-                g, near = k, gap
-            k = boxes.beside[k]
-    best = inf
-    for k in range(boxes.edges[g, 0], boxes.edges[g, 1]):
-        best = min(best, point_segment(x, y, line[k, 0], line[k, 1], line[k + 1, 0], line[k + 1, 1]))
-    return best
 
 
 @inner_kernel
@@ -206,10 +176,12 @@ def _on_center(lanes: LaneArrays, i: int, x: float, y: float) -> tuple[float, fl
     """Unit direction of lane i's centre line at its point nearest to (x, y), and the distance left of it, m."""
     center = lanes.center[lanes.offsets[i] // 2 : lanes.offsets[i + 1] // 2]
     best, cx, cy, left, boxes = inf, 0.0, 0.0, 0.0, lanes.middle
-    bound, g = _not_nearer(center, boxes, boxes.first[i], x, y), boxes.first[i]
-    while g < boxes.first[i + 1]:
+    bound = inf  # the line is no farther than the farthest corner of any of its boxes
+    for g in range(boxes.first[i], boxes.first[i + 1]):
+        box = boxes.box[g]
+        bound = min(bound, hypot(max(x - box[0], box[2] - x), max(y - box[1], box[3] - y)))
+    for g in range(boxes.first[i], boxes.first[i + 1]):
         if _gap(boxes.box, g, x, y) > min(best, bound) + SURE_M:
-            g = boxes.beside[g]
             continue
         for k in range(boxes.edges[g, 0], boxes.edges[g, 1]):
             ax, ay, bx, by = center[k, 0], center[k, 1], center[k + 1, 0], center[k + 1, 1]
@@ -217,7 +189,6 @@ def _on_center(lanes: LaneArrays, i: int, x: float, y: float) -> tuple[float, fl
             if length > 0.0 and found < best:
                 best, cx, cy = found, (bx - ax) / length, (by - ay) / length
                 left = found if cx * (y - ay) - cy * (x - ax) >= 0.0 else -found
-        g += 1
     return cx, cy, left
 
 
@@ -246,15 +217,12 @@ def _under(lanes: LaneArrays, x: FloatArray, y: FloatArray, yaw: FloatArray) -> 
 def _edge_distance(lanes: LaneArrays, i: int, x: float, y: float, best: float) -> float:
     """Distance of a point from lane i's outline, m; where that is not less than `best`, anything not less."""
     polygon, boxes = lanes.points[lanes.offsets[i] : lanes.offsets[i + 1]], lanes.outline
-    g = boxes.first[i]
-    while g < boxes.first[i + 1]:
+    for g in range(boxes.first[i], boxes.first[i + 1]):
         if _gap(boxes.box, g, x, y) > best + SURE_M:
-            g = boxes.beside[g]
             continue
         for k in range(boxes.edges[g, 0], boxes.edges[g, 1]):
             j = k - 1
             best = min(best, point_segment(x, y, polygon[j, 0], polygon[j, 1], polygon[k, 0], polygon[k, 1]))
-        g += 1
     return best
 
 

@@ -37,8 +37,11 @@ def deadline_misses(timings: pd.DataFrame, deadline_s: float) -> pd.DataFrame:
     """
     if not deadline_s > 0.0:
         raise ValueError(f"a deadline of {deadline_s} s")
+    rows = []
     total = timings[timings["stage"] == "total"]
-    rows = [(*drive, *_counted(plans, deadline_s)) for drive, plans in total.groupby(_DRIVE, sort=False, observed=True)]
+    for drive, plans in total.groupby(_DRIVE, sort=False, observed=True):
+        late, worst = plans["seconds"] > deadline_s, plans.iloc[int(plans["seconds"].argmax())]
+        rows.append((*drive, len(plans), int(late.sum()), float(late.mean()), worst["seconds"], worst["t_s"]))
     return pd.DataFrame(rows, columns=list(COLUMNS))
 
 
@@ -54,9 +57,3 @@ def judge_deadline(timings: pd.DataFrame, deadline_s: float, labels: Mapping[str
     )
     gate = Gate(SHARE, max=MAX_SHARE, reason=f"plans are made within {deadline_s:g} s on this machine")
     return judge(Gates((gate,), "deadline"), table, labels)
-
-
-def _counted(plans: pd.DataFrame, deadline_s: float) -> tuple[int, int, float, float, float]:
-    seconds = plans["seconds"].to_numpy()
-    late, longest = seconds > deadline_s, int(seconds.argmax())
-    return len(seconds), int(late.sum()), float(late.mean()), float(seconds[longest]), float(plans["t_s"].iloc[longest])

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
-from metrics.metric import Metric, Reduction
+from metrics.metric import Metric
 
 Groups = Mapping[str, Sequence[Metric]]
 _BETTER = {"lower": "lower is better", "higher": "higher is better", "none": "neither is better"}
@@ -12,18 +12,19 @@ _BETTER = {"lower": "lower is better", "higher": "higher is better", "none": "ne
 
 def listing(groups: Groups) -> str:
     """All metrics by group: name, unit, direction and meaning, one line each."""
-    lines: list[str] = []
-    for group, metrics in groups.items():
-        lines += ["", group] if lines else [group]
-        lines += [f"    {m.name} [{m.unit}, {m.direction}] {m.meaning}" for m in metrics]
-    return "\n".join(lines)
+    of = (
+        "\n".join([group, *(f"    {m.name} [{m.unit}, {m.direction}] {m.meaning}" for m in metrics)])
+        for group, metrics in groups.items()
+    )
+    return "\n\n".join(of)
 
 
 def page(metric: Metric) -> str:
     """All about one metric."""
-    width = max(len(name) for name, _ in _entries(metric)) + 2
-    entries = [f"    {name + ':':{width}}{text}" for name, text in _entries(metric)]
-    return "\n".join([metric.name, f"    {metric.meaning}", "", *entries])
+    entries = _entries(metric)
+    width = max(map(len, entries)) + 2
+    lines = [f"    {name + ':':{width}}{text}" for name, text in entries.items()]
+    return "\n".join([metric.name, f"    {metric.meaning}", "", *lines])
 
 
 def facts(metric: Metric) -> dict[str, object]:
@@ -60,7 +61,8 @@ def markdown(groups: Groups) -> str:
         lines += ["", f"## {group}"]
         for metric in metrics:
             lines += ["", f"### {metric.name}", "", metric.meaning, ""]
-            lines += [f"- {name}: {_code(name, text)}" for name, text in _entries(metric)]
+            entries = {**_entries(metric), "formula": f"`{metric.formula}`"}  # as code: its asterisks and bars stay
+            lines += [f"- {name}: {text}" for name, text in entries.items() if text != "``"]
     return "\n".join(lines)
 
 
@@ -76,27 +78,22 @@ REDUCTIONS = {
 }
 
 
-def _entries(metric: Metric) -> Iterator[tuple[str, str]]:
-    """What a page says, in order; what is empty is left out."""
-    said = {
+def _entries(metric: Metric) -> dict[str, str]:
+    """The entries of a page, in order; empty ones are left out."""
+    reductions = []
+    for reduction in metric.reductions:
+        own = [reduction.unit or metric.unit, reduction.direction or metric.direction]
+        differs = f" ({', '.join(own)})" if own != [metric.unit, metric.direction] else ""
+        reductions.append(f"{reduction.name}{differs}")
+    entries = {
         "formula": metric.formula,
         "unit": f"{metric.unit}, {_BETTER[metric.direction]}",
         "parameters": "; ".join(metric.parameters),
         "parts": "any" if metric.parts == ("*",) else ", ".join(metric.parts),
-        "reductions": ", ".join(_reduction(reduction, metric) for reduction in metric.reductions),
+        "reductions": ", ".join(reductions),
         "needs": metric.needs or "nothing: always available",
         "source": metric.source or "replan",
         "modes": ", ".join(mode.value for mode in metric.modes),
         "version": str(metric.version),
     }
-    yield from ((name, text) for name, text in said.items() if text)
-
-
-def _reduction(reduction: Reduction, metric: Metric) -> str:
-    own = [reduction.unit or metric.unit, reduction.direction or metric.direction]
-    return f"{reduction.name} ({', '.join(own)})" if own != [metric.unit, metric.direction] else reduction.name
-
-
-def _code(name: str, text: str) -> str:
-    """Formulae as code, so that their asterisks and bars stay."""
-    return f"`{text}`" if name == "formula" else text
+    return {name: text for name, text in entries.items() if text}

@@ -14,8 +14,7 @@ from hypothesis import strategies as st
 from logs import ConfigError
 from metrics import COLUMNS
 from metrics.aggregate import LogLabels
-from metrics.compare import NOT_ASKED, Comparison, Side, compare, noise
-from metrics.compare_groups import MIN_PAIRS, MIN_SIGNIFICANT, intervals
+from metrics.compare import MIN_PAIRS, MIN_SIGNIFICANT, NOT_ASKED, Comparison, Side, compare, intervals, noise
 from metrics.compare_rules import Rule, judged, load_rules
 from metrics.gates import Gate, Gates, Outcome, load_gates
 

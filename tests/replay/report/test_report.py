@@ -22,8 +22,7 @@ from short_logs import free_and_blocked
 from typer.testing import CliRunner
 
 from logs.mcap import write_scenario
-from metrics.compare import PAIR_COLUMNS, Comparison, RuleVerdict
-from metrics.compare_groups import GROUP_COLUMNS
+from metrics.compare import GROUP_COLUMNS, PAIR_COLUMNS, Comparison, RuleVerdict
 from metrics.gates import Outcome
 from replay.batch import evaluate_logs
 from replay.batch.tables import REPORTS

@@ -1,0 +1,484 @@
+"""What is wrong with a log, before anything is driven: what, who, when, how much, and its effect on which metric.
+
+A log with findings is evaluated as any other; only a phantom changes what is counted (`metrics.phantoms`). A new check
+is one function in `CHECKS`.
+
+The ego, between samples k and k + 1, dt apart, d apart, with the speeds v and v':
+
+(1) gap       dt > `EGO_GAP_S` and > `RARE` medians of dt
+(2) jump      d - max(|v|, |v'|) dt - b dt^2 / 2 > `EGO_JUMP_M`,  b = `BRAKING_MPS2`
+(3) speed     sum d / sum (|v| + |v'|) dt / 2  off 1 by more than `EGO_SPEED_OFF`, over a way of `EGO_WAY_M` at least
+(4) units     the same near a factor of `FACTORS`, within `NEAR`
+(5) heading   yaw off the direction of d (or its opposite, in reverse) by more than `TURNED_RAD` in the median, where d
+              is at least `STEP_M`;  a step of the yaw of more than `EGO_FLIP_RAD` within `EGO_GAP_S`
+
+The other road users, between samples of a track:
+
+(6) flickering    a gap of the track (`logs.presence`)
+(7) id switch     a track ends before the log does, and within `SWITCH_S` another of its kind begins within `SWITCH_M`
+                  of where the first would be by then, which was not there before
+(8) teleport      d - u dt - `JUMP_M` > 0,  u = `FASTEST_MPS`, or, with logged speeds, max(|v|, |v'|) + b dt / 2
+(9) speed         (3) off 1 by more than `SPEED_OFF`, over a way of `WAY_M` at least
+(10) heading flip a step of the yaw of more than `FLIP_RAD` within `FLIP_S`, of those who are longer than wide
+(11) twin boxes   two centres within `TWIN_M` for `TWIN_S` or longer
+(12) size         vehicles beyond `LARGEST_M`, people wider than `PERSON_M`
+(13) units        (9) by the same factor for most of those who move
+
+The map and the lights:
+
+(14) off the map  more than `OFF_SHARE` of the ego's states lie on no drivable lane
+(15) lane graph   a lane follows itself, or begins more than `APART_M` from the end of one that it follows; lanes that
+                  end in lanes that are not in the map are its edge, unless they are most of it
+(16) lights       a light that no stop line names; on a road without stop lines all of them are one finding
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from enum import Enum
+from math import isfinite
+
+import numpy as np
+import pandas as pd
+
+from logs.kernel import FloatArray
+from logs.road import RoadSource
+from logs.scenario import AgentKind, Scenario, Tracks
+from logs.states import wrapped
+from metrics.others import name_of, pieces
+from metrics.phantoms import phantoms
+
+EGO_GAP_S = 0.5
+"""As long as an agent that is sampled often may be unseen (`logs.presence`), s."""
+RARE = 5.0
+"""Intervals."""
+EGO_JUMP_M = 0.5
+"""A car's localisation is off by less from one sample to the next, m."""
+BRAKING_MPS2 = 12.0
+"""More than tyres give, m/s2."""
+EGO_SPEED_OFF, EGO_WAY_M = 0.1, 10.0
+"""Wheel speeds are within a few per cent, also on worn tyres; over a shorter way, m, noise hides a factor."""
+FACTORS = {
+    3.6: "the speeds look like km/h",
+    2.237: "the speeds look like mph",
+    100.0: "the speeds look like cm/s",
+    1000.0: "the speeds look like mm/s, the positions like km, or the times like ms",
+    0.3048: "the positions look like feet",
+    0.01: "the positions look like cm",
+    0.001: "the positions look like mm",
+}
+"""Way by speed over way by positions, where one of them has another unit."""
+NEAR = 0.04
+"""How near to a factor, as a share."""
+STEP_M, TURNED_RAD = 0.3, 0.5
+"""Way over which a direction can be seen, m; about 30 degrees, more than the slip of a car that is driven, rad."""
+EGO_FLIP_RAD = 1.0
+"""No car turns by more between two samples, rad."""
+
+SWITCH_S, SWITCH_M = 0.6, 2.0
+"""A tracker that loses an agent finds it again within this time, s, and this distance, m."""
+FASTEST_MPS = 70.0
+"""No road user is faster, m/s."""
+JUMP_M = 1.5
+"""Boxes of real perception move by this between two samples where it sees another part of the same car, m."""
+SPEED_OFF, WAY_M = 0.25, 20.0
+"""Estimated speeds are at most this far off over a track of this way, m, as a share."""
+FLIP_RAD, FLIP_S = 2.0, 1.0
+"""A box that is turned the other way round turns by about pi, rad."""
+TWIN_M, TWIN_S, GRID_S = 0.4, 0.5, 0.25
+"""Two bodies cannot be so near, centre to centre, m, for so long, s; looked at every `GRID_S`."""
+LARGEST_M, PERSON_M = (30.0, 4.5), 2.5
+"""Length and width of the largest vehicles on public roads, with room; wider than any person or bicycle, m."""
+MOST = 0.6
+"""Share of the moving tracks that must be off by one factor."""
+SMALL = (AgentKind.PEDESTRIAN, AgentKind.BICYCLE)
+LONG = (AgentKind.CAR, AgentKind.TRUCK, AgentKind.BUS, AgentKind.MOTORCYCLE)
+
+OFF_SHARE = 0.1
+"""A turn cut, a car park: a tenth of a drive may be off the lanes."""
+APART_M = 3.0
+"""Less than a lane's width, m."""
+EDGE = 0.5
+"""If more than this share of the lanes ends in lanes that are not there, it is not the map's edge but a hole."""
+SAMPLES = 200
+SHOWN = 5
+"""Findings of one kind that a report lists."""
+COLUMNS = ("log", "kind", "topic", "who", "t_from_s", "t_to_s", "value", "unit", "text", "effect")
+
+
+class Kind(Enum):
+    """What can be wrong, and its `effect` on which metric."""
+
+    effect: str
+
+    PHANTOM = (
+        "phantom", "left out of contacts, gaps and times to collision meanwhile; a drive that meets one is marked"
+    )  # fmt: skip
+    EGO_GAP = "ego gap", "plans are compared with an interpolated drive there"
+    EGO_JUMP = (
+        "ego jump",
+        "open loop starts from states that were not driven; accuracy and comfort of the log are wrong there",
+    )
+    EGO_SPEED = (
+        "ego speed", "speed errors, comfort and the start of every plan rest on a speed that the positions deny"
+    )  # fmt: skip
+    EGO_HEADING = "ego heading", "lateral errors, and every plan that starts there, rest on a wrong heading"
+    AGENT_GAP = "flickering", "they are not in the scene in between, neither for planners nor for metrics"
+    ID_SWITCH = (
+        "id switch", "one road user counts as two, who appear and vanish; following and encounters are cut in two"
+    )  # fmt: skip
+    TELEPORT = "teleport", "time to collision, predictions and contacts are wrong around the jump"
+    AGENT_SPEED = "agent speed", "predictions, times to collision and RSS rest on a speed that the positions deny"
+    HEADING_FLIP = "heading flip", "their box turns on the spot: contacts and predictions are wrong for a moment"
+    TWIN = "twin boxes", "one road user counts twice in gaps and in the number of road users"
+    SIZE = "size", "contacts and gaps with them are those of a box that is hardly theirs"
+    UNITS = "units", "all that has metres or seconds in it is off by that factor"
+    OFF_MAP = "off the map", "lanes, limits, off road and rules do not fit what was driven"
+    LANE_GRAPH = "lane graph", "routes may end early or go in a circle"
+    LIGHT = "light without a lane", "no car is asked to stop at it: red lights run are not counted"
+
+    def __new__(cls, word: str, effect: str) -> Kind:
+        """The word is the value."""
+        kind = object.__new__(cls)
+        kind._value_, kind.effect = word, effect
+        return kind
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One thing that is wrong.
+
+    Attributes:
+        kind: Of it.
+        topic: Part of the scenario where it is: "ego", "agents", "road", "lights".
+        who: The agent, lane or light, or "".
+        t_from: When it begins, s since the scenario's start; `t_to` when it ends.
+        t_to: See there.
+        value: How much, in `unit`.
+        unit: "m", "s", "rad", "x" (a factor), "1" (a count or a share).
+        text: In words, with the figures.
+    """
+
+    kind: Kind
+    topic: str
+    who: str
+    t_from: float
+    t_to: float
+    value: float
+    unit: str
+    text: str
+
+    def __post_init__(self) -> None:
+        for name in ("t_from", "t_to", "value"):
+            object.__setattr__(self, name, float(getattr(self, name)))
+
+
+def findings(scenario: Scenario) -> tuple[Finding, ...]:
+    """All that is wrong, in the order of `CHECKS`."""
+    return tuple(finding for check in CHECKS for finding in check(scenario))
+
+
+def sentences(found: Iterable[Finding]) -> tuple[str, ...]:
+    """One sentence for each kind: the first of it, how many more there are, and their effect."""
+    out = []
+    for kind, (first, *more) in _by_kind(found).items():
+        others = f" ({len(more)} more of this kind)" if more else ""
+        when = f"{first.t_from:.2f} to {first.t_to:.2f} s"
+        out.append(f"Health, {kind.value}: {first.text}, {when}{others}; {kind.effect}.")
+    return tuple(out)
+
+
+def report(scenario: Scenario) -> list[str]:
+    """All findings in words, for `replan inspect`: the first `SHOWN` of each kind, and the kind's effect."""
+    found = findings(scenario)
+    if not found:
+        return [f"health: nothing found by {len(CHECKS)} checks"]
+    out = [f"health: {len(found)} findings by {len(CHECKS)} checks"]
+    for kind, same in _by_kind(found).items():
+        out.append(f"  {kind.value}: {kind.effect}")
+        out += [f"    {one.t_from:.2f} to {one.t_to:.2f} s, {one.topic}: {one.text}" for one in same[:SHOWN]]
+        out += [f"    and {len(same) - SHOWN} more"] if len(same) > SHOWN else []
+    return out
+
+
+def table(log: str, found: Iterable[Finding]) -> pd.DataFrame:
+    """The findings as rows of `COLUMNS`."""
+    rows = [
+        (log, one.kind.value, one.topic, one.who, one.t_from, one.t_to, one.value, one.unit, one.text, one.kind.effect)
+        for one in found
+    ]
+    return pd.DataFrame(rows, columns=list(COLUMNS)).astype({"t_from_s": float, "t_to_s": float, "value": float})
+
+
+def _by_kind(found: Iterable[Finding]) -> dict[Kind, list[Finding]]:
+    """The findings of each kind, kinds in the order of their first."""
+    kinds: dict[Kind, list[Finding]] = {}
+    for finding in found:
+        kinds.setdefault(finding.kind, []).append(finding)
+    return kinds
+
+
+# the ego ----------------------------------------------------------------------------------------------------------
+
+
+def ghosts(scenario: Scenario) -> Iterator[Finding]:
+    """Boxes in which the recorded ego stood."""
+    for phantom in phantoms(scenario):
+        begin = phantom.t_from if isfinite(phantom.t_from) else 0.0
+        end = phantom.t_to if isfinite(phantom.t_to) else scenario.duration
+        text = f"the logged ego stands in {phantom.name}, which is left out for {end - begin:.1f} s"
+        yield Finding(Kind.PHANTOM, "agents", phantom.agent, begin, end, end - begin, "s", text)
+
+
+def ego_gaps(scenario: Scenario) -> Iterator[Finding]:
+    """(1)."""
+    t = scenario.ego.t
+    dt = np.diff(t)
+    for k in np.flatnonzero((dt > EGO_GAP_S) & (dt > RARE * np.median(dt))) if len(dt) else ():
+        yield Finding(Kind.EGO_GAP, "ego", "", t[k], t[k + 1], dt[k], "s", f"no ego state for {dt[k]:.2f} s")
+
+
+def ego_jumps(scenario: Scenario) -> Iterator[Finding]:
+    """(2)."""
+    ego = scenario.ego
+    dt, d = np.diff(ego.t), np.hypot(np.diff(ego.x), np.diff(ego.y))
+    fastest = np.maximum(np.abs(ego.v[:-1]), np.abs(ego.v[1:]))
+    for k in np.flatnonzero(d - fastest * dt - 0.5 * BRAKING_MPS2 * dt**2 > EGO_JUMP_M):
+        text = f"the ego jumps {d[k]:.1f} m in {dt[k]:.2f} s, at {fastest[k]:.1f} m/s"
+        yield Finding(Kind.EGO_JUMP, "ego", "", ego.t[k], ego.t[k + 1], d[k], "m", text)
+
+
+def ego_speed(scenario: Scenario) -> Iterator[Finding]:
+    """(3), (4)."""
+    ego = scenario.ego
+    by_position, by_speed = _ways(ego.t, ego.x, ego.y, np.abs(ego.v))
+    way, told = float(by_position.sum()), float(by_speed.sum())
+    if max(way, told) < EGO_WAY_M or abs(way - told) <= EGO_SPEED_OFF * max(way, told):
+        return
+    factor = told / way if way > 0.0 else np.inf
+    text = f"the ego's positions go {way:.1f} m, its speed {told:.1f} m: {factor:.3g} times as far"
+    unit = next((meaning for known, meaning in FACTORS.items() if abs(factor / known - 1.0) < NEAR), "")
+    kind = Kind.UNITS if unit else Kind.EGO_SPEED
+    yield Finding(kind, "ego", "", ego.t[0], ego.t[-1], factor, "x", f"{text}; {unit}" if unit else text)
+
+
+def ego_heading(scenario: Scenario) -> Iterator[Finding]:
+    """(5)."""
+    ego = scenario.ego
+    dx, dy = np.diff(ego.x), np.diff(ego.y)
+    moved = np.hypot(dx, dy) >= STEP_M
+    if moved.any():
+        way = np.arctan2(dy[moved], dx[moved]) + np.where(ego.v[1:][moved] < 0.0, np.pi, 0.0)
+        off = float(np.median(np.abs(wrapped(ego.yaw[1:][moved] - way))))
+        if off > TURNED_RAD:
+            text = f"the ego's heading is {off:.2f} rad off the way it goes, in the median"
+            yield Finding(Kind.EGO_HEADING, "ego", "", ego.t[0], ego.t[-1], off, "rad", text)
+    turn, dt = np.abs(wrapped(np.diff(ego.yaw))), np.diff(ego.t)
+    for k in np.flatnonzero((turn > EGO_FLIP_RAD) & (dt < EGO_GAP_S)):
+        text = f"the ego's heading turns by {turn[k]:.2f} rad in {dt[k]:.2f} s"
+        yield Finding(Kind.EGO_HEADING, "ego", "", ego.t[k], ego.t[k + 1], turn[k], "rad", text)
+
+
+def _ways(t: FloatArray, x: FloatArray, y: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Way between samples `(n - 1,)` by positions, and by the speeds `v` `(n,)` >= 0, m."""
+    return np.hypot(np.diff(x), np.diff(y)), 0.5 * np.diff(t) * (v[1:] + v[:-1])
+
+
+# other road users -------------------------------------------------------------------------------------------------
+
+
+def _of_track(
+    tracks: Tracks, i: int, kind: Kind, span: tuple[float, float], value: float, unit: str, text: str
+) -> Finding:
+    """A finding about a track; its text goes on after the agent's name."""
+    return Finding(kind, "agents", tracks.ids[i], *span, value, unit, f"{name_of(tracks, i)} {text}")
+
+
+def _moving(tracks: Tracks) -> Iterator[tuple[int, slice]]:
+    """Index and samples of each track that is not static."""
+    return ((i, tracks.samples(i)) for i in np.flatnonzero(~tracks.static).tolist())
+
+
+def flickering(scenario: Scenario) -> Iterator[Finding]:
+    """(6), one for each track that has gaps."""
+    tracks = scenario.tracks
+    for i, mine in _moving(tracks):
+        t, holes = tracks.t[mine], np.flatnonzero(tracks.gap_after[mine])
+        if len(holes):
+            times = "once" if len(holes) == 1 else f"{len(holes)} times"
+            text = f"is lost {times}, {float((t[holes + 1] - t[holes]).sum()):.1f} s together"
+            yield _of_track(tracks, i, Kind.AGENT_GAP, (t[holes[0]], t[holes[-1] + 1]), len(holes), "1", text)
+
+
+def id_switches(scenario: Scenario) -> Iterator[Finding]:
+    """(7)."""
+    tracks = scenario.tracks
+    first, last = tracks.offsets[:-1], tracks.offsets[1:] - 1
+    begins, ends = tracks.t[first], tracks.t[last]
+    for i in np.flatnonzero(~tracks.static & (ends < scenario.duration - SWITCH_S)).tolist():
+        wait, k = begins - ends[i], last[i]
+        vx, vy = (values[0] for values in tracks.velocity(np.array([i]), np.array([k])))
+        away = np.hypot(tracks.x[first] - tracks.x[k] - wait * vx, tracks.y[first] - tracks.y[k] - wait * vy)
+        near = np.flatnonzero(~tracks.static & (wait > 0.0) & (wait <= SWITCH_S) & (away < SWITCH_M)).tolist()
+        heirs = [j for j in near if tracks.kinds[j] is tracks.kinds[i]]
+        if heirs:
+            j = min(heirs, key=lambda other: (away[other], other))
+            text = f"goes on as {tracks.ids[j]}, {away[j]:.1f} m from where it was expected"
+            yield _of_track(tracks, i, Kind.ID_SWITCH, (ends[i], begins[j]), away[j], "m", text)
+
+
+def teleports(scenario: Scenario) -> Iterator[Finding]:
+    """(8), the largest of each track."""
+    tracks = scenario.tracks
+    for i, mine in _moving(tracks):
+        t, v = tracks.t[mine], np.hypot(tracks.vx[mine], tracks.vy[mine])
+        dt, d = np.diff(t), np.hypot(np.diff(tracks.x[mine]), np.diff(tracks.y[mine]))
+        told = np.maximum(v[:-1], v[1:]) + 0.5 * BRAKING_MPS2 * dt
+        excess = d - np.where(np.isfinite(told), np.minimum(told, FASTEST_MPS), FASTEST_MPS) * dt - JUMP_M
+        if len(excess) and excess.max() > 0.0:
+            k, count = int(np.argmax(excess)), int((excess > 0.0).sum())
+            more = f", and {count - 1} more times" if count > 1 else ""
+            text = f"jumps {d[k]:.1f} m in {dt[k]:.2f} s{more}"
+            yield _of_track(tracks, i, Kind.TELEPORT, (t[k], t[k + 1]), d[k], "m", text)
+
+
+def speeds(scenario: Scenario) -> Iterator[Finding]:
+    """(9), (13)."""
+    tracks, found, ratios = scenario.tracks, [], []
+    for i, mine in _moving(tracks):
+        t, v = tracks.t[mine], np.hypot(tracks.vx[mine], tracks.vy[mine])
+        if len(v) < 2 or not np.isfinite(v).all():
+            continue
+        seen = ~tracks.gap_after[mine][:-1]
+        way, told = (float(by[seen].sum()) for by in _ways(t, tracks.x[mine], tracks.y[mine], v))
+        if max(way, told) < WAY_M:
+            continue
+        ratios.append(told / way if way > 0.0 else np.inf)
+        if abs(way - told) > SPEED_OFF * max(way, told):
+            text = f"goes {way:.1f} m by positions, {told:.1f} m by speed"
+            found.append(_of_track(tracks, i, Kind.AGENT_SPEED, (t[0], t[-1]), ratios[-1], "x", text))
+    for known, meaning in FACTORS.items():
+        near = [ratio for ratio in ratios if abs(ratio / known - 1.0) < NEAR]
+        if len(near) > max(1.0, MOST * len(ratios)):
+            text = f"the speeds of {len(near)} of {len(ratios)} agents are {known:.3g} times those of their positions"
+            yield Finding(Kind.UNITS, "agents", "", 0.0, scenario.duration, known, "x", f"{text}; {meaning}")
+            return
+    yield from found
+
+
+def heading_flips(scenario: Scenario) -> Iterator[Finding]:
+    """(10), the first of each track."""
+    tracks = scenario.tracks
+    for i, mine in _moving(tracks):
+        if tracks.kinds[i] not in LONG:
+            continue
+        t, turn = tracks.t[mine], np.abs(wrapped(np.diff(tracks.yaw[mine])))
+        flips = np.flatnonzero((turn > FLIP_RAD) & (np.diff(t) < FLIP_S))
+        if len(flips):
+            k, times = flips[0], "" if len(flips) == 1 else f", {len(flips)} times"
+            text = f"turns by {turn[k]:.1f} rad in {t[k + 1] - t[k]:.2f} s{times}"
+            yield _of_track(tracks, i, Kind.HEADING_FLIP, (t[k], t[k + 1]), turn[k], "rad", text)
+
+
+def twins(scenario: Scenario) -> Iterator[Finding]:
+    """(11)."""
+    tracks = scenario.tracks
+    t = np.arange(0.0, scenario.duration + 1e-9, GRID_S)
+    met: dict[tuple[int, int], list[int]] = defaultdict(list)
+    for piece, seen, at in pieces(tracks, t) if len(tracks) > 1 else ():
+        for k in range(at.there.shape[1]):
+            here = np.flatnonzero(at.there[:, k])
+            order = here[np.argsort(at.pose[0, here, k], kind="stable")]
+            for one, other in _near(at.pose[:2, order, k]):
+                i, j = sorted((int(seen[order[one]]), int(seen[order[other]])))
+                met[i, j].append(piece.start + k)
+    for (i, j), steps in sorted(met.items()):
+        lasting = GRID_S * (len(steps) - 1)
+        if lasting >= TWIN_S and not (tracks.static[i] and tracks.static[j]):
+            text = f"and {name_of(tracks, j)} are in one place for {lasting:.1f} s"
+            yield _of_track(tracks, i, Kind.TWIN, (t[steps[0]], t[steps[-1]]), lasting, "s", text)
+
+
+def _near(places: FloatArray) -> Iterator[tuple[int, int]]:
+    """Pairs of places `(2, n)`, sorted by x, that are within `TWIN_M`."""
+    x, y = places
+    for i in range(len(x)):
+        j = i + 1
+        while j < len(x) and x[j] - x[i] < TWIN_M:
+            if np.hypot(x[j] - x[i], y[j] - y[i]) < TWIN_M:
+                yield i, j
+            j += 1
+
+
+def sizes(scenario: Scenario) -> Iterator[Finding]:
+    """(12)."""
+    tracks = scenario.tracks
+    for i, kind in enumerate(tracks.kinds):
+        length, width = float(tracks.length[i]), float(tracks.width[i])
+        odd = kind in LONG and (length > LARGEST_M[0] or width > LARGEST_M[1])
+        if odd or (kind in SMALL and min(length, width) > PERSON_M):
+            t = tracks.t[tracks.samples(i)]
+            yield _of_track(tracks, i, Kind.SIZE, (t[0], t[-1]), length, "m", f"is {length:.1f} m by {width:.1f} m")
+
+
+# map and lights ---------------------------------------------------------------------------------------------------
+
+
+def off_map(scenario: Scenario) -> Iterator[Finding]:
+    """(14)."""
+    road, ego = scenario.road, scenario.ego
+    if road.source is not RoadSource.LANES:
+        return
+    at = np.unique(np.linspace(0, len(ego) - 1, min(len(ego), SAMPLES)).round().astype(int))
+    off = [k for k in at if not road.is_drivable(float(ego.x[k]), float(ego.y[k]))]
+    share = len(off) / len(at)
+    if share <= OFF_SHARE:
+        return
+    points = np.vstack([lane.center for lane in road.lanes.values() if lane.drivable] or [np.full((1, 2), np.inf)])
+    away = max(float(np.hypot(points[:, 0] - ego.x[k], points[:, 1] - ego.y[k]).min()) for k in off)
+    text = f"{share:.0%} of the ego's states are on no drivable lane, up to {away:.1f} m from the nearest centre line"
+    yield Finding(Kind.OFF_MAP, "road", "", ego.t[off[0]], ego.t[off[-1]], share, "1", text)
+
+
+def lane_graph(scenario: Scenario) -> Iterator[Finding]:
+    """(15)."""
+    lanes, end = scenario.road.lanes, scenario.duration
+    if scenario.road.source is not RoadSource.LANES:
+        return
+    missing = [lane.id for lane in lanes.values() if lane.successors and lanes.keys().isdisjoint(lane.successors)]
+    if len(missing) > EDGE * len(lanes):
+        text = f"{len(missing)} of {len(lanes)} lanes are followed only by lanes that are not in the map"
+        yield Finding(Kind.LANE_GRAPH, "road", "", 0.0, end, len(missing), "1", text)
+    for lane in lanes.values():
+        for name in lane.successors:
+            if name == lane.id:
+                text = f"lane {lane.id} follows itself"
+                yield Finding(Kind.LANE_GRAPH, "road", str(lane.id), 0.0, end, 0.0, "m", text)
+            elif name in lanes:
+                gap = float(np.hypot(*(lanes[name].center[0] - lane.center[-1])))
+                if gap > APART_M:
+                    text = f"lane {name} follows lane {lane.id}, but begins {gap:.1f} m from its end"
+                    yield Finding(Kind.LANE_GRAPH, "road", str(lane.id), 0.0, end, gap, "m", text)
+
+
+def lights(scenario: Scenario) -> Iterator[Finding]:
+    """(16)."""
+    named, end = {line.light for line in scenario.road.stop_lines}, scenario.duration
+    if scenario.lights and not named:
+        begin = min(float(light.t[0]) for light in scenario.lights)
+        text = f"{len(scenario.lights)} lights are shown, but the road has no stop lines"
+        yield Finding(Kind.LIGHT, "lights", "", begin, end, len(scenario.lights), "1", text)
+        return
+    for light in scenario.lights:
+        if light.id not in named:
+            text = f"light {light.id} is shown, but no stop line of the map names it"
+            yield Finding(Kind.LIGHT, "lights", str(light.id), light.t[0], end, 1.0, "1", text)
+
+
+CHECKS: tuple[Callable[[Scenario], Iterable[Finding]], ...] = (
+    ghosts, ego_gaps, ego_jumps, ego_speed, ego_heading, flickering, id_switches, teleports, speeds, heading_flips,
+    twins, sizes, off_map, lane_graph, lights,
+)  # fmt: skip
+"""All checks, in the order of the report."""

@@ -60,8 +60,11 @@ from metrics.metric import (
     out_of_bounds,
 )
 from metrics.plans import frame_times
+from metrics.safety import TTC
 
 WINDOW_S = 0.1
+CAUSE_S, CAUSE_TTC_S = 2.0, 4.0
+"""Braking is about the road user whose TTC was the least in the time before, if it was no longer than the second."""
 PLAN_HORIZON_S = 5.0
 NUPLAN_STEP_S, NUPLAN_LEAST_S = 0.1, 0.4
 """Below 5 samples nuPlan's polynomials are not defined."""
@@ -149,6 +152,19 @@ def _driven(signal: Signal, trace: Trace, scenario: Scenario) -> Measured:
     return Series(trace.ego.t, signal(trace.ego), missing=f"the drive is shorter than {WINDOW_S} s")
 
 
+def _with_cause(signal: Signal, bounds: tuple[str, float, float], trace: Trace, scenario: Scenario) -> Measured:
+    """The signal, labelled where it is out of bounds with the road user of the least TTC in the last `CAUSE_S`."""
+    found, ttc = _driven(signal, trace, scenario), TTC.found(trace, scenario)
+    if not isinstance(found, Series) or not isinstance(ttc, Series):
+        return found
+    labels, times = [""] * len(found.t), np.where(ttc.value <= CAUSE_TTC_S, ttc.value, np.inf)
+    for k in np.flatnonzero((found.value < bounds[1]) | (found.value > bounds[2])).tolist():
+        first = int(np.searchsorted(found.t, found.t[k] - CAUSE_S))
+        least = first + int(np.argmin(times[first : k + 1]))
+        labels[k] = ttc.labels[least] if np.isfinite(times[least]) else ""
+    return replace(found, labels=tuple(labels))
+
+
 def _filtered(signal: Signal, step: float, least: float, trace: Trace, scenario: Scenario) -> Measured:
     """The signal of the drive resampled to `step` s from its start, linear between its samples."""
     first, length = trace.ego.t[0], float(trace.ego.t[-1] - trace.ego.t[0])
@@ -186,12 +202,13 @@ def _bounded(
 
 def _state(
     name: str, signal: Signal, bounds: tuple[str, float, float], meaning: str, formula: str,
-    source: str = "bounds: nuPlan devkit e9241677, ego_is_comfortable", more: tuple[Reduction, ...] = (),
+    source: str = "bounds: nuPlan devkit e9241677, ego_is_comfortable", more: tuple[Reduction, ...] = (), *,
+    caused: bool = False,
 ) -> Metric:  # fmt: skip
     window, reductions = (f"W {WINDOW_S} s",), (P95, P99, *more)
+    measure = partial(_with_cause, signal, bounds) if caused else partial(_driven, signal)
     return _bounded(
-        name, partial(_driven, signal), bounds, reductions, meaning, formula, source, window,
-        f"a drive of {WINDOW_S} s", 2,
+        name, measure, bounds, reductions, meaning, formula, source, window, f"a drive of {WINDOW_S} s", 2,
     )  # fmt: skip
 
 
@@ -205,14 +222,14 @@ def _plan_metric(name: str, unit: str, signal: Signal, meaning: str, formula: st
 LON_ACCEL = _state(
     "lon_accel", lon_accel, NUPLAN_BOUNDS["lon_accel"],
     "Acceleration along the body; min is the hardest braking.", "a, the state's",
-    more=(replace(MIN, direction="higher"), MAX),
+    more=(replace(MIN, direction="higher"), MAX), caused=True,
 )  # fmt: skip
 LAT_ACCEL = _state(
     "lat_accel", lat_accel, NUPLAN_BOUNDS["lat_accel"], "Lateral acceleration at the rear axle.", "v^2 kappa"
 )
 LON_JERK_STATE = _state(
     "lon_jerk_state", lon_jerk, NUPLAN_BOUNDS["lon_jerk"],
-    "Backward difference of the state's acceleration.", "(a(t) - a(t - W)) / W",
+    "Backward difference of the state's acceleration.", "(a(t) - a(t - W)) / W", caused=True,
 )  # fmt: skip
 LAT_JERK_STATE = _state(
     "lat_jerk_state", lat_jerk, ("m/s3", -R79_JERK_MPS3, R79_JERK_MPS3),

@@ -7,6 +7,7 @@ Pedals are judged as commanded (the actuators' lags let one pedal rise while the
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -32,6 +33,7 @@ from metrics.metric import (
     Unavailable,
     changed,
 )  # fmt: skip
+from metrics.phantoms import phantoms
 from metrics.plans import frame_times
 
 PRESSED = 1e-6
@@ -93,9 +95,12 @@ def _unsolved(trace: Trace, scenario: Scenario) -> Measured:
 def _fallback(trace: Trace, scenario: Scenario) -> Measured:
     if not trace.frames:
         return Unavailable("the drive has no plans")
-    plans = [frame.plan for frame in trace.frames]
+    t, plans = frame_times(trace), [frame.plan for frame in trace.frames]
     labels = [f"{p.status.value}: {p.reason}" if p.status.is_fallback else "" for p in plans]
-    return Series(frame_times(trace), np.array([float(p.status.is_fallback) for p in plans]), tuple(labels))
+    fallbacks = np.array([float(p.status.is_fallback) for p in plans])
+    for phantom in phantoms(scenario):
+        fallbacks[(fallbacks > 0.0) & (phantom.t_from < t) & (t < phantom.t_to)] = np.nan
+    return Series(t, fallbacks, tuple(labels), "the log shows a phantom at each fallback")
 
 
 def _tracked(column: str, trace: Trace, scenario: Scenario) -> Measured:
@@ -140,7 +145,8 @@ EFFORT = (
         formula="sum of calls that are not solved", needs="solver reports in the plans",
     ),
     Metric(
-        "fallback", "1", "lower", _BOTH, _fallback, (RATE,), "Share of the frames whose plan is a fallback.",
+        "fallback", "1", "lower", _BOTH, _fallback, (replace(RATE, empty=None),),
+        "Share of the frames whose plan is a fallback; fallbacks while the log shows a phantom do not count.",
         formula="1 where the status is a fallback, else 0", needs="plans",
     ),
 )  # fmt: skip

@@ -8,9 +8,9 @@ import numpy as np
 import pandas as pd
 import pytest
 from adversaries import ADVERSARIES
-from drives import along, grid, moving, scenario
+from drives import along, drive, grid, moving, scenario
 
-from logs import AgentKind, EndReason, Goal, Mode, Scenario
+from logs import AgentKind, EndReason, Goal, Mode, PlanStatus, Scenario
 from logs.catalogue import CATALOGUE
 from logs.readers.cut import cut
 from metrics import evaluate
@@ -18,6 +18,7 @@ from metrics.aggregate import LogLabels
 from metrics.gates import Outcome, load_gates
 from metrics.judge import CAREFUL, DRIVER, REFERENCE, Verdict, judge
 from metrics.latency import judge_deadline
+from metrics.phantoms import phantoms
 from replay.avoidability import with_avoidability
 from replay.closed_loop import run_closed_loop
 from replay.drive import Drive, LoopConfig
@@ -169,3 +170,31 @@ def test_who_survives_until_a_goal_in_time_has_not_arrived(planner: str) -> None
     (drive,), verdicts = driven(log, planner, Mode.CLOSED)
     assert drive.trace.end is EndReason.GOAL
     assert {v.gate.metric for v in verdicts if v.outcome is Outcome.FAIL} >= {"route_progress.final"}
+
+
+def test_a_fallback_before_a_phantom_is_not_held_against_the_planner() -> None:
+    """The recorded ego drives through a box: at the frames of that, a planner has no way out."""
+    box = ("9", AgentKind.CAR, (4.0, 1.8), lambda t: (0 * t + 30.0, 0 * t, 0 * t))
+    log = scenario(along(grid(6.0, 0.1), 10.0), [box], metadata={}, tags=("recorded",))
+    frames = run_open_loop(log, "constant_speed").trace
+    (phantom,) = phantoms(log)
+    stop = PlanStatus.HARD_STOP
+    fell = [replace(f, plan=replace(f.plan, status=stop)) if 2.45 < f.t < 3.45 else f for f in frames.frames]
+    assert phantom.agent == "9"
+    for tag, rate in (("recorded", 0.0), ("synthetic", 10 / len(fell))):
+        table = evaluate(replace(frames, frames=tuple(fell)), replace(log, tags=(tag,)))
+        assert table.set_index("metric").loc["fallback.rate", "value"] == pytest.approx(rate)
+
+
+@pytest.mark.parametrize("closing", [True, False])
+def test_hard_braking_is_about_the_road_user_that_it_is_for(closing: bool) -> None:
+    """10 m/s towards a car that stands 25 m ahead, -6 m/s2 from 1 s on; or the same on a free road, for nothing."""
+    t = grid(3.0)
+    v = np.maximum(10.0 - 6.0 * np.maximum(t - 1.0, 0.0), 0.0)
+    ego = replace(along(t, 10.0), x=np.r_[0.0, np.cumsum(0.5 * (v[1:] + v[:-1]) * np.diff(t))], v=v,
+                  a=np.where((t >= 1.0) & (v > 0.0), -6.0, 0.0))  # fmt: skip
+    ahead = ("7", AgentKind.CAR, (4.5, 1.8), lambda t: (0 * t + 30.0, 0 * t, 0 * t))
+    log = scenario(along(t, 10.0), [ahead] if closing else [])
+    table = evaluate(drive(log, ego), log).set_index("metric")
+    for metric in ("lon_accel.worst_episode", "lon_jerk_state.worst_episode"):
+        assert table.loc[metric, "reason"] == ("car 7" if closing else "")

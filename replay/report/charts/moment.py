@@ -57,7 +57,7 @@ def worst_moment(drive: DriveResult) -> Moment:
         worst = min(rows, key=lambda row: gravity(str(row.gate)))
         about = f" ({worst.reason})" if worst.reason else ""
         return Moment(float(worst.time_s), f"{worst.gate} fails: {worst.value:.4g}{about}")
-    failure = "a gate fails, at no instant; " if len(failed) else f"no gate of the {drive.mode} loop fails; "
+    failure = "a gate fails, at no instant; " if len(failed) else "no gate of this loop fails; "
     found = {row.metric: row for row in list[Any](drive.metrics.itertuples()) if row.available and isfinite(row.time_s)}
     for name, words in NEAREST:
         if name in found:

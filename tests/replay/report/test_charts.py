@@ -152,13 +152,13 @@ HITS = ("collision_at_fault.count <= 0 [closed]", "fail", 1.0, 9.0, "car 7: with
         ([BRAKES, HITS], NEAR, 9.0, "collision_at_fault.count <= 0 [closed] fails: 1 (car 7: with the front)"),
         ([BRAKES], NEAR, 3.0, "lon_accel.worst_episode <= 1 [closed] fails: 1.5"),
         ([(*HITS[:3], nan, "")], NEAR, 6.0, "a gate fails, at no instant; least time to a collision: 2 s"),
-        ([(BRAKES[0], "pass", 0.0, 1.0, "")], NEAR, 6.0, "no gate fails; least time to a collision: 2 s"),
-        ([], NEAR[:1], 7.0, "no gate fails; least distance to another road user: 0.8 m (car 7)"),
+        ([(BRAKES[0], "pass", 0.0, 1.0, "")], NEAR, 6.0, "no gate of this loop fails; least time to a collision: 2 s"),
+        ([], NEAR[:1], 7.0, "no gate of this loop fails; least distance to another road user: 0.8 m (car 7)"),
         (
             [],
             [("gap.min", False, nan, "m", nan, "alone")],
             10.0,
-            "no gate fails; no distance to others was measured",
+            "no gate of this loop fails; no distance to others was measured",
         ),
     ],
 )

@@ -286,35 +286,6 @@ def out_of_bounds(low: float, high: float) -> tuple[Reduction, Reduction]:
     return time_outside(low, high, "time_out_of_bounds"), worst_episode(low, high)
 
 
-TAU_S = 1.5
-"""Critical TTC of the criticality metrics catalogue (Westhofen et al., Arch. Comput. Methods Eng. 30, 2023)."""
-
-
-def share_while(condition: Callable[[FloatArray], BoolArray], name: str, direction: Direction = "lower") -> Reduction:
-    """Share of the drive's time in which a condition holds; 0 where no step has a value."""
-
-    def reduce(series: Series) -> tuple[float, int]:
-        flags, weight = condition(series.value) & series.known, holds(series.t)
-        total = float(np.sum(weight))
-        return (float(np.sum(weight[flags])) / total if total > 0.0 else float(flags[0])), first_of(flags)
-
-    return Reduction(name, reduce, "1", direction, 0.0)
-
-
-def integrated_below(tau: float, name: str) -> Reduction:
-    """Sum of w_k (tau - value_k) where value_k <= tau, with the steps' times w_k (`holds`); 0 without a value.
-
-    Of the TTC it is TIT, time integrated time-to-collision, s^2 (Minderhoud, Bovy, Accid. Anal. Prev. 33 (2001) 89), in
-    the published variant, which commonroad-crime has too; that of 1 / TTC - 1 / tau is infinite at a contact.
-    """
-
-    def reduce(series: Series) -> tuple[float, int]:
-        flags = series.known & (series.value <= tau)
-        return float(np.sum((holds(series.t) * (tau - series.value))[flags])), first_of(flags)
-
-    return Reduction(name, reduce, "s2", "lower", 0.0)
-
-
 def changed(t: FloatArray, value: FloatArray, window: float) -> FloatArray:
     """Rate of change `(n,)` of a sampled value, per s: the declared differentiator of all metrics.
 

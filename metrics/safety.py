@@ -17,7 +17,7 @@ first one is ours):
 
 Time to collision: both boxes go on with their velocity vectors and headings (`shapes.time_to_contact`), up to 10 s;
 agents behind (as above) and a standing ego (<= 0.005 m/s) have none. At a collision at fault it is 0, with anyone. Its
-times below a bound count the last step too (`metric.holds`).
+times below a bound count the last step too (`exposure`).
 
 Off the road: the greatest distance of the ego's four corners to the drivable lanes. The corners suffice where a lane
 is not narrower than the box; a hole between the corners is not seen.
@@ -38,21 +38,9 @@ from logs.scenario import AgentKind, Scenario, Tracks
 from logs.shapes import corners, distance, overlap, time_to_contact
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
+from metrics.exposure import TAU_S, integrated_below
 from metrics.lanes import drivable_lanes, keeps_lane, off_lanes
-from metrics.metric import (
-    COUNT,
-    HAVING,
-    MAX,
-    MIN,
-    TAU_S,
-    Measured,
-    Metric,
-    Series,
-    Unavailable,
-    integrated_below,
-    time_above,
-    time_below,
-)
+from metrics.metric import COUNT, HAVING, MAX, MIN, Measured, Metric, Series, Unavailable, time_above, time_below
 from metrics.once import once
 from metrics.others import PIECE_STEPS, ego_boxes, name_of, named, pieces, some_at, there_between
 from metrics.plans import STEP_S, plan_poses, times_after

@@ -65,8 +65,7 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
         safety.COLLISION, safety.COLLISION_AT_FAULT, safety.GAP, safety.GAP_VULNERABLE, safety.GAP_KEPT,
         safety.GAP_KEPT_VULNERABLE, safety.TTC, safety.OFF_ROAD,
         safety.PLAN_COLLISION,
-        safety.TTC_VULNERABLE, severity.COLLISION_SEVERITY, following.HEADWAY, following.THW, following.DRAC,
-        following.REQUIRED_DECEL, following.BTN, following.STN, following.FOLLOWING_GAP, encounters.TTC_ACCELERATED,
+        safety.TTC_VULNERABLE, severity.COLLISION_SEVERITY, *following.FOLLOWING, encounters.TTC_ACCELERATED,
         encounters.DCE, encounters.TTCE, encounters.PET, rss.RSS_MARGIN, rss.RSS_IMPROPER,
     ),
     "rules": (

@@ -36,7 +36,8 @@ from metrics.plans import STEP_S, frame_times, plan_poses, times_after
 HORIZONS_S = (1, 3, 5, 8)
 MISS_M = MappingProxyType({1: 2.0, 2: 4.0, 3: 6.0, 5: 8.0, 8: 16.0})
 """Bounds of (5) in m by horizon in s: nuPlan's at 3, 5 and 8 s; ours at 1 and 2 s, in proportion to that at 3 s."""
-Pick = Callable[[FloatArray, int], FloatArray]
+Pick = Callable[[FloatArray], FloatArray]
+"""Value per frame of errors `(f, k)` up to a horizon."""
 _ACROSS = (1, 3)
 """Which of `_errors` are made across the path: the cross error and that of the heading."""
 
@@ -66,59 +67,56 @@ def _per_horizon(
     errors, t = _errors(trace, scenario)[which], frame_times(trace)
     found: dict[str, Measured] = {}
     for h in horizons:
-        asked = t + h <= scenario.ego.t[-1] + 1e-6
-        found[f"{h}s"] = (
-            Series(t[asked], pick(errors[asked], h), missing=f"every plan ends before {h} s")
-            if asked.any()
-            else Unavailable(f"the log ends less than {h} s after every frame")
-        )
+        asked, missing = t + h <= scenario.ego.t[-1] + 1e-6, f"every plan ends before {h} s"
+        found[f"{h}s"] = Unavailable(f"the log ends less than {h} s after every frame")
+        if asked.any():
+            found[f"{h}s"] = Series(t[asked], pick(errors[asked, : round(h / STEP_S)]), missing=missing)
     return found
 
 
-def _average(errors: FloatArray, horizon: int) -> FloatArray:
-    return np.asarray(errors[:, : _steps(horizon)].mean(axis=1))
+def _average(errors: FloatArray) -> FloatArray:
+    return np.asarray(errors.mean(axis=1))
 
 
-def _at_end(errors: FloatArray, horizon: int) -> FloatArray:
-    return np.abs(errors[:, _steps(horizon) - 1])
+def _at_end(errors: FloatArray) -> FloatArray:
+    return np.abs(errors[:, -1])
 
 
-def _missed(errors: FloatArray, horizon: int) -> FloatArray:
-    farthest = errors[:, : _steps(horizon)].max(axis=1)
-    return np.where(np.isfinite(farthest), farthest > MISS_M[horizon], np.nan)
+def _missed(errors: FloatArray) -> FloatArray:
+    farthest, bound = errors.max(axis=1), MISS_M[round(errors.shape[1] * STEP_S)]
+    return np.where(np.isfinite(farthest), farthest > bound, np.nan)
 
 
-def _steps(horizon: int) -> int:
-    return round(horizon / STEP_S)
-
-
-def _metric(name: str, unit: str, pick: Pick, which: int, meaning: str, formula: str) -> Metric:
-    return Metric(
+_NEEDS = "a logged drive that lasts to the horizon after some frame, and plans that reach it"
+ADE, FDE, AHE, FHE, ALONG, CROSS = (
+    Metric(
         name, unit, "lower", (Mode.OPEN,), partial(_per_horizon, pick, which, HORIZONS_S),
         (MEAN, MAX, SHARE) if name == "ade" else (MEAN, MAX),
         f"{meaning}, at the rear axle, up to the horizon.", "nuPlan open loop, at 10 Hz instead of 1 Hz", 2,
         parts=tuple(f"{h}s" for h in HORIZONS_S), formula=formula,
         parameters=(f"horizons {', '.join(map(str, HORIZONS_S))} s", f"step {STEP_S} s"), needs=_NEEDS,
-    )  # fmt: skip
-
-
-_NEEDS = "a logged drive that lasts to the horizon after some frame, and plans that reach it"
-ADE = _metric("ade", "m", _average, 2, "Mean distance of plan and log", "mean_k |e_k|, k = 1 .. 10 h")
-FDE = _metric("fde", "m", _at_end, 2, "Final distance of plan and log", "|e_10h|")
-AHE = _metric(
-    "ahe", "rad", _average, 3, "Mean heading difference of plan and log, principal value",
-    "mean_k |wrap(yaw_plan - yaw_log)|",
+    )
+    for name, unit, pick, which, meaning, formula in (
+        ("ade", "m", _average, 2, "Mean distance of plan and log", "mean_k |e_k|, k = 1 .. 10 h"),
+        ("fde", "m", _at_end, 2, "Final distance of plan and log", "|e_10h|"),
+        (
+            "ahe", "rad", _average, 3, "Mean heading difference of plan and log, principal value",
+            "mean_k |wrap(yaw_plan - yaw_log)|",
+        ),
+        (
+            "fhe", "rad", _at_end, 3, "Final heading difference of plan and log, principal value",
+            "|wrap(yaw_plan - yaw_log)| at h",
+        ),
+        (
+            "along_error", "m", _at_end, 0, "Final distance of plan and log along the log's heading",
+            "|e_10h . (cos, sin)|",
+        ),
+        (
+            "cross_error", "m", _at_end, 1, "Final distance of plan and log across the log's heading",
+            "|e_10h . (-sin, cos)|",
+        ),
+    )
 )  # fmt: skip
-FHE = _metric(
-    "fhe", "rad", _at_end, 3, "Final heading difference of plan and log, principal value",
-    "|wrap(yaw_plan - yaw_log)| at h",
-)  # fmt: skip
-ALONG = _metric(
-    "along_error", "m", _at_end, 0, "Final distance of plan and log along the log's heading", "|e_10h . (cos, sin)|"
-)
-CROSS = _metric(
-    "cross_error", "m", _at_end, 1, "Final distance of plan and log across the log's heading", "|e_10h . (-sin, cos)|"
-)
 MISS = Metric(
     "miss", "1", "lower", (Mode.OPEN,), partial(_per_horizon, _missed, 2, tuple(MISS_M)),
     (replace(RATE, empty=None), SHARE),

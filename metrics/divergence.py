@@ -16,7 +16,6 @@ more than resampled tracks differ by.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import chain
 
 import numpy as np
 
@@ -41,51 +40,45 @@ def _apart(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, Fl
     return np.hypot(dx, dy) * lasts, along * lasts, (c * dy - s * dx) / WIDTH_M * lasts
 
 
-def _off(trace: Trace, scenario: Scenario) -> Iterator[tuple[int, BoolArray]]:
-    """Of each agent of the log that is not where the log has it (2): its index, and when `(k,)`."""
+def _off(trace: Trace, scenario: Scenario) -> Iterator[tuple[str, BoolArray]]:
+    """Of each agent of the log that is not where the log has it (2): its name, and when `(k,)`."""
     log, agents, t = scenario.tracks, trace.agents, trace.ego.t
-    if agents is log:
-        return
     index = {name: i for i, name in enumerate(agents.ids)}
-    for i, there, row in each(log, t):
+    for i, there, row in each(log, t) if agents is not log else ():
         at = index.get(log.ids[i], -1)
-        here = some_at(agents, np.array([at] if at >= 0 else [], np.int64), t)
         off = there.there[row].copy()
         if at >= 0:
+            here = some_at(agents, np.array([at]), t)
             both = here.there[0] & there.there[row]
             off = here.there[0] != there.there[row]
             off[both] = np.hypot(*(here.pose[:2, 0] - there.pose[:2, row])[:, both]) > OFF_M
         if off.any():
-            yield i, off
+            yield name_of(log, i), off
 
 
 def _divergence(trace: Trace, scenario: Scenario) -> Measured:
-    if len(scenario.ego) < 2:
-        return _NO_DRIVE
-    return Series(trace.ego.t, _apart(trace, scenario)[0])
+    return Series(trace.ego.t, _apart(trace, scenario)[0]) if len(scenario.ego) > 1 else _NO_DRIVE
 
 
 def _weak(trace: Trace, scenario: Scenario) -> Measured:
     if len(scenario.ego) < 2:
         return _NO_DRIVE
-    _, along, across = _apart(trace, scenario)
-    parted, begins = np.zeros(len(trace.ego), np.bool_), dict[str, int]()
+    t, (_, along, across) = trace.ego.t, _apart(trace, scenario)
     ways = ("the ego along its way", np.abs(along) > 1.0), ("the ego across its way", np.abs(across) > 1.0)
-    for name, off in chain(ways, ((name_of(scenario.tracks, i), off) for i, off in _off(trace, scenario))):
-        parted |= off
-        begins |= {name: int(np.argmax(off))} if off.any() else {}
-    weak, first = np.maximum.accumulate(parted), int(np.argmax(parted))
-    why = "; ".join(name for name, begin in begins.items() if begin == first)
-    t = trace.ego.t
-    return Series(t, np.where(weak, t, np.nan), (why,) * len(t), "the drive never parts from the log")
+    parted = {name: off for name, off in (*ways, *_off(trace, scenario)) if off.any()}
+    first = min((int(np.argmax(off)) for off in parted.values()), default=len(t))
+    why = "; ".join(name for name, off in parted.items() if off[first])
+    return Series(
+        t, np.where(np.arange(len(t)) >= first, t, np.nan), (why,) * len(t), "the drive never parts from the log"
+    )
 
 
 def _displaced(trace: Trace, scenario: Scenario) -> Measured:
     counts, labels = np.zeros(len(trace.ego)), [""] * len(trace.ego)
-    for i, off in _off(trace, scenario):
+    for name, off in _off(trace, scenario):
         step = int(np.argmax(off))
         counts[step] += 1.0
-        labels[step] = "; ".join(filter(None, [labels[step], name_of(scenario.tracks, i)]))
+        labels[step] = f"{labels[step]}; {name}" if labels[step] else name
     return Series(trace.ego.t, counts, tuple(labels))
 
 

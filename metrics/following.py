@@ -72,10 +72,6 @@ def required_gap(v: FloatArray) -> FloatArray:
     return np.maximum(v * np.interp(v, R157_MPS, R157_S), R157_LEAST_M)
 
 
-def _headway(ahead: Ahead, scenario: Scenario) -> FloatArray:
-    return ahead.gap
-
-
 def _thw(ahead: Ahead, scenario: Scenario) -> FloatArray:
     return np.divide(ahead.gap, ahead.v, out=np.full(len(ahead.t), np.nan), where=ahead.v > STANDING_MPS)
 
@@ -89,32 +85,21 @@ def _required(ahead: Ahead, scenario: Scenario) -> FloatArray:
     return required_decel(ahead.gap, ahead.v, ahead.u, ahead.decel)
 
 
-def _btn(ahead: Ahead, scenario: Scenario) -> FloatArray:
-    return _required(ahead, scenario) / scenario.vehicle.max_decel
-
-
-def _stn(ahead: Ahead, scenario: Scenario) -> FloatArray:
-    return required_lateral(ahead, 0.5 * scenario.vehicle.width) / STEER_MPS2
-
-
 def _margin(ahead: Ahead, scenario: Scenario) -> FloatArray:
     both_stand = (ahead.v <= COMING_MPS) & (np.abs(ahead.u) <= COMING_MPS)
     follows = (ahead.facing >= _ALONG) & ((ahead.u > COMING_MPS) | both_stand)
     return np.where(follows, ahead.gap - required_gap(ahead.v), np.nan)
 
 
-def _no_vehicle(trace: Trace, ahead: Ahead) -> FloatArray:
-    """1 where the lead is a vehicle, else NaN."""
-    other = (AgentKind.PEDESTRIAN, AgentKind.OBJECT)
-    vehicle = np.array([*(kind not in other for kind in trace.agents.kinds), False], np.bool_)
-    return np.where(vehicle[ahead.agent], 1.0, np.nan)
-
-
 def _measured(
     trace: Trace, scenario: Scenario, *, value: Callable[[Ahead, Scenario], FloatArray], missing: str, vehicles: bool
 ) -> Measured:
     ahead = ahead_of(trace, scenario)
-    found = value(ahead, scenario) * (_no_vehicle(trace, ahead) if vehicles else 1.0)
+    found = value(ahead, scenario)
+    if vehicles:
+        no_vehicle = (AgentKind.PEDESTRIAN, AgentKind.OBJECT)
+        vehicle = np.array([*(kind not in no_vehicle for kind in trace.agents.kinds), False], np.bool_)
+        found = np.where(vehicle[ahead.agent], found, np.nan)
     return Series(ahead.t, found, _labels(trace, ahead.agent), missing)
 
 
@@ -132,43 +117,47 @@ def _metric(
 
 
 _CATALOGUE = "criticality metrics catalogue, Westhofen et al., Arch. Comput. Methods Eng. 30 (2023)"
-HEADWAY = _metric(
-    "headway", "m", "higher", _headway, (MIN,),
-    "Gap along the ego's path from its front bumper to the lead.", "s_lead - s_front", _CATALOGUE,
-)  # fmt: skip
-THW = _metric(
-    "thw", "s", "higher", _thw, (MIN, time_below(SHORT_THW_S, "time_below_900ms")),
-    "Time headway: until the ego's front is where the lead's rear is now, at constant speed.", "gap / v",
-    _CATALOGUE, f"bound {SHORT_THW_S:g} s (fined in Germany)",
-    needs="a lead in the path of an ego that drives", missing=f"{_ALONE} while it drove",
-)  # fmt: skip
-DRAC = _metric(
-    "drac", "m/s2", "lower", _drac, (MAX,),
-    "Deceleration rate to avoid a crash with a lead that holds its speed.", "(v - u)^2 / (2 gap) where v > u, else 0",
-    _CATALOGUE,
-)  # fmt: skip
-REQUIRED_DECEL = _metric(
-    "required_decel", "m/s2", "lower", _required, (MAX, time_outside(-np.inf, EMERGENCY_MPS2, "time_in_emergency")),
-    "Least constant deceleration that avoids a lead that goes on braking as it does until it stands.",
-    "b_o + (v - u)^2 / (2 gap) where the speeds meet before the lead stands, else v^2 / (2 (gap + u^2 / (2 b_o)))",
-    f"{_CATALOGUE}; emergency: UN R157", f"emergency above {EMERGENCY_MPS2:g} m/s2",
-)  # fmt: skip
-BTN = _metric(
-    "btn", "1", "lower", _btn, (MAX, time_outside(-np.inf, 1.0, "time_above_1")),
-    "Brake threat number: required over greatest deceleration; above 1 braking alone does not suffice.",
-    "a_req / a_max", _CATALOGUE, "a_max: the vehicle's max_decel",
-)  # fmt: skip
-STN = _metric(
-    "stn", "1", "lower", _stn, (MAX, time_outside(-np.inf, 1.0, "time_above_1")),
-    "Steer threat number: lateral acceleration that is required to pass the lead, over what is available.",
-    "2 max(min(l_high + w T + h, h - l_low - w T), 0) / T^2 / a_lat,max, T = gap / (v - u)",
-    "commonroad-crime 0.4.5", f"a_lat,max {STEER_MPS2:g} m/s2",
-)  # fmt: skip
-FOLLOWING_GAP = _metric(
-    "following_gap", "m", "higher", _margin, (MIN, time_below(0.0, "time_too_near")),
-    "Gap to the vehicle that the ego follows, less the minimum following gap of UN R157.",
-    "gap - max(v t_front(v), 2 m)", "UN R157, 5.2.3.3",
-    "t_front 1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6 s at 7.2, 10, 20, 30, 40, 50, 60 km/h, linear between, 1.6 s beyond",
-    needs="a vehicle that drives on in the ego's path, or stands where the ego stands",
-    missing="the ego followed no vehicle", vehicles=True,
+FOLLOWING = (
+    _metric(
+        "headway", "m", "higher", lambda ahead, scenario: ahead.gap, (MIN,),
+        "Gap along the ego's path from its front bumper to the lead.", "s_lead - s_front", _CATALOGUE,
+    ),
+    _metric(
+        "thw", "s", "higher", _thw, (MIN, time_below(SHORT_THW_S, "time_below_900ms")),
+        "Time headway: until the ego's front is where the lead's rear is now, at constant speed.", "gap / v",
+        _CATALOGUE, f"bound {SHORT_THW_S:g} s (fined in Germany)",
+        needs="a lead in the path of an ego that drives", missing=f"{_ALONE} while it drove",
+    ),
+    _metric(
+        "drac", "m/s2", "lower", _drac, (MAX,), "Deceleration rate to avoid a crash with a lead that holds its speed.",
+        "(v - u)^2 / (2 gap) where v > u, else 0", _CATALOGUE,
+    ),
+    _metric(
+        "required_decel", "m/s2", "lower", _required, (MAX, time_outside(-np.inf, EMERGENCY_MPS2, "time_in_emergency")),
+        "Least constant deceleration that avoids a lead that goes on braking as it does until it stands.",
+        "b_o + (v - u)^2 / (2 gap) where the speeds meet before the lead stands, else v^2 / (2 (gap + u^2 / (2 b_o)))",
+        f"{_CATALOGUE}; emergency: UN R157", f"emergency above {EMERGENCY_MPS2:g} m/s2",
+    ),
+    _metric(
+        "btn", "1", "lower", lambda ahead, scenario: _required(ahead, scenario) / scenario.vehicle.max_decel,
+        (MAX, time_outside(-np.inf, 1.0, "time_above_1")),
+        "Brake threat number: required over greatest deceleration; above 1 braking alone does not suffice.",
+        "a_req / a_max", _CATALOGUE, "a_max: the vehicle's max_decel",
+    ),
+    _metric(
+        "stn", "1", "lower",
+        lambda ahead, scenario: required_lateral(ahead, 0.5 * scenario.vehicle.width) / STEER_MPS2,
+        (MAX, time_outside(-np.inf, 1.0, "time_above_1")),
+        "Steer threat number: lateral acceleration that is required to pass the lead, over what is available.",
+        "2 max(min(l_high + w T + h, h - l_low - w T), 0) / T^2 / a_lat,max, T = gap / (v - u)",
+        "commonroad-crime 0.4.5", f"a_lat,max {STEER_MPS2:g} m/s2",
+    ),
+    _metric(
+        "following_gap", "m", "higher", _margin, (MIN, time_below(0.0, "time_too_near")),
+        "Gap to the vehicle that the ego follows, less the minimum following gap of UN R157.",
+        "gap - max(v t_front(v), 2 m)", "UN R157, 5.2.3.3",
+        "t_front 1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6 s at 7.2, 10, 20, 30, 40, 50, 60 km/h, linear between, 1.6 s beyond",
+        needs="a vehicle that drives on in the ego's path, or stands where the ego stands",
+        missing="the ego followed no vehicle", vehicles=True,
+    ),
 )  # fmt: skip

@@ -151,8 +151,8 @@ class Metric:
             raise ValueError(f"metric {self.name!r}: {broken}")
 
     def found(self, trace: Trace, scenario: Scenario) -> Measured | Mapping[str, Measured]:
-        """What `measure` gives, called once for a drive however many scores are made of it; of a long one again."""
-        return _found(trace, scenario, self.measure)
+        """What `measure` gives, kept for the scores that ask again; of a long drive the newest series only."""
+        return (_all if len(trace.ego) <= LONG_STEPS else _newest)(trace, scenario, self.measure)
 
     def measured(self, trace: Trace, scenario: Scenario) -> dict[str, Measured]:
         """Its series by full name ("gap", "ade.3s"); one that is unavailable keeps the names of its parts.
@@ -174,10 +174,6 @@ class Metric:
         return {f"{self.name}.{part}": found for part in parts} or {self.name: found}
 
 
-def _found(trace: Trace, scenario: Scenario, measure: Measure) -> Measured | Mapping[str, Measured]:
-    return (_all if len(trace.ego) <= LONG_STEPS else _newest)(trace, scenario, measure)
-
-
 def _asked(trace: Trace, scenario: Scenario, measure: Measure) -> Measured | Mapping[str, Measured]:
     return measure(trace, scenario)
 
@@ -187,15 +183,10 @@ LONG_STEPS = 60_000
 """Of a drive with more steps (ten minutes at 100 Hz: 1 MB a series) the newest series are kept: scores ask again."""
 
 
-def _extreme(series: Series, score: FloatArray) -> tuple[float, int]:
+def _extreme(series: Series, score: FloatArray, value: FloatArray) -> tuple[float, int]:
     """The value at the step with the highest score; the earliest of equals."""
     step = int(np.argmax(np.where(series.known, score, -np.inf)))
-    return float(series.value[step]), step
-
-
-def _largest_abs(series: Series) -> tuple[float, int]:
-    value, step = _extreme(series, np.abs(series.value))
-    return abs(value), step
+    return float(value[step]), step
 
 
 def first_of(flags: BoolArray) -> int:
@@ -206,14 +197,6 @@ def first_of(flags: BoolArray) -> int:
 def _final(series: Series) -> tuple[float, int]:
     step = int(np.flatnonzero(series.known)[-1])
     return float(series.value[step]), step
-
-
-def _share(series: Series) -> tuple[float, int]:
-    return float(np.mean(series.value[series.known])), first_of(series.value > 0.0)
-
-
-def _total(series: Series) -> tuple[float, int]:
-    return float(np.sum(series.value[series.known])), first_of((series.value != 0.0) & series.known)
 
 
 def _percentile(q: float) -> Callable[[Series], tuple[float, int]]:
@@ -229,11 +212,6 @@ def holds(t: FloatArray) -> FloatArray:
     return np.r_[half, 0.0] + np.r_[0.0, half]
 
 
-def _held(series: Series, flags: BoolArray) -> tuple[float, int]:
-    """Seconds for which a condition holds."""
-    return float(np.sum(holds(series.t)[flags])), first_of(flags)
-
-
 def longest(series: Series, flags: BoolArray) -> tuple[float, int]:
     """Seconds of the longest unbroken stretch of marked steps, and its first step; the earliest of equals."""
     edge = np.diff(np.r_[False, flags, False].astype(np.int64))
@@ -247,18 +225,25 @@ def longest(series: Series, flags: BoolArray) -> tuple[float, int]:
 
 
 MEAN = Reduction("mean", lambda series: (float(np.mean(series.value[series.known])), -1))
-MIN = Reduction("min", lambda series: _extreme(series, -series.value))
-MAX = Reduction("max", lambda series: _extreme(series, series.value))
-MAX_ABS = Reduction("max_abs", _largest_abs)
+MIN = Reduction("min", lambda series: _extreme(series, -series.value, series.value))
+MAX = Reduction("max", lambda series: _extreme(series, series.value, series.value))
+MAX_ABS = Reduction("max_abs", lambda series: _extreme(series, np.abs(series.value), np.abs(series.value)))
 RMS = Reduction("rms", lambda series: (float(np.sqrt(np.mean(series.value[series.known] ** 2))), -1))
 P95 = Reduction("p95", _percentile(95.0))
 """95th percentile of the absolute value over the steps, linear between order statistics."""
 P99 = Reduction("p99", _percentile(99.0))
 """99th percentile, likewise."""
 FINAL = Reduction("final", _final)
-COUNT = Reduction("count", _total, unit="count", empty=0.0)
+COUNT = Reduction(
+    "count",
+    lambda series: (float(np.sum(series.value[series.known])), first_of((series.value != 0.0) & series.known)),
+    unit="count", empty=0.0,
+)  # fmt: skip
 """Sum over the steps; its time is the first step that counts."""
-RATE = Reduction("rate", _share, unit="1", empty=0.0)
+RATE = Reduction(
+    "rate", lambda series: (float(np.mean(series.value[series.known])), first_of(series.value > 0.0)),
+    unit="1", empty=0.0,
+)  # fmt: skip
 """Mean over the steps of a 0/1 series; its time is the first 1."""
 HAVING = Reduction("rate", lambda series: (float(np.mean(series.known)), first_of(series.known)), "1", "lower", 0.0)
 """Share of the steps that have a value; its time is the first of them."""
@@ -277,7 +262,12 @@ def time_below(bound: float, name: str) -> Reduction:
 
 def time_outside(low: float, high: float, name: str) -> Reduction:
     """Seconds during which the value is below `low` or above `high`; 0 where no step has a value."""
-    return Reduction(name, lambda series: _held(series, _outside(low, high, series)), "s", "lower", 0.0, (low, high))
+
+    def reduce(series: Series) -> tuple[float, int]:
+        flags = _outside(low, high, series)
+        return float(np.sum(holds(series.t)[flags])), first_of(flags)
+
+    return Reduction(name, reduce, "s", "lower", 0.0, (low, high))
 
 
 def time_above(bound: float, name: str) -> Reduction:

@@ -7,7 +7,7 @@ the velocity and acceleration that `logs.motion` estimates. u is another's speed
 speed towards the band, v the driver's, gap the free length between the boxes, and the band what the ego's box sweeps.
 
     "cc"    the competent and careful driver of UN R157, Annex 4, Appendix 3
-    "fsm"   the fuzzy safety model (`metrics.fuzzy_safety`)
+    "fsm"   the fuzzy safety model: Mattas et al., Accid. Anal. Prev. 148 (2020) 105794; UN R157.01, Annex 3
 
 Whoever is ahead is a hazard to "cc" while it
 (1) cuts in: w > 0.05 m/s, and it is nearer to the band by more than 0.375 m than at its farthest, by its smoothed
@@ -29,6 +29,13 @@ reading "cc" brakes in time in 41 to 57 of the 520 cut-ins of JRC's grid in whic
 reaction of 0.75 s at first, at 12.65 m/s3. A log reacts to its own ego only: who runs into the driver from behind or
 while it stands is not counted, and is left out from then on; so is who appears where the driver is.
 
+With a the driver's acceleration, "fsm" brakes with
+(7) deceleration = 4 + 2 CFS m/s2 where CFS > 0, else 4 PFS
+(8) PFS of gap - 2 m: 0 above safe = 0.75 v + v^2 / 8 - u^2 / 14 + 2 m, 1 below unsafe = 0.75 v + v^2 / 12 - u^2 / 14
+(9) CFS of the gap, with a' = max(a, -4), v' = v + 0.75 a': 0 where v <= u; where v' < u: 1 if gap <
+    (v - u)^2 / (2 |a'|), else 0; else 0 above safe and 1 below unsafe = (v + 0.375 a' - u) 0.75 + (v' - u)^2 / 8, / 12
+linear between safe and unsafe.
+
 The margin of a verdict is the least distance between the driver's box and the agent's over the whole drive:
 (6) avoidable: the least gap that is left to the agent that a driver who does not brake would touch, m, > 0
     unavoidable: minus the depth of the touch (the shortest shift that parts the boxes), the drive going on through it
@@ -40,7 +47,7 @@ who judges `JUDGED_S` earlier or later comes to another one: crossing paths, (2)
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import Enum
 from functools import partial
 from math import cos, hypot, nan, pi, sin
@@ -48,13 +55,12 @@ from math import cos, hypot, nan, pi, sin
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, inner_kernel, kernel
-from logs.road import ReferenceLine, line_frame
-from logs.scenario import Scenario
+from logs.road import ReferenceLine, line_frame, line_project
+from logs.scenario import Scenario, Tracks
 from logs.shapes import clearance, overlap
 from logs.states import EgoState
-from metrics.fuzzy_safety import FSM_REACT_S, fsm_deceleration
+from logs.vehicle import VehicleParameters
 from metrics.others import Others, name_of, others_at, there_between
-from metrics.reference_view import comes_in, look
 
 STEP_S = 0.02
 """So fine that a step more or less of braking is within what noise does anyway."""
@@ -62,7 +68,6 @@ MARGINAL_M = 0.5
 """What tracks of 5 cm of noise do to a margin, at 10 Hz and without logged velocities (benchmarks/verdicts.py)."""
 JUDGED_S = 0.15
 """A fifth of both drivers' reaction time."""
-FSM_AHEAD_S = 0.1
 LONGEST_S = 60.0
 """Only so much of a log is driven."""
 RETURN_S = 3.0
@@ -73,6 +78,11 @@ JERK_MPS3 = 12.65
 CC_BRAKE_MPS2, CC_RELEASE_MPS2 = 0.774 * 9.81, 0.4
 CC_EVALUATE_S, CC_REACT_S, CC_TTC_S, CC_THW_S = 0.4, 0.75, 2.0, 2.0
 CC_WANDER_M, CC_TOWARDS_MPS, CC_LEAD_MPS2, CC_CLOSING_MPS = 0.375, 0.05, 5.0, 0.5
+FSM_REACT_S, FSM_COMFORT_MPS2, FSM_HARDEST_MPS2, FSM_LEAD_MPS2 = 0.75, 4.0, 6.0, 7.0
+FSM_MARGIN_M, FSM_SAFE_M = 2.0, 2.0
+FSM_AHEAD_S = 0.1
+NEAR_M, ASIDE_M = 150.0, 20.0
+"""A driver does not look farther ahead, or farther aside."""
 
 NOBODY, CC, FSM = 0, 1, 2
 ANYBODY = -1
@@ -131,57 +141,53 @@ DRIVERS: dict[str, Callable[[Scenario, ReferenceLine, EgoState | None], Verdict]
 }
 
 
+def careful_drive(scenario: Scenario, line: ReferenceLine) -> Driven:
+    """How "cc" drives from the log's first state along `line`, a row every `STEP_S`, until its first touch."""
+    _, _, drive = _prepared(scenario, line, scenario.ego.state(0))
+    return drive(CC)
+
+
+def _prepared(
+    scenario: Scenario, line: ReferenceLine, start: EgoState
+) -> tuple[FloatArray, Tracks, Callable[..., Driven]]:
+    """The times of a drive, the tracks that are there then, and `_driven` among them."""
+    t, tracks = np.arange(start.t, min(scenario.duration, start.t + LONGEST_S) + 1e-9, STEP_S), scenario.tracks
+    there = there_between(tracks, t[0], t[-1])
+    if len(there) < len(tracks):
+        tracks = tracks.taken(np.isin(np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets)), there))
+    return (
+        t,
+        tracks,
+        partial(_driven, tracks=tracks, others=others_at(tracks, t), car=scenario.vehicle, line=line, start=start),
+    )
+
+
 def _verdict(name: str, driver: int, scenario: Scenario, line: ReferenceLine, start: EgoState | None) -> Verdict:
     start = scenario.ego.state(0) if start is None else start
     if start.v <= STANDING_MPS:
         return Verdict(name, Outcome.NOT_APPLICABLE, "the ego does not drive at the start")
-    t = np.arange(start.t, min(scenario.duration, start.t + LONGEST_S) + 1e-9, STEP_S)
-    scenario = _among(scenario, t)
-    drive = partial(_driven, scenario=scenario, line=line, start=start, others=others_at(scenario.tracks, t))
+    t, tracks, drive = _prepared(scenario, line, start)
     passive = drive(NOBODY)
     if passive.meets < 0:
-        return _nobody_met(name, passive.least)
+        marginal = passive.least < MARGINAL_M
+        by = f", by {passive.least:.1f} m, marginal" if marginal else ""
+        reason = f"at constant speed the ego meets nobody{by}"
+        return Verdict(name, Outcome.NOT_APPLICABLE, reason, margin=passive.least, marginal=marginal)
     found = drive(driver, about=passive.whom)
-    whom, margin = passive.whom if found.meets < 0 else found.whom, found.least
+    whom, margin, end = passive.whom if found.meets < 0 else found.whom, found.least, found.meets
     near = min(abs(margin), abs(passive.least)) < MARGINAL_M
-    marginal = near or any((drive(driver, late=late).meets < 0) != (found.meets < 0) for late in (-JUDGED_S, JUDGED_S))
-    about, by = name_of(scenario.tracks, whom), f"by {abs(margin):.1f} m{', marginal' if marginal else ''}"
-    braking = np.flatnonzero(found.a < -1.0)
-    brakes, end = float(t[braking[0]]) if len(braking) else nan, found.meets
+    marginal = near or any((drive(driver, late=late).meets < 0) != (end < 0) for late in (-JUDGED_S, JUDGED_S))
+    about, by = name_of(tracks, whom), f"by {abs(margin):.1f} m{', marginal' if marginal else ''}"
     if end < 0:
         met = f"which it would meet after {t[passive.meets] - t[0]:.1f} s"
         outcome, reason = Outcome.AVOIDABLE, f"avoidable {by}: stays clear of {about}, {met}"
     else:
         met = f"meets {about} after {t[end] - t[0]:.1f} s at {found.v[end]:.1f} m/s"
         outcome, reason = Outcome.UNAVOIDABLE, f"unavoidable {by}: {met}"
-    meets, agent = float(t[end]) if end >= 0 else nan, scenario.tracks.ids[whom]
-    return Verdict(name, outcome, reason, brakes, meets, float(found.v[end]), agent, margin, marginal=marginal)
-
-
-def _nobody_met(name: str, margin: float) -> Verdict:
-    """The verdict where no agent is in the way, missed by `margin` m; NaN: there is none."""
-    marginal = margin < MARGINAL_M
-    by = f", by {margin:.1f} m, marginal" if marginal else ""
-    reason = f"at constant speed the ego meets nobody{by}"
-    return Verdict(name, Outcome.NOT_APPLICABLE, reason, margin=margin, marginal=marginal)
-
-
-def careful_drive(scenario: Scenario, line: ReferenceLine) -> Driven:
-    """How "cc" drives from the log's first state along `line`, a row every `STEP_S`, until it touches somebody."""
-    start = scenario.ego.state(0)
-    t = np.arange(start.t, min(scenario.duration, start.t + LONGEST_S) + 1e-9, STEP_S)
-    scenario = _among(scenario, t)
-    return _driven(CC, scenario, line, start, others_at(scenario.tracks, t))
-
-
-def _among(scenario: Scenario, t: FloatArray) -> Scenario:
-    """The scenario with those tracks only who are there at some of the times."""
-    tracks = scenario.tracks
-    there = there_between(tracks, t[0], t[-1])
-    if len(there) == len(tracks):
-        return scenario
-    return replace(
-        scenario, tracks=tracks.taken(np.isin(np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets)), there))
+    braking = np.flatnonzero(found.a < -1.0)
+    brakes, meets = float(t[braking[0]]) if len(braking) else nan, float(t[end]) if end >= 0 else nan
+    return Verdict(
+        name, outcome, reason, brakes, meets, float(found.v[end]), tracks.ids[whom], margin, marginal=marginal
     )
 
 
@@ -206,21 +212,18 @@ class Driven:
 
 
 def _driven(
-    driver: int, scenario: Scenario, line: ReferenceLine, start: EgoState, others: Others,
+    driver: int, *, tracks: Tracks, others: Others, car: VehicleParameters, line: ReferenceLine, start: EgoState,
     about: int = ANYBODY, late: float = 0.0,
 ) -> Driven:  # fmt: skip
     """One drive, to the first touch; `about`: whose distance is asked for. `late`: judges so much later, s."""
-    car = scenario.vehicle
     s0, l0 = line.project(start.x, start.y)
-    vulnerable = np.array([kind.is_vulnerable for kind in scenario.tracks.kinds], np.bool_)
-    limits = curve_speeds(line.s, line.kappa)
+    vulnerable = np.array([kind.is_vulnerable for kind in tracks.kinds], np.bool_)
     box = np.array([car.axle_to_center, car.length, car.width])
-    state = np.array([s0, l0, start.v])
-    rows, meets, whom, touched, least = _drive(
-        driver, line.s, line.coef, limits, state, box, others.there, others.pose, others.size, others.accel, vulnerable,
-        about, late,
+    rows, *found = _drive(
+        driver, line.s, line.coef, curve_speeds(line.s, line.kappa), np.array([s0, l0, start.v]), box, others.there,
+        others.pose, others.size, others.accel, vulnerable, about, late,
     )  # fmt: skip
-    return Driven(rows[0], rows[1], rows[2], meets, whom, touched, least)
+    return Driven(*rows, *found)
 
 
 @kernel
@@ -234,6 +237,55 @@ def curve_speeds(s: FloatArray, kappa: FloatArray) -> FloatArray:
     return out
 
 
+@kernel
+def _look(
+    knots: FloatArray, coef: FloatArray, k: int, s: float, l_ego: float, box: FloatArray, there: BoolArray,
+    pose: FloatArray, size: FloatArray, vulnerable: BoolArray, out: FloatArray,
+) -> None:  # fmt: skip
+    """Fill per agent at step k what the driver sees of it, `(n, 7)`.
+
+    Gap, u, lateral gap, lateral speed towards the band, extent along the line, whether it crosses, extent across.
+    Gap is NaN for who is not there, too far, or not ahead. In the band the lateral gap is negative.
+    """
+    x, y = line_frame(knots, coef, s)[:2]
+    for i in range(len(size)):
+        out[i, 0] = np.nan
+        if not there[i, k] or hypot(pose[0, i, k] - x, pose[1, i, k] - y) > NEAR_M:
+            continue
+        at, l = line_project(knots, coef, pose[0, i, k], pose[1, i, k], s, NEAR_M)  # noqa: E741
+        yaw_r = line_frame(knots, coef, at)[2]
+        turn, vx, vy = pose[2, i, k] - yaw_r, pose[3, i, k], pose[4, i, k]
+        u, w = vx * cos(yaw_r) + vy * sin(yaw_r), vy * cos(yaw_r) - vx * sin(yaw_r)
+        half = 0.5 * (size[i, 0] * abs(cos(turn)) + size[i, 1] * abs(sin(turn)))
+        aside = 0.5 * (size[i, 0] * abs(sin(turn)) + size[i, 1] * abs(cos(turn)))
+        side = l - l_ego
+        ahead = at - s - box[0]
+        if ahead <= 0.0 or abs(side) > ASIDE_M:
+            continue
+        out[i, 0] = ahead - half - 0.5 * box[1]
+        out[i, 1] = max(u, 0.0)
+        out[i, 2] = abs(side) - aside - 0.5 * box[2]
+        out[i, 3] = -w if side > 0.0 else w
+        out[i, 4] = 2.0 * half
+        out[i, 5] = 1.0 if vulnerable[i] or abs(w) > abs(u) else 0.0
+        out[i, 6] = 2.0 * aside
+
+
+@inner_kernel
+def _comes_in(seen: FloatArray, v: float, box: FloatArray, slack: float, late: float) -> bool:
+    """Whether who is beside the band will be in it before the ego is past it and, if it crosses, not out too early.
+
+    `slack` s are given to the one, and `late` s less to both.
+    """
+    gap, u, aside, towards = seen[0], seen[1], seen[2], seen[3]
+    if towards <= 0.0 or v <= u or gap < 0.0:
+        return False
+    enters = aside / towards
+    passed = (gap + box[1] + seen[4]) / (v - u) + slack - late
+    leaves = (aside + box[2] + seen[6]) / towards
+    return enters < passed and not (seen[5] > 0.0 and leaves - late < gap / (v - u))
+
+
 @inner_kernel
 def _cc_hazard(seen: FloatArray, brakes: bool, came_nearer: float, v: float, box: FloatArray, late: float) -> bool:
     """(1) to (4) of the module docstring."""
@@ -242,7 +294,7 @@ def _cc_hazard(seen: FloatArray, brakes: bool, came_nearer: float, v: float, box
     if seen[2] < 0.0:
         return brakes or v - seen[1] > CC_CLOSING_MPS
     if seen[5] > 0.0:
-        return comes_in(seen, v, box, 0.0, late)
+        return _comes_in(seen, v, box, 0.0, late)
     return seen[3] > CC_TOWARDS_MPS and came_nearer > CC_WANDER_M and seen[0] > 0.0
 
 
@@ -273,12 +325,53 @@ def _cc_wish(
 
 
 @inner_kernel
+def fsm_fuzzy(gap: float, safe: float, unsafe: float) -> float:
+    """0 from `safe` on, 1 up to `unsafe`, linear between; a step where both are the same."""
+    if gap >= safe:
+        return 0.0
+    if gap <= unsafe or safe - unsafe < 1e-9:
+        return 1.0
+    return (safe - gap) / (safe - unsafe)
+
+
+@kernel
+def fsm_proactive(gap: float, v: float, u: float) -> float:
+    """PFS (8)."""
+    reach = v * FSM_REACT_S - u * u / (2.0 * FSM_LEAD_MPS2)
+    safe = reach + v * v / (2.0 * FSM_COMFORT_MPS2) + FSM_SAFE_M
+    return fsm_fuzzy(gap - FSM_MARGIN_M, safe, reach + v * v / (2.0 * FSM_HARDEST_MPS2))
+
+
+@kernel
+def fsm_critical(gap: float, v: float, u: float, a: float) -> float:
+    """CFS (9)."""
+    if v <= u:
+        return 0.0
+    a = max(a, -FSM_COMFORT_MPS2)
+    v_then = v + FSM_REACT_S * a
+    if v_then < u:  # so a < 0
+        return 1.0 if gap < (v - u) ** 2 / (2.0 * abs(a)) else 0.0
+    reach = (v + 0.5 * a * FSM_REACT_S - u) * FSM_REACT_S
+    square = (v_then - u) ** 2
+    return fsm_fuzzy(gap, reach + square / (2.0 * FSM_COMFORT_MPS2), reach + square / (2.0 * FSM_HARDEST_MPS2))
+
+
+@inner_kernel
+def fsm_deceleration(gap: float, v: float, u: float, a: float) -> float:
+    """(7), m/s2."""
+    critical = fsm_critical(gap, v, u, a)
+    if critical > 0.0:
+        return FSM_COMFORT_MPS2 + (FSM_HARDEST_MPS2 - FSM_COMFORT_MPS2) * critical
+    return FSM_COMFORT_MPS2 * fsm_proactive(gap, v, u)
+
+
+@inner_kernel
 def _fsm_wish(seen: FloatArray, box: FloatArray, v: float, a: float, late: float) -> float:
     """Acceleration that "fsm" wishes, without its reaction time."""
     hardest = 0.0
     for i in range(len(seen)):
         gap, u = seen[i, 0], seen[i, 1]
-        if not np.isfinite(gap) or not (seen[i, 2] < 0.0 or comes_in(seen[i], v, box, FSM_AHEAD_S, late)):
+        if not np.isfinite(gap) or not (seen[i, 2] < 0.0 or _comes_in(seen[i], v, box, FSM_AHEAD_S, late)):
             continue
         hardest = max(hardest, fsm_deceleration(gap, v, u, a))
     return -hardest
@@ -355,7 +448,7 @@ def _drive(
             break
         wish = 0.0
         if driver != NOBODY:
-            look(knots, coef, k, s, l, box, there, pose, size, vulnerable, seen)
+            _look(knots, coef, k, s, l, box, there, pose, size, vulnerable, seen)
         if driver == CC:
             wish = _cc_wish(seen, accel[:, k], box, v, clock, nearer, late, braking)
             braking = v > 0.0 and wish <= -CC_BRAKE_MPS2

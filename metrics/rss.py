@@ -23,7 +23,6 @@ Source: Shalev-Shwartz, Shammah, Shashua, arXiv 1708.06374, definitions 1 to 10.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from math import cos, hypot, pi, sin
 
 import numpy as np
@@ -112,22 +111,16 @@ def _improper(t: FloatArray, ego: FloatArray, accel: FloatArray, margins: FloatA
         if accel[k] > A_MAX_MPS2 + _EPS:
             out[k] = True
         elif waited >= -_EPS and lateral:
-            towards = _across(ego, start, k) * margins[2, start]
+            c, s, kappa = cos(ego[2, start]), sin(ego[2, start]), ego[4, start]
+            dx, dy = ego[0, k] - ego[0, start], ego[1, k] - ego[1, start]
+            along, _ = arc_point(kappa, c * dx + s * dy, c * dy - s * dx)
+            towards = ego[3, k] * sin(ego[2, k] - ego[2, start] - kappa * along) * margins[2, start]
             if not np.isfinite(allowed):
                 allowed = max(towards, 0.0)
             out[k] = towards > max(allowed - B_LAT_MPS2 * waited, 0.0) + STANDING_MPS
         elif waited >= -_EPS:
             out[k] = accel[k] > -B_MIN_MPS2 + _EPS
     return out
-
-
-@kernel
-def _across(ego: FloatArray, start: int, k: int) -> float:
-    """The ego's speed at step k across the path that it was on at step `start`, positive to the left, m/s."""
-    c, s, kappa = cos(ego[2, start]), sin(ego[2, start]), ego[4, start]
-    dx, dy = ego[0, k] - ego[0, start], ego[1, k] - ego[1, start]
-    along, _ = arc_point(kappa, c * dx + s * dy, c * dy - s * dx)
-    return ego[3, k] * sin(ego[2, k] - ego[2, start] - kappa * along)
 
 
 def _rss(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, FloatArray, list[str], list[str]]:
@@ -150,12 +143,11 @@ def _rss(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, Floa
 
 def _margin(trace: Trace, scenario: Scenario) -> Measured:
     t, margin, _, labels, _ = _rss(trace, scenario)
-    return Series(
-        t, margin, tuple(labels), f"no other road user ahead or beside within {LOOK_M:g} m while the ego drove"
-    )
+    nothing = f"no other road user ahead or beside within {LOOK_M:g} m while the ego drove"
+    return Series(t, margin, tuple(labels), nothing)
 
 
-def _response(trace: Trace, scenario: Scenario) -> Measured | Mapping[str, Measured]:
+def _response(trace: Trace, scenario: Scenario) -> Measured:
     t, margin, improper, _, blamed = _rss(trace, scenario)
     if not (margin < 0.0).any():
         return Unavailable("no dangerous situation: no response was due")

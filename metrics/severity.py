@@ -41,31 +41,28 @@ def delta_v(speed: float, mass: float, other_mass: float) -> float:
 
 
 def _severity(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
-    value = {part: np.full(len(trace.ego), np.nan) for part in PARTS}
-    labels = [""] * len(trace.ego)
+    found, labels = np.full((2, len(trace.ego)), np.nan), [""] * len(trace.ego)
     for contact in contacts(trace, scenario):
-        if contact.kind is ContactKind.FROM_START:
-            continue
-        k, kind = contact.step, trace.agents.kinds[contact.agent]
+        k, mass = contact.step, MASS_KG[trace.agents.kinds[contact.agent]]
         speed = impact_speed(contact, trace, scenario)
-        found = (speed, delta_v(speed, scenario.vehicle.mass, MASS_KG[kind]))
-        if not value["delta_v"][k] >= found[1]:
-            for part, number in zip(PARTS, found, strict=True):
-                value[part][k] = number
+        change = delta_v(speed, scenario.vehicle.mass, mass)
+        if contact.kind is not ContactKind.FROM_START and not found[1, k] >= change:
+            found[:, k] = speed, change
             fault = "at fault" if contact.at_fault else "not at fault"
             labels[k] = f"{name_of(trace.agents, contact.agent)}: {contact.kind.value}, {fault}"
-    return {part: Series(trace.ego.t, value[part], tuple(labels), "no collision") for part in PARTS}
+    return {
+        part: Series(trace.ego.t, value, tuple(labels), "no collision")
+        for part, value in zip(PARTS, found, strict=True)
+    }
 
 
 COLLISION_SEVERITY = Metric(
     "collision_severity", "m/s", "lower", (Mode.CLOSED,), _severity, (MAX,),
     "Impact speed of a collision, and the change of the ego's velocity if both stick together.",
     "nuPlan devkit e9241677, no_ego_at_fault_collisions; masses: EN 1317-1, Regulation (EU) No 1230/2012",
-    parts=PARTS, formula="impact_speed = |v_e - v_o|; delta_v = m_o / (m_o + m_e) |v_e - v_o|",
-    parameters=(
+    parts=PARTS, formula="impact_speed = |v_e - v_o|; delta_v = m_o / (m_o + m_e) |v_e - v_o|", parameters=(
         "m_e: the vehicle's mass",
         "m_o: " + ", ".join(f"{kind.value} {mass:g} kg" for kind, mass in MASS_KG.items() if np.isfinite(mass)),
         "object: immovable",
-    ),
-    needs="a collision",
+    ), needs="a collision",
 )  # fmt: skip

@@ -18,7 +18,6 @@ from logs.mcap import read_scenario, write_scenario
 from logs.road import ReferenceLine
 from metrics import evaluate
 from metrics.avoidability import metadata_of
-from metrics.fuzzy_safety import fsm_critical, fsm_proactive
 from metrics.reference_drivers import (
     CC_BRAKE_MPS2,
     JERK_MPS3,
@@ -29,6 +28,8 @@ from metrics.reference_drivers import (
     Verdict,
     careful_drive,
     careful_driver,
+    fsm_critical,
+    fsm_proactive,
     fuzzy_driver,
 )
 from replay.avoidability import reference_line, with_avoidability

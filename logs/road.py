@@ -116,6 +116,7 @@ class Road:
         default_speed_limit: Used where a lane has none, m/s.
         stop_lines: Where lights and signs make a car stop.
         crosswalks: Where pedestrians go first.
+        assumed_limits: Lanes whose own speed limit is assumed: the log has none there.
 
     Raises:
         ValueError: A stop line lies across a lane that is not there, or two have one id; crosswalks likewise.
@@ -127,6 +128,7 @@ class Road:
     default_speed_limit: float = 13.89
     stop_lines: tuple[StopLine, ...] = ()
     crosswalks: tuple[Crosswalk, ...] = ()
+    assumed_limits: frozenset[int] = frozenset()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "lanes", MappingProxyType(dict(self.lanes)))
@@ -157,6 +159,11 @@ class Road:
         """Speed limit of a lane, m/s: its own, else the road's default."""
         own = self.lanes[lane_id].speed_limit
         return own if np.isfinite(own) else self.default_speed_limit
+
+    def stated_limit(self, lane_id: int) -> float:
+        """Speed limit of a lane that the log itself gives, m/s; NaN where it gives none."""
+        given = self.source is RoadSource.LANES and lane_id not in self.assumed_limits
+        return self.lanes[lane_id].speed_limit if given else float("nan")
 
     @classmethod
     def along(cls, path: FloatArray, *, width: float = 3.5, speed_limit: float, beyond: float = 250.0) -> Road:

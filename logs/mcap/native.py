@@ -2,7 +2,9 @@
 
     metadata  replan.scenario            format_version, name, source, licence, tags and notes (JSON arrays), start_ns
                                          (log time of t = 0), duration_s, origin_x_m and origin_y_m (what was subtracted
-                                         from world coordinates: all coordinates are relative to it)
+                                         from world coordinates: all coordinates are relative to it); where known
+                                         traffic_s: when the others were observed, [[from, to], ...], s since start_ns
+                                         (without it, a log with an empty message on /agents: while these come)
               replan.scenario.metadata   what else the log says of itself, free keys (generator, parameters, seed)
               replan.trace               only in a trace: planner, mode, oracle, end, detail
 
@@ -153,7 +155,10 @@ class Crosswalk(msgspec.Struct, rename=serialised):
 
 
 class Road(msgspec.Struct, rename=serialised):
-    """The lanes and their rules; source "driven_path" marks a road that was made from the ego's path."""
+    """The lanes and their rules; source "driven_path" marks a road that was made from the ego's path.
+
+    "assumed_limits" are the ids of lanes whose own speed limit was assumed by whoever wrote the log.
+    """
 
     lanes: list[LaneColumns]
     source: Literal["lanes", "driven_path"] = "lanes"
@@ -161,6 +166,7 @@ class Road(msgspec.Struct, rename=serialised):
     default_speed_limit: float = 13.89
     stop_lines: list[StopLine] = []
     crosswalks: list[Crosswalk] = []
+    assumed_limits: list[int] = []
 
 
 class LightColumns(msgspec.Struct, rename=serialised):

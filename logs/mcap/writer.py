@@ -155,6 +155,8 @@ def scenario_records(scenario: Scenario, *, version: int = native.WITHOUT_BLOCKS
         "origin_x_m": repr(finite(scenario.origin[0], "origin")),
         "origin_y_m": repr(finite(scenario.origin[1], "origin")),
     }
+    if scenario.traffic is not None:
+        record["traffic_s"] = encode(scenario.traffic).decode()
     free = dict(scenario.metadata)
     return {native.SCENARIO_RECORD: record, **({native.FREE_RECORD: free} if free else {})}
 
@@ -285,6 +287,7 @@ def _road(road: nouns.Road) -> native.Road:
         finite(road.default_speed_limit, "default speed limit"),
         [_stop_line(line) for line in road.stop_lines],
         [native.Crosswalk(c.id, c.polygon[:, 0].tolist(), c.polygon[:, 1].tolist()) for c in road.crosswalks],
+        sorted(road.assumed_limits),
     )
 
 

@@ -14,6 +14,7 @@ import numpy as np
 
 from logs.errors import LogError
 from logs.kernel import BoolArray, FloatArray
+from logs.observed import clipped
 from logs.rules import TrafficLight
 from logs.scenario import Scenario, Tracks
 from logs.states import Controls, OnboardPlan, Trajectory
@@ -58,6 +59,7 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
         notes=(*scenario.notes, f"This is the part from {begin:g} s to {min(end, scenario.duration):g} s of the log."),
         onboard=_onboard(scenario.onboard, begin, end),
         lights=tuple(light for light in (_light(each, begin, end) for each in scenario.lights) if light is not None),
+        traffic=clipped(scenario.traffic_spans, begin, min(end, scenario.duration)),
     )
 
 

@@ -37,7 +37,8 @@ def ghosts(scenario: Scenario) -> Iterator[Finding]:
 
 CHECKS: tuple[Callable[[Scenario], Iterable[Finding]], ...] = (
     ghosts, ego.gaps, ego.jumps, ego.speed, ego.heading, agents.flickering, agents.id_switches, agents.teleports,
-    agents.speeds, agents.heading_flips, agents.twins, agents.sizes, road.off_map, road.lane_graph, road.lights,
+    agents.speeds, agents.heading_flips, agents.twins, agents.sizes, agents.unrecorded,
+    road.off_map, road.lane_graph, road.lights,
 )  # fmt: skip
 """All that is looked for, in the order of the report."""
 SHOWN = 5

@@ -11,6 +11,7 @@ Between samples k and k + 1 of a track, dt apart, d apart:
 (6) twin boxes    two centres within `TWIN_M` for `TWIN_S` or longer
 (7) size          vehicles beyond `LARGEST_M`, people wider than `PERSON_M`
 (8) units         (4) by the same factor for most of those who move
+(9) not recorded  a stretch of the log of more than `logs.presence.MAX_AGE_S` in which no traffic was observed
 """
 
 from __future__ import annotations
@@ -22,6 +23,8 @@ import numpy as np
 
 from logs.agents import AgentKind
 from logs.kernel import FloatArray
+from logs.observed import clipped
+from logs.presence import MAX_AGE_S
 from logs.scenario import Scenario, Tracks
 from logs.states import wrapped
 from metrics.health.ego import FACTORS, NEAR
@@ -178,6 +181,16 @@ def twins(scenario: Scenario) -> Iterator[Finding]:
             text = f"{name_of(tracks, i)} and {name_of(tracks, j)} are in one place for {lasting:.1f} s"
             span = float(t[steps[0]]), float(t[steps[-1]])
             yield Finding(Kind.TWIN, "agents", tracks.ids[i], *span, lasting, "s", text)
+
+
+def unrecorded(scenario: Scenario) -> Iterator[Finding]:
+    """(9)."""
+    spans = clipped(scenario.traffic_spans, 0.0, scenario.duration)
+    edges = [0.0, *(edge for span in spans for edge in span), scenario.duration]
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        if end - begin > MAX_AGE_S:
+            text = f"no traffic is recorded for {end - begin:.1f} s of {scenario.duration:.1f} s"
+            yield Finding(Kind.TRAFFIC, "agents", "", begin, end, end - begin, "s", text)
 
 
 def _near(places: FloatArray) -> Iterator[tuple[int, int]]:

@@ -25,6 +25,7 @@ class Kind(Enum):
     OFF_MAP = "off the map"
     LANE_GRAPH = "lane graph"
     LIGHT = "light without a lane"
+    TRAFFIC = "traffic not recorded"
 
 
 EFFECT = {
@@ -44,6 +45,7 @@ EFFECT = {
     Kind.OFF_MAP: "lanes, limits, off road and rules do not fit what was driven",
     Kind.LANE_GRAPH: "routes may end early or go in a circle",
     Kind.LIGHT: "no car is asked to stop at it: red lights run are not counted",
+    Kind.TRAFFIC: "nobody is there to be met: gaps and contacts of what is driven then are no evidence of safety",
 }
 """What each does to which metric."""
 

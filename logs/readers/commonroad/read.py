@@ -9,7 +9,7 @@ Who is the ego:
 (3) Else a problem of which only the start is known.
 
 t = 0 is the ego's first sample. The log lasts to the last moment at which the goal may be reached, without such a time
-to the traffic's last sample, and never less than the ego's log.
+to the traffic's last sample, and never less than the ego's log. Traffic may end earlier (`Scenario.traffic`).
 """
 
 from __future__ import annotations
@@ -23,6 +23,7 @@ import numpy as np
 
 from logs.errors import LogError
 from logs.kernel import FloatArray
+from logs.observed import Spans, inferred
 from logs.readers.commonroad.document import Document, Obstacle, Problem, parse
 from logs.readers.commonroad.road import Asked, road_of
 from logs.readers.commonroad.rules import lights_of, with_rules
@@ -184,6 +185,7 @@ def _scenario(document: Document, chosen: _Ego) -> Scenario:
         metadata=_metadata(document, chosen),
         notes=tuple(notes),
         lights=lights_of(document, heads, start, duration),
+        traffic=_observed(document, without, tracks, duration),
     )
 
 
@@ -280,6 +282,13 @@ def _duration(driven: Trajectory, tracks: Tracks, goal: Goal | None) -> tuple[fl
     if moving and duration > traffic + 1.0:
         return duration, (f"the traffic ends at {traffic:.1f} s, the goal may be reached until {duration:.1f} s",)
     return duration, ()
+
+
+def _observed(document: Document, ego: int | None, tracks: Tracks, duration: float) -> Spans:
+    """When the traffic was observed: from the start to the inferred end; without traffic the world is empty."""
+    if all(obstacle.static or obstacle.id == ego for obstacle in document.obstacles):
+        return ((0.0, duration),)
+    return tuple((0.0, end) for _, end in inferred(tracks.offsets, tracks.static, tracks.t))
 
 
 def _driven(document: Document, start: float) -> FloatArray:

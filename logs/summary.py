@@ -182,6 +182,8 @@ def _road(road: Road) -> RoadSummary:
 
 
 def _goal(goal: Goal) -> str:
+    if goal.alternatives:
+        return "; or ".join(map(_goal, goal.alternatives))
     parts = [f"in {len(goal.regions)} region(s)" if goal.regions else "at any place"]
     parts += [
         f"{word} {interval[0]:g} to {interval[1]:g} {unit}"

@@ -155,10 +155,7 @@ class Crosswalk(msgspec.Struct, rename=serialised):
 
 
 class Road(msgspec.Struct, rename=serialised):
-    """The lanes and their rules; source "driven_path" marks a road that was made from the ego's path.
-
-    "assumed_limits" are the ids of lanes whose own speed limit was assumed by whoever wrote the log.
-    """
+    """Lanes and rules; source "driven_path": made from the ego's path; the limits of "assumed_limits" are assumed."""
 
     lanes: list[LaneColumns]
     source: Literal["lanes", "driven_path"] = "lanes"
@@ -183,13 +180,23 @@ class Region(msgspec.Struct, rename=serialised):
     y: list[float]
 
 
-class Goal(msgspec.Struct, rename=serialised):
-    """Where (any of the regions), when, how fast and in which direction to arrive; null or empty is free."""
+class GoalAlternative(msgspec.Struct, rename=serialised):
+    """One of several goals, with its own bounds; fields as of Goal."""
 
     regions: list[Region] = []
     t: Pair | None = None
     v: Pair | None = None
     yaw: Pair | None = None
+
+
+class Goal(msgspec.Struct, rename=serialised):
+    """Where (any region), when, how fast, in which direction to arrive (null, empty: free); or one of alternatives."""
+
+    regions: list[Region] = []
+    t: Pair | None = None
+    v: Pair | None = None
+    yaw: Pair | None = None
+    alternatives: list[GoalAlternative] = []
 
 
 Vehicle = msgspec.defstruct(

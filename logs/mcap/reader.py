@@ -394,6 +394,11 @@ def _lane(lane: native.LaneColumns) -> nouns.Lane:
 def _goal(message: native.Goal | None) -> nouns.Goal | None:
     if message is None:
         return None
+    goal = _one_goal(message)
+    return replace(goal, alternatives=tuple(map(_one_goal, message.alternatives))) if message.alternatives else goal
+
+
+def _one_goal(message: native.Goal | native.GoalAlternative) -> nouns.Goal:
     for region in message.regions:
         if len(region.x) != len(region.y) or len(region.x) < 3:
             raise LogError("a region needs as many x_m as y_m, three or more", topic="/goal", remedy=MEND)

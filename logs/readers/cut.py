@@ -45,8 +45,8 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
     moved = ego.resampled(t)
     columns = (getattr(moved, name) for name in ("x", "y", "yaw", "v", "a", "kappa"))
     goal = scenario.goal
-    if goal is not None and goal.t is not None:
-        goal = replace(goal, t=(goal.t[0] - begin, goal.t[1] - begin))
+    if goal is not None:
+        goal = goal.changed(lambda one: replace(one, t=one.t and (one.t[0] - begin, one.t[1] - begin)))
     return replace(
         scenario,
         name=f"{scenario.name}@{begin:g}",

@@ -13,8 +13,8 @@ Projection is windowed by a guess of s: a line that comes near itself (a loop, a
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from functools import cached_property
 from math import atan2, floor, hypot, sqrt
@@ -116,6 +116,7 @@ class Road:
         default_speed_limit: Used where a lane has none, m/s.
         stop_lines: Where lights and signs make a car stop.
         crosswalks: Where pedestrians go first.
+        assumed_limits: Lanes whose own speed limit is assumed: the log has none there.
 
     Raises:
         ValueError: A stop line lies across a lane that is not there, or two have one id; crosswalks likewise.
@@ -127,6 +128,7 @@ class Road:
     default_speed_limit: float = 13.89
     stop_lines: tuple[StopLine, ...] = ()
     crosswalks: tuple[Crosswalk, ...] = ()
+    assumed_limits: frozenset[int] = frozenset()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "lanes", MappingProxyType(dict(self.lanes)))
@@ -157,6 +159,11 @@ class Road:
         """Speed limit of a lane, m/s: its own, else the road's default."""
         own = self.lanes[lane_id].speed_limit
         return own if np.isfinite(own) else self.default_speed_limit
+
+    def stated_limit(self, lane_id: int) -> float:
+        """Speed limit of a lane that the log itself gives, m/s; NaN where it gives none."""
+        given = self.source is RoadSource.LANES and lane_id not in self.assumed_limits
+        return self.lanes[lane_id].speed_limit if given else float("nan")
 
     @classmethod
     def along(cls, path: FloatArray, *, width: float = 3.5, speed_limit: float, beyond: float = 250.0) -> Road:
@@ -194,22 +201,47 @@ class Goal:
         t: Time interval, s since the scenario's start.
         v: Speed interval, m/s.
         yaw: Heading interval, rad; from `yaw[0]` counter-clockwise to `yaw[1]`.
+        alternatives: Goals with bounds of their own, any one of which counts. The other fields are then derived, so
+            that they allow whatever one of them allows: all regions, and intervals from the least to the greatest.
     """
 
     regions: tuple[FloatArray, ...] = ()
     t: tuple[float, float] | None = None
     v: tuple[float, float] | None = None
     yaw: tuple[float, float] | None = None
+    alternatives: tuple[Goal, ...] = ()
 
     def __post_init__(self) -> None:
+        if self.alternatives:
+            anywhere = any(not one.regions for one in self.alternatives)
+            regions = () if anywhere else tuple(region for one in self.alternatives for region in one.regions)
+            object.__setattr__(self, "regions", regions)
+            for name in ("t", "v", "yaw"):
+                object.__setattr__(self, name, _hull([getattr(one, name) for one in self.alternatives]))
         object.__setattr__(self, "regions", tuple(frozen(region) for region in self.regions))
+
+    @classmethod
+    def any_of(cls, goals: Sequence[Goal]) -> Goal:
+        """The goal that is reached where one of the goals is; those with equal intervals share their regions."""
+        merged: dict[object, Goal] = {}
+        for goal in (each for given in goals for each in given.alternatives or (given,)):
+            before = merged.get(bounds := (goal.t, goal.v, goal.yaw), goal)
+            regions = (*before.regions, *goal.regions) if before.regions and goal.regions else ()
+            merged[bounds] = goal if before is goal else replace(goal, regions=regions)
+        return next(iter(merged.values())) if len(merged) == 1 else cls(alternatives=tuple(merged.values()))
+
+    def changed(self, change: Callable[[Goal], Goal]) -> Goal:
+        """The goal with each of its alternatives changed, or itself where it has none."""
+        return replace(self, alternatives=tuple(map(change, self.alternatives))) if self.alternatives else change(self)
 
     def holds_place(self, x: float, y: float) -> bool:
         """Whether the point lies in the region; True where there is no region."""
         return not self.regions or any(inside(x, y, region) for region in self.regions)
 
     def reached(self, t: float, x: float, y: float, yaw: float, v: float) -> bool:
-        """Whether a state (box centre) satisfies the goal."""
+        """Whether a state (box centre) satisfies the goal, or one of its alternatives."""
+        if self.alternatives:
+            return any(one.reached(t, x, y, yaw, v) for one in self.alternatives)
         if self.t is not None and not self.t[0] - 1e-9 <= t <= self.t[1] + 1e-9:
             return False
         if self.v is not None and not self.v[0] <= v <= self.v[1]:
@@ -217,6 +249,14 @@ class Goal:
         if self.yaw is not None and not _in_arc(yaw, *self.yaw):
             return False
         return self.holds_place(x, y)
+
+
+def _hull(intervals: Sequence[tuple[float, float] | None]) -> tuple[float, float] | None:
+    """The smallest interval that holds all; None (free) where one of them is free."""
+    bounds = [interval for interval in intervals if interval is not None]
+    if not bounds or len(bounds) < len(intervals):
+        return None
+    return min(b[0] for b in bounds), max(b[1] for b in bounds)
 
 
 def nearest(points: FloatArray, x: float, y: float) -> int:

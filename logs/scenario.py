@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from logs.agents import AgentKind, Agents, among, codes_of
 from logs.kernel import BoolArray, FloatArray, IntArray, frozen, inner_kernel, kernel
 from logs.motion import Motion, estimated
+from logs.observed import Spans, inferred
 from logs.presence import MAX_AGE_S, MAX_GAP_S, patience
 from logs.road import Goal, Road
 from logs.rules import TrafficLight
@@ -369,9 +370,10 @@ class Scenario:
         lights: The traffic lights that the road's stop lines name, in order of their ids (ordered here). One that a
             stop line names and that is not among them was not observed.
         onboard: The plans that the log's own planner made, in order of when they were known.
+        traffic: When the other road users were observed, as the log states it; None: it does not (`traffic_spans`).
 
     Raises:
-        ValueError: The scenario is shorter than its ego log, or two lights have one id.
+        ValueError: The scenario is shorter than its ego log, two lights have one id, or a span of traffic is none.
     """
 
     name: str
@@ -391,6 +393,7 @@ class Scenario:
     notes: tuple[str, ...] = ()
     lights: tuple[TrafficLight, ...] = ()
     onboard: tuple[OnboardPlan, ...] = ()
+    traffic: Spans | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))
@@ -399,6 +402,10 @@ class Scenario:
         object.__setattr__(self, "lights", tuple(sorted(self.lights, key=lambda light: light.id)))
         if len({light.id for light in self.lights}) < len(self.lights):
             raise ValueError("two traffic lights have the same id")
+        if not all(-np.inf < first <= last < np.inf for first, last in self.traffic or ()):
+            raise ValueError(
+                f"traffic was observed in {self.traffic}: each span needs a finite begin and end, in order"
+            )
 
     def in_vehicle(self, vehicle: VehicleParameters) -> Scenario:
         """The scenario with another ego vehicle: the rear axle stays, or the box centre if the log's poses are such."""
@@ -408,6 +415,20 @@ class Scenario:
         ego = self.ego
         x, y = ego.x + ahead * np.cos(ego.yaw), ego.y + ahead * np.sin(ego.yaw)
         return replace(self, vehicle=vehicle, ego=replace(ego, x=x, y=y))
+
+    @cached_property
+    def traffic_spans(self) -> Spans:
+        """When the other road users were observed: as stated, else inferred from the tracks (`logs.observed`).
+
+        A recorded log without any road user, or with traffic that ends before t = 0 or begins after the log's end,
+        was observed at no time; a synthesised one without moving road users throughout.
+        """
+        if self.traffic is not None:
+            return self.traffic
+        if self.tracks.static.all() and (len(self.tracks) or not self.is_recorded):
+            return ((0.0, self.duration),)
+        found = inferred(self.tracks.offsets, self.tracks.static, self.tracks.t)
+        return tuple(span for span in found if span[1] >= 0.0 and span[0] <= self.duration)
 
     @property
     def family(self) -> str:

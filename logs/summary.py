@@ -13,6 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from logs.errors import LogError
+from logs.observed import ENOUGH, Spans, clipped, described
+from logs.presence import MAX_AGE_S
 from logs.readers import LogSettings, read_log, reader_of
 from logs.readers.base import Contents, TopicSummary
 from logs.road import Goal, Road, RoadSource
@@ -57,6 +59,7 @@ class ScenarioSummary:
     """What the log says as a scenario.
 
     Attributes:
+        traffic: When the others were observed, s.
         agents: Number of moving others by kind; `obstacles` is the number of those that never move.
         ego_rate: Samples per second, NaN for one sample.
         goal: In words, or None.
@@ -67,6 +70,7 @@ class ScenarioSummary:
     licence: str
     tags: tuple[str, ...]
     duration: float
+    traffic: Spans
     ego_samples: int
     ego_span: tuple[float, float]
     ego_rate: float
@@ -144,6 +148,7 @@ def _scenario(scenario: Scenario) -> ScenarioSummary:
         licence=scenario.licence,
         tags=scenario.tags,
         duration=scenario.duration,
+        traffic=scenario.traffic_spans,
         ego_samples=len(ego),
         ego_span=(float(ego.t[0]), float(ego.t[-1])),
         ego_rate=(len(ego) - 1) / span if span > 0.0 else float("nan"),
@@ -177,6 +182,8 @@ def _road(road: Road) -> RoadSummary:
 
 
 def _goal(goal: Goal) -> str:
+    if goal.alternatives:
+        return "; or ".join(map(_goal, goal.alternatives))
     parts = [f"in {len(goal.regions)} region(s)" if goal.regions else "at any place"]
     parts += [
         f"{word} {interval[0]:g} to {interval[1]:g} {unit}"
@@ -198,11 +205,16 @@ def evaluations(scenario: Scenario, *, told: bool) -> tuple[Evaluation, ...]:
     compared = f"{len(ego)} ego states to compare with" if len(ego) > 1 else "one ego state only: nothing to compare"
     lasting = f"{scenario.duration:.1f} s to drive" if scenario.duration > 0.0 else "the log lasts 0 s"
     alone = "no one else is in the log: only comfort, progress and lanes"
+    recorded = clipped(scenario.traffic_spans, 0.0, scenario.duration)
     others = counted(len(tracks), "other") if len(tracks) else alone
+    known_s = sum(last - first for first, last in recorded)
+    met = known_s >= ENOUGH * scenario.duration
+    if known_s < scenario.duration - MAX_AGE_S:
+        others += f"; traffic is recorded {described(recorded)} of {scenario.duration:.1f} s"
     return (
         Evaluation("open loop against the driven ego", len(ego) > 1, compared),
         Evaluation("closed loop", scenario.duration > 0.0, lasting),
-        Evaluation("collisions, gaps, time to collision", len(tracks) > 0, others),
+        Evaluation("collisions, gaps, time to collision", len(tracks) > 0 and met, others),
         Evaluation("goal reached", scenario.goal is not None, "named in the log" if scenario.goal else "no goal"),
         Evaluation("off road, lane keeping", lanes, road.source.value),
         Evaluation(
@@ -255,7 +267,8 @@ def _scenario_lines(scenario: ScenarioSummary) -> list[str]:
         f"source: {scenario.source or 'not stated'}; licence: {scenario.licence or 'not stated'}",
         f"duration: {scenario.duration:.2f} s",
         f"ego: {ego}",
-        f"agents: {agents or 'none'}; obstacles: {scenario.obstacles}",
+        f"agents: {agents or 'none'}; obstacles: {scenario.obstacles}; recorded {described(scenario.traffic)} of"
+        f" {scenario.duration:.1f} s",
         f"road: {counted(road.lanes, 'lane')} ({road.drivable} drivable), {road.length_km:.2f} km,"
         f" {road.without_speed_limit} without speed limit; {road.source}",
         f"rules: {counted(road.stop_lines, 'stop line')} ({road.with_light} with a light, {road.must_stop} with a"

@@ -29,8 +29,8 @@ def moved(scenario: Scenario, dx: float, dy: float, dyaw: float) -> Scenario:
     """The scenario turned by `dyaw` (rad) about (0, 0), then shifted by (dx, dy) m: a rigid motion (1) of the world."""
     turn = _turn(dyaw)
     ego, tracks, goal = scenario.ego, scenario.tracks, scenario.goal
-    if goal is not None and goal.yaw is not None:
-        goal = replace(goal, yaw=(goal.yaw[0] + dyaw, goal.yaw[1] + dyaw))
+    if goal is not None:
+        goal = goal.changed(lambda one: replace(one, yaw=one.yaw and (one.yaw[0] + dyaw, one.yaw[1] + dyaw)))
     vx, vy = (np.column_stack([tracks.vx, tracks.vy]) @ turn).T
     x, y = np.array(scenario.origin) @ turn
     turned = replace(
@@ -94,7 +94,7 @@ def mirrored(scenario: Scenario) -> Scenario:
         onboard=_with_trajectories(scenario.onboard, mirrored_trajectory),
         tracks=_mirrored_tracks(scenario.tracks),
         road=_mirrored_road(scenario.road),
-        goal=None if goal is None else _mirrored_goal(goal),
+        goal=None if goal is None else goal.changed(_mirrored_goal),
         controls=None if controls is None else Controls(controls.t, -controls.steer, controls.throttle, controls.brake),
         origin=(scenario.origin[0], -scenario.origin[1]),
         metadata=metadata,
@@ -133,7 +133,7 @@ def _placed(scenario: Scenario, points: _Points) -> Scenario:
         onboard=_with_trajectories(scenario.onboard, driven),
         tracks=replace(tracks, x=x, y=y),
         road=placed_road(road, points),
-        goal=None if goal is None else replace(goal, regions=tuple(points(region) for region in goal.regions)),
+        goal=None if goal is None else goal.changed(lambda one: replace(one, regions=tuple(map(points, one.regions)))),
     )
 
 

@@ -89,8 +89,8 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
         consistency.EXTENDED_COMFORT, consistency.PLAN_HORIZON, consistency.PLAN_COMPLETE,
     ),
     "evidence": (
-        evidence.COVERAGE, evidence.REPLAY_CONTACT, evidence.PLAN_REFUSED, evidence.PLAN_CORRECTED, evidence.ENSEMBLE,
-        evidence.ASKED, evidence.PHANTOM,
+        evidence.COVERAGE, evidence.EVIDENCE, evidence.REPLAY_CONTACT, evidence.PLAN_REFUSED,
+        evidence.PLAN_CORRECTED, evidence.ENSEMBLE, evidence.ASKED, evidence.PHANTOM,
         divergence.DIVERGENCE, divergence.WEAK, divergence.DISPLACED,
     ),
     "reference": (avoidability.CC, avoidability.FSM),

@@ -1,15 +1,33 @@
-"""What a drive can be evidence of: how much was driven, did the replay end it, were its plans plans, is it robust."""
+"""What a drive can be evidence of: how much was driven, did the replay end it, were its plans plans, is it robust.
+
+EVIDENCE measures where a drive had what verdicts about it rest on, a series of 0 and 1 over its steps for each kind:
+
+    traffic   the other road users were observed (`Scenario.traffic_spans`)
+    lights    the colour of the light is known, on lanes that lead to a stop line with one
+    limit     the lane under the ego's centre has a speed limit of the log's own, not an assumed one
+    lane      a lane of the log's map lies under the ego's centre
+
+(1) share = sum of held time of the steps with evidence / held time of all steps that need it     (`metric.holds`)
+(2) way_share = the same with the way driven in place of the time; (1) where the ego does not move
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
 
+from logs.kernel import BoolArray, FloatArray
+from logs.observed import described, within
+from logs.road import RoadSource, inside
+from logs.rules import Colour, TrafficLight
 from logs.scenario import Scenario
 from logs.trace import EndReason, Mode, PlanStatus, Trace
-from metrics.metric import COUNT, FINAL, RATE, Measured, Metric, Reduction, Series, Unavailable
+from metrics.lanes import drivable_lanes, limits_at, off_lanes
+from metrics.metric import COUNT, FINAL, RATE, Measured, Metric, Reduction, Series, Unavailable, first_of, holds
+from metrics.others import ego_boxes
 from metrics.phantoms import phantoms
 from metrics.plans import frame_times
 
@@ -23,6 +41,88 @@ def _coverage(trace: Trace, scenario: Scenario) -> Mapping[str, Measured] | Unav
         "log_s": Series(end, np.array([last - start])),
         "driven_s": Series(end, end - start),
     }
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Evidence(Series):
+    """1 with evidence, 0 without, NaN where none is needed; `way` is how far each step stands for, m."""
+
+    way: FloatArray = field(default_factory=partial(np.empty, 0))
+
+
+def _evidence(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
+    place = ego_boxes(trace.ego, scenario)[:2]
+    return {
+        "traffic": _traffic(trace, scenario),
+        "lights": _lights(trace, scenario, *place),
+        "limit": _limit(trace, scenario, *place),
+        "lane": _lane(trace, scenario, *place),
+    }
+
+
+def _found(trace: Trace, known: BoolArray, why: str, needed: BoolArray | None = None) -> Evidence:
+    """The series of a kind of evidence; `why` says of the steps that need it and have none what is lacking."""
+    ego = trace.ego
+    needed = np.ones(len(known), np.bool_) if needed is None else needed
+    half = 0.5 * np.hypot(np.diff(ego.x), np.diff(ego.y))
+    value = np.where(needed, known.astype(np.float64), np.nan)
+    labels = tuple(why if lacking else "" for lacking in (needed & ~known).tolist())
+    return Evidence(ego.t, value, labels, way=np.r_[half, 0.0] + np.r_[0.0, half])
+
+
+def _traffic(trace: Trace, scenario: Scenario) -> Measured:
+    spans, t = scenario.traffic_spans, trace.ego.t
+    why = f"traffic is recorded {described(spans)}, the drive lasts from {t[0]:.1f} s to {t[-1]:.1f} s"
+    return _found(trace, within(spans, t), why)
+
+
+def _lights(trace: Trace, scenario: Scenario, x: FloatArray, y: FloatArray) -> Measured:
+    """Known of a light is what it shows; "off" for a while means that it was not observed, always: switched off."""
+    lights = {light.id: light for light in scenario.lights}
+    lines = [line for line in scenario.road.stop_lines if line.light is not None]
+    if not lines:
+        return Unavailable("the log's map has no stop line with a traffic light")
+    needed, known, lacking = np.zeros(len(x), np.bool_), np.ones(len(x), np.bool_), set[int]()
+    for line in lines:
+        lane = scenario.road.lanes[line.lane].polygon
+        near = np.array([inside(*point, lane) for point in zip(x.tolist(), y.tolist(), strict=True)])
+        shown = _shown(lights.get(line.light or 0), trace.ego.t)
+        lacking |= {line.light or 0} if (near & ~shown).any() else set()
+        needed, known = needed | near, known & (shown | ~near)
+    if not needed.any():
+        return Unavailable("no stop line with a traffic light lies on the driven way")
+    return _found(trace, known, f"traffic light {', '.join(map(str, sorted(lacking)))} is not observed", needed)
+
+
+def _shown(light: TrafficLight | None, t: FloatArray) -> BoolArray:
+    if light is None:
+        return np.zeros(len(t), np.bool_)
+    lit = np.array([colour is not Colour.OFF for colour in light.colours])
+    at = np.searchsorted(light.t, t + 1e-9, side="right") - 1
+    return (at >= 0) & (lit[np.maximum(at, 0)] | (not lit.any()))
+
+
+def _limit(trace: Trace, scenario: Scenario, x: FloatArray, y: FloatArray) -> Measured:
+    lanes, road = drivable_lanes(scenario.road), scenario.road
+    stated = np.array([road.stated_limit(lane.id) for lane in road.lanes.values() if lane.drivable])
+    known = np.zeros(len(x), np.bool_) if lanes is None else np.isfinite(limits_at(lanes._replace(limit=stated), x, y))
+    return _found(trace, known, "the log has no speed limit here: it is assumed, or not asked for")
+
+
+def _lane(trace: Trace, scenario: Scenario, x: FloatArray, y: FloatArray) -> Measured:
+    lanes = drivable_lanes(scenario.road)
+    if scenario.road.source is RoadSource.DRIVEN_PATH or lanes is None:
+        return _found(trace, np.zeros(len(x), np.bool_), "the log has no lanes for cars")
+    return _found(trace, off_lanes(lanes, x, y) == 0.0, "no lane of the log's map lies under the ego")
+
+
+def _share(series: Series, *, of_way: bool = False) -> tuple[float, int]:
+    """(1), (2); its step is the first without evidence."""
+    known = series.known
+    weight = series.way if of_way and isinstance(series, Evidence) else holds(series.t)
+    weight = weight if weight[known].sum() > 0.0 else holds(series.t)
+    weight = weight if weight[known].sum() > 0.0 else np.ones(len(known))
+    return float(np.average(series.value[known], weights=weight[known])), first_of(series.value == 0.0)
 
 
 def _replay_contact(trace: Trace, scenario: Scenario) -> Measured:
@@ -50,6 +150,14 @@ COVERAGE = Metric(
     " was driven or planned (driven_s).",
     parts=("log_s", "driven_s"), formula="last time - first time",
     needs="open loop: a log that holds a drive",
+)  # fmt: skip
+EVIDENCE = Metric(
+    "evidence", "1", "higher", (Mode.OPEN, Mode.CLOSED), _evidence,
+    (Reduction("share", _share), Reduction("way_share", partial(_share, of_way=True))),
+    "Share of the driven time, and of the driven way, with what verdicts rest on: the other road users observed"
+    " (traffic), the light ahead known (lights), a speed limit of the log's own (limit), a lane of its map (lane).",
+    parts=("traffic", "lights", "limit", "lane"), formula="time or way with evidence / time or way that needs it",
+    needs="lights: a stop line with a traffic light on the driven way",
 )  # fmt: skip
 REPLAY_CONTACT = Metric(
     "replay_contact", "1", "lower", (Mode.CLOSED,), _replay_contact, (FINAL,),

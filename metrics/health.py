@@ -23,6 +23,7 @@ The other road users, between samples of a track:
 (11) twin boxes   two centres within `TWIN_M` for `TWIN_S` or longer
 (12) size         vehicles beyond `LARGEST_M`, people wider than `PERSON_M`
 (13) units        (9) by the same factor for most of those who move
+(17) not recorded a stretch of the log of more than `logs.presence.MAX_AGE_S` in which no traffic was observed
 
 The map and the lights:
 
@@ -44,6 +45,8 @@ import numpy as np
 import pandas as pd
 
 from logs.kernel import FloatArray
+from logs.observed import clipped
+from logs.presence import MAX_AGE_S
 from logs.road import RoadSource
 from logs.scenario import AgentKind, Scenario, Tracks
 from logs.states import wrapped
@@ -138,6 +141,7 @@ class Kind(Enum):
     OFF_MAP = "off the map", "lanes, limits, off road and rules do not fit what was driven"
     LANE_GRAPH = "lane graph", "routes may end early or go in a circle"
     LIGHT = "light without a lane", "no car is asked to stop at it: red lights run are not counted"
+    TRAFFIC = "traffic not recorded", "gaps and contacts of what is driven then are no evidence of safety"
 
     def __new__(cls, word: str, effect: str) -> Kind:
         """The word is the value."""
@@ -317,16 +321,19 @@ def id_switches(scenario: Scenario) -> Iterator[Finding]:
     tracks = scenario.tracks
     first, last = tracks.offsets[:-1], tracks.offsets[1:] - 1
     begins, ends = tracks.t[first], tracks.t[last]
-    for i in np.flatnonzero(~tracks.static & (ends < scenario.duration - SWITCH_S)).tolist():
-        wait, k = begins - ends[i], last[i]
-        vx, vy = (values[0] for values in tracks.velocity(np.array([i]), np.array([k])))
-        away = np.hypot(tracks.x[first] - tracks.x[k] - wait * vx, tracks.y[first] - tracks.y[k] - wait * vy)
-        near = np.flatnonzero(~tracks.static & (wait > 0.0) & (wait <= SWITCH_S) & (away < SWITCH_M)).tolist()
-        heirs = [j for j in near if tracks.kinds[j] is tracks.kinds[i]]
-        if heirs:
-            j = min(heirs, key=lambda other: (away[other], other))
-            text = f"goes on as {tracks.ids[j]}, {away[j]:.1f} m from where it was expected"
-            yield _of_track(tracks, i, Kind.ID_SWITCH, (ends[i], begins[j]), away[j], "m", text)
+    ending, later = (np.flatnonzero(~tracks.static & some) for some in (ends < scenario.duration - SWITCH_S, True))
+    later = later[np.argsort(begins[later], kind="stable")]
+    starts, until = begins[later], ends[ending] + SWITCH_S
+    parts = np.searchsorted(starts, ends[ending], side="right"), np.searchsorted(starts, until, side="right")
+    for i, u, w, low, high in zip(ending, *tracks.velocity(ending, last[ending]), *parts, strict=True):
+        others, k = np.sort(later[low:high]), last[i]  # those that begin within `SWITCH_S`
+        wait, at = begins[others] - ends[i], first[others]
+        away = np.hypot(tracks.x[at] - tracks.x[k] - wait * u, tracks.y[at] - tracks.y[k] - wait * w)
+        same = (away < SWITCH_M) & (tracks.codes[others] == tracks.codes[i])
+        if same.any():
+            j = int(np.argmin(np.where(same, away, np.inf)))
+            text = f"goes on as {tracks.ids[others[j]]}, {away[j]:.1f} m from where it was expected"
+            yield _of_track(tracks, int(i), Kind.ID_SWITCH, (ends[i], begins[others[j]]), away[j], "m", text)
 
 
 def teleports(scenario: Scenario) -> Iterator[Finding]:
@@ -412,6 +419,16 @@ def _near(places: FloatArray) -> Iterator[tuple[int, int]]:
             j += 1
 
 
+def unrecorded(scenario: Scenario) -> Iterator[Finding]:
+    """(17)."""
+    spans = clipped(scenario.traffic_spans, 0.0, scenario.duration)
+    edges = [0.0, *(edge for span in spans for edge in span), scenario.duration]
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        if end - begin > MAX_AGE_S:
+            text = f"no traffic is recorded for {end - begin:.1f} s of {scenario.duration:.1f} s"
+            yield Finding(Kind.TRAFFIC, "agents", "", begin, end, end - begin, "s", text)
+
+
 def sizes(scenario: Scenario) -> Iterator[Finding]:
     """(12)."""
     tracks = scenario.tracks
@@ -479,6 +496,6 @@ def lights(scenario: Scenario) -> Iterator[Finding]:
 
 CHECKS: tuple[Callable[[Scenario], Iterable[Finding]], ...] = (
     ghosts, ego_gaps, ego_jumps, ego_speed, ego_heading, flickering, id_switches, teleports, speeds, heading_flips,
-    twins, sizes, off_map, lane_graph, lights,
+    twins, sizes, unrecorded, off_map, lane_graph, lights,
 )  # fmt: skip
 """All checks, in the order of the report."""

@@ -78,7 +78,7 @@ def run_closed_loop(
         agents=world.tracks.whole,
         frames=recorder.frames.frames,
         end=end.reason if end else EndReason.END_OF_LOG,
-        detail=end.detail if end else "",
+        detail=end.detail if end else setup.end,
         commands=recorder.commands,
         actuation=recorder.actuation,
         tracking=recorder.errors,

@@ -92,6 +92,7 @@ class LoopConfig:
         prediction: Name in `replay.prediction.PREDICTORS`, or "oracle": the log's own future, with traffic "time".
         prediction_horizon_s: How far the others are predicted.
         prediction_step_s: Time between two samples of a prediction.
+        end_with_evidence: A closed drive ends where the recording of the log's traffic does (`Scenario.traffic_spans`).
         apart: How planners that are not built in are kept apart.
         settings: Keywords of what is named here, by its key; a run's come from its tables (`RunConfig.controller` ...).
 
@@ -111,6 +112,7 @@ class LoopConfig:
     plan_delay_s: float = 0.0
     perception: str = "ground_truth"
     sensor: SensorConfig = field(default_factory=SensorConfig)
+    end_with_evidence: bool = False
     apart: ApartConfig = field(default_factory=ApartConfig)
     settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict, metadata={"key": False})
 

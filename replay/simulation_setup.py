@@ -9,6 +9,7 @@ from types import MappingProxyType
 from typing import Any
 
 from logs.errors import LogError
+from logs.observed import observed_until
 from logs.road import RoadSource
 from logs.scenario import Scenario
 from logs.vehicle import VehicleParameters
@@ -40,6 +41,7 @@ class SimulationSetup:
         steps_per_plan: A frame is due at every so many steps.
         period: Of the control, s.
         assumptions: About the start, the vehicle and the road, one sentence each.
+        end: Why the drive ends at its last step where the log goes on; empty: the log ends there.
     """
 
     vehicle: Vehicle
@@ -49,6 +51,7 @@ class SimulationSetup:
     steps_per_plan: int
     period: float
     assumptions: tuple[str, ...]
+    end: str = ""
 
     @classmethod
     def of(cls, scenario: Scenario, config: LoopConfig, until_s: float = inf) -> SimulationSetup:
@@ -66,9 +69,13 @@ class SimulationSetup:
                 remedy="a closed loop needs a log of at least one control period",
             )
         start = replace(logged_ego(scenario.ego, scenario.vehicle, start_ns / 1e9), t=start_ns / 1e9)
-        period = config.control_period_ns / 1e9
+        period, end = config.control_period_ns / 1e9, ""
         if until_s < scenario.duration:
             steps = min(steps, max(0, floor((until_s - start_ns / 1e9) / period + ROUNDING)) + 1)
+        known = observed_until(scenario.traffic_spans, start.t) if config.end_with_evidence else scenario.duration
+        if floor((known - start.t) / period + ROUNDING) < steps:
+            steps = max(1, floor((known - start.t) / period + ROUNDING))
+            end = f"traffic is recorded until {known:.1f} s of {scenario.duration:.1f} s, and the drive ends with it"
         model = configured(VEHICLE, config.vehicle, config.settings)
         vehicle = build(model, config.vehicle, scenario.vehicle, start, config.plant)
         believed = build(model, config.vehicle, scenario.vehicle, start, {}) if config.plant else vehicle
@@ -81,6 +88,7 @@ class SimulationSetup:
             steps=steps,
             steps_per_plan=config.plan_period_ns // config.control_period_ns,
             period=period,
+            end=end,
             assumptions=(*_notes(scenario), *_vehicle_notes(config), *TRAFFIC_NOTES.get(config.traffic, ())),
         )
 

@@ -104,6 +104,7 @@ class Family:
             source=f"replan catalogue: {self.name}",
             licence="Apache-2.0",
             metadata=metadata,
+            traffic=((0.0, scenario.duration),),
         )
 
 

@@ -2,7 +2,9 @@
 
     metadata  replan.scenario            format_version, name, source, licence, tags and notes (JSON arrays), start_ns
                                          (log time of t = 0), duration_s, origin_x_m and origin_y_m (what was subtracted
-                                         from world coordinates: all coordinates are relative to it)
+                                         from world coordinates: all coordinates are relative to it); where known
+                                         traffic_s: when the others were observed, [[from, to], ...], s since start_ns
+                                         (without it, a log with an empty message on /agents: while these come)
               replan.scenario.metadata   what else the log says of itself, free keys (generator, parameters, seed)
               replan.trace               only in a trace: planner, mode, oracle, end, detail
 
@@ -153,7 +155,7 @@ class Crosswalk(msgspec.Struct, rename=serialised):
 
 
 class Road(msgspec.Struct, rename=serialised):
-    """The lanes and their rules; source "driven_path" marks a road that was made from the ego's path."""
+    """Lanes and rules; source "driven_path": made from the ego's path; the limits of "assumed_limits" are assumed."""
 
     lanes: list[LaneColumns]
     source: Literal["lanes", "driven_path"] = "lanes"
@@ -161,6 +163,7 @@ class Road(msgspec.Struct, rename=serialised):
     default_speed_limit: float = 13.89
     stop_lines: list[StopLine] = []
     crosswalks: list[Crosswalk] = []
+    assumed_limits: list[int] = []
 
 
 class LightColumns(msgspec.Struct, rename=serialised):
@@ -177,13 +180,23 @@ class Region(msgspec.Struct, rename=serialised):
     y: list[float]
 
 
-class Goal(msgspec.Struct, rename=serialised):
-    """Where (any of the regions), when, how fast and in which direction to arrive; null or empty is free."""
+class GoalAlternative(msgspec.Struct, rename=serialised):
+    """One of several goals, with its own bounds; fields as of Goal."""
 
     regions: list[Region] = []
     t: Pair | None = None
     v: Pair | None = None
     yaw: Pair | None = None
+
+
+class Goal(msgspec.Struct, rename=serialised):
+    """Where (any region), when, how fast, in which direction to arrive (null, empty: free); or one of alternatives."""
+
+    regions: list[Region] = []
+    t: Pair | None = None
+    v: Pair | None = None
+    yaw: Pair | None = None
+    alternatives: list[GoalAlternative] = []
 
 
 Vehicle = msgspec.defstruct(

@@ -25,6 +25,7 @@ from logs.kernel import FloatArray
 from logs.mcap.complete import ASSUMED, assumed_limit, completed, derived_curvature, road_along
 from logs.mcap.container import COPY_AGAIN, Stream
 from logs.mcap.osi_lanes import OsiMap, enum_name, lanes_of
+from logs.observed import of_stream
 from logs.road import Road
 from logs.scenario import AgentKind, Scenario, Tracks
 from logs.states import Trajectory
@@ -125,6 +126,7 @@ def scenario_of(stream: Stream, name: str, ego_id: str = "") -> Scenario:
             start_ns=seen.times[0],
             metadata={"host_vehicle_id": str(first.id.value)},
             notes=tuple(notes),
+            traffic=of_stream(t),
         )
     except ValueError as error:
         raise LogError(str(error), topic=stream.topic) from None

@@ -21,6 +21,7 @@ from logs.kernel import FloatArray, IntArray
 from logs.mcap import native, osi
 from logs.mcap.complete import completed, road_along
 from logs.mcap.container import CONVERT, LAST_TIME_NS, MEND, Container, Stream, read_container
+from logs.observed import Spans, of_stream
 from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
 from logs.scenario import FINDING, Scenario, Tracks
 from logs.states import Controls, OnboardPlan, Trajectory
@@ -114,6 +115,7 @@ def _native(container: Container) -> Scenario:
             notes=(*noted, *(note for note in notes if note not in noted)),
             lights=lights,
             onboard=_onboard(streams.get("/onboard"), start_ns),
+            traffic=_traffic(record, streams.get("/agents"), start_ns),
         )
     except ValueError as error:
         raise LogError(str(error), topic="/vehicle" if str(error).startswith("vehicle") else None) from None
@@ -283,6 +285,15 @@ def _check_tracks(row: IntArray, times: IntArray, ids: list[str]) -> None:
         raise LogError(what, topic="/agents", time_ns=int(times[twice[0]]), remedy="keep one of them")
 
 
+def _traffic(record: dict[str, str], agents: Stream | None, start_ns: int) -> Spans | None:
+    """When the others were observed: as the record says; else, where empty messages are written, as these do."""
+    if "traffic_s" in record:
+        return _from_record(record, "traffic_s", tuple[tuple[float, float], ...], ())
+    if agents is None or all(message.id for message in agents.decoded(native.AgentColumns)):
+        return None
+    return of_stream(seconds(agents.times, start_ns))
+
+
 def _road(message: native.Road | None, ego: Trajectory, notes: list[str]) -> nouns.Road:
     if message is None or not message.lanes:
         return road_along(ego, notes)
@@ -295,7 +306,8 @@ def _road(message: native.Road | None, ego: Trajectory, notes: list[str]) -> nou
     try:
         stop_lines = tuple(_stop_line(line) for line in message.stop_lines)
         crosswalks = tuple(Crosswalk(c.id, _outline(c, f"crosswalk {c.id}")) for c in message.crosswalks)
-        return nouns.Road(lanes, source, message.drives_on_right, message.default_speed_limit, stop_lines, crosswalks)
+        limits = message.default_speed_limit, stop_lines, crosswalks, frozenset(message.assumed_limits)
+        return nouns.Road(lanes, source, message.drives_on_right, *limits)
     except ValueError as error:
         raise LogError(str(error), topic="/road", remedy=MEND) from None
 
@@ -382,6 +394,11 @@ def _lane(lane: native.LaneColumns) -> nouns.Lane:
 def _goal(message: native.Goal | None) -> nouns.Goal | None:
     if message is None:
         return None
+    goal = _one_goal(message)
+    return replace(goal, alternatives=tuple(map(_one_goal, message.alternatives))) if message.alternatives else goal
+
+
+def _one_goal(message: native.Goal | native.GoalAlternative) -> nouns.Goal:
     for region in message.regions:
         if len(region.x) != len(region.y) or len(region.x) < 3:
             raise LogError("a region needs as many x_m as y_m, three or more", topic="/goal", remedy=MEND)

@@ -65,6 +65,7 @@ def driven_scenario(trace: nouns.Trace, scenario: Scenario) -> Scenario:
         tracks=trace.agents,
         duration=float(trace.ego.t[-1]),
         controls=None,
+        traffic=scenario.traffic_spans,
         notes=tuple(dict.fromkeys((*scenario.notes, *trace.notes))),
     )
 

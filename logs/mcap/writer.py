@@ -155,6 +155,8 @@ def scenario_records(scenario: Scenario, *, version: int = native.WITHOUT_BLOCKS
         "origin_x_m": repr(finite(scenario.origin[0], "origin")),
         "origin_y_m": repr(finite(scenario.origin[1], "origin")),
     }
+    if scenario.traffic is not None:
+        record["traffic_s"] = encode(scenario.traffic).decode()
     free = dict(scenario.metadata)
     return {native.SCENARIO_RECORD: record, **({native.FREE_RECORD: free} if free else {})}
 
@@ -285,6 +287,7 @@ def _road(road: nouns.Road) -> native.Road:
         finite(road.default_speed_limit, "default speed limit"),
         [_stop_line(line) for line in road.stop_lines],
         [native.Crosswalk(c.id, c.polygon[:, 0].tolist(), c.polygon[:, 1].tolist()) for c in road.crosswalks],
+        sorted(road.assumed_limits),
     )
 
 
@@ -325,11 +328,16 @@ def _lane(lane: nouns.Lane) -> native.LaneColumns:
 
 
 def _goal(goal: nouns.Goal) -> native.Goal:
+    return native.Goal(*_bounds(goal), [native.GoalAlternative(*_bounds(one)) for one in goal.alternatives])
+
+
+def _bounds(goal: nouns.Goal) -> tuple[list[native.Region], native.Pair | None, native.Pair | None, native.Pair | None]:
+    """Regions, and intervals of t, v and yaw."""
     regions = [
         native.Region(column(region[:, 0], "/goal", "x"), column(region[:, 1], "/goal", "y")) for region in goal.regions
     ]
-    return native.Goal(regions, *(_interval(getattr(goal, name), name) for name in ("t", "v", "yaw")))
+    return regions, _interval(goal.t, "goal t"), _interval(goal.v, "goal v"), _interval(goal.yaw, "goal yaw")
 
 
 def _interval(interval: tuple[float, float] | None, name: str) -> native.Pair | None:
-    return None if interval is None else (finite(interval[0], f"goal {name}"), finite(interval[1], f"goal {name}"))
+    return None if interval is None else (finite(interval[0], name), finite(interval[1], name))

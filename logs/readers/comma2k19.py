@@ -95,6 +95,7 @@ def _read(path: Path, settings: LogSettings) -> Scenario:
             licence="MIT",
             start_ns=min(max(start_ns, 0), 2**62),
             notes=tuple(notes),
+            traffic=(),
         )
     except (ValueError, OverflowError) as error:
         raise LogError(str(error), topic=POSE) from None

@@ -14,6 +14,7 @@ import numpy as np
 
 from logs.errors import LogError
 from logs.kernel import BoolArray, FloatArray
+from logs.observed import clipped
 from logs.rules import TrafficLight
 from logs.scenario import Scenario, Tracks
 from logs.states import Controls, OnboardPlan, Trajectory
@@ -44,8 +45,8 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
     moved = ego.resampled(t)
     columns = (getattr(moved, name) for name in ("x", "y", "yaw", "v", "a", "kappa"))
     goal = scenario.goal
-    if goal is not None and goal.t is not None:
-        goal = replace(goal, t=(goal.t[0] - begin, goal.t[1] - begin))
+    if goal is not None:
+        goal = goal.changed(lambda one: replace(one, t=one.t and (one.t[0] - begin, one.t[1] - begin)))
     return replace(
         scenario,
         name=f"{scenario.name}@{begin:g}",
@@ -58,6 +59,7 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
         notes=(*scenario.notes, f"This is the part from {begin:g} s to {min(end, scenario.duration):g} s of the log."),
         onboard=_onboard(scenario.onboard, begin, end),
         lights=tuple(light for light in (_light(each, begin, end) for each in scenario.lights) if light is not None),
+        traffic=clipped(scenario.traffic_spans, begin, min(end, scenario.duration)),
     )
 
 

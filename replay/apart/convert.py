@@ -44,7 +44,7 @@ def context_message(context: nouns.PlannerContext) -> schema.Context:
     goal = context.goal
     return schema.Context(
         road=_road_message(context.road),
-        goal=None if goal is None else schema.Goal([packed(each) for each in goal.regions], goal.t, goal.v, goal.yaw),
+        goal=None if goal is None else _goal_message(goal),
         vehicle=context.vehicle,
         period=context.period,
         start=context.start,
@@ -57,13 +57,23 @@ def context_of(message: schema.Context, lap: Any) -> nouns.PlannerContext:
     goal = message.goal
     return nouns.PlannerContext(
         _road_of(message.road),
-        None if goal is None else road.Goal(tuple(map(_points, goal.regions)), goal.t, goal.v, goal.yaw),
+        None if goal is None else _goal_of(goal),
         message.vehicle,
         message.period,
         message.start,
         lap,
         message.horizon,
     )
+
+
+def _goal_message(goal: road.Goal) -> schema.Goal:
+    regions = [packed(each) for each in goal.regions]
+    return schema.Goal(regions, goal.t, goal.v, goal.yaw, [_goal_message(one) for one in goal.alternatives])
+
+
+def _goal_of(message: schema.Goal) -> road.Goal:
+    regions, others = tuple(map(_points, message.regions)), tuple(map(_goal_of, message.alternatives))
+    return road.Goal(regions, message.t, message.v, message.yaw, others)
 
 
 def _road_message(made: road.Road) -> schema.Road:

@@ -79,12 +79,13 @@ class Road(msgspec.Struct):
 
 
 class Goal(msgspec.Struct):
-    """`logs.road.Goal`; each region are points."""
+    """`logs.road.Goal`; each region are points. Planners of before `alternatives` do not read them."""
 
     regions: list[bytes]
     t: tuple[float, float] | None
     v: tuple[float, float] | None
     yaw: tuple[float, float] | None
+    alternatives: list[Goal] = []
 
 
 class Context(msgspec.Struct):

@@ -131,6 +131,9 @@ def evaluate(
             help="The others: as logged but for those who give_way; time, ego_position, reactive.",
         ),
     ] = None,
+    end_with_evidence: Annotated[
+        bool, typer.Option("--end-with-evidence", help="End closed drives where the recorded traffic ends.")
+    ] = False,
     prediction: Annotated[
         str | None,
         typer.Option(
@@ -202,6 +205,7 @@ def evaluate(
             "vehicle": vehicle,
             "controller": controller,
             "traffic": traffic,
+            "end_with_evidence": end_with_evidence or None,
             "prediction": prediction,
             "perception": perception,
             "plant": _settings(plant) if plant else None,

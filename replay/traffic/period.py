@@ -143,7 +143,7 @@ def leaders_of(agents: Agents, now: Phases, ego: Ego, whose: BoolArray, t: float
 @kernel
 def advance(
     agents: Agents, now: Phases, ego: Ego, held: FloatArray, room: FloatArray, t: float, longest: float,
-    only_needed: bool, pose: FloatArray, here: BoolArray,
+    only_needed: bool, gone: float, pose: FloatArray, here: BoolArray,
 ) -> bool:  # fmt: skip
     """Lead all on from `t` by one period; whether an agent may enter then: else it is sampled (`sample`).
 
@@ -156,6 +156,7 @@ def advance(
         t: s.
         longest: As `leaders_of`.
         only_needed: Who is as in the log reacts only where it would drive into its leader.
+        gone: When those who are late leave the scene, s.
         pose: As `sample`.
         here: As `sample`.
     """
@@ -182,10 +183,10 @@ def advance(
         now.braked[i] = max(now.braked[i], -now.accel[i] if now.late[i] else 0.0)
         now.speed[i] = speed[i]
         ends = agents.ends[i] if now.late[i] else agents.left[i]
-        now.there[i] = now.there[i] and now.phase[i] <= ends + 1e-9
+        now.there[i] = now.there[i] and now.phase[i] <= ends + 1e-9 and (until <= gone + 1e-9 or not now.late[i])
     comes = False
     for i in range(n):
-        comes = comes or enters(agents, now, i, until)
+        comes = comes or (enters(agents, now, i, until) and (until <= gone + 1e-9 or not now.late[i]))
     if not comes:
         sample(agents, now, pose, here)
     return comes

@@ -2,7 +2,9 @@
 
 An agent is at the log time (phase) tau_i of its own; its place is the log's at tau_i, so that it never leaves its
 path. Where its log ends, the most probable lane leads it on for `BEYOND_M` if it is late; in time, it leaves the scene
-as it did in the log. Its speed never exceeds the logged one at its place, and it is never ahead of its log.
+as it did in the log. Where the recording of the traffic ends (`Scenario.traffic_spans`), late agents leave the scene
+too: else one that gave way would drive on alone where all others have vanished. An agent's speed never exceeds the
+logged one at its place, and it is never ahead of its log.
 
 Undisturbed, tau_i = t: the log's own samples, to the bit. An agent is disturbed from when the leader below would have
 it drive slower than it did in the log. Pairs that both are as they were in the log do not count (real drivers keep
@@ -109,6 +111,7 @@ class Reactive:
         ends = paths.t[paths.offsets[1:] - 1].copy() if n else left
         self._coming = Coming(Agents(self._replay.logged, paths.length, paths.width, reacts, ends, left))
         self._longest = nan if rule.only_ahead is None else rule.only_ahead
+        self._gone = scenario.traffic_spans[-1][1] if scenario.traffic_spans else inf
         self._lights = RedLights(scenario, paths, reacts)
         self._yielding = Yielding(scenario, paths, reacts & rule.yields, lanes)
         self._next, self._tracks = -inf, Tracks.empty()
@@ -153,12 +156,12 @@ class Reactive:
         who, agents, now, as_logged = self._coming.who, self._coming.agents, self._coming.now, box[8]
         held = self._lights.accelerations(t, who, now.phase, now.speed, now.late & now.there & agents.reacts)
         room = self._yielding.gaps(ego, who, now.phase, now.speed, now.there & (not as_logged))
-        return advance(agents, now, box, held, room, t, self._longest, self._rule.only_needed, *sampled)
+        return advance(agents, now, box, held, room, t, self._longest, self._rule.only_needed, self._gone, *sampled)
 
     def _enter(self, t: float, box: Ego, sampled: Sampled) -> None:
         """Let in whose log begins by `t`, and sample."""
         now, agents = self._coming.now, self._coming.agents
-        coming = entering(agents, now, t)
+        coming = entering(agents, now, t) & ((t <= self._gone + 1e-9) | ~now.late)
         if coming.any():
             self._let_in(t, box, coming)
         sample(agents, now, *sampled)

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from math import pi
 
 import numpy as np
@@ -252,3 +253,29 @@ def test_a_goal_wants_all_that_it_names() -> None:
     for miss in ((0.9, 1, 1, 0, 3), (1.5, 3, 1, 0, 3), (1.5, 1, 1, 0, 5.1)):
         assert not goal.reached(*miss)
     assert Goal().reached(0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def box(x: float, half: float) -> np.ndarray:
+    return np.array([[x - half, -half], [x + half, -half], [x + half, half], [x - half, half]])
+
+
+bounds = st.one_of(st.none(), st.tuples(st.floats(-2.0, 2.0), st.floats(0.0, 3.0)).map(lambda b: (b[0], b[0] + b[1])))
+places = st.lists(st.builds(box, st.floats(-5.0, 5.0), st.floats(0.5, 4.0)), max_size=2).map(tuple)
+goals = st.builds(Goal, places, bounds, bounds, bounds)
+
+
+@given(st.lists(goals, min_size=1, max_size=4), st.lists(st.floats(-3.0, 3.0), min_size=5, max_size=5))
+def test_any_of_some_goals_is_reached_exactly_where_one_of_them_is(some: list[Goal], state: list[float]) -> None:
+    goal = Goal.any_of(some)
+    assert goal.reached(*state) == any(one.reached(*state) for one in some)
+    loose = replace(goal, alternatives=())  # what readers that do not know alternatives see
+    assert loose.reached(*state) or not goal.reached(*state) or goal.yaw is not None
+
+
+def test_goals_that_differ_in_place_alone_are_one() -> None:
+    near, far = Goal((box(0.0, 1.0),), v=(0.0, 5.0)), Goal((box(9.0, 1.0),), v=(0.0, 5.0))
+    goal = Goal.any_of([near, far])
+    assert not goal.alternatives and len(goal.regions) == 2 and goal.v == (0.0, 5.0)
+    stop = Goal.any_of([near, far, Goal((box(20.0, 1.0),), v=(0.0, 0.0))])
+    assert len(stop.alternatives) == 2 and len(stop.regions) == 3 and stop.v == (0.0, 5.0)
+    assert not stop.reached(0.0, 20.0, 0.0, 0.0, 3.0) and stop.reached(0.0, 20.0, 0.0, 0.0, 0.0)

@@ -31,7 +31,12 @@ def world(name: str) -> Scenario:
     zero = np.zeros(len(log.ego))
     return replace(
         log,
-        goal=Goal((*regions, square), t=(0.0, 99.0), v=(0.0, 60.0), yaw=(-0.4, 1.1)),
+        goal=Goal.any_of(
+            [
+                Goal((*regions, square), t=(0.0, 99.0), v=(0.0, 60.0), yaw=(-0.4, 1.1)),
+                Goal((square + 4.0,), t=(0.0, 9.0), v=(0.0, 0.0), yaw=(0.1, 0.2)),
+            ]
+        ),
         controls=Controls(log.ego.t, zero + 0.1, zero, zero),
         origin=(691_000.0, 5_336_000.0),
     )

@@ -19,7 +19,7 @@ WAY = drive(straight, 10.0, 6.0)
 N = 300
 CAR_AHEAD = tracks(track("1", np.arange(0.0, 6.1, 0.5), np.full(13, 45.0), np.full(13, 1.0)))
 LOG = replace(scenario(WAY, agents=CAR_AHEAD), road=lanes_along(WAY))
-GOAL = Goal((square(35.0, 0.0, 3.0),), v=(0.0, 8.0))
+GOAL = Goal.any_of([Goal((square(35.0, 0.0, 3.0),), v=(0.0, 8.0)), Goal((square(20.0, 0.0, 3.0),), v=(0.0, 0.0))])
 
 
 def rows_of(slope: float, v: float) -> np.ndarray:

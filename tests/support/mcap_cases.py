@@ -245,6 +245,7 @@ def scenarios(draw: st.DrawFn) -> Scenario:
     interval = st.one_of(st.none(), st.tuples(number, number))
     triangle = st.builds(lambda values: np.array(values).reshape(3, 2), st.lists(number, min_size=6, max_size=6))
     goal = st.builds(Goal, st.lists(triangle, max_size=2).map(tuple), interval, interval, interval)
+    goal = st.one_of(goal, st.builds(Goal, alternatives=st.lists(goal, min_size=1, max_size=3).map(tuple)))
     pedal = st.one_of(st.just(float("nan")), st.floats(0, 1))
     k = draw(st.integers(1, 3))
     controls = Controls(draw(times(k)), *(columns(draw, k, pedal) for _ in range(3)))

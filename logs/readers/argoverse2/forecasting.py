@@ -14,6 +14,7 @@ from logs.agents import AgentKind
 from logs.errors import LogError
 from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.mcap.complete import completed
+from logs.observed import of_stream
 from logs.readers.argoverse2 import scenario_id
 from logs.readers.argoverse2.map import map_beside, road_for
 from logs.readers.argoverse2.sensor import FORD_FUSION, LICENCE
@@ -81,6 +82,7 @@ def read_forecasting(path: Path, settings: LogSettings) -> Scenario:
         start_ns=round(1e9 * int(step[its[0]] - step.min()) / RATE_HZ),
         metadata={"scenario_id": scenario_id(path), "ego": settings.ego or EGO},
         notes=tuple(notes),
+        traffic=of_stream(t),
     )
 
 

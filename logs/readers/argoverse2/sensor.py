@@ -22,6 +22,7 @@ import numpy as np
 from logs.agents import AgentKind
 from logs.errors import LogError
 from logs.kernel import FloatArray, IntArray
+from logs.observed import of_stream
 from logs.readers.argoverse2 import POSES
 from logs.readers.argoverse2.map import map_beside, road_for
 from logs.readers.arrow123d.labels import AV2_CATEGORIES
@@ -127,6 +128,7 @@ def read_sensor_log(folder: Path, settings: LogSettings) -> Scenario:
         start_ns=int(times[np.flatnonzero(apart)[index[0]]]),
         metadata={"log_id": folder.name},
         notes=tuple(notes),
+        traffic=of_stream((frames - times[0]) / 1e9 - start),
     )
 
 

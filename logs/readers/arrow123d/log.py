@@ -25,6 +25,7 @@ import numpy as np
 from logs.errors import LogError
 from logs.kernel import FloatArray, IntArray
 from logs.mcap.complete import completed
+from logs.observed import of_stream
 from logs.readers.arrow123d.labels import kinds_of
 from logs.readers.arrow123d.road import LIGHTS, map_of, road_of
 from logs.readers.base import Contents, TopicSummary
@@ -93,7 +94,7 @@ def read_123d(folder: Path) -> Scenario:
     with reading(folder / f"{EGO}.arrow"):
         drive, given = _ego(rows, notes)
         vehicle = _vehicle(rows, notes)
-    boxes, own = _boxes(folder, int(rows.time_us[0]), notes)
+    boxes, own, seen = _boxes(folder, int(rows.time_us[0]), notes)
     index = kept(drive.t, (frames_us - rows.time_us[0]) / 1e6)
     if not (given and own):
         index = from_second(index, drive.t, (frames_us[:1] - rows.time_us[0]) / 1e6, notes)
@@ -122,6 +123,7 @@ def read_123d(folder: Path) -> Scenario:
         metadata={key: str(about[key]) for key in _ABOUT if about.get(key)},
         notes=tuple(notes),
         lights=lights,
+        traffic=of_stream(seen - start),
     )  # fmt: skip
 
 
@@ -271,20 +273,21 @@ _SIZES = {"length": "length", "width": "width", "wheelbase": "wheel_base"}
 # Agents
 
 
-def _boxes(folder: Path, first_us: int, notes: list[str]) -> tuple[Boxes, bool]:
-    """All boxes, s since `first_us`, and whether their velocities are the log's own."""
+def _boxes(folder: Path, first_us: int, notes: list[str]) -> tuple[Boxes, bool, FloatArray]:
+    """All boxes, s since `first_us`, whether their velocities are the log's own, and the times of their frames."""
     path = folder / f"{BOXES}.arrow"
     none = np.empty(0)
     if not path.is_file():
         notes.append("The log has no boxes: there are no other road users.")
-        return Boxes((), (), none, none.astype(np.int64), *(none,) * 7), True
+        return Boxes((), (), none, none.astype(np.int64), *(none,) * 7), True, none
     columns = [f"{BOXES}.{name}" for name in ("timestamp_us", "bounding_box_se3", "track_token", "label")]
     table = ipc_table(path, columns)
     with reading(path):
         lists = Lists(table, columns[1])
         box, labels = vectors(lists.items(columns[1]), 10), lists.numbers(columns[3])
         owner, names = lists.words(columns[2])
-        t = (whole(table, columns[0]) - first_us)[lists.row] / 1e6
+        frames = (whole(table, columns[0]) - first_us) / 1e6
+        t = frames[lists.row]
         stored = f"{BOXES}.velocity_3d"
         there = stored in table.schema.names
         velocity = vectors(lists.items(stored), 3) if there else np.full((len(t), 3), np.nan)
@@ -295,7 +298,7 @@ def _boxes(folder: Path, first_us: int, notes: list[str]) -> tuple[Boxes, bool]:
         place, yaw = box[:, :2], yaw_of(unit(box[:, 3:7]))
         x, y, length, width, vx, vy = *place.T, *box[:, 7:9].T, *velocity[:, :2].T
         found = Boxes(tuple(names), kinds, t, owner, x, y, yaw, length, width, vx, vy)
-        return ordered(found, notes), own
+        return ordered(found, notes), own, frames
 
 
 def _measured(

@@ -18,6 +18,7 @@ import numpy as np
 from logs.errors import LogError
 from logs.kernel import FloatArray, frozen
 from logs.readers.commonroad.elements import child, integer, interval, middle, number, point_in, points_in, references
+from logs.readers.commonroad.sets import OccupiedSet
 from logs.readers.commonroad.signals import (
     READ_SIGNS,
     Intersection,
@@ -59,7 +60,11 @@ class Lanelet:
 
 @dataclass(frozen=True, eq=False)
 class Obstacle:
-    """One obstacle: its box and states `(n, 6)` of the box centre: step, x, y, yaw, v, a (NaN where not given)."""
+    """One obstacle: its box and states `(n, 6)` of the box centre: step, x, y, yaw, v, a (NaN where not given).
+
+    Attributes:
+        sets: Where it may be, if the file gives no states but the first: its occupancy set, that state first.
+    """
 
     id: int
     type: str
@@ -67,6 +72,7 @@ class Obstacle:
     length: float
     width: float
     states: FloatArray
+    sets: tuple[OccupiedSet, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,7 +192,7 @@ def _skipped(root: Element) -> Iterator[str]:
             yield f"{count} elements <{tag}> are ignored: they have no box on the road"
     sets = [e.get("id", "?") for e in root.findall("dynamicObstacle") if e.find("occupancySet") is not None]
     if sets:
-        yield f"obstacles {', '.join(sets)} have an occupancy set: only their initial state is read"
+        yield f"obstacles {', '.join(sets)} have an occupancy set: boxes that cover it stand where they may be"
 
 
 def _speed_signs(root: Element) -> dict[str, float]:
@@ -319,7 +325,22 @@ def _obstacle(element: Element) -> Obstacle:
     table[:, 3] = np.unwrap(table[:, 3] + turn)
     static = element.tag == "staticObstacle" or element.findtext("role", "").strip() == "static"
     kind = element.findtext("type", "unknown").strip()
-    return Obstacle(name, kind, static, length, width, frozen(table[:1] if static else table))
+    sets = tuple(_occupied(e, f"{place}/occupancySet") for e in element.findall("occupancySet/occupancy"))
+    if sets and len(table) == 1:
+        ahead = 0.5 * np.array([length * np.cos(table[0, 3]), length * np.sin(table[0, 3])])
+        aside = 0.5 * np.array([-width * np.sin(table[0, 3]), width * np.cos(table[0, 3])])
+        box = table[0, 1:3] + np.array([ahead + aside, aside - ahead, -ahead - aside, ahead - aside])
+        sets = (OccupiedSet(table[0, 0], table[0, 0], (box,)), *sets)
+    return Obstacle(name, kind, static, length, width, frozen(table[:1] if static else table), sets)
+
+
+def _occupied(element: Element, place: str) -> OccupiedSet:
+    """An <occupancy>."""
+    steps = interval(element, "time", place)
+    if steps is None:
+        raise LogError("<time> is missing", topic=place, remedy="the format requires it")
+    shapes = list(child(element, "shape", place))
+    return OccupiedSet(*steps, tuple(_outline(shape, f"{place}/shape") for shape in shapes))
 
 
 def _problem(element: Element) -> Problem:

@@ -9,12 +9,11 @@ Who is the ego:
 (3) Else a problem of which only the start is known.
 
 t = 0 is the ego's first sample. The log lasts to the last moment at which the goal may be reached, without such a time
-to the traffic's last sample, and never less than the ego's log.
+to the traffic's last sample, and never less than the ego's log. Traffic may end earlier (`Scenario.traffic`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import cos, isnan, sin
 from pathlib import Path
@@ -23,6 +22,7 @@ import numpy as np
 
 from logs.errors import LogError
 from logs.kernel import FloatArray
+from logs.observed import Spans, inferred
 from logs.readers.commonroad.document import Document, Obstacle, Problem, parse
 from logs.readers.commonroad.road import Asked, road_of
 from logs.readers.commonroad.rules import lights_of, with_rules
@@ -184,17 +184,21 @@ def _scenario(document: Document, chosen: _Ego) -> Scenario:
         metadata=_metadata(document, chosen),
         notes=tuple(notes),
         lights=lights_of(document, heads, start, duration),
+        traffic=_observed(document, without, tracks, duration),
     )
 
 
 def _wanted(problem: Problem | None) -> Asked | None:
     """What the goals ask of the speed, where all of them do."""
-    speeds = _hull([goal.v for goal in problem.goals]) if problem is not None else None
-    if problem is None or speeds is None:
+    speeds = [goal.v for goal in problem.goals if goal.v is not None] if problem is not None else []
+    if problem is None or not speeds or len(speeds) < len(problem.goals):
         return None
     regions = [region for goal in problem.goals for region in goal.regions]
     places = [np.vstack([r, 0.5 * (r + np.roll(r, 1, axis=0)), r.mean(axis=0)]) for r in regions]
-    return Asked(speeds, np.vstack([np.empty((0, 2)), *places]), tuple(i for g in problem.goals for i in g.lanelets))
+    least, most = min(v[0] for v in speeds), max(v[1] for v in speeds)
+    return Asked(
+        (least, most), np.vstack([np.empty((0, 2)), *places]), tuple(i for g in problem.goals for i in g.lanelets)
+    )
 
 
 def _first(obstacle: Obstacle | None, problem: Problem | None) -> FloatArray:
@@ -234,31 +238,25 @@ def _ego(
 def _goal(
     problem: Problem | None, road: Road, start: float, dt: float, origin: tuple[float, float]
 ) -> tuple[Goal | None, tuple[str, ...]]:
-    """The problem's goal; several goal states become one: regions together, intervals from least to most."""
+    """The problem's goal: any of its goal states, each with its own bounds."""
     if problem is None:
         return None, ()
     if not problem.goals:
         return None, ("the planning problem names no goal",)
-    regions = [region - origin for goal in problem.goals for region in goal.regions]
-    wanted = [i for goal in problem.goals for i in goal.lanelets]
-    lost = [i for i in wanted if i not in road.lanes]
-    regions += [road.lanes[i].polygon for i in wanted if i in road.lanes]
+    lost = [i for goal in problem.goals for i in goal.lanelets if i not in road.lanes]
     notes = [f"goal lanelets {', '.join(map(str, lost))} are not in the road"] if lost else []
-    anywhere = any(not goal.regions and not goal.lanelets for goal in problem.goals)
+    goals = []
+    for state in problem.goals:
+        regions = [region - origin for region in state.regions]
+        regions += [road.lanes[i].polygon for i in state.lanelets if i in road.lanes]
+        t = None if state.step is None else ((state.step[0] - start) * dt, (state.step[1] - start) * dt)
+        if regions or not state.lanelets:
+            goals.append(Goal(tuple(regions), t, state.v, state.yaw))
+    if not goals:
+        return None, tuple(notes)
     if len(problem.goals) > 1:
-        notes.append(f"the problem has {len(problem.goals)} goals: any of their places within all of their intervals")
-    step = _hull([goal.step for goal in problem.goals])
-    t = None if step is None else ((step[0] - start) * dt, (step[1] - start) * dt)
-    v, yaw = (_hull([getattr(goal, name) for goal in problem.goals]) for name in ("v", "yaw"))
-    return Goal(() if anywhere else tuple(regions), t, v, yaw), tuple(notes)
-
-
-def _hull(intervals: Sequence[tuple[float, float] | None]) -> tuple[float, float] | None:
-    """The smallest interval that holds all; None (free) where one of them is free or there is none."""
-    bounds = [interval for interval in intervals if interval is not None]
-    if not bounds or len(bounds) < len(intervals):
-        return None
-    return min(b[0] for b in bounds), max(b[1] for b in bounds)
+        notes.append(f"the problem has {len(problem.goals)} goals: any of them counts, each with its own bounds")
+    return Goal.any_of(goals), tuple(notes)
 
 
 def _last_place(driven: Trajectory, vehicle: VehicleParameters, *, half: float = 4.0) -> FloatArray:
@@ -280,6 +278,13 @@ def _duration(driven: Trajectory, tracks: Tracks, goal: Goal | None) -> tuple[fl
     if moving and duration > traffic + 1.0:
         return duration, (f"the traffic ends at {traffic:.1f} s, the goal may be reached until {duration:.1f} s",)
     return duration, ()
+
+
+def _observed(document: Document, ego: int | None, tracks: Tracks, duration: float) -> Spans:
+    """When the traffic was observed: from the start to the inferred end; without traffic the world is empty."""
+    if all(obstacle.static or obstacle.id == ego for obstacle in document.obstacles):
+        return ((0.0, duration),)
+    return tuple((0.0, end) for _, end in inferred(tracks.offsets, tracks.static, tracks.t))
 
 
 def _driven(document: Document, start: float) -> FloatArray:

@@ -178,7 +178,9 @@ def _with_defaults(
     default = next(iter(assumed.values()))
     changed = {lane.id: assumed[g] for g, lanes in missing.items() for lane in lanes if assumed[g] != default}
     lanes_by_id = {i: replace(lane, speed_limit=changed.get(i, lane.speed_limit)) for i, lane in road.lanes.items()}
-    return Road(lanes_by_id, road.source, road.drives_on_right, default), tuple(lines)
+    return replace(road, lanes=lanes_by_id, default_speed_limit=default, assumed_limits=frozenset(changed)), tuple(
+        lines
+    )
 
 
 def _speeds_on(road: Road, lanes: Sequence[Lane], driven: FloatArray) -> FloatArray:

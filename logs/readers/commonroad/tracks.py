@@ -22,14 +22,16 @@ slope of heading over distance, and acceleration, where it is not stored, that o
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from math import radians
+from typing import NamedTuple
 
 import numpy as np
 
 from logs.kernel import FloatArray
 from logs.readers.commonroad.document import Document, GoalState, Obstacle
+from logs.readers.commonroad.sets import standing
 from logs.scenario import AgentKind, Tracks
 from logs.states import Trajectory, wrap
 from logs.vehicle import VehicleParameters
@@ -133,34 +135,45 @@ def tracks_of(
 
     Samples before `start` are left out (their differences are in the velocities); static obstacles stay.
     """
-    kept, rows = [], []
+    found: list[_Row] = []
     for o in document.obstacles:
         later = o.states[:, 0] >= start - 1e-6
-        if o.id == without or not (o.static or later.any()):
+        if o.id == without:
             continue
-        v = np.zeros((1, 2)) if o.static else velocity[o.id][later]
-        states = o.states if o.static else o.states[later]
-        kept.append(o)
-        rows.append(np.column_stack([states[:, :4], v]))
-    if not kept:
+        if o.sets and not o.static:
+            found += _set_rows(o, start)
+        elif o.static or later.any():
+            v = np.zeros((1, 2)) if o.static else velocity[o.id][later]
+            states = np.column_stack([(o.states if o.static else o.states[later])[:, :4], v])
+            found.append(_Row(str(o.id), KINDS.get(o.type, AgentKind.OBJECT), o.length, o.width, o.static, states))
+    if not found:
         return Tracks.empty()
+    ids, kinds, length, width, static, rows = zip(*found, strict=True)
     step, x, y, yaw, vx, vy = np.vstack(rows).T
-    offsets = np.cumsum([0, *(len(r) for r in rows)])
-    static = np.array([o.static for o in kept])
-    return Tracks(
-        tuple(str(o.id) for o in kept),
-        tuple(KINDS.get(o.type, AgentKind.OBJECT) for o in kept),
-        np.array([o.length for o in kept]),
-        np.array([o.width for o in kept]),
-        static,
-        offsets,
-        np.where(np.repeat(static, np.diff(offsets)), 0.0, np.round((step - start) * document.dt, 9)),
-        x - origin[0],
-        y - origin[1],
-        yaw,
-        vx,
-        vy,
-    )
+    offsets = np.cumsum([0, *map(len, rows)])
+    t = np.where(np.repeat(static, np.diff(offsets)), 0.0, np.round((step - start) * document.dt, 9))
+    place = x - origin[0], y - origin[1], yaw, vx, vy
+    return Tracks(ids, kinds, np.array(length), np.array(width), np.array(static), offsets, t, *place)
+
+
+class _Row(NamedTuple):
+    """One track: name, kind, size, m, whether it never moves, and columns step, x, y, yaw, vx, vy of its states."""
+
+    name: str
+    kind: AgentKind
+    length: float
+    width: float
+    static: bool
+    states: FloatArray
+
+
+def _set_rows(obstacle: Obstacle, start: float) -> Iterator[_Row]:
+    """The boxes of an obstacle's occupancy set from the step `start` on, each for as long as its set stands."""
+    for name, first, last, box in standing(obstacle.sets):
+        if last > start:
+            pose = (box.x, box.y, box.yaw, 0.0, 0.0)
+            states = np.array([(max(first, start), *pose), (last, *pose)])
+            yield _Row(f"{obstacle.id} {name}", AgentKind.OBJECT, box.length, box.width, static=False, states=states)
 
 
 def sized(obstacle: Obstacle) -> VehicleParameters:

@@ -16,6 +16,7 @@ import numpy as np
 from logs.errors import LogError
 from logs.kernel import FloatArray
 from logs.mcap.complete import road_along
+from logs.observed import Spans, of_stream
 from logs.readers.base import LogSettings
 from logs.readers.cut import HISTORY_S, cut
 from logs.readers.ros import schemas
@@ -85,7 +86,7 @@ def _scenario(path: Path, bag: Bag, settings: LogSettings) -> Scenario:
     t = (ego.poses.t[first:] - start) / 1e9
     x, y, yaw, speed, accel, kappa = (columns[name][first:] for name in ("x", "y", "yaw", "v", "a", "kappa"))
     trajectory = Trajectory(t, x - origin[0], y - origin[1], yaw, speed, accel, kappa)
-    tracks = _tracks(bag, settings, window, ego, start, origin, trajectory, vehicle, notes)
+    tracks, traffic = _tracks(bag, settings, window, ego, start, origin, trajectory, vehicle, notes)
     synthetic = any(topic.kind == schemas.CLOCK and topic.count for topic in bag.topics)
     if synthetic:
         notes.append("The bag has a /clock: its drive is taken for a simulated one.")
@@ -105,6 +106,7 @@ def _scenario(path: Path, bag: Bag, settings: LogSettings) -> Scenario:
         start_ns=start,
         lights=lights(bag, settings, window, ego, start, notes),
         onboard=onboard(bag, settings, window, ego, start, origin, notes),
+        traffic=traffic,
     )
     return replace(scenario, notes=tuple(dict.fromkeys(notes)))
 
@@ -179,14 +181,15 @@ def _chosen(bag: Bag, settings: LogSettings, notes: list[str]) -> Topic | None:
 def _tracks(
     bag: Bag, settings: LogSettings, window: Window, ego: EgoLog, start: int, origin: FloatArray, driven: Trajectory,
     vehicle: VehicleParameters, notes: list[str],
-) -> Tracks:  # fmt: skip
+) -> tuple[Tracks, Spans]:  # fmt: skip
+    """The others, and when their topic had messages."""
     topic = _chosen(bag, settings, notes)
     if topic is None:
-        return Tracks.empty()
+        return Tracks.empty(), ()
     messages = read_messages(bag, topic, *window)
     if not len(messages.log):
         notes.append(f"{topic.name} has no messages in this part.")
-        return Tracks.empty()
+        return Tracks.empty(), ()
     notes += said(topic.name, messages.log, messages.stamps, bag.start_ns)
     t, chosen = times_of(topic.name, messages.log, messages.stamps, ego.clock, notes)
     try:
@@ -199,4 +202,4 @@ def _tracks(
     ahead = vehicle.axle_to_center
     x = driven.x + ahead * np.array([cos(yaw) for yaw in driven.yaw])
     y = driven.y + ahead * np.array([sin(yaw) for yaw in driven.yaw])
-    return without_ego(tracks, driven.t, x, y, notes)
+    return without_ego(tracks, driven.t, x, y, notes), of_stream((t - start) / 1e9)

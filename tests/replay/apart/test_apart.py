@@ -9,16 +9,19 @@ import sys
 import time
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from handmade import drive, lanes_along, scenario, straight, track, tracks
 
-from logs import ConfigError, EndReason, PlannerError, Scenario, Trace
+from logs import ConfigError, EndReason, Goal, PlannerContext, PlannerError, Scenario, Trace
 from logs.catalogue import CATALOGUE
 from logs.mcap import write_scenario
 from logs.mcap.trace import plan_message
 from logs.states import TRAJECTORY_COLUMNS
 from metrics import evaluate
+from replay.apart import schema
+from replay.apart.convert import context_message, context_of
 from replay.apart.link import clean
 from replay.apart.processes import _warm
 from replay.apart.proxy import described
@@ -217,3 +220,18 @@ def _descendants(pid: int) -> list[str]:
         if words[1] == str(pid):
             found += [folder.name, *_descendants(int(folder.name))]
     return found
+
+
+def test_a_goal_with_alternatives_reaches_the_planner_and_one_without_is_as_before() -> None:
+    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0]])
+    plain = Goal((square,), v=(0.0, 5.0))
+    both = Goal.any_of([plain, Goal((square + 9.0,), v=(0.0, 0.0))])
+    log = scenario(drive(straight, 10.0, 1.0))
+    for goal in (plain, both):
+        sent = context_message(PlannerContext(log.road, goal, log.vehicle, 0.1, log.ego.state(0)))
+        found = context_of(msgspec.msgpack.decode(msgspec.msgpack.encode(sent), type=schema.Context), None).goal
+        assert found is not None and (found.t, found.v, found.yaw) == (goal.t, goal.v, goal.yaw)
+        assert [one.v for one in found.alternatives] == [one.v for one in goal.alternatives]
+        np.testing.assert_array_equal(np.vstack(found.regions), np.vstack(goal.regions))
+    old = {key: value for key, value in msgspec.to_builtins(sent.goal).items() if key != "alternatives"}
+    assert msgspec.convert(old, schema.Goal).alternatives == []

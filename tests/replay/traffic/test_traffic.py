@@ -262,9 +262,21 @@ def test_who_comes_late_makes_up_while_his_log_stands() -> None:
     assert early < -2.0 and mine.x[0] == pytest.approx(truth.x[0], abs=1e-6)
 
 
+@pytest.mark.parametrize("mode", REACT)
+def test_a_late_agent_leaves_with_the_others_where_the_recording_ends(mode: str) -> None:
+    short = T[T <= 5.0]
+    others = [track(f"o{i}", short, 100.0 + 20.0 * i + 10.0 * short, np.full(len(short), 3.5)) for i in range(3)]
+    log = made(track("b", short, -12.0 + 10.0 * short, np.zeros(len(short)), vx=10.0, vy=0.0), *others)
+    found = run(log, mode, at_speed(lambda t: max(10.0 - 4.0 * t, 3.0)))
+    late = found.ids.index("b")
+    assert found.x[found.samples(late)][-1] < log.tracks.x[log.tracks.samples(0)][-1] - 1.0
+    assert found.t.max() <= 5.0 + 1e-9
+
+
 def test_who_is_late_drives_on_along_the_lane_where_his_log_ends() -> None:
     short = T[T <= 5.0]
     log = made(track("b", short, -20.0 + 10.0 * short, np.zeros(len(short)), vx=10.0, vy=0.0))
+    log = replace(log, traffic=((0.0, 12.0),))
     slow = run(log, "reactive", at_speed(lambda t: max(10.0 - 2.0 * t, 5.0)))
     assert slow.t[-1] > 8.0 and slow.x.max() > log.tracks.x.max() + 10.0
     in_time = run(log, "reactive", far_away(log))

@@ -344,6 +344,21 @@ def test_the_recorded_driver_leaves_the_traffic_and_time_begins_with_him(tmp_pat
     assert scenario.metadata["ego_obstacle"] == "4"
 
 
+def test_goals_keep_their_own_bounds(tmp_path: Path) -> None:
+    """A goal at rest near by and one at any speed far away: passing the near one at speed reaches neither."""
+    shape = "<rectangle><length>20</length><width>4</width><center><x>{}</x><y>0</y></center></rectangle>"
+    place = f"<position>{shape}</position>"
+    rest = "<velocity><intervalStart>0.0</intervalStart><intervalEnd>0.0</intervalEnd></velocity>"
+    both = problem(1, 0.0, 0.0, 10.0, place.format(100.0)).replace(
+        "</goalState>", f"</goalState><goalState>{place.format(40.0)}{rest}</goalState>"
+    )
+    goal = read_commonroad(written(tmp_path, straight(1), both)).goal
+    assert goal is not None and len(goal.alternatives) == 2
+    assert not goal.reached(2.5, 40.0, 0.0, 0.0, 10.0)
+    assert goal.reached(9.0, 40.0, 0.0, 0.0, 0.0)
+    assert goal.reached(2.5, 100.0, 0.0, 0.0, 10.0) and not goal.reached(9.0, 100.0, 0.0, 0.0, 10.0)
+
+
 def test_a_problem_without_a_goal_names_none(tmp_path: Path) -> None:
     nowhere = re.sub("<goalState>.*</goalState>", "", problem(1, 100.0, 0.0, 10.0))
     scenario = read_commonroad(written(tmp_path, straight(1), vehicle(3, driving(50.0, 0.0, 5.0)), nowhere))

@@ -1,0 +1,124 @@
+"""CommonRoad occupancy sets -> boxes that stand for a while.
+
+An occupancy set says where a road user may be at a time step: polygons that grow, not a pose. Tracks have boxes of one
+size, so each set becomes boxes of its own, which stand from its time until that of the next set (or over its interval).
+They are objects: replayed by time, never reacting, with no speed. The initial state is the first set.
+
+A polygon is covered from outside, so that whoever touches the set touches a box:
+
+(1) box = the smallest rectangle along one of the edges of the polygon's convex hull (one of these has the least area)
+(2) excess = (area of the box - area of the polygon) / length of the box, m: how much wider than the polygon it is
+(3) where that exceeds `EXCESS_M` and the box is longer than `SHORTEST_M`, the polygon is cut across its middle
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from logs.kernel import FloatArray
+
+EXCESS_M = 0.1
+"""A box may be wider than the set by so much on average, m."""
+SHORTEST_M = 1.0
+"""A shorter box is not cut, m."""
+DEEPEST = 6
+"""A polygon is cut so many times at most: into 64 boxes."""
+
+
+class OccupiedSet(NamedTuple):
+    """Where a road user may be from one time step to another (an instant: until the next set): outlines `(k, 2)`."""
+
+    first: float
+    last: float
+    outlines: tuple[FloatArray, ...]
+
+
+class Box(NamedTuple):
+    """A rectangle: its centre, m, heading, rad, and size, m."""
+
+    x: float
+    y: float
+    yaw: float
+    length: float
+    width: float
+
+
+def covering(outline: FloatArray, cuts: int = DEEPEST) -> Iterator[Box]:
+    """Boxes that cover a polygon `(k, 2)` (1) to (3); none for a polygon without an area."""
+    box, area = smallest_box(outline), _area(outline)
+    if not min(box.length, box.width, area) > 1e-6:
+        return
+    if (box.length * box.width - area) / box.length <= EXCESS_M or box.length <= SHORTEST_M or not cuts:
+        yield box
+        return
+    along = np.array([np.cos(box.yaw), np.sin(box.yaw)])
+    middle = float(along @ (box.x, box.y))
+    for side in (1.0, -1.0):
+        part = _half(outline, side * along, side * middle)
+        if len(part) >= 3:
+            yield from covering(part, cuts - 1)
+
+
+def standing(sets: Sequence[OccupiedSet]) -> Iterator[tuple[str, float, float, Box]]:
+    """Name within its road user, first and last time step, and box of each part of its sets (module docstring)."""
+    steps = sorted({one.first for one in sets})
+    usual = steps[-1] - steps[-2] if len(steps) > 1 else 1.0
+    until = dict(zip(steps, [*steps[1:], steps[-1] + usual], strict=True))
+    for k, one in enumerate(sets):
+        boxes = [box for outline in one.outlines for box in covering(outline)]
+        last = one.last if one.last > one.first else until[one.first]
+        yield from ((f"set {k} part {i}", one.first, last, box) for i, box in enumerate(boxes))
+
+
+def smallest_box(points: FloatArray) -> Box:
+    """The smallest rectangle around points `(k, 2)`, k >= 3 (1); its length is the longer side."""
+    hull = _hull(points)
+    edges = np.diff(np.vstack([hull, hull[:1]]), axis=0)
+    best: Box | None = None
+    for yaw in np.unique(np.round(np.arctan2(edges[:, 1], edges[:, 0]) % (0.5 * np.pi), 12)).tolist():
+        axes = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
+        low, high = (hull @ axes.T).min(axis=0), (hull @ axes.T).max(axis=0)
+        (length, width), (x, y) = (high - low).tolist(), (0.5 * (low + high) @ axes).tolist()
+        box = Box(x, y, yaw, length, width) if length >= width else Box(x, y, yaw + 0.5 * np.pi, width, length)
+        if best is None or length * width < best.length * best.width - 1e-9:
+            best = box
+    assert best is not None
+    return best
+
+
+def _hull(points: FloatArray) -> FloatArray:
+    """The convex hull `(n, 2)`, counter-clockwise (Andrew's monotone chain)."""
+    ordered = np.unique(points, axis=0).tolist()
+    chains = []
+    for sequence in (ordered, ordered[::-1]):
+        chain: list[list[float]] = []
+        for x, y in sequence:
+            while len(chain) > 1 and _turn(chain[-2], chain[-1], x, y) <= 0.0:
+                chain.pop()
+            chain.append([x, y])
+        chains.append(chain[:-1])
+    return np.array(chains[0] + chains[1]).reshape(-1, 2)
+
+
+def _turn(a: list[float], b: list[float], x: float, y: float) -> float:
+    return (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])
+
+
+def _area(outline: FloatArray) -> float:
+    x, y = outline.T
+    return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
+
+
+def _half(outline: FloatArray, normal: FloatArray, least: float) -> FloatArray:
+    """The part of a polygon where `normal` . p >= `least` (Sutherland and Hodgman 1974)."""
+    side, out = outline @ normal - least, []
+    for i in range(len(outline)):
+        before, after = side[i - 1], side[i]
+        if (before >= 0.0) != (after >= 0.0):
+            out.append(outline[i - 1] + (outline[i] - outline[i - 1]) * before / (before - after))
+        if after >= 0.0:
+            out.append(outline[i])
+    return np.array(out).reshape(-1, 2)

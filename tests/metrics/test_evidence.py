@@ -1,0 +1,116 @@
+"""Evidence: shares against sums by hand, each kind where it is there and where it is lacking, in words."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from drives import along, drive, grid, moved, moved_ego, scenario, straight_road
+from handmade import drive as driven
+from handmade import scenario as handmade
+from handmade import straight
+from hypothesis import given
+from hypothesis import strategies as st
+from metrics.health import Kind
+
+from logs import Colour, Mode, Road, RoadSource, Scenario, StopLine, Trace, TrafficLight
+from metrics import METRICS, evaluate
+from metrics.health import findings
+from replay.closed_loop import run_closed_loop
+from replay.drive import LoopConfig
+
+T = grid(10.0)
+SLOW_THEN_FAST = along(T, np.where(T < 5.0, 2.0, 8.0))
+
+
+def rows(log: Scenario, trace: Trace | None = None) -> dict[str, tuple[float, str]]:
+    table = evaluate(trace or drive(log, SLOW_THEN_FAST), log, metrics={"evidence": METRICS["evidence"]})
+    return {row.metric.removeprefix("evidence."): (row.value, row.reason) for row in table.itertuples()}
+
+
+@given(st.floats(0.0, 10.0))
+def test_shares_are_of_time_and_of_way(until: float) -> None:
+    log = scenario(SLOW_THEN_FAST, traffic=((0.0, until),))
+    found = rows(log)
+    assert found["traffic.share"][0] == pytest.approx(until / 10.0, abs=2e-3)
+    way = 2.0 * min(until, 5.0) + 8.0 * max(until - 5.0, 0.0)
+    assert found["traffic.way_share"][0] == pytest.approx(way / 50.0, abs=3e-3)
+
+
+def test_what_is_lacking_is_said_with_its_figures() -> None:
+    value, reason = rows(scenario(SLOW_THEN_FAST, traffic=((0.0, 0.1),)))["traffic.share"]
+    assert value < 0.02
+    assert reason == "traffic is recorded until 0.1 s, the drive lasts from 0.0 s to 10.0 s"
+    assert rows(scenario(SLOW_THEN_FAST, traffic=((0.0, 10.0),)))["traffic.share"] == (1.0, "")
+
+
+def test_a_drive_that_stands_has_shares() -> None:
+    still = along(T, 0.0)
+    log = scenario(still, traffic=((0.0, 5.0),))
+    found = rows(log, drive(log, still))
+    assert found["traffic.way_share"][0] == found["traffic.share"][0] == pytest.approx(0.5, abs=2e-3)
+
+
+def test_an_assumed_limit_is_none_of_the_log() -> None:
+    stated = straight_road(limit=10.0)
+    assert rows(scenario(SLOW_THEN_FAST, road=stated))["limit.share"][0] == 1.0
+    for road in (straight_road(), replace(stated, assumed_limits=frozenset({0}))):
+        value, reason = rows(scenario(SLOW_THEN_FAST, road=road))["limit.share"]
+        assert value == 0.0 and "assumed" in reason
+
+
+def test_lanes_are_those_of_the_log_under_the_ego() -> None:
+    assert rows(scenario(SLOW_THEN_FAST))["lane.share"][0] == 1.0
+    off = along(T, 5.0, x=485.0)  # the map ends at 500 m, and goes on for 10 m
+    log = scenario(off)
+    assert 0.3 < rows(log, drive(log, off))["lane.share"][0] < 0.6
+    made_up = replace(straight_road(), source=RoadSource.DRIVEN_PATH)
+    assert rows(scenario(SLOW_THEN_FAST, road=made_up))["lane.share"][0] == 0.0
+
+
+def lit(*lights: TrafficLight) -> Scenario:
+    line = StopLine(0, 0, np.array([[40.0, -1.75], [40.0, 1.75]]), light=7)
+    road: Road = replace(straight_road(), stop_lines=(line,))
+    return scenario(SLOW_THEN_FAST, road=road, lights=lights)
+
+
+def test_lights_are_known_from_when_they_were_observed() -> None:
+    assert np.isnan(rows(scenario(SLOW_THEN_FAST))["lights.share"][0])
+    value, reason = rows(lit())["lights.share"]
+    assert value == 0.0 and reason == "traffic light 7 is not observed"
+    late = TrafficLight(7, np.array([4.0, 6.0]), (Colour.RED, Colour.OFF))
+    assert rows(lit(late))["lights.share"][0] == pytest.approx(0.2, abs=2e-3)
+    assert rows(lit(TrafficLight(7, np.array([0.0]), (Colour.OFF,))))["lights.share"][0] == 1.0
+
+
+@given(st.floats(-3.0, 3.0), st.booleans())
+def test_shares_do_not_depend_on_the_world_around(turn: float, mirror: bool) -> None:
+    log = replace(lit(TrafficLight(7, np.array([4.0]), (Colour.RED,))), traffic=((0.0, 3.0),))
+    other = moved(log, turn, 30.0, -7.0, mirror=mirror)
+    there = rows(other, drive(other, moved_ego(SLOW_THEN_FAST, turn, 30.0, -7.0, mirror=mirror)))
+    assert {key: value for key, (value, _) in there.items()} == pytest.approx(
+        {key: value for key, (value, _) in rows(log).items()}, nan_ok=True
+    )
+
+
+def test_the_log_s_own_drive_is_measured_too() -> None:
+    log = scenario(SLOW_THEN_FAST, traffic=((0.0, 5.0),))
+    assert rows(log, drive(log, mode=Mode.OPEN))["traffic.share"][0] == pytest.approx(0.5, abs=2e-3)
+
+
+def test_a_drive_may_end_with_the_evidence_and_says_so() -> None:
+    log = replace(handmade(driven(straight, 10.0, 6.0)), traffic=((0.0, 1.5),))
+    whole = run_closed_loop(log, "constant_speed").trace
+    short = run_closed_loop(log, "constant_speed", config=LoopConfig(end_with_evidence=True)).trace
+    assert whole.ego.t[-1] > 5.0
+    assert short.ego.t[-1] == pytest.approx(1.5)
+    assert short.detail == "traffic is recorded until 1.5 s of 6.0 s, and the drive ends with it"
+    assert rows(log, short)["traffic.share"][0] == 1.0 > 0.5 > rows(log, whole)["traffic.share"][0]
+
+
+def test_a_health_finding_names_the_stretches_without_traffic() -> None:
+    log = scenario(SLOW_THEN_FAST, traffic=((0.0, 2.0), (7.0, 9.8)))
+    found = [one for one in findings(log) if one.kind is Kind.TRAFFIC]
+    assert [(one.t_from, one.t_to) for one in found] == [(2.0, 7.0)]
+    assert found[0].text == "no traffic is recorded for 5.0 s of 10.0 s"

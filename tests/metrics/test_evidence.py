@@ -12,11 +12,10 @@ from handmade import scenario as handmade
 from handmade import straight
 from hypothesis import given
 from hypothesis import strategies as st
-from metrics.health import Kind
 
 from logs import Colour, Mode, Road, RoadSource, Scenario, StopLine, Trace, TrafficLight
 from metrics import METRICS, evaluate
-from metrics.health import findings
+from metrics.health import Kind, findings
 from replay.closed_loop import run_closed_loop
 from replay.drive import LoopConfig
 

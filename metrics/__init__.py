@@ -26,6 +26,7 @@ from metrics import (
     avoidability,
     comfort,
     consistency,
+    cut_in,
     divergence,
     effort,
     encounters,
@@ -71,7 +72,7 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
         encounters.DCE, encounters.TTCE, encounters.PET, rss.RSS_MARGIN, rss.RSS_IMPROPER,
     ),
     "rules": (
-        rules.RED_LIGHT, rules.STOP_SIGN, rules.CROSSWALK, right_of_way.PRIORITY_GAP,
+        rules.RED_LIGHT, rules.STOP_SIGN, rules.CROSSWALK, right_of_way.PRIORITY_GAP, cut_in.FORCED_BRAKING,
         lane_keeping.WRONG_WAY, lane_keeping.LANE_KEEPING, progress.SPEED_EXCESS, progress.SPEED_RATIO,
     ),
     "comfort": (

@@ -15,11 +15,13 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+from drives import along, grid, moving, scenario, straight_road
 
-from logs import Frame, Plan, PlannerContext, Trajectory
+from logs import AgentKind, Frame, Plan, PlannerContext, Scenario, Trajectory
 from logs.catalogue import CATALOGUE
 from logs.kernel import FloatArray
 from planners.constant_speed import arc
@@ -98,6 +100,13 @@ class Swerver(Along):
 
     def offset(self, t: FloatArray) -> FloatArray:
         return 0.8 * np.sin(2.0 * np.pi * (t - self._start.t) / 2.5)
+
+
+class CutIn(Along):
+    """Changes to the lane on its left at 1 s and does not look who comes there."""
+
+    def offset(self, t: FloatArray) -> FloatArray:
+        return 3.5 * np.clip((t - self._start.t - 1.0) / 2.0, 0.0, 1.0)
 
 
 class Tailgate(Idm):
@@ -185,9 +194,19 @@ class Adversary:
     """A planner, how it is run, a log and the gate (first words) that catches it there."""
 
     planner: Callable[..., object]
-    log: str
+    log: str | Callable[[], Scenario]
     gate: str
     vehicle: str = "kinematic_bicycle"
+
+    def scenario(self) -> Scenario:
+        """The log."""
+        return CATALOGUE[self.log].scenario() if isinstance(self.log, str) else self.log()
+
+
+def overtaken(behind: float) -> Scenario:
+    """Two lanes; the logged ego drives 10 m/s on the right one, a car `behind` m behind it 15 m/s on the left one."""
+    follower = ("7", AgentKind.CAR, (4.5, 1.8), moving(-behind, 3.5, 15.0, 0.0))
+    return scenario(along(grid(12.0, 0.1), 10.0), [follower], road=straight_road(lanes=2))
 
 
 ADVERSARIES = {
@@ -195,6 +214,8 @@ ADVERSARIES = {
     "creep": Adversary(Creep, "paper/free_road", "route_progress"),
     "tailgate": Adversary(Tailgate, "everyday/follow", "thw"),
     "wrong_way": Adversary(WrongWay, "everyday/cyclist", "collision_at_fault"),
+    "cut_in": Adversary(CutIn, partial(overtaken, 16.5), "collision_at_fault"),
+    "cut_in_mild": Adversary(CutIn, partial(overtaken, 20.0), "forced_braking"),
     "red_runner": Adversary(RedRunner, "everyday/traffic_light", "red_light"),
     "swerver": Adversary(Swerver, "paper/free_road", "lat_jerk_state"),
     "speeder": Adversary(Speeder, "paper/free_road", "speed_excess"),
@@ -228,7 +249,7 @@ def main() -> None:
                 planners=(f"adversaries:{one.planner.__name__}",), recording=False, internals="none",
                 loop=LoopConfig(vehicle=one.vehicle), deadline_s=0.1 if late else 0.0,
             )  # fmt: skip
-            asked = [logs[one.log]] if late else list(logs.values())
+            asked = [logs[str(one.log)]] if late else list(logs.values())
             result = evaluate_logs(asked, run, Path(place) / "out" / name, workers=2)
             for verdict in result.verdicts:
                 failed = sum(log.outcome.value == "fail" for log in verdict.logs)

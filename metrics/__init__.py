@@ -33,6 +33,7 @@ from metrics import (
     evidence,
     following,
     lane_keeping,
+    needless,
     progress,
     right_of_way,
     rss,
@@ -73,6 +74,7 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
     ),
     "rules": (
         rules.RED_LIGHT, rules.STOP_SIGN, rules.CROSSWALK, right_of_way.PRIORITY_GAP, cut_in.FORCED_BRAKING,
+        needless.NEEDLESS_BRAKING, needless.NEEDLESS_STANDING, needless.NEEDLESS_STEERING,
         lane_keeping.WRONG_WAY, lane_keeping.LANE_KEEPING, progress.SPEED_EXCESS, progress.SPEED_RATIO,
     ),
     "comfort": (

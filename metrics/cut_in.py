@@ -1,9 +1,9 @@
 """Lane entries of the ego before a follower, closed loop: the braking that they force, and who is at fault for a hit.
 
 Path of a follower (a vehicle or a rider): a smooth line through its positions, straight on beyond its ends. Its strip
-is what its box sweeps along this line. The ego is out of the strip while it is `OUT_M` or more beside it, and in it once
-its box reaches `IN_M` into it, ahead of the follower's front and within `NEAR_M`. A change from out to in is an entry
-if both head the same way (within 45 degrees) and the ego is the one that crosses over:
+is what its box sweeps along this line. The ego is out of the strip while it is `OUT_M` or more beside it, and in it
+once its box reaches `IN_M` into it, ahead of the follower's front and within `NEAR_M`. A change from out to in is an
+entry if both head the same way (within 45 degrees) and the ego is the one that crosses over:
 
 (1) angle(ego, ref) > angle(path at the ego, ref); ref: of the lanes under the ego the best aligned one, for each of the
     two; where the log has no lanes, the direction of the follower at that time

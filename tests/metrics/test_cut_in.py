@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from drives import drive, grid, moved, moved_ego, scenario, straight_road
+from drives import changing, drive, grid, moved, moved_ego, scenario, straight_road
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
@@ -17,15 +17,6 @@ from metrics.metric import Series
 from metrics.safety import ContactKind, contacts
 
 LENGTH, WIDTH = 4.5, 1.8
-
-
-def changing(t: np.ndarray, v: np.ndarray | float, begin: float, lasts: float = 2.0, to: float = 3.5) -> Trajectory:
-    """Along x with speed v(t), over to the offset `to` from `begin` on."""
-    v = np.broadcast_to(np.asarray(v, float), t.shape)
-    u = np.clip((t - begin) / lasts, 0.0, 1.0)
-    x, y = np.r_[0.0, np.cumsum(0.5 * np.diff(t) * (v[1:] + v[:-1]))], to * u * u * (3.0 - 2.0 * u)
-    yaw = np.arctan2(np.gradient(y, t), np.maximum(np.gradient(x, t), 0.1))
-    return Trajectory(t, x, y, yaw, v, np.gradient(v, t), np.zeros(len(t)))
 
 
 def follower(x: float, v: float, y: float = 3.5, name: str = "7") -> tuple:

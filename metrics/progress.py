@@ -9,7 +9,9 @@ With the gain of a drive along the route (`route`), the whole log taken as the y
 (3) completion = gain / length of the route, in 0 .. 1                                                   (CARLA)
     all three: 1 at least where the drive ended in the goal's region, unless more than 2 m of it were cut
 (4) distance(t) = length of the path of the rear axle driven since the start
-(5) speed_excess(t) = max(v - limit, 0),  speed_ratio(t) = v / limit - 1
+(5) speed_excess(t) = max(v - max(limit, held(t)), 0),  speed_ratio(t) = v / limit - 1
+    held(t) = v_0 - EASE_MPS2 max(t - t_0 - SETTLE_S, 0) where the drive begins above the limit, else 0: an ego that
+    brings its initial excess down comfortably is not charged with it
 (6) speed_limit_compliance = max(0, 1 - integral of (5) dt / (2.23 m/s T)),  T the time on lanes with a limit  (nuPlan)
 (7) no vehicle reaches a goal that is farther than it comes in the time at 9.81 m/s2 up to 70 m/s
 """
@@ -52,6 +54,8 @@ FOLLOWER_M = "reference_follower.gain_m"
 """Metadata entry: how far the route follower (`replay.reference_drives`) comes along the route, m."""
 REACH_MPS2, REACH_MPS = 9.81, 70.0
 """No road vehicle accelerates harder (adhesion of 1 g) or, above its speed at the start, drives faster."""
+EASE_MPS2, SETTLE_S = 1.0, 1.0
+"""Comfortable deceleration, and a driver's reaction time, before the initial excess is charged."""
 _ALONE = Unavailable("the log holds one ego state only: there is no drive to compare with")
 
 
@@ -115,7 +119,8 @@ def _speed(trace: Trace, scenario: Scenario) -> Measured:
     return Series(trace.ego.t, trace.ego.v)
 
 
-def _excess(trace: Trace, scenario: Scenario, *, ratio: bool = False) -> Measured:
+def excess(trace: Trace, scenario: Scenario, *, ratio: bool = False, all_of_it: bool = False) -> Measured:
+    """(5); with `all_of_it`, the initial excess is charged too."""
     lanes = drivable_lanes(scenario.road)
     if scenario.road.source is RoadSource.DRIVEN_PATH or lanes is None or not np.isfinite(lanes.limit).any():
         return Unavailable("the log has no speed limits")
@@ -123,7 +128,10 @@ def _excess(trace: Trace, scenario: Scenario, *, ratio: bool = False) -> Measure
     if ratio:
         value = np.where(limit > 0.0, speed / np.where(limit > 0.0, limit, 1.0) - 1.0, np.nan)
     else:
-        value = np.maximum(speed - limit, 0.0)
+        held = 0.0 * limit
+        if speed[0] > limit[0] and not all_of_it:
+            held = speed[0] - EASE_MPS2 * np.maximum(trace.ego.t - trace.ego.t[0] - SETTLE_S, 0.0)
+        value = np.maximum(speed - np.maximum(limit, held), 0.0) + 0.0 * limit
     return Series(trace.ego.t, value, missing="the ego is never on a lane with a speed limit")
 
 
@@ -210,20 +218,22 @@ SPEED = Metric(
     "speed", "m/s", "none", _CLOSED, _speed, (MEAN, MAX), "Speed of the rear axle, mean over the steps.", formula="v"
 )
 SPEED_EXCESS = Metric(
-    "speed_excess", "m/s", "lower", _CLOSED, _excess,
+    "speed_excess", "m/s", "lower", _CLOSED, excess,
     (
         MAX, MEAN, time_above(OVER_MPS, "time_above_1mps"),
         Reduction("share_above_1mps", _share_over, unit="1"),
         Reduction("compliance", compliance, unit="1", direction="higher"),
     ),
-    "Speed above the limit of the lane under the ego's centre, the larger one where lanes overlap; compliance is"
-    " nuPlan's score, share that of the time on lanes with a limit.",
-    "compliance: nuPlan devkit e9241677, speed_limit_compliance", 2,
-    formula="max(|v| - limit, 0); compliance = max(0, 1 - integral / (2.23 m/s T))",
-    parameters=("2.23 m/s (5 mph)", f"over: {OVER_MPS:g} m/s"), needs=_LIMITS,
+    "Speed above the limit of the lane under the ego's centre, the larger one where lanes overlap, less what the drive"
+    " began with and brings down; compliance is as nuPlan's score, share that of the time on lanes with a limit.",
+    "compliance: nuPlan devkit e9241677, speed_limit_compliance", 3,
+    formula="max(|v| - max(limit, held), 0), held = v_0 - 1 m/s2 (t - t_0 - 1 s) after a start above the limit, else 0;"
+    " compliance = max(0, 1 - integral / (2.23 m/s T))",
+    parameters=("2.23 m/s (5 mph)", f"over: {OVER_MPS:g} m/s", f"comfortable deceleration {EASE_MPS2:g} m/s2",
+                f"reaction {SETTLE_S:g} s"), needs=_LIMITS,
 )  # fmt: skip
 SPEED_RATIO = Metric(
-    "speed_ratio", "1", "lower", _CLOSED, partial(_excess, ratio=True),
+    "speed_ratio", "1", "lower", _CLOSED, partial(excess, ratio=True),
     (MAX, time_outside(-np.inf, OVER_RATIO, "time_above_10pct")), "Speed over the limit, less 1: 0.1 is 10 % too fast.",
     formula="|v| / limit - 1", parameters=("over: 0.1",), needs=_LIMITS,
 )  # fmt: skip

@@ -10,6 +10,7 @@ first one is ours):
     FROM_START      they touch when the drive begins or the other first appears              not at fault
     STOPPED_EGO     the ego stands (<= 0.05 m/s)                                             not at fault
     STOPPED_TRACK   the other stands, or is an object                                        at fault
+    CUT_IN          as ACTIVE_REAR, within reach of the lane entry of the ego before it (`cut_in`)        at fault
     ACTIVE_REAR     the other's centre is behind: more than 150 degrees off the heading, seen from the rear axle
                                                                                              not at fault
     ACTIVE_FRONT    the ego's front bumper touches                                           at fault
@@ -38,6 +39,7 @@ from logs.scenario import AgentKind, Scenario, Tracks
 from logs.shapes import corners, distance, overlap, time_to_contact
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
+from metrics.cut_in import forces_hit
 from metrics.exposure import TAU_S, integrated_below
 from metrics.lanes import drivable_lanes, keeps_lane, off_lanes
 from metrics.metric import COUNT, HAVING, MAX, MIN, Measured, Metric, Series, Unavailable, time_above, time_below
@@ -58,6 +60,7 @@ class ContactKind(Enum):
     FROM_START = "appeared where the ego was"
     STOPPED_EGO = "the ego stood"
     STOPPED_TRACK = "into something that stood"
+    CUT_IN = "from behind after the ego's lane entry"
     ACTIVE_REAR = "from behind"
     ACTIVE_FRONT = "with the front"
     LATERAL = "with the side"
@@ -93,7 +96,7 @@ def classify(drive: Trajectory, agents: Tracks, scenario: Scenario) -> tuple[Con
     found = []
     for step, agent in sorted((step, agent) for agent, step in first.items()):
         kind = _kind(step, agent, drive, agents, scenario)
-        fault = kind in (ContactKind.STOPPED_TRACK, ContactKind.ACTIVE_FRONT)
+        fault = kind in (ContactKind.STOPPED_TRACK, ContactKind.CUT_IN, ContactKind.ACTIVE_FRONT)
         if kind is ContactKind.LATERAL:
             x, y, yaw = ego[:3, step]
             outline = corners(x, y, yaw, vehicle.length, vehicle.width)
@@ -113,7 +116,8 @@ def _kind(step: int, agent: int, drive: Trajectory, agents: Tracks, scenario: Sc
     if agents.kinds[agent] is AgentKind.OBJECT or hypot(vx, vy) <= STANDING_MPS:
         return ContactKind.STOPPED_TRACK
     if _behind(ego.x, ego.y, ego.yaw, x, y):
-        return ContactKind.ACTIVE_REAR
+        cut_in = forces_hit(drive.between(-inf, ego.t), agents, agent, scenario)
+        return ContactKind.CUT_IN if cut_in else ContactKind.ACTIVE_REAR
     nose_x, nose_y = ego.x + vehicle.axle_to_front * cos(ego.yaw), ego.y + vehicle.axle_to_front * sin(ego.yaw)
     if overlap(nose_x, nose_y, ego.yaw, 0.0, vehicle.width, x, y, yaw, *other.size[0]):
         return ContactKind.ACTIVE_FRONT
@@ -269,8 +273,9 @@ def _gap(trace: Trace, scenario: Scenario, *, vulnerable_only: bool, kept: bool 
         )
         nearest[steps] = named(seen, row)
         recent = max(int(nearest[steps.stop - 1]), 0)
-    nobody = "no pedestrian or rider in the scene" if vulnerable_only else "no other road user in the scene"
-    return Series(trace.ego.t, gap, _labels(trace, nearest), nobody)
+    who = "pedestrian or rider" if vulnerable_only else "other road user"
+    where = "beside or ahead of an ego that drives" if kept else "in the scene"
+    return Series(trace.ego.t, gap, _labels(trace, nearest), f"no {who} {where}")
 
 
 def _ttc(trace: Trace, scenario: Scenario, *, vulnerable_only: bool) -> Measured:

@@ -22,7 +22,7 @@ CARLA leaderboard 2.x, in 0 .. 1:
     direction         1, 0.5, 0: less than 2 m, 6 m driven against a lane within 1 s
     making_progress   1 where progress is 0.2 at least
     ttc               1 where it is always above 0.95 s and no collision is at fault
-    speed_limit       `speed_excess.compliance`
+    speed_limit       `speed_excess.compliance`, the excess at the start included
     comfort           1 where all six signals that nuPlan filters are always within their bounds
     lane_keeping      1 where no episode beyond 0.5 m lasts 2 s
     extended_comfort  share of the pairs of plans 0.5 s apart within all four bounds
@@ -149,7 +149,7 @@ def _steady(series: Series) -> float:
 
 
 def _compliance(trace: Trace, scenario: Scenario) -> Value:
-    found = _series(progress.SPEED_EXCESS, trace, scenario)
+    found = progress.excess(trace, scenario, all_of_it=True)
     if isinstance(found, Unavailable):
         return found
     return progress.compliance(found)[0] if found.known.any() else Unavailable(found.missing)

@@ -18,6 +18,7 @@ from logs.scenario import Scenario, Tracks
 from logs.shapes import point_segment
 from logs.states import TRAJECTORY_COLUMNS, EgoState, Trajectory
 from logs.trace import EndReason
+from metrics.cut_in import LOOK_BACK_S
 from metrics.others import name_of
 from metrics.phantoms import phantoms, without_phantoms
 from metrics.safety import Contact, classify
@@ -176,7 +177,7 @@ class Termination:
 
     def _judged(self, rows: FloatArray, k: int, off: float, touching: Tracks | None) -> Ended | None:
         ego = state_at(rows, k)
-        worst, name = self._worst(state_at(rows, k - 1), ego, touching) if touching is not None else (None, "")
+        worst, name = self._worst(rows[: k + 1], touching) if touching is not None else (None, "")
         if worst is not None and worst.at_fault:
             return Ended(k, EndReason.COLLISION, name)
         if worst is not None:
@@ -188,12 +189,11 @@ class Termination:
             return Ended(k, EndReason.OFF_ROAD, f"box centre {off:.1f} m off the lanes at ({x:.1f}, {y:.1f})")
         return None
 
-    def _worst(self, before: EgoState, ego: EgoState, tracks: Tracks) -> tuple[Contact | None, str]:
-        """The worst touch of the step between two states, with the agent's name; earlier ones ended the drive."""
-        states = (before, ego)
-        columns = (np.array([getattr(state, name) for state in states]) for name in TRAJECTORY_COLUMNS)
+    def _worst(self, rows: FloatArray, tracks: Tracks) -> tuple[Contact | None, str]:
+        """The worst touch at the last row of a drive, with the agent's name; earlier ones would have ended it."""
+        recent = rows[rows[:, 0] >= rows[-1, 0] - LOOK_BACK_S]
         real = without_phantoms(tracks.whole, self._phantoms)
-        found = classify(Trajectory(*columns), real, self._scenario)
+        found = classify(Trajectory(*recent[:, : len(TRAJECTORY_COLUMNS)].T), real, self._scenario)
         worst = max(found, key=lambda touch: touch.at_fault, default=None)
         return worst, "" if worst is None else name_of(real, worst.agent)
 

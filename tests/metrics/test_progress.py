@@ -216,6 +216,28 @@ def test_speed_above_the_limit() -> None:
     assert table.loc["speed_ratio.max", "value"] == pytest.approx(0.2)
 
 
+@pytest.mark.parametrize(("brake", "charged"), [(2.0, 0.0), (1.0, 0.0), (0.6, 0.4), (0.0, 1.0)])
+def test_an_excess_at_the_start_is_charged_unless_it_comes_down_comfortably(brake: float, charged: float) -> None:
+    """From 14.65 m/s, 4.65 m/s above the limit, after 1 s with a deceleration."""
+    t = grid(12.0, 0.1)
+    ego = along(t, np.maximum(14.65 - brake * np.maximum(t - 1.0, 0.0), 10.0))
+    table = judged(scenario(ego, road=straight_road(limit=10.0)))
+    assert table.loc["speed_excess.max", "value"] == pytest.approx(charged * 4.65, abs=0.1)
+    assert (table.loc["speed_excess.time_above_1mps", "value"] > 1.0) == (charged > 0.0)
+
+
+def test_an_excess_that_comes_later_is_charged_whatever_the_start_was() -> None:
+    t = grid(12.0, 0.1)
+    again = along(t, np.interp(t, [0.0, 4.0, 6.0, 8.0, 12.0], [13.0, 10.0, 10.0, 13.0, 13.0]))
+    assert judged(scenario(again, road=straight_road(limit=10.0))).loc["speed_excess.max", "value"] == pytest.approx(
+        3.0
+    )
+    below = along(t, np.interp(t, [0.0, 2.0, 12.0], [9.9, 13.0, 10.0]))
+    assert judged(scenario(below, road=straight_road(limit=10.0))).loc["speed_excess.max", "value"] == pytest.approx(
+        3.0
+    )
+
+
 def test_the_larger_limit_counts_where_lanes_overlap() -> None:
     one = straight_road(limit=5.0).lanes[0]
     road = replace(

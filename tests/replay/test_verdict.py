@@ -45,7 +45,7 @@ def driven(log: Scenario, planner: str, *modes: Mode, **loop: object) -> tuple[l
 def test_an_adversary_is_failed_by_the_gate_that_is_about_it(name: str) -> None:
     one = ADVERSARIES[name]
     planner = f"adversaries:{one.planner.__name__}"
-    log = CATALOGUE[one.log].scenario()
+    log = one.scenario()
     drives, verdicts = driven(log, planner, Mode.CLOSED, vehicle=one.vehicle)
     if one.gate == "deadline":
         times = pd.DataFrame([vars(time) if hasattr(time, "__dict__") else _row(time) for time in drives[0].timings])

@@ -15,13 +15,16 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
+from drives import along, grid, moving, scenario, straight_road
 
-from logs import Frame, Plan, PlannerContext, Trajectory
+from logs import AgentKind, Frame, Plan, PlannerContext, Road, Scenario, Trajectory
 from logs.catalogue import CATALOGUE
 from logs.kernel import FloatArray
+from logs.rules import StopLine
 from planners.constant_speed import arc
 from planners.frenet.start import RouteTracker
 from planners.idm import Idm, IdmConfig
@@ -100,6 +103,34 @@ class Swerver(Along):
         return 0.8 * np.sin(2.0 * np.pi * (t - self._start.t) / 2.5)
 
 
+class CutIn(Along):
+    """Changes to the lane on its left at 1 s and does not look who comes there."""
+
+    def offset(self, t: FloatArray) -> FloatArray:
+        return 3.5 * np.clip((t - self._start.t - 1.0) / 2.0, 0.0, 1.0)
+
+
+class Stopper(Along):
+    """Comes to a full stop at 6 s, for 8 s, and drives 10 m/s else."""
+
+    def speed(self, t: float) -> float:
+        return 0.0 if 6.0 < t - self._start.t < 14.0 else 10.0
+
+
+class Weaver(Along):
+    """Sways slowly within its lane."""
+
+    def offset(self, t: FloatArray) -> FloatArray:
+        return 0.4 * np.sin(2.0 * np.pi * (t - self._start.t) / 5.0)
+
+
+class Straddler(Along):
+    """Drives on the line at its left."""
+
+    def offset(self, t: FloatArray) -> FloatArray:
+        return np.minimum((t - self._start.t) / 3.0, 1.0) * 1.4
+
+
 class Tailgate(Idm):
     """Keeps hardly any distance."""
 
@@ -114,8 +145,50 @@ class RedRunner(Idm):
         super().__init__(replace(context, road=replace(context.road, stop_lines=(), crosswalks=())))
 
 
-class Lawful(Idm):
-    """What the next ones spoil."""
+class Capped(Idm):
+    """Drives as it should, and no faster than it wishes."""
+
+    def __init__(self, context: PlannerContext) -> None:
+        super().__init__(context)
+        self._free = self._tracker.reference
+
+    def wish(self, t: float) -> float:
+        """The greatest speed that it wishes for at a time, m/s."""
+        raise NotImplementedError
+
+    def plan(self, frame: Frame) -> Plan:
+        self._tracker.reference = replace(self._free, limit=np.minimum(self._free.limit, self.wish(frame.t)))
+        return super().plan(frame)
+
+
+class NeedlessBraker(Capped):
+    """Brakes from 10 to 4.7 m/s every 12 s."""
+
+    def wish(self, t: float) -> float:
+        return 4.7 if t % 12.0 > 6.0 else 10.0
+
+
+class Dawdler(Capped):
+    """Drives 60 % of the limit in towns."""
+
+    def wish(self, t: float) -> float:
+        return 0.6 * 13.89
+
+
+class ShortStop(Idm):
+    """Stops 25 m before where it should."""
+
+    def __init__(self, context: PlannerContext) -> None:
+        road = context.road
+        super().__init__(
+            replace(context, road=replace(road, stop_lines=tuple(_early(m, road) for m in road.stop_lines)))
+        )
+
+
+def _early(mark: StopLine, road: Road) -> StopLine:
+    center = road.lanes[mark.lane].center
+    ahead = center[-1] - center[-2]
+    return replace(mark, points=mark.points - 25.0 * ahead / np.hypot(*ahead))
 
 
 class Liar(Idm):
@@ -185,9 +258,19 @@ class Adversary:
     """A planner, how it is run, a log and the gate (first words) that catches it there."""
 
     planner: Callable[..., object]
-    log: str
+    log: str | Callable[[], Scenario]
     gate: str
     vehicle: str = "kinematic_bicycle"
+
+    def scenario(self) -> Scenario:
+        """The log."""
+        return CATALOGUE[self.log].scenario() if isinstance(self.log, str) else self.log()
+
+
+def overtaken(behind: float) -> Scenario:
+    """Two lanes; the logged ego drives 10 m/s on the right one, a car `behind` m behind it 15 m/s on the left one."""
+    follower = ("7", AgentKind.CAR, (4.5, 1.8), moving(-behind, 3.5, 15.0, 0.0))
+    return scenario(along(grid(12.0, 0.1), 10.0), [follower], road=straight_road(lanes=2))
 
 
 ADVERSARIES = {
@@ -195,6 +278,13 @@ ADVERSARIES = {
     "creep": Adversary(Creep, "paper/free_road", "route_progress"),
     "tailgate": Adversary(Tailgate, "everyday/follow", "thw"),
     "wrong_way": Adversary(WrongWay, "everyday/cyclist", "collision_at_fault"),
+    "cut_in": Adversary(CutIn, partial(overtaken, 16.5), "collision_at_fault"),
+    "cut_in_mild": Adversary(CutIn, partial(overtaken, 20.0), "forced_braking"),
+    "needless_braker": Adversary(NeedlessBraker, "paper/free_road", "needless_braking"),
+    "stopper": Adversary(Stopper, "paper/free_road", "needless_standing"),
+    "short_stop": Adversary(ShortStop, "everyday/traffic_light", "needless_standing"),
+    "weaver": Adversary(Weaver, "paper/free_road", "needless_steering"),
+    "straddler": Adversary(Straddler, "paper/free_road", "lane_line"),
     "red_runner": Adversary(RedRunner, "everyday/traffic_light", "red_light"),
     "swerver": Adversary(Swerver, "paper/free_road", "lat_jerk_state"),
     "speeder": Adversary(Speeder, "paper/free_road", "speed_excess"),
@@ -228,7 +318,7 @@ def main() -> None:
                 planners=(f"adversaries:{one.planner.__name__}",), recording=False, internals="none",
                 loop=LoopConfig(vehicle=one.vehicle), deadline_s=0.1 if late else 0.0,
             )  # fmt: skip
-            asked = [logs[one.log]] if late else list(logs.values())
+            asked = [logs[str(one.log)]] if late else list(logs.values())
             result = evaluate_logs(asked, run, Path(place) / "out" / name, workers=2)
             for verdict in result.verdicts:
                 failed = sum(log.outcome.value == "fail" for log in verdict.logs)

@@ -38,6 +38,15 @@ def along(t: np.ndarray, v: np.ndarray | float, *, x: float = 0.0, a: np.ndarray
     return Trajectory(t, x + s, zero, zero, v, np.broadcast_to(np.asarray(a, float), t.shape), zero)
 
 
+def changing(t: np.ndarray, v: np.ndarray | float, begin: float, lasts: float = 2.0, to: float = 3.5) -> Trajectory:
+    """Along x with speed v(t), over to the offset `to` from `begin` on."""
+    v = np.broadcast_to(np.asarray(v, float), t.shape)
+    u = np.clip((t - begin) / lasts, 0.0, 1.0)
+    x, y = np.r_[0.0, np.cumsum(0.5 * np.diff(t) * (v[1:] + v[:-1]))], to * u * u * (3.0 - 2.0 * u)
+    yaw = np.arctan2(np.gradient(y, t), np.maximum(np.gradient(x, t), 0.1))
+    return Trajectory(t, x, y, yaw, v, np.gradient(v, t), np.zeros(len(t)))
+
+
 def moving(x: float, y: float, vx: float, vy: float, yaw: float | None = None) -> Callable:
     heading = np.arctan2(vy, vx) if yaw is None else yaw
     return lambda t: (x + vx * t, y + vy * t, np.full(len(t), heading))

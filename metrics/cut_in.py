@@ -1,0 +1,235 @@
+"""Lane entries of the ego before a follower, closed loop: the braking that they force, and who is at fault for a hit.
+
+Path of a follower (a vehicle or a rider): a smooth line through its positions, straight on beyond its ends. Its strip
+is what its box sweeps along this line. The ego is out of the strip while it is `OUT_M` or more beside it, and in it
+once its box reaches `IN_M` into it, ahead of the follower's front and within `NEAR_M`. A change from out to in is an
+entry if both head the same way (within 45 degrees) and the ego is the one that crosses over:
+
+(1) angle(ego, ref) > angle(path at the ego, ref); ref: of the lanes under the ego the best aligned one, for each of the
+    two; where the log has no lanes, the direction of the follower at that time
+
+An ego that is ahead all along, that keeps its lane, or behind which another changes lanes has therefore not entered.
+With the follower's speed u at the entry and the distance g(t) from its front at the entry to the ego's rear at t:
+
+(2) forced = the least b >= 0 such that a follower that drives on for `REACT_S` and then brakes with b until it stands
+    does not pass g(t) within `HORIZON_S`; where the drive ends before, the ego goes on at its speed, or brakes on. A
+    follower that does not drive as it did in the log reacts: then forced is at least its deceleration after the entry
+(3) a hit from behind is the ego's fault where the entry before it has forced > `BRAKE_MPS2`
+
+For an ego at constant speed, (3) is the bound of UN R157, 5.2.5.2: TTC <= v_rel / (2 * 6 m/s2) + 0.35 s.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import atan2, cos, inf, pi
+
+import numpy as np
+
+from logs.kernel import BoolArray, FloatArray
+from logs.road import Lane, ReferenceLine, Road, RoadSource, line_project_many, nearest, thinned
+from logs.scenario import AgentKind, Scenario, Tracks
+from logs.shapes import corners
+from logs.states import EgoState, Trajectory, wrap
+from logs.trace import Mode, Trace
+from metrics.metric import MAX, Measured, Metric, Series, Unavailable
+from metrics.others import Others, each, ego_boxes, name_of, some_at
+
+GRID_S = 0.1
+SPACING_M, CHORD_M, BEYOND_M = 2.0, 4.0, 10.0
+NEAR_M = 60.0
+OUT_M, IN_M = 0.3, 0.1
+SAME_WAY = cos(0.25 * pi)
+REACT_S, BRAKE_MPS2, HORIZON_S = 0.35, 6.0, 5.0
+LOOK_BACK_S = 15.0
+"""This much of a drive is looked at before a hit: from 50 m/s, (3) gives a follower 9 s."""
+MOST_MPS2 = 9.81
+"""Forced braking is given up to this."""
+AS_LOGGED_M = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """The ego came into the path of a follower.
+
+    Attributes:
+        t: When, s.
+        until: Until when it stayed there, s.
+        agent: Index of the follower's track.
+        forced: (2), m/s2, at most `MOST_MPS2`.
+    """
+
+    t: float
+    until: float
+    agent: int
+    forced: float
+
+
+def forces_hit(drive: Trajectory, agents: Tracks, agent: int, scenario: Scenario) -> bool:
+    """(3) of an agent that touches the ego from behind at the last state of a drive."""
+    t = float(drive.t[-1])
+    recent = drive.between(t - LOOK_BACK_S, t)
+    found = entries(recent, agents.only({agents.ids[agent]}), scenario) if len(recent) > 1 else []
+    return bool(found) and found[-1].until >= t - GRID_S and found[-1].forced > BRAKE_MPS2
+
+
+def entries(drive: Trajectory, agents: Tracks, scenario: Scenario) -> list[Entry]:
+    """The entries of a drive of two states or more, by follower, in order of time."""
+    first, last = float(drive.t[0]), float(drive.t[-1])
+    ego = drive.resampled(np.append(np.arange(first, last - 1e-6, GRID_S), last))
+    boxes, car = ego_boxes(ego, scenario), scenario.vehicle
+    outline = np.stack([corners(x, y, yaw, car.length, car.width) for x, y, yaw in boxes[:3].T], axis=-1)
+    found = []
+    for i, others, row in each(agents, ego.t):
+        if agents.static[i] or agents.kinds[i] in (AgentKind.PEDESTRIAN, AgentKind.OBJECT):
+            continue
+        away = np.hypot(*(others.pose[:2, row] - boxes[:2]))
+        there = np.flatnonzero(others.there[row])
+        if len(there) > 1 and away[there].min() < NEAR_M:
+            found += _entries(ego, boxes, outline, others, row, i, scenario)
+    return found
+
+
+def _entries(
+    ego: Trajectory, boxes: FloatArray, outline: FloatArray, others: Others, row: int, agent: int, scenario: Scenario
+) -> list[Entry]:
+    """The entries before one follower."""
+    there, pose, (length, width) = np.flatnonzero(others.there[row]), others.pose[:, row], others.size[row]
+    points = thinned(pose[:2, there].T, SPACING_M)
+    if len(points) < 2:
+        return []
+    path = ReferenceLine.through(points, SPACING_M)
+    front = _on_path(path, *pose[:2, there])[0] + 0.5 * length
+    s, l = np.stack([_on_path(path, *xy) for xy in outline[:, :, there]], axis=1)  # noqa: E741
+    deep = 0.5 * width - np.maximum(l.min(axis=0), -l.max(axis=0))
+    ahead = (s.max(axis=0) > front) & (s.min(axis=0) < np.minimum(front + NEAR_M, path.length + BEYOND_M))
+    rear, found = _rear(s, l, 0.5 * width), []
+    for first, last in _stays(deep, ahead):
+        k, stay = there[first], slice(first, last + 1)
+        heading = _direction(path, rear[first]), _direction(path, front[first] - 0.5 * length)
+        if _crosses_over(scenario.road, boxes[:3, k], *heading):
+            u, goes_on = float(np.hypot(*pose[3:, k])), there[last] == len(ego) - 1
+            t, g = ego.t[there[stay]] - ego.t[k], rear[stay] - front[first]
+            if goes_on:
+                more = np.arange(GRID_S, HORIZON_S - t[-1], GRID_S)
+                t, g = np.r_[t, t[-1] + more], np.r_[g, g[-1] + _onward(ego.state(len(ego) - 1), more)]
+            forced = _forced(t, g, u)
+            found.append(Entry(float(ego.t[k]), float(ego.t[there[last]]), agent, forced))
+    return found
+
+
+def _on_path(path: ReferenceLine, x: FloatArray, y: FloatArray) -> FloatArray:
+    """Stations and offsets `(2, k)` of points along a path."""
+    near, _ = path.project(float(x[0]), float(y[0]))
+    x, y = np.ascontiguousarray(x), np.ascontiguousarray(y)
+    return line_project_many(path.s, path.coef, x, y, near, NEAR_M).T
+
+
+def _stays(deep: FloatArray, ahead: BoolArray) -> Iterator[tuple[int, int]]:
+    """First and last step of each stay in the strip that begins with a change from out to in."""
+    out, since = False, -1
+    for k in range(len(deep)):
+        if since >= 0 and deep[k] <= -OUT_M:
+            yield since, k - 1
+            since = -1
+        if out and ahead[k] and deep[k] >= IN_M:
+            since = k
+        out = ahead[k] and deep[k] < IN_M and (out or deep[k] <= -OUT_M)
+    if since >= 0:
+        yield since, len(deep) - 1
+
+
+def _rear(s: FloatArray, l: FloatArray, half: float) -> FloatArray:  # noqa: E741
+    """The least station `(k,)` of the part in a strip of a box with corners at s, l `(4, k)`; of the box if none is."""
+    found = np.where(np.abs(l) <= half, s, inf)
+    other_s, other_l = np.roll(s, 1, axis=0), np.roll(l, 1, axis=0)
+    for edge in (-half, half):
+        with np.errstate(divide="ignore", invalid="ignore"):
+            u = (edge - l) / (other_l - l)
+            crossing = np.where((u >= 0.0) & (u <= 1.0), s + u * (other_s - s), inf)
+        found = np.minimum(found, crossing)
+    least = found.min(axis=0)
+    return np.where(np.isfinite(least), least, s.min(axis=0))
+
+
+def _direction(path: ReferenceLine, s: float) -> float:
+    """Direction of a path at a station over `CHORD_M` to both sides, rad."""
+    (x0, y0), (x1, y1) = (path.frame(at)[:2] for at in (s - CHORD_M, s + CHORD_M))
+    return atan2(y1 - y0, x1 - x0)
+
+
+def _crosses_over(road: Road, box: FloatArray, path: float, follower: float) -> bool:
+    """(1) at the ego's box (x, y, yaw), for the directions of the path there and of the follower."""
+    x, y, yaw = box.tolist()
+    if cos(yaw - path) < SAME_WAY:
+        return False
+    refs = [follower]
+    if road.source is RoadSource.LANES:
+        lanes = [lane for lane in road.lanes_at(x, y) if lane.drivable]
+        refs = [_lane_direction(lane, x, y) for lane in lanes] or refs
+    ego_angle, path_angle = (min(abs(wrap(yaw - ref)) for ref in refs) for yaw in (yaw, path))
+    return ego_angle > path_angle
+
+
+def _lane_direction(lane: Lane, x: float, y: float) -> float:
+    """Direction of a lane's centre line at its point nearest to (x, y), rad."""
+    at = min(nearest(lane.center, x, y), len(lane.center) - 2)
+    dx, dy = lane.center[at + 1] - lane.center[at]
+    return atan2(dy, dx)
+
+
+def _onward(ego: EgoState, t: FloatArray) -> FloatArray:
+    """How far an ego comes within t `(k,)` s, m: at its speed, or with its deceleration until it stands."""
+    brake = max(-ego.a, 0.0)
+    braked = np.minimum(t, ego.v / brake) if brake > 0.0 else t
+    return np.asarray(ego.v * braked - 0.5 * brake * braked**2)
+
+
+def _forced(t: FloatArray, g: FloatArray, u: float) -> float:
+    """(2) for the ego's rear at g `(k,)` m at the times t `(k,)` s after the entry."""
+    t, g = t[t <= HORIZON_S], g[t <= HORIZON_S]
+    braked, room = t - REACT_S, g - u * REACT_S
+    late = (braked > 0.0) & (u * braked > room)
+    if (u * t > g)[braked <= 0.0].any() or (room[late] <= 0.0).any():
+        return MOST_MPS2
+    braked, room = braked[late], room[late]
+    needed = np.where(2.0 * room <= u * braked, u**2 / (2.0 * room), 2.0 * (u * braked - room) / braked**2)
+    return min(float(needed.max(initial=0.0)), MOST_MPS2)
+
+
+def _forced_braking(trace: Trace, scenario: Scenario) -> Measured:
+    if len(trace.ego) < 2:
+        return Unavailable("the drive holds one ego state only")
+    t = trace.ego.t
+    value, labels = np.full(len(t), np.nan), [""] * len(t)
+    for entry in entries(trace.ego, trace.agents, scenario):
+        k = int(np.searchsorted(t, entry.t - 1e-9))
+        forced = max(entry.forced, _reacted(entry, trace, scenario))
+        if not value[k] >= forced:
+            value[k], labels[k] = forced, f"{name_of(trace.agents, entry.agent)}: the ego entered its path"
+    return Series(t, value, tuple(labels), "the ego entered no follower's path")
+
+
+def _reacted(entry: Entry, trace: Trace, scenario: Scenario) -> float:
+    """The greatest deceleration of a follower after an entry if it does not drive as in the log, m/s2, else 0."""
+    name, logged = trace.agents.ids[entry.agent], scenario.tracks
+    t = np.arange(entry.t, min(entry.until, entry.t + HORIZON_S) + 1e-9, GRID_S)
+    now = some_at(trace.agents, np.array([entry.agent]), t)
+    if name in logged.ids:
+        then = some_at(logged, np.array([logged.ids.index(name)]), t)
+        moved = np.hypot(*(now.pose[:2, 0] - then.pose[:2, 0])) > AS_LOGGED_M
+    else:
+        moved = np.ones(len(t), np.bool_)
+    return min(float(np.max(-now.accel[0], initial=0.0, where=moved & now.there[0])), MOST_MPS2)
+
+
+FORCED_BRAKING = Metric(
+    "forced_braking", "m/s2", "lower", (Mode.CLOSED,), _forced_braking, (MAX,),
+    "Deceleration that the ego forces on a follower into whose path it comes: what the follower needs to stay behind"
+    " it, and where the traffic reacts at least what the follower did.",
+    "UN R79, 5.6.4.7: above 3 m/s2 a lane change is critical; UN R157, 5.2.5.2 for the reaction time",
+    formula="least b that keeps a follower, which brakes with b 0.35 s after the entry, behind the ego for 5 s",
+    parameters=(f"reaction {REACT_S} s", f"horizon {HORIZON_S:g} s", f"at most {MOST_MPS2} m/s2"),
+    needs="a follower whose path the ego enters",
+)  # fmt: skip

@@ -1,0 +1,291 @@
+"""Braking, standing and steering that nothing calls for, closed loop, every 0.1 s along the route (`route`).
+
+With the ego's speed v, what calls for it to be slower or to stand is looked for as far ahead of its front as
+
+(1) look = 10 m + 1.5 s v + max(v - u, 0)^2 / (2 EASE_MPS2)      u: speed of what is ahead, along the route
+
+so any reason that a careful driver could have counts, and no rule says that one must brake for it:
+
+    road users   ahead or beside, whose box is or within `COMING_S` comes (at its velocity) within 1 m of the strip that
+                 the ego sweeps, 3 m for pedestrians and riders, and who do not drive away; those that the planner was
+                 shown count as well as those that were there, phantoms included
+    rules        a stop line with a sign, or a light that is not green; a crosswalk with a pedestrian within 10 m of it;
+                 a lane that yields; the goal; the end of the route
+    caps         where v is above the limit, above what makes 2 m/s2 to the side in a curve, or above what a recorded
+                 driver drove there
+
+A reason other than a cap lasts `AFTER_S` longer. An ego more than `ASIDE_M` beside the route is not asked.
+
+(2) needless_braking(t) = the highest speed since the last reason, less v(t)
+(3) needless_standing(t) = 1 where v < 0.5 m/s and no reason is within 10 m, a stop line within `LINE_M`, of its front
+(4) needless_steering: each change of the offset from the route by 0.5 m to 2 m between two turning points during which
+    no road user and no curve is near
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from logs.kernel import BoolArray, FloatArray
+from logs.road import ReferenceLine, inside, line_project_many
+from logs.rules import Colour
+from logs.scenario import Scenario, Tracks
+from logs.trace import Mode, Trace
+from metrics.lanes import drivable_lanes, limits_at
+from metrics.metric import COUNT, MAX, Measured, Metric, Series, worst_episode
+from metrics.once import once
+from metrics.others import each
+from metrics.path_ahead import grid_of
+from metrics.phantoms import phantoms
+from metrics.route import WINDOW_M, route_of
+
+NEAR_M, HEADWAY_S, EASE_MPS2, FARTHEST_M = 10.0, 1.5, 1.5, 150.0
+LINE_M = 6.0
+COMING_S, AFTER_S = 6.0, 2.0
+SIDE_M, SIDE_VULNERABLE_M = 1.0, 3.0
+ASIDE_M, ACROSS_M = 5.0, 2.0
+CURVE_MPS2, CURVE_RADIUS_M = 2.0, 50.0
+SLACK_MPS, STANDING_MPS = 0.3, 0.5
+SWING_M, CHANGE_M = 0.5, 2.0
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Reasons:
+    """What calls for what over k steps.
+
+    Attributes:
+        t: s.
+        v: The ego's speed, m/s; `l` its offset from the route, m.
+        slow: Whether something calls for it to be slower, or it is not asked.
+        stand: To stand.
+        steer: To leave its offset.
+    """
+
+    t: FloatArray
+    v: FloatArray
+    l: FloatArray  # noqa: E741
+    slow: BoolArray
+    stand: BoolArray
+    steer: BoolArray
+
+
+@once
+def reasons(trace: Trace, scenario: Scenario) -> Reasons:
+    """The reasons that an ego has at each step."""
+    ego, line = grid_of(trace), route_of(scenario).line
+    s, l = line_project_many(line.s, line.coef, ego.x, ego.y, 0.0, WINDOW_M).T  # noqa: E741
+    front = s + scenario.vehicle.axle_to_front
+    slow, stand, steer = np.zeros((3, len(s)), np.bool_)
+    for begin, end, active, near in _places(trace, scenario, ego.t, line):
+        ahead = (s <= end) & active
+        slow |= ahead & (begin - front <= _look(ego.v, 0.0))
+        stand |= ahead & (begin - front <= near)
+    for tracks in _shown(trace, scenario):
+        for brakes, stands, beside in _by_agents(tracks, ego.t, s, l, ego.v, line, scenario):
+            slow, stand, steer = slow | brakes, stand | stands, steer | beside
+    early = _early(scenario, ego.t, s, ego.v)
+    slow, stand, steer = (_lasting(ego.t, flags) for flags in (slow | early, stand | early, steer))
+    off = np.abs(l) > ASIDE_M
+    slow |= off | (ego.v > _cap_ahead(s, ego.v, line, _caps(line, scenario)) + SLACK_MPS)
+    curved = np.interp(s, line.s, np.abs(line.kappa)) > 1.0 / CURVE_RADIUS_M
+    return Reasons(ego.t, ego.v, l, slow, stand | off, steer | curved)
+
+
+def _look(v: FloatArray, u: FloatArray | float) -> FloatArray:
+    """(1), at most `FARTHEST_M`."""
+    return np.minimum(NEAR_M + HEADWAY_S * v + np.maximum(v - u, 0.0) ** 2 / (2.0 * EASE_MPS2), FARTHEST_M)
+
+
+def _lasting(t: FloatArray, flags: BoolArray) -> BoolArray:
+    """Where a flag is set, or was within `AFTER_S`."""
+    since = np.maximum.accumulate(np.where(flags, t, -np.inf))
+    return np.asarray(t - since <= AFTER_S + 1e-9)
+
+
+def _shown(trace: Trace, scenario: Scenario) -> Iterator[Tracks]:
+    """The road users that were there, that the planner was shown, and the phantoms of the log."""
+    yield trace.agents
+    if trace.perceived is not None:
+        yield trace.perceived
+    if found := phantoms(scenario):
+        yield scenario.tracks.only({phantom.agent for phantom in found})
+
+
+def _by_agents(
+    tracks: Tracks, t: FloatArray, s: FloatArray, l: FloatArray, v: FloatArray, line: ReferenceLine,  # noqa: E741
+    scenario: Scenario,
+) -> Iterator[tuple[BoolArray, BoolArray, BoolArray]]:  # fmt: skip
+    """Per road user the steps at which it is a reason to brake, to stand, and to steer."""
+    car = scenario.vehicle
+    for i, others, row in each(tracks, t):
+        x, y, yaw, vx, vy = np.nan_to_num(others.pose[:, row])
+        length, width = others.size[row]
+        there = others.there[row] & (np.hypot(*(others.pose[:2, row] - _points(line, s))) < FARTHEST_M)
+        steps = np.flatnonzero(there)
+        flags = np.zeros((3, len(t)), np.bool_)
+        if len(steps):
+            guess = float(s[steps[0]])
+            at, aside = line_project_many(line.s, line.coef, x[steps], y[steps], guess, FARTHEST_M).T
+            road = np.interp(at, line.s, line.yaw)
+            turn = yaw[steps] - road
+            u = vx[steps] * np.cos(road) + vy[steps] * np.sin(road)
+            w = vy[steps] * np.cos(road) - vx[steps] * np.sin(road)
+            along = 0.5 * (length * np.abs(np.cos(turn)) + width * np.abs(np.sin(turn)))
+            across = 0.5 * (length * np.abs(np.sin(turn)) + width * np.abs(np.cos(turn)))
+            gap = at - along - s[steps] - car.axle_to_front
+            side = aside - l[steps]
+            room = np.abs(side) - across - 0.5 * car.width
+            room -= COMING_S * np.maximum(-w * np.sign(side), 0.0)
+            near = room <= (SIDE_VULNERABLE_M if tracks.kinds[i].is_vulnerable else SIDE_M)
+            ahead = gap + 2.0 * along + car.length > 0.0
+            leaves = (u > v[steps] + 1.0) & (gap > 2.0 + 0.5 * v[steps])
+            look = _look(v[steps], u)
+            flags[0, steps] = near & ahead & ~leaves & (gap <= look)
+            flags[1, steps] = near & ahead & (gap <= NEAR_M)
+            flags[2, steps] = (room <= SIDE_VULNERABLE_M) & (gap + 2.0 * along + car.length > -NEAR_M) & (gap <= look)
+        yield flags[0], flags[1], flags[2]
+
+
+def _points(line: ReferenceLine, s: FloatArray) -> FloatArray:
+    """Points `(2, k)` of a line at stations `(k,)`."""
+    return np.stack([np.interp(s, line.s, line.xy[:, 0]), np.interp(s, line.s, line.xy[:, 1])])
+
+
+def _places(
+    trace: Trace, scenario: Scenario, t: FloatArray, line: ReferenceLine
+) -> Iterator[tuple[float, float, BoolArray, float]]:
+    """First and last station of what rules stop an ego for, when they do `(k,)`, and how near it may stand, m."""
+    always, route, goal = np.ones(len(t), np.bool_), route_of(scenario), scenario.goal
+    lights = {light.id: light for light in scenario.lights}
+    for mark in scenario.road.stop_lines:
+        at, aside = line.project(*mark.points.mean(axis=0).tolist())
+        if abs(aside) < 0.5 * float(np.hypot(*np.diff(mark.points, axis=0)[0])) + ACROSS_M:
+            light = lights.get(mark.light) if mark.light is not None else None
+            shut = always if light is None else np.array([light.at(now) is not Colour.GREEN for now in t])
+            yield at, at + ACROSS_M, shut, LINE_M
+    zones = [(walk.polygon, _walked(trace, t, walk.polygon)) for walk in scenario.road.crosswalks]
+    zones += [(lane.polygon, always) for lane in scenario.road.lanes.values() if lane.yields_to]
+    for polygon, active in zones:
+        on = line.s[_within(line.xy, polygon)]
+        if len(on):
+            yield float(on[0]), float(on[-1]), active, NEAR_M
+    yield line.length, np.inf, always, NEAR_M
+    if goal is not None and np.isfinite(route.length):
+        yield route.length, np.inf, always, NEAR_M
+    elif scenario.is_recorded:
+        yield float(line.project(scenario.ego.x[-1], scenario.ego.y[-1], route.length)[0]), np.inf, always, NEAR_M
+
+
+def _within(points: FloatArray, polygon: FloatArray) -> BoolArray:
+    """Which of the points `(n, 2)` are in a polygon."""
+    found = ((points >= polygon.min(axis=0)) & (points <= polygon.max(axis=0))).all(axis=1)
+    for k in np.flatnonzero(found):
+        found[k] = inside(points[k, 0], points[k, 1], polygon)
+    return np.asarray(found)
+
+
+def _early(scenario: Scenario, t: FloatArray, s: FloatArray, v: FloatArray) -> BoolArray:
+    """When an ego that goes on at its speed would be at the goal before its time `(k,)`."""
+    goal, length = scenario.goal, route_of(scenario).length
+    if goal is None or goal.t is None or not np.isfinite(length):
+        return np.zeros(len(t), np.bool_)
+    return np.asarray(s + np.maximum(v, STANDING_MPS) * (goal.t[0] - t) > length)
+
+
+def _walked(trace: Trace, t: FloatArray, polygon: FloatArray) -> BoolArray:
+    """When a pedestrian or rider is within `NEAR_M` of the box round a crosswalk `(k,)`."""
+    low, high, found = polygon.min(axis=0) - NEAR_M, polygon.max(axis=0) + NEAR_M, np.zeros(len(t), np.bool_)
+    for i, others, row in each(trace.agents, t):
+        if trace.agents.kinds[i].is_vulnerable:
+            x, y = others.pose[:2, row]
+            found |= others.there[row] & (x > low[0]) & (x < high[0]) & (y > low[1]) & (y < high[1])
+    return found
+
+
+def _caps(line: ReferenceLine, scenario: Scenario) -> FloatArray:
+    """The speed at each station of a route `(n,)` above which the limit, a curve or the log's driver calls for less."""
+    lanes, default = drivable_lanes(scenario.road), scenario.road.default_speed_limit
+    x, y = np.ascontiguousarray(line.xy[:, 0]), np.ascontiguousarray(line.xy[:, 1])
+    limit = np.nan_to_num(limits_at(lanes, x, y), nan=default) if lanes is not None else np.full(len(x), default)
+    cap = np.minimum(limit, np.sqrt(CURVE_MPS2 / np.maximum(np.abs(line.kappa), 1e-9)))
+    if scenario.is_recorded and len(scenario.ego) > 1:
+        ego = scenario.ego
+        s = line_project_many(line.s, line.coef, ego.x, ego.y, 0.0, WINDOW_M)[:, 0]
+        at = np.clip(np.searchsorted(line.s, s), 0, len(cap) - 1)
+        np.minimum.at(cap, at, np.abs(ego.v))
+    return np.asarray(cap)
+
+
+def _cap_ahead(s: FloatArray, v: FloatArray, line: ReferenceLine, caps: FloatArray) -> FloatArray:
+    """The least cap `(k,)` within (1) of the ego, m/s."""
+    first = np.clip(np.searchsorted(line.s, s) - 1, 0, len(caps) - 1)
+    end = np.searchsorted(line.s, s + _look(v, 0.0), side="right")
+    return np.array([caps[a : max(b, a + 1)].min() for a, b in zip(first, end, strict=True)])
+
+
+def _braking(trace: Trace, scenario: Scenario) -> Measured:
+    found, top = reasons(trace, scenario), -np.inf
+    lost = np.full(len(found.t), np.nan)
+    for k in np.flatnonzero(~found.slow):
+        top = max(found.v[k], -np.inf if k and found.slow[k - 1] else top)
+        lost[k] = top - found.v[k]
+    return Series(found.t, lost, missing=_ALWAYS)  # (2)
+
+
+def _standing(trace: Trace, scenario: Scenario) -> Measured:
+    found = reasons(trace, scenario)
+    return Series(found.t, ((np.abs(found.v) < STANDING_MPS) & ~found.stand).astype(float))  # (3)
+
+
+def _steering(trace: Trace, scenario: Scenario) -> Measured:
+    found = reasons(trace, scenario)
+    counts = np.zeros(len(found.t))
+    turns = turning_points(found.l, SWING_M)
+    for a, b in pairwise(turns):
+        if abs(found.l[b] - found.l[a]) < CHANGE_M and not found.steer[a : b + 1].any():  # (4)
+            counts[b] += 1.0
+    return Series(found.t, counts)
+
+
+def turning_points(value: FloatArray, least: float) -> list[int]:
+    """The steps at which a value turns back by at least `least`, with the ends of the first and last such change."""
+    turns: list[int] = []
+    rising, low, high = 0, 0, 0
+    for k in range(len(value)):
+        low = k if value[k] < value[low] else low
+        high = k if value[k] > value[high] else high
+        if rising >= 0 and value[high] - value[k] >= least:
+            turns, rising, low = [*turns, high], -1, k
+            high = k
+        elif rising <= 0 and value[k] - value[low] >= least:
+            turns, rising, high = [*turns, low], 1, k
+            low = k
+    if not turns:
+        return []
+    return [*turns, high if rising > 0 else low]
+
+
+_ALWAYS = "something called for it all the time"
+_SHARED = (
+    f"look {NEAR_M:g} m + {HEADWAY_S:g} s v + (v - u)^2 / {2.0 * EASE_MPS2:g} m/s2", f"coming within {COMING_S:g} s",
+    f"a reason lasts {AFTER_S:g} s longer",
+)  # fmt: skip
+NEEDLESS_BRAKING = Metric(
+    "needless_braking", "m/s", "lower", (Mode.CLOSED,), _braking, (MAX,),
+    "Speed that the ego lost while no road user, rule, limit, curve, goal or end of the route ahead called for it.",
+    formula="highest speed since the last reason - v", parameters=_SHARED, needs="a time without a reason to brake",
+)  # fmt: skip
+NEEDLESS_STANDING = Metric(
+    "needless_standing", "1", "lower", (Mode.CLOSED,), _standing, (worst_episode(-np.inf, 0.5),),
+    "1 while the ego stands and no reason to stand is near.",
+    formula="[v < 0.5 m/s and no reason within 10 m ahead, no stop line within 6 m]", parameters=_SHARED,
+)  # fmt: skip
+NEEDLESS_STEERING = Metric(
+    "needless_steering", "count", "lower", (Mode.CLOSED,), _steering, (COUNT,),
+    "Swings of the ego's offset from the route by 0.5 m to 2 m with no road user and no curve near.",
+    formula="sum of the changes between two turning points", parameters=_SHARED,
+)  # fmt: skip

@@ -10,6 +10,8 @@ With the gain of a drive along the route (`route`), the whole log taken as the y
     all three: 1 at least where the drive ended at the goal, unless more than 2 m of it were cut
 (4) distance(t) = length of the path of the rear axle driven since the start
 (5) speed_excess(t) = max(v - limit, 0),  speed_ratio(t) = v / limit - 1
+    assumed_limit_excess(t) = max(v - 1.1 max(assumed limit, the fastest second of the log's driver), 0)
+    where the log has no limit: an assumed one may be too low by a step of signs, and by what the driver knew
 (6) speed_limit_compliance = max(0, 1 - integral of (5) dt / (2.23 m/s T)),  T the time on lanes with a limit  (nuPlan)
 """
 
@@ -112,6 +114,19 @@ def _excess(trace: Trace, scenario: Scenario, *, ratio: bool = False) -> Measure
     return Series(trace.ego.t, value, missing="the ego is never on a lane with a speed limit")
 
 
+def _assumed_excess(trace: Trace, scenario: Scenario) -> Measured:
+    road, ego, logged = scenario.road, trace.ego, np.abs(scenario.ego.v)
+    lanes, assumed = drivable_lanes(road), np.full(len(ego), True)
+    if road.source is not RoadSource.DRIVEN_PATH and lanes is not None:
+        assumed = np.isnan(limits_at(lanes, *ego_boxes(ego, scenario)[:2]))
+    lasted = float(scenario.ego.t[-1] - scenario.ego.t[0])
+    fastest = float(np.quantile(logged, max(1.0 - 1.0 / max(lasted, 1.0), 0.5), method="lower"))
+    limit = (1.0 + OVER_RATIO) * max(road.default_speed_limit, fastest)
+    label = f"assumed limit: {road.default_speed_limit:.1f} m/s, the log's driver {fastest:.1f} m/s"
+    value = np.where(assumed, np.maximum(np.abs(ego.v) - limit, 0.0), np.nan)
+    return Series(ego.t, value, (label,) * len(ego), "the log has a speed limit wherever the ego drives")
+
+
 def compliance(series: Series) -> tuple[float, int]:
     """(6)."""
     span = holds(series.t)[series.known]
@@ -187,6 +202,12 @@ SPEED_RATIO = Metric(
     "speed_ratio", "1", "lower", _CLOSED, partial(_excess, ratio=True),
     (MAX, time_outside(-np.inf, OVER_RATIO, "time_above_10pct")), "Speed over the limit, less 1: 0.1 is 10 % too fast.",
     formula="|v| / limit - 1", parameters=("over: 0.1",), needs=_LIMITS,
+)  # fmt: skip
+ASSUMED_LIMIT_EXCESS = Metric(
+    "assumed_limit_excess", "m/s", "lower", _CLOSED, _assumed_excess, (MAX, time_above(OVER_MPS, "time_above_1mps")),
+    "Speed above 1.1 times the larger of the assumed limit and the log's driver's speed, where the log has no limit.",
+    formula="max(|v| - 1.1 max(assumed limit, speed that the log's driver exceeds for 1 s in all), 0)",
+    parameters=("margin 10 %", f"over: {OVER_MPS:g} m/s"), needs="a place without a speed limit under the ego",
 )  # fmt: skip
 GOAL = Metric(
     "goal", "1", "higher", _CLOSED, _goal, (FINAL,), "1 if the drive ended at the goal.",

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 from adversaries import ADVERSARIES
-from drives import along, grid, moving, scenario
+from drives import along, drive, grid, moving, scenario
+from handmade import crossing_without_a_map
 
 from logs import AgentKind, EndReason, Mode, Scenario
 from logs.catalogue import CATALOGUE
@@ -70,6 +72,26 @@ def test_no_plan_of_an_adversary_is_driven_as_it_is_where_it_is_impossible() -> 
     )
     ego = drive.trace.ego
     assert np.hypot(np.diff(ego.x), np.diff(ego.y)).max() < 0.01 * 13.0
+
+
+def test_a_blind_speeder_on_a_crossing_without_a_map_is_failed_for_the_pedestrian() -> None:
+    """1.3 times as fast as the recorded driver, who let the pedestrian go first."""
+    _, verdicts = driven(crossing_without_a_map(), "adversaries:Blind", Mode.CLOSED)
+    (said,) = [v for v in verdicts if v.gate.metric == "yielding.recorded.below_1500ms"]
+    assert said.outcome is Outcome.FAIL
+    assert re.search(
+        r"pedestrian 17: the ego goes first, 1\.\d s before it: the recorded driver let it go", said.reason
+    )
+
+
+def test_an_assumed_limit_is_judged_with_a_margin() -> None:
+    log = crossing_without_a_map()
+    for v, outcome in ((15.0, Outcome.PASS), (26.0, Outcome.FAIL)):
+        table = evaluate(drive(log, along(grid(4.0, 0.1), v)), log)
+        verdicts = judge(load_gates(None).asked_of(["closed"]), table, {log.name: LogLabels()})
+        (said,) = [v for v in verdicts if v.gate.metric == "assumed_limit_excess.time_above_1mps"]
+        assert said.outcome is outcome
+        assert "assumed limit: 13.9 m/s, the log's driver 11.4 m/s" in said.reason or outcome is Outcome.PASS
 
 
 # what others did --------------------------------------------------------------------------------------------------

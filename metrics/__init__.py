@@ -96,7 +96,8 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
         consistency.EXTENDED_COMFORT, consistency.PLAN_HORIZON, consistency.PLAN_COMPLETE,
     ),
     "evidence": (
-        evidence.COVERAGE, evidence.REPLAY_CONTACT, evidence.PLAN_REFUSED, evidence.PLAN_CORRECTED, evidence.ENSEMBLE,
+        evidence.COVERAGE, evidence.AGENT_INTERVAL, evidence.REPLAY_CONTACT,
+        evidence.PLAN_REFUSED, evidence.PLAN_CORRECTED, evidence.ENSEMBLE,
         evidence.PHANTOM,
         divergence.DIVERGENCE, divergence.WEAK, divergence.DISPLACED,
     ),

@@ -118,13 +118,17 @@ def _assumed_excess(trace: Trace, scenario: Scenario) -> Measured:
     road, ego, logged = scenario.road, trace.ego, np.abs(scenario.ego.v)
     lanes, assumed = drivable_lanes(road), np.full(len(ego), True)
     if road.source is not RoadSource.DRIVEN_PATH and lanes is not None:
-        assumed = np.isnan(limits_at(lanes, *ego_boxes(ego, scenario)[:2]))
+        x, y = ego_boxes(ego, scenario)[:2]
+        on_lane = np.isfinite(limits_at(lanes._replace(limit=np.nan_to_num(lanes.limit)), x, y))
+        assumed = on_lane & np.isnan(limits_at(lanes, x, y))
+    if not assumed.any():
+        return Unavailable("the ego is never on a lane without a speed limit")
     lasted = float(scenario.ego.t[-1] - scenario.ego.t[0])
     fastest = float(np.quantile(logged, max(1.0 - 1.0 / max(lasted, 1.0), 0.5), method="lower"))
     limit = (1.0 + OVER_RATIO) * max(road.default_speed_limit, fastest)
     label = f"assumed limit: {road.default_speed_limit:.1f} m/s, the log's driver {fastest:.1f} m/s"
     value = np.where(assumed, np.maximum(np.abs(ego.v) - limit, 0.0), np.nan)
-    return Series(ego.t, value, (label,) * len(ego), "the log has a speed limit wherever the ego drives")
+    return Series(ego.t, value, (label,) * len(ego))
 
 
 def compliance(series: Series) -> tuple[float, int]:
@@ -207,7 +211,7 @@ ASSUMED_LIMIT_EXCESS = Metric(
     "assumed_limit_excess", "m/s", "lower", _CLOSED, _assumed_excess, (MAX, time_above(OVER_MPS, "time_above_1mps")),
     "Speed above 1.1 times the larger of the assumed limit and the log's driver's speed, where the log has no limit.",
     formula="max(|v| - 1.1 max(assumed limit, speed that the log's driver exceeds for 1 s in all), 0)",
-    parameters=("margin 10 %", f"over: {OVER_MPS:g} m/s"), needs="a place without a speed limit under the ego",
+    parameters=("margin 10 %", f"over: {OVER_MPS:g} m/s"), needs="lanes without a speed limit under the ego, or no map",
 )  # fmt: skip
 GOAL = Metric(
     "goal", "1", "higher", _CLOSED, _goal, (FINAL,), "1 if the drive ended at the goal.",

@@ -39,7 +39,7 @@ from logs.road import Lane, Road
 from logs.scenario import AgentKind, Scenario, Tracks
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
-from metrics.encounters import CROSSING_RAD, encroachment
+from metrics.encounters import CROSSING_RAD, encroachment, may_meet
 from metrics.metric import MIN, Measured, Metric, Reduction, Series, Unavailable
 from metrics.others import each, ego_boxes, name_of
 from metrics.phantoms import phantoms, without_phantoms
@@ -112,71 +112,77 @@ def _left(
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Meetings:
-    """The boxes of one other on a grid of k times, and when a drive takes their places.
+    """The boxes of one other on places that a drive takes, at steps of a grid.
 
     Attributes:
-        name: "pedestrian 12".
-        left: `(k,)` s since the drive last left the place of the box, NaN where it was not there before.
-        taken: `(k,)` s until the drive takes it, 0 in a contact; NaN where it does not.
+        agent: Index of its track.
+        step: `(m,)` of the boxes, increasing.
+        left: `(m,)` s since the drive last left the place of the box, NaN where it was not there before.
+        taken: `(m,)` s until the drive takes it, 0 in a contact; NaN where it does not.
     """
 
-    name: str
+    agent: int
+    step: IntArray
     left: FloatArray
     taken: FloatArray
 
 
 def _meetings(drive: Trajectory, tracks: Tracks, scenario: Scenario, t: FloatArray) -> Iterator[_Meetings]:
-    """Of each pedestrian, and of each other that has a kind and moves across the drive, on the times `t`."""
-    k = np.flatnonzero((t >= drive.t[0] - 1e-9) & (t <= drive.t[-1] + 1e-9))
-    boxes = np.full((5, len(t)), np.nan)
-    boxes[:, k] = ego_boxes(drive.resampled(np.clip(t[k], drive.t[0], drive.t[-1])), scenario)
-    size = np.array([scenario.vehicle.length, scenario.vehicle.width])
+    """Of each pedestrian, and each other that has a kind and moves across the drive, on the times `t` `(k,)`."""
+    first, end = np.searchsorted(t, [drive.t[0] - 1e-9, drive.t[-1] + 1e-9])
+    boxes = ego_boxes(drive.resampled(np.clip(t[first:end], drive.t[0], drive.t[-1])), scenario)
+    car = np.array([scenario.vehicle.axle_to_center, scenario.vehicle.length, scenario.vehicle.width])
     for i, others, row in each(tracks, t):
         kind, pose = tracks.kinds[i], others.pose[:, row]
-        moving = np.flatnonzero(others.there[row] & (np.hypot(pose[3], pose[4]) >= MOVES_MPS))
-        if kind is not AgentKind.OBJECT and len(moving):
-            angle = 0.0 if kind is AgentKind.PEDESTRIAN else CROSSING_RAD
-            steps = encroachment(pose, moving, boxes, k, others.size[row], size, angle)
-            taken, left = np.where(steps[:2] >= 0, steps[:2] * FINE_S, np.nan)
-            yield _Meetings(name_of(tracks, i), left - FINE_S, taken)
+        if kind is AgentKind.OBJECT:
+            continue
+        mine, theirs = may_meet(boxes, car, others, row)
+        theirs = theirs[np.hypot(pose[3, theirs], pose[4, theirs]) >= MOVES_MPS]
+        after = np.ascontiguousarray(pose[:, first:])
+        angle = 0.0 if kind is AgentKind.PEDESTRIAN else CROSSING_RAD
+        steps = encroachment(after, theirs[theirs >= first] - first, boxes, mine, others.size[row], car[1:], angle)
+        step = np.flatnonzero((steps[:2] >= 0).any(axis=0))
+        if len(step):
+            taken, left = np.where(steps[:2, step] >= 0, steps[:2, step] * FINE_S, np.nan)
+            yield _Meetings(i, first + step, left - FINE_S, taken)
 
 
 def _yielding(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
-    recorded: Measured = Unavailable("the log has no recorded driver")
     end = float(trace.ego.t[-1]) + WITHIN_S
     t = np.arange(float(trace.ego.t[0]), max(end, float(scenario.ego.t[-1])), FINE_S)
+    recorded: Measured = Unavailable("the log has no recorded driver")
     if scenario.is_recorded and len(scenario.ego) > 1:
         recorded = _before_the_recorded(trace, scenario, t)
-    if AgentKind.PEDESTRIAN not in trace.agents.kinds:
+    walkers = {i for i, kind in enumerate(trace.agents.kinds) if kind is AgentKind.PEDESTRIAN}
+    if not walkers:
         return {"recorded": recorded, "pedestrian": Unavailable("the log names no pedestrian")}
-    met = list(_meetings(trace.ego, trace.agents, scenario, t))
-    walkers = [one for one in met if one.name.startswith(AgentKind.PEDESTRIAN.value)]
-    alone = _gaps(t, [(one, np.full(len(t), True)) for one in walkers], "")
-    return {"recorded": recorded, "pedestrian": alone}
+    met = [(one, one.step) for one in _meetings(trace.ego, trace.agents, scenario, t) if one.agent in walkers]
+    return {"recorded": recorded, "pedestrian": _gaps(t, met, trace.agents, "")}
 
 
 def _before_the_recorded(trace: Trace, scenario: Scenario, t: FloatArray) -> Measured:
     """The part "recorded" of (2)."""
     tracks = without_phantoms(scenario.tracks, phantoms(scenario))
     log = _meetings(scenario.ego, tracks, scenario, t)
-    let = [np.isfinite(one.taken) & (one.taken > 0.0) & np.isnan(one.left) for one in log]
-    if not any(one.any() for one in let):
+    let = {one.agent: one.step[(one.taken > 0.0) & np.isnan(one.left)] for one in log}
+    if not any(map(len, let.values())):
         return Unavailable("the recorded driver let no road user with a kind go first")
     mine = _meetings(trace.ego, tracks, scenario, t)
-    return _gaps(t, list(zip(mine, let, strict=True)), ": the recorded driver let it go first")
+    met = [(one, let[one.agent]) for one in mine if one.agent in let]
+    return _gaps(t, met, tracks, ": the recorded driver let it go first")
 
 
-def _gaps(t: FloatArray, met: Sequence[tuple[_Meetings, BoolArray]], why: str) -> Series:
-    """The least (2) over the boxes that are asked, at the time at which the ego left their place."""
+def _gaps(t: FloatArray, met: Sequence[tuple[_Meetings, IntArray]], tracks: Tracks, why: str) -> Series:
+    """The least (2) over the boxes at the steps that are asked, at the time at which the ego left their place."""
     gap, labels = np.full(len(t), np.nan), [""] * len(t)
-    asked = [(one, np.flatnonzero(let & (one.left <= WITHIN_S + 1e-9))) for one, let in met]
-    seen = np.unique(np.concatenate([np.empty(0, np.int64), *(j for _, j in asked)]))
+    asked = [(one, np.flatnonzero((one.left <= WITHIN_S + 1e-9) & np.isin(one.step, steps))) for one, steps in met]
+    seen = t[np.unique(np.concatenate([np.empty(0, np.int64), *(one.step[at] for one, at in asked)]))]
     for one, at in asked:
-        for j in at.tolist():
-            i = j - round(one.left[j] / FINE_S) - 1
-            lasts = np.sum(np.abs(t[seen] - t[j]) <= WITHIN_S) * FINE_S
-            if lasts >= SEEN_S and not gap[i] <= one.left[j]:
-                gap[i], labels[i] = one.left[j], f"{one.name}: the ego goes first, {one.left[j]:.1f} s before it{why}"
+        who = name_of(tracks, one.agent)
+        for j, left in zip(one.step[at].tolist(), one.left[at].tolist(), strict=True):
+            i = j - round(left / FINE_S) - 1
+            if np.sum(np.abs(seen - t[j]) <= WITHIN_S) * FINE_S >= SEEN_S and not gap[i] <= left:
+                gap[i], labels[i] = left, f"{who}: the ego goes first, {left:.1f} s before it{why}"
     return Series(t, gap, tuple(labels), "the ego never went first")
 
 

@@ -9,10 +9,10 @@ import numpy as np
 import pandas as pd
 import pytest
 from adversaries import ADVERSARIES
-from drives import along, drive, grid, moving, scenario
+from drives import along, drive, grid, moved, moving, scenario, straight_road
 from handmade import crossing_without_a_map
 
-from logs import AgentKind, EndReason, Mode, Scenario
+from logs import AgentKind, EndReason, Mode, Road, Scenario
 from logs.catalogue import CATALOGUE
 from metrics import evaluate
 from metrics.aggregate import LogLabels
@@ -25,6 +25,7 @@ from replay.drive import Drive, LoopConfig
 from replay.open_loop import run_open_loop
 from replay.reference_drives import reference_drives, reference_table
 
+GRID = grid(4.0, 0.1)
 FAST = ("park", "short", "teleport")
 
 
@@ -84,14 +85,23 @@ def test_a_blind_speeder_on_a_crossing_without_a_map_is_failed_for_the_pedestria
     )
 
 
-def test_an_assumed_limit_is_judged_with_a_margin() -> None:
+@pytest.mark.parametrize(
+    ("v", "road", "outcome"),
+    [
+        (15.0, None, Outcome.PASS), (26.0, None, Outcome.FAIL), (26.0, straight_road(), Outcome.FAIL),
+        (26.0, straight_road(limit=30.0), None), (26.0, moved(scenario(along(GRID, 1.0)), 0.0, 0.0, 50.0).road, None),
+    ],
+)  # fmt: skip
+def test_an_assumed_limit_is_judged_with_a_margin(v: float, road: Road | None, outcome: Outcome | None) -> None:
+    """Without a map and on lanes without a limit; not where a lane has one, and not beside the lanes."""
     log = crossing_without_a_map()
-    for v, outcome in ((15.0, Outcome.PASS), (26.0, Outcome.FAIL)):
-        table = evaluate(drive(log, along(grid(4.0, 0.1), v)), log)
-        verdicts = judge(load_gates(None).asked_of(["closed"]), table, {log.name: LogLabels()})
-        (said,) = [v for v in verdicts if v.gate.metric == "assumed_limit_excess.time_above_1mps"]
-        assert said.outcome is outcome
-        assert "assumed limit: 13.9 m/s, the log's driver 11.4 m/s" in said.reason or outcome is Outcome.PASS
+    log = log if road is None else replace(log, road=road)
+    verdicts = judge(
+        load_gates(None).asked_of(["closed"]), evaluate(drive(log, along(GRID, v)), log), {log.name: LogLabels()}
+    )
+    said = [v for v in verdicts if v.gate.metric == "assumed_limit_excess.time_above_1mps"]
+    assert [v.outcome for v in said] == ([] if outcome is None else [outcome])
+    assert outcome is not Outcome.FAIL or "(assumed limit: 13.9 m/s, the log's driver 11.4 m/s)" in said[0].reason
 
 
 # what others did --------------------------------------------------------------------------------------------------

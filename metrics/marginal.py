@@ -17,8 +17,7 @@ how hard a planner brakes hangs on when it sees them.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from math import isfinite, nan
+from collections.abc import Callable
 
 from metrics import GROUPS, METRICS
 from metrics.gates import Gate
@@ -30,25 +29,24 @@ OF_OTHERS = ("gap_kept", "gap_kept_vulnerable", "ttc", "ttc_vulnerable", "thw", 
 _ASKED = frozenset({*OF_OTHERS, *(metric.name for metric in GROUPS["comfort"])})
 
 
-def marginal(gate: Gate, values: Mapping[str, float]) -> str:
+def marginal(gate: Gate, value_of: Callable[[str], float]) -> str:
     """Why what a gate says of a drive is marginal: "marginal: at 5 Hz ..."; empty: it is not.
 
     Args:
         gate: The rule.
-        values: Of the drive, by name of the metric ("ttc.min"); missing or NaN where it has none.
+        value_of: The drive's value by its name in the table ("ttc.min"); NaN where it has none.
     """
     name, _, reduced = gate.metric.rpartition(".")
-    metric, interval = METRICS.get(name.partition(".")[0]), values.get(INTERVAL, nan)
-    if metric is None or metric.name not in _ASKED or not isfinite(interval) or interval <= 0.0:
+    metric, interval = METRICS.get(name.partition(".")[0]), value_of(INTERVAL)
+    if metric is None or metric.name not in _ASKED or not interval > 0.0:
         return ""
-    value, bound, unit = values.get(gate.metric, nan), gate.max if gate.max is not None else gate.min, "s"
-    if bound == 0.0:
-        bounds = next((one.bounds for one in metric.reductions if one.name == reduced), None)
-        if bounds is None or metric.name not in OF_OTHERS:
-            return ""
-        value, bound, unit = values.get(f"{name}.min", nan), bounds[0], metric.unit
-    near = {"s": AGE * interval, "m": 0.5 * HARD_MPS2 * (AGE * interval) ** 2}.get(unit)  # (1), (2)
-    if near is None or bound is None or not isfinite(value) or value == 0.0 or abs(value - bound) > near + 1e-9:
+    reduction = next(one for one in metric.reductions if one.name == reduced)
+    value, unit = value_of(gate.metric), reduction.unit or metric.unit
+    bound = gate.max if gate.min is None else gate.min
+    if bound == 0.0 and reduction.bounds is not None and metric.name in OF_OTHERS:
+        value, unit, bound = value_of(f"{name}.min"), metric.unit, reduction.bounds[0]
+    near = {"s": AGE * interval, "m": 0.5 * HARD_MPS2 * (AGE * interval) ** 2}.get(unit, 0.0)  # (1), (2)
+    if bound is None or near == 0.0 or value == 0.0 or not abs(value - bound) <= near:
         return ""
     found = f"the bound of {bound:g} {unit} is within {near:.2g} {unit} of {value:.3g} {unit}"
     return f"marginal: at {1.0 / interval:.3g} Hz {found}"

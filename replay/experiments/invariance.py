@@ -14,6 +14,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
+from collections import defaultdict
 from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -111,10 +112,10 @@ def _rows(scenario: Scenario, planner: str, job: Job) -> Iterator[dict[str, obje
         world = PERTURBATIONS[name].there(scenario)
         trace = run_closed_loop(world, planner, config=LoopConfig(traffic=job.traffic)).trace
         table = evaluate(trace, world)
-        value: dict[str, float] = dict(zip(table["metric"], table["value"], strict=True))
+        value = defaultdict(lambda: nan, zip(table["metric"], table["value"], strict=True))
         verdicts = judge(gates, table, {world.name: LogLabels(tags=world.tags)})
         failed = [v.gate.metric for v in verdicts if v.outcome is Outcome.FAIL]
-        near = [v.gate.metric for v in verdicts if marginal(v.gate, value)]
+        near = [v.gate.metric for v in verdicts if marginal(v.gate, value.__getitem__)]
         ego = PERTURBATIONS[name].back(trace.ego)
         still = ego if still is None else still
         yield {

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
+
 import numpy as np
 import pytest
 from drives import along, drive, grid, moving, scenario
@@ -14,6 +16,11 @@ from metrics import METRICS, evaluate
 from metrics.gates import Gate, load_gates
 from metrics.marginal import INTERVAL, marginal
 
+
+def of(values: Mapping[str, float]) -> Callable[[str], float]:
+    return lambda name: values.get(name, float("nan"))
+
+
 TTC = Gate("ttc.time_below_950ms", max=0.0)
 
 
@@ -21,7 +28,7 @@ TTC = Gate("ttc.time_below_950ms", max=0.0)
 @given(st.floats(0.05, 3.0))
 def test_a_time_is_marginal_within_one_and_a_half_intervals(rate: float, near: float, least: float) -> None:
     values = {"ttc.min": least, "ttc.time_below_950ms": float(least < 0.95), INTERVAL: 1.0 / rate}
-    said = marginal(TTC, values)
+    said = marginal(TTC, of(values))
     if abs(abs(least - 0.95) - near) > 1e-6:
         assert bool(said) == (abs(least - 0.95) < near)
     assert not said or said.startswith(f"marginal: at {rate:g} Hz the bound of 0.95 s is within {near:.2g} s of ")
@@ -29,15 +36,15 @@ def test_a_time_is_marginal_within_one_and_a_half_intervals(rate: float, near: f
 
 def test_a_flip_by_the_rate_is_marked() -> None:
     """0.79 s at 20 Hz is 1.05 s at 5 Hz: the outcome at 5 Hz is marginal."""
-    assert "of 1.05 s" in marginal(TTC, {"ttc.min": 1.05, "ttc.time_below_950ms": 0.0, INTERVAL: 0.2})
-    assert not marginal(TTC, {"ttc.min": 1.05, "ttc.time_below_950ms": 0.0})
-    assert not marginal(TTC, {INTERVAL: 0.2})
+    assert "of 1.05 s" in marginal(TTC, of({"ttc.min": 1.05, "ttc.time_below_950ms": 0.0, INTERVAL: 0.2}))
+    assert not marginal(TTC, of({"ttc.min": 1.05, "ttc.time_below_950ms": 0.0}))
+    assert not marginal(TTC, of({INTERVAL: 0.2}))
 
 
 def test_what_is_not_about_others_or_far_from_its_bound_is_not_marginal() -> None:
     values = {"off_road.max": 0.3, "off_road.time_beyond_30cm": 0.0, "lat_accel.worst_episode": 0.0, INTERVAL: 0.2}
     values |= {"thw.time_below_900ms": 4.8, "gap_kept.min": 0.5, "gap_kept.time_below_20cm": 0.0}
-    found = {gate.metric for gate in load_gates(None).gates if marginal(gate, values)}
+    found = {gate.metric for gate in load_gates(None).gates if marginal(gate, of(values))}
     assert found == {"thw.time_below_900ms", "gap_kept.time_below_20cm"}
 
 

@@ -3,6 +3,9 @@
 (1) p' = R(dyaw) p + d       of every point of the log; velocities p_dot' = R(dyaw) p_dot, headings yaw' = yaw + dyaw
 (2) (x, y)' = (x, -y)        yaw' = -yaw, kappa' = -kappa, steer' = -steer; left and right change places
 
+(3) p(u) = (1 + 2 u)(1 - u)^2 p_k + u (1 - u)^2 d v_k + u^2 (3 - 2 u) p_(k+1) - u^2 (1 - u) d v_(k+1),  0 <= u <= 1
+    between two samples of a track, d s apart, with the velocities v of `Tracks.motion`: the log at another rate
+
 Points are what the log's own file would show, so `Scenario.origin` turns and flips with them but is not shifted by d.
 Laws of planners and metrics are tested with these, and `replay.experiments.invariance` drives under them.
 """
@@ -53,6 +56,62 @@ def rotated(scenario: Scenario, angle: float, about: tuple[float, float] = (0.0,
 def shifted_clock(scenario: Scenario, ns: int) -> Scenario:
     """The scenario as if the clock of the log had been set forward by `ns` nanoseconds."""
     return replace(scenario, start_ns=scenario.start_ns + ns)
+
+
+def sampled(scenario: Scenario, rate_hz: float) -> Scenario:
+    """The scenario as if it had been recorded at `rate_hz`: ego and moving tracks at multiples of 1 / `rate_hz` s.
+
+    Positions between two samples follow (3), all else is linear. The ego keeps its first and last state. A track
+    begins with its first multiple and ends with its last, and keeps its gaps; one that holds no multiple keeps its
+    first sample.
+    """
+    tracks, ego = scenario.tracks, scenario.ego
+    times = [_seen(tracks, i, rate_hz) for i in range(len(tracks))]
+    columns = [_between(tracks, i, t) for i, t in enumerate(times)]
+    x, y, yaw, vx, vy = np.hstack(columns) if columns else np.empty((5, 0))
+    offsets = np.r_[0, np.cumsum([len(t) for t in times])].astype(np.int64)
+    t = np.concatenate([np.empty(0), *times])
+    asked = np.unique(np.r_[ego.t[0], _multiples(ego.t, rate_hz), ego.t[-1]])
+    return replace(
+        scenario,
+        ego=ego.resampled(asked[np.r_[True, np.diff(asked) > 1e-6]]) if len(ego) > 1 else ego,
+        tracks=replace(tracks, offsets=offsets, t=t, x=x, y=y, yaw=yaw, vx=vx, vy=vy),
+    )
+
+
+def _seen(tracks: Tracks, i: int, rate_hz: float) -> FloatArray:
+    """When a track is sampled at `rate_hz`: not in its gaps; a static one as it was."""
+    mine = tracks.samples(i)
+    old = tracks.t[mine]
+    if tracks.static[i]:
+        return old
+    t = _multiples(old, rate_hz)
+    k = np.searchsorted(old, t + 1e-9, side="right") - 1
+    kept = t[~(tracks.gap_after[mine][k] & (t > old[k] + 1e-9))]
+    return kept if len(kept) else old[:1]
+
+
+def _multiples(t: FloatArray, rate_hz: float) -> FloatArray:
+    """The multiples of 1 / `rate_hz` within the span of the times `t`."""
+    found = np.arange(np.ceil(t[0] * rate_hz - 1e-6), np.floor(t[-1] * rate_hz + 1e-6) + 1.0) / rate_hz
+    return np.clip(found, t[0], t[-1])
+
+
+def _between(tracks: Tracks, i: int, t: FloatArray) -> FloatArray:
+    """x, y, yaw, vx, vy `(5, n)` of a track at times within its span (3)."""
+    mine = tracks.samples(i)
+    old, moved = tracks.t[mine], tracks.motion
+    k = np.clip(np.searchsorted(old, t + 1e-9, side="right") - 1, 0, max(len(old) - 2, 0))
+    after = np.minimum(k + 1, len(old) - 1)
+    d = old[after] - old[k]
+    u = np.clip(np.divide(t - old[k], d, out=np.zeros(len(t)), where=d > 0.0), 0.0, 1.0)
+    curves = [
+        (1.0 + 2.0 * u) * (1.0 - u) ** 2 * p[k] + u * (1.0 - u) ** 2 * d * v[k]
+        + u * u * (3.0 - 2.0 * u) * p[after] - u * u * (1.0 - u) * d * v[after]
+        for p, v in ((tracks.x[mine], moved.vx[mine]), (tracks.y[mine], moved.vy[mine]))
+    ]  # fmt: skip
+    lines = [p[k] + u * (p[after] - p[k]) for p in (tracks.yaw[mine], tracks.vx[mine], tracks.vy[mine])]
+    return np.stack([*curves, *lines])
 
 
 def jittered(scenario: Scenario, size: float, seed: int = 0) -> Scenario:

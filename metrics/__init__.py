@@ -71,9 +71,10 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
         encounters.DCE, encounters.TTCE, encounters.PET, rss.RSS_MARGIN, rss.RSS_IMPROPER,
     ),
     "rules": (
-        rules.RED_LIGHT, rules.STOP_SIGN, rules.CROSSWALK, right_of_way.PRIORITY_GAP, cut_in.FORCED_BRAKING,
-        needless.NEEDLESS_BRAKING, needless.NEEDLESS_STANDING, needless.NEEDLESS_STEERING,
+        rules.RED_LIGHT, rules.STOP_SIGN, rules.CROSSWALK, right_of_way.PRIORITY_GAP, right_of_way.YIELDING,
+        cut_in.FORCED_BRAKING, needless.NEEDLESS_BRAKING, needless.NEEDLESS_STANDING, needless.NEEDLESS_STEERING,
         lane_keeping.WRONG_WAY, lane_keeping.LANE_KEEPING, progress.SPEED_EXCESS, progress.SPEED_RATIO,
+        progress.ASSUMED_LIMIT_EXCESS,
     ),
     "comfort": (
         comfort.LON_ACCEL, comfort.LAT_ACCEL, comfort.LON_JERK_STATE, comfort.LAT_JERK_STATE, comfort.YAW_RATE,
@@ -92,8 +93,8 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
         consistency.EXTENDED_COMFORT, consistency.PLAN_HORIZON, consistency.PLAN_COMPLETE,
     ),
     "evidence": (
-        evidence.COVERAGE, evidence.EVIDENCE, evidence.REPLAY_CONTACT, evidence.PLAN_REFUSED,
-        evidence.PLAN_CORRECTED, evidence.ENSEMBLE, evidence.ASKED, evidence.PHANTOM,
+        evidence.COVERAGE, evidence.EVIDENCE, evidence.AGENT_INTERVAL, evidence.REPLAY_CONTACT,
+        evidence.PLAN_REFUSED, evidence.PLAN_CORRECTED, evidence.ENSEMBLE, evidence.ASKED, evidence.PHANTOM,
         divergence.DIVERGENCE, divergence.WEAK, divergence.DISPLACED,
     ),
     "reference": (avoidability.CC, avoidability.FSM),

@@ -226,7 +226,7 @@ def _pet(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
     best = {part: np.full(len(t), np.nan) for part in PET_PARTS}
     labels = {part: [""] * len(t) for part in PET_PARTS}
     for i, others, row in each(trace.agents, t):
-        mine, theirs = _may_meet(boxes, box, others, row)
+        mine, theirs = may_meet(boxes, box, others, row)
         if trace.agents.static[i] or not len(mine) or not len(theirs):
             continue
         name = name_of(trace.agents, i)
@@ -241,7 +241,7 @@ def _pet(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
     return {part: Series(t, best[part], tuple(labels[part]), PET_PARTS[part]) for part in PET_PARTS}
 
 
-def _may_meet(boxes: FloatArray, box: FloatArray, others: Others, i: int) -> tuple[IntArray, IntArray]:
+def may_meet(boxes: FloatArray, box: FloatArray, others: Others, i: int) -> tuple[IntArray, IntArray]:
     """The steps of the ego and of the agent in row i that lie in the rectangle which the other's drive takes."""
     x, y = others.pose[:2, i][:, others.there[i]]
     reach = 0.5 * float(np.hypot(box[1], box[2]) + np.hypot(*others.size[i]))

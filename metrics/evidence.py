@@ -144,6 +144,16 @@ def _phantom(trace: Trace, scenario: Scenario) -> Measured:
     return Series(trace.ego.t[:1], np.array([float(len(found))]), (names,))
 
 
+def _agent_interval(trace: Trace, scenario: Scenario) -> Measured:
+    tracks = scenario.tracks
+    apart = np.diff(tracks.t, append=np.inf)
+    apart[tracks.offsets[1:] - 1] = np.inf
+    apart = apart[np.isfinite(apart) & ~np.repeat(tracks.static, np.diff(tracks.offsets)) & ~tracks.gap_after]
+    if not len(apart):
+        return Unavailable("the log has no road user that is sampled twice")
+    return Series(trace.ego.t[-1:], np.array([float(np.median(apart))]))
+
+
 COVERAGE = Metric(
     "coverage", "s", "higher", (Mode.OPEN, Mode.CLOSED), _coverage, (FINAL,),
     "Time that the log lasts from the ego's first state on (log_s; open loop: as long as the log has an ego), and that"
@@ -158,6 +168,12 @@ EVIDENCE = Metric(
     " (traffic), the light ahead known (lights), a speed limit of the log's own (limit), a lane of its map (lane).",
     parts=("traffic", "lights", "limit", "lane"), formula="time or way with evidence / time or way that needs it",
     needs="lights: a stop line with a traffic light on the driven way",
+)  # fmt: skip
+AGENT_INTERVAL = Metric(
+    "agent_interval", "s", "none", (Mode.OPEN, Mode.CLOSED), _agent_interval, (FINAL,),
+    "Time between two samples of a road user in the log, the median over all that are not static: how near to its bound"
+    " a value is marginal (`metrics.marginal`).",
+    formula="median of t_k - t_(k-1), gaps left out", needs="a road user with two samples",
 )  # fmt: skip
 REPLAY_CONTACT = Metric(
     "replay_contact", "1", "lower", (Mode.CLOSED,), _replay_contact, (FINAL,),

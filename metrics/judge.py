@@ -11,6 +11,8 @@ The outcome of a gate on a log is the first of these that holds:
     INCONCLUSIVE    the value is out of bounds, but is excused (below), or `broken = "inconclusive"`
     FAIL            the value is out of bounds
 
+A pass or fail says in its reason where it is marginal: another rate of the log might turn it (`metrics.marginal`).
+
 Yardsticks of a `reachable` gate are the reference drives (rows of mode "reference": `REFERENCES`) and all other
 planners of the run.
 
@@ -31,7 +33,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from math import isfinite
+from functools import partial
+from math import isfinite, nan
 from types import MappingProxyType
 
 import pandas as pd
@@ -39,6 +42,7 @@ import pandas as pd
 from metrics import GROUPS
 from metrics.aggregate import LogLabels
 from metrics.gates import Gate, Gates, Outcome, meant
+from metrics.marginal import marginal
 from metrics.over_logs import LogOutcome, Verdict, unit_of, verdict_on
 
 __all__ = ["LogOutcome", "Verdict", "judge", "outcomes", "verdicts_by_log", "worst"]
@@ -249,7 +253,15 @@ def _of_logs(
             excuse = _excuse(gate, log, row, drive, rows)
             outcome = Outcome.INCONCLUSIVE if excuse else Outcome(gate.broken)
             why = excuse or row.reason or (gate.reason if outcome is Outcome.INCONCLUSIVE else "")
+        if outcome is not Outcome.INCONCLUSIVE and gate.over != "sum":
+            why = "; ".join(filter(None, (why, marginal(gate, partial(_value, mine, log)))))
         yield LogOutcome(log, outcome, why, row.value, row.unit, row.time_s)
+
+
+def _value(mine: Mapping[tuple[str, str], _Row], log: str, metric: str) -> float:
+    """A value of a drive by its name in the table; NaN where it has none."""
+    row = mine.get((log, metric))
+    return row.value if row is not None and row.known else nan
 
 
 def _lack(row: _Row | None) -> str:

@@ -12,6 +12,8 @@ With the gain of a drive along the route (`route`), the whole log taken as the y
 (5) speed_excess(t) = max(v - max(limit, held(t)), 0),  speed_ratio(t) = v / limit - 1
     held(t) = v_0 - EASE_MPS2 max(t - t_0 - SETTLE_S, 0) where the drive begins above the limit, else 0: an ego that
     brings its initial excess down comfortably is not charged with it
+    assumed_limit_excess(t) = max(v - 1.1 max(assumed limit, the fastest second of the log's driver), 0)
+    where the log has no limit: an assumed one may be too low by a step of signs, and by what the driver knew
 (6) speed_limit_compliance = max(0, 1 - integral of (5) dt / (2.23 m/s T)),  T the time on lanes with a limit  (nuPlan)
 (7) no vehicle reaches a goal that is farther than it comes in the time at 9.81 m/s2 up to 70 m/s
 """
@@ -135,6 +137,23 @@ def excess(trace: Trace, scenario: Scenario, *, ratio: bool = False, all_of_it: 
     return Series(trace.ego.t, value, missing="the ego is never on a lane with a speed limit")
 
 
+def _assumed_excess(trace: Trace, scenario: Scenario) -> Measured:
+    road, ego, logged = scenario.road, trace.ego, np.abs(scenario.ego.v)
+    lanes, assumed = drivable_lanes(road), np.full(len(ego), True)
+    if road.source is not RoadSource.DRIVEN_PATH and lanes is not None:
+        x, y = ego_boxes(ego, scenario)[:2]
+        on_lane = np.isfinite(limits_at(lanes._replace(limit=np.nan_to_num(lanes.limit)), x, y))
+        assumed = on_lane & np.isnan(limits_at(lanes, x, y))
+    if not assumed.any():
+        return Unavailable("the ego is never on a lane without a speed limit")
+    lasted = float(scenario.ego.t[-1] - scenario.ego.t[0])
+    fastest = float(np.quantile(logged, max(1.0 - 1.0 / max(lasted, 1.0), 0.5), method="lower"))
+    limit = (1.0 + OVER_RATIO) * max(road.default_speed_limit, fastest)
+    label = f"assumed limit: {road.default_speed_limit:.1f} m/s, the log's driver {fastest:.1f} m/s"
+    value = np.where(assumed, np.maximum(np.abs(ego.v) - limit, 0.0), np.nan)
+    return Series(ego.t, value, (label,) * len(ego))
+
+
 def compliance(series: Series) -> tuple[float, int]:
     """(6)."""
     span = holds(series.t)[series.known]
@@ -236,6 +255,12 @@ SPEED_RATIO = Metric(
     "speed_ratio", "1", "lower", _CLOSED, partial(excess, ratio=True),
     (MAX, time_outside(-np.inf, OVER_RATIO, "time_above_10pct")), "Speed over the limit, less 1: 0.1 is 10 % too fast.",
     formula="|v| / limit - 1", parameters=("over: 0.1",), needs=_LIMITS,
+)  # fmt: skip
+ASSUMED_LIMIT_EXCESS = Metric(
+    "assumed_limit_excess", "m/s", "lower", _CLOSED, _assumed_excess, (MAX, time_above(OVER_MPS, "time_above_1mps")),
+    "Speed above 1.1 times the larger of the assumed limit and the log's driver's speed, where the log has no limit.",
+    formula="max(|v| - 1.1 max(assumed limit, speed that the log's driver exceeds for 1 s in all), 0)",
+    parameters=("margin 10 %", f"over: {OVER_MPS:g} m/s"), needs="lanes without a speed limit under the ego, or no map",
 )  # fmt: skip
 GOAL = Metric(
     "goal", "1", "higher", _CLOSED, _goal, (FINAL,), "1 if the drive ended at the goal.", version=2,

@@ -1,32 +1,58 @@
 """Right of way, closed loop: how much time the ego leaves to those who go first.
 
-Where the ego drives on a lane that yields (`Lane.yields_to`) and somebody on one that goes first, and the ego is the
-first of the two at the places that both boxes take:
+By lanes: where the ego drives on a lane that yields (`Lane.yields_to`) and another on one that goes first, and the ego
+is the first of the two at the places that both boxes take:
 
-(1) gap = least t_j - t_i >= 0 over the ego's boxes i and the other's boxes j that overlap: the time from the ego's
-    leaving a spot to the other's taking it (post-encroachment time)
+(1) priority_gap = least t_j - t_i >= 0 over the ego's boxes i and the other's boxes j that overlap: the time from the
+    ego's leaving a spot to the other's taking it (post-encroachment time)
 
-Both drives are looked at every `GRID_S`, from `AROUND_S` before the lane is entered to as long after it is left. The
-others are taken as they moved: in replayed traffic they do not brake for the ego, so that the gap shows what it took.
-Below 1 s a gap is a failure ("serious": Westhofen et al., Arch. Comput. Methods Eng. 30, 2023, from the literature).
+Both drives are looked at every `GRID_S`, from `AROUND_S` before the lane is entered to as long after it is left.
+
+Without lanes: a box j of another that moves (`MOVES_MPS` or faster) on a place that the ego left less than `WITHIN_S`
+before, with
+
+(2) yielding = t_j - t_i - FINE_S,  t_i < t_j the last time at which the ego's box overlapped box j: it is left between
+    t_i and the next time of the grid, and taken between the time before t_j and t_j, so the error is FINE_S at most
+
+in two parts. "recorded": of pedestrians and of traffic across (`encounters.CROSSING_RAD`), as logged, the boxes j which
+the recorded driver took only after t_j: the recorded driver let that road user go first, the ego does not. They are
+taken as logged because a road user that gives way to the ego would hide what was taken from it. "pedestrian": of
+pedestrians as they moved in the drive, whatever the recorded driver did. Order is decided box by box, so that a track
+that changes its id counts as one that keeps it. Others are on the ego's way for at least `SEEN_S` in all, whatever
+their ids: less is a flicker of the detection. What has no kind (`AgentKind.OBJECT`) has no right of way.
+
+In replayed traffic the others do not brake for the ego, so that a gap shows what it took. Below 1 s a gap is serious,
+below 1.5 s critical (Westhofen et al., Arch. Comput. Methods Eng. 30, 2023, from the literature). A pedestrian walks
+2 m in 1.5 s: as the ego passes, the pedestrian is a stride from its side.
 """
 
 from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.lanes import on_lane
 from logs.road import Lane, Road
-from logs.scenario import AgentKind, Scenario
+from logs.scenario import AgentKind, Scenario, Tracks
+from logs.states import Trajectory
 from logs.trace import Mode, Trace
-from metrics.encounters import encroachment
+from metrics.encounters import CROSSING_RAD, encroachment, may_meet
 from metrics.metric import MIN, Measured, Metric, Reduction, Series, Unavailable
 from metrics.others import each, ego_boxes, name_of
+from metrics.phantoms import phantoms, without_phantoms
 
 GRID_S = 0.1
 AROUND_S = 1.0
-SERIOUS_S = 1.0
+SERIOUS_S, CRITICAL_S = 1.0, 1.5
+FINE_S = 0.05
+"""Grid of (2)."""
+WITHIN_S = 3.0
+"""A road user that comes later is not an encounter: twice the critical gap."""
+MOVES_MPS = 0.5
+SEEN_S = 0.3
 
 
 def _priority_gap(trace: Trace, scenario: Scenario) -> Measured:
@@ -84,16 +110,110 @@ def _left(
     return step, int(after[step])
 
 
-def _failed(series: Series) -> tuple[float, int]:
-    failed = series.known & (series.value < SERIOUS_S)
-    return float(failed.sum()), int(np.argmax(failed)) if failed.any() else -1
+@dataclass(frozen=True, eq=False, slots=True)
+class _Meetings:
+    """The boxes of one other on places that a drive takes, at steps of a grid.
+
+    Attributes:
+        agent: Index of its track.
+        step: `(m,)` of the boxes, increasing.
+        left: `(m,)` s since the drive last left the place of the box, NaN where it was not there before.
+        taken: `(m,)` s until the drive takes it, 0 in a contact; NaN where it does not.
+    """
+
+    agent: int
+    step: IntArray
+    left: FloatArray
+    taken: FloatArray
 
 
-FAILED = Reduction("below_1s", _failed, unit="count", direction="lower", empty=0.0)
+def _meetings(drive: Trajectory, tracks: Tracks, scenario: Scenario, t: FloatArray) -> Iterator[_Meetings]:
+    """Of each pedestrian, and each other that has a kind and moves across the drive, on the times `t` `(k,)`."""
+    first, end = np.searchsorted(t, [drive.t[0] - 1e-9, drive.t[-1] + 1e-9])
+    boxes = ego_boxes(drive.resampled(np.clip(t[first:end], drive.t[0], drive.t[-1])), scenario)
+    car = np.array([scenario.vehicle.axle_to_center, scenario.vehicle.length, scenario.vehicle.width])
+    for i, others, row in each(tracks, t):
+        kind, pose = tracks.kinds[i], others.pose[:, row]
+        if kind is AgentKind.OBJECT:
+            continue
+        mine, theirs = may_meet(boxes, car, others, row)
+        theirs = theirs[np.hypot(pose[3, theirs], pose[4, theirs]) >= MOVES_MPS]
+        after = np.ascontiguousarray(pose[:, first:])
+        angle = 0.0 if kind is AgentKind.PEDESTRIAN else CROSSING_RAD
+        steps = encroachment(after, theirs[theirs >= first] - first, boxes, mine, others.size[row], car[1:], angle)
+        step = np.flatnonzero((steps[:2] >= 0).any(axis=0))
+        if len(step):
+            taken, left = np.where(steps[:2, step] >= 0, steps[:2, step] * FINE_S, np.nan)
+            yield _Meetings(i, first + step, left - FINE_S, taken)
+
+
+def _yielding(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
+    end = float(trace.ego.t[-1]) + WITHIN_S
+    t = np.arange(float(trace.ego.t[0]), max(end, float(scenario.ego.t[-1])), FINE_S)
+    recorded: Measured = Unavailable("the log has no recorded driver")
+    if scenario.is_recorded and len(scenario.ego) > 1:
+        recorded = _before_the_recorded(trace, scenario, t)
+    walkers = {i for i, kind in enumerate(trace.agents.kinds) if kind is AgentKind.PEDESTRIAN}
+    if not walkers:
+        return {"recorded": recorded, "pedestrian": Unavailable("the log names no pedestrian")}
+    met = [(one, one.step) for one in _meetings(trace.ego, trace.agents, scenario, t) if one.agent in walkers]
+    return {"recorded": recorded, "pedestrian": _gaps(t, met, trace.agents, "")}
+
+
+def _before_the_recorded(trace: Trace, scenario: Scenario, t: FloatArray) -> Measured:
+    """The part "recorded" of (2)."""
+    tracks = without_phantoms(scenario.tracks, phantoms(scenario))
+    log = _meetings(scenario.ego, tracks, scenario, t)
+    let = {one.agent: one.step[(one.taken > 0.0) & np.isnan(one.left)] for one in log}
+    if not any(map(len, let.values())):
+        return Unavailable("the recorded driver let no road user with a kind go first")
+    mine = _meetings(trace.ego, tracks, scenario, t)
+    met = [(one, let[one.agent]) for one in mine if one.agent in let]
+    return _gaps(t, met, tracks, ": the recorded driver let it go first")
+
+
+def _gaps(t: FloatArray, met: Sequence[tuple[_Meetings, IntArray]], tracks: Tracks, why: str) -> Series:
+    """The least (2) over the boxes at the steps that are asked, at the time at which the ego left their place."""
+    gap, labels = np.full(len(t), np.nan), [""] * len(t)
+    asked = [(one, np.flatnonzero((one.left <= WITHIN_S + 1e-9) & np.isin(one.step, steps))) for one, steps in met]
+    seen = t[np.unique(np.concatenate([np.empty(0, np.int64), *(one.step[at] for one, at in asked)]))]
+    for one, at in asked:
+        who = name_of(tracks, one.agent)
+        for j, left in zip(one.step[at].tolist(), one.left[at].tolist(), strict=True):
+            i = j - round(left / FINE_S) - 1
+            if np.sum(np.abs(seen - t[j]) <= WITHIN_S) * FINE_S >= SEEN_S and not gap[i] <= left:
+                gap[i], labels[i] = left, f"{who}: the ego goes first, {left:.1f} s before it{why}"
+    return Series(t, gap, tuple(labels), "the ego never went first")
+
+
+def _fewer(bound: float, name: str) -> Reduction:
+    """Number of the gaps below `bound`."""
+
+    def reduce(series: Series) -> tuple[float, int]:
+        failed = series.known & (series.value < bound - 1e-9)
+        worst = int(np.argmin(np.where(failed, series.value, np.inf)))
+        return float(failed.sum()), worst if failed.any() else -1
+
+    return Reduction(name, reduce, "count", "lower", 0.0, (bound, np.inf))
+
+
 PRIORITY_GAP = Metric(
-    "priority_gap", "s", "higher", (Mode.CLOSED,), _priority_gap, (MIN, FAILED),
+    "priority_gap", "s", "higher", (Mode.CLOSED,), _priority_gap, (MIN, _fewer(SERIOUS_S, "below_1s")),
     "Time from the ego's leaving a spot to its being taken by one who goes first there (post-encroachment time).",
     "PET below 1 s: serious; 1.5 s: critical (criticality metrics catalogue, Westhofen et al. 2023)",
     formula="least t_j - t_i >= 0 over boxes i of the ego and j of the other that overlap",
     parameters=(f"grid {GRID_S} s", f"serious {SERIOUS_S:g} s"), needs="lanes that yield, a drive of two states",
+)  # fmt: skip
+YIELDING = Metric(
+    "yielding", "s", "higher", (Mode.CLOSED,), _yielding,
+    (MIN, _fewer(SERIOUS_S, "below_1s"), _fewer(CRITICAL_S, "below_1500ms")),
+    "Time by which the ego crosses before a road user that comes to the same place: of those that the recorded driver "
+    "let go first (as logged), and of pedestrians (as they moved). Needs no map.",
+    "PET below 1 s: serious; 1.5 s: critical (criticality metrics catalogue, Westhofen et al. 2023)",
+    formula="least t_j - t_i over boxes j of the other and the last box i of the ego that overlaps it before t_j",
+    parameters=(
+        f"grid {FINE_S} s", f"at most {WITHIN_S:g} s", f"moves at {MOVES_MPS} m/s or more", "across: 30 degrees",
+        f"on the ego's way for {SEEN_S} s", f"serious {SERIOUS_S:g} s", f"critical {CRITICAL_S:g} s",
+    ),
+    parts=("recorded", "pedestrian"), needs="a recorded driver that let another go first; a pedestrian",
 )  # fmt: skip

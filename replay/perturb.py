@@ -37,10 +37,11 @@ def _start(scenario: Scenario, rng: np.random.Generator) -> Scenario:
     return replace(scenario, ego=replace(ego, x=ego.x + dx, y=ego.y + dy))
 
 
-def _noise(scenario: Scenario, rng: np.random.Generator) -> Scenario:
+def noisy(scenario: Scenario, rng: np.random.Generator, size: float = NOISE_M) -> Scenario:
+    """Gaussian errors of `size` m on the positions of the agents that move."""
     tracks = scenario.tracks
     moves = np.repeat(~tracks.static, np.diff(tracks.offsets))
-    x, y = (column + moves * rng.normal(0.0, NOISE_M, len(tracks.t)) for column in (tracks.x, tracks.y))
+    x, y = (column + moves * rng.normal(0.0, size, len(tracks.t)) for column in (tracks.x, tracks.y))
     return replace(scenario, tracks=replace(tracks, x=x, y=y))
 
 
@@ -51,7 +52,7 @@ PERTURBATIONS: Mapping[str, Callable[[Scenario, np.random.Generator], Scenario]]
         "clock": lambda scenario, rng: shifted_clock(scenario, int(rng.integers(DAY_NS))),
         "tiny": lambda scenario, rng: jittered(scenario, TINY, int(rng.integers(2**31))),
         "start": _start,
-        "noise": _noise,
+        "noise": noisy,
     }
 )
 

@@ -1,11 +1,12 @@
-"""Does a drive stay the same in a world that should not matter? Each log turned, mirrored, its clock set, 1e-9 off.
+"""Does a drive stay the same in a world that should not matter? Turned, mirrored, another clock, rate or noise.
 
 python -m replay.experiments.invariance [LOG ...] -o OUT [-p dp_qp ...] [--only turn_30 ...] [--workers N]
 
-Without logs: the built-in suite. OUT/invariance.csv has a row per log, planner and perturbation (`COLUMNS`); what is
-printed counts per planner and perturbation the logs whose outcome (why the drive ended, the goal, collisions at fault)
-or whose failed gates are others than unperturbed, and those whose ego parted from the unperturbed drive, mapped back,
-by more than 1 cm and 10 cm.
+Without logs: the built-in suite. OUT/invariance.csv has a row per log, planner and perturbation (`COLUMNS`). What is
+printed counts, per planner and perturbation, the logs whose outcome (why the drive ended, the goal, collisions at
+fault) is another, and those whose ego parted from the unperturbed drive, mapped back, by more than 1 cm and 10 cm. Of
+the gates it counts those that pass or fail (`gates`), those that flip to or from a failure, and the flips that are
+marginal (`metrics.marginal`) in neither world (`unmarked`).
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Hashable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from math import nan, radians
@@ -25,26 +27,30 @@ import pandas as pd
 from logs.errors import ReplanError
 from logs.scenario import Scenario
 from logs.states import Trajectory
-from logs.transform import jittered, mirrored, mirrored_trajectory, moved_trajectory, rotated, shifted_clock
+from logs.transform import jittered, mirrored, mirrored_trajectory, moved_trajectory, rotated, sampled, shifted_clock
 from metrics import evaluate
 from metrics.aggregate import LogLabels
 from metrics.gates import Outcome, load_gates
 from metrics.judge import judge
+from metrics.marginal import marginal
 from replay.avoidability import with_avoidability
 from replay.batch.pool import WorkerLost, run_all
 from replay.batch.sources import LogSource, builtin_suite, select
 from replay.batch.tables import write_file
 from replay.closed_loop import run_closed_loop
 from replay.drive import LoopConfig
+from replay.perturb import noisy
 
 TURNS_DEG = (30, 45, 60, 90, 120, 150, 180, 210, 240, 270, 300, 330)
 TINY = 1e-9
 """Of a jitter, m, m/s and so on: far above rounding, far below anything that is measured."""
 CLOCK_NS = 3_600_000_000_007
+RATES_HZ, NOISE_M = (5.0, 10.0, 20.0), (0.02, 0.05)
 PARTED_M = (0.01, 0.1)
 
 COLUMNS = (
-    "log", "planner", "perturbation", "end", "detail", "end_s", "goal", "at_fault", "gap_m", "failed_gates", "parted_m",
+    "log", "planner", "perturbation", "end", "detail", "end_s", "goal", "at_fault", "gap_m", "failed_gates",
+    "marginal_gates", "gates", "parted_m",
 )  # fmt: skip
 """`gap_m`: smallest gap; `parted_m`: largest distance of the ego to where it was, unperturbed, at the same time."""
 
@@ -62,6 +68,10 @@ def _turn(name: str, angle: float) -> Perturbation:
     return Perturbation(name, partial(rotated, angle=angle), lambda ego: moved_trajectory(ego, 0.0, 0.0, -angle))
 
 
+def _noisy(log: Scenario, size: float) -> Scenario:
+    return noisy(log, np.random.default_rng(0), size)
+
+
 PERTURBATIONS: dict[str, Perturbation] = {
     each.name: each
     for each in (
@@ -71,6 +81,8 @@ PERTURBATIONS: dict[str, Perturbation] = {
         Perturbation("mirror", lambda log: replace(mirrored(log), name=log.name), mirrored_trajectory),
         Perturbation("clock", lambda log: shifted_clock(log, CLOCK_NS)),
         Perturbation("jitter_1e-9", lambda log: jittered(log, TINY)),
+        *(Perturbation(f"{rate:g}_hz", partial(sampled, rate_hz=rate)) for rate in RATES_HZ),
+        *(Perturbation(f"noise_{100.0 * size:g}_cm", partial(_noisy, size=size)) for size in NOISE_M),
     )
 }
 
@@ -100,12 +112,10 @@ def _rows(scenario: Scenario, planner: str, job: Job) -> Iterator[dict[str, obje
         world = PERTURBATIONS[name].there(scenario)
         trace = run_closed_loop(world, planner, config=LoopConfig(traffic=job.traffic)).trace
         table = evaluate(trace, world)
-        value = table.set_index("metric")["value"].to_dict()
-        failed = [
-            v.gate.metric
-            for v in judge(gates, table, {world.name: LogLabels(tags=world.tags)})
-            if v.outcome is Outcome.FAIL
-        ]
+        value = defaultdict(lambda: nan, zip(table["metric"], table["value"], strict=True))
+        verdicts = judge(gates, table, {world.name: LogLabels(tags=world.tags)})
+        failed = [v.gate.metric for v in verdicts if v.outcome is Outcome.FAIL]
+        near = [v.gate.metric for v in verdicts if marginal(v.gate, value.__getitem__)]
         ego = PERTURBATIONS[name].back(trace.ego)
         still = ego if still is None else still
         yield {
@@ -119,6 +129,8 @@ def _rows(scenario: Scenario, planner: str, job: Job) -> Iterator[dict[str, obje
             "at_fault": value.get("collision_at_fault.count", nan),
             "gap_m": value.get("gap.min", nan),
             "failed_gates": " ".join(failed),
+            "marginal_gates": " ".join(near),
+            "gates": sum(v.outcome is not Outcome.INCONCLUSIVE for v in verdicts),
             "parted_m": parted(still, ego),
         }
 
@@ -142,10 +154,17 @@ def counted(table: pd.DataFrame) -> pd.DataFrame:
         for column in ("end", "goal", "at_fault"):
             flips |= ~((here[column] == there[column]) | (here[column].isna() & there[column].isna()))
         counts = {f"beyond_{limit:g}_m": int((here["parted_m"] > limit).sum()) for limit in PARTED_M}
-        gates = int((here["failed_gates"] != there["failed_gates"]).sum())
+        changed = {key: _words(here, "failed_gates", key) ^ _words(there, "failed_gates", key) for key in here.index}
+        near = {key: _words(here, "marginal_gates", key) | _words(there, "marginal_gates", key) for key in here.index}
+        gates = {"gates": int(here["gates"].sum()), "gate_flips": sum(map(len, changed.values()))}
+        gates["unmarked"] = sum(len(changed[key] - near[key]) for key in changed)
         row = {"planner": planner, "perturbation": name, "logs": len(here), "outcome_flips": int(flips.sum())}
-        out.append(row | {"gate_flips": gates} | counts)
+        out.append(row | gates | counts)
     return pd.DataFrame(out)
+
+
+def _words(table: pd.DataFrame, column: str, key: Hashable) -> set[str]:
+    return set(str(table.at[key, column]).split())
 
 
 def compare(jobs: Sequence[Job], out: Path, *, workers: int, say: Callable[[str], None]) -> pd.DataFrame:

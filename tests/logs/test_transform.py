@@ -10,12 +10,22 @@ from math import pi
 import numpy as np
 import pytest
 from drives import drive
+from handmade import track, tracks
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from logs import Controls, Goal, Scenario
 from logs.catalogue import CATALOGUE
-from logs.transform import jittered, mirrored, mirrored_trajectory, moved, moved_trajectory, rotated, shifted_clock
+from logs.transform import (
+    jittered,
+    mirrored,
+    mirrored_trajectory,
+    moved,
+    moved_trajectory,
+    rotated,
+    sampled,
+    shifted_clock,
+)
 from metrics import evaluate
 
 FAMILIES = ("everyday/cut_in", "everyday/traffic_light", "everyday/crosswalk", "everyday/junction", "paper/free_road")
@@ -137,3 +147,14 @@ def test_a_trajectory_moves_as_its_scenario(angle: float) -> None:
     one, two = moved(log, 3.0, 4.0, angle).ego, moved_trajectory(log.ego, 3.0, 4.0, angle)
     for name in ("x", "y", "yaw", "v", "kappa"):
         np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
+
+
+def test_a_log_at_another_rate_keeps_its_curves_and_its_gaps() -> None:
+    t = np.r_[np.arange(0.0, 2.05, 0.1), np.arange(4.0, 6.05, 0.1)]
+    road_user = tracks(track("a", list(t), list(3.0 * t + 0.5 * t**2), list(0.0 * t)))
+    log = replace(CATALOGUE["paper/free_road"].scenario(), tracks=road_user)
+    for rate in (5.0, 10.0, 20.0):
+        found = sampled(log, rate).tracks
+        assert np.median(np.diff(found.t)) == pytest.approx(1.0 / rate)
+        assert not ((found.t > 2.001) & (found.t < 3.999)).any()
+        np.testing.assert_allclose(found.x, 3.0 * found.t + 0.5 * found.t**2, atol=0.005)

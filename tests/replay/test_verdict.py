@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 from adversaries import ADVERSARIES
-from drives import along, drive, grid, moving, scenario
+from drives import along, drive, grid, moved, moving, scenario, straight_road
+from handmade import crossing_without_a_map
 
-from logs import AgentKind, EndReason, Goal, Mode, PlanStatus, Scenario
+from logs import AgentKind, EndReason, Goal, Mode, PlanStatus, Road, Scenario
 from logs.catalogue import CATALOGUE
 from logs.readers.cut import cut
 from metrics import evaluate
@@ -25,6 +27,7 @@ from replay.drive import Drive, LoopConfig
 from replay.open_loop import run_open_loop
 from replay.reference_drives import reference_drives, reference_table, with_follower
 
+GRID = grid(4.0, 0.1)
 FAST = ("park", "short", "teleport")
 
 
@@ -73,6 +76,35 @@ def test_no_plan_of_an_adversary_is_driven_as_it_is_where_it_is_impossible() -> 
     )
     ego = drive.trace.ego
     assert np.hypot(np.diff(ego.x), np.diff(ego.y)).max() < 0.01 * 13.0
+
+
+def test_a_blind_speeder_on_a_crossing_without_a_map_is_failed_for_the_pedestrian() -> None:
+    """1.3 times as fast as the recorded driver, who let the pedestrian go first."""
+    _, verdicts = driven(crossing_without_a_map(), "adversaries:Blind", Mode.CLOSED)
+    (said,) = [v for v in verdicts if v.gate.metric == "yielding.recorded.below_1500ms"]
+    assert said.outcome is Outcome.FAIL
+    assert re.search(
+        r"pedestrian 17: the ego goes first, 1\.\d s before it: the recorded driver let it go", said.reason
+    )
+
+
+@pytest.mark.parametrize(
+    ("v", "road", "outcome"),
+    [
+        (15.0, None, Outcome.PASS), (26.0, None, Outcome.FAIL), (26.0, straight_road(), Outcome.FAIL),
+        (26.0, straight_road(limit=30.0), None), (26.0, moved(scenario(along(GRID, 1.0)), 0.0, 0.0, 50.0).road, None),
+    ],
+)  # fmt: skip
+def test_an_assumed_limit_is_judged_with_a_margin(v: float, road: Road | None, outcome: Outcome | None) -> None:
+    """Without a map and on lanes without a limit; not where a lane has one, and not beside the lanes."""
+    log = crossing_without_a_map()
+    log = log if road is None else replace(log, road=road)
+    verdicts = judge(
+        load_gates(None).asked_of(["closed"]), evaluate(drive(log, along(GRID, v)), log), {log.name: LogLabels()}
+    )
+    said = [v for v in verdicts if v.gate.metric == "assumed_limit_excess.time_above_1mps"]
+    assert [v.outcome for v in said] == ([] if outcome is None else [outcome])
+    assert outcome is not Outcome.FAIL or "(assumed limit: 13.9 m/s, the log's driver 11.4 m/s)" in said[0].reason
 
 
 # what others did --------------------------------------------------------------------------------------------------

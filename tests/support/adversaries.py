@@ -89,6 +89,13 @@ class Speeder(Along):
         return 1.5 * max(self._start.v, 10.0)
 
 
+class Blind(Along):
+    """Drives 15 m/s and looks at no one."""
+
+    def speed(self, t: float) -> float:
+        return 15.0
+
+
 class WrongWay(Along):
     """Drives a lane's width to the left."""
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -105,6 +106,25 @@ def scenario(
         vehicle=vehicle or VehicleParameters(),
         metadata={"generator": "test"},
     )
+
+
+def crossing_without_a_map(top: float = 11.4, walks: float = 1.4) -> Scenario:
+    """A recorded driver slows down for a pedestrian, who crosses 60 m ahead, and goes on behind them; no lanes.
+
+    From `top` m/s down to 2 m/s at a crossing, and up again; a box of the pedestrian every 0.1 s, with `walks` m/s.
+    """
+    t = np.arange(0.0, 20.05, 0.1)
+    v = np.interp(t, [0.0, 1.0, 5.5, 11.0, 15.0], [top, top, 2.0, 2.0, top])
+    x = np.r_[0.0, np.cumsum(0.05 * (v[1:] + v[:-1]))]
+    zero = np.zeros(len(t))
+    ego = Trajectory(t, x, zero, zero, v, np.gradient(v, t), zero)
+    there = np.arange(0.0, 12.05, 0.1)
+    walker = track(
+        "17", list(there), [60.0] * len(there), list(walks * (there - 6.3)), kind=AgentKind.PEDESTRIAN, length=0.5,
+        width=0.5, yaw=np.pi / 2.0, vx=0.0, vy=walks,
+    )  # fmt: skip
+    path = Road.along(np.column_stack([x, zero]), speed_limit=13.89)
+    return replace(scenario(ego, agents=tracks(walker), road=path), tags=("recorded",))
 
 
 def square(x: float, y: float, half: float) -> FloatArray:

@@ -18,21 +18,22 @@ from replay.experiments.invariance import COLUMNS, PERTURBATIONS, Job, compare, 
 @pytest.mark.parametrize("name", PERTURBATIONS)
 def test_what_is_driven_in_another_world_is_mapped_back(name: str) -> None:
     log, world = CATALOGUE["everyday/cut_in"].scenario(), PERTURBATIONS[name]
-    assert parted(log.ego, world.back(world.there(log).ego)) < 1e-8
+    near = 0.02 if name == "5_hz" else 1e-8  # linear between samples: a d^2 / 8
+    assert parted(log.ego, world.back(world.there(log).ego)) < near
     assert world.there(log).name == log.name
 
 
 def test_flips_and_partings_are_counted_against_the_unperturbed_drive() -> None:
     rows = [
-        ("a", "p", "none", "goal reached", "", 9.0, 1.0, 0.0, 2.0, "", 0.0),
-        ("b", "p", "none", "end of the log", "", 9.0, np.nan, 0.0, 2.0, "gap.min", 0.0),
-        ("a", "p", "mirror", "goal reached", "", 9.0, 1.0, 0.0, 2.0, "gap.min", 0.05),
-        ("b", "p", "mirror", "collision", "car 1", 7.0, np.nan, 0.0, 0.0, "gap.min", 0.5),
-        ("c", "", "none", "cannot be read", "", np.nan, np.nan, np.nan, np.nan, "", np.nan),
+        ("a", "p", "none", "goal reached", "", 9.0, 1.0, 0.0, 2.0, "", "ttc", 9, 0.0),
+        ("b", "p", "none", "end of the log", "", 9.0, np.nan, 0.0, 2.0, "gap.min", "", 9, 0.0),
+        ("a", "p", "mirror", "goal reached", "", 9.0, 1.0, 0.0, 2.0, "gap.min ttc", "", 9, 0.05),
+        ("b", "p", "mirror", "collision", "car 1", 7.0, np.nan, 0.0, 0.0, "gap.min", "", 8, 0.5),
+        ("c", "", "none", "cannot be read", "", np.nan, np.nan, np.nan, np.nan, "", "", 0, np.nan),
     ]
     found = counted(pd.DataFrame(rows, columns=list(COLUMNS))).set_index("perturbation")
-    assert found.loc["none", "logs":].tolist() == [2, 0, 0, 0, 0]
-    assert found.loc["mirror", "logs":].tolist() == [2, 1, 1, 2, 1]
+    assert found.loc["none", "logs":].tolist() == [2, 0, 18, 0, 0, 0, 0]
+    assert found.loc["mirror", "logs":].tolist() == [2, 1, 17, 2, 1, 2, 1]
 
 
 def test_a_planner_that_follows_the_compass_is_found_out(

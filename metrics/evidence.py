@@ -84,14 +84,21 @@ def _lights(trace: Trace, scenario: Scenario, x: FloatArray, y: FloatArray) -> M
         return Unavailable("the log's map has no stop line with a traffic light")
     needed, known, lacking = np.zeros(len(x), np.bool_), np.ones(len(x), np.bool_), set[int]()
     for line in lines:
-        lane = scenario.road.lanes[line.lane].polygon
-        near = np.array([inside(*point, lane) for point in zip(x.tolist(), y.tolist(), strict=True)])
+        near = _inside(scenario.road.lanes[line.lane].polygon, x, y)
         shown = _shown(lights.get(line.light or 0), trace.ego.t)
         lacking |= {line.light or 0} if (near & ~shown).any() else set()
         needed, known = needed | near, known & (shown | ~near)
     if not needed.any():
         return Unavailable("no stop line with a traffic light lies on the driven way")
     return _found(trace, known, f"traffic light {', '.join(map(str, sorted(lacking)))} is not observed", needed)
+
+
+def _inside(polygon: FloatArray, x: FloatArray, y: FloatArray) -> BoolArray:
+    """Which points lie in a polygon `(n, 2)`; most of a drive is outside of its bounding box."""
+    (x_lo, y_lo), (x_hi, y_hi) = polygon.min(axis=0), polygon.max(axis=0)
+    found = (x >= x_lo) & (x <= x_hi) & (y >= y_lo) & (y <= y_hi)
+    found[found] = [inside(*point, polygon) for point in zip(x[found].tolist(), y[found].tolist(), strict=True)]
+    return found
 
 
 def _shown(light: TrafficLight | None, t: FloatArray) -> BoolArray:

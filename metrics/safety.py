@@ -20,8 +20,9 @@ Time to collision: both boxes go on with their velocity vectors and headings (`s
 agents behind (as above) and a standing ego (<= 0.005 m/s) have none. At a collision at fault it is 0, with anyone. Its
 times below a bound count the last step too (`exposure`).
 
-Off the road: the greatest distance of the ego's four corners to the drivable lanes. The corners suffice where a lane
-is not narrower than the box; a hole between the corners is not seen.
+Off the road: the greatest distance of the ego's outline to the drivable lanes, at points at most `OUTLINE_M` apart, its
+corners among them: a kerb's corner that reaches into the side of a turning car is seen, and what is within the box has
+come through its outline.
 """
 
 from __future__ import annotations
@@ -29,7 +30,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import Enum
 from functools import partial
-from math import cos, hypot, inf, sin
+from itertools import pairwise
+from math import ceil, cos, hypot, inf, sin
 
 import numpy as np
 
@@ -51,6 +53,8 @@ STANDING_MPS = 0.05
 TTC_HORIZON_S = 10.0
 PLAN_HORIZON_S = 5.0
 OFF_ROAD_M = 0.3
+OUTLINE_M = 0.25
+"""Between two points the outline is at most half of this further off than they are, m."""
 _BEHIND = cos(150.0 / 180.0 * np.pi)
 
 
@@ -301,14 +305,17 @@ def _off_road(trace: Trace, scenario: Scenario) -> Measured:
     if lanes is None:
         return Unavailable("the log has no lane on which a car may drive")
     x, y, yaw = ego_boxes(trace.ego, scenario)[:3]
-    vehicle = scenario.vehicle
-    worst = np.zeros(len(trace.ego))
-    for along, left in ((1, 1), (-1, 1), (-1, -1), (1, -1)):
-        forward, aside = 0.5 * along * vehicle.length, 0.5 * left * vehicle.width
-        corner_x = x + forward * np.cos(yaw) - aside * np.sin(yaw)
-        corner_y = y + forward * np.sin(yaw) + aside * np.cos(yaw)
-        worst = np.maximum(worst, off_lanes(lanes, corner_x, corner_y))
+    worst, cos, sin = np.zeros(len(trace.ego)), np.cos(yaw), np.sin(yaw)
+    for ahead, left in _outline(scenario.vehicle.length, scenario.vehicle.width).tolist():
+        worst = np.maximum(worst, off_lanes(lanes, x + ahead * cos - left * sin, y + ahead * sin + left * cos))
     return Series(trace.ego.t, worst)
+
+
+def _outline(length: float, width: float) -> FloatArray:
+    """Points `(n, 2)` on the outline of a box about its centre, m: the four corners, and between them equal steps."""
+    ends = 0.5 * np.array([[length, width], [-length, width], [-length, -width], [length, -width]])
+    sides = [np.linspace(a, b, ceil(np.hypot(*(b - a)) / OUTLINE_M), False) for a, b in pairwise((*ends, ends[0]))]
+    return np.vstack(sides)
 
 
 def _plan_collision(trace: Trace, scenario: Scenario) -> Measured:
@@ -426,10 +433,10 @@ TTC_VULNERABLE = Metric(
 )  # fmt: skip
 OFF_ROAD = Metric(
     "off_road", "m", "lower", (Mode.CLOSED,), _off_road, (MAX, time_above(OFF_ROAD_M, "time_beyond_30cm")),
-    "Greatest distance of a corner of the ego from the drivable lanes.",
-    "bound 0.3 m: nuPlan devkit e9241677, drivable_area_compliance",
-    formula="max over the four corners of the distance to the nearest drivable lane",
-    parameters=(f"bound {OFF_ROAD_M} m",), needs="lanes in the log",
+    "Greatest distance of the ego's outline from the drivable lanes.",
+    "bound 0.3 m: nuPlan devkit e9241677, drivable_area_compliance (its corners alone)", 2,
+    formula="max over points of the outline of the distance to the nearest drivable lane",
+    parameters=(f"bound {OFF_ROAD_M} m", f"points at most {OUTLINE_M} m apart"), needs="lanes in the log",
 )  # fmt: skip
 PLAN_COLLISION = Metric(
     "plan_collision", "s", "higher", (Mode.OPEN,), _plan_collision, (HAVING, MIN),

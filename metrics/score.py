@@ -18,7 +18,7 @@ CARLA leaderboard 2.x, in 0 .. 1:
 (6) completion x penalties x red_lights x stop_signs x inside_lanes
 
     collisions        product over {pedestrians and riders, vehicles, objects} of max(0, 1 - n / (1, 1, 2)), n at fault
-    drivable          1 unless a corner is 0.3 m off the lanes
+    drivable          1 unless the ego's outline is 0.3 m off the lanes (the sources look at its corners)
     direction         1, 0.5, 0: less than 2 m, 6 m driven against a lane within 1 s
     making_progress   1 where progress is 0.2 at least
     ttc               1 where it is always above 0.95 s and no collision is at fault

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
+from commonroad_files import driving, problem, vehicle, written
+from commonroad_files import straight as lane
 from drives import along, drive, grid, moved, moved_ego, scenario, straight_road
 from handmade import drive as driven
 from handmade import scenario as handmade
@@ -14,6 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from logs import Colour, Mode, Road, RoadSource, Scenario, StopLine, Trace, TrafficLight
+from logs.readers.commonroad.read import read_commonroad
 from metrics import METRICS, evaluate
 from metrics.health import Kind, findings
 from replay.closed_loop import run_closed_loop
@@ -113,3 +117,25 @@ def test_a_health_finding_names_the_stretches_without_traffic() -> None:
     found = [one for one in findings(log) if one.kind is Kind.TRAFFIC]
     assert [(one.t_from, one.t_to) for one in found] == [(2.0, 7.0)]
     assert found[0].text == "no traffic is recorded for 5.0 s of 10.0 s"
+
+
+def test_a_blind_drive_among_traffic_that_ends_at_once_has_no_evidence(tmp_path: Path) -> None:
+    """Constant speed meets nobody, since nobody is there: nothing that a safety gate could rest on."""
+    cars = [vehicle(20 + i, driving(20.0 * i, 4.0, 10.0, steps=2)) for i in range(4)]
+    log = read_commonroad(written(tmp_path, lane(1), lane(2, y=4.0), *cars, problem(9, 0.0, 0.0, 10.0)))
+    trace = run_closed_loop(log, "constant_speed").trace
+    safe = evaluate(trace, log, metrics={"collision": METRICS["collision"]}).set_index("metric")
+    assert safe.loc["collision.count", "value"] == 0.0
+    assert rows(log, trace)["traffic.share"][0] < 0.1
+
+
+def test_published_files_have_the_evidence_that_their_traffic_gives(shared_data: Path) -> None:
+    """Files whose traffic is a snapshot have next to none, those whose traffic is recorded have all of it."""
+    files = sorted((shared_data / "commonroad_traps").glob("*.xml"))
+    whole = sorted((shared_data / "commonroad").glob("*.xml"))[::15]
+    if not files or not whole:
+        pytest.skip("no CommonRoad files among the recorded data")
+    for file in [*files, *whole]:
+        log = read_commonroad(file)
+        known = sum(min(last, log.duration) - max(first, 0.0) for first, last in log.traffic_spans)
+        assert (known < 0.05 * log.duration) == ("_I-1" in file.name), file.name

@@ -18,7 +18,7 @@ from logs.shapes import distance, point_segment, time_to_contact
 from metrics import evaluate, series
 from metrics.lanes import drivable_lanes, limits_at, off_lanes, under
 from metrics.others import ego_boxes, others_at
-from metrics.safety import ContactKind, contacts
+from metrics.safety import OUTLINE_M, ContactKind, contacts
 
 CAR = (4.5, 1.8)
 EGO = VehicleParameters()
@@ -253,6 +253,18 @@ def test_a_corner_off_the_lane(side: float) -> None:
     assert table.loc["off_road.max", "value"] == pytest.approx(out)
     crossing = 1.75 + 0.3 - 0.5 * EGO.width
     assert table.loc["off_road.time_beyond_30cm", "value"] == pytest.approx(4.0 - crossing, abs=0.02)
+
+
+def test_a_kerb_between_the_corners_is_off_the_road() -> None:
+    """A kerb's square corner reaches to y = 0.2 m into the side of an ego whose four corners are on the lane."""
+    x, edge = np.array([-100.0, 8.0, 10.0, 12.0, 500.0]), np.array([2.2, 2.2, 0.2, 2.2, 2.2])
+    lane = Lane(0, np.column_stack([x, edge]), np.column_stack([x, np.full(5, -2.0)]))
+    t = grid(1.0)
+    ego = Trajectory(t, 10.0 - EGO.axle_to_center + 0 * t, *(0 * t for _ in range(5)))
+    table = judged(scenario(ego, road=Road({0: lane})))
+    deep = (0.5 * EGO.width - 0.2) / np.sqrt(2.0)
+    assert table.loc["off_road.max", "value"] == pytest.approx(deep, abs=0.5 * OUTLINE_M)
+    assert table.loc["off_road.time_beyond_30cm", "value"] == pytest.approx(1.0, abs=0.02)
 
 
 def test_two_lanes_are_one_road_and_a_sidewalk_is_none() -> None:

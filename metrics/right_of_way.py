@@ -156,28 +156,34 @@ def _yielding(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
     walkers = {i for i, kind in enumerate(trace.agents.kinds) if kind is AgentKind.PEDESTRIAN}
     if not walkers:
         return {"recorded": recorded, "pedestrian": Unavailable("the log names no pedestrian")}
-    met = [(one, one.step) for one in _meetings(trace.ego, trace.agents, scenario, t) if one.agent in walkers]
-    return {"recorded": recorded, "pedestrian": _gaps(t, met, trace.agents, "")}
+    met = [(one, one.step, "") for one in _meetings(trace.ego, trace.agents, scenario, t) if one.agent in walkers]
+    none = Unavailable("the ego and the pedestrians took no place in common")
+    return {"recorded": recorded, "pedestrian": _gaps(t, met, trace.agents) if met else none}
 
 
 def _before_the_recorded(trace: Trace, scenario: Scenario, t: FloatArray) -> Measured:
     """The part "recorded" of (2)."""
     tracks = without_phantoms(scenario.tracks, phantoms(scenario))
-    log = _meetings(scenario.ego, tracks, scenario, t)
-    let = {one.agent: one.step[(one.taken > 0.0) & np.isnan(one.left)] for one in log}
-    if not any(map(len, let.values())):
+    let = {}
+    for one in _meetings(scenario.ego, tracks, scenario, t):
+        second = (one.taken > 0.0) & np.isnan(one.left)
+        if second.any():
+            let[one.agent] = (
+                one.step[second],
+                f", which the recorded driver let go first by {one.taken[second].min():.1f} s",
+            )
+    if not let:
         return Unavailable("the recorded driver let no road user with a kind go first")
     mine = _meetings(trace.ego, tracks, scenario, t)
-    met = [(one, let[one.agent]) for one in mine if one.agent in let]
-    return _gaps(t, met, tracks, ": the recorded driver let it go first")
+    return _gaps(t, [(one, *let[one.agent]) for one in mine if one.agent in let], tracks)
 
 
-def _gaps(t: FloatArray, met: Sequence[tuple[_Meetings, IntArray]], tracks: Tracks, why: str) -> Series:
+def _gaps(t: FloatArray, met: Sequence[tuple[_Meetings, IntArray, str]], tracks: Tracks) -> Series:
     """The least (2) over the boxes at the steps that are asked, at the time at which the ego left their place."""
     gap, labels = np.full(len(t), np.nan), [""] * len(t)
-    asked = [(one, np.flatnonzero((one.left <= WITHIN_S + 1e-9) & np.isin(one.step, steps))) for one, steps in met]
-    seen = t[np.unique(np.concatenate([np.empty(0, np.int64), *(one.step[at] for one, at in asked)]))]
-    for one, at in asked:
+    asked = [(one, (one.left <= WITHIN_S + 1e-9) & np.isin(one.step, steps), why) for one, steps, why in met]
+    seen = t[np.unique(np.concatenate([np.empty(0, np.int64), *(one.step[at] for one, at, _ in asked)]))]
+    for one, at, why in asked:
         who = name_of(tracks, one.agent)
         for j, left in zip(one.step[at].tolist(), one.left[at].tolist(), strict=True):
             i = j - round(left / FINE_S) - 1

@@ -6,6 +6,7 @@
     tiny     1e-9 on everything that was measured
     start    the ego's log moved by up to 5 cm along each axis
     noise    Gaussian errors of 2 cm on the agents' positions
+    rate     ego and agents sampled at 5 Hz, the rate of the slowest logs of recorded traffic in use
 
 A member's random numbers are seeded by the log's name and the member's number, so that they are the same in every run.
 """
@@ -20,9 +21,9 @@ from types import MappingProxyType
 import numpy as np
 
 from logs.scenario import Scenario
-from logs.transform import jittered, rotated, shifted_clock
+from logs.transform import jittered, rotated, sampled, shifted_clock
 
-START_M, NOISE_M, TINY = 0.05, 0.02, 1e-9
+START_M, NOISE_M, TINY, RATE_HZ = 0.05, 0.02, 1e-9, 5.0
 DAY_NS = 86_400_000_000_000
 
 
@@ -53,6 +54,7 @@ PERTURBATIONS: Mapping[str, Callable[[Scenario, np.random.Generator], Scenario]]
         "tiny": lambda scenario, rng: jittered(scenario, TINY, int(rng.integers(2**31))),
         "start": _start,
         "noise": noisy,
+        "rate": lambda scenario, rng: sampled(scenario, RATE_HZ),
     }
 )
 

@@ -65,5 +65,6 @@ def test_the_kinds_take_turns_and_are_the_same_in_every_run() -> None:
         0.0 < np.hypot(worlds["start"].ego.x - log.ego.x, worlds["start"].ego.y - log.ego.y).max() <= START_M * 2**0.5
     )
     assert 0.3 * NOISE_M < np.std(worlds["noise"].tracks.x - log.tracks.x) < 3.0 * NOISE_M
+    assert np.allclose(np.diff(worlds["rate"].tracks.t), 0.2)
     assert np.allclose(np.hypot(*(np.diff(c) for c in (worlds["turned"].ego.x, worlds["turned"].ego.y))), 1.0)
     assert not np.array_equal(perturbed(log, 2)[1].ego.yaw, perturbed(log, 2 + len(kinds))[1].ego.yaw)

@@ -43,9 +43,12 @@ def test_a_flip_by_the_rate_is_marked() -> None:
 
 def test_what_is_not_about_others_or_far_from_its_bound_is_not_marginal() -> None:
     values = {"off_road.max": 0.3, "off_road.time_beyond_30cm": 0.0, "lat_accel.worst_episode": 0.0, INTERVAL: 0.2}
+    values |= {"yielding.recorded.min": 1.4, "yielding.recorded.below_1500ms": 2.0}
     values |= {"thw.time_below_900ms": 4.8, "gap_kept.min": 0.5, "gap_kept.time_below_20cm": 0.0}
     found = {gate.metric for gate in load_gates(None).gates if marginal(gate, of(values))}
-    assert found == {"thw.time_below_900ms", "gap_kept.time_below_20cm"}
+    assert found == {"thw.time_below_900ms", "gap_kept.time_below_20cm", "yielding.recorded.below_1500ms"}
+    assert marginal(Gate("gap_kept.min", min=0.5), of(values | {"gap_kept.min": 0.7})).endswith("0.36 m of 0.7 m")
+    assert not marginal(Gate("lon_accel.max_abs", max=4.0), of({"lon_accel.max_abs": 4.0, INTERVAL: 0.2}))
 
 
 @pytest.mark.parametrize("rate", [5.0, 10.0, 20.0])

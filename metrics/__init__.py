@@ -33,6 +33,7 @@ from metrics import (
     following,
     lane_keeping,
     progress,
+    proposals,
     right_of_way,
     rss,
     rules,
@@ -65,7 +66,7 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
     "safety": (
         safety.COLLISION, safety.COLLISION_AT_FAULT, safety.GAP, safety.GAP_VULNERABLE, safety.GAP_KEPT,
         safety.GAP_KEPT_VULNERABLE, safety.TTC, safety.OFF_ROAD,
-        safety.PLAN_COLLISION,
+        proposals.PLAN_COLLISION, proposals.PLAN_OFF_ROAD, proposals.PLAN_TTC,
         safety.TTC_VULNERABLE, severity.COLLISION_SEVERITY, following.HEADWAY, following.THW, following.DRAC,
         following.REQUIRED_DECEL, following.BTN, following.STN, following.FOLLOWING_GAP, encounters.TTC_ACCELERATED,
         encounters.DCE, encounters.TTCE, encounters.PET, rss.RSS_MARGIN, rss.RSS_IMPROPER,
@@ -76,12 +77,12 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
     ),
     "comfort": (
         comfort.LON_ACCEL, comfort.LAT_ACCEL, comfort.LON_JERK_STATE, comfort.LAT_JERK_STATE, comfort.YAW_RATE,
-        comfort.PLAN_LON_ACCEL, comfort.PLAN_LAT_ACCEL, comfort.PLAN_LON_JERK,
+        proposals.PLAN_COMFORT, proposals.PLAN_LON_ACCEL, proposals.PLAN_LAT_ACCEL, proposals.PLAN_LON_JERK,
         comfort.JERK_STATE, comfort.YAW_ACCEL, *comfort.NUPLAN, comfort.LAT_JERK_R79,
     ),
     "progress": (
         progress.COMPLETED, progress.GOAL, progress.PROGRESS, progress.DISTANCE, progress.SPEED,
-        progress.ROUTE_PROGRESS,
+        progress.ROUTE_PROGRESS, proposals.PLAN_PROGRESS,
         progress.COMPLETION,
     ),
     "tracking": (tracking.LATERAL, tracking.HEADING, tracking.SPEED, tracking.STATION),
@@ -90,7 +91,7 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
         effort.QP_ITERATIONS, effort.SOLVER_UNSOLVED, effort.FALLBACK,
     ),
     "consistency": (
-        consistency.PLAN_CHANGE, consistency.PLAN_CHANGE_LATERAL,
+        consistency.PLAN_CHANGE, consistency.PLAN_CHANGE_LATERAL, proposals.PLAN_KEPT, proposals.PLAN_KEPT_LATERAL,
         consistency.EXTENDED_COMFORT, consistency.PLAN_HORIZON, consistency.PLAN_COMPLETE,
     ),
     "evidence": (
@@ -100,6 +101,7 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
     ),
     "reference": (avoidability.CC, avoidability.FSM),
     "score": (
+        proposals.PLAN_SCORE,
         score.NUPLAN_CLOSED_SCORE, score.NUPLAN_OPEN_SCORE, score.PDMS_SCORE, score.EPDMS_SCORE, score.CARLA_SCORE,
     ),
 })  # fmt: skip

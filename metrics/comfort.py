@@ -1,4 +1,4 @@
-"""Comfort: accelerations, jerk, yaw rate; of the drive in closed loop, of the plans in open loop.
+"""Comfort of the drive: accelerations, jerk, yaw rate; `proposals` has that of plans.
 
 State signals, not filtered (in simulation they are free of noise), differentiated by one declared rule:
 `metric.changed`, the backward difference over W = 0.1 s.
@@ -23,7 +23,6 @@ from functools import partial
 
 import numpy as np
 
-from logs.frame_store import loaded
 from logs.kernel import FloatArray
 from logs.scenario import Scenario
 from logs.states import Trajectory
@@ -32,7 +31,6 @@ from metrics import filters
 from metrics.metric import (
     MAX,
     MAX_ABS,
-    MEAN,
     MIN,
     P95,
     P99,
@@ -44,10 +42,8 @@ from metrics.metric import (
     changed,
     out_of_bounds,
 )
-from metrics.plans import frame_times
 
 WINDOW_S = 0.1
-PLAN_HORIZON_S = 5.0
 Signal = Callable[[Trajectory], FloatArray]
 
 
@@ -102,19 +98,6 @@ def _filtered(signal: Signal, step: float, least: float, trace: Trace, scenario:
     return Series(drive.t, signal(drive))
 
 
-def _planned(signal: Signal, trace: Trace, scenario: Scenario) -> Measured:
-    """Per frame the signal of largest size in the plan's first 5 s."""
-    if not trace.frames:
-        return Unavailable("the drive has no plans")
-    worst = np.full(len(trace.frames), np.nan)
-    for i, frame in enumerate(trace.frames):
-        path = loaded(frame.plan.trajectory)
-        values = np.abs(signal(path))[path.t <= frame.t + PLAN_HORIZON_S + 1e-9]
-        if np.isfinite(values).any():
-            worst[i] = np.nanmax(values)
-    return Series(frame_times(trace), worst, missing=f"the plans are shorter than {WINDOW_S} s")
-
-
 _SPREAD = (MAX_ABS, P95, P99)
 _NUPLAN = "bounds: nuPlan devkit e9241677, ego_is_comfortable"
 _R79 = "bound: UN R79, there on a filtered signal"
@@ -156,13 +139,6 @@ def _nuplan_metric(kind: str, meaning: str) -> Metric:
         "nuPlan devkit e9241677, ego_is_comfortable; there at the ego's centre",
         formula=filters.NUPLAN_FORMULAE[kind], parameters=(_bounds(low, high, unit), f"step {filters.NUPLAN_STEP_S} s"),
         needs=f"a drive of {filters.NUPLAN_LEAST_S} s",
-    )  # fmt: skip
-
-
-def _plan_metric(name: str, unit: str, signal: Signal, meaning: str, formula: str) -> Metric:
-    return Metric(
-        name, unit, "lower", (Mode.OPEN,), partial(_planned, signal), (MEAN, P95, MAX), meaning,
-        formula=formula, parameters=(f"horizon {PLAN_HORIZON_S:g} s",), needs="plans",
     )  # fmt: skip
 
 
@@ -210,15 +186,4 @@ LAT_JERK_R79 = Metric(
     "Lateral jerk as UN R79 measures it: low-pass, derivative, moving mean.", "UN R79 (read at second hand)",
     formula="mean over 0.5 s of dB/dt = (B(t) - B(t - 0.5 s)) / 0.5 s, B = Butterworth low-pass of v^2 kappa",
     parameters=(f"bound {R79_JERK_MPS3:g} m/s3", "order 4", "cut-off 0.5 Hz", "rate 100 Hz"), needs="a drive of 0.5 s",
-)  # fmt: skip
-PLAN_LON_ACCEL = _plan_metric(
-    "plan_lon_accel", "m/s2", lon_accel, "Largest planned acceleration or braking within 5 s of the frame.", "max |a|"
-)
-PLAN_LAT_ACCEL = _plan_metric(
-    "plan_lat_accel", "m/s2", lat_accel, "Largest planned lateral acceleration within 5 s of the frame.",
-    "max |v^2 kappa|",
-)  # fmt: skip
-PLAN_LON_JERK = _plan_metric(
-    "plan_lon_jerk", "m/s3", lon_jerk, "Largest planned longitudinal jerk within 5 s of the frame, over 0.1 s.",
-    "max |a(t) - a(t - W)| / W",
 )  # fmt: skip

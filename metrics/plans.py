@@ -13,6 +13,8 @@ from logs.trace import Trace
 
 STEP_S = 0.1
 """Plans are compared at multiples of this after their frame's time."""
+SHORT_M = 5.0
+"""Plans that are no longer than this in their first 4 s are those of a standing ego (NAVSIM's bound for progress)."""
 PIECE = 1000
 """So many plans are laid out at a time: all those of an hour are 80 MB."""
 
@@ -46,6 +48,11 @@ def plan_columns(trace: Trace, times: FloatArray, names: tuple[str, ...], which:
 def plan_poses(trace: Trace, times: FloatArray, which: IntArray | None = None) -> FloatArray:
     """x, y, yaw `(3, f, k)` of the plans at the times `(f, k)` (`plan_columns`)."""
     return plan_columns(trace, times, ("x", "y", "yaw"), which)
+
+
+def plan_way(x: FloatArray, y: FloatArray) -> FloatArray:
+    """Distance along each row of positions `(f, k)` from its first, m; NaN from its first NaN on."""
+    return np.concatenate([0.0 * x[:, :1], np.cumsum(np.hypot(np.diff(x), np.diff(y)), axis=1)], axis=1)
 
 
 def _rows(plans: Sequence[Trajectory]) -> tuple[IntArray, FloatArray]:

@@ -1,8 +1,7 @@
 """Collisions, gaps, time to collision, and leaving the road.
 
-Closed loop: the ego's box along its drive against the others' boxes as they moved. Open loop: the ego's drive is the
-log's and says nothing of the planner, so its plans are judged: does a plan touch what then really happened? The
-others do not react to it, so a plan that would have made them react may be charged.
+Closed loop: the ego's box along its drive against the others' boxes as they moved. `proposals` judges plans by the same
+rules, in both loops.
 
 Collision: two boxes touch or overlap; each agent counts once. Kinds, the first that holds, in nuPlan's order (the
 first one is ours):
@@ -38,16 +37,15 @@ from logs.scenario import AgentKind, Scenario, Tracks
 from logs.shapes import corners, distance, overlap, time_to_contact
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
+from logs.vehicle import VehicleParameters
 from metrics.exposure import TAU_S, integrated_below
-from metrics.lanes import drivable_lanes, keeps_lane, off_lanes
-from metrics.metric import COUNT, HAVING, MAX, MIN, Measured, Metric, Series, Unavailable, time_above, time_below
+from metrics.lanes import LaneArrays, drivable_lanes, keeps_lane, off_lanes
+from metrics.metric import COUNT, MAX, MIN, Measured, Metric, Series, Unavailable, time_above, time_below
 from metrics.once import once
-from metrics.others import PIECE_STEPS, ego_boxes, name_of, named, pieces, some_at, there_between
-from metrics.plans import STEP_S, plan_poses, times_after
+from metrics.others import ego_boxes, name_of, named, pieces, some_at
 
 STANDING_MPS = 0.05
 TTC_HORIZON_S = 10.0
-PLAN_HORIZON_S = 5.0
 OFF_ROAD_M = 0.3
 _BEHIND = cos(150.0 / 180.0 * np.pi)
 
@@ -61,6 +59,9 @@ class ContactKind(Enum):
     ACTIVE_REAR = "from behind"
     ACTIVE_FRONT = "with the front"
     LATERAL = "with the side"
+
+
+KINDS = tuple(ContactKind)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,19 +106,30 @@ def classify(drive: Trajectory, agents: Tracks, scenario: Scenario) -> tuple[Con
 def _kind(step: int, agent: int, drive: Trajectory, agents: Tracks, scenario: Scenario) -> ContactKind:
     ego, vehicle = drive.state(step), scenario.vehicle
     other = some_at(agents, np.array([agent]), drive.t[max(step - 1, 0) : step + 1])
-    x, y, yaw, vx, vy = other.pose[:, 0, -1]
     if step == 0 or not other.there[0, 0]:
         return ContactKind.FROM_START
-    if abs(ego.v) <= STANDING_MPS:
-        return ContactKind.STOPPED_EGO
-    if agents.kinds[agent] is AgentKind.OBJECT or hypot(vx, vy) <= STANDING_MPS:
-        return ContactKind.STOPPED_TRACK
-    if _behind(ego.x, ego.y, ego.yaw, x, y):
-        return ContactKind.ACTIVE_REAR
-    nose_x, nose_y = ego.x + vehicle.axle_to_front * cos(ego.yaw), ego.y + vehicle.axle_to_front * sin(ego.yaw)
-    if overlap(nose_x, nose_y, ego.yaw, 0.0, vehicle.width, x, y, yaw, *other.size[0]):
-        return ContactKind.ACTIVE_FRONT
-    return ContactKind.LATERAL
+    is_object = agents.kinds[agent] is AgentKind.OBJECT
+    return KINDS[_contact_kind(ego.x, ego.y, ego.yaw, ego.v, vehicle.axle_to_front, vehicle.width,
+                               other.pose[:, 0, -1], other.size[0], is_object)]  # fmt: skip
+
+
+@kernel
+def _contact_kind(
+    x: float, y: float, yaw: float, v: float, front: float, width: float, pose: FloatArray, size: FloatArray,
+    is_object: bool,
+) -> int:  # fmt: skip
+    """Index in `KINDS` of a contact with `pose` `(5,)` and `size` `(2,)`, which did not touch the ego before.
+
+    x, y, yaw, v are the ego's at the rear axle, which is `front` m behind the front bumper.
+    """
+    if abs(v) <= STANDING_MPS:
+        return 1
+    if is_object or hypot(pose[3], pose[4]) <= STANDING_MPS:
+        return 2
+    if _behind(x, y, yaw, pose[0], pose[1]):
+        return 3
+    nose_x, nose_y = x + front * cos(yaw), y + front * sin(yaw)
+    return 4 if overlap(nose_x, nose_y, yaw, 0.0, width, pose[0], pose[1], pose[2], size[0], size[1]) else 5
 
 
 @kernel
@@ -289,75 +301,30 @@ def _ttc(trace: Trace, scenario: Scenario, *, vulnerable_only: bool) -> Measured
     return Series(trace.ego.t, least, _labels(trace, whom), nothing)
 
 
-def _off_road(trace: Trace, scenario: Scenario) -> Measured:
+def known_lanes(scenario: Scenario) -> LaneArrays | Unavailable:
+    """The lanes that a car may drive on, where the log says where they are."""
     if scenario.road.source is RoadSource.DRIVEN_PATH:
         return Unavailable("the log has no lanes: the road's edge is not known")
-    lanes = drivable_lanes(scenario.road)
-    if lanes is None:
-        return Unavailable("the log has no lane on which a car may drive")
-    x, y, yaw = ego_boxes(trace.ego, scenario)[:3]
-    vehicle = scenario.vehicle
-    worst = np.zeros(len(trace.ego))
+    return drivable_lanes(scenario.road) or Unavailable("the log has no lane on which a car may drive")
+
+
+def _off_road(trace: Trace, scenario: Scenario) -> Measured:
+    lanes = known_lanes(scenario)
+    if isinstance(lanes, Unavailable):
+        return lanes
+    return Series(trace.ego.t, box_off_lanes(lanes, ego_boxes(trace.ego, scenario), scenario.vehicle))
+
+
+def box_off_lanes(lanes: LaneArrays, box: FloatArray, vehicle: VehicleParameters) -> FloatArray:
+    """Greatest distance `(k,)` of the four corners to the drivable lanes, m; `box` `(3 or more, k)`: centre, yaw."""
+    x, y, yaw = box[:3]
+    worst = np.zeros(len(x))
     for along, left in ((1, 1), (-1, 1), (-1, -1), (1, -1)):
         forward, aside = 0.5 * along * vehicle.length, 0.5 * left * vehicle.width
         corner_x = x + forward * np.cos(yaw) - aside * np.sin(yaw)
         corner_y = y + forward * np.sin(yaw) + aside * np.cos(yaw)
         worst = np.maximum(worst, off_lanes(lanes, corner_x, corner_y))
-    return Series(trace.ego.t, worst)
-
-
-def _plan_collision(trace: Trace, scenario: Scenario) -> Measured:
-    if len(scenario.ego) < 2:
-        return Unavailable("the log holds one ego state only: there is no drive to plan along")
-    if not trace.frames:
-        return Unavailable("the drive has no plans")
-    times = times_after(trace, 0, round(PLAN_HORIZON_S / STEP_S))
-    x, y, yaw = plan_poses(trace, times)
-    ahead, vehicle = scenario.vehicle.axle_to_center, scenario.vehicle
-    plans = np.stack([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), yaw])
-    first, whom = np.full(len(times), -1), np.full(len(times), -1)
-    for begin in range(0, len(times), PIECE_STEPS):
-        part = slice(begin, begin + PIECE_STEPS)
-        grid_ns, column = np.unique(np.rint(times[part] * 1e9).astype(np.int64), return_inverse=True)
-        grid = grid_ns / 1e9
-        seen = there_between(trace.agents, grid[0], grid[-1])
-        others = some_at(trace.agents, seen, grid)
-        first[part], row = _plan_contacts(
-            plans[:, part], column.reshape(-1, times.shape[1]), vehicle.length, vehicle.width, others.there,
-            others.pose, others.size,
-        )  # fmt: skip
-        whom[part] = named(seen, row)
-    after = np.where(first >= 0, first * STEP_S, np.nan)
-    return Series(times[:, 0], after, _labels(trace, whom), f"no plan touches anybody within {PLAN_HORIZON_S:g} s")
-
-
-@kernel
-def _plan_contacts(
-    plans: FloatArray,
-    column: IntArray,
-    length: float,
-    width: float,
-    there: BoolArray,
-    pose: FloatArray,
-    size: FloatArray,
-) -> tuple[IntArray, IntArray]:
-    """Per plan the first step that touches an agent, and the agent; -1. Whom the ego touches already is left out."""
-    frames, steps = column.shape
-    first, whom = np.full(frames, -1, np.int64), np.full(frames, -1, np.int64)
-    reach = 0.5 * hypot(length, width)
-    for f in range(frames):
-        for i in range(len(size)):
-            for j in range(steps if first[f] < 0 else first[f]):
-                k, x, y, yaw = column[f, j], plans[0, f, j], plans[1, f, j], plans[2, f, j]
-                if not np.isfinite(x) or not there[i, k] or _apart(x, y, reach, pose, size, i, k) > 0.0:
-                    continue
-                if overlap(
-                    x, y, yaw, length, width, pose[0, i, k], pose[1, i, k], pose[2, i, k], size[i, 0], size[i, 1]
-                ):
-                    if j > 0:
-                        first[f], whom[f] = j, i
-                    break
-    return first, whom
+    return worst
 
 
 _NUPLAN = "nuPlan devkit e9241677, no_ego_at_fault_collisions"
@@ -425,10 +392,4 @@ OFF_ROAD = Metric(
     "bound 0.3 m: nuPlan devkit e9241677, drivable_area_compliance",
     formula="max over the four corners of the distance to the nearest drivable lane",
     parameters=(f"bound {OFF_ROAD_M} m",), needs="lanes in the log",
-)  # fmt: skip
-PLAN_COLLISION = Metric(
-    "plan_collision", "s", "higher", (Mode.OPEN,), _plan_collision, (HAVING, MIN),
-    "Time until a plan touches a road user as it then really moved, within 5 s, every 0.1 s.",
-    formula="least k 0.1 s with the boxes touching at t_i + k 0.1 s",
-    parameters=(f"horizon {PLAN_HORIZON_S:g} s", f"step {STEP_S} s"), needs="plans",
 )  # fmt: skip

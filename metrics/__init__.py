@@ -92,7 +92,7 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
     ),
     "consistency": (
         consistency.PLAN_CHANGE, consistency.PLAN_CHANGE_LATERAL, proposals.PLAN_KEPT, proposals.PLAN_KEPT_LATERAL,
-        consistency.EXTENDED_COMFORT, consistency.PLAN_HORIZON, consistency.PLAN_COMPLETE,
+        proposals.PLAN_SCORE, consistency.EXTENDED_COMFORT, consistency.PLAN_HORIZON, consistency.PLAN_COMPLETE,
     ),
     "evidence": (
         evidence.COVERAGE, evidence.REPLAY_CONTACT, evidence.PLAN_REFUSED, evidence.PLAN_CORRECTED, evidence.ENSEMBLE,
@@ -101,7 +101,6 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
     ),
     "reference": (avoidability.CC, avoidability.FSM),
     "score": (
-        proposals.PLAN_SCORE,
         score.NUPLAN_CLOSED_SCORE, score.NUPLAN_OPEN_SCORE, score.PDMS_SCORE, score.EPDMS_SCORE, score.CARLA_SCORE,
     ),
 })  # fmt: skip

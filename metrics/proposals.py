@@ -12,7 +12,8 @@ therefore bound shares of the drive's time, never single plans.
 (5) plan_progress = s / max(s, d); 1 where max(s, d) <= 5 m.  s is the planned distance and d the distance that was then
     driven (in open loop: by the log's driver), until the last k that both have
 (6) plan_kept = max over k of |p_ik - p(t_ik)|, closed loop: distance from where the ego then was;
-    plan_kept_lateral: of its component across the ego's heading
+    plan_kept_lateral: of its component across the ego's heading. Of frames with max(s, d) > 5 m that the drive outlasts
+    by 3 s, which the shortest complete plan reaches
 (7) plan_score = contact x drivable x (5 ttc + 5 progress + 2 comfort + 2 extended_comfort) / 14
     contact is 0 with (1), 1/2 for an object; drivable: (2) <= 0.3 m; ttc: (3) > 0.95 s; comfort: (4) <= 1;
     extended_comfort: that of `consistency` <= 1. A part without a value is left out with its weight.
@@ -30,6 +31,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from logs.frame import PLAN_HORIZON_S
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.scenario import AgentKind, Scenario, Tracks
 from logs.shapes import corners, overlap, time_to_contact
@@ -72,6 +74,7 @@ STEPS = round(HORIZON_S / STEP_S)
 PIECE = 500
 """Plans that are laid out at a time: 1 MB a column."""
 _COLUMNS = ("x", "y", "yaw", "v", "a", "kappa")
+_NOT_DRIVEN = f"no plan of more than {SHORT_M:g} m is followed by {PLAN_HORIZON_S:g} s of driving"
 _NO_PLANS = Unavailable("the drive has no plans")
 STOOD, FRONT, SIDE = (
     KINDS.index(kind) for kind in (ContactKind.STOPPED_TRACK, ContactKind.ACTIVE_FRONT, ContactKind.LATERAL)
@@ -98,13 +101,14 @@ def _piece(trace: Trace, scenario: Scenario, part: slice) -> Rows:
 
 
 def _kept(times: FloatArray, plan: FloatArray, drive: Trajectory) -> Rows:
-    """(5) and (6) against a drive; (6) is NaN where the ego neither plans nor drives more than `SHORT_M`."""
+    """(5) and (6) against a drive."""
     x, y, yaw = (np.interp(times, drive.t, column) for column in (drive.x, drive.y, drive.yaw))
     dx, dy = plan[0] - x, plan[1] - y
     planned, driven = (np.fmax.reduce(way + 0.0 * dx, axis=1) for way in (plan_way(plan[0], plan[1]), plan_way(x, y)))
     best = np.maximum(planned, driven)
     aside = np.abs(dy * np.cos(yaw) - dx * np.sin(yaw))
-    kept, lateral = (np.where(best > SHORT_M, np.fmax.reduce(d, axis=1), np.nan) for d in (np.hypot(dx, dy), aside))
+    asked = (best > SHORT_M) & (times[:, 0] + PLAN_HORIZON_S <= drive.t[-1] + 1e-6)
+    kept, lateral = (np.where(asked, np.fmax.reduce(d, axis=1), np.nan) for d in (np.hypot(dx, dy), aside))
     progress = np.where(best > SHORT_M, planned / np.maximum(best, SHORT_M), 1.0)
     return {"progress": progress, "kept": kept, "kept_lateral": lateral}
 
@@ -243,7 +247,7 @@ def _score(trace: Trace, scenario: Scenario) -> Measured:
     """(7)."""
     if not trace.frames:
         return _NO_PLANS
-    found, t = _judged(trace, scenario), frame_times(trace)
+    found, t = _judged(trace, scenario), times_after(trace, 0, 0)[:, 0]
     objects = np.array([kind is AgentKind.OBJECT for kind in trace.agents.kinds] + [False])
     multiplier = np.where(np.isnan(found["contact"]), 1.0, np.where(objects[found["contact_agent"]], 0.5, 0.0))
     multiplier = np.where(found["off"] > OFF_ROAD_M, 0.0, multiplier)
@@ -280,7 +284,8 @@ PLAN_COLLISION = _metric(
 PLAN_OFF_ROAD = _metric(
     "plan_off_road", "m", _off_road, (MAX, share_beyond(OFF_ROAD_M, "share_beyond_30cm")),
     "How much farther off the drivable lanes than at its start a plan leads.",
-    "max over t of off(t) - off(t_i), off the greatest distance of a corner to the lanes", needs="plans, lanes in the log",
+    "max over t of off(t) - off(t_i), off the greatest distance of a corner to the lanes",
+    needs="plans, lanes in the log",
 )  # fmt: skip
 PLAN_TTC = _metric(
     "plan_ttc", "s", partial(_series, "ttc", about="ttc_agent", missing="no plan is on a course to touch anyone"),
@@ -298,11 +303,13 @@ PLAN_PROGRESS = _metric(
     better="higher",
 )  # fmt: skip
 PLAN_KEPT = _metric(
-    "plan_kept", "m", partial(_series, "kept"), (MEAN, P95, MAX, share_beyond(5.0, "share_beyond_5m")),
+    "plan_kept", "m", partial(_series, "kept", missing=_NOT_DRIVEN),
+    (MEAN, P95, MAX, share_beyond(5.0, "share_beyond_5m")),
     "Greatest distance of a plan's states from where the ego then was.", "max over t of |p_i(t) - p(t)|", modes=_CLOSED,
 )  # fmt: skip
 PLAN_KEPT_LATERAL = _metric(
-    "plan_kept_lateral", "m", partial(_series, "kept_lateral"), (MEAN, P95, MAX, share_beyond(2.0, "share_beyond_2m")),
+    "plan_kept_lateral", "m", partial(_series, "kept_lateral", missing=_NOT_DRIVEN),
+    (MEAN, P95, MAX, share_beyond(2.0, "share_beyond_2m")),
     "Greatest lateral distance of a plan's states from where the ego then was.",
     "max over t of |p_i(t) - p(t)| across the ego's heading", modes=_CLOSED,
 )  # fmt: skip

@@ -23,7 +23,7 @@ from replay.drive import Drive, LoopConfig
 from replay.open_loop import run_open_loop
 from replay.reference_drives import reference_drives, reference_table
 
-FAST = ("park", "short", "teleport")
+FAST = ("park", "short", "teleport", "wild_end", "flicker", "run_through", "stop_end")
 
 
 def driven(log: Scenario, planner: str, *modes: Mode, **loop: object) -> tuple[list[Drive], tuple[Verdict, ...]]:

@@ -177,7 +177,8 @@ class WildEnd(Idm):
 
     def plan(self, frame: Frame) -> Plan:
         plan = super().plan(frame)
-        late = np.maximum(plan.trajectory.t - frame.t - self.until_s, 0.0)
+        late = plan.trajectory.t - frame.t - self.until_s
+        late = np.where(late > 1e-6, late, 0.0)
         return replace(plan, trajectory=self.bent(plan.trajectory, late)) if late[-1] > 0.0 else plan
 
     def bent(self, path: Trajectory, late: FloatArray) -> Trajectory:
@@ -273,10 +274,10 @@ ADVERSARIES = {
     "slow": Adversary(Slow, "paper/free_road", "deadline"),
     "random": Adversary(Random, "paper/free_road", "off_road"),
     "teleport": Adversary(Teleport, "paper/free_road", "plan_refused", "perfect"),
-    "wild_end": Adversary(WildEnd, "paper/free_road", "plan_kept"),
-    "flicker": Adversary(Flicker, "paper/free_road", "plan_change"),
-    "run_through": Adversary(RunThrough, "everyday/follow", "plan_collision"),
-    "stop_end": Adversary(StopEnd, "paper/free_road", "plan_kept"),
+    "wild_end": Adversary(WildEnd, "paper/free_road", "plan_kept_lateral"),
+    "flicker": Adversary(Flicker, "paper/free_road", "plan_change_lateral"),
+    "run_through": Adversary(RunThrough, "everyday/follow", "plan_kept"),
+    "stop_end": Adversary(StopEnd, "paper/free_road", "plan_change"),
     "far_ahead": Adversary(FarAhead, "paper/free_road", "plan_refused"),
 }
 

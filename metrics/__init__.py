@@ -35,6 +35,7 @@ from metrics import (
     lane_keeping,
     needless,
     progress,
+    proposals,
     right_of_way,
     rss,
     rules,
@@ -66,7 +67,7 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
     "safety": (
         safety.COLLISION, safety.COLLISION_AT_FAULT, safety.GAP, safety.GAP_VULNERABLE, safety.GAP_KEPT,
         safety.GAP_KEPT_VULNERABLE, safety.TTC, safety.OFF_ROAD,
-        safety.PLAN_COLLISION,
+        proposals.PLAN_COLLISION, proposals.PLAN_OFF_ROAD, proposals.PLAN_TTC,
         safety.TTC_VULNERABLE, severity.COLLISION_SEVERITY, *following.FOLLOWING, encounters.TTC_ACCELERATED,
         encounters.DCE, encounters.TTCE, encounters.PET, rss.RSS_MARGIN, rss.RSS_IMPROPER,
     ),
@@ -78,19 +79,19 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
     ),
     "comfort": (
         comfort.LON_ACCEL, comfort.LAT_ACCEL, comfort.LON_JERK_STATE, comfort.LAT_JERK_STATE, comfort.YAW_RATE,
-        comfort.PLAN_LON_ACCEL, comfort.PLAN_LAT_ACCEL, comfort.PLAN_LON_JERK,
+        proposals.PLAN_COMFORT, proposals.PLAN_LON_ACCEL, proposals.PLAN_LAT_ACCEL, proposals.PLAN_LON_JERK,
         comfort.JERK_STATE, comfort.YAW_ACCEL, *comfort.NUPLAN, comfort.LAT_JERK_R79,
     ),
     "progress": (
         progress.COMPLETED, progress.GOAL, progress.PROGRESS, progress.DISTANCE, progress.SPEED,
-        progress.ROUTE_PROGRESS,
+        progress.ROUTE_PROGRESS, proposals.PLAN_PROGRESS,
         progress.COMPLETION,
     ),
     "tracking": effort.TRACKING,
     "effort": effort.EFFORT,
     "consistency": (
-        consistency.PLAN_CHANGE, consistency.PLAN_CHANGE_LATERAL,
-        consistency.EXTENDED_COMFORT, consistency.PLAN_HORIZON, consistency.PLAN_COMPLETE,
+        consistency.PLAN_CHANGE, consistency.PLAN_CHANGE_LATERAL, proposals.PLAN_KEPT, proposals.PLAN_KEPT_LATERAL,
+        proposals.PLAN_SCORE, consistency.EXTENDED_COMFORT, consistency.PLAN_HORIZON, consistency.PLAN_COMPLETE,
     ),
     "evidence": (
         evidence.COVERAGE, evidence.EVIDENCE, evidence.AGENT_INTERVAL, evidence.REPLAY_CONTACT,

@@ -1,4 +1,4 @@
-"""Comfort: accelerations, jerk, yaw rate; of the drive in closed loop, of the plans in open loop.
+"""Comfort of the drive: accelerations, jerk, yaw rate; `proposals` has that of plans.
 
 State signals, not filtered (in simulation they are free of noise), differentiated by one declared rule:
 `metric.changed`, the backward difference over W = 0.1 s.
@@ -38,7 +38,6 @@ from functools import partial
 
 import numpy as np
 
-from logs.frame_store import loaded
 from logs.kernel import FloatArray
 from logs.scenario import Scenario
 from logs.states import Trajectory
@@ -46,7 +45,6 @@ from logs.trace import Mode, Trace
 from metrics.metric import (
     MAX,
     MAX_ABS,
-    MEAN,
     MIN,
     P95,
     P99,
@@ -59,13 +57,11 @@ from metrics.metric import (
     changed,
     out_of_bounds,
 )
-from metrics.plans import frame_times
 from metrics.safety import TTC
 
 WINDOW_S = 0.1
 CAUSE_S, CAUSE_TTC_S = 2.0, 4.0
 """Braking is about the road user whose TTC was the least in the time before, if it was no longer than the second."""
-PLAN_HORIZON_S = 5.0
 NUPLAN_STEP_S, NUPLAN_LEAST_S = 0.1, 0.4
 """Below 5 samples nuPlan's polynomials are not defined."""
 R79_STEP_S, R79_MEAN_S, R79_CUT_HZ, R79_ORDER = 0.01, 0.5, 0.5, 4
@@ -174,19 +170,6 @@ def _filtered(signal: Signal, step: float, least: float, trace: Trace, scenario:
     return Series(drive.t, signal(drive))
 
 
-def _planned(signal: Signal, trace: Trace, scenario: Scenario) -> Measured:
-    """Per frame the signal of largest size in the plan's first 5 s."""
-    if not trace.frames:
-        return Unavailable("the drive has no plans")
-    worst = np.full(len(trace.frames), np.nan)
-    for i, frame in enumerate(trace.frames):
-        path = loaded(frame.plan.trajectory)
-        values = np.abs(signal(path))[path.t <= frame.t + PLAN_HORIZON_S + 1e-9]
-        if np.isfinite(values).any():
-            worst[i] = np.nanmax(values)
-    return Series(frame_times(trace), worst, missing=f"the plans are shorter than {WINDOW_S} s")
-
-
 def _bounded(
     name: str, measure: Measure, bounds: tuple[str, float, float], more: tuple[Reduction, ...], meaning: str,
     formula: str, source: str, parameters: tuple[str, ...], needs: str, version: int = 1,
@@ -209,13 +192,6 @@ def _state(
     measure = partial(_with_cause, signal, bounds) if caused else partial(_driven, signal)
     return _bounded(
         name, measure, bounds, reductions, meaning, formula, source, window, f"a drive of {WINDOW_S} s", 2,
-    )  # fmt: skip
-
-
-def _plan_metric(name: str, unit: str, signal: Signal, meaning: str, formula: str) -> Metric:
-    return Metric(
-        name, unit, "lower", (Mode.OPEN,), partial(_planned, signal), (MEAN, P95, MAX), meaning,
-        formula=formula, parameters=(f"horizon {PLAN_HORIZON_S:g} s",), needs="plans",
     )  # fmt: skip
 
 
@@ -280,15 +256,4 @@ LAT_JERK_R79 = _bounded(
     "Lateral jerk as UN R79 measures it: low-pass, derivative, moving mean.",
     "mean over 0.5 s of dB/dt = (B(t) - B(t - 0.5 s)) / 0.5 s, B = Butterworth low-pass of v^2 kappa",
     "UN R79 (read at second hand)", ("order 4", "cut-off 0.5 Hz", "rate 100 Hz"), "a drive of 0.5 s",
-)  # fmt: skip
-PLAN_LON_ACCEL = _plan_metric(
-    "plan_lon_accel", "m/s2", lon_accel, "Largest planned acceleration or braking within 5 s of the frame.", "max |a|"
-)
-PLAN_LAT_ACCEL = _plan_metric(
-    "plan_lat_accel", "m/s2", lat_accel, "Largest planned lateral acceleration within 5 s of the frame.",
-    "max |v^2 kappa|",
-)  # fmt: skip
-PLAN_LON_JERK = _plan_metric(
-    "plan_lon_jerk", "m/s3", lon_jerk, "Largest planned longitudinal jerk within 5 s of the frame, over 0.1 s.",
-    "max |a(t) - a(t - W)| / W",
 )  # fmt: skip

@@ -1,6 +1,6 @@
 """How far plans reach, and how much successive ones differ: a planner that cannot make up its mind flips.
 
-For successive frames i-1 and i, at the times t_i, t_i + 0.1 s, ..., t_i + 1 s, as far as both plans reach:
+For successive frames i-1 and i, at the times t_i, t_i + 0.1 s, ..., t_i + 4 s, as far as both plans reach:
 
 (1) plan_change(t_i) = mean |p_i - p_(i-1)|
 (2) plan_change_lateral(t_i) = max |component of p_i - p_(i-1) across the heading of plan i-1|
@@ -28,13 +28,15 @@ from logs.frame import PLAN_HORIZON_S
 from logs.kernel import FloatArray, IntArray
 from logs.scenario import Scenario
 from logs.trace import Mode, Trace
+from metrics.exposure import share_beyond
 from metrics.metric import MAX, MEAN, MIN, P95, RATE, Measured, Metric, Series, Unavailable
 from metrics.once import once
-from metrics.plans import STEP_S, frame_times, plan_columns, plan_poses, times_after
+from metrics.plans import SHORT_M, STEP_S, frame_times, plan_columns, plan_poses, plan_way, times_after
 
 APART_S, COMPARED_S = 0.5, 4.0
 EC_BOUNDS = (("acceleration", 0.7), ("jerk", 0.5), ("yaw rate", 0.1), ("yaw acceleration", 0.1))
 """Bounds of (3): m/s2, m/s3, rad/s, rad/s2."""
+_STANDS = f"successive plans never overlap, or are never longer than {SHORT_M:g} m"
 _FEW = Unavailable("fewer than two plans")
 _NO_PLANS = Unavailable("the drive has no plans")
 
@@ -42,21 +44,23 @@ _NO_PLANS = Unavailable("the drive has no plans")
 def _change(trace: Trace, scenario: Scenario, *, lateral: bool) -> Measured:
     if len(trace.frames) < 2:
         return _FEW
-    times, dx, dy, yaw = _apart(trace)
-    size = np.abs(dy * np.cos(yaw) - dx * np.sin(yaw)) if lateral else np.hypot(dx, dy)
-    both = np.isfinite(size)
-    count, size = both.sum(axis=1), np.where(both, size, 0.0)
-    change = size.max(axis=1) if lateral else size.sum(axis=1) / np.maximum(count, 1)
-    return Series(times[:, 0], np.where(count > 0, change, np.nan), missing="successive plans never overlap")
+    change, aside = _changes(trace)
+    return Series(frame_times(trace)[1:], aside if lateral else change, missing=_STANDS)
 
 
 @once
-def _apart(trace: Trace) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Times, how far each plan is from the one before (x, y), and the heading of that: each `(f - 1, 11)`."""
-    times = times_after(trace, 0, 10)[1:]
+def _changes(trace: Trace) -> tuple[FloatArray, FloatArray]:
+    """(1) and (2) `(f - 1,)`; NaN where the plans do not overlap, or both are of a standing ego."""
+    times = times_after(trace, 0, round(COMPARED_S / STEP_S))[1:]
     all_ = np.arange(len(trace.frames))
     now, before = (plan_poses(trace, times, some) for some in (all_[1:], all_[:-1]))
-    return times, now[0] - before[0], now[1] - before[1], before[2]
+    dx, dy = now[:2] - before[:2]
+    way = np.fmax.reduce([np.fmax.reduce(plan_way(*plan[:2]), axis=1) for plan in (now, before)])
+    both = np.isfinite(dx) & (way > SHORT_M)[:, None]
+    change = np.where(both, np.hypot(dx, dy), 0.0).sum(axis=1) / np.maximum(both.sum(axis=1), 1)
+    aside = np.abs(dy * np.cos(before[2]) - dx * np.sin(before[2]))
+    known = both.any(axis=1)
+    return np.where(known, change, np.nan), np.where(known, np.fmax.reduce(np.where(both, aside, 0.0), axis=1), np.nan)
 
 
 def _extended(trace: Trace, scenario: Scenario) -> Measured:
@@ -108,17 +112,20 @@ def _complete(trace: Trace, scenario: Scenario) -> Measured:
 
 
 _BOTH = (Mode.OPEN, Mode.CLOSED)
+_COMPARED = (f"compared {COMPARED_S:g} s", f"step {STEP_S:g} s", f"not of plans up to {SHORT_M:g} m")
 _SUCCESSIVE = "two successive plans that overlap in time"
 PLAN_CHANGE = Metric(
-    "plan_change", "m", "lower", _BOTH, partial(_change, lateral=False), (MEAN, P95, MAX),
-    "Mean distance of successive plans at the same times, first second.", "after NAVSIM's extended comfort",
-    formula="mean |p_i - p_(i-1)| over t_i .. t_i + 1 s", parameters=("compared 1 s", "step 0.1 s"), needs=_SUCCESSIVE,
+    "plan_change", "m", "lower", _BOTH, partial(_change, lateral=False),
+    (MEAN, P95, MAX, share_beyond(1.0, "share_beyond_1m")), "Mean distance of successive plans at the same times.",
+    "after NAVSIM's extended comfort", 2, formula="mean |p_i - p_(i-1)| over t_i .. t_i + 4 s",
+    parameters=_COMPARED, needs=_SUCCESSIVE,
 )  # fmt: skip
 PLAN_CHANGE_LATERAL = Metric(
-    "plan_change_lateral", "m", "lower", _BOTH, partial(_change, lateral=True), (MEAN, P95, MAX),
-    "Largest lateral distance of successive plans at the same times, first second.", "after Autoware's stability",
-    formula="max |(p_i - p_(i-1)) across the heading of plan i-1| over t_i .. t_i + 1 s",
-    parameters=("compared 1 s", "step 0.1 s"), needs=_SUCCESSIVE,
+    "plan_change_lateral", "m", "lower", _BOTH, partial(_change, lateral=True),
+    (MEAN, P95, MAX, share_beyond(1.0, "share_beyond_1m")),
+    "Largest lateral distance of successive plans at the same times.", "after Autoware's stability", 2,
+    formula="max |(p_i - p_(i-1)) across the heading of plan i-1| over t_i .. t_i + 4 s",
+    parameters=_COMPARED, needs=_SUCCESSIVE,
 )  # fmt: skip
 EXTENDED_COMFORT = Metric(
     "extended_comfort", "1", "lower", _BOTH, _extended, (MEAN, P95, MAX),

@@ -18,6 +18,8 @@ from metrics.metric import Direction, Reduction, Series, first_of, holds
 
 TAU_S = 1.5
 """Critical TTC of the criticality metrics catalogue (Westhofen et al., Arch. Comput. Methods Eng. 30, 2023)."""
+LEAST_S = 4.0
+"""Of `share_beyond`: the horizon over which plans are judged."""
 
 
 def share_while(condition: Callable[[FloatArray], BoolArray], name: str, direction: Direction = "lower") -> Reduction:
@@ -29,6 +31,19 @@ def share_while(condition: Callable[[FloatArray], BoolArray], name: str, directi
         return (float(np.sum(weight[flags])) / total if total > 0.0 else float(flags[0])), first_of(flags)
 
     return Reduction(name, reduce, "1", direction, 0.0)
+
+
+def share_beyond(bound: float, name: str) -> Reduction:
+    """Share of the time of the known steps in which the value is above `bound`; 0 where no step has a value.
+
+    The time counts as `LEAST_S` at least: a few steps are no habit.
+    """
+
+    def reduce(series: Series) -> tuple[float, int]:
+        flags, weight = series.value > bound, holds(series.t)
+        return float(np.sum(weight[flags])) / max(float(np.sum(weight[series.known])), LEAST_S), first_of(flags)
+
+    return Reduction(name, reduce, "1", "lower", 0.0)
 
 
 def integrated_below(tau: float, name: str) -> Reduction:

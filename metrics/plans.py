@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from logs.frame_store import light, loaded
 from logs.kernel import FloatArray, IntArray, kernel
-from logs.states import TRAJECTORY_COLUMNS, Trajectory
+from logs.states import TRAJECTORY_COLUMNS
 from logs.trace import Trace
+from metrics.once import last
 
 STEP_S = 0.1
 """Plans are compared at multiples of this after their frame's time."""
+SHORT_M = 5.0
+"""Plans that are no longer than this in their first 4 s are those of a standing ego (NAVSIM's bound for progress)."""
 PIECE = 1000
 """So many plans are laid out at a time: all those of an hour are 80 MB."""
 
@@ -33,13 +34,13 @@ def plan_columns(trace: Trace, times: FloatArray, names: tuple[str, ...], which:
 
     Linear between the plan's samples; NaN where it does not reach.
     """
-    frames = light(trace.frames)
-    which = np.arange(len(frames)) if which is None else which
+    which = np.arange(len(trace.frames)) if which is None else which
     wanted = np.array([TRAJECTORY_COLUMNS.index(name) for name in names])
     out = np.empty((len(names), *times.shape))
-    for k in range(0, len(which), PIECE):
-        plans = [loaded(frames[f].plan.trajectory) for f in which[k : k + PIECE]]
-        out[:, k : k + PIECE] = _at(*_rows(plans), wanted, np.ascontiguousarray(times[k : k + PIECE]))
+    for begin in range(0, len(trace.frames), PIECE):
+        some = (which >= begin) & (which < begin + PIECE)
+        if some.any():
+            out[:, some] = _at(*_rows(trace, begin), wanted, which[some] - begin, np.ascontiguousarray(times[some]))
     return out
 
 
@@ -48,18 +49,25 @@ def plan_poses(trace: Trace, times: FloatArray, which: IntArray | None = None) -
     return plan_columns(trace, times, ("x", "y", "yaw"), which)
 
 
-def _rows(plans: Sequence[Trajectory]) -> tuple[IntArray, FloatArray]:
-    """Plans one after the other: `(f + 1,)` where each begins, and `TRAJECTORY_COLUMNS` `(7, m)`."""
+def plan_way(x: FloatArray, y: FloatArray) -> FloatArray:
+    """Distance along each row of positions `(f, k)` from its first, m; NaN from its first NaN on."""
+    return np.concatenate([0.0 * x[:, :1], np.cumsum(np.hypot(np.diff(x), np.diff(y)), axis=1)], axis=1)
+
+
+@last(1)  # of a drive of up to `PIECE` frames all are kept
+def _rows(trace: Trace, begin: int) -> tuple[IntArray, FloatArray]:
+    """`PIECE` plans from a frame on: `(f + 1,)` where each begins, and their `TRAJECTORY_COLUMNS` `(7, m)`."""
+    plans = [loaded(frame.plan.trajectory) for frame in light(trace.frames)[begin : begin + PIECE]]
     rows = np.stack([np.concatenate([getattr(plan, name) for plan in plans]) for name in TRAJECTORY_COLUMNS])
     return np.cumsum([0, *map(len, plans)]), rows
 
 
 @kernel
-def _at(offsets: IntArray, rows: FloatArray, wanted: IntArray, times: FloatArray) -> FloatArray:
-    """`plan_columns`: the rows `wanted`, each as `numpy.interp` has it."""
+def _at(offsets: IntArray, rows: FloatArray, wanted: IntArray, which: IntArray, times: FloatArray) -> FloatArray:
+    """`plan_columns` of the plans `which` `(f,)`: the rows `wanted`, each as `numpy.interp` has it."""
     out = np.full((len(wanted), *times.shape), np.nan)
     for f in range(len(times)):
-        first, end = offsets[f], offsets[f + 1]
+        first, end = offsets[which[f]], offsets[which[f] + 1]
         t = rows[0, first:end]
         for k in range(times.shape[1]):
             if times[f, k] < t[0] - 1e-6 or times[f, k] > t[-1] + 1e-6:

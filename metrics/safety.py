@@ -1,8 +1,7 @@
 """Collisions, gaps, time to collision, and leaving the road.
 
-Closed loop: the ego's box along its drive against the others' boxes as they moved. Open loop: the ego's drive is the
-log's and says nothing of the planner, so its plans are judged: does a plan touch what then really happened? The
-others do not react to it, so a plan that would have made them react may be charged.
+Closed loop: the ego's box along its drive against the others' boxes as they moved. `proposals` judges plans by the same
+rules, in both loops.
 
 Collision: two boxes touch or overlap; each agent counts once. Kinds, the first that holds, in nuPlan's order (the
 first one is ours):
@@ -41,17 +40,16 @@ from logs.scenario import AgentKind, Scenario, Tracks
 from logs.shapes import corners, distance, overlap, time_to_contact
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
+from logs.vehicle import VehicleParameters
 from metrics.cut_in import forces_hit
 from metrics.exposure import TAU_S, integrated_below
-from metrics.lanes import drivable_lanes, keeps_lane, off_lanes
-from metrics.metric import COUNT, HAVING, MAX, MIN, Measured, Metric, Series, Unavailable, time_above, time_below
+from metrics.lanes import LaneArrays, drivable_lanes, keeps_lane, off_lanes
+from metrics.metric import COUNT, MAX, MIN, Measured, Metric, Series, Unavailable, time_above, time_below
 from metrics.once import once
-from metrics.others import PIECE_STEPS, ego_boxes, name_of, named, pieces, some_at, there_between
-from metrics.plans import STEP_S, plan_poses, times_after
+from metrics.others import ego_boxes, name_of, named, pieces, some_at
 
 STANDING_MPS = 0.05
 TTC_HORIZON_S = 10.0
-PLAN_HORIZON_S = 5.0
 OFF_ROAD_M = 0.3
 OUTLINE_M = 0.25
 """Between two points the outline is at most half of this further off than they are, m."""
@@ -64,10 +62,13 @@ class ContactKind(Enum):
     FROM_START = "appeared where the ego was"
     STOPPED_EGO = "the ego stood"
     STOPPED_TRACK = "into something that stood"
-    CUT_IN = "from behind after the ego's lane entry"
     ACTIVE_REAR = "from behind"
     ACTIVE_FRONT = "with the front"
     LATERAL = "with the side"
+    CUT_IN = "from behind after the ego's lane entry"
+
+
+KINDS = tuple(ContactKind)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,20 +113,33 @@ def classify(drive: Trajectory, agents: Tracks, scenario: Scenario) -> tuple[Con
 def _kind(step: int, agent: int, drive: Trajectory, agents: Tracks, scenario: Scenario) -> ContactKind:
     ego, vehicle = drive.state(step), scenario.vehicle
     other = some_at(agents, np.array([agent]), drive.t[max(step - 1, 0) : step + 1])
-    x, y, yaw, vx, vy = other.pose[:, 0, -1]
     if step == 0 or not other.there[0, 0]:
         return ContactKind.FROM_START
-    if abs(ego.v) <= STANDING_MPS:
-        return ContactKind.STOPPED_EGO
-    if agents.kinds[agent] is AgentKind.OBJECT or hypot(vx, vy) <= STANDING_MPS:
-        return ContactKind.STOPPED_TRACK
-    if _behind(ego.x, ego.y, ego.yaw, x, y):
-        cut_in = forces_hit(drive.between(-inf, ego.t), agents, agent, scenario)
-        return ContactKind.CUT_IN if cut_in else ContactKind.ACTIVE_REAR
-    nose_x, nose_y = ego.x + vehicle.axle_to_front * cos(ego.yaw), ego.y + vehicle.axle_to_front * sin(ego.yaw)
-    if overlap(nose_x, nose_y, ego.yaw, 0.0, vehicle.width, x, y, yaw, *other.size[0]):
-        return ContactKind.ACTIVE_FRONT
-    return ContactKind.LATERAL
+    is_object = agents.kinds[agent] is AgentKind.OBJECT
+    kind = KINDS[_contact_kind(ego.x, ego.y, ego.yaw, ego.v, vehicle.axle_to_front, vehicle.width,
+                               other.pose[:, 0, -1], other.size[0], is_object)]  # fmt: skip
+    if kind is ContactKind.ACTIVE_REAR and forces_hit(drive.between(-inf, ego.t), agents, agent, scenario):
+        return ContactKind.CUT_IN
+    return kind
+
+
+@kernel
+def _contact_kind(
+    x: float, y: float, yaw: float, v: float, front: float, width: float, pose: FloatArray, size: FloatArray,
+    is_object: bool,
+) -> int:  # fmt: skip
+    """Index in `KINDS` of a contact with `pose` `(5,)` and `size` `(2,)`, which did not touch the ego before.
+
+    x, y, yaw, v are the ego's at the rear axle, which is `front` m behind the front bumper.
+    """
+    if abs(v) <= STANDING_MPS:
+        return 1
+    if is_object or hypot(pose[3], pose[4]) <= STANDING_MPS:
+        return 2
+    if _behind(x, y, yaw, pose[0], pose[1]):
+        return 3
+    nose_x, nose_y = x + front * cos(yaw), y + front * sin(yaw)
+    return 4 if overlap(nose_x, nose_y, yaw, 0.0, width, pose[0], pose[1], pose[2], size[0], size[1]) else 5
 
 
 @kernel
@@ -298,78 +312,43 @@ def _ttc(trace: Trace, scenario: Scenario, *, vulnerable_only: bool) -> Measured
     return Series(trace.ego.t, least, _labels(trace, whom), nothing)
 
 
-def _off_road(trace: Trace, scenario: Scenario) -> Measured:
+def known_lanes(scenario: Scenario) -> LaneArrays | Unavailable:
+    """The lanes that a car may drive on, where the log says where they are."""
     if scenario.road.source is RoadSource.DRIVEN_PATH:
         return Unavailable("the log has no lanes: the road's edge is not known")
-    lanes = drivable_lanes(scenario.road)
-    if lanes is None:
-        return Unavailable("the log has no lane on which a car may drive")
-    x, y, yaw = ego_boxes(trace.ego, scenario)[:3]
-    worst, cos, sin = np.zeros(len(trace.ego)), np.cos(yaw), np.sin(yaw)
-    for ahead, left in _outline(scenario.vehicle.length, scenario.vehicle.width).tolist():
-        worst = np.maximum(worst, off_lanes(lanes, x + ahead * cos - left * sin, y + ahead * sin + left * cos))
-    return Series(trace.ego.t, worst)
+    return drivable_lanes(scenario.road) or Unavailable("the log has no lane on which a car may drive")
 
 
-def _outline(length: float, width: float) -> FloatArray:
+def _off_road(trace: Trace, scenario: Scenario) -> Measured:
+    lanes = known_lanes(scenario)
+    if isinstance(lanes, Unavailable):
+        return lanes
+    return Series(trace.ego.t, box_off_lanes(lanes, ego_boxes(trace.ego, scenario), scenario.vehicle))
+
+
+def box_off_lanes(
+    lanes: LaneArrays, box: FloatArray, vehicle: VehicleParameters, step: float = OUTLINE_M
+) -> FloatArray:
+    """Greatest distance `(k,)` of a box's outline to the drivable lanes, m.
+
+    Args:
+        lanes: Those that a car may drive on.
+        box: `(3 or more, k)`: centre and yaw.
+        vehicle: Its size.
+        step: Between two points of the outline, m; inf: the corners alone.
+    """
+    x, y, yaw = box[:3]
+    worst, c, s = np.zeros(len(x)), np.cos(yaw), np.sin(yaw)
+    for ahead, left in _outline(vehicle.length, vehicle.width, step).tolist():
+        worst = np.maximum(worst, off_lanes(lanes, x + ahead * c - left * s, y + ahead * s + left * c))
+    return worst
+
+
+def _outline(length: float, width: float, step: float) -> FloatArray:
     """Points `(n, 2)` on the outline of a box about its centre, m: the four corners, and between them equal steps."""
     ends = 0.5 * np.array([[length, width], [-length, width], [-length, -width], [length, -width]])
-    sides = [np.linspace(a, b, ceil(np.hypot(*(b - a)) / OUTLINE_M), False) for a, b in pairwise((*ends, ends[0]))]
+    sides = [np.linspace(a, b, max(ceil(np.hypot(*(b - a)) / step), 1), False) for a, b in pairwise((*ends, ends[0]))]
     return np.vstack(sides)
-
-
-def _plan_collision(trace: Trace, scenario: Scenario) -> Measured:
-    if len(scenario.ego) < 2:
-        return Unavailable("the log holds one ego state only: there is no drive to plan along")
-    if not trace.frames:
-        return Unavailable("the drive has no plans")
-    times = times_after(trace, 0, round(PLAN_HORIZON_S / STEP_S))
-    x, y, yaw = plan_poses(trace, times)
-    ahead, vehicle = scenario.vehicle.axle_to_center, scenario.vehicle
-    plans = np.stack([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), yaw])
-    first, whom = np.full(len(times), -1), np.full(len(times), -1)
-    for begin in range(0, len(times), PIECE_STEPS):
-        part = slice(begin, begin + PIECE_STEPS)
-        grid_ns, column = np.unique(np.rint(times[part] * 1e9).astype(np.int64), return_inverse=True)
-        grid = grid_ns / 1e9
-        seen = there_between(trace.agents, grid[0], grid[-1])
-        others = some_at(trace.agents, seen, grid)
-        first[part], row = _plan_contacts(
-            plans[:, part], column.reshape(-1, times.shape[1]), vehicle.length, vehicle.width, others.there,
-            others.pose, others.size,
-        )  # fmt: skip
-        whom[part] = named(seen, row)
-    after = np.where(first >= 0, first * STEP_S, np.nan)
-    return Series(times[:, 0], after, _labels(trace, whom), f"no plan touches anybody within {PLAN_HORIZON_S:g} s")
-
-
-@kernel
-def _plan_contacts(
-    plans: FloatArray,
-    column: IntArray,
-    length: float,
-    width: float,
-    there: BoolArray,
-    pose: FloatArray,
-    size: FloatArray,
-) -> tuple[IntArray, IntArray]:
-    """Per plan the first step that touches an agent, and the agent; -1. Whom the ego touches already is left out."""
-    frames, steps = column.shape
-    first, whom = np.full(frames, -1, np.int64), np.full(frames, -1, np.int64)
-    reach = 0.5 * hypot(length, width)
-    for f in range(frames):
-        for i in range(len(size)):
-            for j in range(steps if first[f] < 0 else first[f]):
-                k, x, y, yaw = column[f, j], plans[0, f, j], plans[1, f, j], plans[2, f, j]
-                if not np.isfinite(x) or not there[i, k] or _apart(x, y, reach, pose, size, i, k) > 0.0:
-                    continue
-                if overlap(
-                    x, y, yaw, length, width, pose[0, i, k], pose[1, i, k], pose[2, i, k], size[i, 0], size[i, 1]
-                ):
-                    if j > 0:
-                        first[f], whom[f] = j, i
-                    break
-    return first, whom
 
 
 _NUPLAN = "nuPlan devkit e9241677, no_ego_at_fault_collisions"
@@ -437,10 +416,4 @@ OFF_ROAD = Metric(
     "bound 0.3 m: nuPlan devkit e9241677, drivable_area_compliance (its corners alone)", 2,
     formula="max over points of the outline of the distance to the nearest drivable lane",
     parameters=(f"bound {OFF_ROAD_M} m", f"points at most {OUTLINE_M} m apart"), needs="lanes in the log",
-)  # fmt: skip
-PLAN_COLLISION = Metric(
-    "plan_collision", "s", "higher", (Mode.OPEN,), _plan_collision, (HAVING, MIN),
-    "Time until a plan touches a road user as it then really moved, within 5 s, every 0.1 s.",
-    formula="least k 0.1 s with the boxes touching at t_i + k 0.1 s",
-    parameters=(f"horizon {PLAN_HORIZON_S:g} s", f"step {STEP_S} s"), needs="plans",
 )  # fmt: skip

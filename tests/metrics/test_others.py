@@ -31,7 +31,7 @@ def test_the_size_of_the_pieces_changes_no_bit(
     whole = [metrics.evaluate_with_series(trace, world) for trace in drives]
     monkeypatch.setattr(others, "MOST_CELLS", cells)
     monkeypatch.setattr(others, "PIECE_STEPS", steps)
-    monkeypatch.setattr("metrics.safety.PIECE_STEPS", steps)
+    monkeypatch.setattr("metrics.proposals.PIECE", steps)
     for trace, (table, series) in zip(drives, whole, strict=True):
         again = scenario(name)  # the caches of the first know what was measured at once
         table_again, series_again = metrics.evaluate_with_series(trace, again)

@@ -407,7 +407,7 @@ def test_plans_that_keep_away_and_plans_against_the_future_as_it_was() -> None:
     gone = scenario(along(grid(9.0), 10.0), [car(40.0, 0.0, 0.0, 4.0, yaw=0.0)])
     table = opened(gone)
     assert table.loc["plan_collision.rate", "value"] == 0.0
-    assert table.loc["plan_collision.min", "reason"] == "no plan touches anybody within 5 s"
+    assert table.loc["plan_collision.min", "reason"] == "no plan has a contact at fault within 4 s"
     comes = scenario(along(grid(9.0), 10.0), [car(43.0, -16.0, 0.0, 4.0, yaw=0.0)])
     assert opened(comes).loc["plan_collision.rate", "value"] == 1.0
 

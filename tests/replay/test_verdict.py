@@ -28,7 +28,7 @@ from replay.open_loop import run_open_loop
 from replay.reference_drives import reference_drives, reference_table, with_follower
 
 GRID = grid(4.0, 0.1)
-FAST = ("park", "short", "teleport")
+FAST = ("park", "short", "teleport", "wild_end", "flicker", "run_through", "stop_end")
 
 
 def driven(log: Scenario, planner: str, *modes: Mode, **loop: object) -> tuple[list[Drive], tuple[Verdict, ...]]:

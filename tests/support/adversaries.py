@@ -250,6 +250,77 @@ class Teleport(Idm):
         return replace(plan, trajectory=replace(t, x=t.x + 0.45 * np.cos(t.yaw[0]), y=t.y + 0.45 * np.sin(t.yaw[0])))
 
 
+class WildEnd(Idm):
+    """Its plans follow `idm` for `until_s`, then swing 12 m to the left; the next plan puts the swing off."""
+
+    until_s = 1.2
+
+    def plan(self, frame: Frame) -> Plan:
+        plan = super().plan(frame)
+        late = plan.trajectory.t - frame.t - self.until_s
+        late = np.where(late > 1e-6, late, 0.0)
+        return replace(plan, trajectory=self.bent(plan.trajectory, late)) if late[-1] > 0.0 else plan
+
+    def bent(self, path: Trajectory, late: FloatArray) -> Trajectory:
+        """The plan with another end, `late` s after `until_s`."""
+        return _aside(path, late, 12.0)
+
+
+class Flicker(WildEnd):
+    """Its plans end 3 m to the left and 3 m to the right in turns."""
+
+    until_s, side = 1.5, 1.0
+
+    def bent(self, path: Trajectory, late: FloatArray) -> Trajectory:
+        self.side = -self.side
+        return _aside(path, late, 3.0 * self.side)
+
+
+class RunThrough(WildEnd):
+    """Its plans end by accelerating through whatever is ahead."""
+
+    until_s = 1.5
+
+    def bent(self, path: Trajectory, late: FloatArray) -> Trajectory:
+        return _along(path, late, 3.0)
+
+
+class StopEnd(WildEnd):
+    """Every other plan ends with braking to a stop."""
+
+    until_s, turn = 1.5, False
+
+    def bent(self, path: Trajectory, late: FloatArray) -> Trajectory:
+        self.turn = not self.turn
+        return _along(path, late, -4.0) if self.turn else path
+
+
+def _aside(path: Trajectory, late: FloatArray, metres: float) -> Trajectory:
+    """The path moved to the left, smoothly over 3 s and 20 m."""
+    way = np.r_[0.0, np.cumsum(np.hypot(np.diff(path.x), np.diff(path.y)))]
+    kept = late <= 0.0
+    share = np.minimum(np.minimum(late / 3.0, np.maximum(way - way[kept][-1], 0.0) / 20.0), 1.0)
+    aside = metres * share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
+    bent = of_positions(replace(path, x=path.x - aside * np.sin(path.yaw), y=path.y + aside * np.cos(path.yaw)))
+    same = {name: np.where(kept, getattr(path, name), getattr(bent, name)) for name in ("yaw", "v", "a", "kappa")}
+    return replace(bent, **same)
+
+
+def _along(path: Trajectory, late: FloatArray, accel: float) -> Trajectory:
+    """The same path, straight on beyond its end, with another acceleration where it is late."""
+    n = int(np.argmax(late > 0.0)) - 1
+    lasts = late if accel > 0.0 else np.minimum(late, path.v[n] / -accel)
+    v = np.where(late > 0.0, path.v[n] + accel * lasts, path.v)
+    s = np.r_[0.0, np.cumsum(np.hypot(np.diff(path.x), np.diff(path.y)))] + 1e-9 * np.arange(len(late))
+    at = np.where(late > 0.0, s[n] + path.v[n] * lasts + 0.5 * accel * lasts**2, s)
+    beyond = np.maximum(at - s[-1], 0.0)
+    yaw, kappa = np.interp(at, s, path.yaw), np.where(beyond > 0.0, 0.0, np.interp(at, s, path.kappa))
+    x = np.interp(at, s, path.x) + beyond * np.cos(path.yaw[-1])
+    y = np.interp(at, s, path.y) + beyond * np.sin(path.yaw[-1])
+    moves = (late > 0.0) & (lasts == late)
+    return Trajectory(path.t, x, y, yaw, v, np.where(moves, accel, np.where(late > 0.0, 0.0, path.a)), kappa)
+
+
 class FarAhead:
     """Plans straight on, 1000 km in 8 s."""
 
@@ -300,6 +371,10 @@ ADVERSARIES = {
     "slow": Adversary(Slow, "paper/free_road", "deadline"),
     "random": Adversary(Random, "paper/free_road", "off_road"),
     "teleport": Adversary(Teleport, "paper/free_road", "plan_refused", "perfect"),
+    "wild_end": Adversary(WildEnd, "paper/free_road", "plan_kept_lateral"),
+    "flicker": Adversary(Flicker, "paper/free_road", "plan_change_lateral"),
+    "run_through": Adversary(RunThrough, "everyday/follow", "plan_kept"),
+    "stop_end": Adversary(StopEnd, "paper/free_road", "plan_change"),
     "far_ahead": Adversary(FarAhead, "paper/free_road", "plan_refused"),
 }
 

@@ -1,0 +1,332 @@
+"""Each plan judged over its whole horizon, as NAVSIM judges a proposal: for 4 s among the others as they moved.
+
+The plan of the frame at t_i is laid out at t_i + 0, 0.1, ..., 4 s (t_ik), as far as the plan reaches and there is
+evidence: until the drive ends in closed loop, until the log ends in open loop. The others do not react to the plan. In
+closed loop they may have reacted to the drive, so a plan may be charged for what a reaction would have avoided. Gates
+therefore bound shares of the drive's time, never single plans.
+
+(1) plan_collision = least t_ik - t_i with a contact at fault: first touch of each agent, fault in the order of `safety`
+(2) plan_off_road = max over k of off_k - off_0, off_k the greatest distance of the four corners to the drivable lanes
+(3) plan_ttc = min over k of the time to contact (`shapes.time_to_contact`), 0 where (1) is known
+(4) plan_comfort = max over k and q of q / bound(q), the six signals of `comfort.NUPLAN_BOUNDS`, differenced over 0.1 s
+(5) plan_progress = s / max(s, d); 1 where max(s, d) <= 5 m.  s is the planned distance and d the distance that was then
+    driven (in open loop: by the log's driver), until the last k that both have
+(6) plan_kept = max over k of |p_ik - p(t_ik)|, closed loop: distance from where the ego then was;
+    plan_kept_lateral: of its component across the ego's heading. Of frames with max(s, d) > 5 m that the drive outlasts
+    by 3 s, which the shortest complete plan reaches
+(7) plan_score = contact x drivable x (5 ttc + 5 progress + 2 comfort + 2 extended_comfort) / 14
+    contact is 0 with (1), 1/2 for an object; drivable: (2) <= 0.3 m; ttc: (3) > 0.95 s; comfort: (4) <= 1;
+    extended_comfort: that of `consistency` <= 1. A part without a value is left out with its weight.
+
+(7) is the EPDMS of NAVSIM 0a380a90 without direction, lights and lane keeping, which the drive itself is judged by.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import partial
+from math import cos, hypot, sin
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from logs.frame import PLAN_HORIZON_S
+from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.scenario import AgentKind, Scenario, Tracks
+from logs.shapes import corners, overlap, time_to_contact
+from logs.states import Trajectory
+from logs.trace import Mode, Trace
+from metrics import comfort, consistency
+from metrics.exposure import share_beyond, share_while
+from metrics.lanes import keeps_lane
+from metrics.metric import (
+    HAVING,
+    MAX,
+    MEAN,
+    MIN,
+    P95,
+    Direction,
+    Measure,
+    Measured,
+    Metric,
+    Reduction,
+    Series,
+    Unavailable,
+)
+from metrics.once import once
+from metrics.others import named, some_at, there_between
+from metrics.plans import SHORT_M, STEP_S, frame_times, plan_columns, plan_way, times_after
+from metrics.safety import (
+    KINDS,
+    OFF_ROAD_M,
+    ContactKind,
+    _apart,
+    _behind,
+    _contact_kind,
+    _labels,
+    box_off_lanes,
+    known_lanes,
+)
+
+HORIZON_S, TTC_S, TTC_HORIZON_S = 4.0, 0.95, 3.0
+STEPS = round(HORIZON_S / STEP_S)
+PIECE = 500
+"""Plans that are laid out at a time: 1 MB a column."""
+_COLUMNS = ("x", "y", "yaw", "v", "a", "kappa")
+_NOT_DRIVEN = f"no plan of more than {SHORT_M:g} m is followed by {PLAN_HORIZON_S:g} s of driving"
+_NO_PLANS = Unavailable("the drive has no plans")
+STOOD, FRONT, SIDE = (
+    KINDS.index(kind) for kind in (ContactKind.STOPPED_TRACK, ContactKind.ACTIVE_FRONT, ContactKind.LATERAL)
+)
+Rows = Mapping[str, NDArray[Any]]
+
+
+@once
+def _judged(trace: Trace, scenario: Scenario) -> Rows:
+    """What (1) and (3) to (6) need, `(f,)` each; NaN where a frame has none, -1 for no agent."""
+    found = [_piece(trace, scenario, slice(k, k + PIECE)) for k in range(0, len(trace.frames), PIECE)]
+    return {name: np.concatenate([piece[name] for piece in found]) for name in found[0]}
+
+
+def _piece(trace: Trace, scenario: Scenario, part: slice) -> Rows:
+    times = times_after(trace, 0, STEPS)[part]
+    plan = plan_columns(trace, times, _COLUMNS, np.arange(len(trace.frames))[part])
+    drive = trace.ego if trace.mode is Mode.CLOSED or len(scenario.ego) < 2 else scenario.ego
+    witnessed = np.where(times <= drive.t[-1] + 1e-6, plan, np.nan)
+    return {
+        "off": _off(witnessed, scenario), **_signals(plan), **_kept(times, witnessed, drive),
+        **_followed(times, witnessed, trace.agents, scenario),
+    }  # fmt: skip
+
+
+def _kept(times: FloatArray, plan: FloatArray, drive: Trajectory) -> Rows:
+    """(5) and (6) against a drive."""
+    x, y, yaw = (np.interp(times, drive.t, column) for column in (drive.x, drive.y, drive.yaw))
+    dx, dy = plan[0] - x, plan[1] - y
+    planned, driven = (np.fmax.reduce(way + 0.0 * dx, axis=1) for way in (plan_way(plan[0], plan[1]), plan_way(x, y)))
+    best = np.maximum(planned, driven)
+    aside = np.abs(dy * np.cos(yaw) - dx * np.sin(yaw))
+    asked = (best > SHORT_M) & (times[:, 0] + PLAN_HORIZON_S <= drive.t[-1] + 1e-6)
+    kept, lateral = (np.where(asked, np.fmax.reduce(d, axis=1), np.nan) for d in (np.hypot(dx, dy), aside))
+    progress = np.where(best > SHORT_M, planned / np.maximum(best, SHORT_M), 1.0)
+    return {"progress": progress, "kept": kept, "kept_lateral": lateral}
+
+
+def _signals(plan: FloatArray) -> Rows:
+    """Largest size of the planned accelerations and jerk, and (4) with the index of its signal; `(f,)` each."""
+    _, _, yaw, v, a, kappa = plan
+    aside, c, s = v**2 * kappa, np.cos(yaw), np.sin(yaw)
+    jerk = np.hypot(np.diff(a * c - aside * s), np.diff(a * s + aside * c))
+    yaw_rate = np.diff(yaw) / STEP_S
+    signals = (a, aside, np.diff(a) / STEP_S, jerk / STEP_S, yaw_rate, np.diff(yaw_rate) / STEP_S)
+    ratio = []
+    for signal, (_, low, high) in zip(signals, comfort.NUPLAN_BOUNDS.values(), strict=True):
+        ratio.append(np.fmax.reduce(np.where(signal < 0.0, signal / low, signal / high), axis=1))
+    largest = [np.fmax.reduce(np.abs(signal), axis=1) for signal in signals[:3]]
+    return {
+        "lon_accel": largest[0], "lat_accel": largest[1], "lon_jerk": largest[2],
+        "comfort": np.fmax.reduce(ratio), "signal": np.argmax(np.nan_to_num(ratio), axis=0),
+    }  # fmt: skip
+
+
+def _off(plan: FloatArray, scenario: Scenario) -> FloatArray:
+    """(2) `(f,)`; NaN where the log has no lanes."""
+    lanes, there = known_lanes(scenario), np.isfinite(plan[0])
+    if isinstance(lanes, Unavailable):
+        return np.full(len(there), np.nan)
+    x, y, yaw = plan[:3, there]
+    ahead, off = scenario.vehicle.axle_to_center, np.zeros(there.shape)
+    box = np.stack([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), yaw])
+    off[there] = box_off_lanes(lanes, box, scenario.vehicle, np.inf)
+    return np.asarray(off.max(axis=1) - off[:, 0])
+
+
+def _followed(times: FloatArray, plan: FloatArray, agents: Tracks, scenario: Scenario) -> Rows:
+    """(1) and (3) with the agents that they are about."""
+    grid_ns, column = np.unique(np.rint(times * 1e9).astype(np.int64), return_inverse=True)
+    seen = there_between(agents, grid_ns[0] / 1e9, grid_ns[-1] / 1e9)
+    others, vehicle = some_at(agents, seen, grid_ns / 1e9), scenario.vehicle
+    objects = np.array([agents.kinds[i] is AgentKind.OBJECT for i in seen.tolist()], np.bool_)
+    car = np.array([vehicle.length, vehicle.width, vehicle.axle_to_center, vehicle.axle_to_front])
+    step, hit, ttc, near = _meetings(
+        plan, column.reshape(times.shape), car, others.there, others.pose, others.size, objects
+    )
+    for f in np.flatnonzero((step[1] >= 0) & ((step[0] < 0) | (step[1] < step[0]))).tolist():
+        x, y, yaw = plan[:3, f, step[1, f]]
+        x, y = x + car[2] * np.cos(yaw), y + car[2] * np.sin(yaw)
+        if not keeps_lane(scenario.road, float(x), float(y), corners(x, y, yaw, vehicle.length, vehicle.width)):
+            step[0, f], hit[0, f] = step[1, f], hit[1, f]
+    at_fault = step[0] >= 0
+    return {
+        "contact": np.where(at_fault, STEP_S * step[0], np.nan), "contact_agent": named(seen, hit[0]),
+        "ttc": np.where(at_fault, 0.0, ttc), "ttc_agent": named(seen, np.where(at_fault, hit[0], near)),
+    }  # fmt: skip
+
+
+@kernel
+def _meetings(
+    plan: FloatArray, column: IntArray, car: FloatArray, there: BoolArray, pose: FloatArray, size: FloatArray,
+    objects: BoolArray,
+) -> tuple[IntArray, IntArray, FloatArray, IntArray]:  # fmt: skip
+    """Per plan the first contact at fault (row 0) and the first one with the side (row 1): step and agent `(2, f)`.
+
+    And the least time to contact below `TTC_HORIZON_S` and its agent; -1 and NaN where there is none. `column` `(f, k)`
+    is the step of the others at the plans' steps; `car` its length, width, and rear axle to centre and to front.
+    """
+    frames, reach = column.shape[0], 0.5 * hypot(car[0], car[1])
+    step, hit = np.full((2, frames), -1), np.full((2, frames), -1)
+    ttc, near = np.full(frames, np.nan), np.full(frames, -1)
+    for f in range(frames):
+        best = TTC_HORIZON_S
+        for i in range(len(size)):
+            for j in range(column.shape[1]):
+                k, rear_x, rear_y, yaw, v = column[f, j], plan[0, f, j], plan[1, f, j], plan[2, f, j], plan[3, f, j]
+                if not np.isfinite(rear_x):
+                    break
+                if not there[i, k]:
+                    continue
+                c, s, turn = cos(yaw), sin(yaw), car[2] * plan[5, f, j] * v
+                x, y, vx, vy = rear_x + car[2] * c, rear_y + car[2] * s, v * c - turn * s, v * s + turn * c
+                gap, closing = _apart(x, y, reach, pose, size, i, k), hypot(pose[3, i, k] - vx, pose[4, i, k] - vy)
+                if gap > closing * best:
+                    continue
+                if gap <= 0.0 and overlap(
+                    x, y, yaw, car[0], car[1], pose[0, i, k], pose[1, i, k], pose[2, i, k], size[i, 0], size[i, 1]
+                ):
+                    if j > 0 and there[i, column[f, j - 1]]:
+                        kind = _contact_kind(rear_x, rear_y, yaw, v, car[3], car[1], pose[:, i, k], size[i], objects[i])
+                        row = 0 if kind in (STOOD, FRONT) else 1
+                        if (row == 0 or kind == SIDE) and (step[row, f] < 0 or j < step[row, f]):
+                            step[row, f], hit[row, f] = j, i
+                    break
+                if abs(v) <= 0.005 or _behind(rear_x, rear_y, yaw, pose[0, i, k], pose[1, i, k]):
+                    continue
+                found = time_to_contact(
+                    x, y, yaw, car[0], car[1], vx, vy, pose[0, i, k], pose[1, i, k], pose[2, i, k], size[i, 0],
+                    size[i, 1], pose[3, i, k], pose[4, i, k],
+                )  # fmt: skip
+                if found < best:
+                    best, ttc[f], near[f] = found, found, i
+    return step, hit, ttc, near
+
+
+# metrics ----------------------------------------------------------------------------------------------------------
+
+
+def _series(
+    name: str, trace: Trace, scenario: Scenario, *, about: str = "", missing: str = "no plan has a second state"
+) -> Measured:
+    if not trace.frames:
+        return _NO_PLANS
+    found = _judged(trace, scenario)
+    labels = _labels(trace, found[about]) if about else ()
+    return Series(frame_times(trace), found[name], labels, missing)
+
+
+def _collision(trace: Trace, scenario: Scenario) -> Measured:
+    if trace.mode is Mode.OPEN and len(scenario.ego) < 2:
+        return Unavailable("the log holds one ego state only: there is no drive to plan along")
+    missing = f"no plan has a contact at fault within {HORIZON_S:g} s"
+    return _series("contact", trace, scenario, about="contact_agent", missing=missing)
+
+
+def _off_road(trace: Trace, scenario: Scenario) -> Measured:
+    lanes = known_lanes(scenario)
+    return lanes if isinstance(lanes, Unavailable) else _series("off", trace, scenario)
+
+
+def _comfort(trace: Trace, scenario: Scenario) -> Measured:
+    if not trace.frames:
+        return _NO_PLANS
+    found, names = _judged(trace, scenario), tuple(comfort.NUPLAN_BOUNDS)
+    return Series(frame_times(trace), found["comfort"], tuple(names[q] for q in found["signal"].tolist()))
+
+
+def _score(trace: Trace, scenario: Scenario) -> Measured:
+    """(7)."""
+    if not trace.frames:
+        return _NO_PLANS
+    found, t = _judged(trace, scenario), times_after(trace, 0, 0)[:, 0]
+    objects = np.array([kind is AgentKind.OBJECT for kind in trace.agents.kinds] + [False])
+    multiplier = np.where(np.isnan(found["contact"]), 1.0, np.where(objects[found["contact_agent"]], 0.5, 0.0))
+    multiplier = np.where(found["off"] > OFF_ROAD_M, 0.0, multiplier)
+    steady = np.full(len(t), np.nan)
+    extended = consistency.EXTENDED_COMFORT.found(trace, scenario)
+    if isinstance(extended, Series):
+        steady[np.isin(t, extended.t)] = np.where(extended.known, extended.value <= 1.0, np.nan)
+    parts = np.array([~(found["ttc"] <= TTC_S), found["progress"], found["comfort"] <= 1.0, steady], np.float64)
+    weights = np.where(np.isfinite(parts), np.array([[5.0], [5.0], [2.0], [2.0]]), 0.0)
+    return Series(t, multiplier * (weights * np.nan_to_num(parts)).sum(axis=0) / weights.sum(axis=0))
+
+
+_BOTH = (Mode.OPEN, Mode.CLOSED)
+_CLOSED = (Mode.CLOSED,)
+_FOLLOWED = (f"horizon {HORIZON_S:g} s", f"step {STEP_S:g} s")
+_NAVSIM = "after NAVSIM 0a380a90, pdm_scorer"
+
+
+def _metric(
+    name: str, unit: str, measure: Measure, reductions: tuple[Reduction, ...], meaning: str, formula: str,
+    *, modes: tuple[Mode, ...] = _BOTH, needs: str = "plans", better: Direction = "lower",
+) -> Metric:  # fmt: skip
+    return Metric(
+        name, unit, better, modes, measure, reductions, meaning, _NAVSIM, 2, formula=formula,
+        parameters=_FOLLOWED, needs=needs,
+    )  # fmt: skip
+
+
+PLAN_COLLISION = _metric(
+    "plan_collision", "s", _collision, (HAVING, MIN),
+    "Time until a plan has a contact at fault with a road user as it then moved; fault as in collision_at_fault.",
+    "least t - t_i with a contact at fault", better="higher",
+)  # fmt: skip
+PLAN_OFF_ROAD = _metric(
+    "plan_off_road", "m", _off_road, (MAX, share_beyond(OFF_ROAD_M, "share_beyond_30cm")),
+    "How much farther off the drivable lanes than at its start a plan leads.",
+    "max over t of off(t) - off(t_i), off the greatest distance of a corner to the lanes",
+    needs="plans, lanes in the log",
+)  # fmt: skip
+PLAN_TTC = _metric(
+    "plan_ttc", "s", partial(_series, "ttc", about="ttc_agent", missing="no plan is on a course to touch anyone"),
+    (MIN, share_while(lambda ttc: ttc <= TTC_S, "share_below_950ms")),
+    "Least time to contact along a plan, as ttc; 0 where the plan has a contact at fault.",
+    "min over t of the time to contact at constant velocity vectors", better="higher",
+)  # fmt: skip
+PLAN_COMFORT = _metric(
+    "plan_comfort", "1", _comfort, (MEAN, P95, share_beyond(1.0, "share_above_1")),
+    "The worst of nuPlan's six comfort signals of a plan, over its bound.", "max over t and q of q / bound(q)",
+)  # fmt: skip
+PLAN_PROGRESS = _metric(
+    "plan_progress", "1", partial(_series, "progress"), (MEAN, MIN),
+    "Planned distance over the greater of planned and then driven distance.", "s / max(s, d); 1 up to 5 m",
+    better="higher",
+)  # fmt: skip
+PLAN_KEPT = _metric(
+    "plan_kept", "m", partial(_series, "kept", missing=_NOT_DRIVEN),
+    (MEAN, P95, MAX, share_beyond(5.0, "share_beyond_5m")),
+    "Greatest distance of a plan's states from where the ego then was.", "max over t of |p_i(t) - p(t)|", modes=_CLOSED,
+)  # fmt: skip
+PLAN_KEPT_LATERAL = _metric(
+    "plan_kept_lateral", "m", partial(_series, "kept_lateral", missing=_NOT_DRIVEN),
+    (MEAN, P95, MAX, share_beyond(2.0, "share_beyond_2m")),
+    "Greatest lateral distance of a plan's states from where the ego then was.",
+    "max over t of |p_i(t) - p(t)| across the ego's heading", modes=_CLOSED,
+)  # fmt: skip
+PLAN_SCORE = _metric(
+    "plan_score", "1", _score, (MEAN, MIN),
+    "NAVSIM's EPDMS of each plan, without direction, lights and lane keeping.",
+    "contact x drivable x (5 ttc + 5 progress + 2 comfort + 2 extended_comfort) / 14", better="higher",
+)  # fmt: skip
+PLAN_LON_ACCEL = _metric(
+    "plan_lon_accel", "m/s2", partial(_series, "lon_accel"), (MEAN, P95, MAX),
+    "Largest planned acceleration or braking.", "max |a|",
+)  # fmt: skip
+PLAN_LAT_ACCEL = _metric(
+    "plan_lat_accel", "m/s2", partial(_series, "lat_accel"), (MEAN, P95, MAX),
+    "Largest planned lateral acceleration.", "max |v^2 kappa|",
+)  # fmt: skip
+PLAN_LON_JERK = _metric(
+    "plan_lon_jerk", "m/s3", partial(_series, "lon_jerk"), (MEAN, P95, MAX),
+    "Largest planned longitudinal jerk, over 0.1 s.", "max |a(t) - a(t - W)| / W",
+)  # fmt: skip

@@ -74,8 +74,8 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
     "rules": (
         rules.RED_LIGHT, rules.STOP_SIGN, rules.CROSSWALK, right_of_way.PRIORITY_GAP, right_of_way.YIELDING,
         cut_in.FORCED_BRAKING, needless.NEEDLESS_BRAKING, needless.NEEDLESS_STANDING, needless.NEEDLESS_STEERING,
-        lane_keeping.WRONG_WAY, lane_keeping.LANE_KEEPING, progress.SPEED_EXCESS, progress.SPEED_RATIO,
-        progress.ASSUMED_LIMIT_EXCESS,
+        safety.PASSING_ROOM, lane_keeping.WRONG_WAY, lane_keeping.LANE_KEEPING, lane_keeping.LANE_LINE,
+        progress.SPEED_EXCESS, progress.SPEED_RATIO, progress.ASSUMED_LIMIT_EXCESS,
     ),
     "comfort": (
         comfort.LON_ACCEL, comfort.LAT_ACCEL, comfort.LON_JERK_STATE, comfort.LAT_JERK_STATE, comfort.YAW_RATE,

@@ -6,6 +6,8 @@ asked. With the angle between the velocity vector and the best aligned lane ther
 (1) wrong_way(t) = max(-v cos(angle), 0)                        speed against the lane, m/s
 (2) worst_1s = max over t of the integral of (1) over (t - 1 s, t]
 (3) lane_keeping(t) = distance from the nearest centre line, positive left of it, m
+(4) lane_line(t) = |(3)| + half of the ego's width - half of the lane's width there: how far its box is over the line,
+    m; asked while no road user and no curve calls for leaving the middle (`needless`), every 0.1 s
 
 nuPlan and NAVSIM judge (2): below 2 m is compliant, below 6 m half. Lanes that lie over each other and lead both ways
 (a single-track road) may be driven either way.
@@ -21,6 +23,7 @@ from logs.scenario import Scenario
 from logs.trace import Mode, Trace
 from metrics.lanes import Under, drivable_lanes, under
 from metrics.metric import (
+    MAX,
     MAX_ABS,
     Measured,
     Metric,
@@ -31,14 +34,16 @@ from metrics.metric import (
     time_above,
     worst_episode,
 )
+from metrics.needless import reasons
 from metrics.once import once
 from metrics.others import ego_boxes
+from metrics.path_ahead import grid_of
 
 WINDOW_S = 1.0
 COMPLIANT_M, HALF_M = 2.0, 6.0
 AGAINST_MPS = 0.1
 """Slower than this is no driving against a lane: the speed at which a stop is made."""
-ASIDE_M, ASIDE_S = 0.5, 2.0
+ASIDE_M, ASIDE_S, OVER_M = 0.5, 2.0, 0.3
 NO_LANES = Unavailable("the log has no lanes")
 
 
@@ -61,6 +66,16 @@ def _wrong_way(trace: Trace, scenario: Scenario) -> Measured:
 def _lane_keeping(trace: Trace, scenario: Scenario) -> Measured:
     found = _lanes(trace, scenario)
     return found if isinstance(found, Unavailable) else Series(trace.ego.t, found.left, missing=_NEVER)
+
+
+def _lane_line(trace: Trace, scenario: Scenario) -> Measured:
+    lanes = drivable_lanes(scenario.road)
+    if scenario.road.source is RoadSource.DRIVEN_PATH or lanes is None:
+        return NO_LANES
+    ego, steer = grid_of(trace), reasons(trace, scenario).steer
+    found = under(lanes, *ego_boxes(ego, scenario)[:3])
+    over = np.abs(found.left) + 0.5 * scenario.vehicle.width - found.half  # (4)
+    return Series(ego.t, np.where(steer, np.nan, over), missing=f"{_NEVER}, or something called for leaving the middle")
 
 
 def _metres(series: Series) -> FloatArray:
@@ -103,4 +118,10 @@ LANE_KEEPING = Metric(
     "NAVSIM 0a380a90, lane keeping of EPDMS: an episode of 2 s is a failure",
     formula="signed distance from the centre line; worst_episode: the longest stretch beyond 0.5 m",
     parameters=(f"beyond {ASIDE_M} m", "lanes cross above 30 degrees"), needs=_NEEDS,
+)  # fmt: skip
+LANE_LINE = Metric(
+    "lane_line", "m", "lower", (Mode.CLOSED,), _lane_line, (MAX, worst_episode(-np.inf, OVER_M)),
+    "How far the ego's box is over the line of its lane while nothing calls for it.",
+    formula="|distance from the centre line| + half of the ego's width - half of the lane's width",
+    parameters=(f"over by {OVER_M} m",), needs=_NEEDS,
 )  # fmt: skip

@@ -138,10 +138,12 @@ class Under:
     Attributes:
         along: Cosine of the angle between heading and lane; of several lanes the one best aligned. -1: against it.
         left: Distance from the nearest centre line of a lane there, m, positive to the left of the lane.
+        half: Half of that lane's width there, m.
     """
 
     along: FloatArray
     left: FloatArray
+    half: FloatArray
 
 
 def under(lanes: LaneArrays, x: FloatArray, y: FloatArray, yaw: FloatArray) -> Under:
@@ -172,10 +174,10 @@ def _on_lane(lanes: LaneArrays, i: int, x: float, y: float) -> bool:
 
 
 @inner_kernel
-def _on_center(lanes: LaneArrays, i: int, x: float, y: float) -> tuple[float, float, float]:
-    """Unit direction of lane i's centre line at its point nearest to (x, y), and the distance left of it, m."""
+def _on_center(lanes: LaneArrays, i: int, x: float, y: float) -> tuple[float, float, float, float]:
+    """Unit direction of lane i's centre line nearest to (x, y), distance left of it and half of its width there, m."""
     center = lanes.center[lanes.offsets[i] // 2 : lanes.offsets[i + 1] // 2]
-    best, cx, cy, left, boxes = inf, 0.0, 0.0, 0.0, lanes.middle
+    best, cx, cy, left, half, boxes = inf, 0.0, 0.0, 0.0, 0.0, lanes.middle
     bound = inf  # the line is no farther than the farthest corner of any of its boxes
     for g in range(boxes.first[i], boxes.first[i + 1]):
         box = boxes.box[g]
@@ -189,28 +191,33 @@ def _on_center(lanes: LaneArrays, i: int, x: float, y: float) -> tuple[float, fl
             if length > 0.0 and found < best:
                 best, cx, cy = found, (bx - ax) / length, (by - ay) / length
                 left = found if cx * (y - ay) - cy * (x - ax) >= 0.0 else -found
-    return cx, cy, left
+                begin = lanes.points[lanes.offsets[i] + k]
+                half = hypot(begin[0] - ax, begin[1] - ay)
+    return cx, cy, left, half
 
 
 @kernel
-def _under(lanes: LaneArrays, x: FloatArray, y: FloatArray, yaw: FloatArray) -> tuple[FloatArray, FloatArray]:
-    along, left = np.full(len(x), nan), np.full(len(x), nan)
+def _under(
+    lanes: LaneArrays, x: FloatArray, y: FloatArray, yaw: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    along, left, half = np.full(len(x), nan), np.full(len(x), nan), np.full(len(x), nan)
     for k in range(len(x)):
         first_x, first_y, crossing = 0.0, 0.0, False
         for i in range(len(lanes.box)):
             if _gap(lanes.box, i, x[k], y[k]) > 0.0 or not _on_lane(lanes, i, x[k], y[k]):
                 continue
-            cx, cy, aside = _on_center(lanes, i, x[k], y[k])
+            cx, cy, aside, wide = _on_center(lanes, i, x[k], y[k])
             if not np.isfinite(along[k]):
                 first_x, first_y, along[k], left[k] = cx, cy, cx * cos(yaw[k]) + cy * sin(yaw[k]), aside
+                half[k] = wide
                 continue
             crossing = crossing or abs(first_x * cx + first_y * cy) < CROSSING
             along[k] = max(along[k], cx * cos(yaw[k]) + cy * sin(yaw[k]))
             if abs(aside) < abs(left[k]):
-                left[k] = aside
+                left[k], half[k] = aside, wide
         if crossing:
             along[k], left[k] = nan, nan
-    return along, left
+    return along, left, half
 
 
 @inner_kernel

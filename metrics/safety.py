@@ -53,6 +53,10 @@ TTC_HORIZON_S = 10.0
 OFF_ROAD_M = 0.3
 OUTLINE_M = 0.25
 """Between two points the outline is at most half of this further off than they are, m."""
+PASSING_MPS, PASSING_M = (3.0, 5.0), (0.5, 1.0)
+"""Room to pedestrians and riders who are passed, by the ego's speed, linear between."""
+LEAVING_MPS = 0.5
+"""One who goes away to the side as fast has crossed, and is not passed."""
 _BEHIND = cos(150.0 / 180.0 * np.pi)
 
 
@@ -265,25 +269,31 @@ def impact_speed(contact: Contact, trace: Trace, scenario: Scenario) -> float:
 
 
 @kernel
-def _approachable(ego: FloatArray, axle: float, there: BoolArray, pose: FloatArray) -> BoolArray:
-    """Which agents the ego drives by or towards `(n, k)`: it moves, and they are not behind."""
+def _approachable(ego: FloatArray, axle: float, there: BoolArray, pose: FloatArray, leaving: float) -> BoolArray:
+    """Which agents a moving ego drives by or towards `(n, k)`: not behind, nor going `leaving` m/s away to the side."""
     out = there.copy()
     for k in range(there.shape[1]):
         x, y, yaw = ego[0, k], ego[1, k], ego[2, k]
         stands = hypot(ego[3, k], ego[4, k]) <= STANDING_MPS
         for i in range(len(there)):
             behind = _behind(x - axle * cos(yaw), y - axle * sin(yaw), yaw, pose[0, i, k], pose[1, i, k])
-            out[i, k] = there[i, k] and not stands and not behind
+            left = (pose[1, i, k] - y) * cos(yaw) - (pose[0, i, k] - x) * sin(yaw)
+            away = (pose[4, i, k] * cos(yaw) - pose[3, i, k] * sin(yaw)) * (1.0 if left > 0.0 else -1.0)
+            out[i, k] = there[i, k] and not stands and not behind and away < leaving
     return out
 
 
-def _gap(trace: Trace, scenario: Scenario, *, vulnerable_only: bool, kept: bool = False) -> Measured:
+def _gap(
+    trace: Trace, scenario: Scenario, *, vulnerable_only: bool, kept: bool = False, leaving: float = inf
+) -> Measured:
     ego, wanted, vehicle = ego_boxes(trace.ego, scenario), _wanted(trace, vulnerable_only), scenario.vehicle
     gap, nearest = np.full(len(trace.ego), np.nan), np.full(len(trace.ego), -1)
     recent = 0
     for steps, seen, others in pieces(trace.agents, trace.ego.t):
         there = (
-            _approachable(ego[:, steps], vehicle.axle_to_center, others.there, others.pose) if kept else others.there
+            _approachable(ego[:, steps], vehicle.axle_to_center, others.there, others.pose, leaving)
+            if kept
+            else others.there
         )
         after = int(np.searchsorted(seen, recent)) % max(len(seen), 1)
         gap[steps], row = _gaps(
@@ -294,6 +304,13 @@ def _gap(trace: Trace, scenario: Scenario, *, vulnerable_only: bool, kept: bool 
     who = "pedestrian or rider" if vulnerable_only else "other road user"
     where = "beside or ahead of an ego that drives" if kept else "in the scene"
     return Series(trace.ego.t, gap, _labels(trace, nearest), f"no {who} {where}")
+
+
+def _passing_room(trace: Trace, scenario: Scenario) -> Measured:
+    found = _gap(trace, scenario, vulnerable_only=True, kept=True, leaving=LEAVING_MPS)
+    assert isinstance(found, Series)
+    required = np.interp(np.abs(trace.ego.v), PASSING_MPS, PASSING_M)
+    return Series(found.t, found.value - required, found.labels, found.missing)
 
 
 def _ttc(trace: Trace, scenario: Scenario, *, vulnerable_only: bool) -> Measured:
@@ -387,6 +404,12 @@ GAP_KEPT_VULNERABLE = Metric(
     (MIN, time_below(0.5, "time_below_50cm")),
     "Least distance that the ego leaves to a pedestrian or rider as it drives.",
     formula=_KEPT, needs="a pedestrian or rider",
+)  # fmt: skip
+PASSING_ROOM = Metric(
+    "passing_room", "m", "higher", (Mode.CLOSED,), _passing_room, (MIN, time_below(0.0, "time_too_near")),
+    "Least distance to a pedestrian or rider who is passed, less what the ego's speed asks for.",
+    formula=f"{_KEPT} nor going away to the side; less 0.5 m up to 3 m/s, 1 m from 5 m/s on, linear between",
+    parameters=(f"going away: {LEAVING_MPS} m/s",), needs="a pedestrian or rider",
 )  # fmt: skip
 _TTC_TIMES = (MIN, time_below(0.95, "time_below_950ms"), time_below(TAU_S, "time_below_1500ms"),
               integrated_below(TAU_S, "integrated_1500ms"))  # fmt: skip

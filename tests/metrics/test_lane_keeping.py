@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from drives import along, drive, grid, moved, moved_ego, scenario, straight_road
+from drives import along, changing, drive, grid, moved, moved_ego, moving, scenario, straight_road
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from logs import Lane, Road, RoadSource, Scenario, Trajectory
+from logs import AgentKind, Lane, Road, RoadSource, Scenario, Trajectory
 from metrics import METRICS, evaluate
 
-ASKED = {name: METRICS[name] for name in ("wrong_way", "lane_keeping")}
+ASKED = {name: METRICS[name] for name in ("wrong_way", "lane_keeping", "lane_line")}
 WIDTH = 3.5
 
 
@@ -43,7 +43,7 @@ def test_ten_seconds_in_the_oncoming_lane() -> None:
     assert table.loc["wrong_way.distance", "value"] == pytest.approx(100.0, abs=0.11)
     assert table.loc["wrong_way.time", "value"] == pytest.approx(10.0, abs=0.011)
     assert table.loc["wrong_way.worst_episode", "value"] == pytest.approx(10.0, abs=0.011)
-    assert (table["unit"] == ["m", "m", "s", "s", "m", "s", "s"]).all()
+    assert (table["unit"] == ["m", "m", "s", "s", "m", "s", "s", "m", "s"]).all()
     fine = judged(LOG)["value"]
     assert (fine[[name for name in fine.index if name.startswith("wrong_way")]] == 0.0).all()
 
@@ -121,3 +121,20 @@ def test_the_map_may_be_turned_shifted_and_mirrored(
     one = judged(LOG, ego)["value"]
     two = judged(moved(LOG, turn, dx, dy, mirror=mirror), moved_ego(ego, turn, dx, dy, mirror=mirror))["value"]
     assert two.to_numpy() == pytest.approx(one.to_numpy(), abs=1e-6)
+
+
+@pytest.mark.parametrize(("y", "over"), [(0.0, 0.0), (0.8, 0.0), (1.4, 10.0), (1.7, 10.0), (-1.5, 10.0), (3.5, 0.0)])
+@pytest.mark.parametrize("mirror", [False, True])
+def test_a_drive_on_the_line_of_its_lane_is_one_episode(y: float, over: float, mirror: bool) -> None:
+    log = replace(LOG, road=straight_road(lanes=2))
+    ego = moved_ego(beside(grid(10.0, 0.1), 10.0, y), 1.0, 5.0, -300.0, mirror=mirror)
+    table = judged(moved(log, 1.0, 5.0, -300.0, mirror=mirror), ego)
+    assert table.loc["lane_line.worst_episode", "value"] == pytest.approx(over, abs=0.11)
+
+
+def test_a_lane_change_and_a_nudge_round_a_car_are_no_straddling() -> None:
+    two, t = replace(LOG, road=straight_road(lanes=2)), grid(10.0, 0.1)
+    assert judged(two, changing(t, 10.0, 2.0, 4.0))["value"]["lane_line.worst_episode"] < 4.0
+    parked = ("7", AgentKind.CAR, (4.5, 1.8), moving(60.0, -1.6, 0.0, 0.0, yaw=0.0))
+    nudge = scenario(LOG.ego, [parked], road=straight_road(lanes=2))
+    assert judged(nudge, beside(t, 10.0, 1.4))["value"]["lane_line.worst_episode"] < 4.0

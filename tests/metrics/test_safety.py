@@ -420,3 +420,16 @@ def test_whom_the_ego_touches_already_is_not_the_plans_doing() -> None:
 def test_the_logs_own_gaps_are_not_in_an_open_loop_table() -> None:
     log = scenario(along(grid(9.0), 10.0), [car(40.0, 0.0, 0.0, yaw=0.0)])
     assert not any(name.startswith(("gap", "ttc", "collision")) for name in opened(log).index)
+
+
+@pytest.mark.parametrize(
+    ("speed", "beside", "away", "near"),
+    [(8.0, 0.7, 0.0, True), (8.0, 1.1, 0.0, False), (2.5, 0.7, 0.0, False), (8.0, 0.7, 1.0, False)],
+)
+def test_room_to_a_pedestrian_who_is_passed_grows_with_the_speed(
+    speed: float, beside: float, away: float, near: bool
+) -> None:
+    """One who walks away to the side has crossed."""
+    y = 0.5 * EGO.width + 0.3 + beside - away * 12.0 / speed
+    table = judged(world(speed, walker(12.0 + EGO.axle_to_center, y, away), seconds=6.0))
+    assert (table.loc["passing_room.time_too_near", "value"] > 0.0) == near

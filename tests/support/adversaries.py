@@ -351,6 +351,12 @@ def overtaken(behind: float) -> Scenario:
     return scenario(along(grid(12.0, 0.1), 10.0), [follower], road=straight_road(lanes=2))
 
 
+def walked_along() -> Scenario:
+    """The logged ego drives 8 m/s along a pedestrian who walks 1.8 m right of its lane's middle."""
+    walker = ("7", AgentKind.PEDESTRIAN, (0.5, 0.5), moving(40.0, -1.8, 1.2, 0.0))
+    return scenario(along(grid(12.0, 0.1), 8.0), [walker], road=straight_road(lanes=2))
+
+
 ADVERSARIES = {
     "park": Adversary(Park, "paper/free_road", "route_progress"),
     "creep": Adversary(Creep, "paper/free_road", "route_progress"),
@@ -363,6 +369,7 @@ ADVERSARIES = {
     "short_stop": Adversary(ShortStop, "everyday/traffic_light", "needless_standing"),
     "weaver": Adversary(Weaver, "paper/free_road", "needless_steering"),
     "straddler": Adversary(Straddler, "paper/free_road", "lane_line"),
+    "close_passer": Adversary(Along, walked_along, "passing_room"),
     "red_runner": Adversary(RedRunner, "everyday/traffic_light", "red_light"),
     "swerver": Adversary(Swerver, "paper/free_road", "lat_jerk_state"),
     "speeder": Adversary(Speeder, "paper/free_road", "speed_excess"),

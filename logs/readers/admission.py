@@ -108,8 +108,8 @@ def _side_spans(scenario: Scenario) -> Iterator[tuple[str, float, float]]:
     if len(moving):
         yield "agents", float(moving.min()), float(moving.max())
     if scenario.lights:
-        shown = [light.t for light in scenario.lights]
-        yield "traffic lights", min(map(np.min, shown)), max(map(np.max, shown)) + SHOWN_BEFORE_S
+        shown = np.concatenate([light.t for light in scenario.lights])
+        yield "traffic lights", float(shown.min()), float(shown.max()) + SHOWN_BEFORE_S
     if scenario.controls is not None and len(scenario.controls):
         yield "controls", float(scenario.controls.t[0]), float(scenario.controls.t[-1])
     if scenario.onboard:
@@ -264,8 +264,8 @@ def _slow_enough(tracks: Tracks, notes: list[str]) -> Tracks:
     whose = np.add.reduceat(fast, tracks.offsets[:-1]) > 0
     most = float(np.hypot(tracks.vx, tracks.vy)[fast].max())
     notes.append(
-        f"{counted(int(fast.sum()), 'velocity')[:-1] + 'ies' if fast.sum() > 1 else '1 velocity'} of"
-        f" {_named(tracks, whose)} of up to {most:g} m/s, beyond {SPEED.most:g} m/s, are taken as not known."
+        f"The velocity of {_named(tracks, whose)} is up to {most:g} m/s, beyond {SPEED.most:g} m/s, at"
+        f" {counted(int(fast.sum()), 'sample')}: taken as not known there."
     )
     vx, vy = np.where(fast, np.nan, tracks.vx), np.where(fast, np.nan, tracks.vy)
     return replace(tracks, vx=vx, vy=vy)
@@ -274,7 +274,7 @@ def _slow_enough(tracks: Tracks, notes: list[str]) -> Tracks:
 def _sized(tracks: Tracks, notes: list[str]) -> Tracks:
     """Sizes beyond `SIZES_M` as usual for the kind."""
     low, high = SIZES_M
-    odd = np.array([~((low <= size) & (size <= high)) for size in (tracks.length, tracks.width)]).any(axis=0)
+    odd = ~((np.minimum(tracks.length, tracks.width) >= low) & (np.maximum(tracks.length, tracks.width) <= high))
     if not odd.any():
         return tracks
     notes.append(

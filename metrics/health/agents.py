@@ -81,18 +81,22 @@ def id_switches(scenario: Scenario) -> Iterator[Finding]:
     tracks = scenario.tracks
     first, last = tracks.offsets[:-1], tracks.offsets[1:] - 1
     begins, ends = tracks.t[first], tracks.t[last]
-    moves = ~tracks.static
-    for i in np.flatnonzero(moves & (ends < scenario.duration - SWITCH_S)):
-        wait = begins - ends[i]
-        k = last[i]
-        vx, vy = (values[0] for values in tracks.velocity(np.array([i]), np.array([k])))
-        away = np.hypot(tracks.x[first] - tracks.x[k] - wait * vx, tracks.y[first] - tracks.y[k] - wait * vy)
-        near = np.flatnonzero(moves & (wait > 0.0) & (wait <= SWITCH_S) & (away < SWITCH_M)).tolist()
-        heirs = [j for j in near if tracks.kinds[j] is tracks.kinds[i]]
-        if heirs:
-            j = min(heirs, key=lambda other: (away[other], other))
-            text = f"{name_of(tracks, int(i))} goes on as {tracks.ids[j]}, {away[j]:.1f} m from where it was expected"
-            span = float(ends[i]), float(begins[j])
+    ending = np.flatnonzero(~tracks.static & (ends < scenario.duration - SWITCH_S))
+    vx, vy = tracks.velocity(ending, last[ending])
+    later = np.flatnonzero(~tracks.static)
+    later = later[np.argsort(begins[later], kind="stable")]
+    starts, until = begins[later], ends[ending] + SWITCH_S
+    parts = np.searchsorted(starts, ends[ending], side="right"), np.searchsorted(starts, until, side="right")
+    for i, k, u, w, low, high in zip(ending, last[ending], vx, vy, *parts, strict=True):
+        others = np.sort(later[low:high])  # who begins within `SWITCH_S`
+        wait, at = begins[others] - ends[i], first[others]
+        away = np.hypot(tracks.x[at] - tracks.x[k] - wait * u, tracks.y[at] - tracks.y[k] - wait * w)
+        same = (away < SWITCH_M) & (tracks.codes[others] == tracks.codes[i])
+        if same.any():
+            j = int(np.argmin(np.where(same, away, np.inf)))
+            heir = tracks.ids[others[j]]
+            text = f"{name_of(tracks, int(i))} goes on as {heir}, {away[j]:.1f} m from where it was expected"
+            span = float(ends[i]), float(begins[others[j]])
             yield Finding(Kind.ID_SWITCH, "agents", tracks.ids[i], *span, float(away[j]), "m", text)
 
 

@@ -258,11 +258,12 @@ def _tracks_within(scenario: Scenario, notes: list[str]) -> Tracks:
 
 def _slow_enough(tracks: Tracks, notes: list[str]) -> Tracks:
     """Velocities beyond `SPEED` as not known."""
-    fast = np.hypot(tracks.vx, tracks.vy) > SPEED.most  # NaN: not known
+    speed = np.hypot(np.nan_to_num(tracks.vx), np.nan_to_num(tracks.vy))  # NaN: not known
+    fast = speed > SPEED.most
     if not fast.any():
         return tracks
     whose = np.add.reduceat(fast, tracks.offsets[:-1]) > 0
-    most = float(np.hypot(tracks.vx, tracks.vy)[fast].max())
+    most = float(speed.max())
     notes.append(
         f"The velocity of {_named(tracks, whose)} is up to {most:g} m/s, beyond {SPEED.most:g} m/s, at"
         f" {counted(int(fast.sum()), 'sample')}: taken as not known there."

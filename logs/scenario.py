@@ -17,7 +17,7 @@ from logs.observed import Spans, inferred
 from logs.presence import MAX_AGE_S, MAX_GAP_S, patience
 from logs.road import Goal, Road
 from logs.rules import TrafficLight
-from logs.states import Controls, OnboardPlan, Trajectory
+from logs.states import MOST_RAD, Controls, OnboardPlan, Trajectory
 from logs.vehicle import VehicleParameters
 
 TREND_S = 1.0
@@ -119,7 +119,10 @@ def _perceived(
 
 
 def _continuous(yaw: FloatArray, offsets: IntArray) -> FloatArray:
-    """The headings without jumps of 2 pi within a track; the first of each track stays."""
+    """The headings without jumps of 2 pi within a track; the first of each track stays, and what is no angle."""
+    wild = np.abs(yaw) > MOST_RAD
+    if wild.any():
+        return np.where(wild, yaw, _continuous(np.where(wild, 0.0, yaw), offsets))
     turns = np.round(np.diff(yaw) / (2.0 * np.pi))
     turns[offsets[1:-1] - 1] = 0.0
     if not turns.any():

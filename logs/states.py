@@ -80,7 +80,8 @@ class Trajectory:
     `yaw` is continuous (unwrapped). `t` increases strictly. All values are finite.
 
     Raises:
-        ValueError: Columns differ in length, a value is not finite, or time does not increase.
+        ValueError: Columns differ in length, a value is not finite, time does not increase, or a heading is beyond
+            `MOST_RAD`.
     """
 
     t: FloatArray
@@ -114,10 +115,11 @@ class Trajectory:
         turns, not_finite, still = _looked_through(rows)
         if not_finite >= 0:
             name, index = TRAJECTORY_COLUMNS[not_finite // rows.shape[1]], not_finite % rows.shape[1]
-            raise ValueError(f"{name} is not finite at index {index}")
+            raise ValueError(f"{name} is not finite at index {index} (t = {rows[0, index]:g} s)")
         if still >= 0:
             raise ValueError(f"time does not increase after {rows[0, still]} s")
         if turns:
+            _check_angles(rows)
             rows[YAW_ROW] = np.unwrap(rows[YAW_ROW])
         for name, row in zip(TRAJECTORY_COLUMNS, frozen(rows), strict=True):
             object.__setattr__(self, name, row)
@@ -156,6 +158,19 @@ class Trajectory:
 
 TRAJECTORY_COLUMNS = tuple(field.name for field in fields(Trajectory))
 YAW_ROW = TRAJECTORY_COLUMNS.index("yaw")
+
+
+MOST_RAD = 1e9
+"""A double beyond it holds an angle to no better than 1e-7 rad: no heading."""
+
+
+def _check_angles(rows: FloatArray) -> None:
+    """Refuse headings that unwrapping would turn into any angle."""
+    k = int(np.argmax(np.abs(rows[YAW_ROW])))
+    if not abs(rows[YAW_ROW, k]) <= MOST_RAD:
+        raise ValueError(
+            f"yaw is {rows[YAW_ROW, k]:g} rad at index {k} (t = {rows[0, k]:g} s), beyond {MOST_RAD:g} rad"
+        )
 
 
 @kernel

@@ -171,7 +171,8 @@ def _others(one: Trace, two: Trace, before: PlannedFrame, now: PlannedFrame) -> 
     if set(known[0].ids) != set(known[1].ids):
         yield inf, partial(_words, "who is there", known[0].ids, known[1].ids)
         return
-    order = [known[1].ids.index(name) for name in known[0].ids]
+    row = {name: i for i, name in enumerate(known[1].ids)}
+    order = [row[name] for name in known[0].ids]
     for name, unit in (("x", "m"), ("y", "m"), ("yaw", "rad"), ("vx", "m/s"), ("vy", "m/s"), ("length", "m")):
         where = [f"{name} of {who}" for who in known[0].ids]
         yield from _largest(getattr(known[0], name), getattr(known[1], name)[order], where.__getitem__, unit)

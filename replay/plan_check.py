@@ -3,7 +3,8 @@
 With p_i, v_i, yaw_i, kappa_i, a_i the samples of a plan, d_i = |p_(i+1) - p_i|, dt_i = t_(i+1) - t_i, h_i the direction
 of p_(i+1) - p_i (turned round in reverse), and a bar for the mean of a column over a step:
 
-(1) start        p_0 and v_0 are those of the ego, or of the plan being driven where it is near the ego, within START
+(1) start        p_0 and v_0 are those of the ego, or of the plan being driven where it is near the ego, within START;
+                 v_0 may be 0 where the ego reverses by no more than SWING_MPS
 (2) speed        | d_i / dt_i - |v|bar_i | <= SPEED_MPS
 (3) heading      | wrap(h_i - yaw_bar_i) | <= YAW_RAD                                        where d_i >= STEP_M
 (4) curvature    | wrap(h_i - h_(i-1)) / (0.5 (d_i + d_(i-1))) - kappa_i | v_i^2 <= LATERAL_MPS2       likewise
@@ -30,6 +31,8 @@ from logs.states import EgoState, Trajectory, wrap
 from logs.trace import Plan, PlanStart, PlanStatus
 
 START_M, START_MPS = 0.03, 0.05
+SWING_MPS = 0.3
+"""The speed of a recorded ego that stops swings below 0 by up to this (filters, fits): a plan may start at 0 there."""
 NEAR_M = 1.0
 """The plan being driven counts as a start where the ego is nearer to it than this (ours: 0.5 m)."""
 SPEED_MPS, YAW_RAD, LATERAL_MPS2, ACCEL_MPS = 1.0, 0.1, 2.5, 1.0
@@ -75,7 +78,8 @@ def _start_fault(trajectory: Trajectory, frame: Frame) -> str:
     nearest = min(starts, key=lambda start: _apart(start, first))
     if _apart(nearest, first) > START_M:
         return f"it starts {_apart(nearest, first):.2f} m from the ego and from the plan being driven"
-    if min(abs(start.v - first.v) for start in starts) > START_MPS:
+    speeds = [start.v for start in starts] + [0.0 for start in starts if -SWING_MPS <= start.v < 0.0]
+    if min(abs(speed - first.v) for speed in speeds) > START_MPS:
         return f"it starts at {first.v:.1f} m/s, the ego drives {frame.ego.v:.1f} m/s"
     return ""
 

@@ -139,7 +139,8 @@ def _frames(streams: dict[str, Stream], start_ns: int) -> Iterator[nouns.Planned
 
 def _predictions(message: native.Predictions) -> tuple[tuple[str, ...], Predictions]:
     agents = tuple(dict.fromkeys(message.id))
-    rows = np.array([agents.index(name) for name in message.id], dtype=np.int64)
+    row = {name: i for i, name in enumerate(agents)}
+    rows = np.array([row[name] for name in message.id], dtype=np.int64)
     shape = (len(rows), len(message.t))
     x, y = (np.array(some, np.float64).reshape(shape) for some in (message.x, message.y))
     t, probability = np.array(message.t, np.float64), np.array(message.probability, np.float64)

@@ -8,6 +8,7 @@ Adding a format is one file with a `Reader` and one line in `BUILTIN`; one of yo
 
 Modules:
     base.py         what a reader is, and the settings of a run's [log] table
+    admission.py    what every log has to pass: clocks, magnitudes, names
     cut.py          a part of a scenario by time, for readers that read a log whole
     nanoseconds.py  times as native MCAP holds them
     commonroad.py   CommonRoad XML
@@ -34,7 +35,8 @@ import numpy as np
 from logs.errors import ConfigError, LogError, unknown_name
 from logs.extension import Kind, an_instance
 from logs.readers import argoverse2, arrow123d, comma2k19, commonroad, native, osi, ros, table
-from logs.readers.base import LogSettings, Reader
+from logs.readers.admission import admitted, check_clocks, check_road
+from logs.readers.base import LogSettings, Reader, check_files
 from logs.readers.cut import cut
 from logs.readers.nanoseconds import in_nanoseconds
 from logs.scenario import Scenario
@@ -116,15 +118,19 @@ def read_log(path: Path, settings: LogSettings | None = None, reader: Reader | N
         raise foreign(path)
     try:
         _check_asked(reader, settings)
+        check_files(reader.files(path))
         with np.errstate(all="ignore"):  # absurd numbers are refused as such
             scenario = reader.read(path, settings)
+            if not reader.cuts or settings.between(0.0, inf) == settings:
+                scenario = check_clocks(scenario)
             scenario = in_nanoseconds(scenario if reader.cuts else cut(scenario, settings.begin, settings.end))
             _check_duration(scenario)
+            scenario = admitted(scenario)
             if settings.map:
                 from logs.maps import with_map
 
                 scenario = with_map(scenario, settings)
-        return scenario
+            return check_road(scenario)
     except LogError as error:
         raise error if error.file is not None else error.at(path) from None
     except Exception as error:
@@ -157,8 +163,11 @@ def foreign(path: Path) -> LogError:
         held = ", ".join(names[:_SHOWN]) + (f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else "")
         return LogError(f"not a log that replan reads; the folder holds {held or 'nothing'}", file=path, remedy=FORMATS)
     try:
+        check_files([path])
         with path.open("rb") as stream:
             begin = stream.read(8)
+    except LogError as error:
+        return error.at(path)
     except OSError as error:
         return LogError(f"cannot be read: {error.strerror or error}", file=path)
     what = f"not a log that replan reads; a {path.suffix or 'nameless'} file that begins with {begin!r}"

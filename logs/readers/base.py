@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf
 from pathlib import Path
@@ -76,6 +77,57 @@ class LogSettings:
     def between(self, begin: float, end: float) -> LogSettings:
         """The same, of another part of the log."""
         return replace(self, begin=begin, end=end)
+
+
+def beside(folder: Path, names: Sequence[str]) -> Path | None:
+    """The optional file of a log's folder that has one of the `names`; None where none is there.
+
+    Raises:
+        LogError: What is called so is no file, several are there, or a name differs from these by case only: what it
+            holds would silently be left out.
+    """
+    try:
+        held = {entry.name for entry in folder.iterdir()}
+    except OSError as error:
+        raise LogError(f"the folder cannot be read: {error.strerror}", file=folder) from None
+    found = [name for name in names if name in held]
+    known = {name.casefold(): name for name in names}
+    for name in sorted(held - set(names)):
+        if name.casefold() in known:
+            meant = known[name.casefold()]
+            raise LogError(
+                f"{name} is not read: the file's name is {meant}", topic=name, remedy=f"rename it to {meant}"
+            )
+    if len(found) > 1:
+        raise LogError(f"{' and '.join(found)} are both there", topic=found[0], remedy="keep one of them")
+    if not found:
+        return None
+    path = folder / found[0]
+    if not path.is_file():
+        remedy = "put a file there, or remove it if there is none"
+        raise LogError(f"{path.name} is {kind_of(path)}, not a file", topic=path.name, remedy=remedy)
+    return path
+
+
+def kind_of(path: Path) -> str:
+    """What a path is that is no file, in words; "" for a file, and for what is not there."""
+    if path.is_file() or not os.path.lexists(path):
+        return ""
+    if path.is_symlink() and not path.exists():
+        return "a link that leads nowhere"
+    return "a folder" if path.is_dir() else "a pipe" if path.is_fifo() else "a device or socket"
+
+
+def check_files(paths: Iterable[Path]) -> None:
+    """Refuse links that lead nowhere, pipes and devices before they are opened: reading one may never end.
+
+    Raises:
+        LogError: One of the paths is such.
+    """
+    for path in paths:
+        kind = kind_of(path)
+        if kind and not path.is_dir():
+            raise LogError(f"{path.name} is {kind}, not a file", topic=path.name, remedy="put a file there")
 
 
 @dataclass(frozen=True)

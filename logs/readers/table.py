@@ -6,16 +6,19 @@
 t is in seconds (any zero), or a date and time; it may be given as t_ns, t_us or t_ms. Positions are world coordinates
 in metres, of the ego's rear axle and the agents' box centres; angles in rad, counter-clockwise from x; speeds in m/s.
 `columns` maps these names to those of the table, with a unit in brackets where it is another one: "heading [deg]",
-"speed [km/h]" (`UNITS`). What is missing is filled in and noted (`logs.mcap.complete`): the ego's v, the agents' yaw
-and velocity by backward differences, sizes by kind.
+"speed [km/h]" (`UNITS`). The unit in a table's own header counts, too: "v [km/h]", "v (km/h)", "v_kmh". What is
+missing is filled in and noted (`logs.mcap.complete`): the ego's v, the agents' yaw and velocity by backward
+differences, sizes by kind.
 
-A log on disk is a folder that holds `ego.csv` or `ego.parquet` and, beside it, `agents.csv` or `agents.parquet`.
+A log on disk is a folder that holds `ego.csv` or `ego.parquet` and, beside it, `agents.csv` or `agents.parquet`. The
+columns of a CSV file are separated by commas, semicolons or tabs; with the latter two numbers may have decimal commas.
 """
 
 from __future__ import annotations
 
+import csv
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -27,7 +30,7 @@ from logs.agents import USUAL_SIZE_M
 from logs.errors import LogError
 from logs.kernel import FloatArray
 from logs.mcap.complete import completed, road_along
-from logs.readers.base import Contents, LogSettings, Reader, TopicSummary
+from logs.readers.base import Contents, LogSettings, Reader, TopicSummary, beside
 from logs.road import Goal, Road
 from logs.scenario import AgentKind, Scenario, Tracks
 from logs.states import Controls
@@ -35,13 +38,27 @@ from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
 
 NAMES = ("ego", "agents")
 SUFFIXES = (".csv", ".parquet")
-UNITS = {
-    "": 1.0, "m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "ft": 0.3048, "rad": 1.0, "deg": np.pi / 180.0,
-    "m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704, "kn": 1852.0 / 3600.0, "m/s2": 1.0, "g": 9.80665, "1/m": 1.0,
-    "s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "%": 0.01, "1": 1.0,
-}  # fmt: skip
+DIMENSIONS = {
+    "length": {"m": 1.0, "cm": 0.01, "mm": 0.001, "km": 1000.0, "ft": 0.3048},
+    "angle": {"rad": 1.0, "deg": np.pi / 180.0, "mrad": 1e-3},
+    "speed": {"m/s": 1.0, "km/h": 1.0 / 3.6, "mph": 0.44704, "kn": 1852.0 / 3600.0},
+    "acceleration": {"m/s2": 1.0, "g": 9.80665},
+    "curvature": {"1/m": 1.0},
+    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "h": 3600.0},
+    "share": {"1": 1.0, "%": 0.01},
+}
+UNITS = {"": 1.0} | {unit: factor for units in DIMENSIONS.values() for unit, factor in units.items()}
 """Factor to our unit of each that may stand in brackets behind a column's name."""
-TIMES = {"t": 1.0, "t_ms": 1e-3, "t_us": 1e-6, "t_ns": 1e-9}
+SPELLINGS = {
+    "mps": "m/s", "kmh": "km/h", "kph": "km/h", "km/hr": "km/h", "kmph": "km/h", "mps2": "m/s2", "m/s^2": "m/s2",
+    "m/s\u00b2": "m/s2", "m/s/s": "m/s2", "ms2": "m/s2", "\u00b5s": "us", "\u03bcs": "us", "sec": "s", "msec": "ms",
+    "usec": "us", "nsec": "ns", "degree": "deg", "degrees": "deg", "\u00b0": "deg", "radian": "rad", "radians": "rad",
+    "meter": "m", "meters": "m", "metre": "m", "metres": "m", "seconds": "s", "m^-1": "1/m", "rad/m": "1/m",
+    "per_m": "1/m", "knots": "kn", "percent": "%", "-": "1",
+}  # fmt: skip
+"""Other spellings of units."""
+TIMES = {"t": "s", "t_ms": "ms", "t_us": "us", "t_ns": "ns"}
+"""Our names of the time, and the unit that each has where no other is given."""
 ALIASES = {
     "vehicle": "car", "person": "pedestrian", "cyclist": "bicycle", "motorcyclist": "motorcycle", "van": "car",
     "bike": "bicycle", "motorbike": "motorcycle", "unknown": "object", "static": "object", "trailer": "truck",
@@ -49,7 +66,11 @@ ALIASES = {
 """Other words for the kinds."""
 MOVED_M = 0.2
 """Way over which a heading is derived, m."""
-_WITH_UNIT = re.compile(r"^(?P<name>.*?)(?:\s*\[(?P<unit>[^\]]*)\])?$")
+_WITH_UNIT = re.compile(r"^(?P<name>.*?)\s*(?:\[(?P<unit>[^\]]*)\]|\((?P<unit2>[^)]*)\))\s*$", re.DOTALL)
+SEPARATORS = (",", ";", "\t")
+_NUMBER = r"\s*[-+]?(?:\d+[.,]?\d*|[.,]\d+)(?:[eE][-+]?\d+)?\s*"
+FIRST_LINE = 1 << 20
+"""Characters that are looked at for the separator."""
 
 
 def from_frames(
@@ -135,20 +156,48 @@ class _Table:
 
     def __init__(self, frame: pd.DataFrame, name: str, columns: Mapping[str, str]) -> None:
         self.frame, self.name = frame, name
+        self._headers = [(str(header), header) for header in frame.columns]
         given = {ours: columns.get(f"{name}.{ours}", columns.get(ours, ours)) for ours in (*TIMES, *_COLUMNS)}
-        self._columns = {ours: self._found(theirs) for ours, theirs in given.items()}
+        self._columns = {ours: self._found(ours, theirs) for ours, theirs in given.items()}
         if not len(frame):
             raise LogError("the table has no rows", topic=name, remedy="give at least one")
 
-    def _found(self, given: str) -> tuple[str, float] | None:
-        """The table's own name of a column and the factor of its unit; None where it has no such column."""
-        if given in self.frame.columns:
-            return given, 1.0
-        match = _WITH_UNIT.match(given)
-        name, unit = (match["name"], match["unit"] or "") if match else (given, "")
-        if unit not in UNITS:
-            raise LogError(f"the unit [{unit}] of {name} is unknown", topic=self.name, remedy=f"known: {_KNOWN_UNITS}")
-        return (name, UNITS[unit]) if name in self.frame.columns else None
+    def _found(self, ours: str, given: str) -> tuple[Any, float] | None:
+        """The table's own header of a column and the factor of its unit; None where it has no such column.
+
+        The header is `given`, or `given` without its unit, or with the header's own unit behind it. Of two units that
+        are given the same must be meant.
+        """
+        name, asked = _parted(given)
+        exact = [header for text, header in self._headers if text == given]
+        whole = [header for text, header in self._headers if text == name]
+        parts = [(header, *_parted(text)) for text, header in self._headers]
+        short = [header for header, base, unit in parts if unit and base == name]
+        short += [header for header, base, unit in _with_suffix(self._headers, ours) if base == name]
+        found = list(dict.fromkeys(exact or whole or short))
+        if not found:
+            return None
+        if len(found) > 1:
+            what = f"{name} may be {' or '.join(map(str, found))}"
+            raise LogError(what, topic=self.name, remedy=f'name one: columns = {{{ours} = "{found[0]}"}}')
+        held = "" if whole and not exact else _unit_of(str(found[0]), ours)
+        units = [self._unit(ours, unit, str(found[0])) for unit in (asked, held) if unit]
+        if len(set(units)) > 1:
+            raise LogError(f"{found[0]} is asked for in [{asked}]", topic=self.name, remedy="leave that unit out")
+        return found[0], UNITS[units[0] if units else TIMES.get(ours, "")]
+
+    def _unit(self, ours: str, unit: str, header: str) -> str:
+        """A unit as `UNITS` spells it; LogError where it is none, or not one of such a column."""
+        plain = SPELLINGS.get(unit, SPELLINGS.get(unit.lower(), unit if unit in UNITS else unit.lower()))
+        known = DIMENSIONS.get(_DIMENSION.get(ours, ""), {})
+        if plain not in known:
+            wrong = "is unknown" if plain not in UNITS else f"is none of {ours}"
+            what = f"the unit [{unit}] of {header} {wrong}"
+            remedy = (
+                f'known: {", ".join(known) or "none"}; another name is given as columns = {{{ours} = "NAME [unit]"}}'
+            )
+            raise LogError(what, topic=self.name, remedy=remedy)
+        return plain
 
     def has(self, ours: str) -> bool:
         """Whether it has such a column."""
@@ -164,7 +213,10 @@ class _Table:
         if found is None:
             held = ", ".join(map(str, self.frame.columns[:12]))
             what = f"the table has no column {ours}; it has {held}"
-            raise LogError(what, topic=self.name, remedy=f'name it: columns = {{{ours} = "its name [unit]"}}')
+            remedy = f'name it: columns = {{{ours} = "its name [unit]"}}'
+            if len(self.frame.columns) == 1:
+                remedy = "separate the columns of the file by commas, semicolons or tabs"
+            raise LogError(what, topic=self.name, remedy=remedy)
         return self.frame[found[0]], found[1]
 
     def numbers(self, ours: str) -> FloatArray:
@@ -182,9 +234,9 @@ class _Table:
         if pd.api.types.is_datetime64_any_dtype(column):
             ns = pd.DatetimeIndex(column).as_unit("ns").asi8
         elif pd.api.types.is_integer_dtype(column):
-            ns = column.to_numpy().astype(np.int64) * round(factor * TIMES[ours] * 1e9)
+            ns = column.to_numpy().astype(np.int64) * round(factor * 1e9)
         else:
-            seconds = self.numbers(ours) * TIMES[ours]
+            seconds = self.numbers(ours)
             if not np.isfinite(seconds).all():
                 raise LogError(f"{column.name} is not finite in every row", topic=self.name)
             if np.abs(seconds).max() > LAST_S:
@@ -199,7 +251,38 @@ LAST_S = 9e9
 _COLUMNS = (
     "x", "y", "yaw", "v", "a", "kappa", "steer", "throttle", "brake", "id", "vx", "vy", "length", "width", "kind",
 )  # fmt: skip
-_KNOWN_UNITS = ", ".join(unit for unit in UNITS if unit)
+
+
+_DIMENSION = (
+    dict.fromkeys(TIMES, "time")
+    | dict.fromkeys(("x", "y", "length", "width"), "length")
+    | dict.fromkeys(("yaw", "steer"), "angle")
+    | dict.fromkeys(("v", "vx", "vy"), "speed")
+    | dict.fromkeys(("throttle", "brake"), "share")
+    | {"a": "acceleration", "kappa": "curvature"}
+)
+"""What each of our columns measures."""
+
+
+def _parted(text: str) -> tuple[str, str]:
+    """A header, and the unit in brackets behind it ("": none)."""
+    match = _WITH_UNIT.match(text)
+    return (match["name"], (match["unit"] or match["unit2"] or "").strip()) if match else (text, "")
+
+
+def _with_suffix(headers: Sequence[tuple[str, Any]], ours: str) -> Iterator[tuple[Any, str, str]]:
+    """Headers that end in a unit of such a column ("speed_kmh"): header, what stands before it, and the unit."""
+    known = DIMENSIONS.get(_DIMENSION.get(ours, ""), {})
+    for text, header in headers:
+        base, _, unit = text.rpartition("_")
+        if base and SPELLINGS.get(unit.lower(), unit.lower()) in known:
+            yield header, base, unit
+
+
+def _unit_of(header: str, ours: str) -> str:
+    """The unit that a header says itself; "": none."""
+    suffix = [unit for _, _, unit in _with_suffix([(header, header)], ours)]
+    return _parted(header)[1] or "".join(suffix)
 
 
 def _check_names(columns: Mapping[str, str], frames: Mapping[str, pd.DataFrame | None]) -> None:
@@ -327,12 +410,21 @@ def _sizes(
 
 
 def _file(folder: Path, name: str) -> Path | None:
-    return next((path for suffix in SUFFIXES if (path := folder / f"{name}{suffix}").is_file()), None)
+    """The table `name` of a log's folder; None where there is none. LogError as `beside`.
+
+    Other files of that name are refused where there is none that is read: what they hold would silently be left out.
+    """
+    path = beside(folder, [f"{name}{suffix}" for suffix in SUFFIXES])
+    others = sorted(each.name for each in folder.iterdir() if each.name.casefold().partition(".")[0] == name)
+    if path is None and others:
+        what = f"{others[0]} is not read: a table is {' or '.join(f'{name}{suffix}' for suffix in SUFFIXES)}"
+        raise LogError(what, topic=others[0], remedy="convert it, or remove it from the folder")
+    return path
 
 
 def _claims(path: Path) -> bool:
     try:
-        return path.is_dir() and _file(path, "ego") is not None
+        return path.is_dir() and any((path / f"ego{suffix}").is_file() for suffix in SUFFIXES)
     except OSError:
         return False
 
@@ -345,18 +437,26 @@ def _loaded(path: Path) -> pd.DataFrame:
     import pyarrow as pa
 
     try:
-        return pd.read_parquet(path) if path.suffix == ".parquet" else pd.read_csv(path)
-    except (
-        OSError,
-        ValueError,
-        LookupError,
-        TypeError,
-        pd.errors.ParserError,
-        pa.ArrowException,
-        OverflowError,
-    ) as error:
+        return pd.read_parquet(path) if path.suffix == ".parquet" else _csv(path)
+    except UnicodeDecodeError as error:
+        raise LogError(f"the table is no UTF-8: {error}", topic=path.name, remedy="write it as UTF-8") from None
+    except (OSError, ValueError, LookupError, TypeError, csv.Error, pa.ArrowException, OverflowError) as error:
         what = " ".join(str(error).split())[:200]
         raise LogError(f"the table cannot be read: {what}", topic=path.name, remedy="write it again") from None
+
+
+def _csv(path: Path) -> pd.DataFrame:
+    """A CSV file; the separator is the one that parts its first line most often, and the comma where none does."""
+    with path.open(encoding="utf-8-sig", newline="") as stream:
+        first = stream.readline(FIRST_LINE)
+    counts = {mark: len(next(csv.reader([first], delimiter=mark), [])) for mark in SEPARATORS}
+    mark = max(SEPARATORS, key=lambda each: counts[each])
+    table = pd.read_csv(path, sep=mark, encoding="utf-8-sig")
+    for name in () if mark == "," else table.columns:
+        words = table[name].dropna().astype(str)
+        if words.str.fullmatch(_NUMBER).all() and words.str.contains(",", regex=False).any():
+            table[name] = table[name].astype(str).str.replace(",", ".", regex=False)
+    return table
 
 
 def _read(path: Path, settings: LogSettings) -> Scenario:
@@ -371,7 +471,11 @@ def _read(path: Path, settings: LogSettings) -> Scenario:
 
 def _contents(path: Path) -> Contents:
     topics = []
-    for file in _files(path):
+    try:
+        files = _files(path)
+    except LogError:
+        files = ()
+    for file in files:
         try:
             frame = _loaded(file)
         except LogError:

@@ -19,6 +19,7 @@ from logs.catalogue.suites import suite
 from logs.errors import ConfigError, LogError
 from logs.maps import map_files
 from logs.readers import FORMATS, LogSettings, Reader, foreign, logs_in, read_log, reader_of, readers, windows
+from logs.readers.base import check_files
 from logs.remote import RemoteFile, fetch, heads, listed, local_path, ranged, url_of
 from logs.scenario import Scenario
 
@@ -316,6 +317,7 @@ def _beside(file: Path, path: Path) -> str:
 def file_hash(path: Path) -> str:
     """SHA-256 of a file's bytes, hexadecimal; LogError where it cannot be read."""
     try:
+        check_files([path])
         with path.open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
     except OSError as error:

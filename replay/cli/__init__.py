@@ -19,7 +19,7 @@ app.py         what they share
 """
 
 from replay.cli import evaluate, shards, report, logs, results, compare, plot, explain, frame, about, warmup  # isort: skip  # the order of the help
-from replay.cli.app import app
+from replay.cli.app import app, bug
 
 __all__ = [
     "about",
@@ -42,11 +42,14 @@ COLLECTED_EVERY = 10_000
 
 
 def main() -> None:
-    """Run the command line; ends the process with its exit code."""
+    """Run the command line; ends the process with its exit code, that of a bug in replan is `INTERNAL`."""
     import gc
 
     from replay.report.console import encode_all
 
     gc.set_threshold(COLLECTED_EVERY)
     encode_all()
-    app(prog_name="replan")
+    try:
+        app(prog_name="replan")
+    except Exception as error:
+        bug(error)

@@ -11,11 +11,11 @@ from dataclasses import fields, is_dataclass, replace
 from enum import Enum
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, NoReturn
 
 import typer
 
-from logs.errors import ConfigError, ReplanError
+from logs.errors import ConfigError, ReplanError, raised
 from replay.cli.names import completion
 
 if TYPE_CHECKING:
@@ -71,6 +71,23 @@ def answered() -> Iterator[None]:
     except KeyboardInterrupt as interruption:
         say_error(str(interruption) or "interrupted")
         raise typer.Exit(130) from None
+
+
+INTERNAL = 70
+"""Exit code of an error that is a bug in replan (EX_SOFTWARE of sysexits.h); 1 only ever says that a gate failed."""
+TRACEBACK = "REPLAN_TRACEBACK"
+"""Environment variable: where it is set, such an error comes with its traceback."""
+
+
+def bug(error: Exception) -> NoReturn:
+    """Say in one line what happened, and end the process with `INTERNAL`."""
+    import traceback
+
+    if os.environ.get(TRACEBACK):
+        say("".join(traceback.format_exception(error)), err=True)
+    hint = "" if os.environ.get(TRACEBACK) else f"; please report it with what {TRACEBACK}=1 adds"
+    say_error(f"a bug in replan: {raised(error)}{hint}")
+    sys.exit(INTERNAL)
 
 
 def say(text: object = "", *, err: bool = False) -> None:

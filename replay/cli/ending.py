@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 EXIT_CODES = (
     "Exit codes: 0 all gates pass; 1 a gate failed; 2 wrong usage or configuration; 3 a log or planner could not be"
-    " evaluated (the others were); 4 inconclusive: a gate had nothing to judge; 130 interrupted."
+    " evaluated (the others were); 4 inconclusive: a gate had nothing to judge; 70 a bug in replan; 130 interrupted."
 )
 Baseline = Annotated[
     Path | None,

@@ -10,10 +10,10 @@ from typing import Any
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 
-_CONTROLS = {code: 0x2400 + code for code in range(32) if chr(code) not in "\n\t"} | {0x7F: 0x2421}
-_UNSEEN = [*range(0x80, 0xA0), 0x61C, 0x200E, 0x200F, *range(0x2028, 0x202F), *range(0x2066, 0x206A)]
-_TABLE = _CONTROLS | dict.fromkeys(_UNSEEN, 0xFFFD)
-"""Control characters as their pictures (escape: U+241B); those of C1 and of the direction of text as U+FFFD."""
+from logs.words import VISIBLE
+
+_TABLE = {code: sign for code, sign in VISIBLE.items() if chr(code) not in "\n\t"}
+"""`VISIBLE` without the ends of lines and tabs."""
 
 
 def visible(text: object) -> str:

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from logs.errors import writing
 from replay.batch.tables import REPORTS, write_text
+from replay.report.attempts import Attempts
 from replay.report.html import write_html
 from replay.report.junit import junit
 from replay.report.markdown import append_step_summary, markdown
@@ -29,13 +30,16 @@ def write_reports(results: Results, over: Overview, out: Path) -> Overview:
         out: Folder for them; made if it is not there. The links of report.md need it to be the result folder.
 
     Returns:
-        What they say, with the charts that could not be drawn.
+        What they say, with the charts and files that could not be made: an error in one of them costs that one only.
     """
     with writing(out):
         out.mkdir(parents=True, exist_ok=True)
     beside = out.resolve() == results.path.resolve()
-    over = replace(over, broken=write_html(over, results, out / HTML))
-    write_text(out / MARKDOWN, markdown(over, links=(HTML, JUNIT) if beside else None))
-    write_text(out / JUNIT, junit(results, over))
+    attempt = Attempts()
+    broken = attempt(HTML, lambda: write_html(over, results, out / HTML), tuple[str, ...]())
+    over = replace(over, broken=(*attempt.broken, *broken))
+    attempt(JUNIT, lambda: write_text(out / JUNIT, junit(results, over)), None)
+    over = replace(over, broken=(*attempt.broken, *broken))
+    attempt(MARKDOWN, lambda: write_text(out / MARKDOWN, markdown(over, links=(HTML, JUNIT) if beside else None)), None)
     append_step_summary(over)
-    return over
+    return replace(over, broken=(*attempt.broken, *broken))

@@ -69,7 +69,8 @@ def _agents(trace: Trace, frame: PlannedFrame) -> Agents:
     """The agents of a frame in its order."""
     if trace.perceived is None:
         known = trace.agents.perceived(frame.t)
-        rows = np.array([known.ids.index(name) for name in frame.agents], dtype=np.int64)
+        row = {name: i for i, name in enumerate(known.ids)}
+        rows = np.array([row[name] for name in frame.agents], dtype=np.int64)
         return picked(known, rows, rows)
     tracks = trace.perceived
     at = np.flatnonzero(np.abs(tracks.t - frame.t) < SAME_TIME_S)

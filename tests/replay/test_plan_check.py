@@ -151,3 +151,10 @@ class Keeps:
 
     def plan(self, now: Frame) -> Plan:
         return Plan(arc(now.ego, now.t + AHEAD))
+
+
+@pytest.mark.parametrize(("speed", "fits"), [(-0.096, True), (-0.29, True), (-0.4, False)])
+def test_a_plan_may_start_at_rest_where_the_speed_of_a_stop_swings_below_zero(speed: float, fits: bool) -> None:
+    state = ego(v=speed)
+    found = checked(Plan(arcs(replace(state, v=0.0))), frame(state))
+    assert (found.status is not PlanStatus.REFUSED) is fits

@@ -26,7 +26,7 @@ from logs.observed import of_stream
 from logs.readers.argoverse2 import POSES
 from logs.readers.argoverse2.map import map_beside, road_for
 from logs.readers.arrow123d.labels import AV2_CATEGORIES
-from logs.readers.base import Contents, LogSettings, TopicSummary
+from logs.readers.base import Contents, LogSettings, TopicSummary, beside
 from logs.readers.recorded.boxes import Boxes, car_of, ordered, tracks_of
 from logs.readers.recorded.poses import (
     composed,
@@ -142,7 +142,7 @@ def _boxes(
     folder: Path, times: IntArray, place: FloatArray, turn: FloatArray, notes: list[str]
 ) -> tuple[Boxes, IntArray]:
     """All boxes in the city's frame (1), s since the first pose, and the times of the frames, ns."""
-    path, none = annotations_of(folder), np.empty(0)
+    path, none = beside(folder, ("annotations.feather",)) or annotations_of(folder), np.empty(0)
     if path is None:
         notes.append("The log has no annotations: there are no other road users.")
         return Boxes((), (), none, none.astype(np.int64), *(none,) * 7), none.astype(np.int64)
@@ -154,6 +154,10 @@ def _boxes(
         local = np.column_stack([local, numbers(table, "ty_m"), numbers(table, "tz_m")])
         part = np.column_stack([numbers(table, name) for name in TURN])
         at, apart = _nearest(times, stamps)
+        if len(stamps) and not (apart <= POSE_APART_NS).any():
+            spans = [f"{some.min() / 1e9:.3f} to {some.max() / 1e9:.3f} s" for some in (stamps, times)]
+            what = f"times from {spans[0]}, the ego's are from {spans[1]}: they do not overlap"
+            raise LogError(what, file=folder, topic=path.name, remedy="give both times of one clock")
         usable = (apart <= POSE_APART_NS) & np.isfinite(local).all(axis=1)
         usable &= is_unit(part)
         if not usable.all():

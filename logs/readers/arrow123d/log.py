@@ -28,7 +28,7 @@ from logs.mcap.complete import completed
 from logs.observed import of_stream
 from logs.readers.arrow123d.labels import kinds_of
 from logs.readers.arrow123d.road import LIGHTS, map_of, road_of
-from logs.readers.base import Contents, TopicSummary
+from logs.readers.base import Contents, TopicSummary, beside
 from logs.readers.recorded.boxes import Boxes, car_of, ordered, tracks_of
 from logs.readers.recorded.poses import (
     driven,
@@ -275,9 +275,8 @@ _SIZES = {"length": "length", "width": "width", "wheelbase": "wheel_base"}
 
 def _boxes(folder: Path, first_us: int, notes: list[str]) -> tuple[Boxes, bool, FloatArray]:
     """All boxes, s since `first_us`, whether their velocities are the log's own, and the times of their frames."""
-    path = folder / f"{BOXES}.arrow"
-    none = np.empty(0)
-    if not path.is_file():
+    path, none = beside(folder, (f"{BOXES}.arrow",)), np.empty(0)
+    if path is None:
         notes.append("The log has no boxes: there are no other road users.")
         return Boxes((), (), none, none.astype(np.int64), *(none,) * 7), True, none
     columns = [f"{BOXES}.{name}" for name in ("timestamp_us", "bounding_box_se3", "track_token", "label")]

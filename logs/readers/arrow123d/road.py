@@ -18,6 +18,7 @@ from logs.errors import LogError
 from logs.kernel import BoolArray, FloatArray
 from logs.mcap.complete import ASSUMED, assumed_limit, road_along
 from logs.readers.arrow123d.map import before, ends_at, road_of_map
+from logs.readers.base import beside
 from logs.readers.recorded.tables import Lists, ipc_table, reading, whole
 from logs.road import Road
 from logs.rules import Colour, StopLine, TrafficLight
@@ -31,9 +32,9 @@ UP = 6
 
 
 def map_of(folder: Path, about: Mapping[Any, Any]) -> Path | None:
-    """The log's own map, else that of its place in the data root above it; None: there is none."""
-    own = folder / "map.arrow"
-    if own.is_file():
+    """The log's own map, else that of its place in the data root above it; None: none. LogError as `beside`."""
+    own = beside(folder, ("map.arrow",))
+    if own is not None:
         return own
     dataset, place = str(about.get("dataset") or ""), str(about.get("location") or "")
     if not dataset or not place or {"/", "\\", "\0"} & set(dataset + place) or dataset.startswith("."):
@@ -76,8 +77,8 @@ def road_of(
 
 def _lights(folder: Path, start_us: int, notes: list[str]) -> tuple[TrafficLight, ...]:
     """The lights of the log; each has the id of the lane that it is for."""
-    path = folder / f"{LIGHTS}.arrow"
-    if not path.is_file():
+    path = beside(folder, (f"{LIGHTS}.arrow",))
+    if path is None:
         return ()
     columns = [f"{LIGHTS}.{name}" for name in ("timestamp_us", "lane_id", "status")]
     table = ipc_table(path, columns)

@@ -153,6 +153,13 @@ def held_curvature(rate: FloatArray, v: FloatArray) -> FloatArray:
     return np.where(held >= 0, kappa[held], 0.0)
 
 
+def stands(t: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, v: FloatArray) -> BoolArray:
+    """(5): which of the states `(n,)` with derived speeds v stand."""
+    earlier = np.maximum(np.searchsorted(t, t - STILL_S + 1e-6, side="right") - 1, 0)
+    moved = (x - x[earlier]) * np.cos(yaw) + (y - y[earlier]) * np.sin(yaw)
+    return (t - t[earlier] >= STILL_S - 1e-6) & ((np.abs(moved) < STILL_M) | (moved * v < 0.0))
+
+
 def driven(t: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, notes: list[str]) -> Trajectory:
     """The trajectory through poses `(n,)` by (3) to (6); times increase strictly.
 
@@ -170,9 +177,7 @@ def driven(t: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, notes: 
     )
     columns = {"t": t, "x": x, "y": y, "yaw": yaw, "v": v, "a": a, "kappa": held_curvature(first[:, 2], v)}
     if np.isfinite(a).any():
-        earlier = np.maximum(np.searchsorted(t, t - STILL_S + 1e-6, side="right") - 1, 0)
-        moved = (x - x[earlier]) * ahead[:, 0] + (y - y[earlier]) * ahead[:, 1]
-        still = (t - t[earlier] >= STILL_S - 1e-6) & ((np.abs(moved) < STILL_M) | (moved * v < 0.0))
+        still = stands(t, x, y, yaw, v)
         columns["v"] = np.where(still, 0.0, v)
         columns["a"] = np.where(still | np.isnan(a), 0.0, a)
     return completed(columns, notes)

@@ -16,6 +16,7 @@ import numpy as np
 from logs.errors import LogError
 from logs.kernel import FloatArray, IntArray
 from logs.readers.base import LogSettings
+from logs.readers.recorded.poses import stands
 from logs.readers.ros import schemas
 from logs.readers.ros.bag import Bag, Topic
 from logs.readers.ros.clocks import Clock, clock_of, said, times_of
@@ -323,8 +324,8 @@ def states(ego: EgoLog, v: FloatArray, a: FloatArray, notes: list[str]) -> dict[
     derived_v, derived_a = (each[0] * cos + each[1] * sin for each in (rate, change))
     if len(seconds) > 1:
         derived_v[0], derived_a[0], rate[2, 0] = derived_v[1], 0.0, rate[2, 1]
-    stands = np.abs(derived_v) < STANDS_MPS
-    derived_v, derived_a = np.where(stands, 0.0, derived_v), np.where(stands, 0.0, derived_a)
+    still = (np.abs(derived_v) < STANDS_MPS) | stands(seconds, x, y, yaw, derived_v)
+    derived_v, derived_a = np.where(still, 0.0, derived_v), np.where(still, 0.0, derived_a)
     lacking = [word for word, column in (("speed", v), ("acceleration", a)) if not np.isfinite(column).all()]
     notes.append(
         f"The log has no ego {' and no ego '.join([*lacking, 'curvature'])}: derived from the poses of the last"

@@ -1,6 +1,6 @@
 """The charts of a drive by name, where each stands in its page, and those that users add ("module:NAME").
 
-A chart is a function: `draw(subject) -> Chart`, or several. Users' own stand behind the pictures; one that raises costs
+A chart is a function: `draw(subject) -> Chart`, or several. Users' own stand behind the pictures. One that raises costs
 itself only, and says why in its place.
 """
 
@@ -49,16 +49,14 @@ def placed(subject: Subject, own: Sequence[str] = ()) -> dict[str, list[Chart]]:
     nowhere = set(CHARTS) - {name for names in LAYOUT.values() for name in names}
     if nowhere:
         raise ValueError(f"the chart '{min(nowhere)}' has no place in LAYOUT: it would not be seen")
-    found = {place: [one for name in names for one in _some(CHARTS[name](subject))] for place, names in LAYOUT.items()}
+    found = {place: [one for name in names for one in drawn(subject, name)] for place, names in LAYOUT.items()}
     found[OWN] += [chart for name in (*CHART.entries(), *own) for chart in drawn(subject, name)]
     return found
 
 
 def drawn(subject: Subject, name: str) -> list[Chart]:
-    """The charts of a name; one of users' own that fails is a sentence in its place. ConfigError as `Kind.find`."""
+    """The charts of a name; one that fails is a sentence in its place. ConfigError as `Kind.find`."""
     draw = CHART.find(name)
-    if name in CHARTS:
-        return _some(draw(subject))
     try:
         charts = _some(draw(subject))
         wrong = next((type(one).__name__ for one in charts if not isinstance(one, Chart)), "")

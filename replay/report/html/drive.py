@@ -14,9 +14,10 @@ from urllib.parse import quote
 import pandas as pd
 from markupsafe import Markup
 
-from logs.errors import LogError
+from logs.errors import LogError, ReplanError, raised
 from metrics.gates import Outcome
 from replay.recording.events import Event, events
+from replay.report.attempts import Attempts
 from replay.report.charts import Chart, subject
 from replay.report.charts.layout import BROKEN, placed
 from replay.report.charts.subject import Subject
@@ -134,18 +135,17 @@ def drive_page(results: Results, row: DriveRow, anchor: str, page: Path) -> Driv
     mine = results.drives[(results.drives["log"] == row.log) & (results.drives["planner"] == row.planner)]
     drives = [results.drive(row.log, row.planner, mode) for mode in ("closed", "open") if mode in set(mine["mode"])]
     shown = next((drive for drive in drives if _fails(drive)), drives[0])
-    try:
-        seen, why = subject(shown), ""
-    except LogError as error:
-        seen, why = None, f"no pictures: {error.what}"
-    found = events(seen.trace, seen.said) if seen else []
+    attempt = Attempts()
+    seen, why = _subject(shown)
+    found = attempt("The list of events", lambda: events(seen.trace, seen.said) if seen else [], list[Event]())
+    because = attempt("The account of the plan", lambda: seen.because if seen else (), tuple[str, ...]())
     charts = placed(seen, results.run.charts) if seen else {}
     labels = results.labels.get(row.log)
     detail = f": {shown.info['detail']}" if shown.info["detail"] else ""
     return DrivePage(
         anchor, row, shown.mode, labels.tags if labels else (),
         seen.moment.t if seen else float("nan"), seen.moment.why if seen else why,
-        seen.because if seen else (),
+        because,
         f"{shown.info['end']}{detail}, after {shown.info['t_end_s']:.2f} s",
         tuple(line for drive in drives for line in _verdicts(drive.verdicts)),
         _drawn(charts.get("pictures", ())), Markup().join(_drawn(charts.get("decided", ()))),
@@ -153,8 +153,26 @@ def drive_page(results: Results, row: DriveRow, anchor: str, page: Path) -> Driv
         tuple(found[:MOST_EVENTS]), max(len(found) - MOST_EVENTS, 0),
         tuple((drive.mode, tuple(_metrics(drive))) for drive in drives),
         tuple(_missing(drives)), tuple(_files(results, drives, page)), _plot(results, row, seen, page),
-        tuple(chart.says for some in charts.values() for chart in some if chart.name == BROKEN),
+        (*(chart.says for some in charts.values() for chart in some if chart.name == BROKEN), *attempt.broken),
     )  # fmt: skip
+
+
+def failed_page(row: DriveRow, anchor: str, why: str) -> DrivePage:
+    """The page of a drive of which no other can be made: it says why."""
+    nothing = Markup()
+    return DrivePage(
+        anchor, row, "", (), float("nan"), why, (), "", (), (), nothing, (), (), 0, (), (), (), "", (why,)
+    )  # fmt: skip
+
+
+def _subject(drive: DriveResult) -> tuple[Subject | None, str]:
+    """What the pictures of a drive are drawn from; None where it cannot be made, and why."""
+    try:
+        return subject(drive), ""
+    except ReplanError as error:
+        return None, f"no pictures: {error.what if isinstance(error, LogError) else error}"
+    except Exception as error:
+        return None, f"no pictures: a bug in replan: {raised(error)}"
 
 
 def _drawn(charts: Sequence[Chart]) -> tuple[Markup, ...]:

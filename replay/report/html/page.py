@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
-from functools import cache
+from functools import cache, partial
 from importlib import resources
 from math import isfinite
 from pathlib import Path
@@ -18,10 +18,11 @@ from logs.errors import writing
 from logs.words import counted
 from metrics.compare import Comparison
 from replay.batch.tables import safe_name, write_text
+from replay.report.attempts import Attempts
 from replay.report.charts.canvas import Chart, printable
 from replay.report.charts.overall import distributions, moved, pass_shares
 from replay.report.charts.style import RULES, filled, roles
-from replay.report.html.drive import DrivePage, drive_page
+from replay.report.html.drive import DrivePage, drive_page, failed_page
 from replay.report.model import DriveRow, Overview
 from replay.results import Results
 
@@ -49,16 +50,23 @@ def write_html(overview: Overview, results: Results, path: Path, *, drives: int 
 
     def pages() -> Iterator[DrivePage]:
         for row in paged:
-            made = drive_page(results, row, anchors[row.log, row.planner], path)
-            broken.update(made.broken)
-            yield made
+            anchor, attempt = anchors[row.log, row.planner], Attempts()
+            made = attempt("The page of a drive", partial(drive_page, results, row, anchor, path), None)
+            page = failed_page(row, anchor, attempt.broken[0]) if made is None else made
+            broken.update(page.broken)
+            yield page
 
     paged = worst_first(overview.drives)[:drives]
     anchors, shares = _anchors(paged), [*overview.whole, *overview.grouped]
+    attempt = Attempts()
+    share = attempt("The chart of shares", lambda: _markup(pass_shares(shares, len(overview.planners))), Markup())
+    drawn = attempt(
+        "The charts of distributions", lambda: distributions(overview.columns, overview.drives), list[Chart]()
+    )
     page = _environment().get_template("report.html").render(
         overview=overview,
-        shares=_markup(pass_shares(shares, len(overview.planners))) if shares else "",
-        distributions=[_markup(chart) for chart in distributions(overview.columns, overview.drives)],
+        shares=share if shares else "",
+        distributions=[_markup(chart) for chart in drawn],
         anchors=anchors,
         pages=pages(),
         paged=paged,
@@ -69,7 +77,8 @@ def write_html(overview: Overview, results: Results, path: Path, *, drives: int 
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, page)
-    return tuple(f"{said} ({times} of {counted(len(paged), 'drive')})" for said, times in broken.items())
+    each = (f"{said} ({times} of {counted(len(paged), 'drive')})" for said, times in broken.items())
+    return (*attempt.broken, *each)
 
 
 def worst_first(drives: Sequence[DriveRow]) -> list[DriveRow]:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +19,7 @@ import replan
 from logs import AgentKind, LogError
 from logs.mcap import read_scenario, write_scenario
 from logs.readers import LogSettings, read_log, reader_of
-from logs.readers.table import UNITS, from_frames
+from logs.readers.table import DIMENSIONS, UNITS, from_frames
 from logs.summary import summarise
 from logs.vehicle import VehicleParameters
 from replay.batch import evaluate_logs
@@ -64,18 +67,28 @@ def test_frames_times_and_sizes_are_as_documented() -> None:
         assert word in said
 
 
-@given(st.sampled_from(sorted(set(UNITS) - {"", "1", "%", "s", "ms", "us", "ns", "g"})), st.permutations(range(len(T))))
+@given(
+    st.sampled_from(
+        [("x", u) for u in DIMENSIONS["length"]]
+        + [("yaw", u) for u in DIMENSIONS["angle"]]
+        + [("v", u) for u in DIMENSIONS["speed"]]
+        + [("t", u) for u in DIMENSIONS["time"]]
+    ),
+    st.sampled_from(["columns", "{} [{}]", "{} ({})", "{}_{}"]),
+    st.permutations(range(len(T))),
+)
 @settings(max_examples=40, deadline=None)
-def test_other_names_units_and_orders_of_rows_give_the_same(unit: str, order: list[int]) -> None:
-    length, angle = unit in ("m", "cm", "mm", "km", "ft"), unit in ("rad", "deg")
-    ours = "x" if length else "yaw" if angle else "v"
-    table = ego(yaw=0.1).iloc[order].rename(columns={ours: "theirs"})
-    table["theirs"] = table["theirs"] / UNITS[unit]
-    if unit in ("m/s2", "1/m"):
-        return
-    plain, other = from_frames(ego(yaw=0.1)), from_frames(table, columns={ours: f"theirs [{unit}]"})
-    for name in ("x", "y", "yaw", "v"):
-        assert getattr(other.ego, name) == pytest.approx(getattr(plain.ego, name), abs=1e-9)
+def test_other_names_units_and_orders_of_rows_give_the_same(
+    column: tuple[str, str], header: str, order: list[int]
+) -> None:
+    ours, unit = column
+    theirs = "theirs" if header == "columns" else header.format(ours, unit)
+    table = ego(yaw=0.1).iloc[order].rename(columns={ours: theirs})
+    table[theirs] = table[theirs] / UNITS[unit]
+    columns = {ours: f"theirs [{unit}]"} if header == "columns" else {}
+    plain, other = from_frames(ego(yaw=0.1)), from_frames(table, columns=columns)
+    for name in ("t", "x", "y", "yaw", "v"):
+        assert getattr(other.ego, name) == pytest.approx(getattr(plain.ego, name), abs=1e-6)
 
 
 @pytest.mark.parametrize("unit", ["ns", "us", "ms"])
@@ -225,3 +238,74 @@ def test_times_in_another_unit_are_refused(tmp_path: Path) -> None:
     ):
         read_log(tmp_path)
     assert read_log(tmp_path, LogSettings(columns={"t": "t [ns]"})).duration == 1.9
+
+
+def test_the_unit_in_a_header_of_their_own_counts() -> None:
+    table = ego(t=np.arange(61) * 100).rename(columns={"t": "Zeit [ms]", "v": "Tempo (km/h)"})
+    table["Tempo (km/h)"] *= 3.6
+    for time, speed in (("Zeit [ms]", "Tempo (km/h)"), ("Zeit", "Tempo"), ("Zeit [msec]", "Tempo [kmh]")):
+        scenario = from_frames(table, columns={"t": time, "v": speed})
+        assert scenario.duration == 6.0 and scenario.ego.v == pytest.approx(8.0)
+
+
+@pytest.mark.parametrize(
+    ("header", "columns", "said"),
+    [
+        ("t [fortnight]", {}, r"the unit \[fortnight\] of t \[fortnight\] is unknown; known: s, ms, us, ns"),
+        ("t [km/h]", {}, r"the unit \[km/h\] of t \[km/h\] is none of t"),
+        ("Zeit [ms]", {"t": "Zeit [s]"}, r"Zeit \[ms\] is asked for in \[s\]; leave that unit out"),
+    ],
+)
+def test_units_that_are_unknown_or_contradict_are_refused(header: str, columns: dict[str, str], said: str) -> None:
+    with pytest.raises(LogError, match=said):
+        from_frames(ego().rename(columns={"t": header}), columns=columns)
+
+
+@pytest.mark.parametrize(("separator", "decimal"), [(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ",")])
+def test_the_separator_and_the_decimal_mark_are_found(tmp_path: Path, separator: str, decimal: str) -> None:
+    for name, table in (("ego", ego()), ("agents", agents())):
+        table.to_csv(tmp_path / f"{name}.csv", index=False, sep=separator, decimal=decimal)
+    assert (
+        differences(replace(read_log(tmp_path), name="table"), from_frames(ego(), agents(), tags=("recorded", "table")))
+        == []
+    )
+
+
+def test_a_separator_that_is_not_read_is_named(tmp_path: Path) -> None:
+    ego().to_csv(tmp_path / "ego.csv", index=False, sep="|")
+    with pytest.raises(LogError, match="separate the columns of the file by commas, semicolons or tabs"):
+        read_log(tmp_path)
+
+
+def _as(kind: str, folder: Path) -> None:
+    file = folder / "agents.csv"
+    if kind in ("Agents.csv", "agents.CSV", "agents.csv.gz", "agents.xlsx"):
+        agents().to_csv(folder / kind, index=False)
+    elif kind == "folder":
+        file.mkdir()
+    elif kind == "pipe":
+        os.mkfifo(file)
+    else:
+        file.symlink_to("/dev/null" if kind == "device" else "nowhere.csv")
+
+
+@pytest.mark.parametrize(
+    ("kind", "said"),
+    [
+        ("link", "agents.csv is a link that leads nowhere, not a file"),
+        ("folder", "agents.csv is a folder, not a file"),
+        ("pipe", "agents.csv is a pipe, not a file"),
+        ("device", "agents.csv is a device or socket, not a file"),
+        ("Agents.csv", "Agents.csv is not read: the file's name is agents.csv; rename it to agents.csv"),
+        ("agents.CSV", "agents.CSV is not read: the file's name is agents.csv"),
+        ("agents.csv.gz", "agents.csv.gz is not read: a table is agents.csv or agents.parquet"),
+        ("agents.xlsx", "agents.xlsx is not read"),
+    ],
+)
+def test_what_is_named_like_the_agents_is_read_or_refused(tmp_path: Path, kind: str, said: str) -> None:
+    ego().to_csv(tmp_path / "ego.csv", index=False)
+    assert not len(read_log(tmp_path).tracks)
+    _as(kind, tmp_path)
+    with pytest.raises(LogError, match=re.escape(said)):
+        read_log(tmp_path)
+    assert not evaluate_logs([tmp_path], RunConfig(("logged",), recording=False), tmp_path / "out").logs[0].drives

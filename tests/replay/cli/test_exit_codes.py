@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from replay.cli import app
+from replay.cli import app, main
 from replay.report.overview import combined
 
 PLANNERS = """
@@ -132,3 +132,20 @@ def test_of_several_exit_codes_2_beats_3_beats_1_beats_4(order: Callable[..., in
     for codes in product(weight, repeat=2):
         assert combined(codes) == order(codes, key=lambda code: weight.index(code) * (1 if order is min else -1))
     assert combined(()) == 0
+
+
+def test_a_bug_ends_with_a_code_of_its_own_in_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def fails(*args: object) -> object:
+        raise RuntimeError("two\nlines")
+
+    monkeypatch.setattr("replay.convert.listing", fails)
+    monkeypatch.setattr("sys.argv", ["replan", "convert", "--formats"])
+    for variable, lines in (("", 1), ("1", 5)):
+        monkeypatch.setenv("REPLAN_TRACEBACK", variable)
+        with pytest.raises(SystemExit) as ended:
+            main()
+        said = capsys.readouterr().err
+        assert ended.value.code == 70 and "error: a bug in replan: RuntimeError: two lines" in said
+        assert len(said.splitlines()) >= lines and ("Traceback" in said) is bool(variable)

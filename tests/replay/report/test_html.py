@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -12,12 +13,15 @@ from handmade import drive, lanes_along, scenario, square, straight, track, trac
 
 from logs import Goal
 from logs.mcap import write_scenario
+from logs.words import visible_name
 from replay.batch import evaluate_logs
 from replay.compare import compare_runs, opened
 from replay.config import RunConfig
 from replay.report.charts import subject, worst_moment
+from replay.report.charts.layout import CHARTS
 from replay.report.html import write_html
 from replay.report.overview import overview
+from replay.report.write import write_reports
 from replay.results import Results, load
 
 HOSTILE = "x</script><script>alert(1)</script>\" onload='y'\n<b>&amp;{{ 7 * 7 }}"
@@ -124,10 +128,10 @@ def test_what_it_says_is_what_the_run_says(page: Page, results: Results) -> None
         assert said in text
     assert "Flips (" in text and "Worst regressions" in text
     assert re.search(r"replan view \S*closed.constant_speed.mcap", text)
-    moment = worst_moment(results.drive(HOSTILE, "constant_speed"))
+    moment = worst_moment(results.drive(visible_name(HOSTILE), "constant_speed"))
     assert moment.why.startswith("collision_at_fault.count <= 0 [closed] fails: 1")
     assert f"Look at {moment.t:.2f} s : {moment.why.split('<img')[0]}" in text
-    because = subject(results.drive(HOSTILE, "dp_qp", "open")).because  # the loop in which a gate fails
+    because = subject(results.drive(visible_name(HOSTILE), "dp_qp", "open")).because  # the loop in which a gate fails
     assert because[0].startswith("The plan of t = ") and because[0] in text
 
 
@@ -161,3 +165,34 @@ def test_a_damaged_trace_costs_its_pictures_only(results: Results, tmp_path: Pat
     finally:
         trace.write_bytes(whole)
     assert "no pictures: the file is cut off or damaged" in (tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def test_what_fails_in_a_report_costs_itself_only(
+    results: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A chart, an account, a page: each may raise; the page says what failed, the other reports and verdicts stay."""
+
+    def fails(*args: object, **keywords: object) -> object:
+        raise MemoryError("Unable to allocate 99.3 GiB")
+
+    before = overview(results)
+    assert not write_reports(results, before, tmp_path / "whole").broken
+    for place, said in (
+        ("replay.report.charts.subject.accounts", "The account of the plan could not be made: MemoryError: Unable"),
+        ("replay.report.html.drive.subject", "no pictures: a bug in replan: MemoryError"),
+        ("replay.report.html.page.drive_page", "The page of a drive could not be made: MemoryError"),
+        ("replay.report.html.page.pass_shares", "The chart of shares could not be made"),
+    ):
+        with monkeypatch.context() as patch:
+            module, _, name = place.rpartition(".")
+            patch.setattr(import_module(module), name, fails)
+            over = write_reports(results, before, tmp_path / "run")
+        assert said in (tmp_path / "run" / "report.html").read_text(encoding="utf-8") + " ".join(over.broken)
+        assert (over.exit_code, over.outcome) == (before.exit_code, before.outcome)
+    monkeypatch.setitem(CHARTS, "curves", fails)
+    over = write_reports(results, before, tmp_path / "run")
+    assert any("The chart curves could not be drawn: MemoryError" in line for line in over.broken)
+    monkeypatch.setattr("replay.report.write.write_html", fails)
+    over = write_reports(results, before, tmp_path / "none")
+    assert over.broken[0].startswith("report.html could not be made: MemoryError")
+    assert "report.html could not be made" in (tmp_path / "none" / "report.md").read_text(encoding="utf-8")

@@ -22,6 +22,7 @@ from short_logs import free_and_blocked
 from typer.testing import CliRunner
 
 from logs.mcap import write_scenario
+from logs.words import visible_name
 from metrics.compare import GROUP_COLUMNS, PAIR_COLUMNS, Comparison, RuleVerdict
 from metrics.gates import Outcome
 from replay.batch import evaluate_logs
@@ -256,7 +257,7 @@ def test_a_hostile_name_is_only_a_name(results: Results) -> None:
     assert names == {
         "test/free",
         "test/blocked",
-        " ".join(HOSTILE.replace("\x01", "\N{REPLACEMENT CHARACTER}").split()),
+        visible_name(HOSTILE),
     }
     html = MarkdownIt("gfm-like", {"linkify": False}).render(text)
     assert "<script>" not in html and 'href="http' not in html and "<h1>h" not in html

@@ -1,0 +1,335 @@
+"""What every log has to pass after it was read, whatever its format: clocks, magnitudes, names.
+
+    clocks       times of the agents, lights, controls and plans that nowhere overlap those of the ego are refused
+    magnitudes   `LIMITS`: the ego, the road and the goal beyond them are refused; of the agents, samples with such a
+                 pose are left out, such a velocity is taken as not known, such a size as usual for the kind
+    names        control characters become signs that can be seen, long names are cut
+
+A refusal names the topic, the time and the remedy. What is left out or replaced is a sentence in the scenario's notes.
+The limits lie far beyond what vehicles do: they separate wrong data from rare data. What is only implausible is
+evaluated and is a finding of `metrics.health`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, replace
+from math import inf, isfinite
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from logs.agents import USUAL_SIZE_M
+from logs.errors import LogError
+from logs.kernel import BoolArray, FloatArray
+from logs.road import Road
+from logs.scenario import Scenario, Tracks
+from logs.words import counted, visible_name
+
+
+class Limit(NamedTuple):
+    """The largest magnitude of a column that is taken for a measurement, and its unit."""
+
+    most: float
+    unit: str
+
+
+WORLD = Limit(1e6, "m")
+"""Distance from the ego's first position along x and y: no map of a drive reaches 1000 km."""
+SPEED = Limit(150.0, "m/s")
+"""540 km/h: more than any road vehicle has reached in traffic or in a race."""
+HEADING = Limit(1e4, "rad")
+"""Unwrapped: 1600 turns."""
+LIMITS: Mapping[str, Mapping[str, Limit]] = MappingProxyType(
+    {
+        "ego": {
+            "x": WORLD, "y": WORLD, "yaw": HEADING, "v": SPEED,
+            "a": Limit(1e4, "m/s2"),  # a spike of a speed that was differenced at 100 Hz stays below
+            "kappa": Limit(1e3, "1/m"),  # likewise of a heading at a crawl
+        },
+        "agents": {"x": WORLD, "y": WORLD, "yaw": HEADING},
+        "controls": {"steer": Limit(1e3, "rad"), "throttle": Limit(1e3, ""), "brake": Limit(1e3, "")},
+        "onboard": {
+            "x": WORLD, "y": WORLD, "yaw": HEADING, "v": SPEED, "a": Limit(1e4, "m/s2"), "kappa": Limit(1e3, "1/m"),
+        },
+    }
+)  # fmt: skip
+STEP_M = 100.0
+"""Between two states the ego may be displaced by this, and by `SPEED` over the time: localisation jumps, but not so."""
+GAP_S = 60.0
+"""Between two ego states; what was driven in a longer gap is not in the log."""
+SIZES_M = (1e-3, 1e3)
+"""Length and width of an agent."""
+VEHICLE = Limit(1e9, "")
+"""Any parameter of the ego's vehicle; `VEHICLE_M` for its sizes."""
+VEHICLE_M = Limit(100.0, "m")
+SHOWN_BEFORE_S = 3600.0
+"""A light's last change may be so long before the ego's log."""
+OTHER_CLOCK_S = 60.0
+"""A road user all of whose samples are farther than this from the ego's log is on another clock."""
+NAMED = 5
+"""Road users whom a note names."""
+ONE_CLOCK = 'give both times of one clock (a bag: clock = "log" or "header" in [log]; a table: a column with its unit)'
+
+
+def check_clocks(scenario: Scenario) -> Scenario:
+    """The scenario as its reader made it, whole: with a note on road users who are on another clock than the ego.
+
+    Raises:
+        LogError: The times of the agents, lights, controls or plans nowhere overlap those of the ego.
+    """
+    first, last = _span(scenario)
+    for topic, begin, end in _side_spans(scenario):
+        if end < first or begin > last:
+            theirs, own = _log_times(scenario, begin, end), _log_times(scenario, first, last)
+            what = f"times from {theirs}, the ego's are from {own}: they do not overlap"
+            raise LogError(what, topic=topic, remedy=ONE_CLOCK)
+    tracks = scenario.tracks
+    begins, ends = tracks.t[tracks.offsets[:-1]], tracks.t[tracks.offsets[1:] - 1]
+    late = begins > max(last, scenario.duration) + OTHER_CLOCK_S
+    apart = ~tracks.static & (late | (ends < first - OTHER_CLOCK_S))
+    if not apart.any():
+        return scenario
+    note = f"{_named(tracks, apart)} have no sample within {OTHER_CLOCK_S:.0f} s of the ego's log: never in the scene."
+    return replace(scenario, notes=(*scenario.notes, note))
+
+
+def _span(scenario: Scenario) -> tuple[float, float]:
+    """From when to when the ego is known; of a log with its start alone, how long the log lasts, s."""
+    ego = scenario.ego
+    return float(ego.t[0]), float(ego.t[-1]) if len(ego) > 1 else scenario.duration
+
+
+def _side_spans(scenario: Scenario) -> Iterator[tuple[str, float, float]]:
+    """Name, first and last time of what stands beside the ego's states, s since the start."""
+    tracks = scenario.tracks
+    moving = tracks.t[np.repeat(~tracks.static, np.diff(tracks.offsets))]
+    if len(moving):
+        yield "agents", float(moving.min()), float(moving.max())
+    if scenario.lights:
+        shown = np.concatenate([light.t for light in scenario.lights])
+        yield "traffic lights", float(shown.min()), float(shown.max()) + SHOWN_BEFORE_S
+    if scenario.controls is not None and len(scenario.controls):
+        yield "controls", float(scenario.controls.t[0]), float(scenario.controls.t[-1])
+    if scenario.onboard:
+        yield "onboard plans", scenario.onboard[0].known, scenario.onboard[-1].known + SHOWN_BEFORE_S
+
+
+def _log_times(scenario: Scenario, begin: float, end: float) -> str:
+    start = scenario.start_ns / 1e9
+    return f"{start + begin:.3f} to {start + end:.3f} s"
+
+
+def admitted(scenario: Scenario) -> Scenario:
+    """The scenario within `LIMITS`, with names that can be printed.
+
+    Raises:
+        LogError: The ego, its vehicle, the goal or a side table of the ego is beyond a limit.
+    """
+    _check_ego(scenario)
+    for topic, table in _ego_tables(scenario):
+        _check_columns(scenario, topic, table)
+    _check_vehicle(scenario)
+    _check_goal(scenario)
+    notes: list[str] = []
+    tracks = _tracks_within(scenario, notes)
+    if notes:
+        scenario = replace(scenario, tracks=tracks, notes=(*scenario.notes, *notes))
+    return printable(scenario)
+
+
+def _check_ego(scenario: Scenario) -> None:
+    """Refuse an ego that is beyond a limit, or moves or is missing farther than any."""
+    ego = scenario.ego
+    _check_columns(scenario, "ego", ego)
+    dt, d = np.diff(ego.t), np.hypot(np.diff(ego.x), np.diff(ego.y))
+    far = np.flatnonzero(~(d <= STEP_M + SPEED.most * dt))
+    if len(far):
+        k = int(far[0])
+        what = f"the position jumps by {d[k]:g} m within {dt[k]:g} s"
+        raise _refused(scenario, "ego", what, float(ego.t[k + 1]))
+    long = np.flatnonzero(dt > GAP_S)
+    if len(long):
+        k = int(long[0])
+        raise _refused(scenario, "ego", f"no state for {dt[k]:g} s, longer than {GAP_S:g} s", float(ego.t[k]))
+
+
+def _ego_tables(scenario: Scenario) -> Iterator[tuple[str, Any]]:
+    if scenario.controls is not None:
+        yield "controls", scenario.controls
+    for plan in scenario.onboard:
+        yield "onboard", plan.trajectory
+
+
+def _check_columns(scenario: Scenario, topic: str, table: Any) -> None:
+    """Refuse a table of columns over `t` where one is beyond its limit; NaN is not known, and no magnitude."""
+    for name, limit in LIMITS[topic].items():
+        column = np.asarray(getattr(table, name))
+        away = np.abs(column - _zero(scenario, name))
+        wrong = np.flatnonzero(~((away <= limit.most) | np.isnan(column)))
+        if len(wrong):
+            value, time = float(column[wrong[0]]), float(table.t[wrong[0]])
+            what = f"{name} is {value:g} {limit.unit}".rstrip() + f", beyond {limit.most:g} {limit.unit}".rstrip()
+            raise _refused(scenario, topic, what, time)
+
+
+def _zero(scenario: Scenario, name: str) -> float:
+    """What a column is measured from: positions from the ego's first, within what a projection has."""
+    start = scenario.ego.state(0)
+    at = {"x": start.x, "y": start.y}.get(name, 0.0)
+    return at if abs(at) < 1e8 else 0.0
+
+
+def _refused(scenario: Scenario, topic: str, what: str, time: float) -> LogError:
+    remedy = "correct or remove that sample, or leave that part out with --from and --to"
+    return LogError(what, topic=topic, time_ns=scenario.start_ns + round(1e9 * time), remedy=remedy)
+
+
+def _check_vehicle(scenario: Scenario) -> None:
+    vehicle = scenario.vehicle
+    for item in fields(vehicle):
+        limit = VEHICLE_M if item.name in ("length", "width", "wheelbase", "rear_overhang") else VEHICLE
+        values = np.atleast_1d(getattr(vehicle, item.name))
+        if not (np.abs(values) <= limit.most).all():
+            what = f"{item.name} is {np.max(np.abs(values)):g}, beyond {limit.most:g} {limit.unit}".rstrip()
+            raise LogError(what, topic="vehicle", remedy="correct it, or name the vehicle with --car")
+
+
+def _check_goal(scenario: Scenario) -> None:
+    for region in scenario.goal.regions if scenario.goal else ():
+        _check_place(scenario, "goal", np.asarray(region, dtype=np.float64))
+
+
+def check_road(scenario: Scenario) -> Scenario:
+    """The scenario, unchanged.
+
+    Raises:
+        LogError: A lane is farther away than `WORLD`, or its speed limit is beyond `SPEED`.
+    """
+    road = scenario.road
+    for lane in road.lanes.values():
+        for side in (lane.left, lane.right):
+            _check_place(scenario, f"road, lane {lane.id}", side)
+        if isfinite(lane.speed_limit) and not 0.0 <= lane.speed_limit <= SPEED.most:
+            raise _limit_refused(f"road, lane {lane.id}", lane.speed_limit)
+    if not 0.0 < road.default_speed_limit <= SPEED.most:
+        raise _limit_refused("road", road.default_speed_limit)
+    return scenario
+
+
+def _limit_refused(topic: str, value: float) -> LogError:
+    what = f"the speed limit is {value:g} m/s, beyond {SPEED.most:g} m/s"
+    return LogError(what, topic=topic, remedy="correct the map, or leave the limit out")
+
+
+def _check_place(scenario: Scenario, topic: str, points: FloatArray) -> None:
+    """Refuse points `(n, 2)` that are farther from the ego's start than `WORLD`."""
+    away = np.abs(points - [_zero(scenario, "x"), _zero(scenario, "y")])
+    if away.size and not away.max() <= WORLD.most:
+        what = f"a point is {away.max():g} m from the ego's start, beyond {WORLD.most:g} m"
+        raise LogError(what, topic=topic, remedy="give the map and the ego in the same coordinates")
+
+
+def _tracks_within(scenario: Scenario, notes: list[str]) -> Tracks:
+    """The tracks with what is beyond a limit left out or replaced, which is noted.
+
+    Raises:
+        LogError: Nothing is left of them.
+    """
+    tracks = _sized(_slow_enough(scenario.tracks, notes), notes)
+    columns = {name: getattr(tracks, name) - _zero(scenario, name) for name in LIMITS["agents"]}
+    beyond = {name: ~(np.abs(column) <= LIMITS["agents"][name].most) for name, column in columns.items()}
+    bad = np.logical_or.reduce(list(beyond.values()))
+    if not bad.any():
+        return tracks
+    k = int(np.argmax(bad))
+    name = next(name for name, mask in beyond.items() if mask[k])
+    limit = LIMITS["agents"][name]
+    value = f"{name} is {getattr(tracks, name)[k]:g} {limit.unit}, beyond {limit.most:g} {limit.unit}"
+    if bad.all():
+        remedy = "give agents and ego in the same coordinates and units"
+        raise LogError(f"no pose of an agent can be used: {value}", topic="agents", remedy=remedy)
+    whose = np.add.reduceat(bad, tracks.offsets[:-1]) > 0
+    when = (scenario.start_ns / 1e9) + float(tracks.t[k])
+    notes.append(f"{counted(int(bad.sum()), 'sample')} of {_named(tracks, whose)} are left out: {value}, {when:.3f} s.")
+    return tracks.taken(~bad)
+
+
+def _slow_enough(tracks: Tracks, notes: list[str]) -> Tracks:
+    """Velocities beyond `SPEED` as not known."""
+    speed = np.hypot(np.nan_to_num(tracks.vx), np.nan_to_num(tracks.vy))  # NaN: not known
+    fast = speed > SPEED.most
+    if not fast.any():
+        return tracks
+    whose = np.add.reduceat(fast, tracks.offsets[:-1]) > 0
+    most = float(speed.max())
+    notes.append(
+        f"The velocity of {_named(tracks, whose)} is up to {most:g} m/s, beyond {SPEED.most:g} m/s, at"
+        f" {counted(int(fast.sum()), 'sample')}: taken as not known there."
+    )
+    vx, vy = np.where(fast, np.nan, tracks.vx), np.where(fast, np.nan, tracks.vy)
+    return replace(tracks, vx=vx, vy=vy)
+
+
+def _sized(tracks: Tracks, notes: list[str]) -> Tracks:
+    """Sizes beyond `SIZES_M` as usual for the kind."""
+    low, high = SIZES_M
+    odd = ~((np.minimum(tracks.length, tracks.width) >= low) & (np.maximum(tracks.length, tracks.width) <= high))
+    if not odd.any():
+        return tracks
+    notes.append(
+        f"The size of {_named(tracks, odd)} is not between {low:g} and {high:g} m: usual for the kind, assumed."
+    )
+    usual = np.array([USUAL_SIZE_M[kind] for kind in tracks.kinds])
+    length, width = np.where(odd, usual[:, 0], tracks.length), np.where(odd, usual[:, 1], tracks.width)
+    return replace(tracks, length=length, width=width)
+
+
+def _named(tracks: Tracks, whose: BoolArray) -> str:
+    """Some road users: how many, and the first of them by name."""
+    names = [visible_name(tracks.ids[i]) for i in np.flatnonzero(whose)]
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return f"{counted(len(names), 'road user')} ({', '.join(names[:NAMED])}{more})"
+
+
+def printable(scenario: Scenario) -> Scenario:
+    """The scenario with names and texts that can be printed in one line; what was changed is noted."""
+    ids = _distinct([visible_name(name) for name in scenario.tracks.ids])
+    texts = {key: visible_name(getattr(scenario, key), inf) for key in ("source", "licence")}
+    changed: dict[str, Any] = {
+        "name": visible_name(scenario.name),
+        "tags": tuple(map(visible_name, scenario.tags)),
+        "metadata": {visible_name(key): visible_name(text, inf) for key, text in scenario.metadata.items()},
+        "notes": tuple(visible_name(note, inf) for note in scenario.notes),
+        **texts,
+    }
+    changed = {key: value for key, value in changed.items() if value != getattr(scenario, key)}
+    if ids != scenario.tracks.ids:
+        changed["tracks"] = replace(scenario.tracks, ids=ids)
+    road = _printable_road(scenario.road)
+    if road is not scenario.road:
+        changed["road"] = road
+    if not changed:
+        return scenario
+    count = sum(one != other for one, other in zip(ids, scenario.tracks.ids, strict=True))
+    what = [counted(count, "name") + " of road users"] if count else []
+    what += [f"the {key}" for key in changed if key != "tracks"]
+    note = f"Control characters in {', '.join(what)} are replaced, and long names cut."
+    return replace(scenario, **{**changed, "notes": (*changed.get("notes", scenario.notes), note)})
+
+
+def _distinct(names: list[str]) -> tuple[str, ...]:
+    """The names with a number behind those that another one has already."""
+    taken: dict[str, int] = {}
+    out = []
+    for name in names:
+        count = taken[name] = taken.get(name, 0) + 1
+        out.append(name if count == 1 else f"{name}~{count}")
+    return tuple(out) if len(set(out)) == len(out) else tuple(f"{name}~{i}" for i, name in enumerate(names))
+
+
+def _printable_road(road: Road) -> Road:
+    lanes = {id_: replace(lane, kind=visible_name(lane.kind)) for id_, lane in road.lanes.items()
+             if visible_name(lane.kind) != lane.kind}  # fmt: skip
+    return replace(road, lanes={**road.lanes, **lanes}) if lanes else road

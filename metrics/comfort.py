@@ -66,7 +66,7 @@ PLAN_HORIZON_S = 5.0
 NUPLAN_STEP_S, NUPLAN_LEAST_S = 0.1, 0.4
 """Below 5 samples nuPlan's polynomials are not defined."""
 R79_STEP_S, R79_MEAN_S, R79_CUT_HZ, R79_ORDER = 0.01, 0.5, 0.5, 4
-R79_JERK_MPS3 = 5.0
+_R79_BOUNDS = ("m/s3", -5.0, 5.0)
 NUPLAN_BOUNDS = {
     "lon_accel": ("m/s2", -4.05, 2.40),
     "lat_accel": ("m/s2", -4.89, 4.89),
@@ -184,17 +184,6 @@ def _bounded(
     )  # fmt: skip
 
 
-def _state(
-    name: str, signal: Signal, bounds: tuple[str, float, float], meaning: str, formula: str,
-    source: str = "bounds: nuPlan devkit e9241677, ego_is_comfortable", more: tuple[Reduction, ...] = (),
-) -> Metric:  # fmt: skip
-    window, reductions = (f"W {WINDOW_S} s",), (P95, P99, *more)
-    return _bounded(
-        name, partial(_driven, signal), bounds, reductions, meaning, formula, source, window,
-        f"a drive of {WINDOW_S} s", 2,
-    )  # fmt: skip
-
-
 def _plan_metric(name: str, unit: str, signal: Signal, meaning: str, formula: str) -> Metric:
     return Metric(
         name, unit, "lower", (Mode.OPEN,), partial(_planned, signal), (MEAN, P95, MAX), meaning,
@@ -202,41 +191,42 @@ def _plan_metric(name: str, unit: str, signal: Signal, meaning: str, formula: st
     )  # fmt: skip
 
 
-LON_ACCEL = _state(
-    "lon_accel", lon_accel, NUPLAN_BOUNDS["lon_accel"],
-    "Acceleration along the body; min is the hardest braking.", "a, the state's",
-    more=(replace(MIN, direction="higher"), MAX),
-)  # fmt: skip
-LAT_ACCEL = _state(
-    "lat_accel", lat_accel, NUPLAN_BOUNDS["lat_accel"], "Lateral acceleration at the rear axle.", "v^2 kappa"
-)
-LON_JERK_STATE = _state(
-    "lon_jerk_state", lon_jerk, NUPLAN_BOUNDS["lon_jerk"],
-    "Backward difference of the state's acceleration.", "(a(t) - a(t - W)) / W",
-)  # fmt: skip
-LAT_JERK_STATE = _state(
-    "lat_jerk_state", lat_jerk, ("m/s3", -R79_JERK_MPS3, R79_JERK_MPS3),
-    "Backward difference of the lateral acceleration.", "(v^2 kappa (t) - v^2 kappa (t - W)) / W",
-    "bound: UN R79, there on a filtered signal",
-)  # fmt: skip
-JERK_STATE = _state(
-    "jerk_state", jerk, NUPLAN_BOUNDS["jerk"], "Size of the change of the acceleration vector in the world.",
-    "|A(t) - A(t - W)| / W, A = a (cos yaw, sin yaw) + v^2 kappa (-sin yaw, cos yaw)",
-    "bounds: nuPlan devkit e9241677, ego_is_comfortable, which takes d|A|/dt",
-)  # fmt: skip
-YAW_RATE = _state(
-    "yaw_rate", yaw_rate, NUPLAN_BOUNDS["yaw_rate"], "Backward difference of the heading.",
-    "(yaw(t) - yaw(t - W)) / W",
-)  # fmt: skip
-YAW_ACCEL = _state(
-    "yaw_accel", yaw_accel, NUPLAN_BOUNDS["yaw_accel"], "Second backward difference of the heading.",
-    "(yaw(t) - 2 yaw(t - W) + yaw(t - 2 W)) / W^2",
+_DEVKIT = "nuPlan devkit e9241677, ego_is_comfortable"
+LON_ACCEL, LAT_ACCEL, LON_JERK_STATE, LAT_JERK_STATE, JERK_STATE, YAW_RATE, YAW_ACCEL = (
+    _bounded(
+        name, partial(_driven, signal), NUPLAN_BOUNDS.get(name.removesuffix("_state"), _R79_BOUNDS), (P95, P99, *more),
+        meaning, formula, source or f"bounds: {_DEVKIT}", (f"W {WINDOW_S} s",), f"a drive of {WINDOW_S} s", 2,
+    )
+    for name, signal, meaning, formula, source, *more in (
+        (
+            "lon_accel", lon_accel, "Acceleration along the body; min is the hardest braking.", "a, the state's", "",
+            replace(MIN, direction="higher"), MAX,
+        ),
+        ("lat_accel", lat_accel, "Lateral acceleration at the rear axle.", "v^2 kappa", ""),
+        (
+            "lon_jerk_state", lon_jerk, "Backward difference of the state's acceleration.", "(a(t) - a(t - W)) / W", "",
+        ),
+        (
+            "lat_jerk_state", lat_jerk, "Backward difference of the lateral acceleration.",
+            "(v^2 kappa (t) - v^2 kappa (t - W)) / W", "bound: UN R79, there on a filtered signal",
+        ),
+        (
+            "jerk_state", jerk, "Size of the change of the acceleration vector in the world.",
+            "|A(t) - A(t - W)| / W, A = a (cos yaw, sin yaw) + v^2 kappa (-sin yaw, cos yaw)",
+            f"bounds: {_DEVKIT}, which takes d|A|/dt",
+        ),
+        ("yaw_rate", yaw_rate, "Backward difference of the heading.", "(yaw(t) - yaw(t - W)) / W", ""),
+        (
+            "yaw_accel", yaw_accel, "Second backward difference of the heading.",
+            "(yaw(t) - 2 yaw(t - W) + yaw(t - 2 W)) / W^2", "",
+        ),
+    )
 )  # fmt: skip
 NUPLAN = tuple(
     _bounded(
         f"{kind}_nuplan", partial(_filtered, signal, NUPLAN_STEP_S, NUPLAN_LEAST_S), NUPLAN_BOUNDS[kind], (),
         f"{what}, as nuPlan filters it{aside}.", formula,
-        "nuPlan devkit e9241677, ego_is_comfortable; there at the ego's centre", (f"step {NUPLAN_STEP_S} s",),
+        f"{_DEVKIT}; there at the ego's centre", (f"step {NUPLAN_STEP_S} s",),
         f"a drive of {NUPLAN_LEAST_S} s",
     )
     for kind, what, aside, signal, formula in (
@@ -259,7 +249,7 @@ NUPLAN = tuple(
     )
 )  # fmt: skip
 LAT_JERK_R79 = _bounded(
-    "lat_jerk_r79", partial(_filtered, r79_jerk, R79_STEP_S, R79_MEAN_S), ("m/s3", -R79_JERK_MPS3, R79_JERK_MPS3), (),
+    "lat_jerk_r79", partial(_filtered, r79_jerk, R79_STEP_S, R79_MEAN_S), _R79_BOUNDS, (),
     "Lateral jerk as UN R79 measures it: low-pass, derivative, moving mean.",
     "mean over 0.5 s of dB/dt = (B(t) - B(t - 0.5 s)) / 0.5 s, B = Butterworth low-pass of v^2 kappa",
     "UN R79 (read at second hand)", ("order 4", "cut-off 0.5 Hz", "rate 100 Hz"), "a drive of 0.5 s",

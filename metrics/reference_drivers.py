@@ -50,7 +50,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from functools import partial
-from math import cos, hypot, nan, pi, sin
+from math import cos, hypot, nan, sin
 
 import numpy as np
 
@@ -61,6 +61,7 @@ from logs.shapes import clearance, overlap
 from logs.states import EgoState
 from logs.vehicle import VehicleParameters
 from metrics.others import Others, name_of, others_at, there_between
+from metrics.safety import STANDING_MPS, _behind
 
 STEP_S = 0.02
 """So fine that a step more or less of braking is within what noise does anyway."""
@@ -71,7 +72,6 @@ JUDGED_S = 0.15
 LONGEST_S = 60.0
 """Only so much of a log is driven."""
 RETURN_S = 3.0
-STANDING_MPS = 0.05
 CURVE_MPS2, EASE_MPS2 = 3.0, 1.5
 
 JERK_MPS3 = 12.65
@@ -87,7 +87,6 @@ NEAR_M, ASIDE_M = 150.0, 20.0
 NOBODY, CC, FSM = 0, 1, 2
 ANYBODY = -1
 """As the agent that a drive's least distance is about."""
-_BEHIND = cos(150.0 / 180.0 * pi)
 
 
 class Outcome(Enum):
@@ -390,8 +389,7 @@ def _touches(
         ox, oy = pose[0, i, k], pose[1, i, k]
         if not overlap(cx, cy, yaw, box[1], box[2], ox, oy, pose[2, i, k], size[i, 0], size[i, 1]):
             continue
-        behind = (ox - x) * cos(yaw) + (oy - y) * sin(yaw) < _BEHIND * hypot(ox - x, oy - y)
-        if behind or v <= STANDING_MPS or k == 0 or not there[i, k - 1]:
+        if _behind(x, y, yaw, ox, oy) or v <= STANDING_MPS or k == 0 or not there[i, k - 1]:
             left_out[i] = True
         else:
             return i

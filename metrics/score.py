@@ -89,7 +89,7 @@ def _series(metric: Metric, trace: Trace, scenario: Scenario) -> Series | Unavai
     return found
 
 
-def _judged(metric: Metric, judge: Callable[[Series], Value]) -> Part:
+def _judged(metric: Metric, judge: Callable[[Series], float]) -> Part:
     """A part that is a function of one metric's steps."""
 
     def part(trace: Trace, scenario: Scenario) -> Value:
@@ -148,8 +148,11 @@ def _steady(series: Series) -> float:
     return float(np.mean(series.value[series.known] <= 1.0)) if series.known.any() else 0.0
 
 
-def _compliance(series: Series) -> Value:
-    return progress.compliance(series)[0] if series.known.any() else Unavailable(series.missing)
+def _compliance(trace: Trace, scenario: Scenario) -> Value:
+    found = _series(progress.SPEED_EXCESS, trace, scenario)
+    if isinstance(found, Unavailable):
+        return found
+    return progress.compliance(found)[0] if found.known.any() else Unavailable(found.missing)
 
 
 def _penalties(trace: Trace, scenario: Scenario) -> Value:
@@ -196,7 +199,7 @@ PARTS: Mapping[str, Part] = MappingProxyType({
     "making_progress": _judged(progress.PROGRESS, lambda series: float(_final(series) >= LEAST_PROGRESS)),
     "progress": _judged(progress.PROGRESS, _final),
     "ttc": _ttc,
-    "speed_limit": _judged(progress.SPEED_EXCESS, _compliance),
+    "speed_limit": _compliance,
     "comfort": _comfortable,
     "lane_keeping": _judged(lane_keeping.LANE_KEEPING, _keeps),
     "extended_comfort": _judged(consistency.EXTENDED_COMFORT, _steady),

@@ -95,12 +95,12 @@ def standings(
         asked: Planners and modes of the run; an oracle that no gate names does not stand at all.
         crashed: Log, planner and mode of what could not be evaluated, as far as it was driven; None: any.
     """
-    said: dict[tuple[str, str, str], set[str]] = {}
+    outcomes: dict[tuple[str, str, str], set[str]] = {}
     for log, planner, mode, outcome in _rows(verdicts, "log", "planner", "mode", "outcome"):
         if outcome in _STANDS:
-            said.setdefault((log, planner, mode), set()).add(_STANDS[outcome])
+            outcomes.setdefault((log, planner, mode), set()).add(_STANDS[outcome])
     driven = set(_rows(drives, "log", "planner", "mode"))
-    judged = {planner for _, planner, _ in said}
+    judged = {planner for _, planner, _ in outcomes}
     unjudged = {planner for planner, oracle in _rows(drives, "planner", "oracle") if oracle} - judged
     rows = []
     for planner in dict.fromkeys(planner for planner, _ in asked if planner not in unjudged):
@@ -109,7 +109,7 @@ def standings(
             lost = [mode for of, name, mode in crashed if of == log and name in (None, planner)]
             each = []
             for mode in modes:
-                found = said.get((log, planner, mode)) or {"inconclusive"}
+                found = outcomes.get((log, planner, mode)) or {"inconclusive"}
                 whole = (log, planner, mode) in driven and mode not in lost and None not in lost
                 each.append(min(found if whole else found | {"missing"}, key=STANDINGS.index))
             rows += [(log, planner, mode, one) for mode, one in zip(modes, each, strict=True)]

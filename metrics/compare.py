@@ -33,7 +33,7 @@ import numpy as np
 import pandas as pd
 
 from logs.kernel import BoolArray, FloatArray, IntArray
-from metrics.aggregate import LogLabels
+from metrics.aggregate import SUITE, LogLabels, membership
 from metrics.evidence import ENSEMBLE
 from metrics.gates import Gates, Outcome
 from metrics.judge import REFERENCE, judge, outcomes
@@ -205,7 +205,7 @@ def compare(baseline: Side, candidate: Side, gates: Gates, also: Collection[str]
         _missing(candidate, baseline),
         pairs,
         flips,
-        group_deltas(pairs, candidate.logs),
+        group_deltas(pairs, candidate.labels),
         not_compared=tuple(sorted(bounds.keys() & (changed.keys() | alone & valued))),
         other_logs=tuple(_other(baseline, candidate, "sha256")),
     )
@@ -322,21 +322,18 @@ def _other(baseline: Side, candidate: Side, column: str) -> list[str]:
 # groups of logs ---------------------------------------------------------------------------------------------------
 
 
-def group_deltas(pairs: pd.DataFrame, logs: pd.DataFrame) -> pd.DataFrame:
+def group_deltas(pairs: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.DataFrame:
     """`GROUP_COLUMNS`: rows by group of logs (the suite, parts of it with several logs), planner, mode and metric.
 
     Args:
         pairs: Rows of `PAIR_COLUMNS`.
-        logs: A row per log: log, family, dataset, tags.
+        labels: What each log belongs to.
     """
-    known = pairs[pairs["delta"].notna()]
-    there = logs[logs["log"].isin(set(known["log"]))]
-    members = [("suite", "all", list(there["log"]))] if len(there) else []
-    for kind in ("family", "tags", "dataset"):
-        for name, group in there[["log", kind]].explode(kind).dropna().groupby(kind, sort=True)["log"]:
-            if name and 1 < len(group) < len(there):
-                members.append((kind.removesuffix("s"), str(name), list(group)))
-    parts = [_group(known[known["log"].isin(group)]).assign(kind=kind, group=name) for kind, name, group in members]
+    known, parts = pairs[pairs["delta"].notna()], []
+    there = {log: labels[log] for log in labels if log in set(known["log"])}
+    for (kind, name), logs in membership(there).items() if there else ():
+        if kind == SUITE or 1 < len(logs) < len(there):
+            parts.append(_group(known[known["log"].isin(logs)]).assign(kind=kind, group=name or "all"))
     numbers = dict.fromkeys(("baseline", "candidate", "delta", "low", "high"), float)
     empty = pd.DataFrame(columns=list(GROUP_COLUMNS)).astype({**numbers, "significant": bool})
     return pd.concat(parts, ignore_index=True)[list(GROUP_COLUMNS)] if parts else empty

@@ -85,8 +85,8 @@ def _filled(table: pd.DataFrame, values: Values) -> pd.DataFrame:
 def _by_drive(gates: Gates, table: pd.DataFrame, labels: Mapping[str, LogLabels]) -> dict[Drive, dict[str, Outcome]]:
     """Outcomes by gate, of each log, planner and mode."""
     found: dict[Drive, dict[str, Outcome]] = {}
-    said = outcomes(judge(gates, table, labels))
-    for *drive, gate, outcome in zip(*(said[name] for name in (*_DRIVE, "gate", "outcome")), strict=True):
+    table = outcomes(judge(gates, table, labels))
+    for *drive, gate, outcome in zip(*(table[name] for name in (*_DRIVE, "gate", "outcome")), strict=True):
         found.setdefault((drive[0], drive[1], drive[2]), {})[gate] = Outcome(outcome)
     return found
 

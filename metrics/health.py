@@ -257,12 +257,12 @@ def ego_jumps(scenario: Scenario) -> Iterator[Finding]:
 def ego_speed(scenario: Scenario) -> Iterator[Finding]:
     """(3), (4)."""
     ego = scenario.ego
-    by_position, by_speed = _ways(ego.t, ego.x, ego.y, np.abs(ego.v))
-    way, told = float(by_position.sum()), float(by_speed.sum())
-    if max(way, told) < EGO_WAY_M or abs(way - told) <= EGO_SPEED_OFF * max(way, told):
+    positions, speeds = _ways(ego.t, ego.x, ego.y, np.abs(ego.v))
+    way, by_speed = float(positions.sum()), float(speeds.sum())
+    if max(way, by_speed) < EGO_WAY_M or abs(way - by_speed) <= EGO_SPEED_OFF * max(way, by_speed):
         return
-    factor = told / way if way > 0.0 else np.inf
-    text = f"the ego's positions go {way:.1f} m, its speed {told:.1f} m: {factor:.3g} times as far"
+    factor = by_speed / way if way > 0.0 else np.inf
+    text = f"the ego's positions go {way:.1f} m, its speed {by_speed:.1f} m: {factor:.3g} times as far"
     unit = next((meaning for known, meaning in FACTORS.items() if abs(factor / known - 1.0) < NEAR), "")
     kind = Kind.UNITS if unit else Kind.EGO_SPEED
     yield Finding(kind, "ego", "", ego.t[0], ego.t[-1], factor, "x", f"{text}; {unit}" if unit else text)
@@ -342,8 +342,8 @@ def teleports(scenario: Scenario) -> Iterator[Finding]:
     for i, mine in _moving(tracks):
         t, v = tracks.t[mine], np.hypot(tracks.vx[mine], tracks.vy[mine])
         dt, d = np.diff(t), np.hypot(np.diff(tracks.x[mine]), np.diff(tracks.y[mine]))
-        told = np.maximum(v[:-1], v[1:]) + 0.5 * BRAKING_MPS2 * dt
-        excess = d - np.where(np.isfinite(told), np.minimum(told, FASTEST_MPS), FASTEST_MPS) * dt - JUMP_M
+        fastest = np.maximum(v[:-1], v[1:]) + 0.5 * BRAKING_MPS2 * dt
+        excess = d - np.where(np.isfinite(fastest), np.minimum(fastest, FASTEST_MPS), FASTEST_MPS) * dt - JUMP_M
         if len(excess) and excess.max() > 0.0:
             k, count = int(np.argmax(excess)), int((excess > 0.0).sum())
             more = f", and {count - 1} more times" if count > 1 else ""
@@ -359,12 +359,12 @@ def speeds(scenario: Scenario) -> Iterator[Finding]:
         if len(v) < 2 or not np.isfinite(v).all():
             continue
         seen = ~tracks.gap_after[mine][:-1]
-        way, told = (float(by[seen].sum()) for by in _ways(t, tracks.x[mine], tracks.y[mine], v))
-        if max(way, told) < WAY_M:
+        way, by_speed = (float(by[seen].sum()) for by in _ways(t, tracks.x[mine], tracks.y[mine], v))
+        if max(way, by_speed) < WAY_M:
             continue
-        ratios.append(told / way if way > 0.0 else np.inf)
-        if abs(way - told) > SPEED_OFF * max(way, told):
-            text = f"goes {way:.1f} m by positions, {told:.1f} m by speed"
+        ratios.append(by_speed / way if way > 0.0 else np.inf)
+        if abs(way - by_speed) > SPEED_OFF * max(way, by_speed):
+            text = f"goes {way:.1f} m by positions, {by_speed:.1f} m by speed"
             found.append(_of_track(tracks, i, Kind.AGENT_SPEED, (t[0], t[-1]), ratios[-1], "x", text))
     for known, meaning in FACTORS.items():
         near = [ratio for ratio in ratios if abs(ratio / known - 1.0) < NEAR]

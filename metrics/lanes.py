@@ -6,6 +6,7 @@ The end of the map is not the end of the road: a lane that leads on to no lane o
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil, cos, hypot, inf, nan, pi, sin, sqrt
 from typing import NamedTuple
@@ -73,22 +74,18 @@ def drivable_lanes(road: Road) -> LaneArrays | None:
         _outline(lane, leads_on=not road.lanes.keys().isdisjoint(lane.successors), entered=lane.id in entered)
         for lane in lanes
     ]
-    limits = [lane.speed_limit for lane in lanes]
     box = [(*outline.min(axis=0), *outline.max(axis=0)) for outline in outlines]
     offsets = np.r_[0, np.cumsum([len(outline) for outline in outlines])]
     centers = [0.5 * (outline[: len(outline) // 2] + outline[: len(outline) // 2 - 1 : -1]) for outline in outlines]
+    edges = [np.hstack([np.roll(outline, 1, axis=0), outline]) for outline in outlines]
+    pieces = [np.hstack([center[:-1], center[1:]]) for center in centers]
     return LaneArrays(
-        frozen(np.vstack(outlines)),
-        frozen(offsets, np.int64),
-        frozen(np.vstack(centers)),
-        frozen(box),
-        frozen(limits),
-        _boxes([np.hstack([np.roll(outline, 1, axis=0), outline]) for outline in outlines]),
-        _boxes([np.hstack([center[:-1], center[1:]]) for center in centers]),
-    )
+        frozen(np.vstack(outlines)), frozen(offsets, np.int64), frozen(np.vstack(centers)), frozen(box),
+        frozen([lane.speed_limit for lane in lanes]), _boxes(edges), _boxes(pieces),
+    )  # fmt: skip
 
 
-def _boxes(polylines: list[FloatArray]) -> Boxes:
+def _boxes(polylines: Sequence[FloatArray]) -> Boxes:
     """Boxes of the edges of polylines, each `(n, 4)` (begin and end): sqrt(n) edges in a box, at least `FEW`."""
     first, box, rows = [0], [], []
     for edges in polylines:
@@ -122,13 +119,9 @@ def keeps_lane(road: Road, x: float, y: float, corners: FloatArray) -> bool:
     under = [lane for lane in road.lanes_at(x, y) if lane.drivable]
     if len(under) != 1:
         return False
-    strip = _continued(road, under[0])
+    before = (other.id for other in road.lanes.values() if under[0].id in other.successors)
+    strip = {under[0].id, *under[0].successors, *before}
     return all(any(lane.id in strip for lane in road.lanes_at(*corner)) for corner in corners.tolist())
-
-
-def _continued(road: Road, lane: Lane) -> frozenset[int]:
-    before = (other.id for other in road.lanes.values() if lane.id in other.successors)
-    return frozenset((lane.id, *lane.successors, *before))
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -36,7 +36,7 @@ class Series:
     Attributes:
         t: `(n,)` s since the scenario's start, increasing, n >= 1.
         value: `(n,)`; NaN where the step has none.
-        labels: `n` words on whom or what a step's value is about ("car 12"), or empty.
+        labels: `n` texts that name the road user or thing of a step's value ("car 12"), or empty.
         missing: Why steps have no value: the reason given where no step has one.
 
     Raises:

@@ -50,7 +50,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from functools import partial
-from math import cos, hypot, nan, pi, sin
+from math import cos, hypot, nan, sin
 
 import numpy as np
 
@@ -61,6 +61,7 @@ from logs.shapes import clearance, overlap
 from logs.states import EgoState
 from logs.vehicle import VehicleParameters
 from metrics.others import Others, name_of, others_at, there_between
+from metrics.safety import STANDING_MPS, _behind
 
 STEP_S = 0.02
 """So fine that a step more or less of braking is within what noise does anyway."""
@@ -71,7 +72,6 @@ JUDGED_S = 0.15
 LONGEST_S = 60.0
 """Only so much of a log is driven."""
 RETURN_S = 3.0
-STANDING_MPS = 0.05
 CURVE_MPS2, EASE_MPS2 = 3.0, 1.5
 
 JERK_MPS3 = 12.65
@@ -84,10 +84,9 @@ FSM_AHEAD_S = 0.1
 NEAR_M, ASIDE_M = 150.0, 20.0
 """A driver does not look farther ahead, or farther aside."""
 
-NOBODY, CC, FSM = 0, 1, 2
-ANYBODY = -1
+PASSIVE, CC, FSM = 0, 1, 2
+ANY = -1
 """As the agent that a drive's least distance is about."""
-_BEHIND = cos(150.0 / 180.0 * pi)
 
 
 class Outcome(Enum):
@@ -107,7 +106,7 @@ class Verdict:
         outcome: One of three.
         reason: One sentence.
         brakes: When it begins to brake with more than 1 m/s2, s since the scenario's start; NaN: never.
-        meets: When it touches somebody, s; NaN: never.
+        meets: When it touches an agent, s; NaN: never.
         speed: At the touch, else at the end, m/s.
         agent: Id of the agent that the driver touches, else of the one that it would touch without braking; "": none.
         margin: (6), m; NaN where there is no agent.
@@ -167,17 +166,17 @@ def _verdict(name: str, driver: int, scenario: Scenario, line: ReferenceLine, st
     if start.v <= STANDING_MPS:
         return Verdict(name, Outcome.NOT_APPLICABLE, "the ego does not drive at the start")
     t, tracks, drive = _prepared(scenario, line, start)
-    passive = drive(NOBODY)
+    passive = drive(PASSIVE)
     if passive.meets < 0:
         marginal = passive.least < MARGINAL_M
         by = f", by {passive.least:.1f} m, marginal" if marginal else ""
         reason = f"at constant speed the ego meets nobody{by}"
         return Verdict(name, Outcome.NOT_APPLICABLE, reason, margin=passive.least, marginal=marginal)
-    found = drive(driver, about=passive.whom)
-    whom, margin, end = passive.whom if found.meets < 0 else found.whom, found.least, found.meets
+    found = drive(driver, about=passive.agent)
+    agent, margin, end = passive.agent if found.meets < 0 else found.agent, found.least, found.meets
     near = min(abs(margin), abs(passive.least)) < MARGINAL_M
     marginal = near or any((drive(driver, late=late).meets < 0) != (end < 0) for late in (-JUDGED_S, JUDGED_S))
-    about, by = name_of(tracks, whom), f"by {abs(margin):.1f} m{', marginal' if marginal else ''}"
+    about, by = name_of(tracks, agent), f"by {abs(margin):.1f} m{', marginal' if marginal else ''}"
     if end < 0:
         met = f"which it would meet after {t[passive.meets] - t[0]:.1f} s"
         outcome, reason = Outcome.AVOIDABLE, f"avoidable {by}: stays clear of {about}, {met}"
@@ -187,7 +186,7 @@ def _verdict(name: str, driver: int, scenario: Scenario, line: ReferenceLine, st
     braking = np.flatnonzero(found.a < -1.0)
     brakes, meets = float(t[braking[0]]) if len(braking) else nan, float(t[end]) if end >= 0 else nan
     return Verdict(
-        name, outcome, reason, brakes, meets, float(found.v[end]), tracks.ids[whom], margin, marginal=marginal
+        name, outcome, reason, brakes, meets, float(found.v[end]), tracks.ids[agent], margin, marginal=marginal
     )
 
 
@@ -197,8 +196,8 @@ class Driven:
 
     Attributes:
         s: Station `(k,)` up to its end, m; `v` speed, `a` acceleration.
-        meets: Step of its first touch, -1: none; `whom` the agent, -1: nobody.
-        touched: Step in which somebody who is not counted touched it, -1: nobody did.
+        meets: Step of its first touch, -1: none; `agent` the other, -1: none.
+        touched: Step in which an agent that is not counted touched it, -1: none.
         least: Least distance to the agent that was asked about, m (6); minus the depth where it touches one.
     """
 
@@ -206,14 +205,14 @@ class Driven:
     v: FloatArray
     a: FloatArray
     meets: int
-    whom: int
+    agent: int
     touched: int
     least: float
 
 
 def _driven(
     driver: int, *, tracks: Tracks, others: Others, car: VehicleParameters, line: ReferenceLine, start: EgoState,
-    about: int = ANYBODY, late: float = 0.0,
+    about: int = ANY, late: float = 0.0,
 ) -> Driven:  # fmt: skip
     """One drive, to the first touch; `about`: whose distance is asked for. `late`: judges so much later, s."""
     s0, l0 = line.project(start.x, start.y)
@@ -390,8 +389,7 @@ def _touches(
         ox, oy = pose[0, i, k], pose[1, i, k]
         if not overlap(cx, cy, yaw, box[1], box[2], ox, oy, pose[2, i, k], size[i, 0], size[i, 1]):
             continue
-        behind = (ox - x) * cos(yaw) + (oy - y) * sin(yaw) < _BEHIND * hypot(ox - x, oy - y)
-        if behind or v <= STANDING_MPS or k == 0 or not there[i, k - 1]:
+        if _behind(x, y, yaw, ox, oy) or v <= STANDING_MPS or k == 0 or not there[i, k - 1]:
             left_out[i] = True
         else:
             return i
@@ -437,7 +435,7 @@ def _drive(
             meets, about, least = k, hit, np.nan
         apart = np.nan
         for i in range(n):
-            if (i == about or about == ANYBODY) and there[i, k] and not left_out[i]:
+            if (i == about or about == ANY) and there[i, k] and not left_out[i]:
                 apart = _nearest(apart, x, y, yaw, box, pose[:, i, k], size[i])
         least = least if least <= apart or np.isnan(apart) else apart  # (6)
         if meets >= 0 and not apart <= 0.0:
@@ -447,7 +445,7 @@ def _drive(
         if s >= knots[-1]:
             break
         wish = 0.0
-        if driver != NOBODY:
+        if driver != PASSIVE:
             _look(knots, coef, k, s, l, box, there, pose, size, vulnerable, seen)
         if driver == CC:
             wish = _cc_wish(seen, accel[:, k], box, v, clock, nearer, late, braking)

@@ -169,29 +169,27 @@ def _inside(trace: Trace, scenario: Scenario) -> Value:
     return 1.0 - float(metres[wrong[1:]].sum() / metres.sum()) if metres.sum() > 0.0 else 1.0
 
 
-def _horizons(metric: Metric, trace: Trace, scenario: Scenario) -> list[Series] | Unavailable:
-    """The series at the horizons of nuPlan that the log allows."""
-    found = metric.found(trace, scenario)
-    if not isinstance(found, Mapping):
-        return found if isinstance(found, Unavailable) else [found]
-    each = [found[f"{h}s"] for h in OPEN_HORIZONS_S]
-    allowed = [series for series in each if isinstance(series, Series)]
-    return allowed or Unavailable(f"the log ends less than {OPEN_HORIZONS_S[0]} s after every frame")
+def _open(metric: Metric, judge: Callable[[list[Series]], bool]) -> Part:
+    """A part that is a function of a metric's series at those of nuPlan's horizons that the log allows."""
+
+    def part(trace: Trace, scenario: Scenario) -> Value:
+        found = metric.found(trace, scenario)
+        if not isinstance(found, Mapping):
+            return found if isinstance(found, Unavailable) else float(judge([found]))
+        allowed = [one for one in (found[f"{h}s"] for h in OPEN_HORIZONS_S) if isinstance(one, Series)]
+        nothing = Unavailable(f"the log ends less than {OPEN_HORIZONS_S[0]} s after every frame")
+        return float(judge(allowed)) if allowed else nothing
+
+    return part
 
 
-def _near(metric: Metric, bound: float, trace: Trace, scenario: Scenario) -> Value:
-    found = _horizons(metric, trace, scenario)
-    if isinstance(found, Unavailable):
-        return found
+def _hits(found: list[Series]) -> bool:
+    return all(float(np.mean(~(series.value == 0.0))) <= MISS_SHARE for series in found)
+
+
+def _near(bound: float, found: list[Series]) -> bool:
     values = np.concatenate([series.value[series.known] for series in found])
-    return float(len(values) > 0 and float(values.mean()) <= bound)
-
-
-def _hits(trace: Trace, scenario: Scenario) -> Value:
-    found = _horizons(accuracy.MISS, trace, scenario)
-    if isinstance(found, Unavailable):
-        return found
-    return float(all(float(np.mean(~(series.value == 0.0))) <= MISS_SHARE for series in found))
+    return len(values) > 0 and float(values.mean()) <= bound
 
 
 PARTS: Mapping[str, Part] = MappingProxyType({
@@ -211,11 +209,11 @@ PARTS: Mapping[str, Part] = MappingProxyType({
     "red_lights": _judged(rules.RED_LIGHT, lambda series: CARLA_RED ** _total(series)),
     "stop_signs": _judged(rules.STOP_SIGN, lambda series: CARLA_STOP ** _total(series)),
     "inside_lanes": _inside,
-    "miss": _hits,
-    "ade": partial(_near, accuracy.ADE, NEAR_M),
-    "fde": partial(_near, accuracy.FDE, NEAR_M),
-    "ahe": partial(_near, accuracy.AHE, NEAR_RAD),
-    "fhe": partial(_near, accuracy.FHE, NEAR_RAD),
+    "miss": _open(accuracy.MISS, _hits),
+    "ade": _open(accuracy.ADE, partial(_near, NEAR_M)),
+    "fde": _open(accuracy.FDE, partial(_near, NEAR_M)),
+    "ahe": _open(accuracy.AHE, partial(_near, NEAR_RAD)),
+    "fhe": _open(accuracy.FHE, partial(_near, NEAR_RAD)),
 })  # fmt: skip
 
 NUPLAN_CLOSED = Formula(

@@ -17,6 +17,7 @@ from pathlib import Path
 from logs.catalogue import CATALOGUE, FAMILY, scenario
 from logs.catalogue.suites import suite
 from logs.errors import ConfigError, LogError
+from logs.files import check_regular
 from logs.maps import map_files
 from logs.readers import FORMATS, LogSettings, Reader, foreign, logs_in, read_log, reader_of, readers, windows
 from logs.remote import RemoteFile, fetch, heads, listed, local_path, ranged, url_of
@@ -315,6 +316,7 @@ def _beside(file: Path, path: Path) -> str:
 
 def file_hash(path: Path) -> str:
     """SHA-256 of a file's bytes, hexadecimal; LogError where it cannot be read."""
+    check_regular(path)
     try:
         with path.open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()

@@ -45,8 +45,8 @@ def main() -> None:
     """Run the command line; ends the process with its exit code."""
     import gc
 
-    from replay.report.console import encode_all
+    from replay.report.console import lasting_streams
 
     gc.set_threshold(COLLECTED_EVERY)
-    encode_all()
+    lasting_streams()
     app(prog_name="replan")

@@ -108,7 +108,7 @@ def raised(error: BaseException, *, of: Callable[..., Any] | None = None) -> str
         of: The user's function that is to blame where nothing of theirs is in the traceback.
     """
     try:
-        words = " ".join(str(error).split())
+        words = " ".join(str(error)[: 10 * LONGEST_MESSAGE].split())
     except Exception:  # their exception's own text
         words = "(its message cannot be read)"
     words = re.sub(r"\b0x[0-9a-f]{6,}\b", "0x...", words)[:LONGEST_MESSAGE]  # addresses differ from run to run

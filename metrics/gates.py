@@ -28,17 +28,16 @@ The same file may hold rules of comparison, [[compare]]: `metrics.compare_rules`
 from __future__ import annotations
 
 import difflib
-import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from enum import Enum
-from importlib import resources
 from math import inf, isfinite
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 from logs.errors import ConfigError
+from logs.files import read_toml
 from logs.trace import Mode
 from metrics import METRICS, Metric
 
@@ -173,13 +172,7 @@ def gate_tables(path: Path | None, kind: str) -> tuple[str, list[dict[str, Any]]
         ConfigError: Not readable, or it holds other tables.
     """
     source = "default gates" if path is None else str(path)
-    try:
-        text = (
-            resources.files("metrics").joinpath("default_gates.toml").read_text() if path is None else path.read_text()
-        )
-        content = tomllib.loads(text)
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise ConfigError(f"{source}: cannot read gates: {error}") from error
+    content = read_toml(Path(__file__).with_name("default_gates.toml") if path is None else path)
     known_only(content, ("gate", "compare"), source)
     tables = content.get(kind, [])
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):

@@ -19,6 +19,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from logs.errors import ConfigError, LogError, unknown_name
+from logs.files import check_named, read_toml
 from logs.mcap import read_trace
 from logs.mcap.container import read_container
 from logs.remote import Near
@@ -30,7 +31,6 @@ from metrics.judge import REFERENCE
 from replay.batch.schema import SCHEMA_VERSION
 from replay.batch.sources import LOG_CARD
 from replay.batch.tables import write_file
-from replay.config import read_toml
 from replay.parting import parting
 from replay.results import RECORDINGS, Results, loaded
 
@@ -71,6 +71,7 @@ def opened(path: Path | str) -> Opened:
     """
     near = Near(path, RECORDINGS)
     path = near.path
+    check_named(path)
     if path.is_file():
         return _baseline(path)
     results = loaded(near)
@@ -156,7 +157,7 @@ def _baseline(path: Path) -> Opened:
         head = json.loads((table.schema.metadata or {})[BASELINE])
     except KeyError:
         raise ConfigError(f"{path}: is no baseline; `replan baseline RESULTS -o {path.name}` writes one") from None
-    except (OSError, pa.ArrowException, ValueError) as error:
+    except (OSError, pa.ArrowException, ValueError, RecursionError) as error:
         raise LogError(f"cannot be read as a baseline: {error}", file=path) from None
     try:
         if head["schema_version"] != SCHEMA_VERSION:

@@ -27,7 +27,6 @@ Every key may be left out. What a file says wrongly is an error that names file,
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from enum import Enum
@@ -38,6 +37,7 @@ import msgspec
 import tomli_w
 
 from logs.errors import ConfigError, unknown_name
+from logs.files import read_toml
 from logs.readers.base import LogSettings
 from logs.trace import Mode
 from logs.vehicle import VehicleParameters, vehicle_parameters
@@ -170,18 +170,6 @@ def load_run(path: Path) -> RunConfig:
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
     return run if run.gates == "default" else replace(run, gates=str(path.parent / run.gates))
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file; ConfigError where it cannot be read."""
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file") from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}") from None
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path}: not TOML: {error}") from None
 
 
 def dump_run(run: RunConfig) -> str:

@@ -3,6 +3,7 @@
 With p_i, v_i, yaw_i, kappa_i, a_i the samples of a plan, d_i = |p_(i+1) - p_i|, dt_i = t_(i+1) - t_i, h_i the direction
 of p_(i+1) - p_i (turned round in reverse), and a bar for the mean of a column over a step:
 
+(0) size         n <= MOST_POINTS
 (1) start        p_0 and v_0 are those of the ego, or of the plan being driven where it is near the ego, within START;
                  v_0 may be 0 where the ego reverses by no more than SWING_MPS
 (2) speed        | d_i / dt_i - |v|bar_i | <= SPEED_MPS
@@ -12,7 +13,7 @@ of p_(i+1) - p_i (turned round in reverse), and a bar for the mean of a column o
 (6) possible     d_i / dt_i and hypot(dv/dt, v^2 kappa) within POSSIBLE, with v and kappa of the positions
 
 A plan that breaks (2) to (5) is driven and judged by its positions: the columns are computed anew from them, and its
-status says so. One that breaks (1) or (6) is refused: what was driven before goes on, which counts as a fallback.
+status says so. One that breaks (0), (1) or (6) is refused: what was driven before goes on, which counts as a fallback.
 The bounds of (1) to (5) are two to ten times what `dp_qp`, `idm` and `lattice` differ by over the built-in suite and
 recorded logs; those of (6) are far beyond a road car, so that a plan that is only too fast is driven and judged.
 """
@@ -29,6 +30,7 @@ from logs.frame import Frame
 from logs.kernel import BoolArray, FloatArray, kernel
 from logs.states import EgoState, Trajectory, wrap
 from logs.trace import Plan, PlanStart, PlanStatus
+from replay.plan_limits import LONGEST_REASON, MOST_POINTS, shortened
 
 START_M, START_MPS = 0.03, 0.05
 SWING_MPS = 0.3
@@ -49,6 +51,8 @@ BRAKE_MPS2 = 4.0
 def checked(plan: Plan, frame: Frame) -> Plan:
     """The plan as it may be driven and judged (module docstring)."""
     trajectory = plan.trajectory
+    if len(plan.reason) > LONGEST_REASON:
+        plan = replace(plan, reason=shortened(plan.reason))
     fault = _start_fault(trajectory, frame)
     if not fault and len(trajectory) > 1:
         off = _off(trajectory)
@@ -68,7 +72,9 @@ def checked(plan: Plan, frame: Frame) -> Plan:
 
 
 def _start_fault(trajectory: Trajectory, frame: Frame) -> str:
-    """How a plan breaks (1), empty where it does not."""
+    """How a plan breaks (0) or (1), empty where it does not."""
+    if len(trajectory) > MOST_POINTS:
+        return f"it has {len(trajectory)} states, more than {MOST_POINTS}"
     first, starts = trajectory.state(0), [frame.ego]
     if _apart(frame.ego, first) <= START_M and abs(frame.ego.v - first.v) <= START_MPS:
         return ""

@@ -24,6 +24,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from logs.errors import ConfigError, LogError, unknown_name
+from logs.files import check_regular
 from logs.kernel import FloatArray
 from logs.mcap import read_trace
 from logs.remote import Near
@@ -62,12 +63,13 @@ def load(path: Path | str) -> Results:
 def loaded(near: Near) -> Results:
     """`load` of a folder that is here, or has been fetched."""
     folder = near.path
+    check_regular(folder / "summary.json")
     try:
         summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
     except FileNotFoundError:
         hint = "it was interrupted: `--resume` finishes it" if (folder / "run.toml").is_file() else "see --out"
         raise ConfigError(f"{near.place}: no results of a finished run (no summary.json in it; {hint})") from None
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ConfigError(f"{near.place}/summary.json: cannot be read: {error}") from None
     if not isinstance(summary, dict):
         raise ConfigError(f"{near.place}/summary.json: holds no summary of a run")

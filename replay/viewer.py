@@ -1,4 +1,8 @@
-"""How the Rerun viewer is started: it listens on this machine only, and reports to no one."""
+"""How the Rerun viewer is started: it listens on this machine only, and sends nothing to another.
+
+Version 0.41 asks two servers for newer versions and has no setting against it. Its HTTP client obeys the usual proxy
+variables, so it is given a proxy that refuses every connection: it does not even look up the servers' names.
+"""
 
 from __future__ import annotations
 
@@ -12,6 +16,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 LOOPBACK = "127.0.0.1"
+CLOSED = f"http://{LOOPBACK}:9"
+"""A proxy that does not exist: port 9 (discard, RFC 863) has no server on current systems."""
 SETTINGS = {
     "analytics_enabled": False,
     "analytics_id": "",
@@ -23,9 +29,9 @@ SETTINGS = {
 
 @contextmanager
 def environment(**more: str) -> Iterator[dict[str, str]]:
-    """Ours, with settings of the viewer in a folder of its own, its analytics off; the user's stay as they are.
+    """The environment of a viewer: no analytics, no network, and temporary files in a folder that is removed after it.
 
-    On Windows the viewer takes the user's settings whatever the environment says.
+    The user's own settings of the viewer are not changed. On Windows the viewer takes them whatever the environment is.
     """
     with tempfile.TemporaryDirectory(prefix="replan-viewer-") as folder:
         variable, below = (
@@ -34,7 +40,10 @@ def environment(**more: str) -> Iterator[dict[str, str]]:
         file = Path(folder) / below / "rerun" / "analytics.json"
         file.parent.mkdir(parents=True)
         file.write_text(json.dumps(SETTINGS), encoding="utf-8")
-        yield {**os.environ, variable: folder, **more}
+        ours = {key: value for key, value in os.environ.items() if not key.lower().endswith("_proxy")}
+        ours |= dict.fromkeys(("ALL_PROXY", "HTTP_PROXY", "HTTPS_PROXY", "http_proxy", "https_proxy"), CLOSED)
+        ours |= {"NO_PROXY": f"{LOOPBACK},localhost", variable: folder}
+        yield {**ours, **dict.fromkeys(("TMPDIR", "TEMP", "TMP"), folder), **more}
 
 
 def free_port() -> int:

@@ -19,6 +19,7 @@ from functools import lru_cache
 from pathlib import Path
 
 from logs.errors import LogError
+from logs.files import check_regular
 from logs.maps import arrow123d, lanelet2, opendrive
 from logs.maps.base import MapFile, MapReader
 from logs.maps.fit import on_map
@@ -32,6 +33,7 @@ __all__ = ["BUILTIN", "MapFile", "MapReader", "map_files", "map_reader_of", "rea
 
 def map_reader_of(path: Path) -> MapReader:
     """The reader that claims a map; LogError where none does."""
+    check_regular(path)
     if not path.is_file():
         raise LogError("no such map", file=path)
     reader = next((reader for reader in BUILTIN if reader.claims(path)), None)

@@ -22,6 +22,7 @@ from mcap.stream_reader import CRCValidationError, StreamReader, breakup_chunk
 from zstandard import ZstdDecompressor, ZstdError
 
 from logs.errors import LogError
+from logs.files import check_regular
 
 T = TypeVar("T")
 
@@ -143,6 +144,7 @@ def read_container(path: Path) -> Container:
 
 def content_of(path: Path) -> bytes:
     """All bytes of a file; LogError where it cannot be read."""
+    check_regular(path)
     try:
         return path.read_bytes()
     except OSError as error:

@@ -136,8 +136,8 @@ def _from_record(record: dict[str, str], key: str, kind: type[T], default: T) ->
         return default
     try:
         return msgspec.json.decode(record[key], type=kind)
-    except msgspec.MsgspecError as error:
-        what = f"{key} is {record[key]!r}: {error}".replace("`", "")
+    except (msgspec.MsgspecError, RecursionError) as error:
+        what = f"{key} is {record[key][:200]!r}: {error}".replace("`", "")
         raise LogError(what, topic=native.SCENARIO_RECORD, remedy=MEND) from None
 
 

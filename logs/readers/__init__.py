@@ -34,6 +34,7 @@ import numpy as np
 
 from logs.errors import ConfigError, LogError, unknown_name
 from logs.extension import Kind, an_instance
+from logs.files import WRITE_A_FILE, check_regular, special_kind
 from logs.readers import argoverse2, arrow123d, comma2k19, commonroad, native, osi, ros, table
 from logs.readers.admission import admitted, check_clocks, check_road
 from logs.readers.base import LogSettings, Reader, check_files
@@ -102,7 +103,9 @@ def reader_called(name: str) -> Reader:
 
 
 def reader_of(path: Path, settings: LogSettings | None = None) -> Reader | None:
-    """The reader that claims a file or folder, or None."""
+    """The reader that claims a file or folder, or None; none claims pipes, sockets and devices."""
+    if special_kind(path):
+        return None
     return next((reader for reader in readers(settings.reader if settings else "") if reader.claims(path)), None)
 
 
@@ -113,10 +116,12 @@ def read_log(path: Path, settings: LogSettings | None = None, reader: Reader | N
         LogError: The log is damaged, foreign, or lacks what a scenario needs; nothing else is raised for any bytes.
     """
     settings = settings or LogSettings()
+    check_regular(path)
     reader = reader or reader_of(path, settings)
     if reader is None:
         raise foreign(path)
     try:
+        check_regular(*(reader.files(path) if path.exists() else ()))
         _check_asked(reader, settings)
         check_files(reader.files(path))
         with np.errstate(all="ignore"):  # absurd numbers are refused as such
@@ -162,6 +167,9 @@ def foreign(path: Path) -> LogError:
         names = sorted(entry.name for entry in path.iterdir())
         held = ", ".join(names[:_SHOWN]) + (f" and {len(names) - _SHOWN} more" if len(names) > _SHOWN else "")
         return LogError(f"not a log that replan reads; the folder holds {held or 'nothing'}", file=path, remedy=FORMATS)
+    kind = special_kind(path)
+    if kind:
+        return LogError(f"is {kind}, not a file", file=path, remedy=WRITE_A_FILE)
     try:
         check_files([path])
         with path.open("rb") as stream:

@@ -18,6 +18,7 @@ from logs.mcap.trace import plan_message
 from logs.mcap.trace_reader import artefacts_of
 from logs.states import TRAJECTORY_COLUMNS, Trajectory
 from replay.apart import schema
+from replay.plan_limits import LARGEST_INSIDE_BYTES, shortened
 
 AGENT_COLUMNS = ("length", "width", "x", "y", "yaw", "vx", "vy", "yaw_rate", "accel")
 PREDICTED = ("t", "probability", "x", "y", "yaw")
@@ -153,7 +154,7 @@ def plan_sent(plan: trace.Plan, laps: dict[str, float] | None = None, *, inside:
     return schema.Plan(
         schema.Trajectory(*columns),
         plan.status.name.lower(),
-        plan.reason,
+        shortened(plan.reason),
         plan.start.name.lower(),
         laps or {},
         _inside(plan) if inside and len(plan.internals) else None,
@@ -169,8 +170,12 @@ def plan_of(message: schema.Plan) -> trace.Plan:
     """The plan that was sent.
 
     Raises:
-        ValueError: It is none: what `Trajectory` refuses, an unknown status or start, an inside that does not fit.
+        ValueError: It is none: what `Trajectory` refuses, an unknown status or start, an inside that does not fit or
+            is too large.
     """
+    size = len(msgspec.msgpack.encode((message.laps, message.inside))) if message.laps or message.inside else 0
+    if size > LARGEST_INSIDE_BYTES:
+        raise ValueError(f"its inside has {size} bytes, more than {LARGEST_INSIDE_BYTES}: keep less of it")
     for name, known in (("status", trace.PlanStatus), ("start", trace.PlanStart)):
         if getattr(message, name).upper() not in known.__members__:
             raise ValueError(f"{name} '{getattr(message, name)}' is none of {', '.join(known.__members__).lower()}")

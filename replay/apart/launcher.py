@@ -15,6 +15,10 @@ milliseconds and knows nothing of the drives before. On the control socket, JSON
 A template is this process once more, which has loaded a planner's module besides (`child.load`): it says
 `{"unfit": reason}`, and where the reason is empty it goes on as this one does, on its own control socket. What a fork
 would share between drives, or break, makes it unfit: threads, open files and connections, processes of its own.
+
+A planner may start processes in sessions of their own, which its group does not hold. On Linux each of these processes
+is a subreaper (`prctl`): what loses its parent becomes its child. So a planner's process keeps what it has started as
+long as it runs; when it has ended, all that is left becomes a child of this process, which kills it.
 """
 
 from __future__ import annotations
@@ -38,8 +42,8 @@ from typing import Any, NoReturn
 from logs.errors import raised
 from replay.apart import child
 
-PDEATHSIG = 1
-"""`prctl`: which signal comes when the parent has died (Linux)."""
+PDEATHSIG, CHILD_SUBREAPER = 1, 36
+"""`prctl`: which signal comes when the parent has died; that orphans below become children of the process (Linux)."""
 ENDING_S = 2.0
 """A template has so long to end, with all that it has started, when this process does."""
 
@@ -51,6 +55,7 @@ def main() -> None:
     for name in (signal.SIGINT, signal.SIGTERM):
         signal.signal(name, signal.SIG_IGN)  # they are for replan: it ends this
     child.warm()
+    _prctl(CHILD_SUBREAPER, 1)
     Forks(control).serve()
 
 
@@ -105,7 +110,7 @@ class Forks:
                 _kill(pid)
             return
         taken = [self.given.pop(0) for _ in range(1 if "load" in asked else 3)]
-        state = random.getstate()
+        state, parent = random.getstate(), os.getpid()
         pid = os.fork()
         if pid == 0:
             if self.seed:
@@ -114,7 +119,7 @@ class Forks:
             signal.signal(signal.SIGCHLD, self._handler or signal.SIG_DFL)
             for fd in (self.control.fileno(), self._wake, self._waker, *self.given):
                 os.close(fd)
-            _become(asked, taken)
+            _become(asked, taken, parent)
         self.live[pid] = asked
         for fd in taken:
             os.close(fd)
@@ -126,8 +131,18 @@ class Forks:
                 with suppress(OSError):
                     os.killpg(pid, signal.SIGKILL)  # what it started goes with it
                 said = {"ended": self.live.pop(pid)["start"], "status": status}
+                self._kill_orphans()
                 with suppress(OSError):
                     self.control.send(json.dumps(said).encode() + b"\n")
+
+    def _kill_orphans(self) -> None:
+        """Kill children that were not started here: what an ended process left behind, which is now this one's."""
+        until = time.monotonic() + ENDING_S
+        while (orphans := children() - self.live.keys()) and time.monotonic() < until:
+            for pid in orphans:
+                _kill(pid)
+                with suppress(ChildProcessError):
+                    os.waitpid(pid, 0)  # then what it has started itself is a child of this process
 
     def _end(self) -> None:
         """Kill what runs; templates end by themselves, as their sockets have closed, too: they know what they began."""
@@ -141,18 +156,27 @@ class Forks:
             _kill(pid)
 
 
+def children() -> set[int]:
+    """Processes whose parent is this one, as Linux lists them; elsewhere none, as no orphan becomes one."""
+    found = set[int]()
+    for task in Path("/proc/self/task").glob("*/stat"):
+        found |= {int(word) for word in (task.parent / "children").read_text().split()}
+    return found
+
+
 def _kill(pid: int) -> None:
     for kill in (os.killpg, os.kill):
         with suppress(OSError):
             kill(pid, signal.SIGKILL)
 
 
-def _become(asked: dict[str, Any], given: list[int]) -> NoReturn:
-    """The planner's process, or a template of it, after the fork."""
+def _become(asked: dict[str, Any], given: list[int], parent: int) -> NoReturn:
+    """The planner's process, or a template of it, after the fork; `parent` is the process that has forked."""
     code = 1
     try:
         os.setsid()
-        _end_with_parent()
+        _end_with_parent(parent)
+        _prctl(CHILD_SUBREAPER, 1)
         for name in (signal.SIGINT, signal.SIGTERM):
             if signal.getsignal(name) is signal.SIG_IGN:
                 signal.signal(name, signal.SIG_DFL)
@@ -250,16 +274,21 @@ def _limit(memory: int) -> None:
         Path("/proc/self/oom_score_adj").write_text("1000", encoding="ascii")
 
 
-def _end_with_parent() -> None:
+def _end_with_parent(parent: int) -> None:
     """A launcher that has died takes this process along, even if it hangs (Linux; elsewhere the closed stdin does)."""
+    _prctl(PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:  # it died before that
+        os._exit(1)
+
+
+def _prctl(option: int, value: int) -> None:
+    """Set a property of this process (Linux; elsewhere nothing)."""
     if not sys.platform.startswith("linux"):
         return
     import ctypes
 
     prctl: Any = ctypes.CDLL(None, use_errno=True).prctl
-    prctl(PDEATHSIG, signal.SIGKILL, 0, 0, 0)
-    if os.getppid() == 1:
-        os._exit(1)
+    prctl(option, value, 0, 0, 0)
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ from replay.apart import schema
 from replay.apart.channel import Channel, GarbageError, GoneError, LateError
 from replay.apart.processes import Load, Process, started
 from replay.drive import ApartConfig
+from replay.plan_limits import shortened
 
 LAST_CHARACTERS, LAST_LINES = 300, 3
 """So much of what it printed last is shown of a planner that has failed."""
@@ -136,5 +137,5 @@ def last_words(printed: bytes) -> str:
 
 
 def clean(text: str) -> str:
-    """Text of a planner's for our messages: in one line, without control characters."""
-    return "".join(each if each.isprintable() else "?" for each in " ".join(text.split()))
+    """Text of a planner's for our messages: in one line of limited length, without control characters."""
+    return "".join(each if each.isprintable() else "?" for each in " ".join(shortened(text).split()))

@@ -97,12 +97,13 @@ class ApartPlanner:
             self._failed(answer, f"{how} at {frame.t:.2f} s")
         if not isinstance(answer, schema.Plan):
             raise self._link.fault(f"broke its contract at {frame.t:.2f} s: it did not answer a frame with a plan")
-        for stage, seconds in answer.laps.items():
-            self._watch.took(stage, seconds)
         try:
-            return plan_of(answer)
+            plan = plan_of(answer)
         except (ValueError, KeyError) as error:
             raise self._link.fault(f"broke its contract at {frame.t:.2f} s: {clean(str(error))}") from None
+        for stage, seconds in answer.laps.items():
+            self._watch.took(stage, seconds)
+        return plan
 
     def _failed(self, answer: schema.Failed, how: str) -> None:
         """Raise what a planner says of itself."""

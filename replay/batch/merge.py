@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from logs.errors import ConfigError, writing
+from logs.files import read_toml
 from logs.words import counted
 from replay.batch.lock import held
 from replay.batch.log_result import Failure, LogResult, Stamp, kept
@@ -27,7 +28,7 @@ from replay.batch.schema import SCHEMA_VERSION
 from replay.batch.shard import Shard
 from replay.batch.sources import LogSource, Selection
 from replay.batch.tables import PARTIAL, SHARD_CARD, claim, write_text
-from replay.config import load_run, read_toml
+from replay.config import load_run
 from replay.planner_config import planner_factory
 
 
@@ -117,7 +118,7 @@ def _card(folder: Path) -> Mapping[str, Any]:
     except FileNotFoundError:
         hint = "it was evaluated without --shard, or interrupted: `--resume` finishes it"
         raise ConfigError(f"{folder}: is no whole shard: no {SHARD_CARD} in it; {hint}") from None
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         raise ConfigError(f"{folder / SHARD_CARD}: cannot be read: {error}") from None
     if card.get("schema_version") != SCHEMA_VERSION:
         was = card.get("schema_version")

@@ -17,6 +17,7 @@ from typing import Any
 
 from logs.errors import ConfigError, LogError
 from logs.extension import Kind
+from logs.files import read_toml
 from logs.readers import READER
 from metrics import METRIC
 from planners import PLANNER
@@ -26,7 +27,7 @@ from replay.batch.checks import KINDS
 from replay.batch.log_result import LogResult, Stamp, kept
 from replay.batch.sources import LOG_CARD, LogSource
 from replay.batch.tables import FILES, PARTIAL, check_ours, clear_partial
-from replay.config import RunConfig, dump_run, read_toml
+from replay.config import RunConfig, dump_run
 from replay.oracle import ORACLES
 from replay.version import replan_version
 

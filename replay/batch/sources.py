@@ -17,6 +17,7 @@ from pathlib import Path
 from logs.catalogue import CATALOGUE, FAMILY, scenario
 from logs.catalogue.suites import suite
 from logs.errors import ConfigError, LogError
+from logs.files import check_regular
 from logs.maps import map_files
 from logs.readers import FORMATS, LogSettings, Reader, foreign, logs_in, read_log, reader_of, readers, windows
 from logs.readers.base import check_files
@@ -316,6 +317,7 @@ def _beside(file: Path, path: Path) -> str:
 
 def file_hash(path: Path) -> str:
     """SHA-256 of a file's bytes, hexadecimal; LogError where it cannot be read."""
+    check_regular(path)
     try:
         check_files([path])
         with path.open("rb") as stream:

@@ -45,10 +45,10 @@ def main() -> None:
     """Run the command line; ends the process with its exit code, that of a bug in replan is `INTERNAL`."""
     import gc
 
-    from replay.report.console import encode_all
+    from replay.report.console import lasting_streams
 
     gc.set_threshold(COLLECTED_EVERY)
-    encode_all()
+    lasting_streams()
     try:
         app(prog_name="replan")
     except Exception as error:

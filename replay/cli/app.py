@@ -61,8 +61,6 @@ def answered() -> Iterator[None]:
     except ReplanError as error:
         say_error(str(error))
         raise typer.Exit(2 if isinstance(error, ConfigError) else 3) from None
-    except BrokenPipeError:
-        raise
     except OSError as error:  # a file that cannot be written, or a full disk
         full = error.errno in FULL
         what = f"{error.filename or 'standard output'}: cannot be written: {error.strerror}"

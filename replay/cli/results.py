@@ -84,10 +84,12 @@ def _files(
     targets: list[Path], log: str | None, kept: Path, settings: LogSettings, save: Path | None, *, one: bool
 ) -> list[Path]:
     """The recordings to open; what is made for it is `save`, else in `kept`; `one`: which of several must be said."""
+    from logs.files import check_named
     from logs.readers import reader_of
     from replay.view import pair, recordings, save_log, to_open, write_pair
 
     for target in targets:
+        check_named(target)
         if not target.exists():
             raise ConfigError(f"{target}: no such file or folder")
     if len(targets) > 2:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import errno
+import io
+import os
 import sys
 from collections.abc import Iterable
 from contextlib import suppress
@@ -30,10 +33,49 @@ class SafeConsole(Console):
             yield segment if segment.control else segment._replace(text=visible(segment.text))
 
 
-def encode_all() -> None:
-    """What a terminal's encoding lacks is written as "?"."""
-    for stream in (sys.stdout, sys.stderr):
-        reconfigure: Any = getattr(stream, "reconfigure", None)
-        with suppress(ValueError, OSError):
-            if reconfigure is not None:
-                reconfigure(errors="replace")
+class LastingFile(io.FileIO):
+    """An open descriptor; what is written after its reader has gone, or it was closed, is discarded."""
+
+    def write(self, data: Any, /) -> int:
+        """As FileIO's, but EPIPE and EBADF are not raised: from then on the descriptor is the null device."""
+        try:
+            return super().write(data)
+        except OSError as error:
+            if error.errno not in (errno.EPIPE, errno.EBADF):
+                raise
+        _to_nothing(self.fileno())
+        return memoryview(data).nbytes
+
+
+def lasting_streams() -> None:
+    """Make stdout and stderr safe to write to whatever becomes of them; what a terminal's encoding lacks becomes "?".
+
+    Standard descriptors that are closed are opened on the null device: else a result file could get the number of one,
+    and what is printed would be written into it.
+    """
+    for fd in range(3):
+        try:
+            os.fstat(fd)
+        except OSError:
+            _to_nothing(fd)
+    for name, fd in (("stdout", 1), ("stderr", 2)):
+        stream = getattr(sys, name)
+        if sys.platform == "win32" and stream is not None:
+            stream.reconfigure(errors="replace")
+            continue
+        with suppress(ValueError, OSError, AttributeError):
+            stream.flush()
+        raw = LastingFile(fd, "w", closefd=False)
+        on_line = fd == 2 or raw.isatty()
+        encoding = getattr(stream, "encoding", None) or "utf-8"
+        setattr(sys, name, io.TextIOWrapper(io.BufferedWriter(raw), encoding, "replace", line_buffering=on_line))
+
+
+def _to_nothing(fd: int) -> None:
+    """Open the null device as this descriptor."""
+    nothing = os.open(os.devnull, os.O_RDWR)
+    if nothing == fd:
+        os.set_inheritable(fd, True)
+        return
+    os.dup2(nothing, fd)
+    os.close(nothing)

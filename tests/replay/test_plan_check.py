@@ -18,6 +18,7 @@ from replay.closed_loop import run_closed_loop
 from replay.drive import ApartConfig, LoopConfig
 from replay.open_loop import run_open_loop
 from replay.plan_check import checked, of_positions
+from replay.plan_limits import LONGEST_REASON, MOST_POINTS
 from replay.prediction import predict
 
 AHEAD = 0.1 * np.arange(51)
@@ -53,6 +54,24 @@ def test_the_columns_follow_from_the_positions(state: EgoState) -> None:
     if abs(state.v) > 2.0:
         assert np.allclose(found.kappa, plan.kappa, atol=1e-6)
         assert np.allclose(wrapped(found.yaw - plan.yaw)[1:-1], 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("states", [MOST_POINTS, MOST_POINTS + 1, 1_000_000])
+def test_a_plan_of_too_many_states_is_refused_with_its_size(states: int) -> None:
+    plan = checked(Plan(arc(ego(), ego().t + np.linspace(0.0, 8.0, states))), frame(ego()))
+    if states <= MOST_POINTS:
+        assert plan.status is PlanStatus.PLANNED
+    else:
+        assert plan.status is PlanStatus.REFUSED and f"it has {states} states, more than {MOST_POINTS}" in plan.reason
+        assert len(plan.trajectory) < 100
+
+
+def test_a_reason_without_end_is_cut_and_marked() -> None:
+    plan = checked(Plan(arcs(ego()), PlanStatus.PREVIOUS, "x" * 50_000_000), frame(ego()))
+    assert plan.status is PlanStatus.PREVIOUS and len(plan.reason) == LONGEST_REASON
+    assert plan.reason.endswith("xxx ... (cut, 50000000 characters)")
+    kept = replace(plan, reason="x" * LONGEST_REASON)
+    assert checked(kept, frame(ego())) is kept
 
 
 LIES: dict[str, Callable[[Trajectory], Trajectory]] = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import os
 import signal
+import subprocess
 import sys
 import threading
 import time
@@ -13,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from logs import Frame, Plan, PlannerContext
+from logs import Decision, DecisionKind, Frame, Plan, PlannerContext, PlanStatus
 from planners.constant_speed import ConstantSpeed, arc
 
 AT_S = 0.5
@@ -144,6 +145,54 @@ class Daemon(Raises):
             time.sleep(1e6)
         time.sleep(1e6)
         return None
+
+
+class Detaches(Raises):
+    """Leaves processes behind in sessions of their own, one of them twice forked, which ignore SIGTERM."""
+
+    def bad(self, frame: Frame) -> object:
+        ignore = "trap '' TERM INT HUP; echo $$ >>detached; exec sleep 98765"
+        subprocess.Popen(["sh", "-c", ignore], start_new_session=True)
+        subprocess.run(["setsid", "-f", "setsid", "-f", "sh", "-c", ignore], check=True)
+        while not Path("detached").exists() or len(Path("detached").read_text().split()) < 2:
+            time.sleep(0.01)
+        return ConstantSpeed.plan(self, frame)
+
+    def plan(self, frame: Frame) -> Plan:
+        return super().plan(frame) if abs(frame.t - AT_S) < 1e-9 else ConstantSpeed.plan(self, frame)
+
+
+class DetachesAndExits(Detaches):
+    def bad(self, frame: Frame) -> object:
+        super().bad(frame)
+        os._exit(7)
+
+
+class Long(Raises):
+    """A plan of 300,000 states."""
+
+    def bad(self, frame: Frame) -> object:
+        return Plan(arc(frame.ego, frame.t + np.linspace(0.0, 8.0, 300_000)))
+
+
+class Verbose(Raises):
+    """A fallback with a reason of 50 MB."""
+
+    def bad(self, frame: Frame) -> object:
+        return replace(ConstantSpeed.plan(self, frame), status=PlanStatus.PREVIOUS, reason="x" * 50_000_000)
+
+
+class Shows(Raises):
+    """Decisions of 20 MB about one frame."""
+
+    def bad(self, frame: Frame) -> object:
+        decision = Decision("car", DecisionKind.FOLLOW, "speed", "x" * 20_000_000)
+        return replace(ConstantSpeed.plan(self, frame), internals=(decision,))
+
+
+class RaisesMuch(Raises):
+    def bad(self, frame: Frame) -> object:
+        raise ValueError("x" * 50_000_000)
 
 
 class Hangs(Raises):

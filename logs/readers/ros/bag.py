@@ -21,12 +21,14 @@ from zstandard import ZstdError, frame_content_size
 
 from logs.errors import LogError
 from logs.kernel import IntArray
-from logs.readers.ros.fields import Types, Wanted, decoder, has_field
+from logs.readers.ros.fields import SIMPLIFY, Types, Wanted, decoder, has_field
 
 COPY_AGAIN = "copy or record it again"
 LAST_TIME_NS = 2**63 - 1
 MAX_CHUNK_BYTES = 1 << 30
 """What a chunk of a bag may hold when it is decompressed: rosbag2 writes 768 KiB, the largest seen are 100 MiB."""
+LARGEST_DEFINITION = 1 << 18
+"""Limit of the text of a message definition: Autoware's largest have some 20,000 characters."""
 _CHUNK_HEAD_BYTES, _FRAME_HEAD_BYTES = 9 + 40, 18
 """Of an MCAP chunk record before its data, but for the compression's name; of a zstd frame, at most."""
 TIMES: Types = {
@@ -187,6 +189,9 @@ def _inflated(part: Any, chunk: Any) -> int:
 def _parsed(definition: Any, topic: Topic) -> Types:
     from rosbags.typesys import get_types_from_idl, get_types_from_msg
 
+    if len(definition.data) > LARGEST_DEFINITION:
+        what = f"the definition of {topic.kind} has {len(definition.data)} characters, at most {LARGEST_DEFINITION} are"
+        raise LogError(f"{what} read", topic=topic.name, remedy=SIMPLIFY)
     try:
         if definition.format.name == "MSG":
             return {**TIMES, **get_types_from_msg(definition.data, topic.kind)}

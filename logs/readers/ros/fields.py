@@ -34,6 +34,11 @@ CODES = {
 HEADER = "std_msgs/msg/Header"
 TEXT = "string"
 _DEEPEST = 24
+MOST_FIELDS = 10_000
+"""Limit of the fields of a message, those of all messages in it included: Autoware's largest types have some 100."""
+MOST_FIXED_BYTES = 1 << 30
+"""Limit of a list of fixed length: no message is longer (`bag.MAX_CHUNK_BYTES`)."""
+SIMPLIFY = "record the topic with a simpler message type, or leave it out of the bag"
 ENDS = {0: ">", 1: "<"}
 """Second byte of the encapsulation header, of plain XCDR1: byte order."""
 
@@ -86,7 +91,14 @@ def _compiled(types: Types, kind: str, wanted: Wanted, end: str, cdr: bool) -> C
 
 @dataclass
 class _Code:
-    """The function's text so far. `known`: the position is a multiple of it; `run`: numbers not unpacked yet."""
+    """The function's text so far.
+
+    Attributes:
+        known: The position is a multiple of it.
+        run: Numbers that are not unpacked yet: code, size, name (None: stepped over), how many.
+        uniforms: What `uniform` found by message type.
+        fields: Fields walked so far, at most `MOST_FIELDS`.
+    """
 
     types: Types
     end: str
@@ -94,7 +106,9 @@ class _Code:
     lines: list[str] = field(default_factory=list)
     depth: int = 0
     known: int = 8
-    run: list[tuple[str, int, str | None]] = field(default_factory=list)
+    run: list[tuple[str, int, str | None, int]] = field(default_factory=list)
+    uniforms: dict[str, tuple[int, int] | None] = field(default_factory=dict)
+    fields: int = 0
     constants: dict[str, Any] = field(default_factory=dict)
     names: int = 0
 
@@ -125,6 +139,10 @@ class _Code:
             self.number("uint32", None)
         places: dict[int, str] = {}
         for name, desc in self.types[kind][1]:
+            self.fields += 1
+            if self.fields > MOST_FIELDS:
+                what = f"the message type has more than {MOST_FIELDS} fields with all messages in it"
+                raise LogError(what, remedy=SIMPLIFY)
             here = [(i, _after(w, name)) for i, w in enumerate(wanted)]
             places |= self.value(desc, [(i, w) for i, w in here if w is not None], level + 1)
         for i, w in enumerate(wanted):
@@ -153,7 +171,7 @@ class _Code:
         size = struct.calcsize("<" + CODES[kind])
         if self.run and self.run[0][1] != size:
             self.flush()
-        self.run.append((CODES[kind], size, name))
+        self.run.append((CODES[kind], size, name, 1))
 
     def flush(self) -> None:
         """Unpack the numbers of the run that are wanted, step over the others."""
@@ -162,13 +180,14 @@ class _Code:
             return
         size = run[0][1]
         self.align(size)
-        chosen = [k for k, (_, _, name) in enumerate(run) if name is not None]
+        chosen = [k for k, (_, _, name, _) in enumerate(run) if name is not None]
         if chosen:
             first, last = chosen[0], chosen[-1]
-            form = "".join(c if name is not None else f"{size}x" for c, _, name in run[first : last + 1])
+            form = "".join(c if name is not None else f"{size * n}x" for c, _, name, n in run[first : last + 1])
             names = ", ".join(str(run[k][2]) for k in chosen)
-            self.line(f"{names}, = {self.unpacker(form)}(b, p + {first * size})")
-        self.line(f"p += {len(run) * size}")
+            before = sum(n for *_, n in run[:first])
+            self.line(f"{names}, = {self.unpacker(form)}(b, p + {before * size})")
+        self.line(f"p += {sum(n for *_, n in run) * size}")
         self.known = size if self.cdr else 1
 
     def count(self) -> str:
@@ -194,6 +213,7 @@ class _Code:
         if wanted:
             if desc[0] != BASE or CODES.get(desc[1][0]) not in ("B", "b"):
                 raise LogError("a list of fixed length that is not of bytes cannot be read")
+            _check_fixed(length)
             self.flush()
             name = self.name()
             self.line(f"{name} = b[p:p + {length}]")
@@ -202,10 +222,20 @@ class _Code:
             return {wanted[0][0]: name}
         if desc[0] == BASE and desc[1][0] != TEXT:
             self.number(desc[1][0], None)
-            code, size, _ = self.run[-1]
-            self.run += [(code, size, None)] * (length - 1)
+            code, size, *_ = self.run.pop()
+            _check_fixed(size * length)
+            self.run += [(code, size, None, length)] if length else []
             return {}
         self.flush()
+        numbers = self.uniform(desc, level)
+        if numbers is not None:
+            size, many = numbers
+            _check_fixed(size * many * length)
+            if many * length:
+                self.align(size)
+                self.line(f"p += {size * many * length}")
+                self.known = size if self.cdr else 1
+            return {}
         self.line(f"for _ in range({length}):")
         self.body(desc, (), level)
         return {}
@@ -256,11 +286,19 @@ class _Code:
             return (each[0], each[1] * what[1]) if each is not None else None
         if what not in self.types or (not self.cdr and _lacks_sequence(self.types, what)):
             return None
-        parts = [self.uniform(part, level + 1) for _, part in self.types[what][1]]
-        sizes = {part[0] for part in parts if part is not None}
-        if None in parts or len(sizes) != 1:
-            return None
-        return sizes.pop(), sum(part[1] for part in parts if part is not None)
+        if what not in self.uniforms:
+            self.uniforms[what] = None  # of a type that holds itself
+            parts = [self.uniform(part, level + 1) for _, part in self.types[what][1]]
+            sizes = {part[0] for part in parts if part is not None and part[1]} or {1}
+            if None not in parts and len(sizes) == 1:
+                self.uniforms[what] = sizes.pop(), sum(part[1] for part in parts if part is not None)
+        return self.uniforms[what]
+
+
+def _check_fixed(size: int) -> None:
+    if size > MOST_FIXED_BYTES:
+        what = f"the message type has a list of fixed length of more than {MOST_FIXED_BYTES} bytes"
+        raise LogError(what, remedy=SIMPLIFY)
 
 
 def _lacks_sequence(types: Types, kind: str) -> bool:

@@ -23,7 +23,7 @@ from metrics import evaluate
 from replay.apart import schema
 from replay.apart.convert import context_message, context_of
 from replay.apart.link import clean
-from replay.apart.processes import _warm
+from replay.apart.processes import _warm, loaded_for
 from replay.apart.proxy import described
 from replay.batch.one_log import LOOPS
 from replay.batch.resume import stamp_of
@@ -84,6 +84,8 @@ SAID = {
     "Babbles": "sent what is no message at t = 0.50 s: ",
     "Writes": "raised at 0.50 s: ValueError: cannot set WRITEABLE flag to True of this array (bad_planners.py:",
     "Daemon": "did not answer within 0.4 s at t = 0.50 s",
+    "Shows": "broke its contract at 0.50 s: its inside has 20000",
+    "RaisesMuch": "raised at 0.50 s: ValueError: xxx",
 }
 
 
@@ -94,7 +96,7 @@ def test_a_bad_planner_ends_its_own_drive_with_one_line(name: str) -> None:
     assert time.monotonic() - begin < 60.0
     assert trace.end is EndReason.PLANNER_FAILURE and len(trace.frames) == 5
     assert trace.detail.startswith(f"planner 'bad_planners:{name}' on handmade {SAID[name]}"), trace.detail
-    assert trace.detail.isprintable()
+    assert trace.detail.isprintable() and len(trace.detail) < 1500
     assert not children(), "nothing is left of it"
 
 
@@ -102,6 +104,39 @@ def test_a_bad_planner_ends_its_own_drive_with_one_line(name: str) -> None:
 def test_what_is_only_odd_is_driven_and_judged(name: str) -> None:
     trace = ended(f"bad_planners:{name}", LoopConfig())
     assert (trace.end, trace.detail, len(trace.frames)) == (EndReason.END_OF_LOG, "", 11)
+    assert not children()
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [
+        ("Long", "it has 300000 states, more than 10000"),
+        ("Verbose", "xxx ... (cut, 50000000 characters)"),
+    ],
+)
+def test_what_is_too_large_in_every_plan_is_cut_or_refused_within_seconds(name: str, reason: str) -> None:
+    begin = time.monotonic()
+    trace = ended(f"bad_planners:{name}", LoopConfig(apart=ApartConfig()))
+    assert (trace.end, len(trace.frames)) == (EndReason.END_OF_LOG, 11)
+    assert all(frame.plan.reason.endswith(reason) for frame in trace.frames[5:])
+    assert time.monotonic() - begin < 20.0
+    assert sum(len(frame.plan.reason) for frame in trace.frames) < 10_000
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="orphans are taken over on Linux alone")
+@pytest.mark.parametrize("name", ["Detaches", "DetachesAndExits"])
+@pytest.mark.parametrize("within_a_run", [False, True])
+def test_processes_in_sessions_of_their_own_end_with_the_drive(name: str, within_a_run: bool, folder: Path) -> None:
+    (folder / "detached").unlink(missing_ok=True)
+    loaded_for("a run" if within_a_run else "")
+    trace = ended(f"bad_planners:{name}", LoopConfig(apart=ApartConfig()))
+    loaded_for("")
+    assert len(trace.frames) == (11 if name == "Detaches" else 5), trace.detail
+    pids, until = (folder / "detached").read_text().split(), time.monotonic() + 5.0
+    assert len(pids) == 2
+    while any(Path("/proc", pid).exists() for pid in pids) and time.monotonic() < until:
+        time.sleep(0.01)
+    assert not [pid for pid in pids if Path("/proc", pid).exists()]
     assert not children()
 
 

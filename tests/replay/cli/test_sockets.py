@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
+import shutil
 import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -16,6 +19,7 @@ from typer.testing import CliRunner
 from logs.mcap import read_scenario
 from replay.cli import app
 from replay.recording import write_log_recording
+from replay.viewer import environment
 
 pytestmark = pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="sockets are read from /proc")
 REPLAN = [sys.executable, "-c", "from replay.cli import main; main()"]
@@ -110,6 +114,86 @@ def test_no_command_opens_a_socket(logs: Path, tmp_path: Path) -> None:
         seen, said = watched(words, tmp_path)
         assert not seen, words
         assert "SOCKET" not in said and "Traceback" not in said, said
+
+
+VISITOR = """
+import sys, tempfile, urllib.request
+sys.addaudithook(lambda event, args: print(args[0]) if event == "socket.getaddrinfo" else None)
+tempfile.mkdtemp()
+try:
+    urllib.request.urlopen("https://example.org", timeout=5)
+except OSError:
+    pass
+"""
+
+
+def test_a_program_in_the_viewers_environment_reaches_no_other_machine_and_leaves_no_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("TMPDIR", "TEMP", "TMP"):
+        monkeypatch.setenv(name, str(tmp_path))
+    monkeypatch.setenv("no_proxy", "*")  # of the user: it would let all through
+    monkeypatch.setattr(tempfile, "tempdir", None)
+    with environment() as variables:
+        done = subprocess.run([sys.executable, "-c", VISITOR], env=variables, capture_output=True, text=True)
+    assert set(done.stdout.split()) == {"127.0.0.1"}, done
+    assert not list(tmp_path.iterdir())
+
+
+def called(trace: str) -> set[str]:
+    """Addresses of internet protocols in the calls that `strace` has recorded."""
+    return set(re.findall(r'inet_addr\("([^"]+)"\)', trace)) | set(re.findall(r'inet_pton\(AF_INET6, "([^"]+)"', trace))
+
+
+def test_the_trace_of_calls_shows_a_connection(tmp_path: Path) -> None:
+    assert called('connect(3, {sa_family=AF_INET, sin_port=htons(53), sin_addr=inet_addr("10.0.0.1")}, 16)')
+    ipv6 = 'connect(3, {sa_family=AF_INET6, sin6_port=htons(1), inet_pton(AF_INET6, "2001:db8::1", &sin6_addr)}, 28)'
+    assert called(ipv6) == {"2001:db8::1"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["view", "LOG", "--screenshot", "a.png", "--theme", "light"],
+        ["evaluate", "LOG", "-p", "planners.idm:Idm", "--mode", "open", "--workers", "1", "-o", "out"],
+    ],
+    ids=" ".join,
+)
+def test_system_calls_of_a_command_name_no_other_machine(logs: Path, tmp_path: Path, words: list[str]) -> None:
+    """Run in a network namespace without a route, where the user may make one: there the command must work, too."""
+    if shutil.which("strace") is None:
+        pytest.skip("strace is not installed (Debian: strace): connections cannot be watched")
+    if "view" in words:
+        needs_a_driver()
+    apart = ["unshare", "--map-root-user", "--net"]
+    if shutil.which("unshare") is None or subprocess.run([*apart, "true"], capture_output=True, check=False).returncode:
+        apart = []
+    scratch, home = tmp_path / "scratch", tmp_path / "home"
+    scratch.mkdir()
+    home.mkdir()
+    calls, which = tmp_path / "calls", "trace=connect,sendto,sendmsg,sendmmsg"
+    watch = ["strace", "-f", "-qq", "--seccomp-bpf", "-e", which, "-o", str(calls)]
+    inside = [sys.executable, "-c", LOOPBACK_UP + "from replay.cli import main; main()"]
+    environment = {**os.environ, "TMPDIR": str(scratch), "HOME": str(home), "PYTHONPATH": os.pathsep.join(sys.path)}
+    command = [*apart, *watch, *inside, *(str(logs / "a.mcap") if word == "LOG" else word for word in words)]
+    done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode in (0, 1, 4) and "Traceback" not in done.stderr, done
+    assert called(calls.read_text()) <= {"127.0.0.1", "::1"}
+    assert not list(scratch.iterdir())
+
+
+LOOPBACK_UP = """
+import fcntl, socket, struct
+from contextlib import suppress
+with socket.socket() as link, suppress(PermissionError):  # in a namespace of its own the loopback device is down
+    fcntl.ioctl(link, 0x8914, struct.pack("16sh14x", b"lo", 0x1 | 0x40))  # SIOCSIFFLAGS: up, running
+"""
+
+
+def needs_a_driver() -> None:
+    if not any(list(Path(place).glob("*.json")) for place in ("/usr/share/vulkan/icd.d", "/etc/vulkan/icd.d")):
+        pytest.skip("no Vulkan driver: the viewer cannot draw (Debian: mesa-vulkan-drivers)")
 
 
 @pytest.mark.slow

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import shutil
 import sqlite3
+import struct
+import tracemalloc
 from collections.abc import Callable
 from dataclasses import replace
 from math import cos, pi, sin
 from pathlib import Path
+from time import process_time
 from typing import Any
 
 import numpy as np
@@ -15,6 +18,8 @@ import pytest
 import ros_bags as bags
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from mcap.reader import make_reader
+from mcap.writer import Writer
 from mcap_cases import differences
 from ros_bags import RATE_HZ, SPEED, START_NS, Row, ego_pose, header, message, objects_at, pose, seconds, stamp
 
@@ -24,7 +29,7 @@ from logs.readers import LogSettings, read_log, reader_of, windows
 from logs.readers.cut import cut
 from logs.readers.ros import bag as door
 from logs.readers.ros.clocks import clock_of, times_of
-from logs.readers.ros.fields import decoder
+from logs.readers.ros.fields import MOST_FIELDS, decoder
 from logs.readers.ros.identity import are_identities, joined
 from logs.readers.ros.motion import rates
 from logs.readers.ros.rectangles import smallest_rectangles
@@ -516,6 +521,58 @@ def test_a_split_bag_is_one_log(plain: Path, tmp_path: Path) -> None:
     (both / "plain_1.mcap").unlink()
     with pytest.raises(LogError, match=r"cannot be opened .*plain_1"):
         read_log(both)
+
+
+PART = "=" * 80 + "\nMSG: autoware_perception_msgs/"
+NESTED = "uint8 a\n" + "".join(f"Level1 {c}\n" for c in "bcdefghi")
+for level in range(1, 12):
+    NESTED += f"{PART}Level{level}\n" + "".join(f"Level{level + 1} {c}\n" for c in "abcdefgh")
+NESTED += f"{PART}Level12\nuint8 a\nstring b\n"
+HOSTILE = {
+    "breadth": (NESTED, f"has more than {MOST_FIELDS} fields"),
+    "length": ("float64[100000000000] a\n", "a list of fixed length of more than 1073741824 bytes"),
+    "digits": (f"float64[{'9' * 4000}] a\n", "a list of fixed length of more than 1073741824 bytes"),
+    "text": ("#" * (door.LARGEST_DEFINITION + 1) + "\n", f"at most {door.LARGEST_DEFINITION} are read"),
+}
+
+
+@pytest.mark.parametrize("case", HOSTILE)
+def test_a_hostile_definition_costs_one_line_and_little_time_and_memory(plain: Path, tmp_path: Path, case: str) -> None:
+    definition, what = HOSTILE[case]
+    file = tmp_path / "hostile.mcap"
+    with next(plain.glob("*.mcap")).open("rb") as stream, file.open("wb") as out:
+        writer, channels = Writer(out), dict[int, int]()
+        writer.start("ros2")
+        for schema, channel, each in make_reader(stream).iter_messages():
+            if channel.id not in channels:
+                text = schema.data if schema.name != TRACKED else definition.encode()
+                kind = writer.register_schema(schema.name, schema.encoding, text)
+                channels[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, kind)
+            writer.add_message(channels[channel.id], each.log_time, each.data, each.log_time)
+        writer.finish()
+    tracemalloc.start()
+    begin = process_time()
+    with pytest.raises(LogError) as caught:
+        read_log(file)
+    used = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert process_time() - begin < 10.0 and used < 200e6
+    line = str(caught.value)
+    assert what in line and str(file) in line and TOPIC in line and len(line) < 500
+
+
+def test_lists_of_fixed_length_are_stepped_over_at_any_length() -> None:
+    inner = ([], [("p", (3, ((1, ("float64", 0)), 3))), ("none", (3, ((1, ("uint8", 0)), 0)))])
+    fields = [("a", (1, ("uint8", 0))), ("b", (3, ((2, "x/Inner"), 100_000))), ("c", (3, ((1, ("uint16", 0)), 7)))]
+    types = {"x/Inner": inner, "x/T": ([], [*fields, ("d", (1, ("uint32", 0))), ("e", (1, ("float64", 0)))])}
+    raw = b"\0\1\0\0" + struct.pack("<B7x", 9) + bytes(2_400_000)
+    raw += struct.pack("<7H2xI4xd", *range(7), 4, 2.5)
+    assert decoder(types, "x/T", ("a", "d", "e"), cdr=True)(raw) == (9, 4, 2.5)
+    with pytest.raises(ValueError, match="cut off"):
+        decoder(types, "x/T", ("a",), cdr=True)(raw[:1000])
+    void: Any = {"x/0": ([], [])} | {f"x/{i + 1}": ([], [("a", (3, ((2, f"x/{i}"), 1000)))]) for i in range(6)}
+    void["x/T"] = ([], [("a", (2, "x/6")), ("b", (4, ((2, "x/6"), 0))), ("c", (1, ("uint32", 0)))])
+    assert decoder(void, "x/T", ("c",), cdr=False)(struct.pack("<II", 2, 5) + bytes(2)) == (5,)
 
 
 def test_sqlite_without_definitions_and_a_bare_file_are_the_same_log(plain: Path, tmp_path: Path) -> None:

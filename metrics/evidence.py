@@ -37,6 +37,8 @@ def _coverage(trace: Trace, scenario: Scenario) -> Mapping[str, Measured] | Unav
         return Unavailable("the log holds one ego state only: there is no drive to plan along")
     start, end = float(scenario.ego.t[0]), trace.ego.t[-1:]
     last = scenario.duration if trace.mode is Mode.CLOSED else float(scenario.ego.t[-1])
+    if trace.mode is Mode.CLOSED and trace.end is EndReason.END_OF_LOG and trace.detail:  # it ended with the evidence
+        last = float(trace.ego.t[-1])
     return {
         "log_s": Series(end, np.array([last - start])),
         "driven_s": Series(end, end - start),
@@ -163,7 +165,8 @@ def _agent_interval(trace: Trace, scenario: Scenario) -> Measured:
 
 COVERAGE = Metric(
     "coverage", "s", "higher", (Mode.OPEN, Mode.CLOSED), _coverage, (FINAL,),
-    "Time that the log lasts from the ego's first state on (log_s; open loop: as long as the log has an ego), and that"
+    "Time that the log lasts from the ego's first state on (log_s; open loop: as long as the log has an ego; where the"
+    " drive ends with the evidence: as long as that), and that"
     " was driven or planned (driven_s).",
     parts=("log_s", "driven_s"), formula="last time - first time",
     needs="open loop: a log that holds a drive",

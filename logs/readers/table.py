@@ -30,6 +30,7 @@ from logs.agents import USUAL_SIZE_M
 from logs.errors import LogError
 from logs.kernel import FloatArray
 from logs.mcap.complete import completed, road_along
+from logs.observed import Spans
 from logs.readers.base import Contents, LogSettings, Reader, TopicSummary, beside
 from logs.road import Goal, Road
 from logs.scenario import AgentKind, Scenario, Tracks
@@ -85,6 +86,7 @@ def from_frames(
     tags: tuple[str, ...] = ("recorded",),
     source: str = "",
     licence: str = "",
+    traffic: Spans | None = None,
 ) -> Scenario:
     """The scenario in tables of the ego and of the other road users (units and frames: docs/logs.md).
 
@@ -101,6 +103,7 @@ def from_frames(
         tags: By which gates and reports group; "recorded" or "synthetic" says whether a person drove.
         source: Where it comes from; `licence` under which terms.
         licence: See there.
+        traffic: When the other agents were observed, s since the first ego row; None: inferred from their rows.
 
     Raises:
         LogError: A column is missing or not of numbers, a unit or kind is unknown, a value is not finite, two rows of
@@ -146,6 +149,7 @@ def from_frames(
             origin=(float(origin[0]), float(origin[1])),
             start_ns=start_ns,
             notes=tuple(notes),
+            traffic=traffic,
         )
     except ValueError as error:
         raise LogError(str(error), topic="ego") from None

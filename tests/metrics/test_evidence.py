@@ -109,6 +109,8 @@ def test_a_drive_may_end_with_the_evidence_and_says_so() -> None:
     assert whole.ego.t[-1] > 5.0
     assert short.ego.t[-1] == pytest.approx(1.5)
     assert short.detail == "traffic is recorded until 1.5 s of 6.0 s, and the drive ends with it"
+    log_s = [evaluate(one, log).set_index("metric").loc["coverage.log_s.final", "value"] for one in (short, whole)]
+    assert log_s == pytest.approx([1.5, 6.0])  # so that a drive of a moment is judged as a log of a moment
     assert rows(log, short)["traffic.share"][0] == 1.0 > 0.5 > rows(log, whole)["traffic.share"][0]
 
 

@@ -6,9 +6,9 @@ With the ego's speed v, what calls for it to be slower or to stand is looked for
 
 so any reason that a careful driver could have counts, and no rule says that one must brake for it:
 
-    road users   ahead or beside, whose box is or within `COMING_S` comes (at its velocity) within 1 m of the strip that
-                 the ego sweeps, 3 m for pedestrians and riders, and who do not drive away; those that the planner was
-                 shown count as well as those that were there, phantoms included
+    road users   ahead or beside, whose box is, or at its velocity comes within `COMING_S`, within 1 m of the strip that
+                 the ego sweeps here or on the route (pedestrians and riders: 2 m), and who do not drive away; those
+                 that the planner was shown count as well as those that were there, phantoms included
     rules        a stop line with a sign, or a light that is not green; a crosswalk with a pedestrian within 10 m of it;
                  a lane that yields; the goal; the end of the route
     caps         where v is above the limit, above what makes 2 m/s2 to the side in a curve, or above what a recorded
@@ -18,8 +18,8 @@ A reason other than a cap lasts `AFTER_S` longer. An ego more than `ASIDE_M` bes
 
 (2) needless_braking(t) = the highest speed since the last reason, less v(t)
 (3) needless_standing(t) = 1 where v < 0.5 m/s and no reason is within 10 m, a stop line within `LINE_M`, of its front
-(4) needless_steering: each change of the offset from the route by 0.5 m to 2 m between two turning points during which
-    no road user and no curve is near
+(4) needless_steering: each change of the offset from the route by 0.5 m to 2 m between two turning points in whose
+    first half no road user and no curve is near
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from metrics.route import WINDOW_M, route_of
 NEAR_M, HEADWAY_S, EASE_MPS2, FARTHEST_M = 10.0, 1.5, 1.5, 150.0
 LINE_M = 6.0
 COMING_S, AFTER_S = 6.0, 2.0
-SIDE_M, SIDE_VULNERABLE_M = 1.0, 3.0
+SIDE_M, SIDE_VULNERABLE_M, DRIFT_MPS = 1.0, 2.0, 0.3
 ASIDE_M, ACROSS_M = 5.0, 2.0
 CURVE_MPS2, CURVE_RADIUS_M = 2.0, 50.0
 SLACK_MPS, STANDING_MPS = 0.3, 0.5
@@ -138,15 +138,16 @@ def _by_agents(
             across = 0.5 * (length * np.abs(np.sin(turn)) + width * np.abs(np.cos(turn)))
             gap = at - along - s[steps] - car.axle_to_front
             side = aside - l[steps]
-            room = np.abs(side) - across - 0.5 * car.width
-            room -= COMING_S * np.maximum(-w * np.sign(side), 0.0)
+            room = np.minimum(np.abs(side), np.abs(aside)) - across - 0.5 * car.width
+            coming = -w * np.sign(side)
+            room -= COMING_S * np.where(coming > DRIFT_MPS, coming, 0.0)
             near = room <= (SIDE_VULNERABLE_M if tracks.kinds[i].is_vulnerable else SIDE_M)
             ahead = gap + 2.0 * along + car.length > 0.0
             leaves = (u > v[steps] + 1.0) & (gap > 2.0 + 0.5 * v[steps])
             look = _look(v[steps], u)
             flags[0, steps] = near & ahead & ~leaves & (gap <= look)
             flags[1, steps] = near & ahead & (gap <= NEAR_M)
-            flags[2, steps] = (room <= SIDE_VULNERABLE_M) & (gap + 2.0 * along + car.length > -NEAR_M) & (gap <= look)
+            flags[2, steps] = near & (gap + 2.0 * along + car.length > -NEAR_M) & (gap <= look)
         yield flags[0], flags[1], flags[2]
 
 
@@ -246,7 +247,7 @@ def _steering(trace: Trace, scenario: Scenario) -> Measured:
     counts = np.zeros(len(found.t))
     turns = turning_points(found.l, SWING_M)
     for a, b in pairwise(turns):
-        if abs(found.l[b] - found.l[a]) < CHANGE_M and not found.steer[a : b + 1].any():  # (4)
+        if abs(found.l[b] - found.l[a]) < CHANGE_M and not found.steer[a : (a + b) // 2 + 1].any():  # (4)
             counts[b] += 1.0
     return Series(found.t, counts)
 

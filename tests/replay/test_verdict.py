@@ -120,7 +120,8 @@ def test_who_is_hit_from_behind_is_not_failed_for_that() -> None:
     (drive,), verdicts = driven(followed(), "adversaries:Park", Mode.CLOSED, traffic="time")
     assert drive.trace.end is EndReason.REPLAY_CONTACT
     outcomes = {verdict.gate.metric: verdict.outcome for verdict in verdicts}
-    assert Outcome.FAIL not in outcomes.values()
+    failed = {metric for metric, outcome in outcomes.items() if outcome is Outcome.FAIL}
+    assert failed == {"needless_braking.max"}, "it stops for nothing; the hit is not its fault"
     for metric in ("completed.final", "route_progress.final", "replay_contact.final"):
         assert outcomes[metric] is Outcome.INCONCLUSIVE, metric
     assert outcomes["collision_at_fault.count"] is Outcome.PASS

@@ -365,6 +365,7 @@ ADVERSARIES = {
     "cut_in": Adversary(CutIn, partial(overtaken, 16.5), "collision_at_fault"),
     "cut_in_mild": Adversary(CutIn, partial(overtaken, 20.0), "forced_braking"),
     "needless_braker": Adversary(NeedlessBraker, "paper/free_road", "needless_braking"),
+    "dawdler": Adversary(Dawdler, "everyday/traffic_light", "needless_braking"),
     "stopper": Adversary(Stopper, "paper/free_road", "needless_standing"),
     "short_stop": Adversary(ShortStop, "everyday/traffic_light", "needless_standing"),
     "weaver": Adversary(Weaver, "paper/free_road", "needless_steering"),

@@ -84,15 +84,16 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
     ),
     "progress": (
         progress.COMPLETED, progress.GOAL, progress.PROGRESS, progress.DISTANCE, progress.SPEED,
-        progress.ROUTE_PROGRESS, proposals.PLAN_PROGRESS,
+        progress.ROUTE_PROGRESS,
         progress.COMPLETION,
     ),
     "tracking": effort.TRACKING,
     "effort": effort.EFFORT,
     "consistency": (
-        consistency.PLAN_CHANGE, consistency.PLAN_CHANGE_LATERAL, proposals.PLAN_KEPT, proposals.PLAN_KEPT_LATERAL,
-        proposals.PLAN_SCORE, consistency.EXTENDED_COMFORT, consistency.PLAN_HORIZON, consistency.PLAN_COMPLETE,
+        consistency.PLAN_CHANGE, consistency.PLAN_CHANGE_LATERAL,
+        consistency.EXTENDED_COMFORT, consistency.PLAN_HORIZON, consistency.PLAN_COMPLETE,
     ),
+    "plans": (proposals.PLAN_SCORE, proposals.PLAN_PROGRESS, proposals.PLAN_KEPT, proposals.PLAN_KEPT_LATERAL),
     "evidence": (
         evidence.COVERAGE, evidence.EVIDENCE, evidence.AGENT_INTERVAL, evidence.REPLAY_CONTACT,
         evidence.PLAN_REFUSED, evidence.PLAN_CORRECTED, evidence.ENSEMBLE, evidence.ASKED, evidence.PHANTOM,

@@ -5,6 +5,8 @@ For successive frames i-1 and i, at the times t_i, t_i + 0.1 s, ..., t_i + 4 s, 
 (1) plan_change(t_i) = mean |p_i - p_(i-1)|
 (2) plan_change_lateral(t_i) = max |component of p_i - p_(i-1) across the heading of plan i-1|
 
+where one of the two plans is longer than 5 m (`plans.SHORT_M`): the plans of a standing ego cannot differ.
+
 For the frame i and the frame j that is 0.5 s before it, at t_i, t_i + 0.1 s, ... as far as both reach, at most 4 s:
 
 (3) extended_comfort(t_i) = max over q of rms(q_i - q_j) / bound(q),  q = |A|, d|A|/dt, yaw rate, yaw acceleration

@@ -100,6 +100,7 @@ def convert(
     """
     with answered():
         from replay.convert import convert_all, listing, table
+        from replay.report.progress import sign_of_life
 
         if as_json:
             if not formats:
@@ -112,7 +113,9 @@ def convert(
         if not logs or out is None:
             raise ConfigError("name logs and where to write them: replan convert LOG ... -o FOLDER; see --formats")
         settings = log_settings(config, ego, road_map, begin, end, problem)
-        if not convert_all(logs, out, settings, foxglove=foxglove, say=say, say_error=say_error):
+        with sign_of_life(lambda line: say(line, err=True), lambda: "converting"):
+            done = convert_all(logs, out, settings, foxglove=foxglove, say=say, say_error=say_error)
+        if not done:
             raise typer.Exit(3)
 
 
@@ -130,8 +133,9 @@ def inspect(
     with answered():
         from logs.remote import here
         from logs.summary import summarise
+        from replay.report.progress import sign_of_life
 
-        with here(log) as near:
+        with here(log) as near, sign_of_life(lambda line: say(line, err=True), lambda: f"reading {log}"):
             if not near.exists():
                 raise ConfigError(f"{log}: no such file or folder")
             summary = summarise(near, log_settings(config, ego, road_map, begin, end))
@@ -148,7 +152,8 @@ def inspect(
         if summary.read is not None:
             from metrics.health import report
 
-            say("\n".join(report(summary.read)))
+            with sign_of_life(lambda line: say(line, err=True), lambda: f"checking {log}"):
+                say("\n".join(report(summary.read)))
 
 
 @app.command()

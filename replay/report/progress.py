@@ -11,9 +11,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from time import monotonic
+from threading import Event, Thread
+from time import monotonic, perf_counter
 
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from logs.kernel import cold
 from logs.words import counted
@@ -21,6 +22,8 @@ from replay.batch.log_result import LogResult
 from replay.batch.sources import Selection
 from replay.report.console import SafeConsole
 
+QUIET_S = 20.0
+"""Nothing is silent for longer than this."""
 LEAST_S, MOST_S = 5.0, 60.0
 """Off a terminal a line comes when another tenth of the logs is done, but not within 5 s, and each minute."""
 
@@ -77,6 +80,24 @@ class Pace:
 
 
 @contextmanager
+def sign_of_life(say: Callable[[str], None], words: Callable[[], str], every_s: float = QUIET_S) -> Iterator[None]:
+    """For as long as the body runs, `say` the words and for how long it has been running, each `every_s` seconds."""
+    ended, began = Event(), perf_counter()
+
+    def speak() -> None:
+        while not ended.wait(every_s):
+            say(f"{words()}, {perf_counter() - began:.0f} s so far")
+
+    thread = Thread(target=speak, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+@contextmanager
 def progress(
     *, quiet: bool = False, verbose: bool = False
 ) -> Iterator[tuple[Callable[[Selection, Path], None], Callable[[LogResult], None]]]:
@@ -89,7 +110,8 @@ def progress(
     Raises:
         KeyboardInterrupt: As it came, with words that say what is left of the run and how to go on with it.
     """
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[rest]}"))
+    rest = TextColumn("{task.fields[rest]}")
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), rest
     console = SafeConsole(stderr=True)
     begun: list[tuple[Path, Pace]] = []
     costs: dict[str, float] = {}
@@ -123,8 +145,14 @@ def progress(
             elif not on_terminal:
                 say(line)
 
+        def state() -> str:
+            if not begun:
+                return "looking for logs"
+            return f"{begun[0][1].done} of {counted(begun[0][1].total, 'log')}"
+
         try:
-            yield on_start, on_log
+            with sign_of_life(lambda line: None if on_terminal else say(line), state):
+                yield on_start, on_log
         except KeyboardInterrupt:
             said = _interrupted(*begun[0]) if begun else "interrupted: nothing was begun"
             raise KeyboardInterrupt(said) from None

@@ -1,4 +1,4 @@
-"""Hostile logs through `replan evaluate`: `python tests/support/fuzz_evaluate.py [FORMAT ...] [--count 400] [--seed N]`.
+"""Hostile logs through `evaluate`: `python tests/support/fuzz_evaluate.py [FORMAT ...] [--count 400] [--seed N]`.
 
 The logs of `fuzz_readers` are mutated one by one, by bytes, by values, and as files: emptied, cut off, replaced by a
 folder, a link that leads nowhere, a pipe or a device, renamed by case, written in another encoding, with doubled or
@@ -37,6 +37,9 @@ from mcap.writer import CompressionType, Writer
 
 from logs.mcap import read_scenario
 from logs.readers import read_log
+from replay.batch import evaluate_logs  # imported here, so that no child has to
+from replay.cli import main as replan
+from replay.report import overview, terminal, write
 
 MOST_S, ADDRESSES = 60, 12 * 2**30
 OUTCOMES = ("judged", "refused", "crashed", "hung", "lost")
@@ -176,6 +179,7 @@ def removed(file: Path, rng: np.random.Generator) -> None:
     file.unlink()
 
 
+IMPORTED = evaluate_logs, overview, terminal, write
 FILES: tuple[Replace, ...] = (emptied, made_a_folder, made_a_link, made_a_pipe, renamed, removed)
 
 
@@ -226,13 +230,12 @@ def evaluated(path: Path, out: Path, said: Path, planner: str, ego: str = "") ->
         stream = os.open(said, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         os.dup2(stream, 1)
         os.dup2(stream, 2)
-        from replay.cli import main
-
+        sys.stdout, sys.stderr = (os.fdopen(number, "w", encoding="utf-8", closefd=False) for number in (1, 2))
         asked = ["--ego", ego] if ego else []
         sys.argv = ["replan", "evaluate", str(path), "-o", str(out), "-p", planner, "--workers", "0", *asked]
         code = 99
         try:
-            main()
+            replan()
         except SystemExit as ended:
             code = ended.code if isinstance(ended.code, int) else 98
         except BaseException:

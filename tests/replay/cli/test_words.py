@@ -9,6 +9,7 @@ import sys
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from threading import Event
 from typing import Any
 
 import pytest
@@ -31,7 +32,7 @@ from replay.listing import KINDS, entries
 from replay.oracle import ORACLES
 from replay.perception import PERCEPTIONS, PREDICTIONS
 from replay.report.charts.layout import CHARTS
-from replay.report.progress import LEAST_S, Pace, progress
+from replay.report.progress import LEAST_S, Pace, progress, sign_of_life
 from replay.traffic import TRAFFIC
 from replay.vehicle import VEHICLES
 
@@ -229,3 +230,18 @@ def test_a_shell_is_given_names() -> None:
     assert result.stdout.split() == ["pure_pursuit", "pid"]
     named = {"_TYPER_COMPLETE_TEST_DISABLE_SHELL_DETECTION": "1"}  # else the shell above this process counts
     assert "replan" in python("-m", "replan", "--show-completion", "bash", **named).stdout
+
+
+def test_nothing_is_silent_for_long() -> None:
+    said: list[str] = []
+    twice = Event()
+
+    def keep(line: str) -> None:
+        said.append(line)
+        if len(said) == 2:
+            twice.set()
+
+    with sign_of_life(keep, lambda: "reading log", every_s=0.01):
+        assert twice.wait(10.0)
+    count = len(said)
+    assert said[0].startswith("reading log, ") and said[0].endswith(" s so far") and len(said) == count

@@ -48,18 +48,12 @@ def deadline_misses(timings: pd.DataFrame, deadline_s: float) -> pd.DataFrame:
 def judge_deadline(timings: pd.DataFrame, deadline_s: float, labels: Mapping[str, LogLabels]) -> tuple[Verdict, ...]:
     """The verdicts on the share of late plans, at most `MAX_SHARE` in each drive; arguments as of `deadline_misses`."""
     late = deadline_misses(timings, deadline_s)
-    reasons = [
+    why = [
         f"{row.misses} of {row.plans} plans took longer than {deadline_s:g} s, one {row.worst_s:.3g} s"
         for row in late.itertuples()
     ]
     table = late[_DRIVE].assign(
-        oracle=False,
-        metric=SHARE,
-        value=late["share"],
-        unit="1",
-        available=True,
-        reason=reasons,
-        time_s=late["worst_t_s"],
+        oracle=False, metric=SHARE, value=late["share"], unit="1", available=True, reason=why, time_s=late["worst_t_s"]
     )
     gate = Gate(SHARE, max=MAX_SHARE, reason=f"plans are made within {deadline_s:g} s on this machine")
     return judge(Gates((gate,), "deadline"), table, labels)

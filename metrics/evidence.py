@@ -25,7 +25,7 @@ from logs.road import RoadSource, inside
 from logs.rules import Colour, TrafficLight
 from logs.scenario import Scenario
 from logs.trace import EndReason, Mode, PlanStatus, Trace
-from metrics.lanes import drivable_lanes, limits_at, off_lanes
+from metrics.lanes import drivable_lanes, limits_at, off_lanes, stated_lanes
 from metrics.metric import COUNT, FINAL, RATE, Measured, Metric, Reduction, Series, Unavailable, first_of, holds
 from metrics.others import ego_boxes
 from metrics.phantoms import phantoms
@@ -112,9 +112,8 @@ def _shown(light: TrafficLight | None, t: FloatArray) -> BoolArray:
 
 
 def _limit(trace: Trace, scenario: Scenario, x: FloatArray, y: FloatArray) -> Measured:
-    lanes, road = drivable_lanes(scenario.road), scenario.road
-    stated = np.array([road.stated_limit(lane.id) for lane in road.lanes.values() if lane.drivable])
-    known = np.zeros(len(x), np.bool_) if lanes is None else np.isfinite(limits_at(lanes._replace(limit=stated), x, y))
+    lanes = stated_lanes(scenario.road)
+    known = np.zeros(len(x), np.bool_) if lanes is None else np.isfinite(limits_at(lanes, x, y))
     return _found(trace, known, "the log has no speed limit here: it is assumed, or not asked for")
 
 

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.kernel import FloatArray, IntArray, frozen, inner_kernel, kernel
-from logs.road import Lane, Road
+from logs.road import Lane, Road, RoadSource
 from logs.shapes import point_segment
 from metrics.once import once
 
@@ -64,6 +64,15 @@ class LaneArrays(NamedTuple):
 
 
 @once
+def stated_lanes(road: Road) -> LaneArrays | None:
+    """The lanes that a car may drive on, with the speed limits that the log states; None where it has no lanes."""
+    lanes = drivable_lanes(road)
+    if lanes is None or road.source is RoadSource.DRIVEN_PATH:
+        return None
+    stated = [road.stated_limit(lane.id) for lane in road.lanes.values() if lane.drivable]
+    return lanes._replace(limit=np.array(stated))
+
+
 def drivable_lanes(road: Road) -> LaneArrays | None:
     """The lanes that a car may drive on; None where there is none."""
     lanes = [lane for lane in road.lanes.values() if lane.drivable]

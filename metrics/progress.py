@@ -26,12 +26,12 @@ from math import cos, sin
 import numpy as np
 
 from logs.kernel import FloatArray
-from logs.road import Goal, RoadSource
+from logs.road import Goal
 from logs.scenario import Scenario
 from logs.shapes import point_segment
 from logs.states import Trajectory
 from logs.trace import EndReason, Mode, Trace
-from metrics.lanes import drivable_lanes, limits_at
+from metrics.lanes import drivable_lanes, limits_at, stated_lanes
 from metrics.metric import (
     FINAL,
     MAX,
@@ -123,8 +123,8 @@ def _speed(trace: Trace, scenario: Scenario) -> Measured:
 
 def excess(trace: Trace, scenario: Scenario, *, ratio: bool = False, all_of_it: bool = False) -> Measured:
     """(5); with `all_of_it`, the initial excess is charged too."""
-    lanes = drivable_lanes(scenario.road)
-    if scenario.road.source is RoadSource.DRIVEN_PATH or lanes is None or not np.isfinite(lanes.limit).any():
+    lanes = stated_lanes(scenario.road)
+    if lanes is None or not np.isfinite(lanes.limit).any():
         return Unavailable("the log has no speed limits")
     speed, limit = np.abs(trace.ego.v), limits_at(lanes, *ego_boxes(trace.ego, scenario)[:2])
     if ratio:
@@ -139,19 +139,20 @@ def excess(trace: Trace, scenario: Scenario, *, ratio: bool = False, all_of_it: 
 
 def _assumed_excess(trace: Trace, scenario: Scenario) -> Measured:
     road, ego, logged = scenario.road, trace.ego, np.abs(scenario.ego.v)
-    lanes, assumed = drivable_lanes(road), np.full(len(ego), True)
-    if road.source is not RoadSource.DRIVEN_PATH and lanes is not None:
+    lanes, stated = drivable_lanes(road), stated_lanes(road)
+    assumed, there = np.full(len(ego), True), np.full(len(ego), road.default_speed_limit)
+    if lanes is not None and stated is not None:
         x, y = ego_boxes(ego, scenario)[:2]
-        on_lane = np.isfinite(limits_at(lanes._replace(limit=np.nan_to_num(lanes.limit)), x, y))
-        assumed = on_lane & np.isnan(limits_at(lanes, x, y))
+        known = np.where(np.isfinite(lanes.limit), lanes.limit, road.default_speed_limit)
+        there = limits_at(lanes._replace(limit=known), x, y)
+        assumed = np.isfinite(there) & np.isnan(limits_at(stated, x, y))
     if not assumed.any():
         return Unavailable("the ego is never on a lane without a speed limit")
     lasted = float(scenario.ego.t[-1] - scenario.ego.t[0])
     fastest = float(np.quantile(logged, max(1.0 - 1.0 / max(lasted, 1.0), 0.5), method="lower"))
-    limit = (1.0 + OVER_RATIO) * max(road.default_speed_limit, fastest)
-    label = f"assumed limit: {road.default_speed_limit:.1f} m/s, the log's driver {fastest:.1f} m/s"
-    value = np.where(assumed, np.maximum(np.abs(ego.v) - limit, 0.0), np.nan)
-    return Series(ego.t, value, (label,) * len(ego))
+    over = np.abs(ego.v) - (1.0 + OVER_RATIO) * np.maximum(there, fastest)
+    labels = tuple(f"assumed limit: {limit:.1f} m/s, the log's driver {fastest:.1f} m/s" for limit in there.tolist())
+    return Series(ego.t, np.where(assumed, np.maximum(over, 0.0), np.nan), labels)
 
 
 def compliance(series: Series) -> tuple[float, int]:

@@ -261,6 +261,10 @@ def _wanted(trace: Trace, vulnerable_only: bool) -> BoolArray:
     return np.array([kind.is_vulnerable or not vulnerable_only for kind in trace.agents.kinds], np.bool_)
 
 
+def _none(vulnerable_only: bool) -> Unavailable:
+    return Unavailable(f"no {'pedestrian or rider' if vulnerable_only else 'other road user'} in the scene")
+
+
 def impact_speed(contact: Contact, trace: Trace, scenario: Scenario) -> float:
     """Length of the difference of the velocity vectors at the first touch, m/s."""
     other = some_at(trace.agents, np.array([contact.agent]), trace.ego.t[contact.step : contact.step + 1])
@@ -287,6 +291,8 @@ def _gap(
     trace: Trace, scenario: Scenario, *, vulnerable_only: bool, kept: bool = False, leaving: float = inf
 ) -> Measured:
     ego, wanted, vehicle = ego_boxes(trace.ego, scenario), _wanted(trace, vulnerable_only), scenario.vehicle
+    if not wanted.any():
+        return _none(vulnerable_only)
     gap, nearest = np.full(len(trace.ego), np.nan), np.full(len(trace.ego), -1)
     recent = 0
     for steps, seen, others in pieces(trace.agents, trace.ego.t):
@@ -315,6 +321,8 @@ def _passing_room(trace: Trace, scenario: Scenario) -> Measured:
 
 def _ttc(trace: Trace, scenario: Scenario, *, vulnerable_only: bool) -> Measured:
     ego, wanted, vehicle = ego_boxes(trace.ego, scenario), _wanted(trace, vulnerable_only), scenario.vehicle
+    if not wanted.any():
+        return _none(vulnerable_only)
     least, whom = np.full(len(trace.ego), np.nan), np.full(len(trace.ego), -1)
     for steps, seen, others in pieces(trace.agents, trace.ego.t):
         least[steps], row = _contact_times(

@@ -121,7 +121,8 @@ def _collisions(trace: Trace, scenario: Scenario) -> Value:
 def _ttc(trace: Trace, scenario: Scenario) -> Value:
     if any(contact.at_fault for contact in safety.contacts(trace, scenario)):
         return 0.0
-    return _judged(safety.TTC, lambda series: float(not (series.value <= TTC_S).any()))(trace, scenario)
+    found = safety.TTC.found(trace, scenario)
+    return float(not (isinstance(found, Series) and (found.value <= TTC_S).any()))
 
 
 def _direction(series: Series) -> float:

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from replay.batch import OUTCOMES
+from replay.cli.app import INTERNAL
 from replay.config import load_run
 from replay.planner_config import planner_keywords
 
@@ -47,7 +48,7 @@ def test_the_set_up_commands_are_known() -> None:
 @pytest.mark.parametrize("page", ["README.md", "docs/use.md"])
 def test_the_exit_codes_are_those_of_the_program(page: str) -> None:
     said = (ROOT / page).read_text(encoding="utf-8")
-    assert {int(code) for code in re.findall(r"^\| (\d+) \|", said, re.MULTILINE)} == {*OUTCOMES, 130}
+    assert {int(code) for code in re.findall(r"^\| (\d+) \|", said, re.MULTILINE)} == {*OUTCOMES, INTERNAL, 130}
 
 
 def test_the_links_lead_somewhere() -> None:

@@ -30,6 +30,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from enum import Enum
+from math import inf
 from pathlib import Path
 from typing import Any, Literal, TypeVar, get_type_hints
 
@@ -41,6 +42,7 @@ from logs.files import read_toml
 from logs.readers.base import LogSettings
 from logs.trace import Mode
 from logs.vehicle import VehicleParameters, vehicle_parameters
+from logs.words import visible_name
 from replay.drive import LoopConfig
 
 RunMode = Literal["both", "open", "closed"]
@@ -111,6 +113,9 @@ class RunConfig:
             raise ConfigError("planners: name at least one planner")
         if len(set(self.planners)) < len(self.planners):
             raise ConfigError(f"planners: the same planner is named twice: {', '.join(self.planners)}")
+        for name in self.planners:
+            if visible_name(name, inf) != name:
+                raise ConfigError(f"planners: {visible_name(name)} has control characters in it")
         for name in ("ensemble", "deadline_s"):
             if not 0.0 <= getattr(self, name) < 1e6:
                 raise ConfigError(f"{name} must not be negative, got {getattr(self, name)}")

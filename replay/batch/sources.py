@@ -303,7 +303,10 @@ def _digest(log: Path, settings: LogSettings) -> str:
 def log_hash(path: Path, settings: LogSettings | None = None) -> str:
     """SHA-256 of a log's bytes: of the file, or of the names and hashes of its files (a map may lie elsewhere)."""
     reader = reader_of(path, settings)
-    files = (path,) if reader is None else reader.files(path)
+    try:
+        files = (path,) if reader is None else reader.files(path)
+    except LogError as error:
+        raise error if error.file is not None else error.at(path) from None
     if files == (path,):
         return file_hash(path)
     listed = "".join(f"{_beside(file, path)} {file_hash(file)}\n" for file in files)

@@ -135,7 +135,7 @@ def test_of_several_exit_codes_2_beats_3_beats_1_beats_4(order: Callable[..., in
 
 
 def test_a_bug_ends_with_a_code_of_its_own_in_one_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
     def fails(*args: object) -> object:
         raise RuntimeError("two\nlines")
@@ -146,6 +146,6 @@ def test_a_bug_ends_with_a_code_of_its_own_in_one_line(
         monkeypatch.setenv("REPLAN_TRACEBACK", variable)
         with pytest.raises(SystemExit) as ended:
             main()
-        said = capsys.readouterr().err
+        said = capfd.readouterr().err
         assert ended.value.code == 70 and "error: a bug in replan: RuntimeError: two lines" in said
         assert len(said.splitlines()) >= lines and ("Traceback" in said) is bool(variable)

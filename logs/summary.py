@@ -16,7 +16,7 @@ from logs.errors import LogError
 from logs.observed import ENOUGH, Spans, clipped, described
 from logs.presence import MAX_AGE_S
 from logs.readers import LogSettings, read_log, reader_of
-from logs.readers.base import Contents, TopicSummary
+from logs.readers.base import Contents, TopicSummary, check_files
 from logs.road import Goal, Road, RoadSource
 from logs.scenario import Scenario
 from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
@@ -113,12 +113,15 @@ class LogSummary:
 def summarise(path: Path, settings: LogSettings | None = None) -> LogSummary:
     """What a log of any format holds; damage and foreign formats are told in `error`, never raised."""
     reader, scenario, error = reader_of(path, settings), None, None
-    contents = Contents("not a log that replan reads") if reader is None else reader.contents(path)
+    contents, files = Contents("not a log that replan reads"), tuple[Path, ...]((path,))
     try:
+        if reader is not None:
+            contents, files = Contents(), reader.files(path)
+            check_files(files)
+            contents = reader.contents(path)
         scenario = read_log(path, settings)
     except LogError as refusal:
-        error = refusal
-    files = reader.files(path) if reader is not None and path.exists() else (path,)
+        error = refusal if refusal.file is not None else refusal.at(path)
     return LogSummary(
         path,
         contents.profile or (reader.summary if reader is not None else ""),

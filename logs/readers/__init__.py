@@ -203,6 +203,8 @@ def windows(path: Path, settings: LogSettings, length: float) -> tuple[LogSettin
         LogError: The log does not say cheaply how long it is.
     """
     reader = reader_of(path, settings)
+    if reader is not None:
+        check_files(reader.files(path))
     span = reader.span(path) if reader is not None else None
     if span is None and settings.end == inf:
         scenario = read_log(path, settings)

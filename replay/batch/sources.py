@@ -325,5 +325,7 @@ def file_hash(path: Path) -> str:
         check_files([path])
         with path.open("rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()
+    except LogError as error:
+        raise error.at(path) from None
     except OSError as error:
         raise LogError(f"cannot be read: {error.strerror}", file=path) from None

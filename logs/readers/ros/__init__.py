@@ -55,7 +55,7 @@ def _files(path: Path) -> tuple[Path, ...]:
     if path.is_file():
         return (path,)
     kinds = (".mcap", ".db3", ".zstd")
-    return (path / METADATA, *sorted(each for each in path.iterdir() if each.suffix in kinds and each.is_file()))
+    return (path / METADATA, *sorted(each for each in path.iterdir() if each.suffix in kinds))
 
 
 def _span(path: Path) -> tuple[float, float] | None:

@@ -47,6 +47,8 @@ LOOK_BACK_S = 15.0
 MOST_MPS2 = 9.81
 """Forced braking is given up to this."""
 AS_LOGGED_M = 0.5
+ALONGSIDE_M = 10.0
+"""One whose centre is farther ahead of the ego's follows no one into the ego, m."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,11 +86,17 @@ def entries(drive: Trajectory, agents: Tracks, scenario: Scenario) -> list[Entry
     for i, others, row in each(agents, ego.t):
         if agents.static[i] or agents.kinds[i] in (AgentKind.PEDESTRIAN, AgentKind.OBJECT):
             continue
-        away = np.hypot(*(others.pose[:2, row] - boxes[:2]))
-        there = np.flatnonzero(others.there[row])
-        if len(there) > 1 and away[there].min() < NEAR_M:
+        if _may_follow(boxes, others.pose[:, row]).any():
             found += _entries(ego, boxes, outline, others, row, i, scenario)
     return found
+
+
+def _may_follow(boxes: FloatArray, pose: FloatArray) -> BoolArray:
+    """The steps `(k,)` at which another may follow the ego: it is near, not clearly ahead, and not oncoming."""
+    dx, dy = pose[:2] - boxes[:2]
+    c, s = np.cos(boxes[2]), np.sin(boxes[2])
+    same_way = pose[3] * c + pose[4] * s > -0.2 * np.hypot(pose[3], pose[4])
+    return np.asarray((np.hypot(dx, dy) < NEAR_M) & (dx * c + dy * s < ALONGSIDE_M) & same_way)
 
 
 def _entries(

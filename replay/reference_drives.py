@@ -40,8 +40,8 @@ from replay.drive import LoopConfig
 
 SHORTEST = 2
 """An ego log of fewer states is no drive."""
-FOLLOWER_PERIOD_S = 0.5
-"""How often the follower plans: its plans are smooth, and five times as many take five times as long."""
+FOLLOWER_PERIODS_S = 0.5, 0.05
+"""How often the follower plans and steps: its plans are smooth, and a yardstick need not cost as much as a drive."""
 
 
 def with_follower(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, pd.DataFrame]:
@@ -52,7 +52,7 @@ def with_follower(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, pd.Da
         loop: Of the run: the traffic is the same, the car is perfect, the others are perceived as they are.
     """
     traffic = {key: table for key, table in loop.settings.items() if key == "traffic"}
-    same = LoopConfig(FOLLOWER_PERIOD_S, vehicle="perfect", traffic=loop.traffic, settings=traffic)
+    same = LoopConfig(*FOLLOWER_PERIODS_S, vehicle="perfect", traffic=loop.traffic, settings=traffic)
     driven = run_closed_loop(scenario, "idm", config=same, keep_internals=False).trace
     trace = replace(driven, planner=FOLLOWER, oracle=True, frames=())
     gain = gained(route_of(scenario), trace.ego).metres[-1]
@@ -75,8 +75,8 @@ def reference_table(scenario: Scenario) -> pd.DataFrame:
     """The rows of the log's own and the careful driver; columns as of `metrics.evaluate`."""
     asked = {DRIVER: ("safety", "rules", "progress") if scenario.is_recorded else ("progress",)}
     drives = reference_drives(scenario)
-    every = ("safety", "rules", "progress", "comfort")
-    tables = [_measured(trace, scenario, asked.get(trace.planner, every)) for trace in drives]
+    braking = ("safety", "progress", "comfort")  # the careful driver knows no rules
+    tables = [_measured(trace, scenario, asked.get(trace.planner, braking)) for trace in drives]
     return pd.concat(tables, ignore_index=True)
 
 

@@ -13,12 +13,12 @@ The outcome of a gate on a log is the first of these that holds:
 
 A pass or fail says in its reason where it is marginal: another rate of the log might turn it (`metrics.marginal`).
 
-Yardsticks of a `reachable` gate are the reference drives (rows of mode "reference": `REFERENCES`) and all other
-planners of the run.
+Yardsticks of a `reachable` gate are the recorded driver, the route follower (`REFERENCES`) and all other planners of
+the run, each where its drive holds the gates on safety and rules. The careful driver is none: it knows no rules.
 
 A value is excused by a reference drive of `EXCUSED` that breaks the same bound in the same event: the values are about
-the same road user or thing, at most `SAME_S` apart, and the planner's is not clearly worse (`WORSE`). In safety and
-comfort an event without a road user excuses nothing. A collision is not excused where the careful driver of UN R157
+the same road user or thing, at most `SAME_S` apart, and the planner's is not clearly worse (`WORSE`). In comfort an
+event without a road user excuses nothing. A collision is not excused where the careful driver of UN R157
 collides more slowly by more than `SLOWER_MPS`. Safety and progress are excused, too, by a replayed road user that drove
 into the ego (`replay_contact`): safety where it is about that road user. Progress is excused where the
 collision that ended the drive is, and where a phantom of the log stops the route follower as well. Nothing excuses a
@@ -67,8 +67,8 @@ EXCUSED: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"safety": (DRIVER, CAREFUL), "rules": (DRIVER,), "comfort": (CAREFUL,)}
 )
 """Which reference drives are asked, by group of metrics."""
-NAMED = ("safety", "comfort")
-"""Groups whose events are excused only where they are about a road user."""
+NAMED, LAWFUL = ("comfort",), ("safety", "rules")
+"""Groups whose events are excused only where they are about a road user, and whose gates a yardstick holds."""
 _GROUP = {metric.name: name for name, group in GROUPS.items() for metric in group}
 OUTCOME_COLUMNS = ("gate", "log", "planner", "mode", "outcome", "value", "time_s", "reason")
 
@@ -80,6 +80,7 @@ class _Rows:
     drives: Mapping[tuple[str, str], Mapping[tuple[str, str], _Row]]
     oracles: frozenset[str]
     crashed: Mapping[tuple[str, str, str], str]
+    lawful: tuple[Gate, ...]
 
     def reference(self, planner: str, log: str, metric: str) -> _Row | None:
         """The value of a reference drive; None where it has none."""
@@ -117,7 +118,7 @@ def judge(
         failed: Logs that could not be evaluated, and why.
         crashed: Drives that ended in an error, by log, planner and mode, and in which.
     """
-    rows = _rows(table, crashed)
+    rows = _rows(table, crashed, tuple(gate for gate in gates.gates if gate.over == "worst" and _group(gate) in LAWFUL))
     return tuple(verdict for gate in gates.gates for verdict in _judge(gate, rows, table, labels, failed))
 
 
@@ -149,12 +150,16 @@ def verdicts_by_log(verdicts: Sequence[Verdict]) -> dict[tuple[str, str], str]:
     return {key: worst(said).value for key, said in found.items()}
 
 
-def _rows(table: pd.DataFrame, crashed: Mapping[tuple[str, str, str], str]) -> _Rows:
+def _group(gate: Gate) -> str:
+    return _GROUP.get(gate.metric.partition(".")[0], "")
+
+
+def _rows(table: pd.DataFrame, crashed: Mapping[tuple[str, str, str], str], lawful: tuple[Gate, ...]) -> _Rows:
     drives: dict[tuple[str, str], dict[tuple[str, str], _Row]] = {}
     columns = ("planner", "mode", "log", "metric", "value", "available", "reason", "unit", "time_s")
     for planner, mode, log, metric, *rest in zip(*(table[name] for name in columns), strict=True):
         drives.setdefault((planner, mode), {})[log, metric] = _Row(*rest)
-    return _Rows(drives, frozenset(table.loc[table["oracle"].astype(bool), "planner"]), crashed)
+    return _Rows(drives, frozenset(table.loc[table["oracle"].astype(bool), "planner"]), crashed, lawful)
 
 
 def _judge(
@@ -281,11 +286,11 @@ def _lacking_evidence(gate: Gate, log: str, mine: Mapping[tuple[str, str], _Row]
 
 def _excuse(gate: Gate, log: str, row: _Row, drive: tuple[str, str], rows: _Rows) -> str:
     """Why a broken value is no evidence against the planner (module docstring); empty: it is."""
-    mine, group = rows.drives[drive], _GROUP.get(gate.metric.partition(".")[0], "")
+    mine, group = rows.drives[drive], _group(gate)
     if (log, *drive) in rows.crashed:
         return ""
     if gate.reachable and not _reached(gate, log, drive, rows):
-        return "neither a reference drive nor another planner of the run holds it"
+        return "no yardstick holds it: neither the recorded driver, the route follower nor another planner"
     contact = mine.get((log, REPLAY_CONTACT))
     if contact is not None and contact.known and contact.value > 0.0 and _concerns(group, row, contact):
         return f"the replay ran into the ego ({contact.reason})"
@@ -302,10 +307,19 @@ def _excuse(gate: Gate, log: str, row: _Row, drive: tuple[str, str], rows: _Rows
 
 
 def _reached(gate: Gate, log: str, drive: tuple[str, str], rows: _Rows) -> bool:
-    """Whether a reference drive or another planner of the run holds the bound in this log."""
-    others = (key for key in rows.drives if key != drive and key[1] in (drive[1], REFERENCE))
-    found = (rows.drives[key].get((log, gate.metric)) for key in others)
-    return any(row is not None and row.known and gate.margin(row.value) >= 0.0 for row in found)
+    """Whether a yardstick holds the bound in this log (module docstring)."""
+    for key, other in rows.drives.items():
+        if key == drive or key[1] not in (drive[1], REFERENCE) or key[0] == CAREFUL:
+            continue
+        row = other.get((log, gate.metric))
+        reaches = row is not None and row.known and gate.margin(row.value) >= 0.0
+        if reaches and all(
+            rule.margin(_value(other, log, rule.metric)) >= 0.0
+            for rule in rows.lawful
+            if rule.mode in (None, drive[1]) and isfinite(_value(other, log, rule.metric))
+        ):
+            return True
+    return False
 
 
 def _concerns(group: str, row: _Row, contact: _Row) -> bool:
@@ -315,7 +329,7 @@ def _concerns(group: str, row: _Row, contact: _Row) -> bool:
 
 def _by_reference(gate: Gate, log: str, row: _Row, mine: Mapping[tuple[str, str], _Row], rows: _Rows) -> str:
     """Which reference drive breaks the bound in the same event (module docstring); empty: none."""
-    group = _GROUP[gate.metric.partition(".")[0]]
+    group = _group(gate)
     for planner in EXCUSED[group]:
         found = rows.reference(planner, log, gate.metric)
         if found is None or gate.margin(found.value) >= 0.0:

@@ -7,9 +7,9 @@
 
 They end as a planner's drive would: in the goal, or where a road user touches them. Their rows of the table have the
 mode "reference" and are oracles; `metrics.judge` asks them whether a broken bound is evidence against a planner. Of a
-synthesised log's driver only progress is measured: such a log excuses no collision. The follower is measured for
-progress alone. It takes time to drive: it is driven where the log holds no drive to measure progress by, or where a
-planner of the run misses the goal.
+synthesised log's driver only progress is measured: such a log excuses no collision. The follower excuses none either.
+Its progress counts until its time to collision falls below `TTC_S`: who goes on then is no yardstick. It takes time to
+drive: it is driven where the log holds no drive to measure progress by, or where a planner of the run misses the goal.
 """
 
 from __future__ import annotations
@@ -27,19 +27,21 @@ from logs.states import Trajectory
 from logs.trace import EndReason, Mode, Trace
 from metrics import GROUPS, METRICS
 from metrics.judge import CAREFUL, DRIVER, FOLLOWER, REFERENCE
-from metrics.metric import FINAL
+from metrics.metric import FINAL, Series
 from metrics.others import ego_boxes, name_of
 from metrics.phantoms import phantoms, without_phantoms
 from metrics.progress import FOLLOWER_M, GOAL
 from metrics.reference_drivers import RETURN_S, STEP_S, careful_drive
 from metrics.route import gained, route_of
-from metrics.safety import contacts
+from metrics.safety import TTC, contacts
 from replay.avoidability import reference_line
 from replay.closed_loop import run_closed_loop
 from replay.drive import LoopConfig
 
 SHORTEST = 2
 """An ego log of fewer states is no drive."""
+TTC_S = 0.95
+"""nuPlan's bound, as of the default gates."""
 FOLLOWER_PERIODS_S = 0.5, 0.05
 """How often the follower plans and steps: its plans are smooth, and a yardstick need not cost as much as a drive."""
 
@@ -55,9 +57,12 @@ def with_follower(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, pd.Da
     same = LoopConfig(*FOLLOWER_PERIODS_S, vehicle="perfect", traffic=loop.traffic, settings=traffic)
     driven = run_closed_loop(scenario, "idm", config=same, keep_internals=False).trace
     trace = replace(driven, planner=FOLLOWER, oracle=True, frames=())
-    gain = gained(route_of(scenario), trace.ego).metres[-1]
+    ttc = TTC.found(trace, scenario)
+    near = np.asarray(ttc.value < TTC_S) if isinstance(ttc, Series) else np.zeros(1, np.bool_)
+    last = int(np.argmax(near)) if near.any() else -1
+    gain = gained(route_of(scenario), trace.ego).metres[last]
     scenario = replace(scenario, metadata={**scenario.metadata, FOLLOWER_M: repr(float(gain))})
-    return scenario, _measured(trace, scenario, ("progress",))
+    return scenario, _measured(trace, scenario, ("safety", "progress"))
 
 
 def missed_goal(table: pd.DataFrame) -> bool:

@@ -221,11 +221,12 @@ def test_nothing_excuses_a_drive_in_which_the_planner_failed(metric: str) -> Non
     assert verdict(gate, table(mine, CONTACT)).outcome is INCONCLUSIVE
 
 
-@pytest.mark.parametrize("metric", ["gap.min", "lon_accel.min"])
-def test_an_event_without_a_road_user_excuses_nothing(metric: str) -> None:
-    """Hard braking for nothing at 3 s is not excused because the careful driver brakes for nothing, too."""
-    mine, theirs = row("a", 0.1, metric=metric, reason=""), reference("careful", 0.1, metric=metric, reason="")
-    assert verdict(Gate(metric, min=0.5), table(mine, theirs)).outcome is FAIL
+@pytest.mark.parametrize(("about", "outcome"), [("", FAIL), ("car 7", INCONCLUSIVE)])
+def test_hard_braking_for_nothing_is_not_excused(about: str, outcome: Outcome) -> None:
+    """At 3 s, where the careful driver brakes as hard: for nothing, or for the same car."""
+    rows = (row("a", 0.1, reason=about), reference("careful", 0.1, reason=about))
+    found = verdict(Gate("lon_accel.min", min=0.5), table(*(each | {"metric": "lon_accel.min"} for each in rows)))
+    assert found.outcome is outcome
 
 
 def test_a_goal_is_missed_where_a_reference_drive_or_another_planner_reaches_it() -> None:
@@ -236,13 +237,19 @@ def test_a_goal_is_missed_where_a_reference_drive_or_another_planner_reaches_it(
         return verdicts(gate, table(row("a", value, metric="goal.final"), *rows, *others))[0].outcome
 
     assert judged(0.0, driver=1.0, careful=0.0) is FAIL
-    assert judged(0.0, driver=0.0, careful=1.0) is FAIL
+    assert judged(0.0, driver=0.0, careful=1.0) is INCONCLUSIVE  # who knows no rules is no yardstick
     assert judged(0.0, follower=1.0) is FAIL
     assert judged(0.0, row("a", 1.0, metric="goal.final", planner="idm"), follower=0.0) is FAIL
     assert judged(0.0, row("b", 1.0, metric="goal.final", planner="idm"), follower=0.0) is INCONCLUSIVE
     assert judged(0.0, driver=0.0, careful=0.0) is INCONCLUSIVE
     assert judged(0.0) is INCONCLUSIVE
     assert judged(1.0) is PASS
+    rules = Gates((gate, Gate("red_light.count", max=0.0)), "test")
+    for lights, outcome in ((0.0, FAIL), (1.0, INCONCLUSIVE)):  # idm reaches the goal, through a red light or not
+        both = [("goal.final", "dp_qp", 0.0), ("goal.final", "idm", 1.0)]
+        both += [("red_light.count", "dp_qp", 0.0), ("red_light.count", "idm", lights)]
+        found = table(*(row("a", value, metric=metric, planner=planner) for metric, planner, value in both))
+        assert judge(rules, found, {"a": LogLabels()})[0].outcome is outcome
     assert judged(np.nan) is Outcome.NOT_ASKED  # its metric says by name why no vehicle reaches it
 
 

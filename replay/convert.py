@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -94,7 +95,7 @@ def _check_targets(logs: Sequence[Path], targets: Sequence[Path], settings: LogS
     """Refuse to write a log over a file of the logs, and two logs into one file."""
     readers_of = ((log, reader_of(log, settings)) for log in logs)
     files = (file for log, reader in readers_of for file in ((log,) if reader is None else reader.files(log)))
-    inputs = {file.resolve() for file in files}
+    inputs = {Path(os.path.realpath(file)) for file in files}
     taken: dict[Path, Path] = {}
     for log, target in zip(logs, targets, strict=True):
         place = target.resolve()

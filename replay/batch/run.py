@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import platform
 import shutil
 from collections import Counter
@@ -288,7 +289,7 @@ def _check_outside(out: Path, sources: Sequence[LogSource], run: RunConfig) -> N
     """Refuse to clear a result folder that holds what the run reads."""
     read = [source.path for source in sources if source.path is not None]
     read += [Path(run.log.map)] if run.log.map else []
-    inside = [path for path in read if path.resolve().is_relative_to(out.resolve())]
+    inside = [path for path in read if Path(os.path.realpath(path)).is_relative_to(out.resolve())]
     if inside:
         raise ConfigError(f"{inside[0]}: lies in the result folder {out}, which is cleared; give --out another folder")
 

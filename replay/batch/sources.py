@@ -182,7 +182,7 @@ def select(paths: Sequence[Path | str], settings: LogSettings | None = None, win
             raise ConfigError(f"{url or place}: no logs in this folder; looked for {looked}, 0 found; {FORMATS}")
         for log, reason in candidates:
             source = log if reason or log.remote else _hashed(log)
-            key = _version(log.remote) or source.digest or str(log.path.resolve() if log.path else log.label)
+            key = _version(log.remote) or source.digest or (os.path.realpath(log.path) if log.path else log.label)
             twin = kept.get(key)
             reason = reason or (f"the same bytes as {twin.label}" if twin else "")
             if reason:
@@ -315,7 +315,7 @@ def log_hash(path: Path, settings: LogSettings | None = None) -> str:
 
 def _beside(file: Path, path: Path) -> str:
     """Where a file is, seen from a log: the same wherever both are."""
-    return Path(os.path.relpath(file.resolve(), path.resolve())).as_posix()
+    return Path(os.path.relpath(os.path.realpath(file), os.path.realpath(path))).as_posix()
 
 
 def file_hash(path: Path) -> str:

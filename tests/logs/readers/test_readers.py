@@ -235,3 +235,10 @@ def test_a_pipe_is_refused_before_it_is_opened(tmp_path: Path, place: str) -> No
     assert f"{pipe.name} is a pipe" in str(summarise(log).error)
     with pytest.raises(LogError, match="is a pipe"):
         log_hash(log)
+
+
+def test_a_link_that_leads_to_itself_is_refused(tmp_path: Path) -> None:
+    write_scenario(tmp_path / "whole.mcap", SCENARIO)
+    (tmp_path / "loop.mcap").symlink_to("loop.mcap")
+    result = evaluate_logs([tmp_path], RunConfig(("logged",), recording=False), tmp_path / "out")
+    assert len(result.drives) == 2 and any("loop.mcap" in reason for reason in result.selection.dropped)

@@ -174,3 +174,15 @@ def test_shown_code_is_fenced_as_a_language() -> None:
     for page in PAGES:
         text = page.read_text(encoding="utf-8")
         assert not re.search(r"^ *```(?:bash|shell|console|py)$", text, re.MULTILINE), page.name
+
+
+def test_the_tests_that_hold_the_verdict_exist() -> None:
+    """`path::name` in docs/verdict.md, or `::name` of the file before it, or a file alone."""
+    text, file, found = (ROOT / "docs" / "verdict.md").read_text(encoding="utf-8"), "", 0
+    for path, name in re.findall(r"`(tests/[\w/]+\.py)?(?:::(\w+))?`", text):
+        if not path and not name:
+            continue
+        file, found = path or file, found + 1
+        assert (ROOT / file).is_file(), file
+        assert not name or f"def {name}(" in (ROOT / file).read_text(encoding="utf-8"), f"{file}::{name}"
+    assert found > 40

@@ -49,7 +49,7 @@ def check_regular(*paths: Path) -> None:
 
 
 def check_named(path: Path) -> None:
-    """`check_regular` for what is no log but an option: ConfigError."""
+    """`check_regular` for a file that an option names: ConfigError."""
     kind = special_kind(path)
     if kind:
         raise ConfigError(f"{path}: is {kind}, not a file; {WRITE_A_FILE}")

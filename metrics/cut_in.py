@@ -48,7 +48,7 @@ MOST_MPS2 = 9.81
 """Forced braking is given up to this."""
 AS_LOGGED_M = 0.5
 ALONGSIDE_M = 10.0
-"""One whose centre is farther ahead of the ego's follows no one into the ego, m."""
+"""A road user whose centre is farther ahead of the ego's centre does not follow the ego, m."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@
 The plan of the frame at t_i is laid out at t_i + 0, 0.1, ..., 4 s (t_ik), as far as the plan reaches and there is
 evidence: until the drive ends in closed loop, until the log ends in open loop. The others do not react to the plan, and
 in closed loop they may have reacted to the drive. So a plan may be charged for what a reaction would have avoided, and
-a plan changes rightly where a road user does what no one expected. Gates therefore bound shares of the drive's time.
+a plan changes rightly where a road user does something unexpected. Gates therefore bound shares of the drive's time.
 
 (1) plan_collision = least t_ik - t_i with a contact at fault: first touch of each agent, fault in the order of `safety`
 (2) plan_off_road = max over k of off_k - off_0, off_k the greatest distance of the four corners to the drivable lanes

@@ -69,7 +69,7 @@ SHOWN_BEFORE_S = 3600.0
 OTHER_CLOCK_S = 60.0
 """A road user all of whose samples are farther than this from the ego's log is on another clock."""
 NAMED = 5
-"""Road users whom a note names."""
+"""Road users that a note names."""
 ONE_CLOCK = 'give both times of one clock (a bag: clock = "log" or "header" in [log]; a table: a column with its unit)'
 
 

@@ -25,7 +25,7 @@ EXCESS_M = 0.1
 SHORTEST_M = 1.0
 """A shorter box is not cut, m."""
 DEEPEST = 6
-"""A polygon is cut so many times at most: into 64 boxes."""
+"""A polygon is cut at most this many times: into 64 boxes."""
 
 
 class OccupiedSet(NamedTuple):

@@ -13,8 +13,8 @@ The outcome of a gate on a log is the first of these that holds:
 
 A pass or fail says in its reason where it is marginal: another rate of the log might turn it (`metrics.marginal`).
 
-Yardsticks of a `reachable` gate are the recorded driver, the route follower (`REFERENCES`) and all other planners of
-the run, each where its drive holds the gates on safety and rules. The careful driver is none: it knows no rules.
+Yardsticks of a `reachable` gate are the recorded driver, and where their drives hold the gates on safety and rules the
+route follower (`REFERENCES`) and all other planners of the run. The careful driver is none: it knows no rules.
 
 A value is excused by a reference drive of `EXCUSED` that breaks the same bound in the same event: the values are about
 the same road user or thing, at most `SAME_S` apart, and the planner's is not clearly worse (`WORSE`). In comfort an
@@ -311,13 +311,10 @@ def _reached(gate: Gate, log: str, drive: tuple[str, str], rows: _Rows) -> bool:
     for key, other in rows.drives.items():
         if key == drive or key[1] not in (drive[1], REFERENCE) or key[0] == CAREFUL:
             continue
-        row = other.get((log, gate.metric))
-        reaches = row is not None and row.known and gate.margin(row.value) >= 0.0
-        if reaches and all(
-            rule.margin(_value(other, log, rule.metric)) >= 0.0
-            for rule in rows.lawful
-            if rule.mode in (None, drive[1]) and isfinite(_value(other, log, rule.metric))
-        ):
+        rules = () if key == (DRIVER, REFERENCE) else rows.lawful
+        values = {rule: _value(other, log, rule.metric) for rule in rules if rule.mode in (None, drive[1])}
+        lawful = all(rule.margin(value) >= 0.0 for rule, value in values.items() if isfinite(value))
+        if lawful and gate.margin(_value(other, log, gate.metric)) >= 0.0:
             return True
     return False
 

@@ -314,7 +314,8 @@ def _reached(gate: Gate, log: str, drive: tuple[str, str], rows: _Rows) -> bool:
         rules = () if key == (DRIVER, REFERENCE) else rows.lawful
         values = {rule: _value(other, log, rule.metric) for rule in rules if rule.mode in (None, drive[1])}
         lawful = all(rule.margin(value) >= 0.0 for rule, value in values.items() if isfinite(value))
-        if lawful and gate.margin(_value(other, log, gate.metric)) >= 0.0:
+        reached = _value(other, log, gate.metric)
+        if lawful and isfinite(reached) and gate.margin(reached) >= 0.0:
             return True
     return False
 

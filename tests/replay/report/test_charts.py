@@ -29,7 +29,7 @@ from replay.report.charts import Chart, curves, decisions, scenes, sl_graph, st_
 from replay.report.charts.axes import ticks
 from replay.report.charts.canvas import KEPT_PX, cut_line, cut_outline, polyline, px, simplified, text
 from replay.report.charts.lanes import decided, statuses
-from replay.report.charts.moment import measured_by, violations, worst_moment
+from replay.report.charts.moment import gravity, measured_by, violations, worst_moment
 from replay.report.charts.style import DARK, LIGHT, RULES, stylesheet
 from replay.results import load
 
@@ -314,3 +314,11 @@ def test_a_chart_alone_is_a_file_with_its_style() -> None:
     chart = Chart("x", "a <b>", "says & so", 10.0, 20.0, "")
     root = ET.fromstring(chart.alone("light", 100.0))
     assert (root.get("width"), root.get("height"), root.get("viewBox")) == ("100", "200", "0 0 10 20")
+
+
+def test_the_gravest_failure_is_looked_at_first() -> None:
+    """Whatever the order in the file of gates: a collision, then safety, rules, progress, and all else."""
+    rules = ["fallback.rate <= 0.01", "lon_accel.worst_episode <= 1 [closed]", "goal.final >= 1 [closed]",
+             "red_light.count <= 0 [closed]", "gap_kept.time_below_20cm <= 0 [closed]",
+             "collision_at_fault.count <= 0 [closed]"]  # fmt: skip
+    assert sorted(rules, key=gravity) == [*rules[:1:-1], *rules[:2]]

@@ -32,12 +32,12 @@ def special_kind(path: Path) -> str:
     try:
         mode = path.stat().st_mode
     except (OSError, ValueError):
-        return ""
+        return "a link that leads nowhere" if path.is_symlink() else ""
     return next((name for test, name in SPECIAL if test(mode)), "")
 
 
 def check_regular(*paths: Path) -> None:
-    """Refuse pipes, sockets and devices, which may block the reader or never end.
+    """Refuse pipes, sockets and devices, which may block the reader or never end, and links that lead nowhere.
 
     Raises:
         LogError: With the file's kind.

@@ -13,10 +13,11 @@ from pathlib import Path
 import numpy as np
 
 from logs.errors import LogError
+from logs.files import check_regular
 from logs.observed import ENOUGH, Spans, clipped, described
 from logs.presence import MAX_AGE_S
 from logs.readers import LogSettings, read_log, reader_of
-from logs.readers.base import Contents, TopicSummary, check_files
+from logs.readers.base import Contents, TopicSummary
 from logs.road import Goal, Road, RoadSource
 from logs.scenario import Scenario
 from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
@@ -117,7 +118,7 @@ def summarise(path: Path, settings: LogSettings | None = None) -> LogSummary:
     try:
         if reader is not None:
             contents, files = Contents(), reader.files(path)
-            check_files(files)
+            check_regular(*files)
             contents = reader.contents(path)
         scenario = read_log(path, settings)
     except LogError as refusal:

@@ -37,7 +37,7 @@ from logs.extension import Kind, an_instance
 from logs.files import WRITE_A_FILE, check_regular, special_kind
 from logs.readers import argoverse2, arrow123d, comma2k19, commonroad, native, osi, ros, table
 from logs.readers.admission import admitted, check_clocks, check_road
-from logs.readers.base import LogSettings, Reader, check_files
+from logs.readers.base import LogSettings, Reader
 from logs.readers.cut import cut
 from logs.readers.nanoseconds import in_nanoseconds
 from logs.scenario import Scenario
@@ -121,9 +121,8 @@ def read_log(path: Path, settings: LogSettings | None = None, reader: Reader | N
     if reader is None:
         raise foreign(path)
     try:
-        check_regular(*(reader.files(path) if path.exists() else ()))
         _check_asked(reader, settings)
-        check_files(reader.files(path))
+        check_regular(*(reader.files(path) if path.exists() else ()))
         with np.errstate(all="ignore"):  # absurd numbers are refused as such
             scenario = reader.read(path, settings)
             if not reader.cuts or settings.between(0.0, inf) == settings:
@@ -171,7 +170,7 @@ def foreign(path: Path) -> LogError:
     if kind:
         return LogError(f"is {kind}, not a file", file=path, remedy=WRITE_A_FILE)
     try:
-        check_files([path])
+        check_regular(path)
         with path.open("rb") as stream:
             begin = stream.read(8)
     except LogError as error:
@@ -204,7 +203,7 @@ def windows(path: Path, settings: LogSettings, length: float) -> tuple[LogSettin
     """
     reader = reader_of(path, settings)
     if reader is not None:
-        check_files(reader.files(path))
+        check_regular(*reader.files(path))
     span = reader.span(path) if reader is not None else None
     if span is None and settings.end == inf:
         scenario = read_log(path, settings)

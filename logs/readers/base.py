@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import os
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import inf
 from pathlib import Path
 from typing import Any
 
 from logs.errors import LogError
+from logs.files import special_kind
 from logs.scenario import Scenario
 from logs.vehicle import VehicleParameters
 
@@ -105,29 +105,8 @@ def beside(folder: Path, names: Sequence[str]) -> Path | None:
     path = folder / found[0]
     if not path.is_file():
         remedy = "put a file there, or remove it if there is none"
-        raise LogError(f"{path.name} is {kind_of(path)}, not a file", topic=path.name, remedy=remedy)
+        raise LogError(f"{path.name} is {special_kind(path) or 'a folder'}, not a file", topic=path.name, remedy=remedy)
     return path
-
-
-def kind_of(path: Path) -> str:
-    """What a path is that is no file, in words; "" for a file, and for what is not there."""
-    if path.is_file() or not os.path.lexists(path):
-        return ""
-    if path.is_symlink() and not path.exists():
-        return "a link that leads nowhere"
-    return "a folder" if path.is_dir() else "a pipe" if path.is_fifo() else "a device or socket"
-
-
-def check_files(paths: Iterable[Path]) -> None:
-    """Refuse links that lead nowhere, pipes and devices before they are opened: reading one may never end.
-
-    Raises:
-        LogError: One of the paths is such.
-    """
-    for path in paths:
-        kind = kind_of(path)
-        if kind and not path.is_dir():
-            raise LogError(f"{path.name} is {kind}, not a file", topic=path.name, remedy="put a file there")
 
 
 @dataclass(frozen=True)

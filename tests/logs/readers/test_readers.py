@@ -230,10 +230,10 @@ def test_a_pipe_is_refused_before_it_is_opened(tmp_path: Path, place: str) -> No
         pipe = next(log.glob("*.db3"))
         pipe.unlink()
     os.mkfifo(pipe)
-    with pytest.raises(LogError, match=f"{pipe.name} is a pipe, not a file"):
+    with pytest.raises(LogError, match=f"{pipe.name}: is a named pipe, not a file"):
         read_log(log)
-    assert f"{pipe.name} is a pipe" in str(summarise(log).error)
-    with pytest.raises(LogError, match="is a pipe"):
+    assert f"{pipe.name}: is a named pipe" in str(summarise(log).error)
+    with pytest.raises(LogError, match="is a named pipe"):
         log_hash(log)
 
 

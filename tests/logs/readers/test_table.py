@@ -294,8 +294,8 @@ def _as(kind: str, folder: Path) -> None:
     [
         ("link", "agents.csv is a link that leads nowhere, not a file"),
         ("folder", "agents.csv is a folder, not a file"),
-        ("pipe", "agents.csv is a pipe, not a file"),
-        ("device", "agents.csv is a device or socket, not a file"),
+        ("pipe", "agents.csv is a named pipe, not a file"),
+        ("device", "agents.csv is a device, not a file"),
         ("Agents.csv", "Agents.csv is not read: the file's name is agents.csv; rename it to agents.csv"),
         ("agents.CSV", "agents.CSV is not read: the file's name is agents.csv"),
         ("agents.csv.gz", "agents.csv.gz is not read: a table is agents.csv or agents.parquet"),

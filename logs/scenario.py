@@ -119,7 +119,7 @@ def _perceived(
 
 
 def _continuous(yaw: FloatArray, offsets: IntArray) -> FloatArray:
-    """The headings without jumps of 2 pi within a track; the first of each track stays, and what is no angle."""
+    """The headings without jumps of 2 pi within a track; its first, and any beyond `MOST_RAD`, stay."""
     wild = np.abs(yaw) > MOST_RAD
     if wild.any():
         return np.where(wild, yaw, _continuous(np.where(wild, 0.0, yaw), offsets))

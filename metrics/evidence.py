@@ -21,11 +21,11 @@ import numpy as np
 
 from logs.kernel import BoolArray, FloatArray
 from logs.observed import described, within
-from logs.road import RoadSource, inside
+from logs.road import RoadSource
 from logs.rules import Colour, TrafficLight
 from logs.scenario import Scenario
 from logs.trace import EndReason, Mode, PlanStatus, Trace
-from metrics.lanes import drivable_lanes, limits_at, off_lanes, stated_lanes
+from metrics.lanes import drivable_lanes, limits_at, off_lanes, points_inside, stated_lanes
 from metrics.metric import COUNT, FINAL, RATE, Measured, Metric, Reduction, Series, Unavailable, first_of, holds
 from metrics.others import ego_boxes
 from metrics.phantoms import phantoms
@@ -86,21 +86,13 @@ def _lights(trace: Trace, scenario: Scenario, x: FloatArray, y: FloatArray) -> M
         return Unavailable("the log's map has no stop line with a traffic light")
     needed, known, lacking = np.zeros(len(x), np.bool_), np.ones(len(x), np.bool_), set[int]()
     for line in lines:
-        near = _inside(scenario.road.lanes[line.lane].polygon, x, y)
+        near = points_inside(scenario.road.lanes[line.lane].polygon, x, y)
         shown = _shown(lights.get(line.light or 0), trace.ego.t)
         lacking |= {line.light or 0} if (near & ~shown).any() else set()
         needed, known = needed | near, known & (shown | ~near)
     if not needed.any():
         return Unavailable("no stop line with a traffic light lies on the driven way")
     return _found(trace, known, f"traffic light {', '.join(map(str, sorted(lacking)))} is not observed", needed)
-
-
-def _inside(polygon: FloatArray, x: FloatArray, y: FloatArray) -> BoolArray:
-    """Which points lie in a polygon `(n, 2)`; most of a drive is outside of its bounding box."""
-    (x_lo, y_lo), (x_hi, y_hi) = polygon.min(axis=0), polygon.max(axis=0)
-    found = (x >= x_lo) & (x <= x_hi) & (y >= y_lo) & (y <= y_hi)
-    found[found] = [inside(*point, polygon) for point in zip(x[found].tolist(), y[found].tolist(), strict=True)]
-    return found
 
 
 def _shown(light: TrafficLight | None, t: FloatArray) -> BoolArray:

@@ -38,6 +38,7 @@ from typing import Any
 
 from logs.errors import ConfigError
 from logs.files import read_toml
+from logs.observed import ENOUGH
 from logs.trace import Mode
 from metrics import METRICS, Metric
 
@@ -73,7 +74,7 @@ class Gate:
     max_missing: float = 0.1
     reachable: bool = False
     evidence: str | None = None
-    min_evidence: float = 0.8
+    min_evidence: float = ENOUGH
     broken: str = Outcome.FAIL.value
     min_share: float | None = None
     confident: bool = False

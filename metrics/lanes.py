@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import FloatArray, IntArray, frozen, inner_kernel, kernel
-from logs.road import Lane, Road, RoadSource
+from logs.kernel import BoolArray, FloatArray, IntArray, frozen, inner_kernel, kernel
+from logs.road import Lane, Road, RoadSource, inside
 from logs.shapes import point_segment
 from metrics.once import once
 
@@ -63,6 +63,14 @@ class LaneArrays(NamedTuple):
     middle: Boxes
 
 
+def points_inside(polygon: FloatArray, x: FloatArray, y: FloatArray) -> BoolArray:
+    """Which points `(n,)` lie in a polygon `(k, 2)`; its bounding box rules most of them out."""
+    (x_lo, y_lo), (x_hi, y_hi) = polygon.min(axis=0), polygon.max(axis=0)
+    found = (x >= x_lo) & (x <= x_hi) & (y >= y_lo) & (y <= y_hi)
+    found[found] = [inside(*point, polygon) for point in zip(x[found].tolist(), y[found].tolist(), strict=True)]
+    return np.asarray(found)
+
+
 @once
 def stated_lanes(road: Road) -> LaneArrays | None:
     """The lanes that a car may drive on, with the speed limits that the log states; None where it has no lanes."""
@@ -73,6 +81,7 @@ def stated_lanes(road: Road) -> LaneArrays | None:
     return lanes._replace(limit=np.array(stated))
 
 
+@once
 def drivable_lanes(road: Road) -> LaneArrays | None:
     """The lanes that a car may drive on; None where there is none."""
     lanes = [lane for lane in road.lanes.values() if lane.drivable]

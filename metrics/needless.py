@@ -31,11 +31,11 @@ from itertools import pairwise
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray
-from logs.road import ReferenceLine, inside, line_project_many
+from logs.road import ReferenceLine, line_project_many
 from logs.rules import Colour
 from logs.scenario import Scenario, Tracks
 from logs.trace import Mode, Trace
-from metrics.lanes import drivable_lanes, limits_at
+from metrics.lanes import drivable_lanes, limits_at, points_inside
 from metrics.metric import COUNT, MAX, Measured, Metric, Series, worst_episode
 from metrics.once import once
 from metrics.others import each
@@ -171,7 +171,7 @@ def _places(
     zones = [(walk.polygon, _walked(trace, t, walk.polygon)) for walk in scenario.road.crosswalks]
     zones += [(lane.polygon, always) for lane in scenario.road.lanes.values() if lane.yields_to]
     for polygon, active in zones:
-        on = line.s[_within(line.xy, polygon)]
+        on = line.s[points_inside(polygon, *line.xy.T)]
         if len(on):
             yield float(on[0]), float(on[-1]), active, NEAR_M
     yield line.length, np.inf, always, NEAR_M
@@ -179,14 +179,6 @@ def _places(
         yield route.length, np.inf, always, NEAR_M
     elif scenario.is_recorded:
         yield float(line.project(scenario.ego.x[-1], scenario.ego.y[-1], route.length)[0]), np.inf, always, NEAR_M
-
-
-def _within(points: FloatArray, polygon: FloatArray) -> BoolArray:
-    """Which of the points `(n, 2)` are in a polygon."""
-    found = ((points >= polygon.min(axis=0)) & (points <= polygon.max(axis=0))).all(axis=1)
-    for k in np.flatnonzero(found):
-        found[k] = inside(points[k, 0], points[k, 1], polygon)
-    return np.asarray(found)
 
 
 def _early(scenario: Scenario, t: FloatArray, s: FloatArray, v: FloatArray) -> BoolArray:

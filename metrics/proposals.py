@@ -71,6 +71,7 @@ from metrics.once import once
 from metrics.others import named, some_at, there_between
 from metrics.plans import SHORT_M, STEP_S, frame_times, plan_columns, plan_way, times_after
 from metrics.safety import (
+    CLOSE_S,
     KINDS,
     OFF_ROAD_M,
     ContactKind,
@@ -82,7 +83,7 @@ from metrics.safety import (
     known_lanes,
 )
 
-HORIZON_S, TTC_S, TTC_HORIZON_S = 4.0, 0.95, 3.0
+HORIZON_S, TTC_HORIZON_S = 4.0, 3.0
 STEPS = round(HORIZON_S / STEP_S)
 PIECE = 500
 """Plans that are laid out at a time: 1 MB a column."""
@@ -278,7 +279,7 @@ def _score(trace: Trace, scenario: Scenario) -> Measured:
     extended = consistency.EXTENDED_COMFORT.found(trace, scenario)
     if isinstance(extended, Series):
         steady[np.isin(t, extended.t)] = np.where(extended.known, extended.value <= 1.0, np.nan)
-    parts = np.array([~(found["ttc"] <= TTC_S), found["progress"], found["comfort"] <= 1.0, steady], np.float64)
+    parts = np.array([~(found["ttc"] <= CLOSE_S), found["progress"], found["comfort"] <= 1.0, steady], np.float64)
     weights = np.where(np.isfinite(parts), np.array([[5.0], [5.0], [2.0], [2.0]]), 0.0)
     return Series(t, multiplier * (weights * np.nan_to_num(parts)).sum(axis=0) / weights.sum(axis=0))
 
@@ -312,7 +313,7 @@ PLAN_OFF_ROAD = _metric(
 )  # fmt: skip
 PLAN_TTC = _metric(
     "plan_ttc", "s", partial(_followed_by, "ttc", about="ttc_agent", missing="no plan is on a course to touch anyone"),
-    (MIN, share_while(lambda ttc: ttc <= TTC_S, "share_below_950ms")),
+    (MIN, share_while(lambda ttc: ttc <= CLOSE_S, "share_below_950ms")),
     "Least time to contact along a plan, as ttc; 0 where the plan has a contact at fault.",
     "min over t of the time to contact at constant velocity vectors", better="higher",
 )  # fmt: skip

@@ -49,7 +49,8 @@ from metrics.once import once
 from metrics.others import ego_boxes, name_of, named, pieces, some_at
 
 STANDING_MPS = 0.05
-TTC_HORIZON_S = 10.0
+TTC_HORIZON_S, CLOSE_S = 10.0, 0.95
+"""Horizon of the time to collision, and nuPlan's bound on it."""
 OFF_ROAD_M = 0.3
 OUTLINE_M = 0.25
 """Between two points the outline is at most half of this further off than they are, m."""
@@ -420,7 +421,7 @@ PASSING_ROOM = Metric(
     formula=f"{_KEPT} nor going away to the side; less 0.5 m up to 3 m/s, 1 m from 5 m/s on, linear between",
     parameters=(f"going away: {LEAVING_MPS} m/s",), needs="a pedestrian or rider",
 )  # fmt: skip
-_TTC_TIMES = (MIN, time_below(0.95, "time_below_950ms"), time_below(TAU_S, "time_below_1500ms"),
+_TTC_TIMES = (MIN, time_below(CLOSE_S, "time_below_950ms"), time_below(TAU_S, "time_below_1500ms"),
               integrated_below(TAU_S, "integrated_1500ms"))  # fmt: skip
 _TTC_HOW = (
     f"horizon {TTC_HORIZON_S:g} s", "bounds 0.95 s and 1.5 s (tau of TET and TIT)",

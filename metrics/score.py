@@ -49,7 +49,7 @@ from metrics import accuracy, comfort, consistency, lane_keeping, progress, rule
 from metrics.metric import FINAL, Measured, Metric, Series, Unavailable, longest
 from metrics.once import once
 
-TTC_S, LEAST_PROGRESS, MISS_SHARE, NEAR_M, NEAR_RAD = 0.95, 0.2, 0.3, 8.0, 0.8
+LEAST_PROGRESS, MISS_SHARE, NEAR_M, NEAR_RAD = 0.2, 0.3, 8.0, 0.8
 OPEN_HORIZONS_S = (3, 5, 8)
 CARLA_HITS = MappingProxyType({AgentKind.PEDESTRIAN: 0.5, AgentKind.OBJECT: 0.65})
 CARLA_VEHICLE, CARLA_RED, CARLA_STOP = 0.6, 0.7, 0.8
@@ -122,7 +122,7 @@ def _ttc(trace: Trace, scenario: Scenario) -> Value:
     if any(contact.at_fault for contact in safety.contacts(trace, scenario)):
         return 0.0
     found = safety.TTC.found(trace, scenario)
-    return float(not (isinstance(found, Series) and (found.value <= TTC_S).any()))
+    return float(not (isinstance(found, Series) and (found.value <= safety.CLOSE_S).any()))
 
 
 def _direction(series: Series) -> float:

@@ -8,13 +8,14 @@
 They end as a planner's drive would: in the goal, or where a road user touches them. Their rows of the table have the
 mode "reference" and are oracles; `metrics.judge` asks them whether a broken bound is evidence against a planner. Of a
 synthesised log's driver only progress is measured: such a log excuses no collision. The follower excuses none either.
-Its progress counts until its time to collision falls below `TTC_S`: who goes on then is no yardstick. It takes time to
-drive: it is driven where the log holds no drive to measure progress by, or where a planner of the run misses the goal.
+Its progress counts until its time to collision falls below `metrics.safety.CLOSE_S`: after that it is no yardstick.
+It takes time to drive: it is driven where the log holds no drive to measure progress by, or where a planner of the run
+misses the goal.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -33,15 +34,13 @@ from metrics.phantoms import phantoms, without_phantoms
 from metrics.progress import FOLLOWER_M, GOAL
 from metrics.reference_drivers import RETURN_S, STEP_S, careful_drive
 from metrics.route import gained, route_of
-from metrics.safety import TTC, contacts
+from metrics.safety import CLOSE_S, TTC, contacts
 from replay.avoidability import reference_line
 from replay.closed_loop import run_closed_loop
 from replay.drive import LoopConfig
 
 SHORTEST = 2
 """An ego log of fewer states is no drive."""
-TTC_S = 0.95
-"""nuPlan's bound, as of the default gates."""
 FOLLOWER_PERIODS_S = 0.5, 0.05
 """How often the follower plans and steps: its plans are smooth, and a yardstick need not cost as much as a drive."""
 
@@ -58,17 +57,28 @@ def with_follower(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, pd.Da
     driven = run_closed_loop(scenario, "idm", config=same, keep_internals=False).trace
     trace = replace(driven, planner=FOLLOWER, oracle=True, frames=())
     ttc = TTC.found(trace, scenario)
-    near = np.asarray(ttc.value < TTC_S) if isinstance(ttc, Series) else np.zeros(1, np.bool_)
+    near = np.asarray(ttc.value < CLOSE_S) if isinstance(ttc, Series) else np.zeros(1, np.bool_)
     last = int(np.argmax(near)) if near.any() else -1
     gain = gained(route_of(scenario), trace.ego).metres[last]
     scenario = replace(scenario, metadata={**scenario.metadata, FOLLOWER_M: repr(float(gain))})
     return scenario, _measured(trace, scenario, ("safety", "progress"))
 
 
-def missed_goal(table: pd.DataFrame) -> bool:
-    """Whether a planner's drive in a table of metrics misses a goal that it could have reached."""
-    goal = table[(table["metric"] == f"{GOAL.name}.{FINAL.name}") & (table["mode"] == Mode.CLOSED.value)]
-    return bool((goal["value"] < 1.0).any())
+def with_references(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, list[pd.DataFrame]]:
+    """The scenario and the rows of its reference drives; with those of the follower where the log holds no drive."""
+    follower = []
+    if len(scenario.ego) < SHORTEST:
+        scenario, rows = with_follower(scenario, loop)
+        follower = [rows]
+    return scenario, [reference_table(scenario), *follower]
+
+
+def late_follower(tables: Sequence[pd.DataFrame], scenario: Scenario, loop: LoopConfig) -> list[pd.DataFrame]:
+    """The rows of the follower where they are lacking and a planner in the tables of a log misses the goal."""
+    goals = [table[table["metric"] == f"{GOAL.name}.{FINAL.name}"] for table in tables]
+    missed = any(((goal["mode"] == Mode.CLOSED.value) & (goal["value"] < 1.0)).any() for goal in goals)
+    there = any((goal["planner"] == FOLLOWER).any() for goal in goals)
+    return [with_follower(scenario, loop)[1]] if missed and not there else []
 
 
 def _measured(trace: Trace, scenario: Scenario, groups: tuple[str, ...]) -> pd.DataFrame:

@@ -43,7 +43,7 @@ from replay.open_loop import run_open_loop
 from replay.perturb import perturbed
 from replay.planner_config import is_apart, is_built_in, planner_keywords
 from replay.planning import Planning
-from replay.reference_drives import SHORTEST, missed_goal, reference_table, with_follower
+from replay.reference_drives import late_follower, with_references
 
 SHOWN = (LON_JERK_STATE.name,)
 """The metrics of which a recording shows the steps."""
@@ -175,12 +175,10 @@ def _identified(source: LogSource, scenario: Scenario, folder: Path, run: RunCon
 
 
 def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, progress: _Progress) -> None:
-    follower = pd.DataFrame(columns=list(metrics.COLUMNS))
     if Mode.CLOSED in run.modes:
         with progress.attempt():
-            if len(scenario.ego) < SHORTEST:
-                scenario, follower = with_follower(scenario, run.loop)
-            progress.tables += [reference_table(scenario), follower]
+            scenario, tables = with_references(scenario, run.loop)
+            progress.tables += tables
     with closing(StepsFile(folder)) as steps:
         for planner, mode, place in _places(run):
             with progress.attempt(planner, mode):
@@ -192,9 +190,8 @@ def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, pro
                 progress.drives.append(_record(trace, files))
                 del trace  # before the next one is driven: of an hour it is large
         steps.write()
-    if follower.empty and any(missed_goal(table) for table in progress.tables):
-        with progress.attempt():
-            progress.tables.append(with_follower(scenario, run.loop)[1])
+    with progress.attempt():
+        progress.tables += late_follower(progress.tables, scenario, run.loop)
 
 
 def _places(run: RunConfig, member: int = 0) -> Iterator[tuple[str, Mode, Place]]:
@@ -282,15 +279,15 @@ def _drive_member(scenario: Scenario, run: RunConfig, member: int, progress: _Pr
     name, other = perturbed(scenario, member)
     other = with_avoidability(other)
     measures = all_metrics(run)
-    tables = []
+    tables: list[pd.DataFrame] = []
     if Mode.CLOSED in run.modes:
-        other, follower = with_follower(other, run.loop)
-        tables = [reference_table(other), follower]
+        other, tables = with_references(other, run.loop)
     for planner, mode, place in _places(run, member):
         with progress.attempt(planner, mode):
             drive = _driven(other, planner, mode, run, place, keep=bool(run.metrics))
             noted = progress.broken(planner, mode)
             tables.append(metrics.evaluate(drive.trace, other, metrics=measures, broken=noted))
+    tables += late_follower(tables, other, run.loop)
     progress.members.extend(table.assign(member=member, perturbation=name) for table in tables)
 
 

@@ -45,7 +45,7 @@ FRONT = CAR.axle_to_front
 LIGHT = StopLine(7, 0, ACROSS, light=9)
 SIGN = StopLine(7, 0, ACROSS, must_stop=True)
 WALK = Crosswalk(3, np.array([[100.0, -6.0], [104.0, -6.0], [104.0, 6.0], [100.0, 6.0]]))
-OBEYING = ("dp_qp", "idm", "lattice")
+OBEYING = ("dp_qp", "idm", "lattice", "pdm")
 Lights = Callable[[float], Mapping[int, Colour]]
 
 

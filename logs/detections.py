@@ -69,6 +69,15 @@ class Detections:
         columns = {name: getattr(self, name)[keep] for name in _COLUMNS}
         return replace(self, ids=tuple(np.array(self.ids, object)[keep]), **columns)
 
+    def between(self, first: float, last: float) -> Detections:
+        """Those of the frames from `first` to `last`, s."""
+        frames = self.frames[(self.frames >= first) & (self.frames <= last)]
+        return replace(self.taken((self.t >= first) & (self.t <= last)), frames=frames)
+
+    def shifted(self, seconds: float) -> Detections:
+        """Those, so much later."""
+        return replace(self, t=self.t + seconds, frames=self.frames + seconds)
+
     @property
     def kinds(self) -> tuple[AgentKind, ...]:
         """What they are."""
@@ -108,19 +117,26 @@ class Repair:
 
     Attributes:
         detections: As read.
+        tracks: What they became; those of a scenario are these, unless traffic or a variation changed them since.
         removed: Tracks that were taken away, under ids that no repaired track has; for drawing.
         extended: Per sample of the repaired tracks `(m,)`: before the first or after the last detection of its track.
             Gaps between two detections are filled and not marked.
         changes: In order of the repaired tracks, then of the removed ones.
+
+    Raises:
+        ValueError: `extended` is not of these tracks.
     """
 
     detections: Detections
+    tracks: Tracks
     removed: Tracks
     extended: BoolArray
     changes: tuple[Change, ...]
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "extended", frozen(self.extended, np.bool_))
+        if self.extended.shape != self.tracks.t.shape:
+            raise ValueError("repair: one mark of what is extended for each sample of the tracks")
 
     def summary(self) -> tuple[str, ...]:
         """A sentence for each kind of change, with counts."""

@@ -117,21 +117,21 @@ class Repair:
 
     Attributes:
         detections: As read.
-        tracks: What they became; those of a scenario are these, unless traffic or a variation changed them since.
         removed: Tracks that were taken away, under ids that no repaired track has; for drawing.
         extended: Per sample of the repaired tracks `(m,)`: before the first or after the last detection of its track.
             Gaps between two detections are filled and not marked.
         changes: In order of the repaired tracks, then of the removed ones.
+        tracks: What they became; those of a scenario are these, unless traffic or a variation changed them since.
 
     Raises:
         ValueError: `extended` is not of these tracks.
     """
 
     detections: Detections
-    tracks: Tracks
     removed: Tracks
     extended: BoolArray
     changes: tuple[Change, ...]
+    tracks: Tracks
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "extended", frozen(self.extended, np.bool_))

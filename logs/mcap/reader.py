@@ -298,7 +298,7 @@ def _repaired(
     _equal_lengths(message, "/repair", streams["/repair"].times[0])
     *columns, sources = msgspec.structs.astuple(message)
     changes = tuple(Change(*row) for row in zip(*columns, map(tuple, sources), strict=True))
-    return None, Repair(found, tracks, marked_tracks(streams, start_ns, [], REMOVED)[0], extended, changes)
+    return None, Repair(found, marked_tracks(streams, start_ns, [], REMOVED)[0], extended, changes, tracks)
 
 
 def _detections(stream: Stream | None, start_ns: int) -> Detections | None:

@@ -96,10 +96,10 @@ def _repair(scenario: Scenario, begin: float, end: float, kept: BoolArray, track
     changes = (replace(each, begin=each.begin - begin, end=each.end - begin) for each in made.changes)
     return Repair(
         _detections(made.detections, begin, end),
-        tracks,
         made.removed.taken(_kept(made.removed, begin, end)).shifted(-begin),
         made.extended[kept],
         tuple(each for each in changes if each.end >= -DETECTED_S and each.begin <= end - begin + HISTORY_S),
+        tracks,
     )
 
 

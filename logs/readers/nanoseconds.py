@@ -64,7 +64,7 @@ def _repaired(made: Repair, was: Tracks, now: Tracks) -> Repair:
         for each in made.changes
     )
     tracks = now if made.tracks is was else _timed(made.tracks)
-    return Repair(framed(made.detections), tracks, _timed(made.removed), made.extended, changes)
+    return Repair(framed(made.detections), _timed(made.removed), made.extended, changes, tracks)
 
 
 def _known(plan: OnboardPlan) -> OnboardPlan:

@@ -104,7 +104,7 @@ def repaired_scenario() -> Scenario:
         Change("joined", "car 1", 0.0, 2.0, 21, "One car.", ("0", "1")),
         Change("removed", "x9", 0.1, 0.2, 2, "It was seen for 0.1 s only."),
     )
-    return replace(scenario, repair=Repair(found, scenario.tracks, removed, extended, changes))
+    return replace(scenario, repair=Repair(found, removed, extended, changes, scenario.tracks))
 
 
 def differences(one: object, two: object, where: str = "scenario") -> list[str]:
@@ -218,7 +218,7 @@ def repairs(draw: st.DrawFn, tracks: Tracks) -> Repair:
     change = st.builds(Change, text, text, when, when, st.integers(0, 9), text, st.lists(words, max_size=2).map(tuple))
     marks = np.array(draw(st.lists(st.booleans(), min_size=len(tracks.t), max_size=len(tracks.t))), np.bool_)
     made = tuple(draw(st.lists(change, max_size=3)))
-    return Repair(draw(detections()), tracks, draw(all_tracks()), marks, made)
+    return Repair(draw(detections()), draw(all_tracks()), marks, made, tracks)
 
 
 @st.composite

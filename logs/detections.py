@@ -1,14 +1,18 @@
-"""Raw detections: the boxes that a perception reported frame by frame, before anything was joined into tracks."""
+"""Raw detections: the boxes that a perception reported frame by frame, and what was done to make tracks of them."""
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from logs.agents import AgentKind, codes_of
+from logs.agents import AgentKind
 from logs.kernel import BoolArray, FloatArray, IntArray, frozen
-from logs.scenario import Tracks
+
+if TYPE_CHECKING:
+    from logs.scenario import Tracks
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,22 +64,19 @@ class Detections:
     def __len__(self) -> int:
         return len(self.ids)
 
-    @classmethod
-    def of_tracks(cls, tracks: Tracks) -> Detections:
-        """The samples of tracks, by which any log can be repaired; without scores."""
-        owner = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets))
-        order = np.lexsort((owner, tracks.t))
-        columns = {name: getattr(tracks, name)[order] for name in ("t", "x", "y", "yaw", "vx", "vy")}
-        who = owner[order]
-        return cls(
-            frames=np.unique(tracks.t), ids=tuple(tracks.ids[i] for i in who), codes=codes_of(tracks.kinds)[who],
-            length=tracks.length[who], width=tracks.width[who], score=np.full(len(who), np.nan), **columns,
-        )  # fmt: skip
-
     def taken(self, keep: BoolArray) -> Detections:
         """Those that `keep` `(m,)` marks, among the same frames."""
         columns = {name: getattr(self, name)[keep] for name in _COLUMNS}
         return replace(self, ids=tuple(np.array(self.ids, object)[keep]), **columns)
+
+    def between(self, first: float, last: float) -> Detections:
+        """Those of the frames from `first` to `last`, s."""
+        frames = self.frames[(self.frames >= first) & (self.frames <= last)]
+        return replace(self.taken((self.t >= first) & (self.t <= last)), frames=frames)
+
+    def shifted(self, seconds: float) -> Detections:
+        """Those, so much later."""
+        return replace(self, t=self.t + seconds, frames=self.frames + seconds)
 
     @property
     def kinds(self) -> tuple[AgentKind, ...]:
@@ -85,3 +86,72 @@ class Detections:
 
 
 _COLUMNS = tuple(each.name for each in fields(Detections) if each.name not in ("ids", "frames"))
+
+
+@dataclass(frozen=True)
+class Change:
+    """One thing that a repair did.
+
+    Attributes:
+        what: "joined" (detections became a track), "removed" (a track, or boxes that overlap one), "extended" (beyond
+            sight), "relabelled" (its kind), "turned" (reversed fronts) or "shrunk" (its box).
+        agent: Id in the repaired tracks, or among `Repair.removed`.
+        begin: First time that it concerns, s; `end` the last one.
+        samples: How many detections it concerns; of "extended": how many samples it added.
+        why: One sentence with numbers.
+        sources: Ids that the log gave to these detections, each once; empty where it gives none.
+    """
+
+    what: str
+    agent: str
+    begin: float
+    end: float
+    samples: int
+    why: str
+    sources: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Repair:
+    """What a repair read, removed, added and changed.
+
+    Attributes:
+        detections: As read.
+        removed: Tracks that were taken away, under ids that no repaired track has; for drawing.
+        extended: Per sample of the repaired tracks `(m,)`: before the first or after the last detection of its track.
+            Gaps between two detections are filled and not marked.
+        changes: In order of the repaired tracks, then of the removed ones.
+        tracks: What they became; those of a scenario are these, unless traffic or a variation changed them since.
+
+    Raises:
+        ValueError: `extended` is not of these tracks.
+    """
+
+    detections: Detections
+    removed: Tracks
+    extended: BoolArray
+    changes: tuple[Change, ...]
+    tracks: Tracks
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "extended", frozen(self.extended, np.bool_))
+        if self.extended.shape != self.tracks.t.shape:
+            raise ValueError("repair: one mark of what is extended for each sample of the tracks")
+
+    def summary(self) -> tuple[str, ...]:
+        """A sentence for each kind of change, with counts."""
+        tracks, samples = Counter[str](), Counter[str]()
+        for change in self.changes:
+            tracks[change.what] += 1
+            samples[change.what] += change.samples
+        return tuple(
+            f"Repair {what} {samples[what]} {unit} {of} {tracks[what]} tracks."
+            for what, (unit, of) in _SENTENCES.items()
+            if tracks[what]
+        )
+
+
+_SENTENCES = {
+    "joined": ("detections", "to"), "removed": ("detections", "with"), "extended": ("samples beyond sight", "of"),
+    "relabelled": ("detections", "of"), "turned": ("reversed fronts", "of"), "shrunk": ("boxes", "of"),
+}  # fmt: skip

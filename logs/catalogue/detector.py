@@ -1,0 +1,224 @@
+"""Road users as a detector sees them: a model of raw detections, by numbers measured on 13 city drives.
+
+Measured (SFA and cluster detectors of Autoware Mini at 10 Hz): range, share of frames seen by distance and lengths of
+gaps, jitter and slow drift of centres, sizes, headings, reversed fronts, flicker of kinds, twins, ids that are places
+in a list. Clutter, lasting ghosts and scores are assumed; who is hidden behind a vehicle is not seen.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import atan2, hypot
+
+import numpy as np
+
+from logs.agents import USUAL_SIZE_M, AgentKind, among, codes_of
+from logs.detections import Detections
+from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.scenario import Tracks
+from logs.shapes import overlap
+from logs.states import Trajectory
+
+STEP_S = 0.1
+AHEAD_M, ASIDE_M = 50.0, 25.0
+FAR_M, SEEN = (0.0, 10.0, 20.0, 30.0, 40.0, 90.0), (0.95, 0.93, 0.89, 0.82, 0.76, 0.69)
+"""Share of the frames in which who is there is seen, by distance."""
+SHORT_GAPS, SHORT_END, LONG_END = 0.75, 0.6, 0.12
+"""Three gaps in four end with probability 0.6 a frame, the others 0.12: half last one frame, 1 % more than 26."""
+DRIFT_KEPT = 0.95
+"""Of the drift, per frame."""
+FLIPS, FLICKER, TWINS = 0.18, 0.02, 0.05
+"""Reversed fronts of vehicles, other kinds of vehicles, second boxes of one object: shares of boxes."""
+CLUTTER, CLUTTER_END = 1.0, 0.6
+"""False boxes that begin in a frame, and how likely each ends with a frame."""
+GHOST_EVERY_S, GHOST_S, GHOST_SEEN = 10.0, (1.0, 3.0), 0.4
+"""Lasting ghosts: how often, how long, share of frames."""
+LEAST_SCORE = 0.2
+_CODES = {kind: int(code) for kind, code in zip(AgentKind, codes_of(tuple(AgentKind)), strict=True)}
+_VEHICLES = among(AgentKind.CAR, AgentKind.TRUCK, AgentKind.BUS)
+_CLUSTERS = among(AgentKind.OBJECT)
+_FALSE = AgentKind.CAR, AgentKind.PEDESTRIAN
+
+
+@dataclass(frozen=True, eq=False)
+class Sight:
+    """Road users within a detector's range, flat, `(m,)` each, in order of time: what they truly are.
+
+    Attributes:
+        frames: `(k,)` s; `frame` places among them, `agent` among the tracks.
+        x: m; y, yaw rad, vx m/s, vy likewise.
+        far: Distance from the ego's rear axle, m.
+        hidden: Whether a vehicle stands between.
+    """
+
+    frames: FloatArray
+    frame: IntArray
+    agent: IntArray
+    x: FloatArray
+    y: FloatArray
+    yaw: FloatArray
+    vx: FloatArray
+    vy: FloatArray
+    far: FloatArray
+    hidden: BoolArray
+
+
+def sight(tracks: Tracks, ego: Trajectory) -> Sight:
+    """Who is within range of the ego, every `STEP_S` of its drive."""
+    frames = np.round(np.arange(ego.t[0], ego.t[-1] + 1e-6, STEP_S), 6)
+    place = {name: i for i, name in enumerate(tracks.ids)}
+    parts = []
+    for k, t in enumerate(frames.tolist()):
+        own, agents = ego.at(t), tracks.truth(t)
+        dx, dy = agents.x - own.x, agents.y - own.y
+        ahead, aside = dx * np.cos(own.yaw) + dy * np.sin(own.yaw), dy * np.cos(own.yaw) - dx * np.sin(own.yaw)
+        near = np.flatnonzero((np.abs(ahead) <= AHEAD_M) & (np.abs(aside) <= ASIDE_M))
+        who = np.array([place[agents.ids[i]] for i in near], np.int64)
+        boxes = np.column_stack([agents.x, agents.y, agents.yaw, agents.length, agents.width])[near]
+        hidden = _hidden(own.x, own.y, boxes, _VEHICLES[agents.codes[near]])
+        parts.append(
+            np.column_stack(
+                [
+                    np.full(len(near), k),
+                    who,
+                    boxes[:, :3],
+                    agents.vx[near],
+                    agents.vy[near],
+                    np.hypot(dx, dy)[near],
+                    hidden,
+                ]
+            )
+        )
+    rows = np.vstack(parts)
+    x, y, yaw, vx, vy, far = rows[:, 2:8].T
+    frame, agent = rows[:, :2].T.astype(np.int64)
+    return Sight(frames, frame, agent, x, y, yaw, vx, vy, far, rows[:, 8] > 0.5)
+
+
+@kernel
+def _hidden(x: float, y: float, boxes: FloatArray, opaque: BoolArray) -> BoolArray:
+    """Whether an opaque one of the boxes `(k, 5)` is across the line from (x, y) to the centre of each."""
+    out = np.zeros(len(boxes), np.bool_)
+    for i in range(len(boxes)):
+        dx, dy = boxes[i, 0] - x, boxes[i, 1] - y
+        far = hypot(dx, dy)
+        for j in range(len(boxes)):
+            b = boxes[j]
+            if j != i and opaque[j] and hypot(b[0] - x, b[1] - y) < far:
+                line = 0.5 * (boxes[i, 0] + x), 0.5 * (boxes[i, 1] + y)
+                crossed = overlap(line[0], line[1], atan2(dy, dx), far, 0.1, b[0], b[1], b[2], b[3], b[4])
+                out[i] = out[i] or crossed
+    return out
+
+
+def detected(tracks: Tracks, ego: Trajectory, seed: int) -> Detections:
+    """What a detector on the ego reports of these road users; another seed is another drive of the same scene."""
+    rng = np.random.default_rng(seed)
+    seen = sight(tracks, ego)
+    parts = [_of_agent(tracks, i, seen, rng) for i in range(len(tracks))]
+    parts += [_twins(np.vstack([*parts, np.empty((0, _WIDTH))]), rng)]
+    parts += [_clutter(seen.frames, ego, rng), _ghosts(seen.frames, ego, rng)]
+    rows = np.vstack(parts)
+    rows = rng.permutation(rows)
+    rows = rows[np.argsort(rows[:, 0], kind="stable")]
+    frame, codes = rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64)
+    places = np.arange(len(frame)) - np.searchsorted(frame, frame)
+    nothing = np.full(len(frame), np.nan)
+    return Detections(
+        t=seen.frames[frame], frames=seen.frames, ids=tuple(map(str, places.tolist())), codes=codes,
+        x=rows[:, 2], y=rows[:, 3], yaw=rows[:, 4], length=rows[:, 5], width=rows[:, 6], vx=nothing, vy=nothing,
+        score=rows[:, 7],
+    )  # fmt: skip
+
+
+_WIDTH = 8
+"""Columns of boxes: frame, code, x, y, yaw, length, width, score."""
+
+
+def _of_agent(tracks: Tracks, i: int, seen: Sight, rng: np.random.Generator) -> FloatArray:
+    """The boxes `(k, _WIDTH)` of one road user."""
+    rows = np.flatnonzero(seen.agent == i)
+    n, code = len(rows), int(tracks.codes[i])
+    vehicle, cluster = bool(_VEHICLES[code]), bool(_CLUSTERS[code])
+    along, across = (0.09, 0.06) if vehicle else (0.06, 0.06)
+    drift = _drift(n, 0.22 if vehicle else 0.1, rng)
+    u, v = drift[:, 0] + rng.normal(0.0, along, n), 0.5 * drift[:, 1] + rng.normal(0.0, across, n)
+    c, s = np.cos(seen.yaw[rows]), np.sin(seen.yaw[rows])
+    yaw = seen.yaw[rows] + rng.normal(0.0, np.radians(3.5 if vehicle else 25.0), n)
+    yaw += np.pi * (rng.random(n) < FLIPS)
+    length = np.abs(tracks.length[i] + rng.normal(0.0, min(0.13, 0.1 * tracks.length[i]), n))
+    width = np.abs(tracks.width[i] + rng.normal(0.0, 0.04, n))
+    codes = np.full(n, code)
+    flicker = vehicle & (rng.random(n) < FLICKER)
+    codes[flicker] = rng.choice([_CODES[AgentKind.TRUCK], _CODES[AgentKind.BUS]], int(flicker.sum()))
+    score = np.clip(0.75 - 0.008 * seen.far[rows] - 0.1 * (not vehicle) + rng.normal(0.0, 0.12, n), LEAST_SCORE, 0.9)
+    boxes = np.column_stack(
+        [seen.frame[rows], codes, seen.x[rows] + c * u - s * v, seen.y[rows] + s * u + c * v, yaw, length, width,
+         np.full(n, np.nan) if cluster else score]
+    )  # fmt: skip
+    return boxes[_noticed(seen.far[rows], rng) & ~seen.hidden[rows]]
+
+
+def _drift(n: int, deviation: float, rng: np.random.Generator) -> FloatArray:
+    """Slow errors `(n, 2)`, m."""
+    out = rng.normal(0.0, deviation, (n, 2))
+    for k in range(1, n):
+        out[k] = DRIFT_KEPT * out[k - 1] + np.sqrt(1.0 - DRIFT_KEPT**2) * out[k]
+    return out
+
+
+def _noticed(far: FloatArray, rng: np.random.Generator) -> BoolArray:
+    """In which of its frames who is so `far` `(n,)` away is seen: the gaps have the measured lengths."""
+    share = np.interp(far, FAR_M, SEEN)
+    mean = SHORT_GAPS / SHORT_END + (1.0 - SHORT_GAPS) / LONG_END
+    begins = (1.0 - share) / share / mean
+    out, end = np.ones(len(far), np.bool_), 0.0
+    for k in range(len(far)):
+        if end > 0.0 and rng.random() < end:
+            end = 0.0
+        elif end == 0.0 and rng.random() < begins[k]:
+            end = SHORT_END if rng.random() < SHORT_GAPS else LONG_END
+        out[k] = end == 0.0
+    return out
+
+
+def _twins(boxes: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Second, weaker boxes of some."""
+    out = boxes[rng.random(len(boxes)) < TWINS].copy()
+    out[:, 2:4] += rng.normal(0.0, 0.5, (len(out), 2))
+    out[:, 7] = np.minimum(out[:, 7], 0.25)
+    return out
+
+
+def _clutter(frames: FloatArray, ego: Trajectory, rng: np.random.Generator) -> FloatArray:
+    """Boxes of nothing, for a frame or a few."""
+    parts: list[FloatArray] = [np.empty((0, _WIDTH))]
+    for first in rng.integers(0, len(frames), rng.poisson(CLUTTER * len(frames))).tolist():
+        last = min(first + int(rng.geometric(CLUTTER_END)), len(frames))
+        parts.append(_nothing(np.arange(first, last), frames, ego, 0.4, rng))
+    return np.vstack(parts)
+
+
+def _ghosts(frames: FloatArray, ego: Trajectory, rng: np.random.Generator) -> FloatArray:
+    """Boxes of nothing that last for seconds."""
+    parts: list[FloatArray] = [np.empty((0, _WIDTH))]
+    for first in rng.integers(0, len(frames), rng.poisson(STEP_S * len(frames) / GHOST_EVERY_S)).tolist():
+        last = min(first + round(rng.uniform(*GHOST_S) / STEP_S), len(frames))
+        rows = first + np.flatnonzero(rng.random(last - first) < GHOST_SEEN)
+        parts.append(_nothing(rows, frames, ego, 0.35, rng))
+    return np.vstack(parts)
+
+
+def _nothing(rows: IntArray, frames: FloatArray, ego: Trajectory, most: float, rng: np.random.Generator) -> FloatArray:
+    """Boxes `(k, _WIDTH)` of one object that is not there, at some place in range of the first frame; 0.3 m rms."""
+    kind = _FALSE[rng.integers(len(_FALSE))]
+    own = ego.at(float(frames[rows[0]])) if len(rows) else ego.state(0)
+    ahead, aside, yaw = rng.uniform(-10.0, AHEAD_M), rng.uniform(-ASIDE_M, ASIDE_M), rng.uniform(-np.pi, np.pi)
+    n, jitter = len(rows), rng.normal(0.0, 0.3, (len(rows), 2))
+    x = own.x + ahead * np.cos(own.yaw) - aside * np.sin(own.yaw) + jitter[:, 0]
+    y = own.y + ahead * np.sin(own.yaw) + aside * np.cos(own.yaw) + jitter[:, 1]
+    length, width = USUAL_SIZE_M[kind]
+    return np.column_stack(
+        [rows, np.full(n, _CODES[kind]), x, y, yaw + rng.normal(0.0, 0.1, n), np.full(n, length), np.full(n, width),
+         rng.uniform(LEAST_SCORE, most, n)]
+    )  # fmt: skip

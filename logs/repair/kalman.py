@@ -1,0 +1,138 @@
+"""Constant velocity: one Kalman filter for joining, for tracking and for smoothing.
+
+Per axis, with the covariance C = (pp, pv, vv) of position m and velocity m/s, white acceleration of density q, m2/s3:
+(1) pp += 2 d pv + d^2 vv + q d^3/3,  pv += d vv + q d^2/2,  vv += q d;  d s between samples
+(2) of a position with variance r: gains kp = pp / (pp + r), kv = pv / (pp + r);  C -= k k' (pp + r)
+(3) of a stand: gains of the velocity 0 with variance `STAND_MPS`^2
+(4) back: G = C F' C-^-1,  x += G (x_next - x-_next)  (Rauch, Tung, Striebel, AIAA Journal 3, 1965)
+
+Noise is alike on both axes of a box, and so is that of the acceleration; only the first velocity is not: a vehicle
+moves along. Along the axes of its first box the two coordinates are independent of each other then, with a covariance
+for each, and no matrix is inverted.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from logs.kernel import BoolArray, FloatArray, inner_kernel, kernel
+
+STAND_MPS = 0.02
+X, Y, VX, VY, COS, SIN, ALONG, ACROSS, WIDTH = 0, 1, 2, 3, 4, 5, 6, 9, 12
+"""Columns of states `(n, WIDTH)`; from `ALONG` and from `ACROSS` on three each for C."""
+FIRST_MPS = 10.0
+"""Standard deviation of the first velocity where a track is smoothed."""
+
+
+@inner_kernel
+def carry(cov: FloatArray, d: float, q: float) -> None:
+    """(1), in place."""
+    cov[0] += d * (2.0 * cov[1] + d * cov[2]) + q * d**3 / 3.0
+    cov[1] += d * cov[2] + 0.5 * q * d * d
+    cov[2] += q * d
+
+
+@inner_kernel
+def absorb(cov: FloatArray, r: float) -> tuple[float, float]:
+    """(2): the gains; the covariance in place."""
+    s = cov[0] + r
+    kp, kv = cov[0] / s, cov[1] / s
+    cov[2] -= kv * cov[1]
+    cov[0] *= r / s
+    cov[1] *= r / s
+    return kp, kv
+
+
+@inner_kernel
+def stop(cov: FloatArray) -> tuple[float, float]:
+    """(3): the gains; the covariance in place."""
+    r = STAND_MPS * STAND_MPS
+    s = cov[2] + r
+    kp, kv = cov[1] / s, cov[2] / s
+    cov[0] -= kp * cov[1]
+    cov[1] *= r / s
+    cov[2] *= r / s
+    return kp, kv
+
+
+@kernel
+def carry_all(states: FloatArray, d: float, q: FloatArray) -> None:
+    """(1) of each state `(n, WIDTH)`, in place; q `(n,)`."""
+    for i in range(len(states)):
+        states[i, X] += d * states[i, VX]
+        states[i, Y] += d * states[i, VY]
+        carry(states[i, ALONG : ALONG + 3], d, q[i])
+        carry(states[i, ACROSS : ACROSS + 3], d, q[i])
+
+
+@kernel
+def absorb_one(state: FloatArray, x: float, y: float, r: float) -> None:
+    """(2) of one state `(WIDTH,)`, in place: it was seen at x, y, with the variance r."""
+    c, s = state[COS], state[SIN]
+    ex, ey = x - state[X], y - state[Y]
+    along, across = c * ex + s * ey, c * ey - s * ex
+    pa, va = absorb(state[ALONG : ALONG + 3], r)
+    pc, vc = absorb(state[ACROSS : ACROSS + 3], r)
+    state[X] += c * pa * along - s * pc * across
+    state[Y] += s * pa * along + c * pc * across
+    state[VX] += c * va * along - s * vc * across
+    state[VY] += s * va * along + c * vc * across
+
+
+@kernel
+def stop_one(state: FloatArray) -> None:
+    """(3) of one state `(WIDTH,)`, in place; its position stays where it is."""
+    stop(state[ALONG : ALONG + 3])
+    stop(state[ACROSS : ACROSS + 3])
+    state[VX] = 0.0
+    state[VY] = 0.0
+
+
+@kernel
+def smoothed(t: FloatArray, z: FloatArray, r: FloatArray, q: float, stands: BoolArray) -> FloatArray:
+    """x, y, vx, vy `(n, 4)` at all times t `(n,)` of positions z `(n, 2)`, NaN where not seen, with variances r `(n,)`.
+
+    `stands` `(n,)`: when the velocity is 0. z begins with a position.
+    """
+    n = len(t)
+    after, before = np.empty((n, 4)), np.empty((n, 4))
+    covs, carried = np.empty((n, 3)), np.empty((n, 3))
+    state = np.array([z[0, 0], z[0, 1], 0.0, 0.0])
+    cov = np.array([r[0], 0.0, FIRST_MPS**2])
+    for i in range(n):
+        if i > 0:
+            d = t[i] - t[i - 1]
+            state[0] += d * state[2]
+            state[1] += d * state[3]
+            carry(cov, d, q)
+        before[i] = state
+        carried[i] = cov
+        if np.isfinite(z[i, 0]):
+            ex, ey = z[i, 0] - state[0], z[i, 1] - state[1]
+            kp, kv = absorb(cov, r[i])
+            state[0] += kp * ex
+            state[1] += kp * ey
+            state[2] += kv * ex
+            state[3] += kv * ey
+        if stands[i]:
+            kp, kv = stop(cov)
+            state[0] -= kp * state[2]
+            state[1] -= kp * state[3]
+            state[2] -= kv * state[2]
+            state[3] -= kv * state[3]
+        after[i] = state
+        covs[i] = cov
+    for i in range(n - 2, -1, -1):  # (4)
+        d = t[i + 1] - t[i]
+        pp, pv, vv = carried[i + 1]
+        det = pp * vv - pv * pv
+        fp0, fp1 = covs[i, 0] + d * covs[i, 1], covs[i, 1]
+        fv0, fv1 = covs[i, 1] + d * covs[i, 2], covs[i, 2]
+        g00, g01 = (fp0 * vv - fp1 * pv) / det, (fp1 * pp - fp0 * pv) / det
+        g10, g11 = (fv0 * vv - fv1 * pv) / det, (fv1 * pp - fv0 * pv) / det
+        for axis in range(2):
+            ep = after[i + 1, axis] - before[i + 1, axis]
+            ev = after[i + 1, 2 + axis] - before[i + 1, 2 + axis]
+            after[i, axis] += g00 * ep + g01 * ev
+            after[i, 2 + axis] += g10 * ep + g11 * ev
+    return after

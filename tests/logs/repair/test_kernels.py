@@ -1,0 +1,149 @@
+"""The smoother is the least squares that it says; shared areas are those of the boxes; twins; logs that need repair."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from crowd import street, street_ego
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from logs import AgentKind
+from logs.agents import codes_of
+from logs.catalogue import CATALOGUE
+from logs.catalogue.detector import detected
+from logs.detections import Detections
+from logs.kernel import BoolArray, FloatArray
+from logs.readers import read_log
+from logs.repair import detections_of, needs_repair
+from logs.repair.groups import Boxes
+from logs.repair.kalman import FIRST_MPS, STAND_MPS, smoothed
+from logs.repair.overlap import shared_area, stronger_twins
+
+Q = 1.6
+
+
+def least_squares(t: FloatArray, z: FloatArray, r: FloatArray, stands: BoolArray) -> FloatArray:
+    """The most likely positions and velocities `(n, 2)` of one axis, by one large system of equations."""
+    n = len(t)
+    rows, values = [], []
+
+    def ask(weight: float, value: float, **at: float) -> None:
+        row = np.zeros(2 * n)
+        for name, factor in at.items():
+            row[2 * int(name[1:]) + "pv".index(name[0])] = factor
+        rows.append(weight * row)
+        values.append(weight * value)
+
+    ask(1.0 / np.sqrt(r[0]), z[0], p0=1.0)
+    ask(1.0 / FIRST_MPS, 0.0, v0=1.0)
+    for i in range(n):
+        if np.isfinite(z[i]):
+            ask(1.0 / np.sqrt(r[i]), z[i], **{f"p{i}": 1.0})
+        if stands[i]:
+            ask(1.0 / STAND_MPS, 0.0, **{f"v{i}": 1.0})
+        if i:
+            d = t[i] - t[i - 1]
+            noise = Q * np.array([[d**3 / 3.0, d**2 / 2.0], [d**2 / 2.0, d]])
+            for part in np.linalg.inv(np.linalg.cholesky(noise)):
+                whole = {f"p{i}": part[0], f"v{i}": part[1]}
+                ask(1.0, 0.0, **whole, **{f"p{i - 1}": -part[0], f"v{i - 1}": -part[0] * d - part[1]})
+    return np.linalg.lstsq(np.array(rows), np.array(values), rcond=None)[0].reshape(n, 2)
+
+
+@given(st.integers(0, 10_000))
+def test_the_smoother_solves_the_least_squares(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(2, 12))
+    t = np.cumsum(rng.uniform(0.05, 0.5, n))
+    z, r = rng.normal(0.0, 2.0, (n, 2)), rng.uniform(0.01, 0.2, n)
+    z[1:][rng.random(n - 1) < 0.3] = np.nan
+    stands = rng.random(n) < 0.2
+    found = smoothed(t, z, r, Q, stands)
+    for axis in range(2):
+        assert np.allclose(found[:, [axis, 2 + axis]], least_squares(t, z[:, axis], r, stands), atol=1e-4)
+
+
+BOX = st.tuples(*(st.floats(*each) for each in ((-3, 3), (-3, 3), (-4, 4), (0.3, 6.0), (0.3, 3.0))))
+
+
+@given(BOX, BOX)
+def test_shared_areas_are_symmetric_and_no_larger_than_a_box(one: tuple[float, ...], two: tuple[float, ...]) -> None:
+    area = shared_area(*one, *two)
+    assert area == pytest.approx(shared_area(*two, *one), abs=1e-9)
+    assert 0.0 <= area <= min(one[3] * one[4], two[3] * two[4]) + 1e-9
+    assert shared_area(*one, *one) == pytest.approx(one[3] * one[4])
+
+
+@settings(max_examples=10)
+@given(BOX, BOX)
+def test_shared_areas_are_those_of_many_points(one: tuple[float, ...], two: tuple[float, ...]) -> None:
+    u = (np.arange(100) + 0.5) / 100 - 0.5
+    a, b = np.meshgrid(u * one[3], u * one[4])
+    x, y = one[0] + np.cos(one[2]) * a - np.sin(one[2]) * b, one[1] + np.sin(one[2]) * a + np.cos(one[2]) * b
+    dx, dy = x - two[0], y - two[1]
+    ahead, aside = np.cos(two[2]) * dx + np.sin(two[2]) * dy, np.cos(two[2]) * dy - np.sin(two[2]) * dx
+    inside = (np.abs(ahead) < 0.5 * two[3]) & (np.abs(aside) < 0.5 * two[4])
+    assert shared_area(*one, *two) == pytest.approx(inside.mean() * one[3] * one[4], abs=0.03 * one[3] * one[4] + 0.02)
+
+
+def frame(*rows: tuple[AgentKind, float, float, float, float, float]) -> Boxes:
+    """Boxes of one frame: kind, x, y, length, width, score."""
+    kinds, x, y, length, width, score = zip(*rows, strict=True)
+    nothing, n = np.full(len(rows), np.nan), len(rows)
+    return Boxes.of(
+        Detections(
+            t=np.zeros(n), frames=np.zeros(1), ids=("",) * n, codes=codes_of(kinds), x=np.array(x), y=np.array(y),
+            yaw=np.zeros(n), length=np.array(length), width=np.array(width), vx=nothing, vy=nothing,
+            score=np.array(score),
+        )
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("other", "stays"),
+    [
+        ((AgentKind.CAR, 1.0, 0.3, 4.5, 1.8, 0.4), 1),
+        ((AgentKind.OBJECT, 1.0, 0.3, 2.0, 1.8, np.nan), 1),
+        ((AgentKind.CAR, 0.0, 2.2, 4.5, 1.8, 0.4), 2),
+        ((AgentKind.PEDESTRIAN, 0.0, 1.0, 0.6, 0.6, 0.4), 2),
+        ((AgentKind.PEDESTRIAN, 0.0, 0.3, 0.6, 0.6, 0.4), 1),
+    ],
+)
+def test_twins_are_boxes_of_one_object(other: tuple[AgentKind, float, float, float, float, float], stays: int) -> None:
+    boxes = frame((AgentKind.CAR, 0.0, 0.0, 4.5, 1.8, 0.6), other)
+    left = np.flatnonzero(stronger_twins(boxes) < 0)
+    assert len(left) == stays
+    assert 0.6 in boxes.score[left]
+
+
+def test_people_walk_close_together() -> None:
+    pair = (AgentKind.PEDESTRIAN, 0.0, 0.0, 0.6, 0.6, 0.6), (AgentKind.PEDESTRIAN, 0.0, 0.4, 0.6, 0.6, 0.5)
+    assert (stronger_twins(frame(*pair)) < 0).all()
+
+
+def test_what_a_detector_reports_needs_repair() -> None:
+    found = detected(street(), street_ego(), 1)
+    assert "no identities" in (needs_repair(found) or "")
+    assert "no ids" in (needs_repair(replace(found, ids=("",) * len(found))) or "")
+    clean = detections_of(street())
+    flicker = replace(clean, ids=tuple(f"{name}-{int(t / 0.4)}" for name, t in zip(clean.ids, clean.t, strict=True)))
+    assert "flicker" in (needs_repair(flicker) or "")
+
+
+def test_tracks_need_no_repair() -> None:
+    assert needs_repair(detections_of(street())) is None
+    assert needs_repair(detections_of(street().only(()))) is None
+
+
+@pytest.mark.slow
+def test_clean_recordings_and_the_catalogue_need_no_repair(shared_data: Path) -> None:
+    places = ("commonroad/*.xml", "argoverse2/*-*-*", "osi/*.mcap", "comma2k19/segment*", "py123d/*/logs/*/*")
+    paths = [path for place in places for path in sorted(shared_data.glob(place))]
+    assert len(paths) > 60
+    found = {path.name: needs_repair(detections_of(read_log(path).tracks)) for path in paths}
+    found |= {name: needs_repair(detections_of(CATALOGUE[name].scenario().tracks)) for name in CATALOGUE}
+    assert {name: why for name, why in found.items() if why} == {}

@@ -61,12 +61,7 @@ def without(frame: Frame, kind: AgentKind) -> Frame:
     agents, some = frame.agents, frame.predictions
     keep = np.array([one is not kind for one in agents.kinds], bool)
     there = np.flatnonzero(keep)
-    columns = ("length", "width", "x", "y", "yaw", "vx", "vy", "yaw_rate", "accel")
-    left = type(agents)(
-        tuple(agents.ids[i] for i in there),
-        tuple(agents.kinds[i] for i in there),
-        *(getattr(agents, name)[keep] for name in columns),
-    )
+    left = agents.some(there)
     rows = keep[some.agent]
     place = np.cumsum(keep) - 1
     predictions = Predictions(

@@ -144,7 +144,8 @@ def evaluate(
         for reduction in metric.reductions:
             row = _row(f"{name}.{reduction.name}", metric, reduction, steps, broken)
             rows.append((*head, *row, metric.version, metric.source))
-    return pd.DataFrame(rows, columns=list(COLUMNS)).astype({"value": "float64", "time_s": "float64"})
+    columns = {name: [row[k] for row in rows] for k, name in enumerate(COLUMNS)}
+    return pd.DataFrame({**columns, **{name: np.array(columns[name], np.float64) for name in ("value", "time_s")}})
 
 
 def series(trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = METRICS) -> pd.DataFrame:

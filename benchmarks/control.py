@@ -24,7 +24,7 @@ from logs.kernel import FloatArray
 from logs.trace import Plan
 from logs.vehicle import VehicleParameters
 from replay.control import CONTROLLERS
-from replay.experiments.manoeuvres import PERIOD_S, s_curve
+from replay.paper.manoeuvres import PERIOD_S, s_curve
 from replay.simulation_setup import controller_of
 from replay.vehicle import VEHICLES
 

@@ -28,7 +28,7 @@ from replay.batch.sources import builtin_suite, select
 from replay.closed_loop import run_closed_loop
 from replay.control import CONTROLLERS
 from replay.drive import LoopConfig
-from replay.experiments.manoeuvres import PERIOD_S, s_curve
+from replay.paper.manoeuvres import PERIOD_S, s_curve
 from replay.plan_period import PlanPeriod
 from replay.simulation_setup import controller_of
 from replay.trace_recorder import TraceRecorder

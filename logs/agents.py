@@ -9,6 +9,8 @@ import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, frozen
 
+OLDEST_S = 10.0
+"""Ages are not counted beyond this."""
 _UNKNOWN = frozen(np.empty(0))
 _UNCODED = frozen(np.empty(0), np.int64)
 
@@ -61,6 +63,10 @@ class Agents:
         vx: Velocity in the world, not in the box; `vy` likewise.
         yaw_rate: rad/s; 0 where it is not known, and of pedestrians, who turn on the spot. `accel` likewise: rate of
             the speed, m/s2. Left out: all 0.
+        age: s since the agent was first seen, at most `OLDEST_S`; NaN where that is not known: of those who never
+            move, and of those who were there when the scenario began. Left out: all NaN, as the next two columns.
+        unseen: s since the agent's last sample, 0 at a sample; NaN of those who never move.
+        velocity_sigma: Standard deviation of vx and of vy, m/s; NaN where perception does not state it.
         codes: `kinds` as numbers (`codes_of`, which makes them where they are left out).
     """
 
@@ -75,20 +81,24 @@ class Agents:
     vy: FloatArray
     yaw_rate: FloatArray = field(default_factory=lambda: _UNKNOWN)
     accel: FloatArray = field(default_factory=lambda: _UNKNOWN)
+    age: FloatArray = field(default_factory=lambda: _UNKNOWN)
+    unseen: FloatArray = field(default_factory=lambda: _UNKNOWN)
+    velocity_sigma: FloatArray = field(default_factory=lambda: _UNKNOWN)
     codes: IntArray = field(default_factory=lambda: _UNCODED)
 
     def __post_init__(self) -> None:
-        for name in ("yaw_rate", "accel"):
+        for name in NUMBERS[NUMBERS.index("yaw_rate") :]:
             if getattr(self, name) is _UNKNOWN:
-                object.__setattr__(self, name, np.zeros(len(self.ids)))
+                unknown = np.nan if name in OPTIONAL else 0.0
+                object.__setattr__(self, name, np.full(len(self.ids), unknown))
         if self.codes is _UNCODED:
             object.__setattr__(self, "codes", codes_of(self.kinds))
-        for name in ("length", "width", "x", "y", "yaw", "vx", "vy", "yaw_rate", "accel"):
+        for name in NUMBERS:
             object.__setattr__(self, name, frozen(getattr(self, name)))
 
     @classmethod
     def of_rows(cls, ids: tuple[str, ...], kinds: tuple[AgentKind, ...], rows: FloatArray, codes: IntArray) -> Agents:
-        """The agents whose columns `length` to `accel` are these rows `(9, n)`, copied once."""
+        """The agents whose columns `NUMBERS` are these rows `(12, n)`, copied once."""
         made = object.__new__(cls)
         for name, value in zip(_COLUMNS, (ids, kinds, *frozen(rows), codes), strict=True):
             object.__setattr__(made, name, value)
@@ -97,6 +107,12 @@ class Agents:
     def __len__(self) -> int:
         return len(self.ids)
 
+    def some(self, rows: IntArray) -> Agents:
+        """The agents `rows` `(k,)`, in that order."""
+        ids, kinds = tuple(self.ids[i] for i in rows), tuple(self.kinds[i] for i in rows)
+        columns = np.stack([getattr(self, name)[rows] for name in NUMBERS])
+        return Agents.of_rows(ids, kinds, columns, frozen(self.codes[rows], np.int64))
+
     @property
     def speed(self) -> FloatArray:
         """Length of the velocity vector `(n,)`, m/s."""
@@ -104,3 +120,7 @@ class Agents:
 
 
 _COLUMNS = tuple(each.name for each in fields(Agents))
+NUMBERS = _COLUMNS[2:-1]
+"""The columns of floats, in their order."""
+OPTIONAL = ("age", "unseen", "velocity_sigma")
+"""Those of them that are NaN where they are not known."""

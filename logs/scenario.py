@@ -10,7 +10,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from logs.agents import AgentKind, Agents, among, codes_of
+from logs.agents import OLDEST_S, AgentKind, Agents, among, codes_of
 from logs.detections import Detections, Repair
 from logs.kernel import BoolArray, FloatArray, IntArray, frozen, inner_kernel, kernel
 from logs.motion import Motion, estimated
@@ -23,6 +23,8 @@ from logs.vehicle import VehicleParameters
 
 TREND_S = 1.0
 """Yaw rate and acceleration are backward differences over at most this; one sample back where samples are rarer."""
+BEGIN_S = 0.1
+"""Who has a sample by then was there when the scenario began: an interval of the common logs at 10 Hz, s."""
 FINDING = "reference_"
 """Metadata entries that begin so are what the replay found out about a scenario: never read from a log."""
 EGO_POSE, CENTRE = "ego_pose", "box centre"
@@ -88,7 +90,7 @@ def _perceived(
 
     `patience` `(m,)` may be empty: then it is lacking where an agent's last sample is so old that it decides.
     """
-    seen, out = np.empty(len(static), np.int64), np.empty((9, len(static)))
+    seen, out = np.empty(len(static), np.int64), np.empty((12, len(static)))
     count, lacking = 0, False
     for i in range(len(static)):
         first = offsets[i]
@@ -115,6 +117,11 @@ def _perceived(
         out[5, count], out[6, count] = mx, my
         out[7, count] = rate if turns[i] else 0.0 * rate
         out[8, count] = 0.0 if static[i] else accel
+        out[9, count] = min(time - t[first], OLDEST_S)
+        if static[i] or (out[9, count] < OLDEST_S and t[first] <= BEGIN_S + 1e-9):
+            out[9, count] = np.nan
+        out[10, count] = np.nan if static[i] else max(age, 0.0)
+        out[11, count] = np.nan
         count += 1
     return seen[:count], out[:, :count], lacking
 

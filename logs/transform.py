@@ -7,7 +7,7 @@
     between two samples of a track, d s apart, with the velocities v of `Tracks.motion`: the log at another rate
 
 Points are what the log's own file would show, so `Scenario.origin` turns and flips with them but is not shifted by d.
-Laws of planners and metrics are tested with these, and `replay.experiments.invariance` drives under them.
+Laws of planners and metrics are tested with these, and `studies.invariance` drives under them.
 """
 
 from __future__ import annotations

@@ -19,16 +19,17 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass, replace
 from hashlib import blake2b
-from math import atan2, cos, hypot, pi, radians, sin
+from math import atan2, cos, hypot, nan, pi, radians, sin
 
 import numpy as np
 
+from logs.agents import NUMBERS, OLDEST_S, codes_of
 from logs.around import Around
 from logs.errors import ConfigError
 from logs.frame import Visibility
 from logs.kernel import BoolArray, FloatArray, inner_kernel, kernel
 from logs.presence import MAX_AGE_S
-from logs.scenario import AgentKind, Agents, Scenario
+from logs.scenario import Agents, Scenario
 from logs.shapes import corners
 from logs.states import wrap
 from replay.world import World, box_center
@@ -104,6 +105,7 @@ class Sensor:
     def __init__(self, scenario: Scenario, config: SensorConfig) -> None:
         self._name, self._vehicle, self._config = scenario.name, scenario.vehicle, config
         self._made: deque[Measurement] = deque()
+        self._since: dict[str, float] | None = None
         self._around = Around()
 
     def see(self, world: World) -> tuple[Agents, Visibility]:
@@ -115,7 +117,24 @@ class Sensor:
         oldest = arrived[-1].t - self._config.coast_s - 1e-9
         while self._made[0].t < oldest:
             self._made.popleft()
-        return _tracked([made for made in arrived if made.t >= oldest], now), arrived[-1].visibility
+        return self._tracked([made for made in arrived if made.t >= oldest], now), arrived[-1].visibility
+
+    def _tracked(self, made: list[Measurement], now: float) -> Agents:
+        """Each agent's newest measurement, carried on to `now` with its velocity.
+
+        The age counts from the first measurement since the agent was last lost; of the first frame's it is not known.
+        """
+        newest: dict[str, tuple[Measurement, int]] = {}
+        for measurement in made:
+            newest.update({name: (measurement, i) for i, name in enumerate(measurement.agents.ids)})
+        first, known = self._since is None, self._since or {}
+        self._since = {name: known.get(name, nan if first else m.t) for name, (m, _) in newest.items()}
+        age = np.minimum(now - np.array(list(self._since.values())), OLDEST_S)
+        unseen = np.array([now - m.t for m, _ in newest.values()])
+        rows = np.array([[getattr(m.agents, name)[i] for name in NUMBERS] for m, i in newest.values()], float)
+        kinds = tuple(m.agents.kinds[i] for m, i in newest.values())
+        seen = Agents.of_rows(tuple(newest), kinds, rows.reshape(-1, len(NUMBERS)).T, codes_of(kinds))
+        return replace(seen, x=seen.x + unseen * seen.vx, y=seen.y + unseen * seen.vy, age=age, unseen=unseen)
 
     def _measured(self, world: World) -> Measurement:
         t, config = world.ego.t, self._config
@@ -128,7 +147,7 @@ class Sensor:
         seen = _seen_shares(boxes, hiding, view) >= VISIBLE
         seen &= np.array([not self._dropped(name, t) for name in agents.ids], bool)
         visibility = Visibility(x, y, world.ego.yaw, config.range_m, view[4], _shadows(boxes[hiding], view))
-        return Measurement(t, self._noisy(_chosen(agents, np.flatnonzero(seen)), t), visibility)
+        return Measurement(t, self._noisy(agents.some(np.flatnonzero(seen)), t), visibility)
 
     def _dropped(self, agent: str, t: float) -> bool:
         config = self._config
@@ -153,37 +172,13 @@ class Sensor:
             yaw=agents.yaw + turn,
             vx=agents.vx + faster * c - aside * s,
             vy=agents.vy + faster * s + aside * c,
+            velocity_sigma=np.full(len(agents), config.velocity_noise_mps),
         )
 
     def _draws(self, agent: str, what: str) -> np.random.Generator:
         """The generator of one agent's draws for one purpose."""
         key = "\x1f".join((self._name, str(self._config.seed), agent, what)).encode()
         return np.random.Generator(np.random.PCG64(int.from_bytes(blake2b(key, digest_size=16).digest(), "little")))
-
-
-_COLUMNS = ("length", "width", "x", "y", "yaw", "vx", "vy", "yaw_rate", "accel")
-
-
-def _chosen(agents: Agents, index: np.ndarray) -> Agents:
-    """Some of the agents."""
-    return Agents(
-        tuple(agents.ids[i] for i in index),
-        tuple(agents.kinds[i] for i in index),
-        *(getattr(agents, name)[index] for name in _COLUMNS),
-    )
-
-
-def _tracked(made: list[Measurement], now: float) -> Agents:
-    """Each agent's newest measurement, carried on to `now` with its velocity."""
-    newest: dict[str, tuple[Measurement, int]] = {}
-    for measurement in made:
-        newest.update({name: (measurement, i) for i, name in enumerate(measurement.agents.ids)})
-    rows = np.array(
-        [[getattr(m.agents, name)[i] for name in _COLUMNS] + [now - m.t] for m, i in newest.values()], float
-    ).reshape(-1, len(_COLUMNS) + 1)
-    length, width, x, y, yaw, vx, vy, yaw_rate, accel, age = rows.T
-    kinds: tuple[AgentKind, ...] = tuple(m.agents.kinds[i] for m, i in newest.values())
-    return Agents(tuple(newest), kinds, length, width, x + age * vx, y + age * vy, yaw, vx, vy, yaw_rate, accel)
 
 
 @inner_kernel

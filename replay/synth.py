@@ -157,7 +157,7 @@ What is ours where a publication is silent, and what is left out, stands at the 
 `logs/catalogue`. The logs' numbers are facts taken from the named repositories; the protocols, the regulation's text
 and the standard were not read.
 
-`python -m replay.experiments.catalogue -o OUT --suite full` drives a suite and draws, per family and cell, what became
+`python -m studies.catalogue -o OUT --suite full` drives a suite and draws, per family and cell, what became
 of it beside the careful driver.
 """
 SUITES_SAID = """A suite is the first so many cells of one order of all (seed {seed}), so that a smaller one is part of

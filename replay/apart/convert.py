@@ -11,7 +11,7 @@ import numpy as np
 
 from logs import frame as nouns
 from logs import road, rules, trace
-from logs.agents import Agents
+from logs.agents import NUMBERS, OPTIONAL, Agents
 from logs.kernel import FloatArray
 from logs.mcap import native
 from logs.mcap.trace import plan_message
@@ -20,7 +20,6 @@ from logs.states import TRAJECTORY_COLUMNS, Trajectory
 from replay.apart import schema
 from replay.plan_limits import LARGEST_INSIDE_BYTES, shortened
 
-AGENT_COLUMNS = ("length", "width", "x", "y", "yaw", "vx", "vy", "yaw_rate", "accel")
 PREDICTED = ("t", "probability", "x", "y", "yaw")
 WIRE = np.dtype("<f8")
 
@@ -114,7 +113,7 @@ def _fields(message: msgspec.Struct, *arrays: str) -> dict[str, Any]:
 def frame_message(frame: nouns.Frame) -> schema.Frame:
     """A frame to be sent."""
     agents, some, seen = frame.agents, frame.predictions, frame.visibility
-    now, futures = _columns(agents, AGENT_COLUMNS), _columns(some, PREDICTED)
+    now, futures = _columns(agents, NUMBERS), _columns(some, PREDICTED)
     return schema.Frame(
         t=frame.t,
         ego=frame.ego,
@@ -133,7 +132,8 @@ def _columns(noun: Any, names: tuple[str, ...]) -> dict[str, Any]:
 def frame_of(message: schema.Frame) -> nouns.Frame:
     """The frame that was sent."""
     now, some, seen = message.agents, message.predictions, message.visibility
-    agents: dict[str, Any] = {name: unpacked(getattr(now, name)) for name in AGENT_COLUMNS}
+    sent = (name for name in NUMBERS if name not in OPTIONAL or getattr(now, name))
+    agents: dict[str, Any] = {name: unpacked(getattr(now, name)) for name in sent}
     futures: dict[str, Any] = {name: unpacked(getattr(some, name)) for name in PREDICTED}
     shape = (len(some.agent), len(futures["t"]))
     futures |= {name: futures[name].reshape(shape) for name in ("x", "y", "yaw")}

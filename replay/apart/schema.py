@@ -118,7 +118,10 @@ class Describe(msgspec.Struct, tag="describe"):
 
 
 class Agents(msgspec.Struct):
-    """`logs.agents.Agents`: columns `(n,)`."""
+    """`logs.agents.Agents`: columns `(n,)`; the last three are empty where they are not known of anybody.
+
+    Replans of before `age` do not send those, planners of before it do not read them.
+    """
 
     ids: tuple[str, ...]
     kinds: tuple[AgentKind, ...]
@@ -131,6 +134,9 @@ class Agents(msgspec.Struct):
     vy: bytes
     yaw_rate: bytes
     accel: bytes
+    age: bytes = b""
+    unseen: bytes = b""
+    velocity_sigma: bytes = b""
 
 
 class Predictions(msgspec.Struct):

@@ -388,7 +388,7 @@ def paper(
     A few minutes. What agrees with the paper and what does not: docs/paper.md.
     """
     with answered():
-        from replay.experiments.paper import PaperConfig, reproduce
+        from replay.paper.reproduce import PaperConfig, reproduce
 
         count = cores() if workers is None else workers
         config = PaperConfig(tuple(vehicle or ("single_track",)), roads=roads, workers=count)

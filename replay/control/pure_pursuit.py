@@ -7,7 +7,7 @@
 Source: Coulter, Implementation of the Pure Pursuit Path Tracking Algorithm, CMU-RI-TR-92-01; look-ahead by speed as in
 Snider, Automatic Steering Methods for Autonomous Automobile Path Tracking, CMU-RI-TR-09-08. Neither looks at
 curvature. The distance is the shortest, in steps of 0.1 s of driving, that keeps every manoeuvre of
-`replay.experiments.manoeuvres` stable on the single-track vehicle.
+`replay.paper.manoeuvres` stable on the single-track vehicle.
 """
 
 from __future__ import annotations

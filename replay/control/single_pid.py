@@ -5,7 +5,7 @@
 
 Integrals stand still while they would push an output further out of its limits. Source: Astrom and Hagglund, Advanced
 PID Control, 3.5; the gain of (1) falls with speed as the curvature that a lateral acceleration allows. The gains
-are a compromise of a few tried on `replay.experiments.manoeuvres` with the single-track vehicle: (0.6, 0.4, 0.25) loses
+are a compromise of a few tried on `replay.paper.manoeuvres` with the single-track vehicle: (0.6, 0.4, 0.25) loses
 ISO 3888-1 as well as -2, (0.2, 0.15, 0.3) loses none but is twice as far off on roads.
 """
 

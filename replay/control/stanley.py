@@ -6,7 +6,7 @@ At the middle of the front axle, with its foot point on the path:
 
 Source: Thrun et al., Stanley: The Robot that Won the DARPA Grand Challenge, J. Field Robotics 23 (2006), eq. 5; the
 softening: Hoffmann et al., Autonomous Automobile Trajectory Tracking for Off-Road Driving, ACC 2007. Of the gains 1,
-1.5, 2 and 2.5, tried on `replay.experiments.manoeuvres` with the single-track vehicle, 2 is the best (2.5 loses
+1.5, 2 and 2.5, tried on `replay.paper.manoeuvres` with the single-track vehicle, 2 is the best (2.5 loses
 ISO 3888-2).
 """
 

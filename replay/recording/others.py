@@ -123,7 +123,7 @@ def perceived_only(trace: Trace, t: float) -> Agents:
     if trace.perceived is None:
         known, there = trace.agents.perceived(t), set(trace.agents.ids_at(t))
         rows = np.array([i for i, name in enumerate(known.ids) if name not in there], dtype=np.int64)
-        return picked(known, rows, rows)
+        return known.some(rows)
     tracks = trace.perceived
     at = np.flatnonzero(np.abs(tracks.t - t) < SAME_TIME_S)
     return picked(tracks, np.searchsorted(tracks.offsets, at, side="right") - 1, at)

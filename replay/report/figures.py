@@ -178,7 +178,7 @@ MARKS = {
     "late release": ("L", "late release"),
     "jerk": ("J", "needless jerk"),
 }
-"""Letters and words for the verdicts of `replay.experiments.pedestrian_grid`."""
+"""Letters and words for the verdicts of `replay.paper.pedestrian_grid`."""
 
 
 def grid_figure(table: pd.DataFrame) -> Figure:

@@ -71,7 +71,7 @@ def _agents(trace: Trace, frame: PlannedFrame) -> Agents:
         known = trace.agents.perceived(frame.t)
         row = {name: i for i, name in enumerate(known.ids)}
         rows = np.array([row[name] for name in frame.agents], dtype=np.int64)
-        return picked(known, rows, rows)
+        return known.some(rows)
     tracks = trace.perceived
     at = np.flatnonzero(np.abs(tracks.t - frame.t) < SAME_TIME_S)
     track = np.searchsorted(tracks.offsets, at, side="right") - 1
@@ -80,7 +80,7 @@ def _agents(trace: Trace, frame: PlannedFrame) -> Agents:
     return picked(tracks, track[order], at[order])
 
 
-def picked(some: Agents | Tracks, rows: IntArray, at: IntArray) -> Agents:
+def picked(some: Tracks, rows: IntArray, at: IntArray) -> Agents:
     """The agents `rows` with the sizes there and the poses at `at`."""
     poses = (getattr(some, name)[at] for name in ("x", "y", "yaw", "vx", "vy"))
     ids, kinds = (tuple(names[i] for i in rows) for names in (some.ids, some.kinds))

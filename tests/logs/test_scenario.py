@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from logs import AgentKind, Agents, Road, Scenario, Tracks, Trajectory
+from logs.agents import NUMBERS, OLDEST_S
 from logs.presence import MAX_AGE_S, MAX_GAP_S
 from logs.states import EgoState
 from logs.vehicle import VehicleParameters
@@ -53,8 +54,7 @@ def truncated(tracks: Tracks, time: float) -> Tracks:
 
 def same(one: Agents, two: Agents) -> bool:
     return (one.ids, one.kinds) == (two.ids, two.kinds) and all(
-        getattr(one, name).tobytes() == getattr(two, name).tobytes()
-        for name in ("length", "width", "x", "y", "yaw", "vx", "vy")
+        getattr(one, name).tobytes() == getattr(two, name).tobytes() for name in NUMBERS
     )
 
 
@@ -173,6 +173,20 @@ def test_velocity_is_logged_or_a_backward_difference() -> None:
     assert car.perceived(0.2).vx == pytest.approx([30.0])
     logged = one_car([0.0, 0.1], [0.0, 1.0], vx=[3.0, 5.0], vy=[0.0, -1.0])
     assert (logged.perceived(0.3).x, logged.perceived(0.3).y) == (pytest.approx([2.0]), pytest.approx([-0.2]))
+
+
+def test_how_long_an_agent_has_been_seen_and_how_long_not() -> None:
+    late = one_car([1.0, 1.1, 1.4], [0.0, 1.0, 4.0])
+    for time, age, unseen in ((1.0, 0.0, 0.0), (1.25, 0.25, 0.15), (1.4, 0.4, 0.0)):
+        seen = late.perceived(time)
+        assert (seen.age, seen.unseen) == (pytest.approx([age]), pytest.approx([unseen])), time
+        assert np.isnan(seen.velocity_sigma).all()
+    t = np.arange(0.0, 20.0, 0.1)
+    first = one_car(list(t), list(t))
+    assert np.isnan(first.perceived(OLDEST_S - 0.1).age).all(), "it was there when the scenario began"
+    assert first.perceived(OLDEST_S + 5.0).age == first.shifted(1.0).perceived(OLDEST_S + 5.0).age == [OLDEST_S]
+    still = replace(late, static=[True]).perceived(1.25)
+    assert np.isnan([still.age, still.unseen]).all() and np.isnan(late.truth(1.1).age).all()
 
 
 def test_an_agent_is_forgotten_and_its_truth_ends() -> None:

@@ -19,8 +19,8 @@ from replay.batch import evaluate_logs
 from replay.cli import app
 from replay.compare import compare_runs, opened, write_baseline
 from replay.config import RunConfig
-from replay.experiments import regressions
 from replay.report.compared import document
+from studies import regressions
 
 RUNNER = CliRunner(env={"COLUMNS": "200", "TERM": "dumb", "NO_COLOR": "1"})
 LOGS = ("paper/crossing_pedestrian", "paper/free_road")

@@ -271,7 +271,10 @@ def test_a_tracker_carries_on_who_drops_out_and_forgets_him_in_the_end() -> None
 
     assert 0 < lost(0.0) < lost(0.5) == lost(0.0) + 5
     carried = sensed(log, replace(IDEAL, occlusion=True, coast_s=0.5), t.tolist())[lost(0.5) - 1].agents
-    assert carried.y[carried.ids.index("child")] == pytest.approx(2.5 - 1.5 * 0.1 * (lost(0.5) - 1), abs=1e-6)
+    child = carried.ids.index("child")
+    assert carried.unseen[child] == pytest.approx(0.5) and carried.velocity_sigma[child] == 0.0
+    assert np.isnan(carried.age).all(), "the child was there when the sensor began"
+    assert carried.y[child] == pytest.approx(2.5 - 1.5 * 0.1 * (lost(0.5) - 1), abs=1e-6)
 
 
 def test_with_latency_a_change_is_seen_later_and_steady_motion_on_time() -> None:
@@ -283,6 +286,16 @@ def test_with_latency_a_change_is_seen_later_and_steady_motion_on_time() -> None
     assert [late[k].agents.vx[0] > 1.0 for k in (20, 22, 23, 24)] == [True, True, True, False]
     assert prompt[21].agents.vx[0] == pytest.approx(0.0, abs=1e-6)
     assert len(late[0].agents) == 1, "the sensor ran before the log began"
+
+
+def test_a_sensor_counts_the_age_from_its_own_first_measurement() -> None:
+    t = np.arange(0.0, 6.01, 0.1)
+    log = made(track("a", t, 80.0 - 10.0 * t, 0.0 * t), track("b", t, 5.0 + 0.0 * t, 9.0 + 0.0 * t))
+    seen = sensed(log, replace(IDEAL, range_m=50.0), t.tolist())
+    since = next(i for i, f in enumerate(seen) if "a" in f.agents.ids)
+    ages = [float(f.agents.age[f.agents.ids.index("a")]) for f in seen[since : since + 4]]
+    assert since > 0 and ages == pytest.approx([0.0, 0.1, 0.2, 0.3])
+    assert all(np.isnan(f.agents.age[f.agents.ids.index("b")]) for f in seen if "b" in f.agents.ids)
 
 
 # --- in the loops

@@ -29,7 +29,7 @@ from logs.vehicle import VehicleParameters
 from metrics.health import findings
 from replay.batch.sources import LogSource, builtin_suite, named_suite
 from replay.cli import app
-from replay.experiments import iso3888
+from replay.paper import iso3888
 
 GRIDS = [name for name, family in FAMILIES.items() if family.grid]
 CAR = VehicleParameters()

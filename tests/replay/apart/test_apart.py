@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -15,13 +16,14 @@ import pytest
 from handmade import drive, lanes_along, scenario, straight, track, tracks
 
 from logs import ConfigError, EndReason, Goal, PlannerContext, PlannerError, Scenario, Trace
+from logs.agents import NUMBERS, OPTIONAL
 from logs.catalogue import CATALOGUE
 from logs.mcap import write_scenario
 from logs.mcap.trace import plan_message
 from logs.states import TRAJECTORY_COLUMNS
 from metrics import evaluate
 from replay.apart import schema
-from replay.apart.convert import context_message, context_of
+from replay.apart.convert import context_message, context_of, frame_message, frame_of
 from replay.apart.link import clean
 from replay.apart.processes import _warm, loaded_for
 from replay.apart.proxy import described
@@ -31,6 +33,8 @@ from replay.closed_loop import run_closed_loop
 from replay.config import RunConfig
 from replay.drive import ApartConfig, LoopConfig
 from replay.open_loop import run_open_loop
+from replay.perception import perceive
+from replay.world import World
 
 SHORT = LoopConfig(apart=ApartConfig(plan_timeout_s=0.4, memory_gb=2.0))
 
@@ -270,3 +274,20 @@ def test_a_goal_with_alternatives_reaches_the_planner_and_one_without_is_as_befo
         np.testing.assert_array_equal(np.vstack(found.regions), np.vstack(goal.regions))
     old = {key: value for key, value in msgspec.to_builtins(sent.goal).items() if key != "alternatives"}
     assert msgspec.convert(old, schema.Goal).alternatives == []
+
+
+def test_agents_reach_the_planner_with_all_columns_and_without_those_of_older_senders() -> None:
+    log = scenario(drive(straight, 10.0, 1.0), agents=tracks(track("a", [0.4, 0.5], [1.0, 2.0], [0.0, 0.1])))
+    frame = perceive(World(log.ego.state(0), log.tracks), None, LoopConfig())
+    assert not len(frame.agents)
+    frame = perceive(World(replace(log.ego.state(0), t=0.6), log.tracks), None, LoopConfig())
+    sent = msgspec.msgpack.encode(frame_message(frame))
+    found = frame_of(msgspec.msgpack.decode(sent, type=schema.Frame)).agents
+    for name in NUMBERS:
+        np.testing.assert_array_equal(getattr(found, name), getattr(frame.agents, name), err_msg=name)
+    assert found.age == pytest.approx([0.2]) and found.unseen == pytest.approx([0.1])
+    plain = msgspec.msgpack.decode(sent)
+    for name in OPTIONAL:
+        del plain["agents"][name]
+    old = frame_of(msgspec.msgpack.decode(msgspec.msgpack.encode(plain), type=schema.Frame)).agents
+    assert all(np.isnan(getattr(old, name)).all() for name in OPTIONAL) and old.x == frame.agents.x

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from logs import EgoState, Trajectory, VehicleParameters
 from replay.control.pedals import GENTLE_MPS3, HOLDING_BRAKE, LONGER_M, Lead, Pedals, SoftStop, Standstill
-from replay.experiments.manoeuvres import JERK_OVER, Manoeuvre, follow
+from replay.paper.manoeuvres import JERK_OVER, Manoeuvre, follow
 from replay.plan_path import PlanPath
 from replay.vehicle.drivetrain import Drivetrain
 

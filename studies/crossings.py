@@ -1,6 +1,6 @@
 """Who goes first at a crossing: a planner beside the person who drove the log.
 
-python -m replay.experiments.crossings LOGS ... -o OUT [-p dp_qp]
+python -m studies.crossings LOGS ... -o OUT [-p dp_qp]
 
 (1) Stations s and offsets l are along the path that the person drove. On the path is who walks or rides (or is small
     and moves, where a log has no labels) with |l| < `ASIDE_M`, up to `AHEAD_M` before the person's front bumper.
@@ -207,7 +207,7 @@ def compared(scenario: Scenario, planner: str) -> Row | None:
 
 def main(argv: Sequence[str] | None = None) -> None:
     """Compare, write the tables, print them."""
-    parser = argparse.ArgumentParser(prog="python -m replay.experiments.crossings", description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(prog="python -m studies.crossings", description=__doc__.splitlines()[0])
     parser.add_argument("logs", nargs="+", type=Path, help="logs of any format, or folders of them")
     parser.add_argument("-o", "--out", type=Path, required=True, help="folder for the tables")
     parser.add_argument("-p", "--planner", default="dp_qp")

@@ -1,6 +1,6 @@
 """Controllers compared: manoeuvres given as plans, without a planner, on each vehicle model.
 
-    python -m replay.experiments.manoeuvres [--vehicle NAME ...] [--controller NAME ...] [--roads 50] [--robustness]
+    python -m replay.paper.manoeuvres [--vehicle NAME ...] [--controller NAME ...] [--roads 50] [--robustness]
         [--car NAME] [--entry-speed] [--csv FILE]
 
 Tracking only: the whole reference is one plan, known in advance; the vehicle starts on it. "roads" are seeded roads of
@@ -25,7 +25,7 @@ from logs.states import Command, Trajectory
 from logs.trace import Plan
 from logs.vehicle import VehicleParameters, vehicle_names, vehicle_parameters
 from replay.control import CONTROLLERS
-from replay.experiments import iso3888
+from replay.paper import iso3888
 from replay.plan_path import PlanPath
 from replay.simulation_setup import controller_of
 from replay.vehicle import VEHICLES
@@ -285,7 +285,7 @@ def fastest_clean(controller: str, vehicle: str, car: VehicleParameters) -> floa
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Print the table."""
-    parser = argparse.ArgumentParser(prog="python -m replay.experiments.manoeuvres", description="Compare controllers.")
+    parser = argparse.ArgumentParser(prog="python -m replay.paper.manoeuvres", description="Compare controllers.")
     parser.add_argument("--vehicle", action="append", choices=list(VEHICLES))
     parser.add_argument("--controller", action="append", choices=list(CONTROLLERS))
     parser.add_argument("--car", choices=vehicle_names(), help="parameters of logs/vehicles; else the default car")

@@ -34,7 +34,7 @@ from planners.dp_qp.speed.qp import SpeedQpConfig
 from planners.frenet.st_boundaries import StGraphConfig
 from replay.closed_loop import run_closed_loop
 from replay.drive import LoopConfig
-from replay.experiments.pedestrian_grid import RELEASE_S, Cell, braked, braking_intervals
+from replay.paper.pedestrian_grid import RELEASE_S, Cell, braked, braking_intervals
 
 LOOP = LoopConfig(prediction="constant_velocity", traffic="time")
 TOUCHED = (EndReason.COLLISION, EndReason.REPLAY_CONTACT)

@@ -29,8 +29,8 @@ from logs.shapes import distance
 from planners.frenet.profiles import SpeedLimits
 from replay.calibrate import calibrate
 from replay.drive import LoopConfig
-from replay.experiments import paper, pedestrian_grid
-from replay.experiments.pedestrian_grid import (
+from replay.paper import pedestrian_grid, reproduce
+from replay.paper.pedestrian_grid import (
     CELLS,
     Avoidable,
     Cell,
@@ -155,16 +155,16 @@ def graph_frame(t: float, *, blocked: bool) -> PlannedFrame:
 
 def test_the_moments_of_figure_10() -> None:
     frames = [graph_frame(0.1 * i, blocked=3 <= i < 8) for i in range(12)]
-    chosen = [frame.t for _, frame in paper.blocked_moments(frames)]
+    chosen = [frame.t for _, frame in reproduce.blocked_moments(frames)]
     np.testing.assert_allclose(chosen, [0.3, 0.5, 0.8])
     for never in (frames[:3], frames[:8]):
         with pytest.raises(ConfigError, match="blocks the path"):
-            paper.blocked_moments(never)
+            reproduce.blocked_moments(never)
 
 
 def test_markdown() -> None:
     table = pd.DataFrame({"name": ["a"], "value": [0.123456], "none": [np.nan], "flag": [True]})
-    assert paper.markdown(table).splitlines() == [
+    assert reproduce.markdown(table).splitlines() == [
         "| name | value | none | flag |",
         "|---|---|---|---|",
         "| a | 0.123 | - | True |",
@@ -173,9 +173,9 @@ def test_markdown() -> None:
 
 def test_settings_are_checked() -> None:
     with pytest.raises(ConfigError, match="did you mean 'single_track'"):
-        paper.PaperConfig(vehicles=("single_trak",))
+        reproduce.PaperConfig(vehicles=("single_trak",))
     with pytest.raises(ConfigError, match="negative"):
-        paper.PaperConfig(roads=-1)
+        reproduce.PaperConfig(roads=-1)
 
 
 @pytest.fixture
@@ -203,7 +203,7 @@ def test_a_cell_is_driven_the_same_twice_and_drawn(tmp_path: Path) -> None:
 def test_figures_9_10_and_12_are_drawn(tmp_path: Path) -> None:
     scenario = CROSSING_PEDESTRIAN.scenario()
     trace = replace(pedals([0.0, 0.3, 0.0]), frames=(graph_frame(0.0, blocked=True),))
-    points = paper.planned_points(trace)
+    points = reproduce.planned_points(trace)
     np.testing.assert_allclose(points, [[0.0, 0.0], [0.5, 0.0], [1.0, 0.0]])
     drawn = {
         "9": figures.path_figure([("mpc", trace)], points, scenario),
@@ -220,8 +220,8 @@ def test_figures_9_10_and_12_are_drawn(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_whole_command(tmp_path: Path) -> None:
     said: list[str] = []
-    config = paper.PaperConfig(roads=1, cells=CELLS[:2])
-    page = paper.reproduce(tmp_path, config, say=said.append)
+    config = reproduce.PaperConfig(roads=1, cells=CELLS[:2])
+    page = reproduce.reproduce(tmp_path, config, say=said.append)
     wanted = {"fig09_path.png", "fig10_st.png", "fig12_pedals.png", "free_road.rrd", "crossing_pedestrian.rrd",
               "manoeuvres.csv", "scenarios.csv", "pedestrian_grid.csv", "pedestrian_grid.png", "paper.md"}  # fmt: skip
     assert {path.name for path in tmp_path.iterdir()} == wanted
@@ -236,7 +236,7 @@ def test_the_whole_command(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_nominal_braking_lasts_as_in_the_paper() -> None:
     scenario = CROSSING_PEDESTRIAN.scenario()
-    trace = paper.drive(scenario, "single_track", "mpc").trace
+    trace = reproduce.drive(scenario, "single_track", "mpc").trace
     clear = walker_within(scenario, 0.6)[1]
     ((begin, end),) = [one for one in braking_intervals(trace) if one[0] < clear]
     assert 3.0 <= end - begin <= 5.0 and end <= clear + 1.0

@@ -12,7 +12,7 @@ import pytest
 from logs.catalogue import CATALOGUE
 from logs.mcap import write_scenario
 from replay.batch.sources import LogSource
-from replay.experiments.invariance import COLUMNS, PERTURBATIONS, Job, compare, counted, main, parted
+from studies.invariance import COLUMNS, PERTURBATIONS, Job, compare, counted, main, parted
 
 
 @pytest.mark.parametrize("name", PERTURBATIONS)

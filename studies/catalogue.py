@@ -1,6 +1,6 @@
 """A suite of the catalogue as a picture: per family and cell what became of it, beside the careful driver of UN R157.
 
-    python -m replay.experiments.catalogue -o OUT [--suite full] [-p dp_qp] [--workers 1] [--results DIR]
+    python -m studies.catalogue -o OUT [--suite full] [-p dp_qp] [--workers 1] [--results DIR]
 
 Drives the suite in the closed loop (or takes the results of such a run) and writes OUT/catalogue.csv, a row per log
 (`COLUMNS`), OUT/catalogue.md, counted by family and with every cell that is not passed, and OUT/catalogue.png.
@@ -249,7 +249,7 @@ def _legend(figure: Figure, title: str) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write table and picture, print the counts; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m replay.experiments.catalogue", description="A suite as a picture.")
+    parser = argparse.ArgumentParser(prog="python -m studies.catalogue", description="A suite as a picture.")
     parser.add_argument("-o", "--out", required=True, type=Path, help="folder for table and picture")
     parser.add_argument("--suite", default="full", help=f"{', '.join(SUITES)}, or a family or group. Default: full")
     parser.add_argument("-p", "--planner", default="dp_qp")

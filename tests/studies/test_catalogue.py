@@ -10,7 +10,7 @@ import pytest
 
 from logs.catalogue.suites import suite
 from replay.batch.schema import SCHEMA_VERSION
-from replay.experiments.catalogue import OUTCOMES, main, table_of
+from studies.catalogue import OUTCOMES, main, table_of
 
 AT_FAULT, CONTACT, IMPACT = "collision_at_fault.count", "replay_contact.final", "collision_severity.impact_speed.max"
 MEETS = {"reference_cc.applies": 1.0, "reference_cc.avoids": 0.0}

@@ -12,7 +12,7 @@ import pytest
 from logs import AgentKind, Road, Scenario
 from logs.scenario import Tracks
 from logs.states import Trajectory
-from replay.experiments.crossings import DrivenPath, compared, crossing_of, main
+from studies.crossings import DrivenPath, compared, crossing_of, main
 
 T = np.arange(0.0, 16.0, 0.1)
 

@@ -9,8 +9,8 @@ import pytest
 
 from logs import ConfigError, VehicleParameters
 from logs.vehicle import vehicle_names, vehicle_parameters
-from replay.experiments import iso3888
-from replay.experiments.manoeuvres import (
+from replay.paper import iso3888
+from replay.paper.manoeuvres import (
     ALAT_MPS2,
     VARIANTS,
     along_points,

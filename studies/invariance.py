@@ -1,6 +1,6 @@
 """Does a drive stay the same in a world that should not matter? Turned, mirrored, another clock, rate or noise.
 
-python -m replay.experiments.invariance [LOG ...] -o OUT [-p dp_qp ...] [--only turn_30 ...] [--workers N]
+python -m studies.invariance [LOG ...] -o OUT [-p dp_qp ...] [--only turn_30 ...] [--workers N]
 
 Without logs: the built-in suite. OUT/invariance.csv has a row per log, planner and perturbation (`COLUMNS`). What is
 printed counts, per planner and perturbation, the logs whose outcome (why the drive ended, the goal, collisions at
@@ -184,7 +184,7 @@ def compare(jobs: Sequence[Job], out: Path, *, workers: int, say: Callable[[str]
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write the table and print the counts; returns the exit code."""
-    parser = argparse.ArgumentParser(prog="python -m replay.experiments.invariance", description="Perturbed drives.")
+    parser = argparse.ArgumentParser(prog="python -m studies.invariance", description="Perturbed drives.")
     parser.add_argument("logs", nargs="*", type=Path, help="files or folders; none: the built-in suite")
     parser.add_argument("-o", "--out", required=True, type=Path, help="folder for the table")
     parser.add_argument("-p", "--planner", action="append", help="default: dp_qp")

@@ -1,6 +1,6 @@
 """Planners over CommonRoad scenarios, by source and traffic: one command, one table.
 
-python -m replay.experiments.commonroad DIR -o OUT [--planner dp_qp ...] [--traffic give_way ...] [--resume]
+python -m studies.commonroad DIR -o OUT [--planner dp_qp ...] [--traffic give_way ...] [--resume]
 
     OUT/commonroad.csv, .md     a row per traffic, source and planner (`COLUMNS`)
     OUT/commonroad_logs.csv     a row per traffic, log and planner: which logs these numbers are made of
@@ -222,7 +222,7 @@ def _write_csv(path: Path, table: pd.DataFrame) -> None:
 def main(arguments: Sequence[str] | None = None) -> int:
     """Write the tables and print the page; returns the exit code."""
     parser = argparse.ArgumentParser(
-        prog="python -m replay.experiments.commonroad", description="Compare planners over CommonRoad scenarios."
+        prog="python -m studies.commonroad", description="Compare planners over CommonRoad scenarios."
     )
     parser.add_argument("logs", nargs="+", type=Path, help="CommonRoad files, or folders of them")
     parser.add_argument("-o", "--out", required=True, type=Path, help="folder for the tables and the runs")

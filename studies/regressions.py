@@ -1,6 +1,6 @@
 """Is a regression noticed? One of each kind is planted in the planner, and the run compared with the untouched one.
 
-python -m replay.experiments.regressions -o OUT [LOG ...] [--only NAME ...] [--ensemble N] [--workers N]
+python -m studies.regressions -o OUT [LOG ...] [--only NAME ...] [--ensemble N] [--workers N]
 
 Logs are files, or names of the catalogue; without any: the built-in suite. OUT/NAME are the results,
 OUT/regressions.csv has a row per change (`COLUMNS`): exit code, the rules of comparison that it breaks (the packaged
@@ -41,7 +41,7 @@ from replay.config import RunConfig
 TINY_M = 1e-9
 PLANNER = "dp_qp"
 BASE = RunConfig(recording=False)
-BLIND = f"{__name__ if __name__ != '__main__' else 'replay.experiments.regressions'}:BlindToPedestrians"
+BLIND = f"{__name__ if __name__ != '__main__' else 'studies.regressions'}:BlindToPedestrians"
 COLUMNS = ("change", "exit_code", "broken_rules", "to_fail", "values_worse", "parted", "stage", "first")
 
 
@@ -61,12 +61,7 @@ def without(frame: Frame, kind: AgentKind) -> Frame:
     agents, some = frame.agents, frame.predictions
     keep = np.array([one is not kind for one in agents.kinds], bool)
     there = np.flatnonzero(keep)
-    columns = ("length", "width", "x", "y", "yaw", "vx", "vy", "yaw_rate", "accel")
-    left = type(agents)(
-        tuple(agents.ids[i] for i in there),
-        tuple(agents.kinds[i] for i in there),
-        *(getattr(agents, name)[keep] for name in columns),
-    )
+    left = agents.some(there)
     rows = keep[some.agent]
     place = np.cumsum(keep) - 1
     predictions = Predictions(

@@ -5,9 +5,9 @@
     OUT/fig12_pedals.png          throttle, brake and speed, the braking marked
     OUT/free_road.rrd             the recordings, for `replan view`
     OUT/crossing_pedestrian.rrd
-    OUT/manoeuvres.csv            controllers x manoeuvres, without a planner (replay.experiments.manoeuvres)
+    OUT/manoeuvres.csv            controllers x manoeuvres, without a planner (replay.paper.manoeuvres)
     OUT/scenarios.csv             controllers x the paper's scenarios, with the planner
-    OUT/pedestrian_grid.csv       and .png: the pedestrian varied (replay.experiments.pedestrian_grid)
+    OUT/pedestrian_grid.csv       and .png: the pedestrian varied (replay.paper.pedestrian_grid)
     OUT/paper.md                  all of it on one page
 
 No clock is in them but for the planner's stage times in the recordings: two runs give the same bytes of the rest. Each
@@ -35,8 +35,8 @@ from replay.batch.tables import write_file, write_text
 from replay.closed_loop import run_closed_loop
 from replay.control import CONTROLLERS
 from replay.drive import Drive
-from replay.experiments.manoeuvres import compare
-from replay.experiments.pedestrian_grid import CELLS, LOOP, PLANNER, Cell, braking_intervals, grid, walker_within
+from replay.paper.manoeuvres import compare
+from replay.paper.pedestrian_grid import CELLS, LOOP, PLANNER, Cell, braking_intervals, grid, walker_within
 from replay.recording import write_recording
 from replay.report import figures
 from replay.vehicle import VEHICLES

@@ -1,1 +1,0 @@
-"""What is run to learn about replan itself: controllers compared, the pedestrian varied, the paper reproduced."""

@@ -1,0 +1,1 @@
+"""The experiments of the paper: figures, controllers compared, the pedestrian varied (`replan paper`)."""

@@ -21,7 +21,8 @@ class Group:
 
     Attributes:
         noise: Standard deviation of a box centre, m, of which most drifts slowly: rms 0.22 to 0.30 m of standing cars.
-        accel: Standard deviation of the acceleration over `STEP_S`, m/s2; Autoware's tracker has 0.35 g for cars.
+        accel: Standard deviation of the acceleration over `STEP_S`, m/s2; Autoware's tracker has 0.35 g along
+            and 0.15 g across cars, 0.3 g for pedestrians.
         first_along: Standard deviation of the speed at the first detection along the box, m/s; `first_across` likewise:
             29 % of the vehicle tracks joined without it began with a step above 2.5 m, 18 % sideways.
         reach: A detection farther from where a track should be is another object, m; Autoware's gates are 2 m.
@@ -54,13 +55,13 @@ class Group:
 
 VEHICLE, PERSON, CLUSTER = 0, 1, 2
 GROUPS = (
-    Group(noise=0.30, accel=4.0, first_along=10.0, first_across=1.5, reach=4.0,
+    Group(noise=0.30, accel=3.0, first_along=10.0, first_across=1.5, reach=4.0,
           least_time=0.7, least_count=5, least_score=2.5, still=1.2, slow=0.6, fast=1.5,
           meet=1.0, meet_growth=0.8, turn=3.0, turn_growth=2.0),
-    Group(noise=0.20, accel=2.0, first_along=2.5, first_across=2.5, reach=1.5,
+    Group(noise=0.20, accel=1.5, first_along=2.5, first_across=2.5, reach=1.5,
           least_time=0.7, least_count=5, least_score=2.0, still=0.6, slow=0.3, fast=0.5,
           meet=0.7, meet_growth=0.5, turn=1.5, turn_growth=1.0),
-    Group(noise=0.35, accel=2.0, first_along=3.0, first_across=3.0, reach=1.5,
+    Group(noise=0.35, accel=1.5, first_along=3.0, first_across=3.0, reach=1.5,
           least_time=1.5, least_count=10, least_score=0.0, still=1.0, slow=0.6, fast=1.0,
           meet=0.7, meet_growth=0.3, turn=1.5, turn_growth=0.5),
 )  # fmt: skip
@@ -79,7 +80,7 @@ NOISE, ACCEL, FIRST_ALONG, FIRST_ACROSS, REACH, SLOW = (
 )
 DENSITY = frozen(ACCEL**2 * STEP_S)
 """Spectral density of the acceleration by group, m2/s3."""
-SMOOTH_DENSITY = frozen(0.25 * DENSITY)
+SMOOTH_DENSITY = frozen(0.45 * DENSITY)
 """Where the whole track is known: the speed of who drives is off by a fifth less (tests/support/track_score.py)."""
 _GROUP = frozen(
     [

@@ -67,7 +67,7 @@ def repair(detections: Detections, ego: Trajectory, vehicle: VehicleParameters) 
     several = stitched([piece for piece in pieces if len(piece.rows) > 1], boxes, detections.frames)
     alone = [piece for piece in pieces if len(piece.rows) == 1]
     users, removed, notes = _judged(several + alone, boxes, ego, vehicle)
-    users = [evidence.extended(user, detections.frames, ego, vehicle) for user in users]
+    users = [evidence.extended(user, users, detections.frames, ego, vehicle) for user in users]
     return _reported(users, removed, notes, detections, boxes, every, twin_of)
 
 

@@ -107,7 +107,7 @@ def test_a_repair_of_what_was_repaired_changes_little() -> None:
         assert apart.max() < 0.2
 
 
-@settings(max_examples=5, deadline=None)
+@settings(max_examples=3)
 @given(st.floats(-3.0, 3.0), st.booleans())
 def test_turned_and_mirrored_worlds_are_alike(angle: float, mirror: bool) -> None:
     tracks, done = usual()
@@ -117,7 +117,7 @@ def test_turned_and_mirrored_worlds_are_alike(angle: float, mirror: bool) -> Non
     assert np.allclose(by_place(tracks, x, y), by_place(others, others.x, others.y), atol=1e-4)
 
 
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=2)
 @given(st.integers(0, 100))
 def test_the_order_within_a_frame_does_not_count(seed: int) -> None:
     found = seen()

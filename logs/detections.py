@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +13,7 @@ from logs.agents import AgentKind
 from logs.kernel import BoolArray, FloatArray, IntArray, frozen
 
 if TYPE_CHECKING:
+    from logs.repair.tracker import Tracked
     from logs.scenario import Tracks
 
 
@@ -69,6 +71,22 @@ class Detections:
         columns = {name: getattr(self, name)[keep] for name in _COLUMNS}
         return replace(self, ids=tuple(np.array(self.ids, object)[keep]), **columns)
 
+    def between(self, first: float, last: float) -> Detections:
+        """Those of the frames from `first` to `last`, s."""
+        frames = self.frames[(self.frames >= first) & (self.frames <= last)]
+        return replace(self.taken((self.t >= first) & (self.t <= last)), frames=frames)
+
+    def shifted(self, seconds: float) -> Detections:
+        """Those, so much later."""
+        return replace(self, t=self.t + seconds, frames=self.frames + seconds)
+
+    @cached_property
+    def tracked(self) -> Tracked:
+        """The road users as they could be known at each time; made when it is first asked for."""
+        from logs.repair.tracker import tracked
+
+        return tracked(self)
+
     @property
     def kinds(self) -> tuple[AgentKind, ...]:
         """What they are."""
@@ -112,15 +130,22 @@ class Repair:
         extended: Per sample of the repaired tracks `(m,)`: before the first or after the last detection of its track.
             Gaps between two detections are filled and not marked.
         changes: In order of the repaired tracks, then of the removed ones.
+        tracks: What they became; those of a scenario are these, unless traffic or a variation changed them since.
+
+    Raises:
+        ValueError: `extended` is not of these tracks.
     """
 
     detections: Detections
     removed: Tracks
     extended: BoolArray
     changes: tuple[Change, ...]
+    tracks: Tracks
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "extended", frozen(self.extended, np.bool_))
+        if self.extended.shape != self.tracks.t.shape:
+            raise ValueError("repair: one mark of what is extended for each sample of the tracks")
 
     def summary(self) -> tuple[str, ...]:
         """A sentence for each kind of change, with counts."""

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from logs.agents import OLDEST_S, AgentKind, Agents, among, codes_of
+from logs.detections import Detections, Repair
 from logs.kernel import BoolArray, FloatArray, IntArray, frozen, inner_kernel, kernel
 from logs.motion import Motion, estimated
 from logs.observed import Spans, inferred
@@ -381,6 +382,8 @@ class Scenario:
             stop line names and that is not among them was not observed.
         onboard: The plans that the log's own planner made, in order of when they were known.
         traffic: When the other road users were observed, as the log states it; None: it does not (`traffic_spans`).
+        detections: Boxes that are not yet tracks, which `logs.readers` makes of them; None: the tracks are complete.
+        repair: How the tracks were made of detections; None: they are the log's own.
 
     Raises:
         ValueError: The scenario is shorter than its ego log, two lights have one id, or a span of traffic is none.
@@ -404,6 +407,8 @@ class Scenario:
     lights: tuple[TrafficLight, ...] = ()
     onboard: tuple[OnboardPlan, ...] = ()
     traffic: Spans | None = None
+    detections: Detections | None = None
+    repair: Repair | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "metadata", MappingProxyType(dict(self.metadata)))

@@ -24,6 +24,8 @@ The other road users, between samples of a track:
 (12) size         vehicles beyond `LARGEST_M`, people wider than `PERSON_M`
 (13) units        (9) by the same factor for most of those who move
 (17) not recorded a stretch of the log of more than `logs.presence.MAX_AGE_S` in which no traffic was observed
+(18) across       a vehicle goes a step of more than `ACROSS_M` more than `ACROSS_RAD` off the axis of its box
+(19) short tracks more than `SHORT_SHARE` of the tracks of vehicles have fewer than `SHORT` samples
 
 The map and the lights:
 
@@ -35,7 +37,7 @@ The map and the lights:
 
 from __future__ import annotations
 
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from enum import Enum
@@ -44,6 +46,7 @@ from math import isfinite
 import numpy as np
 import pandas as pd
 
+from logs.agents import among
 from logs.kernel import FloatArray
 from logs.observed import clipped
 from logs.presence import MAX_AGE_S
@@ -96,6 +99,10 @@ LARGEST_M, PERSON_M = (30.0, 4.5), 2.5
 """Length and width of the largest vehicles on public roads, with room; wider than any person or bicycle, m."""
 MOST = 0.6
 """Share of the moving tracks that must be off by one factor."""
+ACROSS_M, ACROSS_RAD = 2.5, 0.61
+"""No wheels slip so: two boxes of two cars, m and rad."""
+SHORT, SHORT_SHARE = 3, 0.1
+"""Road users who pass are seen longer; some come into sight as a log ends, as a share."""
 SMALL = (AgentKind.PEDESTRIAN, AgentKind.BICYCLE)
 LONG = (AgentKind.CAR, AgentKind.TRUCK, AgentKind.BUS, AgentKind.MOTORCYCLE)
 
@@ -135,6 +142,8 @@ class Kind(Enum):
     TELEPORT = "teleport", "time to collision, predictions and contacts are wrong around the jump"
     AGENT_SPEED = "agent speed", "predictions, times to collision and RSS rest on a speed that the positions deny"
     HEADING_FLIP = "heading flip", "their box turns on the spot: contacts and predictions are wrong for a moment"
+    ACROSS = "motion across the axis", "predictions cross the ego's way with somebody who never went there"
+    SHORT = "short tracks", "who is seen for a moment has no motion that can be known; much of it may be false"
     TWIN = "twin boxes", "one road user counts twice in gaps and in the number of road users"
     SIZE = "size", "contacts and gaps with them are those of a box that is hardly theirs"
     UNITS = "units", "all that has metres or seconds in it is off by that factor"
@@ -194,12 +203,20 @@ def sentences(found: Iterable[Finding]) -> tuple[str, ...]:
     return tuple(out)
 
 
-def report(scenario: Scenario) -> list[str]:
-    """All findings in words, for `replan inspect`: the first `SHOWN` of each kind, and the kind's effect."""
+def report(scenario: Scenario, raw: Scenario | None = None) -> list[str]:
+    """All findings in words, for `replan inspect`: the first `SHOWN` of each kind, and the kind's effect.
+
+    `raw` is the same log without the repair of its tracks, which is compared.
+    """
     found = findings(scenario)
-    if not found:
-        return [f"health: nothing found by {len(CHECKS)} checks"]
-    out = [f"health: {len(found)} findings by {len(CHECKS)} checks"]
+    out = [f"health: {len(found) or 'nothing'} {'findings' if found else 'found'} by {len(CHECKS)} checks"]
+    if raw is not None:
+        was = Counter(one.kind.value for one in findings(raw))
+        out += [
+            f"repair: {len(raw.tracks)} tracks and {was.total()} findings before,"
+            f" {len(scenario.tracks)} and {len(found)} after",
+            f"    before: {', '.join(f'{count} {kind}' for kind, count in was.most_common()) or 'nothing found'}",
+        ]
     for kind, same in _by_kind(found).items():
         out.append(f"  {kind.value}: {kind.effect}")
         out += [f"    {one.t_from:.2f} to {one.t_to:.2f} s, {one.topic}: {one.text}" for one in same[:SHOWN]]
@@ -389,6 +406,34 @@ def heading_flips(scenario: Scenario) -> Iterator[Finding]:
             yield _of_track(tracks, i, Kind.HEADING_FLIP, (t[k], t[k + 1]), turn[k], "rad", text)
 
 
+def across(scenario: Scenario) -> Iterator[Finding]:
+    """(18), the first of each track; the axis is the middle of both boxes', as a chord is of a bend's ends."""
+    tracks = scenario.tracks
+    for i, mine in _moving(tracks):
+        if tracks.kinds[i] not in LONG:
+            continue
+        t, yaw = tracks.t[mine], tracks.yaw[mine]
+        dx, dy = np.diff(tracks.x[mine]), np.diff(tracks.y[mine])
+        turn = wrapped(2.0 * (np.arctan2(dy, dx) - yaw[:-1] - 0.5 * np.diff(yaw)))  # twice: it may go backward
+        far = (np.hypot(dx, dy) > ACROSS_M) & (np.abs(turn) > 2.0 * ACROSS_RAD) & ~tracks.gap_after[mine][:-1]
+        if far.any():
+            k, count = int(np.argmax(far)), int(far.sum())
+            more = f", and {count - 1} more times" if count > 1 else ""
+            off = 0.5 * abs(float(turn[k]))
+            text = f"goes {np.hypot(dx[k], dy[k]):.1f} m at {off:.1f} rad to its axis in {t[k + 1] - t[k]:.2f} s{more}"
+            yield _of_track(tracks, i, Kind.ACROSS, (t[k], t[k + 1]), off, "rad", text)
+
+
+def short_tracks(scenario: Scenario) -> Iterator[Finding]:
+    """(19)."""
+    tracks = scenario.tracks
+    vehicles = among(*LONG)[tracks.codes] & ~tracks.static
+    short = int((np.diff(tracks.offsets)[vehicles] < SHORT).sum())
+    if short > max(1.0, SHORT_SHARE * vehicles.sum()):
+        text = f"{short} of {int(vehicles.sum())} tracks of vehicles have fewer than {SHORT} samples"
+        yield Finding(Kind.SHORT, "agents", "", 0.0, scenario.duration, short, "1", text)
+
+
 def twins(scenario: Scenario) -> Iterator[Finding]:
     """(11)."""
     tracks = scenario.tracks
@@ -496,6 +541,6 @@ def lights(scenario: Scenario) -> Iterator[Finding]:
 
 CHECKS: tuple[Callable[[Scenario], Iterable[Finding]], ...] = (
     ghosts, ego_gaps, ego_jumps, ego_speed, ego_heading, flickering, id_switches, teleports, speeds, heading_flips,
-    twins, sizes, unrecorded, off_map, lane_graph, lights,
+    across, short_tracks, twins, sizes, unrecorded, off_map, lane_graph, lights,
 )  # fmt: skip
 """All checks, in the order of the report."""

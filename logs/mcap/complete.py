@@ -4,12 +4,16 @@
 (2) kappa_k = (yaw_k - yaw_(k-1)) / d,  d = +-|p_k - p_(k-1)|   negative in reverse; below `MIN_STEP` the value before
 (3) no road: one lane along the driven path, from 10 m behind the start; a path that stays within `MIN_PATH` of its
     start has no direction, so the heading gives it
-(4) no speed limit: the speed at the start rounded up to 10 km/h, at least `Road.default_speed_limit`. What is driven
-    later does not go in: else the planner would know how fast the log's driver will be
+(4) no speed limit on lanes: the speed at the start rounded up to 10 km/h, at least `Road.default_speed_limit`. What is
+    driven later does not go in: else the planner would know how fast the log's driver will be
+(5) no lanes: `MARGIN` x the speed below which `SHARE` of the way was driven, rounded up to `STEP`; at least the speed
+    at the start and `LEAST`; (4) for a log that hardly moves. Where nothing else is known of a road, how it is driven
+    says how fast it may be: limits are set by the 85th percentile. One number for a drive tells little of its course
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from math import ceil
 
 import numpy as np
@@ -22,6 +26,8 @@ from logs.states import Trajectory
 MIN_STEP = 0.05
 MIN_PATH = 5.0
 LIMIT_STEP = 10.0 / 3.6
+SHARE, MARGIN, STEP, LEAST = 0.85, 1.1, 5.0 / 3.6, 20.0 / 3.6
+"""Of (5), m/s."""
 BEHIND = 10.0
 ASSUMED = "as fast as at the start, at least 50 km/h"
 NO_LANES = "The log has no lanes"
@@ -65,6 +71,17 @@ def assumed_limit(ego: Trajectory) -> float:
     return max(Road.default_speed_limit, steps * LIMIT_STEP)
 
 
+def driven_limit(ego: Trajectory) -> float:
+    """The speed limit (5) of a road that is known by one drive only, m/s."""
+    v = np.abs(ego.v)
+    pace, way = 0.5 * (v[1:] + v[:-1]), 0.5 * (v[1:] + v[:-1]) * np.diff(ego.t)
+    if way.sum() < MIN_PATH:
+        return assumed_limit(ego)
+    order = np.argsort(pace, kind="stable")
+    usual = pace[order][np.searchsorted(np.cumsum(way[order]), SHARE * way.sum())]
+    return max(ceil(max(MARGIN * float(usual), float(v[0])) / STEP - TIE) * STEP, LEAST)
+
+
 def road_along(ego: Trajectory, notes: list[str]) -> Road:
     """The road of a log without lanes (3), with its note.
 
@@ -77,12 +94,16 @@ def road_along(ego: Trajectory, notes: list[str]) -> Road:
     if stands:
         path = path[0] + np.array([[0.0], [MIN_PATH]]) * ahead
     path = np.vstack([path[0] - np.arange(BEHIND, 0.0, -2.0)[:, None] * ahead, path])
-    limit = assumed_limit(ego)
+    limit = driven_limit(ego)
     way = "its heading, as it hardly moves" if stands else "the driven path"
-    notes.append(f"{NO_LANES}: one lane along {way}, speed limit {limit:.1f} m/s ({ASSUMED}).")
+    notes.append(
+        f"{NO_LANES}: one lane along {way}. Its speed limit is assumed: {limit:.1f} m/s,"
+        f" {MARGIN - 1.0:.0%} above what {SHARE:.0%} of the way was driven at."
+    )
     try:
         with np.errstate(all="ignore"):
-            return Road.along(path, speed_limit=limit)
+            road = Road.along(path, speed_limit=limit)
+            return replace(road, assumed_limits=frozenset(road.lanes))
     except ValueError as error:
         remedy = "give the log a road"
         raise LogError(f"no road can be made along the driven path: {error}", topic="/ego", remedy=remedy) from None

@@ -16,6 +16,11 @@
     /road            Road          once        /goal   Goal   once        /vehicle   Vehicle   once
     /traffic_lights  LightColumns  what lights show from the log time on; those that do not change may be left out
     /onboard         OnboardPlan   a plan that the log's own planner made, at the log time from which it was known
+    /detections      DetectionColumns  the boxes of a perception, a message a frame, also where it saw nothing; without
+                                   /repair they are not yet tracks, and whoever reads the log makes some of them
+    /repair          Repair        once: /agents are tracks made of /detections, with what was changed and why; they
+                                   are RepairedColumns
+    /removed, /removed/table       as /agents: tracks that were taken away then; no road users
     /plan, /command, /actuation, /tracking     only in a trace: what was planned, asked, done, missed
     /perceived       AgentColumns  only in a trace: the others as a sensor showed them to the planner, once a frame
     /perceived/table AgentTable    once, where some of those are not in /agents/table or of another kind or size there
@@ -59,7 +64,7 @@ UNITS = {
     "cornering_front": "n_per_rad", "cornering_rear": "n_per_rad", "max_steer": "rad", "max_steer_rate": "radps",
     "steer_lag": "s", "max_accel": "mps2", "max_power": "w_per_kg", "max_decel": "mps2", "throttle_lag": "s",
     "brake_lag": "s", "drag": "per_m", "rolling": "mps2", "cog_height": "m", "brake_delay": "s", "wheel_radius": "m",
-    "motor_speed": "radps", "motor_torque": "nm", "motor_overrun": "nm", "shift_time": "s",
+    "motor_speed": "radps", "motor_torque": "nm", "motor_overrun": "nm", "shift_time": "s", "begin": "s", "end": "s",
 }  # fmt: skip
 """Unit of each name in code; a name that is not here has none."""
 
@@ -111,6 +116,39 @@ class AgentColumns(msgspec.Struct, rename=serialised):
     yaw: list[float]
     vx: Numbers | None = None
     vy: Numbers | None = None
+
+
+class RepairedColumns(AgentColumns, rename=serialised):
+    """The same of repaired tracks; "extended": before the first or after the last detection of the track."""
+
+    extended: list[bool] = []
+
+
+class DetectionColumns(msgspec.Struct, rename=serialised):
+    """The boxes of one frame, as columns; ids are the perception's own and need not be identities; score 0 to 1."""
+
+    id: list[str]
+    kind: list[AgentKind]
+    x: list[float]
+    y: list[float]
+    yaw: list[float]
+    length: Numbers
+    width: Numbers
+    vx: Numbers
+    vy: Numbers
+    score: Numbers
+
+
+class Repair(msgspec.Struct, rename=serialised):
+    """What was done to make tracks of detections, as columns, a row a change; begin and end since start_ns."""
+
+    what: list[str] = []
+    agent: list[str] = []
+    begin: list[float] = []
+    end: list[float] = []
+    samples: list[int] = []
+    why: list[str] = []
+    sources: list[list[str]] = []
 
 
 class LaneColumns(msgspec.Struct, rename=serialised):
@@ -370,6 +408,10 @@ TOPICS: dict[str, type[msgspec.Struct]] = {
     "/agents/table": AgentTable,
     "/obstacles": AgentColumns,
     "/agents": AgentColumns,
+    "/repair": Repair,
+    "/detections": DetectionColumns,
+    "/removed/table": AgentTable,
+    "/removed": AgentColumns,
     "/ego": Ego,
     "/controls": Controls,
     "/onboard": OnboardPlan,

@@ -3,7 +3,7 @@
 The summary at the file's end says when each chunk begins and ends, and which topics are in it. Fetched are, besides the
 summary and the metadata, the chunks
 
-(1) that overlap [begin - `HISTORY_S`, end + `HISTORY_S`] of the log,
+(1) that overlap [begin - `HISTORY_S`, end + `HISTORY_S`] of the log, `DETECTED_S` where it has detections,
 (2) of each topic the last before and the first behind that: a message may stand for samples around it (blocks),
 (3) with anything but the samples of `PERIODIC`: road, vehicle and goal, lights that changed long ago,
 (4) the first, in which the log's first ego state is.
@@ -31,9 +31,9 @@ from logs.mcap import native
 from logs.mcap.container import DAMAGE
 from logs.mcap.reader import UNSEEN, read_scenario
 from logs.mcap.writer import write_scenario
-from logs.readers.cut import HISTORY_S
+from logs.readers.cut import DETECTED_S, HISTORY_S
 
-PERIODIC = ("/ego", "/agents", "/controls", "/actuation")
+PERIODIC = ("/ego", "/agents", "/controls", "/actuation", "/detections", "/removed")
 TAIL_BYTES = 16 * 1024
 """Fetched first, from the end: the summary of a log of some minutes."""
 FOOTER_BYTES = 1 + 8 + 20 + len(MCAP0_MAGIC)
@@ -54,7 +54,9 @@ def write_part(ranged: Ranged, size: int, begin: float, end: float, path: Path) 
         if record is None or "start_ns" not in record:
             return False
         start_ns = msgspec.json.decode(record["start_ns"], type=int)
-        chunks = _chosen(summary, start_ns + 1e9 * (begin - HISTORY_S), start_ns + 1e9 * (end + HISTORY_S))
+        detected = any(channel.topic == "/detections" for channel in _of(summary, Channel))
+        around = DETECTED_S if detected else HISTORY_S
+        chunks = _chosen(summary, start_ns + 1e9 * (begin - around), start_ns + 1e9 * (end + around))
         if not chunks:
             return False
         path.write_bytes(b"".join(_pieces(ranged, summary, chunks)))

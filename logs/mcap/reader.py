@@ -16,8 +16,10 @@ import msgspec
 import numpy as np
 
 from logs import road as nouns
+from logs.agents import codes_of
+from logs.detections import Change, Detections, Repair
 from logs.errors import LogError
-from logs.kernel import FloatArray, IntArray
+from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.mcap import native, osi
 from logs.mcap.complete import completed, road_along
 from logs.mcap.container import CONVERT, LAST_TIME_NS, MEND, Container, Stream, read_container
@@ -83,7 +85,8 @@ def _native(container: Container) -> Scenario:
     if not 0 <= start_ns <= LAST_TIME_NS:
         raise LogError(f"start_ns is {start_ns}", topic=native.SCENARIO_RECORD, remedy="a log time, nanoseconds")
     ego = _ego(streams["/ego"], start_ns, notes)
-    tracks = tracks_of(streams, start_ns, notes)
+    tracks, extended = marked_tracks(streams, start_ns, notes)
+    detections, repair = _repaired(streams, start_ns, tracks, extended)
     road = _road(_one(streams, "/road", native.Road), ego, notes)
     lights = _lights(streams.get("/traffic_lights"), start_ns)
     notes += _dark(road, lights)
@@ -116,6 +119,8 @@ def _native(container: Container) -> Scenario:
             lights=lights,
             onboard=_onboard(streams.get("/onboard"), start_ns),
             traffic=_traffic(record, streams.get("/agents"), start_ns),
+            detections=detections,
+            repair=repair,
         )
     except ValueError as error:
         raise LogError(str(error), topic="/vehicle" if str(error).startswith("vehicle") else None) from None
@@ -206,31 +211,41 @@ def controls_of(stream: Stream, start_ns: int) -> Controls:
     return Controls(**sampled(stream, native.Controls, start_ns))
 
 
+AGENTS = ("/agents/table", "/obstacles", "/agents")
+REMOVED = ("/removed/table", "/removed", "/removed")
+
+
 def tracks_of(streams: dict[str, Stream], start_ns: int, notes: list[str]) -> Tracks:
     """Tracks from the table and the columns of /agents and /obstacles."""
-    table = _one(streams, "/agents/table", native.AgentTable)
-    moving = [streams[topic] for topic in ("/agents", "/obstacles") if topic in streams and len(streams[topic])]
+    return marked_tracks(streams, start_ns, notes)[0]
+
+
+def marked_tracks(
+    streams: dict[str, Stream], start_ns: int, notes: list[str], topics: tuple[str, ...] = AGENTS
+) -> tuple[Tracks, BoolArray]:
+    """Tracks from a table and columns of samples, and which of the samples are marked as extended."""
+    who = topics[0]
+    table = _one(streams, who, native.AgentTable)
+    moving = [streams[topic] for topic in dict.fromkeys(topics[:0:-1]) if len(streams.get(topic, ()))]
     if table is None:
         if moving:
             raise LogError(
-                "there are agents, but no table of them",
-                topic="/agents/table",
-                remedy="name each with its kind, length and width",
+                "there are agents, but no table of them", topic=who, remedy="name each with its kind, length and width"
             )
-        return Tracks.empty()
-    _equal_lengths(table, "/agents/table", streams["/agents/table"].times[0])
+        return Tracks.empty(), np.empty(0, np.bool_)
+    _equal_lengths(table, who, streams[who].times[0])
     rows = {name: row for row, name in enumerate(table.id)}
-    row, times, columns = _samples(moving, rows)
+    row, times, columns = _samples(moving, rows, who)
     order = np.lexsort((times, row))
     row, times = row[order], times[order]
-    _check_tracks(row, times, table.id)
+    _check_tracks(row, times, table.id, topics)
     there = np.unique(row)
     if len(there) < len(rows):
         notes.append(f"{len(rows) - len(there)} of {len(rows)} {UNSEEN}")
     offsets = np.r_[0, np.cumsum(np.bincount(row, minlength=len(rows))[there])]
-    x, y, yaw, vx, vy = (np.array(column, dtype=np.float64)[order] for column in columns)
+    *values, extended = (np.array(column, dtype=np.float64)[order] for column in columns)
     try:
-        return Tracks(
+        tracks = Tracks(
             tuple(table.id[i] for i in there),
             tuple(table.kind[i] for i in there),
             np.array(table.length)[there],
@@ -238,34 +253,71 @@ def tracks_of(streams: dict[str, Stream], start_ns: int, notes: list[str]) -> Tr
             np.array(table.static, dtype=np.bool_)[there],
             offsets,
             (times - start_ns) / 1e9,
-            x,
-            y,
-            yaw,
-            vx,
-            vy,
+            *values,
         )
     except ValueError as error:
-        raise LogError(str(error), topic="/agents/table", remedy=MEND) from None
+        raise LogError(str(error), topic=who, remedy=MEND) from None
+    return tracks, extended.astype(np.bool_)
 
 
-def _samples(moving: list[Stream], rows: dict[str, int]) -> tuple[IntArray, IntArray, list[list[float | None]]]:
-    """All samples of all topics: row in the table, time in ns, and columns x, y, yaw, vx, vy."""
+def _samples(
+    moving: list[Stream], rows: dict[str, int], who: str
+) -> tuple[IntArray, IntArray, list[list[float | None]]]:
+    """All samples of all topics: row in the table, time in ns, and columns x, y, yaw, vx, vy, extended."""
     row: list[int] = []
     times: list[int] = []
-    columns: list[list[float | None]] = [[], [], [], [], []]
+    columns: list[list[float | None]] = [[], [], [], [], [], []]
     for stream in moving:
         stream.check_order(strictly=False)
-        for time, message in zip(stream.times, stream.decoded(native.AgentColumns), strict=True):
+        for time, message in zip(stream.times, stream.decoded(native.RepairedColumns), strict=True):
+            message.extended = message.extended or [False] * len(message.id)
             _equal_lengths(message, stream.topic, time)
             try:
                 row.extend([rows[name] for name in message.id])
             except KeyError as error:
-                what = f"agent {error} is not in /agents/table"
+                what = f"agent {error} is not in {who}"
                 raise LogError(what, topic=stream.topic, time_ns=time, remedy="add it there") from None
             times.extend([time] * len(message.id))
-            for column, name in zip(columns, ("x", "y", "yaw", "vx", "vy"), strict=True):
+            for column, name in zip(columns, ("x", "y", "yaw", "vx", "vy"), strict=False):
                 column.extend(getattr(message, name) or [None] * len(message.id))
+            columns[-1].extend(message.extended)
     return np.array(row, dtype=np.int64), np.array(times, dtype=np.int64), columns
+
+
+def _repaired(
+    streams: dict[str, Stream], start_ns: int, tracks: Tracks, extended: BoolArray
+) -> tuple[Detections | None, Repair | None]:
+    """Detections that are not yet tracks, or how the tracks were made of them; None where the log has neither."""
+    found = _detections(streams.get("/detections"), start_ns)
+    message = _one(streams, "/repair", native.Repair)
+    if message is None:
+        return found, None
+    if found is None:
+        what = "the tracks are said to be repaired, but there are no detections"
+        raise LogError(what, topic="/repair", remedy="keep /detections, or leave /repair out")
+    _equal_lengths(message, "/repair", streams["/repair"].times[0])
+    *columns, sources = msgspec.structs.astuple(message)
+    changes = tuple(Change(*row) for row in zip(*columns, map(tuple, sources), strict=True))
+    return None, Repair(found, marked_tracks(streams, start_ns, [], REMOVED)[0], extended, changes, tracks)
+
+
+def _detections(stream: Stream | None, start_ns: int) -> Detections | None:
+    if stream is None:
+        return None
+    stream.check_order(strictly=True)
+    messages = stream.decoded(native.DetectionColumns)
+    for time, message in zip(stream.times, messages, strict=True):
+        _equal_lengths(message, stream.topic, time)
+    frames = seconds(stream.times, start_ns)
+    joined = {name: list(chain.from_iterable(getattr(each, name) for each in messages))
+              for name in native.DetectionColumns.__struct_fields__}  # fmt: skip
+    ids, kinds = joined.pop("id"), joined.pop("kind")
+    t = np.repeat(frames, [len(each.id) for each in messages])
+    columns = {name: np.array(some, np.float64) for name, some in joined.items()}
+    try:
+        return Detections(t=t, frames=frames, ids=tuple(ids), codes=codes_of(tuple(kinds)), **columns)
+    except ValueError as error:
+        raise LogError(str(error), topic=stream.topic, remedy=MEND) from None
 
 
 def _equal_lengths(message: msgspec.Struct, topic: str, time: int) -> None:
@@ -276,13 +328,13 @@ def _equal_lengths(message: msgspec.Struct, topic: str, time: int) -> None:
         raise LogError(what, topic=topic, time_ns=time, remedy="an entry for each in every column")
 
 
-def _check_tracks(row: IntArray, times: IntArray, ids: list[str]) -> None:
+def _check_tracks(row: IntArray, times: IntArray, ids: list[str], topics: tuple[str, ...]) -> None:
     if len(set(ids)) < len(ids):
-        raise LogError("two agents have the same id", topic="/agents/table", remedy="ids are unique in a log")
+        raise LogError("two agents have the same id", topic=topics[0], remedy="ids are unique in a log")
     twice = np.flatnonzero((np.diff(row) == 0) & (np.diff(times) == 0))
     if len(twice):
         what = f"agent '{ids[row[twice[0]]]}' has two samples at one time"
-        raise LogError(what, topic="/agents", time_ns=int(times[twice[0]]), remedy="keep one of them")
+        raise LogError(what, topic=topics[-1], time_ns=int(times[twice[0]]), remedy="keep one of them")
 
 
 def _traffic(record: dict[str, str], agents: Stream | None, start_ns: int) -> Spans | None:

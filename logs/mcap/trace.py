@@ -58,13 +58,14 @@ def write_trace(
 
 
 def driven_scenario(trace: nouns.Trace, scenario: Scenario) -> Scenario:
-    """The scenario as it was driven; it lasts until the ego's last state."""
+    """The scenario as it was driven; it lasts until the ego's last state. What it was repaired from is in the log."""
     return replace(
         scenario,
         ego=trace.ego,
         tracks=trace.agents,
         duration=float(trace.ego.t[-1]),
         controls=None,
+        repair=None,
         traffic=scenario.traffic_spans,
         notes=tuple(dict.fromkeys((*scenario.notes, *trace.notes))),
     )

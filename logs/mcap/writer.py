@@ -5,13 +5,13 @@ no more memory than a short one. Beside the native messages a file may hold prot
 for viewers (`replay.foxglove`); no reader of replan looks at them. The file is written under a temporary name beside
 its place and renamed, so that a killed writer leaves no half log; chunks are small, so that it loses little. Times
 become integer nanoseconds: reading returns the identical scenario if its times are whole nanoseconds (and |t| is below
-26 days).
+26 days). A repair is left out where the tracks were changed since: then it is none of theirs.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, fields
+from dataclasses import asdict, astuple, fields
 from itertools import chain, pairwise
 from pathlib import Path
 from tempfile import SpooledTemporaryFile
@@ -24,8 +24,9 @@ from google.protobuf.message import Message
 from mcap.writer import CompressionType, Writer
 
 from logs import road as nouns
+from logs.detections import Detections
 from logs.errors import LogError, writing
-from logs.kernel import FloatArray
+from logs.kernel import BoolArray, FloatArray
 from logs.mcap import native
 from logs.rules import Colour, StopLine, TrafficLight
 from logs.scenario import Scenario, Tracks
@@ -170,7 +171,15 @@ def scenario_entries(scenario: Scenario, *, blocks: bool = False) -> Iterator[En
         yield start, "/goal", _goal(scenario.goal)
     yield start, "/road", _road(scenario.road)
     yield from _lights(scenario.lights, start)
-    yield from _tracks(scenario.tracks, start)
+    made = None if scenario.repair is None or scenario.repair.tracks is not scenario.tracks else scenario.repair
+    yield from _tracks(scenario.tracks, start, extended=None if made is None else made.extended)
+    if made is not None:
+        changes = (list(column) for column in zip(*(astuple(each) for each in made.changes), strict=True))
+        yield start, "/repair", native.Repair(*changes)
+        yield from _tracks(made.removed, start, ("/removed/table", "/removed", "/removed"))
+    found = scenario.detections if made is None else made.detections
+    if found is not None:
+        yield from _detections(found, start)
     yield from samples(scenario.ego, native.Ego, "/ego", start, blocks=blocks)
     if scenario.controls is not None:
         yield from samples(scenario.controls, native.Controls, "/controls", start, blocks=blocks)
@@ -250,22 +259,41 @@ def samples(
             yield from ((time, topic, kind(*values)) for time, *values in zip(times[k : k + BLOCK], *part, strict=True))
 
 
-def _tracks(tracks: Tracks, start_ns: int) -> Iterator[Entry]:
+def _tracks(
+    tracks: Tracks, start_ns: int, topics: tuple[str, str, str] = ("/agents/table", "/obstacles", "/agents"), *,
+    extended: BoolArray | None = None,
+) -> Iterator[Entry]:  # fmt: skip
+    """Tracks on the topics of who they are, of those that never move, and of the others."""
     if not len(tracks):
         return
-    yield start_ns, "/agents/table", table_of(tracks)
+    table, still, moving = topics
+    yield start_ns, table, table_of(tracks)
     track = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets))
-    times = np.array(log_times(tracks.t, start_ns, "/agents"), dtype=np.int64)
+    times = np.array(log_times(tracks.t, start_ns, moving), dtype=np.int64)
     if ((np.diff(times) <= 0) & (np.diff(track) == 0)).any():
-        raise LogError("an agent has two samples on one nanosecond", topic="/agents")
+        raise LogError("an agent has two samples on one nanosecond", topic=moving)
     for name in ("vx", "vy"):
-        check(getattr(tracks, name), "/agents", name)
-    for topic, chosen in (("/obstacles", tracks.static[track]), ("/agents", ~tracks.static[track])):
+        check(getattr(tracks, name), moving, name)
+    for topic, chosen in ((still, tracks.static[track]), (moving, ~tracks.static[track])):
         where = np.flatnonzero(chosen)
         order = where[np.lexsort((track[where], times[where]))]
         for group in np.split(order, np.flatnonzero(np.diff(times[order])) + 1):
             if len(group):
-                yield int(times[group[0]]), topic, _agents(tracks, track[group].tolist(), group)
+                marked = None if extended is None else extended[group].tolist()
+                yield int(times[group[0]]), topic, _agents(tracks, track[group].tolist(), group, marked)
+
+
+def _detections(found: Detections, start_ns: int) -> Iterator[Entry]:
+    """A message a frame."""
+    for name in ("length", "width", "vx", "vy", "score"):
+        check(getattr(found, name), "/detections", name)
+    times = log_times(found.frames, start_ns, "/detections")
+    ends = np.searchsorted(found.t, found.frames, side="right").tolist()
+    kinds = found.kinds
+    for time, first, end in zip(times, [0, *ends], ends, strict=False):
+        part = slice(first, end)
+        columns = (getattr(found, name)[part].tolist() for name in native.DetectionColumns.__struct_fields__[2:])
+        yield time, "/detections", native.DetectionColumns(list(found.ids[part]), list(kinds[part]), *columns)
 
 
 def table_of(tracks: Tracks) -> native.AgentTable:
@@ -274,9 +302,14 @@ def table_of(tracks: Tracks) -> native.AgentTable:
     return native.AgentTable(list(tracks.ids), list(tracks.kinds), *sizes, tracks.static.tolist())
 
 
-def _agents(tracks: Tracks, ids: list[int], group: Any) -> native.AgentColumns:
-    columns = (getattr(tracks, name)[group].tolist() for name in ("x", "y", "yaw", "vx", "vy"))
-    return native.AgentColumns([tracks.ids[i] for i in ids], *columns)
+def _agents(tracks: Tracks, ids: list[int], group: Any, extended: list[bool] | None) -> native.AgentColumns:
+    columns = {name: getattr(tracks, name)[group].tolist() for name in ("x", "y", "yaw", "vx", "vy")}
+    names = [tracks.ids[i] for i in ids]
+    return (
+        native.AgentColumns(names, **columns)
+        if extended is None
+        else native.RepairedColumns(names, **columns, extended=extended)
+    )
 
 
 def _road(road: nouns.Road) -> native.Road:

@@ -9,7 +9,8 @@ Adding a format is one file with a `Reader` and one line in `BUILTIN`; one of yo
 Modules:
     base.py         what a reader is, and the settings of a run's [log] table
     admission.py    what every log has to pass: clocks, magnitudes, names
-    cut.py          a part of a scenario by time, for readers that read a log whole
+    repaired.py     raw detections made into tracks
+    cut.py          a part of a scenario by time
     nanoseconds.py  times as native MCAP holds them
     commonroad.py   CommonRoad XML
     osi.py          bare ASAM OSI traces
@@ -40,6 +41,7 @@ from logs.readers.admission import admitted, check_clocks, check_road
 from logs.readers.base import LogSettings, Reader
 from logs.readers.cut import cut
 from logs.readers.nanoseconds import in_nanoseconds
+from logs.readers.repaired import named, repaired
 from logs.scenario import Scenario
 
 BUILTIN = (
@@ -124,10 +126,14 @@ def read_log(path: Path, settings: LogSettings | None = None, reader: Reader | N
         _check_asked(reader, settings)
         check_regular(*(reader.files(path) if path.exists() else ()))
         with np.errstate(all="ignore"):  # absurd numbers are refused as such
-            scenario = reader.read(path, settings)
+            whole = reader.read(path, settings)
+            scenario = repaired(whole, settings.repair)
             if not reader.cuts or settings.between(0.0, inf) == settings:
                 scenario = check_clocks(scenario)
-            scenario = in_nanoseconds(scenario if reader.cuts else cut(scenario, settings.begin, settings.end))
+            scenario = cut(scenario, settings.begin, settings.end)
+            is_named = scenario.repair is whole.repair
+            scenario = in_nanoseconds(scenario)
+            scenario = scenario if is_named else named(scenario)
             _check_duration(scenario)
             scenario = admitted(scenario)
             if settings.map:

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from logs.agents import USUAL_SIZE_M
+from logs.detections import Detections
 from logs.errors import LogError
 from logs.kernel import BoolArray, FloatArray
 from logs.road import Road
@@ -105,6 +106,8 @@ def _side_spans(scenario: Scenario) -> Iterator[tuple[str, float, float]]:
     """Name, first and last time of what stands beside the ego's states, s since the start."""
     tracks = scenario.tracks
     moving = tracks.t[np.repeat(~tracks.static, np.diff(tracks.offsets))]
+    if scenario.repair is not None:
+        moving = scenario.repair.detections.t
     if len(moving):
         yield "agents", float(moving.min()), float(moving.max())
     if scenario.lights:
@@ -254,6 +257,23 @@ def _tracks_within(scenario: Scenario, notes: list[str]) -> Tracks:
     when = (scenario.start_ns / 1e9) + float(tracks.t[k])
     notes.append(f"{counted(int(bad.sum()), 'sample')} of {_named(tracks, whose)} are left out: {value}, {when:.3f} s.")
     return tracks.taken(~bad)
+
+
+def detections_within(scenario: Scenario, found: Detections) -> tuple[Detections, tuple[str, ...]]:
+    """Detections within the limits of agents, with names that can be printed, and what was left out, in sentences."""
+    beyond = [~(np.abs(getattr(found, name) - _zero(scenario, name)) <= limit.most)
+              for name, limit in LIMITS["agents"].items()]  # fmt: skip
+    bad = np.logical_or.reduce(beyond)
+    notes = (f"{counted(int(bad.sum()), 'detection')} beyond the limits of poses are left out.",) if bad.any() else ()
+    found = found.taken(~bad) if bad.any() else found
+    with np.errstate(all="ignore"):
+        fast = np.hypot(found.vx, found.vy) > SPEED.most
+        odd = [~((size >= SIZES_M[0]) & (size <= SIZES_M[1])) & ~np.isnan(size) for size in (found.length, found.width)]
+    vx, vy = np.where(fast, np.nan, found.vx), np.where(fast, np.nan, found.vy)
+    length, width = np.where(odd[0], np.nan, found.length), np.where(odd[1], np.nan, found.width)
+    printable_name = {name: visible_name(name) for name in set(found.ids)}
+    ids = tuple(printable_name[name] for name in found.ids)
+    return replace(found, ids=ids, length=length, width=width, vx=vx, vy=vy), notes
 
 
 def _slow_enough(tracks: Tracks, notes: list[str]) -> Tracks:

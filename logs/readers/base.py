@@ -37,6 +37,7 @@ class LogSettings:
         columns: Column of a table by the name that replan has for it ("x": "pos_east_m"; of one of the
             tables "ego.x", "agents.x").
         car: Sizes of the ego, m, where the log has none: "length", "width", "wheelbase", "rear_overhang".
+        repair: Whether raw detections are made into tracks: "auto" where they are no tracks, "on", "off".
     """
 
     ego: str = ""
@@ -51,12 +52,15 @@ class LogSettings:
     frames: Mapping[str, str] = field(default_factory=dict)
     columns: Mapping[str, str] = field(default_factory=dict)
     car: Mapping[str, float] = field(default_factory=dict)
+    repair: str = "auto"
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.begin < self.end:
             raise ValueError(f"a log from {self.begin} s to {self.end} s is empty: end must be after begin, both >= 0")
         if self.clock not in ("", "log", "header"):
             raise ValueError(f"clock is {self.clock!r}: log or header")
+        if self.repair not in ("auto", "on", "off"):
+            raise ValueError(f"repair is {self.repair!r}: auto, on or off")
         if not set(self.car) <= set(SIZES):
             raise ValueError(f"car has no {min(set(self.car) - set(SIZES))}: its keys are {', '.join(SIZES)}")
         if not all(value > 0.0 for value in self.car.values()):
@@ -156,8 +160,8 @@ class Reader:
         files: The files of a log, in a fixed order: what its identity is hashed from.
         span: Seconds from the log's first to its last moment, cheaply; None where that needs all of it.
         contents: Its topics, as far as they can be read; raises nothing.
-        settings: The keys of `LogSettings` that it reads besides `begin` and `end`, which hold for all.
-        cuts: Whether it reads only the part between `begin` and `end` itself.
+        settings: The keys of `LogSettings` that it reads besides `begin`, `end` and `repair`, which hold for all.
+        cuts: Whether it reads only what lies around the part between `begin` and `end`, in times of the whole log.
     """
 
     name: str

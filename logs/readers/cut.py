@@ -2,7 +2,8 @@
 
 The ego begins and ends there exactly, interpolated. Tracks keep the samples from `HISTORY_S` before the
 begin to the first after the end, if that is no later than as much behind it, so that whoever was there is seen and
-their motion is known; lights what they showed.
+their motion is known; lights what they showed. Detections are kept from `DETECTED_S` before the begin, as long as a
+tracker remembers.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from math import inf
 
 import numpy as np
 
+from logs.detections import Detections, Repair
 from logs.errors import LogError
 from logs.kernel import BoolArray, FloatArray
 from logs.observed import clipped
@@ -21,6 +23,8 @@ from logs.states import Controls, OnboardPlan, Trajectory
 
 HISTORY_S = 2.0
 """More than `logs.presence.MAX_GAP_S`: a sample that is older stands for no agent any more."""
+DETECTED_S = 10.0
+"""Nothing that a tracker does rests on more: it forgets who was not seen for 8 s."""
 CLOSE_S = 1e-9
 """A sample so close to begin or end is that: logs hold whole nanoseconds."""
 
@@ -44,6 +48,8 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
     t = np.r_[first, ego.t[(ego.t > first + CLOSE_S) & (ego.t < last - CLOSE_S)], last]
     moved = ego.resampled(t)
     columns = (getattr(moved, name) for name in ("x", "y", "yaw", "v", "a", "kappa"))
+    kept = _kept(scenario.tracks, begin, end)
+    tracks = scenario.tracks.taken(kept).shifted(-begin)
     goal = scenario.goal
     if goal is not None:
         goal = goal.changed(lambda one: replace(one, t=one.t and (one.t[0] - begin, one.t[1] - begin)))
@@ -51,7 +57,7 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
         scenario,
         name=f"{scenario.name}@{begin:g}",
         ego=Trajectory(t - begin, *columns),
-        tracks=_tracks(scenario.tracks, begin, end),
+        tracks=tracks,
         duration=min(end, scenario.duration) - begin,
         goal=goal,
         controls=None if scenario.controls is None else _controls(scenario.controls, begin, end),
@@ -60,17 +66,41 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
         onboard=_onboard(scenario.onboard, begin, end),
         lights=tuple(light for light in (_light(each, begin, end) for each in scenario.lights) if light is not None),
         traffic=clipped(scenario.traffic_spans, begin, min(end, scenario.duration)),
+        detections=None if scenario.detections is None else _detections(scenario.detections, begin, end),
+        repair=None if scenario.repair is None else _repair(scenario, begin, end, kept, tracks),
     )
 
 
-def _tracks(tracks: Tracks, begin: float, end: float) -> Tracks:
+def _kept(tracks: Tracks, begin: float, end: float) -> BoolArray:
+    """Which samples `(m,)` the part has."""
     owner = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets))
     before = np.r_[-inf, tracks.t[:-1]]
     before[tracks.offsets[:-1]] = -inf
     after = (before < end) & np.isfinite(before) & (tracks.t <= end + HISTORY_S)
     keep = (tracks.t >= begin - HISTORY_S) & ((tracks.t <= end) | after)
     keep |= tracks.static[owner]
-    return tracks.taken(keep).shifted(-begin)
+    return np.asarray(keep)
+
+
+def _detections(found: Detections, begin: float, end: float) -> Detections:
+    return found.between(begin - DETECTED_S, end + HISTORY_S).shifted(-begin)
+
+
+def _repair(scenario: Scenario, begin: float, end: float, kept: BoolArray, tracks: Tracks) -> Repair:
+    """What was repaired in the part, whose `tracks` are the samples `kept` of the scenario's."""
+    made = scenario.repair
+    assert made is not None
+    if made.tracks is not scenario.tracks:
+        kept = _kept(made.tracks, begin, end)
+        tracks = made.tracks.taken(kept).shifted(-begin)
+    changes = (replace(each, begin=each.begin - begin, end=each.end - begin) for each in made.changes)
+    return Repair(
+        _detections(made.detections, begin, end),
+        made.removed.taken(_kept(made.removed, begin, end)).shifted(-begin),
+        made.extended[kept],
+        tuple(each for each in changes if each.end >= -DETECTED_S and each.begin <= end - begin + HISTORY_S),
+        tracks,
+    )
 
 
 def _controls(controls: Controls, begin: float, end: float) -> Controls | None:

@@ -57,7 +57,7 @@ def repair(detections: Detections, ego: Trajectory, vehicle: VehicleParameters) 
     """
     every = Boxes.of(detections)
     if not len(every):
-        return Tracks.empty(), Repair(detections, Tracks.empty(), np.empty(0, np.bool_), ())
+        return Tracks.empty(), Repair(detections, Tracks.empty(), np.empty(0, np.bool_), (), Tracks.empty())
     twin_of = stronger_twins(every)
     boxes = every.taken(np.flatnonzero(twin_of < 0))
     names = joined(boxes, detections.frames)
@@ -144,7 +144,7 @@ def _reported(
         changes.append(Change("removed", name, *whole, each.why, _sources(user, detections, boxes)))
     added = np.concatenate([user.extended for user in users]) if users else np.empty(0, np.bool_)
     tracks, taken = _tracks(users, ids), _tracks([each.user for each in removed], gone)
-    return tracks, Repair(detections, taken, added, tuple(changes))
+    return tracks, Repair(detections, taken, added, tuple(changes), tracks)
 
 
 def _changes(user: User, name: str, note: str, twins: int, sources: tuple[str, ...]) -> list[Change]:

@@ -5,7 +5,7 @@ Commands by what they are about:
 evaluate.py    what drives: evaluate, vary, paper, calibrate
 shards.py      the shards of a run put together: merge
 report.py      the reports of results
-logs.py        what reads and writes logs: synth, convert, inspect, salvage, export
+logs.py        what reads and writes logs: synth, convert, repair, inspect, salvage, export
 warmup.py      kernels compiled beforehand: warmup
 results.py     what looks at results: view
 compare.py     run against run: compare, baseline

@@ -11,7 +11,7 @@ from dataclasses import fields, is_dataclass, replace
 from enum import Enum
 from math import isfinite
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, NoReturn
+from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 import typer
 
@@ -34,6 +34,10 @@ app = typer.Typer(
 
 Ego = Annotated[str | None, typer.Option("--ego", help="Take this road user of the log as the ego.")]
 Map = Annotated[Path | None, typer.Option("--map", help="A map that replaces the log's.")]
+Repair = Annotated[
+    Literal["auto", "on", "off"] | None,
+    typer.Option("--repair", help="Make raw detections into tracks: auto (where they are none), on, off."),
+]
 Begin = Annotated[float | None, typer.Option("--from", help="Begin so many seconds after the log's.")]
 End = Annotated[float | None, typer.Option("--to", help="End so many seconds after the log's begin.")]
 Foxglove = Annotated[bool, typer.Option("--foxglove", help="Channels that Foxglove draws, in what is written.")]
@@ -166,12 +170,13 @@ def log_settings(
     begin: float | None,
     end: float | None,
     problem: int | None = None,
+    repair: str | None = None,
 ) -> LogSettings:
     """The [log] table of the configuration file with the options over it."""
     from logs.readers.base import LogSettings
     from replay.config import load_run
 
-    options: dict[str, Any] = {"ego": ego, "begin": begin, "end": end, "problem": problem}
+    options: dict[str, Any] = {"ego": ego, "begin": begin, "end": end, "problem": problem, "repair": repair}
     given = {key: value for key, value in options.items() if value is not None}
     given |= {} if road_map is None else {"map": str(road_map)}
     try:

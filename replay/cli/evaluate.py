@@ -18,6 +18,7 @@ from replay.cli.app import (
     Json,
     Map,
     Quiet,
+    Repair,
     Suite,
     answered,
     app,
@@ -142,7 +143,7 @@ def evaluate(
         ),
     ] = None,
     perception: Annotated[
-        str | None, typer.Option(autocompletion=completion("perception"), help="What is seen: ground_truth or sensor.")
+        str | None, typer.Option(autocompletion=completion("perception"), help="What is seen: ground_truth, recorded, sensor or auto.")
     ] = None,
     plant: Annotated[
         list[str] | None,
@@ -152,6 +153,7 @@ def evaluate(
     road_map: Map = None,
     begin: Begin = None,
     end: End = None,
+    repair: Repair = None,
     window: Annotated[
         float | None,
         typer.Option(min=1.0, help="Evaluate each log in parts of so many seconds."),
@@ -210,7 +212,7 @@ def evaluate(
             "perception": perception,
             "plant": _settings(plant) if plant else None,
         }
-        options["log"] = log_settings(config, ego, road_map, begin, end)
+        options["log"] = log_settings(config, ego, road_map, begin, end, repair=repair)
         apart = {
             "trust": trust or None,
             "plan_timeout_s": plan_timeout,
@@ -266,6 +268,7 @@ def vary(
     road_map: Map = None,
     begin: Begin = None,
     end: End = None,
+    repair: Repair = None,
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
@@ -287,7 +290,7 @@ def vary(
             return
         if log is None:
             raise ConfigError("name a log or a family: replan vary paper/crossing_pedestrian --vary time=-2:2:9")
-        scenario = command.opened(log, log_settings(config, ego, road_map, begin, end))
+        scenario = command.opened(log, log_settings(config, ego, road_map, begin, end, repair=repair))
         if list_agents:
             say_json(encounters(scenario)) if as_json else say("\n".join(command.agents(scenario)))
             return

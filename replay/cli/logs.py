@@ -1,4 +1,4 @@
-"""`replan synth | convert | inspect | salvage | export`: what reads and writes logs."""
+"""`replan synth | convert | repair | inspect | salvage | export`: what reads and writes logs."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ from replay.cli.app import (
     Foxglove,
     Json,
     Map,
+    Repair,
     Settings,
     Suite,
     answered,
@@ -84,6 +85,7 @@ def convert(
     road_map: Map = None,
     begin: Begin = None,
     end: End = None,
+    repair: Repair = None,
     config: Settings = None,
     foxglove: Foxglove = False,
     formats: Annotated[bool, typer.Option("--formats", help="List the formats that replan reads.")] = False,
@@ -112,11 +114,40 @@ def convert(
             return
         if not logs or out is None:
             raise ConfigError("name logs and where to write them: replan convert LOG ... -o FOLDER; see --formats")
-        settings = log_settings(config, ego, road_map, begin, end, problem)
+        settings = log_settings(config, ego, road_map, begin, end, problem, repair)
         with sign_of_life(lambda line: say(line, err=True), lambda: "converting"):
             done = convert_all(logs, out, settings, foxglove=foxglove, say=say, say_error=say_error)
         if not done:
             raise typer.Exit(3)
+
+
+@app.command()
+def repair(
+    log: Annotated[Path, typer.Argument(help="A log of raw detections, of any format.")],
+    out: Annotated[Path, typer.Option("--out", "-o", help="The FILE.mcap to write.")],
+    table: Annotated[Path | None, typer.Option("--table", help="Write the changes as FILE.csv, not to stdout.")] = None,
+    ego: Ego = None,
+    road_map: Map = None,
+    begin: Begin = None,
+    end: End = None,
+    repair: Repair = None,
+    config: Settings = None,
+) -> None:
+    """Make tracks of a log's raw detections, and say what was joined, removed and extended, and why.
+
+    [bold]Example[/bold]
+
+      replan repair my_bag/ -o my_bag.mcap --table changes.csv
+    """
+    with answered():
+        from replay.repair import lines, repair_log
+        from replay.report.progress import sign_of_life
+
+        settings = log_settings(config, ego, road_map, begin, end, repair=repair)
+        with sign_of_life(lambda line: say(line, err=True), lambda: f"repairing {log}"):
+            scenario = repair_log(log, out, table, settings)
+        say("\n".join([str(out), *(f"    note: {note}" for note in scenario.notes)]))
+        say("\n".join(lines(scenario)) if table is None else table)
 
 
 @app.command()
@@ -126,6 +157,7 @@ def inspect(
     road_map: Map = None,
     begin: Begin = None,
     end: End = None,
+    repair: Repair = None,
     config: Settings = None,
     as_json: Json = False,
 ) -> None:
@@ -133,18 +165,23 @@ def inspect(
     with answered():
         from logs.remote import here
         from logs.summary import summarise
+        from replay.repair import before
         from replay.report.progress import sign_of_life
 
         with here(log) as near, sign_of_life(lambda line: say(line, err=True), lambda: f"reading {log}"):
             if not near.exists():
                 raise ConfigError(f"{log}: no such file or folder")
-            summary = summarise(near, log_settings(config, ego, road_map, begin, end))
+            settings = log_settings(config, ego, road_map, begin, end, repair=repair)
+            summary = summarise(near, settings)
+            raw = None if summary.read is None else before(near, settings, summary.read)
         if as_json:
             from metrics.health import findings
 
             health = None if summary.read is None else findings(summary.read)
             said = {key: value for key, value in vars(summary).items() if key != "read"}
-            say_json({**said, "error": summary.error and str(summary.error), "health": health})
+            unrepaired = None if raw is None else {"agents": len(raw.tracks), "health": findings(raw)}
+            said |= {"error": summary.error and str(summary.error), "health": health, "before_repair": unrepaired}
+            say_json(said)
             raise typer.Exit(0 if summary.error is None else 3)
         say("\n".join(summary.lines()))
         if summary.error is not None:
@@ -153,7 +190,7 @@ def inspect(
             from metrics.health import report
 
             with sign_of_life(lambda line: say(line, err=True), lambda: f"checking {log}"):
-                say("\n".join(report(summary.read)))
+                say("\n".join(report(summary.read, raw)))
 
 
 @app.command()

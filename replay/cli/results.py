@@ -9,7 +9,7 @@ import typer
 
 from logs.errors import ConfigError
 from logs.words import counted
-from replay.cli.app import Begin, Ego, End, Map, Settings, answered, app, log_settings, say
+from replay.cli.app import Begin, Ego, End, Map, Repair, Settings, answered, app, log_settings, say
 
 if TYPE_CHECKING:
     from logs.readers import LogSettings
@@ -42,6 +42,7 @@ def view(
     road_map: Map = None,
     begin: Begin = None,
     end: End = None,
+    repair: Repair = None,
     config: Settings = None,
 ) -> None:
     """Open a log or recordings in the Rerun viewer; or two drives of one log in one window.
@@ -64,7 +65,7 @@ def view(
         drawn = screenshot is not None or video is not None
         with tempfile.TemporaryDirectory() as kept:
             span = (None, None) if video is not None else (begin, end)
-            settings = log_settings(config, ego, road_map, *span)
+            settings = log_settings(config, ego, road_map, *span, repair=repair)
             copies = [Near(target) for target in targets]
             files = _files([copy.path for copy in copies], log, Path(kept), settings, save, one=drawn)
             if save is not None:

@@ -150,6 +150,33 @@ def test_twins_and_odd_sizes_are_found() -> None:
     assert kinds(scenario(tracks=replace(track(y=9.0), width=np.array([7.0])))) == {Kind.SIZE}
 
 
+@given(st.floats(0.8, 2.3), st.sampled_from([1.0, -1.0]))
+@settings(max_examples=20, deadline=None)
+def test_a_car_that_steps_across_its_axis_is_found(angle: float, side: float) -> None:
+    off = scenario(tracks=moved(moved(track(), "x", later(4.0 * np.cos(angle) - 0.8)), "y", later(4.0 * np.sin(angle))))
+    (found,) = (one for one in findings(off) if one.kind is Kind.ACROSS)
+    assert found.who == "7" and found.t_from == pytest.approx(4.0)
+    assert found.value == pytest.approx(min(angle, np.pi - angle), abs=1e-6)
+    ahead = scenario(tracks=moved(track(), "x", later(4.0 * side - 0.8)))
+    assert Kind.ACROSS not in kinds(ahead), "forward and backward are along the axis"
+
+
+def test_many_short_tracks_are_one_finding() -> None:
+    few = both(track(), track("8", 7.0, t=T[:2]))
+    assert Kind.SHORT not in kinds(scenario(tracks=few))
+    (found,) = (
+        one for one in findings(scenario(tracks=both(few, track("9", 11.0, t=T[:1])))) if one.kind is Kind.SHORT
+    )
+    assert found.value == 2.0 and "2 of 3 tracks of vehicles" in found.text
+
+
+def test_a_repair_is_shown_before_and_after() -> None:
+    raw = scenario(tracks=moved(track(), "y", later(5.0)))
+    lines = report(scenario(), raw)
+    assert lines[1].startswith("repair: 1 tracks and ") and lines[1].endswith("1 and 0 after")
+    assert "1 motion across the axis" in lines[2]
+
+
 def test_a_phantom_is_named_with_its_time() -> None:
     there = track("ghost", y=0.0, v=0.0, t=T[AT - 3 : AT + 4], x0=40.0)
     found = [one for one in findings(scenario(tracks=there)) if one.kind is Kind.PHANTOM]

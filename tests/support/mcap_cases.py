@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +27,7 @@ from logs import (
     Trajectory,
     VehicleParameters,
 )
+from logs.detections import Change, Detections, Repair
 
 START_NS = 1_700_000_000_123_456_789
 RECORD = {"replan.scenario": {"format_version": "1", "name": "by hand"}}
@@ -79,6 +80,31 @@ def rich_scenario(n: int = 30) -> Scenario:
         "somewhere", "CC-BY-4.0", (691000.5, 5336000.25), START_NS, {"seed": "7"}, ("A note.",),
         lights,
     )  # fmt: skip
+
+
+def repaired_scenario() -> Scenario:
+    """The rich one, as if its tracks were made of detections: frames without boxes, a removed track, marks, changes."""
+    scenario = rich_scenario()
+    n = len(scenario.ego)
+    frames = seconds(100_000_000 * k - 300_000_000 for k in range(n + 3))
+    t = np.repeat(frames[2:-1], 2)
+    unknown = np.full(len(t), np.nan)
+    half = np.where(np.arange(len(t)) % 2 == 0, 0.2, np.nan)
+    found = Detections(
+        t, frames, tuple(str(k % 2) for k in range(len(t))), np.arange(len(t)) % 7, 20.0 + 5.0 * t, 0.01 * t, 0.1 * t,
+        4.0 + half, 1.8 + half, unknown, unknown, half + 0.1,
+    )  # fmt: skip
+    removed = Tracks(
+        ("x9",), (AgentKind.OBJECT,), np.ones(1), np.ones(1), np.zeros(1, np.bool_), np.array([0, 2]), frames[3:5],
+        np.array([1.0, 2.0]), np.zeros(2), np.zeros(2), np.full(2, np.nan), np.full(2, np.nan),
+    )  # fmt: skip
+    extended = np.zeros(len(scenario.tracks.t), np.bool_)
+    extended[:4] = True
+    changes = (
+        Change("joined", "car 1", 0.0, 2.0, 21, "One car.", ("0", "1")),
+        Change("removed", "x9", 0.1, 0.2, 2, "It was seen for 0.1 s only."),
+    )
+    return replace(scenario, repair=Repair(found, removed, extended, changes, scenario.tracks))
 
 
 def differences(one: object, two: object, where: str = "scenario") -> list[str]:
@@ -174,6 +200,28 @@ def all_tracks(draw: st.DrawFn) -> Tracks:
 
 
 @st.composite
+def detections(draw: st.DrawFn) -> Detections:
+    frames = draw(times(draw(st.integers(1, 4))))
+    counts = draw(st.lists(st.integers(0, 3), min_size=len(frames), max_size=len(frames)))
+    m, unknown = sum(counts), st.just(float("nan"))
+    measured = [columns(draw, m, st.one_of(each, unknown)) for each in (positive, positive, number, number, positive)]
+    return Detections(
+        np.repeat(frames, counts), frames, tuple(draw(st.lists(words, min_size=m, max_size=m))),
+        columns(draw, m, st.integers(0, 6)).astype(np.int64), columns(draw, m, number), columns(draw, m, number),
+        columns(draw, m, st.floats(-3.0, 3.0)), *measured,
+    )  # fmt: skip
+
+
+@st.composite
+def repairs(draw: st.DrawFn, tracks: Tracks) -> Repair:
+    text, when = st.text("abc.", max_size=5), st.floats(-10.0, 10.0)
+    change = st.builds(Change, text, text, when, when, st.integers(0, 9), text, st.lists(words, max_size=2).map(tuple))
+    marks = np.array(draw(st.lists(st.booleans(), min_size=len(tracks.t), max_size=len(tracks.t))), np.bool_)
+    made = tuple(draw(st.lists(change, max_size=3)))
+    return Repair(draw(detections()), draw(all_tracks()), marks, made, tracks)
+
+
+@st.composite
 def lanes(draw: st.DrawFn, ident: int) -> Lane:
     n = draw(st.integers(2, 4))
     link = st.one_of(st.none(), st.integers(-5, 5))
@@ -250,10 +298,12 @@ def scenarios(draw: st.DrawFn) -> Scenario:
     k = draw(st.integers(1, 3))
     controls = Controls(draw(times(k)), *(columns(draw, k, pedal) for _ in range(3)))
     shown = draw(distinct(lights()))
+    tracks = draw(all_tracks())
+    raw, repair = draw(st.sampled_from(((False, False), (True, False), (False, True))))
     return Scenario(
         draw(words),
         ego,
-        draw(all_tracks()),
+        tracks,
         draw(roads([light.id for light in shown])),
         float(ego.t[-1]) + draw(st.floats(0.0, 10.0)),
         draw(st.one_of(st.none(), goal)),
@@ -264,4 +314,6 @@ def scenarios(draw: st.DrawFn) -> Scenario:
         metadata=draw(st.dictionaries(words, words, max_size=2)),
         notes=tuple(draw(st.lists(words, max_size=2))),
         lights=shown,
+        detections=draw(detections()) if raw else None,
+        repair=draw(repairs(tracks)) if repair else None,
     )

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from logs.agents import AgentKind
+from logs.agents import AgentKind, codes_of
+from logs.detections import Detections
 from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.readers.ros import schemas
 from logs.readers.ros.bag import Bag, Topic
@@ -37,10 +38,14 @@ LEAST_SIZE_M = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Samples:
-    """Objects of all frames, `(m,)` each: message, id, kind, pose in the map, velocity, size (NaN: not known)."""
+    """Objects of all frames, `(m,)` each: message, id, kind, pose in the map, velocity, size (NaN: not known).
+
+    `given` are the ids of the log where `ids` are not; `score` is 0 to 1, NaN where it is not known.
+    """
 
     message: IntArray
     ids: list[Any]
+    given: list[Any]
     kinds: list[AgentKind]
     x: FloatArray
     y: FloatArray
@@ -50,15 +55,21 @@ class Samples:
     length: FloatArray
     width: FloatArray
     turned: BoolArray
+    score: FloatArray
 
     def __len__(self) -> int:
         return len(self.ids)
 
     def taken(self, keep: IntArray) -> Samples:
         """Some of them, in the order of `keep`."""
-        lists: dict[str, Any] = {name: [getattr(self, name)[i] for i in keep] for name in ("ids", "kinds")}
-        names = ("message", "x", "y", "yaw", "vx", "vy", "length", "width", "turned")
+        lists: dict[str, Any] = {name: [getattr(self, name)[i] for i in keep] for name in ("ids", "given", "kinds")}
+        names = ("message", "x", "y", "yaw", "vx", "vy", "length", "width", "turned", "score")
         return replace(self, **lists | {name: getattr(self, name)[keep] for name in names})
+
+    def detections(self, t: FloatArray) -> Detections:
+        """All of them as they were reported; t `(k,)` s are the times of the messages."""
+        columns = (self.x, self.y, self.yaw, self.length, self.width, self.vx, self.vy, self.score)
+        return Detections(t[self.message], t, tuple(map(str, self.given)), codes_of(tuple(self.kinds)), *columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +107,7 @@ def _wanted(bag: Bag, topic: Topic, schema: ObjectSchema) -> tuple[Wanted, dict[
         want("twist", *(f"{schema.twist}.linear.{c}" for c in "xyz"))
     if schema.size:
         want("size", *(f"{schema.size}.{c}" for c in "xy"))
-    for name in ("shape", "trusted"):
+    for name in ("shape", "trusted", "existence"):
         if getattr(schema, name) and bag.has(topic, item + getattr(schema, name)):
             want(name, getattr(schema, name))
     if schema.classes:
@@ -120,15 +131,16 @@ def _first(bag: Bag, topic: Topic, prefix: str, paths: str) -> str:
 
 
 def samples_of(
-    messages: Messages, schema: ObjectSchema, chosen: IntArray, t: IntArray, frames: Frames, frame: str, said: list[str]
-) -> Samples:
+    messages: Messages, schema: ObjectSchema, chosen: IntArray, t: IntArray, frames: Frames, frame: str,
+    said: list[str], said_of_ids: list[str],
+) -> Samples:  # fmt: skip
     """The objects of the messages `chosen` `(k,)` at times t `(k,)` ns, in the map frame `frame` by (1)."""
     items = [messages.items[i] for i in chosen]
     owner = np.repeat(np.arange(len(items)), [len(item) for item in items])
     rows = [item for some in items for item in some]
     if not rows:
         none = np.empty(0)
-        return Samples(owner, [], [], none, none, none, none, none, none, none, np.empty(0, np.bool_))
+        return Samples(owner, [], [], [], none, none, none, none, none, none, none, np.empty(0, np.bool_), none)
     columns = list(zip(*rows, strict=True))
     poses = _local(columns, messages.names, t[owner])
     turn = _turns([messages.frames[i] for i in chosen], owner, t, frames, frame)
@@ -138,18 +150,19 @@ def samples_of(
     velocity = _velocity(columns, messages.names, len(rows))
     ids = list(columns[messages.names["id"]]) if "id" in messages.names else []
     out = Samples(
-        owner, [_text(each) for each in ids], kinds, moved[:, 0], moved[:, 1], yaw, velocity[:, 0], velocity[:, 1],
-        length, width, turned,
+        owner, [_text(each) for each in ids], [], kinds, moved[:, 0], moved[:, 1], yaw, velocity[:, 0], velocity[:, 1],
+        length, width, turned, _scores(columns, messages.names, len(rows)),
     )  # fmt: skip
     if len(ids) and set(out.ids) <= {""}:
         out = replace(out, ids=[])
-    return _with_velocities(out, velocity, world, turn, schema, t, said, in_the_way)
+    return _with_velocities(out, velocity, world, turn, schema, t, (said, said_of_ids), in_the_way)
 
 
 def _with_velocities(
     out: Samples, velocity: FloatArray, world: Poses, turn: Poses | None, schema: ObjectSchema, t: IntArray,
-    said: list[str], in_the_way: BoolArray,
+    notes: tuple[list[str], list[str]], in_the_way: BoolArray,
 ) -> Samples:  # fmt: skip
+    said, said_of_ids = notes
     by_frame = {"object": rotated(world.q, velocity), "frame": velocity if turn is None else rotated(turn.q, velocity)}
     finite = np.logical_and.reduce(np.isfinite(np.column_stack([velocity[:, :2], world.p])), axis=1)
     usable = np.isfinite(out.x) & np.isfinite(out.y) & np.isfinite(out.yaw)
@@ -161,9 +174,9 @@ def _with_velocities(
     filled = [np.where(finite[:, None], by_frame[name][:, :2], np.nan) for name in ("object", "frame")]
     keep = np.flatnonzero(usable & in_the_way)
     ids = out.ids or list(np.full(len(out.kinds), ""))
-    both = replace(out, ids=ids, vx=filled[0][:, 0], vy=filled[0][:, 1]).taken(keep)
+    both = replace(out, ids=ids, given=ids, vx=filled[0][:, 0], vy=filled[0][:, 1]).taken(keep)
     other = filled[1][keep]
-    both = _identified(both, bool(out.ids), t, said)
+    both = _identified(both, bool(out.ids), t, said_of_ids)
     chosen = _frame_of_twist(both, other, schema, t, said)
     if chosen is None:
         nan = np.full(len(both), np.nan)
@@ -260,6 +273,16 @@ def _solids(types: tuple[Any, ...], dimensions: tuple[Any, ...]) -> FloatArray:
         elif kind in (3, 4) and len(numbers) >= 2:
             out[i] = 2.0 * numbers[1]
     return out
+
+
+def _scores(columns: list[tuple[Any, ...]], names: dict[str, int], n: int) -> FloatArray:
+    """How sure the detector was `(n,)`; NaN where the type has no such field, or it holds 0 or no probability."""
+    found = np.full(n, np.nan)
+    if "existence" in names:
+        found = np.array(columns[names["existence"]], dtype=np.float64)
+    elif "classes" in names:
+        found = np.array([max((c[1] for c in each), default=np.nan) for each in columns[names["classes"]]], np.float64)
+    return np.where((found > 0.0) & (found <= 1.0), found, np.nan)
 
 
 def _velocity(columns: list[tuple[Any, ...]], names: dict[str, int], n: int) -> FloatArray:

@@ -1,6 +1,6 @@
 """A bag as a scenario: which topics, which clock, which part.
 
-Of a part between `begin` and `end` only the messages around it are read: `HISTORY_S` before, so that whoever was there
+Of a part between `begin` and `end` only the messages around it are read: `REACH_S` before, so that whoever was there
 is known and motion can be derived, and the first second of the log, where t = 0 and the origin are. Where the log's
 clock runs unlike the senders' (a simulation slower than time) log times do not say what is in a part: all is read.
 """
@@ -13,12 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
+from logs.detections import Detections
 from logs.errors import LogError
 from logs.kernel import FloatArray
 from logs.mcap.complete import road_along
 from logs.observed import Spans, of_stream
 from logs.readers.base import LogSettings
-from logs.readers.cut import HISTORY_S, cut
+from logs.readers.cut import HISTORY_S
+from logs.readers.repaired import REACH_S, reason_to_repair
 from logs.readers.ros import schemas
 from logs.readers.ros.bag import Bag, Topic, opened
 from logs.readers.ros.clocks import said, times_of
@@ -37,7 +39,7 @@ MARGIN_S = 1.0
 
 
 def read_bag(path: Path, settings: LogSettings) -> Scenario:
-    """The scenario in a bag, or its part between `settings.begin` and `settings.end`.
+    """The scenario in a bag, or of it what lies around the part between `settings.begin` and `settings.end`.
 
     Raises:
         LogError: The bag is damaged or does not say where the ego is; the line says what it holds.
@@ -45,10 +47,9 @@ def read_bag(path: Path, settings: LogSettings) -> Scenario:
     _check_roles(settings)
     with np.errstate(all="ignore"), opened(path) as bag:
         try:
-            whole = _scenario(path, bag, settings)
+            return _scenario(path, bag, settings)
         except ValueError as error:
             raise LogError(str(error)) from None
-    return cut(whole, settings.begin, settings.end)
 
 
 ROLES = {
@@ -86,7 +87,7 @@ def _scenario(path: Path, bag: Bag, settings: LogSettings) -> Scenario:
     t = (ego.poses.t[first:] - start) / 1e9
     x, y, yaw, speed, accel, kappa = (columns[name][first:] for name in ("x", "y", "yaw", "v", "a", "kappa"))
     trajectory = Trajectory(t, x - origin[0], y - origin[1], yaw, speed, accel, kappa)
-    tracks, traffic = _tracks(bag, settings, window, ego, start, origin, trajectory, vehicle, notes)
+    tracks, detections, traffic = _tracks(bag, settings, window, ego, start, origin, trajectory, vehicle, notes)
     synthetic = any(topic.kind == schemas.CLOCK and topic.count for topic in bag.topics)
     if synthetic:
         notes.append("The bag has a /clock: its drive is taken for a simulated one.")
@@ -107,6 +108,7 @@ def _scenario(path: Path, bag: Bag, settings: LogSettings) -> Scenario:
         lights=lights(bag, settings, window, ego, start, notes),
         onboard=onboard(bag, settings, window, ego, start, origin, notes),
         traffic=traffic,
+        detections=detections,
     )
     return replace(scenario, notes=tuple(dict.fromkeys(notes)))
 
@@ -120,11 +122,11 @@ def _part(bag: Bag, settings: LogSettings) -> tuple[Window, int | None, FloatArr
     if head is None:
         return (None, None), None, nothing
     ego, first = head
-    log0 = bag.start_ns
-    end = None if settings.end == inf else log0 + round(1e9 * (settings.end + HISTORY_S + MARGIN_S))
+    log0, around = bag.start_ns, (HISTORY_S if settings.repair == "off" else REACH_S) + MARGIN_S
+    end = None if settings.end == inf else log0 + round(1e9 * (settings.end + around))
     if settings.begin <= 0.0:
         return (None, end), None, nothing
-    begin = log0 + round(1e9 * (settings.begin - HISTORY_S - MARGIN_S))
+    begin = log0 + round(1e9 * (settings.begin - around))
     return (max(begin, log0), end), int(ego.poses.t[first]), np.round(ego.poses.p[first, :2])
 
 
@@ -181,25 +183,33 @@ def _chosen(bag: Bag, settings: LogSettings, notes: list[str]) -> Topic | None:
 def _tracks(
     bag: Bag, settings: LogSettings, window: Window, ego: EgoLog, start: int, origin: FloatArray, driven: Trajectory,
     vehicle: VehicleParameters, notes: list[str],
-) -> tuple[Tracks, Spans]:  # fmt: skip
-    """The others, and when their topic had messages."""
+) -> tuple[Tracks, Detections | None, Spans]:  # fmt: skip
+    """The others, or detections that are to be made into tracks, and when their topic had messages."""
     topic = _chosen(bag, settings, notes)
     if topic is None:
-        return Tracks.empty(), ()
+        return Tracks.empty(), None, ()
     messages = read_messages(bag, topic, *window)
     if not len(messages.log):
         notes.append(f"{topic.name} has no messages in this part.")
-        return Tracks.empty(), ()
+        return Tracks.empty(), None, ()
     notes += said(topic.name, messages.log, messages.stamps, bag.start_ns)
     t, chosen = times_of(topic.name, messages.log, messages.stamps, ego.clock, notes)
+    said_of_tracks: list[str] = []
     try:
-        samples = samples_of(messages, schemas.OBJECTS[topic.kind], chosen, t, ego.frames, ego.map, notes)
+        samples = samples_of(
+            messages, schemas.OBJECTS[topic.kind], chosen, t, ego.frames, ego.map, notes, said_of_tracks
+        )
     except LogError as error:
         remedy = "name the log's own frames under log.frames, or leave the objects out by log.topics.agents = '-'"
         raise LogError(error.what, topic=topic.name, remedy=remedy) from None
     moved = replace(samples, x=samples.x - origin[0], y=samples.y - origin[1])
-    tracks = tracks_of(moved, (t - start) / 1e9, notes)
+    since = (t - start) / 1e9
+    found = moved.detections(since)
+    if reason_to_repair(settings.repair, found):
+        return Tracks.empty(), found, of_stream(since)
+    notes += said_of_tracks
+    tracks = tracks_of(moved, since, notes)
     ahead = vehicle.axle_to_center
     x = driven.x + ahead * np.array([cos(yaw) for yaw in driven.yaw])
     y = driven.y + ahead * np.array([sin(yaw) for yaw in driven.yaw])
-    return without_ego(tracks, driven.t, x, y, notes), of_stream((t - start) / 1e9)
+    return without_ego(tracks, driven.t, x, y, notes), None, of_stream(since)

@@ -52,6 +52,7 @@ class ObjectSchema:
         outline: Points of a polygon; `outline_frame` "object" or "frame".
         label: The field, or the list of classes (`classes`, with `label` and `score` within).
         trusted: A flag that says whether the velocity is meant.
+        existence: How sure the detector is of the object, 0 to 1; where the type has none, the `score` of its class.
     """
 
     items: str
@@ -75,7 +76,7 @@ def _autoware(kinematics: str, prefix: str = "") -> ObjectSchema:
     return ObjectSchema(
         "objects", f"{kinematics}{prefix}pose_with_covariance.pose", f"{kinematics}{prefix}twist_with_covariance.twist",
         "object_id.uuid", "label", "shape.dimensions", classes="classification", score="probability",
-        shape="shape.type", outline="shape.footprint.points",
+        shape="shape.type", outline="shape.footprint.points", existence="existence_probability",
     )  # fmt: skip
 
 
@@ -83,7 +84,7 @@ _PACKAGES = ("autoware_perception_msgs/msg/", "autoware_auto_perception_msgs/msg
 OBJECTS = {
     "autoware_msgs/msg/DetectedObjectArray": ObjectSchema(
         "objects", "pose", "velocity", "id", "label", "dimensions", twist_frame="log",
-        outline="convex_hull.polygon.points", outline_frame="frame", trusted="velocity_reliable",
+        outline="convex_hull.polygon.points", outline_frame="frame", trusted="velocity_reliable", existence="score",
     ),
     **{f"{p}TrackedObjects": _autoware("kinematics.") for p in _PACKAGES},
     **{f"{p}PredictedObjects": _autoware("kinematics.", "initial_") for p in _PACKAGES},

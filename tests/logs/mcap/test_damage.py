@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from pathlib import Path
 from typing import Any
@@ -211,7 +212,7 @@ def test_a_log_of_ego_states_alone_is_a_scenario(tmp_path: Path) -> None:
     ]
     scenario = read_scenario(write_by_hand(tmp_path / "log.mcap", states))
     assert scenario.road.source is RoadSource.DRIVEN_PATH
-    assert scenario.road.default_speed_limit == Road.default_speed_limit
+    assert scenario.road.default_speed_limit * 3.6 == pytest.approx(300.0)
     assert scenario.ego.a == pytest.approx([0.0] + 8 * [100.0])
     assert scenario.ego.kappa[3] == pytest.approx(0.01 / 2.5)
     assert (len(scenario.tracks), scenario.goal, scenario.controls) == (0, None, None)
@@ -221,16 +222,18 @@ def test_a_log_of_ego_states_alone_is_a_scenario(tmp_path: Path) -> None:
     assert all(scenario.road.is_drivable(x, y) for x, y in zip(scenario.ego.x - 0.9, scenario.ego.y, strict=True))
 
 
-@pytest.mark.parametrize(("v", "limit"), [(0.0, 50.0), (13.0, 50.0), (70.0 / 3.6, 70.0), (19.5, 80.0), (33.0, 120.0)])
-@pytest.mark.parametrize("later", [0.0, 40.0])
-def test_the_limit_of_a_road_along_the_path_knows_the_start_and_nothing_later(
-    tmp_path: Path, v: float, limit: float, later: float
+@pytest.mark.parametrize(("v", "limit"), [(2.0, 20.0), (8.0, 35.0), (50.0 / 3.6, 55.0), (33.0, 135.0)])
+@pytest.mark.parametrize("standing", [0, 20])
+def test_the_limit_of_a_road_along_the_path_is_that_of_its_drive(
+    tmp_path: Path, v: float, limit: float, standing: int
 ) -> None:
-    states = [
-        ("/ego", 10**8 * k, {"x_m": 4.0 * k, "y_m": 0, "yaw_rad": 0, "v_mps": later if k else v}) for k in range(9)
-    ]
-    scenario = read_scenario(write_by_hand(tmp_path / "log.mcap", states))
-    assert scenario.road.limit(0) * 3.6 == pytest.approx(limit, abs=0.01)
+    """10 % above the speed, up to the next 5 km/h; a stop and a moment of speeding do not count."""
+    speeds = [v] * 30 + [0.0] * standing + [v] * 25 + [3.0 * v]
+    x = [0.0, *itertools.accumulate(0.05 * (a + b) for a, b in itertools.pairwise(speeds))]
+    states = [("/ego", 10**8 * k, {"x_m": x[k], "y_m": 0, "yaw_rad": 0, "v_mps": one}) for k, one in enumerate(speeds)]
+    road = read_scenario(write_by_hand(tmp_path / "log.mcap", states)).road
+    assert road.limit(0) * 3.6 == pytest.approx(limit, abs=0.01)
+    assert road.assumed_limits == {0}
 
 
 def test_a_standing_ego_has_a_straight_road_ahead(tmp_path: Path) -> None:

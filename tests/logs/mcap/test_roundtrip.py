@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from mcap.reader import make_reader
-from mcap_cases import START_NS, differences, rich_scenario, scenarios
+from mcap_cases import START_NS, differences, repaired_scenario, rich_scenario, scenarios
 
 import logs
 from logs import Lane, LogError, Road, Scenario, Trajectory, VehicleParameters
@@ -31,6 +31,17 @@ def test_everything_survives_the_round_trip(tmp_path: Path) -> None:
     scenario = rich_scenario()
     write_scenario(tmp_path / "log.mcap", scenario)
     assert differences(scenario, read_scenario(tmp_path / "log.mcap")) == []
+
+
+def test_a_repaired_scenario_says_so_in_its_log(tmp_path: Path) -> None:
+    scenario = repaired_scenario()
+    write_scenario(tmp_path / "log.mcap", scenario)
+    read = read_scenario(tmp_path / "log.mcap")
+    assert differences(scenario, read) == []
+    assert read.repair is not None and read.repair.tracks is read.tracks
+    moved = replace(scenario, tracks=scenario.tracks.shifted(1.0))
+    write_scenario(tmp_path / "log.mcap", moved)
+    assert read_scenario(tmp_path / "log.mcap").repair is None
 
 
 def test_the_comparison_of_the_round_trip_sees_a_changed_bit() -> None:

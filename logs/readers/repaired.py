@@ -1,0 +1,90 @@
+"""`[log] repair`: raw detections become tracks, in one place for logs of every format.
+
+    "auto"    where a log holds detections and they are no tracks (`logs.repair.needs_repair`)
+    "on"      always; of a log of tracks their samples are the detections, and who never moves stays as they are
+    "off"     never: the tracks are those that the reader makes
+
+It is done before a part is cut out, so that a part's tracks are the whole's. A reader that reads a part only reads
+`REACH_S` more on both sides: then what a repair knows from farther away, the names of tracks and the choice of "auto"
+may be others than for the whole.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from logs.detections import Detections, Repair
+from logs.readers.admission import detections_within
+from logs.readers.cut import DETECTED_S
+from logs.readers.nanoseconds import framed
+from logs.scenario import Scenario, Tracks
+
+REACH_S = DETECTED_S
+"""Around a part so much of the log is repaired with it."""
+
+
+def reason_to_repair(choice: str, found: Detections | None) -> str | None:
+    """Why detections are made into tracks, in a sentence; None: they are not."""
+    if found is None or choice == "off":
+        return None
+    if choice == "on":
+        return "It was asked for."
+    from logs.repair import needs_repair
+
+    return needs_repair(found)
+
+
+def repaired(scenario: Scenario, choice: str) -> Scenario:
+    """The scenario with tracks made of its detections as `choice` ("auto", "on", "off") says; else the same tracks.
+
+    What is not repaired has no `detections` afterwards, what is repaired has them in its `repair`.
+    """
+    found = scenario.detections
+    if choice == "on" and found is None:
+        found = scenario.repair.detections if scenario.repair is not None else _moving(scenario.tracks)
+    reason = reason_to_repair(choice, found)
+    if found is None or reason is None:
+        return scenario if scenario.detections is None else replace(scenario, detections=None)
+    from logs.repair import repair
+
+    found, notes = detections_within(scenario, framed(found))
+    tracks, made = repair(found, scenario.ego, scenario.vehicle)
+    if scenario.detections is None and scenario.repair is None:
+        tracks, made = _with_static(tracks, made, scenario.tracks)
+    said = " ".join((f"The road users are made of {len(found)} detections. {reason}", *made.summary()))
+    return replace(scenario, tracks=tracks, detections=None, repair=made, notes=(*scenario.notes, *notes, said))
+
+
+def named(scenario: Scenario) -> Scenario:
+    """The repaired scenario whose tracks have the names by which a causal tracker knows them (`logs.repair.owners`)."""
+    made = scenario.repair
+    assert made is not None and made.tracks is scenario.tracks
+    from logs.repair.owners import named_as_tracked
+
+    made = named_as_tracked(made)
+    return replace(scenario, tracks=made.tracks, repair=made)
+
+
+def _moving(tracks: Tracks) -> Detections:
+    from logs.repair import detections_of
+
+    return detections_of(tracks.taken(np.repeat(~tracks.static, np.diff(tracks.offsets))))
+
+
+def _with_static(tracks: Tracks, made: Repair, was: Tracks) -> tuple[Tracks, Repair]:
+    """The repaired tracks and those that never move of the log's, under names that are not taken."""
+    stay = was.taken(np.repeat(was.static, np.diff(was.offsets)))
+    if not len(stay):
+        return tracks, made
+    taken = {*tracks.ids, *made.removed.ids}
+    names = ("length", "width", "static", "t", "x", "y", "yaw", "vx", "vy")
+    both = replace(
+        tracks,
+        ids=(*tracks.ids, *(f"{name}~static" if name in taken else name for name in stay.ids)),
+        kinds=(*tracks.kinds, *stay.kinds),
+        offsets=np.r_[tracks.offsets, stay.offsets[1:] + len(tracks.t)],
+        **{name: np.r_[getattr(tracks, name), getattr(stay, name)] for name in names},
+    )
+    return both, replace(made, tracks=both, extended=np.r_[made.extended, np.zeros(len(stay.t), np.bool_)])

@@ -3,8 +3,8 @@
 Joined by the same association and filter as the offline repair (`association`, `kalman`), frame by frame; what is known
 at t rests on the frames up to t alone.
 
-(1) a track is reported after `BIRTH_S` and `BIRTH_COUNT` detections, whose scores sum up to `BIRTH_SCORE`; until it was
-    not seen for `KEEP_STILL_S` (who stands), `KEEP_S` (who moves), `KEEP_YOUNG_S` (whose detections are up to `FEW`)
+(1) a track is reported after the evidence that its group takes (`Group.birth_time`); until it was not seen for
+    `KEEP_STILL_S` (who stands), `KEEP_S` (who moves), `KEEP_YOUNG_S` (who was detected up to `FEW` times)
 (2) it stands if its detections of the last `WINDOW_S` lie on a line through time with less than `Group.slow`, and the
     filter says less than `FILTER_SLOW` times that: drift of the boxes looks like motion for shorter
 (3) kind, length and width: as most of its detections say, by score; the axis of its box: averaged over `YAW_MEMORY`;
@@ -25,14 +25,12 @@ from logs.agents import NUMBERS, OLDEST_S, AgentKind, Agents
 from logs.detections import Detections
 from logs.kernel import FloatArray, frozen
 from logs.repair.association import Association
-from logs.repair.groups import DENSITY, GROUPS, NOISE, PERSON, Boxes
+from logs.repair.groups import CLUSTER, DENSITY, GROUPS, NOISE, PERSON, SLIDES, Boxes
 from logs.repair.kalman import ACROSS, ALONG, VX, VY
 from logs.repair.kalman import X as PX
 from logs.repair.kalman import Y as PY
 from logs.repair.overlap import stronger_twins
 
-BIRTH_S, BIRTH_COUNT, BIRTH_SCORE = 0.15, 3, 1.2
-"""Chosen on degraded recordings: ghosts for a real one that is seen later (tests/support/track_score.py)."""
 KEEP_STILL_S, KEEP_S, KEEP_YOUNG_S, FEW = 2.0, 0.8, 0.35, 10
 WINDOW_S, WINDOW_LEAST_S, FILTER_SLOW = 1.5, 0.8, 2.5
 YAW_MEMORY = 0.8
@@ -69,6 +67,13 @@ class _Track:
         while t - self.window[0][0] > WINDOW_S + 1e-9:
             self.window.popleft()
 
+    @property
+    def box(self) -> tuple[int, float, float]:
+        """Kind, length and width (3)."""
+        code = int(self.votes.argmax())
+        length, width = self.size[code] / self.votes[code]
+        return code, float(length), float(width)
+
     def front(self, group: int, vx: float, vy: float) -> float:
         """The heading (3)."""
         speed = float(np.hypot(vx, vy))
@@ -83,6 +88,8 @@ class _Track:
     def stands(self, group: int, speed: float) -> bool:
         """(2)."""
         slow = GROUPS[group].slow
+        if group == CLUSTER:
+            slow = max(slow, SLIDES * self.box[1] / WINDOW_S)
         t, x, y = np.array(self.window).T
         if t[-1] - t[0] < WINDOW_LEAST_S or speed > FILTER_SLOW * slow:
             return False
@@ -140,7 +147,9 @@ def _reported(joining: Association, tracks: dict[int, _Track], t: float) -> tupl
     ids, codes, columns, growth, patience = [], [], [], [], []
     for row, name in enumerate(joining.name.tolist()):
         track, state, group = tracks[name], joining.states[row], int(joining.group[row])
-        if track.count < BIRTH_COUNT or t - track.first < BIRTH_S - 1e-9 or track.score < BIRTH_SCORE:
+        least = GROUPS[group]
+        early = t - track.first < least.birth_time - 1e-9
+        if early or track.count < least.birth_count or track.score < least.birth_score:
             continue
         vx, vy = float(state[VX]), float(state[VY])
         sigma = float(np.sqrt(0.5 * (state[ALONG + 2] + state[ACROSS + 2])))
@@ -151,8 +160,7 @@ def _reported(joining: Association, tracks: dict[int, _Track], t: float) -> tupl
         most = KEEP_STILL_S if stands else most
         if unseen > most + 1e-9:
             continue
-        code = int(track.votes.argmax())
-        length, width = track.size[code] / track.votes[code]
+        code, length, width = track.box
         age = min(t - track.first, OLDEST_S) if track.frame else np.nan
         pose = state[PX], state[PY], track.front(group, vx, vy)
         ids.append(str(name + 1))

@@ -196,6 +196,20 @@ def test_a_few_weak_boxes_are_no_evidence() -> None:
         assert done.summary() == (f"Repair removed {len(found)} detections with 1 tracks.",)
 
 
+def test_a_bus_that_is_seen_as_two_is_one() -> None:
+    whole, part = np.arange(0, 60, 2), np.r_[31:60:2, 60:120]
+    places = (whole, 30.0, 12.0), (part, 31.0, 3.0)
+    both = [box(EGO.t[rows], x, 9.0, AgentKind.BUS, length=length) for rows, x, length in places]
+    order = np.argsort(np.concatenate([each.t for each in both]), kind="stable")
+    names = ("t", "codes", "x", "y", "yaw", "length", "width", "vx", "vy", "score")
+    columns = {name: np.concatenate([getattr(each, name) for each in both])[order] for name in names}
+    tracks, done = fixed(replace(both[0], ids=("",) * len(order), **columns))
+    assert len(tracks) == 1
+    assert (tracks.t[0], tracks.t[-1]) == (0.0, pytest.approx(11.9))
+    removed = [change for change in done.changes if change.what == "removed"]
+    assert [change.why for change in removed] == ["In the place of another bus that is seen better."]
+
+
 def test_no_detections_are_no_tracks() -> None:
     tracks, done = fixed(box(np.empty(0), 0.0, 0.0, AgentKind.CAR))
     assert len(tracks) == 0

@@ -18,7 +18,7 @@ from math import atan2, cos, sin
 
 import numpy as np
 
-from logs.kernel import TIE, FloatArray, kernel
+from logs.kernel import TIE, FloatArray, inner_kernel, kernel
 from logs.road import Goal, Lane, Road, inside, nearest
 from logs.shapes import point_segment
 from logs.states import EgoState, wrap
@@ -124,10 +124,19 @@ def _runs_through(lane: Lane, region: FloatArray) -> bool:
     chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(lane.center, axis=0).T))]
     at = np.union1d(chord, np.arange(0.0, chord[-1], 1.0))
     x, y = (np.interp(at, chord, lane.center[:, k]) for k in (0, 1))
-    return any(_within(float(a), float(b), region) for a, b in zip(x, y, strict=True))
+    return _any_within(x, y, region)
 
 
 @kernel
+def _any_within(x: FloatArray, y: FloatArray, polygon: FloatArray) -> bool:
+    """Whether one of the points `(n,)` lies in a polygon `(k, 2)`, as `_within` has it."""
+    for i in range(len(x)):  # noqa: SIM110  # kernels have no generators
+        if _within(x[i], y[i], polygon):
+            return True
+    return False
+
+
+@inner_kernel
 def _within(x: float, y: float, polygon: FloatArray) -> bool:
     """Whether a point lies in a polygon, farther than `TIE` from its edge: lanes that end at a goal share that edge."""
     for i in range(len(polygon)):

@@ -31,6 +31,7 @@ from metrics import (
     effort,
     encounters,
     evidence,
+    false_braking,
     following,
     lane_keeping,
     needless,
@@ -74,6 +75,7 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
     "rules": (
         rules.RED_LIGHT, rules.STOP_SIGN, rules.CROSSWALK, right_of_way.PRIORITY_GAP, right_of_way.YIELDING,
         cut_in.FORCED_BRAKING, needless.NEEDLESS_BRAKING, needless.NEEDLESS_STANDING, needless.NEEDLESS_STEERING,
+        false_braking.FALSE_BRAKING, false_braking.MISSED_BRAKING,
         safety.PASSING_ROOM, lane_keeping.WRONG_WAY, lane_keeping.LANE_KEEPING, lane_keeping.LANE_LINE,
         progress.SPEED_EXCESS, progress.SPEED_RATIO, progress.ASSUMED_LIMIT_EXCESS,
     ),
@@ -142,7 +144,8 @@ def evaluate(
         for reduction in metric.reductions:
             row = _row(f"{name}.{reduction.name}", metric, reduction, steps, broken)
             rows.append((*head, *row, metric.version, metric.source))
-    return pd.DataFrame(rows, columns=list(COLUMNS)).astype({"value": "float64", "time_s": "float64"})
+    columns = {name: [row[k] for row in rows] for k, name in enumerate(COLUMNS)}
+    return pd.DataFrame({**columns, **{name: np.array(columns[name], np.float64) for name in ("value", "time_s")}})
 
 
 def series(trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = METRICS) -> pd.DataFrame:

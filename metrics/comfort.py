@@ -57,6 +57,7 @@ from metrics.metric import (
     changed,
     out_of_bounds,
 )
+from metrics.once import last
 from metrics.safety import TTC
 
 WINDOW_S = 0.1
@@ -163,11 +164,16 @@ def _with_cause(signal: Signal, bounds: tuple[str, float, float], trace: Trace, 
 
 def _filtered(signal: Signal, step: float, least: float, trace: Trace, scenario: Scenario) -> Measured:
     """The signal of the drive resampled to `step` s from its start, linear between its samples."""
-    first, length = trace.ego.t[0], float(trace.ego.t[-1] - trace.ego.t[0])
-    if length < least - 1e-9:
+    if float(trace.ego.t[-1] - trace.ego.t[0]) < least - 1e-9:
         return Unavailable(f"the drive is shorter than {least} s")
-    drive = trace.ego.resampled(first + step * np.arange(int((length + 1e-9) / step) + 1))
+    drive = _sampled(trace, step)
     return Series(drive.t, signal(drive))
+
+
+@last(1)
+def _sampled(trace: Trace, step: float) -> Trajectory:
+    first, length = trace.ego.t[0], float(trace.ego.t[-1] - trace.ego.t[0])
+    return trace.ego.resampled(first + step * np.arange(int((length + 1e-9) / step) + 1))
 
 
 def _bounded(

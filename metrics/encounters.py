@@ -30,6 +30,7 @@ from logs.shapes import corners, distance, overlap, time_to_contact
 from logs.states import wrap
 from logs.trace import Mode, Trace
 from metrics.metric import MIN, Measured, Metric, Series, time_below
+from metrics.once import once
 from metrics.others import Others, each, ego_boxes, name_of, named, pieces
 from metrics.path_ahead import GRID_S, grid_of
 from metrics.safety import _apart, _behind, _labels
@@ -210,12 +211,19 @@ def _ttc_accelerated(trace: Trace, scenario: Scenario) -> Measured:
     return Series(t, least, _labels(trace, agent), nothing)
 
 
-def _encounter(trace: Trace, scenario: Scenario, *, row: int) -> Measured:
+@once
+def _encounters(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Time, `_closest` of all who are there, and whom it is about."""
     t, boxes, _, box = _scene(trace, scenario)
     found, agent = np.full((2, len(t)), np.nan), np.full(len(t), -1)
     for k, seen, others in pieces(trace.agents, t):
         found[:, k], who = _closest(boxes[:, k], box, others.there, others.pose, others.size)
         agent[k] = named(seen, who)
+    return t, found, agent
+
+
+def _encounter(trace: Trace, scenario: Scenario, *, row: int) -> Measured:
+    t, found, agent = _encounters(trace, scenario)
     value = found[row] if row == 0 else np.where(found[1] > 0.0, found[1], np.nan)
     nothing = "no other road user in the scene" if row == 0 or not (agent >= 0).any() else "no other came nearer"
     return Series(t, value, _labels(trace, agent), nothing)

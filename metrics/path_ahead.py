@@ -28,6 +28,7 @@ from logs.scenario import Scenario
 from logs.shapes import corners
 from logs.states import Trajectory
 from logs.trace import Trace
+from metrics.once import once
 from metrics.others import named, pieces
 
 GRID_S = 0.1
@@ -66,6 +67,7 @@ class Ahead:
     facing: FloatArray
 
 
+@once
 def grid_of(trace: Trace) -> Trajectory:
     """The ego's drive every `GRID_S` from its start, and at its last step."""
     first, last = float(trace.ego.t[0]), float(trace.ego.t[-1])
@@ -73,6 +75,7 @@ def grid_of(trace: Trace) -> Trajectory:
     return trace.ego.resampled(np.r_[steps, last] if last > steps[-1] else steps)
 
 
+@once
 def ahead_of(trace: Trace, scenario: Scenario) -> Ahead:
     """Who was in front, on `grid_of(trace)`."""
     ego, car = grid_of(trace), scenario.vehicle

@@ -23,7 +23,7 @@ from logs.road import Goal, ReferenceLine, Road, inside, line_project_many, thin
 from logs.route import find_route, straight_on
 from logs.scenario import Scenario
 from logs.states import EgoState, Trajectory
-from metrics.once import last, once
+from metrics.once import last
 
 SPACING_M, WINDOW_M = 1.0, 30.0
 STRETCH, SLACK_M = 2.0, 0.1
@@ -62,17 +62,20 @@ class Gain:
     cut: float
 
 
-@once
 def route_of(scenario: Scenario) -> Route:
     """The route of a scenario."""
-    log = scenario.ego
+    return _route(scenario.road, scenario.ego, scenario.goal, scenario.vehicle.axle_to_center)
+
+
+@last(2)  # a scenario is made anew with each entry of its metadata, of the same road
+def _route(road: Road, log: Trajectory, goal: Goal | None, axle_to_center: float) -> Route:
     path = thinned(np.column_stack([log.x, log.y]), SPACING_M)
-    ahead = _onward(scenario.road, log.state(len(log) - 1), scenario.goal)
+    ahead = _onward(road, log.state(len(log) - 1), goal)
     line = ReferenceLine.through(np.vstack([path, ahead]), SPACING_M)
     driven = float(np.hypot(*np.diff(path, axis=0).T).sum())
-    entered = _entered(line, scenario.goal)
+    entered = _entered(line, goal)
     if np.isfinite(entered):
-        return Route(line, max(entered - scenario.vehicle.axle_to_center, SPACING_M))
+        return Route(line, max(entered - axle_to_center, SPACING_M))
     return Route(line, driven if driven >= SHORTEST_M else np.nan)
 
 

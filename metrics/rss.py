@@ -33,6 +33,7 @@ from logs.shapes import corners
 from logs.trace import Mode, Trace
 from metrics.exposure import share_while
 from metrics.metric import MIN, Measured, Metric, Series, Unavailable, time_below, time_outside
+from metrics.once import once
 from metrics.others import each, name_of
 from metrics.path_ahead import GRID_S, LOOK_M, STANDING_MPS, arc_point, extent, grid_of, within_look
 
@@ -123,6 +124,7 @@ def _improper(t: FloatArray, ego: FloatArray, accel: FloatArray, margins: FloatA
     return out
 
 
+@once
 def _rss(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, FloatArray, list[str], list[str]]:
     """Time, least margin (NaN: no agent is asked), 1 where any response is improper, and the labels of both."""
     ego, car = grid_of(trace), scenario.vehicle

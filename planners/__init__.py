@@ -19,6 +19,7 @@ from planners.constant_speed import ConstantSpeed
 from planners.dp_qp import DpQp
 from planners.idm import Idm
 from planners.lattice import Lattice
+from planners.pdm import Pdm
 
 PlannerFactory = Callable[..., Planner]
 """Builds a planner: `factory(context, **config)`."""
@@ -27,6 +28,7 @@ PLANNERS: dict[str, PlannerFactory] = {
     "dp_qp": DpQp,
     "lattice": Lattice,
     "idm": Idm,
+    "pdm": Pdm,
     "constant_speed": ConstantSpeed,
 }
 """The planners by the names that `--planner` takes."""

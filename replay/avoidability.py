@@ -17,7 +17,7 @@ from logs.states import EgoState
 from metrics.avoidability import metadata_of
 from metrics.once import once
 from metrics.reference_drivers import DRIVERS, Verdict
-from planners.frenet.reference_path import make_reference_path
+from planners.frenet.reference_path import make_line
 
 
 def reference_line(scenario: Scenario) -> ReferenceLine:
@@ -33,7 +33,7 @@ def _line(road: Road, start: EgoState, goal: Goal | None) -> ReferenceLine:
         if now not in road.lanes[before].successors:
             break
         kept += 1
-    return make_reference_path(road, replace(route, lanes=route.lanes[:kept]), start).line
+    return make_line(road, replace(route, lanes=route.lanes[:kept]), start)[1]
 
 
 def verdicts(scenario: Scenario) -> tuple[Verdict, ...]:

@@ -3,18 +3,29 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
 
 import pytest
-from hypothesis import settings
+from hypothesis import is_hypothesis_test, settings
+
+sys.dont_write_bytecode = False  # the tests start some hundred processes, each of which imports the packages
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 settings.register_profile("replan", deadline=None, derandomize=True)  # kernels compile when first called
-settings.register_profile("fast", settings.get_profile("replan"), max_examples=20)
+settings.load_profile("replan")
+FEWEST, MOST = 3, 10
+"""Examples of a law where the slow tests are left out."""
 
 
-def pytest_configure(config: pytest.Config) -> None:
-    """Fewer examples of each law where the slow tests are left out, too."""
-    settings.load_profile("fast" if config.option.markexpr == "not slow" else "replan")
+def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
+    """A quarter of the examples that each law asks for where the slow tests are left out, too."""
+    if config.option.markexpr != "not slow":
+        return
+    for law in {item.obj for item in items if isinstance(item, pytest.Function) and is_hypothesis_test(item.obj)}:
+        asked = law._hypothesis_internal_use_settings
+        few = min(max(asked.max_examples // 4, FEWEST), MOST, asked.max_examples)
+        law._hypothesis_internal_use_settings = settings(asked, max_examples=few)
 
 
 @pytest.fixture(scope="session")

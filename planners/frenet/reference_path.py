@@ -134,8 +134,7 @@ def sections(knots: FloatArray, table: FloatArray, s: FloatArray) -> Section:
 
 def make_reference_path(road: Road, route: Route, ego: EgoState, car: VehicleParameters | None = None) -> ReferencePath:
     """The reference of a route for an ego at its start; a `car` can be steered along it if lanes allow."""
-    lanes = _extended(road, route)
-    line = _steerable(_joined(road, lanes, ego), min(_width(road.lanes[lane]) for lane in lanes), car)
+    lanes, line = make_line(road, route, ego, car)
     extents = _lane_extents(road, line)
     lane_left, lane_right, limit = _own_lane(road, line, lanes, extents)
     road_left, road_right = _reachable(road, extents, lane_left, lane_right)
@@ -152,6 +151,14 @@ def make_reference_path(road: Road, route: Route, ego: EgoState, car: VehiclePar
         facing_right,
         _waits(road, line, lanes),
     )
+
+
+def make_line(
+    road: Road, route: Route, ego: EgoState, car: VehicleParameters | None = None
+) -> tuple[tuple[int, ...], ReferenceLine]:
+    """The lanes of a route, carried on straight, and the line along them: what `make_reference_path` begins with."""
+    lanes = _extended(road, route)
+    return lanes, _steerable(_joined(road, lanes, ego), min(_width(road.lanes[lane]) for lane in lanes), car)
 
 
 def _steerable(points: FloatArray, width: float, car: VehicleParameters | None) -> ReferenceLine:

@@ -160,8 +160,9 @@ def behind(scene: Scene, *, keeps_track: bool) -> BoolArray:
     Where the ego keeps its track these are all behind it in its direction; where it changes, those in its track.
     """
     agents, along = scene.frame.agents, scene.agents
+    heading = np.where(scene.standing, agents.yaw, np.arctan2(agents.vy, agents.vx))
     return follow(
-        along.s, along.l, agents.yaw, agents.length, agents.width, scene.rear, scene.l, scene.frame.ego.yaw,
+        along.s, along.l, heading, agents.length, agents.width, scene.rear, scene.l, scene.frame.ego.yaw,
         scene.vehicle.width, keeps_track,
     )  # fmt: skip
 
@@ -171,7 +172,7 @@ def follow(
     s: FloatArray, l: FloatArray, yaw: FloatArray, length: FloatArray, width: FloatArray,  # noqa: E741
     rear: float, l_ego: float, yaw_ego: float, width_ego: float, keeps_track: bool,
 ) -> BoolArray:  # fmt: skip
-    """`behind` of agents at these stations and offsets, with these headings, lengths and widths `(n,)`."""
+    """`behind` of agents at these stations and offsets, with these headings of their motion, lengths, widths `(n,)`."""
     out = np.zeros(len(s), np.bool_)
     for i in range(len(s)):
         in_track = keeps_track or abs(l[i] - l_ego) < 0.5 * (width[i] + width_ego) + TRACK_ROOM_M

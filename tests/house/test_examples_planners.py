@@ -44,6 +44,7 @@ def node() -> Iterator[str]:
         process.kill()
 
 
+@pytest.mark.slow
 def test_a_program_and_a_node_drive_as_any_planner(log: Scenario, node: str) -> None:
     for run in LOOPS.values():
         program, reached = run(log, PYTHON).trace, run(log, node).trace

@@ -41,8 +41,16 @@ def run(folder: Path, script: str, *, begin: str = EDITABLE) -> subprocess.Compl
     return subprocess.run(words, cwd=folder, capture_output=True, text=True, check=False, env={"PATH": ""})
 
 
-@pytest.mark.parametrize("begin", [EDITABLE, INSTALLED], ids=["editable", "installed"])
-@pytest.mark.parametrize("first", ["import replan\nfrom logs import Plan", "from replay.version import replan_version"])
+@pytest.mark.parametrize(
+    "begin", [EDITABLE, pytest.param(INSTALLED, marks=pytest.mark.slow)], ids=["editable", "installed"]
+)
+@pytest.mark.parametrize(
+    "first",
+    [
+        "import replan\nfrom logs import Plan",
+        pytest.param("from replay.version import replan_version", marks=pytest.mark.slow),
+    ],
+)
 def test_ours_are_found_beside_a_users_files_of_the_same_names(folder: Path, begin: str, first: str) -> None:
     done = run(
         folder, f"{first}\nimport logs.errors, metrics.metric\nprint(logs.__file__, metrics.__file__)", begin=begin
@@ -62,8 +70,8 @@ def test_the_command_line_runs_in_such_a_folder(folder: Path) -> None:
     "script",
     [
         "import replan\nfrom metrics import MINE",
-        "import metrics\nimport replan",
-        "import replan\nreplan.read_log\nimport metrics\nmetrics.MINE",
+        pytest.param("import metrics\nimport replan", marks=pytest.mark.slow),
+        pytest.param("import replan\nreplan.read_log\nimport metrics\nmetrics.MINE", marks=pytest.mark.slow),
     ],
     ids=["theirs after ours", "ours after theirs", "as an attribute"],
 )

@@ -11,9 +11,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 ABOUT = "Wheel-Version: 1.0\nGenerator: any\nRoot-Is-Purelib: true\nTag: py3-none-any\n"
 
 
+@pytest.mark.slow
 def test_a_wheel_with_machine_code_is_for_one_python_and_platform_and_records_all_its_files(tmp_path: Path) -> None:
     pack = runpy.run_path(".ci/wheel.py")["pack"]
     files = {"one/__init__.py": b"", "one/__pycache__/one.f-1.py311.1.nbc": bytes(range(256))}

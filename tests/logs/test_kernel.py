@@ -31,6 +31,7 @@ c.IndexDataCacheFile.load = lambda *arguments: None
 USE = "from logs.shapes import corners\nprint(corners(1.0, 2.0, 0.5, 4.0, 2.0))\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("without", [NO_PLACE, pytest.param(NO_ROOM, marks=pytest.mark.slow)])
 def test_without_a_cache_kernels_are_compiled_anew_and_it_is_said_once(without: str, tmp_path: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path.cwd()), *sys.path])}

@@ -131,6 +131,7 @@ def test_a_blind_drive_among_traffic_that_ends_at_once_has_no_evidence(tmp_path:
     assert rows(log, trace)["traffic.share"][0] < 0.1
 
 
+@pytest.mark.slow
 def test_published_files_have_the_evidence_that_their_traffic_gives(shared_data: Path) -> None:
     """Files whose traffic is a snapshot have next to none, those whose traffic is recorded have all of it."""
     files = sorted((shared_data / "commonroad_traps").glob("*.xml"))

@@ -61,6 +61,7 @@ def test_the_same_run_is_no_difference_as_folder_and_as_file(runs: tuple[Path, P
         assert len(found.pairs) > 300 and not found.only_in_baseline and not found.only_in_candidate
 
 
+@pytest.mark.slow
 def test_a_delay_is_named_as_input_and_parts_in_the_controller(runs: tuple[Path, Path]) -> None:
     found = of(*runs)
     assert found.differences == ("loop.plan_delay_s: 0.0 -> 0.1",)
@@ -175,6 +176,7 @@ def test_exit_codes(runs: tuple[Path, Path], tmp_path: Path, case: str) -> None:
     assert replan("compare", *words(runs, tmp_path), "--no-partings").exit_code == code
 
 
+@pytest.mark.slow
 def test_evaluate_counts_the_rules_against_its_baseline(runs: tuple[Path, Path], tmp_path: Path) -> None:
     """The gate passes in both runs: it is the baseline that decides."""
     file, logs = tmp_path / "baseline.parquet", runs[0].parent / "logs" / "paper" / "crossing_pedestrian.mcap"

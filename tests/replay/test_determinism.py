@@ -53,7 +53,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-@pytest.mark.parametrize("trust", [True, False])
+@pytest.mark.parametrize("trust", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_who_is_dealt_other_plans_is_marked_with_time_and_size(here: Path, trust: bool) -> None:
     planners = ("dealt:Dicing", "dealt:Steady", "constant_speed")
     config = replace(QUICK, planners=planners, loop=LoopConfig(apart=ApartConfig(trust=trust)))

@@ -117,6 +117,7 @@ def test_what_the_page_shows_drives_and_is_in_the_results(desk: Path) -> None:
     assert done.exit_code == 0 and "My speed" in Path("out/report.html").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_the_vehicle_from_scratch_is_driven_by_every_kind_of_controller(desk: Path) -> None:
     for controller in ("dlqr_pid", "mpc", "pid", OWN["controller"]):
         loop = {"vehicle": "my_electric:Electric", "controller": controller}

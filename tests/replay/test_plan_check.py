@@ -144,7 +144,7 @@ def test_a_plan_may_start_on_the_plan_being_driven_where_that_is_near() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("planner", ["dp_qp", "idm", "lattice", "constant_speed"])
+@pytest.mark.parametrize("planner", ["dp_qp", "idm", "lattice", "pdm", "constant_speed"])
 def test_what_comes_with_replan_is_never_refused(planner: str) -> None:
     for name in ("everyday/nudge", "everyday/cut_in"):
         log = CATALOGUE[name].scenario()

@@ -28,7 +28,7 @@ from replay.open_loop import run_open_loop
 from replay.reference_drives import reference_drives, reference_table, with_follower
 
 GRID = grid(4.0, 0.1)
-FAST = ("park", "short", "teleport", "wild_end", "flicker", "run_through", "stop_end")
+FAST = ("short", "teleport", "wild_end", "stop_end")
 
 
 def driven(log: Scenario, planner: str, *modes: Mode, **loop: object) -> tuple[list[Drive], tuple[Verdict, ...]]:
@@ -198,7 +198,7 @@ def test_a_short_log_before_a_red_light_is_measured_by_a_driver_that_stops_there
     assert said.outcome is Outcome.PASS, said.reason
 
 
-@pytest.mark.parametrize("planner", ["adversaries:Park", "adversaries:Creep"])
+@pytest.mark.parametrize("planner", [pytest.param("adversaries:Park", marks=pytest.mark.slow), "adversaries:Creep"])
 def test_who_survives_until_a_goal_in_time_has_not_arrived(planner: str) -> None:
     log = replace(CATALOGUE["paper/free_road"].scenario(), goal=Goal(t=(10.0, 11.0)))
     (drive,), verdicts = driven(log, planner, Mode.CLOSED)

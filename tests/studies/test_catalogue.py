@@ -54,6 +54,7 @@ def test_what_a_cell_is(
     assert list(table["outcome"]) == [said] and said in OUTCOMES
 
 
+@pytest.mark.slow
 def test_every_cell_is_drawn_and_counted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     names = (*suite("smoke"), *suite("unece_r157/cut_in")[:50])
     kinds = [AVOIDS, MEETS, AVOIDS | {AT_FAULT: 1.0}]

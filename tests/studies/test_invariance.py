@@ -36,6 +36,7 @@ def test_flips_and_partings_are_counted_against_the_unperturbed_drive() -> None:
     assert found.loc["mirror", "logs":].tolist() == [2, 1, 17, 2, 1, 2, 1]
 
 
+@pytest.mark.slow
 def test_a_planner_that_follows_the_compass_is_found_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -81,7 +81,7 @@ class Posed(NamedTuple):
 def pose(
     sigma: FloatArray, kappa: FloatArray, own: FloatArray, limit: FloatArray, is_bound: BoolArray, t: FloatArray,
     agent: IntArray, lower: FloatArray, upper: FloatArray, speed: FloatArray, pace: FloatArray, stops: FloatArray,
-    start: tuple[float, float], time_gap: float, is_lowered: bool, may_overtake: bool, is_drawn: bool,
+    start: tuple[float, float], time_gap: float, is_lowered: bool, may_overtake: BoolArray, is_drawn: bool,
     settings: Settings,
 ) -> Posed:  # fmt: skip
     """The problem on a path `(m,)`.
@@ -103,7 +103,7 @@ def pose(
         start: v, a.
         time_gap: Wanted gap per speed of the one ahead, s.
         is_lowered: Whether `limit` may differ from `own`.
-        may_overtake: False: who would be overtaken is yielded to.
+        may_overtake: `(n,)`, False: who would be overtaken is yielded to.
         is_drawn: Whether the speed DP is wanted even where it decides nothing, and all of its costs.
         settings: Of the stage.
     """
@@ -126,8 +126,7 @@ def pose(
         cost, chosen = _grid(v_limit, sigma, t, lower, upper, speed, stops, start, time_gap, settings, worth)
         s_dp = np.interp(STEP_S * np.arange(settings.knots), DT_S * np.arange(len(chosen)), DS_M * chosen)
     kinds = _decided(t, lower, upper, speed, pace[agent], s_dp)
-    if not may_overtake:
-        kinds[kinds == OVERTAKE] = YIELD
+    kinds[(kinds == OVERTAKE) & ~may_overtake] = YIELD
     s_ref, v_ref = _references(free, s_dp, moves)
     bound = _speed_bound(sigma, kappa, v_limit, is_bound, s_ref, start, settings)
     low, high = _station_bounds(t, lower, upper, kinds, stops, sigma[-1], settings)

@@ -38,7 +38,7 @@ REST_MPS2 = 0.02
 """... and acceleration, m/s2."""
 TOLERANCE = 0.05
 """By which a solution may violate a bound, in the units of the row."""
-RELEASE_MPS3 = 10.0
+RELEASE_MPS3 = 15.0
 """Jerk with which braking that is harder than comfort may be let go, m/s3."""
 
 

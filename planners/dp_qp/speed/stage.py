@@ -1,12 +1,14 @@
 """Speed stage: S-T boundaries, caps -> speed DP (who goes first) -> bounds -> speed QP (how hard), and the S-T graph.
 
-Hypotheses that are unlikely bind only where hard braking would come too late for them.
+How far somebody's prediction binds is `doubt`'s. Who was let go first is still let go first, unless the ego could be
+first with `CHANGE_S` to spare.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -18,14 +20,25 @@ from planners.dp_qp.scene.goal_window import HURRIED_GAP_S, GoalWindow, SpeedTar
 from planners.dp_qp.scene.hesitant_pedestrians import came_to_path
 from planners.dp_qp.scene.pass_target import PassTarget
 from planners.dp_qp.scene.producers import OTHERS, OWN
-from planners.dp_qp.speed.braking import RESERVE, BrakingLadder, BrakingMemory, Case, SolvedSpeed
+from planners.dp_qp.speed.braking import RESERVE, Asked, BrakingLadder, BrakingMemory, Case, SolvedSpeed
+from planners.dp_qp.speed.doubt import (
+    CERTAIN,
+    NEGLIGIBLE,
+    SHARED_MPS2,
+    SHARED_S,
+    SURE,
+    braking_on,
+    from_beside,
+    let_go,
+    weights,
+)
 from planners.dp_qp.speed.dp import DS_M, DT_S, SpeedDpConfig
-from planners.dp_qp.speed.problem import OVERTAKE, Posed, Settings, pose
-from planners.dp_qp.speed.qp import SpeedQpConfig
+from planners.dp_qp.speed.problem import OVERTAKE, YIELD, Posed, Settings, pose
+from planners.dp_qp.speed.qp import TOLERANCE, SpeedQpConfig
 from planners.frenet.occupancy import Occupancy
 from planners.frenet.path import Path
 from planners.frenet.profiles import STEP_S, Limits
-from planners.frenet.scene import UNLIKELY, Scene
+from planners.frenet.scene import Scene
 from planners.frenet.st_boundaries import (
     StBoundaries,
     StGraphConfig,
@@ -36,8 +49,9 @@ from planners.frenet.st_boundaries import (
 )
 from planners.piecewise_jerk.solvers import DEFAULT
 
-BRANCH_S = 0.5
-"""An unlikely hypothesis binds only so far that hard braking could still avoid it so long after now, s."""
+CHANGE_S = 0.5
+"""So much later the ego could still be first, where it now waits, s."""
+DOUBTED = "that is doubted: comfortable braking is all that is done"
 NO_STOPS = np.empty((0, 2))
 """Where the rules demand none."""
 DRAWN_ROWS = 4
@@ -56,10 +70,11 @@ class SpeedConfig:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SpeedMemory:
-    """What the speed stage remembers: how it braked, and who came to the path when, s."""
+    """What the speed stage remembers: how it braked, who came to the path when, s, and who was let go first."""
 
     braking: BrakingMemory = field(default_factory=BrakingMemory)
     came: Mapping[str, float] = field(default_factory=dict)
+    waits: frozenset[str] = frozenset()
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -107,12 +122,13 @@ class ChosenSpeed:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Way:
-    """What is planned on: the scene on its path, the limit (`own` on an empty road), boundaries by margins."""
+    """What is planned on: the scene on its path, the limit (`own` on an empty road), boundaries of some by margins."""
 
     view: PathView
     limit: LoweredLimit
     own: LoweredLimit
-    taken: Callable[[StGraphConfig], StBoundaries]
+    taken: Callable[[IntArray, StGraphConfig], StBoundaries]
+    memory: SpeedMemory
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -122,7 +138,8 @@ class _Planned:
     solved: SolvedSpeed
     posed: Posed
     blocks: StBoundaries
-    cannot_be_first: bool
+    may_overtake: BoolArray
+    doubted: BoolArray
 
 
 class SpeedStage:
@@ -133,18 +150,19 @@ class SpeedStage:
     ) -> None:
         self._vehicle, self._config, self._lap = vehicle, config, lap
         self._ladder = BrakingLadder(config.qp, config.dp.gap_m, vehicle.max_decel, solver)
+        self._comfort = Limits(config.qp.comfort)
         self._hard_mps2 = RESERVE * config.qp.emergency.decel_mps2
         self._times = STEP_S * np.arange(config.qp.knots)
         qp, dp = config.qp, config.dp
         self._settings = Settings(
-            qp.knots, qp.curve_accel_mps2, qp.ease_mps2, Limits(qp.comfort).columns,
+            qp.knots, qp.curve_accel_mps2, qp.ease_mps2, self._comfort.columns,
             dp.columns, dp.weights, dp.gap_m, dp.standstill_gap_m, dp.w_near,
         )  # fmt: skip
 
     def choose(self, scene: Scene, path: Path, task: SpeedTask, memory: SpeedMemory) -> tuple[ChosenSpeed, SpeedMemory]:
         """The speed along a path; and what is remembered."""
         config, passed = self._config, task.passed
-        found = st_boundaries(scene, path, task.skip, passed, config.graph)
+        found = braking_on(scene, st_boundaries(scene, path, task.skip, passed, config.graph))
         self._lap("S-T graph")
         came = came_to_path(scene, found, memory.came, config.caution.hesitates_s)
         line = scene.reference.line
@@ -156,48 +174,90 @@ class SpeedStage:
         bare = LoweredLimit(road, np.zeros(len(road), np.bool_))
         own = lowered(path.sigma, bare, [cap for caps in OWN for cap in caps(view)])
         limit = lowered(path.sigma, own, [cap for caps in OTHERS for cap in caps(view)])
-        swept: dict[StGraphConfig, StBoundaries] = {}
+        swept: dict[tuple[bytes, StGraphConfig], StBoundaries] = {}
 
-        def taken(margins: StGraphConfig) -> StBoundaries:
-            """The boundaries with other margins: of those who are in the way, unless they may be faster than now."""
-            if margins not in swept:
+        def taken(who: IntArray, margins: StGraphConfig) -> StBoundaries:
+            """The boundaries with other margins: of these agents, unless they may be faster than now."""
+            key = who.tobytes(), margins
+            if key not in swept:
                 skip = task.skip
                 if margins.brisk_mps <= config.graph.brisk_mps:
                     skip = np.ones(len(skip), np.bool_)
-                    skip[found.agent] = False
-                swept[margins] = st_boundaries(scene, path, skip, passed, margins).with_stops(task.stops)
-            return swept[margins]
+                    skip[who] = False
+                rows = braking_on(scene, st_boundaries(scene, path, skip, passed, margins))
+                swept[key] = rows.with_stops(task.stops)
+            return swept[key]
 
-        way = _Way(view, limit, own, taken)
-        likely, unlikely = found.probability > UNLIKELY, None
-        if not len(found) or likely.all():
-            planned = self._planned(way, found, memory.braking)
-        else:
-            planned, unlikely = self._planned(way, found.only(likely), memory.braking), found.only(~likely)
-            if not self._could_stop(planned.solved.profile, unlikely):
-                planned, unlikely = self._planned(way, found, memory.braking), None
+        way = _Way(view, limit, own, taken, memory)
+        planned, unlikely = self._believed(way, found)
         solved = planned.solved
         chosen = ChosenSpeed(
             solved.profile, solved.reason, solved.unavoidable, planned.posed.free_m, solved.reports,
             lambda: self._artefacts(way, planned, unlikely),
         )  # fmt: skip
-        return chosen, SpeedMemory(memory.braking.after(scene.frame.t, solved), came)
+        ids = scene.frame.agents.ids
+        waits = frozenset(ids[who] for who in planned.blocks.agent[planned.posed.kinds == YIELD])
+        return chosen, SpeedMemory(memory.braking.after(scene.frame.t, solved), came, waits)
 
-    def _planned(self, way: _Way, blocks: StBoundaries, memory: BrakingMemory) -> _Planned:
-        """The speed that keeps to these boundaries."""
-        posed = self._posed(way, blocks)
-        self._lap("speed DP")
-        solved = self._ladder.solve(Case(posed.problem, way.taken, way.view.scene.frame.t, memory))
-        cannot_be_first = not _overtakes(blocks, posed.kinds, solved.profile, self._times)
-        if cannot_be_first:
-            posed, tried = self._posed(way, blocks, may_overtake=False), solved.asked
-            solved = self._ladder.solve(Case(posed.problem, way.taken, way.view.scene.frame.t, memory))
+    def _believed(self, way: _Way, found: StBoundaries) -> tuple[_Planned, StBoundaries | None]:
+        """The speed that keeps to the rows as far as they are believed (`doubt`), and the rows that do not bind."""
+        scene, knots = way.view.scene, self._config.qp.knots
+        if not len(found):
+            return self._planned(way, found), None
+        found = replace(found, probability=weights(scene, way.view.path, found))
+        p = found.probability
+        binds = p >= CERTAIN
+        planned = self._planned(way, found.only(binds))
+        eased = ~binds & (p >= NEGLIGIBLE) & ~self._safe(planned.solved.profile, found)
+        if planned.solved.is_full:
+            eased |= binds & from_beside(scene, found) & ((p < SURE) | planned.solved.unavoidable)
+        if eased.any():
+            stop = self._comfort.braking((scene.v, scene.start.a), knots, share=RESERVE)[0]
+            rows = let_go(found, eased, np.interp(found.t, self._times, stop), self._config.dp.gap_m + TOLERANCE)
+            planned = self._planned(way, rows.only(binds | eased), found.agent[binds & ~eased])
+        ignored = ~(binds | eased)
+        return planned, found.only(ignored) if ignored.any() else None
+
+    def _planned(self, way: _Way, blocks: StBoundaries, sure: IntArray | None = None) -> _Planned:
+        """The speed that keeps to these boundaries; those of the agents `sure` (None: all) with other margins, too."""
+        who, t = blocks.agent if sure is None else sure, way.view.scene.frame.t
+        may, tried = np.ones(len(blocks), np.bool_), tuple[Asked, ...]()
+        while True:
+            posed = self._posed(way, blocks, may)
+            self._lap("speed DP")
+            solved = self._ladder.solve(Case(posed.problem, partial(way.taken, who), t, way.memory.braking))
             solved = replace(solved, asked=(*tried, *solved.asked))
+            refused = self._refused(way, blocks, posed.kinds, solved.profile)
+            if not refused.any():
+                break
+            may, tried = may & ~refused, solved.asked
         self._lap("speed QP")
-        return _Planned(solved, posed, blocks, cannot_be_first)
+        return _Planned(solved, posed, blocks, may, np.isin(blocks.agent, who, invert=True))
+
+    def _refused(self, way: _Way, blocks: StBoundaries, kinds: IntArray, profile: FloatArray | None) -> BoolArray:
+        """Which rows should be overtaken that a profile does not stay clear of; the DP knows nothing of jerk."""
+        overtaken = kinds == OVERTAKE
+        if profile is None or not overtaken.any():
+            return overtaken
+        ids = way.view.scene.frame.agents.ids
+        late = np.array([CHANGE_S if ids[who] in way.memory.waits else 0.0 for who in blocks.agent])
+        s = np.interp(blocks.t - late[:, None], self._times, profile[0])
+        return np.asarray(overtaken & ((s > blocks.lower) & (s < blocks.upper)).any(axis=1))
+
+    def _safe(self, profile: FloatArray | None, rows: StBoundaries) -> BoolArray:
+        """(4) of `doubt`, of all rows `(n,)`."""
+        if profile is None:
+            return np.zeros(len(rows), np.bool_)
+        k, qp = round(SHARED_S / STEP_S), self._config.qp
+        s, v, a = profile[:, k]
+        limits = Limits(replace(qp.emergency, decel_mps2=SHARED_MPS2))
+        stop = np.r_[profile[0, :k], s + limits.braking((v, a), qp.knots - k)[0]]
+        driven, stopped = (np.interp(rows.t, self._times, each) for each in (profile[0], stop))
+        met = ((driven > rows.lower) & (driven < rows.upper)).any(axis=1)
+        return np.asarray(~met | ~(stopped > rows.lower).any(axis=1))
 
     def _posed(
-        self, way: _Way, blocks: StBoundaries, *, may_overtake: bool = True, is_drawn: bool = False
+        self, way: _Way, blocks: StBoundaries, may_overtake: BoolArray, *, is_drawn: bool = False
     ) -> Posed:  # fmt: skip
         """The problem with these boundaries, and the speed DP where it decides or `is_drawn`."""
         view, time_gap = way.view, self._config.dp.time_gap_s
@@ -209,23 +269,14 @@ class SpeedStage:
             way.limit.v is not way.own.v, may_overtake, is_drawn, self._settings,
         )  # fmt: skip
 
-    def _could_stop(self, profile: FloatArray | None, blocks: StBoundaries) -> bool:
-        """Whether hard braking, `BRANCH_S` after driving on along a profile, would stay behind these boundaries."""
-        if profile is None:
-            return False
-        k, qp = round(BRANCH_S / STEP_S), self._config.qp
-        s, v, a = profile[:, k]
-        stop = Limits(qp.emergency).braking((v, a), qp.knots - k, share=RESERVE)
-        return blocks.leave(self._times, np.r_[profile[0, :k], s + stop[0]], 0.0)
-
     def _artefacts(self, way: _Way, planned: _Planned, unlikely: StBoundaries | None) -> tuple[Artefact, ...]:
         """Graph (with the DP where it was run), decisions, costs and reports."""
         scene, path, stops = way.view.scene, way.view.path, way.view.stops
         blocks, solved, problem = planned.blocks, planned.solved, planned.posed.problem
-        drawn = self._posed(way, blocks, is_drawn=True)
-        decisions = decide_speed(blocks, scene, np.interp(blocks.t, self._times, drawn.s_dp))
-        if planned.cannot_be_first:
-            decisions = tuple(_let_go(decision) for decision in decisions)
+        drawn = self._posed(way, blocks, planned.may_overtake, is_drawn=True)
+        decided = decide_speed(blocks, scene, np.interp(blocks.t, self._times, drawn.s_dp))
+        ways = zip(decided, planned.may_overtake, planned.doubted, strict=True)
+        decisions = tuple(_said(each, may_overtake=may, doubted=doubted) for each, may, doubted in ways)
         profile = solved.profile
         graph = StGraph(
             _thinned(drawn.cost, drawn.chosen) if len(drawn.cost) else None,
@@ -241,21 +292,12 @@ class SpeedStage:
         return (graph, *decisions, *asked_qps, *ignored, *asked, *way.limit.decisions)
 
 
-def _overtakes(blocks: StBoundaries, kinds: IntArray, profile: FloatArray | None, times: FloatArray) -> bool:
-    """Whether a profile stays clear of all that it should overtake; the DP knows nothing of jerk."""
-    overtaken = kinds == OVERTAKE
-    if not len(kinds) or not overtaken.any():
-        return True
-    if profile is None:
-        return False
-    s = np.interp(blocks.t, times, profile[0])
-    return not ((s > blocks.lower[overtaken]) & (s < blocks.upper[overtaken])).any()
-
-
-def _let_go(decision: Decision) -> Decision:
-    if decision.kind is not DecisionKind.OVERTAKE:
-        return decision
-    return replace(decision, kind=DecisionKind.YIELD, reason=f"{decision.reason}; the ego cannot be there first")
+def _said(decision: Decision, *, may_overtake: bool, doubted: bool) -> Decision:
+    if decision.kind is DecisionKind.OVERTAKE and not may_overtake:
+        decision = replace(
+            decision, kind=DecisionKind.YIELD, reason=f"{decision.reason}; the ego cannot be there first"
+        )
+    return replace(decision, reason=f"{decision.reason}; {DOUBTED}") if doubted else decision
 
 
 def _ignored(blocks: StBoundaries, scene: Scene) -> tuple[Decision, ...]:
@@ -264,7 +306,7 @@ def _ignored(blocks: StBoundaries, scene: Scene) -> tuple[Decision, ...]:
         Decision(
             scene.frame.agents.ids[who], DecisionKind.IGNORE, "speed",
             f"may take the path from {float(np.nanmin(lower)):.1f} m on, but that is unlikely ({share:.0%}); "
-            "hard braking could still avoid it",
+            "the ego is past, or could still stop",
         )
         for who, lower, share in zip(blocks.agent, blocks.lower, blocks.probability, strict=True)
     )  # fmt: skip

@@ -327,6 +327,7 @@ def test_an_old_descriptor_without_logical_lanes_will_do(tmp_path: Path) -> None
 # Recorded logs
 
 
+@pytest.mark.slow
 def test_the_recorded_osi_log_makes_sense(shared_data: Path, tmp_path: Path) -> None:
     path = shared_data / "osi" / "osi_centerline_example.mcap"
     scenario = read_scenario(path)

@@ -94,7 +94,7 @@ def drive_to(region: np.ndarray | None, t: tuple[float, float], road: Road, v: f
     return run_closed_loop(scenario, "dp_qp").trace
 
 
-@pytest.mark.parametrize("at", [10.0, 40.0])
+@pytest.mark.parametrize("at", [10.0, pytest.param(40.0, marks=pytest.mark.slow)])
 def test_who_has_to_be_anywhere_at_a_time_is_still_on_the_road_then(at: float) -> None:
     trace = drive_to(None, (at - 0.1, at), lanes(along_x(-20.0, 120.0)), 12.0)
     assert trace.end is EndReason.GOAL
@@ -158,6 +158,7 @@ def test_who_is_late_does_not_flee_from_the_goals_lane() -> None:
     assert trace.ego.y.max() < 8.0 and trace.ego.y[-1] < 1.0
 
 
+@pytest.mark.slow
 def test_who_is_late_takes_the_faster_lane() -> None:
     """To be 320 m away after 20 s needs more than the 12 m/s of the own lane; the left one has 20 m/s."""
     slow = along_x(-20.0, 500.0)
@@ -195,7 +196,7 @@ def test_the_ego_arrives_in_the_window_at_the_speed(window: tuple[float, float],
     assert trace.ego.a.min() > -3.0
 
 
-@pytest.mark.parametrize("last", [6.0, 40.0])
+@pytest.mark.parametrize("last", [6.0, pytest.param(40.0, marks=pytest.mark.slow)])
 def test_a_goal_in_the_next_lane_is_met_in_time_though_that_lane_is_slower(last: float) -> None:
     """Keeping the lane would be faster; the sooner the goal's time is over, the more a change is worth."""
     road = lanes(along_x(-100.0, 900.0), 2, limit=25.0)

@@ -164,8 +164,8 @@ def hardest(trace: Trace) -> tuple[float, float]:
     return -float(trace.ego.a.min()), float(np.abs(v**2 * trace.ego.kappa).max())
 
 
-@pytest.mark.parametrize("side", [-1.0, 1.0])
-@pytest.mark.parametrize("kind", [AgentKind.BICYCLE, AgentKind.PEDESTRIAN])
+@pytest.mark.parametrize("side", [-1.0, pytest.param(1.0, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("kind", [AgentKind.BICYCLE, pytest.param(AgentKind.PEDESTRIAN, marks=pytest.mark.slow)])
 def test_in_a_wide_lane_they_are_passed_with_room(side: float, kind: AgentKind) -> None:
     u = 4.0 if kind is AgentKind.BICYCLE else 1.3
     found = drive(lanes(along_x(-20.0, 400.0), width=5.5), [(40.0, 1.6 * side, u)], kind=kind)
@@ -188,6 +188,7 @@ def test_the_facing_lane_is_borrowed_for_them_where_no_one_comes() -> None:
     assert found.before > 10.0 and found.room > 1.4
 
 
+@pytest.mark.slow
 def test_where_another_comes_they_are_followed_until_that_one_is_gone() -> None:
     found = drive(two_way(), [(40.0, -1.0, 3.0)], seconds=26.0, cars=((120.0, 3.5, -10.0), (160.0, 3.5, -10.0)))
     assert found.before > 5.0 and found.room > 1.4
@@ -220,10 +221,10 @@ def chosen(trace: Trace) -> str:
     ("road", "goers", "v"),
     [
         (lanes(along_x(-20.0, 500.0), 2), [(30.0, -1.8, 4.0)], 10.0),
-        (lanes(along_x(-20.0, 500.0), 2), [(40.0, 1.8, 4.0)], 9.0),
-        (two_way(crossable=False), [(25.0, -1.75, 3.0)], 9.0),
-        (two_way(), [(30.0, -1.0, 1.2), (48.0, -0.6, 1.3)], 9.0),
-        (two_way(), [(12.0, -0.8, 1.3)], 1.0),
+        pytest.param(lanes(along_x(-20.0, 500.0), 2), [(40.0, 1.8, 4.0)], 9.0, marks=pytest.mark.slow),
+        pytest.param(two_way(crossable=False), [(25.0, -1.75, 3.0)], 9.0, marks=pytest.mark.slow),
+        pytest.param(two_way(), [(30.0, -1.0, 1.2), (48.0, -0.6, 1.3)], 9.0, marks=pytest.mark.slow),
+        pytest.param(two_way(), [(12.0, -0.8, 1.3)], 1.0, marks=pytest.mark.slow),
         (two_way(), [(8.0, -0.8, 1.3)], 0.0),
     ],
     ids=["at the edge", "at the left edge", "room in the lane", "one after the other", "walking pace", "standing"],
@@ -235,6 +236,7 @@ def test_they_are_passed_once_and_for_all(road: Road, goers: list[tuple[float, f
     assert len(re.findall("P+", chosen(found.trace))) <= len(goers)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("config", [{"prediction_horizon_s": 20.0}, {"prediction_step_s": 2.0}])
 def test_how_far_and_how_fine_the_predictions_are_matters_little(config: dict[str, float]) -> None:
     found = drive(two_way(), [(40.0, -1.0, 3.0)], config=LoopConfig(**config))  # type: ignore[arg-type]
@@ -264,6 +266,7 @@ def test_no_one_is_passed_where_the_ego_has_to_wait(rule: dict[str, object]) -> 
     assert found.trace.ego.x[-1] < 80.0
 
 
+@pytest.mark.slow
 def test_a_solid_marking_is_not_crossed_and_a_narrow_lane_has_no_room() -> None:
     for road in (two_way(crossable=False), lanes(along_x(-20.0, 400.0))):
         found = drive(road, [(40.0, -1.2, 4.0)])

@@ -259,6 +259,7 @@ def test_it_follows_a_slower_leader_at_about_the_wanted_gap() -> None:
     assert not any(plan.status.is_fallback for _, plan in drive)
 
 
+@pytest.mark.slow
 def test_it_passes_a_parked_car_where_there_is_room_and_stops_where_there_is_none() -> None:
     parked = standing("parked", 80.0, -1.2)
     wide = drives(lanes(along_x(), 2), EgoState(0.0, 0.0, 0.0, 0.0, 10.0), parked, seconds=14.0)

@@ -45,7 +45,7 @@ FRONT = CAR.axle_to_front
 LIGHT = StopLine(7, 0, ACROSS, light=9)
 SIGN = StopLine(7, 0, ACROSS, must_stop=True)
 WALK = Crosswalk(3, np.array([[100.0, -6.0], [104.0, -6.0], [104.0, 6.0], [100.0, 6.0]]))
-OBEYING = ("dp_qp", "idm", "lattice")
+OBEYING = ("dp_qp", "idm", "lattice", "pdm")
 Lights = Callable[[float], Mapping[int, Colour]]
 
 
@@ -215,7 +215,7 @@ def test_it_is_not_known_when_a_light_will_change() -> None:
 
 
 @pytest.mark.parametrize("name", OBEYING)
-@pytest.mark.parametrize("v", [5.0, 13.0])
+@pytest.mark.parametrize("v", [pytest.param(5.0, marks=pytest.mark.slow), 13.0])
 def test_red_stops_before_the_line_and_green_lets_go(name: str, v: float) -> None:
     ego = at_front(LINE_X - 60.0, v)
     green = 22.0

@@ -83,6 +83,7 @@ def test_the_numbers_are_those_of_logs_by_themselves(workers: int, logs: Path, t
     assert max(int(size.partition("@")[0]) for size in counts) == 2
 
 
+@pytest.mark.slow
 def test_logs_of_other_lengths_and_members_keep_step(tmp_path: Path) -> None:
     (tmp_path / "logs").mkdir()
     for name, end in (("a", 1.0), ("b", 2.0), ("c", 0.5)):

@@ -26,7 +26,7 @@ HOLDER = "import sys, time; from pathlib import Path; from replay.batch.lock imp
     "with held(Path(sys.argv[1])): print('held', flush=True); time.sleep(60)"  # fmt: skip
 
 
-@pytest.fixture(params=["locks", "no locks"])
+@pytest.fixture(params=["locks", pytest.param("no locks", marks=pytest.mark.slow)])
 def system(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> str:
     """The file system: one with locks, and one that has none."""
     if request.param == "no locks":

@@ -156,6 +156,7 @@ def test_more_logs_may_be_named_and_in_another_order(logs: Path, begun: Path) ->
     assert [log.source for log in result.logs] == [str(file) for file in files[::-1]]
 
 
+@pytest.mark.slow
 def test_failures_of_the_interrupted_run_are_not_forgotten(logs: Path, tmp_path: Path) -> None:
     (tmp_path / "raising.py").write_text(
         "from planners.constant_speed import ConstantSpeed\nclass Raising(ConstantSpeed):\n"
@@ -219,6 +220,7 @@ def test_another_version_or_other_code_is_refused(logs: Path, begun: Path, monke
     assert "was begun with replan 0.0.1" in refusal(logs, begun)
 
 
+@pytest.mark.slow
 def test_another_planner_file_is_refused(logs: Path, patient: Path) -> None:
     (patient / "go").touch()
     evaluate_logs([logs], CONFIG, patient / "out")

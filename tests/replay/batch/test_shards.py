@@ -76,7 +76,7 @@ def test_what_is_no_shard_is_said(text: str) -> None:
         Shard.parsed(text)
 
 
-@pytest.mark.parametrize("of", [2, 7, *(pytest.param(of, marks=pytest.mark.slow) for of in (1, 3))])
+@pytest.mark.parametrize("of", [2, *(pytest.param(of, marks=pytest.mark.slow) for of in (1, 3, 7))])
 def test_merged_shards_are_the_run_byte_for_byte(logs: Path, tmp_path: Path, whole: RunResult, of: int) -> None:
     """Seven shards of five logs: two of them have none."""
     merged = merge(shards(logs, tmp_path, of)[::-1], tmp_path / "merged")

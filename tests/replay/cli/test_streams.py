@@ -26,11 +26,11 @@ def shell(words: str, place: Path) -> tuple[int, str]:
 @pytest.mark.parametrize(
     ("words", "code"),
     [
-        ("list --json >&-", 0),
         ("list --json <&- >&- 2>&-", 0),
-        ("list --json | true", 0),
-        ("inspect nowhere 2>&-", 2),
         ("inspect nowhere 2>&1 | true", 2),
+        pytest.param("list --json >&-", 0, marks=pytest.mark.slow),
+        pytest.param("list --json | true", 0, marks=pytest.mark.slow),
+        pytest.param("inspect nowhere 2>&-", 2, marks=pytest.mark.slow),
     ],
 )
 def test_exit_codes_with_closed_streams_are_those_with_open_ones(words: str, code: int, tmp_path: Path) -> None:

@@ -99,6 +99,7 @@ def test_the_aim_is_met_on_the_papers_curve_and_the_double_lane_change(controlle
         assert row["fell_back"] == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("controller", ["dlqr_pid", "mpc"])
 def test_commands_that_come_100_ms_late_are_within_the_aim_too(controller: str) -> None:
     for one in (s_curve(50.0, 12.0, "s"), double_lane_change(CAR), obstacle_avoidance(CAR), road(2)):

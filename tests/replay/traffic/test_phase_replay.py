@@ -5,6 +5,7 @@ from __future__ import annotations
 import tracemalloc
 
 import numpy as np
+import pytest
 from handmade import track, tracks
 
 from replay.traffic.phase_replay import PERIOD_S, PhaseReplay
@@ -23,6 +24,7 @@ def test_who_is_not_as_in_the_log_is_as_played_from_the_sample_before() -> None:
     np.testing.assert_allclose(seen.x, [0.0, 1.0, 2.0, 3.0, 4.0, 4.5, 5.5, 6.5], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_memory_is_that_of_who_is_late_and_not_of_all_at_all_times() -> None:
     """100 cars over 600 samples are 2.4 MB of poses; with one late car less than 0.3 MB are held."""
     t = np.arange(0.0, 60.5, 0.5)

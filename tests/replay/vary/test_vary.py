@@ -104,6 +104,7 @@ def test_files_and_parameters(result: VaryResult) -> None:
     assert {"vary.json", "surface.csv", "edges.csv", "grid", "edge-1"} <= {p.name for p in result.out.iterdir()}
 
 
+@pytest.mark.slow
 def test_another_time_the_same_bytes_and_no_foreign_folder_is_touched(result: VaryResult, tmp_path: Path) -> None:
     out = tmp_path / "again"
     run = replace(RUN, gates=str(result.out.parent / "gates.toml"))

@@ -1,0 +1,120 @@
+"""How far the speed stage believes that somebody will take the path, and what it does where it does not.
+
+A row of the S-T boundaries has the weight p = p_said p_exist p_enter, with
+
+(1) p_said = min(q / (2 UNLIKELY), 1)                     q: probability of the predicted hypothesis
+(2) p_exist = min(age / `AGE_S`, 1) exp(-(unseen - u0) / `UNSEEN_S`)     u0: of the agent that was seen last
+(3) p_enter = Phi((w t - d) / sqrt(`PLACE_M`^2 + (sigma t)^2) - 1)
+
+d is what lies between the agent's side and the strip of the path that they enter, w the velocity towards it, t when
+they leave it, sigma the velocity's deviation, at least `DRIFT_MPS`. Who walks towards the path is not
+doubted for being new, nor for walking slowly: (3) and the age's share of (2) are 1. (3) is also 1 of who is in the
+strip, and both are of who takes the path now.
+
+(4) Rows of p >= `CERTAIN` bind. Others are safe where a stop with `SHARED_MPS2`, `SHARED_S` after now, stays behind, or
+    the planned profile clears them; of the rest those above `NEGLIGIBLE` bind as far as comfortable braking can keep
+    them: what it cannot keep is let go.
+(5) So are vehicles from behind, from the side or from ahead that are not in the way now, where they call for full
+    braking and either p < `SURE` or it would not avoid them.
+(6) Who is followed and brakes may go on to brake, by `ERROR_MPS2` less than now, down to a stop.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import cos, erf, exp, isnan, sin, sqrt
+
+import numpy as np
+
+from logs.agents import AgentKind, among
+from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.road import line_frame
+from planners.frenet.path import Path
+from planners.frenet.scene import STANDING_MPS, UNLIKELY, Scene
+from planners.frenet.st_boundaries import ALONG, StBoundaries
+
+CERTAIN, NEGLIGIBLE, SURE = 0.5, 0.05, 0.8
+AGE_S, UNSEEN_S = 0.8, 0.3
+LEAST = 0.1
+"""Who is seen for the first time is doubted, not neglected: p_exist."""
+PLACE_M, DRIFT_MPS = 0.3, 0.5
+WALK_MPS = 3.0
+"""Who is faster does not walk: a rider, or a detector's error."""
+SHARED_MPS2, SHARED_S = 3.0, 0.5
+ERROR_MPS2, MOST_MPS2 = 0.5, 8.0
+"""Error of a measured deceleration; and the greatest that is believed."""
+WALKERS = among(AgentKind.PEDESTRIAN, AgentKind.OBJECT)
+"""Who walks where they are slow enough, by their codes: what a detector cannot name may be on foot."""
+
+
+def weights(scene: Scene, path: Path, rows: StBoundaries) -> FloatArray:
+    """P of the rows `(n,)`."""
+    agents, along, line = scene.frame.agents, scene.agents, scene.reference.line
+    last = 0.0 if np.isnan(agents.unseen).all() else float(np.nanmin(agents.unseen))
+    return _weights(
+        rows.t, rows.agent, rows.lower, rows.probability, agents.age, agents.unseen - last, agents.velocity_sigma,
+        _walks(scene), *along, agents.length, agents.width,
+        line.s, line.coef, path.sigma, path.x, path.y, path.s, scene.vehicle.axle_to_front, scene.vehicle.width,
+    )  # fmt: skip
+
+
+@kernel
+def _weights(
+    t: FloatArray, agent: IntArray, lower: FloatArray, said: FloatArray, age: FloatArray, unseen: FloatArray,
+    sigma_v: FloatArray, walks: BoolArray, s: FloatArray, l: FloatArray, v_s: FloatArray, v_l: FloatArray,  # noqa: E741
+    turn: FloatArray, length: FloatArray, width: FloatArray, knots: FloatArray, coef: FloatArray, sigma: FloatArray,
+    x: FloatArray, y: FloatArray, stations: FloatArray, front: float, ego_width: float,
+) -> FloatArray:  # fmt: skip
+    """`weights`: `agent` `(n,)` of the rows, `age` to `width` of the agents, a reference's `knots`, `coef`, a path."""
+    out = np.empty(len(agent))
+    for i in range(len(agent)):
+        who = agent[i]
+        out[i] = min(said[i] / (2.0 * UNLIKELY), 1.0)  # (1)
+        taken = np.flatnonzero(np.isfinite(lower[i]))
+        if taken[0] == 0:
+            continue
+        j = min(int(np.searchsorted(sigma, lower[i, taken[0]] + front)), len(sigma) - 1)
+        x_r, y_r, yaw_r = line_frame(knots, coef, stations[j])[:3]
+        aside = l[who] - ((y[j] - y_r) * cos(yaw_r) - (x[j] - x_r) * sin(yaw_r))
+        half = 0.5 * (ego_width + abs(cos(turn[who])) * width[who] + abs(sin(turn[who])) * length[who])
+        d, w = abs(aside) - half, -v_l[who] if aside > 0.0 else v_l[who]
+        if not (walks[who] and w > 0.0):
+            out[i] *= 1.0 if isnan(age[who]) else min(max(age[who] / AGE_S, LEAST), 1.0)  # (2)
+        out[i] *= 1.0 if isnan(unseen[who]) else exp(-unseen[who] / UNSEEN_S)
+        if d > 0.0 and not walks[who]:
+            leaves = t[taken[-1]]
+            drift = sigma_v[who] if sigma_v[who] > DRIFT_MPS else DRIFT_MPS
+            z = (w * leaves - d) / sqrt(PLACE_M**2 + (drift * leaves) ** 2) - 1.0
+            out[i] *= 0.5 * (1.0 + erf(z / sqrt(2.0)))  # (3)
+    return out
+
+
+def from_beside(scene: Scene, rows: StBoundaries) -> BoolArray:
+    """Which rows `(n,)` are of (5): of vehicles that are not in the way, but for those ahead that go the same way."""
+    agents, along = scene.frame.agents, scene.agents
+    aside = (along.s + 0.5 * agents.length < scene.front) | (along.v_s < np.abs(along.v_l))
+    return (aside & ~_walks(scene))[rows.agent] & np.isnan(rows.lower[:, 0])
+
+
+def _walks(scene: Scene) -> BoolArray:
+    return np.asarray(WALKERS[scene.frame.agents.codes] & (scene.speed < WALK_MPS))
+
+
+def braking_on(scene: Scene, rows: StBoundaries) -> StBoundaries:
+    """(6): the rows with those who are followed and brake coming to a stop."""
+    b = np.minimum(-scene.frame.agents.accel[rows.agent] - ERROR_MPS2, MOST_MPS2)
+    v, total = rows.speed, scene.speed[rows.agent]
+    led = (b > 0.0) & (v > ALONG * total) & (total > STANDING_MPS) & np.isfinite(rows.lower[:, 0])
+    if not led.any():
+        return rows
+    until = np.minimum(rows.t, (v[led] / b[led])[:, None])
+    stops = rows.lower[led, :1] + v[led, None] * until - 0.5 * b[led, None] * until**2
+    lower = rows.lower.copy()
+    lower[led] = np.minimum(lower[led], stops)
+    return replace(rows, lower=lower)
+
+
+def let_go(rows: StBoundaries, which: BoolArray, stop: FloatArray, gap: float) -> StBoundaries:
+    """(4), (5): the rows, those `which` `(n,)` no nearer than a comfortable stop `(k,)` with its gap can keep."""
+    lower = np.where(which[:, None], np.maximum(rows.lower, stop + gap), rows.lower)
+    return replace(rows, lower=lower, upper=np.maximum(rows.upper, lower))

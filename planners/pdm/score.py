@@ -1,0 +1,257 @@
+"""The score of simulated proposals: nuPlan's closed-loop metrics over the proposal, as PDM-Closed has them.
+
+(1) score = collision direction drivable (5 progress + 5 ttc + 2 comfort) / 12
+
+    collision   0 with a contact at fault (1/2: with an object): into who stands, with the front, or with the side
+                while not in the own lane; who touches the ego now, and who touched it not at fault, counts no more
+    drivable    0 where a corner is more than `OFF_M` farther off the road than the farthest one now
+    direction   1/2, 0 where the centre drives more than 2 m, 6 m beside the lanes of the ego's direction
+    progress    of the centre along the route, with the first three factors, relative to the best proposal; 1 for each
+                with those where that is not more than 0.1 m
+    ttc         0 where the ego's box, carried on straight for 0, 0.3, 0.6 or 0.9 s, meets one who is not behind it
+    comfort     1 where the six signals keep nuPlan's bounds; filtered by Savitzky and Golay over the whole proposal
+
+The others go on as they go. The road is that along the route: the ego's lane (`lane_left`, `lane_right`), those of its
+direction (`road_...`), and the one of the opposite direction as far as its marking may be crossed (`facing_...`). An
+offset from the route's line is taken from the foot of the ego's centre, to second order in the corner's distance d:
+
+(2) l = l_c + (the corner's distance across the line) - kappa d^2 / 2
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from math import cos, hypot, sin
+from typing import NamedTuple
+
+import numpy as np
+from scipy.signal import savgol_filter
+
+from logs.agents import AgentKind, among
+from logs.kernel import BoolArray, FloatArray, IntArray, frozen, inner_kernel, kernel
+from logs.road import line_frame, line_project
+from logs.shapes import overlap
+from planners.frenet.profiles import STEP_S
+from planners.frenet.reference_path import sections
+from planners.frenet.scene import Scene
+
+OFF_M = 0.3
+"""nuPlan's tolerance off the road, m."""
+AGAINST_M = 2.0, 6.0
+"""Ways beside the lanes of the ego's direction from which on `direction` is 1/2, 0."""
+LEAST_WAY_M = 0.1
+"""Below this no proposal gets on."""
+STOPPED_MPS = 0.05
+"""Who is slower stands, as nuPlan judges contacts, m/s; the ego has no time to collision below a tenth of it."""
+BEHIND = cos(np.deg2rad(150.0))
+"""Who is more than 150 degrees off the heading, seen from the rear axle, is behind: cosine."""
+CARRIED = (0, 3, 6, 9)
+"""Steps over which the ego is carried on straight for `ttc`."""
+BOUNDS = frozen([(-4.05, 2.40), (-4.89, 4.89), (-8.37, 8.37), (-4.13, 4.13), (-1.93, 1.93), (-0.95, 0.95)])
+"""Of a (m/s2), v^2 kappa, the change of the size of both (m/s3), of a, of the yaw rate (rad/s2), of the yaw (rad/s)."""
+PARTS = ("no collision", "driving direction", "drivable area", "progress", "time to collision", "comfort")
+WHY_NOT = (
+    "collides at fault", "drives beside the lanes of its direction", "leaves the road", "makes less progress",
+    "comes too close in time", "uncomfortable",
+)  # fmt: skip
+"""What is said of a proposal that is worse in a part."""
+OBJECTS = among(AgentKind.OBJECT)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Scores:
+    """Of n proposals.
+
+    Attributes:
+        parts: (1) by `PARTS` `(6, n)`, each 0 to 1.
+        weighted: The last three, with their weights and factors `(3, n)`: they add up to the score.
+        contact: Time of the first contact at fault `(n,)`, s; inf: none. `agent` with whom; -1.
+        agent: Index into the agents `(n,)`.
+    """
+
+    parts: FloatArray
+    weighted: FloatArray
+    contact: FloatArray
+    agent: IntArray
+
+    @property
+    def total(self) -> FloatArray:
+        """(1), `(n,)`."""
+        return np.asarray(self.weighted.sum(axis=0))
+
+
+class Body(NamedTuple):
+    """The ego's length, width, and rear axle to centre and front, m."""
+
+    length: float
+    width: float
+    center: float
+    front: float
+
+
+def scores(states: FloatArray, scene: Scene, near: IntArray, weights: tuple[float, float, float]) -> Scores:
+    """Of proposals, x, y, yaw, v, a, kappa `(n, 6, k)` every 0.1 s from the scene's start on.
+
+    Args:
+        states: Of the simulated ego, world, at the rear axle.
+        scene: The frame along the route.
+        near: The agents that count, indices.
+        weights: Of progress, ttc and comfort.
+    """
+    agents, reference, car = scene.frame.agents, scene.reference, scene.vehicle
+    line, body = reference.line, Body(car.length, car.width, car.axle_to_center, car.axle_to_front)
+    off, beside, against, way = _on_road(states, line.s, line.coef, reference.table, scene.s, body)
+    drivable = (off - off[:, :1]).max(axis=1) <= OFF_M
+    direction = 1.0 - 0.5 * (against > AGAINST_M[0]) - 0.5 * (against > AGAINST_M[1])
+    columns = (agents.x, agents.y, agents.yaw, agents.vx, agents.vy, agents.length, agents.width)
+    moving, objects = np.array([column[near] for column in columns]), OBJECTS[agents.codes[near]]
+    step, hit, collision, ttc = _meetings(states, moving, objects, beside | (off > 0.0), body)
+    factor = collision * direction * drivable
+    best = float((way * factor).max())
+    progress = np.maximum(way * factor, 0.0) / best if best > LEAST_WAY_M else (factor > 0.0).astype(float)
+    parts = np.vstack([collision, direction, drivable, progress, ttc, comfortable(states)])
+    share = np.array(weights)[:, None] / sum(weights)
+    who = np.where(step < 0, -1, near[hit]) if len(near) else hit
+    return Scores(parts, factor * share * parts[3:], np.where(step < 0, np.inf, STEP_S * step), who)
+
+
+@kernel
+def _on_road(
+    states: FloatArray, knots: FloatArray, coef: FloatArray, table: FloatArray, s_start: float, ego: Body
+) -> tuple[FloatArray, BoolArray, FloatArray, FloatArray]:
+    """Per proposal and step `(n, k)`: how far off the road, m, whether out of the own lane.
+
+    Per proposal `(n,)`: the longest way of the centre beside the lanes of its direction, and its way along the line, m.
+    """
+    count, steps = states.shape[0], states.shape[2]
+    off, beside = np.zeros((count, steps)), np.zeros((count, steps), np.bool_)
+    against, way, at, l = np.zeros(count), np.zeros(count), np.empty(5), np.empty(5)  # noqa: E741
+    for n in range(count):
+        guess, stretch, first, x_before, y_before = s_start + ego.center, 0.0, 0.0, 0.0, 0.0
+        for k in range(steps):
+            yaw = states[n, 2, k]
+            x, y = states[n, 0, k] + ego.center * cos(yaw), states[n, 1, k] + ego.center * sin(yaw)
+            at[4], l[4] = line_project(knots, coef, x, y, guess, 10.0 if k > 0 else 30.0)
+            guess = at[4]
+            _, _, yaw_r, kappa_r = line_frame(knots, coef, guess)
+            c, d = cos(yaw - yaw_r), sin(yaw - yaw_r)
+            for j in range(4):
+                ahead, left = (0.5 if j < 2 else -0.5) * ego.length, (0.5 if j % 2 else -0.5) * ego.width
+                along = ahead * c - left * d
+                at[j], l[j] = guess + along, l[4] + ahead * d + left * c - 0.5 * kappa_r * along * along  # (2)
+            road = sections(knots, table, at)
+            for j in range(4):
+                off[n, k] = max(off[n, k], l[j] - road.facing_left[j], road.facing_right[j] - l[j])
+                beside[n, k] |= l[j] > road.lane_left[j] or l[j] < road.lane_right[j]
+            if k == 0:
+                first = guess
+            elif road.road_right[4] <= l[4] <= road.road_left[4]:
+                stretch = 0.0
+            else:
+                stretch += hypot(x - x_before, y - y_before)
+            against[n], x_before, y_before = max(against[n], stretch), x, y
+        way[n] = guess - first
+    return off, beside, against, way
+
+
+@kernel
+def _meetings(
+    states: FloatArray, moving: FloatArray, objects: BoolArray, astray: BoolArray, ego: Body
+) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
+    """Per proposal: step of the first contact at fault, with whom (-1: none), `collision` and `ttc` of (1).
+
+    `moving` is x, y, yaw, vx, vy, length, width of the others `(7, m)`; `astray` where the ego is out of its lane.
+    """
+    count = len(states)
+    step, hit, collision, ttc = np.full(count, -1), np.full(count, -1), np.ones(count), np.ones(count)
+    for n in range(count):
+        for i in range(moving.shape[1]):
+            if _touches(states[n], 0, 0, moving[:, i], ego):
+                continue
+            k = _contact_at_fault(states[n], moving[:, i], objects[i], astray[n], ego)
+            if k >= 0:
+                collision[n] = min(collision[n], 0.5 if objects[i] else 0.0)
+                if step[n] < 0 or k < step[n]:
+                    step[n], hit[n] = k, i
+            if ttc[n] > 0.0 and _comes_close(states[n], moving[:, i], ego):
+                ttc[n] = 0.0
+    return step, hit, collision, ttc
+
+
+@inner_kernel
+def _touches(states: FloatArray, k: int, ahead: int, other: FloatArray, ego: Body) -> bool:
+    """Whether the ego at step k, carried on straight for `ahead` steps, touches another at that time."""
+    yaw, t = states[2, k], STEP_S * (k + ahead)
+    way = ego.center + STEP_S * ahead * states[3, k]
+    x, y = states[0, k] + way * cos(yaw), states[1, k] + way * sin(yaw)
+    px, py = other[0] + t * other[3], other[1] + t * other[4]
+    if hypot(px - x, py - y) > 0.5 * (hypot(ego.length, ego.width) + hypot(other[5], other[6])):
+        return False
+    return overlap(x, y, yaw, ego.length, ego.width, px, py, other[2], other[5], other[6])
+
+
+@inner_kernel
+def _is_behind(states: FloatArray, k: int, ahead: int, other: FloatArray) -> bool:
+    """Whether another is behind the rear axle of the ego at step k, carried on straight for `ahead` steps."""
+    c, s, t, way = cos(states[2, k]), sin(states[2, k]), STEP_S * (k + ahead), STEP_S * ahead * states[3, k]
+    dx = other[0] + t * other[3] - states[0, k] - way * c
+    dy = other[1] + t * other[4] - states[1, k] - way * s
+    return dx * c + dy * s < BEHIND * hypot(dx, dy)
+
+
+@inner_kernel
+def _contact_at_fault(states: FloatArray, other: FloatArray, is_object: bool, astray: BoolArray, ego: Body) -> int:
+    """The step of the first contact with another, where it is the ego's fault; else -1."""
+    for k in range(1, states.shape[1]):
+        if not _touches(states, k, 0, other, ego):
+            continue
+        if states[3, k] <= STOPPED_MPS:
+            return -1
+        if is_object or hypot(other[3], other[4]) <= STOPPED_MPS:
+            return k
+        if _is_behind(states, k, 0, other):
+            return -1
+        yaw, t = states[2, k], STEP_S * k
+        x, y = states[0, k] + ego.front * cos(yaw), states[1, k] + ego.front * sin(yaw)
+        px, py = other[0] + t * other[3], other[1] + t * other[4]
+        front = overlap(x, y, yaw, 0.0, ego.width, px, py, other[2], other[5], other[6])
+        return k if front or astray[k] else -1
+    return -1
+
+
+@inner_kernel
+def _comes_close(states: FloatArray, other: FloatArray, ego: Body) -> bool:
+    """Whether the first meeting with another that `ttc` sees is with one who is not behind."""
+    for k in range(states.shape[1]):
+        for ahead in CARRIED:
+            if states[3, k] >= 0.1 * STOPPED_MPS and _touches(states, k, ahead, other, ego):
+                return not _is_behind(states, k, ahead, other)
+    return False
+
+
+def comfortable(states: FloatArray) -> BoolArray:
+    """Which proposals `(n, 6, k)` keep the `BOUNDS`, `(n,)`."""
+    yaw, v, a, kappa = (states[:, i] for i in (2, 3, 4, 5))
+    smooth, slope, whole, rate, bend = _filters(states.shape[2])
+    aside = v * v * kappa
+    size = np.hypot(a, aside)
+    signals = (a @ whole, aside @ whole, size @ smooth @ slope, a @ smooth @ slope, yaw @ bend, yaw @ rate)
+    kept = [((x > low) & (x < high)).all(axis=1) for x, (low, high) in zip(signals, BOUNDS, strict=True)]
+    return np.all(kept, axis=0)
+
+
+@cache
+def _filters(k: int) -> tuple[FloatArray, ...]:
+    """Savitzky and Golay's filters of nuPlan and PDM as matrices `(k, k)`, applied from the right.
+
+    A smoothed acceleration, the slope over the whole proposal of such a one, the acceleration smoothed over the whole;
+    first and second derivative of the yaw.
+    """
+    eye = np.eye(k)
+
+    def made(window: int, degree: int, derivative: int = 0) -> FloatArray:
+        matrix = savgol_filter(eye, min(window, k), degree, deriv=derivative, delta=STEP_S, axis=1)
+        return frozen(matrix)
+
+    return made(8, 2), made(k, 2, 1), made(k, 2), made(5, 2, 1), made(5, 3, 2)

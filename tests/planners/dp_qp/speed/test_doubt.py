@@ -1,0 +1,134 @@
+"""How far the speed stage believes a row, and what it does for one that it doubts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from worlds import Other, along_x, driving, lanes, path_of, planner, reference, scene, standing
+from worlds import frame as frame_of
+
+from logs import AgentKind, EgoState, Frame
+from planners.dp_qp.speed.doubt import CERTAIN, ERROR_MPS2, NEGLIGIBLE, braking_on, from_beside, let_go, weights
+from planners.frenet.scene import Scene, behind
+from planners.frenet.st_boundaries import StBoundaries, StGraphConfig, st_boundaries
+
+EGO = EgoState(0.0, 0.0, 0.0, 0.0, 10.0)
+ROAD, PATH = reference(along_x()), path_of(np.zeros(301), 0.4)
+
+
+def seen(other: Other, **known: float) -> tuple[Scene, StBoundaries]:
+    """A scene with one other of whom this is known, and their rows."""
+    now = scene(ROAD, EGO, [other])
+    agents = replace(now.frame.agents, **{name: np.array([value]) for name, value in known.items()})
+    now = replace(now, frame=replace(now.frame, agents=agents))
+    return now, st_boundaries(now, PATH, np.zeros(1, np.bool_), frozenset(), StGraphConfig())
+
+
+def weight(other: Other, **known: float) -> float:
+    now, rows = seen(other, **known)
+    return float(weights(now, PATH, rows)[0])
+
+
+def walker(v: float, ahead: float = 30.0, away: float = 6.0) -> Other:
+    moving = driving("it", ahead, -away, 0.0, v)
+    return replace(moving, kind=AgentKind.PEDESTRIAN, length=0.5, width=0.6)
+
+
+@given(st.floats(0.0, 5.0), st.floats(0.0, 1.0), st.floats(4.0, 12.0))
+def test_the_weight_falls_with_time_unseen_and_grows_with_age(age: float, unseen: float, v: float) -> None:
+    crossing = driving("it", 30.0, -20.0, 0.0, v)
+    p = weight(crossing, age=age, unseen=unseen)
+    assert 0.0 <= p <= weight(crossing, age=age + 0.2, unseen=unseen) + 1e-12 <= weight(crossing) + 2e-12
+    assert weight(crossing, age=age, unseen=unseen) == p, "alone, nobody was seen later"
+
+
+def test_who_was_seen_later_than_others_is_doubted_and_the_frames_own_delay_is_not() -> None:
+    now = scene(ROAD, EGO, [driving("it", 30.0, -20.0, 0.0, 8.0), standing("other", 60.0, 9.0)])
+    rows = st_boundaries(now, PATH, np.zeros(2, np.bool_), frozenset(), StGraphConfig())
+    for unseen, certain in (((0.4, 0.4), True), ((0.0, 0.4), True), ((0.4, 0.0), False)):
+        agents = replace(now.frame.agents, unseen=np.array(unseen))
+        (p,) = weights(replace(now, frame=replace(now.frame, agents=agents)), PATH, rows)
+        assert bool(p >= CERTAIN) is certain, unseen
+
+
+@given(st.floats(0.3, 2.9), st.floats(0.0, 0.3))
+def test_who_walks_towards_the_path_is_certain_at_first_sight(v: float, age: float) -> None:
+    assert weight(walker(v, away=3.0), age=age, unseen=0.0) == 1.0
+
+
+@given(st.floats(-14.0, 14.0), st.floats(0.0, 0.1))
+def test_who_is_in_the_way_now_is_never_doubted(v: float, age: float) -> None:
+    assert weight(driving("it", 30.0, 0.5, v), age=age, unseen=0.5) >= CERTAIN
+
+
+@pytest.mark.parametrize(("drift", "certain"), [(0.3, False), (0.6, False), (1.5, True)])
+def test_an_oncoming_car_beside_the_lane_is_doubted_while_it_hardly_drifts(drift: float, *, certain: bool) -> None:
+    assert (weight(driving("it", 60.0, 3.5, -8.0, -drift)) >= CERTAIN) is certain
+    assert weight(driving("it", 60.0, 3.5, -8.0, -drift), velocity_sigma=3.0) < CERTAIN
+
+
+@given(st.floats(6.0, 14.0), st.floats(-12.0, 12.0).filter(lambda vy: abs(vy) > 3.0))
+def test_mirrored_weights_are_the_same(vx: float, vy: float) -> None:
+    one, other = (driving("it", 20.0, -2.0 * side * vy, vx, side * vy) for side in (1.0, -1.0))
+    assert weight(one, age=0.3, unseen=0.0) == pytest.approx(weight(other, age=0.3, unseen=0.0), abs=1e-9)
+
+
+@given(st.floats(3.0, 14.0), st.floats(0.0, 8.0), st.sampled_from([0.0, -5.0]))
+def test_a_leader_who_brakes_may_go_on_to_a_stop_and_no_further(v: float, brakes: float, y: float) -> None:
+    crosses = y != 0.0
+    now, rows = seen(driving("it", 25.0, y, 0.0, v) if crosses else driving("it", 25.0, 0.0, v), accel=-brakes)
+    found, there = braking_on(now, rows), np.isfinite(rows.lower)
+    assert np.isnan(found.lower[~there]).all() and (found.lower[there] <= rows.lower[there]).all()
+    if crosses or brakes <= ERROR_MPS2:
+        assert found is rows
+    else:
+        stop = v * v / (2.0 * (brakes - ERROR_MPS2))
+        assert np.nanmax(found.lower) - rows.lower[0, 0] <= stop + 1e-9
+
+
+def test_what_is_let_go_is_what_a_comfortable_stop_cannot_keep() -> None:
+    _, rows = seen(driving("it", 30.0, -8.0, 0.0, 8.0))
+    stop = np.linspace(0.0, 40.0, len(rows.t))
+    eased = let_go(rows, np.array([True]), stop, 1.0)
+    there = np.isfinite(rows.lower)
+    np.testing.assert_array_equal(eased.lower[there], np.maximum(rows.lower, stop + 1.0)[there])
+    assert (eased.upper >= eased.lower)[there].all() and np.isnan(eased.lower[~there]).all()
+    same = let_go(rows, np.array([False]), stop, 1.0)
+    np.testing.assert_array_equal(same.lower, rows.lower)
+
+
+def test_who_comes_from_beside_is_no_walker_and_no_one_ahead_who_goes_the_same_way() -> None:
+    for other, expected in (
+        (driving("it", 20.0, -9.0, 0.0, 6.0), True), (driving("it", 60.0, 3.5, -8.0, -1.0), True),
+        (driving("it", 12.0, 3.5, 6.0, -1.0), False), (walker(1.5), False), (driving("it", 30.0, 0.0, -5.0), False),
+    ):  # fmt: skip
+        now, rows = seen(other)
+        assert from_beside(now, rows).tolist() == [expected], other
+
+
+def test_who_overtakes_is_behind_whatever_way_its_box_heads() -> None:
+    follower = driving("it", -15.0, 0.0, 14.0)
+    turned = replace(follower, at=lambda t: (-15.0 + 14.0 * t, 0.0, np.pi, 14.0, 0.0))
+    for other in (follower, turned):
+        assert behind(scene(ROAD, EGO, [other]), keeps_track=True).tolist() == [True]
+
+
+def crossing_car(age: float) -> Frame:
+    """A car that crosses so near that only hard braking avoids it."""
+    now = frame_of(EGO, [driving("it", 16.0, 12.0, 0.0, -8.0)])
+    return replace(now, agents=replace(now.agents, age=np.array([age]), unseen=np.zeros(1)))
+
+
+@pytest.mark.parametrize(("age", "hardest"), [(0.1, 3.05), (2.0, 9.0)])
+def test_for_a_car_that_is_new_the_brakes_are_used_comfortably(age: float, hardest: float) -> None:
+    plan = planner(lanes(along_x()), EGO).plan(crossing_car(age))
+    braked = -float(plan.trajectory.a.min())
+    assert 2.0 < braked <= hardest and (braked > 3.5) is (age > 1.0)
+
+
+def test_the_edges_are_in_order() -> None:
+    assert 0.0 < NEGLIGIBLE < CERTAIN < 1.0

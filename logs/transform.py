@@ -15,9 +15,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from math import cos, sin
+from typing import Any, TypeVar
 
 import numpy as np
 
+from logs.detections import Detections
 from logs.kernel import FloatArray
 from logs.road import Goal, Lane, Road
 from logs.scenario import Scenario, Tracks
@@ -25,22 +27,27 @@ from logs.states import Controls, OnboardPlan, Trajectory
 
 MIRRORED = "~mirrored"
 _FLIP = np.array([1.0, -1.0])
+Boxes = TypeVar("Boxes", Tracks, Detections)
 _Points = Callable[[FloatArray], FloatArray]
 
 
 def moved(scenario: Scenario, dx: float, dy: float, dyaw: float) -> Scenario:
     """The scenario turned by `dyaw` (rad) about (0, 0), then shifted by (dx, dy) m: a rigid motion (1) of the world."""
     turn = _turn(dyaw)
-    ego, tracks, goal = scenario.ego, scenario.tracks, scenario.goal
+    ego, goal = scenario.ego, scenario.goal
+
+    def turned_boxes(one: Boxes) -> Boxes:
+        vx, vy = (np.column_stack([one.vx, one.vy]) @ turn).T
+        return replace(one, yaw=one.yaw + dyaw, vx=vx, vy=vy)
+
     if goal is not None:
         goal = goal.changed(lambda one: replace(one, yaw=one.yaw and (one.yaw[0] + dyaw, one.yaw[1] + dyaw)))
-    vx, vy = (np.column_stack([tracks.vx, tracks.vy]) @ turn).T
     x, y = np.array(scenario.origin) @ turn
     turned = replace(
         scenario,
         ego=replace(ego, yaw=ego.yaw + dyaw),
         onboard=_with_trajectories(scenario.onboard, lambda one: replace(one, yaw=one.yaw + dyaw)),
-        tracks=replace(tracks, yaw=tracks.yaw + dyaw, vx=vx, vy=vy),
+        **_with_boxes(scenario, turned_boxes),
         goal=goal,
         origin=(float(x), float(y)),
     )
@@ -126,11 +133,15 @@ def jittered(scenario: Scenario, size: float, seed: int = 0) -> Scenario:
     def off(values: FloatArray) -> FloatArray:
         return np.asarray(values + rng.uniform(-size, size, np.shape(values)))
 
-    ego, tracks = scenario.ego, scenario.tracks
+    ego = scenario.ego
+
+    def noisy_boxes(one: Boxes) -> Boxes:
+        return replace(one, yaw=off(one.yaw), vx=off(one.vx), vy=off(one.vy))
+
     noisy = replace(
         scenario,
         ego=replace(ego, yaw=off(ego.yaw), v=off(ego.v), a=off(ego.a), kappa=off(ego.kappa)),
-        tracks=replace(tracks, yaw=off(tracks.yaw), vx=off(tracks.vx), vy=off(tracks.vy)),
+        **_with_boxes(scenario, noisy_boxes),
     )
     return _placed(noisy, off)
 
@@ -151,7 +162,7 @@ def mirrored(scenario: Scenario) -> Scenario:
         name=name.removesuffix(MIRRORED) if name.endswith(MIRRORED) else name + MIRRORED,
         ego=mirrored_trajectory(scenario.ego),
         onboard=_with_trajectories(scenario.onboard, mirrored_trajectory),
-        tracks=_mirrored_tracks(scenario.tracks),
+        **_with_boxes(scenario, lambda one: replace(one, y=-one.y, yaw=-one.yaw, vy=-one.vy)),
         road=_mirrored_road(scenario.road),
         goal=None if goal is None else goal.changed(_mirrored_goal),
         controls=None if controls is None else Controls(controls.t, -controls.steer, controls.throttle, controls.brake),
@@ -179,21 +190,34 @@ def _turn(angle: float) -> FloatArray:
 
 def _placed(scenario: Scenario, points: _Points) -> Scenario:
     """The scenario with all its points `(k, 2)` elsewhere, and nothing else changed."""
-    ego, tracks, road, goal = scenario.ego, scenario.tracks, scenario.road, scenario.goal
+    ego, road, goal = scenario.ego, scenario.road, scenario.goal
+
+    def boxes(one: Boxes) -> Boxes:
+        box_x, box_y = points(np.column_stack([one.x, one.y])).T
+        return replace(one, x=box_x, y=box_y)
 
     def driven(one: Trajectory) -> Trajectory:
         own_x, own_y = points(np.column_stack([one.x, one.y])).T
         return replace(one, x=own_x, y=own_y)
 
-    x, y = points(np.column_stack([tracks.x, tracks.y])).T
+    elsewhere = _with_boxes(scenario, boxes)
     return replace(
         scenario,
         ego=driven(ego),
         onboard=_with_trajectories(scenario.onboard, driven),
-        tracks=replace(tracks, x=x, y=y),
+        **elsewhere,
         road=placed_road(road, points),
         goal=None if goal is None else goal.changed(lambda one: replace(one, regions=tuple(map(points, one.regions)))),
     )
+
+
+def _with_boxes(scenario: Scenario, changed: Callable[[Any], Any]) -> dict[str, Any]:
+    """What a scenario has of boxes, changed: its tracks, its detections, and what its tracks were repaired from."""
+    tracks, found, made = changed(scenario.tracks), scenario.detections, scenario.repair
+    if made is not None:
+        own = tracks if made.tracks is scenario.tracks else changed(made.tracks)
+        made = replace(made, detections=changed(made.detections), removed=changed(made.removed), tracks=own)
+    return {"tracks": tracks, "detections": None if found is None else changed(found), "repair": made}
 
 
 def _with_trajectories(
@@ -214,10 +238,6 @@ def placed_road(road: Road, points: _Points) -> Road:
 
 def _swapped(text: str) -> str:
     return text.replace("nudge left", "nudge\0").replace("nudge right", "nudge left").replace("nudge\0", "nudge right")
-
-
-def _mirrored_tracks(tracks: Tracks) -> Tracks:
-    return replace(tracks, y=-tracks.y, yaw=-tracks.yaw, vy=-tracks.vy)
 
 
 def _mirrored_road(road: Road) -> Road:

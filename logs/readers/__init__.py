@@ -75,6 +75,7 @@ __all__ = [
     "reader_called",
     "reader_of",
     "readers",
+    "with_tracks",
 ]
 
 
@@ -148,6 +149,12 @@ def read_log(path: Path, settings: LogSettings | None = None, reader: Reader | N
             raise
         what = f"the reader {reader.name} raised {type(error).__name__}: {error}"
         raise LogError(what, file=path, remedy="its author: raise LogError for a log that cannot be read") from error
+
+
+def with_tracks(scenario: Scenario, settings: LogSettings) -> Scenario:
+    """A scenario that no file holds, with tracks made of its detections as `settings.repair` says."""
+    made = repaired(scenario, settings.repair)
+    return made if made.repair is scenario.repair else named(made)
 
 
 def _check_duration(scenario: Scenario) -> None:

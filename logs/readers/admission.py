@@ -267,7 +267,7 @@ def detections_within(scenario: Scenario, found: Detections) -> tuple[Detections
     notes = (f"{counted(int(bad.sum()), 'detection')} beyond the limits of poses are left out.",) if bad.any() else ()
     found = found.taken(~bad) if bad.any() else found
     with np.errstate(all="ignore"):
-        fast = np.hypot(found.vx, found.vy) > SPEED.most
+        fast = np.hypot(np.nan_to_num(found.vx), np.nan_to_num(found.vy)) > SPEED.most
         odd = [~((size >= SIZES_M[0]) & (size <= SIZES_M[1])) & ~np.isnan(size) for size in (found.length, found.width)]
     vx, vy = np.where(fast, np.nan, found.vx), np.where(fast, np.nan, found.vy)
     length, width = np.where(odd[0], np.nan, found.length), np.where(odd[1], np.nan, found.width)

@@ -3,7 +3,8 @@
 (1) a causal track is the repaired one to whose box its own was nearest in most frames so far, within `NEAR_M`; one that
     was near none is no road user
 (2) a repaired track has the name of the causal one that was it in most frames; others of the same road user, after it
-    was lost for a while, keep their own names. A repaired track that was never tracked has a name of its own
+    was lost for a while, keep their own names. A repaired track that was never tracked has a name of its own, and so
+    has who never moves
 """
 
 from __future__ import annotations
@@ -63,4 +64,6 @@ def _names(made: Repair) -> dict[str, str]:
             count = owners.votes[name][owner]
             longest[owner] = max(longest.get(owner, (0, "")), (count, name), key=lambda one: one[0])
     free = (f"{UNTRACKED} {k}" for k in range(1, len(made.tracks) + 1))
-    return {name: longest[name][1] if name in longest else next(free) for name in made.tracks.ids}
+    still = dict(zip(made.tracks.ids, made.tracks.static.tolist(), strict=True))
+    own = {name: f"{name}~static" if name in owners.votes else name for name in still if still[name]}
+    return own | {name: longest[name][1] if name in longest else next(free) for name in still if not still[name]}

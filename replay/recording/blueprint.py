@@ -19,7 +19,7 @@ from replay.recording.axes import (
     WIDTH,
     Axes,
 )
-from replay.recording.columns import FRAME, ROOM, SIM_TIME
+from replay.recording.columns import FRAME, REMOVED, ROOM, SIM_TIME
 from replay.recording.plots import Panel
 
 PAGES = {"why": "Why", "numbers": "Solvers and costs", "recent": "Events until now", "summary": "Summary"}
@@ -144,7 +144,7 @@ def scene_behind(name: str = "Scene", under: str = "") -> rrb.Spatial3DView:
 
 
 def _scene(name: str, origin: str, contents: list[str], eye: rrb.EyeControls3D, under: str = "") -> rrb.Spatial3DView:
-    """A view of the scene; the driven path is shown from its begin to the cursor."""
+    """A view of the scene; the driven path is shown from its begin to the cursor, what was removed is hidden."""
     begin, cursor = rrb.TimeRangeBoundary.infinite(), rrb.TimeRangeBoundary.cursor_relative()
     driven = rrb.VisibleTimeRanges(
         [rrb.VisibleTimeRange(timeline, start=begin, end=cursor) for timeline in (SIM_TIME, FRAME)]
@@ -155,7 +155,7 @@ def _scene(name: str, origin: str, contents: list[str], eye: rrb.EyeControls3D, 
         name=name,
         eye_controls=eye,
         line_grid=False,
-        overrides={f"{under}/world/driven": [driven]},
+        overrides={f"{under}/world/driven": [driven], f"{under}/{REMOVED}": [rrb.EntityBehavior(visible=False)]},
     )
 
 

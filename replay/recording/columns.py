@@ -19,6 +19,8 @@ SIM_TIME = "sim_time"
 FRAME = "frame"
 ROOM = "room"
 """A page without words."""
+REMOVED = "world/removed"
+"""Entity of what a repair of the log took away."""
 
 
 @dataclass(frozen=True, eq=False)

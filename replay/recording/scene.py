@@ -13,13 +13,13 @@ import numpy as np
 import rerun as rr
 
 from logs.kernel import BoolArray, FloatArray, IntArray
-from logs.scenario import AgentKind, Agents, Scenario
+from logs.scenario import AgentKind, Agents, Scenario, Tracks
 from logs.states import Trajectory
 from logs.trace import Decision, Plan, Trace
 from logs.vehicle import VehicleParameters
 from replay.recording import colours
 from replay.recording.attention import decided, in_full
-from replay.recording.columns import Instants, Tape, joined, pixels, strips
+from replay.recording.columns import REMOVED, Instants, Tape, joined, pixels, strips
 from replay.recording.road import at_height, draw_goal, draw_lights, draw_lines, draw_road
 from replay.recording.text import plain
 
@@ -56,6 +56,8 @@ def draw_scene(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants)
     _draw_driven(tape, trace.ego, instants)
     if trace.ego is not scenario.ego and len(scenario.ego) > 1:
         _draw_log(tape, trace, scenario, instants)
+    if scenario.repair is not None and len(scenario.repair.removed):
+        _draw_removed(tape, scenario.repair.removed, instants)
 
 
 def draw_moving(tape: Tape, trace: Trace, kinds: Collection[AgentKind], instants: Instants, frames: Instants) -> None:
@@ -132,6 +134,29 @@ def _draw_log(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants) 
         centers=at_height(center, EGO_HEIGHT / 2.0), half_sizes=half, quaternions=quaternions(yaw)
     )
     tape.rows("world/log/ego", instants, boxes, there.astype(np.int64))
+
+
+def _draw_removed(tape: Tape, removed: Tracks, instants: Instants) -> None:
+    """What a repair took away, for as long as a sample stands for somebody; the blueprint hides it at first."""
+    shown = [removed.perceived(float(t)) for t in instants.t]
+    x, y, yaw, length, width = (
+        np.concatenate([getattr(some, name) for some in shown]) for name in ("x", "y", "yaw", "length", "width")
+    )
+    style = rr.Boxes3D.from_fields(
+        colors=[colours.REMOVED],
+        fill_mode=rr.components.FillMode.MajorWireframe,
+        radii=[pixels(0.8)],
+        show_labels=False,
+    )
+    half = 0.5 * np.column_stack([length, width, np.full(len(x), EGO_HEIGHT)])
+    boxes = rr.Boxes3D.columns(
+        centers=at_height(np.column_stack([x, y]), EGO_HEIGHT / 2.0),
+        half_sizes=half,
+        quaternions=quaternions(yaw),
+        labels=[plain(name) for some in shown for name in some.ids],
+    )
+    tape.static(REMOVED, style)
+    tape.rows(REMOVED, instants, boxes, [len(some) for some in shown])
 
 
 def _decided_at(plans: Sequence[Plan], instants: Instants, begin: int) -> list[dict[str, Decision]]:

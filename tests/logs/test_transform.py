@@ -13,6 +13,7 @@ from drives import drive
 from handmade import track, tracks
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap_cases import repaired_scenario
 
 from logs import Controls, Goal, Scenario
 from logs.catalogue import CATALOGUE
@@ -105,6 +106,18 @@ def test_every_place_turns_and_nothing_else_changes(name: str, angle: float, x: 
             np.testing.assert_array_equal(there[path], value, err_msg=".".join(path))
             continue
         np.testing.assert_allclose(there[path], expected, rtol=1e-12, atol=1e-9, err_msg=".".join(path))
+
+
+def test_detections_and_what_was_removed_go_with_the_tracks() -> None:
+    scenario = repaired_scenario()
+    for there in (mirrored(mirrored(scenario)), moved(moved(scenario, 0.0, 0.0, 0.5 * np.pi), 0.0, 0.0, -0.5 * np.pi)):
+        assert there.repair is not None and there.repair.tracks is there.tracks and scenario.repair is not None
+        for one, two in ((there.repair.detections, scenario.repair.detections),
+                         (there.repair.removed, scenario.repair.removed)):  # fmt: skip
+            for name in ("x", "y", "yaw", "vx"):
+                np.testing.assert_allclose(getattr(one, name), getattr(two, name), atol=1e-9)
+    once = moved(scenario, 3.0, 0.0, 0.0).repair
+    assert once is not None and once.detections.x == pytest.approx(scenario.repair.detections.x + 3.0)
 
 
 def test_the_clock_alone_is_set() -> None:

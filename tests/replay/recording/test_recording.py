@@ -29,8 +29,11 @@ from logs import (
     StGraph,
     Tracks,
 )
+from logs.detections import Repair
 from logs.errors import ConfigError, OutputError
 from logs.kernel import FloatArray
+from logs.presence import MAX_AGE_S
+from logs.repair import detections_of
 from metrics import series
 from replay.drive import Drive, StageTime
 from replay.recording import colours, scene_times, write_log_recording, write_recording
@@ -404,6 +407,18 @@ def test_agents_come_and_go(tmp_path: Path) -> None:
     counts = recording.counts("/world/agents/car", "Boxes3D:centers")
     times = recording.times("/world/agents/car")
     np.testing.assert_array_equal(counts, ((times >= 5.0 - 1e-9) & (times <= 8.0 + 1e-9)).astype(int))
+
+
+def test_what_a_repair_removed_is_an_entity_of_its_own(tmp_path: Path) -> None:
+    done, world = drive()
+    tracks = done.trace.agents
+    keep = np.repeat(np.arange(len(tracks)) == 0, np.diff(tracks.offsets)) & (tracks.t <= 4.0)
+    removed = replace(tracks.taken(keep), ids=("removed 1",))
+    made = Repair(detections_of(tracks), removed, np.zeros(len(tracks.t), np.bool_), (), tracks)
+    recording = written(tmp_path, done, replace(world, repair=made))
+    counts, times = (recording.counts("/world/removed", "Boxes3D:centers"), recording.times("/world/removed"))
+    np.testing.assert_array_equal(counts, (times <= 4.0 + MAX_AGE_S + 1e-6).astype(int))
+    assert "/world/removed" not in written(tmp_path, done, world).moving
 
 
 def test_three_hundred_agents_are_all_drawn_and_few_are_named(tmp_path: Path) -> None:

@@ -1,0 +1,127 @@
+"""`[log] repair` on native logs: raw ones, clean ones, parts of both; and the command that does it."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from functools import cache
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import one_error, replan
+from crowd import street, street_ego
+from mcap_cases import differences, repaired_scenario, rich_scenario
+
+from logs import Road, Scenario
+from logs.catalogue.detector import detected
+from logs.mcap import read_scenario, write_scenario
+from logs.readers import LogSettings, read_log, with_tracks
+from logs.readers.cut import DETECTED_S, cut
+from logs.scenario import Tracks
+
+EGO = street_ego()
+
+
+@cache
+def raw() -> Scenario:
+    """What a detector sees of a street, and no tracks."""
+    road = Road.along(np.column_stack([EGO.x, EGO.y]), speed_limit=10.0)
+    return Scenario("raw", EGO, Tracks.empty(), road, 20.0, detections=detected(street(), EGO, 3), start_ns=10**18)
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("raw") / "raw.mcap"
+    write_scenario(path, raw())
+    return path
+
+
+def test_a_raw_log_is_repaired_as_it_is_read(log: Path) -> None:
+    assert differences(read_scenario(log), raw()) == [], "the file holds the detections alone"
+    made = read_log(log)
+    assert made.repair is not None and made.detections is None and 6 <= len(made.tracks) <= 12
+    assert differences(with_tracks(raw(), LogSettings()).tracks, made.tracks) == []
+    off = read_log(log, LogSettings(repair="off"))
+    assert off.repair is None and off.detections is None and len(off.tracks) == 0
+
+
+def test_names_are_those_of_the_tracker(log: Path) -> None:
+    made = read_log(log)
+    assert made.repair is not None
+    known = {name for agents in made.repair.detections.tracked.agents for name in agents.ids}
+    assert len(known & set(made.tracks.ids)) >= len(made.tracks) - 1
+    assert {change.agent for change in made.repair.changes} == {*made.tracks.ids, *made.repair.removed.ids}
+
+
+def test_a_part_of_a_repaired_log_is_the_wholes(log: Path, tmp_path: Path) -> None:
+    whole = read_log(log)
+    write_scenario(tmp_path / "made.mcap", whole)
+    part, asked = cut(whole, 12.0, 15.0), read_log(tmp_path / "made.mcap", LogSettings(begin=12.0, end=15.0))
+    assert part.repair is not None and asked.repair is not None
+    for name in ("t", "x", "y", "yaw", "vx"):
+        np.testing.assert_allclose(getattr(asked.tracks, name), getattr(part.tracks, name), atol=1e-9)
+    assert part.repair.tracks is part.tracks and part.repair.extended.shape == part.tracks.t.shape
+    frames = part.repair.detections.frames
+    assert frames[0] == pytest.approx(-DETECTED_S) and frames[-1] <= 5.0
+    assert all(change.begin <= 5.0 and change.end >= -DETECTED_S for change in part.repair.changes)
+    both = cut(repaired_scenario(), 1.0, 2.0).repair
+    assert both is not None and both.extended.sum() == 4 and both.removed.t.max() < 0.0
+
+
+def test_a_clean_log_is_repaired_on_demand_only(tmp_path: Path) -> None:
+    write_scenario(tmp_path / "rich.mcap", rich_scenario())
+    clean = read_log(tmp_path / "rich.mcap")
+    assert clean.repair is None
+    assert differences(clean, read_log(tmp_path / "rich.mcap", LogSettings(repair="off"))) == []
+    asked = read_log(tmp_path / "rich.mcap", LogSettings(repair="on"))
+    assert asked.repair is not None and "It was asked for." in asked.notes[-1]
+    assert "post" in asked.tracks.ids, "who never moves stays as they are"
+    assert asked.tracks.static[asked.tracks.ids.index("post")]
+    with pytest.raises(ValueError, match="auto, on or off"):
+        LogSettings(repair="yes")
+
+
+def test_detections_beyond_the_limits_are_left_out_and_noted() -> None:
+    found = raw().detections
+    assert found is not None
+    far, fast = found.x.copy(), found.vx.copy()
+    far[:3] = 1e9
+    fast[5] = 1e6
+    ids = ("a\nb", *found.ids[1:])
+    length = np.where(np.arange(len(found)) == 7, 1e9, found.length)
+    made = with_tracks(replace(raw(), detections=replace(found, x=far, vx=fast, ids=ids, length=length)), LogSettings())
+    assert made.repair is not None and len(made.repair.detections) == len(found) - 3
+    assert np.nanmax(np.abs(made.repair.detections.vx), initial=0.0) < 200.0
+    assert np.nanmax(made.repair.detections.length) < 100.0
+    assert any("3 detections beyond the limits" in note for note in made.notes)
+
+
+def test_the_command_writes_the_log_and_its_table(log: Path, tmp_path: Path) -> None:
+    out, table = tmp_path / "deep" / "out.mcap", tmp_path / "changes.csv"
+    result = replan("repair", log, "-o", out, "--table", table)
+    assert result.exit_code == 0 and str(out) in result.stdout
+    made = read_scenario(out)
+    assert made.repair is not None and differences(made.repair, read_log(log).repair) == []
+    rows = list(csv.DictReader(StringIO(table.read_text(encoding="utf-8"))))
+    assert [row["agent"] for row in rows] == [change.agent for change in made.repair.changes]
+    assert list(rows[0]) == ["what", "agent", "t_from_s", "t_to_s", "samples", "why", "sources"]
+    again = replan("repair", out, "-o", tmp_path / "again.mcap")
+    assert (tmp_path / "again.mcap").read_bytes() == out.read_bytes() and "joined" in again.stdout
+    write_scenario(tmp_path / "rich.mcap", rich_scenario())
+    assert "not repaired" in replan("repair", tmp_path / "rich.mcap", "-o", tmp_path / "same.mcap").stdout
+
+
+def test_the_command_refuses_in_one_line(log: Path, tmp_path: Path) -> None:
+    before = log.read_bytes()
+    for words in ((log, "-o", log), (log, "-o", tmp_path / "a.mcap", "--table", log)):
+        result = replan("repair", *words)
+        assert result.exit_code == 2 and "would be overwritten" in one_error(result)
+    same = replan("repair", log, "-o", tmp_path / "a.mcap", "--table", tmp_path / "a.mcap")
+    assert same.exit_code == 2 and "two places" in one_error(same)
+    assert replan("repair", tmp_path / "nowhere", "-o", tmp_path / "a.mcap").exit_code == 2
+    broken = tmp_path / "broken.mcap"
+    broken.write_bytes(before[: len(before) // 2])
+    assert replan("repair", broken, "-o", tmp_path / "a.mcap").exit_code == 3
+    assert log.read_bytes() == before and not (tmp_path / "a.mcap").exists()

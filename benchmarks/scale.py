@@ -3,6 +3,7 @@
 python -m benchmarks.scale curve       a quarter of the suite "smoke" by 0, 1, 2 workers and on Ray (docs/scale.md)
 python -m benchmarks.scale overhead    a task that does nothing and returns the folder of a log
 python -m benchmarks.scale end         `concluded` on so many logs: seconds and peak memory of this process
+python -m benchmarks.scale share [LOG ...]   metrics' and reference drives' part of the CPU; no LOG: the built-in suite
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import resource
 import sys
 import tempfile
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -18,9 +20,12 @@ from typing import Any
 
 import pandas as pd
 
+import metrics
 from logs.catalogue import scenario
 from logs.mcap import write_scenario
-from replay.batch import RunResult, evaluate_logs
+from metrics import health
+from replay import reference_drives
+from replay.batch import RunResult, evaluate_logs, one_log
 from replay.batch.engine import Engine, Local
 from replay.batch.log_result import LogResult
 from replay.batch.on_ray import OnRay
@@ -34,11 +39,15 @@ RUN = RunConfig(recording=False, internals="none")
 END = replace(RUN, planners=("constant_speed",))
 SUITE = "smoke"
 ITEMS = 200
+JUDGING = (
+    (metrics, "evaluate"), (health, "findings"), (one_log, "with_avoidability"), (one_log, "with_references"),
+    (one_log, "late_follower"), (reference_drives, "with_follower"),
+)  # fmt: skip
 
 
-def main(word: str) -> None:
+def main(word: str, *logs: str) -> None:
     """Run one of the measurements."""
-    {"curve": curve, "overhead": overhead, "end": end}[word]()
+    {"curve": curve, "overhead": overhead, "end": end, "share": share}[word](*logs)
 
 
 def timed(call: Callable[[], Any]) -> tuple[float, float, Any]:
@@ -76,6 +85,32 @@ def curve() -> None:
 
 def _evaluated(engine: Engine, folder: Path) -> RunResult:
     return evaluate_logs((), END, folder, suite=SUITE, engine=engine, shard=Shard(1, 4))
+
+
+def share(*logs: str) -> None:
+    """Parts of an evaluation with recordings in this process, each without the parts called in it; once before."""
+    spent: Counter[str] = Counter()
+
+    def clocked(name: str, call: Callable[..., Any]) -> Callable[..., Any]:
+        def called(*arguments: Any, **keywords: Any) -> Any:
+            begin, before = time.process_time(), spent.total()
+            try:
+                return call(*arguments, **keywords)
+            finally:
+                spent[name] += time.process_time() - begin - (spent.total() - before)
+
+        return called
+
+    for owner, name in JUDGING:
+        setattr(owner, name, clocked(name, getattr(owner, name)))
+    with tempfile.TemporaryDirectory() as folder:
+        for out in ("before", "now"):
+            spent.clear()
+            begin = time.process_time()
+            evaluate_logs(logs, RunConfig(), Path(folder) / out, engine=Local(0))
+            whole = time.process_time() - begin
+    for name, seconds in (*spent.most_common(), ("together", spent.total())):
+        print(f"{name:20s} {seconds:7.3f} s {seconds / whole:6.1%} of {whole:.2f} CPU-s")
 
 
 def answer(_: int) -> tuple[Any, dict[str, bytes]]:
@@ -123,4 +158,4 @@ def _named(log: LogResult, name: str) -> LogResult:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    main(*sys.argv[1:])

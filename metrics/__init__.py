@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from math import nan
 from operator import index
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -150,8 +151,8 @@ def series(trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = 
 
     Sorted by metric, then by time.
     """
-    steps = ((name, found) for _, name, found in _measured(trace, scenario, metrics) if isinstance(found, Series))
-    return _steps(dict(steps))
+    found = _measured(trace, scenario, metrics)
+    return _steps({name: steps for _, name, steps in found if isinstance(steps, Series)})
 
 
 def evaluate_with_series(
@@ -193,20 +194,15 @@ def _measured(
     judged = replace(trace, agents=without_phantoms(trace.agents, phantoms(scenario)), frames=frames)
     for metric in metrics.values():
         if trace.mode in metric.modes:
-            for name, found in _asked(metric, judged, scenario, broken).items():
-                yield metric, name, found
-
-
-def _asked(metric: Metric, trace: Trace, scenario: Scenario, broken: Broken | None) -> dict[str, Measured]:
-    """What the metric measured; that it raised, where this is not the caller's."""
-    try:
-        return metric.measured(trace, scenario)
-    except (Exception, SystemExit) as error:
-        if broken is None:
-            raise
-        reason = raised(error, of=metric.measure)
-        broken(metric, reason, error)
-        return metric.unavailable(Unavailable(reason))
+            try:
+                parts = metric.measured(judged, scenario)
+            except (Exception, SystemExit) as error:
+                if broken is None:
+                    raise
+                reason = raised(error, of=metric.measure)
+                broken(metric, reason, error)
+                parts = metric.unavailable(Unavailable(reason))
+            yield from ((metric, name, found) for name, found in parts.items())
 
 
 def _row(
@@ -214,7 +210,6 @@ def _row(
 ) -> tuple[str, float, str, str, bool, str, float]:
     """From `metric` to `time_s`."""
     unit, direction = reduction.unit or metric.unit, reduction.direction or metric.direction
-    nan = float("nan")
     if isinstance(found, Unavailable):
         return name, nan, unit, direction, False, found.reason, nan
     if not found.known.any():
@@ -222,7 +217,10 @@ def _row(
             return name, nan, unit, direction, False, found.missing, nan
         return name, reduction.empty, unit, direction, True, "", nan
     try:
-        value, step = _reduced(reduction, found)
+        value, step = reduction.reduce(found)
+        value, step = float(value), index(step)
+        if not -1 <= step < len(found.t):
+            raise ValueError(f"step {step} of {len(found.t)}")
     except (Exception, SystemExit) as error:
         if broken is None:
             raise
@@ -233,15 +231,6 @@ def _row(
         return name, nan, unit, direction, False, f"{reduction.name} of the steps is {value}, which is no number", nan
     label = found.labels[step] if found.labels and step >= 0 else ""
     return name, value, unit, direction, True, label, float(found.t[step]) if step >= 0 else nan
-
-
-def _reduced(reduction: Reduction, found: Series) -> tuple[float, int]:
-    """The value and its step; TypeError or ValueError where a reduction gives anything else."""
-    value, step = reduction.reduce(found)
-    number, place = float(value), index(step)
-    if not -1 <= place < len(found.t):
-        raise ValueError(f"step {place} of {len(found.t)}")
-    return number, place
 
 
 if not TYPE_CHECKING:  # a type checker would take any name for one of ours

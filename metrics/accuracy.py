@@ -31,7 +31,7 @@ from logs.states import wrapped
 from logs.trace import Mode, Trace
 from metrics.metric import MAX, MEAN, RATE, SHARE, Measured, Metric, Series, Unavailable
 from metrics.once import once
-from metrics.plans import STEP_S, frame_times, plan_poses, times_after
+from metrics.plans import NO_PLANS, STEP_S, frame_times, plan_poses, times_after
 
 HORIZONS_S = (1, 3, 5, 8)
 MISS_M = MappingProxyType({1: 2.0, 2: 4.0, 3: 6.0, 5: 8.0, 8: 16.0})
@@ -61,7 +61,7 @@ def _per_horizon(
     if len(scenario.ego) < 2:
         return Unavailable("the log holds one ego state only: there is no drive to compare with")
     if not trace.frames:
-        return Unavailable("the drive has no plans")
+        return NO_PLANS
     if which in _ACROSS and scenario.road.source is RoadSource.DRIVEN_PATH:
         return Unavailable("the log has no lanes: the road is the driven path, which the planner is given")
     errors, t = _errors(trace, scenario)[which], frame_times(trace)
@@ -74,12 +74,8 @@ def _per_horizon(
     return found
 
 
-def _average(errors: FloatArray) -> FloatArray:
-    return np.asarray(errors.mean(axis=1))
-
-
-def _at_end(errors: FloatArray) -> FloatArray:
-    return np.abs(errors[:, -1])
+_average: Pick = lambda errors: np.asarray(errors.mean(axis=1))  # noqa: E731
+_at_end: Pick = lambda errors: np.abs(errors[:, -1])  # noqa: E731
 
 
 def _missed(errors: FloatArray) -> FloatArray:

@@ -1,7 +1,6 @@
 """How far a closed loop has parted from its log, and from when on the replay is weak evidence.
 
-The others drove as they did around the log's ego: where the ego is elsewhere, they react to an ego that is not there.
-With the ego's place p(t), the logged one q(t), speed v(t) and heading h(t) at the same time:
+The others react to the log's ego. With the ego's place p(t), the logged q(t), speed v(t) and heading h(t):
 
 (1) d(t) = |p - q|, along(t) = (p - q) . h, across(t) = (p - q) x h
 (2) the drive has parted where |along| > max(v AWAY_S, `LENGTH_M`) or |across| > `WIDTH_M`, or where a road user is
@@ -22,7 +21,7 @@ import numpy as np
 from logs.kernel import BoolArray, FloatArray
 from logs.scenario import Scenario
 from logs.trace import Mode, Trace
-from metrics.metric import COUNT, HAVING, MAX, Measured, Metric, Reduction, Series, Unavailable
+from metrics.metric import COUNT, HAVING, MAX, Measured, Metric, Reduction, Series, Unavailable, counted
 from metrics.others import each, name_of, some_at
 
 AWAY_S, LENGTH_M, WIDTH_M = 1.0, 5.0, 3.5
@@ -68,18 +67,12 @@ def _weak(trace: Trace, scenario: Scenario) -> Measured:
     parted = {name: off for name, off in (*ways, *_off(trace, scenario)) if off.any()}
     first = min((int(np.argmax(off)) for off in parted.values()), default=len(t))
     why = "; ".join(name for name, off in parted.items() if off[first])
-    return Series(
-        t, np.where(np.arange(len(t)) >= first, t, np.nan), (why,) * len(t), "the drive never parts from the log"
-    )
+    weak = np.where(np.arange(len(t)) >= first, t, np.nan)
+    return Series(t, weak, (why,) * len(t), "the drive never parts from the log")
 
 
 def _displaced(trace: Trace, scenario: Scenario) -> Measured:
-    counts, labels = np.zeros(len(trace.ego)), [""] * len(trace.ego)
-    for name, off in _off(trace, scenario):
-        step = int(np.argmax(off))
-        counts[step] += 1.0
-        labels[step] = f"{labels[step]}; {name}" if labels[step] else name
-    return Series(trace.ego.t, counts, tuple(labels))
+    return counted(trace.ego.t, ((int(np.argmax(off)), name) for name, off in _off(trace, scenario)))
 
 
 FROM = Reduction("from", lambda series: (float(series.value[series.known][0]), int(np.argmax(series.known))))

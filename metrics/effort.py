@@ -34,7 +34,7 @@ from metrics.metric import (
     changed,
 )  # fmt: skip
 from metrics.phantoms import phantoms
-from metrics.plans import frame_times
+from metrics.plans import NO_PLANS, frame_times
 
 PRESSED = 1e-6
 """A pedal command above this is pressed."""
@@ -42,8 +42,8 @@ _BOTH = (Mode.OPEN, Mode.CLOSED)
 
 
 def _together(commands: Controls) -> FloatArray:
-    known = np.isfinite(commands.throttle) & np.isfinite(commands.brake)
-    return np.where(known, (commands.throttle > PRESSED) & (commands.brake > PRESSED), np.nan)
+    less = np.minimum(commands.throttle, commands.brake)
+    return np.where(np.isfinite(less), less > PRESSED, np.nan)
 
 
 def _switches(commands: Controls) -> FloatArray:
@@ -70,7 +70,7 @@ def _steer_rate(trace: Trace, scenario: Scenario) -> Measured:
 
 
 def _reports(trace: Trace) -> list[tuple[SolverReport, ...]]:
-    """The solver reports of each frame; with repeated stages (several candidate lanes) all of them."""
+    """The solver reports of each frame, those of repeated stages too."""
     return [tuple(item for item in f.plan.internals if isinstance(item, SolverReport)) for f in trace.frames]
 
 
@@ -94,7 +94,7 @@ def _unsolved(trace: Trace, scenario: Scenario) -> Measured:
 
 def _fallback(trace: Trace, scenario: Scenario) -> Measured:
     if not trace.frames:
-        return Unavailable("the drive has no plans")
+        return NO_PLANS
     t, plans = frame_times(trace), [frame.plan for frame in trace.frames]
     labels = [f"{p.status.value}: {p.reason}" if p.status.is_fallback else "" for p in plans]
     fallbacks = np.array([float(p.status.is_fallback) for p in plans])
@@ -157,10 +157,7 @@ TRACKING = tuple(
     )
     for column, unit, meaning, formula in (
         ("lateral", "m", "Distance of the ego from the plan's path, positive to the left", "(p - foot) . n"),
-        (
-            "heading", "rad", "Heading of the ego minus that of the plan's path, principal value",
-            "wrap(yaw - yaw_path)",
-        ),
+        ("heading", "rad", "Heading of the ego minus that of the plan's path, principal value", "wrap(yaw - yaw_path)"),
         ("speed", "m/s", "Speed of the ego minus the plan's at the same time", "v - v_plan(t)"),
         ("station", "m", "Station of the ego minus the plan's at the same time, along the path", "s - s_plan(t)"),
     )

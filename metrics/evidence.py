@@ -14,22 +14,21 @@ EVIDENCE measures where a drive had what verdicts about it rest on, a series of 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray
 from logs.observed import described, within
-from logs.road import RoadSource
 from logs.rules import Colour, TrafficLight
 from logs.scenario import Scenario
 from logs.trace import EndReason, Mode, PlanStatus, Trace
-from metrics.lanes import drivable_lanes, limits_at, off_lanes, points_inside, stated_lanes
+from metrics.lanes import limits_at, mapped_lanes, off_lanes, points_inside, stated_lanes
 from metrics.metric import COUNT, FINAL, RATE, Measured, Metric, Reduction, Series, Unavailable, first_of, holds
 from metrics.others import ego_boxes
 from metrics.phantoms import phantoms
-from metrics.plans import frame_times
+from metrics.plans import NO_PLANS, frame_times
 
 
 def _coverage(trace: Trace, scenario: Scenario) -> Mapping[str, Measured] | Unavailable:
@@ -39,10 +38,7 @@ def _coverage(trace: Trace, scenario: Scenario) -> Mapping[str, Measured] | Unav
     last = scenario.duration if trace.mode is Mode.CLOSED else float(scenario.ego.t[-1])
     if trace.mode is Mode.CLOSED and trace.end is EndReason.END_OF_LOG and trace.detail:  # it ended with the evidence
         last = float(trace.ego.t[-1])
-    return {
-        "log_s": Series(end, np.array([last - start])),
-        "driven_s": Series(end, end - start),
-    }
+    return {"log_s": Series(end, np.array([last - start])), "driven_s": Series(end, end - start)}
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -53,12 +49,17 @@ class Evidence(Series):
 
 
 def _evidence(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
-    place = ego_boxes(trace.ego, scenario)[:2]
+    (x, y), t, spans = ego_boxes(trace.ego, scenario)[:2], trace.ego.t, scenario.traffic_spans
+    observed = f"traffic is recorded {described(spans)}, the drive lasts from {t[0]:.1f} s to {t[-1]:.1f} s"
+    stated, mapped, none = stated_lanes(scenario.road), mapped_lanes(scenario.road), np.zeros(len(t), np.bool_)
+    limit = none if stated is None else np.isfinite(limits_at(stated, x, y))
+    lane = none if mapped is None else off_lanes(mapped, x, y) == 0.0
+    no_lane = "the log has no lanes for cars" if mapped is None else "no lane of the log's map lies under the ego"
     return {
-        "traffic": _traffic(trace, scenario),
-        "lights": _lights(trace, scenario, *place),
-        "limit": _limit(trace, scenario, *place),
-        "lane": _lane(trace, scenario, *place),
+        "traffic": _found(trace, within(spans, t), observed),
+        "lights": _lights(trace, scenario, x, y),
+        "limit": _found(trace, limit, "the log has no speed limit here: it is assumed, or not asked for"),
+        "lane": _found(trace, lane, no_lane),
     }
 
 
@@ -70,12 +71,6 @@ def _found(trace: Trace, known: BoolArray, why: str, needed: BoolArray | None = 
     value = np.where(needed, known.astype(np.float64), np.nan)
     labels = tuple(why if lacking else "" for lacking in (needed & ~known).tolist())
     return Evidence(ego.t, value, labels, way=np.r_[half, 0.0] + np.r_[0.0, half])
-
-
-def _traffic(trace: Trace, scenario: Scenario) -> Measured:
-    spans, t = scenario.traffic_spans, trace.ego.t
-    why = f"traffic is recorded {described(spans)}, the drive lasts from {t[0]:.1f} s to {t[-1]:.1f} s"
-    return _found(trace, within(spans, t), why)
 
 
 def _lights(trace: Trace, scenario: Scenario, x: FloatArray, y: FloatArray) -> Measured:
@@ -103,19 +98,6 @@ def _shown(light: TrafficLight | None, t: FloatArray) -> BoolArray:
     return (at >= 0) & (lit[np.maximum(at, 0)] | (not lit.any()))
 
 
-def _limit(trace: Trace, scenario: Scenario, x: FloatArray, y: FloatArray) -> Measured:
-    lanes = stated_lanes(scenario.road)
-    known = np.zeros(len(x), np.bool_) if lanes is None else np.isfinite(limits_at(lanes, x, y))
-    return _found(trace, known, "the log has no speed limit here: it is assumed, or not asked for")
-
-
-def _lane(trace: Trace, scenario: Scenario, x: FloatArray, y: FloatArray) -> Measured:
-    lanes = drivable_lanes(scenario.road)
-    if scenario.road.source is RoadSource.DRIVEN_PATH or lanes is None:
-        return _found(trace, np.zeros(len(x), np.bool_), "the log has no lanes for cars")
-    return _found(trace, off_lanes(lanes, x, y) == 0.0, "no lane of the log's map lies under the ego")
-
-
 def _share(series: Series, *, of_way: bool = False) -> tuple[float, int]:
     """(1), (2); its step is the first without evidence."""
     known = series.known
@@ -132,7 +114,7 @@ def _replay_contact(trace: Trace, scenario: Scenario) -> Measured:
 
 def _with_status(status: PlanStatus, trace: Trace, scenario: Scenario) -> Measured:
     if not trace.frames:
-        return Unavailable("the drive has no plans")
+        return NO_PLANS
     plans = [frame.plan for frame in trace.frames]
     flags = np.array([float(plan.status is status) for plan in plans])
     return Series(frame_times(trace), flags, tuple(p.reason if p.status is status else "" for p in plans))
@@ -194,17 +176,14 @@ PLAN_CORRECTED = Metric(
 ENSEMBLE = Metric(
     "ensemble", "1", "none", (Mode.OPEN, Mode.CLOSED),
     lambda trace, scenario: Unavailable("the run has no ensemble (--ensemble N)"),
-    (
-        Reduction("pass_share", lambda series: (float(series.value[0]), -1), direction="higher"),
-        Reduction("fragile", lambda series: (float(series.value[0]), -1), direction="lower"),
-    ),
+    (replace(FINAL, name="pass_share", direction="higher"), replace(FINAL, name="fragile", direction="lower")),
     "Whether the verdict on a log holds where it is driven again in worlds that should not matter: share of them in"
     " which it passes, and 1 where one of them has another verdict.",
     formula="members that pass / members; [a member has another verdict]", needs="--ensemble N",
 )  # fmt: skip
 ASKED = Metric(
     "asked", "1", "none", (Mode.OPEN, Mode.CLOSED), lambda trace, scenario: Unavailable("no gates were judged"),
-    (Reduction("share", lambda series: (float(series.value[0]), -1), direction="higher"),),
+    (replace(FINAL, name="share", direction="higher"),),
     "Share of the gates of this loop that were asked of this log: the others had nothing to judge.",
     formula="gates that pass, fail or are inconclusive / gates of the loop", needs="a run with gates",
 )  # fmt: skip

@@ -27,7 +27,7 @@ from functools import partial
 
 import numpy as np
 
-from logs.kernel import FloatArray
+from logs.kernel import BoolArray, FloatArray
 from logs.scenario import AgentKind, Scenario
 from logs.trace import Mode, Trace
 from metrics.metric import MAX, MIN, Direction, Measured, Metric, Reduction, Series, time_below, time_outside
@@ -72,13 +72,8 @@ def required_gap(v: FloatArray) -> FloatArray:
     return np.maximum(v * np.interp(v, R157_MPS, R157_S), R157_LEAST_M)
 
 
-def _thw(ahead: Ahead, scenario: Scenario) -> FloatArray:
-    return np.divide(ahead.gap, ahead.v, out=np.full(len(ahead.t), np.nan), where=ahead.v > STANDING_MPS)
-
-
-def _drac(ahead: Ahead, scenario: Scenario) -> FloatArray:
-    closing = np.maximum(ahead.v - ahead.u, 0.0)
-    return np.divide(closing**2, 2.0 * ahead.gap, out=np.full(len(ahead.t), np.nan), where=ahead.gap > 0.0)
+def _quotient(above: FloatArray, below: FloatArray, known: BoolArray) -> FloatArray:
+    return np.divide(above, below, out=np.full(len(above), np.nan), where=known)
 
 
 def _required(ahead: Ahead, scenario: Scenario) -> FloatArray:
@@ -123,13 +118,17 @@ FOLLOWING = (
         "Gap along the ego's path from its front bumper to the lead.", "s_lead - s_front", _CATALOGUE,
     ),
     _metric(
-        "thw", "s", "higher", _thw, (MIN, time_below(SHORT_THW_S, "time_below_900ms")),
+        "thw", "s", "higher",
+        lambda ahead, scenario: _quotient(ahead.gap, ahead.v, ahead.v > STANDING_MPS),
+        (MIN, time_below(SHORT_THW_S, "time_below_900ms")),
         "Time headway: until the ego's front is where the lead's rear is now, at constant speed.", "gap / v",
         _CATALOGUE, f"bound {SHORT_THW_S:g} s (fined in Germany)",
         needs="a lead in the path of an ego that drives", missing=f"{_ALONE} while it drove",
     ),
     _metric(
-        "drac", "m/s2", "lower", _drac, (MAX,), "Deceleration rate to avoid a crash with a lead that holds its speed.",
+        "drac", "m/s2", "lower",
+        lambda ahead, scenario: _quotient(np.maximum(ahead.v - ahead.u, 0.0) ** 2, 2.0 * ahead.gap, ahead.gap > 0.0),
+        (MAX,), "Deceleration rate to avoid a crash with a lead that holds its speed.",
         "(v - u)^2 / (2 gap) where v > u, else 0", _CATALOGUE,
     ),
     _metric(

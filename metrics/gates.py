@@ -7,7 +7,7 @@ mode = "closed"                     # optional: "open" or "closed"; without it, 
 tags = ["pedestrian"]               # optional: only logs that have all of these
 planner = "dp_qp"                   # optional; without it every planner, oracles excepted
 over = "worst"                      # what must hold it: every log ("worst", default), or over the logs together "mean",
-                                    # "median", "sum"; "pass_share": a share of the logs (`metrics.over_logs`)
+                                    # "median", "sum"; "pass_share": a share of the logs (`metrics.judge`)
 min_share = 0.95                    # with "pass_share": at least so many of the logs must hold it; lost logs do not
 confident = true                    # and the lower end of the share's 95 % interval too; default: false
 families = ["everyday/cut_in"]      # optional: only logs of one of these families

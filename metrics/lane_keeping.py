@@ -18,10 +18,9 @@ from __future__ import annotations
 import numpy as np
 
 from logs.kernel import FloatArray
-from logs.road import RoadSource
 from logs.scenario import Scenario
 from logs.trace import Mode, Trace
-from metrics.lanes import Under, drivable_lanes, under
+from metrics.lanes import Under, mapped_lanes, under
 from metrics.metric import (
     MAX,
     MAX_ABS,
@@ -48,29 +47,25 @@ NO_LANES = Unavailable("the log has no lanes")
 
 
 @once
-def _lanes(trace: Trace, scenario: Scenario) -> Under | Unavailable:
-    lanes = drivable_lanes(scenario.road)
-    if scenario.road.source is RoadSource.DRIVEN_PATH or lanes is None:
-        return NO_LANES
-    return under(lanes, *ego_boxes(trace.ego, scenario)[:3])
+def _under(trace: Trace, scenario: Scenario) -> Under | None:
+    lanes = mapped_lanes(scenario.road)
+    return None if lanes is None else under(lanes, *ego_boxes(trace.ego, scenario)[:3])
 
 
 def _wrong_way(trace: Trace, scenario: Scenario) -> Measured:
-    found = _lanes(trace, scenario)
-    if isinstance(found, Unavailable):
-        return found
+    if (found := _under(trace, scenario)) is None:
+        return NO_LANES
     against = np.maximum(-trace.ego.v * found.along, 0.0)  # (1); the reference point moves along the heading
     return Series(trace.ego.t, against, missing=_NEVER)
 
 
 def _lane_keeping(trace: Trace, scenario: Scenario) -> Measured:
-    found = _lanes(trace, scenario)
-    return found if isinstance(found, Unavailable) else Series(trace.ego.t, found.left, missing=_NEVER)
+    found = _under(trace, scenario)
+    return NO_LANES if found is None else Series(trace.ego.t, found.left, missing=_NEVER)
 
 
 def _lane_line(trace: Trace, scenario: Scenario) -> Measured:
-    lanes = drivable_lanes(scenario.road)
-    if scenario.road.source is RoadSource.DRIVEN_PATH or lanes is None:
+    if (lanes := mapped_lanes(scenario.road)) is None:
         return NO_LANES
     ego, steer = grid_of(trace), reasons(trace, scenario).steer
     found = under(lanes, *ego_boxes(ego, scenario)[:3])
@@ -92,17 +87,13 @@ def worst_metres(series: Series) -> tuple[float, int]:
     return float(within[step]), step
 
 
-def _distance(series: Series) -> tuple[float, int]:
-    return float(_metres(series).sum()), -1
-
-
 _NEVER = "the ego is never on a lane, or only where lanes cross"
 _NEEDS = "lanes in the log"
 WRONG_WAY = Metric(
     "wrong_way", "m/s", "lower", (Mode.CLOSED,), _wrong_way,
     (
         Reduction("worst_1s", worst_metres, unit="m", empty=0.0),
-        Reduction("distance", _distance, unit="m", empty=0.0),
+        Reduction("distance", lambda series: (float(_metres(series).sum()), -1), unit="m", empty=0.0),
         time_above(AGAINST_MPS, "time"), worst_episode(-AGAINST_MPS, AGAINST_MPS),
     ),
     "Speed against the direction of the lane under the ego's centre; worst_1s are the most metres within 1 s.",

@@ -1,8 +1,4 @@
-"""Deadline misses: plans that took longer than they may. Wall clock, so not in the table of metrics.
-
-`metrics.parquet` is the same byte for byte for the same input; how long a plan takes is not, and is in
-`timings.parquet`. What is counted here is for a table of its own, and its gate for the run's summary only.
-"""
+"""Deadline misses: plans that took longer than they may. Wall clock, so not in the table of metrics."""
 
 from __future__ import annotations
 
@@ -38,8 +34,7 @@ def deadline_misses(timings: pd.DataFrame, deadline_s: float) -> pd.DataFrame:
     if not deadline_s > 0.0:
         raise ValueError(f"a deadline of {deadline_s} s")
     rows = []
-    total = timings[timings["stage"] == "total"]
-    for drive, plans in total.groupby(_DRIVE, sort=False, observed=True):
+    for drive, plans in timings[timings["stage"] == "total"].groupby(_DRIVE, sort=False, observed=True):
         late, worst = plans["seconds"] > deadline_s, plans.iloc[int(plans["seconds"].argmax())]
         rows.append((*drive, len(plans), int(late.sum()), float(late.mean()), worst["seconds"], worst["t_s"]))
     return pd.DataFrame(rows, columns=list(COLUMNS))

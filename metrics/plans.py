@@ -8,6 +8,7 @@ from logs.frame_store import light, loaded
 from logs.kernel import FloatArray, IntArray, kernel
 from logs.states import TRAJECTORY_COLUMNS
 from logs.trace import Trace
+from metrics.metric import Unavailable
 from metrics.once import last
 
 STEP_S = 0.1
@@ -16,6 +17,7 @@ SHORT_M = 5.0
 """Plans that are no longer than this in their first 4 s are those of a standing ego (NAVSIM's bound for progress)."""
 PIECE = 1000
 """So many plans are laid out at a time: all those of an hour are 80 MB."""
+NO_PLANS = Unavailable("the drive has no plans")
 
 
 def frame_times(trace: Trace) -> FloatArray:

@@ -51,7 +51,6 @@ from logs.shapes import corners, overlap, time_to_contact
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
 from metrics import comfort, consistency
-from metrics.exposure import share_beyond, share_while
 from metrics.lanes import keeps_lane
 from metrics.metric import (
     HAVING,
@@ -66,10 +65,12 @@ from metrics.metric import (
     Reduction,
     Series,
     Unavailable,
+    share_beyond,
+    share_while,
 )
 from metrics.once import once
 from metrics.others import named, some_at, there_between
-from metrics.plans import SHORT_M, STEP_S, frame_times, plan_columns, plan_way, times_after
+from metrics.plans import NO_PLANS, SHORT_M, STEP_S, frame_times, plan_columns, plan_way, times_after
 from metrics.safety import (
     CLOSE_S,
     KINDS,
@@ -90,7 +91,6 @@ PIECE = 500
 _COLUMNS = ("x", "y", "yaw", "v", "a", "kappa")
 _NOT_DRIVEN = f"no plan of more than {SHORT_M:g} m is followed by {PLAN_HORIZON_S:g} s of driving"
 _NO_CONTACT = f"no plan has a contact at fault within {HORIZON_S:g} s"
-_NO_PLANS = Unavailable("the drive has no plans")
 _NO_DRIVE = Unavailable("the log holds one ego state only: there is no drive to plan along")
 STOOD, FRONT, SIDE = (
     KINDS.index(kind) for kind in (ContactKind.STOPPED_TRACK, ContactKind.ACTIVE_FRONT, ContactKind.LATERAL)
@@ -234,7 +234,7 @@ def _lack(trace: Trace, scenario: Scenario) -> Unavailable | None:
     """Why plans cannot be followed; None where they can."""
     if trace.mode is Mode.OPEN and len(scenario.ego) < 2:
         return _NO_DRIVE
-    return None if trace.frames else _NO_PLANS
+    return None if trace.frames else NO_PLANS
 
 
 def _followed_by(
@@ -248,7 +248,7 @@ def _series(
     name: str, trace: Trace, scenario: Scenario, *, about: str = "", missing: str = "no plan has a second state"
 ) -> Measured:
     if not trace.frames:
-        return _NO_PLANS
+        return NO_PLANS
     found = _judged(trace, scenario)
     labels = _labels(trace, found[about]) if about else ()
     return Series(frame_times(trace), found[name], labels, missing)
@@ -261,7 +261,7 @@ def _off_road(trace: Trace, scenario: Scenario) -> Measured:
 
 def _comfort(trace: Trace, scenario: Scenario) -> Measured:
     if not trace.frames:
-        return _NO_PLANS
+        return NO_PLANS
     found, names = _judged(trace, scenario), tuple(comfort.NUPLAN_BOUNDS)
     return Series(frame_times(trace), found["comfort"], tuple(names[q] for q in found["signal"].tolist()))
 

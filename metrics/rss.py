@@ -31,8 +31,7 @@ from logs.kernel import BoolArray, FloatArray, kernel
 from logs.scenario import AgentKind, Scenario
 from logs.shapes import corners
 from logs.trace import Mode, Trace
-from metrics.exposure import share_while
-from metrics.metric import MIN, Measured, Metric, Series, Unavailable, time_below, time_outside
+from metrics.metric import MIN, Measured, Metric, Series, Unavailable, share_while, time_below, time_outside
 from metrics.others import each, name_of
 from metrics.path_ahead import GRID_S, LOOK_M, STANDING_MPS, arc_point, extent, grid_of, within_look
 

@@ -28,20 +28,11 @@ from logs.rules import RED, Crosswalk, StopLine
 from logs.scenario import AgentKind, Scenario
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
-from metrics.metric import COUNT, Measured, Metric, Series, Unavailable
+from metrics.metric import COUNT, Measured, Metric, Unavailable, counted
 from metrics.others import ego_boxes, name_of, some_at, there_between
 
 REST_MPS, BEFORE_M = 0.1, 5.0
 HALF_LANE_M = 1.75
-
-
-def _counted(trace: Trace, events: list[tuple[int, str]]) -> Series:
-    """A count per step of `trace.ego`, with what it is about."""
-    counts, labels = np.zeros(len(trace.ego)), [""] * len(trace.ego)
-    for step, label in events:
-        counts[step] += 1.0
-        labels[step] = "; ".join(filter(None, [labels[step], label]))
-    return Series(trace.ego.t, counts, tuple(labels))
 
 
 # stop lines -------------------------------------------------------------------------------------------------------
@@ -62,7 +53,7 @@ def _red_light(trace: Trace, scenario: Scenario) -> Measured:
                 events.append(
                     (step, f"stop line {line.id}: light {light.id} {light.at(now).value} since {since:.1f} s")
                 )
-    return _counted(trace, events)
+    return counted(trace.ego.t, events)
 
 
 def _stop_sign(trace: Trace, scenario: Scenario) -> Measured:
@@ -77,7 +68,7 @@ def _stop_sign(trace: Trace, scenario: Scenario) -> Measured:
             slowest = float(np.abs(trace.ego.v[far[-1] + 1 : step + 1]).min()) if len(far) else 0.0
             if slowest >= REST_MPS:
                 events.append((step, f"stop line {line.id}: {slowest:.1f} m/s at the slowest"))
-    return _counted(trace, events)
+    return counted(trace.ego.t, events)
 
 
 def _ahead(line: StopLine, ego: Trajectory, scenario: Scenario) -> tuple[FloatArray, FloatArray]:
@@ -138,7 +129,7 @@ def _crosswalk(trace: Trace, scenario: Scenario) -> Measured:
                 on &= others.there[row] & (np.abs(trace.ego.v[first : last + 1]) > REST_MPS)
                 if on.any():
                     events.append((first + int(np.argmax(on)), f"crosswalk {crosswalk.id}: {name_of(trace.agents, i)}"))
-    return _counted(trace, events)
+    return counted(trace.ego.t, events)
 
 
 def _passages(crosswalk: Crosswalk, ego: FloatArray, size: FloatArray) -> Iterator[tuple[int, int]]:

@@ -16,8 +16,11 @@ first one is ours):
     LATERAL         any other                          at fault unless the ego keeps its lane (`lanes.keeps_lane`)
 
 Time to collision: both boxes go on with their velocity vectors and headings (`shapes.time_to_contact`), up to 10 s;
-agents behind (as above) and a standing ego (<= 0.005 m/s) have none. At a collision at fault it is 0, with anyone. Its
-times below a bound count the last step too (`exposure`).
+agents behind (as above) and a standing ego (<= 0.005 m/s) have none. At a collision at fault it is 0, with anyone. Each
+step, the last too, holds for w_k (`metric.holds`):
+
+(1) TET = sum of w_k [TTC_k < tau],  time exposed, s;  TIT = sum of w_k (tau - TTC_k) [TTC_k <= tau],  time integrated,
+    s2: the published variant; the other one integrates 1 / TTC - 1 / tau and is infinite at a contact
 
 Off the road: the greatest distance of the ego's outline to the drivable lanes, at points at most `OUTLINE_M` apart, its
 corners among them: a kerb's corner that reaches into the side of a turning car is seen, and what is within the box has
@@ -42,15 +45,30 @@ from logs.states import Trajectory
 from logs.trace import Mode, Trace
 from logs.vehicle import VehicleParameters
 from metrics.cut_in import forces_hit
-from metrics.exposure import TAU_S, integrated_below
 from metrics.lanes import LaneArrays, drivable_lanes, keeps_lane, off_lanes
-from metrics.metric import COUNT, MAX, MIN, Measured, Metric, Series, Unavailable, time_above, time_below
+from metrics.metric import (
+    COUNT,
+    MAX,
+    MIN,
+    Measured,
+    Metric,
+    Reduction,
+    Series,
+    Unavailable,
+    counted,
+    first_of,
+    holds,
+    time_above,
+    time_below,
+)
 from metrics.once import once
 from metrics.others import ego_boxes, name_of, named, pieces, some_at
 
 STANDING_MPS = 0.05
 TTC_HORIZON_S, CLOSE_S = 10.0, 0.95
 """Horizon of the time to collision, and nuPlan's bound on it."""
+TAU_S = 1.5
+"""Critical TTC of the criticality metrics catalogue (Westhofen et al., Arch. Comput. Methods Eng. 30, 2023)."""
 OFF_ROAD_M = 0.3
 OUTLINE_M = 0.25
 """Between two points the outline is at most half of this further off than they are, m."""
@@ -246,15 +264,15 @@ def _labels(trace: Trace, agents: IntArray) -> tuple[str, ...]:
 
 
 def _collision(trace: Trace, scenario: Scenario, *, fault_only: bool) -> Measured:
-    counts, labels = np.zeros(len(trace.ego)), [""] * len(trace.ego)
-    for contact in contacts(trace, scenario):
-        if contact.at_fault or not fault_only:
-            counts[contact.step] += 1.0
-            fault = "at fault" if contact.at_fault else "not at fault"
-            what = f"{name_of(trace.agents, contact.agent)}: {contact.kind.value}, {fault}"
-            what = f"{what}, {impact_speed(contact, trace, scenario):.1f} m/s"
-            labels[contact.step] = "; ".join(filter(None, [labels[contact.step], what]))
-    return Series(trace.ego.t, counts, tuple(labels))
+    met = (contact for contact in contacts(trace, scenario) if contact.at_fault or not fault_only)
+    events = [(c.step, f"{label(c, trace)}, {impact_speed(c, trace, scenario):.1f} m/s") for c in met]
+    return counted(trace.ego.t, events)
+
+
+def label(contact: Contact, trace: Trace) -> str:
+    """Who, how and whose fault: "car 12: from behind, not at fault"."""
+    fault = "at fault" if contact.at_fault else "not at fault"
+    return f"{name_of(trace.agents, contact.agent)}: {contact.kind.value}, {fault}"
 
 
 def _wanted(trace: Trace, vulnerable_only: bool) -> BoolArray:
@@ -339,6 +357,12 @@ def _ttc(trace: Trace, scenario: Scenario, *, vulnerable_only: bool) -> Measured
     return Series(trace.ego.t, least, _labels(trace, whom), nothing)
 
 
+def _integrated(series: Series) -> tuple[float, int]:
+    """TIT (1)."""
+    flags = series.known & (series.value <= TAU_S)
+    return float(np.sum((holds(series.t) * (TAU_S - series.value))[flags])), first_of(flags)
+
+
 def known_lanes(scenario: Scenario) -> LaneArrays | Unavailable:
     """The lanes that a car may drive on, where the log says where they are."""
     if scenario.road.source is RoadSource.DRIVEN_PATH:
@@ -347,8 +371,7 @@ def known_lanes(scenario: Scenario) -> LaneArrays | Unavailable:
 
 
 def _off_road(trace: Trace, scenario: Scenario) -> Measured:
-    lanes = known_lanes(scenario)
-    if isinstance(lanes, Unavailable):
+    if isinstance(lanes := known_lanes(scenario), Unavailable):
         return lanes
     return Series(trace.ego.t, box_off_lanes(lanes, ego_boxes(trace.ego, scenario), scenario.vehicle))
 
@@ -366,16 +389,11 @@ def box_off_lanes(
     """
     x, y, yaw = box[:3]
     worst, c, s = np.zeros(len(x)), np.cos(yaw), np.sin(yaw)
-    for ahead, left in _outline(vehicle.length, vehicle.width, step).tolist():
+    ends = 0.5 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1], [1, 1]]) * [vehicle.length, vehicle.width]
+    sides = [np.linspace(a, b, max(ceil(np.hypot(*(b - a)) / step), 1), False) for a, b in pairwise(ends)]
+    for ahead, left in np.vstack(sides).tolist():
         worst = np.maximum(worst, off_lanes(lanes, x + ahead * c - left * s, y + ahead * s + left * c))
     return worst
-
-
-def _outline(length: float, width: float, step: float) -> FloatArray:
-    """Points `(n, 2)` on the outline of a box about its centre, m: the four corners, and between them equal steps."""
-    ends = 0.5 * np.array([[length, width], [-length, width], [-length, -width], [length, -width]])
-    sides = [np.linspace(a, b, max(ceil(np.hypot(*(b - a)) / step), 1), False) for a, b in pairwise((*ends, ends[0]))]
-    return np.vstack(sides)
 
 
 _NUPLAN = "nuPlan devkit e9241677, no_ego_at_fault_collisions"
@@ -422,7 +440,7 @@ PASSING_ROOM = Metric(
     parameters=(f"going away: {LEAVING_MPS} m/s",), needs="a pedestrian or rider",
 )  # fmt: skip
 _TTC_TIMES = (MIN, time_below(CLOSE_S, "time_below_950ms"), time_below(TAU_S, "time_below_1500ms"),
-              integrated_below(TAU_S, "integrated_1500ms"))  # fmt: skip
+              Reduction("integrated_1500ms", _integrated, "s2", "lower", 0.0))  # fmt: skip
 _TTC_HOW = (
     f"horizon {TTC_HORIZON_S:g} s", "bounds 0.95 s and 1.5 s (tau of TET and TIT)",
     "not to who is more than 150 degrees off the heading", "0 at a collision at fault",

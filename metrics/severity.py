@@ -18,8 +18,7 @@ import numpy as np
 from logs.scenario import AgentKind, Scenario
 from logs.trace import Mode, Trace
 from metrics.metric import MAX, Measured, Metric, Series
-from metrics.others import name_of
-from metrics.safety import ContactKind, contacts, impact_speed
+from metrics.safety import ContactKind, contacts, impact_speed, label
 
 PERSON_KG = 75.0
 """A driver: Regulation (EU) No 1230/2012."""
@@ -48,8 +47,7 @@ def _severity(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
         change = delta_v(speed, scenario.vehicle.mass, mass)
         if contact.kind is not ContactKind.FROM_START and not found[1, k] >= change:
             found[:, k] = speed, change
-            fault = "at fault" if contact.at_fault else "not at fault"
-            labels[k] = f"{name_of(trace.agents, contact.agent)}: {contact.kind.value}, {fault}"
+            labels[k] = label(contact, trace)
     return {
         part: Series(trace.ego.t, value, tuple(labels), "no collision")
         for part, value in zip(PARTS, found, strict=True)

@@ -10,9 +10,8 @@ With passed = logs that the gates pass, n = logs of the group, p = passed / n, z
 (Wilson, J. Am. Stat. Assoc. 22 (1927) 209; recommended for few trials by Brown, Cai, DasGupta, Statistical Science 16
 (2001) 101). It takes the logs as drawn at random from those that the group stands for.
 
-n counts every log that was asked for. A log that could not be evaluated counts against the planner, as a failed one
-does. An inconclusive log is no pass either, and is counted apart: a reader may want to know how the share stands
-without it.
+n counts every log that was asked for: one that could not be evaluated counts against the planner, as a failed one does;
+an inconclusive log is no pass either, and is counted apart.
 """
 
 from __future__ import annotations
@@ -29,7 +28,6 @@ from logs.kernel import FloatArray
 
 Z = 1.959963984540054
 """Of the normal distribution: 95 % lie within +-Z."""
-
 PASS = "pass"
 """Name of the rows about the share of logs that pass; it is no metric."""
 SUITE = "suite"
@@ -184,9 +182,8 @@ def _reduced(columns: pd.DataFrame, value: FloatArray, logs: np.ndarray) -> pd.D
 
 
 def _typed(rows: pd.DataFrame) -> pd.DataFrame:
-    numbers = ("mean", "median", "worst", "total", "low", "high", "passed", "failed", "inconclusive")
-    counts = ("logs", "available", "missing")
-    kinds = dict.fromkeys(numbers, "float64") | dict.fromkeys(counts, "int64")
+    kinds = dict.fromkeys(("logs", "available", "missing"), "int64") | dict.fromkeys(COLUMNS[10:13], "float64")
+    kinds |= dict.fromkeys(COLUMNS[14:], "float64")
     words: dict[str, Any] = {name: rows[name].fillna("").astype(str) for name in COLUMNS if name not in kinds}
     return rows.assign(**words).astype(kinds)
 

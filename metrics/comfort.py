@@ -38,22 +38,8 @@ from logs.kernel import FloatArray
 from logs.scenario import Scenario
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
-from metrics.metric import (
-    MAX,
-    MAX_ABS,
-    MIN,
-    P95,
-    P99,
-    Measure,
-    Measured,
-    Metric,
-    Reduction,
-    Series,
-    Unavailable,
-    changed,
-    time_outside,
-    worst_episode,
-)
+from metrics import metric
+from metrics.metric import Measure, Measured, Metric, Reduction, Series, Unavailable
 from metrics.safety import TTC
 
 WINDOW_S = 0.1
@@ -84,7 +70,7 @@ def jerk(drive: Trajectory) -> FloatArray:
     """(3), `(n,)`, m/s3."""
     c, s, aside = np.cos(drive.yaw), np.sin(drive.yaw), lat_accel(drive)
     x, y = drive.a * c - aside * s, drive.a * s + aside * c
-    return np.hypot(changed(drive.t, x, WINDOW_S), changed(drive.t, y, WINDOW_S))
+    return np.hypot(metric.changed(drive.t, x, WINDOW_S), metric.changed(drive.t, y, WINDOW_S))
 
 
 def yaw_accel(drive: Trajectory) -> FloatArray:
@@ -113,7 +99,7 @@ def r79_jerk(drive: Trajectory) -> FloatArray:
     sections = butter(R79_ORDER, R79_CUT_HZ, fs=1.0 / R79_STEP_S, output="sos")
     lateral = lat_accel(drive)
     low, _ = sosfilt(sections, lateral, zi=sosfilt_zi(sections) * lateral[0])  # (8)
-    return changed(drive.t, np.asarray(low), R79_MEAN_S)  # (9)
+    return metric.changed(drive.t, np.asarray(low), R79_MEAN_S)  # (9)
 
 
 def _driven(signal: Signal, trace: Trace, scenario: Scenario) -> Measured:
@@ -151,8 +137,8 @@ def _bounded(
     asked = f"bounds {low:g} to {high:g} {unit}" if low != -high else f"bound {high:g} {unit}"
     return Metric(
         name, unit, "lower", (Mode.CLOSED,), measure,
-        (MAX_ABS, *more, time_outside(low, high, "time_out_of_bounds"), worst_episode(low, high)), meaning, source,
-        version, formula=formula, parameters=(asked, *parameters), needs=needs,
+        (metric.MAX_ABS, *more, metric.time_outside(low, high, "time_out_of_bounds"), metric.worst_episode(low, high)),
+        meaning, source, version, formula=formula, parameters=(asked, *parameters), needs=needs,
     )  # fmt: skip
 
 
@@ -161,7 +147,7 @@ def _state(
     source: str = "bounds: nuPlan devkit e9241677, ego_is_comfortable", more: tuple[Reduction, ...] = (), *,
     caused: bool = False,
 ) -> Metric:  # fmt: skip
-    window, reductions = (f"W {WINDOW_S} s",), (P95, P99, *more)
+    window, reductions = (f"W {WINDOW_S} s",), (metric.P95, metric.P99, *more)
     measure = partial(_with_cause, signal, bounds) if caused else partial(_driven, signal)
     return _bounded(
         name, measure, bounds, reductions, meaning, formula, source, window, f"a drive of {WINDOW_S} s", 2,
@@ -171,17 +157,17 @@ def _state(
 LON_ACCEL = _state(
     "lon_accel", lambda drive: drive.a, NUPLAN_BOUNDS["lon_accel"],
     "Acceleration along the body; min is the hardest braking.", "a, the state's",
-    more=(replace(MIN, direction="higher"), MAX), caused=True,
+    more=(replace(metric.MIN, direction="higher"), metric.MAX), caused=True,
 )  # fmt: skip
 LAT_ACCEL = _state(
     "lat_accel", lat_accel, NUPLAN_BOUNDS["lat_accel"], "Lateral acceleration at the rear axle.", "v^2 kappa"
 )
 LON_JERK_STATE = _state(
-    "lon_jerk_state", lambda drive: changed(drive.t, drive.a, WINDOW_S), NUPLAN_BOUNDS["lon_jerk"],
+    "lon_jerk_state", lambda drive: metric.changed(drive.t, drive.a, WINDOW_S), NUPLAN_BOUNDS["lon_jerk"],
     "Backward difference of the state's acceleration.", "(a(t) - a(t - W)) / W", caused=True,
 )  # fmt: skip
 LAT_JERK_STATE = _state(
-    "lat_jerk_state", lambda drive: changed(drive.t, lat_accel(drive), WINDOW_S),
+    "lat_jerk_state", lambda drive: metric.changed(drive.t, lat_accel(drive), WINDOW_S),
     ("m/s3", -R79_JERK_MPS3, R79_JERK_MPS3),
     "Backward difference of the lateral acceleration.", "(v^2 kappa (t) - v^2 kappa (t - W)) / W",
     "bound: UN R79, there on a filtered signal",
@@ -192,7 +178,7 @@ JERK_STATE = _state(
     "bounds: nuPlan devkit e9241677, ego_is_comfortable, which takes d|A|/dt",
 )  # fmt: skip
 YAW_RATE = _state(
-    "yaw_rate", lambda drive: changed(drive.t, drive.yaw, WINDOW_S), NUPLAN_BOUNDS["yaw_rate"],
+    "yaw_rate", lambda drive: metric.changed(drive.t, drive.yaw, WINDOW_S), NUPLAN_BOUNDS["yaw_rate"],
     "Backward difference of the heading.", "(yaw(t) - yaw(t - W)) / W",
 )  # fmt: skip
 YAW_ACCEL = _state(

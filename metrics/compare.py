@@ -14,13 +14,12 @@ Over a group of n logs with a value in both runs:
     drawn together (paired percentile bootstrap: Efron and Tibshirani, An Introduction to the Bootstrap, 1993, ch. 13)
 (6) significant = 0 is outside of (5), and n >= MIN_SIGNIFICANT
 
-The draws are seeded: equal tables give equal intervals. The percentile method has bounds also where most differences
-are exactly 0; BCa does not. With fewer logs than MIN_PAIRS there is no interval.
+The draws are seeded: equal tables give equal intervals. The percentile method, unlike BCa, has bounds where most
+differences are exactly 0.
 
-Both tables are judged by the same gates and the candidate's reference drives, so that a flip is caused by the drive and
-not by another gate file or reference driver. A flip is marginal, and no rule counts it, where the value moved by no
-more than the noise of (1), or where the baseline's ensemble found the drive fragile. The candidate's own ensemble does
-not excuse it.
+Both tables are judged by the same gates and the candidate's reference drives. A flip is marginal, and no rule
+(`metrics.compare_rules`) counts it, where the value moved by no more than the noise of (1), or where the baseline's
+ensemble found the drive fragile.
 """
 
 from __future__ import annotations
@@ -180,16 +179,13 @@ def compare(baseline: Side, candidate: Side, gates: Gates, also: Collection[str]
         gates: Gates by which both are judged.
         also: Metrics that rules name beside the gates: they come before others among the regressions.
     """
-    before, now = (
-        dict(zip(side.table["metric"], side.table["version"], strict=True)) for side in (baseline, candidate)
-    )
+    tables = baseline.table, candidate.table
+    before, now = (dict(zip(table["metric"], table["version"], strict=True)) for table in tables)
     changed = {name: f"{before[name]} -> {now[name]}" for name in before if name in now and before[name] != now[name]}
     alone = set(baseline.driven["metric"]) ^ set(candidate.driven["metric"])
     valued = set(baseline.driven.loc[baseline.driven["available"].astype(bool), "metric"])
-    ensemble = baseline.table[
-        (baseline.table["metric"] == f"{ENSEMBLE.name}.fragile") & (baseline.table["value"] > 0.0)
-    ]
-    fragile = pd.MultiIndex.from_frame(ensemble[DRIVE])
+    ensemble = baseline.table[baseline.table["metric"] == f"{ENSEMBLE.name}.fragile"]
+    fragile = pd.MultiIndex.from_frame(ensemble.loc[ensemble["value"] > 0.0, DRIVE])
     bounds = dict.fromkeys(also, 0.0)
     for gate in gates.gates:
         bounds[gate.metric] = max(bounds.get(gate.metric, 0.0), abs(gate.min or 0.0), abs(gate.max or 0.0))
@@ -198,17 +194,12 @@ def compare(baseline: Side, candidate: Side, gates: Gates, also: Collection[str]
     flips = _flips(baseline, candidate, gates, changed.keys() | alone)
     flips["marginal"] |= pd.MultiIndex.from_frame(flips[DRIVE]).isin(fragile)
     return Comparison(
-        baseline.label,
-        candidate.label,
-        tuple(_differences(baseline, candidate, changed)),
-        _missing(baseline, candidate),
-        _missing(candidate, baseline),
-        pairs,
-        flips,
+        baseline.label, candidate.label, tuple(_differences(baseline, candidate, changed)),
+        _missing(baseline, candidate), _missing(candidate, baseline), pairs, flips,
         group_deltas(pairs, candidate.labels),
         not_compared=tuple(sorted(bounds.keys() & (changed.keys() | alone & valued))),
         other_logs=tuple(_other(baseline, candidate, "sha256")),
-    )
+    )  # fmt: skip
 
 
 def _missing(one: Side, two: Side) -> tuple[str, ...]:
@@ -323,12 +314,7 @@ def _other(baseline: Side, candidate: Side, column: str) -> list[str]:
 
 
 def group_deltas(pairs: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.DataFrame:
-    """`GROUP_COLUMNS`: rows by group of logs (the suite, parts of it with several logs), planner, mode and metric.
-
-    Args:
-        pairs: Rows of `PAIR_COLUMNS`.
-        labels: What each log belongs to.
-    """
+    """`GROUP_COLUMNS` of `PAIR_COLUMNS`: rows by group of logs (the suite, parts with several logs) and score."""
     known, parts = pairs[pairs["delta"].notna()], []
     there = {log: labels[log] for log in labels if log in set(known["log"])}
     for (kind, name), logs in membership(there).items() if there else ():

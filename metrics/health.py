@@ -1,7 +1,6 @@
 """What is wrong with a log, before anything is driven: what, who, when, how much, and its effect on which metric.
 
-A log with findings is evaluated as any other; only a phantom changes what is counted (`metrics.phantoms`). A new check
-is one function in `CHECKS`.
+A log with findings is evaluated as any other; only a phantom changes what is counted (`metrics.phantoms`).
 
 The ego, between samples k and k + 1, dt apart, d apart, with the speeds v and v':
 
@@ -39,6 +38,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from enum import Enum
+from itertools import takewhile
 from math import isfinite
 
 import numpy as np
@@ -116,22 +116,18 @@ class Kind(Enum):
 
     effect: str
 
-    PHANTOM = (
-        "phantom", "left out of contacts, gaps and times to collision meanwhile; a drive that meets one is marked"
-    )  # fmt: skip
+    PHANTOM = "phantom", "left out of contacts, gaps and times to collision meanwhile; a drive that meets one is marked"
     EGO_GAP = "ego gap", "plans are compared with an interpolated drive there"
     EGO_JUMP = (
-        "ego jump",
-        "open loop starts from states that were not driven; accuracy and comfort of the log are wrong there",
-    )
-    EGO_SPEED = (
-        "ego speed", "speed errors, comfort and the start of every plan rest on a speed that the positions deny"
+        "ego jump", "open loop starts from states that were not driven; accuracy and comfort of the log are wrong there"
     )  # fmt: skip
+    EGO_SPEED = "ego speed", "speed errors, comfort and the start of every plan rest on a speed that the positions deny"
     EGO_HEADING = "ego heading", "lateral errors, and every plan that starts there, rest on a wrong heading"
     AGENT_GAP = "flickering", "they are not in the scene in between, neither for planners nor for metrics"
     ID_SWITCH = (
-        "id switch", "one road user counts as two, who appear and vanish; following and encounters are cut in two"
-    )  # fmt: skip
+        "id switch",
+        "one road user counts as two, who appear and vanish; following and encounters are cut in two",
+    )
     TELEPORT = "teleport", "time to collision, predictions and contacts are wrong around the jump"
     AGENT_SPEED = "agent speed", "predictions, times to collision and RSS rest on a speed that the positions deny"
     HEADING_FLIP = "heading flip", "their box turns on the spot: contacts and predictions are wrong for a moment"
@@ -143,11 +139,8 @@ class Kind(Enum):
     LIGHT = "light without a lane", "no car is asked to stop at it: red lights run are not counted"
     TRAFFIC = "traffic not recorded", "gaps and contacts of what is driven then are no evidence of safety"
 
-    def __new__(cls, word: str, effect: str) -> Kind:
-        """The word is the value."""
-        kind = object.__new__(cls)
-        kind._value_, kind.effect = word, effect
-        return kind
+    def __init__(self, word: str, effect: str) -> None:
+        self._value_, self.effect = word, effect
 
 
 @dataclass(frozen=True, slots=True)
@@ -293,27 +286,25 @@ def _ways(t: FloatArray, x: FloatArray, y: FloatArray, v: FloatArray) -> tuple[F
 # other road users -------------------------------------------------------------------------------------------------
 
 
-def _of_track(
-    tracks: Tracks, i: int, kind: Kind, span: tuple[float, float], value: float, unit: str, text: str
-) -> Finding:
-    """A finding about a track; its text goes on after the agent's name."""
-    return Finding(kind, "agents", tracks.ids[i], *span, value, unit, f"{name_of(tracks, i)} {text}")
+def _of_track(tracks: Tracks, i: int, kind: Kind, a: float, b: float, value: float, unit: str, text: str) -> Finding:
+    """A finding about a track from a to b, s; its text goes on after the agent's name."""
+    return Finding(kind, "agents", tracks.ids[i], a, b, value, unit, f"{name_of(tracks, i)} {text}")
 
 
-def _moving(tracks: Tracks) -> Iterator[tuple[int, slice]]:
-    """Index and samples of each track that is not static."""
-    return ((i, tracks.samples(i)) for i in np.flatnonzero(~tracks.static).tolist())
+def _moving(tracks: Tracks) -> Iterator[tuple[int, slice, FloatArray]]:
+    """Index, samples and their times of each track that is not static."""
+    found = ((i, tracks.samples(i)) for i in np.flatnonzero(~tracks.static).tolist())
+    return ((i, mine, tracks.t[mine]) for i, mine in found)
 
 
 def flickering(scenario: Scenario) -> Iterator[Finding]:
     """(6), one for each track that has gaps."""
     tracks = scenario.tracks
-    for i, mine in _moving(tracks):
-        t, holes = tracks.t[mine], np.flatnonzero(tracks.gap_after[mine])
-        if len(holes):
+    for i, mine, t in _moving(tracks):
+        if len(holes := np.flatnonzero(tracks.gap_after[mine])):
             times = "once" if len(holes) == 1 else f"{len(holes)} times"
             text = f"is lost {times}, {float((t[holes + 1] - t[holes]).sum()):.1f} s together"
-            yield _of_track(tracks, i, Kind.AGENT_GAP, (t[holes[0]], t[holes[-1] + 1]), len(holes), "1", text)
+            yield _of_track(tracks, i, Kind.AGENT_GAP, t[holes[0]], t[holes[-1] + 1], len(holes), "1", text)
 
 
 def id_switches(scenario: Scenario) -> Iterator[Finding]:
@@ -333,14 +324,14 @@ def id_switches(scenario: Scenario) -> Iterator[Finding]:
         if same.any():
             j = int(np.argmin(np.where(same, away, np.inf)))
             text = f"goes on as {tracks.ids[others[j]]}, {away[j]:.1f} m from where it was expected"
-            yield _of_track(tracks, int(i), Kind.ID_SWITCH, (ends[i], begins[others[j]]), away[j], "m", text)
+            yield _of_track(tracks, int(i), Kind.ID_SWITCH, ends[i], begins[others[j]], away[j], "m", text)
 
 
 def teleports(scenario: Scenario) -> Iterator[Finding]:
     """(8), the largest of each track."""
     tracks = scenario.tracks
-    for i, mine in _moving(tracks):
-        t, v = tracks.t[mine], np.hypot(tracks.vx[mine], tracks.vy[mine])
+    for i, mine, t in _moving(tracks):
+        v = np.hypot(tracks.vx[mine], tracks.vy[mine])
         dt, d = np.diff(t), np.hypot(np.diff(tracks.x[mine]), np.diff(tracks.y[mine]))
         fastest = np.maximum(v[:-1], v[1:]) + 0.5 * BRAKING_MPS2 * dt
         excess = d - np.where(np.isfinite(fastest), np.minimum(fastest, FASTEST_MPS), FASTEST_MPS) * dt - JUMP_M
@@ -348,14 +339,14 @@ def teleports(scenario: Scenario) -> Iterator[Finding]:
             k, count = int(np.argmax(excess)), int((excess > 0.0).sum())
             more = f", and {count - 1} more times" if count > 1 else ""
             text = f"jumps {d[k]:.1f} m in {dt[k]:.2f} s{more}"
-            yield _of_track(tracks, i, Kind.TELEPORT, (t[k], t[k + 1]), d[k], "m", text)
+            yield _of_track(tracks, i, Kind.TELEPORT, t[k], t[k + 1], d[k], "m", text)
 
 
 def speeds(scenario: Scenario) -> Iterator[Finding]:
     """(9), (13)."""
     tracks, found, ratios = scenario.tracks, [], []
-    for i, mine in _moving(tracks):
-        t, v = tracks.t[mine], np.hypot(tracks.vx[mine], tracks.vy[mine])
+    for i, mine, t in _moving(tracks):
+        v = np.hypot(tracks.vx[mine], tracks.vy[mine])
         if len(v) < 2 or not np.isfinite(v).all():
             continue
         seen = ~tracks.gap_after[mine][:-1]
@@ -365,7 +356,7 @@ def speeds(scenario: Scenario) -> Iterator[Finding]:
         ratios.append(by_speed / way if way > 0.0 else np.inf)
         if abs(way - by_speed) > SPEED_OFF * max(way, by_speed):
             text = f"goes {way:.1f} m by positions, {by_speed:.1f} m by speed"
-            found.append(_of_track(tracks, i, Kind.AGENT_SPEED, (t[0], t[-1]), ratios[-1], "x", text))
+            found.append(_of_track(tracks, i, Kind.AGENT_SPEED, t[0], t[-1], ratios[-1], "x", text))
     for known, meaning in FACTORS.items():
         near = [ratio for ratio in ratios if abs(ratio / known - 1.0) < NEAR]
         if len(near) > max(1.0, MOST * len(ratios)):
@@ -378,15 +369,13 @@ def speeds(scenario: Scenario) -> Iterator[Finding]:
 def heading_flips(scenario: Scenario) -> Iterator[Finding]:
     """(10), the first of each track."""
     tracks = scenario.tracks
-    for i, mine in _moving(tracks):
-        if tracks.kinds[i] not in LONG:
-            continue
-        t, turn = tracks.t[mine], np.abs(wrapped(np.diff(tracks.yaw[mine])))
+    for i, mine, t in _moving(tracks):
+        turn = np.abs(wrapped(np.diff(tracks.yaw[mine])))
         flips = np.flatnonzero((turn > FLIP_RAD) & (np.diff(t) < FLIP_S))
-        if len(flips):
+        if len(flips) and tracks.kinds[i] in LONG:
             k, times = flips[0], "" if len(flips) == 1 else f", {len(flips)} times"
             text = f"turns by {turn[k]:.1f} rad in {t[k + 1] - t[k]:.2f} s{times}"
-            yield _of_track(tracks, i, Kind.HEADING_FLIP, (t[k], t[k + 1]), turn[k], "rad", text)
+            yield _of_track(tracks, i, Kind.HEADING_FLIP, t[k], t[k + 1], turn[k], "rad", text)
 
 
 def twins(scenario: Scenario) -> Iterator[Finding]:
@@ -405,18 +394,16 @@ def twins(scenario: Scenario) -> Iterator[Finding]:
         lasting = GRID_S * (len(steps) - 1)
         if lasting >= TWIN_S and not (tracks.static[i] and tracks.static[j]):
             text = f"and {name_of(tracks, j)} are in one place for {lasting:.1f} s"
-            yield _of_track(tracks, i, Kind.TWIN, (t[steps[0]], t[steps[-1]]), lasting, "s", text)
+            yield _of_track(tracks, i, Kind.TWIN, t[steps[0]], t[steps[-1]], lasting, "s", text)
 
 
 def _near(places: FloatArray) -> Iterator[tuple[int, int]]:
     """Pairs of places `(2, n)`, sorted by x, that are within `TWIN_M`."""
     x, y = places
     for i in range(len(x)):
-        j = i + 1
-        while j < len(x) and x[j] - x[i] < TWIN_M:
+        for j in takewhile(lambda j, i=i: x[j] - x[i] < TWIN_M, range(i + 1, len(x))):  # type: ignore[misc]
             if np.hypot(x[j] - x[i], y[j] - y[i]) < TWIN_M:
                 yield i, j
-            j += 1
 
 
 def unrecorded(scenario: Scenario) -> Iterator[Finding]:
@@ -437,7 +424,7 @@ def sizes(scenario: Scenario) -> Iterator[Finding]:
         odd = kind in LONG and (length > LARGEST_M[0] or width > LARGEST_M[1])
         if odd or (kind in SMALL and min(length, width) > PERSON_M):
             t = tracks.t[tracks.samples(i)]
-            yield _of_track(tracks, i, Kind.SIZE, (t[0], t[-1]), length, "m", f"is {length:.1f} m by {width:.1f} m")
+            yield _of_track(tracks, i, Kind.SIZE, t[0], t[-1], length, "m", f"is {length:.1f} m by {width:.1f} m")
 
 
 # map and lights ---------------------------------------------------------------------------------------------------

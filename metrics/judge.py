@@ -61,7 +61,7 @@ import pandas as pd
 
 from metrics import GROUPS
 from metrics.aggregate import LogLabels, wilson
-from metrics.gates import Gate, Gates, Outcome, meant
+from metrics.gates import Gate, Gates, Outcome, count_logs, meant, unit_of
 from metrics.marginal import marginal
 
 _NOTHING: Mapping[str, str] = MappingProxyType({})
@@ -414,14 +414,14 @@ def _verdict(gate: Gate, drive: tuple[str, str], logs: tuple[LogOutcome, ...], g
     without = Counter(log.why for log in found if log.outcome is Outcome.INCONCLUSIVE and log.evaluated)
     aside = ""  # what could not be judged
     if without:
-        ran = _logs(len(found) - len(missing))
+        ran = count_logs(len(found) - len(missing))
         aside = f"; no evidence in {without.total()} of {ran} ({without.most_common(1)[0][0]})"
     if missing:
-        aside += f"; {_logs(len(missing))} could not be evaluated ({missing[0].log}: {missing[0].why})"
+        aside += f"; {count_logs(len(missing))} could not be evaluated ({missing[0].log}: {missing[0].why})"
     if not judged:
         return replace(nothing, reason=f"{who}: nothing to judge{aside}")
     bad = min(judged, key=lambda log: gate.margin(log.value))
-    few = f"; {_logs(len(judged))} judged, {gate.min_logs} must be" if len(judged) < gate.min_logs else ""
+    few = f"; {count_logs(len(judged))} judged, {gate.min_logs} must be" if len(judged) < gate.min_logs else ""
     value, outcome, what = (_shared if gate.over == "pass_share" else _held)(gate, judged, bad, found)
     reason = f"{who}: {what}{few}{aside}"
     return replace(nothing, outcome=outcome, reason=reason, value=value, log=bad.log, time_s=bad.time_s)
@@ -434,7 +434,7 @@ def _held(
     reduce = _REDUCE.get(gate.over)
     value = reduce([log.value for log in judged]) if reduce else bad.value
     broken = sum(gate.margin(log.value) < 0.0 for log in judged)
-    share = f"; broken in {broken} of {_logs(len(judged))}" if gate.over == "worst" and broken else ""
+    share = f"; broken in {broken} of {count_logs(len(judged))}" if gate.over == "worst" and broken else ""
     unit, bound, outcome = unit_of(bad.unit), ", within bounds,", Outcome(gate.broken)
     if gate.min is not None and value < gate.min:
         bound = f", below {gate.min:g},"
@@ -466,7 +466,7 @@ def _shared(
     else:
         outcome, how = Outcome.PASS, f"at least {100.0 * least:g} %"
     interval = f"95 % interval {100.0 * low:.3g} to {100.0 * high:.3g} %"
-    share = f"holds in {passed} of {_logs(n)} ({100.0 * passed / n:.3g} %, {interval}), {how}"
+    share = f"holds in {passed} of {count_logs(n)} ({100.0 * passed / n:.3g} %, {interval}), {how}"
     worst = f"worst {bad.value:.4g}{unit_of(bad.unit)} {_place(bad)}"
     return passed / n, outcome, f"{gate.bound} {share}; {worst}"
 
@@ -480,12 +480,3 @@ def _place(log: LogOutcome) -> str:
     """Where a value is: "on log X at 3.20 s (car 7)"."""
     when = f" at {log.time_s:.2f} s" if isfinite(log.time_s) else ""
     return f"on {log.log}{when}" + (f" ({log.why})" if log.why else "")
-
-
-def unit_of(unit: str) -> str:
-    """A unit behind its number; nothing of ratios and counts."""
-    return "" if unit in ("1", "count") else f" {unit}"
-
-
-def _logs(count: int) -> str:
-    return "1 log" if count == 1 else f"{count} logs"

@@ -20,19 +20,9 @@ import numpy as np
 from logs.kernel import FloatArray
 from logs.scenario import Scenario
 from logs.trace import Mode, Trace
+from metrics import metric
 from metrics.lanes import Under, mapped_lanes, under
-from metrics.metric import (
-    MAX,
-    MAX_ABS,
-    Measured,
-    Metric,
-    Reduction,
-    Series,
-    Unavailable,
-    holds,
-    time_above,
-    worst_episode,
-)
+from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
 from metrics.needless import reasons
 from metrics.once import once
 from metrics.others import ego_boxes
@@ -75,7 +65,7 @@ def _lane_line(trace: Trace, scenario: Scenario) -> Measured:
 
 def _metres(series: Series) -> FloatArray:
     """Metres driven against the lanes in each step `(n,)`."""
-    return np.where(series.known, series.value, 0.0) * holds(series.t)
+    return np.where(series.known, series.value, 0.0) * metric.holds(series.t)
 
 
 def worst_metres(series: Series) -> tuple[float, int]:
@@ -94,7 +84,7 @@ WRONG_WAY = Metric(
     (
         Reduction("worst_1s", worst_metres, unit="m", empty=0.0),
         Reduction("distance", lambda series: (float(_metres(series).sum()), -1), unit="m", empty=0.0),
-        time_above(AGAINST_MPS, "time"), worst_episode(-AGAINST_MPS, AGAINST_MPS),
+        metric.time_above(AGAINST_MPS, "time"), metric.worst_episode(-AGAINST_MPS, AGAINST_MPS),
     ),
     "Speed against the direction of the lane under the ego's centre; worst_1s are the most metres within 1 s.",
     "nuPlan devkit e9241677, driving_direction_compliance (below 2 m: 1, below 6 m: 0.5); there along the route",
@@ -104,14 +94,14 @@ WRONG_WAY = Metric(
 )  # fmt: skip
 LANE_KEEPING = Metric(
     "lane_keeping", "m", "lower", (Mode.CLOSED,), _lane_keeping,
-    (MAX_ABS, time_above(ASIDE_M, "time_beyond_50cm"), worst_episode(-ASIDE_M, ASIDE_M)),
+    (metric.MAX_ABS, metric.time_above(ASIDE_M, "time_beyond_50cm"), metric.worst_episode(-ASIDE_M, ASIDE_M)),
     "Distance of the ego's centre from the nearest centre line of a lane under it; changing lanes counts too.",
     "NAVSIM 0a380a90, lane keeping of EPDMS: an episode of 2 s is a failure",
     formula="signed distance from the centre line; worst_episode: the longest stretch beyond 0.5 m",
     parameters=(f"beyond {ASIDE_M} m", "lanes cross above 30 degrees"), needs=_NEEDS,
 )  # fmt: skip
 LANE_LINE = Metric(
-    "lane_line", "m", "lower", (Mode.CLOSED,), _lane_line, (MAX, worst_episode(-np.inf, OVER_M)),
+    "lane_line", "m", "lower", (Mode.CLOSED,), _lane_line, (metric.MAX, metric.worst_episode(-np.inf, OVER_M)),
     "How far the ego's box is over the line of its lane while nothing calls for it.",
     formula="|distance from the centre line| + half of the ego's width - half of the lane's width",
     parameters=(f"over by {OVER_M} m",), needs=_NEEDS,

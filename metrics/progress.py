@@ -29,22 +29,10 @@ from logs.kernel import FloatArray
 from logs.road import Goal
 from logs.scenario import Scenario
 from logs.shapes import point_segment
-from logs.states import Trajectory
 from logs.trace import EndReason, Mode, Trace
+from metrics import metric
 from metrics.lanes import drivable_lanes, limits_at, stated_lanes
-from metrics.metric import (
-    FINAL,
-    MAX,
-    MEAN,
-    Measured,
-    Metric,
-    Reduction,
-    Series,
-    Unavailable,
-    holds,
-    time_above,
-    time_outside,
-)
+from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
 from metrics.others import ego_boxes
 from metrics.route import Gain, gained, route_of
 
@@ -61,12 +49,8 @@ EASE_MPS2, SETTLE_S = 1.0, 1.0
 _ALONE = Unavailable("the log holds one ego state only: there is no drive to compare with")
 
 
-def _driven(drive: Trajectory) -> FloatArray:
-    return np.asarray(np.r_[0.0, np.cumsum(np.hypot(np.diff(drive.x), np.diff(drive.y)))])
-
-
 def _distance(trace: Trace, scenario: Scenario) -> Measured:
-    return Series(trace.ego.t, _driven(trace.ego))
+    return Series(trace.ego.t, np.r_[0.0, np.cumsum(np.hypot(np.diff(trace.ego.x), np.diff(trace.ego.y)))])
 
 
 def _route_progress(trace: Trace, scenario: Scenario) -> Measured:
@@ -117,10 +101,6 @@ def _arrived(trace: Trace, scenario: Scenario, gain: Gain, share: FloatArray) ->
     return share
 
 
-def _speed(trace: Trace, scenario: Scenario) -> Measured:
-    return Series(trace.ego.t, trace.ego.v)
-
-
 def excess(trace: Trace, scenario: Scenario, *, ratio: bool = False, all_of_it: bool = False) -> Measured:
     """(5); with `all_of_it`, the initial excess is charged too."""
     lanes = stated_lanes(scenario.road)
@@ -157,15 +137,15 @@ def _assumed_excess(trace: Trace, scenario: Scenario) -> Measured:
 
 def compliance(series: Series) -> tuple[float, int]:
     """(6)."""
-    span = holds(series.t)[series.known]
+    span = metric.holds(series.t)[series.known]
     over = float(np.sum(series.value[series.known] * span))
     return max(0.0, 1.0 - over / (EXCESS_MPS * float(span.sum()))) if span.sum() > 0.0 else float(not over), -1
 
 
 def _share_over(series: Series) -> tuple[float, int]:
-    span, over = holds(series.t) * series.known, series.value > OVER_MPS
-    first = int(np.argmax(over)) if over.any() else -1
-    return (float(np.sum(span[over]) / np.sum(span)) if span.sum() > 0.0 else float(over.any())), first
+    span, over = metric.holds(series.t) * series.known, series.value > OVER_MPS
+    share = float(np.sum(span[over]) / np.sum(span)) if span.sum() > 0.0 else float(over.any())
+    return share, metric.first_of(over)
 
 
 def _at_end(trace: Trace, *, good: bool) -> Series:
@@ -202,18 +182,14 @@ def _out_of_reach(goal: Goal, scenario: Scenario) -> str:
     return "" if away <= reach else f"no vehicle reaches the goal: {away:.0f} m in {time:.1f} s from {start.v:.1f} m/s"
 
 
-def _completed(trace: Trace, scenario: Scenario) -> Measured:
-    return _at_end(trace, good=trace.end in (EndReason.GOAL, EndReason.END_OF_LOG))
-
-
 _CLOSED = (Mode.CLOSED,)
 _LIMITS = "lanes with speed limits under the ego"
 DISTANCE = Metric(
-    "distance", "m", "none", _CLOSED, _distance, (FINAL,), "Distance driven by the rear axle.",
+    "distance", "m", "none", _CLOSED, _distance, (metric.FINAL,), "Distance driven by the rear axle.",
     formula="sum of |p_k - p_(k-1)|",
 )  # fmt: skip
 ROUTE_PROGRESS = Metric(
-    "route_progress", "1", "higher", _CLOSED, _route_progress, (FINAL,),
+    "route_progress", "1", "higher", _CLOSED, _route_progress, (metric.FINAL,),
     "Gain along the route over that of the log's driver in the whole log, else of the route follower; not capped.",
     version=2,
     formula="gain(t) / gain of the log's driver at the log's end, else of the route follower; 1 at the goal",
@@ -221,26 +197,27 @@ ROUTE_PROGRESS = Metric(
     needs="a logged drive, else the route follower's, of 2 m",
 )  # fmt: skip
 PROGRESS = Metric(
-    "progress", "1", "higher", _CLOSED, _progress, (FINAL,),
+    "progress", "1", "higher", _CLOSED, _progress, (metric.FINAL,),
     "Gain along the route over that of the log's driver in the whole log, capped at 1.",
     "nuPlan devkit e9241677, ego_progress_along_expert_route; along the driven path, 1 at the goal", 2,
     formula="min(1, max(gain, c) / max(gain of the log's driver, c)), 0 where gain < -c",
     parameters=("c 2 m",), needs="a logged drive",
 )  # fmt: skip
 COMPLETION = Metric(
-    "completion", "1", "higher", _CLOSED, _completion, (FINAL,),
+    "completion", "1", "higher", _CLOSED, _completion, (metric.FINAL,),
     "Share of the route that was driven: to the goal, else to the end of the log's drive.",
     "CARLA leaderboard 2.x, route completion, here in 0 .. 1",
     formula="gain(t) / length of the route, in 0 .. 1; 1 where the drive ended at the goal",
     needs="a goal that lanes or the log's path lead to, or a logged drive of 10 m",
 )  # fmt: skip
 SPEED = Metric(
-    "speed", "m/s", "none", _CLOSED, _speed, (MEAN, MAX), "Speed of the rear axle, mean over the steps.", formula="v"
-)
+    "speed", "m/s", "none", _CLOSED, lambda trace, scenario: Series(trace.ego.t, trace.ego.v),
+    (metric.MEAN, metric.MAX), "Speed of the rear axle, mean over the steps.", formula="v",
+)  # fmt: skip
 SPEED_EXCESS = Metric(
     "speed_excess", "m/s", "lower", _CLOSED, excess,
     (
-        MAX, MEAN, time_above(OVER_MPS, "time_above_1mps"),
+        metric.MAX, metric.MEAN, metric.time_above(OVER_MPS, "time_above_1mps"),
         Reduction("share_above_1mps", _share_over, unit="1"),
         Reduction("compliance", compliance, unit="1", direction="higher"),
     ),
@@ -254,21 +231,24 @@ SPEED_EXCESS = Metric(
 )  # fmt: skip
 SPEED_RATIO = Metric(
     "speed_ratio", "1", "lower", _CLOSED, partial(excess, ratio=True),
-    (MAX, time_outside(-np.inf, OVER_RATIO, "time_above_10pct")), "Speed over the limit, less 1: 0.1 is 10 % too fast.",
+    (metric.MAX, metric.time_outside(-np.inf, OVER_RATIO, "time_above_10pct")),
+    "Speed over the limit, less 1: 0.1 is 10 % too fast.",
     formula="|v| / limit - 1", parameters=("over: 0.1",), needs=_LIMITS,
 )  # fmt: skip
 ASSUMED_LIMIT_EXCESS = Metric(
-    "assumed_limit_excess", "m/s", "lower", _CLOSED, _assumed_excess, (MAX, time_above(OVER_MPS, "time_above_1mps")),
+    "assumed_limit_excess", "m/s", "lower", _CLOSED, _assumed_excess,
+    (metric.MAX, metric.time_above(OVER_MPS, "time_above_1mps")),
     "Speed above 1.1 times the larger of the assumed limit and the log's driver's speed, where the log has no limit.",
     formula="max(|v| - 1.1 max(assumed limit, speed that the log's driver exceeds for 1 s in all), 0)",
     parameters=("margin 10 %", f"over: {OVER_MPS:g} m/s"), needs="lanes without a speed limit under the ego, or no map",
 )  # fmt: skip
 GOAL = Metric(
-    "goal", "1", "higher", _CLOSED, _goal, (FINAL,), "1 if the drive ended at the goal.", version=2,
+    "goal", "1", "higher", _CLOSED, _goal, (metric.FINAL,), "1 if the drive ended at the goal.", version=2,
     formula="1 if it ended there, else 0", parameters=(f"reach {REACH_MPS2} m/s2 up to {REACH_MPS:g} m/s",),
     needs="a goal that is a place, and that a vehicle can reach in the time",
 )  # fmt: skip
 COMPLETED = Metric(
-    "completed", "1", "higher", _CLOSED, _completed, (FINAL,), "1 if the drive ended at the goal or the log's end.",
-    formula="1 if it ended so, else 0",
+    "completed", "1", "higher", _CLOSED,
+    lambda trace, scenario: _at_end(trace, good=trace.end in (EndReason.GOAL, EndReason.END_OF_LOG)), (metric.FINAL,),
+    "1 if the drive ended at the goal or the log's end.", formula="1 if it ended so, else 0",
 )  # fmt: skip

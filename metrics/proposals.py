@@ -50,39 +50,13 @@ from logs.scenario import AgentKind, Scenario, Tracks
 from logs.shapes import corners, overlap, time_to_contact
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
-from metrics import comfort, consistency
+from metrics import comfort, consistency, metric, safety
 from metrics.lanes import keeps_lane
-from metrics.metric import (
-    HAVING,
-    MAX,
-    MEAN,
-    MIN,
-    P95,
-    Direction,
-    Measure,
-    Measured,
-    Metric,
-    Reduction,
-    Series,
-    Unavailable,
-    share_beyond,
-    share_while,
-)
+from metrics.metric import Direction, Measure, Measured, Metric, Reduction, Series, Unavailable
 from metrics.once import once
 from metrics.others import named, some_at, there_between
 from metrics.plans import NO_PLANS, SHORT_M, STEP_S, frame_times, plan_columns, plan_way, times_after
-from metrics.safety import (
-    CLOSE_S,
-    KINDS,
-    OFF_ROAD_M,
-    ContactKind,
-    _apart,
-    _behind,
-    _contact_kind,
-    _labels,
-    box_off_lanes,
-    known_lanes,
-)
+from metrics.safety import _apart, _behind, _contact_kind
 
 HORIZON_S, TTC_HORIZON_S = 4.0, 3.0
 STEPS = round(HORIZON_S / STEP_S)
@@ -93,7 +67,8 @@ _NOT_DRIVEN = f"no plan of more than {SHORT_M:g} m is followed by {PLAN_HORIZON_
 _NO_CONTACT = f"no plan has a contact at fault within {HORIZON_S:g} s"
 _NO_DRIVE = Unavailable("the log holds one ego state only: there is no drive to plan along")
 STOOD, FRONT, SIDE = (
-    KINDS.index(kind) for kind in (ContactKind.STOPPED_TRACK, ContactKind.ACTIVE_FRONT, ContactKind.LATERAL)
+    safety.KINDS.index(kind)
+    for kind in (safety.ContactKind.STOPPED_TRACK, safety.ContactKind.ACTIVE_FRONT, safety.ContactKind.LATERAL)
 )
 Rows = Mapping[str, NDArray[Any]]
 
@@ -148,13 +123,13 @@ def _signals(plan: FloatArray) -> Rows:
 
 def _off(plan: FloatArray, scenario: Scenario) -> FloatArray:
     """(2) `(f,)`; NaN where the log has no lanes."""
-    lanes, there = known_lanes(scenario), np.isfinite(plan[0])
+    lanes, there = safety.known_lanes(scenario), np.isfinite(plan[0])
     if isinstance(lanes, Unavailable):
         return np.full(len(there), np.nan)
     x, y, yaw = plan[:3, there]
     ahead, off = scenario.vehicle.axle_to_center, np.zeros(there.shape)
     box = np.stack([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), yaw])
-    off[there] = box_off_lanes(lanes, box, scenario.vehicle, np.inf)
+    off[there] = safety.box_off_lanes(lanes, box, scenario.vehicle, np.inf)
     return np.asarray(off.max(axis=1) - off[:, 0])
 
 
@@ -250,12 +225,12 @@ def _series(
     if not trace.frames:
         return NO_PLANS
     found = _judged(trace, scenario)
-    labels = _labels(trace, found[about]) if about else ()
+    labels = safety._labels(trace, found[about]) if about else ()
     return Series(frame_times(trace), found[name], labels, missing)
 
 
 def _off_road(trace: Trace, scenario: Scenario) -> Measured:
-    lanes = known_lanes(scenario)
+    lanes = safety.known_lanes(scenario)
     return lanes if isinstance(lanes, Unavailable) else _series("off", trace, scenario)
 
 
@@ -274,12 +249,14 @@ def _score(trace: Trace, scenario: Scenario) -> Measured:
     found, t = _judged(trace, scenario), times_after(trace, 0, 0)[:, 0]
     objects = np.array([kind is AgentKind.OBJECT for kind in trace.agents.kinds] + [False])
     multiplier = np.where(np.isnan(found["contact"]), 1.0, np.where(objects[found["contact_agent"]], 0.5, 0.0))
-    multiplier = np.where(found["off"] > OFF_ROAD_M, 0.0, multiplier)
+    multiplier = np.where(found["off"] > safety.OFF_ROAD_M, 0.0, multiplier)
     steady = np.full(len(t), np.nan)
     extended = consistency.EXTENDED_COMFORT.found(trace, scenario)
     if isinstance(extended, Series):
         steady[np.isin(t, extended.t)] = np.where(extended.known, extended.value <= 1.0, np.nan)
-    parts = np.array([~(found["ttc"] <= CLOSE_S), found["progress"], found["comfort"] <= 1.0, steady], np.float64)
+    parts = np.array(
+        [~(found["ttc"] <= safety.CLOSE_S), found["progress"], found["comfort"] <= 1.0, steady], np.float64
+    )
     weights = np.where(np.isfinite(parts), np.array([[5.0], [5.0], [2.0], [2.0]]), 0.0)
     return Series(t, multiplier * (weights * np.nan_to_num(parts)).sum(axis=0) / weights.sum(axis=0))
 
@@ -301,56 +278,57 @@ def _metric(
 
 
 PLAN_COLLISION = _metric(
-    "plan_collision", "s", partial(_followed_by, "contact", about="contact_agent", missing=_NO_CONTACT), (HAVING, MIN),
+    "plan_collision", "s", partial(_followed_by, "contact", about="contact_agent", missing=_NO_CONTACT),
+    (metric.HAVING, metric.MIN),
     "Time until a plan has a contact at fault with a road user as it then moved; fault as in collision_at_fault.",
     "least t - t_i with a contact at fault", better="higher", version=2,
 )  # fmt: skip
 PLAN_OFF_ROAD = _metric(
-    "plan_off_road", "m", _off_road, (MAX, share_beyond(OFF_ROAD_M, "share_beyond_30cm")),
+    "plan_off_road", "m", _off_road, (metric.MAX, metric.share_beyond(safety.OFF_ROAD_M, "share_beyond_30cm")),
     "How much farther off the drivable lanes than at its start a plan leads.",
     "max over t of off(t) - off(t_i), off the greatest distance of a corner to the lanes",
     needs="plans, lanes in the log",
 )  # fmt: skip
 PLAN_TTC = _metric(
     "plan_ttc", "s", partial(_followed_by, "ttc", about="ttc_agent", missing="no plan is on a course to touch anyone"),
-    (MIN, share_while(lambda ttc: ttc <= CLOSE_S, "share_below_950ms")),
+    (metric.MIN, metric.share_while(lambda ttc: ttc <= safety.CLOSE_S, "share_below_950ms")),
     "Least time to contact along a plan, as ttc; 0 where the plan has a contact at fault.",
     "min over t of the time to contact at constant velocity vectors", better="higher",
 )  # fmt: skip
 PLAN_COMFORT = _metric(
-    "plan_comfort", "1", _comfort, (MEAN, P95, share_beyond(1.0, "share_above_1")),
+    "plan_comfort", "1", _comfort, (metric.MEAN, metric.P95, metric.share_beyond(1.0, "share_above_1")),
     "The worst of nuPlan's six comfort signals of a plan, over its bound.", "max over t and q of q / bound(q)",
 )  # fmt: skip
 PLAN_PROGRESS = _metric(
-    "plan_progress", "1", partial(_followed_by, "progress"), (MEAN, MIN),
+    "plan_progress", "1", partial(_followed_by, "progress"), (metric.MEAN, metric.MIN),
     "Planned distance over the greater of planned and then driven distance.", "s / max(s, d); 1 up to 5 m",
     better="higher",
 )  # fmt: skip
 PLAN_KEPT = _metric(
     "plan_kept", "m", partial(_followed_by, "kept", missing=_NOT_DRIVEN),
-    (MEAN, P95, MAX, share_beyond(5.0, "share_beyond_5m")),
+    (metric.MEAN, metric.P95, metric.MAX, metric.share_beyond(5.0, "share_beyond_5m")),
     "Greatest distance of a plan's states from where the ego then was.", "max over t of |p_i(t) - p(t)|", modes=_CLOSED,
 )  # fmt: skip
 PLAN_KEPT_LATERAL = _metric(
     "plan_kept_lateral", "m", partial(_followed_by, "kept_lateral", missing=_NOT_DRIVEN),
-    (MEAN, P95, MAX, share_beyond(2.0, "share_beyond_2m")),
+    (metric.MEAN, metric.P95, metric.MAX, metric.share_beyond(2.0, "share_beyond_2m")),
     "Greatest lateral distance of a plan's states from where the ego then was.",
     "max over t of |p_i(t) - p(t)| across the ego's heading", modes=_CLOSED,
 )  # fmt: skip
 PLAN_SCORE = _metric(
-    "plan_score", "1", _score, (MEAN, MIN),
+    "plan_score", "1", _score, (metric.MEAN, metric.MIN),
     "NAVSIM's EPDMS of each plan, without direction, lights and lane keeping.",
     "contact x drivable x (5 ttc + 5 progress + 2 comfort + 2 extended_comfort) / 14", better="higher",
 )  # fmt: skip
 PLAN_LON_ACCEL = _metric(
-    "plan_lon_accel", "m/s2", partial(_series, "lon_accel"), (MEAN, P95, MAX),
+    "plan_lon_accel", "m/s2", partial(_series, "lon_accel"), (metric.MEAN, metric.P95, metric.MAX),
     "Largest planned acceleration or braking.", "max |a|", version=2,
 )  # fmt: skip
 PLAN_LAT_ACCEL = _metric(
-    "plan_lat_accel", "m/s2", partial(_series, "lat_accel"), (MEAN, P95, MAX),
+    "plan_lat_accel", "m/s2", partial(_series, "lat_accel"), (metric.MEAN, metric.P95, metric.MAX),
     "Largest planned lateral acceleration.", "max |v^2 kappa|", version=2,
 )  # fmt: skip
 PLAN_LON_JERK = _metric(
-    "plan_lon_jerk", "m/s3", partial(_series, "lon_jerk"), (MEAN, P95, MAX),
+    "plan_lon_jerk", "m/s3", partial(_series, "lon_jerk"), (metric.MEAN, metric.P95, metric.MAX),
     "Largest planned longitudinal jerk, over 0.1 s.", "max |a(t) - a(t - W)| / W", version=2,
 )  # fmt: skip

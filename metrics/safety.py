@@ -44,23 +44,10 @@ from logs.shapes import corners, distance, overlap, time_to_contact
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
 from logs.vehicle import VehicleParameters
+from metrics import metric
 from metrics.cut_in import forces_hit
 from metrics.lanes import LaneArrays, drivable_lanes, keeps_lane, off_lanes
-from metrics.metric import (
-    COUNT,
-    MAX,
-    MIN,
-    Measured,
-    Metric,
-    Reduction,
-    Series,
-    Unavailable,
-    counted,
-    first_of,
-    holds,
-    time_above,
-    time_below,
-)
+from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
 from metrics.once import once
 from metrics.others import ego_boxes, name_of, named, pieces, some_at
 
@@ -266,7 +253,7 @@ def _labels(trace: Trace, agents: IntArray) -> tuple[str, ...]:
 def _collision(trace: Trace, scenario: Scenario, *, fault_only: bool) -> Measured:
     met = (contact for contact in contacts(trace, scenario) if contact.at_fault or not fault_only)
     events = [(c.step, f"{label(c, trace)}, {impact_speed(c, trace, scenario):.1f} m/s") for c in met]
-    return counted(trace.ego.t, events)
+    return metric.counted(trace.ego.t, events)
 
 
 def label(contact: Contact, trace: Trace) -> str:
@@ -360,7 +347,7 @@ def _ttc(trace: Trace, scenario: Scenario, *, vulnerable_only: bool) -> Measured
 def _integrated(series: Series) -> tuple[float, int]:
     """TIT (1)."""
     flags = series.known & (series.value <= TAU_S)
-    return float(np.sum((holds(series.t) * (TAU_S - series.value))[flags])), first_of(flags)
+    return float(np.sum((metric.holds(series.t) * (TAU_S - series.value))[flags])), metric.first_of(flags)
 
 
 def known_lanes(scenario: Scenario) -> LaneArrays | Unavailable:
@@ -398,48 +385,48 @@ def box_off_lanes(
 
 _NUPLAN = "nuPlan devkit e9241677, no_ego_at_fault_collisions"
 COLLISION = Metric(
-    "collision", "count", "lower", (Mode.CLOSED,), partial(_collision, fault_only=False), (COUNT,),
+    "collision", "count", "lower", (Mode.CLOSED,), partial(_collision, fault_only=False), (metric.COUNT,),
     "Road users that the ego's box touched, each once.", _NUPLAN,
     formula="sum over the others of 1 where the boxes touch at some step",
 )  # fmt: skip
 COLLISION_AT_FAULT = Metric(
-    "collision_at_fault", "count", "lower", (Mode.CLOSED,), partial(_collision, fault_only=True), (COUNT,),
+    "collision_at_fault", "count", "lower", (Mode.CLOSED,), partial(_collision, fault_only=True), (metric.COUNT,),
     "Collisions into a standing road user, with the front, or with the side while not keeping a lane.", _NUPLAN,
     formula="as collision; kinds and fault in nuPlan's order",
     parameters=(f"standing {STANDING_MPS} m/s", "behind: more than 150 degrees off the heading"),
 )  # fmt: skip
 GAP = Metric(
     "gap", "m", "higher", (Mode.CLOSED,), partial(_gap, vulnerable_only=False),
-    (MIN, time_below(0.2, "time_below_20cm")),
+    (metric.MIN, metric.time_below(0.2, "time_below_20cm")),
     "Least distance between the ego's box and another's, 0 where they touch.",
     formula="min over the others of the distance of the boxes", needs="other road users",
 )  # fmt: skip
 GAP_VULNERABLE = Metric(
     "gap_vulnerable", "m", "higher", (Mode.CLOSED,), partial(_gap, vulnerable_only=True),
-    (MIN, time_below(0.5, "time_below_50cm")),
+    (metric.MIN, metric.time_below(0.5, "time_below_50cm")),
     "Least distance to a pedestrian or rider.",
     formula="as gap", needs="a pedestrian or rider",
 )  # fmt: skip
 _KEPT = "as gap, while the ego moves (above 0.05 m/s) and of agents not more than 150 degrees off its heading"
 GAP_KEPT = Metric(
     "gap_kept", "m", "higher", (Mode.CLOSED,), partial(_gap, vulnerable_only=False, kept=True),
-    (MIN, time_below(0.2, "time_below_20cm")),
+    (metric.MIN, metric.time_below(0.2, "time_below_20cm")),
     "Least distance that the ego leaves to another as it drives: not to those behind, and none while it stands.",
     formula=_KEPT, needs="another road user",
 )  # fmt: skip
 GAP_KEPT_VULNERABLE = Metric(
     "gap_kept_vulnerable", "m", "higher", (Mode.CLOSED,), partial(_gap, vulnerable_only=True, kept=True),
-    (MIN, time_below(0.5, "time_below_50cm")),
+    (metric.MIN, metric.time_below(0.5, "time_below_50cm")),
     "Least distance that the ego leaves to a pedestrian or rider as it drives.",
     formula=_KEPT, needs="a pedestrian or rider",
 )  # fmt: skip
 PASSING_ROOM = Metric(
-    "passing_room", "m", "higher", (Mode.CLOSED,), _passing_room, (MIN, time_below(0.0, "time_too_near")),
+    "passing_room", "m", "higher", (Mode.CLOSED,), _passing_room, (metric.MIN, metric.time_below(0.0, "time_too_near")),
     "Least distance to a pedestrian or rider who is passed, less what the ego's speed asks for.",
     formula=f"{_KEPT} nor going away to the side; less 0.5 m up to 3 m/s, 1 m from 5 m/s on, linear between",
     parameters=(f"going away: {LEAVING_MPS} m/s",), needs="a pedestrian or rider",
 )  # fmt: skip
-_TTC_TIMES = (MIN, time_below(CLOSE_S, "time_below_950ms"), time_below(TAU_S, "time_below_1500ms"),
+_TTC_TIMES = (metric.MIN, metric.time_below(CLOSE_S, "time_below_950ms"), metric.time_below(TAU_S, "time_below_1500ms"),
               Reduction("integrated_1500ms", _integrated, "s2", "lower", 0.0))  # fmt: skip
 _TTC_HOW = (
     f"horizon {TTC_HORIZON_S:g} s", "bounds 0.95 s and 1.5 s (tau of TET and TIT)",
@@ -462,7 +449,8 @@ TTC_VULNERABLE = Metric(
     needs="a pedestrian or rider on a course to touch an ego that drives",
 )  # fmt: skip
 OFF_ROAD = Metric(
-    "off_road", "m", "lower", (Mode.CLOSED,), _off_road, (MAX, time_above(OFF_ROAD_M, "time_beyond_30cm")),
+    "off_road", "m", "lower", (Mode.CLOSED,), _off_road,
+    (metric.MAX, metric.time_above(OFF_ROAD_M, "time_beyond_30cm")),
     "Greatest distance of the ego's outline from the drivable lanes.",
     "bound 0.3 m: nuPlan devkit e9241677, drivable_area_compliance (its corners alone)", 2,
     formula="max over points of the outline of the distance to the nearest drivable lane",

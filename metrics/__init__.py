@@ -28,7 +28,6 @@ from metrics import (
     comfort,
     consistency,
     cut_in,
-    divergence,
     effort,
     encounters,
     evidence,
@@ -37,12 +36,10 @@ from metrics import (
     needless,
     progress,
     proposals,
-    right_of_way,
     rss,
     rules,
     safety,
     score,
-    severity,
 )
 from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
 from metrics.phantoms import phantoms, without_phantoms
@@ -69,11 +66,11 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
         safety.COLLISION, safety.COLLISION_AT_FAULT, safety.GAP, safety.GAP_VULNERABLE, safety.GAP_KEPT,
         safety.GAP_KEPT_VULNERABLE, safety.TTC, safety.OFF_ROAD,
         proposals.PLAN_COLLISION, proposals.PLAN_OFF_ROAD, proposals.PLAN_TTC,
-        safety.TTC_VULNERABLE, severity.COLLISION_SEVERITY, *following.FOLLOWING, encounters.TTC_ACCELERATED,
+        safety.TTC_VULNERABLE, safety.COLLISION_SEVERITY, *following.FOLLOWING, encounters.TTC_ACCELERATED,
         encounters.DCE, encounters.TTCE, encounters.PET, rss.RSS_MARGIN, rss.RSS_IMPROPER,
     ),
     "rules": (
-        rules.RED_LIGHT, rules.STOP_SIGN, rules.CROSSWALK, right_of_way.PRIORITY_GAP, right_of_way.YIELDING,
+        rules.RED_LIGHT, rules.STOP_SIGN, rules.CROSSWALK, rules.PRIORITY_GAP, rules.YIELDING,
         cut_in.FORCED_BRAKING, needless.NEEDLESS_BRAKING, needless.NEEDLESS_STANDING, needless.NEEDLESS_STEERING,
         safety.PASSING_ROOM, lane_keeping.WRONG_WAY, lane_keeping.LANE_KEEPING, lane_keeping.LANE_LINE,
         progress.SPEED_EXCESS, progress.SPEED_RATIO, progress.ASSUMED_LIMIT_EXCESS,
@@ -98,7 +95,7 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
     "evidence": (
         evidence.COVERAGE, evidence.EVIDENCE, evidence.AGENT_INTERVAL, evidence.REPLAY_CONTACT,
         evidence.PLAN_REFUSED, evidence.PLAN_CORRECTED, evidence.ENSEMBLE, evidence.ASKED, evidence.PHANTOM,
-        divergence.DIVERGENCE, divergence.WEAK, divergence.DISPLACED,
+        evidence.DIVERGENCE, evidence.WEAK, evidence.DISPLACED,
     ),
     "reference": (avoidability.CC, avoidability.FSM),
     "score": (
@@ -116,8 +113,7 @@ COLUMNS = (
 )  # fmt: skip
 
 
-Broken = Callable[[Metric, str, BaseException], None]
-"""Called with a metric that raised or gave what is no measurement, what is to be said of it, and the error."""
+Broken = Callable[[Metric, str, BaseException], None]  # a metric that raised, why in words, and the error
 
 
 def evaluate(

@@ -31,15 +31,12 @@ from logs.states import wrapped
 from logs.trace import Mode, Trace
 from metrics.metric import MAX, MEAN, RATE, SHARE, Measured, Metric, Series, Unavailable
 from metrics.once import once
-from metrics.plans import NO_PLANS, STEP_S, frame_times, plan_poses, times_after
+from metrics.plans import NO_PLANS, STEP_S, frame_times, plan_columns, times_after
 
 HORIZONS_S = (1, 3, 5, 8)
-MISS_M = MappingProxyType({1: 2.0, 2: 4.0, 3: 6.0, 5: 8.0, 8: 16.0})
-"""Bounds of (5) in m by horizon in s: nuPlan's at 3, 5 and 8 s; ours at 1 and 2 s, in proportion to that at 3 s."""
-Pick = Callable[[FloatArray], FloatArray]
-"""Value per frame of errors `(f, k)` up to a horizon."""
-_ACROSS = (1, 3)
-"""Which of `_errors` are made across the path: the cross error and that of the heading."""
+MISS_M = MappingProxyType({1: 2.0, 2: 4.0, 3: 6.0, 5: 8.0, 8: 16.0})  # (5), m by s; nuPlan's from 3 s on
+Pick = Callable[[FloatArray], FloatArray]  # Value per frame of errors `(f, k)` up to a horizon
+_ACROSS = (1, 3)  # Which of `_errors` are made across the path: the cross error and that of the heading
 
 
 @once
@@ -47,7 +44,7 @@ def _errors(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, F
     """Errors along and cross (m), |e| (m), |heading error| (rad): each `(f, 10 h)` for the longest horizon."""
     log = scenario.ego
     times = times_after(trace, 1, round(max(HORIZONS_S) / STEP_S))
-    x, y, yaw = plan_poses(trace, times)
+    x, y, yaw = plan_columns(trace, times, ("x", "y", "yaw"))
     beyond = (times < log.t[0] - 1e-6) | (times > log.t[-1] + 1e-6)
     log_x, log_y, log_yaw = (np.interp(times, log.t, column) for column in (log.x, log.y, log.yaw))
     dx, dy = np.where(beyond, np.nan, x - log_x), np.where(beyond, np.nan, y - log_y)
@@ -95,22 +92,14 @@ ADE, FDE, AHE, FHE, ALONG, CROSS = (
     for name, unit, pick, which, meaning, formula in (
         ("ade", "m", _average, 2, "Mean distance of plan and log", "mean_k |e_k|, k = 1 .. 10 h"),
         ("fde", "m", _at_end, 2, "Final distance of plan and log", "|e_10h|"),
-        (
-            "ahe", "rad", _average, 3, "Mean heading difference of plan and log, principal value",
-            "mean_k |wrap(yaw_plan - yaw_log)|",
-        ),
-        (
-            "fhe", "rad", _at_end, 3, "Final heading difference of plan and log, principal value",
-            "|wrap(yaw_plan - yaw_log)| at h",
-        ),
-        (
-            "along_error", "m", _at_end, 0, "Final distance of plan and log along the log's heading",
-            "|e_10h . (cos, sin)|",
-        ),
-        (
-            "cross_error", "m", _at_end, 1, "Final distance of plan and log across the log's heading",
-            "|e_10h . (-sin, cos)|",
-        ),
+        ("ahe", "rad", _average, 3, "Mean heading difference of plan and log, principal value",
+         "mean_k |wrap(yaw_plan - yaw_log)|"),
+        ("fhe", "rad", _at_end, 3, "Final heading difference of plan and log, principal value",
+         "|wrap(yaw_plan - yaw_log)| at h"),
+        ("along_error", "m", _at_end, 0, "Final distance of plan and log along the log's heading",
+         "|e_10h . (cos, sin)|"),
+        ("cross_error", "m", _at_end, 1, "Final distance of plan and log across the log's heading",
+         "|e_10h . (-sin, cos)|"),
     )
 )  # fmt: skip
 MISS = Metric(

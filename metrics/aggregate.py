@@ -26,15 +26,11 @@ import pandas as pd
 
 from logs.kernel import FloatArray
 
-Z = 1.959963984540054
-"""Of the normal distribution: 95 % lie within +-Z."""
-PASS = "pass"
-"""Name of the rows about the share of logs that pass; it is no metric."""
+Z = 1.959963984540054  # Of the normal distribution: 95 % lie within +-Z
+PASS = "pass"  # Name of the rows about the share of logs that pass; it is no metric
 SUITE = "suite"
-BOTH = "both"
-"""Mode of the rows about a log's open and closed loop together."""
-STANDINGS = ("failed", "missing", "inconclusive", "passed")
-"""How a log stands, in order of weight when several loops are taken together."""
+BOTH = "both"  # Mode of the rows about a log's open and closed loop together
+STANDINGS = ("failed", "missing", "inconclusive", "passed")  # of several loops the first counts
 _STANDS = {"fail": "failed", "inconclusive": "inconclusive", "pass": "passed"}
 
 COLUMNS = (
@@ -87,11 +83,11 @@ def standings(
     """How each log stands with each planner: a row per log, planner and mode, one of `STANDINGS`.
 
     Args:
-        verdicts: What each log says of each gate: columns log, planner, mode, outcome.
+        verdicts: Outcomes of gates: columns log, planner, mode, outcome.
         drives: What was driven: columns log, planner, mode, oracle.
         logs: All logs of the run, those that could not be read among them.
         asked: Planners and modes of the run; an oracle that no gate names does not stand at all.
-        crashed: Log, planner and mode of what could not be evaluated, as far as it was driven; None: any.
+        crashed: Log, planner and mode of what could not be evaluated; None: any.
     """
     outcomes: dict[tuple[str, str, str], set[str]] = {}
     for log, planner, mode, outcome in _rows(verdicts, "log", "planner", "mode", "outcome"):
@@ -135,16 +131,10 @@ def pass_shares(stand: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.Data
 
 
 def groups(table: pd.DataFrame, stand: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.DataFrame:
-    """A row per group, planner, mode and metric, and of each the share that passes; columns `COLUMNS`.
+    """`COLUMNS` per group, planner, mode and metric, and the share that passes; sorted, suite first.
 
-    Args:
-        table: The rows of `metrics.evaluate` of all logs; those of reference drives are left out.
-        stand: Rows of `standings`.
-        labels: Of all logs of the run, in the order of the run.
-
-    Returns:
-        Of each group all metrics of the run; `worst` by the metric's direction, NaN where it has none; `total` the sum;
-        `missing` the logs of the group without a value; sorted, suite first.
+    `table` has rows of `metrics.evaluate` (not of reference drives), `stand` of `standings`. `worst` is by the metric's
+    direction, NaN where it has none; `missing` the logs of the group without a value.
     """
     mine = table[table["mode"].isin(["open", "closed"]) & table["log"].isin(list(labels))]
     row, logs = pd.factorize(mine["log"], sort=True)

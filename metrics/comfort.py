@@ -43,10 +43,8 @@ from metrics.metric import Measure, Measured, Metric, Reduction, Series, Unavail
 from metrics.safety import TTC
 
 WINDOW_S = 0.1
-CAUSE_S, CAUSE_TTC_S = 2.0, 4.0
-"""Braking is about the road user whose TTC was the least in the time before, if it was no longer than the second."""
-NUPLAN_STEP_S, NUPLAN_LEAST_S = 0.1, 0.4
-"""Below 5 samples nuPlan's polynomials are not defined."""
+CAUSE_S, CAUSE_TTC_S = 2.0, 4.0  # Braking is about who had the least TTC in this time before, if below the second
+NUPLAN_STEP_S, NUPLAN_LEAST_S = 0.1, 0.4  # Below 5 samples nuPlan's polynomials are not defined
 R79_STEP_S, R79_MEAN_S, R79_CUT_HZ, R79_ORDER = 0.01, 0.5, 0.5, 4
 R79_JERK_MPS3 = 5.0
 NUPLAN_BOUNDS = {

@@ -37,17 +37,12 @@ from metrics.evidence import ENSEMBLE
 from metrics.gates import Gates, Outcome
 from metrics.judge import REFERENCE, judge, outcomes
 
-NOISE_ABS, NOISE_REL = 1e-9, 1e-6
-"""A difference below this is rounding: sums of another order, a solver's last iterations."""
-NAMED = 5
-"""More logs than these are counted and not named."""
-MIN_PAIRS = 3
-"""Resampling fewer logs says nothing."""
-MIN_SIGNIFICANT = 6
-"""Fewer logs all move one way by chance more often than at 5 % (sign test: 2 / 2^5 = 6 %)."""
+NOISE_ABS, NOISE_REL = 1e-9, 1e-6  # Rounding: sums of another order, a solver's last iterations
+NAMED = 5  # More logs than these are counted and not named
+MIN_PAIRS = 3  # Resampling fewer logs says nothing
+MIN_SIGNIFICANT = 6  # Fewer logs all move one way by chance more often than at 5 % (sign test: 2 / 2^5 = 6 %)
 CONFIDENCE, RESAMPLES, SEED = 0.95, 2000, 20260101
-BATCH = 250
-"""Draws at a time: bounds memory, and is part of what makes the draws the same."""
+BATCH = 250  # Draws at a time: bounds memory, and is part of what makes the draws the same
 
 DRIVE = ["log", "planner", "mode"]
 SCORE = ["planner", "mode", "metric"]
@@ -64,10 +59,8 @@ GROUP_COLUMNS = (
     "worse", "significant",
 )  # fmt: skip
 PARTING_COLUMNS = (*DRIVE, "t_s", "stage", "what")
-BY_LOG = ("worst", "pass_share")
-"""`over` of the gates that each log passes or fails by itself; a log breaks no gate on a mean, median or sum."""
-NOT_ASKED = "not asked"
-"""Outcome of an optional gate on a log without the value."""
+BY_LOG = ("worst", "pass_share")  # `over` of the gates that each log passes or fails by itself
+NOT_ASKED = "not asked"  # Outcome of an optional gate on a log without the value
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,7 +68,6 @@ class Side:
     """One of two runs.
 
     Attributes:
-        label: Its name.
         table: Rows of `metrics.evaluate`, reference drives among them.
         logs: A row per log: log, sha256, family, dataset, tags (a list), vehicle (a hash, "" where it is not known).
         facts: What it was made with, as text: versions, every key of the configuration.
@@ -130,7 +122,6 @@ class Comparison:
         flips: `FLIP_COLUMNS`: gates whose outcome on a log changed.
         groups: `GROUP_COLUMNS`: means over the suite, its families, tags and datasets.
         partings: `PARTING_COLUMNS`: first differences of two drives; empty where traces are not at hand.
-        verdicts: One per rule.
         not_looked_at: Number of drives that differ and whose first difference was not looked for.
         other_logs: Logs of one name that have another content (SHA-256) in the two runs.
         not_compared: Metrics that a gate or a rule names, and that the baseline has in another version or alone.
@@ -171,13 +162,9 @@ class Comparison:
 
 
 def compare(baseline: Side, candidate: Side, gates: Gates, also: Collection[str] = ()) -> Comparison:
-    """Two runs compared by their tables; `metrics.compare_rules.judged` adds the verdicts of rules.
+    """Two runs compared by their tables, judged by the same gates; `metrics.compare_rules.judged` adds rules.
 
-    Args:
-        baseline: What was.
-        candidate: What is.
-        gates: Gates by which both are judged.
-        also: Metrics that rules name beside the gates: they come before others among the regressions.
+    `also` are metrics that rules name beside the gates: they come before others among the regressions.
     """
     tables = baseline.table, candidate.table
     before, now = (dict(zip(table["metric"], table["version"], strict=True)) for table in tables)
@@ -308,9 +295,6 @@ def _other(baseline: Side, candidate: Side, column: str) -> list[str]:
     both = baseline.logs.merge(candidate.logs, on="log", suffixes=("_b", "_c"))
     one, two = both[f"{column}_b"], both[f"{column}_c"]
     return list(both.loc[(one != "") & (two != "") & (one != two), "log"])
-
-
-# groups of logs ---------------------------------------------------------------------------------------------------
 
 
 def group_deltas(pairs: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.DataFrame:

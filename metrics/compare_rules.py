@@ -39,11 +39,9 @@ from metrics.compare import MIN_SIGNIFICANT, NOT_ASKED, Comparison, RuleVerdict,
 from metrics.gates import Outcome, check_metric, count_logs, gate_tables, known_only, unit_of
 
 OVER = ("mean", "median", "worst")
-KINDS = ("max_increase", "max_decrease", "max_flips", "max_missing")
-"""A rule has exactly one of these."""
+KINDS = ("max_increase", "max_decrease", "max_flips", "max_missing")  # A rule has exactly one of these
 SEVERITY = (Outcome.PASS, Outcome.INCONCLUSIVE, Outcome.FAIL)
-LOST_SHARE = 0.1
-"""So large a share of a gate's logs may lose the value that passed it: as many as a gate passes without by default."""
+LOST_SHARE = 0.1  # Of a gate's logs that may lose the value that passed it: as `Gate.max_missing`
 
 
 @dataclass(frozen=True)

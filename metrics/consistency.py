@@ -32,11 +32,10 @@ from logs.scenario import Scenario
 from logs.trace import Mode, Trace
 from metrics.metric import MAX, MEAN, MIN, P95, RATE, Measured, Metric, Series, Unavailable, share_beyond
 from metrics.once import once
-from metrics.plans import NO_PLANS, SHORT_M, STEP_S, frame_times, plan_columns, plan_poses, plan_way, times_after
+from metrics.plans import NO_PLANS, SHORT_M, STEP_S, frame_times, plan_columns, plan_way, times_after
 
 APART_S, COMPARED_S = 0.5, 4.0
-EC_BOUNDS = (("acceleration", 0.7), ("jerk", 0.5), ("yaw rate", 0.1), ("yaw acceleration", 0.1))
-"""Bounds of (3): m/s2, m/s3, rad/s, rad/s2."""
+EC_BOUNDS = (("acceleration", 0.7), ("jerk", 0.5), ("yaw rate", 0.1), ("yaw acceleration", 0.1))  # (3), SI
 _STANDS = f"successive plans never overlap, or are never longer than {SHORT_M:g} m"
 
 
@@ -51,7 +50,7 @@ def _changes(trace: Trace) -> tuple[FloatArray, FloatArray]:
     """(1) and (2) `(f - 1,)`; NaN where the plans do not overlap, or both are of a standing ego."""
     times = times_after(trace, 0, round(COMPARED_S / STEP_S))[1:]
     all_ = np.arange(len(trace.frames))
-    now, before = (plan_poses(trace, times, some) for some in (all_[1:], all_[:-1]))
+    now, before = (plan_columns(trace, times, ("x", "y", "yaw"), some) for some in (all_[1:], all_[:-1]))
     dx, dy = now[:2] - before[:2]
     way = np.fmax.reduce([np.fmax.reduce(plan_way(*plan[:2]), axis=1) for plan in (now, before)])
     both = np.isfinite(dx) & (way > SHORT_M)[:, None]

@@ -22,8 +22,7 @@ from metrics.metric import Direction, Measured, Metric, Reduction, Series, Unava
 from metrics.phantoms import phantoms
 from metrics.plans import NO_PLANS, frame_times
 
-PRESSED = 1e-6
-"""A pedal command above this is pressed."""
+PRESSED = 1e-6  # A pedal command above this is pressed
 _BOTH = (Mode.OPEN, Mode.CLOSED)
 
 

@@ -1,12 +1,10 @@
 """Rows of the table that the gates make: is a verdict robust or fragile, and how many of the gates were asked?
 
-A member is the log driven again under one perturbation (`replay.perturb`). What a log says of a planner in one mode is
-the worst of what it says of the gates. With the unperturbed drive among the members:
+A member is the log driven again under one perturbation (`replay.perturb`); its verdict on a planner in one mode is the
+worst outcome of the gates. With the unperturbed drive among the members:
 
 (1) ensemble.pass_share = members that pass / members
 (2) ensemble.fragile    = 1 where a member's verdict is another than the unperturbed drive's, else 0
-
-`asked.share` is the share of the gates that were asked of a drive.
 """
 
 from __future__ import annotations
@@ -21,24 +19,18 @@ from metrics.evidence import ASKED, ENSEMBLE
 from metrics.gates import Gates, Outcome
 from metrics.judge import judge, outcomes, worst
 
-MEMBER, PERTURBATION = "member", "perturbation"
-"""The columns of a table of members beside those of `metrics.evaluate`."""
+MEMBER, PERTURBATION = "member", "perturbation"  # The columns of a table of members beside those of `metrics.evaluate`
 _DRIVE = ["log", "planner", "mode"]
 Drive = tuple[str, str, str]
-Values = dict[tuple[str, str, str, str], tuple[float, str]]
-"""Value and reason by log, planner, mode and metric."""
+Values = dict[tuple[str, str, str, str], tuple[float, str]]  # Value and reason by log, planner, mode and metric
 
 
 def with_ensemble(
     table: pd.DataFrame, members: pd.DataFrame, gates: Gates, labels: Mapping[str, LogLabels]
 ) -> pd.DataFrame:
-    """The table with the rows (1) and (2) of each drive; as it is where there are no members.
+    """The table of unperturbed drives with the rows (1) and (2) of each; those of `members` are counted from 1.
 
-    Args:
-        table: The rows of the unperturbed drives.
-        members: The rows of all members, `MEMBER` counted from 1.
-        gates: The rules; those on `ensemble` itself are left out here.
-        labels: As of `judge`.
+    Gates on `ensemble` itself are left out.
     """
     if members.empty:
         return table

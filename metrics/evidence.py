@@ -9,11 +9,22 @@ EVIDENCE measures where a drive had what verdicts about it rest on, a series of 
 
 (1) share = sum of held time of the steps with evidence / held time of all steps that need it     (`metric.holds`)
 (2) way_share = the same with the way driven in place of the time; (1) where the ego does not move
+
+The others react to the log's ego. With the ego's place p(t), the logged q(t), speed v(t) and heading h(t):
+
+(3) d(t) = |p - q|, along(t) = (p - q) . h, across(t) = (p - q) x h
+(4) the drive has parted where |along| > max(v AWAY_S, `LENGTH_M`) or |across| > `WIDTH_M`, or where a road user is
+    farther than `OFF_M` from where the log has it, or is there in one of them only
+
+The replay is weak from the first such moment to the end of the drive. `AWAY_S`: a second of way is about the least gap
+that drivers should keep (Germany fines less than 0.9 s), so that farther away the ego may be at another road user's
+place; at low speed a car's length takes its part, across it a lane's width does. `OFF_M` is less than any of them, and
+more than resampled tracks differ by.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -24,11 +35,16 @@ from logs.observed import described, within
 from logs.rules import Colour, TrafficLight
 from logs.scenario import Scenario
 from logs.trace import EndReason, Mode, PlanStatus, Trace
+from metrics import metric
 from metrics.lanes import limits_at, mapped_lanes, off_lanes, points_inside, stated_lanes
-from metrics.metric import COUNT, FINAL, RATE, Measured, Metric, Reduction, Series, Unavailable, first_of, holds
-from metrics.others import ego_boxes
+from metrics.metric import Direction, Measured, Metric, Reduction, Series, Unavailable
+from metrics.others import each, ego_boxes, name_of, some_at
 from metrics.phantoms import phantoms
 from metrics.plans import NO_PLANS, frame_times
+
+AWAY_S, LENGTH_M, WIDTH_M = 1.0, 5.0, 3.5
+OFF_M = 0.5
+_NO_DRIVE = Unavailable("the log holds one ego state only: there is no drive to part from")
 
 
 def _coverage(trace: Trace, scenario: Scenario) -> Mapping[str, Measured] | Unavailable:
@@ -101,10 +117,10 @@ def _shown(light: TrafficLight | None, t: FloatArray) -> BoolArray:
 def _share(series: Series, *, of_way: bool = False) -> tuple[float, int]:
     """(1), (2); its step is the first without evidence."""
     known = series.known
-    weight = series.way if of_way and isinstance(series, Evidence) else holds(series.t)
-    weight = weight if weight[known].sum() > 0.0 else holds(series.t)
+    weight = series.way if of_way and isinstance(series, Evidence) else metric.holds(series.t)
+    weight = weight if weight[known].sum() > 0.0 else metric.holds(series.t)
     weight = weight if weight[known].sum() > 0.0 else np.ones(len(known))
-    return float(np.average(series.value[known], weights=weight[known])), first_of(series.value == 0.0)
+    return float(np.average(series.value[known], weights=weight[known])), metric.first_of(series.value == 0.0)
 
 
 def _replay_contact(trace: Trace, scenario: Scenario) -> Measured:
@@ -136,8 +152,54 @@ def _agent_interval(trace: Trace, scenario: Scenario) -> Measured:
     return Series(trace.ego.t[-1:], np.array([float(np.median(apart))]))
 
 
+def _apart(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """d, along and across of (3) `(k,)`, NaN after the log's ego; along and across over their bounds of (4)."""
+    drive, log = trace.ego, scenario.ego
+    x, y, yaw, v = (np.interp(drive.t, log.t, column) for column in (log.x, log.y, log.yaw, log.v))
+    dx, dy, c, s = drive.x - x, drive.y - y, np.cos(yaw), np.sin(yaw)
+    lasts = np.where(drive.t <= log.t[-1] + 1e-6, 1.0, np.nan)
+    along = (c * dx + s * dy) / np.maximum(np.abs(v) * AWAY_S, LENGTH_M)
+    return np.hypot(dx, dy) * lasts, along * lasts, (c * dy - s * dx) / WIDTH_M * lasts
+
+
+def _off(trace: Trace, scenario: Scenario) -> Iterator[tuple[str, BoolArray]]:
+    """Of each agent of the log that is not where the log has it (4): its name, and when `(k,)`."""
+    log, agents, t = scenario.tracks, trace.agents, trace.ego.t
+    index = {name: i for i, name in enumerate(agents.ids)}
+    for i, there, row in each(log, t) if agents is not log else ():
+        at = index.get(log.ids[i], -1)
+        off = there.there[row].copy()
+        if at >= 0:
+            here = some_at(agents, np.array([at]), t)
+            both = here.there[0] & there.there[row]
+            off = here.there[0] != there.there[row]
+            off[both] = np.hypot(*(here.pose[:2, 0] - there.pose[:2, row])[:, both]) > OFF_M
+        if off.any():
+            yield name_of(log, i), off
+
+
+def _divergence(trace: Trace, scenario: Scenario) -> Measured:
+    return (
+        Series(trace.ego.t, _apart(trace, scenario)[0])
+        if len(scenario.ego) > 1
+        else Unavailable("the log holds one ego state only: there is no drive to part from")
+    )
+
+
+def _weak(trace: Trace, scenario: Scenario) -> Measured:
+    if len(scenario.ego) < 2:
+        return _NO_DRIVE
+    t, (_, along, across) = trace.ego.t, _apart(trace, scenario)
+    ways = ("the ego along its way", np.abs(along) > 1.0), ("the ego across its way", np.abs(across) > 1.0)
+    parted = {name: off for name, off in (*ways, *_off(trace, scenario)) if off.any()}
+    first = min((int(np.argmax(off)) for off in parted.values()), default=len(t))
+    why = "; ".join(name for name, off in parted.items() if off[first])
+    weak = np.where(np.arange(len(t)) >= first, t, np.nan)
+    return Series(t, weak, (why,) * len(t), "the drive never parts from the log")
+
+
 COVERAGE = Metric(
-    "coverage", "s", "higher", (Mode.OPEN, Mode.CLOSED), _coverage, (FINAL,),
+    "coverage", "s", "higher", (Mode.OPEN, Mode.CLOSED), _coverage, (metric.FINAL,),
     "Time that the log lasts from the ego's first state on (log_s; open loop: as long as the log has an ego; where the"
     " drive ends with the evidence: as long as that), and that"
     " was driven or planned (driven_s).",
@@ -153,43 +215,72 @@ EVIDENCE = Metric(
     needs="lights: a stop line with a traffic light on the driven way",
 )  # fmt: skip
 AGENT_INTERVAL = Metric(
-    "agent_interval", "s", "none", (Mode.OPEN, Mode.CLOSED), _agent_interval, (FINAL,),
+    "agent_interval", "s", "none", (Mode.OPEN, Mode.CLOSED), _agent_interval, (metric.FINAL,),
     "Time between two samples of a road user in the log, the median over all that are not static: how near to its bound"
     " a value is marginal (`metrics.marginal`).",
     formula="median of t_k - t_(k-1), gaps left out", needs="a road user with two samples",
 )  # fmt: skip
 REPLAY_CONTACT = Metric(
-    "replay_contact", "1", "lower", (Mode.CLOSED,), _replay_contact, (FINAL,),
+    "replay_contact", "1", "lower", (Mode.CLOSED,), _replay_contact, (metric.FINAL,),
     "1 if a replayed road user ran into the ego without its fault and so ended the drive.",
     formula="[the drive ended by the replay]",
 )  # fmt: skip
 PLAN_REFUSED = Metric(
-    "plan_refused", "1", "lower", (Mode.OPEN, Mode.CLOSED), partial(_with_status, PlanStatus.REFUSED), (RATE,),
+    "plan_refused", "1", "lower", (Mode.OPEN, Mode.CLOSED), partial(_with_status, PlanStatus.REFUSED), (metric.RATE,),
     "Share of the frames whose plan does not start at the ego, or is impossible for a road car: it is not driven.",
     formula="refused plans / plans; bounds: replay/plan_check.py", needs="a plan",
 )  # fmt: skip
 PLAN_CORRECTED = Metric(
-    "plan_corrected", "1", "lower", (Mode.OPEN, Mode.CLOSED), partial(_with_status, PlanStatus.CORRECTED), (RATE,),
+    "plan_corrected", "1", "lower", (Mode.OPEN, Mode.CLOSED), partial(_with_status, PlanStatus.CORRECTED),
+    (metric.RATE,),
     "Share of the frames whose plan says another speed, heading, curvature or acceleration than its positions have.",
     formula="corrected plans / plans; bounds: replay/plan_check.py", needs="a plan",
 )  # fmt: skip
+_MEMBERS: tuple[tuple[str, Direction], ...] = (("pass_share", "higher"), ("fragile", "lower"))
 ENSEMBLE = Metric(
     "ensemble", "1", "none", (Mode.OPEN, Mode.CLOSED),
     lambda trace, scenario: Unavailable("the run has no ensemble (--ensemble N)"),
-    (replace(FINAL, name="pass_share", direction="higher"), replace(FINAL, name="fragile", direction="lower")),
+    tuple(replace(metric.FINAL, name=name, direction=better) for name, better in _MEMBERS),
     "Whether the verdict on a log holds where it is driven again in worlds that should not matter: share of them in"
     " which it passes, and 1 where one of them has another verdict.",
     formula="members that pass / members; [a member has another verdict]", needs="--ensemble N",
 )  # fmt: skip
 ASKED = Metric(
     "asked", "1", "none", (Mode.OPEN, Mode.CLOSED), lambda trace, scenario: Unavailable("no gates were judged"),
-    (replace(FINAL, name="share", direction="higher"),),
+    (replace(metric.FINAL, name="share", direction="higher"),),
     "Share of the gates of this loop that were asked of this log: the others had nothing to judge.",
     formula="gates that pass, fail or are inconclusive / gates of the loop", needs="a run with gates",
 )  # fmt: skip
 PHANTOM = Metric(
-    "phantom", "count", "none", (Mode.OPEN, Mode.CLOSED), _phantom, (COUNT,),
+    "phantom", "count", "none", (Mode.OPEN, Mode.CLOSED), _phantom, (metric.COUNT,),
     "Boxes in which the recorded ego stood: they are left out of all metrics and end no drive, from 1 s before to 1 s"
     " after.",
     formula="number of boxes that overlap the recorded ego's; 0 in synthesised logs",
+)  # fmt: skip
+FROM = Reduction("from", lambda series: (float(series.value[series.known][0]), int(np.argmax(series.known))))
+DIVERGENCE = Metric(
+    "divergence", "m", "none", (Mode.CLOSED,),
+    lambda trace, scenario: (
+        Series(trace.ego.t, _apart(trace, scenario)[0]) if len(scenario.ego) > 1 else _NO_DRIVE
+    ), (metric.MAX,),
+    "Distance between the ego and where the log has it at the same time, while the log's ego lasts.",
+    formula="|p - q|", needs="a log that holds the ego's drive",
+)  # fmt: skip
+WEAK = Metric(
+    "divergence_weak", "s", "none", (Mode.CLOSED,), _weak,
+    (FROM, Reduction("share", metric.HAVING.reduce, unit="1", direction="none", empty=0.0)),
+    "From when on the drive has parted from its log, so that the replay is weak evidence, and the share after that.",
+    parameters=(
+        f"along {AWAY_S:g} s of way, at least {LENGTH_M:g} m", f"across {WIDTH_M:g} m", f"a road user {OFF_M:g} m",
+    ),
+    formula=f"first t: |along| > max({AWAY_S:g} s v, {LENGTH_M:g} m) or |across| > {WIDTH_M:g} m or a road user off",
+    needs="a log that holds the ego's drive",
+)  # fmt: skip
+DISPLACED = Metric(
+    "displaced", "count", "none", (Mode.CLOSED,),
+    lambda trace, scenario: metric.counted(
+        trace.ego.t, ((int(np.argmax(off)), name) for name, off in _off(trace, scenario))
+    ), (metric.COUNT,),
+    "Road users who were not where the log has them, each once: who gave way, and who was held up by them.",
+    formula="number of road users farther than this from where the log has them", parameters=(f"{OFF_M:g} m",),
 )  # fmt: skip

@@ -32,14 +32,12 @@ from logs.scenario import AgentKind, Scenario
 from logs.trace import Mode, Trace
 from metrics.metric import MAX, MIN, Direction, Measured, Metric, Reduction, Series, time_below, time_outside
 from metrics.path_ahead import COMING_MPS, GRID_S, LOOK_M, STANDING_MPS, Ahead, ahead_of
+from metrics.safety import CATALOGUE as _CATALOGUE
 from metrics.safety import _labels
 
-SHORT_THW_S = 0.9
-"""Below it the German road traffic act fines (quarter of the speedometer; criticality metrics catalogue: DE 0.9 s)."""
-EMERGENCY_MPS2 = 5.0
-"""UN R157: a greater demand is an emergency manoeuvre."""
-STEER_MPS2 = 8.0
-"""Lateral acceleration that is available: commonroad-crime's a_lat,max."""
+SHORT_THW_S = 0.9  # Below it Germany fines (criticality metrics catalogue: DE 0.9 s)
+EMERGENCY_MPS2 = 5.0  # UN R157: a greater demand is an emergency manoeuvre
+STEER_MPS2 = 8.0  # Lateral acceleration that is available: commonroad-crime's a_lat,max
 R157_MPS = np.array([7.2, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0]) / 3.6
 R157_S = np.array([1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6])
 R157_LEAST_M = 2.0
@@ -111,7 +109,6 @@ def _metric(
     )  # fmt: skip
 
 
-_CATALOGUE = "criticality metrics catalogue, Westhofen et al., Arch. Comput. Methods Eng. 30 (2023)"
 FOLLOWING = (
     _metric(
         "headway", "m", "higher", lambda ahead, scenario: ahead.gap, (MIN,),

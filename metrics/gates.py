@@ -52,8 +52,7 @@ class Outcome(Enum):
     NOT_ASKED = "not asked"
 
 
-EVIDENCE = ("traffic", "lights", "limit", "lane")
-"""What a gate may need evidence about: the parts of the metric `evidence`."""
+EVIDENCE = ("traffic", "lights", "limit", "lane")  # The parts of the metric `evidence`
 OVER = ("worst", "mean", "median", "sum", "pass_share")
 
 

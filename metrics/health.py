@@ -53,16 +53,11 @@ from logs.states import wrapped
 from metrics.others import name_of, pieces
 from metrics.phantoms import phantoms
 
-EGO_GAP_S = 0.5
-"""As long as an agent that is sampled often may be unseen (`logs.presence`), s."""
-RARE = 5.0
-"""Intervals."""
-EGO_JUMP_M = 0.5
-"""A car's localisation is off by less from one sample to the next, m."""
-BRAKING_MPS2 = 12.0
-"""More than tyres give, m/s2."""
-EGO_SPEED_OFF, EGO_WAY_M = 0.1, 10.0
-"""Wheel speeds are within a few per cent, also on worn tyres; over a shorter way, m, noise hides a factor."""
+EGO_GAP_S = 0.5  # As long as an agent that is sampled often may be unseen (`logs.presence`), s
+RARE = 5.0  # Intervals
+EGO_JUMP_M = 0.5  # A car's localisation is off by less from one sample to the next, m
+BRAKING_MPS2 = 12.0  # More than tyres give, m/s2
+EGO_SPEED_OFF, EGO_WAY_M = 0.1, 10.0  # Wheel speeds are within a few per cent; over a shorter way noise hides a factor
 FACTORS = {
     3.6: "the speeds look like km/h",
     2.237: "the speeds look like mph",
@@ -73,41 +68,26 @@ FACTORS = {
     0.001: "the positions look like mm",
 }
 """Way by speed over way by positions, where one of them has another unit."""
-NEAR = 0.04
-"""How near to a factor, as a share."""
-STEP_M, TURNED_RAD = 0.3, 0.5
-"""Way over which a direction can be seen, m; about 30 degrees, more than the slip of a car that is driven, rad."""
-EGO_FLIP_RAD = 1.0
-"""No car turns by more between two samples, rad."""
+NEAR = 0.04  # How near to a factor, as a share
+STEP_M, TURNED_RAD = 0.3, 0.5  # A direction can be seen over this way, m; more than the slip of a driven car
+EGO_FLIP_RAD = 1.0  # No car turns by more between two samples, rad
 
-SWITCH_S, SWITCH_M = 0.6, 2.0
-"""A tracker that loses an agent finds it again within this time, s, and this distance, m."""
-FASTEST_MPS = 70.0
-"""No road user is faster, m/s."""
-JUMP_M = 1.5
-"""Boxes of real perception move by this between two samples where it sees another part of the same car, m."""
-SPEED_OFF, WAY_M = 0.25, 20.0
-"""Estimated speeds are at most this far off over a track of this way, m, as a share."""
-FLIP_RAD, FLIP_S = 2.0, 1.0
-"""A box that is turned the other way round turns by about pi, rad."""
-TWIN_M, TWIN_S, GRID_S = 0.4, 0.5, 0.25
-"""Two bodies cannot be so near, centre to centre, m, for so long, s; looked at every `GRID_S`."""
-LARGEST_M, PERSON_M = (30.0, 4.5), 2.5
-"""Length and width of the largest vehicles on public roads, with room; wider than any person or bicycle, m."""
-MOST = 0.6
-"""Share of the moving tracks that must be off by one factor."""
+SWITCH_S, SWITCH_M = 0.6, 2.0  # A tracker that loses an agent finds it again within this time, s, and this distance, m
+FASTEST_MPS = 70.0  # No road user is faster, m/s
+JUMP_M = 1.5  # Boxes of real perception move by this between two samples where it sees another part of the same car, m
+SPEED_OFF, WAY_M = 0.25, 20.0  # Estimated speeds are at most this far off over a track of this way, m, as a share
+FLIP_RAD, FLIP_S = 2.0, 1.0  # A box that is turned the other way round turns by about pi, rad
+TWIN_M, TWIN_S, GRID_S = 0.4, 0.5, 0.25  # Two centres cannot be so near for so long; looked at every `GRID_S`
+LARGEST_M, PERSON_M = (30.0, 4.5), 2.5  # Longest and widest on public roads; wider than any person
+MOST = 0.6  # Share of the moving tracks that must be off by one factor
 SMALL = (AgentKind.PEDESTRIAN, AgentKind.BICYCLE)
 LONG = (AgentKind.CAR, AgentKind.TRUCK, AgentKind.BUS, AgentKind.MOTORCYCLE)
 
-OFF_SHARE = 0.1
-"""A turn cut, a car park: a tenth of a drive may be off the lanes."""
-APART_M = 3.0
-"""Less than a lane's width, m."""
-EDGE = 0.5
-"""If more than this share of the lanes ends in lanes that are not there, it is not the map's edge but a hole."""
+OFF_SHARE = 0.1  # A turn cut, a car park: a tenth of a drive may be off the lanes
+APART_M = 3.0  # Less than a lane's width, m
+EDGE = 0.5  # If more than this share of the lanes ends in lanes that are not there, it is not the map's edge but a hole
 SAMPLES = 200
-SHOWN = 5
-"""Findings of one kind that a report lists."""
+SHOWN = 5  # Findings of one kind that a report lists
 COLUMNS = ("log", "kind", "topic", "who", "t_from_s", "t_to_s", "value", "unit", "text", "effect")
 
 
@@ -139,23 +119,21 @@ class Kind(Enum):
     LIGHT = "light without a lane", "no car is asked to stop at it: red lights run are not counted"
     TRAFFIC = "traffic not recorded", "gaps and contacts of what is driven then are no evidence of safety"
 
-    def __init__(self, word: str, effect: str) -> None:
-        self._value_, self.effect = word, effect
+    def __new__(cls, word: str, effect: str) -> Kind:
+        """The word is the value."""
+        kind = object.__new__(cls)
+        kind._value_, kind.effect = word, effect
+        return kind
 
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that is wrong.
+    """One thing that is wrong, from `t_from` to `t_to`, s since the scenario's start.
 
     Attributes:
-        kind: Of it.
         topic: Part of the scenario where it is: "ego", "agents", "road", "lights".
         who: The agent, lane or light, or "".
-        t_from: When it begins, s since the scenario's start; `t_to` when it ends.
-        t_to: See there.
-        value: How much, in `unit`.
-        unit: "m", "s", "rad", "x" (a factor), "1" (a count or a share).
-        text: In words, with the figures.
+        unit: Of the value: "m", "s", "rad", "x" (a factor), "1" (a count or a share).
     """
 
     kind: Kind
@@ -217,9 +195,6 @@ def _by_kind(found: Iterable[Finding]) -> dict[Kind, list[Finding]]:
     return kinds
 
 
-# the ego ----------------------------------------------------------------------------------------------------------
-
-
 def ghosts(scenario: Scenario) -> Iterator[Finding]:
     """Boxes in which the recorded ego stood."""
     for phantom in phantoms(scenario):
@@ -231,8 +206,7 @@ def ghosts(scenario: Scenario) -> Iterator[Finding]:
 
 def ego_gaps(scenario: Scenario) -> Iterator[Finding]:
     """(1)."""
-    t = scenario.ego.t
-    dt = np.diff(t)
+    t, dt = scenario.ego.t, np.diff(scenario.ego.t)
     for k in np.flatnonzero((dt > EGO_GAP_S) & (dt > RARE * np.median(dt))) if len(dt) else ():
         yield Finding(Kind.EGO_GAP, "ego", "", t[k], t[k + 1], dt[k], "s", f"no ego state for {dt[k]:.2f} s")
 
@@ -281,9 +255,6 @@ def ego_heading(scenario: Scenario) -> Iterator[Finding]:
 def _ways(t: FloatArray, x: FloatArray, y: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Way between samples `(n - 1,)` by positions, and by the speeds `v` `(n,)` >= 0, m."""
     return np.hypot(np.diff(x), np.diff(y)), 0.5 * np.diff(t) * (v[1:] + v[:-1])
-
-
-# other road users -------------------------------------------------------------------------------------------------
 
 
 def _of_track(tracks: Tracks, i: int, kind: Kind, a: float, b: float, value: float, unit: str, text: str) -> Finding:
@@ -425,9 +396,6 @@ def sizes(scenario: Scenario) -> Iterator[Finding]:
         if odd or (kind in SMALL and min(length, width) > PERSON_M):
             t = tracks.t[tracks.samples(i)]
             yield _of_track(tracks, i, Kind.SIZE, t[0], t[-1], length, "m", f"is {length:.1f} m by {width:.1f} m")
-
-
-# map and lights ---------------------------------------------------------------------------------------------------
 
 
 def off_map(scenario: Scenario) -> Iterator[Finding]:

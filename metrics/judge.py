@@ -66,15 +66,13 @@ from metrics.marginal import marginal
 
 _NOTHING: Mapping[str, str] = MappingProxyType({})
 _NO_DRIVE: Mapping[tuple[str, str, str], str] = MappingProxyType({})
-REFERENCE = "reference"
-"""Mode of the rows of reference drives."""
+REFERENCE = "reference"  # Mode of the rows of reference drives
 DRIVER, CAREFUL, FOLLOWER = "driver", "careful", "follower"
 REFERENCES = {DRIVER: "the recorded driver", CAREFUL: "the careful driver", FOLLOWER: "the route follower"}
 """Planner of those rows: the log's own driver; the careful driver of UN R157, which brakes only and knows no rules; and
 the route follower, which accelerates, steers and obeys the rules (`replay.reference_drives`)."""
 REPLAY_CONTACT = "replay_contact.final"
-NO_COLLISION = Gate("collision_at_fault.count", max=0.0)
-"""A collision ends a drive: where it is no evidence, neither is that the drive got no further."""
+NO_COLLISION = Gate("collision_at_fault.count", max=0.0)  # It ends a drive: progress is excused where it is
 SAME_S, SLOWER_MPS, WORSE = 2.0, 1.0, 1.5
 """A stop at another time, or an impact that is clearly harder, is another event (`CC_TTC_S` of the careful driver). A
 value that is farther out of bounds than `WORSE` times the reference drive's holds more than that event."""
@@ -84,8 +82,7 @@ EXCUSED: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {"safety": (DRIVER, CAREFUL), "rules": (DRIVER,), "comfort": (CAREFUL,)}
 )
 """Which reference drives are asked, by group of metrics."""
-NAMED, LAWFUL = ("comfort",), ("safety", "rules")
-"""Groups whose events are excused only where they are about a road user, and whose gates a yardstick holds."""
+NAMED, LAWFUL = ("comfort",), ("safety", "rules")  # Excused only about a road user; held by a yardstick
 _GROUP = {metric.name: name for name, group in GROUPS.items() for metric in group}
 OUTCOME_COLUMNS = ("gate", "log", "planner", "mode", "outcome", "value", "time_s", "reason")
 
@@ -149,8 +146,7 @@ class _Row(NamedTuple):
 
 
 _NONE = _Row(nan, False, "not measured", "", nan)
-_Drive = Mapping[tuple[str, str], _Row]
-"""The rows of a planner and mode by (log, metric)."""
+_Drive = Mapping[tuple[str, str], _Row]  # The rows of a planner and mode by (log, metric)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -289,9 +285,6 @@ def _grouped(logs: Sequence[str], gate: Gate, labels: Mapping[str, LogLabels]) -
     return dict(sorted(found.items()))
 
 
-# one log ----------------------------------------------------------------------------------------------------------
-
-
 def _of_logs(
     gate: Gate, drive: tuple[str, str], rows: _Rows, logs: Sequence[str], failed: Mapping[str, str]
 ) -> Iterator[LogOutcome]:
@@ -389,9 +382,6 @@ def _by_reference(gate: Gate, log: str, row: _Row, mine: _Drive, rows: _Rows) ->
             about = f" ({found.reason})" if found.reason else ""
             return f"{REFERENCES[planner]} breaks {gate} too: {found.value:.4g}{unit_of(found.unit)}{about}"
     return ""
-
-
-# logs together ----------------------------------------------------------------------------------------------------
 
 
 _REDUCE: Mapping[str, Callable[[Sequence[float]], float]] = MappingProxyType(

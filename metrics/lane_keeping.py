@@ -30,8 +30,7 @@ from metrics.path_ahead import grid_of
 
 WINDOW_S = 1.0
 COMPLIANT_M, HALF_M = 2.0, 6.0
-AGAINST_MPS = 0.1
-"""Slower than this is no driving against a lane: the speed at which a stop is made."""
+AGAINST_MPS = 0.1  # Slower than this is no driving against a lane: the speed at which a stop is made
 ASIDE_M, ASIDE_S, OVER_M = 0.5, 2.0, 0.3
 NO_LANES = Unavailable("the log has no lanes")
 

@@ -18,12 +18,9 @@ from logs.shapes import point_segment
 from metrics.once import once
 
 BEYOND_M = 10.0
-SURE_M = 1e-6
-"""Boxes are passed over where they are farther than this: rounding must not decide."""
-FEW = 16
-"""Least number of edges in a box."""
-CROSSING = cos(30.0 / 180.0 * pi)
-"""Lanes that lie over each other cross where their directions differ by more than 30 degrees, either way round."""
+SURE_M = 1e-6  # Boxes are passed over where they are farther than this: rounding must not decide
+FEW = 16  # Least number of edges in a box
+CROSSING = cos(30.0 / 180.0 * pi)  # Lanes cross where their directions differ by more, either way round
 
 
 class Boxes(NamedTuple):
@@ -49,8 +46,7 @@ class LaneArrays(NamedTuple):
         center: Their centre lines `(m / 2, 2)`, m; lane i owns the halves of `offsets`; edge k leads from point k on.
         box: `(n, 4)`: least x, y, greatest x, y.
         limit: `(n,)` the log's speed limit, m/s; NaN where it has none.
-        outline: Boxes of the outlines.
-        middle: Of the centre lines.
+        outline: Boxes of the outlines; `middle` of the centre lines.
     """
 
     points: FloatArray

@@ -11,8 +11,7 @@ from metrics.gates import Gate, Gates
 from metrics.judge import Verdict, judge
 
 SHARE = "deadline.share"
-MAX_SHARE = 0.01
-"""So many of a drive's plans may be late."""
+MAX_SHARE = 0.01  # So many of a drive's plans may be late
 _DRIVE = ["log", "planner", "mode"]
 COLUMNS = ("log", "planner", "mode", "plans", "misses", "share", "worst_s", "worst_t_s")
 
@@ -22,14 +21,11 @@ def deadline_misses(timings: pd.DataFrame, deadline_s: float) -> pd.DataFrame:
 
     Args:
         timings: Columns log, planner, mode, t_s, stage, seconds; the stage "total" is a whole plan.
-        deadline_s: A plan that takes longer has missed it, s; above 0.
+        deadline_s: A plan that takes longer has missed it, s; ValueError unless above 0.
 
     Returns:
-        One row per log, planner and mode, in the order of `timings`, columns `COLUMNS`: plans made, misses, their
-        share, the longest time of a plan, and when that plan was asked for. Empty where nothing was planned.
-
-    Raises:
-        ValueError: The deadline is not above 0.
+        `COLUMNS` of each log, planner and mode in the order of `timings`: plans made, misses, their share, the longest
+        time of a plan, and when that plan was asked for.
     """
     if not deadline_s > 0.0:
         raise ValueError(f"a deadline of {deadline_s} s")

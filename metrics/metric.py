@@ -25,8 +25,7 @@ from logs.scenario import Scenario
 from logs.trace import Mode, Trace
 from metrics.once import last
 
-Direction = Literal["lower", "higher", "none"]
-"""Which way is better."""
+Direction = Literal["lower", "higher", "none"]  # Which way is better
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -188,10 +187,8 @@ def _asked(trace: Trace, scenario: Scenario, measure: Measure) -> Measured | Map
 
 
 _all, _newest = last(1024)(_asked), last(8)(_asked)
-LONG_STEPS = 60_000
-"""Of a drive with more steps (ten minutes at 100 Hz: 1 MB a series) the newest series are kept: scores ask again."""
-LEAST_S = 4.0
-"""Of `share_beyond`: the horizon over which plans are judged."""
+LONG_STEPS = 60_000  # Of a longer drive (1 MB a series) only the newest series are kept
+LEAST_S = 4.0  # Of `share_beyond`: the horizon over which plans are judged
 
 
 def _extreme(series: Series, score: FloatArray, value: FloatArray) -> tuple[float, int]:
@@ -235,10 +232,8 @@ MIN = Reduction("min", lambda series: _extreme(series, -series.value, series.val
 MAX = Reduction("max", lambda series: _extreme(series, series.value, series.value))
 MAX_ABS = Reduction("max_abs", lambda series: _extreme(series, np.abs(series.value), np.abs(series.value)))
 RMS = Reduction("rms", lambda series: (float(np.sqrt(np.mean(series.value[series.known] ** 2))), -1))
-P95 = Reduction("p95", _percentile(95.0))
-"""95th percentile of the absolute value over the steps, linear between order statistics."""
-P99 = Reduction("p99", _percentile(99.0))
-"""99th percentile, likewise."""
+P95 = Reduction("p95", _percentile(95.0))  # of the absolute value, linear between order statistics
+P99 = Reduction("p99", _percentile(99.0))  # 99th percentile, likewise
 FINAL = Reduction("final", lambda series: _extreme(series, np.arange(len(series.t), dtype=float), series.value))
 COUNT = Reduction(
     "count",

@@ -2,7 +2,6 @@
 
 The plan of the frame at t_i is laid out at t_i + 0, 0.1, ..., 4 s (t_ik), as far as the plan reaches and there is
 evidence: until the drive ends in closed loop, until the log ends in open loop. The others do not react to the plan, and
-in closed loop they may have reacted to the drive. So a plan may be charged for what a reaction would have avoided, and
 a plan changes rightly where a road user does something unexpected. Gates therefore bound shares of the drive's time.
 
 (1) plan_collision = least t_ik - t_i with a contact at fault: first touch of each agent, fault in the order of `safety`
@@ -20,10 +19,9 @@ a plan changes rightly where a road user does something unexpected. Gates theref
 
 (7) is the EPDMS of NAVSIM 0a380a90 without direction, lights and lane keeping, which the drive itself is judged by.
 
-The bounds of the gates lie between what planners need and what plans that are not meant show. Measured: `dp_qp`, `idm`
-and `lattice` in both loops over the built-in suite and 64 recorded logs, without one log in which a car cuts in and
-stops; and, over the built-in suite, `idm` with plans that end 12 m aside, 3 m to either side in turns, accelerating, or
-braking in every other frame.
+The bounds of the gates lie between what planners need (`dp_qp`, `idm` and `lattice` in both loops over the built-in
+suite and 64 recorded logs, less one with a car that cuts in and stops) and what plans that are not meant show (`idm`
+with plans that end 12 m aside, 3 m to either side in turns, accelerating, or braking in every other frame):
 
     share of time                       planners, at most   such plans, at least   gate
     plan_collision                      0.44                (others decide)        0.5
@@ -60,16 +58,11 @@ from metrics.safety import _apart, _behind, _contact_kind
 
 HORIZON_S, TTC_HORIZON_S = 4.0, 3.0
 STEPS = round(HORIZON_S / STEP_S)
-PIECE = 500
-"""Plans that are laid out at a time: 1 MB a column."""
+PIECE = 500  # Plans that are laid out at a time: 1 MB a column
 _COLUMNS = ("x", "y", "yaw", "v", "a", "kappa")
 _NOT_DRIVEN = f"no plan of more than {SHORT_M:g} m is followed by {PLAN_HORIZON_S:g} s of driving"
 _NO_CONTACT = f"no plan has a contact at fault within {HORIZON_S:g} s"
-_NO_DRIVE = Unavailable("the log holds one ego state only: there is no drive to plan along")
-STOOD, FRONT, SIDE = (
-    safety.KINDS.index(kind)
-    for kind in (safety.ContactKind.STOPPED_TRACK, safety.ContactKind.ACTIVE_FRONT, safety.ContactKind.LATERAL)
-)
+STOOD, FRONT, SIDE = (safety.KINDS.index(safety.ContactKind[k]) for k in ("STOPPED_TRACK", "ACTIVE_FRONT", "LATERAL"))
 Rows = Mapping[str, NDArray[Any]]
 
 
@@ -202,21 +195,16 @@ def _meetings(
     return step, hit, ttc, near
 
 
-# metrics ----------------------------------------------------------------------------------------------------------
-
-
 def _lack(trace: Trace, scenario: Scenario) -> Unavailable | None:
     """Why plans cannot be followed; None where they can."""
     if trace.mode is Mode.OPEN and len(scenario.ego) < 2:
-        return _NO_DRIVE
+        return Unavailable("the log holds one ego state only: there is no drive to plan along")
     return None if trace.frames else NO_PLANS
 
 
-def _followed_by(
-    name: str, trace: Trace, scenario: Scenario, *, about: str = "", missing: str = "no plan has a second state"
-) -> Measured:
+def _followed_by(name: str, trace: Trace, scenario: Scenario, **words: str) -> Measured:
     """A row of `_judged` that needs what happened after the frame."""
-    return _lack(trace, scenario) or _series(name, trace, scenario, about=about, missing=missing)
+    return _lack(trace, scenario) or _series(name, trace, scenario, **words)
 
 
 def _series(
@@ -229,11 +217,6 @@ def _series(
     return Series(frame_times(trace), found[name], labels, missing)
 
 
-def _off_road(trace: Trace, scenario: Scenario) -> Measured:
-    lanes = safety.known_lanes(scenario)
-    return lanes if isinstance(lanes, Unavailable) else _series("off", trace, scenario)
-
-
 def _comfort(trace: Trace, scenario: Scenario) -> Measured:
     if not trace.frames:
         return NO_PLANS
@@ -243,8 +226,7 @@ def _comfort(trace: Trace, scenario: Scenario) -> Measured:
 
 def _score(trace: Trace, scenario: Scenario) -> Measured:
     """(7)."""
-    lack = _lack(trace, scenario)
-    if lack is not None:
+    if (lack := _lack(trace, scenario)) is not None:
         return lack
     found, t = _judged(trace, scenario), times_after(trace, 0, 0)[:, 0]
     objects = np.array([kind is AgentKind.OBJECT for kind in trace.agents.kinds] + [False])
@@ -261,8 +243,7 @@ def _score(trace: Trace, scenario: Scenario) -> Measured:
     return Series(t, multiplier * (weights * np.nan_to_num(parts)).sum(axis=0) / weights.sum(axis=0))
 
 
-_BOTH = (Mode.OPEN, Mode.CLOSED)
-_CLOSED = (Mode.CLOSED,)
+_BOTH, _CLOSED = (Mode.OPEN, Mode.CLOSED), (Mode.CLOSED,)
 _FOLLOWED = (f"horizon {HORIZON_S:g} s", f"step {STEP_S:g} s")
 _NAVSIM = "after NAVSIM 0a380a90, pdm_scorer"
 
@@ -284,7 +265,9 @@ PLAN_COLLISION = _metric(
     "least t - t_i with a contact at fault", better="higher", version=2,
 )  # fmt: skip
 PLAN_OFF_ROAD = _metric(
-    "plan_off_road", "m", _off_road, (metric.MAX, metric.share_beyond(safety.OFF_ROAD_M, "share_beyond_30cm")),
+    "plan_off_road", "m", lambda trace, scenario: (
+        lanes if isinstance(lanes := safety.known_lanes(scenario), Unavailable) else _series("off", trace, scenario)
+    ), (metric.MAX, metric.share_beyond(safety.OFF_ROAD_M, "share_beyond_30cm")),
     "How much farther off the drivable lanes than at its start a plan leads.",
     "max over t of off(t) - off(t_i), off the greatest distance of a corner to the lanes",
     needs="plans, lanes in the log",
@@ -320,15 +303,13 @@ PLAN_SCORE = _metric(
     "NAVSIM's EPDMS of each plan, without direction, lights and lane keeping.",
     "contact x drivable x (5 ttc + 5 progress + 2 comfort + 2 extended_comfort) / 14", better="higher",
 )  # fmt: skip
-PLAN_LON_ACCEL = _metric(
-    "plan_lon_accel", "m/s2", partial(_series, "lon_accel"), (metric.MEAN, metric.P95, metric.MAX),
-    "Largest planned acceleration or braking.", "max |a|", version=2,
-)  # fmt: skip
-PLAN_LAT_ACCEL = _metric(
-    "plan_lat_accel", "m/s2", partial(_series, "lat_accel"), (metric.MEAN, metric.P95, metric.MAX),
-    "Largest planned lateral acceleration.", "max |v^2 kappa|", version=2,
-)  # fmt: skip
-PLAN_LON_JERK = _metric(
-    "plan_lon_jerk", "m/s3", partial(_series, "lon_jerk"), (metric.MEAN, metric.P95, metric.MAX),
-    "Largest planned longitudinal jerk, over 0.1 s.", "max |a(t) - a(t - W)| / W", version=2,
+PLAN_LON_ACCEL, PLAN_LAT_ACCEL, PLAN_LON_JERK = (
+    _metric(
+        f"plan_{name}", unit, partial(_series, name), (metric.MEAN, metric.P95, metric.MAX), meaning, formula, version=2
+    )
+    for name, unit, meaning, formula in (
+        ("lon_accel", "m/s2", "Largest planned acceleration or braking.", "max |a|"),
+        ("lat_accel", "m/s2", "Largest planned lateral acceleration.", "max |v^2 kappa|"),
+        ("lon_jerk", "m/s3", "Largest planned longitudinal jerk, over 0.1 s.", "max |a(t) - a(t - W)| / W"),
+    )
 )  # fmt: skip

@@ -22,6 +22,12 @@ step, the last too, holds for w_k (`metric.holds`):
 (1) TET = sum of w_k [TTC_k < tau],  time exposed, s;  TIT = sum of w_k (tau - TTC_k) [TTC_k <= tau],  time integrated,
     s2: the published variant; the other one integrates 1 / TTC - 1 / tau and is infinite at a contact
 
+Severity, at the first touch of each road user, with the velocity vectors v, the ego's mass m_e and that of the other's
+class m_o (`MASS_KG`; an object is immovable; nuPlan takes 2000 kg for both), but FROM_START:
+
+(2) impact speed = |v_e - v_o|, m/s
+(3) delta-v of the ego = m_o / (m_o + m_e) |v_e - v_o|: the change of its velocity if both stick together
+
 Off the road: the greatest distance of the ego's outline to the drivable lanes, at points at most `OUTLINE_M` apart, its
 corners among them: a kerb's corner that reaches into the side of a turning car is seen, and what is within the box has
 come through its outline.
@@ -29,11 +35,13 @@ come through its outline.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from functools import partial
 from itertools import pairwise
 from math import ceil, cos, hypot, inf, sin
+from types import MappingProxyType
 
 import numpy as np
 
@@ -52,18 +60,27 @@ from metrics.once import once
 from metrics.others import ego_boxes, name_of, named, pieces, some_at
 
 STANDING_MPS = 0.05
-TTC_HORIZON_S, CLOSE_S = 10.0, 0.95
-"""Horizon of the time to collision, and nuPlan's bound on it."""
-TAU_S = 1.5
-"""Critical TTC of the criticality metrics catalogue (Westhofen et al., Arch. Comput. Methods Eng. 30, 2023)."""
+TTC_HORIZON_S, CLOSE_S = 10.0, 0.95  # Horizon of the time to collision, and nuPlan's bound on it
+TAU_S = 1.5  # Critical TTC (criticality metrics catalogue, Westhofen et al. 2023)
+CATALOGUE = "criticality metrics catalogue, Westhofen et al., Arch. Comput. Methods Eng. 30 (2023)"
 OFF_ROAD_M = 0.3
-OUTLINE_M = 0.25
-"""Between two points the outline is at most half of this further off than they are, m."""
-PASSING_MPS, PASSING_M = (3.0, 5.0), (0.5, 1.0)
-"""Room to pedestrians and riders who are passed, by the ego's speed, linear between."""
-LEAVING_MPS = 0.5
-"""One who goes away to the side as fast has crossed, and is not passed."""
+OUTLINE_M = 0.25  # Between two points the outline is at most half of this further off than they are, m
+PASSING_MPS, PASSING_M = (3.0, 5.0), (0.5, 1.0)  # Room to those who are passed, by the ego's speed, linear between
+LEAVING_MPS = 0.5  # One who goes away to the side as fast has crossed, and is not passed
 _BEHIND = cos(150.0 / 180.0 * np.pi)
+
+
+PERSON_KG = 75.0  # A driver: Regulation (EU) No 1230/2012
+MASS_KG: Mapping[AgentKind, float] = MappingProxyType({
+    AgentKind.CAR: 1500.0,  # EN 1317-1, test vehicle of TB 32
+    AgentKind.TRUCK: 10_000.0,  # EN 1317-1, rigid heavy goods vehicle of TB 42
+    AgentKind.BUS: 13_000.0,  # EN 1317-1, bus of TB 51
+    AgentKind.MOTORCYCLE: PERSON_KG + 200.0,  # a middle-weight machine, round
+    AgentKind.BICYCLE: PERSON_KG + 15.0,  # a city bicycle, round
+    AgentKind.PEDESTRIAN: PERSON_KG,
+    AgentKind.OBJECT: np.inf,
+})  # fmt: skip
+PARTS = ("impact_speed", "delta_v")
 
 
 class ContactKind(Enum):
@@ -185,15 +202,9 @@ def _first_contacts(
 
 @kernel
 def _gaps(
-    ego: FloatArray,
-    length: float,
-    width: float,
-    there: BoolArray,
-    pose: FloatArray,
-    size: FloatArray,
-    wanted: BoolArray,
-    recent: int,
-) -> tuple[FloatArray, IntArray]:
+    ego: FloatArray, length: float, width: float, there: BoolArray, pose: FloatArray, size: FloatArray,
+    wanted: BoolArray, recent: int,
+) -> tuple[FloatArray, IntArray]:  # fmt: skip
     """Per step the least distance to a wanted agent (NaN: none there) and its index (-1).
 
     `recent` was the nearest before, and is looked at first.
@@ -207,9 +218,8 @@ def _gaps(
             x, y, yaw = ego[0, k], ego[1, k], ego[2, k]
             if not (wanted[i] and there[i, k]) or _apart(x, y, reach, pose, size, i, k) >= best:
                 continue
-            found = distance(
-                x, y, yaw, length, width, pose[0, i, k], pose[1, i, k], pose[2, i, k], size[i, 0], size[i, 1]
-            )
+            px, py, turn = pose[0, i, k], pose[1, i, k], pose[2, i, k]
+            found = distance(x, y, yaw, length, width, px, py, turn, size[i, 0], size[i, 1])
             if found < best or nearest[k] < 0:
                 best, nearest[k], gap[k] = found, i, found
         recent = max(nearest[k], 0)
@@ -267,15 +277,28 @@ def _wanted(trace: Trace, vulnerable_only: bool) -> BoolArray:
     return np.array([kind.is_vulnerable or not vulnerable_only for kind in trace.agents.kinds], np.bool_)
 
 
-def _none(vulnerable_only: bool) -> Unavailable:
-    return Unavailable(f"no {'pedestrian or rider' if vulnerable_only else 'other road user'} in the scene")
-
-
 def impact_speed(contact: Contact, trace: Trace, scenario: Scenario) -> float:
     """Length of the difference of the velocity vectors at the first touch, m/s."""
     other = some_at(trace.agents, np.array([contact.agent]), trace.ego.t[contact.step : contact.step + 1])
     mine, theirs = ego_boxes(trace.ego, scenario)[3:, contact.step], other.pose[3:, 0, 0]
     return float(np.hypot(*(theirs - mine)))
+
+
+def delta_v(speed: float, mass: float, other_mass: float) -> float:
+    """(3), m/s."""
+    return speed if np.isinf(other_mass) else speed * other_mass / (other_mass + mass)
+
+
+def _severity(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
+    found, labels = np.full((2, len(trace.ego)), np.nan), [""] * len(trace.ego)
+    for contact in contacts(trace, scenario):
+        k, mass = contact.step, MASS_KG[trace.agents.kinds[contact.agent]]
+        speed = impact_speed(contact, trace, scenario)
+        change = delta_v(speed, scenario.vehicle.mass, mass)
+        if contact.kind is not ContactKind.FROM_START and not found[1, k] >= change:
+            found[:, k] = speed, change
+            labels[k] = label(contact, trace)
+    return {part: Series(trace.ego.t, found[i], tuple(labels), "no collision") for i, part in enumerate(PARTS)}
 
 
 @kernel
@@ -297,23 +320,21 @@ def _gap(
     trace: Trace, scenario: Scenario, *, vulnerable_only: bool, kept: bool = False, leaving: float = inf
 ) -> Measured:
     ego, wanted, vehicle = ego_boxes(trace.ego, scenario), _wanted(trace, vulnerable_only), scenario.vehicle
+    who = "pedestrian or rider" if vulnerable_only else "other road user"
     if not wanted.any():
-        return _none(vulnerable_only)
+        return Unavailable(f"no {who} in the scene")
     gap, nearest = np.full(len(trace.ego), np.nan), np.full(len(trace.ego), -1)
     recent = 0
     for steps, seen, others in pieces(trace.agents, trace.ego.t):
-        there = (
-            _approachable(ego[:, steps], vehicle.axle_to_center, others.there, others.pose, leaving)
-            if kept
-            else others.there
-        )
+        there = others.there
+        if kept:
+            there = _approachable(ego[:, steps], vehicle.axle_to_center, there, others.pose, leaving)
         after = int(np.searchsorted(seen, recent)) % max(len(seen), 1)
         gap[steps], row = _gaps(
             ego[:, steps], vehicle.length, vehicle.width, there, others.pose, others.size, wanted[seen], after
         )
         nearest[steps] = named(seen, row)
         recent = max(int(nearest[steps.stop - 1]), 0)
-    who = "pedestrian or rider" if vulnerable_only else "other road user"
     where = "beside or ahead of an ego that drives" if kept else "in the scene"
     return Series(trace.ego.t, gap, _labels(trace, nearest), f"no {who} {where}")
 
@@ -329,7 +350,7 @@ def _passing_room(trace: Trace, scenario: Scenario) -> Measured:
 def _ttc(trace: Trace, scenario: Scenario, *, vulnerable_only: bool) -> Measured:
     ego, wanted, vehicle = ego_boxes(trace.ego, scenario), _wanted(trace, vulnerable_only), scenario.vehicle
     if not wanted.any():
-        return _none(vulnerable_only)
+        return Unavailable(f"no {'pedestrian or rider' if vulnerable_only else 'other road user'} in the scene")
     least, whom = np.full(len(trace.ego), np.nan), np.full(len(trace.ego), -1)
     for steps, seen, others in pieces(trace.agents, trace.ego.t):
         least[steps], row = _contact_times(
@@ -340,8 +361,7 @@ def _ttc(trace: Trace, scenario: Scenario, *, vulnerable_only: bool) -> Measured
     for contact in contacts(trace, scenario):
         if contact.at_fault and wanted[contact.agent]:
             least[contact.step], whom[contact.step] = 0.0, contact.agent
-    nothing = f"never on a course to touch within {TTC_HORIZON_S:g} s"
-    return Series(trace.ego.t, least, _labels(trace, whom), nothing)
+    return Series(trace.ego.t, least, _labels(trace, whom), f"never on a course to touch within {TTC_HORIZON_S:g} s")
 
 
 def _integrated(series: Series) -> tuple[float, int]:
@@ -366,13 +386,9 @@ def _off_road(trace: Trace, scenario: Scenario) -> Measured:
 def box_off_lanes(
     lanes: LaneArrays, box: FloatArray, vehicle: VehicleParameters, step: float = OUTLINE_M
 ) -> FloatArray:
-    """Greatest distance `(k,)` of a box's outline to the drivable lanes, m.
+    """Greatest distance `(k,)` of the outline of a box (centre and yaw, `(3 or more, k)`) to the drivable lanes, m.
 
-    Args:
-        lanes: Those that a car may drive on.
-        box: `(3 or more, k)`: centre and yaw.
-        vehicle: Its size.
-        step: Between two points of the outline, m; inf: the corners alone.
+    `step` is that between two points of the outline, m; inf: the corners alone.
     """
     x, y, yaw = box[:3]
     worst, c, s = np.zeros(len(x)), np.cos(yaw), np.sin(yaw)
@@ -395,30 +411,34 @@ COLLISION_AT_FAULT = Metric(
     formula="as collision; kinds and fault in nuPlan's order",
     parameters=(f"standing {STANDING_MPS} m/s", "behind: more than 150 degrees off the heading"),
 )  # fmt: skip
-GAP = Metric(
-    "gap", "m", "higher", (Mode.CLOSED,), partial(_gap, vulnerable_only=False),
-    (metric.MIN, metric.time_below(0.2, "time_below_20cm")),
-    "Least distance between the ego's box and another's, 0 where they touch.",
-    formula="min over the others of the distance of the boxes", needs="other road users",
-)  # fmt: skip
-GAP_VULNERABLE = Metric(
-    "gap_vulnerable", "m", "higher", (Mode.CLOSED,), partial(_gap, vulnerable_only=True),
-    (metric.MIN, metric.time_below(0.5, "time_below_50cm")),
-    "Least distance to a pedestrian or rider.",
-    formula="as gap", needs="a pedestrian or rider",
+COLLISION_SEVERITY = Metric(
+    "collision_severity", "m/s", "lower", (Mode.CLOSED,), _severity, (metric.MAX,),
+    "Impact speed of a collision, and the change of the ego's velocity if both stick together.",
+    "nuPlan devkit e9241677, no_ego_at_fault_collisions; masses: EN 1317-1, Regulation (EU) No 1230/2012",
+    parts=PARTS, formula="impact_speed = |v_e - v_o|; delta_v = m_o / (m_o + m_e) |v_e - v_o|", parameters=(
+        "m_e: the vehicle's mass",
+        "m_o: " + ", ".join(f"{kind.value} {mass:g} kg" for kind, mass in MASS_KG.items() if np.isfinite(mass)),
+        "object: immovable",
+    ), needs="a collision",
 )  # fmt: skip
 _KEPT = "as gap, while the ego moves (above 0.05 m/s) and of agents not more than 150 degrees off its heading"
-GAP_KEPT = Metric(
-    "gap_kept", "m", "higher", (Mode.CLOSED,), partial(_gap, vulnerable_only=False, kept=True),
-    (metric.MIN, metric.time_below(0.2, "time_below_20cm")),
-    "Least distance that the ego leaves to another as it drives: not to those behind, and none while it stands.",
-    formula=_KEPT, needs="another road user",
-)  # fmt: skip
-GAP_KEPT_VULNERABLE = Metric(
-    "gap_kept_vulnerable", "m", "higher", (Mode.CLOSED,), partial(_gap, vulnerable_only=True, kept=True),
-    (metric.MIN, metric.time_below(0.5, "time_below_50cm")),
-    "Least distance that the ego leaves to a pedestrian or rider as it drives.",
-    formula=_KEPT, needs="a pedestrian or rider",
+_PERSON = "a pedestrian or rider"
+GAP, GAP_VULNERABLE, GAP_KEPT, GAP_KEPT_VULNERABLE = (
+    Metric(
+        name, "m", "higher", (Mode.CLOSED,), partial(_gap, vulnerable_only=needs == _PERSON, kept=formula == _KEPT),
+        (metric.MIN, metric.time_below(0.5, "time_below_50cm") if needs == _PERSON
+         else metric.time_below(0.2, "time_below_20cm")),
+        meaning, formula=formula, needs=needs,
+    )
+    for name, formula, needs, meaning in (
+        ("gap", "min over the others of the distance of the boxes", "other road users",
+         "Least distance between the ego's box and another's, 0 where they touch."),
+        ("gap_vulnerable", "as gap", _PERSON, "Least distance to a pedestrian or rider."),
+        ("gap_kept", _KEPT, "another road user",
+         "Least distance that the ego leaves to another as it drives: not to those behind, and none while it stands."),
+        ("gap_kept_vulnerable", _KEPT, _PERSON,
+         "Least distance that the ego leaves to a pedestrian or rider as it drives."),
+    )
 )  # fmt: skip
 PASSING_ROOM = Metric(
     "passing_room", "m", "higher", (Mode.CLOSED,), _passing_room, (metric.MIN, metric.time_below(0.0, "time_too_near")),

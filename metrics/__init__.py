@@ -126,11 +126,10 @@ def evaluate(
 ) -> pd.DataFrame:
     """One row per metric and reduction of the trace's mode, columns `COLUMNS`; the same input gives the same bits.
 
-    `metric` is "gap.min" or, with a part, "ade.3s.mean". `value` is NaN where `available` is False, and `reason`
-    then says why; else `reason` says on whom or what the value is about ("car 12"), or is empty. `time_s` is when the
-    value occurred, NaN where it belongs to no instant. A metric that raises is unavailable where `broken` is
-    given, which is then called; else the error is the caller's. `found` is called with each series and its name as it
-    is measured: it is not kept here.
+    `metric` is "gap.min" or, with a part, "ade.3s.mean". Where `available` is False, `value` is NaN and `reason` says
+    why; else `reason` names what the value is about ("car 12"), or is empty. `time_s` is when the value occurred, NaN
+    where it belongs to no instant. A metric that raises is unavailable where `broken` is given, which is then called;
+    else the error is raised. `found` is called with each series and its name.
     """
     head, rows = (scenario.name, trace.planner, trace.mode.value, trace.oracle), []
     for metric, name, steps in _measured(trace, scenario, metrics, broken):

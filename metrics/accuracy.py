@@ -9,10 +9,8 @@ At each frame of time t_i, plan and log are compared at t_i + 0.1 s, t_i + 0.2 s
 (5) miss = 1 where max_k |e_k| > bound(h), else 0
 
 Positions are those of the rear axle (nuPlan compares centres). Frames after which the log does not last to the horizon
-ask for nothing and are left out; one whose plan does not reach it has no value, and `share` is the share of those that
-have: a planner of short plans has few, and its mean says little. A metric is the mean over the frames. Where the log
-has no lanes, the driven path is the road that the planner is given: (3) and the error across in (4) then say nothing,
-and are not available.
+are left out; one whose plan does not reach it has no value, and `share` is the share of those that have. Where the log
+has no lanes, the planner is given the driven path as its road: (3) and the error across in (4) are not available.
 """
 
 from __future__ import annotations

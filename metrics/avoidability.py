@@ -48,21 +48,20 @@ def _reference(trace: Trace, scenario: Scenario, *, driver: str) -> Measured:
     return Series(trace.ego.t[:1], value, (reason,), f"not applicable: {reason}")
 
 
-def _metric(driver: str, meaning: str, source: str) -> Metric:
-    return Metric(
+CC, FSM = (
+    Metric(
         f"reference_{driver}", "m", "higher", (Mode.CLOSED,), partial(_reference, driver=driver),
         (AVOIDS, APPLIES, MARGIN), meaning, source, 2,
         formula="the reference driver, braking on the ego's line among the tracks as logged",
         needs="avoids and margin: an agent that the ego would meet at constant speed",
-    )  # fmt: skip
-
-
-CC = _metric(
-    "cc", "Least distance that the competent and careful driver leaves to the agent that one who does not brake would "
-    "touch, negative where it touches it; it evaluates a cut-in from 0.375 m on, JRC's code from the ego's width on.",
-    "UN R157, Annex 4, Appendix 3",
-)  # fmt: skip
-FSM = _metric(
-    "fsm", "Least distance that the driver of the fuzzy safety model leaves to the agent that one who does not brake "
-    "would touch, negative where it touches it.", "Mattas et al., Accid. Anal. Prev. 148 (2020) 105794",
+    )
+    for driver, source, meaning in (
+        ("cc", "UN R157, Annex 4, Appendix 3",
+         "Least distance that the competent and careful driver leaves to the agent that one who does not brake would "
+         "touch, negative where it touches it; it evaluates a cut-in from 0.375 m on, JRC's code from the ego's width "
+         "on."),
+        ("fsm", "Mattas et al., Accid. Anal. Prev. 148 (2020) 105794",
+         "Least distance that the driver of the fuzzy safety model leaves to the agent that one who does not brake "
+         "would touch, negative where it touches it."),
+    )
 )  # fmt: skip

@@ -66,20 +66,19 @@ class Rule:
         kinds = [kind for kind in KINDS if getattr(self, kind) is not None]
         if len(kinds) != 1:
             raise ValueError(f"needs one of {', '.join(KINDS)}, has {' and '.join(kinds) or 'none'}")
-        if not (isfinite(self.limit) and self.limit >= 0.0):
-            raise ValueError(f"{kinds[0]} is {self.limit:g}, not a number of at least 0")
-        if bool(self.metric) != (kinds[0] in KINDS[:2]):
-            raise ValueError(f"{kinds[0]} {'has no' if self.metric else 'needs a'} metric")
-        if self.gate and self.max_flips is None:
-            raise ValueError("gate goes with max_flips")
-        if self.max_missing is not None and (self.mode or self.planner or self.tags):
-            raise ValueError("max_missing counts all drives: no mode, planner or tags")
-        if self.over not in OVER:
-            raise ValueError(f"over is {self.over!r}, not one of {', '.join(OVER)}")
-        if self.significant and self.over != "mean":
-            raise ValueError('significant goes with over = "mean"')
-        if self.mode not in (None, *(mode.value for mode in Mode)):
-            raise ValueError(f'mode is {self.mode!r}, not "open" or "closed"')
+        scoped, kind = self.mode or self.planner or self.tags, kinds[0]
+        rules = {
+            f"{kind} is {self.limit:g}, not a number of at least 0": isfinite(self.limit) and self.limit >= 0.0,
+            f"{kind} {'has no' if self.metric else 'needs a'} metric": bool(self.metric) == (kind in KINDS[:2]),
+            "gate goes with max_flips": not self.gate or self.max_flips is not None,
+            "max_missing counts all drives: no mode, planner or tags": self.max_missing is None or not scoped,
+            f"over is {self.over!r}, not one of {', '.join(OVER)}": self.over in OVER,
+            'significant goes with over = "mean"': not self.significant or self.over == "mean",
+            f'mode is {self.mode!r}, not "open" or "closed"': self.mode in (None, *(mode.value for mode in Mode)),
+        }
+        for complaint, holds in rules.items():
+            if not holds:
+                raise ValueError(complaint)
 
     @property
     def limit(self) -> float:

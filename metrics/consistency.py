@@ -105,19 +105,19 @@ def _complete(trace: Trace, scenario: Scenario) -> Measured:
 
 _BOTH = (Mode.OPEN, Mode.CLOSED)
 _COMPARED = (f"compared {COMPARED_S:g} s", f"step {STEP_S:g} s", f"not of plans up to {SHORT_M:g} m")
-_SUCCESSIVE = "two successive plans that overlap in time"
-PLAN_CHANGE = Metric(
-    "plan_change", "m", "lower", _BOTH, partial(_change, which=0),
-    (MEAN, P95, MAX, share_beyond(1.0, "share_beyond_1m")), "Mean distance of successive plans at the same times.",
-    "after NAVSIM's extended comfort", 2, formula="mean |p_i - p_(i-1)| over t_i .. t_i + 4 s",
-    parameters=_COMPARED, needs=_SUCCESSIVE,
-)  # fmt: skip
-PLAN_CHANGE_LATERAL = Metric(
-    "plan_change_lateral", "m", "lower", _BOTH, partial(_change, which=1),
-    (MEAN, P95, MAX, share_beyond(1.0, "share_beyond_1m")),
-    "Largest lateral distance of successive plans at the same times.", "after Autoware's stability", 2,
-    formula="max |(p_i - p_(i-1)) across the heading of plan i-1| over t_i .. t_i + 4 s",
-    parameters=_COMPARED, needs=_SUCCESSIVE,
+PLAN_CHANGE, PLAN_CHANGE_LATERAL = (
+    Metric(
+        name, "m", "lower", _BOTH, partial(_change, which=which),
+        (MEAN, P95, MAX, share_beyond(1.0, "share_beyond_1m")), meaning, source, 2, formula=formula,
+        parameters=_COMPARED, needs="two successive plans that overlap in time",
+    )
+    for which, (name, source, meaning, formula) in enumerate((
+        ("plan_change", "after NAVSIM's extended comfort", "Mean distance of successive plans at the same times.",
+         "mean |p_i - p_(i-1)| over t_i .. t_i + 4 s"),
+        ("plan_change_lateral", "after Autoware's stability",
+         "Largest lateral distance of successive plans at the same times.",
+         "max |(p_i - p_(i-1)) across the heading of plan i-1| over t_i .. t_i + 4 s"),
+    ))
 )  # fmt: skip
 EXTENDED_COMFORT = Metric(
     "extended_comfort", "1", "lower", _BOTH, _extended, (MEAN, P95, MAX),

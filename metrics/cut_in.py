@@ -183,8 +183,7 @@ def _forced(t: FloatArray, g: FloatArray, u: float) -> float:
 def _forced_braking(trace: Trace, scenario: Scenario) -> Measured:
     if len(trace.ego) < 2:
         return Unavailable("the drive holds one ego state only")
-    t = trace.ego.t
-    value, labels = np.full(len(t), np.nan), [""] * len(t)
+    t, value, labels = trace.ego.t, np.full(len(trace.ego), np.nan), [""] * len(trace.ego)
     for entry in entries(trace.ego, trace.agents, scenario):
         k = int(np.searchsorted(t, entry.t - 1e-9))
         forced = max(entry.forced, _reacted(entry, trace, scenario))

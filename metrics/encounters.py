@@ -165,10 +165,10 @@ def encroachment(
     ego: FloatArray, mine: IntArray, other: FloatArray, theirs: IntArray, size: FloatArray, other_size: FloatArray,
     angle: float,
 ) -> IntArray:  # fmt: skip
-    """(3) in steps, of the ego's steps `mine` and an agent's `theirs`, both increasing.
+    """(3) in steps, of the ego's steps `mine` and an agent's `theirs`, both increasing `(4, steps of the ego)`.
 
-    `(4, steps of the ego)`: least j - i >= 0 and least i - j > 0 over the boxes that overlap and whose headings differ
-    by at least `angle`, -1 where there are none; then the numbers of such pairs.
+    Least j - i >= 0 and least i - j > 0 over the boxes that overlap and whose headings differ by at least `angle`, -1
+    where there are none; then the numbers of such pairs.
     """
     out = np.zeros((4, ego.shape[1]), np.int64)
     out[:2] = -1

@@ -39,10 +39,16 @@ def with_ensemble(
     found: dict[Drive, list[tuple[Outcome, str]]] = {}
     for (_, name), rows in members.groupby([MEMBER, PERTURBATION], sort=True):
         logs = set(rows["log"])
-        member = _by_drive(rules, rows, {log: mine for log, mine in labels.items() if log in logs})
+        members_of = _by_drive(rules, rows, {log: mine for log, mine in labels.items() if log in logs})
         for drive, base in plain.items():
-            if drive[0] in logs:
-                found.setdefault(drive, []).append(_compared(str(name), base, member.get(drive)))
+            if drive[0] not in logs:
+                continue
+            now, change = Outcome.INCONCLUSIVE, f"{name}: not evaluated"
+            if (member := members_of.get(drive)) is not None:
+                before, now = worst(base.values()), worst(member.values())
+                gates_of = ", ".join(gate for gate, outcome in base.items() if member.get(gate) is not outcome)
+                change = "" if before is now else f"{name}: {before.value} -> {now.value} ({gates_of})"
+            found.setdefault(drive, []).append((now, change))
     values: Values = {}
     for drive, others in found.items():
         passed = sum(one is Outcome.PASS for one in (worst(plain[drive].values()), *(one for one, _ in others)))
@@ -81,12 +87,3 @@ def _by_drive(gates: Gates, table: pd.DataFrame, labels: Mapping[str, LogLabels]
     for *drive, gate, outcome in zip(*(table[name] for name in (*_DRIVE, "gate", "outcome")), strict=True):
         found.setdefault((drive[0], drive[1], drive[2]), {})[gate] = Outcome(outcome)
     return found
-
-
-def _compared(name: str, plain: dict[str, Outcome], member: dict[str, Outcome] | None) -> tuple[Outcome, str]:
-    """A member's verdict, and how it differs: "turned: pass -> fail (gap.min >= 0.5)"; empty: it does not."""
-    if member is None:
-        return Outcome.INCONCLUSIVE, f"{name}: not evaluated"
-    before, now = worst([*plain.values()]), worst([*member.values()])
-    gates = ", ".join(gate for gate, outcome in plain.items() if member.get(gate) is not outcome)
-    return now, "" if before is now else f"{name}: {before.value} -> {now.value} ({gates})"

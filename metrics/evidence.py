@@ -17,9 +17,8 @@ The others react to the log's ego. With the ego's place p(t), the logged q(t), s
     farther than `OFF_M` from where the log has it, or is there in one of them only
 
 The replay is weak from the first such moment to the end of the drive. `AWAY_S`: a second of way is about the least gap
-that drivers should keep (Germany fines less than 0.9 s), so that farther away the ego may be at another road user's
-place; at low speed a car's length takes its part, across it a lane's width does. `OFF_M` is less than any of them, and
-more than resampled tracks differ by.
+that drivers should keep, so that farther away the ego may be at another road user's place; at low speed a car's length,
+across it a lane's width. `OFF_M` is less than any of them, and more than resampled tracks differ by.
 """
 
 from __future__ import annotations

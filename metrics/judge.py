@@ -54,7 +54,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from math import isfinite, nan
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -64,8 +64,7 @@ from metrics.aggregate import LogLabels, wilson
 from metrics.gates import Gate, Gates, Outcome, count_logs, meant, unit_of
 from metrics.marginal import marginal
 
-_NOTHING: Mapping[str, str] = MappingProxyType({})
-_NO_DRIVE: Mapping[tuple[str, str, str], str] = MappingProxyType({})
+_NOTHING: Mapping[Any, str] = MappingProxyType({})
 REFERENCE = "reference"  # Mode of the rows of reference drives
 DRIVER, CAREFUL, FOLLOWER = "driver", "careful", "follower"
 REFERENCES = {DRIVER: "the recorded driver", CAREFUL: "the careful driver", FOLLOWER: "the route follower"}
@@ -169,16 +168,16 @@ def judge(
     labels: Mapping[str, LogLabels],
     *,
     failed: Mapping[str, str] = _NOTHING,
-    crashed: Mapping[tuple[str, str, str], str] = _NO_DRIVE,
+    crashed: Mapping[tuple[str, str, str], str] = _NOTHING,
 ) -> tuple[Verdict, ...]:
     """The verdicts on a table of `evaluate` rows, in the order of the gates.
 
     Args:
         gates: The rules.
         table: The rows of all logs, planners and modes, reference drives among them.
-        labels: What each log belongs to: all logs of the run, so that one without rows is missed.
+        labels: Of all logs of the run, so that one without rows is missed.
         failed: Logs that could not be evaluated, and why.
-        crashed: Drives that ended in an error, by log, planner and mode, and in which.
+        crashed: Likewise drives, by log, planner and mode.
     """
     drives: dict[tuple[str, str], dict[tuple[str, str], _Row]] = {}
     columns = ("planner", "mode", "log", "metric", *_Row._fields)

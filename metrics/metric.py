@@ -182,11 +182,8 @@ class Metric:
         return {f"{self.name}.{part}": found for part in parts} or {self.name: found}
 
 
-def _asked(trace: Trace, scenario: Scenario, measure: Measure) -> Measured | Mapping[str, Measured]:
-    return measure(trace, scenario)
-
-
-_all, _newest = last(1024)(_asked), last(8)(_asked)
+_ask: Callable[..., Measured | Mapping[str, Measured]] = lambda trace, scenario, measure: measure(trace, scenario)  # noqa: E731
+_all, _newest = last(1024)(_ask), last(8)(_ask)
 LONG_STEPS = 60_000  # Of a longer drive (1 MB a series) only the newest series are kept
 LEAST_S = 4.0  # Of `share_beyond`: the horizon over which plans are judged
 
@@ -207,10 +204,7 @@ def _percentile(q: float) -> Callable[[Series], tuple[float, int]]:
 
 
 def holds(t: FloatArray) -> FloatArray:
-    """How long each of the steps `(n,)` stands for, s: half of the time to each of its neighbours (trapezoid rule).
-
-    They add up to the drive, and the instant of a contact, with which a drive ends, counts; one step lasts 0 s.
-    """
+    """How long each step `(n,)` stands for, s: half of the time to each of its neighbours; they add up to the drive."""
     half = 0.5 * np.diff(t)
     return np.r_[half, 0.0] + np.r_[0.0, half]
 
@@ -292,10 +286,7 @@ def share_while(condition: Callable[[FloatArray], BoolArray], name: str) -> Redu
 
 
 def share_beyond(bound: float, name: str) -> Reduction:
-    """Share of the time of the known steps in which the value is above `bound`; 0 where no step has a value.
-
-    The time counts as `LEAST_S` at least: a few steps are no habit.
-    """
+    """Share of the time of the known steps, `LEAST_S` at least, in which the value is above `bound`; else 0."""
 
     def reduce(series: Series) -> tuple[float, int]:
         flags, weight = series.value > bound, holds(series.t)
@@ -307,10 +298,9 @@ def share_beyond(bound: float, name: str) -> Reduction:
 def changed(t: FloatArray, value: FloatArray, window: float) -> FloatArray:
     """Rate of change `(n,)` of a sampled value, per s: the declared differentiator of all metrics.
 
-    (1) rate(t) = (value(t) - value(t - window)) / window, linear between the samples
+    (1) rate(t) = (value(t) - value(t - window)) / window, linear between the samples; NaN in the first `window` s
 
-    Causal, so that later samples and the place where a log is cut do not change it; NaN in the first `window` s.
-    A ramp keeps its slope, a step of height h shows as h / window for `window` s.
+    Causal: later samples and the place where a log is cut do not change it.
     """
     before = np.interp(t - window, t, value)
     return np.where(t - window >= t[0] - 1e-9, (value - before) / window, np.nan)

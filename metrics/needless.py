@@ -211,10 +211,8 @@ def _standing(trace: Trace, scenario: Scenario) -> Measured:
 
 
 def _steering(trace: Trace, scenario: Scenario) -> Measured:
-    found = reasons(trace, scenario)
-    counts = np.zeros(len(found.t))
-    turns = turning_points(found.l, SWING_M)
-    for a, b in pairwise(turns):
+    found, counts = reasons(trace, scenario), np.zeros(len(reasons(trace, scenario).t))
+    for a, b in pairwise(turning_points(found.l, SWING_M)):
         if abs(found.l[b] - found.l[a]) < CHANGE_M and not found.steer[a : (a + b) // 2 + 1].any():  # (4)
             counts[b] += 1.0
     return Series(found.t, counts)
@@ -228,14 +226,10 @@ def turning_points(value: FloatArray, least: float) -> list[int]:
         low = k if value[k] < value[low] else low
         high = k if value[k] > value[high] else high
         if rising >= 0 and value[high] - value[k] >= least:
-            turns, rising, low = [*turns, high], -1, k
-            high = k
+            turns, rising, low, high = [*turns, high], -1, k, k
         elif rising <= 0 and value[k] - value[low] >= least:
-            turns, rising, high = [*turns, low], 1, k
-            low = k
-    if not turns:
-        return []
-    return [*turns, high if rising > 0 else low]
+            turns, rising, low, high = [*turns, low], 1, k, k
+    return [*turns, high if rising > 0 else low] if turns else []
 
 
 _ALWAYS = "something called for it all the time"

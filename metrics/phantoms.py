@@ -63,13 +63,9 @@ def phantoms(scenario: Scenario) -> tuple[Phantom, ...]:
 
 def _runs(flags: BoolArray, t: FloatArray) -> list[tuple[int, int]]:
     """First and last step of each run of flags; runs whose margins meet are one."""
-    runs: list[tuple[int, int]] = []
-    for k in np.flatnonzero(flags):
-        if runs and t[k] - t[runs[-1][1]] <= 2.0 * AROUND_S:
-            runs[-1] = (runs[-1][0], int(k))
-        else:
-            runs.append((int(k), int(k)))
-    return runs
+    steps = np.flatnonzero(flags)
+    runs = np.split(steps, np.flatnonzero(np.diff(t[steps]) > 2.0 * AROUND_S) + 1) if len(steps) else []
+    return [(int(run[0]), int(run[-1])) for run in runs]
 
 
 def without_phantoms(tracks: Tracks, found: tuple[Phantom, ...]) -> Tracks:

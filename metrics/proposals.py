@@ -69,19 +69,17 @@ Rows = Mapping[str, NDArray[Any]]
 @once
 def _judged(trace: Trace, scenario: Scenario) -> Rows:
     """What (1) and (3) to (6) need, `(f,)` each; NaN where a frame has none, -1 for no agent."""
-    found = [_piece(trace, scenario, slice(k, k + PIECE)) for k in range(0, len(trace.frames), PIECE)]
-    return {name: np.concatenate([piece[name] for piece in found]) for name in found[0]}
-
-
-def _piece(trace: Trace, scenario: Scenario, part: slice) -> Rows:
-    times = times_after(trace, 0, STEPS)[part]
-    plan = plan_columns(trace, times, _COLUMNS, np.arange(len(trace.frames))[part])
     drive = trace.ego if trace.mode is Mode.CLOSED or len(scenario.ego) < 2 else scenario.ego
-    witnessed = np.where(times <= drive.t[-1] + 1e-6, plan, np.nan)
-    return {
-        "off": _off(witnessed, scenario), **_signals(plan), **_kept(times, witnessed, drive),
-        **_followed(times, witnessed, trace.agents, scenario),
-    }  # fmt: skip
+    found, all_times = [], times_after(trace, 0, STEPS)
+    for which in np.split(np.arange(len(all_times)), range(PIECE, len(all_times), PIECE)):
+        times = all_times[which]
+        plan = plan_columns(trace, times, _COLUMNS, which)
+        witnessed = np.where(times <= drive.t[-1] + 1e-6, plan, np.nan)
+        found.append({
+            "off": _off(witnessed, scenario), **_signals(plan), **_kept(times, witnessed, drive),
+            **_followed(times, witnessed, trace.agents, scenario),
+        })  # fmt: skip
+    return {name: np.concatenate([piece[name] for piece in found]) for name in found[0]}
 
 
 def _kept(times: FloatArray, plan: FloatArray, drive: Trajectory) -> Rows:

@@ -91,12 +91,9 @@ class Outcome(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What a reference driver makes of a scenario.
+    """What a reference driver ("cc" or "fsm") makes of a scenario, and why.
 
     Attributes:
-        driver: "cc" or "fsm".
-        outcome: One of three.
-        reason: One sentence.
         brakes: When it begins to brake with more than 1 m/s2, s since the scenario's start; NaN: never.
         meets: When it touches an agent, s; NaN: never.
         speed: At the touch, else at the end, m/s.

@@ -258,11 +258,9 @@ def _around(on: BoolArray) -> BoolArray:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Meetings:
-    """The boxes of one other on places that a drive takes, at steps of a grid.
+    """The boxes of one other (index of its track) on places that a drive takes, at m increasing steps of a grid.
 
     Attributes:
-        agent: Index of its track.
-        step: `(m,)` of the boxes, increasing.
         left: `(m,)` s since the drive last left the place of the box, NaN where it was not there before.
         taken: `(m,)` s until the drive takes it, 0 in a contact; NaN where it does not.
     """

@@ -457,16 +457,18 @@ _TTC_SOURCE = (
     "bound 0.95 s: nuPlan devkit e9241677, time_to_collision_within_bound; TET and TIT: Minderhoud, Bovy, "
     "Accid. Anal. Prev. 33 (2001) 89"
 )
-TTC = Metric(
-    "ttc", "s", "higher", (Mode.CLOSED,), partial(_ttc, vulnerable_only=False), _TTC_TIMES,
-    "Least time until boxes touch at constant velocity vectors, within 10 s; not to those behind.",
-    _TTC_SOURCE, 2, formula=_TTC_FORMULA, parameters=_TTC_HOW, needs="another on a course to touch an ego that drives",
-)  # fmt: skip
-TTC_VULNERABLE = Metric(
-    "ttc_vulnerable", "s", "higher", (Mode.CLOSED,), partial(_ttc, vulnerable_only=True), _TTC_TIMES,
-    "Least time until the ego's box touches a pedestrian or rider at constant velocity vectors, as ttc.",
-    _TTC_SOURCE, formula=_TTC_FORMULA, parameters=_TTC_HOW,
-    needs="a pedestrian or rider on a course to touch an ego that drives",
+TTC, TTC_VULNERABLE = (
+    Metric(
+        name, "s", "higher", (Mode.CLOSED,), partial(_ttc, vulnerable_only=who == _PERSON), _TTC_TIMES, meaning,
+        _TTC_SOURCE, version, formula=_TTC_FORMULA, parameters=_TTC_HOW,
+        needs=f"{who} on a course to touch an ego that drives",
+    )
+    for name, who, version, meaning in (
+        ("ttc", "another", 2,
+         "Least time until boxes touch at constant velocity vectors, within 10 s; not to those behind."),
+        ("ttc_vulnerable", _PERSON, 1,
+         "Least time until the ego's box touches a pedestrian or rider at constant velocity vectors, as ttc."),
+    )
 )  # fmt: skip
 OFF_ROAD = Metric(
     "off_road", "m", "lower", (Mode.CLOSED,), _off_road,

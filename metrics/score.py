@@ -115,10 +115,6 @@ def _direction(series: Series) -> float:
     return 1.0 if metres < lane_keeping.COMPLIANT_M else 0.5 if metres < lane_keeping.HALF_M else 0.0
 
 
-def _keeps(series: Series) -> float:
-    return longest(series, np.abs(series.value) > lane_keeping.ASIDE_M)[0] < lane_keeping.ASIDE_S - 1e-9
-
-
 def _comfortable(trace: Trace, scenario: Scenario) -> Value:
     for metric, (_, low, high) in zip(comfort.NUPLAN, comfort.NUPLAN_BOUNDS.values(), strict=True):
         found = _series(metric, trace, scenario)
@@ -178,7 +174,10 @@ PARTS: Mapping[str, Part] = MappingProxyType({
     "ttc": _ttc,
     "speed_limit": _compliance,
     "comfort": _comfortable,
-    "lane_keeping": _judged(lane_keeping.LANE_KEEPING, _keeps),
+    "lane_keeping": _judged(
+        lane_keeping.LANE_KEEPING,
+        lambda series: longest(series, np.abs(series.value) > lane_keeping.ASIDE_M)[0] < lane_keeping.ASIDE_S - 1e-9,
+    ),
     "extended_comfort": _judged(
         consistency.EXTENDED_COMFORT,
         lambda series: float(np.mean(series.value[series.known] <= 1.0)) if series.known.any() else 0.0,

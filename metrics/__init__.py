@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
+from math import nan
 from operator import index
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -27,7 +28,6 @@ from metrics import (
     comfort,
     consistency,
     cut_in,
-    divergence,
     effort,
     encounters,
     evidence,
@@ -37,12 +37,10 @@ from metrics import (
     needless,
     progress,
     proposals,
-    right_of_way,
     rss,
     rules,
     safety,
     score,
-    severity,
 )
 from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
 from metrics.phantoms import phantoms, without_phantoms
@@ -69,11 +67,11 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
         safety.COLLISION, safety.COLLISION_AT_FAULT, safety.GAP, safety.GAP_VULNERABLE, safety.GAP_KEPT,
         safety.GAP_KEPT_VULNERABLE, safety.TTC, safety.OFF_ROAD,
         proposals.PLAN_COLLISION, proposals.PLAN_OFF_ROAD, proposals.PLAN_TTC,
-        safety.TTC_VULNERABLE, severity.COLLISION_SEVERITY, *following.FOLLOWING, encounters.TTC_ACCELERATED,
+        safety.TTC_VULNERABLE, safety.COLLISION_SEVERITY, *following.FOLLOWING, encounters.TTC_ACCELERATED,
         encounters.DCE, encounters.TTCE, encounters.PET, rss.RSS_MARGIN, rss.RSS_IMPROPER,
     ),
     "rules": (
-        rules.RED_LIGHT, rules.STOP_SIGN, rules.CROSSWALK, right_of_way.PRIORITY_GAP, right_of_way.YIELDING,
+        rules.RED_LIGHT, rules.STOP_SIGN, rules.CROSSWALK, rules.PRIORITY_GAP, rules.YIELDING,
         cut_in.FORCED_BRAKING, needless.NEEDLESS_BRAKING, needless.NEEDLESS_STANDING, needless.NEEDLESS_STEERING,
         false_braking.FALSE_BRAKING, false_braking.MISSED_BRAKING,
         safety.PASSING_ROOM, lane_keeping.WRONG_WAY, lane_keeping.LANE_KEEPING, lane_keeping.LANE_LINE,
@@ -99,7 +97,7 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
     "evidence": (
         evidence.COVERAGE, evidence.EVIDENCE, evidence.AGENT_INTERVAL, evidence.REPLAY_CONTACT,
         evidence.PLAN_REFUSED, evidence.PLAN_CORRECTED, evidence.ENSEMBLE, evidence.ASKED, evidence.PHANTOM,
-        divergence.DIVERGENCE, divergence.WEAK, divergence.DISPLACED,
+        evidence.DIVERGENCE, evidence.WEAK, evidence.DISPLACED,
     ),
     "reference": (avoidability.CC, avoidability.FSM),
     "score": (
@@ -117,8 +115,7 @@ COLUMNS = (
 )  # fmt: skip
 
 
-Broken = Callable[[Metric, str, BaseException], None]
-"""Called with a metric that raised or gave what is no measurement, what is to be said of it, and the error."""
+Broken = Callable[[Metric, str, BaseException], None]  # a metric that raised, why in words, and the error
 
 
 def evaluate(
@@ -131,11 +128,10 @@ def evaluate(
 ) -> pd.DataFrame:
     """One row per metric and reduction of the trace's mode, columns `COLUMNS`; the same input gives the same bits.
 
-    `metric` is "gap.min" or, with a part, "ade.3s.mean". `value` is NaN where `available` is False, and `reason`
-    then says why; else `reason` says on whom or what the value is about ("car 12"), or is empty. `time_s` is when the
-    value occurred, NaN where it belongs to no instant. A metric that raises is unavailable where `broken` is
-    given, which is then called; else the error is the caller's. `found` is called with each series and its name as it
-    is measured: it is not kept here.
+    `metric` is "gap.min" or, with a part, "ade.3s.mean". Where `available` is False, `value` is NaN and `reason` says
+    why; else `reason` names what the value is about ("car 12"), or is empty. `time_s` is when the value occurred, NaN
+    where it belongs to no instant. A metric that raises is unavailable where `broken` is given, which is then called;
+    else the error is raised. `found` is called with each series and its name.
     """
     head, rows = (scenario.name, trace.planner, trace.mode.value, trace.oracle), []
     for metric, name, steps in _measured(trace, scenario, metrics, broken):
@@ -153,8 +149,8 @@ def series(trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = 
 
     Sorted by metric, then by time.
     """
-    steps = ((name, found) for _, name, found in _measured(trace, scenario, metrics) if isinstance(found, Series))
-    return _steps(dict(steps))
+    found = _measured(trace, scenario, metrics)
+    return _steps({name: steps for _, name, steps in found if isinstance(steps, Series)})
 
 
 def evaluate_with_series(
@@ -196,20 +192,15 @@ def _measured(
     judged = replace(trace, agents=without_phantoms(trace.agents, phantoms(scenario)), frames=frames)
     for metric in metrics.values():
         if trace.mode in metric.modes:
-            for name, found in _asked(metric, judged, scenario, broken).items():
-                yield metric, name, found
-
-
-def _asked(metric: Metric, trace: Trace, scenario: Scenario, broken: Broken | None) -> dict[str, Measured]:
-    """What the metric measured; that it raised, where this is not the caller's."""
-    try:
-        return metric.measured(trace, scenario)
-    except (Exception, SystemExit) as error:
-        if broken is None:
-            raise
-        reason = raised(error, of=metric.measure)
-        broken(metric, reason, error)
-        return metric.unavailable(Unavailable(reason))
+            try:
+                parts = metric.measured(judged, scenario)
+            except (Exception, SystemExit) as error:
+                if broken is None:
+                    raise
+                reason = raised(error, of=metric.measure)
+                broken(metric, reason, error)
+                parts = metric.unavailable(Unavailable(reason))
+            yield from ((metric, name, found) for name, found in parts.items())
 
 
 def _row(
@@ -217,7 +208,6 @@ def _row(
 ) -> tuple[str, float, str, str, bool, str, float]:
     """From `metric` to `time_s`."""
     unit, direction = reduction.unit or metric.unit, reduction.direction or metric.direction
-    nan = float("nan")
     if isinstance(found, Unavailable):
         return name, nan, unit, direction, False, found.reason, nan
     if not found.known.any():
@@ -225,7 +215,10 @@ def _row(
             return name, nan, unit, direction, False, found.missing, nan
         return name, reduction.empty, unit, direction, True, "", nan
     try:
-        value, step = _reduced(reduction, found)
+        value, step = reduction.reduce(found)
+        value, step = float(value), index(step)
+        if not -1 <= step < len(found.t):
+            raise ValueError(f"step {step} of {len(found.t)}")
     except (Exception, SystemExit) as error:
         if broken is None:
             raise
@@ -236,15 +229,6 @@ def _row(
         return name, nan, unit, direction, False, f"{reduction.name} of the steps is {value}, which is no number", nan
     label = found.labels[step] if found.labels and step >= 0 else ""
     return name, value, unit, direction, True, label, float(found.t[step]) if step >= 0 else nan
-
-
-def _reduced(reduction: Reduction, found: Series) -> tuple[float, int]:
-    """The value and its step; TypeError or ValueError where a reduction gives anything else."""
-    value, step = reduction.reduce(found)
-    number, place = float(value), index(step)
-    if not -1 <= place < len(found.t):
-        raise ValueError(f"step {place} of {len(found.t)}")
-    return number, place
 
 
 if not TYPE_CHECKING:  # a type checker would take any name for one of ours

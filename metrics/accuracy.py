@@ -9,10 +9,8 @@ At each frame of time t_i, plan and log are compared at t_i + 0.1 s, t_i + 0.2 s
 (5) miss = 1 where max_k |e_k| > bound(h), else 0
 
 Positions are those of the rear axle (nuPlan compares centres). Frames after which the log does not last to the horizon
-ask for nothing and are left out; one whose plan does not reach it has no value, and `share` is the share of those that
-have: a planner of short plans has few, and its mean says little. A metric is the mean over the frames. Where the log
-has no lanes, the driven path is the road that the planner is given: (3) and the error across in (4) then say nothing,
-and are not available.
+are left out; one whose plan does not reach it has no value, and `share` is the share of those that have. Where the log
+has no lanes, the planner is given the driven path as its road: (3) and the error across in (4) are not available.
 """
 
 from __future__ import annotations
@@ -31,15 +29,12 @@ from logs.states import wrapped
 from logs.trace import Mode, Trace
 from metrics.metric import MAX, MEAN, RATE, SHARE, Measured, Metric, Series, Unavailable
 from metrics.once import once
-from metrics.plans import STEP_S, frame_times, plan_poses, times_after
+from metrics.plans import NO_PLANS, STEP_S, frame_times, plan_columns, times_after
 
 HORIZONS_S = (1, 3, 5, 8)
-MISS_M = MappingProxyType({1: 2.0, 2: 4.0, 3: 6.0, 5: 8.0, 8: 16.0})
-"""Bounds of (5) in m by horizon in s: nuPlan's at 3, 5 and 8 s; ours at 1 and 2 s, in proportion to that at 3 s."""
-Pick = Callable[[FloatArray], FloatArray]
-"""Value per frame of errors `(f, k)` up to a horizon."""
-_ACROSS = (1, 3)
-"""Which of `_errors` are made across the path: the cross error and that of the heading."""
+MISS_M = MappingProxyType({1: 2.0, 2: 4.0, 3: 6.0, 5: 8.0, 8: 16.0})  # (5), m by s; nuPlan's from 3 s on
+Pick = Callable[[FloatArray], FloatArray]  # Value per frame of errors `(f, k)` up to a horizon
+_ACROSS = (1, 3)  # Which of `_errors` are made across the path: the cross error and that of the heading
 
 
 @once
@@ -47,7 +42,7 @@ def _errors(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, F
     """Errors along and cross (m), |e| (m), |heading error| (rad): each `(f, 10 h)` for the longest horizon."""
     log = scenario.ego
     times = times_after(trace, 1, round(max(HORIZONS_S) / STEP_S))
-    x, y, yaw = plan_poses(trace, times)
+    x, y, yaw = plan_columns(trace, times, ("x", "y", "yaw"))
     beyond = (times < log.t[0] - 1e-6) | (times > log.t[-1] + 1e-6)
     log_x, log_y, log_yaw = (np.interp(times, log.t, column) for column in (log.x, log.y, log.yaw))
     dx, dy = np.where(beyond, np.nan, x - log_x), np.where(beyond, np.nan, y - log_y)
@@ -61,7 +56,7 @@ def _per_horizon(
     if len(scenario.ego) < 2:
         return Unavailable("the log holds one ego state only: there is no drive to compare with")
     if not trace.frames:
-        return Unavailable("the drive has no plans")
+        return NO_PLANS
     if which in _ACROSS and scenario.road.source is RoadSource.DRIVEN_PATH:
         return Unavailable("the log has no lanes: the road is the driven path, which the planner is given")
     errors, t = _errors(trace, scenario)[which], frame_times(trace)
@@ -74,12 +69,8 @@ def _per_horizon(
     return found
 
 
-def _average(errors: FloatArray) -> FloatArray:
-    return np.asarray(errors.mean(axis=1))
-
-
-def _at_end(errors: FloatArray) -> FloatArray:
-    return np.abs(errors[:, -1])
+_average: Pick = lambda errors: np.asarray(errors.mean(axis=1))  # noqa: E731
+_at_end: Pick = lambda errors: np.abs(errors[:, -1])  # noqa: E731
 
 
 def _missed(errors: FloatArray) -> FloatArray:
@@ -99,22 +90,14 @@ ADE, FDE, AHE, FHE, ALONG, CROSS = (
     for name, unit, pick, which, meaning, formula in (
         ("ade", "m", _average, 2, "Mean distance of plan and log", "mean_k |e_k|, k = 1 .. 10 h"),
         ("fde", "m", _at_end, 2, "Final distance of plan and log", "|e_10h|"),
-        (
-            "ahe", "rad", _average, 3, "Mean heading difference of plan and log, principal value",
-            "mean_k |wrap(yaw_plan - yaw_log)|",
-        ),
-        (
-            "fhe", "rad", _at_end, 3, "Final heading difference of plan and log, principal value",
-            "|wrap(yaw_plan - yaw_log)| at h",
-        ),
-        (
-            "along_error", "m", _at_end, 0, "Final distance of plan and log along the log's heading",
-            "|e_10h . (cos, sin)|",
-        ),
-        (
-            "cross_error", "m", _at_end, 1, "Final distance of plan and log across the log's heading",
-            "|e_10h . (-sin, cos)|",
-        ),
+        ("ahe", "rad", _average, 3, "Mean heading difference of plan and log, principal value",
+         "mean_k |wrap(yaw_plan - yaw_log)|"),
+        ("fhe", "rad", _at_end, 3, "Final heading difference of plan and log, principal value",
+         "|wrap(yaw_plan - yaw_log)| at h"),
+        ("along_error", "m", _at_end, 0, "Final distance of plan and log along the log's heading",
+         "|e_10h . (cos, sin)|"),
+        ("cross_error", "m", _at_end, 1, "Final distance of plan and log across the log's heading",
+         "|e_10h . (-sin, cos)|"),
     )
 )  # fmt: skip
 MISS = Metric(

@@ -10,9 +10,8 @@ With passed = logs that the gates pass, n = logs of the group, p = passed / n, z
 (Wilson, J. Am. Stat. Assoc. 22 (1927) 209; recommended for few trials by Brown, Cai, DasGupta, Statistical Science 16
 (2001) 101). It takes the logs as drawn at random from those that the group stands for.
 
-n counts every log that was asked for. A log that could not be evaluated counts against the planner, as a failed one
-does. An inconclusive log is no pass either, and is counted apart: a reader may want to know how the share stands
-without it.
+n counts every log that was asked for: one that could not be evaluated counts against the planner, as a failed one does;
+an inconclusive log is no pass either, and is counted apart.
 """
 
 from __future__ import annotations
@@ -27,16 +26,11 @@ import pandas as pd
 
 from logs.kernel import FloatArray
 
-Z = 1.959963984540054
-"""Of the normal distribution: 95 % lie within +-Z."""
-
-PASS = "pass"
-"""Name of the rows about the share of logs that pass; it is no metric."""
+Z = 1.959963984540054  # Of the normal distribution: 95 % lie within +-Z
+PASS = "pass"  # Name of the rows about the share of logs that pass; it is no metric
 SUITE = "suite"
-BOTH = "both"
-"""Mode of the rows about a log's open and closed loop together."""
-STANDINGS = ("failed", "missing", "inconclusive", "passed")
-"""How a log stands, in order of weight when several loops are taken together."""
+BOTH = "both"  # Mode of the rows about a log's open and closed loop together
+STANDINGS = ("failed", "missing", "inconclusive", "passed")  # of several loops the first counts
 _STANDS = {"fail": "failed", "inconclusive": "inconclusive", "pass": "passed"}
 
 COLUMNS = (
@@ -89,11 +83,11 @@ def standings(
     """How each log stands with each planner: a row per log, planner and mode, one of `STANDINGS`.
 
     Args:
-        verdicts: What each log says of each gate: columns log, planner, mode, outcome.
+        verdicts: Outcomes of gates: columns log, planner, mode, outcome.
         drives: What was driven: columns log, planner, mode, oracle.
         logs: All logs of the run, those that could not be read among them.
         asked: Planners and modes of the run; an oracle that no gate names does not stand at all.
-        crashed: Log, planner and mode of what could not be evaluated, as far as it was driven; None: any.
+        crashed: Log, planner and mode of what could not be evaluated; None: any.
     """
     outcomes: dict[tuple[str, str, str], set[str]] = {}
     for log, planner, mode, outcome in _rows(verdicts, "log", "planner", "mode", "outcome"):
@@ -137,16 +131,10 @@ def pass_shares(stand: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.Data
 
 
 def groups(table: pd.DataFrame, stand: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.DataFrame:
-    """A row per group, planner, mode and metric, and of each the share that passes; columns `COLUMNS`.
+    """`COLUMNS` per group, planner, mode and metric, and the share that passes; sorted, suite first.
 
-    Args:
-        table: The rows of `metrics.evaluate` of all logs; those of reference drives are left out.
-        stand: Rows of `standings`.
-        labels: Of all logs of the run, in the order of the run.
-
-    Returns:
-        Of each group all metrics of the run; `worst` by the metric's direction, NaN where it has none; `total` the sum;
-        `missing` the logs of the group without a value; sorted, suite first.
+    `table` has rows of `metrics.evaluate` (not of reference drives), `stand` of `standings`. `worst` is by the metric's
+    direction, NaN where it has none; `missing` the logs of the group without a value.
     """
     mine = table[table["mode"].isin(["open", "closed"]) & table["log"].isin(list(labels))]
     row, logs = pd.factorize(mine["log"], sort=True)
@@ -184,9 +172,8 @@ def _reduced(columns: pd.DataFrame, value: FloatArray, logs: np.ndarray) -> pd.D
 
 
 def _typed(rows: pd.DataFrame) -> pd.DataFrame:
-    numbers = ("mean", "median", "worst", "total", "low", "high", "passed", "failed", "inconclusive")
-    counts = ("logs", "available", "missing")
-    kinds = dict.fromkeys(numbers, "float64") | dict.fromkeys(counts, "int64")
+    kinds = dict.fromkeys(("logs", "available", "missing"), "int64") | dict.fromkeys(COLUMNS[10:13], "float64")
+    kinds |= dict.fromkeys(COLUMNS[14:], "float64")
     words: dict[str, Any] = {name: rows[name].fillna("").astype(str) for name in COLUMNS if name not in kinds}
     return rows.assign(**words).astype(kinds)
 

@@ -1,18 +1,15 @@
 """Comfort of the drive: accelerations, jerk, yaw rate; `proposals` has that of plans.
 
-State signals, not filtered (in simulation they are free of noise), differentiated by one declared rule:
-`metric.changed`, the backward difference over W = 0.1 s.
+State signals, not filtered (in simulation they are free of noise), differentiated by `metric.changed` over W = 0.1 s:
 
 (1) a_lat = v^2 kappa,  at the rear axle
 (2) lon_jerk_state = (a(t) - a(t - W)) / W,  lat_jerk_state the same of a_lat
 (3) jerk_state = |A(t) - A(t - W)| / W,  A the acceleration vector (a, a_lat) turned into the world
 (4) yaw_rate = (yaw(t) - yaw(t - W)) / W,  yaw_accel = (yaw(t) - 2 yaw(t - W) + yaw(t - 2 W)) / W^2
 
-Beside them the filtered signals of nuPlan and UN R79, for logs with noise and for their publishers' scores. SG(w, p) is
-the smoothing filter of Savitzky and Golay over w samples with polynomials of degree p, SG' and SG'' the derivatives of
-its polynomials (`scipy.signal.savgol_filter`); a window longer than the drive is cut to it.
-
-nuPlan (devkit e9241677, state_extractors.py), the drive sampled every 0.1 s:
+Filtered signals, for logs with noise and for the scores of nuPlan (devkit e9241677, state_extractors.py), the drive
+sampled every 0.1 s. SG(w, p) is the Savitzky-Golay filter over w samples with polynomials of degree p, SG' and SG'' the
+derivatives of its polynomials (`scipy.signal.savgol_filter`); a window longer than the drive is cut to it.
 
 (5) lon_accel = SG(8, 2) of a,  lat_accel = SG(8, 2) of a_lat
 (6) lon_jerk = SG'(15, 2) of SG(8, 2) of a,  jerk = SG'(15, 2) of SG(8, 2) of hypot(a, a_lat)
@@ -26,8 +23,7 @@ UN R79 (lateral jerk of automated lane changes), the drive sampled every 0.01 s:
 (8) B = a_lat through a causal Butterworth low-pass of 4th order at 0.5 Hz, at rest on its first value
 (9) lat_jerk = mean of dB/dt over 0.5 s = (B(t) - B(t - 0.5 s)) / 0.5 s
 
-A drive is judged by its time out of bounds and the longest stretch of it: both are the same for one slam in 20 s and in
-120 s; percentiles over the whole drive, which are shown too, are not.
+A drive is judged by its time out of bounds and the longest stretch of it: neither changes with the drive's length.
 """
 
 from __future__ import annotations
@@ -42,29 +38,14 @@ from logs.kernel import FloatArray
 from logs.scenario import Scenario
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
-from metrics.metric import (
-    MAX,
-    MAX_ABS,
-    MIN,
-    P95,
-    P99,
-    Measure,
-    Measured,
-    Metric,
-    Reduction,
-    Series,
-    Unavailable,
-    changed,
-    out_of_bounds,
-)
+from metrics import metric
+from metrics.metric import Measure, Measured, Metric, Reduction, Series, Unavailable
 from metrics.once import last
 from metrics.safety import TTC
 
 WINDOW_S = 0.1
-CAUSE_S, CAUSE_TTC_S = 2.0, 4.0
-"""Braking is about the road user whose TTC was the least in the time before, if it was no longer than the second."""
-NUPLAN_STEP_S, NUPLAN_LEAST_S = 0.1, 0.4
-"""Below 5 samples nuPlan's polynomials are not defined."""
+CAUSE_S, CAUSE_TTC_S = 2.0, 4.0  # Braking is about who had the least TTC in this time before, if below the second
+NUPLAN_STEP_S, NUPLAN_LEAST_S = 0.1, 0.4  # Below 5 samples nuPlan's polynomials are not defined
 R79_STEP_S, R79_MEAN_S, R79_CUT_HZ, R79_ORDER = 0.01, 0.5, 0.5, 4
 R79_JERK_MPS3 = 5.0
 NUPLAN_BOUNDS = {
@@ -79,36 +60,16 @@ NUPLAN_BOUNDS = {
 Signal = Callable[[Trajectory], FloatArray]
 
 
-def lon_accel(drive: Trajectory) -> FloatArray:
-    """State acceleration `(n,)`, m/s2."""
-    return drive.a
-
-
 def lat_accel(drive: Trajectory) -> FloatArray:
     """(1), `(n,)`, m/s2, positive to the left."""
     return np.asarray(drive.v**2 * drive.kappa)
-
-
-def lon_jerk(drive: Trajectory) -> FloatArray:
-    """(2), `(n,)`, m/s3; NaN in the first window."""
-    return changed(drive.t, drive.a, WINDOW_S)
-
-
-def lat_jerk(drive: Trajectory) -> FloatArray:
-    """(2) of the lateral acceleration, `(n,)`, m/s3."""
-    return changed(drive.t, lat_accel(drive), WINDOW_S)
 
 
 def jerk(drive: Trajectory) -> FloatArray:
     """(3), `(n,)`, m/s3."""
     c, s, aside = np.cos(drive.yaw), np.sin(drive.yaw), lat_accel(drive)
     x, y = drive.a * c - aside * s, drive.a * s + aside * c
-    return np.hypot(changed(drive.t, x, WINDOW_S), changed(drive.t, y, WINDOW_S))
-
-
-def yaw_rate(drive: Trajectory) -> FloatArray:
-    """(4), `(n,)`, rad/s."""
-    return changed(drive.t, drive.yaw, WINDOW_S)
+    return np.hypot(metric.changed(drive.t, x, WINDOW_S), metric.changed(drive.t, y, WINDOW_S))
 
 
 def yaw_accel(drive: Trajectory) -> FloatArray:
@@ -125,14 +86,9 @@ def _savgol(value: FloatArray, window: int, degree: int, order: int = 0, step: f
     return np.asarray(savgol_filter(value, min(window, len(value)), degree, deriv=order, delta=step))
 
 
-def _nuplan_jerk(value: Signal, drive: Trajectory) -> FloatArray:
-    """(6) of an acceleration."""
-    return _savgol(_savgol(value(drive), 8, 2), 15, 2, 1, float(np.mean(np.diff(drive.t))))
-
-
-def _nuplan_yaw(degree: int, order: int, drive: Trajectory) -> FloatArray:
-    """(7)."""
-    return _savgol(drive.yaw, 5, degree, order, float(np.mean(np.diff(drive.t))))
+def _derived(value: FloatArray, window: int, degree: int, order: int, drive: Trajectory) -> FloatArray:
+    """SG' or SG'' of a signal of a drive."""
+    return _savgol(value, window, degree, order, float(np.mean(np.diff(drive.t))))
 
 
 def r79_jerk(drive: Trajectory) -> FloatArray:
@@ -142,7 +98,7 @@ def r79_jerk(drive: Trajectory) -> FloatArray:
     sections = butter(R79_ORDER, R79_CUT_HZ, fs=1.0 / R79_STEP_S, output="sos")
     lateral = lat_accel(drive)
     low, _ = sosfilt(sections, lateral, zi=sosfilt_zi(sections) * lateral[0])  # (8)
-    return changed(drive.t, np.asarray(low), R79_MEAN_S)  # (9)
+    return metric.changed(drive.t, np.asarray(low), R79_MEAN_S)  # (9)
 
 
 def _driven(signal: Signal, trace: Trace, scenario: Scenario) -> Measured:
@@ -184,8 +140,9 @@ def _bounded(
     unit, low, high = bounds
     asked = f"bounds {low:g} to {high:g} {unit}" if low != -high else f"bound {high:g} {unit}"
     return Metric(
-        name, unit, "lower", (Mode.CLOSED,), measure, (MAX_ABS, *more, *out_of_bounds(low, high)), meaning, source,
-        version, formula=formula, parameters=(asked, *parameters), needs=needs,
+        name, unit, "lower", (Mode.CLOSED,), measure,
+        (metric.MAX_ABS, *more, metric.time_outside(low, high, "time_out_of_bounds"), metric.worst_episode(low, high)),
+        meaning, source, version, formula=formula, parameters=(asked, *parameters), needs=needs,
     )  # fmt: skip
 
 
@@ -194,7 +151,7 @@ def _state(
     source: str = "bounds: nuPlan devkit e9241677, ego_is_comfortable", more: tuple[Reduction, ...] = (), *,
     caused: bool = False,
 ) -> Metric:  # fmt: skip
-    window, reductions = (f"W {WINDOW_S} s",), (P95, P99, *more)
+    window, reductions = (f"W {WINDOW_S} s",), (metric.P95, metric.P99, *more)
     measure = partial(_with_cause, signal, bounds) if caused else partial(_driven, signal)
     return _bounded(
         name, measure, bounds, reductions, meaning, formula, source, window, f"a drive of {WINDOW_S} s", 2,
@@ -202,19 +159,20 @@ def _state(
 
 
 LON_ACCEL = _state(
-    "lon_accel", lon_accel, NUPLAN_BOUNDS["lon_accel"],
+    "lon_accel", lambda drive: drive.a, NUPLAN_BOUNDS["lon_accel"],
     "Acceleration along the body; min is the hardest braking.", "a, the state's",
-    more=(replace(MIN, direction="higher"), MAX), caused=True,
+    more=(replace(metric.MIN, direction="higher"), metric.MAX), caused=True,
 )  # fmt: skip
 LAT_ACCEL = _state(
     "lat_accel", lat_accel, NUPLAN_BOUNDS["lat_accel"], "Lateral acceleration at the rear axle.", "v^2 kappa"
 )
 LON_JERK_STATE = _state(
-    "lon_jerk_state", lon_jerk, NUPLAN_BOUNDS["lon_jerk"],
+    "lon_jerk_state", lambda drive: metric.changed(drive.t, drive.a, WINDOW_S), NUPLAN_BOUNDS["lon_jerk"],
     "Backward difference of the state's acceleration.", "(a(t) - a(t - W)) / W", caused=True,
 )  # fmt: skip
 LAT_JERK_STATE = _state(
-    "lat_jerk_state", lat_jerk, ("m/s3", -R79_JERK_MPS3, R79_JERK_MPS3),
+    "lat_jerk_state", lambda drive: metric.changed(drive.t, lat_accel(drive), WINDOW_S),
+    ("m/s3", -R79_JERK_MPS3, R79_JERK_MPS3),
     "Backward difference of the lateral acceleration.", "(v^2 kappa (t) - v^2 kappa (t - W)) / W",
     "bound: UN R79, there on a filtered signal",
 )  # fmt: skip
@@ -224,8 +182,8 @@ JERK_STATE = _state(
     "bounds: nuPlan devkit e9241677, ego_is_comfortable, which takes d|A|/dt",
 )  # fmt: skip
 YAW_RATE = _state(
-    "yaw_rate", yaw_rate, NUPLAN_BOUNDS["yaw_rate"], "Backward difference of the heading.",
-    "(yaw(t) - yaw(t - W)) / W",
+    "yaw_rate", lambda drive: metric.changed(drive.t, drive.yaw, WINDOW_S), NUPLAN_BOUNDS["yaw_rate"],
+    "Backward difference of the heading.", "(yaw(t) - yaw(t - W)) / W",
 )  # fmt: skip
 YAW_ACCEL = _state(
     "yaw_accel", yaw_accel, NUPLAN_BOUNDS["yaw_accel"], "Second backward difference of the heading.",
@@ -240,21 +198,15 @@ NUPLAN = tuple(
     )
     for kind, what, aside, signal, formula in (
         ("lon_accel", "Acceleration along the body", "", lambda drive: _savgol(drive.a, 8, 2), "SG(8, 2) of a"),
-        (
-            "lat_accel", "Lateral acceleration", "", lambda drive: _savgol(lat_accel(drive), 8, 2),
-            "SG(8, 2) of v^2 kappa",
-        ),
-        (
-            "lon_jerk", "Longitudinal jerk", ": a cascade of 2.2 s", partial(_nuplan_jerk, lon_accel),
-            "SG'(15, 2) of SG(8, 2) of a",
-        ),
-        (
-            "jerk", "Rate of the size of the acceleration", ": turning it counts nothing",
-            partial(_nuplan_jerk, lambda drive: np.hypot(drive.a, lat_accel(drive))),
-            "SG'(15, 2) of SG(8, 2) of hypot(a, v^2 kappa)",
-        ),
-        ("yaw_rate", "Yaw rate", "", partial(_nuplan_yaw, 2, 1), "SG'(5, 2) of yaw"),
-        ("yaw_accel", "Yaw acceleration", "", partial(_nuplan_yaw, 3, 2), "SG''(5, 3) of yaw"),
+        ("lat_accel", "Lateral acceleration", "", lambda drive: _savgol(lat_accel(drive), 8, 2),
+         "SG(8, 2) of v^2 kappa"),
+        ("lon_jerk", "Longitudinal jerk", ": a cascade of 2.2 s",
+         lambda drive: _derived(_savgol(drive.a, 8, 2), 15, 2, 1, drive), "SG'(15, 2) of SG(8, 2) of a"),
+        ("jerk", "Rate of the size of the acceleration", ": turning it counts nothing",
+         lambda drive: _derived(_savgol(np.hypot(drive.a, lat_accel(drive)), 8, 2), 15, 2, 1, drive),
+         "SG'(15, 2) of SG(8, 2) of hypot(a, v^2 kappa)"),
+        ("yaw_rate", "Yaw rate", "", lambda drive: _derived(drive.yaw, 5, 2, 1, drive), "SG'(5, 2) of yaw"),
+        ("yaw_accel", "Yaw acceleration", "", lambda drive: _derived(drive.yaw, 5, 3, 2, drive), "SG''(5, 3) of yaw"),
     )
 )  # fmt: skip
 LAT_JERK_R79 = _bounded(

@@ -14,13 +14,12 @@ Over a group of n logs with a value in both runs:
     drawn together (paired percentile bootstrap: Efron and Tibshirani, An Introduction to the Bootstrap, 1993, ch. 13)
 (6) significant = 0 is outside of (5), and n >= MIN_SIGNIFICANT
 
-The draws are seeded: equal tables give equal intervals. The percentile method has bounds also where most differences
-are exactly 0; BCa does not. With fewer logs than MIN_PAIRS there is no interval.
+The draws are seeded: equal tables give equal intervals. The percentile method, unlike BCa, has bounds where most
+differences are exactly 0.
 
-Both tables are judged by the same gates and the candidate's reference drives, so that a flip is caused by the drive and
-not by another gate file or reference driver. A flip is marginal, and no rule counts it, where the value moved by no
-more than the noise of (1), or where the baseline's ensemble found the drive fragile. The candidate's own ensemble does
-not excuse it.
+Both tables are judged by the same gates and the candidate's reference drives. A flip is marginal, and no rule
+(`metrics.compare_rules`) counts it, where the value moved by no more than the noise of (1), or where the baseline's
+ensemble found the drive fragile.
 """
 
 from __future__ import annotations
@@ -38,17 +37,12 @@ from metrics.evidence import ENSEMBLE
 from metrics.gates import Gates, Outcome
 from metrics.judge import REFERENCE, judge, outcomes
 
-NOISE_ABS, NOISE_REL = 1e-9, 1e-6
-"""A difference below this is rounding: sums of another order, a solver's last iterations."""
-NAMED = 5
-"""More logs than these are counted and not named."""
-MIN_PAIRS = 3
-"""Resampling fewer logs says nothing."""
-MIN_SIGNIFICANT = 6
-"""Fewer logs all move one way by chance more often than at 5 % (sign test: 2 / 2^5 = 6 %)."""
+NOISE_ABS, NOISE_REL = 1e-9, 1e-6  # Rounding: sums of another order, a solver's last iterations
+NAMED = 5  # More logs than these are counted and not named
+MIN_PAIRS = 3  # Resampling fewer logs says nothing
+MIN_SIGNIFICANT = 6  # Fewer logs all move one way by chance more often than at 5 % (sign test: 2 / 2^5 = 6 %)
 CONFIDENCE, RESAMPLES, SEED = 0.95, 2000, 20260101
-BATCH = 250
-"""Draws at a time: bounds memory, and is part of what makes the draws the same."""
+BATCH = 250  # Draws at a time: bounds memory, and is part of what makes the draws the same
 
 DRIVE = ["log", "planner", "mode"]
 SCORE = ["planner", "mode", "metric"]
@@ -65,10 +59,8 @@ GROUP_COLUMNS = (
     "worse", "significant",
 )  # fmt: skip
 PARTING_COLUMNS = (*DRIVE, "t_s", "stage", "what")
-BY_LOG = ("worst", "pass_share")
-"""`over` of the gates that each log passes or fails by itself; a log breaks no gate on a mean, median or sum."""
-NOT_ASKED = "not asked"
-"""Outcome of an optional gate on a log without the value."""
+BY_LOG = ("worst", "pass_share")  # `over` of the gates that each log passes or fails by itself
+NOT_ASKED = "not asked"  # Outcome of an optional gate on a log without the value
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +68,6 @@ class Side:
     """One of two runs.
 
     Attributes:
-        label: Its name.
         table: Rows of `metrics.evaluate`, reference drives among them.
         logs: A row per log: log, sha256, family, dataset, tags (a list), vehicle (a hash, "" where it is not known).
         facts: What it was made with, as text: versions, every key of the configuration.
@@ -131,7 +122,6 @@ class Comparison:
         flips: `FLIP_COLUMNS`: gates whose outcome on a log changed.
         groups: `GROUP_COLUMNS`: means over the suite, its families, tags and datasets.
         partings: `PARTING_COLUMNS`: first differences of two drives; empty where traces are not at hand.
-        verdicts: One per rule.
         not_looked_at: Number of drives that differ and whose first difference was not looked for.
         other_logs: Logs of one name that have another content (SHA-256) in the two runs.
         not_compared: Metrics that a gate or a rule names, and that the baseline has in another version or alone.
@@ -172,24 +162,17 @@ class Comparison:
 
 
 def compare(baseline: Side, candidate: Side, gates: Gates, also: Collection[str] = ()) -> Comparison:
-    """Two runs compared by their tables; `metrics.compare_rules.judged` adds the verdicts of rules.
+    """Two runs compared by their tables, judged by the same gates; `metrics.compare_rules.judged` adds rules.
 
-    Args:
-        baseline: What was.
-        candidate: What is.
-        gates: Gates by which both are judged.
-        also: Metrics that rules name beside the gates: they come before others among the regressions.
+    `also` are metrics that rules name beside the gates: they come before others among the regressions.
     """
-    before, now = (
-        dict(zip(side.table["metric"], side.table["version"], strict=True)) for side in (baseline, candidate)
-    )
+    tables = baseline.table, candidate.table
+    before, now = (dict(zip(table["metric"], table["version"], strict=True)) for table in tables)
     changed = {name: f"{before[name]} -> {now[name]}" for name in before if name in now and before[name] != now[name]}
     alone = set(baseline.driven["metric"]) ^ set(candidate.driven["metric"])
     valued = set(baseline.driven.loc[baseline.driven["available"].astype(bool), "metric"])
-    ensemble = baseline.table[
-        (baseline.table["metric"] == f"{ENSEMBLE.name}.fragile") & (baseline.table["value"] > 0.0)
-    ]
-    fragile = pd.MultiIndex.from_frame(ensemble[DRIVE])
+    ensemble = baseline.table[baseline.table["metric"] == f"{ENSEMBLE.name}.fragile"]
+    fragile = pd.MultiIndex.from_frame(ensemble.loc[ensemble["value"] > 0.0, DRIVE])
     bounds = dict.fromkeys(also, 0.0)
     for gate in gates.gates:
         bounds[gate.metric] = max(bounds.get(gate.metric, 0.0), abs(gate.min or 0.0), abs(gate.max or 0.0))
@@ -198,17 +181,12 @@ def compare(baseline: Side, candidate: Side, gates: Gates, also: Collection[str]
     flips = _flips(baseline, candidate, gates, changed.keys() | alone)
     flips["marginal"] |= pd.MultiIndex.from_frame(flips[DRIVE]).isin(fragile)
     return Comparison(
-        baseline.label,
-        candidate.label,
-        tuple(_differences(baseline, candidate, changed)),
-        _missing(baseline, candidate),
-        _missing(candidate, baseline),
-        pairs,
-        flips,
+        baseline.label, candidate.label, tuple(_differences(baseline, candidate, changed)),
+        _missing(baseline, candidate), _missing(candidate, baseline), pairs, flips,
         group_deltas(pairs, candidate.labels),
         not_compared=tuple(sorted(bounds.keys() & (changed.keys() | alone & valued))),
         other_logs=tuple(_other(baseline, candidate, "sha256")),
-    )
+    )  # fmt: skip
 
 
 def _missing(one: Side, two: Side) -> tuple[str, ...]:
@@ -319,16 +297,8 @@ def _other(baseline: Side, candidate: Side, column: str) -> list[str]:
     return list(both.loc[(one != "") & (two != "") & (one != two), "log"])
 
 
-# groups of logs ---------------------------------------------------------------------------------------------------
-
-
 def group_deltas(pairs: pd.DataFrame, labels: Mapping[str, LogLabels]) -> pd.DataFrame:
-    """`GROUP_COLUMNS`: rows by group of logs (the suite, parts of it with several logs), planner, mode and metric.
-
-    Args:
-        pairs: Rows of `PAIR_COLUMNS`.
-        labels: What each log belongs to.
-    """
+    """`GROUP_COLUMNS` of `PAIR_COLUMNS`: rows by group of logs (the suite, parts with several logs) and score."""
     known, parts = pairs[pairs["delta"].notna()], []
     there = {log: labels[log] for log in labels if log in set(known["log"])}
     for (kind, name), logs in membership(there).items() if there else ():

@@ -36,14 +36,12 @@ from logs.trace import Mode
 from metrics import METRICS, Metric
 from metrics.aggregate import LogLabels
 from metrics.compare import MIN_SIGNIFICANT, NOT_ASKED, Comparison, RuleVerdict, intervals, significant
-from metrics.gates import Outcome, check_metric, gate_tables, known_only
+from metrics.gates import Outcome, check_metric, count_logs, gate_tables, known_only, unit_of
 
 OVER = ("mean", "median", "worst")
-KINDS = ("max_increase", "max_decrease", "max_flips", "max_missing")
-"""A rule has exactly one of these."""
+KINDS = ("max_increase", "max_decrease", "max_flips", "max_missing")  # A rule has exactly one of these
 SEVERITY = (Outcome.PASS, Outcome.INCONCLUSIVE, Outcome.FAIL)
-LOST_SHARE = 0.1
-"""So large a share of a gate's logs may lose the value that passed it: as many as a gate passes without by default."""
+LOST_SHARE = 0.1  # Of a gate's logs that may lose the value that passed it: as `Gate.max_missing`
 
 
 @dataclass(frozen=True)
@@ -68,20 +66,19 @@ class Rule:
         kinds = [kind for kind in KINDS if getattr(self, kind) is not None]
         if len(kinds) != 1:
             raise ValueError(f"needs one of {', '.join(KINDS)}, has {' and '.join(kinds) or 'none'}")
-        if not (isfinite(self.limit) and self.limit >= 0.0):
-            raise ValueError(f"{kinds[0]} is {self.limit:g}, not a number of at least 0")
-        if bool(self.metric) != (kinds[0] in KINDS[:2]):
-            raise ValueError(f"{kinds[0]} {'has no' if self.metric else 'needs a'} metric")
-        if self.gate and self.max_flips is None:
-            raise ValueError("gate goes with max_flips")
-        if self.max_missing is not None and (self.mode or self.planner or self.tags):
-            raise ValueError("max_missing counts all drives: no mode, planner or tags")
-        if self.over not in OVER:
-            raise ValueError(f"over is {self.over!r}, not one of {', '.join(OVER)}")
-        if self.significant and self.over != "mean":
-            raise ValueError('significant goes with over = "mean"')
-        if self.mode not in (None, *(mode.value for mode in Mode)):
-            raise ValueError(f'mode is {self.mode!r}, not "open" or "closed"')
+        scoped, kind = self.mode or self.planner or self.tags, kinds[0]
+        rules = {
+            f"{kind} is {self.limit:g}, not a number of at least 0": isfinite(self.limit) and self.limit >= 0.0,
+            f"{kind} {'has no' if self.metric else 'needs a'} metric": bool(self.metric) == (kind in KINDS[:2]),
+            "gate goes with max_flips": not self.gate or self.max_flips is not None,
+            "max_missing counts all drives: no mode, planner or tags": self.max_missing is None or not scoped,
+            f"over is {self.over!r}, not one of {', '.join(OVER)}": self.over in OVER,
+            'significant goes with over = "mean"': not self.significant or self.over == "mean",
+            f'mode is {self.mode!r}, not "open" or "closed"': self.mode in (None, *(mode.value for mode in Mode)),
+        }
+        for complaint, holds in rules.items():
+            if not holds:
+                raise ValueError(complaint)
 
     @property
     def limit(self) -> float:
@@ -114,7 +111,7 @@ def load_rules(path: Path | None, *, metrics: Mapping[str, Metric] = METRICS) ->
     source, tables = gate_tables(path, "compare")
     if not tables:
         source, tables = gate_tables(None, "compare")
-    rules = []
+    rules: list[Rule] = []
     for i, table in enumerate(tables, 1):
         place = f"{source}: compare {i}"
         known_only(table, tuple(Rule.__dataclass_fields__), place)
@@ -128,13 +125,7 @@ def load_rules(path: Path | None, *, metrics: Mapping[str, Metric] = METRICS) ->
 
 
 def judged(rules: tuple[Rule, ...], comparison: Comparison, labels: Mapping[str, LogLabels]) -> Comparison:
-    """The comparison with the verdicts of the rules, in their order; an optional rule may have none.
-
-    Args:
-        rules: Bounds on what may get worse.
-        comparison: Two runs.
-        labels: What each log belongs to.
-    """
+    """The comparison of logs with these labels, with the verdicts of the rules; an optional rule may have none."""
     verdicts = []
     for rule in rules:
         found = _judged(rule, comparison, labels)
@@ -148,10 +139,16 @@ def judged(rules: tuple[Rule, ...], comparison: Comparison, labels: Mapping[str,
 def _judged(rule: Rule, comparison: Comparison, labels: Mapping[str, LogLabels]) -> tuple[Outcome, str] | None:
     """Outcome and reason; None where an optional rule has nothing to judge."""
     if rule.max_missing is not None:
-        return _missing(rule, comparison)
+        gone, other = comparison.only_in_baseline, comparison.other_logs
+        reason = f"missing in the candidate: {len(gone)} of the baseline's drives"
+        reason += f": {_few(gone, '; ')}" if gone else ""
+        if len(gone) <= rule.limit and other:
+            reason += f"; with another content (SHA-256), so no longer the same: {_few(other)}"
+            return Outcome.INCONCLUSIVE, reason
+        return Outcome.FAIL if len(gone) > rule.limit else Outcome.PASS, reason
     pairs, flips = (_scope(rule, table, labels) for table in (comparison.pairs, comparison.flips))
-    gone = [name for name in comparison.not_compared if (rule.metric or rule.gate) in ("", name)]
-    incomparable = f"of another version, or in the baseline only: {_few(gone)}" if gone else ""
+    names = [name for name in comparison.not_compared if (rule.metric or rule.gate) in ("", name)]
+    incomparable = f"of another version, or in the baseline only: {_few(names)}" if names else ""
     if rule.max_flips is not None:
         if len(pairs):
             return _flipped(rule, flips, pairs, incomparable)
@@ -182,17 +179,6 @@ def _few(names: Sequence[str], between: str = ", ") -> str:
     return between.join([*names[:3], *(["..."] if len(names) > 3 else [])])
 
 
-def _missing(rule: Rule, comparison: Comparison) -> tuple[Outcome, str]:
-    gone, other = comparison.only_in_baseline, comparison.other_logs
-    names = f": {_few(gone, '; ')}" if gone else ""
-    reason = f"missing in the candidate: {len(gone)} of the baseline's drives{names}"
-    if len(gone) > rule.limit:
-        return Outcome.FAIL, reason
-    if other:
-        return Outcome.INCONCLUSIVE, f"{reason}; with another content (SHA-256), so no longer the same: {_few(other)}"
-    return Outcome.PASS, reason
-
-
 def _flipped(rule: Rule, flips: pd.DataFrame, pairs: pd.DataFrame, incomparable: str) -> tuple[Outcome, str]:
     flips = flips[flips["metric"] == rule.gate] if rule.gate else flips
     bad = flips[(flips["after"] == Outcome.FAIL.value) & flips["before"].isin([Outcome.PASS.value, NOT_ASKED])]
@@ -216,12 +202,11 @@ def _change(rule: Rule, drives: str, rows: pd.DataFrame) -> tuple[float, Outcome
     """By how much one planner and loop is over the limit, its outcome, and what was found."""
     lost, rows = rows[rows["delta"].isna()], rows[rows["delta"].notna()]
     if rows.empty:
-        found = f"{rule.metric} has a value in {_logs(len(lost))} of the baseline, and in none of the candidate"
+        found = f"{rule.metric} has a value in {count_logs(len(lost))} of the baseline, and in none of the candidate"
         return -np.inf, Outcome.INCONCLUSIVE, f"{drives}: {found}"
-    unit = str(rows["unit"].iloc[0])
-    unit = "" if unit in ("1", "count") else f" {unit}"
+    unit = unit_of(str(rows["unit"].iloc[0]))
     over, outcome, reason = (_worst if rule.over == "worst" else _together)(rule, rows, unit)
-    aside = f"; no value any more in {_logs(len(lost))}" if len(lost) else ""
+    aside = f"; no value any more in {count_logs(len(lost))}" if len(lost) else ""
     return over, outcome, f"{drives}: {reason}{aside}"
 
 
@@ -232,7 +217,7 @@ def _together(rule: Rule, rows: pd.DataFrame, unit: str) -> tuple[float, Outcome
     low, high = intervals(delta[None, :]) if rule.over == "mean" else np.full((2, 1), np.nan)
     inside = f" [{low[0]:+.4g}, {high[0]:+.4g}]" if isfinite(low[0]) else ""
     means = " -> ".join(f"{rows[side].agg(rule.over):.4g}" for side in ("baseline", "candidate"))
-    reason = f"{rule.over} {rule.metric} {means}{unit}, {value:+.4g}{inside} over {_logs(len(delta))}"
+    reason = f"{rule.over} {rule.metric} {means}{unit}, {value:+.4g}{inside} over {count_logs(len(delta))}"
     over = rule.sign * value - rule.limit
     if over <= 0.0:
         return over, Outcome.PASS, reason
@@ -254,7 +239,3 @@ def _worst(rule: Rule, rows: pd.DataFrame, unit: str) -> tuple[float, Outcome, s
     over = rule.sign * float(row["delta"]) - rule.limit
     reason = f"{rule.metric} {row['baseline']:.4g} -> {row['candidate']:.4g}{unit} {where}{left_out}"
     return over, Outcome.FAIL if over > 0.0 else Outcome.PASS, reason
-
-
-def _logs(count: int) -> str:
-    return "1 log" if count == 1 else f"{count} logs"

@@ -30,24 +30,19 @@ from logs.frame import PLAN_HORIZON_S
 from logs.kernel import FloatArray, IntArray
 from logs.scenario import Scenario
 from logs.trace import Mode, Trace
-from metrics.exposure import share_beyond
-from metrics.metric import MAX, MEAN, MIN, P95, RATE, Measured, Metric, Series, Unavailable
+from metrics.metric import MAX, MEAN, MIN, P95, RATE, Measured, Metric, Series, Unavailable, share_beyond
 from metrics.once import once
-from metrics.plans import SHORT_M, STEP_S, frame_times, plan_columns, plan_poses, plan_way, times_after
+from metrics.plans import NO_PLANS, SHORT_M, STEP_S, frame_times, plan_columns, plan_way, times_after
 
 APART_S, COMPARED_S = 0.5, 4.0
-EC_BOUNDS = (("acceleration", 0.7), ("jerk", 0.5), ("yaw rate", 0.1), ("yaw acceleration", 0.1))
-"""Bounds of (3): m/s2, m/s3, rad/s, rad/s2."""
+EC_BOUNDS = (("acceleration", 0.7), ("jerk", 0.5), ("yaw rate", 0.1), ("yaw acceleration", 0.1))  # (3), SI
 _STANDS = f"successive plans never overlap, or are never longer than {SHORT_M:g} m"
-_FEW = Unavailable("fewer than two plans")
-_NO_PLANS = Unavailable("the drive has no plans")
 
 
-def _change(trace: Trace, scenario: Scenario, *, lateral: bool) -> Measured:
+def _change(trace: Trace, scenario: Scenario, *, which: int) -> Measured:
     if len(trace.frames) < 2:
-        return _FEW
-    change, aside = _changes(trace)
-    return Series(frame_times(trace)[1:], aside if lateral else change, missing=_STANDS)
+        return Unavailable("fewer than two plans")
+    return Series(frame_times(trace)[1:], _changes(trace)[which], missing=_STANDS)
 
 
 @once
@@ -55,7 +50,7 @@ def _changes(trace: Trace) -> tuple[FloatArray, FloatArray]:
     """(1) and (2) `(f - 1,)`; NaN where the plans do not overlap, or both are of a standing ego."""
     times = times_after(trace, 0, round(COMPARED_S / STEP_S))[1:]
     all_ = np.arange(len(trace.frames))
-    now, before = (plan_poses(trace, times, some) for some in (all_[1:], all_[:-1]))
+    now, before = (plan_columns(trace, times, ("x", "y", "yaw"), some) for some in (all_[1:], all_[:-1]))
     dx, dy = now[:2] - before[:2]
     way = np.fmax.reduce([np.fmax.reduce(plan_way(*plan[:2]), axis=1) for plan in (now, before)])
     both = np.isfinite(dx) & (way > SHORT_M)[:, None]
@@ -73,8 +68,11 @@ def _extended(trace: Trace, scenario: Scenario) -> Measured:
     if not len(later):
         return Unavailable(f"no two plans are {APART_S} s apart")
     times = times_after(trace, 0, round(COMPARED_S / STEP_S))[later]
-    now, before = _felt(trace, later, times), _felt(trace, earlier[later], times)
-    ratio = np.array([_rms(now[q] - before[q]) / bound for q, (_, bound) in enumerate(EC_BOUNDS)])
+    difference = _felt(trace, later, times) - _felt(trace, earlier[later], times)
+    both, bounds = np.isfinite(difference), np.array([[bound] for _, bound in EC_BOUNDS])
+    count = both.sum(axis=2)
+    mean = (np.where(both, difference, 0.0) ** 2).sum(axis=2) / np.maximum(count, 1)
+    ratio = np.where(count > 0, np.sqrt(mean), np.nan) / bounds
     known = np.isfinite(ratio).all(axis=0)
     labels = tuple(EC_BOUNDS[q][0] for q in np.argmax(np.where(known, ratio, 0.0), axis=0))
     return Series(times[:, 0], np.where(known, ratio.max(axis=0), np.nan), labels, "plans 0.5 s apart never overlap")
@@ -89,17 +87,9 @@ def _felt(trace: Trace, which: IntArray, times: FloatArray) -> FloatArray:
     return np.stack([size[:, 2:], jerk, yaw_rate, np.diff(yaw, 2, axis=1) / STEP_S**2])
 
 
-def _rms(difference: FloatArray) -> FloatArray:
-    """Root mean square `(f,)` over the known columns of `(f, k)`; NaN where none is."""
-    known = np.isfinite(difference)
-    total = np.where(known, difference, 0.0) ** 2
-    count = known.sum(axis=1)
-    return np.where(count > 0, np.sqrt(total.sum(axis=1) / np.maximum(count, 1)), np.nan)
-
-
 def _horizon(trace: Trace, scenario: Scenario) -> Measured:
     if not trace.frames:
-        return _NO_PLANS
+        return NO_PLANS
     return Series(frame_times(trace), np.array([frame.plan.trajectory.t[-1] - frame.t for frame in trace.frames]))
 
 
@@ -115,19 +105,19 @@ def _complete(trace: Trace, scenario: Scenario) -> Measured:
 
 _BOTH = (Mode.OPEN, Mode.CLOSED)
 _COMPARED = (f"compared {COMPARED_S:g} s", f"step {STEP_S:g} s", f"not of plans up to {SHORT_M:g} m")
-_SUCCESSIVE = "two successive plans that overlap in time"
-PLAN_CHANGE = Metric(
-    "plan_change", "m", "lower", _BOTH, partial(_change, lateral=False),
-    (MEAN, P95, MAX, share_beyond(1.0, "share_beyond_1m")), "Mean distance of successive plans at the same times.",
-    "after NAVSIM's extended comfort", 2, formula="mean |p_i - p_(i-1)| over t_i .. t_i + 4 s",
-    parameters=_COMPARED, needs=_SUCCESSIVE,
-)  # fmt: skip
-PLAN_CHANGE_LATERAL = Metric(
-    "plan_change_lateral", "m", "lower", _BOTH, partial(_change, lateral=True),
-    (MEAN, P95, MAX, share_beyond(1.0, "share_beyond_1m")),
-    "Largest lateral distance of successive plans at the same times.", "after Autoware's stability", 2,
-    formula="max |(p_i - p_(i-1)) across the heading of plan i-1| over t_i .. t_i + 4 s",
-    parameters=_COMPARED, needs=_SUCCESSIVE,
+PLAN_CHANGE, PLAN_CHANGE_LATERAL = (
+    Metric(
+        name, "m", "lower", _BOTH, partial(_change, which=which),
+        (MEAN, P95, MAX, share_beyond(1.0, "share_beyond_1m")), meaning, source, 2, formula=formula,
+        parameters=_COMPARED, needs="two successive plans that overlap in time",
+    )
+    for which, (name, source, meaning, formula) in enumerate((
+        ("plan_change", "after NAVSIM's extended comfort", "Mean distance of successive plans at the same times.",
+         "mean |p_i - p_(i-1)| over t_i .. t_i + 4 s"),
+        ("plan_change_lateral", "after Autoware's stability",
+         "Largest lateral distance of successive plans at the same times.",
+         "max |(p_i - p_(i-1)) across the heading of plan i-1| over t_i .. t_i + 4 s"),
+    ))
 )  # fmt: skip
 EXTENDED_COMFORT = Metric(
     "extended_comfort", "1", "lower", _BOTH, _extended, (MEAN, P95, MAX),

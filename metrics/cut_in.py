@@ -28,10 +28,10 @@ from math import atan2, cos, inf, pi
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray
-from logs.road import Lane, ReferenceLine, Road, RoadSource, line_project_many, nearest, thinned
+from logs.road import ReferenceLine, Road, RoadSource, line_project_many, nearest, thinned
 from logs.scenario import AgentKind, Scenario, Tracks
 from logs.shapes import corners
-from logs.states import EgoState, Trajectory, wrap
+from logs.states import Trajectory, wrap
 from logs.trace import Mode, Trace
 from metrics.metric import MAX, Measured, Metric, Series, Unavailable
 from metrics.others import Others, each, ego_boxes, name_of, some_at
@@ -42,25 +42,15 @@ NEAR_M = 60.0
 OUT_M, IN_M = 0.3, 0.1
 SAME_WAY = cos(0.25 * pi)
 REACT_S, BRAKE_MPS2, HORIZON_S = 0.35, 6.0, 5.0
-LOOK_BACK_S = 15.0
-"""This much of a drive is looked at before a hit: from 50 m/s, (3) gives a follower 9 s."""
-MOST_MPS2 = 9.81
-"""Forced braking is given up to this."""
+LOOK_BACK_S = 15.0  # This much of a drive is looked at before a hit: from 50 m/s, (3) gives a follower 9 s
+MOST_MPS2 = 9.81  # Forced braking is given up to this
 AS_LOGGED_M = 0.5
-ALONGSIDE_M = 10.0
-"""A road user whose centre is farther ahead of the ego's centre does not follow the ego, m."""
+ALONGSIDE_M = 10.0  # A road user whose centre is farther ahead of the ego's centre does not follow the ego, m
 
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """The ego came into the path of a follower.
-
-    Attributes:
-        t: When, s.
-        until: Until when it stayed there, s.
-        agent: Index of the follower's track.
-        forced: (2), m/s2, at most `MOST_MPS2`.
-    """
+    """From t to `until`, s, the ego is in the path of a follower (index of its track); forced: (2), m/s2."""
 
     t: float
     until: float
@@ -82,21 +72,16 @@ def entries(drive: Trajectory, agents: Tracks, scenario: Scenario) -> list[Entry
     ego = drive.resampled(np.append(np.arange(first, last - 1e-6, GRID_S), last))
     boxes, car = ego_boxes(ego, scenario), scenario.vehicle
     outline = np.stack([corners(x, y, yaw, car.length, car.width) for x, y, yaw in boxes[:3].T], axis=-1)
-    found = []
+    found, c, s = [], np.cos(boxes[2]), np.sin(boxes[2])
     for i, others, row in each(agents, ego.t):
         if agents.static[i] or agents.kinds[i] in (AgentKind.PEDESTRIAN, AgentKind.OBJECT):
             continue
-        if _may_follow(boxes, others.pose[:, row]).any():
+        pose = others.pose[:, row]
+        dx, dy = pose[:2] - boxes[:2]
+        oncoming = pose[3] * c + pose[4] * s <= -0.2 * np.hypot(pose[3], pose[4])
+        if ((np.hypot(dx, dy) < NEAR_M) & (dx * c + dy * s < ALONGSIDE_M) & ~oncoming).any():
             found += _entries(ego, boxes, outline, others, row, i, scenario)
     return found
-
-
-def _may_follow(boxes: FloatArray, pose: FloatArray) -> BoolArray:
-    """The steps `(k,)` at which another may follow the ego: it is near, not clearly ahead, and not oncoming."""
-    dx, dy = pose[:2] - boxes[:2]
-    c, s = np.cos(boxes[2]), np.sin(boxes[2])
-    same_way = pose[3] * c + pose[4] * s > -0.2 * np.hypot(pose[3], pose[4])
-    return np.asarray((np.hypot(dx, dy) < NEAR_M) & (dx * c + dy * s < ALONGSIDE_M) & same_way)
 
 
 def _entries(
@@ -120,10 +105,11 @@ def _entries(
             u, goes_on = float(np.hypot(*pose[3:, k])), there[last] == len(ego) - 1
             t, g = ego.t[there[stay]] - ego.t[k], rear[stay] - front[first]
             if goes_on:
-                more = np.arange(GRID_S, HORIZON_S - t[-1], GRID_S)
-                t, g = np.r_[t, t[-1] + more], np.r_[g, g[-1] + _onward(ego.state(len(ego) - 1), more)]
-            forced = _forced(t, g, u)
-            found.append(Entry(float(ego.t[k]), float(ego.t[there[last]]), agent, forced))
+                more, end = np.arange(GRID_S, HORIZON_S - t[-1], GRID_S), ego.state(len(ego) - 1)
+                brake = max(-end.a, 0.0)
+                braked = np.minimum(more, end.v / brake) if brake > 0.0 else more
+                t, g = np.r_[t, t[-1] + more], np.r_[g, g[-1] + (end.v * braked - 0.5 * brake * braked**2)]
+            found.append(Entry(float(ego.t[k]), float(ego.t[there[last]]), agent, _forced(t, g, u)))
     return found
 
 
@@ -172,26 +158,14 @@ def _crosses_over(road: Road, box: FloatArray, path: float, follower: float) -> 
     x, y, yaw = box.tolist()
     if cos(yaw - path) < SAME_WAY:
         return False
-    refs = [follower]
-    if road.source is RoadSource.LANES:
-        lanes = [lane for lane in road.lanes_at(x, y) if lane.drivable]
-        refs = [_lane_direction(lane, x, y) for lane in lanes] or refs
-    ego_angle, path_angle = (min(abs(wrap(yaw - ref)) for ref in refs) for yaw in (yaw, path))
+    refs = []
+    for lane in road.lanes_at(x, y) if road.source is RoadSource.LANES else ():
+        if lane.drivable:
+            at = min(nearest(lane.center, x, y), len(lane.center) - 2)
+            dx, dy = lane.center[at + 1] - lane.center[at]
+            refs.append(atan2(dy, dx))
+    ego_angle, path_angle = (min(abs(wrap(yaw - ref)) for ref in refs or [follower]) for yaw in (yaw, path))
     return ego_angle > path_angle
-
-
-def _lane_direction(lane: Lane, x: float, y: float) -> float:
-    """Direction of a lane's centre line at its point nearest to (x, y), rad."""
-    at = min(nearest(lane.center, x, y), len(lane.center) - 2)
-    dx, dy = lane.center[at + 1] - lane.center[at]
-    return atan2(dy, dx)
-
-
-def _onward(ego: EgoState, t: FloatArray) -> FloatArray:
-    """How far an ego comes within t `(k,)` s, m: at its speed, or with its deceleration until it stands."""
-    brake = max(-ego.a, 0.0)
-    braked = np.minimum(t, ego.v / brake) if brake > 0.0 else t
-    return np.asarray(ego.v * braked - 0.5 * brake * braked**2)
 
 
 def _forced(t: FloatArray, g: FloatArray, u: float) -> float:
@@ -209,8 +183,7 @@ def _forced(t: FloatArray, g: FloatArray, u: float) -> float:
 def _forced_braking(trace: Trace, scenario: Scenario) -> Measured:
     if len(trace.ego) < 2:
         return Unavailable("the drive holds one ego state only")
-    t = trace.ego.t
-    value, labels = np.full(len(t), np.nan), [""] * len(t)
+    t, value, labels = trace.ego.t, np.full(len(trace.ego), np.nan), [""] * len(trace.ego)
     for entry in entries(trace.ego, trace.agents, scenario):
         k = int(np.searchsorted(t, entry.t - 1e-9))
         forced = max(entry.forced, _reacted(entry, trace, scenario))

@@ -16,34 +16,19 @@ from logs.kernel import FloatArray
 from logs.scenario import Scenario
 from logs.states import Controls
 from logs.trace import Mode, SolverReport, Trace
+from metrics import metric
 from metrics.comfort import WINDOW_S
-from metrics.metric import (
-    COUNT,
-    MAX,
-    MAX_ABS,
-    MEAN,
-    P95,
-    RATE,
-    RMS,
-    Direction,
-    Measured,
-    Metric,
-    Reduction,
-    Series,
-    Unavailable,
-    changed,
-)  # fmt: skip
+from metrics.metric import Direction, Measured, Metric, Reduction, Series, Unavailable
 from metrics.phantoms import phantoms
-from metrics.plans import frame_times
+from metrics.plans import NO_PLANS, frame_times
 
-PRESSED = 1e-6
-"""A pedal command above this is pressed."""
+PRESSED = 1e-6  # A pedal command above this is pressed
 _BOTH = (Mode.OPEN, Mode.CLOSED)
 
 
 def _together(commands: Controls) -> FloatArray:
-    known = np.isfinite(commands.throttle) & np.isfinite(commands.brake)
-    return np.where(known, (commands.throttle > PRESSED) & (commands.brake > PRESSED), np.nan)
+    less = np.minimum(commands.throttle, commands.brake)
+    return np.where(np.isfinite(less), less > PRESSED, np.nan)
 
 
 def _switches(commands: Controls) -> FloatArray:
@@ -65,12 +50,12 @@ def _steer_rate(trace: Trace, scenario: Scenario) -> Measured:
     controls = trace.actuation if trace.actuation is not None else trace.commands
     if controls is None or not len(controls):
         return Unavailable("the drive has no commands")
-    rate = changed(controls.t, controls.steer, WINDOW_S)
+    rate = metric.changed(controls.t, controls.steer, WINDOW_S)
     return Series(controls.t, rate, missing=f"the drive is shorter than {WINDOW_S} s")
 
 
 def _reports(trace: Trace) -> list[tuple[SolverReport, ...]]:
-    """The solver reports of each frame; with repeated stages (several candidate lanes) all of them."""
+    """The solver reports of each frame, those of repeated stages too."""
     return [tuple(item for item in f.plan.internals if isinstance(item, SolverReport)) for f in trace.frames]
 
 
@@ -94,7 +79,7 @@ def _unsolved(trace: Trace, scenario: Scenario) -> Measured:
 
 def _fallback(trace: Trace, scenario: Scenario) -> Measured:
     if not trace.frames:
-        return Unavailable("the drive has no plans")
+        return NO_PLANS
     t, plans = frame_times(trace), [frame.plan for frame in trace.frames]
     labels = [f"{p.status.value}: {p.reason}" if p.status.is_fallback else "" for p in plans]
     fallbacks = np.array([float(p.status.is_fallback) for p in plans])
@@ -119,48 +104,46 @@ def _pedals(
     )  # fmt: skip
 
 
+_USED = (metric.MEAN, metric.MAX)
 EFFORT = (
-    _pedals("throttle", lambda given: given.throttle, "1", "none", (MEAN, MAX), "Commanded throttle.", "throttle"),
-    _pedals("brake", lambda given: given.brake, "1", "none", (MEAN, MAX), "Commanded brake.", "brake"),
+    _pedals("throttle", lambda given: given.throttle, "1", "none", _USED, "Commanded throttle.", "throttle"),
+    _pedals("brake", lambda given: given.brake, "1", "none", _USED, "Commanded brake.", "brake"),
     _pedals(
-        "pedals_together", _together, "count", "lower", (COUNT,), "Steps that command throttle and brake at once.",
-        "sum of 1 where both are pressed",
+        "pedals_together", _together, "count", "lower", (metric.COUNT,),
+        "Steps that command throttle and brake at once.", "sum of 1 where both are pressed",
     ),
     _pedals(
-        "pedal_switches", _switches, "count", "lower", (COUNT,), "Changes from throttle to brake or back.",
+        "pedal_switches", _switches, "count", "lower", (metric.COUNT,), "Changes from throttle to brake or back.",
         "sum of 1 where the other pedal than the last one is pressed",
     ),
     Metric(
-        "steer_rate", "rad/s", "lower", (Mode.CLOSED,), _steer_rate, (MAX_ABS, P95),
+        "steer_rate", "rad/s", "lower", (Mode.CLOSED,), _steer_rate, (metric.MAX_ABS, metric.P95),
         "Backward difference of the front wheel angle over 0.1 s, as actuated, else as commanded.",
         formula="(steer(t) - steer(t - W)) / W", parameters=(f"W {WINDOW_S} s",), needs="commands of a controller",
     ),
     Metric(
-        "qp_iterations", "count", "lower", _BOTH, _iterations, (MEAN, P95, MAX),
+        "qp_iterations", "count", "lower", _BOTH, _iterations, (metric.MEAN, metric.P95, metric.MAX),
         "Solver iterations per frame and stage, the largest where a stage solves several times.", parts=("*",),
         formula="max over a frame's calls of a stage", needs="solver reports in the plans",
     ),
     Metric(
-        "solver_unsolved", "count", "lower", _BOTH, _unsolved, (COUNT,), "Solver calls that did not end solved.",
+        "solver_unsolved", "count", "lower", _BOTH, _unsolved, (metric.COUNT,), "Solver calls that did not end solved.",
         formula="sum of calls that are not solved", needs="solver reports in the plans",
     ),
     Metric(
-        "fallback", "1", "lower", _BOTH, _fallback, (replace(RATE, empty=None),),
+        "fallback", "1", "lower", _BOTH, _fallback, (replace(metric.RATE, empty=None),),
         "Share of the frames whose plan is a fallback; fallbacks while the log shows a phantom do not count.",
         formula="1 where the status is a fallback, else 0", needs="plans",
     ),
 )  # fmt: skip
 TRACKING = tuple(
     Metric(
-        f"tracking_{column}", unit, "lower", (Mode.CLOSED,), partial(_tracked, column), (RMS, MAX_ABS, P95),
-        f"{meaning}.", formula=formula, needs="a controller in the drive",
+        f"tracking_{column}", unit, "lower", (Mode.CLOSED,), partial(_tracked, column),
+        (metric.RMS, metric.MAX_ABS, metric.P95), f"{meaning}.", formula=formula, needs="a controller in the drive",
     )
     for column, unit, meaning, formula in (
         ("lateral", "m", "Distance of the ego from the plan's path, positive to the left", "(p - foot) . n"),
-        (
-            "heading", "rad", "Heading of the ego minus that of the plan's path, principal value",
-            "wrap(yaw - yaw_path)",
-        ),
+        ("heading", "rad", "Heading of the ego minus that of the plan's path, principal value", "wrap(yaw - yaw_path)"),
         ("speed", "m/s", "Speed of the ego minus the plan's at the same time", "v - v_plan(t)"),
         ("station", "m", "Station of the ego minus the plan's at the same time, along the path", "s - s_plan(t)"),
     )

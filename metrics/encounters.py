@@ -9,8 +9,7 @@
     leaving a spot and the other taking it. "ego_first": t_j >= t_i, "ego_second": t_j < t_i; "crossing" takes both, but
     only pedestrians, and boxes whose headings differ by 30 degrees or more: who follows does not hide who crosses.
 
-PET looks at both passages as they happened, so later steps change it; all else knows nothing that comes later. An
-agent that stands throughout (an obstacle) has no PET: it leaves no place.
+Later steps change PET, and nothing else here. An agent that stands throughout (an obstacle) has no PET.
 
 Sources: criticality metrics catalogue (Westhofen et al., Arch. Comput. Methods Eng. 30, 2023); Eggert, Proc. IEEE ITSC
 2014, for (2); Allen, Shin, Cooper, Transp. Res. Rec. 667 (1978) for (3).
@@ -31,17 +30,16 @@ from logs.states import wrap
 from logs.trace import Mode, Trace
 from metrics.metric import MIN, Measured, Metric, Series, time_below
 from metrics.once import once
-from metrics.others import Others, each, ego_boxes, name_of, named, pieces
+from metrics.others import Others, box_of, each, ego_boxes, name_of, named, pieces
 from metrics.path_ahead import GRID_S, grid_of
+from metrics.safety import CATALOGUE as _CATALOGUE
 from metrics.safety import _apart, _behind, _labels
 
 HORIZON_S = 10.0
 PIECE_S = 0.1
-MOVES_MPS = 0.005
-"""nuPlan devkit e9241677: an ego that is not faster has no TTC."""
+MOVES_MPS = 0.005  # nuPlan devkit e9241677: an ego that is not faster has no TTC
 CROSSING_RAD = pi / 6.0
-SERIOUS_S = 1.0
-"""PET below it is serious (criticality metrics catalogue)."""
+SERIOUS_S = 1.0  # PET below it is serious (criticality metrics catalogue)
 
 
 @inner_kernel
@@ -168,10 +166,10 @@ def encroachment(
     ego: FloatArray, mine: IntArray, other: FloatArray, theirs: IntArray, size: FloatArray, other_size: FloatArray,
     angle: float,
 ) -> IntArray:  # fmt: skip
-    """(3) in steps, of the ego's steps `mine` and an agent's `theirs`, both increasing.
+    """(3) in steps, of the ego's steps `mine` and an agent's `theirs`, both increasing `(4, steps of the ego)`.
 
-    `(4, steps of the ego)`: least j - i >= 0 and least i - j > 0 over the boxes that overlap and whose headings differ
-    by at least `angle`, -1 where there are none; then the numbers of such pairs.
+    Least j - i >= 0 and least i - j > 0 over the boxes that overlap and whose headings differ by at least `angle`, -1
+    where there are none; then the numbers of such pairs.
     """
     out = np.zeros((4, ego.shape[1]), np.int64)
     out[:2] = -1
@@ -192,29 +190,21 @@ def encroachment(
     return out
 
 
-def _scene(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Grid, the ego's boxes on it and accelerations, and its (axle to centre, length, width)."""
-    ego, car = grid_of(trace), scenario.vehicle
-    accel = ego.a * np.where(ego.v < 0.0, -1.0, 1.0)
-    box = np.array([car.axle_to_center, car.length, car.width])
-    return ego.t, ego_boxes(ego, scenario), accel, box
-
-
 def _ttc_accelerated(trace: Trace, scenario: Scenario) -> Measured:
-    t, boxes, ego_accel, box = _scene(trace, scenario)
-    least, agent = np.full(len(t), np.nan), np.full(len(t), -1)
-    for k, seen, others in pieces(trace.agents, t):
+    ego, box = grid_of(trace), box_of(scenario)
+    boxes, forth = ego_boxes(ego, scenario), ego.a * np.where(ego.v < 0.0, -1.0, 1.0)
+    least, agent = np.full(len(ego), np.nan), np.full(len(ego), -1)
+    for k, seen, others in pieces(trace.agents, ego.t):
         accel = np.nan_to_num(others.accel)
-        least[k], row = _accelerated(boxes[:, k], ego_accel[k], box, others.there, others.pose, others.size, accel)
+        least[k], row = _accelerated(boxes[:, k], forth[k], box, others.there, others.pose, others.size, accel)
         agent[k] = named(seen, row)
-    nothing = f"never on a course to touch within {HORIZON_S:g} s"
-    return Series(t, least, _labels(trace, agent), nothing)
+    return Series(ego.t, least, _labels(trace, agent), f"never on a course to touch within {HORIZON_S:g} s")
 
 
 @once
 def _encounters(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Time, `_closest` of all who are there, and whom it is about."""
-    t, boxes, _, box = _scene(trace, scenario)
+    """Time, `_closest` of all road users present, and the nearest one's index."""
+    t, boxes, box = grid_of(trace).t, ego_boxes(grid_of(trace), scenario), box_of(scenario)
     found, agent = np.full((2, len(t)), np.nan), np.full(len(t), -1)
     for k, seen, others in pieces(trace.agents, t):
         found[:, k], who = _closest(boxes[:, k], box, others.there, others.pose, others.size)
@@ -230,7 +220,7 @@ def _encounter(trace: Trace, scenario: Scenario, *, row: int) -> Measured:
 
 
 def _pet(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
-    t, boxes, _, box = _scene(trace, scenario)
+    t, boxes, box = grid_of(trace).t, ego_boxes(grid_of(trace), scenario), box_of(scenario)
     best = {part: np.full(len(t), np.nan) for part in PET_PARTS}
     labels = {part: [""] * len(t) for part in PET_PARTS}
     for i, others, row in each(trace.agents, t):
@@ -251,19 +241,14 @@ def _pet(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
 
 def may_meet(boxes: FloatArray, box: FloatArray, others: Others, i: int) -> tuple[IntArray, IntArray]:
     """The steps of the ego and of the agent in row i that lie in the rectangle which the other's drive takes."""
-    x, y = others.pose[:2, i][:, others.there[i]]
-    reach = 0.5 * float(np.hypot(box[1], box[2]) + np.hypot(*others.size[i]))
-    if not len(x):
+    ego, other = boxes[:2].T, others.pose[:2, i].T
+    if not others.there[i].any():
         return np.empty(0, np.int64), np.empty(0, np.int64)
-    mine = _inside(boxes, x, y, reach)
-    theirs = others.there[i] & _inside(others.pose[:, i], boxes[0], boxes[1], reach)
+    reach = 0.5 * float(np.hypot(box[1], box[2]) + np.hypot(*others.size[i]))
+    low, high = np.nanmin(other, axis=0) - reach, np.nanmax(other, axis=0) + reach
+    mine = ((ego >= low) & (ego <= high)).all(axis=1)
+    theirs = ((other >= ego.min(axis=0) - reach) & (other <= ego.max(axis=0) + reach)).all(axis=1)
     return np.flatnonzero(mine), np.flatnonzero(theirs)
-
-
-def _inside(place: FloatArray, x: FloatArray, y: FloatArray, reach: float) -> BoolArray:
-    """Which of the centres `place[:2]` lie within `reach` of the rectangle round the points (x, y)."""
-    in_x = (place[0] >= x.min() - reach) & (place[0] <= x.max() + reach)
-    return in_x & (place[1] >= y.min() - reach) & (place[1] <= y.max() + reach)
 
 
 PET_PARTS = {
@@ -272,7 +257,6 @@ PET_PARTS = {
     "crossing": "no other crossed the ego's way",
 }
 """The parts of PET, and why each may have no value."""
-_CATALOGUE = "criticality metrics catalogue, Westhofen et al., Arch. Comput. Methods Eng. 30 (2023)"
 _GRID = f"every {GRID_S:g} s"
 TTC_ACCELERATED = Metric(
     "ttc_accelerated", "s", "higher", (Mode.CLOSED,), _ttc_accelerated, (MIN, time_below(1.5, "time_below_1500ms")),

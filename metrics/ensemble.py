@@ -1,12 +1,10 @@
 """Rows of the table that the gates make: is a verdict robust or fragile, and how many of the gates were asked?
 
-A member is the log driven again under one perturbation (`replay.perturb`). What a log says of a planner in one mode is
-the worst of what it says of the gates. With the unperturbed drive among the members:
+A member is the log driven again under one perturbation (`replay.perturb`); its verdict on a planner in one mode is the
+worst outcome of the gates. With the unperturbed drive among the members:
 
 (1) ensemble.pass_share = members that pass / members
 (2) ensemble.fragile    = 1 where a member's verdict is another than the unperturbed drive's, else 0
-
-`asked.share` is the share of the gates that were asked of a drive.
 """
 
 from __future__ import annotations
@@ -21,24 +19,18 @@ from metrics.evidence import ASKED, ENSEMBLE
 from metrics.gates import Gates, Outcome
 from metrics.judge import judge, outcomes, worst
 
-MEMBER, PERTURBATION = "member", "perturbation"
-"""The columns of a table of members beside those of `metrics.evaluate`."""
+MEMBER, PERTURBATION = "member", "perturbation"  # The columns of a table of members beside those of `metrics.evaluate`
 _DRIVE = ["log", "planner", "mode"]
 Drive = tuple[str, str, str]
-Values = dict[tuple[str, str, str, str], tuple[float, str]]
-"""Value and reason by log, planner, mode and metric."""
+Values = dict[tuple[str, str, str, str], tuple[float, str]]  # Value and reason by log, planner, mode and metric
 
 
 def with_ensemble(
     table: pd.DataFrame, members: pd.DataFrame, gates: Gates, labels: Mapping[str, LogLabels]
 ) -> pd.DataFrame:
-    """The table with the rows (1) and (2) of each drive; as it is where there are no members.
+    """The table of unperturbed drives with the rows (1) and (2) of each; those of `members` are counted from 1.
 
-    Args:
-        table: The rows of the unperturbed drives.
-        members: The rows of all members, `MEMBER` counted from 1.
-        gates: The rules; those on `ensemble` itself are left out here.
-        labels: As of `judge`.
+    Gates on `ensemble` itself are left out.
     """
     if members.empty:
         return table
@@ -47,10 +39,16 @@ def with_ensemble(
     found: dict[Drive, list[tuple[Outcome, str]]] = {}
     for (_, name), rows in members.groupby([MEMBER, PERTURBATION], sort=True):
         logs = set(rows["log"])
-        member = _by_drive(rules, rows, {log: mine for log, mine in labels.items() if log in logs})
+        members_of = _by_drive(rules, rows, {log: mine for log, mine in labels.items() if log in logs})
         for drive, base in plain.items():
-            if drive[0] in logs:
-                found.setdefault(drive, []).append(_compared(str(name), base, member.get(drive)))
+            if drive[0] not in logs:
+                continue
+            now, change = Outcome.INCONCLUSIVE, f"{name}: not evaluated"
+            if (member := members_of.get(drive)) is not None:
+                before, now = worst(base.values()), worst(member.values())
+                gates_of = ", ".join(gate for gate, outcome in base.items() if member.get(gate) is not outcome)
+                change = "" if before is now else f"{name}: {before.value} -> {now.value} ({gates_of})"
+            found.setdefault(drive, []).append((now, change))
     values: Values = {}
     for drive, others in found.items():
         passed = sum(one is Outcome.PASS for one in (worst(plain[drive].values()), *(one for one, _ in others)))
@@ -89,12 +87,3 @@ def _by_drive(gates: Gates, table: pd.DataFrame, labels: Mapping[str, LogLabels]
     for *drive, gate, outcome in zip(*(table[name] for name in (*_DRIVE, "gate", "outcome")), strict=True):
         found.setdefault((drive[0], drive[1], drive[2]), {})[gate] = Outcome(outcome)
     return found
-
-
-def _compared(name: str, plain: dict[str, Outcome], member: dict[str, Outcome] | None) -> tuple[Outcome, str]:
-    """A member's verdict, and how it differs: "turned: pass -> fail (gap.min >= 0.5)"; empty: it does not."""
-    if member is None:
-        return Outcome.INCONCLUSIVE, f"{name}: not evaluated"
-    before, now = worst([*plain.values()]), worst([*member.values()])
-    gates = ", ".join(gate for gate, outcome in plain.items() if member.get(gate) is not outcome)
-    return now, "" if before is now else f"{name}: {before.value} -> {now.value} ({gates})"

@@ -9,27 +9,41 @@ EVIDENCE measures where a drive had what verdicts about it rest on, a series of 
 
 (1) share = sum of held time of the steps with evidence / held time of all steps that need it     (`metric.holds`)
 (2) way_share = the same with the way driven in place of the time; (1) where the ego does not move
+
+The others react to the log's ego. With the ego's place p(t), the logged q(t), speed v(t) and heading h(t):
+
+(3) d(t) = |p - q|, along(t) = (p - q) . h, across(t) = (p - q) x h
+(4) the drive has parted where |along| > max(v AWAY_S, `LENGTH_M`) or |across| > `WIDTH_M`, or where a road user is
+    farther than `OFF_M` from where the log has it, or is there in one of them only
+
+The replay is weak from the first such moment to the end of the drive. `AWAY_S`: a second of way is about the least gap
+that drivers should keep, so that farther away the ego may be at another road user's place; at low speed a car's length,
+across it a lane's width. `OFF_M` is less than any of them, and more than resampled tracks differ by.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray
 from logs.observed import described, within
-from logs.road import RoadSource
 from logs.rules import Colour, TrafficLight
 from logs.scenario import Scenario
 from logs.trace import EndReason, Mode, PlanStatus, Trace
-from metrics.lanes import drivable_lanes, limits_at, off_lanes, points_inside, stated_lanes
-from metrics.metric import COUNT, FINAL, RATE, Measured, Metric, Reduction, Series, Unavailable, first_of, holds
-from metrics.others import ego_boxes
+from metrics import metric
+from metrics.lanes import limits_at, mapped_lanes, off_lanes, points_inside, stated_lanes
+from metrics.metric import Direction, Measured, Metric, Reduction, Series, Unavailable
+from metrics.others import each, ego_boxes, name_of, some_at
 from metrics.phantoms import phantoms
-from metrics.plans import frame_times
+from metrics.plans import NO_PLANS, frame_times
+
+AWAY_S, LENGTH_M, WIDTH_M = 1.0, 5.0, 3.5
+OFF_M = 0.5
+_NO_DRIVE = Unavailable("the log holds one ego state only: there is no drive to part from")
 
 
 def _coverage(trace: Trace, scenario: Scenario) -> Mapping[str, Measured] | Unavailable:
@@ -39,10 +53,7 @@ def _coverage(trace: Trace, scenario: Scenario) -> Mapping[str, Measured] | Unav
     last = scenario.duration if trace.mode is Mode.CLOSED else float(scenario.ego.t[-1])
     if trace.mode is Mode.CLOSED and trace.end is EndReason.END_OF_LOG and trace.detail:  # it ended with the evidence
         last = float(trace.ego.t[-1])
-    return {
-        "log_s": Series(end, np.array([last - start])),
-        "driven_s": Series(end, end - start),
-    }
+    return {"log_s": Series(end, np.array([last - start])), "driven_s": Series(end, end - start)}
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -53,12 +64,17 @@ class Evidence(Series):
 
 
 def _evidence(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
-    place = ego_boxes(trace.ego, scenario)[:2]
+    (x, y), t, spans = ego_boxes(trace.ego, scenario)[:2], trace.ego.t, scenario.traffic_spans
+    observed = f"traffic is recorded {described(spans)}, the drive lasts from {t[0]:.1f} s to {t[-1]:.1f} s"
+    stated, mapped, none = stated_lanes(scenario.road), mapped_lanes(scenario.road), np.zeros(len(t), np.bool_)
+    limit = none if stated is None else np.isfinite(limits_at(stated, x, y))
+    lane = none if mapped is None else off_lanes(mapped, x, y) == 0.0
+    no_lane = "the log has no lanes for cars" if mapped is None else "no lane of the log's map lies under the ego"
     return {
-        "traffic": _traffic(trace, scenario),
-        "lights": _lights(trace, scenario, *place),
-        "limit": _limit(trace, scenario, *place),
-        "lane": _lane(trace, scenario, *place),
+        "traffic": _found(trace, within(spans, t), observed),
+        "lights": _lights(trace, scenario, x, y),
+        "limit": _found(trace, limit, "the log has no speed limit here: it is assumed, or not asked for"),
+        "lane": _found(trace, lane, no_lane),
     }
 
 
@@ -70,12 +86,6 @@ def _found(trace: Trace, known: BoolArray, why: str, needed: BoolArray | None = 
     value = np.where(needed, known.astype(np.float64), np.nan)
     labels = tuple(why if lacking else "" for lacking in (needed & ~known).tolist())
     return Evidence(ego.t, value, labels, way=np.r_[half, 0.0] + np.r_[0.0, half])
-
-
-def _traffic(trace: Trace, scenario: Scenario) -> Measured:
-    spans, t = scenario.traffic_spans, trace.ego.t
-    why = f"traffic is recorded {described(spans)}, the drive lasts from {t[0]:.1f} s to {t[-1]:.1f} s"
-    return _found(trace, within(spans, t), why)
 
 
 def _lights(trace: Trace, scenario: Scenario, x: FloatArray, y: FloatArray) -> Measured:
@@ -103,26 +113,13 @@ def _shown(light: TrafficLight | None, t: FloatArray) -> BoolArray:
     return (at >= 0) & (lit[np.maximum(at, 0)] | (not lit.any()))
 
 
-def _limit(trace: Trace, scenario: Scenario, x: FloatArray, y: FloatArray) -> Measured:
-    lanes = stated_lanes(scenario.road)
-    known = np.zeros(len(x), np.bool_) if lanes is None else np.isfinite(limits_at(lanes, x, y))
-    return _found(trace, known, "the log has no speed limit here: it is assumed, or not asked for")
-
-
-def _lane(trace: Trace, scenario: Scenario, x: FloatArray, y: FloatArray) -> Measured:
-    lanes = drivable_lanes(scenario.road)
-    if scenario.road.source is RoadSource.DRIVEN_PATH or lanes is None:
-        return _found(trace, np.zeros(len(x), np.bool_), "the log has no lanes for cars")
-    return _found(trace, off_lanes(lanes, x, y) == 0.0, "no lane of the log's map lies under the ego")
-
-
 def _share(series: Series, *, of_way: bool = False) -> tuple[float, int]:
     """(1), (2); its step is the first without evidence."""
     known = series.known
-    weight = series.way if of_way and isinstance(series, Evidence) else holds(series.t)
-    weight = weight if weight[known].sum() > 0.0 else holds(series.t)
+    weight = series.way if of_way and isinstance(series, Evidence) else metric.holds(series.t)
+    weight = weight if weight[known].sum() > 0.0 else metric.holds(series.t)
     weight = weight if weight[known].sum() > 0.0 else np.ones(len(known))
-    return float(np.average(series.value[known], weights=weight[known])), first_of(series.value == 0.0)
+    return float(np.average(series.value[known], weights=weight[known])), metric.first_of(series.value == 0.0)
 
 
 def _replay_contact(trace: Trace, scenario: Scenario) -> Measured:
@@ -132,7 +129,7 @@ def _replay_contact(trace: Trace, scenario: Scenario) -> Measured:
 
 def _with_status(status: PlanStatus, trace: Trace, scenario: Scenario) -> Measured:
     if not trace.frames:
-        return Unavailable("the drive has no plans")
+        return NO_PLANS
     plans = [frame.plan for frame in trace.frames]
     flags = np.array([float(plan.status is status) for plan in plans])
     return Series(frame_times(trace), flags, tuple(p.reason if p.status is status else "" for p in plans))
@@ -154,8 +151,54 @@ def _agent_interval(trace: Trace, scenario: Scenario) -> Measured:
     return Series(trace.ego.t[-1:], np.array([float(np.median(apart))]))
 
 
+def _apart(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """d, along and across of (3) `(k,)`, NaN after the log's ego; along and across over their bounds of (4)."""
+    drive, log = trace.ego, scenario.ego
+    x, y, yaw, v = (np.interp(drive.t, log.t, column) for column in (log.x, log.y, log.yaw, log.v))
+    dx, dy, c, s = drive.x - x, drive.y - y, np.cos(yaw), np.sin(yaw)
+    lasts = np.where(drive.t <= log.t[-1] + 1e-6, 1.0, np.nan)
+    along = (c * dx + s * dy) / np.maximum(np.abs(v) * AWAY_S, LENGTH_M)
+    return np.hypot(dx, dy) * lasts, along * lasts, (c * dy - s * dx) / WIDTH_M * lasts
+
+
+def _off(trace: Trace, scenario: Scenario) -> Iterator[tuple[str, BoolArray]]:
+    """Of each agent of the log that is not where the log has it (4): its name, and when `(k,)`."""
+    log, agents, t = scenario.tracks, trace.agents, trace.ego.t
+    index = {name: i for i, name in enumerate(agents.ids)}
+    for i, there, row in each(log, t) if agents is not log else ():
+        at = index.get(log.ids[i], -1)
+        off = there.there[row].copy()
+        if at >= 0:
+            here = some_at(agents, np.array([at]), t)
+            both = here.there[0] & there.there[row]
+            off = here.there[0] != there.there[row]
+            off[both] = np.hypot(*(here.pose[:2, 0] - there.pose[:2, row])[:, both]) > OFF_M
+        if off.any():
+            yield name_of(log, i), off
+
+
+def _divergence(trace: Trace, scenario: Scenario) -> Measured:
+    return (
+        Series(trace.ego.t, _apart(trace, scenario)[0])
+        if len(scenario.ego) > 1
+        else Unavailable("the log holds one ego state only: there is no drive to part from")
+    )
+
+
+def _weak(trace: Trace, scenario: Scenario) -> Measured:
+    if len(scenario.ego) < 2:
+        return _NO_DRIVE
+    t, (_, along, across) = trace.ego.t, _apart(trace, scenario)
+    ways = ("the ego along its way", np.abs(along) > 1.0), ("the ego across its way", np.abs(across) > 1.0)
+    parted = {name: off for name, off in (*ways, *_off(trace, scenario)) if off.any()}
+    first = min((int(np.argmax(off)) for off in parted.values()), default=len(t))
+    why = "; ".join(name for name, off in parted.items() if off[first])
+    weak = np.where(np.arange(len(t)) >= first, t, np.nan)
+    return Series(t, weak, (why,) * len(t), "the drive never parts from the log")
+
+
 COVERAGE = Metric(
-    "coverage", "s", "higher", (Mode.OPEN, Mode.CLOSED), _coverage, (FINAL,),
+    "coverage", "s", "higher", (Mode.OPEN, Mode.CLOSED), _coverage, (metric.FINAL,),
     "Time that the log lasts from the ego's first state on (log_s; open loop: as long as the log has an ego; where the"
     " drive ends with the evidence: as long as that), and that"
     " was driven or planned (driven_s).",
@@ -171,46 +214,72 @@ EVIDENCE = Metric(
     needs="lights: a stop line with a traffic light on the driven way",
 )  # fmt: skip
 AGENT_INTERVAL = Metric(
-    "agent_interval", "s", "none", (Mode.OPEN, Mode.CLOSED), _agent_interval, (FINAL,),
+    "agent_interval", "s", "none", (Mode.OPEN, Mode.CLOSED), _agent_interval, (metric.FINAL,),
     "Time between two samples of a road user in the log, the median over all that are not static: how near to its bound"
     " a value is marginal (`metrics.marginal`).",
     formula="median of t_k - t_(k-1), gaps left out", needs="a road user with two samples",
 )  # fmt: skip
 REPLAY_CONTACT = Metric(
-    "replay_contact", "1", "lower", (Mode.CLOSED,), _replay_contact, (FINAL,),
+    "replay_contact", "1", "lower", (Mode.CLOSED,), _replay_contact, (metric.FINAL,),
     "1 if a replayed road user ran into the ego without its fault and so ended the drive.",
     formula="[the drive ended by the replay]",
 )  # fmt: skip
 PLAN_REFUSED = Metric(
-    "plan_refused", "1", "lower", (Mode.OPEN, Mode.CLOSED), partial(_with_status, PlanStatus.REFUSED), (RATE,),
+    "plan_refused", "1", "lower", (Mode.OPEN, Mode.CLOSED), partial(_with_status, PlanStatus.REFUSED), (metric.RATE,),
     "Share of the frames whose plan does not start at the ego, or is impossible for a road car: it is not driven.",
     formula="refused plans / plans; bounds: replay/plan_check.py", needs="a plan",
 )  # fmt: skip
 PLAN_CORRECTED = Metric(
-    "plan_corrected", "1", "lower", (Mode.OPEN, Mode.CLOSED), partial(_with_status, PlanStatus.CORRECTED), (RATE,),
+    "plan_corrected", "1", "lower", (Mode.OPEN, Mode.CLOSED), partial(_with_status, PlanStatus.CORRECTED),
+    (metric.RATE,),
     "Share of the frames whose plan says another speed, heading, curvature or acceleration than its positions have.",
     formula="corrected plans / plans; bounds: replay/plan_check.py", needs="a plan",
 )  # fmt: skip
+_MEMBERS: tuple[tuple[str, Direction], ...] = (("pass_share", "higher"), ("fragile", "lower"))
 ENSEMBLE = Metric(
     "ensemble", "1", "none", (Mode.OPEN, Mode.CLOSED),
     lambda trace, scenario: Unavailable("the run has no ensemble (--ensemble N)"),
-    (
-        Reduction("pass_share", lambda series: (float(series.value[0]), -1), direction="higher"),
-        Reduction("fragile", lambda series: (float(series.value[0]), -1), direction="lower"),
-    ),
+    tuple(replace(metric.FINAL, name=name, direction=better) for name, better in _MEMBERS),
     "Whether the verdict on a log holds where it is driven again in worlds that should not matter: share of them in"
     " which it passes, and 1 where one of them has another verdict.",
     formula="members that pass / members; [a member has another verdict]", needs="--ensemble N",
 )  # fmt: skip
 ASKED = Metric(
     "asked", "1", "none", (Mode.OPEN, Mode.CLOSED), lambda trace, scenario: Unavailable("no gates were judged"),
-    (Reduction("share", lambda series: (float(series.value[0]), -1), direction="higher"),),
+    (replace(metric.FINAL, name="share", direction="higher"),),
     "Share of the gates of this loop that were asked of this log: the others had nothing to judge.",
     formula="gates that pass, fail or are inconclusive / gates of the loop", needs="a run with gates",
 )  # fmt: skip
 PHANTOM = Metric(
-    "phantom", "count", "none", (Mode.OPEN, Mode.CLOSED), _phantom, (COUNT,),
+    "phantom", "count", "none", (Mode.OPEN, Mode.CLOSED), _phantom, (metric.COUNT,),
     "Boxes in which the recorded ego stood: they are left out of all metrics and end no drive, from 1 s before to 1 s"
     " after.",
     formula="number of boxes that overlap the recorded ego's; 0 in synthesised logs",
+)  # fmt: skip
+FROM = Reduction("from", lambda series: (float(series.value[series.known][0]), int(np.argmax(series.known))))
+DIVERGENCE = Metric(
+    "divergence", "m", "none", (Mode.CLOSED,),
+    lambda trace, scenario: (
+        Series(trace.ego.t, _apart(trace, scenario)[0]) if len(scenario.ego) > 1 else _NO_DRIVE
+    ), (metric.MAX,),
+    "Distance between the ego and where the log has it at the same time, while the log's ego lasts.",
+    formula="|p - q|", needs="a log that holds the ego's drive",
+)  # fmt: skip
+WEAK = Metric(
+    "divergence_weak", "s", "none", (Mode.CLOSED,), _weak,
+    (FROM, Reduction("share", metric.HAVING.reduce, unit="1", direction="none", empty=0.0)),
+    "From when on the drive has parted from its log, so that the replay is weak evidence, and the share after that.",
+    parameters=(
+        f"along {AWAY_S:g} s of way, at least {LENGTH_M:g} m", f"across {WIDTH_M:g} m", f"a road user {OFF_M:g} m",
+    ),
+    formula=f"first t: |along| > max({AWAY_S:g} s v, {LENGTH_M:g} m) or |across| > {WIDTH_M:g} m or a road user off",
+    needs="a log that holds the ego's drive",
+)  # fmt: skip
+DISPLACED = Metric(
+    "displaced", "count", "none", (Mode.CLOSED,),
+    lambda trace, scenario: metric.counted(
+        trace.ego.t, ((int(np.argmax(off)), name) for name, off in _off(trace, scenario))
+    ), (metric.COUNT,),
+    "Road users who were not where the log has them, each once: who gave way, and who was held up by them.",
+    formula="number of road users farther than this from where the log has them", parameters=(f"{OFF_M:g} m",),
 )  # fmt: skip

@@ -27,19 +27,17 @@ from functools import partial
 
 import numpy as np
 
-from logs.kernel import FloatArray
+from logs.kernel import BoolArray, FloatArray
 from logs.scenario import AgentKind, Scenario
 from logs.trace import Mode, Trace
 from metrics.metric import MAX, MIN, Direction, Measured, Metric, Reduction, Series, time_below, time_outside
 from metrics.path_ahead import COMING_MPS, GRID_S, LOOK_M, STANDING_MPS, Ahead, ahead_of
+from metrics.safety import CATALOGUE as _CATALOGUE
 from metrics.safety import _labels
 
-SHORT_THW_S = 0.9
-"""Below it the German road traffic act fines (quarter of the speedometer; criticality metrics catalogue: DE 0.9 s)."""
-EMERGENCY_MPS2 = 5.0
-"""UN R157: a greater demand is an emergency manoeuvre."""
-STEER_MPS2 = 8.0
-"""Lateral acceleration that is available: commonroad-crime's a_lat,max."""
+SHORT_THW_S = 0.9  # Below it Germany fines (criticality metrics catalogue: DE 0.9 s)
+EMERGENCY_MPS2 = 5.0  # UN R157: a greater demand is an emergency manoeuvre
+STEER_MPS2 = 8.0  # Lateral acceleration that is available: commonroad-crime's a_lat,max
 R157_MPS = np.array([7.2, 10.0, 20.0, 30.0, 40.0, 50.0, 60.0]) / 3.6
 R157_S = np.array([1.0, 1.1, 1.2, 1.3, 1.4, 1.5, 1.6])
 R157_LEAST_M = 2.0
@@ -72,13 +70,8 @@ def required_gap(v: FloatArray) -> FloatArray:
     return np.maximum(v * np.interp(v, R157_MPS, R157_S), R157_LEAST_M)
 
 
-def _thw(ahead: Ahead, scenario: Scenario) -> FloatArray:
-    return np.divide(ahead.gap, ahead.v, out=np.full(len(ahead.t), np.nan), where=ahead.v > STANDING_MPS)
-
-
-def _drac(ahead: Ahead, scenario: Scenario) -> FloatArray:
-    closing = np.maximum(ahead.v - ahead.u, 0.0)
-    return np.divide(closing**2, 2.0 * ahead.gap, out=np.full(len(ahead.t), np.nan), where=ahead.gap > 0.0)
+def _quotient(above: FloatArray, below: FloatArray, known: BoolArray) -> FloatArray:
+    return np.divide(above, below, out=np.full(len(above), np.nan), where=known)
 
 
 def _required(ahead: Ahead, scenario: Scenario) -> FloatArray:
@@ -116,20 +109,23 @@ def _metric(
     )  # fmt: skip
 
 
-_CATALOGUE = "criticality metrics catalogue, Westhofen et al., Arch. Comput. Methods Eng. 30 (2023)"
 FOLLOWING = (
     _metric(
         "headway", "m", "higher", lambda ahead, scenario: ahead.gap, (MIN,),
         "Gap along the ego's path from its front bumper to the lead.", "s_lead - s_front", _CATALOGUE,
     ),
     _metric(
-        "thw", "s", "higher", _thw, (MIN, time_below(SHORT_THW_S, "time_below_900ms")),
+        "thw", "s", "higher",
+        lambda ahead, scenario: _quotient(ahead.gap, ahead.v, ahead.v > STANDING_MPS),
+        (MIN, time_below(SHORT_THW_S, "time_below_900ms")),
         "Time headway: until the ego's front is where the lead's rear is now, at constant speed.", "gap / v",
         _CATALOGUE, f"bound {SHORT_THW_S:g} s (fined in Germany)",
         needs="a lead in the path of an ego that drives", missing=f"{_ALONE} while it drove",
     ),
     _metric(
-        "drac", "m/s2", "lower", _drac, (MAX,), "Deceleration rate to avoid a crash with a lead that holds its speed.",
+        "drac", "m/s2", "lower",
+        lambda ahead, scenario: _quotient(np.maximum(ahead.v - ahead.u, 0.0) ** 2, 2.0 * ahead.gap, ahead.gap > 0.0),
+        (MAX,), "Deceleration rate to avoid a crash with a lead that holds its speed.",
         "(v - u)^2 / (2 gap) where v > u, else 0", _CATALOGUE,
     ),
     _metric(

@@ -7,7 +7,7 @@ mode = "closed"                     # optional: "open" or "closed"; without it, 
 tags = ["pedestrian"]               # optional: only logs that have all of these
 planner = "dp_qp"                   # optional; without it every planner, oracles excepted
 over = "worst"                      # what must hold it: every log ("worst", default), or over the logs together "mean",
-                                    # "median", "sum"; "pass_share": a share of the logs (`metrics.over_logs`)
+                                    # "median", "sum"; "pass_share": a share of the logs (`metrics.judge`)
 min_share = 0.95                    # with "pass_share": at least so many of the logs must hold it; lost logs do not
 confident = true                    # and the lower end of the share's 95 % interval too; default: false
 families = ["everyday/cut_in"]      # optional: only logs of one of these families
@@ -52,8 +52,7 @@ class Outcome(Enum):
     NOT_ASKED = "not asked"
 
 
-EVIDENCE = ("traffic", "lights", "limit", "lane")
-"""What a gate may need evidence about: the parts of the metric `evidence`."""
+EVIDENCE = ("traffic", "lights", "limit", "lane")  # The parts of the metric `evidence`
 OVER = ("worst", "mean", "median", "sum", "pass_share")
 
 
@@ -83,34 +82,29 @@ class Gate:
     per: str | None = None
 
     def __post_init__(self) -> None:
-        if self.min is None and self.max is None:
-            raise ValueError("has neither min nor max")
-        if self.min is not None and self.max is not None and self.min > self.max:
-            raise ValueError(f"min {self.min:g} is above max {self.max:g}")
-        if not all(isfinite(bound) for bound in (self.min, self.max) if bound is not None):
-            raise ValueError("a bound is not finite")
-        if self.mode not in (None, *(mode.value for mode in Mode)):
-            raise ValueError(f'mode is {self.mode!r}, not "open" or "closed"')
-        if self.over not in OVER:
-            raise ValueError(f"over is {self.over!r}, not one of {', '.join(OVER)}")
-        if (self.over == "pass_share") != (self.min_share is not None) or (self.confident and self.min_share is None):
-            raise ValueError('over = "pass_share" needs min_share; min_share and confident need over = "pass_share"')
-        if self.min_share is not None and not 0.0 < self.min_share <= 1.0:
-            raise ValueError(f"min_share is {self.min_share:g}, not a share above 0")
-        if self.confident and self.min_share == 1.0:
-            raise ValueError("confident: no number of logs makes a share of 1 sure")
-        if self.per not in (None, "family", "tag", "dataset"):
-            raise ValueError(f'per is {self.per!r}, not "family", "tag" or "dataset"')
-        if self.min_logs < 1:
-            raise ValueError("min_logs is below 1: a gate with nothing to judge is no pass")
-        if not 0.0 <= self.max_missing < 1.0:
-            raise ValueError(f"max_missing is {self.max_missing:g}, not a share of at least 0 and below 1")
-        if self.evidence not in (None, *EVIDENCE):
-            raise ValueError(f"evidence is {self.evidence!r}, not one of {', '.join(EVIDENCE)}")
-        if not 0.0 <= self.min_evidence <= 1.0:
-            raise ValueError(f"min_evidence is {self.min_evidence:g}, not a share")
-        if self.broken not in (Outcome.FAIL.value, Outcome.INCONCLUSIVE.value):
-            raise ValueError(f'broken is {self.broken!r}, not "fail" or "inconclusive"')
+        bounds = [bound for bound in (self.min, self.max) if bound is not None]
+        shared, missing = self.over == "pass_share", self.max_missing
+        share = 1.0 if self.min_share is None else self.min_share
+        rules = {
+            "has neither min nor max": bool(bounds),
+            f"min {' is above max '.join(f'{b:g}' for b in bounds)}": not (len(bounds) == 2 and bounds[0] > bounds[1]),
+            "a bound is not finite": all(map(isfinite, bounds)),
+            f'mode is {self.mode!r}, not "open" or "closed"': self.mode in (None, *(mode.value for mode in Mode)),
+            f"over is {self.over!r}, not one of {', '.join(OVER)}": self.over in OVER,
+            'over = "pass_share" needs min_share; min_share and confident need over = "pass_share"':
+                shared is (self.min_share is not None) and (shared or not self.confident),
+            f"min_share is {share:g}, not a share above 0": 0.0 < share <= 1.0,
+            "confident: no number of logs makes a share of 1 sure": not self.confident or share < 1.0,
+            f'per is {self.per!r}, not "family", "tag" or "dataset"': self.per in (None, "family", "tag", "dataset"),
+            "min_logs is below 1: a gate with nothing to judge is no pass": self.min_logs >= 1,
+            f"max_missing is {missing:g}, not a share of at least 0 and below 1": 0.0 <= missing < 1.0,
+            f"evidence is {self.evidence!r}, not one of {', '.join(EVIDENCE)}": self.evidence in (None, *EVIDENCE),
+            f"min_evidence is {self.min_evidence:g}, not a share": 0.0 <= self.min_evidence <= 1.0,
+            f'broken is {self.broken!r}, not "fail" or "inconclusive"': self.broken in ("fail", "inconclusive"),
+        }  # fmt: skip
+        for complaint, holds in rules.items():
+            if not holds:
+                raise ValueError(complaint)
 
     def __str__(self) -> str:
         """The rule: "gap.min >= 0.5 [closed] [pedestrian]"."""
@@ -203,8 +197,7 @@ def _gate(table: Mapping[str, Any], place: str, metrics: Mapping[str, Metric]) -
     for key, value in table.items():
         if not isinstance(value, _TYPES[key]) or (isinstance(value, bool) and bool not in _TYPES[key]):
             raise ConfigError(f"{place}: {key} = {value!r} must be {_TYPES[key][-1].__name__}")
-    for key in _WORDS:
-        if not all(isinstance(word, str) for word in table.get(key, [])):
+        if key in _WORDS and not all(isinstance(word, str) for word in table[key]):
             raise ConfigError(f"{place}: {key} must be words")
     check_metric(name, place, metrics)
     try:
@@ -235,6 +228,16 @@ def check_metric(name: str, place: str, metrics: Mapping[str, Metric]) -> None:
     words = name.split(".")
     if name not in names and not (len(words) == 3 and f"{words[0]}.*.{words[2]}" in names):
         raise ConfigError(f"{place}: no metric has this name{meant(name, names)}")
+
+
+def unit_of(unit: str) -> str:
+    """A unit behind its number; nothing of ratios and counts."""
+    return "" if unit in ("1", "count") else f" {unit}"
+
+
+def count_logs(count: int) -> str:
+    """The words "1 log", "2 logs"."""
+    return "1 log" if count == 1 else f"{count} logs"
 
 
 def meant(word: str, known: Sequence[str], *, cutoff: float = 0.4) -> str:

@@ -1,7 +1,6 @@
 """What is wrong with a log, before anything is driven: what, who, when, how much, and its effect on which metric.
 
-A log with findings is evaluated as any other; only a phantom changes what is counted (`metrics.phantoms`). A new check
-is one function in `CHECKS`.
+A log with findings is evaluated as any other; only a phantom changes what is counted (`metrics.phantoms`).
 
 The ego, between samples k and k + 1, dt apart, d apart, with the speeds v and v':
 
@@ -41,6 +40,7 @@ from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from enum import Enum
+from itertools import takewhile
 from math import isfinite
 
 import numpy as np
@@ -56,16 +56,11 @@ from logs.states import wrapped
 from metrics.others import name_of, pieces
 from metrics.phantoms import phantoms
 
-EGO_GAP_S = 0.5
-"""As long as an agent that is sampled often may be unseen (`logs.presence`), s."""
-RARE = 5.0
-"""Intervals."""
-EGO_JUMP_M = 0.5
-"""A car's localisation is off by less from one sample to the next, m."""
-BRAKING_MPS2 = 12.0
-"""More than tyres give, m/s2."""
-EGO_SPEED_OFF, EGO_WAY_M = 0.1, 10.0
-"""Wheel speeds are within a few per cent, also on worn tyres; over a shorter way, m, noise hides a factor."""
+EGO_GAP_S = 0.5  # As long as an agent that is sampled often may be unseen (`logs.presence`), s
+RARE = 5.0  # Intervals
+EGO_JUMP_M = 0.5  # A car's localisation is off by less from one sample to the next, m
+BRAKING_MPS2 = 12.0  # More than tyres give, m/s2
+EGO_SPEED_OFF, EGO_WAY_M = 0.1, 10.0  # Wheel speeds are within a few per cent; over a shorter way noise hides a factor
 FACTORS = {
     3.6: "the speeds look like km/h",
     2.237: "the speeds look like mph",
@@ -76,45 +71,28 @@ FACTORS = {
     0.001: "the positions look like mm",
 }
 """Way by speed over way by positions, where one of them has another unit."""
-NEAR = 0.04
-"""How near to a factor, as a share."""
-STEP_M, TURNED_RAD = 0.3, 0.5
-"""Way over which a direction can be seen, m; about 30 degrees, more than the slip of a car that is driven, rad."""
-EGO_FLIP_RAD = 1.0
-"""No car turns by more between two samples, rad."""
+NEAR = 0.04  # How near to a factor, as a share
+STEP_M, TURNED_RAD = 0.3, 0.5  # A direction can be seen over this way, m; more than the slip of a driven car
+EGO_FLIP_RAD = 1.0  # No car turns by more between two samples, rad
 
-SWITCH_S, SWITCH_M = 0.6, 2.0
-"""A tracker that loses an agent finds it again within this time, s, and this distance, m."""
-FASTEST_MPS = 70.0
-"""No road user is faster, m/s."""
-JUMP_M = 1.5
-"""Boxes of real perception move by this between two samples where it sees another part of the same car, m."""
-SPEED_OFF, WAY_M = 0.25, 20.0
-"""Estimated speeds are at most this far off over a track of this way, m, as a share."""
-FLIP_RAD, FLIP_S = 2.0, 1.0
-"""A box that is turned the other way round turns by about pi, rad."""
-TWIN_M, TWIN_S, GRID_S = 0.4, 0.5, 0.25
-"""Two bodies cannot be so near, centre to centre, m, for so long, s; looked at every `GRID_S`."""
-LARGEST_M, PERSON_M = (30.0, 4.5), 2.5
-"""Length and width of the largest vehicles on public roads, with room; wider than any person or bicycle, m."""
-MOST = 0.6
-"""Share of the moving tracks that must be off by one factor."""
-ACROSS_M, ACROSS_RAD = 2.5, 0.61
-"""No wheels slip so: two boxes of two cars, m and rad."""
-SHORT, SHORT_SHARE = 3, 0.1
-"""Road users who pass are seen longer; some come into sight as a log ends, as a share."""
+SWITCH_S, SWITCH_M = 0.6, 2.0  # A tracker that loses an agent finds it again within this time, s, and this distance, m
+FASTEST_MPS = 70.0  # No road user is faster, m/s
+JUMP_M = 1.5  # Boxes of real perception move by this between two samples where it sees another part of the same car, m
+SPEED_OFF, WAY_M = 0.25, 20.0  # Estimated speeds are at most this far off over a track of this way, m, as a share
+FLIP_RAD, FLIP_S = 2.0, 1.0  # A box that is turned the other way round turns by about pi, rad
+TWIN_M, TWIN_S, GRID_S = 0.4, 0.5, 0.25  # Two centres cannot be so near for so long; looked at every `GRID_S`
+LARGEST_M, PERSON_M = (30.0, 4.5), 2.5  # Longest and widest on public roads; wider than any person
+MOST = 0.6  # Share of the moving tracks that must be off by one factor
+ACROSS_M, ACROSS_RAD = 2.5, 0.61  # No wheels slip so: two boxes of two cars
+SHORT, SHORT_SHARE = 3, 0.1  # Road users who pass are seen longer; some come into sight as a log ends
 SMALL = (AgentKind.PEDESTRIAN, AgentKind.BICYCLE)
 LONG = (AgentKind.CAR, AgentKind.TRUCK, AgentKind.BUS, AgentKind.MOTORCYCLE)
 
-OFF_SHARE = 0.1
-"""A turn cut, a car park: a tenth of a drive may be off the lanes."""
-APART_M = 3.0
-"""Less than a lane's width, m."""
-EDGE = 0.5
-"""If more than this share of the lanes ends in lanes that are not there, it is not the map's edge but a hole."""
+OFF_SHARE = 0.1  # A turn cut, a car park: a tenth of a drive may be off the lanes
+APART_M = 3.0  # Less than a lane's width, m
+EDGE = 0.5  # If more than this share of the lanes ends in lanes that are not there, it is not the map's edge but a hole
 SAMPLES = 200
-SHOWN = 5
-"""Findings of one kind that a report lists."""
+SHOWN = 5  # Findings of one kind that a report lists
 COLUMNS = ("log", "kind", "topic", "who", "t_from_s", "t_to_s", "value", "unit", "text", "effect")
 
 
@@ -123,22 +101,18 @@ class Kind(Enum):
 
     effect: str
 
-    PHANTOM = (
-        "phantom", "left out of contacts, gaps and times to collision meanwhile; a drive that meets one is marked"
-    )  # fmt: skip
+    PHANTOM = "phantom", "left out of contacts, gaps and times to collision meanwhile; a drive that meets one is marked"
     EGO_GAP = "ego gap", "plans are compared with an interpolated drive there"
     EGO_JUMP = (
-        "ego jump",
-        "open loop starts from states that were not driven; accuracy and comfort of the log are wrong there",
-    )
-    EGO_SPEED = (
-        "ego speed", "speed errors, comfort and the start of every plan rest on a speed that the positions deny"
+        "ego jump", "open loop starts from states that were not driven; accuracy and comfort of the log are wrong there"
     )  # fmt: skip
+    EGO_SPEED = "ego speed", "speed errors, comfort and the start of every plan rest on a speed that the positions deny"
     EGO_HEADING = "ego heading", "lateral errors, and every plan that starts there, rest on a wrong heading"
     AGENT_GAP = "flickering", "they are not in the scene in between, neither for planners nor for metrics"
     ID_SWITCH = (
-        "id switch", "one road user counts as two, who appear and vanish; following and encounters are cut in two"
-    )  # fmt: skip
+        "id switch",
+        "one road user counts as two, who appear and vanish; following and encounters are cut in two",
+    )
     TELEPORT = "teleport", "time to collision, predictions and contacts are wrong around the jump"
     AGENT_SPEED = "agent speed", "predictions, times to collision and RSS rest on a speed that the positions deny"
     HEADING_FLIP = "heading flip", "their box turns on the spot: contacts and predictions are wrong for a moment"
@@ -161,17 +135,12 @@ class Kind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that is wrong.
+    """One thing that is wrong, from `t_from` to `t_to`, s since the scenario's start.
 
     Attributes:
-        kind: Of it.
         topic: Part of the scenario where it is: "ego", "agents", "road", "lights".
         who: The agent, lane or light, or "".
-        t_from: When it begins, s since the scenario's start; `t_to` when it ends.
-        t_to: See there.
-        value: How much, in `unit`.
-        unit: "m", "s", "rad", "x" (a factor), "1" (a count or a share).
-        text: In words, with the figures.
+        unit: Of the value: "m", "s", "rad", "x" (a factor), "1" (a count or a share).
     """
 
     kind: Kind
@@ -241,9 +210,6 @@ def _by_kind(found: Iterable[Finding]) -> dict[Kind, list[Finding]]:
     return kinds
 
 
-# the ego ----------------------------------------------------------------------------------------------------------
-
-
 def ghosts(scenario: Scenario) -> Iterator[Finding]:
     """Boxes in which the recorded ego stood."""
     for phantom in phantoms(scenario):
@@ -255,8 +221,7 @@ def ghosts(scenario: Scenario) -> Iterator[Finding]:
 
 def ego_gaps(scenario: Scenario) -> Iterator[Finding]:
     """(1)."""
-    t = scenario.ego.t
-    dt = np.diff(t)
+    t, dt = scenario.ego.t, np.diff(scenario.ego.t)
     for k in np.flatnonzero((dt > EGO_GAP_S) & (dt > RARE * np.median(dt))) if len(dt) else ():
         yield Finding(Kind.EGO_GAP, "ego", "", t[k], t[k + 1], dt[k], "s", f"no ego state for {dt[k]:.2f} s")
 
@@ -307,30 +272,25 @@ def _ways(t: FloatArray, x: FloatArray, y: FloatArray, v: FloatArray) -> tuple[F
     return np.hypot(np.diff(x), np.diff(y)), 0.5 * np.diff(t) * (v[1:] + v[:-1])
 
 
-# other road users -------------------------------------------------------------------------------------------------
+def _of_track(tracks: Tracks, i: int, kind: Kind, a: float, b: float, value: float, unit: str, text: str) -> Finding:
+    """A finding about a track from a to b, s; its text goes on after the agent's name."""
+    return Finding(kind, "agents", tracks.ids[i], a, b, value, unit, f"{name_of(tracks, i)} {text}")
 
 
-def _of_track(
-    tracks: Tracks, i: int, kind: Kind, span: tuple[float, float], value: float, unit: str, text: str
-) -> Finding:
-    """A finding about a track; its text goes on after the agent's name."""
-    return Finding(kind, "agents", tracks.ids[i], *span, value, unit, f"{name_of(tracks, i)} {text}")
-
-
-def _moving(tracks: Tracks) -> Iterator[tuple[int, slice]]:
-    """Index and samples of each track that is not static."""
-    return ((i, tracks.samples(i)) for i in np.flatnonzero(~tracks.static).tolist())
+def _moving(tracks: Tracks) -> Iterator[tuple[int, slice, FloatArray]]:
+    """Index, samples and their times of each track that is not static."""
+    found = ((i, tracks.samples(i)) for i in np.flatnonzero(~tracks.static).tolist())
+    return ((i, mine, tracks.t[mine]) for i, mine in found)
 
 
 def flickering(scenario: Scenario) -> Iterator[Finding]:
     """(6), one for each track that has gaps."""
     tracks = scenario.tracks
-    for i, mine in _moving(tracks):
-        t, holes = tracks.t[mine], np.flatnonzero(tracks.gap_after[mine])
-        if len(holes):
+    for i, mine, t in _moving(tracks):
+        if len(holes := np.flatnonzero(tracks.gap_after[mine])):
             times = "once" if len(holes) == 1 else f"{len(holes)} times"
             text = f"is lost {times}, {float((t[holes + 1] - t[holes]).sum()):.1f} s together"
-            yield _of_track(tracks, i, Kind.AGENT_GAP, (t[holes[0]], t[holes[-1] + 1]), len(holes), "1", text)
+            yield _of_track(tracks, i, Kind.AGENT_GAP, t[holes[0]], t[holes[-1] + 1], len(holes), "1", text)
 
 
 def id_switches(scenario: Scenario) -> Iterator[Finding]:
@@ -350,14 +310,14 @@ def id_switches(scenario: Scenario) -> Iterator[Finding]:
         if same.any():
             j = int(np.argmin(np.where(same, away, np.inf)))
             text = f"goes on as {tracks.ids[others[j]]}, {away[j]:.1f} m from where it was expected"
-            yield _of_track(tracks, int(i), Kind.ID_SWITCH, (ends[i], begins[others[j]]), away[j], "m", text)
+            yield _of_track(tracks, int(i), Kind.ID_SWITCH, ends[i], begins[others[j]], away[j], "m", text)
 
 
 def teleports(scenario: Scenario) -> Iterator[Finding]:
     """(8), the largest of each track."""
     tracks = scenario.tracks
-    for i, mine in _moving(tracks):
-        t, v = tracks.t[mine], np.hypot(tracks.vx[mine], tracks.vy[mine])
+    for i, mine, t in _moving(tracks):
+        v = np.hypot(tracks.vx[mine], tracks.vy[mine])
         dt, d = np.diff(t), np.hypot(np.diff(tracks.x[mine]), np.diff(tracks.y[mine]))
         fastest = np.maximum(v[:-1], v[1:]) + 0.5 * BRAKING_MPS2 * dt
         excess = d - np.where(np.isfinite(fastest), np.minimum(fastest, FASTEST_MPS), FASTEST_MPS) * dt - JUMP_M
@@ -365,14 +325,14 @@ def teleports(scenario: Scenario) -> Iterator[Finding]:
             k, count = int(np.argmax(excess)), int((excess > 0.0).sum())
             more = f", and {count - 1} more times" if count > 1 else ""
             text = f"jumps {d[k]:.1f} m in {dt[k]:.2f} s{more}"
-            yield _of_track(tracks, i, Kind.TELEPORT, (t[k], t[k + 1]), d[k], "m", text)
+            yield _of_track(tracks, i, Kind.TELEPORT, t[k], t[k + 1], d[k], "m", text)
 
 
 def speeds(scenario: Scenario) -> Iterator[Finding]:
     """(9), (13)."""
     tracks, found, ratios = scenario.tracks, [], []
-    for i, mine in _moving(tracks):
-        t, v = tracks.t[mine], np.hypot(tracks.vx[mine], tracks.vy[mine])
+    for i, mine, t in _moving(tracks):
+        v = np.hypot(tracks.vx[mine], tracks.vy[mine])
         if len(v) < 2 or not np.isfinite(v).all():
             continue
         seen = ~tracks.gap_after[mine][:-1]
@@ -382,7 +342,7 @@ def speeds(scenario: Scenario) -> Iterator[Finding]:
         ratios.append(by_speed / way if way > 0.0 else np.inf)
         if abs(way - by_speed) > SPEED_OFF * max(way, by_speed):
             text = f"goes {way:.1f} m by positions, {by_speed:.1f} m by speed"
-            found.append(_of_track(tracks, i, Kind.AGENT_SPEED, (t[0], t[-1]), ratios[-1], "x", text))
+            found.append(_of_track(tracks, i, Kind.AGENT_SPEED, t[0], t[-1], ratios[-1], "x", text))
     for known, meaning in FACTORS.items():
         near = [ratio for ratio in ratios if abs(ratio / known - 1.0) < NEAR]
         if len(near) > max(1.0, MOST * len(ratios)):
@@ -395,24 +355,22 @@ def speeds(scenario: Scenario) -> Iterator[Finding]:
 def heading_flips(scenario: Scenario) -> Iterator[Finding]:
     """(10), the first of each track."""
     tracks = scenario.tracks
-    for i, mine in _moving(tracks):
-        if tracks.kinds[i] not in LONG:
-            continue
-        t, turn = tracks.t[mine], np.abs(wrapped(np.diff(tracks.yaw[mine])))
+    for i, mine, t in _moving(tracks):
+        turn = np.abs(wrapped(np.diff(tracks.yaw[mine])))
         flips = np.flatnonzero((turn > FLIP_RAD) & (np.diff(t) < FLIP_S))
-        if len(flips):
+        if len(flips) and tracks.kinds[i] in LONG:
             k, times = flips[0], "" if len(flips) == 1 else f", {len(flips)} times"
             text = f"turns by {turn[k]:.1f} rad in {t[k + 1] - t[k]:.2f} s{times}"
-            yield _of_track(tracks, i, Kind.HEADING_FLIP, (t[k], t[k + 1]), turn[k], "rad", text)
+            yield _of_track(tracks, i, Kind.HEADING_FLIP, t[k], t[k + 1], turn[k], "rad", text)
 
 
 def across(scenario: Scenario) -> Iterator[Finding]:
     """(18), the first of each track; the axis is the middle of both boxes', as a chord is of a bend's ends."""
     tracks = scenario.tracks
-    for i, mine in _moving(tracks):
+    for i, mine, t in _moving(tracks):
         if tracks.kinds[i] not in LONG:
             continue
-        t, yaw = tracks.t[mine], tracks.yaw[mine]
+        yaw = tracks.yaw[mine]
         dx, dy = np.diff(tracks.x[mine]), np.diff(tracks.y[mine])
         turn = wrapped(2.0 * (np.arctan2(dy, dx) - yaw[:-1] - 0.5 * np.diff(yaw)))  # twice: it may go backward
         far = (np.hypot(dx, dy) > ACROSS_M) & (np.abs(turn) > 2.0 * ACROSS_RAD) & ~tracks.gap_after[mine][:-1]
@@ -421,7 +379,7 @@ def across(scenario: Scenario) -> Iterator[Finding]:
             more = f", and {count - 1} more times" if count > 1 else ""
             off = 0.5 * abs(float(turn[k]))
             text = f"goes {np.hypot(dx[k], dy[k]):.1f} m at {off:.1f} rad to its axis in {t[k + 1] - t[k]:.2f} s{more}"
-            yield _of_track(tracks, i, Kind.ACROSS, (t[k], t[k + 1]), off, "rad", text)
+            yield _of_track(tracks, i, Kind.ACROSS, t[k], t[k + 1], off, "rad", text)
 
 
 def short_tracks(scenario: Scenario) -> Iterator[Finding]:
@@ -450,18 +408,16 @@ def twins(scenario: Scenario) -> Iterator[Finding]:
         lasting = GRID_S * (len(steps) - 1)
         if lasting >= TWIN_S and not (tracks.static[i] and tracks.static[j]):
             text = f"and {name_of(tracks, j)} are in one place for {lasting:.1f} s"
-            yield _of_track(tracks, i, Kind.TWIN, (t[steps[0]], t[steps[-1]]), lasting, "s", text)
+            yield _of_track(tracks, i, Kind.TWIN, t[steps[0]], t[steps[-1]], lasting, "s", text)
 
 
 def _near(places: FloatArray) -> Iterator[tuple[int, int]]:
     """Pairs of places `(2, n)`, sorted by x, that are within `TWIN_M`."""
     x, y = places
     for i in range(len(x)):
-        j = i + 1
-        while j < len(x) and x[j] - x[i] < TWIN_M:
+        for j in takewhile(lambda j, i=i: x[j] - x[i] < TWIN_M, range(i + 1, len(x))):  # type: ignore[misc]
             if np.hypot(x[j] - x[i], y[j] - y[i]) < TWIN_M:
                 yield i, j
-            j += 1
 
 
 def unrecorded(scenario: Scenario) -> Iterator[Finding]:
@@ -482,10 +438,7 @@ def sizes(scenario: Scenario) -> Iterator[Finding]:
         odd = kind in LONG and (length > LARGEST_M[0] or width > LARGEST_M[1])
         if odd or (kind in SMALL and min(length, width) > PERSON_M):
             t = tracks.t[tracks.samples(i)]
-            yield _of_track(tracks, i, Kind.SIZE, (t[0], t[-1]), length, "m", f"is {length:.1f} m by {width:.1f} m")
-
-
-# map and lights ---------------------------------------------------------------------------------------------------
+            yield _of_track(tracks, i, Kind.SIZE, t[0], t[-1], length, "m", f"is {length:.1f} m by {width:.1f} m")
 
 
 def off_map(scenario: Scenario) -> Iterator[Finding]:

@@ -18,22 +18,11 @@ from __future__ import annotations
 import numpy as np
 
 from logs.kernel import FloatArray
-from logs.road import RoadSource
 from logs.scenario import Scenario
 from logs.trace import Mode, Trace
-from metrics.lanes import Under, drivable_lanes, under
-from metrics.metric import (
-    MAX,
-    MAX_ABS,
-    Measured,
-    Metric,
-    Reduction,
-    Series,
-    Unavailable,
-    holds,
-    time_above,
-    worst_episode,
-)
+from metrics import metric
+from metrics.lanes import Under, mapped_lanes, under
+from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
 from metrics.needless import reasons
 from metrics.once import once
 from metrics.others import ego_boxes
@@ -41,36 +30,31 @@ from metrics.path_ahead import grid_of
 
 WINDOW_S = 1.0
 COMPLIANT_M, HALF_M = 2.0, 6.0
-AGAINST_MPS = 0.1
-"""Slower than this is no driving against a lane: the speed at which a stop is made."""
+AGAINST_MPS = 0.1  # Slower than this is no driving against a lane: the speed at which a stop is made
 ASIDE_M, ASIDE_S, OVER_M = 0.5, 2.0, 0.3
 NO_LANES = Unavailable("the log has no lanes")
 
 
 @once
-def _lanes(trace: Trace, scenario: Scenario) -> Under | Unavailable:
-    lanes = drivable_lanes(scenario.road)
-    if scenario.road.source is RoadSource.DRIVEN_PATH or lanes is None:
-        return NO_LANES
-    return under(lanes, *ego_boxes(trace.ego, scenario)[:3])
+def _under(trace: Trace, scenario: Scenario) -> Under | None:
+    lanes = mapped_lanes(scenario.road)
+    return None if lanes is None else under(lanes, *ego_boxes(trace.ego, scenario)[:3])
 
 
 def _wrong_way(trace: Trace, scenario: Scenario) -> Measured:
-    found = _lanes(trace, scenario)
-    if isinstance(found, Unavailable):
-        return found
+    if (found := _under(trace, scenario)) is None:
+        return NO_LANES
     against = np.maximum(-trace.ego.v * found.along, 0.0)  # (1); the reference point moves along the heading
     return Series(trace.ego.t, against, missing=_NEVER)
 
 
 def _lane_keeping(trace: Trace, scenario: Scenario) -> Measured:
-    found = _lanes(trace, scenario)
-    return found if isinstance(found, Unavailable) else Series(trace.ego.t, found.left, missing=_NEVER)
+    found = _under(trace, scenario)
+    return NO_LANES if found is None else Series(trace.ego.t, found.left, missing=_NEVER)
 
 
 def _lane_line(trace: Trace, scenario: Scenario) -> Measured:
-    lanes = drivable_lanes(scenario.road)
-    if scenario.road.source is RoadSource.DRIVEN_PATH or lanes is None:
+    if (lanes := mapped_lanes(scenario.road)) is None:
         return NO_LANES
     ego, steer = grid_of(trace), reasons(trace, scenario).steer
     found = under(lanes, *ego_boxes(ego, scenario)[:3])
@@ -80,7 +64,7 @@ def _lane_line(trace: Trace, scenario: Scenario) -> Measured:
 
 def _metres(series: Series) -> FloatArray:
     """Metres driven against the lanes in each step `(n,)`."""
-    return np.where(series.known, series.value, 0.0) * holds(series.t)
+    return np.where(series.known, series.value, 0.0) * metric.holds(series.t)
 
 
 def worst_metres(series: Series) -> tuple[float, int]:
@@ -92,18 +76,14 @@ def worst_metres(series: Series) -> tuple[float, int]:
     return float(within[step]), step
 
 
-def _distance(series: Series) -> tuple[float, int]:
-    return float(_metres(series).sum()), -1
-
-
 _NEVER = "the ego is never on a lane, or only where lanes cross"
 _NEEDS = "lanes in the log"
 WRONG_WAY = Metric(
     "wrong_way", "m/s", "lower", (Mode.CLOSED,), _wrong_way,
     (
         Reduction("worst_1s", worst_metres, unit="m", empty=0.0),
-        Reduction("distance", _distance, unit="m", empty=0.0),
-        time_above(AGAINST_MPS, "time"), worst_episode(-AGAINST_MPS, AGAINST_MPS),
+        Reduction("distance", lambda series: (float(_metres(series).sum()), -1), unit="m", empty=0.0),
+        metric.time_above(AGAINST_MPS, "time"), metric.worst_episode(-AGAINST_MPS, AGAINST_MPS),
     ),
     "Speed against the direction of the lane under the ego's centre; worst_1s are the most metres within 1 s.",
     "nuPlan devkit e9241677, driving_direction_compliance (below 2 m: 1, below 6 m: 0.5); there along the route",
@@ -113,14 +93,14 @@ WRONG_WAY = Metric(
 )  # fmt: skip
 LANE_KEEPING = Metric(
     "lane_keeping", "m", "lower", (Mode.CLOSED,), _lane_keeping,
-    (MAX_ABS, time_above(ASIDE_M, "time_beyond_50cm"), worst_episode(-ASIDE_M, ASIDE_M)),
+    (metric.MAX_ABS, metric.time_above(ASIDE_M, "time_beyond_50cm"), metric.worst_episode(-ASIDE_M, ASIDE_M)),
     "Distance of the ego's centre from the nearest centre line of a lane under it; changing lanes counts too.",
     "NAVSIM 0a380a90, lane keeping of EPDMS: an episode of 2 s is a failure",
     formula="signed distance from the centre line; worst_episode: the longest stretch beyond 0.5 m",
     parameters=(f"beyond {ASIDE_M} m", "lanes cross above 30 degrees"), needs=_NEEDS,
 )  # fmt: skip
 LANE_LINE = Metric(
-    "lane_line", "m", "lower", (Mode.CLOSED,), _lane_line, (MAX, worst_episode(-np.inf, OVER_M)),
+    "lane_line", "m", "lower", (Mode.CLOSED,), _lane_line, (metric.MAX, metric.worst_episode(-np.inf, OVER_M)),
     "How far the ego's box is over the line of its lane while nothing calls for it.",
     formula="|distance from the centre line| + half of the ego's width - half of the lane's width",
     parameters=(f"over by {OVER_M} m",), needs=_NEEDS,

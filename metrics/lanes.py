@@ -7,7 +7,6 @@ The end of the map is not the end of the road: a lane that leads on to no lane o
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import ceil, cos, hypot, inf, nan, pi, sin, sqrt
 from typing import NamedTuple
 
@@ -19,12 +18,9 @@ from logs.shapes import point_segment
 from metrics.once import once
 
 BEYOND_M = 10.0
-SURE_M = 1e-6
-"""Boxes are passed over where they are farther than this: rounding must not decide."""
-FEW = 16
-"""Least number of edges in a box."""
-CROSSING = cos(30.0 / 180.0 * pi)
-"""Lanes that lie over each other cross where their directions differ by more than 30 degrees, either way round."""
+SURE_M = 1e-6  # Boxes are passed over where they are farther than this: rounding must not decide
+FEW = 16  # Least number of edges in a box
+CROSSING = cos(30.0 / 180.0 * pi)  # Lanes cross where their directions differ by more, either way round
 
 
 class Boxes(NamedTuple):
@@ -50,8 +46,7 @@ class LaneArrays(NamedTuple):
         center: Their centre lines `(m / 2, 2)`, m; lane i owns the halves of `offsets`; edge k leads from point k on.
         box: `(n, 4)`: least x, y, greatest x, y.
         limit: `(n,)` the log's speed limit, m/s; NaN where it has none.
-        outline: Boxes of the outlines.
-        middle: Of the centre lines.
+        outline: Boxes of the outlines; `middle` of the centre lines.
     """
 
     points: FloatArray
@@ -71,11 +66,15 @@ def points_inside(polygon: FloatArray, x: FloatArray, y: FloatArray) -> BoolArra
     return np.asarray(found)
 
 
+def mapped_lanes(road: Road) -> LaneArrays | None:
+    """The lanes of the log's own map that a car may drive on; None where it has none."""
+    return None if road.source is RoadSource.DRIVEN_PATH else drivable_lanes(road)
+
+
 @once
 def stated_lanes(road: Road) -> LaneArrays | None:
-    """The lanes that a car may drive on, with the speed limits that the log states; None where it has no lanes."""
-    lanes = drivable_lanes(road)
-    if lanes is None or road.source is RoadSource.DRIVEN_PATH:
+    """`mapped_lanes`, with the speed limits that the log states."""
+    if (lanes := mapped_lanes(road)) is None:
         return None
     stated = [road.stated_limit(lane.id) for lane in road.lanes.values() if lane.drivable]
     return lanes._replace(limit=np.array(stated))
@@ -88,10 +87,7 @@ def drivable_lanes(road: Road) -> LaneArrays | None:
     if not lanes:
         return None
     entered = {after for lane in road.lanes.values() for after in lane.successors}
-    outlines = [
-        _outline(lane, leads_on=not road.lanes.keys().isdisjoint(lane.successors), entered=lane.id in entered)
-        for lane in lanes
-    ]
+    outlines = [_outline(lane, road.lanes.keys().isdisjoint(lane.successors), lane.id not in entered) for lane in lanes]
     box = [(*outline.min(axis=0), *outline.max(axis=0)) for outline in outlines]
     offsets = np.r_[0, np.cumsum([len(outline) for outline in outlines])]
     centers = [0.5 * (outline[: len(outline) // 2] + outline[: len(outline) // 2 - 1 : -1]) for outline in outlines]
@@ -116,17 +112,14 @@ def _boxes(polylines: Sequence[FloatArray]) -> Boxes:
     return Boxes(frozen(first, np.int64), frozen(box), frozen(rows, np.int64))
 
 
-def _outline(lane: Lane, *, leads_on: bool, entered: bool) -> FloatArray:
-    """The lane's polygon, lengthened where the map ends."""
-    forth = np.zeros((1, 2)) if leads_on else _ahead(lane.center[-1] - lane.center[-2])
-    back = np.zeros((1, 2)) if entered else _ahead(lane.center[0] - lane.center[1])
+def _outline(lane: Lane, ends: bool, begins: bool) -> FloatArray:
+    """The lane's polygon, lengthened where the map ends or begins."""
+    forth, back = lane.center[-1:] - lane.center[-2:-1], lane.center[:1] - lane.center[1:2]
+    for longer, way in ((ends, forth), (begins, back)):
+        length = float(np.hypot(*way[0]))
+        way *= BEYOND_M / length if longer and length > 0.0 else 0.0
     sides = [np.vstack([side[:1] + back, side, side[-1:] + forth]) for side in (lane.left, lane.right)]
     return np.vstack([sides[0], sides[1][::-1]])
-
-
-def _ahead(direction: FloatArray) -> FloatArray:
-    length = float(np.hypot(*direction))
-    return (BEYOND_M / length if length > 0.0 else 0.0) * direction[None]
 
 
 def keeps_lane(road: Road, x: float, y: float, corners: FloatArray) -> bool:
@@ -142,8 +135,7 @@ def keeps_lane(road: Road, x: float, y: float, corners: FloatArray) -> bool:
     return all(any(lane.id in strip for lane in road.lanes_at(*corner)) for corner in corners.tolist())
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Under:
+class Under(NamedTuple):
     """What lies under points of a drive, `(k,)` each; NaN where no lane does, and where lanes cross.
 
     Attributes:
@@ -155,11 +147,6 @@ class Under:
     along: FloatArray
     left: FloatArray
     half: FloatArray
-
-
-def under(lanes: LaneArrays, x: FloatArray, y: FloatArray, yaw: FloatArray) -> Under:
-    """The lanes under points with a heading."""
-    return Under(*_under(lanes, x, y, yaw))
 
 
 @kernel
@@ -208,9 +195,8 @@ def _on_center(lanes: LaneArrays, i: int, x: float, y: float) -> tuple[float, fl
 
 
 @kernel
-def _under(
-    lanes: LaneArrays, x: FloatArray, y: FloatArray, yaw: FloatArray
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def under(lanes: LaneArrays, x: FloatArray, y: FloatArray, yaw: FloatArray) -> Under:
+    """The lanes under points `(k,)` with a heading."""
     along, left, half = np.full(len(x), nan), np.full(len(x), nan), np.full(len(x), nan)
     for k in range(len(x)):
         first_x, first_y, crossing = 0.0, 0.0, False
@@ -228,7 +214,7 @@ def _under(
                 left[k], half[k] = aside, wide
         if crossing:
             along[k], left[k] = nan, nan
-    return along, left, half
+    return Under(along, left, half)
 
 
 @inner_kernel

@@ -1,8 +1,4 @@
-"""Deadline misses: plans that took longer than they may. Wall clock, so not in the table of metrics.
-
-`metrics.parquet` is the same byte for byte for the same input; how long a plan takes is not, and is in
-`timings.parquet`. What is counted here is for a table of its own, and its gate for the run's summary only.
-"""
+"""Deadline misses: plans that took longer than they may. Wall clock, so not in the table of metrics."""
 
 from __future__ import annotations
 
@@ -15,8 +11,7 @@ from metrics.gates import Gate, Gates
 from metrics.judge import Verdict, judge
 
 SHARE = "deadline.share"
-MAX_SHARE = 0.01
-"""So many of a drive's plans may be late."""
+MAX_SHARE = 0.01  # So many of a drive's plans may be late
 _DRIVE = ["log", "planner", "mode"]
 COLUMNS = ("log", "planner", "mode", "plans", "misses", "share", "worst_s", "worst_t_s")
 
@@ -26,20 +21,16 @@ def deadline_misses(timings: pd.DataFrame, deadline_s: float) -> pd.DataFrame:
 
     Args:
         timings: Columns log, planner, mode, t_s, stage, seconds; the stage "total" is a whole plan.
-        deadline_s: A plan that takes longer has missed it, s; above 0.
+        deadline_s: A plan that takes longer has missed it, s; ValueError unless above 0.
 
     Returns:
-        One row per log, planner and mode, in the order of `timings`, columns `COLUMNS`: plans made, misses, their
-        share, the longest time of a plan, and when that plan was asked for. Empty where nothing was planned.
-
-    Raises:
-        ValueError: The deadline is not above 0.
+        `COLUMNS` of each log, planner and mode in the order of `timings`: plans made, misses, their share, the longest
+        time of a plan, and when that plan was asked for.
     """
     if not deadline_s > 0.0:
         raise ValueError(f"a deadline of {deadline_s} s")
     rows = []
-    total = timings[timings["stage"] == "total"]
-    for drive, plans in total.groupby(_DRIVE, sort=False, observed=True):
+    for drive, plans in timings[timings["stage"] == "total"].groupby(_DRIVE, sort=False, observed=True):
         late, worst = plans["seconds"] > deadline_s, plans.iloc[int(plans["seconds"].argmax())]
         rows.append((*drive, len(plans), int(late.sum()), float(late.mean()), worst["seconds"], worst["t_s"]))
     return pd.DataFrame(rows, columns=list(COLUMNS))

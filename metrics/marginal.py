@@ -1,18 +1,12 @@
 """Marginal: would the log at another rate of its road users' samples say something else of a gate?
 
-A sample is up to one interval d old when the next one comes, and a speed that is a difference of two samples is as old
-as their middle. What a planner sees, and what is judged, is therefore
+A sample is up to one interval d old when the next one comes, and a speed from two samples is as old as their middle:
+what is judged is (1) tau = 1.5 d late. A value is marginal where it is no further from its bound than what may happen
+in that time: (2) times, s: tau; distances, m: a tau^2 / 2 with a = `HARD_MPS2`, as hard as cars brake.
 
-(1) tau = 1.5 d
-
-late. A value is marginal where it is no further from its bound than what may happen in that time:
-
-(2) times, s: tau;   distances, m: a tau^2 / 2 with a = `HARD_MPS2`, as hard as cars brake
-
-so 0.3 s and 0.36 m at 5 Hz, 0.15 s and 0.09 m at 10 Hz, 0.075 s and 0.02 m at 20 Hz. A gate that allows no time or
-number of steps beyond a bound is about the extreme value: `ttc.time_below_950ms <= 0` is marginal where `ttc.min` is
-near 0.95 s. One that allows some is about that time itself. Asked are the metrics that are about others, and comfort:
-how hard a planner brakes hangs on when it sees them.
+A gate that allows no time or number of steps beyond a bound is about the extreme value: `ttc.time_below_950ms <= 0` is
+marginal where `ttc.min` is near 0.95 s. One that allows some is about that time itself. Asked are the metrics that are
+about others, and comfort: how hard a planner brakes depends on when it sees them.
 """
 
 from __future__ import annotations
@@ -30,11 +24,9 @@ _ASKED = frozenset({*OF_OTHERS, *(metric.name for metric in GROUPS["comfort"])})
 
 
 def marginal(gate: Gate, value_of: Callable[[str], float]) -> str:
-    """Why what a gate says of a drive is marginal: "marginal: at 5 Hz ..."; empty: it is not.
+    """Why a gate's outcome on a drive is marginal: "marginal: at 5 Hz ..."; empty: it is not.
 
-    Args:
-        gate: The rule.
-        value_of: The drive's value by its name in the table ("ttc.min"); NaN where it has none.
+    `value_of` gives the drive's value by its name in the table ("ttc.min"); NaN where it has none.
     """
     name, _, reduced = gate.metric.rpartition(".")
     metric, interval = METRICS.get(name.partition(".")[0]), value_of(INTERVAL)

@@ -14,7 +14,7 @@ measured is Unavailable with its reason; a single step that has no value is NaN.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -25,8 +25,7 @@ from logs.scenario import Scenario
 from logs.trace import Mode, Trace
 from metrics.once import last
 
-Direction = Literal["lower", "higher", "none"]
-"""Which way is better."""
+Direction = Literal["lower", "higher", "none"]  # Which way is better
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -64,6 +63,15 @@ class Series:
     def known(self) -> BoolArray:
         """Which steps have a value `(n,)`."""
         return np.isfinite(self.value)
+
+
+def counted(t: FloatArray, events: Iterable[tuple[int, str]]) -> Series:
+    """How many of the events (step and label) are at each of the times `t` `(n,)`; labels of one step are joined."""
+    counts, labels = np.zeros(len(t)), [""] * len(t)
+    for step, label in events:
+        counts[step] += 1.0
+        labels[step] = f"{labels[step]}; {label}" if labels[step] else label
+    return Series(t, counts, tuple(labels))
 
 
 @dataclass(frozen=True, slots=True)
@@ -174,13 +182,10 @@ class Metric:
         return {f"{self.name}.{part}": found for part in parts} or {self.name: found}
 
 
-def _asked(trace: Trace, scenario: Scenario, measure: Measure) -> Measured | Mapping[str, Measured]:
-    return measure(trace, scenario)
-
-
-_all, _newest = last(1024)(_asked), last(8)(_asked)
-LONG_STEPS = 60_000
-"""Of a drive with more steps (ten minutes at 100 Hz: 1 MB a series) the newest series are kept: scores ask again."""
+_ask: Callable[..., Measured | Mapping[str, Measured]] = lambda trace, scenario, measure: measure(trace, scenario)  # noqa: E731
+_all, _newest = last(1024)(_ask), last(8)(_ask)
+LONG_STEPS = 60_000  # Of a longer drive (1 MB a series) only the newest series are kept
+LEAST_S = 4.0  # Of `share_beyond`: the horizon over which plans are judged
 
 
 def _extreme(series: Series, score: FloatArray, value: FloatArray) -> tuple[float, int]:
@@ -192,11 +197,6 @@ def _extreme(series: Series, score: FloatArray, value: FloatArray) -> tuple[floa
 def first_of(flags: BoolArray) -> int:
     """The first step that is marked, -1 where none is."""
     return int(np.argmax(flags)) if flags.any() else -1
-
-
-def _final(series: Series) -> tuple[float, int]:
-    step = int(np.flatnonzero(series.known)[-1])
-    return float(series.value[step]), step
 
 
 def _percentile(q: float) -> Callable[[Series], tuple[float, int]]:
@@ -212,10 +212,7 @@ def _percentile(q: float) -> Callable[[Series], tuple[float, int]]:
 
 
 def holds(t: FloatArray) -> FloatArray:
-    """How long each of the steps `(n,)` stands for, s: half of the time to each of its neighbours (trapezoid rule).
-
-    They add up to the drive, and the instant of a contact, with which a drive ends, counts; one step lasts 0 s.
-    """
+    """How long each step `(n,)` stands for, s: half of the time to each of its neighbours; they add up to the drive."""
     half = 0.5 * np.diff(t)
     return np.r_[half, 0.0] + np.r_[0.0, half]
 
@@ -237,11 +234,9 @@ MIN = Reduction("min", lambda series: _extreme(series, -series.value, series.val
 MAX = Reduction("max", lambda series: _extreme(series, series.value, series.value))
 MAX_ABS = Reduction("max_abs", lambda series: _extreme(series, np.abs(series.value), np.abs(series.value)))
 RMS = Reduction("rms", lambda series: (float(np.sqrt(np.mean(series.value[series.known] ** 2))), -1))
-P95 = Reduction("p95", _percentile(95.0))
-"""95th percentile of the absolute value over the steps, linear between order statistics."""
-P99 = Reduction("p99", _percentile(99.0))
-"""99th percentile, likewise."""
-FINAL = Reduction("final", _final)
+P95 = Reduction("p95", _percentile(95.0))  # of the absolute value, linear between order statistics
+P99 = Reduction("p99", _percentile(99.0))  # 99th percentile, likewise
+FINAL = Reduction("final", lambda series: _extreme(series, np.arange(len(series.t), dtype=float), series.value))
 COUNT = Reduction(
     "count",
     lambda series: (float(np.sum(series.value[series.known])), first_of((series.value != 0.0) & series.known)),
@@ -259,23 +254,19 @@ SHARE = Reduction("share", lambda series: (float(np.mean(series.known)), -1), "1
 """Share of the steps that have a value, where each ought to have one: below 1 the mean is over a part only."""
 
 
-def _outside(low: float, high: float, series: Series) -> BoolArray:
-    return np.asarray((series.value < low) | (series.value > high))
+def time_outside(low: float, high: float, name: str) -> Reduction:
+    """Seconds during which the value is below `low` or above `high`; 0 where no step has a value."""
+
+    def reduce(series: Series) -> tuple[float, int]:
+        flags = (series.value < low) | (series.value > high)
+        return float(np.sum(holds(series.t)[flags])), first_of(flags)
+
+    return Reduction(name, reduce, "s", "lower", 0.0, (low, high))
 
 
 def time_below(bound: float, name: str) -> Reduction:
     """Seconds during which the value is below `bound`; 0 where no step has a value."""
     return time_outside(bound, np.inf, name)
-
-
-def time_outside(low: float, high: float, name: str) -> Reduction:
-    """Seconds during which the value is below `low` or above `high`; 0 where no step has a value."""
-
-    def reduce(series: Series) -> tuple[float, int]:
-        flags = _outside(low, high, series)
-        return float(np.sum(holds(series.t)[flags])), first_of(flags)
-
-    return Reduction(name, reduce, "s", "lower", 0.0, (low, high))
 
 
 def time_above(bound: float, name: str) -> Reduction:
@@ -285,22 +276,39 @@ def time_above(bound: float, name: str) -> Reduction:
 
 def worst_episode(low: float, high: float) -> Reduction:
     """Longest unbroken stretch below `low` or above `high`, s; its time is the stretch's first step."""
-    reduce = lambda series: longest(series, _outside(low, high, series))  # noqa: E731
-    return Reduction("worst_episode", reduce, "s", "lower", 0.0, (low, high))
+    return Reduction(
+        "worst_episode", lambda series: longest(series, (series.value < low) | (series.value > high)),
+        "s", "lower", 0.0, (low, high),
+    )  # fmt: skip
 
 
-def out_of_bounds(low: float, high: float) -> tuple[Reduction, Reduction]:
-    """Time out of bounds and the worst episode: neither changes where quiet driving is added to a drive."""
-    return time_outside(low, high, "time_out_of_bounds"), worst_episode(low, high)
+def share_while(condition: Callable[[FloatArray], BoolArray], name: str) -> Reduction:
+    """Share of the drive's time in which a condition holds; 0 where no step has a value."""
+
+    def reduce(series: Series) -> tuple[float, int]:
+        flags, weight = condition(series.value) & series.known, holds(series.t)
+        total = float(np.sum(weight))
+        return (float(np.sum(weight[flags])) / total if total > 0.0 else float(flags[0])), first_of(flags)
+
+    return Reduction(name, reduce, "1", "lower", 0.0)
+
+
+def share_beyond(bound: float, name: str) -> Reduction:
+    """Share of the time of the known steps, `LEAST_S` at least, in which the value is above `bound`; else 0."""
+
+    def reduce(series: Series) -> tuple[float, int]:
+        flags, weight = series.value > bound, holds(series.t)
+        return float(np.sum(weight[flags])) / max(float(np.sum(weight[series.known])), LEAST_S), first_of(flags)
+
+    return Reduction(name, reduce, "1", "lower", 0.0)
 
 
 def changed(t: FloatArray, value: FloatArray, window: float) -> FloatArray:
     """Rate of change `(n,)` of a sampled value, per s: the declared differentiator of all metrics.
 
-    (1) rate(t) = (value(t) - value(t - window)) / window, linear between the samples
+    (1) rate(t) = (value(t) - value(t - window)) / window, linear between the samples; NaN in the first `window` s
 
-    Causal, so that later samples and the place where a log is cut do not change it; NaN in the first `window` s.
-    A ramp keeps its slope, a step of height h shows as h / window for `window` s.
+    Causal: later samples and the place where a log is cut do not change it.
     """
     before = np.interp(t - window, t, value)
     return np.where(t - window >= t[0] - 1e-9, (value - before) / window, np.nan)

@@ -1,10 +1,10 @@
-"""Braking, standing and steering that nothing calls for, closed loop, every 0.1 s along the route (`route`).
+"""Braking, standing and steering that nothing calls for, closed loop, every 0.1 s along the route (`progress`).
 
 With the ego's speed v, what calls for it to be slower or to stand is looked for as far ahead of its front as
 
 (1) look = 10 m + 1.5 s v + max(v - u, 0)^2 / (2 EASE_MPS2)      u: speed of what is ahead, along the route
 
-so any reason that a careful driver could have counts, and no rule says that one must brake for it:
+so any reason that a careful driver could have counts:
 
     road users   ahead or beside, whose box is, or at its velocity comes within `COMING_S`, within 1 m of the strip that
                  the ego sweeps here or on the route (pedestrians and riders: 2 m), and who do not drive away; those
@@ -41,7 +41,7 @@ from metrics.once import once
 from metrics.others import each
 from metrics.path_ahead import grid_of
 from metrics.phantoms import phantoms
-from metrics.route import WINDOW_M, route_of
+from metrics.progress import WINDOW_M, route_of
 
 NEAR_M, HEADWAY_S, EASE_MPS2, FARTHEST_M = 10.0, 1.5, 1.5, 150.0
 LINE_M = 6.0
@@ -55,12 +55,10 @@ SWING_M, CHANGE_M = 0.5, 2.0
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Reasons:
-    """What calls for what over k steps.
+    """At k times t, s: the ego's speed v, m/s, its offset l from the route, m, and what calls for what.
 
     Attributes:
-        t: s.
-        v: The ego's speed, m/s; `l` its offset from the route, m.
-        slow: Whether something calls for it to be slower, or it is not asked.
+        slow: Whether something calls for it to be slower.
         stand: To stand.
         steer: To leave its offset.
     """
@@ -84,13 +82,20 @@ def reasons(trace: Trace, scenario: Scenario) -> Reasons:
         ahead = (s <= end) & active
         slow |= ahead & (begin - front <= _look(ego.v, 0.0))
         stand |= ahead & (begin - front <= near)
-    for tracks in _shown(trace, scenario):
+    ghosts = {phantom.agent for phantom in phantoms(scenario)}
+    shown = (trace.agents, trace.perceived, scenario.tracks.only(ghosts) if ghosts else None)
+    for tracks in filter(None, shown):
         for brakes, stands, beside in _by_agents(tracks, ego.t, s, l, ego.v, line, scenario):
             slow, stand, steer = slow | brakes, stand | stands, steer | beside
-    early = _early(scenario, ego.t, s, ego.v)
+    goal, early = scenario.goal, np.zeros(len(s), np.bool_)
+    if goal is not None and goal.t is not None:  # at its speed it would be there before the goal's time
+        early = s + np.maximum(ego.v, STANDING_MPS) * (goal.t[0] - ego.t) > route_of(scenario).length
     slow, stand, steer = (_lasting(ego.t, flags) for flags in (slow | early, stand | early, steer))
     off = np.abs(l) > ASIDE_M
-    slow |= off | (ego.v > _cap_ahead(s, ego.v, line, _caps(line, scenario)) + SLACK_MPS)
+    caps, end = _caps(line, scenario), np.searchsorted(line.s, s + _look(ego.v, 0.0), side="right")
+    first = np.clip(np.searchsorted(line.s, s) - 1, 0, len(caps) - 1)
+    least = np.array([caps[a : max(b, a + 1)].min() for a, b in zip(first, end, strict=True)])
+    slow |= off | (ego.v > least + SLACK_MPS)
     curved = np.interp(s, line.s, np.abs(line.kappa)) > 1.0 / CURVE_RADIUS_M
     return Reasons(ego.t, ego.v, l, slow, stand | off, steer | curved)
 
@@ -106,25 +111,16 @@ def _lasting(t: FloatArray, flags: BoolArray) -> BoolArray:
     return np.asarray(t - since <= AFTER_S + 1e-9)
 
 
-def _shown(trace: Trace, scenario: Scenario) -> Iterator[Tracks]:
-    """The road users that were there, that the planner was shown, and the phantoms of the log."""
-    yield trace.agents
-    if trace.perceived is not None:
-        yield trace.perceived
-    if found := phantoms(scenario):
-        yield scenario.tracks.only({phantom.agent for phantom in found})
-
-
 def _by_agents(
     tracks: Tracks, t: FloatArray, s: FloatArray, l: FloatArray, v: FloatArray, line: ReferenceLine,  # noqa: E741
     scenario: Scenario,
 ) -> Iterator[tuple[BoolArray, BoolArray, BoolArray]]:  # fmt: skip
     """Per road user the steps at which it is a reason to brake, to stand, and to steer."""
-    car = scenario.vehicle
+    car, place = scenario.vehicle, np.stack([np.interp(s, line.s, column) for column in line.xy.T])
     for i, others, row in each(tracks, t):
         x, y, yaw, vx, vy = np.nan_to_num(others.pose[:, row])
         length, width = others.size[row]
-        there = others.there[row] & (np.hypot(*(others.pose[:2, row] - _points(line, s))) < FARTHEST_M)
+        there = others.there[row] & (np.hypot(*(others.pose[:2, row] - place)) < FARTHEST_M)
         steps = np.flatnonzero(there)
         flags = np.zeros((3, len(t)), np.bool_)
         if len(steps):
@@ -149,11 +145,6 @@ def _by_agents(
             flags[1, steps] = near & ahead & (gap <= NEAR_M)
             flags[2, steps] = near & (gap + 2.0 * along + car.length > -NEAR_M) & (gap <= look)
         yield flags[0], flags[1], flags[2]
-
-
-def _points(line: ReferenceLine, s: FloatArray) -> FloatArray:
-    """Points `(2, k)` of a line at stations `(k,)`."""
-    return np.stack([np.interp(s, line.s, line.xy[:, 0]), np.interp(s, line.s, line.xy[:, 1])])
 
 
 def _places(
@@ -181,14 +172,6 @@ def _places(
         yield float(line.project(scenario.ego.x[-1], scenario.ego.y[-1], route.length)[0]), np.inf, always, NEAR_M
 
 
-def _early(scenario: Scenario, t: FloatArray, s: FloatArray, v: FloatArray) -> BoolArray:
-    """When an ego that goes on at its speed would be at the goal before its time `(k,)`."""
-    goal, length = scenario.goal, route_of(scenario).length
-    if goal is None or goal.t is None or not np.isfinite(length):
-        return np.zeros(len(t), np.bool_)
-    return np.asarray(s + np.maximum(v, STANDING_MPS) * (goal.t[0] - t) > length)
-
-
 def _walked(trace: Trace, t: FloatArray, polygon: FloatArray) -> BoolArray:
     """When a pedestrian or rider is within `NEAR_M` of the box round a crosswalk `(k,)`."""
     low, high, found = polygon.min(axis=0) - NEAR_M, polygon.max(axis=0) + NEAR_M, np.zeros(len(t), np.bool_)
@@ -213,13 +196,6 @@ def _caps(line: ReferenceLine, scenario: Scenario) -> FloatArray:
     return np.asarray(cap)
 
 
-def _cap_ahead(s: FloatArray, v: FloatArray, line: ReferenceLine, caps: FloatArray) -> FloatArray:
-    """The least cap `(k,)` within (1) of the ego, m/s."""
-    first = np.clip(np.searchsorted(line.s, s) - 1, 0, len(caps) - 1)
-    end = np.searchsorted(line.s, s + _look(v, 0.0), side="right")
-    return np.array([caps[a : max(b, a + 1)].min() for a, b in zip(first, end, strict=True)])
-
-
 def _braking(trace: Trace, scenario: Scenario) -> Measured:
     found, top = reasons(trace, scenario), -np.inf
     lost = np.full(len(found.t), np.nan)
@@ -235,10 +211,8 @@ def _standing(trace: Trace, scenario: Scenario) -> Measured:
 
 
 def _steering(trace: Trace, scenario: Scenario) -> Measured:
-    found = reasons(trace, scenario)
-    counts = np.zeros(len(found.t))
-    turns = turning_points(found.l, SWING_M)
-    for a, b in pairwise(turns):
+    found, counts = reasons(trace, scenario), np.zeros(len(reasons(trace, scenario).t))
+    for a, b in pairwise(turning_points(found.l, SWING_M)):
         if abs(found.l[b] - found.l[a]) < CHANGE_M and not found.steer[a : (a + b) // 2 + 1].any():  # (4)
             counts[b] += 1.0
     return Series(found.t, counts)
@@ -252,14 +226,10 @@ def turning_points(value: FloatArray, least: float) -> list[int]:
         low = k if value[k] < value[low] else low
         high = k if value[k] > value[high] else high
         if rising >= 0 and value[high] - value[k] >= least:
-            turns, rising, low = [*turns, high], -1, k
-            high = k
+            turns, rising, low, high = [*turns, high], -1, k, k
         elif rising <= 0 and value[k] - value[low] >= least:
-            turns, rising, high = [*turns, low], 1, k
-            low = k
-    if not turns:
-        return []
-    return [*turns, high if rising > 0 else low]
+            turns, rising, low, high = [*turns, low], 1, k, k
+    return [*turns, high if rising > 0 else low] if turns else []
 
 
 _ALWAYS = "something called for it all the time"

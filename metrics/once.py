@@ -1,10 +1,7 @@
-"""What several metrics ask of one drive, worked out once: kept while the drive is there, and no longer.
+"""What several metrics ask of one drive, computed once: kept while the drive is there, and no longer.
 
-    @once
-    def contacts(trace: Trace, scenario: Scenario) -> tuple[Contact, ...]: ...
-
-The first argument is whose it is (a trace, a scenario, a road), and is held weakly; the others are compared by what
-they are. A result must not refer to the first argument, or it would keep it alive.
+The first argument (a trace, a scenario, a road) owns the result and is held weakly; the others are compared by value. A
+result must not refer to the first argument, or it would keep it alive.
 """
 
 from __future__ import annotations
@@ -17,17 +14,10 @@ from weakref import WeakKeyDictionary
 K = TypeVar("K")
 P = ParamSpec("P")
 R = TypeVar("R")
-FEW = 64
-"""So many results of one function are kept of one drive; then the oldest goes."""
-
-
-def once(function: Callable[Concatenate[K, P], R]) -> Callable[Concatenate[K, P], R]:
-    """Call `function` once for the same arguments (module docstring)."""
-    return last(FEW)(function)
 
 
 def last(count: int) -> Callable[[Callable[Concatenate[K, P], R]], Callable[Concatenate[K, P], R]]:
-    """The same, for large results: the newest `count` of each first argument are kept."""
+    """Call a function once for the same arguments; the newest `count` results of each first argument are kept."""
 
     def decorate(function: Callable[Concatenate[K, P], R]) -> Callable[Concatenate[K, P], R]:
         kept: WeakKeyDictionary[Any, dict[Hashable, R]] = WeakKeyDictionary()
@@ -45,3 +35,8 @@ def last(count: int) -> Callable[[Callable[Concatenate[K, P], R]], Callable[Conc
         return asked
 
     return decorate
+
+
+def once(function: Callable[Concatenate[K, P], R]) -> Callable[Concatenate[K, P], R]:
+    """`last(64)`."""
+    return last(64)(function)

@@ -1,13 +1,8 @@
 """The other road users on a time grid, as they moved: ground truth for the safety metrics.
 
-The same as `Tracks.truth` at each time of the grid, in one kernel: positions are the logged ones, velocities and
-accelerations those that were estimated (`logs.motion`), and no agent is there in a gap of its track. The ego's and the
-others' boxes are arrays over (agent, time); an agent that is not in the scene at a time has `there` False and NaN
-columns.
-
-Over a long drive with many who come and go that array grows with the square of its length. So metrics walk over it, in
-pieces of time with those who are there (`pieces`), or over one agent after the other (`each`); what has up to
-`MOST_CELLS` is one piece.
+As `Tracks.truth` at each time of the grid, in one kernel: logged positions, estimated velocities and accelerations
+(`logs.motion`), and no agent is there in a gap of its track. Arrays over (agent, time) grow with the square of a long
+drive, so metrics walk in pieces of time with those who are there (`pieces`), or over one agent after another (`each`).
 """
 
 from __future__ import annotations
@@ -22,10 +17,8 @@ from logs.scenario import Scenario, Tracks
 from logs.states import Trajectory
 from metrics.once import last
 
-MOST_CELLS = 1_000_000
-"""Agents by times that are in memory at once: 49 bytes each."""
-PIECE_STEPS = 4096
-"""Of a piece of a longer drive, where no more than `MOST_CELLS` come of it."""
+MOST_CELLS = 1_000_000  # Agents by times that are in memory at once: 49 bytes each
+PIECE_STEPS = 4096  # Of a piece of a longer drive, where no more than `MOST_CELLS` come of it
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -104,6 +97,12 @@ def there_between(tracks: Tracks, first: float, last: float) -> IntArray:
 def name_of(tracks: Tracks, index: int) -> str:
     """Kind and id of a track: "car 12"."""
     return f"{tracks.kinds[index].value} {tracks.ids[index]}"
+
+
+def box_of(scenario: Scenario) -> FloatArray:
+    """Of the ego's box: rear axle to centre, length and width `(3,)`, m."""
+    car = scenario.vehicle
+    return np.array([car.axle_to_center, car.length, car.width])
 
 
 def ego_boxes(ego: Trajectory, scenario: Scenario) -> FloatArray:

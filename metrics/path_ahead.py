@@ -9,11 +9,8 @@ at (x, y) ahead and to the left of the rear axle:
 
 Band: |l| <= half of the ego's width, what its box sweeps. Lead: of all agents whose box reaches into the band, the one
 whose part in it begins nearest ahead of the middle of the ego's box. Who comes towards the ego with more than
-`COMING_MPS` is no lead (their approach is seen by TTC and RSS); who crosses is one for as long as they are in the band.
-An ego in reverse has no lead. Edges of boxes are looked at in `PIECES` pieces each, exact to 0.1 m for a truck on the
-tightest curve.
-
-All of it is measured every `GRID_S` and at the drive's last step.
+`COMING_MPS` is no lead (TTC and RSS see them); who crosses is one while in the band. An ego in reverse has no lead.
+Edges of boxes are looked at in `PIECES` pieces each, exact to 0.1 m for a truck on the tightest curve.
 """
 
 from __future__ import annotations
@@ -29,13 +26,12 @@ from logs.shapes import corners
 from logs.states import Trajectory
 from logs.trace import Trace
 from metrics.once import once
-from metrics.others import named, pieces
+from metrics.others import box_of, named, pieces
 
 GRID_S = 0.1
 LOOK_M = 150.0
 COMING_MPS = 0.5
-STANDING_MPS = 0.05
-"""nuPlan devkit e9241677: a road user that is not faster stands."""
+STANDING_MPS = 0.05  # nuPlan devkit e9241677: a road user that is not faster stands
 PIECES = 4
 
 
@@ -78,9 +74,8 @@ def grid_of(trace: Trace) -> Trajectory:
 @once
 def ahead_of(trace: Trace, scenario: Scenario) -> Ahead:
     """Who was in front, on `grid_of(trace)`."""
-    ego, car = grid_of(trace), scenario.vehicle
+    ego, box = grid_of(trace), box_of(scenario)
     states = np.stack([ego.x, ego.y, ego.yaw, ego.v, ego.kappa])
-    box = np.array([car.axle_to_center, car.length, car.width])
     rows, agent = np.full((7, len(ego)), np.nan), np.full(len(ego), -1)
     for k, seen, others in pieces(trace.agents, ego.t):
         accel = np.nan_to_num(others.accel)

@@ -1,12 +1,9 @@
 """Phantoms: boxes in which the logged ego stands, which therefore cannot have been there.
 
-Real perception reports boxes where nothing is. A box that reaches `DEEP_M` into the ego's while the ego was recorded at
-that place is no evidence of a contact. It is left out from the last sample of its track that is `AROUND_S` before the
-overlap to the first that is as long after it; a static one for good, since it is as wrong at any other time.
-
-Only recorded logs are excused (`Scenario.is_recorded`): a synthesised one means what it holds.
-`without_phantoms` gives tracks that have gaps there (`logs.presence`), so that whatever asks them, metrics as well as
-the contact that ends a drive, agrees.
+A box that reaches `DEEP_M` into the ego's while the ego was recorded at that place is no evidence of a contact. It is
+left out from the last sample of its track that is `AROUND_S` before the overlap to the first that is as long after it;
+a static one for good. Only recorded logs are excused. `without_phantoms` gives tracks that have gaps there
+(`logs.presence`), for metrics as well as for the contact that ends a drive.
 """
 
 from __future__ import annotations
@@ -22,21 +19,16 @@ from logs.shapes import overlap
 from metrics.once import once
 from metrics.others import each, ego_boxes, name_of
 
-AROUND_S = 1.0
-"""Before and after: 2 s together, more than `logs.presence.MAX_GAP_S`: what is left out is a gap of any track."""
+AROUND_S = 1.0  # Before and after: more than `logs.presence.MAX_GAP_S`, so it is a gap of any track
 GRID_S = 0.05
-DEEP_M = 0.3
-"""So deep on every side a box is inside of the ego's: what only grazes it was near, not on it."""
+DEEP_M = 0.3  # So deep on every side a box is inside of the ego's: what only grazes it was near, not on it
 
 
 @dataclass(frozen=True, slots=True)
 class Phantom:
-    """A box that the recorded ego stood in.
+    """A box that the recorded ego stood in: id of the track, name with its kind, and between which times, s, it is out.
 
-    Attributes:
-        agent: Id of the track; `name` with its kind: "car 12".
-        t_from: It is left out after this, s; -inf: from the begin.
-        t_to: And before this, s; inf: to the end.
+    Times may be -inf (from the begin) and inf (to the end).
     """
 
     agent: str
@@ -61,36 +53,23 @@ def phantoms(scenario: Scenario) -> tuple[Phantom, ...]:
         for k in np.flatnonzero(inside):
             (x1, y1, yaw1), (x2, y2, yaw2) = boxes[:3, k], pose[:, k]
             inside[k] = overlap(x1, y1, yaw1, car.length - 2.0 * DEEP_M, car.width - 2.0 * DEEP_M, x2, y2, yaw2, *size)
-        found += [_phantom(tracks, i, float(t[a]), float(t[b])) for a, b in _runs(inside, t)]
+        sampled = np.empty(0) if tracks.static[i] else tracks.t[tracks.samples(i)]
+        for a, b in _runs(inside, t):
+            before, after = sampled[sampled <= t[a] - AROUND_S], sampled[sampled >= t[b] + AROUND_S]
+            begin, end = (float(before[-1]) if len(before) else -inf), (float(after[0]) if len(after) else inf)
+            found.append(Phantom(tracks.ids[i], name_of(tracks, i), begin, end))
     return tuple(dict.fromkeys(found))
 
 
 def _runs(flags: BoolArray, t: FloatArray) -> list[tuple[int, int]]:
     """First and last step of each run of flags; runs whose margins meet are one."""
-    runs: list[tuple[int, int]] = []
-    for k in np.flatnonzero(flags):
-        if runs and t[k] - t[runs[-1][1]] <= 2.0 * AROUND_S:
-            runs[-1] = (runs[-1][0], int(k))
-        else:
-            runs.append((int(k), int(k)))
-    return runs
-
-
-def _phantom(tracks: Tracks, i: int, begin: float, end: float) -> Phantom:
-    t, name = tracks.t[tracks.samples(i)], name_of(tracks, i)
-    if tracks.static[i]:
-        return Phantom(tracks.ids[i], name, -inf, inf)
-    before, after = t[t <= begin - AROUND_S], t[t >= end + AROUND_S]
-    return Phantom(
-        tracks.ids[i], name, float(before[-1]) if len(before) else -inf, float(after[0]) if len(after) else inf
-    )
+    steps = np.flatnonzero(flags)
+    runs = np.split(steps, np.flatnonzero(np.diff(t[steps]) > 2.0 * AROUND_S) + 1) if len(steps) else []
+    return [(int(run[0]), int(run[-1])) for run in runs]
 
 
 def without_phantoms(tracks: Tracks, found: tuple[Phantom, ...]) -> Tracks:
-    """The tracks less the samples of phantoms while they are such; who has none left is not among them.
-
-    Also for tracks that a drive moved: agents are known by their ids. With no phantoms, the same object.
-    """
+    """The tracks (known by their ids) less the samples of phantoms; with no phantoms, the same object."""
     if not found:
         return tracks
     owner = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets))

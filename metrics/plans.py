@@ -8,14 +8,13 @@ from logs.frame_store import light, loaded
 from logs.kernel import FloatArray, IntArray, kernel
 from logs.states import TRAJECTORY_COLUMNS
 from logs.trace import Trace
+from metrics.metric import Unavailable
 from metrics.once import last
 
-STEP_S = 0.1
-"""Plans are compared at multiples of this after their frame's time."""
-SHORT_M = 5.0
-"""Plans that are no longer than this in their first 4 s are those of a standing ego (NAVSIM's bound for progress)."""
-PIECE = 1000
-"""So many plans are laid out at a time: all those of an hour are 80 MB."""
+STEP_S = 0.1  # Plans are compared at multiples of this after their frame's time
+SHORT_M = 5.0  # Shorter plans (in their first 4 s) are those of a standing ego (NAVSIM)
+PIECE = 1000  # So many plans are laid out at a time: all those of an hour are 80 MB
+NO_PLANS = Unavailable("the drive has no plans")
 
 
 def frame_times(trace: Trace) -> FloatArray:
@@ -42,11 +41,6 @@ def plan_columns(trace: Trace, times: FloatArray, names: tuple[str, ...], which:
         if some.any():
             out[:, some] = _at(*_rows(trace, begin), wanted, which[some] - begin, np.ascontiguousarray(times[some]))
     return out
-
-
-def plan_poses(trace: Trace, times: FloatArray, which: IntArray | None = None) -> FloatArray:
-    """x, y, yaw `(3, f, k)` of the plans at the times `(f, k)` (`plan_columns`)."""
-    return plan_columns(trace, times, ("x", "y", "yaw"), which)
 
 
 def plan_way(x: FloatArray, y: FloatArray) -> FloatArray:

@@ -1,6 +1,17 @@
 """Closed loop: did the ego get on along its route, how fast, and did it arrive?
 
-With the gain of a drive along the route (`route`), the whole log taken as the yardstick however short the drive was:
+The route, and how far a drive came on it:
+
+(a) route = the path of the log's driver, then the lanes from its end towards the goal, else straight on; a smooth line.
+    A log of one state has no path: its route begins with the lanes.
+(b) station(t) = foot of the rear axle on the route, sought within 30 m of the foot before
+(c) gain(t) = sum over the steps of station_k - station_(k-1); one above reach + 0.1 m counts as reach,
+    reach = 2 max(|v_k|, |v_(k-1)|) dt
+
+Circles and ways back gain nothing, a car that is set forward no more than it could have driven. The factor 2 is for the
+inside of bends (station' = v / (1 - kappa l), kappa l up to 0.5), the 0.1 m for noise of recorded positions.
+
+With the gain of a drive along the route, the whole log taken as the yardstick however short the drive was:
 
 (1) route_progress(t) = gain(t) / gain of the log's driver at the log's end
     where the log has no drive: over the gain of the route follower (metadata `FOLLOWER_M`);
@@ -20,53 +31,112 @@ With the gain of a drive along the route (`route`), the whole log taken as the y
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
 from math import cos, sin
 
 import numpy as np
 
 from logs.kernel import FloatArray
-from logs.road import Goal
+from logs.road import Goal, ReferenceLine, Road, inside, line_project_many, thinned
+from logs.route import find_route, straight_on
 from logs.scenario import Scenario
 from logs.shapes import point_segment
-from logs.states import Trajectory
+from logs.states import EgoState, Trajectory
 from logs.trace import EndReason, Mode, Trace
+from metrics import metric
 from metrics.lanes import drivable_lanes, limits_at, stated_lanes
-from metrics.metric import (
-    FINAL,
-    MAX,
-    MEAN,
-    Measured,
-    Metric,
-    Reduction,
-    Series,
-    Unavailable,
-    holds,
-    time_above,
-    time_outside,
-)
+from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
+from metrics.once import last
 from metrics.others import ego_boxes
-from metrics.route import Gain, gained, route_of
+
+SPACING_M, WINDOW_M = 1.0, 30.0
+STRETCH, SLACK_M = 2.0, 0.1
+JOIN_M, CHANGE_M = 10.0, 20.0  # The line goes over within the first to a lane, within the second to one beside
+BEYOND_M = 200.0  # So far the lanes are followed behind the path or the goal; the line goes on straight after them
+SHORTEST_M = 10.0  # A shorter drive is none that a route could be read from
+
+
+@dataclass(frozen=True, eq=False)
+class Route:
+    """The line (a) of a scenario from the first state on.
+
+    `length`, m, is to where the line enters the goal, else to the end of the log's drive; NaN where there is neither.
+    """
+
+    line: ReferenceLine
+    length: float
+
+
+@dataclass(frozen=True, eq=False)
+class Gain:
+    """How far a drive came (c) at its steps `(n,)`, negative where it went back, and what was not counted, m."""
+
+    metres: FloatArray
+    cut: float
+
+
+def route_of(scenario: Scenario) -> Route:
+    """The route of a scenario."""
+    return _route(scenario.road, scenario.ego, scenario.goal, scenario.vehicle.axle_to_center)
+
+
+@last(2)  # a scenario is made anew with each entry of its metadata, of the same road
+def _route(road: Road, log: Trajectory, goal: Goal | None, axle_to_center: float) -> Route:
+    path = thinned(np.column_stack([log.x, log.y]), SPACING_M)
+    line = ReferenceLine.through(np.vstack([path, _onward(road, log.state(len(log) - 1), goal)]), SPACING_M)
+    driven = float(np.hypot(*np.diff(path, axis=0).T).sum())
+    regions = goal.regions if goal else ()
+    for s, (x, y) in zip(line.s[1:].tolist(), line.xy[1:].tolist(), strict=True) if regions else ():
+        if any(inside(x, y, region) for region in regions):
+            return Route(line, max(s - axle_to_center, SPACING_M))
+    return Route(line, driven if driven >= SHORTEST_M else np.nan)
+
+
+@last(2)  # the log's drive and the one that is judged
+def gained(route: Route, drive: Trajectory) -> Gain:
+    """How far a drive came on a route (c)."""
+    station = line_project_many(route.line.s, route.line.coef, drive.x, drive.y, 0.0, WINDOW_M)[:, 0]  # (b)
+    step = np.diff(station)
+    reach = STRETCH * np.maximum(np.abs(drive.v[1:]), np.abs(drive.v[:-1])) * np.diff(drive.t)
+    counted = np.where(step > reach + SLACK_M, reach, step)
+    return Gain(np.r_[0.0, np.cumsum(counted)], float((step - counted).sum()))
+
+
+def _onward(road: Road, end: EgoState, goal: Goal | None) -> FloatArray:
+    """Points `(k, 2)`, k >= 1, from `JOIN_M` behind a state on, along the centre lines of the route from there."""
+    straight = np.array([[end.x + JOIN_M * cos(end.yaw), end.y + JOIN_M * sin(end.yaw)]])
+    if not road.lanes:
+        return straight
+    lanes = list(find_route(road, end, goal).lanes)
+    beyond = 0.0
+    while beyond < BEYOND_M and (after := straight_on(road, lanes[-1])) is not None:
+        beyond += max(road.lanes[after].length, SPACING_M)
+        lanes.append(after)
+    points, skipped, begun = np.empty((0, 2)), JOIN_M, False
+    for k, lane in enumerate(lanes):
+        center = road.lanes[lane].center
+        if k + 1 < len(lanes) and lanes[k + 1] not in road.lanes[lane].successors:  # a lane change: beside each other
+            skipped = CHANGE_M
+            continue
+        if not begun:
+            center = center[int(np.argmin(np.hypot(center[:, 0] - end.x, center[:, 1] - end.y))) :]
+        chord, begun = np.r_[0.0, np.cumsum(np.hypot(*np.diff(center, axis=0).T))], True
+        points, skipped = np.vstack([points, center[chord >= skipped]]), max(skipped - float(chord[-1]), 0.0)
+    return thinned(points, SPACING_M) if len(points) else straight
+
 
 FLOOR_M = 2.0
-EXCESS_MPS = 2.23
-"""5 mph."""
+EXCESS_MPS = 2.23  # 5 mph
 OVER_MPS, OVER_RATIO = 1.0, 0.1
-FOLLOWER_M = "reference_follower.gain_m"
-"""Metadata entry: how far the route follower (`replay.reference_drives`) comes along the route, m."""
-REACH_MPS2, REACH_MPS = 9.81, 70.0
-"""No road vehicle accelerates harder (adhesion of 1 g) or, above its speed at the start, drives faster."""
-EASE_MPS2, SETTLE_S = 1.0, 1.0
-"""Comfortable deceleration, and a driver's reaction time, before the initial excess is charged."""
+FOLLOWER_M = "reference_follower.gain_m"  # Metadata: how far the route follower comes, m
+REACH_MPS2, REACH_MPS = 9.81, 70.0  # No road vehicle does more (adhesion of 1 g)
+EASE_MPS2, SETTLE_S = 1.0, 1.0  # Comfortable deceleration, and a driver's reaction time
 _ALONE = Unavailable("the log holds one ego state only: there is no drive to compare with")
 
 
-def _driven(drive: Trajectory) -> FloatArray:
-    return np.asarray(np.r_[0.0, np.cumsum(np.hypot(np.diff(drive.x), np.diff(drive.y)))])
-
-
 def _distance(trace: Trace, scenario: Scenario) -> Measured:
-    return Series(trace.ego.t, _driven(trace.ego))
+    return Series(trace.ego.t, np.r_[0.0, np.cumsum(np.hypot(np.diff(trace.ego.x), np.diff(trace.ego.y)))])
 
 
 def _route_progress(trace: Trace, scenario: Scenario) -> Measured:
@@ -84,13 +154,13 @@ def _route_progress(trace: Trace, scenario: Scenario) -> Measured:
     return Series(trace.ego.t, _arrived(trace, scenario, gain, gain.metres / asked))
 
 
+def _is_time_only(goal: Goal | None) -> bool:
+    return goal is not None and not goal.regions and goal.v is None and goal.yaw is None
+
+
 def _ended_by_time(trace: Trace, scenario: Scenario) -> bool:
     """Whether the drive ended at a goal that is a time only: the log's driver had no longer either."""
-    return trace.end is EndReason.GOAL and scenario.goal is not None and _is_time_only(scenario.goal)
-
-
-def _is_time_only(goal: Goal) -> bool:
-    return not goal.regions and goal.v is None and goal.yaw is None
+    return trace.end is EndReason.GOAL and _is_time_only(scenario.goal)
 
 
 def _progress(trace: Trace, scenario: Scenario) -> Measured:
@@ -112,13 +182,9 @@ def _completion(trace: Trace, scenario: Scenario) -> Measured:
 
 def _arrived(trace: Trace, scenario: Scenario, gain: Gain, share: FloatArray) -> FloatArray:
     """A share `(n,)` that is 1 at least where the drive ended in the goal's region, at most 2 m of it cut."""
-    if trace.end is EndReason.GOAL and gain.cut <= FLOOR_M and not _ended_by_time(trace, scenario):
+    if trace.end is EndReason.GOAL and gain.cut <= FLOOR_M and not _is_time_only(scenario.goal):
         share[-1] = max(share[-1], 1.0)
     return share
-
-
-def _speed(trace: Trace, scenario: Scenario) -> Measured:
-    return Series(trace.ego.t, trace.ego.v)
 
 
 def excess(trace: Trace, scenario: Scenario, *, ratio: bool = False, all_of_it: bool = False) -> Measured:
@@ -157,15 +223,15 @@ def _assumed_excess(trace: Trace, scenario: Scenario) -> Measured:
 
 def compliance(series: Series) -> tuple[float, int]:
     """(6)."""
-    span = holds(series.t)[series.known]
+    span = metric.holds(series.t)[series.known]
     over = float(np.sum(series.value[series.known] * span))
     return max(0.0, 1.0 - over / (EXCESS_MPS * float(span.sum()))) if span.sum() > 0.0 else float(not over), -1
 
 
 def _share_over(series: Series) -> tuple[float, int]:
-    span, over = holds(series.t) * series.known, series.value > OVER_MPS
-    first = int(np.argmax(over)) if over.any() else -1
-    return (float(np.sum(span[over]) / np.sum(span)) if span.sum() > 0.0 else float(over.any())), first
+    span, over = metric.holds(series.t) * series.known, series.value > OVER_MPS
+    share = float(np.sum(span[over]) / np.sum(span)) if span.sum() > 0.0 else float(over.any())
+    return share, metric.first_of(over)
 
 
 def _at_end(trace: Trace, *, good: bool) -> Series:
@@ -178,10 +244,9 @@ def _goal(trace: Trace, scenario: Scenario) -> Measured:
         return Unavailable("the log names no goal")
     if _is_time_only(scenario.goal):
         return Unavailable("the goal is a time only: progress along the route is asked instead")
-    out_of_reach = _out_of_reach(scenario.goal, scenario)
-    if out_of_reach and trace.end is not EndReason.GOAL:
-        return Unavailable(out_of_reach)
-    return _at_end(trace, good=trace.end is EndReason.GOAL)
+    arrived = trace.end is EndReason.GOAL
+    out_of_reach = "" if arrived else _out_of_reach(scenario.goal, scenario)
+    return Unavailable(out_of_reach) if out_of_reach else _at_end(trace, good=arrived)
 
 
 def _out_of_reach(goal: Goal, scenario: Scenario) -> str:
@@ -202,18 +267,14 @@ def _out_of_reach(goal: Goal, scenario: Scenario) -> str:
     return "" if away <= reach else f"no vehicle reaches the goal: {away:.0f} m in {time:.1f} s from {start.v:.1f} m/s"
 
 
-def _completed(trace: Trace, scenario: Scenario) -> Measured:
-    return _at_end(trace, good=trace.end in (EndReason.GOAL, EndReason.END_OF_LOG))
-
-
 _CLOSED = (Mode.CLOSED,)
 _LIMITS = "lanes with speed limits under the ego"
 DISTANCE = Metric(
-    "distance", "m", "none", _CLOSED, _distance, (FINAL,), "Distance driven by the rear axle.",
+    "distance", "m", "none", _CLOSED, _distance, (metric.FINAL,), "Distance driven by the rear axle.",
     formula="sum of |p_k - p_(k-1)|",
 )  # fmt: skip
 ROUTE_PROGRESS = Metric(
-    "route_progress", "1", "higher", _CLOSED, _route_progress, (FINAL,),
+    "route_progress", "1", "higher", _CLOSED, _route_progress, (metric.FINAL,),
     "Gain along the route over that of the log's driver in the whole log, else of the route follower; not capped.",
     version=2,
     formula="gain(t) / gain of the log's driver at the log's end, else of the route follower; 1 at the goal",
@@ -221,26 +282,27 @@ ROUTE_PROGRESS = Metric(
     needs="a logged drive, else the route follower's, of 2 m",
 )  # fmt: skip
 PROGRESS = Metric(
-    "progress", "1", "higher", _CLOSED, _progress, (FINAL,),
+    "progress", "1", "higher", _CLOSED, _progress, (metric.FINAL,),
     "Gain along the route over that of the log's driver in the whole log, capped at 1.",
     "nuPlan devkit e9241677, ego_progress_along_expert_route; along the driven path, 1 at the goal", 2,
     formula="min(1, max(gain, c) / max(gain of the log's driver, c)), 0 where gain < -c",
     parameters=("c 2 m",), needs="a logged drive",
 )  # fmt: skip
 COMPLETION = Metric(
-    "completion", "1", "higher", _CLOSED, _completion, (FINAL,),
+    "completion", "1", "higher", _CLOSED, _completion, (metric.FINAL,),
     "Share of the route that was driven: to the goal, else to the end of the log's drive.",
     "CARLA leaderboard 2.x, route completion, here in 0 .. 1",
     formula="gain(t) / length of the route, in 0 .. 1; 1 where the drive ended at the goal",
     needs="a goal that lanes or the log's path lead to, or a logged drive of 10 m",
 )  # fmt: skip
 SPEED = Metric(
-    "speed", "m/s", "none", _CLOSED, _speed, (MEAN, MAX), "Speed of the rear axle, mean over the steps.", formula="v"
-)
+    "speed", "m/s", "none", _CLOSED, lambda trace, scenario: Series(trace.ego.t, trace.ego.v),
+    (metric.MEAN, metric.MAX), "Speed of the rear axle, mean over the steps.", formula="v",
+)  # fmt: skip
 SPEED_EXCESS = Metric(
     "speed_excess", "m/s", "lower", _CLOSED, excess,
     (
-        MAX, MEAN, time_above(OVER_MPS, "time_above_1mps"),
+        metric.MAX, metric.MEAN, metric.time_above(OVER_MPS, "time_above_1mps"),
         Reduction("share_above_1mps", _share_over, unit="1"),
         Reduction("compliance", compliance, unit="1", direction="higher"),
     ),
@@ -254,21 +316,24 @@ SPEED_EXCESS = Metric(
 )  # fmt: skip
 SPEED_RATIO = Metric(
     "speed_ratio", "1", "lower", _CLOSED, partial(excess, ratio=True),
-    (MAX, time_outside(-np.inf, OVER_RATIO, "time_above_10pct")), "Speed over the limit, less 1: 0.1 is 10 % too fast.",
+    (metric.MAX, metric.time_outside(-np.inf, OVER_RATIO, "time_above_10pct")),
+    "Speed over the limit, less 1: 0.1 is 10 % too fast.",
     formula="|v| / limit - 1", parameters=("over: 0.1",), needs=_LIMITS,
 )  # fmt: skip
 ASSUMED_LIMIT_EXCESS = Metric(
-    "assumed_limit_excess", "m/s", "lower", _CLOSED, _assumed_excess, (MAX, time_above(OVER_MPS, "time_above_1mps")),
+    "assumed_limit_excess", "m/s", "lower", _CLOSED, _assumed_excess,
+    (metric.MAX, metric.time_above(OVER_MPS, "time_above_1mps")),
     "Speed above 1.1 times the larger of the assumed limit and the log's driver's speed, where the log has no limit.",
     formula="max(|v| - 1.1 max(assumed limit, speed that the log's driver exceeds for 1 s in all), 0)",
     parameters=("margin 10 %", f"over: {OVER_MPS:g} m/s"), needs="lanes without a speed limit under the ego, or no map",
 )  # fmt: skip
 GOAL = Metric(
-    "goal", "1", "higher", _CLOSED, _goal, (FINAL,), "1 if the drive ended at the goal.", version=2,
+    "goal", "1", "higher", _CLOSED, _goal, (metric.FINAL,), "1 if the drive ended at the goal.", version=2,
     formula="1 if it ended there, else 0", parameters=(f"reach {REACH_MPS2} m/s2 up to {REACH_MPS:g} m/s",),
     needs="a goal that is a place, and that a vehicle can reach in the time",
 )  # fmt: skip
 COMPLETED = Metric(
-    "completed", "1", "higher", _CLOSED, _completed, (FINAL,), "1 if the drive ended at the goal or the log's end.",
-    formula="1 if it ended so, else 0",
+    "completed", "1", "higher", _CLOSED,
+    lambda trace, scenario: _at_end(trace, good=trace.end in (EndReason.GOAL, EndReason.END_OF_LOG)), (metric.FINAL,),
+    "1 if the drive ended at the goal or the log's end.", formula="1 if it ended so, else 0",
 )  # fmt: skip

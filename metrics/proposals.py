@@ -2,7 +2,6 @@
 
 The plan of the frame at t_i is laid out at t_i + 0, 0.1, ..., 4 s (t_ik), as far as the plan reaches and there is
 evidence: until the drive ends in closed loop, until the log ends in open loop. The others do not react to the plan, and
-in closed loop they may have reacted to the drive. So a plan may be charged for what a reaction would have avoided, and
 a plan changes rightly where a road user does something unexpected. Gates therefore bound shares of the drive's time.
 
 (1) plan_collision = least t_ik - t_i with a contact at fault: first touch of each agent, fault in the order of `safety`
@@ -20,10 +19,9 @@ a plan changes rightly where a road user does something unexpected. Gates theref
 
 (7) is the EPDMS of NAVSIM 0a380a90 without direction, lights and lane keeping, which the drive itself is judged by.
 
-The bounds of the gates lie between what planners need and what plans that are not meant show. Measured: `dp_qp`, `idm`
-and `lattice` in both loops over the built-in suite and 64 recorded logs, without one log in which a car cuts in and
-stops; and, over the built-in suite, `idm` with plans that end 12 m aside, 3 m to either side in turns, accelerating, or
-braking in every other frame.
+The bounds of the gates lie between what planners need (`dp_qp`, `idm` and `lattice` in both loops over the built-in
+suite and 64 recorded logs, less one with a car that cuts in and stops) and what plans that are not meant show (`idm`
+with plans that end 12 m aside, 3 m to either side in turns, accelerating, or braking in every other frame):
 
     share of time                       planners, at most   such plans, at least   gate
     plan_collision                      0.44                (others decide)        0.5
@@ -50,70 +48,38 @@ from logs.scenario import AgentKind, Scenario, Tracks
 from logs.shapes import corners, overlap, time_to_contact
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
-from metrics import comfort, consistency
-from metrics.exposure import share_beyond, share_while
+from metrics import comfort, consistency, metric, safety
 from metrics.lanes import keeps_lane
-from metrics.metric import (
-    HAVING,
-    MAX,
-    MEAN,
-    MIN,
-    P95,
-    Direction,
-    Measure,
-    Measured,
-    Metric,
-    Reduction,
-    Series,
-    Unavailable,
-)
+from metrics.metric import Direction, Measure, Measured, Metric, Reduction, Series, Unavailable
 from metrics.once import once
 from metrics.others import named, some_at, there_between
-from metrics.plans import SHORT_M, STEP_S, frame_times, plan_columns, plan_way, times_after
-from metrics.safety import (
-    CLOSE_S,
-    KINDS,
-    OFF_ROAD_M,
-    ContactKind,
-    _apart,
-    _behind,
-    _contact_kind,
-    _labels,
-    box_off_lanes,
-    known_lanes,
-)
+from metrics.plans import NO_PLANS, SHORT_M, STEP_S, frame_times, plan_columns, plan_way, times_after
+from metrics.safety import _apart, _behind, _contact_kind
 
 HORIZON_S, TTC_HORIZON_S = 4.0, 3.0
 STEPS = round(HORIZON_S / STEP_S)
-PIECE = 500
-"""Plans that are laid out at a time: 1 MB a column."""
+PIECE = 500  # Plans that are laid out at a time: 1 MB a column
 _COLUMNS = ("x", "y", "yaw", "v", "a", "kappa")
 _NOT_DRIVEN = f"no plan of more than {SHORT_M:g} m is followed by {PLAN_HORIZON_S:g} s of driving"
 _NO_CONTACT = f"no plan has a contact at fault within {HORIZON_S:g} s"
-_NO_PLANS = Unavailable("the drive has no plans")
-_NO_DRIVE = Unavailable("the log holds one ego state only: there is no drive to plan along")
-STOOD, FRONT, SIDE = (
-    KINDS.index(kind) for kind in (ContactKind.STOPPED_TRACK, ContactKind.ACTIVE_FRONT, ContactKind.LATERAL)
-)
+STOOD, FRONT, SIDE = (safety.KINDS.index(safety.ContactKind[k]) for k in ("STOPPED_TRACK", "ACTIVE_FRONT", "LATERAL"))
 Rows = Mapping[str, NDArray[Any]]
 
 
 @once
 def _judged(trace: Trace, scenario: Scenario) -> Rows:
     """What (1) and (3) to (6) need, `(f,)` each; NaN where a frame has none, -1 for no agent."""
-    found = [_piece(trace, scenario, slice(k, k + PIECE)) for k in range(0, len(trace.frames), PIECE)]
-    return {name: np.concatenate([piece[name] for piece in found]) for name in found[0]}
-
-
-def _piece(trace: Trace, scenario: Scenario, part: slice) -> Rows:
-    times = times_after(trace, 0, STEPS)[part]
-    plan = plan_columns(trace, times, _COLUMNS, np.arange(len(trace.frames))[part])
     drive = trace.ego if trace.mode is Mode.CLOSED or len(scenario.ego) < 2 else scenario.ego
-    witnessed = np.where(times <= drive.t[-1] + 1e-6, plan, np.nan)
-    return {
-        "off": _off(witnessed, scenario), **_signals(plan), **_kept(times, witnessed, drive),
-        **_followed(times, witnessed, trace.agents, scenario),
-    }  # fmt: skip
+    found, all_times = [], times_after(trace, 0, STEPS)
+    for which in np.split(np.arange(len(all_times)), range(PIECE, len(all_times), PIECE)):
+        times = all_times[which]
+        plan = plan_columns(trace, times, _COLUMNS, which)
+        witnessed = np.where(times <= drive.t[-1] + 1e-6, plan, np.nan)
+        found.append({
+            "off": _off(witnessed, scenario), **_signals(plan), **_kept(times, witnessed, drive),
+            **_followed(times, witnessed, trace.agents, scenario),
+        })  # fmt: skip
+    return {name: np.concatenate([piece[name] for piece in found]) for name in found[0]}
 
 
 def _kept(times: FloatArray, plan: FloatArray, drive: Trajectory) -> Rows:
@@ -148,13 +114,13 @@ def _signals(plan: FloatArray) -> Rows:
 
 def _off(plan: FloatArray, scenario: Scenario) -> FloatArray:
     """(2) `(f,)`; NaN where the log has no lanes."""
-    lanes, there = known_lanes(scenario), np.isfinite(plan[0])
+    lanes, there = safety.known_lanes(scenario), np.isfinite(plan[0])
     if isinstance(lanes, Unavailable):
         return np.full(len(there), np.nan)
     x, y, yaw = plan[:3, there]
     ahead, off = scenario.vehicle.axle_to_center, np.zeros(there.shape)
     box = np.stack([x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), yaw])
-    off[there] = box_off_lanes(lanes, box, scenario.vehicle, np.inf)
+    off[there] = safety.box_off_lanes(lanes, box, scenario.vehicle, np.inf)
     return np.asarray(off.max(axis=1) - off[:, 0])
 
 
@@ -227,65 +193,55 @@ def _meetings(
     return step, hit, ttc, near
 
 
-# metrics ----------------------------------------------------------------------------------------------------------
-
-
 def _lack(trace: Trace, scenario: Scenario) -> Unavailable | None:
     """Why plans cannot be followed; None where they can."""
     if trace.mode is Mode.OPEN and len(scenario.ego) < 2:
-        return _NO_DRIVE
-    return None if trace.frames else _NO_PLANS
+        return Unavailable("the log holds one ego state only: there is no drive to plan along")
+    return None if trace.frames else NO_PLANS
 
 
-def _followed_by(
-    name: str, trace: Trace, scenario: Scenario, *, about: str = "", missing: str = "no plan has a second state"
-) -> Measured:
+def _followed_by(name: str, trace: Trace, scenario: Scenario, **words: str) -> Measured:
     """A row of `_judged` that needs what happened after the frame."""
-    return _lack(trace, scenario) or _series(name, trace, scenario, about=about, missing=missing)
+    return _lack(trace, scenario) or _series(name, trace, scenario, **words)
 
 
 def _series(
     name: str, trace: Trace, scenario: Scenario, *, about: str = "", missing: str = "no plan has a second state"
 ) -> Measured:
     if not trace.frames:
-        return _NO_PLANS
+        return NO_PLANS
     found = _judged(trace, scenario)
-    labels = _labels(trace, found[about]) if about else ()
+    labels = safety._labels(trace, found[about]) if about else ()
     return Series(frame_times(trace), found[name], labels, missing)
-
-
-def _off_road(trace: Trace, scenario: Scenario) -> Measured:
-    lanes = known_lanes(scenario)
-    return lanes if isinstance(lanes, Unavailable) else _series("off", trace, scenario)
 
 
 def _comfort(trace: Trace, scenario: Scenario) -> Measured:
     if not trace.frames:
-        return _NO_PLANS
+        return NO_PLANS
     found, names = _judged(trace, scenario), tuple(comfort.NUPLAN_BOUNDS)
     return Series(frame_times(trace), found["comfort"], tuple(names[q] for q in found["signal"].tolist()))
 
 
 def _score(trace: Trace, scenario: Scenario) -> Measured:
     """(7)."""
-    lack = _lack(trace, scenario)
-    if lack is not None:
+    if (lack := _lack(trace, scenario)) is not None:
         return lack
     found, t = _judged(trace, scenario), times_after(trace, 0, 0)[:, 0]
     objects = np.array([kind is AgentKind.OBJECT for kind in trace.agents.kinds] + [False])
     multiplier = np.where(np.isnan(found["contact"]), 1.0, np.where(objects[found["contact_agent"]], 0.5, 0.0))
-    multiplier = np.where(found["off"] > OFF_ROAD_M, 0.0, multiplier)
+    multiplier = np.where(found["off"] > safety.OFF_ROAD_M, 0.0, multiplier)
     steady = np.full(len(t), np.nan)
     extended = consistency.EXTENDED_COMFORT.found(trace, scenario)
     if isinstance(extended, Series):
         steady[np.isin(t, extended.t)] = np.where(extended.known, extended.value <= 1.0, np.nan)
-    parts = np.array([~(found["ttc"] <= CLOSE_S), found["progress"], found["comfort"] <= 1.0, steady], np.float64)
+    parts = np.array(
+        [~(found["ttc"] <= safety.CLOSE_S), found["progress"], found["comfort"] <= 1.0, steady], np.float64
+    )
     weights = np.where(np.isfinite(parts), np.array([[5.0], [5.0], [2.0], [2.0]]), 0.0)
     return Series(t, multiplier * (weights * np.nan_to_num(parts)).sum(axis=0) / weights.sum(axis=0))
 
 
-_BOTH = (Mode.OPEN, Mode.CLOSED)
-_CLOSED = (Mode.CLOSED,)
+_BOTH, _CLOSED = (Mode.OPEN, Mode.CLOSED), (Mode.CLOSED,)
 _FOLLOWED = (f"horizon {HORIZON_S:g} s", f"step {STEP_S:g} s")
 _NAVSIM = "after NAVSIM 0a380a90, pdm_scorer"
 
@@ -301,56 +257,57 @@ def _metric(
 
 
 PLAN_COLLISION = _metric(
-    "plan_collision", "s", partial(_followed_by, "contact", about="contact_agent", missing=_NO_CONTACT), (HAVING, MIN),
+    "plan_collision", "s", partial(_followed_by, "contact", about="contact_agent", missing=_NO_CONTACT),
+    (metric.HAVING, metric.MIN),
     "Time until a plan has a contact at fault with a road user as it then moved; fault as in collision_at_fault.",
     "least t - t_i with a contact at fault", better="higher", version=2,
 )  # fmt: skip
 PLAN_OFF_ROAD = _metric(
-    "plan_off_road", "m", _off_road, (MAX, share_beyond(OFF_ROAD_M, "share_beyond_30cm")),
+    "plan_off_road", "m", lambda trace, scenario: (
+        lanes if isinstance(lanes := safety.known_lanes(scenario), Unavailable) else _series("off", trace, scenario)
+    ), (metric.MAX, metric.share_beyond(safety.OFF_ROAD_M, "share_beyond_30cm")),
     "How much farther off the drivable lanes than at its start a plan leads.",
     "max over t of off(t) - off(t_i), off the greatest distance of a corner to the lanes",
     needs="plans, lanes in the log",
 )  # fmt: skip
 PLAN_TTC = _metric(
     "plan_ttc", "s", partial(_followed_by, "ttc", about="ttc_agent", missing="no plan is on a course to touch anyone"),
-    (MIN, share_while(lambda ttc: ttc <= CLOSE_S, "share_below_950ms")),
+    (metric.MIN, metric.share_while(lambda ttc: ttc <= safety.CLOSE_S, "share_below_950ms")),
     "Least time to contact along a plan, as ttc; 0 where the plan has a contact at fault.",
     "min over t of the time to contact at constant velocity vectors", better="higher",
 )  # fmt: skip
 PLAN_COMFORT = _metric(
-    "plan_comfort", "1", _comfort, (MEAN, P95, share_beyond(1.0, "share_above_1")),
+    "plan_comfort", "1", _comfort, (metric.MEAN, metric.P95, metric.share_beyond(1.0, "share_above_1")),
     "The worst of nuPlan's six comfort signals of a plan, over its bound.", "max over t and q of q / bound(q)",
 )  # fmt: skip
 PLAN_PROGRESS = _metric(
-    "plan_progress", "1", partial(_followed_by, "progress"), (MEAN, MIN),
+    "plan_progress", "1", partial(_followed_by, "progress"), (metric.MEAN, metric.MIN),
     "Planned distance over the greater of planned and then driven distance.", "s / max(s, d); 1 up to 5 m",
     better="higher",
 )  # fmt: skip
 PLAN_KEPT = _metric(
     "plan_kept", "m", partial(_followed_by, "kept", missing=_NOT_DRIVEN),
-    (MEAN, P95, MAX, share_beyond(5.0, "share_beyond_5m")),
+    (metric.MEAN, metric.P95, metric.MAX, metric.share_beyond(5.0, "share_beyond_5m")),
     "Greatest distance of a plan's states from where the ego then was.", "max over t of |p_i(t) - p(t)|", modes=_CLOSED,
 )  # fmt: skip
 PLAN_KEPT_LATERAL = _metric(
     "plan_kept_lateral", "m", partial(_followed_by, "kept_lateral", missing=_NOT_DRIVEN),
-    (MEAN, P95, MAX, share_beyond(2.0, "share_beyond_2m")),
+    (metric.MEAN, metric.P95, metric.MAX, metric.share_beyond(2.0, "share_beyond_2m")),
     "Greatest lateral distance of a plan's states from where the ego then was.",
     "max over t of |p_i(t) - p(t)| across the ego's heading", modes=_CLOSED,
 )  # fmt: skip
 PLAN_SCORE = _metric(
-    "plan_score", "1", _score, (MEAN, MIN),
+    "plan_score", "1", _score, (metric.MEAN, metric.MIN),
     "NAVSIM's EPDMS of each plan, without direction, lights and lane keeping.",
     "contact x drivable x (5 ttc + 5 progress + 2 comfort + 2 extended_comfort) / 14", better="higher",
 )  # fmt: skip
-PLAN_LON_ACCEL = _metric(
-    "plan_lon_accel", "m/s2", partial(_series, "lon_accel"), (MEAN, P95, MAX),
-    "Largest planned acceleration or braking.", "max |a|", version=2,
-)  # fmt: skip
-PLAN_LAT_ACCEL = _metric(
-    "plan_lat_accel", "m/s2", partial(_series, "lat_accel"), (MEAN, P95, MAX),
-    "Largest planned lateral acceleration.", "max |v^2 kappa|", version=2,
-)  # fmt: skip
-PLAN_LON_JERK = _metric(
-    "plan_lon_jerk", "m/s3", partial(_series, "lon_jerk"), (MEAN, P95, MAX),
-    "Largest planned longitudinal jerk, over 0.1 s.", "max |a(t) - a(t - W)| / W", version=2,
+PLAN_LON_ACCEL, PLAN_LAT_ACCEL, PLAN_LON_JERK = (
+    _metric(
+        f"plan_{name}", unit, partial(_series, name), (metric.MEAN, metric.P95, metric.MAX), meaning, formula, version=2
+    )
+    for name, unit, meaning, formula in (
+        ("lon_accel", "m/s2", "Largest planned acceleration or braking.", "max |a|"),
+        ("lat_accel", "m/s2", "Largest planned lateral acceleration.", "max |v^2 kappa|"),
+        ("lon_jerk", "m/s3", "Largest planned longitudinal jerk, over 0.1 s.", "max |a(t) - a(t - W)| / W"),
+    )
 )  # fmt: skip

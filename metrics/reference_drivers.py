@@ -2,9 +2,8 @@
 
 A driver is a point mass with the ego's box on a reference line, among the tracks as logged. It holds its speed, eases
 down for curves (lateral 3 m/s2, at 1.5 m/s2), brakes as its model says, never accelerates and never steers; an offset
-from the line at the start is undone over `RETURN_S`. It sees everybody in the log, at the logged positions and with
-the velocity and acceleration that `logs.motion` estimates. u is another's speed along the line (oncoming: 0), w its
-speed towards the band, v the driver's, gap the free length between the boxes, and the band what the ego's box sweeps.
+from the line at the start is undone over `RETURN_S`. u is another's speed along the line (oncoming: 0), w its speed
+towards the band, v the driver's, gap the free length between the boxes, and the band what the ego's box sweeps.
 
     "cc"    the competent and careful driver of UN R157, Annex 4, Appendix 3
     "fsm"   the fuzzy safety model: Mattas et al., Accid. Anal. Prev. 148 (2020) 105794; UN R157.01, Annex 3
@@ -19,10 +18,10 @@ Whoever is ahead is a hazard to "cc" while it
 with 0.774 g, at 12.65 m/s3, as soon as gap / (v - u) < 2.0 s, in (4) as soon as gap / v < 2.0 s, and until nobody is
 a hazard and nobody in the band nearer than 2 m + 2 s v.
 
-Where "cc" is not that of the JRC's code (JRC-FSM 01b05c29): there nothing begins before the other is in the ego's width
-and the time to collision below 2.0 s; only then do the 0.75 s run. Here both times run from when the wandering zone is
-left, so that they may be over when 2.0 s are reached. The regulation does not say when evaluation ends; with this
-reading "cc" brakes in time in 41 to 57 of the 520 cut-ins of JRC's grid in which that code crashes.
+In the JRC's code (JRC-FSM 01b05c29) nothing begins before the other is in the ego's width and the time to collision
+below 2.0 s; only then do the 0.75 s run. Here both times run from when the wandering zone is left: the regulation does
+not say when evaluation ends. So "cc" brakes in time in 41 to 57 of the 520 cut-ins of JRC's grid in which that code
+crashes.
 
 "fsm" brakes for everybody in the band, and for who is ahead and on its way into it with (5) lateral gap / w <
 (gap + both lengths) / (v - u) + 0.1 s, and, if it crosses, not out again before the ego is there (ours); with a
@@ -59,18 +58,13 @@ from logs.road import ReferenceLine, line_frame, line_project
 from logs.scenario import Scenario, Tracks
 from logs.shapes import clearance, overlap
 from logs.states import EgoState
-from logs.vehicle import VehicleParameters
-from metrics.others import Others, name_of, others_at, there_between
+from metrics.others import box_of, name_of, others_at, there_between
 from metrics.safety import STANDING_MPS, _behind
 
-STEP_S = 0.02
-"""So fine that a step more or less of braking is within what noise does anyway."""
-MARGINAL_M = 0.5
-"""What tracks of 5 cm of noise do to a margin, at 10 Hz and without logged velocities (benchmarks/verdicts.py)."""
-JUDGED_S = 0.15
-"""A fifth of both drivers' reaction time."""
-LONGEST_S = 60.0
-"""Only so much of a log is driven."""
+STEP_S = 0.02  # So fine that a step more or less of braking is within what noise does anyway
+MARGINAL_M = 0.5  # What 5 cm of noise do to a margin at 10 Hz (benchmarks/verdicts.py)
+JUDGED_S = 0.15  # A fifth of both drivers' reaction time
+LONGEST_S = 60.0  # Only so much of a log is driven
 RETURN_S = 3.0
 CURVE_MPS2, EASE_MPS2 = 3.0, 1.5
 
@@ -81,12 +75,10 @@ CC_WANDER_M, CC_TOWARDS_MPS, CC_LEAD_MPS2, CC_CLOSING_MPS = 0.375, 0.05, 5.0, 0.
 FSM_REACT_S, FSM_COMFORT_MPS2, FSM_HARDEST_MPS2, FSM_LEAD_MPS2 = 0.75, 4.0, 6.0, 7.0
 FSM_MARGIN_M, FSM_SAFE_M = 2.0, 2.0
 FSM_AHEAD_S = 0.1
-NEAR_M, ASIDE_M = 150.0, 20.0
-"""A driver does not look farther ahead, or farther aside."""
+NEAR_M, ASIDE_M = 150.0, 20.0  # A driver does not look farther ahead, or farther aside
 
 PASSIVE, CC, FSM = 0, 1, 2
-ANY = -1
-"""As the agent that a drive's least distance is about."""
+ANY = -1  # As the agent that a drive's least distance is about
 
 
 class Outcome(Enum):
@@ -99,12 +91,9 @@ class Outcome(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """What a reference driver makes of a scenario.
+    """What a reference driver ("cc" or "fsm") makes of a scenario, and why.
 
     Attributes:
-        driver: "cc" or "fsm".
-        outcome: One of three.
-        reason: One sentence.
         brakes: When it begins to brake with more than 1 m/s2, s since the scenario's start; NaN: never.
         meets: When it touches an agent, s; NaN: never.
         speed: At the touch, else at the end, m/s.
@@ -124,22 +113,6 @@ class Verdict:
     marginal: bool = False
 
 
-def careful_driver(scenario: Scenario, line: ReferenceLine, start: EgoState | None = None) -> Verdict:
-    """The verdict of "cc" for an ego that starts at `start` (None: the log's first state) and drives along `line`."""
-    return _verdict("cc", CC, scenario, line, start)
-
-
-def fuzzy_driver(scenario: Scenario, line: ReferenceLine, start: EgoState | None = None) -> Verdict:
-    """The verdict of "fsm", as `careful_driver`."""
-    return _verdict("fsm", FSM, scenario, line, start)
-
-
-DRIVERS: dict[str, Callable[[Scenario, ReferenceLine, EgoState | None], Verdict]] = {
-    "cc": careful_driver,
-    "fsm": fuzzy_driver,
-}
-
-
 def careful_drive(scenario: Scenario, line: ReferenceLine) -> Driven:
     """How "cc" drives from the log's first state along `line`, a row every `STEP_S`, until its first touch."""
     _, _, drive = _prepared(scenario, line, scenario.ego.state(0))
@@ -149,19 +122,28 @@ def careful_drive(scenario: Scenario, line: ReferenceLine) -> Driven:
 def _prepared(
     scenario: Scenario, line: ReferenceLine, start: EgoState
 ) -> tuple[FloatArray, Tracks, Callable[..., Driven]]:
-    """The times of a drive, the tracks that are there then, and `_driven` among them."""
+    """The times of a drive, the tracks that are there then, and a drive of a driver among them to the first touch.
+
+    Its arguments: the driver, `about`, whose distance is asked for, and `late`: it judges so much later, s.
+    """
     t, tracks = np.arange(start.t, min(scenario.duration, start.t + LONGEST_S) + 1e-9, STEP_S), scenario.tracks
     there = there_between(tracks, t[0], t[-1])
     if len(there) < len(tracks):
         tracks = tracks.taken(np.isin(np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets)), there))
-    return (
-        t,
-        tracks,
-        partial(_driven, tracks=tracks, others=others_at(tracks, t), car=scenario.vehicle, line=line, start=start),
-    )
+    others, ego = others_at(tracks, t), np.array([*line.project(start.x, start.y), start.v])
+    vulnerable = np.array([kind.is_vulnerable for kind in tracks.kinds], np.bool_)
+
+    def drive(driver: int, about: int = ANY, late: float = 0.0) -> Driven:
+        rows, *found = _drive(
+            driver, line.s, line.coef, curve_speeds(line.s, line.kappa), ego, box_of(scenario), others.there,
+            others.pose, others.size, others.accel, vulnerable, about, late,
+        )  # fmt: skip
+        return Driven(*rows, *found)
+
+    return t, tracks, drive
 
 
-def _verdict(name: str, driver: int, scenario: Scenario, line: ReferenceLine, start: EgoState | None) -> Verdict:
+def _verdict(name: str, driver: int, scenario: Scenario, line: ReferenceLine, start: EgoState | None = None) -> Verdict:
     start = scenario.ego.state(0) if start is None else start
     if start.v <= STANDING_MPS:
         return Verdict(name, Outcome.NOT_APPLICABLE, "the ego does not drive at the start")
@@ -185,17 +167,24 @@ def _verdict(name: str, driver: int, scenario: Scenario, line: ReferenceLine, st
         outcome, reason = Outcome.UNAVOIDABLE, f"unavoidable {by}: {met}"
     braking = np.flatnonzero(found.a < -1.0)
     brakes, meets = float(t[braking[0]]) if len(braking) else nan, float(t[end]) if end >= 0 else nan
-    return Verdict(
-        name, outcome, reason, brakes, meets, float(found.v[end]), tracks.ids[agent], margin, marginal=marginal
-    )
+    speed = float(found.v[end])
+    return Verdict(name, outcome, reason, brakes, meets, speed, tracks.ids[agent], margin, marginal=marginal)
+
+
+careful_driver = partial(_verdict, "cc", CC)
+"""The verdict of "cc" in a scenario along a line, for an ego that starts at a state (None: the log's first)."""
+fuzzy_driver = partial(_verdict, "fsm", FSM)
+"""The verdict of "fsm", as `careful_driver`."""
+DRIVERS: dict[str, Callable[[Scenario, ReferenceLine, EgoState | None], Verdict]] = {
+    "cc": careful_driver, "fsm": fuzzy_driver,
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Driven:
-    """How a driver drove.
+    """How a driver drove: stations, speeds and accelerations `(k,)` up to its end.
 
     Attributes:
-        s: Station `(k,)` up to its end, m; `v` speed, `a` acceleration.
         meets: Step of its first touch, -1: none; `agent` the other, -1: none.
         touched: Step in which an agent that is not counted touched it, -1: none.
         least: Least distance to the agent that was asked about, m (6); minus the depth where it touches one.
@@ -208,21 +197,6 @@ class Driven:
     agent: int
     touched: int
     least: float
-
-
-def _driven(
-    driver: int, *, tracks: Tracks, others: Others, car: VehicleParameters, line: ReferenceLine, start: EgoState,
-    about: int = ANY, late: float = 0.0,
-) -> Driven:  # fmt: skip
-    """One drive, to the first touch; `about`: whose distance is asked for. `late`: judges so much later, s."""
-    s0, l0 = line.project(start.x, start.y)
-    vulnerable = np.array([kind.is_vulnerable for kind in tracks.kinds], np.bool_)
-    box = np.array([car.axle_to_center, car.length, car.width])
-    rows, *found = _drive(
-        driver, line.s, line.coef, curve_speeds(line.s, line.kappa), np.array([s0, l0, start.v]), box, others.there,
-        others.pose, others.size, others.accel, vulnerable, about, late,
-    )  # fmt: skip
-    return Driven(*rows, *found)
 
 
 @kernel
@@ -261,13 +235,9 @@ def _look(
         ahead = at - s - box[0]
         if ahead <= 0.0 or abs(side) > ASIDE_M:
             continue
-        out[i, 0] = ahead - half - 0.5 * box[1]
-        out[i, 1] = max(u, 0.0)
-        out[i, 2] = abs(side) - aside - 0.5 * box[2]
-        out[i, 3] = -w if side > 0.0 else w
-        out[i, 4] = 2.0 * half
+        out[i, 0], out[i, 1], out[i, 2] = ahead - half - 0.5 * box[1], max(u, 0.0), abs(side) - aside - 0.5 * box[2]
+        out[i, 3], out[i, 4], out[i, 6] = -w if side > 0.0 else w, 2.0 * half, 2.0 * aside
         out[i, 5] = 1.0 if vulnerable[i] or abs(w) > abs(u) else 0.0
-        out[i, 6] = 2.0 * aside
 
 
 @inner_kernel
@@ -286,18 +256,6 @@ def _comes_in(seen: FloatArray, v: float, box: FloatArray, slack: float, late: f
 
 
 @inner_kernel
-def _cc_hazard(seen: FloatArray, brakes: bool, came_nearer: float, v: float, box: FloatArray, late: float) -> bool:
-    """(1) to (4) of the module docstring."""
-    if not np.isfinite(seen[0]):
-        return False
-    if seen[2] < 0.0:
-        return brakes or v - seen[1] > CC_CLOSING_MPS
-    if seen[5] > 0.0:
-        return _comes_in(seen, v, box, 0.0, late)
-    return seen[3] > CC_TOWARDS_MPS and came_nearer > CC_WANDER_M and seen[0] > 0.0
-
-
-@inner_kernel
 def _cc_wish(
     seen: FloatArray, accel: FloatArray, box: FloatArray, v: float, clock: FloatArray, nearer: FloatArray, late: float,
     braking: bool,
@@ -307,7 +265,13 @@ def _cc_wish(
     for i in range(len(seen)):
         nearer[i] = max(nearer[i] + STEP_S * seen[i, 3], 0.0) if np.isfinite(seen[i, 0]) else 0.0
         brakes = accel[i] <= -CC_LEAD_MPS2
-        hazard = _cc_hazard(seen[i], brakes, nearer[i], v, box, late)
+        hazard = False  # (1) to (4)
+        if np.isfinite(seen[i, 0]) and seen[i, 2] < 0.0:
+            hazard = brakes or v - seen[i, 1] > CC_CLOSING_MPS
+        elif np.isfinite(seen[i, 0]) and seen[i, 5] > 0.0:
+            hazard = _comes_in(seen[i], v, box, 0.0, late)
+        elif np.isfinite(seen[i, 0]):
+            hazard = seen[i, 3] > CC_TOWARDS_MPS and nearer[i] > CC_WANDER_M and seen[i, 0] > 0.0
         clock[i] = clock[i] + STEP_S if hazard else 0.0
         near = seen[i, 2] < 0.0 and seen[i, 0] < 2.0 + CC_THW_S * v
         held = held or hazard or near

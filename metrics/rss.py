@@ -31,18 +31,16 @@ from logs.kernel import BoolArray, FloatArray, kernel
 from logs.scenario import AgentKind, Scenario
 from logs.shapes import corners
 from logs.trace import Mode, Trace
-from metrics.exposure import share_while
-from metrics.metric import MIN, Measured, Metric, Series, Unavailable, time_below, time_outside
+from metrics.metric import MIN, Measured, Metric, Series, Unavailable, share_while, time_below, time_outside
 from metrics.once import once
-from metrics.others import each, name_of
+from metrics.others import box_of, each, name_of
 from metrics.path_ahead import GRID_S, LOOK_M, STANDING_MPS, arc_point, extent, grid_of, within_look
 
 RHO_S = 0.75
 A_MAX_MPS2, B_MIN_MPS2, B_MAX_MPS2 = 3.0, 6.0, 6.0
 A_LAT_MPS2, B_LAT_MPS2 = 1.0, 1.0
 MU_M = 0.3
-_EPS = 1e-6
-"""Of rounding, in a comparison of accelerations and times."""
+_EPS = 1e-6  # Of rounding, in a comparison of accelerations and times
 
 
 @kernel
@@ -125,11 +123,10 @@ def _improper(t: FloatArray, ego: FloatArray, accel: FloatArray, margins: FloatA
 
 
 @once
-def _rss(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, FloatArray, list[str], list[str]]:
-    """Time, least margin (NaN: no agent is asked), 1 where any response is improper, and the labels of both."""
-    ego, car = grid_of(trace), scenario.vehicle
+def _rss(trace: Trace, scenario: Scenario) -> tuple[Series, Series]:
+    """The least margin (NaN: no agent is asked), and 1 where any response is improper."""
+    ego, box = grid_of(trace), box_of(scenario)
     states = np.stack([ego.x, ego.y, ego.yaw, ego.v, ego.kappa])
-    box = np.array([car.axle_to_center, car.length, car.width])
     margin, improper = np.full(len(ego.t), np.nan), np.zeros(len(ego.t))
     labels, blamed = [""] * len(ego.t), [""] * len(ego.t)
     for i, others, row in each(trace.agents, ego.t):
@@ -140,20 +137,13 @@ def _rss(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, Floa
             margin[k], labels[k] = least[k], name
         for k in np.flatnonzero(_improper(ego.t, states, ego.a, found)):
             improper[k], blamed[k] = 1.0, name
-    return ego.t, margin, improper, labels, blamed
-
-
-def _margin(trace: Trace, scenario: Scenario) -> Measured:
-    t, margin, _, labels, _ = _rss(trace, scenario)
     nothing = f"no other road user ahead or beside within {LOOK_M:g} m while the ego drove"
-    return Series(t, margin, tuple(labels), nothing)
+    return Series(ego.t, margin, tuple(labels), nothing), Series(ego.t, improper, tuple(blamed))
 
 
 def _response(trace: Trace, scenario: Scenario) -> Measured:
-    t, margin, improper, _, blamed = _rss(trace, scenario)
-    if not (margin < 0.0).any():
-        return Unavailable("no dangerous situation: no response was due")
-    return Series(t, improper, tuple(blamed))
+    margin, improper = _rss(trace, scenario)
+    return improper if (margin.value < 0.0).any() else Unavailable("no dangerous situation: no response was due")
 
 
 _SOURCE = "Shalev-Shwartz et al., arXiv 1708.06374; parameters: JRC-FSM 01b05c29"
@@ -163,7 +153,7 @@ _PARAMETERS = (
     f"along the arc of the ego's curvature, {LOOK_M:g} m ahead", f"every {GRID_S:g} s",
 )  # fmt: skip
 RSS_MARGIN = Metric(
-    "rss_margin", "m", "higher", (Mode.CLOSED,), _margin,
+    "rss_margin", "m", "higher", (Mode.CLOSED,), lambda trace, scenario: _rss(trace, scenario)[0],
     (MIN, time_below(0.0, "time_dangerous"), share_while(lambda value: value < 0.0, "share_dangerous")),
     "Distance from a dangerous situation of RSS: the greater of the longitudinal and the lateral surplus, the least of "
     "all agents ahead or beside; negative: dangerous.",

@@ -16,8 +16,17 @@ first one is ours):
     LATERAL         any other                          at fault unless the ego keeps its lane (`lanes.keeps_lane`)
 
 Time to collision: both boxes go on with their velocity vectors and headings (`shapes.time_to_contact`), up to 10 s;
-agents behind (as above) and a standing ego (<= 0.005 m/s) have none. At a collision at fault it is 0, with anyone. Its
-times below a bound count the last step too (`exposure`).
+agents behind (as above) and a standing ego (<= 0.005 m/s) have none. At a collision at fault it is 0, with anyone. Each
+step, the last too, holds for w_k (`metric.holds`):
+
+(1) TET = sum of w_k [TTC_k < tau],  time exposed, s;  TIT = sum of w_k (tau - TTC_k) [TTC_k <= tau],  time integrated,
+    s2: the published variant; the other one integrates 1 / TTC - 1 / tau and is infinite at a contact
+
+Severity, at the first touch of each road user, with the velocity vectors v, the ego's mass m_e and that of the other's
+class m_o (`MASS_KG`; an object is immovable; nuPlan takes 2000 kg for both), but FROM_START:
+
+(2) impact speed = |v_e - v_o|, m/s
+(3) delta-v of the ego = m_o / (m_o + m_e) |v_e - v_o|: the change of its velocity if both stick together
 
 Off the road: the greatest distance of the ego's outline to the drivable lanes, at points at most `OUTLINE_M` apart, its
 corners among them: a kerb's corner that reaches into the side of a turning car is seen, and what is within the box has
@@ -26,11 +35,13 @@ come through its outline.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import Enum
 from functools import partial
 from itertools import pairwise
 from math import ceil, cos, hypot, inf, sin
+from types import MappingProxyType
 
 import numpy as np
 
@@ -41,24 +52,35 @@ from logs.shapes import corners, distance, overlap, time_to_contact
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
 from logs.vehicle import VehicleParameters
+from metrics import metric
 from metrics.cut_in import forces_hit
-from metrics.exposure import TAU_S, integrated_below
 from metrics.lanes import LaneArrays, drivable_lanes, keeps_lane, off_lanes
-from metrics.metric import COUNT, MAX, MIN, Measured, Metric, Series, Unavailable, time_above, time_below
+from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
 from metrics.once import once
 from metrics.others import ego_boxes, name_of, named, pieces, some_at
 
 STANDING_MPS = 0.05
-TTC_HORIZON_S, CLOSE_S = 10.0, 0.95
-"""Horizon of the time to collision, and nuPlan's bound on it."""
+TTC_HORIZON_S, CLOSE_S = 10.0, 0.95  # Horizon of the time to collision, and nuPlan's bound on it
+TAU_S = 1.5  # Critical TTC (criticality metrics catalogue, Westhofen et al. 2023)
+CATALOGUE = "criticality metrics catalogue, Westhofen et al., Arch. Comput. Methods Eng. 30 (2023)"
 OFF_ROAD_M = 0.3
-OUTLINE_M = 0.25
-"""Between two points the outline is at most half of this further off than they are, m."""
-PASSING_MPS, PASSING_M = (3.0, 5.0), (0.5, 1.0)
-"""Room to pedestrians and riders who are passed, by the ego's speed, linear between."""
-LEAVING_MPS = 0.5
-"""One who goes away to the side as fast has crossed, and is not passed."""
+OUTLINE_M = 0.25  # Between two points the outline is at most half of this further off than they are, m
+PASSING_MPS, PASSING_M = (3.0, 5.0), (0.5, 1.0)  # Room to those who are passed, by the ego's speed, linear between
+LEAVING_MPS = 0.5  # One who goes away to the side as fast has crossed, and is not passed
 _BEHIND = cos(150.0 / 180.0 * np.pi)
+
+
+PERSON_KG = 75.0  # A driver: Regulation (EU) No 1230/2012
+MASS_KG: Mapping[AgentKind, float] = MappingProxyType({
+    AgentKind.CAR: 1500.0,  # EN 1317-1, test vehicle of TB 32
+    AgentKind.TRUCK: 10_000.0,  # EN 1317-1, rigid heavy goods vehicle of TB 42
+    AgentKind.BUS: 13_000.0,  # EN 1317-1, bus of TB 51
+    AgentKind.MOTORCYCLE: PERSON_KG + 200.0,  # a middle-weight machine, round
+    AgentKind.BICYCLE: PERSON_KG + 15.0,  # a city bicycle, round
+    AgentKind.PEDESTRIAN: PERSON_KG,
+    AgentKind.OBJECT: np.inf,
+})  # fmt: skip
+PARTS = ("impact_speed", "delta_v")
 
 
 class ContactKind(Enum):
@@ -180,15 +202,9 @@ def _first_contacts(
 
 @kernel
 def _gaps(
-    ego: FloatArray,
-    length: float,
-    width: float,
-    there: BoolArray,
-    pose: FloatArray,
-    size: FloatArray,
-    wanted: BoolArray,
-    recent: int,
-) -> tuple[FloatArray, IntArray]:
+    ego: FloatArray, length: float, width: float, there: BoolArray, pose: FloatArray, size: FloatArray,
+    wanted: BoolArray, recent: int,
+) -> tuple[FloatArray, IntArray]:  # fmt: skip
     """Per step the least distance to a wanted agent (NaN: none there) and its index (-1).
 
     `recent` was the nearest before, and is looked at first.
@@ -202,9 +218,8 @@ def _gaps(
             x, y, yaw = ego[0, k], ego[1, k], ego[2, k]
             if not (wanted[i] and there[i, k]) or _apart(x, y, reach, pose, size, i, k) >= best:
                 continue
-            found = distance(
-                x, y, yaw, length, width, pose[0, i, k], pose[1, i, k], pose[2, i, k], size[i, 0], size[i, 1]
-            )
+            px, py, turn = pose[0, i, k], pose[1, i, k], pose[2, i, k]
+            found = distance(x, y, yaw, length, width, px, py, turn, size[i, 0], size[i, 1])
             if found < best or nearest[k] < 0:
                 best, nearest[k], gap[k] = found, i, found
         recent = max(nearest[k], 0)
@@ -246,15 +261,15 @@ def _labels(trace: Trace, agents: IntArray) -> tuple[str, ...]:
 
 
 def _collision(trace: Trace, scenario: Scenario, *, fault_only: bool) -> Measured:
-    counts, labels = np.zeros(len(trace.ego)), [""] * len(trace.ego)
-    for contact in contacts(trace, scenario):
-        if contact.at_fault or not fault_only:
-            counts[contact.step] += 1.0
-            fault = "at fault" if contact.at_fault else "not at fault"
-            what = f"{name_of(trace.agents, contact.agent)}: {contact.kind.value}, {fault}"
-            what = f"{what}, {impact_speed(contact, trace, scenario):.1f} m/s"
-            labels[contact.step] = "; ".join(filter(None, [labels[contact.step], what]))
-    return Series(trace.ego.t, counts, tuple(labels))
+    met = (contact for contact in contacts(trace, scenario) if contact.at_fault or not fault_only)
+    events = [(c.step, f"{label(c, trace)}, {impact_speed(c, trace, scenario):.1f} m/s") for c in met]
+    return metric.counted(trace.ego.t, events)
+
+
+def label(contact: Contact, trace: Trace) -> str:
+    """Who, how and whose fault: "car 12: from behind, not at fault"."""
+    fault = "at fault" if contact.at_fault else "not at fault"
+    return f"{name_of(trace.agents, contact.agent)}: {contact.kind.value}, {fault}"
 
 
 def _wanted(trace: Trace, vulnerable_only: bool) -> BoolArray:
@@ -262,15 +277,28 @@ def _wanted(trace: Trace, vulnerable_only: bool) -> BoolArray:
     return np.array([kind.is_vulnerable or not vulnerable_only for kind in trace.agents.kinds], np.bool_)
 
 
-def _none(vulnerable_only: bool) -> Unavailable:
-    return Unavailable(f"no {'pedestrian or rider' if vulnerable_only else 'other road user'} in the scene")
-
-
 def impact_speed(contact: Contact, trace: Trace, scenario: Scenario) -> float:
     """Length of the difference of the velocity vectors at the first touch, m/s."""
     other = some_at(trace.agents, np.array([contact.agent]), trace.ego.t[contact.step : contact.step + 1])
     mine, theirs = ego_boxes(trace.ego, scenario)[3:, contact.step], other.pose[3:, 0, 0]
     return float(np.hypot(*(theirs - mine)))
+
+
+def delta_v(speed: float, mass: float, other_mass: float) -> float:
+    """(3), m/s."""
+    return speed if np.isinf(other_mass) else speed * other_mass / (other_mass + mass)
+
+
+def _severity(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
+    found, labels = np.full((2, len(trace.ego)), np.nan), [""] * len(trace.ego)
+    for contact in contacts(trace, scenario):
+        k, mass = contact.step, MASS_KG[trace.agents.kinds[contact.agent]]
+        speed = impact_speed(contact, trace, scenario)
+        change = delta_v(speed, scenario.vehicle.mass, mass)
+        if contact.kind is not ContactKind.FROM_START and not found[1, k] >= change:
+            found[:, k] = speed, change
+            labels[k] = label(contact, trace)
+    return {part: Series(trace.ego.t, found[i], tuple(labels), "no collision") for i, part in enumerate(PARTS)}
 
 
 @kernel
@@ -292,23 +320,21 @@ def _gap(
     trace: Trace, scenario: Scenario, *, vulnerable_only: bool, kept: bool = False, leaving: float = inf
 ) -> Measured:
     ego, wanted, vehicle = ego_boxes(trace.ego, scenario), _wanted(trace, vulnerable_only), scenario.vehicle
+    who = "pedestrian or rider" if vulnerable_only else "other road user"
     if not wanted.any():
-        return _none(vulnerable_only)
+        return Unavailable(f"no {who} in the scene")
     gap, nearest = np.full(len(trace.ego), np.nan), np.full(len(trace.ego), -1)
     recent = 0
     for steps, seen, others in pieces(trace.agents, trace.ego.t):
-        there = (
-            _approachable(ego[:, steps], vehicle.axle_to_center, others.there, others.pose, leaving)
-            if kept
-            else others.there
-        )
+        there = others.there
+        if kept:
+            there = _approachable(ego[:, steps], vehicle.axle_to_center, there, others.pose, leaving)
         after = int(np.searchsorted(seen, recent)) % max(len(seen), 1)
         gap[steps], row = _gaps(
             ego[:, steps], vehicle.length, vehicle.width, there, others.pose, others.size, wanted[seen], after
         )
         nearest[steps] = named(seen, row)
         recent = max(int(nearest[steps.stop - 1]), 0)
-    who = "pedestrian or rider" if vulnerable_only else "other road user"
     where = "beside or ahead of an ego that drives" if kept else "in the scene"
     return Series(trace.ego.t, gap, _labels(trace, nearest), f"no {who} {where}")
 
@@ -324,7 +350,7 @@ def _passing_room(trace: Trace, scenario: Scenario) -> Measured:
 def _ttc(trace: Trace, scenario: Scenario, *, vulnerable_only: bool) -> Measured:
     ego, wanted, vehicle = ego_boxes(trace.ego, scenario), _wanted(trace, vulnerable_only), scenario.vehicle
     if not wanted.any():
-        return _none(vulnerable_only)
+        return Unavailable(f"no {'pedestrian or rider' if vulnerable_only else 'other road user'} in the scene")
     least, whom = np.full(len(trace.ego), np.nan), np.full(len(trace.ego), -1)
     for steps, seen, others in pieces(trace.agents, trace.ego.t):
         least[steps], row = _contact_times(
@@ -335,8 +361,13 @@ def _ttc(trace: Trace, scenario: Scenario, *, vulnerable_only: bool) -> Measured
     for contact in contacts(trace, scenario):
         if contact.at_fault and wanted[contact.agent]:
             least[contact.step], whom[contact.step] = 0.0, contact.agent
-    nothing = f"never on a course to touch within {TTC_HORIZON_S:g} s"
-    return Series(trace.ego.t, least, _labels(trace, whom), nothing)
+    return Series(trace.ego.t, least, _labels(trace, whom), f"never on a course to touch within {TTC_HORIZON_S:g} s")
+
+
+def _integrated(series: Series) -> tuple[float, int]:
+    """TIT (1)."""
+    flags = series.known & (series.value <= TAU_S)
+    return float(np.sum((metric.holds(series.t) * (TAU_S - series.value))[flags])), metric.first_of(flags)
 
 
 def known_lanes(scenario: Scenario) -> LaneArrays | Unavailable:
@@ -347,8 +378,7 @@ def known_lanes(scenario: Scenario) -> LaneArrays | Unavailable:
 
 
 def _off_road(trace: Trace, scenario: Scenario) -> Measured:
-    lanes = known_lanes(scenario)
-    if isinstance(lanes, Unavailable):
+    if isinstance(lanes := known_lanes(scenario), Unavailable):
         return lanes
     return Series(trace.ego.t, box_off_lanes(lanes, ego_boxes(trace.ego, scenario), scenario.vehicle))
 
@@ -356,73 +386,68 @@ def _off_road(trace: Trace, scenario: Scenario) -> Measured:
 def box_off_lanes(
     lanes: LaneArrays, box: FloatArray, vehicle: VehicleParameters, step: float = OUTLINE_M
 ) -> FloatArray:
-    """Greatest distance `(k,)` of a box's outline to the drivable lanes, m.
+    """Greatest distance `(k,)` of the outline of a box (centre and yaw, `(3 or more, k)`) to the drivable lanes, m.
 
-    Args:
-        lanes: Those that a car may drive on.
-        box: `(3 or more, k)`: centre and yaw.
-        vehicle: Its size.
-        step: Between two points of the outline, m; inf: the corners alone.
+    `step` is that between two points of the outline, m; inf: the corners alone.
     """
     x, y, yaw = box[:3]
     worst, c, s = np.zeros(len(x)), np.cos(yaw), np.sin(yaw)
-    for ahead, left in _outline(vehicle.length, vehicle.width, step).tolist():
+    ends = 0.5 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1], [1, 1]]) * [vehicle.length, vehicle.width]
+    sides = [np.linspace(a, b, max(ceil(np.hypot(*(b - a)) / step), 1), False) for a, b in pairwise(ends)]
+    for ahead, left in np.vstack(sides).tolist():
         worst = np.maximum(worst, off_lanes(lanes, x + ahead * c - left * s, y + ahead * s + left * c))
     return worst
 
 
-def _outline(length: float, width: float, step: float) -> FloatArray:
-    """Points `(n, 2)` on the outline of a box about its centre, m: the four corners, and between them equal steps."""
-    ends = 0.5 * np.array([[length, width], [-length, width], [-length, -width], [length, -width]])
-    sides = [np.linspace(a, b, max(ceil(np.hypot(*(b - a)) / step), 1), False) for a, b in pairwise((*ends, ends[0]))]
-    return np.vstack(sides)
-
-
 _NUPLAN = "nuPlan devkit e9241677, no_ego_at_fault_collisions"
 COLLISION = Metric(
-    "collision", "count", "lower", (Mode.CLOSED,), partial(_collision, fault_only=False), (COUNT,),
+    "collision", "count", "lower", (Mode.CLOSED,), partial(_collision, fault_only=False), (metric.COUNT,),
     "Road users that the ego's box touched, each once.", _NUPLAN,
     formula="sum over the others of 1 where the boxes touch at some step",
 )  # fmt: skip
 COLLISION_AT_FAULT = Metric(
-    "collision_at_fault", "count", "lower", (Mode.CLOSED,), partial(_collision, fault_only=True), (COUNT,),
+    "collision_at_fault", "count", "lower", (Mode.CLOSED,), partial(_collision, fault_only=True), (metric.COUNT,),
     "Collisions into a standing road user, with the front, or with the side while not keeping a lane.", _NUPLAN,
     formula="as collision; kinds and fault in nuPlan's order",
     parameters=(f"standing {STANDING_MPS} m/s", "behind: more than 150 degrees off the heading"),
 )  # fmt: skip
-GAP = Metric(
-    "gap", "m", "higher", (Mode.CLOSED,), partial(_gap, vulnerable_only=False),
-    (MIN, time_below(0.2, "time_below_20cm")),
-    "Least distance between the ego's box and another's, 0 where they touch.",
-    formula="min over the others of the distance of the boxes", needs="other road users",
-)  # fmt: skip
-GAP_VULNERABLE = Metric(
-    "gap_vulnerable", "m", "higher", (Mode.CLOSED,), partial(_gap, vulnerable_only=True),
-    (MIN, time_below(0.5, "time_below_50cm")),
-    "Least distance to a pedestrian or rider.",
-    formula="as gap", needs="a pedestrian or rider",
+COLLISION_SEVERITY = Metric(
+    "collision_severity", "m/s", "lower", (Mode.CLOSED,), _severity, (metric.MAX,),
+    "Impact speed of a collision, and the change of the ego's velocity if both stick together.",
+    "nuPlan devkit e9241677, no_ego_at_fault_collisions; masses: EN 1317-1, Regulation (EU) No 1230/2012",
+    parts=PARTS, formula="impact_speed = |v_e - v_o|; delta_v = m_o / (m_o + m_e) |v_e - v_o|", parameters=(
+        "m_e: the vehicle's mass",
+        "m_o: " + ", ".join(f"{kind.value} {mass:g} kg" for kind, mass in MASS_KG.items() if np.isfinite(mass)),
+        "object: immovable",
+    ), needs="a collision",
 )  # fmt: skip
 _KEPT = "as gap, while the ego moves (above 0.05 m/s) and of agents not more than 150 degrees off its heading"
-GAP_KEPT = Metric(
-    "gap_kept", "m", "higher", (Mode.CLOSED,), partial(_gap, vulnerable_only=False, kept=True),
-    (MIN, time_below(0.2, "time_below_20cm")),
-    "Least distance that the ego leaves to another as it drives: not to those behind, and none while it stands.",
-    formula=_KEPT, needs="another road user",
-)  # fmt: skip
-GAP_KEPT_VULNERABLE = Metric(
-    "gap_kept_vulnerable", "m", "higher", (Mode.CLOSED,), partial(_gap, vulnerable_only=True, kept=True),
-    (MIN, time_below(0.5, "time_below_50cm")),
-    "Least distance that the ego leaves to a pedestrian or rider as it drives.",
-    formula=_KEPT, needs="a pedestrian or rider",
+_PERSON = "a pedestrian or rider"
+GAP, GAP_VULNERABLE, GAP_KEPT, GAP_KEPT_VULNERABLE = (
+    Metric(
+        name, "m", "higher", (Mode.CLOSED,), partial(_gap, vulnerable_only=needs == _PERSON, kept=formula == _KEPT),
+        (metric.MIN, metric.time_below(0.5, "time_below_50cm") if needs == _PERSON
+         else metric.time_below(0.2, "time_below_20cm")),
+        meaning, formula=formula, needs=needs,
+    )
+    for name, formula, needs, meaning in (
+        ("gap", "min over the others of the distance of the boxes", "other road users",
+         "Least distance between the ego's box and another's, 0 where they touch."),
+        ("gap_vulnerable", "as gap", _PERSON, "Least distance to a pedestrian or rider."),
+        ("gap_kept", _KEPT, "another road user",
+         "Least distance that the ego leaves to another as it drives: not to those behind, and none while it stands."),
+        ("gap_kept_vulnerable", _KEPT, _PERSON,
+         "Least distance that the ego leaves to a pedestrian or rider as it drives."),
+    )
 )  # fmt: skip
 PASSING_ROOM = Metric(
-    "passing_room", "m", "higher", (Mode.CLOSED,), _passing_room, (MIN, time_below(0.0, "time_too_near")),
+    "passing_room", "m", "higher", (Mode.CLOSED,), _passing_room, (metric.MIN, metric.time_below(0.0, "time_too_near")),
     "Least distance to a pedestrian or rider who is passed, less what the ego's speed asks for.",
     formula=f"{_KEPT} nor going away to the side; less 0.5 m up to 3 m/s, 1 m from 5 m/s on, linear between",
     parameters=(f"going away: {LEAVING_MPS} m/s",), needs="a pedestrian or rider",
 )  # fmt: skip
-_TTC_TIMES = (MIN, time_below(CLOSE_S, "time_below_950ms"), time_below(TAU_S, "time_below_1500ms"),
-              integrated_below(TAU_S, "integrated_1500ms"))  # fmt: skip
+_TTC_TIMES = (metric.MIN, metric.time_below(CLOSE_S, "time_below_950ms"), metric.time_below(TAU_S, "time_below_1500ms"),
+              Reduction("integrated_1500ms", _integrated, "s2", "lower", 0.0))  # fmt: skip
 _TTC_HOW = (
     f"horizon {TTC_HORIZON_S:g} s", "bounds 0.95 s and 1.5 s (tau of TET and TIT)",
     "not to who is more than 150 degrees off the heading", "0 at a collision at fault",
@@ -432,19 +457,22 @@ _TTC_SOURCE = (
     "bound 0.95 s: nuPlan devkit e9241677, time_to_collision_within_bound; TET and TIT: Minderhoud, Bovy, "
     "Accid. Anal. Prev. 33 (2001) 89"
 )
-TTC = Metric(
-    "ttc", "s", "higher", (Mode.CLOSED,), partial(_ttc, vulnerable_only=False), _TTC_TIMES,
-    "Least time until boxes touch at constant velocity vectors, within 10 s; not to those behind.",
-    _TTC_SOURCE, 2, formula=_TTC_FORMULA, parameters=_TTC_HOW, needs="another on a course to touch an ego that drives",
-)  # fmt: skip
-TTC_VULNERABLE = Metric(
-    "ttc_vulnerable", "s", "higher", (Mode.CLOSED,), partial(_ttc, vulnerable_only=True), _TTC_TIMES,
-    "Least time until the ego's box touches a pedestrian or rider at constant velocity vectors, as ttc.",
-    _TTC_SOURCE, formula=_TTC_FORMULA, parameters=_TTC_HOW,
-    needs="a pedestrian or rider on a course to touch an ego that drives",
+TTC, TTC_VULNERABLE = (
+    Metric(
+        name, "s", "higher", (Mode.CLOSED,), partial(_ttc, vulnerable_only=who == _PERSON), _TTC_TIMES, meaning,
+        _TTC_SOURCE, version, formula=_TTC_FORMULA, parameters=_TTC_HOW,
+        needs=f"{who} on a course to touch an ego that drives",
+    )
+    for name, who, version, meaning in (
+        ("ttc", "another", 2,
+         "Least time until boxes touch at constant velocity vectors, within 10 s; not to those behind."),
+        ("ttc_vulnerable", _PERSON, 1,
+         "Least time until the ego's box touches a pedestrian or rider at constant velocity vectors, as ttc."),
+    )
 )  # fmt: skip
 OFF_ROAD = Metric(
-    "off_road", "m", "lower", (Mode.CLOSED,), _off_road, (MAX, time_above(OFF_ROAD_M, "time_beyond_30cm")),
+    "off_road", "m", "lower", (Mode.CLOSED,), _off_road,
+    (metric.MAX, metric.time_above(OFF_ROAD_M, "time_beyond_30cm")),
     "Greatest distance of the ego's outline from the drivable lanes.",
     "bound 0.3 m: nuPlan devkit e9241677, drivable_area_compliance (its corners alone)", 2,
     formula="max over points of the outline of the distance to the nearest drivable lane",

@@ -3,8 +3,8 @@
 (1) score = product of the multipliers x (sum of weight x part) / (sum of weights)
 
 Every part is in 0 .. 1 and is shown beside its score. A part that cannot be measured is left out with its weight, and
-the score's row names it ("without: red lights"); a multiplier that needs lanes, or what was driven, makes the score
-unavailable, except where its absence says that there was nothing to break (no lights, no stop signs).
+the score's row names it ("without: red lights"); a multiplier makes the score unavailable, except where there was
+nothing to break (no lights, no stop signs).
 
 nuPlan, closed loop (devkit e9241677):
 (2) collisions x drivable x direction x making_progress x (5 progress + 5 ttc + 4 speed_limit + 2 comfort) / 16
@@ -79,9 +79,6 @@ class Formula:
         return (*self.multipliers, *self.weights)
 
 
-# parts ------------------------------------------------------------------------------------------------------------
-
-
 def _series(metric: Metric, trace: Trace, scenario: Scenario) -> Series | Unavailable:
     found = metric.found(trace, scenario)
     if isinstance(found, Mapping):
@@ -94,21 +91,9 @@ def _judged(metric: Metric, judge: Callable[[Series], float]) -> Part:
 
     def part(trace: Trace, scenario: Scenario) -> Value:
         found = _series(metric, trace, scenario)
-        return found if isinstance(found, Unavailable) else judge(found)
+        return found if isinstance(found, Unavailable) else float(judge(found))
 
     return part
-
-
-def _final(series: Series) -> float:
-    return float(series.value[-1])
-
-
-def _total(series: Series) -> float:
-    return float(np.nansum(series.value))
-
-
-def _beyond(series: Series, low: float, high: float) -> bool:
-    return bool(((series.value < low) | (series.value > high)).any())
 
 
 def _collisions(trace: Trace, scenario: Scenario) -> Value:
@@ -130,23 +115,14 @@ def _direction(series: Series) -> float:
     return 1.0 if metres < lane_keeping.COMPLIANT_M else 0.5 if metres < lane_keeping.HALF_M else 0.0
 
 
-def _keeps(series: Series) -> float:
-    beyond = longest(series, np.asarray(np.abs(series.value) > lane_keeping.ASIDE_M))[0]
-    return float(beyond < lane_keeping.ASIDE_S - 1e-9)
-
-
 def _comfortable(trace: Trace, scenario: Scenario) -> Value:
     for metric, (_, low, high) in zip(comfort.NUPLAN, comfort.NUPLAN_BOUNDS.values(), strict=True):
         found = _series(metric, trace, scenario)
         if isinstance(found, Unavailable):
             return found
-        if _beyond(found, low, high):
+        if ((found.value < low) | (found.value > high)).any():
             return 0.0
     return 1.0
-
-
-def _steady(series: Series) -> float:
-    return float(np.mean(series.value[series.known] <= 1.0)) if series.known.any() else 0.0
 
 
 def _compliance(trace: Trace, scenario: Scenario) -> Value:
@@ -184,10 +160,6 @@ def _open(metric: Metric, judge: Callable[[list[Series]], bool]) -> Part:
     return part
 
 
-def _hits(found: list[Series]) -> bool:
-    return all(float(np.mean(~(series.value == 0.0))) <= MISS_SHARE for series in found)
-
-
 def _near(bound: float, found: list[Series]) -> bool:
     values = np.concatenate([series.value[series.known] for series in found])
     return len(values) > 0 and float(values.mean()) <= bound
@@ -195,22 +167,28 @@ def _near(bound: float, found: list[Series]) -> bool:
 
 PARTS: Mapping[str, Part] = MappingProxyType({
     "collisions": _collisions,
-    "drivable": _judged(safety.OFF_ROAD, lambda series: float(not _beyond(series, -np.inf, safety.OFF_ROAD_M))),
+    "drivable": _judged(safety.OFF_ROAD, lambda series: not (series.value > safety.OFF_ROAD_M).any()),
     "direction": _judged(lane_keeping.WRONG_WAY, _direction),
-    "making_progress": _judged(progress.PROGRESS, lambda series: float(_final(series) >= LEAST_PROGRESS)),
-    "progress": _judged(progress.PROGRESS, _final),
+    "making_progress": _judged(progress.PROGRESS, lambda series: series.value[-1] >= LEAST_PROGRESS),
+    "progress": _judged(progress.PROGRESS, lambda series: series.value[-1]),
     "ttc": _ttc,
     "speed_limit": _compliance,
     "comfort": _comfortable,
-    "lane_keeping": _judged(lane_keeping.LANE_KEEPING, _keeps),
-    "extended_comfort": _judged(consistency.EXTENDED_COMFORT, _steady),
-    "no_red_light": _judged(rules.RED_LIGHT, lambda series: float(_total(series) == 0.0)),
-    "completion": _judged(progress.COMPLETION, _final),
+    "lane_keeping": _judged(
+        lane_keeping.LANE_KEEPING,
+        lambda series: longest(series, np.abs(series.value) > lane_keeping.ASIDE_M)[0] < lane_keeping.ASIDE_S - 1e-9,
+    ),
+    "extended_comfort": _judged(
+        consistency.EXTENDED_COMFORT,
+        lambda series: float(np.mean(series.value[series.known] <= 1.0)) if series.known.any() else 0.0,
+    ),
+    "no_red_light": _judged(rules.RED_LIGHT, lambda series: np.nansum(series.value) == 0.0),
+    "completion": _judged(progress.COMPLETION, lambda series: series.value[-1]),
     "penalties": _penalties,
-    "red_lights": _judged(rules.RED_LIGHT, lambda series: CARLA_RED ** _total(series)),
-    "stop_signs": _judged(rules.STOP_SIGN, lambda series: CARLA_STOP ** _total(series)),
+    "red_lights": _judged(rules.RED_LIGHT, lambda series: CARLA_RED ** float(np.nansum(series.value))),
+    "stop_signs": _judged(rules.STOP_SIGN, lambda series: CARLA_STOP ** float(np.nansum(series.value))),
     "inside_lanes": _inside,
-    "miss": _open(accuracy.MISS, _hits),
+    "miss": _open(accuracy.MISS, lambda found: all(np.mean(~(one.value == 0.0)) <= MISS_SHARE for one in found)),
     "ade": _open(accuracy.ADE, partial(_near, NEAR_M)),
     "fde": _open(accuracy.FDE, partial(_near, NEAR_M)),
     "ahe": _open(accuracy.AHE, partial(_near, NEAR_RAD)),
@@ -232,9 +210,6 @@ CARLA = Formula(
     ("completion", "penalties", "red_lights", "stop_signs", "inside_lanes"), {},
     frozenset({"red_lights", "stop_signs"}),
 )  # fmt: skip
-
-
-# scores -----------------------------------------------------------------------------------------------------------
 
 
 def combined(formula: Formula, parts: Mapping[str, Value]) -> tuple[Value, str]:
@@ -265,11 +240,11 @@ def _score(formula: Formula, trace: Trace, scenario: Scenario) -> Mapping[str, M
             if value != 1.0 and _part(human, scenario, name) == 0.0:
                 parts[name] = 1.0
     total, label = combined(formula, parts)
-    return {"score": _row(trace, total, label), **{name: _row(trace, value, "") for name, value in parts.items()}}
-
-
-def _row(trace: Trace, value: Value, label: str) -> Measured:
-    return value if isinstance(value, Unavailable) else Series(trace.ego.t[-1:], np.array([value]), (label,))
+    rows = {"score": (total, label), **{name: (value, "") for name, value in parts.items()}}
+    return {
+        name: value if isinstance(value, Unavailable) else Series(trace.ego.t[-1:], np.array([value]), (words,))
+        for name, (value, words) in rows.items()
+    }
 
 
 def _metric(name: str, formula: Formula, mode: Mode, meaning: str, source: str, text: str, needs: str) -> Metric:

@@ -31,9 +31,8 @@ from metrics.judge import CAREFUL, DRIVER, FOLLOWER, REFERENCE
 from metrics.metric import FINAL, Series
 from metrics.others import ego_boxes, name_of
 from metrics.phantoms import phantoms, without_phantoms
-from metrics.progress import FOLLOWER_M, GOAL
+from metrics.progress import FOLLOWER_M, GOAL, gained, route_of
 from metrics.reference_drivers import RETURN_S, STEP_S, careful_drive
-from metrics.route import gained, route_of
 from metrics.safety import CLOSE_S, TTC, contacts
 from replay.avoidability import reference_line
 from replay.closed_loop import run_closed_loop

@@ -8,7 +8,7 @@ here and a = `following.ACCEL_MPS2` it is there after
 (1) tau(s) = max(time of the log to there, (sqrt(v^2 + 2 a s) - v) / a)
 
 It waits where its box would come to such a place within `SERIOUS_S` before or after the ego (a post-encroachment time
-below 1 s is a failure of right of way: `metrics.right_of_way`), if it can stop with `following.HARDEST_MPS2` before all
+below 1 s is a failure of right of way: `metrics.rules`), if it can stop with `following.HARDEST_MPS2` before all
 of the ego's way, held by right or not: there stands its leader then. Who cannot, or is there already, drives on.
 """
 
@@ -25,7 +25,7 @@ from logs.lanes import on_lane
 from logs.scenario import AgentKind, Agents, Scenario, Tracks
 from logs.shapes import overlap_turned
 from logs.states import EgoState
-from metrics.right_of_way import SERIOUS_S
+from metrics.rules import SERIOUS_S
 from replay.prediction import LaneMap
 from replay.prediction.lane_following import followers
 from replay.traffic.following import ACCEL_MPS2, FINE_M, HARDEST_MPS2, Paths, paths_along, places

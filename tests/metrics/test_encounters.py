@@ -15,7 +15,7 @@ from logs import AgentKind, Scenario, Tracks, VehicleParameters
 from logs.shapes import distance
 from metrics import GROUPS, evaluate, series
 from metrics.encounters import closest_encounter, time_to_contact_accelerated
-from metrics.severity import MASS_KG, delta_v
+from metrics.safety import MASS_KG, delta_v
 
 MINE = {metric.name: metric for metric in GROUPS["safety"]}
 CAR = (4.5, 1.8)

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from logs import EndReason, Goal, Lane, RoadSource, Scenario, TrackingErrors, Trajectory
 from metrics import GROUPS, evaluate
-from metrics.progress import FOLLOWER_M
-from metrics.route import gained, route_of
+from metrics.progress import FOLLOWER_M, gained, route_of
 
 ASKED = {metric.name: metric for group in ("progress", "rules", "tracking") for metric in GROUPS[group]}
 

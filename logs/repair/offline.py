@@ -157,7 +157,7 @@ def _changes(user: User, name: str, note: str, twins: int, sources: tuple[str, .
     steps = np.diff(t[user.piece.seen])
     if sources != (name,) or len(t) > count:
         under = f"under {len(sources)} ids" if sources else "without ids"
-        add("joined", count, f"{count} detections {under}, the longest gap {steps.max():.1f} s.")
+        add("joined", count, f"{count} detections {under}, the longest gap {steps.max(initial=0.0):.1f} s.")
     if twins:
         add("removed", twins, f"{twins} boxes overlap better ones of the same object.")
     if user.turned:

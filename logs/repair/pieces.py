@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from logs.kernel import FloatArray, IntArray, kernel
-from logs.repair.groups import CLUSTER, GROUPS, SLIDES, SMOOTH_DENSITY, STAND_S, VEHICLE, Boxes
+from logs.repair.groups import CLUSTER, GROUPS, NOISE, SLIDES, SMOOTH_DENSITY, STAND_S, VEHICLE, Boxes
 from logs.repair.kalman import smoothed
 
 LEAST_NOISE_M, DRIFT, NOISE_COUNT = 0.05, 3.0, 8
@@ -84,7 +84,7 @@ def fitted(rows: IntArray, boxes: Boxes, frames: FloatArray) -> Piece:
     noise = _noise(t[seen], xy, GROUPS[group].noise)
     z, variance = np.full((len(t), 2), np.nan), np.full(len(t), noise**2)
     z[seen] = xy
-    trust = boxes.noise[rows] / np.array([each.noise for each in GROUPS])[boxes.group[rows]]
+    trust = boxes.noise[rows] / NOISE[boxes.group[rows]]
     stands = np.zeros(len(t), np.bool_)
     variance[seen] = (noise * trust) ** 2
     for _ in range(2):
@@ -92,11 +92,9 @@ def fitted(rows: IntArray, boxes: Boxes, frames: FloatArray) -> Piece:
         off = np.hypot(*(xy - path[seen, :2]).T) / noise
         variance[seen] = (noise * np.maximum(trust, np.where(off > OUTLIER, OUTLIER_WEIGHT * off / OUTLIER, 1.0))) ** 2
     scale = noise / GROUPS[group].noise
-    third = max(1, len(xy) // 3)
-    net = float(
-        np.hypot(*(centre(xy[-third:], boxes.weight[rows[-third:]]) - centre(xy[:third], boxes.weight[rows[:third]])))
-    )
-    spread = np.percentile(np.hypot(*(xy - centre(xy, boxes.weight[rows])).T), 90)
+    weight, third = boxes.weight[rows], max(1, len(xy) // 3)
+    net = float(np.hypot(*(centre(xy[-third:], weight[-third:]) - centre(xy[:third], weight[:third]))))
+    spread = np.percentile(np.hypot(*(xy - centre(xy, weight)).T), 90)
     most, slow = GROUPS[group].still * scale, GROUPS[group].slow * scale * max(t[-1] - t[0], 0.5)
     if group == CLUSTER:
         most = slow = max(most, SLIDES * float(np.median(boxes.length[rows])))

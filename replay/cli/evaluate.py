@@ -145,7 +145,7 @@ def evaluate(
     perception: Annotated[
         str | None,
         typer.Option(
-            autocompletion=completion("perception"), help="What is seen: ground_truth, recorded, sensor, auto."
+            autocompletion=completion("perception"), help="What is seen: ground_truth, recorded, sensor or auto."
         ),
     ] = None,
     plant: Annotated[

@@ -45,7 +45,7 @@ have is `/ego`; `replan inspect` says what is missing for which evaluation."""
 
 def _kinds() -> list[type[msgspec.Struct]]:
     """The messages of the topics, and then those that stand in them, in order of first mention."""
-    found = list(dict.fromkeys(native.TOPICS.values()))
+    found: list[type[msgspec.Struct]] = [*dict.fromkeys(native.TOPICS.values()), native.RepairedColumns]
     for kind in found:
         inner = [part for hint in get_type_hints(kind).values() for part in _structs(hint)]
         found += [part for part in dict.fromkeys(inner) if part not in found]

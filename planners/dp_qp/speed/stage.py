@@ -20,7 +20,7 @@ from planners.dp_qp.scene.goal_window import HURRIED_GAP_S, GoalWindow, SpeedTar
 from planners.dp_qp.scene.hesitant_pedestrians import came_to_path
 from planners.dp_qp.scene.pass_target import PassTarget
 from planners.dp_qp.scene.producers import OTHERS, OWN
-from planners.dp_qp.speed.braking import RESERVE, Asked, BrakingLadder, BrakingMemory, Case, SolvedSpeed
+from planners.dp_qp.speed.braking import RESERVE, Asked, BrakingLadder, Case, SolvedSpeed
 from planners.dp_qp.speed.doubt import (
     CERTAIN,
     NEGLIGIBLE,
@@ -70,9 +70,9 @@ class SpeedConfig:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SpeedMemory:
-    """What the speed stage remembers: how it braked, who came to the path when, s, and who was let go first."""
+    """What the speed stage remembers: whether it braked as hard as it can, who came to the path when, s, and who was let go first."""
 
-    braking: BrakingMemory = field(default_factory=BrakingMemory)
+    braked_fully: bool = False
     came: Mapping[str, float] = field(default_factory=dict)
     waits: frozenset[str] = frozenset()
 
@@ -174,19 +174,13 @@ class SpeedStage:
         bare = LoweredLimit(road, np.zeros(len(road), np.bool_))
         own = lowered(path.sigma, bare, [cap for caps in OWN for cap in caps(view)])
         limit = lowered(path.sigma, own, [cap for caps in OTHERS for cap in caps(view)])
-        swept: dict[tuple[bytes, StGraphConfig], StBoundaries] = {}
 
         def taken(who: IntArray, margins: StGraphConfig) -> StBoundaries:
-            """The boundaries with other margins: of these agents, unless they may be faster than now."""
-            key = who.tobytes(), margins
-            if key not in swept:
-                skip = task.skip
-                if margins.brisk_mps <= config.graph.brisk_mps:
-                    skip = np.ones(len(skip), np.bool_)
-                    skip[who] = False
-                rows = braking_on(scene, st_boundaries(scene, path, skip, passed, margins))
-                swept[key] = rows.with_stops(task.stops)
-            return swept[key]
+            """The boundaries with other margins: of these agents."""
+            skip = np.ones(len(task.skip), np.bool_)
+            skip[who] = False
+            rows = braking_on(scene, st_boundaries(scene, path, skip, passed, margins))
+            return rows.with_stops(task.stops)
 
         way = _Way(view, limit, own, taken, memory)
         planned, unlikely = self._believed(way, found)
@@ -197,7 +191,7 @@ class SpeedStage:
         )  # fmt: skip
         ids = scene.frame.agents.ids
         waits = frozenset(ids[who] for who in planned.blocks.agent[planned.posed.kinds == YIELD])
-        return chosen, SpeedMemory(memory.braking.after(scene.frame.t, solved), came, waits)
+        return chosen, SpeedMemory(solved.is_full, came, waits)
 
     def _believed(self, way: _Way, found: StBoundaries) -> tuple[_Planned, StBoundaries | None]:
         """The speed that keeps to the rows as far as they are believed (`doubt`), and the rows that do not bind."""
@@ -209,7 +203,7 @@ class SpeedStage:
         binds = p >= CERTAIN
         planned = self._planned(way, found.only(binds))
         eased = ~binds & (p >= NEGLIGIBLE) & ~self._safe(planned.solved.profile, found)
-        if planned.solved.is_full:
+        if planned.solved.reason:
             eased |= binds & from_beside(scene, found) & ((p < SURE) | planned.solved.unavoidable)
         if eased.any():
             stop = self._comfort.braking((scene.v, scene.start.a), knots, share=RESERVE)[0]
@@ -220,12 +214,12 @@ class SpeedStage:
 
     def _planned(self, way: _Way, blocks: StBoundaries, sure: IntArray | None = None) -> _Planned:
         """The speed that keeps to these boundaries; those of the agents `sure` (None: all) with other margins, too."""
-        who, t = blocks.agent if sure is None else sure, way.view.scene.frame.t
+        who = blocks.agent if sure is None else sure
         may, tried = np.ones(len(blocks), np.bool_), tuple[Asked, ...]()
         while True:
             posed = self._posed(way, blocks, may)
             self._lap("speed DP")
-            solved = self._ladder.solve(Case(posed.problem, partial(way.taken, who), t, way.memory.braking))
+            solved = self._ladder.solve(Case(posed.problem, partial(way.taken, who), way.memory.braked_fully))
             solved = replace(solved, asked=(*tried, *solved.asked))
             refused = self._refused(way, blocks, posed.kinds, solved.profile)
             if not refused.any():

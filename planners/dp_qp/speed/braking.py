@@ -19,7 +19,7 @@ import numpy as np
 from logs.kernel import FloatArray
 from logs.trace import SolverReport
 from planners.dp_qp.speed.qp import RELEASE_MPS3, SpeedProblem, SpeedQp, SpeedQpConfig, eased, tidied
-from planners.frenet.profiles import STEP_S, Limits, SpeedLimits
+from planners.frenet.profiles import STEP_S, SpeedLimits
 from planners.frenet.st_boundaries import StBoundaries, StGraphConfig
 from planners.piecewise_jerk.solvers import DEFAULT
 from planners.qp import QPResult
@@ -114,8 +114,8 @@ class BrakingLadder:
         self._config, self._gap = config, gap_m
         self.program = SpeedQp(config, solver)
         self._times = STEP_S * np.arange(config.knots)
-        self._utmost = Limits(replace(config.emergency, decel_mps2=most_mps2, jerk_mps3=UTMOST_MPS3))
-        soft = Limits(config.comfort)
+        self._utmost = replace(config.emergency, decel_mps2=most_mps2, jerk_mps3=UTMOST_MPS3)
+        soft = config.comfort
         self._rungs = (
             self._smooth(soft, RESERVE),
             self._smooth(soft, LEAST_RESERVE),
@@ -146,16 +146,16 @@ class BrakingLadder:
         _, *harder = self._config.ladder()
         hardest, given = harder[-1], 0.5 * self._gap
         return (
-            *(self._smooth(Limits(limits), RESERVE, 0.0, _keeps(limits, 0.0)) for limits in harder),
-            self._smooth(Limits(hardest), LEAST_RESERVE, 0.0, _keeps(hardest, 0.0)),
+            *(self._smooth(limits, RESERVE, 0.0, _keeps(limits, 0.0)) for limits in harder),
+            self._smooth(hardest, LEAST_RESERVE, 0.0, _keeps(hardest, 0.0)),
             self._smooth(
-                Limits(hardest), LEAST_RESERVE, given, _keeps(hardest, given),
+                hardest, LEAST_RESERVE, given, _keeps(hardest, given),
                 lambda case: not case.braked_fully,
             ),
         )  # fmt: skip
 
     def _smooth(
-        self, limits: Limits, share: float, given: float = 0.0, reason: str = "",
+        self, limits: SpeedLimits, share: float, given: float = 0.0, reason: str = "",
         applies: Callable[[Case], bool] = lambda case: True,
     ) -> Rung:  # fmt: skip
         """Braking with a share of these limits keeps the bounds, less what is given up of the gap; smoothed."""

@@ -20,24 +20,14 @@ from planners.dp_qp.scene.goal_window import HURRIED_GAP_S, GoalWindow, SpeedTar
 from planners.dp_qp.scene.hesitant_pedestrians import came_to_path
 from planners.dp_qp.scene.pass_target import PassTarget
 from planners.dp_qp.scene.producers import OTHERS, OWN
+from planners.dp_qp.speed import doubt
 from planners.dp_qp.speed.braking import RESERVE, Asked, BrakingLadder, Case, SolvedSpeed
-from planners.dp_qp.speed.doubt import (
-    CERTAIN,
-    NEGLIGIBLE,
-    SHARED_MPS2,
-    SHARED_S,
-    SURE,
-    braking_on,
-    from_beside,
-    let_go,
-    weights,
-)
 from planners.dp_qp.speed.dp import DS_M, DT_S, SpeedDpConfig
 from planners.dp_qp.speed.problem import OVERTAKE, YIELD, Posed, Settings, pose
 from planners.dp_qp.speed.qp import TOLERANCE, SpeedQpConfig
 from planners.frenet.occupancy import Occupancy
 from planners.frenet.path import Path
-from planners.frenet.profiles import STEP_S, Limits
+from planners.frenet.profiles import STEP_S
 from planners.frenet.scene import Scene
 from planners.frenet.st_boundaries import (
     StBoundaries,
@@ -70,7 +60,7 @@ class SpeedConfig:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SpeedMemory:
-    """What the speed stage remembers: whether it braked as hard as it can, who came to the path when, s, and who was let go first."""
+    """What the speed stage remembers: whether it braked fully, who came to the path when, s, who was let go first."""
 
     braked_fully: bool = False
     came: Mapping[str, float] = field(default_factory=dict)
@@ -150,7 +140,7 @@ class SpeedStage:
     ) -> None:
         self._vehicle, self._config, self._lap = vehicle, config, lap
         self._ladder = BrakingLadder(config.qp, config.dp.gap_m, vehicle.max_decel, solver)
-        self._comfort = Limits(config.qp.comfort)
+        self._comfort = config.qp.comfort
         self._hard_mps2 = RESERVE * config.qp.emergency.decel_mps2
         self._times = STEP_S * np.arange(config.qp.knots)
         qp, dp = config.qp, config.dp
@@ -162,7 +152,7 @@ class SpeedStage:
     def choose(self, scene: Scene, path: Path, task: SpeedTask, memory: SpeedMemory) -> tuple[ChosenSpeed, SpeedMemory]:
         """The speed along a path; and what is remembered."""
         config, passed = self._config, task.passed
-        found = braking_on(scene, st_boundaries(scene, path, task.skip, passed, config.graph))
+        found = doubt.braking_on(scene, st_boundaries(scene, path, task.skip, passed, config.graph))
         self._lap("S-T graph")
         came = came_to_path(scene, found, memory.came, config.caution.hesitates_s)
         line = scene.reference.line
@@ -179,7 +169,7 @@ class SpeedStage:
             """The boundaries with other margins: of these agents."""
             skip = np.ones(len(task.skip), np.bool_)
             skip[who] = False
-            rows = braking_on(scene, st_boundaries(scene, path, skip, passed, margins))
+            rows = doubt.braking_on(scene, st_boundaries(scene, path, skip, passed, margins))
             return rows.with_stops(task.stops)
 
         way = _Way(view, limit, own, taken, memory)
@@ -198,16 +188,16 @@ class SpeedStage:
         scene, knots = way.view.scene, self._config.qp.knots
         if not len(found):
             return self._planned(way, found), None
-        found = replace(found, probability=weights(scene, way.view.path, found))
+        found = replace(found, probability=doubt.weights(scene, way.view.path, found))
         p = found.probability
-        binds = p >= CERTAIN
+        binds = p >= doubt.CERTAIN
         planned = self._planned(way, found.only(binds))
-        eased = ~binds & (p >= NEGLIGIBLE) & ~self._safe(planned.solved.profile, found)
+        eased = ~binds & (p >= doubt.NEGLIGIBLE) & ~self._safe(planned.solved.profile, found)
         if planned.solved.reason:
-            eased |= binds & from_beside(scene, found) & ((p < SURE) | planned.solved.unavoidable)
+            eased |= binds & doubt.from_beside(scene, found) & ((p < doubt.SURE) | planned.solved.unavoidable)
         if eased.any():
             stop = self._comfort.braking((scene.v, scene.start.a), knots, share=RESERVE)[0]
-            rows = let_go(found, eased, np.interp(found.t, self._times, stop), self._config.dp.gap_m + TOLERANCE)
+            rows = doubt.let_go(found, eased, np.interp(found.t, self._times, stop), self._config.dp.gap_m + TOLERANCE)
             planned = self._planned(way, rows.only(binds | eased), found.agent[binds & ~eased])
         ignored = ~(binds | eased)
         return planned, found.only(ignored) if ignored.any() else None
@@ -242,9 +232,9 @@ class SpeedStage:
         """(4) of `doubt`, of all rows `(n,)`."""
         if profile is None:
             return np.zeros(len(rows), np.bool_)
-        k, qp = round(SHARED_S / STEP_S), self._config.qp
+        k, qp = round(doubt.SHARED_S / STEP_S), self._config.qp
         s, v, a = profile[:, k]
-        limits = Limits(replace(qp.emergency, decel_mps2=SHARED_MPS2))
+        limits = replace(qp.emergency, decel_mps2=doubt.SHARED_MPS2)
         stop = np.r_[profile[0, :k], s + limits.braking((v, a), qp.knots - k)[0]]
         driven, stopped = (np.interp(rows.t, self._times, each) for each in (profile[0], stop))
         met = ((driven > rows.lower) & (driven < rows.upper)).any(axis=1)

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from logs.kernel import FloatArray
 from planners.dp_qp.speed.braking import BrakingLadder, Case, SolvedSpeed
 from planners.dp_qp.speed.qp import SpeedProblem, SpeedQpConfig
-from planners.frenet.profiles import STEP_S, Limits, SpeedLimits
+from planners.frenet.profiles import STEP_S, SpeedLimits
 from planners.frenet.st_boundaries import StBoundaries
 
 CONFIG, GAP, MOST = SpeedQpConfig(), 1.0, 9.0
@@ -65,7 +65,7 @@ def test_a_plan_that_is_no_last_resort_has_no_contact(v: float, s: float, begin:
 @settings(max_examples=40, deadline=None)
 def test_where_comfort_suffices_it_is_comfortable(v: float, s: float) -> None:
     blocks = blocked(s, s + 6.0, 0.0, 8.0)
-    soft = Limits(CONFIG.comfort).braking((v, 0.0), CONFIG.knots, share=0.85)
+    soft = CONFIG.comfort.braking((v, 0.0), CONFIG.knots, share=0.85)
     found = solved(v, blocks)
     if (soft[0] <= s - GAP).all():
         assert found.reason == "" and found.profile is not None
@@ -101,14 +101,14 @@ def test_the_end_of_the_path_is_not_driven_over_where_braking_can_keep_it(end: f
     )
     short = problem(10.0, 0.0, np.full(len(T), end))._replace(end=end)
     found = LADDER.solve(Case(short, lambda margins: free))
-    hardest = Limits(CONFIG.emergency).braking((10.0, 0.0), CONFIG.knots)
+    hardest = CONFIG.emergency.braking((10.0, 0.0), CONFIG.knots)
     assert found.profile is not None and found.reason
     assert found.profile[0, -1] <= max(end, hardest[0, -1]) + 0.06
 
 
 def test_braking_that_ends_in_the_way_before_an_agent_comes_does_not_avoid_them() -> None:
     """The hardest stop comes to rest beyond their way just before they take it; driving on is past it by far more."""
-    v, stop = 10.0, Limits(CONFIG.emergency).braking((10.0, 0.0), CONFIG.knots)[0]
+    v, stop = 10.0, CONFIG.emergency.braking((10.0, 0.0), CONFIG.knots)[0]
     blocks = blocked(stop[-1] - 4.0, stop[-1] - 0.3, 2.0, 6.0)
     assert not blocks.meets(T, stop) and not blocks.leave(T, stop, 0.0)
     found = solved(v, blocks)
@@ -118,7 +118,7 @@ def test_braking_that_ends_in_the_way_before_an_agent_comes_does_not_avoid_them(
 def test_full_braking_goes_on_until_the_whole_gap_is_kept() -> None:
     """The hardest planned braking would leave half of the gap: enough to begin with, not enough to go back to."""
     v = 12.0
-    hard = Limits(CONFIG.emergency).braking((v, 0.0), CONFIG.knots, share=0.97)[0, -1]
+    hard = CONFIG.emergency.braking((v, 0.0), CONFIG.knots, share=0.97)[0, -1]
     half, none = (blocked(float(hard) + room, hard + 50.0, 0.0, 8.0) for room in (0.7 * GAP, -0.3 * GAP))
     assert "keeps half of the distance" in solved(v, half).reason
     assert solved(v, none).is_full
@@ -138,7 +138,7 @@ def mildest(v: float, s: float) -> str:
     comfort, *harder = CONFIG.ladder()
 
     def keeps(level: SpeedLimits, share: float, given: float) -> bool:
-        return bool((Limits(level).braking((v, 0.0), CONFIG.knots, share=share)[0] <= s - GAP + given).all())
+        return bool((level.braking((v, 0.0), CONFIG.knots, share=share)[0] <= s - GAP + given).all())
 
     if keeps(comfort, 0.97, 0.5 * GAP):
         return ""
@@ -153,7 +153,7 @@ def mildest(v: float, s: float) -> str:
 @given(st.floats(4.0, 20.0), st.floats(0.3, 1.2))
 @settings(max_examples=60, deadline=None)
 def test_a_milder_rung_that_holds_is_preferred(v: float, share: float) -> None:
-    s = GAP + share * float(Limits(CONFIG.comfort).braking((v, 0.0), CONFIG.knots)[0, -1])
+    s = GAP + share * float(CONFIG.comfort.braking((v, 0.0), CONFIG.knots)[0, -1])
     expected = mildest(v, s)
     found = solved(v, blocked(s, END, 0.0, 8.0), SURE)
     assert len(found.reports) <= 1
@@ -162,7 +162,7 @@ def test_a_milder_rung_that_holds_is_preferred(v: float, share: float) -> None:
 
 def test_every_rung_is_the_mildest_somewhere() -> None:
     """That is: the law above looks at all of them."""
-    stop = float(Limits(CONFIG.comfort).braking((14.0, 0.0), CONFIG.knots)[0, -1])
+    stop = float(CONFIG.comfort.braking((14.0, 0.0), CONFIG.knots)[0, -1])
     shares = np.arange(0.2, 1.2, 0.005)
     words = {solved(14.0, blocked(GAP + share * stop, END, 0.0, 8.0), SURE).reason for share in shares}
     for rung in (*HARDER, f"{HARDER[-1]} half", "full braking, which leaves", "full braking comes"):
@@ -173,7 +173,7 @@ def test_every_rung_is_the_mildest_somewhere() -> None:
 @pytest.mark.parametrize("v", [4.0, 4.5, 7.5, 10.0])
 def test_a_rung_that_holds_has_a_profile(v: float) -> None:
     """At all distances about those where the hardest braking ends: what braking keeps, the QP keeps."""
-    stop = float(Limits(CONFIG.emergency).braking((v, 0.0), CONFIG.knots)[0, -1])
+    stop = float(CONFIG.emergency.braking((v, 0.0), CONFIG.knots)[0, -1])
     found = [solved(v, blocked(stop + more, END, 0.0, 8.0)) for more in np.arange(-0.5, 4.0, 0.1)]
     assert sum(len(one.reports) for one in found) > 20
     assert [report.status for one in found for report in one.reports if not report.solved] == []

@@ -21,6 +21,14 @@ STEP_S = 0.1
 """Between two knots of a speed profile, and two samples of a plan, s."""
 
 
+class KnotLimits(NamedTuple):
+    """`SpeedLimits` for kernels: m/s2, m/s3."""
+
+    accel: float
+    decel: float
+    jerk: float
+
+
 @dataclass(frozen=True)
 class SpeedLimits:
     """Acceleration and jerk that a profile may use; decelerations positive."""
@@ -28,6 +36,15 @@ class SpeedLimits:
     accel_mps2: float
     decel_mps2: float
     jerk_mps3: float
+
+    @cached_property
+    def columns(self) -> KnotLimits:
+        """For kernels."""
+        return KnotLimits(self.accel_mps2, self.decel_mps2, self.jerk_mps3)
+
+    def braking(self, start: tuple[float, float], knots: int, *, share: float = 1.0) -> FloatArray:
+        """Rows s, v, a `(3, knots)` of braking with a share of them."""
+        return braking(start[0], start[1], share * self.decel_mps2, share * self.jerk_mps3, STEP_S, knots)
 
 
 COMFORT = SpeedLimits(1.8, 3.0, 3.0)
@@ -38,55 +55,6 @@ HORIZON_STEPS = 80
 """Steps of a plan: 8 s."""
 HORIZON_KNOTS = HORIZON_STEPS + 1
 """Knots of a profile."""
-
-
-class KnotLimits(NamedTuple):
-    """`Limits` for kernels: m/s2, m/s3, and the count of the first knots."""
-
-    first_accel: float
-    first_decel: float
-    first_jerk: float
-    accel: float
-    decel: float
-    jerk: float
-    knots: int
-
-
-@dataclass(frozen=True)
-class Limits:
-    """The limits of one attempt: `then`, but `first` for as many knots."""
-
-    then: SpeedLimits
-    first: SpeedLimits = SpeedLimits(0.0, 0.0, 0.0)
-    knots: int = 0
-
-    @cached_property
-    def columns(self) -> KnotLimits:
-        """For kernels."""
-        first, then = self.first, self.then
-        return KnotLimits(
-            first.accel_mps2, first.decel_mps2, first.jerk_mps3, then.accel_mps2, then.decel_mps2, then.jerk_mps3,
-            self.knots,
-        )  # fmt: skip
-
-    def braking(self, start: tuple[float, float], knots: int, *, share: float = 1.0) -> FloatArray:
-        """Rows s, v, a `(3, knots)` of braking with a share of them."""
-        return braking_within(start[0], start[1], self.columns, share, STEP_S, knots)
-
-
-@kernel
-def braking_within(v0: float, a0: float, limits: KnotLimits, share: float, step: float, knots: int) -> FloatArray:
-    """Rows s, v, a `(3, knots)` of braking with a share of the limits."""
-    out = np.empty((3, knots))
-    s, v, a = 0.0, v0, a0
-    if limits.knots > 0:
-        head = braking(v0, a0, share * limits.first_decel, share * limits.first_jerk, step, limits.knots + 1)
-        out[:, : limits.knots] = head[:, :-1]
-        s, v, a = head[0, -1], head[1, -1], head[2, -1]
-    tail = braking(v, a, share * limits.decel, share * limits.jerk, step, knots - limits.knots)
-    tail[0] += s
-    out[:, limits.knots :] = tail
-    return out
 
 
 @kernel

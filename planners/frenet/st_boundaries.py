@@ -20,15 +20,13 @@ from math import inf
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, frozen
+from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.trace import Decision, DecisionKind, GraphObstacle
 from planners.frenet.occupancy import Occupancy
 from planners.frenet.path import Path
 from planners.frenet.scene import STANDING_MPS, Scene
 from planners.frenet.sweep import Swept, sweep
 
-CREEPING_MPS = 0.1
-"""Who is slower does not walk, m/s: their prediction leads nowhere."""
 NO_ONE = np.zeros(0, np.bool_)
 """None of the agents."""
 ALONG = 0.8
@@ -46,7 +44,6 @@ class StGraphConfig:
         step_s: Between two time samples.
         early_s: An agent that crosses may come sooner by this, or by a third of the time that is left until then.
         late_s: It may leave later by this, or by half of the time that is left: the nearer, the surer.
-        brisk_mps: Who walks or rides slower than this is taken to be as fast as this, on the predicted way.
     """
 
     margin_m: float = 0.3
@@ -55,7 +52,6 @@ class StGraphConfig:
     step_s: float = 0.1
     early_s: float = 0.4
     late_s: float = 0.6
-    brisk_mps: float = 0.0
 
     def __post_init__(self) -> None:
         if not self.step_s > 0.0:
@@ -133,41 +129,16 @@ def st_boundaries(
     """
     agents, futures, car = scene.frame.agents, scene.frame.predictions, scene.vehicle
     stride = max(1, round(config.step_s / float(futures.t[1] - futures.t[0]))) if len(futures.t) > 1 else 1
-    ways = _brisk(scene, config.brisk_mps) if config.brisk_mps > 0.0 else (futures.x, futures.y, futures.yaw)
     is_passed = np.array([name in passed for name in agents.ids], np.bool_) if passed else NO_ONE
     return StBoundaries(*sweep(
         path.sigma, path.x, path.y, path.yaw, futures.t, scene.frame.t, stride, futures.agent, futures.probability,
-        *ways, agents.length, agents.width, agents.vx, agents.vy, scene.vulnerable, is_passed, skip,
+        futures.x, futures.y, futures.yaw, agents.length, agents.width, agents.vx, agents.vy, scene.vulnerable,
+        is_passed, skip,
         Swept(
             car.axle_to_center, car.length, car.width, config.margin_m, config.vulnerable_margin_m,
             config.passed_margin_m, config.early_s, config.late_s,
         ),
     ))  # fmt: skip
-
-
-def _brisk(scene: Scene, brisk: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The predictions x, y, yaw `(n, k)`, who walks or rides slower than `brisk`, m/s, as fast as that on their way."""
-    futures = scene.frame.predictions
-    t, slow = futures.t - scene.frame.t, _is_slow(scene, futures.agent, brisk)
-    ways = [way.copy() for way in (futures.x, futures.y, futures.yaw)]
-    for i in np.flatnonzero(slow):
-        ahead = t * brisk / scene.speed[futures.agent[i]]
-        for way in ways:
-            way[i] = _beyond(ahead, t, way[i])
-    x, y, yaw = (frozen(way) for way in ways)
-    return x, y, yaw
-
-
-def _is_slow(scene: Scene, agent: IntArray, brisk: float) -> BoolArray:
-    """Which of the predicted agents `(n,)` walk or ride slower than `brisk`, m/s, but do not stand."""
-    speed = scene.speed[agent]
-    return np.asarray(scene.vulnerable[agent] & (speed > CREEPING_MPS) & (speed < brisk))
-
-
-def _beyond(ahead: FloatArray, t: FloatArray, way: FloatArray) -> FloatArray:
-    """A predicted coordinate `(k,)` at the times `ahead`, s; after its end it goes on as at its end."""
-    slope = (way[-1] - way[-2]) / (t[-1] - t[-2])
-    return np.interp(ahead, t, way) + slope * np.maximum(ahead - t[-1], 0.0)
 
 
 def decide_speed(blocks: StBoundaries, scene: Scene, s_dp: FloatArray) -> tuple[Decision, ...]:

@@ -14,8 +14,8 @@ strip, and both are of who takes the path now.
 (4) Rows of p >= `CERTAIN` bind. Others are safe where a stop with `SHARED_MPS2`, `SHARED_S` after now, stays behind, or
     the planned profile clears them; of the rest those above `NEGLIGIBLE` bind as far as comfortable braking can keep
     them: what it cannot keep is let go.
-(5) So are vehicles from behind, from the side or from ahead that are not in the way now, where they call for full
-    braking and either p < `SURE` or it would not avoid them.
+(5) So are vehicles from behind, from the side or from ahead that are not in the way now, where comfort does not keep
+    the bounds, and either p < `SURE` or full braking would not avoid them.
 (6) Who is followed and brakes may go on to brake, by `ERROR_MPS2` less than now, down to a stop.
 """
 

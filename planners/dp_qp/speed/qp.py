@@ -21,7 +21,7 @@ import numpy as np
 
 from logs.kernel import FloatArray, kernel
 from logs.trace import CostTerms
-from planners.frenet.profiles import COMFORT, EMERGENCY, STEP_S, KnotLimits, SpeedLimits, braking_within
+from planners.frenet.profiles import COMFORT, EMERGENCY, STEP_S, KnotLimits, SpeedLimits, braking
 from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights
 from planners.piecewise_jerk.solvers import DEFAULT, solve
 from planners.qp import QPResult
@@ -157,14 +157,12 @@ def rows_of(problem: SpeedProblem, limits: KnotLimits, comfort: float) -> Rows:
     excess = max(-comfort - a0, 0.0)
     total = 0.0
     for i in range(n):
-        is_first = i < limits.knots
-        jerk = limits.first_jerk if is_first else limits.jerk
         ramp = STEP_S * total
-        lower[2, i] = min(-(limits.first_decel if is_first else limits.decel), a0 + 0.5 * ramp)
-        upper[2, i] = max(limits.first_accel if is_first else limits.accel, a0 - 0.5 * ramp)
+        lower[2, i] = min(-limits.decel, a0 + 0.5 * ramp)
+        upper[2, i] = max(limits.accel, a0 - 0.5 * ramp)
         release = min(excess / STEP_S - i * RELEASE_MPS3, RELEASE_MPS3)  # (2): down to comfort, and no further
-        lower[3, i], upper[3, i] = -jerk, max(jerk, release)
-        total += jerk
+        lower[3, i], upper[3, i] = -limits.jerk, max(limits.jerk, release)
+        total += limits.jerk
     return np.array([0.0, problem.start[0], a0]), references, lower, upper
 
 
@@ -178,9 +176,8 @@ def eased(
     reversing, the bounds hold the braking.
     """
     v0 = problem.start[0]
-    jerk = limits.first_jerk if limits.knots > 0 else limits.jerk
-    a0 = max(problem.start[1], -sqrt(2.0 * 0.9 * jerk * v0))
-    stop = braking_within(v0, a0, limits, share, STEP_S, len(problem.upper))
+    a0 = max(problem.start[1], -sqrt(2.0 * 0.9 * limits.jerk * v0))
+    stop = braking(v0, a0, share * limits.decel, share * limits.jerk, STEP_S, len(problem.upper))
     upper = np.minimum(problem.upper + given, problem.end)
     lower = np.minimum(problem.lower, np.maximum(problem.s_ref, stop[0]))
     limit = np.maximum(problem.limit, stop[1] + LIMIT_ROOM_MPS)

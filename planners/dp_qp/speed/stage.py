@@ -20,24 +20,14 @@ from planners.dp_qp.scene.goal_window import HURRIED_GAP_S, GoalWindow, SpeedTar
 from planners.dp_qp.scene.hesitant_pedestrians import came_to_path
 from planners.dp_qp.scene.pass_target import PassTarget
 from planners.dp_qp.scene.producers import OTHERS, OWN
-from planners.dp_qp.speed.braking import RESERVE, Asked, BrakingLadder, BrakingMemory, Case, SolvedSpeed
-from planners.dp_qp.speed.doubt import (
-    CERTAIN,
-    NEGLIGIBLE,
-    SHARED_MPS2,
-    SHARED_S,
-    SURE,
-    braking_on,
-    from_beside,
-    let_go,
-    weights,
-)
+from planners.dp_qp.speed import doubt
+from planners.dp_qp.speed.braking import RESERVE, Asked, BrakingLadder, Case, SolvedSpeed
 from planners.dp_qp.speed.dp import DS_M, DT_S, SpeedDpConfig
 from planners.dp_qp.speed.problem import OVERTAKE, YIELD, Posed, Settings, pose
 from planners.dp_qp.speed.qp import TOLERANCE, SpeedQpConfig
 from planners.frenet.occupancy import Occupancy
 from planners.frenet.path import Path
-from planners.frenet.profiles import STEP_S, Limits
+from planners.frenet.profiles import STEP_S
 from planners.frenet.scene import Scene
 from planners.frenet.st_boundaries import (
     StBoundaries,
@@ -70,9 +60,9 @@ class SpeedConfig:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class SpeedMemory:
-    """What the speed stage remembers: how it braked, who came to the path when, s, and who was let go first."""
+    """What the speed stage remembers: whether it braked fully, who came to the path when, s, who was let go first."""
 
-    braking: BrakingMemory = field(default_factory=BrakingMemory)
+    braked_fully: bool = False
     came: Mapping[str, float] = field(default_factory=dict)
     waits: frozenset[str] = frozenset()
 
@@ -150,7 +140,7 @@ class SpeedStage:
     ) -> None:
         self._vehicle, self._config, self._lap = vehicle, config, lap
         self._ladder = BrakingLadder(config.qp, config.dp.gap_m, vehicle.max_decel, solver)
-        self._comfort = Limits(config.qp.comfort)
+        self._comfort = config.qp.comfort
         self._hard_mps2 = RESERVE * config.qp.emergency.decel_mps2
         self._times = STEP_S * np.arange(config.qp.knots)
         qp, dp = config.qp, config.dp
@@ -162,7 +152,7 @@ class SpeedStage:
     def choose(self, scene: Scene, path: Path, task: SpeedTask, memory: SpeedMemory) -> tuple[ChosenSpeed, SpeedMemory]:
         """The speed along a path; and what is remembered."""
         config, passed = self._config, task.passed
-        found = braking_on(scene, st_boundaries(scene, path, task.skip, passed, config.graph))
+        found = doubt.braking_on(scene, st_boundaries(scene, path, task.skip, passed, config.graph))
         self._lap("S-T graph")
         came = came_to_path(scene, found, memory.came, config.caution.hesitates_s)
         line = scene.reference.line
@@ -174,19 +164,13 @@ class SpeedStage:
         bare = LoweredLimit(road, np.zeros(len(road), np.bool_))
         own = lowered(path.sigma, bare, [cap for caps in OWN for cap in caps(view)])
         limit = lowered(path.sigma, own, [cap for caps in OTHERS for cap in caps(view)])
-        swept: dict[tuple[bytes, StGraphConfig], StBoundaries] = {}
 
         def taken(who: IntArray, margins: StGraphConfig) -> StBoundaries:
-            """The boundaries with other margins: of these agents, unless they may be faster than now."""
-            key = who.tobytes(), margins
-            if key not in swept:
-                skip = task.skip
-                if margins.brisk_mps <= config.graph.brisk_mps:
-                    skip = np.ones(len(skip), np.bool_)
-                    skip[who] = False
-                rows = braking_on(scene, st_boundaries(scene, path, skip, passed, margins))
-                swept[key] = rows.with_stops(task.stops)
-            return swept[key]
+            """The boundaries with other margins: of these agents."""
+            skip = np.ones(len(task.skip), np.bool_)
+            skip[who] = False
+            rows = doubt.braking_on(scene, st_boundaries(scene, path, skip, passed, margins))
+            return rows.with_stops(task.stops)
 
         way = _Way(view, limit, own, taken, memory)
         planned, unlikely = self._believed(way, found)
@@ -197,35 +181,35 @@ class SpeedStage:
         )  # fmt: skip
         ids = scene.frame.agents.ids
         waits = frozenset(ids[who] for who in planned.blocks.agent[planned.posed.kinds == YIELD])
-        return chosen, SpeedMemory(memory.braking.after(scene.frame.t, solved), came, waits)
+        return chosen, SpeedMemory(solved.is_full, came, waits)
 
     def _believed(self, way: _Way, found: StBoundaries) -> tuple[_Planned, StBoundaries | None]:
         """The speed that keeps to the rows as far as they are believed (`doubt`), and the rows that do not bind."""
         scene, knots = way.view.scene, self._config.qp.knots
         if not len(found):
             return self._planned(way, found), None
-        found = replace(found, probability=weights(scene, way.view.path, found))
+        found = replace(found, probability=doubt.weights(scene, way.view.path, found))
         p = found.probability
-        binds = p >= CERTAIN
+        binds = p >= doubt.CERTAIN
         planned = self._planned(way, found.only(binds))
-        eased = ~binds & (p >= NEGLIGIBLE) & ~self._safe(planned.solved.profile, found)
-        if planned.solved.is_full:
-            eased |= binds & from_beside(scene, found) & ((p < SURE) | planned.solved.unavoidable)
+        eased = ~binds & (p >= doubt.NEGLIGIBLE) & ~self._safe(planned.solved.profile, found)
+        if planned.solved.reason:
+            eased |= binds & doubt.from_beside(scene, found) & ((p < doubt.SURE) | planned.solved.unavoidable)
         if eased.any():
             stop = self._comfort.braking((scene.v, scene.start.a), knots, share=RESERVE)[0]
-            rows = let_go(found, eased, np.interp(found.t, self._times, stop), self._config.dp.gap_m + TOLERANCE)
+            rows = doubt.let_go(found, eased, np.interp(found.t, self._times, stop), self._config.dp.gap_m + TOLERANCE)
             planned = self._planned(way, rows.only(binds | eased), found.agent[binds & ~eased])
         ignored = ~(binds | eased)
         return planned, found.only(ignored) if ignored.any() else None
 
     def _planned(self, way: _Way, blocks: StBoundaries, sure: IntArray | None = None) -> _Planned:
         """The speed that keeps to these boundaries; those of the agents `sure` (None: all) with other margins, too."""
-        who, t = blocks.agent if sure is None else sure, way.view.scene.frame.t
+        who = blocks.agent if sure is None else sure
         may, tried = np.ones(len(blocks), np.bool_), tuple[Asked, ...]()
         while True:
             posed = self._posed(way, blocks, may)
             self._lap("speed DP")
-            solved = self._ladder.solve(Case(posed.problem, partial(way.taken, who), t, way.memory.braking))
+            solved = self._ladder.solve(Case(posed.problem, partial(way.taken, who), way.memory.braked_fully))
             solved = replace(solved, asked=(*tried, *solved.asked))
             refused = self._refused(way, blocks, posed.kinds, solved.profile)
             if not refused.any():
@@ -248,9 +232,9 @@ class SpeedStage:
         """(4) of `doubt`, of all rows `(n,)`."""
         if profile is None:
             return np.zeros(len(rows), np.bool_)
-        k, qp = round(SHARED_S / STEP_S), self._config.qp
+        k, qp = round(doubt.SHARED_S / STEP_S), self._config.qp
         s, v, a = profile[:, k]
-        limits = Limits(replace(qp.emergency, decel_mps2=SHARED_MPS2))
+        limits = replace(qp.emergency, decel_mps2=doubt.SHARED_MPS2)
         stop = np.r_[profile[0, :k], s + limits.braking((v, a), qp.knots - k)[0]]
         driven, stopped = (np.interp(rows.t, self._times, each) for each in (profile[0], stop))
         met = ((driven > rows.lower) & (driven < rows.upper)).any(axis=1)

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from logs.kernel import FloatArray
-from planners.dp_qp.speed.braking import PATIENCE_S, BrakingLadder, BrakingMemory, Case, SolvedSpeed
+from planners.dp_qp.speed.braking import BrakingLadder, Case, SolvedSpeed
 from planners.dp_qp.speed.qp import SpeedProblem, SpeedQpConfig
-from planners.frenet.profiles import STEP_S, Limits, SpeedLimits
+from planners.frenet.profiles import STEP_S, SpeedLimits
 from planners.frenet.st_boundaries import StBoundaries
 
 CONFIG, GAP, MOST = SpeedQpConfig(), 1.0, 9.0
@@ -34,20 +34,14 @@ def behind(v: float, blocks: StBoundaries, a: float = 0.0) -> SpeedProblem:
     return problem(v, a, np.fmin(np.full(len(T), END), blocks.lower[0] - GAP))
 
 
-LADDER, NOTHING = BrakingLadder(CONFIG, GAP, MOST), BrakingMemory()
+LADDER = BrakingLadder(CONFIG, GAP, MOST)
 
 
-def solve(
-    v: float, blocks: StBoundaries, t: float = 0.0, memory: BrakingMemory = NOTHING, *, ladder: BrakingLadder = LADDER
-) -> tuple[SolvedSpeed, BrakingMemory]:
-    """What is driven behind the agent who blocks, and what is remembered of it."""
-    solved = ladder.solve(Case(behind(v, blocks), lambda margins: blocks, t, memory))
-    return solved, memory.after(t, solved)
-
-
-def solved(v: float, blocks: StBoundaries, ladder: BrakingLadder = LADDER) -> SolvedSpeed:
-    """By a ladder that remembers nothing."""
-    return solve(v, blocks, ladder=ladder)[0]
+def solved(
+    v: float, blocks: StBoundaries, ladder: BrakingLadder = LADDER, *, braked_fully: bool = False
+) -> SolvedSpeed:
+    """What is driven behind the agent who blocks."""
+    return ladder.solve(Case(behind(v, blocks), lambda margins: blocks, braked_fully))
 
 
 speeds = st.floats(3.0, 20.0)
@@ -63,7 +57,7 @@ def test_a_plan_that_is_no_last_resort_has_no_contact(v: float, s: float, begin:
     if not found.unavoidable:
         assert not blocks.meets(T, found.profile[0])
     kept = found.reason in ("", "hard braking, up to 7.5 m/s2, keeps the distance")
-    if kept and not found.is_onward:
+    if kept:
         assert (found.profile[0] <= behind(v, blocks).upper + 0.5 * GAP + 0.06).all()
 
 
@@ -71,71 +65,32 @@ def test_a_plan_that_is_no_last_resort_has_no_contact(v: float, s: float, begin:
 @settings(max_examples=40, deadline=None)
 def test_where_comfort_suffices_it_is_comfortable(v: float, s: float) -> None:
     blocks = blocked(s, s + 6.0, 0.0, 8.0)
-    soft = Limits(CONFIG.comfort).braking((v, 0.0), CONFIG.knots, share=0.85)
+    soft = CONFIG.comfort.braking((v, 0.0), CONFIG.knots, share=0.85)
     found = solved(v, blocks)
     if (soft[0] <= s - GAP).all():
         assert found.reason == "" and found.profile is not None
         assert found.profile[2].min() >= -CONFIG.comfort.decel_mps2 - 0.06
 
 
-@given(speeds, stations, st.floats(0.3, 3.0), st.floats(-1.0, 1.0), st.booleans())
+@given(speeds, stations, st.floats(0.3, 3.0), st.booleans())
 @settings(max_examples=30, deadline=None)
-def test_what_was_solved_before_changes_nothing(v: float, s: float, before: float, since: float, onward: bool) -> None:
-    """The same case twice gives the same bits, whatever the ladder solved in between; memory goes in and out."""
-    memory, blocks = BrakingMemory(since, drove_on=onward), blocked(s, s + 6.0, 0.0, 8.0)
+def test_what_was_solved_before_changes_nothing(v: float, s: float, before: float, full: bool) -> None:
+    """The same case twice gives the same bits, whatever the ladder solved in between."""
+    blocks = blocked(s, s + 6.0, 0.0, 8.0)
     used, new = BrakingLadder(CONFIG, GAP, MOST), BrakingLadder(CONFIG, GAP, MOST)
-    first, after = solve(v, blocks, 0.1, memory, ladder=used)
-    solve(v, blocked(before, before + 5.0, 0.0, 8.0), 0.1, memory, ladder=used)
+    first = solved(v, blocks, used, braked_fully=full)
+    solved(v, blocked(before, before + 5.0, 0.0, 8.0), used)
     for ladder in (used, new):
-        again, memory_again = solve(v, blocks, 0.1, memory, ladder=ladder)
-        assert again.reason == first.reason and memory_again == after
+        again = solved(v, blocks, ladder, braked_fully=full)
+        assert again.reason == first.reason
         np.testing.assert_array_equal(again.profile, first.profile)  # type: ignore[arg-type]
 
 
-FREE = blocked(290.0, 295.0, 0.0, 8.0)
-CLOSE = blocked(24.0, 30.0, 0.0, 8.0)
-"""At 10 m/s comfort comes too late, hard braking does not."""
-
-
-def test_hard_braking_waits_while_it_may_and_then_no_more() -> None:
-    found, memory = solve(12.0, FREE)
-    assert found.reason == ""
-    reasons = []
-    for k in range(1, 9):
-        found, memory = solve(12.0, CLOSE, k * STEP_S, memory)
-        reasons.append(found.reason)
-        if found.reason.startswith("comfortable braking for"):
-            assert found.profile is not None
-            first = np.diff(found.profile[2][:2]) / STEP_S
-            assert first[0] >= -CONFIG.comfort.jerk_mps3 - 0.2
-    waits = [reason.startswith("comfortable braking for") for reason in reasons]
-    assert waits[0] and waits == sorted(waits, reverse=True)
-    assert sum(waits) <= round(PATIENCE_S / STEP_S) + 1
-    assert reasons[-1].startswith("hard braking")
-
-
-def test_the_first_frame_does_not_wait() -> None:
-    assert solved(12.0, CLOSE).reason.startswith("hard braking")
-
-
-def test_it_does_not_wait_where_the_hardest_braking_would_then_be_too_late() -> None:
-    found, _ = solve(12.0, blocked(14.6, 22.0, 0.0, 8.0), 0.1, solve(12.0, FREE)[1])
-    assert found.reason.startswith("hard")
-
-
 @pytest.mark.parametrize(("begin", "onward"), [(2.0, True), (0.8, False)])
-def test_driving_on_instead_of_hard_braking_only_where_it_is_clear(begin: float, onward: bool) -> None:
+def test_driving_on_instead_of_full_braking_only_where_it_does_not_touch(begin: float, onward: bool) -> None:
     found = solved(14.0, blocked(12.0, 20.0, begin, 8.0))
-    assert found.is_onward is onward
+    assert found.reason.startswith("driving on") is onward
     assert found.unavoidable is not onward
-
-
-def test_waiting_braking_is_comfortable_first() -> None:
-    hard = Limits(CONFIG.emergency, CONFIG.comfort, 4)
-    s, v, a = hard.braking((10.0, 0.0), CONFIG.knots)
-    assert a[4] == pytest.approx(-0.4 * CONFIG.comfort.jerk_mps3)
-    assert a.min() == pytest.approx(-CONFIG.emergency.decel_mps2)
-    assert (np.diff(s) >= 0.0).all() and v[-1] == 0.0
 
 
 @pytest.mark.parametrize("end", [8.0, 12.0, 15.0, 18.0])
@@ -145,32 +100,30 @@ def test_the_end_of_the_path_is_not_driven_over_where_braking_can_keep_it(end: f
         T, np.zeros(0, np.int64), np.empty((0, len(T))), np.empty((0, len(T))), np.empty(0), np.empty(0)
     )
     short = problem(10.0, 0.0, np.full(len(T), end))._replace(end=end)
-    found = LADDER.solve(Case(short, lambda margins: free, 0.0, NOTHING))
-    hardest = Limits(CONFIG.emergency).braking((10.0, 0.0), CONFIG.knots)
+    found = LADDER.solve(Case(short, lambda margins: free))
+    hardest = CONFIG.emergency.braking((10.0, 0.0), CONFIG.knots)
     assert found.profile is not None and found.reason
     assert found.profile[0, -1] <= max(end, hardest[0, -1]) + 0.06
 
 
 def test_braking_that_ends_in_the_way_before_an_agent_comes_does_not_avoid_them() -> None:
     """The hardest stop comes to rest beyond their way just before they take it; driving on is past it by far more."""
-    v, stop = 10.0, Limits(CONFIG.emergency).braking((10.0, 0.0), CONFIG.knots)[0]
+    v, stop = 10.0, CONFIG.emergency.braking((10.0, 0.0), CONFIG.knots)[0]
     blocks = blocked(stop[-1] - 4.0, stop[-1] - 0.3, 2.0, 6.0)
     assert not blocks.meets(T, stop) and not blocks.leave(T, stop, 0.0)
     found = solved(v, blocks)
-    assert found.is_onward and not found.unavoidable
+    assert found.reason.startswith("driving on") and not found.unavoidable
 
 
 def test_full_braking_goes_on_until_the_whole_gap_is_kept() -> None:
     """The hardest planned braking would leave half of the gap: enough to begin with, not enough to go back to."""
     v = 12.0
-    hard = Limits(CONFIG.emergency).braking((v, 0.0), CONFIG.knots, share=0.97)[0, -1]
+    hard = CONFIG.emergency.braking((v, 0.0), CONFIG.knots, share=0.97)[0, -1]
     half, none = (blocked(float(hard) + room, hard + 50.0, 0.0, 8.0) for room in (0.7 * GAP, -0.3 * GAP))
-    first, memory = solve(v, half)
-    assert "keeps half of the distance" in first.reason
-    full, memory = solve(v, none, 1.0, memory)
-    assert full.is_full
-    assert solve(v, half, 1.1, memory)[0].is_full
-    assert not solve(v, half, 1.1)[0].is_full
+    assert "keeps half of the distance" in solved(v, half).reason
+    assert solved(v, none).is_full
+    assert solved(v, half, braked_fully=True).is_full
+    assert not solved(v, half).is_full
 
 
 SURE = BrakingLadder(CONFIG, GAP, MOST, "piqp")
@@ -185,12 +138,10 @@ def mildest(v: float, s: float) -> str:
     comfort, *harder = CONFIG.ladder()
 
     def keeps(level: SpeedLimits, share: float, given: float) -> bool:
-        return bool((Limits(level).braking((v, 0.0), CONFIG.knots, share=share)[0] <= s - GAP + given).all())
+        return bool((level.braking((v, 0.0), CONFIG.knots, share=share)[0] <= s - GAP + given).all())
 
     if keeps(comfort, 0.97, 0.5 * GAP):
         return ""
-    if keeps(comfort, 1.0, 0.7 * GAP):
-        return "comfortable braking, which is clear"
     held = [words for words, level in zip(HARDER, harder, strict=True) if keeps(level, 0.85, 0.0)]
     if held:
         return held[0] + " the distance"
@@ -202,7 +153,7 @@ def mildest(v: float, s: float) -> str:
 @given(st.floats(4.0, 20.0), st.floats(0.3, 1.2))
 @settings(max_examples=60, deadline=None)
 def test_a_milder_rung_that_holds_is_preferred(v: float, share: float) -> None:
-    s = GAP + share * float(Limits(CONFIG.comfort).braking((v, 0.0), CONFIG.knots)[0, -1])
+    s = GAP + share * float(CONFIG.comfort.braking((v, 0.0), CONFIG.knots)[0, -1])
     expected = mildest(v, s)
     found = solved(v, blocked(s, END, 0.0, 8.0), SURE)
     assert len(found.reports) <= 1
@@ -211,10 +162,10 @@ def test_a_milder_rung_that_holds_is_preferred(v: float, share: float) -> None:
 
 def test_every_rung_is_the_mildest_somewhere() -> None:
     """That is: the law above looks at all of them."""
-    stop = float(Limits(CONFIG.comfort).braking((14.0, 0.0), CONFIG.knots)[0, -1])
+    stop = float(CONFIG.comfort.braking((14.0, 0.0), CONFIG.knots)[0, -1])
     shares = np.arange(0.2, 1.2, 0.005)
     words = {solved(14.0, blocked(GAP + share * stop, END, 0.0, 8.0), SURE).reason for share in shares}
-    for rung in ("comfortable", *HARDER, f"{HARDER[-1]} half", "full braking, which leaves", "full braking comes"):
+    for rung in (*HARDER, f"{HARDER[-1]} half", "full braking, which leaves", "full braking comes"):
         assert any(reason.startswith(rung) for reason in words), rung
     assert "" in words
 
@@ -222,7 +173,7 @@ def test_every_rung_is_the_mildest_somewhere() -> None:
 @pytest.mark.parametrize("v", [4.0, 4.5, 7.5, 10.0])
 def test_a_rung_that_holds_has_a_profile(v: float) -> None:
     """At all distances about those where the hardest braking ends: what braking keeps, the QP keeps."""
-    stop = float(Limits(CONFIG.emergency).braking((v, 0.0), CONFIG.knots)[0, -1])
+    stop = float(CONFIG.emergency.braking((v, 0.0), CONFIG.knots)[0, -1])
     found = [solved(v, blocked(stop + more, END, 0.0, 8.0)) for more in np.arange(-0.5, 4.0, 0.1)]
     assert sum(len(one.reports) for one in found) > 20
     assert [report.status for one in found for report in one.reports if not report.solved] == []

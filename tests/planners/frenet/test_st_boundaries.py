@@ -13,7 +13,7 @@ from worlds import CAR, Other, along_x, driving, path_of, reference, scene, stan
 from logs import AgentKind, DecisionKind, EgoState
 from logs.kernel import FloatArray
 from logs.shapes import overlap
-from planners.dp_qp.speed.braking import BARE, CLEAR, ONWARD, TOUCHING
+from planners.dp_qp.speed.braking import BARE, TOUCHING
 from planners.frenet.occupancy import Occupancy
 from planners.frenet.path import Path
 from planners.frenet.scene import Scene, behind
@@ -165,7 +165,7 @@ def crowd(rows: list[tuple[float, float, float, float, bool]]) -> Scene:
     ])  # fmt: skip
 
 
-@given(CROWDS, st.sampled_from([CLEAR, ONWARD, TOUCHING, BARE]), st.booleans())
+@given(CROWDS, st.sampled_from([TOUCHING, BARE]), st.booleans())
 @settings(max_examples=40)
 def test_who_is_not_met_with_wide_margins_is_not_met_with_narrow_ones(
     rows: list[tuple[float, float, float, float, bool]], narrow: StGraphConfig, passed: bool

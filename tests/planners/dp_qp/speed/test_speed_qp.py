@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from logs.kernel import FloatArray
 from planners.dp_qp.speed.qp import Rows, SpeedProblem, SpeedQp, SpeedQpConfig, rows_of
-from planners.frenet.profiles import STEP_S, Limits, SpeedLimits, braking
+from planners.frenet.profiles import STEP_S, SpeedLimits, braking
 
 SEED = st.integers(0, 2**32 - 1)
 CONFIG = SpeedQpConfig()
@@ -33,7 +33,7 @@ OWN, SURE = SpeedQp(CONFIG), SpeedQp(CONFIG, "piqp")
 
 
 def rows(problem: SpeedProblem, limits: SpeedLimits = CONFIG.comfort) -> Rows:
-    return rows_of(problem, Limits(limits).columns, CONFIG.comfort.decel_mps2)
+    return rows_of(problem, limits.columns, CONFIG.comfort.decel_mps2)
 
 
 def cost_of(x: FloatArray, problem: SpeedProblem) -> float:

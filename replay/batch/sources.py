@@ -20,6 +20,7 @@ from logs.errors import ConfigError, LogError
 from logs.files import check_regular
 from logs.maps import map_files
 from logs.readers import FORMATS, LogSettings, Reader, foreign, logs_in, read_log, reader_of, readers, windows
+from logs.readers.repaired import repaired
 from logs.remote import RemoteFile, fetch, heads, listed, local_path, ranged, url_of
 from logs.scenario import Scenario
 
@@ -111,7 +112,7 @@ class LogSource:
     def read(self) -> Scenario:
         """The scenario; LogError where it cannot be read."""
         if self.path is None:
-            return scenario(self.label)
+            return repaired(scenario(self.label), self.settings.repair)
         return read_log(self.path, self.settings)
 
     @property

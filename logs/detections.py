@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +13,7 @@ from logs.agents import AgentKind
 from logs.kernel import BoolArray, FloatArray, IntArray, frozen
 
 if TYPE_CHECKING:
+    from logs.repair.tracker import Tracked
     from logs.scenario import Tracks
 
 
@@ -77,6 +79,13 @@ class Detections:
     def shifted(self, seconds: float) -> Detections:
         """Those, so much later."""
         return replace(self, t=self.t + seconds, frames=self.frames + seconds)
+
+    @cached_property
+    def tracked(self) -> Tracked:
+        """The road users as they could be known at each time; made when it is first asked for."""
+        from logs.repair.tracker import tracked
+
+        return tracked(self)
 
     @property
     def kinds(self) -> tuple[AgentKind, ...]:

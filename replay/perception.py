@@ -2,6 +2,8 @@
 
     "ground_truth"    every agent at its last sample not later than the frame's time, carried on with its velocity
                       (`Tracks.perceived`)
+    "recorded"        what a tracker knew by then of the log's own detections (`replay.recorded`)
+    "auto"            "recorded" where the log's tracks are made of detections, else "ground_truth"
     "sensor"          what a sensor on the ego would tell of them (`replay.sensor`), and what ground it cannot see
 
 Nothing of a later sample goes in, but for one prediction that says so: "oracle", the log's own future, which shows what
@@ -22,6 +24,7 @@ from logs.scenario import Agents, Scenario, Tracks
 from logs.trace import Plan
 from replay.drive import LoopConfig
 from replay.prediction import NO_LANES, PREDICTION, PREDICTORS, LaneMap, Predictor, predict
+from replay.recorded import Recorded
 from replay.sensor import Sensor
 from replay.settings import configured
 from replay.world import World
@@ -46,8 +49,19 @@ class GroundTruth:
         return self._around.of(world.tracks, t, t).perceived(t), None
 
 
+def _auto(scenario: Scenario, config: LoopConfig) -> Sight:
+    return GroundTruth().see if shows_truth("auto", scenario) else Recorded(scenario).see
+
+
+def shows_truth(perception: str, scenario: Scenario) -> bool:
+    """Whether a perception of this name shows the agents as they are."""
+    return perception == "ground_truth" or (perception == "auto" and scenario.repair is None)
+
+
 PERCEPTIONS: dict[str, Callable[..., Sight]] = {
+    "auto": _auto,
     "ground_truth": lambda scenario, config: GroundTruth().see,
+    "recorded": lambda scenario, config: Recorded(scenario).see,
     "sensor": lambda scenario, config: Sensor(scenario, config.sensor).see,
 }
 """Each is built once per drive as `factory(scenario, config, **settings)`."""
@@ -73,16 +87,17 @@ class Perception:
     def __init__(self, scenario: Scenario, config: LoopConfig) -> None:
         self._config, self._log, self._lanes = config, scenario.tracks, LaneMap.of(scenario.road)
         self._lights = scenario.lights
+        self._true = shows_truth(config.perception, scenario)
         self._sight = configured(PERCEPTION, config.perception, config.settings)(scenario, config)
         self._shown: list[tuple[float, Agents]] = []
         self.is_oracle = config.prediction == ORACLE
         self._predictor = None if self.is_oracle else configured(PREDICTION, config.prediction, config.settings)
-        self.notes = tuple(_notes(config))
+        self.notes = tuple(_notes(config, scenario))
 
     def frame(self, world: World, previous: Plan | None) -> Frame:
         """The frame at the world's time; `previous` is the plan being driven, None in open loop and at the start."""
         agents, visibility = self._sight(world)
-        if self._config.perception != "ground_truth":
+        if not self._true:
             self._shown.append((world.ego.t, agents))
         t = world.ego.t
         predictions = (
@@ -96,7 +111,7 @@ class Perception:
     @property
     def shown(self) -> Tracks | None:
         """The agents as they were shown to the planner, a sample per frame; None with ground truth."""
-        return None if self._config.perception == "ground_truth" else _tracks(self._shown)
+        return None if self._true else _tracks(self._shown)
 
 
 def perceive(world: World, previous: Plan | None, config: LoopConfig, *, lanes: LaneMap = NO_LANES) -> Frame:
@@ -117,22 +132,28 @@ def _grid(t: float, config: LoopConfig) -> FloatArray:
     return np.asarray(t + config.prediction_step_s * np.arange(steps + 1))
 
 
-def _notes(config: LoopConfig) -> list[str]:
+def _notes(config: LoopConfig, scenario: Scenario) -> list[str]:
     notes = []
     if config.prediction == ORACLE:
         notes.append("the predictions are the log's own future: the planner knows what nobody can know")
-    if config.perception != "ground_truth":
-        notes.append(f"the planner sees the others through a {config.perception}")
+    if not shows_truth(config.perception, scenario):
+        recorded = config.perception in ("auto", "recorded")
+        notes.append(f"the planner sees the others {'as recorded' if recorded else f'through a {config.perception}'}")
     return notes
 
 
 def logged_futures(log: Tracks, agents: Agents, t: FloatArray) -> Predictions:
-    """Where the log has the agents at the times `t` `(k,)`, s; after its end each goes on with its last velocity."""
+    """Where the log has the agents at the times `t` `(k,)`, s; after its end each goes on with its last velocity.
+
+    Those whom the log does not have, false alarms of a perception, go on with theirs.
+    """
     index = {name: i for i, name in enumerate(log.ids)}
     last = log.offsets[1:] - 1
     vx, vy = log.velocity(np.arange(len(log)), last)
-    way = np.empty((3, len(agents), len(t)))
-    for row, i in enumerate(index[name] for name in agents.ids):
+    since = t - t[0]
+    way = np.stack([agents.x[:, None] + agents.vx[:, None] * since, agents.y[:, None] + agents.vy[:, None] * since,
+                    np.repeat(agents.yaw[:, None], len(t), axis=1)])  # fmt: skip
+    for row, i in ((row, index[name]) for row, name in enumerate(agents.ids) if name in index):
         span, beyond = log.samples(i), np.maximum(t - log.t[last[i]], 0.0) * (not log.static[i])
         for c, (column, v) in enumerate(((log.x, vx[i]), (log.y, vy[i]), (log.yaw, 0.0))):
             way[c, row] = np.interp(t, log.t[span], column[span]) + v * beyond

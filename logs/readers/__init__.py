@@ -41,7 +41,7 @@ from logs.readers.admission import admitted, check_clocks, check_road
 from logs.readers.base import LogSettings, Reader
 from logs.readers.cut import cut
 from logs.readers.nanoseconds import in_nanoseconds
-from logs.readers.repaired import repaired
+from logs.readers.repaired import named, repaired
 from logs.scenario import Scenario
 
 BUILTIN = (
@@ -126,10 +126,14 @@ def read_log(path: Path, settings: LogSettings | None = None, reader: Reader | N
         _check_asked(reader, settings)
         check_regular(*(reader.files(path) if path.exists() else ()))
         with np.errstate(all="ignore"):  # absurd numbers are refused as such
-            scenario = repaired(reader.read(path, settings), settings.repair)
+            whole = reader.read(path, settings)
+            scenario = repaired(whole, settings.repair)
             if not reader.cuts or settings.between(0.0, inf) == settings:
                 scenario = check_clocks(scenario)
-            scenario = in_nanoseconds(cut(scenario, settings.begin, settings.end))
+            scenario = cut(scenario, settings.begin, settings.end)
+            is_named = scenario.repair is whole.repair
+            scenario = in_nanoseconds(scenario)
+            scenario = scenario if is_named else named(scenario)
             _check_duration(scenario)
             scenario = admitted(scenario)
             if settings.map:

@@ -57,6 +57,16 @@ def repaired(scenario: Scenario, choice: str) -> Scenario:
     return replace(scenario, tracks=tracks, detections=None, repair=made, notes=(*scenario.notes, *notes, said))
 
 
+def named(scenario: Scenario) -> Scenario:
+    """The repaired scenario whose tracks have the names by which a causal tracker knows them (`logs.repair.owners`)."""
+    made = scenario.repair
+    assert made is not None and made.tracks is scenario.tracks
+    from logs.repair.owners import named_as_tracked
+
+    made = named_as_tracked(made)
+    return replace(scenario, tracks=made.tracks, repair=made)
+
+
 def _moving(tracks: Tracks) -> Detections:
     from logs.repair import detections_of
 

@@ -2,5 +2,6 @@
 
 from logs.repair.needs import needs_repair
 from logs.repair.offline import detections_of, repair
+from logs.repair.tracker import Tracked, tracked
 
-__all__ = ["detections_of", "needs_repair", "repair"]
+__all__ = ["Tracked", "detections_of", "needs_repair", "repair", "tracked"]

@@ -24,8 +24,8 @@ SURE_SCORE = 1.2
 """With so many times `Group.least_score` the time does not count: some are there only when the log begins or ends."""
 LEAST_SEEN = 0.3
 """Share of the frames in which who moves is detected; measured: 0.93 close by to 0.69 at 90 m."""
-CLUSTER_SEEN, CLUSTER_NET, CLUSTER_NET_M = 0.6, 0.75, 2.0
-"""A cluster that moves is seen more often, and gets farther than 2 m and 0.75 of its length: parts of walls slide."""
+CLUSTER_SEEN = 0.6
+"""And of the frames in which a cluster that moves is."""
 SIDEWAYS_RAD, SIDEWAYS_MPS, SIDEWAYS_COUNT = np.radians(35.0), 2.0, 2
 """A vehicle that moves so far off its axis is parts of several: yaw is exact to 3 to 4 degrees."""
 SAME_PART, SAME_SHARE = 0.3, 0.33
@@ -53,10 +53,6 @@ def too_little(piece: Piece, boxes: Boxes) -> str | None:
     seen = count / len(piece.t)
     if not piece.still and seen < (CLUSTER_SEEN if piece.group == CLUSTER else LEAST_SEEN):
         return f"Moves, and was seen in {seen:.0%} of the frames only."
-    if piece.group == CLUSTER and not piece.still:
-        least = max(CLUSTER_NET_M, CLUSTER_NET * float(np.median(boxes.length[piece.rows])))
-        if piece.net < least:
-            return f"A cluster whose parts slide by {piece.net:.1f} m: no motion."
     return None
 
 
@@ -77,8 +73,12 @@ def sideways(user: User, boxes: Boxes) -> str | None:
 
 
 def in_anothers_place(users: Sequence[User], boxes: Boxes) -> dict[int, int]:
-    """Which users are in the place of another one that is seen better, by their places in `users`."""
-    proof = np.array([boxes.weight[user.piece.rows].sum() for user in users])
+    """Which users are in the place of another one that is seen better, by their places in `users`.
+
+    Better: no cluster, then the larger sum of scores.
+    """
+    named = np.array([user.piece.group != CLUSTER for user in users], np.float64)
+    proof = np.array([boxes.weight[user.piece.rows].sum() for user in users]) + len(boxes) * named
     poses = [user.poses for user in users]
     reach = [0.5 * float(np.hypot(user.length, user.width)) for user in users]
     low = np.array([pose[:, :2].min(axis=0) - r for pose, r in zip(poses, reach, strict=True)]).reshape(-1, 2)
@@ -158,10 +158,12 @@ def _longest(user: User, free: BoolArray) -> User:
     return user.at(np.arange(first, last))
 
 
-def extended(user: User, frames: FloatArray, ego: Trajectory, vehicle: VehicleParameters) -> User:
+def extended(
+    user: User, users: Sequence[User], frames: FloatArray, ego: Trajectory, vehicle: VehicleParameters
+) -> User:
     """A user who stands where sight ends, standing there before the first (after the last) sight as well.
 
-    Not where the ego drives meanwhile.
+    Until the ego, or another one of `users`, is in that place.
     """
     if user.piece.group == PERSON:
         return user
@@ -174,10 +176,14 @@ def extended(user: User, frames: FloatArray, ego: Trajectory, vehicle: VehiclePa
         if moves or user.piece.span < 0.5 or (ahead < RANGE_M and aside < RANGE_SIDE_M):
             continue
         since = side * (frames - user.t[at])
-        times = frames[(since > 1e-6) & (since <= EXTEND_S)][::side]
-        met = np.flatnonzero(_depths(times, np.repeat(user.poses[[at]], len(times), axis=0), ego, vehicle) > 0.0)
-        times = times[: met[0] if len(met) else len(times)]
-        user = _with(user, times[::side], at)
+        times = frames[(since > 1e-6) & (since <= EXTEND_S)]
+        boxes = np.repeat(user.poses[[at]], len(times), axis=0)
+        taken = _depths(times, boxes, ego, vehicle) > 0.0
+        for other in users:
+            if other.piece is not user.piece:
+                taken |= _same_place(times, boxes, other.t, other.poses, 0.0)
+        free = ~np.logical_or.accumulate(taken[::side])[::side]
+        user = _with(user, times[free], at)
     return user
 
 

@@ -21,12 +21,15 @@ class Group:
 
     Attributes:
         noise: Standard deviation of a box centre, m, of which most drifts slowly: rms 0.22 to 0.30 m of standing cars.
-        accel: Standard deviation of the acceleration over `STEP_S`, m/s2; Autoware's tracker has 0.35 g for cars.
+        accel: Standard deviation of the acceleration over `STEP_S`, m/s2; Autoware's tracker has 0.35 g along
+            and 0.15 g across cars, 0.3 g for pedestrians.
         first_along: Standard deviation of the speed at the first detection along the box, m/s; `first_across` likewise:
             29 % of the vehicle tracks joined without it began with a step above 2.5 m, 18 % sideways.
         reach: A detection farther from where a track should be is another object, m; Autoware's gates are 2 m.
         least_time: Less is no evidence of a road user, s; `least_count` detections and `least_score`, their sum,
             likewise: clutter lives for 0.1 to 0.5 s.
+        birth_time: A causal track is reported after it was seen for so long, s, `birth_count` times and with a sum of
+            scores of `birth_score`: fewer ghosts for who is seen later (tests/support/track_score.py).
         still: A track that moves less between its first and last third stands, m.
         slow: Who is slower for `STAND_S` stands meanwhile, m/s.
         fast: Above this the direction of motion is known, m/s.
@@ -43,6 +46,9 @@ class Group:
     least_time: float
     least_count: int
     least_score: float
+    birth_time: float
+    birth_count: int
+    birth_score: float
     still: float
     slow: float
     fast: float
@@ -54,14 +60,17 @@ class Group:
 
 VEHICLE, PERSON, CLUSTER = 0, 1, 2
 GROUPS = (
-    Group(noise=0.30, accel=4.0, first_along=10.0, first_across=1.5, reach=4.0,
-          least_time=0.7, least_count=5, least_score=2.5, still=1.2, slow=0.6, fast=1.5,
+    Group(noise=0.30, accel=3.0, first_along=10.0, first_across=1.5, reach=4.0,
+          least_time=0.7, least_count=5, least_score=2.5, birth_time=0.15, birth_count=3, birth_score=1.2,
+          still=1.2, slow=0.6, fast=1.5,
           meet=1.0, meet_growth=0.8, turn=3.0, turn_growth=2.0),
-    Group(noise=0.20, accel=2.0, first_along=2.5, first_across=2.5, reach=1.5,
-          least_time=0.7, least_count=5, least_score=2.0, still=0.6, slow=0.3, fast=0.5,
+    Group(noise=0.20, accel=1.5, first_along=2.5, first_across=2.5, reach=1.5,
+          least_time=0.7, least_count=5, least_score=2.0, birth_time=0.15, birth_count=3, birth_score=1.2,
+          still=0.6, slow=0.3, fast=0.5,
           meet=0.7, meet_growth=0.5, turn=1.5, turn_growth=1.0),
-    Group(noise=0.35, accel=2.0, first_along=3.0, first_across=3.0, reach=1.5,
-          least_time=1.5, least_count=10, least_score=0.0, still=1.0, slow=0.6, fast=1.0,
+    Group(noise=0.35, accel=1.5, first_along=3.0, first_across=3.0, reach=1.5,
+          least_time=1.5, least_count=10, least_score=0.0, birth_time=0.8, birth_count=6, birth_score=0.0,
+          still=2.0, slow=0.6, fast=1.0,
           meet=0.7, meet_growth=0.3, turn=1.5, turn_growth=0.5),
 )  # fmt: skip
 """Vehicles; persons, on foot or riding; clusters, whose kind is not known and whose parts split and merge."""
@@ -69,6 +78,8 @@ STEP_S = 0.1
 """The period over which `Group.accel` is constant."""
 STAND_S = 1.0
 """Standing is decided over this: the drift of a box looks like motion for shorter."""
+SLIDES = 0.75
+"""A cluster stands unless it gets farther than this share of its length: another part of what stands is seen."""
 SURE = 0.4
 """Above this score a box is as exact as `Group.noise` says; below, 1.5 times less."""
 UNSURE_NOISE = 1.5
@@ -79,7 +90,7 @@ NOISE, ACCEL, FIRST_ALONG, FIRST_ACROSS, REACH, SLOW = (
 )
 DENSITY = frozen(ACCEL**2 * STEP_S)
 """Spectral density of the acceleration by group, m2/s3."""
-SMOOTH_DENSITY = frozen(0.25 * DENSITY)
+SMOOTH_DENSITY = frozen(0.45 * DENSITY)
 """Where the whole track is known: the speed of who drives is off by a fifth less (tests/support/track_score.py)."""
 _GROUP = frozen(
     [

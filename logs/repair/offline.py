@@ -66,34 +66,65 @@ def repair(detections: Detections, ego: Trajectory, vehicle: VehicleParameters) 
     pieces = [fitted(rows, boxes, detections.frames) for rows in parts]
     several = stitched([piece for piece in pieces if len(piece.rows) > 1], boxes, detections.frames)
     alone = [piece for piece in pieces if len(piece.rows) == 1]
-    users, removed, notes = _judged(several + alone, boxes, ego, vehicle)
-    users = [evidence.extended(user, detections.frames, ego, vehicle) for user in users]
+    users, removed, notes = _judged(several + alone, boxes, detections.frames, ego, vehicle)
+    users = [evidence.extended(user, users, detections.frames, ego, vehicle) for user in users]
     return _reported(users, removed, notes, detections, boxes, every, twin_of)
 
 
 def _judged(
-    pieces: Sequence[Piece], boxes: Boxes, ego: Trajectory, vehicle: VehicleParameters
+    pieces: Sequence[Piece], boxes: Boxes, frames: FloatArray, ego: Trajectory, vehicle: VehicleParameters
 ) -> tuple[list[User], list[_Removed], list[str]]:
     """Who was there, in order of birth; what was not; and per user what the ego's drive changed."""
-    users, removed, notes = [], [], []
-    for piece in sorted(pieces, key=lambda piece: (piece.t[0], piece.rows[0])):
+    found, removed = [], []
+    for piece in pieces:
         user = user_of(piece, boxes, ego)
         why = evidence.too_little(piece, boxes) or evidence.sideways(user, boxes)
-        note, kept = "", None if why else user
-        if kept is not None:
-            kept, note = evidence.beside_ego(user, ego, vehicle)
+        if why:
+            removed.append(_Removed(user, why))
+        else:
+            found.append(user)
+    found, doubles = _without_doubles(found, boxes, frames, ego)
+    users, notes = [], []
+    for user in sorted(found, key=lambda user: (user.t[0], user.piece.rows[0])):
+        kept, note = evidence.beside_ego(user, ego, vehicle)
         if kept is None:
-            removed.append(_Removed(user, why or note))
+            removed.append(_Removed(user, note))
         else:
             users.append(kept)
             notes.append(note)
-    twice = evidence.in_anothers_place(users, boxes)
-    removed += [
-        _Removed(users[a], f"In the place of another {users[b].kind.value} that is seen better.")
-        for a, b in sorted(twice.items())
-    ]
-    rest = [i for i in range(len(users)) if i not in twice]
-    return [users[i] for i in rest], removed, [notes[i] for i in rest]
+    removed = sorted(removed + doubles, key=lambda each: (each.user.t[0], each.user.piece.rows[0]))
+    return users, removed, notes
+
+
+def _without_doubles(
+    users: Sequence[User], boxes: Boxes, frames: FloatArray, ego: Trajectory
+) -> tuple[list[User], list[_Removed]]:
+    """The users but for those in the place of a better one, which gets what they show of it before and after."""
+    better = evidence.in_anothers_place(users, boxes)
+    gained: dict[int, list[IntArray]] = {}
+    removed = []
+    for a in sorted(better):
+        b = better[a]
+        while b in better:
+            b = better[b]
+        one, two = users[a].piece, users[b].piece
+        t = boxes.t[one.rows]
+        outside = ((t < two.t[0]) | (t > two.t[-1])) & (one.group == two.group)
+        gained.setdefault(b, []).append(one.rows[outside])
+        if not outside.all():
+            inside = user_of(fitted(one.rows[~outside], boxes, frames), boxes, ego) if outside.any() else users[a]
+            removed.append(_Removed(inside, f"In the place of another {users[b].kind.value} that is seen better."))
+    out = []
+    for i, user in enumerate(users):
+        rows = np.concatenate([user.piece.rows, *gained.get(i, [])])
+        if i not in better:
+            out.append(user if len(rows) == len(user.piece.rows) else user_of(_once(rows, boxes, frames), boxes, ego))
+    return out, removed
+
+
+def _once(rows: IntArray, boxes: Boxes, frames: FloatArray) -> Piece:
+    """The motion that the boxes `rows` show, the first of each frame."""
+    return fitted(rows[np.unique(boxes.frame[rows], return_index=True)[1]], boxes, frames)
 
 
 def _reported(

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
-from logs.repair.groups import GROUPS, SMOOTH_DENSITY, STAND_S, VEHICLE, Boxes
+from logs.repair.groups import CLUSTER, GROUPS, SLIDES, SMOOTH_DENSITY, STAND_S, VEHICLE, Boxes
 from logs.repair.kalman import smoothed
 
 LEAST_NOISE_M, DRIFT, NOISE_COUNT = 0.05, 3.0, 8
@@ -98,8 +98,10 @@ def fitted(rows: IntArray, boxes: Boxes, frames: FloatArray) -> Piece:
         np.hypot(*(centre(xy[-third:], boxes.weight[rows[-third:]]) - centre(xy[:third], boxes.weight[rows[:third]])))
     )
     spread = np.percentile(np.hypot(*(xy - centre(xy, boxes.weight[rows])).T), 90)
-    most = GROUPS[group].still * scale
-    still = net < most and spread < SPREAD * most and net < GROUPS[group].slow * scale * max(t[-1] - t[0], 0.5)
+    most, slow = GROUPS[group].still * scale, GROUPS[group].slow * scale * max(t[-1] - t[0], 0.5)
+    if group == CLUSTER:
+        most = slow = max(most, SLIDES * float(np.median(boxes.length[rows])))
+    still = net < min(most, slow) and spread < SPREAD * most
     return Piece(rows, seen, group, t, z, variance, path, noise, scale, net, bool(still))
 
 

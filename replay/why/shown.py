@@ -18,7 +18,7 @@ from logs.rules import Colour
 from logs.scenario import Scenario, Tracks
 from logs.trace import PlannedFrame, Trace
 from replay.drive import LoopConfig
-from replay.perception import Perception
+from replay.perception import Perception, shows_truth
 from replay.world import World
 
 SAME_TIME_S = 1e-6
@@ -53,7 +53,7 @@ def shown(
         earlier: Times of frames before those of the trace, s: a sensor remembers them.
     """
     perception = None if loop is None else Perception(scenario, loop)
-    if perception is not None and loop is not None and loop.perception != "ground_truth":
+    if perception is not None and loop is not None and not shows_truth(loop.perception, scenario):
         for t in earlier:
             perception.frame(World(trace.ego.at(t), trace.agents), None)
     for frame in trace.frames:

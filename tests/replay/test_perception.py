@@ -12,8 +12,11 @@ from handmade import drive, scenario, straight, track, tracks
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from logs import AgentKind, Agents, ConfigError, EgoState, Frame, Scenario, Tracks, VehicleParameters
+from logs import AgentKind, Agents, ConfigError, EgoState, Frame, LogError, Scenario, Tracks, VehicleParameters
+from logs.detections import Detections, Repair
 from logs.kernel import FloatArray
+from logs.repair import detections_of
+from logs.repair.owners import named_as_tracked
 from logs.shapes import overlap
 from replay.closed_loop import run_closed_loop
 from replay.drive import LoopConfig
@@ -56,6 +59,13 @@ def frames(log: Scenario, config: LoopConfig, times: Sequence[float], seen: Trac
     return [perception.frame(World(logged_ego(log.ego, log.vehicle, t), shown), None) for t in times]
 
 
+def detected(log: Scenario, found: Detections | None = None) -> Scenario:
+    """As if its tracks were made of their own samples, or of those `found`."""
+    found = detections_of(log.tracks) if found is None else found
+    repair = Repair(found, Tracks.empty(), np.zeros(len(log.tracks.t), np.bool_), (), log.tracks)
+    return replace(log, repair=repair)
+
+
 def sensed(log: Scenario, sensor: SensorConfig, times: Sequence[float]) -> list[Frame]:
     return frames(log, LoopConfig(perception="sensor", sensor=sensor), times)
 
@@ -72,15 +82,17 @@ GRID = [round(0.1 * k, 1) for k in range(31)]
 # --- no future
 
 
-@pytest.mark.parametrize("perception", PERCEPTIONS)
+@pytest.mark.parametrize("perception", [name for name in PERCEPTIONS if name != "auto"])
 @pytest.mark.parametrize("prediction", PREDICTORS)
 @given(st.integers(0, 2**32 - 1), st.integers(1, 30))
 @settings(max_examples=5)
 def test_no_sample_later_than_the_frame_is_seen_or_predicted(
     perception: str, prediction: str, seed: int, k: int
 ) -> None:
-    log, config = crowd(seed), LoopConfig(perception=perception, prediction=prediction)
-    cut = replace(log, tracks=until(log.tracks, GRID[k]))
+    log, config = detected(crowd(seed)), LoopConfig(perception=perception, prediction=prediction)
+    assert log.repair is not None
+    known = log.repair.detections.between(-np.inf, GRID[k] + 1e-6)
+    cut = detected(replace(log, tracks=until(log.tracks, GRID[k])), known)
     whole, truncated = (frames(some, config, GRID[: k + 1])[-1] for some in (log, cut))
     assert_same_agents(whole.agents, truncated.agents)
     for name in ("agent", "probability", "x", "y", "yaw"):
@@ -115,6 +127,80 @@ def test_unknown_names_are_configuration_errors() -> None:
     for wrong in ({"range_m": 0.0}, {"latency_s": -0.1}, {"dropout": 1.5}, {"field_of_view_deg": float("nan")}):
         with pytest.raises(ConfigError, match=f"loop.sensor.{next(iter(wrong))}"):
             SensorConfig(**wrong)
+
+
+# --- recorded: what a tracker knew of the log's detections
+
+
+T = np.arange(0.0, 6.01, 0.1)
+
+
+def passing() -> Scenario:
+    """Two cars beside each other's lanes, and one that is only in the detections, for two seconds."""
+    log = made(track("1", T, 20.0 + 8.0 * T, 0.0 * T + 3.5), track("2", T, 60.0 - 5.0 * T, 0.0 * T - 3.5))
+    ghost = track("9", T[20:40], 30.0 + 0.0 * T[20:40], 0.0 * T[20:40] + 20.0)
+    names = "t", "x", "y", "yaw", "vx", "vy", "score", "length", "width", "codes"
+    one, two = detections_of(log.tracks), detections_of(made(ghost).tracks)
+    order = np.argsort(np.r_[one.t, two.t], kind="stable")
+    columns = {name: np.r_[getattr(one, name), getattr(two, name)][order] for name in names}
+    return detected(log, Detections(frames=T, ids=("",) * len(order), **columns))
+
+
+def at(frame: Frame, x: float, y: float) -> int:
+    """Who is shown there."""
+    away = np.hypot(frame.agents.x - x, frame.agents.y - y)
+    assert away.min() < 0.7, (frame.agents.x, frame.agents.y)
+    return int(np.argmin(away))
+
+
+def test_recorded_shows_what_the_detections_told_by_then() -> None:
+    shown = frames(passing(), LoopConfig(perception="recorded"), T.tolist())
+    assert len(shown[0].agents) == 0, "nobody is known from one box"
+    assert [len(frame.agents) for frame in (shown[15], shown[30], shown[-1])] == [2, 3, 2]
+    for k in (15, 30, 60):
+        i = at(shown[k], 20.0 + 8.0 * T[k], 3.5)
+        assert shown[k].agents.vx[i] == pytest.approx(8.0, abs=0.5)
+    at(shown[30], 30.0, 20.0)  # a false alarm
+
+
+def test_recorded_follows_the_world_where_it_is_driven_otherwise() -> None:
+    log = passing()
+    late = made(track("1", T, 20.0 + 4.0 * T, 0.0 * T + 3.5), track("walker", T, 0.0 * T + 9.0, 0.0 * T - 9.0)).tracks
+    (frame,) = frames(log, LoopConfig(perception="recorded"), T[:41].tolist(), late)[-1:]
+    assert "walker" in frame.agents.ids, "no detection tells of them"
+    at(frame, 30.0, 20.0)  # the false alarm is as it was, and car 2 is not there
+    assert len(frame.agents) == 3
+    i = at(frame, 20.0 + 4.0 * T[40], 3.5)
+    assert frame.agents.vx[i] == pytest.approx(4.0, abs=0.5)
+    gone = frames(log, LoopConfig(perception="recorded"), T[:16].tolist(), Tracks.empty())[-1]
+    assert len(gone.agents) == 0
+
+
+def test_auto_is_recorded_where_tracks_are_made_of_detections() -> None:
+    log = passing()
+    for some, name in ((log, "recorded"), (replace(log, repair=None), "ground_truth")):
+        for auto, asked in zip(*(frames(some, LoopConfig(perception=p), GRID) for p in ("auto", name)), strict=True):
+            assert_same_agents(auto.agents, asked.agents)
+    trace = run_open_loop(log, "constant_speed", config=LoopConfig(perception="auto")).trace
+    assert trace.perceived is not None and any("as recorded" in note for note in trace.notes)
+    with pytest.raises(LogError, match="made of detections; take perception auto"):
+        run_open_loop(made(), "constant_speed", config=LoopConfig(perception="recorded"))
+
+
+def test_a_repaired_track_is_called_as_the_tracker_calls_it() -> None:
+    log = passing()
+    assert log.repair is not None
+    named = named_as_tracked(log.repair)
+    assert named.tracks.ids == named_as_tracked(named).tracks.ids
+    renamed = replace(log, repair=named, tracks=named.tracks)
+    for frame in frames(renamed, LoopConfig(perception="recorded"), T[10:].tolist()):
+        for name, x, y in zip(frame.agents.ids, frame.agents.x, frame.agents.y, strict=True):
+            if y < 10.0:
+                truth = renamed.tracks.truth(frame.t)
+                i = truth.ids.index(name)
+                assert np.hypot(truth.x[i] - x, truth.y[i] - y) < 0.7
+            else:
+                assert name not in renamed.tracks.ids
 
 
 # --- ground truth, and a sensor without faults

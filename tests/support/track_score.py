@@ -20,7 +20,7 @@ from logs import AgentKind, Scenario
 from logs.catalogue.detector import Sight, detected, sight
 from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.readers import read_log
-from logs.repair import repair
+from logs.repair import Tracked, repair
 from logs.scenario import Tracks
 from logs.states import Trajectory
 
@@ -152,6 +152,16 @@ def _errors(true: Points, found: Points, near: FloatArray, pairs: list, hota: fl
         rms(off[speed >= 0.2]), found.count, true.count, int(ghosts.sum()), int(lost.sum()),
         int((lost & (near < NEAR_M)).sum()),
     )  # fmt: skip
+
+
+def tracked_points(found: Tracked, frames: FloatArray, true: Points, other: Points) -> Points:
+    """Who a tracker reports at the frames, but for those that count neither way."""
+    agents = [found.at(t) for t in frames.tolist()]
+    names = [name for each in agents for name in each.ids]
+    frame = np.repeat(np.arange(len(frames)), [len(each) for each in agents])
+    xy = np.vstack([np.c_[each.x, each.y] for each in agents])
+    v = np.vstack([np.c_[each.vx, each.vy] for each in agents])
+    return _asked(true, Points(frame, np.unique(names, return_inverse=True)[1], xy, v), other)
 
 
 def near_ego(true: Points, ego: Trajectory) -> FloatArray:

@@ -61,6 +61,9 @@ def check_drive(scenario: Scenario, tolerance: float = 1e-3) -> None:
     assert scenario.ego.kappa == pytest.approx(1.0 / bags.RADIUS, abs=1e-4)
 
 
+AS_LOGGED = LogSettings(repair="off")
+
+
 def check_others(scenario: Scenario, *, sizes: bool = True, within: float = 1e-6) -> None:
     """The three others are where they were, in order of their appearance."""
     tracks = scenario.tracks
@@ -141,7 +144,7 @@ def test_a_type_without_a_wanted_field_is_said() -> None:
 @pytest.mark.parametrize("name", ["TrackedObjects", "PredictedObjects", "DetectedObjects"])
 def test_autoware_objects_come_back(package: str, name: str, tmp_path: Path) -> None:
     rows = bags.odometry() + bags.autoware_objects(f"{package}/msg/{name}", TOPIC)
-    scenario = read_log(bags.write_ros2(tmp_path / "bag", rows))
+    scenario = read_log(bags.write_ros2(tmp_path / "bag", rows), AS_LOGGED)
     check_drive(scenario)
     check_others(scenario)
     assert scenario.tags == ("recorded", "ros") and scenario.name == "bag"
@@ -223,7 +226,7 @@ def indexed(turned: Callable[[int], bool] = lambda k: False) -> list[Row]:
 
 
 def test_ids_that_are_places_in_a_list_are_no_identities(tmp_path: Path) -> None:
-    scenario = read_log(bags.write_ros2(tmp_path / "bag", bags.transforms() + indexed()))
+    scenario = read_log(bags.write_ros2(tmp_path / "bag", bags.transforms() + indexed()), AS_LOGGED)
     assert len(scenario.tracks) == 3 and np.diff(scenario.tracks.offsets).tolist() == [61, 61, 61]
     assert any("are no identities" in note for note in scenario.notes)
     for i in range(3):
@@ -233,13 +236,71 @@ def test_ids_that_are_places_in_a_list_are_no_identities(tmp_path: Path) -> None
 
 def test_boxes_keep_their_front(tmp_path: Path) -> None:
     rows = bags.transforms() + indexed(lambda k: k % 7 in (3, 4))
-    scenario = read_log(bags.write_ros2(tmp_path / "bag", rows))
+    scenario = read_log(bags.write_ros2(tmp_path / "bag", rows), AS_LOGGED)
     for i, kind in enumerate(scenario.tracks.kinds):
         part = scenario.tracks.samples(i)
         assert np.abs(np.diff(scenario.tracks.yaw[part])).max() < 0.01
         if kind is AgentKind.CAR and scenario.tracks.vx[part][-1] > 1.0:
             assert np.cos(scenario.tracks.yaw[part]) == pytest.approx(1.0)
     assert any("front and back exchanged" in note for note in scenario.notes)
+
+
+# Raw detections
+
+
+def test_scores_are_read_from_their_fields(tmp_path: Path) -> None:
+    """Existence, or how likely the class is; 0 of clusters, which were not scored, is not known."""
+    rows = bags.transforms() + indexed()
+    for _, kind, _, each in rows:
+        if kind == "autoware_msgs/msg/DetectedObjectArray":
+            for i, one in enumerate(each.objects):
+                one.score = (0.0, 0.25, 0.5)[i]
+    made = read_log(bags.write_ros2(tmp_path / "mini", rows)).repair
+    assert made is not None and len(made.detections) == 3 * 61 and set(made.detections.ids) == {"0", "1", "2"}
+    by_place = {name: made.detections.score[np.array(made.detections.ids) == name] for name in ("0", "1", "2")}
+    assert np.isnan(by_place["0"]).all() and set(by_place["1"]) == {0.25} and set(by_place["2"]) == {0.5}
+    rows = bags.odometry() + bags.autoware_objects("autoware_perception_msgs/msg/DetectedObjects", TOPIC)
+    for _, kind, _, each in rows:
+        if kind.endswith("DetectedObjects"):
+            for one in each.objects:
+                one.existence_probability = 0.75
+    made = read_log(bags.write_ros2(tmp_path / "autoware", rows)).repair
+    assert made is not None and set(made.detections.score) == {0.75} and set(made.detections.ids) == {""}
+
+
+def test_detections_become_tracks_where_the_log_asks_for_it_or_the_user_does(tmp_path: Path) -> None:
+    raw = bags.write_ros2(tmp_path / "raw", bags.transforms() + indexed(lambda k: k % 7 in (3, 4)))
+    repaired = read_log(raw)
+    assert repaired.repair is not None and repaired.repair.tracks is repaired.tracks and repaired.detections is None
+    assert len(repaired.tracks) == 3 and len(repaired.repair.detections) == 3 * 61
+    (note,) = (note for note in repaired.notes if "made of 183 detections" in note)
+    assert "no identities" in note and not any("joined from frame to frame" in each for each in repaired.notes)
+    assert read_log(raw, LogSettings(repair="on")).repair is not None
+    assert differences(repaired, read_log(raw)) == [], "the same log, the same tracks"
+    off = read_log(raw, AS_LOGGED)
+    assert off.repair is None and off.detections is None
+    clean = bags.write_ros2(tmp_path / "clean", bags.odometry() + bags.autoware_objects(TRACKED, TOPIC))
+    assert differences(read_log(clean), read_log(clean, AS_LOGGED)) == []
+    assert read_log(clean, LogSettings(repair="on")).repair is not None
+
+
+def test_a_repaired_log_round_trips_and_is_not_repaired_again(tmp_path: Path) -> None:
+    scenario = read_log(bags.write_ros2(tmp_path / "bag", bags.transforms() + indexed()))
+    write_scenario(tmp_path / "log.mcap", scenario)
+    for repair in ("auto", "off"):
+        assert differences(read_log(tmp_path / "log.mcap", LogSettings(repair=repair)), scenario) == []
+    again = read_log(tmp_path / "log.mcap", LogSettings(repair="on"))
+    assert differences(again.tracks, scenario.tracks) == []
+
+
+def test_a_part_of_detections_is_repaired_with_what_is_around_it(tmp_path: Path) -> None:
+    path = bags.write_ros2(tmp_path / "bag", bags.transforms() + indexed())
+    whole, part = cut(read_log(path), 2.0, 4.0), read_log(path, LogSettings(begin=2.0, end=4.0))
+    assert part.tracks.t == pytest.approx(whole.tracks.t) and part.tracks.x == pytest.approx(whole.tracks.x, abs=1e-6)
+    assert part.repair is not None and whole.repair is not None
+    assert part.repair.tracks is part.tracks and len(part.repair.extended) == len(part.tracks.t)
+    assert part.repair.detections.frames == pytest.approx(whole.repair.detections.frames)
+    assert part.repair.detections.frames[0] < -1.9, "what a tracker knows as the part begins"
 
 
 def test_an_id_that_flickers_stays_one_track(tmp_path: Path) -> None:

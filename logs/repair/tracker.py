@@ -1,0 +1,176 @@
+"""Raw detections to road users as they could be known at the time: causal, what a planner gets. A filter, no smoother.
+
+Joined by the same association and filter as the offline repair (`association`, `kalman`), frame by frame; what is known
+at t rests on the frames up to t alone.
+
+(1) a track is reported after the evidence that its group takes (`Group.birth_time`); until it was not seen for
+    `KEEP_STILL_S` (who stands), `KEEP_S` (who moves), `KEEP_YOUNG_S` (who was detected up to `FEW` times)
+(2) it stands if its detections of the last `WINDOW_S` lie on a line through time with less than `Group.slow`, and the
+    filter says less than `FILTER_SLOW` times that: drift of the boxes looks like motion for shorter
+(3) kind, length and width: as most of its detections say, by score; the axis of its box: averaged over `YAW_MEMORY`;
+    the front: where it goes, or where most headings are
+(4) between frames and while it is not seen it is carried on with its velocity, whose deviation grows
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from logs.agents import NUMBERS, OLDEST_S, AgentKind, Agents
+from logs.detections import Detections
+from logs.kernel import FloatArray, frozen
+from logs.repair.association import Association
+from logs.repair.groups import CLUSTER, DENSITY, GROUPS, NOISE, PERSON, SLIDES, Boxes
+from logs.repair.kalman import ACROSS, ALONG, VX, VY
+from logs.repair.kalman import X as PX
+from logs.repair.kalman import Y as PY
+from logs.repair.overlap import stronger_twins
+
+KEEP_STILL_S, KEEP_S, KEEP_YOUNG_S, FEW = 2.0, 0.8, 0.35, 10
+WINDOW_S, WINDOW_LEAST_S, FILTER_SLOW = 1.5, 0.8, 2.5
+YAW_MEMORY = 0.8
+"""What stays of the heading with each detection."""
+_KINDS = tuple(AgentKind)
+
+
+@dataclass
+class _Track:
+    """What is remembered of one track besides its filter."""
+
+    first: float
+    frame: int
+    yaw: float
+    fronts: float = 0.0
+    score: float = 0.0
+    count: int = 0
+    votes: FloatArray = field(default_factory=lambda: np.zeros(len(_KINDS)))
+    size: FloatArray = field(default_factory=lambda: np.zeros((len(_KINDS), 2)))
+    window: deque[tuple[float, float, float]] = field(default_factory=deque)
+
+    def see(self, boxes: Boxes, i: int) -> None:
+        """Remember the detection i (3)."""
+        weight, code, t = float(boxes.weight[i]), int(boxes.codes[i]), float(boxes.t[i])
+        self.count += 1
+        self.score += weight
+        self.votes[code] += weight
+        self.size[code] += weight * np.array([boxes.length[i], boxes.width[i]])
+        off = float(boxes.yaw[i]) - self.yaw
+        half = np.pi * round(off / np.pi)
+        self.fronts += weight * np.cos(half)
+        self.yaw += (1.0 - YAW_MEMORY) * (off - half)
+        self.window.append((t, float(boxes.x[i]), float(boxes.y[i])))
+        while t - self.window[0][0] > WINDOW_S + 1e-9:
+            self.window.popleft()
+
+    @property
+    def box(self) -> tuple[int, float, float]:
+        """Kind, length and width (3)."""
+        code = int(self.votes.argmax())
+        length, width = self.size[code] / self.votes[code]
+        return code, float(length), float(width)
+
+    def front(self, group: int, vx: float, vy: float) -> float:
+        """The heading (3)."""
+        speed = float(np.hypot(vx, vy))
+        if speed > GROUPS[group].fast:
+            if group == PERSON:
+                return float(np.arctan2(vy, vx))
+            ahead = np.cos(self.yaw) * vx + np.sin(self.yaw) * vy
+            self.fronts += ahead
+            return self.yaw if ahead >= 0.0 else self.yaw + np.pi
+        return self.yaw if self.fronts >= 0.0 else self.yaw + np.pi
+
+    def stands(self, group: int, speed: float) -> bool:
+        """(2)."""
+        slow = GROUPS[group].slow
+        if group == CLUSTER:
+            slow = max(slow, SLIDES * self.box[1] / WINDOW_S)
+        t, x, y = np.array(self.window).T
+        if t[-1] - t[0] < WINDOW_LEAST_S or speed > FILTER_SLOW * slow:
+            return False
+        t = t - t.mean()
+        return bool(np.hypot(t @ x, t @ y) < slow * (t @ t))
+
+
+@dataclass(frozen=True, eq=False)
+class Tracked:
+    """Who is known after each frame: `agents[k]` at `frames[k]` s, without the motion since.
+
+    `growth[k]` `(n,)`: how fast the variance of their velocities grows, m2/s3; `patience[k]` `(n,)`: for how long they
+    are reported without a detection, s.
+    """
+
+    frames: tuple[float, ...]
+    agents: tuple[Agents, ...]
+    growth: tuple[FloatArray, ...]
+    patience: tuple[FloatArray, ...]
+
+    def at(self, t: float) -> Agents:
+        """The road users as known at t, s: those of the last frame not later than t, carried on (4)."""
+        k = bisect_right(self.frames, t + 1e-9) - 1
+        if k < 0:
+            return _agents([], [], [])
+        known, since = self.agents[k], max(t - self.frames[k], 0.0)
+        carried = replace(
+            known, x=known.x + since * known.vx, y=known.y + since * known.vy, unseen=known.unseen + since,
+            age=np.minimum(known.age + since, OLDEST_S),
+            velocity_sigma=np.sqrt(known.velocity_sigma**2 + since * self.growth[k]),
+        )  # fmt: skip
+        return carried.some(np.flatnonzero(carried.unseen <= self.patience[k] + 1e-9))
+
+
+def tracked(detections: Detections) -> Tracked:
+    """The road users that raw detections show, as known after each frame: from no later one."""
+    every = Boxes.of(detections)
+    boxes = every.taken(np.flatnonzero(stronger_twins(every) < 0))
+    ends = np.searchsorted(boxes.frame, np.arange(len(detections.frames)), side="right")
+    joining, tracks, out = Association(), dict[int, _Track](), []
+    for k, t in enumerate(detections.frames.tolist()):
+        rows = slice(int(ends[k - 1]) if k else 0, int(ends[k]))
+        for name, i in zip(joining.step(t, boxes, rows).tolist(), range(rows.start, rows.stop), strict=True):
+            if name not in tracks:
+                tracks[name] = _Track(t, k, float(boxes.yaw[i]))
+            tracks[name].see(boxes, i)
+        tracks = {name: tracks[name] for name in joining.name.tolist()}
+        out.append(_reported(joining, tracks, t))
+    agents, growth, patience = zip(*out, strict=True) if out else ((), (), ())
+    return Tracked(tuple(detections.frames.tolist()), agents, growth, patience)
+
+
+def _reported(joining: Association, tracks: dict[int, _Track], t: float) -> tuple[Agents, FloatArray, FloatArray]:
+    """Who is reported at t (1), their growth and patience as in `Tracked`."""
+    ids, codes, columns, growth, patience = [], [], [], [], []
+    for row, name in enumerate(joining.name.tolist()):
+        track, state, group = tracks[name], joining.states[row], int(joining.group[row])
+        least = GROUPS[group]
+        early = t - track.first < least.birth_time - 1e-9
+        if early or track.count < least.birth_count or track.score < least.birth_score:
+            continue
+        vx, vy = float(state[VX]), float(state[VY])
+        sigma = float(np.sqrt(0.5 * (state[ALONG + 2] + state[ACROSS + 2])))
+        stands = track.stands(group, float(np.hypot(vx, vy)))
+        if stands:
+            vx, vy, sigma = 0.0, 0.0, float(NOISE[group]) / WINDOW_S
+        unseen, most = t - float(joining.last[row]), KEEP_YOUNG_S if track.count <= FEW else KEEP_S
+        most = KEEP_STILL_S if stands else most
+        if unseen > most + 1e-9:
+            continue
+        code, length, width = track.box
+        age = min(t - track.first, OLDEST_S) if track.frame else np.nan
+        pose = state[PX], state[PY], track.front(group, vx, vy)
+        ids.append(str(name + 1))
+        codes.append(code)
+        columns.append((length, width, *pose, vx, vy, 0.0, 0.0, age, unseen, sigma))
+        growth.append(float(DENSITY[group]))
+        patience.append(most)
+    return _agents(ids, codes, columns), np.array(growth), np.array(patience)
+
+
+def _agents(ids: list[str], codes: list[int], columns: Sequence[tuple[float, ...]]) -> Agents:
+    numbers = np.array(columns).reshape(-1, len(NUMBERS)).T
+    return Agents.of_rows(tuple(ids), tuple(_KINDS[code] for code in codes), numbers, frozen(codes, np.int64))

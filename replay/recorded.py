@@ -1,0 +1,92 @@
+"""Perception "recorded": at each time what a tracker knew by then of the detections that the log holds.
+
+The tracker is causal (`logs.repair.tracker`), and so are its names; a repaired track is called as the tracker calls it
+for longest (`logs.repair.owners`). Detections are of the log, but in closed loop traffic drives the others differently:
+a road user who is known is shown where the world has them now,
+
+(1) shown = tracked + (world - log),   of x, y, yaw, vx, vy at the frame's time; world and log as `Tracks.perceived`
+
+- Who is no road user of the log is a false alarm of the recorded perception, and shown as it is.
+- Whom the log has now and the world has not is not shown.
+- Whom the world has now and the log has not (inserted, or later than recorded), and what never moves, is shown as by
+  ground truth: no detection could tell of them.
+
+Nothing later than the frame goes in but for whose a track is, which is found among tracks that were smoothed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+
+from logs.agents import NUMBERS, Agents
+from logs.around import Around
+from logs.errors import LogError
+from logs.kernel import IntArray, frozen
+from logs.repair.owners import Owners
+from logs.scenario import Scenario
+from logs.states import wrapped
+from replay.world import World
+
+MOVED = ("x", "y", "yaw", "vx", "vy")
+
+
+class Recorded:
+    """Sees for one drive what the recorded perception would have told.
+
+    Args:
+        scenario: Of which `repair` has the detections.
+
+    Raises:
+        LogError: It has none.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        if scenario.repair is None:
+            remedy = "take perception auto or ground_truth, or read the log with repair on"
+            raise LogError("perception recorded needs a log whose road users are made of detections", remedy=remedy)
+        self._log, self._tracked = scenario.repair.tracks, scenario.repair.detections.tracked
+        self._owners, self._around, self._around_log = Owners(), Around(), Around()
+
+    def see(self, world: World) -> tuple[Agents, None]:
+        """The agents, and that no ground is known to be hidden."""
+        t = world.ego.t
+        known = self._tracked.at(t)
+        log = self._around_log.of(self._log, t, t).perceived(t)
+        whose = self._owners.of(known, log)
+        if world.tracks is self._log:
+            now, shown = log, known
+        else:
+            now = self._around.of(world.tracks, t, t).perceived(t)
+            shown = _displaced(known, whose, now, log)
+        static = {name for name, still in zip(world.tracks.ids, world.tracks.static, strict=True) if still}
+        logged = set(log.ids)
+        others = [i for i, name in enumerate(now.ids) if name in static or name not in logged]
+        return _joined(shown, now.some(np.array(others, np.int64))) if others else shown, None
+
+
+def _rows(places: Iterable[int]) -> IntArray:
+    return np.array(list(places), np.int64)
+
+
+def _displaced(known: Agents, whose: list[str], now: Agents, log: Agents) -> Agents:
+    """Those who are known by (1), without whom only the log has."""
+    there, then = ({name: i for i, name in enumerate(some.ids)} for some in (now, log))
+    kept = [i for i, name in enumerate(whose) if name not in then or name in there]
+    both = [row for row, i in enumerate(kept) if whose[i] in then]
+    in_world, in_log = (_rows(places[whose[kept[row]]] for row in both) for places in (there, then))
+    columns = np.array([getattr(known, name)[_rows(kept)] for name in NUMBERS])
+    for name in MOVED:
+        change = getattr(now, name)[in_world] - getattr(log, name)[in_log]
+        columns[NUMBERS.index(name), both] += wrapped(change) if name == "yaw" else change
+    some = known.some(_rows(kept))
+    return Agents.of_rows(some.ids, some.kinds, columns, some.codes)
+
+
+def _joined(known: Agents, more: Agents) -> Agents:
+    """Both; of one name those of the world."""
+    known = known.some(_rows(i for i, name in enumerate(known.ids) if name not in more.ids))
+    columns = np.array([np.r_[getattr(known, name), getattr(more, name)] for name in NUMBERS])
+    codes = frozen(np.r_[known.codes, more.codes], np.int64)
+    return Agents.of_rows((*known.ids, *more.ids), (*known.kinds, *more.kinds), columns, codes)

@@ -20,7 +20,7 @@ from logs.errors import ConfigError, LogError
 from logs.files import check_regular
 from logs.maps import map_files
 from logs.readers import FORMATS, LogSettings, Reader, foreign, logs_in, read_log, reader_of, readers, windows
-from logs.readers.repaired import repaired
+from logs.readers.repaired import named, repaired
 from logs.remote import RemoteFile, fetch, heads, listed, local_path, ranged, url_of
 from logs.scenario import Scenario
 
@@ -112,7 +112,8 @@ class LogSource:
     def read(self) -> Scenario:
         """The scenario; LogError where it cannot be read."""
         if self.path is None:
-            return repaired(scenario(self.label), self.settings.repair)
+            made = repaired(scenario(self.label), self.settings.repair)
+            return made if made.repair is None else named(made)
         return read_log(self.path, self.settings)
 
     @property

@@ -143,7 +143,10 @@ def evaluate(
         ),
     ] = None,
     perception: Annotated[
-        str | None, typer.Option(autocompletion=completion("perception"), help="What is seen: ground_truth, recorded, sensor or auto.")
+        str | None,
+        typer.Option(
+            autocompletion=completion("perception"), help="What is seen: ground_truth, recorded, sensor or auto."
+        ),
     ] = None,
     plant: Annotated[
         list[str] | None,

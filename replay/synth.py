@@ -19,6 +19,9 @@ from replay.avoidability import with_avoidability
 from replay.batch.tables import safe_name, write_text
 
 TABLE = "suite.csv"
+NATIVE, ROS2 = "native", "ros2"
+FORMS = (NATIVE, ROS2)
+"""Of the logs that are written."""
 COLUMNS = ("log", "file", "family", "parameters", "seed", "tags", "accepted_decisions")
 
 
@@ -44,27 +47,31 @@ def overrides(settings: Sequence[str]) -> dict[str, float]:
     return numbers(settings, "--set")
 
 
-def synthesise(families: Sequence[Family], out: Path, parameters: Mapping[str, float]) -> Iterator[Path]:
-    """Write one log per family into `out`, as GROUP/NAME.mcap; yields each path when it is written.
+def synthesise(
+    families: Sequence[Family], out: Path, parameters: Mapping[str, float], form: str = NATIVE
+) -> Iterator[Path]:
+    """Write one log per family into `out`, as GROUP/NAME.mcap or, of the form ROS2, as the bag GROUP/NAME.
+
+    Yields each path when it is written.
 
     Raises:
-        ConfigError: A family has no such parameter, or it leaves no careful drive.
+        ConfigError: A family has no such parameter, or it leaves no careful drive, or there is no such form of it.
     """
     scenarios = [family.scenario(**parameters) for family in families]
     for one in scenarios:
-        yield _written(one, out)
+        yield _written(one, out, form)
 
 
-def write_suite(name: str, out: Path) -> Iterator[Path]:
+def write_suite(name: str, out: Path, form: str = NATIVE) -> Iterator[Path]:
     """Write the logs of a suite (or of a family or group, all cells) into `out`, and last their table, `TABLE`.
 
     Raises:
-        ConfigError: Nothing is called so.
+        ConfigError: Nothing is called so, or there is no such form of it.
     """
     rows = []
     for label in suite(name):
         one = scenario(label)
-        path = _written(one, out)
+        path = _written(one, out, form)
         family, _, words = label.partition("@")
         file, seed = path.relative_to(out).as_posix(), one.metadata.get("parameter.seed", "")
         accepted = one.metadata.get("expected_decisions", "{}")
@@ -76,10 +83,16 @@ def write_suite(name: str, out: Path) -> Iterator[Path]:
     yield out / TABLE
 
 
-def _written(one: Scenario, out: Path) -> Path:
+def _written(one: Scenario, out: Path, form: str) -> Path:
     group, _, name = one.name.partition("/")
-    path = out / safe_name(group) / f"{safe_name(name)}.mcap"
+    path = out / safe_name(group) / safe_name(name)
     path.parent.mkdir(parents=True, exist_ok=True)
+    if form == ROS2:
+        from replay.ros_bag import write_bag
+
+        write_bag(path, one)
+        return path
+    path = path.with_name(f"{path.name}.mcap")
     write_scenario(path, with_avoidability(one))
     return path
 
@@ -167,6 +180,8 @@ ABOUT: Mapping[str, str] = {
     "paper": "The tests of the paper. The paper gives no numbers; these are a passenger car's.",
     "everyday": "Everyday driving and traffic rules.",
     "pedestrian": "Pedestrians who do more than cross.",
+    "raw": "Road users as a detector sees them: jitter with drift, gaps, ids that are no identities, twins, reversed "
+    "fronts, clutter. The logs hold detections; tracks are made of them where they are read.",
     "euro_ncap": "An ego that keeps its speed would meet the target 6 s after the start (CCRb, which brakes: later). "
     "Not here: reversing (CPRA), pedestrians at turns (CPTA), the head-on lane change (CCFhol).",
     "unece_r157": "Automated lane keeping at up to 60 km/h. Cells that no one can avoid are part of it.",

@@ -2,18 +2,26 @@
 
 from collections.abc import Iterable
 
-from logs.catalogue import euro_ncap, everyday, faults, iso3888, paper, pedestrians, rules, unece_r157
+from logs.catalogue import euro_ncap, everyday, faults, iso3888, paper, pedestrians, raw, rules, unece_r157
 from logs.catalogue.family import Family
 from logs.errors import ConfigError
 from logs.extension import Kind, an_instance
 from logs.scenario import Scenario
 
 CATALOGUE: dict[str, Family] = {
-    family.name: family for family in (*paper.FAMILIES, *everyday.FAMILIES, *rules.FAMILIES, *pedestrians.FAMILIES)
+    family.name: family
+    for family in (*paper.FAMILIES, *everyday.FAMILIES, *rules.FAMILIES, *pedestrians.FAMILIES, raw.CROSSING)
 }
 """The families that the built-in suite has, by name, in the order in which they are listed."""
 FAMILIES: dict[str, Family] = CATALOGUE | {
-    family.name: family for family in (*euro_ncap.FAMILIES, *unece_r157.FAMILIES, *iso3888.FAMILIES, *faults.FAMILIES)
+    family.name: family
+    for family in (
+        *euro_ncap.FAMILIES,
+        *unece_r157.FAMILIES,
+        *iso3888.FAMILIES,
+        *faults.FAMILIES,
+        *raw.FAMILIES,
+    )
 }
 """Those and the ones with published grids."""
 FAMILY: Kind[Family] = Kind("family", "families", FAMILIES, an_instance(Family, "replan.Family"))

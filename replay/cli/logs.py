@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from logs.errors import ConfigError, writing
+from logs.errors import ConfigError, unknown_name, writing
 from replay.cli.app import (
     Begin,
     Ego,
@@ -37,6 +37,9 @@ def synth(
         list[str] | None, typer.Option("--set", help="parameter=number; may be repeated.", metavar="KEY=VALUE")
     ] = None,
     suite: Suite = None,
+    form: Annotated[
+        str, typer.Option("--as", help="native, or ros2: a bag of raw detections (group raw).", metavar="FORM")
+    ] = "native",
     listing: Annotated[bool, typer.Option("--list", help="List the families and their parameters.")] = False,
     markdown: Annotated[bool, typer.Option("--markdown", help="The page of all: docs/catalogue.md.")] = False,
     as_json: Json = False,
@@ -49,9 +52,10 @@ def synth(
       replan synth all -o my_logs
       replan synth paper/free_road -o my_logs --set radius_m=40
       replan synth --suite smoke -o my_logs
+      replan synth raw --as ros2 -o my_bags
     """
     with answered():
-        from replay.synth import chosen, listed, markdown_page, overrides, synthesise, table, write_suite
+        from replay.synth import FORMS, chosen, listed, markdown_page, overrides, synthesise, table, write_suite
 
         if as_json:
             if not listing:
@@ -67,7 +71,10 @@ def synth(
             )
         if suite and settings:
             raise ConfigError("--set changes families that are named; the logs of a suite have their parameters")
-        written = write_suite(suite, out) if suite else synthesise(chosen(names or ()), out, overrides(settings or []))
+        if form not in FORMS:
+            raise unknown_name("form", form, FORMS)
+        changed = overrides(settings or [])
+        written = write_suite(suite, out, form) if suite else synthesise(chosen(names or ()), out, changed, form)
         for path in written:
             say(path)
 

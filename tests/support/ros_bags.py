@@ -9,24 +9,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from rosbags.interfaces import Nodetype
 from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from replay import ros_bag
 
 START_NS = 1_700_000_000_000_000_000
 SPEED, RADIUS, CENTRE = 8.0, 100.0, (89_000.0, 43_100.0)
 RATE_HZ, OBJECTS_HZ, DURATION_S = 50, 10, 6.0
 Row = tuple[str, str, int, Any]
 """Topic, type, log time ns, message."""
-EXTRA = {
-    "autoware_msgs/msg/DetectedObject": (
-        "std_msgs/Header header\nuint32 id\nstring label\nfloat32 score\nbool valid\ngeometry_msgs/Pose pose\n"
-        "geometry_msgs/Vector3 dimensions\ngeometry_msgs/Twist velocity\ngeometry_msgs/PolygonStamped convex_hull\n"
-        "bool velocity_reliable\n"
-    ),
-    "autoware_msgs/msg/DetectedObjectArray": "std_msgs/Header header\nDetectedObject[] objects\n",
-}
 
 
 def store(*, ros1: bool = False) -> Any:
@@ -37,7 +30,7 @@ def store(*, ros1: bool = False) -> Any:
     for part in text.split("=" * 20 + "\n")[1:]:
         name, _, body = part.partition("\n")
         found |= get_types_from_msg(body, name.removeprefix("MSG: "))
-    for name, body in EXTRA.items():
+    for name, body in ros_bag.DEFINITIONS.items():
         found |= get_types_from_msg(body, name)
     if ros1:
         found |= get_types_from_msg("geometry_msgs/TransformStamped[] transforms\n", "tf2_msgs/msg/TFMessage")
@@ -49,28 +42,7 @@ STORE = store()
 
 
 def message(kind: str, types: Any = STORE, **values: Any) -> Any:
-    """A message with some fields set (dicts for messages in it, lists for lists), all others zero."""
-    fields = {}
-    for name, desc in types.fielddefs[kind][1]:
-        fields[name] = _value(desc, values.pop(name, None), types)
-    assert not values, (kind, values)
-    return types.types[kind](**fields)
-
-
-def _value(desc: Any, value: Any, types: Any) -> Any:
-    node, what = desc
-    if node == Nodetype.BASE:
-        if value is not None:
-            return value
-        return "" if what[0] == "string" else what[0] == "bool" and False if what[0] == "bool" else 0
-    if node == Nodetype.NAME:
-        return message(what, types, **(value or {}))
-    inner = what[0]
-    if inner[0] == Nodetype.BASE and inner[1][0] != "string":
-        dtype = {"byte": "uint8", "char": "uint8", "octet": "uint8"}.get(inner[1][0], inner[1][0])
-        length = what[1] if node == Nodetype.ARRAY else 0
-        return np.asarray(value if value is not None else np.zeros(length), dtype=dtype)
-    return [_value(inner, each, types) for each in value or []]
+    return ros_bag.message(kind, types, **values)
 
 
 def stamp(ns: int) -> dict[str, int]:

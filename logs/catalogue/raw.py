@@ -1,0 +1,193 @@
+"""Drives whose road users are seen by a detector: what a team's own bag holds, with the truth known.
+
+A scene with its bystanders is driven by the careful driver, and seen from the ego by `logs.catalogue.detector`. The
+log holds the detections alone: tracks are made of them where a log is read (`logs.readers.repaired`). `TRUE` has the
+scenes with the road users that there are, by which a repair can be judged. The goal begins `EARLY_M` before the log's
+end, which is the detector's: who drives more slowly still reaches it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
+from math import pi
+
+import numpy as np
+
+from logs.catalogue import paper
+from logs.catalogue.agents import ADULT, BICYCLE, CAR, Agent, moving, parked, tracks
+from logs.catalogue.detector import detected
+from logs.catalogue.driver import Ahead, drive
+from logs.catalogue.everyday import grid
+from logs.catalogue.family import Family, touches
+from logs.catalogue.paper import BEYOND_M, HALF_LANE, START_M
+from logs.catalogue.roads import LANE_WIDTH_M, Path, curve, one_lane, stretch, two_way
+from logs.kernel import FloatArray
+from logs.road import Goal, Road
+from logs.scenario import AgentKind, Scenario, Tracks
+from logs.states import Trajectory
+from logs.vehicle import VehicleParameters
+
+EARLY_M = 80.0
+ROW_M = 3.4
+"""Middle of a row of parked cars, from that of the lane, m."""
+TRUCK = (8.0, 2.4)
+Parameters = Mapping[str, float]
+
+
+def _row(name: str, first: float, last: float, y: float, *, spacing: float = 6.5) -> list[Agent]:
+    """Cars parked one behind the other, at y."""
+    return [parked(f"{name}_{k}", x, y) for k, x in enumerate(np.arange(first, last, spacing).tolist())]
+
+
+def _along(
+    name: str, kind: AgentKind, size: tuple[float, float], t: FloatArray, x: float, y: float, speed: float
+) -> Agent:
+    """One who goes along the road at a constant speed, backwards where it is negative."""
+    return moving(name, kind, size, t, x + speed * t, np.full(len(t), y), yaw=0.0 if speed > 0.0 else pi)
+
+
+def _finished(
+    p: Parameters, others: list[Agent], road: Callable[..., Road], cruise: float, ahead: Callable[..., Ahead | None]
+) -> Scenario:
+    """The true scene: the ego drives along x."""
+    v, duration = p["ego_speed_mps"], p["duration_s"]
+    path = curve((max(v, cruise) * duration + BEYOND_M, 0.0, 0.0))
+    driven = drive(path, start=START_M, speed=v, cruise=cruise, duration=duration, ahead=ahead)
+    return Scenario("", driven, tracks(others), road(path, max(v, cruise)), duration, _goal(path, driven))
+
+
+def _goal(path: Path, driven: Trajectory) -> Goal:
+    """The lane from before the end of the drive on."""
+    end = float(driven.x[-1])
+    return Goal((stretch(path, end - EARLY_M, end + EARLY_M, right=-HALF_LANE, left=HALF_LANE),))
+
+
+def _crossing(p: Parameters) -> Scenario:
+    """The paper's crossing pedestrian, between rows of parked cars and people on the sidewalks."""
+    scene = paper.CROSSING_PEDESTRIAN
+    whole = scene.build({**scene.parameters, **{name: p[name] for name in scene.parameters if name in p}})
+    t, x = grid(p["duration_s"]), float(whole.tracks.x[0])
+    straight = curve((float(whole.ego.x[-1]) + BEYOND_M, 0.0, 0.0))
+    bystanders = [
+        *_row("right", START_M, x - 12.0, -ROW_M), *_row("left", x + 12.0, x + 60.0, ROW_M),
+        _along("walker_1", AgentKind.PEDESTRIAN, ADULT, t, x - 20.0, -6.0, 1.3),
+        _along("walker_2", AgentKind.PEDESTRIAN, ADULT, t, x + 40.0, 6.2, -1.1),
+    ]  # fmt: skip
+    everyone = _joined(whole.tracks, tracks(bystanders))
+    return replace(whole, tracks=everyone, duration=p["duration_s"], goal=_goal(straight, whole.ego))
+
+
+def _joined(one: Tracks, two: Tracks) -> Tracks:
+    """The road users of both."""
+    names = ("length", "width", "static", "t", "x", "y", "yaw", "vx", "vy")
+    columns = {name: np.r_[getattr(one, name), getattr(two, name)] for name in names}
+    offsets = np.r_[one.offsets, one.offsets[-1] + two.offsets[1:]]
+    return Tracks((*one.ids, *two.ids), (*one.kinds, *two.kinds), offsets=offsets, **columns)
+
+
+def _queue(p: Parameters) -> Scenario:
+    """Cars stand in the ego's lane until they drive on, others in the lane beside it."""
+    t, v, car = grid(p["duration_s"]), p["ego_speed_mps"], VehicleParameters()
+    last = START_M + car.axle_to_front + p["distance_m"]
+    queue, ways = [], []
+    for k in range(4):
+        begins = p["stands_s"] + 1.2 * k
+        rolls = np.clip(t - begins, 0.0, v / 1.5)
+        x = last + (3 - k) * 7.0 + 0.75 * rolls**2 + v * np.clip(t - begins - v / 1.5, 0.0, np.inf)
+        queue.append(moving(f"queue_{k}", AgentKind.CAR, CAR, t, x, np.zeros(len(t)), yaw=0.0))
+        ways.append(x)
+
+    def ahead(time: float, s: float) -> Ahead:
+        gap = float(np.interp(time, t, ways[-1])) - 0.5 * CAR[0] - (s + car.axle_to_front)
+        speed = float(np.interp(time, t, np.gradient(ways[-1], t)))
+        return Ahead(gap - 3.0, speed, stop=speed < 0.1)
+
+    beside = _row("beside", last - 40.0, last + 40.0, LANE_WIDTH_M, spacing=6.8)
+    turned = [replace(each, samples=each.samples + np.array([0.0, 0.0, 0.0, pi, 0.0, 0.0])) for each in beside]
+    return _finished(p, [*queue, *turned], two_way, v, ahead)
+
+
+def _parked(p: Parameters) -> Scenario:
+    """Rows of parked cars on both sides, a truck among them, and people behind them."""
+    t, end = grid(p["duration_s"]), START_M + p["ego_speed_mps"] * p["duration_s"] + 40.0
+    truck = Agent("truck", AgentKind.TRUCK, TRUCK, np.array([[0.0, 90.0, -ROW_M - 0.3, 0.0, 0.0, 0.0]]), static=True)
+    walkers = [_along(f"walker_{k}", AgentKind.PEDESTRIAN, ADULT, t, 40.0 + 30.0 * k, -6.5, 1.2) for k in range(3)]
+    rows = [
+        *_row("right", START_M, 82.0, -ROW_M), *_row("right_on", 99.0, end, -ROW_M),
+        *_row("left", START_M, end, ROW_M, spacing=7.5),
+    ]  # fmt: skip
+    return _finished(p, [*rows, truck, *walkers], one_lane, p["ego_speed_mps"], lambda t, s: None)
+
+
+def _rider(p: Parameters) -> Scenario:
+    """Someone rides towards the ego in the lane beside; the detector takes them for a pedestrian; cars come, too."""
+    t = grid(p["duration_s"])
+    rider = _along("rider", AgentKind.PEDESTRIAN, BICYCLE, t, p["distance_m"], p["offset_m"], -p["rider_speed_mps"])
+    cars = [_along(f"oncoming_{k}", AgentKind.CAR, CAR, t, 160.0 + 60.0 * k, LANE_WIDTH_M, -8.0) for k in range(2)]
+    side = _row("right", START_M, 140.0, -ROW_M, spacing=9.0)
+    return _finished(p, [rider, *cars, *side], two_way, p["ego_speed_mps"], lambda t, s: None)
+
+
+def _clusters(p: Parameters) -> Scenario:
+    """Bushes, poles and walls beside the road, as clusters of points; a car ahead."""
+    t, v, rng = grid(p["duration_s"]), p["ego_speed_mps"], np.random.default_rng(int(p["seed"]))
+    count, end = int(p["clusters"]), START_M + v * p["duration_s"] + 40.0
+    x, y, yaw = rng.uniform(0.0, end, count), rng.uniform(3.5, 14.0, count), rng.uniform(-pi, pi, count)
+    size, side = rng.uniform(0.3, 2.0, (count, 2)), rng.choice([-1.0, 1.0], count)
+    things = [
+        Agent(f"thing_{k}", AgentKind.OBJECT, (float(size[k].max()), float(size[k].min())),
+              np.array([[0.0, x[k], side[k] * y[k], yaw[k], 0.0, 0.0]]), static=True)
+        for k in range(count)
+    ]  # fmt: skip
+    lead = _along("lead", AgentKind.CAR, CAR, t, START_M + 30.0, 0.0, v)
+    return _finished(p, [lead, *things], one_lane, v, lambda t, s: None)
+
+
+def _seen(scene: Callable[[Parameters], Scenario], p: Parameters) -> Scenario:
+    """A true scene as the detector sees it; ValueError where its driver touches anyone."""
+    true = scene(p)
+    touched = touches(true)
+    if touched is not None:
+        raise ValueError(f"the logged driver touches {touched}")
+    found = detected(true.tracks, true.ego, int(p["seed"]))
+    return replace(true, tracks=Tracks.empty(), detections=found, metadata={})
+
+
+def _family(
+    name: str, summary: str, parameters: Mapping[str, float], tag: str, scene: Callable[[Parameters], Scenario]
+) -> Family:
+    source = "ours; errors of the detector as measured on 13 city drives (logs/catalogue/detector.py)"
+    return Family(f"raw/{name}", summary, {**parameters, "seed": 1.0}, ("raw", tag), partial(_seen, scene), {}, source)
+
+
+CROSSING = _family(
+    "crossing",
+    "a pedestrian crosses between parked cars, others walk along: detections without identities",
+    {
+        "ego_speed_mps": 8.0, "pedestrian_speed_mps": 1.2, "walk_start_s": 5.0, "distance_m": 28.0,
+        "kerb_distance_m": 0.6, "duration_s": 27.0,
+    },
+    "pedestrian", _crossing,
+)  # fmt: skip
+FAMILIES = (
+    CROSSING,
+    _family(
+        "queue", "a queue stands in the lane and drives on, another stands beside it",
+        {"ego_speed_mps": 8.0, "distance_m": 60.0, "stands_s": 10.0, "duration_s": 34.0}, "follow", _queue,
+    ),
+    _family("parked", "rows of parked cars on both sides, people behind them",
+            {"ego_speed_mps": 8.0, "duration_s": 25.0}, "static", _parked),
+    _family(
+        "rider", "a rider comes towards the ego, taken for a pedestrian",
+        {"ego_speed_mps": 8.0, "distance_m": 90.0, "offset_m": 2.4, "rider_speed_mps": 5.5, "duration_s": 25.0},
+        "cyclist", _rider,
+    ),
+    _family("clusters", "clusters of points beside the road, a car ahead",
+            {"ego_speed_mps": 8.0, "clusters": 80.0, "duration_s": 25.0}, "static", _clusters),
+)  # fmt: skip
+TRUE: Mapping[str, Callable[[Parameters], Scenario]] = {
+    f"raw/{scene.__name__[1:]}": scene for scene in (_crossing, _queue, _parked, _rider, _clusters)
+}
+"""The scenes as they are, by the name of their family."""

@@ -1,0 +1,143 @@
+"""A drive among raw detections as a ROS 2 bag, as a team records it: poses of the ego, detected objects, the goal.
+
+    /localization/kinematic_state    nav_msgs/msg/Odometry, frames map and base_link, the ego's samples
+    /detection/detected_objects      autoware_msgs/msg/DetectedObjectArray, in map: pose, size, label, score, id
+    /planning/goal                   geometry_msgs/msg/PoseStamped: the ego where its log comes into the goal
+    /clock                           rosgraph_msgs/msg/Clock: the drive is no recorded one
+
+Velocities that a detector does not give are 0, scores that it does not give, too. Lanes are not in a bag.
+"""
+
+from __future__ import annotations
+
+from math import cos, isfinite, sin
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from rosbags.interfaces import Nodetype
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from logs.agents import AgentKind
+from logs.detections import Detections
+from logs.errors import ConfigError, writing
+from logs.scenario import Scenario
+
+START_NS = 1_700_000_000_000_000_000
+"""Of logs that begin at 0: a bag's times are of a clock."""
+LABELS = {
+    AgentKind.CAR: "car", AgentKind.TRUCK: "truck", AgentKind.BUS: "bus", AgentKind.MOTORCYCLE: "motorcycle",
+    AgentKind.BICYCLE: "bicycle", AgentKind.PEDESTRIAN: "pedestrian", AgentKind.OBJECT: "unknown",
+}  # fmt: skip
+HEIGHT_M = 1.6
+DEFINITIONS = {
+    "autoware_msgs/msg/DetectedObject": (
+        "std_msgs/Header header\nuint32 id\nstring label\nfloat32 score\nbool valid\ngeometry_msgs/Pose pose\n"
+        "geometry_msgs/Vector3 dimensions\ngeometry_msgs/Twist velocity\ngeometry_msgs/PolygonStamped convex_hull\n"
+        "bool velocity_reliable\n"
+    ),
+    "autoware_msgs/msg/DetectedObjectArray": "std_msgs/Header header\nDetectedObject[] objects\n",
+}
+"""Fields of Autoware Mini's messages that replan writes and reads."""
+Row = tuple[str, str, int, dict[str, Any]]
+"""Topic, type, log time ns, fields."""
+
+
+def write_bag(path: Path, scenario: Scenario) -> None:
+    """Write the folder of a bag; what stands there is not overwritten.
+
+    Raises:
+        ConfigError: The scenario has no raw detections, or the folder exists.
+        OutputError: It cannot be written.
+    """
+    if scenario.detections is None:
+        raise ConfigError(f"{scenario.name} has tracks and no raw detections: a bag holds those (synth raw --as ros2)")
+    if path.exists():
+        raise ConfigError(f"{path} exists already; name a new folder")
+    types = get_typestore(Stores.ROS2_HUMBLE)
+    for name, text in DEFINITIONS.items():
+        types.register(get_types_from_msg(text, name))
+    writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
+    writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    rows = sorted([*_ego(scenario), *_objects(scenario, scenario.detections), *_goal(scenario)], key=lambda row: row[2])
+    with writing(path), writer:
+        topics: dict[str, Any] = {}
+        for topic, kind, time, values in rows:
+            if topic not in topics:
+                topics[topic] = writer.add_connection(topic, kind, typestore=types)
+            writer.write(topics[topic], time, types.serialize_cdr(message(kind, types, **values), kind))
+
+
+def message(kind: str, types: Any, **values: Any) -> Any:
+    """A message with some fields set (dicts for messages in it, lists for lists), all others zero."""
+    fields = {name: _value(desc, values.pop(name, None), types) for name, desc in types.fielddefs[kind][1]}
+    if values:
+        raise ValueError(f"{kind} has no {', '.join(values)}")
+    return types.types[kind](**fields)
+
+
+def _value(desc: Any, value: Any, types: Any) -> Any:
+    node, what = desc
+    if node == Nodetype.BASE:
+        zero = {"string": "", "bool": False}.get(what[0], 0)
+        return zero if value is None else value
+    if node == Nodetype.NAME:
+        return message(what, types, **(value or {}))
+    inner, length = what[0], what[1] if node == Nodetype.ARRAY else 0
+    if inner[0] == Nodetype.BASE and inner[1][0] != "string":
+        dtype = {"byte": "uint8", "char": "uint8", "octet": "uint8"}.get(inner[1][0], inner[1][0])
+        return np.asarray(np.zeros(length) if value is None else value, dtype=dtype)
+    return [_value(inner, each, types) for each in value or []]
+
+
+def pose(x: float, y: float, yaw: float) -> dict[str, Any]:
+    """The fields of a geometry_msgs/Pose on the ground."""
+    return {"position": {"x": x, "y": y}, "orientation": {"z": sin(0.5 * yaw), "w": cos(0.5 * yaw)}}
+
+
+def _header(ns: int) -> dict[str, Any]:
+    return {"stamp": {"sec": ns // 10**9, "nanosec": ns % 10**9}, "frame_id": "map"}
+
+
+def _ns(scenario: Scenario, t: float) -> int:
+    return (scenario.start_ns or START_NS) + round(1e9 * t)
+
+
+def _ego(scenario: Scenario) -> list[Row]:
+    rows: list[Row] = []
+    for i in range(len(scenario.ego)):
+        state, ns = scenario.ego.state(i), _ns(scenario, float(scenario.ego.t[i]))
+        where = {"pose": {"pose": pose(state.x, state.y, state.yaw)}, "twist": {"twist": {"linear": {"x": state.v}}}}
+        named = {"header": _header(ns), "child_frame_id": "base_link", **where}
+        rows.append(("/localization/kinematic_state", "nav_msgs/msg/Odometry", ns, named))
+        rows.append(("/clock", "rosgraph_msgs/msg/Clock", ns, {"clock": _header(ns)["stamp"]}))
+    return rows
+
+
+def _objects(scenario: Scenario, found: Detections) -> list[Row]:
+    rows: list[Row] = []
+    kinds, ends = found.kinds, np.searchsorted(found.t, found.frames, side="right")
+    for k, t in enumerate(found.frames.tolist()):
+        ns, items = _ns(scenario, t), []
+        for i in range(int(np.searchsorted(found.t, t)), int(ends[k])):
+            score = float(found.score[i])
+            items.append({
+                "header": _header(ns), "id": int(found.ids[i]), "label": LABELS[kinds[i]], "valid": True,
+                "score": score if isfinite(score) else 0.0, "pose": pose(found.x[i], found.y[i], found.yaw[i]),
+                "dimensions": {"x": found.length[i], "y": found.width[i], "z": HEIGHT_M},
+            })  # fmt: skip
+        values = {"header": _header(ns), "objects": items}
+        rows.append(("/detection/detected_objects", "autoware_msgs/msg/DetectedObjectArray", ns, values))
+    return rows
+
+
+def _goal(scenario: Scenario) -> list[Row]:
+    goal, ahead = scenario.goal, scenario.vehicle.axle_to_center
+    for i in range(len(scenario.ego) if goal is not None else 0):
+        s = scenario.ego.state(i)
+        if goal is not None and goal.holds_place(s.x + ahead * cos(s.yaw), s.y + ahead * sin(s.yaw)):
+            ns = _ns(scenario, 0.0)
+            values = {"header": _header(ns), "pose": pose(s.x, s.y, s.yaw)}
+            return [("/planning/goal", "geometry_msgs/msg/PoseStamped", ns, values)]
+    return []

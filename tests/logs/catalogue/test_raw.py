@@ -1,0 +1,103 @@
+"""Drives as a detector sees them: what their logs hold, how well they are repaired, the same drive in each form."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from track_score import repaired_score
+
+from logs import ConfigError, Scenario
+from logs.catalogue import CATALOGUE, FAMILIES, raw
+from logs.detections import Detections
+from logs.readers import read_log
+from logs.repair import needs_repair
+from replay.batch.sources import LogSource
+from replay.synth import ROS2, synthesise
+
+COLUMNS = ("t", "x", "y", "yaw", "length", "width", "score")
+
+
+def detections(name: str, **parameters: float) -> Detections:
+    found = FAMILIES[name].scenario(**parameters).detections
+    assert found is not None
+    return found
+
+
+@pytest.mark.parametrize("name", ["raw/crossing", "raw/queue", "raw/parked", "raw/rider"])
+def test_a_log_holds_what_a_detector_says_and_nothing_of_the_truth(name: str) -> None:
+    made = FAMILIES[name].scenario()
+    assert made.detections is not None
+    assert len(made.tracks) == 0
+    assert made.repair is None
+    assert "no identities" in (needs_repair(made.detections) or "")
+    assert made.ego.t[-1] == made.duration == made.detections.frames[-1]
+
+
+def test_the_same_seed_gives_the_same_boxes_and_another_seed_others() -> None:
+    one, two, other = (detections("raw/crossing", seed=seed) for seed in (1.0, 1.0, 2.0))
+    for name in COLUMNS:
+        np.testing.assert_array_equal(getattr(one, name), getattr(two, name))
+    assert len(one) != len(other)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["raw/crossing", *(pytest.param(f"raw/{name}", marks=pytest.mark.slow) for name in ("queue", "parked", "rider"))],
+)
+def test_a_repair_finds_the_road_users_again(name: str) -> None:
+    found = repaired_score(raw.TRUE[name](FAMILIES[name].parameters), 1)
+    assert found.hota > 0.9
+    assert found.idf1 > 0.95
+    assert (found.lost, found.ghosts) <= (0, 2)
+    assert found.still < 0.2
+
+
+def test_clusters_are_seen_without_a_score() -> None:
+    found = detections("raw/clusters", clusters=20.0, duration_s=5.0)
+    objects = np.array([kind.value == "object" for kind in found.kinds])
+    assert objects.mean() > 0.5
+    assert np.isnan(found.score[objects]).all()
+    assert np.isfinite(found.score[~objects]).all()
+
+
+def alike(one: Scenario, two: Scenario, within: float) -> None:
+    assert (one.tracks.ids, one.tracks.kinds) == (two.tracks.ids, two.tracks.kinds)
+    for name in ("t", "x", "y", "yaw", "vx", "vy", "length", "width"):
+        np.testing.assert_allclose(getattr(one.tracks, name), getattr(two.tracks, name), atol=within, err_msg=name)
+
+
+def test_one_drive_of_the_built_in_suite_is_made_of_detections_and_the_same_from_a_file(tmp_path: Path) -> None:
+    assert [name for name in CATALOGUE if name.startswith("raw/")] == ["raw/crossing"]
+    driven = LogSource("raw/crossing").read()
+    assert driven.repair is not None
+    assert any("Repair joined" in note for note in driven.notes)
+    (path,) = synthesise([raw.CROSSING], tmp_path, {})
+    read = read_log(path)
+    assert read.repair is not None
+    alike(driven, read, 1e-9)
+    assert LogSource("raw/crossing").identity() == "catalogue raw/crossing"
+
+
+def test_a_bag_holds_the_same_road_users(tmp_path: Path) -> None:
+    short = {"duration_s": 17.0}
+    one, two = (next(iter(synthesise([raw.CROSSING], tmp_path / name, short, ROS2))) for name in ("one", "two"))
+    assert [each.read_bytes() for each in one.glob("*.mcap")] == [each.read_bytes() for each in two.glob("*.mcap")]
+    bag, made = read_log(one), detections("raw/crossing", **short)
+    assert bag.repair is not None
+    read = bag.repair.detections
+    np.testing.assert_allclose(read.score, made.score, atol=1e-6)
+    assert read.codes.tolist() == made.codes.tolist()
+    origin = np.array(bag.origin)
+    np.testing.assert_allclose(np.c_[read.x, read.y] + origin, np.c_[made.x, made.y], atol=1e-6)
+    assert bag.goal is not None
+    assert "synthetic" in bag.tags
+
+
+def test_a_bag_is_not_written_over_one_and_not_of_tracks(tmp_path: Path) -> None:
+    (tmp_path / "raw" / "crossing").mkdir(parents=True)
+    with pytest.raises(ConfigError, match="exists already"):
+        list(synthesise([raw.CROSSING], tmp_path, {}, ROS2))
+    with pytest.raises(ConfigError, match="no raw detections"):
+        list(synthesise([CATALOGUE["paper/free_road"]], tmp_path, {}, ROS2))

@@ -288,6 +288,8 @@ def _detections(found: Detections, start_ns: int) -> Iterator[Entry]:
     for name in ("length", "width", "vx", "vy", "score"):
         check(getattr(found, name), "/detections", name)
     times = log_times(found.frames, start_ns, "/detections")
+    if (np.diff(np.array(times, np.int64)) <= 0).any():
+        raise LogError("two frames of detections on one nanosecond", topic="/detections")
     ends = np.searchsorted(found.t, found.frames, side="right").tolist()
     kinds = found.kinds
     for time, first, end in zip(times, [0, *ends], ends, strict=False):

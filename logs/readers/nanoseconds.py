@@ -52,8 +52,8 @@ def _timed(table: Timed) -> Timed:
 
 
 def framed(found: Detections) -> Detections:
-    """Detections whose frames are at whole nanoseconds (1)."""
-    t, frames = _rounded(found.t), _rounded(found.frames)
+    """Detections whose frames are at whole nanoseconds (1); those of one nanosecond become one frame."""
+    t, frames = _rounded(found.t), np.unique(_rounded(found.frames))
     same = np.array_equal(t, found.t) and np.array_equal(frames, found.frames)
     return found if same else replace(found, t=t, frames=frames)
 

@@ -12,12 +12,17 @@ from handmade import drive, lanes_along, scenario, straight, track, tracks
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.writer import Writer
+from mcap_cases import differences
 
 from logs import Scenario
+from logs.detections import Repair
 from logs.mcap import write_scenario
 from logs.mcap.container import read_container
 from logs.mcap.part import write_part
 from logs.readers import LogSettings, read_log
+from logs.readers.cut import cut
+from logs.readers.nanoseconds import in_nanoseconds
+from logs.repair import detections_of
 
 SECONDS = 400.0
 
@@ -62,6 +67,16 @@ def test_a_part_is_that_of_the_whole(whole: Path, begin: float, length: float) -
     for file, source in zip(files, (whole, path), strict=True):
         write_scenario(file, read_log(source, asked))
     assert files[0].read_bytes() == files[1].read_bytes()
+
+
+def test_a_part_of_a_repaired_log_has_what_its_tracker_remembers(tmp_path: Path) -> None:
+    log = in_nanoseconds(cut(long_log(), 0.0, 90.0))
+    repair = Repair(detections_of(log.tracks), log.tracks, np.zeros(len(log.tracks.t), np.bool_), (), log.tracks)
+    write_scenario(tmp_path / "long.mcap", replace(log, repair=repair))
+    asked = LogSettings(begin=60.0, end=61.0)
+    path, taken, _ = part(tmp_path / "long.mcap", 60.0, 61.0)
+    assert taken < 0.8 * (tmp_path / "long.mcap").stat().st_size
+    assert differences(read_log(path, asked), read_log(tmp_path / "long.mcap", asked)) == []
 
 
 def test_a_short_part_takes_few_bytes(whole: Path) -> None:

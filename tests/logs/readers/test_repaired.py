@@ -14,7 +14,7 @@ from command_line import one_error, replan
 from crowd import street, street_ego
 from mcap_cases import differences, repaired_scenario, rich_scenario
 
-from logs import Road, Scenario
+from logs import LogError, Road, Scenario
 from logs.catalogue.detector import detected
 from logs.mcap import read_scenario, write_scenario
 from logs.readers import LogSettings, read_log, with_tracks
@@ -96,6 +96,20 @@ def test_detections_beyond_the_limits_are_left_out_and_noted() -> None:
     assert np.nanmax(np.abs(made.repair.detections.vx), initial=0.0) < 200.0
     assert np.nanmax(made.repair.detections.length) < 100.0
     assert any("3 detections beyond the limits" in note for note in made.notes)
+
+
+def test_frames_within_a_nanosecond_are_one(tmp_path: Path) -> None:
+    found = raw().detections
+    assert found is not None
+    late = np.where(np.arange(len(found)) % 2, found.t, found.t + 1e-11)
+    late = np.where(found.t >= 1.0, np.sort(late), found.t)
+    frames = np.unique(np.r_[found.frames, late])
+    assert len(frames) > len(found.frames)
+    split = replace(raw(), detections=replace(found, t=late, frames=frames))
+    made = with_tracks(split, LogSettings()).repair
+    assert made is not None and np.array_equal(made.detections.frames, found.frames)
+    with pytest.raises(LogError, match="two frames of detections on one nanosecond"):
+        write_scenario(tmp_path / "split.mcap", split)
 
 
 def test_the_command_writes_the_log_and_its_table(log: Path, tmp_path: Path) -> None:

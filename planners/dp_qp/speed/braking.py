@@ -115,11 +115,10 @@ class BrakingLadder:
         self.program = SpeedQp(config, solver)
         self._times = STEP_S * np.arange(config.knots)
         self._utmost = replace(config.emergency, decel_mps2=most_mps2, jerk_mps3=UTMOST_MPS3)
-        soft = config.comfort
         self._rungs = (
-            self._smooth(soft, RESERVE),
-            self._smooth(soft, LEAST_RESERVE),
-            self._smooth(soft, LEAST_RESERVE, 0.5 * gap_m),
+            self._smooth(config.comfort, RESERVE),
+            self._smooth(config.comfort, LEAST_RESERVE),
+            self._smooth(config.comfort, LEAST_RESERVE, 0.5 * gap_m),
             *self._hard(),
             Rung(_untried, self._full_stop),
             Rung(_untried, self._onward),

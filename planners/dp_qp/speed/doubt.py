@@ -103,10 +103,10 @@ def _walks(scene: Scene) -> BoolArray:
 def braking_on(scene: Scene, rows: StBoundaries) -> StBoundaries:
     """(6): the rows with those who are followed and brake coming to a stop."""
     b = np.minimum(-scene.frame.agents.accel[rows.agent] - ERROR_MPS2, MOST_MPS2)
+    if not (b > 0.0).any():
+        return rows
     v, total = rows.speed, scene.speed[rows.agent]
     led = (b > 0.0) & (v > ALONG * total) & (total > STANDING_MPS) & np.isfinite(rows.lower[:, 0])
-    if not led.any():
-        return rows
     until = np.minimum(rows.t, (v[led] / b[led])[:, None])
     stops = rows.lower[led, :1] + v[led, None] * until - 0.5 * b[led, None] * until**2
     lower = rows.lower.copy()

@@ -129,7 +129,7 @@ class _Planned:
     posed: Posed
     blocks: StBoundaries
     may_overtake: BoolArray
-    doubted: BoolArray
+    sure: IntArray
 
 
 class SpeedStage:
@@ -179,8 +179,7 @@ class SpeedStage:
             solved.profile, solved.reason, solved.unavoidable, planned.posed.free_m, solved.reports,
             lambda: self._artefacts(way, planned, unlikely),
         )  # fmt: skip
-        ids = scene.frame.agents.ids
-        waits = frozenset(ids[who] for who in planned.blocks.agent[planned.posed.kinds == YIELD])
+        waits = frozenset(scene.frame.agents.ids[who] for who in planned.blocks.agent[planned.posed.kinds == YIELD])
         return chosen, SpeedMemory(solved.is_full, came, waits)
 
     def _believed(self, way: _Way, found: StBoundaries) -> tuple[_Planned, StBoundaries | None]:
@@ -191,16 +190,18 @@ class SpeedStage:
         found = replace(found, probability=doubt.weights(scene, way.view.path, found))
         p = found.probability
         binds = p >= doubt.CERTAIN
-        planned = self._planned(way, found.only(binds))
-        eased = ~binds & (p >= doubt.NEGLIGIBLE) & ~self._safe(planned.solved.profile, found)
+        planned = self._planned(way, found if binds.all() else found.only(binds))
+        eased = ~binds & (p >= doubt.NEGLIGIBLE)
+        if eased.any():
+            eased &= ~self._safe(planned.solved.profile, found)
         if planned.solved.reason:
             eased |= binds & doubt.from_beside(scene, found) & ((p < doubt.SURE) | planned.solved.unavoidable)
         if eased.any():
             stop = self._comfort.braking((scene.v, scene.start.a), knots, share=RESERVE)[0]
             rows = doubt.let_go(found, eased, np.interp(found.t, self._times, stop), self._config.dp.gap_m + TOLERANCE)
             planned = self._planned(way, rows.only(binds | eased), found.agent[binds & ~eased])
-        ignored = ~(binds | eased)
-        return planned, found.only(ignored) if ignored.any() else None
+        binds |= eased
+        return planned, None if binds.all() else found.only(~binds)
 
     def _planned(self, way: _Way, blocks: StBoundaries, sure: IntArray | None = None) -> _Planned:
         """The speed that keeps to these boundaries; those of the agents `sure` (None: all) with other margins, too."""
@@ -216,7 +217,7 @@ class SpeedStage:
                 break
             may, tried = may & ~refused, solved.asked
         self._lap("speed QP")
-        return _Planned(solved, posed, blocks, may, np.isin(blocks.agent, who, invert=True))
+        return _Planned(solved, posed, blocks, may, who)
 
     def _refused(self, way: _Way, blocks: StBoundaries, kinds: IntArray, profile: FloatArray | None) -> BoolArray:
         """Which rows should be overtaken that a profile does not stay clear of; the DP knows nothing of jerk."""
@@ -259,7 +260,7 @@ class SpeedStage:
         blocks, solved, problem = planned.blocks, planned.solved, planned.posed.problem
         drawn = self._posed(way, blocks, planned.may_overtake, is_drawn=True)
         decided = decide_speed(blocks, scene, np.interp(blocks.t, self._times, drawn.s_dp))
-        ways = zip(decided, planned.may_overtake, planned.doubted, strict=True)
+        ways = zip(decided, planned.may_overtake, np.isin(blocks.agent, planned.sure, invert=True), strict=True)
         decisions = tuple(_said(each, may_overtake=may, doubted=doubted) for each, may, doubted in ways)
         profile = solved.profile
         graph = StGraph(

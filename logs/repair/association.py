@@ -13,11 +13,12 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.kernel import FloatArray, IntArray, kernel
 from logs.repair.groups import DENSITY, FIRST_ACROSS, FIRST_ALONG, REACH, VEHICLE, Boxes
-from logs.repair.kalman import ACROSS, ALONG, COS, SIN, VX, VY, WIDTH, absorb_one, carry_all
+from logs.repair.kalman import ACROSS, ALONG, COS, SIN, WIDTH, absorb_one, carry_all
 from logs.repair.kalman import X as PX
 from logs.repair.kalman import Y as PY
 
@@ -32,67 +33,57 @@ SIZE_MEMORY = 0.8
 _NEVER = 1e6
 
 
+_TRACK = np.dtype(
+    [("state", np.float64, WIDTH), ("group", np.int64), ("size", np.float64, 2), ("name", np.int64),
+     ("last", np.float64), ("hits", np.int64), ("missed", np.int64)]
+)  # fmt: skip
+"""Filter, group, size (shorter side first), number of birth, time last seen, detections, frames missed since."""
+
+
 @dataclass
 class Association:
-    """Tracks so far, `(n,)` each: the memory between two frames."""
+    """Tracks so far `(n,)`: the memory between two frames."""
 
-    states: FloatArray = field(default_factory=lambda: np.empty((0, WIDTH)))
-    group: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-    size: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
-    name: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-    last: FloatArray = field(default_factory=lambda: np.empty(0))
-    hits: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
-    missed: IntArray = field(default_factory=lambda: np.empty(0, np.int64))
+    tracks: NDArray[np.void] = field(default_factory=lambda: np.zeros(0, _TRACK))
     time: float = 0.0
     count: int = 0
 
     def step(self, t: float, boxes: Boxes, rows: slice) -> IntArray:
         """The tracks' names, numbers of birth, of the detections `rows` of the frame at t."""
-        carry_all(self.states, t - self.time, DENSITY[self.group])
-        self.time = t
-        self._keep((t - self.last <= np.where(self.hits > YOUNG, AGE_S, YOUNG_AGE_S) + 1e-9) | (self.missed < 1))
-        size = np.sort(np.column_stack([boxes.length[rows], boxes.width[rows]]))
-        columns = boxes.x[rows], boxes.y[rows], boxes.group[rows], boxes.noise[rows] ** 2
-        cost = _costs(self.states, self.group, self.size, *columns, size, REACH)
-        tracks, found = linear_sum_assignment(cost)
-        good = cost[tracks, found] < _NEVER
-        tracks, found = tracks[good], found[good]
-        names = np.full(len(size), -1)
-        for k, i in zip(tracks, found, strict=True):
-            absorb_one(self.states[k], columns[0][i], columns[1][i], columns[3][i])
-        self.size[tracks] = SIZE_MEMORY * self.size[tracks] + (1.0 - SIZE_MEMORY) * size[found]
-        self.missed += 1
-        self.missed[tracks], self.last[tracks] = 0, t
-        self.hits[tracks] += 1
-        names[found] = self.name[tracks]
-        new = np.flatnonzero(names < 0)
-        names[new] = self.count + np.arange(len(new))
-        self._begin(t, boxes, rows.start + new, size[new])
-        return names
+        most = np.where(self.tracks["hits"] > YOUNG, AGE_S, YOUNG_AGE_S)
+        tracks = self.tracks[(t - self.tracks["last"] <= most + 1e-9) | (self.tracks["missed"] < 1)]
+        carry_all(tracks["state"], t - self.time, DENSITY[tracks["group"]])
+        found = self._new(t, boxes, rows)
+        place = found["state"][:, :ALONG]
+        variance = boxes.noise[rows] ** 2
+        cost = _costs(
+            tracks["state"], tracks["group"], tracks["size"], place, found["group"], variance, found["size"], REACH
+        )
+        old, new = linear_sum_assignment(cost)
+        good = cost[old, new] < _NEVER
+        old, new = old[good], new[good]
+        tracks["missed"] += 1
+        for k, i in zip(old, new, strict=True):
+            absorb_one(tracks["state"][k], place[i, PX], place[i, PY], variance[i])
+        tracks["size"][old] = SIZE_MEMORY * tracks["size"][old] + (1.0 - SIZE_MEMORY) * found["size"][new]
+        tracks["missed"][old], tracks["last"][old] = 0, t
+        tracks["hits"][old] += 1
+        born = np.setdiff1d(np.arange(len(found)), new)
+        found["name"][new], found["name"][born] = tracks["name"][old], self.count + np.arange(len(born))
+        self.tracks, self.time, self.count = np.concatenate([tracks, found[born]]), t, self.count + len(born)
+        return found["name"]
 
-    def _keep(self, stay: BoolArray) -> None:
-        for name in ("states", "group", "size", "name", "last", "hits", "missed"):
-            setattr(self, name, getattr(self, name)[stay])
-
-    def _begin(self, t: float, boxes: Boxes, rows: IntArray, size: FloatArray) -> None:
-        """Start a track with each of the detections `rows`."""
-        n, group, variance = len(rows), boxes.group[rows], boxes.noise[rows] ** 2
-        states = np.zeros((n, WIDTH))
-        states[:, PX], states[:, PY] = boxes.x[rows], boxes.y[rows]
-        states[:, COS], states[:, SIN] = np.cos(boxes.yaw[rows]), np.sin(boxes.yaw[rows])
-        states[:, ALONG] = states[:, ACROSS] = variance
-        states[:, ALONG + 2], states[:, ACROSS + 2] = FIRST_ALONG[group] ** 2, FIRST_ACROSS[group] ** 2
-        self.states, self.size = np.vstack([self.states, states]), np.vstack([self.size, size])
-        self.group = np.append(self.group, group)
-        self.name = np.append(self.name, self.count + np.arange(n))
-        self.last = np.append(self.last, np.full(n, t))
-        self.hits = np.append(self.hits, np.ones(n, np.int64))
-        self.missed = np.append(self.missed, np.zeros(n, np.int64))
-        self.count += n
-
-    def velocities(self) -> FloatArray:
-        """vx, vy `(n, 2)`, m/s."""
-        return self.states[:, [VX, VY]]
+    def _new(self, t: float, boxes: Boxes, rows: slice) -> NDArray[np.void]:
+        """A track that begins with each of the detections `rows`."""
+        out = np.zeros(len(boxes.x[rows]), _TRACK)
+        state, group = out["state"], boxes.group[rows]
+        state[:, PX], state[:, PY] = boxes.x[rows], boxes.y[rows]
+        state[:, COS], state[:, SIN] = np.cos(boxes.yaw[rows]), np.sin(boxes.yaw[rows])
+        state[:, ALONG] = state[:, ACROSS] = boxes.noise[rows] ** 2
+        state[:, ALONG + 2], state[:, ACROSS + 2] = FIRST_ALONG[group] ** 2, FIRST_ACROSS[group] ** 2
+        out["size"] = np.sort(np.column_stack([boxes.length[rows], boxes.width[rows]]))
+        out["group"], out["last"], out["hits"] = group, t, 1
+        return out
 
 
 def joined(boxes: Boxes, frames: FloatArray) -> IntArray:
@@ -108,14 +99,14 @@ def joined(boxes: Boxes, frames: FloatArray) -> IntArray:
 
 @kernel
 def _costs(
-    states: FloatArray, group: IntArray, size: FloatArray, x: FloatArray, y: FloatArray, groups: IntArray,
-    variance: FloatArray, sizes: FloatArray, reach: FloatArray,
+    states: FloatArray, group: IntArray, size: FloatArray, place: FloatArray, groups: IntArray, variance: FloatArray,
+    sizes: FloatArray, reach: FloatArray,
 ) -> FloatArray:  # fmt: skip
     """(2) of each track and detection `(n, k)`; `_NEVER` where they may not be one."""
-    out = np.full((len(states), len(x)), _NEVER)
+    out = np.full((len(states), len(place)), _NEVER)
     for i in range(len(states)):
-        for j in range(len(x)):
-            ex, ey = x[j] - states[i, PX], y[j] - states[i, PY]
+        for j in range(len(place)):
+            ex, ey = place[j, PX] - states[i, PX], place[j, PY] - states[i, PY]
             other = group[i] != groups[j]
             most = max(reach[group[i]], reach[groups[j]])
             if ex * ex + ey * ey > most * most or (other and (group[i] == VEHICLE or groups[j] == VEHICLE)):

@@ -10,7 +10,7 @@ from functools import cached_property
 
 import numpy as np
 
-from logs.agents import USUAL_SIZE_M, AgentKind
+from logs.agents import USUAL_SIZE_M, AgentKind, among
 from logs.detections import Detections
 from logs.kernel import FloatArray, IntArray, frozen
 
@@ -84,25 +84,16 @@ SURE = 0.4
 """Above this score a box is as exact as `Group.noise` says; below, 1.5 times less."""
 UNSURE_NOISE = 1.5
 LEAST_SIZE_M = 0.1
-NOISE, ACCEL, FIRST_ALONG, FIRST_ACROSS, REACH, SLOW = (
+NOISE, ACCEL, FIRST_ALONG, FIRST_ACROSS, REACH = (
     frozen([getattr(group, name) for group in GROUPS])
-    for name in ("noise", "accel", "first_along", "first_across", "reach", "slow")
+    for name in ("noise", "accel", "first_along", "first_across", "reach")
 )
 DENSITY = frozen(ACCEL**2 * STEP_S)
 """Spectral density of the acceleration by group, m2/s3."""
 SMOOTH_DENSITY = frozen(0.45 * DENSITY)
 """Where the whole track is known: the speed of who drives is off by a fifth less (tests/support/track_score.py)."""
-_GROUP = frozen(
-    [
-        CLUSTER
-        if kind is AgentKind.OBJECT
-        else PERSON
-        if kind.is_vulnerable
-        else VEHICLE
-        for kind in AgentKind
-    ],
-    np.int64,
-)  # fmt: skip
+_PERSONS, _CLUSTERS = among(*(kind for kind in AgentKind if kind.is_vulnerable)), among(AgentKind.OBJECT)
+_GROUP = frozen(np.where(_CLUSTERS, CLUSTER, np.where(_PERSONS, PERSON, VEHICLE)), np.int64)
 _USUAL = frozen([USUAL_SIZE_M[kind] for kind in AgentKind])
 
 

@@ -80,15 +80,6 @@ def absorb_one(state: FloatArray, x: float, y: float, r: float) -> None:
 
 
 @kernel
-def stop_one(state: FloatArray) -> None:
-    """(3) of one state `(WIDTH,)`, in place; its position stays where it is."""
-    stop(state[ALONG : ALONG + 3])
-    stop(state[ACROSS : ACROSS + 3])
-    state[VX] = 0.0
-    state[VY] = 0.0
-
-
-@kernel
 def smoothed(t: FloatArray, z: FloatArray, r: FloatArray, q: float, stands: BoolArray) -> FloatArray:
     """x, y, vx, vy `(n, 4)` at all times t `(n,)` of positions z `(n, 2)`, NaN where not seen, with variances r `(n,)`.
 

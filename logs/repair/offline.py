@@ -116,15 +116,13 @@ def _without_doubles(
             removed.append(_Removed(inside, f"In the place of another {users[b].kind.value} that is seen better."))
     out = []
     for i, user in enumerate(users):
-        rows = np.concatenate([user.piece.rows, *gained.get(i, [])])
+        if i in gained:
+            rows = np.concatenate([user.piece.rows, *gained[i]])
+            rows = rows[np.unique(boxes.frame[rows], return_index=True)[1]]
+            user = user_of(fitted(rows, boxes, frames), boxes, ego)
         if i not in better:
-            out.append(user if len(rows) == len(user.piece.rows) else user_of(_once(rows, boxes, frames), boxes, ego))
+            out.append(user)
     return out, removed
-
-
-def _once(rows: IntArray, boxes: Boxes, frames: FloatArray) -> Piece:
-    """The motion that the boxes `rows` show, the first of each frame."""
-    return fitted(rows[np.unique(boxes.frame[rows], return_index=True)[1]], boxes, frames)
 
 
 def _reported(
@@ -134,10 +132,11 @@ def _reported(
     """The users as tracks, and a list of all that was done."""
     ids = _ids(users, detections, boxes)
     gone = tuple(f"removed {k + 1}" for k in range(len(removed)))
-    twins = _twins(users, boxes, every, twin_of)
+    weaker = np.bincount(every.source[twin_of[twin_of >= 0]], minlength=len(every))
     changes: list[Change] = []
-    for user, name, note, weaker in zip(users, ids, notes, twins, strict=True):
-        changes += _changes(user, name, note, weaker, _sources(user, detections, boxes))
+    for user, name, note in zip(users, ids, notes, strict=True):
+        twins = int(weaker[boxes.source[user.piece.rows]].sum())
+        changes += _changes(user, name, note, twins, _sources(user, detections, boxes))
     for each, name in zip(removed, gone, strict=True):
         user = each.user
         whole = float(user.t[0]), float(user.t[-1]), len(user.piece.rows)
@@ -157,7 +156,8 @@ def _changes(user: User, name: str, note: str, twins: int, sources: tuple[str, .
 
     steps = np.diff(t[user.piece.seen])
     if sources != (name,) or len(t) > count:
-        add("joined", count, f"{count} detections under {len(sources)} ids, the longest gap {steps.max():.1f} s.")
+        under = f"under {len(sources)} ids" if sources else "without ids"
+        add("joined", count, f"{count} detections {under}, the longest gap {steps.max(initial=0.0):.1f} s.")
     if twins:
         add("removed", twins, f"{twins} boxes overlap better ones of the same object.")
     if user.turned:
@@ -190,12 +190,6 @@ def _ids(users: Sequence[User], detections: Detections, boxes: Boxes) -> tuple[s
         own = len(sources) == 1 and everywhere[sources[0]] == len(user.piece.rows)
         out.append(sources[0] if own else next(numbers))
     return tuple(out)
-
-
-def _twins(users: Sequence[User], boxes: Boxes, every: Boxes, twin_of: IntArray) -> list[int]:
-    """How many weaker boxes overlap those of each user."""
-    weaker = np.bincount(every.source[twin_of[twin_of >= 0]], minlength=len(every))
-    return [int(weaker[boxes.source[user.piece.rows]].sum()) for user in users]
 
 
 def _tracks(users: Sequence[User], ids: tuple[str, ...]) -> Tracks:

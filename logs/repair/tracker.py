@@ -136,7 +136,7 @@ def tracked(detections: Detections) -> Tracked:
             if name not in tracks:
                 tracks[name] = _Track(t, k, float(boxes.yaw[i]))
             tracks[name].see(boxes, i)
-        tracks = {name: tracks[name] for name in joining.name.tolist()}
+        tracks = {name: tracks[name] for name in joining.tracks["name"].tolist()}
         out.append(_reported(joining, tracks, t))
     agents, growth, patience = zip(*out, strict=True) if out else ((), (), ())
     return Tracked(tuple(detections.frames.tolist()), agents, growth, patience)
@@ -145,8 +145,9 @@ def tracked(detections: Detections) -> Tracked:
 def _reported(joining: Association, tracks: dict[int, _Track], t: float) -> tuple[Agents, FloatArray, FloatArray]:
     """Who is reported at t (1), their growth and patience as in `Tracked`."""
     ids, codes, columns, growth, patience = [], [], [], [], []
-    for row, name in enumerate(joining.name.tolist()):
-        track, state, group = tracks[name], joining.states[row], int(joining.group[row])
+    for row, name in enumerate(joining.tracks["name"].tolist()):
+        track, state = tracks[name], joining.tracks["state"][row]
+        group = int(joining.tracks["group"][row])
         least = GROUPS[group]
         early = t - track.first < least.birth_time - 1e-9
         if early or track.count < least.birth_count or track.score < least.birth_score:
@@ -156,7 +157,7 @@ def _reported(joining: Association, tracks: dict[int, _Track], t: float) -> tupl
         stands = track.stands(group, float(np.hypot(vx, vy)))
         if stands:
             vx, vy, sigma = 0.0, 0.0, float(NOISE[group]) / WINDOW_S
-        unseen, most = t - float(joining.last[row]), KEEP_YOUNG_S if track.count <= FEW else KEEP_S
+        unseen, most = t - float(joining.tracks["last"][row]), KEEP_YOUNG_S if track.count <= FEW else KEEP_S
         most = KEEP_STILL_S if stands else most
         if unseen > most + 1e-9:
             continue

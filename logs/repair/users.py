@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -52,7 +53,7 @@ class User:
     turned: int
     extended: BoolArray
 
-    @property
+    @cached_property
     def poses(self) -> FloatArray:
         """Boxes `(k, 5)`: x, y, yaw, length, width."""
         n = len(self.t)
@@ -109,11 +110,8 @@ def _headings(piece: Piece, path: FloatArray, yaw: FloatArray, weight: FloatArra
         front = middle if np.sum(weight * np.cos(yaw - middle)) >= 0.0 else middle + np.pi
         return np.full(len(path), front), int((np.cos(yaw - front) < 0.0).sum())
     course = np.arctan2(path[fast, 3], path[fast, 2])
-    nearest = fast[np.clip(np.searchsorted(fast, np.arange(len(path))), 0, len(fast) - 1)]
-    before = fast[np.clip(np.searchsorted(fast, np.arange(len(path)), side="right") - 1, 0, len(fast) - 1)]
-    index = np.arange(len(path))
-    nearest = np.where(np.abs(index - before) <= np.abs(nearest - index), before, nearest)
-    goes = np.unwrap(course)[np.searchsorted(fast, nearest)]
+    nearest = np.abs(np.arange(len(path))[:, None] - fast).argmin(axis=1)
+    goes = np.unwrap(course)[nearest]
     if piece.group == PERSON:
         return goes, 0
     axis = np.unwrap(goes, period=np.pi)  # one end of the box throughout, though it may go back and forth

@@ -22,6 +22,8 @@ FEW = 4
 """A piece of fewer detections has no velocity of its own."""
 STITCH_GROWTH, CHANGE_MPS, GAP_WORTH = 0.8, 0.3, 0.1
 """Sizes within a factor of e^0.8; what 1 m/s and 1 s cost against a miss by all that is allowed, or a factor of e."""
+STANDS_S = 0.6
+"""Between two that stand the allowed miss grows for so long only: beyond, it would reach the next car in a queue."""
 SPREAD = 1.3
 """Of what stands nine in ten boxes are within so many times `Group.still`."""
 ROUNDS = 3
@@ -164,7 +166,7 @@ def _pairs(pieces: Sequence[Piece], boxes: Boxes) -> list[tuple[int, int]]:
     off = end[i, 1:3] - begin[j, 1:3] + 0.5 * gap[:, None] * (out + back)
     miss, change, growth = np.hypot(*off.T), np.hypot(*(out - back).T), np.abs(size[i] - size[j]).max(axis=1)
     meet, meet_growth, turn, turn_growth = _LIMITS[group[i]].T
-    most = meet + meet_growth * np.minimum(gap, STITCH_S)
+    most = meet + meet_growth * np.minimum(gap, np.where(still[i] & still[j], STANDS_S, STITCH_S))
     fits = (miss < most) & (change < turn + turn_growth * gap) & (growth < STITCH_GROWTH)
     fits &= (group[i] == group[j]) | ((group[i] != VEHICLE) & (group[j] != VEHICLE))
     fits &= (gap <= STITCH_S) | (still[i] & still[j])

@@ -50,7 +50,8 @@ def test_a_repair_finds_the_road_users_again(name: str) -> None:
     found = repaired_score(raw.TRUE[name](FAMILIES[name].parameters), 1)
     assert found.hota > 0.9
     assert found.idf1 > 0.95
-    assert (found.lost, found.ghosts) <= (0, 2)
+    assert found.lost == 0
+    assert found.ghosts <= 4  # false boxes that last for seconds
     assert found.still < 0.2
 
 

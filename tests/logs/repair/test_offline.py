@@ -238,3 +238,29 @@ def test_recordings_seen_by_a_detector_are_repaired(shared_data: Path, pattern: 
     assert np.mean([each.ghosts for each in scores]) <= 1.5
     assert np.mean([each.still for each in scores]) < 0.15
     assert np.mean([each.moving for each in scores]) < 0.4
+
+
+def test_who_stands_is_not_the_one_who_stands_in_the_lane_beside() -> None:
+    """One car of a queue is seen for a second, and three seconds later the one beside it."""
+    frames = np.round(0.1 * np.arange(61), 6)
+    t = np.r_[frames[:11], frames[41:]]
+    y = np.where(t < 2.0, 0.0, 3.3)
+    nothing, same = np.full(len(t), np.nan), np.ones(len(t))
+    codes = codes_of((AgentKind.CAR,) * len(t))
+    found = Detections(
+        t,
+        frames,
+        ("0",) * len(t),
+        codes,
+        40.0 * same,
+        y,
+        0.0 * same,
+        4.5 * same,
+        1.8 * same,
+        nothing,
+        nothing,
+        0.7 * same,
+    )
+    tracks, _ = fixed(found, replace(EGO, x=0.0 * EGO.x, v=0.0 * EGO.v))
+    assert len(tracks) == 2
+    assert sorted(tracks.y[tracks.offsets[:-1]].round(1).tolist()) == [0.0, 3.3]

@@ -59,7 +59,7 @@ def test_the_links_lead_somewhere() -> None:
 
 def test_the_house_map_names_all_packages() -> None:
     packages = {path.parent.name for path in ROOT.glob("*/__init__.py")}
-    assert packages == {"logs", "metrics", "planners", "replan", "replay"}
+    assert packages == {"logs", "metrics", "planners", "replan", "replay", "studies"}
     assert all(f"[{name}/]({name})" in README for name in packages)
 
 

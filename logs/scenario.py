@@ -18,6 +18,7 @@ from logs.observed import Spans, inferred
 from logs.presence import MAX_AGE_S, MAX_GAP_S, patience
 from logs.road import Goal, Road
 from logs.rules import TrafficLight
+from logs.short_names import ShortNames
 from logs.states import MOST_RAD, Controls, OnboardPlan, Trajectory
 from logs.vehicle import VehicleParameters
 
@@ -430,6 +431,11 @@ class Scenario:
         ego = self.ego
         x, y = ego.x + ahead * np.cos(ego.yaw), ego.y + ahead * np.sin(ego.yaw)
         return replace(self, vehicle=vehicle, ego=replace(ego, x=x, y=y))
+
+    @cached_property
+    def short_names(self) -> ShortNames:
+        """What sentences and pictures call its road users."""
+        return ShortNames(self.tracks.ids)
 
     @cached_property
     def traffic_spans(self) -> Spans:

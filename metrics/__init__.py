@@ -110,8 +110,8 @@ METRICS: Mapping[str, Metric] = MappingProxyType({metric.name: metric for group 
 """The metrics by name, in the order of the table."""
 
 COLUMNS = (
-    "log", "planner", "mode", "oracle", "metric", "value", "unit", "direction", "available", "reason", "time_s",
-    "version", "source",
+    "log", "planner", "mode", "oracle", "metric", "value", "unit", "direction", "available", "reason", "about",
+    "time_s", "version", "source",
 )  # fmt: skip
 
 
@@ -129,17 +129,21 @@ def evaluate(
     """One row per metric and reduction of the trace's mode, columns `COLUMNS`; the same input gives the same bits.
 
     `metric` is "gap.min" or, with a part, "ade.3s.mean". Where `available` is False, `value` is NaN and `reason` says
-    why; else `reason` names what the value is about ("car 12"), or is empty. `time_s` is when the value occurred, NaN
-    where it belongs to no instant. A metric that raises is unavailable where `broken` is given, which is then called;
-    else the error is raised. `found` is called with each series and its name.
+    why; else `reason` names what the value is about ("car 12: from behind"), with short names (`logs.short_names`), and
+    `about` is that road user or thing alone, with the whole id ("car 12"); both may be empty. `time_s` is when the
+    value occurred, NaN where it belongs to no instant. A metric that raises is unavailable where `broken` is given,
+    which is then called; else the error is raised. `found` is called with each series and its name.
     """
     head, rows = (scenario.name, trace.planner, trace.mode.value, trace.oracle), []
     for metric, name, steps in _measured(trace, scenario, metrics, broken):
         if isinstance(steps, Series):
             found(name, steps)
         for reduction in metric.reductions:
-            row = _row(f"{name}.{reduction.name}", metric, reduction, steps, broken)
-            rows.append((*head, *row, metric.version, metric.source))
+            *row, available, reason, time_s = _row(f"{name}.{reduction.name}", metric, reduction, steps, broken)
+            about = reason.partition(":")[0] if available else ""
+            rows.append(
+                (*head, *row, available, scenario.short_names(reason), about, time_s, metric.version, metric.source)
+            )
     columns = {name: [row[k] for row in rows] for k, name in enumerate(COLUMNS)}
     return pd.DataFrame({**columns, **{name: np.array(columns[name], np.float64) for name in ("value", "time_s")}})
 

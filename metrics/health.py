@@ -38,7 +38,7 @@ from __future__ import annotations
 
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from itertools import takewhile
 from math import isfinite
@@ -159,7 +159,8 @@ class Finding:
 
 def findings(scenario: Scenario) -> tuple[Finding, ...]:
     """All that is wrong, in the order of `CHECKS`."""
-    return tuple(finding for check in CHECKS for finding in check(scenario))
+    short = scenario.short_names
+    return tuple(replace(found, text=short(found.text)) for check in CHECKS for found in check(scenario))
 
 
 def sentences(found: Iterable[Finding]) -> tuple[str, ...]:

@@ -133,15 +133,11 @@ class _Row(NamedTuple):
     reason: str
     unit: str
     time_s: float
+    about: str = ""  # Which road user or thing, with the whole id: "car 12"
 
     @property
     def known(self) -> bool:
         return self.available and isfinite(self.value)
-
-    @property
-    def about(self) -> str:
-        """On which road user or thing the value is: "car 12" of "car 12: from behind, not at fault"."""
-        return self.reason.partition(":")[0]
 
 
 _NONE = _Row(nan, False, "not measured", "", nan)
@@ -181,6 +177,9 @@ def judge(
     """
     drives: dict[tuple[str, str], dict[tuple[str, str], _Row]] = {}
     columns = ("planner", "mode", "log", "metric", *_Row._fields)
+    about = table.get("about", table["reason"]).astype(object)
+    about = about.where(about.notna(), table["reason"])  # rows of an older replan have whole ids in their reasons
+    table = table.assign(about=[str(each).partition(":")[0] for each in about])
     for planner, mode, log, metric, *rest in zip(*(table[name] for name in columns), strict=True):
         drives.setdefault((planner, mode), {})[log, metric] = _Row(*rest)
     lawful = tuple(gate for gate in gates.gates if gate.over == "worst" and _group(gate) in LAWFUL)

@@ -162,7 +162,8 @@ def _baseline(path: Path) -> Opened:
     try:
         if head["schema_version"] != SCHEMA_VERSION:
             raise ConfigError(f"{path}: of version {head['schema_version']}, this replan reads {SCHEMA_VERSION}")
-        rows = table.replace_schema_metadata(None).to_pandas().assign(source="")[list(COLUMNS)]
+        rows = table.replace_schema_metadata(None).to_pandas()
+        rows = rows.assign(source="", about=rows.get("about"))[list(COLUMNS)]
         logs = pd.DataFrame(head["logs"], columns=["log", "sha256", "family", "dataset", "tags", "vehicle"])
         crashed = tuple(tuple(drive) for drive in head.get("crashed", ()))
         side = Side(path.name, rows, logs, head["facts"], head["failed"], crashed)

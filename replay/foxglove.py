@@ -29,6 +29,7 @@ from logs.mcap.writer import Entry, log_times
 from logs.road import Road
 from logs.rules import Colour, StopLine
 from logs.scenario import Scenario
+from logs.short_names import ShortNames
 from logs.states import Trajectory
 from logs.trace import Trace, kept_samples
 from logs.vehicle import VehicleParameters
@@ -142,16 +143,16 @@ def _others(scenario: Scenario) -> Iterator[Entry]:
     tracks, start = scenario.tracks, scenario.start_ns
     still = np.repeat(tracks.static, np.diff(tracks.offsets))
     if still.any():
-        yield start, "/foxglove/obstacles", _boxes(tracks.taken(still).truth(0.0), start)
+        yield start, "/foxglove/obstacles", _boxes(tracks.taken(still).truth(0.0), start, scenario.short_names)
     if still.all():
         return
     moving = tracks.taken(~still)
     instants = _thinned(np.unique(np.r_[moving.t, scenario.duration]))
     for t, time in zip(instants.tolist(), log_times(instants, start, "/foxglove/agents"), strict=True):
-        yield time, "/foxglove/agents", _boxes(moving.truth(t), time)
+        yield time, "/foxglove/agents", _boxes(moving.truth(t), time, scenario.short_names)
 
 
-def _boxes(agents: Agents, time: int) -> SceneUpdate:
+def _boxes(agents: Agents, time: int, short: ShortNames) -> SceneUpdate:
     columns = (agents.x, agents.y, agents.yaw, agents.length, agents.width, agents.vx, agents.vy)
     rows = np.column_stack(columns).tolist()
     entities = []
@@ -163,7 +164,7 @@ def _boxes(agents: Agents, time: int) -> SceneUpdate:
         entity.cubes.append(CubePrimitive(pose=_pose(x, y, yaw, 0.5 * height), size=size, color=colour))
         label: dict[str, Any] = {"billboard": True, "scale_invariant": True, "font_size": LABEL_PX}
         above = _pose(x, y, 0.0, height + 0.3)
-        entity.texts.append(TextPrimitive(pose=above, text=name, color=_colour(colours.TICK), **label))
+        entity.texts.append(TextPrimitive(pose=above, text=short(name), color=_colour(colours.TICK), **label))
         entities.append(entity)
     return _scene(time, entities)
 

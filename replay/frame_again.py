@@ -185,7 +185,8 @@ def report_of(again: PlannedAgain) -> Iterator[str]:
     yield ""
     planned = PlannedFrame.of(frame, plan)
     shown = Shown(planned, frame.agents, planned.predictions, frame.lights)
-    yield from lines_of(explanation(planned, Explainer(again.scenario).account(shown)))
+    lines = lines_of(explanation(planned, Explainer(again.scenario).account(shown)))
+    yield from map(again.scenario.short_names, lines)
 
 
 def _qp(asked: Asked) -> str:

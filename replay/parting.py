@@ -21,6 +21,7 @@ from math import inf, log10
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray
+from logs.short_names import ShortNames
 from logs.trace import Decision, Graph, LaneOption, Mode, PlannedFrame, SlGraph, StGraph, Trace
 
 TOLERANCE = 1e-3
@@ -78,7 +79,8 @@ def parting(one: Trace, two: Trace) -> Parting | None:
     first = min((off for off in found if off.size > FINE), key=lambda off: off.place)  # (2)
     seen = min((off for off in found if off.size > TOLERANCE), key=lambda off: off.place)
     later = f"; more than {TOLERANCE:g} from t = {seen.t:.2f} s on ({seen.stage})" if first.size <= TOLERANCE else ""
-    return Parting(first.t, first.stage, f"t = {first.t:.2f} s, {first.stage}: {first.say()}{later}")
+    what = f"t = {first.t:.2f} s, {first.stage}: {first.say()}{later}"
+    return Parting(first.t, first.stage, ShortNames(one.agents.ids)(what))
 
 
 # on the control rate ----------------------------------------------------------------------------------------------

@@ -168,7 +168,7 @@ def _identified(source: LogSource, scenario: Scenario, folder: Path, run: RunCon
         write_scenario(path, scenario, beside=scenario_channels(scenario))
     name = safe_name(scenario.name, digest)
     found = health.findings(scenario)
-    notes = (*scenario.notes, *health.sentences(found))
+    notes = (*map(scenario.short_names, scenario.notes), *health.sentences(found))
     table = health.table(scenario.name, found)
     groups = scenario.family, scenario.dataset, scenario.tags
     return LogResult(source.label, scenario.name, digest, name, *groups, notes), table
@@ -187,7 +187,7 @@ def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, pro
                 if trace.end is EndReason.PLANNER_FAILURE:
                     progress.failures.append(Failure(progress.log, trace.detail, planner, mode.value))
                 files = tuple(f"{final}/{file.name}" for file in sorted(folder.glob(f"{stem}.*")))
-                progress.drives.append(_record(trace, files))
+                progress.drives.append(_record(trace, scenario, files))
                 del trace  # before the next one is driven: of an hour it is large
         steps.write()
     with progress.attempt():
@@ -308,16 +308,16 @@ def _write_drive(
         write_recording(Path(f"{file}.rrd"), drive, scenario, table, steps)
 
 
-def _record(trace: Trace, files: tuple[str, ...]) -> DriveRecord:
+def _record(trace: Trace, scenario: Scenario, files: tuple[str, ...]) -> DriveRecord:
     return DriveRecord(
         log=trace.scenario,
         planner=trace.planner,
         mode=trace.mode.value,
         oracle=trace.oracle,
         end=trace.end.value,
-        detail=trace.detail,
+        detail=scenario.short_names(trace.detail),
         t_end_s=float(trace.ego.t[-1]),
-        notes=trace.notes,
+        notes=tuple(map(scenario.short_names, trace.notes)),
         files=files,
     )
 

@@ -66,6 +66,7 @@ _METRICS = (
         ("direction", "text", "which is better: `lower`, `higher`, `none`"),
         ("available", "yes/no", "whether there is a value"),
         ("reason", "text", "why there is none; else which road user or thing the value is about, or empty"),
+        ("about", "text", "that road user or thing with the whole id, as `reason` has a short name; or empty"),
         ("time_s", "number", "when the value occurred, s since the log's start; NaN where it belongs to no instant"),
         ("version", "count", "of the metric: counts up when its numbers change their meaning"),
         ("source", "text", "where the metric's definition comes from; empty: replan"),

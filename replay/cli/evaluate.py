@@ -249,7 +249,8 @@ def vary(
     agent: Annotated[
         list[str] | None,
         typer.Option(
-            "--agent", help="Who is varied; repeatable: all together. Default: of those who move, who comes nearest."
+            "--agent",
+            help="Who is varied (id or short name); repeatable. Default: of those who move, who comes nearest.",
         ),
     ] = None,
     planner: Annotated[

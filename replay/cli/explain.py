@@ -40,4 +40,4 @@ def explain(
         for one in found:
             say()
             for line in lines_of(one):
-                say(line)
+                say(drive.scenario.short_names(line))

@@ -82,7 +82,8 @@ def write_recording(
         panels, axes[StGraph], axes[SlGraph], [lane.name for lane in lanes], pages, _bounds(trace, scenario)
     )
     application = f"replan {scenario.name} {trace.mode.value} loop"
-    with recording_file(path, application, trace.planner, _digest(trace), blueprint(contents)) as tape:
+    short = scenario.short_names
+    with recording_file(path, application, trace.planner, _digest(trace), blueprint(contents), short) as tape:
         draw_scene(tape, trace, scenario, instants)
         for begin in range(0, len(planned), PART):
             part = range(begin, begin + PART)
@@ -138,7 +139,8 @@ def write_log_recording(path: Path, scenario: Scenario) -> None:
     panels = plots.motion_panels(trace, scenario, times)
     contents = Contents(panels, None, None, (), ("summary",), _bounds(trace, scenario))
     instants = Instants.among(times, times)
-    with recording_file(path, f"replan {scenario.name} log", "log", _digest(trace), blueprint(contents)) as tape:
+    application, short = f"replan {scenario.name} log", scenario.short_names
+    with recording_file(path, application, "log", _digest(trace), blueprint(contents), short) as tape:
         draw_scene(tape, trace, scenario, instants)
         draw_moving(tape, trace, frozenset(trace.agents.kinds), instants, instants)
         plots.draw_panels(tape, panels, times)

@@ -14,6 +14,7 @@ import pyarrow as pa
 import rerun as rr
 
 from logs.kernel import FloatArray, IntArray
+from logs.short_names import ShortNames
 
 SIM_TIME = "sim_time"
 FRAME = "frame"
@@ -21,6 +22,7 @@ ROOM = "room"
 """A page without words."""
 REMOVED = "world/removed"
 """Entity of what a repair of the log took away."""
+NO_NAMES = ShortNames(())
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,9 +53,10 @@ class Instants:
 
 @dataclass(frozen=True, eq=False)
 class Tape:
-    """The recording being written."""
+    """The recording being written, and the short names of its road users."""
 
     stream: rr.RecordingStream
+    short: ShortNames = NO_NAMES
 
     def static(self, entity: str, *archetypes: rr.AsComponents) -> None:
         """What holds at all times."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import rerun as rr
@@ -82,6 +82,7 @@ def recent(found: Sequence[Event], t: float) -> list[str]:
 
 def draw_events(tape: Tape, found: Sequence[Event], frames: Instants) -> None:
     """One line of the log view per event, and a page of the recent ones at each of their times."""
+    found = [replace(event, words=tape.short(event.words)) for event in found]
     tape.static("recent", rr.TextDocument.from_fields(media_type=MARKDOWN))
     changes = np.unique([*frames.t[:1], *(event.t for event in found)])
     pages = [document(recent(found, float(t))) for t in changes]

@@ -10,14 +10,20 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from logs.errors import writing
-from replay.recording.columns import Tape
+from logs.short_names import ShortNames
+from replay.recording.columns import NO_NAMES, Tape
 from replay.recording.outlet import outlet
 from replay.recording.text import application_name, plain
 
 
 @contextmanager
-def recording_file(path: Path, application: str, name: str, digest: str, layout: rrb.Blueprint) -> Iterator[Tape]:
-    """The open recording under a temporary name, renamed when all is written; errors of the library are raised."""
+def recording_file(
+    path: Path, application: str, name: str, digest: str, layout: rrb.Blueprint, short: ShortNames = NO_NAMES
+) -> Iterator[Tape]:
+    """The open recording under a temporary name, renamed when all is written; errors of the library are raised.
+
+    What it shows has the names `short`.
+    """
     unfinished = path.with_name(f"{path.name}.part")
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -31,7 +37,7 @@ def recording_file(path: Path, application: str, name: str, digest: str, layout:
                     stream.set_log_time_enabled(False)
                     stream.save(pipe, default_blueprint=layout)
                     stream.send_recording_name(plain(name))
-                    yield Tape(stream)
+                    yield Tape(stream, short)
                 finally:
                     stream.disconnect()
             unfinished.replace(path)

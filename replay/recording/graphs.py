@@ -255,7 +255,7 @@ def _draw_labels(
     rows: list[list[tuple[FloatArray, str, int]]] = [[] for _ in range(len(instants))]
     for k, (i, obstacle) in enumerate(shown):
         if begins[k + 1] > begins[k]:
-            words = plain(f"{obstacle.agent}: {obstacle.decision.value}")
+            words = plain(f"{tape.short(obstacle.agent)}: {obstacle.decision.value}")
             visible = filled[begins[k] : begins[k + 1]] - [offsets[i], 0.0]
             at = beside(visible, len(words), axes) + np.array([offsets[i], 0.0])
             rows[i].append((at, words, colours.of_words(colours.DECISIONS[obstacle.decision])))

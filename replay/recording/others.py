@@ -106,7 +106,7 @@ def _draw_perceived(tape: Tape, trace: Trace, frames: Instants) -> None:
         centers=np.column_stack([x, y, 0.5 * height]),
         half_sizes=0.5 * np.column_stack([length, width, height]),
         quaternions=np.column_stack([zero, zero, np.sin(0.5 * yaw), np.cos(0.5 * yaw)]),
-        labels=[plain(f"{name} as perceived") for some in shown for name in some.ids],
+        labels=[plain(f"{tape.short(name)} as perceived") for some in shown for name in some.ids],
     )
     style = rr.Boxes3D.from_fields(
         colors=[colours.PERCEIVED],

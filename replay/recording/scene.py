@@ -181,7 +181,7 @@ def _draw_kind(
     )
     height = HEIGHTS[kind]
     half = np.column_stack([length, width, np.full(len(xy), height)]) / 2.0
-    names = {name: plain(name) for name in {name for some in agents for name in some.ids}}
+    names = {name: plain(tape.short(name)) for name in {name for some in agents for name in some.ids}}
     labels = [names[some.ids[i]] for some, at in zip(agents, chosen, strict=True) for i in at]
     seen = np.concatenate([_marked(some, len(all_))[at] for at, some, all_ in zip(chosen, full, agents, strict=True)])
     colour = np.where(seen, colours.KINDS[kind], colours.with_alpha(colours.KINDS[kind], FAINT)).astype(np.uint32)
@@ -242,9 +242,9 @@ def _draw_names(
     colour: list[int] = []
     for some, rows, about, eye in zip(agents, full, here, ego.tolist(), strict=True):
         for i in rows:
-            decision = about.get(some.ids[i])
+            decision, name = about.get(some.ids[i]), tape.short(some.ids[i])
             points.append(_beyond(some, int(i), eye))
-            words.append(plain(f"{some.ids[i]}: {decision.kind.value}" if decision else some.ids[i]))
+            words.append(plain(f"{name}: {decision.kind.value}" if decision else name))
             colour.append(colours.of_words(colours.DECISIONS[decision.kind] if decision else colours.TICK))
     entity = "world/agents/names"
     tape.static(entity, rr.Points3D.from_fields(radii=[pixels(0.01)], show_labels=True))

@@ -47,11 +47,11 @@ def draw_why(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants) -
         tape.static(page, rr.TextDocument.from_fields(media_type=MARKDOWN))
     changes = changes_under_way(trace.frames, lanes_driven(trace, scenario.road))
     pages = [
-        document(why(frame, account, unseen(trace, frame.t), change))
+        document(map(tape.short, why(frame, account, unseen(trace, frame.t), change)))
         for frame, account, change in zip(trace.frames, accounts(trace, scenario), changes, strict=True)
     ]
     tape.rows("why", instants, rr.TextDocument.columns(text=pages))
-    inside = [document(numbers(frame)) for frame in trace.frames]
+    inside = [document(map(tape.short, numbers(frame))) for frame in trace.frames]
     tape.rows("numbers", instants, rr.TextDocument.columns(text=inside))
 
 

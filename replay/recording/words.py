@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 def draw_summary(tape: Tape, lines: Iterable[str]) -> None:
     """The page that does not change."""
-    tape.static("summary", rr.TextDocument(document(lines), media_type=MARKDOWN))
+    tape.static("summary", rr.TextDocument(document(map(tape.short, lines)), media_type=MARKDOWN))
 
 
 def summary(trace: Trace, scenario: Scenario, metrics: DataFrame | None) -> list[str]:

@@ -53,12 +53,15 @@ def opened(log: str, settings: LogSettings) -> Scenario:
 
 def agents(scenario: Scenario) -> list[str]:
     """Who is there, a line each."""
-    return listing(encounters(scenario))
+    return listing(encounters(scenario), scenario.short_names)
 
 
 def asked(scenario: Scenario, words: Sequence[str], named: Sequence[str], resolution: float | None) -> Question:
-    """The question, with the nearest agent where one is needed and none is named; ConfigError as `question`."""
-    found = question(words, named, resolution)
+    """The question, with the nearest agent where one is needed and none is named; ConfigError as `question`.
+
+    An agent is named by the whole id or by the short name.
+    """
+    found = question(words, [*map(scenario.short_names.whole, named)], resolution)
     return found if named or not found.varies_agents else replace(found, agents=(nearest_agent(scenario),))
 
 
@@ -74,5 +77,5 @@ def vary(
     """`surface.vary`, into the next free folder where none is named; says who is varied."""
     out = next_free() if out is None else out
     if asked_for.agents:
-        say(f"varied: {', '.join(asked_for.agents)}")
+        say(f"varied: {', '.join(map(scenario.short_names, asked_for.agents))}")
     return surface.vary(scenario, asked_for, run, out, workers=workers, say=say)

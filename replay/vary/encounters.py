@@ -10,6 +10,7 @@ import numpy as np
 from logs.errors import ConfigError
 from logs.scenario import Scenario
 from logs.shapes import clearance
+from logs.short_names import ShortNames
 from logs.states import Trajectory
 from metrics.others import ego_boxes, others_at
 from metrics.phantoms import phantoms, without_phantoms
@@ -106,13 +107,13 @@ def nearest_agent(scenario: Scenario) -> str:
     return (going or seen)[0].agent
 
 
-def listing(found: tuple[Encounter, ...]) -> list[str]:
+def listing(found: tuple[Encounter, ...], short: ShortNames) -> list[str]:
     """A line per road user, the nearest `SHOWN` first."""
-    width = max([len(one.agent) for one in found[:SHOWN]], default=5)
+    width = max([len(short(one.agent)) for one in found[:SHOWN]], default=5)
     lines = [f"{'agent':{width}}  kind        from     to    way  nearest     at"]
     lines += [
-        f"{one.agent:{width}}  {one.kind:10} {one.t_from:5.1f}  {one.t_to:5.1f}  {one.way:5.1f}  {one.least:7.2f}"
-        f"  {one.at:5.1f}"
+        f"{short(one.agent):{width}}  {one.kind:10} {one.t_from:5.1f}  {one.t_to:5.1f}  {one.way:5.1f}"
+        f"  {one.least:7.2f}  {one.at:5.1f}"
         for one in found[:SHOWN]
     ]
     lines[0] += "   [s, s, m, m, s]"

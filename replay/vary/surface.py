@@ -271,7 +271,7 @@ def _write(result: VaryResult, scenario: Scenario, planner: str) -> None:
     rows = [(*one.row, one.low, one.high, one.at_low, one.at_high, one.middle) for one in result.edges]
     edges = pd.DataFrame(rows, columns=columns)
     write_file(out / "edges.csv", lambda partial: edges.to_csv(partial, index=False, lineterminator="\n"))
-    about = f"; varied: {', '.join(question.agents)}" if question.agents else ""
+    about = f"; varied: {', '.join(map(scenario.short_names, question.agents))}" if question.agents else ""
     fixed = "".join(f", {name} {VARIATIONS[name].shown(value)}" for name, value in question.fixed.items())
     title = f"{scenario.name}: {planner}{fixed}{about}"
     save(surface_figure(table, result.edges, question, title), out / "surface.png")

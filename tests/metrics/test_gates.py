@@ -221,12 +221,16 @@ def test_nothing_excuses_a_drive_in_which_the_planner_failed(metric: str) -> Non
     assert verdict(gate, table(mine, CONTACT)).outcome is INCONCLUSIVE
 
 
-@pytest.mark.parametrize(("about", "outcome"), [("", FAIL), ("car 7", INCONCLUSIVE)])
-def test_hard_braking_for_nothing_is_not_excused(about: str, outcome: Outcome) -> None:
-    """At 3 s, where the careful driver brakes as hard: for nothing, or for the same car."""
-    rows = (row("a", 0.1, reason=about), reference("careful", 0.1, reason=about))
-    found = verdict(Gate("lon_accel.min", min=0.5), table(*(each | {"metric": "lon_accel.min"} for each in rows)))
-    assert found.outcome is outcome
+@pytest.mark.parametrize(
+    ("mine", "careful", "outcome"), [("", "", FAIL), ("car 7a", "car 7b", FAIL), ("car 7a", "car 7a", INCONCLUSIVE)]
+)
+def test_hard_braking_for_nothing_is_not_excused(mine: str, careful: str, outcome: Outcome) -> None:
+    """At 3 s, where the careful driver brakes as hard: for nothing, for another car or the same by the whole id."""
+    rows = (row("a", 0.1, reason="car 7", about=mine), reference("careful", 0.1, reason="car 7", about=careful))
+    gate, same = Gate("lon_accel.min", min=0.5), {"metric": "lon_accel.min"}
+    assert verdict(gate, table(*(each | same for each in rows))).outcome is outcome
+    older = table(*(each | same | {"reason": each["about"]} for each in rows)).drop(columns="about")
+    assert verdict(gate, older).outcome is outcome
 
 
 def test_a_goal_is_missed_where_a_reference_drive_or_another_planner_reaches_it() -> None:

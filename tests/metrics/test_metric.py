@@ -1,12 +1,16 @@
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+
 import numpy as np
+import pandas as pd
 import pytest
-from drives import along, drive, grid, scenario
+from drives import along, drive, grid, moving, scenario
 from hypothesis import given
 from hypothesis import strategies as st
 
-from logs import ConfigError, Mode, Scenario, Trace
+from logs import AgentKind, ConfigError, Mode, Scenario, Trace
 from metrics import COLUMNS, METRICS, Metric, Series, Unavailable, evaluate, load_metric, series
 from metrics.metric import (
     COUNT,
@@ -178,3 +182,16 @@ def test_a_metric_of_ones_own() -> None:
 def test_metrics_that_cannot_be_loaded(spec: str) -> None:
     with pytest.raises(ConfigError, match=spec):
         load_metric(spec)
+
+
+def test_reasons_have_short_names_and_about_has_the_whole_id() -> None:
+    """A log whose road users have UUIDs is measured as one whose road users have numbers."""
+    whole = {"17": "23f7a1c8-0d5e-4b8e-9a53-6a3ef1f0c2b4", "18": "23f85a90-4d0e-4dbb-8f0c-1b6c5f4d7a11"}
+    cars = [(name, AgentKind.CAR, (4.5, 1.8), moving(12.0, y, 6.0, 0.0)) for name, y in (("17", 0.0), ("18", 4.0))]
+    log = scenario(along(grid(3.0), 10.0), cars)
+    coded = replace(log, tracks=replace(log.tracks, ids=tuple(whole.values())))
+    plain, found = (evaluate(drive(one), one) for one in (log, coded))
+    same = [name for name in COLUMNS if name not in ("reason", "about")]
+    pd.testing.assert_frame_equal(found[same], plain[same])
+    assert found["about"].tolist() == [re.sub(r"\b1[78]\b", lambda hit: whole[hit[0]], each) for each in plain["about"]]
+    assert {"car 23f7", "car 23f8"} & set(found["reason"]) and not found["reason"].str.contains("-4b8e-|-4dbb-").any()

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from logs.kernel import FloatArray
+from logs.short_names import ShortNames
 from logs.trace import DecisionKind, Graph, GraphObstacle, SlGraph, StGraph
 from replay.report.charts.axes import Plane, spread
 from replay.report.charts.canvas import LETTER_PX, Chart, area, legend, polyline, shortened, text
@@ -57,14 +58,14 @@ def _graph(subject: Subject, kind: _Kind) -> Chart:
         why = _NO_PLAN if frame is None else _NO_GRAPH.format(title=kind.title) if inside else _absent(subject, kind)
         body = text(2.0, 13.0, title, "title") + text(WIDTH_PX / 2.0, 44.0, why, "says")
         return Chart(kind.name, title, f"{title}: {why}", WIDTH_PX, 64.0, body)
-    plane = _plane(graph, kind)
+    plane, short = _plane(graph, kind), subject.scenario.short_names
     drawn = plane.drawn(
         _corridor(plane, graph) + _obstacles(plane, graph) + _lines(plane, graph),
-        x_title=kind.x_title, y_title="", over=_labels(plane, graph),
+        x_title=kind.x_title, y_title="", over=_labels(plane, graph, short),
     )  # fmt: skip
     head = text(2.0, 13.0, title, "title") + text(2.0, 27.0, kind.y_title, "tick")
     head += legend(178.0, 27.0, _entries(graph), WIDTH_PX - 190.0)
-    return Chart(kind.name, title, f"{title}: {_said(graph)}", WIDTH_PX, HEIGHT_PX, drawn + head)
+    return Chart(kind.name, title, f"{title}: {short(_said(graph))}", WIDTH_PX, HEIGHT_PX, drawn + head)
 
 
 def _absent(subject: Subject, kind: _Kind) -> str:
@@ -158,7 +159,7 @@ def _ignored(some: GraphObstacle) -> bool:
     return some.decision is DecisionKind.IGNORE
 
 
-def _labels(plane: Plane, graph: Graph) -> str:
+def _labels(plane: Plane, graph: Graph, short: ShortNames) -> str:
     """Agent and decision at the visible part of each outline, the decided ones first, moved down where they crowd."""
     wide, high = plane.inner
     out, taken = [], list[float]()
@@ -168,7 +169,7 @@ def _labels(plane: Plane, graph: Graph) -> str:
         seen = (outline[:, 0] >= plane.x[0]) & (outline[:, 0] <= plane.x[1])
         if not seen.any() or y[seen].min() >= high or y[seen].max() <= 0.0:
             continue
-        words = shortened(f"{some.agent}: {some.decision.value}", wide)
+        words = shortened(f"{short(some.agent)}: {some.decision.value}", wide)
         at_y = 0.5 * (float(y[seen].min()) + float(y[seen].max())) + 4.0
         while any(abs(at_y - other) < LABEL_PX for other in taken):
             at_y += LABEL_PX

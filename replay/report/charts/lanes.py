@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,18 +49,19 @@ class Row:
     kind: str = "bar"
 
 
-def decided(plans: Sequence[Said], end: float) -> list[Row]:
+def decided(plans: Sequence[Said], end: float, short: Callable[[str], str]) -> list[Row]:
     """What was decided about which agent, from when to when; who was ignored only has no row. First come first.
 
     A decision holds until the next frame; neighbouring frames with the same are one span, whose reason is the first.
+    `short` makes names of agents short.
     """
     rows: dict[str, list[Span]] = {}
     stops = [*(plan.t for plan in plans[1:]), max(end, plans[-1].t)] if plans else []
     for plan, stop in zip(plans, stops, strict=True):
         now = [some for some in plan.internals if isinstance(some, Decision)]
         for one in {some.agent: some for some in now if some.kind is not DecisionKind.IGNORE}.values():
-            _extend(rows.setdefault(one.agent, []), Span(plan.t, stop, one.kind.value, one.reason))
-    return [Row(agent, tuple(spans)) for agent, spans in rows.items()]
+            _extend(rows.setdefault(one.agent, []), Span(plan.t, stop, one.kind.value, short(one.reason)))
+    return [Row(short(agent), tuple(spans)) for agent, spans in rows.items()]
 
 
 def statuses(plans: Sequence[Said], end: float) -> Row:
@@ -82,7 +83,7 @@ def _extend(spans: list[Span], one: Span) -> None:
 
 def _rows(subject: Subject) -> list[Row]:
     plans, end = subject.said, subject.span[1]
-    everybody = decided(plans, end)
+    everybody = decided(plans, end, subject.scenario.short_names)
     broken = [
         Row(some.series, tuple(Span(begin, stop, "fails", some.gate) for begin, stop in some.spans), "alarm")
         for some in subject.violations

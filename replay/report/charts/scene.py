@@ -12,6 +12,7 @@ import numpy as np
 from logs.kernel import FloatArray
 from logs.scenario import AgentKind, Agents
 from logs.shapes import corners
+from logs.short_names import ShortNames
 from logs.states import EgoState
 from logs.trace import Decision, DecisionKind
 from replay.report.charts.axes import Plane
@@ -67,7 +68,14 @@ def scene(subject: Subject, t: float, word: str) -> Chart:
     ]
     plan = [("line", "planned", "plan, a dot a second")] if planned and subject.frame else []
     head += legend(60.0, 33.0, [*entries, *plan], WIDTH_PX - 70.0)
-    return Chart(f"scene_{word.replace(' ', '_')}", title, _said(title, agents, ego), WIDTH_PX, HEIGHT_PX, drawn + head)
+    return Chart(
+        f"scene_{word.replace(' ', '_')}",
+        title,
+        _said(title, agents, ego, subject.scenario.short_names),
+        WIDTH_PX,
+        HEIGHT_PX,
+        drawn + head,
+    )
 
 
 def scenes(subject: Subject) -> list[Chart]:
@@ -197,7 +205,7 @@ def _names(view: _View, agents: Agents, subject: Subject, *, planned: bool) -> s
         if not inside or len(placed) >= MAX_NAMES:
             continue
         decision = f": {decided[agents.ids[i]]}" if agents.ids[i] in decided else ""
-        words = shortened(agents.ids[i], 110.0) + decision
+        words = shortened(subject.scenario.short_names(agents.ids[i]), 110.0) + decision
         half = 0.5 * LETTER_PX * len(words)
         below = y < 20.0 or (y > 0.5 * high and high - y > 20.0)
         x, y = min(max(x, half), wide - half), y + 18.0 if below else y - 9.0
@@ -207,9 +215,9 @@ def _names(view: _View, agents: Agents, subject: Subject, *, planned: bool) -> s
     return "".join(out)
 
 
-def _said(title: str, agents: Agents, ego: EgoState) -> str:
+def _said(title: str, agents: Agents, ego: EgoState, short: ShortNames) -> str:
     if not len(agents):
         return f"Scene, {title}; no other road users"
     away = np.hypot(agents.x - ego.x, agents.y - ego.y)
     i = int(np.argmin(away))
-    return f"Scene, {title}; {len(agents)} other road users, the nearest {agents.ids[i]}, {away[i]:.0f} m away"
+    return f"Scene, {title}; {len(agents)} other road users, the nearest {short(agents.ids[i])}, {away[i]:.0f} m away"

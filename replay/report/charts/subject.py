@@ -45,7 +45,10 @@ class Subject:
             return ()
         earlier = [one.t for one in self.said if one.t < self.frame.t]
         (account,) = accounts(self.trace, self.scenario, self.drive.result.run.loop, earlier)
-        return (f"The plan of t = {account.t:.2f} s: {account.course.action.value}.", *sentences(account))
+        return (
+            f"The plan of t = {account.t:.2f} s: {account.course.action.value}.",
+            *map(self.scenario.short_names, sentences(account)),
+        )
 
     @property
     def span(self) -> tuple[float, float]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shlex
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -137,7 +137,7 @@ def drive_page(results: Results, row: DriveRow, anchor: str, page: Path) -> Driv
     shown = next((drive for drive in drives if _fails(drive)), drives[0])
     attempt = Attempts()
     seen, why = _subject(shown)
-    found = attempt("The list of events", lambda: events(seen.trace, seen.said) if seen else [], list[Event]())
+    found = attempt("The list of events", lambda: _events(seen) if seen else [], list[Event]())
     because = attempt("The account of the plan", lambda: seen.because if seen else (), tuple[str, ...]())
     charts = placed(seen, results.run.charts) if seen else {}
     labels = results.labels.get(row.log)
@@ -173,6 +173,11 @@ def _subject(drive: DriveResult) -> tuple[Subject | None, str]:
         return None, f"no pictures: {error.what if isinstance(error, LogError) else error}"
     except Exception as error:
         return None, f"no pictures: a bug in replan: {raised(error)}"
+
+
+def _events(seen: Subject) -> list[Event]:
+    short = seen.scenario.short_names
+    return [replace(event, words=short(event.words)) for event in events(seen.trace, seen.said)]
 
 
 def _drawn(charts: Sequence[Chart]) -> tuple[Markup, ...]:

@@ -427,6 +427,16 @@ def test_three_hundred_agents_are_all_drawn_and_few_are_named(tmp_path: Path) ->
     assert recording.counts("/world/agents/names", "Points3D:labels").max() <= 12
 
 
+def test_names_are_short_in_pictures_and_in_words(tmp_path: Path) -> None:
+    whole = "23f7a1c8-0d5e-4b8e-9a53-6a3ef1f0c2b4"
+    done, world = drive(pedestrian=whole)
+    trace = replace(done.trace, detail=f"pedestrian {whole}")
+    texts = list(written(tmp_path, replace(done, trace=trace), world).texts())
+    assert not any(whole in text for text in texts)
+    assert {"23f7: yield", "23f7: stop"} & set(texts)
+    assert any("pedestrian 23f7" in text for text in texts)
+
+
 def test_words_of_users_become_drawable(tmp_path: Path) -> None:
     done, world = drive(pedestrian="\u884c\u4eba \u274c|7*\n\u0301")
     odd = "stage/\u65e5 \u672c"

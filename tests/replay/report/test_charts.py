@@ -214,14 +214,14 @@ def said(*kinds: DecisionKind | None) -> list[Said]:
 
 def test_decisions_hold_until_the_next_frame() -> None:
     some = said(None, DecisionKind.YIELD, DecisionKind.YIELD, None, DecisionKind.STOP, DecisionKind.IGNORE)
-    (row,) = decided(some, 1.0)
+    (row,) = decided(some, 1.0, str)
     spans = [(round(span.begin, 9), round(span.end, 9), span.word, span.why) for span in row.spans]
     assert spans == [(0.1, 0.3, "yield", "why 1"), (0.4, 0.5, "stop", "why 4")]
     assert [(span.word, round(span.end, 9)) for span in statuses(some, 1.0).spans] == [
         ("planned", 0.3),
         ("hard stop", 1.0),
     ]
-    assert decided([], 1.0) == [] and statuses([], 1.0).spans == ()
+    assert decided([], 1.0, str) == [] and statuses([], 1.0).spans == ()
 
 
 def test_a_moment_of_a_trace_is_that_of_the_whole(run: RunResult) -> None:

@@ -18,7 +18,7 @@ from logs.mcap import write_scenario
 from metrics.judge import verdicts_by_log
 from replay.batch import evaluate_logs
 from replay.config import RunConfig
-from replay.vary import VaryResult, encounters, prepared, question, vary
+from replay.vary import VaryResult, command, encounters, prepared, question, vary
 from replay.vary.bisection import Bracket, bisected, brackets
 from replay.vary.encounters import nearest_agent
 
@@ -214,6 +214,14 @@ def test_exit_2_is_one_line(tmp_path: Path, words: list[str], said: str) -> None
     result = replan("vary", *filled, "--out", tmp_path / "out", "--workers", 0)
     errors = [line for line in result.stderr.splitlines() if line.startswith("error:")]
     assert result.exit_code == 2 and len(errors) == 1 and said in errors[0]
+
+
+def test_an_agent_is_named_by_the_whole_id_or_by_its_short_name() -> None:
+    whole = "23f7a1c8-0d5e-4b8e-9a53-6a3ef1f0c2b4"
+    coded = replace(log(), tracks=replace(log().tracks, ids=(whole, *log().tracks.ids[1:])))
+    assert [line.split()[0] for line in command.agents(coded)[1:]] == ["blink", "23f7", "far"]
+    for name in (whole, "23f7"):
+        assert command.asked(coded, ["time=0:1:2"], [name], None).agents == (whole,)
 
 
 def test_a_family_is_a_log(tmp_path: Path) -> None:

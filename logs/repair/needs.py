@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from logs.detections import Detections
+from logs.kernel import FloatArray
 
 STEP_S, FASTEST_MPS, JUMPS = 0.5, 60.0, 0.02
 """Ids are no identities if more than `JUMPS` of the steps of one id within `STEP_S` are faster than `FASTEST_MPS`, or
@@ -15,27 +18,32 @@ SHORT_S, FLICKER, LEAST_IDS = 1.0, 0.5, 10
 
 def needs_repair(detections: Detections) -> str | None:
     """Why these detections must be repaired, in a sentence; None where they are tracks already."""
-    if not len(detections):
-        return None
     if not any(detections.ids):
-        return "The log gives its detections no ids."
+        return "The log gives its detections no ids." if len(detections) else None
+    why = no_identities(detections.ids, detections.t, detections.x, detections.y)
+    if why or np.ptp(detections.frames) < 2.0 * SHORT_S:
+        return why
     codes = np.unique(np.array(detections.ids), return_inverse=True)[1]
-    order = np.lexsort((detections.t, codes))
-    same = np.diff(codes[order]) == 0
-    dt = np.diff(detections.t[order])
+    begin, end = np.full(codes.max() + 1, np.inf), np.full(codes.max() + 1, -np.inf)
+    np.minimum.at(begin, codes, detections.t)
+    np.maximum.at(end, codes, detections.t)
+    short = int((end - begin < SHORT_S).sum())
+    if len(begin) >= LEAST_IDS and short > FLICKER * len(begin):
+        return f"Road users flicker: {short} of {len(begin)} ids are seen for less than {SHORT_S:g} s."
+    return None
+
+
+def no_identities(ids: Sequence[str], t: FloatArray, x: FloatArray, y: FloatArray) -> str | None:
+    """Why the ids `(m,)` of boxes at times t `(m,)`, s, equal within a frame, name no objects throughout; else None."""
+    codes = np.unique(np.array(ids), return_inverse=True)[1]
+    order = np.lexsort((t, codes))
+    same, dt = np.diff(codes[order]) == 0, np.diff(t[order])
     twice = int((same & (dt == 0.0)).sum())
-    if twice > JUMPS * len(detections):
-        return f"Ids of detections are no identities: {twice / len(detections):.0%} stand twice in a frame."
+    if twice > JUMPS * len(ids):
+        return f"Ids of detections are no identities: {twice / len(ids):.0%} stand twice in a frame."
     near = same & (dt > 0.0) & (dt <= STEP_S)
-    step = np.hypot(np.diff(detections.x[order]), np.diff(detections.y[order]))
+    step = np.hypot(np.diff(x[order]), np.diff(y[order]))
     jumps = int((near & (step > FASTEST_MPS * np.maximum(dt, 0.02))).sum())
     if jumps > JUMPS * max(int(near.sum()), 1):
         return f"Ids of detections are no identities: {jumps} of {int(near.sum())} steps are jumps."
-    times = detections.t[order]
-    first = np.flatnonzero(np.r_[True, ~same])
-    lives = times[np.r_[first[1:] - 1, len(times) - 1]] - times[first]
-    short = int((lives < SHORT_S).sum())
-    lasts = float(np.ptp(detections.frames)) >= 2.0 * SHORT_S
-    if lasts and len(lives) >= LEAST_IDS and short > FLICKER * len(lives):
-        return f"Road users flicker: {short} of {len(lives)} ids are seen for less than {SHORT_S:g} s."
     return None

@@ -30,12 +30,11 @@ class Owners:
 
     def of(self, known: Agents, log: Agents) -> list[str]:
         """The name in the log of each agent that is known, "" of none; both are of one time."""
-        if len(log):
-            away = np.hypot(known.x[:, None] - log.x, known.y[:, None] - log.y)
-            for name, row in zip(known.ids, away, strict=True):
-                nearest = int(np.argmin(row))
-                if row[nearest] <= NEAR_M:
-                    self.votes[name][log.ids[nearest]] += 1
+        away = np.hypot(known.x[:, None] - log.x, known.y[:, None] - log.y)
+        for name, row in zip(known.ids, away if len(log) else (), strict=bool(len(log))):
+            nearest = int(np.argmin(row))
+            if row[nearest] <= NEAR_M:
+                self.votes[name][log.ids[nearest]] += 1
         return [self.owner(name) for name in known.ids]
 
     def owner(self, name: str) -> str:
@@ -46,24 +45,23 @@ class Owners:
 
 def named_as_tracked(made: Repair) -> Repair:
     """The repair with the names (2); those of what was removed stay."""
-    names = _names(made)
-    tracks = replace(made.tracks, ids=tuple(names[name] for name in made.tracks.ids))
-    changes = tuple(replace(each, agent=names.get(each.agent, each.agent)) for each in made.changes)
-    return replace(made, tracks=tracks, changes=changes)
-
-
-def _names(made: Repair) -> dict[str, str]:
-    """The name of each repaired track by its present one."""
     known, owners = made.detections.tracked, Owners()
     for t in known.frames:
         owners.of(known.at(t), made.tracks.perceived(t))
     longest: dict[str, tuple[int, str]] = {}
     for name in list(owners.votes):
-        owner = owners.owner(name)
-        if owner:
+        if owner := owners.owner(name):
             count = owners.votes[name][owner]
             longest[owner] = max(longest.get(owner, (0, "")), (count, name), key=lambda one: one[0])
-    free = (f"{UNTRACKED} {k}" for k in range(1, len(made.tracks) + 1))
-    still = dict(zip(made.tracks.ids, made.tracks.static.tolist(), strict=True))
-    own = {name: f"{name}~static" if name in owners.votes else name for name in still if still[name]}
-    return own | {name: longest[name][1] if name in longest else next(free) for name in still if not still[name]}
+    names, number = {}, 0
+    for name, still in zip(made.tracks.ids, made.tracks.static.tolist(), strict=True):
+        if still:
+            names[name] = f"{name}~static" if name in owners.votes else name
+        elif name in longest:
+            names[name] = longest[name][1]
+        else:
+            number += 1
+            names[name] = f"{UNTRACKED} {number}"
+    tracks = replace(made.tracks, ids=tuple(names[name] for name in made.tracks.ids))
+    changes = tuple(replace(each, agent=names.get(each.agent, each.agent)) for each in made.changes)
+    return replace(made, tracks=tracks, changes=changes)

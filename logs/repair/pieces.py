@@ -8,24 +8,28 @@ from dataclasses import dataclass
 import numpy as np
 
 from logs.kernel import FloatArray, IntArray, kernel
-from logs.repair.groups import CLUSTER, GROUPS, NOISE, SLIDES, SMOOTH_DENSITY, STAND_S, VEHICLE, Boxes
+from logs.repair.boxes import CLUSTER, DENSITY, NOISE, SLIDES, SLOW, STILL, VEHICLE, Boxes
 from logs.repair.kalman import smoothed
 
+SMOOTH_DENSITY = 0.45 * DENSITY
+"""Where the whole track is known: the speed of who drives is off by a fifth less (tests/support/track_score.py)."""
 LEAST_NOISE_M, DRIFT, NOISE_COUNT = 0.05, 3.0, 8
 """Noise of a track: so many times what its boxes jitter about the line between their neighbours, as slow drift, which
 none sees, is three times the jitter (0.30 m to 0.09 m); its group's noise at most, and where it has fewer boxes."""
 OUTLIER, OUTLIER_WEIGHT = 2.5, 2.0
 """A box that is more deviations off the smooth path counts as so much less exact."""
+STAND_S, SPREAD = 1.0, 1.3
+"""Standing is decided over this: the drift of a box looks like motion for shorter. Nine in ten boxes of what stands are
+within so many times `STILL`."""
 STITCH_S, STITCH_STILL_S = 3.0, 8.0
 """Gaps between two pieces that can be one road user's; between two that stand."""
-FEW = 4
-"""A piece of fewer detections has no velocity of its own."""
+MEET, TURN = np.array([(1.0, 0.8), (0.7, 0.5), (0.7, 0.3)]), np.array([(3.0, 2.0), (1.5, 1.0), (1.5, 0.5)])
+"""By group: two that meet within this in the middle of their gap are one, m, and more per second of gap; if their
+velocities differ by less, m/s, and more per second of gap."""
 STITCH_GROWTH, CHANGE_MPS, GAP_WORTH = 0.8, 0.3, 0.1
 """Sizes within a factor of e^0.8; what 1 m/s and 1 s cost against a miss by all that is allowed, or a factor of e."""
-SPREAD = 1.3
-"""Of what stands nine in ten boxes are within so many times `Group.still`."""
-ROUNDS = 3
-_LIMITS = np.array([(group.meet, group.meet_growth, group.turn, group.turn_growth) for group in GROUPS])
+FEW, ROUNDS = 4, 3
+"""A piece of fewer detections has no velocity of its own; rounds of estimates that rest on each other."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,14 +37,12 @@ class Piece:
     """A road user's motion on every frame from the first to the last detection, `(k,)`.
 
     Attributes:
-        rows: Boxes, in order of time; `seen` their places among the frames.
-        group: Place in `GROUPS`.
+        rows: Boxes, in order of time; `seen` their places among the frames, `group` theirs by votes.
         t: Times of the frames, s.
-        z: Detected centres `(k, 2)`, NaN between detections; `variance` of each, m2.
+        z: Detected centres `(k, 2)`, m, NaN between detections; `variance` of each, m2.
         path: Smooth x, y, vx, vy `(k, 4)`.
-        noise: Standard deviation of a centre, m; `scale` the same as a share of the group's.
-        net: From where it was in the first third to where in the last, m.
-        still: Whether it never moves.
+        scale: Standard deviation of a centre as a share of the group's.
+        still: Whether it never moves; `net`: from where it was in the first third to where in the last, m.
     """
 
     rows: IntArray
@@ -50,56 +52,46 @@ class Piece:
     z: FloatArray
     variance: FloatArray
     path: FloatArray
-    noise: float
     scale: float
     net: float
     still: bool
 
-    @property
-    def span(self) -> float:
-        """From the first to the last detection, s."""
-        return float(self.t[-1] - self.t[0])
-
     def standing(self) -> FloatArray:
         """The path `(k, 4)`, where it is slow for `STAND_S` held at a stand."""
-        slow = np.hypot(self.path[:, 2], self.path[:, 3]) < GROUPS[self.group].slow * self.scale
-        ends = np.flatnonzero(np.diff(np.r_[False, slow, False]))
-        runs = [(a, b) for a, b in zip(ends[::2], ends[1::2], strict=True) if self.t[b - 1] - self.t[a] >= STAND_S]
-        stands = np.zeros(len(slow), np.bool_)
-        for a, b in runs:
-            stands[a:b] = True
+        stands = np.hypot(self.path[:, 2], self.path[:, 3]) < SLOW[self.group] * self.scale
+        ends = np.flatnonzero(np.diff(np.r_[False, stands, False]))
+        for a, b in zip(ends[::2], ends[1::2], strict=True):
+            stands[a:b] = self.t[b - 1] - self.t[a] >= STAND_S
         if not stands.any():
             return self.path
-        path = smoothed(self.t, self.z, self.variance, float(SMOOTH_DENSITY[self.group]), stands)
+        path = smoothed(self.t, self.z, self.variance, SMOOTH_DENSITY[self.group], stands)
         path[stands, 2:] = 0.0
         return path
 
 
 def fitted(rows: IntArray, boxes: Boxes, frames: FloatArray) -> Piece:
     """The motion that the boxes `rows`, in order of time, show."""
-    group = int(np.bincount(boxes.group[rows], boxes.weight[rows], len(GROUPS)).argmax())
+    weight = boxes.weight[rows]
+    group = int(np.bincount(boxes.group[rows], weight, len(NOISE)).argmax())
     first, last = boxes.frame[rows[0]], boxes.frame[rows[-1]]
     t, seen = frames[first : last + 1], boxes.frame[rows] - first
     xy = np.column_stack([boxes.x[rows], boxes.y[rows]])
-    noise = _noise(t[seen], xy, GROUPS[group].noise)
+    noise = _noise(t[seen], xy, NOISE[group])
     z, variance = np.full((len(t), 2), np.nan), np.full(len(t), noise**2)
-    z[seen] = xy
-    trust = boxes.noise[rows] / NOISE[boxes.group[rows]]
-    stands = np.zeros(len(t), np.bool_)
-    variance[seen] = (noise * trust) ** 2
+    trust, moving = boxes.noise[rows] / NOISE[boxes.group[rows]], np.zeros(len(t), np.bool_)
+    z[seen], variance[seen] = xy, (noise * trust) ** 2
     for _ in range(2):
-        path = smoothed(t, z, variance, float(SMOOTH_DENSITY[group]), stands)
+        path = smoothed(t, z, variance, SMOOTH_DENSITY[group], moving)
         off = np.hypot(*(xy - path[seen, :2]).T) / noise
         variance[seen] = (noise * np.maximum(trust, np.where(off > OUTLIER, OUTLIER_WEIGHT * off / OUTLIER, 1.0))) ** 2
-    scale = noise / GROUPS[group].noise
-    weight, third = boxes.weight[rows], max(1, len(xy) // 3)
+    scale, third = noise / NOISE[group], max(1, len(xy) // 3)
     net = float(np.hypot(*(centre(xy[-third:], weight[-third:]) - centre(xy[:third], weight[:third]))))
     spread = np.percentile(np.hypot(*(xy - centre(xy, weight)).T), 90)
-    most, slow = GROUPS[group].still * scale, GROUPS[group].slow * scale * max(t[-1] - t[0], 0.5)
+    most, slow = STILL[group] * scale, SLOW[group] * scale * max(t[-1] - t[0], 0.5)
     if group == CLUSTER:
         most = slow = max(most, SLIDES * float(np.median(boxes.length[rows])))
     still = net < min(most, slow) and spread < SPREAD * most
-    return Piece(rows, seen, group, t, z, variance, path, noise, scale, net, bool(still))
+    return Piece(rows, seen, group, t, z, variance, path, scale, net, bool(still))
 
 
 def _noise(t: FloatArray, xy: FloatArray, most: float) -> float:
@@ -163,9 +155,9 @@ def _pairs(pieces: Sequence[Piece], boxes: Boxes) -> list[tuple[int, int]]:
     back = np.where((few[j] & ~few[i])[:, None], before[i], after[j])
     off = end[i, 1:3] - begin[j, 1:3] + 0.5 * gap[:, None] * (out + back)
     miss, change, growth = np.hypot(*off.T), np.hypot(*(out - back).T), np.abs(size[i] - size[j]).max(axis=1)
-    meet, meet_growth, turn, turn_growth = _LIMITS[group[i]].T
-    most = meet + meet_growth * np.minimum(gap, STITCH_S)
-    fits = (miss < most) & (change < turn + turn_growth * gap) & (growth < STITCH_GROWTH)
+    (meet, growing), (turn, turning) = MEET[group[i]].T, TURN[group[i]].T
+    most = meet + growing * np.minimum(gap, STITCH_S)
+    fits = (miss < most) & (change < turn + turning * gap) & (growth < STITCH_GROWTH)
     fits &= (group[i] == group[j]) | ((group[i] != VEHICLE) & (group[j] != VEHICLE))
     fits &= (gap <= STITCH_S) | (still[i] & still[j])
     cost = (miss / most + CHANGE_MPS * change + growth + GAP_WORTH * gap)[fits]

@@ -22,15 +22,6 @@ VEHICLE, PERSON, CLUSTER = 0, 1, 2
 NOISE, ACCEL = frozen([0.30, 0.20, 0.35]), frozen([3.0, 1.5, 1.5])
 """Standard deviations of a centre, m, of which most drifts slowly (rms 0.22 to 0.30 m of standing cars), and of the
 acceleration over `STEP_S`, m/s2 (Autoware's tracker: 0.35 g along, 0.15 g across cars, 0.3 g for pedestrians)."""
-FIRST_ALONG, FIRST_ACROSS = frozen([10.0, 2.5, 3.0]), frozen([1.5, 2.5, 3.0])
-"""Standard deviations of the speed at the first detection along and across the box, m/s: 29 % of the vehicle tracks
-joined without them began with a step above 2.5 m, 18 % sideways."""
-REACH = frozen([4.0, 1.5, 1.5])
-"""A detection farther from where a track should be is another object, m; Autoware's gates are 2 m."""
-LEAST_TIME, LEAST_COUNT, LEAST_SCORE = frozen([0.7, 0.7, 1.5]), frozen([5, 5, 10]), frozen([2.5, 2.0, 0.0])
-"""Less time, s, fewer detections, or a smaller sum of scores is no evidence: clutter lives for 0.1 to 0.5 s."""
-BIRTH_TIME, BIRTH_COUNT, BIRTH_SCORE = frozen([0.15, 0.15, 0.8]), frozen([3, 3, 6]), frozen([1.2, 1.2, 0.0])
-"""The same for a causal track: fewer ghosts for who is seen later (tests/support/track_score.py)."""
 STILL, SLOW, FAST = frozen([1.2, 0.6, 2.0]), frozen([0.6, 0.3, 0.6]), frozen([1.5, 0.5, 1.0])
 """A track that moves less between its first and last third stands, m; who is slower stands meanwhile, and above this
 the direction of motion is known, m/s."""
@@ -128,12 +119,15 @@ def shared_area(one: FloatArray, two: FloatArray) -> float:
 
 
 @kernel
-def in_place(boxes: FloatArray, others: FloatArray, part: float) -> BoolArray:
-    """Which of `boxes` `(k, 5)` share more than `part` of the smaller one with that of `others` `(k, 5)`."""
-    out = np.zeros(len(boxes), np.bool_)
-    for i in range(len(boxes)):
-        a, b = boxes[i], others[i]
-        out[i] = shared_area(a, b) > part * min(a[3] * a[4], b[3] * b[4])
+def shares(t: FloatArray, boxes: FloatArray, times: FloatArray, others: FloatArray, part: float) -> BoolArray:
+    """At which t `(k,)` a box of `boxes` `(k, 5)` shares more than `part` of the smaller one with that of `others`."""
+    out, j = np.zeros(len(t), np.bool_), 0
+    for i in range(len(t)):
+        while j < len(times) and times[j] < t[i]:
+            j += 1
+        if j < len(times) and times[j] == t[i]:
+            a, b = boxes[i], others[j]
+            out[i] = shared_area(a, b) > part * min(a[3] * a[4], b[3] * b[4])
     return out
 
 

@@ -11,23 +11,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, kernel
-from logs.repair.boxes import (
-    CLUSTER,
-    LEAST_COUNT,
-    LEAST_SCORE,
-    LEAST_TIME,
-    OTHER_PART,
-    PERSON,
-    VEHICLE,
-    Boxes,
-    in_place,
-)
+from logs.kernel import FloatArray, frozen
+from logs.repair.boxes import CLUSTER, OTHER_PART, PERSON, VEHICLE, Boxes, shares
 from logs.repair.users import User
 from logs.shapes import clearance
 from logs.states import Trajectory
 from logs.vehicle import VehicleParameters
 
+LEAST_TIME, LEAST_COUNT, LEAST_SCORE = frozen([0.7, 0.7, 1.5]), frozen([5, 5, 10]), frozen([2.5, 2.0, 0.0])
+"""By group: less time, s, fewer detections, or a smaller sum of scores is no evidence: clutter lives 0.1 to 0.5 s."""
 SURE_SCORE = 1.2
 """With so many times `LEAST_SCORE` the time does not count: some are there only when the log begins or ends."""
 LEAST_SEEN, CLUSTER_SEEN = 0.3, 0.6
@@ -87,16 +79,11 @@ def in_anothers_place(users: Sequence[User], boxes: Boxes) -> dict[int, int]:
         near &= (group != PERSON) | (group[a] != PERSON)  # people walk close together
         for b in np.flatnonzero(near).tolist():
             part = OTHER_PART if PERSON in (group[a], group[b]) else SAME_PART
-            if b != a and b not in out and _shares(users[a].t, users[a].poses, users[b], part).mean() > SAME_SHARE:
+            if b == a or b in out:
+                continue
+            if shares(users[a].t, users[a].poses, users[b].t, users[b].poses, part).mean() > SAME_SHARE:
                 out[a] = b
                 break
-    return out
-
-
-def _shares(t: FloatArray, boxes: FloatArray, other: User, part: float) -> BoolArray:
-    """At which consecutive frames t `(k,)` one of `boxes` `(k, 5)` shares `part` with another user's box."""
-    out = (t >= other.t[0]) & (t <= other.t[-1])
-    out[out] = in_place(boxes[out], other.poses[(other.t >= t[0]) & (other.t <= t[-1])], part)
     return out
 
 
@@ -104,17 +91,11 @@ def _depths(t: FloatArray, boxes: FloatArray, ego: Trajectory, vehicle: VehicleP
     """How deep boxes `(k, 5)` are within the ego's at t `(k,)`, m; 0: they are apart, or the log has no ego then."""
     x, y, yaw = (np.interp(t, ego.t, column) for column in (ego.x, ego.y, ego.yaw))
     x, y = x + vehicle.axle_to_center * np.cos(yaw), y + vehicle.axle_to_center * np.sin(yaw)
-    own = np.column_stack([x, y, yaw, np.full(len(t), vehicle.length), np.full(len(t), vehicle.width)])
-    return np.where((t >= ego.t[0]) & (t <= ego.t[-1]), _shared_depths(own, boxes), 0.0)
-
-
-@kernel
-def _shared_depths(one: FloatArray, two: FloatArray) -> FloatArray:
-    """By how much boxes `(k, 5)` would have to be shifted apart `(k,)`, m."""
-    out = np.empty(len(one))
-    for i in range(len(one)):
-        a, b = one[i], two[i]
-        out[i] = max(0.0, -clearance(a[0], a[1], a[2], a[3], a[4], b[0], b[1], b[2], b[3], b[4]))
+    reach = 0.5 * (np.hypot(vehicle.length, vehicle.width) + np.hypot(boxes[:, 3], boxes[:, 4]))
+    near = (t >= ego.t[0]) & (t <= ego.t[-1]) & (np.hypot(x - boxes[:, 0], y - boxes[:, 1]) <= reach)
+    out = np.zeros(len(t))
+    for i in np.flatnonzero(near).tolist():
+        out[i] = max(0.0, -clearance(x[i], y[i], yaw[i], vehicle.length, vehicle.width, *boxes[i]))
     return out
 
 
@@ -163,7 +144,7 @@ def extended(
         taken = _depths(times, boxes, ego, vehicle) > 0.0
         for other in users:
             if other.piece is not user.piece:
-                taken |= _shares(times, boxes, other, 0.0)
+                taken |= shares(times, boxes, other.t, other.poses, 0.0)
         times = times[~np.logical_or.accumulate(taken[::side])[::side]]
         more = np.outer([0.0, *end[1:4], 0.0, 0.0], np.ones(len(times)))
         more[0] = times

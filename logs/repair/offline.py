@@ -2,8 +2,8 @@
 
 1. twins     of boxes of a frame that show one object the best stays (`boxes`)
 2. join      detections to tracks, frame by frame (`association`)
-3. stitch    tracks whose ends meet across a gap (`pieces`)
-4. smooth    forward and backward, outliers weighted down; who stands has no speed (`pieces`, `kalman`)
+3. stitch    tracks whose ends meet across a gap (`users`)
+4. smooth    forward and backward, outliers weighted down; who stands has no speed (`users`, `kalman`)
 5. vote      kind, size, front (`users`)
 6. remove    what is no road user (`evidence`)
 7. extend    who stands where sight ends (`evidence`)
@@ -22,8 +22,7 @@ from logs.kernel import FloatArray, IntArray
 from logs.repair import evidence
 from logs.repair.association import Association
 from logs.repair.boxes import Boxes, stronger_twins
-from logs.repair.pieces import Piece, fitted, stitched
-from logs.repair.users import User, user_of
+from logs.repair.users import Piece, User, fitted, stitched, user_of
 from logs.scenario import Tracks
 from logs.states import Trajectory
 from logs.vehicle import VehicleParameters

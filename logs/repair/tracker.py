@@ -25,22 +25,11 @@ from logs.agents import NUMBERS, OLDEST_S, AgentKind, Agents
 from logs.detections import Detections
 from logs.kernel import FloatArray, frozen
 from logs.repair.association import Association
-from logs.repair.boxes import (
-    BIRTH_COUNT,
-    BIRTH_SCORE,
-    BIRTH_TIME,
-    CLUSTER,
-    DENSITY,
-    FAST,
-    NOISE,
-    PERSON,
-    SLIDES,
-    SLOW,
-    Boxes,
-    stronger_twins,
-)
+from logs.repair.boxes import CLUSTER, DENSITY, FAST, NOISE, PERSON, SLIDES, SLOW, Boxes, stronger_twins
 from logs.repair.kalman import ACROSS, ALONG, VX, VY, X, Y
 
+BIRTH_TIME, BIRTH_COUNT, BIRTH_SCORE = frozen([0.15, 0.15, 0.8]), frozen([3, 3, 6]), frozen([1.2, 1.2, 0.0])
+"""(1) by group, s, detections, sum of scores: fewer ghosts for later births (tests/support/track_score.py)."""
 KEEP_STILL_S, KEEP_S, KEEP_YOUNG_S, FEW = 2.0, 0.8, 0.35, 10
 WINDOW_S, WINDOW_LEAST_S, FILTER_SLOW = 1.5, 0.8, 2.5
 YAW_MEMORY = 0.8

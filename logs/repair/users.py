@@ -1,18 +1,38 @@
-"""What a piece of motion is: kind, size and front by votes; a road user's boxes over time."""
+"""Joined detections as smooth motion; pieces of one road user put together; its kind, size and front by votes."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from logs.agents import AgentKind
-from logs.kernel import BoolArray, FloatArray
-from logs.repair.boxes import FAST, PERSON, VEHICLE, Boxes
-from logs.repair.pieces import Piece, centre
+from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.repair.boxes import CLUSTER, DENSITY, FAST, NOISE, PERSON, SLIDES, SLOW, STILL, VEHICLE, Boxes
+from logs.repair.kalman import smoothed
 from logs.states import Trajectory
 
+SMOOTH_DENSITY = 0.45 * DENSITY
+"""Where the whole track is known: the speed of who drives is off by a fifth less (tests/support/track_score.py)."""
+LEAST_NOISE_M, DRIFT, NOISE_COUNT = 0.05, 3.0, 8
+"""Noise of a track: so many times what its boxes jitter about the line between their neighbours, as slow drift, which
+none sees, is three times the jitter (0.30 m to 0.09 m); its group's noise at most, and where it has fewer boxes."""
+OUTLIER, OUTLIER_WEIGHT = 2.5, 2.0
+"""A box that is more deviations off the smooth path counts as so much less exact."""
+STAND_S, SPREAD = 1.0, 1.3
+"""Standing is decided over this: the drift of a box looks like motion for shorter. Nine in ten boxes of what stands are
+within so many times `STILL`."""
+STITCH_S, STITCH_STILL_S = 3.0, 8.0
+"""Gaps between two pieces that can be one road user's; between two that stand."""
+MEET, TURN = np.array([(1.0, 0.8), (0.7, 0.5), (0.7, 0.3)]), np.array([(3.0, 2.0), (1.5, 1.0), (1.5, 0.5)])
+"""By group: two that meet within this in the middle of their gap are one, m, and more per second of gap; if their
+velocities differ by less, m/s, and more per second of gap."""
+STITCH_GROWTH, CHANGE_MPS, GAP_WORTH = 0.8, 0.3, 0.1
+"""Sizes within a factor of e^0.8; what 1 m/s and 1 s cost against a miss by all that is allowed, or a factor of e."""
+FEW, ROUNDS = 4, 3
+"""A piece of fewer detections has no velocity of its own; rounds of estimates that rest on each other."""
 FAR_M = 20.0
 """A vote from there counts half as much as one from close by."""
 RIDES_MPS, RIDES_M = 3.3, 8.0
@@ -22,6 +42,139 @@ REVERSE_MPS, HEADINGS_AGREE = 4.0, 0.9
 YAW_S, YAW_OFF = 0.4, 0.6
 """Headings are averaged over this; one farther from where the vehicle goes does not count, rad."""
 _KINDS = tuple(AgentKind)
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A road user's motion on every frame from the first to the last detection, `(k,)`.
+
+    Attributes:
+        rows: Boxes, in order of time; `seen` their places among the frames, `group` theirs by votes.
+        t: Times of the frames, s.
+        z: Detected centres `(k, 2)`, m, NaN between detections; `variance` of each, m2.
+        path: Smooth x, y, vx, vy `(k, 4)`.
+        scale: Standard deviation of a centre as a share of the group's.
+        still: Whether it never moves; `net`: from where it was in the first third to where in the last, m.
+    """
+
+    rows: IntArray
+    seen: IntArray
+    group: int
+    t: FloatArray
+    z: FloatArray
+    variance: FloatArray
+    path: FloatArray
+    scale: float
+    net: float
+    still: bool
+
+    def standing(self) -> FloatArray:
+        """The path `(k, 4)`, where it is slow for `STAND_S` held at a stand."""
+        stands = np.hypot(self.path[:, 2], self.path[:, 3]) < SLOW[self.group] * self.scale
+        ends = np.flatnonzero(np.diff(np.r_[False, stands, False]))
+        for a, b in zip(ends[::2], ends[1::2], strict=True):
+            stands[a:b] = self.t[b - 1] - self.t[a] >= STAND_S
+        if not stands.any():
+            return self.path
+        path = smoothed(self.t, self.z, self.variance, SMOOTH_DENSITY[self.group], stands)
+        path[stands, 2:] = 0.0
+        return path
+
+
+def fitted(rows: IntArray, boxes: Boxes, frames: FloatArray) -> Piece:
+    """The motion that the boxes `rows`, in order of time, show."""
+    weight = boxes.weight[rows]
+    group = int(np.bincount(boxes.group[rows], weight, len(NOISE)).argmax())
+    first, last = boxes.frame[rows[0]], boxes.frame[rows[-1]]
+    t, seen = frames[first : last + 1], boxes.frame[rows] - first
+    xy = np.column_stack([boxes.x[rows], boxes.y[rows]])
+    noise = _noise(t[seen], xy, NOISE[group])
+    z, variance = np.full((len(t), 2), np.nan), np.full(len(t), noise**2)
+    trust, moving = boxes.noise[rows] / NOISE[boxes.group[rows]], np.zeros(len(t), np.bool_)
+    z[seen], variance[seen] = xy, (noise * trust) ** 2
+    for _ in range(2):
+        path = smoothed(t, z, variance, SMOOTH_DENSITY[group], moving)
+        off = np.hypot(*(xy - path[seen, :2]).T) / noise
+        variance[seen] = (noise * np.maximum(trust, np.where(off > OUTLIER, OUTLIER_WEIGHT * off / OUTLIER, 1.0))) ** 2
+    scale, third = noise / NOISE[group], max(1, len(xy) // 3)
+    net = float(np.hypot(*(_centre(xy[-third:], weight[-third:]) - _centre(xy[:third], weight[:third]))))
+    spread = np.percentile(np.hypot(*(xy - _centre(xy, weight)).T), 90)
+    most, slow = STILL[group] * scale, SLOW[group] * scale * max(t[-1] - t[0], 0.5)
+    if group == CLUSTER:
+        most = slow = max(most, SLIDES * float(np.median(boxes.length[rows])))
+    still = net < min(most, slow) and spread < SPREAD * most
+    return Piece(rows, seen, group, t, z, variance, path, scale, net, bool(still))
+
+
+def _noise(t: FloatArray, xy: FloatArray, most: float) -> float:
+    """Noise of positions `(k, 2)` at t: from their median distance to the line between their neighbours."""
+    if len(t) < NOISE_COUNT:
+        return most
+    share = ((t[1:-1] - t[:-2]) / (t[2:] - t[:-2]))[:, None]
+    off = xy[1:-1] - xy[:-2] - share * (xy[2:] - xy[:-2])
+    # sum of two squares of normal variables of variance r (1 + share^2 + (1 - share)^2): median 2 ln 2 of it
+    squares = (off**2).sum(axis=1) / (1.0 + share**2 + (1.0 - share) ** 2)[:, 0]
+    return float(np.clip(DRIFT * np.sqrt(np.median(squares) / (2.0 * np.log(2.0))), LEAST_NOISE_M, most))
+
+
+@kernel
+def _centre(xy: FloatArray, weight: FloatArray) -> FloatArray:
+    """The middle `(2,)` of positions `(k, 2)`, those far from it weighted down: a mean that turns with them."""
+    each = weight.copy()
+    middle = np.zeros(2)
+    for _ in range(ROUNDS + 1):
+        for axis in range(2):
+            middle[axis] = (each * xy[:, axis]).sum() / each.sum()
+        off = np.hypot(xy[:, 0] - middle[0], xy[:, 1] - middle[1])
+        each = weight / np.maximum(1.0, off / max(np.median(off), LEAST_NOISE_M))
+    return middle
+
+
+def stitched(pieces: Sequence[Piece], boxes: Boxes, frames: FloatArray) -> list[Piece]:
+    """The pieces with those put together whose ends meet when both are carried on to the middle of the gap."""
+    out = list(pieces)
+    for _ in range(ROUNDS):
+        following: dict[int, int] = {}
+        for i, j in _pairs(out, boxes):
+            if i not in following and j not in following.values():
+                following[i] = j
+        if not following:
+            return out
+        joined = []
+        for k in sorted(set(range(len(out))) - set(following.values())):
+            chain = [k]
+            while chain[-1] in following:
+                chain.append(following[chain[-1]])
+            rows = np.concatenate([out[i].rows for i in chain])
+            joined.append(out[k] if len(chain) == 1 else fitted(rows, boxes, frames))
+        out = joined
+    return out
+
+
+def _pairs(pieces: Sequence[Piece], boxes: Boxes) -> list[tuple[int, int]]:
+    """Pieces i and j, one ending before the other begins, that can be one; those that fit best come first."""
+    if len(pieces) < 2:
+        return []
+    begin, end = (np.array([[piece.t[at], *piece.path[at]] for piece in pieces]) for at in (0, -1))
+    group, still = np.array([piece.group for piece in pieces]), np.array([piece.still for piece in pieces])
+    sides = [(boxes.length[piece.rows], boxes.width[piece.rows]) for piece in pieces]
+    size = np.log([(np.median(np.maximum(*each)), np.median(np.minimum(*each))) for each in sides])
+    gaps = begin[:, 0] - end[:, :1]
+    i, j = np.nonzero((gaps > 1e-6) & (gaps <= STITCH_STILL_S))
+    gap, few = gaps[i, j], np.array([len(piece.rows) < FEW for piece in pieces])
+    before, after = (np.where(still[:, None], 0.0, each[:, 3:]) for each in (end, begin))
+    out = np.where((few[i] & ~few[j])[:, None], after[j], before[i])
+    back = np.where((few[j] & ~few[i])[:, None], before[i], after[j])
+    off = end[i, 1:3] - begin[j, 1:3] + 0.5 * gap[:, None] * (out + back)
+    miss, change, growth = np.hypot(*off.T), np.hypot(*(out - back).T), np.abs(size[i] - size[j]).max(axis=1)
+    (meet, growing), (turn, turning) = MEET[group[i]].T, TURN[group[i]].T
+    most = meet + growing * np.minimum(gap, STITCH_S)
+    fits = (miss < most) & (change < turn + turning * gap) & (growth < STITCH_GROWTH)
+    fits &= (group[i] == group[j]) | ((group[i] != VEHICLE) & (group[j] != VEHICLE))
+    fits &= (gap <= STITCH_S) | (still[i] & still[j])
+    cost = (miss / most + CHANGE_MPS * change + growth + GAP_WORTH * gap)[fits]
+    best = np.argsort(cost, kind="stable")
+    return list(zip(i[fits][best].tolist(), j[fits][best].tolist(), strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,7 +224,7 @@ def user_of(piece: Piece, boxes: Boxes, ego: Trajectory) -> User:
     path = piece.standing()
     if piece.still:
         path = np.zeros_like(path)
-        path[:, :2] = centre(piece.z[piece.seen], weight)
+        path[:, :2] = _centre(piece.z[piece.seen], weight)
     yaw, turned = _headings(piece, path, boxes.yaw[rows], weight)
     label, speed = _KINDS[code], np.median(np.hypot(path[:, 2], path[:, 3]))
     rides = label is AgentKind.PEDESTRIAN and piece.net > RIDES_M and speed > RIDES_MPS

@@ -1,6 +1,6 @@
 """Who is who from frame to frame: joining by position where a topic's ids are no identities.
 
-Perception that numbers the entries of each list anew gives no tracks (`logs.repair.needs`). Then every frame's objects
+Perception that numbers the entries of each list anew gives no tracks (`logs.repair.names`). Then every frame's objects
 are assigned to those known so far, by the least sum of distances to where these should be by now, from the samples
 before only. Outlines of clusters split and merge: one whose size is another than that with which an object began is
 another object, as a box has one size.

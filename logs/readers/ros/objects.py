@@ -25,7 +25,7 @@ from logs.readers.ros.motion import rates
 from logs.readers.ros.rectangles import smallest_rectangles
 from logs.readers.ros.schemas import ObjectSchema
 from logs.readers.ros.transforms import BETWEEN, Frames, Poses, composed, heading, rotated, unit
-from logs.repair.needs import no_identities
+from logs.repair.names import no_identities
 
 STAMP: Wanted = ("header.stamp.sec", "header.stamp.nanosec")
 MOTION_S = 0.5

@@ -33,7 +33,7 @@ from logs.readers.ros.fields import MOST_FIELDS, decoder
 from logs.readers.ros.identity import joined
 from logs.readers.ros.motion import rates
 from logs.readers.ros.rectangles import smallest_rectangles
-from logs.repair.needs import no_identities
+from logs.repair.names import no_identities
 from logs.states import OnboardPlan
 from logs.transform import mirrored, moved
 from replay.closed_loop import run_closed_loop

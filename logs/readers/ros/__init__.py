@@ -8,7 +8,7 @@ Modules:
     clocks.py       log times and stamps
     ego.py          poses, speed
     motion.py       causal motion from jittering positions
-    objects.py      the others; identity.py who is who where no id says so; rectangles.py boxes of outlines; tracks.py them over time
+    objects.py      the others; identity.py who is who; rectangles.py boxes of outlines; tracks.py them over time
     more.py         lights, goal, steering, on-board plans
     read.py         all of it as a scenario
 """

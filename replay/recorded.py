@@ -1,7 +1,7 @@
 """Perception "recorded": at each time what a tracker knew by then of the detections that the log holds.
 
 The tracker is causal (`logs.repair.tracker`), and so are its names; a repaired track is called as the tracker calls it
-for longest (`logs.repair.owners`). Detections are of the log, but in closed loop traffic drives the others differently:
+for longest (`logs.repair.names`). Detections are of the log, but in closed loop traffic drives the others differently:
 a road user who is known is shown where the world has them now,
 
 (1) shown = tracked + (world - log),   of x, y, yaw, vx, vy at the frame's time; world and log as `Tracks.perceived`
@@ -24,7 +24,7 @@ from logs.agents import NUMBERS, Agents
 from logs.around import Around
 from logs.errors import LogError
 from logs.kernel import IntArray, frozen
-from logs.repair.owners import Owners
+from logs.repair.names import Owners
 from logs.scenario import Scenario
 from logs.states import wrapped
 from replay.world import World

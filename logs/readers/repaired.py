@@ -58,10 +58,10 @@ def repaired(scenario: Scenario, choice: str) -> Scenario:
 
 
 def named(scenario: Scenario) -> Scenario:
-    """The repaired scenario whose tracks have the names by which a causal tracker knows them (`logs.repair.owners`)."""
+    """The repaired scenario whose tracks have the names by which a causal tracker knows them (`logs.repair.names`)."""
     made = scenario.repair
     assert made is not None and made.tracks is scenario.tracks
-    from logs.repair.owners import named_as_tracked
+    from logs.repair.names import named_as_tracked
 
     made = named_as_tracked(made)
     return replace(scenario, tracks=made.tracks, repair=made)

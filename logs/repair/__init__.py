@@ -1,6 +1,6 @@
 """Raw detections made into tracks: offline for the judge, causally for planners."""
 
-from logs.repair.needs import needs_repair
+from logs.repair.names import needs_repair
 from logs.repair.offline import detections_of, repair
 from logs.repair.tracker import Tracked, tracked
 

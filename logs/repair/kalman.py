@@ -3,7 +3,7 @@
 Per axis, with the covariance C = (pp, pv, vv) of position m and velocity m/s, white acceleration of density q, m2/s3:
 (1) pp += 2 d pv + d^2 vv + q d^3/3,  pv += d vv + q d^2/2,  vv += q d;  d s between samples
 (2) of a position with variance r: gains kp = pp / (pp + r), kv = pv / (pp + r);  C -= k k' (pp + r)
-(3) of a stand: gains of the velocity 0 with variance `STAND_MPS`^2
+(3) of a stand: (2) of the velocity 0 with variance `STAND_MPS`^2, so with vv and pp exchanged
 (4) back: G = C F' C-^-1,  x += G (x_next - x-_next)  (Rauch, Tung, Striebel, AIAA Journal 3, 1965)
 
 Noise is alike on both axes of a box, and so is that of the acceleration; only the first velocity is not: a vehicle
@@ -17,15 +17,14 @@ import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, inner_kernel, kernel
 
-STAND_MPS = 0.02
+STAND_MPS, FIRST_MPS = 0.02, 10.0
+"""Standard deviations of the velocity of who stands, and of the first one where a track is smoothed."""
 X, Y, VX, VY, COS, SIN, ALONG, ACROSS, WIDTH = 0, 1, 2, 3, 4, 5, 6, 9, 12
 """Columns of states `(n, WIDTH)`; from `ALONG` and from `ACROSS` on three each for C."""
-FIRST_MPS = 10.0
-"""Standard deviation of the first velocity where a track is smoothed."""
 
 
 @inner_kernel
-def carry(cov: FloatArray, d: float, q: float) -> None:
+def _carry(cov: FloatArray, d: float, q: float) -> None:
     """(1), in place."""
     cov[0] += d * (2.0 * cov[1] + d * cov[2]) + q * d**3 / 3.0
     cov[1] += d * cov[2] + 0.5 * q * d * d
@@ -33,7 +32,7 @@ def carry(cov: FloatArray, d: float, q: float) -> None:
 
 
 @inner_kernel
-def absorb(cov: FloatArray, r: float) -> tuple[float, float]:
+def _absorb(cov: FloatArray, r: float) -> tuple[float, float]:
     """(2): the gains; the covariance in place."""
     s = cov[0] + r
     kp, kv = cov[0] / s, cov[1] / s
@@ -43,26 +42,14 @@ def absorb(cov: FloatArray, r: float) -> tuple[float, float]:
     return kp, kv
 
 
-@inner_kernel
-def stop(cov: FloatArray) -> tuple[float, float]:
-    """(3): the gains; the covariance in place."""
-    r = STAND_MPS * STAND_MPS
-    s = cov[2] + r
-    kp, kv = cov[1] / s, cov[2] / s
-    cov[0] -= kp * cov[1]
-    cov[1] *= r / s
-    cov[2] *= r / s
-    return kp, kv
-
-
 @kernel
 def carry_all(states: FloatArray, d: float, q: FloatArray) -> None:
     """(1) of each state `(n, WIDTH)`, in place; q `(n,)`."""
     for i in range(len(states)):
         states[i, X] += d * states[i, VX]
         states[i, Y] += d * states[i, VY]
-        carry(states[i, ALONG : ALONG + 3], d, q[i])
-        carry(states[i, ACROSS : ACROSS + 3], d, q[i])
+        _carry(states[i, ALONG : ALONG + 3], d, q[i])
+        _carry(states[i, ACROSS : ACROSS + 3], d, q[i])
 
 
 @kernel
@@ -71,8 +58,8 @@ def absorb_one(state: FloatArray, x: float, y: float, r: float) -> None:
     c, s = state[COS], state[SIN]
     ex, ey = x - state[X], y - state[Y]
     along, across = c * ex + s * ey, c * ey - s * ex
-    pa, va = absorb(state[ALONG : ALONG + 3], r)
-    pc, vc = absorb(state[ACROSS : ACROSS + 3], r)
+    pa, va = _absorb(state[ALONG : ALONG + 3], r)
+    pc, vc = _absorb(state[ACROSS : ACROSS + 3], r)
     state[X] += c * pa * along - s * pc * across
     state[Y] += s * pa * along + c * pc * across
     state[VX] += c * va * along - s * vc * across
@@ -88,31 +75,24 @@ def smoothed(t: FloatArray, z: FloatArray, r: FloatArray, q: float, stands: Bool
     n = len(t)
     after, before = np.empty((n, 4)), np.empty((n, 4))
     covs, carried = np.empty((n, 3)), np.empty((n, 3))
-    state = np.array([z[0, 0], z[0, 1], 0.0, 0.0])
-    cov = np.array([r[0], 0.0, FIRST_MPS**2])
+    state, cov = np.array([z[0, 0], z[0, 1], 0.0, 0.0]), np.array([r[0], 0.0, FIRST_MPS**2])
     for i in range(n):
         if i > 0:
             d = t[i] - t[i - 1]
-            state[0] += d * state[2]
-            state[1] += d * state[3]
-            carry(cov, d, q)
-        before[i] = state
-        carried[i] = cov
+            state[:2] += d * state[2:]
+            _carry(cov, d, q)
+        before[i], carried[i] = state, cov
         if np.isfinite(z[i, 0]):
-            ex, ey = z[i, 0] - state[0], z[i, 1] - state[1]
-            kp, kv = absorb(cov, r[i])
-            state[0] += kp * ex
-            state[1] += kp * ey
-            state[2] += kv * ex
-            state[3] += kv * ey
+            kp, kv = _absorb(cov, r[i])
+            for axis in range(2):
+                e = z[i, axis] - state[axis]
+                state[axis] += kp * e
+                state[2 + axis] += kv * e
         if stands[i]:
-            kp, kv = stop(cov)
-            state[0] -= kp * state[2]
-            state[1] -= kp * state[3]
-            state[2] -= kv * state[2]
-            state[3] -= kv * state[3]
-        after[i] = state
-        covs[i] = cov
+            kv, kp = _absorb(cov[::-1], STAND_MPS * STAND_MPS)  # (3)
+            state[:2] -= kp * state[2:]
+            state[2:] -= kv * state[2:]
+        after[i], covs[i] = state, cov
     for i in range(n - 2, -1, -1):  # (4)
         d = t[i + 1] - t[i]
         pp, pv, vv = carried[i + 1]
@@ -122,8 +102,7 @@ def smoothed(t: FloatArray, z: FloatArray, r: FloatArray, q: float, stands: Bool
         g00, g01 = (fp0 * vv - fp1 * pv) / det, (fp1 * pp - fp0 * pv) / det
         g10, g11 = (fv0 * vv - fv1 * pv) / det, (fv1 * pp - fv0 * pv) / det
         for axis in range(2):
-            ep = after[i + 1, axis] - before[i + 1, axis]
-            ev = after[i + 1, 2 + axis] - before[i + 1, 2 + axis]
+            ep, ev = after[i + 1, axis] - before[i + 1, axis], after[i + 1, 2 + axis] - before[i + 1, 2 + axis]
             after[i, axis] += g00 * ep + g01 * ev
             after[i, 2 + axis] += g10 * ep + g11 * ev
     return after

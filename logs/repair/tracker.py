@@ -3,10 +3,10 @@
 Joined by the same association and filter as the offline repair (`association`, `kalman`), frame by frame; what is known
 at t rests on the frames up to t alone.
 
-(1) a track is reported after the evidence that its group takes (`Group.birth_time`); until it was not seen for
+(1) a track is reported after the evidence that its group takes (`BIRTH_TIME`); until it was not seen for
     `KEEP_STILL_S` (who stands), `KEEP_S` (who moves), `KEEP_YOUNG_S` (who was detected up to `FEW` times)
-(2) it stands if its detections of the last `WINDOW_S` lie on a line through time with less than `Group.slow`, and the
-    filter says less than `FILTER_SLOW` times that: drift of the boxes looks like motion for shorter
+(2) it stands if its detections of the last `WINDOW_S` lie on a line through time with less than `SLOW`, and the filter
+    says less than `FILTER_SLOW` times that: drift of the boxes looks like motion for shorter
 (3) kind, length and width: as most of its detections say, by score; the axis of its box: averaged over `YAW_MEMORY`;
     the front: where it goes, or where most headings are
 (4) between frames and while it is not seen it is carried on with its velocity, whose deviation grows
@@ -25,12 +25,11 @@ from logs.agents import NUMBERS, OLDEST_S, AgentKind, Agents
 from logs.detections import Detections
 from logs.kernel import FloatArray, frozen
 from logs.repair.association import Association
-from logs.repair.groups import CLUSTER, DENSITY, GROUPS, NOISE, PERSON, SLIDES, Boxes
-from logs.repair.kalman import ACROSS, ALONG, VX, VY
-from logs.repair.kalman import X as PX
-from logs.repair.kalman import Y as PY
-from logs.repair.overlap import stronger_twins
+from logs.repair.boxes import CLUSTER, DENSITY, FAST, NOISE, PERSON, SLIDES, SLOW, Boxes, stronger_twins
+from logs.repair.kalman import ACROSS, ALONG, VX, VY, X, Y
 
+BIRTH_TIME, BIRTH_COUNT, BIRTH_SCORE = frozen([0.15, 0.15, 0.8]), frozen([3, 3, 6]), frozen([1.2, 1.2, 0.0])
+"""(1) by group, s, detections, sum of scores: fewer ghosts for later births (tests/support/track_score.py)."""
 KEEP_STILL_S, KEEP_S, KEEP_YOUNG_S, FEW = 2.0, 0.8, 0.35, 10
 WINDOW_S, WINDOW_LEAST_S, FILTER_SLOW = 1.5, 0.8, 2.5
 YAW_MEMORY = 0.8
@@ -40,10 +39,10 @@ _KINDS = tuple(AgentKind)
 
 @dataclass
 class _Track:
-    """What is remembered of one track besides its filter."""
+    """What is remembered of one track besides its filter; `late`: it was not there in the first frame."""
 
     first: float
-    frame: int
+    late: bool
     yaw: float
     fronts: float = 0.0
     score: float = 0.0
@@ -67,29 +66,19 @@ class _Track:
         while t - self.window[0][0] > WINDOW_S + 1e-9:
             self.window.popleft()
 
-    @property
-    def box(self) -> tuple[int, float, float]:
-        """Kind, length and width (3)."""
-        code = int(self.votes.argmax())
-        length, width = self.size[code] / self.votes[code]
-        return code, float(length), float(width)
-
     def front(self, group: int, vx: float, vy: float) -> float:
         """The heading (3)."""
-        speed = float(np.hypot(vx, vy))
-        if speed > GROUPS[group].fast:
+        ahead = self.fronts
+        if np.hypot(vx, vy) > FAST[group]:
             if group == PERSON:
                 return float(np.arctan2(vy, vx))
             ahead = np.cos(self.yaw) * vx + np.sin(self.yaw) * vy
             self.fronts += ahead
-            return self.yaw if ahead >= 0.0 else self.yaw + np.pi
-        return self.yaw if self.fronts >= 0.0 else self.yaw + np.pi
+        return self.yaw if ahead >= 0.0 else self.yaw + np.pi
 
-    def stands(self, group: int, speed: float) -> bool:
+    def stands(self, group: int, speed: float, length: float) -> bool:
         """(2)."""
-        slow = GROUPS[group].slow
-        if group == CLUSTER:
-            slow = max(slow, SLIDES * self.box[1] / WINDOW_S)
+        slow = max(SLOW[group], SLIDES * length / WINDOW_S) if group == CLUSTER else SLOW[group]
         t, x, y = np.array(self.window).T
         if t[-1] - t[0] < WINDOW_LEAST_S or speed > FILTER_SLOW * slow:
             return False
@@ -128,13 +117,11 @@ def tracked(detections: Detections) -> Tracked:
     """The road users that raw detections show, as known after each frame: from no later one."""
     every = Boxes.of(detections)
     boxes = every.taken(np.flatnonzero(stronger_twins(every) < 0))
-    ends = np.searchsorted(boxes.frame, np.arange(len(detections.frames)), side="right")
     joining, tracks, out = Association(), dict[int, _Track](), []
-    for k, t in enumerate(detections.frames.tolist()):
-        rows = slice(int(ends[k - 1]) if k else 0, int(ends[k]))
-        for name, i in zip(joining.step(t, boxes, rows).tolist(), range(rows.start, rows.stop), strict=True):
+    for t, rows, names in joining.steps(boxes, detections.frames):
+        for name, i in zip(names.tolist(), range(rows.start, rows.stop), strict=True):
             if name not in tracks:
-                tracks[name] = _Track(t, k, float(boxes.yaw[i]))
+                tracks[name] = _Track(t, t > detections.frames[0], float(boxes.yaw[i]))
             tracks[name].see(boxes, i)
         tracks = {name: tracks[name] for name in joining.tracks["name"].tolist()}
         out.append(_reported(joining, tracks, t))
@@ -145,25 +132,24 @@ def tracked(detections: Detections) -> Tracked:
 def _reported(joining: Association, tracks: dict[int, _Track], t: float) -> tuple[Agents, FloatArray, FloatArray]:
     """Who is reported at t (1), their growth and patience as in `Tracked`."""
     ids, codes, columns, growth, patience = [], [], [], [], []
-    for row, name in enumerate(joining.tracks["name"].tolist()):
-        track, state = tracks[name], joining.tracks["state"][row]
-        group = int(joining.tracks["group"][row])
-        least = GROUPS[group]
-        early = t - track.first < least.birth_time - 1e-9
-        if early or track.count < least.birth_count or track.score < least.birth_score:
+    for (name, track), row in zip(tracks.items(), joining.tracks, strict=True):
+        state, group = row["state"], int(row["group"])
+        early = t - track.first < BIRTH_TIME[group] - 1e-9
+        if early or track.count < BIRTH_COUNT[group] or track.score < BIRTH_SCORE[group]:
             continue
+        code = int(track.votes.argmax())
+        length, width = (track.size[code] / track.votes[code]).tolist()
         vx, vy = float(state[VX]), float(state[VY])
-        sigma = float(np.sqrt(0.5 * (state[ALONG + 2] + state[ACROSS + 2])))
-        stands = track.stands(group, float(np.hypot(vx, vy)))
-        if stands:
-            vx, vy, sigma = 0.0, 0.0, float(NOISE[group]) / WINDOW_S
-        unseen, most = t - float(joining.tracks["last"][row]), KEEP_YOUNG_S if track.count <= FEW else KEEP_S
-        most = KEEP_STILL_S if stands else most
+        sigma, most = float(np.sqrt(0.5 * (state[ALONG + 2] + state[ACROSS + 2]))), KEEP_S
+        if track.stands(group, float(np.hypot(vx, vy)), length):
+            vx, vy, sigma, most = 0.0, 0.0, float(NOISE[group]) / WINDOW_S, KEEP_STILL_S
+        elif track.count <= FEW:
+            most = KEEP_YOUNG_S
+        unseen = t - float(row["last"])
         if unseen > most + 1e-9:
             continue
-        code, length, width = track.box
-        age = min(t - track.first, OLDEST_S) if track.frame else np.nan
-        pose = state[PX], state[PY], track.front(group, vx, vy)
+        age = min(t - track.first, OLDEST_S) if track.late else np.nan
+        pose = state[X], state[Y], track.front(group, vx, vy)
         ids.append(str(name + 1))
         codes.append(code)
         columns.append((length, width, *pose, vx, vy, 0.0, 0.0, age, unseen, sigma))
@@ -172,6 +158,6 @@ def _reported(joining: Association, tracks: dict[int, _Track], t: float) -> tupl
     return _agents(ids, codes, columns), np.array(growth), np.array(patience)
 
 
-def _agents(ids: list[str], codes: list[int], columns: Sequence[tuple[float, ...]]) -> Agents:
+def _agents(ids: Sequence[str], codes: Sequence[int], columns: Sequence[tuple[float, ...]]) -> Agents:
     numbers = np.array(columns).reshape(-1, len(NUMBERS)).T
     return Agents.of_rows(tuple(ids), tuple(_KINDS[code] for code in codes), numbers, frozen(codes, np.int64))

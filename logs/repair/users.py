@@ -1,29 +1,181 @@
-"""What a piece of motion is: kind, size and front by votes; a road user's boxes over time."""
+"""Joined detections as smooth motion; pieces of one road user put together; its kind, size and front by votes."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
 from logs.agents import AgentKind
-from logs.kernel import BoolArray, FloatArray, IntArray
-from logs.repair.groups import GROUPS, PERSON, VEHICLE, Boxes
-from logs.repair.pieces import Piece, centre
+from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.repair.boxes import CLUSTER, DENSITY, FAST, NOISE, PERSON, SLIDES, SLOW, STILL, VEHICLE, Boxes
+from logs.repair.kalman import smoothed
 from logs.states import Trajectory
 
+SMOOTH_DENSITY = 0.45 * DENSITY
+"""Where the whole track is known: the speed of who drives is off by a fifth less (tests/support/track_score.py)."""
+LEAST_NOISE_M, DRIFT, NOISE_COUNT = 0.05, 3.0, 8
+"""Noise of a track: so many times what its boxes jitter about the line between their neighbours, as slow drift, which
+none sees, is three times the jitter (0.30 m to 0.09 m); its group's noise at most, and where it has fewer boxes."""
+OUTLIER, OUTLIER_WEIGHT = 2.5, 2.0
+"""A box that is more deviations off the smooth path counts as so much less exact."""
+STAND_S, SPREAD = 1.0, 1.3
+"""Standing is decided over this: the drift of a box looks like motion for shorter. Nine in ten boxes of what stands are
+within so many times `STILL`."""
+STITCH_S, STITCH_STILL_S, STANDS_S = 3.0, 8.0, 0.6
+"""Gaps between two pieces that can be one road user's; between two that stand. Between two that stand the allowed miss
+grows for `STANDS_S` only: beyond, it would reach the next car in a queue."""
+MEET, TURN = np.array([(1.0, 0.8), (0.7, 0.5), (0.7, 0.3)]), np.array([(3.0, 2.0), (1.5, 1.0), (1.5, 0.5)])
+"""By group: two that meet within this in the middle of their gap are one, m, and more per second of gap; if their
+velocities differ by less, m/s, and more per second of gap."""
+STITCH_GROWTH, CHANGE_MPS, GAP_WORTH = 0.8, 0.3, 0.1
+"""Sizes within a factor of e^0.8; what 1 m/s and 1 s cost against a miss by all that is allowed, or a factor of e."""
+FEW, ROUNDS = 4, 3
+"""A piece of fewer detections has no velocity of its own; rounds of estimates that rest on each other."""
 FAR_M = 20.0
 """A vote from there counts half as much as one from close by."""
 RIDES_MPS, RIDES_M = 3.3, 8.0
 """A "pedestrian" with a faster median speed over more than this is a rider: joggers run 2.5 to 3 m/s."""
-REVERSE_MPS = 4.0
-"""No vehicle drives backwards faster."""
-HEADINGS_AGREE = 0.9
-"""Fewer of a slow vehicle's headings leave open which of its ends is the front: it is where it goes."""
+REVERSE_MPS, HEADINGS_AGREE = 4.0, 0.9
+"""No vehicle drives backwards faster. Where fewer of a slow one's headings agree, its front is where it goes."""
 YAW_S, YAW_OFF = 0.4, 0.6
 """Headings are averaged over this; one farther from where the vehicle goes does not count, rad."""
 _KINDS = tuple(AgentKind)
+
+
+@dataclass(frozen=True, eq=False)
+class Piece:
+    """A road user's motion on every frame from the first to the last detection, `(k,)`.
+
+    Attributes:
+        rows: Boxes, in order of time; `seen` their places among the frames, `group` theirs by votes.
+        t: Times of the frames, s.
+        z: Detected centres `(k, 2)`, m, NaN between detections; `variance` of each, m2.
+        path: Smooth x, y, vx, vy `(k, 4)`.
+        scale: Standard deviation of a centre as a share of the group's.
+        still: Whether it never moves; `net`: from where it was in the first third to where in the last, m.
+    """
+
+    rows: IntArray
+    seen: IntArray
+    group: int
+    t: FloatArray
+    z: FloatArray
+    variance: FloatArray
+    path: FloatArray
+    scale: float
+    net: float
+    still: bool
+
+    def standing(self) -> FloatArray:
+        """The path `(k, 4)`, where it is slow for `STAND_S` held at a stand."""
+        stands = np.hypot(self.path[:, 2], self.path[:, 3]) < SLOW[self.group] * self.scale
+        ends = np.flatnonzero(np.diff(np.r_[False, stands, False]))
+        for a, b in zip(ends[::2], ends[1::2], strict=True):
+            stands[a:b] = self.t[b - 1] - self.t[a] >= STAND_S
+        if not stands.any():
+            return self.path
+        path = smoothed(self.t, self.z, self.variance, SMOOTH_DENSITY[self.group], stands)
+        path[stands, 2:] = 0.0
+        return path
+
+
+def fitted(rows: IntArray, boxes: Boxes, frames: FloatArray) -> Piece:
+    """The motion that the boxes `rows`, in order of time, show."""
+    weight = boxes.weight[rows]
+    group = int(np.bincount(boxes.group[rows], weight, len(NOISE)).argmax())
+    first, last = boxes.frame[rows[0]], boxes.frame[rows[-1]]
+    t, seen = frames[first : last + 1], boxes.frame[rows] - first
+    xy = np.column_stack([boxes.x[rows], boxes.y[rows]])
+    noise = _noise(t[seen], xy, NOISE[group])
+    z, variance = np.full((len(t), 2), np.nan), np.full(len(t), noise**2)
+    trust, moving = boxes.noise[rows] / NOISE[boxes.group[rows]], np.zeros(len(t), np.bool_)
+    z[seen], variance[seen] = xy, (noise * trust) ** 2
+    for _ in range(2):
+        path = smoothed(t, z, variance, SMOOTH_DENSITY[group], moving)
+        off = np.hypot(*(xy - path[seen, :2]).T) / noise
+        variance[seen] = (noise * np.maximum(trust, np.where(off > OUTLIER, OUTLIER_WEIGHT * off / OUTLIER, 1.0))) ** 2
+    scale, third = noise / NOISE[group], max(1, len(xy) // 3)
+    net = float(np.hypot(*(_centre(xy[-third:], weight[-third:]) - _centre(xy[:third], weight[:third]))))
+    spread = np.percentile(np.hypot(*(xy - _centre(xy, weight)).T), 90)
+    most, slow = STILL[group] * scale, SLOW[group] * scale * max(t[-1] - t[0], 0.5)
+    if group == CLUSTER:
+        most = slow = max(most, SLIDES * float(np.median(boxes.length[rows])))
+    still = net < min(most, slow) and spread < SPREAD * most
+    return Piece(rows, seen, group, t, z, variance, path, scale, net, bool(still))
+
+
+def _noise(t: FloatArray, xy: FloatArray, most: float) -> float:
+    """Noise of positions `(k, 2)` at t: from their median distance to the line between their neighbours."""
+    if len(t) < NOISE_COUNT:
+        return most
+    share = ((t[1:-1] - t[:-2]) / (t[2:] - t[:-2]))[:, None]
+    off = xy[1:-1] - xy[:-2] - share * (xy[2:] - xy[:-2])
+    # sum of two squares of normal variables of variance r (1 + share^2 + (1 - share)^2): median 2 ln 2 of it
+    squares = (off**2).sum(axis=1) / (1.0 + share**2 + (1.0 - share) ** 2)[:, 0]
+    return float(np.clip(DRIFT * np.sqrt(np.median(squares) / (2.0 * np.log(2.0))), LEAST_NOISE_M, most))
+
+
+@kernel
+def _centre(xy: FloatArray, weight: FloatArray) -> FloatArray:
+    """The middle `(2,)` of positions `(k, 2)`, those far from it weighted down: a mean that turns with them."""
+    each = weight.copy()
+    middle = np.zeros(2)
+    for _ in range(ROUNDS + 1):
+        for axis in range(2):
+            middle[axis] = (each * xy[:, axis]).sum() / each.sum()
+        off = np.hypot(xy[:, 0] - middle[0], xy[:, 1] - middle[1])
+        each = weight / np.maximum(1.0, off / max(np.median(off), LEAST_NOISE_M))
+    return middle
+
+
+def stitched(pieces: Sequence[Piece], boxes: Boxes, frames: FloatArray) -> list[Piece]:
+    """The pieces with those put together whose ends meet when both are carried on to the middle of the gap."""
+    out = list(pieces)
+    for _ in range(ROUNDS):
+        following: dict[int, int] = {}
+        for i, j in _pairs(out, boxes):
+            if i not in following and j not in following.values():
+                following[i] = j
+        if not following:
+            return out
+        joined = []
+        for k in sorted(set(range(len(out))) - set(following.values())):
+            chain = [k]
+            while chain[-1] in following:
+                chain.append(following[chain[-1]])
+            rows = np.concatenate([out[i].rows for i in chain])
+            joined.append(out[k] if len(chain) == 1 else fitted(rows, boxes, frames))
+        out = joined
+    return out
+
+
+def _pairs(pieces: Sequence[Piece], boxes: Boxes) -> list[tuple[int, int]]:
+    """Pieces i and j, one ending before the other begins, that can be one; those that fit best come first."""
+    if len(pieces) < 2:
+        return []
+    begin, end = (np.array([[piece.t[at], *piece.path[at]] for piece in pieces]) for at in (0, -1))
+    group, still = np.array([piece.group for piece in pieces]), np.array([piece.still for piece in pieces])
+    sides = [(boxes.length[piece.rows], boxes.width[piece.rows]) for piece in pieces]
+    size = np.log([(np.median(np.maximum(*each)), np.median(np.minimum(*each))) for each in sides])
+    gaps = begin[:, 0] - end[:, :1]
+    i, j = np.nonzero((gaps > 1e-6) & (gaps <= STITCH_STILL_S))
+    gap, few = gaps[i, j], np.array([len(piece.rows) < FEW for piece in pieces])
+    before, after = (np.where(still[:, None], 0.0, each[:, 3:]) for each in (end, begin))
+    out = np.where((few[i] & ~few[j])[:, None], after[j], before[i])
+    back = np.where((few[j] & ~few[i])[:, None], before[i], after[j])
+    off = end[i, 1:3] - begin[j, 1:3] + 0.5 * gap[:, None] * (out + back)
+    miss, change, growth = np.hypot(*off.T), np.hypot(*(out - back).T), np.abs(size[i] - size[j]).max(axis=1)
+    (meet, growing), (turn, turning) = MEET[group[i]].T, TURN[group[i]].T
+    most = meet + growing * np.minimum(gap, np.where(still[i] & still[j], STANDS_S, STITCH_S))
+    fits = (miss < most) & (change < turn + turning * gap) & (growth < STITCH_GROWTH)
+    fits &= (group[i] == group[j]) | ((group[i] != VEHICLE) & (group[j] != VEHICLE))
+    fits &= (gap <= STITCH_S) | (still[i] & still[j])
+    cost = (miss / most + CHANGE_MPS * change + growth + GAP_WORTH * gap)[fits]
+    best = np.argsort(cost, kind="stable")
+    return list(zip(i[fits][best].tolist(), j[fits][best].tolist(), strict=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +186,7 @@ class User:
         piece: Its detections and motion as smoothed.
         kind: What it is; `label` what most detections call it.
         length: m; `width` likewise.
-        t: s; x, y, yaw of the box, vx, vy.
+        way: Rows t, s, x, y, yaw of the box, vx, vy `(6, k)`.
         turned: How many detections had their front at the other end.
         extended: Whether a sample is before the first or after the last detection `(k,)`.
     """
@@ -44,57 +196,42 @@ class User:
     label: AgentKind
     length: float
     width: float
-    t: FloatArray
-    x: FloatArray
-    y: FloatArray
-    yaw: FloatArray
-    vx: FloatArray
-    vy: FloatArray
+    way: FloatArray
     turned: int
     extended: BoolArray
+
+    @property
+    def t(self) -> FloatArray:
+        """Times, s."""
+        return self.way[0]
 
     @cached_property
     def poses(self) -> FloatArray:
         """Boxes `(k, 5)`: x, y, yaw, length, width."""
-        n = len(self.t)
-        return np.column_stack([self.x, self.y, self.yaw, np.full(n, self.length), np.full(n, self.width)])
-
-    def at(self, rows: IntArray) -> User:
-        """The same at some of its samples; one may stand several times: but for its time it is the same there."""
-        columns = {name: getattr(self, name)[rows] for name in ("t", "x", "y", "yaw", "vx", "vy", "extended")}
-        return replace(self, **columns)
+        return np.column_stack([*self.way[1:4], *np.outer([self.length, self.width], np.ones(len(self.t)))])
 
 
 def user_of(piece: Piece, boxes: Boxes, ego: Trajectory) -> User:
     """The road user that a piece of motion shows; votes count by score and by distance from the ego."""
     rows = piece.rows
-    far = np.hypot(
-        boxes.x[rows] - np.interp(boxes.t[rows], ego.t, ego.x), boxes.y[rows] - np.interp(boxes.t[rows], ego.t, ego.y)
-    )
+    t, x, y, codes = boxes.t[rows], boxes.x[rows], boxes.y[rows], boxes.codes[rows]
+    far = np.hypot(x - np.interp(t, ego.t, ego.x), y - np.interp(t, ego.t, ego.y))
     weight = boxes.weight[rows] / (1.0 + (far / FAR_M) ** 2)
-    own = np.where(boxes.group[rows] == piece.group, weight, 0.0)
-    code = int(np.bincount(boxes.codes[rows], own).argmax())
-    same = np.where(boxes.codes[rows] == code, weight, 0.0)
-    length, width = (_middle(values[rows], same) for values in (boxes.length, boxes.width))
+    code = int(np.bincount(codes, np.where(boxes.group[rows] == piece.group, weight, 0.0)).argmax())
+    sides = []
+    for values in (boxes.length[rows], boxes.width[rows]):  # the weighted medians of those of this kind
+        order, same = np.argsort(values), np.where(codes == code, weight, 0.0)
+        sides.append(float(values[order[np.searchsorted(np.cumsum(same[order]), 0.5 * same.sum())]]))
     path = piece.standing()
     if piece.still:
         path = np.zeros_like(path)
-        path[:, :2] = centre(piece.z[piece.seen], weight)
+        path[:, :2] = _centre(piece.z[piece.seen], weight)
     yaw, turned = _headings(piece, path, boxes.yaw[rows], weight)
-    label = _KINDS[code]
-    speed = np.median(np.hypot(path[:, 2], path[:, 3]))
+    label, speed = _KINDS[code], np.median(np.hypot(path[:, 2], path[:, 3]))
     rides = label is AgentKind.PEDESTRIAN and piece.net > RIDES_M and speed > RIDES_MPS
-    return User(
-        piece, AgentKind.BICYCLE if rides else label, label, length, width, piece.t, path[:, 0], path[:, 1], yaw,
-        path[:, 2], path[:, 3], turned, np.zeros(len(piece.t), np.bool_),
-    )  # fmt: skip
-
-
-def _middle(values: FloatArray, weight: FloatArray) -> float:
-    """The weighted median."""
-    order = np.argsort(values)
-    half = np.searchsorted(np.cumsum(weight[order]), 0.5 * weight.sum())
-    return float(values[order[half]])
+    way = np.array([piece.t, path[:, 0], path[:, 1], yaw, path[:, 2], path[:, 3]])
+    kind = AgentKind.BICYCLE if rides else label
+    return User(piece, kind, label, sides[0], sides[1], way, turned, np.zeros(len(piece.t), np.bool_))
 
 
 def _headings(piece: Piece, path: FloatArray, yaw: FloatArray, weight: FloatArray) -> tuple[FloatArray, int]:
@@ -104,27 +241,25 @@ def _headings(piece: Piece, path: FloatArray, yaw: FloatArray, weight: FloatArra
     A person's heading is where they go, as their boxes say little (16 to 33 degrees).
     """
     speed = np.hypot(path[:, 2], path[:, 3])
-    fast = np.flatnonzero(speed > GROUPS[piece.group].fast)
+    fast = np.flatnonzero(speed > FAST[piece.group])
     middle = 0.5 * np.angle(np.sum(weight * np.exp(2j * yaw)))
     if not len(fast):
         front = middle if np.sum(weight * np.cos(yaw - middle)) >= 0.0 else middle + np.pi
         return np.full(len(path), front), int((np.cos(yaw - front) < 0.0).sum())
-    course = np.arctan2(path[fast, 3], path[fast, 2])
     nearest = np.abs(np.arange(len(path))[:, None] - fast).argmin(axis=1)
-    goes = np.unwrap(course)[nearest]
+    goes = np.unwrap(np.arctan2(path[fast, 3], path[fast, 2]))[nearest]
     if piece.group == PERSON:
         return goes, 0
-    axis = np.unwrap(goes, period=np.pi)  # one end of the box throughout, though it may go back and forth
-    if piece.group != VEHICLE:
-        axis = np.full(len(path), middle)
+    # one end of the box throughout, though it may go back and forth
+    axis = np.unwrap(goes, period=np.pi) if piece.group == VEHICLE else np.full(len(path), middle)
     ahead = np.cos(axis[fast] - goes[fast]).sum() >= 0.0
     agree = float(np.average(np.cos(yaw - axis[piece.seen]) >= 0.0, weights=weight))
     if speed.max() < REVERSE_MPS and max(agree, 1.0 - agree) >= HEADINGS_AGREE:
         ahead = agree >= 0.5
     if not ahead:
         axis = axis + np.pi
-    turned = int((np.cos(yaw - axis[piece.seen]) < 0.0).sum())
     off = yaw - axis[piece.seen]
+    turned = int((np.cos(off) < 0.0).sum())
     off -= np.pi * np.round(off / np.pi)
     counts = weight * (np.abs(off) < YAW_OFF) if piece.group == VEHICLE else weight
     near = np.exp(-0.5 * ((piece.t[:, None] - piece.t[piece.seen]) / YAW_S) ** 2) * counts

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
 from math import ceil
 
@@ -29,12 +30,9 @@ from planners.pdm.proposals import Driver, driven, tracked
 from planners.pdm.score import PARTS, WHY_NOT, Scores, scores
 from planners.rules import Rulebook, RuleMemory
 
-KNOT_M = 2.0
-"""Spacing of the knots of a track, m."""
-BEYOND_M = 30.0
-"""A track is longer than the ego gets at the limit by this, m."""
-LOOKED_UP_S = 0.2
-"""The others are put forward in steps of this to find leaders, s."""
+KNOT_M, BEYOND_M, LOOKED_UP_S = 2.0, 30.0, 0.2
+"""Spacing of the knots of a track, m; how much longer it is than the ego gets at the limit, m; the others are put
+forward in steps of this to find leaders, s."""
 BODIES = StGraphConfig(margin_m=0.0, vulnerable_margin_m=0.0, step_s=LOOKED_UP_S, early_s=0.0, late_s=0.0)
 """A track is as wide as the ego."""
 
@@ -152,26 +150,27 @@ class Pdm:
         profiles = driven(speeds, lead.t, lead.lower, lead.upper, lead.speed, scene.v, center, self._driver)
         return Track(offset, path, blocks, stops, profiles)
 
-    def _name(self, proposal: int) -> str:
-        offset, share = divmod(proposal, len(self._config.speed_shares))
-        return f"{self._config.speed_shares[share]:g} of the limit, {self._offsets[offset]:+g} m"
-
     def _artefacts(self, scene: Scene, tracks: list[Track], found: Scores, chosen: int) -> tuple[Artefact, ...]:
         """Both graphs of the chosen proposal, who leads, and the scores of all: what they are made of, and why not."""
-        shares = len(self._config.speed_shares)
-        track, t = tracks[chosen // shares], STEP_S * np.arange(HORIZON_KNOTS)
-        driven_m = track.profiles[chosen % shares, 0]
+        named = [f"{share:g} of the limit, {at:+g} m" for at in self._offsets for share in self._config.speed_shares]
+        track, row = tracks[chosen // len(self._config.speed_shares)], chosen % len(self._config.speed_shares)
+        t, driven_m = STEP_S * np.arange(HORIZON_KNOTS), track.profiles[row, 0]
         decisions = decide_speed(track.blocks, scene, np.interp(track.blocks.t, t, driven_m))
         shown = (*outlines(track.blocks, decisions), *stop_outlines(track.stops, float(t[-1]), track.path.length))
         st_graph = StGraph(None, None, np.empty((0, 2)), np.column_stack([t, driven_m]), shown)
+        s, side, reference = track.path.s[::8], 0.5 * scene.vehicle.width, scene.reference
+        edges = (reference.facing_right, reference.facing_left)
+        right, left = (np.interp(s, reference.line.s, edge) for edge in edges if edge is not None)
+        line = np.column_stack([s, np.full(len(s), track.offset)])
+        sl_graph = SlGraph(None, Corridor(s, right + side, left - side), np.empty((0, 2)), line, ())
         near = {decision.agent: decision for decision in decisions}.values()
-        named = [("taken: " if n == chosen else "") + self._name(n) for n in range(len(found.total))]
-        costs = [
-            CostTerms(name, tuple(zip(PARTS[3:], found.weighted[:, n].tolist(), strict=True)))
-            for n, name in sorted(enumerate(named), key=lambda each: each[0] != chosen)
-        ]
-        stops = [stop.decision for stop in track.stops]
-        return (st_graph, _sl_graph(scene, track), *near, *stops, *costs, _counted(found, chosen))
+        rows = [chosen, *(n for n in range(len(named)) if n != chosen)]
+        terms = [tuple(zip(PARTS[3:], found.weighted[:, n].tolist(), strict=True)) for n in rows]
+        costs = [CostTerms("taken: " * (n == chosen) + named[n], some) for n, some in zip(rows, terms, strict=True)]
+        worse = (found.parts < found.parts[:, chosen, None] - 1e-9)[:, rows[1:]].T
+        why = Counter(WHY_NOT[np.argmax(parts)] if parts.any() else "not better" for parts in worse)
+        counted = Candidates("proposals", len(named), tuple(why.items()))
+        return (st_graph, sl_graph, *near, *(stop.decision for stop in track.stops), *costs, counted)
 
 
 def straight_on(frame: Frame) -> Predictions:
@@ -189,19 +188,3 @@ def _arc(start: EgoState) -> Path:
     chord = sigma * np.sinc(half / np.pi)
     x, y = start.x + chord * np.cos(start.yaw + half), start.y + chord * np.sin(start.yaw + half)
     return Path(sigma, x, y, start.yaw + 2.0 * half, np.full(len(sigma), start.kappa), sigma)
-
-
-def _counted(found: Scores, chosen: int) -> Candidates:
-    """How many proposals there were, and in which part the others are worse than the chosen one."""
-    worse = found.parts < found.parts[:, chosen, None] - 1e-9
-    first = [WHY_NOT[np.argmax(rows)] if rows.any() else "not better" for rows in np.delete(worse, chosen, axis=1).T]
-    return Candidates("proposals", len(found.total), tuple((why, first.count(why)) for why in dict.fromkeys(first)))
-
-
-def _sl_graph(scene: Scene, track: Track) -> SlGraph:
-    """The track in the road, every few metres."""
-    s, side, reference = track.path.s[::8], 0.5 * scene.vehicle.width, scene.reference
-    edges = (reference.facing_right, reference.facing_left)
-    right, left = (np.interp(s, reference.line.s, edge) for edge in edges if edge is not None)
-    line = np.column_stack([s, np.full(len(s), track.offset)])
-    return SlGraph(None, Corridor(s, right + side, left - side), np.empty((0, 2)), line, ())

@@ -38,10 +38,8 @@ AHEAD = 10
 """Steps that (2) and (3) look ahead."""
 Q_SPEED, Q_OFFSET, Q_HEADING = 10.0, 1.0, 10.0
 """Weights of (2) and (3); that of the input is 1."""
-STOPPING_MPS, STOPPING_GAIN = 0.2, 0.5
-"""From which speed on (2) only stops, m/s, and its gain then, 1/s."""
-ACCEL_LAG_S, STEER_LAG_S = 0.2, 0.05
-"""Lags of (4), s."""
+STOPPING_MPS, STOPPING_GAIN, ACCEL_LAG_S, STEER_LAG_S = 0.2, 0.5, 0.2, 0.05
+"""From which speed on (2) only stops, m/s, and its gain then, 1/s; lags of (4), s."""
 
 
 class Driver(NamedTuple):
@@ -67,17 +65,10 @@ def driven(
     speeds: FloatArray, t: FloatArray, lower: FloatArray, upper: FloatArray, speed: FloatArray, start_v: float,
     center: float, driver: Driver,
 ) -> FloatArray:  # fmt: skip
-    """Rows s, v `(n, 2, HORIZON_KNOTS)` of a driver per wanted speed `(n,)` along one track.
+    """Rows s, v `(n, 2, HORIZON_KNOTS)` of a driver per wanted speed `(n,)`, m/s, along one track.
 
-    Args:
-        speeds: Wanted speeds, m/s.
-        t: Times of the intervals `(k,)`, s; `lower` and `upper` `(m, k)` as of `StBoundaries`, m.
-        lower: See there.
-        upper: See there.
-        speed: Of who is in them, along the track `(m,)`, m/s.
-        start_v: The ego's speed, m/s.
-        center: From the rear axle to the box's centre, m.
-        driver: The numbers of (1).
+    `t` `(k,)`, `lower`, `upper` `(m, k)` and `speed` `(m,)` are those of `StBoundaries`, `center` is from the rear axle
+    to the box's centre, m.
     """
     out = np.empty((len(speeds), 2, HORIZON_KNOTS))
     for n in range(len(speeds)):

@@ -61,13 +61,9 @@ OBJECTS = among(AgentKind.OBJECT)
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Scores:
-    """Of n proposals.
+    """Of n proposals: (1) by `PARTS` `(6, n)`, each 0 to 1, and the last three weighted `(3, n)`, the score's terms.
 
-    Attributes:
-        parts: (1) by `PARTS` `(6, n)`, each 0 to 1.
-        weighted: The last three, with their weights and factors `(3, n)`: they add up to the score.
-        contact: Time of the first contact at fault `(n,)`, s; inf: none. `agent` with whom; -1.
-        agent: Index into the agents `(n,)`.
+    `contact` `(n,)` is the time of the first contact at fault, s, inf: none; `agent` `(n,)` with whom, -1.
     """
 
     parts: FloatArray
@@ -91,13 +87,9 @@ class Body(NamedTuple):
 
 
 def scores(states: FloatArray, scene: Scene, near: IntArray, weights: tuple[float, float, float]) -> Scores:
-    """Of proposals, x, y, yaw, v, a, kappa `(n, 6, k)` every 0.1 s from the scene's start on.
+    """Of proposals, x, y, yaw, v, a, kappa of the rear axle `(n, 6, k)` every 0.1 s from the scene's start on.
 
-    Args:
-        states: Of the simulated ego, world, at the rear axle.
-        scene: The frame along the route.
-        near: The agents that count, indices.
-        weights: Of progress, ttc and comfort.
+    `near` are the agents that count, `weights` those of progress, ttc and comfort.
     """
     agents, reference, car = scene.frame.agents, scene.reference, scene.vehicle
     line, body = reference.line, Body(car.length, car.width, car.axle_to_center, car.axle_to_front)
@@ -111,9 +103,9 @@ def scores(states: FloatArray, scene: Scene, near: IntArray, weights: tuple[floa
     best = float((way * factor).max())
     progress = np.maximum(way * factor, 0.0) / best if best > LEAST_WAY_M else (factor > 0.0).astype(float)
     parts = np.vstack([collision, direction, drivable, progress, ttc, comfortable(states)])
-    share = np.array(weights)[:, None] / sum(weights)
+    weighted = factor * (np.array(weights)[:, None] / sum(weights)) * parts[3:]
     who = np.where(step < 0, -1, near[hit]) if len(near) else hit
-    return Scores(parts, factor * share * parts[3:], np.where(step < 0, np.inf, STEP_S * step), who)
+    return Scores(parts, weighted, np.where(step < 0, np.inf, STEP_S * step), who)
 
 
 @kernel
@@ -167,7 +159,7 @@ def _meetings(
     step, hit, collision, ttc = np.full(count, -1), np.full(count, -1), np.ones(count), np.ones(count)
     for n in range(count):
         for i in range(moving.shape[1]):
-            if _touches(states[n], 0, 0, moving[:, i], ego):
+            if _meets(states[n], 0, 0, moving[:, i], ego):
                 continue
             k = _contact_at_fault(states[n], moving[:, i], objects[i], astray[n], ego)
             if k >= 0:
@@ -180,43 +172,35 @@ def _meetings(
 
 
 @inner_kernel
-def _touches(states: FloatArray, k: int, ahead: int, other: FloatArray, ego: Body) -> bool:
-    """Whether the ego at step k, carried on straight for `ahead` steps, touches another at that time."""
-    yaw, t = states[2, k], STEP_S * (k + ahead)
-    way = ego.center + STEP_S * ahead * states[3, k]
-    x, y = states[0, k] + way * cos(yaw), states[1, k] + way * sin(yaw)
+def _meets(states: FloatArray, k: int, ahead: int, other: FloatArray, ego: Body) -> int:
+    """Whether the ego at step k, carried on straight for `ahead` steps, touches another then: 1, behind the axle -1."""
+    c, s, t, way = cos(states[2, k]), sin(states[2, k]), STEP_S * (k + ahead), STEP_S * ahead * states[3, k]
+    x, y = states[0, k] + (ego.center + way) * c, states[1, k] + (ego.center + way) * s
     px, py = other[0] + t * other[3], other[1] + t * other[4]
     if hypot(px - x, py - y) > 0.5 * (hypot(ego.length, ego.width) + hypot(other[5], other[6])):
-        return False
-    return overlap(x, y, yaw, ego.length, ego.width, px, py, other[2], other[5], other[6])
-
-
-@inner_kernel
-def _is_behind(states: FloatArray, k: int, ahead: int, other: FloatArray) -> bool:
-    """Whether another is behind the rear axle of the ego at step k, carried on straight for `ahead` steps."""
-    c, s, t, way = cos(states[2, k]), sin(states[2, k]), STEP_S * (k + ahead), STEP_S * ahead * states[3, k]
-    dx = other[0] + t * other[3] - states[0, k] - way * c
-    dy = other[1] + t * other[4] - states[1, k] - way * s
-    return dx * c + dy * s < BEHIND * hypot(dx, dy)
+        return 0
+    if not overlap(x, y, states[2, k], ego.length, ego.width, px, py, other[2], other[5], other[6]):
+        return 0
+    dx, dy = px - states[0, k] - way * c, py - states[1, k] - way * s
+    return -1 if dx * c + dy * s < BEHIND * hypot(dx, dy) else 1
 
 
 @inner_kernel
 def _contact_at_fault(states: FloatArray, other: FloatArray, is_object: bool, astray: BoolArray, ego: Body) -> int:
     """The step of the first contact with another, where it is the ego's fault; else -1."""
     for k in range(1, states.shape[1]):
-        if not _touches(states, k, 0, other, ego):
+        met = _meets(states, k, 0, other, ego)
+        if met == 0:
             continue
         if states[3, k] <= STOPPED_MPS:
             return -1
         if is_object or hypot(other[3], other[4]) <= STOPPED_MPS:
             return k
-        if _is_behind(states, k, 0, other):
-            return -1
         yaw, t = states[2, k], STEP_S * k
         x, y = states[0, k] + ego.front * cos(yaw), states[1, k] + ego.front * sin(yaw)
         px, py = other[0] + t * other[3], other[1] + t * other[4]
         front = overlap(x, y, yaw, 0.0, ego.width, px, py, other[2], other[5], other[6])
-        return k if front or astray[k] else -1
+        return k if met > 0 and (front or astray[k]) else -1
     return -1
 
 
@@ -225,8 +209,9 @@ def _comes_close(states: FloatArray, other: FloatArray, ego: Body) -> bool:
     """Whether the first meeting with another that `ttc` sees is with one who is not behind."""
     for k in range(states.shape[1]):
         for ahead in CARRIED:
-            if states[3, k] >= 0.1 * STOPPED_MPS and _touches(states, k, ahead, other, ego):
-                return not _is_behind(states, k, ahead, other)
+            met = _meets(states, k, ahead, other, ego) if states[3, k] >= 0.1 * STOPPED_MPS else 0
+            if met != 0:
+                return met > 0
     return False
 
 
@@ -248,10 +233,8 @@ def _filters(k: int) -> tuple[FloatArray, ...]:
     A smoothed acceleration, the slope over the whole proposal of such a one, the acceleration smoothed over the whole;
     first and second derivative of the yaw.
     """
-    eye = np.eye(k)
-
-    def made(window: int, degree: int, derivative: int = 0) -> FloatArray:
-        matrix = savgol_filter(eye, min(window, k), degree, deriv=derivative, delta=STEP_S, axis=1)
-        return frozen(matrix)
-
-    return made(8, 2), made(k, 2, 1), made(k, 2), made(5, 2, 1), made(5, 3, 2)
+    made = ((8, 2, 0), (k, 2, 1), (k, 2, 0), (5, 2, 1), (5, 3, 2))
+    return tuple(
+        frozen(savgol_filter(np.eye(k), min(window, k), degree, deriv=derivative, delta=STEP_S, axis=1))
+        for window, degree, derivative in made
+    )

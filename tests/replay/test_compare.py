@@ -71,6 +71,7 @@ def test_a_delay_is_named_as_input_and_parts_in_the_controller(runs: tuple[Path,
     assert len(one.partings) == 1 and one.not_looked_at == 3 and found.not_looked_at == 0
 
 
+@pytest.mark.slow
 def test_two_planners_of_one_run(runs: tuple[Path, Path]) -> None:
     found = of(runs[0], planners=("constant_speed", "idm"))
     assert (found.baseline, found.candidate) == ("before: constant_speed", "before: idm")

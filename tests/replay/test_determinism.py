@@ -53,6 +53,7 @@ def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("trust", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_who_is_dealt_other_plans_is_marked_with_time_and_size(here: Path, trust: bool) -> None:
     planners = ("dealt:Dicing", "dealt:Steady", "constant_speed")
@@ -68,6 +69,7 @@ def test_who_is_dealt_other_plans_is_marked_with_time_and_size(here: Path, trust
     assert not [note for drive in silent.drives for note in drive.notes if note.startswith(NOT_DETERMINISTIC)]
 
 
+@pytest.mark.slow
 def test_a_planner_that_fails_only_the_second_time_is_marked(here: Path) -> None:
     config = replace(QUICK, planners=("dealt:Failing",), mode="open", repeat_s=1.0)
     (drive,) = evaluate_logs([here / "a.mcap"], config, here / "out").drives

@@ -321,6 +321,7 @@ def test_a_chart_that_fails_says_why_in_its_place(desk: Path, body: str, said: s
     assert said in chart.says and "my_bad" in chart.body
 
 
+@pytest.mark.slow
 def test_a_chart_that_fails_is_said_by_the_command_and_in_the_report_too(desk: Path) -> None:
     Path("my_broken.py").write_text("def chart(subject):\n    return 1 / 0\n", encoding="utf-8")
     words = "evaluate --suite my_family:PARKED -p constant_speed --mode closed --chart my_broken:chart --workers 0"

@@ -174,6 +174,7 @@ def test_a_trace_shows_its_plans(tmp_path: Path) -> None:
         assert np.array_equal([(p.x, p.y) for p in line.entities[0].lines[0].points], expected)
 
 
+@pytest.mark.slow
 @needs_schemas
 def test_convert_and_evaluate_write_them_and_the_verdict_stays(tmp_path: Path) -> None:
     ego = drive(straight, 8.0, 1.9)

@@ -1,19 +1,15 @@
-"""Who is who from frame to frame: whether a topic's ids are identities, and joining by position where they are not.
+"""Who is who from frame to frame: joining by position where a topic's ids are no identities.
 
-Perception that numbers the entries of each list anew (1) gives no tracks: an "id" jumps across the street between two
-frames. Then every frame's objects are assigned to those known so far, by the least sum of distances to where these
-should be by now, from the samples before only. Outlines of clusters split and merge: one whose size is another than
-that with which an object began is another object, as a box has one size.
-
-(1) more than `JUMPS` of the steps between two samples of an id, at most `STEP_S` apart, are faster than `FASTEST_MPS`,
-    or an id stands more than once in so many of the frames
+Perception that numbers the entries of each list anew gives no tracks (`logs.repair.names`). Then every frame's objects
+are assigned to those known so far, by the least sum of distances to where these should be by now, from the samples
+before only. Outlines of clusters split and merge: one whose size is another than that with which an object began is
+another object, as a box has one size.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -21,7 +17,6 @@ from scipy.optimize import linear_sum_assignment
 from logs.agents import AgentKind, codes_of
 from logs.kernel import BoolArray, FloatArray, IntArray
 
-STEP_S, FASTEST_MPS, JUMPS = 0.5, 60.0, 0.02
 REACH_M = {AgentKind.PEDESTRIAN: 1.0, AgentKind.OBJECT: 1.5}
 REACH_OTHERS_M = 2.0
 """How far from where it should be an object is still the same: noise of its centre and its acceleration."""
@@ -37,20 +32,6 @@ OTHER_SIZE_M, OTHER_SIZE = 0.5, 0.25
 MEMORY = 5
 """Samples over which the velocity is taken."""
 _FAR = 1e6
-
-
-def are_identities(ids: Sequence[Any], frame: IntArray, t: FloatArray, x: FloatArray, y: FloatArray) -> bool:
-    """Whether the ids `(m,)` of samples in frames `(m,)` at times `t` `(m,)`, s, name the same object throughout."""
-    codes = np.unique(np.array(ids, dtype=object).astype(str), return_inverse=True)[1]
-    order = np.lexsort((frame, codes))
-    same = np.diff(codes[order]) == 0
-    dt = np.diff(t[order])
-    twice = same & (np.diff(frame[order]) == 0)
-    if twice.sum() > JUMPS * len(ids):
-        return False
-    near = same & (dt > 0.0) & (dt <= STEP_S)
-    far = np.hypot(np.diff(x[order]), np.diff(y[order])) > FASTEST_MPS * np.maximum(dt, 0.02)
-    return bool((near & far).sum() <= JUMPS * max(int(near.sum()), 1))
 
 
 @dataclass

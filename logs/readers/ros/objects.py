@@ -20,11 +20,12 @@ from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.readers.ros import schemas
 from logs.readers.ros.bag import Bag, Topic
 from logs.readers.ros.fields import Wanted
-from logs.readers.ros.identity import are_identities, joined
+from logs.readers.ros.identity import joined
 from logs.readers.ros.motion import rates
 from logs.readers.ros.rectangles import smallest_rectangles
 from logs.readers.ros.schemas import ObjectSchema
 from logs.readers.ros.transforms import BETWEEN, Frames, Poses, composed, heading, rotated, unit
+from logs.repair.names import no_identities
 
 STAMP: Wanted = ("header.stamp.sec", "header.stamp.nanosec")
 MOTION_S = 0.5
@@ -40,12 +41,12 @@ LEAST_SIZE_M = 0.1
 class Samples:
     """Objects of all frames, `(m,)` each: message, id, kind, pose in the map, velocity, size (NaN: not known).
 
-    `given` are the ids of the log where `ids` are not; `score` is 0 to 1, NaN where it is not known.
+    `ids` are those of the log, "" where it gives none; `score` is 0 to 1, NaN where it is not known; `names` are
+    identities, None until they are asked for (`identified`).
     """
 
     message: IntArray
-    ids: list[Any]
-    given: list[Any]
+    ids: list[str]
     kinds: list[AgentKind]
     x: FloatArray
     y: FloatArray
@@ -56,20 +57,22 @@ class Samples:
     width: FloatArray
     turned: BoolArray
     score: FloatArray
+    names: list[str] | None = None
 
     def __len__(self) -> int:
         return len(self.ids)
 
     def taken(self, keep: IntArray) -> Samples:
         """Some of them, in the order of `keep`."""
-        lists: dict[str, Any] = {name: [getattr(self, name)[i] for i in keep] for name in ("ids", "given", "kinds")}
+        of = ("ids", "kinds") if self.names is None else ("ids", "kinds", "names")
+        lists: dict[str, Any] = {name: [getattr(self, name)[i] for i in keep] for name in of}
         names = ("message", "x", "y", "yaw", "vx", "vy", "length", "width", "turned", "score")
         return replace(self, **lists | {name: getattr(self, name)[keep] for name in names})
 
     def detections(self, t: FloatArray) -> Detections:
         """All of them as they were reported; t `(k,)` s are the times of the messages."""
         columns = (self.x, self.y, self.yaw, self.length, self.width, self.vx, self.vy, self.score)
-        return Detections(t[self.message], t, tuple(map(str, self.given)), codes_of(tuple(self.kinds)), *columns)
+        return Detections(t[self.message], t, tuple(self.ids), codes_of(tuple(self.kinds)), *columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +143,7 @@ def samples_of(
     rows = [item for some in items for item in some]
     if not rows:
         none = np.empty(0)
-        return Samples(owner, [], [], [], none, none, none, none, none, none, none, np.empty(0, np.bool_), none)
+        return Samples(owner, [], [], none, none, none, none, none, none, none, np.empty(0, np.bool_), none)
     columns = list(zip(*rows, strict=True))
     poses = _local(columns, messages.names, t[owner])
     turn = _turns([messages.frames[i] for i in chosen], owner, t, frames, frame)
@@ -149,12 +152,11 @@ def samples_of(
     length, width, moved, yaw, turned = _sizes(columns, messages.names, schema, world, turn, kinds)
     velocity = _velocity(columns, messages.names, len(rows))
     ids = list(columns[messages.names["id"]]) if "id" in messages.names else []
+    names = [_text(each) for each in ids] or [""] * len(rows)
     out = Samples(
-        owner, [_text(each) for each in ids], [], kinds, moved[:, 0], moved[:, 1], yaw, velocity[:, 0], velocity[:, 1],
-        length, width, turned, _scores(columns, messages.names, len(rows)),
+        owner, names, kinds, moved[:, 0], moved[:, 1], yaw, velocity[:, 0], velocity[:, 1], length, width, turned,
+        _scores(columns, messages.names, len(rows)),
     )  # fmt: skip
-    if len(ids) and set(out.ids) <= {""}:
-        out = replace(out, ids=[])
     return _with_velocities(out, velocity, world, turn, schema, t, (said, said_of_ids), in_the_way)
 
 
@@ -173,10 +175,10 @@ def _with_velocities(
         said.append(f"{left_out[1]} samples have no finite pose and are left out.")
     filled = [np.where(finite[:, None], by_frame[name][:, :2], np.nan) for name in ("object", "frame")]
     keep = np.flatnonzero(usable & in_the_way)
-    ids = out.ids or list(np.full(len(out.kinds), ""))
-    both = replace(out, ids=ids, given=ids, vx=filled[0][:, 0], vy=filled[0][:, 1]).taken(keep)
+    both = replace(out, vx=filled[0][:, 0], vy=filled[0][:, 1]).taken(keep)
     other = filled[1][keep]
-    both = _identified(both, bool(out.ids), t, said_of_ids)
+    if np.isfinite(both.vx).any():
+        both = identified(both, t, said_of_ids)
     chosen = _frame_of_twist(both, other, schema, t, said)
     if chosen is None:
         nan = np.full(len(both), np.nan)
@@ -297,17 +299,19 @@ def _velocity(columns: list[tuple[Any, ...]], names: dict[str, int], n: int) -> 
     return velocity
 
 
-def _identified(samples: Samples, with_ids: bool, t: IntArray, said: list[str]) -> Samples:
-    """The samples with ids that are identities, each once a frame."""
-    seconds = (t - t[0])[samples.message] / 1e9 if len(t) else np.empty(0)
-    if with_ids and are_identities(samples.ids, samples.message, seconds, samples.x, samples.y):
+def identified(samples: Samples, t: IntArray, said: list[str]) -> Samples:
+    """The samples with names that are identities, each once a frame; t `(k,)` ns are the times of the messages."""
+    if samples.names is not None:
         return samples
+    seconds, with_ids = (t[samples.message] - t[:1]) / 1e9, any(samples.ids)
+    if with_ids and no_identities(samples.ids, seconds, samples.x, samples.y) is None:
+        return replace(samples, names=samples.ids)
     sizes = np.where(samples.turned[:, None], np.column_stack([samples.length, samples.width]), np.nan)
     names = joined(samples.message, seconds, samples.x, samples.y, samples.kinds, sizes)
-    count = int(names.max(initial=0))
     why = "are no identities (they jump)" if with_ids else "are not there"
+    count = int(names.max(initial=0))
     said.append(f"Ids of objects {why}: objects are joined from frame to frame by position, to {count} tracks.")
-    return replace(samples, ids=[str(name) for name in names])
+    return replace(samples, names=[str(name) for name in names])
 
 
 def _frame_of_twist(
@@ -317,7 +321,7 @@ def _frame_of_twist(
     if not np.isfinite(samples.vx).any():
         said.append("The log has no velocities of objects.")
         return None
-    codes = np.unique(np.array(samples.ids, dtype=object).astype(str), return_inverse=True)[1]
+    codes = np.unique(np.array(samples.names, dtype=object).astype(str), return_inverse=True)[1]
     seconds = (t - t[0])[samples.message] / 1e9
     order = np.lexsort((seconds, codes))
     first = firsts(codes[order])

@@ -26,7 +26,7 @@ from logs.readers.ros.bag import Bag, Topic, opened
 from logs.readers.ros.clocks import said, times_of
 from logs.readers.ros.ego import EgoLog, at_poses, begin_of, read_ego, signal, states, topics_of
 from logs.readers.ros.more import Window, controls, goal, lights, onboard, vehicle_of
-from logs.readers.ros.objects import read_messages, samples_of
+from logs.readers.ros.objects import identified, read_messages, samples_of
 from logs.readers.ros.tracks import tracks_of, without_ego
 from logs.scenario import Scenario, Tracks
 from logs.states import Trajectory
@@ -202,13 +202,13 @@ def _tracks(
     except LogError as error:
         remedy = "name the log's own frames under log.frames, or leave the objects out by log.topics.agents = '-'"
         raise LogError(error.what, topic=topic.name, remedy=remedy) from None
-    moved = replace(samples, x=samples.x - origin[0], y=samples.y - origin[1])
-    since = (t - start) / 1e9
-    found = moved.detections(since)
+    x, y, since = samples.x - origin[0], samples.y - origin[1], (t - start) / 1e9
+    found = replace(samples, x=x, y=y).detections(since)
     if reason_to_repair(settings.repair, found):
         return Tracks.empty(), found, of_stream(since)
+    samples = identified(samples, t, said_of_tracks)
     notes += said_of_tracks
-    tracks = tracks_of(moved, since, notes)
+    tracks = tracks_of(replace(samples, x=x, y=y), since, notes)
     ahead = vehicle.axle_to_center
     x = driven.x + ahead * np.array([cos(yaw) for yaw in driven.yaw])
     y = driven.y + ahead * np.array([sin(yaw) for yaw in driven.yaw])

@@ -32,7 +32,7 @@ def tracks_of(samples: Samples, t: FloatArray, said: list[str]) -> Tracks:
     """The samples as tracks; t `(k,)` s are the times of their messages."""
     if not len(samples):
         return Tracks.empty()
-    names = np.array(samples.ids, dtype=object).astype(str)
+    names = np.array(samples.names, dtype=object).astype(str)
     _, first_seen, codes = np.unique(names, return_index=True, return_inverse=True)
     rank = np.argsort(np.argsort(first_seen, kind="stable"), kind="stable")
     codes = rank[codes]
@@ -52,7 +52,7 @@ def tracks_of(samples: Samples, t: FloatArray, said: list[str]) -> Tracks:
     sizes = _median_sizes(length, width, kinds, parts, said)
     vx, vy = _filled(some, seconds, first, kinds, np.diff(offsets), said)
     return Tracks(
-        tuple(some.ids[part.start] for part in parts), kinds, *sizes, np.zeros(len(parts), np.bool_), offsets, seconds,
+        tuple(names[order[offsets[:-1]]].tolist()), kinds, *sizes, np.zeros(len(parts), np.bool_), offsets, seconds,
         some.x, some.y, yaw, vx, vy,
     )  # fmt: skip
 

@@ -16,6 +16,7 @@ from mcap_cases import differences, repaired_scenario, rich_scenario
 
 from logs import LogError, Road, Scenario
 from logs.catalogue.detector import detected
+from logs.detections import Detections
 from logs.mcap import read_scenario, write_scenario
 from logs.readers import LogSettings, read_log, with_tracks
 from logs.readers.cut import DETECTED_S, cut
@@ -38,27 +39,37 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_raw_log_is_repaired_as_it_is_read(log: Path) -> None:
+@pytest.fixture(scope="module")
+def made(log: Path) -> Scenario:
+    """The raw log as it is read."""
+    return read_log(log)
+
+
+def first(seconds: float) -> Detections:
+    """The detections of the first seconds of it."""
+    found = raw().detections
+    assert found is not None
+    return found.between(0.0, seconds)
+
+
+def test_a_raw_log_is_repaired_as_it_is_read(log: Path, made: Scenario) -> None:
     assert differences(read_scenario(log), raw()) == [], "the file holds the detections alone"
-    made = read_log(log)
     assert made.repair is not None and made.detections is None and 6 <= len(made.tracks) <= 12
     assert differences(with_tracks(raw(), LogSettings()).tracks, made.tracks) == []
     off = read_log(log, LogSettings(repair="off"))
     assert off.repair is None and off.detections is None and len(off.tracks) == 0
 
 
-def test_names_are_those_of_the_tracker(log: Path) -> None:
-    made = read_log(log)
+def test_names_are_those_of_the_tracker(made: Scenario) -> None:
     assert made.repair is not None
     known = {name for agents in made.repair.detections.tracked.agents for name in agents.ids}
     assert len(known & set(made.tracks.ids)) >= len(made.tracks) - 1
     assert {change.agent for change in made.repair.changes} == {*made.tracks.ids, *made.repair.removed.ids}
 
 
-def test_a_part_of_a_repaired_log_is_the_wholes(log: Path, tmp_path: Path) -> None:
-    whole = read_log(log)
-    write_scenario(tmp_path / "made.mcap", whole)
-    part, asked = cut(whole, 12.0, 15.0), read_log(tmp_path / "made.mcap", LogSettings(begin=12.0, end=15.0))
+def test_a_part_of_a_repaired_log_is_the_wholes(made: Scenario, tmp_path: Path) -> None:
+    write_scenario(tmp_path / "made.mcap", made)
+    part, asked = cut(made, 12.0, 15.0), read_log(tmp_path / "made.mcap", LogSettings(begin=12.0, end=15.0))
     assert part.repair is not None and asked.repair is not None
     for name in ("t", "x", "y", "yaw", "vx"):
         np.testing.assert_allclose(getattr(asked.tracks, name), getattr(part.tracks, name), atol=1e-9)
@@ -84,8 +95,7 @@ def test_a_clean_log_is_repaired_on_demand_only(tmp_path: Path) -> None:
 
 
 def test_detections_beyond_the_limits_are_left_out_and_noted() -> None:
-    found = raw().detections
-    assert found is not None
+    found = first(4.0)
     far, fast = found.x.copy(), found.vx.copy()
     far[:3] = 1e9
     fast[5] = 1e6
@@ -99,8 +109,7 @@ def test_detections_beyond_the_limits_are_left_out_and_noted() -> None:
 
 
 def test_frames_within_a_nanosecond_are_one(tmp_path: Path) -> None:
-    found = raw().detections
-    assert found is not None
+    found = first(2.0)
     late = np.where(np.arange(len(found)) % 2, found.t, found.t + 1e-11)
     late = np.where(found.t >= 1.0, np.sort(late), found.t)
     frames = np.unique(np.r_[found.frames, late])
@@ -112,12 +121,12 @@ def test_frames_within_a_nanosecond_are_one(tmp_path: Path) -> None:
         write_scenario(tmp_path / "split.mcap", split)
 
 
-def test_the_command_writes_the_log_and_its_table(log: Path, tmp_path: Path) -> None:
+def test_the_command_writes_the_log_and_its_table(log: Path, made: Scenario, tmp_path: Path) -> None:
     out, table = tmp_path / "deep" / "out.mcap", tmp_path / "changes.csv"
     result = replan("repair", log, "-o", out, "--table", table)
     assert result.exit_code == 0 and str(out) in result.stdout
-    made = read_scenario(out)
-    assert made.repair is not None and differences(made.repair, read_log(log).repair) == []
+    written = read_scenario(out)
+    assert made.repair is not None and differences(written.repair, made.repair) == []
     rows = list(csv.DictReader(StringIO(table.read_text(encoding="utf-8"))))
     assert [row["agent"] for row in rows] == [change.agent for change in made.repair.changes]
     assert list(rows[0]) == ["what", "agent", "t_from_s", "t_to_s", "samples", "why", "sources"]

@@ -19,9 +19,8 @@ from logs.detections import Detections
 from logs.kernel import BoolArray, FloatArray
 from logs.readers import read_log
 from logs.repair import detections_of, needs_repair
-from logs.repair.groups import Boxes
+from logs.repair.boxes import Boxes, shared_area, stronger_twins
 from logs.repair.kalman import FIRST_MPS, STAND_MPS, smoothed
-from logs.repair.overlap import shared_area, stronger_twins
 
 Q = 1.6
 
@@ -72,10 +71,10 @@ BOX = st.tuples(*(st.floats(*each) for each in ((-3, 3), (-3, 3), (-4, 4), (0.3,
 
 @given(BOX, BOX)
 def test_shared_areas_are_symmetric_and_no_larger_than_a_box(one: tuple[float, ...], two: tuple[float, ...]) -> None:
-    area = shared_area(*one, *two)
-    assert area == pytest.approx(shared_area(*two, *one), abs=1e-9)
+    area = shared_area(np.array(one), np.array(two))
+    assert area == pytest.approx(shared_area(np.array(two), np.array(one)), abs=1e-9)
     assert 0.0 <= area <= min(one[3] * one[4], two[3] * two[4]) + 1e-9
-    assert shared_area(*one, *one) == pytest.approx(one[3] * one[4])
+    assert shared_area(np.array(one), np.array(one)) == pytest.approx(one[3] * one[4])
 
 
 @settings(max_examples=10)
@@ -86,8 +85,9 @@ def test_shared_areas_are_those_of_many_points(one: tuple[float, ...], two: tupl
     x, y = one[0] + np.cos(one[2]) * a - np.sin(one[2]) * b, one[1] + np.sin(one[2]) * a + np.cos(one[2]) * b
     dx, dy = x - two[0], y - two[1]
     ahead, aside = np.cos(two[2]) * dx + np.sin(two[2]) * dy, np.cos(two[2]) * dy - np.sin(two[2]) * dx
+    area = shared_area(np.array(one), np.array(two))
     inside = (np.abs(ahead) < 0.5 * two[3]) & (np.abs(aside) < 0.5 * two[4])
-    assert shared_area(*one, *two) == pytest.approx(inside.mean() * one[3] * one[4], abs=0.03 * one[3] * one[4] + 0.02)
+    assert area == pytest.approx(inside.mean() * one[3] * one[4], abs=0.03 * one[3] * one[4] + 0.02)
 
 
 def frame(*rows: tuple[AgentKind, float, float, float, float, float]) -> Boxes:

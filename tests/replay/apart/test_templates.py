@@ -63,6 +63,7 @@ def plans(trace: Trace) -> list[bytes]:
     return [getattr(one.plan.trajectory, name).tobytes() for one in trace.frames for name in TRAJECTORY_COLUMNS]
 
 
+@pytest.mark.slow
 def test_a_module_is_loaded_once_in_a_run_and_anew_in_the_next() -> None:
     planner, log = written("once"), short("test/a")
     for loop in LOOPS.values():
@@ -176,6 +177,7 @@ def test_a_method_of_a_planner_that_is_called_prepare_is_its_own() -> None:
     assert driven(written("own", own)).end is EndReason.END_OF_LOG
 
 
+@pytest.mark.slow
 def test_a_launcher_that_is_not_needed_any_more_ends_at_once() -> None:
     driven(written("ended"))
     begin = time.monotonic()
@@ -194,6 +196,7 @@ DRAWN = """
     """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
 def test_a_run_loads_it_twice_in_a_worker_and_still_sees_what_is_not_deterministic(
     workers: int, logs: Path, folder: Path

@@ -69,6 +69,7 @@ def tables(out: Path) -> list[bytes]:
     return [path.read_bytes() for path in (out / "metrics.parquet", *sorted(out.glob("*/frames.parquet")))]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [0, pytest.param(2, marks=pytest.mark.slow)])
 def test_the_numbers_are_those_of_logs_by_themselves(workers: int, logs: Path, tmp_path: Path) -> None:
     planner = written(f"same{workers}")

@@ -184,6 +184,7 @@ def test_a_planner_that_raises_is_a_failure_that_names_it(
     assert "constant_speed" in set(result.table["planner"])
 
 
+@pytest.mark.slow
 def test_a_planner_that_cannot_be_loaded_leaves_the_others(logs: Path, tmp_path: Path) -> None:
     result = run(logs / "a.mcap", tmp_path / "out", replace(QUICK, planners=("nowhere:Mine", "constant_speed")))
     assert result.run.planners == ("constant_speed",)

@@ -8,6 +8,7 @@ import fuzz_evaluate
 import pytest
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("names", "count"),
     [

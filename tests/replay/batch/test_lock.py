@@ -52,6 +52,7 @@ def test_a_second_run_is_refused_and_says_who_holds_the_folder(logs: Path, tmp_p
     assert not out.exists()  # it was made for the lock alone
 
 
+@pytest.mark.slow
 def test_nothing_of_the_lock_is_left_and_the_folder_may_be_used_again(logs: Path, tmp_path: Path, system: str) -> None:
     for _ in range(2):
         result = run(logs / "a.mcap", tmp_path / "out", QUICK)
@@ -63,6 +64,7 @@ def test_nothing_of_the_lock_is_left_and_the_folder_may_be_used_again(logs: Path
     assert [entry.name for entry in (tmp_path / "mine").iterdir()] == ["thesis.tex"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("wait", ["killed", pytest.param("of an earlier life", marks=pytest.mark.slow)])
 def test_the_lock_of_a_dead_process_is_taken_over(tmp_path: Path, system: str, wait: str) -> None:
     holder = subprocess.Popen([sys.executable, "-c", HOLDER, str(tmp_path)], stdout=subprocess.PIPE, text=True)

@@ -93,6 +93,7 @@ def test_a_shard_measures_and_does_not_judge(two: Sequence[Path]) -> None:
     assert [log["source"][-6:] for log in first["logs"]] == ["a.mcap", "c.mcap", "e.mcap"]
 
 
+@pytest.mark.slow
 def test_gates_and_ensembles_are_those_of_the_whole_run(logs: Path, tmp_path: Path) -> None:
     rules = tmp_path / "gates.toml"
     rules.write_text('[[gate]]\nmetric = "speed.mean"\nmin = 8.5\n', encoding="utf-8")
@@ -159,6 +160,7 @@ def test_a_damaged_or_foreign_folder_is_refused(two: Sequence[Path], whole: RunR
             merge([folder, two[1]], two[1] if folder == two[0] else tmp_path / "merged")
 
 
+@pytest.mark.slow
 def test_the_command_line_drives_shards_and_judges_when_merged(logs: Path, tmp_path: Path) -> None:
     one = logs / "b.mcap"
     rules = gates(tmp_path / "gates.toml", 'metric = "speed.mean"\nmin = 50')

@@ -51,6 +51,7 @@ def test_a_run_with_closed_streams_has_its_results_and_exit_code(closed: str, fo
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="the system has no /dev/full")
 def test_a_full_disk_is_still_said(tmp_path: Path) -> None:
     code, said = shell("REPLAN list --json >/dev/full", tmp_path)

@@ -260,6 +260,7 @@ def test_nothing_is_learned_where_there_is_nothing_to_learn_from() -> None:
 # --- on the vehicle models
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("vehicle", ["kinematic_bicycle", "single_track"])
 def test_an_s_curve_is_tracked_within_the_aim_without_other_tuning(vehicle: str) -> None:
     off = track(drive(s_curve, 12.0, 14.5), vehicle)

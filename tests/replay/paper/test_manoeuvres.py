@@ -88,6 +88,7 @@ def test_the_throttle_is_released_in_the_obstacle_avoidance() -> None:
     np.testing.assert_allclose(steady.x, 10.0 * steady.t, atol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("controller", ["dlqr_pid", "mpc"])
 @pytest.mark.parametrize("vehicle", ["kinematic_bicycle", "single_track"])
 def test_the_aim_is_met_on_the_papers_curve_and_the_double_lane_change(controller: str, vehicle: str) -> None:
@@ -116,6 +117,7 @@ def test_no_cone_falls_with_softer_tyres_or_a_load(controller: str, plant: dict[
         assert row["cones_hit"] == 0.0 and row["lateral_max_m"] < 0.10
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", vehicle_names())
 def test_the_known_vehicles_follow_a_road_without_other_tuning(name: str) -> None:
     car = vehicle_parameters(name)

@@ -200,6 +200,7 @@ def test_a_cell_is_driven_the_same_twice_and_drawn(tmp_path: Path) -> None:
     assert pictures[0].read_bytes() == pictures[1].read_bytes()
 
 
+@pytest.mark.slow
 def test_figures_9_10_and_12_are_drawn(tmp_path: Path) -> None:
     scenario = CROSSING_PEDESTRIAN.scenario()
     trace = replace(pedals([0.0, 0.3, 0.0]), frames=(graph_frame(0.0, blocked=True),))

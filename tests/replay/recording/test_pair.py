@@ -27,6 +27,7 @@ def test_the_difference_of_a_drive_with_itself_is_nothing_and_turns_with_the_ord
     assert (np.isfinite(short["gap"]) == (t <= 5.0 + 1e-9)).all()
 
 
+@pytest.mark.slow
 def test_both_recordings_are_in_one_with_the_place_where_they_part(tmp_path: Path) -> None:
     done, world = drive()
     trace = replace(

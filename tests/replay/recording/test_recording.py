@@ -421,6 +421,7 @@ def test_what_a_repair_removed_is_an_entity_of_its_own(tmp_path: Path) -> None:
     assert "/world/removed" not in written(tmp_path, done, world).moving
 
 
+@pytest.mark.slow
 def test_three_hundred_agents_are_all_drawn_and_few_are_named(tmp_path: Path) -> None:
     recording = written(tmp_path, *drive(extra=300))
     assert (recording.counts("/world/agents/car", "Boxes3D:centers") == 302).all()

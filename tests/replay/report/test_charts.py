@@ -278,6 +278,7 @@ def replan(*words: object) -> Any:
     return CliRunner(env={"COLUMNS": "200"}).invoke(app, [str(word) for word in words])
 
 
+@pytest.mark.slow
 def test_plot_writes_pictures(run: RunResult, tmp_path: Path) -> None:
     said = replan("plot", run.out, "-o", tmp_path / "a.png", "--width", 700)
     assert said.exit_code == 0 and "constant_speed, closed loop, at 8.2" in said.stdout

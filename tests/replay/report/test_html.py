@@ -135,6 +135,7 @@ def test_what_it_says_is_what_the_run_says(page: Page, results: Results) -> None
     assert because[0].startswith("The plan of t = ") and because[0] in text
 
 
+@pytest.mark.slow
 def test_same_run_same_bytes_wherever_it_is(results: Results, tmp_path: Path) -> None:
     over = overview(results)
     for name in ("a", "b"):

@@ -152,6 +152,7 @@ def test_what_all_logs_say_together_is_a_test_of_its_own(results: Results) -> No
     assert isinstance(misspelt.result[0], Skipped) and "did you mean 'constant_speed'" in misspelt.result[0].message
 
 
+@pytest.mark.slow
 def test_a_planner_that_crashes_on_a_log_is_an_error_and_counts_against(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

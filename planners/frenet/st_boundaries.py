@@ -14,7 +14,7 @@ path are exact, since real boxes are tested (`sweep`): at the path's points, and
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from math import inf
 
@@ -121,7 +121,7 @@ class StBoundaries:
 
 
 def st_boundaries(
-    scene: Scene, path: Path, skip: BoolArray, passed: frozenset[str], config: StGraphConfig
+    scene: Scene, path: Path, skip: BoolArray, passed: Collection[str], config: StGraphConfig
 ) -> StBoundaries:
     """The intervals (1) of all predictions but those of agents to `skip` `(agents,)`.
 

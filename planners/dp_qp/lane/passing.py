@@ -84,7 +84,7 @@ def _plan(
         before, found = found, pass_targets(scene, who, stations, memory.passed)
         if turn + 1 == TURNS or _same(before, found):
             break
-    names = frozenset(box.agent for box in way.obstacles) & plan.path.passed & {one.box.agent for one in found}
+    names = frozenset(plan.path.passed) & {box.agent for box in way.obstacles} & {one.box.agent for one in found}
     if way.obstacles[0].agent not in names:
         return None, frozenset(), replace(memory, stations=None, lane=lane)
     return plan, names, replace(memory, stations=stations, lane=lane)

@@ -150,8 +150,8 @@ class LanePlanner:
         speed, speed_memory, rules = None, memory.speed, memory.rules
         if path.path is not None and (past is None or past.way.obstacles[0].agent in path.passed):
             moving = {box.agent for box in past.way.obstacles} if past else set()
-            standing = path.passed - moving
-            stops, rules = self._rules.stops(scene, memory.rules, standing)
+            standing = {name: room for name, room in path.passed.items() if name not in moving}
+            stops, rules = self._rules.stops(scene, memory.rules, frozenset(standing))
             task = SpeedTask(
                 standing,
                 behind(scene, keeps_track=path.shift < TRACK_M and past is None),

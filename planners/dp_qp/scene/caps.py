@@ -75,6 +75,7 @@ class PathView:
         path: The path.
         limit: The road's speed limit along it `(m,)`, m/s.
         taken: When which part of it is taken, and by which agent.
+        passed: The room that it leaves to each agent that it passes while they stand, m.
         stops: That the rules demand on it.
         targets: Those who go along the lane where the ego comes beside them.
         is_pass: Whether the path swings out to pass them.
@@ -89,6 +90,7 @@ class PathView:
     path: Path
     limit: FloatArray
     taken: StBoundaries
+    passed: Mapping[str, float]
     stops: tuple[Occupancy, ...]
     targets: tuple[PassTarget, ...]
     is_pass: bool

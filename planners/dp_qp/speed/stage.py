@@ -72,7 +72,7 @@ class SpeedTask:
     """What the speed stage is asked on a path.
 
     Attributes:
-        passed: Agents that the path passes while they stand.
+        passed: The room that the path leaves to each agent that it passes while they stand, m.
         skip: Agents who follow behind `(agents,)`.
         stops: That the rules demand on the path.
         targets: Those who go along the lane where the ego comes beside them; `is_pass` whether it swings out for them.
@@ -80,7 +80,7 @@ class SpeedTask:
         goal: The goal along the lane; `target` what it asks now.
     """
 
-    passed: frozenset[str]
+    passed: Mapping[str, float]
     skip: BoolArray
     stops: tuple[Occupancy, ...]
     targets: tuple[PassTarget, ...]
@@ -158,7 +158,7 @@ class SpeedStage:
         line = scene.reference.line
         road = np.interp(path.s, line.s, scene.reference.limit)
         view = PathView(
-            scene, path, road, found, task.stops, task.targets, task.is_pass, task.goal, task.target, came,
+            scene, path, road, found, passed, task.stops, task.targets, task.is_pass, task.goal, task.target, came,
             self._hard_mps2, config.graph.vulnerable_margin_m, config.caution,
         )  # fmt: skip
         bare = LoweredLimit(road, np.zeros(len(road), np.bool_))

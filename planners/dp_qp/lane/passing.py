@@ -23,8 +23,8 @@ from planners.dp_qp.lane.config import LaneConfig
 from planners.dp_qp.lane.memory import FORGET_S, PassMemory, PassWay
 from planners.dp_qp.lane.plan import LanePlan, LanePlanner
 from planners.dp_qp.path.bounds import CorridorConfig
+from planners.dp_qp.scene.caps import PassTarget
 from planners.dp_qp.scene.moving_obstacles import along_lane, gone_on, pass_targets, to_pass
-from planners.dp_qp.scene.pass_target import PassTarget
 from planners.frenet.profiles import STEP_S
 from planners.frenet.scene import Scene
 

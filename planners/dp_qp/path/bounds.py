@@ -297,12 +297,9 @@ def _choice(box: Occupancy, room: list[float], vehicle: VehicleParameters, confi
 
 
 def narrowed(
-    space: PathBounds,
-    obstacles: tuple[Occupancy, ...],
-    decisions: tuple[Decision, ...],
-    vehicle: VehicleParameters,
+    space: PathBounds, obstacles: tuple[Occupancy, ...], decisions: tuple[Decision, ...], vehicle: VehicleParameters,
     config: CorridorConfig,
-) -> tuple[PathBounds, tuple[Decision, ...]]:
+) -> tuple[PathBounds, tuple[Decision, ...]]:  # fmt: skip
     """The bounds (1); an obstacle that would close them becomes a stop. Where none is passed, the same bounds."""
     if not any(decision.kind in SIDES for decision in decisions):
         return space, decisions
@@ -318,12 +315,9 @@ def narrowed(
 
 
 def rooms_left(
-    path: PathBounds,
-    obstacles: tuple[Occupancy, ...],
-    decisions: tuple[Decision, ...],
-    vehicle: VehicleParameters,
+    path: PathBounds, obstacles: tuple[Occupancy, ...], decisions: tuple[Decision, ...], vehicle: VehicleParameters,
     config: CorridorConfig,
-) -> dict[str, float]:
+) -> dict[str, float]:  # fmt: skip
     """The room that a path leaves to each agent that it passes, m: its points' offsets are both bounds."""
     if not any(decision.kind in SIDES for decision in decisions):
         return {}

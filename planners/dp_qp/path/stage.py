@@ -134,17 +134,9 @@ class PathStage:
     """Chooses the path of each frame along one reference path."""
 
     def __init__(
-        self,
-        vehicle: VehicleParameters,
-        config: PathConfig,
-        goal: GoalWindow,
-        *,
-        horizon: float,
-        curve_accel_mps2: float,
-        passes_left: bool,
-        lap: Callable[[str], None],
-        solver: str = DEFAULT,
-    ) -> None:
+        self, vehicle: VehicleParameters, config: PathConfig, goal: GoalWindow, *, horizon: float,
+        curve_accel_mps2: float, passes_left: bool, lap: Callable[[str], None], solver: str = DEFAULT,
+    ) -> None:  # fmt: skip
         self._vehicle, self._config, self._lap = vehicle, config, lap
         self._goal, self._horizon, self._solver = goal, horizon, solver
         self._rows = config.dp.offsets(passes_left=passes_left)

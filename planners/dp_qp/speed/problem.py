@@ -201,7 +201,7 @@ def _grid(
 def _decided(
     t: FloatArray, lower: FloatArray, upper: FloatArray, speed: FloatArray, pace: FloatArray, s_dp: FloatArray
 ) -> IntArray:
-    """Codes of `st_boundaries.decided` for all boundaries `(n,)`."""
+    """Codes of `st_boundaries.decide_speed` for all boundaries `(n,)`."""
     kinds = np.empty(len(lower), np.int64)
     at = np.interp(t, STEP_S * np.arange(len(s_dp)), s_dp)
     for i in range(len(lower)):

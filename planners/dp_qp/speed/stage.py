@@ -15,10 +15,9 @@ import numpy as np
 from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.trace import Artefact, Corridor, Decision, DecisionKind, GridCost, SolverReport, StGraph
 from logs.vehicle import VehicleParameters
-from planners.dp_qp.scene.caps import CautionConfig, LoweredLimit, PathView, lowered
+from planners.dp_qp.scene.caps import CautionConfig, LoweredLimit, PassTarget, PathView, lowered
 from planners.dp_qp.scene.goal_window import HURRIED_GAP_S, GoalWindow, SpeedTarget
 from planners.dp_qp.scene.hesitant_pedestrians import came_to_path
-from planners.dp_qp.scene.pass_target import PassTarget
 from planners.dp_qp.scene.producers import OTHERS, OWN
 from planners.dp_qp.speed import doubt
 from planners.dp_qp.speed.braking import RESERVE, Asked, BrakingLadder, Case, SolvedSpeed

@@ -190,6 +190,8 @@ class SpeedStage:
         p = found.probability
         binds = p >= doubt.CERTAIN
         planned = self._planned(way, found if binds.all() else found.only(binds))
+        if binds.all() and not planned.solved.reason:
+            return planned, None
         eased = ~binds & (p >= doubt.NEGLIGIBLE)
         if eased.any():
             eased &= ~self._safe(planned.solved.profile, found)
@@ -210,7 +212,7 @@ class SpeedStage:
             posed = self._posed(way, blocks, may)
             self._lap("speed DP")
             solved = self._ladder.solve(Case(posed.problem, partial(way.taken, who), way.memory.braked_fully))
-            solved = replace(solved, asked=(*tried, *solved.asked))
+            solved = replace(solved, asked=(*tried, *solved.asked)) if tried else solved
             refused = self._refused(way, blocks, posed.kinds, solved.profile)
             if not refused.any():
                 break

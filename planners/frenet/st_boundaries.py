@@ -14,7 +14,7 @@ path are exact, since real boxes are tested (`sweep`): at the path's points, and
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from math import inf
 
@@ -121,7 +121,7 @@ class StBoundaries:
 
 
 def st_boundaries(
-    scene: Scene, path: Path, skip: BoolArray, passed: frozenset[str], config: StGraphConfig
+    scene: Scene, path: Path, skip: BoolArray, passed: Collection[str], config: StGraphConfig
 ) -> StBoundaries:
     """The intervals (1) of all predictions but those of agents to `skip` `(agents,)`.
 
@@ -143,24 +143,17 @@ def st_boundaries(
 
 def decide_speed(blocks: StBoundaries, scene: Scene, s_dp: FloatArray) -> tuple[Decision, ...]:
     """Per row: overtake where a profile `(k,)` at the boundaries' times passes above, else stop, follow or yield."""
-    return tuple(
-        Decision(scene.frame.agents.ids[who], decided(blocks, scene, s_dp, i), "speed", said(blocks, scene, i))
-        for i, who in enumerate(blocks.agent)
-    )
+    found = []
+    for i, who in enumerate(blocks.agent):
+        past, total = s_dp >= 0.5 * (blocks.lower[i] + blocks.upper[i]), float(scene.speed[who])
+        kind = DecisionKind.FOLLOW if blocks.speed[i] > ALONG * total else DecisionKind.YIELD
+        kind = DecisionKind.STOP if total < STANDING_MPS else kind
+        kind = DecisionKind.OVERTAKE if (past | np.isnan(blocks.lower[i])).all() else kind
+        found.append(Decision(scene.frame.agents.ids[who], kind, "speed", _said(blocks, scene, i)))
+    return tuple(found)
 
 
-def decided(blocks: StBoundaries, scene: Scene, s_dp: FloatArray, row: int) -> DecisionKind:
-    """The decision about one row."""
-    lower, upper, total = blocks.lower[row], blocks.upper[row], float(scene.speed[blocks.agent[row]])
-    taken = np.isfinite(lower)
-    if bool((s_dp[taken] >= 0.5 * (lower[taken] + upper[taken])).all()):
-        return DecisionKind.OVERTAKE
-    if total < STANDING_MPS:
-        return DecisionKind.STOP
-    return DecisionKind.FOLLOW if float(blocks.speed[row]) > ALONG * total else DecisionKind.YIELD
-
-
-def said(blocks: StBoundaries, scene: Scene, row: int) -> str:
+def _said(blocks: StBoundaries, scene: Scene, row: int) -> str:
     """When and where a row takes the path, in words."""
     taken = np.flatnonzero(np.isfinite(blocks.lower[row]))
     first, last = taken[0], taken[-1]

@@ -154,9 +154,9 @@ def view(now: Scene, path: Path, **more: object) -> PathView:
     none = np.zeros(len(now.frame.agents), np.bool_)
     taken = st_boundaries(now, path, none, frozenset(), StGraphConfig())
     given: dict[str, object] = {
-        "scene": now, "path": path, "limit": np.full(len(path.s), 15.0), "taken": taken, "stops": (), "targets": (),
-        "is_pass": False, "goal": GoalWindow(None, now.reference, now.vehicle), "target": SpeedTarget(), "came": {},
-        "hard_mps2": 6.0, "margin_m": 0.6, "caution": CautionConfig(),
+        "scene": now, "path": path, "limit": np.full(len(path.s), 15.0), "taken": taken, "passed": {}, "stops": (),
+        "targets": (), "is_pass": False, "goal": GoalWindow(None, now.reference, now.vehicle), "target": SpeedTarget(),
+        "came": {}, "hard_mps2": 6.0, "margin_m": 0.6, "caution": CautionConfig(),
     }  # fmt: skip
     return PathView(**{**given, **more})  # type: ignore[arg-type]
 

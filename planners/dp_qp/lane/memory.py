@@ -9,7 +9,7 @@ from math import inf
 from logs.kernel import FloatArray
 from planners.dp_qp.path.bounds import InTheWay
 from planners.dp_qp.path.stage import PathMemory
-from planners.dp_qp.scene.pass_target import PassTarget
+from planners.dp_qp.scene.caps import PassTarget
 from planners.dp_qp.speed.stage import SpeedMemory
 from planners.rules import RuleMemory
 

@@ -23,8 +23,8 @@ from planners.dp_qp.lane.config import LaneConfig
 from planners.dp_qp.lane.memory import FORGET_S, PassMemory, PassWay
 from planners.dp_qp.lane.plan import LanePlan, LanePlanner
 from planners.dp_qp.path.bounds import CorridorConfig
+from planners.dp_qp.scene.caps import PassTarget
 from planners.dp_qp.scene.moving_obstacles import along_lane, gone_on, pass_targets, to_pass
-from planners.dp_qp.scene.pass_target import PassTarget
 from planners.frenet.profiles import STEP_S
 from planners.frenet.scene import Scene
 
@@ -84,7 +84,7 @@ def _plan(
         before, found = found, pass_targets(scene, who, stations, memory.passed)
         if turn + 1 == TURNS or _same(before, found):
             break
-    names = frozenset(box.agent for box in way.obstacles) & plan.path.passed & {one.box.agent for one in found}
+    names = frozenset(plan.path.passed) & {box.agent for box in way.obstacles} & {one.box.agent for one in found}
     if way.obstacles[0].agent not in names:
         return None, frozenset(), replace(memory, stations=None, lane=lane)
     return plan, names, replace(memory, stations=stations, lane=lane)

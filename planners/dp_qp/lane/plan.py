@@ -24,9 +24,9 @@ from logs.vehicle import VehicleParameters
 from planners.dp_qp.lane.config import LaneConfig
 from planners.dp_qp.lane.memory import FORGET_S, LaneMemory, PassWay
 from planners.dp_qp.path.stage import ChosenPath, PathConfig, PathStage
+from planners.dp_qp.scene.caps import PassTarget
 from planners.dp_qp.scene.goal_window import GoalWindow, SpeedTarget
 from planners.dp_qp.scene.moving_obstacles import along_lane, gone_on, pass_targets
-from planners.dp_qp.scene.pass_target import PassTarget
 from planners.dp_qp.speed.stage import ChosenSpeed, SpeedConfig, SpeedStage, SpeedTask
 from planners.frenet.lane_sequence import LaneSequence
 from planners.frenet.occupancy import on_path
@@ -100,19 +100,10 @@ class LanePlanner:
     """Plans in one lane sequence; what it remembers is handed in and out."""
 
     def __init__(
-        self,
-        lane: LaneSequence,
-        rules: Rulebook,
-        goal: Goal | None,
-        vehicle: VehicleParameters,
-        path: PathConfig,
-        speed: SpeedConfig,
-        *,
-        passes_left: bool,
-        lap: Callable[[str], None],
-        solver: str = DEFAULT,
+        self, lane: LaneSequence, rules: Rulebook, goal: Goal | None, vehicle: VehicleParameters, path: PathConfig,
+        speed: SpeedConfig, *, passes_left: bool, lap: Callable[[str], None], solver: str = DEFAULT,
         config: LaneConfig | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.lane, self._rules, self._config = lane, rules, config or LaneConfig()
         self._goal = GoalWindow(goal, lane.reference, vehicle, speed.qp.comfort.accel_mps2)
         self._vehicle, self._horizon = vehicle, speed.qp.horizon
@@ -150,8 +141,8 @@ class LanePlanner:
         speed, speed_memory, rules = None, memory.speed, memory.rules
         if path.path is not None and (past is None or past.way.obstacles[0].agent in path.passed):
             moving = {box.agent for box in past.way.obstacles} if past else set()
-            standing = path.passed - moving
-            stops, rules = self._rules.stops(scene, memory.rules, standing)
+            standing = {name: room for name, room in path.passed.items() if name not in moving}
+            stops, rules = self._rules.stops(scene, memory.rules, frozenset(standing))
             task = SpeedTask(
                 standing,
                 behind(scene, keeps_track=path.shift < TRACK_M and past is None),

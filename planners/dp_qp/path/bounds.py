@@ -13,7 +13,7 @@ cleared is a stop (`given_up`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import hypot
 
@@ -31,8 +31,6 @@ from planners.frenet.scene import Scene
 
 SIDES = {DecisionKind.NUDGE_LEFT: 1.0, DecisionKind.NUDGE_RIGHT: -1.0}
 """The decisions to pass, by the side as kernels take it."""
-NUDGES = tuple(SIDES)
-"""The decisions to pass."""
 TOLERANCE_M = 0.05
 """What a solution may lack of a clearance, m."""
 NEAR_PATH_M = 30.0
@@ -299,12 +297,9 @@ def _choice(box: Occupancy, room: list[float], vehicle: VehicleParameters, confi
 
 
 def narrowed(
-    space: PathBounds,
-    obstacles: tuple[Occupancy, ...],
-    decisions: tuple[Decision, ...],
-    vehicle: VehicleParameters,
+    space: PathBounds, obstacles: tuple[Occupancy, ...], decisions: tuple[Decision, ...], vehicle: VehicleParameters,
     config: CorridorConfig,
-) -> tuple[PathBounds, tuple[Decision, ...]]:
+) -> tuple[PathBounds, tuple[Decision, ...]]:  # fmt: skip
     """The bounds (1); an obstacle that would close them becomes a stop. Where none is passed, the same bounds."""
     if not any(decision.kind in SIDES for decision in decisions):
         return space, decisions
@@ -319,26 +314,31 @@ def narrowed(
     return PathBounds(space.s, lower, upper), tuple(final)
 
 
-def given_up(
-    path: PathBounds,
-    obstacles: tuple[Occupancy, ...],
-    decisions: tuple[Decision, ...],
-    vehicle: VehicleParameters,
+def rooms_left(
+    path: PathBounds, obstacles: tuple[Occupancy, ...], decisions: tuple[Decision, ...], vehicle: VehicleParameters,
     config: CorridorConfig,
-) -> tuple[Decision, ...]:
-    """The decisions, with a stop for each agent that a path does not clear: its points' offsets are both bounds."""
+) -> dict[str, float]:  # fmt: skip
+    """The room that a path leaves to each agent that it passes, m: its points' offsets are both bounds."""
     if not any(decision.kind in SIDES for decision in decisions):
-        return decisions
-    final = []
-    rooms = path.room(obstacles, vehicle, config)
-    for box, decision, (most, least) in zip(obstacles, decisions, rooms, strict=True):
-        left = decision.kind is DecisionKind.NUDGE_LEFT
-        gap = (least - box.l_to if left else box.l_from - most) - 0.5 * vehicle.width
-        if decision.kind in SIDES and gap < config.min_clearance_m - TOLERANCE_M:
-            reason = f"steering cannot keep clear of it: {gap:.2f} m"
-            decision = Decision(box.agent, DecisionKind.STOP, "path", reason)
-        final.append(decision)
-    return tuple(final)
+        return {}
+    rooms = zip(obstacles, decisions, path.room(obstacles, vehicle, config), strict=True)
+    return {
+        box.agent: (least - box.l_to if SIDES[decision.kind] > 0.0 else box.l_from - most) - 0.5 * vehicle.width
+        for box, decision, (most, least) in rooms
+        if decision.kind in SIDES
+    }
+
+
+def given_up(
+    rooms: Mapping[str, float], decisions: tuple[Decision, ...], config: CorridorConfig
+) -> tuple[Decision, ...]:
+    """The decisions, with a stop for each agent that a path does not clear, by the rooms that it leaves."""
+    return tuple(
+        Decision(each.agent, DecisionKind.STOP, "path", f"steering cannot keep clear of it: {rooms[each.agent]:.2f} m")
+        if rooms.get(each.agent, np.inf) < config.min_clearance_m - TOLERANCE_M
+        else each
+        for each in decisions
+    )
 
 
 def _boxes(obstacles: Sequence[Occupancy], decisions: Sequence[Decision] = ()) -> FloatArray:

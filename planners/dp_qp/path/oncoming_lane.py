@@ -3,7 +3,8 @@
 An agent that stands in the lane and leaves no room on either side of the road, and is in no queue, is passed where the
 marking between may be crossed and, for the whole stretch from where the ego leaves its lane to where it is back,
 
-(1) no agent is predicted on the oncoming lane there until the ego is back, and `facing_margin_s` more,
+(1) no agent is predicted on the oncoming lane there until the ego is back, and `facing_margin_s` more; nor stands
+    there so that the ego would not fit between: behind one who stands there may be more,
 (2) (BACK_M behind the obstacle - s) / max(v, PASSING_MPS) + facing_margin_s <= horizon of the predictions.
 
 Otherwise the ego waits `WAIT_M` before it, from where it can still steer round it. For who goes along the lane
@@ -16,7 +17,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from logs.kernel import FloatArray
+from logs.kernel import BoolArray, FloatArray
 from logs.road import line_project_many
 from logs.vehicle import VehicleParameters
 from planners.dp_qp.path.bounds import CorridorConfig, PathBounds, side_gaps, swing_span
@@ -84,9 +85,8 @@ def passed_by_oncoming_lane(
         return frozenset()
     frame, car, line = scene.frame, scene.vehicle, scene.reference.line
     futures, v = frame.predictions, max(frame.ego.v, PASSING_MPS)
-    names = {box.agent for box in blocked}
-    counts = np.array([name not in names for name in frame.agents.ids], bool)
-    moving = (~scene.standing & counts)[futures.agent]
+    names, agents = {box.agent for box in blocked}, frame.agents
+    others, widest = np.array([name not in names for name in agents.ids], bool), float(agents.width.max(initial=2.0))
     found = []
     for box in blocked:
         begin, end = swing_span(box, frame.ego.v, car)
@@ -96,17 +96,23 @@ def passed_by_oncoming_lane(
         if scene.front < box.s_from:
             if not len(futures.t) or back > futures.t[-1]:
                 continue
-            now = futures.t <= back
-            x, y = futures.x[moving][:, now].ravel(), futures.y[moving][:, now].ravel()
+            now, rows = futures.t <= back, (others & ~_leaves_room(scene, box, config))[futures.agent]
+            x, y = futures.x[rows][:, now].ravel(), futures.y[rows][:, now].ravel()
             near = np.hypot(x - frame.ego.x, y - frame.ego.y) < end - scene.s + 30.0
             feet = line_project_many(line.s, line.coef, x[near], y[near], scene.s, 250.0)
-            widest = float(frame.agents.width.max(initial=2.0))
             if len(feet) and _meets_oncoming(scene.reference, feet, widest, (scene.s, begin, end)):  # (1)
                 continue
             if stations is not None and not _in_sight(scene, place, back - frame.t):  # (3)
                 continue
         found.append(box.agent)
     return frozenset(found)
+
+
+def _leaves_room(scene: Scene, box: Occupancy, config: CorridorConfig) -> BoolArray:
+    """Which agents `(n,)` stand so far aside of a box that the ego fits between them."""
+    aside = np.abs(scene.agents.l - 0.5 * (box.l_from + box.l_to)) - 0.5 * (box.l_to - box.l_from)
+    needed = scene.vehicle.width + 2.0 * config.min_clearance_m
+    return np.asarray(scene.standing & (aside - 0.5 * scene.frame.agents.width > needed))
 
 
 def _in_sight(scene: Scene, place: float, lasts: float) -> bool:

@@ -21,7 +21,7 @@ from logs.trace import (
 )
 from logs.vehicle import VehicleParameters
 from planners.dp_qp.path import bounds
-from planners.dp_qp.path.bounds import NUDGES, SIDES, CorridorConfig, InTheWay, PathBounds
+from planners.dp_qp.path.bounds import SIDES, CorridorConfig, InTheWay, PathBounds
 from planners.dp_qp.path.corridor import HERE, KNOT, LOWER, SWING, UPPER, Ego, RoadAhead, S, loosened, road_ahead
 from planners.dp_qp.path.dp import PathDpConfig, SlGrid, solve_path_dp
 from planners.dp_qp.path.oncoming_lane import blocking, may_block, passed_by_oncoming_lane, waiting_place
@@ -79,7 +79,7 @@ class ChosenPath:
     Attributes:
         path: None where the QP failed.
         reason: Why it failed; empty otherwise.
-        passed: Agents that the path passes on purpose.
+        passed: The room that the path leaves to each agent that it passes on purpose, m.
         shift: Largest change of the offset from the reference line within `SHIFT_AHEAD_M`, m.
         reports: Of the solver.
         artefacts: Makes graph, decisions, costs and reports for whoever wants to see them.
@@ -87,7 +87,7 @@ class ChosenPath:
 
     path: Path | None
     reason: str
-    passed: frozenset[str]
+    passed: Mapping[str, float]
     shift: float
     reports: tuple[SolverReport, ...]
     artefacts: Callable[[], tuple[Artefact, ...]]
@@ -116,7 +116,10 @@ class _Task:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Found:
-    """l, l', l'' `(3, knots)` or None; what the solver answered; what was decided in the end; the problem, reports."""
+    """l, l', l'' `(3, knots)` or None; what the solver answered; what was decided in the end; the problem, reports.
+
+    `rooms` as of `bounds.rooms_left`.
+    """
 
     offsets: FloatArray | None
     x: FloatArray
@@ -124,23 +127,16 @@ class _Found:
     narrow: PathBounds
     problem: PiecewiseJerkProblem
     reports: tuple[SolverReport, ...]
+    rooms: Mapping[str, float]
 
 
 class PathStage:
     """Chooses the path of each frame along one reference path."""
 
     def __init__(
-        self,
-        vehicle: VehicleParameters,
-        config: PathConfig,
-        goal: GoalWindow,
-        *,
-        horizon: float,
-        curve_accel_mps2: float,
-        passes_left: bool,
-        lap: Callable[[str], None],
-        solver: str = DEFAULT,
-    ) -> None:
+        self, vehicle: VehicleParameters, config: PathConfig, goal: GoalWindow, *, horizon: float,
+        curve_accel_mps2: float, passes_left: bool, lap: Callable[[str], None], solver: str = DEFAULT,
+    ) -> None:  # fmt: skip
         self._vehicle, self._config, self._lap = vehicle, config, lap
         self._goal, self._horizon, self._solver = goal, horizon, solver
         self._rows = config.dp.offsets(passes_left=passes_left)
@@ -151,7 +147,7 @@ class PathStage:
     def choose(self, scene: Scene, memory: PathMemory, moving: InTheWay | None = None) -> tuple[ChosenPath, PathMemory]:
         """The path from the scene's start, past those who move, too; and what is remembered."""
         if scene.trouble:
-            return ChosenPath(None, scene.trouble, frozenset(), 0.0, (), tuple), PathMemory()
+            return ChosenPath(None, scene.trouble, {}, 0.0, (), tuple), PathMemory()
         program = self._program(scene.start.v)
         way, standing = self._in_the_way(scene, program, memory.standing)
         boxes = way.obstacles
@@ -164,9 +160,9 @@ class PathStage:
         offsets, path, shift = found.offsets, None, 0.0
         if offsets is not None:
             path, shift = self._path(task, offsets, way.wait)
-        passed = frozenset(decision.agent for decision in found.decisions if decision.kind in NUDGES)
         reason = "" if path is not None else f"path QP: {found.reports[-1].status}"
         sides = {decision.agent: SIDES[decision.kind] for decision in found.decisions if decision.kind in SIDES}
+        passed = {name: found.rooms[name] for name in sides if name in found.rooms}
 
         def artefacts() -> tuple[Artefact, ...]:
             graph = self._graph(road, way, grid, found)
@@ -203,14 +199,15 @@ class PathStage:
                 result, problem, more = self._softly(task, narrow, problem)
                 reports = (*reports, *more)
             if not result.report.solved:
-                return _Found(None, result.x, decisions, narrow, problem, reports)
+                return _Found(None, result.x, decisions, narrow, problem, reports, {})
             offsets = result.x.reshape(3, -1)
-            final = decisions
+            final, rooms = decisions, dict[str, float]()
             if obstacles:
                 at = offsets[0] + self._leads[:, None] * offsets[1] - task.road.points[SWING]
-                final = bounds.given_up(PathBounds(narrow.s, at, at), obstacles, decisions, car, config)
+                rooms = bounds.rooms_left(PathBounds(narrow.s, at, at), obstacles, decisions, car, config)
+                final = bounds.given_up(rooms, decisions, config)
             if in_bounds or final == decisions:
-                return _Found(offsets, result.x, final, narrow, problem, reports)
+                return _Found(offsets, result.x, final, narrow, problem, reports, rooms)
             decisions = final
 
     def _softly(

@@ -17,7 +17,6 @@ import numpy as np
 from logs.kernel import BoolArray, FloatArray
 from logs.trace import Decision, DecisionKind
 from planners.dp_qp.scene.goal_window import GoalWindow, SpeedTarget
-from planners.dp_qp.scene.pass_target import PassTarget
 from planners.frenet.occupancy import Occupancy
 from planners.frenet.path import Path
 from planners.frenet.scene import Scene
@@ -44,6 +43,24 @@ class CautionConfig:
     def __post_init__(self) -> None:
         if not min(self.walk_mps, self.ride_mps) > 0.0:
             raise ValueError("walk_mps and ride_mps must be positive")
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PassTarget:
+    """Who goes along the lane slower than the ego, and is to be passed.
+
+    Attributes:
+        agent: Index into the frame's agents.
+        box: The stations and offsets at which they are while the ego is beside them.
+        begin: Station of the ego's rear axle at which it comes beside them, m; `end` at which it is past them.
+        places: Where they are predicted meanwhile `(n, 2)`, m.
+    """
+
+    agent: int
+    box: Occupancy
+    begin: float
+    end: float
+    places: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +92,7 @@ class PathView:
         path: The path.
         limit: The road's speed limit along it `(m,)`, m/s.
         taken: When which part of it is taken, and by which agent.
+        passed: The room that it leaves to each agent that it passes while they stand, m.
         stops: That the rules demand on it.
         targets: Those who go along the lane where the ego comes beside them.
         is_pass: Whether the path swings out to pass them.
@@ -89,6 +107,7 @@ class PathView:
     path: Path
     limit: FloatArray
     taken: StBoundaries
+    passed: Mapping[str, float]
     stops: tuple[Occupancy, ...]
     targets: tuple[PassTarget, ...]
     is_pass: bool

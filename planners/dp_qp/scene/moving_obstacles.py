@@ -25,7 +25,7 @@ from logs.road import line_project
 from logs.vehicle import VehicleParameters
 from planners.dp_qp.path.bounds import CorridorConfig, InTheWay, swing_span
 from planners.dp_qp.path.oncoming_lane import passed_by_oncoming_lane, widest_gap
-from planners.dp_qp.scene.pass_target import PassTarget
+from planners.dp_qp.scene.caps import PassTarget
 from planners.frenet.occupancy import Occupancy
 from planners.frenet.profiles import STEP_S
 from planners.frenet.reference_path import sections

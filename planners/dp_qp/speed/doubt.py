@@ -22,7 +22,7 @@ strip, and both are of who takes the path now.
 from __future__ import annotations
 
 from dataclasses import replace
-from math import cos, erf, exp, isnan, sin, sqrt
+from math import cos, erf, exp, inf, isnan, sin, sqrt
 
 import numpy as np
 
@@ -50,9 +50,8 @@ WALKERS = among(AgentKind.PEDESTRIAN, AgentKind.OBJECT)
 def weights(scene: Scene, path: Path, rows: StBoundaries) -> FloatArray:
     """P of the rows `(n,)`."""
     agents, along, line = scene.frame.agents, scene.agents, scene.reference.line
-    last = 0.0 if np.isnan(agents.unseen).all() else float(np.nanmin(agents.unseen))
     return _weights(
-        rows.t, rows.agent, rows.lower, rows.probability, agents.age, agents.unseen - last, agents.velocity_sigma,
+        rows.t, rows.agent, rows.lower, rows.probability, agents.age, agents.unseen, agents.velocity_sigma,
         _walks(scene), *along, agents.length, agents.width,
         line.s, line.coef, path.sigma, path.x, path.y, path.s, scene.vehicle.axle_to_front, scene.vehicle.width,
     )  # fmt: skip
@@ -66,7 +65,9 @@ def _weights(
     x: FloatArray, y: FloatArray, stations: FloatArray, front: float, ego_width: float,
 ) -> FloatArray:  # fmt: skip
     """`weights`: `agent` `(n,)` of the rows, `age` to `width` of the agents, a reference's `knots`, `coef`, a path."""
-    out = np.empty(len(agent))
+    out, last = np.empty(len(agent)), inf
+    for since in unseen:
+        last = min(last, inf if isnan(since) else since)
     for i in range(len(agent)):
         who = agent[i]
         out[i] = min(said[i] / (2.0 * UNLIKELY), 1.0)  # (1)
@@ -80,7 +81,7 @@ def _weights(
         d, w = abs(aside) - half, -v_l[who] if aside > 0.0 else v_l[who]
         if not (walks[who] and w > 0.0):
             out[i] *= 1.0 if isnan(age[who]) else min(max(age[who] / AGE_S, LEAST), 1.0)  # (2)
-        out[i] *= 1.0 if isnan(unseen[who]) else exp(-unseen[who] / UNSEEN_S)
+        out[i] *= 1.0 if isnan(unseen[who]) else exp((last - unseen[who]) / UNSEEN_S)
         if d > 0.0 and not walks[who]:
             leaves = t[taken[-1]]
             drift = sigma_v[who] if sigma_v[who] > DRIFT_MPS else DRIFT_MPS
@@ -102,6 +103,8 @@ def _walks(scene: Scene) -> BoolArray:
 
 def braking_on(scene: Scene, rows: StBoundaries) -> StBoundaries:
     """(6): the rows with those who are followed and brake coming to a stop."""
+    if not len(rows):
+        return rows
     b = np.minimum(-scene.frame.agents.accel[rows.agent] - ERROR_MPS2, MOST_MPS2)
     if not (b > 0.0).any():
         return rows

@@ -18,7 +18,6 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
-from logs.trace import DecisionKind
 from planners.dp_qp.speed.dp import DS_M, DT_S, LIKELY, SpeedDpWeights, cost_map, occupied_rows, speed_dp
 from planners.dp_qp.speed.qp import SpeedProblem
 from planners.frenet.profiles import STEP_S, KnotLimits, braking, cruising, limit_profile
@@ -32,9 +31,7 @@ TILT_MPS2 = 4.0
 STAY_M = 0.05
 """Least upper bound of s: to stand still is always allowed, m."""
 OVERTAKE, STOP, FOLLOW, YIELD = 0, 1, 2, 3
-"""Codes of the decisions; `KINDS` has them as they are recorded."""
-KINDS = (DecisionKind.OVERTAKE, DecisionKind.STOP, DecisionKind.FOLLOW, DecisionKind.YIELD)
-"""The decisions by their codes."""
+"""Codes of the decisions."""
 
 
 class Settings(NamedTuple):
@@ -204,7 +201,7 @@ def _grid(
 def _decided(
     t: FloatArray, lower: FloatArray, upper: FloatArray, speed: FloatArray, pace: FloatArray, s_dp: FloatArray
 ) -> IntArray:
-    """Codes of `st_boundaries.decided` for all boundaries `(n,)`."""
+    """Codes of `st_boundaries.decide_speed` for all boundaries `(n,)`."""
     kinds = np.empty(len(lower), np.int64)
     at = np.interp(t, STEP_S * np.arange(len(s_dp)), s_dp)
     for i in range(len(lower)):

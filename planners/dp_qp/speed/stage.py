@@ -15,10 +15,9 @@ import numpy as np
 from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.trace import Artefact, Corridor, Decision, DecisionKind, GridCost, SolverReport, StGraph
 from logs.vehicle import VehicleParameters
-from planners.dp_qp.scene.caps import CautionConfig, LoweredLimit, PathView, lowered
+from planners.dp_qp.scene.caps import CautionConfig, LoweredLimit, PassTarget, PathView, lowered
 from planners.dp_qp.scene.goal_window import HURRIED_GAP_S, GoalWindow, SpeedTarget
 from planners.dp_qp.scene.hesitant_pedestrians import came_to_path
-from planners.dp_qp.scene.pass_target import PassTarget
 from planners.dp_qp.scene.producers import OTHERS, OWN
 from planners.dp_qp.speed import doubt
 from planners.dp_qp.speed.braking import RESERVE, Asked, BrakingLadder, Case, SolvedSpeed
@@ -72,7 +71,7 @@ class SpeedTask:
     """What the speed stage is asked on a path.
 
     Attributes:
-        passed: Agents that the path passes while they stand.
+        passed: The room that the path leaves to each agent that it passes while they stand, m.
         skip: Agents who follow behind `(agents,)`.
         stops: That the rules demand on the path.
         targets: Those who go along the lane where the ego comes beside them; `is_pass` whether it swings out for them.
@@ -80,7 +79,7 @@ class SpeedTask:
         goal: The goal along the lane; `target` what it asks now.
     """
 
-    passed: frozenset[str]
+    passed: Mapping[str, float]
     skip: BoolArray
     stops: tuple[Occupancy, ...]
     targets: tuple[PassTarget, ...]
@@ -158,7 +157,7 @@ class SpeedStage:
         line = scene.reference.line
         road = np.interp(path.s, line.s, scene.reference.limit)
         view = PathView(
-            scene, path, road, found, task.stops, task.targets, task.is_pass, task.goal, task.target, came,
+            scene, path, road, found, passed, task.stops, task.targets, task.is_pass, task.goal, task.target, came,
             self._hard_mps2, config.graph.vulnerable_margin_m, config.caution,
         )  # fmt: skip
         bare = LoweredLimit(road, np.zeros(len(road), np.bool_))
@@ -191,6 +190,8 @@ class SpeedStage:
         p = found.probability
         binds = p >= doubt.CERTAIN
         planned = self._planned(way, found if binds.all() else found.only(binds))
+        if binds.all() and not planned.solved.reason:
+            return planned, None
         eased = ~binds & (p >= doubt.NEGLIGIBLE)
         if eased.any():
             eased &= ~self._safe(planned.solved.profile, found)
@@ -211,7 +212,7 @@ class SpeedStage:
             posed = self._posed(way, blocks, may)
             self._lap("speed DP")
             solved = self._ladder.solve(Case(posed.problem, partial(way.taken, who), way.memory.braked_fully))
-            solved = replace(solved, asked=(*tried, *solved.asked))
+            solved = replace(solved, asked=(*tried, *solved.asked)) if tried else solved
             refused = self._refused(way, blocks, posed.kinds, solved.profile)
             if not refused.any():
                 break

@@ -7,9 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from worlds import Drive, Other, driving, followed, gaps, reference, standing, strip, two_way
+from worlds import Drive, Other, driving, followed, gaps, reference, scene, standing, strip, two_way
 
 from logs import AgentKind, DecisionKind, EgoState, PlanStatus, Road
+from planners.dp_qp.path.bounds import CorridorConfig, standing_obstacles
+from planners.dp_qp.path.oncoming_lane import passed_by_oncoming_lane
 
 EGO = EgoState(0.0, 0.0, 0.0, 0.0, 8.0)
 THING = Other("thing", lambda t: (60.0, 0.0, 0.0, 0.0, 0.0), AgentKind.OBJECT, 5.0, 3.0)
@@ -61,6 +63,19 @@ def test_a_parked_car_is_passed_once_it_has_stood_for_long() -> None:
         now.t for now, plan in drive if any(getattr(i, "kind", None) is DecisionKind.NUDGE_LEFT for i in plan.internals)
     )
     assert first >= 5.0 and drive[-1][0].ego.x > 100.0
+
+
+@pytest.mark.parametrize("right", [True, False])
+@pytest.mark.parametrize(("aside", "passes"), [(3.5, False), (4.9, True)])
+def test_it_is_not_passed_where_another_stands_in_the_oncoming_lane_without_room(
+    right: bool, aside: float, passes: bool
+) -> None:
+    """Behind a car that stands there may be more that it hides; a narrow one at the edge leaves room between."""
+    side = aside if right else -aside
+    others = [standing("parked", 38.0, 0.0, width=3.0), standing("other", 25.0, side, width=0.9)]
+    now = scene(reference(two_way(right=right), lane=0), EGO, others)
+    boxes = tuple(box for box in standing_obstacles(now, 100.0) if box.agent == "parked")
+    assert passed_by_oncoming_lane(now, boxes, CorridorConfig()) == (frozenset({"parked"}) if passes else frozenset())
 
 
 def test_a_queue_is_not_overtaken() -> None:

@@ -14,7 +14,7 @@ from logs import Decision, DecisionKind, EgoState, SlGraph
 from logs.kernel import FloatArray
 from planners.dp_qp.path.bounds import (
     NOTHING,
-    NUDGES,
+    SIDES,
     InTheWay,
     PathBounds,
     free_sides,
@@ -256,7 +256,7 @@ def side_taken(
 def test_the_side_does_not_change_while_nothing_changes(l: float, then: float, v: float) -> None:  # noqa: E741
     """It may be seen a little further to one side in the next frame."""
     first, memory = side_taken(l, PathMemory(), v)
-    assert first in NUDGES
+    assert first in SIDES
     assert side_taken(then, memory, v)[0] is first
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from dataclasses import replace
 from itertools import product
 from math import inf
 
@@ -109,6 +110,16 @@ def seen(d: float, ahead: float, kind: AgentKind) -> PathView:
     path = path_of(np.zeros(len(X)), 0.5)
     moved = type(path)(path.sigma, path.x + EGO.x, path.y, path.yaw, path.kappa, path.s + now.s)
     return view(now, moved, targets=targets, came={"came": 0.0})
+
+
+@given(st.floats(0.2, 0.49), st.floats(0.0, 0.2))
+def test_who_stands_near_the_path_is_passed_more_slowly_the_nearer_they_are(d: float, more: float) -> None:
+    looked = seen(1.0, 20.0, AgentKind.PEDESTRIAN)
+    found, further = (passing_speed.caps(replace(looked, targets=(), passed={"came": room})) for room in (d, d + more))
+    (cap,) = found
+    assert cap.v == pytest.approx(15.0 * max(d / 0.5, 0.6)) and cap.agent == "came"
+    assert cap.s_from < 20.0 - CAR.axle_to_front < 20.0 < cap.s_to
+    assert all(cap.v <= other.v <= 15.0 for other in further) and bool(further) is (d + more < 0.5)
 
 
 @given(st.floats(0.7, 3.0), st.floats(8.0, 40.0), st.sampled_from([AgentKind.PEDESTRIAN, AgentKind.BICYCLE]))

@@ -1,0 +1,42 @@
+"""The table of recorded drives: what a run's tables say, a row a drive and a sum a planner."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from studies.raw_drives import table
+
+
+def written(run: Path, accel: list[float], outcomes: list[str]) -> Path:
+    folder = run / "drive-1a2b"
+    folder.mkdir()
+    (folder / "log.json").write_text(json.dumps({"log": "drive"}), encoding="utf-8")
+    who = {"log": "drive", "planner": "idm", "mode": "closed"}
+    frames = [{**who, "t_s": 0.1 * k, "metric": "lon_accel", "value": value} for k, value in enumerate(accel)]
+    pd.DataFrame(frames).to_parquet(folder / "frames.parquet")
+    values = {"goal.final": 1.0, "lon_accel.min": min(accel), "ttc.min": 2.0}
+    pd.DataFrame([{**who, "metric": name, "value": value} for name, value in values.items()]).to_parquet(
+        run / "metrics.parquet"
+    )
+    pd.DataFrame([{**who, "outcome": one} for one in outcomes]).to_parquet(run / "verdicts.parquet")
+    return run
+
+
+@pytest.mark.parametrize(
+    ("outcomes", "verdict"),
+    [
+        (["pass", "not asked"], "pass"),
+        (["pass", "inconclusive"], "inconclusive"),
+        (["inconclusive", "fail"], "fail"),
+    ],
+)
+def test_a_row_says_what_the_tables_say(tmp_path: Path, outcomes: list[str], verdict: str) -> None:
+    rows = table(written(tmp_path, [0.0, -4.0, -3.6, -1.0, 0.0], outcomes))
+    assert rows.loc[("drive", "idm"), "verdict"] == verdict
+    assert rows.loc[("drive", "idm"), "hardest"] == -4.0
+    assert rows.loc[("drive", "idm"), "hard, s"] == pytest.approx(0.2)
+    assert pd.isna(rows.loc[("drive", "idm"), "gap to people"])

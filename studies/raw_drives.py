@@ -70,7 +70,8 @@ def main() -> None:
     sums = rows.groupby("planner").agg(
         drives=("verdict", "size"), goals=("goal", "sum"), passes=("verdict", lambda one: int((one == "pass").sum())),
         hardest=("hardest", "min"), median_hardest=("hardest", "median"),
-        beyond_45=("hardest", lambda one: int((one < -4.5).sum())), hard_s=("hard, s", "sum"), false=("false", "sum"),
+        beyond_45=("hardest", lambda one: int((one < -4.5).sum())), hard_s=("hard, s", "sum"),
+        false=("false", lambda one: one.sum(min_count=1)),
     )  # fmt: skip
     print()
     print(markdown(sums.reset_index()))

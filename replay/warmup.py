@@ -26,8 +26,9 @@ SCENES = (
     "everyday/crosswalk",
     "everyday/traffic_light",
     "everyday/junction",
+    "raw/crossing",
 )
-"""Walkers, cyclists, cars, what stands in the way, lanes that join and cross, lights: what the built-in suite calls."""
+"""Walkers, cyclists, cars, standing obstacles, junctions, lights, raw detections: what the built-in suite calls."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +48,8 @@ class Warmed:
     failures: tuple[Failure, ...]
 
 
-ELSEWHERE = ("multibody",)
-"""What has no kernels, and needs a package that may not be there."""
+ELSEWHERE = ("multibody", "recorded")
+"""The first has no kernels and needs a package that may not be there; the second is what "auto" takes for raw logs."""
 
 
 def everything() -> Iterator[RunConfig]:

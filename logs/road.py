@@ -24,7 +24,6 @@ import numpy as np
 
 from logs.kernel import TIE, FloatArray, IntArray, frozen, inner_kernel, kernel
 from logs.rules import Crosswalk, StopLine
-from logs.spline import spline_at, spline_through
 
 
 class RoadSource(Enum):
@@ -430,16 +429,19 @@ class ReferenceLine:
         points = points[np.r_[True, np.hypot(*np.diff(points, axis=0).T) > 1e-6]]
         if len(points) < 2:
             raise ValueError("a reference line needs two distinct points")
+        from scipy.interpolate import CubicSpline  # here: it takes as long to load as all else of `logs`
+
         for _ in range(3):
             chord = np.r_[0.0, np.cumsum(np.hypot(*np.diff(points, axis=0).T))]
-            coef = spline_through(chord, points)
+            spline = CubicSpline(chord, points)
             fine = np.linspace(0.0, chord[-1], 8 * len(points))
-            speed = np.hypot(*spline_at(chord, coef, fine, 1).T)
+            speed = np.hypot(*spline(fine, 1).T)
             arc = np.r_[0.0, np.cumsum(0.5 * np.diff(fine) * (speed[1:] + speed[:-1]))]
             count = max(2, floor(arc[-1] / spacing + 0.5 - TIE)) + 1
-            points = spline_at(chord, coef, np.interp(np.linspace(0.0, arc[-1], count), arc, fine), 0)
+            points = spline(np.interp(np.linspace(0.0, arc[-1], count), arc, fine))
         stations = np.linspace(0.0, arc[-1], len(points))
-        return cls(stations, spline_through(stations, points))
+        spline = CubicSpline(stations, points)
+        return cls(stations, np.hstack([spline.c[:, :, 0].T, spline.c[:, :, 1].T]))
 
     @property
     def length(self) -> float:

@@ -37,7 +37,7 @@ class ShortNames:
         return _CODE.sub(lambda found: self._of.get(found[0], found[0]), text)
 
     def whole(self, name: str) -> str:
-        """The id of a road user by its short name; the name itself where it is an id, or the name of no one."""
+        """The id of a road user by its short name; the name itself where it is an id, or unknown."""
         return name if name in self._ids else next((each for each in self._ids if self(each) == name), name)
 
 

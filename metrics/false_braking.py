@@ -1,7 +1,7 @@
-"""Hard braking for nobody, and too little braking for somebody: one is bought with the other, so both are counted.
+"""False braking, hard and without a cause, and missed braking: less of one costs more of the other, so both count.
 
 (1) A hard episode: steps every `GRID_S` with a < -`HARD_MPS2`, less than `APART_S` apart.
-(2) It was for somebody if, within `WITHIN_S` of its begin, the box of any road user came within `NEAR_M` of the strip
+(2) It had a cause if, within `WITHIN_S` of its begin, the box of any road user came within `NEAR_M` of the strip
     that the ego sweeps from where it then was on: along its drive, straight on where that ends, as far as it would
     have come with its speed.
 (3) missed(t) = max((v - u)^2 / (2 gap) - b, 0) for the lead in the path ahead (`path_ahead`) with gap, u, v > u, of an
@@ -22,6 +22,7 @@ from logs.trace import Mode, Trace
 from metrics.metric import COUNT, MAX, RATE, Measured, Metric, Series
 from metrics.others import others_at
 from metrics.path_ahead import GRID_S, ahead_of, grid_of
+from metrics.safety import _labels
 
 HARD_MPS2, APART_S, WITHIN_S, NEAR_M = 3.5, 0.5, 5.0, 0.3
 SPACING_M = 0.5
@@ -36,7 +37,7 @@ def hard_episodes(ego: Trajectory) -> list[int]:
     return [int(k) for i, k in enumerate(hard) if i == 0 or ego.t[k] - ego.t[hard[i - 1]] > APART_S + 1e-9]
 
 
-def was_for_somebody(trace: Trace, scenario: Scenario, begin: float) -> bool:
+def had_cause(trace: Trace, scenario: Scenario, begin: float) -> bool:
     """(2) of an episode that begins at a time, s."""
     car, t = scenario.vehicle, begin + GRID_S * np.arange(round(WITHIN_S / GRID_S) + 1)
     there = others_at(trace.agents, t)
@@ -74,7 +75,7 @@ def _false(trace: Trace, scenario: Scenario) -> Measured:
     ego = grid_of(trace)
     value = np.full(len(ego.t), np.nan)
     for k in hard_episodes(ego):
-        value[k] = not was_for_somebody(trace, scenario, float(ego.t[k]))
+        value[k] = not had_cause(trace, scenario, float(ego.t[k]))
     return Series(ego.t, value, missing="the ego never brakes hard")
 
 
@@ -82,14 +83,13 @@ def _missed(trace: Trace, scenario: Scenario) -> Measured:
     found = ahead_of(trace, scenario)
     closing = np.maximum(found.v - found.u, 0.0)
     asked = closing**2 / (2.0 * np.maximum(found.gap, TOUCHING_M))
-    lead = [f"{trace.agents.kinds[i].value} {trace.agents.ids[i]}" if i >= 0 else "" for i in found.agent]
     value = np.maximum(asked - np.maximum(-found.a, 0.0), 0.0)
-    return Series(found.t, value, tuple(lead), missing="nobody was ahead")
+    return Series(found.t, value, _labels(trace, found.agent), missing="the path ahead was free")
 
 
 FALSE_BRAKING = Metric(
     "false_braking", "1", "lower", (Mode.CLOSED,), _false, (RATE, COUNT),
-    "1 at the begin of a hard braking for which nobody came near the ego's way, 0 of one for which somebody did.",
+    "1 where a hard braking begins after which no road user comes near the ego's way, 0 where one does.",
     formula="[no road user within 0.3 m of the way ahead within 5 s]",
     parameters=(
         f"hard below -{HARD_MPS2:g} m/s2", f"apart {APART_S:g} s", f"near {NEAR_M:g} m", f"within {WITHIN_S:g} s",
@@ -100,5 +100,5 @@ MISSED_BRAKING = Metric(
     "missed_braking", "m/s2", "lower", (Mode.CLOSED,), _missed, (MAX,),
     "Deceleration that a steady approach behind the one ahead in the path asks beyond the ego's.",
     formula="max((v - u)^2 / (2 gap) - b, 0)", parameters=(f"gap at least {TOUCHING_M:g} m",),
-    needs="somebody ahead in the path",
+    needs="a road user ahead in the path",
 )  # fmt: skip

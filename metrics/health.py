@@ -116,7 +116,7 @@ class Kind(Enum):
     TELEPORT = "teleport", "time to collision, predictions and contacts are wrong around the jump"
     AGENT_SPEED = "agent speed", "predictions, times to collision and RSS rest on a speed that the positions deny"
     HEADING_FLIP = "heading flip", "their box turns on the spot: contacts and predictions are wrong for a moment"
-    ACROSS = "motion across the axis", "predictions cross the ego's way with somebody who never went there"
+    ACROSS = "motion across the axis", "predictions cross the ego's way where no road user went"
     SHORT = "short tracks", "who is seen for a moment has no motion that can be known; much of it may be false"
     TWIN = "twin boxes", "one road user counts twice in gaps and in the number of road users"
     SIZE = "size", "contacts and gaps with them are those of a box that is hardly theirs"

@@ -175,7 +175,7 @@ def _over(ego: FloatArray, size: FloatArray, polygon: FloatArray) -> BoolArray:
 
 
 def _on_half(who: FloatArray, way: FloatArray, polygon: FloatArray) -> BoolArray:
-    """At which steps `(k,)` somebody at `(2, k)` is on a crosswalk and near the way `(2, m)` over it."""
+    """At which steps `(k,)` a point `(2, k)` is on a crosswalk and near the way `(2, m)` over it."""
     found = np.zeros(who.shape[1], np.bool_)
     dx, dy = way[:, -1] - way[:, 0]  # straight: the way over a crosswalk is short
     length = hypot(dx, dy)
@@ -244,7 +244,7 @@ def _priority_gap(trace: Trace, scenario: Scenario) -> Measured:
             found = GRID_S * int(after[step])  # (1)
             if ego_first.sum() > other_first.sum() and not gap[step] <= found:
                 gap[step], labels[step] = found, name_of(trace.agents, i)
-    return Series(t, gap, tuple(labels), "the ego was never before somebody who goes first")
+    return Series(t, gap, tuple(labels), "the ego was never ahead of a road user that goes first")
 
 
 def _around(on: BoolArray) -> BoolArray:

@@ -1,17 +1,18 @@
 """Perception "recorded": at each time what a tracker knew by then of the detections that the log holds.
 
-The tracker is causal (`logs.repair.tracker`), and so are its names; a repaired track is called as the tracker calls it
-for longest (`logs.repair.names`). Detections are of the log, but in closed loop traffic drives the others differently:
-a road user who is known is shown where the world has them now,
+The tracker is causal (`logs.repair.tracker`), and so are its names; a repaired track has the name that the tracker
+gives it for longest (`logs.repair.names`). Detections are of the log, but in closed loop the traffic moves the others
+differently: a known road user is shown where the world has it now,
 
 (1) shown = tracked + (world - log),   of x, y, yaw, vx, vy at the frame's time; world and log as `Tracks.perceived`
 
-- Who is no road user of the log is a false alarm of the recorded perception, and shown as it is.
-- Whom the log has now and the world has not is not shown.
-- Whom the world has now and the log has not (inserted, or later than recorded), and what never moves, is shown as by
-  ground truth: no detection could tell of them.
+- A track that belongs to no road user of the log is a false alarm of the recorded perception, and shown as it is.
+- An agent that the log has now and the world has not is not shown.
+- An agent that the world has now and the log has not (inserted, or later than recorded), and one that never moves, is
+  shown as by ground truth: no detection exists of it.
 
-Nothing later than the frame goes in but for whose a track is, which is found among tracks that were smoothed.
+Nothing later than the frame goes in, except to find the road user that a track belongs to: the log's tracks are
+smoothed.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ MOVED = ("x", "y", "yaw", "vx", "vy")
 
 
 class Recorded:
-    """Sees for one drive what the recorded perception would have told.
+    """Shows the agents of one drive as the recorded perception knew them.
 
     Args:
         scenario: Of which `repair` has the detections.
@@ -71,7 +72,7 @@ def _rows(places: Iterable[int]) -> IntArray:
 
 
 def _displaced(known: Agents, whose: list[str], now: Agents, log: Agents) -> Agents:
-    """Those who are known by (1), without whom only the log has."""
+    """The known agents moved by (1), without those that only the log has."""
     there, then = ({name: i for i, name in enumerate(some.ids)} for some in (now, log))
     kept = [i for i, name in enumerate(whose) if name not in then or name in there]
     both = [row for row, i in enumerate(kept) if whose[i] in then]

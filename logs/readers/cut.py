@@ -24,7 +24,7 @@ from logs.states import Controls, OnboardPlan, Trajectory
 HISTORY_S = 2.0
 """More than `logs.presence.MAX_GAP_S`: a sample that is older stands for no agent any more."""
 DETECTED_S = 10.0
-"""Nothing that a tracker does rests on more: it forgets who was not seen for 8 s."""
+"""A repair joins across gaps of up to 8 s (`logs.repair.users`), a tracker across 2 s: neither rests on more."""
 CLOSE_S = 1e-9
 """A sample so close to begin or end is that: logs hold whole nanoseconds."""
 

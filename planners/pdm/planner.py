@@ -127,7 +127,7 @@ class Pdm:
         chosen = int(np.argmax(np.round(found.total, 9)))
         self._lap("scores")
         track, row = tracks[chosen // len(c.speed_shares)], chosen % len(c.speed_shares)
-        internals = Internals((), lambda: self._artefacts(scene, tracks, found, chosen))
+        internals = Internals((), lambda: self._artefacts(scene, track, row, found, chosen))
         if found.contact[chosen] <= c.brake_within_s and frame.ego.v <= c.brake_below_mps:
             profile = braking(scene.v, scene.start.a, c.brake_mps2, EMERGENCY.jerk_mps3, STEP_S, HORIZON_KNOTS)
             way, name = along(_arc(scene.start), profile, frame.t), scene.name(int(found.agent[chosen]))
@@ -150,10 +150,9 @@ class Pdm:
         profiles = driven(speeds, lead.t, lead.lower, lead.upper, lead.speed, scene.v, center, self._driver)
         return Track(offset, path, blocks, stops, profiles)
 
-    def _artefacts(self, scene: Scene, tracks: list[Track], found: Scores, chosen: int) -> tuple[Artefact, ...]:
+    def _artefacts(self, scene: Scene, track: Track, row: int, found: Scores, chosen: int) -> tuple[Artefact, ...]:
         """Both graphs of the chosen proposal, who leads, and the scores of all: what they are made of, and why not."""
         named = [f"{share:g} of the limit, {at:+g} m" for at in self._offsets for share in self._config.speed_shares]
-        track, row = tracks[chosen // len(self._config.speed_shares)], chosen % len(self._config.speed_shares)
         t, driven_m = STEP_S * np.arange(HORIZON_KNOTS), track.profiles[row, 0]
         decisions = decide_speed(track.blocks, scene, np.interp(track.blocks.t, t, driven_m))
         shown = (*outlines(track.blocks, decisions), *stop_outlines(track.stops, float(t[-1]), track.path.length))

@@ -55,7 +55,7 @@ WHY_NOT = (
     "collides at fault", "drives beside the lanes of its direction", "leaves the road", "makes less progress",
     "comes too close in time", "uncomfortable",
 )  # fmt: skip
-"""What is said of a proposal that is worse in a part."""
+"""The reasons in words, in the order of `PARTS`, where a proposal is worse in a part."""
 OBJECTS = among(AgentKind.OBJECT)
 
 
@@ -63,7 +63,7 @@ OBJECTS = among(AgentKind.OBJECT)
 class Scores:
     """Of n proposals: (1) by `PARTS` `(6, n)`, each 0 to 1, and the last three weighted `(3, n)`, the score's terms.
 
-    `contact` `(n,)` is the time of the first contact at fault, s, inf: none; `agent` `(n,)` with whom, -1.
+    `contact` `(n,)` is the time of the first contact at fault, s, inf: none; `agent` `(n,)` the road user, -1: none.
     """
 
     parts: FloatArray
@@ -151,7 +151,7 @@ def _on_road(
 def _meetings(
     states: FloatArray, moving: FloatArray, objects: BoolArray, astray: BoolArray, ego: Body
 ) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
-    """Per proposal: step of the first contact at fault, with whom (-1: none), `collision` and `ttc` of (1).
+    """Per proposal: step of the first contact at fault, its road user (-1: none), `collision` and `ttc` of (1).
 
     `moving` is x, y, yaw, vx, vy, length, width of the others `(7, m)`; `astray` where the ego is out of its lane.
     """

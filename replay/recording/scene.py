@@ -137,7 +137,7 @@ def _draw_log(tape: Tape, trace: Trace, scenario: Scenario, instants: Instants) 
 
 
 def _draw_removed(tape: Tape, removed: Tracks, instants: Instants) -> None:
-    """What a repair took away, for as long as a sample stands for somebody; the blueprint hides it at first."""
+    """The tracks that a repair removed, while each is valid; the blueprint hides them at first."""
     shown = [removed.perceived(float(t)) for t in instants.t]
     x, y, yaw, length, width = (
         np.concatenate([getattr(some, name) for some in shown]) for name in ("x", "y", "yaw", "length", "width")

@@ -1,4 +1,4 @@
-"""False braking and missed braking: the one is for nobody, the other leaves out somebody."""
+"""False braking has no cause; missed braking leaves out what its cause asks for."""
 
 from __future__ import annotations
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -14,6 +12,7 @@ from worlds import (
     Other,
     along_x,
     beside,
+    check_mirrored,
     curve,
     decided,
     driving,
@@ -25,13 +24,9 @@ from worlds import (
     strip,
 )
 
-from logs import AgentKind, DecisionKind, EgoState, Goal, PlannerContext, PlanStart, Road, StGraph, Trajectory
+from logs import AgentKind, DecisionKind, EgoState, Goal, PlannerContext, PlanStart, Road, StGraph
 from logs.catalogue import CATALOGUE
-from logs.transform import mirrored
 from planners.idm import Idm, IdmConfig, idm_acceleration
-from replay.drive import LoopConfig
-from replay.perception import perceive
-from replay.world import World, logged_ego
 
 A, B, TAU, S0 = (IdmConfig().accel_mps2, IdmConfig().decel_mps2, IdmConfig().time_gap_s, IdmConfig().standstill_gap_m)
 
@@ -75,18 +70,7 @@ def test_the_free_terms_below_and_above_the_wanted_speed_join(v0: float) -> None
 
 @pytest.mark.parametrize("name", CATALOGUE)
 def test_a_mirrored_world_gives_the_mirrored_plan(name: str) -> None:
-    plans = []
-    for made in (CATALOGUE[name].scenario(), mirrored(CATALOGUE[name].scenario())):
-        start = logged_ego(made.ego, made.vehicle, 0.0)
-        planner = Idm(PlannerContext(made.road, made.goal, made.vehicle, 0.1, start))
-        for t in (0.0, 0.4 * made.ego.t[-1]):
-            ego = logged_ego(made.ego, made.vehicle, float(t))
-            plans.append(planner.plan(perceive(World(ego, made.tracks), None, LoopConfig())).trajectory)
-    for one, two in zip(plans[:2], plans[2:], strict=True):
-        sign = {"y": -1.0, "yaw": -1.0, "kappa": -1.0}
-        for field in fields(Trajectory):
-            left, right = getattr(one, field.name), sign.get(field.name, 1.0) * getattr(two, field.name)
-            np.testing.assert_allclose(left, right, atol=2e-3, err_msg=field.name)
+    check_mirrored(Idm, CATALOGUE[name].scenario(), atol=2e-3)
 
 
 # --- driving

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +13,7 @@ from worlds import (
     Drive,
     Other,
     along_x,
+    check_mirrored,
     curve,
     decided,
     driving,
@@ -27,20 +28,16 @@ from worlds import (
     two_way,
 )
 
-from logs import AgentKind, Candidates, CostTerms, DecisionKind, EgoState, Goal, PlannerContext, Road, Trajectory
+from logs import AgentKind, Candidates, CostTerms, DecisionKind, EgoState, Goal, PlannerContext, Road
 from logs.catalogue import CATALOGUE
 from logs.kernel import FloatArray
 from logs.trace import SlGraph, StGraph
-from logs.transform import mirrored
 from planners.frenet.profiles import HORIZON_KNOTS, STEP_S
 from planners.pdm import Pdm, PdmConfig
 from planners.pdm.planner import straight_on
 from planners.pdm.proposals import Driver, driven, idm_acceleration, tracked
 from planners.pdm.score import BOUNDS, PARTS, Scores, comfortable, scores
-from replay.drive import LoopConfig
-from replay.perception import perceive
 from replay.planner_config import planner_keywords
-from replay.world import World, logged_ego
 
 C = PdmConfig()
 DRIVER = Driver(C.accel_mps2, C.decel_mps2, C.headway_s, C.min_gap_m, C.exponent)
@@ -223,18 +220,7 @@ def test_comfort_is_nuplans() -> None:
 
 @pytest.mark.parametrize("name", CATALOGUE)
 def test_a_mirrored_world_gives_the_mirrored_plan(name: str) -> None:
-    plans = []
-    for made in (CATALOGUE[name].scenario(), mirrored(CATALOGUE[name].scenario())):
-        start = logged_ego(made.ego, made.vehicle, 0.0)
-        planner = Pdm(PlannerContext(made.road, made.goal, made.vehicle, 0.1, start))
-        for t in (0.0, 0.4 * made.ego.t[-1]):
-            ego = logged_ego(made.ego, made.vehicle, float(t))
-            plans.append(planner.plan(perceive(World(ego, made.tracks), None, LoopConfig())).trajectory)
-    for one, two in zip(plans[:2], plans[2:], strict=True):
-        sign = {"y": -1.0, "yaw": -1.0, "kappa": -1.0}
-        for field in fields(Trajectory):
-            left, right = getattr(one, field.name), sign.get(field.name, 1.0) * getattr(two, field.name)
-            np.testing.assert_allclose(left, right, atol=5e-3, err_msg=field.name)
+    check_mirrored(Pdm, CATALOGUE[name].scenario(), atol=5e-3)
 
 
 def test_the_predictions_of_the_loop_do_not_change_a_plan() -> None:

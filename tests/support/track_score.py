@@ -28,7 +28,7 @@ REACH_M, NEAR_M = 2.0, 15.0
 LEAST_FRAMES = 10
 """Who is in sight for fewer frames need not be found."""
 FOUND = 0.3
-"""Who is found in a smaller share of their frames is lost; a track that is somebody for less is a ghost."""
+"""A road user found in a smaller share of its frames is lost; a track that is one for less is a ghost."""
 
 
 @dataclass(frozen=True)
@@ -141,8 +141,8 @@ def _errors(true: Points, found: Points, near: FloatArray, pairs: list, hota: fl
     apart = np.linalg.norm(true.xy[a] - found.xy[b], axis=1)
     off, speed = np.linalg.norm(true.v[a] - found.v[b], axis=1), np.linalg.norm(true.v[a], axis=1)
     lost = np.bincount(true.who[a], minlength=true.count) < FOUND * np.bincount(true.who)
-    somebody = np.bincount(found.who[b], minlength=found.count)
-    ghosts = somebody < FOUND * np.bincount(found.who, minlength=found.count)
+    matched = np.bincount(found.who[b], minlength=found.count)
+    ghosts = matched < FOUND * np.bincount(found.who, minlength=found.count)
 
     def rms(values: FloatArray) -> float:
         return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0

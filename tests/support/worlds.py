@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -19,12 +19,15 @@ from logs import (
     Plan,
     PlannerContext,
     Road,
+    Scenario,
+    Trajectory,
     VehicleParameters,
     Visibility,
 )
 from logs.kernel import FloatArray
 from logs.route import Route, find_route
 from logs.shapes import distance
+from logs.transform import mirrored
 from planners.base import Planner
 from planners.dp_qp import DpQp
 from planners.dp_qp.scene.caps import CautionConfig, LoweredLimit, PathView, SpeedCap, lowered
@@ -33,7 +36,10 @@ from planners.frenet.path import Path
 from planners.frenet.reference_path import ReferencePath, make_reference_path
 from planners.frenet.scene import Scene, scene_of
 from planners.frenet.st_boundaries import StGraphConfig, st_boundaries
+from replay.drive import LoopConfig
+from replay.perception import perceive
 from replay.prediction import predict
+from replay.world import World, logged_ego
 
 PERIOD = 0.1
 CAR = VehicleParameters()
@@ -213,3 +219,19 @@ def decided(plan: Plan, name: str, stage: str) -> DecisionKind | None:
         item.kind for item in plan.internals if isinstance(item, Decision) and (item.agent, item.stage) == (name, stage)
     ]
     return kinds[0] if kinds else None
+
+
+def check_mirrored(planner: Callable[[PlannerContext], Planner], made: Scenario, *, atol: float) -> None:
+    """In the mirrored world a planner plans the mirror image, at the start and later on the log's drive."""
+    plans = []
+    for world in (made, mirrored(made)):
+        start = logged_ego(world.ego, world.vehicle, 0.0)
+        planning = planner(PlannerContext(world.road, world.goal, world.vehicle, 0.1, start))
+        for t in (0.0, 0.4 * world.ego.t[-1]):
+            ego = logged_ego(world.ego, world.vehicle, float(t))
+            plans.append(planning.plan(perceive(World(ego, world.tracks), None, LoopConfig())).trajectory)
+    for one, two in zip(plans[:2], plans[2:], strict=True):
+        for field in fields(Trajectory):
+            sign = -1.0 if field.name in ("y", "yaw", "kappa") else 1.0
+            left, right = getattr(one, field.name), sign * getattr(two, field.name)
+            np.testing.assert_allclose(left, right, atol=atol, err_msg=field.name)

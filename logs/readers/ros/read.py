@@ -1,8 +1,9 @@
 """A bag as a scenario: which topics, which clock, which part.
 
-Of a part between `begin` and `end` only the messages around it are read: `REACH_S` before, so that whoever was there
-is known and motion can be derived, and the first second of the log, where t = 0 and the origin are. Where the log's
-clock runs unlike the senders' (a simulation slower than time) log times do not say what is in a part: all is read.
+Of a part between `begin` and `end` only the messages around it are read: `REACH_S` before where the bag has detections
+that may be repaired, else `HISTORY_S`, so that whoever was there is known and motion can be derived, and the first
+second of the log, where t = 0 and the origin are. Where the log's clock runs unlike the senders' (a simulation slower
+than time) log times do not say what is in a part: all is read.
 """
 
 from __future__ import annotations
@@ -122,7 +123,8 @@ def _part(bag: Bag, settings: LogSettings) -> tuple[Window, int | None, FloatArr
     if head is None:
         return (None, None), None, nothing
     ego, first = head
-    log0, around = bag.start_ns, (HISTORY_S if settings.repair == "off" else REACH_S) + MARGIN_S
+    detected = settings.repair != "off" and topics_of(bag, schemas.OBJECTS, settings, "agents")
+    log0, around = bag.start_ns, (REACH_S if detected else HISTORY_S) + MARGIN_S
     end = None if settings.end == inf else log0 + round(1e9 * (settings.end + around))
     if settings.begin <= 0.0:
         return (None, end), None, nothing

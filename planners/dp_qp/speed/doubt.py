@@ -1,4 +1,4 @@
-"""How far the speed stage believes that somebody will take the path, and what it does where it does not.
+"""How far the speed stage believes that a road user will take the path, and what it does where it does not.
 
 A row of the S-T boundaries has the weight p = p_said p_exist p_enter, with
 
@@ -36,7 +36,7 @@ from planners.frenet.st_boundaries import ALONG, StBoundaries
 CERTAIN, NEGLIGIBLE, SURE = 0.5, 0.05, 0.8
 AGE_S, UNSEEN_S = 0.8, 0.3
 LEAST = 0.1
-"""Who is seen for the first time is doubted, not neglected: p_exist."""
+"""p_exist of a road user that is seen for the first time: it is doubted, not neglected."""
 PLACE_M, DRIFT_MPS = 0.3, 0.5
 WALK_MPS = 3.0
 """Who is faster does not walk: a rider, or a detector's error."""

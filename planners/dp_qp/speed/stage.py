@@ -1,6 +1,6 @@
 """Speed stage: S-T boundaries, caps -> speed DP (who goes first) -> bounds -> speed QP (how hard), and the S-T graph.
 
-How far somebody's prediction binds is `doubt`'s. Who was let go first is still let go first, unless the ego could be
+How far a prediction binds is decided in `doubt`. Who was let go first is still let go first, unless the ego could be
 first with `CHANGE_S` to spare.
 """
 

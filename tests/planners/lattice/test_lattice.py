@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from worlds import (
     Drive,
     Other,
     along_x,
+    check_mirrored,
     curve,
     decided,
     driving,
@@ -42,11 +43,9 @@ from logs import (
     Road,
     SlGraph,
     StGraph,
-    Trajectory,
 )
 from logs.catalogue import CATALOGUE
 from logs.mcap import write_trace
-from logs.transform import mirrored
 from planners.frenet.fallback import meets
 from planners.frenet.profiles import HORIZON_STEPS, STEP_S
 from planners.lattice import Lattice, LatticeConfig
@@ -64,12 +63,9 @@ from planners.lattice.polynomials import (
     third_square,
 )
 from replay.closed_loop import run_closed_loop
-from replay.drive import LoopConfig
-from replay.perception import perceive
 from replay.planner_config import planner_keywords
 from replay.recording.why import why
 from replay.why import accounts
-from replay.world import World, logged_ego
 
 SPEED = st.floats(0.0, 30.0)
 ACCEL = st.floats(-4.0, 3.0)
@@ -225,18 +221,7 @@ def test_what_is_chosen_touches_no_one_and_keeps_every_bound(
 
 @pytest.mark.parametrize("name", CATALOGUE)
 def test_a_mirrored_world_gives_the_mirrored_plan(name: str) -> None:
-    plans = []
-    for made in (CATALOGUE[name].scenario(), mirrored(CATALOGUE[name].scenario())):
-        start = logged_ego(made.ego, made.vehicle, 0.0)
-        planner = Lattice(PlannerContext(made.road, made.goal, made.vehicle, 0.1, start))
-        for t in (0.0, 0.4 * made.ego.t[-1]):
-            ego = logged_ego(made.ego, made.vehicle, float(t))
-            plans.append(planner.plan(perceive(World(ego, made.tracks), None, LoopConfig())).trajectory)
-    for one, two in zip(plans[:2], plans[2:], strict=True):
-        sign = {"y": -1.0, "yaw": -1.0, "kappa": -1.0}
-        for field in fields(Trajectory):
-            left, right = getattr(one, field.name), sign.get(field.name, 1.0) * getattr(two, field.name)
-            np.testing.assert_allclose(left, right, atol=2e-3, err_msg=field.name)
+    check_mirrored(Lattice, CATALOGUE[name].scenario(), atol=2e-3)
 
 
 # --- driving

@@ -240,7 +240,7 @@ def test_the_gap_is_the_time_between_leaving_and_taking(delay: float) -> None:
 def test_who_goes_second_has_left_the_others_their_way() -> None:
     found = rows(met(-1.0))
     assert not found.available["priority_gap.min"]
-    assert found.reason["priority_gap.min"] == "the ego was never before somebody who goes first"
+    assert found.reason["priority_gap.min"] == "the ego was never ahead of a road user that goes first"
     assert found.value["priority_gap.below_1s"] == 0.0
 
 

@@ -17,11 +17,11 @@ from crowds import CROWDS, LASTS_S, crowded
 
 from logs import Scenario
 from logs.catalogue import CATALOGUE
-from replay.apart.convert import frame_message
-from replay.apart.processes import _launcher
-from replay.drive import LoopConfig
-from replay.open_loop import run_open_loop
-from replay.perception import Perception
+from replay.config import LoopConfig
+from replay.loop.open_loop import run_open_loop
+from replay.loop.perception import Perception
+from replay.planner_process.convert import frame_message
+from replay.planner_process.processes import _launcher
 from replay.world import World, logged_ego
 
 BUILT_IN, APART = "constant_speed", "planners.constant_speed:ConstantSpeed"

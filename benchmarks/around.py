@@ -2,7 +2,7 @@
 
     python benchmarks/around.py [--planner constant_speed] [--family everyday/junction]
 
-The stages are those of `replay.batch.one_log`, without recordings, the best of some passes. Then what leaving the road,
+The stages are those of `replay.run.one_log`, without recordings, the best of some passes. Then what leaving the road,
 the speed limit and the lane's direction cost on logs of 28 to 600 s; how much memory is left behind by a drive that is
 over; and how long the imports take in a new process.
 """
@@ -29,14 +29,14 @@ from logs import EndReason, Mode, Road, RoadSource, Scenario, Trace, Tracks, Tra
 from logs.catalogue import CATALOGUE
 from logs.mcap import read_scenario, write_scenario, write_trace
 from metrics import lane_keeping, progress, safety
-from replay.avoidability import with_avoidability
-from replay.batch.log_result import Stamp
-from replay.batch.one_log import evaluate_log
-from replay.batch.sources import LogSource
-from replay.closed_loop import run_closed_loop
 from replay.config import RunConfig
-from replay.open_loop import run_open_loop
-from replay.reference_drives import reference_table
+from replay.loop.avoidability import with_avoidability
+from replay.loop.closed_loop import run_closed_loop
+from replay.loop.open_loop import run_open_loop
+from replay.loop.reference_drives import reference_table
+from replay.results.log_result import Stamp
+from replay.run.one_log import evaluate_log
+from replay.run.sources import LogSource
 
 PASSES = 4
 LENGTHS_S = (28.0, 120.0, 600.0)

@@ -24,8 +24,8 @@ from logs.kernel import FloatArray
 from logs.trace import Plan
 from logs.vehicle import VehicleParameters
 from replay.control import CONTROLLERS
+from replay.loop.simulation_setup import controller_of
 from replay.paper.manoeuvres import PERIOD_S, s_curve
-from replay.simulation_setup import controller_of
 from replay.vehicle import VEHICLES
 
 SOLVES_EVERY = {"mpc": 5}

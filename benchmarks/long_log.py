@@ -135,12 +135,12 @@ def main() -> None:
 
 
 def measured(console: Console, scenario: Scenario, mode: Mode, chosen: argparse.Namespace, folder: File) -> None:
-    """The stages of one drive, as a worker has them (`replay.batch.one_log`)."""
+    """The stages of one drive, as a worker has them (`replay.run.one_log`)."""
     import metrics
     from logs.mcap import write_trace
-    from replay.batch.one_log import LOOPS, SHOWN
-    from replay.batch.steps import Steps, StepsFile
-    from replay.reference_drives import reference_table
+    from replay.loop.reference_drives import reference_table
+    from replay.run.one_log import LOOPS, SHOWN
+    from replay.run.steps import Steps, StepsFile
 
     keep = not chosen.no_recording or chosen.internals != "none"
     if mode is Mode.CLOSED:
@@ -159,7 +159,7 @@ def measured(console: Console, scenario: Scenario, mode: Mode, chosen: argparse.
     with stage(console, f"{mode.value}: trace"):
         write_trace(folder / "drive.mcap", drive.trace, scenario, internals=chosen.internals)
     if not chosen.no_recording:
-        from replay.recording import write_recording
+        from replay.draw.recording import write_recording
 
         with stage(console, f"{mode.value}: recording"):
             write_recording(folder / "drive.rrd", drive, scenario, table, shown)

@@ -3,8 +3,9 @@
     python benchmarks/loop.py [--vehicle NAME ...] [--controller NAME ...] [--repeat 5] [LOG ...]
 
 Microseconds of control, vehicle and record per control step on the paper's S-curve, run in plan periods as the closed
-loop does (`replay.plan_period`); then the closed loop with the planner `constant_speed` over logs (none: the built-in
-suite), as times real time. CPU time of the process, the least of the repetitions; it means this machine on this day.
+loop does (`replay.loop.plan_period`); then the closed loop with the planner `constant_speed` over logs (none: the
+built-in suite), as times real time. CPU time of the process, the least of the repetitions; it means this machine on
+this day.
 """
 
 from __future__ import annotations
@@ -24,14 +25,14 @@ from rich.table import Table
 from logs.scenario import Scenario
 from logs.trace import Plan
 from logs.vehicle import VehicleParameters
-from replay.batch.sources import builtin_suite, select
-from replay.closed_loop import run_closed_loop
+from replay.config import LoopConfig
 from replay.control import CONTROLLERS
-from replay.drive import LoopConfig
+from replay.loop.closed_loop import run_closed_loop
+from replay.loop.plan_period import PlanPeriod
+from replay.loop.simulation_setup import controller_of
+from replay.loop.trace_recorder import TraceRecorder
 from replay.paper.manoeuvres import PERIOD_S, s_curve
-from replay.plan_period import PlanPeriod
-from replay.simulation_setup import controller_of
-from replay.trace_recorder import TraceRecorder
+from replay.run.sources import builtin_suite, select
 from replay.vehicle import VEHICLES
 
 PERIODS_PER_PLAN = 10

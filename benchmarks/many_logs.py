@@ -27,7 +27,7 @@ from rich.table import Table
 from logs.catalogue import scenario
 from logs.catalogue.suites import ordered
 from logs.mcap import write_scenario
-from replay.batch.tables import safe_name
+from replay.results.tables import safe_name
 
 QUIET = ("--no-recording", "--internals", "none")
 TENTHS = 10

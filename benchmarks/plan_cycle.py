@@ -25,9 +25,9 @@ from rich.table import Table
 from scipy.linalg import cho_factor, cho_solve
 
 from logs.scenario import Scenario
-from replay.batch.sources import builtin_suite, select
-from replay.closed_loop import run_closed_loop
-from replay.drive import LoopConfig
+from replay.config import LoopConfig
+from replay.loop.closed_loop import run_closed_loop
+from replay.run.sources import builtin_suite, select
 
 
 def yardstick(count: int = 50) -> list[float]:

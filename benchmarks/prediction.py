@@ -26,8 +26,8 @@ from logs.catalogue import CATALOGUE
 from logs.frame import Predictions
 from logs.readers.commonroad.read import read_commonroad
 from logs.scenario import Agents, Scenario
-from replay.drive import DEFAULT_LOOP
-from replay.perception import Perception
+from replay.config import DEFAULT_LOOP
+from replay.loop.perception import Perception
 from replay.prediction import PREDICTORS, LaneMap, predict
 from replay.world import World, logged_ego
 

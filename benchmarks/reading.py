@@ -97,7 +97,7 @@ def whole_logs(folder: Path) -> None:
     write_scenario(native, scenario)
     paths = {f"native (bar {NATIVE_MS:.0f} ms)": native}
     if find_spec("foxglove_schemas_protobuf"):
-        from replay.foxglove import scenario_channels
+        from replay.draw.foxglove import scenario_channels
 
         paths["native with Foxglove's channels"] = folder / "foxglove.mcap"
         write_scenario(folder / "foxglove.mcap", scenario, beside=scenario_channels(scenario))

@@ -15,10 +15,10 @@ import pandas as pd
 
 from logs.readers import LogSettings, reader_of
 from metrics.judge import verdicts_by_log
-from replay.batch import RunResult, evaluate_logs
-from replay.batch.log_result import LogResult
-from replay.batch.sources import select
 from replay.config import RunConfig
+from replay.results.log_result import LogResult
+from replay.run import RunResult, evaluate_logs
+from replay.run.sources import select
 
 PLANNERS = ("dp_qp", "logged")
 HEAD = (

@@ -24,16 +24,16 @@ import metrics
 from logs.catalogue import scenario
 from logs.mcap import write_scenario
 from metrics import health
-from replay import reference_drives
-from replay.batch import RunResult, evaluate_logs, one_log
-from replay.batch.engine import Engine, Local
-from replay.batch.log_result import LogResult
-from replay.batch.on_ray import OnRay
-from replay.batch.pool import run_all
-from replay.batch.run import concluded, gates_of
-from replay.batch.shard import Shard
-from replay.batch.sources import LogSource, Selection
 from replay.config import RunConfig
+from replay.loop import reference_drives
+from replay.results.log_result import LogResult
+from replay.run import RunResult, evaluate_logs, one_log
+from replay.run.engine import Engine, Local
+from replay.run.evaluate import concluded, gates_of
+from replay.run.on_ray import OnRay
+from replay.run.pool import run_all
+from replay.run.shard import Shard
+from replay.run.sources import LogSource, Selection
 
 RUN = RunConfig(recording=False, internals="none")
 END = replace(RUN, planners=("constant_speed",))

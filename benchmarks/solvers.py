@@ -34,8 +34,8 @@ from planners.dp_qp.speed import qp as speed_qp
 from planners.piecewise_jerk.problem import PiecewiseJerkProblem, matrices, structure, vectors
 from planners.piecewise_jerk.solvers import SOLVERS, solve
 from planners.qp import QPResult
-from replay.batch.sources import LogSource, builtin_suite
-from replay.closed_loop import run_closed_loop
+from replay.loop.closed_loop import run_closed_loop
+from replay.run.sources import LogSource, builtin_suite
 
 REFERENCE = 1e-9
 Asked = tuple[str, PiecewiseJerkProblem, float]

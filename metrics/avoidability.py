@@ -1,9 +1,9 @@
 """Would a careful driver have got through? The verdicts of `reference_drivers`, as the scenario's metadata carry them.
 
-Replay writes them there (`replay.avoidability`), since it knows the line; the same keys of a log are dropped when it is
-read. Three rows per driver: `reference_cc.applies` is 1 where an ego that did not brake would meet an agent, else 0;
-where it applies, `reference_cc.avoids` is 1 or 0, and `reference_cc.margin` says by how many metres (negative: by how
-many not). The entries, of "cc" as of "fsm":
+Replay writes them there (`replay.loop.avoidability`), since it knows the line; the same keys of a log are dropped when
+it is read. Three rows per driver: `reference_cc.applies` is 1 where an ego that did not brake would meet an agent, else
+0; where it applies, `reference_cc.avoids` is 1 or 0, and `reference_cc.margin` says by how many metres (negative: by
+how many not). The entries, of "cc" as of "fsm":
 
     reference_cc            "avoidable", "unavoidable" or "not applicable"
     reference_cc.reason     a sentence, with the margin and whether it is marginal

@@ -1,7 +1,7 @@
 """Rows of the table that the gates make: is a verdict robust or fragile, and how many of the gates were asked?
 
-A member is the log driven again under one perturbation (`replay.perturb`); its verdict on a planner in one mode is the
-worst outcome of the gates. With the unperturbed drive among the members:
+A member is the log driven again under one perturbation (`replay.run.perturb`); its verdict on a planner in one mode is
+the worst outcome of the gates. With the unperturbed drive among the members:
 
 (1) ensemble.pass_share = members that pass / members
 (2) ensemble.fragile    = 1 where a member's verdict is another than the unperturbed drive's, else 0

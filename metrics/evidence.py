@@ -227,13 +227,13 @@ REPLAY_CONTACT = Metric(
 PLAN_REFUSED = Metric(
     "plan_refused", "1", "lower", (Mode.OPEN, Mode.CLOSED), partial(_with_status, PlanStatus.REFUSED), (metric.RATE,),
     "Share of the frames whose plan does not start at the ego, or is impossible for a road car: it is not driven.",
-    formula="refused plans / plans; bounds: replay/plan_check.py", needs="a plan",
+    formula="refused plans / plans; bounds: replay/loop/plan_check.py", needs="a plan",
 )  # fmt: skip
 PLAN_CORRECTED = Metric(
     "plan_corrected", "1", "lower", (Mode.OPEN, Mode.CLOSED), partial(_with_status, PlanStatus.CORRECTED),
     (metric.RATE,),
     "Share of the frames whose plan says another speed, heading, curvature or acceleration than its positions have.",
-    formula="corrected plans / plans; bounds: replay/plan_check.py", needs="a plan",
+    formula="corrected plans / plans; bounds: replay/loop/plan_check.py", needs="a plan",
 )  # fmt: skip
 _MEMBERS: tuple[tuple[str, Direction], ...] = (("pass_share", "higher"), ("fragile", "lower"))
 ENSEMBLE = Metric(

@@ -69,7 +69,7 @@ REFERENCE = "reference"  # Mode of the rows of reference drives
 DRIVER, CAREFUL, FOLLOWER = "driver", "careful", "follower"
 REFERENCES = {DRIVER: "the recorded driver", CAREFUL: "the careful driver", FOLLOWER: "the route follower"}
 """Planner of those rows: the log's own driver; the careful driver of UN R157, which brakes only and knows no rules; and
-the route follower, which accelerates, steers and obeys the rules (`replay.reference_drives`)."""
+the route follower, which accelerates, steers and obeys the rules (`replay.loop.reference_drives`)."""
 REPLAY_CONTACT = "replay_contact.final"
 NO_COLLISION = Gate("collision_at_fault.count", max=0.0)  # It ends a drive: progress is excused where it is
 SAME_S, SLOWER_MPS, WORSE = 2.0, 1.0, 1.5

@@ -1,7 +1,7 @@
 """The public names of replan in one place: `import replan` (docs/api.md). Each is imported when it is first asked for.
 
 result = replan.evaluate("my_logs", planners=["dp_qp", "my_planner:Mine"], out="results/mine")
-result = replan.load("results/mine")            the tables and drives of a run (`replay.results`, docs/results.md)
+result = replan.load("results/mine")            the tables and drives of a run (`replay.results.load`, docs/results.md)
 replan.compare("results/main", result)          what got better, what worse, and since when
 
 scenario = replan.from_frames(ego, agents)      a team's own log from pandas tables, in ten lines
@@ -35,15 +35,13 @@ if TYPE_CHECKING:
     from metrics.metric import Metric, Reduction, Series, Unavailable
     from planners.base import Planner
     from replay.api import compare, evaluate
-    from replay.config import RunConfig
-    from replay.control.base import Controller
-    from replay.drive import LoopConfig
+    from replay.config import LoopConfig, RunConfig
+    from replay.draw.charts.canvas import Chart
+    from replay.draw.charts.subject import Subject
     from replay.prediction import LaneMap
-    from replay.report.charts.canvas import Chart
-    from replay.report.charts.subject import Subject
-    from replay.results import DriveResult, Results, load
+    from replay.results.load import DriveResult, Results, load
     from replay.traffic import Traffic
-    from replay.vehicle.base import Vehicle
+    from replay.vehicle.base import Controller, Vehicle
     from replay.world import World
 
 __all__ = [
@@ -117,15 +115,13 @@ _NAMES = {
     "metrics.metric": "Metric Reduction Series Unavailable",
     "planners.base": "Planner",
     "replay.api": "compare evaluate",
-    "replay.config": "RunConfig",
-    "replay.control.base": "Controller",
-    "replay.drive": "LoopConfig",
+    "replay.config": "LoopConfig RunConfig",
     "replay.prediction": "LaneMap",
-    "replay.report.charts.canvas": "Chart",
-    "replay.report.charts.subject": "Subject",
-    "replay.results": "DriveResult Results load",
+    "replay.draw.charts.canvas": "Chart",
+    "replay.draw.charts.subject": "Subject",
+    "replay.results.load": "DriveResult Results load",
     "replay.traffic": "Traffic",
-    "replay.vehicle.base": "Vehicle",
+    "replay.vehicle.base": "Controller Vehicle",
     "replay.world": "World",
 }
 _FROM = {name: (module, name) for module, names in _NAMES.items() for name in names.split()}

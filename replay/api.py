@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from logs.errors import ConfigError
 from metrics.compare import Comparison
-from replay.batch import evaluate_logs
 from replay.config import Internals, RunConfig, RunMode, load_run
-from replay.results import Results, load
+from replay.results.load import Results, load
+from replay.run import evaluate_logs
 
 if TYPE_CHECKING:
     from planners.base import Planner
@@ -55,7 +55,7 @@ def evaluate(
         workers: Child processes; 0 evaluates in this one. Results do not depend on it. With any, a script needs
             `if __name__ == "__main__":`.
         resume: Go on with an interrupted run into `out`.
-        loop: Keys of [loop] (`replay.drive.LoopConfig`): {"controller": "mpc", "plan_period_s": 0.2}.
+        loop: Keys of [loop] (`replay.config.LoopConfig`): {"controller": "mpc", "plan_period_s": 0.2}.
 
     Raises:
         ConfigError: No logs, a wrong name or setting; nothing was run.

@@ -28,11 +28,10 @@ from metrics.compare import DRIVE, PARTING_COLUMNS, Comparison, Side, compare
 from metrics.compare_rules import Rule, judged, load_rules
 from metrics.gates import load_gates
 from metrics.judge import REFERENCE
-from replay.batch.schema import SCHEMA_VERSION
-from replay.batch.sources import LOG_CARD
-from replay.batch.tables import write_file
-from replay.parting import parting
-from replay.results import RECORDINGS, Results, loaded
+from replay.explain.first_difference import parting
+from replay.results.load import RECORDINGS, Results, loaded
+from replay.results.schema import SCHEMA_VERSION
+from replay.results.tables import LOG_CARD, write_file
 
 MOST_PARTINGS = 20
 """In more drives it is not looked for where they part: the worst first."""

@@ -8,14 +8,15 @@
     foxglove = false                 # channels that Foxglove draws, in the logs and traces that are written
     metrics = []                     # of your own, beside the built-in ones: "module:NAME"
     charts = []                      # likewise, in the report
-    ensemble = 0                     # each log so many times more, in worlds that should not matter (replay.perturb)
+    ensemble = 0                     # each log so many times more, in worlds that should not matter
+    (replay.run.perturb)
 
     repeat_s = 2.0                   # so much of a drive of your own planner is driven twice: is it deterministic?
     deadline_s = 0.0                 # a plan may take so long (0.1 at 10 Hz); 0: not asked, as clocks differ
 
     [log]                            # logs.readers.LogSettings: what logs do not say, or where they say it
     [loop]                           # LoopConfig
-    [loop.apart]                     # ApartConfig: planners of your own in their process, and its limits
+    [loop.apart]                     # PlannerProcessConfig: planners of your own in their process, and its limits
     [planner.dp_qp]                  # keywords of the planner; likewise, of what [loop] names:
     [controller.mpc]                 # also [traffic.NAME], [prediction.NAME], [perception.NAME]
     [vehicle_model.single_track]     # of the vehicle model; [loop.plant] is what the controller does not know
@@ -27,39 +28,194 @@ Every key may be left out. What a file says wrongly is an error that names file,
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, fields, replace
 from enum import Enum
 from math import inf
 from pathlib import Path
-from typing import Any, Literal, TypeVar, get_type_hints
+from typing import Any, Literal
 
-import msgspec
 import tomli_w
 
-from logs.errors import ConfigError, unknown_name
+from logs.errors import ConfigError
 from logs.files import read_toml
+from logs.presence import MAX_AGE_S
 from logs.readers.base import LogSettings
 from logs.trace import Mode
 from logs.vehicle import VehicleParameters, vehicle_parameters
 from logs.words import visible_name
-from replay.drive import LoopConfig
+from replay.settings import SETTINGS, known_keys, strict
 
 RunMode = Literal["both", "open", "closed"]
 Internals = Literal["none", "summary", "full"]
 
 HEADER = "# The resolved configuration of a run, written by `replan evaluate`; give it to --config to run that again.\n"
 
-SETTINGS: Mapping[str, str] = {
-    "vehicle": "vehicle_model",
-    "controller": "controller",
-    "traffic": "traffic",
-    "prediction": "prediction",
-    "perception": "perception",
-}
-"""What [loop] names, and the table that has the settings of each by name ([vehicle] are the car's numbers)."""
+MOST_TOGETHER = 64
+"""Logs in lock step: their answers, 1 MB each where the inside of plans is kept, have to fit into a message."""
 
-T = TypeVar("T")
+
+@dataclass(frozen=True)
+class SensorConfig:
+    """What a sensor can do; the defaults are round figures of a car's lidar and camera set.
+
+    Attributes:
+        range_m: Nothing farther is seen.
+        field_of_view_deg: About the ego's heading; 360 is all round.
+        occlusion: Whether others hide others.
+        position_noise_m: Standard deviation along and across the agent's heading; of each measurement anew.
+        yaw_noise_deg: Standard deviation.
+        velocity_noise_mps: Standard deviation along and across the agent's heading.
+        latency_s: From measuring to the planner; counted in whole frames.
+        dropout: Probability that an agent is not measured in a slot.
+        dropout_s: Length of the slots.
+        coast_s: How long an agent is carried on that is not measured any more.
+        seed: Another seed, other draws.
+
+    Raises:
+        ConfigError: A value is out of its range.
+    """
+
+    range_m: float = 100.0
+    field_of_view_deg: float = 360.0
+    occlusion: bool = True
+    position_noise_m: float = 0.1
+    yaw_noise_deg: float = 1.0
+    velocity_noise_mps: float = 0.1
+    latency_s: float = 0.1
+    dropout: float = 0.02
+    dropout_s: float = 0.3
+    coast_s: float = MAX_AGE_S
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("range_m", "field_of_view_deg", "dropout_s"):
+            if not 0.0 < getattr(self, name) < 1e6:
+                raise ConfigError(f"loop.sensor.{name} must be positive, got {getattr(self, name)}")
+        for name in ("position_noise_m", "yaw_noise_deg", "velocity_noise_mps", "latency_s", "coast_s"):
+            if not 0.0 <= getattr(self, name) < 1e6:
+                raise ConfigError(f"loop.sensor.{name} must not be negative, got {getattr(self, name)}")
+        if not 0.0 <= self.dropout <= 1.0:
+            raise ConfigError(f"loop.sensor.dropout is a probability, got {self.dropout}")
+
+
+@dataclass(frozen=True)
+class PlannerProcessConfig:
+    """How planners that are not built in are kept apart (docs/planners_apart.md).
+
+    Attributes:
+        trust: Planners named "module:Class" run in the process that holds the log: faster, and no limit holds.
+        plan_timeout_s: A plan may take so long.
+        start_timeout_s: Building the planner may take so long, and so may its first plan (kernels, models).
+        log_timeout_s: All of it may take so long in one drive; 0: no limit.
+        memory_gb: Data of the planner's process; 0: no limit.
+        environment: Variables that it is given beside `replay.planner_process.processes.ENVIRONMENT`.
+        batch: So many logs are in lock step, and their frames are planned together (`plan_batch`); 0: each by itself.
+
+    Raises:
+        ConfigError: A limit is negative, a plan has no time, or there are too many logs together.
+    """
+
+    trust: bool = False
+    plan_timeout_s: float = 10.0
+    start_timeout_s: float = 60.0
+    log_timeout_s: float = 0.0
+    memory_gb: float = 8.0
+    environment: tuple[str, ...] = ()
+    batch: int = 0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.batch <= MOST_TOGETHER:
+            raise ConfigError(f"loop.apart.batch must be from 0 to {MOST_TOGETHER}, got {self.batch}")
+        for name in ("plan_timeout_s", "start_timeout_s"):
+            if not 1e-3 <= getattr(self, name) < 1e6:
+                raise ConfigError(f"loop.apart.{name} must be positive, got {getattr(self, name)}")
+        for name in ("log_timeout_s", "memory_gb"):
+            if not 0.0 <= getattr(self, name) < 1e6:
+                raise ConfigError(f"loop.apart.{name} must not be negative, got {getattr(self, name)}")
+
+
+@dataclass(frozen=True)
+class LoopConfig:
+    """How the loops run.
+
+    Attributes:
+        plan_period_s: Time between two frames.
+        control_period_s: Time between two commands; the plan period is a multiple of it.
+        vehicle: Name in `replay.vehicle.VEHICLES`, or "module:Class" as all that is named here (docs/extend.md).
+        plant: What the vehicle model has that planner and controller do not know of: VehicleParameters by name, and
+            keywords of the model (`replay.vehicle.plant`).
+        controller: Name in `replay.control.CONTROLLERS`; the vehicle "perfect" needs none.
+        traffic: Name in `replay.traffic.TRAFFIC`.
+        plan_delay_s: A plan is driven from so long after its frame on (what computing it takes), whole control periods.
+        perception: Name in `replay.loop.perception.PERCEPTIONS`.
+        sensor: What the sensor can do, where the perception is "sensor".
+        prediction: Name in `replay.prediction.PREDICTORS`, or "oracle": the log's own future, with traffic "time".
+        prediction_horizon_s: How far the others are predicted.
+        prediction_step_s: Time between two samples of a prediction.
+        end_with_evidence: A closed drive ends where the recording of the log's traffic does (`Scenario.traffic_spans`).
+        apart: How planners that are not built in are kept apart.
+        settings: Keywords of what is named here, by its key; a run's come from its tables (`RunConfig.controller` ...).
+
+    Raises:
+        ConfigError: A period is not positive, or the periods do not fit.
+    """
+
+    plan_period_s: float = 0.1
+    control_period_s: float = 0.01
+    vehicle: str = "kinematic_bicycle"
+    controller: str = "dlqr_pid"
+    traffic: str = "give_way"
+    prediction: str = "lane_following"
+    prediction_horizon_s: float = 8.0
+    prediction_step_s: float = 0.1
+    plant: Mapping[str, float | str] = field(default_factory=dict)
+    plan_delay_s: float = 0.0
+    perception: str = "ground_truth"
+    sensor: SensorConfig = field(default_factory=SensorConfig)
+    end_with_evidence: bool = False
+    apart: PlannerProcessConfig = field(default_factory=PlannerProcessConfig)
+    settings: Mapping[str, Mapping[str, Any]] = field(default_factory=dict, metadata={"key": False})
+
+    def __post_init__(self) -> None:
+        for name in ("plan_period_s", "control_period_s", "prediction_horizon_s", "prediction_step_s"):
+            if not 1e-9 <= getattr(self, name) < 1e6:
+                raise ConfigError(f"loop.{name} must be positive, got {getattr(self, name)}")
+        if self.prediction == "oracle" and self.traffic != "time":
+            raise ConfigError(
+                f"loop.prediction 'oracle' knows the log's future, which is not the others' with loop.traffic"
+                f" '{self.traffic}'; take traffic 'time' (--traffic time)"
+            )
+        if not 0.0 <= self.plan_delay_s < 1e6:
+            raise ConfigError(f"loop.plan_delay_s must not be negative, got {self.plan_delay_s}")
+        if round(self.plan_delay_s * 1e9) % self.control_period_ns:
+            raise ConfigError(
+                f"loop.plan_delay_s ({self.plan_delay_s}) must be a multiple of"
+                f" loop.control_period_s ({self.control_period_s})"
+            )
+        if self.plan_period_ns % self.control_period_ns:
+            raise ConfigError(
+                f"loop.plan_period_s ({self.plan_period_s}) must be a multiple of"
+                f" loop.control_period_s ({self.control_period_s})"
+            )
+
+    @property
+    def plan_period_ns(self) -> int:
+        """Nanoseconds between two frames."""
+        return round(self.plan_period_s * 1e9)
+
+    @property
+    def plan_delay_steps(self) -> int:
+        """Control periods from a frame to its plan being driven."""
+        return round(self.plan_delay_s * 1e9) // self.control_period_ns
+
+    @property
+    def control_period_ns(self) -> int:
+        """Nanoseconds between two commands."""
+        return round(self.control_period_s * 1e9)
+
+
+DEFAULT_LOOP = LoopConfig()
 
 
 @dataclass(frozen=True)
@@ -67,17 +223,17 @@ class RunConfig:
     """One run: which planners, in which loops, judged by what.
 
     Attributes:
-        planners: Names as `replay.planning.Planning` takes them; one column of the results each.
+        planners: Names as `replay.loop.planning.Planning` takes them; one column of the results each.
         mode: Which loops are run.
         gates: "default" (the packaged thresholds), or the path of a TOML file.
         internals: How much of the planner's inside is kept in the traces.
         recording: Whether Rerun recordings are written.
-        foxglove: Whether the logs and traces that are written get channels for Foxglove (`replay.foxglove`).
+        foxglove: Whether the logs and traces that are written get channels for Foxglove (`replay.draw.foxglove`).
         metrics: "module:NAME" of metrics from outside, measured beside the built-in ones.
         charts: "module:NAME" of charts from outside, drawn in the report beside the built-in ones.
-        ensemble: How many times each log is driven again under a perturbation (`replay.perturb`).
+        ensemble: How many times each log is driven again under a perturbation (`replay.run.perturb`).
         repeat_s: So much of the start of a drive is driven twice where the planner does not come with replan
-            (`replay.determinism`), s; 0: nothing.
+            (`replay.loop.determinism`), s; 0: nothing.
         deadline_s: At most 1 % of a drive's plans may take longer, s; 0: not asked.
         log: How logs are read.
         loop: Periods and limits of the loops.
@@ -191,57 +347,3 @@ def _plain(value: Any) -> Any:
     if isinstance(value, (list, tuple)):
         return [_plain(item) for item in value]
     return value.value if isinstance(value, Enum) else value
-
-
-def strict(cls: type[T], table: Mapping[str, Any], where: str = "") -> T:
-    """The dataclass that a table spells, nested tables included.
-
-    Args:
-        cls: A dataclass; its own checks (`__post_init__`) are run.
-        table: Keys and values as TOML gives them.
-        where: Dotted name of the table, for messages.
-
-    Raises:
-        ConfigError: A key is unknown, a value is of the wrong type or refused by the dataclass.
-    """
-    _known_tree(cls, table, where)
-    try:
-        return msgspec.convert(dict(table), cls)
-    except msgspec.ValidationError as error:
-        raise ConfigError(_said_plainly(str(error), where)) from None
-
-
-def _known_tree(cls: type, table: Mapping[str, Any], where: str) -> None:
-    known_keys(table, (item.name for item in fields(cls) if item.metadata.get("key", item.init)), where)
-    hints = get_type_hints(cls)
-    for key, value in table.items():
-        kind = hints[key]
-        if isinstance(kind, type) and is_dataclass(kind) and isinstance(value, Mapping):
-            _known_tree(kind, value, dotted(where, key))
-
-
-def known_keys(table: Mapping[str, Any], known: Iterable[str], where: str) -> None:
-    """Refuse the keys of a table that nobody reads.
-
-    Raises:
-        ConfigError: Names the key and the nearest known one.
-    """
-    names = list(known)
-    for key in table:
-        if key not in names:
-            raise unknown_name("key", dotted("", key), [dotted("", name) for name in names], where and f"{where}.")
-
-
-def dotted(where: str, key: str) -> str:
-    """`where.key`, the key quoted where TOML would."""
-    name = key if key.replace("_", "").replace("-", "").isalnum() else f'"{key}"'
-    return f"{where}.{name}" if where else name
-
-
-def _said_plainly(message: str, where: str) -> str:
-    """Turn "Expected `float`, got `str` - at `$.loop.period`" into "loop.period: expected float, got str"."""
-    what, _, place = message.partition(" - at ")
-    key = ".".join(filter(None, [where, place.strip("`").removeprefix("$").removeprefix(".")]))
-    what = what.replace("`", "")
-    what = what[:1].lower() + what[1:] if what.startswith("Expected") else what
-    return f"{key}: {what}" if key else what

@@ -7,15 +7,26 @@ with a frozen dataclass: then its table mirrors that dataclass, sub-tables inclu
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
-from dataclasses import asdict, is_dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, fields, is_dataclass
 from functools import partial
 from typing import Any, TypeVar, get_args, get_type_hints
 
-from logs.errors import ConfigError
-from logs.extension import Kind
-from replay.config import SETTINGS, dotted, known_keys, strict
+import msgspec
 
+from logs.errors import ConfigError, unknown_name
+from logs.extension import Kind
+
+SETTINGS: Mapping[str, str] = {
+    "vehicle": "vehicle_model",
+    "controller": "controller",
+    "traffic": "traffic",
+    "prediction": "prediction",
+    "perception": "perception",
+}
+"""What [loop] names, and the table that has the settings of each by name ([vehicle] are the car's numbers)."""
+
+T = TypeVar("T")
 F = TypeVar("F", bound=Callable[..., Any])
 Table = Mapping[str, Any]
 
@@ -97,3 +108,57 @@ def _config_class(factory: Callable[..., Any]) -> type | None:
         return None
     found = [kind for kind in (hint, *get_args(hint)) if isinstance(kind, type) and is_dataclass(kind)]
     return found[0] if found else None
+
+
+def strict(cls: type[T], table: Mapping[str, Any], where: str = "") -> T:
+    """The dataclass that a table spells, nested tables included.
+
+    Args:
+        cls: A dataclass; its own checks (`__post_init__`) are run.
+        table: Keys and values as TOML gives them.
+        where: Dotted name of the table, for messages.
+
+    Raises:
+        ConfigError: A key is unknown, a value is of the wrong type or refused by the dataclass.
+    """
+    _known_tree(cls, table, where)
+    try:
+        return msgspec.convert(dict(table), cls)
+    except msgspec.ValidationError as error:
+        raise ConfigError(_said_plainly(str(error), where)) from None
+
+
+def _known_tree(cls: type, table: Mapping[str, Any], where: str) -> None:
+    known_keys(table, (item.name for item in fields(cls) if item.metadata.get("key", item.init)), where)
+    hints = get_type_hints(cls)
+    for key, value in table.items():
+        kind = hints[key]
+        if isinstance(kind, type) and is_dataclass(kind) and isinstance(value, Mapping):
+            _known_tree(kind, value, dotted(where, key))
+
+
+def known_keys(table: Mapping[str, Any], known: Iterable[str], where: str) -> None:
+    """Refuse the keys of a table that nobody reads.
+
+    Raises:
+        ConfigError: Names the key and the nearest known one.
+    """
+    names = list(known)
+    for key in table:
+        if key not in names:
+            raise unknown_name("key", dotted("", key), [dotted("", name) for name in names], where and f"{where}.")
+
+
+def dotted(where: str, key: str) -> str:
+    """`where.key`, the key quoted where TOML would."""
+    name = key if key.replace("_", "").replace("-", "").isalnum() else f'"{key}"'
+    return f"{where}.{name}" if where else name
+
+
+def _said_plainly(message: str, where: str) -> str:
+    """Turn "Expected `float`, got `str` - at `$.loop.period`" into "loop.period: expected float, got str"."""
+    what, _, place = message.partition(" - at ")
+    key = ".".join(filter(None, [where, place.strip("`").removeprefix("$").removeprefix(".")]))
+    what = what.replace("`", "")
+    what = what[:1].lower() + what[1:] if what.startswith("Expected") else what
+    return f"{key}: {what}" if key else what

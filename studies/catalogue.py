@@ -37,11 +37,11 @@ from logs.catalogue.suites import SUITES
 from logs.errors import ConfigError, ReplanError
 from metrics.gates import Outcome
 from metrics.judge import CAREFUL, IMPACT, REFERENCE, REPLAY_CONTACT
-from replay.batch import evaluate_logs
-from replay.batch.pool import settle
-from replay.batch.tables import write_file, write_text
 from replay.config import RunConfig
-from replay.report.figures import STYLE, empty_figure, save
+from replay.draw.report.figures import STYLE, empty_figure, save
+from replay.results.tables import write_file, write_text
+from replay.run import evaluate_logs
+from replay.run.pool import settle
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

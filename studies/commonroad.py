@@ -7,8 +7,8 @@ python -m studies.commonroad DIR -o OUT [--planner dp_qp ...] [--traffic give_wa
     OUT/give_way, OUT/time      the runs, as `replan evaluate` writes them
 
 The planner `logged` is always among them. A log's goal is within reach where `logged` enters it (in the same traffic)
-or where the careful driver of UN R157 does, among the log's traffic (`replay.reference_drives`): they keep their lane,
-never accelerate, and a touch ends their drive as it ends a planner's.
+or where the careful driver of UN R157 does, among the log's traffic (`replay.loop.reference_drives`): they keep their
+lane, never accelerate, and a touch ends their drive as it ends a planner's.
 """
 
 from __future__ import annotations
@@ -26,10 +26,9 @@ from logs.errors import ReplanError
 from logs.trace import EndReason, Mode
 from metrics.judge import CAREFUL, verdicts_by_log
 from metrics.judge import REFERENCE as JUDGED_BY
-from replay.batch import RunResult, evaluate_logs
-from replay.batch.tables import write_file, write_text
-from replay.config import RunConfig
-from replay.drive import LoopConfig
+from replay.config import LoopConfig, RunConfig
+from replay.results.tables import write_file, write_text
+from replay.run import RunResult, evaluate_logs
 from replay.traffic import TRAFFIC
 
 PLANNERS = ("dp_qp", "idm", "lattice")

@@ -34,10 +34,10 @@ from logs.road import thinned
 from logs.scenario import Scenario
 from logs.states import Trajectory
 from logs.trace import EndReason, Trace
-from replay.batch.sources import select
-from replay.batch.tables import write_file, write_text
-from replay.closed_loop import run_closed_loop
-from replay.open_loop import run_open_loop
+from replay.loop.closed_loop import run_closed_loop
+from replay.loop.open_loop import run_open_loop
+from replay.results.tables import write_file, write_text
+from replay.run.sources import select
 
 ASIDE_M = 1.6
 """Half of a car's width and of a person's stride."""

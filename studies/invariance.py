@@ -33,13 +33,13 @@ from metrics.aggregate import LogLabels
 from metrics.gates import Outcome, load_gates
 from metrics.judge import judge
 from metrics.marginal import marginal
-from replay.avoidability import with_avoidability
-from replay.batch.pool import WorkerLost, run_all
-from replay.batch.sources import LogSource, builtin_suite, select
-from replay.batch.tables import write_file
-from replay.closed_loop import run_closed_loop
-from replay.drive import LoopConfig
-from replay.perturb import noisy
+from replay.config import LoopConfig
+from replay.loop.avoidability import with_avoidability
+from replay.loop.closed_loop import run_closed_loop
+from replay.results.tables import write_file
+from replay.run.perturb import noisy
+from replay.run.pool import WorkerLost, run_all
+from replay.run.sources import LogSource, builtin_suite, select
 
 TURNS_DEG = (30, 45, 60, 90, 120, 150, 180, 210, 240, 270, 300, 330)
 TINY = 1e-9

@@ -32,11 +32,11 @@ from metrics.compare import Comparison
 from metrics.compare_rules import Rule
 from metrics.gates import Outcome
 from planners.dp_qp.planner import DpQp
-from replay.batch import evaluate_logs
-from replay.batch.sources import LogSource, builtin_suite, select
-from replay.batch.tables import safe_name, write_file
 from replay.compare import compare_runs, opened
 from replay.config import RunConfig
+from replay.results.tables import safe_name, write_file
+from replay.run import evaluate_logs
+from replay.run.sources import LogSource, builtin_suite, select
 
 TINY_M = 1e-9
 PLANNER = "dp_qp"

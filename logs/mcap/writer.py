@@ -2,10 +2,10 @@
 
 Same scenario, same bytes. Messages are encoded one by one and wait in a file for their turn, so that a long drive takes
 no more memory than a short one. Beside the native messages a file may hold protobuf messages on topics of their own,
-for viewers (`replay.foxglove`); no reader of replan looks at them. The file is written under a temporary name beside
-its place and renamed, so that a killed writer leaves no half log; chunks are small, so that it loses little. Times
-become integer nanoseconds: reading returns the identical scenario if its times are whole nanoseconds (and |t| is below
-26 days). A repair is left out where the tracks were changed since: then it is none of theirs.
+for viewers (`replay.draw.foxglove`); no reader of replan looks at them. The file is written under a temporary name
+beside its place and renamed, so that a killed writer leaves no half log; chunks are small, so that it loses little.
+Times become integer nanoseconds: reading returns the identical scenario if its times are whole nanoseconds (and |t| is
+below 26 days). A repair is left out where the tracks were changed since: then it is none of theirs.
 """
 
 from __future__ import annotations

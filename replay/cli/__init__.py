@@ -45,7 +45,7 @@ def main() -> None:
     """Run the command line; ends the process with its exit code, that of a bug in replan is `INTERNAL`."""
     import gc
 
-    from replay.report.console import lasting_streams
+    from replay.draw.report.console import lasting_streams
 
     gc.set_threshold(COLLECTED_EVERY)
     lasting_streams()

@@ -26,7 +26,7 @@ def listed(
       replan list controllers
     """
     with answered():
-        from replay import listing
+        from replay.cli import listing
 
         if as_json:
             kinds = listing.KINDS if kind is None else (kind,)

@@ -94,7 +94,7 @@ def bug(error: Exception) -> NoReturn:
 
 def say(text: object = "", *, err: bool = False) -> None:
     """On stdout or stderr, with control characters that can be seen: none reaches the terminal."""
-    from replay.report.console import visible
+    from replay.draw.report.console import visible
 
     typer.echo(visible(text), err=err)
 
@@ -133,7 +133,7 @@ def _plain(value: Any) -> Any:
 
 def _version(asked: bool) -> None:
     if asked:
-        from replay.version import replan_version
+        from replay.results.version import replan_version
 
         say(f"replan {replan_version()}")
         raise typer.Exit

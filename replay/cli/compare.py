@@ -54,7 +54,7 @@ def compare(
     """
     with answered():
         from replay.compare import MOST_PARTINGS, compare_runs, opened
-        from replay.report.compared import document
+        from replay.draw.report.compared import document
 
         planners = tuple(planner or ())
         if len(planners) > 2 or len(runs) > 2 or (len(runs) == 1 and len(planners) != 2):
@@ -73,8 +73,8 @@ def compare(
 def shown(comparison: Comparison, candidate: Opened, *, alone: bool = True) -> None:
     """A comparison as tables on stdout; `alone`: its exit code is the command's."""
     from replay.compare import watched
-    from replay.report.compared import print_comparison
-    from replay.report.console import SafeConsole
+    from replay.draw.report.compared import print_comparison
+    from replay.draw.report.console import SafeConsole
 
     wide = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 130
     console = SafeConsole(width=wide, soft_wrap=False)

@@ -13,9 +13,9 @@ from logs.errors import ConfigError
 from replay.cli.app import say, say_json
 
 if TYPE_CHECKING:
-    from replay.batch import RunResult
     from replay.compare import Opened
     from replay.config import RunConfig
+    from replay.run import RunResult
 
 EXIT_CODES = (
     "Exit codes: 0 all gates pass; 1 a gate failed; 2 wrong usage or configuration; 3 a log or planner could not be"
@@ -35,8 +35,8 @@ def before_all(path: Path, run: RunConfig, gates: Path | None, out: Path | None)
         ConfigError: One of them cannot be read, or the baseline lies in the result folder.
     """
     from metrics.compare_rules import load_rules
-    from replay.batch.one_log import all_metrics
     from replay.compare import opened
+    from replay.run.one_log import all_metrics
 
     if out is not None and path.resolve().is_relative_to(out.resolve()):
         raise ConfigError(f"--baseline {path}: lies in the result folder {out}, which is cleared")
@@ -61,16 +61,16 @@ def ended(
     Returns:
         The exit code.
     """
-    from replay.batch.lock import held
-    from replay.batch.run import summary
     from replay.cli.compare import shown
     from replay.compare import compare_runs, opened
-    from replay.report.compared import document, last_line
-    from replay.report.console import SafeConsole
-    from replay.report.overview import overview
-    from replay.report.terminal import print_ending, print_report
-    from replay.report.write import write_reports
-    from replay.results import load
+    from replay.draw.report.compared import document, last_line
+    from replay.draw.report.console import SafeConsole
+    from replay.draw.report.overview import overview
+    from replay.draw.report.terminal import print_ending, print_report
+    from replay.draw.report.write import write_reports
+    from replay.results.load import load
+    from replay.run.evaluate import summary
+    from replay.run.lock import held
 
     place = url or str(result.out)
     with held(result.out):

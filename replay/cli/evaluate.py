@@ -32,12 +32,12 @@ from replay.cli.ending import EXIT_CODES, Baseline, NoReport, before_all, ended
 from replay.cli.names import completion
 
 if TYPE_CHECKING:
-    from replay.batch import RunResult
-    from replay.batch.engine import Engine
-    from replay.batch.log_result import LogResult
-    from replay.batch.publish import Place
-    from replay.batch.sources import Selection
     from replay.config import RunConfig
+    from replay.results.log_result import LogResult
+    from replay.run import RunResult
+    from replay.run.engine import Engine
+    from replay.run.publish import Place
+    from replay.run.sources import Selection
 
 
 @app.command(epilog=EXIT_CODES)
@@ -192,7 +192,7 @@ def evaluate(
       replan evaluate my_logs/ --gates gates.toml --out results/nightly --resume
     """
     with answered():
-        from replay.batch.publish import result_place
+        from replay.run.publish import result_place
 
         options: dict[str, Any] = {
             "planners": tuple(planner or ()) or None,
@@ -332,10 +332,10 @@ def _settings(words: list[str]) -> dict[str, float | str]:
 
 def _engine(name: str, address: str | None, workers: int | None) -> Engine:
     """Where the logs are driven."""
-    from replay.batch.engine import Local
+    from replay.run.engine import Local
 
     if name == "ray":
-        from replay.batch.on_ray import OnRay
+        from replay.run.on_ray import OnRay
 
         if workers == 0:
             raise ConfigError("--workers 0 is this process, which is not --engine ray: leave one of them out")
@@ -349,10 +349,10 @@ def _evaluated(
     logs: list[Path], run: RunConfig, place: Place, engine: Engine, *, resume: bool, window: float | None,
     suite: str | None, shard: str | None, quiet: bool, verbose: bool,
 ) -> RunResult:  # fmt: skip
-    from replay.batch import evaluate_logs
-    from replay.batch.pool import settle
-    from replay.batch.shard import Shard
-    from replay.report.progress import progress
+    from replay.cli.progress import progress
+    from replay.run import evaluate_logs
+    from replay.run.pool import settle
+    from replay.run.shard import Shard
 
     part = None if shard is None else Shard.parsed(shard)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as Ctrl-C does: nothing half-written
@@ -410,7 +410,7 @@ def calibrate(
 ) -> None:
     """Write and plot the table acceleration x speed -> throttle or brake, from the vehicle's own model."""
     with answered():
-        from replay.calibrate import calibrate as write
+        from replay.run.calibrate import calibrate as write
 
         for path in write(out, vehicle, car, config):
             say(path)

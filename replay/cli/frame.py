@@ -30,9 +30,9 @@ def frame(
       replan frame results/run-001 --at 6.5 --planner idm
     """
     with answered():
-        from replay.frame_again import planned_again, report_of
-        from replay.frame_dump import dump as write_dump
-        from replay.results import load
+        from replay.results.load import load
+        from replay.run.frame_again import planned_again, report_of
+        from replay.run.frame_dump import dump as write_dump
 
         drive = drive_of(load(result), log, of, mode.value if mode else None)
         again = planned_again(drive, at, planner, debug=debug)
@@ -40,4 +40,4 @@ def frame(
             say(line)
         if dump is not None:
             write_dump(dump, again.dump)
-            say(f"\n{dump}: {dump.stat().st_size / 1e6:.1f} MB; replay.frame_dump.load reads it")
+            say(f"\n{dump}: {dump.stat().st_size / 1e6:.1f} MB; replay.run.frame_dump.load reads it")

@@ -55,7 +55,7 @@ def synth(
       replan synth raw --as ros2 -o my_bags
     """
     with answered():
-        from replay.synth import FORMS, chosen, listed, markdown_page, overrides, synthesise, table, write_suite
+        from replay.cli.synth import FORMS, chosen, listed, markdown_page, overrides, synthesise, table, write_suite
 
         if as_json:
             if not listing:
@@ -108,8 +108,8 @@ def convert(
       replan convert commonroad USA_US101-6_1_T-1.xml -o us101.mcap
     """
     with answered():
-        from replay.convert import convert_all, listing, table
-        from replay.report.progress import sign_of_life
+        from replay.cli.convert import convert_all, listing, table
+        from replay.cli.progress import sign_of_life
 
         if as_json:
             if not formats:
@@ -147,8 +147,8 @@ def repair(
       replan repair my_bag/ -o my_bag.mcap --table changes.csv
     """
     with answered():
-        from replay.repair import lines, repair_log
-        from replay.report.progress import sign_of_life
+        from replay.cli.progress import sign_of_life
+        from replay.cli.repair import lines, repair_log
 
         settings = log_settings(config, ego, road_map, begin, end, repair=repair)
         with sign_of_life(lambda line: say(line, err=True), lambda: f"repairing {log}"):
@@ -172,8 +172,8 @@ def inspect(
     with answered():
         from logs.remote import here
         from logs.summary import summarise
-        from replay.repair import before
-        from replay.report.progress import sign_of_life
+        from replay.cli.progress import sign_of_life
+        from replay.cli.repair import before
 
         with here(log) as near, sign_of_life(lambda line: say(line, err=True), lambda: f"reading {log}"):
             if not near.exists():
@@ -240,9 +240,9 @@ def commonroad_solution(
     """
     with answered():
         from logs.errors import unknown_name
-        from replay.batch.tables import write_text
-        from replay.export import COSTS
-        from replay.export import commonroad_solution as solution
+        from replay.cli.export import COSTS
+        from replay.cli.export import commonroad_solution as solution
+        from replay.results.tables import write_text
 
         if cost not in COSTS:
             raise unknown_name("cost function", cost, COSTS)

@@ -16,10 +16,10 @@ TABLES = {
     "vehicle": (("replay/vehicle/__init__.py", "VEHICLES"),),
     "traffic": (("replay/traffic/__init__.py", "TRAFFIC"),),
     "prediction": (("replay/prediction/__init__.py", "PREDICTORS"),),
-    "perception": (("replay/perception.py", "PERCEPTIONS"),),
-    "chart": (("replay/report/charts/layout.py", "CHARTS"),),
+    "perception": (("replay/loop/perception.py", "PERCEPTIONS"),),
+    "chart": (("replay/draw/charts/layout.py", "CHARTS"),),
     "suite": (("logs/catalogue/suites.py", "SUITES"),),
-    "kind": (("replay/listing.py", "KINDS"),),
+    "kind": (("replay/cli/listing.py", "KINDS"),),
 }
 """Of each option the tables of its names: file and variable."""
 

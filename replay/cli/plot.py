@@ -13,7 +13,7 @@ from replay.cli.app import answered, app, say
 from replay.cli.names import completion
 
 if TYPE_CHECKING:
-    from replay.results import DriveResult, Results
+    from replay.results.load import DriveResult, Results
 
 
 class Look(StrEnum):
@@ -59,10 +59,10 @@ def plot(
       replan plot results/run-001 --log paper/crossing_pedestrian --at 6.5 --chart st -o st.svg
     """
     with answered():
-        from replay.batch.tables import safe_name
-        from replay.report.charts.picture import charts_of, save, together
-        from replay.report.charts.subject import subject
-        from replay.results import load
+        from replay.draw.charts.picture import charts_of, save, together
+        from replay.draw.charts.subject import subject
+        from replay.results.load import load
+        from replay.results.tables import safe_name
 
         drive = drive_of(load(result), log, planner, mode.value if mode else None)
         name = f"{safe_name(drive.log)}-{safe_name(drive.planner)}-{drive.mode}"
@@ -90,7 +90,7 @@ def drive_of(results: Results, log: str | None, planner: str | None, mode: str |
     Without a mode the loop in which a gate failed; of both, and of neither, the closed loop if there is one.
     """
     from metrics.gates import Outcome
-    from replay.report.overview import overview
+    from replay.draw.report.overview import overview
 
     if log is None:
         rows = overview(results).drives

@@ -38,11 +38,11 @@ def report(
     """
     with answered():
         from logs.remote import url_of
-        from replay.batch.tables import REPORTS
         from replay.compare import compare_runs, opened
-        from replay.report.overview import overview
-        from replay.report.write import write_reports
-        from replay.results import load
+        from replay.draw.report.overview import overview
+        from replay.draw.report.write import write_reports
+        from replay.results.load import load
+        from replay.results.tables import REPORTS
 
         if url_of(results) and out is None:
             raise ConfigError(f"{url_of(results)}: name a folder for its reports with --out")

@@ -58,7 +58,8 @@ def view(
         import tempfile
 
         from logs.remote import Near
-        from replay.view import LAYOUTS, picture, show
+        from replay.draw.view import picture, show
+        from replay.draw.viewer import LAYOUTS
 
         if layout not in LAYOUTS:
             raise ConfigError(f"--layout {layout}: there are {', '.join(LAYOUTS)}")
@@ -74,7 +75,7 @@ def view(
                 picture(files[-1], screenshot, at, layout, tile, size, theme)
                 say(screenshot)
             if video is not None:
-                from replay.view import filmed
+                from replay.draw.view import filmed
 
                 say(f"{video}: {counted(filmed(files[-1], video, begin, end, layout, size, theme), 'frame')}")
             if save is None and not drawn:
@@ -87,7 +88,7 @@ def _files(
     """The recordings to open; what is made for it is `save`, else in `kept`; `one`: which of several must be said."""
     from logs.files import check_named
     from logs.readers import reader_of
-    from replay.view import pair, recordings, save_log, to_open, write_pair
+    from replay.draw.view import pair, recordings, save_log, to_open, write_pair
 
     for target in targets:
         check_named(target)

@@ -35,10 +35,10 @@ def merge(
         from contextlib import ExitStack
 
         from logs.remote import here
-        from replay.batch.merge import gates_in
-        from replay.batch.merge import merge as merged
-        from replay.batch.publish import result_place
         from replay.config import load_run
+        from replay.run.merge import gates_in
+        from replay.run.merge import merge as merged
+        from replay.run.publish import result_place
 
         with ExitStack() as near:
             folders = [near.enter_context(here(shard)) for shard in shards]

@@ -34,7 +34,7 @@ def warmup(
     with answered():
         options: dict[str, Any] = {"planners": tuple(planner or ()) or None}
         run = run_config(config, options, {})
-        from replay.warmup import everything, warm_up
+        from replay.run.warmup import everything, warm_up
 
         if not quiet:
             say("compiling kernels (a minute or two; seconds where they are there already)", err=True)

@@ -11,7 +11,6 @@ from collections.abc import Callable
 
 from logs.extension import Kind
 from logs.vehicle import VehicleParameters
-from replay.control.base import Controller
 from replay.control.mpc import Mpc, MpcConfig
 from replay.control.split import (
     DLQR,
@@ -24,7 +23,7 @@ from replay.control.split import (
     split_law,
 )
 from replay.control.steering_delay import SteeringDelay
-from replay.vehicle.base import Powertrain
+from replay.vehicle.base import Controller, Powertrain
 
 ControllerFactory = Callable[..., Controller]
 

@@ -48,8 +48,8 @@ from replay.control.steering_delay import (
     record,
     settled_wheel,
 )
-from replay.plan_path import Deviation
 from replay.vehicle.base import Motion
+from replay.vehicle.plan_path import Deviation
 
 
 @dataclass(frozen=True)

@@ -35,8 +35,8 @@ from logs.errors import ConfigError
 from logs.kernel import FloatArray, frozen, inner_kernel, kernel
 from logs.vehicle import VehicleParameters
 from replay.control.riccati import solve_riccati
-from replay.plan_path import Deviation, path_kappa
 from replay.vehicle.base import Motion
+from replay.vehicle.plan_path import Deviation, path_kappa
 
 SPEED_STEP_MPS = 0.5
 MAX_SPEED_MPS = 60.0

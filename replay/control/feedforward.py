@@ -18,7 +18,7 @@ from logs.kernel import FloatArray, frozen, kernel
 from logs.vehicle import VehicleParameters
 from replay.control.dlqr_kinematic import MAX_SPEED_MPS, SPEED_STEP_MPS
 from replay.control.lateral_model import following
-from replay.plan_path import path_kappa
+from replay.vehicle.plan_path import path_kappa
 
 SPREAD_S = 0.15
 SLOPE_S = 0.05

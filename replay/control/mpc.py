@@ -35,7 +35,6 @@ from logs.states import Command, EgoState
 from logs.trace import Plan, SolverReport
 from logs.vehicle import VehicleParameters
 from planners.qp import QPConfig, QPResult, QuadraticProgram
-from replay.control.base import Controller
 from replay.control.dlqr_kinematic import SHORTEST_LAG_S
 from replay.control.feedforward import commanded, following_at, slip_table, steer_for
 from replay.control.mpc_model import (
@@ -57,8 +56,8 @@ from replay.control.pedals import Lead, Pedals, SoftStop, Standstill
 from replay.control.quintic import resampled
 from replay.control.slip import Slip
 from replay.control.steering_delay import SteeringDelay, lateral_deviation
-from replay.plan_path import Deviation, PlanPath
-from replay.vehicle.base import Powertrain, motion_of
+from replay.vehicle.base import Controller, Powertrain, motion_of
+from replay.vehicle.plan_path import Deviation, PlanPath
 
 RESAMPLED_S = 0.05
 WIDTH = INPUTS + STATES
@@ -242,7 +241,7 @@ class Falls:
 
 
 class Mpc:
-    """(1)-(4). See `replay.control.base.Controller`.
+    """(1)-(4). See `replay.vehicle.base.Controller`.
 
     Args:
         parameters: Of the ego.

@@ -28,8 +28,8 @@ from logs.kernel import FloatArray, IntArray, frozen, kernel
 from logs.vehicle import VehicleParameters
 from replay.control.feedforward import at_speed, following_at, steer_for, table_speeds
 from replay.control.lateral_model import body_model, has_rigid_tyres, held
-from replay.plan_path import path_kappa, timed
 from replay.vehicle.pedal_map import PedalMap, reach
+from replay.vehicle.plan_path import path_kappa, timed
 
 STATES, INPUTS, SIDES = 8, 2, 8
 LIMITS = 3 + SIDES

@@ -27,9 +27,9 @@ from typing import NamedTuple
 
 from logs.kernel import FloatArray, kernel
 from logs.states import EgoState
-from replay.plan_path import PlanPath, timed
 from replay.vehicle.base import Powertrain
 from replay.vehicle.pedal_map import PedalMap, coasting, full_throttle
+from replay.vehicle.plan_path import PlanPath, timed
 
 HYSTERESIS_MPS2 = 0.15
 HOLDING_BRAKE = 0.2

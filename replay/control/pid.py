@@ -16,9 +16,9 @@ from typing import NamedTuple
 from logs.errors import ConfigError
 from logs.kernel import FloatArray, inner_kernel, kernel
 from replay.control.pedals import compensated
-from replay.plan_path import Deviation, timed
 from replay.vehicle.base import Motion
 from replay.vehicle.pedal_map import PedalMap, reach
+from replay.vehicle.plan_path import Deviation, timed
 
 
 @dataclass(frozen=True)

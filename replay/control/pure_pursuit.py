@@ -19,8 +19,8 @@ from typing import NamedTuple
 from logs.errors import ConfigError
 from logs.kernel import FloatArray, inner_kernel
 from logs.vehicle import VehicleParameters
-from replay.plan_path import Deviation, path_point
 from replay.vehicle.base import Motion
+from replay.vehicle.plan_path import Deviation, path_point
 
 
 @dataclass(frozen=True)

@@ -19,9 +19,9 @@ from logs.errors import ConfigError
 from logs.kernel import inner_kernel
 from logs.vehicle import VehicleParameters
 from replay.control.pid import SpeedLaw, SpeedState, limited
-from replay.plan_path import Deviation
 from replay.vehicle.base import Motion
 from replay.vehicle.pedal_map import PedalMap
+from replay.vehicle.plan_path import Deviation
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,8 @@
 """A controller made of two laws: one steers, the other drives; at a standstill neither does.
 
 It is one compiled step, so that the loop can run it for a whole plan period without coming back to Python
-(`replay.plan_period`). Which laws it is made of is data: `SplitLaw` names them and holds their numbers; adding one is
-its kernel, its numbers here, and a branch of `steer` or `accelerate`.
+(`replay.loop.plan_period`). Which laws it is made of is data: `SplitLaw` names them and holds their numbers; adding one
+is its kernel, its numbers here, and a branch of `steer` or `accelerate`.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from replay.control.single_pid import (
 from replay.control.slip import SlipModel, SlipState, slip_model
 from replay.control.stanley import StanleyLaw, stanley_law, steer_at_front
 from replay.control.steering_delay import DelayModel, DelayState, SteeringDelay
-from replay.plan_path import Deviation, Tracker, deviation
-from replay.trace_rows import COLUMNS, MOTION, commanded, motion_at
 from replay.vehicle.base import Motion, Plain, Powertrain, motion_of, plain
 from replay.vehicle.pedal_map import PedalMap
+from replay.vehicle.plan_path import Deviation, Tracker, deviation
+from replay.vehicle.trace_rows import COLUMNS, MOTION, commanded, motion_at
 
 DLQR, KINEMATIC_DLQR, PURE_PURSUIT, STANLEY, STEERING_PID = range(5)
 DUAL_LOOP, SPEED_PID = range(2)
@@ -186,7 +186,7 @@ def control_once(
 
 
 class SplitController:
-    """Steering by one law, pedals by another. See `replay.control.base.Controller`.
+    """Steering by one law, pedals by another. See `replay.vehicle.base.Controller`.
 
     Args:
         law: Both.

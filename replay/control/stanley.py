@@ -20,8 +20,8 @@ from logs.errors import ConfigError
 from logs.kernel import FloatArray, inner_kernel
 from logs.states import wrap
 from logs.vehicle import VehicleParameters
-from replay.plan_path import Deviation, path_foot, path_point
 from replay.vehicle.base import Motion
+from replay.vehicle.plan_path import Deviation, path_foot, path_point
 
 
 @dataclass(frozen=True)

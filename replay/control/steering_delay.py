@@ -29,8 +29,8 @@ from logs.vehicle import VehicleParameters
 from replay.control.dlqr_kinematic import SHORTEST_LAG_S
 from replay.control.feedforward import at_speed, kappa_rate, steer_for
 from replay.control.mpc_model import lateral_table
-from replay.plan_path import Deviation, path_kappa
 from replay.vehicle.base import Motion
+from replay.vehicle.plan_path import Deviation, path_kappa
 
 GAIN_PER_S = 12.0
 RATE_0_RADPS = 0.05

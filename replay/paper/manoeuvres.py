@@ -25,10 +25,10 @@ from logs.states import Command, Trajectory
 from logs.trace import Plan
 from logs.vehicle import VehicleParameters, vehicle_names, vehicle_parameters
 from replay.control import CONTROLLERS
+from replay.loop.simulation_setup import controller_of
 from replay.paper import iso3888
-from replay.plan_path import PlanPath
-from replay.simulation_setup import controller_of
 from replay.vehicle import VEHICLES
+from replay.vehicle.plan_path import PlanPath
 from replay.vehicle.plant import Table, build
 
 PERIOD_S = 0.01

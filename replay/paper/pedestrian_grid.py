@@ -35,9 +35,10 @@ from metrics import METRICS, evaluate
 from planners.dp_qp.speed.qp import SpeedQpConfig
 from planners.frenet.profiles import SpeedLimits
 from planners.frenet.st_boundaries import StGraphConfig
-from replay.batch.pool import WorkerLost, run_all
-from replay.closed_loop import run_closed_loop
-from replay.drive import Drive, LoopConfig
+from replay.config import LoopConfig
+from replay.drive import Drive
+from replay.loop.closed_loop import run_closed_loop
+from replay.run.pool import WorkerLost, run_all
 
 PLANNER = "dp_qp"
 LOOP = LoopConfig(vehicle="single_track", controller="mpc", traffic="time")

@@ -31,14 +31,14 @@ from logs.scenario import Scenario
 from logs.trace import PlannedFrame, StGraph, Trace
 from metrics import METRICS, evaluate, evaluate_with_series
 from planners.frenet.st_boundaries import StGraphConfig
-from replay.batch.tables import write_file, write_text
-from replay.closed_loop import run_closed_loop
 from replay.control import CONTROLLERS
+from replay.draw.recording import write_recording
+from replay.draw.report import figures
 from replay.drive import Drive
+from replay.loop.closed_loop import run_closed_loop
 from replay.paper.manoeuvres import compare
 from replay.paper.pedestrian_grid import CELLS, LOOP, PLANNER, Cell, braking_intervals, grid, walker_within
-from replay.recording import write_recording
-from replay.report import figures
+from replay.results.tables import write_file, write_text
 from replay.vehicle import VEHICLES
 
 Say = Callable[[str], None]

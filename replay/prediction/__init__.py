@@ -5,7 +5,7 @@
     lane_following           vehicles along their lanes, the rest as constant_turn_rate           (`lane_following`)
     pedestrian               pedestrians go on, stop, turn back; the rest at constant velocity    (`pedestrian`)
     lanes_and_pedestrians    vehicles as lane_following, pedestrians as pedestrian
-    oracle                   the log's own future: not made here (`replay.perception`)
+    oracle                   the log's own future: not made here (`replay.loop.perception`)
 
 A predictor is given the agents as perceived at one instant and the lanes, nothing else: it has no memory and no way to
 the log; its settings are keywords. Adding one is one function and one line in PREDICTORS.

@@ -14,9 +14,9 @@ from logs.readers import LogSettings
 from logs.remote import here
 from logs.scenario import Scenario
 from logs.variations import VARIATIONS
-from replay.batch.sources import LogSource
-from replay.batch.tables import next_free
 from replay.config import RunConfig
+from replay.results.tables import next_free
+from replay.run.sources import LogSource
 from replay.vary import surface
 from replay.vary.axes import Question, question
 from replay.vary.encounters import encounters, listing, nearest_agent, prepared

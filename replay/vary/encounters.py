@@ -14,8 +14,8 @@ from logs.short_names import ShortNames
 from logs.states import Trajectory
 from metrics.others import ego_boxes, others_at
 from metrics.phantoms import phantoms, without_phantoms
-from replay.planning import goal_of
-from replay.reference_drives import reference_drives
+from replay.loop.planning import goal_of
+from replay.loop.reference_drives import reference_drives
 
 GRID_S = 0.1
 SEEN_S = 1.0

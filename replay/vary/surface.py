@@ -34,15 +34,16 @@ from metrics.avoidability import APPLIES, AVOIDS, MARGIN
 from metrics.gates import Outcome
 from metrics.judge import worst
 from metrics.reference_drivers import Outcome as Careful
-from replay.batch import RunResult, evaluate_logs, replan_version
-from replay.batch.lock import held
-from replay.batch.log_result import LogResult
-from replay.batch.tables import LOCK, safe_name, write_file, write_json, write_parquet
 from replay.config import RunConfig
-from replay.report.figures import save
-from replay.report.surface_figure import surface_figure
+from replay.draw.report.figures import save
+from replay.results.log_result import LogResult
+from replay.results.tables import LOCK, safe_name, write_file, write_json, write_parquet
+from replay.results.version import replan_version
+from replay.run import RunResult, evaluate_logs
+from replay.run.lock import held
 from replay.vary.axes import Question
 from replay.vary.bisection import ERROR, Bracket, bisected, brackets
+from replay.vary.surface_figure import surface_figure
 
 UNAVOIDABLE = "unavoidable"
 CARD = "vary.json"

@@ -1,4 +1,4 @@
-"""The vehicle's seam: one method.
+"""What a vehicle model is, and the controller that drives it: one method each.
 
 A vehicle owns its hidden state (actuators, slip) and is built per drive as `Class(parameters, start)`, already moving
 as `start` does. Its longitudinal plant is a `Powertrain`, which controllers may invert. What else the loop must know of
@@ -7,14 +7,11 @@ it are two capabilities: whether its tyres slip, and whether it follows plans by
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from logs.states import Command, EgoState
+from logs.trace import Plan
 from replay.vehicle.pedal_map import PedalMap
-
-if TYPE_CHECKING:
-    from replay.control.base import Controller
-
 
 Plain = tuple[Any, ...]
 """Named tuples as plain ones: a named one costs a microsecond each time that it goes into a kernel or comes out."""
@@ -98,4 +95,22 @@ class Vehicle(Protocol):
 
     def step(self, command: Command, dt: float) -> EgoState:
         """Hold the command for `dt` (s, positive); the state after that, its time a whole nanosecond."""
+        ...
+
+
+class Controller(Protocol):
+    """Turns a plan into steering and pedals.
+
+    A controller is built per drive as `factory(parameters, powertrain, period)` and is asked at the control rate. Its
+    memory (integrators, pedal in use, standstill) lives in the object. It may read the plan, the ego's state and the
+    numbers of the vehicle: not the world.
+    """
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the user must know of the drive so far, such as that another had to take over; goes into the trace."""
+        ...
+
+    def control(self, state: EgoState, plan: Plan) -> Command:
+        """The command to hold for one control period; throttle and brake never together."""
         ...

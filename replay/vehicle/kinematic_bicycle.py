@@ -36,7 +36,7 @@ from replay.vehicle.powertrain import Limits, PedalPowertrain, is_rolling, rolli
 from replay.vehicle.steering import Steering, steer_rate
 
 if TYPE_CHECKING:
-    from replay.control.base import Controller
+    from replay.vehicle.base import Controller
 
 MAX_SUBSTEP_S = 0.01
 SHORTEST_LAG_S = 1e-3

@@ -40,7 +40,7 @@ from replay.vehicle.steering import steer_rate
 from replay.vehicle.tyres import GRAVITY
 
 if TYPE_CHECKING:
-    from replay.control.base import Controller
+    from replay.vehicle.base import Controller
 
 SLOW_MPS, LEAVE_MPS, CALM = 1.0, 1.5, 0.1
 SUBSTEP_S = 1e-3

@@ -1,7 +1,7 @@
 """The perfect vehicle: it is where its plan is, so that only planning is judged; the bound of every controller.
 
 It is its own controller: given the plan at each control step, it answers with the command that a kinematic bicycle
-without lags would need, and moves along the plan's path as `replay.plan_path` has it.
+without lags would need, and moves along the plan's path as `replay.vehicle.plan_path` has it.
 """
 
 from __future__ import annotations
@@ -11,12 +11,12 @@ from math import atan
 from logs.states import Command, EgoState
 from logs.trace import Plan
 from logs.vehicle import VehicleParameters
-from replay.plan_path import PlanPath, Tracker, path_point
+from replay.vehicle.plan_path import PlanPath, Tracker, path_point
 from replay.vehicle.powertrain import PedalPowertrain
 
 
 class Perfect:
-    """Is where its plan is; both a `replay.vehicle.base.Vehicle` and a `replay.control.base.Controller`.
+    """Is where its plan is; both a `replay.vehicle.base.Vehicle` and a `replay.vehicle.base.Controller`.
 
     Args:
         parameters: Of the ego; they limit nothing.

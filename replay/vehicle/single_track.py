@@ -42,7 +42,7 @@ from replay.vehicle.steering import Steering, steer_rate
 from replay.vehicle.tyres import GRAVITY, Tyre, axle_force, axle_tyres, slip_for
 
 if TYPE_CHECKING:
-    from replay.control.base import Controller
+    from replay.vehicle.base import Controller
 
 SLIP_MPS = 1.0
 SLIDING_MPS = 0.5

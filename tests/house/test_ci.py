@@ -17,7 +17,7 @@ import yaml
 from short_logs import short
 
 from logs.mcap import write_scenario
-from replay.batch import OUTCOMES
+from replay.results.tables import OUTCOMES
 
 ROOT = Path(__file__).parents[2]
 GITHUB, GITLAB, OWN = (

@@ -14,8 +14,8 @@ import pytest
 from logs import EndReason, PlannerError, Scenario, Trace
 from logs.catalogue import CATALOGUE
 from logs.states import TRAJECTORY_COLUMNS
-from replay.batch.one_log import LOOPS
-from replay.closed_loop import run_closed_loop
+from replay.loop.closed_loop import run_closed_loop
+from replay.run.one_log import LOOPS
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 PYTHON = f"exec:{sys.executable} {EXAMPLES / 'planner_exec.py'}"

@@ -48,7 +48,7 @@ def run(folder: Path, script: str, *, begin: str = EDITABLE) -> subprocess.Compl
     "first",
     [
         "import replan\nfrom logs import Plan",
-        pytest.param("from replay.version import replan_version", marks=pytest.mark.slow),
+        pytest.param("from replay.results.version import replan_version", marks=pytest.mark.slow),
     ],
 )
 def test_ours_are_found_beside_a_users_files_of_the_same_names(folder: Path, begin: str, first: str) -> None:

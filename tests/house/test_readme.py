@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from replay.batch import OUTCOMES
 from replay.cli.app import INTERNAL
 from replay.config import load_run
-from replay.planner_config import planner_keywords
+from replay.planner_process.planner_config import planner_keywords
+from replay.results.tables import OUTCOMES
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")

@@ -15,8 +15,8 @@ from logs.mcap import write_trace
 from logs.mcap.trace import plan_message
 from logs.trace import Graph, PlannedFrame
 from metrics import evaluate
-from replay.closed_loop import run_closed_loop
 from replay.drive import Drive
+from replay.loop.closed_loop import run_closed_loop
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from metrics import evaluate
 from metrics.aggregate import LogLabels
 from metrics.ensemble import with_ensemble
 from metrics.gates import Gate, Gates
-from replay.perturb import NOISE_M, PERTURBATIONS, START_M, perturbed
+from replay.run.perturb import NOISE_M, PERTURBATIONS, START_M, perturbed
 
 GATES = Gates((Gate("speed.max", max=10.5, mode="closed"), Gate("ensemble.fragile", max=0.0, optional=True)), "test")
 

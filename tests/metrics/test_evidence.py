@@ -20,8 +20,8 @@ from logs import Colour, Mode, Road, RoadSource, Scenario, StopLine, Trace, Traf
 from logs.readers.commonroad.read import read_commonroad
 from metrics import METRICS, evaluate
 from metrics.health import Kind, findings
-from replay.closed_loop import run_closed_loop
-from replay.drive import LoopConfig
+from replay.config import LoopConfig
+from replay.loop.closed_loop import run_closed_loop
 
 T = grid(10.0)
 SLOW_THEN_FAST = along(T, np.where(T < 5.0, 2.0, 8.0))

@@ -20,8 +20,8 @@ from logs.rules import Colour, StopLine, TrafficLight
 from logs.scenario import AgentKind, Tracks
 from logs.states import Trajectory
 from metrics.health import CHECKS, Kind, findings, report, sentences, table
-from replay.batch import evaluate_logs
 from replay.config import RunConfig
+from replay.run import evaluate_logs
 
 T = np.arange(0.0, 8.01, 0.1)
 AT = 40

@@ -10,8 +10,8 @@ import metrics
 from logs.catalogue import scenario
 from metrics import others
 from metrics.others import each, others_at, pieces
-from replay.closed_loop import run_closed_loop
-from replay.open_loop import run_open_loop
+from replay.loop.closed_loop import run_closed_loop
+from replay.loop.open_loop import run_open_loop
 
 LOGS = ("everyday/junction", "everyday/crosswalk", "pedestrian/group", "everyday/cyclist")
 SIZES = ((40, 7), (1, 1), (900, 250))

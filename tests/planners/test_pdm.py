@@ -37,7 +37,7 @@ from planners.pdm import Pdm, PdmConfig
 from planners.pdm.planner import straight_on
 from planners.pdm.proposals import Driver, driven, idm_acceleration, tracked
 from planners.pdm.score import BOUNDS, PARTS, Scores, comfortable, scores
-from replay.planner_config import planner_keywords
+from replay.planner_process.planner_config import planner_keywords
 
 C = PdmConfig()
 DRIVER = Driver(C.accel_mps2, C.decel_mps2, C.headway_s, C.min_gap_m, C.exponent)

@@ -35,10 +35,10 @@ from logs import (
 from logs.states import OnboardPlan
 from planners import PLANNERS, load_planner
 from planners.constant_speed import arc
-from replay.closed_loop import run_closed_loop
-from replay.drive import LoopConfig
+from replay.config import LoopConfig
+from replay.loop.closed_loop import run_closed_loop
+from replay.loop.perception import perceive
 from replay.oracle import ORACLES
-from replay.perception import perceive
 from replay.world import World, logged_ego
 
 CONFIG = LoopConfig()

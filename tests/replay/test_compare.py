@@ -15,11 +15,11 @@ from typer.testing import CliRunner, Result
 
 from logs import ConfigError, LogError
 from metrics.compare import Comparison
-from replay.batch import evaluate_logs
 from replay.cli import app
 from replay.compare import compare_runs, opened, write_baseline
 from replay.config import RunConfig
-from replay.report.compared import document
+from replay.draw.report.compared import document
+from replay.run import evaluate_logs
 from studies import regressions
 
 RUNNER = CliRunner(env={"COLUMNS": "200", "TERM": "dumb", "NO_COLOR": "1"})

@@ -13,9 +13,9 @@ from logs.errors import ConfigError
 from logs.trace import Mode
 from logs.vehicle import VehicleParameters, vehicle_names, vehicle_parameters
 from planners.dp_qp import DpQpConfig
-from replay.config import RunConfig, dump_run, load_run, strict
-from replay.drive import LoopConfig
-from replay.planner_config import planner_keywords, resolved_table
+from replay.config import LoopConfig, RunConfig, dump_run, load_run
+from replay.planner_process.planner_config import planner_keywords, resolved_table
+from replay.settings import strict
 
 WORDS = st.text("abcdefgh_:.", min_size=1, max_size=12)
 VEHICLE_KEYS = {

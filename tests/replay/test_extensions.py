@@ -17,11 +17,11 @@ import replan
 from logs import readers
 from logs.errors import ConfigError
 from logs.extension import Kind
-from replay.batch import evaluate_logs
-from replay.batch.checks import KINDS, checked
 from replay.cli import app
-from replay.config import SETTINGS, RunConfig, dump_run, load_run
-from replay.drive import LoopConfig
+from replay.config import LoopConfig, RunConfig, dump_run, load_run
+from replay.run import evaluate_logs
+from replay.run.checks import KINDS, checked
+from replay.settings import SETTINGS
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "extend.md").read_text(encoding="utf-8")
@@ -299,9 +299,9 @@ def test_what_a_module_only_imports_is_not_named_as_its_own(desk: Path) -> None:
 def test_a_chart_or_panel_without_a_place_is_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
     import numpy as np
 
-    from replay.recording.blueprint import Contents, blueprint
-    from replay.recording.plots import Panel
-    from replay.report.charts import layout
+    from replay.draw.charts import layout
+    from replay.draw.recording.blueprint import Contents, blueprint
+    from replay.draw.recording.plots import Panel
 
     monkeypatch.setitem(layout.CHARTS, "extra", lambda subject: [])
     with pytest.raises(ValueError, match="the chart 'extra' has no place in LAYOUT"):
@@ -314,7 +314,7 @@ def test_a_chart_or_panel_without_a_place_is_an_error(monkeypatch: pytest.Monkey
     ("body", "said"), [("return 1 / 0", "ZeroDivisionError"), ("return 7", "int instead of a Chart")]
 )
 def test_a_chart_that_fails_says_why_in_its_place(desk: Path, body: str, said: str) -> None:
-    from replay.report.charts.layout import drawn
+    from replay.draw.charts.layout import drawn
 
     Path(f"my_bad_{len(body)}.py").write_text(f"def bad(subject):\n    {body}\n", encoding="utf-8")
     (chart,) = drawn(None, f"my_bad_{len(body)}:bad")  # type: ignore[arg-type]

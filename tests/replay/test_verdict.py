@@ -21,11 +21,12 @@ from metrics.gates import Outcome, load_gates
 from metrics.judge import CAREFUL, DRIVER, REFERENCE, Verdict, judge
 from metrics.latency import judge_deadline
 from metrics.phantoms import phantoms
-from replay.avoidability import with_avoidability
-from replay.closed_loop import run_closed_loop
-from replay.drive import Drive, LoopConfig
-from replay.open_loop import run_open_loop
-from replay.reference_drives import reference_drives, reference_table, with_follower
+from replay.config import LoopConfig
+from replay.drive import Drive
+from replay.loop.avoidability import with_avoidability
+from replay.loop.closed_loop import run_closed_loop
+from replay.loop.open_loop import run_open_loop
+from replay.loop.reference_drives import reference_drives, reference_table, with_follower
 
 GRID = grid(4.0, 0.1)
 FAST = ("short", "teleport", "wild_end", "stop_end")

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from logs.catalogue.suites import suite
-from replay.batch.schema import SCHEMA_VERSION
+from replay.results.schema import SCHEMA_VERSION
 from studies.catalogue import OUTCOMES, main, table_of
 
 AT_FAULT, CONTACT, IMPACT = "collision_at_fault.count", "replay_contact.final", "collision_severity.impact_speed.max"

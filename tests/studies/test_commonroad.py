@@ -15,7 +15,7 @@ from short_logs import short
 from logs import Goal, Scenario
 from logs.mcap import write_scenario
 from metrics.judge import CAREFUL
-from replay.reference_drives import reference_table
+from replay.loop.reference_drives import reference_table
 from studies.commonroad import COLUMNS, HAND_MADE, SOURCES, compare, main, source_of
 
 FILES = ("C-DEU_MONAWest-2_720_T-799", "ZAM_Tutorial-1_1_T-1", "USA_US101-6_1_T-1")

@@ -11,7 +11,7 @@ import pytest
 
 from logs.catalogue import CATALOGUE
 from logs.mcap import write_scenario
-from replay.batch.sources import LogSource
+from replay.run.sources import LogSource
 from studies.invariance import COLUMNS, PERTURBATIONS, Job, compare, counted, main, parted
 
 

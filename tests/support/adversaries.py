@@ -28,7 +28,7 @@ from logs.rules import StopLine
 from planners.constant_speed import arc
 from planners.frenet.start import RouteTracker
 from planners.idm import Idm, IdmConfig
-from replay.plan_check import of_positions
+from replay.loop.plan_check import of_positions
 
 STEPS = 0.1 * np.arange(81)
 
@@ -388,16 +388,15 @@ ADVERSARIES = {
 
 
 def _written(folder: Path) -> list[Path]:
-    from replay.synth import synthesise
+    from replay.cli.synth import synthesise
 
     return list(synthesise(list(CATALOGUE.values()), folder / "logs", {}))
 
 
 def main() -> None:
     """Print the table."""
-    from replay.batch import evaluate_logs
-    from replay.config import RunConfig
-    from replay.drive import LoopConfig
+    from replay.config import LoopConfig, RunConfig
+    from replay.run import evaluate_logs
 
     rows: dict[str, dict[str, str]] = {}
     with tempfile.TemporaryDirectory() as place:

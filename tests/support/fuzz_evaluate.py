@@ -37,9 +37,9 @@ from mcap.writer import CompressionType, Writer
 
 from logs.mcap import read_scenario
 from logs.readers import read_log
-from replay.batch import evaluate_logs  # imported here, so that no child has to
 from replay.cli import main as replan
-from replay.report import overview, terminal, write
+from replay.draw.report import overview, terminal, write
+from replay.run import evaluate_logs  # imported here, so that no child has to
 
 MOST_S, ADDRESSES = 60, 12 * 2**30
 OUTCOMES = ("judged", "refused", "crashed", "hung", "lost")

@@ -13,7 +13,7 @@ from rosbags.rosbag1 import Writer as Writer1
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from replay import ros_bag
+from replay.cli import ros_bag
 
 START_NS = 1_700_000_000_000_000_000
 SPEED, RADIUS, CENTRE = 8.0, 100.0, (89_000.0, 43_100.0)

@@ -9,8 +9,8 @@ from pathlib import Path
 from handmade import drive, lanes_along, scenario, square, straight, track, tracks
 
 from logs import Goal, Scenario
-from replay.batch import RunResult, evaluate_logs
 from replay.config import RunConfig
+from replay.run import RunResult, evaluate_logs
 
 QUICK = RunConfig(planners=("constant_speed",), recording=False)
 

@@ -36,8 +36,8 @@ from planners.frenet.path import Path
 from planners.frenet.reference_path import ReferencePath, make_reference_path
 from planners.frenet.scene import Scene, scene_of
 from planners.frenet.st_boundaries import StGraphConfig, st_boundaries
-from replay.drive import LoopConfig
-from replay.perception import perceive
+from replay.config import LoopConfig
+from replay.loop.perception import perceive
 from replay.prediction import predict
 from replay.world import World, logged_ego
 

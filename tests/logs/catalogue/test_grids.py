@@ -27,9 +27,9 @@ from logs.mcap import write_scenario
 from logs.readers import read_log
 from logs.vehicle import VehicleParameters
 from metrics.health import findings
-from replay.batch.sources import LogSource, builtin_suite, named_suite
 from replay.cli import app
 from replay.paper import iso3888
+from replay.run.sources import LogSource, builtin_suite, named_suite
 
 GRIDS = [name for name, family in FAMILIES.items() if family.grid]
 CAR = VehicleParameters()

@@ -13,8 +13,8 @@ from logs.catalogue import CATALOGUE, FAMILIES, raw
 from logs.detections import Detections
 from logs.readers import read_log
 from logs.repair import needs_repair
-from replay.batch.sources import LogSource
-from replay.synth import ROS2, synthesise
+from replay.cli.synth import ROS2, synthesise
+from replay.run.sources import LogSource
 
 COLUMNS = ("t", "x", "y", "yaw", "length", "width", "score")
 

@@ -19,7 +19,7 @@ from logs.maps.osm import read_osm
 from logs.maps.projections import Projection, projection_named, utm
 from logs.mcap import read_scenario, write_scenario
 from logs.readers import LogSettings, read_log
-from replay.batch.sources import LogSource
+from replay.run.sources import LogSource
 
 MAP, NAMES = crossroads()
 CALLED = {number: name for name, number in NAMES.items()}

@@ -25,9 +25,9 @@ from logs.mcap import read_scenario, write_scenario
 from logs.readers import LogSettings, Reader, logs_in, read_log, reader_of, readers, windows
 from logs.readers.cut import cut
 from logs.summary import summarise
-from replay.batch import evaluate_logs
-from replay.batch.sources import LogSource, log_hash, select
 from replay.config import RunConfig
+from replay.run import evaluate_logs
+from replay.run.sources import LogSource, log_hash, select
 
 SCENARIO = CATALOGUE["everyday/cut_in"].scenario()
 

@@ -22,8 +22,8 @@ from logs.readers import LogSettings, read_log, reader_of
 from logs.readers.table import DIMENSIONS, UNITS, from_frames
 from logs.summary import summarise
 from logs.vehicle import VehicleParameters
-from replay.batch import evaluate_logs
 from replay.config import RunConfig
+from replay.run import evaluate_logs
 
 T = np.arange(0.0, 6.01, 0.1)
 

@@ -16,7 +16,7 @@ from logs.catalogue import CATALOGUE
 from logs.kernel import FloatArray
 from logs.trace import EndReason, Trace
 from planners.dp_qp.scene.goal_window import LEAST, GoalWindow, SpeedTarget
-from replay.closed_loop import run_closed_loop
+from replay.loop.closed_loop import run_closed_loop
 
 EGO = EgoState(0.0, 20.0, 0.0, 0.0, 10.0, 0.0, 0.0)
 ROAD = lanes(along_x(0.0, 400.0))

@@ -17,8 +17,8 @@ from planners.dp_qp.speed import stage
 from planners.dp_qp.speed.qp import SpeedQpConfig
 from planners.frenet.path import Path
 from planners.frenet.profiles import STEP_S, braking
-from replay.closed_loop import run_closed_loop
-from replay.drive import LoopConfig
+from replay.config import LoopConfig
+from replay.loop.closed_loop import run_closed_loop
 
 SOON_S, SOON_MPS = 2.0, 0.06
 """What is driven soon keeps the speed, but for the QP's tolerance."""

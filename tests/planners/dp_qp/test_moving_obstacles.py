@@ -23,8 +23,8 @@ from planners.dp_qp.scene.caps import CautionConfig
 from planners.dp_qp.scene.moving_obstacles import ASIDE_M, NEAR_M, SPARE_S, along_lane, gone_on, pass_targets, to_pass
 from planners.dp_qp.scene.occlusion import LEAST_MPS, REACTION_S
 from planners.frenet.path import make_path
-from replay.closed_loop import run_closed_loop
-from replay.drive import LoopConfig
+from replay.config import LoopConfig
+from replay.loop.closed_loop import run_closed_loop
 
 LENGTH, WIDTH = 1.8, 0.6
 EGO = EgoState(0.0, 20.0, 0.0, 0.0, 10.0, 0.0, 0.0)

@@ -22,8 +22,9 @@ from planners.dp_qp.scene.occlusion import (
     hidden_beside,
     stopping_speed,
 )
-from replay.closed_loop import run_closed_loop
-from replay.drive import Drive, LoopConfig
+from replay.config import LoopConfig
+from replay.drive import Drive
+from replay.loop.closed_loop import run_closed_loop
 
 WALK_MPS = CautionConfig().walk_mps
 DECEL = 6.0

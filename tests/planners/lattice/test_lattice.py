@@ -62,10 +62,10 @@ from planners.lattice.polynomials import (
     states,
     third_square,
 )
-from replay.closed_loop import run_closed_loop
-from replay.planner_config import planner_keywords
-from replay.recording.why import why
-from replay.why import accounts
+from replay.draw.recording.why import why
+from replay.explain import accounts
+from replay.loop.closed_loop import run_closed_loop
+from replay.planner_process.planner_config import planner_keywords
 
 SPEED = st.floats(0.0, 30.0)
 ACCEL = st.floats(-4.0, 3.0)

@@ -35,8 +35,8 @@ from planners.piecewise_jerk.problem import (
 )
 from planners.piecewise_jerk.solvers import SOLVERS, solve
 from planners.qp import QPResult
-from replay.batch.sources import LogSource
-from replay.open_loop import run_open_loop
+from replay.loop.open_loop import run_open_loop
+from replay.run.sources import LogSource
 
 SEED = st.integers(0, 2**32 - 1)
 

@@ -36,7 +36,7 @@ from planners.frenet.occupancy import Occupancy
 from planners.frenet.reference_path import ReferencePath, make_reference_path
 from planners.frenet.scene import Scene, scene_of
 from planners.rules import Rulebook, RuleMemory, RulesConfig
-from replay.closed_loop import run_closed_loop
+from replay.loop.closed_loop import run_closed_loop
 from replay.prediction import predict
 
 LINE_X = 100.0

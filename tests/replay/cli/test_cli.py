@@ -15,12 +15,12 @@ from rich.console import Console
 
 from logs.errors import ConfigError
 from logs.mcap import read_scenario
-from replay.batch import RunResult, evaluate_logs
 from replay.config import RunConfig
-from replay.report.overview import overview
-from replay.report.terminal import print_report
-from replay.results import load
-from replay.view import recordings
+from replay.draw.report.overview import overview
+from replay.draw.report.terminal import print_report
+from replay.draw.view import recordings
+from replay.results.load import load
+from replay.run import RunResult, evaluate_logs
 
 
 def test_help_names_every_command_and_teaches_by_example() -> None:
@@ -249,7 +249,7 @@ def test_view_opens_recordings_with_the_viewer(tmp_path: Path, monkeypatch: pyte
         calls.append(command)
         return subprocess.CompletedProcess(command, 0 if len(calls) < 3 else 1)
 
-    monkeypatch.setattr("replay.view.subprocess.run", viewer)
+    monkeypatch.setattr("replay.draw.view.subprocess.run", viewer)
     monkeypatch.setenv("DISPLAY", ":0")
     for name in ("a/closed.rrd", "a/open.rrd"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
@@ -280,14 +280,14 @@ def test_view_of_results_opens_an_index_and_the_worst(
         assert Path(opened[-1][-1]).is_file()
         return subprocess.CompletedProcess(command, 0)
 
-    monkeypatch.setattr("replay.view.subprocess.run", viewer)
+    monkeypatch.setattr("replay.draw.view.subprocess.run", viewer)
     monkeypatch.setenv("DISPLAY", ":0")
-    monkeypatch.setattr("replay.view.MOST", 1)
+    monkeypatch.setattr("replay.draw.view.MOST", 1)
     assert replan("view", recorded).exit_code == 0
     assert [Path(file).name for file in opened[0]] == ["closed.rrd", "index.rrd"]
     assert "blocked" in opened[0][0], "the worst"
     assert replan("view", recorded, "--log", "test/free").exit_code == 2, "two recordings, one may be open"
-    monkeypatch.setattr("replay.view.MOST", 2)
+    monkeypatch.setattr("replay.draw.view.MOST", 2)
     assert replan("view", recorded, "--log", "test/free").exit_code == 0
     assert all("test_free" in file for file in opened[1]) and len(opened[1]) == 2
 
@@ -295,7 +295,7 @@ def test_view_of_results_opens_an_index_and_the_worst(
 def test_the_index_lists_the_worst_first_and_says_how_others_are_opened(recorded: Path, tmp_path: Path) -> None:
     from recordings import Recording
 
-    from replay.recording.index import write_index
+    from replay.draw.recording.index import write_index
 
     _, worst = write_index(tmp_path / "index.rrd", recorded, 1)
     (page,) = Recording(tmp_path / "index.rrd").static("/index", "TextDocument:text").to_pylist()
@@ -338,7 +338,7 @@ def test_view_of_two_drives_writes_them_as_one(recorded: Path, tmp_path: Path) -
 def test_view_says_what_cannot_be_drawn(
     recorded: Path, options: list[str], said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("replay.recording.video.shutil.which", lambda name: None)
+    monkeypatch.setattr("replay.draw.recording.video.shutil.which", lambda name: None)
     assert said in one_error(replan("view", next(recorded.glob("test_free*/closed.rrd")), *options))
 
 
@@ -402,7 +402,7 @@ def test_the_recording_to_look_at_is_that_of_the_worst_failure(compared: RunResu
 
 
 def test_a_long_report_shows_trouble_first(compared: RunResult, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("replay.report.terminal.MAX_ROWS", 1)
+    monkeypatch.setattr("replay.draw.report.terminal.MAX_ROWS", 1)
     text = report(compared, 140)
     assert "3 more drives" in text
     drives = text.partition("Planners")[0]

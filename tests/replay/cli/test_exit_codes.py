@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from replay.cli import app, main
-from replay.report.overview import combined
+from replay.draw.report.overview import combined
 
 PLANNERS = """
 from planners.constant_speed import ConstantSpeed
@@ -140,7 +140,7 @@ def test_a_bug_ends_with_a_code_of_its_own_in_one_line(
     def fails(*args: object) -> object:
         raise RuntimeError("two\nlines")
 
-    monkeypatch.setattr("replay.convert.listing", fails)
+    monkeypatch.setattr("replay.cli.convert.listing", fails)
     monkeypatch.setattr("sys.argv", ["replan", "convert", "--formats"])
     for variable, lines in (("", 1), ("1", 5)):
         monkeypatch.setenv("REPLAN_TRACEBACK", variable)

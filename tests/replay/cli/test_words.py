@@ -25,14 +25,14 @@ from logs.readers import readers
 from logs.vehicle import vehicle_names
 from metrics import METRICS
 from planners import PLANNERS
-from replay.batch.log_result import LogResult
+from replay.cli.listing import KINDS, entries
 from replay.cli.names import names
+from replay.cli.progress import LEAST_S, Pace, progress, sign_of_life
 from replay.control import CONTROLLERS
-from replay.listing import KINDS, entries
+from replay.draw.charts.layout import CHARTS
+from replay.loop.perception import PERCEPTIONS, PREDICTIONS
 from replay.oracle import ORACLES
-from replay.perception import PERCEPTIONS, PREDICTIONS
-from replay.report.charts.layout import CHARTS
-from replay.report.progress import LEAST_S, Pace, progress, sign_of_life
+from replay.results.log_result import LogResult
 from replay.traffic import TRAFFIC
 from replay.vehicle import VEHICLES
 
@@ -185,10 +185,10 @@ def test_the_pace_is_that_of_the_logs_that_were_driven() -> None:
 def test_progress_is_said_on_stderr_as_lines(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from replay.batch.sources import LogSource, Selection
+    from replay.run.sources import LogSource, Selection
 
     clock = iter(range(0, 1000, 10))
-    monkeypatch.setattr("replay.report.progress.monotonic", lambda: float(next(clock)))
+    monkeypatch.setattr("replay.cli.progress.monotonic", lambda: float(next(clock)))
     done = replace(LogResult("a", "a"), seconds=1.0)
     with progress() as (on_start, on_log):
         on_start(Selection(tuple(map(LogSource, "abcde"))), Path("out"))

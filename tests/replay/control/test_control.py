@@ -19,9 +19,9 @@ from replay.control.lateral_model import with_rigid_tyres
 from replay.control.pedals import HYSTERESIS_MPS2, Pedals
 from replay.control.pid import AT_REST, PidConfig, accelerate_dual_loop, dual_loop_law
 from replay.control.riccati import solve_riccati
-from replay.plan_path import PlanPath
 from replay.vehicle import VEHICLES
 from replay.vehicle.base import motion_of
+from replay.vehicle.plan_path import PlanPath
 from replay.vehicle.powertrain import PedalPowertrain
 
 CAR = VehicleParameters()

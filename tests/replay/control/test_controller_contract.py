@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from logs import Command, EgoState, Plan, Trajectory, VehicleParameters
 from logs.catalogue import CATALOGUE
 from replay.control import CONTROLLERS
-from replay.control.base import Controller
-from replay.simulation_setup import controller_of
+from replay.loop.simulation_setup import controller_of
 from replay.vehicle import VEHICLES
+from replay.vehicle.base import Controller
 
 CAR = VehicleParameters()
 PERIOD = 0.01

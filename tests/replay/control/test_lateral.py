@@ -28,9 +28,9 @@ from replay.control.lateral_model import (
     with_steering,
 )
 from replay.control.slip import Slip
-from replay.plan_path import PlanPath
-from replay.simulation_setup import controller_of
+from replay.loop.simulation_setup import controller_of
 from replay.vehicle import VEHICLES
+from replay.vehicle.plan_path import PlanPath
 
 CAR = VehicleParameters()
 PERIOD = 0.01

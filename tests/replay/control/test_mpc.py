@@ -16,11 +16,11 @@ from replay.control.lateral_model import body_model, with_rigid_tyres
 from replay.control.mpc import Mpc, MpcConfig, TrackingProgram
 from replay.control.mpc_model import GRAVITY, INPUTS, LIMITS, SIDES, STATES, entered, lateral_table, limits, predicted
 from replay.control.quintic import quintic, resampled
-from replay.plan_path import PlanPath
-from replay.simulation_setup import controller_of
+from replay.loop.simulation_setup import controller_of
 from replay.vehicle import VEHICLES
 from replay.vehicle.drivetrain import Drivetrain
 from replay.vehicle.pedal_map import NO_MOTOR, PedalMap
+from replay.vehicle.plan_path import PlanPath
 
 CAR = VehicleParameters()
 TRAIN = Drivetrain(CAR)

@@ -16,10 +16,10 @@ from replay.control.feedforward import following_at, kappa_rate, slip_table, ste
 from replay.control.lateral_model import body_model
 from replay.control.split import DLQR, SplitController, split_law
 from replay.control.steering_delay import LONGEST_S, SteeringDelay, lateral_deviation
-from replay.plan_path import PlanPath
 from replay.vehicle.base import motion_of
 from replay.vehicle.drivetrain import Drivetrain
 from replay.vehicle.kinematic_bicycle import KinematicBicycle
+from replay.vehicle.plan_path import PlanPath
 
 CAR = VehicleParameters()
 PERIOD = 0.01

@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from logs import EgoState, Trajectory, VehicleParameters
 from replay.control.pedals import GENTLE_MPS3, HOLDING_BRAKE, LONGER_M, Lead, Pedals, SoftStop, Standstill
 from replay.paper.manoeuvres import JERK_OVER, Manoeuvre, follow
-from replay.plan_path import PlanPath
 from replay.vehicle.drivetrain import Drivetrain
+from replay.vehicle.plan_path import PlanPath
 
 CAR = VehicleParameters()
 TRAIN = Drivetrain(CAR)

@@ -27,8 +27,8 @@ from logs import (
 from logs.catalogue.paper import CROSSING_PEDESTRIAN
 from logs.shapes import distance
 from planners.frenet.profiles import SpeedLimits
-from replay.calibrate import calibrate
-from replay.drive import LoopConfig
+from replay.config import LoopConfig
+from replay.draw.report import figures
 from replay.paper import pedestrian_grid, reproduce
 from replay.paper.pedestrian_grid import (
     CELLS,
@@ -42,7 +42,7 @@ from replay.paper.pedestrian_grid import (
     verdict,
     walker_within,
 )
-from replay.report import figures
+from replay.run.calibrate import calibrate
 
 speeds = st.floats(0.5, 20.0)
 limits = st.builds(SpeedLimits, st.just(1.8), st.floats(1.0, 9.0), st.floats(1.0, 20.0))

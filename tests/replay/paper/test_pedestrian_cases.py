@@ -32,8 +32,8 @@ from logs.catalogue import CATALOGUE
 from logs.catalogue.paper import HALF_LANE
 from planners.dp_qp.speed.qp import SpeedQpConfig
 from planners.frenet.st_boundaries import StGraphConfig
-from replay.closed_loop import run_closed_loop
-from replay.drive import LoopConfig
+from replay.config import LoopConfig
+from replay.loop.closed_loop import run_closed_loop
 from replay.paper.pedestrian_grid import RELEASE_S, Cell, braked, braking_intervals
 
 LOOP = LoopConfig(prediction="constant_velocity", traffic="time")

@@ -18,8 +18,8 @@ from logs import AgentKind, Colour, EgoState, LogError, Road, Scenario, StopLine
 from logs.catalogue.junctions import junction
 from logs.kernel import FloatArray
 from logs.readers.commonroad.read import read_commonroad
-from replay.closed_loop import run_closed_loop
-from replay.drive import LoopConfig
+from replay.config import LoopConfig
+from replay.loop.closed_loop import run_closed_loop
 from replay.traffic import TRAFFIC, Reactive
 from replay.traffic.following import ACCEL_MPS2, HARDEST_MPS2, STANDSTILL_M, TIME_GAP_S, enhanced_idm
 from replay.traffic.phase_replay import PhaseReplay, played

@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from logs import AgentKind, ConfigError, Goal, Scenario
 from logs.mcap import write_scenario
 from metrics.judge import verdicts_by_log
-from replay.batch import evaluate_logs
 from replay.config import RunConfig
+from replay.run import evaluate_logs
 from replay.vary import VaryResult, command, encounters, prepared, question, vary
 from replay.vary.bisection import Bracket, bisected, brackets
 from replay.vary.encounters import nearest_agent

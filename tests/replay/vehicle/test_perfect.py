@@ -9,8 +9,8 @@ import pytest
 
 from logs import Command, ConfigError, EgoState, Plan, Trajectory, VehicleParameters
 from logs.catalogue import CATALOGUE
-from replay.closed_loop import run_closed_loop
-from replay.drive import LoopConfig
+from replay.config import LoopConfig
+from replay.loop.closed_loop import run_closed_loop
 from replay.vehicle import VEHICLES
 from replay.vehicle.perfect import Perfect
 from replay.vehicle.plant import build

@@ -25,7 +25,7 @@ from logs.readers.arrow123d.map import LANE, read_objects, road_of_map
 from logs.readers.recorded.poses import composed, fitted, kept, rotated, unit, yaw_of
 from logs.readers.recorded.strips import crossable
 from logs.readers.recorded.tables import Lists, array_of, ipc_table, metadata_of, vectors
-from replay.batch.sources import select
+from replay.run.sources import select
 
 SAMPLES = ("av2_sync", "av2_async", "av2_v010", "madeup")
 A, B = "3b3570b4-7b0b-3268-a571-b0889dbf40b6", "7fab2350-7eaf-3b7e-a39d-6937a4c1bede"

@@ -15,7 +15,7 @@ from logs import AgentKind
 from logs.readers.commonroad.read import read_commonroad
 from logs.readers.commonroad.sets import EXCESS_M, SHORTEST_M, Box, OccupiedSet, covering, smallest_box, standing
 from logs.road import inside
-from replay.closed_loop import run_closed_loop
+from replay.loop.closed_loop import run_closed_loop
 
 
 def within(box: Box, p: np.ndarray) -> np.ndarray:

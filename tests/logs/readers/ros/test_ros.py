@@ -36,8 +36,8 @@ from logs.readers.ros.rectangles import smallest_rectangles
 from logs.repair.names import no_identities
 from logs.states import OnboardPlan
 from logs.transform import mirrored, moved
-from replay.closed_loop import run_closed_loop
-from replay.open_loop import run_open_loop
+from replay.loop.closed_loop import run_closed_loop
+from replay.loop.open_loop import run_open_loop
 
 TRACKED = "autoware_perception_msgs/msg/TrackedObjects"
 TOPIC = "/perception/object_recognition/tracking/objects"

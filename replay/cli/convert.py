@@ -1,0 +1,131 @@
+"""`replan convert`: logs of any format to native MCAP, and the list of formats."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+from logs.errors import ConfigError, LogError, writing
+from logs.mcap import write_scenario
+from logs.mcap.writer import Entry
+from logs.readers import READER, LogSettings, Reader, logs_in, read_log, reader_called, reader_of, readers
+from logs.scenario import Scenario
+
+
+def listing() -> Iterator[str]:
+    """The formats, a line each, and how one is added."""
+    width = max(len(reader.name) for reader in readers())
+    for reader in readers():
+        keys = f"; [log] {', '.join(reader.settings)}" if reader.settings else ""
+        yield f"{reader.name:{width}}  {reader.summary} ({reader.looks_for}{keys})"
+    yield f"Yours: a replan.Reader, as module:NAME or by an entry point of the group {READER.group}; docs/extend.md."
+
+
+def table() -> list[dict[str, Any]]:
+    """What `listing` says, as data."""
+    keys = ("name", "summary", "looks_for", "suffixes", "settings")
+    return [{key: getattr(reader, key) for key in keys} for reader in readers()]
+
+
+def convert_all(
+    logs: Sequence[Path],
+    out: Path,
+    settings: LogSettings,
+    *,
+    foxglove: bool = False,
+    say: Callable[[str], None],
+    say_error: Callable[[str], None],
+) -> bool:
+    """Write logs as native MCAP: into `out` if that is named .mcap, else into that folder; whether all could be read.
+
+    With `foxglove` they get channels that Foxglove draws.
+    A first name that is no path and a reader's asks for that reader: it takes the files whatever their names are.
+
+    Raises:
+        ConfigError: A path does not exist, there is nothing to convert, several logs are to go into one file, a log
+            would be written over itself or another, or what Foxglove needs is not installed. Nothing was written then.
+        OutputError: A log cannot be written.
+    """
+    reader = None
+    first = str(logs[0])
+    if not logs[0].exists() and (":" in first or first in {each.name for each in readers()}):
+        reader, logs = reader_called(first), logs[1:]
+    found = [log for path in logs for log in _logs_at(path, reader, settings, say)]
+    if not found:
+        raise ConfigError("no logs to convert; `replan convert --formats` lists what replan reads")
+    single = out.suffix == ".mcap"
+    if single and len(found) > 1:
+        raise ConfigError(f"{len(found)} logs do not go into one log: give a folder with -o")
+    targets = [out if single else out / _name(log) for log in found]
+    _check_targets(found, targets, settings)
+    channels = _channels(foxglove)
+    done = [
+        _converted(log, target, settings, reader, channels, say, say_error)
+        for log, target in zip(found, targets, strict=True)
+    ]
+    return all(done)
+
+
+def _channels(foxglove: bool) -> Callable[[Scenario], Iterable[Entry]]:
+    """What is written beside a scenario."""
+    if not foxglove:
+        return lambda scenario: ()
+    from replay.draw.foxglove import scenario_channels
+
+    return scenario_channels
+
+
+def _logs_at(path: Path, asked: Reader | None, settings: LogSettings, say: Callable[[str], None]) -> Iterator[Path]:
+    """The log, or those of a folder; files named like logs that no reader claims are named as left out."""
+    if not path.exists():
+        raise ConfigError(f"{path}: no such file or folder")
+    if asked is not None or not path.is_dir() or reader_of(path, settings) is not None:
+        yield path
+        return
+    for log, reader in logs_in(path, settings):
+        if reader is None:
+            say(f"left out {log}: no reader claims it")
+        else:
+            yield log
+
+
+def _check_targets(logs: Sequence[Path], targets: Sequence[Path], settings: LogSettings) -> None:
+    """Refuse to write a log over a file of the logs, and two logs into one file."""
+    readers_of = ((log, reader_of(log, settings)) for log in logs)
+    files = (file for log, reader in readers_of for file in ((log,) if reader is None else reader.files(log)))
+    inputs = {Path(os.path.realpath(file)) for file in files}
+    taken: dict[Path, Path] = {}
+    for log, target in zip(logs, targets, strict=True):
+        place = target.resolve()
+        if place in inputs:
+            raise ConfigError(f"{log}: {target} is one of the logs and would be overwritten; give -o another place")
+        if place in taken:
+            raise ConfigError(f"{taken[place]} and {log} would both become {target}; convert them into two folders")
+        taken[place] = log
+
+
+def _name(log: Path) -> str:
+    return f"{log.name if log.is_dir() else log.stem.removesuffix('.cr')}.mcap"
+
+
+def _converted(
+    log: Path,
+    target: Path,
+    settings: LogSettings,
+    reader: Reader | None,
+    channels: Callable[[Scenario], Iterable[Entry]],
+    say: Callable[[str], None],
+    say_error: Callable[[str], None],
+) -> bool:
+    try:
+        scenario = read_log(log, settings, reader)
+        with writing(target):
+            target.parent.mkdir(parents=True, exist_ok=True)
+        write_scenario(target, scenario, beside=channels(scenario))
+    except LogError as error:
+        say_error(str(error))
+        return False
+    say("\n".join([str(target), *(f"    note: {note}" for note in scenario.notes)]))
+    return True

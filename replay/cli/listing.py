@@ -1,0 +1,141 @@
+"""What replan knows by name: each with one line and where it stands. `replan list` prints it.
+
+The lines are those that stand in the code already: of a class or function its docstring's first, of a table of names
+what its module's docstring says of each, of a metric, family, reader or suite its own summary, of a car the first
+comment of its file.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from functools import partial
+from importlib import import_module
+from importlib.resources import files
+from typing import Any
+
+from logs.catalogue import families
+from logs.catalogue.suites import SUITES
+from logs.errors import unknown_name
+from logs.extension import Kind
+from logs.readers import readers
+from logs.vehicle import vehicle_names
+from metrics import METRIC
+from planners import PLANNER
+from replay.control import CONTROLLER
+from replay.draw.charts.layout import CHART
+from replay.loop.perception import PERCEPTION, PREDICTIONS
+from replay.oracle import ORACLES
+from replay.prediction import PREDICTION
+from replay.traffic import TRAFFIC_KIND
+from replay.vehicle import VEHICLE
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A name.
+
+    Attributes:
+        name: As options and files take it.
+        says: One line.
+        where: "package.module:line", or a file.
+    """
+
+    name: str
+    says: str
+    where: str
+
+
+def entries(kind: str) -> tuple[Entry, ...]:
+    """All names of a kind, in the order of its table; ConfigError where there is no such kind."""
+    if kind not in KINDS:
+        raise unknown_name("kind", kind, KINDS)
+    return tuple(KINDS[kind]())
+
+
+def lines(found: Iterable[Entry]) -> list[str]:
+    """The entries for a terminal, a line each and where it stands below."""
+    return [line for one in found for line in (f"{one.name}: {one.says}", f"    {one.where}")]
+
+
+def counts() -> list[str]:
+    """How many names of each kind there are, a line each."""
+    width = max(map(len, KINDS))
+    return [f"{kind:{width}}  {len(entries(kind)):4d}" for kind in KINDS]
+
+
+def _planners() -> Iterator[Entry]:
+    yield from _coded(_all(PLANNER))
+    for one in _coded(ORACLES):
+        yield Entry(one.name, f"{one.says} (oracle)", one.where)
+
+
+def _coded(table: Mapping[str, Callable[..., Any]]) -> Iterator[Entry]:
+    """By the docstrings of what the names stand for."""
+    for name, thing in table.items():
+        yield Entry(name, _first_line(thing), _where(thing))
+
+
+def _all(kind: Kind[Any]) -> dict[str, Any]:
+    """Ours, then those of other distributions."""
+    return {**kind.builtin, **kind.installed()}
+
+
+def _tabled(module: str, names: Mapping[str, Callable[..., Any]] | Iterable[str]) -> Iterator[Entry]:
+    """By the table in a module's docstring: `"name"    what it is`."""
+    doc = inspect.getdoc(import_module(module)) or ""
+    code = names if isinstance(names, Mapping) else {}
+    for name in names:
+        found = re.search(rf'^ *"?{name}"?  +(\S.*(?:\n {{10,}}\S.*)*)', doc, re.MULTILINE)
+        says = " ".join(found[1].split()) if found else _first_line(code[name]) if name in code else ""
+        yield Entry(name, re.sub(r" *\(`[^)]*\)$", "", says), _where(code[name]) if name in code else module)
+
+
+def _predictions() -> Iterator[Entry]:
+    where = {one.name: one for one in _coded(_all(PREDICTION))}
+    for one in _tabled("replay.prediction", tuple(dict.fromkeys((*PREDICTIONS, *where)))):
+        own = where.get(one.name, one)
+        yield Entry(one.name, one.says or own.says, "replay.loop.perception" if own is one else own.where)
+
+
+def _cars() -> Iterator[Entry]:
+    for name in vehicle_names():
+        file = f"logs/vehicles/{name}.toml"
+        comment = (files("logs") / "vehicles" / f"{name}.toml").read_text(encoding="utf-8").partition("\n")[0]
+        yield Entry(name, f"{comment.removeprefix('#').partition('.')[0].strip()}.", file)
+
+
+def _first_line(thing: Callable[..., Any]) -> str:
+    """Of a class, function, or one of them with settings, which are named."""
+    if isinstance(thing, partial):
+        settings = ", ".join(f"{key} {value}" for key, value in thing.keywords.items())
+        return f"{_first_line(thing.func)} With {settings}."
+    return re.sub(r"; (see|both) .*", ".", (inspect.getdoc(thing) or "").partition("\n")[0])
+
+
+def _where(thing: Any) -> str:
+    """The module and line at which the code begins."""
+    while isinstance(thing, partial):
+        thing = thing.func
+    if not inspect.isroutine(thing) and not isinstance(thing, type):
+        thing = type(thing)
+    return f"{thing.__module__}:{inspect.getsourcelines(thing)[1]}"
+
+
+KINDS: Mapping[str, Callable[[], Iterable[Entry]]] = {
+    "planners": _planners,
+    "controllers": lambda: _coded(_all(CONTROLLER)),
+    "vehicles": lambda: _coded(_all(VEHICLE)),
+    "cars": _cars,
+    "traffic": lambda: _tabled("replay.traffic", _all(TRAFFIC_KIND)),
+    "predictions": _predictions,
+    "perceptions": lambda: _tabled("replay.loop.perception", _all(PERCEPTION)),
+    "charts": lambda: _coded(_all(CHART)),
+    "metrics": lambda: (Entry(name, one.meaning, _where(one.measure)) for name, one in _all(METRIC).items()),
+    "families": lambda: (Entry(name, one.summary, _where(one.build)) for name, one in families().items()),
+    "suites": lambda: (Entry(name, one.summary, "logs.catalogue.suites") for name, one in SUITES.items()),
+    "readers": lambda: (Entry(one.name, one.summary, _where(one.read)) for one in readers()),
+}
+"""The kinds of names, in the order of `replan list`."""

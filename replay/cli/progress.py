@@ -1,0 +1,173 @@
+"""How far a run is: a bar on a terminal, else occasional lines; errors of a log at once; how to go on when interrupted.
+
+Everything is said on stderr, so that stdout has the report alone.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from math import isfinite
+from pathlib import Path
+from threading import Event, Thread
+from time import monotonic, perf_counter
+
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from logs.kernel import cold
+from logs.words import counted
+from replay.draw.report.console import SafeConsole
+from replay.results.log_result import LogResult
+from replay.run.sources import Selection
+
+QUIET_S = 20.0
+"""Nothing is silent for longer than this."""
+LEAST_S, MOST_S = 5.0, 60.0
+"""Off a terminal a line comes when another tenth of the logs is done, but not within 5 s, and each minute."""
+
+
+@dataclass
+class Pace:
+    """When to say how far a run is, and what.
+
+    Attributes:
+        total: How many logs there are.
+        begin: When the first was begun, s.
+        done: How many have ended.
+        left: What is expected of those that have not ended, in the unit of `step`'s `cost`; None: one each.
+        driven: How many of them were not there already.
+        spent: What had been expected of those.
+        last: When the last line was said, s.
+        tenth: How many tenths had been done then.
+    """
+
+    total: int
+    begin: float
+    left: float | None = None
+    done: int = 0
+    driven: int = 0
+    spent: float = 0.0
+    last: float = 0.0
+    tenth: int = 0
+
+    def __post_init__(self) -> None:
+        self.last = self.begin
+        self.left = float(self.total) if self.left is None else self.left
+
+    def step(self, now: float, *, driven: bool, cost: float = 1.0) -> str | None:
+        """A log has ended at `now`, s; the line that is due, if one is. The last log needs none: the report follows."""
+        assert self.left is not None
+        self.done, self.driven, self.left = self.done + 1, self.driven + driven, max(self.left - cost, 0.0)
+        self.spent += cost * driven
+        tenth = 10 * self.done // self.total
+        due = now - self.last >= (LEAST_S if tenth > self.tenth else MOST_S)
+        if not due or self.done == self.total or not self.driven:
+            return None
+        self.last, self.tenth = now, tenth
+        return f"{self.done} of {counted(self.total, 'log')}, {self.rest(now)}"
+
+    def rest(self, now: float) -> str:
+        """Rate, and the time that is left at it: the longest logs come first, so that it goes by what is expected."""
+        assert self.left is not None
+        if not self.spent:
+            return ""
+        elapsed = max(now - self.begin, 1e-9)
+        left = elapsed * self.left / self.spent
+        when = f"{left:.0f} s" if left < 90.0 else f"{left / 60.0:.0f} min"
+        return f"{60.0 * self.driven / elapsed:.3g} logs/min, about {when} left"
+
+
+@contextmanager
+def sign_of_life(say: Callable[[str], None], words: Callable[[], str], every_s: float = QUIET_S) -> Iterator[None]:
+    """For as long as the body runs, `say` the words and for how long it has been running, each `every_s` seconds."""
+    ended, began = Event(), perf_counter()
+
+    def speak() -> None:
+        while not ended.wait(every_s):
+            say(f"{words()}, {perf_counter() - began:.0f} s so far")
+
+    thread = Thread(target=speak, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+@contextmanager
+def progress(
+    *, quiet: bool = False, verbose: bool = False
+) -> Iterator[tuple[Callable[[Selection, Path], None], Callable[[LogResult], None]]]:
+    """What is to be called as a run begins and as each log ends.
+
+    Args:
+        quiet: Only errors are said.
+        verbose: Each log is named as it ends, with how long it took and how its drives ended.
+
+    Raises:
+        KeyboardInterrupt: As it came, with words that say what is left of the run and how to go on with it.
+    """
+    rest = TextColumn("{task.fields[rest]}")
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(), rest
+    console = SafeConsole(stderr=True)
+    begun: list[tuple[Path, Pace]] = []
+    costs: dict[str, float] = {}
+    on_terminal = sys.stderr.isatty()
+    with Progress(*columns, console=console, transient=True, disable=quiet or not on_terminal) as bar:
+        task = bar.add_task("evaluating", total=None, rest="")
+
+        def say(line: str | None, *, always: bool = False) -> None:
+            if line is not None and (always or not quiet):
+                console.print(line, markup=False, highlight=False, soft_wrap=True)
+
+        def on_start(selection: Selection, out: Path) -> None:
+            costs.update({source.label: source.expected_s or 1.0 for source in selection.sources})
+            begun.append((out, Pace(len(selection.sources), monotonic(), sum(costs.values()))))
+            bar.update(task, total=len(selection.sources))
+            for reason in selection.dropped:
+                say(f"left out: {reason}")
+            say(f"{counted(len(selection.sources), 'log')} -> {out}")
+            if cold():
+                say("compiling kernels (once; about a minute): replan warmup does it beforehand")
+
+        def on_log(result: LogResult) -> None:
+            for failure in result.failures:
+                say(f"error: {failure.line}", always=True)
+            pace = begun[0][1]
+            now, driven = monotonic(), isfinite(result.seconds) or not result.folder
+            line = pace.step(now, driven=driven, cost=costs[result.source])
+            bar.update(task, advance=1, rest=pace.rest(now))
+            if verbose:
+                say(f"{pace.done} of {pace.total}  {_ended(result)}")
+            elif not on_terminal:
+                say(line)
+
+        def state() -> str:
+            if not begun:
+                return "looking for logs"
+            return f"{begun[0][1].done} of {counted(begun[0][1].total, 'log')}"
+
+        try:
+            with sign_of_life(lambda line: None if on_terminal else say(line), state):
+                yield on_start, on_log
+        except KeyboardInterrupt:
+            said = _interrupted(*begun[0]) if begun else "interrupted: nothing was begun"
+            raise KeyboardInterrupt(said) from None
+
+
+def _ended(result: LogResult) -> str:
+    """A log in a line: how long it took, and how its drives ended."""
+    took = f"{result.seconds:.1f} s" if isfinite(result.seconds) else "there already"
+    ends = [f"{drive.planner} {drive.mode}: {drive.end}" for drive in result.drives]
+    lacking = [f"{len(result.failures)} could not be evaluated"] if result.failures else []
+    return f"{result.name}  {took}  {'; '.join([*ends, *lacking])}"
+
+
+def _interrupted(out: Path, pace: Pace) -> str:
+    return (
+        f"interrupted: {pace.done} of {pace.total} logs are finished in {out}, no tables are written;"
+        f" to go on give the same command with --out {out} --resume"
+    )

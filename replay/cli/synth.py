@@ -1,0 +1,192 @@
+"""Catalogue -> MCAP: synthesised logs with their parameters in the metadata; and what the catalogue holds, in words."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from logs.catalogue import FAMILY, Family, families, numbers, scenario
+from logs.catalogue.suites import SEED, SUITES, groups, suite
+from logs.errors import unknown_name
+from logs.mcap import write_scenario
+from logs.scenario import Scenario
+from logs.words import counted
+from replay.loop.avoidability import with_avoidability
+from replay.results.tables import safe_name, write_text
+
+TABLE = "suite.csv"
+NATIVE, ROS2 = "native", "ros2"
+FORMS = (NATIVE, ROS2)
+"""Of the logs that are written."""
+COLUMNS = ("log", "file", "family", "parameters", "seed", "tags", "accepted_decisions")
+
+
+def chosen(names: Sequence[str]) -> tuple[Family, ...]:
+    """The families of these names; "all" is every one, a group ("paper") all of its own, "module:NAME" a user's.
+
+    Raises:
+        ConfigError: No family or group has the name.
+    """
+    found: dict[str, Family] = {}
+    known = families()
+    for name in names:
+        own = {name: FAMILY.find(name)} if ":" in name else {}
+        matches = own or {key: one for key, one in known.items() if name in ("all", key, key.partition("/")[0])}
+        if not matches:
+            raise unknown_name("family", name, [*known, "all"])
+        found.update(matches)
+    return tuple(found.values())
+
+
+def overrides(settings: Sequence[str]) -> dict[str, float]:
+    """Parameters from "key=value" words; ConfigError where one is none."""
+    return numbers(settings, "--set")
+
+
+def synthesise(
+    families: Sequence[Family], out: Path, parameters: Mapping[str, float], form: str = NATIVE
+) -> Iterator[Path]:
+    """Write one log per family into `out`, as GROUP/NAME.mcap or, of the form ROS2, as the bag GROUP/NAME.
+
+    Yields each path when it is written.
+
+    Raises:
+        ConfigError: A family has no such parameter, or it leaves no careful drive, or there is no such form of it.
+    """
+    scenarios = [family.scenario(**parameters) for family in families]
+    for one in scenarios:
+        yield _written(one, out, form)
+
+
+def write_suite(name: str, out: Path, form: str = NATIVE) -> Iterator[Path]:
+    """Write the logs of a suite (or of a family or group, all cells) into `out`, and last their table, `TABLE`.
+
+    Raises:
+        ConfigError: Nothing is called so, or there is no such form of it.
+    """
+    rows = []
+    for label in suite(name):
+        one = scenario(label)
+        path = _written(one, out, form)
+        family, _, words = label.partition("@")
+        file, seed = path.relative_to(out).as_posix(), one.metadata.get("parameter.seed", "")
+        accepted = one.metadata.get("expected_decisions", "{}")
+        rows.append((label, file, family, words.replace(",", " "), seed, " ".join(one.tags), accepted))
+        yield path
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows([COLUMNS, *rows])
+    write_text(out / TABLE, text.getvalue())
+    yield out / TABLE
+
+
+def _written(one: Scenario, out: Path, form: str) -> Path:
+    group, _, name = one.name.partition("/")
+    path = out / safe_name(group) / safe_name(name)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if form == ROS2:
+        from replay.cli.ros_bag import write_bag
+
+        write_bag(path, one)
+        return path
+    path = path.with_name(f"{path.name}.mcap")
+    write_scenario(path, with_avoidability(one))
+    return path
+
+
+def listed() -> Iterator[str]:
+    """Families with parameters and the size of their grids, then the suites: lines for the terminal."""
+    for family in families().values():
+        values = ", ".join(f"{key}={value:g}" for key, value in family.parameters.items())
+        grid = f"\n    grid of {_count(family)}: {_grid(family)}" if family.grid else ""
+        yield f"{family.name}: {family.summary}\n    {values}{grid}"
+    for name, one in SUITES.items():
+        yield f"--suite {name}: {counted(one.size, 'log')}; {one.summary}"
+
+
+def table() -> dict[str, Any]:
+    """What `listed` says, as data."""
+    keys = ("name", "summary", "parameters", "grid", "tags", "source")
+    found = [{key: getattr(one, key) for key in keys} | {"cells": _count(one)} for one in families().values()]
+    suites = [{"name": name, "size": one.size, "summary": one.summary} for name, one in SUITES.items()]
+    return {"families": found, "suites": suites}
+
+
+def _count(family: Family) -> int:
+    return sum(1 for _ in family.cells())
+
+
+def _grid(family: Family) -> str:
+    return "; ".join(f"{key} {_values(values)}" for key, values in family.grid.items())
+
+
+def _values(values: Sequence[float]) -> str:
+    """All of them, or where they are evenly spaced and many: first, second ... last."""
+    steps = {round(b - a, 9) for a, b in pairwise(values)}
+    shown = [f"{value:g}" for value in values]
+    return ", ".join(shown) if len(values) < 5 or len(steps) > 1 else f"{shown[0]}, {shown[1]} ... {shown[-1]}"
+
+
+def markdown_page() -> str:
+    """docs/catalogue.md."""
+    parts = [INTRODUCTION, *(_section(name, families) for name, families in groups().items())]
+    rows = [f"| `{name}` | {one.size} | {one.summary} |" for name, one in SUITES.items()]
+    suites = ["## Suites", "", SUITES_SAID.format(seed=SEED), "", "| suite | logs | for |", "|---|---|---|", *rows]
+    return "\n\n".join(part.strip() for part in (*parts, "\n".join(suites)))
+
+
+def _section(name: str, families: Sequence[Family]) -> str:
+    lines = [f"## {name}", "", ABOUT[name], ""]
+    lines += ["| family | what happens | cells | grid (else the defaults) |", "|---|---|---|---|"]
+    lines += [f"| `{one.name}` | {one.summary} | {_count(one)} | {_grid(one) or _defaults(one)} |" for one in families]
+    sources = dict.fromkeys(one.source for one in families if one.source)
+    return "\n".join([*lines, "", *(f"Source: {source}." for source in sources)])
+
+
+def _defaults(family: Family) -> str:
+    return ", ".join(f"{key}={value:g}" for key, value in family.parameters.items())
+
+
+INTRODUCTION = """
+# The catalogue of synthesised logs
+
+<!-- written by `replan synth --markdown`; do not edit -->
+
+A family is a kind of scenario with named parameters (the unit is in the name) and, where one is published, a grid of
+their values; a cell of the grid is a log. `replan synth --list` lists them, `replan synth FAMILY -o DIR --set ...`
+writes one log, `replan synth --suite NAME -o DIR` many, and `replan evaluate --suite NAME` drives them without writing
+them first; NAME is a suite, a family or a group. The same name gives the same bytes.
+
+A log is called `family@parameter=number,...`. Its metadata hold the family, all parameters, where the numbers are from,
+and under `expected_decisions` what a planner may decide about which agent. The logged driver brakes with at most 3 m/s2
+and 2 m/s3, and touches no one: in cells where that is not enough, which the grids of UN R157 and Euro NCAP have, the
+ego's log ends before the contact, and `logged_driver_would_meet` names the agent. Whether a contact could have been
+avoided, the reference drivers say (`reference_cc`: the careful driver of UN R157), not the planner under test.
+
+What is ours where a publication is silent, and what is left out, stands at the head of the family's module in
+`logs/catalogue`. The logs' numbers are facts taken from the named repositories; the protocols, the regulation's text
+and the standard were not read.
+
+`python -m studies.catalogue -o OUT --suite full` drives a suite and draws, per family and cell, what became
+of it beside the careful driver.
+"""
+SUITES_SAID = """A suite is the first so many cells of one order of all (seed {seed}), so that a smaller one is part of
+a larger. Each family gives a cell first, then about as many as the root of how many it has, each the farthest in its
+grid from those before it (`logs/catalogue/suites.py`)."""
+ABOUT: Mapping[str, str] = {
+    "paper": "The tests of the paper. The paper gives no numbers; these are a passenger car's.",
+    "everyday": "Everyday driving and traffic rules.",
+    "pedestrian": "Pedestrians who do more than cross.",
+    "raw": "Road users as a detector sees them: jitter with drift, gaps, ids that are no identities, twins, reversed "
+    "fronts, clutter. The logs hold detections; tracks are made of them where they are read.",
+    "euro_ncap": "An ego that keeps its speed would meet the target 6 s after the start (CCRb, which brakes: later). "
+    "Not here: reversing (CPRA), pedestrians at turns (CPTA), the head-on lane change (CCFhol).",
+    "unece_r157": "Automated lane keeping at up to 60 km/h. Cells that no one can avoid are part of it.",
+    "iso3888": "The lanes between the cones as one lane; wider in the gaps, where the standard has no bound.",
+    "faults": "Logs with faults of perception (scene 0 the crossing pedestrian, 1 a lead, 2 a cut-in), of the ego's "
+    "start, and of lanes.",
+}
+"""Of each group, one sentence or two."""

@@ -1,0 +1,252 @@
+"""The layer under the charts: SVG elements as text, with few and short numbers.
+
+Coordinates are CSS pixels, x to the right and y down, rounded to a tenth; points that do not move a line by more than
+`KEPT_PX` are dropped. Nothing is styled here but by class names (`style`), and there is no script and no id, so that
+any number of charts can stand in one page.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from html import escape
+
+import numpy as np
+
+from logs.kernel import BoolArray, FloatArray, IntArray
+from replay.draw.charts.style import Theme, stylesheet
+
+KEPT_PX = 0.4
+"""A line is drawn so near to the line that is meant: less than half a pixel is not seen."""
+LETTER_PX = 5.9
+"""Mean width of a letter at the font size of charts, for room that is made and words that are left out."""
+FAR_PX = 4000.0
+"""Coordinates are cut at this: farther out nothing is seen, and renderers lose digits."""
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A picture.
+
+    Attributes:
+        name: One word; the last part of a file's name.
+        title: What is shown, with units where they are one.
+        says: The same in a sentence, for who does not see it.
+        width: Pixels; `height` likewise.
+        body: SVG elements.
+    """
+
+    name: str
+    title: str
+    says: str
+    width: float
+    height: float
+    body: str
+
+    def inline(self) -> str:
+        """As a part of an HTML page, which has the style sheet."""
+        return (
+            f'<svg class="chart" viewBox="0 0 {px(self.width)} {px(self.height)}" role="img" '
+            f'aria-label="{escape(printable(self.says))}">{self.body}</svg>'
+        )
+
+    def alone(self, theme: Theme, width: float | None = None) -> str:
+        """As a file, in its own width or another."""
+        wide = width or self.width
+        size = f'width="{px(wide)}" height="{px(wide * self.height / self.width)}"'
+        return (
+            f'<svg xmlns="http://www.w3.org/2000/svg" class="chart" {size} '
+            f'viewBox="0 0 {px(self.width)} {px(self.height)}"><title>{escape(printable(self.title))}</title>'
+            f"<desc>{escape(printable(self.says))}</desc><style>{stylesheet(theme)}</style>"
+            f'<rect class="ground" width="100%" height="100%"/>{self.body}</svg>\n'
+        )
+
+
+def px(value: float) -> str:
+    """A coordinate as text: "12.3", "12", ".5"."""
+    tenths = round(10.0 * min(max(float(value), -FAR_PX), FAR_PX))
+    return _tenths(tenths)
+
+
+def _tenths(tenths: int) -> str:
+    whole, part = divmod(abs(tenths), 10)
+    text = f"{whole or ''}.{part}" if part else str(whole)
+    return f"-{text}" if tenths < 0 else text
+
+
+def polyline(x: FloatArray, y: FloatArray, kind: str) -> str:
+    """A line `(n,)`; values that are not finite are gaps, single points are dots."""
+    return _path("".join(_moves(some, False) for some in _pieces(x, y)), kind)
+
+
+def area(x: FloatArray, y: FloatArray, kind: str) -> str:
+    """A closed outline `(n,)`, n >= 3; points that are not finite are left out."""
+    known = np.isfinite(x) & np.isfinite(y)
+    return _path(_moves(np.column_stack([x[known], y[known]]), True), kind) if known.sum() > 2 else ""
+
+
+def areas(outlines: Iterable[FloatArray], kind: str) -> str:
+    """Several closed outlines `(n, 2)` as one element."""
+    return _path("".join(_moves(outline, True) for outline in outlines if len(outline) > 2), kind)
+
+
+def polylines(lines: Iterable[FloatArray], kind: str) -> str:
+    """Several lines `(n, 2)` as one element."""
+    return _path("".join(_moves(line, False) for line in lines if len(line) > 1), kind)
+
+
+def _path(moves: str, kind: str) -> str:
+    return f'<path class="{kind}" d="{moves}"/>' if moves else ""
+
+
+def _pieces(x: FloatArray, y: FloatArray) -> list[FloatArray]:
+    """The unbroken parts of a line, `(m, 2)` each."""
+    known: BoolArray = np.isfinite(x) & np.isfinite(y)
+    edge = np.diff(np.r_[False, known, False].astype(np.int64))
+    points = np.column_stack([x, y])
+    return [points[a:b] for a, b in zip(np.flatnonzero(edge > 0), np.flatnonzero(edge < 0), strict=True)]
+
+
+def _moves(points: FloatArray, closed: bool) -> str:
+    """The commands of a path: begin, then steps, each from one rounded point to the next, so that errors do not add."""
+    shown = np.clip(points, -FAR_PX, FAR_PX)
+    tenths = np.rint(10.0 * shown[simplified(shown)]).astype(np.int64)
+    first, steps = tenths[0].tolist(), np.diff(tenths, axis=0)
+    steps = steps[(steps != 0).any(axis=1)].tolist()
+    begin = f"M{_tenths(first[0])}{_after(first[1])}"
+    if not steps:
+        return f"{begin}h.1" + ("z" if closed else "")
+    return f"{begin}l{' '.join(f'{_tenths(a)}{_after(b)}' for a, b in steps)}" + ("z" if closed else "")
+
+
+def _after(tenths: int) -> str:
+    """A second number: its minus parts it from the first."""
+    return _tenths(tenths) if tenths < 0 else f" {_tenths(tenths)}"
+
+
+def simplified(points: FloatArray, tolerance: float = KEPT_PX) -> IntArray:
+    """Which points of a line `(n, 2)` draw it within `tolerance` (Douglas and Peucker 1973), level by level."""
+    kept = [np.array([0, len(points) - 1] if len(points) > 1 else [0])]
+    begin, end = kept[0][:-1], kept[0][1:]
+    while True:
+        wide = end - begin > 1
+        begin, end = begin[wide], end[wide]
+        if not len(begin):
+            return np.sort(np.concatenate(kept))
+        inner = end - begin - 1
+        start = np.cumsum(inner) - inner
+        owner = np.repeat(np.arange(len(begin)), inner)
+        at = np.arange(len(owner)) + (begin + 1 - start)[owner]
+        distance = _distances(points[at], points[begin][owner], points[end][owner])
+        worst = np.maximum.reduceat(distance, start)
+        hits = np.flatnonzero(distance == worst[owner])
+        split, bent = at[hits[np.searchsorted(hits, start)]], worst > tolerance
+        kept.append(split[bent])
+        begin, end = np.r_[begin[bent], split[bent]], np.r_[split[bent], end[bent]]
+
+
+def _distances(points: FloatArray, begin: FloatArray, end: FloatArray) -> FloatArray:
+    """Of points `(n, 2)` to the lines through begin and end; to the point where these coincide."""
+    chord, away = end - begin, points - begin
+    length = np.hypot(chord[:, 0], chord[:, 1])
+    across = np.abs(chord[:, 0] * away[:, 1] - chord[:, 1] * away[:, 0])
+    near = np.hypot(away[:, 0], away[:, 1])
+    return np.divide(across, length, out=near, where=length > 0.0)
+
+
+AROUND_PX = 12.0
+"""Outlines and lines are cut this far outside of a plot area, so that their cut edges are not seen."""
+
+
+def cut_line(points: FloatArray, width: float, height: float) -> list[FloatArray]:
+    """The parts of a line `(n, 2)` whose segments come near a plot area."""
+    low, high = np.minimum(points[:-1], points[1:]), np.maximum(points[:-1], points[1:])
+    near = (high >= -AROUND_PX).all(axis=1) & (low <= [width + AROUND_PX, height + AROUND_PX]).all(axis=1)
+    edge = np.diff(np.r_[False, near, False].astype(np.int64))
+    return [points[a : b + 1] for a, b in zip(np.flatnonzero(edge > 0), np.flatnonzero(edge < 0), strict=True)]
+
+
+def cut_outline(points: FloatArray, width: float, height: float) -> FloatArray:
+    """An outline `(n, 2)` cut at a plot area and a little around it (Sutherland and Hodgman 1974)."""
+    for axis, bound, sign in (
+        (0, -AROUND_PX, 1),
+        (0, width + AROUND_PX, -1),
+        (1, -AROUND_PX, 1),
+        (1, height + AROUND_PX, -1),
+    ):
+        inside = sign * (points[:, axis] - bound)
+        if (inside >= 0.0).all():
+            continue
+        after, inside_after = np.roll(points, -1, axis=0), np.roll(inside, -1)
+        crosses = (inside >= 0.0) != (inside_after >= 0.0)
+        part = np.divide(inside, inside - inside_after, out=np.zeros(len(points)), where=crosses)
+        both = np.stack([points, points + part[:, None] * (after - points)], axis=1).reshape(-1, 2)
+        points = both[np.column_stack([inside >= 0.0, crosses]).ravel()]
+    return points
+
+
+def rect(x: float, y: float, width: float, height: float, kind: str, about: str = "") -> str:
+    """A box; `about` shows where it is pointed at."""
+    inner = f"><title>{escape(about)}</title></rect>" if about else "/>"
+    place = f'x="{px(x)}" y="{px(y)}" width="{px(max(width, 0.0))}" height="{px(height)}"'
+    return f'<rect class="{kind}" {place}{inner}'
+
+
+def line(x0: float, y0: float, x1: float, y1: float, kind: str) -> str:
+    """A straight line."""
+    return f'<path class="{kind}" d="M{px(x0)} {px(y0)}L{px(x1)} {px(y1)}"/>'
+
+
+def dot(x: float, y: float, radius: float, kind: str, about: str = "") -> str:
+    """A dot; `about` shows where it is pointed at."""
+    inner = f"><title>{escape(about)}</title></circle>" if about else "/>"
+    return f'<circle class="{kind}" cx="{px(x)}" cy="{px(y)}" r="{px(radius)}"{inner}'
+
+
+def text(x: float, y: float, words: str, kind: str = "", *, about: str = "") -> str:
+    """Words that begin at x (class "end": that end there, "mid": that have their middle there)."""
+    said = f"<title>{escape(about)}</title>" if about else ""
+    style = f' class="{kind}"' if kind else ""
+    return f'<text{style} x="{px(x)}" y="{px(y)}">{escape(printable(words))}{said}</text>'
+
+
+def printable(words: str) -> str:
+    """The words in one line, without control characters (names of logs and agents come from outside)."""
+    return "".join(c if c.isprintable() else " " for c in words)
+
+
+def shortened(words: str, width: float) -> str:
+    """The words, cut to a width in pixels."""
+    most = max(int(width / LETTER_PX), 2)
+    return words if len(words) <= most else f"{words[: most - 1]}\u2026"
+
+
+def window(x: float, y: float, width: float, height: float, inside: str) -> str:
+    """Elements with an origin of their own, cut off at a box."""
+    place = f'x="{px(x)}" y="{px(y)}" width="{px(width)}" height="{px(height)}"'
+    return f'<svg {place} overflow="hidden">{inside}</svg>'
+
+
+def group(x: float, y: float, inside: str) -> str:
+    """Elements with an origin of their own."""
+    return f'<g transform="translate({px(x)} {px(y)})">{inside}</g>'
+
+
+def legend(x: float, y: float, entries: Sequence[tuple[str, str, str]], most: float) -> str:
+    """Samples in a row: element ("line", "area", "dot"), class and word each; what has no room is left out."""
+    out, at = [], x
+    for element, kind, word in entries:
+        needed = 24.0 + LETTER_PX * len(word) + 8.0
+        if at + needed > x + most + 8.0:
+            break
+        out.append(_sample(element, kind, at, y) + text(at + 21.0, y, word, "small"))
+        at += needed
+    return "".join(out)
+
+
+def _sample(element: str, kind: str, x: float, y: float) -> str:
+    if element == "area":
+        return rect(x, y - 8.0, 16.0, 8.0, kind)
+    if element == "dot":
+        return dot(x + 8.0, y - 4.0, 3.0, kind)
+    return line(x, y - 3.5, x + 16.0, y - 3.5, kind)

@@ -1,0 +1,152 @@
+"""What was decided when: a row for the plan's status, one per road user with a decision, one per broken gate."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from logs.trace import Decision, DecisionKind, PlanStatus, Said
+from replay.draw.charts.axes import BOTTOM_PX, Plane, for_words
+from replay.draw.charts.canvas import LETTER_PX, Chart, rect, shortened, text
+from replay.draw.charts.curves import now_line
+from replay.draw.charts.subject import Subject
+
+WIDTH_PX, ROW_PX, TOP_PX = 900.0, 20.0, 22.0
+LABEL_PX = 210.0
+MAX_ROWS = 12
+"""Rows of road users; the words beside the picture have all of them."""
+LEAST_PX = 3.0
+CALM = ("planned", "columns corrected")
+"""Statuses that are no alarm."""
+STATUS_WORDS = {
+    PlanStatus.PLANNED: "planned",
+    PlanStatus.CORRECTED: "columns corrected",
+    PlanStatus.PREVIOUS: "previous plan",
+    PlanStatus.COMFORTABLE_STOP: "comfortable stop",
+    PlanStatus.HARD_STOP: "hard stop",
+    PlanStatus.REFUSED: "refused",
+}
+
+
+@dataclass(frozen=True)
+class Span:
+    """Something that held from one time to another, s."""
+
+    begin: float
+    end: float
+    word: str
+    why: str = ""
+
+
+@dataclass(frozen=True)
+class Row:
+    """Spans of one road user, gate, or of the plan."""
+
+    name: str
+    spans: tuple[Span, ...]
+    kind: str = "bar"
+
+
+def decided(plans: Sequence[Said], end: float, short: Callable[[str], str]) -> list[Row]:
+    """What was decided about which agent, from when to when; who was ignored only has no row. First come first.
+
+    A decision holds until the next frame; neighbouring frames with the same are one span, whose reason is the first.
+    `short` makes names of agents short.
+    """
+    rows: dict[str, list[Span]] = {}
+    stops = [*(plan.t for plan in plans[1:]), max(end, plans[-1].t)] if plans else []
+    for plan, stop in zip(plans, stops, strict=True):
+        now = [some for some in plan.internals if isinstance(some, Decision)]
+        for one in {some.agent: some for some in now if some.kind is not DecisionKind.IGNORE}.values():
+            _extend(rows.setdefault(one.agent, []), Span(plan.t, stop, one.kind.value, short(one.reason)))
+    return [Row(short(agent), tuple(spans)) for agent, spans in rows.items()]
+
+
+def statuses(plans: Sequence[Said], end: float) -> Row:
+    """How the plans came about."""
+    spans: list[Span] = []
+    stops = [*(plan.t for plan in plans[1:]), max(end, plans[-1].t)] if plans else []
+    for plan, stop in zip(plans, stops, strict=True):
+        _extend(spans, Span(plan.t, stop, STATUS_WORDS[plan.status], plan.reason))
+    return Row("plan", tuple(spans), "calm")
+
+
+def _extend(spans: list[Span], one: Span) -> None:
+    """Add a span, or lengthen the last where it is the same without a break."""
+    if spans and spans[-1].word == one.word and abs(spans[-1].end - one.begin) < 1e-6:
+        spans[-1] = Span(spans[-1].begin, one.end, one.word, spans[-1].why)
+    else:
+        spans.append(one)
+
+
+def _rows(subject: Subject) -> list[Row]:
+    plans, end = subject.said, subject.span[1]
+    everybody = decided(plans, end, subject.scenario.short_names)
+    broken = [
+        Row(some.series, tuple(Span(begin, stop, "fails", some.gate) for begin, stop in some.spans), "alarm")
+        for some in subject.violations
+        if some.spans
+    ]
+    status = [statuses(plans, end)] if plans else []
+    longest = sorted(everybody, key=lambda row: -sum(span.end - span.begin for span in row.spans))[:MAX_ROWS]
+    return [*status, *(row for row in everybody if row in longest), *_joined(broken)]
+
+
+def _joined(rows: Iterable[Row]) -> list[Row]:
+    """Gates of one series (episode and total time, say) as one row."""
+    found: dict[str, Row] = {}
+    for row in rows:
+        before = found.get(row.name)
+        spans = row.spans if before is None else tuple(dict.fromkeys((*before.spans, *row.spans)))
+        found[row.name] = Row(row.name, spans, row.kind)
+    return list(found.values())
+
+
+def decisions(subject: Subject, width: float = WIDTH_PX) -> Chart:
+    """Decisions, plan statuses and broken gates as lanes over time; `width` in pixels."""
+    rows = _rows(subject)
+    title = "Decisions, plans and broken gates over time"
+    if not rows:
+        body = text(2.0, 13.0, title, "title") + text(0.5 * width, 40.0, "the drive has no plans", "says")
+        return Chart("decisions", title, f"{title}: the drive has no plans", width, 56.0, body)
+    height = TOP_PX + ROW_PX * len(rows) + BOTTOM_PX
+    plane = Plane(subject.span, (0.0, float(len(rows))), width, height, top=TOP_PX)
+    plane = for_words(plane, [row.name for row in rows], LABEL_PX)
+    bars = "".join(_bars(plane, row, k) for k, row in enumerate(rows)) + now_line(plane, subject.moment.t)
+    names = "".join(
+        text(-6.0, ROW_PX * k + 14.0, shortened(row.name, plane.left - 8.0), "end", about=row.name)
+        for k, row in enumerate(rows)
+    )
+    silent = not any(row.kind == "bar" for row in rows)
+    head = text(2.0, 13.0, title + (": the planner names none" if silent else ""), "title")
+    drawn = plane.drawn(bars, x_title="time [s]", y_ticks=False, over=names)
+    return Chart("decisions", title, "; ".join(_words(rows)), width, height, drawn + head)
+
+
+def _bars(plane: Plane, row: Row, k: int) -> str:
+    out, until = [], 0.0
+    ends = plane.at_x(np.array([[span.begin, span.end] for span in row.spans]))
+    for i, (span, (left, right)) in enumerate(zip(row.spans, ends.tolist(), strict=True)):
+        left = min(left, plane.inner[0] - LEAST_PX)
+        wide, y = max(right - left, LEAST_PX), ROW_PX * k
+        why = f" ({span.why})" if span.why else ""
+        about = f"{row.name}: {span.word}, {span.begin:.2f} to {span.end:.2f} s{why}"
+        kind = "alarm" if row.kind == "calm" and span.word not in CALM else row.kind
+        out.append(rect(left, y + 3.0, wide, ROW_PX - 6.0, kind, about))
+        needed = LETTER_PX * len(span.word) + 6.0
+        after = ends[i + 1, 0] if i + 1 < len(row.spans) else plane.inner[0]
+        if wide >= needed or after - left - wide >= needed:
+            at = left + 4.0 if wide >= needed else left + wide + 2.0
+            out.append(text(at, y + 14.0, span.word))
+            until = at + needed
+        elif left - until >= needed:
+            out.append(text(left - 3.0, y + 14.0, span.word, "end"))
+        until = max(until, left + wide)
+    return "".join(out)
+
+
+def _words(rows: Sequence[Row]) -> Iterator[str]:
+    for row in rows:
+        yield f"{row.name}: " + ", ".join(f"{span.word} {span.begin:.1f} to {span.end:.1f} s" for span in row.spans[:6])

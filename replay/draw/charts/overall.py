@@ -1,0 +1,154 @@
+"""Charts of a run and of a comparison: pass shares, distributions over the logs, what moved."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from logs.kernel import FloatArray
+from logs.words import counted
+from replay.draw.charts.axes import BOTTOM_PX, Plane, for_words, spread
+from replay.draw.charts.canvas import Chart, dot, legend, line, rect, shortened, text
+from replay.draw.report.columns import Column
+from replay.draw.report.model import DriveRow, PassShare
+
+WIDTH_PX, WIDE_PX, ROW_PX, TOP_PX = 440.0, 640.0, 19.0, 40.0
+LABEL_SHARE = 0.4
+"""Of the width, at most, for names."""
+MAX_SHARES, MAX_PAIRS = 40, 20
+FEW = 5
+"""A box of quartiles needs more values than this."""
+
+
+@dataclass(frozen=True)
+class Strip:
+    """The values of one planner: `(n,)`, with the log of each."""
+
+    name: str
+    values: FloatArray
+    logs: tuple[str, ...]
+
+
+def _rows_plane(names: Sequence[str], x: tuple[float, float], top: float = TOP_PX, width: float = WIDTH_PX) -> Plane:
+    height = top + ROW_PX * len(names) + BOTTOM_PX
+    return for_words(Plane(x, (0.0, float(len(names))), width, height, top=top), names, LABEL_SHARE * width)
+
+
+def _names(plane: Plane, names: Sequence[str]) -> str:
+    return "".join(
+        text(-6.0, ROW_PX * k + 13.5, shortened(name, plane.left - 8.0), "end", about=name)
+        for k, name in enumerate(names)
+    )
+
+
+def pass_shares(shares: Sequence[PassShare], planners: int) -> Chart:
+    """The share of logs that pass, with its 95 % interval, by group: a dot, a whisker, and the counts."""
+    shown = shares[:MAX_SHARES]
+    names = [f"{share.name}, {share.planner}" if planners > 1 else share.name for share in shown]
+    plane = _rows_plane(names, (-2.0, 102.0), width=WIDE_PX)
+    marks, counts = [], []
+    for k, share in enumerate(shown):
+        y = ROW_PX * (k + 0.5)
+        low, at, high = plane.at_x(100.0 * np.array([share.low, share.share, share.high])).tolist()
+        kind = "mark" if share.passed == share.logs else "hollow"
+        marks.append(line(low, y, high, y, "whisker") + line(low, y - 4, low, y + 4, "whisker"))
+        marks.append(line(high, y - 4, high, y + 4, "whisker") + dot(at, y, 4.5, kind, f"{share.name}: {share.text}"))
+        words, wide = f"{share.passed}/{share.logs}", plane.inner[0]
+        beside = low - 6.0 if high > wide - 50.0 else high + 6.0
+        counts.append(text(beside, y + 3.5, words, "small end" if high > wide - 50.0 else "small"))
+    title = "Logs that pass, with the 95 % interval of the share"
+    head = text(2.0, 13.0, title, "title")
+    head += legend(
+        plane.left, 29.0, [("dot", "mark", "all pass"), ("dot", "hollow", "some do not")], WIDE_PX - plane.left
+    )
+    drawn = plane.drawn("".join(marks), x_title="share [%]", y_ticks=False, over=_names(plane, names) + "".join(counts))
+    says = f"{title}: " + "; ".join(f"{name}: {share.text}" for name, share in zip(names, shown, strict=True))
+    return Chart("pass_shares", title, says, WIDE_PX, plane.height, drawn + head)
+
+
+def distributions(columns: Sequence[Column], drives: Sequence[DriveRow]) -> list[Chart]:
+    """One chart per column of the table of drives that has several values and is no yes or no."""
+    out = []
+    for k, column in enumerate(columns):
+        strips = list(_strips(k, drives))
+        values = np.concatenate([strip.values for strip in strips]) if strips else np.empty(0)
+        if len(values) > 1 and len(np.unique(values)) > 2:
+            out.append(_distribution(column, strips))
+    return out
+
+
+def _strips(column: int, drives: Sequence[DriveRow]) -> Iterator[Strip]:
+    for planner in dict.fromkeys(drive.shown for drive in drives):
+        mine = [drive for drive in drives if drive.shown == planner]
+        found = [(drive.cells[column].value, drive.log) for drive in mine if np.isfinite(drive.cells[column].value)]
+        if found:
+            values, logs = zip(*found, strict=True)
+            yield Strip(planner, np.array(values, np.float64), logs)
+
+
+def _distribution(column: Column, strips: Sequence[Strip]) -> Chart:
+    """A dot per log, and the box of the quartiles with the median."""
+    values = np.concatenate([strip.values for strip in strips])
+    low, high = spread(float(values.min()), float(values.max()), 1e-3, 0.04)
+    names = [strip.name for strip in strips]
+    plane = _rows_plane(names, (min(low, 0.0) if values.min() >= 0.0 and low < 0.0 else low, high), top=22.0)
+    marks = "".join(_strip(plane, strip, k) for k, strip in enumerate(strips))
+    title = f"{column.words}, {column.mode} loop"
+    head = text(2.0, 13.0, title, "title")
+    drawn = plane.drawn(marks, x_title=f"{column.metric}, a dot a log", y_ticks=False, over=_names(plane, names))
+    says = f"{title}: " + "; ".join(
+        f"{s.name}: {s.values.min():.3g} to {s.values.max():.3g}, median {np.median(s.values):.3g},"
+        f" {counted(len(s.logs), 'log')}"
+        for s in strips
+    )
+    return Chart(column.metric, title, says, WIDTH_PX, plane.height, drawn + head)
+
+
+def _strip(plane: Plane, strip: Strip, k: int) -> str:
+    middle = ROW_PX * (k + 0.5)
+    out = ""
+    if len(strip.values) > FEW:
+        left, median, right = plane.at_x(np.percentile(strip.values, (25.0, 50.0, 75.0))).tolist()
+        out = rect(left, middle - 6.0, right - left, 12.0, "box") + line(
+            median, middle - 6.0, median, middle + 6.0, "whisker"
+        )
+    order = np.argsort(strip.values, kind="stable")
+    away = np.array([0.0, -3.0, 3.0])[np.arange(len(order)) % 3]
+    return out + "".join(
+        dot(x, middle + offset, 2.6, "speck", f"{strip.logs[i]}: {strip.values[i]:.4g}")
+        for i, x, offset in zip(order, plane.at_x(strip.values[order]).tolist(), away.tolist(), strict=True)
+    )
+
+
+def moved(pairs: pd.DataFrame, title: str) -> Chart:
+    """One metric from baseline to candidate, the worst regression first.
+
+    Args:
+        pairs: Rows of `Comparison.pairs` of one metric, with both values.
+        title: Of the chart.
+    """
+    shown = pairs.sort_values(["worse", "log"], ascending=[False, True], kind="stable").head(MAX_PAIRS)
+    names = [str(log) for log in shown["log"]]
+    both = shown[["baseline", "candidate"]].to_numpy(np.float64)
+    plane = _rows_plane(names, spread(float(both.min()), float(both.max()), 1e-6))
+    marks, rows = [], list[Any](shown.itertuples())
+    for k, (row, (before, now)) in enumerate(zip(rows, plane.at_x(both).tolist(), strict=True)):
+        y, kind = ROW_PX * (k + 0.5), "worse" if row.worse > 0.0 else "better"
+        marks.append(line(before, y, now, y, kind) + dot(before, y, 4.0, "hollow", f"baseline {row.baseline:.4g}"))
+        marks.append(dot(now, y, 4.0, "wrong" if row.worse > 0.0 else "mark", f"candidate {row.candidate:.4g}"))
+    head = text(2.0, 13.0, title, "title") + legend(2.0, 29.0, _MOVED, WIDTH_PX)
+    unit = str(shown["unit"].iloc[0])
+    x_title = f"{shown['metric'].iloc[0]}{f' [{unit}]' if unit not in ('', '1', 'count') else ''}"
+    drawn = plane.drawn("".join(marks), x_title=x_title, y_ticks=False, over=_names(plane, names))
+    says = f"{title}: " + "; ".join(f"{r.log} {r.baseline:.3g} to {r.candidate:.3g}" for r in rows)
+    return Chart(str(shown["metric"].iloc[0]), title, says, WIDTH_PX, plane.height, drawn + head)
+
+
+_MOVED = (
+    ("dot", "hollow", "baseline"), ("dot", "mark", "candidate"),
+    ("line", "better", "better"), ("line", "worse", "worse"),
+)  # fmt: skip

@@ -1,0 +1,85 @@
+"""Several charts as one picture, written as SVG or PNG."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from logs.errors import ConfigError, writing
+from replay.draw.charts.canvas import Chart, group, shortened, text
+from replay.draw.charts.lanes import decisions
+from replay.draw.charts.layout import CHART, drawn
+from replay.draw.charts.style import Theme
+from replay.draw.charts.subject import Subject
+from replay.results.tables import write_file, write_text
+
+COLUMN_PX, GAP_PX, MARGIN_PX, HEAD_PX = 440.0, 16.0, 14.0, 44.0
+FORMATS = (".png", ".svg")
+ALL = "all"
+
+
+def charts_of(subject: Subject, kind: str, width: float) -> list[Chart]:
+    """The charts of a name (`replay.draw.charts.layout.CHART`), or `ALL`, for a picture of a width, pixels."""
+    names = CHART.names() if kind == ALL else (kind,)
+    wide = row_width(width)
+    found = [[decisions(subject, wide)] if name == "decisions" else drawn(subject, name) for name in names]
+    return [chart for charts in found for chart in charts]
+
+
+def row_width(width: float) -> float:
+    """Of as many columns as a width has room for, one at least."""
+    columns = max(1, int((width + GAP_PX) / (COLUMN_PX + GAP_PX)))
+    return columns * (COLUMN_PX + GAP_PX) - GAP_PX
+
+
+def together(charts: Sequence[Chart], title: str, says: str, width: float) -> Chart:
+    """Charts below and beside each other, as many columns as a width (pixels) has room for, under a title."""
+    most = len(charts) * (COLUMN_PX + GAP_PX) - GAP_PX
+    full = max(min(row_width(width), most), *(chart.width for chart in charts))
+    placed, x, y, row = [], 0.0, HEAD_PX, 0.0
+    for chart in charts:
+        if x > 0.0 and x + chart.width > full + 1.0:
+            x, y, row = 0.0, y + row + GAP_PX, 0.0
+        placed.append(group(MARGIN_PX + x, y, chart.body))
+        x, row = x + chart.width + GAP_PX, max(row, chart.height)
+    head = text(MARGIN_PX, 18.0, shortened(title, full), "title") + text(
+        MARGIN_PX, 34.0, shortened(says, full), "small"
+    )
+    spoken = f"{title}; {says}: " + "; ".join(chart.title for chart in charts)
+    return Chart("all", title, spoken, full + 2.0 * MARGIN_PX, y + row + MARGIN_PX, head + "".join(placed))
+
+
+def save(chart: Chart, path: Path, *, theme: Theme, width: int) -> None:
+    """Write a picture; format by the ending. The same drive gives the same bytes.
+
+    Args:
+        chart: What to write.
+        path: Ends with .png or .svg.
+        theme: "auto" is light in a PNG, which cannot follow its reader.
+        width: Pixels.
+
+    Raises:
+        ConfigError: Another ending.
+        OutputError: It cannot be written.
+    """
+    if path.suffix not in FORMATS:
+        raise ConfigError(f"{path}: a picture ends with .png or .svg")
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        if path.suffix == ".svg":
+            write_text(path, chart.alone(theme, width))
+        else:
+            data = _png(chart.alone("light" if theme == "auto" else theme, width))
+            write_file(path, lambda partial: partial.write_bytes(data))
+
+
+def _png(svg: str) -> bytes:
+    """The picture with a font that is surely there: that of matplotlib."""
+    import matplotlib as mpl
+    import resvg_py
+
+    fonts = Path(mpl.get_data_path()) / "fonts" / "ttf"
+    files = [str(fonts / f"DejaVuSans{style}.ttf") for style in ("", "-Bold", "-Oblique")]
+    return bytes(
+        resvg_py.svg_to_bytes(svg_string=svg, skip_system_fonts=True, font_files=files, font_family="DejaVu Sans")
+    )

@@ -1,0 +1,223 @@
+"""The scene from above at an instant, ahead to the right: road, ego, the others, driven path and plan.
+
+(1) p' = R(-yaw) (p - p_ego),  yaw and p_ego those of the ego's rear axle at the instant: x' ahead, y' to the left, m
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from logs.kernel import FloatArray
+from logs.scenario import AgentKind, Agents
+from logs.shapes import corners
+from logs.short_names import ShortNames
+from logs.states import EgoState
+from logs.trace import Decision, DecisionKind
+from replay.draw.charts.axes import Plane
+from replay.draw.charts.canvas import (
+    LETTER_PX,
+    Chart,
+    area,
+    areas,
+    cut_line,
+    cut_outline,
+    dot,
+    legend,
+    polyline,
+    polylines,
+    shortened,
+    text,
+)
+from replay.draw.charts.subject import Subject
+from replay.world import box_center
+
+WIDTH_PX, HEIGHT_PX = 440.0, 226.0
+BEHIND_M, AHEAD_M, AHEAD_S, MOST_M = 14.0, 46.0, 3.0, 130.0
+"""What is seen: so much behind the ego, and ahead as far as they drive in `AHEAD_S`, within these bounds."""
+ARROW_S = 1.0
+SLOW_MPS = 0.3
+SMALL_PX = 3.2
+"""Who would be drawn smaller than this radius is drawn as a dot of it."""
+MAX_NAMES = 6
+NAME_M = 60.0
+
+
+def scene(subject: Subject, t: float, word: str) -> Chart:
+    """The scene at a time; `word` says which time that is ("start", "worst moment", "end")."""
+    ego = subject.trace.ego.at(t)
+    ahead = min(max(AHEAD_M, AHEAD_S * abs(ego.v)), MOST_M)
+    plane = Plane((-BEHIND_M, ahead), (-1.0, 1.0), WIDTH_PX, HEIGHT_PX)
+    half = 0.5 * plane.inner[1] * (ahead + BEHIND_M) / plane.inner[0]
+    plane = Plane(plane.x, (-half, half), WIDTH_PX, HEIGHT_PX)
+    view = _View(plane, ego)
+    planned = abs(t - subject.moment.t) < 1e-9
+    agents = subject.trace.agents.truth(t)
+    inside = _road(view, subject) + _paths(view, subject, planned=planned) + _others(view, agents) + _ego(view, subject)
+    title = f"{word[:1].upper()}{word[1:]}: {t:.2f} s, {ego.v:.1f} m/s"
+    drawn = plane.drawn(
+        inside, x_title="ahead of the rear axle [m]", over=_names(view, agents, subject, planned=planned)
+    )
+    head = text(2.0, 13.0, title, "title") + text(2.0, 33.0, "left [m]", "tick")
+    entries = [
+        ("area", "ego", "ego"),
+        ("area", "other", "moves"),
+        ("area", "still", "stands"),
+        ("line", "driven", "driven"),
+    ]
+    plan = [("line", "planned", "plan, a dot a second")] if planned and subject.frame else []
+    head += legend(60.0, 33.0, [*entries, *plan], WIDTH_PX - 70.0)
+    return Chart(
+        f"scene_{word.replace(' ', '_')}",
+        title,
+        _said(title, agents, ego, subject.scenario.short_names),
+        WIDTH_PX,
+        HEIGHT_PX,
+        drawn + head,
+    )
+
+
+def scenes(subject: Subject) -> list[Chart]:
+    """Start, the moment, and end; instants that coincide once."""
+    first, last = float(subject.trace.ego.t[0]), float(subject.trace.ego.t[-1])
+    word = "this moment" if subject.moment.why == "as asked" else "worst moment"
+    at = [(subject.moment.t, word)]
+    start = [(first, "start")] if subject.moment.t - first > 0.05 else []
+    return [scene(subject, *one) for one in [*start, *at, *([(last, "end")] if last - subject.moment.t > 0.05 else [])]]
+
+
+class _View:
+    """Where points of the world are in the picture, (1)."""
+
+    def __init__(self, plane: Plane, ego: EgoState) -> None:
+        self.plane, self.ego = plane, ego
+        self._turn = np.array([[np.cos(ego.yaw), -np.sin(ego.yaw)], [np.sin(ego.yaw), np.cos(ego.yaw)]])
+
+    def of(self, points: FloatArray) -> FloatArray:
+        """Pixels `(n, 2)` in the plot area of world points `(n, 2)`."""
+        local = (np.asarray(points, np.float64).reshape(-1, 2) - [self.ego.x, self.ego.y]) @ self._turn
+        return np.column_stack([self.plane.at_x(local[:, 0]), self.plane.at_y(local[:, 1])])
+
+    def sees(self, pixels: FloatArray) -> bool:
+        """Whether some of the box around points `(n, 2)` is in the plot area."""
+        wide, high = self.plane.inner
+        low, top = pixels.min(axis=0), pixels.max(axis=0)
+        return bool(low[0] <= wide and top[0] >= 0.0 and low[1] <= high and top[1] >= 0.0)
+
+    def outlines(self, rings: Iterable[FloatArray]) -> list[FloatArray]:
+        """Outlines of the world as pixels: the parts in and around the plot area."""
+        shown = (self.of(ring) for ring in rings)
+        return [cut_outline(ring, *self.plane.inner) for ring in shown if self.sees(ring)]
+
+    def lines(self, some: Iterable[FloatArray]) -> list[FloatArray]:
+        """Lines of the world as pixels, likewise."""
+        shown = (self.of(line) for line in some)
+        return [piece for line in shown if self.sees(line) for piece in cut_line(line, *self.plane.inner)]
+
+
+def _road(view: _View, subject: Subject) -> str:
+    road, goal = subject.scenario.road, subject.scenario.goal
+    lanes = list(road.lanes.values())
+    drawn = areas(view.outlines(lane.polygon for lane in lanes if not lane.drivable), "walk")
+    drawn += areas(view.outlines(lane.polygon for lane in lanes if lane.drivable), "road")
+    drawn += polylines(view.lines(side for lane in lanes for side in (lane.left, lane.right)), "lane")
+    drawn += areas(view.outlines(walk.polygon for walk in road.crosswalks), "zebra")
+    drawn += areas(view.outlines(() if goal is None else goal.regions), "goal")
+    return drawn + "".join(_stop_lines(view, subject))
+
+
+def _stop_lines(view: _View, subject: Subject) -> Iterator[str]:
+    """Lines across the lane, with the colour of their light as a word."""
+    lights = {light.id: light for light in subject.scenario.lights}
+    for stop in subject.scenario.road.stop_lines:
+        ends = view.of(stop.points)
+        if view.sees(ends):
+            yield polyline(ends[:, 0], ends[:, 1], "stop")
+            if stop.light in lights:
+                word = lights[stop.light].at(view.ego.t).value
+                yield text(float(ends[:, 0].max()) + 4.0, float(ends[:, 1].mean()) + 3.5, word, "small")
+
+
+def _paths(view: _View, subject: Subject, *, planned: bool) -> str:
+    """The driven path, and at the moment the plan with a dot a second and the others' futures."""
+    ego, frame = subject.trace.ego, subject.frame
+    out = polylines(view.lines([np.column_stack([ego.x, ego.y])]), "driven")
+    if frame is None or not planned:
+        return out
+    plan, futures = frame.plan.trajectory, frame.predictions
+    if futures is not None:
+        out += polylines(view.lines(map(np.column_stack, zip(futures.x, futures.y, strict=True))), "foreseen")
+    dots = plan.resampled(np.arange(plan.t[0] + 1.0, plan.t[-1] + 1e-9, 1.0)) if plan.t[-1] >= plan.t[0] + 1.0 else None
+    seconds = [] if dots is None else view.of(np.column_stack([dots.x, dots.y])).tolist()
+    out += polylines(view.lines([np.column_stack([plan.x, plan.y])]), "planned")
+    return out + "".join(dot(x, y, 2.4, "second") for x, y in seconds)
+
+
+def _ego(view: _View, subject: Subject) -> str:
+    car = subject.scenario.vehicle
+    x, y = box_center(view.ego, car)
+    box = view.of(corners(x, y, view.ego.yaw, car.length, car.width))
+    front = box[np.argsort(box[:, 0])[2:]]
+    nose = np.vstack([front[0], view.of(np.array([[x, y]]))[0], front[1]])
+    return area(box[:, 0], box[:, 1], "ego") + polyline(nose[:, 0], nose[:, 1], "nose")
+
+
+def _others(view: _View, agents: Agents) -> str:
+    return "".join(_other(view, agents, i) for i in range(len(agents)))
+
+
+def _other(view: _View, agents: Agents, i: int) -> str:
+    """A box, or a dot where that would be too small; a line to where it is in a second."""
+    box = view.of(corners(*(float(c[i]) for c in (agents.x, agents.y, agents.yaw, agents.length, agents.width))))
+    if not view.sees(box):
+        return ""
+    moving = float(np.nan_to_num(agents.speed[i])) > SLOW_MPS
+    kind = "other" if moving else "still"
+    here, velocity = np.array([agents.x[i], agents.y[i]]), np.array([agents.vx[i], agents.vy[i]])
+    ends = view.of(np.array([here, here + ARROW_S * velocity]))
+    arrow = polyline(ends[:, 0], ends[:, 1], "heading") if moving else ""
+    small = max(float(np.ptp(box[:, 0])), float(np.ptp(box[:, 1]))) < 2.0 * SMALL_PX
+    if small or agents.kinds[i] is AgentKind.PEDESTRIAN:
+        return arrow + dot(float(ends[0, 0]), float(ends[0, 1]), SMALL_PX, kind)
+    return arrow + area(box[:, 0], box[:, 1], kind)
+
+
+def _decided(subject: Subject) -> dict[str, str]:
+    if subject.frame is None:
+        return {}
+    found = [some for some in subject.frame.plan.internals if isinstance(some, Decision)]
+    return {some.agent: some.kind.value for some in found if some.kind is not DecisionKind.IGNORE}
+
+
+def _names(view: _View, agents: Agents, subject: Subject, *, planned: bool) -> str:
+    """Ids of who is decided about and of the nearest, with the decision; left out where they would overlap."""
+    wide, high = view.plane.inner
+    decided = _decided(subject) if planned else {}
+    at = view.of(np.column_stack([agents.x, agents.y]))
+    away = np.hypot(agents.x - view.ego.x, agents.y - view.ego.y)
+    order = sorted(range(len(agents)), key=lambda i: (agents.ids[i] not in decided, float(away[i])))
+    placed: list[tuple[float, float, float]] = []
+    out = []
+    for i in order:
+        x, y = at[i].tolist()
+        inside = 0.0 <= x <= wide and 0.0 <= y <= high and away[i] <= max(NAME_M, view.plane.x[1])
+        if not inside or len(placed) >= MAX_NAMES:
+            continue
+        decision = f": {decided[agents.ids[i]]}" if agents.ids[i] in decided else ""
+        words = shortened(subject.scenario.short_names(agents.ids[i]), 110.0) + decision
+        half = 0.5 * LETTER_PX * len(words)
+        below = y < 20.0 or (y > 0.5 * high and high - y > 20.0)
+        x, y = min(max(x, half), wide - half), y + 18.0 if below else y - 9.0
+        if all(abs(y - other_y) > 11.0 or abs(x - other_x) > half + other for other_x, other_y, other in placed):
+            placed.append((x, y, half))
+            out.append(text(x, y, words, "name mid"))
+    return "".join(out)
+
+
+def _said(title: str, agents: Agents, ego: EgoState, short: ShortNames) -> str:
+    if not len(agents):
+        return f"Scene, {title}; no other road users"
+    away = np.hypot(agents.x - ego.x, agents.y - ego.y)
+    i = int(np.argmin(away))
+    return f"Scene, {title}; {len(agents)} other road users, the nearest {short(agents.ids[i])}, {away[i]:.0f} m away"

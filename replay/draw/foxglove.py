@@ -1,0 +1,243 @@
+"""A log or a trace as Foxglove draws it: channels of its well-known schemas beside the native ones (`--foxglove`).
+
+    /foxglove/road        SceneUpdate     once: lanes by their boundaries, crosswalks, the goal's regions
+    /foxglove/stop_lines  SceneUpdate     stop lines in the colours of their lights, whenever one changes
+    /foxglove/obstacles   SceneUpdate     once: those that never move
+    /foxglove/agents      SceneUpdate     all others who are there, as boxes with their names, coloured by kind
+    /foxglove/tf          FrameTransform  `BASE` (the ego's rear axle) in `MAP`
+    /foxglove/ego         SceneUpdate     once: the ego's box, bound to `BASE`
+    /foxglove/onboard, /foxglove/plan    PosesInFrame    plans: that of the log's own planner, those of the trace
+    /foxglove/plan_line   SceneUpdate     the latter as a line
+
+Protobuf by Foxglove's own package (extra `foxglove`). `MAP` has the coordinates of the log, relative to its origin; the
+ground is z = 0. Each message of a topic shows all of it, so that a viewer may jump to any time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+
+from logs.agents import AgentKind, Agents
+from logs.errors import ConfigError
+from logs.kernel import FloatArray
+from logs.mcap.trace import driven_scenario
+from logs.mcap.writer import Entry, log_times
+from logs.road import Road
+from logs.rules import Colour, StopLine
+from logs.scenario import Scenario
+from logs.short_names import ShortNames
+from logs.states import Trajectory
+from logs.trace import Trace, kept_samples
+from logs.vehicle import VehicleParameters
+from replay.draw.recording import colours
+from replay.draw.recording.road import LIGHTS, STOP_SIGN
+
+try:
+    from foxglove_schemas_protobuf.Color_pb2 import Color
+    from foxglove_schemas_protobuf.CubePrimitive_pb2 import CubePrimitive
+    from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+    from foxglove_schemas_protobuf.KeyValuePair_pb2 import KeyValuePair
+    from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
+    from foxglove_schemas_protobuf.Point3_pb2 import Point3
+    from foxglove_schemas_protobuf.Pose_pb2 import Pose
+    from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
+    from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
+    from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+    from foxglove_schemas_protobuf.SceneEntityDeletion_pb2 import SceneEntityDeletion
+    from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+    from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
+    from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+    from google.protobuf.timestamp_pb2 import Timestamp
+except ModuleNotFoundError:
+    raise ConfigError("--foxglove needs foxglove-schemas-protobuf: pip install 'replan[foxglove]'") from None
+
+MAP, BASE = "map", "base_link"
+STEP_S = 0.02
+"""Samples of the ego and instants of the others are at least so far apart: 50 Hz is more than a screen shows."""
+HEIGHT_M = {
+    AgentKind.CAR: 1.5, AgentKind.TRUCK: 3.2, AgentKind.BUS: 3.2, AgentKind.MOTORCYCLE: 1.5, AgentKind.BICYCLE: 1.7,
+    AgentKind.PEDESTRIAN: 1.75, AgentKind.OBJECT: 1.0,
+}  # fmt: skip
+"""Usual heights, drawn only: a log has none."""
+LINE_M, LABEL_PX = 0.1, 12.0
+
+
+def scenario_channels(scenario: Scenario) -> Iterator[Entry]:
+    """The messages of a log.
+
+    Raises:
+        LogError: A log time is before the epoch.
+    """
+    start, road = scenario.start_ns, scenario.road
+    yield start, "/foxglove/road", _scene(start, [*_lanes(road, start), *_areas(scenario, start)])
+    yield from _stop_lines(scenario)
+    yield from _others(scenario)
+    yield from _ego(scenario.ego, scenario.vehicle, start)
+    yield from _plans("/foxglove/onboard", [(plan.known, plan.trajectory) for plan in scenario.onboard], start)
+
+
+def trace_channels(trace: Trace, scenario: Scenario) -> Iterator[Entry]:
+    """The messages of a drive: as of a log, and its plans.
+
+    Raises:
+        LogError: As `scenario_channels`.
+    """
+    start = scenario.start_ns
+    yield from scenario_channels(driven_scenario(trace, scenario))
+    plans = [(frame.t, frame.plan.trajectory) for frame in trace.frames]
+    yield from _plans("/foxglove/plan", plans, start)
+    times = log_times(np.array([t for t, _ in plans]), start, "/foxglove/plan_line")
+    for time, (_, plan) in zip(times, plans, strict=True):
+        line = _line(np.column_stack([plan.x, plan.y])[kept_samples(plan.t)], colours.QP)
+        yield time, "/foxglove/plan_line", _scene(time, [_entity("plan", time, [line])])
+
+
+def _lanes(road: Road, time: int) -> Iterator[SceneEntity]:
+    """Each lane by its boundaries: white, where they may be crossed grey, to opposite lanes yellow."""
+    for lane in road.lanes.values():
+        lines = []
+        for side in ("left", "right"):
+            inner = colours.MARKING if getattr(lane, f"{side}_crossable") else colours.EDGE
+            colour = colours.OPPOSITE if getattr(lane, f"{side}_opposite") else inner
+            lines.append(_line(getattr(lane, side), colour if lane.drivable else colours.FAINT))
+        said = {"kind": lane.kind, "speed_limit_mps": f"{lane.speed_limit:.2f}"}
+        yield _entity(f"lane {lane.id}", time, lines, said)
+
+
+def _areas(scenario: Scenario, time: int) -> Iterator[SceneEntity]:
+    """Crosswalks and the goal, outlined."""
+    for crosswalk in scenario.road.crosswalks:
+        yield _entity(f"crosswalk {crosswalk.id}", time, [_line(crosswalk.polygon, colours.EDGE, closed=True)])
+    regions = scenario.goal.regions if scenario.goal else ()
+    if regions:
+        yield _entity("goal", time, [_line(region, colours.GOAL, closed=True) for region in regions])
+
+
+def _stop_lines(scenario: Scenario) -> Iterator[Entry]:
+    """All of them, at the start and whenever a light changes."""
+    lines, topic = scenario.road.stop_lines, "/foxglove/stop_lines"
+    if not lines:
+        return
+    lights = {light.id: light for light in scenario.lights}
+    changes = np.unique(np.concatenate([[0.0], *(light.t for light in scenario.lights)]))
+    for t, time in zip(changes.tolist(), log_times(changes, scenario.start_ns, topic), strict=True):
+        shown = {key: light.at(t) for key, light in lights.items()}
+        entities = [
+            _entity(f"stop line {line.id}", time, [_line(line.points, _stop_colour(line, shown))]) for line in lines
+        ]
+        yield time, topic, _scene(time, entities)
+
+
+def _stop_colour(line: StopLine, shown: dict[int, Colour]) -> int:
+    if line.light is None:
+        return STOP_SIGN if line.must_stop else colours.EDGE
+    return LIGHTS[shown.get(line.light, Colour.OFF)]
+
+
+def _others(scenario: Scenario) -> Iterator[Entry]:
+    """Who never moves, once; the others at the times at which any of them was sampled, and at the end."""
+    tracks, start = scenario.tracks, scenario.start_ns
+    still = np.repeat(tracks.static, np.diff(tracks.offsets))
+    if still.any():
+        yield start, "/foxglove/obstacles", _boxes(tracks.taken(still).truth(0.0), start, scenario.short_names)
+    if still.all():
+        return
+    moving = tracks.taken(~still)
+    instants = _thinned(np.unique(np.r_[moving.t, scenario.duration]))
+    for t, time in zip(instants.tolist(), log_times(instants, start, "/foxglove/agents"), strict=True):
+        yield time, "/foxglove/agents", _boxes(moving.truth(t), time, scenario.short_names)
+
+
+def _boxes(agents: Agents, time: int, short: ShortNames) -> SceneUpdate:
+    columns = (agents.x, agents.y, agents.yaw, agents.length, agents.width, agents.vx, agents.vy)
+    rows = np.column_stack(columns).tolist()
+    entities = []
+    for name, kind, (x, y, yaw, length, width, vx, vy) in zip(agents.ids, agents.kinds, rows, strict=True):
+        height = HEIGHT_M[kind]
+        size = Vector3(x=length, y=width, z=height)
+        colour = _colour(colours.with_alpha(colours.KINDS[kind], 200))
+        entity = _entity(name, time, [], {"kind": kind.value, "speed_mps": f"{np.hypot(vx, vy):.1f}"})
+        entity.cubes.append(CubePrimitive(pose=_pose(x, y, yaw, 0.5 * height), size=size, color=colour))
+        label: dict[str, Any] = {"billboard": True, "scale_invariant": True, "font_size": LABEL_PX}
+        above = _pose(x, y, 0.0, height + 0.3)
+        entity.texts.append(TextPrimitive(pose=above, text=short(name), color=_colour(colours.TICK), **label))
+        entities.append(entity)
+    return _scene(time, entities)
+
+
+def _ego(ego: Trajectory, vehicle: VehicleParameters, start: int) -> Iterator[Entry]:
+    kept = np.isin(ego.t, _thinned(ego.t))
+    states = zip(ego.x[kept].tolist(), ego.y[kept].tolist(), ego.yaw[kept].tolist(), strict=True)
+    for time, (x, y, yaw) in zip(log_times(ego.t[kept], start, "/foxglove/tf"), states, strict=True):
+        at: dict[str, Any] = {"translation": Vector3(x=x, y=y), "rotation": _turned(yaw)}
+        stamp = _stamp(time)
+        yield time, "/foxglove/tf", FrameTransform(timestamp=stamp, parent_frame_id=MAP, child_frame_id=BASE, **at)
+    height = HEIGHT_M[AgentKind.CAR]
+    size = Vector3(x=vehicle.length, y=vehicle.width, z=height)
+    pose = _pose(vehicle.axle_to_center, 0.0, 0.0, 0.5 * height)
+    box = CubePrimitive(pose=pose, size=size, color=_colour(colours.EGO))
+    known = [KeyValuePair(key=f.name, value=str(getattr(vehicle, f.name))) for f in fields(vehicle)]
+    bound: dict[str, Any] = {"frame_id": BASE, "id": "ego", "frame_locked": True, "metadata": known}
+    yield start, "/foxglove/ego", SceneUpdate(entities=[SceneEntity(timestamp=_stamp(start), cubes=[box], **bound)])
+
+
+def _plans(topic: str, plans: Sequence[tuple[float, Trajectory]], start: int) -> Iterator[Entry]:
+    """Plans by when they were known, thinned as `kept_samples`."""
+    times = log_times(np.array([known for known, _ in plans]), start, topic)
+    for time, (_, plan) in zip(times, plans, strict=True):
+        kept = kept_samples(plan.t)
+        states = zip(plan.x[kept].tolist(), plan.y[kept].tolist(), plan.yaw[kept].tolist(), strict=True)
+        poses = [_pose(x, y, yaw, 0.0) for x, y, yaw in states]
+        yield time, topic, PosesInFrame(timestamp=_stamp(time), frame_id=MAP, poses=poses)
+
+
+def _thinned(t: FloatArray) -> FloatArray:
+    """Of increasing times the first, and each that is `STEP_S` or more after the one kept before."""
+    kept = [-np.inf]
+    for time in t.tolist():
+        if time >= kept[-1] + STEP_S - 1e-9:
+            kept.append(time)
+    return np.array(kept[1:])
+
+
+def _scene(time: int, entities: Iterable[SceneEntity]) -> SceneUpdate:
+    """What is on a topic from now on: the entities, and none of those before."""
+    gone = SceneEntityDeletion(timestamp=_stamp(time), type=SceneEntityDeletion.ALL)
+    return SceneUpdate(deletions=[gone], entities=entities)
+
+
+def _entity(name: str, time: int, lines: Sequence[LinePrimitive], said: dict[str, str] | None = None) -> SceneEntity:
+    known = [KeyValuePair(key=key, value=value) for key, value in (said or {}).items()]
+    return SceneEntity(timestamp=_stamp(time), frame_id=MAP, id=name, metadata=known, lines=lines)
+
+
+def _line(points: FloatArray, colour: int, *, closed: bool = False) -> LinePrimitive:
+    """A polyline `(n, 2)` on the ground."""
+    kind = LinePrimitive.LINE_LOOP if closed else LinePrimitive.LINE_STRIP
+    drawn = [Point3(x=x, y=y) for x, y in points.tolist()]
+    return LinePrimitive(
+        type=kind, pose=_pose(0.0, 0.0, 0.0, 0.0), thickness=LINE_M, points=drawn, color=_colour(colour)
+    )
+
+
+def _pose(x: float, y: float, yaw: float, z: float) -> Pose:
+    return Pose(position=Vector3(x=x, y=y, z=z), orientation=_turned(yaw))
+
+
+def _turned(yaw: float) -> Quaternion:
+    return Quaternion(z=np.sin(0.5 * yaw), w=np.cos(0.5 * yaw))
+
+
+def _colour(packed: int) -> Color:
+    """Of 0xRRGGBBAA."""
+    red, green, blue, opacity = (byte / 255.0 for byte in packed.to_bytes(4))
+    return Color(r=red, g=green, b=blue, a=opacity)
+
+
+def _stamp(time: int) -> Timestamp:
+    seconds, nanos = divmod(time, 1_000_000_000)
+    return Timestamp(seconds=seconds, nanos=nanos)

@@ -1,0 +1,228 @@
+"""What is shown where: the views of a recording, only those that have something to show."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import rerun.blueprint as rrb
+
+from logs.kernel import FloatArray
+from replay.draw.recording.axes import (
+    HEIGHT,
+    MARGIN_BOTTOM,
+    MARGIN_LEFT,
+    MARGIN_RIGHT,
+    MARGIN_TOP,
+    WIDTH,
+    Axes,
+)
+from replay.draw.recording.columns import FRAME, REMOVED, ROOM, SIM_TIME
+from replay.draw.recording.plots import Panel
+
+PAGES = {"why": "Why", "numbers": "Solvers and costs", "recent": "Events until now", "summary": "Summary"}
+GRAPHS = {"st": "S-T graph: DP yellow, QP blue, as it then happened pink", "sl": "S-L graph: DP yellow, QP blue"}
+ROWS = {
+    "overview": ((("speed",), 1.3), (("acceleration", "jerk"), 1.3)),
+    "planner": ((("speed",), 1.2), (("stages",), 1.2)),
+    "control": (
+        (("speed",), 1.0), (("acceleration",), 1.0), (("pedals",), 1.0),
+        (("steer",), 1.0), (("error_across",), 1.0), (("error_along",), 1.0), (("slip",), 1.0), (("friction",), 1.0),
+    ),
+}  # fmt: skip
+"""Panels of each layout in order and their shares of the height; those of one row are tabs of one place."""
+
+
+@dataclass(frozen=True, eq=False)
+class Contents:
+    """What there is to show: panels, graphs, lanes of states, which pages, and the corners of the map `(2, 2)`."""
+
+    panels: Sequence[Panel]
+    st: Axes | None
+    sl: Axes | None
+    lanes: Sequence[str]
+    pages: Sequence[str]
+    bounds: FloatArray
+
+    @property
+    def lanes_share(self) -> float:
+        """Of the height, for the lanes of states: each has as much."""
+        return 0.35 + 0.24 * len(self.lanes)
+
+
+NUMBERS = 0.032
+"""Share of a curve's width that the numbers of its axis take, in a window of usual size."""
+
+
+def blueprint(contents: Contents) -> rrb.Blueprint:
+    """The layouts as tabs, those that have something to show.
+
+    Raises:
+        ValueError: A panel is in no row of `ROWS`: it would not be seen.
+    """
+    panels = {panel.entity.removeprefix("plots/"): panel for panel in contents.panels}
+    nowhere = set(panels) - {name for rows in ROWS.values() for names, _ in rows for name in names}
+    if nowhere:
+        raise ValueError(f"the panel '{min(nowhere)}' is in no row of ROWS: it would not be seen")
+    tabs = [_overview(contents, panels)]
+    if contents.st or contents.sl or "stages" in panels:
+        tabs.append(_planner(contents, panels))
+    if any(name in panels for names, _ in ROWS["control"][2:] for name in names):
+        tabs.append(_control(contents, panels))
+    return rrb.Blueprint(
+        rrb.Tabs(*tabs, active_tab=0) if len(tabs) > 1 else tabs[0],
+        rrb.TimePanel(timeline=SIM_TIME, state="collapsed"),
+        rrb.SelectionPanel(state="hidden"),
+        rrb.BlueprintPanel(state="hidden"),
+        auto_layout=False,
+        auto_views=False,
+    )
+
+
+def _overview(contents: Contents, panels: Mapping[str, Panel]) -> rrb.Container:
+    """Scene, words and graphs on the left, curves, decisions and events on the right."""
+    words = _pages(contents, ("why", "summary"))
+    top = rrb.Horizontal(_scenes(contents.bounds), words, column_shares=[1.75, 1.0])
+    graphs = _graphs(contents)
+    left = [top, rrb.Horizontal(*graphs)] if graphs else [top]
+    rows, shares = _rows("overview", panels)
+    if contents.lanes:
+        rows += [_decisions(contents), rrb.Tabs(*_page_views(contents, ("recent",)), _events(), active_tab=0)]
+        shares += [contents.lanes_share, 0.9]
+    return rrb.Horizontal(
+        rrb.Vertical(*left, row_shares=[1.35, 1.0][: len(left)]),
+        rrb.Vertical(*rows, row_shares=shares),
+        column_shares=[1.75, 1.0],
+        name="Overview",
+    )
+
+
+def _planner(contents: Contents, panels: Mapping[str, Panel]) -> rrb.Container:
+    """The graphs large, the words, what the solvers and the stages did."""
+    rows, shares = _rows("planner", panels)
+    words = rrb.Vertical(_pages(contents, ("why",)), _pages(contents, ("numbers",)), row_shares=[1.3, 1.0])
+    right = rrb.Vertical(scene_behind(), *rows, _decisions(contents), row_shares=[2.0, *shares, contents.lanes_share])
+    graphs = _graphs(contents)
+    columns = [rrb.Vertical(*graphs), words, right] if graphs else [words, right]
+    return rrb.Horizontal(*columns, column_shares=[1.3, 0.9, 1.2][-len(columns) :], name="Planner")
+
+
+def _control(contents: Contents, panels: Mapping[str, Panel]) -> rrb.Container:
+    """What was asked of the car, what it did, and how far off the plan it was, in two columns of curves."""
+    rows, shares = _rows("control", panels)
+    half = (len(rows) + 1) // 2
+    columns = [
+        rrb.Vertical(*rows[part], row_shares=shares[part]) for part in (slice(0, half), slice(half, None)) if rows[part]
+    ]
+    below = [_decisions(contents)] if contents.lanes else []
+    left = rrb.Vertical(scene_behind(), *below, row_shares=[2.0, 1.0][: 1 + len(below)])
+    return rrb.Horizontal(left, *columns, column_shares=[1.0] * (1 + len(columns)), name="Control")
+
+
+def _scenes(bounds: FloatArray) -> rrb.Tabs:
+    """The same scene thrice: from behind the ego, from above it, and the whole map (without names)."""
+    above = rrb.EyeControls3D(position=[22.0, 0.0, 58.0], look_target=[22.01, 0.0, 0.0], eye_up=[1.0, 0.0, 0.0])
+    middle, span = bounds.mean(axis=0), np.ptp(bounds, axis=0)
+    height = 0.75 * float(max(span[0], 1.6 * span[1], 40.0))
+    whole = rrb.EyeControls3D(
+        position=[middle[0], middle[1], height], look_target=[middle[0], middle[1] + 0.01, 0.0], eye_up=[0.0, 1.0, 0.0]
+    )
+    views = (
+        scene_behind(),
+        _scene("From above", "/world/ego", ["+ /world/**"], above),
+        _scene("Map", "/world", ["+ /world/**", "- /world/agents/names", "- /world/agents/velocity"], whole),
+    )
+    return rrb.Tabs(*views, active_tab=0)
+
+
+def scene_behind(name: str = "Scene", under: str = "") -> rrb.Spatial3DView:
+    """The scene from behind the ego; `under`: where the recording's entities are ("/A")."""
+    eye = rrb.EyeControls3D(position=[-18.0, 0.0, 13.0], look_target=[14.0, 0.0, 0.0], eye_up=[0.0, 0.0, 1.0])
+    return _scene(name, f"{under}/world/ego", [f"+ {under}/world/**"], eye, under)
+
+
+def _scene(name: str, origin: str, contents: list[str], eye: rrb.EyeControls3D, under: str = "") -> rrb.Spatial3DView:
+    """A view of the scene; the driven path is shown from its begin to the cursor, what was removed is hidden."""
+    begin, cursor = rrb.TimeRangeBoundary.infinite(), rrb.TimeRangeBoundary.cursor_relative()
+    driven = rrb.VisibleTimeRanges(
+        [rrb.VisibleTimeRange(timeline, start=begin, end=cursor) for timeline in (SIM_TIME, FRAME)]
+    )
+    return rrb.Spatial3DView(
+        origin=origin,
+        contents=contents,
+        name=name,
+        eye_controls=eye,
+        line_grid=False,
+        overrides={f"{under}/world/driven": [driven], f"{under}/{REMOVED}": [rrb.EntityBehavior(visible=False)]},
+    )
+
+
+def _graphs(contents: Contents) -> list[rrb.View]:
+    shown = ((axes, GRAPHS[name]) for name, axes in (("st", contents.st), ("sl", contents.sl)) if axes)
+    return [graph_view(name, "/graphs", f"/{axes.entity}") for axes, name in shown]
+
+
+def graph_view(name: str, origin: str, entity: str) -> rrb.Spatial2DView:
+    """A graph with its axes."""
+    bounds = rrb.VisualBounds2D(
+        x_range=[-MARGIN_LEFT, WIDTH + MARGIN_RIGHT], y_range=[-HEIGHT - MARGIN_TOP, MARGIN_BOTTOM]
+    )
+    return rrb.Spatial2DView(origin=origin, contents=f"{entity}/**", name=name, visual_bounds=bounds)
+
+
+def _rows(layout: str, panels: Mapping[str, Panel]) -> tuple[list[rrb.Container | rrb.View], list[float]]:
+    """The rows of curves of a layout that have something to show, and their shares."""
+    found = [([plot(panels[name]) for name in names if name in panels], share) for names, share in ROWS[layout]]
+    return (
+        [rrb.Tabs(*views, active_tab=0) if len(views) > 1 else views[0] for views, _ in found if views],
+        [share for views, share in found if views],
+    )
+
+
+def _pages(contents: Contents, names: Sequence[str]) -> rrb.Container:
+    """Pages of words as tabs of one place; one that the recording does not have is left out."""
+    return rrb.Tabs(*_page_views(contents, names) or _page_views(contents, ("summary",)), active_tab=0)
+
+
+def _page_views(contents: Contents, names: Sequence[str]) -> list[rrb.View]:
+    return [rrb.TextDocumentView(origin=f"/{name}", name=PAGES[name]) for name in names if name in contents.pages]
+
+
+def _decisions(contents: Contents) -> rrb.Container:
+    return lanes_beside_numbers(state_view("Decisions and status", contents.lanes))
+
+
+def state_view(name: str, lanes: Sequence[str], under: str = "") -> rrb.StateTimelineView:
+    """Lanes of states; `under`: where the recording's entities are ("/A")."""
+    shown = [f"{under}/{lane}" for lane in lanes]
+    return rrb.StateTimelineView(origin=under or "/", contents=shown, name=name, time_view=time_axis())
+
+
+def lanes_beside_numbers(lanes: rrb.Container | rrb.View, under: str = "") -> rrb.Container:
+    """Lanes of states, which have no numbers on their left: room for these, so that their axis is the curves'."""
+    room = rrb.TextDocumentView(origin=f"{under}/{ROOM}", name=" ", titlebar=False)
+    return rrb.Horizontal(room, lanes, column_shares=[NUMBERS, 1.0 - NUMBERS])
+
+
+def _events() -> rrb.View:
+    columns = rrb.TextLogColumns(timeline_columns=[SIM_TIME], text_log_columns=["LogLevel", "Body"])
+    return rrb.TextLogView(origin="/events", name="All events", columns=columns)
+
+
+def time_axis() -> rrb.TimeAxis:
+    """The one that all curves and lanes share."""
+    return rrb.TimeAxis(link="LinkToGlobal")
+
+
+def plot(panel: Panel, **more: Any) -> rrb.TimeSeriesView:
+    """A panel as a view; `more` where its curves are not those below its entity."""
+    return rrb.TimeSeriesView(
+        **{"origin": f"/{panel.entity}", **more},
+        name=panel.title,
+        axis_x=time_axis(),
+        axis_y=rrb.ScalarAxis(range=panel.y_range),
+        plot_legend=rrb.PlotLegend(corner=panel.corner),
+        interaction=rrb.PlotInteraction(tooltip_mode="All"),
+    )

@@ -1,0 +1,153 @@
+"""The verdicts of a run as JUnit XML, which CI systems show: a test per log and gate.
+
+A suite per planner and loop. In it, `classname` is PLANNER.LOOP.LOG and `name` the rule of the gate:
+
+    failure     the log breaks the gate's bound
+    skipped     it is inconclusive
+    error       the log could not be driven to the end, or not at all: one test "evaluated" per log, whose time is that
+                of the drive, simulated
+
+What a gate says of all logs together (a mean, a share of passes, too little evidence) is a test of the class
+PLANNER.LOOP.all logs, or of its group; a log by itself does not fail such a gate. Beside them there is a suite "run" of
+what is about no planner, and with a baseline a suite "compare" of its rules. So a test fails where `replan` ends with
+1, and has an error where it ends with 3.
+
+It holds no clock: the same results give the same bytes. Ant's schema wants a timestamp and a host all the same, which
+are `TIMESTAMP` and "localhost". Elements and attributes are those that the schemas of Ant and Jenkins have in common.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from math import isfinite
+from typing import Any
+from xml.etree import ElementTree
+
+import pandas as pd
+
+from metrics.gates import Outcome
+from replay.draw.report.model import Overview
+from replay.draw.report.overview import log_outcomes, without_folders
+from replay.results.load import Results
+
+TIMESTAMP = "1970-01-01T00:00:00"
+TAGS = {Outcome.FAIL.value: "failure", Outcome.INCONCLUSIVE.value: "skipped", "error": "error"}
+EVALUATED = "evaluated"
+WORST = "worst"
+
+
+@dataclass(frozen=True)
+class Case:
+    """A test: `outcome` of a gate, or "error"; time is simulated, s."""
+
+    classname: str
+    name: str
+    outcome: str
+    reason: str = ""
+    time_s: float = 0.0
+
+
+def junit(results: Results, over: Overview) -> str:
+    """The XML.
+
+    Args:
+        results: The run.
+        over: What reports say of it; with a baseline its comparison.
+    """
+    said = log_outcomes(results)
+    suites = [("run", list(_of_run(results, over)))]
+    suites += [
+        (f"{planner}.{mode}", list(_of_drives(results, over, said, planner, mode)))
+        for planner, mode in results.run.drives
+    ]
+    if over.comparison is not None:
+        rules = over.comparison.verdicts
+        suites.append(("compare", [Case("compare", one.rule, one.outcome.value, one.reason) for one in rules]))
+    root = ElementTree.Element("testsuites")
+    for i, (name, cases) in enumerate((name, cases) for name, cases in suites if cases):
+        root.append(_suite(i, name, cases, over))
+    ElementTree.indent(root)
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{ElementTree.tostring(root, encoding="unicode")}\n'
+
+
+def _of_run(results: Results, over: Overview) -> Iterator[Case]:
+    """What is about no planner of the run: planners that could not be loaded, gates that no planner was asked."""
+    for failure in results.summary["failures"]:
+        if not failure["log"]:
+            yield Case("run", EVALUATED, "error", failure["message"])
+    for gate in over.gates:
+        if not gate.planner:
+            yield Case("run.all logs", gate.rule, gate.outcome, gate.reason)
+
+
+def _of_drives(results: Results, over: Overview, said: pd.DataFrame, planner: str, mode: str) -> Iterator[Case]:
+    """The tests of one planner and loop: gates over all logs, then each log."""
+    for gate in over.gates:
+        if (gate.planner, gate.mode) == (planner, mode) and (gate.over != WORST or gate.outcome == "inconclusive"):
+            yield Case(f"{planner}.{mode}.{gate.group or 'all logs'}", gate.rule, gate.outcome, gate.reason)
+    together = {gate.rule for gate in over.gates if gate.over != WORST}
+    asked = (said["outcome"] != Outcome.NOT_ASKED.value) & ~said["gate"].isin(together)
+    said = said[(said["planner"] == planner) & (said["mode"] == mode) & asked]
+    short = without_folders(results)
+    rows = dict(iter(said.groupby("log", sort=False)))
+    mine = results.drives[(results.drives["planner"] == planner) & (results.drives["mode"] == mode)]
+    drives = dict(zip(mine["log"], mine["t_end_s"].astype(float), strict=True))
+    for log in results.logs["log"]:
+        where = f"{planner}.{mode}.{short(str(log)).replace('.', '_')}"
+        why = short(_why(results, log, planner, mode)) or ("" if log in drives else "no result")
+        yield Case(where, EVALUATED, "error" if why else "pass", why, drives.get(log, 0.0))
+        if log in drives and log in rows:
+            yield from (_case(where, row) for row in rows[log].itertuples())
+
+
+def _case(where: str, row: Any) -> Case:
+    """What a log says of a gate."""
+    unit = f" at {row.time_s:.2f} s" if isfinite(row.time_s) else ""
+    value = f"{row.value:.4g}{unit}" if isfinite(row.value) else ""
+    return Case(where, row.gate, row.outcome, ": ".join(filter(None, (value, row.reason))))
+
+
+def _why(results: Results, log: str, planner: str, mode: str) -> str:
+    """Why a log was not driven to the end; "" where it was."""
+    found = [
+        failure["message"] for failure in results.summary["failures"]
+        if failure["log"] == log and failure["planner"] in (None, planner) and failure["mode"] in (None, mode)
+    ]  # fmt: skip
+    return "; ".join(found)
+
+
+def _suite(number: int, name: str, cases: Iterable[Case], over: Overview) -> ElementTree.Element:
+    tests = [_test(case) for case in cases]
+    count = {tag: sum(test.find(tag) is not None for test in tests) for tag in TAGS.values()}
+    suite = ElementTree.Element(
+        "testsuite",
+        {
+            "name": _legal(name), "package": "replan", "id": str(number), "timestamp": TIMESTAMP,
+            "hostname": "localhost", "tests": str(len(tests)), "failures": str(count["failure"]),
+            "errors": str(count["error"]), "skipped": str(count["skipped"]),
+            "time": f"{sum(float(test.attrib['time']) for test in tests):.3f}",
+        },
+    )  # fmt: skip
+    properties = ElementTree.SubElement(suite, "properties")
+    for key, value in (("replan", over.replan), ("config", over.config)):
+        ElementTree.SubElement(properties, "property", name=key, value=_legal(value))
+    suite.extend(tests)
+    for tag in ("system-out", "system-err"):
+        ElementTree.SubElement(suite, tag)
+    return suite
+
+
+def _test(case: Case) -> ElementTree.Element:
+    names = {"name": _legal(case.name), "classname": _legal(case.classname), "time": f"{case.time_s:.3f}"}
+    test = ElementTree.Element("testcase", names)
+    if case.outcome in TAGS:
+        tag = TAGS[case.outcome]
+        ElementTree.SubElement(test, tag, type=case.outcome, message=_legal(case.reason or case.outcome))
+    return test
+
+
+def _legal(text: str) -> str:
+    """The text with what XML 1.0 cannot hold replaced (section 2.2, Char)."""
+    return re.sub("[^\t\n\r\x20-\ud7ff\ue000-\ufffd\U00010000-\U0010ffff]", "\N{REPLACEMENT CHARACTER}", text)

@@ -1,0 +1,269 @@
+"""The report of a run as Markdown (GitHub's): `report.md`, and the summary of a step in CI.
+
+Names of logs, planners and road users are anything: `_text` keeps them from being Markdown. What is long is folded.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from math import isfinite
+from pathlib import Path
+from urllib.parse import quote
+
+import pandas as pd
+
+from logs.errors import writing
+from logs.words import counted
+from metrics.compare import Comparison
+from metrics.gates import Outcome
+from replay.draw.report.columns import legend
+from replay.draw.report.model import BROKEN, NOTHING, DriveRow, GateRow, Overview, PassShare
+
+STEP_SUMMARY = "GITHUB_STEP_SUMMARY"
+"""Names the file that CI shows as the summary of a step."""
+STEP_BYTES = 1 << 20
+"""What GitHub takes of it; of more it shows nothing."""
+MAX_OPEN = 25
+"""Longer lists are folded."""
+MAX_COMPARED = 50
+"""More regressions or groups of a comparison are not listed."""
+WEIGHT = {Outcome.FAIL.value: 0, Outcome.INCONCLUSIVE.value: 1, "": 2, Outcome.PASS.value: 3}
+
+
+def markdown(over: Overview, *, links: Iterable[str] | None = ()) -> str:
+    """The report.
+
+    Args:
+        over: What it says.
+        links: Files beside it that it names first ("report.html"), with links to these and to the drives' files; None:
+            no links at all, where the report stands alone.
+    """
+    return "\n\n".join(part for part in _parts(over, links) if part) + "\n"
+
+
+def append_step_summary(over: Overview, environment: Mapping[str, str] = os.environ) -> None:
+    """Append the report to the summary of the CI step, where there is one; shortened to what is shown."""
+    name = environment.get(STEP_SUMMARY)
+    if name:
+        path = Path(name)
+        left = STEP_BYTES - (path.stat().st_size if path.exists() else 0)
+        with writing(path), path.open("a", encoding="utf-8", newline="\n") as file:
+            file.write(shortened(markdown(over, links=None), left))
+
+
+def shortened(text: str, most: int) -> str:
+    """The text, if it has no more than `most` bytes; else what fits, up to the end of a line, and a sentence."""
+    if len(text.encode()) <= most:
+        return text
+    end = "\n\nThis report is shortened: all of it is in report.md of the result folder.\n"
+    room = most - len(end.encode()) - len("\n\n</details>")
+    if room < 0:
+        return ""
+    head = text.encode()[:room].decode(errors="ignore").rpartition("\n")[0]
+    folded = "\n\n</details>" if head.count("<details>") > head.count("</details>") else ""
+    return head + folded + end
+
+
+def _parts(over: Overview, links: Iterable[str] | None) -> Iterator[str]:
+    yield f"# replan: {over.outcome}"
+    yield _first(over)
+    if links:
+        yield ", ".join(f"[{_text(link)}]({quote(link)})" for link in links)
+    yield _failures(over)
+    yield from _gates(over)
+    if over.comparison is not None:
+        yield from _comparison(over.comparison)
+    yield from _shares(over)
+    yield from _drives(over, linked=links is not None)
+    if len(over.planners) > 1:
+        rows = [(label, *texts) for label, texts in over.compared]
+        yield f"## Planners\n\n{_table(('over all logs', *over.planners), rows)}"
+    yield _list("Driven", [share.text for share in over.coverage])
+    yield _list(f"Ensemble: {len(over.fragile)} of {over.ensembles} verdicts are fragile", over.fragile)
+    yield _list(BROKEN, over.broken)
+    yield _list("Notes", over.notes)
+    yield _latency(over)
+
+
+def _first(over: Overview) -> str:
+    """What came of it, in a sentence or two."""
+    if over.shard:
+        return f"Shard {over.shard}, not judged: `replan merge` judges all shards together."
+    count = {word: sum(gate.outcome == word for gate in over.gates) for word in WEIGHT}
+    verdicts = (
+        f"{count['fail']} of {len(over.gates)} verdicts of the gates fail, {count['inconclusive']} are inconclusive"
+    )
+    look = over.worst
+    worst = f" Worst: {_text(look.log)} with {_text(look.planner)}." if look is not None and count["fail"] else ""
+    shares = "".join(f" {_text(share.planner)}: {share.text}." for share in over.whole)
+    made = f"replan {_text(over.replan)}, configuration {over.config}"
+    return f"**{over.outcome.upper()}** (exit code {over.exit_code}): {verdicts}.{worst}{shares}\n\n{made}"
+
+
+def _failures(over: Overview) -> str:
+    return _list(f"Could not be evaluated ({len(over.failures)})", over.failures)
+
+
+def _gates(over: Overview) -> Iterator[str]:
+    """What is not passed in full; what is, folded."""
+    if over.shard:
+        return
+    bad = [gate for gate in over.gates if gate.outcome != Outcome.PASS.value]
+    good = [gate for gate in over.gates if gate.outcome == Outcome.PASS.value]
+    yield "## Gates"
+    if bad:
+        yield _table(("outcome", "rule", "loop", "what was found"), map(_gate, bad))
+    if good:
+        table = _table(("outcome", "rule", "loop", "what was found"), map(_gate, good))
+        yield _folded(f"{len(good)} verdicts pass", table)
+    if over.not_asked:
+        yield _folded(f"{len(over.not_asked)} gates were not asked of some drives", _list("", over.not_asked))
+
+
+def _gate(gate: GateRow) -> tuple[str, ...]:
+    return gate.outcome.upper(), gate.rule, gate.mode or NOTHING, gate.found
+
+
+def _shares(over: Overview) -> Iterator[str]:
+    if not over.whole:
+        return
+    yield "## Logs that pass"
+    head = ("logs", "planner", "loop", "pass", "share", "95 % interval", "fail", "inconclusive", "not evaluated")
+    yield _table(head, map(_share, over.whole), right=range(3, 9))
+    yield "Of all logs: what is inconclusive or could not be evaluated is no pass."
+    if over.grouped:
+        yield _folded("By family, tag and dataset", _table(head, map(_share, over.grouped), right=range(3, 9)))
+
+
+def _share(share: PassShare) -> tuple[str, ...]:
+    interval = f"{100.0 * share.low:.0f} to {100.0 * share.high:.0f}%"
+    counts = (share.failed, share.inconclusive, share.missing)
+    passed = f"{share.passed} of {share.logs}"
+    percent = f"{100.0 * share.share:.0f}%"
+    return (share.name, share.planner, share.mode, passed, percent, interval, *map(str, counts))
+
+
+def _drives(over: Overview, *, linked: bool) -> Iterator[str]:
+    """A row per log and planner, the worst first."""
+    if not over.drives:
+        return
+    first = next((i for i, column in enumerate(over.columns) if column.mode == "closed"), len(over.columns))
+    names = [column.words for column in over.columns]
+    ended = ["closed loop ended by"] if first < len(names) else []
+    head = ("log", "planner", "verdict", *names[:first], *ended, *names[first:], *(["files"] if linked else []))
+    order = sorted(over.drives, key=lambda row: (WEIGHT[row.verdict], -row.trouble))
+    rows = [_drive(row, first, len(names), linked=linked) for row in order]
+    names, right = [_text(name) for name in head], [i for i in range(3, len(head)) if i != 3 + first]
+    yield "## Drives"
+    yield _raw_table(names, rows[:MAX_OPEN], right)
+    if len(rows) > MAX_OPEN:
+        yield _folded(
+            f"{counted(len(rows) - MAX_OPEN, 'drive')} more, none of them worse",
+            _raw_table(names, rows[MAX_OPEN:], right),
+        )
+    yield "\n".join(f"- {_text(line)}" for line in legend(over.columns))
+
+
+def _drive(row: DriveRow, first: int, columns: int, *, linked: bool) -> list[str]:
+    texts = [f"**{_text(cell.text)}**" if cell.bad else _text(cell.text) for cell in row.cells]
+    end = [f"**{_text(row.end.text)}**" if row.end.bad else _text(row.end.text)] if first < columns else []
+    files = [" ".join(f"[{_text(Path(file).name)}]({quote(file)})" for file in row.files)] if linked else []
+    word = row.verdict.upper() if row.verdict == Outcome.FAIL.value else row.verdict or NOTHING
+    return [_text(row.log), _text(row.shown), word, *texts[:first], *end, *texts[first:], *files]
+
+
+def _latency(over: Overview) -> str:
+    if not over.latency:
+        return ""
+    rows = [
+        (row.planner, row.stage, *(f"{ms:.2f}" for ms in (row.p50_ms, row.p95_ms, row.p99_ms)), _percent(row.share))
+        for row in over.latency
+    ]
+    head = ("planner", "stage", "p50 [ms]", "p95 [ms]", "p99 [ms]", "share")
+    return _folded(f"Planning time (wall clock, {counted(over.frames, 'plan')})", _table(head, rows, right=range(2, 6)))
+
+
+def _percent(share: float) -> str:
+    return f"{100.0 * share:.0f}%" if isfinite(share) else NOTHING
+
+
+# with a baseline --------------------------------------------------------------------------------------------------
+
+
+def _comparison(found: Comparison) -> Iterator[str]:
+    yield f"## Compared: {_text(found.baseline)} -> {_text(found.candidate)}"
+    rules = [(said.outcome.value.upper(), said.rule, said.reason) for said in found.verdicts]
+    if rules:
+        yield _table(("outcome", "rule", "what was found"), rules)
+    yield _list("Inputs that are not the same", found.differences, level=3)
+    yield _list("Only in the baseline", found.only_in_baseline, level=3)
+    yield _list("Only in the candidate", found.only_in_candidate, level=3)
+    yield _frame("Flips", found.flips, ("log", "planner", "mode", "gate", "before", "after", "time_s", "reason"))
+    names = ("log", "planner", "mode", "metric", "unit", "baseline", "candidate", "worse", "time_s", "reason")
+    yield _frame("Worst regressions", found.regressions(MAX_COMPARED), names)
+    yield _frame("Greatest improvements", found.improvements(MAX_COMPARED), names)
+    sure = found.groups[found.groups["significant"].astype(bool)] if len(found.groups) else found.groups
+    moved = ("kind", "group", "planner", "mode", "metric", "logs", "baseline", "candidate", "delta", "low", "high")
+    yield _frame("Means that changed beyond chance (95 %)", sure.head(MAX_COMPARED), moved)
+    yield _frame("Where drives part", found.partings, ("log", "planner", "mode", "t_s", "stage", "what"))
+
+
+def _frame(title: str, rows: pd.DataFrame, names: Sequence[str]) -> str:
+    """Columns of a frame as a table; "" where it has no row."""
+    if not len(rows):
+        return ""
+    table = _table(names, ([_value(value) for value in row] for row in rows[list(names)].itertuples(index=False)))
+    return (
+        f"### {title}\n\n{table}" if len(rows) <= MAX_OPEN else f"### {title}\n\n{_folded(f'{len(rows)} rows', table)}"
+    )
+
+
+def _value(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.4g}" if isfinite(value) else NOTHING
+    return str(value)
+
+
+# Markdown ---------------------------------------------------------------------------------------------------------
+
+
+def _text(words: str) -> str:
+    """Any text as itself, on one line."""
+    line = re.sub(
+        r"\s+", " ", "".join(c if c.isprintable() or c.isspace() else "\N{REPLACEMENT CHARACTER}" for c in words)
+    )
+    return _SPECIAL.sub(lambda found: f"&amp;{found[0][1:]}" if found[0][0] == "&" else f"\\{found[0]}", line)
+
+
+_SPECIAL = re.compile(
+    r"[\\`*|~$]"  # anywhere
+    r"|(?<![^\W_])_|_(?![^\W_])"  # an underscore that is not within a word
+    r"|<(?=[A-Za-z/!?])|](?=[(\[:])|&(?=#?\w+;)"  # tags, links, entities
+    r"|^[-+=#>\[]|(?<=^\d)[.)](?=\s)|(?<=^\d\d)[.)](?=\s)"  # what begins a block
+)
+
+
+def _table(head: Iterable[str], rows: Iterable[Iterable[str]], right: Iterable[int] = ()) -> str:
+    return _raw_table([_text(word) for word in head], [[_text(word) for word in row] for row in rows], right)
+
+
+def _raw_table(head: Sequence[str], rows: Iterable[Sequence[str]], right: Iterable[int] = ()) -> str:
+    """A table of cells that are Markdown already; `right` are the columns of numbers."""
+    numbers = set(right)
+    rule = ["---:" if i in numbers else "---" for i in range(len(head))]
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in (head, rule, *rows))
+
+
+def _list(title: str, lines: Sequence[str], level: int = 2) -> str:
+    """A heading and a list, folded where it is long; "" where it has no line."""
+    if not lines:
+        return ""
+    text = "\n".join(f"- {_text(line)}" for line in lines)
+    text = text if len(lines) <= MAX_OPEN else _folded(f"{len(lines)} lines", text)
+    return f"{'#' * level} {_text(title)}\n\n{text}"
+
+
+def _folded(title: str, text: str) -> str:
+    return f"<details>\n<summary>{title}</summary>\n\n{text}\n\n</details>"

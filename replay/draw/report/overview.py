@@ -1,0 +1,342 @@
+"""What every report says of a run, as plain words and numbers: terminal, Markdown and HTML render this, and no more.
+
+result = load("results/run-001")
+print_report(overview(result), Console(), result.path)
+
+It holds no clock but the planning times of the run itself, and no path but those within the result folder: the reports
+of a folder are the same, byte for byte, wherever it is.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from hashlib import sha256
+from math import isfinite, nan
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from logs.trace import EndReason
+from logs.words import counted
+from metrics.aggregate import LogLabels, membership, pass_shares, standings
+from metrics.compare import Comparison
+from metrics.gates import Outcome
+from metrics.judge import outcomes, worst
+from metrics.latency import judge_deadline
+from replay.draw.charts.moment import gravity
+from replay.draw.report.columns import COLUMNS, COMPARED, Column
+from replay.draw.report.model import NOTHING, Cell, Coverage, DriveRow, GateRow, Overview, PassShare, StageTime
+from replay.drive import BATCHED, TRUSTED
+from replay.loop.determinism import NOT_DETERMINISTIC
+from replay.results.load import Results
+from replay.results.tables import OUTCOMES
+
+ORDER = (Outcome.FAIL.value, Outcome.INCONCLUSIVE.value, Outcome.PASS.value)
+"""Outcomes as reports list them."""
+EXIT_WEIGHT = (2, 3, 1, 4, 0)
+"""Of several exit codes the first in this order is that of all: 3 beats 1 beats 4."""
+
+Key = tuple[str, str]
+"""Log and planner."""
+
+
+def overview(results: Results, comparison: Comparison | None = None) -> Overview:
+    """What a report says of a finished run.
+
+    Args:
+        results: Of `replay.results.load.load`.
+        comparison: With a baseline: its rules count in outcome and exit code, the worst of both.
+    """
+    code = combined((results.exit_code, comparison.exit_code if comparison else 0))
+    values = _values(results.metrics)
+    said = log_outcomes(results)
+    modes = [mode.value for mode in results.run.modes]
+    columns = tuple(column for column in COLUMNS if column.mode in modes)
+    drives = _drives(results, values, columns, said)
+    gates = _gates(results, said)
+    planners = _planners(results.drives)
+    return Overview(
+        outcome=str(results.summary["outcome"]) if code == results.exit_code else OUTCOMES[code],
+        exit_code=code,
+        shard=str(results.summary.get("shard", "")),
+        replan=str(results.summary["replan"]),
+        config=sha256((results.path / "run.toml").read_bytes()).hexdigest()[:12],
+        logs=len(results.logs),
+        columns=columns,
+        drives=drives,
+        planners=tuple(planners.values()),
+        compared=_compared(list(planners), modes, values),
+        frames=int((results.timings["stage"] == "total").sum()),
+        latency=tuple(_latency(results.timings)),
+        gates=gates,
+        not_asked=tuple(_not_asked(said)),
+        shares=_shares(results, said) if "shard" not in results.summary else (),
+        coverage=tuple(_coverage(results.drives, values)),
+        ensembles=len(_ensemble(results.metrics)),
+        fragile=tuple(_fragile(results.metrics)),
+        notes=tuple(_notes(results.summary["logs"])),
+        failures=tuple(map(without_folders(results), map(_failure, results.summary["failures"]))),
+        worst=_worst(gates, drives),
+        comparison=comparison,
+    )
+
+
+def log_outcomes(results: Results) -> pd.DataFrame:
+    """What each log says of each gate, `Results.verdicts`, and of the deadline, where one was asked."""
+    deadline_s = results.run.deadline_s
+    late = judge_deadline(results.timings, deadline_s, results.labels) if deadline_s > 0.0 else ()
+    return pd.concat([results.verdicts, outcomes(late)], ignore_index=True) if late else results.verdicts
+
+
+def without_folders(results: Results) -> Callable[[str], str]:
+    """A text with the logs that could not be read called by their files' names, wherever these lay."""
+    labels = [Path(label) for label in results.logs["source"]]
+    folders = sorted({f"{path.parent}{os.sep}" for path in labels if path.is_absolute()}, key=len, reverse=True)
+
+    def short(text: str) -> str:
+        for folder in folders:
+            text = text.replace(folder, "")
+        return text
+
+    return short
+
+
+def combined(codes: Iterable[int]) -> int:
+    """Several exit codes as one."""
+    return min(codes, key=EXIT_WEIGHT.index, default=0)
+
+
+def marked(drives: Sequence[Any]) -> str:
+    """The name of the planner of drives, with marks: it knew the log's future, could have looked, was shared, dices."""
+    notes, oracle = [str(note) for drive in drives for note in drive.notes], any(drive.oracle for drive in drives)
+    marks = {
+        "oracle": oracle,
+        "trusted": TRUSTED in notes and not oracle,
+        "batched": any(note.startswith(BATCHED.partition(":")[0]) for note in notes),
+        "not deterministic": any(note.startswith(NOT_DETERMINISTIC) for note in notes),
+    }
+    return " ".join([str(drives[0].planner), *(f"({mark})" for mark, holds in marks.items() if holds)])
+
+
+Values = Mapping[tuple[str, str, str, str], float]
+"""By log, planner, mode and metric."""
+
+
+def _values(table: pd.DataFrame) -> Values:
+    found = table[table["available"].astype(bool)]
+    keys = zip(found["log"], found["planner"], found["mode"], found["metric"], strict=True)
+    return dict(zip(keys, map(float, found["value"]), strict=True))
+
+
+def _planners(drives: pd.DataFrame) -> dict[str, str]:
+    """Names, and as they are marked."""
+    grouped: dict[str, list[Any]] = {}
+    for drive in drives.itertuples():
+        grouped.setdefault(str(drive.planner), []).append(drive)
+    return {planner: marked(mine) for planner, mine in grouped.items()}
+
+
+# drives ---------------------------------------------------------------------------------------------------------------
+
+
+def _drives(results: Results, values: Values, columns: Sequence[Column], said: pd.DataFrame) -> tuple[DriveRow, ...]:
+    verdicts = _verdicts(said)
+    folders = dict(zip(results.logs["log"], results.logs["folder"], strict=True))
+    grouped: dict[Key, list[Any]] = {}
+    for drive in results.drives.itertuples():
+        grouped.setdefault((str(drive.log), str(drive.planner)), []).append(drive)
+    return tuple(
+        DriveRow(
+            log, planner, marked(mine), *verdicts.get((log, planner), ("", "")),
+            _end(next((drive for drive in mine if drive.mode == "closed"), None)),
+            tuple(_cell(column, values.get((log, planner, column.mode, column.metric), nan)) for column in columns),
+            tuple(file for drive in mine for file in drive.files), folders[log],
+        )
+        for (log, planner), mine in grouped.items()
+    )  # fmt: skip
+
+
+def _verdicts(said: pd.DataFrame) -> dict[Key, tuple[str, str]]:
+    """The worst outcome on each log and planner, and how many gates were asked: "24/41"."""
+    found: dict[Key, list[Outcome]] = {}
+    for log, planner, outcome in zip(said["log"], said["planner"], said["outcome"], strict=True):
+        found.setdefault((log, planner), []).append(Outcome(outcome))
+    asked = {key: sum(outcome is not Outcome.NOT_ASKED for outcome in each) for key, each in found.items()}
+    return {key: (worst(each).value, f"{asked[key]}/{len(each)}") for key, each in found.items()}
+
+
+def _not_asked(said: pd.DataFrame) -> Iterator[str]:
+    """The rules that were not asked of some drives, those of most drives first, with the commonest reason."""
+    drives = said.groupby("gate")["log"].count()
+    rows = said[said["outcome"] == Outcome.NOT_ASKED.value].groupby("gate", sort=True)["reason"]
+    for gate, reasons in sorted(rows, key=lambda one: (-len(one[1]), one[0])):
+        common = Counter(reasons).most_common(1)[0][0]
+        yield f"{gate}: in {len(reasons)} of {counted(int(drives[gate]), 'drive')} ({common})"
+
+
+def _cell(column: Column, value: float) -> Cell:
+    return Cell(column.show(value), value, column.bad(value)) if isfinite(value) else Cell()
+
+
+CONTACTS = (EndReason.COLLISION.value, EndReason.REPLAY_CONTACT.value)
+SHORT = {
+    EndReason.GOAL.value: "goal",
+    EndReason.END_OF_LOG.value: "end of log",
+    EndReason.REPLAY_CONTACT.value: "run into",
+    EndReason.OFF_ROAD.value: "off the road",
+    EndReason.PLANNER_FAILURE.value: "planner failed",
+}
+
+
+def _end(drive: Any) -> Cell:
+    if drive is None:
+        return Cell()
+    good = drive.end in (EndReason.GOAL.value, EndReason.END_OF_LOG.value)
+    about = f": {drive.detail}" if drive.end in CONTACTS else ""
+    return Cell(f"{SHORT.get(drive.end, drive.end)}{about}", float(drive.t_end_s), not good)
+
+
+def _worst(gates: Sequence[GateRow], drives: Sequence[DriveRow]) -> DriveRow | None:
+    """The drive of the gravest failure, else the first that has a recording, else the first."""
+    broken = [gate for gate in gates if gate.outcome == Outcome.FAIL.value and gate.log]
+    gravest = min(broken, key=lambda gate: gravity(gate.rule), default=None)
+    failed = gravest and (gravest.log, gravest.planner)
+    order = sorted(drives, key=lambda drive: ((drive.log, drive.planner) != failed, not drive.recording))
+    return order[0] if order else None
+
+
+# all drives of a planner ------------------------------------------------------------------------------------------
+
+
+def _compared(planners: Sequence[str], modes: Sequence[str], values: Values) -> tuple[tuple[str, tuple[str, ...]], ...]:
+    """Each metric of `COMPARED` over the logs, a text per planner."""
+    by_drive: dict[tuple[str, str, str], list[float]] = {}
+    for (_, planner, mode, metric), value in values.items():
+        by_drive.setdefault((planner, mode, metric), []).append(value)
+    return tuple(
+        (label, tuple(reduce(found) if (found := by_drive.get((p, mode, metric))) else NOTHING for p in planners))
+        for label, mode, metric, reduce in COMPARED
+        if mode in modes
+    )
+
+
+def _latency(timings: pd.DataFrame) -> Iterator[StageTime]:
+    for planner, rows in timings.groupby("planner", sort=False, observed=True):
+        whole = float(rows.loc[rows["stage"] == "total", "seconds"].sum())
+        by_stage = rows.groupby("stage", sort=False, observed=True)["seconds"]
+        for stage, times in sorted(by_stage, key=lambda one: one[0] == "total"):
+            p50, p95, p99 = (1e3 * float(times.quantile(q)) for q in (0.5, 0.95, 0.99))
+            share = float(times.sum()) / whole if whole > 0.0 else nan
+            yield StageTime(str(planner), str(stage), p50, p95, p99, share)
+
+
+def _coverage(drives: pd.DataFrame, values: Values) -> Iterator[Coverage]:
+    """What the verdicts rest on, by planner and loop."""
+    sums: dict[tuple[str, str, str], list[float]] = {}
+    for (_, planner, mode, metric), value in values.items():
+        sums.setdefault((planner, mode, metric), []).append(value)
+    for planner, mode in dict.fromkeys(zip(drives["planner"], drives["mode"], strict=True)):
+        logged = sums.get((planner, mode, "coverage.log_s.final"), [])
+        driven = sums.get((planner, mode, "coverage.driven_s.final"), [])
+        metres = sums.get((planner, mode, "distance.final"), [])
+        if logged:
+            yield Coverage(planner, mode, len(logged), sum(driven), sum(logged), sum(metres) / 1e3 if metres else nan)
+
+
+def _shares(results: Results, said: pd.DataFrame) -> tuple[PassShare, ...]:
+    labels = results.labels | dict.fromkeys(results.unread, LogLabels())
+    crashed = [(row["log"], row["planner"], row["mode"]) for row in results.summary["failures"]]
+    stand = standings(said, results.drives, list(labels), results.run.drives, crashed)
+    names = ["kind", "group", "planner", "mode", "logs", "passed", "failed", "inconclusive", "missing", "mean"]
+    rows = pass_shares(stand, labels)[[*names, "low", "high"]].itertuples(index=False)
+    return tuple(PassShare(*row[:4], *(int(count) for count in row[4:9]), *row[9:]) for row in rows)
+
+
+# gates ----------------------------------------------------------------------------------------------------------------
+
+
+def _gates(results: Results, said: pd.DataFrame) -> tuple[GateRow, ...]:
+    units = dict(zip(results.metrics["metric"], results.metrics["unit"], strict=True))
+    found: dict[tuple[str, str, str], dict[str, str]] = {}
+    for gate, log, planner, mode, outcome in said[["gate", "log", "planner", "mode", "outcome"]].itertuples(
+        index=False
+    ):
+        found.setdefault((gate, planner, mode), {})[log] = outcome
+    members = {f"{kind} {group}": set(logs) for (kind, group), logs in membership(results.labels).items()}
+    rows, short = [], without_folders(results)
+    for verdict in results.summary["gates"]:
+        if verdict["outcome"] == Outcome.NOT_ASKED.value:
+            continue
+        unit = "" if verdict["gate"]["over"] == "pass_share" else units.get(verdict["gate"]["metric"], "")
+        each = found.get((verdict["rule"], verdict["planner"], verdict["mode"]), {})
+        mine = [outcome for log, outcome in each.items() if log in members.get(verdict.get("group"), each)]
+        mine = [outcome for outcome in mine if outcome != Outcome.NOT_ASKED.value]
+        verdict = {**verdict, "reason": short(verdict["reason"])}
+        rows.append(_gate_row(verdict, unit, mine.count(Outcome.INCONCLUSIVE.value), len(mine)))
+    return tuple(sorted(rows, key=lambda row: ORDER.index(row.outcome)))
+
+
+def _gate_row(verdict: Mapping[str, Any], unit: str, lacking: int, asked: int) -> GateRow:
+    value, time_s = (nan if verdict[name] is None else float(verdict[name]) for name in ("value", "time_s"))
+    outcome, why, log = str(verdict["outcome"]), str(verdict["gate"]["reason"]), str(verdict["log"])
+    planner, mode, group = str(verdict["planner"]), str(verdict["mode"]), str(verdict.get("group", ""))
+    if outcome == Outcome.PASS.value:
+        aside = f"; no evidence in {lacking} of {asked} logs" if lacking else ""
+        found = f"{', '.join(filter(None, (planner, group)))}: {_near(verdict['gate'], value, unit, log)}{aside}"
+    else:
+        found = str(verdict["reason"])
+        found += f" (the gate: {why})" if why and outcome == Outcome.FAIL.value else ""
+    rule, reason = str(verdict["rule"]), str(verdict["reason"])
+    return GateRow(
+        outcome, rule, str(verdict["gate"]["over"]), found, reason, why, planner, mode, group, log, value, unit, time_s
+    )
+
+
+def _near(gate: Mapping[str, Any], value: float, unit: str, log: str) -> str:
+    """The value of a pass, and of one that every log must hold where it was nearest to the bound."""
+    if gate["over"] == "pass_share":
+        return f"{100.0 * value:.3g}% of the logs"
+    shown = 0.0 if abs(value) < 1e-9 else value
+    text = f"{shown:.3g}" if abs(shown) < 1e3 else f"{shown:.0f}"
+    text += f" {unit}" if unit not in ("", "1", "count") else ""
+    return f"{text}, on {log}" if shown and gate["over"] == "worst" else text
+
+
+# what else is said ------------------------------------------------------------------------------------------------
+
+
+def _ensemble(table: pd.DataFrame) -> pd.DataFrame:
+    return table[(table["metric"] == "ensemble.fragile") & table["available"].astype(bool)]
+
+
+def _fragile(table: pd.DataFrame) -> Iterator[str]:
+    rows = _ensemble(table)
+    for row in rows[rows["value"] > 0.0].itertuples():
+        yield f"{row.log} [{row.planner}, {row.mode} loop]: {row.reason}"
+
+
+def _notes(logs: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Every note once, with how many logs it concerns; notes that differ in numbers only are one."""
+    count: Counter[str] = Counter()
+    texts: dict[str, set[str]] = {}
+    for log in logs:
+        own = [*log["notes"], *(note for drive in log["drives"] for note in drive["notes"])]
+        notes = {re.sub(r"[\d.]*\d", "#", note): note for note in own}
+        count.update(notes.keys())
+        for key, note in notes.items():
+            texts.setdefault(key, set()).add(note)
+    for key, concerned in count.most_common():
+        yield f"{_example(texts[key])} ({concerned} of {counted(len(logs), 'log')})"
+
+
+def _example(notes: set[str]) -> str:
+    first = min(notes).rstrip(".")
+    return first if len(notes) == 1 else f"for example: {first}"
+
+
+def _failure(row: Mapping[str, Any]) -> str:
+    return f"{row['message']} [{row['planner']}, {row['mode']} loop]" if row["planner"] else str(row["message"])

@@ -1,0 +1,167 @@
+"""Open recordings in the Rerun viewer: a recording, a log, or all recordings of a result folder."""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from logs.errors import ConfigError, ReplanError, writing
+from logs.readers import LogSettings, read_log
+from replay.draw.viewer import LOOPBACK, Theme, environment, free_port, in_use
+
+ELSEWHERE = (
+    "copy the .rrd to a machine with one and open it there with `rerun FILE.rrd`, or add --web to see it in a browser"
+)
+MOST = 12
+"""Recordings opened at once: each takes memory in the viewer; the index has links to all."""
+
+
+def recordings(target: Path, log: str | None = None) -> list[Path]:
+    """The recordings of a folder, sorted by path.
+
+    Args:
+        target: The folder.
+        log: Only those in whose path this is, as logs or their folders are called.
+
+    Raises:
+        ConfigError: There are none.
+    """
+    found = sorted(target.rglob("*.rrd"))
+    if not found:
+        raise ConfigError(f"{target}: no recording (*.rrd) in it; `replan evaluate` without --no-recording writes them")
+    if log is not None:
+        found = [file for file in found if _letters(log) in _letters(str(file.relative_to(target)))]
+        if not found:
+            raise ConfigError(f"{target}: no recording of a log called {log}")
+    return found
+
+
+def _letters(name: str) -> str:
+    """A name without the marks that its folder does not have."""
+    return re.sub(r"[^0-9A-Za-z]+", "_", name)
+
+
+def to_open(target: Path, log: str | None, folder: Path) -> list[Path]:
+    """What the viewer opens of a folder: at most `MOST` recordings, of results the index and the worst of them.
+
+    Args:
+        target: Of results, or any with recordings in it.
+        log: Only the recordings of this log.
+        folder: Where the index goes.
+
+    Raises:
+        ConfigError: There is no recording, or there are too many and no results to say which are worst.
+    """
+    if log is None and (target / "summary.json").is_file():
+        from replay.draw.recording.index import write_index
+
+        index, worst = write_index(folder / "index.rrd", target, MOST)
+        return [*worst, index]
+    found = recordings(target, log)
+    if len(found) > MOST:
+        raise ConfigError(
+            f"{target}: {len(found)} recordings are too many to open at once (at most {MOST});"
+            f" name one with --log, or a recording, for example {found[0]}"
+        )
+    return found
+
+
+def pair(one: Path, two: Path, log: str | None) -> tuple[Path, Path]:
+    """The recordings of two drives: of two files themselves, of two folders those at the same place in both.
+
+    Raises:
+        ConfigError: There is no such pair, or there are several.
+    """
+    if one.is_file() and two.is_file():
+        return one, two
+    if one.is_file() or two.is_file():
+        raise ConfigError("name two recordings, or two folders of results")
+    first, second = ({file.relative_to(each): file for file in recordings(each, log)} for each in (one, two))
+    both = sorted(first.keys() & second.keys())
+    if not both:
+        raise ConfigError(f"{one} and {two} have no recording in common")
+    if len(both) > 1:
+        some = ", ".join(str(file) for file in both[:4])
+        raise ConfigError(f"{len(both)} recordings are in both ({some} ...): name a log with --log, or two recordings")
+    return first[both[0]], second[both[0]]
+
+
+def write_pair(out: Path, files: tuple[Path, Path]) -> None:
+    """Write two recordings of one log as one; ConfigError where their traces are not beside them."""
+    from logs.mcap import read_trace
+    from replay.draw.recording.pair import write_pair as write
+
+    for file in files:
+        if not file.with_suffix(".mcap").is_file():
+            raise ConfigError(f"{file}: its trace ({file.with_suffix('.mcap').name}) is not beside it")
+    one, two = (read_trace(file.with_suffix(".mcap"))[0] for file in files)
+    names = [f"{trace.planner}, {trace.mode.value} loop" for trace in (one, two)]
+    if names[0] == names[1]:
+        names = [f"{name} ({file.parent.parent.name})" for name, file in zip(names, files, strict=True)]
+    write(out, files, (one, two), (names[0], names[1]))
+
+
+def save_log(log: Path, out: Path, settings: LogSettings | None = None) -> None:
+    """Write a log of any format as a recording; LogError where it cannot be read, OutputError where `out` cannot."""
+    from replay.draw.recording import write_log_recording
+
+    write_log_recording(out, read_log(log, settings))
+
+
+def show(files: list[Path], memory_limit: str, *, web: bool = False, port: int = 9090) -> None:
+    """Run the viewer on recordings until it is closed; it listens on this machine only.
+
+    Args:
+        files: The recordings.
+        memory_limit: Of the viewer ("2GB", "50%").
+        web: In the browser.
+        port: Of the page, with `web`.
+
+    Raises:
+        ConfigError: The port is in use.
+        ReplanError: There is no display, or the viewer ended with an error (no graphics driver).
+    """
+    if not web and sys.platform == "linux" and not {"DISPLAY", "WAYLAND_DISPLAY", "WAYLAND_SOCKET"} & {*os.environ}:
+        raise ReplanError(f"there is no display here (DISPLAY and WAYLAND_DISPLAY are not set); {ELSEWHERE}")
+    if web and in_use(port):
+        raise ConfigError(f"port {port} is in use; close what uses it (another viewer?), or name another with --port")
+    command = [sys.executable, "-m", "rerun", "--bind", LOOPBACK, "--port", str(free_port())]
+    command += ["--memory-limit", memory_limit]
+    command += ["--web-viewer", "--web-viewer-port", str(port)] if web else []
+    with environment() as variables:
+        code = subprocess.run([*command, *map(str, files)], env=variables, check=False).returncode
+    if code:
+        raise ReplanError(f"the viewer ended with an error (above); without a display or graphics driver, {ELSEWHERE}")
+
+
+def picture(recording: Path, out: Path, at: float, layout: str, tile: str | None, size: str, theme: Theme) -> None:
+    """A picture of a recording at a time, s; ConfigError where it has no such layout or tile."""
+    from replay.draw.recording.screenshot import Picture, take_pictures
+
+    _check_size(size)
+    with writing(out):
+        out.parent.mkdir(parents=True, exist_ok=True)
+    take_pictures(recording, [Picture(out, at, tile, layout)], size=size, theme=theme)
+
+
+def filmed(
+    recording: Path, out: Path, begin: float | None, end: float | None, layout: str, size: str, theme: Theme
+) -> int:
+    """A video of a recording between two times, s (None: where it begins and ends); how many frames it has."""
+    from replay.draw.recording.readback import span
+    from replay.draw.recording.video import film
+
+    _check_size(size)
+    first, last = span(recording)
+    with tempfile.TemporaryDirectory() as folder:
+        start, stop = first if begin is None else begin, last if end is None else end
+        return film(recording, out, start, stop, Path(folder), layout=layout, size=size, theme=theme)
+
+
+def _check_size(size: str) -> None:
+    if re.fullmatch(r"[1-9]\d{2,3}x[1-9]\d{2,3}", size) is None:
+        raise ConfigError(f"--size {size}: WIDTHxHEIGHT in pixels, for example 1920x1080")

@@ -1,0 +1,1 @@
+"""Run the loops: open and closed loop, perception, planning, the end of a drive, reference drives."""

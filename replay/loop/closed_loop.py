@@ -1,0 +1,89 @@
+"""Closed loop: frame -> plan -> control -> step -> trace, until the drive ends."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import inf
+from types import MappingProxyType
+
+from logs.errors import PlannerError
+from logs.scenario import Scenario
+from logs.trace import EndReason, Mode, Plan, Trace
+from replay.config import DEFAULT_LOOP, LoopConfig
+from replay.drive import Drive
+from replay.loop.latency import Latency
+from replay.loop.perception import Perception
+from replay.loop.planning import Planning, Seat
+from replay.loop.simulation_setup import SimulationSetup
+from replay.loop.termination import Ended, Termination
+from replay.loop.trace_recorder import TraceRecorder
+
+
+def run_closed_loop(
+    scenario: Scenario,
+    planner: str,
+    *,
+    planner_config: Mapping[str, object] = MappingProxyType({}),
+    config: LoopConfig = DEFAULT_LOOP,
+    keep_internals: bool = True,
+    until_s: float = inf,
+    seat: Seat = Planning,
+) -> Drive:
+    """Drive a scenario with a planner: plan at `config.plan_period_s`, control and step at `config.control_period_s`.
+
+    The ego starts as logged and is then moved by the vehicle model; the others by `config.traffic`. The planner's
+    internals are only built where they are kept. The last frame is at `until_s`, s since the scenario's start.
+    `seat` builds what asks the planner.
+
+    Raises:
+        LogError: The log has no time to drive.
+        ConfigError: A name of `config` or a keyword of the planner is unknown.
+        PlannerError: The planner cannot be loaded or built. (One that fails while driving ends the drive.)
+    """
+    setup = SimulationSetup.of(scenario, config, until_s)
+    world, latency = setup.world(), Latency(config.plan_delay_steps)
+    planning = seat(scenario, planner, planner_config, config, world.ego, keep_internals=keep_internals)
+    perception = Perception(scenario, config)
+    termination = Termination(scenario, planning.goal, world.ego)
+    recorder, period = TraceRecorder(setup.steps, setup.vehicle), setup.plan_period()
+    plan: Plan | None = None
+    end: Ended | None = None
+    step = 0
+
+    while end is None and step < setup.steps:
+        if step % setup.steps_per_plan == 0:
+            try:
+                frame = perception.frame(world, latency.before(step))
+                made = planning.plan(frame)
+            except PlannerError as failure:
+                end = Ended(step, EndReason.PLANNER_FAILURE, str(failure))
+                break
+            recorder.planned(frame, made)
+            latency.planned(step, made)
+        plan = latency.at(step)
+        until = min(setup.horizon(step, period.most_steps), latency.changes(step))
+        period.run(plan, recorder.rows, step, until - step)
+        end = termination.first(recorder.rows, step + 1, until, world.tracks)
+        if end is None:
+            world = setup.world()
+            end = termination.first(recorder.rows, until, until + 1, world.tracks)
+        step = until
+
+    recorder.close(end.row if end else step, plan)
+    trace = Trace(
+        scenario=scenario.name,
+        planner=planner,
+        mode=Mode.CLOSED,
+        oracle=planning.is_oracle or perception.is_oracle,
+        ego=recorder.ego,
+        agents=world.tracks.whole,
+        frames=recorder.frames.frames,
+        end=end.reason if end else EndReason.END_OF_LOG,
+        detail=end.detail if end else setup.end,
+        commands=recorder.commands,
+        actuation=recorder.actuation,
+        tracking=recorder.errors,
+        notes=(*planning.notes, *perception.notes, *setup.notes),
+        perceived=perception.shown,
+    )
+    return Drive(trace, planning.timings)

@@ -1,0 +1,84 @@
+"""Open loop: at each frame of a grid over the logged drive, plan from the logged state; nothing moves the ego."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import inf
+from types import MappingProxyType
+
+import numpy as np
+
+from logs.errors import PlannerError
+from logs.frame_store import FrameStore
+from logs.scenario import Scenario
+from logs.states import TRAJECTORY_COLUMNS, EgoState, Trajectory
+from logs.trace import EndReason, Mode, PlannedFrame, Trace
+from replay.config import DEFAULT_LOOP, LoopConfig
+from replay.drive import Drive
+from replay.loop.perception import Perception
+from replay.loop.planning import Planning, Seat
+from replay.world import World, logged_ego
+
+
+def run_open_loop(
+    scenario: Scenario,
+    planner: str,
+    *,
+    planner_config: Mapping[str, object] = MappingProxyType({}),
+    config: LoopConfig = DEFAULT_LOOP,
+    keep_internals: bool = True,
+    until_s: float = inf,
+    seat: Seat = Planning,
+) -> Drive:
+    """Plan at every `config.plan_period_s` of the ego's log, from its first sample to its last.
+
+    Between two samples of the log, the ego is the earlier one carried on: no later sample goes in. Every frame is the
+    planner's first as far as memory goes (`Frame.previous` is None). The planner's internals are only built where they
+    are kept. The last frame is at `until_s`, s since the scenario's start.
+    `seat` builds what asks the planner.
+
+    Raises:
+        ConfigError: A name of `config` or a keyword of the planner is unknown.
+        PlannerError: The planner cannot be loaded or built. (One that fails at a frame ends the loop there.)
+    """
+    every = frame_times(scenario.ego, config.plan_period_ns)
+    grid = every[:1] + [t for t in every[1:] if t <= until_s]
+    egos = [logged_ego(scenario.ego, scenario.vehicle, t) for t in grid]
+    planning = seat(scenario, planner, planner_config, config, egos[0], keep_internals=keep_internals)
+    perception = Perception(scenario, config)
+    frames = FrameStore()
+    end, detail = EndReason.END_OF_LOG, ""
+
+    for ego in egos:
+        try:
+            frame = perception.frame(World(ego, scenario.tracks), None)
+            plan = planning.plan(frame)
+        except PlannerError as failure:
+            end, detail = EndReason.PLANNER_FAILURE, str(failure)
+            break
+        frames.append(PlannedFrame.of(frame, plan))
+
+    trace = Trace(
+        scenario=scenario.name,
+        planner=planner,
+        mode=Mode.OPEN,
+        oracle=planning.is_oracle or perception.is_oracle,
+        ego=_trajectory(egos[: max(len(frames), 1)]),
+        agents=scenario.tracks,
+        frames=frames.frames,
+        end=end,
+        detail=detail,
+        notes=(*planning.notes, *perception.notes),
+        perceived=perception.shown,
+    )
+    return Drive(trace, planning.timings)
+
+
+def frame_times(log: Trajectory, period_ns: int) -> list[float]:
+    """The frame grid of a log, s: from its first sample on, not beyond its last; at least one frame."""
+    first, last = round(float(log.t[0]) * 1e9), round(float(log.t[-1]) * 1e9)
+    return [ns / 1e9 for ns in range(first, last + 1, period_ns)]
+
+
+def _trajectory(egos: list[EgoState]) -> Trajectory:
+    return Trajectory(*(np.array([getattr(ego, name) for ego in egos]) for name in TRAJECTORY_COLUMNS))

@@ -1,0 +1,183 @@
+"""What the planner is allowed to see: a Frame, made of the World.
+
+    "ground_truth"    every agent at its last sample not later than the frame's time, carried on with its velocity
+                      (`Tracks.perceived`)
+    "recorded"        what a tracker knew by then of the log's own detections (`replay.loop.recorded`)
+    "auto"            "recorded" where the log's tracks are made of detections, else "ground_truth"
+    "sensor"          what a sensor on the ego would tell of them (`replay.loop.sensor`), and what ground it cannot see
+
+Nothing of a later sample goes in, but for one prediction that says so: "oracle", the log's own future, which shows what
+better predictions could give at most. It marks the drive as an oracle's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from logs.around import Around
+from logs.extension import Kind
+from logs.frame import Frame, Predictions, Visibility
+from logs.kernel import FloatArray
+from logs.scenario import Agents, Scenario, Tracks
+from logs.trace import Plan
+from replay.config import LoopConfig
+from replay.loop.recorded import Recorded
+from replay.loop.sensor import Sensor
+from replay.prediction import NO_LANES, PREDICTION, PREDICTORS, LaneMap, Predictor, predict
+from replay.settings import configured
+from replay.world import World
+
+ORACLE = "oracle"
+PREDICTIONS = (*PREDICTORS, ORACLE)
+"""What `LoopConfig.prediction` may be."""
+
+Sight = Callable[[World], tuple[Agents, Visibility | None]]
+"""The agents as they are shown to the planner, and what ground can be seen (None: all)."""
+
+
+class GroundTruth:
+    """Sees everybody, as known at the world's time."""
+
+    def __init__(self) -> None:
+        self._around = Around()
+
+    def see(self, world: World) -> tuple[Agents, None]:
+        """The agents, and that nothing is hidden."""
+        t = world.ego.t
+        return self._around.of(world.tracks, t, t).perceived(t), None
+
+
+def _auto(scenario: Scenario, config: LoopConfig) -> Sight:
+    return GroundTruth().see if shows_truth("auto", scenario) else Recorded(scenario).see
+
+
+def shows_truth(perception: str, scenario: Scenario) -> bool:
+    """Whether a perception of this name shows the agents as they are."""
+    return perception == "ground_truth" or (perception == "auto" and scenario.repair is None)
+
+
+PERCEPTIONS: dict[str, Callable[..., Sight]] = {
+    "auto": _auto,
+    "ground_truth": lambda scenario, config: GroundTruth().see,
+    "recorded": lambda scenario, config: Recorded(scenario).see,
+    "sensor": lambda scenario, config: Sensor(scenario, config.sensor).see,
+}
+"""Each is built once per drive as `factory(scenario, config, **settings)`."""
+PERCEPTION: Kind[Callable[..., Sight]] = Kind("perception", "perceptions", PERCEPTIONS)
+"""Finds those, and users' own."""
+
+
+class Perception:
+    """Makes the frames of one drive, in order of time.
+
+    Args:
+        scenario: What is driven.
+        config: Perception and prediction by name, and their settings.
+
+    Attributes:
+        is_oracle: Whether the planner is shown the log's future.
+        notes: What the user must know, one sentence each.
+
+    Raises:
+        ConfigError: No perception or prediction is called so.
+    """
+
+    def __init__(self, scenario: Scenario, config: LoopConfig) -> None:
+        self._config, self._log, self._lanes = config, scenario.tracks, LaneMap.of(scenario.road)
+        self._lights = scenario.lights
+        self._true = shows_truth(config.perception, scenario)
+        self._sight = configured(PERCEPTION, config.perception, config.settings)(scenario, config)
+        self._shown: list[tuple[float, Agents]] = []
+        self.is_oracle = config.prediction == ORACLE
+        self._predictor = None if self.is_oracle else configured(PREDICTION, config.prediction, config.settings)
+        self.notes = tuple(_notes(config, scenario))
+
+    def frame(self, world: World, previous: Plan | None) -> Frame:
+        """The frame at the world's time; `previous` is the plan being driven, None in open loop and at the start."""
+        agents, visibility = self._sight(world)
+        if not self._true:
+            self._shown.append((world.ego.t, agents))
+        t = world.ego.t
+        predictions = (
+            logged_futures(self._log, agents, _grid(t, self._config))
+            if self.is_oracle
+            else _predicted(agents, t, self._config, self._lanes, self._predictor)
+        )
+        lights = {light.id: light.at(t) for light in self._lights}
+        return Frame(t, world.ego, agents, predictions, previous, visibility, lights)
+
+    @property
+    def shown(self) -> Tracks | None:
+        """The agents as they were shown to the planner, a sample per frame; None with ground truth."""
+        return None if self._true else _tracks(self._shown)
+
+
+def perceive(world: World, previous: Plan | None, config: LoopConfig, *, lanes: LaneMap = NO_LANES) -> Frame:
+    """The frame by ground truth and `config.prediction` (not an oracle) at the world's time; for single frames."""
+    agents, _ = GroundTruth().see(world)
+    return Frame(world.ego.t, world.ego, agents, _predicted(agents, world.ego.t, config, lanes), previous)
+
+
+def _predicted(
+    agents: Agents, t: float, config: LoopConfig, lanes: LaneMap, predictor: Predictor | None = None
+) -> Predictions:
+    horizon, step, method = config.prediction_horizon_s, config.prediction_step_s, config.prediction
+    return predict(agents, t, horizon=horizon, step=step, method=method, lanes=lanes, predictor=predictor)
+
+
+def _grid(t: float, config: LoopConfig) -> FloatArray:
+    steps = round(config.prediction_horizon_s / config.prediction_step_s)
+    return np.asarray(t + config.prediction_step_s * np.arange(steps + 1))
+
+
+def _notes(config: LoopConfig, scenario: Scenario) -> list[str]:
+    notes = []
+    if config.prediction == ORACLE:
+        notes.append("the predictions are the log's own future: the planner knows what nobody can know")
+    if not shows_truth(config.perception, scenario):
+        recorded = config.perception in ("auto", "recorded")
+        notes.append(f"the planner sees the others {'as recorded' if recorded else f'through a {config.perception}'}")
+    return notes
+
+
+def logged_futures(log: Tracks, agents: Agents, t: FloatArray) -> Predictions:
+    """Where the log has the agents at the times `t` `(k,)`, s; after its end each goes on with its last velocity.
+
+    Those whom the log does not have, false alarms of a perception, go on with theirs.
+    """
+    index = {name: i for i, name in enumerate(log.ids)}
+    last = log.offsets[1:] - 1
+    vx, vy = log.velocity(np.arange(len(log)), last)
+    since = t - t[0]
+    way = np.stack([agents.x[:, None] + agents.vx[:, None] * since, agents.y[:, None] + agents.vy[:, None] * since,
+                    np.repeat(agents.yaw[:, None], len(t), axis=1)])  # fmt: skip
+    for row, i in ((row, index[name]) for row, name in enumerate(agents.ids) if name in index):
+        span, beyond = log.samples(i), np.maximum(t - log.t[last[i]], 0.0) * (not log.static[i])
+        for c, (column, v) in enumerate(((log.x, vx[i]), (log.y, vy[i]), (log.yaw, 0.0))):
+            way[c, row] = np.interp(t, log.t[span], column[span]) + v * beyond
+    return Predictions(t, np.arange(len(agents)), np.ones(len(agents)), way[0], way[1], way[2], ORACLE)
+
+
+def _tracks(shown: list[tuple[float, Agents]]) -> Tracks:
+    """The agents shown at each time, as tracks."""
+    rows: dict[str, list[tuple[float, Agents, int]]] = {}
+    for t, agents in shown:
+        for i, name in enumerate(agents.ids):
+            rows.setdefault(name, []).append((t, agents, i))
+    if not rows:
+        return Tracks.empty()
+    first = [some[0] for some in rows.values()]
+    samples = [sample for some in rows.values() for sample in some]
+    columns = (np.array([getattr(a, name)[i] for _, a, i in samples]) for name in ("x", "y", "yaw", "vx", "vy"))
+    return Tracks(
+        tuple(rows),
+        tuple(a.kinds[i] for _, a, i in first),
+        np.array([a.length[i] for _, a, i in first]),
+        np.array([a.width[i] for _, a, i in first]),
+        np.zeros(len(rows), np.bool_),
+        np.cumsum([0, *map(len, rows.values())]),
+        np.array([t for t, _, _ in samples]),
+        *columns,
+    )

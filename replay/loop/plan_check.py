@@ -1,0 +1,225 @@
+"""Plans checked at the door, one way for every planner that is no oracle: is it a drive from here, is it what it says?
+
+With p_i, v_i, yaw_i, kappa_i, a_i the samples of a plan, d_i = |p_(i+1) - p_i|, dt_i = t_(i+1) - t_i, h_i the direction
+of p_(i+1) - p_i (turned round in reverse), and a bar for the mean of a column over a step:
+
+(0) size         n <= MOST_POINTS
+(1) start        p_0 and v_0 are those of the ego, or of the plan being driven where it is near the ego, within START;
+                 v_0 may be 0 where the ego reverses by no more than SWING_MPS
+(2) speed        | d_i / dt_i - |v|bar_i | <= SPEED_MPS
+(3) heading      | wrap(h_i - yaw_bar_i) | <= YAW_RAD                                        where d_i >= STEP_M
+(4) curvature    | wrap(h_i - h_(i-1)) / (0.5 (d_i + d_(i-1))) - kappa_i | v_i^2 <= LATERAL_MPS2       likewise
+(5) acceleration | v(t + 0.5 s) - v(t) - integral of a | <= ACCEL_MPS
+(6) possible     d_i / dt_i and hypot(dv/dt, v^2 kappa) within POSSIBLE, with v and kappa of the positions
+
+A plan that breaks (2) to (5) is driven and judged by its positions: the columns are computed anew from them, and its
+status says so. One that breaks (0), (1) or (6) is refused: what was driven before goes on, which counts as a fallback.
+The bounds of (1) to (5) are two to ten times what `dp_qp`, `idm` and `lattice` differ by over the built-in suite and
+recorded logs; those of (6) are far beyond a road car, so that a plan that is only too fast is driven and judged.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import atan2, hypot, pi
+from typing import NamedTuple
+
+import numpy as np
+
+from logs.frame import Frame
+from logs.kernel import BoolArray, FloatArray, kernel
+from logs.states import EgoState, Trajectory, wrap
+from logs.trace import Plan, PlanStart, PlanStatus
+from replay.planner_process.plan_limits import LONGEST_REASON, MOST_POINTS, shortened
+
+START_M, START_MPS = 0.03, 0.05
+SWING_MPS = 0.3
+"""The speed of a recorded ego that stops swings below 0 by up to this (filters, fits): a plan may start at 0 there."""
+NEAR_M = 1.0
+"""The plan being driven counts as a start where the ego is nearer to it than this (ours: 0.5 m)."""
+SPEED_MPS, YAW_RAD, LATERAL_MPS2, ACCEL_MPS = 1.0, 0.1, 2.5, 1.0
+STEP_M = 0.1
+"""Shorter steps have no direction."""
+WINDOW_S = 0.5
+POSSIBLE_MPS, POSSIBLE_MPS2 = 100.0, 20.0
+"""Of (6): 360 km/h; tyres of road cars give about 10 m/s2."""
+REST_S = 0.5
+"""The plan being driven goes on where so much of it is left; else the ego brakes on its arc with `BRAKE_MPS2`."""
+BRAKE_MPS2 = 4.0
+
+
+def checked(plan: Plan, frame: Frame) -> Plan:
+    """The plan as it may be driven and judged (module docstring)."""
+    trajectory = plan.trajectory
+    if len(plan.reason) > LONGEST_REASON:
+        plan = replace(plan, reason=shortened(plan.reason))
+    fault = _start_fault(trajectory, frame)
+    if not fault and len(trajectory) > 1:
+        off = _off(trajectory)
+        lie = _contradiction(off)
+        if lie:
+            trajectory = of_positions(trajectory)
+            off = _off(trajectory)
+            status = plan.status if plan.status.is_fallback else PlanStatus.CORRECTED
+            plan = replace(
+                plan, trajectory=trajectory, status=status, reason="; ".join(filter(None, [plan.reason, lie]))
+            )
+        fault = _impossible(off)
+    if not fault:
+        return plan
+    start = PlanStart.EGO if _rest(frame) is None else PlanStart.PREVIOUS_PLAN
+    return replace(plan, trajectory=_goes_on(frame), status=PlanStatus.REFUSED, reason=fault, start=start)
+
+
+def _start_fault(trajectory: Trajectory, frame: Frame) -> str:
+    """How a plan breaks (0) or (1), empty where it does not."""
+    if len(trajectory) > MOST_POINTS:
+        return f"it has {len(trajectory)} states, more than {MOST_POINTS}"
+    first, starts = trajectory.state(0), [frame.ego]
+    if _apart(frame.ego, first) <= START_M and abs(frame.ego.v - first.v) <= START_MPS:
+        return ""
+    if frame.previous is not None:
+        old = frame.previous.trajectory.at(frame.t)
+        starts += [old] if _apart(old, frame.ego) <= NEAR_M else []
+    nearest = min(starts, key=lambda start: _apart(start, first))
+    if _apart(nearest, first) > START_M:
+        return f"it starts {_apart(nearest, first):.2f} m from the ego and from the plan being driven"
+    speeds = [start.v for start in starts] + [0.0 for start in starts if -SWING_MPS <= start.v < 0.0]
+    if min(abs(speed - first.v) for speed in speeds) > START_MPS:
+        return f"it starts at {first.v:.1f} m/s, the ego drives {frame.ego.v:.1f} m/s"
+    return ""
+
+
+def _apart(one: EgoState, two: EgoState) -> float:
+    return hypot(one.x - two.x, one.y - two.y)
+
+
+class Off(NamedTuple):
+    """The greatest of each left side of the module docstring over a plan; 0 where no step is judged.
+
+    Attributes:
+        speed: Of (2), m/s.
+        heading: Of (3), rad.
+        lateral: Of (4), m/s2.
+        accel: Of (5), m/s.
+        fastest: Of (6), m/s.
+        hardest: Of (6), m/s2.
+    """
+
+    speed: float
+    heading: float
+    lateral: float
+    accel: float
+    fastest: float
+    hardest: float
+
+
+def _off(plan: Trajectory) -> Off:
+    return measured_off(plan.t, plan.x, plan.y, plan.yaw, plan.v, plan.a, plan.kappa)
+
+
+@kernel
+def measured_off(
+    t: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, v: FloatArray, a: FloatArray, kappa: FloatArray
+) -> Off:
+    """`Off` of a plan's columns `(n,)`, n >= 2."""
+    n = len(t)
+    speed, heading, lateral, accel, fastest, hardest = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    drift = np.empty(n)
+    drift[0], gained = v[0], 0.0
+    h_before, d_before = 0.0, 0.0
+    for i in range(n - 1):
+        dt, dx, dy = t[i + 1] - t[i], x[i + 1] - x[i], y[i + 1] - y[i]
+        d, middle = hypot(dx, dy), 0.5 * (v[i + 1] + v[i])
+        h = atan2(dy, dx) + (pi if middle < 0.0 else 0.0)
+        speed = max(speed, abs(d / dt - 0.5 * (abs(v[i + 1]) + abs(v[i]))))  # (2)
+        if d >= STEP_M:
+            heading = max(heading, abs(wrap(h - 0.5 * (yaw[i + 1] + yaw[i]))))  # (3)
+            if i > 0 and d_before >= STEP_M:
+                bend = wrap(h - h_before) / (0.5 * (d + d_before) * (-1.0 if middle < 0.0 else 1.0))
+                lateral = max(lateral, abs(bend - kappa[i]) * v[i] ** 2)  # (4)
+        h_before, d_before = h, d
+        gained += 0.5 * dt * (a[i + 1] + a[i])
+        drift[i + 1] = v[i + 1] - gained
+        fastest = max(fastest, d / dt)  # (6)
+        hardest = max(hardest, hypot((v[i + 1] - v[i]) / dt, v[i + 1] ** 2 * kappa[i + 1]))  # (6)
+    k = 0
+    for i in range(n):
+        later = min(t[i] + WINDOW_S, t[n - 1])
+        while k < n - 2 and t[k + 1] < later:
+            k += 1
+        u = (later - t[k]) / (t[k + 1] - t[k])
+        accel = max(accel, abs(drift[k] + u * (drift[k + 1] - drift[k]) - drift[i]))  # (5)
+    return Off(speed, heading, lateral, accel, fastest, hardest)
+
+
+def _contradiction(off: Off) -> str:
+    """How the columns contradict the positions, (2) to (5); empty where they do not."""
+    if off.speed > SPEED_MPS:
+        return f"its speed is {off.speed:.1f} m/s off its positions"
+    if off.heading > YAW_RAD:
+        return f"its heading is {off.heading:.2f} rad off its positions"
+    if off.lateral > LATERAL_MPS2:
+        return f"its curvature is off its positions by {off.lateral:.1f} m/s2 of lateral acceleration"
+    return f"its acceleration is {off.accel:.1f} m/s off its speed over 0.5 s" if off.accel > ACCEL_MPS else ""
+
+
+def _impossible(off: Off) -> str:
+    """How a plan breaks (6), empty where it does not."""
+    if off.fastest > POSSIBLE_MPS:
+        return f"it asks for {off.fastest:.0f} m/s"
+    return f"it asks for an acceleration of {off.hardest:.0f} m/s2" if off.hardest > POSSIBLE_MPS2 else ""
+
+
+def _steps(plan: Trajectory) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray]:
+    """Duration, length and direction of each step `(n - 1,)`, and whether it is long enough to have one."""
+    dx, dy = np.diff(plan.x), np.diff(plan.y)
+    d = np.hypot(dx, dy)
+    return np.diff(plan.t), d, np.asarray(np.arctan2(dy, dx)), np.asarray(d >= STEP_M)
+
+
+def of_positions(plan: Trajectory) -> Trajectory:
+    """The plan with heading, speed, acceleration and curvature of its positions `(n,)`; the first speed is its own.
+
+    Each sample has the mean of the steps beside it; a step below `STEP_M` has the direction of the one before, the
+    first ones the plan's own heading; whether it reverses is what the plan's speed says.
+    """
+    dt, d, way, moved = _steps(plan)
+    sign = np.where(0.5 * (plan.v[1:] + plan.v[:-1]) < 0.0, -1.0, 1.0)
+    heading = np.where(sign < 0.0, way + np.pi, way)
+    last = np.maximum.accumulate(np.where(moved, np.arange(len(d)), -1))
+    heading = np.unwrap(np.where(last >= 0, heading[np.maximum(last, 0)], plan.yaw[0]))
+    speed = sign * d / dt
+    yaw = np.r_[heading[0], heading[:-1] + 0.5 * np.diff(heading), heading[-1]]
+    v = np.r_[plan.v[0], 0.5 * (speed[1:] + speed[:-1]), speed[-1]]
+    turn, length = np.diff(heading), 0.5 * (d[1:] + d[:-1]) * sign[1:]
+    bend = np.divide(turn, length, out=np.zeros(len(turn)), where=moved[1:] & moved[:-1])
+    kappa = np.r_[bend[:1], bend, bend[-1:]] if len(bend) else np.zeros(len(plan))
+    return Trajectory(plan.t, plan.x, plan.y, yaw, v, np.gradient(v, plan.t), kappa)
+
+
+def _rest(frame: Frame) -> Trajectory | None:
+    """What is left of the plan being driven, where that is `REST_S` or more."""
+    if frame.previous is None or frame.previous.trajectory.t[-1] < frame.t + REST_S:
+        return None
+    old = frame.previous.trajectory
+    return old.resampled(np.r_[frame.t, old.t[old.t > frame.t + 1e-9]])
+
+
+def _goes_on(frame: Frame) -> Trajectory:
+    """What is driven in place of a plan that was refused."""
+    rest = _rest(frame)
+    return _braking(frame.ego) if rest is None else rest
+
+
+def _braking(ego: EgoState) -> Trajectory:
+    """The ego's arc, braked with `BRAKE_MPS2` to a standstill, for 3 s."""
+    after = 0.1 * np.arange(31)
+    speed = np.maximum(abs(ego.v) - BRAKE_MPS2 * after, 0.0) * np.sign(ego.v)
+    slowing = np.minimum(after, abs(ego.v) / BRAKE_MPS2)
+    way = np.sign(ego.v) * (abs(ego.v) * slowing - 0.5 * BRAKE_MPS2 * slowing**2)
+    half_turn = 0.5 * ego.kappa * way
+    chord = way * np.sinc(half_turn / np.pi)
+    x, y = ego.x + chord * np.cos(ego.yaw + half_turn), ego.y + chord * np.sin(ego.yaw + half_turn)
+    a = np.where(np.abs(speed) > 0.0, -BRAKE_MPS2 * np.sign(ego.v), 0.0)
+    return Trajectory(ego.t + after, x, y, ego.yaw + 2.0 * half_turn, speed, a, np.full(len(after), ego.kappa))

@@ -1,0 +1,173 @@
+"""A planner in its seat: built for one scenario, asked for plans, timed, and held to its contract."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from math import cos, hypot, sin
+
+import numpy as np
+
+from logs.errors import ConfigError, PlannerError, ReplanError, raised
+from logs.frame import Frame, PlannerContext
+from logs.road import Goal, Road, RoadSource
+from logs.scenario import Scenario
+from logs.shapes import corners
+from logs.states import EgoState
+from logs.trace import Plan
+from planners.base import Planner
+from replay.config import LoopConfig, PlannerProcessConfig
+from replay.drive import BATCHED, FIRST, TRUSTED, Place, StageTime
+from replay.loop.plan_check import checked
+from replay.oracle import ORACLES
+from replay.planner_process.link import FaultError
+from replay.planner_process.planner_config import is_apart, is_built_in, planner_factory, prepared
+from replay.planner_process.proxy import ApartPlanner
+from replay.planner_process.stopwatch import Stopwatch
+from replay.planner_process.together import log_here
+
+SHORTEST_DRIVE_M = 10.0
+"""A goal is made of a drive's end only where the drive led at least this far away."""
+GOAL_LENGTH_M, GOAL_WIDTH_M = 5.0, 4.0
+GIVEN_PATH = (
+    "the road is the driven path: the planner knows where the log's driver went; open-loop errors across the path say"
+    " nothing"
+)
+
+
+class Planning:
+    """The planner named by the user, for one scenario.
+
+    Args:
+        scenario: What is driven; only an oracle is given it.
+        spec: A name in PLANNERS or ORACLES, "module:Class", "exec:COMMAND" or "tcp://HOST:PORT".
+        planner_config: Keywords of the planner; of one that is kept apart, its table in the configuration.
+        config: Of the loop.
+        start: The ego at the first frame.
+        keep_internals: Whether the plans keep what the planner wants to be seen, beside its solvers' reports.
+        place: Which of the log's drives it is.
+
+    Attributes:
+        is_oracle: Whether the planner knows the log.
+        notes: What the user must know: the goal, where the log names none.
+        goal: As the planner is given it; `context` all that it is built with.
+        context: See there.
+
+    Raises:
+        ConfigError: No such planner, or it does not take such keywords.
+        PlannerError: It cannot be loaded or built.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        spec: str,
+        planner_config: Mapping[str, object],
+        config: LoopConfig,
+        start: EgoState,
+        *,
+        keep_internals: bool = True,
+        place: Place = FIRST,
+    ) -> None:
+        goal, note = goal_of(scenario)
+        self.is_oracle = spec in ORACLES
+        given = GIVEN_PATH if scenario.road.source is RoadSource.DRIVEN_PATH else ""
+        trusted = "" if is_built_in(spec) or is_apart(spec, config.apart) else TRUSTED
+        shared = is_apart(spec, config.apart) and log_here() is not None
+        batched = BATCHED.format(config.apart.batch) if shared else ""
+        self.notes = tuple(filter(None, (note, given, trusted, batched)))
+        self.goal = goal
+        self._keep, self._place = keep_internals, place
+        self._name = f"planner '{spec}' on {scenario.name}"
+        self._watch = Stopwatch()
+        period = config.plan_period_ns / 1e9
+        self.context = PlannerContext(_own(scenario.road), goal, scenario.vehicle, period, start, self._watch.lap)
+        self._planner = self._built(spec, self.context, scenario, planner_config, config.apart)
+
+    @property
+    def timings(self) -> tuple[StageTime, ...]:
+        """Of all plans so far."""
+        return self._watch.times
+
+    def _built(
+        self,
+        spec: str,
+        context: PlannerContext,
+        scenario: Scenario,
+        table: Mapping[str, object],
+        apart: PlannerProcessConfig,
+    ) -> Planner:
+        try:
+            if is_apart(spec, apart):
+                watch, keep = self._watch, self._keep
+                return ApartPlanner(spec, context, table, apart, watch, keep_internals=keep, place=self._place)
+            factory = planner_factory(spec)
+            arguments = (context, scenario) if spec in ORACLES else (context,)
+            try:
+                inspect.signature(factory).bind(*arguments, **table)
+            except TypeError as error:
+                raise ConfigError(f"planner '{spec}' cannot be built so: {error}") from None
+            return prepared(spec, table)(*arguments, **table)
+        except ReplanError:
+            raise
+        except FaultError as error:
+            raise PlannerError(f"{self._name} {error}") from None
+        except (Exception, SystemExit) as error:
+            raise PlannerError(f"{self._name} cannot be built: {raised(error)}") from error
+
+    def plan(self, frame: Frame) -> Plan:
+        """The plan for a frame, as it may be driven and judged (`replay.loop.plan_check`), with what is kept of it.
+
+        What builds internals refers to the frame, and that to the plan before: it goes no farther than this.
+
+        Raises:
+            PlannerError: The planner raised, or answered with what is no plan.
+        """
+        self._watch.start()
+        try:
+            plan = self._planner.plan(frame)
+        except FaultError as error:
+            raise PlannerError(f"{self._name} {error}") from None
+        except (Exception, SystemExit) as error:
+            raise PlannerError(f"{self._name} raised at {frame.t:.2f} s: {raised(error)}") from error
+        finally:
+            self._watch.stop(frame.t)
+        fault = _fault(plan, frame)
+        if fault:
+            raise PlannerError(f"{self._name} broke its contract at {frame.t:.2f} s: {fault}")
+        return (plan if self.is_oracle else checked(plan, frame)).recorded(keep=self._keep)
+
+
+Seat = Callable[..., Planning]
+"""What builds a `Planning`, of its arguments."""
+
+
+def _own(road: Road) -> Road:
+    """The road in objects of the planner's own: what one drive's planner keeps is not what the next one is given."""
+    return replace(road, lanes={i: replace(lane) for i, lane in road.lanes.items()})
+
+
+def _fault(plan: object, frame: Frame) -> str:
+    """What is wrong with a planner's answer, empty where nothing is; a Trajectory is finite and increasing anyway."""
+    if not isinstance(plan, Plan):
+        return f"it returned {type(plan).__name__} instead of a Plan"
+    first = float(plan.trajectory.t[0])
+    if abs(first - frame.t) > 1e-6:
+        return f"its plan starts at {first:.3f} s, not at the frame's time"
+    if plan.status.is_fallback and not plan.reason:
+        return f"its status is '{plan.status.value}' without a reason"
+    return ""
+
+
+def goal_of(scenario: Scenario) -> tuple[Goal | None, str]:
+    """The scenario's goal, or the place where its drive ended, and in that case a note."""
+    if scenario.goal is not None:
+        return scenario.goal, ""
+    first, last = scenario.ego.state(0), scenario.ego.state(len(scenario.ego) - 1)
+    if hypot(last.x - first.x, last.y - first.y) < SHORTEST_DRIVE_M:
+        return None, ""
+    ahead = scenario.vehicle.axle_to_center
+    x, y = last.x + ahead * cos(last.yaw), last.y + ahead * sin(last.yaw)
+    place = corners(x, y, last.yaw, GOAL_LENGTH_M, GOAL_WIDTH_M)
+    return Goal((np.asarray(place),)), "the log names no goal: the place where its drive ended is the goal"

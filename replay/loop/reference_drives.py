@@ -1,0 +1,145 @@
+"""Reference drives: what other drivers make of a log, measured as every drive is.
+
+    "driver"     the ego as logged, among the others as logged; there where the log holds a drive
+    "careful"    the careful driver of UN R157 (`metrics.reference_drivers`) from the log's first state along the lane
+    "follower"   the route follower: the planner `idm` in a perfect car, which accelerates, steers along its route,
+                 follows others and obeys the rules, among the traffic of the run
+
+They end as a planner's drive would: in the goal, or where a road user touches them. Their rows of the table have the
+mode "reference" and are oracles; `metrics.judge` asks them whether a broken bound is evidence against a planner. Of a
+synthesised log's driver only progress is measured: such a log excuses no collision. The follower excuses none either.
+Its progress counts until its time to collision falls below `metrics.safety.CLOSE_S`: after that it is no yardstick.
+It takes time to drive: it is driven where the log holds no drive to measure progress by, or where a planner of the run
+misses the goal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+
+import metrics
+from logs.road import Goal
+from logs.scenario import Scenario
+from logs.states import Trajectory
+from logs.trace import EndReason, Mode, Trace
+from metrics import GROUPS, METRICS
+from metrics.judge import CAREFUL, DRIVER, FOLLOWER, REFERENCE
+from metrics.metric import FINAL, Series
+from metrics.others import ego_boxes, name_of
+from metrics.phantoms import phantoms, without_phantoms
+from metrics.progress import FOLLOWER_M, GOAL, gained, route_of
+from metrics.reference_drivers import RETURN_S, STEP_S, careful_drive
+from metrics.safety import CLOSE_S, TTC, contacts
+from replay.config import LoopConfig
+from replay.loop.avoidability import reference_line
+from replay.loop.closed_loop import run_closed_loop
+
+SHORTEST = 2
+"""An ego log of fewer states is no drive."""
+FOLLOWER_PERIODS_S = 0.5, 0.05
+"""How often the follower plans and steps: its plans are smooth, and a yardstick need not cost as much as a drive."""
+
+
+def with_follower(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, pd.DataFrame]:
+    """The scenario with the follower's progress in its metadata (`metrics.progress.FOLLOWER_M`), and the rows on it.
+
+    Args:
+        scenario: What is driven.
+        loop: Of the run: the traffic is the same, the car is perfect, the others are perceived as they are.
+    """
+    traffic = {key: table for key, table in loop.settings.items() if key == "traffic"}
+    same = LoopConfig(*FOLLOWER_PERIODS_S, vehicle="perfect", traffic=loop.traffic, settings=traffic)
+    driven = run_closed_loop(scenario, "idm", config=same, keep_internals=False).trace
+    trace = replace(driven, planner=FOLLOWER, oracle=True, frames=())
+    ttc = TTC.found(trace, scenario)
+    near = np.asarray(ttc.value < CLOSE_S) if isinstance(ttc, Series) else np.zeros(1, np.bool_)
+    last = int(np.argmax(near)) if near.any() else -1
+    gain = gained(route_of(scenario), trace.ego).metres[last]
+    scenario = replace(scenario, metadata={**scenario.metadata, FOLLOWER_M: repr(float(gain))})
+    return scenario, _measured(trace, scenario, ("safety", "progress"))
+
+
+def with_references(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, list[pd.DataFrame]]:
+    """The scenario and the rows of its reference drives; with those of the follower where the log holds no drive."""
+    follower = []
+    if len(scenario.ego) < SHORTEST:
+        scenario, rows = with_follower(scenario, loop)
+        follower = [rows]
+    return scenario, [reference_table(scenario), *follower]
+
+
+def late_follower(tables: Sequence[pd.DataFrame], scenario: Scenario, loop: LoopConfig) -> list[pd.DataFrame]:
+    """The rows of the follower where they are lacking and a planner in the tables of a log misses the goal."""
+    goals = [table[table["metric"] == f"{GOAL.name}.{FINAL.name}"] for table in tables]
+    missed = any(((goal["mode"] == Mode.CLOSED.value) & (goal["value"] < 1.0)).any() for goal in goals)
+    there = any((goal["planner"] == FOLLOWER).any() for goal in goals)
+    return [with_follower(scenario, loop)[1]] if missed and not there else []
+
+
+def _measured(trace: Trace, scenario: Scenario, groups: tuple[str, ...]) -> pd.DataFrame:
+    measures = {metric.name: METRICS[metric.name] for group in groups for metric in GROUPS[group]}
+    return metrics.evaluate(trace, scenario, metrics=measures).assign(mode=REFERENCE)
+
+
+def reference_table(scenario: Scenario) -> pd.DataFrame:
+    """The rows of the log's own and the careful driver; columns as of `metrics.evaluate`."""
+    asked = {DRIVER: ("safety", "rules", "progress") if scenario.is_recorded else ("progress",)}
+    drives = reference_drives(scenario)
+    braking = ("safety", "progress", "comfort")  # the careful driver knows no rules
+    tables = [_measured(trace, scenario, asked.get(trace.planner, braking)) for trace in drives]
+    return pd.concat(tables, ignore_index=True)
+
+
+def reference_drives(scenario: Scenario) -> Iterator[Trace]:
+    """The drives, as traces without plans."""
+    if len(scenario.ego) >= SHORTEST:
+        yield _ended(DRIVER, scenario.ego, scenario)
+    yield _ended(CAREFUL, _careful(scenario), scenario)
+
+
+def _careful(scenario: Scenario) -> Trajectory:
+    """The rear axle of the careful driver, every `STEP_S`."""
+    line, start = reference_line(scenario), scenario.ego.state(0)
+    drive = careful_drive(scenario, line)
+    s0, l0 = line.project(start.x, start.y)
+    u = np.minimum((drive.s - s0) / max(RETURN_S * start.v, 10.0), 1.0)
+    offset = l0 * (1.0 - u * u * (3.0 - 2.0 * u))
+    frames = np.array([line.frame(s) for s in drive.s])
+    x, y = frames[:, 0] - offset * np.sin(frames[:, 2]), frames[:, 1] + offset * np.cos(frames[:, 2])
+    t = start.t + STEP_S * np.arange(len(drive.s))
+    return Trajectory(t, x, y, np.unwrap(frames[:, 2]), drive.v, drive.a, frames[:, 3])
+
+
+def _ended(name: str, ego: Trajectory, scenario: Scenario) -> Trace:
+    """The drive up to the goal or its first contact."""
+    agents = without_phantoms(scenario.tracks, phantoms(scenario))
+    whole = Trace(scenario.name, name, Mode.CLOSED, True, ego, agents, (), EndReason.END_OF_LOG)
+    ends: list[tuple[int, EndReason, str]] = []
+    reached = _reached(scenario.goal, ego, scenario)
+    if reached is not None:
+        ends.append((reached, EndReason.GOAL, ""))
+    for contact in contacts(whole, scenario)[:1]:
+        reason = EndReason.COLLISION if contact.at_fault else EndReason.REPLAY_CONTACT
+        ends.append((contact.step, reason, f"{name_of(agents, contact.agent)}: {contact.kind.value}"))
+    if not ends:
+        return whole
+    step, reason, detail = min(ends, key=lambda end: end[0])
+    driven = ego.between(float(ego.t[0]), float(ego.t[step]))
+    return Trace(scenario.name, name, Mode.CLOSED, True, driven, agents, (), reason, detail)
+
+
+def _reached(goal: Goal | None, ego: Trajectory, scenario: Scenario) -> int | None:
+    """The first state in the goal."""
+    if goal is None:
+        return None
+    x, y = ego_boxes(ego, scenario)[:2]
+    near = np.full(len(x), not goal.regions)
+    for region in goal.regions:
+        (low_x, low_y), (high_x, high_y) = region.min(axis=0), region.max(axis=0)
+        near |= (x >= low_x) & (x <= high_x) & (y >= low_y) & (y <= high_y)
+    states = np.column_stack([ego.t, x, y, ego.yaw, ego.v])
+    return next((k for k in np.flatnonzero(near).tolist() if goal.reached(*states[k].tolist())), None)

@@ -1,0 +1,222 @@
+"""A sensor on the ego's roof: range, field of view, occlusion by others, noise, drop-outs, latency.
+
+At each frame it measures the others as they are then. An agent is measured if enough of `POINTS` points of its box
+(corners, middles of the sides, centre) are within range and field of view and not behind another's box (`VISIBLE`);
+pedestrians and riders hide nobody. Then, per agent:
+
+(1) x + n_1 e_along + n_2 e_left,  yaw + n_3,  v + n_4 e_along + n_5 e_left        n_i normal, in the agent's own axes
+(2) not measured in slots of `dropout_s`, each with probability `dropout`; each agent's slots have a phase of their own
+
+and it reaches the planner `latency_s` later, carried on with the measured velocity. An agent that is not measured any
+more is carried on from its last measurement for `coast_s`, as a tracker would. The first measurement is known at once:
+the sensor ran before the log began.
+
+Every draw is a pure function of scenario, seed, agent and time: who else is there changes nothing, nor does the order.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass, replace
+from hashlib import blake2b
+from math import atan2, cos, hypot, nan, pi, radians, sin
+
+import numpy as np
+
+from logs.agents import NUMBERS, OLDEST_S, codes_of
+from logs.around import Around
+from logs.frame import Visibility
+from logs.kernel import BoolArray, FloatArray, inner_kernel, kernel
+from logs.scenario import Agents, Scenario
+from logs.shapes import corners
+from logs.states import wrap
+from replay.config import SensorConfig
+from replay.world import World, box_center
+
+POINTS = 9
+VISIBLE = 0.25
+"""Share of an agent's points that must be seen."""
+WIDEST_RAD = radians(88.0)
+"""A shadow's half angle is not wider than this: who is so near hides half of the world."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Measurement:
+    """What was measured at the time `t`, s."""
+
+    t: float
+    agents: Agents
+    visibility: Visibility
+
+
+class Sensor:
+    """Sees for one drive; its memory are the measurements that are still on their way, or coasted.
+
+    Args:
+        scenario: Its name seeds the draws; the ego's size places the sensor.
+        config: What it can do.
+    """
+
+    def __init__(self, scenario: Scenario, config: SensorConfig) -> None:
+        self._name, self._vehicle, self._config = scenario.name, scenario.vehicle, config
+        self._made: deque[Measurement] = deque()
+        self._since: dict[str, float] | None = None
+        self._around = Around()
+
+    def see(self, world: World) -> tuple[Agents, Visibility]:
+        """The agents as they reach the planner at the world's time, and what the sensor could see of the ground."""
+        now = world.ego.t
+        self._made.append(self._measured(world))
+        due = now - self._config.latency_s + 1e-9
+        arrived = [made for made in self._made if made.t <= due] or [self._made[0]]
+        oldest = arrived[-1].t - self._config.coast_s - 1e-9
+        while self._made[0].t < oldest:
+            self._made.popleft()
+        return self._tracked([made for made in arrived if made.t >= oldest], now), arrived[-1].visibility
+
+    def _tracked(self, made: list[Measurement], now: float) -> Agents:
+        """Each agent's newest measurement, carried on to `now` with its velocity.
+
+        The age counts from the first measurement since the agent was last lost; of the first frame's it is not known.
+        """
+        newest: dict[str, tuple[Measurement, int]] = {}
+        for measurement in made:
+            newest.update({name: (measurement, i) for i, name in enumerate(measurement.agents.ids)})
+        first, known = self._since is None, self._since or {}
+        self._since = {name: known.get(name, nan if first else m.t) for name, (m, _) in newest.items()}
+        age = np.minimum(now - np.array(list(self._since.values())), OLDEST_S)
+        unseen = np.array([now - m.t for m, _ in newest.values()])
+        rows = np.array([[getattr(m.agents, name)[i] for name in NUMBERS] for m, i in newest.values()], float)
+        kinds = tuple(m.agents.kinds[i] for m, i in newest.values())
+        seen = Agents.of_rows(tuple(newest), kinds, rows.reshape(-1, len(NUMBERS)).T, codes_of(kinds))
+        return replace(seen, x=seen.x + unseen * seen.vx, y=seen.y + unseen * seen.vy, age=age, unseen=unseen)
+
+    def _measured(self, world: World) -> Measurement:
+        t, config = world.ego.t, self._config
+        agents = self._around.of(world.tracks, t, t).perceived(t)
+        x, y = box_center(world.ego, self._vehicle)
+        boxes = np.column_stack([agents.x, agents.y, agents.yaw, agents.length, agents.width])
+        hiding = np.array([config.occlusion and not kind.is_vulnerable for kind in agents.kinds], bool)
+        hiding &= ~_around(boxes, x, y)
+        view = np.array([x, y, world.ego.yaw, config.range_m, radians(config.field_of_view_deg)])
+        seen = _seen_shares(boxes, hiding, view) >= VISIBLE
+        seen &= np.array([not self._dropped(name, t) for name in agents.ids], bool)
+        visibility = Visibility(x, y, world.ego.yaw, config.range_m, view[4], _shadows(boxes[hiding], view))
+        return Measurement(t, self._noisy(agents.some(np.flatnonzero(seen)), t), visibility)
+
+    def _dropped(self, agent: str, t: float) -> bool:
+        config = self._config
+        if config.dropout == 0.0:
+            return False
+        phase = self._draws(agent, "phase").uniform(0.0, config.dropout_s)
+        slot = int((t + phase) // config.dropout_s)
+        return bool(self._draws(agent, f"slot {slot}").uniform() < config.dropout)
+
+    def _noisy(self, agents: Agents, t: float) -> Agents:
+        config = self._config
+        stamp = f"noise {round(t * 1e9)}"
+        draws = np.array([self._draws(name, stamp).standard_normal(5) for name in agents.ids]).reshape(-1, 5)
+        spread = np.array([config.position_noise_m] * 2 + [radians(config.yaw_noise_deg)])
+        ahead, left, turn = (draws[:, :3] * spread).T
+        faster, aside = (draws[:, 3:] * config.velocity_noise_mps).T
+        c, s = np.cos(agents.yaw), np.sin(agents.yaw)
+        return replace(
+            agents,
+            x=agents.x + ahead * c - left * s,
+            y=agents.y + ahead * s + left * c,
+            yaw=agents.yaw + turn,
+            vx=agents.vx + faster * c - aside * s,
+            vy=agents.vy + faster * s + aside * c,
+            velocity_sigma=np.full(len(agents), config.velocity_noise_mps),
+        )
+
+    def _draws(self, agent: str, what: str) -> np.random.Generator:
+        """The generator of one agent's draws for one purpose."""
+        key = "\x1f".join((self._name, str(self._config.seed), agent, what)).encode()
+        return np.random.Generator(np.random.PCG64(int.from_bytes(blake2b(key, digest_size=16).digest(), "little")))
+
+
+@inner_kernel
+def _crosses(ax: float, ay: float, bx: float, by: float, box: FloatArray) -> bool:
+    """Whether the segment from a to b touches a box (x, y, yaw, length, width): slabs in the box's own axes."""
+    c, s = cos(box[2]), sin(box[2])
+    px, py = (ax - box[0]) * c + (ay - box[1]) * s, (ay - box[1]) * c - (ax - box[0]) * s
+    dx, dy = (bx - ax) * c + (by - ay) * s, (by - ay) * c - (bx - ax) * s
+    first, last = 0.0, 1.0
+    for p, d, half in ((px, dx, 0.5 * box[3]), (py, dy, 0.5 * box[4])):
+        if abs(d) < 1e-12:
+            if abs(p) > half:
+                return False
+            continue
+        one, two = (-half - p) / d, (half - p) / d
+        first, last = max(first, min(one, two)), min(last, max(one, two))
+    return first <= last
+
+
+@kernel
+def _around(boxes: FloatArray, x: float, y: float) -> BoolArray:
+    """Which boxes hold the point: an agent there is no view but a collision."""
+    out = np.zeros(len(boxes), np.bool_)
+    for i in range(len(boxes)):
+        out[i] = _crosses(x, y, x, y, boxes[i])
+    return out
+
+
+@kernel
+def _points(box: FloatArray) -> FloatArray:
+    """Corners, middles of the sides and centre of a box `(9, 2)`."""
+    out = np.empty((POINTS, 2))
+    out[:4] = corners(box[0], box[1], box[2], box[3], box[4])
+    for i in range(4):
+        out[4 + i] = 0.5 * (out[i] + out[(i + 1) % 4])
+    out[8] = box[:2]
+    return out
+
+
+@kernel
+def _seen_shares(boxes: FloatArray, hiding: BoolArray, view: FloatArray) -> FloatArray:
+    """Share of each box's points that a sensor (x, y, yaw, range, field of view) sees `(n,)`."""
+    n = len(boxes)
+    out = np.zeros(n)
+    for i in range(n):
+        points = _points(boxes[i])
+        reach = hypot(boxes[i, 0] - view[0], boxes[i, 1] - view[1])
+        for p in range(POINTS):
+            dx, dy = points[p, 0] - view[0], points[p, 1] - view[1]
+            if hypot(dx, dy) > view[3] or abs(wrap(atan2(dy, dx) - view[2])) > 0.5 * view[4]:
+                continue
+            free = True
+            for j in range(n):
+                away = hypot(boxes[j, 0] - view[0], boxes[j, 1] - view[1])
+                between = j != i and hiding[j] and away < reach + boxes[i, 3]
+                if between and _crosses(view[0], view[1], points[p, 0], points[p, 1], boxes[j]):
+                    free = False
+                    break
+            out[i] += 1.0 / POINTS if free else 0.0
+    return out
+
+
+@kernel
+def _shadows(boxes: FloatArray, view: FloatArray) -> FloatArray:
+    """Ground hidden behind boxes within range `(k, 4, 2)`: near right, far right, far left, near left."""
+    out, count = np.empty((len(boxes), 4, 2)), 0
+    for i in range(len(boxes)):
+        dx, dy = boxes[i, 0] - view[0], boxes[i, 1] - view[1]
+        if hypot(dx, dy) - 0.5 * hypot(boxes[i, 3], boxes[i, 4]) > view[3]:
+            continue
+        middle = atan2(dy, dx)
+        outline = corners(boxes[i, 0], boxes[i, 1], boxes[i, 2], boxes[i, 3], boxes[i, 4])
+        right, left = pi, -pi
+        for k in range(4):
+            angle = wrap(atan2(outline[k, 1] - view[1], outline[k, 0] - view[0]) - middle)
+            if angle < right:
+                right, out[count, 0] = angle, outline[k]
+            if angle > left:
+                left, out[count, 3] = angle, outline[k]
+        half = min(0.5 * (left - right), WIDEST_RAD)
+        far = 1.01 * view[3] / cos(half)
+        for k, angle in ((1, -half), (2, half)):
+            out[count, k, 0] = view[0] + far * cos(middle + 0.5 * (left + right) + angle)
+            out[count, k, 1] = view[1] + far * sin(middle + 0.5 * (left + right) + angle)
+        count += 1
+    return out[:count]

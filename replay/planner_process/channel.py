@@ -1,0 +1,171 @@
+"""Messages over a pair of file descriptors, with deadlines: 4 bytes of length (little-endian), then MessagePack."""
+
+from __future__ import annotations
+
+import os
+import select
+import struct
+import time
+from contextlib import suppress
+from typing import Any, Generic, TypeVar
+
+import msgspec
+import numpy as np
+
+from replay.planner_process.schema import LARGEST_BYTES
+
+T = TypeVar("T")
+
+HEADER = struct.Struct("<I")
+PIPE_BYTES = 1 << 20
+"""Room of a pipe: a frame goes over in one piece (64 KiB is usual, 1 MiB what Linux grants to everyone)."""
+SAID_BYTES = 4096
+"""So much of the end of what the planner printed is kept."""
+
+
+class LateError(Exception):
+    """The deadline has passed."""
+
+
+class GoneError(Exception):
+    """The other side has closed the channel."""
+
+
+class GarbageError(Exception):
+    """What came is no message."""
+
+
+def plain(value: object) -> object:
+    """Numbers of NumPy's in a planner's answer."""
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"{type(value).__name__} cannot be sent")
+
+
+class Channel(Generic[T]):
+    """Sends any message, receives those of a type.
+
+    Args:
+        into: Where the other side reads.
+        out: Where it writes.
+        said: Where it prints (its stderr), read along so that it never has to wait; -1: nowhere.
+        kind: What is received.
+        patient: Whether this side waits without deadlines: a planner.
+    """
+
+    def __init__(self, into: int, out: int, kind: Any, said: int = -1, *, patient: bool = False) -> None:
+        self._into, self._out, self._said_at = into, out, said
+        self._encoder, self._decoder = msgspec.msgpack.Encoder(enc_hook=plain), msgspec.msgpack.Decoder(kind)
+        self._buffer, self._filled, self.said = bytearray(PIPE_BYTES), 0, b""
+        self._patient = patient
+        for fd in {into, out, said} - {-1}:
+            os.set_blocking(fd, patient)
+            widen(fd)
+
+    def send(self, message: msgspec.Struct, deadline: float = float("inf")) -> None:
+        """Send a message before the deadline (of `time.monotonic`).
+
+        Raises:
+            LateError: The other side did not take it in time.
+            GoneError: It has closed the channel.
+            TypeError: A value cannot be sent.
+        """
+        payload = self._encoder.encode(message)
+        left = [memoryview(HEADER.pack(len(payload))), memoryview(payload)]
+        while left:
+            try:
+                sent = os.writev(self._into, left)
+            except BlockingIOError:
+                self._wait(self._into, select.POLLOUT, deadline)
+                continue
+            except OSError:
+                raise GoneError from None
+            while left and sent >= len(left[0]):
+                sent -= len(left.pop(0))
+            if left:
+                left[0] = left[0][sent:]
+
+    def receive(self, deadline: float = float("inf")) -> T:
+        """The next message, where it comes before the deadline.
+
+        Raises:
+            LateError: It did not come in time.
+            GoneError: The channel was closed.
+            GarbageError: What came is no message of the type.
+        """
+        self._read(HEADER.size, deadline)
+        (size,) = HEADER.unpack_from(self._buffer)
+        if size > LARGEST_BYTES and not self._patient:
+            what = f"a message of {size} bytes, more than {LARGEST_BYTES}"
+            raise GarbageError(f"{what} (keep less inside of plans, or give a smaller --batch)")
+        end = HEADER.size + size
+        self._read(end, deadline)
+        try:
+            found: T = self._decoder.decode(memoryview(self._buffer)[HEADER.size : end])
+        except (msgspec.DecodeError, UnicodeDecodeError) as error:
+            raise GarbageError(" ".join(str(error).split())) from None
+        rest = self._buffer[end : self._filled]
+        self._buffer[: len(rest)] = rest
+        self._filled = len(rest)
+        return found
+
+    def _read(self, size: int, deadline: float) -> None:
+        """Until `size` bytes are in the buffer; what comes with them stays for the next message."""
+        if size > len(self._buffer):
+            self._buffer = self._buffer.ljust(size, b"\0")
+        while self._filled < size:
+            if not self._patient:
+                self._wait(self._out, select.POLLIN, deadline)
+            try:
+                came = os.readv(self._out, [memoryview(self._buffer)[self._filled :]])
+            except OSError:
+                raise GoneError from None
+            if not came:
+                raise GoneError
+            self._filled += came
+
+    def _wait(self, fd: int, event: int, deadline: float) -> None:
+        """Until `fd` is ready; what is printed meanwhile is kept."""
+        while True:
+            poll = select.poll()
+            poll.register(fd, event)
+            if self._said_at >= 0:
+                poll.register(self._said_at, select.POLLIN)
+            left = deadline - time.monotonic()
+            if left <= 0.0:
+                raise LateError
+            ready = dict(poll.poll(None if left == float("inf") else 1e3 * left))
+            if self._said_at in ready:
+                self.listen()
+            if fd in ready:
+                return
+
+    def listen(self) -> None:
+        """Read what was printed so far."""
+        while self._said_at >= 0:
+            try:
+                part = os.read(self._said_at, PIPE_BYTES)
+            except OSError:  # nothing more now
+                return
+            if not part:
+                os.close(self._said_at)
+                self._said_at = -1
+                return
+            self.said = (self.said + part)[-SAID_BYTES:]
+            if len(part) < PIPE_BYTES:
+                return
+
+    def close(self) -> None:
+        """Close all that is open."""
+        for fd in {self._into, self._out, self._said_at} - {-1}:
+            with suppress(OSError):
+                os.close(fd)
+        self._into = self._out = self._said_at = -1
+
+
+def widen(fd: int) -> None:
+    """Give a pipe room for a whole frame, where the system can."""
+    with suppress(OSError, ImportError, AttributeError):
+        import fcntl
+
+        fcntl.fcntl(fd, fcntl.F_SETPIPE_SZ, PIPE_BYTES)

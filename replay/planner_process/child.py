@@ -1,0 +1,164 @@
+"""A Python planner in its process: it is built of a context, and answers frames with plans.
+
+Its stdin and stdout carry the messages of `replay.planner_process.schema`. They are taken away from the planner's code:
+what it prints goes to stderr, of which the last lines are shown where it fails.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from logs.errors import ConfigError, ReplanError, raised
+from logs.frame import Frame
+from logs.states import Trajectory
+from logs.trace import Plan
+from planners.base import Planner
+from replay.planner_process import schema
+from replay.planner_process.channel import Channel, GoneError
+from replay.planner_process.convert import context_of, frame_of, plan_sent
+from replay.planner_process.planner_config import (
+    check_keywords,
+    of_class,
+    planner_factory,
+    planner_keywords,
+    prepared,
+    resolved_table,
+)
+from replay.planner_process.stopwatch import Stopwatch
+
+
+def main() -> None:
+    """Answer what comes on stdin until it closes."""
+    channel: Channel[Any] = Channel(os.dup(1), os.dup(0), schema.Question, patient=True)
+    _settle_in()
+    try:
+        Seat(channel).serve()
+    except GoneError:
+        pass
+    finally:
+        sys.stdout.flush()
+
+
+def load(planner: str, settings: bytes) -> None:
+    """What all drives of a planner have in common: its module, and what its class loads (`prepared`).
+
+    Args:
+        planner: "module:Class".
+        settings: Its table in the configuration, MessagePack.
+    """
+    _settle_in()
+    try:
+        prepared(planner, planner_keywords(planner, msgspec.msgpack.decode(settings)))
+    finally:
+        sys.stdout.flush()
+
+
+def _settle_in() -> None:
+    """Nothing to read on stdin, stdout is stderr, and the working directory is searched last."""
+    nothing = os.open(os.devnull, os.O_RDONLY)
+    os.dup2(nothing, 0)
+    os.close(nothing)
+    os.dup2(2, 1)
+    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
+    sys.argv = ["planner"]
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.append(here)
+
+
+def warm() -> None:
+    """Load the kernel that every plan needs: the compiler takes 0.2 s to wake, once and not in each process."""
+    Trajectory(*np.arange(14.0).reshape(7, 2))
+
+
+class Seat:
+    """One planner, or those of several logs which plan together, and their clock."""
+
+    def __init__(self, channel: Channel[Any]) -> None:
+        self._channel, self._watch = channel, Stopwatch()
+        self._planners: list[Planner | None] = []
+        self._together: Any = None
+        self._keep = False
+
+    def serve(self) -> None:
+        """Answer every message; what the planner raises becomes an answer, too."""
+        while True:
+            question = self._channel.receive()
+            answer = _tried(self._answer, question)
+            try:
+                self._channel.send(answer)
+            except (TypeError, ValueError, OverflowError) as error:
+                self._channel.send(schema.Failed(f"what it returned cannot be sent: {raised(error)}", "contract"))
+
+    def _answer(self, question: Any) -> msgspec.Struct:
+        if isinstance(question, schema.Frame):
+            return self._sent(self._planned(lambda planners, frames: planners[0].plan(frames[0]), [0], [question]))
+        if isinstance(question, schema.Frames):
+            return self._planned_together(question)
+        if isinstance(question, schema.Describe):
+            return _described(question)
+        if isinstance(question, schema.Hellos):
+            return schema.Answers([_tried(self._built, hello) for hello in question.each])
+        return self._built(question)
+
+    def _built(self, hello: schema.Hello) -> schema.Ready:
+        self._planners.append(None)
+        keywords = planner_keywords(hello.planner, hello.config)
+        context = context_of(hello.context, self._watch.lap)
+        factory: Any = prepared(hello.planner, keywords)
+        self._planners[-1] = factory(context, **keywords)
+        self._together, self._keep = of_class(factory, "plan_batch"), hello.keep_internals
+        return schema.Ready()
+
+    def _planned_together(self, question: schema.Frames) -> msgspec.Struct:
+        plans = self._planned(lambda planners, frames: self._together(frames, planners), question.seats, question.each)
+        if not isinstance(plans, list | tuple) or len(plans) != len(question.seats):
+            what = f"{len(plans)} plans" if isinstance(plans, list | tuple) else type(plans).__name__
+            return schema.Failed(f"plan_batch returned {what} instead of {len(question.seats)} plans", "contract")
+        return schema.Answers([self._sent(plan) for plan in plans])
+
+    def _planned(
+        self, plan: Callable[[list[Any], list[Frame]], Any], seats: list[int], sent: list[schema.Frame]
+    ) -> Any:
+        """What the planners of some seats answer to their frames."""
+        planners, frames = [self._planners[seat] for seat in seats], [frame_of(message) for message in sent]
+        assert None not in planners, "a frame came before the context"
+        self._watch.start()
+        try:
+            return plan(planners, frames)
+        finally:
+            self._watch.stop(frames[0].t)
+
+    def _sent(self, plan: object) -> schema.Plan | schema.Failed:
+        if isinstance(plan, BaseException):
+            return schema.Failed(raised(plan), "raised")
+        if not isinstance(plan, Plan):
+            return schema.Failed(f"it returned {type(plan).__name__} instead of a Plan", "contract")
+        return plan_sent(plan.recorded(keep=self._keep), self._watch.laps, inside=True)
+
+
+def _tried(answer: Callable[[Any], Any], question: Any) -> Any:
+    """The answer to a question, or what was raised instead."""
+    try:
+        return answer(question)
+    except ReplanError as error:
+        return schema.Failed(str(error), "config" if isinstance(error, ConfigError) else "load")
+    except BaseException as error:  # also SystemExit: the planner has raised, and no more
+        planning = isinstance(question, schema.Frame | schema.Frames)
+        return schema.Failed(raised(error), "raised" if planning else "build")
+
+
+def _described(question: schema.Describe) -> schema.Described:
+    table = resolved_table(question.planner, question.config)
+    check_keywords(question.planner, table)
+    if question.batch and of_class(planner_factory(question.planner), "plan_batch") is None:
+        remedy = "add the class method plan_batch(cls, frames, planners), or leave out --batch"
+        raise ConfigError(f"planner '{question.planner}' has no plan_batch: {remedy}")
+    return schema.Described(table)

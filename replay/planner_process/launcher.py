@@ -1,0 +1,297 @@
+"""A small process, warm and without secrets, from which the planners' processes are forked.
+
+    python -P -m replay.planner_process.launcher      its control socket is its stdin; replan starts it
+    (`replay.planner_process.processes`)
+
+It has imported what every Python planner needs, and never holds a frame, so that a process for a drive costs
+milliseconds and knows nothing of the drives before. On the control socket, JSON by the line:
+
+    {"start": KEY, "argv": [...] or null, "memory": bytes or 0}    with three descriptors: stdin, stdout, stderr of it
+    {"start": KEY, "load": [planner, settings], "memory": ...}     with one: the control socket of a template
+    {"kill": KEY}                                    the process and its group
+    {"ended": KEY, "status": wait status}            what comes back, once for each that was started
+
+`argv` null is a Python planner (`replay.planner_process.child`), else a program. Where the control socket closes, all
+are killed.
+
+A template is this process once more, which has loaded a planner's module besides (`child.load`): it says
+`{"unfit": reason}`, and where the reason is empty it goes on as this one does, on its own control socket. What a fork
+would share between drives, or break, makes it unfit: threads, open files and connections, processes of its own.
+
+A planner may start processes in sessions of their own, which its group does not hold. On Linux each of these processes
+is a subreaper (`prctl`): what loses its parent becomes its child. So a planner's process keeps what it has started as
+long as it runs; when it has ended, all that is left becomes a child of this process, which kills it.
+"""
+
+from __future__ import annotations
+
+import gc
+import json
+import os
+import random
+import resource
+import select
+import signal
+import socket
+import sys
+import threading
+import time
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NoReturn
+
+from logs.errors import raised
+from replay.planner_process import child
+
+PDEATHSIG, CHILD_SUBREAPER = 1, 36
+"""`prctl`: which signal comes when the parent has died; that orphans below become children of the process (Linux)."""
+ENDING_S = 2.0
+"""A template has so long to end, with all that it has started, when this process does."""
+
+
+def main() -> None:
+    """Serve until the control socket closes."""
+    control = socket.socket(fileno=os.dup(0))
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    for name in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(name, signal.SIG_IGN)  # they are for replan: it ends this
+    child.warm()
+    _prctl(CHILD_SUBREAPER, 1)
+    Forks(control).serve()
+
+
+@dataclass(eq=False)
+class Forks:
+    """What is asked for on a control socket, and what was forked for it.
+
+    Attributes:
+        control: The socket.
+        seed: Whether a fork goes on with the state of `random`, which Python seeds anew: its module may have set it.
+        live: What runs, by process id, as it was asked for.
+        given: Descriptors that came and were not taken yet.
+    """
+
+    control: socket.socket
+    seed: bool = False
+    live: dict[int, dict[str, Any]] = field(default_factory=dict)
+    given: list[int] = field(default_factory=list)
+
+    def serve(self) -> None:
+        """Do what is asked until the socket closes; then end all that runs."""
+        self._wake, self._waker = os.pipe2(os.O_NONBLOCK | os.O_CLOEXEC) if hasattr(os, "pipe2") else os.pipe()
+        os.set_blocking(self._waker, False)
+        signal.set_wakeup_fd(self._waker, warn_on_full_buffer=False)
+        self._handler = signal.signal(signal.SIGCHLD, lambda number, frame: None)
+        gc.collect()
+        gc.freeze()
+        rest = b""
+        while True:
+            ready, _, _ = select.select([self.control.fileno(), self._wake], [], [])
+            if self._wake in ready:
+                os.read(self._wake, 4096)
+                self._reap()
+            if self.control.fileno() not in ready:
+                continue
+            try:
+                data, came, _, _ = socket.recv_fds(self.control, 1 << 16, 3)
+            except ConnectionError:
+                break
+            if not data:
+                break
+            *lines, rest = (rest + data).split(b"\n")
+            self.given += came
+            for line in lines:
+                self._do(json.loads(line))
+        self._end()
+
+    def _do(self, asked: dict[str, Any]) -> None:
+        """One request; a start takes its descriptors from `given`."""
+        if "kill" in asked:
+            for pid in [pid for pid, started in self.live.items() if started["start"] == asked["kill"]]:
+                _kill(pid)
+            return
+        taken = [self.given.pop(0) for _ in range(1 if "load" in asked else 3)]
+        state, parent = random.getstate(), os.getpid()
+        pid = os.fork()
+        if pid == 0:
+            if self.seed:
+                random.setstate(state)
+            signal.set_wakeup_fd(-1)
+            signal.signal(signal.SIGCHLD, self._handler or signal.SIG_DFL)
+            for fd in (self.control.fileno(), self._wake, self._waker, *self.given):
+                os.close(fd)
+            _become(asked, taken, parent)
+        self.live[pid] = asked
+        for fd in taken:
+            os.close(fd)
+
+    def _reap(self) -> None:
+        for pid in list(self.live):
+            ended, status = os.waitpid(pid, os.WNOHANG)
+            if ended:
+                with suppress(OSError):
+                    os.killpg(pid, signal.SIGKILL)  # what it started goes with it
+                said = {"ended": self.live.pop(pid)["start"], "status": status}
+                self._kill_orphans()
+                with suppress(OSError):
+                    self.control.send(json.dumps(said).encode() + b"\n")
+
+    def _kill_orphans(self) -> None:
+        """Kill children that were not started here: what an ended process left behind, which is now this one's."""
+        until = time.monotonic() + ENDING_S
+        while (orphans := children() - self.live.keys()) and time.monotonic() < until:
+            for pid in orphans:
+                _kill(pid)
+                with suppress(ChildProcessError):
+                    os.waitpid(pid, 0)  # then what it has started itself is a child of this process
+
+    def _end(self) -> None:
+        """Kill what runs; templates end by themselves, as their sockets have closed, too: they know what they began."""
+        until = time.monotonic() + ENDING_S
+        for pid in [pid for pid, asked in self.live.items() if "load" not in asked]:
+            _kill(pid)
+        while self.live and time.monotonic() < until:
+            time.sleep(0.005)
+            self._reap()
+        for pid in self.live:
+            _kill(pid)
+
+
+def children() -> set[int]:
+    """Processes whose parent is this one, as Linux lists them; elsewhere none, as no orphan becomes one."""
+    found = set[int]()
+    for task in Path("/proc/self/task").glob("*/stat"):
+        found |= {int(word) for word in (task.parent / "children").read_text().split()}
+    return found
+
+
+def _kill(pid: int) -> None:
+    for kill in (os.killpg, os.kill):
+        with suppress(OSError):
+            kill(pid, signal.SIGKILL)
+
+
+def _become(asked: dict[str, Any], given: list[int], parent: int) -> NoReturn:
+    """The planner's process, or a template of it, after the fork; `parent` is the process that has forked."""
+    code = 1
+    try:
+        os.setsid()
+        _end_with_parent(parent)
+        _prctl(CHILD_SUBREAPER, 1)
+        for name in (signal.SIGINT, signal.SIGTERM):
+            if signal.getsignal(name) is signal.SIG_IGN:
+                signal.signal(name, signal.SIG_DFL)
+        if "load" in asked:
+            nothing = os.open(os.devnull, os.O_RDWR)
+            _at_places(nothing, nothing, nothing)
+            _limit(asked["memory"])
+            planner, settings = asked["load"]
+            _template(planner, settings, socket.socket(fileno=given[0]))
+        else:
+            _at_places(*given)
+            _limit(asked["memory"])
+            if asked["argv"] is not None:
+                _execute(asked["argv"])
+            child.main()
+        code = 0
+    except BaseException as error:  # the interpreter of the launcher must not go on in the fork
+        sys.stderr.write(f"{type(error).__name__}: {error}\n")
+    finally:
+        with suppress(Exception):
+            sys.stderr.flush()
+        os._exit(code)
+
+
+def _at_places(*given: int) -> None:
+    """Descriptors as stdin, stdout, stderr."""
+    for place, fd in enumerate(given):
+        os.dup2(fd, place)
+    for fd in set(given):
+        os.close(fd)
+
+
+def _template(planner: str, settings: str, control: socket.socket) -> None:
+    """Load a planner's module, and serve where this process may be forked then."""
+    before = _descriptors()
+    try:
+        child.load(planner, bytes.fromhex(settings))
+        unfit = _unfit(before)
+    except BaseException as error:  # the drive's own process will say it
+        unfit = raised(error)
+    control.sendall(json.dumps({"unfit": unfit}).encode() + b"\n")
+    if not unfit:
+        Forks(control, seed=True).serve()
+
+
+def _unfit(before: set[int]) -> str:
+    """Why this process must not be forked for drives; "": it may be."""
+    if _threads() > 1:
+        pid = os.fork()  # the libraries that stop their threads for a fork, as OpenBLAS does, have stopped them then
+        if pid == 0:
+            os._exit(0)
+        os.waitpid(pid, 0)
+    if _threads() > 1:
+        return "it has threads, which a fork loses"
+    if _descriptors() - before:
+        return "it holds files or connections open, which its drives would share"
+    try:
+        os.waitpid(-1, os.WNOHANG)
+    except ChildProcessError:
+        return ""
+    return "it has started processes, which its drives would share"
+
+
+def _threads() -> int:
+    """Threads of this process; on other systems than Linux those that Python knows."""
+    tasks = Path("/proc/self/task")
+    return len(list(tasks.iterdir())) if tasks.is_dir() else threading.active_count()
+
+
+def _descriptors() -> set[int]:
+    """All that are open."""
+    found = set()
+    for place in list(Path("/dev/fd").iterdir()):
+        with suppress(OSError):  # that of the listing itself
+            os.fstat(int(place.name))
+            found.add(int(place.name))
+    return found
+
+
+def _execute(argv: list[str]) -> NoReturn:
+    try:
+        os.execvp(argv[0], argv)
+    except OSError as error:
+        sys.stderr.write(f"{argv[0]}: {error.strerror}\n")
+        sys.stderr.flush()
+        os._exit(127)
+
+
+def _limit(memory: int) -> None:
+    """Bound the memory, write no core file, and be the first to go where the system runs out of memory (Linux)."""
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    if memory:
+        resource.setrlimit(resource.RLIMIT_DATA, (memory, memory))
+    with suppress(OSError):
+        Path("/proc/self/oom_score_adj").write_text("1000", encoding="ascii")
+
+
+def _end_with_parent(parent: int) -> None:
+    """A launcher that has died takes this process along, even if it hangs (Linux; elsewhere the closed stdin does)."""
+    _prctl(PDEATHSIG, signal.SIGKILL)
+    if os.getppid() != parent:  # it died before that
+        os._exit(1)
+
+
+def _prctl(option: int, value: int) -> None:
+    """Set a property of this process (Linux; elsewhere nothing)."""
+    if not sys.platform.startswith("linux"):
+        return
+    import ctypes
+
+    prctl: Any = ctypes.CDLL(None, use_errno=True).prctl
+    prctl(option, value, 0, 0, 0)
+
+
+if __name__ == "__main__":
+    main()

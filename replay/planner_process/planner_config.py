@@ -1,0 +1,79 @@
+"""What builds the planner of a name, where it runs, and the keywords that its table in the configuration stands for."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from inspect import getattr_static
+from typing import Any
+
+from planners import PLANNER, PLANNERS, load_planner
+from replay.config import PlannerProcessConfig
+from replay.oracle import ORACLES
+from replay.settings import check, dotted, keywords_of, resolved
+
+Factory = Callable[..., Any]
+
+
+FOREIGN = ("exec:", "tcp://")
+"""How planners are named that are no Python of ours to load."""
+
+
+def is_built_in(spec: str) -> bool:
+    """Whether a planner comes with replan."""
+    return spec in PLANNERS or spec in ORACLES
+
+
+def is_foreign(spec: str) -> bool:
+    """Whether a planner is a program or a node: "exec:COMMAND" or "tcp://HOST:PORT"."""
+    return spec.startswith(FOREIGN)
+
+
+def is_apart(spec: str, apart: PlannerProcessConfig) -> bool:
+    """Whether a planner runs in a process of its own; a name that is none at all does not."""
+    named = all(spec.partition(":")) or (not is_built_in(spec) and spec in PLANNER.entries())
+    return is_foreign(spec) or (not is_built_in(spec) and named and not apart.trust)
+
+
+def planner_factory(spec: str) -> Factory:
+    """What builds the planner or oracle of this name; ConfigError or PlannerError where there is none."""
+    return ORACLES[spec] if spec in ORACLES else load_planner(spec, also=ORACLES)
+
+
+def of_class(factory: Factory, name: str) -> Callable[..., Any] | None:
+    """A class method, or a static one, of a class of planners; None: it has none, or its planners mean their own."""
+    shared = isinstance(getattr_static(factory, name, None), classmethod | staticmethod)
+    return getattr(factory, name) if shared else None
+
+
+_prepared: dict[Factory, Mapping[str, Any]] = {}
+"""With what each class of planners was prepared last, in this process."""
+
+
+def prepared(spec: str, keywords: Mapping[str, Any]) -> Factory:
+    """What builds the planner, which has loaded what all its drives share.
+
+    A class may have a class method `prepare(**keywords)`, which is given the keywords of the planner before it is built
+    of them: called once in a process, and once in that from which the processes of drives are forked.
+    """
+    factory = planner_factory(spec)
+    prepare = of_class(factory, "prepare")
+    if prepare is not None and _prepared.get(factory) != keywords:
+        prepare(**keywords)
+        _prepared[factory] = keywords
+    return factory
+
+
+def planner_keywords(spec: str, table: Mapping[str, Any]) -> dict[str, Any]:
+    """The keywords that a planner's table stands for; ConfigError where it is wrong (`replay.settings`)."""
+    return keywords_of(planner_factory(spec), table, dotted("planner", spec))
+
+
+def resolved_table(spec: str, table: Mapping[str, Any]) -> dict[str, Any]:
+    """The table with every default spelled out; ConfigError as `planner_keywords`."""
+    return resolved(planner_factory(spec), table, dotted("planner", spec))
+
+
+def check_keywords(spec: str, table: Mapping[str, Any]) -> None:
+    """Refuse what the planner cannot be built with; ConfigError says what is missing or too much."""
+    given = 2 if spec in ORACLES else 1  # the context, and for an oracle the log
+    check(planner_factory(spec), table, dotted("planner", spec), f"planner '{spec}'", given)

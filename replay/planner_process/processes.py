@@ -1,0 +1,273 @@
+"""The worker's side of the launcher: a process for a planner, started within milliseconds, and its end.
+
+One launcher serves a worker as long as its Python path, folder and environment stay as they are; it ends with the
+worker, and with it all that it has started. Within a run (`loaded_for`) the drives of a planner are forked from a
+template, which has loaded its module once; where there can be none, from the launcher, and each loads it for itself.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import time
+import weakref
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from logs.errors import ConfigError
+from replay.config import PlannerProcessConfig
+from replay.planner_process.channel import Channel
+
+ENVIRONMENT = (
+    "PATH", "HOME", "USER", "LANG", "LC_", "TZ", "TMPDIR", "XDG_CACHE_HOME", "NUMBA_", "OMP_", "OPENBLAS_", "MKL_",
+    "LD_LIBRARY_PATH", "DYLD_LIBRARY_PATH", "CUDA_", "VIRTUAL_ENV", "COVERAGE_",
+)  # fmt: skip
+"""Variables, and beginnings of their names, that a planner's process is given: what programs need to start."""
+GRACE_S = 1.0
+"""A planner whose drive is over has so long to end by itself."""
+ROOT = Path(__file__).parents[2]
+
+
+@dataclass(frozen=True)
+class Load:
+    """What a template has loaded.
+
+    Attributes:
+        planner: "module:Class".
+        settings: Its table in the configuration, MessagePack.
+        again: Whether it is the second of two, which have nothing in common: for the second drive of a log's start
+            (`replay.loop.determinism`), as what a module draws or reads while it is imported need not come out the
+            same.
+    """
+
+    planner: str
+    settings: bytes
+    again: bool = False
+
+
+class Process:
+    """A planner's process.
+
+    Attributes:
+        channel: To it; what it prints is read along.
+    """
+
+    def __init__(self, forks: Forks, key: int, channel: Channel[Any]) -> None:
+        self._forks, self._key, self.channel = forks, key, channel
+
+    def close(self) -> None:
+        """The drive is over: it may end by itself, and is killed where it does not."""
+        self.channel.close()
+        if self._forks.status(self._key, GRACE_S) is None:
+            self._forks.kill(self._key)
+
+    def kill(self) -> None:
+        """End it, and what it has started."""
+        self._forks.kill(self._key)
+        self.channel.close()
+
+    def ending(self) -> str:
+        """How it ended, in words; it is ended where it has only closed its output."""
+        status = self._forks.status(self._key, GRACE_S)
+        self.channel.listen()
+        if status is None:
+            return "it closed its output"
+        code = os.waitstatus_to_exitcode(status)
+        if code >= 0:
+            return f"its process ended with code {code}"
+        name = signal.Signals(-code).name
+        hint = "; the system may be out of memory" if name == "SIGKILL" else ""
+        return f"its process was killed ({name}){hint}"
+
+
+def started(argv: list[str] | None, kind: Any, limits: PlannerProcessConfig, load: Load | None = None) -> Process:
+    """A new process: a program, or (None) the Python planner of `replay.planner_process.child`, which may be `load`.
+
+    Args:
+        argv: The program, and its arguments.
+        kind: What it answers.
+        limits: What it may take.
+        load: What a template of it has loaded where drives are in a run; None: it begins with nothing.
+
+    Raises:
+        ConfigError: The system has no such processes.
+    """
+    if not hasattr(socket, "send_fds"):
+        raise ConfigError("planners are kept apart on Linux and macOS only; here give --trust")
+    launcher, asked = _launcher(limits.environment), {"argv": argv, "memory": round(limits.memory_gb * 1e9)}
+    template = launcher.template(load, limits) if load and _warm.get("run") else None
+    if template is not None:
+        with suppress(OSError):  # it has just died
+            return template.start(asked, kind)
+    return launcher.forks.start(asked, kind)
+
+
+def loaded_for(run: str) -> None:
+    """From now on a planner's module is loaded once in this process for all drives of a run.
+
+    Args:
+        run: Which it is; what was loaded for another is let go, as the files may have changed since. "": none, and
+            each drive loads it for itself.
+    """
+    if _warm.get("run", "") != run:
+        _warm["run"] = run
+        if "launcher" in _warm:
+            _warm["launcher"].templates.clear()
+
+
+class Forks:
+    """The other end of a control socket: `replay.planner_process.launcher.Forks`.
+
+    Args:
+        control: The socket.
+        key: Under which this process was itself started; 0: by no other.
+    """
+
+    def __init__(self, control: socket.socket, key: int = 0) -> None:
+        self._control, self.key = control, key
+        self._ended: dict[int, int] = {}
+        self._unfit: str | None = None
+        self._count, self._rest = 0, b""
+        self.close = weakref.finalize(self, control.close)
+
+    def start(self, asked: Mapping[str, Any], kind: Any) -> Process:
+        """A planner's process, forked there; OSError where nothing is there."""
+        pipes = [os.pipe() for _ in range(3)]
+        (stdin, into), (out, stdout), (said, stderr) = pipes
+        try:
+            key = self._asked(asked, [stdin, stdout, stderr])
+        except OSError:
+            for fd in (into, out, said):
+                os.close(fd)
+            raise
+        finally:
+            for fd in (stdin, stdout, stderr):
+                os.close(fd)
+        return Process(self, key, Channel(into, out, kind, said))
+
+    def template(self, asked: Mapping[str, Any]) -> Forks:
+        """Another such process, forked there, that loads a module."""
+        ours, theirs = socket.socketpair()
+        with theirs:
+            return Forks(ours, self._asked(asked, [theirs.fileno()]))
+
+    def _asked(self, asked: Mapping[str, Any], given: list[int]) -> int:
+        self._count += 1
+        socket.send_fds(self._control, [json.dumps({"start": self._count, **asked}).encode() + b"\n"], given)
+        return self._count
+
+    def fit(self, within_s: float) -> bool:
+        """Whether a template has loaded what it should within a time, and may be forked."""
+        until = time.monotonic() + within_s
+        while self._unfit is None and self._hear(until):
+            pass
+        return self._unfit == ""
+
+    def status(self, key: int, within_s: float) -> int | None:
+        """The wait status of a process that has ended within a time; None: it has not."""
+        until = time.monotonic() + within_s
+        while key not in self._ended:
+            if not self._hear(until):
+                return None
+        return self._ended[key]
+
+    def _hear(self, until: float) -> bool:
+        """Take what is said; False: nothing until then, or the socket is closed."""
+        try:
+            ready, _, _ = select.select([self._control], [], [], max(until - time.monotonic(), 0.0))
+            data = self._control.recv(1 << 16, socket.MSG_DONTWAIT) if ready else b""
+        except (OSError, ValueError):  # it is closed
+            return False
+        if not data:
+            return False
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        for said in map(json.loads, lines):
+            self._unfit = said.get("unfit", self._unfit)
+            if "ended" in said:
+                self._ended[said["ended"]] = said["status"]
+        return True
+
+    def kill(self, key: int) -> None:
+        """End a process and its group."""
+        with suppress(OSError):
+            self._control.sendall(json.dumps({"kill": key}).encode() + b"\n")
+
+
+class Launcher:
+    """The process of `replay.planner_process.launcher`, and its templates.
+
+    Attributes:
+        forks: What forks there.
+        templates: What was loaded; None: it cannot be.
+    """
+
+    def __init__(self, environment: Mapping[str, str]) -> None:
+        control, theirs = socket.socketpair()
+        with theirs:
+            self._process = subprocess.Popen(
+                [sys.executable, "-P", "-m", "replay.planner_process.launcher"],
+                stdin=theirs.fileno(), stdout=subprocess.DEVNULL, env=dict(environment), start_new_session=True,
+            )  # fmt: skip
+        self.forks = Forks(control)
+        self.templates: dict[Load, Forks | None] = {}
+        self.close = weakref.finalize(self, _ended_with, control, self._process, self.templates)
+
+    @property
+    def alive(self) -> bool:
+        """Whether it runs, and is this process' own (and not that of one that has forked)."""
+        return self.close.alive and self._process.poll() is None
+
+    def template(self, load: Load, limits: PlannerProcessConfig) -> Forks | None:
+        """What has loaded it; None: it cannot be loaded in time, or not be forked then."""
+        found = self.templates.get(load)
+        if found is not None and self.forks.status(found.key, 0.0) is not None:
+            del self.templates[load]  # it has died
+        if load not in self.templates:
+            asked = {"load": [load.planner, load.settings.hex()], "memory": round(limits.memory_gb * 1e9)}
+            made = self.forks.template(asked)
+            fit = made.fit(limits.start_timeout_s)
+            if not fit:
+                self.forks.kill(made.key)
+            self.templates[load] = made if fit else None
+        return self.templates[load]
+
+
+def _ended_with(
+    control: socket.socket, process: subprocess.Popen[bytes], templates: Mapping[Load, Forks | None]
+) -> None:
+    for each in filter(None, templates.values()):
+        each.close()  # they end by that alone: it would wait for them
+    control.close()
+    with suppress(subprocess.TimeoutExpired):
+        process.wait(10.0)
+        return
+    process.kill()
+    process.wait()
+
+
+_warm: dict[str, Any] = {}
+"""The launcher of this process, for what it was started, and the run that is driven."""
+
+
+def _launcher(environment: Iterable[str]) -> Launcher:
+    wanted = os.getpid(), str(Path.cwd()), _environment(environment)
+    if _warm.get("for") != wanted or not _warm["launcher"].alive:
+        _warm.update({"for": wanted, "launcher": Launcher(wanted[2])})
+    launcher: Launcher = _warm["launcher"]
+    return launcher
+
+
+def _environment(more: Iterable[str]) -> dict[str, str]:
+    """What a planner's process is given of ours."""
+    wanted = set(more)
+    found = {name: value for name, value in os.environ.items() if name.startswith(ENVIRONMENT) or name in wanted}
+    path = dict.fromkeys([*(str(Path(entry).absolute()) for entry in sys.path if "://" not in entry), str(ROOT)])
+    return {**found, "PYTHONPATH": os.pathsep.join(path), "PYTHONHASHSEED": "0"}

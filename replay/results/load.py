@@ -1,0 +1,345 @@
+"""A result folder, read back: every table of a run as a tidy frame, every drive with its plans. `replan.load` is this.
+
+result = load("results/run-001")
+result.metrics                                   # one row per log, planner, mode and metric
+result.drive("paper/free_road").plan(at=6.5)     # the plan that was driven at 6.5 s, with its inside as arrays
+
+Nothing is read before it is asked for. All tables have the columns log, planner and mode where they are about a drive;
+docs/results.md says what each column means. `SCHEMA_VERSION` counts up when one changes its meaning or goes.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from math import isfinite
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from logs.errors import ConfigError, LogError, unknown_name
+from logs.files import check_regular
+from logs.kernel import FloatArray
+from logs.mcap import read_trace
+from logs.remote import Near
+from logs.scenario import Scenario
+from logs.trace import Decision, Plan, PlannedFrame, Trace
+from metrics.aggregate import LogLabels
+from replay.config import RunConfig, load_run
+from replay.results.schema import SCHEMA_VERSION
+from replay.results.tables import read_timings
+
+LOG_COLUMNS = ("log", "source", "sha256", "folder", "family", "dataset", "tags", "notes")
+DRIVE_COLUMNS = ("log", "planner", "mode", "oracle", "end", "detail", "t_end_s", "notes", "files")
+GATE_COLUMNS = ("gate", "planner", "mode", "group", "outcome", "value", "log", "time_s", "reason")
+FAILURE_COLUMNS = ("log", "planner", "mode", "message", "exit_code")
+DECISION_COLUMNS = ("log", "planner", "mode", "t_s", "agent", "decision", "stage", "reason")
+RECORDINGS = (".rrd",)
+SUMMARY_KEYS = frozenset({"exit_code", "logs", "gates", "failures"})
+"""Without these a summary.json is not replan's."""
+
+Table = TypeVar("Table")
+
+
+def load(path: Path | str) -> Results:
+    """The results of a run.
+
+    Args:
+        path: The result folder, or its URL: all but its recordings is fetched, for as long as the results are kept.
+
+    Raises:
+        ConfigError: It is no result folder, or of another version.
+        LogError: It cannot be fetched.
+    """
+    return loaded(Near(path, RECORDINGS))
+
+
+def loaded(near: Near) -> Results:
+    """`load` of a folder that is here, or has been fetched."""
+    folder = near.path
+    check_regular(folder / "summary.json")
+    try:
+        summary = json.loads((folder / "summary.json").read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        hint = "it was interrupted: `--resume` finishes it" if (folder / "run.toml").is_file() else "see --out"
+        raise ConfigError(f"{near.place}: no results of a finished run (no summary.json in it; {hint})") from None
+    except (OSError, ValueError, RecursionError) as error:
+        raise ConfigError(f"{near.place}/summary.json: cannot be read: {error}") from None
+    if not isinstance(summary, dict):
+        raise ConfigError(f"{near.place}/summary.json: holds no summary of a run")
+    if summary.get("schema_version") != SCHEMA_VERSION:
+        was = summary.get("schema_version")
+        raise ConfigError(
+            f"{near.place}: its tables are of version {was}, this replan reads {SCHEMA_VERSION}; evaluate again"
+        )
+    missing = SUMMARY_KEYS - summary.keys()
+    if missing:
+        raise ConfigError(f"{near.place}/summary.json: is not whole: no {', '.join(sorted(missing))}; evaluate again")
+    return Results(folder, summary, near)
+
+
+def _table(file: Path, read: Callable[[Path], Table]) -> Table:
+    """What is in a table's file; LogError where it is not there or damaged."""
+    try:
+        return read(file)
+    except (OSError, pa.ArrowException) as error:
+        raise LogError(f"cannot be read: {error}", file=file) from None
+
+
+@dataclass(frozen=True, eq=False)
+class Results:
+    """The tables of a run, each read when it is first asked for.
+
+    Attributes:
+        path: The result folder.
+        summary: What summary.json holds: version, outcome, exit code, logs, gates, failures.
+    """
+
+    path: Path
+    summary: dict[str, Any] = field(repr=False)  # megabytes of a large run
+    _near: Near | None = field(default=None, repr=False)
+
+    @cached_property
+    def run(self) -> RunConfig:
+        """The resolved configuration."""
+        return load_run(self.path / "run.toml")
+
+    @property
+    def exit_code(self) -> int:
+        """Of `replan evaluate`."""
+        return int(self.summary["exit_code"])
+
+    @cached_property
+    def metrics(self) -> pd.DataFrame:
+        """A row per log, planner, mode and metric; mode "reference" are the reference drives."""
+        return _table(self.path / "metrics.parquet", pd.read_parquet).drop(columns="schema_version")
+
+    @cached_property
+    def _metric_rows(self) -> dict[Any, Any]:
+        """Where the metrics of each drive are."""
+        return dict(self.metrics.groupby(["log", "planner", "mode"], sort=False).indices)
+
+    @cached_property
+    def verdicts(self) -> pd.DataFrame:
+        """A row per gate, log, planner and mode: what this log says of the gate."""
+        return _table(self.path / "verdicts.parquet", pd.read_parquet)
+
+    @cached_property
+    def groups(self) -> pd.DataFrame:
+        """A row per group of logs, planner, mode and metric (`metrics.aggregate`); "pass": how many logs pass."""
+        return _table(self.path / "groups.parquet", pd.read_parquet)
+
+    @cached_property
+    def gates(self) -> pd.DataFrame:
+        """A row per gate, planner, mode and group: what all logs say together; `gate` is its rule as text."""
+        rows = [{"group": "", **verdict, "gate": verdict["rule"]} for verdict in self.summary["gates"]]
+        table = pd.DataFrame(rows, columns=list(GATE_COLUMNS))
+        return table.astype({"value": "float64", "time_s": "float64"})
+
+    @cached_property
+    def logs(self) -> pd.DataFrame:
+        """A row per log: where it comes from, hash, tags (a list), its folder; "" where it could not be read."""
+        return pd.DataFrame(self.summary["logs"], columns=list(LOG_COLUMNS))
+
+    @cached_property
+    def labels(self) -> dict[str, LogLabels]:
+        """Family, dataset and tags of each log that could be read."""
+        logs = [log for log in self.summary["logs"] if log["sha256"]]
+        return {log["log"]: LogLabels(log["family"], log["dataset"], tuple(log["tags"])) for log in logs}
+
+    @property
+    def unread(self) -> tuple[str, ...]:
+        """Logs that could not be read: `failures` says why."""
+        return tuple(log["log"] for log in self.summary["logs"] if not log["sha256"])
+
+    @cached_property
+    def drives(self) -> pd.DataFrame:
+        """A row per log, planner and mode: why the drive ended, and its files (a list, relative to the folder)."""
+        rows = [drive for log in self.summary["logs"] for drive in log["drives"]]
+        return pd.DataFrame(rows, columns=list(DRIVE_COLUMNS))
+
+    @cached_property
+    def failures(self) -> pd.DataFrame:
+        """What could not be evaluated."""
+        return pd.DataFrame(self.summary["failures"], columns=list(FAILURE_COLUMNS))
+
+    @cached_property
+    def timings(self) -> pd.DataFrame:
+        """How long each stage of each plan took, s."""
+        return _table(self.path / "timings.parquet", read_timings)
+
+    @cached_property
+    def health(self) -> pd.DataFrame:
+        """What is wrong with the logs."""
+        return _table(self.path / "health.parquet", pd.read_parquet)
+
+    @cached_property
+    def frames(self) -> pd.DataFrame:
+        """Every metric step by step, of all drives: large."""
+        pairs = zip(self.logs["log"], self.logs["folder"], strict=True)
+        parts = [self._steps(log, folder) for log, folder in pairs if folder]
+        return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame()
+
+    @cached_property
+    def decisions(self) -> pd.DataFrame:
+        """A row per frame and decision, of all drives: reads every trace."""
+        rows = [row for drive in self.drives.itertuples() for row in self._decided(drive)]
+        return pd.DataFrame(rows, columns=list(DECISION_COLUMNS))
+
+    def drive(self, log: str, planner: str | None = None, mode: str = "closed") -> DriveResult:
+        """One drive.
+
+        Args:
+            log: Name of the log.
+            planner: None: the run's only one.
+            mode: "open" or "closed".
+
+        Raises:
+            ConfigError: There is no such drive, or several.
+        """
+        table = self.drives
+        found = table[(table["log"] == log) & (table["mode"] == mode)]
+        if planner is not None:
+            found = found[found["planner"] == planner]
+        if len(found) == 1:
+            return DriveResult(self, *found.iloc[0][["log", "planner", "mode"]])
+        if log not in set(table["log"]):
+            raise unknown_name("log", log, list(dict.fromkeys(table["log"])))
+        there = ", ".join(f"{p} ({m} loop)" for p, m in zip(*_of(table, log), strict=True))
+        what = "name a planner of" if len(found) else f"no {mode} loop of {planner or 'any planner'}; there are"
+        raise ConfigError(f"{self.path}: {log}: {what} {there}")
+
+    def _steps(self, log: str, folder: str) -> pd.DataFrame:
+        file = self.path / folder / "frames.parquet"
+        table = _table(file, pd.read_parquet) if file.is_file() else pd.DataFrame(columns=["planner", "mode", "t_s"])
+        table.insert(0, "log", log)
+        return table
+
+    def _decided(self, drive: Any) -> list[tuple[Any, ...]]:
+        one = self.drive(drive.log, drive.planner, drive.mode)
+        return [
+            (one.log, one.planner, one.mode, frame.t, item.agent, item.kind.value, item.stage, item.reason)
+            for frame in one.trace.frames
+            for item in frame.plan.internals
+            if isinstance(item, Decision)
+        ]
+
+
+def _of(table: pd.DataFrame, log: str) -> tuple[list[str], list[str]]:
+    mine = table[table["log"] == log]
+    return list(mine["planner"]), list(mine["mode"])
+
+
+@dataclass(frozen=True, eq=False)
+class DriveResult:
+    """One drive of a run: its rows of the tables, and the trace with its plans.
+
+    Attributes:
+        result: The run.
+        log: Name of the log; `planner` and `mode` likewise.
+    """
+
+    result: Results
+    log: str
+    planner: str
+    mode: str
+
+    @cached_property
+    def metrics(self) -> pd.DataFrame:
+        """Its rows of `Results.metrics`."""
+        rows = self.result._metric_rows.get((self.log, self.planner, self.mode), [])
+        return self.result.metrics.take(rows).reset_index(drop=True)
+
+    @cached_property
+    def verdicts(self) -> pd.DataFrame:
+        """Its rows of `Results.verdicts`."""
+        return self._mine(self.result.verdicts)
+
+    @cached_property
+    def series(self) -> pd.DataFrame:
+        """Its metrics step by step: index t_s, a column per metric; NaN where a step has none."""
+        rows = self._mine(self.result._steps(self.log, str(self._row(self.result.logs)["folder"])))
+        return rows.pivot(index="t_s", columns="metric", values="value")
+
+    def steps(self, metric: str) -> tuple[FloatArray, FloatArray]:
+        """One metric step by step, t (s) and value `(n,)`; empty where it was not measured."""
+        t, values, rows = self._by_metric
+        mine = rows.get(metric, slice(0, 0))
+        return t[mine], values[mine]
+
+    @cached_property
+    def _by_metric(self) -> tuple[FloatArray, FloatArray, dict[str, slice]]:
+        """The steps sorted by metric, then by time, and where those of each metric are."""
+        file = self.result.path / str(self._row(self.result.logs)["folder"]) / "frames.parquet"
+        if not file.is_file():
+            return np.empty(0), np.empty(0), {}
+        words = ["planner", "mode", "metric"]
+        table = _table(file, lambda path: pq.read_table(path, read_dictionary=words)).combine_chunks()
+        planner, mode, metric = (table[name].chunk(0) for name in words)
+        codes = [column.dictionary.to_pylist() for column in (planner, mode, metric)]
+        mine = np.full(len(table), self.planner in codes[0] and self.mode in codes[1])
+        for column, known, name in ((planner, codes[0], self.planner), (mode, codes[1], self.mode)):
+            mine &= column.indices.to_numpy() == (known.index(name) if name in known else -1)
+        of = metric.indices.to_numpy()[mine]
+        order = np.argsort(of, kind="stable")
+        ends = np.cumsum(np.bincount(of, minlength=len(codes[2])))
+        rows = {name: slice(int(b), int(e)) for name, b, e in zip(codes[2], [0, *ends[:-1]], ends, strict=True)}
+        t, values = (table[name].to_numpy()[mine][order] for name in ("t_s", "value"))
+        return t, values, rows
+
+    @cached_property
+    def info(self) -> pd.Series[Any]:
+        """Its row of `Results.drives`."""
+        return self._mine(self.result.drives).iloc[0]
+
+    @property
+    def trace_file(self) -> Path:
+        """Its MCAP; its recording has the ending .rrd."""
+        return next(self.result.path / file for file in self.info["files"] if str(file).endswith(".mcap"))
+
+    @cached_property
+    def _read(self) -> tuple[Trace, Scenario]:
+        return read_trace(self.trace_file)
+
+    @property
+    def trace(self) -> Trace:
+        """The drive: ego, the others, plans with as much of their inside as was kept; LogError where it is damaged."""
+        return self._read[0]
+
+    @property
+    def scenario(self) -> Scenario:
+        """Road, goal and vehicle, with the ego as it was driven."""
+        return self._read[1]
+
+    def frame(self, at: float) -> PlannedFrame:
+        """The last frame not later than `at`, s since the scenario's start.
+
+        Raises:
+            ConfigError: There is none, or the drive had ended.
+        """
+        if at > self.trace.ego.t[-1] + 1e-6 and isfinite(at):
+            ended = f"it ended at {self.trace.ego.t[-1]:.2f} s: {self.trace.end.value}"
+            raise ConfigError(f"{self.log}, {self.planner}, {self.mode} loop: no plan at {at:g} s; {ended}")
+        t = np.array([frame.t for frame in self.trace.frames])
+        index = int(np.searchsorted(t, at + 1e-9, side="right")) - 1
+        if index < 0 or not isfinite(at):
+            first = f"its first is at {t[0]:.2f} s" if len(t) else "it has none"
+            raise ConfigError(f"{self.log}, {self.planner}, {self.mode} loop: no plan at {at:g} s; {first}")
+        return self.trace.frames[index]
+
+    def plan(self, at: float) -> Plan:
+        """The plan that was the newest at a time, as `frame`."""
+        return self.frame(at).plan
+
+    def _mine(self, table: pd.DataFrame) -> pd.DataFrame:
+        mine = (table["log"] == self.log) & (table["planner"] == self.planner) & (table["mode"] == self.mode)
+        return table[mine].reset_index(drop=True)
+
+    def _row(self, table: pd.DataFrame) -> pd.Series[Any]:
+        return table[table["log"] == self.log].iloc[0]

@@ -1,0 +1,331 @@
+"""The schema of the tables of a run, in one place: what is written has these columns, and docs/results.md is this page.
+
+python -c 'from replay.results.schema import markdown; print(markdown())' > docs/results.md
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import pandas as pd
+import pyarrow as pa
+
+SCHEMA_VERSION = 1
+"""Of the tables and of the JSON files; counts up when a column changes its meaning or goes, not when one is added."""
+
+_TYPES = {"text": pa.large_string(), "number": pa.float64(), "count": pa.int64(), "yes/no": pa.bool_()}
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column.
+
+    Attributes:
+        name: With its unit as the last part where it is a quantity of one unit.
+        kind: "text", "number" (NaN where there is none), "count", "yes/no"; in JSON also "list".
+        meaning: What it says.
+    """
+
+    name: str
+    kind: str
+    meaning: str
+
+
+@dataclass(frozen=True)
+class Table:
+    """One table.
+
+    Attributes:
+        rows: What a row is, and what the file is.
+        same: Whether the same inputs give the same bytes.
+        columns: In their order.
+    """
+
+    rows: str
+    same: bool
+    columns: tuple[Column, ...]
+
+
+def _columns(*rows: tuple[str, str, str]) -> tuple[Column, ...]:
+    return tuple(Column(*row) for row in rows)
+
+
+_DRIVE = _columns(
+    ("log", "text", "name of the log"),
+    ("planner", "text", "as it was named in the run; of mode `reference`: the reference driver"),
+    ("mode", "text", "`open`, `closed`, or `reference`: what the reference drives did or could do"),
+)
+_METRICS = (
+    *_DRIVE,
+    *_columns(
+        ("oracle", "yes/no", "whether the planner was given the log's future"),
+        ("metric", "text", "`metric.reduction`, or `metric.part.reduction`: docs/metrics.md"),
+        ("value", "number", "in `unit`; NaN where `available` is false"),
+        ("unit", "text", "SI; `1` a ratio, `count` a number of things"),
+        ("direction", "text", "which is better: `lower`, `higher`, `none`"),
+        ("available", "yes/no", "whether there is a value"),
+        ("reason", "text", "why there is none; else which road user or thing the value is about, or empty"),
+        ("about", "text", "that road user or thing with the whole id, as `reason` has a short name; or empty"),
+        ("time_s", "number", "when the value occurred, s since the log's start; NaN where it belongs to no instant"),
+        ("version", "count", "of the metric: counts up when its numbers change their meaning"),
+        ("source", "text", "where the metric's definition comes from; empty: replan"),
+    ),
+)
+TABLES: Mapping[str, Table] = {
+    "metrics.parquet": Table(
+        "A row per log, planner, mode and metric. `metrics.csv` is the same. In a log's folder: of that log.",
+        True,
+        (*_columns(("schema_version", "count", "of all these tables; not in a log's folder")), *_METRICS),
+    ),
+    "verdicts.parquet": Table(
+        "A row per gate, log, planner and mode: what this log says of the gate.",
+        True,
+        (
+            *_columns(("gate", "text", "the rule as text: `collision_at_fault.count <= 0`")),
+            *_DRIVE,
+            *_columns(
+                ("outcome", "text", "`pass`, `fail`, `inconclusive`"),
+                ("value", "number", "of the gate's metric, in its unit; NaN where it has none"),
+                ("time_s", "number", "when the value occurred, s since the log's start"),
+                ("reason", "text", "why it is not passed, or which road user the value is about"),
+            ),
+        ),
+    ),
+    "groups.parquet": Table(
+        "A row per group of logs, planner, mode and metric; metric `pass` is the share of the logs that pass.",
+        True,
+        _columns(
+            ("kind", "text", "of group: `suite` (all logs), `family`, `tag`, `dataset`"),
+            ("group", "text", "its name"),
+            ("planner", "text", "as in metrics.parquet"),
+            ("mode", "text", "`open`, `closed`; `both`: both loops of a log together"),
+            ("metric", "text", "as in metrics.parquet, or `pass`"),
+            ("unit", "text", "of the metric"),
+            ("direction", "text", "of the metric"),
+            ("logs", "count", "in the group"),
+            ("available", "count", "of them with a value"),
+            ("missing", "count", "of them without"),
+            ("mean", "number", "over the logs with a value; of `pass`: the share of all logs"),
+            ("median", "number", "likewise"),
+            ("worst", "number", "by the metric's direction"),
+            ("worst_log", "text", "where that was"),
+            ("total", "number", "sum over the logs with a value"),
+            ("low", "number", "of `pass`: lower end of the Wilson 95 % interval of the share"),
+            ("high", "number", "of `pass`: its upper end"),
+            ("passed", "number", "of `pass`: how many logs"),
+            ("failed", "number", "of `pass`: how many logs"),
+            ("inconclusive", "number", "of `pass`: how many logs"),
+        ),
+    ),
+    "health.parquet": Table(
+        "A row per finding: what is wrong with the logs. In a log's folder: of that log.",
+        True,
+        _columns(
+            ("log", "text", "name of the log"),
+            ("kind", "text", "of finding"),
+            ("topic", "text", "where: `ego`, `agents`, `road`, `lights`"),
+            ("who", "text", "agent, lane or light, or empty"),
+            ("t_from_s", "number", "begin, s since the log's start"),
+            ("t_to_s", "number", "end, s since the log's start"),
+            ("value", "number", "how much, in `unit`"),
+            ("unit", "text", "`m`, `s`, `rad`, `x` (a factor), `1` (a count or a share)"),
+            ("text", "text", "in words, with the figures"),
+            ("effect", "text", "what it does to which metric"),
+        ),
+    ),
+    "timings.parquet": Table(
+        "A row per log, planner, mode, plan and stage: wall clock. In a log's folder: of that log.",
+        False,
+        (
+            *_DRIVE,
+            *_columns(
+                ("t_s", "number", "time of the frame, s since the log's start"),
+                ("stage", "text", "of the planner; `total`: the whole plan"),
+                ("seconds", "number", "how long it took, s"),
+            ),
+        ),
+    ),
+    "frames.parquet": Table(
+        "In a log's folder: a row per planner, mode, metric and step.",
+        True,
+        (
+            *_DRIVE[1:],
+            *_columns(
+                ("t_s", "number", "time of the step, s since the log's start"),
+                ("metric", "text", "`metric`, or `metric.part`"),
+                ("value", "number", "in the metric's unit; NaN: this step has none"),
+            ),
+        ),
+    ),
+    "ensemble.parquet": Table(
+        "In a log's folder, with `--ensemble N`: the metrics of the log driven again in worlds that should not matter.",
+        True,
+        (
+            *_METRICS,
+            *_columns(
+                ("member", "count", "from 1"),
+                ("perturbation", "text", "what was changed (`replay/run/perturb.py`)"),
+            ),
+        ),
+    ),
+}
+"""By file name; a file of a run and of a log's folder that have one name differ in what the text says."""
+
+FRAMES: Mapping[str, Table] = {
+    "logs": Table(
+        "A row per log.",
+        True,
+        _columns(
+            ("log", "text", "name; of logs that share one: with `@` and 8 digits of the hash"),
+            ("source", "text", "the path as given, or the catalogue's name"),
+            ("sha256", "text", "of the log's bytes; empty where it could not be read"),
+            ("folder", "text", "its folder in the result folder; empty where there is none"),
+            ("family", "text", "of the catalogue, or what the log says; may be empty"),
+            ("dataset", "text", "where the log is from; may be empty"),
+            ("tags", "list", "words by which gates and reports group"),
+            ("notes", "list", "what was assumed in reading it, a sentence each"),
+        ),
+    ),
+    "drives": Table(
+        "A row per log, planner and mode.",
+        True,
+        (
+            *_DRIVE,
+            *_columns(
+                ("oracle", "yes/no", "whether the planner was given the log's future"),
+                ("end", "text", "why the drive ended"),
+                ("detail", "text", "which road user it met, or what went wrong; may be empty"),
+                ("t_end_s", "number", "when it ended, s since the log's start"),
+                ("notes", "list", "what must be known to read it, a sentence each"),
+                ("files", "list", "trace and recording, relative to the result folder"),
+            ),
+        ),
+    ),
+    "gates": Table(
+        "A row per gate, planner and mode: what all logs say together; none where a shard was driven.",
+        True,
+        _columns(
+            ("gate", "text", "the rule as text"),
+            ("planner", "text", "the one that the worst value is of"),
+            ("mode", "text", "likewise"),
+            ("group", "text", "of a gate that is asked per family, tag or dataset: which; else empty"),
+            ("outcome", "text", "`pass`, `fail`, `inconclusive`"),
+            ("value", "number", "the worst, or what the gate asks of all logs (`over`)"),
+            ("log", "text", "where that was"),
+            ("time_s", "number", "when, s since the log's start"),
+            ("reason", "text", "why, in words"),
+        ),
+    ),
+    "failures": Table(
+        "A row per thing that could not be evaluated.",
+        True,
+        _columns(
+            ("log", "text", "name, or the path as given"),
+            ("planner", "text", "none: the log itself"),
+            ("mode", "text", "none: before any loop"),
+            ("message", "text", "what, where, and what to do"),
+            ("exit_code", "count", "what it costs: 2 configuration, 3 else"),
+        ),
+    ),
+    "decisions": Table(
+        "A row per frame and decision, read from the traces.",
+        True,
+        (
+            *_DRIVE,
+            *_columns(
+                ("t_s", "number", "time of the frame, s since the log's start"),
+                ("agent", "text", "about which road user, stop or ground"),
+                ("decision", "text", "`follow`, `yield`, `overtake`, `stop`, `nudge left` ..."),
+                ("stage", "text", "of the planner that decided"),
+                ("reason", "text", "why, in words"),
+            ),
+        ),
+    ),
+}
+"""What `Results` has besides, made of summary.json and the traces."""
+
+
+def arrow(file: str, table: pd.DataFrame) -> pa.Table:
+    """The table with the types of its schema, also where it has no rows; any other file as pandas has it.
+
+    Raises:
+        KeyError: It has a column that the schema does not know.
+    """
+    if file not in TABLES:
+        return pa.Table.from_pandas(table, preserve_index=False)
+    kinds = {column.name: _TYPES[column.kind] for column in TABLES[file].columns}
+    fields = pa.schema([(name, kinds[name]) for name in table.columns])
+    return pa.Table.from_pandas(table, fields, preserve_index=False)
+
+
+def markdown() -> str:
+    """docs/results.md."""
+    return "\n".join([INTRODUCTION.format(version=SCHEMA_VERSION).strip(), *_files(), BELOW.strip(), *_frames()])
+
+
+def _files() -> Iterator[str]:
+    for file, table in TABLES.items():
+        same = "The same inputs give the same bytes." if table.same else "Not the same twice: it holds a clock."
+        yield from ("", f"## {file}", "", f"{table.rows} {same}", "", *_rows(table.columns))
+
+
+def _frames() -> Iterator[str]:
+    for name, table in FRAMES.items():
+        yield from ("", f"### result.{name}", "", table.rows, "", *_rows(table.columns))
+
+
+def _rows(columns: Sequence[Column]) -> list[str]:
+    rows = [f"| `{column.name}` | {column.kind} | {column.meaning} |" for column in columns]
+    return ["| column | type | meaning |", "|---|---|---|", *rows]
+
+
+INTRODUCTION = """
+# Results: tables and files
+
+<!-- written by `replay.results.schema.markdown`; do not edit -->
+
+Schema version {version}: a column that changes its meaning or goes makes it a higher one, a new column does not. It
+stands in the first column of `metrics.*`, in the metadata of every Parquet file (`replan_schema_version`), and in
+`summary.json` and `log.json`. SI units; the unit stands in the name of a column (`t_s`) or in the column `unit`. Text
+is `large_string`, numbers are `float64`, also in a table without rows.
+
+<!-- not run: it needs a run; tests/replay/results/test_results.py does the same -->
+```python
+import replan
+
+result = replan.load("results/run-001")  # nothing is read before it is asked for
+result.metrics.query("metric == 'gap.min'")  # pandas frames: metrics, verdicts, groups, health, timings, and below
+result.frames  # frames.parquet of all logs, with the column log: large
+drive = result.drive("paper/free_road")  # one drive; with several planners: drive(log, planner, mode)
+drive.series["gap"]  # a metric step by step, by t_s
+plan = drive.plan(at=6.5)  # the plan that was driven at 6.5 s
+plan.trajectory.v  # as arrays
+list(plan.internals)  # S-T and S-L graphs, decisions, costs: logs/trace.py
+```
+
+[examples/results.ipynb](../examples/results.ipynb) is a notebook that does this.
+
+| file | what | the same twice |
+|---|---|---|
+| `metrics.parquet`, `metrics.csv`, `verdicts.parquet`, `groups.parquet`, `health.parquet` | below | yes |
+| `timings.parquet` | below | no: a clock |
+| `summary.json` | version, outcome, exit code, logs and drives, gates, failures | yes, but for Python's version |
+| `run.toml` | the resolved configuration | yes |
+| `origin.json` | the directory in which the run was started, from which its logs are found again | no: a place |
+| `report.md`, `report.html`, `junit.xml` | the reports | yes, but for the planning times in `report.*` |
+| `shard.json` | of a shard: which part of which run it is ([ci.md](ci.md)) | yes |
+| `LOG-HASH/open.mcap`, `closed.mcap` | traces: the drive as a log, with plans and their inside | yes |
+| `LOG-HASH/open.rrd`, `closed.rrd` | recordings for the Rerun viewer | no: they show stage times |
+| `LOG-HASH/metrics.parquet`, `health.parquet`, `frames.parquet`, `ensemble.parquet` | below | yes |
+| `LOG-HASH/timings.parquet` | below | no: a clock |
+| `LOG-HASH/log.json` | the log's card: hash, tags, notes, drives, failures, version and code of replan | yes |
+| `LOG-HASH/log.mcap` | the log, where it was no MCAP file | yes |
+"""
+
+BELOW = """
+
+## Frames that are made of the files
+
+`replan.load` makes these of `summary.json` and the traces.
+"""

@@ -1,0 +1,188 @@
+"""The tables and files of a run, and the folder that they are in.
+
+    OUT/metrics.parquet, .csv   one row per log, planner, mode and metric reduction     the same for the same inputs
+    OUT/verdicts.parquet        one row per gate, log, planner and mode: what this log says    likewise
+    OUT/groups.parquet          one row per group of logs, planner, mode and metric: mean, median, worst   likewise
+    OUT/timings.parquet         log, planner, mode, t_s, stage, seconds                 not the same twice
+    OUT/summary.json            outcome, gates, drives, failures
+    OUT/report.md, junit.xml    the reports, by `replan evaluate` and `replan report`
+    OUT/run.toml                the resolved configuration
+    OUT/origin.json             the directory in which the run was started: where its logs are (`replay.run.origin`)
+    OUT/shard.json              of a part of a run: which, of what (`replay.run.shard`)
+    OUT/LOG-HASH/               per log: open.mcap, open.rrd, closed.mcap, closed.rrd, frames.parquet, and what the
+                                tables above are made of: metrics.parquet, timings.parquet, log.json; ensemble.parquet
+                                (with several planners open.PLANNER.mcap and so on; log.mcap where the log was no MCAP)
+
+`metrics.*`, `verdicts.*`, `groups.*` and `frames.parquet` hold no clock, no path and no machine, and are sorted: two
+runs give the same bytes, whatever the number of workers and however often it was interrupted. Every file is written
+under a temporary name and renamed.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from logs.errors import ConfigError, writing
+from replay.config import HEADER
+from replay.results.schema import SCHEMA_VERSION, arrow
+
+PARTIAL = ".partial-"
+"""Names of what is being written begin with this."""
+
+LOG_CARD = "log.json"
+"""A file that replan puts beside the traces of a log: what lies beside it is a result, not an input."""
+OUTCOMES = {0: "pass", 1: "fail", 2: "configuration error", 3: "not all could be evaluated", 4: "inconclusive"}
+LOCK = ".lock"
+"""The file by which a run holds its folder (`replay.run.lock`)."""
+
+SHARD_CARD = "shard.json"
+"""Which part of a run the folder holds (`replay.run.shard`)."""
+
+ORIGIN = "origin.json"
+"""Where the run was started (`replay.run.origin`)."""
+
+TABLES = (
+    "metrics.parquet",
+    "metrics.csv",
+    "health.parquet",
+    "verdicts.parquet",
+    "groups.parquet",
+    "timings.parquet",
+    "summary.json",
+    SHARD_CARD,
+    "run.toml",
+    ORIGIN,
+)
+REPORTS = ("report.md", "junit.xml", "report.html")
+FILES = (*TABLES, *REPORTS)
+"""What stands in a result folder beside the folders of the logs."""
+KEYS = ["log", "planner", "mode", "metric"]
+TIMING_COLUMNS = ["log", "planner", "mode", "t_s", "stage", "seconds"]
+
+
+def safe_name(name: str, digest: str = "") -> str:
+    """A folder or file name: letters, digits, dot, dash and underscore, at most 80, then `-` and 8 of the digest."""
+    safe = re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("._") or "log"
+    return f"{safe[:80]}-{digest[:8]}" if digest else safe[:80]
+
+
+def write_file(path: Path, write: Callable[[Path], object]) -> None:
+    """Let `write` fill a temporary file beside `path`, then rename it: `path` is whole or not there (OutputError)."""
+    partial = path.with_name(f"{PARTIAL}{path.name}")
+    try:
+        with writing(path):
+            write(partial)
+            partial.replace(path)
+    finally:
+        partial.unlink(missing_ok=True)
+
+
+def write_text(path: Path, text: str) -> None:
+    """`text` as UTF-8, whole or not at all."""
+    write_file(path, lambda partial: partial.write_text(text, encoding="utf-8", newline="\n"))
+
+
+def write_parquet(path: Path, table: pd.DataFrame) -> None:
+    """The table with its schema version, and nothing that differs between two writings of the same values."""
+    typed = arrow(path.name, table).replace_schema_metadata({"replan_schema_version": str(SCHEMA_VERSION)})
+    write_file(path, lambda partial: pq.write_table(typed, partial, compression="zstd"))
+
+
+def write_timings(path: Path, tables: Iterable[pd.DataFrame]) -> None:
+    """Timings of one log after the other; no more than one of them is in memory."""
+    text, schema = pa.large_string(), {"replan_schema_version": str(SCHEMA_VERSION)}
+    kinds = {name: pa.float64() if name in ("t_s", "seconds") else text for name in TIMING_COLUMNS}
+    columns = pa.schema(list(kinds.items()), metadata=schema)
+
+    def write(partial: Path) -> None:
+        with pq.ParquetWriter(partial, columns, compression="zstd") as writer:
+            for table in tables:
+                writer.write_table(pa.Table.from_pandas(table, columns, preserve_index=False))
+
+    write_file(path, write)
+
+
+def read_timings(path: Path) -> pd.DataFrame:
+    """The timings of a run; words are categories, of which there are few."""
+    words = [name for name in TIMING_COLUMNS if name not in ("t_s", "seconds")]
+    return pq.read_table(path, read_dictionary=words).to_pandas()
+
+
+def joined(tables: Iterable[pd.DataFrame], keys: Sequence[str], columns: Sequence[str] = ()) -> pd.DataFrame:
+    """The rows of all tables, sorted by `keys` (stable); `columns` names them where there is no table."""
+    parts = [table for table in tables if len(table)]
+    if not parts:
+        return pd.DataFrame(columns=list(columns or keys))
+    return pd.concat(parts, ignore_index=True).sort_values(list(keys), kind="stable", ignore_index=True)
+
+
+def write_metrics(out: Path, table: pd.DataFrame) -> None:
+    """metrics.parquet and metrics.csv; the schema version is their first column."""
+    table = table.copy()
+    table.insert(0, "schema_version", SCHEMA_VERSION)
+    write_parquet(out / "metrics.parquet", table)
+    write_file(out / "metrics.csv", lambda partial: table.to_csv(partial, index=False, lineterminator="\n"))
+
+
+def write_json(path: Path, content: Mapping[str, Any]) -> None:
+    """JSON with the schema version first; NaN is refused."""
+    text = json.dumps({"schema_version": SCHEMA_VERSION, **content}, indent=2, ensure_ascii=False, allow_nan=False)
+    write_text(path, text + "\n")
+
+
+def next_free(parent: Path = Path("results")) -> Path:
+    """The first of `parent/run-001`, `parent/run-002`, ... that is not there, made: no other run is given it.
+
+    Raises:
+        ConfigError: It cannot be made.
+    """
+    for number in count(1):
+        out = parent / f"run-{number:03d}"
+        try:
+            out.mkdir(parents=True)
+        except FileExistsError:
+            continue
+        except OSError as error:
+            raise ConfigError(f"{out}: cannot be the result folder: {error.strerror}; name one with --out") from None
+        return out
+    raise AssertionError
+
+
+def claim(out: Path) -> None:
+    """Empty a folder that is held (`replay.run.lock`); ConfigError as `check_ours`."""
+    check_ours(out)
+    for entry in out.iterdir():
+        if entry.name != LOCK:
+            shutil.rmtree(entry) if entry.is_dir() else entry.unlink()
+
+
+def check_ours(out: Path) -> None:
+    """ConfigError where a folder holds anything that no run wrote."""
+    foreign = [entry.name for entry in sorted(out.iterdir()) if not is_ours(entry)]
+    if foreign:
+        raise ConfigError(f"{out}: holds {foreign[0]}, which is no result of replan; give --out a new or empty folder")
+
+
+def clear_partial(out: Path) -> None:
+    """Remove what was begun and not finished."""
+    for entry in out.glob(f"{PARTIAL}*"):
+        shutil.rmtree(entry, ignore_errors=True) if entry.is_dir() else entry.unlink(missing_ok=True)
+
+
+def is_ours(entry: Path) -> bool:
+    """Whether a run wrote an entry of its folder."""
+    if entry.name == "run.toml":
+        return entry.read_text(encoding="utf-8", errors="replace").startswith(HEADER)
+    if entry.is_dir():
+        return entry.name.startswith(PARTIAL) or (entry / LOG_CARD).is_file()
+    return entry.name in (*FILES, LOCK)

@@ -1,0 +1,46 @@
+"""`replan calibrate`: the calibration table of a vehicle, written and drawn."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from logs.errors import ConfigError
+from logs.states import EgoState
+from logs.vehicle import VehicleParameters
+from replay.config import RunConfig, load_run
+from replay.control.calibration import Calibration
+from replay.results.tables import write_file
+from replay.vehicle import VEHICLE
+from replay.vehicle.plant import build
+
+STANDING = EgoState(0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def calibrate(
+    out: Path, model: str = "single_track", car: str | None = None, config: Path | None = None
+) -> tuple[Path, Path]:
+    """Write `calibration.csv` and `.png` of a vehicle into a folder.
+
+    Args:
+        out: Made where it is not there.
+        model: Name in `replay.vehicle.VEHICLES`.
+        car: Name of a set of parameters in `logs/vehicles`; None: that of the configuration, else the default vehicle.
+        config: A run's configuration: its [vehicle].
+
+    Raises:
+        ConfigError: A name is unknown, the model has no power train, or the folder cannot be made.
+    """
+    vehicle = VEHICLE.find(model)
+    if model == "perfect":
+        raise ConfigError("the perfect vehicle has no pedals: there is nothing to calibrate")
+    run = RunConfig() if config is None else load_run(config)
+    parameters = run.in_car(car).driven(VehicleParameters())
+    table = Calibration.of(build(vehicle, model, parameters, STANDING, {}).powertrain)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise ConfigError(f"{out}: cannot be the result folder: {error.strerror}") from None
+    csv, png = out / "calibration.csv", out / "calibration.png"
+    write_file(csv, table.save)
+    write_file(png, table.plot)
+    return csv, png

@@ -1,0 +1,191 @@
+"""What a run asks for, checked as a whole before anything is driven: exit code 2 says that nothing was run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from functools import cache
+from typing import Any
+
+from logs.catalogue import scenario
+from logs.errors import ConfigError, PlannerError, of_users, raised, unknown_name
+from logs.extension import Kind
+from logs.states import EgoState
+from logs.vehicle import VehicleParameters
+from planners import PLANNER, PLANNERS
+from replay.config import RunConfig
+from replay.control import CONTROLLER
+from replay.loop.perception import ORACLE, PERCEPTION
+from replay.loop.simulation_setup import controller_of
+from replay.oracle import ORACLES
+from replay.planner_process.planner_config import (
+    check_keywords,
+    is_apart,
+    is_built_in,
+    planner_keywords,
+    resolved_table,
+)
+from replay.planner_process.proxy import described
+from replay.prediction import PREDICTION, LaneMap, predict
+from replay.results.log_result import Failure
+from replay.settings import SETTINGS, check, configured, dotted, keywords_of, resolved
+from replay.traffic import TRAFFIC_KIND
+from replay.vehicle import VEHICLE
+from replay.vehicle.plant import build, parted
+
+KINDS: Mapping[str, tuple[Kind[Callable[..., Any]], int]] = {
+    "vehicle": (VEHICLE, 2),
+    "controller": (CONTROLLER, 3),
+    "traffic": (TRAFFIC_KIND, 1),
+    "prediction": (PREDICTION, 3),
+    "perception": (PERCEPTION, 2),
+}
+"""By the keys of [loop]: what finds what they name, and how many arguments it is given before its settings."""
+SCENE = "paper/crossing_pedestrian"
+REFUSALS = (ValueError, TypeError)
+"""What is raised by who refuses a setting."""
+_OF_THE_LOG = ("length", "wheelbase", "rear_overhang")
+"""Whether these fit each other depends on the log's vehicle."""
+
+
+def checked(run: RunConfig) -> tuple[RunConfig, tuple[Failure, ...]]:
+    """The run with the planners that can be loaded, their settings resolved, and what is wrong with the others.
+
+    Raises:
+        ConfigError: A name, a planner's keyword or a key of the plant is unknown or missing, a value is refused, or
+            what Foxglove needs is not installed.
+        PlannerError: No planner is left.
+    """
+    tables: dict[str, Any] = {SETTINGS[key]: _table(key, run) for key in KINDS}
+    run = replace(run, **tables)
+    _check_plant(run)
+    _check_others(run)
+    if run.foxglove:
+        import replay.draw.foxglove  # noqa: F401  # its package is there, or this says so before anything is driven
+    _check_tables(run)
+    if run.charts:
+        from replay.draw.charts.layout import CHART  # that imports what reads results, and they this
+
+        for chart in run.charts:
+            CHART.find(chart)
+    left: dict[str, Mapping[str, Any]] = {}
+    errors: list[PlannerError] = []
+    for planner in run.planners:
+        try:
+            left[planner] = _resolved(planner, run)
+        except PlannerError as error:
+            errors.append(error)
+    if not left:
+        raise errors[0]
+    failures = tuple(Failure("", str(error)) for error in errors)
+    return replace(run, planners=tuple(left), planner=left), failures
+
+
+def _table(key: str, run: RunConfig) -> Mapping[str, Mapping[str, Any]]:
+    """The settings of what a key of [loop] names, with its defaults; ConfigError where they or the name are wrong."""
+    kind, given = KINDS[key]
+    tables, chosen = getattr(run, SETTINGS[key]), getattr(run.loop, key)
+    for name, table in tables.items():
+        if name in kind.builtin or name == chosen:
+            keywords_of(kind.find(name), table, dotted(SETTINGS[key], name))
+        elif ":" not in name:
+            kind.place(name)
+    if key == "prediction" and chosen == ORACLE:
+        return {}
+    try:
+        factory = kind.find(chosen)
+    except ConfigError as error:
+        raise ConfigError(f"loop.{key}: {error}") from None
+    where = dotted(SETTINGS[key], chosen)
+    table = tables.get(chosen, {})
+    check(factory, table, where, f"{key} '{chosen}'", given)
+    found = resolved(factory, table, where)
+    return {chosen: found} if found else {}
+
+
+def _resolved(planner: str, run: RunConfig) -> dict[str, Any]:
+    """The planner's table with its defaults, found out where it will run; checked that it can be built of it."""
+    table, apart = run.planner.get(planner, {}), run.loop.apart
+    if is_apart(planner, apart):
+        return described(planner, table, apart)
+    if apart.batch and not is_built_in(planner):
+        raise ConfigError("--batch is for planners in a process of their own: leave out --trust")
+    resolved = resolved_table(planner, table)
+    check_keywords(planner, resolved)
+    return resolved
+
+
+def _check_plant(run: RunConfig) -> None:
+    """Refuse a vehicle, plant or controller that no log can have; the log's own numbers are not known yet."""
+    default = VehicleParameters()
+    vehicle = run.driven(default) if "set" in run.vehicle else default
+    parted(run.loop.plant)
+    table = {key: value for key, value in run.loop.plant.items() if key not in _OF_THE_LOG}
+    model, start = configured(VEHICLE, run.loop.vehicle, run.loop.settings), EgoState(0.0, 0.0, 0.0, 0.0, 0.0)
+    with _built("vehicle", run.loop.vehicle):
+        built = build(model, run.loop.vehicle, vehicle, start, table)
+    if run.loop.controller in CONTROLLER.builtin:
+        return
+    with _built("controller", run.loop.controller):
+        controller_of(built, vehicle, run.loop.controller, run.loop.control_period_ns / 1e9, run.loop.settings)
+
+
+def _check_others(run: RunConfig) -> None:
+    """Refuse the user's traffic, perception or prediction that refuses its settings, by a log that is built in.
+
+    What it raises there by its defaults, too, may be that log's fault: it is heard of from the user's own.
+    """
+    loop, scene = run.loop, cache(lambda: scenario(SCENE))
+
+    def predicted(predictor: Any) -> object:
+        tracks, t = scene().tracks, scene().ego.state(0).t
+        lanes = LaneMap.of(scene().road)
+        return predict(tracks.perceived(t), t, method=loop.prediction, lanes=lanes, predictor=predictor)
+
+    makes: Mapping[str, Callable[[Any], object]] = {
+        "traffic": lambda factory: factory(scene()),
+        "perception": lambda factory: factory(scene(), loop),
+        "prediction": predicted,
+    }
+    for key, make in makes.items():
+        kind, name = KINDS[key][0], getattr(loop, key)
+        if name in kind.builtin or name == ORACLE:
+            continue
+        error = _refusal(make, configured(kind, name, loop.settings))
+        if error is not None and _refusal(make, configured(kind, name, {})) is None:
+            raise ConfigError(f"{key} '{name}' cannot be built: {raised(error)}") from error
+
+
+def _refusal(make: Callable[[Any], object], factory: Any) -> BaseException | None:
+    """What the user's code raises as who refuses a setting does."""
+    try:
+        make(factory)
+    except ConfigError:
+        raise
+    except (Exception, SystemExit) as error:
+        return error if isinstance(error, REFUSALS) and of_users(error) else None
+    return None
+
+
+@contextmanager
+def _built(kind: str, name: str) -> Iterator[None]:
+    """What code of the user's raises where it is built, as ConfigError: each log would fail."""
+    try:
+        yield
+    except ConfigError:
+        raise
+    except (Exception, SystemExit) as error:
+        if of_users(error):
+            raise ConfigError(f"{kind} '{name}' cannot be built: {raised(error)}") from error
+        raise
+
+
+def _check_tables(run: RunConfig) -> None:
+    """Refuse a table of a planner that is not there, or that this planner does not take, be it driven or not."""
+    named = {*PLANNERS, *ORACLES, *PLANNER.entries(), *run.planners}
+    for name, table in run.planner.items():
+        if name not in named and ":" not in name:
+            raise unknown_name("planner (in the configuration)", name, named)
+        if name in PLANNERS or name in ORACLES:
+            planner_keywords(name, table)

@@ -1,0 +1,121 @@
+"""Where the logs of a run are driven: in this process, in processes of this machine, on a Ray cluster. Same bytes.
+
+An engine applies a function to items and yields what came of each as it ends, in any order; a worker that dies costs
+`WorkerLost` for its item and nothing else. The function writes a log's folder into the result folder itself where the
+workers share it with the driver (`local`), else what it returns brings the folder with it (`replay.run.on_ray`).
+
+Items are handed out by how long they are expected to take, the longest first (Graham, SIAM J. Appl. Math. 17, 1969:
+within 4/3 - 1/(3 m) of the shortest makespan on m workers), so that no long log begins last. An item is a log, or the
+logs that are driven in lock step.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import accumulate
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol, TypeVar
+from uuid import uuid4
+
+from logs.kernel import cold
+from replay.planner_process.processes import loaded_for
+from replay.planner_process.together import in_lockstep
+from replay.run.one_log import evaluate_log
+from replay.run.pool import WorkerLost, run_all
+
+if TYPE_CHECKING:
+    from replay.config import RunConfig
+    from replay.results.log_result import LogResult, Stamp
+    from replay.run.sources import LogSource
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+
+class Engine(Protocol):
+    """Evaluates logs into a result folder."""
+
+    def evaluate(
+        self, sources: Sequence[LogSource], run: RunConfig, out: Path, stamp: Stamp
+    ) -> Iterator[tuple[int, LogResult | WorkerLost]]:
+        """What came of each source, by index, as it ends; its folder is in `out` by then."""
+        ...
+
+
+@dataclass(frozen=True)
+class Local:
+    """This machine.
+
+    Attributes:
+        workers: Number of child processes; 0: this process, in the order given.
+    """
+
+    workers: int = 0
+
+    def evaluate(
+        self, sources: Sequence[LogSource], run: RunConfig, out: Path, stamp: Stamp
+    ) -> Iterator[tuple[int, LogResult | WorkerLost]]:
+        """As `Engine.evaluate`."""
+        teams = [sources[places.start : places.stop] for places in teams_of(len(sources), run.loop.apart.batch)]
+        job, begins = Job(run, out, stamp), list(accumulate(map(len, teams), initial=0))
+        for index, results in self._evaluated(teams, job):
+            every = [results] * len(teams[index]) if isinstance(results, WorkerLost) else results
+            yield from enumerate(every, begins[index])
+
+    def _evaluated(
+        self, teams: Sequence[Sequence[LogSource]], job: Job
+    ) -> Iterator[tuple[int, list[LogResult] | WorkerLost]]:
+        if self.workers == 0:
+            return _here(job, teams)
+        workers = max(1, min(self.workers, len(teams)))
+        drive = partial(run_all, job, workers=workers, one_first=cold())
+        return longest_first(teams, drive, lambda team: sum(source.expected_s for source in team))
+
+
+def teams_of(count: int, batch: int) -> list[range]:
+    """Which of the logs of a run are evaluated together, by their places alone: each by itself, or `batch` of them."""
+    size = max(batch, 1)
+    return [range(begin, min(begin + size, count)) for begin in range(0, count, size)]
+
+
+@dataclass(frozen=True)
+class Job:
+    """`evaluate_log` of everything but the logs; a planner's module is loaded once where it is called.
+
+    Attributes:
+        run: What is driven.
+        out: The result folder.
+        stamp: See `evaluate_log`.
+        name: Which run it is, of all that there ever are.
+    """
+
+    run: RunConfig
+    out: Path
+    stamp: Stamp
+    name: str = field(default_factory=lambda: uuid4().hex)
+
+    def __call__(self, team: Sequence[LogSource]) -> list[LogResult]:
+        """As `evaluate_log`, of each of some logs that are evaluated together (`LoopConfig.apart.batch`)."""
+        loaded_for(self.name)
+        tasks = [partial(evaluate_log, source, self.run, self.out, self.stamp) for source in team]
+        return in_lockstep(tasks) if self.run.loop.apart.batch else [task() for task in tasks]
+
+
+def _here(job: Job, teams: Sequence[Sequence[LogSource]]) -> Iterator[tuple[int, list[LogResult]]]:
+    """In this process, which may go on to other things."""
+    try:
+        for index, team in enumerate(teams):
+            yield index, job(team)
+    finally:
+        loaded_for("")
+
+
+def longest_first(
+    items: Sequence[T], drive: Callable[[Sequence[T]], Iterator[tuple[int, R]]], expected_s: Callable[[T], float]
+) -> Iterator[tuple[int, R]]:
+    """What `drive` yields of the items, which it gets by expected cost, under the indices that they have here."""
+    order = sorted(range(len(items)), key=lambda index: -expected_s(items[index]))
+    for place, ended in drive([items[index] for index in order]):
+        yield order[place], ended

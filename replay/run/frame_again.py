@@ -1,0 +1,202 @@
+"""One frame of a run planned again in one process: the drive up to it, its plan, times, QPs; `replan frame`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from math import inf
+from typing import Any
+
+from logs.errors import ConfigError, PlannerError, ReplanError, of_users, raised
+from logs.frame import Frame
+from logs.mcap import read_scenario
+from logs.scenario import Scenario
+from logs.trace import Plan, PlannedFrame, SolverReport
+from logs.words import counted
+from planners.piecewise_jerk.solvers import Asked, watched
+from replay.config import RunConfig
+from replay.drive import Drive
+from replay.explain.causes import Explainer
+from replay.explain.drive import explanation, lines_of
+from replay.explain.shown import Shown
+from replay.loop.plan_check import checked
+from replay.loop.planning import Planning
+from replay.oracle import ORACLES
+from replay.planner_process.planner_config import is_foreign, planner_factory, planner_keywords
+from replay.planner_process.stopwatch import Stopwatch
+from replay.results.load import DriveResult
+from replay.run.frame_dump import FrameDump
+from replay.run.one_log import LOOPS
+from replay.run.origin import log_of
+
+SAME_TIME_S = 1e-6
+
+
+class WatchedPlanning(Planning):
+    """A planning that keeps its frames, and the QPs of the last; a debugger opens at the frame of `stop_s`.
+
+    Attributes:
+        frames: So far.
+        asked: QPs of the last plan.
+    """
+
+    def __init__(self, stop_s: float, *arguments: Any, **keywords: Any) -> None:
+        super().__init__(*arguments, **keywords)
+        self.frames: list[Frame] = []
+        self.asked: list[Asked] = []
+        self._stop_s = stop_s
+
+    def plan(self, frame: Frame) -> Plan:
+        """As `Planning.plan`."""
+        self.frames.append(frame)
+        if frame.t >= self._stop_s - SAME_TIME_S:
+            breakpoint()
+        with watched() as self.asked:
+            return super().plan(frame)
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedAgain:
+    """A frame planned again.
+
+    Attributes:
+        scenario: The log.
+        dump: The frames up to it, the plan, the QPs.
+        seconds: How long each stage took, and "total".
+        is_same: Whether the trajectory is the one in the results, to the bit; None: another planner's.
+    """
+
+    scenario: Scenario
+    dump: FrameDump
+    seconds: Mapping[str, float]
+    is_same: bool | None
+
+
+def planned_again(drive: DriveResult, at: float, planner: str | None = None, *, debug: bool = False) -> PlannedAgain:
+    """Drive up to a frame as the run did, in this process, and plan it again.
+
+    Args:
+        drive: Of a run.
+        at: s; the last frame not later is planned.
+        planner: Another planner, which is given this frame alone; None: the drive's own.
+        debug: Open the debugger before the frame is planned.
+
+    Raises:
+        ConfigError: No such frame; the log is not where it was, or another; the planner is a program, or an oracle.
+        PlannerError: The planner raised.
+    """
+    run, recorded = drive.result.run, drive.frame(at)
+    for spec in (drive.planner, planner or drive.planner):
+        if is_foreign(spec) or spec in ORACLES:
+            raise ConfigError(f"planner '{spec}': a frame is planned again only by Python planners that know no log")
+    scenario, table = _scenario(drive, run), run.planner.get(drive.planner, {})
+    watch, made = _driven(drive, scenario, recorded.t, debug=debug and planner is None)
+    if planner is not None:
+        return _by_another(drive, scenario, watch, planner, debug=debug)
+    last = watch.frames[-1]
+    frames = tuple(watch.frames) if last.previous is not None else (last,)
+    plan = made.trace.frames[-1].plan
+    dump = FrameDump(drive.log, drive.planner, table, watch.context, frames, plan, tuple(watch.asked))
+    seconds = {time.stage: time.seconds for time in made.timings if abs(time.t - last.t) < SAME_TIME_S}
+    return PlannedAgain(scenario, dump, seconds, _same(plan, recorded.plan))
+
+
+def _driven(drive: DriveResult, scenario: Scenario, until_s: float, *, debug: bool) -> tuple[WatchedPlanning, Drive]:
+    """The drive up to a frame, in this process."""
+    run, kept = drive.result.run, list[WatchedPlanning]()
+
+    def seat(*arguments: Any, **keywords: Any) -> WatchedPlanning:
+        kept.append(WatchedPlanning(until_s if debug else inf, *arguments, **keywords))
+        return kept[0]
+
+    keywords = planner_keywords(drive.planner, run.planner.get(drive.planner, {}))
+    config = replace(run.loop, apart=replace(run.loop.apart, trust=True))
+    loop = LOOPS[drive.trace.mode]
+    made = loop(scenario, drive.planner, planner_config=keywords, config=config, until_s=until_s, seat=seat)
+    if not made.trace.frames or abs(made.trace.frames[-1].t - until_s) > SAME_TIME_S:
+        said = made.trace.detail or made.trace.end.value
+        raise PlannerError(f"{drive.log}: there is no plan at {until_s:.2f} s: {said}")
+    return kept[0], made
+
+
+def _by_another(
+    drive: DriveResult, scenario: Scenario, watch: WatchedPlanning, planner: str, *, debug: bool
+) -> PlannedAgain:
+    """The last frame planned by another planner, fresh."""
+    clock, frame = Stopwatch(), replace(watch.frames[-1], previous=None)
+    context, table = replace(watch.context, lap=clock.lap), drive.result.run.planner.get(planner, {})
+    factory, keywords = planner_factory(planner), planner_keywords(planner, table)
+    try:
+        made = factory(context, **keywords)
+        if debug:
+            breakpoint()
+        with watched() as asked:
+            clock.start()
+            plan = checked(made.plan(frame), frame).recorded(keep=True)
+            clock.stop(frame.t)
+    except Exception as error:
+        if isinstance(error, ReplanError) or not of_users(error):
+            raise
+        raise PlannerError(f"planner '{planner}' raised at {frame.t:.2f} s: {raised(error)}") from error
+    dump = FrameDump(drive.log, planner, table, context, (frame,), plan, tuple(asked))
+    return PlannedAgain(scenario, dump, {time.stage: time.seconds for time in clock.times}, None)
+
+
+def _same(plan: Plan, recorded: Plan) -> bool:
+    """Whether two plans have the same trajectory; of a trace without internals only every few samples are there."""
+    new, old = plan.trajectory, recorded.trajectory
+    rows = [int(abs(new.t - t).argmin()) for t in old.t]
+    return all((getattr(new, name)[rows] == getattr(old, name)).all() for name in ("x", "y", "yaw", "v", "a"))
+
+
+def _scenario(drive: DriveResult, run: RunConfig) -> Scenario:
+    """The log of a drive as it was driven: from the results where it is there, else from where it was read.
+
+    Raises:
+        ConfigError: It is not there any more, or another.
+    """
+    row = drive.result.logs.set_index("log").loc[drive.log]
+    path = drive.result.path / str(row["folder"]) / "log.mcap"
+    if path.is_file():
+        scenario = read_scenario(path)
+    else:
+        scenario = log_of(drive.result.path, str(row["source"]), str(row["sha256"]), run.log)
+    return scenario.in_vehicle(run.driven(scenario.vehicle))
+
+
+def report_of(again: PlannedAgain) -> Iterator[str]:
+    """What a person who debugs the frame wants to read."""
+    dump, frame, plan = again.dump, again.dump.frame, again.dump.plan
+    yield f"{dump.log}, {dump.planner}, frame at {frame.t:.3f} s ({len(dump.frames)} since the planner was built)"
+    if again.is_same is not None:
+        yield "  the plan is the one in the results" + (", to the bit" if again.is_same else ": NO, it is another")
+    futures = frame.predictions
+    yield (
+        f"  ego {frame.ego.x:.2f}, {frame.ego.y:.2f} m, {frame.ego.v:.2f} m/s, {frame.ego.a:.2f} m/s²; "
+        f"{counted(len(frame.agents), 'agent')}, {counted(len(futures), 'prediction')} of"
+        f" {counted(len(futures.t), 'sample')} ({futures.method})"
+    )
+    stages = ", ".join(f"{stage} {1e3 * seconds:.2f}" for stage, seconds in again.seconds.items())
+    yield f"  stages [ms, with compiling]: {stages}"
+    for asked in dump.problems:
+        yield f"  {_qp(asked)}"
+    for report in (each for each in plan.internals if isinstance(each, SolverReport) and not dump.problems):
+        yield f"  {report.stage}: {report.status}, {counted(report.iterations, 'iteration')}"
+    yield ""
+    planned = PlannedFrame.of(frame, plan)
+    shown = Shown(planned, frame.agents, planned.predictions, frame.lights)
+    lines = lines_of(explanation(planned, Explainer(again.scenario).account(shown)))
+    yield from map(again.scenario.short_names, lines)
+
+
+def _qp(asked: Asked) -> str:
+    """A QP: its size, and how it was solved."""
+    problem, report = asked.problem, asked.result.report
+    knots, leads = problem.lower.shape[1], len(problem.leads)
+    bounds = int((abs(problem.lower) < 1e9).sum() + (abs(problem.upper) < 1e9).sum())
+    said = "solved" if report.solved else "NOT SOLVED"
+    return (
+        f"{report.stage}: {3 * knots} unknowns, {2 * (knots - 1) + 3} equalities, {counted(bounds, 'finite bound')},"
+        f" {counted(leads, 'lead')}; {said} ({report.status}), {counted(report.iterations, 'iteration')},"
+        f" residuals {report.primal_residual:.1e}, {report.dual_residual:.1e}"
+    )

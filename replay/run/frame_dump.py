@@ -1,0 +1,175 @@
+"""One planning frame as a file: what the planner was given from the start of its drive on, its plan, and its QPs.
+
+A dump is one MessagePack map with the fields of `File`. Context, frames and plan are the messages of
+`replay.planner_process.schema` (docs/planners_apart.md): little-endian float64 columns, so that what is read is what
+was written, to the bit. A planner remembers, so that a dump holds all frames up to the one that is asked about; where
+each frame is fresh (open loop) it holds that one only.
+
+    dump = load(Path("frame.msgpack"))
+    dump.frame.agents.ids, dump.problems[0].lower
+    assert (dump.planned().trajectory.x == dump.plan.trajectory.x).all()
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from logs.errors import LogError, writing
+from logs.frame import Frame, PlannerContext
+from logs.kernel import FloatArray
+from logs.trace import Plan, SolverReport
+from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Weights
+from planners.piecewise_jerk.solvers import Asked
+from planners.qp import QPResult
+from replay.loop.plan_check import checked
+from replay.planner_process import schema
+from replay.planner_process.channel import plain
+from replay.planner_process.convert import context_message, context_of, frame_message, frame_of, plan_of, plan_sent
+from replay.planner_process.planner_config import planner_factory, planner_keywords
+
+VERSION = 1
+
+
+class Problem(msgspec.Struct):
+    """`planners.piecewise_jerk.problem.PiecewiseJerkProblem`, and the curve x, x', x'' `(3 n,)` that answered it.
+
+    Attributes:
+        report: Of the solver; its stage is who asked.
+        numbers: step, soft, and the weights x, dx, ddx, dddx.
+        leads: `(k,)`.
+        start: `(3,)`.
+        references: `(2, n)` row by row.
+        lower: `(4 + k, n)` row by row; `upper` likewise.
+        upper: See there.
+        x: The answer.
+    """
+
+    report: SolverReport
+    numbers: list[float]
+    leads: bytes
+    start: bytes
+    references: bytes
+    lower: bytes
+    upper: bytes
+    x: bytes
+
+
+class File(msgspec.Struct):
+    """What is in the file.
+
+    Attributes:
+        version: Of this format.
+        log: Name; `planner` and its table, as in a run's configuration.
+        planner: See there.
+        config: See there.
+        context: What the planner was built with.
+        frames: In order of time; the last is the one that is asked about.
+        plan: Of the last frame, with its inside.
+        problems: QPs that were solved for it, in their order.
+    """
+
+    version: int
+    log: str
+    planner: str
+    config: dict[str, Any]
+    context: schema.Context
+    frames: list[schema.Frame]
+    plan: schema.Plan
+    problems: list[Problem]
+
+
+@dataclass(frozen=True, eq=False)
+class FrameDump:
+    """A dump as objects: attributes as of `File`.
+
+    Attributes:
+        log: See there.
+        planner: See there.
+        config: See there.
+        context: See there; its clock measures nothing.
+        frames: See there.
+        plan: See there.
+        problems: See there; with the curves that answered them.
+    """
+
+    log: str
+    planner: str
+    config: Mapping[str, Any]
+    context: PlannerContext
+    frames: tuple[Frame, ...]
+    plan: Plan
+    problems: tuple[Asked, ...]
+
+    @property
+    def frame(self) -> Frame:
+        """The frame that is asked about."""
+        return self.frames[-1]
+
+    def planned(self) -> Plan:
+        """The plan made anew in this process, by a planner that is given all frames; errors are the planner's own."""
+        planner = planner_factory(self.planner)(self.context, **planner_keywords(self.planner, self.config))
+        for frame in self.frames[:-1]:
+            planner.plan(frame)
+        return checked(planner.plan(self.frame), self.frame).recorded(keep=True)
+
+
+def dump(path: Path, one: FrameDump) -> None:
+    """Write a dump; OutputError where the file cannot be written."""
+    frames = [frame_message(frame) for frame in one.frames]
+    problems = [_problem(asked) for asked in one.problems]
+    plan = plan_sent(one.plan, inside=True)
+    made = File(
+        VERSION, one.log, one.planner, dict(one.config), context_message(one.context), frames, plan, problems
+    )  # fmt: skip
+    with writing(path):
+        path.write_bytes(msgspec.msgpack.encode(made, enc_hook=plain))
+
+
+def load(path: Path) -> FrameDump:
+    """What `dump` wrote; LogError where it is damaged, or none."""
+    try:
+        file = msgspec.msgpack.decode(path.read_bytes(), type=File)
+        if file.version != VERSION:
+            raise ValueError(f"a dump of version {file.version}, this replan reads {VERSION}")
+        return FrameDump(
+            file.log, file.planner, file.config, context_of(file.context, _no_clock),
+            tuple(map(frame_of, file.frames)), plan_of(file.plan), tuple(map(_asked, file.problems)),
+        )  # fmt: skip
+    except (OSError, ValueError, KeyError, msgspec.MsgspecError) as error:
+        raise LogError(f"is no dump of a frame: {error}", file=path) from None
+
+
+def _no_clock(stage: str) -> None:
+    """Nothing is measured."""
+
+
+def _bytes(values: FloatArray) -> bytes:
+    return np.ascontiguousarray(values, "<f8").tobytes()
+
+
+def _problem(asked: Asked) -> Problem:
+    problem, result = asked
+    leads, start, references, lower, upper = map(
+        _bytes, (problem.leads, problem.start, problem.references, problem.lower, problem.upper)
+    )
+    numbers = [problem.step, problem.soft, *problem.weights]
+    return Problem(result.report, numbers, leads, start, references, lower, upper, _bytes(result.x))
+
+
+def _asked(message: Problem) -> Asked:
+    step, soft, *weights = message.numbers
+    leads, start, references, lower, upper, x = (
+        np.frombuffer(column, "<f8").copy()
+        for column in (message.leads, message.start, message.references, message.lower, message.upper, message.x)
+    )
+    rows: Sequence[int] = (4 + len(leads), -1)
+    problem = PiecewiseJerkProblem(
+        step, leads, start, Weights(*weights), references.reshape(2, -1), lower.reshape(rows), upper.reshape(rows), soft
+    )
+    return Asked(problem, QPResult(x, message.report))

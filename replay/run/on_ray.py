@@ -1,0 +1,269 @@
+"""The logs of a run on a Ray cluster: a task per log, tried again where a worker or its node dies.
+
+A node needs Python and replan as they are here; the user's own planners and metrics are sent (`code_of`). It writes a
+log's folder into a scratch folder of its own, and sends the files back with the result; here they are written under a
+temporary name and renamed, as a worker of this machine does. What is in flight is bounded, so that neither the
+scheduler nor this process holds more than a few logs of a run of any size.
+
+One task has one log: the overhead of a task is milliseconds (docs/scale.md), a log takes a second or more, and a node
+that dies costs a retry of the logs that it had and no more. The processes that run the tasks are kept by Ray, so that
+kernels are loaded once in each.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import platform
+import shutil
+import socket
+import sys
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar
+from uuid import uuid4
+
+from logs.errors import ConfigError, LogError, writing
+from logs.readers.base import LogSettings
+from replay.config import LoopConfig, RunConfig
+from replay.planner_process.link import command_of
+from replay.results.log_result import Failure, LogResult, Stamp
+from replay.results.tables import PARTIAL
+from replay.run.checks import KINDS
+from replay.run.engine import Job, longest_first
+from replay.run.pool import WorkerLost, settle
+from replay.run.resume import stamp_of
+from replay.run.sources import LogSource
+
+T = TypeVar("T")
+R = TypeVar("R")
+
+RETRIES = 3
+"""Of a task whose worker or node died (Ray's own default); an error that replan raises is an answer, not retried."""
+AHEAD = 2
+"""Tasks in flight per core of the cluster: each core has its next one waiting, and an autoscaler sees a queue."""
+CONNECT_S = 10.0
+BEGIN = "`ray start --head` begins a cluster; versions of Ray and Python must be the same on all nodes"
+LEFT_OUT = ("__pycache__", ".*", "*.pyc")
+
+
+@dataclass(frozen=True)
+class OnRay:
+    """A Ray cluster.
+
+    Attributes:
+        address: Of the cluster ("auto", "HOST:6379", "ray://HOST:10001"); "": one on this machine, for this run.
+        workers: The most tasks in flight; of a cluster on this machine its cores. None: as many as the cluster has.
+    """
+
+    address: str = ""
+    workers: int | None = None
+
+    def evaluate(
+        self, sources: Sequence[LogSource], run: RunConfig, out: Path, stamp: Stamp
+    ) -> Iterator[tuple[int, LogResult | WorkerLost]]:
+        """As `Engine.evaluate`.
+
+        Raises:
+            ConfigError: Ray is not installed, the cluster cannot be reached, or its Python is another.
+            OutputError: A folder cannot be written here.
+        """
+        absolute = [_absolute(source) for source in sources]
+        with self._connected(run) as ray:
+            job = ray.put((run, stamp, uuid4().hex))
+            task = ray.remote(_on_node).options(max_retries=RETRIES, num_cpus=1)
+            yield from longest_first(
+                absolute,
+                lambda ordered: _kept(self._streamed(ray, lambda one: task.remote(one, job), ordered), out),
+                lambda source: source.expected_s,
+            )
+
+    @contextmanager
+    def _connected(self, run: RunConfig) -> Iterator[Any]:
+        """Ray, with a connection for the time of the run; one that the caller had is used as it is."""
+        ray = _ray()
+        if ray.is_initialized():
+            yield ray
+            return
+        _check_answers(self.address)
+        with tempfile.TemporaryDirectory(prefix="replan-") as folder:
+            code = code_of(run, Path(folder))
+            options: dict[str, Any] = {"address": self.address or "local", "runtime_env": {"working_dir": str(code)}}
+            if not self.address:
+                options |= {"num_cpus": self.workers, "include_dashboard": False}
+            try:
+                ray.init(log_to_driver=False, configure_logging=False, **options)
+            except Exception as error:  # of many kinds: no cluster there, another version of Ray or of Python
+                where = f"--address {self.address}" if self.address else "Ray on this machine"
+                said = str(error).strip().partition("\n")[0]
+                raise ConfigError(f"{where}: no connection: {type(error).__name__}: {said}; {BEGIN}") from None
+            try:
+                yield ray
+            finally:
+                ray.shutdown()
+
+    def _streamed(
+        self, ray: Any, submit: Callable[[T], Any], items: Sequence[T]
+    ) -> Iterator[tuple[int, tuple[Any, Any] | WorkerLost]]:
+        """What came of each item, as it ends; a bounded number of them is in flight."""
+        waiting, flying = iter(enumerate(items)), dict[Any, int]()
+        try:
+            while True:
+                most = self.workers or max(1, AHEAD * int(ray.cluster_resources().get("CPU", 1)))
+                while len(flying) < most and (following := next(waiting, None)) is not None:
+                    flying[submit(following[1])] = following[0]
+                if not flying:
+                    return
+                for reference in ray.wait(list(flying), num_returns=1)[0]:
+                    index = flying.pop(reference)
+                    yield index, _answer(ray, reference)
+        finally:
+            for reference in flying:
+                ray.cancel(reference, force=True)
+
+
+def code_of(run: RunConfig, folder: Path) -> Path:
+    """A copy of the user's code that a run names, for the nodes, in `folder`; returns `folder`.
+
+    Of each planner, metric, controller ... "module:NAME" that is not installed: its package whole (weights beside it,
+    too), or its file; and the other modules beside it, which it may import. Of "exec:COMMAND" the files here that the
+    command names.
+    """
+    for name in (*run.planners, *run.metrics, *_of_loop(run), run.log.reader):
+        if name.startswith("exec:"):
+            for word in command_of(name):
+                if Path(word).is_file() and not Path(word).is_absolute():
+                    (folder / word).parent.mkdir(parents=True, exist_ok=True)
+                    shutil.copy2(word, folder / word)
+        module, separator, _ = name.partition(":")
+        place = _place_of(module.partition(".")[0]) if separator else None
+        if place is None:
+            continue
+        for beside in place.parent.glob("*.py"):
+            shutil.copy2(beside, folder / beside.name)
+        if place.is_dir():
+            shutil.copytree(place, folder / place.name, ignore=shutil.ignore_patterns(*LEFT_OUT), dirs_exist_ok=True)
+    return folder
+
+
+def _of_loop(run: RunConfig) -> tuple[str, ...]:
+    """What is chosen by name in [loop]."""
+    return tuple(getattr(run.loop, key) for key in KINDS)
+
+
+def _place_of(package: str) -> Path | None:
+    """The file or folder of a top-level module in the user's own folders; None: it is installed, or not there."""
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.append(here)
+    spec = importlib.util.find_spec(package)
+    if spec is None or not spec.origin:
+        return None
+    file = Path(spec.origin)
+    if {"site-packages", "dist-packages"} & set(file.parts) or file.is_relative_to(Path(__file__).parents[2]):
+        return None
+    return file.parent if spec.submodule_search_locations else file
+
+
+def _check_answers(address: str) -> None:
+    """ConfigError where nothing answers at HOST:PORT: Ray itself would try for minutes."""
+    host, _, port = address.rpartition("/")[2].rpartition(":")
+    if not (host and port.isdecimal()):
+        return
+    try:
+        socket.create_connection((host, int(port)), CONNECT_S).close()
+    except OSError as error:
+        raise ConfigError(f"--address {address}: no connection: {error.strerror or error}; {BEGIN}") from None
+
+
+def _ray() -> Any:
+    try:
+        import ray
+    except ImportError:
+        raise ConfigError("--engine ray needs Ray: pip install 'replan[ray]'") from None
+    return ray
+
+
+def _absolute(source: LogSource) -> LogSource:
+    """The source as a node sees it that shares this machine's folders."""
+    return source if source.path is None else replace(source, path=source.path.absolute())
+
+
+def _answer(ray: Any, reference: Any) -> tuple[Any, Any] | WorkerLost:
+    """What a task returned, or why it did not."""
+    try:
+        answer: tuple[Any, Any] = ray.get(reference)
+    except ray.exceptions.RayTaskError as error:
+        return WorkerLost(f"its task raised {type(error.cause).__name__}: {error.cause}")
+    except ray.exceptions.RayError as error:
+        said = str(error).strip().partition("\n")[0]
+        return WorkerLost(f"lost on the cluster after {RETRIES + 1} tries: {type(error).__name__}: {said}")
+    return answer
+
+
+def _on_node(source: LogSource, job: tuple[RunConfig, Stamp, str]) -> tuple[LogResult, dict[str, bytes]]:
+    """A task: a log's result, and the files of its folder by their names in the result folder."""
+    run, stamp, name = job
+    wrong = _refusal(run, stamp, source)
+    if wrong is not None:
+        return LogResult(source.label, source.label, failures=(wrong,)), {}
+    with tempfile.TemporaryDirectory(prefix="replan-") as scratch:
+        (result,) = Job(run, Path(scratch), stamp, name)([source])
+        files = {path.relative_to(scratch).as_posix(): path.read_bytes() for path in Path(scratch).glob("*/*")}
+        _settled()
+        return result, files
+
+
+def _refusal(run: RunConfig, stamp: Stamp, source: LogSource) -> Failure | None:
+    """Why this node may not drive the log: it would be by other code than here, or it cannot see it."""
+    theirs = _stamp_here(run.planners, run.metrics, _of_loop(run), run.log.reader)
+    if theirs != stamp:
+        what = f"node {platform.node()} has replan {theirs.replan} with code {theirs.code[:8]}"
+        remedy = f"install there what is here: {stamp.replan} with code {stamp.code[:8]}"
+        return Failure(source.label, f"{source.label}: {what}; {remedy}")
+    if source.path is not None and not source.path.exists():
+        remedy = "logs on a cluster must lie in a folder that all nodes share, or be named by URL"
+        missing = LogError(f"not there on node {platform.node()}", file=source.path, remedy=remedy)
+        return Failure(source.label, str(missing))
+    return None
+
+
+@cache
+def _stamp_here(planners: tuple[str, ...], metrics: tuple[str, ...], of_loop: tuple[str, ...], reader: str) -> Stamp:
+    """The stamp of this node, once in each of its processes."""
+    loop = LoopConfig(**dict(zip(KINDS, of_loop, strict=True)))  # type: ignore[arg-type]
+    return stamp_of(RunConfig(planners=planners, metrics=metrics, loop=loop, log=LogSettings(reader=reader)))
+
+
+_settled = cache(settle)
+"""Once in each process, behind its first log: by then all kernels are loaded."""
+
+
+def _kept(
+    ended: Iterator[tuple[int, tuple[LogResult, dict[str, bytes]] | WorkerLost]], out: Path
+) -> Iterator[tuple[int, LogResult | WorkerLost]]:
+    """The results, whose folders are in `out` by then."""
+    for index, answer in ended:
+        if isinstance(answer, WorkerLost):
+            yield index, answer
+            continue
+        result, files = answer
+        if result.folder:
+            _write_folder(out, result.folder, files)
+        yield index, result
+
+
+def _write_folder(out: Path, name: str, files: dict[str, bytes]) -> None:
+    """A log's folder: under a temporary name until all of it is there."""
+    partial = out / f"{PARTIAL}{name}"
+    try:
+        with writing(out / name):
+            partial.mkdir()
+            for file, content in files.items():
+                (partial / Path(file).name).write_bytes(content)
+            partial.rename(out / name)
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)

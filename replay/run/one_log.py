@@ -1,0 +1,329 @@
+"""One log: log -> drives -> tables -> files. What a worker does; it returns its errors and raises none.
+
+The files of a log are written into a folder with a temporary name, which is renamed when all are there.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import traceback
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, field, replace
+from functools import partial
+from hashlib import sha256
+from math import inf
+from pathlib import Path
+from time import perf_counter
+
+import pandas as pd
+
+import metrics
+from logs.errors import ConfigError, OutputError, PlannerError, ReplanError, of_users, raised, writing
+from logs.frame_store import FrameStore
+from logs.mcap import write_scenario, write_trace
+from logs.mcap.writer import Entry
+from logs.memory import give_back
+from logs.scenario import Scenario
+from logs.trace import EndReason, Mode, Trace
+from metrics import METRICS, Metric, health, load_metric
+from metrics.comfort import LON_JERK_STATE
+from metrics.ensemble import MEMBER
+from replay.config import RunConfig
+from replay.drive import Drive, Place
+from replay.loop.avoidability import with_avoidability
+from replay.loop.closed_loop import run_closed_loop
+from replay.loop.determinism import NOT_DETERMINISTIC, with_probe
+from replay.loop.open_loop import run_open_loop
+from replay.loop.planning import Planning
+from replay.loop.reference_drives import late_follower, with_references
+from replay.planner_process.planner_config import is_apart, is_built_in, planner_keywords
+from replay.results.log_result import DriveRecord, Failure, LogResult, LogTables, Stamp, keep
+from replay.results.tables import KEYS, PARTIAL, TIMING_COLUMNS, joined, safe_name
+from replay.run.perturb import perturbed
+from replay.run.sources import LogSource, file_hash
+from replay.run.steps import Steps, StepsFile
+
+SHOWN = (LON_JERK_STATE.name,)
+"""The metrics of which a recording shows the steps."""
+LOOPS = {Mode.OPEN: run_open_loop, Mode.CLOSED: run_closed_loop}
+
+
+@dataclass
+class _Progress:
+    """What one log has given so far."""
+
+    log: str
+    drives: list[DriveRecord] = field(default_factory=list)
+    failures: list[Failure] = field(default_factory=list)
+    tables: list[pd.DataFrame] = field(default_factory=list)
+    timings: list[pd.DataFrame] = field(default_factory=list)
+    members: list[pd.DataFrame] = field(default_factory=list)
+
+    @contextmanager
+    def attempt(self, planner: str | None = None, mode: Mode | None = None) -> Iterator[None]:
+        """What is raised inside becomes a failure of this log, planner and mode."""
+        place = (planner, mode.value if mode else None)
+        try:
+            yield
+        except OutputError:
+            raise
+        except ReplanError as error:
+            code = 2 if isinstance(error, ConfigError) else 3
+            self.failures.append(Failure(self.log, str(error), *place, exit_code=code))
+        except (Exception, SystemExit) as error:
+            whose = "raised by code that the run names" if of_users(error) else "a bug in replan"
+            line = f"{self.log}: {whose}: {raised(error)}; traceback in summary.json"
+            self.failures.append(Failure(self.log, line, *place, traceback=traceback.format_exc()))
+
+    def broken(self, planner: str, mode: Mode) -> metrics.Broken:
+        """What is noted of a metric of this drive that raises: it costs itself only."""
+
+        def noted(metric: Metric, reason: str, error: BaseException) -> None:
+            ours = METRICS.get(metric.name) is metric
+            what = "a bug in replan, in its" if ours else "not available is the"
+            line = f"{self.log}: {what} metric '{metric.name}': {reason}; traceback in summary.json"
+            said = {(known.message, known.planner, known.mode) for known in self.failures}
+            if (line, planner, mode.value) not in said:  # each reduction, each member of an ensemble
+                trace = "".join(traceback.format_exception(error))
+                self.failures.append(Failure(self.log, line, planner, mode.value, traceback=trace))
+
+        return noted
+
+    def filled(self, result: LogResult) -> LogResult:
+        """The result with what there is so far."""
+        return replace(result, drives=tuple(self.drives), failures=tuple(self.failures))
+
+    def tables_with(self, found: pd.DataFrame) -> LogTables:
+        """The tables of what there is so far, and the log's health."""
+        return LogTables(
+            metrics=joined(self.tables, KEYS, metrics.COLUMNS),
+            members=joined(self.members, [MEMBER, *KEYS]),
+            health=found,
+            timings=joined(self.timings, TIMING_COLUMNS[:4], TIMING_COLUMNS),
+        )
+
+
+def evaluate_log(source: LogSource, run: RunConfig, out: Path, stamp: Stamp) -> LogResult:
+    """Drive one log with each planner in each mode, measure, and write the log's folder into `out`.
+
+    Where it cannot be written (the disk is full), `LogResult.stopped` says so, and nothing of it is left.
+    """
+    progress, begin = _Progress(source.label), perf_counter()
+    partial = out / f"{PARTIAL}{sha256(source.label.encode()).hexdigest()[:16]}-{os.getpid()}"
+    done: LogResult | None = None
+    try:
+        with writing(partial):
+            partial.mkdir()
+        with progress.attempt(), source.fetched() as near:
+            identity = source.identity()
+            scenario = near.read()
+            result, found = _identified(near, scenario, partial, run)
+            progress.log = scenario.name
+            driven = with_avoidability(scenario.in_vehicle(run.driven(scenario.vehicle)))
+            _drive_all(driven, run, partial, result.folder, progress)
+            for member in range(1, run.ensemble + 1):
+                _drive_member(driven, run, member, progress)
+            result = progress.filled(result)
+            keep(partial, result, progress.tables_with(found), identity, stamp)
+            with writing(out / result.folder):
+                partial.rename(out / result.folder)
+            done = result
+    except OutputError as error:
+        return LogResult(source.label, progress.log, stopped=str(error))
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+    result = done or LogResult(source.label, progress.log)
+    return replace(result, failures=tuple(progress.failures), seconds=perf_counter() - begin)
+
+
+def all_metrics(run: RunConfig) -> Mapping[str, Metric]:
+    """The built-in metrics and the run's own.
+
+    Raises:
+        ConfigError: A metric cannot be loaded, or has the name of another.
+    """
+    found = dict(METRICS)
+    for metric in map(load_metric, run.metrics):
+        if metric.name in found:
+            raise ConfigError(f"there are two metrics called '{metric.name}'; rename yours")
+        found[metric.name] = metric
+    return found
+
+
+def _identified(source: LogSource, scenario: Scenario, folder: Path, run: RunConfig) -> tuple[LogResult, pd.DataFrame]:
+    """The log by name and content, and its health; what was no native or OSI MCAP is written as one, `log.mcap`.
+
+    Channels for Foxglove do not count as content.
+    """
+    path = source.path
+    if path is None or not source.is_mcap:
+        path = folder / "log.mcap"
+        write_scenario(path, scenario)
+    digest = file_hash(path)
+    if run.foxglove and path.parent == folder:
+        from replay.draw.foxglove import scenario_channels
+
+        write_scenario(path, scenario, beside=scenario_channels(scenario))
+    name = safe_name(scenario.name, digest)
+    found = health.findings(scenario)
+    notes = (*map(scenario.short_names, scenario.notes), *health.sentences(found))
+    table = health.table(scenario.name, found)
+    groups = scenario.family, scenario.dataset, scenario.tags
+    return LogResult(source.label, scenario.name, digest, name, *groups, notes), table
+
+
+def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, progress: _Progress) -> None:
+    if Mode.CLOSED in run.modes:
+        with progress.attempt():
+            scenario, tables = with_references(scenario, run.loop)
+            progress.tables += tables
+    with closing(StepsFile(folder)) as steps:
+        for planner, mode, place in _places(run):
+            with progress.attempt(planner, mode):
+                stem = mode.value if len(run.planners) == 1 else f"{mode.value}.{safe_name(planner)}"
+                trace = _drive_one(scenario, planner, mode, run, place, folder / stem, progress, steps)
+                if trace.end is EndReason.PLANNER_FAILURE:
+                    progress.failures.append(Failure(progress.log, trace.detail, planner, mode.value))
+                files = tuple(f"{final}/{file.name}" for file in sorted(folder.glob(f"{stem}.*")))
+                progress.drives.append(_record(trace, scenario, files))
+                del trace  # before the next one is driven: of an hour it is large
+        steps.write()
+    with progress.attempt():
+        progress.tables += late_follower(progress.tables, scenario, run.loop)
+
+
+def _places(run: RunConfig, member: int = 0) -> Iterator[tuple[str, Mode, Place]]:
+    """Planner and loop of each drive of a log, or of a member of its ensemble."""
+    for i, planner in enumerate(run.planners):
+        for j, mode in enumerate(run.modes):
+            yield planner, mode, Place(member, i, j)
+
+
+def _drive_one(
+    scenario: Scenario,
+    planner: str,
+    mode: Mode,
+    run: RunConfig,
+    place: Place,
+    file: Path,
+    progress: _Progress,
+    steps: StepsFile,
+) -> Trace:
+    """Drive, measure and write one planner in one loop; `file` is without its suffix."""
+    drive = _probed(_driven(scenario, planner, mode, run, place, keep=run.keep_internals), scenario, mode, run, place)
+    found: dict[str, Steps] = {}
+
+    def put(name: str, series: metrics.Series) -> None:
+        found[name] = steps.put(name, series)
+
+    broken = progress.broken(planner, mode)
+    _tidy(drive.trace)
+    table = metrics.evaluate(drive.trace, scenario, metrics=all_metrics(run), broken=broken, found=put)
+    _tidy(drive.trace)
+    steps.add(drive.trace.planner, mode.value, tuple(found.values()))
+    progress.tables.append(table)
+    progress.timings.append(_timings(drive))
+    with progress.attempt(planner, mode):
+        shown = steps.table([found[name] for name in SHOWN if name in found])
+        _write_drive(file, drive, scenario, table, shown, run)
+    return drive.trace
+
+
+def _tidy(trace: Trace) -> None:
+    """After a stage of a long drive."""
+    if isinstance(trace.frames, FrameStore):
+        give_back()
+
+
+def _driven(
+    scenario: Scenario,
+    planner: str,
+    mode: Mode,
+    run: RunConfig,
+    place: Place,
+    *,
+    keep: bool,
+    until_s: float = inf,
+) -> Drive:
+    table = run.planner.get(planner, {})
+    keywords = table if is_apart(planner, run.loop.apart) else planner_keywords(planner, table)
+    return LOOPS[mode](
+        scenario,
+        planner,
+        planner_config=keywords,
+        config=run.loop,
+        keep_internals=keep,
+        until_s=until_s,
+        seat=partial(Planning, place=place),
+    )
+
+
+def _probed(drive: Drive, scenario: Scenario, mode: Mode, run: RunConfig, place: Place) -> Drive:
+    """The drive, marked where its planner is the user's own and is not deterministic (`RunConfig.repeat_s`)."""
+    planner, until_s = drive.trace.planner, float(scenario.ego.t[0]) + run.repeat_s
+    if not run.repeat_s or drive.trace.oracle or is_built_in(planner) or not drive.trace.frames:
+        return drive
+    try:
+        second = replace(place, again=True)
+        again = _driven(scenario, planner, mode, run, second, keep=False, until_s=until_s).trace
+    except PlannerError as error:
+        note = f"{NOT_DETERMINISTIC}{planner}, driven twice: it can be built only once: {error}"
+        return replace(drive, trace=replace(drive.trace, notes=(*drive.trace.notes, note)))
+    return replace(drive, trace=with_probe(drive.trace, again, until_s))
+
+
+def _drive_member(scenario: Scenario, run: RunConfig, member: int, progress: _Progress) -> None:
+    """The rows of one member of the ensemble; nothing else of it is kept."""
+    name, other = perturbed(scenario, member)
+    other = with_avoidability(other)
+    measures = all_metrics(run)
+    tables: list[pd.DataFrame] = []
+    if Mode.CLOSED in run.modes:
+        other, tables = with_references(other, run.loop)
+    for planner, mode, place in _places(run, member):
+        with progress.attempt(planner, mode):
+            drive = _driven(other, planner, mode, run, place, keep=bool(run.metrics))
+            noted = progress.broken(planner, mode)
+            tables.append(metrics.evaluate(drive.trace, other, metrics=measures, broken=noted))
+    tables += late_follower(tables, other, run.loop)
+    progress.members.extend(table.assign(member=member, perturbation=name) for table in tables)
+
+
+def _write_drive(
+    file: Path, drive: Drive, scenario: Scenario, table: pd.DataFrame, steps: pd.DataFrame, run: RunConfig
+) -> None:
+    """The trace as `file`.mcap, its recording as `file`.rrd."""
+    beside: Iterable[Entry] = ()
+    if run.foxglove:
+        from replay.draw.foxglove import trace_channels
+
+        beside = trace_channels(drive.trace, scenario)
+    write_trace(Path(f"{file}.mcap"), drive.trace, scenario, internals=run.internals, beside=beside)
+    _tidy(drive.trace)
+    if run.recording:
+        from replay.draw.recording import write_recording
+
+        write_recording(Path(f"{file}.rrd"), drive, scenario, table, steps)
+
+
+def _record(trace: Trace, scenario: Scenario, files: tuple[str, ...]) -> DriveRecord:
+    return DriveRecord(
+        log=trace.scenario,
+        planner=trace.planner,
+        mode=trace.mode.value,
+        oracle=trace.oracle,
+        end=trace.end.value,
+        detail=scenario.short_names(trace.detail),
+        t_end_s=float(trace.ego.t[-1]),
+        notes=tuple(map(scenario.short_names, trace.notes)),
+        files=files,
+    )
+
+
+def _timings(drive: Drive) -> pd.DataFrame:
+    trace, laps = drive.trace, drive.timings
+    named = {"log": trace.scenario, "planner": trace.planner, "mode": trace.mode.value}
+    columns = {"t_s": [lap.t for lap in laps], "stage": [lap.stage for lap in laps]}
+    return pd.DataFrame({**named, **columns, "seconds": [lap.seconds for lap in laps]}, columns=TIMING_COLUMNS)

@@ -1,0 +1,157 @@
+"""Going on with a run that was interrupted: the logs whose folders are whole are taken as they are.
+
+A folder is taken if it came from the same input (name and bytes) under the same configuration, version and source of
+replan and of what users add by name (planners, metrics, ...); gates may differ, they are applied at the end.
+Anything else in the folder of the run is a reason to refuse: nothing is evaluated anew silently, and nothing of another
+run is mixed in.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from hashlib import sha256
+from pathlib import Path
+from typing import Any
+
+from logs.errors import ConfigError, LogError
+from logs.extension import Kind
+from logs.files import read_toml
+from logs.readers import READER
+from metrics import METRIC
+from planners import PLANNER
+from replan.own import PACKAGES
+from replay.config import RunConfig, dump_run
+from replay.oracle import ORACLES
+from replay.planner_process.link import command_of
+from replay.results.log_result import LogResult, Stamp, kept
+from replay.results.tables import FILES, LOG_CARD, PARTIAL, check_ours, clear_partial
+from replay.results.version import replan_version
+from replay.run.checks import KINDS
+from replay.run.sources import LogSource
+
+START_OVER = "leave out --resume to start over"
+
+
+def stamp_of(run: RunConfig) -> Stamp:
+    """Version, and hash of the source files of replan and of the modules that the run names."""
+    root = Path(__file__).parents[2]
+    files = [file for package in PACKAGES for file in sorted((root / package).rglob("*.py"))]
+    digest = sha256()
+    for file in files:
+        digest.update(f"{file.relative_to(root)}\n".encode() + file.read_bytes())
+    for file in _files_of(run):
+        digest.update(f"{file.name}\n".encode() + file.read_bytes())
+    return Stamp(replan_version(), digest.hexdigest())
+
+
+def _files_of(run: RunConfig) -> Iterator[Path]:
+    """The files of all that is not ours: modules ("module:NAME", entry points), and what commands name."""
+    yield from (file for name in run.planners for file in _of_planner(name))
+    named: list[tuple[Kind[Any], str]] = [(METRIC, name) for name in run.metrics]
+    named += [(READER, name) for name in (*READER.entries(), run.log.reader) if name]
+    named += [(kind, getattr(run.loop, key)) for key, (kind, _) in KINDS.items()]
+    for kind, name in named:
+        file = None if name in kind.besides else kind.file(name)
+        yield from () if file is None else (file,)
+
+
+def _of_planner(name: str) -> list[Path]:
+    if name in ORACLES or name.startswith("tcp:"):
+        return []
+    if not name.startswith("exec:"):
+        file = PLANNER.file(name)
+        return [] if file is None else [file]
+    words = command_of(name)
+    found = [Path(shutil.which(words[0]) or words[0]), *map(Path, words[1:])]
+    return [file for file in found if file.is_file()]
+
+
+def finished(out: Path, sources: Sequence[LogSource], run: RunConfig, stamp: Stamp) -> dict[int, LogResult]:
+    """The results that an interrupted run left in `out`, by index of their source; clears what it left unfinished.
+
+    Raises:
+        ConfigError: `out` holds something else than such a run of these logs, this configuration and this code.
+    """
+    check_ours(out)
+    folders = [folder for folder in sorted(out.iterdir()) if (folder / LOG_CARD).is_file()]
+    if folders or (out / "run.toml").is_file():
+        _check_run(out, run)
+    found = {folder: kept(folder) for folder in folders if not folder.name.startswith(PARTIAL)}
+    inputs = {identity_of(source): index for index, source in enumerate(sources)}
+    results: dict[int, LogResult] = {}
+    for content in found.values():
+        if content is None:
+            continue
+        result, identity, was = content
+        if was != stamp:
+            raise ConfigError(f"{out}: was begun with {_other(was, stamp)}; {START_OVER}")
+        if identity not in inputs:
+            raise ConfigError(
+                f"{out}: holds results of {result.source}, which is not among the logs or has changed; name the same"
+                f" logs as before, or {START_OVER}"
+            )
+        results[inputs[identity]] = replace(result, source=sources[inputs[identity]].label)
+    _clear(out, [folder for folder, content in found.items() if content is None])
+    return results
+
+
+def identity_of(source: LogSource) -> str:
+    """Its identity; the label where it cannot be read (the evaluation will say why)."""
+    try:
+        return source.identity()
+    except LogError:
+        return source.label
+
+
+def _check_run(out: Path, run: RunConfig) -> None:
+    """Refuse another configuration; the gates may be others."""
+    changed = changes(read_toml(out / "run.toml"), _as_read(run), besides="gates")
+    if changed:
+        raise ConfigError(
+            f"{out}: was begun with another configuration: {changed}; give the same options, or {START_OVER}"
+        )
+
+
+def changes(before: Mapping[str, Any], now: Mapping[str, Any], besides: str = "") -> str:
+    """In which keys but `besides` two configurations differ, in words; "": in none."""
+    was, now = dict(_flat(before)), dict(_flat(now))
+    changed = [key for key in dict.fromkeys([*was, *now]) if was.get(key) != now.get(key) and key != besides]
+    said = ", ".join(f"{key} was {_said(was, key)}, is {_said(now, key)}" for key in changed[:3])
+    return f"{said} and {len(changed) - 3} more" if len(changed) > 3 else said
+
+
+def _as_read(run: RunConfig) -> dict[str, Any]:
+    """The configuration as it would be read from the file of a run."""
+    import tomllib
+
+    return tomllib.loads(dump_run(run))
+
+
+def _flat(table: Mapping[str, Any], where: str = "") -> Iterator[tuple[str, Any]]:
+    for key, value in table.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{where}{key}.")
+        else:
+            yield f"{where}{key}", value
+
+
+def _said(table: Mapping[str, Any], key: str) -> str:
+    return repr(table[key]) if key in table else "not set"
+
+
+def _other(was: Stamp, now: Stamp) -> str:
+    if was.replan != now.replan:
+        return f"replan {was.replan}, this is {now.replan}"
+    return "other code of replan, of a planner or of a metric than there is now"
+
+
+def _clear(out: Path, broken: Sequence[Path]) -> None:
+    """Remove what was not finished, and the tables: they are written anew at the end."""
+    clear_partial(out)
+    for folder in broken:
+        shutil.rmtree(folder)
+    for name in FILES:
+        if name != "run.toml":
+            (out / name).unlink(missing_ok=True)

@@ -1,0 +1,338 @@
+"""Which logs a run evaluates: files, folders, or the built-in suite; and how many were found, kept and left out.
+
+An empty selection is an error that says what was looked for: it must not look like a run in which nothing failed.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from math import inf
+from pathlib import Path
+
+from logs.catalogue import CATALOGUE, FAMILY, scenario
+from logs.catalogue.suites import suite
+from logs.errors import ConfigError, LogError
+from logs.files import check_regular
+from logs.maps import map_files
+from logs.readers import (
+    FORMATS,
+    LogSettings,
+    Reader,
+    foreign,
+    logs_in,
+    read_log,
+    reader_of,
+    readers,
+    windows,
+    with_tracks,
+)
+from logs.remote import RemoteFile, fetch, heads, listed, local_path, ranged, url_of
+from logs.scenario import Scenario
+from replay.results.tables import LOG_CARD
+
+BYTES_PER_S: Mapping[str, float] = {
+    "native": 1e3,
+    "commonroad": 80e3,
+    "osi": 50e3,
+    "comma2k19": 2e3,
+    "table": 20e3,
+    "ros": 25e3,
+    "123d": 165e3,
+    "argoverse2": 65e3,
+}
+"""Size of a second of drive by format, medians of our logs: only for the order in which they are driven."""
+_OTHER_BYTES_PER_S = 50e3
+
+LOOKED_INTO = (".xml", ".bag", ".db3", ".yaml", ".mcap")
+"""Files of which readers look at the begin to claim a log; of others the name says it."""
+HEAD_BYTES = 4096
+
+
+@dataclass(frozen=True)
+class LogSource:
+    """Where a log comes from: a file or folder of any format, or the catalogue.
+
+    Attributes:
+        label: What the user calls it; of the catalogue the name of a scenario (`logs.catalogue.scenario`).
+        path: The file or folder; None for the catalogue.
+        settings: How it is read.
+        digest: Its `log_hash` where it is known: a long log in many parts is hashed once; "": not known.
+        remote: Its files where it is named by URL: `fetched` has it as a path.
+        format: Of a remote log, as far as its name says.
+    """
+
+    label: str
+    path: Path | None = None
+    settings: LogSettings = field(default_factory=LogSettings)
+    digest: str = ""
+    remote: tuple[RemoteFile, ...] = ()
+    format: str = ""
+
+    def identity(self) -> str:
+        """What tells it from every other input: names and hashes of log and map, or the name; LogError as `read`.
+
+        Of a remote log sizes and versions are taken for the hash: it is not fetched for that.
+        """
+        if self.path is None and not self.remote:
+            file = FAMILY.file(self.label.partition("@")[0])
+            return f"catalogue {self.label}{f' {file_hash(file)}' if file else ''}"
+        settings = self.settings
+        if settings.map:
+            settings = replace(settings, map=" ".join(map(file_hash, map_files(Path(settings.map)))))
+        part = "" if settings == LogSettings() else f" {settings}"
+        if self.path is None:
+            return f"{self._entry} {_version(self.remote) or self.label}{part}"
+        return f"{self.path.name} {self.digest or log_hash(self.path, settings)}{part}"
+
+    @contextmanager
+    def fetched(self) -> Iterator[LogSource]:
+        """This log on this machine, for as long; LogError where it cannot be fetched."""
+        if not self.remote:
+            yield self
+            return
+        with tempfile.TemporaryDirectory(prefix="replan-") as scratch:
+            if not self._part_fetched(Path(scratch, self._entry)):
+                fetch(self.remote, Path(scratch))
+            try:
+                yield replace(self, path=Path(scratch, self._entry), remote=())
+            except LogError as error:
+                raise error.at(self.label) from None
+
+    def _part_fetched(self, path: Path) -> bool:
+        """Whether the part that is asked for is at `path` now: of native MCAP no more needs to be fetched."""
+        begin, end, (file, *more) = self.settings.begin, self.settings.end, self.remote
+        if self.format != "native" or more or not (begin > 0.0 or end < inf):
+            return False
+        from logs.mcap.part import write_part
+
+        return write_part(ranged(file), file.size, begin, end, path)
+
+    @property
+    def _entry(self) -> str:
+        """The name of a remote log's file or folder."""
+        return self.remote[0].name.partition("/")[0]
+
+    def read(self) -> Scenario:
+        """The scenario; LogError where it cannot be read."""
+        if self.path is None:
+            return with_tracks(scenario(self.label), self.settings)
+        return read_log(self.path, self.settings)
+
+    @property
+    def expected_s(self) -> float:
+        """About how long the drive is, s, by the log's size; of the catalogue 0: that would have to be made first."""
+        if self.settings.end < inf:
+            return self.settings.end - self.settings.begin
+        if self.path is None:
+            size = sum(file.size for file in self.remote)
+            return size / BYTES_PER_S.get(self.format, _OTHER_BYTES_PER_S)
+        reader = reader_of(self.path, self.settings)
+        files = () if reader is None else _files(reader, self.path)
+        size = sum(file.stat().st_size for file in files if file.is_file())
+        return size / BYTES_PER_S.get(reader.name if reader else "", _OTHER_BYTES_PER_S)
+
+    @property
+    def is_mcap(self) -> bool:
+        """Whether it is a native or OSI MCAP that is read as it is: no copy of it is needed beside the results."""
+        reader = None if self.path is None else reader_of(self.path, self.settings)
+        return reader is not None and reader.name == "native" and self.settings == LogSettings()
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The logs of a run; as text the funnel: found, kept, and why not the others.
+
+    Attributes:
+        sources: Kept, in the order given (folders: sorted by path).
+        dropped: Why others were left out, one line each.
+    """
+
+    sources: tuple[LogSource, ...]
+    dropped: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        counts = f"{len(self.sources) + len(self.dropped)} found, {len(self.sources)} kept"
+        return "; ".join([counts, *(f"left out {reason}" for reason in self.dropped)])
+
+
+def builtin_suite() -> Selection:
+    """Every family of the catalogue at its defaults."""
+    return Selection(tuple(LogSource(name) for name in CATALOGUE))
+
+
+def named_suite(name: str) -> Selection:
+    """A suite of the catalogue, or all cells of one of its families or groups; ConfigError: nothing is called so."""
+    return Selection(tuple(LogSource(label) for label in suite(name)))
+
+
+def select(paths: Sequence[Path | str], settings: LogSettings | None = None, window: float | None = None) -> Selection:
+    """The logs that files and folders hold, of all formats in `logs.readers`.
+
+    A folder that is no log itself is searched for logs. Results of earlier runs, hidden files and second copies of the
+    same bytes are left out. With `window`, each log becomes its parts of so many seconds.
+
+    Raises:
+        ConfigError: A path does not exist, is of a kind that no reader knows, or nothing is left.
+    """
+    settings = settings or LogSettings()
+    kept: dict[str, LogSource] = {}
+    dropped: list[str] = []
+    for place in paths:
+        url = url_of(place)
+        candidates = list(_remote(url, settings) if url else _local(local_path(place), settings))
+        if not candidates:
+            looked = ", ".join(dict.fromkeys(reader.looks_for for reader in readers(settings.reader)))
+            raise ConfigError(f"{url or place}: no logs in this folder; looked for {looked}, 0 found; {FORMATS}")
+        for log, reason in candidates:
+            source = log if reason or log.remote else _hashed(log)
+            key = _version(log.remote) or source.digest or (os.path.realpath(log.path) if log.path else log.label)
+            twin = kept.get(key)
+            reason = reason or (f"the same bytes as {twin.label}" if twin else "")
+            if reason:
+                dropped.append(f"{log.label}: {reason}")
+            else:
+                kept[key] = source
+    sources = tuple(kept.values()) if window is None else tuple(p for s in kept.values() for p in _parts(s, window))
+    selection = Selection(sources, tuple(dropped))
+    if not kept:
+        raise ConfigError(f"no logs to evaluate: {selection}")
+    return selection
+
+
+def _parts(source: LogSource, window: float) -> Iterator[LogSource]:
+    """The windows of a log; the log whole where it cannot be read (the evaluation will say why)."""
+    try:
+        with source.fetched() as near:
+            assert near.path is not None
+            parts = windows(near.path, source.settings, window)
+    except LogError:
+        parts = (source.settings,)
+    for part in parts:
+        yield replace(source, label=f"{source.label} from {part.begin:g} s", settings=part)
+
+
+def _local(path: Path, settings: LogSettings) -> Iterator[tuple[LogSource, str]]:
+    """The logs at a path, each with the reason why it is left out ("" keeps it)."""
+    return ((LogSource(str(log), log, settings), reason) for log, reason in _logs(path, settings))
+
+
+def _remote(url: str, settings: LogSettings) -> Iterator[tuple[LogSource, str]]:
+    """The logs at a URL: those that are found in a folder of the same names with what readers look at, and no more."""
+    files = listed(url)
+    if not files:
+        raise ConfigError(f"{url}: no such file or folder")
+    with tempfile.TemporaryDirectory(prefix="replan-") as scratch:
+        root = Path(scratch, url.rpartition("/")[2])
+        is_file = files[0].url == url
+        at = {root if is_file else root / file.name: file for file in files}
+        looked = [file for file in files if Path(file.name).suffix.lower() in LOOKED_INTO]
+        begins = dict(zip(looked, heads(looked, HEAD_BYTES), strict=True))
+        for path, file in at.items():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(begins.get(file, b""))
+        for log, reason in _logs(root, settings):
+            reader = reader_of(log, settings)
+            names = log.relative_to(root.parent).as_posix().removeprefix(root.name)
+            parts = [
+                replace(at[path], name=path.relative_to(log.parent).as_posix()) for path in _needed(reader, log, at)
+            ]
+            yield LogSource(url + names, None, settings, "", tuple(parts), reader.name if reader else ""), reason
+
+
+def _needed(reader: Reader | None, log: Path, at: Mapping[Path, RemoteFile]) -> list[Path]:
+    """The files of a log of which only the names are known; all under it where its reader wants to see more."""
+    try:
+        named = [path for path in (() if reader is None else reader.files(log)) if path in at]
+    except Exception:  # of a reader to which empty files are damaged ones
+        named = []
+    if named and all(path.is_relative_to(log.parent) for path in named):
+        return named
+    return [path for path in at if path == log or path.is_relative_to(log)]
+
+
+def _version(files: Sequence[RemoteFile]) -> str:
+    """A hash of names, sizes and versions of a log's files; "" where a version is not known."""
+    if not all(file.version for file in files):
+        return ""
+    if len(files) == 1:
+        return f"{files[0].size}-{files[0].version}"
+    text = "".join(f"{file.name.partition('/')[2]} {file.size} {file.version}\n" for file in files)
+    return hashlib.sha256(text.encode()).hexdigest() if files else ""
+
+
+def _hashed(source: LogSource) -> LogSource:
+    assert source.path is not None
+    return replace(source, digest=_digest(source.path, source.settings))
+
+
+def _logs(path: Path, settings: LogSettings) -> Iterator[tuple[Path, str]]:
+    """Candidates at a path, each with the reason why it is left out ("" keeps it)."""
+    if not path.exists():
+        raise ConfigError(f"{path}: no such file or folder")
+    if reader_of(path, settings) is not None:
+        yield path, ""
+    elif path.is_dir():
+        for log, reader in logs_in(path, settings):
+            yield log, _objection(log, path) or ("" if reader else "no reader claims it")
+    else:
+        raise ConfigError(str(foreign(path)))
+
+
+def _objection(file: Path, folder: Path) -> str:
+    """Why a file found in a folder is no input."""
+    if any(part.startswith(".") for part in file.relative_to(folder).parts):
+        return "hidden"
+    if (file.parent / LOG_CARD).exists():
+        return "a result of an earlier run (name it to evaluate it)"
+    return ""
+
+
+def _files(reader: Reader, log: Path) -> tuple[Path, ...]:
+    """The files of a log; none where it cannot be read (the evaluation will say why)."""
+    try:
+        return reader.files(log)
+    except LogError:
+        return ()
+
+
+def _digest(log: Path, settings: LogSettings) -> str:
+    """Hash of the bytes; "" where they cannot be read (the evaluation will say why)."""
+    try:
+        return log_hash(log, settings)
+    except LogError:
+        return ""
+
+
+def log_hash(path: Path, settings: LogSettings | None = None) -> str:
+    """SHA-256 of a log's bytes: of the file, or of the names and hashes of its files (a map may lie elsewhere)."""
+    reader = reader_of(path, settings)
+    try:
+        files = (path,) if reader is None else reader.files(path)
+    except LogError as error:
+        raise error if error.file is not None else error.at(path) from None
+    if files == (path,):
+        return file_hash(path)
+    listed = "".join(f"{_beside(file, path)} {file_hash(file)}\n" for file in files)
+    return hashlib.sha256(listed.encode()).hexdigest()
+
+
+def _beside(file: Path, path: Path) -> str:
+    """Where a file is, seen from a log: the same wherever both are."""
+    return Path(os.path.relpath(os.path.realpath(file), os.path.realpath(path))).as_posix()
+
+
+def file_hash(path: Path) -> str:
+    """SHA-256 of a file's bytes, hexadecimal; LogError where it cannot be read."""
+    try:
+        check_regular(path)
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, "sha256").hexdigest()
+    except LogError as error:
+        raise error.at(path) from None
+    except OSError as error:
+        raise LogError(f"cannot be read: {error.strerror}", file=path) from None

@@ -1,0 +1,271 @@
+"""What a recording tells of assumptions and choices: the others as the planner was shown them, lanes, and why."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from recordings import Recording
+from sample_drive import drive, road
+
+from logs import (
+    AgentKind,
+    Agents,
+    EgoState,
+    Frame,
+    LaneOption,
+    Plan,
+    PlannedFrame,
+    Predictions,
+    Trace,
+    Tracks,
+    Visibility,
+)
+from logs.catalogue import CATALOGUE
+from logs.trace import KEPT_STEP_S
+from replay.config import LoopConfig
+from replay.draw.recording import write_recording
+from replay.draw.recording.events import events
+from replay.draw.recording.lane_choice import changes_under_way, choices, lanes_driven, options, told
+from replay.draw.recording.others import futures, hatching, perceived_only, rim, unseen
+from replay.draw.recording.why import why
+from replay.drive import Drive
+from replay.explain import accounts
+from replay.loop.closed_loop import run_closed_loop
+
+EGO = EgoState(3.0, 0.0, 0.0, 0.0, 10.0)
+PLAN = drive()[0].trace.frames[30].plan
+
+
+def page(trace: Trace, index: int, *more: object) -> str:
+    """The page of a frame."""
+    _, world = drive()
+    account = list(accounts(trace, world))[index]
+    return "\n".join(why(trace.frames[index], account, *more))  # type: ignore[arg-type]
+
+
+def agents(count: int) -> Agents:
+    """So many cars at the origin."""
+    zero = np.zeros(count)
+    ids = tuple(f"car {i}" for i in range(count))
+    return Agents(ids, (AgentKind.CAR,) * count, zero + 4.0, zero + 2.0, zero, zero, zero, zero, zero)
+
+
+# ---------------------------------------------------------------------------------------------------------- laws
+
+
+@given(st.integers(0, 90), st.sampled_from([0.05, 0.1, 0.2, 0.5, 0.7]), st.integers(0, 3))
+def test_kept_predictions_are_those_of_the_frame_more_rarely(steps: int, step: float, rows: int) -> None:
+    t = 3.0 + step * np.arange(steps + 1)
+    x = np.arange(rows)[:, None] + t[None, :]
+    some = Predictions(t, np.zeros(rows, np.int64), np.ones(rows), x, -x, 0.0 * x, "constant_velocity")
+    kept = PlannedFrame.of(Frame(3.0, EGO, agents(rows), some), PLAN).predictions
+    assert kept is not None
+    assert kept.t[0] == t[0] and kept.t[-1] == t[-1]
+    assert np.diff(kept.t).max(initial=0.0) <= max(KEPT_STEP_S, step) + 0.5 * step + 1e-9
+    for row in range(rows):
+        np.testing.assert_array_equal(kept.x[row], row + kept.t)
+
+
+def visibility(shadows: np.ndarray, *, field_of_view: float = 7.0, reach: float = 40.0) -> Visibility:
+    return Visibility(0.0, 0.0, 0.3, reach, field_of_view, shadows)
+
+
+@given(st.floats(5.0, 30.0), st.floats(-3.0, 3.0), st.floats(0.3, 3.0))
+def test_hatched_ground_is_hidden_ground(away: float, turn: float, half: float) -> None:
+    along, left = np.array([np.cos(turn), np.sin(turn)]), np.array([-np.sin(turn), np.cos(turn)])
+    near = [away * along - half * left, away * along + half * left]
+    far = [60.0 / away * corner for corner in near]
+    seen = visibility(np.array([[near[0], far[0], far[1], near[1]]]))
+    lines = hatching(seen)
+    assert lines
+    middles = np.array([line.mean(axis=0) for line in lines[1:-1]]).reshape(-1, 2)
+    assert seen.hides(middles).all()
+    assert all(np.hypot(*line[1]) == pytest.approx(40.0) for line in lines)
+
+
+@given(st.floats(0.2, 6.2), st.floats(5.0, 100.0))
+def test_the_rim_of_the_sensor_is_the_edge_of_what_it_sees(view: float, reach: float) -> None:
+    seen = visibility(np.empty((0, 4, 2)), field_of_view=view, reach=reach)
+    (edge,) = rim(seen)
+    corners = edge[1:-1]
+    assert not seen.hides(0.999 * corners[1:-1]).any()
+    assert seen.hides(1.001 * corners).all()
+
+
+# -------------------------------------------------------------------------------------------- a drive by a sensor
+
+
+@pytest.fixture(scope="module")
+def sensed() -> Drive:
+    scenario = CATALOGUE["paper/crossing_pedestrian"].scenario()
+    config = LoopConfig(perception="sensor", prediction="pedestrian")
+    return run_closed_loop(scenario, "constant_speed", config=config)
+
+
+def test_a_drive_keeps_what_the_planner_was_shown(sensed: Drive) -> None:
+    trace = sensed.trace
+    assert trace.perceived is not None
+    for frame in trace.frames:
+        assert frame.predictions is not None and frame.visibility is not None
+        assert frame.predictions.t[0] == pytest.approx(frame.t)
+        assert np.diff(frame.predictions.t) == pytest.approx(KEPT_STEP_S)
+        shown = perceived_only(trace, frame.t)
+        assert set(shown.ids) == set(frame.agents)
+        for i, agent in enumerate(frame.predictions.agent):
+            at = shown.ids.index(frame.agents[agent])
+            assert frame.predictions.x[i, 0] == pytest.approx(shown.x[at])
+
+
+def test_the_recording_draws_hypotheses_ghosts_and_the_sensor(sensed: Drive, tmp_path: Path) -> None:
+    scenario = CATALOGUE["paper/crossing_pedestrian"].scenario()
+    write_recording(tmp_path / "sensed.rrd", sensed, scenario)
+    recording = Recording(tmp_path / "sensed.rrd")
+    trace = sensed.trace
+    ghosts = recording.counts("/world/perceived", "Boxes3D:centers")
+    assert ghosts.tolist() == [len(frame.agents) for frame in trace.frames]
+    at = recording.points("/world/perceived", "Boxes3D:centers")
+    assert trace.perceived is not None
+    assert at[:, 0] == pytest.approx(trace.perceived.x, abs=1e-3)
+    drawn = recording.counts("/world/predictions", "LineStrips3D:strips")
+    expected = [len(futures(f, f.visibility.x, f.visibility.y)) for f in trace.frames if f.visibility]
+    assert drawn.tolist() == expected and max(expected) == 1
+
+
+def test_who_is_shown_and_is_not_there_is_drawn(sensed: Drive, tmp_path: Path) -> None:
+    """A perception of one's own may show false positives."""
+    world = replace(CATALOGUE["paper/crossing_pedestrian"].scenario(), tracks=Tracks.empty())
+    false = replace(sensed, trace=replace(sensed.trace, agents=Tracks.empty()))
+    write_recording(tmp_path / "false.rrd", false, world)
+    recording = Recording(tmp_path / "false.rrd")
+    ghosts = recording.counts("/world/perceived", "Boxes3D:centers")
+    assert ghosts.tolist() == [len(frame.agents) for frame in false.trace.frames] and max(ghosts) == 1
+    assert recording.counts("/world/predictions", "LineStrips3D:strips").max() == 1
+    assert (recording.counts("/world/sensor/edge", "LineStrips3D:strips") == 1).all()
+
+
+def test_likelier_futures_are_brighter_and_far_ones_are_left_out(tmp_path: Path) -> None:
+    done, world = drive()
+    frame = done.trace.frames[0]
+    t = np.arange(0.0, 4.1, 0.5)
+    x = (
+        frame.plan.trajectory.x[0]
+        + np.array([[20.0], [20.0], [20.0], [200.0]])
+        + np.array([[1.0], [2.0], [0.0], [1.0]]) * t
+    )
+    some = Predictions(t, np.arange(4) // 2, np.array([0.8, 0.2, 1.0, 1.0]), x, 0.0 * x, 0.0 * x, "made up")
+    shown = replace(frame, agents=("car 12", "ped 7"), predictions=some)
+    trace = replace(done.trace, frames=(shown, *done.trace.frames[1:]))
+    write_recording(tmp_path / "some.rrd", replace(done, trace=trace), world)
+    recording = Recording(tmp_path / "some.rrd")
+    assert recording.counts("/world/predictions", "LineStrips3D:strips").tolist() == [2] + [0] * 199
+    alpha = np.asarray(recording.column("/world/predictions", "LineStrips3D:colors").flatten()) & 0xFF
+    assert alpha[0] > alpha[1] > 0
+
+
+def test_ground_truth_needs_no_ghost_but_of_those_that_are_carried_on() -> None:
+    done, _ = drive()
+    trace = replace(done.trace, agents=_cut(done.trace, "car 12", 5.0))
+    assert perceived_only(trace, 4.9).ids == ()
+    assert perceived_only(trace, 5.3).ids == ("car 12",)
+    assert perceived_only(trace, 6.0).ids == ()
+
+
+def _cut(trace: Trace, agent: str, end: float) -> Tracks:
+    """The tracks with one that ends earlier."""
+    tracks = trace.agents
+    index = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets))
+    kept = (index != tracks.ids.index(agent)) | (tracks.t <= end)
+    columns = {name: getattr(tracks, name)[kept] for name in ("t", "x", "y", "yaw", "vx", "vy")}
+    offsets = np.r_[0, np.cumsum(np.bincount(index[kept], minlength=len(tracks)))]
+    return replace(tracks, offsets=offsets, **columns)
+
+
+def test_who_was_not_seen_is_named_with_the_distance() -> None:
+    done, _ = drive()
+    trace = replace(done.trace, perceived=done.trace.agents)
+    assert unseen(trace, 0.0) == []
+    missing = unseen(replace(trace, perceived=_cut(trace, "car 12", 5.0)), 6.0)
+    assert [name for name, _ in missing if name != "parked 3"] == ["car 12"]
+    truth = trace.agents.truth(6.0)
+    at = truth.ids.index("car 12")
+    ego = trace.ego.at(6.0)
+    assert dict(missing)["car 12"] == pytest.approx(np.hypot(truth.x[at] - ego.x, truth.y[at] - ego.y))
+    text = page(done.trace, 60, missing)
+    assert "**Not seen by the sensor:**" in text and "car 12 (" in text
+
+
+# ------------------------------------------------------------------------------------------------- lanes and why
+
+
+def compared(frame: PlannedFrame, name: str, against: str) -> PlannedFrame:
+    """The frame with a choice between its lane and the left one; `name` is not taken."""
+    costs = {"keep": (("time lost", 7.4), ("change", 0.0)), "left": (("time lost", 0.3), ("change", 1.0))}
+    internals = [LaneOption(lane, terms, against if lane == name else "") for lane, terms in costs.items()]
+    return replace(frame, plan=replace(frame.plan, internals=(*frame.plan.internals, *internals)))
+
+
+def changing() -> Trace:
+    """Neighbours compared from 1 s, the left one taken at 2 s; the ego never leaves its lane."""
+    done, _ = drive()
+    frames = list(done.trace.frames)
+    for i in range(10, 20):
+        frames[i] = compared(frames[i], "left", "car 7 is beside")
+    frames[20] = compared(frames[20], "keep", "costs 7.4 s, left 1.3 s")
+    return replace(done.trace, frames=tuple(frames))
+
+
+def test_a_change_of_lane_is_told_with_its_costs() -> None:
+    trace = changing()
+    lines = [event for event in events(trace) if "changes lane" in event.words]
+    assert [event.t for event in lines] == [2.0]
+    assert "to the left: costs 1.3 s (time lost 0.3, change 1.0) instead of keep 7.4 s" in lines[0].words
+    text = page(trace, 15)
+    assert "- **left**: 1.3 s (time lost 0.3, change 1.0); car 7 is beside" in text
+    assert "- **keep**: 7.4 s (time lost 7.4); taken" in text
+    assert told(options(trace.frames[20].plan)).endswith("keep 7.4 s (time lost 7.4)")
+
+
+def test_a_change_is_under_way_until_the_lane_is_left() -> None:
+    trace = changing()
+    lanes = [*[1] * 35, *[2] * 165]
+    rows = choices(trace.frames, lanes)
+    assert [rows[i] for i in (0, 15, 20, 34, 35)] == [
+        "keep", "keep: others compared", "change left", "change left", "keep",
+    ]  # fmt: skip
+    under_way = changes_under_way(trace.frames, lanes)
+    assert under_way[30] is not None and under_way[30].t == 2.0
+    assert "Changes lane to the left** since t = 2.00 s" in page(trace, 30, (), under_way[30])
+
+
+def test_the_lane_under_the_ego_is_the_one_it_drives() -> None:
+    done, _ = drive()
+    driven = lanes_driven(done.trace, road())
+    assert set(driven) == {1}
+    aside = replace(done.trace.ego, x=done.trace.ego.x + 1e4)
+    assert set(lanes_driven(replace(done.trace, ego=aside), road())) == {None}
+
+
+def test_rows_of_lanes_are_in_the_recording(tmp_path: Path) -> None:
+    done, world = drive()
+    write_recording(tmp_path / "some.rrd", replace(done, trace=changing()), world)
+    recording = Recording(tmp_path / "some.rrd")
+    states = recording.column("/Choice-of-lane", "StateChange:state").flatten().to_pylist()
+    assert [state.rstrip() for state in states] == ["keep", "keep: others compared", "change left"]
+    assert "/Lane" not in recording.moving, "one lane needs no row"
+
+
+def test_the_reason_of_a_plan_is_shown_and_is_an_event_once() -> None:
+    done, _ = drive()
+    reasons = ["", "braking leaves 1.2 m", "braking leaves 1.1 m", "", "braking leaves 1.0 m"]
+    frames = tuple(
+        PlannedFrame(frame.t, Plan(frame.plan.trajectory, reason=reason))
+        for frame, reason in zip(done.trace.frames, reasons, strict=False)
+    )
+    found = [event.t for event in events(replace(done.trace, frames=frames)) if "leaves" in event.words]
+    assert found == pytest.approx([0.1, 0.4])
+    assert "**Reason: braking leaves 1.1 m**" in page(replace(done.trace, frames=frames), 2)

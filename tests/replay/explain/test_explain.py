@@ -1,0 +1,169 @@
+"""A drive in words, and one frame planned again: what is said and written is what the run did."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command_line import one_error, replan
+
+from logs import Decision, Scenario
+from logs.catalogue import CATALOGUE
+from logs.errors import LogError, PlannerError
+from logs.mcap import write_scenario
+from planners.piecewise_jerk.solvers import solve
+from replay.config import RunConfig
+from replay.explain import accounts
+from replay.explain.drive import changes, explained, lines_of
+from replay.loop.closed_loop import run_closed_loop
+from replay.loop.open_loop import run_open_loop
+from replay.results.load import Results
+from replay.results.load import load as results_of
+from replay.run import evaluate_logs
+from replay.run.frame_again import planned_again
+from replay.run.frame_dump import dump, load
+
+LOG = "paper/crossing_pedestrian"
+
+
+def log() -> Scenario:
+    made = CATALOGUE[LOG].scenario()
+    return replace(made, ego=made.ego.between(0.0, 7.0), duration=7.0)
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
+    """Both loops on the first 7 s of the log of the paper's pedestrian."""
+    folder = tmp_path_factory.mktemp("logs")
+    write_scenario(folder / "pedestrian.mcap", log())
+    run = RunConfig(recording=False)
+    return results_of(evaluate_logs([folder], run, tmp_path_factory.mktemp("out") / "run", workers=0).out)
+
+
+def test_a_run_read_back_is_explained_as_it_was_when_driven(results: Results) -> None:
+    """The recording explains the drive in memory, `explain` the one on the disk: the same accounts."""
+    driven = run_closed_loop(log(), "dp_qp").trace
+    read = results.drive(LOG, "dp_qp")
+    again = list(accounts(read.trace, read.scenario, results.run.loop))
+    assert again == list(accounts(driven, log()))
+    assert any(account.causes for account in again)
+
+
+def test_explain_says_each_change_of_decision_once(results: Results) -> None:
+    drive = results.drive(LOG, "dp_qp")
+    found = explained(drive)
+    kinds = [frozenset((d.agent, d.kind) for d in one.decisions) for one in found]
+    driven = [
+        frozenset((d.agent, d.kind) for d in frame.plan.internals if isinstance(d, Decision))
+        for frame in drive.trace.frames
+    ]
+    assert set(kinds) == set(driven)
+    assert 2 < len(found) < 0.2 * len(driven)
+    text = "\n".join(line for one in found for line in lines_of(one))
+    for words in ("Slows down for pedestrian (yield): ", "active", "S-T upper bound (pedestrian)", "speed QP: "):
+        assert words in text
+
+
+def test_the_command_says_one_instant_and_one_json_document(results: Results) -> None:
+    said = replan("explain", results.path, "--planner", "dp_qp", "--at", 6.55).stdout
+    assert "t = 6.50 s: slows down" in said and said.count("t = ") == 1
+    document = json.loads(replan("explain", results.path, "--mode", "open", "--json").stdout)
+    assert (document["planner"], document["mode"]) == ("dp_qp", "open")
+    causes = [cause for frame in document["frames"] for cause in frame["account"]["causes"]]
+    assert {"agent"} <= {cause["kind"] for cause in causes}
+    assert "no plan at" in one_error(replan("explain", results.path, "--at", -1))
+
+
+def accepted(world: Scenario) -> Mapping[str, list[str]]:
+    found: Mapping[str, list[str]] = json.loads(world.metadata.get("expected_decisions", "{}"))
+    return found
+
+
+def check_states_what_is_accepted(name: str) -> None:
+    world = CATALOGUE[name].scenario()
+    text = [line for one in changes(run_open_loop(world, "dp_qp").trace, world) for line in lines_of(one)]
+    for agent, kinds in accepted(world).items():
+        said = [line for line in text if f"{agent}: " in line or f"for {agent} (" in line]
+        assert any(f"{agent}: {kind} (" in line or f"for {agent} ({kind})" in line for kind in kinds for line in said)
+
+
+def test_explain_states_a_decision_that_the_family_accepts() -> None:
+    check_states_what_is_accepted("everyday/nudge")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_explain_states_a_decision_that_every_family_accepts(name: str) -> None:
+    check_states_what_is_accepted(name)
+
+
+# ------------------------------------------------------------------------------------------------- one frame again
+
+
+@pytest.mark.parametrize("mode", ["closed", "open"])
+def test_a_dump_gives_the_same_plan_to_the_bit(results: Results, mode: str, tmp_path: Path) -> None:
+    again = planned_again(results.drive(LOG, "dp_qp", mode), 2.0)
+    assert again.is_same
+    dump(tmp_path / "frame.msgpack", again.dump)
+    read = load(tmp_path / "frame.msgpack")
+    assert len(read.frames) == (21 if mode == "closed" else 1)
+    assert read.frame.t == 2.0 and read.frame.agents.ids == again.dump.frame.agents.ids
+    recorded = results.drive(LOG, "dp_qp", mode).plan(2.0).trajectory
+    for plan in (read.plan, read.planned()):
+        for name in ("t", "x", "y", "yaw", "v", "a", "kappa"):
+            np.testing.assert_array_equal(getattr(plan.trajectory, name), getattr(recorded, name))
+
+
+def test_the_problems_of_a_dump_have_the_answers_that_are_with_them(results: Results, tmp_path: Path) -> None:
+    dump(tmp_path / "frame.msgpack", planned_again(results.drive(LOG, "dp_qp"), 6.5).dump)
+    read = load(tmp_path / "frame.msgpack")
+    assert {asked.result.report.stage for asked in read.problems} == {"path QP", "speed QP"}
+    for problem, result in read.problems:
+        np.testing.assert_array_equal(solve(problem, stage="again", tolerance=1e-3).x, result.x)
+
+
+def test_another_planner_is_given_the_frame_alone(results: Results) -> None:
+    drive = results.drive(LOG, "dp_qp")
+    again = planned_again(drive, 6.5, "idm")
+    assert again.is_same is None and again.dump.planner == "idm" and len(again.dump.frames) == 1
+    assert again.dump.frame.ego == planned_again(drive, 6.5).dump.frame.ego
+    assert again.dump.frame.previous is None
+
+
+def test_the_command_reports_stages_sizes_and_residuals(results: Results, tmp_path: Path) -> None:
+    file = tmp_path / "frame.msgpack"
+    said = replan("frame", results.path, "--of", "dp_qp", "--at", 6.5, "--dump", file).stdout
+    for words in (
+        "the one in the results, to the bit",
+        "path QP: ",
+        " unknowns, ",
+        "residuals",
+        "stages [ms",
+        str(file),
+    ):
+        assert words in said
+    assert "knows no log" not in one_error(
+        replan("frame", results.path, "--of", "idm", "--at", 6.5, "--planner", "nix")
+    )
+
+
+@pytest.mark.parametrize("content", [b"", b"\x80", b"no dump at all"])
+def test_what_is_no_dump_is_a_clean_error(content: bytes, tmp_path: Path) -> None:
+    (tmp_path / "frame.msgpack").write_bytes(content)
+    with pytest.raises(LogError, match="is no dump of a frame"):
+        load(tmp_path / "frame.msgpack")
+
+
+def test_another_planner_that_raises_is_an_error_with_its_place(
+    results: Results, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = "class Raises:\n    def __init__(self, _):\n        pass\n\n    def plan(self, _):\n"
+    text += "        raise KeyError('no')\n"
+    (tmp_path / "raises_at_a_frame.py").write_text(text, encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(PlannerError, match=r"raised at 1\.00 s: KeyError: 'no' \(raises_at_a_frame\.py:6\)"):
+        planned_again(results.drive(LOG, "dp_qp"), 1.0, "raises_at_a_frame:Raises")

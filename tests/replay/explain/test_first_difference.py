@@ -1,0 +1,253 @@
+"""Where two drives part: what is changed in one frame is found in that frame, in its stage."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+import sample_drive
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from logs import Mode
+from logs.frame import Predictions
+from logs.states import Trajectory
+from logs.trace import (
+    Decision,
+    DecisionKind,
+    EndReason,
+    Graph,
+    LaneOption,
+    PlannedFrame,
+    PlanStatus,
+    SlGraph,
+    StGraph,
+    Trace,
+)
+from replay.explain.first_difference import STAGES, TOLERANCE, parting
+
+ROWS, FRAMES = 301, 31
+LANES = (LaneOption("keep", (("time lost", 1.0),)), LaneOption("left", (("time lost", 3.0),), "slower"))
+
+
+def _predictions(t: float) -> Predictions:
+    ahead = t + np.arange(0.0, 8.1, 2.0)
+    x = np.array([ahead, 2.0 * ahead])
+    return Predictions(ahead, np.array([0, 1]), np.ones(2), x, 0.0 * x, 0.0 * x, "lane_following")
+
+
+@cache
+def drive(mode: Mode = Mode.CLOSED) -> Trace:
+    """Three seconds of the sample drive, with predictions and lanes."""
+    whole = sample_drive.drive(mode)[0].trace
+    rows = ROWS if mode is Mode.CLOSED else FRAMES
+    agents = ("car 12", "truck 40")
+    frames = tuple(
+        replace(
+            frame,
+            agents=agents,
+            predictions=_predictions(frame.t),
+            plan=replace(frame.plan, internals=(*LANES, *frame.plan.internals)),
+        )
+        for frame in whole.frames[:FRAMES]
+    )
+    cut = {name: first(getattr(whole, name), rows) for name in ("ego", "commands", "actuation")}
+    return replace(whole, frames=frames, tracking=None, **cut)
+
+
+def first(columns: Any, rows: int) -> Any:
+    """The first rows of a struct of arrays."""
+    if columns is None:
+        return None
+    return replace(columns, **{field.name: getattr(columns, field.name)[:rows] for field in fields(columns)})
+
+
+def changed(trace: Trace, k: int, change: Callable[[PlannedFrame], PlannedFrame]) -> Trace:
+    """The drive with one frame changed."""
+    frames = list(trace.frames)
+    frames[k] = change(frames[k])
+    return replace(trace, frames=tuple(frames))
+
+
+def inside(kind: type, change: Callable[[Any], Any]) -> Callable[[PlannedFrame], PlannedFrame]:
+    """What changes the first artefact of a kind."""
+
+    def apply(frame: PlannedFrame) -> PlannedFrame:
+        items = list(frame.plan.internals)
+        i = next(i for i, item in enumerate(items) if isinstance(item, kind))
+        items[i] = change(items[i])
+        return replace(frame, plan=replace(frame.plan, internals=tuple(items)))
+
+    return apply
+
+
+def raised(values: np.ndarray, row: int, column: int, by: float) -> np.ndarray:
+    out = np.array(values)
+    out[row, column] += by
+    return out
+
+
+def _corridor(graph: Graph, **columns: np.ndarray) -> Graph:
+    assert graph.corridor is not None
+    return replace(graph, corridor=replace(graph.corridor, **columns))
+
+
+def _elsewhere(frame: PlannedFrame) -> PlannedFrame:
+    some = frame.predictions
+    assert some is not None
+    return replace(frame, predictions=replace(some, y=raised(some.y, 1, 2, 0.4)))
+
+
+def _plan(**columns: Callable[[Trajectory], np.ndarray]) -> Callable[[PlannedFrame], PlannedFrame]:
+    def apply(frame: PlannedFrame) -> PlannedFrame:
+        path = frame.plan.trajectory
+        moved = replace(path, **{name: column(path) for name, column in columns.items()})
+        return replace(frame, plan=replace(frame.plan, trajectory=moved))
+
+    return apply
+
+
+def _overtaken(graph: StGraph) -> StGraph:
+    other = replace(graph.obstacles[0], decision=DecisionKind.OVERTAKE)
+    return replace(graph, obstacles=(other, *graph.obstacles[1:]))
+
+
+def _ignored(decision: Decision) -> Decision:
+    return replace(decision, kind=DecisionKind.IGNORE)
+
+
+PLANTED: dict[str, tuple[str, Callable[[PlannedFrame], PlannedFrame], str]] = {
+    "who is there": ("input frame", lambda f: replace(f, agents=("car 12", "ped")), "no longer truck 40; now also ped"),
+    "a prediction": ("prediction", _elsewhere, "y of truck 40 in 4 s 0.00 -> 0.40 m"),
+    "the reference line": ("route", inside(SlGraph, lambda g: _corridor(g, first=g.corridor.first + 0.5)), "station"),
+    "the lane": ("lane choice", inside(LaneOption, lambda x: replace(x, name="pass")), "keep -> pass (now pass 1.00 s"),
+    "a side": ("path DP", inside(SlGraph, lambda g: replace(g, dp=raised(g.dp, 3, 1, 0.5))), "offset of the DP"),
+    "room": ("path DP", inside(SlGraph, lambda g: _corridor(g, lower=g.corridor.lower - 0.2)), "lower bound"),
+    "the path": ("path QP", inside(SlGraph, lambda g: replace(g, qp=raised(g.qp, 9, 1, 0.3))), "offset at station"),
+    "the graph": ("S-T graph", inside(StGraph, lambda g: replace(g, obstacles=())), "no longer car 12"),
+    "who goes first": ("speed DP", inside(StGraph, _overtaken), "car 12: follow -> overtake"),
+    "a decision": ("speed DP", inside(Decision, _ignored), "car 12: follow -> ignore"),
+    "the speed": ("speed QP", inside(StGraph, lambda g: replace(g, qp=raised(g.qp, 40, 1, -2.0))), "station at 4 s"),
+    "the plan": ("plan", _plan(x=lambda p: p.x + np.linspace(0.0, 1.0, len(p))), "x in 8 s"),
+    "its status": ("plan", lambda f: replace(f, plan=replace(f.plan, status=PlanStatus.HARD_STOP)), "hard stop"),
+}  # fmt: skip
+
+ANY_FRAME = st.integers(0, FRAMES - 1)
+
+# laws -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("mode", list(Mode))
+def test_a_drive_does_not_part_from_itself(mode: Mode) -> None:
+    assert parting(drive(mode), drive(mode)) is None
+
+
+@settings(max_examples=25, deadline=None)
+@given(ANY_FRAME, st.sampled_from(list(PLANTED)), st.sampled_from(list(Mode)))
+def test_what_is_changed_in_a_frame_is_found_there(k: int, name: str, mode: Mode) -> None:
+    stage, change, words = PLANTED[name]
+    trace = drive(mode)
+    other = changed(trace, k, change)
+    found = parting(trace, other)
+    assert found is not None and (found.t, found.stage) == (trace.frames[k].t, stage)
+    assert words in found.what and found.what.startswith(f"t = {found.t:.2f} s, {stage}: ")
+    back = parting(other, trace)
+    assert back is not None and (back.t, back.stage) == (found.t, found.stage)
+
+
+@settings(max_examples=15, deadline=None)
+@given(st.lists(st.tuples(ANY_FRAME, st.sampled_from(list(PLANTED))), min_size=2, max_size=4))
+def test_of_several_changes_the_first_in_time_and_then_in_stage_is_found(planted: list[tuple[int, str]]) -> None:
+    other = drive()
+    for k, name in sorted(planted, key=lambda one: one[1] == "the graph"):  # last: it leaves nobody to overtake
+        other = changed(other, k, PLANTED[name][1])
+    k, place = min((k, STAGES.index(PLANTED[name][0])) for k, name in planted)
+    found = parting(drive(), other)
+    assert found is not None and (found.t, STAGES.index(found.stage)) == (drive().frames[k].t, place)
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(1, ROWS - 1), st.sampled_from(["controller", "vehicle"]))
+def test_between_frames_the_controller_and_the_car_act(row: int, stage: str) -> None:
+    trace = drive()
+    assert trace.commands is not None
+    step = np.where(np.arange(ROWS) >= row, 0.2, 0.0)
+    other = (
+        replace(trace, commands=replace(trace.commands, brake=trace.commands.brake + step))
+        if stage == "controller"
+        else replace(trace, ego=replace(trace.ego, x=trace.ego.x + step))
+    )
+    found = parting(trace, other)
+    assert found is not None and (found.t, found.stage) == (trace.ego.t[row], stage)
+
+
+@given(st.floats(0.0, 0.9e-8))
+@settings(max_examples=5, deadline=None)
+def test_rounding_parts_nothing(size: float) -> None:
+    trace = drive()
+    assert parting(trace, replace(trace, ego=replace(trace.ego, x=trace.ego.x + size))) is None
+
+
+# examples ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_small_cause_is_named_and_not_its_larger_effect() -> None:
+    """The QP is off by half a millimetre at 1 s; the car is off by 2 mm from 2 s on."""
+    small = changed(drive(), 10, inside(StGraph, lambda g: replace(g, qp=raised(g.qp, 40, 1, 0.5 * TOLERANCE))))
+    assert parting(drive(), small) is None
+    step = np.where(drive().ego.t >= 2.0, 2.0 * TOLERANCE, 0.0)
+    found = parting(drive(), replace(small, ego=replace(small.ego, x=small.ego.x + step)))
+    assert found is not None and (found.t, found.stage) == (1.0, "speed QP")
+    assert found.what.endswith("; more than 0.001 from t = 2.00 s on (vehicle)")
+
+
+def test_others_elsewhere_are_an_input() -> None:
+    trace = drive()
+    agents = replace(trace.agents, x=trace.agents.x + np.where(trace.agents.t > 1.05, 0.3, 0.0))
+    found = parting(trace, replace(trace, agents=agents))
+    assert found is not None and (found.t, found.stage) == (1.1, "input frame") and "x of " in found.what
+
+
+def test_another_start_is_an_input_and_a_late_plan_the_controllers() -> None:
+    trace = drive()
+    moved = replace(trace, ego=replace(trace.ego, y=trace.ego.y + 0.1))
+    found = parting(trace, moved)
+    assert found is not None and (found.t, found.stage) == (0.0, "input frame") and "the ego's y" in found.what
+    open_loop = drive(Mode.OPEN)
+    moved = replace(open_loop, ego=replace(open_loop.ego, y=open_loop.ego.y + 0.1 * (open_loop.ego.t > 0.95)))
+    found = parting(open_loop, moved)
+    assert found is not None and (found.t, found.stage) == (1.0, "input frame")
+
+
+def test_a_drive_that_ends_earlier_parts_where_it_ends() -> None:
+    trace = drive()
+    short = replace(
+        trace,
+        ego=first(trace.ego, 200),
+        commands=first(trace.commands, 200),
+        frames=trace.frames[:20],
+        end=EndReason.COLLISION,
+        detail="car 12",
+    )
+    found = parting(trace, short)
+    assert found is not None and (round(found.t, 6), found.stage) == (1.99, "end")
+    assert "goal reached: goal region 1 at 3.00 s -> collision: car 12 at 1.99 s" in found.what
+
+
+def test_a_planner_without_internals_parts_in_its_plan() -> None:
+    bare = replace(drive(), frames=tuple(replace(f, plan=replace(f.plan, internals=())) for f in drive().frames))
+    other = changed(drive(), 5, PLANTED["the speed"][1])
+    assert parting(bare, other) is None
+    found = parting(bare, changed(other, 7, PLANTED["the plan"][1]))
+    assert found is not None and (round(found.t, 6), found.stage) == (0.7, "plan")
+
+
+def test_plans_at_other_times_part_at_the_first_of_them() -> None:
+    trace = drive()
+    found = parting(trace, replace(trace, frames=trace.frames[::2]))
+    assert found is not None and (round(found.t, 6), found.stage) == (0.1, "input frame")
+    assert "in the first drive only" in found.what

@@ -1,0 +1,179 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from drives import along, grid, scenario
+from hypothesis import given
+from hypothesis import strategies as st
+
+from logs import EgoState, Frame, Plan, PlanStart, PlanStatus, Trajectory
+from logs.catalogue import CATALOGUE
+from logs.scenario import Tracks
+from logs.states import wrapped
+from planners.constant_speed import arc
+from replay.config import LoopConfig, PlannerProcessConfig
+from replay.loop.closed_loop import run_closed_loop
+from replay.loop.open_loop import run_open_loop
+from replay.loop.plan_check import checked, of_positions
+from replay.planner_process.plan_limits import LONGEST_REASON, MOST_POINTS
+from replay.prediction import predict
+
+AHEAD = 0.1 * np.arange(51)
+NOBODY = Tracks.empty().perceived(0.0)
+
+
+def ego(v: float = 10.0, kappa: float = 0.0, yaw: float = 0.3) -> EgoState:
+    return EgoState(2.0, 5.0, -3.0, yaw, v, 0.0, kappa)
+
+
+def frame(state: EgoState, previous: Plan | None = None) -> Frame:
+    return Frame(state.t, state, NOBODY, predict(NOBODY, state.t, horizon=1.0, step=0.5), previous)
+
+
+def arcs(state: EgoState) -> Trajectory:
+    return arc(state, state.t + AHEAD)
+
+
+states = st.builds(ego, st.floats(-3.0, 30.0), st.floats(-0.02, 0.02), st.floats(-7.0, 7.0))
+
+
+@given(states)
+def test_a_plan_that_is_what_it_says_passes_untouched(state: EgoState) -> None:
+    plan = Plan(arcs(state))
+    assert checked(plan, frame(state)) is plan
+
+
+@given(states)
+def test_the_columns_follow_from_the_positions(state: EgoState) -> None:
+    plan = arcs(state)
+    found = of_positions(plan)
+    assert np.allclose(found.v, plan.v, atol=0.02)
+    if abs(state.v) > 2.0:
+        assert np.allclose(found.kappa, plan.kappa, atol=1e-6)
+        assert np.allclose(wrapped(found.yaw - plan.yaw)[1:-1], 0.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("states", [MOST_POINTS, MOST_POINTS + 1, 1_000_000])
+def test_a_plan_of_too_many_states_is_refused_with_its_size(states: int) -> None:
+    plan = checked(Plan(arc(ego(), ego().t + np.linspace(0.0, 8.0, states))), frame(ego()))
+    if states <= MOST_POINTS:
+        assert plan.status is PlanStatus.PLANNED
+    else:
+        assert plan.status is PlanStatus.REFUSED and f"it has {states} states, more than {MOST_POINTS}" in plan.reason
+        assert len(plan.trajectory) < 100
+
+
+def test_a_reason_without_end_is_cut_and_marked() -> None:
+    plan = checked(Plan(arcs(ego()), PlanStatus.PREVIOUS, "x" * 50_000_000), frame(ego()))
+    assert plan.status is PlanStatus.PREVIOUS and len(plan.reason) == LONGEST_REASON
+    assert plan.reason.endswith("xxx ... (cut, 50000000 characters)")
+    kept = replace(plan, reason="x" * LONGEST_REASON)
+    assert checked(kept, frame(ego())) is kept
+
+
+LIES: dict[str, Callable[[Trajectory], Trajectory]] = {
+    "speed": lambda t: replace(t, v=t.v + np.where(t.t > t.t[0], 3.0, 0.0)),
+    "heading": lambda t: replace(t, yaw=t.yaw + 0.2),
+    "curvature": lambda t: replace(t, kappa=t.kappa + 0.05),
+    "acceleration": lambda t: replace(t, a=t.a + 3.0),
+}
+
+
+@pytest.mark.parametrize("column", LIES)
+def test_a_false_column_is_computed_anew_and_marked(column: str) -> None:
+    state = ego(kappa=0.01)
+    found = checked(Plan(LIES[column](arcs(state))), frame(state))
+    assert found.status is PlanStatus.CORRECTED
+    assert not found.status.is_fallback
+    assert f"its {column} is" in found.reason
+    for name in ("v", "kappa", "a"):
+        assert np.allclose(getattr(found.trajectory, name), getattr(arcs(state), name), atol=0.02)
+
+
+def test_a_zigzag_that_declares_no_curvature_is_judged_by_its_curvature() -> None:
+    state = ego(yaw=0.0)
+    straight = arcs(state)
+    zigzag = replace(straight, y=straight.y + 2.0 * np.sin(0.5 * np.pi * (straight.t - 2.0)) ** 3)
+    found = checked(Plan(zigzag), frame(state))
+    assert found.status is PlanStatus.CORRECTED
+    assert np.abs(found.trajectory.v**2 * found.trajectory.kappa).max() > 5.0
+
+
+@pytest.mark.parametrize(
+    ("bend", "why"),
+    [
+        (lambda t: replace(t, x=t.x + 0.45), "starts 0.45 m from the ego"),
+        (
+            lambda t: replace(t, v=t.v + 3.0, x=t.x + 3.0 * (t.t - t.t[0])),
+            "starts at 13.0 m/s, the ego drives 10.0 m/s",
+        ),
+        (lambda t: replace(t, x=t.x + 1e6 * (t.t - t.t[0]) / 5.0), "asks for 2000"),
+        (lambda t: replace(t, y=t.y + (np.arange(len(t)) % 2)), "asks for an acceleration of"),
+    ],
+)
+def test_what_cannot_be_driven_is_refused_and_what_was_driven_goes_on(
+    bend: Callable[[Trajectory], Trajectory], why: str
+) -> None:
+    state = ego(yaw=0.0)
+    before = Plan(arcs(replace(arcs(state).state(0), t=1.9, x=state.x - 1.0)))
+    found = checked(Plan(bend(arcs(state))), frame(state, before))
+    assert found.status is PlanStatus.REFUSED
+    assert found.status.is_fallback
+    assert why in found.reason
+    assert found.start is PlanStart.PREVIOUS_PLAN
+    assert np.allclose(found.trajectory.x, before.trajectory.x[1:])
+    alone = checked(Plan(bend(arcs(state))), frame(state))
+    assert alone.trajectory.v[-1] == 0.0
+    assert alone.trajectory.x[-1] == pytest.approx(state.x + 10.0**2 / (2.0 * 4.0))
+    assert checked(replace(alone, status=PlanStatus.PLANNED, reason=""), frame(state)).status is PlanStatus.PLANNED
+
+
+def test_a_plan_may_start_on_the_plan_being_driven_where_that_is_near() -> None:
+    state = ego(yaw=0.0)
+    before = Plan(replace(arcs(state), y=arcs(state).y + 0.4))
+    plan = Plan(before.trajectory, start=PlanStart.PREVIOUS_PLAN)
+    assert checked(plan, frame(state, before)) is plan
+    far = Plan(replace(arcs(state), y=arcs(state).y + 1.4))
+    assert checked(far, frame(state, far)).status is PlanStatus.REFUSED
+
+
+# in the loops ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("planner", ["dp_qp", "idm", "lattice", "pdm", "constant_speed"])
+def test_what_comes_with_replan_is_never_refused(planner: str) -> None:
+    for name in ("everyday/nudge", "everyday/cut_in"):
+        log = CATALOGUE[name].scenario()
+        for run in (run_open_loop, run_closed_loop):
+            statuses = {each.plan.status for each in run(log, planner).trace.frames}
+            assert not statuses & {PlanStatus.REFUSED, PlanStatus.CORRECTED}
+
+
+def test_the_planner_of_each_loop_is_given_a_road_of_its_own() -> None:
+    log = scenario(along(grid(1.0), 10.0))
+    for run in (run_open_loop, run_closed_loop):
+        run(log, f"{__name__}:Keeps", config=LoopConfig(apart=PlannerProcessConfig(trust=True)))
+    one, two = Keeps.roads
+    assert one is not two
+    assert not {id(lane) for lane in one.lanes.values()} & {id(lane) for lane in log.road.lanes.values()}
+
+
+class Keeps:
+    roads: list = []  # noqa: RUF012
+
+    def __init__(self, context: object) -> None:
+        self.roads.append(context.road)
+
+    def plan(self, now: Frame) -> Plan:
+        return Plan(arc(now.ego, now.t + AHEAD))
+
+
+@pytest.mark.parametrize(("speed", "fits"), [(-0.096, True), (-0.29, True), (-0.4, False)])
+def test_a_plan_may_start_at_rest_where_the_speed_of_a_stop_swings_below_zero(speed: float, fits: bool) -> None:
+    state = ego(v=speed)
+    found = checked(Plan(arcs(replace(state, v=0.0))), frame(state))
+    assert (found.status is not PlanStatus.REFUSED) is fits

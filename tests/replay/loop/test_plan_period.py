@@ -1,0 +1,82 @@
+"""The compiled loop: the same as its parts one step after the other, however its steps are dealt out."""
+
+from __future__ import annotations
+
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from handmade import drive, s_curve
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from logs import Plan, VehicleParameters
+from logs.vehicle import vehicle_parameters
+from replay.control import CONTROLLERS
+from replay.loop.plan_period import PlanPeriod
+from replay.loop.simulation_setup import controller_of
+from replay.loop.trace_recorder import TraceRecorder
+from replay.vehicle import VEHICLES
+from replay.vehicle.plan_path import PlanPath
+from replay.vehicle.trace_rows import COLUMNS, COMMAND, ERRORS, MOTION
+
+PERIOD = 0.01
+STEPS = 900
+COMPILED = [name for name in CONTROLLERS if name != "mpc"]
+WAY = drive(s_curve, lambda t: np.interp(t, [0.0, 4.0, 6.0, 6.5, 9.0], [9.0, 9.0, 0.0, 0.0, 6.0]), 10.0)
+"""Curves, a stop and a start."""
+
+
+def rows_of(vehicle: str, controller: str, cuts: list[int], car: VehicleParameters) -> np.ndarray:
+    """The rows of a drive along WAY, run from cut to cut; each time along a plan of its own."""
+    ego = VEHICLES[vehicle](car, WAY.state(0))
+    period = PlanPeriod(controller_of(ego, car, controller, PERIOD), ego, PERIOD)
+    recorder = TraceRecorder(STEPS, ego)
+    for first, end in pairwise([0, *cuts, STEPS]):
+        period.run(Plan(WAY), recorder.rows, first, end - first)
+    recorder.close(STEPS, Plan(WAY))
+    return recorder.rows
+
+
+@cache
+def whole(vehicle: str, controller: str) -> np.ndarray:
+    return rows_of(vehicle, controller, [], vehicle_parameters("bmw_320i"))
+
+
+@pytest.mark.parametrize("vehicle", ["kinematic_bicycle", "kinematic_rear_steer", "single_track"])
+@pytest.mark.parametrize("controller", COMPILED)
+def test_a_period_is_its_steps_one_after_the_other(vehicle: str, controller: str) -> None:
+    """Against controller and vehicle through their methods, as anybody may call them."""
+    car = vehicle_parameters("bmw_320i")
+    ego = VEHICLES[vehicle](car, WAY.state(0))
+    driver, plan, path = controller_of(ego, car, controller, PERIOD), Plan(WAY), PlanPath.of(WAY)
+    found = whole(vehicle, controller)
+    for k in range(STEPS):
+        state = ego.state
+        command, off = driver.control(state, plan), path.deviation(state)
+        expected = [getattr(state, name) for name in state.__slots__]
+        assert np.array_equal(found[k, MOTION], expected), k
+        assert found[k, COMMAND].tolist() == [command.steer, command.throttle, command.brake], k
+        assert found[k, ERRORS].tolist() == list(off[:4]), k
+        ego.step(command, PERIOD)
+
+
+@settings(max_examples=10)
+@given(
+    st.sampled_from(["kinematic_bicycle", "single_track"]),
+    st.sampled_from(["dlqr_pid", "pid"]),
+    st.lists(st.integers(1, STEPS - 1), max_size=30, unique=True).map(sorted),
+)
+def test_it_does_not_matter_where_periods_end(vehicle: str, controller: str, cuts: list[int]) -> None:
+    rows = rows_of(vehicle, controller, cuts, vehicle_parameters("bmw_320i"))
+    np.testing.assert_array_equal(rows, whole(vehicle, controller))
+
+
+@pytest.mark.parametrize("controller", ["dlqr_pid", "mpc"])
+@pytest.mark.parametrize("vehicle", ["perfect", "single_track"])
+def test_every_row_is_complete_and_the_last_command_stands_at_the_end(vehicle: str, controller: str) -> None:
+    rows = rows_of(vehicle, controller, [7, 100], VehicleParameters())
+    assert rows.shape == (STEPS + 1, COLUMNS) and np.isfinite(rows).all()
+    assert rows[-1, COMMAND].tolist() == rows[-2, COMMAND].tolist()
+    np.testing.assert_array_equal(np.round(rows[:, 0] / PERIOD), np.arange(STEPS + 1))

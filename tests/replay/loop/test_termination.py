@@ -1,0 +1,66 @@
+"""Where a drive ends does not depend on how many rows are looked at at once, and is what Goal and contact say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from handmade import drive, lanes_along, scenario, square, straight, track, tracks
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from logs import EndReason
+from logs.road import Goal
+from replay.loop.termination import Ended, Termination
+from replay.vehicle.trace_rows import COLUMNS, state_at
+from replay.world import World, box_center, contact
+
+WAY = drive(straight, 10.0, 6.0)
+N = 300
+CAR_AHEAD = tracks(track("1", np.arange(0.0, 6.1, 0.5), np.full(13, 45.0), np.full(13, 1.0)))
+LOG = replace(scenario(WAY, agents=CAR_AHEAD), road=lanes_along(WAY))
+GOAL = Goal.any_of([Goal((square(35.0, 0.0, 3.0),), v=(0.0, 8.0)), Goal((square(20.0, 0.0, 3.0),), v=(0.0, 0.0))])
+
+
+def rows_of(slope: float, v: float) -> np.ndarray:
+    """A straight drive that leaves the lane's direction by `slope` rad."""
+    rows, s = np.zeros((N, COLUMNS)), v * 0.02 * np.arange(N)
+    rows[:, 0], rows[:, 1], rows[:, 2] = 0.02 * np.arange(N), s * np.cos(slope), s * np.sin(slope)
+    rows[:, 3], rows[:, 4] = slope, v
+    return rows
+
+
+def found_in(rows: np.ndarray, cuts: list[int]) -> Ended | None:
+    termination = Termination(LOG, GOAL, state_at(rows, 0))
+    ends = (termination.first(rows, a, b, LOG.tracks) for a, b in zip([1, *cuts], [*cuts, N], strict=True))
+    return next((end for end in ends if end), None)
+
+
+@settings(max_examples=60)
+@given(
+    st.floats(-0.15, 0.15),
+    st.sampled_from([6.0, 9.0, 14.0]),
+    st.lists(st.integers(2, N - 1), max_size=20, unique=True).map(sorted),
+)
+def test_the_end_is_that_of_the_first_row_that_ends(slope: float, v: float, cuts: list[int]) -> None:
+    rows, car = rows_of(slope, v), LOG.vehicle
+    end = found_in(rows, cuts)
+    assert end == found_in(rows, list(range(2, N)))
+    last = N if end is None else end.row
+    for k in range(1, last):
+        state = state_at(rows, k)
+        x, y = box_center(state, car)
+        assert contact(World(state, LOG.tracks), car) == -1
+        assert not GOAL.reached(state.t, x, y, state.yaw, state.v)
+    if end is not None and end.reason is EndReason.GOAL:
+        state = state_at(rows, end.row)
+        assert GOAL.reached(state.t, *box_center(state, car), state.yaw, state.v)
+    elif end is not None and end.reason is not EndReason.OFF_ROAD:
+        assert contact(World(state_at(rows, end.row), LOG.tracks), car) == 0
+
+
+def test_all_ends_occur() -> None:
+    reasons = {
+        end.reason for end in (found_in(rows_of(a, v), []) for a in (0.0, -0.12, 0.09) for v in (6.0, 14.0)) if end
+    }
+    assert {EndReason.GOAL, EndReason.OFF_ROAD, EndReason.COLLISION} <= reasons

@@ -1,0 +1,79 @@
+"""What docs/results.md says of the tables is what is in the files."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+from short_logs import QUICK, short
+
+from logs.mcap import write_scenario
+from replay.config import RunConfig
+from replay.results.load import Results, load
+from replay.results.schema import _TYPES, FRAMES, SCHEMA_VERSION, TABLES, arrow, markdown
+from replay.results.tables import TABLES as FILES
+from replay.run import evaluate_logs
+
+ROOT = Path(__file__).parents[3]
+RUN = RunConfig(**{**vars(QUICK), "ensemble": 1})
+
+
+@pytest.fixture(scope="module", params=["logs", "nothing"])
+def result(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Results:
+    """A run of two logs, one of which cannot be read; and one in which nothing could be."""
+    folder = tmp_path_factory.mktemp("logs")
+    write_scenario(folder / "a.mcap", short("test/a", parked=True))
+    (folder / "b.mcap").write_bytes((folder / "a.mcap").read_bytes()[:-80])
+    if request.param == "nothing":
+        (folder / "a.mcap").unlink()
+    return load(evaluate_logs([folder], RUN, tmp_path_factory.mktemp("out") / "run").out)
+
+
+def test_the_page_is_that_of_the_schema() -> None:
+    assert (ROOT / "docs" / "results.md").read_text(encoding="utf-8") == markdown() + "\n", (
+        "write it anew: head of replay/results/schema.py"
+    )
+    for file in FILES:
+        assert f"`{file}`" in markdown(), file
+
+
+def test_every_parquet_file_has_its_columns_and_types_also_without_rows(result: Results) -> None:
+    found = [*result.path.glob("*.parquet"), *result.path.glob("*/*.parquet")]
+    inside = {"frames.parquet", "ensemble.parquet"}
+    assert {file.name for file in found} == TABLES.keys() - (set() if any(result.logs["folder"]) else inside)
+    for file in found:
+        schema = pq.read_schema(file)
+        expected = {column.name: _TYPES[column.kind] for column in TABLES[file.name].columns}
+        if file.parent != result.path:
+            expected.pop("schema_version", None)
+        assert dict(zip(schema.names, schema.types, strict=True)) == expected, file
+        assert list(expected) == schema.names
+        assert schema.metadata[b"replan_schema_version"] == str(SCHEMA_VERSION).encode()
+    csv = pd.read_csv(result.path / "metrics.csv")
+    assert list(csv.columns) == [column.name for column in TABLES["metrics.parquet"].columns]
+
+
+def test_every_frame_of_the_results_has_its_columns(result: Results) -> None:
+    for name, table in FRAMES.items():
+        assert list(getattr(result, name).columns) == [column.name for column in table.columns], name
+    for file in ("metrics", "verdicts", "groups", "health", "timings"):
+        columns = [column.name for column in TABLES[f"{file}.parquet"].columns if column.name != "schema_version"]
+        assert list(getattr(result, file).columns) == columns, file
+
+
+def test_what_is_said_to_be_the_same_twice_is(result: Results, tmp_path: Path) -> None:
+    again = tmp_path / "again"
+    shutil.copytree(result.path, again)  # of a run: replaced
+    sources = sorted({Path(source) for source in result.logs["source"]})
+    evaluate_logs(sources, RUN, again)
+    for file in [*result.path.glob("*.parquet"), *result.path.glob("*/*.parquet")]:
+        if TABLES[file.name].same:
+            assert (again / file.relative_to(result.path)).read_bytes() == file.read_bytes(), file.name
+
+
+def test_a_column_that_the_schema_does_not_know_is_not_written() -> None:
+    with pytest.raises(KeyError, match="surprise"):
+        arrow("health.parquet", pd.DataFrame({"surprise": [1]}))

@@ -1,0 +1,365 @@
+"""Many logs: the same bytes whatever the number of workers; what fails costs only itself."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from short_logs import QUICK, identical, run, short
+
+from logs import ConfigError, PlannerError
+from logs.mcap import read_scenario, write_scenario
+from logs.readers import LogSettings
+from metrics.gates import Gate, Outcome
+from metrics.judge import Verdict
+from replay.config import PlannerProcessConfig, RunConfig, load_run
+from replay.results.tables import claim, next_free, safe_name
+from replay.run import RunResult, evaluate_logs
+from replay.run.one_log import Failure
+from replay.run.pool import WorkerLost, run_all
+from replay.run.sources import Selection, builtin_suite, select
+
+PLANNERS = '''
+import os, signal
+from planners.constant_speed import ConstantSpeed
+
+class Killed(ConstantSpeed):
+    """Kills its process where anybody else is in the scene."""
+    def plan(self, frame):
+        if len(frame.agents):
+            os.kill(os.getpid(), signal.SIGKILL)
+        return super().plan(frame)
+
+class Raising(ConstantSpeed):
+    def plan(self, frame):
+        if frame.t > 0.5:
+            raise RuntimeError("out of ideas")
+        return super().plan(frame)
+
+class Leaving(ConstantSpeed):
+    def plan(self, frame):
+        raise SystemExit(0)
+'''
+
+
+@pytest.fixture
+def planners(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Name of a module of planners that misbehave, importable from here and in workers."""
+    (tmp_path / "misbehaving.py").write_text(PLANNERS, encoding="utf-8")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    return "misbehaving"
+
+
+@pytest.mark.slow  # .ci/run compares two runs of the whole suite
+def test_two_runs_and_any_number_of_workers_give_the_same_bytes(logs: Path, tmp_path: Path) -> None:
+    config = replace(QUICK, planners=("constant_speed", "dp_qp"))
+    outs = [run(logs, tmp_path / str(i), config, workers=workers).out for i, workers in enumerate((0, 0, 2))]
+    assert len(list(outs[0].glob("*/*.mcap"))) == 3 * 4
+    assert identical(outs[0], outs[1])
+    assert identical(outs[0], outs[2])
+
+
+def test_the_order_of_the_logs_changes_nothing_but_the_order_of_the_report(logs: Path, tmp_path: Path) -> None:
+    files = [logs / "a.mcap", logs / "b.mcap"]
+    one, other = run(files, tmp_path / "one"), run(files[::-1], tmp_path / "other")
+    assert identical(one.out, other.out)
+    assert [log.name for log in one.logs] == [log.name for log in other.logs][::-1]
+
+
+def test_tables_hold_every_log_planner_and_mode_sorted(logs: Path, tmp_path: Path) -> None:
+    result = run(logs, tmp_path / "out", replace(QUICK, planners=("logged", "constant_speed")))
+    table = pq.read_table(result.out / "metrics.parquet")
+    assert table.schema.metadata[b"replan_schema_version"] == b"1"
+    rows = table.to_pandas()
+    assert set(rows["schema_version"]) == {1}
+    keys = list(zip(rows["log"], rows["planner"], rows["mode"], rows["metric"], strict=True))
+    assert keys == sorted(keys)
+    assert len(set(keys)) == len(keys)
+    assert {key[:3] for key in keys} == {
+        (f"test/{log}", planner, mode)
+        for log in "abc" for planner in ("logged", "constant_speed") for mode in ("open", "closed")
+    } | {(f"test/{log}", planner, "reference") for log in "abc" for planner in ("driver", "careful")}  # fmt: skip
+    assert rows.loc[rows["planner"] == "logged", "oracle"].all()
+    assert (rows.loc[(rows["planner"] == "logged") & (rows["metric"] == "ade.1s.mean"), "value"] == 0.0).all()
+    csv = pd.read_csv(result.out / "metrics.csv")
+    np.testing.assert_array_equal(csv["value"], rows["value"])
+    timings = pd.read_parquet(result.out / "timings.parquet")
+    assert (timings["seconds"] > 0.0).all()
+    assert set(timings.columns) == {"log", "planner", "mode", "t_s", "stage", "seconds"}
+
+
+def test_the_files_of_a_log_are_there_and_readable(logs: Path, tmp_path: Path) -> None:
+    result = run(logs / "a.mcap", tmp_path / "out", replace(QUICK, recording=True))
+    (log,) = result.logs
+    assert log.folder == safe_name("test/a", log.digest)
+    folder = result.out / log.folder
+    assert {path.name for path in folder.iterdir()} == {
+        "open.mcap", "closed.mcap", "open.rrd", "closed.rrd",
+        "frames.parquet", "health.parquet", "metrics.parquet", "timings.parquet", "log.json",
+    }  # fmt: skip
+    driven = read_scenario(folder / "closed.mcap")
+    assert driven.ego.t[-1] == pytest.approx(result.drives[1].t_end_s)
+    frames = pd.read_parquet(folder / "frames.parquet")
+    assert set(frames["mode"]) == {"open", "closed"}
+    assert not list(result.out.rglob(".partial*"))
+    summary = json.loads((result.out / "summary.json").read_text(encoding="utf-8"))
+    assert summary["exit_code"] == result.exit_code
+    assert [drive["files"] for drive in summary["logs"][0]["drives"]] == [
+        [f"{log.folder}/{mode}.mcap", f"{log.folder}/{mode}.rrd"] for mode in ("open", "closed")
+    ]
+
+
+def test_the_resolved_configuration_runs_the_same_again(logs: Path, tmp_path: Path) -> None:
+    first = run(logs / "a.mcap", tmp_path / "one", replace(QUICK, planner={"constant_speed": {"horizon_s": 3.0}}))
+    again = run(logs / "a.mcap", tmp_path / "two", load_run(first.out / "run.toml"))
+    assert identical(first.out, again.out)
+    assert again.run.planner["constant_speed"] == {"horizon_s": 3.0, "step_s": 0.1}
+
+
+def test_a_bad_log_is_one_failure_and_the_others_are_evaluated(logs: Path, tmp_path: Path) -> None:
+    bad = tmp_path / "bad.mcap"
+    bad.write_bytes((logs / "a.mcap").read_bytes()[:400])
+    result = run([bad, logs / "b.mcap"], tmp_path / "out")
+    assert [failure.log for failure in result.failures] == [str(bad)]
+    assert str(bad) in result.failures[0].message
+    assert not result.failures[0].traceback
+    assert {drive.log for drive in result.drives} == {"test/b"}
+    assert result.exit_code == 3
+
+
+def test_when_nothing_can_be_evaluated_the_tables_are_empty_and_nothing_passes(tmp_path: Path) -> None:
+    bad = tmp_path / "bad.mcap"
+    bad.write_bytes(b"no log at all")
+    result = run(bad, tmp_path / "out")
+    assert result.exit_code == 3
+    assert {verdict.outcome for verdict in result.verdicts} == {Outcome.INCONCLUSIVE}
+    assert len(pd.read_parquet(tmp_path / "out" / "metrics.parquet")) == 0
+
+
+@pytest.mark.slow
+def test_a_killed_planner_costs_its_drives_only(logs: Path, tmp_path: Path, planners: str) -> None:
+    result = run(logs, tmp_path / "out", replace(QUICK, planners=(f"{planners}:Killed", "logged")), workers=2)
+    assert [failure.log for failure in result.failures] == ["test/b", "test/b"]
+    assert all("was killed (SIGKILL)" in failure.message for failure in result.failures)
+    assert len(result.drives) == 12 and result.exit_code == 3
+
+
+@pytest.mark.slow
+def test_a_killed_worker_costs_its_log_only(logs: Path, tmp_path: Path, planners: str) -> None:
+    """Of a planner that is trusted, so that it takes the worker along."""
+    trusted = replace(QUICK.loop, apart=PlannerProcessConfig(trust=True))
+    config = replace(QUICK, planners=(f"{planners}:Killed",), loop=trusted)
+    result = run(logs, tmp_path / "out", config, workers=2)
+    assert [Path(failure.log).name for failure in result.failures] == ["b.mcap"]
+    assert "SIGKILL" in result.failures[0].message
+    assert {drive.log for drive in result.drives} == {"test/a", "test/c"}
+    assert result.exit_code == 3
+    assert not list(result.out.rglob(".partial*"))
+
+
+@pytest.mark.parametrize(("name", "said"), [("Raising", "out of ideas"), ("Leaving", "SystemExit")])
+def test_a_planner_that_raises_is_a_failure_that_names_it(
+    logs: Path, tmp_path: Path, planners: str, name: str, said: str
+) -> None:
+    config = replace(QUICK, planners=("constant_speed", f"{planners}:{name}"))
+    result = run(logs / "a.mcap", tmp_path / "out", config)
+    assert {(failure.planner, failure.mode) for failure in result.failures} == {
+        (f"{planners}:{name}", "open"),
+        (f"{planners}:{name}", "closed"),
+    }
+    assert all(said in failure.line and name in failure.line for failure in result.failures)
+    assert result.exit_code == 3
+    assert "constant_speed" in set(result.table["planner"])
+
+
+@pytest.mark.slow
+def test_a_planner_that_cannot_be_loaded_leaves_the_others(logs: Path, tmp_path: Path) -> None:
+    result = run(logs / "a.mcap", tmp_path / "out", replace(QUICK, planners=("nowhere:Mine", "constant_speed")))
+    assert result.run.planners == ("constant_speed",)
+    assert "nowhere" in result.failures[0].message
+    assert result.exit_code == 3
+    with pytest.raises(PlannerError, match="nowhere"):
+        run(logs / "a.mcap", tmp_path / "other", replace(QUICK, planners=("nowhere:Mine",)))
+
+
+@pytest.mark.parametrize(
+    ("config", "said"),
+    [
+        (RunConfig(planners=("dp_pq",)), "did you mean 'dp_qp'"),
+        (RunConfig(planner={"dp_pq": {}}), "did you mean 'dp_qp'"),
+        (RunConfig(gates="nowhere.toml"), "nowhere.toml"),
+        (replace(RunConfig(), loop=replace(RunConfig().loop, controller="dlqr")), "dlqr_pid"),
+    ],
+)
+def test_a_wrong_name_is_refused_before_anything_is_written(
+    logs: Path, tmp_path: Path, config: RunConfig, said: str
+) -> None:
+    with pytest.raises(ConfigError, match=said):
+        run(logs, tmp_path / "out", config)
+    assert not (tmp_path / "out").exists()
+
+
+def test_logs_of_one_name_are_told_apart_by_their_content(logs: Path, tmp_path: Path) -> None:
+    for i, v in enumerate((9.0, 10.0)):
+        write_scenario(tmp_path / f"{i}.mcap", short("same", v=v))
+    result = run([tmp_path / "0.mcap", tmp_path / "1.mcap"], tmp_path / "out")
+    names = [log.name for log in result.logs]
+    assert names == [f"same@{log.digest[:8]}" for log in result.logs]
+    assert set(result.table["log"]) == set(names)
+    assert len({log.folder for log in result.logs}) == 2
+
+
+@given(
+    failures=st.lists(st.sampled_from([2, 3]), max_size=3),
+    outcomes=st.lists(st.sampled_from(list(Outcome)), max_size=4),
+)
+def test_exit_codes_three_beats_one_beats_four(failures: list[int], outcomes: list[Outcome]) -> None:
+    none = pd.DataFrame()
+    result = RunResult(
+        Path(), RunConfig(), Selection(()), (), tuple(Failure("log", "wrong", exit_code=code) for code in failures),
+        none, tuple(Verdict(Gate("gap.min", min=0.0), outcome, "") for outcome in outcomes),
+    )  # fmt: skip
+    if failures:
+        assert result.exit_code == min(failures)
+    elif Outcome.FAIL in outcomes:
+        assert result.exit_code == 1
+    else:
+        assert result.exit_code == (0 if set(outcomes) - {Outcome.NOT_ASKED} == {Outcome.PASS} else 4)
+
+
+def test_folders_are_searched_and_what_is_left_out_is_said(logs: Path, tmp_path: Path) -> None:
+    deep = tmp_path / "deep" / "deeper"
+    deep.mkdir(parents=True)
+    (deep / "a.mcap").write_bytes((logs / "a.mcap").read_bytes())
+    (deep / "twin.mcap").write_bytes((logs / "a.mcap").read_bytes())
+    (deep / ".hidden.mcap").write_bytes(b"")
+    (deep / "pom.xml").write_text("<project/>", encoding="utf-8")
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results" / "log.json").write_text("{}", encoding="utf-8")
+    (tmp_path / "results" / "closed.mcap").write_bytes(b"")
+    selection = select([tmp_path])
+    assert [source.path for source in selection.sources] == [deep / "a.mcap"]
+    for word in ("same bytes", "hidden", "no reader claims", "earlier run"):
+        assert any(word in reason for reason in selection.dropped)
+    assert "5 found, 1 kept" in str(selection)
+
+
+def test_an_empty_selection_says_what_was_looked_for(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match=r"no logs in this folder; looked for CommonRoad \*\.xml"):
+        select([tmp_path])
+    (tmp_path / ".hidden.mcap").write_bytes(b"")
+    with pytest.raises(ConfigError, match=r"1 found, 0 kept; left out .*hidden"):
+        select([tmp_path])
+    with pytest.raises(ConfigError, match="no such file or folder"):
+        select([tmp_path / "nowhere"])
+    (tmp_path / "notes.txt").write_text("", encoding="utf-8")
+    with pytest.raises(ConfigError, match="not a log that replan reads"):
+        select([tmp_path / "notes.txt"])
+
+
+def test_an_empty_folder_beside_a_full_one_is_an_error_too(logs: Path, tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="no logs in this folder"):
+        select([logs, tmp_path])
+
+
+def test_the_builtin_suite_is_the_catalogue() -> None:
+    assert [source.label for source in builtin_suite().sources][:1] == ["paper/free_road"]
+
+
+def test_a_folder_of_somebody_else_is_never_written_to(logs: Path, tmp_path: Path) -> None:
+    mine = tmp_path / "thesis.tex"
+    mine.write_text("", encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"thesis\.tex"):
+        run(logs / "a.mcap", tmp_path)
+    assert list(tmp_path.iterdir()) == [mine]
+    config = tmp_path / "exp" / "run.toml"
+    config.parent.mkdir()
+    config.write_text('mode = "open"', encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"run\.toml"):
+        claim(config.parent)
+
+
+def test_results_of_an_earlier_run_are_replaced(logs: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    run(logs, out)
+    again = run(logs / "a.mcap", out)
+    assert [path.name for path in out.iterdir() if path.is_dir()] == [again.logs[0].folder]
+
+
+def test_a_result_folder_that_holds_the_log_is_not_cleared(logs: Path, tmp_path: Path) -> None:
+    evaluate_logs([logs / "a.mcap"], replace(QUICK, mode="closed"), tmp_path / "out")
+    (trace,) = (tmp_path / "out").glob("*/closed.mcap")
+    with pytest.raises(ConfigError, match=r"closed\.mcap: lies in the result folder .*out, which is cleared"):
+        evaluate_logs([trace], QUICK, tmp_path / "out")
+    assert trace.exists()
+
+
+def test_the_builtin_suite_takes_no_settings_of_logs(tmp_path: Path) -> None:
+    for asked, window in ((QUICK, 2.0), (replace(QUICK, log=LogSettings(begin=1.0)), None)):
+        with pytest.raises(ConfigError, match="built-in suite"):
+            evaluate_logs([], asked, tmp_path / "out", window=window)
+    assert not (tmp_path / "out").exists()
+
+
+def test_result_folders_are_numbered(tmp_path: Path) -> None:
+    assert [next_free(tmp_path).name for _ in range(2)] == ["run-001", "run-002"]
+
+
+@given(name=st.text(max_size=200))
+def test_safe_names_are_safe(name: str) -> None:
+    safe = safe_name(name, "0123456789")
+    assert safe.endswith("-01234567")
+    assert len(safe) <= 89
+    assert Path(safe).name == safe
+    assert safe.isascii()
+    assert safe_name(safe) == safe
+
+
+def square_of(number: int) -> int:
+    """For the pool: 13 dies."""
+    if number == 13:
+        signal.raise_signal(signal.SIGKILL)
+    return number * number
+
+
+@pytest.mark.slow
+def test_the_pool_gives_every_item_once_and_survives_deaths() -> None:
+    items = [1, 13, 2, 3, 13, 4]
+    answers = dict(run_all(square_of, items, 2))
+    assert sorted(answers) == list(range(len(items)))
+    for index, item in enumerate(items):
+        assert isinstance(answers[index], WorkerLost) if item == 13 else answers[index] == item * item
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", ["0", "1"])
+def test_an_interrupted_run_leaves_nothing_half_written(logs: Path, tmp_path: Path, workers: str) -> None:
+    (tmp_path / "asleep.py").write_text(
+        "import pathlib, time\nclass Asleep:\n    def __init__(self, context): pass\n"
+        "    def plan(self, frame):\n        pathlib.Path('planning').touch()\n        time.sleep(60)\n",
+        encoding="utf-8",
+    )
+    command = [sys.executable, "-c", "from replay.cli import main; main()", "evaluate", str(logs), "-o", "out"]
+    process = subprocess.Popen(
+        [*command, "-p", "asleep:Asleep", "--workers", workers], cwd=tmp_path, stderr=subprocess.PIPE, text=True
+    )
+    while not (tmp_path / "planning").exists():
+        assert process.poll() is None
+        time.sleep(0.05)
+    process.send_signal(signal.SIGINT)
+    _, said = process.communicate(timeout=120)
+    assert process.returncode == 130
+    assert "interrupted" in said
+    assert "Traceback" not in said
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"run.toml", "origin.json"}

@@ -1,0 +1,188 @@
+"""A run in shards, merged, is the run without shards, byte for byte; and nothing else is merged."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from command_line import gates, one_error, replan
+from hypothesis import given
+from hypothesis import strategies as st
+from short_logs import QUICK, short
+
+from logs import ConfigError
+from logs.mcap import write_scenario
+from replay.config import RunConfig
+from replay.results.tables import REPORTS, TABLES
+from replay.run import RunResult, evaluate_logs
+from replay.run.merge import merge
+from replay.run.shard import Shard
+
+CLOCK = {"timings.parquet", "report.md", "report.html", "origin.json"}
+"""Not the same twice."""
+
+
+@pytest.fixture(scope="module")
+def logs(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Five logs: two share a name, one cannot be read, one begins in a collision."""
+    folder = tmp_path_factory.mktemp("logs")
+    for file, log in {
+        "a": short("test/a"),
+        "b": short("test/b", parked=True),
+        "c": short("test/a", v=9.0),
+        "e": short("test/e", v=8.0),
+    }.items():
+        write_scenario(folder / f"{file}.mcap", log)
+    (folder / "d.mcap").write_bytes((folder / "a.mcap").read_bytes()[:-80])
+    return folder
+
+
+@pytest.fixture(scope="module")
+def whole(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> RunResult:
+    return evaluate_logs([logs], QUICK, tmp_path_factory.mktemp("whole") / "out")
+
+
+def shards(logs: Path, out: Path, of: int, run: RunConfig = QUICK) -> list[Path]:
+    """The folders of all shards."""
+    numbers = range(1, of + 1)
+    return [evaluate_logs([logs], run, out / f"{number}", shard=Shard(number, of)).out for number in numbers]
+
+
+@pytest.fixture(scope="module")
+def two(logs: Path, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    return shards(logs, tmp_path_factory.mktemp("two"), 2)
+
+
+def files(out: Path) -> dict[str, bytes]:
+    """Every file of a result folder that holds no clock, by its place."""
+    found = (file for file in sorted(out.rglob("*")) if file.is_file() and file.name not in CLOCK)
+    return {str(file.relative_to(out)): file.read_bytes() for file in found}
+
+
+@given(st.integers(1, 12), st.integers(0, 50))
+def test_each_log_is_in_one_shard_and_shards_differ_by_one_log_at_most(of: int, count: int) -> None:
+    places = [Shard(number, of).places(count) for number in range(1, of + 1)]
+    assert sorted(place for part in places for place in part) == list(range(count))
+    assert max(map(len, places)) - min(map(len, places)) <= 1
+
+
+@pytest.mark.parametrize("text", ["0/2", "3/2", "1", "a/b", "1/0", "-1/2", "1/2/3"])
+def test_what_is_no_shard_is_said(text: str) -> None:
+    with pytest.raises(ConfigError, match="2/5"):
+        Shard.parsed(text)
+
+
+@pytest.mark.parametrize("of", [2, *(pytest.param(of, marks=pytest.mark.slow) for of in (1, 3, 7))])
+def test_merged_shards_are_the_run_byte_for_byte(logs: Path, tmp_path: Path, whole: RunResult, of: int) -> None:
+    """Seven shards of five logs: two of them have none."""
+    merged = merge(shards(logs, tmp_path, of)[::-1], tmp_path / "merged")
+    expected = files(whole.out)
+    assert {*TABLES} - CLOCK - {*REPORTS} - {"shard.json"} <= expected.keys()
+    assert files(merged.out) == expected
+    assert merged.exit_code == whole.exit_code == 3
+
+
+def test_a_shard_measures_and_does_not_judge(two: Sequence[Path]) -> None:
+    first, second = (json.loads((folder / "summary.json").read_text(encoding="utf-8")) for folder in two)
+    assert (first["exit_code"], first["outcome"], first["gates"], first["shard"]) == (0, "not judged", [], "1/2")
+    assert (second["exit_code"], second["shard"]) == (3, "2/2")  # its log d cannot be read
+    assert [log["source"][-6:] for log in first["logs"]] == ["a.mcap", "c.mcap", "e.mcap"]
+
+
+@pytest.mark.slow
+def test_gates_and_ensembles_are_those_of_the_whole_run(logs: Path, tmp_path: Path) -> None:
+    rules = tmp_path / "gates.toml"
+    rules.write_text('[[gate]]\nmetric = "speed.mean"\nmin = 8.5\n', encoding="utf-8")
+    run = replace(QUICK, mode="closed", ensemble=1, gates=str(rules))
+    alone = evaluate_logs([logs], run, tmp_path / "alone")
+    parts = shards(logs, tmp_path / "parts", 2, run)
+    rules.unlink()  # they hold the gates themselves
+    assert files(merge(parts, tmp_path / "merged").out) == files(alone.out)
+
+
+def test_merging_twice_and_after_resuming_gives_the_same(logs: Path, tmp_path: Path, two: Sequence[Path]) -> None:
+    begun = tmp_path / "begun"
+    shutil.copytree(two[0], begun)
+    (begun / "shard.json").unlink()
+    with pytest.raises(ConfigError, match="no whole shard"):
+        merge([begun, two[1]], tmp_path / "merged")
+    evaluate_logs([logs], QUICK, begun, resume=True, shard=Shard(1, 2))
+    once = files(merge([begun, two[1]], tmp_path / "merged").out)
+    assert files(merge(two, tmp_path / "merged").out) == once
+
+
+@pytest.mark.parametrize(
+    ("which", "said"),
+    [((0,), "shards are missing: 2/2"), ((0, 0, 1), "are both shard 1/2"), ((1,), "shards are missing: 1/2")],
+)
+def test_missing_and_overlapping_shards_are_refused(
+    two: Sequence[Path], tmp_path: Path, which: tuple[int, ...], said: str
+) -> None:
+    with pytest.raises(ConfigError, match=said):
+        merge([two[index] for index in which], tmp_path / "merged")
+    assert not (tmp_path / "merged").exists()
+
+
+def test_shards_of_other_runs_are_refused(logs: Path, two: Sequence[Path], tmp_path: Path) -> None:
+    def second(name: str, source: Path = logs, run: RunConfig = QUICK, of: int = 2) -> Path:
+        return evaluate_logs([source], run, tmp_path / name, shard=Shard(2, of)).out
+
+    fewer = tmp_path / "fewer"
+    fewer.mkdir()
+    for file in ("a", "b", "c"):
+        shutil.copy(logs / f"{file}.mcap", fewer)
+    rules = tmp_path / "gates.toml"
+    rules.write_text('[[gate]]\nmetric = "gap.min"\nmin = 0.5\n', encoding="utf-8")
+    coded = shutil.copytree(two[1], tmp_path / "coded")
+    card = json.loads((coded / "shard.json").read_text(encoding="utf-8"))
+    (coded / "shard.json").write_text(json.dumps({**card, "code": "other"}), encoding="utf-8")
+    cases = {
+        second("of", of=3): "shard 1/2 and shard 2/3",
+        second("logs", fewer): "5 and 3 logs; they differ in [de].mcap",
+        second("config", run=replace(QUICK, mode="open")): "mode was 'both', is 'open'",
+        second("gates", run=replace(QUICK, gates=str(rules))): "gates was 'default'",
+        coded: "driven with replan",
+    }
+    for folder, said in cases.items():
+        with pytest.raises(ConfigError, match=said):
+            merge([two[0], folder], tmp_path / "merged")
+
+
+def test_a_damaged_or_foreign_folder_is_refused(two: Sequence[Path], whole: RunResult, tmp_path: Path) -> None:
+    damaged = shutil.copytree(two[0], tmp_path / "damaged")
+    next(damaged.rglob("closed.mcap")).unlink()
+    for folder, said in ((damaged, "not there or not whole"), (whole.out, "no whole shard"), (two[0], "lies there")):
+        with pytest.raises(ConfigError, match=said):
+            merge([folder, two[1]], two[1] if folder == two[0] else tmp_path / "merged")
+
+
+@pytest.mark.slow
+def test_the_command_line_drives_shards_and_judges_when_merged(logs: Path, tmp_path: Path) -> None:
+    one = logs / "b.mcap"
+    rules = gates(tmp_path / "gates.toml", 'metric = "speed.mean"\nmin = 50')
+    words = ("--planner", "constant_speed", "--gates", rules, "--no-recording", "--workers", 0)
+    for number in (1, 2):
+        result = replan(
+            "evaluate", logs / "a.mcap", one, *words, "--shard", f"{number}/2", "-o", tmp_path / f"{number}"
+        )
+        assert result.exit_code == 0, result.output
+        assert f"shard {number}/2" in result.stdout
+        assert "NOT JUDGED" in result.stdout
+    result = replan("merge", tmp_path / "1", tmp_path / "2", "-o", tmp_path / "merged")
+    assert result.exit_code == 1
+    assert "FAIL" in result.stdout
+    replan("evaluate", logs / "a.mcap", one, *words, "-o", tmp_path / "whole")
+    assert files(tmp_path / "merged") == files(tmp_path / "whole")
+    again = ("merge", tmp_path / "1", tmp_path / "2", "--baseline", tmp_path / "whole", "-q", "-o")
+    compared = replan(*again, tmp_path / "merged")
+    assert (compared.exit_code, len(compared.stdout.splitlines())) == (1, 2)
+    assert one_error(replan(*again, tmp_path))
+    assert "junit.xml" in files(tmp_path / "merged")
+    lacking = replan("merge", tmp_path / "1", "-o", tmp_path / "other")
+    assert lacking.exit_code == 2
+    assert "2/2" in one_error(lacking)
+    assert "2/5" in one_error(replan("evaluate", one, *words, "--shard", "5"))

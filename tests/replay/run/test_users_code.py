@@ -1,0 +1,183 @@
+"""A user's metric or planner that raises or gives nonsense costs itself only, and is named with file and line."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from short_logs import QUICK, run
+from typer.testing import CliRunner
+
+from logs import ConfigError
+from logs.errors import raised
+from metrics import METRICS
+from replay.cli import app
+
+HEAD = """
+import numpy as np
+from logs import Mode
+from metrics import Metric, Reduction, Series, Unavailable
+from metrics.metric import MAX, MEAN
+
+def metric(name, measure, reductions=(MEAN, MAX), **more):
+    return Metric(name, "m", "none", (Mode.OPEN, Mode.CLOSED), measure, reductions, "For a test.", **more)
+
+SOUND = metric("sound", lambda trace, scenario: Series(trace.ego.t, trace.ego.x))
+"""
+BAD = {
+    "raises": "def bad(trace, scenario):\n    return 1 / 0",
+    "in_numpy": "def bad(trace, scenario):\n    return np.linalg.inv(np.zeros((2, 2)))",
+    "leaves": "def bad(trace, scenario):\n    raise SystemExit(0)",
+    "none": "def bad(trace, scenario):\n    pass",
+    "number": "def bad(trace, scenario):\n    return 7.0",
+    "infinite": "def bad(trace, scenario):\n    return Series(trace.ego.t, trace.ego.x + np.inf)",
+    "length": "def bad(trace, scenario):\n    return Series(trace.ego.t, trace.ego.x[1:])",
+    "nan_time": "def bad(trace, scenario):\n    return Series(trace.ego.t * np.nan, trace.ego.x)",
+    "words": "def bad(trace, scenario):\n    return Series(trace.ego.t, np.full(len(trace.ego.t), 'x'))",
+    "part": "def bad(trace, scenario):\n    return {'a': [1.0]}",
+    "reason": "def bad(trace, scenario):\n    return Unavailable(None)",
+    "writes": "def bad(trace, scenario):\n    trace.ego.x[0] = 9.0",
+    "silent": "class E(Exception):\n    def __str__(self):\n        return 1 / 0\n"
+    "def bad(trace, scenario):\n    raise E",
+    "reduction": "def ok(trace, scenario):\n    return Series(trace.ego.t, trace.ego.x)\n"
+    "def bad(series):\n    return 1 / 0",
+    "pair": "def ok(trace, scenario):\n    return Series(trace.ego.t, trace.ego.x)\n"
+    "def bad(series):\n    return 'seven', 0",
+    "step": "def ok(trace, scenario):\n    return Series(trace.ego.t, trace.ego.x)\n"
+    "def bad(series):\n    return 7.0, 10**6",
+}  # fmt: skip
+
+
+@pytest.fixture
+def module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[str, str], str]:
+    """Writes a module of the user's that can be imported; its name."""
+    monkeypatch.syspath_prepend(str(tmp_path))
+
+    def written(name: str, text: str) -> str:
+        (tmp_path / f"{name}.py").write_text(text, encoding="utf-8")
+        return name
+
+    return written
+
+
+@pytest.mark.parametrize("bad", BAD)
+def test_a_metric_that_fails_costs_itself_only(
+    logs: Path, tmp_path: Path, module: Callable[[str, str], str], bad: str
+) -> None:
+    body = f"{HEAD}\n{BAD[bad]}\n"
+    last = "metric('bad', ok, (MAX, Reduction('odd', bad)))" if "def ok" in body else "metric('bad', bad)"
+    name = module(f"mine_{bad}", f"{body}\nBAD = {last}\n")
+    config = replace(QUICK, mode="open", metrics=(f"{name}:BAD", f"{name}:SOUND"))
+    without = run(logs / "a.mcap", tmp_path / "without", replace(config, metrics=(f"{name}:SOUND",))).table
+    found = run(logs / "a.mcap", tmp_path / "with", config)
+    theirs = found.table["metric"].str.startswith("bad")
+    assert found.table[~theirs].reset_index(drop=True).equals(without)
+    lost = found.table[theirs & ~found.table["available"]]
+    line = body[: body.index("def bad")].count("\n") + 1
+    where = [f"({name}.py:{number})" for number in (line, line + 1)]
+    assert len(lost) and all(any(place in reason for place in where) for reason in lost["reason"]), lost["reason"]
+    assert set(found.table[theirs]["metric"]) == {"bad.mean", "bad.max"} ^ (
+        {"bad.mean", "bad.odd"} if "def ok" in body else set()
+    )
+    (failure,) = found.failures
+    assert "not available is the metric 'bad'" in failure.message and "bug" not in failure.message
+    assert any(place in failure.message for place in where) and failure.planner == "constant_speed"
+    assert found.exit_code == 3 and len(found.drives) == 1 and (found.out / found.drives[0].files[0]).exists()
+
+
+def test_a_bug_of_our_own_is_called_one_and_costs_its_metric(
+    logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def wrong(trace: object, scenario: object) -> None:
+        raise KeyError("lane")
+
+    own = {**METRICS, "speed": replace(METRICS["speed"], measure=wrong)}
+    monkeypatch.setattr("replay.run.one_log.METRICS", own)
+    found = run(logs / "a.mcap", tmp_path / "out", replace(QUICK, mode="closed"))
+    (failure,) = found.failures
+    assert "a bug in replan, in its metric 'speed': KeyError: 'lane'" in failure.message
+    rows = found.table[found.table["planner"] == "constant_speed"].set_index("metric")
+    assert not rows.loc["speed.mean", "available"] and rows.loc["distance.final", "available"]
+
+
+@pytest.mark.parametrize(
+    ("body", "said"),
+    [
+        ("def broken(:\n    pass", r"SyntaxError: .*\(refused_\d+\.py:12\)"),
+        ("1 / 0", r"ZeroDivisionError: .*\(refused_\d+\.py:12\)"),
+        ("raise SystemExit(0)", r"SystemExit: 0 \(refused_\d+\.py:12\)"),
+        ("BAD = metric('two words', None)", r"name: one word \(refused_\d+\.py:8\)"),
+        ("BAD = metric('bad', None)", r"measure: a function .*\(refused_\d+\.py:8\)"),
+        ("BAD = metric('bad', print, ())", r"reductions: at least one.*\(refused_\d+\.py:8\)"),
+        ("BAD = metric('gap', print)", "two metrics called 'gap'"),
+        ("BAD = 7", "is a int, not a metrics.Metric"),
+        ("", "no metric in .* is called 'BAD'"),
+    ],
+)
+def test_a_metric_that_cannot_be_loaded_is_refused_before_anything_is_written(
+    logs: Path, tmp_path: Path, module: Callable[[str, str], str], body: str, said: str
+) -> None:
+    name = module(f"refused_{sum(body.encode())}", f"{HEAD}\n{body}\n")
+    with pytest.raises(ConfigError, match=said):
+        run(logs, tmp_path / "out", replace(QUICK, metrics=(f"{name}:BAD",)))
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_planner_that_raises_in_a_library_is_named_with_its_own_line(
+    logs: Path, tmp_path: Path, module: Callable[[str, str], str]
+) -> None:
+    text = "import numpy as np\nclass P:\n    def __init__(self, context): pass\n"
+    name = module("in_a_library", text + "    def plan(self, frame):\n        return np.linalg.inv(np.zeros((2, 2)))\n")
+    found = run(logs / "a.mcap", tmp_path / "out", replace(QUICK, planners=(f"{name}:P",)))
+    assert all("LinAlgError: Singular matrix (in_a_library.py:5)" in one.message for one in found.failures)
+    assert len(found.failures) == 2
+
+
+def test_addresses_are_not_in_what_is_said() -> None:
+    try:
+        raise ValueError(f"{object()} is\nodd")
+    except ValueError as error:
+        assert raised(error).startswith("ValueError: <object object at 0x...> is odd (test_users_code.py:")
+
+
+def test_the_command_line_says_it_in_a_line(
+    logs: Path, tmp_path: Path, module: Callable[[str, str], str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    name = module("mine_cli", f"{HEAD}\n{BAD['raises']}\nBAD = metric('bad', bad)\n")
+    words = ["evaluate", str(logs / "a.mcap"), "-p", "constant_speed", "--metric", f"{name}:BAD", "--mode", "open"]
+    done = CliRunner().invoke(app, [*words, "--workers", "0", "--no-recording", "-o", str(tmp_path / "out")])
+    assert done.exit_code == 3
+    assert "error: test/a: not available is the metric 'bad': ZeroDivisionError: division by zero" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("--plant foo=1", "no key is called 'foo'"),
+        ("--plant mass=heavy", "expected a number"),
+        ("--plant mass=-1", "mass must be positive"),
+        ("--config table.toml", "planner.dp_qp"),
+        ("-p needy:Needy", "missing a required argument: 'path'"),
+        ("--gates rule.toml", "no metric has this name"),
+    ],
+)
+def test_what_is_wrong_with_a_configuration_is_said_before_anything_is_driven(
+    logs: Path,
+    tmp_path: Path,
+    module: Callable[[str, str], str],
+    words: str,
+    said: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    module("needy", "class Needy:\n    def __init__(self, context, *, path): ...\n    def plan(self, frame): ...\n")
+    Path("table.toml").write_text('[planner.dp_qp]\nhorizon = "far"\n', encoding="utf-8")  # of a planner not driven
+    Path("rule.toml").write_text('[[gate]]\nmetric = "gapp.min"\nmin = 1\n', encoding="utf-8")
+    run = f"evaluate {logs / 'a.mcap'} -p constant_speed --mode closed --workers 0 --no-recording -o out {words}"
+    done = CliRunner().invoke(app, run.split())
+    assert done.exit_code == 2, done.output
+    assert said in done.stderr
+    assert not Path("out").exists()

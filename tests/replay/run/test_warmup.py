@@ -1,0 +1,65 @@
+"""Kernels compiled beforehand: what a folder of them needs to be of use, and when it is said that there are none."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from replay.run.pool import run_all
+
+ASK = """
+import os, tempfile
+if os.environ.get("READ_ONLY"):  # stands for a file system that is read-only: root may write anywhere else
+    def refused(*_, **__):
+        raise OSError("read-only file system")
+    os.makedirs = os.mkdir = tempfile.TemporaryFile = refused
+import logs.kernel as kernel, logs.shapes as shapes, gc
+print(kernel.cold(), shapes.corners(1.0, 2.0, 0.5, 4.0, 2.0).tolist(), kernel.compiled_here() > 0, kernel.cold())
+print(gc.isenabled())
+"""
+
+
+def _asked(folder: Path, **more: str) -> tuple[list[str], str]:
+    """What a fresh process says with its kernels in a folder, none beside the sources: its lines, and stderr."""
+    copy = folder.parent / "copy"
+    for package in ("logs", "replan"):
+        shutil.copytree(package, copy / package, ignore=shutil.ignore_patterns("__pycache__"), dirs_exist_ok=True)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(copy), *sys.path]), **more}
+    environment.pop("NUMBA_DISABLE_JIT", None)
+    done = subprocess.run(
+        [sys.executable, "-c", ASK], env={**environment, "NUMBA_CACHE_DIR": str(folder)}, cwd=folder.parent,
+        capture_output=True, text=True, check=True,
+    )  # fmt: skip
+    return done.stdout.splitlines(), done.stderr
+
+
+@pytest.mark.slow
+def test_kernels_are_compiled_once_for_a_processor_and_read_where_nothing_can_be_written(tmp_path: Path) -> None:
+    kept = tmp_path / "kernels"
+    kept.mkdir()
+    first, _ = _asked(kept)
+    assert first[0].startswith("True [[") and first[0].endswith(" True False") and first[1] == "True"
+    files = sorted(kept.rglob("*.nb?"))
+    again, said = _asked(kept, READ_ONLY="1")
+    assert again[0].startswith("False [[") and again[0].endswith(" False False") and said == ""
+    assert sorted(kept.rglob("*.nb?")) == files
+    other, _ = _asked(kept, NUMBA_CPU_NAME="generic")
+    assert other == first
+
+
+@pytest.mark.slow
+def test_of_work_that_all_need_one_worker_does_the_first(tmp_path: Path) -> None:
+    ended = [index for index, _ in run_all(_marked, [tmp_path / str(k) for k in range(4)], 4, one_first=True)]
+    others = {int((tmp_path / str(k)).read_text()) for k in range(3)}
+    assert ended[0] == 3 and sorted(ended) == [0, 1, 2, 3]
+    assert (tmp_path / "3").read_text() == "0" and others <= {1, 2, 3}
+
+
+def _marked(path: Path) -> None:
+    """Write how many files there were before."""
+    path.write_text(str(len(list(path.parent.iterdir()))))

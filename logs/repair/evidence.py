@@ -12,18 +12,21 @@ from dataclasses import replace
 import numpy as np
 
 from logs.kernel import FloatArray, frozen
-from logs.repair.boxes import CLUSTER, OTHER_PART, PERSON, VEHICLE, Boxes, shares
-from logs.repair.users import User
+from logs.repair.boxes import CLUSTER, NOISE, OTHER_PART, PERSON, VEHICLE, Boxes, shares
+from logs.repair.users import Piece, User
 from logs.shapes import clearance
 from logs.states import Trajectory
 from logs.vehicle import VehicleParameters
 
-LEAST_TIME, LEAST_COUNT, LEAST_SCORE = frozen([0.7, 0.7, 1.5]), frozen([5, 5, 10]), frozen([2.5, 2.0, 0.0])
-"""By group: less time, s, fewer detections, or a smaller sum of scores is no evidence: clutter lives 0.1 to 0.5 s."""
+STEADY, STEADY_MPS = 3, 5.0
+"""The group of who goes at one speed, which is more than this, m/s: fast ones are in sight for a few frames only, and
+what is no road user does not move along a line."""
+LEAST_TIME, LEAST_COUNT = frozen([0.7, 0.7, 1.5, 0.25]), frozen([5, 5, 10, 4])
+LEAST_SCORE, LEAST_SEEN = frozen([2.5, 2.0, 0.0, 1.2]), frozen([0.3, 0.3, 0.6, 0.15])
+"""By group: less time, s, fewer detections, or a smaller sum of scores is no evidence: clutter lives 0.1 to 0.5 s. And
+the share of the frames in which who moves is detected at least (measured: 0.93 close by to 0.69 at 90 m)."""
 SURE_SCORE = 1.2
 """With so many times `LEAST_SCORE` the time does not count: some are there only when the log begins or ends."""
-LEAST_SEEN, CLUSTER_SEEN = 0.3, 0.6
-"""Share of the frames in which who moves is detected (measured: 0.93 close by to 0.69 at 90 m), and a cluster is."""
 SIDEWAYS_RAD, SIDEWAYS_MPS, SIDEWAYS_COUNT = np.radians(35.0), 2.0, 2
 """A vehicle that moves so far off its axis is parts of several: yaw is exact to 3 to 4 degrees."""
 SAME_PART, SAME_SHARE = 0.3, 0.33
@@ -38,17 +41,29 @@ RANGE_M, RANGE_SIDE_M, EXTEND_S, EXTEND_STILL_MPS = 42.0, 20.0, 10.0, 0.2
 """Sight ends about 50 m ahead and 25 m to the side. Who stands when seen first beyond `RANGE_M` stood there before."""
 
 
+def _steady(piece: Piece) -> bool:
+    """Whether the detections of a vehicle or a person lie on a line through time, as far as their noise allows."""
+    if piece.group == CLUSTER or len(piece.rows) < LEAST_COUNT[STEADY]:
+        return False
+    t, xy = piece.t[piece.seen], piece.z[piece.seen]
+    velocity, start = np.polyfit(t - t[0], xy, 1)
+    off = xy - start - np.outer(t - t[0], velocity)
+    deviation = np.sqrt((off**2).sum() / (off.size - velocity.size - start.size))
+    return bool(np.hypot(*velocity) > STEADY_MPS and deviation < NOISE[piece.group])
+
+
 def trouble(user: User, boxes: Boxes) -> str | None:
     """Why a piece of motion is no evidence of a road user, or no motion of a vehicle; None: it is."""
     piece, score = user.piece, boxes.score[user.piece.rows]
     group, count, span = piece.group, len(piece.rows), piece.t[-1] - piece.t[0]
-    sure = LEAST_SCORE[group] > 0.0 and np.nansum(score) >= SURE_SCORE * LEAST_SCORE[group]
-    if count < LEAST_COUNT[group] or (span < LEAST_TIME[group] - 1e-6 and not sure):
+    row = STEADY if _steady(piece) else group
+    sure = LEAST_SCORE[row] > 0.0 and np.nansum(score) >= SURE_SCORE * LEAST_SCORE[row]
+    if count < LEAST_COUNT[row] or (span < LEAST_TIME[row] - 1e-6 and not sure):
         return f"Seen {count} times within {span:.1f} s: too little for a road user."
-    if np.isfinite(score).all() and score.sum() < LEAST_SCORE[group]:
+    if np.isfinite(score).all() and score.sum() < LEAST_SCORE[row]:
         return f"The scores of its {count} detections sum up to {score.sum():.1f}: too little for a road user."
     seen = count / len(piece.t)
-    if not piece.still and seen < (CLUSTER_SEEN if group == CLUSTER else LEAST_SEEN):
+    if not piece.still and seen < LEAST_SEEN[row]:
         return f"Moves, and was seen in {seen:.0%} of the frames only."
     vx, vy = user.way[4:, piece.seen]
     fast = np.hypot(vx, vy) > SIDEWAYS_MPS

@@ -35,8 +35,8 @@ import pandas as pd
 from logs.catalogue import FAMILIES, Family
 from logs.catalogue.suites import SUITES
 from logs.errors import ConfigError, ReplanError
-from metrics.gates import Outcome
 from metrics.judge import CAREFUL, IMPACT, REFERENCE, REPLAY_CONTACT
+from metrics.judge.gates import Outcome
 from replay.batch import evaluate_logs
 from replay.batch.pool import settle
 from replay.batch.tables import write_file, write_text

@@ -29,7 +29,7 @@ from logs.scenario import Scenario
 from logs.trace import EndReason, Mode, Trace
 from metrics import METRICS, Metric, health, load_metric
 from metrics.comfort import LON_JERK_STATE
-from metrics.ensemble import MEMBER
+from metrics.judge.rows import MEMBER
 from replay.avoidability import with_avoidability
 from replay.batch.log_result import DriveRecord, Failure, LogResult, LogTables, Stamp, keep
 from replay.batch.sources import LogSource, file_hash

@@ -20,12 +20,12 @@ import pandas as pd
 from logs.errors import ConfigError, OutputError
 from logs.readers import LogSettings
 from metrics import COLUMNS, health
-from metrics.aggregate import LogLabels, groups, standings
-from metrics.ensemble import with_asked, with_ensemble
-from metrics.gates import Gates, Outcome, load_gates
 from metrics.judge import Verdict, judge, outcomes
-from metrics.latency import SHARE as LATE
-from metrics.latency import judge_deadline
+from metrics.judge.aggregate import LogLabels, groups, standings
+from metrics.judge.deadline import SHARE as LATE
+from metrics.judge.deadline import judge_deadline
+from metrics.judge.gates import Gates, Outcome, load_gates
+from metrics.judge.rows import with_asked, with_ensemble
 from replay.batch.checks import checked
 from replay.batch.engine import Engine, Local, teams_of
 from replay.batch.lock import held

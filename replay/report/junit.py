@@ -27,7 +27,7 @@ from xml.etree import ElementTree
 
 import pandas as pd
 
-from metrics.gates import Outcome
+from metrics.judge.gates import Outcome
 from replay.report.model import Overview
 from replay.report.overview import log_outcomes, without_folders
 from replay.results import Results

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from metrics.latency import COLUMNS, deadline_misses
+from metrics.judge.deadline import COLUMNS, deadline_misses
 
 
 def timings(seconds: list[float], log: str = "a", planner: str = "p") -> pd.DataFrame:

@@ -15,7 +15,7 @@ import pandas as pd
 from markupsafe import Markup
 
 from logs.errors import LogError, ReplanError, raised
-from metrics.gates import Outcome
+from metrics.judge.gates import Outcome
 from replay.recording.events import Event, events
 from replay.report.attempts import Attempts
 from replay.report.charts import Chart, subject

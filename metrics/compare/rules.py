@@ -27,16 +27,14 @@ from dataclasses import dataclass, replace
 from math import isfinite
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pandas as pd
 
-from logs.errors import ConfigError
 from logs.trace import Mode
 from metrics import METRICS, Metric
-from metrics.aggregate import LogLabels
-from metrics.compare import MIN_SIGNIFICANT, NOT_ASKED, Comparison, RuleVerdict, intervals, significant
-from metrics.gates import Outcome, check_metric, count_logs, gate_tables, known_only, unit_of
+from metrics.compare.tables import MIN_SIGNIFICANT, NOT_ASKED, Comparison, RuleVerdict, intervals, significant
+from metrics.judge.aggregate import LogLabels
+from metrics.judge.gates import Outcome, count_logs, read_tables, unit_of
 
 OVER = ("mean", "median", "worst")
 KINDS = ("max_increase", "max_decrease", "max_flips", "max_missing")  # A rule has exactly one of these
@@ -108,20 +106,7 @@ def load_rules(path: Path | None, *, metrics: Mapping[str, Metric] = METRICS) ->
     Raises:
         ConfigError: Not readable, unknown key or metric, or a contradictory rule; names the file and the rule.
     """
-    source, tables = gate_tables(path, "compare")
-    if not tables:
-        source, tables = gate_tables(None, "compare")
-    rules: list[Rule] = []
-    for i, table in enumerate(tables, 1):
-        place = f"{source}: compare {i}"
-        known_only(table, tuple(Rule.__dataclass_fields__), place)
-        try:
-            rules.append(rule := msgspec.convert(dict(table), Rule))
-        except msgspec.ValidationError as error:
-            raise ConfigError(f"{place}: {error}") from None
-        for name in filter(None, (rule.metric, rule.gate)):
-            check_metric(name, f"{place} ({name})", metrics)
-    return tuple(rules)
+    return read_tables(path, "compare", Rule, metrics)[1] or read_tables(None, "compare", Rule, metrics)[1]
 
 
 def judged(rules: tuple[Rule, ...], comparison: Comparison, labels: Mapping[str, LogLabels]) -> Comparison:

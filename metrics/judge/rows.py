@@ -14,10 +14,10 @@ from dataclasses import replace
 
 import pandas as pd
 
-from metrics.aggregate import LogLabels
 from metrics.evidence import ASKED, ENSEMBLE
-from metrics.gates import Gates, Outcome
-from metrics.judge import judge, outcomes, worst
+from metrics.judge.aggregate import LogLabels
+from metrics.judge.gates import Gates, Outcome
+from metrics.judge.verdicts import judge, outcomes, worst
 
 MEMBER, PERTURBATION = "member", "perturbation"  # The columns of a table of members beside those of `metrics.evaluate`
 _DRIVE = ["log", "planner", "mode"]

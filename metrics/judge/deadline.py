@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 import pandas as pd
 
-from metrics.aggregate import LogLabels
-from metrics.gates import Gate, Gates
-from metrics.judge import Verdict, judge
+from metrics.judge.aggregate import LogLabels
+from metrics.judge.gates import Gate, Gates
+from metrics.judge.verdicts import Verdict, judge
 
 SHARE = "deadline.share"
 MAX_SHARE = 0.01  # So many of a drive's plans may be late

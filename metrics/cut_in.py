@@ -33,8 +33,9 @@ from logs.scenario import AgentKind, Scenario, Tracks
 from logs.shapes import corners
 from logs.states import Trajectory, wrap
 from logs.trace import Mode, Trace
+from metrics.boxes import ego_boxes
 from metrics.metric import MAX, Measured, Metric, Series, Unavailable
-from metrics.others import Others, each, ego_boxes, name_of, some_at
+from metrics.others import Others, each, name_of, some_at
 
 GRID_S = 0.1
 SPACING_M, CHORD_M, BEYOND_M = 2.0, 4.0, 10.0

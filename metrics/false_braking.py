@@ -14,15 +14,14 @@ from math import cos, sin
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, kernel
+from logs.kernel import FloatArray, kernel
 from logs.scenario import Scenario
-from logs.shapes import overlap
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
+from metrics.boxes import Car, car_of, touches
 from metrics.metric import COUNT, MAX, RATE, Measured, Metric, Series
-from metrics.others import others_at
+from metrics.others import Others, labels_of, others_at
 from metrics.path_ahead import GRID_S, ahead_of, grid_of
-from metrics.safety import _labels
 
 HARD_MPS2, APART_S, WITHIN_S, NEAR_M = 3.5, 0.5, 5.0, 0.3
 SPACING_M = 0.5
@@ -39,10 +38,9 @@ def hard_episodes(ego: Trajectory) -> list[int]:
 
 def had_cause(trace: Trace, scenario: Scenario, begin: float) -> bool:
     """(2) of an episode that begins at a time, s."""
-    car, t = scenario.vehicle, begin + GRID_S * np.arange(round(WITHIN_S / GRID_S) + 1)
-    there = others_at(trace.agents, t)
-    size = car.axle_to_center, car.length, car.width + 2.0 * NEAR_M
-    return bool(_comes(_way(trace.ego, begin), *size, there.there, there.pose, there.size))
+    car, t = car_of(scenario), begin + GRID_S * np.arange(round(WITHIN_S / GRID_S) + 1)
+    wider = car._replace(width=car.width + 2.0 * NEAR_M)
+    return bool(_comes(_way(trace.ego, begin), wider, others_at(trace.agents, t)))
 
 
 def _way(ego: Trajectory, begin: float) -> FloatArray:
@@ -56,17 +54,13 @@ def _way(ego: Trajectory, begin: float) -> FloatArray:
 
 
 @kernel
-def _comes(
-    way: FloatArray, ahead: float, length: float, width: float, there: BoolArray, pose: FloatArray, size: FloatArray
-) -> bool:
+def _comes(way: FloatArray, car: Car, others: Others) -> bool:
     """Whether any of the boxes `(n, k)` overlaps the ego's anywhere on the way."""
     for j in range(way.shape[1]):
-        x, y, yaw = way[0, j] + ahead * cos(way[2, j]), way[1, j] + ahead * sin(way[2, j]), way[2, j]
-        for i in range(there.shape[0]):
-            for k in range(there.shape[1]):
-                if there[i, k] and overlap(
-                    x, y, yaw, length, width, pose[0, i, k], pose[1, i, k], pose[2, i, k], size[i, 0], size[i, 1]
-                ):
+        x, y, yaw = way[0, j] + car.axle * cos(way[2, j]), way[1, j] + car.axle * sin(way[2, j]), way[2, j]
+        for i in range(others.there.shape[0]):
+            for k in range(others.there.shape[1]):
+                if others.there[i, k] and touches(x, y, yaw, car, others, i, k):
                     return True
     return False
 
@@ -84,7 +78,7 @@ def _missed(trace: Trace, scenario: Scenario) -> Measured:
     closing = np.maximum(found.v - found.u, 0.0)
     asked = closing**2 / (2.0 * np.maximum(found.gap, TOUCHING_M))
     value = np.maximum(asked - np.maximum(-found.a, 0.0), 0.0)
-    return Series(found.t, value, _labels(trace, found.agent), missing="the path ahead was free")
+    return Series(found.t, value, labels_of(trace, found.agent), missing="the path ahead was free")
 
 
 FALSE_BRAKING = Metric(

@@ -30,10 +30,11 @@ import numpy as np
 from logs.kernel import BoolArray, FloatArray
 from logs.scenario import AgentKind, Scenario
 from logs.trace import Mode, Trace
+from metrics.boxes import STANDING_MPS
 from metrics.metric import MAX, MIN, Direction, Measured, Metric, Reduction, Series, time_below, time_outside
-from metrics.path_ahead import COMING_MPS, GRID_S, LOOK_M, STANDING_MPS, Ahead, ahead_of
-from metrics.safety import CATALOGUE as _CATALOGUE
-from metrics.safety import _labels
+from metrics.others import labels_of
+from metrics.path_ahead import COMING_MPS, GRID_S, LOOK_M, Ahead, ahead_of
+from metrics.safety import CATALOGUE
 
 SHORT_THW_S = 0.9  # Below it Germany fines (criticality metrics catalogue: DE 0.9 s)
 EMERGENCY_MPS2 = 5.0  # UN R157: a greater demand is an emergency manoeuvre
@@ -93,7 +94,7 @@ def _measured(
         no_vehicle = (AgentKind.PEDESTRIAN, AgentKind.OBJECT)
         vehicle = np.array([*(kind not in no_vehicle for kind in trace.agents.kinds), False], np.bool_)
         found = np.where(vehicle[ahead.agent], found, np.nan)
-    return Series(ahead.t, found, _labels(trace, ahead.agent), missing)
+    return Series(ahead.t, found, labels_of(trace, ahead.agent), missing)
 
 
 def _metric(
@@ -112,33 +113,33 @@ def _metric(
 FOLLOWING = (
     _metric(
         "headway", "m", "higher", lambda ahead, scenario: ahead.gap, (MIN,),
-        "Gap along the ego's path from its front bumper to the lead.", "s_lead - s_front", _CATALOGUE,
+        "Gap along the ego's path from its front bumper to the lead.", "s_lead - s_front", CATALOGUE,
     ),
     _metric(
         "thw", "s", "higher",
         lambda ahead, scenario: _quotient(ahead.gap, ahead.v, ahead.v > STANDING_MPS),
         (MIN, time_below(SHORT_THW_S, "time_below_900ms")),
         "Time headway: until the ego's front is where the lead's rear is now, at constant speed.", "gap / v",
-        _CATALOGUE, f"bound {SHORT_THW_S:g} s (fined in Germany)",
+        CATALOGUE, f"bound {SHORT_THW_S:g} s (fined in Germany)",
         needs="a lead in the path of an ego that drives", missing=f"{_ALONE} while it drove",
     ),
     _metric(
         "drac", "m/s2", "lower",
         lambda ahead, scenario: _quotient(np.maximum(ahead.v - ahead.u, 0.0) ** 2, 2.0 * ahead.gap, ahead.gap > 0.0),
         (MAX,), "Deceleration rate to avoid a crash with a lead that holds its speed.",
-        "(v - u)^2 / (2 gap) where v > u, else 0", _CATALOGUE,
+        "(v - u)^2 / (2 gap) where v > u, else 0", CATALOGUE,
     ),
     _metric(
         "required_decel", "m/s2", "lower", _required, (MAX, time_outside(-np.inf, EMERGENCY_MPS2, "time_in_emergency")),
         "Least constant deceleration that avoids a lead that goes on braking as it does until it stands.",
         "b_o + (v - u)^2 / (2 gap) where the speeds meet before the lead stands, else v^2 / (2 (gap + u^2 / (2 b_o)))",
-        f"{_CATALOGUE}; emergency: UN R157", f"emergency above {EMERGENCY_MPS2:g} m/s2",
+        f"{CATALOGUE}; emergency: UN R157", f"emergency above {EMERGENCY_MPS2:g} m/s2",
     ),
     _metric(
         "btn", "1", "lower", lambda ahead, scenario: _required(ahead, scenario) / scenario.vehicle.max_decel,
         (MAX, time_outside(-np.inf, 1.0, "time_above_1")),
         "Brake threat number: required over greatest deceleration; above 1 braking alone does not suffice.",
-        "a_req / a_max", _CATALOGUE, "a_max: the vehicle's max_decel",
+        "a_req / a_max", CATALOGUE, "a_max: the vehicle's max_decel",
     ),
     _metric(
         "stn", "1", "lower",

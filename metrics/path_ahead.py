@@ -20,18 +20,18 @@ from math import atan2, cos, hypot, pi, sin
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
+from logs.kernel import FloatArray, IntArray, inner_kernel, kernel
 from logs.scenario import Scenario
 from logs.shapes import corners
 from logs.states import Trajectory
 from logs.trace import Trace
+from metrics.boxes import STANDING_MPS, Car, car_of
 from metrics.once import once
-from metrics.others import box_of, named, pieces
+from metrics.others import Others, nearest
 
 GRID_S = 0.1
 LOOK_M = 150.0
 COMING_MPS = 0.5
-STANDING_MPS = 0.05  # nuPlan devkit e9241677: a road user that is not faster stands
 PIECES = 4
 
 
@@ -74,13 +74,9 @@ def grid_of(trace: Trace) -> Trajectory:
 @once
 def ahead_of(trace: Trace, scenario: Scenario) -> Ahead:
     """Who was in front, on `grid_of(trace)`."""
-    ego, box = grid_of(trace), box_of(scenario)
+    ego, car = grid_of(trace), car_of(scenario)
     states = np.stack([ego.x, ego.y, ego.yaw, ego.v, ego.kappa])
-    rows, agent = np.full((7, len(ego)), np.nan), np.full(len(ego), -1)
-    for k, seen, others in pieces(trace.agents, ego.t):
-        accel = np.nan_to_num(others.accel)
-        rows[:, k], row = _leads(states[:, k], box, others.there, others.pose, others.size, accel)
-        agent[k] = named(seen, row)
+    rows, agent = nearest(trace.agents, ego.t, lambda k, others: _leads(states[:, k], car, others))
     return Ahead(ego.t, ego.v, ego.a, agent, *rows)
 
 
@@ -139,11 +135,10 @@ def within_look(x: float, y: float, yaw: float, kappa: float, other_x: float, ot
 
 
 @kernel
-def _leads(
-    ego: FloatArray, box: FloatArray, there: BoolArray, pose: FloatArray, size: FloatArray, accel: FloatArray
-) -> tuple[FloatArray, IntArray]:
+def _leads(ego: FloatArray, car: Car, others: Others) -> tuple[FloatArray, IntArray]:
     """The rows gap to facing of `Ahead` `(7, k)` and agent `(k,)`; `ego` has x, y, yaw, v, kappa of the rear axle."""
-    steps, half, front = there.shape[1], 0.5 * box[2], box[0] + 0.5 * box[1]
+    pose, size, steps = others.pose, others.size, others.there.shape[1]
+    half, front = 0.5 * car.width, car.axle + 0.5 * car.length
     rows, agent = np.full((7, steps), np.nan), np.full(steps, -1, np.int64)
     for k in range(steps):
         x, y, yaw, kappa, best = ego[0, k], ego[1, k], ego[2, k], ego[4, k], np.inf
@@ -151,7 +146,7 @@ def _leads(
             continue
         for i in range(len(size)):
             reach = 0.5 * hypot(size[i, 0], size[i, 1])
-            if not there[i, k] or not within_look(x, y, yaw, kappa, pose[0, i, k], pose[1, i, k], reach):
+            if not others.there[i, k] or not within_look(x, y, yaw, kappa, pose[0, i, k], pose[1, i, k], reach):
                 continue
             dx, dy = pose[0, i, k] - x, pose[1, i, k] - y
             ahead, left = dx * cos(yaw) + dy * sin(yaw), dy * cos(yaw) - dx * sin(yaw)
@@ -159,7 +154,7 @@ def _leads(
                 continue
             outline = corners(pose[0, i, k], pose[1, i, k], pose[2, i, k], size[i, 0], size[i, 1])
             near, _, _, low, high = extent(x, y, yaw, kappa, half, outline)
-            if not box[0] < near < min(best, front + LOOK_M) or abs(kappa * near) > 0.5 * pi:
+            if not car.axle < near < min(best, front + LOOK_M) or abs(kappa * near) > 0.5 * pi:
                 continue
             path, vx, vy = yaw + kappa * near, pose[3, i, k], pose[4, i, k]
             u, w, speed = vx * cos(path) + vy * sin(path), vy * cos(path) - vx * sin(path), hypot(vx, vy)
@@ -167,6 +162,7 @@ def _leads(
                 continue
             best, agent[k] = near, i
             rows[0, k], rows[1, k], rows[2, k] = max(near - front, 0.0), u, w
-            rows[3, k] = max(-accel[i, k] * u / speed, 0.0) if speed > STANDING_MPS else 0.0
+            accel = others.accel[i, k] if np.isfinite(others.accel[i, k]) else 0.0
+            rows[3, k] = max(-accel * u / speed, 0.0) if speed > STANDING_MPS else 0.0
             rows[4, k], rows[5, k], rows[6, k] = low, high, cos(pose[2, i, k] - path)
     return rows, agent

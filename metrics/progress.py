@@ -45,10 +45,10 @@ from logs.shapes import point_segment
 from logs.states import EgoState, Trajectory
 from logs.trace import EndReason, Mode, Trace
 from metrics import metric
+from metrics.boxes import ego_boxes
 from metrics.lanes import drivable_lanes, limits_at, stated_lanes
 from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
 from metrics.once import last
-from metrics.others import ego_boxes
 
 SPACING_M, WINDOW_M = 1.0, 30.0
 STRETCH, SLACK_M = 2.0, 0.1

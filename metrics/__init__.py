@@ -23,17 +23,15 @@ from logs.frame_store import light
 from logs.scenario import Scenario
 from logs.trace import Trace
 from metrics import (
-    accuracy,
     comfort,
-    consistency,
     cut_in,
     effort,
     encounters,
     evidence,
-    false_braking,
     following,
     lane_keeping,
     needless,
+    plans,
     progress,
     proposals,
     reference_drivers,
@@ -60,8 +58,8 @@ __all__ = [
 
 GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
     "accuracy": (
-        accuracy.ADE, accuracy.FDE, accuracy.AHE, accuracy.FHE, accuracy.ALONG, accuracy.CROSS,
-        accuracy.MISS,
+        plans.ADE, plans.FDE, plans.AHE, plans.FHE, plans.ALONG, plans.CROSS,
+        plans.MISS,
     ),
     "safety": (
         safety.COLLISION, safety.COLLISION_AT_FAULT, safety.GAP, safety.GAP_VULNERABLE, safety.GAP_KEPT,
@@ -73,7 +71,7 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
     "rules": (
         rules.RED_LIGHT, rules.STOP_SIGN, rules.CROSSWALK, rules.PRIORITY_GAP, rules.YIELDING,
         cut_in.FORCED_BRAKING, needless.NEEDLESS_BRAKING, needless.NEEDLESS_STANDING, needless.NEEDLESS_STEERING,
-        false_braking.FALSE_BRAKING, false_braking.MISSED_BRAKING,
+        needless.FALSE_BRAKING, needless.MISSED_BRAKING,
         safety.PASSING_ROOM, lane_keeping.WRONG_WAY, lane_keeping.LANE_KEEPING, lane_keeping.LANE_LINE,
         progress.SPEED_EXCESS, progress.SPEED_RATIO, progress.ASSUMED_LIMIT_EXCESS,
     ),
@@ -90,8 +88,8 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
     "tracking": effort.TRACKING,
     "effort": effort.EFFORT,
     "consistency": (
-        consistency.PLAN_CHANGE, consistency.PLAN_CHANGE_LATERAL,
-        consistency.EXTENDED_COMFORT, consistency.PLAN_HORIZON, consistency.PLAN_COMPLETE,
+        plans.PLAN_CHANGE, plans.PLAN_CHANGE_LATERAL,
+        plans.EXTENDED_COMFORT, plans.PLAN_HORIZON, plans.PLAN_COMPLETE,
     ),
     "plans": (proposals.PLAN_SCORE, proposals.PLAN_PROGRESS, proposals.PLAN_KEPT, proposals.PLAN_KEPT_LATERAL),
     "evidence": (
@@ -179,7 +177,9 @@ def rows_of(
     """The rows of `evaluate`. What is a phantom is left out for all metrics."""
     ours = all(METRICS.get(name) is metric for name, metric in metrics.items())  # none looks at graphs or predictions
     frames = light(trace.frames) if ours else trace.frames
-    judged = replace(trace, agents=without_phantoms(trace.agents, phantoms(scenario)), frames=frames)
+    agents = without_phantoms(trace.agents, phantoms(scenario))
+    changed = agents is not trace.agents or frames is not trace.frames
+    judged = replace(trace, agents=agents, frames=frames) if changed else trace  # what was measured of it is known
     drive, short = (scenario.name, trace.planner, trace.mode.value, trace.oracle), scenario.short_names
     rows: list[tuple[object, ...]] = []
     for metric in metrics.values():

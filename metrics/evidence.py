@@ -208,7 +208,7 @@ EVIDENCE = Metric(
 AGENT_INTERVAL = Metric(
     "agent_interval", "s", "none", (Mode.OPEN, Mode.CLOSED), _agent_interval, (metric.FINAL,),
     "Time between two samples of a road user in the log, the median over all that are not static: how near to its bound"
-    " a value is marginal (`metrics.judge.excuses`).",
+    " a value is marginal.",
     formula="median of t_k - t_(k-1), gaps left out", needs="a road user with two samples",
 )  # fmt: skip
 REPLAY_CONTACT = Metric(

@@ -260,24 +260,26 @@ SHARE = Reduction("share", lambda series: (float(np.mean(series.known)), -1), "1
 
 
 def _marked(
-    name: str, unit: str, mark: Callable[[Series], BoolArray], value: Callable[[Series, FloatArray, BoolArray], float],
+    name: str,
+    mark: Callable[[Series], BoolArray],
+    whole: Callable[[Series, FloatArray], float] | None = None,
     bounds: tuple[float, float] | None = None,
-) -> Reduction:  # fmt: skip
-    """A value of the marked steps and of how long all stand for; 0 where none is marked; its time is the first."""
+) -> Reduction:
+    """Seconds of the marked steps, or their share of the `whole` of what all steps stand for; its time is the first."""
 
     def reduce(series: Series) -> tuple[float, int]:
-        flags = mark(series)
-        return (value(series, holds(series.t), flags), int(np.argmax(flags))) if flags.any() else (0.0, -1)
+        flags, weight = mark(series), holds(series.t)
+        if not flags.any():
+            return 0.0, -1
+        total = whole(series, weight) if whole else 1.0
+        return float(np.sum(weight[flags])) / total if total > 0.0 else float(flags[0]), int(np.argmax(flags))
 
-    return Reduction(name, reduce, unit, "lower", 0.0, bounds)
+    return Reduction(name, reduce, "1" if whole else "s", "lower", 0.0, bounds)
 
 
 def time_outside(low: float, high: float, name: str) -> Reduction:
     """Seconds during which the value is below `low` or above `high`; 0 where no step has a value."""
-    return _marked(
-        name, "s", lambda series: (series.value < low) | (series.value > high),
-        lambda series, weight, flags: float(np.sum(weight[flags])), (low, high),
-    )  # fmt: skip
+    return _marked(name, lambda series: (series.value < low) | (series.value > high), bounds=(low, high))
 
 
 def time_below(bound: float, name: str) -> Reduction:
@@ -301,19 +303,17 @@ def worst_episode(low: float, high: float) -> Reduction:
 def share_while(condition: Callable[[FloatArray], BoolArray], name: str) -> Reduction:
     """Share of the drive's time in which a condition holds; 0 where no step has a value."""
     return _marked(
-        name, "1", lambda series: condition(series.value) & series.known,
-        lambda series, weight, flags: float(np.sum(weight[flags])) / total if (total := float(np.sum(weight))) > 0.0
-        else float(flags[0]),
-    )  # fmt: skip
+        name, lambda series: condition(series.value) & series.known, lambda series, weight: float(weight.sum())
+    )
 
 
 def share_beyond(bound: float, name: str) -> Reduction:
     """Share of the time of the known steps, `LEAST_S` at least, in which the value is above `bound`; else 0."""
     return _marked(
-        name, "1", lambda series: series.value > bound,
-        lambda series, weight, flags:
-            float(np.sum(weight[flags])) / max(float(np.sum(weight[series.known])), LEAST_S),
-    )  # fmt: skip
+        name,
+        lambda series: series.value > bound,
+        lambda series, weight: max(float(weight[series.known].sum()), LEAST_S),
+    )
 
 
 def changed(t: FloatArray, value: FloatArray, window: float) -> FloatArray:

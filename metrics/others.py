@@ -17,6 +17,7 @@ from logs.scenario import Tracks
 from logs.trace import Trace
 from metrics.once import last
 
+GRID_S = 0.1  # How often metrics look at a drive that do not look at each of its steps
 MOST_CELLS = 1_000_000  # Agents by times that are in memory at once: 49 bytes each
 PIECE_STEPS = 4096  # Of a piece of a longer drive, where no more than `MOST_CELLS` come of it
 

@@ -15,21 +15,9 @@ a plan changes rightly where a road user does something unexpected. Gates theref
     by 3 s, which the shortest complete plan reaches
 (7) plan_score = contact x drivable x (5 ttc + 5 progress + 2 comfort + 2 extended_comfort) / 14
     contact is 0 with (1), 1/2 for an object; drivable: (2) <= 0.3 m; ttc: (3) > 0.95 s; comfort: (4) <= 1;
-    extended_comfort: that of `consistency` <= 1. A part without a value is left out with its weight.
+    extended_comfort: that of `plans` <= 1. A part without a value is left out with its weight.
 
 (7) is the EPDMS of NAVSIM 0a380a90 without direction, lights and lane keeping, which the drive itself is judged by.
-
-The bounds of the gates lie between what planners need (`dp_qp`, `idm` and `lattice` in both loops over the built-in
-suite and 64 recorded logs, less one with a car that cuts in and stops) and what plans that are not meant show (`idm`
-with plans that end 12 m aside, 3 m to either side in turns, accelerating, or braking in every other frame):
-
-    share of time                       planners, at most   such plans, at least   gate
-    plan_collision                      0.44                (others decide)        0.5
-    plan_off_road beyond 0.3 m          0.07                0.4 (aside)            0.2
-    plan_change above 1 m               0.45                0.9 (braking)          0.6
-    plan_change_lateral above 1 m       0.31                0.9 (in turns)         0.4
-    plan_kept above 5 m                 0.57                0.9 (accelerating)     0.65
-    plan_kept_lateral above 2 m         0.42                0.8 (aside)            0.6
 """
 
 from __future__ import annotations
@@ -48,7 +36,7 @@ from logs.scenario import AgentKind, Scenario, Tracks
 from logs.shapes import corners
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
-from metrics import comfort, consistency, metric, safety
+from metrics import comfort, metric, plans, safety
 from metrics.boxes import NO_TTC_MPS, Car, apart, car_of, contact_time, is_behind, touches
 from metrics.lanes import keeps_lane
 from metrics.metric import Direction, Measure, Measured, Metric, Reduction, Series, Unavailable
@@ -223,7 +211,7 @@ def _score(trace: Trace, scenario: Scenario) -> Measured:
     multiplier = np.where(np.isnan(found["contact"]), 1.0, np.where(objects[found["contact_agent"]], 0.5, 0.0))
     multiplier = np.where(found["off"] > safety.OFF_ROAD_M, 0.0, multiplier)
     steady = np.full(len(t), np.nan)
-    extended = consistency.EXTENDED_COMFORT.found(trace, scenario)
+    extended = plans.EXTENDED_COMFORT.found(trace, scenario)
     if isinstance(extended, Series):
         steady[np.isin(t, extended.t)] = np.where(extended.known, extended.value <= 1.0, np.nan)
     parts = np.array(

@@ -1,6 +1,6 @@
 """Responsibility-sensitive safety (RSS), closed loop: how far from a dangerous situation, and was the response proper?
 
-Along and across the path ahead of the ego (`path_ahead`: the arc of its curvature now; no lanes), every 0.1 s, of every
+Along and across the path ahead of the ego (`following`: the arc of its curvature now; no lanes), every 0.1 s, of every
 agent within `LOOK_M` that is not wholly behind the ego: those keep their own distance. v is the ego's speed, u the
 other's along the path, w across it towards the ego's side, d_lon and d_lat the gaps of the boxes (negative where they
 overlap), and stopping(v) = v RHO + A_MAX RHO^2 / 2 + (v + RHO A_MAX)^2 / (2 B_MIN).
@@ -32,10 +32,10 @@ from logs.scenario import AgentKind, Scenario
 from logs.shapes import corners
 from logs.trace import Mode, Trace
 from metrics.boxes import STANDING_MPS, Car, car_of
+from metrics.following import LOOK_M, arc_point, extent, grid_of, within_look
 from metrics.metric import MIN, Measured, Metric, Series, Unavailable, share_while, time_below, time_outside
 from metrics.once import once
-from metrics.others import Others, each, name_of
-from metrics.path_ahead import GRID_S, LOOK_M, arc_point, extent, grid_of, within_look
+from metrics.others import GRID_S, Others, each, name_of
 
 RHO_S = 0.75
 A_MAX_MPS2, B_MIN_MPS2, B_MAX_MPS2 = 3.0, 6.0, 6.0

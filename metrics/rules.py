@@ -56,7 +56,7 @@ from logs.trace import Mode, Trace
 from metrics.boxes import Car, car_of, ego_boxes
 from metrics.encounters import CROSSING_RAD, encroachment, may_meet
 from metrics.metric import COUNT, MIN, Measured, Metric, Reduction, Series, Unavailable, counted
-from metrics.others import each, name_of, some_at, there_between
+from metrics.others import GRID_S, each, name_of, some_at, there_between
 from metrics.phantoms import phantoms, without_phantoms
 
 REST_MPS, BEFORE_M = 0.1, 5.0
@@ -212,7 +212,6 @@ CROSSWALK = Metric(
 )  # fmt: skip
 
 
-GRID_S = 0.1
 AROUND_S = 1.0
 SERIOUS_S, CRITICAL_S = 1.0, 1.5
 FINE_S = 0.05  # Grid of (2)

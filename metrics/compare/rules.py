@@ -1,17 +1,4 @@
-"""Rules of comparison: what a candidate may not do worse than a baseline, as a file says it.
-
-[[compare]]                         # in the same file as [[gate]]; without any, the packaged ones apply
-metric = "ade.3s.mean"              # a name of the table's column `metric`, with max_increase or max_decrease
-max_increase = 0.05                 # in the metric's unit; the candidate's value less the baseline's
-max_decrease = 0.05                 # instead
-over = "mean"                       # "mean" over the logs (default), "median", or "worst": no log by more
-significant = true                  # breaks only where the interval of the mean excludes no change; default: false
-max_flips = 0                       # instead: gates may turn to FAIL so many times, of a pass or of not being asked
-gate = "gap.min"                    # with max_flips: only gates on this metric
-max_missing = 0                     # instead: so many drives of the baseline may be missing in the candidate
-mode = "closed"                     # optional: "open" or "closed"; planner = "dp_qp" and tags = ["pedestrian"] likewise
-optional = true                     # no verdict where no log has the metric; default: false (INCONCLUSIVE)
-reason = "why this rule"            # shown with the verdict
+"""Rules of comparison: what a candidate may not do worse than a baseline, the tables [[compare]] of a file of gates.
 
 Marginal flips and, with "worst", fragile drives (`metrics.compare`) break no rule; the reason counts them.
 
@@ -44,7 +31,18 @@ LOST_SHARE = 0.1  # Of a gate's logs that may lose the value that passed it: as 
 
 @dataclass(frozen=True)
 class Rule:
-    """One rule (module docstring)."""
+    """One rule: exactly one of `KINDS`.
+
+    Attributes:
+        metric: A name of the table's column `metric`, which may not rise by more than `max_increase` or fall by more
+            than `max_decrease`, in its unit; over the logs its "mean" or "median", or no log ("worst").
+        significant: Breaks only where the interval of the mean excludes no change.
+        max_flips: Gates may turn to FAIL so many times, of a pass or of not being asked; `gate`: those on this metric.
+        max_missing: So many drives of the baseline may be missing in the candidate.
+        mode: Only this mode; `planner`, `tags` likewise.
+        optional: No verdict where no log has the metric; else that is INCONCLUSIVE.
+        reason: Shown with the verdict.
+    """
 
     metric: str = ""
     max_increase: float | None = None

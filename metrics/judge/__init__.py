@@ -1,6 +1,6 @@
 """Judging: gates (`gates`), their verdicts (`verdicts`), and what excuses a broken bound (`excuses`).
 
-`aggregate` takes logs together, `rows` adds to the table what verdicts say of it, `deadline` judges the plans' times.
+`aggregate` takes logs together; `rows` adds to the table what verdicts say of it, and judges the time that plans took.
 """
 
 from metrics.judge.excuses import CAREFUL, DRIVER, FOLLOWER, IMPACT, REFERENCE, REPLAY_CONTACT

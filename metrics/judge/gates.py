@@ -1,28 +1,7 @@
-"""Gates: thresholds on the table, as a file says them; `verdicts` judges by them.
+"""Gates: thresholds on the table, as a TOML file says them; `verdicts` judges by them.
 
-[[gate]]
-metric = "gap_vulnerable.min"       # a name of the table's column `metric`
-min = 0.5                           # min, max or both, inclusive
-mode = "closed"                     # optional: "open" or "closed"; without it, each mode that has the metric
-tags = ["pedestrian"]               # optional: only logs that have all of these
-planner = "dp_qp"                   # optional; without it every planner, oracles excepted
-over = "worst"                      # what must hold it: every log ("worst", default), or over the logs together "mean",
-                                    # "median", "sum"; "pass_share": a share of the logs (`verdicts`)
-min_share = 0.95                    # with "pass_share": at least so many of the logs must hold it; lost logs do not
-confident = true                    # and the lower end of the share's 95 % interval too; default: false
-families = ["everyday/cut_in"]      # optional: only logs of one of these families
-datasets = ["nuScenes"]             # optional: only logs of one of these datasets
-per = "family"                      # optional: a verdict for each "family", "tag" or "dataset" by itself
-min_logs = 1                        # how many logs must be judged
-max_missing = 0.1                   # share of the logs that may be without evidence (no value, or excused)
-optional = true                     # not asked of logs without the value (it needs lights, say); default: false
-reachable = true                    # inconclusive where no yardstick holds it (`excuses`); default: false
-evidence = "traffic"                # a pass needs evidence about "traffic", "lights", "limit" or "lane" ...
-min_evidence = 0.8                  # ... over this share of the driven time; else the log is inconclusive
-broken = "inconclusive"             # what a broken bound means: "fail" (default) or "inconclusive"
-reason = "why this threshold"       # shown with the verdict
-
-The same file may hold rules of comparison, [[compare]]: `metrics.compare.rules`.
+The file holds tables [[gate]], whose keys are the attributes of `Gate`, and may hold rules of comparison, [[compare]]
+(`metrics.compare.rules`). docs/gates.md explains all keys.
 """
 
 from __future__ import annotations
@@ -64,7 +43,23 @@ OVER = ("worst", "mean", "median", "sum", "pass_share")
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """One threshold (module docstring)."""
+    """One threshold.
+
+    Attributes:
+        metric: A name of the table's column `metric`.
+        min: The bounds are inclusive; one of them or both.
+        mode: "open" or "closed"; None: each mode that has the metric.
+        tags: Only logs that have all of these; `families`, `datasets`: one of these.
+        planner: None: every planner, oracles excepted.
+        over: What must hold the bounds: every log ("worst"), the logs together ("mean", "median", "sum"), or a share
+            of them ("pass_share"): at least `min_share`, with `confident` the lower end of its 95 % interval too.
+        per: A verdict for each "family", "tag" or "dataset" by itself.
+        min_logs: How many logs must be judged; `max_missing`: the share of the logs that may be without evidence.
+        optional: Not asked of logs without the value.
+        reachable: Inconclusive where no yardstick holds it (`excuses`).
+        evidence: What a pass needs evidence about, over `min_evidence` of the driven time (`EVIDENCE`).
+        broken: What a broken bound means, "fail" or "inconclusive"; `reason` is shown with it.
+    """
 
     metric: str
     min: float | None = None

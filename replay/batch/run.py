@@ -22,10 +22,9 @@ from logs.readers import LogSettings
 from metrics import COLUMNS, health
 from metrics.judge import Verdict, judge, outcomes
 from metrics.judge.aggregate import LogLabels, groups, standings
-from metrics.judge.deadline import SHARE as LATE
-from metrics.judge.deadline import judge_deadline
 from metrics.judge.gates import Gates, Outcome, load_gates
-from metrics.judge.rows import with_asked, with_ensemble
+from metrics.judge.rows import SHARE as LATE
+from metrics.judge.rows import judge_deadline, with_asked, with_ensemble
 from replay.batch.checks import checked
 from replay.batch.engine import Engine, Local, teams_of
 from replay.batch.lock import held

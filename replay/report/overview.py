@@ -25,8 +25,8 @@ from logs.words import counted
 from metrics.compare import Comparison
 from metrics.judge import outcomes, worst
 from metrics.judge.aggregate import LogLabels, membership, pass_shares, standings
-from metrics.judge.deadline import judge_deadline
 from metrics.judge.gates import Outcome
+from metrics.judge.rows import judge_deadline
 from replay.batch import OUTCOMES
 from replay.determinism import NOT_DETERMINISTIC
 from replay.drive import BATCHED, TRUSTED

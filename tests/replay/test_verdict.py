@@ -18,8 +18,8 @@ from logs.readers.cut import cut
 from metrics import evaluate
 from metrics.judge import CAREFUL, DRIVER, REFERENCE, Verdict, judge
 from metrics.judge.aggregate import LogLabels
-from metrics.judge.deadline import judge_deadline
 from metrics.judge.gates import Outcome, load_gates
+from metrics.judge.rows import judge_deadline
 from metrics.phantoms import phantoms
 from replay.avoidability import with_avoidability
 from replay.closed_loop import run_closed_loop

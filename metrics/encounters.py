@@ -20,6 +20,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 from math import cos, hypot, inf, pi, sin
+from typing import NamedTuple
 
 import numpy as np
 
@@ -41,6 +42,19 @@ CROSSING_RAD = pi / 6.0
 SERIOUS_S = 1.0  # PET below it is serious (criticality metrics catalogue)
 
 
+class Body(NamedTuple):
+    """A box that moves: centre, m, heading, length, width, m, velocity, m/s, and the rate of its speed, m/s2."""
+
+    x: float
+    y: float
+    yaw: float
+    length: float
+    width: float
+    vx: float
+    vy: float
+    accel: float
+
+
 @inner_kernel
 def _travelled(v: float, a: float, t: float) -> float:
     """Way after t of who does not reverse: stops where v + a t = 0."""
@@ -50,12 +64,10 @@ def _travelled(v: float, a: float, t: float) -> float:
 
 
 @kernel
-def time_to_contact_accelerated(
-    x1: float, y1: float, yaw1: float, length1: float, width1: float, vx1: float, vy1: float, a1: float,
-    x2: float, y2: float, yaw2: float, length2: float, width2: float, vx2: float, vy2: float, a2: float,
-    horizon: float,
-) -> float:  # fmt: skip
+def time_to_contact_accelerated(one: Body, two: Body, horizon: float) -> float:
     """(1), s; inf if they do not touch within the horizon. Who stands sets off along the heading where a > 0."""
+    x1, y1, yaw1, length1, width1, vx1, vy1, a1 = one
+    x2, y2, yaw2, length2, width2, vx2, vy2, a2 = two
     v1, v2 = hypot(vx1, vy1), hypot(vx2, vy2)
     c1, s1 = (vx1 / v1, vy1 / v1) if v1 > 0.0 else (cos(yaw1), sin(yaw1))
     c2, s2 = (vx2 / v2, vy2 / v2) if v2 > 0.0 else (cos(yaw2), sin(yaw2))
@@ -77,11 +89,10 @@ def time_to_contact_accelerated(
 
 
 @kernel
-def closest_encounter(
-    x1: float, y1: float, yaw1: float, length1: float, width1: float, vx1: float, vy1: float,
-    x2: float, y2: float, yaw2: float, length2: float, width2: float, vx2: float, vy2: float, horizon: float,
-) -> tuple[float, float]:  # fmt: skip
+def closest_encounter(one: Body, two: Body, horizon: float) -> tuple[float, float]:
     """(2): DCE, m, and TTCE, s. Boxes that do not touch are nearest at an end of the time or corner to corner."""
+    x1, y1, yaw1, length1, width1, vx1, vy1, _ = one
+    x2, y2, yaw2, length2, width2, vx2, vy2, _ = two
     contact = time_to_contact(x1, y1, yaw1, length1, width1, vx1, vy1, x2, y2, yaw2, length2, width2, vx2, vy2)
     if contact <= horizon:
         return 0.0, contact
@@ -90,15 +101,22 @@ def closest_encounter(
     later = distance(x1, y1, yaw1, length1, width1, x2 + horizon * vx, y2 + horizon * vy, yaw2, length2, width2)
     square = vx * vx + vy * vy
     if square > 0.0:
-        one, two = corners(x1, y1, yaw1, length1, width1), corners(x2, y2, yaw2, length2, width2)
+        mine, theirs = corners(x1, y1, yaw1, length1, width1), corners(x2, y2, yaw2, length2, width2)
         for i in range(4):
             for j in range(4):
-                dx, dy = two[j, 0] - one[i, 0], two[j, 1] - one[i, 1]
+                dx, dy = theirs[j, 0] - mine[i, 0], theirs[j, 1] - mine[i, 1]
                 t = -(dx * vx + dy * vy) / square
                 apart = hypot(dx + t * vx, dy + t * vy)
                 if 0.0 < t < horizon and (apart < best - 1e-9 or (apart < best + 1e-9 and t < when)):
                     best, when = min(apart, best), t
     return (later, horizon) if later < best - 1e-9 else (best, when)
+
+
+@inner_kernel
+def _body(others: Others, i: int, k: int, accel: float) -> Body:
+    """Box i at step k."""
+    pose, size = others.pose[:, i, k], others.size[i]
+    return Body(pose[0], pose[1], pose[2], size[0], size[1], pose[3], pose[4], accel)
 
 
 @kernel
@@ -118,11 +136,8 @@ def _accelerated(ego: FloatArray, ego_accel: FloatArray, car: Car, others: Other
             a = a if np.isfinite(a) else 0.0
             if apart(x, y, car, others, i, k) > _travelled(v, ego_accel[k], best) + _travelled(u, a, best):
                 continue
-            found = time_to_contact_accelerated(
-                x, y, yaw, car.length, car.width, vx, vy, ego_accel[k],
-                pose[0, i, k], pose[1, i, k], pose[2, i, k], size[i, 0], size[i, 1], pose[3, i, k], pose[4, i, k],
-                a, best,
-            )  # fmt: skip
+            one = Body(x, y, yaw, car.length, car.width, vx, vy, ego_accel[k])
+            found = time_to_contact_accelerated(one, _body(others, i, k, a), best)
             if found < best:
                 best, least[k], agent[k] = found, found, i
     return least, agent
@@ -144,11 +159,8 @@ def _closest(ego: FloatArray, car: Car, others: Others) -> tuple[FloatArray, Int
             t = min(max(-(dx * du + dy * dv) / square, 0.0), HORIZON_S) if square > 0.0 else 0.0
             if hypot(dx + t * du, dy + t * dv) - reach - 0.5 * hypot(size[i, 0], size[i, 1]) > best:
                 continue
-            near, after = closest_encounter(
-                x, y, yaw, car.length, car.width, vx, vy,
-                pose[0, i, k], pose[1, i, k], pose[2, i, k], size[i, 0], size[i, 1], pose[3, i, k], pose[4, i, k],
-                HORIZON_S,
-            )  # fmt: skip
+            one = Body(x, y, yaw, car.length, car.width, vx, vy, 0.0)
+            near, after = closest_encounter(one, _body(others, i, k, 0.0), HORIZON_S)
             if near < best or (near == best and after < when):
                 best, when, agent[k] = near, after, i
                 found[0, k], found[1, k] = near, after

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from metrics import GROUPS, METRICS
-from metrics.gates import Outcome
+from metrics.judge.gates import Outcome
 from replay.results.load import DriveResult
 
 GRAVE = ("collision_at_fault", "safety", "rules", "progress")

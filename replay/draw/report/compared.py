@@ -17,7 +17,7 @@ from rich.text import Text
 
 from logs.words import counted
 from metrics.compare import DRIVE, Comparison
-from metrics.gates import Outcome
+from metrics.judge.gates import Outcome
 from replay.draw.report.console import grid, titled
 
 MOST_FLIPS, MOST_PAIRS, MOST_GROUPS, MOST_LINES = 20, 8, 14, 10

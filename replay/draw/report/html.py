@@ -25,7 +25,7 @@ from markupsafe import Markup
 from logs.errors import ConfigError, LogError, OutputError, ReplanError, raised, writing
 from logs.words import counted
 from metrics.compare import Comparison
-from metrics.gates import Outcome
+from metrics.judge.gates import Outcome
 from replay.draw.charts import Chart, subject
 from replay.draw.charts.canvas import printable
 from replay.draw.charts.layout import BROKEN, placed

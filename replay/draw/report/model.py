@@ -9,8 +9,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import isfinite, nan
 
-from metrics.aggregate import BOTH, SUITE
 from metrics.compare import Comparison
+from metrics.judge.aggregate import BOTH, SUITE
 
 NOTHING = "-"
 BROKEN = "Charts that could not be drawn"
@@ -208,7 +208,7 @@ class GateRow:
 
 @dataclass(frozen=True)
 class PassShare:
-    """The number of logs of a group that pass, with the 95 % interval of the share (`metrics.aggregate`).
+    """The number of logs of a group that pass, with the 95 % interval of the share (`metrics.judge.aggregate`).
 
     Attributes:
         kind: "suite", "family", "tag" or "dataset"; `group` is its name, "" of the suite.

@@ -16,7 +16,7 @@ from rich.table import Table
 from rich.text import Text
 
 from logs.words import counted
-from metrics.gates import Outcome
+from metrics.judge.gates import Outcome
 from replay.draw.report.console import grid, titled
 from replay.draw.report.model import BROKEN, NOTHING, Overview, legend
 

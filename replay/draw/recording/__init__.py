@@ -42,7 +42,7 @@ __all__ = ["write_log_recording", "write_recording"]
 
 SCENE_STEP_S = 0.1
 PART, SAMPLE = 500, 1000
-"""So many frames are drawn at once; at most so many are looked at for the axes of graphs."""
+"""The number of frames that are drawn at once, and the largest number of frames that determine the axes of graphs."""
 
 
 def write_recording(

@@ -40,7 +40,11 @@ def draw_others(tape: Tape, trace: Trace, frames: Instants) -> None:
     if any(frame.predictions is not None for frame in trace.frames):
         _draw_predictions(tape, trace, frames)
     if trace.frames and (len(trace.agents) or trace.perceived is not None):
-        _draw_perceived(tape, trace, frames)
+        # with a sensor model: all agents that it showed; without: the agents that are carried on after their log ended
+        shown = [perceived_only(trace, float(t)) for t in frames.t]
+        labels = [plain(f"{tape.short(name)} as perceived") for some in shown for name in some.ids]
+        if labels:
+            draw_frames(tape, "world/perceived", shown, frames, GHOST_HEIGHT, labels, colours.PERCEIVED, 1.2)
     if any(frame.visibility is not None for frame in trace.frames):
         _draw_sensor(tape, trace.frames, frames)
 
@@ -82,14 +86,6 @@ def futures(frame: PlannedFrame, x: float, y: float) -> list[tuple[str, float, F
     return [
         (frame.agents[some.agent[i]], float(some.probability[i]), np.column_stack([some.x[i], some.y[i]])) for i in rows
     ]
-
-
-def _draw_perceived(tape: Tape, trace: Trace, frames: Instants) -> None:
-    """With a sensor model: all agents that it showed. Without: the agents that are carried on after their log ended."""
-    shown = [perceived_only(trace, float(t)) for t in frames.t]
-    if any(len(some) for some in shown):
-        labels = [plain(f"{tape.short(name)} as perceived") for some in shown for name in some.ids]
-        draw_frames(tape, "world/perceived", shown, frames, GHOST_HEIGHT, labels, colours.PERCEIVED, 1.2)
 
 
 def perceived_only(trace: Trace, t: float) -> Agents:

@@ -18,10 +18,10 @@ from replay.draw.report.model import Column, DriveRow, PassShare
 
 WIDTH_PX, WIDE_PX, ROW_PX, TOP_PX = 440.0, 640.0, 19.0, 40.0
 LABEL_SHARE = 0.4
-"""Of the width, at most, for names."""
+"""The largest share of the width for names."""
 MAX_SHARES, MAX_PAIRS = 40, 20
 FEW = 5
-"""A box of quartiles needs more values than this."""
+"""A box of quartiles is drawn for more values than this."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ def _names(plane: Plane, names: Sequence[str]) -> str:
 
 
 def pass_shares(shares: Sequence[PassShare], planners: int) -> Chart:
-    """The share of logs that pass, with its 95 % interval, by group: a dot, a whisker, and the counts."""
+    """The share of logs that pass, with its 95 % interval, by group: a dot, a whisker, and counts."""
     shown = shares[:MAX_SHARES]
     names = [f"{share.name}, {share.planner}" if planners > 1 else share.name for share in shown]
     plane = _rows_plane(names, (-2.0, 102.0), width=WIDE_PX)

@@ -127,17 +127,23 @@ class KernelIndex(IndexDataCacheFile):
 
     def holds(self, processor: Any) -> bool:
         """Whether there is any for a processor (numba's `magic_tuple`)."""
-        kept = self._load_index()  # type: ignore[no-untyped-call]
+        kept = self._load_index()
         return any(key[1] == processor for key in kept) or (self._beside is not None and self._beside.holds(processor))
 
     def save(self, key: Any, data: Any) -> None:
         """Keep the machine code of one kind of arguments; what is kept of another `stamp` is removed."""
-        kept = self._load_index()  # type: ignore[no-untyped-call]
+        kept = self._load_index()
         if not kept:
             self._clear()
         kept[key] = f"{self._base}.{sha256(f'{self._source_stamp} {key!r}'.encode()).hexdigest()[:16]}.nbc"
         self._save_data(kept[key], data)  # type: ignore[no-untyped-call]
         self._save_index(kept)  # type: ignore[no-untyped-call]
+
+    def _load_index(self) -> Any:
+        try:
+            return super()._load_index()  # type: ignore[no-untyped-call]
+        except (AttributeError, ImportError):  # it names a class of arguments that is gone: the code is stale
+            return {}
 
     def _clear(self) -> None:
         for stale in Path(self._cache_path).glob(f"{escape(self._base)}.*.nbc"):

@@ -102,7 +102,7 @@ class Scene:
         frenet: l, l', l'' of the start; zeros where there is `trouble`.
         limit: The lane's speed limit at the start, m/s.
         bodies: The agents' boxes.
-        agents: The agents along the reference path; `road` the road across their stations.
+        agents: The agents along the reference path; `across` the rows of `road` `(8, n)`.
         speed: Of the agents `(n,)`, m/s.
         standing: Which of them stand `(n,)`.
         vulnerable: Which of them walk or ride `(n,)`.
@@ -119,7 +119,7 @@ class Scene:
     limit: float
     bodies: Bodies
     agents: AgentsAlong
-    road: Section
+    across: FloatArray
     speed: FloatArray
     standing: BoolArray
     vulnerable: BoolArray
@@ -138,6 +138,11 @@ class Scene:
     def v(self) -> float:
         """Speed at the start, m/s, not negative."""
         return max(self.start.v, 0.0)
+
+    @property
+    def road(self) -> Section:
+        """The road across the agents' stations."""
+        return Section(*self.across)
 
     @property
     def futures(self) -> Futures:
@@ -164,8 +169,8 @@ def scene_of(
     frenet = (0.0, 0.0, 0.0) if trouble else frenet_start(line, start, s, l)
     speed = rows[5]
     return Scene(
-        frame, start, reference, vehicle, s, l, trouble, frenet, limit, bodies, AgentsAlong(*rows[:5]),
-        Section(*rows[6:]), speed, speed < STANDING_MPS, VULNERABLE[agents.codes],
+        frame, start, reference, vehicle, s, l, trouble, frenet, limit, bodies, AgentsAlong(*rows[:5]), rows[6:],
+        speed, speed < STANDING_MPS, VULNERABLE[agents.codes],
     )  # fmt: skip
 
 

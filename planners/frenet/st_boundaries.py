@@ -151,8 +151,8 @@ def st_boundaries(
     margins = config.margin_m, config.vulnerable_margin_m, config.passed_margin_m
     ego = Swept(car.axle_to_center, car.length, car.width, *margins, config.early_s, config.late_s)
     way = Way(path.sigma, path.x, path.y, path.yaw)
-    met = Met(skip, scene.vulnerable, is_passed)
-    return StBoundaries(*sweep(way, futures, scene.bodies, met, ego, scene.frame.t, stride))
+    roles = Roles(skip, scene.vulnerable, is_passed)
+    return StBoundaries(*sweep(way, futures, scene.bodies, roles, ego, scene.frame.t, stride))
 
 
 @kernel
@@ -213,7 +213,7 @@ class Way(NamedTuple):
     yaw: FloatArray
 
 
-class Met(NamedTuple):
+class Roles(NamedTuple):
     """Which agents `(agents,)` the sweep skips, which walk or ride, which the path passes (empty: none)."""
 
     skipped: BoolArray
@@ -242,7 +242,7 @@ class Swept(NamedTuple):
 
 @kernel
 def sweep(
-    way: Way, futures: Futures, bodies: Bodies, met: Met, ego: Swept, now: float, stride: int
+    way: Way, futures: Futures, bodies: Bodies, roles: Roles, ego: Swept, now: float, stride: int
 ) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:
     """The fields of `StBoundaries`: of the predictions that take the path, at times `stride` samples apart."""
     t = futures.t[::stride] - now
@@ -256,10 +256,10 @@ def sweep(
     count = 0
     for i in range(size):
         who = futures.agent[i]
-        if met.skipped[who]:
+        if roles.skipped[who]:
             continue
-        margin = ego.vulnerable_margin if met.vulnerable[who] else ego.margin
-        if len(met.passed) and met.passed[who]:
+        margin = ego.vulnerable_margin if roles.vulnerable[who] else ego.margin
+        if len(roles.passed) and roles.passed[who]:
             margin = ego.passed_margin
         ego_size, other_size = (ego.length, ego.width + 2.0 * margin), (bodies.length[who], bodies.width[who])
         reach = abs(ego.rear_to_center) + 0.5 * (hypot(*ego_size) + hypot(*other_size))

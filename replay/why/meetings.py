@@ -25,7 +25,7 @@ from logs.kernel import BoolArray, FloatArray
 from logs.shapes import distance
 from logs.vehicle import VehicleParameters
 from planners.frenet.scene import STANDING_MPS, VULNERABLE, Bodies, Futures
-from planners.frenet.st_boundaries import ALONG, Met, Swept, sweep
+from planners.frenet.st_boundaries import ALONG, Roles, Swept, sweep
 from planners.frenet.st_boundaries import Way as SweptWay
 from replay.why.course import LOOK_S, STEP_S, Held
 from replay.why.way import Way
@@ -87,7 +87,7 @@ def meetings(
         SweptWay(way.s, way.x, way.y, way.yaw),
         Futures(times, futures.agent, rows, x, y, yaw),  # in the place of probabilities: which rows they are
         Bodies(agents.x, agents.y, agents.yaw, agents.vx, agents.vy, agents.length, agents.width),
-        Met(none, VULNERABLE[agents.codes], passed), ego, float(times[0]), 1,
+        Roles(none, VULNERABLE[agents.codes], passed), ego, float(times[0]), 1,
     )  # fmt: skip
     found: dict[int, Meeting] = {}
     for i, agent in enumerate(who.tolist()):

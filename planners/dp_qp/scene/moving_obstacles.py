@@ -16,18 +16,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from math import cos, inf, isfinite, sin
+from math import atan2, cos, hypot, inf, isfinite, sin
 
 import numpy as np
 
 from logs.agents import AgentKind, among
-from logs.kernel import FloatArray, interpolated, kernel
+from logs.kernel import BoolArray, FloatArray, interpolated, kernel
 from logs.road import line_project
 from planners.dp_qp.path.bounds import CorridorConfig, InTheWay, swing_span
 from planners.dp_qp.path.oncoming_lane import passed_by_oncoming_lane, widest_gaps
 from planners.frenet.occupancy import Occupancy
 from planners.frenet.profiles import STEP_S
-from planners.frenet.scene import UNLIKELY, Futures, Scene
+from planners.frenet.reference_path import Section
+from planners.frenet.scene import UNLIKELY, AgentsAlong, Bodies, Futures, Scene
 
 PASSED = among(AgentKind.PEDESTRIAN, AgentKind.BICYCLE)
 """Who is passed while they go on, by their codes."""
@@ -42,6 +43,8 @@ where there is less, 1.15 m.
 So much keeps a plan that passes them. Where they are beside the lane that is kept, `caps.passing_caps` alone says how
 fast.
 """
+ROAD_RIGHT, ROAD_LEFT = Section._fields.index("road_right"), Section._fields.index("road_left")
+"""Rows of `Scene.across`."""
 ALONG_RAD = 0.4
 """Who turns further aside crosses, rad."""
 SLACK = 1.5
@@ -84,13 +87,24 @@ def along_lane(scene: Scene, passed: frozenset[str] = frozenset()) -> list[int]:
     may = PASSED[agents.codes] & ~scene.standing
     if not may.any() or not len(scene.frame.predictions.t):
         return []
-    may &= np.hypot(agents.x - ego.x, agents.y - ego.y) < REACH_M
-    slack = np.array([SLACK if name in passed else 1.0 for name in agents.ids])
-    along, road, half = scene.agents, scene.road, 0.5 * agents.length
-    may &= (scene.speed <= slack * SLOW_MPS) & (along.s + half > scene.rear)
-    may &= (road.road_right - half < along.l) & (along.l < road.road_left + half)
-    may &= np.arctan2(np.abs(along.v_l), along.v_s) <= slack * ALONG_RAD
-    return np.flatnonzero(may).tolist()
+    slack = np.array([SLACK if name in passed else 1.0 for name in agents.ids]) if passed else np.ones(len(may))
+    place = ego.x, ego.y, scene.rear
+    return _goes_along(may, slack, scene.speed, scene.agents, scene.across, scene.bodies, place).nonzero()[0].tolist()
+
+
+@kernel
+def _goes_along(
+    may: BoolArray, slack: FloatArray, speed: FloatArray, along: AgentsAlong, across: FloatArray, bodies: Bodies,
+    ego: tuple[float, float, float],
+) -> BoolArray:  # fmt: skip
+    """Who of those that `may` goes along the lane `(n,)`, each with its slack; `ego` is x, y, station of the rear."""
+    out = np.zeros(len(may), np.bool_)
+    for i in range(len(may)):
+        near, half = hypot(bodies.x[i] - ego[0], bodies.y[i] - ego[1]) < REACH_M, 0.5 * bodies.length[i]
+        if may[i] and near and speed[i] <= slack[i] * SLOW_MPS and along.s[i] + half > ego[2]:
+            on_road = across[ROAD_RIGHT, i] - half < along.l[i] < across[ROAD_LEFT, i] + half
+            out[i] = on_road and atan2(abs(along.v_l[i]), along.v_s[i]) <= slack[i] * ALONG_RAD
+    return out
 
 
 def pass_targets(

@@ -194,10 +194,10 @@ ENDINGS = ("csv", "parquet", "md", "json", "toml", "whl", "opendrive", "s3", "ra
 
 
 def code_names(page: Path) -> Iterator[str]:
-    """What stands in backticks in the text, and what the commands of the page run as a Python file or module."""
+    """What stands in backticks in the text, what commands run as a Python file or module, and what `:::` documents."""
     text = page.read_text(encoding="utf-8")
     yield from (name for line in CODE.findall(FENCE.sub("", text)) for name in line.split())
-    yield from re.findall(r"python (?:-m )?([\w./]+)", text)
+    yield from re.findall(r"(?:python (?:-m )?|^::: )([\w./]+)", text, re.MULTILINE)
 
 
 def is_defined(module: str) -> bool:

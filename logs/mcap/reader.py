@@ -17,6 +17,7 @@ import numpy as np
 
 from logs import road as nouns
 from logs.agents import codes_of
+from logs.codec import noun_of
 from logs.detections import Change, Detections, Repair
 from logs.errors import LogError
 from logs.kernel import BoolArray, FloatArray, IntArray
@@ -24,7 +25,7 @@ from logs.mcap import native, osi
 from logs.mcap.complete import completed, road_along
 from logs.mcap.container import CONVERT, LAST_TIME_NS, MEND, Container, Stream, read_container
 from logs.observed import Spans, of_stream
-from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
+from logs.rules import Colour, TrafficLight
 from logs.scenario import FINDING, Scenario, Tracks
 from logs.states import Controls, OnboardPlan, Trajectory
 from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
@@ -351,28 +352,12 @@ def _road(message: native.Road | None, ego: Trajectory, notes: list[str]) -> nou
         return road_along(ego, notes)
     if not message.default_speed_limit > 0.0:
         raise LogError("default_speed_limit_mps must be positive", topic="/road", remedy=MEND)
-    source = nouns.RoadSource[message.source.upper()]
-    lanes = {lane.id: _lane(lane) for lane in message.lanes}
-    if len(lanes) < len(message.lanes):
+    if len({lane.id for lane in message.lanes}) < len(message.lanes):
         raise LogError("two lanes have the same id", topic="/road", remedy="ids are unique in a road")
     try:
-        stop_lines = tuple(_stop_line(line) for line in message.stop_lines)
-        crosswalks = tuple(Crosswalk(c.id, _outline(c, f"crosswalk {c.id}")) for c in message.crosswalks)
-        limits = message.default_speed_limit, stop_lines, crosswalks, frozenset(message.assumed_limits)
-        return nouns.Road(lanes, source, message.drives_on_right, *limits)
+        return noun_of(nouns.Road, message)
     except ValueError as error:
         raise LogError(str(error), topic="/road", remedy=MEND) from None
-
-
-def _outline(message: native.Crosswalk | native.StopLine, name: str) -> FloatArray:
-    if len(message.x) != len(message.y):
-        raise ValueError(f"{name} has {len(message.x)} x_m and {len(message.y)} y_m")
-    return np.column_stack([message.x, message.y])
-
-
-def _stop_line(line: native.StopLine) -> StopLine:
-    points = _outline(line, f"stop line {line.id}")
-    return StopLine(line.id, line.lane, points, line.light, line.must_stop, tuple(line.towards))
 
 
 def _lights(stream: Stream | None, start_ns: int) -> tuple[TrafficLight, ...]:
@@ -400,9 +385,8 @@ def _onboard(stream: Stream | None, start_ns: int) -> tuple[OnboardPlan, ...]:
     out = []
     for at, time, message in zip(known, stream.times, stream.decoded(native.OnboardPlan), strict=True):
         _equal_lengths(message.trajectory, stream.topic, time)
-        columns = (np.array(column, np.float64) for column in msgspec.structs.astuple(message.trajectory))
         try:
-            out.append(OnboardPlan(at, Trajectory(*columns)))
+            out.append(noun_of(OnboardPlan, message, known=at))
         except ValueError as error:
             raise LogError(str(error), topic=stream.topic, time_ns=time, remedy=MEND) from None
     return tuple(out)
@@ -417,42 +401,10 @@ def _dark(road: nouns.Road, lights: Sequence[TrafficLight]) -> tuple[str, ...]:
     return (f"The log does not show the lights of {len(lost)} of {len(road.stop_lines)} stop lines: not known is off.",)
 
 
-def _lane(lane: native.LaneColumns) -> nouns.Lane:
-    lengths = {len(lane.left_x), len(lane.left_y), len(lane.right_x), len(lane.right_y)}
-    if len(lengths) > 1:
-        remedy = "point i of one faces point i of the other"
-        raise LogError(f"lane {lane.id}: boundaries have {sorted(lengths)} points", topic="/road", remedy=remedy)
-    try:
-        return nouns.Lane(
-            id=lane.id,
-            left=np.column_stack([lane.left_x, lane.left_y]),
-            right=np.column_stack([lane.right_x, lane.right_y]),
-            successors=tuple(lane.successors),
-            left_neighbour=lane.left_neighbour,
-            right_neighbour=lane.right_neighbour,
-            left_opposite=lane.left_opposite,
-            speed_limit=float("nan") if lane.speed_limit is None else lane.speed_limit,
-            drivable=lane.drivable,
-            left_crossable=lane.left_crossable,
-            right_crossable=lane.right_crossable,
-            right_opposite=lane.right_opposite,
-            kind=lane.kind,
-            yields_to=tuple(lane.yields_to),
-        )
-    except ValueError as error:
-        raise LogError(str(error), topic="/road", remedy=MEND) from None
-
-
 def _goal(message: native.Goal | None) -> nouns.Goal | None:
     if message is None:
         return None
-    goal = _one_goal(message)
-    return replace(goal, alternatives=tuple(map(_one_goal, message.alternatives))) if message.alternatives else goal
-
-
-def _one_goal(message: native.Goal | native.GoalAlternative) -> nouns.Goal:
-    for region in message.regions:
+    for region in chain(message.regions, *(one.regions for one in message.alternatives)):
         if len(region.x) != len(region.y) or len(region.x) < 3:
             raise LogError("a region needs as many x_m as y_m, three or more", topic="/goal", remedy=MEND)
-    regions = tuple(np.column_stack([region.x, region.y]) for region in message.regions)
-    return nouns.Goal(regions, message.t, message.v, message.yaw)
+    return noun_of(nouns.Goal, message)

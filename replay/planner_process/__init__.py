@@ -1,7 +1,6 @@
 """Planners kept apart: whatever is not built in plans in a process of its own, and is sent frames, nothing else.
 
-schema      the messages (docs/planners_apart.md says them field by field)
-convert     frames and plans <-> messages
+schema      the messages (docs/planners_apart.md describes them field by field), and their nouns
 channel     messages over file descriptors, with deadlines
 launcher    a small warm process per worker from which planners' processes are forked, and templates of them
 processes   the worker's side of it: a process that is started, waited for, killed

@@ -10,8 +10,8 @@ from contextlib import suppress
 from typing import Any, Generic, TypeVar
 
 import msgspec
-import numpy as np
 
+from logs.codec import array_as_bytes, array_of, scalar_as_number
 from replay.planner_process.schema import LARGEST_BYTES
 
 T = TypeVar("T")
@@ -35,13 +35,6 @@ class GarbageError(Exception):
     """What came is no message."""
 
 
-def plain(value: object) -> object:
-    """Numbers of NumPy's in a planner's answer."""
-    if isinstance(value, np.generic):
-        return value.item()
-    raise TypeError(f"{type(value).__name__} cannot be sent")
-
-
 class Channel(Generic[T]):
     """Sends any message, receives those of a type.
 
@@ -55,7 +48,8 @@ class Channel(Generic[T]):
 
     def __init__(self, into: int, out: int, kind: Any, said: int = -1, *, patient: bool = False) -> None:
         self._into, self._out, self._said_at = into, out, said
-        self._encoder, self._decoder = msgspec.msgpack.Encoder(enc_hook=plain), msgspec.msgpack.Decoder(kind)
+        self._encoder = msgspec.msgpack.Encoder(enc_hook=scalar_as_number if patient else array_as_bytes)
+        self._decoder = msgspec.msgpack.Decoder(kind, dec_hook=array_of)
         self._buffer, self._filled, self.said = bytearray(PIPE_BYTES), 0, b""
         self._patient = patient
         for fd in {into, out, said} - {-1}:

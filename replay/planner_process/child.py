@@ -22,7 +22,6 @@ from logs.trace import Plan
 from planners.base import Planner
 from replay.planner_process import schema
 from replay.planner_process.channel import Channel, GoneError
-from replay.planner_process.convert import context_of, frame_of, plan_sent
 from replay.planner_process.planner_config import (
     check_keywords,
     of_class,
@@ -111,7 +110,7 @@ class Seat:
     def _built(self, hello: schema.Hello) -> schema.Ready:
         self._planners.append(None)
         keywords = planner_keywords(hello.planner, hello.config)
-        context = context_of(hello.context, self._watch.lap)
+        context = schema.context_of(hello.context, self._watch.lap)
         factory: Any = prepared(hello.planner, keywords)
         self._planners[-1] = factory(context, **keywords)
         self._together, self._keep = of_class(factory, "plan_batch"), hello.keep_internals
@@ -128,7 +127,7 @@ class Seat:
         self, plan: Callable[[list[Any], list[Frame]], Any], seats: list[int], sent: list[schema.Frame]
     ) -> Any:
         """What the planners of some seats answer to their frames."""
-        planners, frames = [self._planners[seat] for seat in seats], [frame_of(message) for message in sent]
+        planners, frames = [self._planners[seat] for seat in seats], [schema.frame_of(message) for message in sent]
         assert None not in planners, "a frame came before the context"
         self._watch.start()
         try:
@@ -141,7 +140,7 @@ class Seat:
             return schema.Failed(raised(plan), "raised")
         if not isinstance(plan, Plan):
             return schema.Failed(f"it returned {type(plan).__name__} instead of a Plan", "contract")
-        return plan_sent(plan.recorded(keep=self._keep), self._watch.laps, inside=True)
+        return schema.plan_message(plan.recorded(keep=self._keep), self._watch.laps, inside=True)
 
 
 def _tried(answer: Callable[[Any], Any], question: Any) -> Any:

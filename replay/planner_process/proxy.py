@@ -15,7 +15,6 @@ from replay.config import PlannerProcessConfig
 from replay.drive import FIRST, Place
 from replay.planner_process import schema
 from replay.planner_process.channel import GarbageError, GoneError, LateError
-from replay.planner_process.convert import context_message, frame_message, plan_of
 from replay.planner_process.link import FaultError, Link, address_of, clean, command_of, last_words, opened
 from replay.planner_process.planner_config import is_foreign
 from replay.planner_process.processes import Load
@@ -76,7 +75,7 @@ class ApartPlanner:
             raise ConfigError(f"planner '{spec}': its settings cannot be sent: {error}") from None
         log = log_here() if limits.batch else None
         self._link: Asked = Link(spec, limits, load) if log is None else Shared(log, place, limits, load, watch)
-        hello = schema.Hello(schema.SCHEMA_VERSION, spec, config, context_message(context), keep_internals)
+        hello = schema.Hello(schema.SCHEMA_VERSION, spec, config, schema.context_message(context), keep_internals)
         answer = self._link.ask(hello, limits.start_timeout_s, "while it was built")
         if isinstance(answer, schema.Failed):
             self._failed(answer, "cannot be built")
@@ -92,14 +91,14 @@ class ApartPlanner:
         limit = self._limits.plan_timeout_s
         limit = limit if self._made else max(limit, self._limits.start_timeout_s)
         self._made += 1
-        answer = self._link.ask(frame_message(frame), limit, f"at t = {frame.t:.2f} s")
+        answer = self._link.ask(schema.frame_message(frame), limit, f"at t = {frame.t:.2f} s")
         if isinstance(answer, schema.Failed):
             how = "broke its contract" if answer.what == "contract" else "raised"
             self._failed(answer, f"{how} at {frame.t:.2f} s")
         if not isinstance(answer, schema.Plan):
             raise self._link.fault(f"broke its contract at {frame.t:.2f} s: it did not answer a frame with a plan")
         try:
-            plan = plan_of(answer)
+            plan = schema.plan_of(answer)
         except (ValueError, KeyError) as error:
             raise self._link.fault(f"broke its contract at {frame.t:.2f} s: {clean(str(error))}") from None
         for stage, seconds in answer.laps.items():

@@ -27,10 +27,10 @@ from replay.loop.closed_loop import run_closed_loop
 from replay.loop.open_loop import run_open_loop
 from replay.loop.perception import perceive
 from replay.planner_process import schema
-from replay.planner_process.convert import context_message, context_of, frame_message, frame_of
 from replay.planner_process.link import clean
 from replay.planner_process.processes import _warm, loaded_for
 from replay.planner_process.proxy import described
+from replay.planner_process.schema import context_message, context_of, decode, encode, frame_message, frame_of
 from replay.run.one_log import LOOPS
 from replay.run.resume import stamp_of
 from replay.world import World
@@ -267,12 +267,12 @@ def test_a_goal_with_alternatives_reaches_the_planner_and_one_without_is_as_befo
     log = scenario(drive(straight, 10.0, 1.0))
     for goal in (plain, both):
         sent = context_message(PlannerContext(log.road, goal, log.vehicle, 0.1, log.ego.state(0)))
-        found = context_of(msgspec.msgpack.decode(msgspec.msgpack.encode(sent), type=schema.Context), None).goal
+        found = context_of(decode(encode(sent), schema.Context), print).goal
         assert found is not None and (found.t, found.v, found.yaw) == (goal.t, goal.v, goal.yaw)
         assert [one.v for one in found.alternatives] == [one.v for one in goal.alternatives]
         np.testing.assert_array_equal(np.vstack(found.regions), np.vstack(goal.regions))
-    old = {key: value for key, value in msgspec.to_builtins(sent.goal).items() if key != "alternatives"}
-    assert msgspec.convert(old, schema.Goal).alternatives == []
+    old = {key: value for key, value in decode(encode(sent.goal), dict).items() if key != "alternatives"}
+    assert decode(encode(old), Goal).alternatives == ()
 
 
 def test_agents_reach_the_planner_with_all_columns_and_without_those_of_older_senders() -> None:
@@ -280,13 +280,13 @@ def test_agents_reach_the_planner_with_all_columns_and_without_those_of_older_se
     frame = perceive(World(log.ego.state(0), log.tracks), None, LoopConfig())
     assert not len(frame.agents)
     frame = perceive(World(replace(log.ego.state(0), t=0.6), log.tracks), None, LoopConfig())
-    sent = msgspec.msgpack.encode(frame_message(frame))
-    found = frame_of(msgspec.msgpack.decode(sent, type=schema.Frame)).agents
+    sent = encode(frame_message(frame))
+    found = frame_of(decode(sent, schema.Frame)).agents
     for name in NUMBERS:
         np.testing.assert_array_equal(getattr(found, name), getattr(frame.agents, name), err_msg=name)
     assert found.age == pytest.approx([0.2]) and found.unseen == pytest.approx([0.1])
     plain = msgspec.msgpack.decode(sent)
     for name in OPTIONAL:
         del plain["agents"][name]
-    old = frame_of(msgspec.msgpack.decode(msgspec.msgpack.encode(plain), type=schema.Frame)).agents
+    old = frame_of(decode(encode(plain), schema.Frame)).agents
     assert all(np.isnan(getattr(old, name)).all() for name in OPTIONAL) and old.x == frame.agents.x

@@ -36,9 +36,9 @@ from replay.planner_process.stopwatch import Stopwatch
 def main() -> None:
     """Answer what comes on stdin until it closes."""
     channel: Channel[Any] = Channel(os.dup(1), os.dup(0), schema.Question, patient=True)
-    _settle_in()
+    _redirect_streams()
     try:
-        Seat(channel).serve()
+        PlannerServer(channel).serve()
     except GoneError:
         pass
     finally:
@@ -52,15 +52,15 @@ def load(planner: str, settings: bytes) -> None:
         planner: "module:Class".
         settings: Its table in the configuration, MessagePack.
     """
-    _settle_in()
+    _redirect_streams()
     try:
         prepared(planner, planner_keywords(planner, msgspec.msgpack.decode(settings)))
     finally:
         sys.stdout.flush()
 
 
-def _settle_in() -> None:
-    """Nothing to read on stdin, stdout is stderr, and the working directory is searched last."""
+def _redirect_streams() -> None:
+    """Make stdin empty and stdout the same as stderr, and search the working directory last."""
     nothing = os.open(os.devnull, os.O_RDONLY)
     os.dup2(nothing, 0)
     os.close(nothing)
@@ -77,7 +77,7 @@ def warm() -> None:
     Trajectory(*np.arange(14.0).reshape(7, 2))
 
 
-class Seat:
+class PlannerServer:
     """One planner, or those of several logs which plan together, and their clock."""
 
     def __init__(self, channel: Channel[Any]) -> None:

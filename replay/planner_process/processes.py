@@ -1,7 +1,7 @@
 """The worker's side of the launcher: a process for a planner, started within milliseconds, and its end.
 
 One launcher serves a worker as long as its Python path, folder and environment stay as they are; it ends with the
-worker, and with it all that it has started. Within a run (`loaded_for`) the drives of a planner are forked from a
+worker, and with it all that it has started. Within a run (`set_template_run`) the drives of a planner are forked from a
 template, which has loaded its module once; where there can be none, from the launcher, and each loads it for itself.
 """
 
@@ -77,7 +77,7 @@ class Process:
     def ending(self) -> str:
         """How it ended, in words; it is ended where it has only closed its output."""
         status = self._forks.status(self._key, GRACE_S)
-        self.channel.listen()
+        self.channel.read_printed()
         if status is None:
             return "it closed its output"
         code = os.waitstatus_to_exitcode(status)
@@ -88,7 +88,7 @@ class Process:
         return f"its process was killed ({name}){hint}"
 
 
-def started(argv: list[str] | None, kind: Any, limits: PlannerProcessConfig, load: Load | None = None) -> Process:
+def start_process(argv: list[str] | None, kind: Any, limits: PlannerProcessConfig, load: Load | None = None) -> Process:
     """A new process: a program, or (None) the Python planner of `replay.planner_process.child`, which may be `load`.
 
     Args:
@@ -110,7 +110,7 @@ def started(argv: list[str] | None, kind: Any, limits: PlannerProcessConfig, loa
     return launcher.forks.start(asked, kind)
 
 
-def loaded_for(run: str) -> None:
+def set_template_run(run: str) -> None:
     """From now on a planner's module is loaded once in this process for all drives of a run.
 
     Args:

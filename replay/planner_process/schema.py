@@ -30,11 +30,16 @@ from logs.road import Goal, Lane
 from logs.rules import Colour, Crosswalk, StopLine
 from logs.states import EgoState
 from logs.vehicle import VehicleParameters
-from replay.planner_process.plan_limits import LARGEST_INSIDE_BYTES, shortened
 
 SCHEMA_VERSION = 1
 LARGEST_BYTES = 64 << 20
 """The greatest length of a planner's message: the first four characters of any text would be a greater length."""
+MOST_POINTS = 10_000
+"""States of a trajectory: 100 s at 100 Hz. A longer plan is refused (`replay.loop.plan_check`)."""
+LONGEST_REASON = 1000
+"""Characters of a reason or an error message. A longer one is cut, and says so."""
+LARGEST_INSIDE_BYTES = 8 << 20
+"""What a planner in another process shows of one plan, with its timings, as MessagePack: `dp_qp` shows some 10 KiB."""
 
 
 class Road(msgspec.Struct):
@@ -228,6 +233,14 @@ def encode(message: object) -> bytes:
 def decode(data: bytes, kind: Any) -> Any:
     """The message of a type in MessagePack; msgspec.DecodeError where there is none."""
     return msgspec.msgpack.decode(data, type=kind, dec_hook=array_of)
+
+
+def shortened(text: str) -> str:
+    """The text, or its beginning and how long it was: at most `LONGEST_REASON` characters."""
+    if len(text) <= LONGEST_REASON:
+        return text
+    mark = f" ... (cut, {len(text)} characters)"
+    return text[: LONGEST_REASON - len(mark)] + mark
 
 
 def context_message(context: frame.PlannerContext) -> Context:

@@ -1,7 +1,7 @@
-"""One period of the reacting traffic as one kernel: who leads whom, who is late from now on, how far everybody gets.
+"""One period of the reacting traffic as one kernel: who follows whom, who is late from now on, how far each agent gets.
 
-What it means stands in `replay.traffic.reactive`; the arrays of `Phases` are written in place. They are of those who
-may be in the scene (`replay.traffic.coming`), and so is `n` here.
+`replay.traffic.reactive` says what it means. The arrays of `Phases` are written in place; they hold the agents that may
+be in the scene (`Coming`), and `n` is their number.
 """
 
 from __future__ import annotations
@@ -245,3 +245,49 @@ def sample(agents: Agents, now: Phases, pose: FloatArray, here: BoolArray) -> No
         if now.late[i] and logged[i] > STANDING_MPS:
             rates[i] = min(now.speed[i] / logged[i], 1.0)
     play(agents.tracks, now.phase, rates, now.there, pose, here)
+
+
+class Coming:
+    """The agents that may be in the scene: in a long log with many agents, a period looks at these alone.
+
+    They are those whose log has begun, and those that never move, without those who are gone for good: not in the
+    scene, and neither waiting to enter nor within the time of their log. The others change nothing and nothing changes
+    them, as they would be neither present nor entering. An agent that has left is kept as it was then.
+
+    Args:
+        every: All agents of the log.
+
+    Attributes:
+        who: Their tracks `(k,)`, increasing.
+        agents: They alone.
+        now: How they are; written by the kernels.
+    """
+
+    def __init__(self, every: Agents) -> None:
+        self._every, self._states = every, nobody_late(len(every.reacts))
+        begins = np.where(every.tracks.static, -np.inf, every.tracks.t[every.tracks.first])
+        self._order = np.argsort(begins, kind="stable")
+        self._begins, self._count = begins[self._order], 0
+        self._take(np.empty(0, np.int64))
+
+    @property
+    def all(self) -> Phases:
+        """How all agents are, `(n,)`: those who are not in `who` as they left, or as at first."""
+        for whole, part in zip(self._states, self.now, strict=True):
+            whole[self.who] = part
+        return self._states
+
+    def until(self, t: float, end: float) -> None:
+        """From the time `t` on, hold all agents that may be in the scene by the time `end`."""
+        count = int(np.searchsorted(self._begins, end + 1e-9, side="right"))
+        if count > self._count:
+            new, self._count = self._order[self._count : count], count
+            self.all.phase[new] = t
+            now, tracks = self.now, self.agents.tracks
+            waits = now.late & (now.phase <= tracks.t[tracks.first] + 1e-9)
+            over = now.late | (self.agents.left < t - 1e-9)
+            gone = ~(now.there | tracks.static | waits) & over
+            self._take(np.sort(np.r_[self.who[~gone], new]))
+
+    def _take(self, who: IntArray) -> None:
+        self.who, self.now, self.agents = who, self._states.some(who), self._every.some(who)

@@ -76,7 +76,7 @@ class PhaseReplay:
 
     def __init__(self, log: Tracks, extended: Tracks | None = None) -> None:
         path, self._own = extended or log, log
-        owner, last = _owners(path), np.arange(len(path.t))
+        owner, last = np.repeat(np.arange(len(path)), np.diff(path.offsets)), np.arange(len(path.t))
         vx, vy = path.velocity(owner, last) if len(log) else (path.vx, path.vy)
         self.logged = logged_tracks(path, vx, vy)
         x, y, yaw, vx, vy = self.logged.columns
@@ -149,11 +149,6 @@ class PhaseReplay:
         self._who[first : self._count] = row.who[which]
         self._played[first : self._count, 0] = row.t
         self._played[first : self._count, 1:] = row.pose[:, which].T
-
-
-def _owners(log: Tracks) -> IntArray:
-    """The track `(samples,)` of each sample."""
-    return np.repeat(np.arange(len(log)), np.diff(log.offsets))
 
 
 @kernel

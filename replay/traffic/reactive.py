@@ -44,10 +44,10 @@ from metrics.others import name_of
 from metrics.reference_drivers import CC_REACT_S
 from replay.prediction import LaneMap
 from replay.prediction.lane_following import FOLLOWING, followers
-from replay.traffic.coming import Coming
 from replay.traffic.following import DECEL_MPS2, STANDSTILL_M, taken
 from replay.traffic.period import (
     Agents,
+    Coming,
     Ego,
     advance,
     entering,

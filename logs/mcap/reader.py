@@ -85,7 +85,10 @@ def _native(container: Container) -> Scenario:
     start_ns = _from_record(record, "start_ns", int, streams["/ego"].times[0])
     if not 0 <= start_ns <= LAST_TIME_NS:
         raise LogError(f"start_ns is {start_ns}", topic=native.SCENARIO_RECORD, remedy="a log time, nanoseconds")
-    ego = _ego(streams["/ego"], start_ns, notes)
+    try:
+        ego = completed(sampled(streams["/ego"], native.Ego, start_ns), notes)
+    except ValueError as error:
+        raise LogError(str(error), topic="/ego", remedy=MEND) from None
     tracks, extended = marked_tracks(streams, start_ns, notes)
     detections, repair = _repaired(streams, start_ns, tracks, extended)
     road = _road(_one(streams, "/road", native.Road), ego, notes)
@@ -97,6 +100,9 @@ def _native(container: Container) -> Scenario:
     parameters = {} if vehicle is None else msgspec.structs.asdict(vehicle)
     controls = streams.get("/controls", streams.get("/actuation"))
     noted = _from_record(record, "notes", list[str], [])
+    said = container.metadata.get(native.FREE_RECORD, {})
+    free = {key: text for key, text in said.items() if not key.startswith(FINDING)}
+    driven = {f"trace_{key}": value for key, value in container.metadata.get(native.TRACE_RECORD, {}).items()}
     try:
         return Scenario(
             name=record.get("name", container.path.stem),
@@ -115,7 +121,7 @@ def _native(container: Container) -> Scenario:
                 _from_record(record, "origin_y_m", float, 0.0),
             ),
             start_ns=start_ns,
-            metadata=_free_metadata(container),
+            metadata={**free, **driven},
             notes=(*noted, *(note for note in notes if note not in noted)),
             lights=lights,
             onboard=_onboard(streams.get("/onboard"), start_ns),
@@ -147,12 +153,6 @@ def _from_record(record: dict[str, str], key: str, kind: type[T], default: T) ->
         raise LogError(what, topic=native.SCENARIO_RECORD, remedy=MEND) from None
 
 
-def _free_metadata(container: Container) -> dict[str, str]:
-    driven = {f"trace_{key}": value for key, value in container.metadata.get(native.TRACE_RECORD, {}).items()}
-    said = container.metadata.get(native.FREE_RECORD, {})
-    return {**{key: text for key, text in said.items() if not key.startswith(FINDING)}, **driven}
-
-
 def _one(streams: dict[str, Stream], topic: str, kind: type[T]) -> T | None:
     """The message of a topic that has one or none."""
     if topic not in streams or not len(streams[topic]):
@@ -172,17 +172,16 @@ def seconds(times: Sequence[int], start_ns: int) -> FloatArray:
     return (np.array(times, dtype=np.int64) - start_ns) / 1e9
 
 
-def _column(messages: Sequence[Any], name: str) -> FloatArray:
-    return np.array([getattr(message, name) for message in messages], dtype=np.float64)
-
-
 def sampled(stream: Stream, kind: type[msgspec.Struct], start_ns: int) -> dict[str, FloatArray]:
     """Column t and those of a kind, whether they come one sample a message or in blocks."""
     block = native.BLOCKS[kind]
     if stream.schema != native.schema_name(block):
         stream.check_order(strictly=True)
         some = stream.decoded(kind)
-        columns = {name: _column(some, name) for name in kind.__struct_fields__}
+        columns = {
+            name: np.array([getattr(message, name) for message in some], dtype=np.float64)
+            for name in kind.__struct_fields__
+        }
         return {"t": seconds(stream.times, start_ns), **columns}
     blocks = stream.decoded(block)
     for time, message in zip(stream.times, blocks, strict=True):
@@ -198,13 +197,6 @@ def sampled(stream: Stream, kind: type[msgspec.Struct], start_ns: int) -> dict[s
         raise LogError("a log time is beyond any clock", topic=stream.topic, remedy=MEND)
     replace(stream, times=times).check_order(strictly=True)
     return {"t": seconds(times, start_ns), **{name: np.array(some, np.float64) for name, some in joined.items()}}
-
-
-def _ego(stream: Stream, start_ns: int, notes: list[str]) -> Trajectory:
-    try:
-        return completed(sampled(stream, native.Ego, start_ns), notes)
-    except ValueError as error:
-        raise LogError(str(error), topic=stream.topic, remedy=MEND) from None
 
 
 def controls_of(stream: Stream, start_ns: int) -> Controls:

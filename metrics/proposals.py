@@ -176,8 +176,11 @@ def _meetings(
                 if gap <= 0.0 and overlap(
                     x, y, yaw, car[0], car[1], pose[0, i, k], pose[1, i, k], pose[2, i, k], size[i, 0], size[i, 1]
                 ):
-                    if j > 0 and there[i, column[f, j - 1]]:
-                        kind = _contact_kind(rear_x, rear_y, yaw, v, car[3], car[1], pose[:, i, k], size[i], objects[i])
+                    before = column[f, max(j - 1, 0)]
+                    if j > 0 and there[i, before]:
+                        kind = _contact_kind(
+                            rear_x, rear_y, yaw, v, car, pose[:, i, before], pose[:, i, k], size[i], objects[i]
+                        )
                         row = 0 if kind in (STOOD, FRONT) else 1
                         if (row == 0 or kind == SIDE) and (step[row, f] < 0 or j < step[row, f]):
                             step[row, f], hit[row, f] = j, i

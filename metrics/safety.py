@@ -8,12 +8,16 @@ first one is ours):
 
     FROM_START      they touch when the drive begins or the other first appears              not at fault
     STOPPED_EGO     the ego stands (<= 0.05 m/s)                                             not at fault
-    STOPPED_TRACK   the other stands, or is an object                                        at fault
+    STOPPED_TRACK   the other stands, or is an object, and did not come from behind          at fault
     CUT_IN          as ACTIVE_REAR, within reach of the lane entry of the ego before it (`cut_in`)        at fault
     ACTIVE_REAR     the other's centre is behind: more than 150 degrees off the heading, seen from the rear axle
                                                                                              not at fault
     ACTIVE_FRONT    the ego's front bumper touches                                           at fault
     LATERAL         any other                          at fault unless the ego keeps its lane (`lanes.keeps_lane`)
+
+It came from behind where its centre is behind, as below, and the boxes would not touch had it stayed where it was one
+step before: objects without a kind may be vehicles that follow, and one that hardly moves is not driven into by an ego
+that goes away from it.
 
 Time to collision: both boxes go on with their velocity vectors and headings (`shapes.time_to_contact`), up to 10 s;
 agents behind (as above) and a standing ego (<= 0.005 m/s) have none. At a collision at fault it is 0, with anyone. Each
@@ -142,9 +146,10 @@ def _kind(step: int, agent: int, drive: Trajectory, agents: Tracks, scenario: Sc
     other = some_at(agents, np.array([agent]), drive.t[max(step - 1, 0) : step + 1])
     if step == 0 or not other.there[0, 0]:
         return ContactKind.FROM_START
+    car = np.array([vehicle.length, vehicle.width, vehicle.axle_to_center, vehicle.axle_to_front])
+    before, now = other.pose[:, 0].T
     is_object = agents.kinds[agent] is AgentKind.OBJECT
-    kind = KINDS[_contact_kind(ego.x, ego.y, ego.yaw, ego.v, vehicle.axle_to_front, vehicle.width,
-                               other.pose[:, 0, -1], other.size[0], is_object)]  # fmt: skip
+    kind = KINDS[_contact_kind(ego.x, ego.y, ego.yaw, ego.v, car, before, now, other.size[0], is_object)]
     if kind is ContactKind.ACTIVE_REAR and forces_hit(drive.between(-inf, ego.t), agents, agent, scenario):
         return ContactKind.CUT_IN
     return kind
@@ -152,21 +157,24 @@ def _kind(step: int, agent: int, drive: Trajectory, agents: Tracks, scenario: Sc
 
 @kernel
 def _contact_kind(
-    x: float, y: float, yaw: float, v: float, front: float, width: float, pose: FloatArray, size: FloatArray,
+    x: float, y: float, yaw: float, v: float, car: FloatArray, before: FloatArray, pose: FloatArray, size: FloatArray,
     is_object: bool,
 ) -> int:  # fmt: skip
-    """Index in `KINDS` of a contact with `pose` `(5,)` and `size` `(2,)`, which did not touch the ego before.
+    """Index in `KINDS` of a contact with `pose` `(5,)` and `size` `(2,)`, which did not touch the ego `before` `(5,)`.
 
-    x, y, yaw, v are the ego's at the rear axle, which is `front` m behind the front bumper.
+    x, y, yaw, v are the ego's at the rear axle; `car` is its length, width, and rear axle to centre and to front.
     """
     if abs(v) <= STANDING_MPS:
         return 1
+    c, s, behind = cos(yaw), sin(yaw), _behind(x, y, yaw, pose[0], pose[1])
     if is_object or hypot(pose[3], pose[4]) <= STANDING_MPS:
-        return 2
-    if _behind(x, y, yaw, pose[0], pose[1]):
+        mid_x, mid_y = x + car[2] * c, y + car[2] * s
+        if not behind or overlap(mid_x, mid_y, yaw, car[0], car[1], before[0], before[1], before[2], size[0], size[1]):
+            return 2
+    if behind:
         return 3
-    nose_x, nose_y = x + front * cos(yaw), y + front * sin(yaw)
-    return 4 if overlap(nose_x, nose_y, yaw, 0.0, width, pose[0], pose[1], pose[2], size[0], size[1]) else 5
+    nose_x, nose_y = x + car[3] * c, y + car[3] * s
+    return 4 if overlap(nose_x, nose_y, yaw, 0.0, car[1], pose[0], pose[1], pose[2], size[0], size[1]) else 5
 
 
 @kernel

@@ -1,7 +1,7 @@
-"""A Python planner in its process: it is built of a context, and answers frames with plans.
+"""A Python planner in its process: it is built from a context, and answers frames with plans.
 
-Its stdin and stdout carry the messages of `replay.planner_process.schema`. They are taken away from the planner's code:
-what it prints goes to stderr, of which the last lines are shown where it fails.
+Its stdin and stdout carry the messages of `replay.planner_process.schema`. The planner's code cannot use them: what it
+prints goes to stderr, whose last lines are shown where it fails.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from replay.planner_process.stopwatch import Stopwatch
 
 
 def main() -> None:
-    """Answer what comes on stdin until it closes."""
+    """Answer the messages on stdin until it closes."""
     channel: Channel[Any] = Channel(os.dup(1), os.dup(0), schema.Question, patient=True)
     _redirect_streams()
     try:
@@ -46,7 +46,7 @@ def main() -> None:
 
 
 def load(planner: str, settings: bytes) -> None:
-    """What all drives of a planner have in common: its module, and what its class loads (`prepared`).
+    """Load what all drives of a planner share: its module, and what its class prepares (`prepared`).
 
     Args:
         planner: "module:Class".
@@ -73,12 +73,12 @@ def _redirect_streams() -> None:
 
 
 def warm() -> None:
-    """Load the kernel that every plan needs: the compiler takes 0.2 s to wake, once and not in each process."""
+    """Load the kernel that every plan needs: the compiler starts in 0.2 s, here once instead of in each process."""
     Trajectory(*np.arange(14.0).reshape(7, 2))
 
 
 class PlannerServer:
-    """One planner, or those of several logs which plan together, and their clock."""
+    """Answers the messages to one planner, or to the planners of several logs that plan together; has their clock."""
 
     def __init__(self, channel: Channel[Any]) -> None:
         self._channel, self._watch = channel, Stopwatch()
@@ -87,7 +87,7 @@ class PlannerServer:
         self._keep = False
 
     def serve(self) -> None:
-        """Answer every message; what the planner raises becomes an answer, too."""
+        """Answer every message; an exception of the planner becomes an answer, too."""
         while True:
             question = self._channel.receive()
             answer = _tried(self._answer, question)
@@ -126,7 +126,7 @@ class PlannerServer:
     def _planned(
         self, plan: Callable[[list[Any], list[Frame]], Any], seats: list[int], sent: list[schema.Frame]
     ) -> Any:
-        """What the planners of some seats answer to their frames."""
+        """What the planners in some seats return for their frames; `plan` calls them."""
         planners, frames = [self._planners[seat] for seat in seats], [schema.frame_of(message) for message in sent]
         assert None not in planners, "a frame came before the context"
         self._watch.start()
@@ -144,7 +144,7 @@ class PlannerServer:
 
 
 def _tried(answer: Callable[[Any], Any], question: Any) -> Any:
-    """The answer to a question, or what was raised instead."""
+    """The answer to a question, or the failure that was raised."""
     try:
         return answer(question)
     except ReplanError as error:

@@ -21,14 +21,14 @@ from typing import Any
 
 import msgspec
 
-from logs import agents, frame, trace
+from logs import agents, frame, states, trace
 from logs.agents import AgentKind
-from logs.codec import Column, array_as_bytes, array_of, message_of, noun_of, unpacked
+from logs.codec import Column, array_as_bytes, array_of, message_of, noun_of, packed, unpacked
 from logs.mcap import native
 from logs.mcap.trace import artefacts_of, inside_of
 from logs.road import Goal, Lane
 from logs.rules import Colour, Crosswalk, StopLine
-from logs.states import EgoState
+from logs.states import TRAJECTORY_COLUMNS, EgoState
 from logs.vehicle import VehicleParameters
 
 SCHEMA_VERSION = 1
@@ -285,7 +285,9 @@ def frame_of(message: Frame) -> frame.Frame:
 def plan_message(plan: trace.Plan, laps: dict[str, float] | None = None, *, inside: bool = False) -> Plan:
     """The message of a plan, with its inside or without."""
     shown = Inside(**inside_of(plan.internals)) if inside and len(plan.internals) else None
-    return message_of(Plan, plan, reason=shortened(plan.reason), laps=laps or {}, inside=shown)
+    columns = (packed(getattr(plan.trajectory, name)) for name in TRAJECTORY_COLUMNS)
+    status, start = plan.status.name.lower(), plan.start.name.lower()
+    return Plan(Trajectory(*columns), status, shortened(plan.reason), start, laps or {}, shown)
 
 
 def plan_of(message: Plan) -> trace.Plan:
@@ -300,4 +302,7 @@ def plan_of(message: Plan) -> trace.Plan:
     for name, known in (("status", trace.PlanStatus), ("start", trace.PlanStart)):
         if getattr(message, name).upper() not in known.__members__:
             raise ValueError(f"{name} '{getattr(message, name)}' is none of {', '.join(known.__members__).lower()}")
-    return noun_of(trace.Plan, message, internals=tuple(artefacts_of(message.inside)) if message.inside else ())
+    columns = (unpacked(getattr(message.trajectory, name)) for name in TRAJECTORY_COLUMNS)
+    status, start = trace.PlanStatus[message.status.upper()], trace.PlanStart[message.start.upper()]
+    internals = tuple(artefacts_of(message.inside)) if message.inside else ()
+    return trace.Plan(states.Trajectory(*columns), status, message.reason, start, internals)

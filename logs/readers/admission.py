@@ -24,9 +24,9 @@ from logs.agents import USUAL_SIZE_M
 from logs.detections import Detections
 from logs.errors import LogError
 from logs.kernel import BoolArray, FloatArray
+from logs.names import counted, visible_name
 from logs.road import Road
 from logs.scenario import Scenario, Tracks
-from logs.words import counted, visible_name
 
 
 class Limit(NamedTuple):

@@ -40,7 +40,7 @@ class Traffic(Protocol):
         """The others as they have moved up to `ego.t`, seeing the ego's states until then.
 
         The tracks may reach beyond `ego.t`; who looks at them takes care not to (`Tracks.perceived`). They may be
-        those around now alone (`logs.around.Recent`); what is kept of the drive is their `whole`.
+        those around now alone (`logs.nearby.Recent`); what is kept of the drive is their `whole`.
         """
         ...
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from logs.kernel import FloatArray
-from logs.short_names import ShortNames
+from logs.names import ShortNames
 from logs.trace import DecisionKind, Graph, GraphObstacle, SlGraph, StGraph
 from replay.draw.charts.axes import Plane, spread
 from replay.draw.charts.canvas import LETTER_PX, Chart, area, legend, polyline, shortened, text

@@ -10,9 +10,9 @@ from collections.abc import Iterable, Iterator
 import numpy as np
 
 from logs.kernel import FloatArray
+from logs.names import ShortNames
 from logs.scenario import AgentKind, Agents
 from logs.shapes import corners
-from logs.short_names import ShortNames
 from logs.states import EgoState
 from logs.trace import Decision, DecisionKind
 from replay.draw.charts.axes import Plane

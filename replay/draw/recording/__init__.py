@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun as rr
 
-from logs.around import Around
 from logs.frame_store import light
 from logs.kernel import FloatArray
-from logs.memory import give_back
+from logs.memory import trim_memory
+from logs.nearby import NearbyTracks
 from logs.scenario import Scenario
 from logs.trace import EndReason, Graph, Mode, PlannedFrame, SlGraph, StGraph, Trace
 from replay.draw.recording import events, plots, states, why, words
@@ -89,7 +89,7 @@ def write_recording(
             part = range(begin, begin + PART)
             _draw_part(tape, whole, scenario, instants.within(part), planned.within(part), axes)
             if len(planned) > PART:
-                give_back()
+                trim_memory()
         plots.draw_panels(tape, panels, frames)
         states.draw_lanes(tape, lanes, frames)
         events.draw_events(tape, events.events(trace), planned)
@@ -124,8 +124,8 @@ def _around(whole: Trace, frames: Sequence[PlannedFrame], t: FloatArray) -> Trac
     """The part of a trace for some frames and the instants `t` `(k,)`, s, with who is there until their plans end."""
     begin = min([float(t[0]), *(frame.t for frame in frames[:1])])
     end = max([float(t[-1]), *(float(frame.plan.trajectory.t[-1]) for frame in frames)])
-    shown = None if whole.perceived is None else Around().of(whole.perceived, begin, end)
-    return replace(whole, frames=frames, agents=Around().of(whole.agents, begin, end), perceived=shown)
+    shown = None if whole.perceived is None else NearbyTracks().of(whole.perceived, begin, end)
+    return replace(whole, frames=frames, agents=NearbyTracks().of(whole.agents, begin, end), perceived=shown)
 
 
 def write_log_recording(path: Path, scenario: Scenario) -> None:

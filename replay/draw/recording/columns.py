@@ -14,7 +14,7 @@ import pyarrow as pa
 import rerun as rr
 
 from logs.kernel import FloatArray, IntArray
-from logs.short_names import ShortNames
+from logs.names import ShortNames
 
 SIM_TIME = "sim_time"
 FRAME = "frame"

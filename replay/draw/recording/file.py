@@ -10,7 +10,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 
 from logs.errors import writing
-from logs.short_names import ShortNames
+from logs.names import ShortNames
 from replay.draw.recording.columns import NO_NAMES, Tape
 from replay.draw.recording.outlet import outlet
 from replay.draw.recording.text import application_name, plain

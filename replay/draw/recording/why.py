@@ -8,6 +8,7 @@ from typing import TypeVar
 import numpy as np
 import rerun as rr
 
+from logs.names import counted
 from logs.scenario import Scenario
 from logs.trace import (
     Candidates,
@@ -20,7 +21,6 @@ from logs.trace import (
     SolverReport,
     Trace,
 )
-from logs.words import counted
 from replay.draw.recording import states
 from replay.draw.recording.columns import Instants, Tape
 from replay.draw.recording.lane_choice import Change, changes_under_way, lanes_driven, listed, options

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun as rr
 
+from logs.names import counted
 from logs.scenario import Scenario
 from logs.trace import Graph, Trace
-from logs.words import counted
 from replay.draw.recording.columns import Tape
 from replay.draw.recording.text import MARKDOWN, cell, document, table
 

@@ -17,7 +17,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from logs.words import counted
+from logs.names import counted
 from metrics.compare import DRIVE, Comparison
 from metrics.gates import Outcome
 

@@ -13,7 +13,7 @@ from typing import Any
 from rich.console import Console, ConsoleOptions, RenderableType
 from rich.segment import Segment
 
-from logs.words import VISIBLE
+from logs.names import VISIBLE
 
 _TABLE = {code: sign for code, sign in VISIBLE.items() if chr(code) not in "\n\t"}
 """`VISIBLE` without the ends of lines and tabs."""

@@ -16,7 +16,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from logs.words import counted
+from logs.names import counted
 from metrics.gates import Outcome
 from replay.draw.report.columns import legend
 from replay.draw.report.model import BROKEN, NOTHING, Cell, DriveRow, GateRow, Overview

@@ -15,7 +15,7 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
 from logs.errors import writing
-from logs.words import counted
+from logs.names import counted
 from metrics.compare import Comparison
 from replay.draw.charts.canvas import Chart, printable
 from replay.draw.charts.overall import distributions, moved, pass_shares

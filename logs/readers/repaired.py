@@ -17,8 +17,7 @@ import numpy as np
 
 from logs.detections import Detections, Repair
 from logs.readers.admission import detections_within
-from logs.readers.cut import DETECTED_S
-from logs.readers.nanoseconds import framed
+from logs.readers.cut import DETECTED_S, framed
 from logs.scenario import Scenario, Tracks
 
 REACH_S = DETECTED_S

@@ -5,6 +5,8 @@
     data say otherwise, the one counts that fits the displacement over `MOTION_S`; where neither does, none does
 
 Outlines without a box (clusters, polygons) become the smallest rectangle around them.
+
+Boxes of outlines: the smallest rectangle around a point set, one side of which lies along an edge of its hull.
 """
 
 from __future__ import annotations
@@ -14,65 +16,22 @@ from typing import Any
 
 import numpy as np
 
-from logs.agents import AgentKind, codes_of
-from logs.detections import Detections
+from logs.agents import AgentKind
 from logs.kernel import BoolArray, FloatArray, IntArray
+from logs.readers.quaternions import heading, rotated
 from logs.readers.ros import schemas
 from logs.readers.ros.bag import Bag, Topic
+from logs.readers.ros.ego import rates
 from logs.readers.ros.fields import Wanted
-from logs.readers.ros.identity import joined
-from logs.readers.ros.motion import rates
-from logs.readers.ros.rectangles import smallest_rectangles
-from logs.readers.ros.schemas import ObjectSchema
-from logs.readers.ros.transforms import BETWEEN, Frames, Poses, composed, heading, rotated, unit
-from logs.repair.names import no_identities
+from logs.readers.ros.frames import BETWEEN, Frames, Poses, composed, unit
+from logs.readers.ros.schemas import STAMP, ObjectSchema
+from logs.readers.ros.tracks import MOVES_MPS, Samples, firsts, identified
 
-STAMP: Wanted = ("header.stamp.sec", "header.stamp.nanosec")
 MOTION_S = 0.5
 """Displacement over at most this is compared with the velocity."""
-MOVES_MPS = 1.0
-"""Only of who is faster."""
 MISFIT = 0.5
 """A median difference of more than this share of the speed is no velocity."""
 LEAST_SIZE_M = 0.1
-
-
-@dataclass(frozen=True, eq=False)
-class Samples:
-    """Objects of all frames, `(m,)` each: message, id, kind, pose in the map, velocity, size (NaN: not known).
-
-    `ids` are those of the log, "" where it gives none; `score` is 0 to 1, NaN where it is not known; `names` are
-    identities, None until they are asked for (`identified`).
-    """
-
-    message: IntArray
-    ids: list[str]
-    kinds: list[AgentKind]
-    x: FloatArray
-    y: FloatArray
-    yaw: FloatArray
-    vx: FloatArray
-    vy: FloatArray
-    length: FloatArray
-    width: FloatArray
-    turned: BoolArray
-    score: FloatArray
-    names: list[str] | None = None
-
-    def __len__(self) -> int:
-        return len(self.ids)
-
-    def taken(self, keep: IntArray) -> Samples:
-        """Some of them, in the order of `keep`."""
-        of = ("ids", "kinds") if self.names is None else ("ids", "kinds", "names")
-        lists: dict[str, Any] = {name: [getattr(self, name)[i] for i in keep] for name in of}
-        names = ("message", "x", "y", "yaw", "vx", "vy", "length", "width", "turned", "score")
-        return replace(self, **lists | {name: getattr(self, name)[keep] for name in names})
-
-    def detections(self, t: FloatArray) -> Detections:
-        """All of them as they were reported; t `(k,)` s are the times of the messages."""
-        columns = (self.x, self.y, self.yaw, self.length, self.width, self.vx, self.vy, self.score)
-        return Detections(t[self.message], t, tuple(self.ids), codes_of(tuple(self.kinds)), *columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,21 +258,6 @@ def _velocity(columns: list[tuple[Any, ...]], names: dict[str, int], n: int) -> 
     return velocity
 
 
-def identified(samples: Samples, t: IntArray, said: list[str]) -> Samples:
-    """The samples with names that are identities, each once a frame; t `(k,)` ns are the times of the messages."""
-    if samples.names is not None:
-        return samples
-    seconds, with_ids = (t[samples.message] - t[:1]) / 1e9, any(samples.ids)
-    if with_ids and no_identities(samples.ids, seconds, samples.x, samples.y) is None:
-        return replace(samples, names=samples.ids)
-    sizes = np.where(samples.turned[:, None], np.column_stack([samples.length, samples.width]), np.nan)
-    names = joined(samples.message, seconds, samples.x, samples.y, samples.kinds, sizes)
-    why = "are no identities (they jump)" if with_ids else "are not there"
-    count = int(names.max(initial=0))
-    said.append(f"Ids of objects {why}: objects are joined from frame to frame by position, to {count} tracks.")
-    return replace(samples, names=[str(name) for name in names])
-
-
 def _frame_of_twist(
     samples: Samples, in_frame: FloatArray, schema: ObjectSchema, t: IntArray, said: list[str]
 ) -> str | None:
@@ -350,7 +294,38 @@ def _frame_of_twist(
     return best
 
 
-def firsts(codes: IntArray) -> IntArray:
-    """Of sorted codes `(m,)`, the index of the first equal one."""
-    starts = np.flatnonzero(np.diff(codes, prepend=-1))
-    return np.repeat(starts, np.diff(np.append(starts, len(codes))))
+_ROWS = 2000
+
+
+def smallest_rectangles(outlines: list[list[tuple[float, float]]]) -> FloatArray:
+    """Rows (centre x, y, yaw, length, width) of the smallest rectangles around `n` outlines `(n, 5)`.
+
+    `length >= width`; yaw within a half turn. An outline is a convex polygon of two points or more; for others the
+    rectangles along its edges are compared, of which one is near the smallest.
+    """
+    most = max(map(len, outlines), default=0)
+    points = np.array([outline + [outline[-1]] * (most - len(outline)) for outline in outlines]).reshape(-1, most, 2)
+    parts = [_rectangles(points[k : k + _ROWS]) for k in range(0, len(points), _ROWS)]
+    return np.vstack(parts) if parts else np.empty((0, 5))
+
+
+def _rectangles(points: FloatArray) -> FloatArray:
+    middle = points.mean(axis=1, keepdims=True)
+    around = points - middle
+    edges = np.roll(around, -1, axis=1) - around
+    angle = np.arctan2(edges[..., 1], edges[..., 0])
+    cos, sin = np.cos(angle)[..., None], np.sin(angle)[..., None]
+    along = cos * around[:, None, :, 0] + sin * around[:, None, :, 1]
+    across = cos * around[:, None, :, 1] - sin * around[:, None, :, 0]
+    low = np.stack([along.min(axis=2), across.min(axis=2)], axis=-1)
+    high = np.stack([along.max(axis=2), across.max(axis=2)], axis=-1)
+    size = high - low
+    rows = np.arange(len(points))
+    best = np.argmin(size[..., 0] * size[..., 1] + 1e-9 * size.sum(axis=-1), axis=1)
+    size, centre, yaw = size[rows, best], 0.5 * (low + high)[rows, best], angle[rows, best]
+    c, s = np.cos(yaw), np.sin(yaw)
+    x = middle[:, 0, 0] + c * centre[:, 0] - s * centre[:, 1]
+    y = middle[:, 0, 1] + s * centre[:, 0] + c * centre[:, 1]
+    wide = size[:, 1] > size[:, 0]
+    yaw = yaw + np.where(wide, 0.5 * np.pi, 0.0)
+    return np.column_stack([x, y, yaw, size.max(axis=1), size.min(axis=1)])

@@ -4,6 +4,13 @@ Of a part between `begin` and `end` only the messages around it are read: `REACH
 that may be repaired, else `HISTORY_S`, so that whoever was there is known and motion can be derived, and the first
 second of the log, where t = 0 and the origin are. Where the log's clock runs unlike the senders' (a simulation slower
 than time) log times do not say what is in a part: all is read.
+
+What a bag says beside the ego and the others: lights, goal, steering, and the plans that were made on board.
+
+On-board plans whose points carry no times (Autoware leaves `time_from_start` at 0) are timed by their speeds:
+
+(1) t_(i+1) = t_i + 2 d_i / (v_i + v_(i+1)),  d_i the distance of two points; where both are below `CREEPS_MPS` the plan
+    stands. The time of the point nearest to the ego is that of the message
 """
 
 from __future__ import annotations
@@ -17,21 +24,25 @@ import numpy as np
 from logs.detections import Detections
 from logs.errors import LogError
 from logs.kernel import FloatArray
-from logs.mcap.complete import road_along
+from logs.mcap.complete import derived_acceleration, derived_curvature, road_along
 from logs.observed import Spans, of_stream
 from logs.readers.base import LogSettings
 from logs.readers.cut import HISTORY_S
+from logs.readers.recorded.boxes import car_of
 from logs.readers.repaired import REACH_S, reason_to_repair
 from logs.readers.ros import schemas
 from logs.readers.ros.bag import Bag, Topic, opened
-from logs.readers.ros.clocks import said, times_of
-from logs.readers.ros.ego import EgoLog, at_poses, begin_of, read_ego, signal, states, topics_of
-from logs.readers.ros.more import Window, controls, goal, lights, onboard, vehicle_of
-from logs.readers.ros.objects import identified, read_messages, samples_of
-from logs.readers.ros.tracks import tracks_of, without_ego
+from logs.readers.ros.ego import POSITION, EgoLog, at_poses, begin_of, read_ego, signal, states, topics_of
+from logs.readers.ros.frames import HELD, Poses, composed, said, times_of, unit
+from logs.readers.ros.objects import read_messages, samples_of
+from logs.readers.ros.schemas import STAMP
+from logs.readers.ros.tracks import identified, tracks_of, without_ego
+from logs.road import Goal
+from logs.rules import Colour, TrafficLight
 from logs.scenario import Scenario, Tracks
-from logs.states import Trajectory
-from logs.vehicle import VehicleParameters
+from logs.shapes import corners
+from logs.states import Controls, OnboardPlan, Trajectory
+from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
 
 HEAD_S = 2.0
 """Of the log's begin this is read to find t = 0, where only a later part is wanted."""
@@ -215,3 +226,209 @@ def _tracks(
     x = driven.x + ahead * np.array([cos(yaw) for yaw in driven.yaw])
     y = driven.y + ahead * np.array([sin(yaw) for yaw in driven.yaw])
     return without_ego(tracks, driven.t, x, y, notes), None, of_stream(since)
+
+
+GOAL_LENGTH_M, GOAL_WIDTH_M = 5.0, 4.0
+"""The region around a goal pose, along and across."""
+UNSEEN_S = 2.0
+"""A light that was not reported for longer is no longer known."""
+CREEPS_MPS = 0.1
+LATE_GOAL_S = 1.0
+Window = tuple[int | None, int | None]
+
+
+def lights(
+    bag: Bag, settings: LogSettings, window: Window, ego: EgoLog, t0: int, notes: list[str]
+) -> tuple[TrafficLight, ...]:
+    """The traffic lights, by the ids of the log."""
+    topics = topics_of(bag, schemas.LIGHTS, settings, "lights")
+    if not topics:
+        return ()
+    topic = topics[0]
+    schema = schemas.LIGHTS[topic.kind]
+    stamp = STAMP if bag.has(topic, "header.stamp") else ("stamp.sec", "stamp.nanosec")
+    lamp = ("lamps", (schema.lamps, (schema.colour,))) if schema.lamps else ("word", schema.words)
+    fields = (*schema.ids, *((lamp[1],) if schema.lamps else (schema.colour, schema.words)))
+    log, rows = bag.read(topic, (*stamp, (schema.items, fields)), *window)
+    stamps = np.array([row[0] * 1_000_000_000 + row[1] for row in rows], dtype=np.int64)
+    t, keep = times_of(topic.name, log, stamps, ego.clock, notes)
+    notes += said(topic.name, log, stamps, int(log[0])) if len(log) else []
+    items = [rows[k][2] for k in keep]
+    place = next((i for i in range(len(schema.ids)) if any(each[i] for some in items for each in some)), 0)
+    shown: dict[int, list[tuple[int, Colour]]] = {}
+    seen: dict[int, int] = {}
+    for time, some in zip(t.tolist(), items, strict=True):
+        for light in [light for light, last in seen.items() if time - last > 1e9 * UNSEEN_S]:
+            shown[light].append((seen.pop(light) + round(1e9 * UNSEEN_S), Colour.OFF))
+        for light, colour in {each[place]: _colour(each, schema) for each in some}.items():
+            seen[light] = time
+            states = shown.setdefault(light, [])
+            if not states or states[-1][1] is not colour:
+                states.append((time, colour))
+    out = tuple(_light(light, states, t0) for light, states in sorted(shown.items()))
+    if out:
+        notes.append(
+            f"{len(out)} traffic lights of {topic.name} are named by its {schema.ids[place]}; which lane obeys which"
+            " the log does not say: without a map that names them no stop line belongs to them."
+        )
+    return out
+
+
+def _colour(item: tuple[object, ...], schema: schemas.LightSchema) -> Colour:
+    if schema.lamps:
+        lamps = item[-1]
+        assert isinstance(lamps, list)
+        lit = {schemas.LAMPS.get(lamp[0], Colour.OFF) for lamp in lamps} - {Colour.OFF}
+        if {Colour.RED, Colour.YELLOW} <= lit:
+            return Colour.RED_YELLOW
+        return next((colour for colour in (Colour.RED, Colour.YELLOW, Colour.GREEN) if colour in lit), Colour.OFF)
+    code, word = item[-2:]
+    text = str(word).upper()
+    if text.startswith(("RED/", "RED_")):
+        return Colour.RED_YELLOW
+    if text.startswith(("AMBER", "YELLOW")):
+        return Colour.YELLOW
+    return schemas.RESULTS.get(code, Colour.OFF) if isinstance(code, int) else Colour.OFF
+
+
+def _light(light: int, states: list[tuple[int, Colour]], t0: int) -> TrafficLight:
+    by_time = dict(sorted(states, key=lambda state: state[0]))
+    t = np.array(list(by_time), dtype=np.int64)
+    return TrafficLight(int(light), (t - t0) / 1e9, tuple(by_time.values()))
+
+
+def goal(
+    bag: Bag, settings: LogSettings, ego: EgoLog, begin_ns: int, origin: FloatArray, vehicle: VehicleParameters,
+    notes: list[str],
+) -> Goal | None:  # fmt: skip
+    """The place around the log's goal pose: the newest at the begin (ns, log time), else the first one."""
+    topics = [t for t in topics_of(bag, schemas.GOALS, settings, "goal") if "goal" in settings.topics or _is_goal(t)]
+    if not topics:
+        return None
+    topic = topics[0]
+    path = schemas.GOALS[topic.kind]
+    log, rows = bag.read(topic, (*STAMP, "header.frame_id", *(f"{path}.{name}" for name in POSITION)))
+    good = [k for k, row in enumerate(rows) if np.isfinite(row[3:]).all()]
+    if not good:
+        return None
+    known = [k for k in good if log[k] <= begin_ns]
+    k = known[-1] if known else good[0]
+    row = rows[k]
+    values = np.array([row[3:]], dtype=np.float64)
+    pose = Poses(log[k : k + 1], values[:, :3], unit(values[:, 3:]))
+    frame = row[2].lstrip("/")
+    if frame not in (ego.map, ""):
+        pose = composed(ego.frames.poses(ego.map, frame, ego.clock(log[k : k + 1]), HELD), pose)
+    x, y = pose.p[0, :2] - origin
+    yaw, ahead = float(pose.yaw[0]), vehicle.axle_to_center
+    place = corners(x + ahead * cos(yaw), y + ahead * sin(yaw), yaw, GOAL_LENGTH_M, GOAL_WIDTH_M)
+    others = f"; its {len(good) - 1} other goals are not used" if len(good) > 1 else ""
+    notes.append(f"The goal is {GOAL_LENGTH_M:g} m by {GOAL_WIDTH_M:g} m around the pose of {topic.name}{others}.")
+    late = (row[0] * 1_000_000_000 + row[1] - log[k]) / 1e9
+    if row[0] and late > LATE_GOAL_S:
+        notes.append(
+            f"The goal's stamp is {late:.1f} s after its record: it was set when it was known where the drive led."
+        )
+    return Goal((np.asarray(place),))
+
+
+def _is_goal(topic: Topic) -> bool:
+    return topic.kind not in schemas.POSES or "goal" in topic.name
+
+
+def controls(
+    bag: Bag, settings: LogSettings, window: Window, ego: EgoLog, t0: int, notes: list[str]
+) -> Controls | None:
+    """The front wheel angle: measured, else as commanded."""
+    found = signal(bag, schemas.STEERING, settings, "steering", window, ego.clock, notes)
+    word = "measured"
+    if found is None and "steering" not in settings.topics:
+        found = signal(bag, schemas.COMMANDED_STEERING, settings, "steering", window, ego.clock, notes)
+        word = "commanded"
+    if found is None:
+        return None
+    notes.append(f"The front wheel angle is that of {found.topic}, {word}.")
+    nan = np.full(len(found.t), np.nan)
+    return Controls((found.t - t0) / 1e9, found.values, nan, nan)
+
+
+def onboard(
+    bag: Bag, settings: LogSettings, window: Window, ego: EgoLog, t0: int, origin: FloatArray, notes: list[str]
+) -> tuple[OnboardPlan, ...]:
+    """The plans that were made on board, each from the time of its message on."""
+    topics = topics_of(bag, schemas.PLANS, settings, "plan")
+    if not topics:
+        return ()
+    topic = _planned(topics, settings)
+    names = ("longitudinal_velocity_mps", "acceleration_mps2")
+    point = ("time_from_start.sec", "time_from_start.nanosec", *(f"pose.{name}" for name in POSITION), *names)
+    log, rows = bag.read(topic, (*STAMP, "header.frame_id", ("points", point)), *window)
+    stamps = np.array([row[0] * 1_000_000_000 + row[1] for row in rows], dtype=np.int64)
+    t, keep = times_of(topic.name, log, stamps, ego.clock, notes)
+    known = np.maximum(ego.clock(log[keep]), t) if len(keep) else t
+    plans: dict[int, OnboardPlan] = {}
+    for time, when, k in zip(t.tolist(), known.tolist(), keep.tolist(), strict=True):
+        planned = _plan(rows[k], time, t0, ego, origin)
+        if planned is not None:
+            plans[when] = OnboardPlan((when - t0) / 1e9, planned)
+    notes += said(topic.name, log, stamps, int(log[0])) if len(log) else []
+    if rows:
+        several = f" (of {len(topics)} such topics)" if len(topics) > 1 else ""
+        timed = "by their speeds" if not any(p[0] or p[1] for p in rows[0][3]) else "by their own times"
+        notes.append(f"{len(plans)} on-board plans are those of {topic.name}{several}, timed {timed}.")
+    return tuple(plans[when] for when in sorted(plans))
+
+
+def _planned(topics: list[Topic], settings: LogSettings) -> Topic:
+    """The planning's final trajectory by its usual name, else the topic with most messages."""
+    usual = [t for t in topics if t.name.endswith(("/scenario_planning/trajectory", "/planning/trajectory"))]
+    return usual[0] if usual and "plan" not in settings.topics else topics[0]
+
+
+def _plan(row: tuple[object, ...], time: int, t0: int, ego: EgoLog, origin: FloatArray) -> Trajectory | None:
+    points = row[3]
+    assert isinstance(points, list)
+    values = np.array(points, dtype=np.float64).reshape(-1, 11)
+    values = values[np.isfinite(values).all(axis=1)]
+    if not len(values):
+        return None
+    pose = Poses(np.full(len(values), time), values[:, 2:5], unit(values[:, 5:9]))
+    frame = str(row[2]).lstrip("/")
+    if frame not in (ego.map, ""):
+        pose = composed(ego.frames.poses(ego.map, frame, pose.t, HELD), pose)
+    x, y = (pose.p[:, :2] - origin).T
+    yaw, v = np.unwrap(pose.yaw), values[:, 9]
+    t: FloatArray = np.asarray(values[:, 0] + 1e-9 * values[:, 1])
+    if not t.any():
+        t = _timed(x, y, v)
+        now = ego.frames.poses(ego.map, ego.base, np.array([time]), HELD).p[0, :2] - origin
+        nearest = int(np.argmin(np.hypot(x - now[0], y - now[1])))
+        t = t - t[nearest]
+        keep = (np.arange(len(t)) >= nearest) & np.isfinite(t)
+    else:
+        keep = np.r_[True, np.diff(np.maximum.accumulate(t)) > 0.0]
+    if not keep.any():
+        return None
+    t, x, y, yaw, v, a = (np.asarray(column[keep]) for column in (t, x, y, yaw, v, values[:, 10]))
+    if not a.any() and len(t) > 1:
+        a = derived_acceleration(t, v)
+    return Trajectory(t + (time - t0) / 1e9, x, y, yaw, v, a, derived_curvature(x, y, yaw, v))
+
+
+def _timed(x: FloatArray, y: FloatArray, v: FloatArray) -> FloatArray:
+    """Times (1) `(n,)`; NaN from where the plan stands, but for the point at which it comes to its stand."""
+    if len(x) < 2:
+        return np.zeros(len(x))
+    mean = 0.5 * np.abs(v[:-1] + v[1:])
+    way = np.hypot(np.diff(x), np.diff(y))
+    step = np.divide(way, mean, out=np.full(len(way), np.nan), where=mean >= 0.5 * CREEPS_MPS)
+    step[step <= 0.0] = np.nan
+    return np.r_[0.0, np.cumsum(step)]
+
+
+def vehicle_of(settings: LogSettings, notes: list[str]) -> VehicleParameters:
+    """The default car with the sizes of the settings; ValueError where they contradict each other."""
+    if settings.car:
+        return car_of(settings.car, notes)
+    notes.append(f"{VEHICLE_ASSUMED} (set log.car).")
+    return VehicleParameters()

@@ -42,7 +42,13 @@ def repaired(scenario: Scenario, choice: str) -> Scenario:
     """
     found = scenario.detections
     if choice == "on" and found is None:
-        found = scenario.repair.detections if scenario.repair is not None else _moving(scenario.tracks)
+        if scenario.repair is not None:
+            found = scenario.repair.detections
+        else:
+            from logs.repair import detections_of
+
+            tracks = scenario.tracks
+            found = detections_of(tracks.taken(np.repeat(~tracks.static, np.diff(tracks.offsets))))
     reason = reason_to_repair(choice, found)
     if found is None or reason is None:
         return scenario if scenario.detections is None else replace(scenario, detections=None)
@@ -64,12 +70,6 @@ def named(scenario: Scenario) -> Scenario:
 
     made = named_as_tracked(made)
     return replace(scenario, tracks=made.tracks, repair=made)
-
-
-def _moving(tracks: Tracks) -> Detections:
-    from logs.repair import detections_of
-
-    return detections_of(tracks.taken(np.repeat(~tracks.static, np.diff(tracks.offsets))))
 
 
 def _with_static(tracks: Tracks, made: Repair, was: Tracks) -> tuple[Tracks, Repair]:

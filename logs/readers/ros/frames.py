@@ -1,19 +1,19 @@
-"""Coordinate frames: the tree of `/tf` and `/tf_static`, and the pose of one frame in another over time.
+"""The tree of coordinate frames of a bag, and the clock of its messages.
 
-With q the rotation (quaternion x, y, z, w) and p the translation of a child in its parent, a chain of two is
+Frames. `/tf` and `/tf_static` are the edges. With q the rotation (`logs.readers.quaternions`) and p the translation of
+a child in its parent, a chain of two edges is
 
 (1) p = p1 + q1 p2 q1*,   q = q1 q2
 
-A frame's pose at a time is that of the edges' samples: `held` is the last one not later; `between` the straight line
-(and the normalised mean of the quaternions) between the two around it, for placing what a moving sensor measured.
+The pose of a frame at a time is that of the edges' samples: `held` is the last one not later; `between` is the straight
+line (and the normalised mean of the quaternions) between the two around that time, to place what a moving sensor saw.
 
-When a message is from: the log time of its record, or the stamp that its sender put into its header.
+Clock. A message has the log time of its record, and may have the stamp that its sender put into its header. A stamp is
+the time of the measurement. Log times are later by the time of computation, and jitter: differences of positions by log
+time are useless where several messages are written at once. So stamps are used where all messages of a topic have one.
+A topic whose stamps are of another clock than the ego's is read by log time.
 
-Stamps say when something was measured; records are later by what the computation took, and jitter: differences of
-positions by log time are useless where several messages are written at once. So a stamp counts wherever a topic's
-messages all have one; a topic whose stamps are of another clock than the ego's counts by log time.
-
-(1) t_stamp(log) = the ego's stamp, interpolated over the ego's log time: for messages without a stamp
+(2) t_stamp(log) = the ego's stamp, interpolated over the ego's log time: for messages without a stamp
 """
 
 from __future__ import annotations
@@ -152,7 +152,7 @@ _DROPOUTS_SHOWN = 3
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """How log times become times of the scenario's clock, ns: samples (1) of both, rising; empty: they are the same."""
+    """How log times become times of the scenario's clock, ns: samples (2) of both, rising; empty: they are the same."""
 
     log: IntArray
     stamp: IntArray
@@ -191,7 +191,7 @@ def clock_of(log: IntArray, stamps: IntArray, choice: str) -> Clock:
 def times_of(topic: str, log: IntArray, stamps: IntArray, clock: Clock, notes: list[str]) -> tuple[IntArray, IntArray]:
     """Times of a topic's messages `(k,)` ns, rising strictly, and which messages they are `(k,)`.
 
-    Stale ones (by (1) more than `OTHER_CLOCK_S` later than the topic's usual) are left out, and of several with one
+    Stale ones (by (2) more than `OTHER_CLOCK_S` later than the topic's usual) are left out, and of several with one
     time all but the last recorded.
     """
     keep = np.arange(len(log))

@@ -1,12 +1,11 @@
-"""Other road users: arrays from the messages of one topic, with their frame, velocity and size (tracks: `tracks.py`).
+"""The objects in the messages of one topic, with their frame, velocity and size, as `Samples`.
 
-(1) p_map = T_map,frame(t) p_frame with the transform at the message's time; heading that of the turned x axis
-(2) velocity: turned from the object's frame or the message's into the map. Where the type does not say which, or the
-    data say otherwise, the one counts that fits the displacement over `MOTION_S`; where neither does, none does
+(1) p_map = T_map,frame(t) p_frame with the transform at the time of the message; heading that of the rotated x axis
+(2) velocity: rotated from the object's frame or the message's into the map. Where the type does not say which frame, or
+    the data contradict it, that one is taken which fits the displacement over `MOTION_S`; where neither fits, none is
 
-Outlines without a box (clusters, polygons) become the smallest rectangle around them.
-
-Boxes of outlines: the smallest rectangle around a point set, one side of which lies along an edge of its hull.
+An outline without a box (cluster, polygon) becomes the smallest rectangle around it, one side of which lies along an
+edge of its hull.
 """
 
 from __future__ import annotations
@@ -21,10 +20,10 @@ from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.readers.quaternions import heading, rotated
 from logs.readers.ros import schemas
 from logs.readers.ros.bag import Bag, Topic
-from logs.readers.ros.ego import rates
+from logs.readers.ros.ego import Part, rates
 from logs.readers.ros.fields import Wanted
 from logs.readers.ros.frames import BETWEEN, Frames, Poses, composed, unit
-from logs.readers.ros.schemas import STAMP, ObjectSchema
+from logs.readers.ros.schemas import ObjectSchema
 from logs.readers.ros.tracks import MOVES_MPS, Samples, firsts, identified
 
 MOTION_S = 0.5
@@ -45,12 +44,11 @@ class Messages:
     names: dict[str, int]
 
 
-def read_messages(bag: Bag, topic: Topic, begin: int | None, end: int | None) -> Messages:
-    """The wanted fields of all messages between two log times, ns."""
+def read_messages(part: Part, topic: Topic) -> Messages:
+    """The wanted fields of a topic's messages."""
     schema = schemas.OBJECTS[topic.kind]
-    wanted, names = _wanted(bag, topic, schema)
-    log, rows = bag.read(topic, (*STAMP, "header.frame_id", (schema.items, wanted)), begin, end)
-    stamps = np.array([row[0] * 1_000_000_000 + row[1] for row in rows], dtype=np.int64)
+    wanted, names = _wanted(part.bag, topic, schema)
+    log, stamps, rows = part.read(topic, ("header.frame_id", (schema.items, wanted)))
     return Messages(log, stamps, [row[2].lstrip("/") for row in rows], [row[3] for row in rows], names)
 
 
@@ -104,14 +102,16 @@ def samples_of(
         none = np.empty(0)
         return Samples(owner, [], [], none, none, none, none, none, none, none, np.empty(0, np.bool_), none)
     columns = list(zip(*rows, strict=True))
-    poses = _local(columns, messages.names, t[owner])
+    first = messages.names["pose"]
+    values = np.array(columns[first : first + 7], dtype=np.float64).T
+    poses = Poses(t[owner], values[:, :3], unit(values[:, 3:]))
     turn = _turns([messages.frames[i] for i in chosen], owner, t, frames, frame)
     world = poses if turn is None else composed(turn, poses)
     kinds, in_the_way = _kinds(columns, messages.names, len(rows), schema)
     length, width, moved, yaw, turned = _sizes(columns, messages.names, schema, world, turn, kinds)
     velocity = _velocity(columns, messages.names, len(rows))
     ids = list(columns[messages.names["id"]]) if "id" in messages.names else []
-    names = [_text(each) for each in ids] or [""] * len(rows)
+    names = [each.hex() if isinstance(each, bytes) else str(each) for each in ids] or [""] * len(rows)
     out = Samples(
         owner, names, kinds, moved[:, 0], moved[:, 1], yaw, velocity[:, 0], velocity[:, 1], length, width, turned,
         _scores(columns, messages.names, len(rows)),
@@ -143,16 +143,6 @@ def _with_velocities(
         nan = np.full(len(both), np.nan)
         return replace(both, vx=nan, vy=nan)
     return both if chosen == "object" else replace(both, vx=other[:, 0], vy=other[:, 1])
-
-
-def _text(name: Any) -> str:
-    return name.hex() if isinstance(name, bytes) else str(name)
-
-
-def _local(columns: list[tuple[Any, ...]], names: dict[str, int], t: IntArray) -> Poses:
-    first = names["pose"]
-    values = np.array(columns[first : first + 7], dtype=np.float64).T
-    return Poses(t, values[:, :3], unit(values[:, 3:]))
 
 
 def _turns(used: list[str], owner: IntArray, t: IntArray, frames: Frames, frame: str) -> Poses | None:

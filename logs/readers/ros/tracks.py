@@ -1,14 +1,12 @@
-"""Samples of objects as tracks: one box, kind and front for each agent, and how they move where the log does not say.
+"""Samples of objects over time: their identities, and tracks with one box, kind and front each.
 
-A log has a box of its own in each frame, a Scenario one for each agent: the median of its sizes, and the kind that it
-had most often.
+Identities. Where perception numbers the entries of each list anew (`logs.repair.names`), ids are no identities. Then
+the objects of a frame are assigned to those known so far, by the least sum of distances to the positions expected from
+earlier samples. Outlines of clusters split and merge: an outline whose size differs from that with which an object
+began is another object, since a box has one size.
 
-Who is who from frame to frame: joining by position where a topic's ids are no identities.
-
-Perception that numbers the entries of each list anew gives no tracks (`logs.repair.names`). Then every frame's objects
-are assigned to those known so far, by the least sum of distances to where these should be by now, from the samples
-before only. Outlines of clusters split and merge: one whose size is another than that with which an object began is
-another object, as a box has one size.
+Tracks. A log has a box in each frame, a Scenario one for each agent: the median of its sizes, and the kind that it had
+most often. Where the log has no velocities, they are derived.
 """
 
 from __future__ import annotations

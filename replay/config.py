@@ -8,7 +8,7 @@
     foxglove = false                 # channels that Foxglove draws, in the logs and traces that are written
     metrics = []                     # of your own, beside the built-in ones: "module:NAME"
     charts = []                      # likewise, in the report
-    ensemble = 0                     # each log so many times more, in worlds that should not matter
+    ensemble = 0                     # perturbed runs of each log
     (replay.run.perturb)
 
     repeat_s = 2.0                   # so much of a drive of your own planner is driven twice: is it deterministic?
@@ -110,7 +110,7 @@ class PlannerProcessConfig:
         log_timeout_s: All of it may take so long in one drive; 0: no limit.
         memory_gb: Data of the planner's process; 0: no limit.
         environment: Variables that it is given beside `replay.planner_process.processes.ENVIRONMENT`.
-        batch: So many logs are in lock step, and their frames are planned together (`plan_batch`); 0: each by itself.
+        batch: Number of logs in lock step, whose frames are planned together (`plan_batch`); 0: each log by itself.
 
     Raises:
         ConfigError: A limit is negative, a plan has no time, or there are too many logs together.

@@ -34,7 +34,7 @@ def before_all(path: Path, run: RunConfig, gates: Path | None, out: Path | None)
     Raises:
         ConfigError: One of them cannot be read, or the baseline lies in the result folder.
     """
-    from metrics.compare_rules import load_rules
+    from metrics.compare.rules import load_rules
     from replay.compare import opened
     from replay.run.one_log import all_metrics
 

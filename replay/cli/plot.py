@@ -89,7 +89,7 @@ def drive_of(results: Results, log: str | None, planner: str | None, mode: str |
 
     Without a mode the loop in which a gate failed; of both, and of neither, the closed loop if there is one.
     """
-    from metrics.gates import Outcome
+    from metrics.judge.gates import Outcome
     from replay.draw.report.overview import overview
 
     if log is None:

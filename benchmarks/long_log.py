@@ -21,11 +21,11 @@ from time import process_time
 import numpy as np
 from rich.console import Console
 
-from logs.catalogue.agents import ADULT, CAR, Agent, tracks
 from logs.catalogue.roads import LANE_WIDTH_M, Path, curve, two_way
+from logs.catalogue.scene import ADULT, CAR, Agent, tracks
 from logs.kernel import FloatArray
 from logs.mcap import read_scenario, write_scenario
-from logs.memory import give_back
+from logs.memory import trim_memory
 from logs.road import Lane, Road
 from logs.scenario import AgentKind, Scenario
 from logs.states import Trajectory
@@ -93,7 +93,7 @@ def _seen(
 def stage(console: Console, name: str) -> Iterator[None]:
     """Say what it took."""
     gc.collect()
-    give_back()  # as a worker does between the stages of a long drive
+    trim_memory()  # as a worker does between the stages of a long drive
     File("/proc/self/clear_refs").write_text("5")
     begin = process_time()
     yield

@@ -18,7 +18,7 @@ A track without noise is followed exactly, and nothing is differenced. With 5 cm
 who drives on is off by 0.1 m/s at most; of who brakes with 8 m/s2 by 0.5 m/s, in the second around each change and at
 the track's ends; a pedestrian's stop within 0.4 s is spread over 0.9 s (tests/logs/test_motion.py). Smoothers in
 libraries (SciPy's smoothing splines) know no measured velocities, and take a millisecond for each track and axis.
-Both sides of a gap (`logs.presence`) are estimated apart.
+Both sides of a gap (`logs.observed`) are estimated apart.
 """
 
 from __future__ import annotations

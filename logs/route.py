@@ -1,4 +1,4 @@
-"""Route: the cheapest sequence of lanes from the ego to the goal.
+"""Route: the cheapest sequence of lanes from the ego to the goal; and whether a drive is on a lane.
 
 Dynamic programming over the lane graph (paper, section II-F: "DP for global planning"), in Dijkstra's order, from the
 goal backwards:
@@ -8,17 +8,21 @@ goal backwards:
 A step goes to a successor (its price is the length of the lane driven) or to a same-direction neighbour
 (`LANE_CHANGE_M`). Of equal costs (within `TIE`) the one with fewer lane changes counts, then the lower id. The route
 follows the cost to go from the cheapest lane under the ego; of equal ones from the best aligned.
+
+`on_lane` is the one rule for where a drive is, shared by metrics and traffic: a point with a heading is on a lane, and
+drives along it, where it lies in the lane's outline and its heading is within
+`ASKEW_RAD` of the piece of the centre line whose middle is nearest.
 """
 
 from __future__ import annotations
 
 import heapq
 from dataclasses import dataclass
-from math import atan2, cos, sin
+from math import atan2, cos, hypot, inf, pi, sin
 
 import numpy as np
 
-from logs.kernel import TIE, FloatArray, inner_kernel, kernel
+from logs.kernel import TIE, BoolArray, FloatArray, inner_kernel, kernel
 from logs.road import Goal, Lane, Road, inside, nearest
 from logs.shapes import point_segment
 from logs.states import EgoState, wrap
@@ -188,3 +192,34 @@ def _turn(lane: Lane, ego: EgoState) -> float:
 def _distance(lane: Lane, ego: EgoState) -> float:
     i = _nearest_vertex(lane, ego)
     return float(np.hypot(*(lane.center[i] - (ego.x, ego.y))))
+
+
+ASKEW_RAD = 0.25 * pi
+"""Who drives along a lane is askew to it by less than this."""
+ASIDE_M = 0.5
+"""A stop line is crossed up to this far beside its ends."""
+BEHIND_M = 40.0
+"""So far behind a stop line the way is looked at, to tell whether the line counts for it."""
+
+
+def on_lane(lane: Lane, x: FloatArray, y: FloatArray, yaw: FloatArray) -> BoolArray:
+    """Which points `(k,)` with a heading are on a lane and drive along it (module docstring)."""
+    return _on_lane(lane.center, lane.polygon, *(np.ascontiguousarray(column, np.float64) for column in (x, y, yaw)))
+
+
+@kernel
+def _on_lane(center: FloatArray, polygon: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray) -> BoolArray:
+    out = np.zeros(len(x), np.bool_)
+    low_x, high_x = polygon[:, 0].min(), polygon[:, 0].max()
+    low_y, high_y = polygon[:, 1].min(), polygon[:, 1].max()
+    for k in range(len(x)):
+        if not (low_x <= x[k] <= high_x and low_y <= y[k] <= high_y) or not inside(x[k], y[k], polygon):
+            continue
+        nearest, heading = inf, 0.0
+        for i in range(len(center) - 1):
+            middle_x, middle_y = 0.5 * (center[i + 1, 0] + center[i, 0]), 0.5 * (center[i + 1, 1] + center[i, 1])
+            away = hypot(middle_x - x[k], middle_y - y[k])
+            if away < nearest:
+                nearest, heading = away, atan2(center[i + 1, 1] - center[i, 1], center[i + 1, 0] - center[i, 0])
+        out[k] = abs(wrap(yaw[k] - heading)) < ASKEW_RAD
+    return out

@@ -14,11 +14,10 @@ from logs.agents import OLDEST_S, AgentKind, Agents, among, codes_of
 from logs.detections import Detections, Repair
 from logs.kernel import BoolArray, FloatArray, IntArray, frozen, inner_kernel, kernel
 from logs.motion import Motion, estimated
-from logs.observed import Spans, inferred
-from logs.presence import MAX_AGE_S, MAX_GAP_S, patience
+from logs.names import ShortNames
+from logs.observed import MAX_AGE_S, MAX_GAP_S, Spans, inferred, patience
 from logs.road import Goal, Road
 from logs.rules import TrafficLight
-from logs.short_names import ShortNames
 from logs.states import MOST_RAD, Controls, OnboardPlan, Trajectory
 from logs.vehicle import VehicleParameters
 
@@ -221,7 +220,7 @@ class Tracks:
 
     @property
     def whole(self) -> Tracks:
-        """What these are a part of (`logs.around.Recent`): themselves."""
+        """What these are a part of (`logs.nearby.Recent`): themselves."""
         return self
 
     def samples(self, index: int) -> slice:
@@ -254,7 +253,7 @@ class Tracks:
 
     @cached_property
     def patience(self) -> FloatArray:
-        """How long each sample stands for its agent `(m,)`, s (`logs.presence`)."""
+        """How long each sample stands for its agent `(m,)`, s (`logs.observed`)."""
         return frozen(patience(self.offsets, self.static, self.t))
 
     @cached_property

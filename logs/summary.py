@@ -14,14 +14,13 @@ import numpy as np
 
 from logs.errors import LogError
 from logs.files import check_regular
-from logs.observed import ENOUGH, Spans, clipped, described
-from logs.presence import MAX_AGE_S
+from logs.names import counted
+from logs.observed import ENOUGH, MAX_AGE_S, Spans, clipped, described
 from logs.readers import LogSettings, read_log, reader_of
 from logs.readers.base import Contents, TopicSummary
 from logs.road import Goal, Road, RoadSource
 from logs.scenario import Scenario
 from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
-from logs.words import counted
 
 
 @dataclass(frozen=True)

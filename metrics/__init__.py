@@ -127,7 +127,7 @@ def evaluate(
     """One row per metric and reduction of the trace's mode, columns `COLUMNS`; the same input gives the same bits.
 
     `metric` is "gap.min" or, with a part, "ade.3s.mean". Where `available` is False, `value` is NaN and `reason` says
-    why; else `reason` names what the value is about ("car 12: from behind"), with short names (`logs.short_names`), and
+    why; else `reason` names what the value is about ("car 12: from behind"), with short names (`logs.names`), and
     `about` is that road user or thing alone, with the whole id ("car 12"); both may be empty. `time_s` is when the
     value occurred, NaN where it belongs to no instant. A metric that raises is unavailable where `broken` is given,
     which is then called; else the error is raised. `found` is called with each series and its name.

@@ -13,7 +13,7 @@ The ego, between samples k and k + 1, dt apart, d apart, with the speeds v and v
 
 The other road users, between samples of a track:
 
-(6) flickering    a gap of the track (`logs.presence`)
+(6) flickering    a gap of the track (`logs.observed`)
 (7) id switch     a track ends before the log does, and within `SWITCH_S` another of its kind begins within `SWITCH_M`
                   of where the first would be by then, which was not there before
 (8) teleport      d - u dt - `JUMP_M` > 0,  u = `FASTEST_MPS`, or, with logged speeds, max(|v|, |v'|) + b dt / 2
@@ -22,7 +22,7 @@ The other road users, between samples of a track:
 (11) twin boxes   two centres within `TWIN_M` for `TWIN_S` or longer
 (12) size         vehicles beyond `LARGEST_M`, people wider than `PERSON_M`
 (13) units        (9) by the same factor for most of those who move
-(17) not recorded a stretch of the log of more than `logs.presence.MAX_AGE_S` in which no traffic was observed
+(17) not recorded a stretch of the log of more than `logs.observed.MAX_AGE_S` in which no traffic was observed
 (18) across       a vehicle goes a step of more than `ACROSS_M` more than `ACROSS_RAD` off the axis of its box
 (19) short tracks more than `SHORT_SHARE` of the tracks of vehicles have fewer than `SHORT` samples
 
@@ -48,15 +48,14 @@ import pandas as pd
 
 from logs.agents import among
 from logs.kernel import FloatArray
-from logs.observed import clipped
-from logs.presence import MAX_AGE_S
+from logs.observed import MAX_AGE_S, clipped
 from logs.road import RoadSource
 from logs.scenario import AgentKind, Scenario, Tracks
 from logs.states import wrapped
 from metrics.others import name_of, pieces
 from metrics.phantoms import phantoms
 
-EGO_GAP_S = 0.5  # As long as an agent that is sampled often may be unseen (`logs.presence`), s
+EGO_GAP_S = 0.5  # As long as an agent that is sampled often may be unseen (`logs.observed`), s
 RARE = 5.0  # Intervals
 EGO_JUMP_M = 0.5  # A car's localisation is off by less from one sample to the next, m
 BRAKING_MPS2 = 12.0  # More than tyres give, m/s2

@@ -3,7 +3,7 @@
 A box that reaches `DEEP_M` into the ego's while the ego was recorded at that place is no evidence of a contact. It is
 left out from the last sample of its track that is `AROUND_S` before the overlap to the first that is as long after it;
 a static one for good. Only recorded logs are excused. `without_phantoms` gives tracks that have gaps there
-(`logs.presence`), for metrics as well as for the contact that ends a drive.
+(`logs.observed`), for metrics as well as for the contact that ends a drive.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from metrics.boxes import ego_boxes
 from metrics.once import once
 from metrics.others import each, name_of
 
-AROUND_S = 1.0  # Before and after: more than `logs.presence.MAX_GAP_S`, so it is a gap of any track
+AROUND_S = 1.0  # Before and after: more than `logs.observed.MAX_GAP_S`, so it is a gap of any track
 GRID_S = 0.05
 DEEP_M = 0.3  # So deep on every side a box is inside of the ego's: what only grazes it was near, not on it
 

@@ -47,8 +47,8 @@ from math import hypot
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
-from logs.lanes import ASIDE_M, BEHIND_M, on_lane
 from logs.road import inside
+from logs.route import ASIDE_M, BEHIND_M, on_lane
 from logs.rules import RED, Crosswalk, StopLine
 from logs.scenario import AgentKind, Scenario, Tracks
 from logs.states import Trajectory

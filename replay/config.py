@@ -39,11 +39,11 @@ import tomli_w
 
 from logs.errors import ConfigError
 from logs.files import read_toml
-from logs.presence import MAX_AGE_S
+from logs.names import visible_name
+from logs.observed import MAX_AGE_S
 from logs.readers.base import LogSettings
 from logs.trace import Mode
 from logs.vehicle import VehicleParameters, vehicle_parameters
-from logs.words import visible_name
 from replay.settings import SETTINGS, known_keys, strict
 
 RunMode = Literal["both", "open", "closed"]

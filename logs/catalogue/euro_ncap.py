@@ -17,13 +17,9 @@ from math import copysign, pi
 
 import numpy as np
 
-from logs.catalogue.agents import moving
 from logs.catalogue.driver import Ahead
-from logs.catalogue.everyday import grid
 from logs.catalogue.family import Family
 from logs.catalogue.junctions import junction
-from logs.catalogue.paper import BEYOND_M, HALF_LANE, SPARE_S, START_M
-from logs.catalogue.pedestrians import SIDEWALK_M, WAITS
 from logs.catalogue.protocols import (
     CAR_TARGET,
     CHILD_TARGET,
@@ -44,8 +40,9 @@ from logs.catalogue.protocols import (
     speeds,
     straight,
     tested,
-)  # fmt: skip
+)
 from logs.catalogue.roads import LANE_WIDTH_M, one_lane, two_way
+from logs.catalogue.scene import BEYOND_M, HALF_LANE, SIDEWALK_M, SPARE_S, START_M, WAITS, grid, moving
 from logs.scenario import Scenario
 from logs.trace import DecisionKind
 from logs.vehicle import VehicleParameters

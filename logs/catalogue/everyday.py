@@ -11,20 +11,26 @@ from math import pi
 
 import numpy as np
 
-from logs.catalogue.agents import BICYCLE, CAR, moving, parked, tracks
-from logs.catalogue.driver import SAMPLE_S, Ahead, drive
+from logs.catalogue.driver import Ahead, drive
 from logs.catalogue.family import Family, expects
-from logs.catalogue.paper import BEYOND_M, HALF_LANE, SPARE_S, START_M, bypass, goal_at_end, tenths
 from logs.catalogue.roads import LANE_WIDTH_M, curve, one_lane, two_lanes, two_way, weaving
-from logs.kernel import FloatArray
+from logs.catalogue.scene import (
+    BEYOND_M,
+    BICYCLE,
+    CAR,
+    HALF_LANE,
+    START_M,
+    WAITS,
+    bypass,
+    finished,
+    grid,
+    moving,
+    parked,
+    tenths,
+)
 from logs.scenario import AgentKind, Scenario
 from logs.trace import DecisionKind
 from logs.vehicle import VehicleParameters
-
-
-def grid(duration: float) -> FloatArray:
-    """Sample times of the others `(n,)`, to the end of the scenario, s."""
-    return np.round(np.arange(0.0, duration + SPARE_S + 0.5 * SAMPLE_S, SAMPLE_S), 9)
 
 
 def _follow(p: Mapping[str, float]) -> Scenario:
@@ -46,9 +52,8 @@ def _follow(p: Mapping[str, float]) -> Scenario:
     path = curve((float(x[-1]) + BEYOND_M, 0.0, 0.0))
     limit = v + p["limit_above_mps"]
     driven = drive(path, start=START_M, speed=v, cruise=limit, duration=duration, ahead=ahead, thw=thw)
-    goal = goal_at_end(path, float(driven.x[-1]) - 10.0, right=-HALF_LANE, left=HALF_LANE)
     metadata = expects(lead=(DecisionKind.FOLLOW, DecisionKind.YIELD))
-    return Scenario("", driven, tracks([lead]), one_lane(path, limit), duration + SPARE_S, goal, metadata=metadata)
+    return finished(path, driven, [lead], one_lane(path, limit), duration, metadata=metadata)
 
 
 FOLLOW = Family(
@@ -88,19 +93,9 @@ def _cut_in(p: Mapping[str, float]) -> Scenario:
 
     path = curve((float(x[-1]) + BEYOND_M, 0.0, 0.0))
     driven = drive(path, start=START_M, speed=v, cruise=v, duration=duration, ahead=ahead)
-    goal = goal_at_end(path, float(driven.x[-1]) - 10.0, right=-3.0 * HALF_LANE, left=HALF_LANE)
-    return Scenario(
-        "",
-        driven,
-        tracks([cutter]),
-        two_lanes(path, v, ego_on_right=False),
-        duration + SPARE_S,
-        goal,
-        metadata={
-            **expects(cutter=(DecisionKind.FOLLOW, DecisionKind.YIELD, DecisionKind.STOP)),
-            "entered_lane_s": repr(entered),
-        },
-    )
+    metadata = {**expects(cutter=(DecisionKind.FOLLOW, *WAITS)), "entered_lane_s": repr(entered)}
+    road = two_lanes(path, v, ego_on_right=False)
+    return finished(path, driven, [cutter], road, duration, right=-3.0 * HALF_LANE, metadata=metadata)
 
 
 CUT_IN = Family(
@@ -131,16 +126,9 @@ def _nudge(p: Mapping[str, float]) -> Scenario:
     duration = tenths((end - START_M) / v)
     driven = drive(path, start=START_M, speed=v, cruise=v, duration=duration)
     straight = curve((path.length, 0.0, 0.0))
-    goal = goal_at_end(straight, float(driven.x[-1]) - 10.0, right=-HALF_LANE, left=3.0 * HALF_LANE)
-    return Scenario(
-        "",
-        driven,
-        tracks([parked("parked", at, edge - 0.5 * CAR[1])]),
-        two_lanes(straight, v, ego_on_right=True),
-        duration + SPARE_S,
-        goal,
-        metadata=expects(parked=(DecisionKind.NUDGE_LEFT,)),
-    )
+    cars, road = [parked("parked", at, edge - 0.5 * CAR[1])], two_lanes(straight, v, ego_on_right=True)
+    metadata = expects(parked=(DecisionKind.NUDGE_LEFT,))
+    return finished(straight, driven, cars, road, duration, left=3.0 * HALF_LANE, metadata=metadata)
 
 
 NUDGE = Family(
@@ -172,16 +160,8 @@ def _cyclist(p: Mapping[str, float]) -> Scenario:
     oncoming = moving("oncoming", AgentKind.CAR, CAR, t, comes - gone, np.full(len(t), facing), yaw=pi)
     driven = drive(path, start=START_M, speed=v, cruise=v, duration=duration)
     straight = curve((path.length, 0.0, 0.0))
-    goal = goal_at_end(straight, float(driven.x[-1]) - 10.0, right=-HALF_LANE, left=HALF_LANE)
-    return Scenario(
-        "",
-        driven,
-        tracks([rider, oncoming]),
-        two_way(straight, v),
-        duration + SPARE_S,
-        goal,
-        metadata=expects(cyclist=(DecisionKind.NUDGE_LEFT,)),
-    )
+    metadata = expects(cyclist=(DecisionKind.NUDGE_LEFT,))
+    return finished(straight, driven, [rider, oncoming], two_way(straight, v), duration, metadata=metadata)
 
 
 CYCLIST = Family(

@@ -2,7 +2,7 @@
 
 No public suite has them; the values are ours. Perception's faults are in the tracks of a scene of the catalogue: 0 the
 crossing pedestrian, 1 a lead, 2 a cut-in. In the closed loop the log is the world, so that a track with a gap is what
-the planner perceives, and what the others are judged by is interpolated (`logs.presence`); a delayed track is another
+the planner perceives, and what the others are judged by is interpolated (`logs.observed`); a delayed track is another
 world there, and wrong against the ego in the open loop only. Those of ego and lanes are in the free road; the log then
 holds the first ego state only, since no one drove there.
 """
@@ -19,8 +19,8 @@ import numpy as np
 from logs.catalogue import everyday, paper
 from logs.catalogue.driver import SAMPLE_S
 from logs.catalogue.family import Family
-from logs.catalogue.paper import BEYOND_M
 from logs.catalogue.roads import LANE_WIDTH_M
+from logs.catalogue.scene import BEYOND_M
 from logs.kernel import BoolArray, FloatArray
 from logs.road import Goal
 from logs.scenario import Scenario, Tracks

@@ -24,12 +24,12 @@ import numpy as np
 
 from logs.catalogue.driver import drive
 from logs.catalogue.family import Family
-from logs.catalogue.paper import BEYOND_M, HALF_LANE, SPARE_S, goal_at_end, tenths
 from logs.catalogue.protocols import KMH, speeds
 from logs.catalogue.roads import curve, weaving
+from logs.catalogue.scene import BEYOND_M, HALF_LANE, SPARE_S, finished, tenths
 from logs.kernel import FloatArray
 from logs.road import Lane, Road
-from logs.scenario import Scenario, Tracks
+from logs.scenario import Scenario
 from logs.vehicle import VehicleParameters
 
 CONE_SPACING_M = 3.0
@@ -101,10 +101,10 @@ def _lane(sections: tuple[Section, ...], begin: float, end: float) -> tuple[Floa
     return np.column_stack([x, np.interp(x, at, left)]), np.column_stack([x, np.interp(x, at, right)])
 
 
-def _track(p: Mapping[str, float], sections: Callable[[float, bool], tuple[Section, ...]]) -> Scenario:
+def _track(p: Mapping[str, float], sections: Callable[..., tuple[Section, ...]]) -> Scenario:
     v, car = p["ego_kmh"] * KMH, VehicleParameters()
     approach = APPROACH_M + 0.5 * v * v / BRAKE_MPS2
-    there = sections(car.width, bool(p.get("edge_based", 0.0)))
+    there = sections(car.width, edge_based=p["edge_based"] > 0.0) if "edge_based" in p else sections(car.width)
     ahead = car.axle_to_center
     shifts = [(approach + one.end - ahead, approach + two.begin - ahead, two.offset) for one, two in pairwise(there)]
     last = approach + there[-1].end
@@ -122,27 +122,19 @@ def _track(p: Mapping[str, float], sections: Callable[[float, bool], tuple[Secti
     left, right = _lane(there, -approach - car.length, path.length - approach)
     shift = np.array([approach, 0.0])
     lane = Lane(1, left + shift, right + shift, speed_limit=v, kind="urban")
-    goal = goal_at_end(curve((path.length, 0.0, 0.0)), last + TAPER_M, right=-HALF_LANE, left=HALF_LANE)
-    return Scenario("", driven, Tracks.empty(), Road({1: lane}, default_speed_limit=v), duration + SPARE_S, goal)
-
-
-def _first(width: float, edge_based: bool) -> tuple[Section, ...]:
-    return double_lane_change(width, edge_based=edge_based)
-
-
-def _second(width: float, edge_based: bool) -> tuple[Section, ...]:
-    return obstacle_avoidance(width)
+    road = Road({1: lane}, default_speed_limit=v)
+    return finished(curve((path.length, 0.0, 0.0)), driven, [], road, duration, begin=last + TAPER_M)
 
 
 FAMILIES = (
     Family(
         "iso3888/double_lane_change", "ISO 3888-1: to the left lane and back between cones",
-        {"ego_kmh": 60.0, "edge_based": 0.0}, ("iso3888", "free"), partial(_track, sections=_first),
+        {"ego_kmh": 60.0, "edge_based": 0.0}, ("iso3888", "free"), partial(_track, sections=double_lane_change),
         {"ego_kmh": speeds(30, 80, 10), "edge_based": (0.0, 1.0)}, SOURCE,
     ),
     Family(
         "iso3888/obstacle_avoidance", "ISO 3888-2: round an obstacle and back between cones",
-        {"ego_kmh": 50.0}, ("iso3888", "free"), partial(_track, sections=_second),
+        {"ego_kmh": 50.0}, ("iso3888", "free"), partial(_track, sections=obstacle_avoidance),
         {"ego_kmh": speeds(20, 70, 10)}, SOURCE,
     ),
 )  # fmt: skip

@@ -7,35 +7,33 @@ The paper gives no numbers; these are a passenger car's: arcs of 50 m at 12 m/s 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from math import ceil, copysign, radians
+from math import radians
 
 import numpy as np
 
-from logs.catalogue.agents import ADULT, CAR, moving, parked, tracks
-from logs.catalogue.driver import SAMPLE_S, Ahead, drive
+from logs.catalogue.driver import Ahead, drive
 from logs.catalogue.family import Family, expects
-from logs.catalogue.roads import LANE_WIDTH_M, Path, curve, one_lane, stretch, two_lanes, weaving
-from logs.kernel import FloatArray
-from logs.road import Goal
-from logs.scenario import AgentKind, Scenario, Tracks
+from logs.catalogue.roads import curve, one_lane, two_lanes, weaving
+from logs.catalogue.scene import (
+    ADULT,
+    BEYOND_M,
+    CAR,
+    HALF_LANE,
+    SIDEWALK_M,
+    START_M,
+    WAITS,
+    bypass,
+    finished,
+    grid,
+    moving,
+    parked,
+    straight_path,
+    tenths,
+    walked,
+)
+from logs.scenario import AgentKind, Scenario
 from logs.trace import DecisionKind
 from logs.vehicle import VehicleParameters
-
-START_M = 10.0
-SPARE_S = 10.0
-"""A planner may take so much longer than the logged driver."""
-BEYOND_M = 150.0
-HALF_LANE = 0.5 * LANE_WIDTH_M
-
-
-def tenths(seconds: float) -> float:
-    """The next multiple of the sample time, s."""
-    return round(ceil(seconds / SAMPLE_S - 1e-9) * SAMPLE_S, 9)
-
-
-def goal_at_end(path: Path, begin: float, *, right: float, left: float) -> Goal:
-    """The strip of road from station `begin` to 40 m further."""
-    return Goal((stretch(path, begin, begin + 40.0, right=right, left=left),))
 
 
 def _free_road(p: Mapping[str, float]) -> Scenario:
@@ -48,8 +46,7 @@ def _free_road(p: Mapping[str, float]) -> Scenario:
     path = curve((entry, 0.0, 0.0), *bend, *other, (exit_ + BEYOND_M, 0.0, 0.0))
     duration = tenths((path.length - BEYOND_M - START_M) / v)
     driven = drive(path, start=START_M, speed=v, cruise=v, duration=duration)
-    goal = goal_at_end(path, path.length - BEYOND_M - 10.0, right=-HALF_LANE, left=HALF_LANE)
-    return Scenario("", driven, Tracks.empty(), one_lane(path, v), duration + SPARE_S, goal)
+    return finished(path, driven, [], one_lane(path, v), duration, begin=path.length - BEYOND_M - 10.0)
 
 
 FREE_ROAD = Family(
@@ -59,11 +56,6 @@ FREE_ROAD = Family(
     ("paper", "free"),
     _free_road,
 )
-
-
-def bypass(edge: float, clearance: float, width: float) -> float:
-    """Lateral offset of a car's middle that keeps |clearance| from an obstacle's edge, m: left of it if positive."""
-    return edge + copysign(abs(clearance) + 0.5 * width, clearance)
 
 
 def _static_obstacles(p: Mapping[str, float]) -> Scenario:
@@ -79,29 +71,19 @@ def _static_obstacles(p: Mapping[str, float]) -> Scenario:
     )
     to_left = max(0.0, bypass(from_right, p["clearance_m"], width))
     to_right = min(0.0, bypass(from_left, -p["clearance_m"], width))
-    path = _past([(at[0], to_left), (at[1], to_right), (at[2], to_left)], spacing)
+    run, flat = 0.6 * spacing, 0.2 * spacing  # the way of each shift, and beside each car
+    past = [
+        (station - flat - run, station - flat, left)
+        for station, left in zip(at, (to_left, to_right, to_left), strict=True)
+    ]
+    last = at[2] + flat
+    path = weaving(last + run + 40.0 + BEYOND_M, [*past, (last, last + run, 0.0)])
     duration = tenths((at[2] + spacing + 40.0 - START_M) / v)
     driven = drive(path, start=START_M, speed=v, cruise=v, duration=duration)
     straight = curve((path.length, 0.0, 0.0))
-    goal = goal_at_end(straight, float(driven.x[-1]) - 10.0, right=-HALF_LANE, left=3.0 * HALF_LANE)
     left, right = (DecisionKind.NUDGE_LEFT,), (DecisionKind.NUDGE_RIGHT,)
-    return Scenario(
-        "",
-        driven,
-        tracks(cars),
-        two_lanes(straight, v, ego_on_right=True),
-        duration + SPARE_S,
-        goal,
-        metadata=expects(right_1=left, left=right, right_2=left),
-    )
-
-
-def _past(obstacles: list[tuple[float, float]], spacing: float) -> Path:
-    """A path past obstacles `(station m, offset m)`, 0.6 of the spacing for each shift, back to the middle."""
-    run, flat = 0.6 * spacing, 0.2 * spacing
-    shifts = [(at - flat - run, at - flat, offset) for at, offset in obstacles]
-    last = obstacles[-1][0] + flat
-    return weaving(last + run + 40.0 + BEYOND_M, [*shifts, (last, last + run, 0.0)])
+    road, metadata = two_lanes(straight, v, ego_on_right=True), expects(right_1=left, left=right, right_2=left)
+    return finished(straight, driven, cars, road, duration, left=3.0 * HALF_LANE, metadata=metadata)
 
 
 STATIC_OBSTACLES = Family(
@@ -122,10 +104,10 @@ STATIC_OBSTACLES = Family(
 
 def _crossing_pedestrian(p: Mapping[str, float]) -> Scenario:
     v, walk, duration = p["ego_speed_mps"], p["pedestrian_speed_mps"], p["duration_s"]
-    car, sidewalk = VehicleParameters(), 4.0
+    car = VehicleParameters()
     y0, y1 = -(HALF_LANE + p["kerb_distance_m"]), HALF_LANE + p["rest_distance_m"]
     x = START_M + car.axle_to_front + v * p["walk_start_s"] + p["distance_m"]
-    t = np.round(np.arange(0.0, duration + SPARE_S + 0.5 * SAMPLE_S, SAMPLE_S), 9)
+    t = grid(duration)
     y = y0 + (y1 - y0) * walked(t - p["walk_start_s"], y1 - y0, walk)
     pedestrian = moving("pedestrian", AgentKind.PEDESTRIAN, ADULT, t, np.full(len(t), x), y, yaw=0.5 * np.pi)
     off_lane = float(t[np.argmax(y > HALF_LANE + 0.5 * max(ADULT))])
@@ -135,33 +117,10 @@ def _crossing_pedestrian(p: Mapping[str, float]) -> Scenario:
         gap = x - p["stop_distance_m"] - (s + car.axle_to_front)
         return Ahead(gap, stop=True) if noticed <= time < off_lane and gap > -p["stop_distance_m"] else None
 
-    path = curve((v * (duration + SPARE_S) + BEYOND_M, 0.0, 0.0))
+    path = straight_path(v, duration)
     driven = drive(path, start=START_M, speed=v, cruise=v, duration=duration, ahead=ahead)
-    goal = goal_at_end(path, float(driven.x[-1]) - 10.0, right=-HALF_LANE, left=HALF_LANE)
-    return Scenario(
-        "",
-        driven,
-        tracks([pedestrian]),
-        one_lane(path, v, sidewalk=sidewalk),
-        duration + SPARE_S,
-        goal,
-        metadata={
-            **expects(pedestrian=(DecisionKind.YIELD, DecisionKind.STOP)),
-            "pedestrian_off_lane_s": repr(off_lane),
-        },
-    )
-
-
-def walked(t: FloatArray, distance: float, speed: float, ramp: float = 0.4) -> FloatArray:
-    """Share of a walk of `distance` m done at times `(n,)` after its start: speed ramps up and down in `ramp` s."""
-    whole = distance / speed + ramp
-    if whole < 2.0 * ramp:
-        raise ValueError("the pedestrian's way is too short for its speed")
-    up = np.clip(t, 0.0, ramp)
-    down = np.clip(t - (whole - ramp), 0.0, ramp)
-    even = np.clip(t - ramp, 0.0, whole - 2.0 * ramp)
-    share: FloatArray = (0.5 * up**2 / ramp + even + down - 0.5 * down**2 / ramp) * speed / distance
-    return share
+    metadata = {**expects(pedestrian=WAITS), "pedestrian_off_lane_s": repr(off_lane)}
+    return finished(path, driven, [pedestrian], one_lane(path, v, sidewalk=SIDEWALK_M), duration, metadata=metadata)
 
 
 CROSSING_PEDESTRIAN = Family(

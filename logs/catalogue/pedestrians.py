@@ -20,23 +20,36 @@ from math import copysign, cos, inf, pi, radians, sin, sqrt
 
 import numpy as np
 
-from logs.catalogue.agents import ADULT, APART_M, BESIDE_M, LARGE_CAR, SMALL_CAR, Agent, moving, obstruction, tracks
 from logs.catalogue.driver import Ahead, drive
-from logs.catalogue.everyday import grid
 from logs.catalogue.family import Family, expects
-from logs.catalogue.paper import BEYOND_M, HALF_LANE, SPARE_S, START_M, goal_at_end, walked
-from logs.catalogue.roads import curve, one_lane
+from logs.catalogue.roads import one_lane
+from logs.catalogue.scene import (
+    ADULT,
+    APART_M,
+    BESIDE_M,
+    HALF_LANE,
+    LARGE_CAR,
+    SIDEWALK_M,
+    SMALL_CAR,
+    START_M,
+    WAITS,
+    Agent,
+    finished,
+    grid,
+    moving,
+    obstruction,
+    straight_path,
+    walked,
+)
 from logs.kernel import FloatArray
 from logs.scenario import AgentKind, Scenario
 from logs.trace import DecisionKind
 from logs.vehicle import VehicleParameters
 
 RAMP_S = 0.4
-SIDEWALK_M = 4.0
 CHILD = (0.711, 0.298)
 SLOWING_MPS2, SLOW_BEFORE_M = 1.2, 8.0
 """How the driver slows down towards the parked cars, and how far before them he wants to be slow: he lags behind."""
-WAITS = (DecisionKind.YIELD, DecisionKind.STOP)
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,25 +132,23 @@ def _driven(
         gap = x - short - (s + front)
         return Ahead(gap, stop=True) if minded <= time < clear and gap > -short else None
 
-    return _finished(p, [*walkers, *cars], sets_off, clear, ahead, duration, cruise or (lambda s: v), WAITS)
+    return _crossed(p, [*walkers, *cars], sets_off, clear, ahead, duration, cruise or (lambda s: v), WAITS)
 
 
-def _finished(
+def _crossed(
     p: Mapping[str, float], agents: Sequence[Agent], sets_off: float, clear: float,
     ahead: Callable[[float, float], Ahead | None], duration: float, cruise: Callable[[float], float],
     kinds: tuple[DecisionKind, ...],
 ) -> Scenario:  # fmt: skip
     v = p["ego_speed_mps"]
-    path = curve((v * (duration + SPARE_S) + BEYOND_M, 0.0, 0.0))
+    path = straight_path(v, duration)
     driven = drive(path, start=START_M, speed=v, cruise=cruise, duration=duration, ahead=ahead)
-    goal = goal_at_end(path, float(driven.x[-1]) - 10.0, right=-HALF_LANE, left=HALF_LANE)
     metadata = {
         **expects(**{one.id: kinds for one in agents if one.kind is AgentKind.PEDESTRIAN}),
         "pedestrian_sets_off_s": repr(sets_off),
         "pedestrian_off_lane_s": repr(clear),
     }
-    road = one_lane(path, v, sidewalk=SIDEWALK_M)
-    return Scenario("", driven, tracks(agents), road, duration + SPARE_S, goal, metadata=metadata)
+    return finished(path, driven, agents, one_lane(path, v, sidewalk=SIDEWALK_M), duration, metadata=metadata)
 
 
 def _turns_back(p: Mapping[str, float]) -> Scenario:
@@ -314,7 +325,7 @@ GROUP = Family(
 
 
 def _along(p: Mapping[str, float]) -> Scenario:
-    """He walks before t = 0 already; as he slows down along the lane he turns right and leaves it."""
+    """The pedestrian already walks before t = 0, turns right where they slow down along the lane, and leaves it."""
     v, duration, front = p["pedestrian_speed_mps"], p["duration_s"], VehicleParameters().axle_to_front
     t = grid(duration)
     along, aside = Leg(-RAMP_S, v * (p["leave_s"] + RAMP_S), v), p["lateral_m"] + HALF_LANE + p["rest_distance_m"]
@@ -329,7 +340,7 @@ def _along(p: Mapping[str, float]) -> Scenario:
         return Ahead(gap, v) if p["reaction_s"] <= time < clear else None
 
     kinds = (DecisionKind.FOLLOW, *WAITS)
-    return _finished(p, [one], 0.0, clear, ahead, duration, lambda s: p["ego_speed_mps"], kinds)
+    return _crossed(p, [one], 0.0, clear, ahead, duration, lambda s: p["ego_speed_mps"], kinds)
 
 
 ALONG = Family(

@@ -18,13 +18,27 @@ from math import copysign, pi
 
 import numpy as np
 
-from logs.catalogue.agents import ADULT, BESIDE_M, Agent, moving, obstruction, parked, tracks
 from logs.catalogue.driver import Ahead, drive
-from logs.catalogue.everyday import grid
 from logs.catalogue.family import before_contact, expects
-from logs.catalogue.paper import BEYOND_M, HALF_LANE, SPARE_S, START_M, goal_at_end, walked
-from logs.catalogue.pedestrians import CHILD, SIDEWALK_M, WAITS
+from logs.catalogue.pedestrians import CHILD
 from logs.catalogue.roads import LANE_WIDTH_M, Path, curve, one_lane, two_way
+from logs.catalogue.scene import (
+    ADULT,
+    BESIDE_M,
+    BEYOND_M,
+    HALF_LANE,
+    SIDEWALK_M,
+    SPARE_S,
+    START_M,
+    WAITS,
+    Agent,
+    finished,
+    grid,
+    moving,
+    obstruction,
+    parked,
+    walked,
+)
 from logs.kernel import FloatArray
 from logs.road import Road
 from logs.scenario import AgentKind, Scenario
@@ -81,9 +95,8 @@ def tested(
     """
     v, duration = p["ego_kmh"] * KMH, p["duration_s"]
     driven = drive(path, start=start, speed=v, cruise=v, duration=duration, ahead=ahead)
-    goal = goal_at_end(path, path.length - GOAL_M if beyond is None else beyond, right=-HALF_LANE, left=HALF_LANE)
-    metadata = expects(**expected)
-    return before_contact(Scenario("", driven, tracks(agents), road, duration + SPARE_S, goal, metadata=metadata))
+    begin = path.length - GOAL_M if beyond is None else beyond
+    return before_contact(finished(path, driven, agents, road, duration, begin=begin, metadata=expects(**expected)))
 
 
 def straight(p: Mapping[str, float]) -> Path:

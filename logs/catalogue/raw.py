@@ -16,13 +16,11 @@ from math import pi
 import numpy as np
 
 from logs.catalogue import paper
-from logs.catalogue.agents import ADULT, BICYCLE, CAR, Agent, moving, parked, tracks
 from logs.catalogue.detector import detected
 from logs.catalogue.driver import Ahead, drive
-from logs.catalogue.everyday import grid
 from logs.catalogue.family import Family, touches
-from logs.catalogue.paper import BEYOND_M, HALF_LANE, START_M
 from logs.catalogue.roads import LANE_WIDTH_M, Path, curve, one_lane, stretch, two_way
+from logs.catalogue.scene import ADULT, BEYOND_M, BICYCLE, CAR, HALF_LANE, START_M, Agent, grid, moving, parked, tracks
 from logs.kernel import FloatArray
 from logs.road import Goal, Road
 from logs.scenario import AgentKind, Scenario, Tracks

@@ -13,17 +13,30 @@ from math import copysign, sqrt
 
 import numpy as np
 
-from logs.catalogue.agents import ADULT, CAR, Agent, moving, tracks
 from logs.catalogue.driver import Ahead, drive
-from logs.catalogue.everyday import grid
 from logs.catalogue.family import Family, expects
 from logs.catalogue.junctions import Junction, junction
-from logs.catalogue.paper import BEYOND_M, HALF_LANE, SPARE_S, START_M, goal_at_end, walked
-from logs.catalogue.roads import curve, lane_beside, one_lane
+from logs.catalogue.roads import lane_beside, one_lane
+from logs.catalogue.scene import (
+    ADULT,
+    BEYOND_M,
+    CAR,
+    HALF_LANE,
+    SIDEWALK_M,
+    SPARE_S,
+    START_M,
+    WAITS,
+    Agent,
+    finished,
+    grid,
+    moving,
+    straight_path,
+    walked,
+)
 from logs.kernel import FloatArray
 from logs.road import Road
 from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
-from logs.scenario import AgentKind, Scenario, Tracks
+from logs.scenario import AgentKind, Scenario
 from logs.trace import DecisionKind
 from logs.vehicle import VehicleParameters
 
@@ -53,7 +66,7 @@ def _traffic_light(p: Mapping[str, float]) -> Scenario:
         goes = light.at(time - p["reaction_s"]) is Colour.GREEN
         return None if goes else stopping(line, v, car, s)
 
-    path = curve((v * (duration + SPARE_S) + BEYOND_M, 0.0, 0.0))
+    path = straight_path(v, duration)
     driven = drive(path, start=START_M, speed=v, cruise=v, duration=duration, ahead=ahead)
     before, behind = (
         replace(lane_beside(part, i, speed_limit=v), successors=after)
@@ -61,9 +74,8 @@ def _traffic_light(p: Mapping[str, float]) -> Scenario:
     )
     stop = StopLine(1, 1, np.vstack([before.right[-1], before.left[-1]]), light=light.id)
     road = Road({1: before, 2: behind}, default_speed_limit=v, stop_lines=(stop,))
-    goal = goal_at_end(path, float(driven.x[-1]) - 10.0, right=-HALF_LANE, left=HALF_LANE)
     metadata = expects(**{f"stop line {stop.id}": (DecisionKind.STOP,)}) if p["distance_m"] / v < green else {}
-    return Scenario("", driven, Tracks.empty(), road, duration + SPARE_S, goal, metadata=metadata, lights=(light,))
+    return replace(finished(path, driven, [], road, duration, metadata=metadata), lights=(light,))
 
 
 TRAFFIC_LIGHT = Family(
@@ -89,16 +101,12 @@ def _crosswalk(p: Mapping[str, float]) -> Scenario:
     def ahead(time: float, s: float) -> Ahead | None:
         return None if time >= off_lane + p["reaction_s"] else stopping(near, v, car, s)
 
-    path = curve((v * (duration + SPARE_S) + BEYOND_M, 0.0, 0.0))
+    path = straight_path(v, duration)
     driven = drive(path, start=START_M, speed=v, cruise=v, duration=duration, ahead=ahead)
     corners = [(near, -HALF_LANE), (far, -HALF_LANE), (far, HALF_LANE), (near, HALF_LANE)]
-    road = replace(one_lane(path, v, sidewalk=4.0), crosswalks=(Crosswalk(1, np.array(corners)),))
-    goal = goal_at_end(path, float(driven.x[-1]) - 10.0, right=-HALF_LANE, left=HALF_LANE)
-    metadata = {
-        **expects(pedestrian=(DecisionKind.YIELD, DecisionKind.STOP)),
-        "pedestrian_off_lane_s": repr(off_lane),
-    }
-    return Scenario("", driven, tracks([pedestrian]), road, duration + SPARE_S, goal, metadata=metadata)
+    road = replace(one_lane(path, v, sidewalk=SIDEWALK_M), crosswalks=(Crosswalk(1, np.array(corners)),))
+    metadata = {**expects(pedestrian=WAITS), "pedestrian_off_lane_s": repr(off_lane)}
+    return finished(path, driven, [pedestrian], road, duration, metadata=metadata)
 
 
 CROSSWALK = Family(
@@ -134,19 +142,17 @@ def _junction(p: Mapping[str, float]) -> Scenario:
         free = not any(at - p["gap_s"] < there and now < at + p["behind_s"] for at in passing)
         return None if free else stopping(begin, v, car, s)
 
-    driven = drive(
-        place.path,
-        start=START_M,
-        speed=v,
-        cruise=lambda s: _wanted(s, place, v, p["main_speed_mps"], p["lateral_mps2"]),
-        duration=duration,
-        ahead=ahead,
-    )
+    turning = min(v, sqrt(p["lateral_mps2"] * place.radius))
+
+    def cruise(s: float) -> float:
+        if s < place.begin:  # brakes gently towards the turn
+            return min(v, sqrt(turning**2 + 2.0 * BRAKE_MPS2 * (place.begin - s)))
+        return turning if s < place.end else p["main_speed_mps"]
+
+    driven = drive(place.path, start=START_M, speed=v, cruise=cruise, duration=duration, ahead=ahead)
     last = float(np.hypot(np.diff(driven.x), np.diff(driven.y)).sum()) + START_M
-    goal = goal_at_end(place.path, last - 10.0, right=-HALF_LANE, left=HALF_LANE)
-    waits = (DecisionKind.YIELD, DecisionKind.STOP)
-    metadata = {**expects(left_2=waits), "last_passes_s": repr(max(passing))}
-    return Scenario("", driven, tracks(cars), place.road, duration + SPARE_S, goal, metadata=metadata)
+    metadata = {**expects(left_2=WAITS), "last_passes_s": repr(max(passing))}
+    return finished(place.path, driven, cars, place.road, duration, begin=last - 10.0, metadata=metadata)
 
 
 def _on_the_main_road(place: Junction, t: FloatArray, p: Mapping[str, float]) -> tuple[list[Agent], list[float]]:
@@ -160,14 +166,6 @@ def _on_the_main_road(place: Junction, t: FloatArray, p: Mapping[str, float]) ->
         cars.append(moving(name, AgentKind.CAR, CAR, t, lane, way, yaw=-side * 0.5 * np.pi))
         passing.append(at)
     return cars, passing
-
-
-def _wanted(s: float, place: Junction, approach: float, behind: float, lateral: float) -> float:
-    """Speed on the way: that of the turn from the junction's begin on, with gentle braking towards it."""
-    turning = min(approach, sqrt(lateral * place.radius))
-    if s < place.begin:
-        return min(approach, sqrt(turning**2 + 2.0 * BRAKE_MPS2 * (place.begin - s)))
-    return turning if s < place.end else behind
 
 
 JUNCTION = Family(

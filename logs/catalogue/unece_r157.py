@@ -15,11 +15,8 @@ from math import pi
 
 import numpy as np
 
-from logs.catalogue.agents import CAR, moving, parked
 from logs.catalogue.driver import Ahead
-from logs.catalogue.everyday import grid
 from logs.catalogue.family import Family
-from logs.catalogue.paper import BEYOND_M, HALF_LANE, SPARE_S, START_M, walked
 from logs.catalogue.protocols import (
     CROSSING,
     FOLLOWS,
@@ -36,8 +33,9 @@ from logs.catalogue.protocols import (
     straight,
     tested,
     travelled,
-)  # fmt: skip
+)
 from logs.catalogue.roads import LANE_WIDTH_M, curve, one_lane, two_lanes
+from logs.catalogue.scene import BEYOND_M, CAR, HALF_LANE, SPARE_S, START_M, grid, moving, parked, walked
 from logs.scenario import AgentKind, Scenario
 from logs.trace import DecisionKind
 from logs.vehicle import VehicleParameters

@@ -3,32 +3,52 @@
 Adding a format is one file with a `MapReader` and one line in `BUILTIN`.
 
 Modules:
-    base.py             what a reader of maps is, and what it makes of a file
+    base.py             the reader of a map format, and what it reads
     fit.py              the map under a drive: whether it fits, and the scenario on it
     projections.py      latitude and longitude to plane coordinates
     osm.py              OpenStreetMap XML as records
-    lanelet2.py         Lanelet2 maps: where their points are, and their road
-    lanelet2_lanes.py   their lanes; `lanelet2_rules.py` their regulatory elements
+    lanelet2.py         Lanelet2 maps: the coordinates of their points, and their road
+    lanelet2_lanes.py   the lanes and regulatory elements of Lanelet2 maps
     opendrive.py        OpenDRIVE maps, by pyxodr
-    arrow123d.py        123D maps
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 
 from logs.errors import LogError
 from logs.files import check_regular
-from logs.maps import arrow123d, lanelet2, opendrive
+from logs.maps import lanelet2, opendrive
 from logs.maps.base import MapFile, MapReader
 from logs.maps.fit import on_map
 from logs.readers.base import LogSettings
 from logs.scenario import Scenario
 
-BUILTIN = (lanelet2.READER, opendrive.READER, arrow123d.READER)
-"""In the order in which they are asked."""
 __all__ = ["BUILTIN", "MapFile", "MapReader", "map_files", "map_reader_of", "read_map", "with_map"]
+
+
+def read_123d(path: Path, settings: Mapping[str, str]) -> MapFile:
+    """All of a 123D map, of one log or of a place; LogError where the file is none."""
+    from logs.readers.arrow123d.map import road_of_map
+
+    notes: list[str] = []
+    return MapFile(road_of_map(path, notes=notes), "as in the 123D map", tuple(notes))
+
+
+def _claims_123d(path: Path) -> bool:
+    try:
+        if path.suffix.lower() != ".arrow":
+            return False
+        with path.open("rb") as stream:
+            return stream.read(6) == b"ARROW1"
+    except OSError:
+        return False
+
+
+BUILTIN = (lanelet2.READER, opendrive.READER, MapReader("123D", "*.arrow", _claims_123d, read_123d))
+"""In the order in which they are asked."""
 
 
 def map_reader_of(path: Path) -> MapReader:

@@ -1,4 +1,4 @@
-"""What a reader of a map format is: one value `MapReader` per file, and what it makes of a file, a `MapFile`."""
+"""The reader of a map format, one value `MapReader` per file, and what it reads, a `MapFile`."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """The map under a drive: the scenario on its road, refused where the drive is not on it.
 
 The ego's path at every `STEP_M` (1), so that a car that stands weighs no more than one that drives: a point is on the
-map where it lies on a lane on which cars may drive, and along where it drives along such a lane (`logs.lanes.on_lane`).
+map where it lies on a lane on which cars may drive, and along where it drives along such a lane (`logs.route.on_lane`).
 The map is refused where less than `LEAST_SHARE` of the path is on it, or less than that share of those points along.
 """
 
@@ -16,10 +16,10 @@ import numpy as np
 
 from logs.errors import LogError
 from logs.kernel import BoolArray, FloatArray
-from logs.lanes import on_lane
 from logs.maps.base import MapFile
 from logs.mcap.complete import ASSUMED, NO_LANES, assumed_limit
 from logs.road import Lane, Road, RoadSource
+from logs.route import on_lane
 from logs.scenario import Scenario
 from logs.states import Trajectory
 from logs.transform import placed_road

@@ -1,4 +1,4 @@
-"""Lanelet2 maps (.osm): where their points are, and the road that they make (`lanelet2_lanes`, `lanelet2_rules`).
+"""Lanelet2 maps (.osm): where their points are, and the road that they make (`lanelet2_lanes`).
 
 Plane coordinates, the first of these that the map and the settings give:
 
@@ -21,8 +21,7 @@ import numpy as np
 from logs.errors import LogError
 from logs.kernel import FloatArray
 from logs.maps.base import MapFile, MapReader
-from logs.maps.lanelet2_lanes import lanes_of, strips_of
-from logs.maps.lanelet2_rules import rules_of
+from logs.maps.lanelet2_lanes import lanes_of, rules_of, strips_of
 from logs.maps.osm import Element, Osm, read_osm, real
 from logs.maps.projections import UTM_SCALE, Projection, on_earth, projection_named
 from logs.road import Lane, Road

@@ -15,14 +15,28 @@ nearer than `SAME_M` are taken as one point, and ways between the same ends that
 
 A marking that is painted may be crossed from its dashed side or where `lane_change` says so; a kerb, wall or border may
 not; a virtual boundary and one without a type may, as there is nothing on the road.
+
+Lanelet2's regulatory elements -> stop lines, crosswalks, right of way.
+
+Source: Lanelet2, "RegulatoryElementTagging.md"; autoware_lanelet2_extension, "extra_regulatory_elements.md".
+
+A stop line (role ref_line; without one: at the lanelet's end) lies across the lanelet that names the element. Where it
+is at that lanelet's begin, as Autoware's maps have it in junctions, it lies across the lanelets before and counts for
+the way into this one. An element that no lanelet names belongs to the lanelets of whose second half its line crosses
+the middle. The light of a stop line has the id of the regulatory element, as in Autoware's messages; other numbers by
+which it may be known (its ways, `traffic_light_id`) are its aliases.
+
+Who yields waits for the lanelets with right of way which it meets; where those named are the ones before the junction,
+for the ones that follow on them.
 """
 
 from __future__ import annotations
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
 from math import hypot, isfinite, nan
 
 import numpy as np
@@ -30,7 +44,9 @@ import numpy as np
 from logs.errors import LogError
 from logs.kernel import FloatArray, IntArray, kernel
 from logs.maps.osm import Element, Osm
+from logs.readers.commonroad.rules import CAR_WIDTH_M
 from logs.road import Lane
+from logs.rules import Crosswalk, StopLine
 
 SAME_M = 0.05
 """Less than the two parts of a double line are apart."""
@@ -351,3 +367,231 @@ def speed_in(text: str) -> float:
     if found is None or float(found[1]) <= 0.0 or float(found[1]) >= 1e4:
         return nan
     return float(found[1]) * _UNITS.get(found[2] or "", _KPH)
+
+
+AT_BEGIN_M = 1.5
+"""A stop line nearer to a lane's begin lies across the lanes before."""
+SPACING_M = 0.5
+ASIDE_M = 1.0
+"""So much longer are lines to each side, and lanes at their ends, to find who crosses where no lanelet names them."""
+_STOP = ("stop", "stop_sign", "de206", "206", "usR1-1", "R1-1")
+_YIELD = ("yield", "give_way", "de205", "205", "usR1-2", "R1-2")
+_READ = ("traffic_light", "traffic_sign", "right_of_way", "all_way_stop", "speed_limit", "crosswalk", "road_marking")
+
+
+@dataclass(frozen=True, eq=False)
+class Rules:
+    """What the regulatory elements say; `yields` by lane."""
+
+    stop_lines: tuple[StopLine, ...]
+    crosswalks: tuple[Crosswalk, ...]
+    yields: Mapping[int, tuple[int, ...]]
+    aliases: Mapping[int, tuple[int, ...]]
+
+
+@dataclass(frozen=True, eq=False)
+class _Map:
+    """What the elements are placed on; `by_rule`: the lanes that name an element."""
+
+    osm: Osm
+    rows: Mapping[int, int]
+    xy: FloatArray
+    lanes: Mapping[int, Lane]
+    before: Mapping[int, Sequence[int]]
+    by_rule: Mapping[int, Sequence[int]]
+
+    def line(self, way: int) -> FloatArray | None:
+        """The points `(n, 2)` of a way; None where it has less than two."""
+        points = way_points(self.osm.ways[way], self.rows) if way in self.osm.ways else ()
+        return self.xy[list(points)] if len(points) > 1 else None
+
+    def tag(self, way: int, key: str) -> str:
+        """A way's tag, "" where it has none or is not there."""
+        return self.osm.ways[way].tags.get(key, "") if way in self.osm.ways else ""
+
+    def lanelets(self, element: Element, *roles: str) -> list[int]:
+        """The lanes of an element's lanelet members."""
+        return [ref for ref in element.named(*roles, kind="relation") if ref in self.lanes]
+
+
+def rules_of(
+    osm: Osm, strips: Sequence[Strip], lanes: Mapping[int, Lane], rows: Mapping[int, int], xy: FloatArray,
+    notes: list[str],
+) -> Rules:  # fmt: skip
+    """The rules; `rows` and `xy`: the map's points by node."""
+    before, by_rule = defaultdict[int, list[int]](list), defaultdict[int, list[int]](list)
+    for lane in lanes.values():
+        for after in lane.successors:
+            before[after].append(lane.id)
+    for strip in strips:
+        for rule in strip.rules:
+            if strip.id in lanes:
+                by_rule[rule].append(strip.id)
+    held = _Map(osm, rows, xy, lanes, before, by_rule)
+    elements = [each for each in osm.relations.values() if each.tags.get("type") == "regulatory_element"]
+    unread = Counter(e.tags.get("subtype", "without subtype") for e in elements)
+    for subtype in _READ:
+        del unread[subtype]
+    stop_lines, lost = _stop_lines(held, elements, notes)
+    if lost:
+        notes.append(f"{lost} stop lines of regulatory elements lie across no lane: left out.")
+    if unread:
+        listed = ", ".join(f"{count} {name}" for name, count in sorted(unread.items()))
+        notes.append(f"Regulatory elements that are not read: {listed}.")
+    return Rules(stop_lines, _crosswalks(held, elements), _yields(held, elements), _aliases(held, elements))
+
+
+# stop lines ---------------------------------------------------------------------------------------------------------
+
+
+def _stop_lines(held: _Map, elements: Sequence[Element], notes: list[str]) -> tuple[tuple[StopLine, ...], int]:
+    found: list[StopLine] = []
+    lost = unnamed = 0
+    for element in elements:
+        for owners, ways, light, must_stop in _demands(held, element):
+            before = len(found)
+            unnamed += not owners
+            for line in _placed(held, owners, ways):
+                found.append(replace(line, id=len(found) + 1, light=light, must_stop=must_stop))
+            lost += len(found) == before
+    if unnamed:
+        notes.append(f"{unnamed} regulatory elements with a stop line are named by no lanelet: placed by their lines.")
+    return tuple(found), lost
+
+
+def _demands(held: _Map, element: Element) -> Iterator[tuple[Sequence[int], list[int], int | None, bool]]:
+    """What an element makes cars stop for: the lanes that name it, its lines, its light, whether all must stop."""
+    subtype, lines = element.tags.get("subtype"), list(element.named("ref_line"))
+    owners = held.by_rule.get(element.id, ())
+    if subtype == "traffic_light":
+        yield owners, lines, element.id, False
+    elif subtype == "traffic_sign":
+        kinds = {element.tags.get("sign_type", "")}
+        kinds |= {held.tag(ref, "subtype") for ref in element.named("refers")}
+        if kinds & {*_STOP, *_YIELD}:
+            yield owners, lines, None, bool(kinds & {*_STOP})
+    elif subtype == "right_of_way" and lines:
+        yield held.lanelets(element, "yield"), lines, None, False
+    elif subtype == "all_way_stop":
+        yield held.lanelets(element, "yield") or owners, lines, None, True
+    elif subtype == "crosswalk" and lines and owners:
+        yield owners, lines, None, False
+    elif subtype == "road_marking":
+        marks = [ref for ref in element.named("refers") if held.tag(ref, "type") == "stop_line"]
+        if marks and owners:
+            yield owners, marks, None, True
+
+
+def _placed(held: _Map, owners: Sequence[int], ways: Sequence[int]) -> Iterator[StopLine]:
+    """The stop lines of an element, without what they demand."""
+    lines = [line[[0, -1]] for line in map(held.line, ways) if line is not None]
+    if not lines:
+        for owner in owners:
+            yield StopLine(0, owner, np.array([held.lanes[owner].left[-1], held.lanes[owner].right[-1]]))
+        return
+    towards: defaultdict[tuple[int, int], list[int]] = defaultdict(list)
+    for owner in owners or _crossed(held, lines):
+        k = min(range(len(lines)), key=lambda k: _nearest(held.lanes[owner], lines[k])[0])
+        begins = _nearest(held.lanes[owner], lines[k])[1] < AT_BEGIN_M
+        for lane in (held.before.get(owner, ()) if begins else ()) or (owner,):
+            towards[k, lane] += [owner] if lane != owner and owners else []
+    for (k, lane), after in towards.items():
+        yield StopLine(0, lane, clipped(held.lanes[lane], lines[k]), towards=tuple(sorted(set(after))))
+
+
+def _crossed(held: _Map, lines: Iterable[FloatArray]) -> list[int]:
+    """The drivable lanes of whose second half the lines cross the middle."""
+    found = []
+    for line, lane in product(lines, held.lanes.values()):
+        along = (line[1] - line[0]) / max(float(np.hypot(*(line[1] - line[0]))), 1e-9) * ASIDE_M
+        ahead = lane.center[-1] - lane.center[max(0, len(lane.center) - 4)]
+        beyond = lane.center[-1] + ahead / max(float(np.hypot(*ahead)), 1e-9) * ASIDE_M
+        half = np.vstack([lane.center[(len(lane.center) - 1) // 2 :], beyond])
+        if lane.drivable and len(crossings(line[0] - along, line[1] + along, half)):
+            found.append(lane.id)
+    return found
+
+
+def _nearest(lane: Lane, line: FloatArray) -> tuple[float, float]:
+    """Distance of a line's middle from a lane's centre line, and the station of the point nearest to it, m."""
+    middle, center = line.mean(axis=0), lane.center
+    piece = np.diff(center, axis=0)
+    square = np.maximum((piece**2).sum(axis=1), 1e-18)
+    u = np.clip(((middle - center[:-1]) * piece).sum(axis=1) / square, 0.0, 1.0)
+    away = np.hypot(*(center[:-1] + u[:, None] * piece - middle).T)
+    k = int(np.argmin(away))
+    return float(away[k]), float(np.sqrt(square[:k]).sum() + u[k] * np.sqrt(square[k]))
+
+
+def clipped(lane: Lane, line: FloatArray) -> FloatArray:
+    """The part `(2, 2)` of a line that is within a lane's boundaries, as far as it crosses them."""
+    first, last = line
+    cuts = [crossings(first, last, bound) for bound in (lane.left, lane.right)]
+    if not len(cuts[0]) or not len(cuts[1]) or abs(cuts[0][0] - cuts[1][0]) < 1e-9:
+        return line
+    ends = sorted((float(cuts[0][0]), float(cuts[1][0])))
+    return np.array([first + u * (last - first) for u in ends])
+
+
+def crossings(first: FloatArray, last: FloatArray, line: FloatArray) -> FloatArray:
+    """Where the segment between two points crosses a polyline `(n, 2)`: parts of the segment, 0 to 1."""
+    along, piece, gap = last - first, np.diff(line, axis=0), line[:-1] - first
+    with np.errstate(divide="ignore", invalid="ignore"):
+        turn = along[0] * piece[:, 1] - along[1] * piece[:, 0]
+        u = (gap[:, 0] * piece[:, 1] - gap[:, 1] * piece[:, 0]) / turn
+        w = (gap[:, 0] * along[1] - gap[:, 1] * along[0]) / turn
+        return u[(np.minimum(u, w) >= -1e-9) & (np.maximum(u, w) <= 1.0 + 1e-9)]
+
+
+# crosswalks, right of way, lights -----------------------------------------------------------------------------------
+
+
+def _crosswalks(held: _Map, elements: Iterable[Element]) -> tuple[Crosswalk, ...]:
+    """The lanelets of that subtype; the outline of an Autoware crosswalk where the map gives it."""
+    outlines = {lane.id: lane.polygon for lane in held.lanes.values() if lane.kind == "crosswalk"}
+    for element in elements:
+        if element.tags.get("subtype") == "crosswalk":
+            drawn = [line for ref in element.named("crosswalk_polygon") if (line := held.line(ref)) is not None]
+            owners = [lane for lane in held.lanelets(element, "refers") if lane in outlines]
+            if len(drawn) == 1 and len(drawn[0]) > 2 and len(owners) == 1:
+                outlines[owners[0]] = drawn[0]
+    return tuple(Crosswalk(name, outline) for name, outline in outlines.items())
+
+
+def _yields(held: _Map, elements: Iterable[Element]) -> dict[int, tuple[int, ...]]:
+    found: defaultdict[int, set[int]] = defaultdict(set)
+    for element in elements:
+        if element.tags.get("subtype") == "right_of_way":
+            for one, first in product(held.lanelets(element, "yield"), held.lanelets(element, "right_of_way")):
+                for lane, other in _meeting(held.lanes, one, first):
+                    found[lane].add(other)
+    return {lane: tuple(sorted(others)) for lane, others in found.items()}
+
+
+def _meeting(lanes: Mapping[int, Lane], one: int, first: int) -> Iterator[tuple[int, int]]:
+    """The lanes that meet: the two themselves, else what follows on them."""
+    if meet(lanes[one], lanes[first]):
+        yield one, first
+        return
+    for lane, other in product(lanes[one].successors, lanes[first].successors):
+        if lane != other and lane in lanes and other in lanes and meet(lanes[lane], lanes[other]):
+            yield lane, other
+
+
+def meet(one: Lane, other: Lane) -> bool:
+    """Whether cars on the centre lines of two lanes would touch somewhere."""
+    from scipy.spatial import cKDTree  # here: it takes long to load
+
+    lines = (divided(lane.center, SPACING_M, LONGEST_M / SPACING_M) for lane in (one, other))
+    away = np.asarray(cKDTree(next(lines)).query(next(lines))[0])
+    return bool(away.min() < CAR_WIDTH_M)
+
+
+def _aliases(held: _Map, elements: Iterable[Element]) -> dict[int, tuple[int, ...]]:
+    found = {}
+    for element in elements:
+        if element.tags.get("subtype") == "traffic_light":
+            ways = list(element.named("refers", "ref_line", "light_bulbs"))
+            tags = (held.tag(ref, "traffic_light_id")[:18] for ref in ways)
+            found[element.id] = tuple(dict.fromkeys([*ways, *(int(text) for text in tags if text.isdecimal())]))
+    return found

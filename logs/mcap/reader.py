@@ -24,12 +24,12 @@ from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.mcap import native, osi
 from logs.mcap.complete import completed, road_along
 from logs.mcap.container import CONVERT, LAST_TIME_NS, MEND, Container, Stream, read_container
+from logs.names import counted
 from logs.observed import Spans, of_stream
 from logs.rules import Colour, TrafficLight
 from logs.scenario import FINDING, Scenario, Tracks
 from logs.states import Controls, OnboardPlan, Trajectory
 from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
-from logs.words import counted
 
 T = TypeVar("T")
 

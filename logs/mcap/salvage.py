@@ -23,7 +23,7 @@ from mcap.writer import CompressionType, Writer
 
 from logs.errors import LogError, writing
 from logs.mcap.container import COMPRESSIONS, DAMAGE, content_of, opened
-from logs.words import counted
+from logs.names import counted
 
 BEGIN = 8
 """Bytes of the magic."""

@@ -8,19 +8,18 @@ Adding a format is one file with a `Reader` and one line in `BUILTIN`; one of yo
 
 Modules:
     base.py         what a reader is, and the settings of a run's [log] table
-    admission.py    what every log has to pass: clocks, magnitudes, names
+    admission.py    the checks that every log has to pass: clocks, magnitudes, names
     repaired.py     raw detections made into tracks
-    cut.py          a part of a scenario by time
-    nanoseconds.py  times as native MCAP holds them
-    commonroad.py   CommonRoad XML
-    osi.py          bare ASAM OSI traces
+    cut.py          a part of a scenario by time, and times in whole nanoseconds
+    commonroad/     CommonRoad XML
     comma2k19.py    segments of comma2k19
     table.py        pandas frames, CSV and Parquet
     ros/            ROS 2 and ROS 1 bags
     arrow123d/      123D's Arrow logs and maps
     argoverse2/     Argoverse 2: sensor logs, motion-forecasting scenarios
-    recorded/       what readers of recorded data sets share
-    native.py       replan's own MCAP and ASAM OSI in MCAP: the last word on any .mcap
+    recorded/       shared by readers of data sets: Arrow tables, boxes and poses, lanes between two lines
+    quaternions.py  rotations, shared by readers
+    native.py       replan's own MCAP, and ASAM OSI
 """
 
 from __future__ import annotations
@@ -36,17 +35,16 @@ import numpy as np
 from logs.errors import ConfigError, LogError, unknown_name
 from logs.extension import Kind, an_instance
 from logs.files import WRITE_A_FILE, check_regular, special_kind
-from logs.readers import argoverse2, arrow123d, comma2k19, commonroad, native, osi, ros, table
+from logs.readers import argoverse2, arrow123d, comma2k19, commonroad, native, ros, table
 from logs.readers.admission import admitted, check_clocks, check_road
 from logs.readers.base import LogSettings, Reader
-from logs.readers.cut import cut
-from logs.readers.nanoseconds import in_nanoseconds
+from logs.readers.cut import cut, in_nanoseconds
 from logs.readers.repaired import named, repaired
 from logs.scenario import Scenario
 
 BUILTIN = (
     commonroad.READER,
-    osi.READER,
+    native.OSI_READER,
     comma2k19.READER,
     table.READER,
     ros.READER,
@@ -124,7 +122,10 @@ def read_log(path: Path, settings: LogSettings | None = None, reader: Reader | N
     if reader is None:
         raise foreign(path)
     try:
-        _check_asked(reader, settings)
+        for key, asked in (("ego", settings.ego), ("problem", settings.problem)):
+            if asked and key not in reader.settings:
+                what = f"{key} {asked} is asked for, but the format {reader.name} has no choice of it"
+                raise LogError(what, topic="[log]", remedy=f"leave {key} out")
         check_regular(*(reader.files(path) if path.exists() else ()))
         with np.errstate(all="ignore"):  # absurd numbers are refused as such
             whole = reader.read(path, settings)
@@ -135,7 +136,9 @@ def read_log(path: Path, settings: LogSettings | None = None, reader: Reader | N
             is_named = scenario.repair is whole.repair
             scenario = in_nanoseconds(scenario)
             scenario = scenario if is_named else named(scenario)
-            _check_duration(scenario)
+            if scenario.duration > LONGEST_S:
+                remedy = "a drive lasts less than a week: check the units of the times"
+                raise LogError(f"the log lasts {scenario.duration:g} s", remedy=remedy)
             scenario = admitted(scenario)
             if settings.map:
                 from logs.maps import with_map
@@ -155,20 +158,6 @@ def with_tracks(scenario: Scenario, settings: LogSettings) -> Scenario:
     """A scenario that no file holds, with tracks made of its detections as `settings.repair` says."""
     made = repaired(scenario, settings.repair)
     return made if made.repair is scenario.repair else named(made)
-
-
-def _check_duration(scenario: Scenario) -> None:
-    if scenario.duration > LONGEST_S:
-        what = f"the log lasts {scenario.duration:g} s"
-        raise LogError(what, remedy="more than a week is no drive: look at the units of its times")
-
-
-def _check_asked(reader: Reader, settings: LogSettings) -> None:
-    """Refuse an ego or a problem that the format cannot be asked for: the log would be another than was meant."""
-    for key, asked in (("ego", settings.ego), ("problem", settings.problem)):
-        if asked and key not in reader.settings:
-            raise LogError(f"{key} {asked} is asked for, but the format {reader.name} has no choice of it",
-                           topic="[log]", remedy=f"leave {key} out")  # fmt: skip
 
 
 def foreign(path: Path) -> LogError:
@@ -222,10 +211,7 @@ def windows(path: Path, settings: LogSettings, length: float) -> tuple[LogSettin
         scenario = read_log(path, settings)
         span = settings.begin, settings.begin + scenario.duration
     end = settings.end if span is None else min(settings.end, span[1])
-    return tuple(settings.between(*part) for part in _parts(settings.begin, end, length))
-
-
-def _parts(begin: float, end: float, length: float) -> Iterator[tuple[float, float]]:
-    count = max(1, int((end - begin) / length + 0.5))
-    for k in range(count):
-        yield begin + k * length, min(begin + (k + 1) * length, end)
+    count = max(1, int((end - settings.begin) / length + 0.5))
+    starts = [settings.begin + k * length for k in range(count)]
+    ends = [min(settings.begin + (k + 1) * length, end) for k in range(count)]
+    return tuple(map(settings.between, starts, ends))

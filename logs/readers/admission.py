@@ -1,4 +1,4 @@
-"""What every log has to pass after it was read, whatever its format: clocks, magnitudes, names.
+"""The checks that every log has to pass after it was read, whatever its format: clocks, magnitudes, names.
 
     clocks       times of the agents, lights, controls and plans that nowhere overlap those of the ego are refused
     magnitudes   `LIMITS`: the ego, the road and the goal beyond them are refused; of the agents, samples with such a
@@ -24,9 +24,8 @@ from logs.agents import USUAL_SIZE_M
 from logs.detections import Detections
 from logs.errors import LogError
 from logs.kernel import BoolArray, FloatArray
-from logs.road import Road
+from logs.names import counted, visible_name
 from logs.scenario import Scenario, Tracks
-from logs.words import counted, visible_name
 
 
 class Limit(NamedTuple):
@@ -80,7 +79,8 @@ def check_clocks(scenario: Scenario) -> Scenario:
     Raises:
         LogError: The times of the agents, lights, controls or plans nowhere overlap those of the ego.
     """
-    first, last = _span(scenario)
+    ego = scenario.ego
+    first, last = float(ego.t[0]), float(ego.t[-1]) if len(ego) > 1 else scenario.duration
     for topic, begin, end in _side_spans(scenario):
         if end < first or begin > last:
             theirs, own = _log_times(scenario, begin, end), _log_times(scenario, first, last)
@@ -94,12 +94,6 @@ def check_clocks(scenario: Scenario) -> Scenario:
         return scenario
     note = f"{_named(tracks, apart)} have no sample within {OTHER_CLOCK_S:.0f} s of the ego's log: never in the scene."
     return replace(scenario, notes=(*scenario.notes, note))
-
-
-def _span(scenario: Scenario) -> tuple[float, float]:
-    """From when to when the ego is known; of a log with its start alone, how long the log lasts, s."""
-    ego = scenario.ego
-    return float(ego.t[0]), float(ego.t[-1]) if len(ego) > 1 else scenario.duration
 
 
 def _side_spans(scenario: Scenario) -> Iterator[tuple[str, float, float]]:
@@ -131,10 +125,13 @@ def admitted(scenario: Scenario) -> Scenario:
         LogError: The ego, its vehicle, the goal or a side table of the ego is beyond a limit.
     """
     _check_ego(scenario)
-    for topic, table in _ego_tables(scenario):
-        _check_columns(scenario, topic, table)
+    if scenario.controls is not None:
+        _check_columns(scenario, "controls", scenario.controls)
+    for plan in scenario.onboard:
+        _check_columns(scenario, "onboard", plan.trajectory)
     _check_vehicle(scenario)
-    _check_goal(scenario)
+    for region in scenario.goal.regions if scenario.goal else ():
+        _check_place(scenario, "goal", np.asarray(region, dtype=np.float64))
     notes: list[str] = []
     tracks = _tracks_within(scenario, notes)
     if notes:
@@ -156,13 +153,6 @@ def _check_ego(scenario: Scenario) -> None:
     if len(long):
         k = int(long[0])
         raise _refused(scenario, "ego", f"no state for {dt[k]:g} s, longer than {GAP_S:g} s", float(ego.t[k]))
-
-
-def _ego_tables(scenario: Scenario) -> Iterator[tuple[str, Any]]:
-    if scenario.controls is not None:
-        yield "controls", scenario.controls
-    for plan in scenario.onboard:
-        yield "onboard", plan.trajectory
 
 
 def _check_columns(scenario: Scenario, topic: str, table: Any) -> None:
@@ -197,11 +187,6 @@ def _check_vehicle(scenario: Scenario) -> None:
         if not (np.abs(values) <= limit.most).all():
             what = f"{item.name} is {np.max(np.abs(values)):g}, beyond {limit.most:g} {limit.unit}".rstrip()
             raise LogError(what, topic="vehicle", remedy="correct it, or name the vehicle with --car")
-
-
-def _check_goal(scenario: Scenario) -> None:
-    for region in scenario.goal.regions if scenario.goal else ():
-        _check_place(scenario, "goal", np.asarray(region, dtype=np.float64))
 
 
 def check_road(scenario: Scenario) -> Scenario:
@@ -327,9 +312,11 @@ def printable(scenario: Scenario) -> Scenario:
     changed = {key: value for key, value in changed.items() if value != getattr(scenario, key)}
     if ids != scenario.tracks.ids:
         changed["tracks"] = replace(scenario.tracks, ids=ids)
-    road = _printable_road(scenario.road)
-    if road is not scenario.road:
-        changed["road"] = road
+    road = scenario.road
+    odd = {i: replace(lane, kind=visible_name(lane.kind)) for i, lane in road.lanes.items()
+           if visible_name(lane.kind) != lane.kind}  # fmt: skip
+    if odd:
+        changed["road"] = replace(road, lanes={**road.lanes, **odd})
     if not changed:
         return scenario
     count = sum(one != other for one, other in zip(ids, scenario.tracks.ids, strict=True))
@@ -347,9 +334,3 @@ def _distinct(names: list[str]) -> tuple[str, ...]:
         count = taken[name] = taken.get(name, 0) + 1
         out.append(name if count == 1 else f"{name}~{count}")
     return tuple(out) if len(set(out)) == len(out) else tuple(f"{name}~{i}" for i, name in enumerate(names))
-
-
-def _printable_road(road: Road) -> Road:
-    lanes = {id_: replace(lane, kind=visible_name(lane.kind)) for id_, lane in road.lanes.items()
-             if visible_name(lane.kind) != lane.kind}  # fmt: skip
-    return replace(road, lanes={**road.lanes, **lanes}) if lanes else road

@@ -72,7 +72,9 @@ def _read(path: Path, settings: LogSettings) -> Scenario:
     t = frames[:, 0] - frames[0, 0]
     plane = _east_north(place[0])
     x, y = plane @ (place - place[0]).T
-    forward = _forward(turn)
+    # the camera's forward axis in ECEF: the first row of the transposed matrix of the quaternion (scalar first)
+    qw, qx, qy, qz = (turn / np.linalg.norm(turn, axis=1, keepdims=True)).T
+    forward = np.column_stack([1.0 - 2.0 * (qy * qy + qz * qz), 2.0 * (qx * qy + qw * qz), 2.0 * (qx * qz - qw * qy)])
     yaw = np.unwrap(np.arctan2(forward @ plane[1], forward @ plane[0]))
     notes = [
         "The poses are the camera's: they are taken for the rear axle's, about 1.5 m behind it.",
@@ -119,15 +121,6 @@ def _east_north(place: FloatArray) -> FloatArray:
             [-sin * np.cos(longitude), -sin * np.sin(longitude), cos],
         ]
     )
-
-
-def _forward(quaternion: FloatArray) -> FloatArray:
-    """The camera's forward axis in ECEF `(n, 3)`: the first row of the matrix that turns ECEF into the camera's frame.
-
-    The quaternion, scalar first, is that of the camera in ECEF; its matrix is the transpose.
-    """
-    w, x, y, z = (quaternion / np.linalg.norm(quaternion, axis=1, keepdims=True)).T
-    return np.column_stack([1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y + w * z), 2.0 * (x * z - w * y)])
 
 
 def _contents(path: Path) -> Contents:

@@ -1,15 +1,21 @@
-"""A part of a scenario by time: its begin becomes t = 0, what lies outside is left out.
+"""A part of a scenario by time, and times in whole nanoseconds.
 
-The ego begins and ends there exactly, interpolated. Tracks keep the samples from `HISTORY_S` before the
-begin to the first after the end, if that is no later than as much behind it, so that whoever was there is seen and
-their motion is known; lights what they showed. Detections are kept from `DETECTED_S` before the begin, as long as a
-tracker remembers.
+The begin of a part becomes t = 0, and what lies outside is left out. The ego begins and ends there exactly,
+interpolated. Tracks keep the samples from `HISTORY_S` before the begin, so that it is known who was there and how they
+moved, to the first after the end, if that is no later than `HISTORY_S` behind it. Lights keep what they showed at the
+begin. Detections are kept from `DETECTED_S` before the begin, as long as a tracker remembers.
+
+Native MCAP holds whole nanoseconds. Every scenario has such times, so that a log and its conversion are the same bit
+for bit:
+
+(1) t -> rint(1e9 t) / 1e9,   t in s since the scenario's start; at most half a nanosecond away
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
 from math import inf
+from typing import TypeVar
 
 import numpy as np
 
@@ -22,7 +28,7 @@ from logs.scenario import Scenario, Tracks
 from logs.states import Controls, OnboardPlan, Trajectory
 
 HISTORY_S = 2.0
-"""More than `logs.presence.MAX_GAP_S`: a sample that is older stands for no agent any more."""
+"""More than `logs.observed.MAX_GAP_S`: a sample that is older stands for no agent any more."""
 DETECTED_S = 10.0
 """A repair joins across gaps of up to 8 s (`logs.repair.users`), a tracker across 2 s: neither rests on more."""
 CLOSE_S = 1e-9
@@ -53,6 +59,11 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
     goal = scenario.goal
     if goal is not None:
         goal = goal.changed(lambda one: replace(one, t=one.t and (one.t[0] - begin, one.t[1] - begin)))
+    controls = scenario.controls
+    if controls is not None:
+        keep = (controls.t >= begin) & (controls.t <= end)
+        shifted = (controls.t[keep] - begin, controls.steer[keep], controls.throttle[keep], controls.brake[keep])
+        controls = Controls(*shifted) if keep.any() else None
     return replace(
         scenario,
         name=f"{scenario.name}@{begin:g}",
@@ -60,7 +71,7 @@ def cut(scenario: Scenario, begin: float, end: float = inf) -> Scenario:
         tracks=tracks,
         duration=min(end, scenario.duration) - begin,
         goal=goal,
-        controls=None if scenario.controls is None else _controls(scenario.controls, begin, end),
+        controls=controls,
         start_ns=scenario.start_ns + round(1e9 * begin),
         notes=(*scenario.notes, f"This is the part from {begin:g} s to {min(end, scenario.duration):g} s of the log."),
         onboard=_onboard(scenario.onboard, begin, end),
@@ -103,17 +114,6 @@ def _repair(scenario: Scenario, begin: float, end: float, kept: BoolArray, track
     )
 
 
-def _controls(controls: Controls, begin: float, end: float) -> Controls | None:
-    keep = (controls.t >= begin) & (controls.t <= end)
-    if not keep.any():
-        return None
-    return Controls(controls.t[keep] - begin, *(_columns(controls, keep)))
-
-
-def _columns(controls: Controls, keep: BoolArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    return controls.steer[keep], controls.throttle[keep], controls.brake[keep]
-
-
 def _onboard(plans: tuple[OnboardPlan, ...], begin: float, end: float) -> tuple[OnboardPlan, ...]:
     """The plans known in that part: the newest at its begin, and all up to its end."""
     first = max(sum(plan.known <= begin for plan in plans) - 1, 0)
@@ -132,3 +132,56 @@ def _light(light: TrafficLight, begin: float, end: float) -> TrafficLight | None
     if not len(keep):
         return None
     return TrafficLight(light.id, light.t[keep] - begin, tuple(light.colours[i] for i in keep))
+
+
+Timed = TypeVar("Timed", Trajectory, Tracks, Controls, TrafficLight)
+
+
+def in_nanoseconds(scenario: Scenario) -> Scenario:
+    """The scenario with its samples at whole nanoseconds (1).
+
+    Raises:
+        LogError: Two samples of the ego, of a road user or of a light fall on one nanosecond.
+    """
+    try:
+        tracks, onboard = _timed(scenario.tracks), []
+        for plan in scenario.onboard:
+            known = float(_rounded(np.array(plan.known)))
+            onboard.append(plan if known == plan.known else replace(plan, known=known))
+        return replace(
+            scenario,
+            ego=_timed(scenario.ego),
+            tracks=tracks,
+            controls=None if scenario.controls is None else _timed(scenario.controls),
+            lights=tuple(map(_timed, scenario.lights)),
+            onboard=tuple(onboard),
+            detections=None if scenario.detections is None else framed(scenario.detections),
+            repair=None if scenario.repair is None else _repaired(scenario.repair, scenario.tracks, tracks),
+        )
+    except ValueError as error:
+        raise LogError(f"in whole nanoseconds: {error}", remedy="keep one of the samples") from None
+
+
+def _rounded(t: FloatArray) -> FloatArray:
+    return np.asarray(np.rint(1e9 * t) / 1e9)  # (1)
+
+
+def _timed(table: Timed) -> Timed:
+    t = _rounded(table.t)
+    return table if np.array_equal(t, table.t) else replace(table, t=t)
+
+
+def framed(found: Detections) -> Detections:
+    """Detections whose frames are at whole nanoseconds (1); those of one nanosecond become one frame."""
+    t, frames = _rounded(found.t), np.unique(_rounded(found.frames))
+    same = np.array_equal(t, found.t) and np.array_equal(frames, found.frames)
+    return found if same else replace(found, t=t, frames=frames)
+
+
+def _repaired(made: Repair, was: Tracks, now: Tracks) -> Repair:
+    changes = tuple(
+        replace(each, begin=float(_rounded(np.array(each.begin))), end=float(_rounded(np.array(each.end))))
+        for each in made.changes
+    )
+    tracks = now if made.tracks is was else _timed(made.tracks)
+    return Repair(framed(made.detections), _timed(made.removed), made.extended, changes, tracks)

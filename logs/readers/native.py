@@ -1,15 +1,25 @@
-"""replan's own MCAP, and ASAM OSI ground truth in MCAP; any other .mcap is told here what it lacks."""
+"""replan's own MCAP, ASAM OSI ground truth in MCAP, and bare ASAM OSI traces.
+
+The native reader is asked last and claims every .mcap: its errors say what the file lacks.
+
+A bare OSI trace (`.osi`) is a sequence of messages, each a little-endian length and a GroundTruth or SensorView. By the
+naming convention of OSI the name of the file has `_gt_` or `_sv_`. Without either, the messages are SensorViews if the
+first one, read as a SensorView, holds ground truth. ASAM's own package (`osi-python`) reads the messages.
+"""
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from logs.errors import LogError
+from logs.mcap.container import Stream
 from logs.readers.base import Contents, LogSettings, Reader, TopicSummary
 from logs.scenario import Scenario
 
 if TYPE_CHECKING:
-    from logs.mcap.container import Container, Stream
+    from logs.mcap.container import Container
 
 
 def _claims(path: Path) -> bool:
@@ -27,7 +37,12 @@ def _contents(path: Path) -> Contents:
     from logs.mcap.container import read_container
 
     container = read_container(path)
-    return Contents(_profile(container), tuple(_topic(stream) for stream in container.streams.values()))
+    topics = []
+    for stream in container.streams.values():
+        first, last = (stream.times[0], stream.times[-1]) if len(stream) else (None, None)
+        what = (stream.topic, stream.schema, stream.encoding, stream.schema_encoding, len(stream))
+        topics.append(TopicSummary(*what, first, last))
+    return Contents(_profile(container), tuple(topics))
 
 
 def _profile(container: Container) -> str:
@@ -43,12 +58,94 @@ def _profile(container: Container) -> str:
     return "not a log that replan reads" if container.streams else "no log"
 
 
-def _topic(stream: Stream) -> TopicSummary:
-    first, last = (stream.times[0], stream.times[-1]) if len(stream) else (None, None)
-    return TopicSummary(stream.topic, stream.schema, stream.encoding, stream.schema_encoding, len(stream), first, last)
-
-
 READER = Reader(
     "native", "replan's own MCAP, traces included; ASAM OSI ground truth in MCAP", "*.mcap", (".mcap",), _claims, _read,
     contents=_contents, settings=("ego",),
+)  # fmt: skip
+
+
+LENGTH = 4
+"""Bytes of a message's length."""
+MOST_BYTES = 2**28
+"""A message larger than this is none."""
+GROUND_TRUTH, SENSOR_VIEW = "osi3.GroundTruth", "osi3.SensorView"
+NAMED = {"_gt_": GROUND_TRUTH, "_sv_": SENSOR_VIEW}
+"""Message by the part of the file's name."""
+
+
+def trace_of(path: Path) -> Stream:
+    """The messages of a trace as a topic; their log times are their numbers, since OSI has a timestamp inside.
+
+    Raises:
+        LogError: The file cannot be read, or is no sequence of messages.
+    """
+    from logs.mcap.container import COPY_AGAIN, content_of
+
+    raw, payloads, at = content_of(path), list[bytes](), 0
+    while at < len(raw):
+        size = struct.unpack_from("<I", raw, at)[0] if at + LENGTH <= len(raw) else MOST_BYTES
+        if size > min(MOST_BYTES, len(raw) - at - LENGTH):
+            what = f"message {len(payloads)} is cut off or no message, at byte {at}"
+            raise LogError(what, topic=path.name, remedy=COPY_AGAIN)
+        payloads.append(raw[at + LENGTH : at + LENGTH + size])
+        at += LENGTH + size
+    if not payloads:
+        raise LogError("the file is empty", remedy=COPY_AGAIN)
+    schema = _schema(path, payloads[0])
+    times = list(range(len(payloads)))
+    return Stream(path.name, "protobuf", schema, "protobuf", _descriptor(), times, payloads)
+
+
+def _schema(path: Path, first: bytes) -> str:
+    from google.protobuf.message import DecodeError
+    from osi3.osi_sensorview_pb2 import SensorView
+
+    name = next((schema for part, schema in NAMED.items() if part in path.name.lower()), None)
+    if name is not None:
+        return name
+    try:
+        view = SensorView.FromString(first)
+    except DecodeError:
+        return GROUND_TRUTH
+    return SENSOR_VIEW if view.HasField("global_ground_truth") else GROUND_TRUTH
+
+
+def _descriptor() -> bytes:
+    """The files that define both messages, as a FileDescriptorSet."""
+    from google.protobuf.descriptor_pb2 import FileDescriptorSet
+    from osi3 import osi_sensorview_pb2
+
+    found, open_files = FileDescriptorSet(), [osi_sensorview_pb2.DESCRIPTOR]
+    seen: set[str] = set()
+    while open_files:
+        file = open_files.pop()
+        if file.name not in seen:
+            seen.add(file.name)
+            file.CopyToProto(found.file.add())
+            open_files += file.dependencies
+    return found.SerializeToString(deterministic=True)
+
+
+def _claims_osi(path: Path) -> bool:
+    return path.suffix.lower() == ".osi" and path.is_file()
+
+
+def _read_osi(path: Path, settings: LogSettings) -> Scenario:
+    from logs.mcap.osi import scenario_of
+
+    return scenario_of(trace_of(path), path.stem, settings.ego)
+
+
+def _contents_osi(path: Path) -> Contents:
+    try:
+        trace = trace_of(path)
+    except LogError:
+        return Contents()
+    topic = TopicSummary(path.name, trace.schema, "protobuf", "protobuf", len(trace), None, None)
+    return Contents("ASAM OSI trace", (topic,))
+
+
+OSI_READER = Reader(
+    "osi", "ASAM OSI traces of ground truth or sensor views", "*.osi", (".osi",), _claims_osi, _read_osi,
+    contents=_contents_osi, settings=("ego",),
 )  # fmt: skip

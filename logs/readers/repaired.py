@@ -20,8 +20,7 @@ import numpy as np
 from logs.detections import Detections, Repair
 from logs.mcap.complete import passed_width
 from logs.readers.admission import detections_within
-from logs.readers.cut import DETECTED_S
-from logs.readers.nanoseconds import framed
+from logs.readers.cut import DETECTED_S, framed
 from logs.road import RoadSource
 from logs.scenario import Scenario, Tracks
 
@@ -47,7 +46,13 @@ def repaired(scenario: Scenario, choice: str) -> Scenario:
     """
     found = scenario.detections
     if choice == "on" and found is None:
-        found = scenario.repair.detections if scenario.repair is not None else _moving(scenario.tracks)
+        if scenario.repair is not None:
+            found = scenario.repair.detections
+        else:
+            from logs.repair import detections_of
+
+            tracks = scenario.tracks
+            found = detections_of(tracks.taken(np.repeat(~tracks.static, np.diff(tracks.offsets))))
     reason = reason_to_repair(choice, found)
     if found is None or reason is None:
         return scenario if scenario.detections is None else replace(scenario, detections=None)
@@ -72,12 +77,6 @@ def named(scenario: Scenario) -> Scenario:
 
     made = named_as_tracked(made)
     return replace(scenario, tracks=made.tracks, repair=made)
-
-
-def _moving(tracks: Tracks) -> Detections:
-    from logs.repair import detections_of
-
-    return detections_of(tracks.taken(np.repeat(~tracks.static, np.diff(tracks.offsets))))
 
 
 def _with_static(tracks: Tracks, made: Repair, was: Tracks) -> tuple[Tracks, Repair]:

@@ -129,10 +129,12 @@ def from_frames(
         state["v"] = _forward_speed(t, state)
     if vehicle is None:
         notes.append(f"{VEHICLE_ASSUMED}.")
+    names = "steer", "throttle", "brake"
     try:
         with np.errstate(all="ignore"):  # absurd numbers are refused as such
             driven = completed({"t": t, **state}, notes)
         tracks = _tracks(agents, columns or {}, start_ns, origin, notes)
+        pedals = (table.numbers(key)[order] if table.has(key) else np.full(len(t), np.nan) for key in names)
         start_ns -= min(0, start_ns + min(0, round(1e9 * float(tracks.t.min(initial=0.0)))))  # no log time before 0
         return Scenario(
             name=name,
@@ -142,7 +144,7 @@ def from_frames(
             duration=float(t[-1]),
             goal=goal,
             vehicle=vehicle or VehicleParameters(),
-            controls=_controls(table, t, order),
+            controls=Controls(t, *pedals) if any(map(table.has, names)) else None,
             tags=tags,
             source=source,
             licence=licence,
@@ -184,7 +186,9 @@ class _Table:
         if len(found) > 1:
             what = f"{name} may be {' or '.join(map(str, found))}"
             raise LogError(what, topic=self.name, remedy=f'name one: columns = {{{ours} = "{found[0]}"}}')
-        held = "" if whole and not exact else _unit_of(str(found[0]), ours)
+        held, header = "", str(found[0])
+        if exact or not whole:  # the unit that the header itself names
+            held = _parted(header)[1] or "".join(unit for _, _, unit in _with_suffix([(header, header)], ours))
         units = [self._unit(ours, unit, str(found[0])) for unit in (asked, held) if unit]
         if len(set(units)) > 1:
             raise LogError(f"{found[0]} is asked for in [{asked}]", topic=self.name, remedy="leave that unit out")
@@ -283,12 +287,6 @@ def _with_suffix(headers: Sequence[tuple[str, Any]], ours: str) -> Iterator[tupl
             yield header, base, unit
 
 
-def _unit_of(header: str, ours: str) -> str:
-    """The unit that a header says itself; "": none."""
-    suffix = [unit for _, _, unit in _with_suffix([(header, header)], ours)]
-    return _parted(header)[1] or "".join(suffix)
-
-
 def _check_names(columns: Mapping[str, str], frames: Mapping[str, pd.DataFrame | None]) -> None:
     """Refuse names that are none of ours or of no table: what they were meant for would be derived or left out."""
     known = (*TIMES, *_COLUMNS)
@@ -309,13 +307,6 @@ def _forward_speed(t: FloatArray, state: Mapping[str, FloatArray]) -> FloatArray
     dx, dy, yaw = np.diff(state["x"]), np.diff(state["y"]), state["yaw"][1:]
     v = (dx * np.cos(yaw) + dy * np.sin(yaw)) / np.diff(t)
     return np.r_[v[0], v]
-
-
-def _controls(table: _Table, t: FloatArray, order: Any) -> Controls | None:
-    names = "steer", "throttle", "brake"
-    if not any(map(table.has, names)):
-        return None
-    return Controls(t, *(table.numbers(name)[order] if table.has(name) else np.full(len(t), np.nan) for name in names))
 
 
 def _tracks(

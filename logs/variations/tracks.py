@@ -11,7 +11,7 @@ import numpy as np
 from logs.agents import AgentKind
 from logs.errors import ConfigError, LogError
 from logs.kernel import BoolArray, FloatArray
-from logs.presence import MAX_AGE_S
+from logs.observed import MAX_AGE_S
 from logs.scenario import Scenario, Tracks
 
 STANDING_MPS = 0.2
@@ -23,7 +23,7 @@ COURSE_S = 1.0
 COURSE_M = 0.3
 """A shorter way has no course: the heading of the box is taken."""
 BEFORE_S = 2.0
-"""So much of a varied log's tracks is kept before its begin and after its end: more than `logs.presence.MAX_GAP_S`."""
+"""So much of a varied log's tracks is kept before its begin and after its end: more than `logs.observed.MAX_GAP_S`."""
 RATE_S = 0.1
 COPY = "copy of "
 _COLUMNS = ("t", "x", "y", "yaw", "vx", "vy")

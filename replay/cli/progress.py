@@ -17,7 +17,7 @@ from time import monotonic, perf_counter
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from logs.kernel import cold
-from logs.words import counted
+from logs.names import counted
 from replay.draw.report.console import SafeConsole
 from replay.results.log_result import LogResult
 from replay.run.sources import Selection

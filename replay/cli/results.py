@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from logs.errors import ConfigError
-from logs.words import counted
+from logs.names import counted
 from replay.cli.app import Begin, Ego, End, Map, Repair, Settings, answered, app, log_settings, say
 
 if TYPE_CHECKING:

@@ -13,8 +13,8 @@ from logs.catalogue import FAMILY, Family, families, numbers, scenario
 from logs.catalogue.suites import SEED, SUITES, groups, suite
 from logs.errors import unknown_name
 from logs.mcap import write_scenario
+from logs.names import counted
 from logs.scenario import Scenario
-from logs.words import counted
 from replay.loop.avoidability import with_avoidability
 from replay.results.tables import safe_name, write_text
 

@@ -26,10 +26,10 @@ from logs.errors import ConfigError
 from logs.kernel import FloatArray
 from logs.mcap.trace import driven_scenario
 from logs.mcap.writer import Entry, log_times
+from logs.names import ShortNames
 from logs.road import Road
 from logs.rules import Colour, StopLine
 from logs.scenario import Scenario
-from logs.short_names import ShortNames
 from logs.states import Trajectory
 from logs.trace import Trace, kept_samples
 from logs.vehicle import VehicleParameters

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
+from logs.names import counted
 from logs.scenario import Scenario
 from logs.trace import (
     Candidates,
@@ -29,7 +30,6 @@ from logs.trace import (
     StGraph,
     Trace,
 )
-from logs.words import counted
 from replay.config import LoopConfig
 from replay.explain.causes import KEEP, Account, accounts, not_passed
 from replay.explain.sentences import sentences

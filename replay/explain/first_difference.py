@@ -22,7 +22,7 @@ from math import inf, log10
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray
-from logs.short_names import ShortNames
+from logs.names import ShortNames
 from logs.trace import Decision, Graph, LaneOption, Mode, PlannedFrame, SlGraph, StGraph, Trace
 
 TOLERANCE = 1e-3

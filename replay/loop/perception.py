@@ -16,10 +16,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from logs.around import Around
 from logs.extension import Kind
 from logs.frame import Frame, Predictions, Visibility
 from logs.kernel import FloatArray
+from logs.nearby import NearbyTracks
 from logs.scenario import Agents, Scenario, Tracks
 from logs.trace import Plan
 from replay.config import LoopConfig
@@ -41,7 +41,7 @@ class GroundTruth:
     """Sees all agents, as known at the world's time."""
 
     def __init__(self) -> None:
-        self._around = Around()
+        self._around = NearbyTracks()
 
     def see(self, world: World) -> tuple[Agents, None]:
         """The agents, and that nothing is hidden."""

@@ -22,9 +22,9 @@ from collections.abc import Iterable
 import numpy as np
 
 from logs.agents import NUMBERS, Agents
-from logs.around import Around
 from logs.errors import LogError
 from logs.kernel import IntArray, frozen
+from logs.nearby import NearbyTracks
 from logs.repair.names import Owners
 from logs.scenario import Scenario
 from logs.states import wrapped
@@ -48,7 +48,7 @@ class Recorded:
             remedy = "take perception auto or ground_truth, or read the log with repair on"
             raise LogError("perception recorded needs a log whose road users are made of detections", remedy=remedy)
         self._log, self._tracked = scenario.repair.tracks, scenario.repair.detections.tracked
-        self._owners, self._around, self._around_log = Owners(), Around(), Around()
+        self._owners, self._around, self._around_log = Owners(), NearbyTracks(), NearbyTracks()
 
     def see(self, world: World) -> tuple[Agents, None]:
         """The agents, and that no ground is known to be hidden."""

@@ -24,9 +24,9 @@ from math import atan2, cos, hypot, nan, pi, radians, sin
 import numpy as np
 
 from logs.agents import NUMBERS, OLDEST_S, codes_of
-from logs.around import Around
 from logs.frame import Visibility
 from logs.kernel import BoolArray, FloatArray, inner_kernel, kernel
+from logs.nearby import NearbyTracks
 from logs.scenario import Agents, Scenario
 from logs.shapes import corners
 from logs.states import wrap
@@ -61,7 +61,7 @@ class Sensor:
         self._name, self._vehicle, self._config = scenario.name, scenario.vehicle, config
         self._made: deque[Measurement] = deque()
         self._since: dict[str, float] | None = None
-        self._around = Around()
+        self._around = NearbyTracks()
 
     def see(self, world: World) -> tuple[Agents, Visibility]:
         """The agents as they reach the planner at the world's time, and what the sensor could see of the ground."""

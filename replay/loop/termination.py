@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from logs.around import Around
 from logs.kernel import FloatArray, IntArray, inner_kernel, kernel
+from logs.nearby import NearbyTracks
 from logs.road import Goal, Road, RoadSource, inside
 from logs.scenario import Scenario, Tracks
 from logs.shapes import point_segment
@@ -151,7 +151,7 @@ class Termination:
         self._phantoms = phantoms(scenario)
         self._monitor = OffRoadMonitor(scenario.road)
         self._monitor.metres_off(*box_center(start, scenario.vehicle))
-        self._around, self._tracks = Around(), Tracks.empty()
+        self._around, self._tracks = NearbyTracks(), Tracks.empty()
         self._agents = agent_boxes(self._tracks)
 
     def first(self, rows: FloatArray, first: int, end: int, tracks: Tracks) -> Ended | None:

@@ -26,8 +26,8 @@ from math import sqrt
 import numpy as np
 import pandas as pd
 
-from logs.catalogue.agents import ADULT
-from logs.catalogue.paper import CROSSING_PEDESTRIAN, HALF_LANE
+from logs.catalogue.paper import CROSSING_PEDESTRIAN
+from logs.catalogue.scene import ADULT, HALF_LANE
 from logs.errors import PlannerError
 from logs.scenario import Scenario
 from logs.trace import EndReason, Trace

@@ -10,9 +10,9 @@ from typing import Any
 from logs.errors import ConfigError, PlannerError, ReplanError, of_users, raised
 from logs.frame import Frame
 from logs.mcap import read_scenario
+from logs.names import counted
 from logs.scenario import Scenario
 from logs.trace import Plan, PlannedFrame, SolverReport
-from logs.words import counted
 from planners.piecewise_jerk.solvers import Asked, watched
 from replay.config import RunConfig
 from replay.drive import Drive

@@ -18,7 +18,7 @@ from typing import Any
 
 from logs.errors import ConfigError, writing
 from logs.files import read_toml
-from logs.words import counted
+from logs.names import counted
 from replay.config import load_run
 from replay.planner_process.planner_config import planner_factory
 from replay.results.log_result import Failure, LogResult, Stamp, kept

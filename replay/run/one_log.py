@@ -24,7 +24,7 @@ from logs.errors import ConfigError, OutputError, PlannerError, ReplanError, of_
 from logs.frame_store import FrameStore
 from logs.mcap import write_scenario, write_trace
 from logs.mcap.writer import Entry
-from logs.memory import give_back
+from logs.memory import trim_memory
 from logs.scenario import Scenario
 from logs.trace import EndReason, Mode, Trace
 from metrics import METRICS, Metric, health, load_metric
@@ -234,7 +234,7 @@ def _drive_one(
 def _tidy(trace: Trace) -> None:
     """After a stage of a long drive."""
     if isinstance(trace.frames, FrameStore):
-        give_back()
+        trim_memory()
 
 
 def _driven(

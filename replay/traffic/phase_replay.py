@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from logs.around import BACK_S, Recent, Spans, heads
 from logs.kernel import BoolArray, FloatArray, IntArray, frozen, kernel
+from logs.nearby import BACK_S, Recent, Spans, heads
 from logs.scenario import Tracks
 
 PERIOD_S = 0.1
@@ -160,7 +160,7 @@ def _owners(log: Tracks) -> IntArray:
 def played(log: LoggedTracks, i: int, phase: float) -> tuple[float, float, float, float, float, bool]:
     """x, y, yaw (interpolated), vx, vy (of the last sample) of a track at a phase, and whether it has a log there.
 
-    In a gap of a track (`logs.presence`) its agent is not present.
+    In a gap of a track (`logs.observed`) its agent is not present.
     """
     t, columns, first, end = log.t, log.columns, log.first[i], log.end[i]
     there = log.static[i] or (t[first] <= phase + 1e-9 and phase <= t[end - 1] + 1e-9)

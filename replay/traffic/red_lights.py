@@ -23,8 +23,8 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
-from logs.lanes import ASIDE_M, ASKEW_RAD, BEHIND_M, on_lane
 from logs.road import Road
+from logs.route import ASIDE_M, ASKEW_RAD, BEHIND_M, on_lane
 from logs.rules import RED, Colour, StopLine
 from logs.scenario import Scenario, Tracks
 from planners.rules.zones import turned

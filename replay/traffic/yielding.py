@@ -22,7 +22,7 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
-from logs.lanes import on_lane
+from logs.route import on_lane
 from logs.scenario import AgentKind, Agents, Scenario, Tracks
 from logs.shapes import overlap_turned
 from logs.states import EgoState

@@ -8,9 +8,9 @@ from math import hypot
 import numpy as np
 
 from logs.errors import ConfigError
+from logs.names import ShortNames
 from logs.scenario import Scenario
 from logs.shapes import clearance
-from logs.short_names import ShortNames
 from logs.states import Trajectory
 from metrics.boxes import ego_boxes
 from metrics.others import others_at

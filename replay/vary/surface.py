@@ -25,11 +25,11 @@ import pandas as pd
 
 from logs.errors import ConfigError, LogError
 from logs.mcap import write_scenario
+from logs.names import counted
 from logs.readers.base import LogSettings
 from logs.scenario import Scenario
 from logs.trace import EndReason
 from logs.variations import VARIATIONS, varied
-from logs.words import counted
 from metrics.judge import worst
 from metrics.judge.gates import Outcome
 from metrics.reference_drivers import APPLIES, AVOIDS, MARGIN

@@ -13,8 +13,7 @@ from typing import Any, cast
 
 import pytest
 
-from logs.kernel import interpolated
-from logs.kernel_stamp import KernelIndex
+from logs.kernel import KernelIndex, interpolated
 
 NO_PLACE = """
 import numba.core.caching as c

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from logs import AgentKind, Agents, Road, Scenario, Tracks, Trajectory
 from logs.agents import NUMBERS, OLDEST_S
-from logs.presence import MAX_AGE_S, MAX_GAP_S
+from logs.observed import MAX_AGE_S, MAX_GAP_S
 from logs.states import EgoState
 from logs.vehicle import VehicleParameters
 from metrics.others import others_at

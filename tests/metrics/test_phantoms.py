@@ -10,7 +10,7 @@ from handmade import drive, scenario, straight, track, tracks
 
 from logs import AgentKind, Scenario
 from logs.catalogue import CATALOGUE
-from logs.presence import MAX_GAP_S
+from logs.observed import MAX_GAP_S
 from logs.states import EgoState
 from metrics.others import others_at
 from metrics.phantoms import AROUND_S, phantoms, without_phantoms

@@ -1,10 +1,4 @@
-"""Argoverse 2 as published: sensor logs (folders of feather files) and motion-forecasting scenarios (Parquet).
-
-Modules:
-    sensor.py        poses and boxes of a sensor log
-    forecasting.py   tracks of a motion-forecasting scenario
-    map.py           log_map_archive_*.json -> Road
-"""
+"""Argoverse 2 as published: sensor logs (folders of feather files) and motion-forecasting scenarios (Parquet)."""
 
 from __future__ import annotations
 
@@ -29,26 +23,13 @@ def _claims(path: Path) -> bool:
         return False
 
 
-def _is_sensor_log(path: Path) -> bool:
-    return path.name == POSES or (path / POSES).is_file()
-
-
-def _read(path: Path, settings: LogSettings) -> Scenario:
-    from logs.readers.argoverse2.forecasting import read_forecasting
-    from logs.readers.argoverse2.sensor import read_sensor_log
-    from logs.readers.recorded.tables import reading
-
-    with reading(path):
-        if _is_sensor_log(path):
-            if settings.ego:
-                raise LogError(f"ego {settings.ego} is asked for, but a sensor log has its ego", remedy="leave ego out")
-            return read_sensor_log(path.parent if path.name == POSES else path, settings)
-        return read_forecasting(_table(path), settings)
-
-
-def _table(path: Path) -> Path:
-    """The Parquet file of a motion-forecasting scenario, given it or its folder."""
-    return min(path.glob(SCENARIO)) if path.is_dir() else path
+def _located(path: Path) -> tuple[Path, bool]:
+    """The folder of a sensor log or the table of a motion-forecasting scenario, and whether it is a sensor log."""
+    if path.name == POSES:
+        return path.parent, True
+    if (path / POSES).is_file():
+        return path, True
+    return (min(path.glob(SCENARIO)) if path.is_dir() else path), False
 
 
 def scenario_id(table: Path) -> str:
@@ -56,23 +37,33 @@ def scenario_id(table: Path) -> str:
     return table.stem.removeprefix("scenario_")
 
 
+def _read(path: Path, settings: LogSettings) -> Scenario:
+    from logs.readers.argoverse2.read import read_forecasting, read_sensor_log
+    from logs.readers.recorded.tables import reading
+
+    with reading(path):
+        log, is_sensor_log = _located(path)
+        if not is_sensor_log:
+            return read_forecasting(log, settings)
+        if settings.ego:
+            raise LogError(f"ego {settings.ego} is asked for, but a sensor log has its ego", remedy="leave ego out")
+        return read_sensor_log(log, settings)
+
+
 def _files(path: Path) -> tuple[Path, ...]:
-    from logs.readers.argoverse2.map import map_beside
+    from logs.readers.argoverse2.read import map_beside, sensor_files
 
-    if _is_sensor_log(path):
-        from logs.readers.argoverse2.sensor import files_of
-
-        return files_of(path.parent if path.name == POSES else path)
-    table = _table(path)
-    return tuple(each for each in (table, map_beside(table.parent, scenario_id(table))) if each is not None)
+    log, is_sensor_log = _located(path)
+    if is_sensor_log:
+        return sensor_files(log)
+    return tuple(each for each in (log, map_beside(log.parent, scenario_id(log))) if each is not None)
 
 
 def _contents(path: Path) -> Contents:
-    from logs.readers.argoverse2 import forecasting, sensor
+    from logs.readers.argoverse2.read import forecasting_contents, sensor_contents
 
-    if _is_sensor_log(path):
-        return sensor.contents_of(path.parent if path.name == POSES else path)
-    return forecasting.contents_of(_table(path))
+    log, is_sensor_log = _located(path)
+    return sensor_contents(log) if is_sensor_log else forecasting_contents(log)
 
 
 READER = Reader(

@@ -1,11 +1,4 @@
-"""123D logs: folders of Arrow files that the tool py123d has made of nuPlan, Waymo, nuScenes, Argoverse 2 and others.
-
-Modules:
-    log.py      frames, ego, boxes
-    road.py     which map, and the lights over time
-    map.py      map.arrow -> Road
-    labels.py   what the numbers of its classes mean
-"""
+"""123D logs: folders of Arrow files, converted by py123d from nuPlan, Waymo, nuScenes, Argoverse 2 and others."""
 
 from __future__ import annotations
 
@@ -25,19 +18,13 @@ def _claims(path: Path) -> bool:
             return (path / SYNC).is_file()
         if path.suffix.lower() != ".arrow" or not path.is_file():
             return False
-        return path.name == SYNC or _is_old(path)
-    except OSError:
-        return False
-
-
-def _is_old(path: Path) -> bool:
-    """Whether it is a log of py123d 0.0.8 or 0.0.9: one file, with its metadata as JSON."""
-    try:
+        if path.name == SYNC:
+            return True
         with path.open("rb") as stream:
             head = stream.read(_HEAD)
+        return head.startswith(b"ARROW1") and b"log_metadata" in head  # a log of py123d 0.0.8 or 0.0.9
     except OSError:
         return False
-    return head.startswith(b"ARROW1") and b"log_metadata" in head
 
 
 def folder_of(path: Path) -> Path:

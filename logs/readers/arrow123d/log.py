@@ -1,16 +1,21 @@
-"""A 123D log -> Scenario: ego, boxes, lights over time, the map of the log or of its place.
+"""A 123D log as a scenario: ego, boxes, lights over time, and the map of the log or of its place.
 
-Frames are the rows of sync.arrow; what was seen is looked up by the times of its own table and not by sync's indices,
-which are one frame late in logs of 0.2.0 and up to 3 ms late in asynchronous ones. The log's pose is that of the IMU:
+Frames are the rows of sync.arrow. What was seen is found by the times of its own table, not by the indices of
+sync.arrow: those are one frame late in logs of 0.2.0 and up to 3 ms late in asynchronous ones. The pose of the log is
+that of the IMU:
 
 (1) rear axle = p + q r q*,  r the axle in the IMU's frame;   v = v_imu - w r_y,   a = a_imu - w^2 r_x
 
-with w the yaw rate, rad/s, and stored velocities in the body's frame. py123d fills in velocities that a data set does
-not have by differences to the frame before and after (0.1.0: by zeros). Such are not read, as they know a later frame:
-the ego's are derived from the poses before each state, the agents' are left to be differenced backwards, and the
-scenario begins at the second frame, so that there is something before it.
+with w the yaw rate, rad/s, and stored velocities in the body's frame. Where a data set has no velocities, py123d fills
+them in by differences to the frame before and after (0.1.0: by zeros). These are not read, since they know a later
+frame: the ego's are derived from the poses before each state, the agents' by backward differences, and the scenario
+begins at the second frame, so that every state has something before it.
 
-`route_position.arrow` is the ego's own future path and `custom.*` the data set's own words: neither is read.
+`route_position.arrow` is the ego's own future path, and `custom.*` are the data set's own words: neither is read.
+
+Labels. The files store a number in the data set's own enumeration, and the dotted path of its class (`KINDS` has the
+classes of py123d 0.1.0 to 0.7.0, by the last part of that path). The class is never imported. The kinds of a class that
+is not known are told from the lengths.
 """
 
 from __future__ import annotations
@@ -22,25 +27,27 @@ from typing import Any
 
 import numpy as np
 
+from logs.agents import AgentKind
 from logs.errors import LogError
 from logs.kernel import FloatArray, IntArray
 from logs.mcap.complete import completed
 from logs.observed import of_stream
-from logs.readers.arrow123d.labels import kinds_of
-from logs.readers.arrow123d.road import LIGHTS, map_of, road_of
+from logs.readers.arrow123d.map import LIGHTS, map_of, road_of
 from logs.readers.base import Contents, TopicSummary, beside
-from logs.readers.recorded.boxes import Boxes, car_of, ordered, tracks_of
-from logs.readers.recorded.poses import (
+from logs.readers.quaternions import heading, rotated
+from logs.readers.recorded.boxes import (
+    Boxes,
+    car_of,
     driven,
     from_second,
     held_curvature,
     is_unit,
     kept,
-    rotated,
+    ordered,
     since,
     states_at,
+    tracks_of,
     unit,
-    yaw_of,
 )
 from logs.readers.recorded.tables import Lists, ipc_table, metadata_of, reading, vectors, whole
 from logs.scenario import Scenario
@@ -62,6 +69,43 @@ _LICENCES = {
     "nuscenes": "CC BY-NC-SA 4.0 and the terms of nuScenes", "kitti360": "CC BY-NC-SA 3.0",
     "pandaset": "CC BY 4.0 and the terms of PandaSet", "wod": "Waymo's, non-commercial",
 }  # fmt: skip
+_CAR, _TRUCK, _BUS, _MOTORCYCLE = AgentKind.CAR, AgentKind.TRUCK, AgentKind.BUS, AgentKind.MOTORCYCLE
+_BICYCLE, _PEDESTRIAN, _OBJECT = AgentKind.BICYCLE, AgentKind.PEDESTRIAN, AgentKind.OBJECT
+LONG_M = 6.5
+"""A vehicle of no nearer description that is longer is a lorry."""
+
+AV2_CATEGORIES = {
+    "ANIMAL": _OBJECT, "ARTICULATED_BUS": _BUS, "BICYCLE": _BICYCLE, "BICYCLIST": _BICYCLE, "BOLLARD": _OBJECT,
+    "BOX_TRUCK": _TRUCK, "BUS": _BUS, "CONSTRUCTION_BARREL": _OBJECT, "CONSTRUCTION_CONE": _OBJECT, "DOG": _OBJECT,
+    "LARGE_VEHICLE": _TRUCK, "MESSAGE_BOARD_TRAILER": _OBJECT, "MOBILE_PEDESTRIAN_CROSSING_SIGN": _OBJECT,
+    "MOTORCYCLE": _MOTORCYCLE, "MOTORCYCLIST": _MOTORCYCLE, "OFFICIAL_SIGNALER": _PEDESTRIAN,
+    "PEDESTRIAN": _PEDESTRIAN, "RAILED_VEHICLE": _BUS, "REGULAR_VEHICLE": _CAR, "SCHOOL_BUS": _BUS, "SIGN": _OBJECT,
+    "STOP_SIGN": _OBJECT, "STROLLER": _PEDESTRIAN, "TRAFFIC_LIGHT_TRAILER": _OBJECT, "TRUCK": _TRUCK,
+    "TRUCK_CAB": _TRUCK, "VEHICULAR_TRAILER": _TRUCK, "WHEELCHAIR": _PEDESTRIAN, "WHEELED_DEVICE": _BICYCLE,
+    "WHEELED_RIDER": _BICYCLE,
+}  # fmt: skip
+"""Argoverse 2's categories; 123D numbers them in this order."""
+
+KINDS: dict[str, dict[AgentKind, tuple[int, ...]]] = {
+    "NuPlanBoxDetectionLabel": {_CAR: (0,), _BICYCLE: (1,), _PEDESTRIAN: (2,)},
+    "NuScenesBoxDetectionLabel": {
+        _CAR: (0, 6), _TRUCK: (1, 4, 5, 7), _BUS: (2, 3), _BICYCLE: (8,), _MOTORCYCLE: (9,),
+        _PEDESTRIAN: (10, 11, 12, 13, 14, 15, 16),
+    },
+    "WODMotionBoxDetectionLabel": {_CAR: (1,), _PEDESTRIAN: (2,), _BICYCLE: (3,)},
+    "WODPerceptionBoxDetectionLabel": {_CAR: (1,), _PEDESTRIAN: (2,), _BICYCLE: (4,)},
+    "PandasetBoxDetectionLabel": {
+        _CAR: (3, 4, 7, 8, 11, 12, 13, 17, 21, 24), _BUS: (25, 26), _BICYCLE: (2, 9, 10), _PEDESTRIAN: (14, 15),
+    },
+    "KITTI360BoxDetectionLabel": {_CAR: (2, 3, 4, 14, 17), _BUS: (15,), _BICYCLE: (0, 6), _PEDESTRIAN: (7, 9)},
+    "PhysicalAIAVBoxDetectionLabel": {_CAR: (0, 2, 3, 4, 8, 11), _BUS: (10,), _BICYCLE: (6,), _PEDESTRIAN: (1,)},
+    "NureasoningBoxDetectionLabel": {_CAR: (0, 7, 8), _BICYCLE: (1, 9, 10), _PEDESTRIAN: (2, 11)},
+    "GriffinBoxDetectionLabel": {_CAR: (1, 2, 3), _BICYCLE: (4, 5), _PEDESTRIAN: (0,)},
+    "TruckDriveBoxDetectionLabel": {_CAR: (1, 4, 5, 6, 8), _BICYCLE: (0,), _PEDESTRIAN: (2,)},
+    "DefaultBoxDetectionLabel": {_CAR: (1,), _BUS: (2,), _BICYCLE: (3,), _PEDESTRIAN: (4,)},
+}  # fmt: skip
+"""Numbers that are not listed are objects."""
+_AV2 = "AV2SensorBoxDetectionLabel"
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,10 +124,6 @@ class EgoRows:
         if place.shape != (7,) or not np.isfinite(place).all():
             raise ValueError(f"the vehicle has no {name}")
         return place[:3]
-
-    def world(self, offset: FloatArray) -> FloatArray:
-        """World places `(n, 3)` of a point of the body."""
-        return self.position + rotated(self.q, np.broadcast_to(offset, self.position.shape))
 
 
 def read_123d(folder: Path) -> Scenario:
@@ -108,6 +148,7 @@ def read_123d(folder: Path) -> Scenario:
     if (folder / "route_position.arrow").exists():
         notes.append("route_position is the ego's own later path: not read.")
     dataset = str(about.get("dataset") or "")
+    how = ("recorded",) if dataset.startswith(_RECORDED) else ("synthetic",) if dataset.startswith(_SIMULATED) else ()
     return Scenario(
         name=str(about.get("log_name") or folder.name),
         ego=ego,
@@ -115,7 +156,7 @@ def read_123d(folder: Path) -> Scenario:
         road=road,
         duration=float(ego.t[-1]),
         vehicle=vehicle,
-        tags=_tags(dataset),
+        tags=("123d", *how, *((dataset,) if dataset else ())),
         source=f"123D log of {dataset or 'an unnamed data set'}, written by py123d {about.get('version') or '?'}",
         licence=next((words for key, words in _LICENCES.items() if dataset.startswith(key)), "that of the data set"),
         origin=(float(origin[0]), float(origin[1])),
@@ -125,11 +166,6 @@ def read_123d(folder: Path) -> Scenario:
         lights=lights,
         traffic=of_stream(seen - start),
     )  # fmt: skip
-
-
-def _tags(dataset: str) -> tuple[str, ...]:
-    words = ("recorded",) if dataset.startswith(_RECORDED) else ("synthetic",) if dataset.startswith(_SIMULATED) else ()
-    return ("123d", *words, *((dataset,) if dataset else ()))
 
 
 # Tables
@@ -159,18 +195,15 @@ def contents_of(folder: Path) -> Contents:
     try:
         table = ipc_table(folder / "sync.arrow", ("sync.timestamp_us",))
         times, about = whole(table, "sync.timestamp_us"), metadata_of(table)
-        keys = [name for name in table.schema.names if not name.startswith("sync.")]
-        return Contents(
-            f"123D log of {about.get('dataset')}, py123d {about.get('version')}, {len(times)} frames",
-            tuple(_topic(key, times[~np.asarray(table[key].is_null())]) for key in keys),
-        )
+        topics = []
+        for key in (name for name in table.schema.names if not name.startswith("sync.")):
+            own = times[~np.asarray(table[key].is_null())]
+            first, last = (1000 * int(own[0]), 1000 * int(own[-1])) if len(own) else (None, None)
+            topics.append(TopicSummary(key, key.split(".", maxsplit=1)[0], "arrow", "arrow", len(own), first, last))
+        what = f"123D log of {about.get('dataset')}, py123d {about.get('version')}, {len(times)} frames"
+        return Contents(what, tuple(topics))
     except (LogError, ValueError, TypeError, KeyError):
         return Contents("123D log that cannot be read")
-
-
-def _topic(key: str, times: IntArray) -> TopicSummary:
-    first, last = (1000 * int(times[0]), 1000 * int(times[-1])) if len(times) else (None, None)
-    return TopicSummary(key, key.split(".", maxsplit=1)[0], "arrow", "arrow", len(times), first, last)
 
 
 def read_frames(folder: Path) -> tuple[IntArray, dict[Any, Any]]:
@@ -211,22 +244,19 @@ def _ego(rows: EgoRows, notes: list[str]) -> tuple[Trajectory, bool]:
     """All states of the rear axle, s since the first, and whether their velocities are the log's own."""
     t = (rows.time_us - rows.time_us[0]) / 1e6
     axle = rows.part("rear_axle_to_imu_se3")
-    place, yaw = rows.world(axle)[:, :2], np.unwrap(yaw_of(rows.q))
-    if not _own_velocity(t, rows):
+    place, yaw = (
+        (rows.position + rotated(rows.q, np.broadcast_to(axle, rows.position.shape)))[:, :2],
+        np.unwrap(heading(rows.q)),
+    )
+    stored, moving = rows.dynamic[:, :3], np.isfinite(rows.dynamic[:, [0, 8]]).all() and rows.dynamic[:, :3].any()
+    owner = np.zeros(len(t), np.int64)
+    if not moving or _is_differenced(t, rows.position, rotated(rows.q, stored), owner):
         return driven(t, place[:, 0], place[:, 1], yaw, notes), False
     rate = rows.dynamic[:, 8]
     v = rows.dynamic[:, 0] - rate * axle[1]
     a = rows.dynamic[:, 3] - rate**2 * axle[0]
     columns = {"t": t, "x": place[:, 0], "y": place[:, 1], "yaw": yaw, "v": v, "a": a, "kappa": held_curvature(rate, v)}
     return completed(columns, notes), True
-
-
-def _own_velocity(t: FloatArray, rows: EgoRows) -> bool:
-    """Whether the stored velocities are measured: there, not all zero, and no differences of the places (see above)."""
-    velocity = rows.dynamic[:, :3]
-    if not np.isfinite(rows.dynamic[:, [0, 8]]).all() or not velocity.any():
-        return False
-    return not _is_differenced(t, rows.position, rotated(rows.q, velocity), np.zeros(len(t), np.int64))
 
 
 def _is_differenced(t: FloatArray, place: FloatArray, velocity: FloatArray, owner: IntArray) -> bool:
@@ -255,7 +285,8 @@ def _differences(t: FloatArray, place: FloatArray, after: IntArray, earlier: Int
 
 
 def _vehicle(rows: EgoRows, notes: list[str]) -> VehicleParameters:
-    sizes = {key: float(rows.about.get(name) or 0.0) for key, name in _SIZES.items()}
+    names = {"length": "length", "width": "width", "wheelbase": "wheel_base"}
+    sizes = {key: float(rows.about.get(name) or 0.0) for key, name in names.items()}
     sizes = {key: value for key, value in sizes.items() if 0.0 < value < 50.0}
     ahead = rows.part("center_to_imu_se3") - rows.part("rear_axle_to_imu_se3")
     if "length" in sizes and np.any(ahead):
@@ -265,9 +296,6 @@ def _vehicle(rows: EgoRows, notes: list[str]) -> VehicleParameters:
     if abs(ahead[1]) > 0.05:
         notes.append(f"The ego's box is {abs(ahead[1]):.2f} m beside its rear axle in the log: taken as centred on it.")
     return car_of(sizes, notes)
-
-
-_SIZES = {"length": "length", "width": "width", "wheelbase": "wheel_base"}
 
 
 # Agents
@@ -288,13 +316,19 @@ def _boxes(folder: Path, first_us: int, notes: list[str]) -> tuple[Boxes, bool, 
         frames = (whole(table, columns[0]) - first_us) / 1e6
         t = frames[lists.row]
         stored = f"{BOXES}.velocity_3d"
-        there = stored in table.schema.names
-        velocity = vectors(lists.items(stored), 3) if there else np.full((len(t), 3), np.nan)
+        has_velocity = stored in table.schema.names
+        velocity = vectors(lists.items(stored), 3) if has_velocity else np.full((len(t), 3), np.nan)
         velocity, own = _measured(t, box[:, :3], velocity, owner, notes)
         usable = np.isfinite(box).all(axis=1) & is_unit(box[:, 3:7])
         box[~usable, :3], box[~usable, 3:7] = np.nan, (1.0, 0.0, 0.0, 0.0)
-        kinds = _kinds(metadata_of(table), len(names), owner, labels, box[:, 7], notes)
-        place, yaw = box[:, :2], yaw_of(unit(box[:, 3:7]))
+        label, size = np.full(len(names), -1), np.zeros(len(names))  # the first label and the median length of each
+        there, first = np.unique(owner, return_index=True)
+        label[there] = labels[first]
+        order = np.argsort(owner, kind="stable")
+        parts = np.split(box[order, 7], np.unique(owner[order], return_index=True)[1][1:])
+        size[there] = [np.median(lengths) for lengths in parts]
+        kinds = kinds_of(str(metadata_of(table).get("box_detection_label_class") or ""), label, size, notes)
+        place, yaw = box[:, :2], heading(unit(box[:, 3:7]))
         x, y, length, width, vx, vy = *place.T, *box[:, 7:9].T, *velocity[:, :2].T
         found = Boxes(tuple(names), kinds, t, owner, x, y, yaw, length, width, vx, vy)
         return ordered(found, notes), own, frames
@@ -318,19 +352,19 @@ def _measured(
     return np.where(known[:, None], velocity, np.nan), True
 
 
-def _kinds(
-    about: Mapping[Any, Any], count: int, owner: IntArray, labels: IntArray, length: FloatArray, notes: list[str]
-) -> Any:
-    """The kind of each of `count` road users: by their first label, and median length."""
-    there, first = np.unique(owner, return_index=True)
-    label, size = np.full(count, -1), np.zeros(count)
-    label[there] = labels[first]
-    for i, lengths in _grouped(owner, length):
-        size[i] = np.median(lengths)
-    return kinds_of(str(about.get("box_detection_label_class") or ""), label, size, notes)
-
-
-def _grouped(owner: IntArray, values: FloatArray) -> Any:
-    order = np.argsort(owner, kind="stable")
-    there, first = np.unique(owner[order], return_index=True)
-    return zip(there.tolist(), np.split(values[order], first[1:]), strict=True)
+def kinds_of(label_class: str, labels: IntArray, length: FloatArray, notes: list[str]) -> tuple[AgentKind, ...]:
+    """The kinds of road users `(n,)` by their label and, where that says no more than "vehicle", length in m."""
+    key = label_class.rsplit(".", 1)[-1]
+    if key == _AV2:
+        names = list(AV2_CATEGORIES.values())
+        return tuple(names[i] if 0 <= i < len(names) else _OBJECT for i in labels)
+    if key not in KINDS:
+        notes.append(f"The labels '{key[:60]}' are not known: what the road users are is told from their lengths.")
+        sized = [_OBJECT, _PEDESTRIAN, _BICYCLE, _CAR, _TRUCK]
+        return tuple(sized[int(np.searchsorted([0.0, 1.2, 2.7, LONG_M], size))] for size in length)
+    by_number = {number: kind for kind, numbers in KINDS[key].items() for number in numbers}
+    kinds = [by_number.get(int(label), _OBJECT) for label in labels]
+    long = [kind is _CAR and size > LONG_M for kind, size in zip(kinds, length, strict=True)]
+    if any(long):
+        notes.append(f"{sum(long)} vehicles are longer than {LONG_M} m and taken as lorries.")
+    return tuple(_TRUCK if is_long else kind for kind, is_long in zip(kinds, long, strict=True))

@@ -1,11 +1,20 @@
-"""123D's map.arrow -> Road.
+"""The road of a 123D log: its map.arrow, and its traffic lights over time.
 
-Lanes (layer 0) with successors, neighbours, limits; markings from the road lines (layer 9): where they are the lanes'
-own boundaries, as in Argoverse 2, by that, else a boundary has the type of the road lines within `MARK_M` of it.
-Crosswalks (3). Stop zones (7) become stop lines: a zone names lanes, and lies on them or on those before them; the line
-is where the centre line enters the zone. A zone at the very begin of a lane inside a crossing is a line at the ends of
-the lanes before it, which counts towards that lane. Zones of traffic lights name the light by the lane that it is for.
+Layers of a map: lanes (0) with successors, neighbours and speed limits; crosswalks (3); stop zones (7); road lines (9).
 Intersections, walkways, car parks, drivable areas and speed bumps have no place in a Road.
+
+Markings. Where the road lines are the boundaries of the lanes themselves, as in Argoverse 2, a boundary has the type of
+its line; else the type of the road lines within `MARK_M` of it.
+
+Stop lines. A stop zone names lanes, and lies on them or on those before them. The stop line is where the centre line
+enters the zone. A zone at the very begin of a lane inside a crossing is a line at the ends of the lanes before that
+lane, and counts for the way onto it. A zone of a traffic light names the light by the lane that the light is for.
+
+Lights. A light has the id of the lane that it is for. A light that no stop zone names stands at the ends of the lanes
+before that lane.
+
+Which map. The log's own map comes before that of its place in the data root,
+`maps/<dataset>/<dataset>_<location>.arrow` in a folder above the log.
 """
 
 from __future__ import annotations
@@ -20,10 +29,13 @@ import numpy as np
 
 from logs.errors import LogError
 from logs.kernel import FloatArray
-from logs.readers.recorded.strips import LARGEST_M, LONGEST_M, Strip, lanes_of
-from logs.readers.recorded.tables import COPY_AGAIN, array_of, ipc_table, metadata_of, reading, unpacked, whole
+from logs.mcap.complete import ASSUMED, assumed_limit, road_along
+from logs.readers.base import beside
+from logs.readers.recorded.strips import LARGEST_M, LONGEST_M, Strip, dense, lanes_of
+from logs.readers.recorded.tables import COPY_AGAIN, Lists, array_of, ipc_table, metadata_of, reading, unpacked, whole
 from logs.road import Lane, Road, inside
-from logs.rules import Crosswalk, StopLine
+from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
+from logs.states import Trajectory
 
 LANE, LANE_GROUP, CROSSWALK, STOP_ZONE, ROAD_LINE = 0, 1, 3, 7, 9
 LANE_TYPES = ("undefined", "freeway", "surface_street", "bike_lane", "bus_lane")
@@ -221,24 +233,17 @@ def _marks_nearby(lines: Sequence[tuple[FloatArray, int]], sides: Mapping[Any, F
     """The type of the road lines beside most of each edge."""
     from scipy.spatial import cKDTree
 
-    dense = [(_dense(line), kind) for line, kind in lines]
-    tree = cKDTree(np.vstack([line for line, _ in dense]))
-    kinds = np.concatenate([np.full(len(line), kind) for line, kind in dense])
+    close = [(dense(line, STEP_M), kind) for line, kind in lines]
+    tree = cKDTree(np.vstack([line for line, _ in close]))
+    kinds = np.concatenate([np.full(len(line), kind) for line, kind in close])
     out = {}
     for key, side in sides.items():
-        points = _dense(side)
+        points = dense(side, STEP_M)
         away, at = tree.query(points, distance_upper_bound=MARK_M)
         beside = kinds[np.asarray(at)[np.isfinite(away)]]
         if 2 * len(beside) >= len(points):
             out[key] = MARKS[Counter(beside.tolist()).most_common(1)[0][0]]
     return out
-
-
-def _dense(line: FloatArray) -> FloatArray:
-    """The line with a point at least every `STEP_M`."""
-    way = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
-    at = np.linspace(0.0, way[-1], max(2, 1 + int(np.ceil(way[-1] / STEP_M))))
-    return np.column_stack([np.interp(at, way, line[:, k]) for k in (0, 1)])
 
 
 # Stop lines
@@ -295,7 +300,7 @@ def _places(
 
 def _entered(lane: Lane, ring: FloatArray) -> float | None:
     """The part of a lane's length at which its centre line comes into an outline."""
-    points = _dense(lane.center)
+    points = dense(lane.center, STEP_M)
     within = [inside(x, y, ring) for x, y in points]
     return within.index(True) / (len(points) - 1) if any(within) else None
 
@@ -322,3 +327,104 @@ def _joined(lines: Sequence[StopLine]) -> tuple[StopLine, ...]:
         )
         out[key] = replace(line, id=known.id if known else len(out), towards=tuple(dict.fromkeys(ways)))
     return tuple(out.values())
+
+
+LIGHTS = "traffic_light_detections"
+COLOURS = (Colour.GREEN, Colour.YELLOW, Colour.RED, Colour.OFF)
+UNKNOWN = 4
+UP = 6
+"""Folders above a log in which the maps of places are looked for."""
+
+
+def map_of(folder: Path, about: Mapping[Any, Any]) -> Path | None:
+    """The log's own map, else that of its place in the data root above it; None: none. LogError as `beside`."""
+    own = beside(folder, ("map.arrow",))
+    if own is not None:
+        return own
+    dataset, place = str(about.get("dataset") or ""), str(about.get("location") or "")
+    if not dataset or not place or {"/", "\\", "\0"} & set(dataset + place) or dataset.startswith("."):
+        return None
+    above = [parent / "maps" / dataset / f"{dataset}_{place}.arrow" for parent in folder.resolve().parents[:UP]]
+    return next((path for path in above if path.is_file()), None)
+
+
+def road_of(
+    folder: Path,
+    about: Mapping[Any, Any],
+    ego: Trajectory,
+    origin: tuple[float, float],
+    start_us: int,
+    notes: list[str],
+) -> tuple[Road, tuple[TrafficLight, ...]]:
+    """The road and the lights of the log in a folder, t = 0 at `start_us`; without lanes: along the driven path."""
+    lights = _observed_lights(folder, start_us, notes)
+    path, road = map_of(folder, about), None
+    if path is not None:
+        try:
+            road = road_of_map(path, origin, np.column_stack([ego.x, ego.y]) + origin, notes)
+        except LogError as error:
+            if "lanes" not in error.what:
+                raise
+            notes.append(f"The map beside the log cannot be used: {error.what}.")
+    if road is None:
+        if lights:
+            notes.append(
+                f"The log's {len(lights)} traffic lights are left out, as there are no lanes that they are for."
+            )
+        return road_along(ego, notes), ()
+    lacking = sum(lane.drivable and not np.isfinite(lane.speed_limit) for lane in road.lanes.values())
+    if lacking:
+        road = replace(road, default_speed_limit=assumed_limit(ego))
+        limit = f"{road.default_speed_limit:.1f} m/s"
+        notes.append(f"{lacking} of {len(road.lanes)} lanes have no speed limit: {limit} is assumed ({ASSUMED}).")
+    return _lit(road, lights, notes)
+
+
+def _observed_lights(folder: Path, start_us: int, notes: list[str]) -> tuple[TrafficLight, ...]:
+    """The lights of the log; each has the id of the lane that it is for."""
+    path = beside(folder, (f"{LIGHTS}.arrow",))
+    if path is None:
+        return ()
+    columns = [f"{LIGHTS}.{name}" for name in ("timestamp_us", "lane_id", "status")]
+    table = ipc_table(path, columns)
+    with reading(path):
+        lists = Lists(table, columns[1])
+        lane, status = lists.numbers(columns[1]), lists.numbers(columns[2])
+        t = (whole(table, columns[0]) - start_us)[lists.row] / 1e6
+        unknown = status >= UNKNOWN
+        if unknown.any():
+            notes.append(
+                f"{unknown.sum()} of {len(status)} observations of traffic lights are of no colour: taken as off."
+            )
+        colours = [COLOURS[s] if 0 <= s < len(COLOURS) else Colour.OFF for s in status]
+        lights = []
+        for i in np.unique(lane):
+            at = np.flatnonzero(lane == i)
+            at = at[np.unique(t[at], return_index=True)[1]]
+            changes = [k for n, k in enumerate(at) if n == 0 or colours[k] is not colours[at[n - 1]]]
+            lights.append(TrafficLight(int(i), t[changes], tuple(colours[k] for k in changes)))
+        return tuple(lights)
+
+
+def _lit(road: Road, lights: tuple[TrafficLight, ...], notes: list[str]) -> tuple[Road, tuple[TrafficLight, ...]]:
+    """The road with a stop line for each light that no stop zone names: at the ends of the lanes before its lane."""
+    named, feeding = {line.light for line in road.stop_lines}, before(road.lanes)
+    lines, lost = list(road.stop_lines), 0
+    number = max((line.id for line in lines), default=-1) + 1
+    for light in lights:
+        if light.id in named or light.id not in road.lanes:
+            lost += light.id not in road.lanes
+            continue
+        own = [line for line in road.stop_lines if line.lane == light.id]
+        places: list[tuple[int, FloatArray, tuple[int, ...]]] = [(line.lane, line.points, ()) for line in own[:1]]
+        places = places or [(i, ends_at(road.lanes[i], 1.0), (light.id,)) for i in feeding.get(light.id, ())]
+        places = places or [(light.id, ends_at(road.lanes[light.id], 0.0), ())]
+        for across, ends, towards in places:
+            lines.append(StopLine(number, across, ends, light.id, towards=towards))
+            number += 1
+    if lost:
+        notes.append(f"{lost} of {len(lights)} traffic lights are for lanes that are not in the map and are left out.")
+    if lights:
+        notes.append("A light stands where the lanes end that lead to its lane, or at the stop zone that lies on them.")
+    wanted = {line.light for line in lines}
+    return replace(road, stop_lines=tuple(lines)), tuple(light for light in lights if light.id in wanted)

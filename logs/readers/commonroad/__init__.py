@@ -1,4 +1,4 @@
-"""CommonRoad scenarios, XML of 2018b and 2020a: `document` parses, `read` makes the Scenario of it."""
+"""CommonRoad scenarios, XML of 2018b and 2020a: `document` parses the file, `read` makes the Scenario."""
 
 from __future__ import annotations
 

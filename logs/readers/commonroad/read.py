@@ -154,12 +154,19 @@ def _scenario(document: Document, chosen: _Ego) -> Scenario:
         obstacle, cut = trimmed(obstacle, document.dt)
         vehicle = sized(obstacle)
         notes += cut
-    first = _first(obstacle, chosen.problem)
+    if obstacle is not None:
+        first = obstacle.states[0]
+    else:
+        assert chosen.problem is not None
+        first = chosen.problem.start
     start, origin = float(first[0]), (float(round(first[1])), float(round(first[2])))
     velocity, rule = velocities(document)
     without = None if obstacle is None else obstacle.id
+    known = [o.states[o.states[:, 0] <= start] for o in document.obstacles if not o.static]
+    driven_before = np.array([states[-1, [1, 2, 4]] for states in known if len(states)]).reshape(-1, 3)
+    driven_before = driven_before[np.isfinite(driven_before).all(axis=1)]
     tracks = tracks_of(document, velocity, without=without, start=start, origin=origin)
-    road, assumed = road_of(document, origin, _driven(document, start), _wanted(chosen.problem))
+    road, assumed = road_of(document, origin, driven_before, _wanted(chosen.problem))
     road, heads, ruled = with_rules(document, road, origin)
     driven, how = _ego(obstacle, chosen.problem, document.dt, vehicle, origin)
     goal, unknown = _goal(chosen.problem, road, start, document.dt, origin)
@@ -167,7 +174,12 @@ def _scenario(document: Document, chosen: _Ego) -> Scenario:
         unknown = tuple(f"{note}: the end of the recorded drive is taken" for note in unknown)
         goal = Goal((_last_place(driven, vehicle),))
     duration, ends = _duration(driven, tracks, goal)
-    notes += [*how, *unknown, *assumed, *ruled, *rule, *ends, *_begins(start, document.dt)]
+    notes += [*how, *unknown, *assumed, *ruled, *rule, *ends]
+    if start:
+        notes.append(f"the log begins {start * document.dt:.1f} s after the file's first step")
+    traffic: Spans = tuple((0.0, end) for _, end in inferred(tracks.offsets, tracks.static, tracks.t))
+    if all(each.static or each.id == without for each in document.obstacles):
+        traffic = ((0.0, duration),)
     return Scenario(
         name="",
         ego=driven,
@@ -184,7 +196,7 @@ def _scenario(document: Document, chosen: _Ego) -> Scenario:
         metadata=_metadata(document, chosen),
         notes=tuple(notes),
         lights=lights_of(document, heads, start, duration),
-        traffic=_observed(document, without, tracks, duration),
+        traffic=traffic,
     )
 
 
@@ -199,18 +211,6 @@ def _wanted(problem: Problem | None) -> Asked | None:
     return Asked(
         (least, most), np.vstack([np.empty((0, 2)), *places]), tuple(i for g in problem.goals for i in g.lanelets)
     )
-
-
-def _first(obstacle: Obstacle | None, problem: Problem | None) -> FloatArray:
-    """The ego's first state at its box centre: that of its log where there is one."""
-    if obstacle is not None:
-        return obstacle.states[0]
-    assert problem is not None
-    return problem.start
-
-
-def _begins(start: float, dt: float) -> tuple[str, ...]:
-    return (f"the log begins {start * dt:.1f} s after the file's first step",) if start else ()
 
 
 def _ego(
@@ -278,20 +278,6 @@ def _duration(driven: Trajectory, tracks: Tracks, goal: Goal | None) -> tuple[fl
     if moving and duration > traffic + 1.0:
         return duration, (f"the traffic ends at {traffic:.1f} s, the goal may be reached until {duration:.1f} s",)
     return duration, ()
-
-
-def _observed(document: Document, ego: int | None, tracks: Tracks, duration: float) -> Spans:
-    """When the traffic was observed: from the start to the inferred end; without traffic the world is empty."""
-    if all(obstacle.static or obstacle.id == ego for obstacle in document.obstacles):
-        return ((0.0, duration),)
-    return tuple((0.0, end) for _, end in inferred(tracks.offsets, tracks.static, tracks.t))
-
-
-def _driven(document: Document, start: float) -> FloatArray:
-    """Last positions and speeds `(m, 3)` of the moving traffic that are not later than the step `start`."""
-    known = [o.states[o.states[:, 0] <= start] for o in document.obstacles if not o.static]
-    table = np.array([states[-1, [1, 2, 4]] for states in known if len(states)]).reshape(-1, 3)
-    return table[np.isfinite(table).all(axis=1)]
 
 
 def _tags(document: Document) -> tuple[str, ...]:

@@ -166,7 +166,9 @@ def _with_defaults(
             missing[_group(lane, document)].append(lane)
     assumed, lines = {}, list(notes)
     for group, lanes in sorted(missing.items(), key=lambda item: (-len(item[1]), item[0])):
-        assumed[group], why = _assumed(group, document.country, _speeds_on(road, lanes, driven))
+        ids, moving = {lane.id for lane in lanes}, driven[driven[:, 2] > 2.0]
+        speeds = np.array([v for x, y, v in moving if any(lane.id in ids for lane in road.lanes_at(x, y))])
+        assumed[group], why = _assumed(group, document.country, speeds)
         if asked is not None and asked.speeds[0] > assumed[group] and asked.of(lanes, road):
             least, most = asked.speeds
             assumed[group] = _rounded_up(min(0.5 * (least + most), _MORE * least))
@@ -181,13 +183,6 @@ def _with_defaults(
     return replace(road, lanes=lanes_by_id, default_speed_limit=default, assumed_limits=frozenset(changed)), tuple(
         lines
     )
-
-
-def _speeds_on(road: Road, lanes: Sequence[Lane], driven: FloatArray) -> FloatArray:
-    """Speeds `(k,)` of the traffic that moved on these lanes, m/s."""
-    wanted = {lane.id for lane in lanes}
-    moving = driven[driven[:, 2] > 2.0]
-    return np.array([v for x, y, v in moving if any(lane.id in wanted for lane in road.lanes_at(x, y))])
 
 
 def _assumed(group: str, country: str, speeds: FloatArray) -> tuple[float, str]:

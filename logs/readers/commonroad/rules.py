@@ -27,13 +27,22 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import permutations, product
-from math import atan2, ceil, radians
+from math import atan2, radians
 
 import numpy as np
 
 from logs.kernel import FloatArray
-from logs.readers.commonroad.document import Document, Lanelet
-from logs.readers.commonroad.signals import PRIORITY_SIGNS, STOP_SIGNS, YIELD_SIGNS, Incoming, Intersection, Light
+from logs.readers.commonroad.document import (
+    PRIORITY_SIGNS,
+    STOP_SIGNS,
+    YIELD_SIGNS,
+    Document,
+    Incoming,
+    Intersection,
+    Lanelet,
+    Light,
+)
+from logs.readers.recorded.strips import dense
 from logs.road import Lane, Road
 from logs.rules import Colour, Crosswalk, StopLine, TrafficLight
 from logs.states import wrap
@@ -85,16 +94,12 @@ def with_rules(document: Document, road: Road, origin: tuple[float, float]) -> t
     )
     waits, assumed = _right_of_way(document, road, turns)
     lanes = {i: replace(lane, yields_to=tuple(sorted(waits.get(i, ())))) for i, lane in road.lanes.items()}
-    ruled = replace(road, lanes=lanes, stop_lines=stop_lines, crosswalks=_crosswalks(document, road))
-    heads = {name: chain for chain, name in names.items()}
-    return ruled, heads, (*assumed, *_left_out(document, heads))
-
-
-def _crosswalks(document: Document, road: Road) -> tuple[Crosswalk, ...]:
-    """The lanelets of that type, and those on which pedestrians cross an intersection."""
     crossings = {i for intersection in document.intersections for i in intersection.crossings}
     marked = (lane for lane in road.lanes.values() if lane.id in crossings or "crosswalk" in lane.kind.split("+"))
-    return tuple(Crosswalk(lane.id, lane.polygon) for lane in marked)
+    walks = tuple(Crosswalk(lane.id, lane.polygon) for lane in marked)
+    ruled = replace(road, lanes=lanes, stop_lines=stop_lines, crosswalks=walks)
+    heads = {name: chain for chain, name in names.items()}
+    return ruled, heads, (*assumed, *_left_out(document, heads))
 
 
 def _names(document: Document, chains: Iterable[tuple[int, ...]]) -> dict[tuple[int, ...], int]:
@@ -141,15 +146,11 @@ def _turns(document: Document, road: Road) -> dict[tuple[int, int], str]:
     for lane in road.lanes.values():
         for successor in lane.successors:
             if successor in road.lanes:
-                found.setdefault((lane.id, successor), _turn(road.lanes[successor]))
+                ahead = road.lanes[successor].center
+                gained = wrap(_heading(ahead[-2:]) - _heading(ahead[:2]))
+                turn = "straight" if abs(gained) < TURNING else "left" if gained > 0.0 else "right"
+                found.setdefault((lane.id, successor), turn)
     return found
-
-
-def _turn(lane: Lane) -> str:
-    gained = wrap(_heading(lane.center[-2:]) - _heading(lane.center[:2]))
-    if abs(gained) < TURNING:
-        return "straight"
-    return "left" if gained > 0.0 else "right"
 
 
 def _heading(points: FloatArray) -> float:
@@ -202,14 +203,10 @@ def _governed(lights: list[Light], successors: list[tuple[int, str]]) -> dict[tu
     for successor, turn in successors:
         meant = sorted((light for light in lights if turn in light.turns), key=lambda light: len(light.turns))
         for first in (light for light in meant if len(light.turns) == len(meant[0].turns)):
-            by_chain.setdefault(_chain(first, meant), []).append(successor)
+            goes_dark = not first.active or any(colour is Colour.OFF for colour, _ in first.cycle)
+            others = (each.id for each in meant if goes_dark and len(each.turns) > len(first.turns))
+            by_chain.setdefault((first.id, *others), []).append(successor)
     return {c: () if len(some) == len(successors) else tuple(some) for c, some in by_chain.items()}
-
-
-def _chain(first: Light, meant: list[Light]) -> tuple[int, ...]:
-    """The light, and if it is ever dark, those for more turns."""
-    goes_dark = not first.active or any(colour is Colour.OFF for colour, _ in first.cycle)
-    return (first.id, *(each.id for each in meant if goes_dark and len(each.turns) > len(first.turns)))
 
 
 def lights_of(document: Document, heads: Heads, start: float, duration: float) -> tuple[TrafficLight, ...]:
@@ -220,17 +217,13 @@ def lights_of(document: Document, heads: Heads, start: float, duration: float) -
     for name, chain in heads.items():
         shown: list[tuple[float, Colour]] = []
         for step in sorted({step for i in chain for step, _ in changes[i]}):
-            colours = [_at(changes[i], step) for i in chain]
+            colours = [[each for begin, each in changes[i] if begin <= step][-1] for i in chain]
             colour = next((each for each in colours if each is not Colour.OFF), Colour.OFF)
             if not shown or shown[-1][1] is not colour:
                 shown.append((step, colour))
         t = np.round([(step - start) * document.dt for step, _ in shown], 9)
         out.append(TrafficLight(name, t, tuple(colour for _, colour in shown)))
     return tuple(out)
-
-
-def _at(changes: list[tuple[float, Colour]], step: float) -> Colour:
-    return [colour for begin, colour in changes if begin <= step][-1]
 
 
 # right of way
@@ -349,13 +342,6 @@ def _waiting(one: _Approach, other: _Approach, road: Road) -> Iterator[tuple[int
 
 def meet(one: FloatArray, other: FloatArray) -> bool:
     """Whether cars on two centre lines `(n, 2)` would touch somewhere: their lines come nearer than a car is wide."""
-    first, second = _dense(one), _dense(other)
+    first, second = dense(one, SPACING_M), dense(other, SPACING_M)
     apart = np.hypot(*(first[:, None, :] - second[None, :, :]).transpose(2, 0, 1))
     return bool(apart.min() < CAR_WIDTH_M)
-
-
-def _dense(line: FloatArray) -> FloatArray:
-    """The line with points at most `SPACING_M` apart."""
-    along = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
-    at = np.linspace(0.0, along[-1], max(2, 1 + ceil(along[-1] / SPACING_M)))
-    return np.column_stack([np.interp(at, along, line[:, k]) for k in range(2)])

@@ -48,7 +48,8 @@ class Box(NamedTuple):
 
 def covering(outline: FloatArray, cuts: int = DEEPEST) -> Iterator[Box]:
     """Boxes that cover a polygon `(k, 2)` (1) to (3); none for a polygon without an area."""
-    box, area = smallest_box(outline), _area(outline)
+    box, (x, y) = smallest_box(outline), outline.T
+    area = 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
     if not min(box.length, box.width, area) > 1e-6:
         return
     if (box.length * box.width - area) / box.length <= EXCESS_M or box.length <= SHORTEST_M or not cuts:
@@ -96,20 +97,14 @@ def _hull(points: FloatArray) -> FloatArray:
     for sequence in (ordered, ordered[::-1]):
         chain: list[list[float]] = []
         for x, y in sequence:
-            while len(chain) > 1 and _turn(chain[-2], chain[-1], x, y) <= 0.0:
+            while len(chain) > 1:
+                (ax, ay), (bx, by) = chain[-2:]
+                if (bx - ax) * (y - ay) - (by - ay) * (x - ax) > 0.0:
+                    break
                 chain.pop()
             chain.append([x, y])
         chains.append(chain[:-1])
     return np.array(chains[0] + chains[1]).reshape(-1, 2)
-
-
-def _turn(a: list[float], b: list[float], x: float, y: float) -> float:
-    return (b[0] - a[0]) * (y - a[1]) - (b[1] - a[1]) * (x - a[0])
-
-
-def _area(outline: FloatArray) -> float:
-    x, y = outline.T
-    return 0.5 * abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1)))
 
 
 def _half(outline: FloatArray, normal: FloatArray, least: float) -> FloatArray:

@@ -30,7 +30,7 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.kernel import FloatArray
-from logs.readers.commonroad.document import Document, GoalState, Obstacle
+from logs.readers.commonroad.document import Document, Obstacle
 from logs.readers.commonroad.sets import standing
 from logs.scenario import AgentKind, Tracks
 from logs.states import Trajectory, wrap
@@ -61,16 +61,12 @@ def turned(document: Document) -> tuple[Document, tuple[str, ...]]:
         return document, ()
     turn = np.array([0.0, 0.0, 0.0, offset, 0.0, 0.0])
     obstacles = tuple(replace(o, states=o.states + turn) for o in document.obstacles)
-    problems = tuple(
-        replace(p, start=p.start + turn, goals=tuple(_turned_goal(g, offset) for g in p.goals))
-        for p in document.problems
-    )
+    problems = []
+    for problem in document.problems:
+        goals = (g if g.yaw is None else replace(g, yaw=(g.yaw[0] + offset, g.yaw[1] + offset)) for g in problem.goals)
+        problems.append(replace(problem, start=problem.start + turn, goals=tuple(goals)))
     note = f"headings are turned by {np.degrees(offset):.2f} deg: {len(medians)} vehicles drive askew by that angle"
-    return replace(document, obstacles=obstacles, problems=problems), (note,)
-
-
-def _turned_goal(goal: GoalState, offset: float) -> GoalState:
-    return goal if goal.yaw is None else replace(goal, yaw=(goal.yaw[0] + offset, goal.yaw[1] + offset))
+    return replace(document, obstacles=obstacles, problems=tuple(problems)), (note,)
 
 
 def _askew(obstacle: Obstacle, dt: float) -> float | None:
@@ -87,8 +83,12 @@ def _askew(obstacle: Obstacle, dt: float) -> float | None:
 def velocities(document: Document) -> tuple[dict[int, FloatArray], tuple[str, ...]]:
     """Velocity vectors `(n, 2)` per moving obstacle by (2), m/s, and which rule was taken."""
     moving = [o for o in document.obstacles if not o.static]
-    stored = [_stored(o) for o in moving]
-    backward = [_backward(o, document.dt, first) for o, first in zip(moving, stored, strict=True)]
+    stored, backward = [], []
+    for obstacle in moving:
+        step, x, y, yaw, v, _ = obstacle.states.T
+        stored.append(np.column_stack([v * np.cos(yaw), v * np.sin(yaw)]))
+        backward.append(stored[-1].copy())
+        backward[-1][1:] = np.column_stack([np.diff(x), np.diff(y)]) / (document.dt * np.diff(step))[:, None]
     errors = [_prediction_error(moving, v, document.dt) for v in (stored, backward)]
     by_difference = bool(errors[1] < errors[0]) or any(np.isnan(v).any() for v in stored)
     chosen = backward if by_difference else stored
@@ -98,18 +98,6 @@ def velocities(document: Document) -> tuple[dict[int, FloatArray], tuple[str, ..
     rule = "backward differences of positions" if by_difference else "stored speeds along the headings"
     note = f"agents' velocities are {rule} (error 1 s ahead {min(errors):.2f} m, the other way {max(errors):.2f} m)"
     return found, (note,)
-
-
-def _stored(obstacle: Obstacle) -> FloatArray:
-    yaw, v = obstacle.states[:, 3], obstacle.states[:, 4]
-    return np.column_stack([v * np.cos(yaw), v * np.sin(yaw)])
-
-
-def _backward(obstacle: Obstacle, dt: float, stored: FloatArray) -> FloatArray:
-    out = stored.copy()
-    span = dt * np.diff(obstacle.states[:, 0])
-    out[1:] = np.diff(obstacle.states[:, 1:3], axis=0) / span[:, None]
-    return out
 
 
 def _prediction_error(obstacles: Sequence[Obstacle], velocity: Sequence[FloatArray], dt: float) -> float:
@@ -201,17 +189,13 @@ def trimmed(obstacle: Obstacle, dt: float) -> tuple[Obstacle, tuple[str, ...]]:
     for where, end in (("first", slice(1, None)), ("last", slice(None, -1))):
         if len(states) < 4:
             break
-        off = np.abs(_step_speeds(states, dt) - 0.5 * (states[1:, 4] + states[:-1, 4]))
+        speeds = np.hypot(*np.diff(states[:, 1:3], axis=0).T) / (dt * np.diff(states[:, 0]))
+        off = np.abs(speeds - 0.5 * (states[1:, 4] + states[:-1, 4]))
         edge, inner = (off[0], off[1]) if where == "first" else (off[-1], off[-2])
         if edge > 2.0 and inner < 1.0:
             states = states[end]
             notes.append(f"the ego log's {where} sample is dropped: its position is off by {edge * dt:.1f} m")
     return replace(obstacle, states=states), tuple(notes)
-
-
-def _step_speeds(states: FloatArray, dt: float) -> FloatArray:
-    distance: FloatArray = np.hypot(*np.diff(states[:, 1:3], axis=0).T)
-    return distance / (dt * np.diff(states[:, 0]))
 
 
 def ego_log(

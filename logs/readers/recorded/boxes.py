@@ -1,8 +1,18 @@
-"""Boxes by frame -> tracks, and the ego's vehicle from its sizes.
+"""Recorded boxes as tracks, and recorded poses as the ego's states.
 
-A track's size is the median of its boxes. Objects (cones, barriers, signs) whose boxes stay within `STAYS_M` of their
-median for `SEEN_S` or longer are static: they stand at their median. Vehicles and people never are, however long they
-stand: that a parked car will stay parked is not known while it is driven past.
+Boxes. A track's size is the median of its boxes. An object (cone, barrier, sign) whose boxes stay within `STAYS_M` of
+their median for `SEEN_S` or longer is static and stands at that median. Vehicles and people are never static: while the
+ego drives past a parked car, it cannot know that the car will stay parked.
+
+Poses. Where the log has no speed, it is derived. Recorded poses jitter by centimetres at 100 Hz and more, so
+differences of neighbours are useless. A parabola is fitted at each state to the poses of the `WINDOW_S` before it, to
+none after it:
+
+(1) min over c of  sum_i |p_i - c_0 - c_1 tau_i - c_2 tau_i^2|^2,    tau_i = t_i - t_k in [-WINDOW_S, 0]
+    v = c_1 . h,  a = 2 c_2 . h,  yaw rate w = c_1 of the heading,   h the unit vector of the heading
+(2) with fewer than `ENOUGH` poses, or poses that span less than `SPAN_S`: a straight line, and a = 0
+(3) an ego that moved less than `STILL_M` in the last `STILL_S`, or against v, stands: v = a = 0
+(4) kappa = w / v; below `ROLLING_MPS` the previous value, at first 0
 """
 
 from __future__ import annotations
@@ -14,8 +24,10 @@ from typing import Any
 import numpy as np
 
 from logs.agents import USUAL_SIZE_M, AgentKind
-from logs.kernel import FloatArray, IntArray
+from logs.kernel import BoolArray, FloatArray, IntArray
+from logs.mcap.complete import completed
 from logs.scenario import Tracks
+from logs.states import Trajectory
 from logs.vehicle import VehicleParameters
 
 STAYS_M = 0.5
@@ -46,12 +58,11 @@ class Boxes:
 
 
 _COLUMNS = ("t", "owner", "x", "y", "yaw", "length", "width", "vx", "vy")
-_POSE = ("t", "x", "y", "yaw")
 
 
 def ordered(boxes: Boxes, notes: list[str]) -> Boxes:
     """By track and time, without what cannot be used, which is noted."""
-    finite = np.logical_and.reduce([np.isfinite(getattr(boxes, name)) for name in _POSE])
+    finite = np.logical_and.reduce([np.isfinite(getattr(boxes, name)) for name in ("t", "x", "y", "yaw")])
     if not finite.all():
         notes.append(f"{(~finite).sum()} of {len(finite)} boxes have a pose that is not finite and are left out.")
     boxes = boxes.taken(finite)
@@ -70,10 +81,18 @@ def tracks_of(boxes: Boxes, notes: list[str]) -> Tracks:
         return Tracks.empty()
     there, first = np.unique(boxes.owner, return_index=True)
     ends = np.r_[first[1:], len(boxes.t)]
-    sizes = np.array([_size(boxes, slice(*part)) for part in zip(first, ends, strict=True)])
     kinds = tuple(boxes.kinds[i] for i in there)
-    static = np.array([_stays(boxes, kind, slice(*p)) for kind, *p in zip(kinds, first, ends, strict=True)])
-    boxes, first, ends = _settled(boxes, static, first, ends)
+    sizes, static, rows = np.full((len(there), 2), np.nan), np.zeros(len(there), np.bool_), []
+    for k, (a, b) in enumerate(zip(first, ends, strict=True)):
+        x, y, length, width = boxes.x[a:b], boxes.y[a:b], boxes.length[a:b], boxes.width[a:b]
+        good = np.isfinite(length) & np.isfinite(width) & (length > 0.0) & (width > 0.0)
+        if good.any():
+            sizes[k] = np.median(length[good]), np.median(width[good])
+        away = np.hypot(x - np.median(x), y - np.median(y))
+        lasts = boxes.t[b - 1] - boxes.t[a] >= SEEN_S
+        static[k] = kinds[k] is AgentKind.OBJECT and lasts and away.max() <= STAYS_M
+        rows.append(np.array([a + int(np.argmin(away))]) if static[k] else np.arange(a, b))
+    boxes, ends = boxes.taken(np.concatenate(rows)), np.cumsum([len(part) for part in rows])
     unsized = ~np.isfinite(sizes).all(axis=1)
     if unsized.any():
         notes.append(f"{unsized.sum()} of {len(there)} road users have no size: that usual for their kind is assumed.")
@@ -85,30 +104,6 @@ def tracks_of(boxes: Boxes, notes: list[str]) -> Tracks:
     pose = (boxes.t, boxes.x, boxes.y, boxes.yaw, boxes.vx, boxes.vy)
     offsets = np.r_[0, ends]
     return Tracks(tuple(boxes.names[i] for i in there), kinds, sizes[:, 0], sizes[:, 1], static, offsets, *pose)
-
-
-def _size(boxes: Boxes, part: slice) -> tuple[float, float]:
-    """Median length and width, m; NaN where none is positive."""
-    length, width = boxes.length[part], boxes.width[part]
-    good = np.isfinite(length) & np.isfinite(width) & (length > 0.0) & (width > 0.0)
-    return (float(np.median(length[good])), float(np.median(width[good]))) if good.any() else (np.nan, np.nan)
-
-
-def _stays(boxes: Boxes, kind: AgentKind, part: slice) -> bool:
-    x, y, t = boxes.x[part], boxes.y[part], boxes.t[part]
-    away = np.hypot(x - np.median(x), y - np.median(y))
-    return kind is AgentKind.OBJECT and bool(t[-1] - t[0] >= SEEN_S and away.max() <= STAYS_M)
-
-
-def _settled(boxes: Boxes, static: Any, first: IntArray, ends: IntArray) -> tuple[Boxes, IntArray, IntArray]:
-    """Of static tracks the sample nearest to the median place, of the others all."""
-    rows = []
-    for fixed, a, b in zip(static, first, ends, strict=True):
-        away = np.hypot(boxes.x[a:b] - np.median(boxes.x[a:b]), boxes.y[a:b] - np.median(boxes.y[a:b]))
-        rows.append(np.array([a + int(np.argmin(away))]) if fixed else np.arange(a, b))
-    counts = np.cumsum([len(part) for part in rows])
-    boxes = boxes.taken(np.concatenate(rows))
-    return boxes, np.r_[0, counts[:-1]], counts
 
 
 def car_of(sizes: Mapping[str, float], notes: list[str]) -> VehicleParameters:
@@ -135,3 +130,149 @@ def car_of(sizes: Mapping[str, float], notes: list[str]) -> VehicleParameters:
         "cog_to_front": cog,
     }  # fmt: skip
     return replace(default, **found)
+
+
+WINDOW_S = 0.5
+"""With less the acceleration is noise (Argoverse 2: 99th percentile 8.6 m/s2 at 0.1 s, 3.1 at 0.5 s, as driven)."""
+ENOUGH = 5
+ROUNDED = 0.01
+"""Unit quaternions may be off by so much."""
+SPAN_S = 0.3
+ROLLING_MPS = 0.5
+STILL_M, STILL_S = 0.05, 0.3
+"""The parabola of a stop swings through 0: 0.3 m/s backwards after braking with 3 m/s2."""
+STATE_S = 0.1
+"""Ego states are kept at the frames of the boxes and, where these are at half of this rate or less, so often."""
+APART_S = 0.03
+"""Two states are not nearer than this."""
+
+
+def is_unit(q: FloatArray) -> BoolArray:
+    """Which quaternions `(n, 4)` have unit length, but for rounding."""
+    return np.asarray(np.abs(np.sqrt((q * q).sum(axis=1)) - 1.0) < ROUNDED)
+
+
+def unit(q: FloatArray) -> FloatArray:
+    """Unit quaternions (x, y, z, w) of stored ones (w, x, y, z), `(n, 4)`.
+
+    Raises:
+        ValueError: The length of one differs from 1 by more than rounding.
+    """
+    if not is_unit(q).all():
+        raise ValueError("an orientation is not a quaternion of unit length")
+    return np.roll(q / np.sqrt((q * q).sum(axis=1, keepdims=True)), -1, axis=1)
+
+
+def fitted(t: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """First and second derivative (1) of `values` `(n, c)` at each time `(n,)`, s, from the samples up to it.
+
+    The second is NaN where (2) holds; both are NaN at the first sample.
+    """
+    n, c = values.shape
+    moments, sums = np.zeros((5, n)), np.zeros((3, n, c))
+    span = np.zeros(n)
+    for back in range(n):
+        at = np.arange(back, n)
+        tau = (t[at - back] - t[at]) / WINDOW_S
+        used = (tau >= -1.0 - 1e-9) | (back == 1)
+        if not used.any():
+            break
+        at, tau = at[used], tau[used]
+        span[at] = np.maximum(span[at], -tau * WINDOW_S)
+        away = values[at - back] - values[at]
+        for k in range(5):
+            moments[k, at] += tau**k
+        for k in range(3):
+            sums[k, at] += (tau**k)[:, None] * away
+    first, second = np.full((n, c), np.nan), np.full((n, c), np.nan)
+    curved = (moments[0] >= ENOUGH) & (span >= SPAN_S)
+    line = ~curved & (moments[0] >= 2)
+    for chosen, size in ((curved, 3), (line, 2)):
+        if chosen.any():
+            matrix = np.array([[moments[i + j, chosen] for j in range(size)] for i in range(size)]).transpose(2, 0, 1)
+            found = np.linalg.solve(matrix, sums[:size, chosen].transpose(1, 0, 2))
+            first[chosen] = found[:, 1] / WINDOW_S
+            if size == 3:
+                second[chosen] = 2.0 * found[:, 2] / WINDOW_S**2
+    return first, second
+
+
+def kept(times: FloatArray, frames: FloatArray) -> IntArray:
+    """Which states to keep, from the first frame (s) to the last: the nearest to each, others every `STATE_S` between.
+
+    Without frames: one every `STATE_S`.
+    """
+    if not len(frames):
+        frames = times[[0, -1]]
+    after = np.clip(np.searchsorted(times, frames), 0, len(times) - 1)
+    earlier = np.maximum(after - 1, 0)
+    nearer = np.abs(times[earlier] - frames) < np.abs(times[after] - frames)
+    chosen = set(np.where(nearer, earlier, after).tolist())
+    out: list[int] = []
+    for i in sorted(chosen):
+        while out and times[i] - times[out[-1]] >= 2.0 * STATE_S - 1e-6:
+            j = int(np.searchsorted(times, times[out[-1]] + STATE_S - 1e-6))
+            if j >= i or times[i] - times[j] < 0.5 * STATE_S:
+                break
+            out.append(j)
+        if not out or times[i] - times[out[-1]] >= APART_S:
+            out.append(i)
+    return np.array(out, dtype=np.int64)
+
+
+def from_second(index: IntArray, times: FloatArray, first: FloatArray, notes: list[str]) -> IntArray:
+    """The states after the first frame: `first` is its time, s, or nothing where there are no frames."""
+    begin = int(np.argmin(np.abs(times[index] - first[0]))) + 1 if len(first) else 1
+    if begin + 1 >= len(index):
+        return index
+    notes.append("The scenario begins at the second frame: velocities are derived from what was before.")
+    return index[begin:]
+
+
+def since(start: float, t: FloatArray) -> FloatArray:
+    """Times since `start`, s, in whole nanoseconds, as logs keep them."""
+    return np.asarray(np.rint(1e9 * (t - start)) / 1e9)
+
+
+def held_curvature(rate: FloatArray, v: FloatArray) -> FloatArray:
+    """(4) of yaw rates and speeds `(n,)`, 1/m."""
+    rolling = (np.abs(v) >= ROLLING_MPS) & np.isfinite(rate)
+    kappa = np.divide(rate, v, out=np.zeros(len(v)), where=rolling)
+    held = np.maximum.accumulate(np.where(rolling, np.arange(len(v)), -1))
+    return np.where(held >= 0, kappa[held], 0.0)
+
+
+def stands(t: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, v: FloatArray) -> BoolArray:
+    """(3): which of the states `(n,)` with derived speeds v stand."""
+    earlier = np.maximum(np.searchsorted(t, t - STILL_S + 1e-6, side="right") - 1, 0)
+    moved = (x - x[earlier]) * np.cos(yaw) + (y - y[earlier]) * np.sin(yaw)
+    return (t - t[earlier] >= STILL_S - 1e-6) & ((np.abs(moved) < STILL_M) | (moved * v < 0.0))
+
+
+def driven(t: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, notes: list[str]) -> Trajectory:
+    """The trajectory through poses `(n,)` by (1) to (4); times increase strictly.
+
+    Raises:
+        ValueError: As `Trajectory`.
+    """
+    yaw = np.unwrap(yaw)
+    first, second = fitted(t, np.column_stack([x, y, yaw]))
+    ahead = np.column_stack([np.cos(yaw), np.sin(yaw)])
+    v, a = (first[:, :2] * ahead).sum(axis=1), (second[:, :2] * ahead).sum(axis=1)
+    v[0] = v[1] if len(v) > 1 else 0.0
+    notes.append(
+        f"The ego's speed, acceleration and curvature are derived: parabolas fitted to the poses of the {WINDOW_S} s"
+        " before each state."
+    )
+    columns = {"t": t, "x": x, "y": y, "yaw": yaw, "v": v, "a": a, "kappa": held_curvature(first[:, 2], v)}
+    if np.isfinite(a).any():
+        still = stands(t, x, y, yaw, v)
+        columns["v"] = np.where(still, 0.0, v)
+        columns["a"] = np.where(still | np.isnan(a), 0.0, a)
+    return completed(columns, notes)
+
+
+def states_at(whole: Trajectory, index: IntArray) -> Trajectory:
+    """The states at `index`."""
+    names = ("t", "x", "y", "yaw", "v", "a", "kappa")
+    return Trajectory(*(getattr(whole, name)[index] for name in names))

@@ -78,10 +78,15 @@ def crossable(mark: str, *, left: bool) -> bool:
 
 def _lane(strip: Strip) -> Lane | None:
     """The lane, without neighbours; None where its boundaries are no strip."""
-    sides = [_line(side) for side in (strip.left, strip.right)]
-    if min(map(len, sides)) < 2:
-        return None
-    left, right = paired(*sides)
+    sides = []
+    for points in (strip.left, strip.right):
+        if points.ndim != 2 or len(points) < 2 or not (np.abs(points) < LARGEST_M).all():
+            return None
+        points = points[np.r_[True, np.hypot(*np.diff(points, axis=0).T) > 1e-6]]
+        if len(points) < 2 or not SHORTEST_M < np.hypot(*np.diff(points, axis=0).T).sum() < LONGEST_M:
+            return None
+        sides.append(points)
+    left, right = paired(sides[0], sides[1])
     moved = np.r_[True, np.hypot(*np.diff(0.5 * (left + right), axis=0).T) > 1e-3]
     if moved.sum() < 2:
         return None
@@ -98,14 +103,6 @@ def _lane(strip: Strip) -> Lane | None:
     )
 
 
-def _line(points: FloatArray) -> FloatArray:
-    """The points that differ from the one before; none where one is out of bounds or the line has no length."""
-    if points.ndim != 2 or len(points) < 2 or not (np.abs(points) < LARGEST_M).all():
-        return np.empty((0, 2))
-    points = points[np.r_[True, np.hypot(*np.diff(points, axis=0).T) > 1e-6]]
-    return points if SHORTEST_M < np.hypot(*np.diff(points, axis=0).T).sum() < LONGEST_M else np.empty((0, 2))
-
-
 def _same_way(lane: Lane, other: Lane) -> bool:
     """Whether two lanes are driven the same way: the other where it is nearest to the middle of the lane."""
     ahead = lane.center[len(lane.center) // 2] - lane.center[len(lane.center) // 2 - 1]
@@ -115,3 +112,10 @@ def _same_way(lane: Lane, other: Lane) -> bool:
     along = np.clip(((middle - other.center[:-1]) * steps).sum(axis=1) / squares, 0.0, 1.0)
     away = np.hypot(*(other.center[:-1] + along[:, None] * steps - middle).T)
     return bool(steps[int(np.argmin(away))] @ ahead > 0.0)
+
+
+def dense(line: FloatArray, step: float) -> FloatArray:
+    """A polyline `(n, 2)` with points at most `step` apart, m, equally spaced in arc length."""
+    way = np.r_[0.0, np.cumsum(np.hypot(*np.diff(line, axis=0).T))]
+    at = np.linspace(0.0, way[-1], max(2, 1 + int(np.ceil(way[-1] / step))))
+    return np.column_stack([np.interp(at, way, line[:, k]) for k in (0, 1)])

@@ -1,16 +1,14 @@
 """ROS 2 bags (rosbag2: MCAP and SQLite, one file or a folder with metadata.yaml) and ROS 1 bags, without ROS.
 
 Modules:
-    bag.py          the door to rosbags: topics, and fields of their messages between two times
-    fields.py       some fields of a serialised message, without objects for the others
-    schemas.py      which message types say what, and where
-    transforms.py   the tree of frames
-    clocks.py       log times and stamps
-    ego.py          poses, speed
-    motion.py       causal motion from jittering positions
-    objects.py      the others; identity.py who is who; rectangles.py boxes of outlines; tracks.py them over time
-    more.py         lights, goal, steering, on-board plans
-    read.py         all of it as a scenario
+    bag.py       rosbags: topics, and fields of their messages between two times
+    fields.py    some fields of a serialised message, without objects for the others
+    schemas.py   which message types hold what, and where
+    frames.py    the tree of coordinate frames; log times and stamps
+    ego.py       the ego's poses and speed; motion from jittering positions
+    objects.py   the objects of a topic: frames, velocities, sizes
+    tracks.py    samples of objects over time: identities and tracks
+    read.py      all of it as a scenario, with lights, goal, steering and on-board plans
 """
 
 from __future__ import annotations

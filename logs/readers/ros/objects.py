@@ -1,10 +1,11 @@
-"""Other road users: arrays from the messages of one topic, with their frame, velocity and size (tracks: `tracks.py`).
+"""The objects in the messages of one topic, with their frame, velocity and size, as `Samples`.
 
-(1) p_map = T_map,frame(t) p_frame with the transform at the message's time; heading that of the turned x axis
-(2) velocity: turned from the object's frame or the message's into the map. Where the type does not say which, or the
-    data say otherwise, the one counts that fits the displacement over `MOTION_S`; where neither does, none does
+(1) p_map = T_map,frame(t) p_frame with the transform at the time of the message; heading that of the rotated x axis
+(2) velocity: rotated from the object's frame or the message's into the map. Where the type does not say which frame, or
+    the data contradict it, that one is taken which fits the displacement over `MOTION_S`; where neither fits, none is
 
-Outlines without a box (clusters, polygons) become the smallest rectangle around them.
+An outline without a box (cluster, polygon) becomes the smallest rectangle around it, one side of which lies along an
+edge of its hull.
 """
 
 from __future__ import annotations
@@ -14,65 +15,22 @@ from typing import Any
 
 import numpy as np
 
-from logs.agents import AgentKind, codes_of
-from logs.detections import Detections
+from logs.agents import AgentKind
 from logs.kernel import BoolArray, FloatArray, IntArray
+from logs.readers.quaternions import heading, rotated
 from logs.readers.ros import schemas
 from logs.readers.ros.bag import Bag, Topic
+from logs.readers.ros.ego import Part, rates
 from logs.readers.ros.fields import Wanted
-from logs.readers.ros.identity import joined
-from logs.readers.ros.motion import rates
-from logs.readers.ros.rectangles import smallest_rectangles
+from logs.readers.ros.frames import BETWEEN, Frames, Poses, composed, unit
 from logs.readers.ros.schemas import ObjectSchema
-from logs.readers.ros.transforms import BETWEEN, Frames, Poses, composed, heading, rotated, unit
-from logs.repair.names import no_identities
+from logs.readers.ros.tracks import MOVES_MPS, Samples, firsts, identified
 
-STAMP: Wanted = ("header.stamp.sec", "header.stamp.nanosec")
 MOTION_S = 0.5
 """Displacement over at most this is compared with the velocity."""
-MOVES_MPS = 1.0
-"""Only of who is faster."""
 MISFIT = 0.5
 """A median difference of more than this share of the speed is no velocity."""
 LEAST_SIZE_M = 0.1
-
-
-@dataclass(frozen=True, eq=False)
-class Samples:
-    """Objects of all frames, `(m,)` each: message, id, kind, pose in the map, velocity, size (NaN: not known).
-
-    `ids` are those of the log, "" where it gives none; `score` is 0 to 1, NaN where it is not known; `names` are
-    identities, None until they are asked for (`identified`).
-    """
-
-    message: IntArray
-    ids: list[str]
-    kinds: list[AgentKind]
-    x: FloatArray
-    y: FloatArray
-    yaw: FloatArray
-    vx: FloatArray
-    vy: FloatArray
-    length: FloatArray
-    width: FloatArray
-    turned: BoolArray
-    score: FloatArray
-    names: list[str] | None = None
-
-    def __len__(self) -> int:
-        return len(self.ids)
-
-    def taken(self, keep: IntArray) -> Samples:
-        """Some of them, in the order of `keep`."""
-        of = ("ids", "kinds") if self.names is None else ("ids", "kinds", "names")
-        lists: dict[str, Any] = {name: [getattr(self, name)[i] for i in keep] for name in of}
-        names = ("message", "x", "y", "yaw", "vx", "vy", "length", "width", "turned", "score")
-        return replace(self, **lists | {name: getattr(self, name)[keep] for name in names})
-
-    def detections(self, t: FloatArray) -> Detections:
-        """All of them as they were reported; t `(k,)` s are the times of the messages."""
-        columns = (self.x, self.y, self.yaw, self.length, self.width, self.vx, self.vy, self.score)
-        return Detections(t[self.message], t, tuple(self.ids), codes_of(tuple(self.kinds)), *columns)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,12 +44,11 @@ class Messages:
     names: dict[str, int]
 
 
-def read_messages(bag: Bag, topic: Topic, begin: int | None, end: int | None) -> Messages:
-    """The wanted fields of all messages between two log times, ns."""
+def read_messages(part: Part, topic: Topic) -> Messages:
+    """The wanted fields of a topic's messages."""
     schema = schemas.OBJECTS[topic.kind]
-    wanted, names = _wanted(bag, topic, schema)
-    log, rows = bag.read(topic, (*STAMP, "header.frame_id", (schema.items, wanted)), begin, end)
-    stamps = np.array([row[0] * 1_000_000_000 + row[1] for row in rows], dtype=np.int64)
+    wanted, names = _wanted(part.bag, topic, schema)
+    log, stamps, rows = part.read(topic, ("header.frame_id", (schema.items, wanted)))
     return Messages(log, stamps, [row[2].lstrip("/") for row in rows], [row[3] for row in rows], names)
 
 
@@ -145,14 +102,16 @@ def samples_of(
         none = np.empty(0)
         return Samples(owner, [], [], none, none, none, none, none, none, none, np.empty(0, np.bool_), none)
     columns = list(zip(*rows, strict=True))
-    poses = _local(columns, messages.names, t[owner])
+    first = messages.names["pose"]
+    values = np.array(columns[first : first + 7], dtype=np.float64).T
+    poses = Poses(t[owner], values[:, :3], unit(values[:, 3:]))
     turn = _turns([messages.frames[i] for i in chosen], owner, t, frames, frame)
     world = poses if turn is None else composed(turn, poses)
     kinds, in_the_way = _kinds(columns, messages.names, len(rows), schema)
     length, width, moved, yaw, turned = _sizes(columns, messages.names, schema, world, turn, kinds)
     velocity = _velocity(columns, messages.names, len(rows))
     ids = list(columns[messages.names["id"]]) if "id" in messages.names else []
-    names = [_text(each) for each in ids] or [""] * len(rows)
+    names = [each.hex() if isinstance(each, bytes) else str(each) for each in ids] or [""] * len(rows)
     out = Samples(
         owner, names, kinds, moved[:, 0], moved[:, 1], yaw, velocity[:, 0], velocity[:, 1], length, width, turned,
         _scores(columns, messages.names, len(rows)),
@@ -184,16 +143,6 @@ def _with_velocities(
         nan = np.full(len(both), np.nan)
         return replace(both, vx=nan, vy=nan)
     return both if chosen == "object" else replace(both, vx=other[:, 0], vy=other[:, 1])
-
-
-def _text(name: Any) -> str:
-    return name.hex() if isinstance(name, bytes) else str(name)
-
-
-def _local(columns: list[tuple[Any, ...]], names: dict[str, int], t: IntArray) -> Poses:
-    first = names["pose"]
-    values = np.array(columns[first : first + 7], dtype=np.float64).T
-    return Poses(t, values[:, :3], unit(values[:, 3:]))
 
 
 def _turns(used: list[str], owner: IntArray, t: IntArray, frames: Frames, frame: str) -> Poses | None:
@@ -299,21 +248,6 @@ def _velocity(columns: list[tuple[Any, ...]], names: dict[str, int], n: int) -> 
     return velocity
 
 
-def identified(samples: Samples, t: IntArray, said: list[str]) -> Samples:
-    """The samples with names that are identities, each once a frame; t `(k,)` ns are the times of the messages."""
-    if samples.names is not None:
-        return samples
-    seconds, with_ids = (t[samples.message] - t[:1]) / 1e9, any(samples.ids)
-    if with_ids and no_identities(samples.ids, seconds, samples.x, samples.y) is None:
-        return replace(samples, names=samples.ids)
-    sizes = np.where(samples.turned[:, None], np.column_stack([samples.length, samples.width]), np.nan)
-    names = joined(samples.message, seconds, samples.x, samples.y, samples.kinds, sizes)
-    why = "are no identities (they jump)" if with_ids else "are not there"
-    count = int(names.max(initial=0))
-    said.append(f"Ids of objects {why}: objects are joined from frame to frame by position, to {count} tracks.")
-    return replace(samples, names=[str(name) for name in names])
-
-
 def _frame_of_twist(
     samples: Samples, in_frame: FloatArray, schema: ObjectSchema, t: IntArray, said: list[str]
 ) -> str | None:
@@ -350,7 +284,38 @@ def _frame_of_twist(
     return best
 
 
-def firsts(codes: IntArray) -> IntArray:
-    """Of sorted codes `(m,)`, the index of the first equal one."""
-    starts = np.flatnonzero(np.diff(codes, prepend=-1))
-    return np.repeat(starts, np.diff(np.append(starts, len(codes))))
+_ROWS = 2000
+
+
+def smallest_rectangles(outlines: list[list[tuple[float, float]]]) -> FloatArray:
+    """Rows (centre x, y, yaw, length, width) of the smallest rectangles around `n` outlines `(n, 5)`.
+
+    `length >= width`; yaw within a half turn. An outline is a convex polygon of two points or more; for others the
+    rectangles along its edges are compared, of which one is near the smallest.
+    """
+    most = max(map(len, outlines), default=0)
+    points = np.array([outline + [outline[-1]] * (most - len(outline)) for outline in outlines]).reshape(-1, most, 2)
+    parts = [_rectangles(points[k : k + _ROWS]) for k in range(0, len(points), _ROWS)]
+    return np.vstack(parts) if parts else np.empty((0, 5))
+
+
+def _rectangles(points: FloatArray) -> FloatArray:
+    middle = points.mean(axis=1, keepdims=True)
+    around = points - middle
+    edges = np.roll(around, -1, axis=1) - around
+    angle = np.arctan2(edges[..., 1], edges[..., 0])
+    cos, sin = np.cos(angle)[..., None], np.sin(angle)[..., None]
+    along = cos * around[:, None, :, 0] + sin * around[:, None, :, 1]
+    across = cos * around[:, None, :, 1] - sin * around[:, None, :, 0]
+    low = np.stack([along.min(axis=2), across.min(axis=2)], axis=-1)
+    high = np.stack([along.max(axis=2), across.max(axis=2)], axis=-1)
+    size = high - low
+    rows = np.arange(len(points))
+    best = np.argmin(size[..., 0] * size[..., 1] + 1e-9 * size.sum(axis=-1), axis=1)
+    size, centre, yaw = size[rows, best], 0.5 * (low + high)[rows, best], angle[rows, best]
+    c, s = np.cos(yaw), np.sin(yaw)
+    x = middle[:, 0, 0] + c * centre[:, 0] - s * centre[:, 1]
+    y = middle[:, 0, 1] + s * centre[:, 0] + c * centre[:, 1]
+    wide = size[:, 1] > size[:, 0]
+    yaw = yaw + np.where(wide, 0.5 * np.pi, 0.0)
+    return np.column_stack([x, y, yaw, size.max(axis=1), size.min(axis=1)])

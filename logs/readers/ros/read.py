@@ -1,9 +1,14 @@
-"""A bag as a scenario: which topics, which clock, which part.
+"""A bag as a scenario: which topics, which clock, which part; lights, goal, steering and on-board plans.
 
-Of a part between `begin` and `end` only the messages around it are read: `REACH_S` before where the bag has detections
-that may be repaired, else `HISTORY_S`, so that whoever was there is known and motion can be derived, and the first
-second of the log, where t = 0 and the origin are. Where the log's clock runs unlike the senders' (a simulation slower
-than time) log times do not say what is in a part: all is read.
+For a part between `begin` and `end` only the messages around it are read: from `REACH_S` before it where the bag has
+detections that may be repaired, else from `HISTORY_S` before it, so that it is known who was there and how they moved;
+and the first seconds of the log, where t = 0 and the origin are. Where the log's clock is faster or slower than the
+senders' (a simulation slower than real time), log times do not tell what is in a part, and all messages are read.
+
+On-board plans whose points have no times (Autoware leaves `time_from_start` at 0) are timed by their speeds:
+
+(1) t_(i+1) = t_i + 2 d_i / (v_i + v_(i+1)),  d_i the distance of two points; where both are below `CREEPS_MPS` the plan
+    stands. The time of the point nearest to the ego is that of the message
 """
 
 from __future__ import annotations
@@ -17,21 +22,25 @@ import numpy as np
 from logs.detections import Detections
 from logs.errors import LogError
 from logs.kernel import FloatArray
-from logs.mcap.complete import road_along
+from logs.mcap.complete import derived_acceleration, derived_curvature, road_along
 from logs.observed import Spans, of_stream
 from logs.readers.base import LogSettings
 from logs.readers.cut import HISTORY_S
+from logs.readers.recorded.boxes import car_of
 from logs.readers.repaired import REACH_S, reason_to_repair
 from logs.readers.ros import schemas
 from logs.readers.ros.bag import Bag, Topic, opened
-from logs.readers.ros.clocks import said, times_of
-from logs.readers.ros.ego import EgoLog, at_poses, begin_of, read_ego, signal, states, topics_of
-from logs.readers.ros.more import Window, controls, goal, lights, onboard, vehicle_of
-from logs.readers.ros.objects import identified, read_messages, samples_of
-from logs.readers.ros.tracks import tracks_of, without_ego
+from logs.readers.ros.ego import POSITION, EgoLog, Part, at_poses, begin_of, read_ego, signal, states
+from logs.readers.ros.frames import HELD, Poses, composed, said, times_of, unit
+from logs.readers.ros.objects import read_messages, samples_of
+from logs.readers.ros.schemas import STAMP
+from logs.readers.ros.tracks import identified, tracks_of, without_ego
+from logs.road import Goal
+from logs.rules import Colour, TrafficLight
 from logs.scenario import Scenario, Tracks
-from logs.states import Trajectory
-from logs.vehicle import VehicleParameters
+from logs.shapes import corners
+from logs.states import Controls, OnboardPlan, Trajectory
+from logs.vehicle import VEHICLE_ASSUMED, VehicleParameters
 
 HEAD_S = 2.0
 """Of the log's begin this is read to find t = 0, where only a later part is wanted."""
@@ -68,13 +77,17 @@ def _check_roles(settings: LogSettings) -> None:
 
 
 def _scenario(path: Path, bag: Bag, settings: LogSettings) -> Scenario:
-    notes: list[str] = []
     if not any(topic.count for topic in bag.topics):
         raise LogError("the bag holds no messages", remedy="record or copy it again")
-    vehicle = vehicle_of(settings, notes)
-    window, start, origin = _part(bag, settings)
-    ego = read_ego(bag, settings, *window, notes)
-    v, a = _measured(bag, settings, window, ego, notes)
+    part, start, origin = _part(bag, settings)
+    notes = part.notes
+    vehicle = VehicleParameters()
+    if settings.car:
+        vehicle = car_of(settings.car, notes)
+    else:
+        notes.append(f"{VEHICLE_ASSUMED} (set log.car).")
+    ego = read_ego(part)
+    v, a = _measured(part, ego)
     columns = states(ego, v, a, notes)
     if start is None:
         first = begin_of(ego, v)
@@ -88,7 +101,7 @@ def _scenario(path: Path, bag: Bag, settings: LogSettings) -> Scenario:
     t = (ego.poses.t[first:] - start) / 1e9
     x, y, yaw, speed, accel, kappa = (columns[name][first:] for name in ("x", "y", "yaw", "v", "a", "kappa"))
     trajectory = Trajectory(t, x - origin[0], y - origin[1], yaw, speed, accel, kappa)
-    tracks, detections, traffic = _tracks(bag, settings, window, ego, start, origin, trajectory, vehicle, notes)
+    tracks, detections, traffic = _tracks(part, ego, start, origin, trajectory, vehicle)
     synthetic = any(topic.kind == schemas.CLOCK and topic.count for topic in bag.topics)
     if synthetic:
         notes.append("The bag has a /clock: its drive is taken for a simulated one.")
@@ -99,44 +112,44 @@ def _scenario(path: Path, bag: Bag, settings: LogSettings) -> Scenario:
         tracks=tracks,
         road=road_along(trajectory, notes),
         duration=float(t[-1]),
-        goal=goal(bag, settings, ego, begin_ns, origin, vehicle, notes),
+        goal=goal(part, ego, begin_ns, origin, vehicle),
         vehicle=vehicle,
-        controls=controls(bag, settings, window, ego, start, notes),
+        controls=controls(part, ego, start),
         tags=("synthetic" if synthetic else "recorded", "ros"),
         source="ROS 2 bag" if bag.is_ros2 else "ROS 1 bag",
         origin=(float(origin[0]), float(origin[1])),
         start_ns=start,
-        lights=lights(bag, settings, window, ego, start, notes),
-        onboard=onboard(bag, settings, window, ego, start, origin, notes),
+        lights=lights(part, ego, start),
+        onboard=onboard(part, ego, start, origin),
         traffic=traffic,
         detections=detections,
     )
     return replace(scenario, notes=tuple(dict.fromkeys(notes)))
 
 
-def _part(bag: Bag, settings: LogSettings) -> tuple[Window, int | None, FloatArray]:
-    """Log times between which is read (None: no bound), and for a later part the time of t = 0, ns, and the origin."""
-    nothing = np.zeros(2)
+def _part(bag: Bag, settings: LogSettings) -> tuple[Part, int | None, FloatArray]:
+    """What is read of a bag; where that begins later than the log, also the time of t = 0, ns, and the origin, m."""
+    whole = Part(bag, settings)
     if settings.begin <= 0.0 and settings.end == inf:
-        return (None, None), None, nothing
+        return whole, None, np.zeros(2)
     head = _head(bag, settings)
     if head is None:
-        return (None, None), None, nothing
+        return whole, None, np.zeros(2)
     ego, first = head
-    detected = settings.repair != "off" and topics_of(bag, schemas.OBJECTS, settings, "agents")
+    detected = settings.repair != "off" and whole.topics(schemas.OBJECTS, "agents")
     log0, around = bag.start_ns, (REACH_S if detected else HISTORY_S) + MARGIN_S
     end = None if settings.end == inf else log0 + round(1e9 * (settings.end + around))
     if settings.begin <= 0.0:
-        return (None, end), None, nothing
+        return Part(bag, settings, None, end), None, np.zeros(2)
     begin = log0 + round(1e9 * (settings.begin - around))
-    return (max(begin, log0), end), int(ego.poses.t[first]), np.round(ego.poses.p[first, :2])
+    return Part(bag, settings, max(begin, log0), end), int(ego.poses.t[first]), np.round(ego.poses.p[first, :2])
 
 
 def _head(bag: Bag, settings: LogSettings) -> tuple[EgoLog, int] | None:
     """The ego at the log's begin and its first state; None where a part cannot be found by log time."""
-    end = bag.start_ns + round(1e9 * HEAD_S)
+    part = Part(bag, settings, None, bag.start_ns + round(1e9 * HEAD_S))
     try:
-        ego = read_ego(bag, settings, None, end, [])
+        ego = read_ego(part)
     except LogError:
         return None
     clock = ego.clock
@@ -144,31 +157,27 @@ def _head(bag: Bag, settings: LogSettings) -> tuple[EgoLog, int] | None:
         pace = float(clock.stamp[-1] - clock.stamp[0]) / float(clock.log[-1] - clock.log[0])
         if not 0.8 < pace < 1.25:
             return None
-    v, _ = _measured(bag, settings, (None, end), ego, [])
+    v, _ = _measured(part, ego)
     return ego, begin_of(ego, v)
 
 
-def _measured(
-    bag: Bag, settings: LogSettings, window: Window, ego: EgoLog, notes: list[str]
-) -> tuple[FloatArray, FloatArray]:
+def _measured(part: Part, ego: EgoLog) -> tuple[FloatArray, FloatArray]:
     """Speed and acceleration at the poses `(n,)` as far as they are logged; else NaN."""
-    v = ego.v
-    if np.isfinite(v).all() and "speed" not in settings.topics:
+    v, notes = ego.v, part.notes
+    if np.isfinite(v).all() and "speed" not in part.settings.topics:
         notes.append(f"The ego's speed is that of {ego.source}.")
     else:
-        v = at_poses(
-            signal(bag, schemas.SPEEDS, settings, "speed", window, ego.clock, notes), ego.poses.t, "speed", notes
-        )
-    found = signal(bag, schemas.ACCELERATIONS, settings, "acceleration", window, ego.clock, notes)
+        v = at_poses(signal(part, schemas.SPEEDS, "speed", ego.clock), ego.poses.t, "speed", notes)
+    found = signal(part, schemas.ACCELERATIONS, "acceleration", ego.clock)
     return v, at_poses(found, ego.poses.t, "acceleration", notes)
 
 
-def _chosen(bag: Bag, settings: LogSettings, notes: list[str]) -> Topic | None:
+def _chosen(part: Part) -> Topic | None:
     """The topic of the others: tracked before predicted before detected, then most messages, then name."""
-    topics = topics_of(bag, schemas.OBJECTS, settings, "agents")
+    topics, notes = part.topics(schemas.OBJECTS, "agents"), part.notes
     if not topics:
-        held = sorted({topic.kind for topic in bag.topics if topic.count and "bject" in topic.kind})
-        more = f" (message types not read: {', '.join(held)})" if held and "agents" not in settings.topics else ""
+        held = sorted({topic.kind for topic in part.bag.topics if topic.count and "bject" in topic.kind})
+        more = f" (message types not read: {', '.join(held)})" if held and "agents" not in part.settings.topics else ""
         notes.append(f"No other road users: the log has no topic of objects{more}.")
         return None
     ordered = sorted(
@@ -183,18 +192,17 @@ def _chosen(bag: Bag, settings: LogSettings, notes: list[str]) -> Topic | None:
 
 
 def _tracks(
-    bag: Bag, settings: LogSettings, window: Window, ego: EgoLog, start: int, origin: FloatArray, driven: Trajectory,
-    vehicle: VehicleParameters, notes: list[str],
-) -> tuple[Tracks, Detections | None, Spans]:  # fmt: skip
+    part: Part, ego: EgoLog, start: int, origin: FloatArray, driven: Trajectory, vehicle: VehicleParameters
+) -> tuple[Tracks, Detections | None, Spans]:
     """The others, or detections that are to be made into tracks, and when their topic had messages."""
-    topic = _chosen(bag, settings, notes)
+    topic, notes = _chosen(part), part.notes
     if topic is None:
         return Tracks.empty(), None, ()
-    messages = read_messages(bag, topic, *window)
+    messages = read_messages(part, topic)
     if not len(messages.log):
         notes.append(f"{topic.name} has no messages in this part.")
         return Tracks.empty(), None, ()
-    notes += said(topic.name, messages.log, messages.stamps, bag.start_ns)
+    notes += said(topic.name, messages.log, messages.stamps, part.bag.start_ns)
     t, chosen = times_of(topic.name, messages.log, messages.stamps, ego.clock, notes)
     said_of_tracks: list[str] = []
     try:
@@ -206,7 +214,7 @@ def _tracks(
         raise LogError(error.what, topic=topic.name, remedy=remedy) from None
     x, y, since = samples.x - origin[0], samples.y - origin[1], (t - start) / 1e9
     found = replace(samples, x=x, y=y).detections(since)
-    if reason_to_repair(settings.repair, found):
+    if reason_to_repair(part.settings.repair, found):
         return Tracks.empty(), found, of_stream(since)
     samples = identified(samples, t, said_of_tracks)
     notes += said_of_tracks
@@ -215,3 +223,180 @@ def _tracks(
     x = driven.x + ahead * np.array([cos(yaw) for yaw in driven.yaw])
     y = driven.y + ahead * np.array([sin(yaw) for yaw in driven.yaw])
     return without_ego(tracks, driven.t, x, y, notes), None, of_stream(since)
+
+
+GOAL_LENGTH_M, GOAL_WIDTH_M = 5.0, 4.0
+"""The region around a goal pose, along and across."""
+UNSEEN_S = 2.0
+"""A light that was not reported for longer is no longer known."""
+CREEPS_MPS = 0.1
+LATE_GOAL_S = 1.0
+
+
+def lights(part: Part, ego: EgoLog, t0: int) -> tuple[TrafficLight, ...]:
+    """The traffic lights, by the ids of the log."""
+    topics, notes = part.topics(schemas.LIGHTS, "lights"), part.notes
+    if not topics:
+        return ()
+    topic = topics[0]
+    schema = schemas.LIGHTS[topic.kind]
+    stamp = STAMP if part.bag.has(topic, "header.stamp") else ("stamp.sec", "stamp.nanosec")
+    lamp = ("lamps", (schema.lamps, (schema.colour,))) if schema.lamps else ("word", schema.words)
+    fields = (*schema.ids, *((lamp[1],) if schema.lamps else (schema.colour, schema.words)))
+    log, stamps, rows = part.read(topic, ((schema.items, fields),), stamp)
+    t, keep = times_of(topic.name, log, stamps, ego.clock, notes)
+    notes += said(topic.name, log, stamps, int(log[0])) if len(log) else []
+    items = [rows[k][2] for k in keep]
+    place = next((i for i in range(len(schema.ids)) if any(each[i] for some in items for each in some)), 0)
+    shown: dict[int, list[tuple[int, Colour]]] = {}
+    seen: dict[int, int] = {}
+    for time, some in zip(t.tolist(), items, strict=True):
+        for light in [light for light, last in seen.items() if time - last > 1e9 * UNSEEN_S]:
+            shown[light].append((seen.pop(light) + round(1e9 * UNSEEN_S), Colour.OFF))
+        for light, colour in {each[place]: _colour(each, schema) for each in some}.items():
+            seen[light] = time
+            states = shown.setdefault(light, [])
+            if not states or states[-1][1] is not colour:
+                states.append((time, colour))
+    out = []
+    for light, states in sorted(shown.items()):
+        by_time = dict(sorted(states, key=lambda state: state[0]))
+        t = np.array(list(by_time), dtype=np.int64)
+        out.append(TrafficLight(int(light), (t - t0) / 1e9, tuple(by_time.values())))
+    if out:
+        notes.append(
+            f"{len(out)} traffic lights of {topic.name} are named by its {schema.ids[place]}; which lane obeys which"
+            " the log does not say: without a map that names them no stop line belongs to them."
+        )
+    return tuple(out)
+
+
+def _colour(item: tuple[object, ...], schema: schemas.LightSchema) -> Colour:
+    if schema.lamps:
+        lamps = item[-1]
+        assert isinstance(lamps, list)
+        lit = {schemas.LAMPS.get(lamp[0], Colour.OFF) for lamp in lamps} - {Colour.OFF}
+        if {Colour.RED, Colour.YELLOW} <= lit:
+            return Colour.RED_YELLOW
+        return next((colour for colour in (Colour.RED, Colour.YELLOW, Colour.GREEN) if colour in lit), Colour.OFF)
+    code, word = item[-2:]
+    text = str(word).upper()
+    if text.startswith(("RED/", "RED_")):
+        return Colour.RED_YELLOW
+    if text.startswith(("AMBER", "YELLOW")):
+        return Colour.YELLOW
+    return schemas.RESULTS.get(code, Colour.OFF) if isinstance(code, int) else Colour.OFF
+
+
+def goal(part: Part, ego: EgoLog, begin_ns: int, origin: FloatArray, vehicle: VehicleParameters) -> Goal | None:
+    """The place around the log's goal pose: the newest at the begin (ns, log time), else the first one."""
+    topics, notes = part.topics(schemas.GOALS, "goal"), part.notes
+    if "goal" not in part.settings.topics:
+        topics = [topic for topic in topics if topic.kind not in schemas.POSES or "goal" in topic.name]
+    if not topics:
+        return None
+    topic = topics[0]
+    path = schemas.GOALS[topic.kind]
+    log, rows = part.bag.read(topic, (*STAMP, "header.frame_id", *(f"{path}.{name}" for name in POSITION)))
+    good = [k for k, row in enumerate(rows) if np.isfinite(row[3:]).all()]
+    if not good:
+        return None
+    known = [k for k in good if log[k] <= begin_ns]
+    k = known[-1] if known else good[0]
+    row = rows[k]
+    values = np.array([row[3:]], dtype=np.float64)
+    pose = Poses(log[k : k + 1], values[:, :3], unit(values[:, 3:]))
+    frame = row[2].lstrip("/")
+    if frame not in (ego.map, ""):
+        pose = composed(ego.frames.poses(ego.map, frame, ego.clock(log[k : k + 1]), HELD), pose)
+    x, y = pose.p[0, :2] - origin
+    yaw, ahead = float(pose.yaw[0]), vehicle.axle_to_center
+    place = corners(x + ahead * cos(yaw), y + ahead * sin(yaw), yaw, GOAL_LENGTH_M, GOAL_WIDTH_M)
+    others = f"; its {len(good) - 1} other goals are not used" if len(good) > 1 else ""
+    notes.append(f"The goal is {GOAL_LENGTH_M:g} m by {GOAL_WIDTH_M:g} m around the pose of {topic.name}{others}.")
+    late = (row[0] * 1_000_000_000 + row[1] - log[k]) / 1e9
+    if row[0] and late > LATE_GOAL_S:
+        notes.append(
+            f"The goal's stamp is {late:.1f} s after its record: it was set when it was known where the drive led."
+        )
+    return Goal((np.asarray(place),))
+
+
+def controls(part: Part, ego: EgoLog, t0: int) -> Controls | None:
+    """The front wheel angle: measured, else as commanded."""
+    found = signal(part, schemas.STEERING, "steering", ego.clock)
+    word = "measured"
+    if found is None and "steering" not in part.settings.topics:
+        found = signal(part, schemas.COMMANDED_STEERING, "steering", ego.clock)
+        word = "commanded"
+    if found is None:
+        return None
+    part.notes.append(f"The front wheel angle is that of {found.topic}, {word}.")
+    nan = np.full(len(found.t), np.nan)
+    return Controls((found.t - t0) / 1e9, found.values, nan, nan)
+
+
+def onboard(part: Part, ego: EgoLog, t0: int, origin: FloatArray) -> tuple[OnboardPlan, ...]:
+    """The plans that were made on board, each from the time of its message on."""
+    topics, notes = part.topics(schemas.PLANS, "plan"), part.notes
+    if not topics:
+        return ()
+    usual = [t for t in topics if t.name.endswith(("/scenario_planning/trajectory", "/planning/trajectory"))]
+    topic = usual[0] if usual and "plan" not in part.settings.topics else topics[0]
+    names = ("longitudinal_velocity_mps", "acceleration_mps2")
+    point = ("time_from_start.sec", "time_from_start.nanosec", *(f"pose.{name}" for name in POSITION), *names)
+    log, stamps, rows = part.read(topic, ("header.frame_id", ("points", point)))
+    t, keep = times_of(topic.name, log, stamps, ego.clock, notes)
+    known = np.maximum(ego.clock(log[keep]), t) if len(keep) else t
+    plans: dict[int, OnboardPlan] = {}
+    for time, when, k in zip(t.tolist(), known.tolist(), keep.tolist(), strict=True):
+        planned = _plan(rows[k], time, t0, ego, origin)
+        if planned is not None:
+            plans[when] = OnboardPlan((when - t0) / 1e9, planned)
+    notes += said(topic.name, log, stamps, int(log[0])) if len(log) else []
+    if rows:
+        several = f" (of {len(topics)} such topics)" if len(topics) > 1 else ""
+        timed = "by their speeds" if not any(p[0] or p[1] for p in rows[0][3]) else "by their own times"
+        notes.append(f"{len(plans)} on-board plans are those of {topic.name}{several}, timed {timed}.")
+    return tuple(plans[when] for when in sorted(plans))
+
+
+def _plan(row: tuple[object, ...], time: int, t0: int, ego: EgoLog, origin: FloatArray) -> Trajectory | None:
+    points = row[3]
+    assert isinstance(points, list)
+    values = np.array(points, dtype=np.float64).reshape(-1, 11)
+    values = values[np.isfinite(values).all(axis=1)]
+    if not len(values):
+        return None
+    pose = Poses(np.full(len(values), time), values[:, 2:5], unit(values[:, 5:9]))
+    frame = str(row[2]).lstrip("/")
+    if frame not in (ego.map, ""):
+        pose = composed(ego.frames.poses(ego.map, frame, pose.t, HELD), pose)
+    x, y = (pose.p[:, :2] - origin).T
+    yaw, v = np.unwrap(pose.yaw), values[:, 9]
+    t: FloatArray = np.asarray(values[:, 0] + 1e-9 * values[:, 1])
+    if not t.any():
+        t = _timed(x, y, v)
+        now = ego.frames.poses(ego.map, ego.base, np.array([time]), HELD).p[0, :2] - origin
+        nearest = int(np.argmin(np.hypot(x - now[0], y - now[1])))
+        t = t - t[nearest]
+        keep = (np.arange(len(t)) >= nearest) & np.isfinite(t)
+    else:
+        keep = np.r_[True, np.diff(np.maximum.accumulate(t)) > 0.0]
+    if not keep.any():
+        return None
+    t, x, y, yaw, v, a = (np.asarray(column[keep]) for column in (t, x, y, yaw, v, values[:, 10]))
+    if not a.any() and len(t) > 1:
+        a = derived_acceleration(t, v)
+    return Trajectory(t + (time - t0) / 1e9, x, y, yaw, v, a, derived_curvature(x, y, yaw, v))
+
+
+def _timed(x: FloatArray, y: FloatArray, v: FloatArray) -> FloatArray:
+    """Times (1) `(n,)`; NaN from where the plan stands, but for the point at which it comes to its stand."""
+    if len(x) < 2:
+        return np.zeros(len(x))
+    mean = 0.5 * np.abs(v[:-1] + v[1:])
+    way = np.hypot(np.diff(x), np.diff(y))
+    step = np.divide(way, mean, out=np.full(len(way), np.nan), where=mean >= 0.5 * CREEPS_MPS)
+    step[step <= 0.0] = np.nan
+    return np.r_[0.0, np.cumsum(step)]

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from logs.agents import AgentKind
 from logs.rules import Colour
 
+STAMP = ("header.stamp.sec", "header.stamp.nanosec")
 CAR, TRUCK, BUS = AgentKind.CAR, AgentKind.TRUCK, AgentKind.BUS
 MOTORCYCLE, BICYCLE, PEDESTRIAN = AgentKind.MOTORCYCLE, AgentKind.BICYCLE, AgentKind.PEDESTRIAN
 OBJECT = AgentKind.OBJECT

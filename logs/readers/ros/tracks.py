@@ -1,20 +1,30 @@
-"""Samples of objects as tracks: one box, kind and front for each agent, and how they move where the log does not say.
+"""Samples of objects over time: their identities, and tracks with one box, kind and front each.
 
-A log has a box of its own in each frame, a Scenario one for each agent: the median of its sizes, and the kind that it
-had most often.
+Identities. Where perception numbers the entries of each list anew (`logs.repair.names`), ids are no identities. Then
+the objects of a frame are assigned to those known so far, by the least sum of distances to the positions expected from
+earlier samples. Outlines of clusters split and merge: an outline whose size differs from that with which an object
+began is another object, since a box has one size.
+
+Tracks. A log has a box in each frame, a Scenario one for each agent: the median of its sizes, and the kind that it had
+most often. Where the log has no velocities, they are derived.
 """
 
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
-from logs.agents import USUAL_SIZE_M, AgentKind
-from logs.kernel import FloatArray, IntArray
-from logs.readers.ros.motion import AGENT_WINDOW_S, OBJECT_WINDOW_S, rates, spread
-from logs.readers.ros.objects import MOVES_MPS, Samples, firsts
+from logs.agents import USUAL_SIZE_M, AgentKind, codes_of
+from logs.detections import Detections
+from logs.kernel import BoolArray, FloatArray, IntArray
+from logs.readers.ros.ego import AGENT_WINDOW_S, OBJECT_WINDOW_S, rates, spread
+from logs.repair.names import no_identities
 from logs.scenario import Tracks
 
 NOISE_M = {
@@ -24,8 +34,69 @@ NOISE_M = {
 NOISE_OTHERS_M, NOISES = 0.1, 2.0
 """Noise of box centres (root mean square in the 13 drives of Tartu); a derived velocity counts from so many times the
 standard deviation that follows on: who was seen twice 0.1 s apart is not yet known to move."""
+MOVES_MPS = 1.0
+"""Only objects that are faster tell their front and the frame of their velocities."""
 EGO_WITHIN_M, EGO_LEAST_S = 1.0, 1.0
 """A track whose centre stays so near the ego's for so long while the ego drives is the ego."""
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """Objects of all frames, `(m,)` each: message, id, kind, pose in the map, velocity, size (NaN: not known).
+
+    `ids` are those of the log, "" where it gives none; `score` is 0 to 1, NaN where it is not known; `names` are
+    identities, None until they are asked for (`identified`).
+    """
+
+    message: IntArray
+    ids: list[str]
+    kinds: list[AgentKind]
+    x: FloatArray
+    y: FloatArray
+    yaw: FloatArray
+    vx: FloatArray
+    vy: FloatArray
+    length: FloatArray
+    width: FloatArray
+    turned: BoolArray
+    score: FloatArray
+    names: list[str] | None = None
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    def taken(self, keep: IntArray) -> Samples:
+        """Some of them, in the order of `keep`."""
+        of = ("ids", "kinds") if self.names is None else ("ids", "kinds", "names")
+        lists: dict[str, Any] = {name: [getattr(self, name)[i] for i in keep] for name in of}
+        names = ("message", "x", "y", "yaw", "vx", "vy", "length", "width", "turned", "score")
+        return replace(self, **lists | {name: getattr(self, name)[keep] for name in names})
+
+    def detections(self, t: FloatArray) -> Detections:
+        """All of them as they were reported; t `(k,)` s are the times of the messages."""
+        columns = (self.x, self.y, self.yaw, self.length, self.width, self.vx, self.vy, self.score)
+        return Detections(t[self.message], t, tuple(self.ids), codes_of(tuple(self.kinds)), *columns)
+
+
+def identified(samples: Samples, t: IntArray, said: list[str]) -> Samples:
+    """The samples with names that are identities, each once a frame; t `(k,)` ns are the times of the messages."""
+    if samples.names is not None:
+        return samples
+    seconds, with_ids = (t[samples.message] - t[:1]) / 1e9, any(samples.ids)
+    if with_ids and no_identities(samples.ids, seconds, samples.x, samples.y) is None:
+        return replace(samples, names=samples.ids)
+    sizes = np.where(samples.turned[:, None], np.column_stack([samples.length, samples.width]), np.nan)
+    names = joined(samples.message, seconds, samples.x, samples.y, samples.kinds, sizes)
+    why = "are no identities (they jump)" if with_ids else "are not there"
+    count = int(names.max(initial=0))
+    said.append(f"Ids of objects {why}: objects are joined from frame to frame by position, to {count} tracks.")
+    return replace(samples, names=[str(name) for name in names])
+
+
+def firsts(codes: IntArray) -> IntArray:
+    """Of sorted codes `(m,)`, the index of the first equal one."""
+    starts = np.flatnonzero(np.diff(codes, prepend=-1))
+    return np.repeat(starts, np.diff(np.append(starts, len(codes))))
 
 
 def tracks_of(samples: Samples, t: FloatArray, said: list[str]) -> Tracks:
@@ -153,3 +224,110 @@ def without_ego(tracks: Tracks, t: FloatArray, x: FloatArray, y: FloatArray, sai
             keep[part] = False
             said.append(f"Object {tracks.ids[i]} is the ego itself and is left out.")
     return tracks if keep.all() else tracks.taken(keep)
+
+
+REACH_M = {AgentKind.PEDESTRIAN: 1.0, AgentKind.OBJECT: 1.5}
+REACH_OTHERS_M = 2.0
+"""How far from where it should be an object is still the same: noise of its centre and its acceleration."""
+UNKNOWN_MPS = {AgentKind.PEDESTRIAN: 2.5, AgentKind.OBJECT: 5.0}
+UNKNOWN_OTHERS_MPS = 20.0
+"""And more, per second, after a first sample, whose velocity is not known."""
+OTHER_KIND_M = 1.0
+"""An object of another kind counts as so much farther away: labels flicker."""
+LOST_S = 1.0
+"""Who was not seen for longer is not waited for."""
+OTHER_SIZE_M, OTHER_SIZE = 0.5, 0.25
+"""An outline is another object's if its size differs by more than both, m and as a share of the larger one."""
+MEMORY = 5
+"""Samples over which the velocity is taken."""
+_FAR = 1e6
+
+
+@dataclass
+class _Known:
+    """Objects so far: name, kind, and their last samples."""
+
+    name: list[int] = field(default_factory=list)
+    kind: list[AgentKind] = field(default_factory=list)
+    past: list[list[tuple[float, float, float]]] = field(default_factory=list)
+    size: list[FloatArray] = field(default_factory=list)
+
+
+def joined(
+    frame: IntArray, t: FloatArray, x: FloatArray, y: FloatArray, kinds: Sequence[AgentKind], sizes: FloatArray
+) -> IntArray:
+    """Names `(m,)`, numbered by first appearance, of samples in frames `(m,)`, rising, at times `t` `(m,)`, s.
+
+    `sizes` `(m, 2)`: length and width of outlines, NaN of what has a box.
+    """
+    names = np.empty(len(frame), np.int64)
+    known, count = _Known(), 0
+    for part in np.split(np.arange(len(frame)), np.flatnonzero(np.diff(frame)) + 1):
+        if not len(part):
+            continue
+        now = float(t[part[0]])
+        known = _kept(known, now)
+        found = _assigned(known, now, x[part], y[part], [kinds[i] for i in part], sizes[part])
+        for i, k in zip(part, found, strict=True):
+            if k < 0:
+                k, count = len(known.name), count + 1
+                known.name.append(count)
+                known.kind.append(kinds[i])
+                known.past.append([])
+                known.size.append(sizes[i])
+            names[i] = known.name[k]
+            known.kind[k] = kinds[i]
+            known.past[k] = [*known.past[k][1 - MEMORY :], (now, float(x[i]), float(y[i]))]
+    return names
+
+
+def _kept(known: _Known, now: float) -> _Known:
+    stay = [k for k, past in enumerate(known.past) if now - past[-1][0] <= LOST_S]
+    return _Known(
+        [known.name[k] for k in stay],
+        [known.kind[k] for k in stay],
+        [known.past[k] for k in stay],
+        [known.size[k] for k in stay],
+    )
+
+
+def _assigned(
+    known: _Known, now: float, x: FloatArray, y: FloatArray, kinds: list[AgentKind], sizes: FloatArray
+) -> list[int]:
+    """Which known object each of a frame's is; -1: none."""
+    out = [-1] * len(x)
+    if not known.name:
+        return out
+    where = np.array([_expected(past, now) for past in known.past])
+    reach = np.array(
+        [
+            REACH_M.get(kind, REACH_OTHERS_M)
+            + (0.0 if len(past) > 1 else UNKNOWN_MPS.get(kind, UNKNOWN_OTHERS_MPS) * (now - past[-1][0]))
+            for kind, past in zip(known.kind, known.past, strict=True)
+        ]
+    )
+    away = np.hypot(where[:, 0, None] - x, where[:, 1, None] - y)
+    near = np.nonzero(away <= reach[:, None])
+    other = codes_of(tuple(known.kind))[near[0]] != codes_of(tuple(kinds))[near[1]]
+    alike = _alike(np.sort(np.array(known.size))[near[0]], np.sort(sizes)[near[1]])
+    cost = np.full(away.shape, _FAR)
+    cost[near] = np.where(alike, away[near] + OTHER_KIND_M * other, _FAR)
+    for k, i in zip(*linear_sum_assignment(cost), strict=True):
+        if cost[k, i] < _FAR:
+            out[i] = int(k)
+    return out
+
+
+def _alike(a: FloatArray, b: FloatArray) -> BoolArray:
+    """Whether sizes `(..., 2)` may be those of one object; unknown ones may."""
+    apart = np.abs(a - b)
+    return np.asarray(~((apart > OTHER_SIZE_M) & (apart > OTHER_SIZE * np.maximum(a, b))).any(axis=-1), np.bool_)
+
+
+def _expected(past: list[tuple[float, float, float]], now: float) -> tuple[float, float]:
+    """Where an object should be: its last place, carried on with the velocity over its last samples."""
+    (t0, x0, y0), (t1, x1, y1) = past[0], past[-1]
+    if t1 <= t0:
+        return x1, y1
+    ahead = (now - t1) / (t1 - t0)
+    return x1 + ahead * (x1 - x0), y1 + ahead * (y1 - y0)

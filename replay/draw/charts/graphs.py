@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from logs.kernel import FloatArray
-from logs.short_names import ShortNames
+from logs.names import ShortNames
 from logs.trace import Graph, SlGraph, StGraph
 from replay.draw.axes import widened
 from replay.draw.charts.axes import Plane

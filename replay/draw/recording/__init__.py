@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun as rr
 
-from logs.around import Around
 from logs.frame_store import light
 from logs.kernel import FloatArray
-from logs.memory import give_back
+from logs.memory import trim_memory
+from logs.nearby import NearbyTracks
 from logs.scenario import Scenario
 from logs.trace import EndReason, Graph, Mode, PlannedFrame, SlGraph, StGraph, Trace
 from replay.draw.curves import motion_panels, stage_panel, steps_of
@@ -89,7 +89,7 @@ def write_recording(
             part = range(begin, begin + PART)
             _draw_part(tape, whole, scenario, instants.within(part), planned.within(part), axes)
             if len(planned) > PART:
-                give_back()
+                trim_memory()
         plots.draw_panels(tape, panels, frames)
         states.draw_lanes(tape, lanes, frames)
         pages.draw_events(tape, events(trace), planned)
@@ -113,8 +113,8 @@ def _draw_part(
     frames = whole.frames[int(planned.frame[0]) : int(planned.frame[-1]) + 1]
     begin = min([float(instants.t[0]), *(frame.t for frame in frames[:1])])
     end = max([float(instants.t[-1]), *(float(frame.plan.trajectory.t[-1]) for frame in frames)])
-    perceived = None if whole.perceived is None else Around().of(whole.perceived, begin, end)
-    trace = replace(whole, frames=frames, agents=Around().of(whole.agents, begin, end), perceived=perceived)
+    perceived = None if whole.perceived is None else NearbyTracks().of(whole.perceived, begin, end)
+    trace = replace(whole, frames=frames, agents=NearbyTracks().of(whole.agents, begin, end), perceived=perceived)
     draw_moving(tape, trace, frozenset(whole.agents.kinds), instants, planned)
     draw_others(tape, trace, planned)
     for kind, axis in axes.items():

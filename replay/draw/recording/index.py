@@ -14,7 +14,7 @@ from pathlib import Path
 import rerun as rr
 import rerun.blueprint as rrb
 
-from logs.words import counted
+from logs.names import counted
 from replay.draw.recording.tape import recording_file
 from replay.draw.recording.text import MARKDOWN, cell, document, link, table
 from replay.draw.report.model import DriveRow

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import rerun as rr
 
+from logs.names import counted
 from logs.scenario import Scenario
 from logs.trace import Decision, Graph, PlannedFrame, PlanStatus, Trace
-from logs.words import counted
 from replay.draw.recording.others import unseen
 from replay.draw.recording.states import Change, changes_under_way, lanes_driven
 from replay.draw.recording.tape import Instants, Tape

@@ -22,7 +22,7 @@ import rerun.blueprint as rrb
 
 from logs.errors import writing
 from logs.kernel import FloatArray, IntArray
-from logs.short_names import ShortNames
+from logs.names import ShortNames
 from replay.draw.recording.text import application_name, plain
 
 SIM_TIME = "sim_time"

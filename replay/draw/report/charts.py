@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from logs.kernel import FloatArray
-from logs.words import counted
+from logs.names import counted
 from replay.draw.axes import widened
 from replay.draw.charts.axes import BOTTOM_PX, Plane, for_words
 from replay.draw.charts.canvas import Chart, dot, legend, line, rect, shortened, text

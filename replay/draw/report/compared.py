@@ -15,7 +15,7 @@ from rich.console import Console, Group, RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
-from logs.words import counted
+from logs.names import counted
 from metrics.compare import DRIVE, Comparison
 from metrics.judge.gates import Outcome
 from replay.draw.report.console import grid, titled

@@ -16,7 +16,7 @@ from rich.segment import Segment
 from rich.table import Table
 from rich.text import Text
 
-from logs.words import VISIBLE
+from logs.names import VISIBLE
 
 _TABLE = {code: sign for code, sign in VISIBLE.items() if chr(code) not in "\n\t"}
 """`VISIBLE` without line ends and tabs."""

@@ -23,7 +23,7 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined
 from markupsafe import Markup
 
 from logs.errors import ConfigError, LogError, OutputError, ReplanError, raised, writing
-from logs.words import counted
+from logs.names import counted
 from metrics.compare import Comparison
 from metrics.judge.gates import Outcome
 from replay.draw.charts import Chart, subject

@@ -15,7 +15,7 @@ from urllib.parse import quote
 import pandas as pd
 
 from logs.errors import writing
-from logs.words import counted
+from logs.names import counted
 from metrics.compare import Comparison
 from metrics.judge.gates import Outcome
 from replay.draw.report.model import BROKEN, NOTHING, DriveRow, Overview, PassShare, legend

@@ -20,8 +20,8 @@ from typing import Any
 
 import pandas as pd
 
+from logs.names import counted
 from logs.trace import EndReason
-from logs.words import counted
 from metrics.compare import Comparison
 from metrics.judge import outcomes, worst
 from metrics.judge.aggregate import LogLabels, membership, pass_shares, standings

@@ -15,7 +15,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
-from logs.words import counted
+from logs.names import counted
 from metrics.judge.gates import Outcome
 from replay.draw.report.console import grid, titled
 from replay.draw.report.model import BROKEN, NOTHING, Overview, legend

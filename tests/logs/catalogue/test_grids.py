@@ -20,8 +20,8 @@ from logs.catalogue import CATALOGUE, FAMILIES, scenario
 from logs.catalogue.driver import drive
 from logs.catalogue.family import before_contact, touches
 from logs.catalogue.iso3888 import cones, double_lane_change
-from logs.catalogue.paper import START_M
 from logs.catalogue.roads import curve
+from logs.catalogue.scene import START_M
 from logs.catalogue.suites import SUITES, ordered, spread, suite
 from logs.mcap import write_scenario
 from logs.readers import read_log

@@ -20,8 +20,7 @@ from logs.mcap import write_scenario
 from logs.mcap.container import read_container
 from logs.mcap.part import write_part
 from logs.readers import LogSettings, read_log
-from logs.readers.cut import cut
-from logs.readers.nanoseconds import in_nanoseconds
+from logs.readers.cut import cut, in_nanoseconds
 from logs.repair import detections_of
 
 SECONDS = 400.0

@@ -15,10 +15,10 @@ from mcap_cases import rich_scenario
 
 from logs import LogError, Scenario
 from logs.mcap import write_scenario
+from logs.names import visible_name
 from logs.readers import LogSettings, read_log
 from logs.readers.admission import LIMITS, admitted, check_clocks, check_road, printable
 from logs.vehicle import VehicleParameters
-from logs.words import visible_name
 
 LOG = rich_scenario(20)
 

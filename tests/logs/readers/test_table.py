@@ -234,7 +234,7 @@ def test_times_in_another_unit_are_refused(tmp_path: Path) -> None:
     ego = pd.DataFrame({"t": np.arange(20) * 100_000_000, "x": np.arange(20.0), "y": 0.0, "yaw": 0.0})
     ego.to_csv(tmp_path / "ego.csv", index=False)
     with pytest.raises(
-        LogError, match=r"lasts 1\.9e\+09 s; more than a week is no drive: look at the units of its times"
+        LogError, match=r"lasts 1\.9e\+09 s; a drive lasts less than a week: check the units of the times"
     ):
         read_log(tmp_path)
     assert read_log(tmp_path, LogSettings(columns={"t": "t [ns]"})).duration == 1.9

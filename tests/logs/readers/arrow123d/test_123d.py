@@ -22,7 +22,8 @@ from logs.readers import read_log, reader_of
 from logs.readers.arrow123d import READER
 from logs.readers.arrow123d.log import BOXES, read_ego, read_frames
 from logs.readers.arrow123d.map import LANE, read_objects, road_of_map
-from logs.readers.recorded.poses import composed, fitted, kept, rotated, unit, yaw_of
+from logs.readers.quaternions import heading, product, rotated
+from logs.readers.recorded.boxes import fitted, kept, unit
 from logs.readers.recorded.strips import crossable
 from logs.readers.recorded.tables import Lists, array_of, ipc_table, metadata_of, vectors
 from replay.run.sources import select
@@ -52,9 +53,9 @@ def test_turning_twice_is_turning_by_the_product(numbers: list[float], place: li
         return
     q, r = (unit(each / np.sqrt((each * each).sum())) for each in (q, r))
     b = np.array([place])
-    assert rotated(q, rotated(r, b)) == pytest.approx(rotated(composed(q, r), b), abs=1e-9)
+    assert rotated(q, rotated(r, b)) == pytest.approx(rotated(product(q, r), b), abs=1e-9)
     ahead = rotated(q, np.array([[1.0, 0.0, 0.0]]))[0]
-    assert np.hypot(*ahead[:2]) < 1e-6 or yaw_of(q)[0] == pytest.approx(np.arctan2(ahead[1], ahead[0]), abs=1e-9)
+    assert np.hypot(*ahead[:2]) < 1e-6 or heading(q)[0] == pytest.approx(np.arctan2(ahead[1], ahead[0]), abs=1e-9)
 
 
 @given(st.floats(-20.0, 20.0), st.floats(-5.0, 5.0), st.sampled_from([10, 50, 170]), st.integers(0, 99))
@@ -331,7 +332,7 @@ def test_samples_are_what_their_figures_say(shared_data: Path, figures: dict[str
         at = int(np.searchsorted(rows.time_us, table["ego_state_se3.timestamp_us"][row].as_py()))
         for part, key in (("rear_axle_to_imu_se3", "first_rear_axle"), ("center_to_imu_se3", "first_center")):
             assert rows.world(rows.part(part))[at] == pytest.approx(facts[key], abs=1e-6)
-        assert yaw_of(rows.q)[at] == pytest.approx(facts["first_yaw"], abs=1e-6)
+        assert heading(rows.q)[at] == pytest.approx(facts["first_yaw"], abs=1e-6)
         boxes = ipc_table(folder / f"{BOXES}.arrow")
         lists = Lists(boxes, f"{BOXES}.label")
         labels, counts = np.unique(lists.numbers(f"{BOXES}.label"), return_counts=True)

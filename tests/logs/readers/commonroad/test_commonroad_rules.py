@@ -12,9 +12,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from logs import Colour, LogError, Scenario, StopLine
+from logs.readers.commonroad.document import COLOURS
 from logs.readers.commonroad.read import read_commonroad
 from logs.readers.commonroad.rules import meet
-from logs.readers.commonroad.signals import COLOURS
 
 LEFT, STRAIGHT, RIGHT = 1, 2, 3
 few = settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

@@ -28,11 +28,11 @@ from logs.mcap import read_scenario, write_scenario
 from logs.readers import LogSettings, read_log, reader_of, windows
 from logs.readers.cut import cut
 from logs.readers.ros import bag as door
-from logs.readers.ros.clocks import clock_of, times_of
+from logs.readers.ros.ego import rates
 from logs.readers.ros.fields import MOST_FIELDS, decoder
-from logs.readers.ros.identity import joined
-from logs.readers.ros.motion import rates
-from logs.readers.ros.rectangles import smallest_rectangles
+from logs.readers.ros.frames import clock_of, times_of
+from logs.readers.ros.objects import smallest_rectangles
+from logs.readers.ros.tracks import joined
 from logs.repair.names import no_identities
 from logs.states import OnboardPlan
 from logs.transform import mirrored, moved

@@ -32,7 +32,7 @@ from logs import (
 from logs.detections import Repair
 from logs.errors import ConfigError, OutputError
 from logs.kernel import FloatArray
-from logs.presence import MAX_AGE_S
+from logs.observed import MAX_AGE_S
 from logs.repair import detections_of
 from metrics import series
 from replay.draw.axes import multiples, nice_step

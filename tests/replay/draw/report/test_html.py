@@ -13,7 +13,7 @@ from handmade import drive, lanes_along, scenario, square, straight, track, trac
 
 from logs import Goal
 from logs.mcap import write_scenario
-from logs.words import visible_name
+from logs.names import visible_name
 from replay.compare import compare_runs, opened
 from replay.config import RunConfig
 from replay.draw.charts import subject, worst_moment

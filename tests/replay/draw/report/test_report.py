@@ -22,7 +22,7 @@ from short_logs import free_and_blocked
 from typer.testing import CliRunner
 
 from logs.mcap import write_scenario
-from logs.words import visible_name
+from logs.names import visible_name
 from metrics.compare.tables import GROUP_COLUMNS, PAIR_COLUMNS, Comparison, RuleVerdict
 from metrics.judge.gates import Outcome
 from replay.cli import app

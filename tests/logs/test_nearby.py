@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from logs import AgentKind, Agents, Tracks
-from logs.around import BACK_S, SPAN_S, Around, Recent
+from logs.nearby import BACK_S, SPAN_S, NearbyTracks, Recent
 from logs.states import EgoState
 from logs.vehicle import VehicleParameters
 from replay.world import World, contact
@@ -46,7 +46,7 @@ def same(one: Agents, two: Agents) -> bool:
 
 @given(st.integers(0, 10_000), st.floats(-2.0, UNTIL_S))
 def test_who_is_perceived_and_how_is_the_same_to_the_bit(seed: int, begin: float) -> None:
-    whole, around = come_and_go(seed), Around(few=0)
+    whole, around = come_and_go(seed), NearbyTracks(few=0)
     for time in begin + np.array([0.0, 0.05, 0.7, 3.0, SPAN_S - 0.01, SPAN_S, 3.0 * SPAN_S, 1.0]):
         part = around.of(whole, float(time), float(time))
         assert same(part.perceived(float(time)), whole.perceived(float(time)))
@@ -56,7 +56,7 @@ def test_who_is_perceived_and_how_is_the_same_to_the_bit(seed: int, begin: float
 @given(st.integers(0, 10_000), st.floats(-2.0, UNTIL_S))
 def test_who_is_touched_is_the_same(seed: int, time: float) -> None:
     whole = come_and_go(seed)
-    part = Around(few=0).of(whole, time, time)
+    part = NearbyTracks(few=0).of(whole, time, time)
     for agent in whole.truth(time).ids[:3]:
         at = whole.truth(time).ids.index(agent)
         there = whole.truth(time)
@@ -66,7 +66,7 @@ def test_who_is_touched_is_the_same(seed: int, time: float) -> None:
 
 
 def test_a_part_is_kept_for_its_span_and_holds_no_more_than_around_it() -> None:
-    whole, around = come_and_go(1, 200), Around(few=0)
+    whole, around = come_and_go(1, 200), NearbyTracks(few=0)
     part = around.of(whole, 50.0, 50.0)
     assert around.of(whole, 50.0 + SPAN_S, 50.0 + SPAN_S) is part
     assert around.of(whole, 51.0, 50.5 + SPAN_S) is not part
@@ -74,7 +74,7 @@ def test_a_part_is_kept_for_its_span_and_holds_no_more_than_around_it() -> None:
     assert len(part.t) < 0.4 * len(whole.t) and part.t[moving].max() < 50.0 + SPAN_S + 5.0
     inner = [part.t[part.samples(i)] for i in range(len(part))]
     assert all((t > 50.0 - BACK_S - 2.0).sum() >= len(t) - 12 for t in inner[:-1])
-    assert Around().of(part, 50.0, 50.0) is part
+    assert NearbyTracks().of(part, 50.0, 50.0) is part
 
 
 def test_some_of_those_around_now_are_some_of_the_whole() -> None:

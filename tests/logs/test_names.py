@@ -6,7 +6,7 @@ from random import Random
 from hypothesis import given
 from hypothesis import strategies as st
 
-from logs.short_names import LEAST, LONGEST, ShortNames
+from logs.names import LEAST, LONGEST, ShortNames
 
 CODES = st.uuids().map(str) | st.text("0123456789abcdef-", min_size=9, max_size=40) | st.text("01", min_size=9)
 WORDS = st.text(string.ascii_letters + string.digits + " _~:.-", min_size=1, max_size=20)

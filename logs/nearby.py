@@ -2,7 +2,7 @@
 
 A part of some tracks answers what is asked of an instant in its span (`Tracks.perceived`, where a box is) as the whole
 does, to the bit: of who is in it, it has all samples within the span, one beyond, and before it those of `BACK_S`, at
-least `OWN`. `BACK_S` is longer than a sample stands for its agent (`logs.presence.MAX_GAP_S`) and trends reach back
+least `OWN`. `BACK_S` is longer than a sample stands for its agent (`logs.observed.MAX_GAP_S`) and trends reach back
 (`logs.scenario.TREND_S`) together.
 """
 
@@ -17,7 +17,7 @@ import numpy as np
 from logs.agents import AgentKind
 from logs.kernel import BoolArray, FloatArray, IntArray, frozen
 from logs.motion import Motion
-from logs.presence import INTERVALS
+from logs.observed import INTERVALS
 from logs.scenario import Tracks
 
 BACK_S = 15.0
@@ -54,7 +54,7 @@ class Spans:
         return who, low, high
 
 
-class Around:
+class NearbyTracks:
     """Parts of the tracks that are asked for, each kept for as long as it will do.
 
     Args:

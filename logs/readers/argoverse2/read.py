@@ -1,0 +1,349 @@
+"""Argoverse 2's sensor logs, motion-forecasting scenarios and vector maps as scenarios.
+
+Sensor logs. city_SE3_egovehicle.feather has the pose of the ego's rear axle, some 170 times a second. The annotations
+have boxes in the ego's frame, 10 times a second, each at the time of one of these poses:
+
+(1) box centre = p + q b q*,  heading of q q_box             p, q the ego's pose at the time of the box
+
+There are no velocities. The ego's are derived from the poses before each state, the agents' by backward differences,
+and the scenario begins at the second frame, so that every state has something before it. The box of the category
+EGO_VEHICLE, which some logs have, is left out.
+
+Motion-forecasting scenarios are 11 s of tracks at 10 Hz, with velocities and without sizes. The ego is the track "AV"
+(`ego` of the settings: another vehicle). Positions are taken as centres of boxes, and sizes are those usual for the
+kind. All 11 s are read: what a forecaster has to predict is past for a replay.
+
+Maps (log_map_archive_*.json) have lane segments with markings, and pedestrian crossings. They have no speed limits,
+stop lines, traffic lights or right of way. Drivable areas have no place in a Road.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from logs.agents import AgentKind
+from logs.errors import LogError
+from logs.kernel import FloatArray, IntArray
+from logs.mcap.complete import ASSUMED, assumed_limit, completed, road_along
+from logs.observed import of_stream
+from logs.readers.argoverse2 import POSES, scenario_id
+from logs.readers.arrow123d.log import AV2_CATEGORIES
+from logs.readers.base import Contents, LogSettings, TopicSummary, beside
+from logs.readers.quaternions import heading, product, rotated
+from logs.readers.recorded.boxes import (
+    Boxes,
+    car_of,
+    driven,
+    from_second,
+    is_unit,
+    kept,
+    ordered,
+    since,
+    states_at,
+    tracks_of,
+    unit,
+)
+from logs.readers.recorded.strips import LARGEST_M, Strip, lanes_of
+from logs.readers.recorded.tables import ipc_table, numbers, parquet_table, reading, whole, words
+from logs.road import Road
+from logs.rules import Crosswalk
+from logs.scenario import Scenario
+from logs.states import Trajectory
+
+FORD_FUSION = {"length": 4.869, "width": 2.127, "wheelbase": 2.850, "rear_overhang": 0.5 * 4.869 - 1.339}
+"""The recording car, m (py123d 0.7.0): the width is with mirrors, the centre 1.339 m ahead of the rear axle."""
+LICENCE = "CC BY-NC-SA 4.0 and the terms of Argoverse 2"
+EGO_CATEGORY = "EGO_VEHICLE"
+TURN, PLACE, SIZE = ("qw", "qx", "qy", "qz"), ("tx_m", "ty_m", "tz_m"), ("length_m", "width_m")
+POSE_APART_NS = 20_000_000
+"""The largest difference in time between a box and the pose by which it is placed."""
+EGO, RATE_HZ, MOST_STEPS = "AV", 10.0, 1_000_000
+STATE = ("position_x", "position_y", "heading", "velocity_x", "velocity_y")
+OBJECT_TYPES = {
+    "vehicle": AgentKind.CAR, "bus": AgentKind.BUS, "pedestrian": AgentKind.PEDESTRIAN, "cyclist": AgentKind.BICYCLE,
+    "motorcyclist": AgentKind.MOTORCYCLE, "riderless_bicycle": AgentKind.BICYCLE,
+}  # fmt: skip
+"""Others ("static", "background", "construction", "unknown") are objects."""
+LANE_TYPES = {"VEHICLE": "surface_street", "BIKE": "bike_lane", "BUS": "bus_lane"}
+"""As 123D calls them."""
+
+
+# Sensor logs
+
+
+def annotations_of(folder: Path) -> Path | None:
+    """The file of the boxes: annotations.feather, else the first of annotations*.feather."""
+    found = sorted(
+        folder.glob("annotations*.feather"), key=lambda path: (path.name != "annotations.feather", path.name)
+    )
+    return found[0] if found else None
+
+
+def sensor_files(folder: Path) -> tuple[Path, ...]:
+    """The files of a sensor log that are read."""
+    found = (folder / POSES, annotations_of(folder), map_beside(folder))
+    return tuple(path for path in found if path is not None)
+
+
+def sensor_contents(folder: Path) -> Contents:
+    """The poses and boxes of a sensor log with their times."""
+    topics = []
+    for path in (folder / POSES, annotations_of(folder)):
+        if path is None:
+            continue
+        try:
+            times = whole(ipc_table(path, ("timestamp_ns",)), "timestamp_ns")
+        except (LogError, ValueError):
+            continue
+        first, last = (int(times.min()), int(times.max())) if len(times) else (None, None)
+        what = "poses" if path.name == POSES else "boxes"
+        topics.append(TopicSummary(path.name, what, "arrow", "feather", len(times), first, last))
+    return Contents("Argoverse 2 sensor log", tuple(topics))
+
+
+def poses_of(folder: Path) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Times ns `(n,)`, increasing strictly, positions `(n, 3)` m and quaternions (x, y, z, w) `(n, 4)` of the ego."""
+    path = folder / POSES
+    table = ipc_table(path, ("timestamp_ns", *TURN, *PLACE))
+    with reading(path):
+        times, at = np.unique(whole(table, "timestamp_ns"), return_index=True)
+        if not len(times):
+            raise LogError("the log has no ego poses")
+        place, turn = (np.column_stack([numbers(table, name)[at] for name in names]) for names in (PLACE, TURN))
+        if not (np.isfinite(place).all() and np.isfinite(turn).all()):
+            k = int(np.argmin(np.isfinite(np.hstack([place, turn])).all(axis=1)))
+            raise LogError("a pose of the ego is not finite", time_ns=int(times[k]))
+        return times, place, unit(turn)
+
+
+def read_sensor_log(folder: Path, settings: LogSettings) -> Scenario:
+    """The scenario in the folder of a sensor log (module docstring).
+
+    Raises:
+        LogError: A file is damaged, a pose of the ego is not finite, or the boxes are on another clock than the poses.
+    """
+    notes: list[str] = []
+    times, place, turn = poses_of(folder)
+    boxes, frames = _boxes(folder, times, place, turn, notes)
+    t = (times - times[0]) / 1e9
+    with reading(folder / POSES):
+        apart = np.r_[True, np.diff(t) > 1e-4] | np.isin(times, frames)
+        drive = driven(t[apart], place[apart, 0], place[apart, 1], heading(turn[apart]), notes)
+        relative = (frames - times[0]) / 1e9
+        index = from_second(kept(drive.t, relative), drive.t, relative[:1], notes)
+        ego = states_at(drive, index)
+        if not settings.car:
+            notes.append("The ego is a Ford Fusion, 4.87 x 2.13 m with mirrors, as the log has no sizes of it.")
+        vehicle = car_of({**FORD_FUSION, **settings.car}, notes)
+    start, origin = float(ego.t[0]), np.round([ego.x[0], ego.y[0]])
+    ego = replace(ego, t=since(start, ego.t), x=ego.x - origin[0], y=ego.y - origin[1])
+    boxes = replace(boxes, t=since(start, boxes.t), x=boxes.x - origin[0], y=boxes.y - origin[1])
+    tracks = tracks_of(ordered(boxes, notes), notes)
+    return Scenario(
+        name=folder.name,
+        ego=ego,
+        tracks=tracks,
+        road=road_for(map_beside(folder), origin, ego, notes),
+        duration=float(ego.t[-1]),
+        vehicle=vehicle,
+        tags=("argoverse2", "recorded"),
+        source="Argoverse 2 sensor log",
+        licence=LICENCE,
+        origin=(float(origin[0]), float(origin[1])),
+        start_ns=int(times[np.flatnonzero(apart)[index[0]]]),
+        metadata={"log_id": folder.name},
+        notes=tuple(notes),
+        traffic=of_stream((frames - times[0]) / 1e9 - start),
+    )
+
+
+def _boxes(
+    folder: Path, times: IntArray, place: FloatArray, turn: FloatArray, notes: list[str]
+) -> tuple[Boxes, IntArray]:
+    """All boxes in the city's frame (1), s since the first pose, and the times of the frames, ns."""
+    path, none = beside(folder, ("annotations.feather",)) or annotations_of(folder), np.empty(0)
+    if path is None:
+        notes.append("The log has no annotations: there are no other road users.")
+        return Boxes((), (), none, none.astype(np.int64), *(none,) * 7), none.astype(np.int64)
+    table = ipc_table(path, ("timestamp_ns", "track_uuid", "category", *SIZE, *TURN, *PLACE))
+    with reading(path):
+        (owner, names), (category, categories) = words(table, "track_uuid"), words(table, "category")
+        stamps = whole(table, "timestamp_ns")
+        local, length, width = (numbers(table, name) for name in ("tx_m", *SIZE))
+        local = np.column_stack([local, numbers(table, "ty_m"), numbers(table, "tz_m")])
+        part = np.column_stack([numbers(table, name) for name in TURN])
+        after = np.clip(np.searchsorted(times, stamps), 0, len(times) - 1)
+        earlier = np.maximum(after - 1, 0)
+        at = np.where(np.abs(times[earlier] - stamps) < np.abs(times[after] - stamps), earlier, after)
+        near = np.abs(times[at] - stamps) <= POSE_APART_NS
+        if len(stamps) and not near.any():
+            spans = [f"{some.min() / 1e9:.3f} to {some.max() / 1e9:.3f} s" for some in (stamps, times)]
+            what = f"times from {spans[0]}, the ego's are from {spans[1]}: they do not overlap"
+            raise LogError(what, file=folder, topic=path.name, remedy="give both times of one clock")
+        usable = near & np.isfinite(local).all(axis=1) & is_unit(part)
+        if not usable.all():
+            notes.append(
+                f"{(~usable).sum()} of {len(usable)} boxes have no ego pose or no pose of their own: left out."
+            )
+        foreign = sorted(name for name in categories if name not in AV2_CATEGORIES and name != EGO_CATEGORY)
+        keep = usable & (np.array([name != EGO_CATEGORY for name in categories], dtype=bool)[category])
+        at = at[keep]
+        centre = place[at] + rotated(turn[at], local[keep])
+        yaw = heading(product(turn[at], unit(part[keep])))
+        t, unknown = (stamps[keep] - times[0]) / 1e9, np.full(len(at), np.nan)
+        if foreign:
+            notes.append(f"Categories that are not known are taken as objects: {', '.join(foreign)[:200]}.")
+        kinds = _kinds(owner, category, categories, len(names), AV2_CATEGORIES)
+        found = (t, owner[keep], centre[:, 0], centre[:, 1], yaw, length[keep], width[keep], unknown, unknown)
+        return Boxes(tuple(names), kinds, *found), np.unique(stamps)
+
+
+def _kinds(
+    owner: IntArray, label: IntArray, labels: list[str], count: int, kinds: Mapping[str, AgentKind]
+) -> tuple[AgentKind, ...]:
+    """The kind of each of `count` road users, by the label of its first row."""
+    there, first = np.unique(owner, return_index=True)
+    word = dict(zip(there.tolist(), (labels[k] for k in label[first]), strict=True))
+    return tuple(kinds.get(word.get(i, ""), AgentKind.OBJECT) for i in range(count))
+
+
+# Motion-forecasting scenarios
+
+
+def forecasting_contents(path: Path) -> Contents:
+    """The number of samples in a motion-forecasting scenario."""
+    try:
+        steps = whole(parquet_table(path, ("timestep",)), "timestep")
+    except (LogError, ValueError):
+        return Contents("Argoverse 2 motion-forecasting scenario that cannot be read")
+    topic = TopicSummary("tracks", "parquet", "parquet", "parquet", len(steps), None, None)
+    return Contents("Argoverse 2 motion-forecasting scenario", (topic,))
+
+
+def read_forecasting(path: Path, settings: LogSettings) -> Scenario:
+    """The scenario in a Parquet file and the map beside it.
+
+    Raises:
+        LogError: The file is damaged, or has no finite poses of the ego.
+    """
+    notes: list[str] = []
+    table = parquet_table(path, ("track_id", "object_type", "timestep", *STATE))
+    with reading(path):
+        (owner, names), (kind, kinds) = words(table, "track_id"), words(table, "object_type")
+        step = whole(table, "timestep")
+        if (np.abs(step) > MOST_STEPS).any():
+            raise LogError(f"a time step is beyond {MOST_STEPS}")
+        state = np.column_stack([numbers(table, name) for name in STATE])
+        its = _ego_rows(owner, names, step, state, settings.ego or EGO)
+        origin = np.round(state[its[0], :2])
+        state[:, :2] -= origin
+        t = (step - step[its[0]]) / RATE_HZ
+        vehicle = car_of({**FORD_FUSION, **settings.car}, notes)
+        x, y, yaw, vx, vy = state[its].T
+        cos, sin = np.cos(yaw), np.sin(yaw)
+        x, y = x - vehicle.axle_to_center * cos, y - vehicle.axle_to_center * sin
+        v, unknown = vx * cos + vy * sin, np.full(len(its), np.nan)
+        if np.isfinite(v).all():
+            columns = {"t": t[its], "x": x, "y": y, "yaw": yaw, "v": v, "a": unknown, "kappa": unknown}
+            ego = completed(columns, notes)
+        else:
+            ego = driven(t[its], x, y, yaw, notes)
+        x, y, yaw, vx, vy = state.T
+        unsized = np.full(len(t), np.nan)
+        kinds_of = _kinds(owner, kind, kinds, len(names), OBJECT_TYPES)
+        boxes = Boxes(tuple(names), kinds_of, t, owner, x, y, yaw, unsized, unsized, vx, vy)
+        tracks = tracks_of(ordered(boxes.taken(owner != owner[its[0]]), notes), notes)
+    notes.append("Places are taken as centres of boxes.")
+    return Scenario(
+        name=path.stem,
+        ego=ego,
+        tracks=tracks,
+        road=road_for(map_beside(path.parent, scenario_id(path)), origin, ego, notes),
+        duration=float(ego.t[-1]),
+        vehicle=vehicle,
+        tags=("argoverse2", "recorded"),
+        source="Argoverse 2 motion-forecasting scenario",
+        licence=LICENCE,
+        origin=(float(origin[0]), float(origin[1])),
+        start_ns=round(1e9 * int(step[its[0]] - step.min()) / RATE_HZ),
+        metadata={"scenario_id": scenario_id(path), "ego": settings.ego or EGO},
+        notes=tuple(notes),
+        traffic=of_stream(t),
+    )
+
+
+def _ego_rows(owner: IntArray, names: list[str], step: IntArray, state: FloatArray, ego: str) -> IntArray:
+    """The rows of the ego by time."""
+    if ego not in names:
+        some = ", ".join(names[:8]) or "none"
+        raise LogError(f"there is no track '{ego}'", topic="track_id", remedy=f"name the ego; there are {some}")
+    rows = np.flatnonzero(owner == names.index(ego))
+    rows = rows[np.unique(step[rows], return_index=True)[1]]
+    if not np.isfinite(state[rows, :3]).all():
+        raise LogError(f"a pose of track '{ego}' is not finite")
+    return rows
+
+
+# Maps
+
+
+def map_beside(folder: Path, name: str = "*") -> Path | None:
+    """The map of a log, in its folder or in the folder `map` there; None: there is none."""
+    found = sorted((*folder.glob(f"map/log_map_archive_{name}.json"), *folder.glob(f"log_map_archive_{name}.json")))
+    return found[0] if found else None
+
+
+def road_for(path: Path | None, origin: FloatArray, ego: Trajectory, notes: list[str]) -> Road:
+    """The road in a map, with an assumed speed limit; along the driven path where there is no map."""
+    if path is None:
+        return road_along(ego, notes)
+    road = road_of_json(path, origin, notes)
+    limit = assumed_limit(ego)
+    notes.append(f"The lanes have no speed limits: {limit:.1f} m/s is assumed ({ASSUMED}).")
+    return replace(road, default_speed_limit=limit)
+
+
+def road_of_json(path: Path, origin: FloatArray, notes: list[str]) -> Road:
+    """The road in a map file, relative to `origin` `(2,)`; LogError where it is no such map or has no lanes."""
+    with reading(path):
+        found = msgspec.json.decode(path.read_bytes())
+        lanes, keeps_right = lanes_of([_strip(each, origin) for each in found["lane_segments"].values()], notes)
+        if not lanes:
+            raise LogError("the map has no lanes that can be used")
+        walks = [_crosswalk(each, origin) for each in found.get("pedestrian_crossings", {}).values()]
+        notes.append("The map has no right of way, stop lines or traffic lights: who goes first is not known.")
+        return Road(lanes, drives_on_right=keeps_right, crosswalks=tuple(walk for walk in walks if walk is not None))
+
+
+def _strip(lane: Mapping[str, Any], origin: FloatArray) -> Strip:
+    kind = LANE_TYPES.get(lane["lane_type"], "undefined")
+    return Strip(
+        int(lane["id"]),
+        _points(lane["left_lane_boundary"]) - origin,
+        _points(lane["right_lane_boundary"]) - origin,
+        successors=tuple(dict.fromkeys(int(i) for i in lane["successors"])),
+        beside=(lane["left_neighbor_id"], lane["right_neighbor_id"]),
+        kind=kind,
+        marks=(str(lane["left_lane_mark_type"]), str(lane["right_lane_mark_type"])),
+        drivable=kind not in ("bike_lane", "bus_lane"),
+    )
+
+
+def _points(points: list[Mapping[str, float]]) -> FloatArray:
+    return np.array([(p["x"], p["y"]) for p in points], dtype=np.float64).reshape(-1, 2)
+
+
+def _crosswalk(walk: Mapping[str, Any], origin: FloatArray) -> Crosswalk | None:
+    """The ground between the two edges; None where they are no edges."""
+    one, other = (_points(walk[name]) - origin for name in ("edge1", "edge2"))
+    if min(len(one), len(other)) < 2 or not (np.abs(np.vstack([one, other])) < LARGEST_M).all():
+        return None
+    if (other[-1] - other[0]) @ (one[-1] - one[0]) > 0.0:
+        other = other[::-1]
+    return Crosswalk(int(walk["id"]), np.vstack([one, other]))

@@ -1,0 +1,241 @@
+"""The tree of coordinate frames of a bag, and the clock of its messages.
+
+Frames. `/tf` and `/tf_static` are the edges. With q the rotation (`logs.readers.quaternions`) and p the translation of
+a child in its parent, a chain of two edges is
+
+(1) p = p1 + q1 p2 q1*,   q = q1 q2
+
+The pose of a frame at a time is that of the edges' samples: `held` is the last one not later; `between` is the straight
+line (and the normalised mean of the quaternions) between the two around that time, to place what a moving sensor saw.
+
+Clock. A message has the log time of its record, and may have the stamp that its sender put into its header. A stamp is
+the time of the measurement. Log times are later by the time of computation, and jitter: differences of positions by log
+time are useless where several messages are written at once. So stamps are used where all messages of a topic have one.
+A topic whose stamps are of another clock than the ego's is read by log time.
+
+(2) t_stamp(log) = the ego's stamp, interpolated over the ego's log time: for messages without a stamp
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from logs.errors import LogError
+from logs.kernel import FloatArray, IntArray
+from logs.readers.quaternions import heading, product, rotated
+
+HELD, BETWEEN = "held", "between"
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Poses of a frame in another: times `(n,)` ns, rising; positions `(n, 3)` m; quaternions `(n, 4)` x, y, z, w."""
+
+    t: IntArray
+    p: FloatArray
+    q: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+    @property
+    def yaw(self) -> FloatArray:
+        """Heading of the x axis `(n,)`, rad."""
+        return heading(self.q)
+
+
+def composed(a: Poses, b: Poses) -> Poses:
+    """(1), sample by sample."""
+    return Poses(a.t, a.p + rotated(a.q, b.p), product(a.q, b.q))
+
+
+def inverse(a: Poses) -> Poses:
+    """The parent in the child."""
+    q = a.q * np.array([-1.0, -1.0, -1.0, 1.0])
+    return Poses(a.t, -rotated(q, a.p), q)
+
+
+def unit(q: FloatArray) -> FloatArray:
+    """Quaternions of length 1; those that are 0 turn nothing, as senders who leave them out mean it."""
+    size = np.linalg.norm(q, axis=1, keepdims=True)
+    return np.where(size > 1e-9, q / np.where(size > 1e-9, size, 1.0), np.array([0.0, 0.0, 0.0, 1.0]))
+
+
+def sampled(poses: Poses, t: IntArray, how: str) -> Poses:
+    """The pose at other times `(m,)` ns; before the first sample it is the first, after the last the last."""
+    before = np.clip(np.searchsorted(poses.t, t, side="right") - 1, 0, len(poses) - 1)
+    if how == HELD:
+        return Poses(t, poses.p[before], poses.q[before])
+    after = np.minimum(before + 1, len(poses) - 1)
+    span = (poses.t[after] - poses.t[before]).astype(np.float64)
+    u = np.clip(np.divide(t - poses.t[before], span, out=np.zeros(len(t)), where=span > 0.0), 0.0, 1.0)[:, None]
+    p = poses.p[before] + u * (poses.p[after] - poses.p[before])
+    near = np.where(np.sum(poses.q[before] * poses.q[after], axis=1, keepdims=True) < 0.0, -1.0, 1.0)
+    return Poses(t, p, unit((1.0 - u) * poses.q[before] + u * near * poses.q[after]))
+
+
+class Frames:
+    """The tree of frames.
+
+    Args:
+        edges: (parent, child, poses of the child in the parent), each pair once.
+    """
+
+    def __init__(self, edges: Iterable[tuple[str, str, Poses]]) -> None:
+        self.edges = {(parent, child): poses for parent, child, poses in edges if len(poses)}
+        self.parents: dict[str, str] = {}
+        for parent, child in sorted(self.edges, key=lambda edge: (-len(self.edges[edge]), edge)):
+            self.parents.setdefault(child, parent)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All frames, sorted."""
+        return tuple(sorted({name for edge in self.edges for name in edge}))
+
+    @property
+    def roots(self) -> tuple[str, ...]:
+        """Frames that have no parent, sorted."""
+        return tuple(name for name in self.names if name not in self.parents)
+
+    def path(self, name: str) -> list[str]:
+        """The frame, its parent, and so on to its root; it ends where it would go round."""
+        out = [name]
+        while out[-1] in self.parents and self.parents[out[-1]] not in out:
+            out.append(self.parents[out[-1]])
+        return out
+
+    def chain(self, above: str, below: str) -> list[tuple[str, str, bool]]:
+        """Edges from a frame to another: (parent, child, whether it is gone down).
+
+        Raises:
+            LogError: No transforms connect them.
+        """
+        up, down = self.path(above), self.path(below)
+        meet = next((name for name in up if name in down), None)
+        if meet is None:
+            what = f"no transform leads from frame {above!r} to {below!r}; there are {', '.join(self.names) or 'none'}"
+            raise LogError(what, topic="/tf", remedy="name the log's own under frames (map, base)")
+        climbed = [(self.parents[name], name, False) for name in up[: up.index(meet)]]
+        return climbed + [(self.parents[name], name, True) for name in reversed(down[: down.index(meet)])]
+
+    def poses(self, above: str, below: str, t: IntArray, how: str) -> Poses:
+        """The pose of frame `below` in `above` at times `(m,)` ns."""
+        n = len(t)
+        out = Poses(t, np.zeros((n, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (n, 1)))
+        for parent, child, down in self.chain(above, below):
+            step = sampled(self.edges[parent, child], t, how)
+            out = composed(out, step if down else inverse(step))
+        return out
+
+    def times(self, above: str, below: str) -> IntArray:
+        """When the chain moves: times of its edge with most samples, from when all of its edges are known; ns."""
+        edges = [self.edges[parent, child] for parent, child, _ in self.chain(above, below)]
+        moving = [edge for edge in edges if len(edge) > 1]
+        if not moving:
+            return np.empty(0, np.int64)
+        t = max(moving, key=len).t
+        return t[t >= max(edge.t[0] for edge in moving)]
+
+
+OTHER_CLOCK_S = 1.0
+"""Topics whose median offset differs by more from the ego's are stamped by another clock; messages by more from their
+topic's median are stale."""
+SAID_S = 0.1
+"""Offsets from here on are reported."""
+DROPOUT_S, DROPOUT_INTERVALS = 0.3, 5.0
+"""A gap counts as a drop-out from so many s on, if it is also so many times the usual interval."""
+_DROPOUTS_SHOWN = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Clock:
+    """How log times become times of the scenario's clock, ns: samples (2) of both, rising; empty: they are the same."""
+
+    log: IntArray
+    stamp: IntArray
+
+    def __call__(self, log: IntArray) -> IntArray:
+        """Log times `(n,)` as times of the scenario's clock."""
+        if not len(self.log):
+            return log
+        since = np.interp(log - self.log[0], self.log - self.log[0], self.stamp - self.stamp[0])
+        inner = self.stamp[0] + np.rint(since).astype(np.int64)  # whole: times since an epoch are no floats
+        out = np.where(log < self.log[0], log - self.log[0] + self.stamp[0], inner)
+        return np.where(log > self.log[-1], log - self.log[-1] + self.stamp[-1], out)
+
+
+LOG_CLOCK = Clock(np.empty(0, np.int64), np.empty(0, np.int64))
+
+
+def offsets(log: IntArray, stamps: IntArray) -> FloatArray:
+    """How much later than stamped the messages were recorded `(n,)`, s."""
+    return (log - stamps) / 1e9
+
+
+def stamped(stamps: IntArray) -> bool:
+    """Whether all messages of a topic have a stamp."""
+    return bool(len(stamps) and (stamps > 0).all())
+
+
+def clock_of(log: IntArray, stamps: IntArray, choice: str) -> Clock:
+    """The scenario's clock by the ego's messages: their stamps, unless the choice is "log" or there are none."""
+    if choice == "log" or not stamped(stamps):
+        return LOG_CLOCK
+    rising = np.flatnonzero(np.diff(log, prepend=log[0] - 1) > 0)
+    return Clock(log[rising], np.maximum.accumulate(stamps)[rising])
+
+
+def times_of(topic: str, log: IntArray, stamps: IntArray, clock: Clock, notes: list[str]) -> tuple[IntArray, IntArray]:
+    """Times of a topic's messages `(k,)` ns, rising strictly, and which messages they are `(k,)`.
+
+    Stale ones (by (2) more than `OTHER_CLOCK_S` later than the topic's usual) are left out, and of several with one
+    time all but the last recorded.
+    """
+    keep = np.arange(len(log))
+    if not len(clock.log) or not stamped(stamps):
+        times = clock(log)
+    else:
+        late = offsets(clock(log), stamps)
+        usual = float(np.median(late))
+        near = np.flatnonzero(np.abs(late - usual) <= OTHER_CLOCK_S)
+        if abs(usual) > OTHER_CLOCK_S or not len(near):
+            notes.append(
+                f"The stamps of {topic} are of another clock than the ego's ({usual:+.1f} s): its log times count."
+            )
+            times = clock(log)
+        else:
+            keep = near
+            if len(keep) < len(log):
+                worst = float(np.abs(late - usual).max())
+                notes.append(
+                    f"{len(log) - len(keep)} of {len(log)} messages of {topic} are stale, by up to {worst:.1f} s, and"
+                    " left out."
+                )
+            times = stamps[keep]
+    order = np.argsort(times, kind="stable")
+    last = np.append(np.diff(times[order]) > 0, True)
+    return times[order][last], keep[order][last]
+
+
+def said(topic: str, log: IntArray, stamps: IntArray, start_ns: int) -> list[str]:
+    """Sentences on a topic's clock and its drop-outs; none where there is nothing to say."""
+    out = []
+    if stamped(stamps):
+        late = offsets(log, stamps)
+        usual, worst = float(np.median(late)), float(late[np.argmax(np.abs(late))])
+        if max(abs(usual), abs(worst)) > SAID_S:
+            out.append(f"{topic} is recorded {usual:.3f} s after its stamps (median), at most {worst:.3f} s.")
+    if len(log) > 2:
+        apart = np.diff(log) / 1e9
+        usual = float(np.median(apart))
+        lost = np.flatnonzero(apart > max(DROPOUT_S, DROPOUT_INTERVALS * usual))
+        if len(lost):
+            places = ", ".join(
+                f"{apart[i]:.2f} s from {(log[i] - start_ns) / 1e9:.2f} s" for i in lost[:_DROPOUTS_SHOWN]
+            )
+            more = f" and {len(lost) - _DROPOUTS_SHOWN} more" if len(lost) > _DROPOUTS_SHOWN else ""
+            out.append(f"{topic} drops out: nothing for {places}{more} (usually every {usual:.3f} s).")
+    return out

@@ -2,7 +2,7 @@
 
 python -m benchmarks.scale curve       a quarter of the suite "smoke" by 0, 1, 2 workers and on Ray (docs/scale.md)
 python -m benchmarks.scale overhead    a task that does nothing and returns the folder of a log
-python -m benchmarks.scale end         `concluded` on so many logs: seconds and peak memory of this process
+python -m benchmarks.scale end         `judge_and_write` on so many logs: seconds and peak memory of this process
 python -m benchmarks.scale share [LOG ...]   metrics' and reference drives' part of the CPU; no LOG: the built-in suite
 """
 
@@ -29,7 +29,7 @@ from replay.loop import reference_drives
 from replay.results.log_result import LogResult
 from replay.run import RunResult, evaluate_logs, one_log
 from replay.run.engine import Engine, Local
-from replay.run.evaluate import concluded, gates_of
+from replay.run.evaluate import gates_of, judge_and_write
 from replay.run.on_ray import OnRay
 from replay.run.pool import run_all
 from replay.run.shard import Shard
@@ -144,7 +144,9 @@ def end() -> None:
             named = [f"log/{k:07d}" for k in range(count)]
             logs = [_named(log, name) for name in named]
             selection = Selection(tuple(LogSource(name) for name in named))
-            wall, _, _ = timed(lambda logs=logs, s=selection: concluded(out, END, s, logs, gates_of(END, None), ()))
+            wall, _, _ = timed(
+                lambda logs=logs, s=selection: judge_and_write(out, END, s, logs, gates_of(END, None), ())
+            )
             peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
             sizes = {name: (out / name).stat().st_size / count for name in ("metrics.parquet", "timings.parquet")}
             sizes["summary.json"] = (out / "summary.json").stat().st_size / count

@@ -44,7 +44,7 @@ from logs.readers.base import LogSettings
 from logs.trace import Mode
 from logs.vehicle import VehicleParameters, vehicle_parameters
 from logs.words import visible_name
-from replay.settings import SETTINGS, known_keys, strict
+from replay.settings import SETTINGS, known_keys, merged, strict
 
 RunMode = Literal["both", "open", "closed"]
 Internals = Literal["none", "summary", "full"]
@@ -301,10 +301,6 @@ class RunConfig:
         """The file of thresholds; None is the packaged default."""
         return None if self.gates == "default" else Path(self.gates)
 
-    def in_car(self, name: str | None) -> RunConfig:
-        """The run with a known vehicle in place of the logs'; None: as it is."""
-        return self if name is None else replace(self, vehicle={**self.vehicle, "set": name})
-
     def driven(self, vehicle: VehicleParameters) -> VehicleParameters:
         """The vehicle of a log with this run's replacements.
 
@@ -319,18 +315,25 @@ class RunConfig:
         return strict(VehicleParameters, {**asdict(base), **over}, "vehicle") if over else base
 
 
-def load_run(path: Path) -> RunConfig:
-    """The configuration in a TOML file; a relative `gates` is relative to that file.
+def load_run(path: Path | None, changes: Mapping[str, Any] | None = None) -> RunConfig:
+    """The configuration in a TOML file, with changes.
+
+    Args:
+        path: The file; None: the defaults. Its `gates`, where they are a relative path, are relative to the file.
+        changes: A table like that of the file, which is put over it key by key.
 
     Raises:
-        ConfigError: The file is absent or no TOML, a key is unknown, a value has the wrong type or range.
+        ConfigError: The file is absent or not TOML, a key is unknown, a value has the wrong type or range.
     """
-    table = read_toml(path)
-    try:
-        run = strict(RunConfig, table)
-    except ConfigError as error:
-        raise ConfigError(f"{path}: {error}") from None
-    return run if run.gates == "default" else replace(run, gates=str(path.parent / run.gates))
+    table: dict[str, Any] = {}
+    if path is not None:
+        table = dict(read_toml(path))
+        try:
+            gates = strict(RunConfig, table).gates
+        except ConfigError as error:
+            raise ConfigError(f"{path}: {error}") from None
+        table["gates"] = gates if gates == "default" else str(path.parent / gates)
+    return strict(RunConfig, merged(table, changes or {}))
 
 
 def dump_run(run: RunConfig) -> str:

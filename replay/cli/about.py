@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from replay.cli.app import Json, answered, app, say, say_json
+from replay.cli.app import Json, app, handle_errors, say, say_json
 from replay.cli.names import completion
 
 
@@ -25,7 +25,7 @@ def listed(
       replan list
       replan list controllers
     """
-    with answered():
+    with handle_errors():
         from replay.cli import listing
 
         if as_json:
@@ -49,7 +49,7 @@ def metrics(
       replan metrics
       replan metrics route_progress
     """
-    with answered():
+    with handle_errors():
         from metrics import GROUPS, load_metric, pages
 
         if as_json:

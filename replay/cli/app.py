@@ -5,9 +5,9 @@ from __future__ import annotations
 import errno
 import os
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass
 from enum import Enum
 from math import isfinite
 from pathlib import Path
@@ -15,11 +15,10 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, NoReturn
 
 import typer
 
-from logs.errors import ConfigError, ReplanError, raised
-from replay.cli.names import completion
+from logs.errors import ConfigError, ReplanError, raised, unknown_name
+from replay.cli.names import complete_setting, completion
 
 if TYPE_CHECKING:
-    from logs.readers import LogSettings
     from replay.config import RunConfig
 
 app = typer.Typer(
@@ -32,33 +31,76 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 
-Ego = Annotated[str | None, typer.Option("--ego", help="Take this road user of the log as the ego.")]
-Map = Annotated[Path | None, typer.Option("--map", help="A map that replaces the log's.")]
+LOGS, LOOP, JUDGE, OUTPUT, RUNNING = "Logs", "Drive", "Judge", "Output", "Run"
+"""The groups in which the options of `replan evaluate` are shown."""
+
+Ego = Annotated[
+    str | None,
+    typer.Option("--ego", metavar="ID", rich_help_panel=LOGS, help="Take this road user of the log as the ego."),
+]
+Map = Annotated[
+    Path | None,
+    typer.Option("--map", metavar="FILE", rich_help_panel=LOGS, help="A map that replaces that of the log."),
+]
 Repair = Annotated[
     Literal["auto", "on", "off"] | None,
-    typer.Option("--repair", help="Make raw detections into tracks: auto (where they are none), on, off."),
+    typer.Option("--repair", rich_help_panel=LOGS, help="Make tracks of raw detections: auto (if it has no tracks)."),
 ]
-Begin = Annotated[float | None, typer.Option("--from", help="Begin so many seconds after the log's.")]
-End = Annotated[float | None, typer.Option("--to", help="End so many seconds after the log's begin.")]
-Foxglove = Annotated[bool, typer.Option("--foxglove", help="Channels that Foxglove draws, in what is written.")]
+Begin = Annotated[
+    float | None,
+    typer.Option("--from", metavar="S", rich_help_panel=LOGS, help="Begin this many seconds after the log does."),
+]
+End = Annotated[
+    float | None,
+    typer.Option("--to", metavar="S", rich_help_panel=LOGS, help="End this many seconds after the log begins."),
+]
+Foxglove = Annotated[
+    bool, typer.Option("--foxglove", rich_help_panel=OUTPUT, help="Also write channels that Foxglove can draw.")
+]
 Suite = Annotated[
     str | None,
     typer.Option(
         "--suite",
+        metavar="NAME",
+        rich_help_panel=LOGS,
         autocompletion=completion("suite"),
-        help="smoke, full, nightly; or a family or group with all its cells.",
+        help="Built-in logs: smoke, full, nightly, or a family or group.",
     ),
 ]
-Json = Annotated[bool, typer.Option("--json", help="One JSON document on stdout, and nothing else there.")]
-Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Say errors and the outcome only.")]
-Settings = Annotated[Path | None, typer.Option("--config", help="TOML file of a run: its \\[log] table.")]
+Json = Annotated[
+    bool, typer.Option("--json", rich_help_panel=OUTPUT, help="Write one JSON document, and nothing else, to stdout.")
+]
+Quiet = Annotated[
+    bool, typer.Option("--quiet", "-q", rich_help_panel=OUTPUT, help="Print errors and the outcome only.")
+]
+Settings = Annotated[
+    Path | None, typer.Option("--config", metavar="FILE", help="TOML file of a run: its \\[log] table.")
+]
+Set = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        rich_help_panel=RUNNING,
+        autocompletion=complete_setting,
+        help="Any other setting, by its key in the file; repeatable.",
+    ),
+]
+Gates = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", rich_help_panel=JUDGE, help="TOML file of thresholds. Default: the packaged ones."),
+]
+Workers = Annotated[
+    int | None,
+    typer.Option(min=0, metavar="N", rich_help_panel=RUNNING, help="Processes; 0: this one. Default: one per core."),
+]
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 """What the system says where there is no more room."""
 
 
 @contextmanager
-def answered() -> Iterator[None]:
+def handle_errors() -> Iterator[None]:
     """What a user can mend becomes one line and an exit code; Ctrl-C and SIGTERM become 130."""
     try:
         yield
@@ -148,41 +190,40 @@ def _root(
     pass
 
 
-def run_config(
-    config: Path | None, options: dict[str, Any], loop: dict[str, Any], apart: dict[str, Any] | None = None
-) -> RunConfig:
-    """The configuration file with the options over it; None is an option that was not given."""
+def run_config(config: Path | None, options: Mapping[str, Any], words: Sequence[str] = ()) -> RunConfig:
+    """The configuration of a run: the file, over it the options, over these the words of `--set`.
+
+    Args:
+        config: A TOML file, or None.
+        options: A table like that of the file; None and empty lists are options that were not given.
+        words: "KEY=VALUE" each, the key dotted, the value as TOML has it; a value that is not TOML is taken as text.
+
+    Raises:
+        ConfigError: A key is unknown, a value is wrong, or the file cannot be read.
+    """
     from replay.config import RunConfig, load_run
+    from replay.settings import dotted_keys, merged, set_table
 
-    def over(table: Any, given: dict[str, Any]) -> Any:
-        return replace(table, **{key: value for key, value in given.items() if value is not None})
+    changed = set_table(words)
+    keys = list(dotted_keys(RunConfig))
+    for key in changed:
+        if not any(key == known.partition(".")[0] for known in keys):
+            raise unknown_name("key", key, keys)
+    return load_run(config, merged(_given(options), changed))
 
-    run = RunConfig() if config is None else load_run(config)
-    limits = over(run.loop.apart, apart or {})
-    made: RunConfig = over(run, {**options, "loop": over(run.loop, {**loop, "apart": limits})})
-    return made
+
+def _given(options: Mapping[str, Any]) -> dict[str, Any]:
+    """A table without the options that were not given."""
+    tables = {key: _given(value) if isinstance(value, Mapping) else value for key, value in options.items()}
+    return {key: value for key, value in tables.items() if value is not None and value != []}
 
 
-def log_settings(
-    config: Path | None,
-    ego: str | None,
-    road_map: Path | None,
-    begin: float | None,
-    end: float | None,
-    problem: int | None = None,
-    repair: str | None = None,
-) -> LogSettings:
-    """The [log] table of the configuration file with the options over it."""
-    from logs.readers.base import LogSettings
-    from replay.config import load_run
-
-    options: dict[str, Any] = {"ego": ego, "begin": begin, "end": end, "problem": problem, "repair": repair}
-    given = {key: value for key, value in options.items() if value is not None}
-    given |= {} if road_map is None else {"map": str(road_map)}
-    try:
-        return replace(LogSettings() if config is None else load_run(config).log, **given)
-    except ValueError as error:
-        raise ConfigError(str(error)) from None
+def log_table(
+    ego: str | None, road_map: Path | None, begin: float | None, end: float | None, repair: str | None
+) -> dict[str, Any]:
+    """The options about logs as the table [log] of a run."""
+    place = None if road_map is None else str(road_map)
+    return {"ego": ego, "map": place, "begin": begin, "end": end, "repair": repair}
 
 
 def cores() -> int:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from logs.errors import ConfigError
-from replay.cli.app import Json, answered, app, say, say_json
+from replay.cli.app import Json, app, handle_errors, say, say_json
 
 if TYPE_CHECKING:
     from metrics.compare import Comparison
@@ -52,7 +52,7 @@ def compare(
       replan compare baseline.parquet results/mine --gates gates.toml
       replan compare results/run-001 --planner idm --planner dp_qp
     """
-    with answered():
+    with handle_errors():
         from replay.compare import MOST_PARTINGS, compare_runs, opened
         from replay.draw.report.compared import document
 
@@ -92,7 +92,7 @@ def baseline(
 
       replan baseline results/run-001 -o baseline.parquet
     """
-    with answered():
+    with handle_errors():
         from replay.compare import opened, write_baseline
 
         if not out.parent.is_dir():

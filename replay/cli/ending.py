@@ -1,16 +1,17 @@
-"""What is said and written at the end of a run, of `replan evaluate` and `replan merge` alike."""
+"""The end of a run, of `replan evaluate` and `replan merge` alike: reports, what is printed, the exit code."""
 
 from __future__ import annotations
 
 import os
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from logs.errors import ConfigError
-from replay.cli.app import say, say_json
+from replay.cli.app import JUDGE, OUTPUT, say, say_json
 
 if TYPE_CHECKING:
     from replay.compare import Opened
@@ -23,13 +24,34 @@ EXIT_CODES = (
 )
 Baseline = Annotated[
     Path | None,
-    typer.Option(help="Compare with this run (a folder, or a file of replan baseline): its rules count, too."),
+    typer.Option(
+        metavar="RUN",
+        rich_help_panel=JUDGE,
+        help="A run, or file of replan baseline, to compare with.",
+    ),
 ]
-NoReport = Annotated[bool, typer.Option("--no-report", help="Write no report.html, report.md and junit.xml.")]
+NoReport = Annotated[
+    bool, typer.Option("--no-report", rich_help_panel=OUTPUT, help="Write no report.html, report.md and junit.xml.")
+]
 
 
-def before_all(path: Path, run: RunConfig, gates: Path | None, out: Path | None) -> Opened:
-    """The run to compare with, and the rules, read before anything is driven: what is wrong with them costs no run.
+@dataclass(frozen=True)
+class Printed:
+    """What a run prints and writes at its end.
+
+    Attributes:
+        as_json: One JSON document on stdout.
+        quiet: The outcome alone.
+        report: Whether the report files are written.
+    """
+
+    as_json: bool
+    quiet: bool
+    report: bool
+
+
+def load_baseline(path: Path, run: RunConfig, gates: Path | None, out: Path | None) -> Opened:
+    """Read the run to compare with, and the rules, before anything is driven: an error in them costs no run.
 
     Raises:
         ConfigError: One of them cannot be read, or the baseline lies in the result folder.
@@ -39,27 +61,20 @@ def before_all(path: Path, run: RunConfig, gates: Path | None, out: Path | None)
     from replay.run.one_log import all_metrics
 
     if out is not None and path.resolve().is_relative_to(out.resolve()):
-        raise ConfigError(f"--baseline {path}: lies in the result folder {out}, which is cleared")
+        raise ConfigError(f"--baseline {path}: is in the result folder {out}, which is cleared")
     load_rules(gates, metrics=all_metrics(run))
     return opened(path)
 
 
-def ended(
-    result: RunResult, before: Opened | None, url: str, *, gates: Path | None, report: bool, as_json: bool, quiet: bool
-) -> int:  # fmt: skip
-    """The written reports, and on stdout the report; or summary.json and where it lies; or its last lines.
+def finish_run(result: RunResult, before: Opened | None, url: str, gates: Path | None, printed: Printed) -> int:
+    """Write the reports of a run, print its report, and return the exit code.
 
     Args:
         result: The run.
-        before: What it is compared with.
-        url: Where it goes from its folder; "": it stays there.
-        gates: The file of its thresholds and rules; None: the packaged ones.
-        report: Whether files are written.
-        as_json: One document on stdout.
-        quiet: The outcome alone.
-
-    Returns:
-        The exit code.
+        before: The run to compare with.
+        url: Where the results are sent from their folder; "": they stay there.
+        gates: The file of thresholds and rules; None: the packaged ones.
+        printed: What is printed and written.
     """
     from replay.cli.compare import shown
     from replay.compare import compare_runs, opened
@@ -78,12 +93,12 @@ def ended(
         results = load(result.out) if after is None or after.results is None else after.results
         compared = None if before is None or after is None else compare_runs(before, after, gates=gates)
         over = overview(results, compared)
-        if report:
+        if printed.report:
             over = write_reports(results, over, result.out)
-    if as_json:
+    if printed.as_json:
         more = {} if compared is None else {"comparison": document(compared)}
         say_json({"results": place, **summary(result), **more})
-    elif quiet:
+    elif printed.quiet:
         if compared is not None:
             say(last_line(compared, alone=False))
         say(f"Outcome: {over.outcome.upper()} (exit code {over.exit_code}); results: {place}")

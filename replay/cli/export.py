@@ -24,6 +24,8 @@ from logs.scenario import Scenario
 from logs.states import TRAJECTORY_COLUMNS, Controls, Trajectory
 from logs.trace import EndReason
 from logs.vehicle import vehicle_parameters
+from replay.results.load import load
+from replay.results.tables import safe_name
 
 TYPES = {"bmw_320i": 2, "vw_vanagon": 3}
 """Vehicle type of a benchmark id by our name of the vehicle."""
@@ -47,6 +49,26 @@ def commonroad_solution(trace: Path, cost: str = COSTS[0]) -> str:
         return _solution(scenario, cost)
     except LogError as error:
         raise error if error.file is not None else error.at(trace) from None
+
+
+def solutions(run: Path, cost: str = COSTS[0]) -> tuple[dict[str, str], list[str]]:
+    """The solution files of the closed drives of a run by their names, and why other closed drives have none.
+
+    Raises:
+        ConfigError: It is no result folder.
+    """
+    results, found, skipped = load(run), dict[str, str](), list[str]()
+    for log, planner in results.drives.loc[results.drives["mode"] == "closed", ["log", "planner"]].itertuples(
+        index=False
+    ):
+        drive = results.drive(log, planner, "closed")
+        several = len(results.run.planners) > 1
+        try:
+            name = f"{safe_name(log)}{f'.{safe_name(planner)}' if several else ''}.xml"
+            found[name] = commonroad_solution(drive.trace_file, cost)
+        except LogError as error:
+            skipped.append(str(error))
+    return found, skipped
 
 
 def _solution(scenario: Scenario, cost: str) -> str:

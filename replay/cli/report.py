@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from logs.errors import ConfigError
-from replay.cli.app import answered, app, say
+from replay.cli.app import app, handle_errors, say
 
 
 @app.command()
@@ -36,7 +36,7 @@ def report(
       replan report results/run-001
       replan report results/run-001 --baseline baseline.parquet -o reports
     """
-    with answered():
+    with handle_errors():
         from logs.remote import url_of
         from replay.compare import compare_runs, opened
         from replay.draw.report.overview import overview

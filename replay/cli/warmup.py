@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from replay.cli.app import Json, Quiet, answered, app, run_config, say, say_error, say_json
+from replay.cli.app import Json, Quiet, app, handle_errors, run_config, say, say_error, say_json
 from replay.cli.names import completion
 
 
@@ -31,9 +31,8 @@ def warmup(
       replan warmup
       NUMBA_CACHE_DIR=/var/cache/replan replan warmup --planner dp_qp --planner lattice
     """
-    with answered():
-        options: dict[str, Any] = {"planners": tuple(planner or ()) or None}
-        run = run_config(config, options, {})
+    with handle_errors():
+        run = run_config(config, {"planners": planner})
         from replay.run.warmup import everything, warm_up
 
         if not quiet:

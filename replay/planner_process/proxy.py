@@ -12,7 +12,7 @@ from logs.errors import ConfigError, PlannerError
 from logs.frame import Frame, PlannerContext
 from logs.trace import Plan
 from replay.config import PlannerProcessConfig
-from replay.drive import FIRST, Place
+from replay.drive import FIRST, DriveKey
 from replay.planner_process import schema
 from replay.planner_process.channel import GarbageError, GoneError, LateError
 from replay.planner_process.convert import context_message, frame_message, plan_of
@@ -66,7 +66,7 @@ class ApartPlanner:
         watch: Stopwatch,
         *,
         keep_internals: bool,
-        place: Place = FIRST,
+        place: DriveKey = FIRST,
     ) -> None:
         self._limits, self._watch, self._made = limits, watch, 0
         config = {key: value for key, value in table.items() if value is not None}
@@ -124,7 +124,9 @@ def described(spec: str, table: Mapping[str, object], limits: PlannerProcessConf
     if is_foreign(spec):
         (command_of if spec.startswith("exec:") else address_of)(spec)
         if limits.batch:
-            raise ConfigError(f"planner '{spec}' has no plan_batch, as a Python planner may have: leave out --batch")
+            raise ConfigError(
+                f"planner '{spec}' has no plan_batch, as a Python planner may have: leave out loop.apart.batch"
+            )
         return dict(table)
     process = opened(spec, limits)
     config = {key: value for key, value in table.items() if value is not None}

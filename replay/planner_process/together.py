@@ -1,4 +1,4 @@
-"""Several logs in lock step: the frames of one step go to one planner's process together (`--batch`).
+"""Several logs in lock step: the frames of one step go to one planner's process together (`loop.apart.batch`).
 
 Each log is evaluated in a thread, of which one runs at a time: it runs until it asks a planner, and then the next one
 does. So nothing that drives, measures or writes has to know of threads, and what happens depends on no clock. When all
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 from replay.config import PlannerProcessConfig
-from replay.drive import Place
+from replay.drive import DriveKey
 from replay.planner_process import schema
 from replay.planner_process.link import FaultError, Link
 from replay.planner_process.processes import Load
@@ -44,7 +44,7 @@ class Ask:
         load: What it loads.
     """
 
-    place: Place
+    place: DriveKey
     message: Any
     limit: float
     limits: PlannerProcessConfig
@@ -125,7 +125,9 @@ class Shared:
         watch: Does not count the time that others take.
     """
 
-    def __init__(self, log: Log[Any], place: Place, limits: PlannerProcessConfig, load: Load, watch: Stopwatch) -> None:
+    def __init__(
+        self, log: Log[Any], place: DriveKey, limits: PlannerProcessConfig, load: Load, watch: Stopwatch
+    ) -> None:
         self._log, self._place, self._limits, self._load, self._watch = log, place, limits, load, watch
 
     def ask(self, message: Any, limit: float, when: str) -> schema.Answer:

@@ -158,7 +158,7 @@ def keep(folder: Path, result: LogResult, tables: LogTables, identity: str, stam
     write_json(folder / LOG_CARD, card)
 
 
-def kept(folder: Path) -> tuple[LogResult, str, Stamp] | None:
+def load_result(folder: Path) -> tuple[LogResult, str, Stamp] | None:
     """The result in a log's folder, its input and what it depends on; None where it is not whole."""
     try:
         card: dict[str, Any] = json.loads((folder / LOG_CARD).read_text(encoding="utf-8"))

@@ -110,7 +110,7 @@ def _resolved(planner: str, run: RunConfig) -> dict[str, Any]:
     if is_apart(planner, apart):
         return described(planner, table, apart)
     if apart.batch and not is_built_in(planner):
-        raise ConfigError("--batch is for planners in a process of their own: leave out --trust")
+        raise ConfigError("loop.apart.batch is for planners in a process of their own: leave out loop.apart.trust")
     resolved = resolved_table(planner, table)
     check_keywords(planner, resolved)
     return resolved

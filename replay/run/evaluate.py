@@ -181,19 +181,21 @@ def evaluate_logs(
             clear_partial(out)
         if shard is not None:
             write_card(out, shard, whole, run, stamp, failures, results)
-        return concluded(out, run, selection, results, gates, failures, resumed=len(done), shard=shard)
+        return judge_and_write(out, run, selection, results, gates, failures, resumed=len(done), shard=shard)
 
 
 def _check_together(engine: Engine, window: float | None, shard: Shard | None) -> None:
     """Refuse what does not go with logs in lock step."""
     if not isinstance(engine, Local):
-        raise ConfigError("--batch drives logs together on this machine only: leave out --engine, or --batch")
+        raise ConfigError("loop.apart.batch drives logs together on this machine only: leave out --engine or the batch")
     if shard is not None:
         raise ConfigError(
-            "--batch puts the logs of a run together, and --shard takes them apart: leave out one of them"
+            "loop.apart.batch drives the logs of a run together, and --shard separates them: leave out one of them"
         )
     if window is not None:
-        raise ConfigError("--batch would show a planner the later parts of a log, with --window: leave out one of them")
+        raise ConfigError(
+            "loop.apart.batch with --window would show a planner later windows of the log: leave out one of them"
+        )
 
 
 def _whole(out: Path, done: Mapping[int, LogResult], selection: Selection, run: RunConfig) -> dict[int, LogResult]:
@@ -221,7 +223,7 @@ def gates_of(run: RunConfig, path: Path | None) -> Gates:
     return gates.asked_of(mode.value for mode in run.modes) if path is None else gates
 
 
-def concluded(
+def judge_and_write(
     out: Path,
     run: RunConfig,
     selection: Selection,

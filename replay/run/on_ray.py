@@ -34,7 +34,7 @@ from replay.results.log_result import Failure, LogResult, Stamp
 from replay.results.tables import PARTIAL
 from replay.run.checks import KINDS
 from replay.run.engine import Job, longest_first
-from replay.run.pool import WorkerLost, settle
+from replay.run.pool import WorkerLost, freeze_gc
 from replay.run.resume import stamp_of
 from replay.run.sources import LogSource
 
@@ -238,7 +238,7 @@ def _stamp_here(planners: tuple[str, ...], metrics: tuple[str, ...], of_loop: tu
     return stamp_of(RunConfig(planners=planners, metrics=metrics, loop=loop, log=LogSettings(reader=reader)))
 
 
-_settled = cache(settle)
+_settled = cache(freeze_gc)
 """Once in each process, behind its first log: by then all kernels are loaded."""
 
 

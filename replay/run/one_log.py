@@ -31,7 +31,7 @@ from metrics import METRICS, Metric, health, load_metric
 from metrics.comfort import LON_JERK_STATE
 from metrics.ensemble import MEMBER
 from replay.config import RunConfig
-from replay.drive import Drive, Place
+from replay.drive import Drive, DriveKey
 from replay.loop.avoidability import with_avoidability
 from replay.loop.closed_loop import run_closed_loop
 from replay.loop.determinism import NOT_DETERMINISTIC, with_probe
@@ -194,11 +194,11 @@ def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, pro
         progress.tables += late_follower(progress.tables, scenario, run.loop)
 
 
-def _places(run: RunConfig, member: int = 0) -> Iterator[tuple[str, Mode, Place]]:
+def _places(run: RunConfig, member: int = 0) -> Iterator[tuple[str, Mode, DriveKey]]:
     """Planner and loop of each drive of a log, or of a member of its ensemble."""
     for i, planner in enumerate(run.planners):
         for j, mode in enumerate(run.modes):
-            yield planner, mode, Place(member, i, j)
+            yield planner, mode, DriveKey(member, i, j)
 
 
 def _drive_one(
@@ -206,7 +206,7 @@ def _drive_one(
     planner: str,
     mode: Mode,
     run: RunConfig,
-    place: Place,
+    place: DriveKey,
     file: Path,
     progress: _Progress,
     steps: StepsFile,
@@ -242,7 +242,7 @@ def _driven(
     planner: str,
     mode: Mode,
     run: RunConfig,
-    place: Place,
+    place: DriveKey,
     *,
     keep: bool,
     until_s: float = inf,
@@ -260,7 +260,7 @@ def _driven(
     )
 
 
-def _probed(drive: Drive, scenario: Scenario, mode: Mode, run: RunConfig, place: Place) -> Drive:
+def _probed(drive: Drive, scenario: Scenario, mode: Mode, run: RunConfig, place: DriveKey) -> Drive:
     """The drive, marked where its planner is the user's own and is not deterministic (`RunConfig.repeat_s`)."""
     planner, until_s = drive.trace.planner, float(scenario.ego.t[0]) + run.repeat_s
     if not run.repeat_s or drive.trace.oracle or is_built_in(planner) or not drive.trace.frames:

@@ -117,7 +117,7 @@ def _serve(pipe: Connection, function: Callable[[Any], Any]) -> None:
     """The child: answer items until the pipe is closed. Ctrl-C is the parent's business; with it the child ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     threading.Thread(target=_end_with_parent, daemon=True).start()
-    settle()
+    freeze_gc()
     served = 0
     while True:
         try:
@@ -127,10 +127,10 @@ def _serve(pipe: Connection, function: Callable[[Any], Any]) -> None:
         pipe.send(function(item))
         served += 1
         if served == 1:  # by now all kernels are loaded, too
-            settle()
+            freeze_gc()
 
 
-def settle() -> None:
+def freeze_gc() -> None:
     """Modules and kernels that are loaded stay: they are not looked through for garbage again.
 
     A full collection took 117 ms with them, sometimes in the middle of a plan.

@@ -28,7 +28,7 @@ from replay.run.sources import LogSource
 
 
 @dataclass
-class Place:
+class OutputLocation:
     """Where a run writes.
 
     Attributes:
@@ -74,7 +74,7 @@ class Place:
 
 
 @contextmanager
-def result_place(out: Path | str | None, *, resume: bool = False) -> Iterator[Place]:
+def output_location(out: Path | str | None, *, resume: bool = False) -> Iterator[OutputLocation]:
     """A place for a run's results; at a URL it is held, and what is there is fetched (`resume`) or replaced.
 
     Raises:
@@ -83,7 +83,7 @@ def result_place(out: Path | str | None, *, resume: bool = False) -> Iterator[Pl
     """
     url = "" if out is None else url_of(out)
     if not url:
-        yield Place(None if out is None else local_path(out))
+        yield OutputLocation(None if out is None else local_path(out))
         return
     _hold(url)
     try:
@@ -99,7 +99,7 @@ def result_place(out: Path | str | None, *, resume: bool = False) -> Iterator[Pl
         remove([f"{url}/{LOCK}"])
 
 
-def _begun(url: str, folder: Path, *, resume: bool) -> Place:
+def _begun(url: str, folder: Path, *, resume: bool) -> OutputLocation:
     """The place, with what stays of the results that are there."""
     files = [file for file in listed(url) if file.name != LOCK]
     cards = {file.name.partition("/")[0] for file in files if file.name.endswith(f"/{LOG_CARD}")}
@@ -117,7 +117,7 @@ def _begun(url: str, folder: Path, *, resume: bool) -> Place:
         folder.mkdir()
         fetch(kept, folder)
     there = {file.name: (folder / file.name).stat().st_mtime_ns for file in kept}
-    return Place(folder, url, there, [file.url for file in _cards_first(files) if file not in kept])
+    return OutputLocation(folder, url, there, [file.url for file in _cards_first(files) if file not in kept])
 
 
 def _cards_first(files: Sequence[RemoteFile]) -> list[RemoteFile]:

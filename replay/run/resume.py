@@ -25,7 +25,7 @@ from replan.own import PACKAGES
 from replay.config import RunConfig, dump_run
 from replay.oracle import ORACLES
 from replay.planner_process.link import command_of
-from replay.results.log_result import LogResult, Stamp, kept
+from replay.results.log_result import LogResult, Stamp, load_result
 from replay.results.tables import FILES, LOG_CARD, PARTIAL, check_ours, clear_partial
 from replay.results.version import replan_version
 from replay.run.checks import KINDS
@@ -78,7 +78,7 @@ def finished(out: Path, sources: Sequence[LogSource], run: RunConfig, stamp: Sta
     folders = [folder for folder in sorted(out.iterdir()) if (folder / LOG_CARD).is_file()]
     if folders or (out / "run.toml").is_file():
         _check_run(out, run)
-    found = {folder: kept(folder) for folder in folders if not folder.name.startswith(PARTIAL)}
+    found = {folder: load_result(folder) for folder in folders if not folder.name.startswith(PARTIAL)}
     inputs = {identity_of(source): index for index, source in enumerate(sources)}
     results: dict[int, LogResult] = {}
     for content in found.values():

@@ -33,7 +33,7 @@ class _Kind:
 
 ST = _Kind("st", StGraph, "S-T graph", "time from the plan [s]", "station along the path [m]", 5.0)
 SL = _Kind("sl", SlGraph, "S-L graph", "station of the reference line [m]", "lateral offset [m], left positive", 4.0)
-_NONE_KEPT = "the plan's inside was not kept (--internals none)"
+_NONE_KEPT = "the plan's inside was not kept (--set internals=none)"
 _NO_GRAPH = "this plan has no {title}"
 _NO_PLAN = "no plan yet at this time"
 

@@ -15,12 +15,14 @@ from rich.console import Console
 
 from logs.errors import ConfigError
 from logs.mcap import read_scenario
-from replay.config import RunConfig
+from replay.cli.renamed import EVALUATE, replaced
+from replay.config import RunConfig, load_run
 from replay.draw.report.overview import overview
 from replay.draw.report.terminal import print_report
 from replay.draw.view import recordings
 from replay.results.load import load
 from replay.run import RunResult, evaluate_logs
+from replay.settings import set_table
 
 
 def test_help_names_every_command_and_teaches_by_example() -> None:
@@ -31,6 +33,21 @@ def test_help_names_every_command_and_teaches_by_example() -> None:
         assert f"replan {command[0]}" in replan(*command, "--help").stdout
     assert "Exit codes" in replan("evaluate", "--help").stdout
     assert "its [log] table" in replan("inspect", "--help").stdout
+
+
+def test_the_help_of_evaluate_fits_on_a_screen_and_a_half(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "100")
+    assert len(replan("evaluate", "--help").stdout.splitlines()) <= 75
+
+
+@pytest.mark.parametrize("option", EVALUATE)
+def test_an_old_option_is_a_setting_and_says_so(option: str, capsys: pytest.CaptureFixture[str]) -> None:
+    value = {"--plant": "mass=1400", "--internals": "none", "--batch": "2"}.get(option, "3")
+    old = [option, value] if "{}" in EVALUATE[option] else [option]
+    words = list(replaced(["--mode", "open", *old, "--", option], EVALUATE))
+    assert (words[:3], words[4:]) == (["--mode", "open", "--set"], ["--", option])
+    assert f"hint: {option} is now --set {words[3]}" in capsys.readouterr().err
+    assert load_run(None, set_table(words[3:4])) != RunConfig()
 
 
 def test_version() -> None:
@@ -78,6 +95,9 @@ def test_exit_3_beats_1_and_the_good_log_is_evaluated(folder: Path, tmp_path: Pa
         (["{free}", "--gates", "nowhere.toml"], "nowhere.toml"),
         (["{free}", "--gates", "{wrong_gate}"], "did you mean 'gap.min'"),
         (["{free}", "--config", "{wrong_key}"], "did you mean 'loop.plan_period_s'?"),
+        (["{free}", "--set", "plan_period_s=1"], "did you mean 'loop.plan_period_s'?"),
+        (["{free}", "--set", "loop.plan_period_s=ab"], "loop.plan_period_s: expected float, got str"),
+        (["{free}", "--set", "loop"], "write it as KEY=VALUE"),
         (["{free}", "--out", "{empty}/../foreign"], "no result of replan"),
     ],
 )
@@ -108,9 +128,11 @@ def test_an_unknown_option_or_value_is_exit_2() -> None:
 def test_options_win_over_the_configuration(folder: Path, tmp_path: Path) -> None:
     config = tmp_path / "run.toml"
     config.write_text('planners = ["dp_qp"]\nmode = "both"\n[loop]\nplan_period_s = 0.2\n', encoding="utf-8")
-    evaluate(folder / "free.mcap", "--config", config, "--mode", "open", "--out", tmp_path / "out")
+    words = ("--mode", "open", "--set", "loop.control_period_s=0.02", "--internals", "none")
+    evaluate(folder / "free.mcap", "--config", config, *words, "--out", tmp_path / "out")
     written = (tmp_path / "out" / "run.toml").read_text(encoding="utf-8")
-    for line in ('"constant_speed"', 'mode = "open"', "plan_period_s = 0.2", "recording = false"):
+    settings = ("plan_period_s = 0.2", "control_period_s = 0.02", 'internals = "none"')
+    for line in ('"constant_speed"', 'mode = "open"', "recording = false", *settings):
         assert line in written
 
 
@@ -313,6 +335,20 @@ def test_a_log_is_found_by_its_name_as_the_index_has_it(tmp_path: Path) -> None:
     assert recordings(tmp_path, "unece_r157/cut_in@accel_mps2=-3,gap_m=0") == [folder / "closed.rrd"]
     with pytest.raises(ConfigError, match="called cut_out"):
         recordings(tmp_path, "cut_out")
+
+
+def test_a_picture_of_a_run_is_of_the_worst_drive_and_says_so(
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drawn: list[Path] = []
+    monkeypatch.setattr("replay.draw.view.picture", lambda recording, *rest: drawn.append(recording))
+    every = replan("view", recorded, "--screenshot", tmp_path / "x.png")
+    row = overview(load(recorded)).worst
+    assert row is not None and drawn[0].parent == recorded / row.folder
+    assert f"{row.log}, constant_speed, " in every.stdout and "the worst of 4 drives" in every.stdout
+    free = replan("view", recorded, "--log", "test/free", "--screenshot", tmp_path / "x.png")
+    assert drawn[1].parent.name.startswith("test_free") and "test/free, constant_speed, closed loop" in free.stdout
+    assert "the worst of 2 drives" in free.stdout
 
 
 def test_view_of_two_drives_writes_them_as_one(recorded: Path, tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Several logs in lock step (`--batch`): what a planner that plans them one by one answers does not change by it."""
+"""Logs in lock step (`loop.apart.batch`): the answers of a planner that plans them one by one do not change."""
 
 from __future__ import annotations
 
@@ -167,12 +167,14 @@ def test_what_does_not_go_together_is_refused(logs: Path, tmp_path: Path) -> Non
     for options in (
         ["--window", "1"],
         ["--shard", "1/2"],
-        ["--trust"],
+        ["--set", "loop.apart.trust=true"],
         ["-p", "planners.idm:Idm"],
         ["-p", "exec:true"],
     ):
-        ended = replan("evaluate", str(logs), "-p", planner, "--batch", "2", *options, "-o", str(tmp_path / "out"))
-        assert ended.exit_code == 2 and "--batch" in ended.output, options
+        ended = replan(
+            "evaluate", str(logs), "-p", planner, "--set", "loop.apart.batch=2", *options, "-o", str(tmp_path / "out")
+        )
+        assert ended.exit_code == 2 and "loop.apart.batch" in " ".join(ended.output.split()), options
     with pytest.raises(ConfigError, match="batch"):
         PlannerProcessConfig(batch=65)
 

@@ -20,7 +20,7 @@ from logs import ConfigError
 from logs.mcap import write_scenario
 from replay.cli import app
 from replay.config import RunConfig
-from replay.results.log_result import kept, timings_of
+from replay.results.log_result import load_result, timings_of
 from replay.run import RunResult, evaluate_logs
 
 PATIENT = '''
@@ -177,7 +177,7 @@ def test_failures_of_the_interrupted_run_are_not_forgotten(logs: Path, tmp_path:
 def test_the_kept_result_is_the_result(logs: Path, tmp_path: Path) -> None:
     result = evaluate_logs([logs], QUICK, tmp_path / "out")
     for log in result.logs:
-        found = kept(result.out / log.folder)
+        found = load_result(result.out / log.folder)
         assert found is not None
         again = found[0]
         assert again.drives == log.drives and len(timings_of(result.out, again))

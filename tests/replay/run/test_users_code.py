@@ -156,9 +156,9 @@ def test_the_command_line_says_it_in_a_line(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        ("--plant foo=1", "no key is called 'foo'"),
-        ("--plant mass=heavy", "expected a number"),
-        ("--plant mass=-1", "mass must be positive"),
+        ("--set loop.plant.foo=1", "no key is called 'foo'"),
+        ("--set loop.plant.mass=heavy", "expected a number"),
+        ("--set loop.plant.mass=-1", "mass must be positive"),
         ("--config table.toml", "planner.dp_qp"),
         ("-p needy:Needy", "missing a required argument: 'path'"),
         ("--gates rule.toml", "no metric has this name"),

@@ -282,6 +282,7 @@ def replan(*words: object) -> Any:
 def test_plot_writes_pictures(run: RunResult, tmp_path: Path) -> None:
     said = replan("plot", run.out, "-o", tmp_path / "a.png", "--width", 700)
     assert said.exit_code == 0 and "constant_speed, closed loop, at 8.2" in said.stdout
+    assert "(the worst of 2 drives; another: --log, --planner, --mode)" in said.stdout
     data = (tmp_path / "a.png").read_bytes()
     assert data.startswith(b"\x89PNG") and int.from_bytes(data[16:20]) == 700
     again = ("--planner", "dp_qp", "--at", 6.5, "--chart", "st", "--theme", "dark")
@@ -299,9 +300,8 @@ def test_plot_writes_pictures(run: RunResult, tmp_path: Path) -> None:
     ("words", "line"),
     [
         (("--log", "paper/crossing"), "paper/crossing_pedestrian"),
-        (("--log", LOG), "name a planner of dp_qp"),
-        (("--planner", "idm"), "no drive of idm"),
-        (("--planner", "dp_qp", "--mode", "open"), "no open loop of dp_qp"),
+        (("--planner", "idm"), "is called 'idm'"),
+        (("--planner", "dp_qp", "--mode", "open"), "is called 'open'; known are: closed"),
         (("--planner", "dp_qp", "--at", 99), "--at 99 is not in its 0 to"),
         (("-o", "picture.pdf"), "a picture ends with .png or .svg"),
     ],

@@ -14,11 +14,14 @@ from replay.cli.names import completion
 def listed(
     kind: Annotated[
         str | None,
-        typer.Argument(help="planners, controllers, metrics ...; none: all kinds.", autocompletion=completion("kind")),
+        typer.Argument(
+            help="planners, controllers, metrics ... Default: the number of names of each kind.",
+            autocompletion=completion("kind"),
+        ),
     ] = None,
     as_json: Json = False,
 ) -> None:
-    """List what there is by name, each with one line and where it stands.
+    """List the names of a kind, each with one line and its place in the code.
 
     [bold]Examples[/bold]
 
@@ -38,11 +41,11 @@ def listed(
 
 @app.command()
 def metrics(
-    name: Annotated[str | None, typer.Argument(help='A metric\'s name, or "module:NAME" of your own.')] = None,
-    markdown: Annotated[bool, typer.Option("--markdown", help="The page of all: docs/metrics.md.")] = False,
+    name: Annotated[str | None, typer.Argument(help='Name of a metric, or "module:NAME" of your own.')] = None,
+    markdown: Annotated[bool, typer.Option("--markdown", help="Print docs/metrics.md.")] = False,
     as_json: Json = False,
 ) -> None:
-    """List the metrics, or say all about one: formula, parameters, source, what it needs.
+    """List the metrics, or describe one: formula, parameters, source, what it needs.
 
     [bold]Examples[/bold]
 

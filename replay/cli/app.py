@@ -1,4 +1,4 @@
-"""What all commands share: the app, errors as one line and an exit code, options that come repeatedly."""
+"""What the commands share: the app, errors as one line and an exit code, and options of several commands."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     name="replan",
-    help="Replay driving logs through a planner, open loop and closed loop, and judge what it did.\n\n"
-    "Start with [bold]replan evaluate[/bold]: it needs no logs, the built-in suite is driven.",
+    help="Replay driving logs through a planner, open loop and closed loop, and judge the drives.\n\n"
+    "Start with [bold]replan evaluate[/bold]: without logs it drives the built-in suite.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode="rich",
@@ -34,74 +34,58 @@ app = typer.Typer(
 LOGS, LOOP, JUDGE, OUTPUT, RUNNING = "Logs", "Drive", "Judge", "Output", "Run"
 """The groups in which the options of `replan evaluate` are shown."""
 
-Ego = Annotated[
-    str | None,
-    typer.Option("--ego", metavar="ID", rich_help_panel=LOGS, help="Take this road user of the log as the ego."),
-]
-Map = Annotated[
-    Path | None,
-    typer.Option("--map", metavar="FILE", rich_help_panel=LOGS, help="A map that replaces that of the log."),
-]
+
+def option(panel: str | None, words: str, *names: str, complete: str = "", **more: Any) -> Any:
+    """A `typer.Option` in a group of the help.
+
+    Args:
+        panel: The group; None: that of all options.
+        words: What the help says.
+        names: As the option is written; none: by its parameter.
+        complete: The table of `replay.cli.names` that the shell completes it from.
+        more: As `typer.Option` takes it.
+    """
+    if complete:
+        more["autocompletion"] = completion(complete)
+    make: Any = typer.Option
+    return make(*names, rich_help_panel=panel, help=words, **more)
+
+
+Ego = Annotated[str | None, option(LOGS, "Take this road user of the log as the ego.", "--ego", metavar="ID")]
+Map = Annotated[Path | None, option(LOGS, "A map that replaces that of the log.", "--map", metavar="FILE")]
 Repair = Annotated[
     Literal["auto", "on", "off"] | None,
-    typer.Option("--repair", rich_help_panel=LOGS, help="Make tracks of raw detections: auto (if it has no tracks)."),
+    option(LOGS, "Make tracks of raw detections: auto (if it has no tracks).", "--repair"),
 ]
-Begin = Annotated[
-    float | None,
-    typer.Option("--from", metavar="S", rich_help_panel=LOGS, help="Begin this many seconds after the log does."),
-]
-End = Annotated[
-    float | None,
-    typer.Option("--to", metavar="S", rich_help_panel=LOGS, help="End this many seconds after the log begins."),
-]
-Foxglove = Annotated[
-    bool, typer.Option("--foxglove", rich_help_panel=OUTPUT, help="Also write channels that Foxglove can draw.")
-]
+Begin = Annotated[float | None, option(LOGS, "Begin this many seconds after the log does.", "--from", metavar="S")]
+End = Annotated[float | None, option(LOGS, "End this many seconds after the log begins.", "--to", metavar="S")]
 Suite = Annotated[
     str | None,
-    typer.Option(
-        "--suite",
-        metavar="NAME",
-        rich_help_panel=LOGS,
-        autocompletion=completion("suite"),
-        help="Built-in logs: smoke, full, nightly, or a family or group.",
+    option(
+        LOGS, "Built-in logs: smoke, full, nightly, or a family or group.", "--suite", metavar="NAME", complete="suite"
     ),
 ]
-Json = Annotated[
-    bool, typer.Option("--json", rich_help_panel=OUTPUT, help="Write one JSON document, and nothing else, to stdout.")
-]
-Quiet = Annotated[
-    bool, typer.Option("--quiet", "-q", rich_help_panel=OUTPUT, help="Print errors and the outcome only.")
-]
-Settings = Annotated[
-    Path | None, typer.Option("--config", metavar="FILE", help="TOML file of a run: its \\[log] table.")
-]
+Foxglove = Annotated[bool, option(OUTPUT, "Also write channels that Foxglove can draw.", "--foxglove")]
+Json = Annotated[bool, option(OUTPUT, "Write one JSON document, and nothing else, to stdout.", "--json")]
+Quiet = Annotated[bool, option(OUTPUT, "Print errors and the outcome only.", "--quiet", "-q")]
+Settings = Annotated[Path | None, option(None, "TOML file of a run: its \\[log] table.", "--config", metavar="FILE")]
 Set = Annotated[
     list[str] | None,
-    typer.Option(
-        "--set",
-        metavar="KEY=VALUE",
-        rich_help_panel=RUNNING,
+    option(
+        RUNNING, "Any other setting, by its key in the file; repeatable.", "--set", metavar="KEY=VALUE",
         autocompletion=complete_setting,
-        help="Any other setting, by its key in the file; repeatable.",
     ),
-]
-Gates = Annotated[
-    Path | None,
-    typer.Option(metavar="FILE", rich_help_panel=JUDGE, help="TOML file of thresholds. Default: the packaged ones."),
-]
-Workers = Annotated[
-    int | None,
-    typer.Option(min=0, metavar="N", rich_help_panel=RUNNING, help="Processes; 0: this one. Default: one per core."),
-]
+]  # fmt: skip
+Gates = Annotated[Path | None, option(JUDGE, "TOML file of thresholds. Default: the packaged ones.", metavar="FILE")]
+Workers = Annotated[int | None, option(RUNNING, "Processes; 0: this one. Default: one per core.", min=0, metavar="N")]
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
-"""What the system says where there is no more room."""
+"""Error numbers of a full disk."""
 
 
 @contextmanager
 def handle_errors() -> Iterator[None]:
-    """What a user can mend becomes one line and an exit code; Ctrl-C and SIGTERM become 130."""
+    """Turn errors that a user can correct into one line and an exit code; Ctrl-C and SIGTERM into 130."""
     try:
         yield
     except ReplanError as error:
@@ -118,13 +102,13 @@ def handle_errors() -> Iterator[None]:
 
 
 INTERNAL = 70
-"""Exit code of an error that is a bug in replan (EX_SOFTWARE of sysexits.h); 1 only ever says that a gate failed."""
+"""Exit code of a bug in replan (EX_SOFTWARE of sysexits.h); 1 always means that a gate failed."""
 TRACEBACK = "REPLAN_TRACEBACK"
-"""Environment variable: where it is set, such an error comes with its traceback."""
+"""Environment variable: if it is set, the traceback of such an error is printed."""
 
 
 def bug(error: Exception) -> NoReturn:
-    """Say in one line what happened, and end the process with `INTERNAL`."""
+    """Print the error of a bug in one line, and end the process with `INTERNAL`."""
     import traceback
 
     if os.environ.get(TRACEBACK):
@@ -135,19 +119,19 @@ def bug(error: Exception) -> NoReturn:
 
 
 def say(text: object = "", *, err: bool = False) -> None:
-    """On stdout or stderr, with control characters that can be seen: none reaches the terminal."""
+    """Print to stdout or stderr, with control characters made visible: none reaches the terminal."""
     from replay.draw.report.console import visible
 
     typer.echo(visible(text), err=err)
 
 
 def say_error(message: str) -> None:
-    """One line on stderr."""
+    """Print one line to stderr."""
     say(f"error: {message}", err=True)
 
 
 def say_json(document: Any) -> None:
-    """One JSON document on stdout; dataclasses are objects, tables lists of rows, what is no number is null."""
+    """Print one JSON document to stdout: dataclasses as objects, tables as lists of rows, NaN as null."""
     import json
 
     ascii_only = "utf" not in (sys.stdout.encoding or "").lower()  # else "?" would be written
@@ -155,7 +139,7 @@ def say_json(document: Any) -> None:
 
 
 def _plain(value: Any) -> Any:
-    """As JSON has it."""
+    """A value as JSON has it."""
     if is_dataclass(value) and not isinstance(value, type):
         return {item.name: _plain(getattr(value, item.name)) for item in fields(value)}
     if isinstance(value, Mapping):
@@ -184,7 +168,7 @@ def _version(asked: bool) -> None:
 @app.callback()
 def _root(
     version: Annotated[
-        bool, typer.Option("--version", callback=_version, is_eager=True, help="Say the version.")
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version.")
     ] = False,
 ) -> None:
     pass

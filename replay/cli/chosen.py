@@ -5,21 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
-import typer
-
 from logs.errors import ConfigError, unknown_name
+from replay.cli.app import option
 
 if TYPE_CHECKING:
     from replay.results.load import DriveResult, Results
 
 Loop = Literal["open", "closed"]
-OfLog = Annotated[str | None, typer.Option("--log", metavar="NAME", help="Which log. Default: the worst drive.")]
-OfPlanner = Annotated[
-    str | None, typer.Option("--planner", metavar="NAME", help="The drive of this planner. Default: the worst drive.")
-]
-OfMode = Annotated[
-    Loop | None, typer.Option("--mode", help="Which loop. Default: the one with a failed gate, else closed.")
-]
+OfLog = Annotated[str | None, option(None, "Which log. Default: the worst drive.", "--log", metavar="NAME")]
+OfPlanner = Annotated[str | None, option(None, "Which planner. Default: the worst drive.", "--planner", metavar="NAME")]
+OfMode = Annotated[Loop | None, option(None, "Default: the loop with a failed gate, else closed.", "--mode")]
 
 
 class Chosen(NamedTuple):

@@ -33,17 +33,17 @@ from replay.cli.app import (
     cores,
     handle_errors,
     log_table,
+    option,
     run_config,
     say,
     say_json,
 )  # fmt: skip
 from replay.cli.ending import EXIT_CODES, Baseline, NoReport, Printed, finish_run, load_baseline
-from replay.cli.names import completion
 from replay.cli.renamed import EvaluateCommand
 
 if TYPE_CHECKING:
+    from replay.results.load import Results
     from replay.results.log_result import LogResult
-    from replay.run import RunResult
     from replay.run.engine import Engine
     from replay.run.publish import OutputLocation
     from replay.run.sources import Selection
@@ -59,72 +59,37 @@ def evaluate(
     ] = None,
     planner: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
+            LOOP,
+            "A name, module:Class, exec:COMMAND or tcp://HOST:PORT; repeatable. Default: dp_qp.",
             "--planner",
             "-p",
             metavar="NAME",
-            rich_help_panel=LOOP,
-            autocompletion=completion("planner"),
-            help="A name, module:Class, exec:COMMAND or tcp://HOST:PORT; repeatable. Default: dp_qp.",
+            complete="planner",
         ),
     ] = None,
-    mode: Annotated[
-        Literal["both", "open", "closed"] | None,
-        typer.Option(rich_help_panel=LOOP, help="Loops to run. Default: both."),
-    ] = None,
+    mode: Annotated[Literal["both", "open", "closed"] | None, option(LOOP, "Loops to run. Default: both.")] = None,
     vehicle: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            rich_help_panel=LOOP,
-            autocompletion=completion("vehicle"),
-            help="kinematic_bicycle, single_track, multibody or perfect.",
-        ),
+        option(LOOP, "kinematic_bicycle, single_track, multibody or perfect.", metavar="NAME", complete="vehicle"),
     ] = None,
     car: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            rich_help_panel=LOOP,
-            autocompletion=completion("car"),
-            help="Vehicle parameters in place of the log's: bmw_320i ...",
-        ),
+        option(LOOP, "Vehicle parameters in place of the log's: bmw_320i ...", metavar="NAME", complete="car"),
     ] = None,
     controller: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            rich_help_panel=LOOP,
-            autocompletion=completion("controller"),
-            help="dlqr_pid, mpc, pure_pursuit, stanley, pid ...",
-        ),
+        str | None, option(LOOP, "dlqr_pid, mpc, pure_pursuit, stanley, pid ...", metavar="NAME", complete="controller")
     ] = None,
     traffic: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            rich_help_panel=LOOP,
-            autocompletion=completion("traffic"),
-            help="The others: give_way, time (as logged), reactive ...",
-        ),
+        option(LOOP, "The others: give_way, time (as logged), reactive ...", metavar="NAME", complete="traffic"),
     ] = None,
     prediction: Annotated[
         str | None,
-        typer.Option(
-            metavar="NAME",
-            rich_help_panel=LOOP,
-            autocompletion=completion("prediction"),
-            help="lane_following, constant_velocity, ..., oracle.",
-        ),
+        option(LOOP, "lane_following, constant_velocity, ..., oracle.", metavar="NAME", complete="prediction"),
     ] = None,
     perception: Annotated[
-        str | None,
-        typer.Option(
-            metavar="NAME",
-            rich_help_panel=LOOP,
-            autocompletion=completion("perception"),
-            help="ground_truth, recorded, sensor or auto.",
-        ),
+        str | None, option(LOOP, "ground_truth, recorded, sensor or auto.", metavar="NAME", complete="perception")
     ] = None,
     suite: Suite = None,
     ego: Ego = None,
@@ -133,67 +98,44 @@ def evaluate(
     end: End = None,
     repair: Repair = None,
     window: Annotated[
-        float | None,
-        typer.Option(min=1.0, metavar="S", rich_help_panel=LOGS, help="Split each log into windows of S seconds."),
+        float | None, option(LOGS, "Split each log into windows of S seconds.", min=1.0, metavar="S")
     ] = None,
     gates: Gates = None,
     baseline: Baseline = None,
     ensemble: Annotated[
-        int | None,
-        typer.Option(min=0, metavar="N", rich_help_panel=JUDGE, help="Perturbed runs per log: do the verdicts hold?"),
+        int | None, option(JUDGE, "Perturbed runs per log: do the verdicts hold?", min=0, metavar="N")
     ] = None,
     metric: Annotated[
-        list[str] | None,
-        typer.Option(metavar="NAME", rich_help_panel=JUDGE, help="A metric of your own, module:NAME; repeatable."),
+        list[str] | None, option(JUDGE, "A metric of your own, module:NAME; repeatable.", metavar="NAME")
     ] = None,
     out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out", "-o", metavar="FOLDER", rich_help_panel=OUTPUT, help="Result folder. Default: results/run-NNN."
-        ),
+        Path | None, option(OUTPUT, "Result folder. Default: results/run-NNN.", "--out", "-o", metavar="FOLDER")
     ] = None,
     chart: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="NAME", rich_help_panel=OUTPUT, help="A report chart of your own, module:NAME; repeatable."
-        ),
+        list[str] | None, option(OUTPUT, "A report chart of your own, module:NAME; repeatable.", metavar="NAME")
     ] = None,
     foxglove: Foxglove = False,
-    no_recording: Annotated[
-        bool, typer.Option("--no-recording", rich_help_panel=OUTPUT, help="Write no .rrd files: faster.")
-    ] = False,
+    no_recording: Annotated[bool, option(OUTPUT, "Write no .rrd files: faster.", "--no-recording")] = False,
     no_report: NoReport = False,
     as_json: Json = False,
     quiet: Quiet = False,
     verbose: Annotated[
-        bool,
-        typer.Option(
-            "--verbose", "-v", rich_help_panel=OUTPUT, help="Print each log as it ends: its time, how its drives ended."
-        ),
+        bool, option(OUTPUT, "Print each log as it ends: its time, how its drives ended.", "--verbose", "-v")
     ] = False,
     config: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", rich_help_panel=RUNNING, help="TOML file of settings; options win over it."),
+        Path | None, option(RUNNING, "TOML file of settings; options win over it.", metavar="FILE")
     ] = None,
     settings: Set = None,
     workers: Workers = None,
-    resume: Annotated[
-        bool,
-        typer.Option("--resume", rich_help_panel=RUNNING, help="Continue the interrupted run in --out."),
-    ] = False,
+    resume: Annotated[bool, option(RUNNING, "Continue the interrupted run in --out.", "--resume")] = False,
     shard: Annotated[
-        str | None,
-        typer.Option(metavar="I/N", rich_help_panel=RUNNING, help="Drive every N-th log, from the I-th: replan merge."),
+        str | None, option(RUNNING, "Drive every N-th log, from the I-th: replan merge.", metavar="I/N")
     ] = None,
     engine: Annotated[
-        Literal["local", "ray"],
-        typer.Option(rich_help_panel=RUNNING, show_default=False, help="Where logs are driven. Default: local."),
+        Literal["local", "ray"], option(RUNNING, "Where logs are driven. Default: local.", show_default=False)
     ] = "local",
     address: Annotated[
-        str | None,
-        typer.Option(
-            metavar="HOST:PORT", rich_help_panel=RUNNING, help="Ray cluster (or auto). Default: one for this run."
-        ),
+        str | None, option(RUNNING, "Ray cluster (or auto). Default: one for this run.", metavar="HOST:PORT")
     ] = None,
 ) -> None:
     """Drive planners over logs, measure, judge by gates, and record.
@@ -269,24 +211,18 @@ def vary(
     log: Annotated[str | None, typer.Argument(help="A log of any format, or a family of the catalogue.")] = None,
     variation: Annotated[
         list[str] | None,
-        typer.Option("--vary", help="NAME=LOW:HIGH:COUNT, an axis (one or two), or NAME=VALUE; see --list."),
+        option(None, "NAME=LOW:HIGH:COUNT, an axis (one or two), or NAME=VALUE; see --list.", "--vary"),
     ] = None,
     agent: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--agent",
-            help="Who is varied (id or short name); repeatable. Default: of those who move, who comes nearest.",
-        ),
+        list[str] | None, option(None, "Agent to vary, repeatable. Default: the one in conflict.", "--agent")
     ] = None,
-    planner: Annotated[
-        str | None, typer.Option("--planner", "-p", autocompletion=completion("planner"), help="Default: dp_qp.")
-    ] = None,
-    out: Annotated[Path | None, typer.Option("--out", "-o", help="Result folder. Default: results/run-NNN.")] = None,
+    planner: Annotated[str | None, option(None, "Default: dp_qp.", "--planner", "-p", complete="planner")] = None,
+    out: Annotated[Path | None, option(None, "Result folder. Default: results/run-NNN.", "--out", "-o")] = None,
     resolution: Annotated[
-        float | None, typer.Option(help="How near edges are found. Default: an eighth of two cells' distance.")
+        float | None, option(None, "Width to which edges are bisected. Default: an eighth of a cell.")
     ] = None,
-    list_agents: Annotated[bool, typer.Option("--list-agents", help="List who is there, the nearest first.")] = False,
-    listing: Annotated[bool, typer.Option("--list", help="List what may be varied.")] = False,
+    list_agents: Annotated[bool, option(None, "List the agents, the nearest first.", "--list-agents")] = False,
+    listing: Annotated[bool, option(None, "List what can be varied.", "--list")] = False,
     config: Annotated[Path | None, typer.Option(help="TOML file of a run; options win over it.")] = None,
     settings: Set = None,
     gates: Gates = None,
@@ -300,7 +236,7 @@ def vary(
     as_json: Json = False,
     quiet: Quiet = False,
 ) -> None:
-    """One log, varied: a surface of pass and fail over one or two parameters, as a table and a picture.
+    """Vary one log: a surface of pass and fail over one or two parameters, as a table and a picture.
 
     [bold]Examples[/bold]
 
@@ -361,9 +297,7 @@ def _engine(name: str, address: str | None, workers: int | None) -> Engine:
     return Local(cores() if workers is None else workers)
 
 
-def _evaluated(
-    evaluate: Callable[..., RunResult], location: OutputLocation, *, quiet: bool, verbose: bool
-) -> RunResult:
+def _evaluated(evaluate: Callable[..., Results], location: OutputLocation, *, quiet: bool, verbose: bool) -> Results:
     """The run, with progress on stderr; the results of each log are sent to a URL as they come."""
     from replay.cli.progress import progress
     from replay.run.pool import freeze_gc

@@ -1,4 +1,4 @@
-"""`replan frame`: one frame planned again."""
+"""`replan frame`: plan one frame again."""
 
 from __future__ import annotations
 
@@ -14,12 +14,14 @@ from replay.cli.chosen import OfLog, OfMode, chosen_drive
 @app.command()
 def frame(
     result: Annotated[Path, typer.Argument(help="A folder of results.")],
-    at: Annotated[float, typer.Option(help="Time, s: the last frame not later is planned again.")],
+    at: Annotated[float, typer.Option(help="Time, s; the last frame up to it is planned again.")],
     log: OfLog = None,
-    of: Annotated[str | None, typer.Option("--of", help="Whose drive, where there are several.")] = None,
-    planner: Annotated[str | None, typer.Option(help="Another planner, which is given this frame alone.")] = None,
+    of: Annotated[str | None, typer.Option("--of", help="The drive of this planner. Default: the worst drive.")] = None,
+    planner: Annotated[
+        str | None, typer.Option(help="Plan the frame with this planner instead; it gets this frame only.")
+    ] = None,
     mode: OfMode = None,
-    dump: Annotated[Path | None, typer.Option(help="Write frames, plan and QPs here: FILE.msgpack.")] = None,
+    dump: Annotated[Path | None, typer.Option(help="Write frames, plan and QPs to FILE.msgpack.")] = None,
     debug: Annotated[bool, typer.Option("--debug", help="Open the debugger before the frame is planned.")] = False,
 ) -> None:
     """Drive up to a frame again, in one process, and plan it with a report: stages, times, sizes, residuals.

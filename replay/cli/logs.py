@@ -1,4 +1,4 @@
-"""`replan synth | convert | repair | inspect | salvage | export`: what reads and writes logs."""
+"""`replan synth | convert | repair | inspect | salvage | export`: read and write logs."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def synth(
         str, typer.Option("--as", help="native, or ros2: a bag of raw detections (group raw).", metavar="FORM")
     ] = "native",
     listing: Annotated[bool, typer.Option("--list", help="List the families and their parameters.")] = False,
-    markdown: Annotated[bool, typer.Option("--markdown", help="The page of all: docs/catalogue.md.")] = False,
+    markdown: Annotated[bool, typer.Option("--markdown", help="Print docs/catalogue.md.")] = False,
     as_json: Json = False,
 ) -> None:
     """Write synthesised logs of the catalogue.
@@ -83,7 +83,7 @@ def synth(
 @app.command()
 def convert(
     logs: Annotated[
-        list[Path] | None, typer.Argument(help="Logs of any format; a format's name first asks for that one.")
+        list[Path] | None, typer.Argument(help="Logs of any format; a format's name before them chooses it.")
     ] = None,
     out: Annotated[Path | None, typer.Option("--out", "-o", help="FILE.mcap for one log, else a folder.")] = None,
     ego: Ego = None,
@@ -99,7 +99,7 @@ def convert(
     formats: Annotated[bool, typer.Option("--formats", help="List the formats that replan reads.")] = False,
     as_json: Json = False,
 ) -> None:
-    """Logs of other formats to replan's own MCAP.
+    """Convert logs of other formats to replan's own MCAP.
 
     [bold]Examples[/bold]
 
@@ -142,7 +142,7 @@ def repair(
     repair: Repair = None,
     config: Settings = None,
 ) -> None:
-    """Make tracks of a log's raw detections, and say what was joined, removed and extended, and why.
+    """Make tracks of a log's raw detections, and list what was joined, removed and extended, and why.
 
     [bold]Example[/bold]
 
@@ -170,7 +170,7 @@ def inspect(
     config: Settings = None,
     as_json: Json = False,
 ) -> None:
-    """Say what a log holds, over which time, and what is missing for which evaluation."""
+    """List what a log contains, over which time, and what is missing for which evaluation."""
     with handle_errors():
         from logs.remote import here
         from logs.summary import summarise
@@ -218,7 +218,7 @@ def salvage(
         say("\n".join([str(out), *(f"    {line}" for line in save(damaged, out).lines())]))
 
 
-export_app = typer.Typer(help="Drives in the formats of others.", no_args_is_help=True)
+export_app = typer.Typer(help="Write drives in the formats of other projects.", no_args_is_help=True)
 app.add_typer(export_app, name="export")
 
 

@@ -40,7 +40,7 @@ def plot(
         Path | None, typer.Option("--out", "-o", help="FILE.png, FILE.svg, or a folder: each by itself.")
     ] = None,
     theme: Annotated[Look, typer.Option(help="Auto: an SVG follows its reader's system, a PNG is light.")] = Look.auto,
-    width: Annotated[int, typer.Option(min=200, max=8000, help="Of the picture, pixels.")] = 1400,
+    width: Annotated[int, typer.Option(min=200, max=8000, help="Width of the picture, pixels.")] = 1400,
 ) -> None:
     """Draw a drive as SVG or PNG: scene, S-T and S-L graph, curves, decisions.
 

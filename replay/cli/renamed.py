@@ -22,6 +22,8 @@ EVALUATE: Mapping[str, str] = {
     "--end-with-evidence": "loop.end_with_evidence=true",
 }
 """Options of `replan evaluate`, and what `--set` takes in their place; {} is the option's value."""
+COMPARE = {"--no-partings": "--no-first-difference"}
+"""Options of `replan compare`, and their new names."""
 
 
 class EvaluateCommand(TyperCommand):
@@ -30,6 +32,19 @@ class EvaluateCommand(TyperCommand):
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """The words with the old options replaced, parsed."""
         left: list[str] = super().parse_args(ctx, list(replaced(args, EVALUATE)))
+        return left
+
+
+class CompareCommand(TyperCommand):
+    """`replan compare`, which also takes the options in `COMPARE`."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """The words with the old options replaced, parsed."""
+        from replay.cli.app import say
+
+        for old in COMPARE.keys() & set(args):
+            say(f"hint: {old} is now {COMPARE[old]}; the old option goes with the next version", err=True)
+        left: list[str] = super().parse_args(ctx, [COMPARE.get(word, word) for word in args])
         return left
 
 

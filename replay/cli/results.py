@@ -1,4 +1,4 @@
-"""`replan view`: what looks at results."""
+"""`replan view`: show logs and results."""
 
 from __future__ import annotations
 
@@ -33,14 +33,16 @@ def view(
     video: Annotated[
         Path | None, typer.Option("--video", help="Write a video: FILE.gif, or with ffmpeg FILE.mp4; --from, --to.")
     ] = None,
-    at: Annotated[float, typer.Option(help="The picture's time, s.")] = 0.0,
-    layout: Annotated[str, typer.Option(help="Of picture and video: overview, planner, control.")] = "overview",
+    at: Annotated[float, typer.Option(help="Time of the picture, s.")] = 0.0,
+    layout: Annotated[str, typer.Option(help="Layout of picture and video: overview, planner, control.")] = "overview",
     tile: Annotated[str | None, typer.Option("--tile", help="A picture of this view only, by its title.")] = None,
-    size: Annotated[str, typer.Option(help="Of picture and video, pixels.")] = "1920x1080",
-    theme: Annotated[Literal["dark", "light"], typer.Option(help="Of picture and video.")] = "dark",
-    memory_limit: Annotated[str, typer.Option(help="Of the viewer.")] = "2GB",
+    size: Annotated[str, typer.Option(help="Size of picture and video, pixels.")] = "1920x1080",
+    theme: Annotated[Literal["dark", "light"], typer.Option(help="Theme of picture and video.")] = "dark",
+    memory_limit: Annotated[str, typer.Option(help="Memory limit of the viewer.")] = "2GB",
     web: Annotated[bool, typer.Option("--web", help="Show it in a browser.")] = False,
-    port: Annotated[int, typer.Option(min=1, max=65535, help="Of the page, with --web; on this machine only.")] = 9090,
+    port: Annotated[
+        int, typer.Option(min=1, max=65535, help="Port of the page, with --web; on this machine only.")
+    ] = 9090,
     ego: Ego = None,
     road_map: Map = None,
     begin: Begin = None,

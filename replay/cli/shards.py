@@ -1,4 +1,4 @@
-"""`replan merge`: the shards of a run put together."""
+"""`replan merge`: put the shards of a run together."""
 
 from __future__ import annotations
 

@@ -21,10 +21,11 @@ from logs.files import read_toml
 from logs.words import counted
 from replay.config import load_run
 from replay.planner_process.planner_config import planner_factory
+from replay.results.load import Results
 from replay.results.log_result import Failure, LogResult, Stamp, load_result
 from replay.results.schema import SCHEMA_VERSION
 from replay.results.tables import PARTIAL, SHARD_CARD, claim, write_text
-from replay.run.evaluate import RunResult, gates_of, judge_and_write
+from replay.run.evaluate import gates_of, judge_and_write
 from replay.run.lock import held
 from replay.run.origin import begun_in, write_origin
 from replay.run.resume import changes, stamp_of
@@ -57,7 +58,7 @@ class Part:
     results: tuple[LogResult, ...]
 
 
-def merge(folders: Sequence[Path | str], out: Path | str) -> RunResult:
+def merge(folders: Sequence[Path | str], out: Path | str) -> Results:
     """Judge the logs of all shards together and write one result folder.
 
     Args:

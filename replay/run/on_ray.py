@@ -71,7 +71,9 @@ class OnRay:
             ConfigError: Ray is not installed, the cluster cannot be reached, or its Python is another.
             OutputError: A folder cannot be written here.
         """
-        absolute = [_absolute(source) for source in sources]
+        absolute = [
+            source if source.path is None else replace(source, path=source.path.absolute()) for source in sources
+        ]
         with self._connected(run) as ray:
             job = ray.put((run, stamp, uuid4().hex))
             task = ray.remote(_on_node).options(max_retries=RETRIES, num_cpus=1)
@@ -185,11 +187,6 @@ def _ray() -> Any:
     except ImportError:
         raise ConfigError("--engine ray needs Ray: pip install 'replan[ray]'") from None
     return ray
-
-
-def _absolute(source: LogSource) -> LogSource:
-    """The source as a node sees it that shares this machine's folders."""
-    return source if source.path is None else replace(source, path=source.path.absolute())
 
 
 def _answer(ray: Any, reference: Any) -> tuple[Any, Any] | WorkerLost:

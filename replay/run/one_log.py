@@ -177,7 +177,7 @@ def _identified(source: LogSource, scenario: Scenario, folder: Path, run: RunCon
 def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, progress: _Progress) -> None:
     if Mode.CLOSED in run.modes:
         with progress.attempt():
-            scenario, tables = with_references(scenario, run.loop)
+            scenario, tables = with_references(scenario, run.drive_loop)
             progress.tables += tables
     with closing(StepsFile(folder)) as steps:
         for planner, mode, place in _places(run):
@@ -191,7 +191,7 @@ def _drive_all(scenario: Scenario, run: RunConfig, folder: Path, final: str, pro
                 del trace  # before the next one is driven: of an hour it is large
         steps.write()
     with progress.attempt():
-        progress.tables += late_follower(progress.tables, scenario, run.loop)
+        progress.tables += late_follower(progress.tables, scenario, run.drive_loop)
 
 
 def _places(run: RunConfig, member: int = 0) -> Iterator[tuple[str, Mode, DriveKey]]:
@@ -253,7 +253,7 @@ def _driven(
         scenario,
         planner,
         planner_config=keywords,
-        config=run.loop,
+        config=run.drive_loop,
         keep_internals=keep,
         until_s=until_s,
         seat=partial(Planning, place=place),
@@ -281,13 +281,13 @@ def _drive_member(scenario: Scenario, run: RunConfig, member: int, progress: _Pr
     measures = all_metrics(run)
     tables: list[pd.DataFrame] = []
     if Mode.CLOSED in run.modes:
-        other, tables = with_references(other, run.loop)
+        other, tables = with_references(other, run.drive_loop)
     for planner, mode, place in _places(run, member):
         with progress.attempt(planner, mode):
             drive = _driven(other, planner, mode, run, place, keep=bool(run.metrics))
             noted = progress.broken(planner, mode)
             tables.append(metrics.evaluate(drive.trace, other, metrics=measures, broken=noted))
-    tables += late_follower(tables, other, run.loop)
+    tables += late_follower(tables, other, run.drive_loop)
     progress.members.extend(table.assign(member=member, perturbation=name) for table in tables)
 
 

@@ -71,7 +71,8 @@ def run_all(
             while waiting and len(crew) < (1 if one_first else workers):
                 crew.append(_hired(function))
                 _hand_out(crew[-1], items, waiting)
-            for worker in _ready(crew):
+            answered = wait([worker.pipe for worker in crew])
+            for worker in [each for each in crew if each.pipe in answered]:
                 index, result = worker.item, worker.take()
                 worker.item = None
                 if waiting and not isinstance(result, WorkerLost):
@@ -102,11 +103,6 @@ def _hand_out(worker: _Worker[T, R], items: Sequence[T], waiting: list[int]) -> 
         worker.pipe.send(items[worker.item])
 
 
-def _ready(crew: list[_Worker[T, R]]) -> list[_Worker[T, R]]:
-    answered = wait([worker.pipe for worker in crew])
-    return [worker for worker in crew if worker.pipe in answered]
-
-
 def _dismiss(worker: _Worker[T, R]) -> None:
     worker.pipe.close()
     worker.process.join()
@@ -131,7 +127,7 @@ def _serve(pipe: Connection, function: Callable[[Any], Any]) -> None:
 
 
 def freeze_gc() -> None:
-    """Modules and kernels that are loaded stay: they are not looked through for garbage again.
+    """Exclude the modules and kernels that are loaded from garbage collection.
 
     A full collection took 117 ms with them, sometimes in the middle of a plan.
     """

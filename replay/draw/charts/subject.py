@@ -44,7 +44,7 @@ class Subject:
         if self.frame is None:
             return ()
         earlier = [one.t for one in self.said if one.t < self.frame.t]
-        (account,) = accounts(self.trace, self.scenario, self.drive.result.run.loop, earlier)
+        (account,) = accounts(self.trace, self.scenario, self.drive.result.run.drive_loop, earlier)
         return (
             f"The plan of t = {account.t:.2f} s: {account.course.action.value}.",
             *map(self.scenario.short_names, sentences(account)),

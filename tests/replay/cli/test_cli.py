@@ -20,8 +20,8 @@ from replay.config import RunConfig, load_run
 from replay.draw.report.overview import overview
 from replay.draw.report.terminal import print_report
 from replay.draw.view import recordings
-from replay.results.load import load
-from replay.run import RunResult, evaluate_logs
+from replay.results.load import Results, load
+from replay.run import evaluate_logs
 from replay.settings import set_table
 
 
@@ -289,7 +289,7 @@ def test_view_opens_recordings_with_the_viewer(tmp_path: Path, monkeypatch: pyte
 def recorded(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Results with recordings: one log passes, one fails."""
     run = RunConfig(planners=("constant_speed",))
-    return evaluate_logs([folder], run, tmp_path_factory.mktemp("recorded")).out
+    return evaluate_logs([folder], run, tmp_path_factory.mktemp("recorded")).path
 
 
 def test_view_of_results_opens_an_index_and_the_worst(
@@ -387,28 +387,28 @@ def test_view_refuses_what_holds_no_recording(folder: Path, tmp_path: Path) -> N
 
 
 @pytest.fixture(scope="module")
-def compared(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> RunResult:
+def compared(folder: Path, tmp_path_factory: pytest.TempPathFactory) -> Results:
     run = RunConfig(planners=("constant_speed", "logged"), recording=False)
     return evaluate_logs([folder], run, tmp_path_factory.mktemp("out"))
 
 
-def report(result: RunResult, width: int, **changes: Any) -> str:
+def report(result: Results, width: int, **changes: Any) -> str:
     """The report of a run, with other logs in its summary."""
-    written, results = StringIO(), load(result.out)
+    written, results = StringIO(), load(result.path)
     results = replace(results, summary={**results.summary, **changes})
-    print_report(overview(results), Console(width=width, file=written), result.out)
+    print_report(overview(results), Console(width=width, file=written), result.path)
     return written.getvalue()
 
 
 @pytest.mark.parametrize("width", [80, 100, 140])
-def test_the_report_fits_the_terminal_and_is_plain(compared: RunResult, width: int) -> None:
+def test_the_report_fits_the_terminal_and_is_plain(compared: Results, width: int) -> None:
     lines = report(compared, width).splitlines()
     assert max(map(len, lines)) <= width
     assert "constant_speed" in "".join(lines)
     assert all(char.isascii() or char == "\N{BOX DRAWINGS LIGHT HORIZONTAL}" for line in lines for char in line)
 
 
-def test_the_report_marks_oracles_and_has_a_column_per_planner(compared: RunResult) -> None:
+def test_the_report_marks_oracles_and_has_a_column_per_planner(compared: Results) -> None:
     text = report(compared, 140)
     assert re.search(r"over all logs +constant_speed +logged \(oracle\)", text)
     assert re.search(r"collisions at fault \(closed\) +1 +1", text)
@@ -416,16 +416,16 @@ def test_the_report_marks_oracles_and_has_a_column_per_planner(compared: RunResu
     assert re.search(r"test/blocked *\n  constant_speed .*collision:", text)
 
 
-def test_the_report_names_units_and_says_what_was_assumed(compared: RunResult) -> None:
-    logs = load(compared.out).summary["logs"]
+def test_the_report_names_units_and_says_what_was_assumed(compared: Results) -> None:
+    logs = load(compared.path).summary["logs"]
     text = report(compared, 140, logs=[{**log, "notes": [f"limit {i}.5 m/s used"]} for i, log in enumerate(logs)])
     assert "for example: limit 0.5 m/s used (2 of 2 logs)" in text
     assert "m/s3" in text
     assert "p99 [ms]" in text
 
 
-def test_the_recording_to_look_at_is_that_of_the_worst_failure(compared: RunResult) -> None:
-    logs = load(compared.out).summary["logs"]
+def test_the_recording_to_look_at_is_that_of_the_worst_failure(compared: Results) -> None:
+    logs = load(compared.path).summary["logs"]
     recorded = [
         {**drive, "files": [f"{log['log']}/{drive['planner']}.{drive['mode']}.rrd"]}
         for log in logs
@@ -434,10 +434,10 @@ def test_the_recording_to_look_at_is_that_of_the_worst_failure(compared: RunResu
     shown = report(
         compared, 200, logs=[{**log, "drives": [d for d in recorded if d["log"] == log["log"]]} for log in logs]
     )
-    assert "replan view " + str(compared.out / "test/blocked/constant_speed.closed.rrd") in shown
+    assert "replan view " + str(compared.path / "test/blocked/constant_speed.closed.rrd") in shown
 
 
-def test_a_long_report_shows_trouble_first(compared: RunResult, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_long_report_shows_trouble_first(compared: Results, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("replay.draw.report.terminal.MAX_ROWS", 1)
     text = report(compared, 140)
     assert "3 more drives" in text

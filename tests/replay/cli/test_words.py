@@ -150,7 +150,7 @@ def test_verbose_says_each_log_as_it_ends(folder: Path, tmp_path: Path) -> None:
     assert second.endswith("constant_speed closed: goal reached")
     assert " s  " in first
     again = evaluate(folder, "--mode", "closed", "--out", tmp_path / "out", "-v", "--resume")
-    assert again.stderr.count("there already") == 2
+    assert again.stderr.count("finished before") == 2
 
 
 def test_what_is_left_goes_by_the_length_of_the_logs() -> None:

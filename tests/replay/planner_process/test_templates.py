@@ -206,7 +206,9 @@ def test_a_run_loads_it_twice_in_a_worker_and_still_sees_what_is_not_determinist
     result = evaluate_logs([logs], run, folder / "out", workers=workers)
     assert loads(name) == 1 + 2 * max(workers, 1), "one checks the settings; two in each worker"
     assert len(result.drives) == 3
-    assert all(any(note.startswith("not deterministic") for note in drive.notes) for drive in result.drives)
+    assert all(
+        any(note.startswith("not deterministic") for note in drive.notes) for drive in result.drives.itertuples()
+    )
     assert not _warm["launcher"].templates
 
 

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 
 from logs import AgentKind, ConfigError, Goal, Scenario
 from logs.mcap import write_scenario
-from metrics.judge import verdicts_by_log
+from metrics.gates import Outcome
+from metrics.judge import worst
 from replay.config import RunConfig
 from replay.run import evaluate_logs
 from replay.vary import VaryResult, command, encounters, prepared, question, vary
@@ -61,11 +62,11 @@ def test_a_cell_is_what_evaluate_says_of_its_log(result: VaryResult, tmp_path: P
     (cell,) = result.table.query("side == -4 and ego_start == 1").to_dict("records")
     alone = evaluate_logs([result.out / "logs" / cell["log"]], replace(RUN, mode="closed", gates=str(
         result.out.parent / "gates.toml")), tmp_path / "alone")  # fmt: skip
-    assert list(verdicts_by_log(alone.verdicts).values()) == [cell["outcome"]] == ["fail"]
-    gap = alone.table.query("metric == 'gap.min' and planner == 'constant_speed'")["value"].item()
+    assert worst(map(Outcome, alone.verdicts["outcome"])).value == cell["outcome"] == "fail"
+    gap = alone.metrics.query("metric == 'gap.min' and planner == 'constant_speed'")["value"].item()
     assert gap == cell["least_gap_m"]
     assert "collision_at_fault.count" in cell["gates"] and "17" in cell["contact"]
-    assert cell["contact_s"] == alone.drives[0].t_end_s
+    assert cell["contact_s"] == alone.drives.iloc[0].t_end_s
 
 
 def test_the_edge_is_where_the_boxes_touch(result: VaryResult) -> None:

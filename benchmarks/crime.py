@@ -103,7 +103,7 @@ def ours(files: list[Path]) -> pd.DataFrame:
 def _rows(scenario: Any, dt: float) -> Iterator[dict[str, object]]:
     from logs.trace import EndReason, Mode, Trace
     from metrics import METRICS
-    from metrics.path_ahead import ahead_of
+    from metrics.following import ahead_of
 
     trace = Trace(
         scenario.name, "log", Mode.CLOSED, True, scenario.ego, scenario.tracks, frames=(), end=EndReason.END_OF_LOG

@@ -14,8 +14,8 @@ from pathlib import Path
 import pandas as pd
 
 from logs.readers import LogSettings, reader_of
-from metrics.gates import Outcome
 from metrics.judge import worst
+from metrics.judge.gates import Outcome
 from replay.config import RunConfig
 from replay.results.load import Results
 from replay.run import evaluate_logs

@@ -38,7 +38,7 @@ def stamp(kernel: Any) -> str:
 
 def _parts(function: FunctionType, seen: set[Any]) -> Iterator[str]:
     """A function's code, and what its global names stand for; kernels in `seen` are left out, and added to it."""
-    yield f"{function.__qualname__} {_said(function.__defaults__)}"
+    yield f"{function.__module__}.{function.__qualname__} {_said(function.__defaults__)}"  # it is loaded from there
     yield from (_said(each) for each in _hinted(function.__annotations__, function.__globals__))
     for code in _codes(function.__code__):
         yield f"{code.co_code.hex()} {code.co_names} {code.co_varnames} {[_said(c) for c in code.co_consts]}"
@@ -127,12 +127,18 @@ class KernelIndex(IndexDataCacheFile):
 
     def holds(self, processor: Any) -> bool:
         """Whether there is any for a processor (numba's `magic_tuple`)."""
-        kept = self._load_index()  # type: ignore[no-untyped-call]
+        kept = self._load_index()
         return any(key[1] == processor for key in kept) or (self._beside is not None and self._beside.holds(processor))
+
+    def _load_index(self) -> Any:
+        try:
+            return super()._load_index()  # type: ignore[no-untyped-call]
+        except (ImportError, AttributeError):  # an older replan wrote it: a class that it names has moved
+            return {}
 
     def save(self, key: Any, data: Any) -> None:
         """Keep the machine code of one kind of arguments; what is kept of another `stamp` is removed."""
-        kept = self._load_index()  # type: ignore[no-untyped-call]
+        kept = self._load_index()
         if not kept:
             self._clear()
         kept[key] = f"{self._base}.{sha256(f'{self._source_stamp} {key!r}'.encode()).hexdigest()[:16]}.nbc"

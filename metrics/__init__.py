@@ -6,9 +6,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from math import nan
+from math import isfinite, nan
 from operator import index
 from types import MappingProxyType
 from typing import TYPE_CHECKING
@@ -23,20 +23,18 @@ from logs.frame_store import light
 from logs.scenario import Scenario
 from logs.trace import Trace
 from metrics import (
-    accuracy,
-    avoidability,
     comfort,
-    consistency,
     cut_in,
     effort,
     encounters,
     evidence,
-    false_braking,
     following,
     lane_keeping,
     needless,
+    plans,
     progress,
     proposals,
+    reference_drivers,
     rss,
     rules,
     safety,
@@ -60,8 +58,8 @@ __all__ = [
 
 GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
     "accuracy": (
-        accuracy.ADE, accuracy.FDE, accuracy.AHE, accuracy.FHE, accuracy.ALONG, accuracy.CROSS,
-        accuracy.MISS,
+        plans.ADE, plans.FDE, plans.AHE, plans.FHE, plans.ALONG, plans.CROSS,
+        plans.MISS,
     ),
     "safety": (
         safety.COLLISION, safety.COLLISION_AT_FAULT, safety.GAP, safety.GAP_VULNERABLE, safety.GAP_KEPT,
@@ -73,7 +71,7 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
     "rules": (
         rules.RED_LIGHT, rules.STOP_SIGN, rules.CROSSWALK, rules.PRIORITY_GAP, rules.YIELDING,
         cut_in.FORCED_BRAKING, needless.NEEDLESS_BRAKING, needless.NEEDLESS_STANDING, needless.NEEDLESS_STEERING,
-        false_braking.FALSE_BRAKING, false_braking.MISSED_BRAKING,
+        needless.FALSE_BRAKING, needless.MISSED_BRAKING,
         safety.PASSING_ROOM, lane_keeping.WRONG_WAY, lane_keeping.LANE_KEEPING, lane_keeping.LANE_LINE,
         progress.SPEED_EXCESS, progress.SPEED_RATIO, progress.ASSUMED_LIMIT_EXCESS,
     ),
@@ -90,8 +88,8 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
     "tracking": effort.TRACKING,
     "effort": effort.EFFORT,
     "consistency": (
-        consistency.PLAN_CHANGE, consistency.PLAN_CHANGE_LATERAL,
-        consistency.EXTENDED_COMFORT, consistency.PLAN_HORIZON, consistency.PLAN_COMPLETE,
+        plans.PLAN_CHANGE, plans.PLAN_CHANGE_LATERAL,
+        plans.EXTENDED_COMFORT, plans.PLAN_HORIZON, plans.PLAN_COMPLETE,
     ),
     "plans": (proposals.PLAN_SCORE, proposals.PLAN_PROGRESS, proposals.PLAN_KEPT, proposals.PLAN_KEPT_LATERAL),
     "evidence": (
@@ -99,7 +97,7 @@ GROUPS: Mapping[str, tuple[Metric, ...]] = MappingProxyType({
         evidence.PLAN_REFUSED, evidence.PLAN_CORRECTED, evidence.ENSEMBLE, evidence.ASKED, evidence.PHANTOM,
         evidence.DIVERGENCE, evidence.WEAK, evidence.DISPLACED,
     ),
-    "reference": (avoidability.CC, avoidability.FSM),
+    "reference": reference_drivers.REFERENCE,
     "score": (
         score.NUPLAN_CLOSED_SCORE, score.NUPLAN_OPEN_SCORE, score.PDMS_SCORE, score.EPDMS_SCORE, score.CARLA_SCORE,
     ),
@@ -134,18 +132,7 @@ def evaluate(
     value occurred, NaN where it belongs to no instant. A metric that raises is unavailable where `broken` is given,
     which is then called; else the error is raised. `found` is called with each series and its name.
     """
-    head, rows = (scenario.name, trace.planner, trace.mode.value, trace.oracle), []
-    for metric, name, steps in _measured(trace, scenario, metrics, broken):
-        if isinstance(steps, Series):
-            found(name, steps)
-        for reduction in metric.reductions:
-            *row, available, reason, time_s = _row(f"{name}.{reduction.name}", metric, reduction, steps, broken)
-            about = reason.partition(":")[0] if available else ""
-            rows.append(
-                (*head, *row, available, scenario.short_names(reason), about, time_s, metric.version, metric.source)
-            )
-    columns = {name: [row[k] for row in rows] for k, name in enumerate(COLUMNS)}
-    return pd.DataFrame({**columns, **{name: np.array(columns[name], np.float64) for name in ("value", "time_s")}})
+    return as_table(rows_of(trace, scenario, metrics=metrics, broken=broken, found=found))
 
 
 def series(trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = METRICS) -> pd.DataFrame:
@@ -153,29 +140,99 @@ def series(trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = 
 
     Sorted by metric, then by time.
     """
-    found = _measured(trace, scenario, metrics)
-    return _steps({name: steps for _, name, steps in found if isinstance(steps, Series)})
+    return evaluate_with_series(trace, scenario, metrics=metrics)[1]
 
 
 def evaluate_with_series(
     trace: Trace, scenario: Scenario, *, metrics: Mapping[str, Metric] = METRICS, broken: Broken | None = None
 ) -> tuple[pd.DataFrame, pd.DataFrame]:
     """`evaluate` and `series`, each metric measured once."""
-    steps: dict[str, Series] = {}
-    table = evaluate(trace, scenario, metrics=metrics, broken=broken, found=steps.__setitem__)
-    return table, _steps(steps)
-
-
-def _steps(steps_of: Mapping[str, Series]) -> pd.DataFrame:
+    steps_of: dict[str, Series] = {}
+    table = evaluate(trace, scenario, metrics=metrics, broken=broken, found=steps_of.__setitem__)
     found = sorted(steps_of.items(), key=lambda item: item[0])
     none = np.empty(0)
-    return pd.DataFrame(
+    return table, pd.DataFrame(
         {
             "t_s": np.concatenate([none, *(steps.t for _, steps in found)]),
             "metric": np.repeat(np.array([name for name, _ in found], object), [len(steps.t) for _, steps in found]),
             "value": np.concatenate([none, *(steps.value for _, steps in found)]),
         }
     )
+
+
+def as_table(rows: Sequence[tuple[object, ...]]) -> pd.DataFrame:
+    """Rows of `rows_of` as a table; of several drives in one go, which costs less than to join their tables."""
+    columns = {name: [row[k] for row in rows] for k, name in enumerate(COLUMNS)}
+    return pd.DataFrame({**columns, **{name: np.array(columns[name], np.float64) for name in ("value", "time_s")}})
+
+
+def rows_of(
+    trace: Trace,
+    scenario: Scenario,
+    *,
+    metrics: Mapping[str, Metric] = METRICS,
+    broken: Broken | None = None,
+    found: Callable[[str, Series], None] = lambda name, series: None,
+) -> list[tuple[object, ...]]:
+    """The rows of `evaluate`. What is a phantom is left out for all metrics."""
+    ours = all(METRICS.get(name) is metric for name, metric in metrics.items())  # none looks at graphs or predictions
+    frames = light(trace.frames) if ours else trace.frames
+    agents = without_phantoms(trace.agents, phantoms(scenario))
+    changed = agents is not trace.agents or frames is not trace.frames
+    judged = replace(trace, agents=agents, frames=frames) if changed else trace  # what was measured of it is known
+    drive, short = (scenario.name, trace.planner, trace.mode.value, trace.oracle), scenario.short_names
+    rows: list[tuple[object, ...]] = []
+    for metric in metrics.values():
+        if trace.mode not in metric.modes:
+            continue
+        try:
+            parts = metric.measured(judged, scenario)
+        except (Exception, SystemExit) as error:
+            parts = metric.unavailable(Unavailable(_reported(metric, metric.measure, error, broken)))
+        for name, steps in parts.items():
+            if isinstance(steps, Series):
+                found(name, steps)
+            for reduction in metric.reductions:
+                unit, better = reduction.unit or metric.unit, reduction.direction or metric.direction
+                try:
+                    value, available, reason, time_s = _reduced(reduction, steps)
+                except (Exception, SystemExit) as error:
+                    reason = _reported(metric, reduction.reduce, error, broken)
+                    value, available, time_s = nan, False, nan
+                rows.append((
+                    *drive, f"{name}.{reduction.name}", value, unit, better, available, short(reason) if reason else "",
+                    reason.partition(":")[0] if available else "", time_s, metric.version, metric.source,
+                ))  # fmt: skip
+    return rows
+
+
+def _reported(metric: Metric, function: Callable[..., object], error: BaseException, broken: Broken | None) -> str:
+    """Why a function of a metric raised, after `broken` was called with it; the error again where there is none."""
+    if broken is None:
+        raise error
+    reason = raised(error, of=function)
+    broken(metric, reason, error)
+    return reason
+
+
+def _reduced(reduction: Reduction, steps: Measured) -> tuple[float, bool, str, float]:
+    """The columns value, available, reason (with whole ids) and time_s.
+
+    Raises:
+        Exception: What the reduction raises; ValueError: it names a step that is not there.
+    """
+    if isinstance(steps, Unavailable):
+        return nan, False, steps.reason, nan
+    if not steps.known.any():
+        return (nan, False, steps.missing, nan) if reduction.empty is None else (reduction.empty, True, "", nan)
+    value, step = reduction.reduce(steps)
+    value, step = float(value), index(step)
+    if not -1 <= step < len(steps.t):
+        raise ValueError(f"step {step} of {len(steps.t)}")
+    if not isfinite(value):
+        return nan, False, f"{reduction.name} of the steps is {value}, which is no number", nan
+    label = steps.labels[step] if steps.labels and step >= 0 else ""
+    return value, True, label, float(steps.t[step]) if step >= 0 else nan
 
 
 METRIC: Kind[Metric] = Kind("metric", "metrics", METRICS, an_instance(Metric, "metrics.Metric"))
@@ -185,54 +242,6 @@ METRIC: Kind[Metric] = Kind("metric", "metrics", METRICS, an_instance(Metric, "m
 def load_metric(spec: str) -> Metric:
     """A metric by name ("gap"), or from outside ("module:NAME", a `Metric` object); ConfigError as `Kind.find`."""
     return METRIC.find(spec)
-
-
-def _measured(
-    trace: Trace, scenario: Scenario, metrics: Mapping[str, Metric], broken: Broken | None = None
-) -> Iterator[tuple[Metric, str, Measured]]:
-    """Every metric of the trace's mode, part by part; what is a phantom is left out for all of them."""
-    ours = all(METRICS.get(name) is metric for name, metric in metrics.items())  # none looks at graphs or predictions
-    frames = light(trace.frames) if ours else trace.frames
-    judged = replace(trace, agents=without_phantoms(trace.agents, phantoms(scenario)), frames=frames)
-    for metric in metrics.values():
-        if trace.mode in metric.modes:
-            try:
-                parts = metric.measured(judged, scenario)
-            except (Exception, SystemExit) as error:
-                if broken is None:
-                    raise
-                reason = raised(error, of=metric.measure)
-                broken(metric, reason, error)
-                parts = metric.unavailable(Unavailable(reason))
-            yield from ((metric, name, found) for name, found in parts.items())
-
-
-def _row(
-    name: str, metric: Metric, reduction: Reduction, found: Measured, broken: Broken | None
-) -> tuple[str, float, str, str, bool, str, float]:
-    """From `metric` to `time_s`."""
-    unit, direction = reduction.unit or metric.unit, reduction.direction or metric.direction
-    if isinstance(found, Unavailable):
-        return name, nan, unit, direction, False, found.reason, nan
-    if not found.known.any():
-        if reduction.empty is None:
-            return name, nan, unit, direction, False, found.missing, nan
-        return name, reduction.empty, unit, direction, True, "", nan
-    try:
-        value, step = reduction.reduce(found)
-        value, step = float(value), index(step)
-        if not -1 <= step < len(found.t):
-            raise ValueError(f"step {step} of {len(found.t)}")
-    except (Exception, SystemExit) as error:
-        if broken is None:
-            raise
-        reason = raised(error, of=reduction.reduce)
-        broken(metric, reason, error)
-        return name, nan, unit, direction, False, reason, nan
-    if not np.isfinite(value):
-        return name, nan, unit, direction, False, f"{reduction.name} of the steps is {value}, which is no number", nan
-    label = found.labels[step] if found.labels and step >= 0 else ""
-    return name, value, unit, direction, True, label, float(found.t[step]) if step >= 0 else nan
 
 
 if not TYPE_CHECKING:  # a type checker would take any name for one of ours

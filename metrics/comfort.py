@@ -30,7 +30,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 
@@ -93,12 +93,20 @@ def _derived(value: FloatArray, window: int, degree: int, order: int, drive: Tra
 
 def r79_jerk(drive: Trajectory) -> FloatArray:
     """(9) of a drive with steps of `R79_STEP_S`; NaN in the first 0.5 s."""
-    from scipy.signal import butter, sosfilt, sosfilt_zi
+    from scipy.signal import sosfilt
+
+    lateral, (sections, rest) = lat_accel(drive), _low_pass()
+    low, _ = sosfilt(sections, lateral, zi=rest * lateral[0])  # (8)
+    return metric.changed(drive.t, np.asarray(low), R79_MEAN_S)  # (9)
+
+
+@cache
+def _low_pass() -> tuple[FloatArray, FloatArray]:
+    """Sections of (8), and their state at rest on 1."""
+    from scipy.signal import butter, sosfilt_zi
 
     sections = butter(R79_ORDER, R79_CUT_HZ, fs=1.0 / R79_STEP_S, output="sos")
-    lateral = lat_accel(drive)
-    low, _ = sosfilt(sections, lateral, zi=sosfilt_zi(sections) * lateral[0])  # (8)
-    return metric.changed(drive.t, np.asarray(low), R79_MEAN_S)  # (9)
+    return sections, sosfilt_zi(sections)
 
 
 def _driven(signal: Signal, trace: Trace, scenario: Scenario) -> Measured:

@@ -33,10 +33,10 @@ from logs.scenario import AgentKind, Scenario, Tracks
 from logs.shapes import corners
 from logs.states import Trajectory, wrap
 from logs.trace import Mode, Trace
+from metrics.boxes import ego_boxes
 from metrics.metric import MAX, Measured, Metric, Series, Unavailable
-from metrics.others import Others, each, ego_boxes, name_of, some_at
+from metrics.others import GRID_S, Others, each, name_of, some_at
 
-GRID_S = 0.1
 SPACING_M, CHORD_M, BEYOND_M = 2.0, 4.0, 10.0
 NEAR_M = 60.0
 OUT_M, IN_M = 0.3, 0.1

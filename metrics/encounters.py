@@ -20,26 +20,39 @@ from __future__ import annotations
 from collections.abc import Mapping
 from functools import partial
 from math import cos, hypot, inf, pi, sin
+from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
+from logs.kernel import FloatArray, IntArray, inner_kernel, kernel
 from logs.scenario import AgentKind, Scenario
 from logs.shapes import corners, distance, overlap, time_to_contact
 from logs.states import wrap
 from logs.trace import Mode, Trace
+from metrics.boxes import NO_TTC_MPS, Car, apart, car_of, ego_boxes, is_behind
+from metrics.following import grid_of
 from metrics.metric import MIN, Measured, Metric, Series, time_below
 from metrics.once import once
-from metrics.others import Others, box_of, each, ego_boxes, name_of, named, pieces
-from metrics.path_ahead import GRID_S, grid_of
-from metrics.safety import CATALOGUE as _CATALOGUE
-from metrics.safety import _apart, _behind, _labels
+from metrics.others import GRID_S, Others, each, labels_of, name_of, nearest
+from metrics.safety import CATALOGUE
 
 HORIZON_S = 10.0
 PIECE_S = 0.1
-MOVES_MPS = 0.005  # nuPlan devkit e9241677: an ego that is not faster has no TTC
 CROSSING_RAD = pi / 6.0
 SERIOUS_S = 1.0  # PET below it is serious (criticality metrics catalogue)
+
+
+class Body(NamedTuple):
+    """A box that moves: centre, m, heading, length, width, m, velocity, m/s, and the rate of its speed, m/s2."""
+
+    x: float
+    y: float
+    yaw: float
+    length: float
+    width: float
+    vx: float
+    vy: float
+    accel: float
 
 
 @inner_kernel
@@ -51,12 +64,10 @@ def _travelled(v: float, a: float, t: float) -> float:
 
 
 @kernel
-def time_to_contact_accelerated(
-    x1: float, y1: float, yaw1: float, length1: float, width1: float, vx1: float, vy1: float, a1: float,
-    x2: float, y2: float, yaw2: float, length2: float, width2: float, vx2: float, vy2: float, a2: float,
-    horizon: float,
-) -> float:  # fmt: skip
+def time_to_contact_accelerated(one: Body, two: Body, horizon: float) -> float:
     """(1), s; inf if they do not touch within the horizon. Who stands sets off along the heading where a > 0."""
+    x1, y1, yaw1, length1, width1, vx1, vy1, a1 = one
+    x2, y2, yaw2, length2, width2, vx2, vy2, a2 = two
     v1, v2 = hypot(vx1, vy1), hypot(vx2, vy2)
     c1, s1 = (vx1 / v1, vy1 / v1) if v1 > 0.0 else (cos(yaw1), sin(yaw1))
     c2, s2 = (vx2 / v2, vy2 / v2) if v2 > 0.0 else (cos(yaw2), sin(yaw2))
@@ -78,11 +89,10 @@ def time_to_contact_accelerated(
 
 
 @kernel
-def closest_encounter(
-    x1: float, y1: float, yaw1: float, length1: float, width1: float, vx1: float, vy1: float,
-    x2: float, y2: float, yaw2: float, length2: float, width2: float, vx2: float, vy2: float, horizon: float,
-) -> tuple[float, float]:  # fmt: skip
+def closest_encounter(one: Body, two: Body, horizon: float) -> tuple[float, float]:
     """(2): DCE, m, and TTCE, s. Boxes that do not touch are nearest at an end of the time or corner to corner."""
+    x1, y1, yaw1, length1, width1, vx1, vy1, _ = one
+    x2, y2, yaw2, length2, width2, vx2, vy2, _ = two
     contact = time_to_contact(x1, y1, yaw1, length1, width1, vx1, vy1, x2, y2, yaw2, length2, width2, vx2, vy2)
     if contact <= horizon:
         return 0.0, contact
@@ -91,10 +101,10 @@ def closest_encounter(
     later = distance(x1, y1, yaw1, length1, width1, x2 + horizon * vx, y2 + horizon * vy, yaw2, length2, width2)
     square = vx * vx + vy * vy
     if square > 0.0:
-        one, two = corners(x1, y1, yaw1, length1, width1), corners(x2, y2, yaw2, length2, width2)
+        mine, theirs = corners(x1, y1, yaw1, length1, width1), corners(x2, y2, yaw2, length2, width2)
         for i in range(4):
             for j in range(4):
-                dx, dy = two[j, 0] - one[i, 0], two[j, 1] - one[i, 1]
+                dx, dy = theirs[j, 0] - mine[i, 0], theirs[j, 1] - mine[i, 1]
                 t = -(dx * vx + dy * vy) / square
                 apart = hypot(dx + t * vx, dy + t * vy)
                 if 0.0 < t < horizon and (apart < best - 1e-9 or (apart < best + 1e-9 and t < when)):
@@ -102,59 +112,55 @@ def closest_encounter(
     return (later, horizon) if later < best - 1e-9 else (best, when)
 
 
+@inner_kernel
+def _body(others: Others, i: int, k: int, accel: float) -> Body:
+    """Box i at step k."""
+    pose, size = others.pose[:, i, k], others.size[i]
+    return Body(pose[0], pose[1], pose[2], size[0], size[1], pose[3], pose[4], accel)
+
+
 @kernel
-def _accelerated(
-    ego: FloatArray, ego_accel: FloatArray, box: FloatArray, there: BoolArray, pose: FloatArray, size: FloatArray,
-    accel: FloatArray,
-) -> tuple[FloatArray, IntArray]:  # fmt: skip
+def _accelerated(ego: FloatArray, ego_accel: FloatArray, car: Car, others: Others) -> tuple[FloatArray, IntArray]:
     """Per step the least (1) (NaN: none) and the agent's index (-1)."""
-    steps, reach = there.shape[1], 0.5 * hypot(box[1], box[2])
+    pose, size, steps = others.pose, others.size, others.there.shape[1]
     least, agent = np.full(steps, np.nan), np.full(steps, -1, np.int64)
     for k in range(steps):
         x, y, yaw, vx, vy = ego[0, k], ego[1, k], ego[2, k], ego[3, k], ego[4, k]
-        rear_x, rear_y, best, v = x - box[0] * cos(yaw), y - box[0] * sin(yaw), HORIZON_S, hypot(vx, vy)
-        if v <= MOVES_MPS:
+        rear_x, rear_y, best, v = x - car.axle * cos(yaw), y - car.axle * sin(yaw), HORIZON_S, hypot(vx, vy)
+        if v <= NO_TTC_MPS:
             continue
         for i in range(len(size)):
-            if not there[i, k] or _behind(rear_x, rear_y, yaw, pose[0, i, k], pose[1, i, k]):
+            if not others.there[i, k] or is_behind(rear_x, rear_y, yaw, pose[0, i, k], pose[1, i, k]):
                 continue
-            u = hypot(pose[3, i, k], pose[4, i, k])
-            way = _travelled(v, ego_accel[k], best) + _travelled(u, accel[i, k], best)
-            if _apart(x, y, reach, pose, size, i, k) > way:
+            u, a = hypot(pose[3, i, k], pose[4, i, k]), others.accel[i, k]
+            a = a if np.isfinite(a) else 0.0
+            if apart(x, y, car, others, i, k) > _travelled(v, ego_accel[k], best) + _travelled(u, a, best):
                 continue
-            found = time_to_contact_accelerated(
-                x, y, yaw, box[1], box[2], vx, vy, ego_accel[k],
-                pose[0, i, k], pose[1, i, k], pose[2, i, k], size[i, 0], size[i, 1], pose[3, i, k], pose[4, i, k],
-                accel[i, k], best,
-            )  # fmt: skip
+            one = Body(x, y, yaw, car.length, car.width, vx, vy, ego_accel[k])
+            found = time_to_contact_accelerated(one, _body(others, i, k, a), best)
             if found < best:
                 best, least[k], agent[k] = found, found, i
     return least, agent
 
 
 @kernel
-def _closest(
-    ego: FloatArray, box: FloatArray, there: BoolArray, pose: FloatArray, size: FloatArray
-) -> tuple[FloatArray, IntArray]:
+def _closest(ego: FloatArray, car: Car, others: Others) -> tuple[FloatArray, IntArray]:
     """Per step the least DCE and its TTCE (NaN: no other is there) `(2, k)`, and the agent's index (-1)."""
-    steps, reach = there.shape[1], 0.5 * hypot(box[1], box[2])
-    found, agent = np.full((2, steps), np.nan), np.full(steps, -1, np.int64)
+    pose, size, steps = others.pose, others.size, others.there.shape[1]
+    found, agent, reach = np.full((2, steps), np.nan), np.full(steps, -1, np.int64), 0.5 * hypot(car.length, car.width)
     for k in range(steps):
         x, y, yaw, vx, vy = ego[0, k], ego[1, k], ego[2, k], ego[3, k], ego[4, k]
         best, when = inf, inf
         for i in range(len(size)):
-            if not there[i, k]:
+            if not others.there[i, k]:
                 continue
             dx, dy, du, dv = pose[0, i, k] - x, pose[1, i, k] - y, pose[3, i, k] - vx, pose[4, i, k] - vy
             square = du * du + dv * dv
             t = min(max(-(dx * du + dy * dv) / square, 0.0), HORIZON_S) if square > 0.0 else 0.0
             if hypot(dx + t * du, dy + t * dv) - reach - 0.5 * hypot(size[i, 0], size[i, 1]) > best:
                 continue
-            near, after = closest_encounter(
-                x, y, yaw, box[1], box[2], vx, vy,
-                pose[0, i, k], pose[1, i, k], pose[2, i, k], size[i, 0], size[i, 1], pose[3, i, k], pose[4, i, k],
-                HORIZON_S,
-            )  # fmt: skip
+            one = Body(x, y, yaw, car.length, car.width, vx, vy, 0.0)
+            near, after = closest_encounter(one, _body(others, i, k, 0.0), HORIZON_S)
             if near < best or (near == best and after < when):
                 best, when, agent[k] = near, after, i
                 found[0, k], found[1, k] = near, after
@@ -163,24 +169,24 @@ def _closest(
 
 @kernel
 def encroachment(
-    ego: FloatArray, mine: IntArray, other: FloatArray, theirs: IntArray, size: FloatArray, other_size: FloatArray,
-    angle: float,
-) -> IntArray:  # fmt: skip
+    ego: FloatArray, mine: IntArray, other: FloatArray, theirs: IntArray, sizes: FloatArray, angle: float
+) -> IntArray:
     """(3) in steps, of the ego's steps `mine` and an agent's `theirs`, both increasing `(4, steps of the ego)`.
 
+    `sizes` are length and width of both boxes `(2, 2)`.
     Least j - i >= 0 and least i - j > 0 over the boxes that overlap and whose headings differ by at least `angle`, -1
     where there are none; then the numbers of such pairs.
     """
     out = np.zeros((4, ego.shape[1]), np.int64)
     out[:2] = -1
-    reach = 0.5 * (hypot(size[0], size[1]) + hypot(other_size[0], other_size[1]))
+    reach = 0.5 * (hypot(sizes[0, 0], sizes[0, 1]) + hypot(sizes[1, 0], sizes[1, 1]))
     for i in mine:
         for j in theirs:
             if hypot(other[0, j] - ego[0, i], other[1, j] - ego[1, i]) > reach:
                 continue
             if abs(wrap(other[2, j] - ego[2, i])) < angle or not overlap(
-                ego[0, i], ego[1, i], ego[2, i], size[0], size[1],
-                other[0, j], other[1, j], other[2, j], other_size[0], other_size[1],
+                ego[0, i], ego[1, i], ego[2, i], sizes[0, 0], sizes[0, 1],
+                other[0, j], other[1, j], other[2, j], sizes[1, 0], sizes[1, 1],
             ):  # fmt: skip
                 continue
             order, steps = (0, j - i) if j >= i else (1, i - j)
@@ -191,46 +197,38 @@ def encroachment(
 
 
 def _ttc_accelerated(trace: Trace, scenario: Scenario) -> Measured:
-    ego, box = grid_of(trace), box_of(scenario)
+    ego, car = grid_of(trace), car_of(scenario)
     boxes, forth = ego_boxes(ego, scenario), ego.a * np.where(ego.v < 0.0, -1.0, 1.0)
-    least, agent = np.full(len(ego), np.nan), np.full(len(ego), -1)
-    for k, seen, others in pieces(trace.agents, ego.t):
-        accel = np.nan_to_num(others.accel)
-        least[k], row = _accelerated(boxes[:, k], forth[k], box, others.there, others.pose, others.size, accel)
-        agent[k] = named(seen, row)
-    return Series(ego.t, least, _labels(trace, agent), f"never on a course to touch within {HORIZON_S:g} s")
+    least, agent = nearest(trace.agents, ego.t, lambda k, others: _accelerated(boxes[:, k], forth[k], car, others))
+    return Series(ego.t, least, labels_of(trace, agent), f"never on a course to touch within {HORIZON_S:g} s")
 
 
 @once
-def _encounters(trace: Trace, scenario: Scenario) -> tuple[FloatArray, FloatArray, IntArray]:
-    """Time, `_closest` of all road users present, and the nearest one's index."""
-    t, boxes, box = grid_of(trace).t, ego_boxes(grid_of(trace), scenario), box_of(scenario)
-    found, agent = np.full((2, len(t)), np.nan), np.full(len(t), -1)
-    for k, seen, others in pieces(trace.agents, t):
-        found[:, k], who = _closest(boxes[:, k], box, others.there, others.pose, others.size)
-        agent[k] = named(seen, who)
-    return t, found, agent
+def _encounters(trace: Trace, scenario: Scenario) -> tuple[FloatArray, IntArray]:
+    """`_closest` of all road users present, and the nearest one's index."""
+    boxes, car = ego_boxes(grid_of(trace), scenario), car_of(scenario)
+    return nearest(trace.agents, grid_of(trace).t, lambda k, others: _closest(boxes[:, k], car, others))
 
 
 def _encounter(trace: Trace, scenario: Scenario, *, row: int) -> Measured:
-    t, found, agent = _encounters(trace, scenario)
+    found, agent = _encounters(trace, scenario)
     value = found[row] if row == 0 else np.where(found[1] > 0.0, found[1], np.nan)
     nothing = "no other road user in the scene" if row == 0 or not (agent >= 0).any() else "no other came nearer"
-    return Series(t, value, _labels(trace, agent), nothing)
+    return Series(grid_of(trace).t, value, labels_of(trace, agent), nothing)
 
 
 def _pet(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
-    t, boxes, box = grid_of(trace).t, ego_boxes(grid_of(trace), scenario), box_of(scenario)
+    t, boxes, car = grid_of(trace).t, ego_boxes(grid_of(trace), scenario), car_of(scenario)
     best = {part: np.full(len(t), np.nan) for part in PET_PARTS}
     labels = {part: [""] * len(t) for part in PET_PARTS}
     for i, others, row in each(trace.agents, t):
-        mine, theirs = may_meet(boxes, box, others, row)
+        mine, theirs = may_meet(boxes, car, others, row)
         if trace.agents.static[i] or not len(mine) or not len(theirs):
             continue
-        name = name_of(trace.agents, i)
+        name, sizes = name_of(trace.agents, i), np.array([car[1:3], others.size[row]])
         across = 0.0 if trace.agents.kinds[i] is AgentKind.PEDESTRIAN else CROSSING_RAD
         for angle, after, before in ((0.0, "ego_first", "ego_second"), (across, "crossing", "crossing")):
-            found = encroachment(boxes, mine, others.pose[:, row], theirs, box[1:], others.size[row], angle)
+            found = encroachment(boxes, mine, others.pose[:, row], theirs, sizes, angle)
             for part, steps, sign, order in ((after, found[0], 1, "second"), (before, found[1], -1, "first")):
                 at = np.flatnonzero(steps >= 0)
                 for k, pet in zip(at, np.abs(t[at + sign * steps[at]] - t[at]), strict=True):
@@ -239,12 +237,12 @@ def _pet(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
     return {part: Series(t, best[part], tuple(labels[part]), PET_PARTS[part]) for part in PET_PARTS}
 
 
-def may_meet(boxes: FloatArray, box: FloatArray, others: Others, i: int) -> tuple[IntArray, IntArray]:
+def may_meet(boxes: FloatArray, car: Car, others: Others, i: int) -> tuple[IntArray, IntArray]:
     """The steps of the ego and of the agent in row i that lie in the rectangle which the other's drive takes."""
     ego, other = boxes[:2].T, others.pose[:2, i].T
     if not others.there[i].any():
         return np.empty(0, np.int64), np.empty(0, np.int64)
-    reach = 0.5 * float(np.hypot(box[1], box[2]) + np.hypot(*others.size[i]))
+    reach = 0.5 * float(np.hypot(car.length, car.width) + np.hypot(*others.size[i]))
     low, high = np.nanmin(other, axis=0) - reach, np.nanmax(other, axis=0) + reach
     mine = ((ego >= low) & (ego <= high)).all(axis=1)
     theirs = ((other >= ego.min(axis=0) - reach) & (other <= ego.max(axis=0) + reach)).all(axis=1)
@@ -262,27 +260,27 @@ TTC_ACCELERATED = Metric(
     "ttc_accelerated", "s", "higher", (Mode.CLOSED,), _ttc_accelerated, (MIN, time_below(1.5, "time_below_1500ms")),
     "Least time until boxes touch when all go on along their velocity vectors with their accelerations, no one into "
     "reverse; to the same agents as ttc.",
-    f"{_CATALOGUE}; commonroad-crime asks it of a lead in a lane", formula="v(t) = max(v + a t, 0) of each",
+    f"{CATALOGUE}; commonroad-crime asks it of a lead in a lane", formula="v(t) = max(v + a t, 0) of each",
     parameters=(f"horizon {HORIZON_S:g} s", f"pieces of {PIECE_S:g} s", "bound 1.5 s", _GRID),
     needs="another on a course to touch an ego that drives",
 )  # fmt: skip
 DCE = Metric(
     "dce", "m", "higher", (Mode.CLOSED,), partial(_encounter, row=0), (MIN,),
     "Distance of the closest encounter: the least distance of the boxes within 10 s at constant velocity vectors.",
-    f"Eggert, Proc. IEEE ITSC 2014; {_CATALOGUE}", formula="min over 0 <= t <= horizon of distance(t)",
+    f"Eggert, Proc. IEEE ITSC 2014; {CATALOGUE}", formula="min over 0 <= t <= horizon of distance(t)",
     parameters=(f"horizon {HORIZON_S:g} s", _GRID), needs="another road user",
 )  # fmt: skip
 TTCE = Metric(
     "ttce", "s", "higher", (Mode.CLOSED,), partial(_encounter, row=1), (MIN,),
     "Time to the closest encounter (of dce) where that is still to come.",
-    f"Eggert, Proc. IEEE ITSC 2014; {_CATALOGUE}", formula="argmin over 0 < t <= horizon of distance(t)",
+    f"Eggert, Proc. IEEE ITSC 2014; {CATALOGUE}", formula="argmin over 0 < t <= horizon of distance(t)",
     parameters=(f"horizon {HORIZON_S:g} s", _GRID), needs="another who comes nearer",
 )  # fmt: skip
 PET = Metric(
     "pet", "s", "higher", (Mode.CLOSED,), _pet, (MIN, time_below(SERIOUS_S, "time_below_1s")),
     "Post-encroachment time: from one leaving a place to the other taking it; the ego first, second, or either at a "
     "crossing.",
-    f"Allen, Shin, Cooper, Transp. Res. Rec. 667 (1978); {_CATALOGUE}",
+    f"Allen, Shin, Cooper, Transp. Res. Rec. 667 (1978); {CATALOGUE}",
     formula="min |t_j - t_i| over overlapping boxes",
     parameters=(
         _GRID, "crossing: pedestrians, and headings 30 degrees or more apart", f"serious below {SERIOUS_S:g} s",

@@ -35,9 +35,10 @@ from logs.rules import Colour, TrafficLight
 from logs.scenario import Scenario
 from logs.trace import EndReason, Mode, PlanStatus, Trace
 from metrics import metric
+from metrics.boxes import ego_boxes
 from metrics.lanes import limits_at, mapped_lanes, off_lanes, points_inside, stated_lanes
 from metrics.metric import Direction, Measured, Metric, Reduction, Series, Unavailable
-from metrics.others import each, ego_boxes, name_of, some_at
+from metrics.others import each, name_of, some_at
 from metrics.phantoms import phantoms
 from metrics.plans import NO_PLANS, frame_times
 
@@ -82,10 +83,9 @@ def _found(trace: Trace, known: BoolArray, why: str, needed: BoolArray | None = 
     """The series of a kind of evidence; `why` says of the steps that need it and have none what is lacking."""
     ego = trace.ego
     needed = np.ones(len(known), np.bool_) if needed is None else needed
-    half = 0.5 * np.hypot(np.diff(ego.x), np.diff(ego.y))
     value = np.where(needed, known.astype(np.float64), np.nan)
     labels = tuple(why if lacking else "" for lacking in (needed & ~known).tolist())
-    return Evidence(ego.t, value, labels, way=np.r_[half, 0.0] + np.r_[0.0, half])
+    return Evidence(ego.t, value, labels, way=metric.shared(np.hypot(np.diff(ego.x), np.diff(ego.y))))
 
 
 def _lights(trace: Trace, scenario: Scenario, x: FloatArray, y: FloatArray) -> Measured:
@@ -177,14 +177,6 @@ def _off(trace: Trace, scenario: Scenario) -> Iterator[tuple[str, BoolArray]]:
             yield name_of(log, i), off
 
 
-def _divergence(trace: Trace, scenario: Scenario) -> Measured:
-    return (
-        Series(trace.ego.t, _apart(trace, scenario)[0])
-        if len(scenario.ego) > 1
-        else Unavailable("the log holds one ego state only: there is no drive to part from")
-    )
-
-
 def _weak(trace: Trace, scenario: Scenario) -> Measured:
     if len(scenario.ego) < 2:
         return _NO_DRIVE
@@ -216,7 +208,7 @@ EVIDENCE = Metric(
 AGENT_INTERVAL = Metric(
     "agent_interval", "s", "none", (Mode.OPEN, Mode.CLOSED), _agent_interval, (metric.FINAL,),
     "Time between two samples of a road user in the log, the median over all that are not static: how near to its bound"
-    " a value is marginal (`metrics.marginal`).",
+    " a value is marginal.",
     formula="median of t_k - t_(k-1), gaps left out", needs="a road user with two samples",
 )  # fmt: skip
 REPLAY_CONTACT = Metric(

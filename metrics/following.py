@@ -1,40 +1,62 @@
-"""Distance and time to the lead, and what it would take to avoid them: closed loop, `path_ahead` says who is the lead.
+"""The path ahead of the ego, the lead in it, distance and time to the lead, and what it would take to avoid it.
 
-gap (m) from bumper to bumper along the path, v the ego's speed, u the lead's along the path, b_o >= 0 its deceleration.
+The one definition of all metrics that ask who is in front, closed loop. Path: from the rear axle on along the circle of
+the ego's curvature at that step; s in m along it, l in m to its left, for at most `LOOK_M` and a quarter of a turn. It
+needs no lane, and nothing that comes later in the drive. With a point
+at (x, y) ahead and to the left of the rear axle:
 
-(1) THW = gap / v: when the ego's front is where the lead's rear is now, at constant speed; an ego that stands has none
-(2) DRAC = (v - u)^2 / (2 gap) where v > u, else 0: the lead holds its speed
-(3) a_req, the least constant deceleration that does not touch a lead that goes on braking with b_o until it stands:
+(1) s = atan2(kappa x, 1 - kappa y) / kappa,  x where kappa = 0
+    l = (2 y - kappa (x^2 + y^2)) / (1 + hypot(1 - kappa y, kappa x))
+
+Band: |l| <= half of the ego's width, what its box sweeps. Lead: of all agents whose box reaches into the band, the one
+whose part in it begins nearest ahead of the middle of the ego's box. Who comes towards the ego with more than
+`COMING_MPS` is no lead (TTC and RSS see them); who crosses is one while in the band. An ego in reverse has no lead.
+Edges of boxes are looked at in `PIECES` pieces each, exact to 0.1 m for a truck on the tightest curve.
+
+With the lead: gap (m) from bumper to bumper along the path, v the ego's speed, u the lead's along the path, b_o >= 0
+its deceleration.
+
+(2) THW = gap / v: when the ego's front is where the lead's rear is now, at constant speed; an ego that stands has none
+(3) DRAC = (v - u)^2 / (2 gap) where v > u, else 0: the lead holds its speed
+(4) a_req, the least constant deceleration that does not touch a lead that goes on braking with b_o until it stands:
     b_o + (v - u)^2 / (2 gap)  where v > u and the speeds meet first, i.e. 2 gap / (v - u) <= u / b_o;  else
     v^2 / (2 (gap + u^2 / (2 b_o)))  where the lead comes to rest first;  0 where v <= u and b_o = 0
-(4) BTN = a_req / (the ego's greatest deceleration);  above 1 braking alone does not suffice
-(5) a_lat,req = 2 max(min(l_high + w T + h, h - l_low - w T), 0) / T^2 with T = gap / (v - u), h half of the ego's width
+(5) BTN = a_req / (the ego's greatest deceleration);  above 1 braking alone does not suffice
+(6) a_lat,req = 2 max(min(l_high + w T + h, h - l_low - w T), 0) / T^2 with T = gap / (v - u), h half of the ego's width
     and the lead from l_low to l_high moving sideways with w: the least constant lateral acceleration that passes it;
     0 where it is out of the band by then, or the gap opens
-(6) STN = a_lat,req / 8.0 m/s2
-(7) following gap: required = max(v t_front(v), 2 m), t_front by `R157_S`, linear between, the last beyond the table;
+(7) STN = a_lat,req / 8.0 m/s2
+(8) following gap: required = max(v t_front(v), 2 m), t_front by `R157_S`, linear between, the last beyond the table;
     asked while the lead is a vehicle that heads along the path (within 45 degrees) and drives on, or both stand
 
-At a contact (gap 0) only (1) and the gap have a value: what is required then is without bound.
-Sources: commonroad-crime 0.4.5 and the criticality metrics catalogue (Westhofen et al. 2023) for (1) to (6), where (3)
-adds that a lead does not brake into reverse; UN R157, 5.2.3.3 for (7), whose table ends at 60 km/h.
+At a contact (gap 0) only (2) and the gap have a value: what is required then is without bound.
+Sources: commonroad-crime 0.4.5 and the criticality metrics catalogue (Westhofen et al. 2023) for (2) to (7), where (4)
+adds that a lead does not brake into reverse; UN R157, 5.2.3.3 for (8), whose table ends at 60 km/h.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
+from math import atan2, cos, hypot, pi, sin
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray
+from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
 from logs.scenario import AgentKind, Scenario
+from logs.shapes import corners
+from logs.states import Trajectory
 from logs.trace import Mode, Trace
+from metrics.boxes import STANDING_MPS, Car, car_of
 from metrics.metric import MAX, MIN, Direction, Measured, Metric, Reduction, Series, time_below, time_outside
-from metrics.path_ahead import COMING_MPS, GRID_S, LOOK_M, STANDING_MPS, Ahead, ahead_of
-from metrics.safety import CATALOGUE as _CATALOGUE
-from metrics.safety import _labels
+from metrics.once import once
+from metrics.others import GRID_S, Others, labels_of, nearest
+from metrics.safety import CATALOGUE
 
+LOOK_M = 150.0
+COMING_MPS = 0.5
+PIECES = 4
 SHORT_THW_S = 0.9  # Below it Germany fines (criticality metrics catalogue: DE 0.9 s)
 EMERGENCY_MPS2 = 5.0  # UN R157: a greater demand is an emergency manoeuvre
 STEER_MPS2 = 8.0  # Lateral acceleration that is available: commonroad-crime's a_lat,max
@@ -45,8 +67,141 @@ _ALONG = np.cos(np.pi / 4.0)
 _ALONE = f"no other road user in the ego's path within {LOOK_M:g} m"
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class Ahead:
+    """The ego and its lead over k steps; NaN where there is no lead.
+
+    Attributes:
+        t: s since the scenario's start.
+        v: The ego's speed, m/s; `a` its acceleration, m/s2.
+        agent: Index of the lead's track, -1: none.
+        gap: Along the path from the ego's front bumper to the lead's nearest part in the band, m; 0 where they touch.
+        u: The lead's speed along the path, m/s; `w` across it, positive to the left.
+        decel: The lead's deceleration along the path, m/s2, 0 where it does not brake.
+        low: The lead's rightmost l, m; `high` its leftmost.
+        facing: Cosine of the angle between the lead's heading and the path.
+    """
+
+    t: FloatArray
+    v: FloatArray
+    a: FloatArray
+    agent: IntArray
+    gap: FloatArray
+    u: FloatArray
+    w: FloatArray
+    decel: FloatArray
+    low: FloatArray
+    high: FloatArray
+    facing: FloatArray
+
+
+@once
+def grid_of(trace: Trace) -> Trajectory:
+    """The ego's drive every `GRID_S` from its start, and at its last step."""
+    first, last = float(trace.ego.t[0]), float(trace.ego.t[-1])
+    steps = first + GRID_S * np.arange(int((last - first) / GRID_S - 1e-6) + 1)
+    return trace.ego.resampled(np.r_[steps, last] if last > steps[-1] else steps)
+
+
+@once
+def ahead_of(trace: Trace, scenario: Scenario) -> Ahead:
+    """Who was in front, on `grid_of(trace)`."""
+    ego, car = grid_of(trace), car_of(scenario)
+    states = np.stack([ego.x, ego.y, ego.yaw, ego.v, ego.kappa])
+    rows, agent = nearest(trace.agents, ego.t, lambda k, others: _leads(states[:, k], car, others))
+    return Ahead(ego.t, ego.v, ego.a, agent, *rows)
+
+
+@inner_kernel
+def arc_point(kappa: float, x: float, y: float) -> tuple[float, float]:
+    """(1): s and l of a point in the frame of the rear axle."""
+    side, up = 1.0 - kappa * y, kappa * x
+    s = atan2(up, side) / kappa if kappa != 0.0 else x
+    return s, (2.0 * y - kappa * (x * x + y * y)) / (1.0 + hypot(side, up))
+
+
+@inner_kernel
+def _clipped(s0: float, l0: float, s1: float, l1: float, half: float) -> float:
+    """The least s of a straight piece within |l| <= half; inf where no part of it is."""
+    if max(l0, l1) < -half or min(l0, l1) > half:
+        return np.inf
+    least = np.inf
+    if abs(l0) <= half:
+        least = s0
+    if abs(l1) <= half:
+        least = min(least, s1)
+    if l0 != l1:
+        for edge in (-half, half):
+            u = (edge - l0) / (l1 - l0)
+            if 0.0 <= u <= 1.0:
+                least = min(least, s0 + u * (s1 - s0))
+    return least
+
+
+@inner_kernel
+def extent(
+    x: float, y: float, yaw: float, kappa: float, half: float, outline: FloatArray
+) -> tuple[float, float, float, float, float]:
+    """Of a box with corners `outline` `(4, 2)`: least s in the band (inf: none), then s and l from, to (1)."""
+    c, s = cos(yaw), sin(yaw)
+    near, s_low, s_high, l_low, l_high = np.inf, np.inf, -np.inf, np.inf, -np.inf
+    before = np.zeros(2)
+    for i in range(4 * PIECES + 1):
+        at, u = (i // PIECES) % 4, (i % PIECES) / PIECES
+        dx = (1.0 - u) * outline[at, 0] + u * outline[(at + 1) % 4, 0] - x
+        dy = (1.0 - u) * outline[at, 1] + u * outline[(at + 1) % 4, 1] - y
+        along, left = arc_point(kappa, c * dx + s * dy, c * dy - s * dx)
+        s_low, s_high = min(s_low, along), max(s_high, along)
+        l_low, l_high = min(l_low, left), max(l_high, left)
+        if i > 0 and abs(kappa * (along - before[0])) < pi:
+            near = min(near, _clipped(before[0], before[1], along, left, half))
+        before[0], before[1] = along, left
+    return near, s_low, s_high, l_low, l_high
+
+
+@inner_kernel
+def within_look(x: float, y: float, yaw: float, kappa: float, other_x: float, other_y: float, reach: float) -> bool:
+    """Whether a box of half diagonal `reach` may lie along the path: near enough, and not round the circle."""
+    dx, dy = other_x - x, other_y - y
+    return hypot(dx, dy) <= LOOK_M + reach and kappa * (dy * cos(yaw) - dx * sin(yaw)) < 1.0
+
+
+@kernel
+def _leads(ego: FloatArray, car: Car, others: Others) -> tuple[FloatArray, IntArray]:
+    """The rows gap to facing of `Ahead` `(7, k)` and agent `(k,)`; `ego` has x, y, yaw, v, kappa of the rear axle."""
+    pose, size, steps = others.pose, others.size, others.there.shape[1]
+    half, front = 0.5 * car.width, car.axle + 0.5 * car.length
+    rows, agent = np.full((7, steps), np.nan), np.full(steps, -1, np.int64)
+    for k in range(steps):
+        x, y, yaw, kappa, best = ego[0, k], ego[1, k], ego[2, k], ego[4, k], np.inf
+        if ego[3, k] < -STANDING_MPS:
+            continue
+        for i in range(len(size)):
+            reach = 0.5 * hypot(size[i, 0], size[i, 1])
+            if not others.there[i, k] or not within_look(x, y, yaw, kappa, pose[0, i, k], pose[1, i, k], reach):
+                continue
+            dx, dy = pose[0, i, k] - x, pose[1, i, k] - y
+            ahead, left = dx * cos(yaw) + dy * sin(yaw), dy * cos(yaw) - dx * sin(yaw)
+            if abs(arc_point(kappa, ahead, left)[1]) > half + reach:
+                continue
+            outline = corners(pose[0, i, k], pose[1, i, k], pose[2, i, k], size[i, 0], size[i, 1])
+            near, _, _, low, high = extent(x, y, yaw, kappa, half, outline)
+            if not car.axle < near < min(best, front + LOOK_M) or abs(kappa * near) > 0.5 * pi:
+                continue
+            path, vx, vy = yaw + kappa * near, pose[3, i, k], pose[4, i, k]
+            u, w, speed = vx * cos(path) + vy * sin(path), vy * cos(path) - vx * sin(path), hypot(vx, vy)
+            if u < -COMING_MPS:
+                continue
+            best, agent[k] = near, i
+            rows[0, k], rows[1, k], rows[2, k] = max(near - front, 0.0), u, w
+            accel = others.accel[i, k] if np.isfinite(others.accel[i, k]) else 0.0
+            rows[3, k] = max(-accel * u / speed, 0.0) if speed > STANDING_MPS else 0.0
+            rows[4, k], rows[5, k], rows[6, k] = low, high, cos(pose[2, i, k] - path)
+    return rows, agent
+
+
 def required_decel(gap: FloatArray, v: FloatArray, u: FloatArray, decel: FloatArray) -> FloatArray:
-    """(3) `(n,)`, m/s2, positive; NaN where the gap is 0 or not known."""
+    """(4) `(n,)`, m/s2, positive; NaN where the gap is 0 or not known."""
     u = np.maximum(u, 0.0)
     closing = np.maximum(v - u, 0.0)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -57,7 +212,7 @@ def required_decel(gap: FloatArray, v: FloatArray, u: FloatArray, decel: FloatAr
 
 
 def required_lateral(ahead: Ahead, half: float) -> FloatArray:
-    """(5) `(n,)`, m/s2; NaN where the gap is 0 or not known."""
+    """(6) `(n,)`, m/s2; NaN where the gap is 0 or not known."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # hardly closing: never, 0
         time = ahead.gap / np.maximum(ahead.v - ahead.u, 0.0)
         left, right = ahead.high + ahead.w * time + half, half - ahead.low - ahead.w * time
@@ -66,7 +221,7 @@ def required_lateral(ahead: Ahead, half: float) -> FloatArray:
 
 
 def required_gap(v: FloatArray) -> FloatArray:
-    """(7) `(n,)`, m."""
+    """(8) `(n,)`, m."""
     return np.maximum(v * np.interp(v, R157_MPS, R157_S), R157_LEAST_M)
 
 
@@ -93,7 +248,7 @@ def _measured(
         no_vehicle = (AgentKind.PEDESTRIAN, AgentKind.OBJECT)
         vehicle = np.array([*(kind not in no_vehicle for kind in trace.agents.kinds), False], np.bool_)
         found = np.where(vehicle[ahead.agent], found, np.nan)
-    return Series(ahead.t, found, _labels(trace, ahead.agent), missing)
+    return Series(ahead.t, found, labels_of(trace, ahead.agent), missing)
 
 
 def _metric(
@@ -112,33 +267,33 @@ def _metric(
 FOLLOWING = (
     _metric(
         "headway", "m", "higher", lambda ahead, scenario: ahead.gap, (MIN,),
-        "Gap along the ego's path from its front bumper to the lead.", "s_lead - s_front", _CATALOGUE,
+        "Gap along the ego's path from its front bumper to the lead.", "s_lead - s_front", CATALOGUE,
     ),
     _metric(
         "thw", "s", "higher",
         lambda ahead, scenario: _quotient(ahead.gap, ahead.v, ahead.v > STANDING_MPS),
         (MIN, time_below(SHORT_THW_S, "time_below_900ms")),
         "Time headway: until the ego's front is where the lead's rear is now, at constant speed.", "gap / v",
-        _CATALOGUE, f"bound {SHORT_THW_S:g} s (fined in Germany)",
+        CATALOGUE, f"bound {SHORT_THW_S:g} s (fined in Germany)",
         needs="a lead in the path of an ego that drives", missing=f"{_ALONE} while it drove",
     ),
     _metric(
         "drac", "m/s2", "lower",
         lambda ahead, scenario: _quotient(np.maximum(ahead.v - ahead.u, 0.0) ** 2, 2.0 * ahead.gap, ahead.gap > 0.0),
         (MAX,), "Deceleration rate to avoid a crash with a lead that holds its speed.",
-        "(v - u)^2 / (2 gap) where v > u, else 0", _CATALOGUE,
+        "(v - u)^2 / (2 gap) where v > u, else 0", CATALOGUE,
     ),
     _metric(
         "required_decel", "m/s2", "lower", _required, (MAX, time_outside(-np.inf, EMERGENCY_MPS2, "time_in_emergency")),
         "Least constant deceleration that avoids a lead that goes on braking as it does until it stands.",
         "b_o + (v - u)^2 / (2 gap) where the speeds meet before the lead stands, else v^2 / (2 (gap + u^2 / (2 b_o)))",
-        f"{_CATALOGUE}; emergency: UN R157", f"emergency above {EMERGENCY_MPS2:g} m/s2",
+        f"{CATALOGUE}; emergency: UN R157", f"emergency above {EMERGENCY_MPS2:g} m/s2",
     ),
     _metric(
         "btn", "1", "lower", lambda ahead, scenario: _required(ahead, scenario) / scenario.vehicle.max_decel,
         (MAX, time_outside(-np.inf, 1.0, "time_above_1")),
         "Brake threat number: required over greatest deceleration; above 1 braking alone does not suffice.",
-        "a_req / a_max", _CATALOGUE, "a_max: the vehicle's max_decel",
+        "a_req / a_max", CATALOGUE, "a_max: the vehicle's max_decel",
     ),
     _metric(
         "stn", "1", "lower",

@@ -21,12 +21,12 @@ from logs.kernel import FloatArray
 from logs.scenario import Scenario
 from logs.trace import Mode, Trace
 from metrics import metric
+from metrics.boxes import ego_boxes
+from metrics.following import grid_of
 from metrics.lanes import Under, mapped_lanes, under
 from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
 from metrics.needless import reasons
 from metrics.once import once
-from metrics.others import ego_boxes
-from metrics.path_ahead import grid_of
 
 WINDOW_S = 1.0
 COMPLIANT_M, HALF_M = 2.0, 6.0

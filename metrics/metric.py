@@ -15,7 +15,7 @@ measured is Unavailable with its reason; a single step that has no value is NaN.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal, get_args
 
 import numpy as np
@@ -37,6 +37,7 @@ class Series:
         value: `(n,)`; NaN where the step has none.
         labels: `n` texts that name the road user or thing of a step's value ("car 12"), or empty.
         missing: Why steps have no value: the reason given where no step has one.
+        known: Which steps have a value `(n,)`; it follows from `value`.
 
     Raises:
         ValueError: Columns differ in length or are empty, a time is not finite, or a value is infinite.
@@ -46,23 +47,20 @@ class Series:
     value: FloatArray
     labels: tuple[str, ...] = ()
     missing: str = "no step has a value"
+    known: BoolArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         for name in ("t", "value"):
             object.__setattr__(self, name, frozen(getattr(self, name)))
+        object.__setattr__(self, "known", np.isfinite(self.value))
         if self.t.shape != self.value.shape or self.t.ndim != 1 or not len(self.t):
             raise ValueError(f"series: t has shape {self.t.shape}, value {self.value.shape}")
         if not np.isfinite(self.t).all():
             raise ValueError("series: a time is not finite")
-        if np.isinf(self.value).any():
+        if not self.known.all() and np.isinf(self.value).any():
             raise ValueError("series: a value is infinite; a missing one is NaN")
         if self.labels and len(self.labels) != len(self.t):
             raise ValueError(f"series: {len(self.labels)} labels for {len(self.t)} steps")
-
-    @property
-    def known(self) -> BoolArray:
-        """Which steps have a value `(n,)`."""
-        return np.isfinite(self.value)
 
 
 def counted(t: FloatArray, events: Iterable[tuple[int, str]]) -> Series:
@@ -213,16 +211,23 @@ def _percentile(q: float) -> Callable[[Series], tuple[float, int]]:
 
 def holds(t: FloatArray) -> FloatArray:
     """How long each step `(n,)` stands for, s: half of the time to each of its neighbours; they add up to the drive."""
-    half = 0.5 * np.diff(t)
-    return np.r_[half, 0.0] + np.r_[0.0, half]
+    return shared(np.diff(t))
+
+
+def shared(between: FloatArray) -> FloatArray:
+    """What lies between the steps `(n - 1,)`, half of it to each neighbour `(n,)`."""
+    out = np.zeros(len(between) + 1)
+    out[:-1] += 0.5 * between
+    out[1:] += 0.5 * between
+    return out
 
 
 def longest(series: Series, flags: BoolArray) -> tuple[float, int]:
     """Seconds of the longest unbroken stretch of marked steps, and its first step; the earliest of equals."""
+    if not flags.any():
+        return 0.0, -1
     edge = np.diff(np.r_[False, flags, False].astype(np.int64))
     first, end = np.flatnonzero(edge > 0), np.flatnonzero(edge < 0)
-    if not len(first):
-        return 0.0, -1
     until = np.r_[0.0, np.cumsum(holds(series.t))]
     length = until[end] - until[first]
     best = int(np.argmax(length > length.max() - 1e-9))
@@ -254,14 +259,27 @@ SHARE = Reduction("share", lambda series: (float(np.mean(series.known)), -1), "1
 """Share of the steps that have a value, where each ought to have one: below 1 the mean is over a part only."""
 
 
-def time_outside(low: float, high: float, name: str) -> Reduction:
-    """Seconds during which the value is below `low` or above `high`; 0 where no step has a value."""
+def _marked(
+    name: str,
+    mark: Callable[[Series], BoolArray],
+    whole: Callable[[Series, FloatArray], float] | None = None,
+    bounds: tuple[float, float] | None = None,
+) -> Reduction:
+    """Seconds of the marked steps, or their share of the `whole` of what all steps stand for; its time is the first."""
 
     def reduce(series: Series) -> tuple[float, int]:
-        flags = (series.value < low) | (series.value > high)
-        return float(np.sum(holds(series.t)[flags])), first_of(flags)
+        flags, weight = mark(series), holds(series.t)
+        if not flags.any():
+            return 0.0, -1
+        total = whole(series, weight) if whole else 1.0
+        return float(np.sum(weight[flags])) / total if total > 0.0 else float(flags[0]), int(np.argmax(flags))
 
-    return Reduction(name, reduce, "s", "lower", 0.0, (low, high))
+    return Reduction(name, reduce, "1" if whole else "s", "lower", 0.0, bounds)
+
+
+def time_outside(low: float, high: float, name: str) -> Reduction:
+    """Seconds during which the value is below `low` or above `high`; 0 where no step has a value."""
+    return _marked(name, lambda series: (series.value < low) | (series.value > high), bounds=(low, high))
 
 
 def time_below(bound: float, name: str) -> Reduction:
@@ -284,23 +302,18 @@ def worst_episode(low: float, high: float) -> Reduction:
 
 def share_while(condition: Callable[[FloatArray], BoolArray], name: str) -> Reduction:
     """Share of the drive's time in which a condition holds; 0 where no step has a value."""
-
-    def reduce(series: Series) -> tuple[float, int]:
-        flags, weight = condition(series.value) & series.known, holds(series.t)
-        total = float(np.sum(weight))
-        return (float(np.sum(weight[flags])) / total if total > 0.0 else float(flags[0])), first_of(flags)
-
-    return Reduction(name, reduce, "1", "lower", 0.0)
+    return _marked(
+        name, lambda series: condition(series.value) & series.known, lambda series, weight: float(weight.sum())
+    )
 
 
 def share_beyond(bound: float, name: str) -> Reduction:
     """Share of the time of the known steps, `LEAST_S` at least, in which the value is above `bound`; else 0."""
-
-    def reduce(series: Series) -> tuple[float, int]:
-        flags, weight = series.value > bound, holds(series.t)
-        return float(np.sum(weight[flags])) / max(float(np.sum(weight[series.known])), LEAST_S), first_of(flags)
-
-    return Reduction(name, reduce, "1", "lower", 0.0)
+    return _marked(
+        name,
+        lambda series: series.value > bound,
+        lambda series, weight: max(float(weight[series.known].sum()), LEAST_S),
+    )
 
 
 def changed(t: FloatArray, value: FloatArray, window: float) -> FloatArray:

@@ -1,6 +1,7 @@
-"""Braking, standing and steering that nothing calls for, closed loop, every 0.1 s along the route (`progress`).
+"""Braking, standing and steering that nothing calls for, and braking that is missing; closed loop, every 0.1 s.
 
-With the ego's speed v, what calls for it to be slower or to stand is looked for as far ahead of its front as
+Along the route (`progress`), with the ego's speed v, what calls for it to be slower or to stand is looked for as far
+ahead of its front as
 
 (1) look = 10 m + 1.5 s v + max(v - u, 0)^2 / (2 EASE_MPS2)      u: speed of what is ahead, along the route
 
@@ -20,6 +21,15 @@ A reason other than a cap lasts `AFTER_S` longer. An ego more than `ASIDE_M` bes
 (3) needless_standing(t) = 1 where v < 0.5 m/s and no reason is within 10 m, a stop line within `LINE_M`, of its front
 (4) needless_steering: each change of the offset from the route by 0.5 m to 2 m between two turning points in whose
     first half no road user and no curve is near
+
+False braking is hard and without a cause; less of it costs more missed braking, so both count:
+
+(5) A hard episode: steps every `GRID_S` with a < -`HARD_MPS2`, less than `APART_S` apart.
+(6) It had a cause if, within `CAUSE_S` of its begin, the box of any road user came within `CAUSE_M` of the strip
+    that the ego sweeps from where it then was on: along its drive, straight on where that ends, as far as it would
+    have come with its speed.
+(7) missed(t) = max((v - u)^2 / (2 gap) - b, 0) for the lead in the path ahead (`following`) with gap, u, v > u, of an
+    ego that brakes with b: what a steady approach behind the lead asks beyond what is done.
 """
 
 from __future__ import annotations
@@ -27,19 +37,22 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
+from math import cos, sin
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray
+from logs.kernel import BoolArray, FloatArray, kernel
 from logs.road import ReferenceLine, line_project_many
 from logs.rules import Colour
 from logs.scenario import Scenario, Tracks
+from logs.states import Trajectory
 from logs.trace import Mode, Trace
+from metrics.boxes import Car, car_of, touches
+from metrics.following import ahead_of, grid_of
 from metrics.lanes import drivable_lanes, limits_at, points_inside
-from metrics.metric import COUNT, MAX, Measured, Metric, Series, worst_episode
+from metrics.metric import COUNT, MAX, RATE, Measured, Metric, Series, worst_episode
 from metrics.once import once
-from metrics.others import each
-from metrics.path_ahead import grid_of
+from metrics.others import GRID_S, Others, each, labels_of, others_at
 from metrics.phantoms import phantoms
 from metrics.progress import WINDOW_M, route_of
 
@@ -49,8 +62,13 @@ COMING_S, AFTER_S = 6.0, 2.0
 SIDE_M, SIDE_VULNERABLE_M, DRIFT_MPS = 1.0, 2.0, 0.3
 ASIDE_M, ACROSS_M = 5.0, 2.0
 CURVE_MPS2, CURVE_RADIUS_M = 2.0, 50.0
-SLACK_MPS, STANDING_MPS = 0.3, 0.5
+SLACK_MPS, STANDS_MPS = 0.3, 0.5
 SWING_M, CHANGE_M = 0.5, 2.0
+HARD_MPS2, APART_S, CAUSE_S, CAUSE_M = 3.5, 0.5, 5.0, 0.3
+SPACING_M = 0.5
+"""Between two boxes of the ego whose union stands for the strip."""
+TOUCHING_M = 0.5
+"""Gaps are not taken as less than this: what is nearer is a contact's business."""
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -89,7 +107,7 @@ def reasons(trace: Trace, scenario: Scenario) -> Reasons:
             slow, stand, steer = slow | brakes, stand | stands, steer | beside
     goal, early = scenario.goal, np.zeros(len(s), np.bool_)
     if goal is not None and goal.t is not None:  # at its speed it would be there before the goal's time
-        early = s + np.maximum(ego.v, STANDING_MPS) * (goal.t[0] - ego.t) > route_of(scenario).length
+        early = s + np.maximum(ego.v, STANDS_MPS) * (goal.t[0] - ego.t) > route_of(scenario).length
     slow, stand, steer = (_lasting(ego.t, flags) for flags in (slow | early, stand | early, steer))
     off = np.abs(l) > ASIDE_M
     caps, end = _caps(line, scenario), np.searchsorted(line.s, s + _look(ego.v, 0.0), side="right")
@@ -207,7 +225,7 @@ def _braking(trace: Trace, scenario: Scenario) -> Measured:
 
 def _standing(trace: Trace, scenario: Scenario) -> Measured:
     found = reasons(trace, scenario)
-    return Series(found.t, ((np.abs(found.v) < STANDING_MPS) & ~found.stand).astype(float))  # (3)
+    return Series(found.t, ((np.abs(found.v) < STANDS_MPS) & ~found.stand).astype(float))  # (3)
 
 
 def _steering(trace: Trace, scenario: Scenario) -> Measured:
@@ -251,4 +269,72 @@ NEEDLESS_STEERING = Metric(
     "needless_steering", "count", "lower", (Mode.CLOSED,), _steering, (COUNT,),
     "Swings of the ego's offset from the route by 0.5 m to 2 m with no road user and no curve near.",
     formula="sum of the changes between two turning points", parameters=_SHARED,
+)  # fmt: skip
+
+
+def hard_episodes(ego: Trajectory) -> list[int]:
+    """The steps at which the episodes (5) begin."""
+    hard = np.flatnonzero(ego.a < -HARD_MPS2)
+    return [int(k) for i, k in enumerate(hard) if i == 0 or ego.t[k] - ego.t[hard[i - 1]] > APART_S + 1e-9]
+
+
+def had_cause(trace: Trace, scenario: Scenario, begin: float) -> bool:
+    """(6) of an episode that begins at a time, s."""
+    car, t = car_of(scenario), begin + GRID_S * np.arange(round(CAUSE_S / GRID_S) + 1)
+    wider = car._replace(width=car.width + 2.0 * CAUSE_M)
+    return bool(_comes(_way(trace.ego, begin), wider, others_at(trace.agents, t)))
+
+
+def _way(ego: Trajectory, begin: float) -> FloatArray:
+    """Rows x, y, yaw `(3, n)` of the rear axle along the strip of (6)."""
+    drive = ego.resampled(np.r_[begin, ego.t[ego.t > begin]])
+    s = np.r_[0.0, np.cumsum(np.hypot(np.diff(drive.x), np.diff(drive.y)))]
+    at = np.arange(0.0, max(float(drive.v[0]), 0.0) * CAUSE_S + SPACING_M, SPACING_M)
+    beyond = np.maximum(at - s[-1], 0.0)
+    x, y, yaw = (np.interp(at, s, column) for column in (drive.x, drive.y, drive.yaw))
+    return np.stack([x + beyond * np.cos(yaw), y + beyond * np.sin(yaw), yaw])
+
+
+@kernel
+def _comes(way: FloatArray, car: Car, others: Others) -> bool:
+    """Whether any of the boxes `(n, k)` overlaps the ego's anywhere on the way."""
+    for j in range(way.shape[1]):
+        x, y, yaw = way[0, j] + car.axle * cos(way[2, j]), way[1, j] + car.axle * sin(way[2, j]), way[2, j]
+        for i in range(others.there.shape[0]):
+            for k in range(others.there.shape[1]):
+                if others.there[i, k] and touches(x, y, yaw, car, others, i, k):
+                    return True
+    return False
+
+
+def _false(trace: Trace, scenario: Scenario) -> Measured:
+    ego = grid_of(trace)
+    value = np.full(len(ego.t), np.nan)
+    for k in hard_episodes(ego):
+        value[k] = not had_cause(trace, scenario, float(ego.t[k]))
+    return Series(ego.t, value, missing="the ego never brakes hard")
+
+
+def _missed(trace: Trace, scenario: Scenario) -> Measured:
+    found = ahead_of(trace, scenario)
+    closing = np.maximum(found.v - found.u, 0.0)
+    asked = closing**2 / (2.0 * np.maximum(found.gap, TOUCHING_M))
+    value = np.maximum(asked - np.maximum(-found.a, 0.0), 0.0)
+    return Series(found.t, value, labels_of(trace, found.agent), missing="the path ahead was free")
+
+
+FALSE_BRAKING = Metric(
+    "false_braking", "1", "lower", (Mode.CLOSED,), _false, (RATE, COUNT),
+    "1 where a hard braking begins after which no road user comes near the ego's way, 0 where one does.",
+    formula="[no road user within 0.3 m of the way ahead within 5 s]",
+    parameters=(
+        f"hard below -{HARD_MPS2:g} m/s2", f"apart {APART_S:g} s", f"near {CAUSE_M:g} m", f"within {CAUSE_S:g} s",
+    ),
+    needs="a hard braking",
+)  # fmt: skip
+MISSED_BRAKING = Metric(
+    "missed_braking", "m/s2", "lower", (Mode.CLOSED,), _missed, (MAX,),
+    "Deceleration that a steady approach behind the one ahead in the path asks beyond the ego's.",
+    formula="max((v - u)^2 / (2 gap) - b, 0)", parameters=(f"gap at least {TOUCHING_M:g} m",),
+    needs="a road user ahead in the path",
 )  # fmt: skip

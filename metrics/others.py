@@ -7,22 +7,22 @@ drive, so metrics walk in pieces of time with those who are there (`pieces`), or
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
-from logs.scenario import Scenario, Tracks
-from logs.states import Trajectory
+from logs.scenario import Tracks
+from logs.trace import Trace
 from metrics.once import last
 
+GRID_S = 0.1  # How often metrics look at a drive that do not look at each of its steps
 MOST_CELLS = 1_000_000  # Agents by times that are in memory at once: 49 bytes each
 PIECE_STEPS = 4096  # Of a piece of a longer drive, where no more than `MOST_CELLS` come of it
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Others:
+class Others(NamedTuple):
     """Road users over a grid of k times.
 
     Attributes:
@@ -83,9 +83,18 @@ def each(tracks: Tracks, t: FloatArray) -> Iterator[tuple[int, Others, int]]:
         yield from ((begin + row, others, row) for row in range(len(agents)))
 
 
+def nearest(
+    tracks: Tracks, t: FloatArray, ask: Callable[[slice, Others], tuple[FloatArray, IntArray]]
+) -> tuple[FloatArray, IntArray]:
+    """What a kernel finds in each of the `pieces`: values `(..., k)`, and tracks `(k,)`, -1 where it names no row."""
+    found = [(seen, *ask(steps, others)) for steps, seen, others in pieces(tracks, t)]
+    agents = [named(seen, rows) for seen, _, rows in found]
+    return np.concatenate([values for _, values, _ in found], axis=-1), np.concatenate(agents)
+
+
 def named(agents: IntArray, rows: IntArray) -> IntArray:
     """The tracks of rows `(k,)` of a piece, -1 of row -1."""
-    return np.asarray(np.r_[agents, -1][rows])
+    return np.append(agents, -1)[rows]
 
 
 def there_between(tracks: Tracks, first: float, last: float) -> IntArray:
@@ -99,20 +108,10 @@ def name_of(tracks: Tracks, index: int) -> str:
     return f"{tracks.kinds[index].value} {tracks.ids[index]}"
 
 
-def box_of(scenario: Scenario) -> FloatArray:
-    """Of the ego's box: rear axle to centre, length and width `(3,)`, m."""
-    car = scenario.vehicle
-    return np.array([car.axle_to_center, car.length, car.width])
-
-
-def ego_boxes(ego: Trajectory, scenario: Scenario) -> FloatArray:
-    """The ego's box centre and its velocity vector `(5, k)`: x, y, yaw, vx, vy.
-
-    The centre is l = `axle_to_center` ahead of the rear axle, and turns with it: it moves sideways at l kappa v.
-    """
-    ahead = scenario.vehicle.axle_to_center
-    c, s, aside = np.cos(ego.yaw), np.sin(ego.yaw), ahead * ego.kappa * ego.v
-    return np.stack([ego.x + ahead * c, ego.y + ahead * s, ego.yaw, ego.v * c - aside * s, ego.v * s + aside * c])
+def labels_of(trace: Trace, agents: IntArray) -> tuple[str, ...]:
+    """The agents' names at each step `(k,)`, "" for -1."""
+    names = (*(name_of(trace.agents, i) for i in range(len(trace.agents))), "")
+    return tuple(names[i] for i in agents.tolist())
 
 
 @kernel

@@ -16,8 +16,9 @@ import numpy as np
 from logs.kernel import BoolArray, FloatArray
 from logs.scenario import Scenario, Tracks
 from logs.shapes import overlap
+from metrics.boxes import ego_boxes
 from metrics.once import once
-from metrics.others import each, ego_boxes, name_of
+from metrics.others import each, name_of
 
 AROUND_S = 1.0  # Before and after: more than `logs.presence.MAX_GAP_S`, so it is a gap of any track
 GRID_S = 0.05

@@ -45,10 +45,10 @@ from logs.shapes import point_segment
 from logs.states import EgoState, Trajectory
 from logs.trace import EndReason, Mode, Trace
 from metrics import metric
+from metrics.boxes import ego_boxes
 from metrics.lanes import drivable_lanes, limits_at, stated_lanes
 from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
 from metrics.once import last
-from metrics.others import ego_boxes
 
 SPACING_M, WINDOW_M = 1.0, 30.0
 STRETCH, SLACK_M = 2.0, 0.1
@@ -142,7 +142,8 @@ def _distance(trace: Trace, scenario: Scenario) -> Measured:
 def _route_progress(trace: Trace, scenario: Scenario) -> Measured:
     route = route_of(scenario)
     if len(scenario.ego) > 1:
-        until = trace.ego.t[-1] if _ended_by_time(trace, scenario) else scenario.ego.t[-1]
+        in_time = trace.end is EndReason.GOAL and _is_time_only(scenario.goal)  # the log's driver had no longer either
+        until = trace.ego.t[-1] if in_time else scenario.ego.t[-1]
         asked, who = float(np.interp(until, scenario.ego.t, gained(route, scenario.ego).metres)), "the log's driver"
     elif FOLLOWER_M in scenario.metadata:
         asked, who = float(scenario.metadata[FOLLOWER_M]), "the route follower"
@@ -156,11 +157,6 @@ def _route_progress(trace: Trace, scenario: Scenario) -> Measured:
 
 def _is_time_only(goal: Goal | None) -> bool:
     return goal is not None and not goal.regions and goal.v is None and goal.yaw is None
-
-
-def _ended_by_time(trace: Trace, scenario: Scenario) -> bool:
-    """Whether the drive ended at a goal that is a time only: the log's driver had no longer either."""
-    return trace.end is EndReason.GOAL and _is_time_only(scenario.goal)
 
 
 def _progress(trace: Trace, scenario: Scenario) -> Measured:

@@ -15,21 +15,9 @@ a plan changes rightly where a road user does something unexpected. Gates theref
     by 3 s, which the shortest complete plan reaches
 (7) plan_score = contact x drivable x (5 ttc + 5 progress + 2 comfort + 2 extended_comfort) / 14
     contact is 0 with (1), 1/2 for an object; drivable: (2) <= 0.3 m; ttc: (3) > 0.95 s; comfort: (4) <= 1;
-    extended_comfort: that of `consistency` <= 1. A part without a value is left out with its weight.
+    extended_comfort: that of `plans` <= 1. A part without a value is left out with its weight.
 
 (7) is the EPDMS of NAVSIM 0a380a90 without direction, lights and lane keeping, which the drive itself is judged by.
-
-The bounds of the gates lie between what planners need (`dp_qp`, `idm` and `lattice` in both loops over the built-in
-suite and 64 recorded logs, less one with a car that cuts in and stops) and what plans that are not meant show (`idm`
-with plans that end 12 m aside, 3 m to either side in turns, accelerating, or braking in every other frame):
-
-    share of time                       planners, at most   such plans, at least   gate
-    plan_collision                      0.44                (others decide)        0.5
-    plan_off_road beyond 0.3 m          0.07                0.4 (aside)            0.2
-    plan_change above 1 m               0.45                0.9 (braking)          0.6
-    plan_change_lateral above 1 m       0.31                0.9 (in turns)         0.4
-    plan_kept above 5 m                 0.57                0.9 (accelerating)     0.65
-    plan_kept_lateral above 2 m         0.42                0.8 (aside)            0.6
 """
 
 from __future__ import annotations
@@ -45,16 +33,17 @@ from numpy.typing import NDArray
 from logs.frame import PLAN_HORIZON_S
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.scenario import AgentKind, Scenario, Tracks
-from logs.shapes import corners, overlap, time_to_contact
+from logs.shapes import corners
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
-from metrics import comfort, consistency, metric, safety
+from metrics import comfort, metric, plans, safety
+from metrics.boxes import NO_TTC_MPS, Car, apart, car_of, contact_time, is_behind, touches
 from metrics.lanes import keeps_lane
 from metrics.metric import Direction, Measure, Measured, Metric, Reduction, Series, Unavailable
 from metrics.once import once
-from metrics.others import named, some_at, there_between
+from metrics.others import Others, labels_of, named, some_at, there_between
 from metrics.plans import NO_PLANS, SHORT_M, STEP_S, frame_times, plan_columns, plan_way, times_after
-from metrics.safety import _apart, _behind, _contact_kind
+from metrics.safety import contact_kind
 
 HORIZON_S, TTC_HORIZON_S = 4.0, 3.0
 STEPS = round(HORIZON_S / STEP_S)
@@ -128,16 +117,13 @@ def _followed(times: FloatArray, plan: FloatArray, agents: Tracks, scenario: Sce
     """(1) and (3) with the agents that they are about."""
     grid_ns, column = np.unique(np.rint(times * 1e9).astype(np.int64), return_inverse=True)
     seen = there_between(agents, grid_ns[0] / 1e9, grid_ns[-1] / 1e9)
-    others, vehicle = some_at(agents, seen, grid_ns / 1e9), scenario.vehicle
+    others, car = some_at(agents, seen, grid_ns / 1e9), car_of(scenario)
     objects = np.array([agents.kinds[i] is AgentKind.OBJECT for i in seen.tolist()], np.bool_)
-    car = np.array([vehicle.length, vehicle.width, vehicle.axle_to_center, vehicle.axle_to_front])
-    step, hit, ttc, near = _meetings(
-        plan, column.reshape(times.shape), car, others.there, others.pose, others.size, objects
-    )
+    step, hit, ttc, near = _meetings(plan, column.reshape(times.shape), car, others, objects)
     for f in np.flatnonzero((step[1] >= 0) & ((step[0] < 0) | (step[1] < step[0]))).tolist():
         x, y, yaw = plan[:3, f, step[1, f]]
-        x, y = x + car[2] * np.cos(yaw), y + car[2] * np.sin(yaw)
-        if not keeps_lane(scenario.road, float(x), float(y), corners(x, y, yaw, vehicle.length, vehicle.width)):
+        x, y = x + car.axle * np.cos(yaw), y + car.axle * np.sin(yaw)
+        if not keeps_lane(scenario.road, float(x), float(y), corners(x, y, yaw, car.length, car.width)):
             step[0, f], hit[0, f] = step[1, f], hit[1, f]
     at_fault = step[0] >= 0
     return {
@@ -148,46 +134,42 @@ def _followed(times: FloatArray, plan: FloatArray, agents: Tracks, scenario: Sce
 
 @kernel
 def _meetings(
-    plan: FloatArray, column: IntArray, car: FloatArray, there: BoolArray, pose: FloatArray, size: FloatArray,
-    objects: BoolArray,
-) -> tuple[IntArray, IntArray, FloatArray, IntArray]:  # fmt: skip
+    plan: FloatArray, column: IntArray, car: Car, others: Others, objects: BoolArray
+) -> tuple[IntArray, IntArray, FloatArray, IntArray]:
     """Per plan the first contact at fault (row 0) and the first one with the side (row 1): step and agent `(2, f)`.
 
     And the least time to contact below `TTC_HORIZON_S` and its agent; -1 and NaN where there is none. `column` `(f, k)`
-    is the step of the others at the plans' steps; `car` its length, width, and rear axle to centre and to front.
+    is the step of the others at the plans' steps.
     """
-    frames, reach = column.shape[0], 0.5 * hypot(car[0], car[1])
+    frames, there, pose = column.shape[0], others.there, others.pose
     step, hit = np.full((2, frames), -1), np.full((2, frames), -1)
     ttc, near = np.full(frames, np.nan), np.full(frames, -1)
     for f in range(frames):
         best = TTC_HORIZON_S
-        for i in range(len(size)):
+        for i in range(len(there)):
             for j in range(column.shape[1]):
                 k, rear_x, rear_y, yaw, v = column[f, j], plan[0, f, j], plan[1, f, j], plan[2, f, j], plan[3, f, j]
                 if not np.isfinite(rear_x):
                     break
                 if not there[i, k]:
                     continue
-                c, s, turn = cos(yaw), sin(yaw), car[2] * plan[5, f, j] * v
-                x, y, vx, vy = rear_x + car[2] * c, rear_y + car[2] * s, v * c - turn * s, v * s + turn * c
-                gap, closing = _apart(x, y, reach, pose, size, i, k), hypot(pose[3, i, k] - vx, pose[4, i, k] - vy)
+                c, s, turn = cos(yaw), sin(yaw), car.axle * plan[5, f, j] * v
+                x, y, vx, vy = rear_x + car.axle * c, rear_y + car.axle * s, v * c - turn * s, v * s + turn * c
+                gap, closing = apart(x, y, car, others, i, k), hypot(pose[3, i, k] - vx, pose[4, i, k] - vy)
                 if gap > closing * best:
                     continue
-                if gap <= 0.0 and overlap(
-                    x, y, yaw, car[0], car[1], pose[0, i, k], pose[1, i, k], pose[2, i, k], size[i, 0], size[i, 1]
-                ):
-                    if j > 0 and there[i, column[f, j - 1]]:
-                        kind = _contact_kind(rear_x, rear_y, yaw, v, car[3], car[1], pose[:, i, k], size[i], objects[i])
+                if gap <= 0.0 and touches(x, y, yaw, car, others, i, k):
+                    before = column[f, max(j - 1, 0)]
+                    if j > 0 and there[i, before]:
+                        was, size = pose[:, i, before], others.size[i]
+                        kind = contact_kind(plan[:4, f, j], car, was, pose[:, i, k], size, objects[i])
                         row = 0 if kind in (STOOD, FRONT) else 1
                         if (row == 0 or kind == SIDE) and (step[row, f] < 0 or j < step[row, f]):
                             step[row, f], hit[row, f] = j, i
                     break
-                if abs(v) <= 0.005 or _behind(rear_x, rear_y, yaw, pose[0, i, k], pose[1, i, k]):
+                if abs(v) <= NO_TTC_MPS or is_behind(rear_x, rear_y, yaw, pose[0, i, k], pose[1, i, k]):
                     continue
-                found = time_to_contact(
-                    x, y, yaw, car[0], car[1], vx, vy, pose[0, i, k], pose[1, i, k], pose[2, i, k], size[i, 0],
-                    size[i, 1], pose[3, i, k], pose[4, i, k],
-                )  # fmt: skip
+                found = contact_time((x, y, yaw, vx, vy), car, others, i, k)
                 if found < best:
                     best, ttc[f], near[f] = found, found, i
     return step, hit, ttc, near
@@ -211,7 +193,7 @@ def _series(
     if not trace.frames:
         return NO_PLANS
     found = _judged(trace, scenario)
-    labels = safety._labels(trace, found[about]) if about else ()
+    labels = labels_of(trace, found[about]) if about else ()
     return Series(frame_times(trace), found[name], labels, missing)
 
 
@@ -231,7 +213,7 @@ def _score(trace: Trace, scenario: Scenario) -> Measured:
     multiplier = np.where(np.isnan(found["contact"]), 1.0, np.where(objects[found["contact_agent"]], 0.5, 0.0))
     multiplier = np.where(found["off"] > safety.OFF_ROAD_M, 0.0, multiplier)
     steady = np.full(len(t), np.nan)
-    extended = consistency.EXTENDED_COMFORT.found(trace, scenario)
+    extended = plans.EXTENDED_COMFORT.found(trace, scenario)
     if isinstance(extended, Series):
         steady[np.isin(t, extended.t)] = np.where(extended.known, extended.value <= 1.0, np.nan)
     parts = np.array(

@@ -41,25 +41,38 @@ The margin of a verdict is the least distance between the driver's box and the a
     not applicable: the least gap that a driver who does not brake leaves to anybody
 A verdict is marginal where its margin, or that of the drive without braking, is within `MARGINAL_M`, or where a driver
 who judges `JUDGED_S` earlier or later comes to another one: crossing paths, (2) and (5), and the time of reaction.
+
+The verdicts reach the metrics as metadata of the scenario. Replay writes them there (`replay.loop.avoidability`), since it
+knows the line; the same keys of a log are dropped when it is read. Three rows per driver: `reference_cc.applies` is 1
+where an ego that did not brake would meet an agent, else 0; where it applies, `reference_cc.avoids` is 1 or 0, and
+`reference_cc.margin` says by how many metres (negative: by how many not). The entries, of "cc" as of "fsm":
+
+    reference_cc            "avoidable", "unavoidable" or "not applicable"
+    reference_cc.reason     a sentence, with the margin and whether it is marginal
+    reference_cc.agent      id of the agent that the driver touches, else of the one that it avoids; where it applies
+    reference_cc.margin     m, as a number
+    reference_cc.marginal   "yes" or "no"
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from functools import partial
 from math import cos, hypot, nan, sin
+from typing import NamedTuple
 
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, inner_kernel, kernel
 from logs.road import ReferenceLine, line_frame, line_project
-from logs.scenario import Scenario, Tracks
-from logs.shapes import clearance, overlap
+from logs.scenario import FINDING, Scenario, Tracks
+from logs.shapes import clearance
 from logs.states import EgoState
-from metrics.others import box_of, name_of, others_at, there_between
-from metrics.safety import STANDING_MPS, _behind
+from logs.trace import Mode, Trace
+from metrics.boxes import STANDING_MPS, Car, car_of, is_behind, touches
+from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
+from metrics.others import Others, name_of, others_at, there_between
 
 STEP_S = 0.02  # So fine that a step more or less of braking is within what noise does anyway
 MARGINAL_M = 0.5  # What 5 cm of noise do to a margin at 10 Hz (benchmarks/verdicts.py)
@@ -113,52 +126,65 @@ class Verdict:
     marginal: bool = False
 
 
-def careful_drive(scenario: Scenario, line: ReferenceLine) -> Driven:
-    """How "cc" drives from the log's first state along `line`, a row every `STEP_S`, until its first touch."""
-    _, _, drive = _prepared(scenario, line, scenario.ego.state(0))
-    return drive(CC)
+class Line(NamedTuple):
+    """A reference line as kernels take it, and the speed that eases into its curves at each knot, m/s."""
+
+    knots: FloatArray
+    coef: FloatArray
+    limits: FloatArray
 
 
-def _prepared(
-    scenario: Scenario, line: ReferenceLine, start: EgoState
-) -> tuple[FloatArray, Tracks, Callable[..., Driven]]:
-    """The times of a drive, the tracks that are there then, and a drive of a driver among them to the first touch.
+@dataclass(frozen=True, eq=False, slots=True)
+class Course:
+    """What is driven: a line from a start (s, l, v), at the times t `(k,)`, among the tracks that are there then."""
 
-    Its arguments: the driver, `about`, whose distance is asked for, and `late`: it judges so much later, s.
-    """
-    t, tracks = np.arange(start.t, min(scenario.duration, start.t + LONGEST_S) + 1e-9, STEP_S), scenario.tracks
-    there = there_between(tracks, t[0], t[-1])
-    if len(there) < len(tracks):
-        tracks = tracks.taken(np.isin(np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets)), there))
-    others, ego = others_at(tracks, t), np.array([*line.project(start.x, start.y), start.v])
-    vulnerable = np.array([kind.is_vulnerable for kind in tracks.kinds], np.bool_)
+    line: Line
+    start: FloatArray
+    car: Car
+    t: FloatArray
+    tracks: Tracks
+    others: Others
+    vulnerable: BoolArray
 
-    def drive(driver: int, about: int = ANY, late: float = 0.0) -> Driven:
-        rows, *found = _drive(
-            driver, line.s, line.coef, curve_speeds(line.s, line.kappa), ego, box_of(scenario), others.there,
-            others.pose, others.size, others.accel, vulnerable, about, late,
-        )  # fmt: skip
+    @staticmethod
+    def of(scenario: Scenario, line: ReferenceLine, start: EgoState) -> Course:
+        """The course of an ego that starts at a state, `LONGEST_S` at most."""
+        t, tracks = np.arange(start.t, min(scenario.duration, start.t + LONGEST_S) + 1e-9, STEP_S), scenario.tracks
+        there = there_between(tracks, t[0], t[-1])
+        if len(there) < len(tracks):
+            tracks = tracks.taken(np.isin(np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets)), there))
+        eased = Line(line.s, line.coef, curve_speeds(line.s, line.kappa))
+        ego = np.array([*line.project(start.x, start.y), start.v])
+        vulnerable = np.array([kind.is_vulnerable for kind in tracks.kinds], np.bool_)
+        return Course(eased, ego, car_of(scenario), t, tracks, others_at(tracks, t), vulnerable)
+
+    def drive(self, driver: int, about: int = ANY, late: float = 0.0) -> Driven:
+        """A driver's drive to its first touch; `about`: whose distance is asked for; it judges `late` s later."""
+        rows, *found = _drive(driver, self.line, self.start, self.car, self.others, self.vulnerable, about, late)
         return Driven(*rows, *found)
 
-    return t, tracks, drive
+
+def careful_drive(scenario: Scenario, line: ReferenceLine) -> Driven:
+    """How "cc" drives from the log's first state along `line`, a row every `STEP_S`, until its first touch."""
+    return Course.of(scenario, line, scenario.ego.state(0)).drive(CC)
 
 
 def _verdict(name: str, driver: int, scenario: Scenario, line: ReferenceLine, start: EgoState | None = None) -> Verdict:
     start = scenario.ego.state(0) if start is None else start
     if start.v <= STANDING_MPS:
         return Verdict(name, Outcome.NOT_APPLICABLE, "the ego does not drive at the start")
-    t, tracks, drive = _prepared(scenario, line, start)
-    passive = drive(PASSIVE)
+    course = Course.of(scenario, line, start)
+    t, passive = course.t, course.drive(PASSIVE)
     if passive.meets < 0:
         marginal = passive.least < MARGINAL_M
         by = f", by {passive.least:.1f} m, marginal" if marginal else ""
         reason = f"at constant speed the ego meets nobody{by}"
         return Verdict(name, Outcome.NOT_APPLICABLE, reason, margin=passive.least, marginal=marginal)
-    found = drive(driver, about=passive.agent)
+    found = course.drive(driver, about=passive.agent)
     agent, margin, end = passive.agent if found.meets < 0 else found.agent, found.least, found.meets
     near = min(abs(margin), abs(passive.least)) < MARGINAL_M
-    marginal = near or any((drive(driver, late=late).meets < 0) != (end < 0) for late in (-JUDGED_S, JUDGED_S))
-    about, by = name_of(tracks, agent), f"by {abs(margin):.1f} m{', marginal' if marginal else ''}"
+    marginal = near or any((course.drive(driver, late=late).meets < 0) != (end < 0) for late in (-JUDGED_S, JUDGED_S))
+    about, by = name_of(course.tracks, agent), f"by {abs(margin):.1f} m{', marginal' if marginal else ''}"
     if end < 0:
         met = f"which it would meet after {t[passive.meets] - t[0]:.1f} s"
         outcome, reason = Outcome.AVOIDABLE, f"avoidable {by}: stays clear of {about}, {met}"
@@ -167,17 +193,15 @@ def _verdict(name: str, driver: int, scenario: Scenario, line: ReferenceLine, st
         outcome, reason = Outcome.UNAVOIDABLE, f"unavoidable {by}: {met}"
     braking = np.flatnonzero(found.a < -1.0)
     brakes, meets = float(t[braking[0]]) if len(braking) else nan, float(t[end]) if end >= 0 else nan
-    speed = float(found.v[end])
-    return Verdict(name, outcome, reason, brakes, meets, speed, tracks.ids[agent], margin, marginal=marginal)
+    speed, who = float(found.v[end]), course.tracks.ids[agent]
+    return Verdict(name, outcome, reason, brakes, meets, speed, who, margin, marginal=marginal)
 
 
 careful_driver = partial(_verdict, "cc", CC)
 """The verdict of "cc" in a scenario along a line, for an ego that starts at a state (None: the log's first)."""
 fuzzy_driver = partial(_verdict, "fsm", FSM)
 """The verdict of "fsm", as `careful_driver`."""
-DRIVERS: dict[str, Callable[[Scenario, ReferenceLine, EgoState | None], Verdict]] = {
-    "cc": careful_driver, "fsm": fuzzy_driver,
-}  # fmt: skip
+DRIVERS = {"cc": careful_driver, "fsm": fuzzy_driver}
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -210,20 +234,20 @@ def curve_speeds(s: FloatArray, kappa: FloatArray) -> FloatArray:
     return out
 
 
-@kernel
+@inner_kernel
 def _look(
-    knots: FloatArray, coef: FloatArray, k: int, s: float, l_ego: float, box: FloatArray, there: BoolArray,
-    pose: FloatArray, size: FloatArray, vulnerable: BoolArray, out: FloatArray,
-) -> None:  # fmt: skip
+    line: Line, k: int, s: float, l_ego: float, car: Car, others: Others, vulnerable: BoolArray, out: FloatArray
+) -> None:
     """Fill per agent at step k what the driver sees of it, `(n, 7)`.
 
     Gap, u, lateral gap, lateral speed towards the band, extent along the line, whether it crosses, extent across.
     Gap is NaN for who is not there, too far, or not ahead. In the band the lateral gap is negative.
     """
+    knots, coef, pose, size = line.knots, line.coef, others.pose, others.size
     x, y = line_frame(knots, coef, s)[:2]
     for i in range(len(size)):
         out[i, 0] = np.nan
-        if not there[i, k] or hypot(pose[0, i, k] - x, pose[1, i, k] - y) > NEAR_M:
+        if not others.there[i, k] or hypot(pose[0, i, k] - x, pose[1, i, k] - y) > NEAR_M:
             continue
         at, l = line_project(knots, coef, pose[0, i, k], pose[1, i, k], s, NEAR_M)  # noqa: E741
         yaw_r = line_frame(knots, coef, at)[2]
@@ -232,16 +256,17 @@ def _look(
         half = 0.5 * (size[i, 0] * abs(cos(turn)) + size[i, 1] * abs(sin(turn)))
         aside = 0.5 * (size[i, 0] * abs(sin(turn)) + size[i, 1] * abs(cos(turn)))
         side = l - l_ego
-        ahead = at - s - box[0]
+        ahead = at - s - car.axle
         if ahead <= 0.0 or abs(side) > ASIDE_M:
             continue
-        out[i, 0], out[i, 1], out[i, 2] = ahead - half - 0.5 * box[1], max(u, 0.0), abs(side) - aside - 0.5 * box[2]
+        out[i, 0], out[i, 1] = ahead - half - 0.5 * car.length, max(u, 0.0)
+        out[i, 2] = abs(side) - aside - 0.5 * car.width
         out[i, 3], out[i, 4], out[i, 6] = -w if side > 0.0 else w, 2.0 * half, 2.0 * aside
         out[i, 5] = 1.0 if vulnerable[i] or abs(w) > abs(u) else 0.0
 
 
 @inner_kernel
-def _comes_in(seen: FloatArray, v: float, box: FloatArray, slack: float, late: float) -> bool:
+def _comes_in(seen: FloatArray, v: float, car: Car, slack: float, late: float) -> bool:
     """Whether who is beside the band will be in it before the ego is past it and, if it crosses, not out too early.
 
     `slack` s are given to the one, and `late` s less to both.
@@ -250,14 +275,14 @@ def _comes_in(seen: FloatArray, v: float, box: FloatArray, slack: float, late: f
     if towards <= 0.0 or v <= u or gap < 0.0:
         return False
     enters = aside / towards
-    passed = (gap + box[1] + seen[4]) / (v - u) + slack - late
-    leaves = (aside + box[2] + seen[6]) / towards
+    passed = (gap + car.length + seen[4]) / (v - u) + slack - late
+    leaves = (aside + car.width + seen[6]) / towards
     return enters < passed and not (seen[5] > 0.0 and leaves - late < gap / (v - u))
 
 
 @inner_kernel
 def _cc_wish(
-    seen: FloatArray, accel: FloatArray, box: FloatArray, v: float, clock: FloatArray, nearer: FloatArray, late: float,
+    seen: FloatArray, accel: FloatArray, car: Car, v: float, clock: FloatArray, nearer: FloatArray, late: float,
     braking: bool,
 ) -> float:  # fmt: skip
     """What "cc" wishes; `clock` (how long each is a hazard) and `nearer` (1) are kept up."""
@@ -269,7 +294,7 @@ def _cc_wish(
         if np.isfinite(seen[i, 0]) and seen[i, 2] < 0.0:
             hazard = brakes or v - seen[i, 1] > CC_CLOSING_MPS
         elif np.isfinite(seen[i, 0]) and seen[i, 5] > 0.0:
-            hazard = _comes_in(seen[i], v, box, 0.0, late)
+            hazard = _comes_in(seen[i], v, car, 0.0, late)
         elif np.isfinite(seen[i, 0]):
             hazard = seen[i, 3] > CC_TOWARDS_MPS and nearer[i] > CC_WANDER_M and seen[i, 0] > 0.0
         clock[i] = clock[i] + STEP_S if hazard else 0.0
@@ -329,59 +354,53 @@ def fsm_deceleration(gap: float, v: float, u: float, a: float) -> float:
 
 
 @inner_kernel
-def _fsm_wish(seen: FloatArray, box: FloatArray, v: float, a: float, late: float) -> float:
+def _fsm_wish(seen: FloatArray, car: Car, v: float, a: float, late: float) -> float:
     """Acceleration that "fsm" wishes, without its reaction time."""
     hardest = 0.0
     for i in range(len(seen)):
         gap, u = seen[i, 0], seen[i, 1]
-        if not np.isfinite(gap) or not (seen[i, 2] < 0.0 or _comes_in(seen[i], v, box, FSM_AHEAD_S, late)):
+        if not np.isfinite(gap) or not (seen[i, 2] < 0.0 or _comes_in(seen[i], v, car, FSM_AHEAD_S, late)):
             continue
         hardest = max(hardest, fsm_deceleration(gap, v, u, a))
     return -hardest
 
 
 @inner_kernel
-def _touches(
-    x: float, y: float, yaw: float, v: float, k: int, box: FloatArray, there: BoolArray, pose: FloatArray,
-    size: FloatArray, left_out: BoolArray,
-) -> int:  # fmt: skip
-    """The first agent that the box with rear axle (x, y) touches at step k, -1; who does not count is left out."""
-    cx, cy = x + box[0] * cos(yaw), y + box[0] * sin(yaw)
-    for i in range(len(size)):
-        if left_out[i] or not there[i, k]:
+def _touched(rear: tuple[float, float, float, float], k: int, car: Car, others: Others, left_out: BoolArray) -> int:
+    """The first agent that the ego with the rear axle x, y, yaw, v touches at step k, -1; some are left out then."""
+    x, y, yaw, v = rear
+    cx, cy = x + car.axle * cos(yaw), y + car.axle * sin(yaw)
+    for i in range(len(left_out)):
+        if left_out[i] or not others.there[i, k] or not touches(cx, cy, yaw, car, others, i, k):
             continue
-        ox, oy = pose[0, i, k], pose[1, i, k]
-        if not overlap(cx, cy, yaw, box[1], box[2], ox, oy, pose[2, i, k], size[i, 0], size[i, 1]):
-            continue
-        if _behind(x, y, yaw, ox, oy) or v <= STANDING_MPS or k == 0 or not there[i, k - 1]:
+        behind = is_behind(x, y, yaw, others.pose[0, i, k], others.pose[1, i, k])
+        if behind or v <= STANDING_MPS or k == 0 or not others.there[i, k - 1]:
             left_out[i] = True
         else:
             return i
     return -1
 
 
-@kernel
-def _nearest(
-    least: float, x: float, y: float, yaw: float, box: FloatArray, pose: FloatArray, size: FloatArray
-) -> float:
+@inner_kernel
+def _nearest(least: float, x: float, y: float, yaw: float, car: Car, pose: FloatArray, size: FloatArray) -> float:
     """The lesser of `least` (NaN: none yet) and the distance of the box with rear axle (x, y) from an agent's (6)."""
-    cx, cy = x + box[0] * cos(yaw), y + box[0] * sin(yaw)
-    if hypot(pose[0] - cx, pose[1] - cy) - 0.5 * (hypot(box[1], box[2]) + hypot(size[0], size[1])) >= least:
+    cx, cy = x + car.axle * cos(yaw), y + car.axle * sin(yaw)
+    reach = 0.5 * (hypot(car.length, car.width) + hypot(size[0], size[1]))
+    if hypot(pose[0] - cx, pose[1] - cy) - reach >= least:
         return least
-    found = clearance(cx, cy, yaw, box[1], box[2], pose[0], pose[1], pose[2], size[0], size[1])
+    found = clearance(cx, cy, yaw, car.length, car.width, pose[0], pose[1], pose[2], size[0], size[1])
     return least if least <= found else found
 
 
 @kernel
 def _drive(
-    driver: int, knots: FloatArray, coef: FloatArray, limits: FloatArray, start: FloatArray, box: FloatArray,
-    there: BoolArray, pose: FloatArray, size: FloatArray, accel: FloatArray, vulnerable: BoolArray,
-    about: int, late: float,
-) -> tuple[FloatArray, int, int, int, float]:  # fmt: skip
+    driver: int, line: Line, start: FloatArray, car: Car, others: Others, vulnerable: BoolArray, about: int, late: float
+) -> tuple[FloatArray, int, int, int, float]:
     """Rows s, v, a from `start` (s, l, v) to the first touch or the end, and the last four of `Driven`.
 
     After the first touch the drive goes on through who is touched, until both are apart, to know how deep it is.
     """
+    knots, coef, there, pose = line.knots, line.coef, others.there, others.pose
     n, steps = there.shape
     out, seen = np.zeros((3, steps)), np.full((n, 7), np.nan)
     clock, nearer, left_out = np.zeros(n), np.zeros(n), np.zeros(n, np.bool_)
@@ -394,13 +413,13 @@ def _drive(
         x, y, yaw, _ = line_frame(knots, coef, s)
         x, y = x - l * sin(yaw), y + l * cos(yaw)
         out_before = left_out.sum()
-        hit = _touches(x, y, yaw, v, k, box, there, pose, size, left_out)
+        hit = _touched((x, y, yaw, v), k, car, others, left_out)
         if hit >= 0 and meets < 0:
             meets, about, least = k, hit, np.nan
         apart = np.nan
         for i in range(n):
             if (i == about or about == ANY) and there[i, k] and not left_out[i]:
-                apart = _nearest(apart, x, y, yaw, box, pose[:, i, k], size[i])
+                apart = _nearest(apart, x, y, yaw, car, pose[:, i, k], others.size[i])
         least = least if least <= apart or np.isnan(apart) else apart  # (6)
         if meets >= 0 and not apart <= 0.0:
             return out[:, : meets + 1], meets, about, touched, least
@@ -410,19 +429,63 @@ def _drive(
             break
         wish = 0.0
         if driver != PASSIVE:
-            _look(knots, coef, k, s, l, box, there, pose, size, vulnerable, seen)
+            _look(line, k, s, l, car, others, vulnerable, seen)
         if driver == CC:
-            wish = _cc_wish(seen, accel[:, k], box, v, clock, nearer, late, braking)
+            wish = _cc_wish(seen, others.accel[:, k], car, v, clock, nearer, late, braking)
             braking = v > 0.0 and wish <= -CC_BRAKE_MPS2
         elif driver == FSM:
-            wish = _fsm_wish(seen, box, v, a, late)
+            wish = _fsm_wish(seen, car, v, a, late)
             waited = waited + STEP_S if wish < 0.0 else 0.0
             wish = wish if waited > FSM_REACT_S + late + 1e-9 else 0.0
         at = min(max(int((s - knots[0]) / (knots[1] - knots[0])), 0), len(knots) - 1)
-        if v > limits[at]:
+        if v > line.limits[at]:
             wish = min(wish, -EASE_MPS2)
         a_next = min(max(wish, a - JERK_MPS3 * STEP_S), a + JERK_MPS3 * STEP_S)
         v_next = max(v + 0.5 * STEP_S * (a + a_next), 0.0)
         s += 0.5 * STEP_S * (v + v_next)
         v, a = v_next, (a_next if v_next > 0.0 else 0.0)
     return out[:, : (k if meets < 0 else meets) + 1], meets, about if meets >= 0 else -1, touched, least
+
+
+AVOIDS = Reduction("avoids", lambda series: (float(series.value[0] > 0.0), -1), "1", "none")
+APPLIES = Reduction("applies", lambda series: (1.0, -1), "1", "none", empty=0.0)
+MARGIN = Reduction("margin", lambda series: (float(series.value[0]), -1), "m", "higher")
+
+
+def metadata_of(verdict: Verdict) -> dict[str, str]:
+    """The metadata entries of a verdict."""
+    key = f"{FINDING}{verdict.driver}"
+    entries = {key: verdict.outcome.value, f"{key}.reason": verdict.reason}
+    if verdict.agent:
+        entries[f"{key}.agent"] = verdict.agent
+    return {**entries, f"{key}.margin": repr(verdict.margin), f"{key}.marginal": "yes" if verdict.marginal else "no"}
+
+
+def _reference(trace: Trace, scenario: Scenario, *, driver: str) -> Measured:
+    key = f"{FINDING}{driver}"
+    found = scenario.metadata.get(key)
+    if found not in {outcome.value for outcome in Outcome}:
+        return Unavailable("the reference drivers were not asked")
+    reason = scenario.metadata[f"{key}.reason"]
+    applies = Outcome(found) is not Outcome.NOT_APPLICABLE
+    value = np.array([float(scenario.metadata[f"{key}.margin"]) if applies else np.nan])
+    return Series(trace.ego.t[:1], value, (reason,), f"not applicable: {reason}")
+
+
+REFERENCE = tuple(
+    Metric(
+        f"reference_{driver}", "m", "higher", (Mode.CLOSED,), partial(_reference, driver=driver),
+        (AVOIDS, APPLIES, MARGIN), meaning, source, 2,
+        formula="the reference driver, braking on the ego's line among the tracks as logged",
+        needs="avoids and margin: an agent that the ego would meet at constant speed",
+    )
+    for driver, source, meaning in (
+        ("cc", "UN R157, Annex 4, Appendix 3",
+         "Least distance that the competent and careful driver leaves to the agent that one who does not brake would "
+         "touch, negative where it touches it; it evaluates a cut-in from 0.375 m on, JRC's code from the ego's width "
+         "on."),
+        ("fsm", "Mattas et al., Accid. Anal. Prev. 148 (2020) 105794",
+         "Least distance that the driver of the fuzzy safety model leaves to the agent that one who does not brake "
+         "would touch, negative where it touches it."),
+    )
+)  # fmt: skip

@@ -1,6 +1,6 @@
 """Responsibility-sensitive safety (RSS), closed loop: how far from a dangerous situation, and was the response proper?
 
-Along and across the path ahead of the ego (`path_ahead`: the arc of its curvature now; no lanes), every 0.1 s, of every
+Along and across the path ahead of the ego (`following`: the arc of its curvature now; no lanes), every 0.1 s, of every
 agent within `LOOK_M` that is not wholly behind the ego: those keep their own distance. v is the ego's speed, u the
 other's along the path, w across it towards the ego's side, d_lon and d_lat the gaps of the boxes (negative where they
 overlap), and stopping(v) = v RHO + A_MAX RHO^2 / 2 + (v + RHO A_MAX)^2 / (2 B_MIN).
@@ -31,10 +31,11 @@ from logs.kernel import BoolArray, FloatArray, kernel
 from logs.scenario import AgentKind, Scenario
 from logs.shapes import corners
 from logs.trace import Mode, Trace
+from metrics.boxes import STANDING_MPS, Car, car_of
+from metrics.following import LOOK_M, arc_point, extent, grid_of, within_look
 from metrics.metric import MIN, Measured, Metric, Series, Unavailable, share_while, time_below, time_outside
 from metrics.once import once
-from metrics.others import box_of, each, name_of
-from metrics.path_ahead import GRID_S, LOOK_M, STANDING_MPS, arc_point, extent, grid_of, within_look
+from metrics.others import GRID_S, Others, each, name_of
 
 RHO_S = 0.75
 A_MAX_MPS2, B_MIN_MPS2, B_MAX_MPS2 = 3.0, 6.0, 6.0
@@ -70,11 +71,11 @@ def lateral_distance(w: float, swerves: bool) -> float:
 
 
 @kernel
-def _margins(
-    ego: FloatArray, box: FloatArray, there: BoolArray, pose: FloatArray, size: FloatArray, movable: bool
-) -> FloatArray:
-    """Of one agent: d_lon - d_lon,min, d_lat - d_lat,min, and its side (1 left, -1 right), `(3, k)`; NaN: not asked."""
-    steps, half, front, rear = len(there), 0.5 * box[2], box[0] + 0.5 * box[1], box[0] - 0.5 * box[1]
+def _margins(ego: FloatArray, car: Car, others: Others, i: int, movable: bool) -> FloatArray:
+    """Of agent i: d_lon - d_lon,min, d_lat - d_lat,min, and its side (1 left, -1 right), `(3, k)`; NaN: not asked."""
+    there, pose, size = others.there[i], others.pose[:, i], others.size[i]
+    steps, half = len(there), 0.5 * car.width
+    front, rear = car.axle + 0.5 * car.length, car.axle - 0.5 * car.length
     out = np.full((3, steps), np.nan)
     reach = 0.5 * hypot(size[0], size[1])
     for k in range(steps):
@@ -125,13 +126,13 @@ def _improper(t: FloatArray, ego: FloatArray, accel: FloatArray, margins: FloatA
 @once
 def _rss(trace: Trace, scenario: Scenario) -> tuple[Series, Series]:
     """The least margin (NaN: no agent is asked), and 1 where any response is improper."""
-    ego, box = grid_of(trace), box_of(scenario)
+    ego, car = grid_of(trace), car_of(scenario)
     states = np.stack([ego.x, ego.y, ego.yaw, ego.v, ego.kappa])
     margin, improper = np.full(len(ego.t), np.nan), np.zeros(len(ego.t))
     labels, blamed = [""] * len(ego.t), [""] * len(ego.t)
     for i, others, row in each(trace.agents, ego.t):
         movable = trace.agents.kinds[i] is not AgentKind.OBJECT and not bool(trace.agents.static[i])
-        found = _margins(states, box, others.there[row], others.pose[:, row], others.size[row], movable)
+        found = _margins(states, car, others, row, movable)
         name, least = name_of(trace.agents, i), np.maximum(found[0], found[1])
         for k in np.flatnonzero(np.isfinite(least) & ~(margin <= least)):
             margin[k], labels[k] = least[k], name

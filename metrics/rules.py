@@ -53,9 +53,10 @@ from logs.rules import RED, Crosswalk, StopLine
 from logs.scenario import AgentKind, Scenario, Tracks
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
+from metrics.boxes import Car, car_of, ego_boxes
 from metrics.encounters import CROSSING_RAD, encroachment, may_meet
 from metrics.metric import COUNT, MIN, Measured, Metric, Reduction, Series, Unavailable, counted
-from metrics.others import box_of, each, ego_boxes, name_of, some_at, there_between
+from metrics.others import GRID_S, each, name_of, some_at, there_between
 from metrics.phantoms import phantoms, without_phantoms
 
 REST_MPS, BEFORE_M = 0.1, 5.0
@@ -139,7 +140,7 @@ def _crosswalk(trace: Trace, scenario: Scenario) -> Measured:
     walkers = np.flatnonzero([kind is AgentKind.PEDESTRIAN for kind in trace.agents.kinds])
     ego, t = ego_boxes(trace.ego, scenario), trace.ego.t
     for crosswalk in scenario.road.crosswalks if len(walkers) else ():
-        for first, last in _passages(crosswalk, ego, box_of(scenario)[1:]):
+        for first, last in _passages(crosswalk, ego, car_of(scenario)):
             way = np.ascontiguousarray(ego[:2, first : last + 1])
             seen = np.intersect1d(walkers, there_between(trace.agents, t[first], t[last]))
             others = some_at(trace.agents, seen, t[first : last + 1])
@@ -151,9 +152,9 @@ def _crosswalk(trace: Trace, scenario: Scenario) -> Measured:
     return counted(trace.ego.t, events)
 
 
-def _passages(crosswalk: Crosswalk, ego: FloatArray, size: FloatArray) -> Iterator[tuple[int, int]]:
+def _passages(crosswalk: Crosswalk, ego: FloatArray, car: Car) -> Iterator[tuple[int, int]]:
     """First and last step of each passage over a crosswalk; one that is under way at the start is left out."""
-    on = _over(ego, size, crosswalk.polygon)
+    on = _over(ego, car, crosswalk.polygon)
     change = np.flatnonzero(np.diff(np.r_[False, on, False].astype(int)))
     for first, end in zip(change[::2], change[1::2], strict=True):
         if first > 0:
@@ -161,13 +162,13 @@ def _passages(crosswalk: Crosswalk, ego: FloatArray, size: FloatArray) -> Iterat
 
 
 @kernel
-def _over(ego: FloatArray, size: FloatArray, polygon: FloatArray) -> BoolArray:
+def _over(ego: FloatArray, car: Car, polygon: FloatArray) -> BoolArray:
     """At which steps a box (rows x, y, yaw) lies over a polygon, on a raster of 9 by 5 points of it."""
     out = np.zeros(ego.shape[1], np.bool_)
     for k in range(ego.shape[1]):
         c, s = np.cos(ego[2, k]), np.sin(ego[2, k])
         for i in range(45):
-            along, left = (i // 5 / 8.0 - 0.5) * size[0], (i % 5 / 4.0 - 0.5) * size[1]
+            along, left = (i // 5 / 8.0 - 0.5) * car.length, (i % 5 / 4.0 - 0.5) * car.width
             if inside(ego[0, k] + along * c - left * s, ego[1, k] + along * s + left * c, polygon):
                 out[k] = True
                 break
@@ -211,7 +212,6 @@ CROSSWALK = Metric(
 )  # fmt: skip
 
 
-GRID_S = 0.1
 AROUND_S = 1.0
 SERIOUS_S, CRITICAL_S = 1.0, 1.5
 FINE_S = 0.05  # Grid of (2)
@@ -229,7 +229,7 @@ def _priority_gap(trace: Trace, scenario: Scenario) -> Measured:
         return Unavailable("the drive holds one ego state only")
     t = np.arange(float(trace.ego.t[0]), float(trace.ego.t[-1]), GRID_S)
     ego = trace.ego.resampled(t)
-    boxes, size, no_drivers = ego_boxes(ego, scenario), box_of(scenario)[1:], (AgentKind.PEDESTRIAN, AgentKind.OBJECT)
+    boxes, car, no_drivers = ego_boxes(ego, scenario), car_of(scenario), (AgentKind.PEDESTRIAN, AgentKind.OBJECT)
     gap, labels = np.full(len(t), np.nan), [""] * len(t)
     for lane, first in pairs:
         mine = _around(on_lane(lane, boxes[0], boxes[1], ego.yaw))
@@ -237,8 +237,9 @@ def _priority_gap(trace: Trace, scenario: Scenario) -> Measured:
             if trace.agents.kinds[i] in no_drivers:
                 continue
             theirs = _around(on_lane(first, *others.pose[:3, row])) & others.there[row]
+            sizes = np.array([car[1:3], others.size[row]])
             after, _, ego_first, other_first = encroachment(
-                boxes, np.flatnonzero(mine), others.pose[:, row], np.flatnonzero(theirs), size, others.size[row], 0.0
+                boxes, np.flatnonzero(mine), others.pose[:, row], np.flatnonzero(theirs), sizes, 0.0
             )
             step = int(np.argmin(np.where(after >= 0, after, len(after))))
             found = GRID_S * int(after[step])  # (1)
@@ -275,7 +276,7 @@ def _meetings(drive: Trajectory, tracks: Tracks, scenario: Scenario, t: FloatArr
     """Of each pedestrian, and each other that has a kind and moves across the drive, on the times `t` `(k,)`."""
     first, end = np.searchsorted(t, [drive.t[0] - 1e-9, drive.t[-1] + 1e-9])
     boxes = ego_boxes(drive.resampled(np.clip(t[first:end], drive.t[0], drive.t[-1])), scenario)
-    car = box_of(scenario)
+    car = car_of(scenario)
     for i, others, row in each(tracks, t):
         kind, pose = tracks.kinds[i], others.pose[:, row]
         if kind is AgentKind.OBJECT:
@@ -284,7 +285,8 @@ def _meetings(drive: Trajectory, tracks: Tracks, scenario: Scenario, t: FloatArr
         theirs = theirs[np.hypot(pose[3, theirs], pose[4, theirs]) >= MOVES_MPS]
         after = np.ascontiguousarray(pose[:, first:])
         angle = 0.0 if kind is AgentKind.PEDESTRIAN else CROSSING_RAD
-        steps = encroachment(after, theirs[theirs >= first] - first, boxes, mine, others.size[row], car[1:], angle)
+        sizes = np.array([others.size[row], car[1:3]])
+        steps = encroachment(after, theirs[theirs >= first] - first, boxes, mine, sizes, angle)
         step = np.flatnonzero((steps[:2] >= 0).any(axis=0))
         if len(step):
             taken, left = np.where(steps[:2, step] >= 0, steps[:2, step] * FINE_S, np.nan)

@@ -8,12 +8,16 @@ first one is ours):
 
     FROM_START      they touch when the drive begins or the other first appears              not at fault
     STOPPED_EGO     the ego stands (<= 0.05 m/s)                                             not at fault
-    STOPPED_TRACK   the other stands, or is an object                                        at fault
+    STOPPED_TRACK   the other stands, or is an object, and did not come from behind          at fault
     CUT_IN          as ACTIVE_REAR, within reach of the lane entry of the ego before it (`cut_in`)        at fault
     ACTIVE_REAR     the other's centre is behind: more than 150 degrees off the heading, seen from the rear axle
                                                                                              not at fault
     ACTIVE_FRONT    the ego's front bumper touches                                           at fault
     LATERAL         any other                          at fault unless the ego keeps its lane (`lanes.keeps_lane`)
+
+It came from behind where its centre is behind, as below, and the boxes would not touch had it stayed where it was one
+step before: objects without a kind may be vehicles that follow, and one that hardly moves is not driven into by an ego
+that goes away from it.
 
 Time to collision: both boxes go on with their velocity vectors and headings (`shapes.time_to_contact`), up to 10 s;
 agents behind (as above) and a standing ego (<= 0.005 m/s) have none. At a collision at fault it is 0, with anyone. Each
@@ -48,18 +52,18 @@ import numpy as np
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.road import RoadSource
 from logs.scenario import AgentKind, Scenario, Tracks
-from logs.shapes import corners, distance, overlap, time_to_contact
+from logs.shapes import corners, distance, overlap
 from logs.states import Trajectory
 from logs.trace import Mode, Trace
 from logs.vehicle import VehicleParameters
 from metrics import metric
+from metrics.boxes import NO_TTC_MPS, STANDING_MPS, Car, apart, car_of, contact_time, ego_boxes, is_behind, touches
 from metrics.cut_in import forces_hit
 from metrics.lanes import LaneArrays, drivable_lanes, keeps_lane, off_lanes
 from metrics.metric import Measured, Metric, Reduction, Series, Unavailable
 from metrics.once import once
-from metrics.others import ego_boxes, name_of, named, pieces, some_at
+from metrics.others import Others, labels_of, name_of, named, pieces, some_at
 
-STANDING_MPS = 0.05
 TTC_HORIZON_S, CLOSE_S = 10.0, 0.95  # Horizon of the time to collision, and nuPlan's bound on it
 TAU_S = 1.5  # Critical TTC (criticality metrics catalogue, Westhofen et al. 2023)
 CATALOGUE = "criticality metrics catalogue, Westhofen et al., Arch. Comput. Methods Eng. 30 (2023)"
@@ -67,7 +71,6 @@ OFF_ROAD_M = 0.3
 OUTLINE_M = 0.25  # Between two points the outline is at most half of this further off than they are, m
 PASSING_MPS, PASSING_M = (3.0, 5.0), (0.5, 1.0)  # Room to those who are passed, by the ego's speed, linear between
 LEAVING_MPS = 0.5  # One who goes away to the side as fast has crossed, and is not passed
-_BEHIND = cos(150.0 / 180.0 * np.pi)
 
 
 PERSON_KG = 75.0  # A driver: Regulation (EU) No 1230/2012
@@ -119,10 +122,10 @@ def classify(drive: Trajectory, agents: Tracks, scenario: Scenario) -> tuple[Con
 
     Touches at the first state are FROM_START; a piece begins at the drive's start, or where no agent is touched.
     """
-    ego, vehicle = ego_boxes(drive, scenario), scenario.vehicle
+    ego, car = ego_boxes(drive, scenario), car_of(scenario)
     first: dict[int, int] = {}
     for steps, there, others in pieces(agents, drive.t):
-        touched = _first_contacts(ego[:, steps], vehicle.length, vehicle.width, others.there, others.pose, others.size)
+        touched = _first_contacts(ego[:, steps], car, others)
         for row in np.flatnonzero(touched >= 0).tolist():
             first.setdefault(int(there[row]), steps.start + int(touched[row]))
     found = []
@@ -131,70 +134,58 @@ def classify(drive: Trajectory, agents: Tracks, scenario: Scenario) -> tuple[Con
         fault = kind in (ContactKind.STOPPED_TRACK, ContactKind.CUT_IN, ContactKind.ACTIVE_FRONT)
         if kind is ContactKind.LATERAL:
             x, y, yaw = ego[:3, step]
-            outline = corners(x, y, yaw, vehicle.length, vehicle.width)
-            fault = not keeps_lane(scenario.road, float(x), float(y), outline)
+            fault = not keeps_lane(scenario.road, float(x), float(y), corners(x, y, yaw, car.length, car.width))
         found.append(Contact(step, agent, kind, fault))
     return tuple(found)
 
 
 def _kind(step: int, agent: int, drive: Trajectory, agents: Tracks, scenario: Scenario) -> ContactKind:
-    ego, vehicle = drive.state(step), scenario.vehicle
-    other = some_at(agents, np.array([agent]), drive.t[max(step - 1, 0) : step + 1])
+    ego, other = drive.state(step), some_at(agents, np.array([agent]), drive.t[max(step - 1, 0) : step + 1])
     if step == 0 or not other.there[0, 0]:
         return ContactKind.FROM_START
+    before, now = other.pose[:, 0].T
     is_object = agents.kinds[agent] is AgentKind.OBJECT
-    kind = KINDS[_contact_kind(ego.x, ego.y, ego.yaw, ego.v, vehicle.axle_to_front, vehicle.width,
-                               other.pose[:, 0, -1], other.size[0], is_object)]  # fmt: skip
+    rear = np.array([ego.x, ego.y, ego.yaw, ego.v])
+    kind = KINDS[contact_kind(rear, car_of(scenario), before, now, other.size[0], is_object)]
     if kind is ContactKind.ACTIVE_REAR and forces_hit(drive.between(-inf, ego.t), agents, agent, scenario):
         return ContactKind.CUT_IN
     return kind
 
 
 @kernel
-def _contact_kind(
-    x: float, y: float, yaw: float, v: float, front: float, width: float, pose: FloatArray, size: FloatArray,
-    is_object: bool,
-) -> int:  # fmt: skip
-    """Index in `KINDS` of a contact with `pose` `(5,)` and `size` `(2,)`, which did not touch the ego before.
+def contact_kind(
+    rear: FloatArray, car: Car, before: FloatArray, pose: FloatArray, size: FloatArray, is_object: bool
+) -> int:
+    """Index in `KINDS` of a contact with `pose` `(5,)` and `size` `(2,)`, which did not touch the ego `before` `(5,)`.
 
-    x, y, yaw, v are the ego's at the rear axle, which is `front` m behind the front bumper.
+    `rear` are x, y, yaw and v of the ego's rear axle.
     """
-    if abs(v) <= STANDING_MPS:
+    if abs(rear[3]) <= STANDING_MPS:
         return 1
+    x, y, yaw = rear[0], rear[1], rear[2]
+    behind = is_behind(x, y, yaw, pose[0], pose[1])
     if is_object or hypot(pose[3], pose[4]) <= STANDING_MPS:
-        return 2
-    if _behind(x, y, yaw, pose[0], pose[1]):
+        mid_x, mid_y = x + car.axle * cos(yaw), y + car.axle * sin(yaw)
+        if not behind or overlap(
+            mid_x, mid_y, yaw, car.length, car.width, before[0], before[1], before[2], size[0], size[1]
+        ):
+            return 2
+    if behind:
         return 3
-    nose_x, nose_y = x + front * cos(yaw), y + front * sin(yaw)
-    return 4 if overlap(nose_x, nose_y, yaw, 0.0, width, pose[0], pose[1], pose[2], size[0], size[1]) else 5
+    nose_x, nose_y = x + car.front * cos(yaw), y + car.front * sin(yaw)
+    return 4 if overlap(nose_x, nose_y, yaw, 0.0, car.width, pose[0], pose[1], pose[2], size[0], size[1]) else 5
 
 
 @kernel
-def _behind(x: float, y: float, yaw: float, other_x: float, other_y: float) -> bool:
-    """Whether a point is more than 150 degrees off the heading, seen from the rear axle (x, y)."""
-    dx, dy = other_x - x, other_y - y
-    return dx * cos(yaw) + dy * sin(yaw) < _BEHIND * hypot(dx, dy)
-
-
-@kernel
-def _apart(x: float, y: float, reach: float, pose: FloatArray, size: FloatArray, i: int, k: int) -> float:
-    """A lower bound of the distance between box i at step k and a box of half diagonal `reach`, m."""
-    return hypot(pose[0, i, k] - x, pose[1, i, k] - y) - reach - 0.5 * hypot(size[i, 0], size[i, 1])
-
-
-@kernel
-def _first_contacts(
-    ego: FloatArray, length: float, width: float, there: BoolArray, pose: FloatArray, size: FloatArray
-) -> IntArray:
+def _first_contacts(ego: FloatArray, car: Car, others: Others) -> IntArray:
     """Per agent the first step at which the boxes touch, -1 where they never do."""
-    n, reach = len(size), 0.5 * hypot(length, width)
-    out = np.full(n, -1, np.int64)
-    for i in range(n):
-        for k in range(there.shape[1]):
+    out = np.full(len(others.size), -1, np.int64)
+    for i in range(len(out)):
+        for k in range(others.there.shape[1]):
             x, y, yaw = ego[0, k], ego[1, k], ego[2, k]
-            if not there[i, k] or _apart(x, y, reach, pose, size, i, k) > 0.0:
+            if not others.there[i, k] or apart(x, y, car, others, i, k) > 0.0:
                 continue
-            if overlap(x, y, yaw, length, width, pose[0, i, k], pose[1, i, k], pose[2, i, k], size[i, 0], size[i, 1]):
+            if touches(x, y, yaw, car, others, i, k):
                 out[i] = k
                 break
     return out
@@ -202,24 +193,23 @@ def _first_contacts(
 
 @kernel
 def _gaps(
-    ego: FloatArray, length: float, width: float, there: BoolArray, pose: FloatArray, size: FloatArray,
-    wanted: BoolArray, recent: int,
-) -> tuple[FloatArray, IntArray]:  # fmt: skip
-    """Per step the least distance to a wanted agent (NaN: none there) and its index (-1).
+    ego: FloatArray, car: Car, others: Others, there: BoolArray, wanted: BoolArray, recent: int
+) -> tuple[FloatArray, IntArray]:
+    """Per step the least distance to a wanted agent that is `there` (NaN: none) and its index (-1).
 
     `recent` was the nearest before, and is looked at first.
     """
-    steps, reach = there.shape[1], 0.5 * hypot(length, width)
+    pose, size, steps = others.pose, others.size, there.shape[1]
     gap, nearest = np.full(steps, np.nan), np.full(steps, -1, np.int64)
     for k in range(steps):
         best = inf
         for turn in range(len(size)):
             i = (recent + turn) % len(size)
             x, y, yaw = ego[0, k], ego[1, k], ego[2, k]
-            if not (wanted[i] and there[i, k]) or _apart(x, y, reach, pose, size, i, k) >= best:
+            if not (wanted[i] and there[i, k]) or apart(x, y, car, others, i, k) >= best:
                 continue
-            px, py, turn = pose[0, i, k], pose[1, i, k], pose[2, i, k]
-            found = distance(x, y, yaw, length, width, px, py, turn, size[i, 0], size[i, 1])
+            px, py, heading = pose[0, i, k], pose[1, i, k], pose[2, i, k]
+            found = distance(x, y, yaw, car.length, car.width, px, py, heading, size[i, 0], size[i, 1])
             if found < best or nearest[k] < 0:
                 best, nearest[k], gap[k] = found, i, found
         recent = max(nearest[k], 0)
@@ -228,36 +218,26 @@ def _gaps(
 
 @kernel
 def _contact_times(
-    ego: FloatArray, axle: float, length: float, width: float, there: BoolArray, pose: FloatArray, size: FloatArray,
-    wanted: BoolArray, horizon: float,
-) -> tuple[FloatArray, IntArray]:  # fmt: skip
+    ego: FloatArray, car: Car, others: Others, wanted: BoolArray, horizon: float
+) -> tuple[FloatArray, IntArray]:
     """Per step the least time to contact of a wanted agent below the horizon (NaN: none) and its index (-1)."""
-    steps, reach = there.shape[1], 0.5 * hypot(length, width)
+    pose, steps = others.pose, others.there.shape[1]
     least, whom = np.full(steps, np.nan), np.full(steps, -1, np.int64)
     for k in range(steps):
         x, y, yaw, vx, vy = ego[0, k], ego[1, k], ego[2, k], ego[3, k], ego[4, k]
-        rear_x, rear_y, best = x - axle * cos(yaw), y - axle * sin(yaw), horizon
-        if hypot(vx, vy) <= 0.005:
+        rear_x, rear_y, best = x - car.axle * cos(yaw), y - car.axle * sin(yaw), horizon
+        if hypot(vx, vy) <= NO_TTC_MPS:
             continue
-        for i in range(len(size)):
-            if not (wanted[i] and there[i, k]) or _behind(rear_x, rear_y, yaw, pose[0, i, k], pose[1, i, k]):
+        for i in range(len(wanted)):
+            if not (wanted[i] and others.there[i, k]) or is_behind(rear_x, rear_y, yaw, pose[0, i, k], pose[1, i, k]):
                 continue
             closing = hypot(pose[3, i, k] - vx, pose[4, i, k] - vy)
-            if _apart(x, y, reach, pose, size, i, k) > closing * best:
+            if apart(x, y, car, others, i, k) > closing * best:
                 continue
-            found = time_to_contact(
-                x, y, yaw, length, width, vx, vy,
-                pose[0, i, k], pose[1, i, k], pose[2, i, k], size[i, 0], size[i, 1], pose[3, i, k], pose[4, i, k],
-            )  # fmt: skip
+            found = contact_time((x, y, yaw, vx, vy), car, others, i, k)
             if found < best:
                 best, least[k], whom[k] = found, found, i
     return least, whom
-
-
-def _labels(trace: Trace, agents: IntArray) -> tuple[str, ...]:
-    """The agent's name per step, "" where it is nobody."""
-    names = ("", *(name_of(trace.agents, i) for i in range(len(trace.agents))))
-    return tuple(names[i + 1] for i in agents.tolist())
 
 
 def _collision(trace: Trace, scenario: Scenario, *, fault_only: bool) -> Measured:
@@ -302,14 +282,15 @@ def _severity(trace: Trace, scenario: Scenario) -> Mapping[str, Measured]:
 
 
 @kernel
-def _approachable(ego: FloatArray, axle: float, there: BoolArray, pose: FloatArray, leaving: float) -> BoolArray:
+def _approachable(ego: FloatArray, car: Car, others: Others, leaving: float) -> BoolArray:
     """Which agents a moving ego drives by or towards `(n, k)`: not behind, nor going `leaving` m/s away to the side."""
+    there, pose = others.there, others.pose
     out = there.copy()
     for k in range(there.shape[1]):
         x, y, yaw = ego[0, k], ego[1, k], ego[2, k]
         stands = hypot(ego[3, k], ego[4, k]) <= STANDING_MPS
         for i in range(len(there)):
-            behind = _behind(x - axle * cos(yaw), y - axle * sin(yaw), yaw, pose[0, i, k], pose[1, i, k])
+            behind = is_behind(x - car.axle * cos(yaw), y - car.axle * sin(yaw), yaw, pose[0, i, k], pose[1, i, k])
             left = (pose[1, i, k] - y) * cos(yaw) - (pose[0, i, k] - x) * sin(yaw)
             away = (pose[4, i, k] * cos(yaw) - pose[3, i, k] * sin(yaw)) * (1.0 if left > 0.0 else -1.0)
             out[i, k] = there[i, k] and not stands and not behind and away < leaving
@@ -319,24 +300,20 @@ def _approachable(ego: FloatArray, axle: float, there: BoolArray, pose: FloatArr
 def _gap(
     trace: Trace, scenario: Scenario, *, vulnerable_only: bool, kept: bool = False, leaving: float = inf
 ) -> Measured:
-    ego, wanted, vehicle = ego_boxes(trace.ego, scenario), _wanted(trace, vulnerable_only), scenario.vehicle
+    ego, car, wanted = ego_boxes(trace.ego, scenario), car_of(scenario), _wanted(trace, vulnerable_only)
     who = "pedestrian or rider" if vulnerable_only else "other road user"
     if not wanted.any():
         return Unavailable(f"no {who} in the scene")
-    gap, nearest = np.full(len(trace.ego), np.nan), np.full(len(trace.ego), -1)
+    gap, agents = np.full(len(trace.ego), np.nan), np.full(len(trace.ego), -1)
     recent = 0
     for steps, seen, others in pieces(trace.agents, trace.ego.t):
-        there = others.there
-        if kept:
-            there = _approachable(ego[:, steps], vehicle.axle_to_center, there, others.pose, leaving)
+        there = _approachable(ego[:, steps], car, others, leaving) if kept else others.there
         after = int(np.searchsorted(seen, recent)) % max(len(seen), 1)
-        gap[steps], row = _gaps(
-            ego[:, steps], vehicle.length, vehicle.width, there, others.pose, others.size, wanted[seen], after
-        )
-        nearest[steps] = named(seen, row)
-        recent = max(int(nearest[steps.stop - 1]), 0)
+        gap[steps], row = _gaps(ego[:, steps], car, others, there, wanted[seen], after)
+        agents[steps] = named(seen, row)
+        recent = max(int(agents[steps.stop - 1]), 0)
     where = "beside or ahead of an ego that drives" if kept else "in the scene"
-    return Series(trace.ego.t, gap, _labels(trace, nearest), f"no {who} {where}")
+    return Series(trace.ego.t, gap, labels_of(trace, agents), f"no {who} {where}")
 
 
 def _passing_room(trace: Trace, scenario: Scenario) -> Measured:
@@ -348,20 +325,17 @@ def _passing_room(trace: Trace, scenario: Scenario) -> Measured:
 
 
 def _ttc(trace: Trace, scenario: Scenario, *, vulnerable_only: bool) -> Measured:
-    ego, wanted, vehicle = ego_boxes(trace.ego, scenario), _wanted(trace, vulnerable_only), scenario.vehicle
+    ego, car, wanted = ego_boxes(trace.ego, scenario), car_of(scenario), _wanted(trace, vulnerable_only)
     if not wanted.any():
         return Unavailable(f"no {'pedestrian or rider' if vulnerable_only else 'other road user'} in the scene")
     least, whom = np.full(len(trace.ego), np.nan), np.full(len(trace.ego), -1)
     for steps, seen, others in pieces(trace.agents, trace.ego.t):
-        least[steps], row = _contact_times(
-            ego[:, steps], vehicle.axle_to_center, vehicle.length, vehicle.width, others.there, others.pose,
-            others.size, wanted[seen], TTC_HORIZON_S,
-        )  # fmt: skip
+        least[steps], row = _contact_times(ego[:, steps], car, others, wanted[seen], TTC_HORIZON_S)
         whom[steps] = named(seen, row)
     for contact in contacts(trace, scenario):
         if contact.at_fault and wanted[contact.agent]:
             least[contact.step], whom[contact.step] = 0.0, contact.agent
-    return Series(trace.ego.t, least, _labels(trace, whom), f"never on a course to touch within {TTC_HORIZON_S:g} s")
+    return Series(trace.ego.t, least, labels_of(trace, whom), f"never on a course to touch within {TTC_HORIZON_S:g} s")
 
 
 def _integrated(series: Series) -> tuple[float, int]:
@@ -390,11 +364,20 @@ def box_off_lanes(
 
     `step` is that between two points of the outline, m; inf: the corners alone.
     """
-    x, y, yaw = box[:3]
-    worst, c, s = np.zeros(len(x)), np.cos(yaw), np.sin(yaw)
     ends = 0.5 * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1], [1, 1]]) * [vehicle.length, vehicle.width]
     sides = [np.linspace(a, b, max(ceil(np.hypot(*(b - a)) / step), 1), False) for a, b in pairwise(ends)]
-    for ahead, left in np.vstack(sides).tolist():
+    x, y, yaw = box[:3]
+    return _farthest_off(lanes, x, y, np.cos(yaw), np.sin(yaw), np.vstack(sides))
+
+
+@kernel
+def _farthest_off(
+    lanes: LaneArrays, x: FloatArray, y: FloatArray, c: FloatArray, s: FloatArray, outline: FloatArray
+) -> FloatArray:
+    """The greatest `off_lanes` of the points (ahead, left) of an outline at poses with the cosine c and the sine s."""
+    worst = np.zeros(len(x))
+    for i in range(len(outline)):
+        ahead, left = outline[i, 0], outline[i, 1]
         worst = np.maximum(worst, off_lanes(lanes, x + ahead * c - left * s, y + ahead * s + left * c))
     return worst
 

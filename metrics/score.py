@@ -45,7 +45,7 @@ import numpy as np
 
 from logs.scenario import AgentKind, Scenario
 from logs.trace import Mode, Trace
-from metrics import accuracy, comfort, consistency, lane_keeping, progress, rules, safety
+from metrics import comfort, lane_keeping, plans, progress, rules, safety
 from metrics.metric import FINAL, Measured, Metric, Series, Unavailable, longest
 from metrics.once import once
 
@@ -179,7 +179,7 @@ PARTS: Mapping[str, Part] = MappingProxyType({
         lambda series: longest(series, np.abs(series.value) > lane_keeping.ASIDE_M)[0] < lane_keeping.ASIDE_S - 1e-9,
     ),
     "extended_comfort": _judged(
-        consistency.EXTENDED_COMFORT,
+        plans.EXTENDED_COMFORT,
         lambda series: float(np.mean(series.value[series.known] <= 1.0)) if series.known.any() else 0.0,
     ),
     "no_red_light": _judged(rules.RED_LIGHT, lambda series: np.nansum(series.value) == 0.0),
@@ -188,11 +188,11 @@ PARTS: Mapping[str, Part] = MappingProxyType({
     "red_lights": _judged(rules.RED_LIGHT, lambda series: CARLA_RED ** float(np.nansum(series.value))),
     "stop_signs": _judged(rules.STOP_SIGN, lambda series: CARLA_STOP ** float(np.nansum(series.value))),
     "inside_lanes": _inside,
-    "miss": _open(accuracy.MISS, lambda found: all(np.mean(~(one.value == 0.0)) <= MISS_SHARE for one in found)),
-    "ade": _open(accuracy.ADE, partial(_near, NEAR_M)),
-    "fde": _open(accuracy.FDE, partial(_near, NEAR_M)),
-    "ahe": _open(accuracy.AHE, partial(_near, NEAR_RAD)),
-    "fhe": _open(accuracy.FHE, partial(_near, NEAR_RAD)),
+    "miss": _open(plans.MISS, lambda found: all(np.mean(~(one.value == 0.0)) <= MISS_SHARE for one in found)),
+    "ade": _open(plans.ADE, partial(_near, NEAR_M)),
+    "fde": _open(plans.FDE, partial(_near, NEAR_M)),
+    "ahe": _open(plans.AHE, partial(_near, NEAR_RAD)),
+    "fhe": _open(plans.FHE, partial(_near, NEAR_RAD)),
 })  # fmt: skip
 
 NUPLAN_CLOSED = Formula(

@@ -16,7 +16,7 @@ from logs.trace import Plan
 
 
 class ConstantSpeed:
-    """Goes on along a circular arc; it sees no one.
+    """Goes on along a circular arc; it ignores all road users.
 
     Args:
         context: What does not change: `context.road`, `context.goal`, `context.vehicle`, `context.period`.
@@ -34,7 +34,7 @@ class ConstantSpeed:
         """A plan from `frame.t` on.
 
         `frame.agents` are the others now, `frame.predictions` their assumed futures, `frame.previous` the plan being
-        driven: where that is None (open loop, first frame), nothing remembered may change the answer.
+        driven: in the open loop and at the first frame there is none, and then no memory may change the plan.
         A planner that fails returns what it falls back to, with a PlanStatus and a reason; it does not raise.
         """
         trajectory = arc(frame.ego, frame.t + self.ahead)

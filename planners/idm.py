@@ -11,9 +11,9 @@ v0 is the limit of the lane, and of the curve: v0^2 |kappa| <= `curve_accel_mps2
 
 (4) gap = (s0 + v T) / sqrt(1 - (v / v0)^4)
 
-The leader at a time of the roll-out is whoever is nearest ahead of those whose predicted footprint is on the path then
-or within `ahead_s`: also one who crosses, whose speed along the path is small. No one is passed: before what stands in
-the path the ego stops. Where the traffic rules demand a stop, a leader stands there (`planners.rules`).
+The leader at a time of the roll-out is the nearest agent ahead whose predicted footprint is on the path then or within
+`ahead_s`; it may be a crossing one, whose speed along the path is small. The ego does not pass an agent in its path; it
+stops behind it. Where the traffic rules demand a stop, a leader stands there (`planners.rules`).
 """
 
 from __future__ import annotations

@@ -25,9 +25,9 @@ from logs.mcap.container import read_container
 from logs.remote import Near
 from metrics import COLUMNS, METRICS, load_metric
 from metrics.compare import DRIVE, PARTING_COLUMNS, Comparison, Side, compare
-from metrics.compare_rules import Rule, judged, load_rules
-from metrics.gates import load_gates
+from metrics.compare.rules import Rule, judged, load_rules
 from metrics.judge import REFERENCE
+from metrics.judge.gates import load_gates
 from replay.explain.first_difference import parting
 from replay.results.load import RECORDINGS, Results, loaded
 from replay.results.schema import SCHEMA_VERSION

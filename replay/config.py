@@ -108,7 +108,7 @@ class PlannerProcessConfig:
         log_timeout_s: Longest time of all plans of a drive; 0: no limit.
         memory_gb: Data of the planner's process; 0: no limit.
         environment: Variables that it is given beside `replay.planner_process.processes.ENVIRONMENT`.
-        batch: Number of logs in lock step, whose frames are planned together (`plan_batch`); 0: each by itself.
+        batch: Number of logs in lock step, whose frames are planned together (`plan_batch`); 0: each log by itself.
 
     Raises:
         ConfigError: A limit is negative, a plan has no time, or there are too many logs together.

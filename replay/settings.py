@@ -140,7 +140,7 @@ def _known_tree(cls: type, table: Mapping[str, Any], where: str) -> None:
 
 
 def known_keys(table: Mapping[str, Any], known: Iterable[str], where: str) -> None:
-    """Refuse the unknown keys of a table.
+    """Refuse unknown keys of a table.
 
     Raises:
         ConfigError: Names the key and the nearest known one.

@@ -1,4 +1,4 @@
-"""The world as it is now: the ego, and the others with where they have been."""
+"""The world now: the ego, and the tracks of the other road users."""
 
 from __future__ import annotations
 

@@ -35,8 +35,8 @@ import pandas as pd
 from logs.catalogue import FAMILIES, Family
 from logs.catalogue.suites import SUITES
 from logs.errors import ConfigError, ReplanError
-from metrics.gates import Outcome
 from metrics.judge import CAREFUL, IMPACT, REFERENCE, REPLAY_CONTACT
+from metrics.judge.gates import Outcome
 from replay.config import RunConfig
 from replay.draw.report.figures import STYLE, empty_figure, save
 from replay.results.tables import write_file, write_text

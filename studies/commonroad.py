@@ -24,9 +24,9 @@ import pandas as pd
 
 from logs.errors import ReplanError
 from logs.trace import EndReason, Mode
-from metrics.gates import Outcome
 from metrics.judge import CAREFUL, worst
 from metrics.judge import REFERENCE as JUDGED_BY
+from metrics.judge.gates import Outcome
 from replay.config import LoopConfig, RunConfig
 from replay.results.load import Results
 from replay.results.tables import write_file, write_text

@@ -6,7 +6,7 @@ Without logs: the built-in suite. OUT/invariance.csv has a row per log, planner 
 printed counts, per planner and perturbation, the logs whose outcome (why the drive ended, the goal, collisions at
 fault) is another, and those whose ego parted from the unperturbed drive, mapped back, by more than 1 cm and 10 cm. Of
 the gates it counts those that pass or fail (`gates`), those that flip to or from a failure, and the flips that are
-marginal (`metrics.marginal`) in neither world (`unmarked`).
+marginal (`metrics.judge.excuses`) in neither world (`unmarked`).
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from logs.scenario import Scenario
 from logs.states import Trajectory
 from logs.transform import jittered, mirrored, mirrored_trajectory, moved_trajectory, rotated, sampled, shifted_clock
 from metrics import evaluate
-from metrics.aggregate import LogLabels
-from metrics.gates import Outcome, load_gates
 from metrics.judge import judge
-from metrics.marginal import marginal
+from metrics.judge.aggregate import LogLabels
+from metrics.judge.excuses import marginal
+from metrics.judge.gates import Outcome, load_gates
 from replay.config import LoopConfig
 from replay.loop.avoidability import with_avoidability
 from replay.loop.closed_loop import run_closed_loop

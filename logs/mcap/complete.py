@@ -9,6 +9,10 @@
 (5) no lanes: `MARGIN` x the speed below which `SHARE` of the way was driven, rounded up to `STEP`; at least the speed
     at the start and `LEAST`; (4) for a log that hardly moves. Where nothing else is known of a road, how it is driven
     says how fast it may be: limits are set by the 85th percentile. One number for a drive tells little of its course
+(6) no lanes, but others drive beside the driven path: the next lane's middle is one lane's width away. The lane is as
+    wide as the median of their distances, within `WIDTHS_M`, where there are `LEAST_USERS`; else 3.5 m (`Road.along`).
+    Counted are vehicles, and clusters as wide as one, that are at `BESIDE_M` in `LEAST_SAMPLES`, faster than
+    `DRIVES_MPS` and within `ALONG_RAD` of the path's direction
 """
 
 from __future__ import annotations
@@ -17,10 +21,12 @@ from dataclasses import replace
 from math import ceil
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from logs.errors import LogError
 from logs.kernel import TIE, FloatArray
 from logs.road import Road
+from logs.scenario import Tracks
 from logs.states import Trajectory
 
 MIN_STEP = 0.05
@@ -28,6 +34,9 @@ MIN_PATH = 5.0
 LIMIT_STEP = 10.0 / 3.6
 SHARE, MARGIN, STEP, LEAST = 0.85, 1.1, 5.0 / 3.6, 20.0 / 3.6
 """Of (5), m/s."""
+WIDTHS_M, BESIDE_M, LEAST_USERS, LEAST_SAMPLES = (3.0, 4.0), (2.25, 5.5), 3, 5
+DRIVES_MPS, ALONG_RAD, VEHICLE_M = 2.0, np.radians(20.0), 1.2
+"""Of (6); a vehicle is at least `VEHICLE_M` wide."""
 BEHIND = 10.0
 ASSUMED = "as fast as at the start, at least 50 km/h"
 NO_LANES = "The log has no lanes"
@@ -107,3 +116,32 @@ def road_along(ego: Trajectory, notes: list[str]) -> Road:
     except ValueError as error:
         remedy = "give the log a road"
         raise LogError(f"no road can be made along the driven path: {error}", topic="/ego", remedy=remedy) from None
+
+
+def passed_width(road: Road, tracks: Tracks, notes: list[str]) -> Road:
+    """The road (3) with the width (6) of its lane, and its note; the same road where too few drive beside it."""
+    (lane,) = road.lanes.values()
+    middle, across = 0.5 * (lane.left + lane.right), lane.left - lane.right
+    across /= np.hypot(*across.T)[:, None]
+    place, velocity = np.column_stack([tracks.x, tracks.y]), np.column_stack([tracks.vx, tracks.vy])
+    away, nearest = cKDTree(middle).query(place, distance_upper_bound=BESIDE_M[1] + 1.0)
+    near = np.flatnonzero(np.isfinite(away))
+    at = np.asarray(nearest)[near]
+    normal, pace = across[at], np.hypot(*velocity[near].T)
+    offset = ((place[near] - middle[at]) * normal).sum(axis=1)
+    along = np.abs((velocity[near] * normal).sum(axis=1)) < np.sin(ALONG_RAD) * pace
+    vehicle = (tracks.width >= VEHICLE_M) & ~np.array([kind.is_vulnerable for kind in tracks.kinds], np.bool_)
+    who = np.repeat(np.arange(len(tracks)), np.diff(tracks.offsets))[near]
+    drives = along & (pace > DRIVES_MPS) & vehicle[who]
+    distances = [abs(np.median(offset[drives & (who == i)])) for i in np.unique(who[drives])
+                 if np.count_nonzero(drives & (who == i)) >= LEAST_SAMPLES]  # fmt: skip
+    beside = [each for each in distances if BESIDE_M[0] < each < BESIDE_M[1]]
+    if len(beside) < LEAST_USERS:
+        return road
+    width = float(np.clip(np.median(beside), *WIDTHS_M))
+    notes.append(
+        f"{NO_LANES}: the one lane's width is assumed: {width:.2f} m, as {len(beside)} road users drive beside it at"
+        f" {np.median(beside):.2f} m (median)."
+    )
+    lane = replace(lane, left=middle + 0.5 * width * across, right=middle - 0.5 * width * across)
+    return replace(road, lanes={lane.id: lane})

@@ -4,6 +4,8 @@
     "on"      always; of a log of tracks their samples are the detections, and who never moves stays as they are
     "off"     never: the tracks are those that the reader makes
 
+Where the road is assumed along the driven path, its lane gets its width from the tracks made (`passed_width`).
+
 It is done before a part is cut out, so that a part's tracks are the whole's. A reader that reads a part only reads
 `REACH_S` more on both sides: then what a repair knows from farther away, the names of tracks and the choice of "auto"
 may be others than for the whole.
@@ -16,9 +18,11 @@ from dataclasses import replace
 import numpy as np
 
 from logs.detections import Detections, Repair
+from logs.mcap.complete import passed_width
 from logs.readers.admission import detections_within
 from logs.readers.cut import DETECTED_S
 from logs.readers.nanoseconds import framed
+from logs.road import RoadSource
 from logs.scenario import Scenario, Tracks
 
 REACH_S = DETECTED_S
@@ -49,12 +53,15 @@ def repaired(scenario: Scenario, choice: str) -> Scenario:
         return scenario if scenario.detections is None else replace(scenario, detections=None)
     from logs.repair import repair
 
-    found, notes = detections_within(scenario, framed(found))
+    found, left_out = detections_within(scenario, framed(found))
     tracks, made = repair(found, scenario.ego, scenario.vehicle)
     if scenario.detections is None and scenario.repair is None:
         tracks, made = _with_static(tracks, made, scenario.tracks)
+    road, notes = scenario.road, [*scenario.notes, *left_out]
+    if road.source is RoadSource.DRIVEN_PATH and scenario.repair is None:
+        road = passed_width(road, tracks, notes)
     said = " ".join((f"The road users are made of {len(found)} detections. {reason}", *made.summary()))
-    return replace(scenario, tracks=tracks, detections=None, repair=made, notes=(*scenario.notes, *notes, said))
+    return replace(scenario, tracks=tracks, road=road, detections=None, repair=made, notes=(*notes, said))
 
 
 def named(scenario: Scenario) -> Scenario:

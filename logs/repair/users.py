@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from logs.agents import AgentKind
-from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.repair.boxes import CLUSTER, DENSITY, FAST, NOISE, PERSON, SLIDES, SLOW, STILL, VEHICLE, Boxes
 from logs.repair.kalman import smoothed
 from logs.states import Trajectory
@@ -32,8 +32,8 @@ MEET, TURN = np.array([(1.0, 0.8), (0.7, 0.5), (0.7, 0.3)]), np.array([(3.0, 2.0
 velocities differ by less, m/s, and more per second of gap."""
 STITCH_GROWTH, CHANGE_MPS, GAP_WORTH = 0.8, 0.3, 0.1
 """Sizes within a factor of e^0.8; what 1 m/s and 1 s cost against a miss by all that is allowed, or a factor of e."""
-FEW, ROUNDS = 4, 3
-"""A piece of fewer detections has no velocity of its own; rounds of estimates that rest on each other."""
+FEW = 4
+"""A piece of fewer detections has no velocity of its own."""
 FAR_M = 20.0
 """A vote from there counts half as much as one from close by."""
 RIDES_MPS, RIDES_M = 3.3, 8.0
@@ -98,8 +98,9 @@ def fitted(rows: IntArray, boxes: Boxes, frames: FloatArray) -> Piece:
         off = np.hypot(*(xy - path[seen, :2]).T) / noise
         variance[seen] = (noise * np.maximum(trust, np.where(off > OUTLIER, OUTLIER_WEIGHT * off / OUTLIER, 1.0))) ** 2
     scale, third = noise / NOISE[group], max(1, len(xy) // 3)
-    net = float(np.hypot(*(_centre(xy[-third:], weight[-third:]) - _centre(xy[:third], weight[:third]))))
-    spread = np.percentile(np.hypot(*(xy - _centre(xy, weight)).T), 90)
+    early, late, middle = (np.average(xy[part], 0, weight[part]) for part in (np.s_[:third], np.s_[-third:], np.s_[:]))
+    net = float(np.hypot(*(late - early)))
+    spread = np.percentile(np.hypot(*(xy - middle).T), 90)
     most, slow = STILL[group] * scale, SLOW[group] * scale * max(t[-1] - t[0], 0.5)
     if group == CLUSTER:
         most = slow = max(most, SLIDES * float(np.median(boxes.length[rows])))
@@ -118,37 +119,19 @@ def _noise(t: FloatArray, xy: FloatArray, most: float) -> float:
     return float(np.clip(DRIFT * np.sqrt(np.median(squares) / (2.0 * np.log(2.0))), LEAST_NOISE_M, most))
 
 
-@kernel
-def _centre(xy: FloatArray, weight: FloatArray) -> FloatArray:
-    """The middle `(2,)` of positions `(k, 2)`, those far from it weighted down: a mean that turns with them."""
-    each = weight.copy()
-    middle = np.zeros(2)
-    for _ in range(ROUNDS + 1):
-        for axis in range(2):
-            middle[axis] = (each * xy[:, axis]).sum() / each.sum()
-        off = np.hypot(xy[:, 0] - middle[0], xy[:, 1] - middle[1])
-        each = weight / np.maximum(1.0, off / max(np.median(off), LEAST_NOISE_M))
-    return middle
-
-
 def stitched(pieces: Sequence[Piece], boxes: Boxes, frames: FloatArray) -> list[Piece]:
     """The pieces with those put together whose ends meet when both are carried on to the middle of the gap."""
-    out = list(pieces)
-    for _ in range(ROUNDS):
-        following: dict[int, int] = {}
-        for i, j in _pairs(out, boxes):
-            if i not in following and j not in following.values():
-                following[i] = j
-        if not following:
-            return out
-        joined = []
-        for k in sorted(set(range(len(out))) - set(following.values())):
-            chain = [k]
-            while chain[-1] in following:
-                chain.append(following[chain[-1]])
-            rows = np.concatenate([out[i].rows for i in chain])
-            joined.append(out[k] if len(chain) == 1 else fitted(rows, boxes, frames))
-        out = joined
+    following: dict[int, int] = {}
+    for i, j in _pairs(pieces, boxes):
+        if i not in following and j not in following.values():
+            following[i] = j
+    out = []
+    for k in sorted(set(range(len(pieces))) - set(following.values())):
+        chain = [k]
+        while chain[-1] in following:
+            chain.append(following[chain[-1]])
+        rows = np.concatenate([pieces[i].rows for i in chain])
+        out.append(pieces[k] if len(chain) == 1 else fitted(rows, boxes, frames))
     return out
 
 
@@ -225,7 +208,7 @@ def user_of(piece: Piece, boxes: Boxes, ego: Trajectory) -> User:
     path = piece.standing()
     if piece.still:
         path = np.zeros_like(path)
-        path[:, :2] = _centre(piece.z[piece.seen], weight)
+        path[:, :2] = np.average(piece.z[piece.seen], 0, weight)
     yaw, turned = _headings(piece, path, boxes.yaw[rows], weight)
     label, speed = _KINDS[code], np.median(np.hypot(path[:, 2], path[:, 3]))
     rides = label is AgentKind.PEDESTRIAN and piece.net > RIDES_M and speed > RIDES_MPS

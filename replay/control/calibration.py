@@ -3,7 +3,7 @@
 (1) pedal(a, v) > 0: throttle, < 0: brake;  beyond = a - coasting(v)
     pedal = beyond / full_throttle(v) where beyond >= 0, beyond / full_brake(v) where it is negative; NaN out of reach
 
-Such a table is what one measures on a car whose drive train nobody can invert. Here the power train is known and linear
+Such a table is measured on a car whose drive train cannot be inverted. Here the power train is known and linear
 in the pedal at each speed, so the controllers (`Pedals`) use the exact inverse: no error between the table's nodes, no
 file to keep in step with the vehicle. The table is for the reader, and to drive a real car by.
 """

@@ -1,7 +1,7 @@
-"""The steering's unstated delay, learned while driving, and where the ego will be when a command takes effect.
+"""The steering's unknown delay, learned while driving, and where the ego will be when a command takes effect.
 
-The actuator's model has the wheel angle w under the commands so far. Where they come late by a time d that nobody
-stated (a slow bus, a slower actuator), the measured angle is w(t - d):
+The actuator's model gives the wheel angle w under the commands so far. Where commands act late by an unknown time d (a
+slow bus, a slower actuator), the measured angle is w(t - d):
 
 (1) w' = clip((command - w) / lag, -max_rate, max_rate)                             exact for a held command
 (2) o' = (measured - w(t - d) - o) / OFFSET_S                                       what else the model does not know

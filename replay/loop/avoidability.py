@@ -2,7 +2,7 @@
 
 The line is the reference line of the route that the planners drive, too, up to its first lane change: from there on the
 driver keeps its lane, as that of UN R157 does. The entries, for each driver of
-`metrics.reference_drivers.DRIVERS`, are those that `metrics.avoidability` reads and explains.
+`metrics.reference_drivers.DRIVERS`, are those that `metrics.reference_drivers` reads and explains.
 """
 
 from __future__ import annotations
@@ -14,9 +14,8 @@ from logs.road import Goal, ReferenceLine, Road
 from logs.route import find_route
 from logs.scenario import FINDING, Scenario
 from logs.states import EgoState
-from metrics.avoidability import metadata_of
 from metrics.once import once
-from metrics.reference_drivers import DRIVERS, Verdict
+from metrics.reference_drivers import DRIVERS, Verdict, metadata_of
 from planners.frenet.reference_path import make_line
 
 

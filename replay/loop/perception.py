@@ -1,13 +1,13 @@
-"""What the planner is allowed to see: a Frame, made of the World.
+"""What the planner may see: a Frame, made from the World.
 
     "ground_truth"    every agent at its last sample not later than the frame's time, carried on with its velocity
                       (`Tracks.perceived`)
-    "recorded"        what a tracker knew by then of the log's own detections (`replay.loop.recorded`)
+    "recorded"        what a tracker could know by then from the log's own detections (`replay.loop.recorded`)
     "auto"            "recorded" where the log's tracks are made of detections, else "ground_truth"
-    "sensor"          what a sensor on the ego would tell of them (`replay.loop.sensor`), and what ground it cannot see
+    "sensor"          what a sensor on the ego would measure (`replay.loop.sensor`), and the ground that it cannot see
 
-Nothing of a later sample goes in, but for one prediction that says so: "oracle", the log's own future, which shows what
-better predictions could give at most. It marks the drive as an oracle's.
+No later sample goes into a frame, with one exception: the prediction "oracle" is the log's own future, and shows the
+most that better predictions could give. It marks the drive as an oracle's.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ PREDICTIONS = (*PREDICTORS, ORACLE)
 """What `LoopConfig.prediction` may be."""
 
 Sight = Callable[[World], tuple[Agents, Visibility | None]]
-"""The agents as they are shown to the planner, and what ground can be seen (None: all)."""
+"""The agents as the planner sees them, and the ground that can be seen (None: all)."""
 
 
 class GroundTruth:
-    """Sees everybody, as known at the world's time."""
+    """Sees all agents, as known at the world's time."""
 
     def __init__(self) -> None:
         self._around = Around()
@@ -66,7 +66,7 @@ PERCEPTIONS: dict[str, Callable[..., Sight]] = {
 }
 """Each is built once per drive as `factory(scenario, config, **settings)`."""
 PERCEPTION: Kind[Callable[..., Sight]] = Kind("perception", "perceptions", PERCEPTIONS)
-"""Finds those, and users' own."""
+"""Finds these and the user's own."""
 
 
 class Perception:
@@ -77,11 +77,11 @@ class Perception:
         config: Perception and prediction by name, and their settings.
 
     Attributes:
-        is_oracle: Whether the planner is shown the log's future.
-        notes: What the user must know, one sentence each.
+        is_oracle: Whether the planner sees the log's future.
+        notes: Notes for the trace, one sentence each.
 
     Raises:
-        ConfigError: No perception or prediction is called so.
+        ConfigError: There is no perception or prediction of this name.
     """
 
     def __init__(self, scenario: Scenario, config: LoopConfig) -> None:
@@ -110,12 +110,12 @@ class Perception:
 
     @property
     def shown(self) -> Tracks | None:
-        """The agents as they were shown to the planner, a sample per frame; None with ground truth."""
+        """The agents as the planner saw them, one sample per frame; None with ground truth."""
         return None if self._true else _tracks(self._shown)
 
 
 def perceive(world: World, previous: Plan | None, config: LoopConfig, *, lanes: LaneMap = NO_LANES) -> Frame:
-    """The frame by ground truth and `config.prediction` (not an oracle) at the world's time; for single frames."""
+    """A single frame at the world's time, by ground truth and `config.prediction` (not "oracle")."""
     agents, _ = GroundTruth().see(world)
     return Frame(world.ego.t, world.ego, agents, _predicted(agents, world.ego.t, config, lanes), previous)
 
@@ -135,7 +135,7 @@ def _grid(t: float, config: LoopConfig) -> FloatArray:
 def _notes(config: LoopConfig, scenario: Scenario) -> list[str]:
     notes = []
     if config.prediction == ORACLE:
-        notes.append("the predictions are the log's own future: the planner knows what nobody can know")
+        notes.append("the predictions are the log's own future, which no planner could know")
     if not shows_truth(config.perception, scenario):
         recorded = config.perception in ("auto", "recorded")
         notes.append(f"the planner sees the others {'as recorded' if recorded else f'through a {config.perception}'}")
@@ -145,7 +145,7 @@ def _notes(config: LoopConfig, scenario: Scenario) -> list[str]:
 def logged_futures(log: Tracks, agents: Agents, t: FloatArray) -> Predictions:
     """Where the log has the agents at the times `t` `(k,)`, s; after its end each goes on with its last velocity.
 
-    Those whom the log does not have, false alarms of a perception, go on with theirs.
+    Agents that the log does not have (false alarms of a perception) go on with theirs.
     """
     index = {name: i for i, name in enumerate(log.ids)}
     last = log.offsets[1:] - 1

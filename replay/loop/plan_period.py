@@ -101,7 +101,7 @@ class PlanPeriod:
         period: Of the control, s.
 
     Attributes:
-        most_steps: So many control steps may be run at once.
+        most_steps: The greatest number of control steps in one call.
     """
 
     def __init__(self, controller: Controller, vehicle: Vehicle, period: float) -> None:

@@ -1,4 +1,4 @@
-"""A planner in its seat: built for one scenario, asked for plans, timed, and held to its contract."""
+"""A planner of one scenario: it is built, called, timed, and its plans are checked."""
 
 from __future__ import annotations
 
@@ -40,22 +40,22 @@ class Planning:
     """The planner named by the user, for one scenario.
 
     Args:
-        scenario: What is driven; only an oracle is given it.
+        scenario: What is driven; only an oracle gets it.
         spec: A name in PLANNERS or ORACLES, "module:Class", "exec:COMMAND" or "tcp://HOST:PORT".
-        planner_config: Keywords of the planner; of one that is kept apart, its table in the configuration.
+        planner_config: Keywords of the planner; its configuration table where it runs in a process of its own.
         config: Of the loop.
         start: The ego at the first frame.
-        keep_internals: Whether the plans keep what the planner wants to be seen, beside its solvers' reports.
+        keep_internals: Whether the plans keep the planner's internals, beside its solvers' reports.
         place: Which of the log's drives it is.
 
     Attributes:
         is_oracle: Whether the planner knows the log.
-        notes: What the user must know: the goal, where the log names none.
-        goal: As the planner is given it; `context` all that it is built with.
-        context: See there.
+        notes: Notes for the trace: an assumed goal, a planner that is trusted or batched.
+        goal: The planner's goal.
+        context: All that the planner is built with.
 
     Raises:
-        ConfigError: No such planner, or it does not take such keywords.
+        ConfigError: There is no such planner, or it does not take these keywords.
         PlannerError: It cannot be loaded or built.
     """
 
@@ -117,12 +117,12 @@ class Planning:
             raise PlannerError(f"{self._name} cannot be built: {raised(error)}") from error
 
     def plan(self, frame: Frame) -> Plan:
-        """The plan for a frame, as it may be driven and judged (`replay.loop.plan_check`), with what is kept of it.
+        """The plan for a frame, as it may be driven and judged (`replay.loop.plan_check`), with the internals to keep.
 
-        What builds internals refers to the frame, and that to the plan before: it goes no farther than this.
+        The builders of internals hold the frame, and the frame the plan before: they are resolved or dropped here.
 
         Raises:
-            PlannerError: The planner raised, or answered with what is no plan.
+            PlannerError: The planner raised, or its answer is not a plan.
         """
         self._watch.start()
         try:
@@ -140,16 +140,16 @@ class Planning:
 
 
 Seat = Callable[..., Planning]
-"""What builds a `Planning`, of its arguments."""
+"""Builds a `Planning` from its arguments."""
 
 
 def _own(road: Road) -> Road:
-    """The road in objects of the planner's own: what one drive's planner keeps is not what the next one is given."""
+    """A copy of the road for one planner, so that drives share no objects that a planner could change."""
     return replace(road, lanes={i: replace(lane) for i, lane in road.lanes.items()})
 
 
 def _fault(plan: object, frame: Frame) -> str:
-    """What is wrong with a planner's answer, empty where nothing is; a Trajectory is finite and increasing anyway."""
+    """What is wrong with a planner's answer, or ""; a Trajectory is finite and increasing by construction."""
     if not isinstance(plan, Plan):
         return f"it returned {type(plan).__name__} instead of a Plan"
     first = float(plan.trajectory.t[0])

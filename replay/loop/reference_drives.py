@@ -15,7 +15,7 @@ misses the goal.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -27,9 +27,10 @@ from logs.scenario import Scenario
 from logs.states import Trajectory
 from logs.trace import EndReason, Mode, Trace
 from metrics import GROUPS, METRICS
+from metrics.boxes import ego_boxes
 from metrics.judge import CAREFUL, DRIVER, FOLLOWER, REFERENCE
 from metrics.metric import FINAL, Series
-from metrics.others import ego_boxes, name_of
+from metrics.others import name_of
 from metrics.phantoms import phantoms, without_phantoms
 from metrics.progress import FOLLOWER_M, GOAL, gained, route_of
 from metrics.reference_drivers import RETURN_S, STEP_S, careful_drive
@@ -60,7 +61,7 @@ def with_follower(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, pd.Da
     last = int(np.argmax(near)) if near.any() else -1
     gain = gained(route_of(scenario), trace.ego).metres[last]
     scenario = replace(scenario, metadata={**scenario.metadata, FOLLOWER_M: repr(float(gain))})
-    return scenario, _measured(trace, scenario, ("safety", "progress"))
+    return scenario, _measured([(trace, ("safety", "progress"))], scenario)
 
 
 def with_references(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, list[pd.DataFrame]]:
@@ -74,24 +75,32 @@ def with_references(scenario: Scenario, loop: LoopConfig) -> tuple[Scenario, lis
 
 def late_follower(tables: Sequence[pd.DataFrame], scenario: Scenario, loop: LoopConfig) -> list[pd.DataFrame]:
     """The rows of the follower where they are lacking and a planner in the tables of a log misses the goal."""
-    goals = [table[table["metric"] == f"{GOAL.name}.{FINAL.name}"] for table in tables]
-    missed = any(((goal["mode"] == Mode.CLOSED.value) & (goal["value"] < 1.0)).any() for goal in goals)
-    there = any((goal["planner"] == FOLLOWER).any() for goal in goals)
-    return [with_follower(scenario, loop)[1]] if missed and not there else []
+    goal, missed = f"{GOAL.name}.{FINAL.name}", False
+    for table in tables:
+        for k in [k for k, name in enumerate(table["metric"].tolist()) if name == goal]:
+            planner, mode, value = table[["planner", "mode", "value"]].iloc[k]
+            if planner == FOLLOWER:
+                return []
+            missed = missed or (mode == Mode.CLOSED.value and value < 1.0)
+    return [with_follower(scenario, loop)[1]] if missed else []
 
 
-def _measured(trace: Trace, scenario: Scenario, groups: tuple[str, ...]) -> pd.DataFrame:
-    measures = {metric.name: METRICS[metric.name] for group in groups for metric in GROUPS[group]}
-    return metrics.evaluate(trace, scenario, metrics=measures).assign(mode=REFERENCE)
+def _measured(drives: Iterable[tuple[Trace, tuple[str, ...]]], scenario: Scenario) -> pd.DataFrame:
+    """The rows of drives, each measured by some groups of metrics."""
+    rows = []
+    for trace, groups in drives:
+        measures = {metric.name: METRICS[metric.name] for group in groups for metric in GROUPS[group]}
+        rows += metrics.rows_of(trace, scenario, metrics=measures)
+    return metrics.as_table(rows).assign(mode=REFERENCE)
 
 
 def reference_table(scenario: Scenario) -> pd.DataFrame:
     """The rows of the log's own and the careful driver; columns as of `metrics.evaluate`."""
-    asked = {DRIVER: ("safety", "rules", "progress") if scenario.is_recorded else ("progress",)}
-    drives = reference_drives(scenario)
-    braking = ("safety", "progress", "comfort")  # the careful driver knows no rules
-    tables = [_measured(trace, scenario, asked.get(trace.planner, braking)) for trace in drives]
-    return pd.concat(tables, ignore_index=True)
+    asked = {
+        DRIVER: ("safety", "rules", "progress") if scenario.is_recorded else ("progress",),
+        CAREFUL: ("safety", "progress", "comfort"),  # the careful driver knows no rules
+    }
+    return _measured(((trace, asked[trace.planner]) for trace in reference_drives(scenario)), scenario)
 
 
 def reference_drives(scenario: Scenario) -> Iterator[Trace]:

@@ -1,8 +1,8 @@
 """A sensor on the ego's roof: range, field of view, occlusion by others, noise, drop-outs, latency.
 
-At each frame it measures the others as they are then. An agent is measured if enough of `POINTS` points of its box
+At each frame it measures the other road users. An agent is measured if enough of `POINTS` points of its box
 (corners, middles of the sides, centre) are within range and field of view and not behind another's box (`VISIBLE`);
-pedestrians and riders hide nobody. Then, per agent:
+pedestrians and riders occlude no others. Then, per agent:
 
 (1) x + n_1 e_along + n_2 e_left,  yaw + n_3,  v + n_4 e_along + n_5 e_left        n_i normal, in the agent's own axes
 (2) not measured in slots of `dropout_s`, each with probability `dropout`; each agent's slots have a phase of their own

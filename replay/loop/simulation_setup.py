@@ -37,7 +37,7 @@ class SimulationSetup:
         controller: Knows the vehicle's numbers, not its state.
         traffic: Moves the others.
         steps: Control periods from the ego's first sample to the end of the log, or to the last that is asked for.
-        steps_per_plan: A frame is due at every so many steps.
+        steps_per_plan: Control steps between two frames.
         period: Of the control, s.
         assumptions: About the start, the vehicle and the road, one sentence each.
         end: Why the drive ends at its last step where the log goes on; empty: the log ends there.

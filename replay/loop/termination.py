@@ -1,7 +1,7 @@
-"""Why a closed loop ends: goal, collision, off the road; the log's end and the planner's failure are the loop's own.
+"""Why a closed loop ends: goal, collision, off the road. The loop itself ends at the log's end or a planner failure.
 
-Whether a touch is the ego's collision, or the replay ran into it, is said by the metrics' rule of fault
-(`metrics.safety.classify`); where several are touched at once, one fault makes it a collision.
+The metrics' rule of fault (`metrics.safety.classify`) decides whether a contact is the ego's collision or a replayed
+agent ran into it; with several contacts at once, one at fault makes it a collision.
 """
 
 from __future__ import annotations

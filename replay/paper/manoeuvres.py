@@ -34,7 +34,7 @@ from replay.vehicle.plant import Table, build
 PERIOD_S = 0.01
 SAMPLE_S = 0.1
 JERK_OVER = 10
-"""The jerk is taken over so many control periods: gear shifts and pedals are steps."""
+"""Control periods over which the jerk is taken: gear shifts and pedals are steps."""
 ALAT_MPS2 = 3.0
 LOST_M = 5.0
 FASTEST_KMH = 90

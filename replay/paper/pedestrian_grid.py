@@ -12,8 +12,8 @@ ego's width from t_in to t_out:
 (3) s(u) = v u - j u^3 / 6 while u <= b / j, then with b until standstill                      b, j: deceleration, jerk
 (4) t_b = start of the walk + REACTION_S + dead time and lag of the brake
 
-(b, j) are the planner's stated limits, comfortable or hard. With no time to react, (2) is what nobody could do better
-by braking: in the first frame nobody knows how fast the walker will be.
+(b, j) are the planner's stated limits, comfortable or hard. With no time to react, (2) is the limit of
+braking: in the first frame the walker's speed is unknown.
 """
 
 from __future__ import annotations

@@ -75,7 +75,7 @@ DEFAULT = PaperConfig()
 
 
 def reproduce(out: Path, config: PaperConfig = DEFAULT, *, say: Say = lambda line: None) -> Path:
-    """Run all experiments; `say` is told what is being done. Gives the page `paper.md`.
+    """Run all experiments; `say` is called with each step. Returns the page `paper.md`.
 
     Files of these names are replaced, others in the folder are left alone.
 
@@ -167,14 +167,14 @@ def planned_points(trace: Trace) -> FloatArray:
 
 
 def blocked_moments(frames: Sequence[PlannedFrame]) -> list[tuple[str, PlannedFrame]]:
-    """The first frame in which somebody is in the S-T graph, the middle one, and the first one after the last.
+    """The first frame in which an agent is in the S-T graph, the middle one, and the first one after the last.
 
     Raises:
-        ConfigError: Nobody ever is, or until the end.
+        ConfigError: No agent ever is, or one is until the end.
     """
     blocked = [i for i, frame in enumerate(frames) if _is_blocked(frame)]
     if not blocked or blocked[-1] + 1 >= len(frames):
-        raise ConfigError("Fig. 10 needs a drive in which somebody blocks the path, and leaves it")
+        raise ConfigError("Fig. 10 needs a drive in which a road user blocks the path and leaves it")
     chosen = (blocked[0], blocked[len(blocked) // 2], blocked[-1] + 1)
     words = ("first blocked", "in the middle", "free again")
     return [(word, frames[i]) for word, i in zip(words, chosen, strict=True)]

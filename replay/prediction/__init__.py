@@ -1,4 +1,4 @@
-"""The others' futures as they may be assumed at a frame: called by replay, which fills `Frame.predictions`.
+"""Predicted futures of the other road users at a frame; the loop puts them into `Frame.predictions`.
 
     constant_velocity        straight on                                                          (`kinematic`)
     constant_turn_rate       round a circle; pedestrians straight on                              (`kinematic`)
@@ -7,8 +7,8 @@
     lanes_and_pedestrians    vehicles as lane_following, pedestrians as pedestrian
     oracle                   the log's own future: not made here (`replay.loop.perception`)
 
-A predictor is given the agents as perceived at one instant and the lanes, nothing else: it has no memory and no way to
-the log; its settings are keywords. Adding one is one function and one line in PREDICTORS.
+A predictor gets the agents as perceived at one instant and the lanes, and nothing else: it has no memory and no access
+to the log. Its settings are keywords. Adding one is one function and one line in PREDICTORS.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ time at which they were perceived."""
 
 
 def _pedestrian(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
-    """Pedestrians have several hypotheses; everybody else goes on at constant velocity."""
+    """Pedestrians have several hypotheses; all others go on at constant velocity."""
     return _instead(constant_velocity(agents, t), walkers(agents, t, lanes))
 
 
@@ -54,7 +54,7 @@ PREDICTORS: dict[str, Predictor] = {
     "lanes_and_pedestrians": _lanes_and_pedestrians,
 }
 PREDICTION: Kind[Predictor] = Kind("prediction", "predictions", PREDICTORS, besides=("oracle",))
-"""Finds those, and users' own."""
+"""Finds these and the user's own."""
 
 
 def predict(
@@ -77,11 +77,11 @@ def predict(
         horizon: How far, s.
         step: Between two samples, s.
         method: Name in PREDICTORS, or "module:function".
-        lanes: `LaneMap.of(road)`, made once per scenario; left out, no lane is known, and nobody follows one.
-        predictor: What is called `method`, where it has been found already.
+        lanes: `LaneMap.of(road)`, made once per scenario; by default no lane is known, and no agent follows one.
+        predictor: The predictor `method`, where it is known already.
 
     Raises:
-        ConfigError: No predictor is called `method`, or it gives no `Predictions`.
+        ConfigError: There is no predictor `method`, or it does not return `Predictions`.
     """
     predictor = predictor or PREDICTION.find(method)
     found = predictor(agents, t + step * np.arange(round(horizon / step) + 1), lanes)
@@ -91,7 +91,7 @@ def predict(
 
 
 def _instead(general: Predictions, special: Predictions) -> Predictions:
-    """`general`, but those agents that are in `special` as they are there."""
+    """`general`, with the agents of `special` replaced by theirs."""
     rest = np.flatnonzero(~np.isin(general.agent, special.agent))
     agent = np.r_[general.agent[rest], special.agent]
     order = np.argsort(agent, kind="stable")

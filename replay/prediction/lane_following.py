@@ -14,8 +14,8 @@ Along the lane, with station s, offset l, speed v, lane curvature kappa; theta =
 (3) the heading is the lane's plus atan2(l_dot, s_dot) plus what it was off at the start, which fades over `TURN_M`
 
 Weights: a lane of misfit m (`matches`) counts exp(-m / 2), a branch that turns by w counts exp(-|w| / `TURN_RAD`).
-Hypotheses below `LEAST` are dropped; those of an agent sum to 1. Nobody follows a lane among vehicles off the lanes or
-against them, those that reverse, bicycles, pedestrians.
+Hypotheses below `LEAST` are dropped; those of an agent sum to 1. Vehicles off the lanes, against
+them or in reverse, bicycles and pedestrians follow no lane.
 """
 
 from __future__ import annotations
@@ -52,12 +52,12 @@ FOLLOW = among(*FOLLOWING)
 
 
 def followers(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
-    """The hypotheses of the vehicles that follow a lane; nobody else is in it (module docstring)."""
+    """The hypotheses of the vehicles that follow a lane, and of no other agents (module docstring)."""
     return _predicted(agents, t, lanes, others=False)
 
 
 def everybody(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
-    """The same, and who follows no lane goes on at a constant turn rate (`kinematic`)."""
+    """The same; agents that follow no lane go on at a constant turn rate (`kinematic`)."""
     return _predicted(agents, t, lanes, others=True)
 
 

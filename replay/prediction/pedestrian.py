@@ -2,14 +2,14 @@
 
 Which and how probable depends on what the pedestrian does and where (`SHARES`): walks on a lane, walks towards one
 that it reaches within `LOOK_S`, walks elsewhere, stands on a lane, stands elsewhere; slowing is an acceleration below
-`SLOWING_MPS2` (backward difference). The shares are assumptions on the side of caution, not fitted to data: most who
-are on the road go on; who comes to the kerb and slows will mostly wait there; who has just stopped may start again.
+`SLOWING_MPS2` (backward difference). The shares are cautious assumptions, not fitted to data: most pedestrians on the
+road go on; one who comes to the kerb and slows mostly waits there; one who has just stopped may start again.
 
 The hypotheses, with the speed v at the frame (walking: from `WALKING_MPS` on), the direction of the velocity (of the
-heading, for who stands), and time tau from the frame:
+heading, of one who stands), and time tau from the frame:
 
-    goes on       at v; who stands starts after `REACTION_S` at `START_MPS`
-    stops         brakes with `BRAKE_MPS2`; who comes to a lane stops `KERB_M` before it, if that is not sooner
+    goes on       at v; one who stands starts after `REACTION_S` at `START_MPS`
+    stops         brakes with `BRAKE_MPS2`; one who comes to a lane stops `KERB_M` before it, if that is not sooner
     turns back    stops as above, waits `PAUSE_S`, walks back at v, at least at `START_MPS`
 
 (1) walked(tau) = v tau until tau_b = D / v - v / (2 b), then braking with b to a stop at the distance D
@@ -35,7 +35,7 @@ REACTION_S, START_MPS, PAUSE_S = 0.5, 1.2, 0.5
 
 
 class Place(Enum):
-    """What a pedestrian does where."""
+    """What a pedestrian does, and where."""
 
     CROSSING = "walks on a lane"
     COMING = "walks towards a lane"
@@ -60,7 +60,7 @@ SHARES: dict[tuple[Place, bool], tuple[float, float, float]] = {
 
 
 def walkers(agents: Agents, t: FloatArray, lanes: LaneMap) -> Predictions:
-    """The hypotheses of the pedestrians among `agents`; nobody else is in it (module docstring)."""
+    """The hypotheses of the pedestrians among `agents`, and of no other agents (module docstring)."""
     ahead = t - t[0]
     agent, probability, way = [], [], []
     for i, kind in enumerate(agents.kinds):
@@ -111,7 +111,7 @@ def _futures(
 
 
 def walked(ahead: FloatArray, speed: float, distance: float) -> FloatArray:
-    """How far who walks at `speed` (m/s) and stops after `distance` (m) has come (1)."""
+    """Distance walked at `speed` (m/s) with a stop after `distance` (m) (1)."""
     begins = distance / speed - 0.5 * speed / BRAKE_MPS2
     braking = np.clip(ahead - begins, 0.0, speed / BRAKE_MPS2)
     return np.asarray(speed * np.minimum(ahead, begins) + speed * braking - 0.5 * BRAKE_MPS2 * braking**2)

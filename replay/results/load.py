@@ -30,7 +30,7 @@ from logs.mcap import read_trace
 from logs.remote import Near
 from logs.scenario import Scenario
 from logs.trace import Decision, Plan, PlannedFrame, Trace
-from metrics.aggregate import LogLabels
+from metrics.judge.aggregate import LogLabels
 from replay.config import RunConfig, load_run
 from replay.results.schema import SCHEMA_VERSION
 from replay.results.tables import read_timings
@@ -139,7 +139,7 @@ class Results:
 
     @cached_property
     def groups(self) -> pd.DataFrame:
-        """A row per group of logs, planner, mode and metric (`metrics.aggregate`); "pass": how many logs pass."""
+        """A row per group of logs, planner, mode and metric (`metrics.judge.aggregate`); "pass": how many logs pass."""
         return _table(self.path / "groups.parquet", pd.read_parquet)
 
     @cached_property

@@ -20,12 +20,11 @@ import pandas as pd
 from logs.errors import ConfigError, OutputError
 from logs.readers import LogSettings
 from metrics import COLUMNS, health
-from metrics.aggregate import LogLabels, groups, standings
-from metrics.ensemble import with_asked, with_ensemble
-from metrics.gates import Gates, Outcome, load_gates
 from metrics.judge import Verdict, judge, outcomes
-from metrics.latency import SHARE as LATE
-from metrics.latency import judge_deadline
+from metrics.judge.aggregate import LogLabels, groups, standings
+from metrics.judge.gates import Gates, Outcome, load_gates
+from metrics.judge.rows import SHARE as LATE
+from metrics.judge.rows import judge_deadline, with_asked, with_ensemble
 from replay.config import RunConfig, dump_run
 from replay.results.load import Results, load
 from replay.results.log_result import (

@@ -1,11 +1,11 @@
-"""The others: how they move while the ego is driven.
+"""How the other road users move while the ego is driven.
 
-"give_way"        as in the log; who would drive into the ego from behind, or goes second by right, gives way to it
-                  (`reactive`, `yielding`)
-"time"            each is where it was in the log at this time, whatever the ego does
-"ego_position"    all are where they were when the logged ego was where the ego is (`ego_position`)
-"reactive"        vehicles keep to their logged path and behind whoever is on it, the ego included (`reactive`); who
-                  is late stops at red lights
+"give_way"        as in the log, except that a road user gives way where it would hit the ego from behind or where the
+                  ego has the right of way (`reactive`, `yielding`)
+"time"            each road user is where it was in the log at this time, whatever the ego does
+"ego_position"    all are where they were in the log when the logged ego was where the ego is now (`ego_position`)
+"reactive"        vehicles follow their logged paths and keep behind every road user on them, the ego included
+                  (`reactive`); late vehicles stop at red lights
 """
 
 from __future__ import annotations
@@ -24,23 +24,23 @@ __all__ = ["TRAFFIC", "TRAFFIC_KIND", "TRAFFIC_NOTES", "Reactive", "ReplayedByEg
 
 
 class Traffic(Protocol):
-    """Moves the others; built once per drive as `factory(scenario, **settings)`."""
+    """Moves the other road users; built once per drive as `factory(scenario, **settings)`."""
 
     @property
     def due(self) -> float:
-        """The next time at which they look at the ego, s: until then `step` changes nothing; inf: they never do."""
+        """The next time at which they react to the ego, s; until then `step` changes nothing. inf: they never react."""
         ...
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the user must know of the drive so far, one sentence each; goes into the trace."""
+        """Notes on the drive so far, one sentence each; they go into the trace."""
         ...
 
     def step(self, ego: EgoState) -> Tracks:
-        """The others as they have moved up to `ego.t`, seeing the ego's states until then.
+        """The tracks of the others up to `ego.t`; they have seen the ego's states until then.
 
-        The tracks may reach beyond `ego.t`; who looks at them takes care not to (`Tracks.perceived`). They may be
-        those around now alone (`logs.around.Recent`); what is kept of the drive is their `whole`.
+        The tracks may reach beyond `ego.t`; readers take only what is known by then (`Tracks.perceived`). They may
+        hold only the road users around now (`logs.around.Recent`); the drive keeps their `whole`.
         """
         ...
 
@@ -60,7 +60,7 @@ class ReplayedByTime:
 
 
 def give_way(scenario: Scenario) -> Traffic:
-    """As in the log, but for those who give way."""
+    """As in the log, except for road users that give way."""
     return Reactive(scenario, GIVE_WAY)
 
 
@@ -72,7 +72,7 @@ TRAFFIC: dict[str, Callable[..., Traffic]] = {
 }
 
 TRAFFIC_KIND: Kind[Callable[..., Traffic]] = Kind("traffic", "traffic", TRAFFIC)
-"""Finds those, and users' own."""
+"""Finds these and the user's own."""
 
 TRAFFIC_NOTES: dict[str, tuple[str, ...]] = {
     "ego_position": (
@@ -82,4 +82,4 @@ TRAFFIC_NOTES: dict[str, tuple[str, ...]] = {
         "the others react: vehicles keep to their logged paths, behind whoever is on them; late ones stop at red",
     ),
 }
-"""What the user must know of the traffic to read the results; nothing of what is as in the log."""
+"""Notes on each kind of traffic that a reader of the results needs; empty where the traffic is as in the log."""

@@ -1,14 +1,14 @@
-"""The others by where the ego is: the log's encounters are kept, whatever the ego's speed.
+"""The other road users by the ego's position: the log's encounters are kept, whatever the ego's speed.
 
-With the ego's station s on its logged path, all others are at the log time (phase) at which the logged ego was there:
+With the ego's station s on its logged path, all others are at the log time (phase) at which the logged ego was at s:
 
 (1) target = tau(s) + delta        tau(s): the first log time at which the logged ego had come to s
 (2) the phase follows the target, never back, and at most `FASTEST` times as fast as time
 (3) where the logged path ends, the phase goes on with time
 
-The ego is never touched. Where it has stood for `STUCK_S`, the phase goes on with time, so that whoever it waits for
-can go (a world that stands still with the ego would wait forever); delta is then how far the phase has come beyond the
-last log time at which the logged ego was still within `NEAR_M` of s: encounters further on come later by so much.
+The ego itself is not changed. Once it has stood for `STUCK_S`, the phase goes on with time, so that the road user that
+it waits for can leave (a world that stands still with the ego would wait forever). Then delta is the time by which the
+phase exceeds the last log time at which the logged ego was within `NEAR_M` of s: later encounters are delayed by it.
 """
 
 from __future__ import annotations
@@ -55,11 +55,11 @@ class ReplayedByEgoPosition:
 
     @property
     def due(self) -> float:
-        """The next time at which the ego is looked at, s."""
+        """The next time at which the agents react to the ego, s."""
         return self._next
 
     def step(self, ego: EgoState) -> Tracks:
-        """The others as they moved up to `ego.t`, and one sample beyond."""
+        """The tracks up to `ego.t` and one sample beyond."""
         if self._next == float("-inf"):
             self._station = self._line.project(ego.x, ego.y, 0.0)[0]
             self._add(ego.t, 1.0)
@@ -80,7 +80,7 @@ class ReplayedByEgoPosition:
         return np.maximum.accumulate(np.maximum(found, 0.0))
 
     def _advance(self, ego: EgoState) -> None:
-        """Lead the phase one period on."""
+        """Advance the phase by one period."""
         self._station = self._line.project(ego.x, ego.y, self._station)[0]
         self._stood = self._stood + PERIOD_S if abs(ego.v) < STANDING_MPS else 0.0
         ahead = self._station + max(ego.v, 0.0) * PERIOD_S
@@ -92,7 +92,7 @@ class ReplayedByEgoPosition:
             self._phase += min(max(self._earliest(ahead) + self._delay - self._phase, 0.0), most)  # (1), (2)
 
     def _earliest(self, s: float) -> float:
-        """The first log time at which the logged ego had come to `s`, s."""
+        """The first log time at which the logged ego had reached `s`, s."""
         k = int(np.searchsorted(self._log_s, s, side="left"))
         if k == 0:
             return float(self._log_t[0])
@@ -102,7 +102,7 @@ class ReplayedByEgoPosition:
         return float(self._log_t[k - 1] + u * (self._log_t[k] - self._log_t[k - 1]))
 
     def _latest(self, s: float) -> float:
-        """The last log time at which the logged ego was not farther than `s` + `NEAR_M`, s."""
+        """The last log time at which the logged ego was no farther than `s` + `NEAR_M`, s."""
         k = int(np.searchsorted(self._log_s, s + NEAR_M, side="right")) - 1
         return float(self._log_t[max(k, 0)])
 

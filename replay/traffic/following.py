@@ -1,9 +1,9 @@
-"""Who is ahead on a path, and the acceleration behind it.
+"""The leader on a path, and the acceleration behind it.
 
-Leader: the first agent whose box, as it is now, the vehicle's box moved along its path would touch, within `LOOK_M` +
-`LOOK_S` v; boxes that touch already are let go. With the gap s until they touch, the vehicle's speed v, the leader's
-speed v_l and acceleration a_l along the path (Kesting, Treiber, Helbing, Phil. Trans. R. Soc. A 368, 2010, "enhanced
-IDM"; the cap of the deceleration is ours):
+Leader: the first agent that the vehicle's box, moved along its path, would touch within `LOOK_M` + `LOOK_S` v, with the
+agents' boxes held where they are; boxes that touch already do not count. With the gap s until they touch, the vehicle's
+speed v, the leader's speed v_l and acceleration a_l along the path (Kesting, Treiber, Helbing, Phil. Trans. R. Soc. A
+368, 2010, "enhanced IDM"; the cap of the deceleration is ours):
 
 (1) s*    = s0 + max(0, v T + v (v - v_l) / (2 sqrt(a b)))
 (2) a_idm = a (1 - (s* / s)^2)
@@ -71,13 +71,13 @@ def paths_along(tracks: Tracks) -> Paths:
 
 
 def places(who: IntArray, some: IntArray) -> IntArray:
-    """Where each of `some` `(m,)` is among `who` `(k,)`, which increase; -1: it is not among them."""
+    """The index of each of `some` `(m,)` in `who` `(k,)`, which increases; -1: not in it."""
     at = np.searchsorted(who, some)
     return np.where(np.append(who, -1)[at] == some, at, -1)
 
 
 class Scene(NamedTuple):
-    """Who is where now; the last row is the ego.
+    """Boxes and motion of all now; the last row is the ego.
 
     Attributes:
         boxes: `(n + 1, 5)` x, y, yaw, length, width.
@@ -181,7 +181,7 @@ def moved_on(paths: Paths, phase: FloatArray, way: FloatArray, now: float) -> Fl
 
 @kernel
 def taken(boxes: FloatArray, coming: BoolArray, others: BoolArray) -> BoolArray:
-    """Whose box overlaps one of the others'."""
+    """Which boxes `coming` overlap one of the `others`."""
     out = np.zeros(len(coming), np.bool_)
     for i in range(len(coming)):
         for j in range(len(boxes)):
@@ -241,9 +241,9 @@ def drives_into(paths: Paths, phase: FloatArray, leaders: Leaders) -> BoolArray:
 def leaders(
     paths: Paths, phase: FloatArray, speed: FloatArray, whose: BoolArray, heeds: BoolArray, scene: Scene
 ) -> Leaders:
-    """The leaders of the vehicles `whose` `(n,)` at their phases; pairs that both are as logged do not count.
+    """The leaders of the vehicles `whose` `(n,)` at their phases; a pair that is on its logs does not count.
 
-    The ego is nobody's leader but of those who heed it `(n,)`.
+    The ego leads only the vehicles for which `heeds` `(n,)` holds.
     """
     n = len(phase)
     out = Leaders(np.full(n, inf), np.zeros(n), np.zeros(n))
@@ -266,7 +266,7 @@ def leaders(
 
 @inner_kernel
 def _nearby(i: int, reach: float, scene: Scene, near: IntArray, heeds: bool) -> int:
-    """Who may be in the way of vehicle i, into `near`; how many; the ego only if it heeds it."""
+    """Write the agents that may be in the way of vehicle i into `near`; return their number; the ego if `heeds`."""
     boxes, count = scene.boxes, 0
     for j in range(len(boxes) if heeds else len(boxes) - 1):
         if j == i or not scene.present[j] or (scene.as_logged[i] and scene.as_logged[j]):
@@ -282,7 +282,7 @@ def _nearby(i: int, reach: float, scene: Scene, near: IntArray, heeds: bool) -> 
 def _first_touched(
     paths: Paths, i: int, phase: float, reach: float, boxes: FloatArray, near: IntArray
 ) -> tuple[float, int, float, float, float]:
-    """Distance along path i to the first touch, whom (-1: nobody within reach), and the box's x, y and yaw there."""
+    """Distance along path i to the first touch, the agent (-1: none within reach), and the box's x, y, yaw there."""
     first, end = paths.first[i], paths.end[i]
     k = max(first, first + np.searchsorted(paths.t[first:end], phase, side="right") - 1)
     begin, leap = boxes[i].copy(), np.zeros(3)

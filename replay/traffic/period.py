@@ -1,7 +1,12 @@
-"""One period of the reacting traffic as one kernel: who leads whom, who is late from now on, how far everybody gets.
+"""One period of the reacting traffic as one kernel: leaders, which agents become late, and how far each one drives.
 
-What it means stands in `replay.traffic.reactive`; the arrays of `Phases` are written in place. They are of those who
-may be in the scene (`replay.traffic.coming`), and so is `n` here.
+`replay.traffic.reactive` explains the model. The kernels write the arrays of `Phases` in place. `n` counts the agents
+that may be in the scene (`Coming`): in a long log, a step computes these only.
+
+(1) who = road users whose log has begun, and those that never move, without those that have left for good: not in the
+    scene, not waiting to enter, and past the end of their log
+
+The others have no effect: they would be neither present nor entering.
 """
 
 from __future__ import annotations
@@ -33,7 +38,7 @@ SAME_MPS = 1e-6
 
 
 class Agents(NamedTuple):
-    """Those who are replayed: their paths; sizes, who reacts, when their paths and logs end, `(n,)` each."""
+    """The replayed agents: paths; sizes, whether they react, when their paths and their logs end, `(n,)` each."""
 
     tracks: LoggedTracks
     length: FloatArray
@@ -49,16 +54,16 @@ class Agents(NamedTuple):
 
 
 class Phases(NamedTuple):
-    """How the agents are, `(n,)` each.
+    """The states of the agents, `(n,)` each.
 
     Attributes:
-        phase: The log time that they are at, s.
+        phase: Their log time, s.
         speed: m/s.
         accel: m/s2.
-        late: Whether they are not as in the log.
+        late: Whether they are off their log.
         there: Whether they are in the scene.
         ahead_since: Since when the ego has been ahead of them, s; inf: it is not.
-        since: Since when they are not as in the log, s; inf: they are.
+        since: Since when they have been off their log, s; inf: they are on it.
         braked: Their hardest deceleration while late, m/s2.
     """
 
@@ -72,20 +77,65 @@ class Phases(NamedTuple):
     braked: FloatArray
 
     def some(self, who: IntArray) -> Phases:
-        """How the agents `who` `(k,)` are."""
+        """The states of the agents `who` `(k,)`."""
         columns: list[Any] = [column[who] for column in self]
         return Phases(*columns)
 
 
 Ego = tuple[float, float, float, float, float, float, float, float, bool]
-"""x, y, yaw of its box, length, width, velocity x, y, rate of its speed, whether it is as in the log."""
+"""x, y, yaw of the ego's box, length, width, velocity x, y, acceleration, and whether it is where the log has it."""
 
 
-def nobody_late(n: int) -> Phases:
-    """All as in the log, and not in the scene yet."""
+def all_on_their_logs(n: int) -> Phases:
+    """All agents on their log and not in the scene yet."""
     late, there = np.zeros(n, np.bool_), np.zeros(n, np.bool_)
     never = np.full(n, inf)
     return Phases(np.zeros(n), np.zeros(n), np.zeros(n), late, there, never, never.copy(), np.zeros(n))
+
+
+class Coming:
+    """The road users of (1) and their states; a road user that has left keeps its last state.
+
+    Args:
+        every: All agents of the log.
+
+    Attributes:
+        who: Their tracks `(k,)`, increasing.
+        agents: Their paths and sizes.
+        now: Their states; `period` writes them.
+    """
+
+    def __init__(self, every: Agents) -> None:
+        self._every, self._states = every, all_on_their_logs(len(every.reacts))
+        begins = np.where(every.tracks.static, -np.inf, every.tracks.t[every.tracks.first])
+        self._order = np.argsort(begins, kind="stable")
+        self._begins, self._count = begins[self._order], 0
+        self._take(np.empty(0, np.int64))
+
+    @property
+    def all(self) -> Phases:
+        """The states of all agents `(n,)`; those outside of `who` have their last or their first state."""
+        for whole, part in zip(self._states, self.now, strict=True):
+            whole[self.who] = part
+        return self._states
+
+    def until(self, t: float, end: float) -> None:
+        """From time `t` on, take in all agents that may be in the scene by time `end`."""
+        count = int(np.searchsorted(self._begins, end + 1e-9, side="right"))
+        if count > self._count:
+            new, self._count = self._order[self._count : count], count
+            self.all.phase[new] = t
+            self._take(np.sort(np.r_[self.who[~self._gone(t)], new]))
+
+    def _gone(self, t: float) -> BoolArray:
+        """Which agents have left for good at `t` `(k,)`."""
+        now, tracks = self.now, self.agents.tracks
+        waits = now.late & (now.phase <= tracks.t[tracks.first] + 1e-9)
+        over = now.late | (self.agents.left < t - 1e-9)
+        return np.asarray(~(now.there | tracks.static | waits) & over)
+
+    def _take(self, who: IntArray) -> None:
+        self.who, self.now, self.agents = who, self._states.some(who), self._every.some(who)
 
 
 @inner_kernel
@@ -103,7 +153,7 @@ def logged_speeds(agents: Agents, now: Phases) -> FloatArray:
 
 @kernel
 def scene_of(agents: Agents, now: Phases, ego: Ego) -> Scene:
-    """Who is where."""
+    """Boxes and motion of all agents and of the ego."""
     n = len(now.phase)
     boxes, motion = np.empty((n + 1, 5)), np.empty((n + 1, 3))
     present, as_logged = np.ones(n + 1, np.bool_), np.ones(n + 1, np.bool_)
@@ -125,9 +175,9 @@ def scene_of(agents: Agents, now: Phases, ego: Ego) -> Scene:
 
 @kernel
 def leaders_of(agents: Agents, now: Phases, ego: Ego, whose: BoolArray, t: float, longest: float) -> Leaders:
-    """The leaders of the agents `whose` `(n,)`; the ego is one of theirs whom it has been ahead for `longest` s.
+    """The leaders of the agents `whose` `(n,)`; the ego leads an agent once it has been ahead of it for `longest` s.
 
-    At t = -inf they know it already; with `longest` NaN all heed it.
+    At t = -inf that time has passed already; with `longest` NaN the ego may lead every agent.
     """
     scene, paths = scene_of(agents, now, ego), paths_of(agents)
     heeds = np.ones(len(whose), np.bool_)
@@ -145,20 +195,20 @@ def advance(
     agents: Agents, now: Phases, ego: Ego, held: FloatArray, room: FloatArray, t: float, longest: float,
     only_needed: bool, gone: float, pose: FloatArray, here: BoolArray,
 ) -> bool:  # fmt: skip
-    """Lead all on from `t` by one period; whether an agent may enter then: else it is sampled (`sample`).
+    """Move all agents by one period from `t`; return whether an agent may enter then, else sample them (`sample`).
 
     Args:
-        agents: Who.
-        now: How they are; written.
-        ego: Where it is.
-        held: The greatest accelerations that lights leave them `(n,)`, m/s2.
-        room: The way to where they must wait for the ego `(n,)`, m; inf: they need not.
+        agents: Paths and sizes.
+        now: States; written.
+        ego: Its box and motion.
+        held: The greatest accelerations that lights allow `(n,)`, m/s2.
+        room: Distance to where an agent must wait for the ego `(n,)`, m; inf: it need not wait.
         t: s.
-        longest: As `leaders_of`.
-        only_needed: Who is as in the log reacts only where it would drive into its leader.
-        gone: When those who are late leave the scene, s.
-        pose: As `sample`.
-        here: As `sample`.
+        longest: As in `leaders_of`.
+        only_needed: An agent on its log reacts only where it would drive into its leader.
+        gone: When late agents leave the scene, s.
+        pose: As in `sample`.
+        here: As in `sample`.
     """
     n, until = len(now.phase), t + PERIOD_S
     logged = logged_speeds(agents, now)
@@ -194,13 +244,13 @@ def advance(
 
 @inner_kernel
 def waited(agents: Agents, now: Phases, i: int) -> bool:
-    """Whether agent i is not in the scene since somebody was in its place."""
+    """Whether agent i waits outside of the scene because its place was taken."""
     return now.late[i] and not now.there[i] and now.phase[i] <= agents.tracks.t[agents.tracks.first[i]] + 1e-9
 
 
 @inner_kernel
 def enters(agents: Agents, now: Phases, i: int, t: float) -> bool:
-    """Whether agent i is not in the scene, and its log has begun by `t`."""
+    """Whether agent i is outside of the scene and its log has begun by `t`."""
     if now.late[i] or now.there[i] or agents.tracks.static[i]:
         return waited(agents, now, i)
     return agents.tracks.t[agents.tracks.first[i]] <= t + 1e-9 and agents.left[i] >= t - 1e-9
@@ -208,7 +258,7 @@ def enters(agents: Agents, now: Phases, i: int, t: float) -> bool:
 
 @kernel
 def entering(agents: Agents, now: Phases, t: float) -> BoolArray:
-    """Who may enter at `t` `(n,)`; their phases are set to it, or to where they waited."""
+    """Which agents may enter at `t` `(n,)`; sets their phases to `t`, or to where they waited."""
     out = np.zeros(len(now.phase), np.bool_)
     for i in range(len(out)):
         out[i] = enters(agents, now, i, t)
@@ -221,7 +271,7 @@ def entering(agents: Agents, now: Phases, t: float) -> BoolArray:
 def wanted_speed(
     v: float, found: Leaders, i: int, held: float, room: float, logged: float, needed: bool
 ) -> tuple[float, bool]:
-    """The speed of agent i after a period as leader, lights and right of way want it; whether that disturbs it."""
+    """The speed of agent i after a period by leader, lights and right of way, and whether this takes it off its log."""
     gap, pull, slower = found.gap[i], ACCEL_MPS2, False
     if isfinite(gap):
         pull = enhanced_idm(v, gap, found.speed[i], found.accel[i])
@@ -238,7 +288,7 @@ def wanted_speed(
 
 @kernel
 def sample(agents: Agents, now: Phases, pose: FloatArray, here: BoolArray) -> None:
-    """Write how they are (`phase_replay.play`), the log played at its rate at the phases, 1 at most."""
+    """Write poses and presence (`phase_replay.play`): the log at the phases, played at a rate of 1 at most."""
     logged = logged_speeds(agents, now)
     rates = np.ones(len(logged))
     for i in range(len(logged)):

@@ -1,9 +1,9 @@
-"""The log's tracks, each played at a log time of its own: what the kinds of traffic share.
+"""The log's tracks, each replayed at its own log time; the kinds of traffic share this.
 
-Where and how an agent is at the phase tau (a log time, s) is what the log has there, interpolated; played at the rate r
-(phase per time), its velocity is r times the logged one. What was played is sampled every `PERIOD_S`, one sample ahead
-of the ego: the sample at t + PERIOD_S is made of what is known at t. Who is as in the log keeps its own samples; of the
-others those are kept in which they are there, so that an hour with thousands who come and go takes what it shows.
+At phase tau (a log time, s), an agent has the log's pose at tau, interpolated. Replayed at rate r (phase per time), its
+velocity is r times the logged one. The replay is sampled every `PERIOD_S`, one sample ahead of the ego: the sample at
+t + PERIOD_S depends on what is known at t. An agent on its log keeps the log's samples; of the others, only samples
+in which they are present are kept, so that memory grows with what is in the scene and not with the length of the log.
 """
 
 from __future__ import annotations
@@ -54,7 +54,7 @@ def logged_tracks(log: Tracks, vx: FloatArray, vy: FloatArray) -> LoggedTracks:
 
 
 class Row(NamedTuple):
-    """One sample of some: time, s, tracks `(k,)`, increasing, x, y, yaw, vx, vy `(5, k)`, and who is there `(k,)`."""
+    """One sample: time, s, tracks `(k,)`, increasing, x, y, yaw, vx, vy `(5, k)`, and which are present `(k,)`."""
 
     t: float
     who: IntArray
@@ -63,14 +63,14 @@ class Row(NamedTuple):
 
 
 class PhaseReplay:
-    """Plays a log's tracks and remembers what was played.
+    """Replays a log's tracks and keeps the samples.
 
     Args:
         log: The tracks; those that never move stay as they are.
-        extended: The same, each extended beyond the end of its log: what is played. None: the log.
+        extended: The tracks to replay, each extended beyond the end of its log; None: the log.
 
     Attributes:
-        log: What is played, with the velocities that it is played with.
+        log: The replayed tracks with their velocities.
         logged: The same for kernels.
     """
 
@@ -87,7 +87,7 @@ class PhaseReplay:
         self._spans = Spans(log)
 
     def add(self, t: float, who: IntArray, phase: FloatArray, rate: FloatArray) -> None:
-        """At the time `t` the tracks `who` `(k,)` were at these phases, played at these rates."""
+        """Sample the tracks `who` `(k,)` at time `t`, at these phases and rates."""
         there = np.ones(len(who), np.bool_)
         play(self.logged.some(who), phase, rate, there, *self.row(t, who))
 
@@ -97,10 +97,10 @@ class PhaseReplay:
         return self._rows[-1].pose, self._rows[-1].there
 
     def tracks(self, since: FloatArray) -> Tracks:
-        """The log's own samples before `since` `(n,)`, s, and what was played from then on; inf: the log as it is.
+        """The log's samples before `since` `(n,)`, s, and the replayed ones from then on; inf: the log as it is.
 
-        Who was inf at the last call is not before the last row that there was then. Where anybody is not as in the
-        log, those around the last row, of all that they are a part of.
+        A track that was inf at the last call may not begin before the last row of that call. Where any agent is off
+        its log, the result holds the tracks around the last row; its `whole` has all of them.
         """
         since = np.where(self._own.static, np.inf, since)
         self._take(since)
@@ -117,14 +117,14 @@ class PhaseReplay:
         return Recent(*columns, all_of_them=partial(self._whole, since, count))
 
     def _whole(self, since: FloatArray, count: int) -> Tracks:
-        """All samples of all, as they are with so many played."""
+        """All samples of all tracks, with the first `count` replayed ones."""
         own = self._own.offsets
         return Tracks(*self._columns(since, np.arange(len(self._own)), own[:-1].copy(), own[1:].copy(), slice(count)))
 
     def _columns(
         self, since: FloatArray, who: IntArray, first: IntArray, end: IntArray, some: slice
     ) -> tuple[Any, ...]:
-        """What `Tracks` is made of: the log's samples `first` to before `end` of those `who`, `some` of the played."""
+        """The columns of `Tracks`: the log's samples `first` to before `end` of `who`, and `some` replayed ones."""
         played = np.searchsorted(who, self._who[some])
         rows, sizes = _merged(self._logged_own, since[who], first, end, played, self._played[some])
         left = np.flatnonzero(sizes)
@@ -135,7 +135,7 @@ class PhaseReplay:
         return logged_tracks(self._own, self._own.vx, self._own.vy)
 
     def _take(self, since: FloatArray) -> None:
-        """Keep the samples since the last call of those who are not as in the log, the one before of who is new."""
+        """Keep the samples since the last call of agents off their log; one sample more of those newly off it."""
         wanted = since < np.inf
         for k, row in enumerate(self._rows):
             mine = wanted[row.who] & row.there & (row.t >= since[row.who] - 1e-9)
@@ -160,7 +160,7 @@ def _owners(log: Tracks) -> IntArray:
 def played(log: LoggedTracks, i: int, phase: float) -> tuple[float, float, float, float, float, bool]:
     """x, y, yaw (interpolated), vx, vy (of the last sample) of a track at a phase, and whether it has a log there.
 
-    In a gap of a track (`logs.presence`) its agent is not there.
+    In a gap of a track (`logs.presence`) its agent is not present.
     """
     t, columns, first, end = log.t, log.columns, log.first[i], log.end[i]
     there = log.static[i] or (t[first] <= phase + 1e-9 and phase <= t[end - 1] + 1e-9)
@@ -181,7 +181,7 @@ def played(log: LoggedTracks, i: int, phase: float) -> tuple[float, float, float
 def play(
     log: LoggedTracks, phase: FloatArray, rate: FloatArray, there: BoolArray, pose: FloatArray, here: BoolArray
 ) -> None:
-    """Into `pose` `(5, n)` and `here` `(n,)`: the agents at their phases, velocities times the rates."""
+    """Write the agents at their phases, velocities times the rates, into `pose` `(5, n)` and `here` `(n,)`."""
     for i in range(len(phase)):
         x, y, yaw, vx, vy, has_log = played(log, i, phase[i])
         pose[0, i], pose[1, i], pose[2, i] = x, y, yaw
@@ -195,8 +195,8 @@ def _merged(
 ) -> tuple[FloatArray, IntArray]:
     """Rows t, x, y, yaw, vx, vy `(6, samples)` of some tracks one after the other, and how many samples each has.
 
-    Of the log the samples from `first` to before `end` `(k,)` that are before `since` `(k,)`, s; then what was
-    `played` `(m, 6)`, of which of them (`who` `(m,)`), in the order of time.
+    First the log's samples from `first` to before `end` `(k,)` that are before `since` `(k,)`, s; then the replayed
+    rows `played` `(m, 6)` of the tracks `who` `(m,)`, in the order of time.
     """
     n = len(since)
     begin, kept = np.zeros(n, np.int64), np.zeros(n, np.int64)

@@ -1,32 +1,31 @@
-"""The others react: along their logged paths, each at a log time of its own, by one of two rules (`Rule`).
+"""The other road users react along their logged paths, each at its own log time, by one of two rules (`Rule`).
 
-An agent is at the log time (phase) tau_i of its own; its place is the log's at tau_i, so that it never leaves its
-path. Where its log ends, the most probable lane leads it on for `BEYOND_M` if it is late; in time, it leaves the scene
-as it did in the log. Where the recording of the traffic ends (`Scenario.traffic_spans`), late agents leave the scene
-too: else one that gave way would drive on alone where all others have vanished. An agent's speed never exceeds the
-logged one at its place, and it is never ahead of its log.
+Agent i has a log time (phase) tau_i of its own. Its place is the log's at tau_i, so that it never leaves its path.
+Where its log ends, a late agent follows the most probable lane for `BEYOND_M`; an agent on time leaves the scene as in
+the log. Where the recording of the traffic ends (`Scenario.traffic_spans`), late agents leave the scene too: else one
+that gave way would drive on alone after all others have vanished. An agent is never faster than the log at its place,
+and never ahead of its log.
 
-Undisturbed, tau_i = t: the log's own samples, to the bit. An agent is disturbed from when the leader below would have
-it drive slower than it did in the log. Pairs that both are as they were in the log do not count (real drivers keep
-other gaps than a model does); the ego counts as in the log while it is within `EGO_M` of it. While its log stands, a
-late agent makes up for lost time. Leader and acceleration: `replay.traffic.following`. Who is late stops at closed
-lights too (`red_lights`); who is as in the log passes them as it did, red ones too. Who enters the scene waits while
-somebody who is not as in the log is in its place, and enters no faster than it can brake for its leader.
+Undisturbed, tau_i = t: the log's own samples, to the bit. An agent is disturbed once its leader requires a lower speed
+than the log's. A pair of agents that are both on their logs does not count, because real drivers keep other gaps than
+a model does; the ego is on its log while it is within `EGO_M` of it. A late agent makes up time while its log stands.
+`replay.traffic.following` defines leader and acceleration. Late agents also stop at closed lights (`red_lights`);
+agents on their logs pass them as they did, red ones included. An agent that enters the scene waits while an agent that
+is off its log is in its place, and enters no faster than it can brake for its leader.
 
-"reactive": vehicles drive behind whoever is on their path, the ego included, wherever it comes from.
+"reactive": vehicles drive behind every road user on their path, the ego included, wherever it comes from.
 
-"give_way": vehicles and riders drive as in the log unless they would then run into the ego, or into an agent that is
-late because of it, and only where the ego may expect it:
+"give_way": vehicles and riders drive as in the log unless they would then hit the ego, or an agent that is late because
+of the ego, and only where the ego may expect them to react:
 
 (1) the ego has been ahead (`following` (5)) for `CC_REACT_S` without a break, the reaction time of the careful driver
-    of UN R157; who begins or enters the scene behind it knows it already
-(2) going on as in the log, the agent would drive into it (`following` (6))
+    of UN R157; for an agent that starts or enters behind the ego, this time has passed already
+(2) the agent would drive into it if it went on as in the log (`following` (6))
 (3) or the agent comes from a lane that yields to the ego's (`yielding`)
-(4) it brakes as the leader demands, with 0.774 g at most (the same driver)
+(4) it brakes as its leader requires, with 0.774 g at most (the same driver)
 
-So who cuts in with less room than a careful driver needs, comes from the side without the right of way, or is in the
-way of oncoming traffic is hit as in the log. Pedestrians and objects are replayed by time; where "reactive", bicycles
-too.
+So an ego that cuts in with less room than a careful driver needs, crosses without the right of way, or blocks oncoming
+traffic is hit as in the log. Pedestrians and objects are replayed by time; with "reactive", bicycles too.
 """
 
 from __future__ import annotations
@@ -44,10 +43,10 @@ from metrics.others import name_of
 from metrics.reference_drivers import CC_REACT_S
 from replay.prediction import LaneMap
 from replay.prediction.lane_following import FOLLOWING, followers
-from replay.traffic.coming import Coming
 from replay.traffic.following import DECEL_MPS2, STANDSTILL_M, taken
 from replay.traffic.period import (
     Agents,
+    Coming,
     Ego,
     advance,
     entering,
@@ -67,18 +66,18 @@ EGO_M = 1.0
 """The ego is as in the log where it is no farther than this from where the log has it."""
 BEYOND_M = 100.0
 NAMED = 5
-"""So many are named in the notes."""
+"""The greatest number of agents that the notes name."""
 
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """Who reacts to what.
+    """Which agents react to what.
 
     Attributes:
-        kinds: Who reacts.
-        only_ahead: The ego counts for those only that have had it ahead for this long, s; None: for all.
-        only_needed: An agent as in the log reacts only where it would drive into its leader.
-        yields: Lanes that yield to the ego's wait for it.
+        kinds: The kinds that react.
+        only_ahead: The ego counts only once it has been ahead for this time, s; None: always.
+        only_needed: An agent on its log reacts only where it would drive into its leader.
+        yields: Whether agents on lanes that yield to the ego's wait for it.
     """
 
     kinds: tuple[AgentKind, ...]
@@ -96,7 +95,7 @@ class Reactive:
 
     Args:
         scenario: Its tracks, road, lights and ego.
-        rule: Who reacts to what.
+        rule: Which agents react to what.
     """
 
     def __init__(self, scenario: Scenario, rule: Rule = REACTIVE) -> None:
@@ -118,11 +117,11 @@ class Reactive:
 
     @property
     def due(self) -> float:
-        """The next time at which the ego is looked at, s."""
+        """The next time at which the agents react to the ego, s."""
         return self._next
 
     def step(self, ego: EgoState) -> Tracks:
-        """The others as they moved up to `ego.t`, and one sample beyond."""
+        """The tracks up to `ego.t` and one sample beyond."""
         if ego.t < self._next - 1e-9:
             return self._tracks
         box = self._box(ego)
@@ -141,7 +140,7 @@ class Reactive:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Who has been disturbed so far, since when, and how hard they braked."""
+        """The agents disturbed so far, since when, and how hard they braked."""
         since, braked = self._coming.all.since, self._coming.all.braked
         who = np.argsort(since, kind="stable")[: int(np.isfinite(since).sum())]
         log = self._replay.log
@@ -152,14 +151,14 @@ class Reactive:
         return (f"not as in the log because of the ego (since when, hardest braking): {'; '.join(named + more)}",)
 
     def _advance(self, t: float, ego: EgoState, box: Ego, sampled: Sampled) -> bool:
-        """Lead all on from `t` by one period; whether an agent may enter then: else it is sampled."""
+        """Move all agents by one period from `t`; return whether an agent may enter then, else sample them."""
         who, agents, now, as_logged = self._coming.who, self._coming.agents, self._coming.now, box[8]
         held = self._lights.accelerations(t, who, now.phase, now.speed, now.late & now.there & agents.reacts)
         room = self._yielding.gaps(ego, who, now.phase, now.speed, now.there & (not as_logged))
         return advance(agents, now, box, held, room, t, self._longest, self._rule.only_needed, self._gone, *sampled)
 
     def _enter(self, t: float, box: Ego, sampled: Sampled) -> None:
-        """Let in whose log begins by `t`, and sample."""
+        """Let agents in whose log begins by `t`, and sample."""
         now, agents = self._coming.now, self._coming.agents
         coming = entering(agents, now, t) & ((t <= self._gone + 1e-9) | ~now.late)
         if coming.any():
@@ -167,7 +166,7 @@ class Reactive:
         sample(agents, now, *sampled)
 
     def _let_in(self, t: float, box: Ego, coming: BoolArray) -> None:
-        """Let in those `coming` whose place is free."""
+        """Let in the agents `coming` whose place is free."""
         now, agents = self._coming.now, self._coming.agents
         blocked = coming & agents.reacts & self._in_place(box, coming)
         begins = agents.tracks.t[agents.tracks.first]
@@ -184,7 +183,7 @@ class Reactive:
         now.speed[slowed] = safe[slowed]
 
     def _delay(self, who: BoolArray, since: FloatArray | float) -> None:
-        """From `since` on they are not as in the log."""
+        """From `since` on, the agents `who` are off their log."""
         now = self._coming.now
         now.late[who] = True
         now.since[:] = np.where(who, np.minimum(now.since, since), now.since)
@@ -204,7 +203,7 @@ class Reactive:
         return hypot(then.x - ego.x, then.y - ego.y) <= EGO_M
 
     def _in_place(self, box: Ego, coming: BoolArray) -> BoolArray:
-        """Whose place is taken by somebody who is not as in the log."""
+        """Which agents' places are taken by an agent that is off its log."""
         scene = scene_of(self._coming.agents, self._coming.now, box)
         return taken(scene.boxes, coming, scene.present & ~scene.as_logged)
 

@@ -1,17 +1,17 @@
-"""Traffic lights for who drives by the model: while its light is closed, a stop line is a leader that stands.
+"""Traffic lights for agents that drive by the model: a stop line with a closed light is a standing leader.
 
-A line is on a vehicle's path where the middle of its front bumper first comes over it in its lane's direction, not
-further than `ASIDE_M` beside its ends, on a way that the line counts for. With the gap s to there and the speed v, it
-takes the deceleration
+A line is on a vehicle's path where the middle of its front bumper first crosses it in the lane's direction, at most
+`ASIDE_M` beside its ends, on a way that the line applies to. With the gap s to it and the speed v, a stop takes the
+deceleration
 
 (1) b = v^2 / (2 s)
 
-to stop. At yellow, who needs no more than `DECEL_MPS2` stops; at red, and at red and yellow, no more than
-`HARDEST_MPS2`. Who stops does so until the light opens (green, off); who could not drives on, whatever is shown next,
-unless something else slows it down until `DECEL_MPS2` suffices. How it stops: `replay.traffic.following` (4).
+At yellow, a vehicle stops if that takes no more than `DECEL_MPS2`; at red, and at red and yellow, no more than
+`HARDEST_MPS2`. It stops by `replay.traffic.following` (4) until the light opens (green, off). A vehicle that could not
+stop drives on, whatever the light shows next, unless something else slows it down until `DECEL_MPS2` suffices.
 
-Until the log leaves its own last standstill before a line, the vehicle stops there, and no line holds it back from
-being in time again. Stop signs and right of way are left to the log: the late vehicle slows down where it did.
+Until the log leaves its own last standstill before a line, the vehicle stops there as logged, and no line keeps it from
+being on time again. Stop signs and right of way are as in the log: the late vehicle slows down where it did.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ from replay.traffic.phase_replay import PERIOD_S
 
 
 class Crossing(NamedTuple):
-    """Where a path comes over a line: whose, light, station along all paths (m), end of its last standstill (s)."""
+    """Where a path crosses a line: agent, light, station along all paths (m), end of its last standstill (s)."""
 
     owner: int
     light: int
@@ -54,12 +54,12 @@ class Crossing(NamedTuple):
 
 
 class RedLights:
-    """See the module docstring; remembers who stops for which line, and who could not.
+    """See the module docstring; remembers which agents stop for which line, and which could not.
 
     Args:
         scenario: Its road and lights.
         paths: The logged paths, each extended along its lane.
-        reacts: `(n,)` who may drive by the model.
+        reacts: `(n,)` which agents may drive by the model.
     """
 
     def __init__(self, scenario: Scenario, paths: Tracks, reacts: BoolArray) -> None:
@@ -76,7 +76,7 @@ class RedLights:
     def accelerations(
         self, t: float, who: IntArray, phase: FloatArray, speed: FloatArray, whose: BoolArray
     ) -> FloatArray:
-        """The greatest accelerations `(k,)` that the lights leave to those `whose` of `who` from `t` on, m/s2."""
+        """The greatest accelerations `(k,)` that lights allow the agents `who` (those `whose`) from `t` on, m/s2."""
         out = np.full(len(phase), ACCEL_MPS2)
         if not len(self._owner):
             return out
@@ -102,7 +102,7 @@ class RedLights:
 
 
 def _stations(paths: Tracks) -> FloatArray:
-    """Length `(samples,)` of all paths one after the other, m; only differences within one path mean something."""
+    """Length `(samples,)` along all paths, one after the other, m; only differences within one path are meaningful."""
     return np.r_[0.0, np.cumsum(np.hypot(np.diff(paths.x), np.diff(paths.y)))] if len(paths.t) else np.empty(0)
 
 
@@ -132,7 +132,7 @@ def _crossings(scenario: Scenario, paths: Tracks, reacts: BoolArray) -> Iterator
 
 
 def _over(line: StopLine, road: Road, front: FloatArray, within: BoolArray) -> Iterator[tuple[int, float]]:
-    """The steps `within` a path in which a front `(samples, 2)` comes over a line, and the part of each before it."""
+    """The steps `within` a path in which a front `(samples, 2)` crosses a line, and each one's share before it."""
     half = 0.5 * hypot(*(line.points[1] - line.points[0]))
     middle, across = line.points.mean(axis=0), (line.points[1] - line.points[0]) / max(2.0 * half, 1e-9)
     normal = np.array([across[1], -across[0]])
@@ -146,7 +146,7 @@ def _over(line: StopLine, road: Road, front: FloatArray, within: BoolArray) -> I
 
 
 def _counts(line: StopLine, road: Road, x: FloatArray, y: FloatArray, yaw: FloatArray) -> bool:
-    """Whether a line counts for the way `(k,)` behind it; where that is on none of the lanes after it, it does."""
+    """Whether a line applies to the way `(k,)` behind it; it does where the way is on none of the lanes after it."""
     if not line.towards:
         return True
     ways = [i for i in road.lanes[line.lane].successors if i in road.lanes]
@@ -156,7 +156,7 @@ def _counts(line: StopLine, road: Road, x: FloatArray, y: FloatArray, yaw: Float
 
 @kernel
 def _gaps(paths: Paths, station: FloatArray, phase: FloatArray, owner: IntArray, at: FloatArray) -> FloatArray:
-    """Length of path `(k,)` that each owner has before it at its phase `(k,)` until the station `at` `(k,)`, m."""
+    """Length of path `(k,)` from each owner's phase `(k,)` to the station `at` `(k,)`, m."""
     out = np.empty(len(owner))
     for c in range(len(owner)):
         first, end = paths.first[owner[c]], paths.end[owner[c]]

@@ -1,15 +1,16 @@
-"""Right of way: who comes from a lane that yields (`Lane.yields_to`) lets the ego by on a lane that goes first.
+"""Right of way: an agent on a lane that yields (`Lane.yields_to`) waits for the ego on a lane with priority.
 
-The ego goes on along its lanes as it may be predicted (`replay.prediction`, each way that it may take), for
-`LOOK_AHEAD_S`; its boxes while it is on a lane that goes first are places that it holds by right. An agent that is on
-the lane that yields, or comes to it, goes on as in its log, but no faster than its speed v allows; with the way s from
-here and a = `following.ACCEL_MPS2` it is there after
+The ego is predicted along its lanes (`replay.prediction`, every way that it may take) for `LOOK_AHEAD_S`. Its boxes on
+a lane with priority are places that it holds by right. An agent that is on the yielding lane, or comes to it, goes on
+as in its log, but no faster than its speed v allows: with the distance s from here and a = `following.ACCEL_MPS2`, it
+arrives after
 
 (1) tau(s) = max(time of the log to there, (sqrt(v^2 + 2 a s) - v) / a)
 
-It waits where its box would come to such a place within `SERIOUS_S` before or after the ego (a post-encroachment time
-below 1 s is a failure of right of way: `metrics.rules`), if it can stop with `following.HARDEST_MPS2` before all
-of the ego's way, held by right or not: there stands its leader then. Who cannot, or is there already, drives on.
+It waits where its box would reach such a place within `SERIOUS_S` before or after the ego (a post-encroachment time
+below 1 s violates the right of way: `metrics.rules`), if it can stop with `following.HARDEST_MPS2` before all of the
+ego's way, held by right or not: a standing leader is placed there. An agent that cannot stop, or is there already,
+drives on.
 """
 
 from __future__ import annotations
@@ -32,11 +33,11 @@ from replay.traffic.following import ACCEL_MPS2, FINE_M, HARDEST_MPS2, Paths, pa
 from replay.world import ROUNDING_M, box_center
 
 LOOK_AHEAD_S, STEP_S = 6.0, 0.25
-"""How far ahead the ego's way is looked at: a stop from 13.9 m/s with 3 m/s2 takes 4.6 s; between two boxes of it."""
+"""Horizon of the ego's prediction (a stop from 13.9 m/s with 3 m/s2 takes 4.6 s), and the time between two boxes."""
 
 
 class Way(NamedTuple):
-    """An agent's way over a lane that yields: whose, the lanes that go first, when its log leaves the lane (s)."""
+    """An agent's way over a yielding lane: its index, the lanes with priority, when its log leaves the lane (s)."""
 
     owner: int
     first: tuple[int, ...]
@@ -49,8 +50,8 @@ class Yielding:
     Args:
         scenario: Its road and the ego's size.
         paths: The logged paths, each extended along its lane.
-        reacts: `(n,)` who may drive by the model.
-        lanes: Of the road, by which the ego is predicted.
+        reacts: `(n,)` which agents may drive by the model.
+        lanes: Of the road; the ego is predicted along them.
     """
 
     def __init__(self, scenario: Scenario, paths: Tracks, reacts: BoolArray, lanes: LaneMap) -> None:
@@ -70,7 +71,7 @@ class Yielding:
                 yield Way(i, first, float(paths.t[mine][on].max()))
 
     def gaps(self, ego: EgoState, who: IntArray, phase: FloatArray, speed: FloatArray, whose: BoolArray) -> FloatArray:
-        """The way of those `whose` of the tracks `who` to where they must wait for the ego `(k,)`, m; inf: need not."""
+        """Distance of the tracks `who` (those `whose`) to where they must wait for the ego `(k,)`, m; inf: no wait."""
         out = np.full(len(phase), np.inf)
         if not self._ways:
             return out
@@ -91,7 +92,7 @@ class Yielding:
         return out
 
     def _boxes(self, first: set[int], ego: EgoState) -> tuple[FloatArray, dict[int, BoolArray]]:
-        """Time, x, y and yaw of the ego's boxes `(4, k)` on all its ways; which are on each lane that goes first."""
+        """Time, x, y and yaw of the ego's boxes `(4, k)` on all its ways; which are on each lane with priority."""
         x, y = box_center(ego, self._car)
         t = np.arange(0.0, LOOK_AHEAD_S + 0.5 * STEP_S, STEP_S)
         vx, vy = ego.v * cos(ego.yaw), ego.v * sin(ego.yaw)
@@ -107,7 +108,7 @@ def _wait(
     paths: Paths, i: int, phase: float, speed: float, own: FloatArray,
     boxes: FloatArray, by_right: BoolArray, size: FloatArray,
 ) -> float:  # fmt: skip
-    """Way of agent i to the first of the boxes `(4, k)` if it must wait for one, and can there, m; else inf."""
+    """Distance of agent i to the first of the boxes `(4, k)` if it must and can wait for one, m; else inf."""
     first, end = paths.first[i], paths.end[i]
     station, clear, place, meets = 0.0, 0.0, np.inf, False
     c2, s2 = np.cos(boxes[3]), np.sin(boxes[3])

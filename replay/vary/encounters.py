@@ -12,7 +12,8 @@ from logs.scenario import Scenario
 from logs.shapes import clearance
 from logs.short_names import ShortNames
 from logs.states import Trajectory
-from metrics.others import ego_boxes, others_at
+from metrics.boxes import ego_boxes
+from metrics.others import others_at
 from metrics.phantoms import phantoms, without_phantoms
 from replay.loop.planning import goal_of
 from replay.loop.reference_drives import reference_drives

@@ -30,9 +30,9 @@ from logs.scenario import Scenario
 from logs.trace import EndReason
 from logs.variations import VARIATIONS, varied
 from logs.words import counted
-from metrics.avoidability import APPLIES, AVOIDS, MARGIN
-from metrics.gates import Outcome
 from metrics.judge import worst
+from metrics.judge.gates import Outcome
+from metrics.reference_drivers import APPLIES, AVOIDS, MARGIN
 from metrics.reference_drivers import Outcome as Careful
 from replay.config import RunConfig
 from replay.draw.report.figures import save

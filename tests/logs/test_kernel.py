@@ -118,6 +118,47 @@ def test_code_on_disk_is_stale_where_a_name_a_field_or_a_member_has_changed(tmp_
     assert said == [16.0, 2.0, 1.0, 2.0, 12.0]
 
 
+MOVED = """
+from typing import NamedTuple
+
+from logs.kernel import inner_kernel
+
+class Pair(NamedTuple):
+    x: float
+    y: float
+
+@inner_kernel
+def product(pair: Pair) -> float:
+    return pair.x * pair.y
+"""
+USER = """
+from {module} import Pair, product
+from logs.kernel import kernel
+
+@kernel
+def f(pair: Pair) -> float:
+    return product(pair)
+
+print(f(Pair(2.0, 3.0)))
+"""
+
+
+@pytest.mark.slow
+def test_code_on_disk_is_stale_where_a_kernel_or_a_named_tuple_has_moved_to_another_module(tmp_path: Path) -> None:
+    """Reading it would import the module that is gone."""
+    path = os.pathsep.join([str(tmp_path), str(Path.cwd()), *sys.path])
+    environment = {**os.environ, "PYTHONPATH": path, "NUMBA_CACHE_DIR": str(tmp_path / "kept")}
+    environment.pop("NUMBA_DISABLE_JIT", None)
+    said = []
+    for module in ("before", "after"):
+        (tmp_path / f"{module}.py").write_text(MOVED, encoding="utf-8")
+        (tmp_path / "user.py").write_text(USER.format(module=module), encoding="utf-8")
+        run = [sys.executable, "-B", str(tmp_path / "user.py")]
+        said.append(float(subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout))
+        (tmp_path / f"{module}.py").unlink()
+    assert said == [6.0, 6.0]
+
+
 BROUGHT = """
 import os, tempfile
 if os.environ.get("READ_ONLY"):  # stands for file systems that are read-only: root may write anywhere else

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import binomtest
 
-from metrics.aggregate import COLUMNS, PASS, LogLabels, groups, membership, pass_shares, standings, wilson
+from metrics.judge.aggregate import COLUMNS, PASS, LogLabels, groups, membership, pass_shares, standings, wilson
 
 ASKED = [("dp_qp", "open"), ("dp_qp", "closed")]
 LABELS = {

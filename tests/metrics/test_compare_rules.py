@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 
 from logs import ConfigError
 from metrics import COLUMNS
-from metrics.aggregate import LogLabels
-from metrics.compare import MIN_PAIRS, MIN_SIGNIFICANT, NOT_ASKED, Comparison, Side, compare, intervals, noise
-from metrics.compare_rules import Rule, judged, load_rules
-from metrics.gates import Gate, Gates, Outcome, load_gates
+from metrics.compare.rules import Rule, judged, load_rules
+from metrics.compare.tables import MIN_PAIRS, MIN_SIGNIFICANT, NOT_ASKED, Comparison, Side, compare, intervals, noise
+from metrics.judge.aggregate import LogLabels
+from metrics.judge.gates import Gate, Gates, Outcome, load_gates
 
 GAP = Gate("gap.min", min=0.5)
 

@@ -7,9 +7,9 @@ from drives import along, drive, grid, moving, scenario
 
 from logs import AgentKind
 from metrics import evaluate
-from metrics.aggregate import LogLabels
-from metrics.ensemble import with_ensemble
-from metrics.gates import Gate, Gates
+from metrics.judge.aggregate import LogLabels
+from metrics.judge.gates import Gate, Gates
+from metrics.judge.rows import with_ensemble
 from replay.run.perturb import NOISE_M, PERTURBATIONS, START_M, perturbed
 
 GATES = Gates((Gate("speed.max", max=10.5, mode="closed"), Gate("ensemble.fragile", max=0.0, optional=True)), "test")

@@ -8,7 +8,7 @@ from drives import along, drive, grid, moved, moved_ego, scenario, straight_road
 
 from logs import AgentKind, Scenario, Trajectory
 from metrics import METRICS, evaluate
-from metrics.false_braking import HARD_MPS2, NEAR_M, hard_episodes
+from metrics.needless import CAUSE_M, HARD_MPS2, hard_episodes
 
 ROAD = straight_road(limit=15.0)
 NAMES = ("false_braking", "missed_braking")
@@ -46,7 +46,7 @@ def test_mild_braking_is_no_episode_and_two_far_apart_are_two() -> None:
 @pytest.mark.parametrize(
     ("x", "y", "vy", "false"),
     [
-        (130.0, SIDE + 0.25 + NEAR_M - 0.05, 0.0, 0.0), (130.0, SIDE + 0.25 + NEAR_M + 0.05, 0.0, 1.0),
+        (130.0, SIDE + 0.25 + CAUSE_M - 0.05, 0.0, 0.0), (130.0, SIDE + 0.25 + CAUSE_M + 0.05, 0.0, 1.0),
         (130.0, -14.0, 1.2, 0.0), (130.0, -20.0, 1.2, 1.0), (60.0, 0.0, 0.0, 1.0), (240.0, 0.0, 0.0, 1.0),
     ],
 )  # fmt: skip

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from logs import ConfigError, EndReason, LogError
 from metrics import COLUMNS, METRICS, evaluate
-from metrics.aggregate import LogLabels
-from metrics.ensemble import with_asked
-from metrics.gates import Gate, Gates, Outcome, load_gates
 from metrics.judge import Verdict, judge, outcomes, worst
+from metrics.judge.aggregate import LogLabels
+from metrics.judge.gates import Gate, Gates, Outcome, load_gates
+from metrics.judge.rows import with_asked
 
 PASS, FAIL, INCONCLUSIVE = Outcome.PASS, Outcome.FAIL, Outcome.INCONCLUSIVE
 
@@ -375,9 +375,9 @@ def test_a_file_is_read(tmp_path: Path) -> None:
         ('[[gate]]\nmetric = "gap"\nmin = 0\n', "no metric has this name"),
         ('[[gate]]\nmetric = "ade.4s.mean"\nmax = 1\n', "did you mean 'ade.[1358]s.mean'"),
         ('[[gate]]\nmetric = "gap.min"\nmim = 0\n', "unknown key 'mim', did you mean 'min'"),
-        ('[[gate]]\nmetric = "gap.min"\nmin = 0\n[[gate]]\nmax = 1\n', "gate 2: needs metric"),
-        ('[[gate]]\nmetric = "gap.min"\nmin = "0"\n', "min = '0' must be float"),
-        ('[[gate]]\nmetric = "gap.min"\nmin = true\n', "min = True must be float"),
+        ('[[gate]]\nmetric = "gap.min"\nmin = 0\n[[gate]]\nmax = 1\n', "gate 2: .*missing required field `metric`"),
+        ('[[gate]]\nmetric = "gap.min"\nmin = "0"\n', r"got `str` - at `\$.min`"),
+        ('[[gate]]\nmetric = "gap.min"\nmin = true\n', r"got `bool` - at `\$.min`"),
         ('[[gate]]\nmetric = "gap.min"\nmin = nan\n', "not finite"),
         ('[[gate]]\nmetric = "gap.min"\nmin = 2\nmax = 1\n', "min 2 is above max 1"),
         ('[[gate]]\nmetric = "gap.min"\nmin = 0\nmode = "close"\n', "mode is 'close'"),
@@ -385,9 +385,9 @@ def test_a_file_is_read(tmp_path: Path) -> None:
         ('[[gate]]\nmetric = "gap.min"\nmin = 0\nmin_logs = 0\n', "nothing to judge is no pass"),
         ('[[gate]]\nmetric = "gap.min"\nmin = 0\nmax_missing = 1.0\n', "not a share of at least 0 and below 1"),
         ('[[gate]]\nmetric = "gap.min"\nmin = 0\nbroken = "pass"\n', "broken is 'pass'"),
-        ('[[gate]]\nmetric = "gap.min"\nmin = 0\ntags = "rain"\n', "tags = 'rain' must be list"),
-        ('[[gate]]\nmetric = "gap.min"\nmin = 0\ntags = [1]\n', "tags must be words"),
-        ('[[gate]]\nmetric = "gap.min"\nmin = 0\noptional = 1\n', "optional = 1 must be bool"),
+        ('[[gate]]\nmetric = "gap.min"\nmin = 0\ntags = "rain"\n', r"got `str` - at `\$.tags`"),
+        ('[[gate]]\nmetric = "gap.min"\nmin = 0\ntags = [1]\n', r"Expected `str`, got `int` - at `\$.tags\[0\]`"),
+        ('[[gate]]\nmetric = "gap.min"\nmin = 0\noptional = 1\n', "Expected `bool`, got `int`"),
         ('[[gates]]\nmetric = "gap.min"\nmin = 0\n', "unknown key 'gates', did you mean 'gate'"),
         ("", "holds no"),
         ('gate = "gap"', "holds no"),

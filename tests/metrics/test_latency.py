@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from metrics.latency import COLUMNS, deadline_misses
+from metrics.judge.rows import MISS_COLUMNS, deadline_misses
 
 
 def timings(seconds: list[float], log: str = "a", planner: str = "p") -> pd.DataFrame:
@@ -17,7 +17,7 @@ def timings(seconds: list[float], log: str = "a", planner: str = "p") -> pd.Data
 def test_misses_by_hand() -> None:
     """0.1 s is met by 0.1 s; the stages of a plan count once, as its total."""
     table = deadline_misses(pd.concat([timings([0.02, 0.1, 0.3, 0.11]), timings([0.2], planner="q")]), 0.1)
-    assert tuple(table.columns) == COLUMNS
+    assert tuple(table.columns) == MISS_COLUMNS
     assert table.iloc[0].tolist() == ["a", "p", "open", 4, 2, 0.5, 0.3, pytest.approx(0.2)]
     assert table.iloc[1].tolist() == ["a", "q", "open", 1, 1, 1.0, 0.2, 0.0]
     assert deadline_misses(timings([]), 0.1).empty

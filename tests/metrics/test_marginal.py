@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from logs import AgentKind
 from logs.transform import sampled
 from metrics import METRICS, evaluate
-from metrics.gates import Gate, load_gates
-from metrics.marginal import INTERVAL, marginal
+from metrics.judge.excuses import INTERVAL, marginal
+from metrics.judge.gates import Gate, load_gates
 
 
 def of(values: Mapping[str, float]) -> Callable[[str], float]:

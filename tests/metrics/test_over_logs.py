@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 from logs.errors import ConfigError
 from metrics import COLUMNS
-from metrics.aggregate import LogLabels, wilson
-from metrics.gates import Gate, Gates, Outcome, load_gates
 from metrics.judge import Verdict, judge, outcomes
+from metrics.judge.aggregate import LogLabels, wilson
+from metrics.judge.gates import Gate, Gates, Outcome, load_gates
 
 PASS, FAIL, INCONCLUSIVE = Outcome.PASS, Outcome.FAIL, Outcome.INCONCLUSIVE
 GAP = "gap.min"
@@ -223,8 +223,8 @@ def test_a_file_may_ask_all_of_it(tmp_path: Path) -> None:
         ('over = "pass_share"\nmin_share = 95', "not a share above 0"),
         ('over = "pass_share"\nmin_share = 1.0\nconfident = true', "no number of logs"),
         ('per = "log"', 'per is \'log\', not "family", "tag" or "dataset"'),
-        ('families = "cut_in"', "families = 'cut_in' must be list"),
-        ("datasets = [1]", "datasets must be words"),
+        ('families = "cut_in"', r"got `str` - at `\$.families`"),
+        ("datasets = [1]", r"got `int` - at `\$.datasets\[0\]`"),
     ],
 )
 def test_what_makes_no_sense_is_refused(tmp_path: Path, text: str, message: str) -> None:

@@ -12,7 +12,7 @@ from drives import along, drive, grid, moved, moved_ego, moving, plans, scenario
 
 from logs import AgentKind, Mode, PlannedFrame, Scenario, Trajectory
 from metrics import METRICS, evaluate
-from metrics.gates import load_gates
+from metrics.judge.gates import load_gates
 
 ASKED = {name: metric for name, metric in METRICS.items() if name.startswith("plan_") or name == "extended_comfort"}
 GATES = [gate for gate in load_gates(None).gates if gate.metric.partition(".")[0] in ASKED]

@@ -17,7 +17,6 @@ from logs.kernel import FloatArray
 from logs.mcap import read_scenario, write_scenario
 from logs.road import ReferenceLine
 from metrics import evaluate
-from metrics.avoidability import metadata_of
 from metrics.reference_drivers import (
     CC_BRAKE_MPS2,
     JERK_MPS3,
@@ -31,6 +30,7 @@ from metrics.reference_drivers import (
     fsm_critical,
     fsm_proactive,
     fuzzy_driver,
+    metadata_of,
 )
 from replay.loop.avoidability import reference_line, with_avoidability
 

@@ -14,9 +14,9 @@ from hypothesis import strategies as st
 
 from logs import AgentKind, Colour, Crosswalk, Lane, Road, Scenario, StopLine, Trace, TrafficLight, Trajectory
 from metrics import METRICS, evaluate, series
-from metrics.aggregate import LogLabels
-from metrics.gates import Gate, Gates, Outcome, load_gates
 from metrics.judge import judge
+from metrics.judge.aggregate import LogLabels
+from metrics.judge.gates import Gate, Gates, Outcome, load_gates
 
 LINE_X = 50.0
 PED, CAR = AgentKind.PEDESTRIAN, AgentKind.CAR

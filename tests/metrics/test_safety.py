@@ -16,8 +16,9 @@ from logs.kernel import FloatArray
 from logs.road import inside
 from logs.shapes import distance, point_segment, time_to_contact
 from metrics import evaluate, series
+from metrics.boxes import ego_boxes
 from metrics.lanes import drivable_lanes, limits_at, off_lanes, under
-from metrics.others import ego_boxes, others_at
+from metrics.others import others_at
 from metrics.safety import OUTLINE_M, ContactKind, contacts
 
 CAR = (4.5, 1.8)
@@ -99,6 +100,29 @@ def test_kinds_of_collision(name: str, v: float, agent: Agent, kind: ContactKind
     assert table.loc["collision.count", "reason"].startswith(f"{agent[1].value} 7: {kind.value}")
     assert table.loc["gap.min", "value"] == 0.0
     assert table.loc["collision.count", "time_s"] == log.ego.t[contact.step]
+
+
+@pytest.mark.parametrize(
+    ("kind", "stops"), [(AgentKind.OBJECT, False), (AgentKind.CAR, True), (AgentKind.OBJECT, True)]
+)
+def test_who_runs_into_a_slowing_ego_from_behind_did_not_stand(kind: AgentKind, stops: bool) -> None:
+    """Neither one whose kind a detector does not know, nor one that stops 2 cm behind, where its boxes jitter."""
+    t = grid(10.0, 0.1)
+    ego = along(t, np.maximum(6.0 - t, 0.06))
+    tail = ego.x + TAIL - 0.5 * CAR[0]
+    follower = np.minimum(3.0 * t - 6.0, tail[75] - 0.02 if stops else np.inf)
+    follower += 0.01 * np.random.default_rng(5).normal(size=len(t))
+    log = scenario(ego, [("7", kind, CAR, lambda at: (np.interp(at, t, follower), 0.0 * at, 0.0 * at))])
+    (contact,) = contacts(drive(log), log)
+    assert (contact.kind, contact.at_fault) == (ContactKind.ACTIVE_REAR, False)
+    planned = drive(log, frames=plans(log.ego, np.arange(0.0, 6.0, 0.1), 4.0))
+    assert evaluate(planned, log).set_index("metric").loc["plan_collision.rate", "value"] == 0.0
+
+
+def test_who_stands_behind_is_hit_by_an_ego_in_reverse() -> None:
+    log = world(-3.0, car(-12.0, 0.0, 0.0, yaw=0.0))
+    (contact,) = contacts(drive(log), log)
+    assert (contact.kind, contact.at_fault) == (ContactKind.STOPPED_TRACK, True)
 
 
 def test_when_a_standing_car_is_hit() -> None:

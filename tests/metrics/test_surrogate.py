@@ -13,9 +13,8 @@ from hypothesis import strategies as st
 
 from logs import AgentKind, Scenario, Trajectory, VehicleParameters
 from metrics import GROUPS, evaluate, series
-from metrics.following import required_decel, required_gap
+from metrics.following import ahead_of, required_decel, required_gap
 from metrics.metric import Metric
-from metrics.path_ahead import ahead_of
 
 NEW = (
     "ttc", "ttc_vulnerable", "collision_severity", "headway", "thw", "drac", "required_decel", "btn", "stn",

@@ -34,8 +34,7 @@ from logs.kernel import FloatArray
 from logs.trace import SlGraph, StGraph
 from planners.frenet.profiles import HORIZON_KNOTS, STEP_S
 from planners.pdm import Pdm, PdmConfig
-from planners.pdm.planner import straight_on
-from planners.pdm.proposals import Driver, driven, idm_acceleration, tracked
+from planners.pdm.planner import Driver, driven, idm_acceleration, straight_on, tracked
 from planners.pdm.score import BOUNDS, PARTS, Scores, comfortable, scores
 from replay.planner_process.planner_config import planner_keywords
 

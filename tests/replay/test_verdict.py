@@ -16,10 +16,10 @@ from logs import AgentKind, EndReason, Goal, Mode, PlanStatus, Road, Scenario
 from logs.catalogue import CATALOGUE
 from logs.readers.cut import cut
 from metrics import evaluate
-from metrics.aggregate import LogLabels
-from metrics.gates import Outcome, load_gates
 from metrics.judge import CAREFUL, DRIVER, REFERENCE, Verdict, judge
-from metrics.latency import judge_deadline
+from metrics.judge.aggregate import LogLabels
+from metrics.judge.gates import Outcome, load_gates
+from metrics.judge.rows import judge_deadline
 from metrics.phantoms import phantoms
 from replay.config import LoopConfig
 from replay.drive import Drive

@@ -18,6 +18,7 @@ from scipy.optimize import linear_sum_assignment
 
 from logs import AgentKind, Scenario
 from logs.catalogue.detector import Sight, detected, sight
+from logs.detections import Detections
 from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.readers import read_log
 from logs.repair import Tracked, repair
@@ -27,8 +28,9 @@ from logs.states import Trajectory
 REACH_M, NEAR_M = 2.0, 15.0
 LEAST_FRAMES = 10
 """Who is in sight for fewer frames need not be found."""
-FOUND = 0.3
-"""A road user found in a smaller share of its frames is lost; a track that is one for less is a ghost."""
+FOUND, SEEN = 0.3, 3
+"""A road user found in a smaller share of its frames is lost; a track that is one for less is a ghost. One detected
+less often cannot be found; one found in a smaller share of the frames in which it was detected is missed."""
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,7 @@ class Score:
     ghosts: int
     lost: int
     lost_near: int
+    missed_near: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,8 +98,11 @@ def _asked(true: Points, found: Points, other: Points) -> Points:
     return Points(found.frame[some], who, found.xy[some], found.v[some])
 
 
-def score(true: Points, found: Points, near: FloatArray) -> Score:
-    """The score of what was found; `near` `(n,)`: how close each true one comes to the ego, m."""
+def score(true: Points, found: Points, near: FloatArray, seen: BoolArray) -> Score:
+    """The score of what was found; `near` `(n,)`: how close each true one comes to the ego, m.
+
+    `seen` `(m,)`: which of the true points the detector reported.
+    """
     frames = range(int(max(true.frame.max(), found.frame.max(initial=0))) + 1)
     pairs = [_similar(true, found, k) for k in frames]
     potential = np.zeros((true.count, found.count))
@@ -118,7 +124,7 @@ def score(true: Points, found: Points, near: FloatArray) -> Score:
         hits = matched.sum()
         associated = (matched**2 / np.maximum(union - matched, 1)).sum() / max(hits, 1)
         hota.append(np.sqrt(associated * hits / (len(true.who) + len(found.who) - hits)))
-    return _errors(true, found, near, pairs, float(np.mean(hota)))
+    return _errors(true, found, near, seen, pairs, float(np.mean(hota)))
 
 
 def _similar(true: Points, found: Points, frame: int) -> tuple[IntArray, IntArray, FloatArray]:
@@ -127,7 +133,7 @@ def _similar(true: Points, found: Points, frame: int) -> tuple[IntArray, IntArra
     return a, b, np.clip(1.0 - away / REACH_M, 0.0, 1.0)
 
 
-def _errors(true: Points, found: Points, near: FloatArray, pairs: list, hota: float) -> Score:
+def _errors(true: Points, found: Points, near: FloatArray, seen: BoolArray, pairs: list, hota: float) -> Score:
     same = np.zeros((true.count, found.count))
     one, two = [], []
     for a, b, s in pairs:
@@ -141,6 +147,8 @@ def _errors(true: Points, found: Points, near: FloatArray, pairs: list, hota: fl
     apart = np.linalg.norm(true.xy[a] - found.xy[b], axis=1)
     off, speed = np.linalg.norm(true.v[a] - found.v[b], axis=1), np.linalg.norm(true.v[a], axis=1)
     lost = np.bincount(true.who[a], minlength=true.count) < FOUND * np.bincount(true.who)
+    reported, both = (np.bincount(true.who[rows], minlength=true.count) for rows in (seen, a[seen[a]]))
+    missed = (reported >= SEEN) & (both < FOUND * reported)
     matched = np.bincount(found.who[b], minlength=found.count)
     ghosts = matched < FOUND * np.bincount(found.who, minlength=found.count)
 
@@ -150,7 +158,7 @@ def _errors(true: Points, found: Points, near: FloatArray, pairs: list, hota: fl
     return Score(
         hota, float(2.0 * agreed / (len(true.who) + len(found.who))), rms(apart), rms(off[speed < 0.2]),
         rms(off[speed >= 0.2]), found.count, true.count, int(ghosts.sum()), int(lost.sum()),
-        int((lost & (near < NEAR_M)).sum()),
+        int((lost & (near < NEAR_M)).sum()), int((missed & (near < NEAR_M)).sum()),
     )  # fmt: skip
 
 
@@ -180,7 +188,18 @@ def repaired_score(scenario: Scenario, seed: int) -> Score:
     seen = sight(scenario.tracks, scenario.ego)
     true, other = true_points(scenario, seen)
     points = _asked(true, found_points(tracks, seen.frames, done.extended), other)
-    return score(true, points, near_ego(true, scenario.ego))
+    return score(true, points, near_ego(true, scenario.ego), reported(true, found))
+
+
+def reported(true: Points, found: Detections) -> BoolArray:
+    """Which of the true points a detection shows `(m,)`."""
+    out = np.zeros(len(true.who), np.bool_)
+    frame = np.searchsorted(found.frames, found.t)
+    boxes = Points(frame, np.arange(len(frame)), np.c_[found.x, found.y], np.c_[found.vx, found.vy])
+    for k in range(len(found.frames)):
+        a, _, s = _similar(true, boxes, k)
+        out[a] = s.max(axis=1, initial=0.0) >= 0.5
+    return out
 
 
 if __name__ == "__main__":

@@ -12,7 +12,7 @@ import numpy as np
 
 from logs.kernel import BoolArray, FloatArray
 from metrics import GROUPS, METRICS
-from metrics.gates import Outcome
+from metrics.judge.gates import Outcome
 from replay.results.load import DriveResult
 
 GRAVE = ("collision_at_fault", "safety", "rules", "progress")

@@ -19,7 +19,7 @@ from rich.text import Text
 
 from logs.words import counted
 from metrics.compare import DRIVE, Comparison
-from metrics.gates import Outcome
+from metrics.judge.gates import Outcome
 
 MOST_FLIPS, MOST_PAIRS, MOST_GROUPS, MOST_LINES = 20, 8, 14, 10
 """More are counted and not shown; --json has all."""

@@ -27,7 +27,7 @@ from xml.etree import ElementTree
 
 import pandas as pd
 
-from metrics.gates import Outcome
+from metrics.judge.gates import Outcome
 from replay.draw.report.model import Overview
 from replay.draw.report.overview import log_outcomes, without_folders
 from replay.results.load import Results

@@ -17,7 +17,7 @@ import pandas as pd
 from logs.errors import writing
 from logs.words import counted
 from metrics.compare import Comparison
-from metrics.gates import Outcome
+from metrics.judge.gates import Outcome
 from replay.draw.report.columns import legend
 from replay.draw.report.model import BROKEN, NOTHING, DriveRow, GateRow, Overview, PassShare
 

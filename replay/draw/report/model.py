@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import isfinite, nan
 
-from metrics.aggregate import BOTH, SUITE
 from metrics.compare import Comparison
+from metrics.judge.aggregate import BOTH, SUITE
 from replay.draw.report.columns import Column
 
 NOTHING = "-"
@@ -99,7 +99,7 @@ class GateRow:
 
 @dataclass(frozen=True)
 class PassShare:
-    """How many logs of a group pass, with the 95 % interval of the share (`metrics.aggregate`).
+    """How many logs of a group pass, with the 95 % interval of the share (`metrics.judge.aggregate`).
 
     Attributes:
         kind: "suite", "family", "tag" or "dataset"; `group` is its name, "" of the suite.

@@ -22,11 +22,11 @@ import pandas as pd
 
 from logs.trace import EndReason
 from logs.words import counted
-from metrics.aggregate import LogLabels, membership, pass_shares, standings
 from metrics.compare import Comparison
-from metrics.gates import Outcome
 from metrics.judge import outcomes, worst
-from metrics.latency import judge_deadline
+from metrics.judge.aggregate import LogLabels, membership, pass_shares, standings
+from metrics.judge.gates import Outcome
+from metrics.judge.rows import judge_deadline
 from replay.draw.charts.moment import gravity
 from replay.draw.report.columns import COLUMNS, COMPARED, Column
 from replay.draw.report.model import NOTHING, Cell, Coverage, DriveRow, GateRow, Overview, PassShare, StageTime

@@ -17,7 +17,7 @@ from rich.table import Table
 from rich.text import Text
 
 from logs.words import counted
-from metrics.gates import Outcome
+from metrics.judge.gates import Outcome
 from replay.draw.report.columns import legend
 from replay.draw.report.model import BROKEN, NOTHING, Cell, DriveRow, GateRow, Overview
 

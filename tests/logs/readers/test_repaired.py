@@ -14,10 +14,11 @@ from command_line import one_error, replan
 from crowd import street, street_ego
 from mcap_cases import differences, repaired_scenario, rich_scenario
 
-from logs import LogError, Road, Scenario
+from logs import AgentKind, LogError, Road, Scenario
 from logs.catalogue.detector import detected
 from logs.detections import Detections
 from logs.mcap import read_scenario, write_scenario
+from logs.mcap.complete import passed_width
 from logs.readers import LogSettings, read_log, with_tracks
 from logs.readers.cut import DETECTED_S, cut
 from logs.scenario import Tracks
@@ -43,6 +44,33 @@ def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def made(log: Path) -> Scenario:
     """The raw log as it is read."""
     return read_log(log)
+
+
+def drivers(*offsets: float, turn: float = 0.0) -> Tracks:
+    """Cars that go along x, those on the left against it, turned about the origin; one more crosses, one parks."""
+    t = np.arange(0.0, 4.0, 0.1)
+    ways = [(10.0 + 5.0 * np.sign(-y) * t, y + 0.0 * t, 5.0 * np.sign(-y), 0.0) for y in offsets]
+    ways += [(30.0 + 0.0 * t, 4.0 * t - 8.0, 0.0, 4.0), (20.0 + 0.0 * t, 2.5 + 0.0 * t, 0.0, 0.0)]
+    n, c, s = len(ways), np.cos(turn), np.sin(turn)
+    x, y = (np.concatenate([way[i] for way in ways]) for i in (0, 1))
+    vx, vy = (np.repeat([way[i] for way in ways], len(t)) for i in (2, 3))
+    size = np.full(n, 4.5), np.full(n, 1.8), np.zeros(n, np.bool_), len(t) * np.arange(n + 1)
+    place = c * x - s * y, s * x + c * y, np.full(n * len(t), turn), c * vx - s * vy, s * vx + c * vy
+    return Tracks(tuple(map(str, range(n))), (AgentKind.CAR,) * n, *size, np.tile(t, n), *place)
+
+
+@pytest.mark.parametrize(
+    ("offsets", "width"),
+    [((3.1, 3.3, -3.2), 3.2), ((3.2, -3.2), 3.5), ((3.2, -3.2, 0.3, 7.0), 3.5), ((5.0, 5.1, 5.2), 4.0)],
+)
+@pytest.mark.parametrize("turn", [0.0, 2.0])
+def test_a_lane_is_as_wide_as_the_next_one_is_away(offsets: tuple[float, ...], width: float, turn: float) -> None:
+    ahead, notes = np.array([np.cos(turn), np.sin(turn)]), list[str]()
+    road = Road.along(np.outer(np.arange(40.0), ahead), speed_limit=10.0)
+    (lane,) = passed_width(road, drivers(*offsets, turn=turn), notes).lanes.values()
+    assert np.hypot(*(lane.left - lane.right).T) == pytest.approx(width)
+    assert 0.5 * (lane.left + lane.right) @ [-ahead[1], ahead[0]] == pytest.approx(0.0, abs=1e-9)
+    assert ("width is assumed" in " ".join(notes)) == (width != 3.5)
 
 
 def first(seconds: float) -> Detections:

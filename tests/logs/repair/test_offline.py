@@ -196,6 +196,16 @@ def test_a_few_weak_boxes_are_no_evidence() -> None:
         assert done.summary() == (f"Repair removed {len(found)} detections with 1 tracks.",)
 
 
+def test_few_boxes_are_evidence_of_who_goes_fast_along_a_line() -> None:
+    few = EGO.t[[50, 51, 53, 54]]
+    passing = replace(box(few, 0.0, 6.0, AgentKind.CAR), x=40.0 - 12.0 * few)
+    tracks, _ = fixed(passing)
+    assert tracks.ids == ("1",)
+    assert np.allclose(tracks.vx, -12.0, atol=0.5)
+    for apart in (replace(passing, x=passing.x + 12.0 * np.abs(few - few[2])), replace(passing, x=40.0 - 4.0 * few)):
+        assert len(fixed(apart)[0]) == 0
+
+
 def test_a_bus_that_is_seen_as_two_is_one() -> None:
     whole, part = np.arange(0, 60, 2), np.r_[31:60:2, 60:120]
     places = (whole, 30.0, 12.0), (part, 31.0, 3.0)
@@ -236,6 +246,7 @@ def test_recordings_seen_by_a_detector_are_repaired(shared_data: Path, pattern: 
     scores = [repaired_score(scenario, seed) for seed in (1, 2)]
     assert np.mean([each.hota for each in scores]) > least
     assert np.mean([each.ghosts for each in scores]) <= 1.5
+    assert not any(each.missed_near for each in scores)
     assert np.mean([each.still for each in scores]) < 0.15
     assert np.mean([each.moving for each in scores]) < 0.4
 

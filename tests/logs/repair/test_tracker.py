@@ -11,7 +11,7 @@ import pytest
 from crowd import street, street_ego
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from track_score import near_ego, score, tracked_points, true_points
+from track_score import near_ego, reported, score, tracked_points, true_points
 
 from logs import Agents, Scenario
 from logs.agents import NUMBERS, OLDEST_S
@@ -126,8 +126,9 @@ def test_recordings_are_followed_as_a_detector_sees_them(shared_data: Path, patt
     scenario: Scenario = read_log(next(shared_data.glob(pattern)))
     around = sight(scenario.tracks, scenario.ego)
     true, other = true_points(scenario, around)
-    found = tracked_points(tracked(detected(scenario.tracks, scenario.ego, 1)), around.frames, true, other)
-    numbers = score(true, found, near_ego(true, scenario.ego))
+    boxes = detected(scenario.tracks, scenario.ego, 1)
+    found = tracked_points(tracked(boxes), around.frames, true, other)
+    numbers = score(true, found, near_ego(true, scenario.ego), reported(true, boxes))
     assert numbers.hota > 0.7
     assert numbers.idf1 > 0.82
     assert numbers.still < 0.25

@@ -9,7 +9,7 @@ import pytest
 
 from logs import ConfigError, StGraph
 from logs.trace import Decision
-from metrics.aggregate import LogLabels, groups, standings
+from metrics.judge.aggregate import LogLabels, groups, standings
 from replay.config import RunConfig
 from replay.results.load import Results, load
 from replay.run import evaluate_logs

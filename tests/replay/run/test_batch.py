@@ -21,7 +21,7 @@ from short_logs import QUICK, identical, run, short
 from logs import ConfigError, PlannerError
 from logs.mcap import read_scenario, write_scenario
 from logs.readers import LogSettings
-from metrics.gates import Outcome
+from metrics.judge.gates import Outcome
 from replay.config import PlannerProcessConfig, RunConfig, load_run
 from replay.results.tables import claim, next_free, safe_name
 from replay.run import evaluate_logs

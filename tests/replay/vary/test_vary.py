@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 from logs import AgentKind, ConfigError, Goal, Scenario
 from logs.mcap import write_scenario
-from metrics.gates import Outcome
 from metrics.judge import worst
+from metrics.judge.gates import Outcome
 from replay.config import RunConfig
 from replay.run import evaluate_logs
 from replay.vary import VaryResult, command, encounters, prepared, question, vary

@@ -15,7 +15,7 @@ import pandas as pd
 from markupsafe import Markup
 
 from logs.errors import LogError, ReplanError, raised
-from metrics.gates import Outcome
+from metrics.judge.gates import Outcome
 from replay.draw.charts import Chart, subject
 from replay.draw.charts.layout import BROKEN, placed
 from replay.draw.charts.subject import Subject

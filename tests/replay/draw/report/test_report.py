@@ -23,8 +23,8 @@ from typer.testing import CliRunner
 
 from logs.mcap import write_scenario
 from logs.words import visible_name
-from metrics.compare import GROUP_COLUMNS, PAIR_COLUMNS, Comparison, RuleVerdict
-from metrics.gates import Outcome
+from metrics.compare.tables import GROUP_COLUMNS, PAIR_COLUMNS, Comparison, RuleVerdict
+from metrics.judge.gates import Outcome
 from replay.cli import app
 from replay.config import RunConfig
 from replay.draw.report.console import SafeConsole

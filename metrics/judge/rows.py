@@ -1,10 +1,12 @@
-"""Rows of the table that the gates make: is a verdict robust or fragile, and how many of the gates were asked?
+"""Rows that the gates make: is a verdict robust or fragile, how many of the gates were asked, were plans late?
 
 A member is the log driven again under one perturbation (`replay.run.perturb`); its verdict on a planner in one mode is
 the worst outcome of the gates. With the unperturbed drive among the members:
 
 (1) ensemble.pass_share = members that pass / members
 (2) ensemble.fragile    = 1 where a member's verdict is another than the unperturbed drive's, else 0
+
+Late plans are wall clock, so they are not in the table of metrics.
 """
 
 from __future__ import annotations
@@ -14,15 +16,18 @@ from dataclasses import replace
 
 import pandas as pd
 
-from metrics.aggregate import LogLabels
 from metrics.evidence import ASKED, ENSEMBLE
-from metrics.gates import Gates, Outcome
-from metrics.judge import judge, outcomes, worst
+from metrics.judge.aggregate import LogLabels
+from metrics.judge.gates import Gate, Gates, Outcome
+from metrics.judge.verdicts import Verdict, judge, outcomes, worst
 
 MEMBER, PERTURBATION = "member", "perturbation"  # The columns of a table of members beside those of `metrics.evaluate`
 _DRIVE = ["log", "planner", "mode"]
 Drive = tuple[str, str, str]
 Values = dict[tuple[str, str, str, str], tuple[float, str]]  # Value and reason by log, planner, mode and metric
+SHARE = "deadline.share"
+MAX_SHARE = 0.01  # So many of a drive's plans may be late
+MISS_COLUMNS = ("log", "planner", "mode", "plans", "misses", "share", "worst_s", "worst_t_s")
 
 
 def with_ensemble(
@@ -87,3 +92,37 @@ def _by_drive(gates: Gates, table: pd.DataFrame, labels: Mapping[str, LogLabels]
     for *drive, gate, outcome in zip(*(table[name] for name in (*_DRIVE, "gate", "outcome")), strict=True):
         found.setdefault((drive[0], drive[1], drive[2]), {})[gate] = Outcome(outcome)
     return found
+
+
+def deadline_misses(timings: pd.DataFrame, deadline_s: float) -> pd.DataFrame:
+    """How many plans of each drive took longer than a deadline.
+
+    Args:
+        timings: Columns log, planner, mode, t_s, stage, seconds; the stage "total" is a whole plan.
+        deadline_s: A plan that takes longer has missed it, s; ValueError unless above 0.
+
+    Returns:
+        `MISS_COLUMNS` of each log, planner and mode in the order of `timings`: plans made, misses, their share, the
+        longest time of a plan, and when that plan was asked for.
+    """
+    if not deadline_s > 0.0:
+        raise ValueError(f"a deadline of {deadline_s} s")
+    rows = []
+    for drive, plans in timings[timings["stage"] == "total"].groupby(_DRIVE, sort=False, observed=True):
+        late, worst = plans["seconds"] > deadline_s, plans.iloc[int(plans["seconds"].argmax())]
+        rows.append((*drive, len(plans), int(late.sum()), float(late.mean()), worst["seconds"], worst["t_s"]))
+    return pd.DataFrame(rows, columns=list(MISS_COLUMNS))
+
+
+def judge_deadline(timings: pd.DataFrame, deadline_s: float, labels: Mapping[str, LogLabels]) -> tuple[Verdict, ...]:
+    """The verdicts on the share of late plans, at most `MAX_SHARE` in each drive; arguments as of `deadline_misses`."""
+    late = deadline_misses(timings, deadline_s)
+    why = [
+        f"{row.misses} of {row.plans} plans took longer than {deadline_s:g} s, one {row.worst_s:.3g} s"
+        for row in late.itertuples()
+    ]
+    table = late[_DRIVE].assign(
+        oracle=False, metric=SHARE, value=late["share"], unit="1", available=True, reason=why, time_s=late["worst_t_s"]
+    )
+    gate = Gate(SHARE, max=MAX_SHARE, reason=f"plans are made within {deadline_s:g} s on this machine")
+    return judge(Gates((gate,), "deadline"), table, labels)

@@ -18,7 +18,7 @@ The draws are seeded: equal tables give equal intervals. The percentile method, 
 differences are exactly 0.
 
 Both tables are judged by the same gates and the candidate's reference drives. A flip is marginal, and no rule
-(`metrics.compare_rules`) counts it, where the value moved by no more than the noise of (1), or where the baseline's
+(`metrics.compare.rules`) counts it, where the value moved by no more than the noise of (1), or where the baseline's
 ensemble found the drive fragile.
 """
 
@@ -32,10 +32,10 @@ import numpy as np
 import pandas as pd
 
 from logs.kernel import BoolArray, FloatArray, IntArray
-from metrics.aggregate import SUITE, LogLabels, membership
 from metrics.evidence import ENSEMBLE
-from metrics.gates import Gates, Outcome
 from metrics.judge import REFERENCE, judge, outcomes
+from metrics.judge.aggregate import SUITE, LogLabels, membership
+from metrics.judge.gates import Gates, Outcome
 
 NOISE_ABS, NOISE_REL = 1e-9, 1e-6  # Rounding: sums of another order, a solver's last iterations
 NAMED = 5  # More logs than these are counted and not named
@@ -164,7 +164,7 @@ class Comparison:
 
 
 def compare(baseline: Side, candidate: Side, gates: Gates, also: Collection[str] = ()) -> Comparison:
-    """Two runs compared by their tables, judged by the same gates; `metrics.compare_rules.judged` adds rules.
+    """Two runs compared by their tables, judged by the same gates; `metrics.compare.rules.judged` adds rules.
 
     `also` are metrics that rules name beside the gates: they come before others among the regressions.
     """

@@ -1,17 +1,4 @@
-"""Rules of comparison: what a candidate may not do worse than a baseline, as a file says it.
-
-[[compare]]                         # in the same file as [[gate]]; without any, the packaged ones apply
-metric = "ade.3s.mean"              # a name of the table's column `metric`, with max_increase or max_decrease
-max_increase = 0.05                 # in the metric's unit; the candidate's value less the baseline's
-max_decrease = 0.05                 # instead
-over = "mean"                       # "mean" over the logs (default), "median", or "worst": no log by more
-significant = true                  # breaks only where the interval of the mean excludes no change; default: false
-max_flips = 0                       # instead: gates may turn to FAIL so many times, of a pass or of not being asked
-gate = "gap.min"                    # with max_flips: only gates on this metric
-max_missing = 0                     # instead: so many drives of the baseline may be missing in the candidate
-mode = "closed"                     # optional: "open" or "closed"; planner = "dp_qp" and tags = ["pedestrian"] likewise
-optional = true                     # no verdict where no log has the metric; default: false (INCONCLUSIVE)
-reason = "why this rule"            # shown with the verdict
+"""Rules of comparison: what a candidate may not do worse than a baseline, the tables [[compare]] of a file of gates.
 
 Marginal flips and, with "worst", fragile drives (`metrics.compare`) break no rule; the reason counts them.
 
@@ -27,16 +14,14 @@ from dataclasses import dataclass, replace
 from math import isfinite
 from pathlib import Path
 
-import msgspec
 import numpy as np
 import pandas as pd
 
-from logs.errors import ConfigError
 from logs.trace import Mode
 from metrics import METRICS, Metric
-from metrics.aggregate import LogLabels
-from metrics.compare import MIN_SIGNIFICANT, NOT_ASKED, Comparison, RuleVerdict, intervals, significant
-from metrics.gates import Outcome, check_metric, count_logs, gate_tables, known_only, unit_of
+from metrics.compare.tables import MIN_SIGNIFICANT, NOT_ASKED, Comparison, RuleVerdict, intervals, significant
+from metrics.judge.aggregate import LogLabels
+from metrics.judge.gates import Outcome, count_logs, read_tables, unit_of
 
 OVER = ("mean", "median", "worst")
 KINDS = ("max_increase", "max_decrease", "max_flips", "max_missing")  # A rule has exactly one of these
@@ -46,7 +31,18 @@ LOST_SHARE = 0.1  # Of a gate's logs that may lose the value that passed it: as 
 
 @dataclass(frozen=True)
 class Rule:
-    """One rule (module docstring)."""
+    """One rule: exactly one of `KINDS`.
+
+    Attributes:
+        metric: A name of the table's column `metric`, which may not rise by more than `max_increase` or fall by more
+            than `max_decrease`, in its unit; over the logs its "mean" or "median", or no log ("worst").
+        significant: Breaks only where the interval of the mean excludes no change.
+        max_flips: Gates may turn to FAIL so many times, of a pass or of not being asked; `gate`: those on this metric.
+        max_missing: So many drives of the baseline may be missing in the candidate.
+        mode: Only this mode; `planner`, `tags` likewise.
+        optional: No verdict where no log has the metric; else that is INCONCLUSIVE.
+        reason: Shown with the verdict.
+    """
 
     metric: str = ""
     max_increase: float | None = None
@@ -108,20 +104,7 @@ def load_rules(path: Path | None, *, metrics: Mapping[str, Metric] = METRICS) ->
     Raises:
         ConfigError: Not readable, unknown key or metric, or a contradictory rule; names the file and the rule.
     """
-    source, tables = gate_tables(path, "compare")
-    if not tables:
-        source, tables = gate_tables(None, "compare")
-    rules: list[Rule] = []
-    for i, table in enumerate(tables, 1):
-        place = f"{source}: compare {i}"
-        known_only(table, tuple(Rule.__dataclass_fields__), place)
-        try:
-            rules.append(rule := msgspec.convert(dict(table), Rule))
-        except msgspec.ValidationError as error:
-            raise ConfigError(f"{place}: {error}") from None
-        for name in filter(None, (rule.metric, rule.gate)):
-            check_metric(name, f"{place} ({name})", metrics)
-    return tuple(rules)
+    return read_tables(path, "compare", Rule, metrics)[1] or read_tables(None, "compare", Rule, metrics)[1]
 
 
 def judged(rules: tuple[Rule, ...], comparison: Comparison, labels: Mapping[str, LogLabels]) -> Comparison:

@@ -1,28 +1,7 @@
-"""Gates: thresholds on the table, as a file says them; `metrics.judge` judges by them.
+"""Gates: thresholds on the table, as a TOML file says them; `verdicts` judges by them.
 
-[[gate]]
-metric = "gap_vulnerable.min"       # a name of the table's column `metric`
-min = 0.5                           # min, max or both, inclusive
-mode = "closed"                     # optional: "open" or "closed"; without it, each mode that has the metric
-tags = ["pedestrian"]               # optional: only logs that have all of these
-planner = "dp_qp"                   # optional; without it every planner, oracles excepted
-over = "worst"                      # what must hold it: every log ("worst", default), or over the logs together "mean",
-                                    # "median", "sum"; "pass_share": a share of the logs (`metrics.judge`)
-min_share = 0.95                    # with "pass_share": at least so many of the logs must hold it; lost logs do not
-confident = true                    # and the lower end of the share's 95 % interval too; default: false
-families = ["everyday/cut_in"]      # optional: only logs of one of these families
-datasets = ["nuScenes"]             # optional: only logs of one of these datasets
-per = "family"                      # optional: a verdict for each "family", "tag" or "dataset" by itself
-min_logs = 1                        # how many logs must be judged
-max_missing = 0.1                   # share of the logs that may be without evidence (no value, or excused)
-optional = true                     # not asked of logs without the value (it needs lights, say); default: false
-reachable = true                    # inconclusive where no yardstick holds it (`metrics.judge`); default: false
-evidence = "traffic"                # a pass needs evidence about "traffic", "lights", "limit" or "lane" ...
-min_evidence = 0.8                  # ... over this share of the driven time; else the log is inconclusive
-broken = "inconclusive"             # what a broken bound means: "fail" (default) or "inconclusive"
-reason = "why this threshold"       # shown with the verdict
-
-The same file may hold rules of comparison, [[compare]]: `metrics.compare_rules`.
+The file holds tables [[gate]], whose keys are the attributes of `Gate`, and may hold rules of comparison, [[compare]]
+(`metrics.compare.rules`). docs/gates.md explains all keys.
 """
 
 from __future__ import annotations
@@ -33,14 +12,19 @@ from dataclasses import dataclass, fields, replace
 from enum import Enum
 from math import inf, isfinite
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import msgspec
 
 from logs.errors import ConfigError
 from logs.files import read_toml
 from logs.observed import ENOUGH
 from logs.trace import Mode
 from metrics import METRICS, Metric
+from metrics.judge.aggregate import LogLabels
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 
 class Outcome(Enum):
@@ -52,13 +36,30 @@ class Outcome(Enum):
     NOT_ASKED = "not asked"
 
 
+R = TypeVar("R", bound="DataclassInstance")
 EVIDENCE = ("traffic", "lights", "limit", "lane")  # The parts of the metric `evidence`
 OVER = ("worst", "mean", "median", "sum", "pass_share")
 
 
 @dataclass(frozen=True, slots=True)
 class Gate:
-    """One threshold (module docstring)."""
+    """One threshold.
+
+    Attributes:
+        metric: A name of the table's column `metric`.
+        min: The bounds are inclusive; one of them or both.
+        mode: "open" or "closed"; None: each mode that has the metric.
+        tags: Only logs that have all of these; `families`, `datasets`: one of these.
+        planner: None: every planner, oracles excepted.
+        over: What must hold the bounds: every log ("worst"), the logs together ("mean", "median", "sum"), or a share
+            of them ("pass_share"): at least `min_share`, with `confident` the lower end of its 95 % interval too.
+        per: A verdict for each "family", "tag" or "dataset" by itself.
+        min_logs: How many logs must be judged; `max_missing`: the share of the logs that may be without evidence.
+        optional: Not asked of logs without the value.
+        reachable: Inconclusive where no yardstick holds it (`excuses`).
+        evidence: What a pass needs evidence about, over `min_evidence` of the driven time (`EVIDENCE`).
+        broken: What a broken bound means, "fail" or "inconclusive"; `reason` is shown with it.
+    """
 
     metric: str
     min: float | None = None
@@ -128,6 +129,11 @@ class Gate:
         high = f" <= {self.max:g}" if self.max is not None else f" >= {self.min:g}"
         return f"{low}{self.judged}{high}"
 
+    def selects(self, labels: LogLabels) -> bool:
+        """Whether the gate asks for a log with these labels."""
+        named = (not self.families or labels.family in self.families) and set(self.tags) <= set(labels.tags)
+        return named and (not self.datasets or labels.dataset in self.datasets)
+
     def margin(self, value: float) -> float:
         """How far a value is inside the bounds; negative outside."""
         low = inf if self.min is None else value - self.min
@@ -154,66 +160,47 @@ def load_gates(path: Path | None, *, metrics: Mapping[str, Metric] = METRICS) ->
     Raises:
         ConfigError: Not readable, unknown key or metric, no or senseless bounds; names the file and the gate.
     """
-    source, tables = gate_tables(path, "gate")
-    if not tables:
+    source, gates = read_tables(path, "gate", Gate, metrics)
+    if not gates:
         raise ConfigError(f"{source}: holds no [[gate]]")
-    return Gates(tuple(_gate(table, f"{source}: gate {i}", metrics) for i, table in enumerate(tables, 1)), source)
+    return Gates(gates, source)
 
 
-def gate_tables(path: Path | None, kind: str) -> tuple[str, list[dict[str, Any]]]:
-    """The tables [[gate]] or [[compare]] of a file of gates (None: the packaged one), and its name.
+def read_tables(
+    path: Path | None, kind: str, rule: type[R], metrics: Mapping[str, Metric]
+) -> tuple[str, tuple[R, ...]]:
+    """The name of a file of gates (None: the packaged one), and its tables [[gate]] or [[compare]] as dataclasses.
 
     Raises:
-        ConfigError: Not readable, or it holds other tables.
+        ConfigError: Not readable, it holds other tables, or a table has a key, a value or a metric that cannot be.
     """
     source = "default gates" if path is None else str(path)
     content = read_toml(Path(__file__).with_name("default_gates.toml") if path is None else path)
-    known_only(content, ("gate", "compare"), source)
+    _known_only(content, ("gate", "compare"), source)
     tables = content.get(kind, [])
     if not isinstance(tables, list) or not all(isinstance(table, dict) for table in tables):
         raise ConfigError(f"{source}: holds no [[{kind}]]: {kind} is no list of tables")
-    return source, tables
+    found = []
+    for i, table in enumerate(tables, 1):
+        names = [table[key] for key in ("metric", "gate") if isinstance(table.get(key), str)]
+        place = f"{source}: {kind} {i}" + "".join(f" ({name})" for name in names)
+        _known_only(table, tuple(field.name for field in fields(rule)), place)
+        for name in names:
+            _check_metric(name, place, metrics)
+        try:
+            found.append(msgspec.convert(table, rule))
+        except msgspec.ValidationError as error:
+            raise ConfigError(f"{place}: {error}") from None
+    return source, tuple(found)
 
 
-_TYPES: Mapping[str, tuple[type, ...]] = MappingProxyType(
-    {
-        "metric": (str,), "min": (int, float), "max": (int, float), "mode": (str,), "tags": (list,), "planner": (str,),
-        "over": (str,), "min_logs": (int,), "reason": (str,), "optional": (bool,), "max_missing": (int, float),
-        "reachable": (bool,), "broken": (str,), "min_share": (int, float), "confident": (bool,), "families": (list,),
-        "datasets": (list,), "per": (str,), "evidence": (str,), "min_evidence": (int, float),
-    }
-)  # fmt: skip
-
-
-_WORDS = ("tags", "families", "datasets")
-
-
-def _gate(table: Mapping[str, Any], place: str, metrics: Mapping[str, Metric]) -> Gate:
-    name = table.get("metric")
-    if not isinstance(name, str):
-        raise ConfigError(f'{place}: needs metric = "name.reduction"')
-    place = f"{place} ({name})"
-    known_only(table, tuple(field.name for field in fields(Gate)), place)
-    for key, value in table.items():
-        if not isinstance(value, _TYPES[key]) or (isinstance(value, bool) and bool not in _TYPES[key]):
-            raise ConfigError(f"{place}: {key} = {value!r} must be {_TYPES[key][-1].__name__}")
-        if key in _WORDS and not all(isinstance(word, str) for word in table[key]):
-            raise ConfigError(f"{place}: {key} must be words")
-    check_metric(name, place, metrics)
-    try:
-        return Gate(**{**table, **{key: tuple(table.get(key, ())) for key in _WORDS}})
-    except ValueError as error:
-        raise ConfigError(f"{place}: {error}") from error
-
-
-def known_only(table: Mapping[str, Any], keys: Sequence[str], place: str) -> None:
-    """Refuse a key that is none of `keys`; ConfigError."""
+def _known_only(table: Mapping[str, Any], keys: Sequence[str], place: str) -> None:
     for key in table:
         if key not in keys:
             raise ConfigError(f"{place}: unknown key {key!r}{meant(key, keys)}; known: {', '.join(keys)}")
 
 
-def check_metric(name: str, place: str, metrics: Mapping[str, Metric]) -> None:
+def _check_metric(name: str, place: str, metrics: Mapping[str, Metric]) -> None:
     """Raise unless the table can hold a row of this name; of open parts ("qp_iterations.*.max") any word will do.
 
     Raises:

@@ -1,0 +1,203 @@
+"""When a value is no evidence for or against a planner: excused, not reached by a yardstick, not covered, or marginal.
+
+A value out of bounds is excused by a reference drive of `EXCUSED` that breaks the same bound in the same event: the
+values are about the same road user or thing, at most `SAME_S` apart, and the planner's is not clearly worse (`WORSE`).
+In comfort an event without a road user excuses nothing. A collision is not excused where the careful driver of UN R157
+collides more slowly by more than `SLOWER_MPS`. Safety and progress are excused, too, by a replayed road user that drove
+into the ego (`replay_contact`): safety where it is about that road user. Progress is excused where the collision that
+ended the drive is, and where a phantom of the log stops the route follower as well. Nothing excuses a drive in which
+the planner failed.
+
+Yardsticks of a `reachable` gate are the recorded driver, and where their drives hold the gates on safety and rules the
+route follower (`REFERENCES`) and all other planners of the run. The careful driver is none: it knows no rules.
+
+Marginal: would the log at another rate of its road users' samples say something else of a gate? A sample is up to one
+interval d old when the next one comes, and a speed from two samples is as old as their middle: what is judged is
+(1) tau = 1.5 d late. A value is marginal where it is no further from its bound than what may happen in that time:
+(2) times, s: tau; distances, m: a tau^2 / 2 with a = `HARD_MPS2`, as hard as cars brake.
+
+A gate that allows no time or number of steps beyond a bound is about the extreme value: `ttc.time_below_950ms <= 0` is
+marginal where `ttc.min` is near 0.95 s. One that allows some is about that time itself. Asked are the metrics that are
+about others, and comfort: how hard a planner brakes depends on when it sees them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import isfinite, nan
+from types import MappingProxyType
+from typing import NamedTuple
+
+from metrics import GROUPS, METRICS
+from metrics.judge.gates import Gate, unit_of
+
+REFERENCE = "reference"  # Mode of the rows of reference drives
+DRIVER, CAREFUL, FOLLOWER = "driver", "careful", "follower"
+REFERENCES = {DRIVER: "the recorded driver", CAREFUL: "the careful driver", FOLLOWER: "the route follower"}
+"""Planner of those rows: the log's own driver; the careful driver of UN R157, which brakes only and knows no rules; and
+the route follower, which accelerates, steers and obeys the rules (`replay.reference_drives`)."""
+NO_COLLISION = Gate("collision_at_fault.count", max=0.0)  # It ends a drive: progress is excused where it is
+SAME_S, SLOWER_MPS, WORSE = 2.0, 1.0, 1.5
+"""A stop at another time, or an impact that is clearly harder, is another event (`CC_TTC_S` of the careful driver). A
+value that is farther out of bounds than `WORSE` times the reference drive's holds more than that event."""
+REPLAY_CONTACT, IMPACT, PHANTOMS = "replay_contact.final", "collision_severity.impact_speed.max", "phantom.count"
+EXCUSED: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {"safety": (DRIVER, CAREFUL), "rules": (DRIVER,), "comfort": (CAREFUL,)}
+)
+"""Which reference drives are asked, by group of metrics."""
+LAWFUL = ("safety", "rules")  # Groups of the gates that a yardstick holds
+GROUP = {metric.name: name for name, group in GROUPS.items() for metric in group}
+
+INTERVAL = "agent_interval.final"
+HARD_MPS2 = 8.0
+AGE = 1.5
+OF_OTHERS = ("gap_kept", "gap_kept_vulnerable", "ttc", "ttc_vulnerable", "thw", "priority_gap", "yielding")
+_ASKED = frozenset({*OF_OTHERS, *(metric.name for metric in GROUPS["comfort"])})
+
+
+class Row(NamedTuple):
+    """A row of the table; `about`: the road user or thing that its value is about, with the whole id ("car 12")."""
+
+    value: float
+    available: bool
+    reason: str
+    unit: str
+    time_s: float
+    about: str = ""
+
+    @property
+    def known(self) -> bool:
+        """Whether there is a value."""
+        return self.available and isfinite(self.value)
+
+
+NOTHING = Row(nan, False, "not measured", "", nan)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Drives:
+    """The table of a run: rows by (planner, mode), log and metric; its oracles, crashed drives and `LAWFUL` gates."""
+
+    rows: Mapping[tuple[str, str], Mapping[str, Mapping[str, Row]]]
+    oracles: frozenset[str]
+    crashed: Mapping[tuple[str, str, str], str]
+    lawful: tuple[Gate, ...]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Case:
+    """What is judged: a gate on the drive of one planner in one mode and log, among all drives of the run."""
+
+    gate: Gate
+    log: str
+    planner: str
+    mode: str
+    drives: Drives
+
+    def row(self, metric: str) -> Row:
+        """A row of the drive; `NOTHING` where the table has none."""
+        return self.drives.rows[self.planner, self.mode].get(self.log, {}).get(metric, NOTHING)
+
+    def reference(self, planner: str, metric: str) -> Row:
+        """A row of a reference drive of the log, likewise."""
+        return self.drives.rows.get((planner, REFERENCE), {}).get(self.log, {}).get(metric, NOTHING)
+
+    def value(self, metric: str) -> float:
+        """A value of the drive; NaN where it has none."""
+        row = self.row(metric)
+        return row.value if row.known else nan
+
+    @property
+    def crashed(self) -> str:
+        """Why the planner failed in the drive; empty: it did not."""
+        return self.drives.crashed.get((self.log, self.planner, self.mode), "")
+
+
+def group_of(gate: Gate) -> str:
+    """The group of a gate's metric."""
+    return GROUP.get(gate.metric.partition(".")[0], "")
+
+
+def lacking_evidence(case: Case) -> str:
+    """Why a value within the bounds is no pass: too little of the drive has the evidence; empty: it has enough."""
+    gate, share = case.gate, case.row(f"evidence.{case.gate.evidence}.share")
+    if not share.known or share.value >= gate.min_evidence:
+        return ""
+    known = f"evidence about {gate.evidence} covers {100.0 * share.value:.3g} % of the drive"
+    return f"{known}, less than {100.0 * gate.min_evidence:g} %" + (f" ({share.reason})" if share.reason else "")
+
+
+def excuse(case: Case) -> str:
+    """Why a value out of bounds is no evidence against the planner; empty: it is."""
+    gate, group, row = case.gate, group_of(case.gate), case.row(case.gate.metric)
+    if case.crashed:
+        return ""
+    if gate.reachable and not _reached(case):
+        return "no yardstick holds it: neither the recorded driver, the route follower nor another planner"
+    contact, crash, phantom = (case.row(name) for name in (REPLAY_CONTACT, NO_COLLISION.metric, PHANTOMS))
+    concerned = group == "progress" or (group == "safety" and row.about == contact.about)
+    if concerned and contact.known and contact.value > 0.0:
+        return f"the replay ran into the ego ({contact.reason})"
+    if group in EXCUSED:
+        return _by_reference(gate, case)
+    if group != "progress":
+        return ""
+    if crash.known and NO_COLLISION.margin(crash.value) < 0.0:
+        return _by_reference(NO_COLLISION, case)
+    follower = case.reference(FOLLOWER, gate.metric)
+    if follower.known and gate.margin(follower.value) < 0.0 and phantom.known and phantom.value > 0.0:
+        return f"the log shows what was not there ({phantom.reason}), and stops the route follower, too"
+    return ""
+
+
+def _reached(case: Case) -> bool:
+    """Whether a yardstick holds the bound in this log (module docstring)."""
+    for planner, mode in case.drives.rows:
+        if (planner, mode) == (case.planner, case.mode) or mode not in (case.mode, REFERENCE) or planner == CAREFUL:
+            continue
+        other = Case(case.gate, case.log, planner, mode, case.drives)
+        rules = () if (planner, mode) == (DRIVER, REFERENCE) else case.drives.lawful
+        values = {rule: other.value(rule.metric) for rule in rules if rule.mode in (None, case.mode)}
+        lawful = all(rule.margin(value) >= 0.0 for rule, value in values.items() if isfinite(value))
+        reached = other.value(case.gate.metric)
+        if lawful and isfinite(reached) and case.gate.margin(reached) >= 0.0:
+            return True
+    return False
+
+
+def _by_reference(gate: Gate, case: Case) -> str:
+    """Which reference drive breaks the bound of a gate in the same event (module docstring); empty: none."""
+    row, group = case.row(gate.metric), group_of(gate)
+    impact, careful = case.row(IMPACT), case.reference(CAREFUL, IMPACT)
+    harder = impact.known and not (careful.known and impact.value <= careful.value + SLOWER_MPS)
+    for planner in EXCUSED[group]:
+        found = case.reference(planner, gate.metric)
+        if not found.known or gate.margin(found.value) >= 0.0 or (harder and planner != DRIVER):
+            continue
+        same = row.about == found.about and abs(row.time_s - found.time_s) <= SAME_S
+        if same and (row.about or group != "comfort") and gate.margin(row.value) >= WORSE * gate.margin(found.value):
+            about = f" ({found.reason})" if found.reason else ""
+            return f"{REFERENCES[planner]} breaks {gate} too: {found.value:.4g}{unit_of(found.unit)}{about}"
+    return ""
+
+
+def marginal(gate: Gate, value_of: Callable[[str], float]) -> str:
+    """Why a gate's outcome on a drive is marginal: "marginal: at 5 Hz ..."; empty: it is not.
+
+    `value_of` gives the drive's value by its name in the table ("ttc.min"); NaN where it has none.
+    """
+    name, _, reduced = gate.metric.rpartition(".")
+    metric, interval = METRICS.get(name.partition(".")[0]), value_of(INTERVAL)
+    if metric is None or metric.name not in _ASKED or not interval > 0.0:
+        return ""
+    reduction = next(one for one in metric.reductions if one.name == reduced)
+    value, unit = value_of(gate.metric), reduction.unit or metric.unit
+    bound = gate.max if gate.min is None else gate.min
+    if bound == 0.0 and reduction.bounds is not None and metric.name in OF_OTHERS:
+        value, unit, bound = value_of(f"{name}.min"), metric.unit, reduction.bounds[0]
+    near = {"s": AGE * interval, "m": 0.5 * HARD_MPS2 * (AGE * interval) ** 2}.get(unit, 0.0)  # (1), (2)
+    if bound is None or near == 0.0 or value == 0.0 or not abs(value - bound) <= near:
+        return ""
+    found = f"the bound of {bound:g} {unit} is within {near:.2g} {unit} of {value:.3g} {unit}"
+    return f"marginal: at {1.0 / interval:.3g} Hz {found}"

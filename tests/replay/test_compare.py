@@ -109,7 +109,7 @@ def test_what_cannot_be_read_is_named(runs: tuple[Path, Path], tmp_path: Path) -
     pd.DataFrame({"x": [1]}).to_parquet(foreign)
     for path, error, words in (
         (damaged, LogError, "cannot be read as a baseline"),
-        (foreign, ConfigError, "is no baseline"),
+        (foreign, ConfigError, "is not a baseline"),
         (tmp_path / "nothing", ConfigError, "no results"),
     ):
         with pytest.raises(error, match=words):

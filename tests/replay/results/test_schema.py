@@ -67,7 +67,7 @@ def test_every_frame_of_the_results_has_its_columns(result: Results) -> None:
 def test_what_is_said_to_be_the_same_twice_is(result: Results, tmp_path: Path) -> None:
     again = tmp_path / "again"
     shutil.copytree(result.path, again)  # of a run: replaced
-    sources = sorted({Path(source) for source in result.logs.itertuples()["source"]})
+    sources = sorted({Path(source) for source in result.logs["source"]})
     evaluate_logs(sources, RUN, again)
     for file in [*result.path.glob("*.parquet"), *result.path.glob("*/*.parquet")]:
         if TABLES[file.name].same:

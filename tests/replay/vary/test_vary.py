@@ -155,7 +155,7 @@ def test_who_comes_nearest() -> None:
     assert found["17"].least == pytest.approx(beside) and (found["17"].t_from, found["17"].t_to) == (0.0, 2.9)
     assert found["far"].way == 20.0 and list(found) == ["blink", "17", "far"]
     assert nearest_agent(made) == "far"  # the only one who goes anywhere
-    with pytest.raises(ConfigError, match="nobody"):
+    with pytest.raises(ConfigError, match="there is no agent to vary"):
         nearest_agent(replace(made, tracks=tracks()))
 
 

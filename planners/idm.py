@@ -26,14 +26,13 @@ import numpy as np
 from logs.frame import Frame, PlannerContext
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.states import EgoState
-from logs.trace import Artefact, Corridor, Decision, Internals, Plan, SlGraph, StGraph
+from logs.trace import Artefact, Corridor, Internals, Plan, SlGraph, StGraph
 from logs.vehicle import VehicleParameters
 from planners.frenet.fallback import along, fall_back
 from planners.frenet.occupancy import Occupancy, on_path
-from planners.frenet.path import Path, make_path
+from planners.frenet.path import Path, make_path, quintic
 from planners.frenet.profiles import HORIZON_KNOTS, HORIZON_STEPS, STEP_S, limit_profile
-from planners.frenet.quintic import quintic
-from planners.frenet.scene import Scene, behind
+from planners.frenet.scene import RouteTracker, Scene, behind
 from planners.frenet.st_boundaries import (
     StBoundaries,
     StGraphConfig,
@@ -42,7 +41,6 @@ from planners.frenet.st_boundaries import (
     st_boundaries,
     stop_outlines,
 )
-from planners.frenet.start import RouteTracker
 from planners.rules import Rulebook, RuleMemory
 
 KNOT_M = 2.0
@@ -112,7 +110,11 @@ class Idm:
             self._memory = RuleMemory()
         if scene.trouble:
             return fall_back(frame, start, start_kind, None, scene.trouble, (), self._vehicle)
-        path = self._path(scene)
+        line = scene.reference.line
+        reach = HORIZON_STEPS * STEP_S * (scene.v + 4.0) + 20.0  # as far as the horizon can
+        d = KNOT_M * np.arange(int(reach / KNOT_M) + 2)
+        span = max(15.0, self._config.return_s * scene.v)
+        path = make_path(line, scene.s, KNOT_M, _return(d, scene.frenet, span))
         self._lap("path")
         skip = behind(scene, keeps_track=True) | _beside(frame, start, self._vehicle)
         blocks = st_boundaries(scene, path, skip, frozenset(), EXACT)
@@ -123,13 +125,6 @@ class Idm:
         internals = Internals((), lambda: _artefacts(scene, path, blocks, stops, profile, leader))
         self._lap("speed")
         return Plan(along(path, profile, frame.t), start=start_kind, internals=internals)
-
-    def _path(self, scene: Scene) -> Path:
-        """The way back to the reference line and along it, as far as the horizon can reach."""
-        line, speed = scene.reference.line, scene.v
-        reach = HORIZON_STEPS * STEP_S * (speed + 4.0) + 20.0
-        d = KNOT_M * np.arange(int(reach / KNOT_M) + 2)
-        return make_path(line, scene.s, KNOT_M, _return(d, scene.frenet, max(15.0, self._config.return_s * speed)))
 
     def _profile(
         self, path: Path, blocks: StBoundaries, stops: tuple[Occupancy, ...], start: EgoState
@@ -238,7 +233,8 @@ def _artefacts(
         None, Corridor(t, np.zeros(len(t)), upper), np.empty((0, 2)), np.column_stack([t, profile[0]]),
         (*outlines(blocks, decisions), *stop_outlines(stops, float(t[-1]), path.length)),
     )  # fmt: skip
-    return (st_graph, _sl_graph(scene, path), *_unique(leads), *(stop.decision for stop in stops))
+    by_agent = {decision.agent: decision for decision in leads}  # several hypotheses of an agent may lead
+    return (st_graph, _sl_graph(scene, path), *by_agent.values(), *(stop.decision for stop in stops))
 
 
 def _sl_graph(scene: Scene, path: Path) -> SlGraph:
@@ -252,8 +248,3 @@ def _sl_graph(scene: Scene, path: Path) -> SlGraph:
     )
     offset = np.array([reference.line.project(path.x[i], path.y[i], path.s[i], 2.0)[1] for i in at])
     return SlGraph(None, room, np.empty((0, 2)), np.column_stack([s, offset]), ())
-
-
-def _unique(decisions: list[Decision]) -> tuple[Decision, ...]:
-    """One decision per agent: several hypotheses may lead."""
-    return tuple({decision.agent: decision for decision in decisions}.values())

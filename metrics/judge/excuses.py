@@ -36,7 +36,7 @@ REFERENCE = "reference"  # Mode of the rows of reference drives
 DRIVER, CAREFUL, FOLLOWER = "driver", "careful", "follower"
 REFERENCES = {DRIVER: "the recorded driver", CAREFUL: "the careful driver", FOLLOWER: "the route follower"}
 """Planner of those rows: the log's own driver; the careful driver of UN R157, which brakes only and knows no rules; and
-the route follower, which accelerates, steers and obeys the rules (`replay.reference_drives`)."""
+the route follower, which accelerates, steers and obeys the rules (`replay.loop.reference_drives`)."""
 NO_COLLISION = Gate("collision_at_fault.count", max=0.0)  # It ends a drive: progress is excused where it is
 SAME_S, SLOWER_MPS, WORSE = 2.0, 1.0, 1.5
 """A stop at another time, or an impact that is clearly harder, is another event (`CC_TTC_S` of the careful driver). A

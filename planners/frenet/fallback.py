@@ -57,7 +57,11 @@ def fall_back(
     if rest is not None and not meets(rest, frame, vehicle):
         return Plan(rest, PlanStatus.PREVIOUS, reason, PlanStart.PREVIOUS_PLAN, artefacts)
     stitched = rest is not None and start_kind is PlanStart.PREVIOUS_PLAN and rest.v[0] > 0.5
-    path = path or (_path_of(rest) if rest is not None and stitched else None) or _straight(start)
+    path = path or (_path_of(rest) if rest is not None and stitched else None)
+    if path is None:
+        sigma, still = np.linspace(0.0, 200.0, 201), np.zeros(201)
+        x, y = start.x + sigma * np.cos(start.yaw), start.y + sigma * np.sin(start.yaw)
+        path = Path(sigma, x, y, still + start.yaw, still, sigma)
     status = PlanStatus.COMFORTABLE_STOP
     for each in limits:
         profile = braking(max(start.v, 0.0), start.a, each.decel_mps2, each.jerk_mps3, STEP_S, knots)
@@ -108,10 +112,3 @@ def _path_of(trajectory: Trajectory) -> Path | None:
     x, y, yaw, kappa = (column[keep] for column in (trajectory.x, trajectory.y, trajectory.yaw, trajectory.kappa))
     sigma = np.r_[0.0, np.cumsum(np.hypot(np.diff(x), np.diff(y)))]
     return Path(sigma, x, y, yaw, kappa, sigma)
-
-
-def _straight(start: EgoState) -> Path:
-    sigma = np.linspace(0.0, 200.0, 201)
-    still = np.zeros(len(sigma))
-    x, y = start.x + sigma * np.cos(start.yaw), start.y + sigma * np.sin(start.yaw)
-    return Path(sigma, x, y, still + start.yaw, still, sigma)

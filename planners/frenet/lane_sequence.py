@@ -15,7 +15,6 @@ import numpy as np
 
 from logs.frame import PlannerContext
 from logs.kernel import TIE
-from logs.road import Road
 from logs.route import CostToGo, Route, costs_to_go, start_lanes, straight_on
 from logs.states import EgoState
 from planners.frenet.reference_path import BEYOND_M, ReferencePath, make_reference_path
@@ -51,7 +50,10 @@ class LaneSequences:
     def __init__(self, context: PlannerContext) -> None:
         self._road = context.road
         self._to_go = costs_to_go(context.road, context.goal)
-        self._before = _predecessors(context.road)
+        self._before: dict[int, list[int]] = {}
+        for lane in context.road.lanes.values():
+            for after in lane.successors if lane.drivable else ():
+                self._before.setdefault(after, []).append(lane.id)
         self._sequences: dict[int, LaneSequence] = {}
         self._start, self._car = context.start, context.vehicle
 
@@ -72,7 +74,9 @@ class LaneSequences:
 
     def beside(self, sequence: LaneSequence, station: float) -> tuple[tuple[str, LaneSequence], ...]:
         """The neighbours ("left" or "right") of a sequence at a station, as far as the markings may be crossed."""
-        lane = self._road.lanes[sequence.lanes[self._index(sequence, station)]]
+        ends = np.cumsum([self._road.lanes[lane].length for lane in sequence.lanes])
+        here = min(int(np.searchsorted(ends, station + TIE)), len(sequence.lanes) - 1)
+        lane = self._road.lanes[sequence.lanes[here]]
         sides = (
             ("left", lane.left_neighbour, lane.left_crossable),
             ("right", lane.right_neighbour, lane.right_crossable),
@@ -84,14 +88,13 @@ class LaneSequences:
                 found.append((side, self.of(other)))
         return tuple(found)
 
-    def _index(self, sequence: LaneSequence, station: float) -> int:
-        ends = np.cumsum([self._road.lanes[lane].length for lane in sequence.lanes])
-        return min(int(np.searchsorted(ends, station + TIE)), len(sequence.lanes) - 1)
-
     def _made(self, lane: int) -> LaneSequence:
+        """The sequence of a lane: on towards the goal, or straight on where no successor leads there; and behind it."""
         onward, length = [lane], 0.0
         while length < BEYOND_M:
-            after = self._next(onward[-1])
+            leading = [i for i in self._road.lanes[onward[-1]].successors if i in self._to_go]
+            nearest = min(leading, key=lambda i: (*_rank(self._to_go[i]), i), default=None)
+            after = nearest if nearest is not None else straight_on(self._road, onward[-1])
             if after is None or after in onward:
                 break
             onward.append(after)
@@ -99,7 +102,8 @@ class LaneSequences:
         behind: list[int] = []
         length = 0.0
         while length < BEHIND_M:
-            before = self._previous((behind or onward)[0])
+            first = (behind or onward)[0]
+            before = min((i for i in self._before.get(first, ()) if straight_on(self._road, i) == first), default=None)
             if before is None or before in behind or before in onward:
                 break
             behind.insert(0, before)
@@ -107,17 +111,6 @@ class LaneSequences:
         lanes = (*behind, *onward)
         reference = make_reference_path(self._road, Route(lanes, False, 0.0), self._start, self._car)
         return LaneSequence(lanes, reference, *self._changes(lanes, len(behind)))
-
-    def _next(self, lane: int) -> int | None:
-        """The successor from which the goal is nearest; where none leads there, straight on."""
-        leading = [i for i in self._road.lanes[lane].successors if i in self._to_go]
-        if leading:
-            return min(leading, key=lambda i: (*_rank(self._to_go[i]), i))
-        return straight_on(self._road, lane)
-
-    def _previous(self, lane: int) -> int | None:
-        before = [i for i in self._before.get(lane, ()) if straight_on(self._road, i) == lane]
-        return min(before, default=None)
 
     def _changes(self, lanes: tuple[int, ...], first: int) -> tuple[int | None, float]:
         """Lane changes that the route still needs from lanes (1), and the station by which the first is due (2)."""
@@ -136,12 +129,3 @@ class LaneSequences:
 
 def _rank(to_go: CostToGo | None) -> tuple[float, float]:
     return (np.inf, np.inf) if to_go is None else (float(to_go.changes), to_go.cost)
-
-
-def _predecessors(road: Road) -> dict[int, list[int]]:
-    before: dict[int, list[int]] = {}
-    for lane in road.lanes.values():
-        if lane.drivable:
-            for after in lane.successors:
-                before.setdefault(after, []).append(lane.id)
-    return before

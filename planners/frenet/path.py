@@ -1,10 +1,14 @@
-"""The planned path as a fine polyline in the world, from knots of the path QP.
+"""The planned path as a fine polyline in the world, from knots of the path QP; and the shape of lateral moves.
 
 Exact transform from the Frenet frame of the reference line (Werling et al., ICRA 2010), with D = 1 - kappa_r l and
 tan d = l' / D:
 
 (1) p = r(s) + l n(s)              (2) yaw = yaw_r + d
 (3) kappa = ((l'' + (kappa_r' l + kappa_r l') tan d) cos^2 d / D + kappa_r) cos d / D
+
+The quintic between two states, the second at rest, is the shape of every lateral move:
+
+(4) l(d) = l0 + l0' d + l0'' d^2 / 2 + c3 d^3 + c4 d^4 + c5 d^5     with (l, l', l'')(length) = (l1, 0, 0)
 """
 
 from __future__ import annotations
@@ -161,3 +165,16 @@ def states_on_path(
         out[1, k] = h00 * y[i] + h01 * y[i + 1] + h10 * sin(a) + h11 * sin(b) + beyond * sin(b)
         out[3, k] = kappa[i] + u * (kappa[i + 1] - kappa[i]) if beyond == 0.0 else 0.0
     return out
+
+
+@kernel
+def quintic(l0: float, dl0: float, ddl0: float, l1: float, length: float) -> tuple[float, float, float]:
+    """Coefficients c3, c4, c5 of (4), over `length` m."""
+    h = length
+    delta = l1 - l0 - dl0 * h - 0.5 * ddl0 * h * h
+    slope = -dl0 - ddl0 * h
+    bend = -ddl0
+    c3 = (10.0 * delta - 4.0 * slope * h + 0.5 * bend * h * h) / h**3
+    c4 = (-15.0 * delta + 7.0 * slope * h - bend * h * h) / h**4
+    c5 = (6.0 * delta - 3.0 * slope * h + 0.5 * bend * h * h) / h**5
+    return c3, c4, c5

@@ -118,9 +118,16 @@ class ReferencePath:
 @kernel
 def sections(knots: FloatArray, table: FloatArray, s: FloatArray) -> Section:
     """`ReferencePath.at` for other kernels: its `line.s`, its `table`, stations `(k,)`."""
+    out = np.empty((table.shape[1], len(s)))
+    write_sections(knots, table, s, out)
+    return Section(out[0], out[1], out[2], out[3], out[4], out[5], out[6], out[7])
+
+
+@inner_kernel
+def write_sections(knots: FloatArray, table: FloatArray, s: FloatArray, out: FloatArray) -> None:
+    """Write the rows `(8, k)` of a `Section` at stations `(k,)`."""
     columns, last = table.shape[1], len(knots) - 1
     h = knots[1] - knots[0]
-    out = np.empty((columns, len(s)))
     for j in range(len(s)):
         u = min(max((s[j] - knots[0]) / h, 0.0), float(last))
         i = min(int(u), last - 1)
@@ -129,7 +136,6 @@ def sections(knots: FloatArray, table: FloatArray, s: FloatArray) -> Section:
             out[k, j] = table[i, k] + u * (table[i + 1, k] - table[i, k])
         if not knots[0] <= s[j] <= knots[last]:
             out[columns - 1, j] = 0.0
-    return Section(out[0], out[1], out[2], out[3], out[4], out[5], out[6], out[7])
 
 
 def make_reference_path(road: Road, route: Route, ego: EgoState, car: VehicleParameters | None = None) -> ReferencePath:
@@ -158,7 +164,9 @@ def make_line(
 ) -> tuple[tuple[int, ...], ReferenceLine]:
     """The lanes of a route, carried on straight, and the line along them: what `make_reference_path` begins with."""
     lanes = _extended(road, route)
-    return lanes, _steerable(_joined(road, lanes, ego), min(_width(road.lanes[lane]) for lane in lanes), car)
+    across = (road.lanes[lane].left - road.lanes[lane].right for lane in lanes)
+    width = min(float(np.median(np.hypot(*each.T))) for each in across)
+    return lanes, _steerable(_joined(road, lanes, ego), width, car)
 
 
 def _steerable(points: FloatArray, width: float, car: VehicleParameters | None) -> ReferenceLine:
@@ -176,10 +184,6 @@ def _steerable(points: FloatArray, width: float, car: VehicleParameters | None) 
 
 def _sharpest(line: ReferenceLine) -> float:
     return float(np.abs(line.kappa).max())
-
-
-def _width(lane: Lane) -> float:
-    return float(np.median(np.hypot(*(lane.left - lane.right).T)))
 
 
 def smoothed(points: FloatArray, max_shift: float = MAX_SHIFT_M, weight: float = BENDING_WEIGHT) -> FloatArray:

@@ -1,4 +1,4 @@
-"""The scene: one frame in one lane, worked out once, which every stage reads.
+"""The scene: one frame in one lane, worked out once, which every stage reads; and where a plan begins.
 
 For an agent whose centre has its foot at station s on the reference line, with the line's heading yaw_r there,
 
@@ -9,20 +9,26 @@ For an agent whose centre has its foot at station s on the reference line, with 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from math import cos, hypot, pi, sin
+from math import atan2, cos, hypot, pi, sin
 from typing import NamedTuple
 
 import numpy as np
 
 from logs.agents import AgentKind, among
-from logs.frame import Frame
-from logs.kernel import BoolArray, FloatArray, interpolated, kernel
+from logs.frame import Frame, PlannerContext
+from logs.kernel import BoolArray, FloatArray, IntArray, interpolated, kernel
 from logs.road import line_frame, line_project
+from logs.route import find_route
 from logs.states import EgoState, wrap
+from logs.trace import PlanStart
 from logs.vehicle import VehicleParameters
 from planners.frenet.path import frenet_start, out_of_frame
-from planners.frenet.reference_path import ReferencePath
+from planners.frenet.reference_path import ReferencePath, Section, make_reference_path, write_sections
 
+STITCH_M = 0.5
+"""A plan starts on the previous one where the ego is nearer to it than this, m ..."""
+STITCH_MPS = 1.0
+"""... and its speed nearer than this, m/s."""
 WINDOW_SHARE = 1.5
 """An agent's foot is looked for before and behind the ego's as far as this times their distance ..."""
 WINDOW_M = (80.0, 370.0)
@@ -59,6 +65,29 @@ class AgentsAlong(NamedTuple):
     turn: FloatArray
 
 
+class Bodies(NamedTuple):
+    """The frame's agents as kernels take them, `(n,)` each, as in `Agents`."""
+
+    x: FloatArray
+    y: FloatArray
+    yaw: FloatArray
+    vx: FloatArray
+    vy: FloatArray
+    length: FloatArray
+    width: FloatArray
+
+
+class Futures(NamedTuple):
+    """The predictions as kernels take them, as in `Predictions`."""
+
+    t: FloatArray
+    agent: IntArray
+    probability: FloatArray
+    x: FloatArray
+    y: FloatArray
+    yaw: FloatArray
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Scene:
     """A frame in a lane.
@@ -72,7 +101,8 @@ class Scene:
         trouble: Why the start has no l', l'' in the Frenet frame; empty where it has.
         frenet: l, l', l'' of the start; zeros where there is `trouble`.
         limit: The lane's speed limit at the start, m/s.
-        agents: The agents along the reference path.
+        bodies: The agents' boxes.
+        agents: The agents along the reference path; `across` the rows of `road` `(8, n)`.
         speed: Of the agents `(n,)`, m/s.
         standing: Which of them stand `(n,)`.
         vulnerable: Which of them walk or ride `(n,)`.
@@ -87,7 +117,9 @@ class Scene:
     trouble: str
     frenet: tuple[float, float, float]
     limit: float
+    bodies: Bodies
     agents: AgentsAlong
+    across: FloatArray
     speed: FloatArray
     standing: BoolArray
     vulnerable: BoolArray
@@ -107,6 +139,17 @@ class Scene:
         """Speed at the start, m/s, not negative."""
         return max(self.start.v, 0.0)
 
+    @property
+    def road(self) -> Section:
+        """The road across the agents' stations."""
+        return Section(*self.across)
+
+    @property
+    def futures(self) -> Futures:
+        """The predictions."""
+        known = self.frame.predictions
+        return Futures(known.t, known.agent, known.probability, known.x, known.y, known.yaw)
+
     def name(self, agent: int) -> str:
         """An agent as they are named to the user ("car 12")."""
         return f"{self.frame.agents.kinds[agent].value} {self.frame.agents.ids[agent]}"
@@ -117,40 +160,42 @@ def scene_of(
 ) -> Scene:
     """The scene of a frame for a plan from `start`, whose foot is looked for near a station (None: anywhere)."""
     line, agents = reference.line, frame.agents
+    bodies = Bodies(agents.x, agents.y, agents.yaw, agents.vx, agents.vy, agents.length, agents.width)
     search = (0.5 * line.length, line.length) if near is None else (near, FOOT_M)
     s, l, limit, rows = placed(  # noqa: E741
-        line.s, line.coef, reference.limit, agents.x, agents.y, agents.yaw, agents.vx, agents.vy, start.x, start.y,
-        *search,
-    )  # fmt: skip
-    s_agents, l_agents, v_s, v_l, turn, speed = rows
+        line.s, line.coef, reference.table, reference.limit, bodies, (start.x, start.y), *search
+    )
     trouble = out_of_frame(line, start, s, l)
     frenet = (0.0, 0.0, 0.0) if trouble else frenet_start(line, start, s, l)
+    speed = rows[5]
     return Scene(
-        frame, start, reference, vehicle, s, l, trouble, frenet, limit,
-        AgentsAlong(s_agents, l_agents, v_s, v_l, turn), speed, speed < STANDING_MPS, VULNERABLE[agents.codes],
+        frame, start, reference, vehicle, s, l, trouble, frenet, limit, bodies, AgentsAlong(*rows[:5]), rows[6:],
+        speed, speed < STANDING_MPS, VULNERABLE[agents.codes],
     )  # fmt: skip
 
 
 @kernel
 def placed(
-    knots: FloatArray, coef: FloatArray, limits: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray,
-    vx: FloatArray, vy: FloatArray, x_ego: float, y_ego: float, near: float, within: float,
+    knots: FloatArray, coef: FloatArray, table: FloatArray, limits: FloatArray, bodies: Bodies,
+    ego: tuple[float, float], near: float, within: float,
 ) -> tuple[float, float, float, FloatArray]:  # fmt: skip
-    """Station and offset of the ego, the speed limit there, and rows `AgentsAlong`, speed `(6, n)` of the agents.
+    """Station and offset of the ego, the speed limit there, and rows `AgentsAlong`, speed, `Section` `(14, n)`.
 
-    The ego's foot is looked for up to `within` m from the station `near`.
+    The ego's foot is looked for up to `within` m from the station `near`; `table` is that of a reference path.
     """
-    s_ego, l_ego = line_project(knots, coef, x_ego, y_ego, near, within)
-    out = np.empty((6, len(x)))
+    s_ego, l_ego = line_project(knots, coef, ego[0], ego[1], near, within)
+    x, y, vx, vy = bodies.x, bodies.y, bodies.vx, bodies.vy
+    out = np.empty((14, len(x)))
     for i in range(len(x)):
-        window = min(WINDOW_M[0] + WINDOW_SHARE * hypot(x[i] - x_ego, y[i] - y_ego), WINDOW_M[1])
+        window = min(WINDOW_M[0] + WINDOW_SHARE * hypot(x[i] - ego[0], y[i] - ego[1]), WINDOW_M[1])
         s, l = line_project(knots, coef, x[i], y[i], s_ego, window)  # noqa: E741
         along = line_frame(knots, coef, s)[2]
         out[0, i], out[1, i] = s, l
         out[2, i] = vx[i] * cos(along) + vy[i] * sin(along)  # (1)
         out[3, i] = vy[i] * cos(along) - vx[i] * sin(along)
-        out[4, i] = wrap(yaw[i] - along)  # (2)
+        out[4, i] = wrap(bodies.yaw[i] - along)  # (2)
         out[5, i] = hypot(vx[i], vy[i])
+    write_sections(knots, table, out[0], out[6:])
     return s_ego, l_ego, interpolated(s_ego, knots, limits), out
 
 
@@ -159,23 +204,49 @@ def behind(scene: Scene, *, keeps_track: bool) -> BoolArray:
 
     Where the ego keeps its track these are all behind it in its direction; where it changes, those in its track.
     """
-    agents, along = scene.frame.agents, scene.agents
-    heading = np.where(scene.standing, agents.yaw, np.arctan2(agents.vy, agents.vx))
-    return follow(
-        along.s, along.l, heading, agents.length, agents.width, scene.rear, scene.l, scene.frame.ego.yaw,
-        scene.vehicle.width, keeps_track,
-    )  # fmt: skip
+    agents, ego = scene.agents, (scene.rear, scene.l, scene.frame.ego.yaw, scene.vehicle.width)
+    return _follow(agents.s, agents.l, scene.bodies, scene.standing, ego, keeps_track)
 
 
 @kernel
-def follow(
-    s: FloatArray, l: FloatArray, yaw: FloatArray, length: FloatArray, width: FloatArray,  # noqa: E741
-    rear: float, l_ego: float, yaw_ego: float, width_ego: float, keeps_track: bool,
+def _follow(
+    s: FloatArray, l: FloatArray, bodies: Bodies, standing: BoolArray,  # noqa: E741
+    ego: tuple[float, float, float, float], keeps_track: bool,
 ) -> BoolArray:  # fmt: skip
-    """`behind` of agents at these stations and offsets, with these headings of their motion, lengths, widths `(n,)`."""
+    """`behind` of agents at these stations and offsets; the ego's station of the rear, offset, yaw and width."""
     out = np.zeros(len(s), np.bool_)
+    rear, l_ego, yaw_ego, width = ego
     for i in range(len(s)):
-        in_track = keeps_track or abs(l[i] - l_ego) < 0.5 * (width[i] + width_ego) + TRACK_ROOM_M
-        turn = abs((yaw[i] - yaw_ego + pi) % (2.0 * pi) - pi)
-        out[i] = s[i] + 0.5 * length[i] < rear + OVERLAP_M and in_track and turn < 0.5 * pi
+        heading = bodies.yaw[i] if standing[i] else atan2(bodies.vy[i], bodies.vx[i])
+        in_track = keeps_track or abs(l[i] - l_ego) < 0.5 * (bodies.width[i] + width) + TRACK_ROOM_M
+        turn = abs((heading - yaw_ego + pi) % (2.0 * pi) - pi)
+        out[i] = s[i] + 0.5 * bodies.length[i] < rear + OVERLAP_M and in_track and turn < 0.5 * pi
     return out
+
+
+def start_of(frame: Frame, stitch_m: float = STITCH_M, stitch_mps: float = STITCH_MPS) -> tuple[EgoState, PlanStart]:
+    """Where the plan of a frame begins: on the previous plan where the ego keeps to it, else at the ego."""
+    if frame.previous is not None:
+        old = frame.previous.trajectory.at(frame.t)
+        near = hypot(old.x - frame.ego.x, old.y - frame.ego.y) <= stitch_m
+        if near and abs(old.v - frame.ego.v) <= stitch_mps:
+            return old, PlanStart.PREVIOUS_PLAN
+    return frame.ego, PlanStart.EGO
+
+
+class RouteTracker:
+    """The reference path of one scenario's route, and the last station on it, from which the next search starts."""
+
+    def __init__(self, context: PlannerContext) -> None:
+        self._vehicle = context.vehicle
+        route = find_route(context.road, context.start, context.goal)
+        self.reference: ReferencePath = make_reference_path(context.road, route, context.start)
+        self._station: float | None = None
+
+    def scene(self, frame: Frame) -> tuple[Scene, PlanStart]:
+        """The scene of a frame along the route, and where its plan begins."""
+        start, kind = start_of(frame)
+        near = None if frame.previous is None else self._station
+        scene = scene_of(frame, start, self.reference, self._vehicle, near)
+        self._station = scene.s
+        return scene, kind

@@ -5,32 +5,50 @@ The ego's footprint is swept along the planned path and tested against each pred
 (1) taken(agent, t) = { sigma : box of the ego at path(sigma), widened by a margin, overlaps the agent's box at t }
 
 which is an interval [lower, upper] of stations of the rear axle for each time sample. Corners and the curvature of the
-path are exact, since real boxes are tested (`sweep`): at the path's points, and between two of them by bisection.
+path are exact, since real boxes are tested: at the path's points, and between two of them by bisection. Boxes are
+tested one by one only where envelopes touch: of `PART` points of the path, and of `SAMPLES` samples of a prediction.
+Where no prediction comes near the path, no box is made.
 
 (2) An agent who crosses may come sooner by `early_s` and leave later by `late_s`: the first and the last interval are
     drawn out in time, less where the event is near and so surer.
 (3) The agent's speed along the path is that of their velocity along the path's heading where they enter it.
+(4) Decision, given a profile s(t): overtake where it passes above the middle of all intervals; else stop for those who
+    stand, follow those who move along the path with more than the share `ALONG` of their speed, yield to all others.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from math import inf
+from math import cos, hypot, inf, isnan, sin
+from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray, IntArray
+from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
+from logs.shapes import axis_gap
+from logs.states import wrap
 from logs.trace import Decision, DecisionKind, GraphObstacle
 from planners.frenet.occupancy import Occupancy
 from planners.frenet.path import Path
-from planners.frenet.scene import STANDING_MPS, Scene
-from planners.frenet.sweep import Swept, sweep
+from planners.frenet.scene import STANDING_MPS, Bodies, Futures, Scene
 
 NO_ONE = np.zeros(0, np.bool_)
 """None of the agents."""
 ALONG = 0.8
 """Who moves along the path with this share of their speed is followed, not let go first; at 45 degrees they cross."""
+HALVINGS = 4
+"""Of the path's spacing, about 0.4 m, towards the edge of an interval."""
+JUMP = 0.999
+"""Share of a gap that is jumped over, so that rounding does not jump over a touch."""
+PART, SAMPLES = 16, 8
+"""So many points of the path, and samples of a prediction, are looked at together first, in one envelope each."""
+ROUNDING_M = 1e-6
+"""Envelopes that are this near count as touching, m."""
+KINDS = (DecisionKind.OVERTAKE, DecisionKind.STOP, DecisionKind.FOLLOW, DecisionKind.YIELD)
+"""The decisions (4) ..."""
+OVERTAKE, STOP, FOLLOW, YIELD = range(len(KINDS))
+"""... and their codes."""
 
 
 @dataclass(frozen=True)
@@ -127,40 +145,42 @@ def st_boundaries(
 
     Agents that the path passes on purpose (`passed`, their ids) have the smallest margin.
     """
-    agents, futures, car = scene.frame.agents, scene.frame.predictions, scene.vehicle
+    agents, futures, car = scene.frame.agents, scene.futures, scene.vehicle
     stride = max(1, round(config.step_s / float(futures.t[1] - futures.t[0]))) if len(futures.t) > 1 else 1
     is_passed = np.array([name in passed for name in agents.ids], np.bool_) if passed else NO_ONE
-    return StBoundaries(*sweep(
-        path.sigma, path.x, path.y, path.yaw, futures.t, scene.frame.t, stride, futures.agent, futures.probability,
-        futures.x, futures.y, futures.yaw, agents.length, agents.width, agents.vx, agents.vy, scene.vulnerable,
-        is_passed, skip,
-        Swept(
-            car.axle_to_center, car.length, car.width, config.margin_m, config.vulnerable_margin_m,
-            config.passed_margin_m, config.early_s, config.late_s,
-        ),
-    ))  # fmt: skip
+    margins = config.margin_m, config.vulnerable_margin_m, config.passed_margin_m
+    ego = Swept(car.axle_to_center, car.length, car.width, *margins, config.early_s, config.late_s)
+    way = Way(path.sigma, path.x, path.y, path.yaw)
+    roles = Roles(skip, scene.vulnerable, is_passed)
+    return StBoundaries(*sweep(way, futures, scene.bodies, roles, ego, scene.frame.t, stride))
 
 
-def decide_speed(blocks: StBoundaries, scene: Scene, s_dp: FloatArray) -> tuple[Decision, ...]:
-    """Per row: overtake where a profile `(k,)` at the boundaries' times passes above, else stop, follow or yield."""
-    found = []
-    for i, who in enumerate(blocks.agent):
-        past, total = s_dp >= 0.5 * (blocks.lower[i] + blocks.upper[i]), float(scene.speed[who])
-        kind = DecisionKind.FOLLOW if blocks.speed[i] > ALONG * total else DecisionKind.YIELD
-        kind = DecisionKind.STOP if total < STANDING_MPS else kind
-        kind = DecisionKind.OVERTAKE if (past | np.isnan(blocks.lower[i])).all() else kind
-        found.append(Decision(scene.frame.agents.ids[who], kind, "speed", _said(blocks, scene, i)))
+@kernel
+def decide(lower: FloatArray, upper: FloatArray, speed: FloatArray, total: FloatArray, s: FloatArray) -> IntArray:
+    """Codes of (4) `(n,)` for intervals `(n, k)` and a profile `(k,)` at their times.
+
+    `speed` is that along the path, `total` that of the agents `(n,)`, m/s.
+    """
+    codes = np.empty(len(lower), np.int64)
+    for i in range(len(lower)):
+        is_past = True
+        for k in range(len(s)):
+            is_past &= isnan(lower[i, k]) or s[k] >= 0.5 * (lower[i, k] + upper[i, k])
+        stands, along = total[i] < STANDING_MPS, speed[i] > ALONG * total[i]
+        codes[i] = OVERTAKE if is_past else STOP if stands else FOLLOW if along else YIELD  # (4)
+    return codes
+
+
+def decide_speed(blocks: StBoundaries, scene: Scene, s: FloatArray) -> tuple[Decision, ...]:
+    """(4) per row for a profile `(k,)` at the boundaries' times; and when and where the row takes the path."""
+    found, agents = [], scene.frame.agents
+    codes = decide(blocks.lower, blocks.upper, blocks.speed, scene.speed[blocks.agent], s)
+    for code, who, lower in zip(codes, blocks.agent, blocks.lower, strict=True):
+        taken = np.flatnonzero(np.isfinite(lower))
+        times = f"from {blocks.t[taken[0]]:.1f} s to {blocks.t[taken[-1]]:.1f} s, from {lower[taken[0]]:.1f} m on"
+        reason = f"{agents.kinds[who].value} takes the path {times}"
+        found.append(Decision(agents.ids[who], KINDS[code], "speed", reason))
     return tuple(found)
-
-
-def _said(blocks: StBoundaries, scene: Scene, row: int) -> str:
-    """When and where a row takes the path, in words."""
-    taken = np.flatnonzero(np.isfinite(blocks.lower[row]))
-    first, last = taken[0], taken[-1]
-    return (
-        f"{scene.frame.agents.kinds[blocks.agent[row]].value} takes the path from {blocks.t[first]:.1f} s to "
-        f"{blocks.t[last]:.1f} s, from {blocks.lower[row, first]:.1f} m on"
-    )
 
 
 def outlines(blocks: StBoundaries, decisions: Sequence[Decision]) -> tuple[GraphObstacle, ...]:
@@ -182,3 +202,250 @@ def stop_outlines(stops: Sequence[Occupancy], horizon: float, length: float) -> 
         corners = np.array([(0.0, stop.s_from), (end, stop.s_from), (end, top), (0.0, top)])
         found.append(GraphObstacle(stop.agent, corners, stop.kind))
     return tuple(found)
+
+
+class Way(NamedTuple):
+    """A path of the rear axle for the sweep `(points,)`, as in `Path`."""
+
+    sigma: FloatArray
+    x: FloatArray
+    y: FloatArray
+    yaw: FloatArray
+
+
+class Roles(NamedTuple):
+    """Which agents `(agents,)` the sweep skips, which walk or ride, which the path passes (empty: none)."""
+
+    skipped: BoolArray
+    vulnerable: BoolArray
+    passed: BoolArray
+
+
+class Swept(NamedTuple):
+    """What a sweep takes of the ego and of the settings, for the kernel.
+
+    Attributes:
+        rear_to_center: From the rear axle to the box's centre, m; `length` and `width` of the box.
+        margin: As in `StGraphConfig`, m; `vulnerable_margin` and `passed_margin` likewise.
+        early: (2), s; `late` likewise.
+    """
+
+    rear_to_center: float
+    length: float
+    width: float
+    margin: float
+    vulnerable_margin: float
+    passed_margin: float
+    early: float
+    late: float
+
+
+@kernel
+def sweep(
+    way: Way, futures: Futures, bodies: Bodies, roles: Roles, ego: Swept, now: float, stride: int
+) -> tuple[FloatArray, IntArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """The fields of `StBoundaries`: of the predictions that take the path, at times `stride` samples apart."""
+    t = futures.t[::stride] - now
+    x, y, yaw, size = futures.x, futures.y, futures.yaw, len(futures.agent)
+    rows, speed = np.empty(size, np.int64), np.empty(size)
+    lower, upper = np.full((size, len(t)), np.nan), np.full((size, len(t)), np.nan)
+    low_x, high_x, low_y, high_y = way.x.min(), way.x.max(), way.y.min(), way.y.max()
+    widest = ego.width + 2.0 * max(ego.margin, ego.vulnerable_margin, ego.passed_margin)
+    boxes, moved = _ego_boxes(way, 0, 0.0, 0.0)
+    parts, other = boxes, np.empty((4, len(t)))
+    count = 0
+    for i in range(size):
+        who = futures.agent[i]
+        if roles.skipped[who]:
+            continue
+        margin = ego.vulnerable_margin if roles.vulnerable[who] else ego.margin
+        if len(roles.passed) and roles.passed[who]:
+            margin = ego.passed_margin
+        ego_size, other_size = (ego.length, ego.width + 2.0 * margin), (bodies.length[who], bodies.width[who])
+        reach = abs(ego.rear_to_center) + 0.5 * (hypot(*ego_size) + hypot(*other_size))
+        is_near = False
+        for k in range(0, x.shape[1], stride):
+            near_x = low_x - reach <= x[i, k] <= high_x + reach
+            is_near |= near_x and low_y - reach <= y[i, k] <= high_y + reach
+        if not is_near:
+            continue
+        if not boxes.shape[1]:
+            radius = 0.5 * hypot(ego.length, widest)
+            boxes, moved = _ego_boxes(way, len(way.x), ego.rear_to_center, radius)
+            parts = _envelopes(boxes, np.int64(PART), ego.length, widest)
+        for k in range(len(t)):
+            other[0, k], other[1, k] = x[i, k * stride], y[i, k * stride]
+            other[2, k], other[3, k] = cos(yaw[i, k * stride]), sin(yaw[i, k * stride])
+        if _takes(way.sigma, boxes, moved, parts, ego_size, other, other_size, lower[count], upper[count]):
+            rows[count] = i
+            entry = _drawn_out(t, lower[count], upper[count], ego.early, ego.late)  # (2)
+            at = min(int(np.searchsorted(way.sigma, entry)), len(way.sigma) - 1)
+            speed[count] = bodies.vx[who] * cos(way.yaw[at]) + bodies.vy[who] * sin(way.yaw[at])  # (3)
+            count += 1
+    found = rows[:count]
+    lower, upper = lower[:count].copy(), upper[:count].copy()
+    return t, futures.agent[found], lower, upper, speed[:count].copy(), futures.probability[found]
+
+
+@inner_kernel
+def _takes(
+    sigma: FloatArray, boxes: FloatArray, moved: float, parts: FloatArray, ego_size: tuple[float, float],
+    other: FloatArray, other_size: tuple[float, float], lower: FloatArray, upper: FloatArray,
+) -> bool:  # fmt: skip
+    """Write the intervals (1) `(k,)` of one prediction; whether there is any.
+
+    Boxes are tested only on those parts of the path whose envelope meets that of some samples of the prediction; who
+    stays where they are is tested once.
+    """
+    taken = False
+    around = _envelopes(other, np.int64(SAMPLES), other_size[0], other_size[1])
+    for group in range(around.shape[1]):
+        begin, end = _parts_met(parts, around, group)
+        end = min(end, boxes.shape[1])
+        for k in range(group * SAMPLES, min((group + 1) * SAMPLES, len(lower)) if begin < end else 0):
+            before = max(k - 1, 0)
+            stays = k > 0 and other[0, k] == other[0, before] and other[1, k] == other[1, before]
+            if stays and other[2, k] == other[2, before] and other[3, k] == other[3, before]:
+                lower[k], upper[k] = lower[k - 1], upper[k - 1]
+                continue
+            box = other[0, k], other[1, k], other[2, k], other[3, k], other_size[0], other_size[1]
+            met = _first_met(boxes, begin, end, moved, ego_size, box)
+            if met >= 0:
+                leaves = _first_met(boxes, end - 1, met - 1, moved, ego_size, box)
+                lower[k] = _edge(sigma, boxes, met, met - 1, ego_size, box)  # (1)
+                upper[k] = _edge(sigma, boxes, leaves, leaves + 1, ego_size, box)
+                taken = True
+    return taken
+
+
+@inner_kernel
+def _ego_boxes(way: Way, count: int, rear_to_center: float, radius: float) -> tuple[FloatArray, float]:
+    """Rows x, y, cos yaw, sin yaw, yaw `(5, count)` of the ego's box along a path; the most that its points move, m."""
+    out = np.empty((5, count))
+    moved = 1e-6
+    for j in range(count):
+        c, s = cos(way.yaw[j]), sin(way.yaw[j])
+        out[0, j], out[1, j] = way.x[j] + rear_to_center * c, way.y[j] + rear_to_center * s
+        out[2, j], out[3, j], out[4, j] = c, s, way.yaw[j]
+        if j > 0:
+            away = hypot(out[0, j] - out[0, j - 1], out[1, j] - out[1, j - 1])
+            moved = max(moved, away + radius * abs(wrap(way.yaw[j] - way.yaw[j - 1])))
+    return out, moved
+
+
+@inner_kernel
+def _envelopes(boxes: FloatArray, every: np.int64, length: float, width: float) -> FloatArray:
+    """Boxes around so many of a sequence each: rows x, y, cos yaw, sin yaw, half length, half width.
+
+    The sequence has the rows x, y, cos yaw, sin yaw; all are of one size. An envelope heads as its middle one.
+    `every` is no literal, since numba would compile this for each of them.
+    """
+    out = np.empty((6, (boxes.shape[1] + every - 1) // every))
+    for e in range(out.shape[1]):
+        begin, end = e * every, min((e + 1) * every, boxes.shape[1])
+        m = (begin + end) // 2
+        x, y, c, s = boxes[0, m], boxes[1, m], boxes[2, m], boxes[3, m]
+        rear, front, right, left = inf, -inf, inf, -inf
+        for j in range(begin, end):
+            dx, dy = boxes[0, j] - x, boxes[1, j] - y
+            along, aside = c * dx + s * dy, c * dy - s * dx
+            straight, across = abs(c * boxes[2, j] + s * boxes[3, j]), abs(c * boxes[3, j] - s * boxes[2, j])
+            half = 0.5 * (length * straight + width * across), 0.5 * (length * across + width * straight)
+            rear, front = min(rear, along - half[0]), max(front, along + half[0])
+            right, left = min(right, aside - half[1]), max(left, aside + half[1])
+        along, aside = 0.5 * (rear + front), 0.5 * (right + left)
+        out[0, e], out[1, e] = x + c * along - s * aside, y + s * along + c * aside
+        out[2, e], out[3, e], out[4, e], out[5, e] = c, s, 0.5 * (front - rear), 0.5 * (left - right)
+    return out
+
+
+@inner_kernel
+def _parts_met(parts: FloatArray, around: FloatArray, group: int) -> tuple[int, int]:
+    """From which point of the path to which, exclusive, its parts' envelopes meet one of a prediction; 0, 0: none."""
+    begin, end = 0, 0
+    x, y, c, s = around[0, group], around[1, group], around[2, group], around[3, group]
+    length, width = around[4, group] + ROUNDING_M, around[5, group] + ROUNDING_M
+    for e in range(parts.shape[1]):
+        part = parts[0, e], parts[1, e], parts[2, e], parts[3, e], parts[4, e], parts[5, e]
+        if _touch(x, y, c, s, length, width, part):
+            begin, end = (begin if end else e * PART), (e + 1) * PART
+    return begin, end
+
+
+@inner_kernel
+def _touch(
+    x: float, y: float, c: float, s: float, length: float, width: float,
+    other: tuple[float, float, float, float, float, float],
+) -> bool:  # fmt: skip
+    """Whether boxes x, y, cos yaw, sin yaw, half length, half width touch (`logs.shapes`, (1))."""
+    dx, dy = other[0] - x, other[1] - y
+    straight, across = abs(c * other[2] + s * other[3]), abs(c * other[3] - s * other[2])
+    return bool(
+        abs(dx * s - dy * c) <= width + other[4] * across + other[5] * straight
+        and abs(dx * c + dy * s) <= length + other[4] * straight + other[5] * across
+        and abs(dx * other[3] - dy * other[2]) <= other[5] + length * across + width * straight
+        and abs(dx * other[2] + dy * other[3]) <= other[4] + length * straight + width * across
+    )
+
+
+@inner_kernel
+def _first_met(
+    boxes: FloatArray, begin: int, end: int, moved: float, size: tuple[float, float],
+    other: tuple[float, float, float, float, float, float],
+) -> int:  # fmt: skip
+    """The first point from `begin` to `end`, exclusive, forwards or backwards, at which the ego meets a box; -1: none.
+
+    Points are jumped over at which the gap cannot have closed: from one to the next no point of the ego's box moves
+    further than `moved` m. The `other` box is x, y, cos yaw, sin yaw, length, width.
+    """
+    j, step = begin, 1 if end > begin else -1
+    while (end - j) * step > 0:
+        gap = axis_gap(
+            boxes[0, j], boxes[1, j], boxes[2, j], boxes[3, j], size[0], size[1],
+            other[0], other[1], other[2], other[3], other[4], other[5],
+        )  # fmt: skip
+        if gap <= 0.0:
+            return j
+        j += step * (1 + int(JUMP * gap / moved))
+    return -1
+
+
+@inner_kernel
+def _edge(
+    sigma: FloatArray, boxes: FloatArray, met: int, free: int, size: tuple[float, float],
+    other: tuple[float, float, float, float, float, float],
+) -> float:  # fmt: skip
+    """The station next to point `met`, which overlaps, towards point `free`, at which the ego does not overlap."""
+    if free < 0 or free >= boxes.shape[1]:
+        return sigma[met]
+    low, high = 0.0, 1.0  # share of the way from `met` to `free`: overlaps at low, not at high
+    around = other[0], other[1], other[2], other[3], 0.5 * other[4], 0.5 * other[5]
+    bend = wrap(boxes[4, free] - boxes[4, met])
+    for _ in range(HALVINGS):
+        u = 0.5 * (low + high)
+        x = boxes[0, met] + u * (boxes[0, free] - boxes[0, met])
+        y = boxes[1, met] + u * (boxes[1, free] - boxes[1, met])
+        yaw = boxes[4, met] + u * bend
+        if _touch(x, y, cos(yaw), sin(yaw), 0.5 * size[0], 0.5 * size[1], around):
+            low = u
+        else:
+            high = u
+    return sigma[met] + high * (sigma[free] - sigma[met])
+
+
+@inner_kernel
+def _drawn_out(t: FloatArray, lower: FloatArray, upper: FloatArray, early: float, late: float) -> float:
+    """Draw an interval `(k,)` out in time (2); returns the station at which the agent enters."""
+    first, last = 0, len(t) - 1
+    while isnan(lower[first]):
+        first += 1
+    while isnan(lower[last]):
+        last -= 1
+    begin = t[first] - min(early, t[first] / 3.0)
+    end = t[last] + (min(late, 0.5 * t[last]) if last < len(t) - 1 else 0.0)
+    for k in range(len(t)):
+        if begin <= t[k] < t[first]:
+            lower[k], upper[k] = lower[first], upper[first]
+        elif t[last] < t[k] <= end:
+            lower[k], upper[k] = lower[last], upper[last]
+    return lower[first]

@@ -1,4 +1,4 @@
-"""Which polynomials are tried, and what each pair costs.
+"""Which polynomials are tried in a scene, and what each pair costs.
 
 Cost of a pair, Delta s being what it misses its wanted point by:
 
@@ -16,21 +16,34 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from math import floor
+from math import cos, floor, sin, tan
 
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
+from logs.road import line_frame, line_project
+from logs.shapes import overlap
+from logs.states import wrap
 from logs.vehicle import VehicleParameters
 from planners.frenet.occupancy import Occupancy, open_end, upper_bound
+from planners.frenet.path import quintic
 from planners.frenet.profiles import HORIZON_KNOTS, HORIZON_STEPS, STEP_S, braking, limit_profile
-from planners.frenet.quintic import quintic
 from planners.frenet.reference_path import ReferencePath
-from planners.frenet.scene import TRACK_M
-from planners.lattice.checks import REST_MPS, Fault, speed_faults
-from planners.lattice.config import LatticeConfig
-from planners.lattice.futures import STRIDE, Ego, Futures
-from planners.lattice.polynomials import LEAST_M, keep_speed, reach_point, sampled, third_square
+from planners.frenet.scene import TRACK_M, Scene, behind
+from planners.lattice.checks import (
+    LEAST_M,
+    REST_MPS,
+    Ego,
+    Fault,
+    Futures,
+    Longitudinal,
+    Pairs,
+    keep_speed,
+    reach_point,
+    sampled,
+    speed_faults,
+    third_square,
+)
 
 SIDE_M = 0.1
 """Who is nearer than this beside a track is on it."""
@@ -42,55 +55,142 @@ STOP_M = 2.0
 """... and so far, m, before gentle braking would have to begin."""
 COST_PARTS = ("jerk along", "time", "speed", "sideways", "gap")
 """The terms of (1) as a recording names them."""
+STRIDE = 4
+"""Samples of the plan per sample of the others' Frenet coordinates."""
+NEAR_M = 30.0
+"""Who stays farther than this from what the ego can reach is not in the scene."""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Longitudinal:
-    """Longitudinal polynomials that keep the limits, m of them.
-
-    Attributes:
-        coef: `(m, 6)`, lowest power first.
-        T: Durations `(m,)`, s.
-        v1: End speeds `(m,)`, m/s.
-        missed: What they miss their wanted point by `(m,)`, m.
-        track: Index of the end offset that they belong to `(m,)`, -1 where to any.
-    """
-
-    coef: FloatArray
-    T: FloatArray
-    v1: FloatArray
-    missed: FloatArray
-    track: IntArray
-
-    def picked(self, at: BoolArray) -> Longitudinal:
-        """Those where `at` `(m,)`."""
-        return Longitudinal(*(getattr(self, name)[at] for name in ("coef", "T", "v1", "missed", "track")))
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class Pairs:
-    """Candidates, n of them: a row of `Longitudinal`, and where and how long they move sideways.
+@dataclass(frozen=True)
+class LatticeConfig:
+    """Settings of `lattice`; in brackets the names of (1) and (2).
 
     Attributes:
-        lon: The longitudinal polynomials.
-        row: `(n,)` index into `lon`.
-        l1: End offset `(n,)`, m; `length` D of the lateral polynomial.
-        length: `(n,)` m.
-        changes: `(n,)` whether the end is on another track.
-        costs: (1) by `COST_PARTS` `(5, n)`.
-        faults: How many pairs were not made, since their longitudinal polynomial breaks a limit.
+        speeds: Number of end speeds between 0 and the wanted one.
+        durations_s: Of longitudinal polynomials (T).
+        lateral_durations_s: Of lateral ones (T_l).
+        offset_spacing_m: Between two end offsets.
+        w_jerk: Weight k_j; `w_time` k_t, `w_offset` k_l, `w_speed` k_v, `w_point` k_s, `w_gap` k_gap.
+        w_lateral: Weight of the lateral part (K_LAT).
+        w_lateral_time: Weight of the lateral duration (k_u): so small that an offset of `offset_spacing_m` is undone.
+        standstill_gap_m: Wanted gap at standstill (g0).
+        time_gap_s: Wanted time gap (tau).
+        accel_mps2: Greatest acceleration.
+        decel_mps2: Hardest deceleration, positive.
+        lat_accel_mps2: Greatest lateral acceleration.
+        curve_accel_mps2: Lateral acceleration from which the wanted speed in curves comes.
+        ease_mps2: Deceleration towards lower limits and curves.
+        margin_m: To vehicles and objects; `vulnerable_margin_m` to pedestrians and riders.
+        edge_m: To the road's edge.
     """
 
-    lon: Longitudinal
-    row: IntArray
-    l1: FloatArray
-    length: FloatArray
-    changes: BoolArray
-    costs: FloatArray
-    faults: IntArray
+    speeds: int = 8
+    durations_s: tuple[float, ...] = (2.0, 3.0, 4.0, 6.0, 8.0)
+    lateral_durations_s: tuple[float, ...] = (2.5, 4.0, 6.0)
+    offset_spacing_m: float = 0.5
+    w_jerk: float = 1.0
+    w_time: float = 1.0
+    w_offset: float = 2.0
+    w_speed: float = 1.0
+    w_point: float = 0.1
+    w_gap: float = 150.0
+    w_lateral: float = 1.0
+    w_lateral_time: float = 0.1
+    standstill_gap_m: float = 2.0
+    time_gap_s: float = 1.2
+    accel_mps2: float = 2.5
+    decel_mps2: float = 7.5
+    lat_accel_mps2: float = 4.0
+    curve_accel_mps2: float = 2.5
+    ease_mps2: float = 1.5
+    margin_m: float = 0.3
+    vulnerable_margin_m: float = 0.5
+    edge_m: float = 0.1
 
-    def __len__(self) -> int:
-        return len(self.row)
+    def __post_init__(self) -> None:
+        if self.speeds < 2 or not self.durations_s or not self.lateral_durations_s or not self.offset_spacing_m > 0.0:
+            raise ValueError("lattice needs two speeds, durations and a positive offset_spacing_m")
+        if min((*self.durations_s, *self.lateral_durations_s)) < STEP_S:
+            raise ValueError(f"lattice durations must be at least {STEP_S} s")
+
+
+def ego_frenet(scene: Scene) -> Ego:
+    """The start in the Frenet frame: `checks.states` read backwards.
+
+    Near standstill a deceleration that would soon be a reverse is not taken over.
+    """
+    line, start, s0, l0, lateral = scene.reference.line, scene.start, scene.s, scene.l, scene.frenet
+    _, _, yaw_r, kappa_r = line.frame(s0)
+    R, turn = 1.0 - kappa_r * l0, wrap(start.yaw - yaw_r)
+    speed = max(start.v, 0.0) * cos(turn) / R
+    dkappa_r = 2.0 * (line.frame(s0 + 0.25)[3] - line.frame(s0 - 0.25)[3])
+    turning = R * tan(turn) * (start.kappa * R / cos(turn) - kappa_r) - (dkappa_r * l0 + kappa_r * lateral[1])
+    accel = (start.a - speed**2 / cos(turn) * turning) * cos(turn) / R
+    return Ego(s0, lateral, speed, max(accel, -6.0 * speed))
+
+
+def futures_of(scene: Scene, ego: Ego, config: LatticeConfig) -> Futures:
+    """The others of a scene as they are predicted."""
+    frame, start, line, car = scene.frame, scene.start, scene.reference.line, scene.vehicle
+    agents, futures = frame.agents, frame.predictions
+    used = _near(scene, ego)
+    agent = futures.agent[used]
+    pose = _on_grid(futures.t - frame.t, np.stack([futures.x[used], futures.y[used], futures.yaw[used]]))
+    sizes = np.vstack([agents.length[agent], agents.width[agent], np.zeros(len(agent))])
+    x, y = start.x + car.axle_to_center * cos(start.yaw), start.y + car.axle_to_center * sin(start.yaw)
+    for j, i in enumerate(agent):
+        margin = config.vulnerable_margin_m if scene.vulnerable[i] else config.margin_m
+        length, width = car.length + 2.0 * margin, car.width + 2.0 * margin
+        px, py, yaw = pose[:, j, 0]
+        is_near = overlap(x, y, start.yaw, length, width, px, py, yaw, sizes[0, j], sizes[1, j])
+        sizes[2, j] = 0.0 if is_near else margin  # nothing is kept to who is nearer already
+    thin = [np.ascontiguousarray(rows[:, ::STRIDE]) for rows in pose]
+    frenet = futures_frenet(line.s, line.coef, thin[0], thin[1], thin[2], sizes, ego.s)
+    speed = (frenet[0, :, 1] - frenet[0, :, 0]) / (STRIDE * STEP_S)
+    follow = [behind(scene, keeps_track=keeps) for keeps in (True, False)]
+    return Futures(agent, pose, frenet, speed, sizes, np.array([rows[agent] for rows in follow]))
+
+
+def _near(scene: Scene, ego: Ego) -> IntArray:
+    """The predictions that come near the reference line as far as the ego can get."""
+    line, futures, start = scene.reference.line, scene.frame.predictions, scene.start
+    if not len(futures):
+        return np.empty(0, np.int64)
+    reach = HORIZON_STEPS * STEP_S * (ego.speed + 3.0) + NEAR_M
+    way = np.vstack([line.xy[(line.s > ego.s - NEAR_M) & (line.s < ego.s + reach)], [[start.x, start.y]]])
+    low, high = way.min(axis=0) - NEAR_M, way.max(axis=0) + NEAR_M
+    near = (futures.x.max(axis=1) > low[0]) & (futures.x.min(axis=1) < high[0])
+    near &= (futures.y.max(axis=1) > low[1]) & (futures.y.min(axis=1) < high[1])
+    return np.flatnonzero(near)
+
+
+def _on_grid(t: FloatArray, rows: FloatArray) -> FloatArray:
+    """Rows `(3, n, k)` at times `t` `(k,)` from the frame, at `HORIZON_KNOTS` times every `STEP_S`; the ends hold."""
+    at = np.clip(STEP_S * np.arange(HORIZON_KNOTS), t[0], t[-1])
+    first = np.clip(np.searchsorted(t, at + 1e-9) - 1, 0, max(len(t) - 2, 0))
+    after = np.minimum(first + 1, len(t) - 1)
+    span = np.where(after > first, t[after] - t[first], 1.0)
+    u = (at - t[first]) / span
+    return np.ascontiguousarray(rows[:, :, first] + u * (rows[:, :, after] - rows[:, :, first]))
+
+
+@kernel
+def futures_frenet(
+    knots: FloatArray, coef: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, sizes: FloatArray, s_ego: float
+) -> FloatArray:
+    """Predictions `(n, k)` in the Frenet frame: s, l, half length along s, half width along l `(4, n, k)`."""
+    out = np.empty((4, x.shape[0], x.shape[1]))
+    for i in range(len(x)):
+        guess, window = s_ego, 150.0
+        for k in range(x.shape[1]):
+            s, l = line_project(knots, coef, x[i, k], y[i, k], guess, window)  # noqa: E741
+            guess, window = s, 25.0
+            turn = yaw[i, k] - line_frame(knots, coef, s)[2]
+            c, d = abs(cos(turn)), abs(sin(turn))
+            out[0, i, k], out[1, i, k] = s, l
+            out[2, i, k] = 0.5 * (sizes[0, i] * c + sizes[1, i] * d)
+            out[3, i, k] = 0.5 * (sizes[0, i] * d + sizes[1, i] * c)
+    return out
 
 
 class Sampler:
@@ -115,13 +215,15 @@ class Sampler:
     def pairs(self, ego: Ego, futures: Futures, stops: Sequence[Occupancy] = ()) -> Pairs:
         """Every longitudinal polynomial that keeps limits and stops, with every lateral one of its tracks."""
         config, stations = self._config, self._reference.line.s
-        aim = open_end(stops)
+        aim, offsets = open_end(stops), self._offsets(ego)
         rests = aim < ego.speed * STOP_S + 0.5 * ego.speed**2 / config.ease_mps2 + STOP_M
-        wanted, offsets = 0.0 if rests else self._wanted_speed(ego), self._offsets(ego)
+        soon = np.linspace(ego.s, ego.s + 3.0 * ego.speed + 5.0, 8)  # within the next 3 s
+        wanted = 0.0 if rests else float(np.interp(soon, stations, self.limit).min())
         keeping = _keeping(ego, wanted, config)
         if rests:
-            keeping = [replace(row, missed=SHORT * max(aim - _end(ego, row), 0.0)) for row in keeping]
-            keeping += _resting(ego, aim, config)
+            keeping = [replace(row, missed=SHORT * max(aim - row.end(ego), 0.0)) for row in keeping]
+        if rests and aim > 0.0:
+            keeping += [Row(reach_point(ego.speed, ego.accel, aim, 0.0, T), T, 0.0) for T in config.durations_s]
         lon = _stacked(ego, [*keeping, *self._reaching(ego, futures, offsets)])
         motion = sampled(lon.coef, lon.T, HORIZON_STEPS)
         allowed = braking(ego.speed, ego.accel, config.ease_mps2, 3.0, STEP_S, HORIZON_KNOTS)[1] + 0.3
@@ -131,12 +233,8 @@ class Sampler:
         counts = np.bincount(faults, weights=each, minlength=len(Fault)).astype(np.int64)
         counts[Fault.NONE] = 0
         fit = faults == Fault.NONE
-        return self._paired(ego, futures, lon.picked(fit), motion[fit], offsets, wanted, counts)
-
-    def _wanted_speed(self, ego: Ego) -> float:
-        """The least limit within the next 3 s."""
-        s = np.linspace(ego.s, ego.s + 3.0 * ego.speed + 5.0, 8)
-        return float(np.interp(s, self._reference.line.s, self.limit).min())
+        kept = Longitudinal(*(column[fit] for column in lon))
+        return self._paired(ego, futures, kept, motion[fit], offsets, wanted, counts)
 
     def _offsets(self, ego: Ego) -> FloatArray:
         """End offsets `(o,)` that are on the road soon: the middle first, then pairs, the passing side first."""
@@ -207,6 +305,11 @@ class Row:
     missed: float = 0.0
     track: int = -1
 
+    def end(self, ego: Ego) -> float:
+        """Where it ends, m from the start."""
+        c3, c4, c5 = self.polynomial
+        return self.T * (ego.speed + self.T * (0.5 * ego.accel + self.T * (c3 + self.T * (c4 + self.T * c5))))
+
 
 def _keeping(ego: Ego, wanted: float, config: LatticeConfig) -> list[Row]:
     """Polynomials to speeds up to the wanted one, also the ego's own; and rests, from gentle to as hard as allowed."""
@@ -218,13 +321,6 @@ def _keeping(ego: Ego, wanted: float, config: LatticeConfig) -> list[Row]:
     return rows
 
 
-def _resting(ego: Ego, aim: float, config: LatticeConfig) -> list[Row]:
-    """Polynomials that come to rest `aim` m ahead."""
-    if aim <= 0.0:
-        return []
-    return [Row(reach_point(ego.speed, ego.accel, aim, 0.0, T), T, 0.0) for T in config.durations_s]
-
-
 def _kept(stops: Sequence[Occupancy], *, rests: bool) -> FloatArray:
     """How far the traffic rules let the ego go `(HORIZON_KNOTS,)`, m; far from an open stop only at first."""
     t = STEP_S * np.arange(HORIZON_KNOTS)
@@ -233,12 +329,6 @@ def _kept(stops: Sequence[Occupancy], *, rests: bool) -> FloatArray:
         return upper
     timed = upper_bound([stop for stop in stops if stop.until < np.inf], t, np.inf)
     return np.where(t < STOP_S, upper, timed)
-
-
-def _end(ego: Ego, row: Row) -> float:
-    """Where a polynomial ends, m from the start."""
-    c3, c4, c5 = row.polynomial
-    return row.T * (ego.speed + row.T * (0.5 * ego.accel + row.T * (c3 + row.T * (c4 + row.T * c5))))
 
 
 def _stacked(ego: Ego, rows: Sequence[Row]) -> Longitudinal:

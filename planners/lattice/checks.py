@@ -1,19 +1,37 @@
-"""What a candidate must keep: speed and acceleration, curvature, the road, and a distance from everybody."""
+"""The states that a pair of polynomials stands for, and what they must keep.
+
+Longitudinal, from (s, s_dot, s_ddot) at the start:
+
+(1) keep a speed: quartic s(t) to (s_dot, s_ddot) = (v1, 0) at T, s free            least integral of jerk^2
+(2) reach a point (stop, follow): quintic s(t) to (s1, v1, 0) at T                  least integral of jerk^2
+    after T both go on with v1
+
+Lateral, from (l, l', l'') at the start:
+
+(3) quintic l(s) to (l1, 0, 0) over D = max(s(T_l) - s(0), `LEAST_M`), then l1
+
+(Werling et al., ICRA 2010; l over s is its form for low speeds. It is used at all speeds here, since at constant speed
+it is the same polynomial as l over t, and needs no switch.) A pair of them must keep speed and acceleration, the
+curvature, the road, and a distance from everybody.
+"""
 
 from __future__ import annotations
 
 from enum import IntEnum
-from math import cos, sin
+from math import atan2, cos, sin, tan
 from typing import NamedTuple
 
 import numpy as np
 
 from logs.kernel import BoolArray, FloatArray, IntArray, inner_kernel, kernel
+from logs.road import line_curvature, line_frame
 from logs.shapes import overlap
-from planners.frenet.path import MAX_TURN, MIN_REGULAR
-from planners.frenet.profiles import HORIZON_STEPS
-from planners.lattice.polynomials import lateral_polynomial, sampled, states
+from logs.states import wrap
+from planners.frenet.path import MAX_TURN, MIN_REGULAR, quintic
+from planners.frenet.profiles import HORIZON_STEPS, STEP_S
 
+LEAST_M = 8.0
+"""A lateral move is not shorter than this (3), m: at low speeds it would be too sharp to steer."""
 REST_MPS = 0.05
 """Below this the ego stands: who then runs into it is not its doing."""
 
@@ -49,6 +67,84 @@ SAID = {
 """The faults in words."""
 FAULTS = len(Fault)
 """Length of a count by fault."""
+
+
+@kernel
+def keep_speed(v0: float, a0: float, v1: float, T: float) -> tuple[float, float, float]:
+    """Coefficients c3, c4, c5 = 0 of the quartic (1)."""
+    change, bend = v1 - v0 - a0 * T, -a0
+    return (change - bend * T / 3.0) / T**2, (bend * T - 2.0 * change) / (4.0 * T**3), 0.0
+
+
+@kernel
+def reach_point(v0: float, a0: float, s1: float, v1: float, T: float) -> tuple[float, float, float]:
+    """Coefficients c3, c4, c5 of the quintic (2), s measured from the start."""
+    return quintic(0.0, v0 - v1, a0, s1 - v1 * T, T)
+
+
+@kernel
+def third_square(c3: float, c4: float, c5: float, T: float) -> float:
+    """Integral of the squared third derivative over [0, T]."""
+    a, b, c = 6.0 * c3, 24.0 * c4, 60.0 * c5
+    return T * (a * a + T * (a * b + T * ((b * b + 2.0 * a * c) / 3.0 + T * (0.5 * b * c + T * 0.2 * c * c))))
+
+
+@kernel
+def evaluated(c: FloatArray, T: float, x: float) -> tuple[float, float, float]:
+    """Value, first and second derivative of a polynomial `(6,)` at x; beyond T it goes on straight."""
+    u = min(x, T)
+    value = ((((c[5] * u + c[4]) * u + c[3]) * u + c[2]) * u + c[1]) * u + c[0]
+    first = (((5.0 * c[5] * u + 4.0 * c[4]) * u + 3.0 * c[3]) * u + 2.0 * c[2]) * u + c[1]
+    second = ((20.0 * c[5] * u + 12.0 * c[4]) * u + 6.0 * c[3]) * u + 2.0 * c[2]
+    return (value + first * (x - T), first, 0.0) if x > T else (value, first, second)
+
+
+@kernel
+def sampled(lon: FloatArray, T: FloatArray, steps: int) -> FloatArray:
+    """s, s_dot, s_ddot `(m, 3, steps + 1)` of polynomials `(m, 6)` every `STEP_S`."""
+    out = np.empty((len(lon), 3, steps + 1))
+    for i in range(len(lon)):
+        for k in range(steps + 1):
+            out[i, 0, k], out[i, 1, k], out[i, 2, k] = evaluated(lon[i], T[i], k * STEP_S)
+    return out
+
+
+@kernel
+def lateral_polynomial(start: FloatArray, l1: float, D: float) -> FloatArray:
+    """Coefficients `(6,)` of (3), lowest power first, from `start` (l, l', l'')."""
+    c3, c4, c5 = quintic(start[0], start[1], start[2], l1, D)
+    return np.array([start[0], start[1], 0.5 * start[2], c3, c4, c5])
+
+
+@kernel
+def states(
+    knots: FloatArray, coef: FloatArray, s0: float, lateral: FloatArray, D: float, motion: FloatArray
+) -> FloatArray:
+    """Rows x, y, yaw, v, a, kappa, l, turn, 1 - kappa l `(9, k)` of a candidate (`planners.frenet.path`, (1) to (3)).
+
+    a = s_ddot R / cos d + s_dot^2 / cos d (R tan d (kappa R / cos d - kappa_r) - (kappa_r' l + kappa_r l'))
+    with R = 1 - kappa_r l and d the heading off the line.
+    """
+    out = np.empty((9, motion.shape[1]))
+    for k in range(motion.shape[1]):
+        ahead = motion[0, k]
+        l, dl, ddl = evaluated(lateral, D, ahead)  # noqa: E741
+        x, y, yaw_r, kappa_r = line_frame(knots, coef, s0 + ahead)
+        s = s0 + ahead
+        dkappa_r = 2.0 * (line_curvature(knots, coef, s + 0.25) - line_curvature(knots, coef, s - 0.25))
+        out[8, k] = 1.0 - kappa_r * l
+        R = max(out[8, k], MIN_REGULAR)
+        turn = atan2(dl, R)
+        c, bend = cos(turn), dkappa_r * l + kappa_r * dl
+        kappa = ((ddl + bend * tan(turn)) * c * c / R + kappa_r) * c / R
+        out[0, k], out[1, k], out[2, k] = x - l * sin(yaw_r), y + l * cos(yaw_r), yaw_r + turn
+        out[3, k] = motion[1, k] * R / c
+        out[4, k] = motion[2, k] * R / c
+        out[4, k] += motion[1, k] ** 2 / c * (R * tan(turn) * (kappa * R / c - kappa_r) - bend)
+        out[5, k], out[6, k], out[7, k] = kappa, l, turn
+        if k > 0:
+            out[2, k] = out[2, k - 1] + wrap(out[2, k] - out[2, k - 1])
+    return out
 
 
 @kernel
@@ -88,11 +184,87 @@ def speed_faults(
     return out
 
 
-@kernel
+@inner_kernel
 def _outside(l: float, s: float, grid: FloatArray, left: FloatArray, right: FloatArray) -> float:  # noqa: E741
     """How far an offset lies outside of the edges at station s, m."""
     at = min(max(int((s - grid[0]) / (grid[1] - grid[0])), 0), len(grid) - 1)
     return max(l - left[at], right[at] - l, 0.0)
+
+
+class Ego(NamedTuple):
+    """The start in the Frenet frame.
+
+    Attributes:
+        s: Station, m.
+        lateral: l, l', l''.
+        speed: s_dot, m/s.
+        accel: s_ddot, m/s2.
+    """
+
+    s: float
+    lateral: tuple[float, float, float]
+    speed: float
+    accel: float
+
+
+class Futures(NamedTuple):
+    """The n predictions near the ego, on the plan's grid of `HORIZON_KNOTS` times.
+
+    Attributes:
+        agent: `(n,)` index into the frame's agents.
+        pose: x, y, yaw `(3, n, HORIZON_KNOTS)`; beyond the predictions' horizon everybody stays.
+        frenet: `candidates.futures_frenet` of every `STRIDE`-th time `(4, n, m)`.
+        speed: Along the line at first `(n,)`, m/s.
+        sizes: Length, width, margin `(3, n)`, m.
+        behind: `(2, n)` those that the ego need not look at: keeping its track, and changing it.
+    """
+
+    agent: IntArray
+    pose: FloatArray
+    frenet: FloatArray
+    speed: FloatArray
+    sizes: FloatArray
+    behind: BoolArray
+
+
+class Longitudinal(NamedTuple):
+    """Longitudinal polynomials that keep the limits, m of them.
+
+    Attributes:
+        coef: `(m, 6)`, lowest power first.
+        T: Durations `(m,)`, s.
+        v1: End speeds `(m,)`, m/s.
+        missed: What they miss their wanted point by `(m,)`, m.
+        track: Index of the end offset that they belong to `(m,)`, -1 where to any.
+    """
+
+    coef: FloatArray
+    T: FloatArray
+    v1: FloatArray
+    missed: FloatArray
+    track: IntArray
+
+
+class Pairs(NamedTuple):
+    """Candidates, n of them: a row of `Longitudinal`, and where and how long they move sideways.
+
+    Attributes:
+        lon: The longitudinal polynomials.
+        row: `(n,)` index into `lon`.
+        l1: End offset `(n,)`, m; `length` D of the lateral polynomial.
+        length: `(n,)` m.
+        changes: `(n,)` whether the end is on another track.
+        costs: By `candidates.COST_PARTS` `(5, n)`.
+        faults: How many pairs were not made, since their longitudinal polynomial breaks a limit.
+    """
+
+    lon: Longitudinal
+    row: IntArray
+    l1: FloatArray
+    length: FloatArray
+    changes: BoolArray
+    costs: FloatArray
+    faults: IntArray
 
 
 class Room(NamedTuple):
@@ -111,14 +283,6 @@ class Room(NamedTuple):
     right: FloatArray
 
 
-class Others(NamedTuple):
-    """The predictions, as of `Futures`: poses `(3, n, k)`, sizes `(3, n)`, not looked at on which track `(2, n)`."""
-
-    pose: FloatArray
-    sizes: FloatArray
-    behind: BoolArray
-
-
 class Body(NamedTuple):
     """The ego's box and limits: rear axle to the box's centre, length, width (m), curvature (1/m), a_lat (m/s2)."""
 
@@ -129,19 +293,8 @@ class Body(NamedTuple):
     lat_accel: float
 
 
-class Tried(NamedTuple):
-    """The pairs, as of `Pairs`: longitudinal polynomials `(m, 6)` and durations `(m,)`; per pair the others `(n,)`."""
-
-    lon: FloatArray
-    T: FloatArray
-    row: IntArray
-    l1: FloatArray
-    length: FloatArray
-    changes: BoolArray
-
-
 @inner_kernel
-def _met(x: float, y: float, yaw: float, k: int, others: Others, skip: BoolArray, ego: Body) -> bool:
+def _met(x: float, y: float, yaw: float, k: int, others: Futures, skip: BoolArray, ego: Body) -> bool:
     """Whether the ego's box, grown by each agent's margin, meets an agent at sample k."""
     cx, cy = x + ego.rear_to_center * cos(yaw), y + ego.rear_to_center * sin(yaw)
     pose, sizes = others.pose, others.sizes
@@ -157,7 +310,7 @@ def _met(x: float, y: float, yaw: float, k: int, others: Others, skip: BoolArray
 
 @inner_kernel
 def drive_fault(
-    at: FloatArray, motion: FloatArray, s0: float, room: Room, others: Others, skip: BoolArray, ego: Body
+    at: FloatArray, motion: FloatArray, s0: float, room: Room, others: Futures, skip: BoolArray, ego: Body
 ) -> int:
     """The first fault of a candidate's `states` `(9, k)` along time, 0 where it has none.
 
@@ -191,27 +344,26 @@ def drive_fault(
 
 @kernel
 def first_feasible(
-    tried: Tried, order: IntArray, s0: float, start: FloatArray, room: Room, others: Others, ego: Body
+    pairs: Pairs, order: IntArray, ego: Ego, room: Room, others: Futures, body: Body
 ) -> tuple[int, IntArray]:
     """The first pair in `order` without a fault, -1 where there is none, and how many were found with which fault.
 
     Args:
-        tried: The pairs.
+        pairs: The pairs.
         order: Of them, the cheapest first.
-        s0: Station of the start.
-        start: l, l', l''.
+        ego: The start.
         room: Of the rear axle.
         others: The predictions.
-        ego: Its box and limits.
+        body: The ego's box and limits.
     """
-    found = np.zeros(FAULTS, np.int64)
+    found, start = np.zeros(FAULTS, np.int64), np.array(ego.lateral)
     for pair in order:
-        i = tried.row[pair]
-        motion = sampled(tried.lon[i : i + 1], tried.T[i : i + 1], HORIZON_STEPS)[0]
-        lateral = lateral_polynomial(start, tried.l1[pair], tried.length[pair])
-        at = states(room.knots, room.coef, s0, lateral, tried.length[pair], motion)
-        unseen = others.behind[1] if tried.changes[pair] else others.behind[0]
-        fault = drive_fault(at, motion, s0, room, others, unseen, ego)
+        i = pairs.row[pair]
+        motion = sampled(pairs.lon.coef[i : i + 1], pairs.lon.T[i : i + 1], HORIZON_STEPS)[0]
+        lateral = lateral_polynomial(start, pairs.l1[pair], pairs.length[pair])
+        at = states(room.knots, room.coef, ego.s, lateral, pairs.length[pair], motion)
+        unseen = others.behind[1] if pairs.changes[pair] else others.behind[0]
+        fault = drive_fault(at, motion, ego.s, room, others, unseen, body)
         if fault == 0:
             return pair, found
         found[fault] += 1

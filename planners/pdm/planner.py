@@ -42,7 +42,7 @@ from planners.frenet.fallback import along, fall_back
 from planners.frenet.occupancy import Occupancy, on_path
 from planners.frenet.path import Path, make_path, states_on_path
 from planners.frenet.profiles import EMERGENCY, HORIZON_KNOTS, HORIZON_STEPS, STEP_S, braking
-from planners.frenet.scene import Scene
+from planners.frenet.scene import RouteTracker, Scene
 from planners.frenet.st_boundaries import (
     StBoundaries,
     StGraphConfig,
@@ -51,7 +51,6 @@ from planners.frenet.st_boundaries import (
     st_boundaries,
     stop_outlines,
 )
-from planners.frenet.start import RouteTracker
 from planners.pdm.score import PARTS, WHY_NOT, Scores, scores
 from planners.rules import Rulebook, RuleMemory
 

@@ -44,9 +44,18 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.kernel import FloatArray, inner_kernel, kernel
-from planners.piecewise_jerk.band import back_substitute, factorise
 from planners.piecewise_jerk.problem import DDDX, PiecewiseJerkProblem, largest_violation
-from planners.piecewise_jerk.spline import Rows, apply, coast, curve_of, gather, multiply, rows_of
+from planners.piecewise_jerk.spline import (
+    Rows,
+    apply,
+    back_substitute,
+    coast,
+    curve_of,
+    factorise,
+    gather,
+    multiply,
+    rows_of,
+)
 
 SOLVED, SPENT, INFEASIBLE, BROKEN, CROSSED, NOT_FINITE = 1, 2, 3, 4, 5, 6
 """Status codes; `STATUS` has them in words."""
@@ -157,7 +166,10 @@ def solve(problem: PiecewiseJerkProblem, accuracy: float, max_iterations: int) -
     if status == SPENT and max_iterations > 0:
         iteration = 1
         free = _to_free_optimum(rows, point, newton, step)
-        if free <= RESIDUAL * accuracy and _is_inside(rows, point):
+        is_inside = True
+        for i in range(len(point.y)):
+            is_inside &= rows.bound[0, i] <= point.y[i] <= rows.bound[1, i]
+        if is_inside and free <= RESIDUAL * accuracy:
             status, primal, dual, gap = SOLVED, 0.0, free, 0.0
     if status == SPENT:
         _open(rows, point)
@@ -178,7 +190,10 @@ def solve(problem: PiecewiseJerkProblem, accuracy: float, max_iterations: int) -
         primal_step, dual_step = _step_lengths(point, newton, step, 1.0, together)
         mu = gap / point.slack.size
         after = _gap_after(point, step, primal_step, dual_step) / point.slack.size
-        _correct(newton.product, step, max((after / mu) ** 3 * mu, least))  # (9)
+        target = max((after / mu) ** 3 * mu, least)  # (9): centring, and the second-order term
+        for side in range(2):
+            for i in range(newton.product.shape[1]):
+                newton.product[side, i] += step.slack[side, i] * step.multiplier[side, i] - target
         _direction(rows, point, newton, step, proximal)
         primal_step, dual_step = _step_lengths(point, newton, step, TO_BOUNDARY, together)
         _advance(point, step, primal_step, dual_step)
@@ -216,12 +231,6 @@ def _to_free_optimum(rows: Rows, point: Point, newton: Newton, step: Point) -> f
     apply(rows.stencil, point.c, point.y)
     _pull(rows, point, newton)
     return _largest(newton.dual)
-
-
-@inner_kernel
-def _is_inside(rows: Rows, point: Point) -> bool:
-    """Whether no bound is broken."""
-    return bool(((rows.bound[0] <= point.y) & (point.y <= rows.bound[1])).all())
 
 
 @inner_kernel
@@ -386,14 +395,6 @@ def _gap_after(point: Point, step: Point, primal: float, dual: float) -> float:
         above = slack[1, i] + primal * opening[1, i]
         total += below + above * (multiplier[1, i] + dual * change[1, i])
     return total
-
-
-@inner_kernel
-def _correct(product: FloatArray, step: Point, target: float) -> None:
-    """Second-order term and centring of (9)."""
-    for side in range(2):
-        for i in range(product.shape[1]):
-            product[side, i] += step.slack[side, i] * step.multiplier[side, i] - target
 
 
 @inner_kernel

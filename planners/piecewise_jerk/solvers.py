@@ -10,15 +10,15 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
 from copy import deepcopy
-from functools import lru_cache
+from dataclasses import replace
+from functools import lru_cache, partial
 from types import MappingProxyType
 from typing import NamedTuple
 
 from logs.errors import unknown_name
 from logs.trace import SolverReport
 from planners.piecewise_jerk import interior_point
-from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Structure, matrices, structure
-from planners.piecewise_jerk.problem import vectors as sparse_vectors
+from planners.piecewise_jerk.problem import PiecewiseJerkProblem, Structure, matrices, structure, vectors
 from planners.qp import QPConfig, QPResult, QuadraticProgram
 
 DEFAULT = "interior_point"
@@ -81,16 +81,10 @@ def _interior_point(problem: PiecewiseJerkProblem, stage: str, tolerance: float)
     return QPResult(found.curve.ravel(), report)
 
 
-def _osqp(problem: PiecewiseJerkProblem, stage: str, tolerance: float) -> QPResult:
-    return _sparse(problem, stage, QPConfig(OSQP_EPS, OSQP_ITERATIONS, tolerance=tolerance))
-
-
-def _piqp(problem: PiecewiseJerkProblem, stage: str, tolerance: float) -> QPResult:
-    return _sparse(problem, stage, QPConfig(max_iterations=0, tolerance=tolerance))
-
-
-def _sparse(problem: PiecewiseJerkProblem, stage: str, config: QPConfig) -> QPResult:
-    result = _program(structure(problem), stage, config).solve(*sparse_vectors(problem), fresh=True)
+def _sparse(config: QPConfig, problem: PiecewiseJerkProblem, stage: str, tolerance: float) -> QPResult:
+    """The answer of the solvers of `planners.qp` to the sparse form."""
+    program = _program(structure(problem), stage, replace(config, tolerance=tolerance))
+    result = program.solve(*vectors(problem), fresh=True)
     return QPResult(result.x[: 3 * problem.lower.shape[1]], result.report)
 
 
@@ -102,6 +96,10 @@ def _program(kind: Structure, stage: str, config: QPConfig) -> QuadraticProgram:
 
 
 SOLVERS: MappingProxyType[str, Callable[[PiecewiseJerkProblem, str, float], QPResult]] = MappingProxyType(
-    {"interior_point": _interior_point, "osqp": _osqp, "piqp": _piqp}
+    {
+        "interior_point": _interior_point,
+        "osqp": partial(_sparse, QPConfig(OSQP_EPS, OSQP_ITERATIONS)),
+        "piqp": partial(_sparse, QPConfig(max_iterations=0)),
+    }
 )
 """By the names that `[planner.dp_qp] solver` takes."""

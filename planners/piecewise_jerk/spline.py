@@ -13,10 +13,16 @@ that it has in x at least, so that cost is the square of a distance (m2), and th
 (3) minimise  1/2 sum q (y - r)^2 + 1/2 sum e^2 / give    subject to   y = A c,   lower <= y + e <= upper
 
 over all rows; give = 0 (thus e = 0) for rows that do not give way.
+
+The matrix A' diagonal A is symmetric with four bands, stored by its lower diagonals. Where it is positive definite,
+factors and solution take O(n):
+
+(4) M = L D L',   L u = b,   D v = u,   L' x = v
 """
 
 from __future__ import annotations
 
+from math import isfinite
 from typing import NamedTuple
 
 import numpy as np
@@ -28,6 +34,8 @@ NARROW_M = 1e-6
 """Bounds that are nearer to each other than twice this are moved apart to that: the method needs an inside."""
 FAR_M = 1e6
 """A bound that is farther away than this is none."""
+ROUNDING, HUGE = 1e-15, 1e128
+"""Pivots that are less than this share of their diagonal are rounding, and are replaced by a huge one."""
 
 
 class Rows(NamedTuple):
@@ -152,3 +160,43 @@ def curve_of(c: FloatArray, h: float) -> FloatArray:
         curve[1, i] = (c[i + 2] - c[i]) / (2.0 * h)
         curve[2, i] = (c[i] - 2.0 * c[i + 1] + c[i + 2]) / (h * h)
     return curve
+
+
+@inner_kernel
+def factorise(band: FloatArray) -> bool:
+    """L D L' (4) in place: D in the first row, L below the diagonal in the others; False where a number is not finite.
+
+    A pivot that is nothing but rounding becomes infinite, so that its coefficient does not move (Wright, "Modified
+    Cholesky factorizations in interior-point algorithms for linear programming", 1999).
+    """
+    size = band.shape[1]
+    diagonal = band[0].copy()
+    for i in range(size):
+        if not isfinite(band[0, i]):
+            return False
+        if band[0, i] < ROUNDING * diagonal[i]:
+            band[0, i] = HUGE
+        inverse = 1.0 / band[0, i]
+        for d in range(1, min(4, size - i)):
+            share = band[d, i] * inverse
+            for e in range(d, min(4, size - i)):
+                band[e - d, i + d] -= share * band[e, i]
+        for d in range(1, 4):
+            band[d, i] *= inverse
+    return True
+
+
+@inner_kernel
+def back_substitute(band: FloatArray, x: FloatArray) -> None:
+    """Replace x by (L D L')^-1 x."""
+    size = len(x)
+    for i in range(size):
+        for d in range(1, min(4, size - i)):
+            x[i + d] -= band[d, i] * x[i]
+    for i in range(size):
+        x[i] /= band[0, i]
+    for i in range(size - 1, -1, -1):
+        value = x[i]
+        for d in range(min(3, size - 1 - i), 0, -1):
+            value -= band[d, i] * x[i + d]
+        x[i] = value

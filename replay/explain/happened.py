@@ -15,7 +15,8 @@ from logs.kernel import FloatArray
 from logs.scenario import Scenario, Tracks
 from logs.states import Trajectory
 from logs.trace import DecisionKind, PlannedFrame, StGraph, Trace
-from planners.frenet.sweep import Swept, sweep
+from planners.frenet.scene import Bodies, Futures
+from planners.frenet.st_boundaries import Roles, Swept, Way, sweep
 from replay.explain.course import arc_lengths
 
 STEP_S = 0.25
@@ -64,10 +65,9 @@ def _outline(tracks: Tracks, i: int, frame: PlannedFrame, way: FloatArray, end: 
     columns = tracks.x[own], tracks.y[own], np.unwrap(tracks.yaw[own])
     x, y, yaw = (np.interp(times, tracks.t[own], column)[None] for column in columns)
     one, zero, no = np.zeros(1, np.int64), np.zeros(1), np.zeros(1, np.bool_)
-    t, _, lower, upper, _, _ = sweep(
-        way[0], way[1], way[2], way[3], times, float(frame.t), 1, one, zero, x, y, yaw,
-        tracks.length[[i]], tracks.width[[i]], zero, zero, no, no, no, ego,
-    )  # fmt: skip
+    futures = Futures(times, one, zero, x, y, yaw)
+    bodies = Bodies(zero, zero, zero, zero, zero, tracks.length[[i]], tracks.width[[i]])
+    t, _, lower, upper, _, _ = sweep(Way(*way), futures, bodies, Roles(no, no, no), ego, float(frame.t), 1)
     if not len(lower):
         return None
     there = np.isfinite(lower[0])

@@ -1,8 +1,9 @@
 """Who would be met if a plan were held: predicted boxes against the ego's box, swept along its way.
 
-Of each prediction (`planners.frenet.sweep`, without any time to spare) [lower(t), upper(t)] are the stations at which
-the ego's box, widened by `MARGIN_M` (`VULNERABLE_MARGIN_M` for who walks or rides) on either side, overlaps theirs.
-After the last prediction everybody goes straight on. With `held` (`replay.explain.course`), the arc length s_h(t):
+Of each prediction (`sweep` of `planners.frenet.st_boundaries`, without any time to spare) [lower(t), upper(t)] are the
+stations at which the ego's box, widened by `MARGIN_M` (`VULNERABLE_MARGIN_M` for who walks or rides) on either side,
+overlaps theirs. After the last prediction everybody goes straight on. With `held` (`replay.explain.course`), the arc
+length s_h(t):
 
 (1) met at the first t with  lower(t) - GAP_M < s_h(t) < upper(t),  unless their centre is behind the ego's then
 (2) else, of who goes along the way: followed from the first t with  s_h(t) > lower(t) - HEADWAY_S v_h
@@ -23,9 +24,9 @@ from logs.frame import Predictions
 from logs.kernel import BoolArray, FloatArray
 from logs.shapes import distance
 from logs.vehicle import VehicleParameters
-from planners.frenet.scene import STANDING_MPS, VULNERABLE
-from planners.frenet.st_boundaries import ALONG
-from planners.frenet.sweep import Swept, sweep
+from planners.frenet.scene import STANDING_MPS, VULNERABLE, Bodies, Futures
+from planners.frenet.st_boundaries import ALONG, Roles, Swept, sweep
+from planners.frenet.st_boundaries import Way as SweptWay
 from replay.explain.course import LOOK_S, STEP_S, Held
 from replay.explain.way import Way
 
@@ -82,9 +83,11 @@ def meetings(
     x, y, yaw = poses
     ego = Swept(car.axle_to_center, car.length, car.width, MARGIN_M, VULNERABLE_MARGIN_M, 0.0, 0.0, 0.0)
     none, rows = np.zeros(len(agents), np.bool_), np.arange(float(len(futures)))
-    _, who, lower, upper, along, row = sweep(  # in the place of probabilities: which rows they are
-        way.s, way.x, way.y, way.yaw, times, float(times[0]), 1, futures.agent, rows, x, y, yaw,
-        agents.length, agents.width, agents.vx, agents.vy, VULNERABLE[agents.codes], passed, none, ego,
+    _, who, lower, upper, along, row = sweep(
+        SweptWay(way.s, way.x, way.y, way.yaw),
+        Futures(times, futures.agent, rows, x, y, yaw),  # in the place of probabilities: which rows they are
+        Bodies(agents.x, agents.y, agents.yaw, agents.vx, agents.vy, agents.length, agents.width),
+        Roles(none, VULNERABLE[agents.codes], passed), ego, float(times[0]), 1,
     )  # fmt: skip
     found: dict[int, Meeting] = {}
     for i, agent in enumerate(who.tolist()):

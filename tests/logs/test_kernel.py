@@ -87,7 +87,7 @@ import numpy as np
 
 from logs.kernel import kernel
 
-class Pair(NamedTuple):
+class {name}(NamedTuple):
     {first}: float
     {second}: float
 
@@ -95,10 +95,10 @@ class Step(Enum):
     LONG = {step}
 
 @kernel
-def f(pair: Pair) -> float:
+def f(pair: {name}) -> float:
     return np.{function}(pair.{field}) + Step.LONG.value
 
-print(f(Pair(1.0, 4.0)))
+print(f({name}(1.0, 4.0)))
 """
 
 
@@ -108,14 +108,15 @@ def test_code_on_disk_is_stale_where_a_name_a_field_or_a_member_has_changed(tmp_
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path.cwd()), *sys.path])}
     environment |= {"NUMBA_CACHE_DIR": str(tmp_path / "kept")}
     environment.pop("NUMBA_DISABLE_JIT", None)
-    this = {"first": "x", "second": "y", "step": 0, "function": "square", "field": "y"}
+    this = {"name": "Pair", "first": "x", "second": "y", "step": 0, "function": "square", "field": "y"}
     said = []
-    for change in ({}, {"function": "sqrt"}, {"field": "x"}, {"first": "y", "second": "x"}, {"step": 10}):
+    changes = ({"function": "sqrt"}, {"field": "x"}, {"first": "y", "second": "x"}, {"step": 10}, {"name": "Two"})
+    for change in ({}, *changes):
         this |= change
         (tmp_path / "named.py").write_text(NAMED.format(**this), encoding="utf-8")
         run = [sys.executable, "-B", str(tmp_path / "named.py")]
         said.append(float(subprocess.run(run, env=environment, capture_output=True, text=True, check=True).stdout))
-    assert said == [16.0, 2.0, 1.0, 2.0, 12.0]
+    assert said == [16.0, 2.0, 1.0, 2.0, 12.0, 12.0]
 
 
 MOVED = """

@@ -26,7 +26,7 @@ from logs.catalogue import CATALOGUE
 from logs.kernel import FloatArray
 from logs.rules import StopLine
 from planners.constant_speed import arc
-from planners.frenet.start import RouteTracker
+from planners.frenet.scene import RouteTracker
 from planners.idm import Idm, IdmConfig
 from replay.loop.plan_check import of_positions
 

@@ -30,8 +30,9 @@ from logs.shapes import distance
 from logs.transform import mirrored
 from planners.base import Planner
 from planners.dp_qp import DpQp
-from planners.dp_qp.scene.caps import CautionConfig, LoweredLimit, PathView, SpeedCap, lowered
+from planners.dp_qp.scene.caps import CautionConfig, LoweredLimit, PathView, SpeedCap, SpeedTask, lowered
 from planners.dp_qp.scene.goal_window import GoalWindow, SpeedTarget
+from planners.dp_qp.scene.moving_obstacles import PassTarget
 from planners.frenet.path import Path
 from planners.frenet.reference_path import ReferencePath, make_reference_path
 from planners.frenet.scene import Scene, scene_of
@@ -155,14 +156,14 @@ def path_of(kappa: FloatArray, spacing: float) -> Path:
     return Path(sigma, x, y, yaw, kappa, sigma)
 
 
-def view(now: Scene, path: Path, **more: object) -> PathView:
+def view(now: Scene, path: Path, *, targets: tuple[PassTarget, ...] = (), **more: object) -> PathView:
     """What a producer of speed caps is given for a path on which all agents are met, with braking of 6 m/s2."""
     none = np.zeros(len(now.frame.agents), np.bool_)
     taken = st_boundaries(now, path, none, frozenset(), StGraphConfig())
+    task = SpeedTask({}, none, (), targets, False, GoalWindow(None, now.reference, now.vehicle), SpeedTarget())
     given: dict[str, object] = {
-        "scene": now, "path": path, "limit": np.full(len(path.s), 15.0), "taken": taken, "passed": {}, "stops": (),
-        "targets": (), "is_pass": False, "goal": GoalWindow(None, now.reference, now.vehicle), "target": SpeedTarget(),
-        "came": {}, "hard_mps2": 6.0, "margin_m": 0.6, "caution": CautionConfig(),
+        "scene": now, "path": path, "task": task, "limit": np.full(len(path.s), 15.0), "taken": taken, "came": {},
+        "hard_mps2": 6.0, "margin_m": 0.6, "caution": CautionConfig(),
     }  # fmt: skip
     return PathView(**{**given, **more})  # type: ignore[arg-type]
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from logs.kernel import FloatArray
 from logs.trace import Artefact, CostTerms, LaneOption
-from planners.dp_qp.lane.config import LaneConfig
+from planners.dp_qp.config import LaneConfig
 from planners.dp_qp.lane.plan import LanePlan
 from planners.frenet.scene import Scene
 from planners.rules.rulebook import YIELD_MPS2
@@ -57,7 +57,9 @@ def choose(keep: LanePlan, others: list[LanePlan], hysteresis_s: float) -> tuple
     """The cheapest lane that may be taken, and what was considered."""
     best, rejected = keep, dict[str, str]()
     for other in others:
-        against = _against(other)
+        against = "" if other.is_comfortable else other.trouble
+        if not against and abs(other.scene.l) > INSIDE_M:
+            against = _unsafe(other.scene)
         needed = hysteresis_s if best is keep else 0.0
         if not against and not other.cost < best.cost - needed:
             against = f"costs {other.cost:.1f} s, {best.name} {best.cost:.1f} s"
@@ -72,13 +74,6 @@ def choose(keep: LanePlan, others: list[LanePlan], hysteresis_s: float) -> tuple
         rejected[keep.name] = f"costs {keep.cost:.1f} s, {best.name} {best.cost:.1f} s"
     compared = (LaneOption(one.name, one.costs.terms, rejected.get(one.name, "")) for one in (keep, *others))
     return best, tuple(compared)
-
-
-def _against(other: LanePlan) -> str:
-    """Why a lane may not be taken; empty where it may."""
-    if not other.is_comfortable:
-        return other.trouble
-    return "" if abs(other.scene.l) <= INSIDE_M else _unsafe(other.scene)
 
 
 def _unsafe(scene: Scene) -> str:

@@ -11,19 +11,18 @@ The lane beside may be borrowed on the passing side; whoever follows there must 
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from math import inf
 
 import numpy as np
 
 from logs.kernel import FloatArray
 from logs.trace import Artefact, Candidates
+from planners.dp_qp.config import DpQpConfig
 from planners.dp_qp.lane.choice import borrowing_endangers, worth_passing
-from planners.dp_qp.lane.config import LaneConfig
-from planners.dp_qp.lane.memory import FORGET_S, PassMemory, PassWay
-from planners.dp_qp.lane.plan import LanePlan, LanePlanner
+from planners.dp_qp.lane.plan import FORGET_S, LaneMemory, LanePlan, LanePlanner, PassWay
 from planners.dp_qp.path.bounds import CorridorConfig
-from planners.dp_qp.scene.caps import PassTarget
 from planners.dp_qp.scene.moving_obstacles import along_lane, gone_on, pass_targets, to_pass
 from planners.frenet.profiles import STEP_S
 from planners.frenet.scene import Scene
@@ -34,12 +33,30 @@ SETTLED_M = 1.0
 """Boxes that a further turn moves by less than this are settled, m."""
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class PassMemory:
+    """What is remembered of passing those who are slower, in one lane.
+
+    Attributes:
+        t: When it was thought of last, s.
+        passed: Those that the ego is passing.
+        given_up: Who was not passed in the end, when, s.
+        stations: Of the last plan that passes, at the times of the predictions since `t` `(k,)`, m; None: none.
+        lane: Of the plans that pass, apart from those that keep the lane.
+    """
+
+    t: float = -inf
+    passed: frozenset[str] = frozenset()
+    given_up: Mapping[str, float] = field(default_factory=dict)
+    stations: FloatArray | None = None
+    lane: LaneMemory = field(default_factory=LaneMemory)
+
+
 def passing(
-    keep: LanePlan, planner: LanePlanner, memory: PassMemory, config: CorridorConfig, lane: LaneConfig, *,
-    passes_left: bool,
-) -> tuple[LanePlan, tuple[Artefact, ...], PassMemory]:  # fmt: skip
+    keep: LanePlan, planner: LanePlanner, memory: PassMemory, config: DpQpConfig, *, passes_left: bool
+) -> tuple[LanePlan, tuple[Artefact, ...], PassMemory]:
     """The plan in the lane, past who is slower where that is worth it, else `keep`; what was considered; the memory."""
-    scene, t = keep.scene, keep.scene.frame.t
+    scene, t, lane = keep.scene, keep.scene.frame.t, config.lane
     if not 0.0 <= t - memory.t <= FORGET_S:
         memory = PassMemory()
     if not memory.passed and keep.time_lost + keep.braking < lane.hysteresis_s:
@@ -47,7 +64,7 @@ def passing(
     who, ids = along_lane(scene, memory.passed), scene.frame.agents.ids
     if not who and not memory.passed:
         return keep, (), PassMemory(t, given_up=memory.given_up, lane=memory.lane)
-    past, names, after = _plan(keep, planner, memory, who, config, passes_left=passes_left)
+    past, names, after = _plan(keep, planner, memory, who, config.path.corridor, passes_left=passes_left)
     under_way = bool(names & memory.passed)
     against = worth_passing(keep, past, lane.hysteresis_s, under_way=under_way) if past is not None else "no plan"
     if not under_way and any(t - memory.given_up.get(name, -inf) < lane.dwell_s for name in names):
@@ -67,35 +84,37 @@ def _plan(
     passes_left: bool,
 ) -> tuple[LanePlan | None, frozenset[str], PassMemory]:  # fmt: skip
     """The plan past the nearest, all that it passes, and the memory; None where there is no such plan."""
-    nothing = None, frozenset[str](), replace(memory, stations=None)
-    if not who:
-        return nothing
     scene, t, lane = keep.scene, keep.scene.frame.predictions.t, memory.lane
-    sides, stations = _sides(scene, passes_left=passes_left), _expected(scene, memory)
+    if not who:
+        return None, frozenset(), replace(memory, stations=None)
+    sides, stations = _sides(scene, passes_left=passes_left), memory.stations
+    if stations is None or len(stations) != len(t):
+        stations = gone_on(t, scene.s, scene.start.v, scene.limit)
+    else:
+        stations = _carried_on(t - t[0], stations, t - memory.t)
     found = pass_targets(scene, who, stations, memory.passed)
     for turn in range(TURNS):
         way = to_pass(scene, found, stations, sides, config, planner.places, memory.passed)
         if not way.obstacles:
             return None, frozenset(), replace(memory, stations=None, lane=lane)
         plan, lane = planner.plan("pass", scene, lane, PassWay(found, way))
-        if plan.speed is None or plan.speed.profile is None or plan.path.path is None:
+        path, speed = plan.path.path, plan.speed
+        if path is None or speed is None or speed.profile is None:
             return None, frozenset(), replace(memory, stations=None, lane=lane)
-        stations = _stations_of(plan, t)
+        sigma = speed.profile[0]
+        reached = np.interp(sigma, path.sigma, path.s)  # on the reference line
+        stations = _carried_on(STEP_S * np.arange(len(sigma)), reached, t - t[0])
         before, found = found, pass_targets(scene, who, stations, memory.passed)
-        if turn + 1 == TURNS or _same(before, found):
+        moved = [
+            abs(a.box.s_from - b.box.s_from) + abs(a.box.s_to - b.box.s_to) for a, b in zip(before, found, strict=False)
+        ]
+        same = [one.agent for one in before] == [one.agent for one in found]
+        if turn + 1 == TURNS or (same and max(moved, default=inf) < SETTLED_M):
             break
     names = frozenset(plan.path.passed) & {box.agent for box in way.obstacles} & {one.box.agent for one in found}
     if way.obstacles[0].agent not in names:
         return None, frozenset(), replace(memory, stations=None, lane=lane)
     return plan, names, replace(memory, stations=stations, lane=lane)
-
-
-def _expected(scene: Scene, memory: PassMemory) -> FloatArray:
-    """Where the ego will be at the times of the predictions, by the last plan, else on a road without them."""
-    t = scene.frame.predictions.t
-    if memory.stations is None or len(memory.stations) != len(t):
-        return gone_on(t, scene.s, scene.start.v, scene.limit)
-    return _carried_on(t - t[0], memory.stations, t - memory.t)
 
 
 def _sides(scene: Scene, *, passes_left: bool) -> tuple[bool, bool]:
@@ -108,24 +127,7 @@ def _sides(scene: Scene, *, passes_left: bool) -> tuple[bool, bool]:
     return free and passes_left, free and not passes_left
 
 
-def _stations_of(plan: LanePlan, t: FloatArray) -> FloatArray:
-    """The stations on the reference line that a plan reaches at times `(k,)`; after its end it keeps its speed."""
-    path, speed = plan.path.path, plan.speed
-    assert path is not None and speed is not None and speed.profile is not None
-    sigma = speed.profile[0]
-    stations = np.interp(sigma, path.sigma, path.s)
-    return _carried_on(STEP_S * np.arange(len(sigma)), stations, t - t[0])
-
-
 def _carried_on(known: FloatArray, stations: FloatArray, t: FloatArray) -> FloatArray:
     """Stations `(n,)` of `known` times at other times `(k,)`; after the last with the last speed."""
     speed = (stations[-1] - stations[-2]) / (known[-1] - known[-2])
     return np.asarray(np.interp(t, known, stations) + speed * np.maximum(t - known[-1], 0.0))
-
-
-def _same(before: tuple[PassTarget, ...], after: tuple[PassTarget, ...]) -> bool:
-    """Whether two turns pass the same people at nearly the same places."""
-    if [one.agent for one in before] != [one.agent for one in after]:
-        return False
-    pairs = [(a.box, b.box) for a, b in zip(before, after, strict=True)]
-    return max((abs(a.s_from - b.s_from) + abs(a.s_to - b.s_to) for a, b in pairs), default=inf) < SETTLED_M

@@ -12,32 +12,55 @@ The cost of a candidate adds terms in seconds, weighted as `LaneConfig` says:
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from math import hypot
+from dataclasses import dataclass, field
+from math import hypot, inf
 
-from logs.frame import Frame
-from logs.road import Goal
+from logs.frame import Frame, PlannerContext
 from logs.states import EgoState
 from logs.trace import Artefact, CostTerms, SolverReport
-from logs.vehicle import VehicleParameters
-from planners.dp_qp.lane.config import LaneConfig
-from planners.dp_qp.lane.memory import FORGET_S, LaneMemory, PassWay
-from planners.dp_qp.path.stage import ChosenPath, PathConfig, PathStage
-from planners.dp_qp.scene.caps import PassTarget
+from planners.dp_qp.config import DpQpConfig
+from planners.dp_qp.path.bounds import InTheWay
+from planners.dp_qp.path.stage import ChosenPath, PathMemory, PathStage
+from planners.dp_qp.scene.caps import SpeedTask
 from planners.dp_qp.scene.goal_window import GoalWindow, SpeedTarget
-from planners.dp_qp.scene.moving_obstacles import along_lane, gone_on, pass_targets
-from planners.dp_qp.speed.stage import ChosenSpeed, SpeedConfig, SpeedStage, SpeedTask
+from planners.dp_qp.scene.moving_obstacles import PassTarget, along_lane, gone_on, pass_targets
+from planners.dp_qp.speed.stage import ChosenSpeed, SpeedMemory, SpeedStage
 from planners.frenet.lane_sequence import LaneSequence
 from planners.frenet.occupancy import on_path
 from planners.frenet.scene import TRACK_M, Scene, behind, scene_of
-from planners.piecewise_jerk.solvers import DEFAULT
-from planners.rules import Rulebook
+from planners.rules import Rulebook, RuleMemory
 
+FORGET_S = 0.5
+"""A lane that was not planned for so long is planned as if for the first time, s."""
 LOST_M = 15.0
 """A start that is farther from the last one is looked for anew: its foot point is not near the last one's, m."""
 Term = tuple[str, float]
 """A term of a cost, by name, s."""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class PassWay:
+    """Those that a plan is to pass while they go on, and what the path stage is given for it."""
+
+    targets: tuple[PassTarget, ...]
+    way: InTheWay
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LaneMemory:
+    """What is remembered of the frames before, in one lane; a fresh frame is `LaneMemory()`.
+
+    Attributes:
+        t: When it was planned last, s.
+        place: x, y and station of the last start, m; None: unknown.
+        path: Of the path stage; `speed` of the speed stage; `rules` of the rules.
+    """
+
+    t: float = -inf
+    place: tuple[float, float, float] | None = None
+    path: PathMemory = field(default_factory=PathMemory)
+    speed: SpeedMemory = field(default_factory=SpeedMemory)
+    rules: RuleMemory = field(default_factory=RuleMemory)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -99,19 +122,20 @@ class LanePlan:
 class LanePlanner:
     """Plans in one lane sequence; what it remembers is handed in and out."""
 
-    def __init__(
-        self, lane: LaneSequence, rules: Rulebook, goal: Goal | None, vehicle: VehicleParameters, path: PathConfig,
-        speed: SpeedConfig, *, passes_left: bool, lap: Callable[[str], None], solver: str = DEFAULT,
-        config: LaneConfig | None = None,
-    ) -> None:  # fmt: skip
-        self.lane, self._rules, self._config = lane, rules, config or LaneConfig()
-        self._goal = GoalWindow(goal, lane.reference, vehicle, speed.qp.comfort.accel_mps2)
-        self._vehicle, self._horizon = vehicle, speed.qp.horizon
-        self._path = PathStage(
-            vehicle, path, self._goal, horizon=speed.qp.horizon, curve_accel_mps2=speed.qp.curve_accel_mps2,
-            passes_left=passes_left, lap=lap, solver=solver,
+    def __init__(self, lane: LaneSequence, context: PlannerContext, config: DpQpConfig | None = None) -> None:
+        config = config or DpQpConfig()
+        qp, self._vehicle = config.speed.qp, context.vehicle
+        self.lane, self._config, self._horizon = lane, config.lane, qp.horizon
+        self._rules = Rulebook(
+            context.road, lane.reference, context.vehicle,
+            curve_accel_mps2=qp.curve_accel_mps2, ease_mps2=qp.ease_mps2, config=config.rules,
         )  # fmt: skip
-        self._speed = SpeedStage(vehicle, speed, lap, solver)
+        self._goal = GoalWindow(context.goal, lane.reference, context.vehicle, qp.comfort.accel_mps2)
+        self._path = PathStage(
+            context, config.path, self._goal, horizon=qp.horizon, curve_accel_mps2=qp.curve_accel_mps2,
+            solver=config.solver,
+        )  # fmt: skip
+        self._speed = SpeedStage(context, config.speed, config.solver)
 
     @property
     def places(self) -> tuple[float, ...]:
@@ -144,13 +168,13 @@ class LanePlanner:
             standing = {name: room for name, room in path.passed.items() if name not in moving}
             stops, rules = self._rules.stops(scene, memory.rules, frozenset(standing))
             task = SpeedTask(
-                standing,
-                behind(scene, keeps_track=path.shift < TRACK_M and past is None),
-                on_path(stops, path.path, self._vehicle),
-                past.targets if past else self._beside(scene),
-                past is not None,
-                self._goal,
-                target,
+                passed=standing,
+                skip=behind(scene, keeps_track=path.shift < TRACK_M and past is None),
+                stops=on_path(stops, path.path, self._vehicle),
+                targets=past.targets if past else self._beside(scene),
+                is_pass=past is not None,
+                goal=self._goal,
+                target=target,
             )
             speed, speed_memory = self._speed.choose(scene, path.path, task, memory.speed)
         plan = LanePlan(name, self.lane, scene, path, speed, self._costs(name, scene, speed, target))

@@ -27,7 +27,7 @@ from logs.vehicle import VehicleParameters
 from planners.dp_qp.path.corridor import Borrowed, lane_edges, narrowed_beside, room_beside
 from planners.frenet.occupancy import Occupancy
 from planners.frenet.reference_path import ReferencePath
-from planners.frenet.scene import Scene
+from planners.frenet.scene import Bodies, Scene
 
 SIDES = {DecisionKind.NUDGE_LEFT: 1.0, DecisionKind.NUDGE_RIGHT: -1.0}
 """The decisions to pass, by the side as kernels take it."""
@@ -135,40 +135,39 @@ def standing_obstacles(scene: Scene, length: float, *, facing: bool = False) -> 
     """
     if not scene.standing.any():
         return ()
-    agents, line, ego = scene.frame.agents, scene.reference.line, scene.frame.ego
-    rows, boxes = _standing_boxes(
-        line.s, line.coef, agents.x, agents.y, agents.yaw, agents.length, agents.width, scene.standing, scene.agents.s,
-        ego.x, ego.y, length + NEAR_PATH_M,
-    )  # fmt: skip
+    ids, line, ego, road = scene.frame.agents.ids, scene.reference.line, scene.frame.ego, scene.road
+    left, right = (road.facing_left, road.facing_right) if facing else (road.road_left, road.road_right)
+    near = ego.x, ego.y, length + NEAR_PATH_M
+    rows, boxes = _standing_boxes(line.s, line.coef, scene.bodies, scene.standing, scene.agents.s, left, right, near)
     if not len(rows):
         return ()
-    road = scene.reference.at(scene.agents.s[rows])
-    left, right = (road.facing_left, road.facing_right) if facing else (road.road_left, road.road_right)
+    begin, end = scene.rear, scene.front + length
     found = [
-        Occupancy(agents.ids[i], s_from, s_to, l_from, l_to)
-        for i, (s_from, s_to, l_from, l_to), leftmost, rightmost in zip(rows, boxes.tolist(), left, right, strict=True)
-        if s_to > scene.rear and s_from < scene.front + length
-        and l_from < leftmost + NEAR_ROAD_M and l_to > rightmost - NEAR_ROAD_M
-    ]  # fmt: skip
+        Occupancy(ids[i], *box)
+        for i, box in zip(rows.tolist(), boxes.tolist(), strict=True)
+        if box[1] > begin and box[0] < end
+    ]
     return tuple(sorted(found, key=lambda box: (box.s_from, box.agent)))
 
 
 @kernel
 def _standing_boxes(
-    knots: FloatArray, coef: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, length: FloatArray,
-    width: FloatArray, standing: BoolArray, s: FloatArray, x_ego: float, y_ego: float, reach: float,
+    knots: FloatArray, coef: FloatArray, bodies: Bodies, standing: BoolArray, s: FloatArray, left: FloatArray,
+    right: FloatArray, near: tuple[float, float, float],
 ) -> tuple[IntArray, FloatArray]:  # fmt: skip
-    """Who stands within `reach` m of the ego `(b,)`, and their stations and offsets, from and to `(b, 4)`, m.
+    """Who stands on the road, or near its edge, `(b,)`, and their stations and offsets, from and to `(b, 4)`, m.
 
-    By the feet of their corners and of the middles of their sides, between which a curve bulges; `s` are their
-    stations.
+    By the feet of their corners and of the middles of their sides, between which a curve bulges. `s` are the stations
+    of all `(n,)`, `left` and `right` the road's edges there, `near` a place x, y and how far around it they are looked
+    for, m.
     """
+    x, y, length = bodies.x, bodies.y, bodies.length
     rows, boxes = np.empty(len(x), np.int64), np.empty((len(x), 4))
     count = 0
     for i in range(len(x)):
-        if not standing[i] or hypot(x[i] - x_ego, y[i] - y_ego) >= reach:
+        if not standing[i] or hypot(x[i] - near[0], y[i] - near[1]) >= near[2]:
             continue
-        outline = corners(x[i], y[i], yaw[i], length[i], width[i])
+        outline = corners(x[i], y[i], bodies.yaw[i], length[i], bodies.width[i])
         box, guess = boxes[count], s[i]
         box[0], box[1], box[2], box[3] = np.inf, -np.inf, np.inf, -np.inf
         for k in range(8):
@@ -178,8 +177,9 @@ def _standing_boxes(
             guess, l = line_project(knots, coef, px, py, guess, 10.0 + length[i])  # noqa: E741
             box[0], box[1] = min(box[0], guess), max(box[1], guess)
             box[2], box[3] = min(box[2], l), max(box[3], l)
-        rows[count] = i
-        count += 1
+        if box[2] < left[i] + NEAR_ROAD_M and box[3] > right[i] - NEAR_ROAD_M:
+            rows[count] = i
+            count += 1
     return rows[:count].copy(), boxes[:count].copy()
 
 
@@ -227,10 +227,9 @@ def free_sides(scene: Scene, config: CorridorConfig) -> tuple[bool, bool]:
     near = ~scene.standing & (ahead > -config.neighbour_behind_m) & (ahead < config.neighbour_ahead_m)
     if not near.any():
         return True, True
-    road, l = scene.reference.at(scene.agents.s[near]), scene.agents.l[near]  # noqa: E741
-    half = 0.5 * scene.frame.agents.width[near]
-    on_left = (road.lane_left - half < l) & (l < road.road_left + half)
-    on_right = (road.road_right - half < l) & (l < road.lane_right + half)
+    road, l, half = scene.road, scene.agents.l, 0.5 * scene.bodies.width  # noqa: E741
+    on_left = near & (road.lane_left - half < l) & (l < road.road_left + half)
+    on_right = near & (road.road_right - half < l) & (l < road.lane_right + half)
     return not on_left.any(), not on_right.any()
 
 
@@ -278,22 +277,19 @@ def side_choices(
     """What can be done about obstacles within the bounds of the ego's points."""
     if not obstacles:
         return []
-    rooms = space.room(obstacles, vehicle, config)
-    return [_choice(box, room, vehicle, config) for box, room in zip(obstacles, rooms, strict=True)]
-
-
-def _choice(box: Occupancy, room: list[float], vehicle: VehicleParameters, config: CorridorConfig) -> SideChoice:
-    lower, upper = room
-    if lower == -np.inf:
-        return SideChoice(box, 0.0, 0.0, Decision(box.agent, DecisionKind.IGNORE, "path", "beyond the path"))
-    left, right = side_gaps(box, lower, upper, vehicle)
-    settled = None
-    if max(left, right) > upper - lower + config.clearance_m:
-        settled = Decision(box.agent, DecisionKind.IGNORE, "path", "is beside the corridor")
-    elif max(left, right) < config.min_clearance_m:
-        reason = f"no room: {max(left, 0.0):.2f} m left, {max(right, 0.0):.2f} m right"
-        settled = Decision(box.agent, DecisionKind.STOP, "path", reason)
-    return SideChoice(box, left, right, settled)
+    found = []
+    for box, (lower, upper) in zip(obstacles, space.room(obstacles, vehicle, config), strict=True):
+        left, right = side_gaps(box, lower, upper, vehicle)
+        settled, most = None, max(left, right)
+        if lower == -np.inf:
+            settled = Decision(box.agent, DecisionKind.IGNORE, "path", "beyond the path")
+        elif most > upper - lower + config.clearance_m:
+            settled = Decision(box.agent, DecisionKind.IGNORE, "path", "is beside the corridor")
+        elif most < config.min_clearance_m:
+            reason = f"no room: {max(left, 0.0):.2f} m left, {max(right, 0.0):.2f} m right"
+            settled = Decision(box.agent, DecisionKind.STOP, "path", reason)
+        found.append(SideChoice(box, left, right, settled))
+    return found
 
 
 def narrowed(

@@ -23,8 +23,7 @@ import numpy as np
 
 from logs.kernel import TIE, BoolArray, FloatArray, inner_kernel, kernel
 from planners.dp_qp.path.steering import AHEAD, COMFORT, HARD, bounded, swing_of
-from planners.frenet.path import MIN_REGULAR
-from planners.frenet.quintic import quintic
+from planners.frenet.path import MIN_REGULAR, quintic
 from planners.frenet.reference_path import Section, sections
 from planners.piecewise_jerk.problem import DDDX, DDX, DX, LEADS, X
 
@@ -129,7 +128,7 @@ def road_ahead(
     towards(points, sides, standing)
     widened(points[S], points[LOWER], points[UPPER], ego.start)
     widened(points[S], points[LEAST], points[MOST], ego.start)
-    references, rows = loosened(along, points, points[LOWER], points[UPPER], HERE, ego, step, middle)
+    references, rows = loosened(along, points, points[LOWER], points[UPPER], np.empty(0), ego, step, middle)
     return RoadAhead(along, points, references, rows)
 
 

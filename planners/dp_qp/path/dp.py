@@ -26,7 +26,7 @@ from typing import NamedTuple
 import numpy as np
 
 from logs.kernel import TIE, FloatArray, IntArray, inner_kernel, kernel
-from planners.frenet.quintic import quintic
+from planners.frenet.path import quintic
 
 COLLISION = 1e4
 """Cost of a metre of way inside a box (3): more than any detour."""

@@ -15,9 +15,11 @@ Otherwise the ego waits `WAIT_M` before it, from where it can still steer round 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray
+from logs.kernel import FloatArray
 from logs.road import line_project_many
 from logs.vehicle import VehicleParameters
 from planners.dp_qp.path.bounds import CorridorConfig, PathBounds, side_gaps, swing_span
@@ -41,16 +43,19 @@ ROOM_M = 0.5
 """Room that the oncoming lane must leave beside the ego for it to be worth waiting for, m."""
 
 
-def widest_gap(reference: ReferencePath, box: Occupancy, *, oncoming: bool = False) -> float:
-    """Between a box and the road's edge at the box's middle, on the side where there is more, m."""
-    road = reference.at(np.array([box.s_middle]))
+def widest_gaps(reference: ReferencePath, boxes: Sequence[Occupancy], *, oncoming: bool = False) -> list[float]:
+    """Between each box and the road's edge at the box's middle, on the side where there is more, m."""
+    if not boxes:
+        return []
+    road = reference.at(np.array([box.s_middle for box in boxes]))
     left, right = (road.facing_left, road.facing_right) if oncoming else (road.road_left, road.road_right)
-    return float(max(left[0] - box.l_to, box.l_from - right[0]))
+    edges = zip(boxes, left.tolist(), right.tolist(), strict=True)
+    return [max(most - box.l_to, box.l_from - least) for box, most, least in edges]
 
 
-def may_block(scene: Scene, obstacles: tuple[Occupancy, ...]) -> bool:
+def may_block(scene: Scene, obstacles: Sequence[Occupancy]) -> bool:
     """Whether an agent leaves less than the ego's width on both sides of the road, or nearly."""
-    return min((widest_gap(scene.reference, box) for box in obstacles), default=np.inf) < scene.vehicle.width + NEARLY_M
+    return min(widest_gaps(scene.reference, obstacles), default=np.inf) < scene.vehicle.width + NEARLY_M
 
 
 def blocking(
@@ -91,12 +96,17 @@ def passed_by_oncoming_lane(
     for box in blocked:
         begin, end = swing_span(box, frame.ego.v, car)
         place = box.s_to + car.rear_overhang + BACK_M
-        lasts = (place - scene.s) / v if stations is None else _reached(place, futures.t - frame.t, stations)  # (2)
+        lasts = (place - scene.s) / v  # (2)
+        if stations is not None:
+            is_reached = len(futures.t) > 0 and stations[-1] >= place
+            lasts = float(futures.t[np.argmax(stations >= place)] - frame.t) if is_reached else np.inf
         back = frame.t + lasts + config.facing_margin_s
         if scene.front < box.s_from:
             if not len(futures.t) or back > futures.t[-1]:
                 continue
-            now, rows = futures.t <= back, (others & ~_leaves_room(scene, box, config))[futures.agent]
+            aside = np.abs(scene.agents.l - 0.5 * (box.l_from + box.l_to)) - 0.5 * (box.l_to - box.l_from)
+            fits = scene.standing & (aside - 0.5 * agents.width > car.width + 2.0 * config.min_clearance_m)
+            now, rows = futures.t <= back, (others & ~fits)[futures.agent]
             x, y = futures.x[rows][:, now].ravel(), futures.y[rows][:, now].ravel()
             near = np.hypot(x - frame.ego.x, y - frame.ego.y) < end - scene.s + 30.0
             feet = line_project_many(line.s, line.coef, x[near], y[near], scene.s, 250.0)
@@ -106,13 +116,6 @@ def passed_by_oncoming_lane(
                 continue
         found.append(box.agent)
     return frozenset(found)
-
-
-def _leaves_room(scene: Scene, box: Occupancy, config: CorridorConfig) -> BoolArray:
-    """Which agents `(n,)` stand so far aside of a box that the ego fits between them."""
-    aside = np.abs(scene.agents.l - 0.5 * (box.l_from + box.l_to)) - 0.5 * (box.l_to - box.l_from)
-    needed = scene.vehicle.width + 2.0 * config.min_clearance_m
-    return np.asarray(scene.standing & (aside - 0.5 * scene.frame.agents.width > needed))
 
 
 def _in_sight(scene: Scene, place: float, lasts: float) -> bool:
@@ -130,11 +133,6 @@ def _in_sight(scene: Scene, place: float, lasts: float) -> bool:
     return not view.hides(np.reshape(points, (-1, 2))).any()
 
 
-def _reached(place: float, t: FloatArray, stations: FloatArray) -> float:
-    """When stations `(k,)` at times `t` reach a place; inf where they do not."""
-    return float(t[np.argmax(stations >= place)]) if len(t) and stations[-1] >= place else np.inf
-
-
 def _meets_oncoming(reference: ReferencePath, feet: FloatArray, width: float, span: tuple[float, float, float]) -> bool:
     """Whether points (s, l) `(n, 2)` come on the oncoming lane between the ego and the end of the passing."""
     s_ego, begin, end = span
@@ -147,10 +145,11 @@ def _meets_oncoming(reference: ReferencePath, feet: FloatArray, width: float, sp
 
 def waiting_place(scene: Scene, blocked: tuple[Occupancy, ...], passed: frozenset[str]) -> float:
     """Station of the rear axle to wait at for the oncoming lane, m; inf where there is none or no need to wait."""
-    car = scene.vehicle
+    car, waits = scene.vehicle, [box for box in blocked if box.agent not in passed]
+    gaps = widest_gaps(scene.reference, waits, oncoming=True)
     places = [
         box.s_from - car.axle_to_front - WAIT_M
-        for box in blocked
-        if box.agent not in passed and widest_gap(scene.reference, box, oncoming=True) > car.width + ROOM_M
+        for box, gap in zip(waits, gaps, strict=True)
+        if gap > car.width + ROOM_M
     ]
     return min(places, default=np.inf)

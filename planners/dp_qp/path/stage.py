@@ -7,8 +7,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from logs.agents import AgentKind
+from logs.frame import PlannerContext
 from logs.kernel import TIE, FloatArray
-from logs.scenario import AgentKind
 from logs.trace import (
     Artefact,
     Corridor,
@@ -19,7 +20,6 @@ from logs.trace import (
     SlGraph,
     SolverReport,
 )
-from logs.vehicle import VehicleParameters
 from planners.dp_qp.path import bounds
 from planners.dp_qp.path.bounds import SIDES, CorridorConfig, InTheWay, PathBounds
 from planners.dp_qp.path.corridor import HERE, KNOT, LOWER, SWING, UPPER, Ego, RoadAhead, S, loosened, road_ahead
@@ -134,15 +134,16 @@ class PathStage:
     """Chooses the path of each frame along one reference path."""
 
     def __init__(
-        self, vehicle: VehicleParameters, config: PathConfig, goal: GoalWindow, *, horizon: float,
-        curve_accel_mps2: float, passes_left: bool, lap: Callable[[str], None], solver: str = DEFAULT,
+        self, context: PlannerContext, config: PathConfig, goal: GoalWindow, *, horizon: float, curve_accel_mps2: float,
+        solver: str = DEFAULT,
     ) -> None:  # fmt: skip
-        self._vehicle, self._config, self._lap = vehicle, config, lap
-        self._goal, self._horizon, self._solver = goal, horizon, solver
-        self._rows = config.dp.offsets(passes_left=passes_left)
+        car = self._vehicle = context.vehicle
+        self._config, self._goal, self._solver, self._lap = config, goal, solver, context.lap
+        self._horizon = horizon
+        self._rows = config.dp.offsets(passes_left=context.road.drives_on_right)
         self._programs: dict[float, PathQp] = {}
-        self._leads = np.array([0.0, vehicle.axle_to_front])
-        self._car = np.array([vehicle.max_kappa, vehicle.max_steer_rate / vehicle.wheelbase, curve_accel_mps2])
+        self._leads = np.array([0.0, car.axle_to_front])
+        self._car = np.array([car.max_kappa, car.max_steer_rate / car.wheelbase, curve_accel_mps2])
 
     def choose(self, scene: Scene, memory: PathMemory, moving: InTheWay | None = None) -> tuple[ChosenPath, PathMemory]:
         """The path from the scene's start, past those who move, too; and what is remembered."""
@@ -330,16 +331,15 @@ class PathStage:
         low, high = found.narrow.reported(
             *(of[points] - road.points[SWING] for of in (found.problem.lower, found.problem.upper))
         )
-        boxes = zip(way.obstacles, found.decisions, strict=True)
+        obstacles = []
+        for box, decision in zip(way.obstacles, found.decisions, strict=True):
+            s, l = (box.s_from, box.s_to), (box.l_from, box.l_to)  # noqa: E741
+            outline = np.array([(s[0], l[0]), (s[1], l[0]), (s[1], l[1]), (s[0], l[1])])
+            obstacles.append(GraphObstacle(box.agent, outline, decision.kind))
         return SlGraph(
             GridCost(grid.stations, self._rows, grid.cost, grid.chosen) if grid is not None else None,
             Corridor(knots, low, high),
             np.column_stack([knots, grid.offsets(knots)]) if grid is not None else np.empty((0, 2)),
             np.column_stack([knots, offsets[0]]) if offsets is not None else np.empty((0, 2)),
-            tuple(_outlined(box, decision.kind) for box, decision in boxes),
+            tuple(obstacles),
         )
-
-
-def _outlined(box: Occupancy, kind: DecisionKind) -> GraphObstacle:
-    s, l = (box.s_from, box.s_to), (box.l_from, box.l_to)  # noqa: E741
-    return GraphObstacle(box.agent, np.array([(s[0], l[0]), (s[1], l[0]), (s[1], l[1]), (s[0], l[1])]), kind)

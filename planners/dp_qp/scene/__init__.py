@@ -1,1 +1,1 @@
-"""What lies in the ego's way, or asks it to drive slower: one file per reason."""
+"""What asks the ego to drive slower, where its goal is, and who is passed while they go on."""

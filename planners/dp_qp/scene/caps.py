@@ -1,29 +1,77 @@
 """Speed caps: every reason to drive slower than the road allows is a stretch of the path with a speed.
 
-A producer is a function `caps(view) -> tuple[SpeedCap, ...]`, one file each in this folder and one line in `producers`.
-`lowered` takes the minimum and makes the decisions:
-
 (1) limit(sigma) = min(road(sigma), v of the caps with s_from < sigma <= s_to)
-(2) A cap that is a bound is kept exactly; above any other limit the profile has some room (`speed.stage`).
+(2) A cap that is a bound is kept exactly; above any other limit the profile has some room (`speed.problem`).
+
+A producer is a function `caps(view: PathView) -> tuple[SpeedCap, ...]`; a new one is one line in `OWN` or `OTHERS`.
+
+Most producers ask how fast the ego may pass someone who may come into its way with the speed w (`CautionConfig`: UN
+R157 asks that pedestrians of up to 5 km/h are avoided) from d m beside its side. They need d / w. The ego with its
+front x before them passes first, or it stops:
+
+(3) x / v <= d / w                        (4) v T + v^2 / (2 b) <= x              T: reaction, b: deceleration
+
+There is an x at which it can do neither where the greatest x of (3) is less than the least of (4), so that
+
+(5) v <= max(2 b (d / w - T), `LEAST_MPS`)
+
+keeps the ego safe wherever they come from; at `LEAST_MPS` it creeps past in any case. The cap holds for the front
+beside them; before it, the limit is lowered so that the cap is reached comfortably (`profiles.limit_profile`). It holds
+for those who go along the lane (from as far before them as it takes to stop), for pedestrians and riders who came to
+the path and stand beside it now, and for whoever may step out of hidden ground: in the shadow of agents that do not
+drive, but not where an agent is. The radius of a person belongs to d there. Ground is judged as it is seen now; on
+coming nearer more is seen, and the limit rises. Beyond the sensor's range nothing is seen: there (4) alone limits the
+speed, with x its range.
+
+(6) v <= v_limit max(d / `ROOM_M`, `NUDGE_SHARE`)     beside those who stand, where the path leaves less than `ROOM_M`
+    (the share is Apollo's `static_obs_nudge_speed_ratio`)
+(7) v <= sqrt(`SWERVE_MPS2` / |kappa - kappa_r|)      where the path swerves from the reference line to pass those that
+    the ego could follow instead
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from math import inf, pi, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
-from logs.kernel import BoolArray, FloatArray
+from logs.agents import AgentKind
+from logs.frame import Visibility
+from logs.kernel import TIE, BoolArray, FloatArray, kernel
+from logs.scenario import Agents
 from logs.trace import Decision, DecisionKind
+from logs.vehicle import VehicleParameters
 from planners.dp_qp.scene.goal_window import GoalWindow, SpeedTarget
-from planners.frenet.occupancy import Occupancy
+from planners.dp_qp.scene.moving_obstacles import NEAR_M, PassTarget
+from planners.frenet.occupancy import Occupancy, open_end
 from planners.frenet.path import Path
 from planners.frenet.scene import Scene
 from planners.frenet.st_boundaries import StBoundaries
+from planners.rules.windows import TOWARDS_MPS
 
 WORTH_MPS = 0.5
 """A cap is reported as a decision where it lowers the limit by more than this, m/s."""
+REACTION_S = 0.5
+"""T, s, until the brake bites: a frame, the sensor's latency, the brake's dead time and lag."""
+LEAST_MPS = 2.5
+"""The ego creeps past with this in any case (5), m/s."""
+PERSON_M = 0.3
+"""Radius of who steps out of hidden ground, m."""
+LOOK_M = 60.0
+"""So far ahead hidden ground and those who stand beside the path are looked for, m ..."""
+STEP_M = 1.0
+"""... in steps of this, m."""
+SIDE_M = 0.25 * np.arange(1, 15)
+"""Distances from the ego's side at which ground is looked at, m; beyond the last it does not limit a car's speed."""
+ROOM_M = 0.5
+"""Room beside those who stand with which the ego passes at the limit (6), m."""
+NUDGE_SHARE = 0.6
+"""Of the limit, where there is hardly any (6)."""
+SWERVE_MPS2 = 1.6
+"""Lateral acceleration of a swerve (7), m/s2."""
 
 
 @dataclass(frozen=True)
@@ -43,24 +91,6 @@ class CautionConfig:
     def __post_init__(self) -> None:
         if not min(self.walk_mps, self.ride_mps) > 0.0:
             raise ValueError("walk_mps and ride_mps must be positive")
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class PassTarget:
-    """Who goes along the lane slower than the ego, and is to be passed.
-
-    Attributes:
-        agent: Index into the frame's agents.
-        box: The stations and offsets at which they are while the ego is beside them.
-        begin: Station of the ego's rear axle at which it comes beside them, m; `end` at which it is past them.
-        places: Where they are predicted meanwhile `(n, 2)`, m.
-    """
-
-    agent: int
-    box: Occupancy
-    begin: float
-    end: float
-    places: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,35 +114,48 @@ class SpeedCap:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
+class SpeedTask:
+    """What the speed stage is asked on a path.
+
+    Attributes:
+        passed: The room that the path leaves to each agent that it passes while they stand, m.
+        skip: Agents who follow behind `(agents,)`.
+        stops: That the rules demand on the path.
+        targets: Those who go along the lane where the ego comes beside them.
+        is_pass: Whether the path swings out to pass them.
+        goal: The goal along the lane; `target` what it asks now.
+    """
+
+    passed: Mapping[str, float]
+    skip: BoolArray
+    stops: tuple[Occupancy, ...]
+    targets: tuple[PassTarget, ...]
+    is_pass: bool
+    goal: GoalWindow
+    target: SpeedTarget
+
+
+@dataclass(frozen=True, eq=False, slots=True)
 class PathView:
     """A scene on the path that was chosen: what the producers of caps look at.
 
     Attributes:
         scene: The scene.
         path: The path.
+        task: Who is passed on it, the stops and the goal.
         limit: The road's speed limit along it `(m,)`, m/s.
         taken: When which part of it is taken, and by which agent.
-        passed: The room that it leaves to each agent that it passes while they stand, m.
-        stops: That the rules demand on it.
-        targets: Those who go along the lane where the ego comes beside them.
-        is_pass: Whether the path swings out to pass them.
-        goal: The goal along the lane; `target` what it asks now.
         came: Who came to the path and when, s.
-        hard_mps2: Deceleration with which the ego must be able to stop for who steps out.
+        hard_mps2: Deceleration with which the ego must be able to stop for who steps out (b).
         margin_m: An agent that the path comes nearer to than this is followed, not passed.
         caution: How fast others may come into the way.
     """
 
     scene: Scene
     path: Path
+    task: SpeedTask
     limit: FloatArray
     taken: StBoundaries
-    passed: Mapping[str, float]
-    stops: tuple[Occupancy, ...]
-    targets: tuple[PassTarget, ...]
-    is_pass: bool
-    goal: GoalWindow
-    target: SpeedTarget
     came: Mapping[str, float]
     hard_mps2: float
     margin_m: float
@@ -149,3 +192,185 @@ def lowered(sigma: FloatArray, road: LoweredLimit, caps: Sequence[SpeedCap]) -> 
             reported[cap.agent] = min(reported.get(cap.agent, cap), cap, key=lambda each: each.v)
     decisions = (Decision(cap.agent, DecisionKind.YIELD, "speed", cap.reason) for cap in reported.values())
     return LoweredLimit(v, bound, (*road.decisions, *decisions))
+
+
+def avoidable_speed(d: float, w: float, decel: float) -> float:
+    """(5): the speed at which the ego passes first or stops for who comes with `w` m/s from `d` m aside, m/s."""
+    return max(2.0 * decel * (d / w - REACTION_S), LEAST_MPS)  # (5)
+
+
+def stopping_speed(x: float, decel: float) -> float:
+    """The speed of which (4) needs just `x` m, m/s."""
+    return decel * (sqrt(REACTION_S**2 + 2.0 * x / decel) - REACTION_S) if x < inf else inf  # (4)
+
+
+def goal_and_rules_caps(view: PathView) -> tuple[SpeedCap, ...]:
+    """No sooner than the goal's time, no faster in its region than it says (`goal_window`), not beyond an open stop."""
+    target, found = view.task.target, []
+    if target.cap < inf:
+        found.append(SpeedCap(-inf, view.arc(target.until), target.cap, is_bound=False))
+    if target.stop < inf:
+        found.append(SpeedCap(view.arc(target.stop), inf, 0.0, is_bound=False))
+    slow = view.task.goal.slow_zone
+    if slow is not None:
+        begin, end, v = slow
+        found.append(SpeedCap(view.arc(begin), view.arc(end), v, is_bound=False))
+    begin = open_end(view.task.stops) if view.task.stops else inf
+    if begin < inf:
+        found.append(SpeedCap(begin - TIE, inf, 0.0, is_bound=False))
+    return tuple(found)
+
+
+def passing_caps(view: PathView) -> tuple[SpeedCap, ...]:
+    """(6) beside those who stand and are passed, (5) beside those who go along the lane.
+
+    Of these, who comes nearer to the path than the margin is followed, in the S-T graph.
+    """
+    scene, path, agents, found = view.scene, view.path, view.scene.frame.agents, []
+    for name, d in view.task.passed.items():
+        if d < ROOM_M:
+            i = agents.ids.index(name)
+            s, half = float(scene.agents.s[i]), 0.5 * float(agents.length[i])
+            begin, end = s - half - scene.vehicle.axle_to_front, s + half + scene.vehicle.rear_overhang
+            v = max(d / ROOM_M, NUDGE_SHARE) * float(np.interp(s, path.s, view.limit))  # (6)
+            reason = f"stands {d:.2f} m beside the path: passed at {v:.1f} m/s"
+            found.append(SpeedCap(view.arc(begin), view.arc(end), v, name, reason))
+    for one in view.task.targets:
+        at = (path.s > one.begin - NEAR_M) & (path.s < one.end + NEAR_M)
+        if not at.any():
+            continue
+        away = np.hypot(path.x[at, None] - one.places[:, 0], path.y[at, None] - one.places[:, 1])
+        d = float(away.min()) - 0.5 * float(scene.vehicle.width + agents.width[one.agent])
+        if d < view.margin_m:
+            continue
+        is_rider = agents.kinds[one.agent] is AgentKind.BICYCLE
+        v = avoidable_speed(d, view.caution.ride_mps if is_rider else view.caution.walk_mps, view.hard_mps2)
+        begin = view.arc(one.begin - (v * REACTION_S + v * v / (2.0 * view.hard_mps2)))
+        reason = f"goes along the lane: passed with {d:.1f} m and at {v:.1f} m/s, so that the ego could stop for them"
+        found.append(SpeedCap(begin, view.arc(one.end + NEAR_M), v, agents.ids[one.agent], reason))
+    return tuple(found)
+
+
+def swerve_caps(view: PathView) -> tuple[SpeedCap, ...]:
+    """(7) at each point of a path that passes an agent that moves, where it is below the road's limit."""
+    if not view.task.is_pass:
+        return ()
+    path, line = view.path, view.scene.reference.line
+    swerved = np.abs(path.kappa - np.interp(path.s, line.s, line.kappa))
+    v = np.sqrt(SWERVE_MPS2 / np.maximum(swerved, 1e-6))  # (7)
+    before = np.r_[-np.inf, path.sigma[:-1]]
+    return tuple(
+        SpeedCap(float(before[i]), float(path.sigma[i]), float(v[i]), is_bound=False)
+        for i in np.flatnonzero(v < view.limit)
+    )
+
+
+def came_to_path(
+    scene: Scene, taken: StBoundaries, came: Mapping[str, float], hesitates_s: float
+) -> Mapping[str, float]:
+    """Which pedestrians and riders took the path last when, s, for the frames to come.
+
+    `came` is that of the frames before; who took it longer ago than `hesitates_s` is forgotten.
+    """
+    if not (came or len(taken)):
+        return came
+    t, agents = scene.frame.t, scene.frame.agents
+    now = {agents.ids[i]: t for i in taken.agent if scene.vulnerable[i]}
+    return {name: since for name, since in {**came, **now}.items() if t - since <= hesitates_s}
+
+
+def hesitation_caps(view: PathView) -> tuple[SpeedCap, ...]:
+    """(5) beside each who came to the path, does not take it now, and stands: they may set off again at any moment."""
+    if not view.came:
+        return ()
+    scene, path, agents, found = view.scene, view.path, view.scene.frame.agents, []
+    taking = set(view.taken.agent.tolist())
+    for i, name in enumerate(agents.ids):
+        if name not in view.came or i in taking or scene.speed[i] >= TOWARDS_MPS:
+            continue
+        away = np.hypot(path.x - agents.x[i], path.y - agents.y[i])
+        nearest = int(np.argmin(away))
+        ahead = float(path.sigma[nearest]) - scene.vehicle.axle_to_front
+        if not 0.0 < ahead < LOOK_M:
+            continue
+        d = float(away[nearest]) - 0.5 * (scene.vehicle.width + max(agents.length[i], agents.width[i]))
+        v = avoidable_speed(d, view.caution.walk_mps, view.hard_mps2)
+        where = f"stands {d:.1f} m beside it, {ahead:.0f} m ahead"
+        reason = f"came to the path and {where}: could be avoided at {v:.1f} m/s"
+        found.append(SpeedCap(ahead - STEP_M, ahead, v, name, reason))
+    return tuple(found)
+
+
+def hidden_ground_caps(view: PathView) -> tuple[SpeedCap, ...]:
+    """(5) beside hidden ground, up to the first agent who is in the way and sees beyond; (4) for the sensor's range."""
+    seen, scene = view.scene.frame.visibility, view.scene
+    if seen is None:
+        return ()
+    front, until = scene.vehicle.axle_to_front, min(view.taken.first + scene.vehicle.axle_to_front, LOOK_M)
+    found = [SpeedCap(-inf, inf, stopping_speed(seen.range, view.hard_mps2))]
+    for s, d in hidden_beside(view.path, seen, scene.frame.agents, scene.vehicle, until, view.caution.walk_mps):
+        v = avoidable_speed(d - PERSON_M, view.caution.walk_mps, view.hard_mps2)
+        where = f"{s - front:.0f} m ahead, {d:.1f} m beside"
+        reason = f"who steps out of the hidden ground {where}, could be avoided at {v:.1f} m/s"
+        found.append(SpeedCap(s - front - STEP_M, s - front, v, "hidden ground", reason))
+    return tuple(found)
+
+
+class Hidden(NamedTuple):
+    """Hidden ground beside the path: `s` m along it, `d` m from the ego's side."""
+
+    s: float
+    d: float
+
+
+def hidden_beside(
+    path: Path, view: Visibility, agents: Agents, vehicle: VehicleParameters, until: float, walk: float
+) -> list[Hidden]:
+    """The nearest hidden ground on either side of the path, at most one per point, from the front to `until` m.
+
+    Shadows of agents who are faster than `walk`, m/s, do not count: pedestrians do not come out behind them.
+    """
+    shadows = view.shadows
+    if len(agents):
+        near = 0.5 * (shadows[:, 0] + shadows[:, 3])
+        away = np.hypot(near[:, :1] - agents.x, near[:, 1:] - agents.y)
+        caster = np.argmin(away, axis=1)
+        shadows = shadows[~((agents.speed[caster] > walk) & (away.min(axis=1) < agents.length[caster]))]
+    if not len(shadows):
+        return []
+    ahead = np.arange(vehicle.axle_to_front, until, STEP_M)
+    at = np.searchsorted(path.sigma, ahead[ahead < path.length])
+    side = 0.5 * vehicle.width + np.r_[SIDE_M, SIDE_M]
+    side[len(SIDE_M) :] *= -1.0
+    x = path.x[at, None] - side * np.sin(path.yaw[at, None])
+    y = path.y[at, None] + side * np.cos(path.yaw[at, None])
+    points = np.column_stack([x.ravel(), y.ravel()])
+    everywhere = replace(view, range=inf, field_of_view=2.0 * pi, shadows=shadows)
+    boxes = np.column_stack([agents.x, agents.y, agents.yaw, 0.5 * agents.length, 0.5 * agents.width])
+    hides = (everywhere.hides(points) & ~_occupied(points, boxes)).reshape(x.shape)
+    return [
+        Hidden(float(path.sigma[at[i]]), float(np.abs(side[row]).min() - 0.5 * vehicle.width))
+        for i, row in enumerate(hides)
+        if row.any()
+    ]
+
+
+@kernel
+def _occupied(points: FloatArray, boxes: FloatArray) -> BoolArray:
+    """Which of the points `(k, 2)` lie in a box `(n, 5)`: x, y, yaw, half length, half width."""
+    out = np.zeros(len(points), np.bool_)
+    for i in range(len(boxes)):
+        c, s = np.cos(boxes[i, 2]), np.sin(boxes[i, 2])
+        for k in range(len(points)):
+            dx, dy = points[k, 0] - boxes[i, 0], points[k, 1] - boxes[i, 1]
+            inside = abs(c * dx + s * dy) <= boxes[i, 3] and abs(c * dy - s * dx) <= boxes[i, 4]
+            out[k] = out[k] or inside
+    return out
+
+
+Producer = Callable[[PathView], tuple[SpeedCap, ...]]
+
+OWN: tuple[Producer, ...] = (goal_and_rules_caps,)
+"""What the ego would keep on an empty road, too: the time lost to others counts against these."""
+OTHERS: tuple[Producer, ...] = (passing_caps, swerve_caps, hidden_ground_caps, hesitation_caps)
+"""What it keeps for the sake of others, seen or hidden."""

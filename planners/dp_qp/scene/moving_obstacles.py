@@ -1,7 +1,7 @@
 """Who goes along the lane on foot or by bicycle, slower than the ego: where the path must pass them.
 
-They move: where they are while the ego passes depends on its speed, and how fast it may pass (`passing_speed`) on the
-room that the path leaves them. So path and speed are found in turns (`lane.passing`). With s(t) the stations of the
+They move: where they are while the ego passes depends on its speed, and how fast it may pass (`caps.passing_caps`) on
+the room that the path leaves them. So path and speed are found in turns (`lane.passing`). With s(t) the stations of the
 ego's rear axle, as of the last plan,
 
 (1) beside   = the times at which the ego's front is past their rear, less `NEAR_M`, and its rear not past their front
@@ -15,21 +15,20 @@ others cross, is followed; beside them it is too late to turn back.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from math import atan2, cos, hypot, inf, isfinite, sin
 
 import numpy as np
 
 from logs.agents import AgentKind, among
-from logs.kernel import BoolArray, FloatArray, IntArray, interpolated, kernel
+from logs.kernel import BoolArray, FloatArray, interpolated, kernel
 from logs.road import line_project
-from logs.vehicle import VehicleParameters
 from planners.dp_qp.path.bounds import CorridorConfig, InTheWay, swing_span
-from planners.dp_qp.path.oncoming_lane import passed_by_oncoming_lane, widest_gap
-from planners.dp_qp.scene.caps import PassTarget
+from planners.dp_qp.path.oncoming_lane import passed_by_oncoming_lane, widest_gaps
 from planners.frenet.occupancy import Occupancy
 from planners.frenet.profiles import STEP_S
-from planners.frenet.reference_path import sections
-from planners.frenet.scene import UNLIKELY, Scene
+from planners.frenet.reference_path import Section
+from planners.frenet.scene import UNLIKELY, AgentsAlong, Bodies, Futures, Scene
 
 PASSED = among(AgentKind.PEDESTRIAN, AgentKind.BICYCLE)
 """Who is passed while they go on, by their codes."""
@@ -41,8 +40,11 @@ ASIDE_M = 0.9
 """Room on both sides of them (2), m: with the path's usual clearance 1.5 m, as German law asks in towns (StVO, 5 (4));
 where there is less, 1.15 m.
 
-So much keeps a plan that passes them. Where they are beside the lane that is kept, `passing_speed` alone says how fast.
+So much keeps a plan that passes them. Where they are beside the lane that is kept, `caps.passing_caps` alone says how
+fast.
 """
+ROAD_RIGHT, ROAD_LEFT = Section._fields.index("road_right"), Section._fields.index("road_left")
+"""Rows of `Scene.across`."""
 ALONG_RAD = 0.4
 """Who turns further aside crosses, rad."""
 SLACK = 1.5
@@ -57,39 +59,51 @@ SPARE_S = 1.0
 """So long before the predictions end the ego must be past those that it begins to pass, s."""
 
 
+@dataclass(frozen=True, eq=False, slots=True)
+class PassTarget:
+    """Who goes along the lane slower than the ego, and is to be passed.
+
+    Attributes:
+        agent: Index into the frame's agents.
+        box: The stations and offsets at which they are while the ego is beside them.
+        begin: Station of the ego's rear axle at which it comes beside them, m; `end` at which it is past them.
+        places: Where they are predicted meanwhile `(n, 2)`, m.
+    """
+
+    agent: int
+    box: Occupancy
+    begin: float
+    end: float
+    places: FloatArray
+
+
 def along_lane(scene: Scene, passed: frozenset[str] = frozenset()) -> list[int]:
     """The agents ahead or beside who walk or ride along the road in the ego's direction.
 
     Those that the ego is passing (`passed`) may become faster by `SLACK`, or turn further aside, and still are among
     them.
     """
-    agents, along, ego = scene.frame.agents, scene.agents, scene.frame.ego
+    agents, ego = scene.frame.agents, scene.frame.ego
     may = PASSED[agents.codes] & ~scene.standing
     if not may.any() or not len(scene.frame.predictions.t):
         return []
-    slack = np.array([SLACK if name in passed else 1.0 for name in agents.ids])
-    found = _goes_along(
-        scene.reference.line.s, scene.reference.table, may, slack, scene.speed, along.s, along.l, along.v_s, along.v_l,
-        agents.x, agents.y, agents.length, ego.x, ego.y, scene.rear,
-    )  # fmt: skip
-    return np.flatnonzero(found).tolist()
+    slack = np.array([SLACK if name in passed else 1.0 for name in agents.ids]) if passed else np.ones(len(may))
+    place = ego.x, ego.y, scene.rear
+    return _goes_along(may, slack, scene.speed, scene.agents, scene.across, scene.bodies, place).nonzero()[0].tolist()
 
 
 @kernel
 def _goes_along(
-    knots: FloatArray, table: FloatArray, may: BoolArray, slack: FloatArray, speed: FloatArray, s: FloatArray,
-    l: FloatArray, v_s: FloatArray, v_l: FloatArray, x: FloatArray, y: FloatArray, length: FloatArray,  # noqa: E741
-    x_ego: float, y_ego: float, rear: float,
+    may: BoolArray, slack: FloatArray, speed: FloatArray, along: AgentsAlong, across: FloatArray, bodies: Bodies,
+    ego: tuple[float, float, float],
 ) -> BoolArray:  # fmt: skip
-    """Who of those that `may` goes along the lane `(n,)`, each with its slack; a reference's `line.s` and `table`."""
+    """Who of those that `may` goes along the lane `(n,)`, each with its slack; `ego` is x, y, station of the rear."""
     out = np.zeros(len(may), np.bool_)
     for i in range(len(may)):
-        near, half = hypot(x[i] - x_ego, y[i] - y_ego) < REACH_M, 0.5 * length[i]
-        if not (may[i] and near and speed[i] <= slack[i] * SLOW_MPS and s[i] + half > rear):
-            continue
-        road = sections(knots, table, s[i : i + 1])
-        on_road = road.road_right[0] - half < l[i] < road.road_left[0] + half
-        out[i] = on_road and atan2(abs(v_l[i]), v_s[i]) <= slack[i] * ALONG_RAD
+        near, half = hypot(bodies.x[i] - ego[0], bodies.y[i] - ego[1]) < REACH_M, 0.5 * bodies.length[i]
+        if may[i] and near and speed[i] <= slack[i] * SLOW_MPS and along.s[i] + half > ego[2]:
+            on_road = across[ROAD_RIGHT, i] - half < along.l[i] < across[ROAD_LEFT, i] + half
+            out[i] = on_road and atan2(abs(along.v_l[i]), along.v_s[i]) <= slack[i] * ALONG_RAD
     return out
 
 
@@ -98,34 +112,27 @@ def pass_targets(
 ) -> tuple[PassTarget, ...]:
     """The boxes (2) of the agents `who`, for an ego at `stations` `(k,)` at the times of the predictions.
 
-    Only of those that it is past before the last of these times; `SPARE_S` before, unless it is passing them already.
+    Only of those that it comes beside, and is past before the last of these times; `SPARE_S` before, unless it is
+    passing them already.
     """
-    spare = [0.0 if scene.frame.agents.ids[i] in passed else SPARE_S for i in who]
-    found = [_target(scene, i, stations, each) for i, each in zip(who, spare, strict=True)]
-    ready = [one for one in found if one is not None]
-    return tuple(sorted(ready, key=lambda one: (one.box.s_from, one.box.agent)))
-
-
-def _target(scene: Scene, i: int, stations: FloatArray, spare: float) -> PassTarget | None:
-    """(1) and (2) of one agent; None where the ego does not come beside them, or is past them too late."""
-    agents, futures, line = scene.frame.agents, scene.frame.predictions, scene.reference.line
+    agents, futures, line, found = scene.frame.agents, scene.futures, scene.reference.line, []
     t = np.arange(futures.t[0], futures.t[-1] + 1e-9, STEP_S)
-    (s_from, s_to, l_from, l_to), (begin, end), places = _boxed(
-        line.s, line.coef, line.yaw, futures.t, futures.agent, futures.probability, futures.x, futures.y, futures.yaw,
-        t, stations, i, agents.length[i], agents.width[i], scene.s, scene.vehicle.axle_to_front,
-        scene.vehicle.rear_overhang, spare,
-    )  # fmt: skip
-    if not isfinite(begin):
-        return None
-    box = Occupancy(agents.ids[i], s_from, s_to, l_from - ASIDE_M, l_to + ASIDE_M, aside=ASIDE_M)  # (2)
-    return PassTarget(i, box, begin, end, places)
+    ego = np.array([scene.s, scene.vehicle.axle_to_front, scene.vehicle.rear_overhang])
+    for i in who:
+        spare = 0.0 if agents.ids[i] in passed else SPARE_S
+        (s_from, s_to, l_from, l_to), (begin, end), places = _boxed(
+            line.s, line.coef, line.yaw, futures, t, stations, i, agents.length[i], agents.width[i], ego, spare
+        )
+        if isfinite(begin):
+            box = Occupancy(agents.ids[i], s_from, s_to, l_from - ASIDE_M, l_to + ASIDE_M, aside=ASIDE_M)  # (2)
+            found.append(PassTarget(i, box, begin, end, places))
+    return tuple(sorted(found, key=lambda one: (one.box.s_from, one.box.agent)))
 
 
 @kernel
 def _boxed(
-    knots: FloatArray, coef: FloatArray, line_yaw: FloatArray, times: FloatArray, owner: IntArray,
-    probability: FloatArray, x: FloatArray, y: FloatArray, yaw: FloatArray, t: FloatArray, stations: FloatArray,
-    agent: int, length: float, width: float, s_ego: float, front: float, overhang: float, spare: float,
+    knots: FloatArray, coef: FloatArray, line_yaw: FloatArray, futures: Futures, t: FloatArray, stations: FloatArray,
+    agent: int, length: float, width: float, ego: FloatArray, spare: float,
 ) -> tuple[tuple[float, float, float, float], tuple[float, float], FloatArray]:  # fmt: skip
     """(1) and (2) of one agent.
 
@@ -133,20 +140,13 @@ def _boxed(
         knots: Of the reference line; `coef`, `line_yaw` likewise.
         coef: Likewise.
         line_yaw: Likewise.
-        times: Of the predictions `(k,)`, s; `owner` to `yaw` are theirs.
-        owner: Likewise.
-        probability: Likewise.
-        x: Likewise.
-        y: Likewise.
-        yaw: Likewise.
+        futures: The predictions, of all agents.
         t: The times that are looked at `(m,)`, s.
-        stations: Of the ego at `times`, m.
+        stations: Of the ego at the times of the predictions, m.
         agent: Which.
         length: Of them, m.
         width: Of them, m.
-        s_ego: Where the ego begins, m.
-        front: Of the ego, ahead of its rear axle, m.
-        overhang: Of the ego, behind it, m.
+        ego: Station of the start; from the rear axle to the front, to the rear, m `(3,)`.
         spare: So long before the last time the ego must be past them, s.
 
     Returns:
@@ -154,28 +154,29 @@ def _boxed(
         come there or is past them too late; where they are then `(n, 2)`.
     """
     s_from, s_to, l_from, l_to, begin, end = inf, -inf, inf, -inf, inf, -inf
-    m, n = len(t), 0
-    places = np.empty((int((owner == agent).sum()) * m, 2))
-    reach = interpolated(t[m - 1], times, stations) - s_ego + 60.0
-    for row in range(len(owner)):
-        if owner[row] != agent or not probability[row] > UNLIKELY:
+    m, n, times = len(t), 0, futures.t
+    places = np.empty((int((futures.agent == agent).sum()) * m, 2))
+    reach = interpolated(t[m - 1], times, stations) - ego[0] + 60.0
+    for row in range(len(futures.agent)):
+        if futures.agent[row] != agent or not futures.probability[row] > UNLIKELY:
             continue
-        foot, before, first, last, now_from, now_to = s_ego, n, inf, -inf, 0.0, 0.0
+        foot, before, first, last, now_from, now_to = ego[0], n, inf, -inf, 0.0, 0.0
         for k in range(m):
-            at, px, py = t[k], interpolated(t[k], times, x[row]), interpolated(t[k], times, y[row])
-            ego = interpolated(at, times, stations)
+            at = t[k]
+            px, py = interpolated(at, times, futures.x[row]), interpolated(at, times, futures.y[row])
+            axle = interpolated(at, times, stations)
             foot, offset = line_project(knots, coef, px, py, foot, reach)
-            turn = interpolated(at, times, yaw[row]) - interpolated(foot, knots, line_yaw)
+            turn = interpolated(at, times, futures.yaw[row]) - interpolated(foot, knots, line_yaw)
             c, s = abs(cos(turn)), abs(sin(turn))
             half_s, half_l = 0.5 * (c * length + s * width), 0.5 * (s * length + c * width)
             if k == 0:  # where they are now
                 now_from, now_to = offset - half_l, offset + half_l
-            if ego + front > foot - half_s - NEAR_M and ego - overhang < foot + half_s:  # (1)
+            if axle + ego[1] > foot - half_s - NEAR_M and axle - ego[2] < foot + half_s:  # (1)
                 if at > t[m - 1] - spare - 0.5 * STEP_S:
                     return (s_from, s_to, l_from, l_to), (inf, -inf), places[:0]
                 s_from, s_to = min(s_from, foot - half_s), max(s_to, foot + half_s)
                 l_from, l_to = min(l_from, offset - half_l), max(l_to, offset + half_l)
-                first, last = ego if n == before else first, ego
+                first, last = axle if n == before else first, axle
                 places[n, 0], places[n, 1] = px, py
                 n += 1
         if n == before:
@@ -199,20 +200,16 @@ def to_pass(
         places: Stations at which lanes part or meet, vehicles may have to wait, or others cross, m.
         passed: Those that the ego is passing already: it may be back in its lane nearer to a place.
     """
-    boxes = tuple(
-        one.box
-        for one in found
-        if scene.front > one.box.s_from  # beside them it is too late
-        or not _near_place(places, one.box, 0.0 if one.box.agent in passed else scene.frame.ego.v, scene.vehicle)
-    )
+    boxes = []
+    for box in (one.box for one in found):
+        begin, end = swing_span(box, 0.0 if box.agent in passed else scene.frame.ego.v, scene.vehicle)
+        too_late = scene.front > box.s_from  # to turn back: the ego is beside them
+        if too_late or not any(begin < place < end + PLACE_M for place in places):
+            boxes.append(box)
     room = scene.vehicle.width + 2.0 * config.min_clearance_m
-    narrow = tuple(box for box in boxes if widest_gap(scene.reference, box) < room)
-    return InTheWay(boxes, *sides, passed_by_oncoming_lane(scene, narrow, config, stations))
-
-
-def _near_place(places: tuple[float, ...], box: Occupancy, speed: float, vehicle: VehicleParameters) -> bool:
-    begin, end = swing_span(box, speed, vehicle)
-    return any(begin < place < end + PLACE_M for place in places)
+    gaps = zip(boxes, widest_gaps(scene.reference, boxes), strict=True)
+    narrow = tuple(box for box, gap in gaps if gap < room)
+    return InTheWay(tuple(boxes), *sides, passed_by_oncoming_lane(scene, narrow, config, stations))
 
 
 @kernel

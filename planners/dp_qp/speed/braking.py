@@ -12,7 +12,8 @@ one deceleration cannot, another cannot either.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -72,7 +73,7 @@ class SolvedSpeed:
         return tuple(each.result.report for each in self.asked)
 
 
-@dataclass(eq=False, slots=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class Case:
     """One frame's problem on the ladder.
 
@@ -80,25 +81,28 @@ class Case:
         problem: Its bounds and what is wanted.
         taken: The S-T boundaries with any margins, stops included.
         braked_fully: Whether the ego braked as hard as it can, in the frame before.
-        tried: The QPs asked so far.
     """
 
     problem: SpeedProblem
     taken: Callable[[StGraphConfig], StBoundaries]
     braked_fully: bool = False
-    tried: list[Asked] = field(default_factory=list)
 
 
-@dataclass(frozen=True, slots=True)
-class Rung:
-    """One way to brake: whether it may be tried, and the attempt, None where it does not hold."""
+class Rung(NamedTuple):
+    """Braking with a share of limits keeps the bounds, less what is `given` up of the gap, m; smoothed by the QP.
 
-    applies: Callable[[Case], bool]
-    attempt: Callable[[Case], SolvedSpeed | None]
+    `after_full`: whether it may follow full braking, which goes on until the whole gap is kept.
+    """
+
+    limits: SpeedLimits
+    share: float
+    given: float = 0.0
+    reason: str = ""
+    after_full: bool = True
 
 
 class BrakingLadder:
-    """The rungs of (1) to (3), and the loop over them.
+    """The rungs of (1) and (2), the loop over them, and (3).
 
     Args:
         config: Limits and weights.
@@ -115,73 +119,56 @@ class BrakingLadder:
         self.program = SpeedQp(config, solver)
         self._times = STEP_S * np.arange(config.knots)
         self._utmost = replace(config.emergency, decel_mps2=most_mps2, jerk_mps3=UTMOST_MPS3)
+        comfort, *harder = config.ladder()
+        hardest, half = harder[-1], 0.5 * gap_m
+        words = [f"hard braking, up to {limits.decel_mps2:.1f} m/s2, keeps" for limits in harder]
         self._rungs = (
-            self._smooth(config.comfort, RESERVE),
-            self._smooth(config.comfort, LEAST_RESERVE),
-            self._smooth(config.comfort, LEAST_RESERVE, 0.5 * gap_m),
-            *self._hard(),
-            Rung(_untried, self._full_stop),
-            Rung(_untried, self._onward),
-            Rung(_untried, self._full_braking),
+            Rung(comfort, RESERVE),
+            Rung(comfort, LEAST_RESERVE),
+            Rung(comfort, LEAST_RESERVE, half),
+            *(Rung(limits, RESERVE, 0.0, f"{hard} the distance") for limits, hard in zip(harder, words, strict=True)),
+            Rung(hardest, LEAST_RESERVE, 0.0, f"{words[-1]} the distance"),
+            Rung(hardest, LEAST_RESERVE, half, f"{words[-1]} half of the distance", after_full=False),
         )
 
     def solve(self, case: Case) -> SolvedSpeed:
         """The profile of a frame."""
+        tried: list[Asked] = []
         for rung in self._rungs:
-            if not rung.applies(case):
+            if case.braked_fully and not rung.after_full:
                 continue
-            found = rung.attempt(case)
-            if found is not None:
-                return found
-            if case.tried and case.problem.overtakes:
-                break
-        return SolvedSpeed(None, "speed QP: no profile found", asked=tuple(case.tried))
-
-    def _hard(self) -> tuple[Rung, ...]:
-        """(2); the hardest give up their reserve and, at last, half of the gap.
-
-        The gap not after full braking, which goes on until the whole gap is kept.
-        """
-        _, *harder = self._config.ladder()
-        hardest, given = harder[-1], 0.5 * self._gap
-        return (
-            *(self._smooth(limits, RESERVE, 0.0, _keeps(limits, 0.0)) for limits in harder),
-            self._smooth(hardest, LEAST_RESERVE, 0.0, _keeps(hardest, 0.0)),
-            self._smooth(
-                hardest, LEAST_RESERVE, given, _keeps(hardest, given),
-                lambda case: not case.braked_fully,
-            ),
-        )  # fmt: skip
-
-    def _smooth(
-        self, limits: SpeedLimits, share: float, given: float = 0.0, reason: str = "",
-        applies: Callable[[Case], bool] = lambda case: True,
-    ) -> Rung:  # fmt: skip
-        """Braking with a share of these limits keeps the bounds, less what is given up of the gap; smoothed."""
-
-        def attempt(case: Case) -> SolvedSpeed | None:
             comfort = self._config.comfort.decel_mps2
-            fits, _, problem, rows = eased(case.problem, limits.columns, share, given, comfort)
-            if not fits:
-                return None
-            result = self.program.solve(rows)
-            case.tried.append(Asked(problem, result))
-            if not result.report.solved:
-                return None
-            return SolvedSpeed(tidied(result.x), reason, asked=tuple(case.tried))
+            fits, problem, rows = eased(case.problem, rung.limits.columns, rung.share, rung.given, comfort)
+            if fits:
+                result = self.program.solve(rows)
+                tried.append(Asked(problem, result))
+                if result.report.solved:
+                    return SolvedSpeed(tidied(result.x), rung.reason, asked=tuple(tried))
+            if tried and case.problem.overtakes:
+                break
+        return (
+            SolvedSpeed(None, "speed QP: no profile found", asked=tuple(tried)) if tried else self._full_braking(case)
+        )
 
-        return Rung(applies, attempt)
+    def _full_braking(self, case: Case) -> SolvedSpeed:
+        """(3): all that the brakes can do where that leaves some of the gap or does not touch; else driving on."""
+        full = self._utmost.braking(case.problem.start, self._config.knots)
+        left = self._gap - float((full[0] - case.problem.upper).max())
+        if left > 0.0:
+            return SolvedSpeed(full, f"full braking, which leaves {left:.1f} m", is_full=True)
+        touching, no_touch = case.taken(TOUCHING), "full braking, which just does not touch"
+        if touching.leave(self._times, full[0], 0.0):
+            return SolvedSpeed(full, no_touch, is_full=True)
+        short = f"full braking comes {-left:.1f} m too far"
+        onward = self._onward(case)
+        if onward is not None:
+            return SolvedSpeed(onward, f"driving on, which just does not touch: {short}")
+        if not touching.meets(self._times, full[0]):
+            return SolvedSpeed(full, no_touch, is_full=True)
+        return SolvedSpeed(full, short, unavoidable=True, is_full=True)
 
-    def _full_stop(self, case: Case) -> SolvedSpeed | None:
-        """(3): all that the brakes can do, where that leaves some of the gap or stays behind."""
-        full, left = self._full(case)
-        if left <= 0.0 and not case.taken(TOUCHING).leave(self._times, full[0], 0.0):
-            return None
-        reason = f"full braking, which {self._short(case) if left > 0.0 else 'just does not touch'}"
-        return SolvedSpeed(full, reason, is_full=True)
-
-    def _onward(self, case: Case) -> SolvedSpeed | None:
-        """(3): driving on, at the present speed or accelerating, where that does not touch."""
+    def _onward(self, case: Case) -> FloatArray | None:
+        """Driving on, at the present speed or accelerating, where that does not touch; rows s, v, a `(3, knots)`."""
         problem, taken = case.problem, case.taken(BARE)
         v0, a0 = problem.start
         for accel in (0.0, self._config.comfort.accel_mps2):
@@ -191,32 +178,5 @@ class BrakingLadder:
             v = np.minimum(v, np.maximum(problem.limit, v0))
             s = np.r_[0.0, np.cumsum(0.5 * STEP_S * (v[1:] + v[:-1]))]
             if v[-1] > RESTING_MPS and s[-1] <= problem.end and not taken.meets(self._times, s):
-                reason = f"driving on, which just does not touch: full braking {self._short(case)}"
-                return SolvedSpeed(np.vstack([s, v, np.gradient(v, STEP_S)]), reason)
+                return np.vstack([s, v, np.gradient(v, STEP_S)])
         return None
-
-    def _full_braking(self, case: Case) -> SolvedSpeed:
-        """(3): all that the brakes can do."""
-        full, _ = self._full(case)
-        if not case.taken(TOUCHING).meets(self._times, full[0]):
-            return SolvedSpeed(full, "full braking, which just does not touch", is_full=True)
-        return SolvedSpeed(full, f"full braking {self._short(case)}", unavoidable=True, is_full=True)
-
-    def _full(self, case: Case) -> tuple[FloatArray, float]:
-        """Rows s, v, a of full braking, and what it leaves of the gap, m."""
-        full = self._utmost.braking(case.problem.start, self._config.knots)
-        return full, self._gap - float((full[0] - case.problem.upper).max())
-
-    def _short(self, case: Case) -> str:
-        """How far full braking comes, in words."""
-        left = self._full(case)[1]
-        return f"leaves {left:.1f} m" if left > 0.0 else f"comes {-left:.1f} m too far"
-
-
-def _untried(case: Case) -> bool:
-    return not case.tried
-
-
-def _keeps(limits: SpeedLimits, given: float) -> str:
-    kept = "half of the distance" if given > 0.0 else "the distance"
-    return f"hard braking, up to {limits.decel_mps2:.1f} m/s2, keeps {kept}"

@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from math import cos, erf, exp, inf, isnan, sin, sqrt
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,8 +31,8 @@ from logs.agents import AgentKind, among
 from logs.kernel import BoolArray, FloatArray, IntArray, kernel
 from logs.road import line_frame
 from planners.frenet.path import Path
-from planners.frenet.scene import STANDING_MPS, UNLIKELY, Scene
-from planners.frenet.st_boundaries import ALONG, StBoundaries
+from planners.frenet.scene import STANDING_MPS, UNLIKELY, AgentsAlong, Bodies, Scene
+from planners.frenet.st_boundaries import ALONG, StBoundaries, Way
 
 CERTAIN, NEGLIGIBLE, SURE = 0.5, 0.05, 0.8
 AGE_S, UNSEEN_S = 0.8, 0.3
@@ -47,25 +48,34 @@ WALKERS = among(AgentKind.PEDESTRIAN, AgentKind.OBJECT)
 """Who walks where they are slow enough, by their codes: what a detector cannot name may be on foot."""
 
 
+class Seen(NamedTuple):
+    """What perception knows of the agents `(n,)`, as in `Agents`, and who walks."""
+
+    age: FloatArray
+    unseen: FloatArray
+    velocity_sigma: FloatArray
+    walks: BoolArray
+
+
 def weights(scene: Scene, path: Path, rows: StBoundaries) -> FloatArray:
     """P of the rows `(n,)`."""
-    agents, along, line = scene.frame.agents, scene.agents, scene.reference.line
+    agents, line, car = scene.frame.agents, scene.reference.line, scene.vehicle
+    seen = Seen(agents.age, agents.unseen, agents.velocity_sigma, _walks(scene))
+    way, ego = Way(path.sigma, path.x, path.y, path.yaw), (car.axle_to_front, car.width)
     return _weights(
-        rows.t, rows.agent, rows.lower, rows.probability, agents.age, agents.unseen, agents.velocity_sigma,
-        _walks(scene), *along, agents.length, agents.width,
-        line.s, line.coef, path.sigma, path.x, path.y, path.s, scene.vehicle.axle_to_front, scene.vehicle.width,
+        rows.t, rows.agent, rows.lower, rows.probability, seen, scene.agents, scene.bodies, line.s, line.coef, way,
+        path.s, ego,
     )  # fmt: skip
 
 
 @kernel
 def _weights(
-    t: FloatArray, agent: IntArray, lower: FloatArray, said: FloatArray, age: FloatArray, unseen: FloatArray,
-    sigma_v: FloatArray, walks: BoolArray, s: FloatArray, l: FloatArray, v_s: FloatArray, v_l: FloatArray,  # noqa: E741
-    turn: FloatArray, length: FloatArray, width: FloatArray, knots: FloatArray, coef: FloatArray, sigma: FloatArray,
-    x: FloatArray, y: FloatArray, stations: FloatArray, front: float, ego_width: float,
+    t: FloatArray, agent: IntArray, lower: FloatArray, said: FloatArray, seen: Seen, along: AgentsAlong,
+    bodies: Bodies, knots: FloatArray, coef: FloatArray, way: Way, stations: FloatArray, ego: tuple[float, float],
 ) -> FloatArray:  # fmt: skip
-    """`weights`: `agent` `(n,)` of the rows, `age` to `width` of the agents, a reference's `knots`, `coef`, a path."""
+    """`weights`: `t` to `said` of the rows, a reference's `knots` and `coef`, a path; the ego's front and width, m."""
     out, last = np.empty(len(agent)), inf
+    age, unseen, walks, length, width = seen.age, seen.unseen, seen.walks, bodies.length, bodies.width
     for since in unseen:
         last = min(last, inf if isnan(since) else since)
     for i in range(len(agent)):
@@ -74,17 +84,19 @@ def _weights(
         taken = np.flatnonzero(np.isfinite(lower[i]))
         if taken[0] == 0:
             continue
-        j = min(int(np.searchsorted(sigma, lower[i, taken[0]] + front)), len(sigma) - 1)
+        j = min(int(np.searchsorted(way.sigma, lower[i, taken[0]] + ego[0])), len(way.sigma) - 1)
         x_r, y_r, yaw_r = line_frame(knots, coef, stations[j])[:3]
-        aside = l[who] - ((y[j] - y_r) * cos(yaw_r) - (x[j] - x_r) * sin(yaw_r))
-        half = 0.5 * (ego_width + abs(cos(turn[who])) * width[who] + abs(sin(turn[who])) * length[who])
-        d, w = abs(aside) - half, -v_l[who] if aside > 0.0 else v_l[who]
+        aside = along.l[who] - ((way.y[j] - y_r) * cos(yaw_r) - (way.x[j] - x_r) * sin(yaw_r))
+        c, s = abs(cos(along.turn[who])), abs(sin(along.turn[who]))
+        d = abs(aside) - 0.5 * (ego[1] + c * width[who] + s * length[who])
+        w = -along.v_l[who] if aside > 0.0 else along.v_l[who]
         if not (walks[who] and w > 0.0):
             out[i] *= 1.0 if isnan(age[who]) else min(max(age[who] / AGE_S, LEAST), 1.0)  # (2)
         out[i] *= 1.0 if isnan(unseen[who]) else exp((last - unseen[who]) / UNSEEN_S)
         if d > 0.0 and not walks[who]:
             leaves = t[taken[-1]]
-            drift = sigma_v[who] if sigma_v[who] > DRIFT_MPS else DRIFT_MPS
+            sigma_v = seen.velocity_sigma[who]
+            drift = sigma_v if sigma_v > DRIFT_MPS else DRIFT_MPS
             z = (w * leaves - d) / sqrt(PLACE_M**2 + (drift * leaves) ** 2) - 1.0
             out[i] *= 0.5 * (1.0 + erf(z / sqrt(2.0)))  # (3)
     return out
@@ -103,11 +115,10 @@ def _walks(scene: Scene) -> BoolArray:
 
 def braking_on(scene: Scene, rows: StBoundaries) -> StBoundaries:
     """(6): the rows with those who are followed and brake coming to a stop."""
-    if not len(rows):
+    accel = scene.frame.agents.accel[rows.agent]
+    if not (accel < -ERROR_MPS2).any():
         return rows
-    b = np.minimum(-scene.frame.agents.accel[rows.agent] - ERROR_MPS2, MOST_MPS2)
-    if not (b > 0.0).any():
-        return rows
+    b = np.minimum(-accel - ERROR_MPS2, MOST_MPS2)
     v, total = rows.speed, scene.speed[rows.agent]
     led = (b > 0.0) & (v > ALONG * total) & (total > STANDING_MPS) & np.isfinite(rows.lower[:, 0])
     until = np.minimum(rows.t, (v[led] / b[led])[:, None])

@@ -169,8 +169,8 @@ def rows_of(problem: SpeedProblem, limits: KnotLimits, comfort: float) -> Rows:
 @kernel
 def eased(
     problem: SpeedProblem, limits: KnotLimits, share: float, given: float, comfort: float
-) -> tuple[bool, FloatArray, SpeedProblem, Rows]:
-    """Whether braking with a share of the limits keeps the bounds; that braking, rows s, v, a; the QP for it.
+) -> tuple[bool, SpeedProblem, Rows]:
+    """Whether braking with a share of the limits keeps the bounds, and the QP for it.
 
     Of the gap `given` m are given up; the path's end stays. The start is one from which the jerk can stop before
     reversing, the bounds hold the braking.
@@ -182,7 +182,7 @@ def eased(
     lower = np.minimum(problem.lower, np.maximum(problem.s_ref, stop[0]))
     limit = np.maximum(problem.limit, stop[1] + LIMIT_ROOM_MPS)
     loosened = SpeedProblem((v0, a0), lower, upper, limit, problem.s_ref, problem.v_ref, problem.end)
-    return not (stop[0] > upper).any(), stop, loosened, rows_of(loosened, limits, comfort)
+    return not (stop[0] > upper).any(), loosened, rows_of(loosened, limits, comfort)
 
 
 @kernel

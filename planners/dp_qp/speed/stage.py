@@ -12,23 +12,31 @@ from functools import partial
 
 import numpy as np
 
+from logs.frame import PlannerContext
 from logs.kernel import BoolArray, FloatArray, IntArray
 from logs.trace import Artefact, Corridor, Decision, DecisionKind, GridCost, SolverReport, StGraph
-from logs.vehicle import VehicleParameters
-from planners.dp_qp.scene.caps import CautionConfig, LoweredLimit, PassTarget, PathView, lowered
-from planners.dp_qp.scene.goal_window import HURRIED_GAP_S, GoalWindow, SpeedTarget
-from planners.dp_qp.scene.hesitant_pedestrians import came_to_path
-from planners.dp_qp.scene.producers import OTHERS, OWN
+from planners.dp_qp.scene.caps import (
+    OTHERS,
+    OWN,
+    CautionConfig,
+    LoweredLimit,
+    PathView,
+    SpeedTask,
+    came_to_path,
+    lowered,
+)
+from planners.dp_qp.scene.goal_window import HURRIED_GAP_S
 from planners.dp_qp.speed import doubt
 from planners.dp_qp.speed.braking import RESERVE, Asked, BrakingLadder, Case, SolvedSpeed
 from planners.dp_qp.speed.dp import DS_M, DT_S, SpeedDpConfig
-from planners.dp_qp.speed.problem import OVERTAKE, YIELD, Posed, Settings, pose
+from planners.dp_qp.speed.problem import PathLimits, Posed, Settings, Taken, build_problem
 from planners.dp_qp.speed.qp import TOLERANCE, SpeedQpConfig
-from planners.frenet.occupancy import Occupancy
 from planners.frenet.path import Path
 from planners.frenet.profiles import STEP_S
 from planners.frenet.scene import Scene
 from planners.frenet.st_boundaries import (
+    OVERTAKE,
+    YIELD,
     StBoundaries,
     StGraphConfig,
     decide_speed,
@@ -67,28 +75,6 @@ class SpeedMemory:
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class SpeedTask:
-    """What the speed stage is asked on a path.
-
-    Attributes:
-        passed: The room that the path leaves to each agent that it passes while they stand, m.
-        skip: Agents who follow behind `(agents,)`.
-        stops: That the rules demand on the path.
-        targets: Those who go along the lane where the ego comes beside them; `is_pass` whether it swings out for them.
-        is_pass: See there.
-        goal: The goal along the lane; `target` what it asks now.
-    """
-
-    passed: Mapping[str, float]
-    skip: BoolArray
-    stops: tuple[Occupancy, ...]
-    targets: tuple[PassTarget, ...]
-    is_pass: bool
-    goal: GoalWindow
-    target: SpeedTarget
-
-
-@dataclass(frozen=True, eq=False, slots=True)
 class ChosenSpeed:
     """What the speed stage found.
 
@@ -111,11 +97,20 @@ class ChosenSpeed:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Way:
-    """What is planned on: the scene on its path, the limit (`own` on an empty road), boundaries of some by margins."""
+    """What is planned on.
+
+    Attributes:
+        view: The scene on its path.
+        limits: The path and its limits, as the problem takes them; `decisions` those of the caps.
+        stops: As the problem takes them, too.
+        taken: The boundaries of some agents with other margins, stops included.
+        memory: Of the frames before.
+    """
 
     view: PathView
-    limit: LoweredLimit
-    own: LoweredLimit
+    limits: PathLimits
+    decisions: tuple[Decision, ...]
+    stops: FloatArray
     taken: Callable[[IntArray, StGraphConfig], StBoundaries]
     memory: SpeedMemory
 
@@ -134,32 +129,28 @@ class _Planned:
 class SpeedStage:
     """Chooses the speed of each frame along a path."""
 
-    def __init__(
-        self, vehicle: VehicleParameters, config: SpeedConfig, lap: Callable[[str], None], solver: str = DEFAULT
-    ) -> None:
-        self._vehicle, self._config, self._lap = vehicle, config, lap
-        self._ladder = BrakingLadder(config.qp, config.dp.gap_m, vehicle.max_decel, solver)
-        self._comfort = config.qp.comfort
-        self._hard_mps2 = RESERVE * config.qp.emergency.decel_mps2
-        self._times = STEP_S * np.arange(config.qp.knots)
+    def __init__(self, context: PlannerContext, config: SpeedConfig, solver: str = DEFAULT) -> None:
+        self._config, self._lap = config, context.lap
         qp, dp = config.qp, config.dp
+        self._ladder = BrakingLadder(qp, dp.gap_m, context.vehicle.max_decel, solver)
+        self._hard_mps2 = RESERVE * qp.emergency.decel_mps2
+        self._times = STEP_S * np.arange(qp.knots)
+        self._shared = replace(qp.emergency, decel_mps2=doubt.SHARED_MPS2)
         self._settings = Settings(
-            qp.knots, qp.curve_accel_mps2, qp.ease_mps2, self._comfort.columns,
+            qp.knots, qp.curve_accel_mps2, qp.ease_mps2, qp.comfort.columns,
             dp.columns, dp.weights, dp.gap_m, dp.standstill_gap_m, dp.w_near,
         )  # fmt: skip
 
     def choose(self, scene: Scene, path: Path, task: SpeedTask, memory: SpeedMemory) -> tuple[ChosenSpeed, SpeedMemory]:
         """The speed along a path; and what is remembered."""
-        config, passed = self._config, task.passed
-        found = doubt.braking_on(scene, st_boundaries(scene, path, task.skip, passed, config.graph))
+        config = self._config
+        found = doubt.braking_on(scene, st_boundaries(scene, path, task.skip, task.passed, config.graph))
         self._lap("S-T graph")
         came = came_to_path(scene, found, memory.came, config.caution.hesitates_s)
-        line = scene.reference.line
-        road = np.interp(path.s, line.s, scene.reference.limit)
+        road = np.interp(path.s, scene.reference.line.s, scene.reference.limit)
         view = PathView(
-            scene, path, road, found, passed, task.stops, task.targets, task.is_pass, task.goal, task.target, came,
-            self._hard_mps2, config.graph.vulnerable_margin_m, config.caution,
-        )  # fmt: skip
+            scene, path, task, road, found, came, self._hard_mps2, config.graph.vulnerable_margin_m, config.caution
+        )
         bare = LoweredLimit(road, np.zeros(len(road), np.bool_))
         own = lowered(path.sigma, bare, [cap for caps in OWN for cap in caps(view)])
         limit = lowered(path.sigma, own, [cap for caps in OTHERS for cap in caps(view)])
@@ -168,10 +159,12 @@ class SpeedStage:
             """The boundaries with other margins: of these agents."""
             skip = np.ones(len(task.skip), np.bool_)
             skip[who] = False
-            rows = doubt.braking_on(scene, st_boundaries(scene, path, skip, passed, margins))
+            rows = doubt.braking_on(scene, st_boundaries(scene, path, skip, task.passed, margins))
             return rows.with_stops(task.stops)
 
-        way = _Way(view, limit, own, taken, memory)
+        limits = PathLimits(path.sigma, path.kappa, own.v, limit.v, limit.is_bound, limit.v is not own.v)
+        stops = np.array([(stop.s_from, stop.until) for stop in task.stops]) if task.stops else NO_STOPS
+        way = _Way(view, limits, limit.decisions, stops, taken, memory)
         planned, unlikely = self._believed(way, found)
         solved = planned.solved
         chosen = ChosenSpeed(
@@ -183,91 +176,92 @@ class SpeedStage:
 
     def _believed(self, way: _Way, found: StBoundaries) -> tuple[_Planned, StBoundaries | None]:
         """The speed that keeps to the rows as far as they are believed (`doubt`), and the rows that do not bind."""
-        scene, knots = way.view.scene, self._config.qp.knots
         if not len(found):
             return self._planned(way, found), None
-        found = replace(found, probability=doubt.weights(scene, way.view.path, found))
-        p = found.probability
+        scene = way.view.scene
+        p = doubt.weights(scene, way.view.path, found)
         binds = p >= doubt.CERTAIN
-        planned = self._planned(way, found if binds.all() else found.only(binds))
-        if binds.all() and not planned.solved.reason:
+        is_sure = bool(binds.all())
+        planned = self._planned(way, found if is_sure else found.only(binds))
+        solved = planned.solved
+        if is_sure and not solved.reason:
             return planned, None
         eased = ~binds & (p >= doubt.NEGLIGIBLE)
         if eased.any():
-            eased &= ~self._safe(planned.solved.profile, found)
-        if planned.solved.reason:
-            eased |= binds & doubt.from_beside(scene, found) & ((p < doubt.SURE) | planned.solved.unavoidable)
+            eased &= ~self._safe(solved.profile, found)
+        if solved.reason:
+            eased |= binds & doubt.from_beside(scene, found) & ((p < doubt.SURE) | solved.unavoidable)
         if eased.any():
-            stop = self._comfort.braking((scene.v, scene.start.a), knots, share=RESERVE)[0]
-            rows = doubt.let_go(found, eased, np.interp(found.t, self._times, stop), self._config.dp.gap_m + TOLERANCE)
+            qp, gap = self._config.qp, self._config.dp.gap_m + TOLERANCE
+            stop = qp.comfort.braking((scene.v, scene.start.a), qp.knots, share=RESERVE)[0]
+            rows = doubt.let_go(found, eased, np.interp(found.t, self._times, stop), gap)
             planned = self._planned(way, rows.only(binds | eased), found.agent[binds & ~eased])
         binds |= eased
-        return planned, None if binds.all() else found.only(~binds)
+        return planned, None if binds.all() else replace(found, probability=p).only(~binds)
 
     def _planned(self, way: _Way, blocks: StBoundaries, sure: IntArray | None = None) -> _Planned:
-        """The speed that keeps to these boundaries; those of the agents `sure` (None: all) with other margins, too."""
-        who = blocks.agent if sure is None else sure
+        """The speed that keeps to these boundaries; those of the agents `sure` (None: all) with other margins, too.
+
+        Who would be overtaken by a profile that does not stay clear of them is yielded to: the DP knows nothing of
+        jerk.
+        """
+        who, ids = blocks.agent if sure is None else sure, way.view.scene.frame.agents.ids
         may, tried = np.ones(len(blocks), np.bool_), tuple[Asked, ...]()
         while True:
             posed = self._posed(way, blocks, may)
             self._lap("speed DP")
             solved = self._ladder.solve(Case(posed.problem, partial(way.taken, who), way.memory.braked_fully))
             solved = replace(solved, asked=(*tried, *solved.asked)) if tried else solved
-            refused = self._refused(way, blocks, posed.kinds, solved.profile)
+            refused = posed.kinds == OVERTAKE
             if not refused.any():
                 break
+            if solved.profile is not None:
+                late = np.array([CHANGE_S if ids[each] in way.memory.waits else 0.0 for each in blocks.agent])
+                s = np.interp(blocks.t - late[:, None], self._times, solved.profile[0])
+                refused &= ((s > blocks.lower) & (s < blocks.upper)).any(axis=1)
+                if not refused.any():
+                    break
             may, tried = may & ~refused, solved.asked
         self._lap("speed QP")
         return _Planned(solved, posed, blocks, may, who)
-
-    def _refused(self, way: _Way, blocks: StBoundaries, kinds: IntArray, profile: FloatArray | None) -> BoolArray:
-        """Which rows should be overtaken that a profile does not stay clear of; the DP knows nothing of jerk."""
-        overtaken = kinds == OVERTAKE
-        if profile is None or not overtaken.any():
-            return overtaken
-        ids = way.view.scene.frame.agents.ids
-        late = np.array([CHANGE_S if ids[who] in way.memory.waits else 0.0 for who in blocks.agent])
-        s = np.interp(blocks.t - late[:, None], self._times, profile[0])
-        return np.asarray(overtaken & ((s > blocks.lower) & (s < blocks.upper)).any(axis=1))
 
     def _safe(self, profile: FloatArray | None, rows: StBoundaries) -> BoolArray:
         """(4) of `doubt`, of all rows `(n,)`."""
         if profile is None:
             return np.zeros(len(rows), np.bool_)
-        k, qp = round(doubt.SHARED_S / STEP_S), self._config.qp
+        k = round(doubt.SHARED_S / STEP_S)
         s, v, a = profile[:, k]
-        limits = replace(qp.emergency, decel_mps2=doubt.SHARED_MPS2)
-        stop = np.r_[profile[0, :k], s + limits.braking((v, a), qp.knots - k)[0]]
+        stop = np.r_[profile[0, :k], s + self._shared.braking((v, a), self._config.qp.knots - k)[0]]
         driven, stopped = (np.interp(rows.t, self._times, each) for each in (profile[0], stop))
         met = ((driven > rows.lower) & (driven < rows.upper)).any(axis=1)
         return np.asarray(~met | ~(stopped > rows.lower).any(axis=1))
 
-    def _posed(
-        self, way: _Way, blocks: StBoundaries, may_overtake: BoolArray, *, is_drawn: bool = False
-    ) -> Posed:  # fmt: skip
+    def _posed(self, way: _Way, blocks: StBoundaries, may_overtake: BoolArray, *, is_drawn: bool = False) -> Posed:
         """The problem with these boundaries, and the speed DP where it decides or `is_drawn`."""
-        view, time_gap = way.view, self._config.dp.time_gap_s
-        stops = np.array([(stop.s_from, stop.until) for stop in view.stops]) if view.stops else NO_STOPS
-        return pose(
-            view.path.sigma, view.path.kappa, way.own.v, way.limit.v, way.limit.is_bound,
-            blocks.t, blocks.agent, blocks.lower, blocks.upper, blocks.speed, view.scene.speed, stops,
-            (view.scene.v, view.scene.start.a), min(time_gap, HURRIED_GAP_S) if view.target.hurried else time_gap,
-            way.limit.v is not way.own.v, may_overtake, is_drawn, self._settings,
-        )  # fmt: skip
+        scene, time_gap = way.view.scene, self._config.dp.time_gap_s
+        pace = scene.speed[blocks.agent]
+        taken = Taken(blocks.t, blocks.lower, blocks.upper, blocks.speed, pace, may_overtake, way.stops)
+        gap = min(time_gap, HURRIED_GAP_S) if way.view.task.target.hurried else time_gap
+        return build_problem(way.limits, taken, (scene.v, scene.start.a), gap, is_drawn, self._settings)
 
     def _artefacts(self, way: _Way, planned: _Planned, unlikely: StBoundaries | None) -> tuple[Artefact, ...]:
         """Graph (with the DP where it was run), decisions, costs and reports."""
-        scene, path, stops = way.view.scene, way.view.path, way.view.stops
+        scene, path, stops = way.view.scene, way.view.path, way.view.task.stops
         blocks, solved, problem = planned.blocks, planned.solved, planned.posed.problem
-        drawn = self._posed(way, blocks, planned.may_overtake, is_drawn=True)
+        drawn, decisions = self._posed(way, blocks, planned.may_overtake, is_drawn=True), []
+        doubted = np.isin(blocks.agent, planned.sure, invert=True)
         decided = decide_speed(blocks, scene, np.interp(blocks.t, self._times, drawn.s_dp))
-        ways = zip(decided, planned.may_overtake, np.isin(blocks.agent, planned.sure, invert=True), strict=True)
-        decisions = tuple(_said(each, may_overtake=may, doubted=doubted) for each, may, doubted in ways)
-        profile = solved.profile
+        for decision, may, is_doubted in zip(decided, planned.may_overtake, doubted, strict=True):
+            kind, reason = decision.kind, decision.reason
+            if kind is DecisionKind.OVERTAKE and not may:
+                kind, reason = DecisionKind.YIELD, f"{reason}; the ego cannot be there first"
+            reason = f"{reason}; {DOUBTED}" if is_doubted else reason
+            decisions.append(replace(decision, kind=kind, reason=reason))
+        profile, was_run = solved.profile, len(drawn.cost) > 0
         graph = StGraph(
-            _thinned(drawn.cost, drawn.chosen) if len(drawn.cost) else None,
+            _thinned(drawn.cost, drawn.chosen) if was_run else None,
             Corridor(self._times, problem.lower, problem.upper),
-            np.column_stack([self._times, drawn.s_dp]) if len(drawn.cost) else np.empty((0, 2)),
+            np.column_stack([self._times, drawn.s_dp]) if was_run else np.empty((0, 2)),
             np.column_stack([self._times, profile[0]]) if profile is not None else np.empty((0, 2)),
             (*outlines(blocks, decisions), *stop_outlines(stops, float(self._times[-1]), path.length)),
         )
@@ -275,15 +269,7 @@ class SpeedStage:
         asked = (stop.decision for stop in stops)
         costs = self._ladder.program.costs
         asked_qps = (part for each in solved.asked for part in (costs(each.result.x, each.problem), each.result.report))
-        return (graph, *decisions, *asked_qps, *ignored, *asked, *way.limit.decisions)
-
-
-def _said(decision: Decision, *, may_overtake: bool, doubted: bool) -> Decision:
-    if decision.kind is DecisionKind.OVERTAKE and not may_overtake:
-        decision = replace(
-            decision, kind=DecisionKind.YIELD, reason=f"{decision.reason}; the ego cannot be there first"
-        )
-    return replace(decision, reason=f"{decision.reason}; {DOUBTED}") if doubted else decision
+        return (graph, *decisions, *asked_qps, *ignored, *asked, *way.decisions)
 
 
 def _ignored(blocks: StBoundaries, scene: Scene) -> tuple[Decision, ...]:

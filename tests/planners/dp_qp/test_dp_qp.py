@@ -34,18 +34,15 @@ from logs.catalogue import CATALOGUE
 from logs.states import TRAJECTORY_COLUMNS, wrapped
 from logs.transform import mirrored, moved
 from planners.base import Planner
-from planners.dp_qp import DpQp
-from planners.dp_qp.lane.config import LaneConfig
-from planners.dp_qp.lane.memory import LaneMemory
-from planners.dp_qp.lane.plan import LanePlanner
+from planners.dp_qp import DpQp, DpQpConfig
+from planners.dp_qp.config import LaneConfig
+from planners.dp_qp.lane.plan import LaneMemory, LanePlanner
 from planners.dp_qp.path.qp import PathQp
-from planners.dp_qp.path.stage import PathConfig
 from planners.dp_qp.speed.qp import SpeedQp, SpeedQpConfig
-from planners.dp_qp.speed.stage import DOUBTED, SpeedConfig
+from planners.dp_qp.speed.stage import DOUBTED
 from planners.frenet.fallback import meets
 from planners.frenet.lane_sequence import LaneSequences
 from planners.qp import QPResult
-from planners.rules import Rulebook
 from replay.prediction import predict
 
 ONE, TWO = lanes(along_x()), lanes(along_x(), 2)
@@ -557,12 +554,10 @@ def test_where_only_the_hardest_braking_keeps_the_distance_the_reason_says_so() 
 @pytest.mark.parametrize("config", [LaneConfig(), LaneConfig(route_s=2.0, urgency_s=3.0, change_s=4.0)])
 def test_what_a_lane_costs_at_least_is_weighted_by_settings(config: LaneConfig) -> None:
     """A change that is not due for long costs `route_s`, one that is due now `urgency_s` more."""
-    strip = LaneSequences(PlannerContext(ONE, None, CAR, PERIOD, EGO)).start(EGO)
+    context = PlannerContext(ONE, None, CAR, PERIOD, EGO)
+    strip = LaneSequences(context).start(EGO)
     for due, urgent in ((1e6, 0.0), (0.0, 1.0)):
-        driver = LanePlanner(
-            replace(strip, changes=1, change_by=due), Rulebook(ONE, strip.reference, CAR), None, CAR, PathConfig(),
-            SpeedConfig(), passes_left=True, lap=lambda stage: None, config=config,
-        )  # fmt: skip
+        driver = LanePlanner(replace(strip, changes=1, change_by=due), context, DpQpConfig(lane=config))
         least = dict(driver.least_costs("left", driver.scene(frame(EGO), EGO, LaneMemory())).terms)
         assert least == {
             "lane changes": config.route_s + urgent * config.urgency_s, "change": config.change_s, "late": 0.0,
@@ -571,11 +566,8 @@ def test_what_a_lane_costs_at_least_is_weighted_by_settings(config: LaneConfig) 
 
 def test_a_lane_that_was_not_planned_for_long_is_found_again() -> None:
     """The foot point is looked for near the last one, but not where the ego has driven on since."""
-    strip = LaneSequences(PlannerContext(ONE, None, CAR, PERIOD, EGO)).start(EGO)
-    driver = LanePlanner(
-        strip, Rulebook(ONE, strip.reference, CAR), None, CAR, PathConfig(), SpeedConfig(),
-        passes_left=True, lap=lambda stage: None,
-    )  # fmt: skip
+    context = PlannerContext(ONE, None, CAR, PERIOD, EGO)
+    driver = LanePlanner(LaneSequences(context).start(EGO), context)
     first = driver.scene(frame(EGO), EGO, LaneMemory())
     _, memory = driver.plan("keep", first, LaneMemory())
     far = replace(EGO, x=120.0, y=0.5)

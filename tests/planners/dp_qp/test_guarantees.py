@@ -10,9 +10,7 @@ import pytest
 
 from logs.catalogue import CATALOGUE
 from logs.kernel import FloatArray
-from planners.dp_qp.scene.caps import LoweredLimit, PathView, SpeedCap, lowered
-from planners.dp_qp.scene.occlusion import LEAST_MPS
-from planners.dp_qp.scene.producers import OTHERS, Producer
+from planners.dp_qp.scene.caps import LEAST_MPS, OTHERS, LoweredLimit, PathView, Producer, SpeedCap, lowered
 from planners.dp_qp.speed import stage
 from planners.dp_qp.speed.qp import SpeedQpConfig
 from planners.frenet.path import Path

@@ -12,9 +12,14 @@ from hypothesis import strategies as st
 from worlds import CAR, Other, along_x, limit_of, path_of, reference, scene, view
 
 from logs import AgentKind, EgoState
-from planners.dp_qp.scene.caps import CautionConfig, LoweredLimit
-from planners.dp_qp.scene.hesitant_pedestrians import came_to_path, caps
-from planners.dp_qp.scene.occlusion import LEAST_MPS, REACTION_S
+from planners.dp_qp.scene.caps import (
+    LEAST_MPS,
+    REACTION_S,
+    CautionConfig,
+    LoweredLimit,
+    came_to_path,
+    hesitation_caps,
+)
 
 CAUTION = CautionConfig()
 DECEL, SIZE = 6.0, 0.5
@@ -34,7 +39,7 @@ def looked(who: Other, t: float = 0.0, came: Came = MappingProxyType({})) -> tup
     """The limit, and who came to the path when."""
     found = view(scene(ROAD, EGO, [who], t=t), STRAIGHT, hard_mps2=DECEL)
     after = came_to_path(found.scene, found.taken, came, CAUTION.hesitates_s)
-    return limit_of(replace(found, came=after), caps), after
+    return limit_of(replace(found, came=after), hesitation_caps), after
 
 
 def after(

@@ -15,14 +15,10 @@ from worlds import CAR, PERIOD, Drive, Other, along_x, driving, followed, frame,
 
 from logs import AgentKind, EgoState, PlannerContext, PlanStatus, SolverReport, StGraph
 from logs.trace import Artefact, Internals
-from planners.dp_qp.lane.config import LaneConfig
-from planners.dp_qp.lane.memory import LaneMemory, PassMemory
-from planners.dp_qp.lane.passing import passing
-from planners.dp_qp.lane.plan import LanePlan, LanePlanner
-from planners.dp_qp.path.stage import PathConfig
-from planners.dp_qp.speed.stage import SpeedConfig
+from planners.dp_qp import DpQpConfig
+from planners.dp_qp.lane.passing import PassMemory, passing
+from planners.dp_qp.lane.plan import LaneMemory, LanePlan, LanePlanner
 from planners.frenet.lane_sequence import LaneSequences
-from planners.rules import Rulebook
 
 TWO, EGO = lanes(along_x(), 2), EgoState(0.0, 0.0, 0.0, 0.0, 9.0)
 
@@ -55,9 +51,8 @@ def same(one: object, two: object) -> bool:
 
 
 def lane_planner() -> LanePlanner:
-    lane = LaneSequences(PlannerContext(two_way(), None, CAR, PERIOD, EGO)).start(EGO)
-    rules = Rulebook(two_way(), lane.reference, CAR)
-    return LanePlanner(lane, rules, None, CAR, PathConfig(), SpeedConfig(), passes_left=True, lap=lambda _: None)
+    context = PlannerContext(two_way(), None, CAR, PERIOD, EGO)
+    return LanePlanner(LaneSequences(context).start(EGO), context)
 
 
 def found(plan: LanePlan) -> tuple[object, ...]:
@@ -77,9 +72,9 @@ def test_the_same_scene_and_memory_give_the_same_plan_and_memory(others: Sequenc
         before = deepcopy((memory, past))
         scene = driver.scene(now, ego, memory)
         keep, after = driver.plan("keep", scene, memory)
-        plan, _, passed = passing(keep, driver, past, PathConfig().corridor, LaneConfig(), passes_left=True)
+        plan, _, passed = passing(keep, driver, past, DpQpConfig(), passes_left=True)
         again, after_again = other.plan("keep", other.scene(now, ego, memory), memory)
-        plan_again, _, passed_again = passing(again, other, past, PathConfig().corridor, LaneConfig(), passes_left=True)
+        plan_again, _, passed_again = passing(again, other, past, DpQpConfig(), passes_left=True)
         assert same(found(keep), found(again)) and same(found(plan), found(plan_again))
         assert same(after, after_again) and same(passed, passed_again)
         assert same((memory, past), before)

@@ -18,10 +18,8 @@ from logs.kernel import FloatArray
 from logs.trace import Candidates, EndReason, Trace
 from planners.dp_qp.lane.choice import borrowing_endangers
 from planners.dp_qp.path.bounds import CorridorConfig
-from planners.dp_qp.scene import passing_speed
-from planners.dp_qp.scene.caps import CautionConfig
+from planners.dp_qp.scene.caps import LEAST_MPS, REACTION_S, CautionConfig, passing_caps
 from planners.dp_qp.scene.moving_obstacles import ASIDE_M, NEAR_M, SPARE_S, along_lane, gone_on, pass_targets, to_pass
-from planners.dp_qp.scene.occlusion import LEAST_MPS, REACTION_S
 from planners.frenet.path import make_path
 from replay.config import LoopConfig
 from replay.loop.closed_loop import run_closed_loop
@@ -99,7 +97,7 @@ def test_the_more_room_the_faster_and_beside_them_only(room: float, kind: AgentK
     path = make_path(COURSE.line, AT, 1.0, np.zeros((3, 150)))
     limit = np.full(len(path.s), 60.0)
     seen = view(now, path, limit=limit, targets=found, hard_mps2=BRAKE, margin_m=0.6)
-    lowered = limit_of(seen, passing_speed.caps).v
+    lowered = limit_of(seen, passing_caps).v
     v = float(lowered.min())
     w = WALK_MPS if kind is AgentKind.PEDESTRIAN else CautionConfig().ride_mps
     assert v == pytest.approx(max(2.0 * BRAKE * (room / w - REACTION_S), LEAST_MPS), rel=0.02)
@@ -110,7 +108,7 @@ def test_the_more_room_the_faster_and_beside_them_only(room: float, kind: AgentK
         assert slow.max() == pytest.approx(found[0].end + NEAR_M, abs=0.6)
         for x in np.linspace(0.0, stop, 50):  # as far before them, at v: past in time, or stopped in time
             assert x <= v * room / w + 1e-9 or v * REACTION_S + v * v / (2.0 * BRAKE) <= x + 1e-9 or v == LEAST_MPS
-    near = limit_of(replace(seen, margin_m=room + 0.1), passing_speed.caps).v
+    near = limit_of(replace(seen, margin_m=room + 0.1), passing_caps).v
     assert (near == limit).all()  # an agent nearer to the path than the margin is followed
 
 

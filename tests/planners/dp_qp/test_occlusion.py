@@ -12,14 +12,15 @@ from worlds import CAR, Other, agents, along_x, limit_of, path_of, reference, sc
 
 from logs import Decision, EgoState, Visibility
 from logs.catalogue import CATALOGUE
-from planners.dp_qp.scene.caps import CautionConfig
-from planners.dp_qp.scene.occlusion import (
+from planners.dp_qp.scene.caps import (
     LEAST_MPS,
     PERSON_M,
     REACTION_S,
+    CautionConfig,
     Hidden,
-    caps,
+    avoidable_speed,
     hidden_beside,
+    hidden_ground_caps,
     stopping_speed,
 )
 from replay.config import LoopConfig
@@ -44,16 +45,17 @@ def strip(x0: float, x1: float, y0: float, y1: float) -> list[tuple[float, float
 
 
 def limit_at(visibility: Visibility | None, *others: Other) -> tuple[np.ndarray, tuple[Decision, ...]]:
-    found = limit_of(view(scene(ROAD, EGO, others, seen=visibility), STRAIGHT, hard_mps2=DECEL), caps)
+    found = limit_of(view(scene(ROAD, EGO, others, seen=visibility), STRAIGHT, hard_mps2=DECEL), hidden_ground_caps)
     return found.v, found.decisions
 
 
 @given(st.floats(0.05, 3.4), st.floats(0.0, 60.0), st.floats(0.0, 1.0))
 def test_who_steps_out_is_passed_or_stopped_for(d: float, x: float, share: float) -> None:
-    """At no place of the front does the ego, not faster than (3), hit them."""
+    """At no place of the front does the ego, not faster than (5), hit them."""
     (hidden,) = [one for one in hidden_beside_strip(d) if one.s > 0.0][:1]
-    v = share * hidden.v
-    if hidden.v <= LEAST_MPS or v == 0.0:
+    fastest = speed_beside(hidden)
+    v = share * fastest
+    if fastest <= LEAST_MPS or v == 0.0:
         return  # it creeps past
     passes = x / v <= (hidden.d - PERSON_M) / WALK_MPS
     stops = v * REACTION_S + v * v / (2.0 * DECEL) <= x
@@ -62,12 +64,16 @@ def test_who_steps_out_is_passed_or_stopped_for(d: float, x: float, share: float
 
 def hidden_beside_strip(d: float) -> list[Hidden]:
     y = 0.5 * CAR.width + d
-    return hidden_beside(STRAIGHT, seen(strip(20.0, 40.0, y, y + 5.0)), agents(()), CAR, 60.0, DECEL, WALK_MPS)
+    return hidden_beside(STRAIGHT, seen(strip(20.0, 40.0, y, y + 5.0)), agents(()), CAR, 60.0, WALK_MPS)
+
+
+def speed_beside(hidden: Hidden) -> float:
+    return avoidable_speed(hidden.d - PERSON_M, WALK_MPS, DECEL)
 
 
 @given(st.floats(0.1, 3.0), st.floats(0.0, 3.0))
 def test_ground_further_beside_lowers_the_speed_less(near: float, more: float) -> None:
-    first, second = ([one.v for one in hidden_beside_strip(d)] for d in (near, near + more))
+    first, second = ([speed_beside(one) for one in hidden_beside_strip(d)] for d in (near, near + more))
     assert all(a <= b for a, b in zip(first, second, strict=False))
 
 

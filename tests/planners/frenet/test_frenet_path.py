@@ -10,8 +10,7 @@ from worlds import curve
 
 from logs import EgoState, ReferenceLine
 from logs.kernel import FloatArray
-from planners.frenet.path import Path, frenet_start, make_path, out_of_frame, states_on_path
-from planners.frenet.quintic import quintic
+from planners.frenet.path import Path, frenet_start, make_path, out_of_frame, quintic, states_on_path
 
 SEED = st.integers(0, 2**32 - 1)
 OFFSET, SLOPE, BEND = st.floats(-3.0, 3.0), st.floats(-0.5, 0.5), st.floats(-0.1, 0.1)

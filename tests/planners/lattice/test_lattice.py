@@ -49,11 +49,10 @@ from logs.mcap import write_trace
 from planners.frenet.fallback import meets
 from planners.frenet.profiles import HORIZON_STEPS, STEP_S
 from planners.lattice import Lattice, LatticeConfig
-from planners.lattice.candidates import headway, lateral_costs
-from planners.lattice.checks import REST_MPS
-from planners.lattice.futures import ego_frenet
-from planners.lattice.polynomials import (
+from planners.lattice.candidates import ego_frenet, headway, lateral_costs
+from planners.lattice.checks import (
     LEAST_M,
+    REST_MPS,
     evaluated,
     keep_speed,
     lateral_polynomial,

@@ -20,8 +20,8 @@ from scipy.optimize import linprog, nnls
 
 from logs.errors import ConfigError
 from logs.kernel import FloatArray
+from planners.dp_qp.config import DpQpConfig
 from planners.dp_qp.path import qp as path_qp
-from planners.dp_qp.planner import DpQpConfig
 from planners.dp_qp.speed import qp as speed_qp
 from planners.piecewise_jerk import interior_point
 from planners.piecewise_jerk.interior_point import ACCURACY_M, INFEASIBLE, SOLVED, STATUS

@@ -21,7 +21,7 @@ from planners.dp_qp.path.dp import (
     path_dp_to_go,
     side_costs,
 )
-from planners.frenet.quintic import quintic
+from planners.frenet.path import quintic
 
 SEED = st.integers(0, 2**32 - 1)
 OFFSET, SLOPE, BEND = st.floats(-3.0, 3.0), st.floats(-0.5, 0.5), st.floats(-0.1, 0.1)

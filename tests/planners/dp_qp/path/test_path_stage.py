@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from worlds import CAR, Other, along_x, curve, driving, lanes, reference, scene, standing
+from worlds import CAR, PERIOD, Other, along_x, curve, driving, lanes, reference, scene, standing
 
-from logs import Decision, DecisionKind, EgoState, SlGraph
+from logs import Decision, DecisionKind, EgoState, PlannerContext, SlGraph
 from logs.kernel import FloatArray
 from planners.dp_qp.path.bounds import (
     NOTHING,
@@ -171,10 +171,8 @@ def test_a_lane_is_borrowed_only_beside_an_obstacle() -> None:
 
 
 def stage(along: ReferencePath, config: PathConfig = CONFIG) -> PathStage:
-    return PathStage(
-        CAR, config, GoalWindow(None, along, CAR), horizon=8.0, curve_accel_mps2=3.0, passes_left=True,
-        lap=lambda _: None,
-    )  # fmt: skip
+    context = PlannerContext(lanes(along_x()), None, CAR, PERIOD, EgoState(0.0, 0.0, 0.0, 0.0, 0.0))
+    return PathStage(context, config, GoalWindow(None, along, CAR), horizon=8.0, curve_accel_mps2=3.0)
 
 
 def chosen(along: ReferencePath, ego: EgoState, others: Sequence[Other] = ()) -> ChosenPath:

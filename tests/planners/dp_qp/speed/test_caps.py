@@ -15,10 +15,18 @@ from worlds import CAR, Other, along_x, driving, followed, lanes, path_of, refer
 
 from logs import AgentKind, Decision, DecisionKind, EgoState, Visibility
 from logs.kernel import FloatArray
-from planners.dp_qp.scene import hesitant_pedestrians, occlusion, passing_speed
-from planners.dp_qp.scene.caps import WORTH_MPS, LoweredLimit, PathView, SpeedCap, lowered
+from planners.dp_qp.scene.caps import (
+    OTHERS,
+    WORTH_MPS,
+    LoweredLimit,
+    PathView,
+    SpeedCap,
+    hesitation_caps,
+    hidden_ground_caps,
+    lowered,
+    passing_caps,
+)
 from planners.dp_qp.scene.moving_obstacles import gone_on, pass_targets
-from planners.dp_qp.scene.producers import OTHERS
 from planners.dp_qp.speed import stage
 
 SIGMA = np.arange(0.0, 60.0, 0.5)
@@ -115,7 +123,8 @@ def seen(d: float, ahead: float, kind: AgentKind) -> PathView:
 @given(st.floats(0.2, 0.49), st.floats(0.0, 0.2))
 def test_who_stands_near_the_path_is_passed_more_slowly_the_nearer_they_are(d: float, more: float) -> None:
     looked = seen(1.0, 20.0, AgentKind.PEDESTRIAN)
-    found, further = (passing_speed.caps(replace(looked, targets=(), passed={"came": room})) for room in (d, d + more))
+    tasks = (replace(looked.task, targets=(), passed={"came": room}) for room in (d, d + more))
+    found, further = (passing_caps(replace(looked, task=task)) for task in tasks)
     (cap,) = found
     assert cap.v == pytest.approx(15.0 * max(d / 0.5, 0.6)) and cap.agent == "came"
     assert cap.s_from < 20.0 - CAR.axle_to_front < 20.0 < cap.s_to
@@ -125,7 +134,7 @@ def test_who_stands_near_the_path_is_passed_more_slowly_the_nearer_they_are(d: f
 @given(st.floats(0.7, 3.0), st.floats(8.0, 40.0), st.sampled_from([AgentKind.PEDESTRIAN, AgentKind.BICYCLE]))
 def test_the_speed_in_a_sentence_is_the_speed_of_the_cap(d: float, ahead: float, kind: AgentKind) -> None:
     looked = seen(d, ahead, kind)
-    for producer in (occlusion.caps, hesitant_pedestrians.caps, passing_speed.caps):
+    for producer in (hidden_ground_caps, hesitation_caps, passing_caps):
         said = [cap for cap in producer(looked) if cap.reason]
         assert said
         for cap in said:

@@ -1,8 +1,14 @@
-"""Settings of the lane choice: what a lane's plan costs (`plan`), and when another one is taken (`choice`)."""
+"""Settings of `dp_qp`: of its stages, of the choice between lanes, and of the planner as a whole."""
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, field
+
+from planners.dp_qp.path.stage import PathConfig
+from planners.dp_qp.speed.stage import SpeedConfig
+from planners.frenet.scene import STITCH_M, STITCH_MPS
+from planners.piecewise_jerk.solvers import DEFAULT, check_solver
+from planners.rules import RulesConfig
 
 
 @dataclass(frozen=True)
@@ -38,3 +44,29 @@ class LaneConfig:
             raise ValueError("settings of the lane choice must not be negative")
         if not self.due_s > 0.0:
             raise ValueError("due_s must be positive")
+
+
+@dataclass(frozen=True)
+class DpQpConfig:
+    """Settings of `dp_qp`.
+
+    Attributes:
+        path: The path stage.
+        speed: The speed stage.
+        lane: The choice between lanes, and of passing.
+        rules: What the rules of the road leave open.
+        solver: Of the path and speed QPs: "interior_point", "osqp" or "piqp".
+        stitch_m: The plan starts on the previous one where the ego is nearer to it than this ...
+        stitch_mps: ... and its speed nearer than this; else at the ego.
+    """
+
+    path: PathConfig = field(default_factory=PathConfig)
+    speed: SpeedConfig = field(default_factory=SpeedConfig)
+    lane: LaneConfig = field(default_factory=LaneConfig)
+    rules: RulesConfig = field(default_factory=RulesConfig)
+    solver: str = DEFAULT
+    stitch_m: float = STITCH_M
+    stitch_mps: float = STITCH_MPS
+
+    def __post_init__(self) -> None:
+        check_solver(self.solver)

@@ -1,5 +1,7 @@
 """What README and documentation show is run: commands and programs of a page in order, in a folder of its own.
 
+Every file, module, option and link that they name exists.
+
 A block that is not run says why in a comment before it, `<!-- not run: REASON -->`; a command that ends with another
 exit code than 0 says so behind it, `# exit code 1`. A program is a file whose name is its first line.
 """
@@ -17,7 +19,7 @@ import tomllib
 from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pytest
 from command_line import replan
@@ -32,6 +34,7 @@ FENCE = re.compile(
     r"(?:<!-- not run: (?P<why>[^\n]+?) -->\n)?^ *```(?P<kind>\w*)\n(?P<text>.*?)^ *```$", re.MULTILINE | re.DOTALL
 )
 EXIT = re.compile(r"# exit code (\d)")
+OPTION = re.compile(r"--[a-z][\w-]*")
 
 
 class Block(NamedTuple):
@@ -176,13 +179,116 @@ def test_shown_code_is_fenced_as_a_language() -> None:
         assert not re.search(r"^ *```(?:bash|shell|console|py)$", text, re.MULTILINE), page.name
 
 
-def test_the_tests_that_hold_the_verdict_exist() -> None:
-    """`path::name` in docs/verdict.md, or `::name` of the file before it, or a file alone."""
-    text, file, found = (ROOT / "docs" / "verdict.md").read_text(encoding="utf-8"), "", 0
-    for path, name in re.findall(r"`(tests/[\w/]+\.py)?(?:::(\w+))?`", text):
-        if not path and not name:
-            continue
-        file, found = path or file, found + 1
-        assert (ROOT / file).is_file(), file
-        assert not name or f"def {name}(" in (ROOT / file).read_text(encoding="utf-8"), f"{file}::{name}"
-    assert found > 40
+# names of files, modules, options and anchors that the pages show ---------------------------------------------------
+
+FOLDERS = (".ci", ".github", "benchmarks", "ci", "docs", "examples", "logs", "metrics", "planners", "replan", "replay",
+           "studies", "tests")  # fmt: skip
+FILES = {path.name for folder in FOLDERS for path in (ROOT / folder).rglob("*.py")}
+NAMED = [page for page in PAGES if page.name != "CHANGELOG.md"]
+"""Pages whose names are those of today: the changelog has names of earlier versions, too."""
+CODE = re.compile(r"`([^`\n]+)`")
+PATH = re.compile(rf"(?:{'|'.join(map(re.escape, FOLDERS))})/[\w./-]*")
+MODULE = re.compile(r"(?:logs|metrics|planners|replan|replay|studies|benchmarks)(?:\.\w+)+")
+ENDINGS = ("csv", "parquet", "md", "json", "toml", "whl", "opendrive", "s3", "ray", "foxglove")
+"""Words behind a dot that make a name one of a file or an entry point, and not of a module."""
+
+
+def code_names(page: Path) -> Iterator[str]:
+    """What stands in backticks in the text, what commands run as a Python file or module, and what `:::` documents."""
+    text = page.read_text(encoding="utf-8")
+    yield from (name for line in CODE.findall(FENCE.sub("", text)) for name in line.split())
+    yield from re.findall(r"(?:python (?:-m )?|^::: )([\w./]+)", text, re.MULTILINE)
+
+
+def is_defined(module: str) -> bool:
+    """Whether a dotted name is a module of ours, or a name at the top of one."""
+    parts = module.split(".")
+    for count in range(len(parts), 0, -1):
+        place = ROOT.joinpath(*parts[:count])
+        file = next((f for f in (place.with_suffix(".py"), place / "__init__.py") if f.is_file()), None)
+        if file is not None or place.is_dir():
+            text = "" if file is None else file.read_text(encoding="utf-8")
+            return all(re.search(rf"\b{name}\b", text) for name in parts[count : count + 1])
+    return False
+
+
+@cache
+def users_files() -> set[str]:
+    """The files of a user that the pages show, and one that they warn of."""
+    shown = {file_name(block) for page in PAGES for block in blocks(page, "python", "toml", "yaml")}
+    return {name for name in shown if name} | {"metrics.py"}
+
+
+@pytest.mark.parametrize("page", NAMED, ids=named)
+def test_every_file_and_module_that_a_page_names_exists(page: Path) -> None:
+    for name in code_names(page):
+        path = name.partition("::")[0]
+        if PATH.fullmatch(path):
+            assert (ROOT / path).exists() or path in users_files(), name
+        elif re.fullmatch(r"\w+\.py", name):
+            assert name in FILES | users_files(), name
+        elif MODULE.fullmatch(name) and name.rpartition(".")[2] not in ENDINGS:
+            assert is_defined(name), name
+
+
+@pytest.mark.parametrize("page", NAMED, ids=named)
+def test_every_test_that_a_page_names_exists(page: Path) -> None:
+    """`path::name`, or `::name` of the file before it."""
+    file = ""
+    for path, name in re.findall(r"`(tests/[\w/]+\.py)?(?:::(\w+))?`", page.read_text(encoding="utf-8")):
+        if path or name:
+            file = path or file
+            assert not name or f"def {name}(" in (ROOT / file).read_text(encoding="utf-8"), f"{file}::{name}"
+
+
+def anchors(page: Path) -> set[str]:
+    heads = re.findall(r"^#+ (.+)$", FENCE.sub("", page.read_text(encoding="utf-8")), re.MULTILINE)
+    return {re.sub(r"[\s-]+", "-", re.sub(r"[^\w\s-]", "", head).strip().lower()) for head in heads}
+
+
+@pytest.mark.parametrize("page", NAMED, ids=named)
+def test_every_link_of_a_page_leads_somewhere(page: Path) -> None:
+    text = FENCE.sub("", page.read_text(encoding="utf-8"))
+    for link in re.findall(r"\]\(([^)\s]+)\)", text):
+        path, _, anchor = link.partition("#")
+        goal = page if not path else (page.parent / path)
+        assert "://" in link or goal.exists(), link
+        assert not anchor or "://" in link or anchor in anchors(goal), link
+
+
+def all_options(command: Any) -> set[str]:
+    own = {option for param in command.params for option in (*param.opts, *param.secondary_opts)}
+    return own.union(*(all_options(sub) for sub in getattr(command, "commands", {}).values()))
+
+
+def test_every_option_in_the_text_is_one_of_replan_or_of_a_command_shown_there() -> None:
+    options = all_options(command_line()) | {"--help"}
+    for page in NAMED:
+        text = page.read_text(encoding="utf-8")
+        shown = {
+            option
+            for line in re.findall(r"\b(?:pip|python|git|docker|ssh)\b.*", text)
+            for option in OPTION.findall(line)
+        }
+        named_here = {name.partition("=")[0] for name in code_names(page) if OPTION.fullmatch(name.partition("=")[0])}
+        assert named_here <= options | shown, f"{page.name}: {named_here - options - shown}"
+
+
+def test_every_option_of_a_program_of_ours_is_in_its_source() -> None:
+    """`python benchmarks/reading.py --hour`, `python -m studies.invariance --only 5_hz`."""
+    found = 0
+    for page in NAMED:
+        text = page.read_text(encoding="utf-8").replace("\\\n", " ")
+        for name, rest in re.findall(r"python (?:-m )?([\w./]+)([^\n`#]*)", text):
+            file = ROOT / (name if name.endswith(".py") else f"{name.replace('.', '/')}.py")
+            for option in OPTION.findall(rest) if file.is_file() else ():
+                found += 1
+                assert f'"{option}"' in file.read_text(encoding="utf-8"), f"{page.name}: {name} {option}"
+    assert found > 10
+
+
+def test_the_page_of_verdicts_names_what_holds_each_row() -> None:
+    text = (ROOT / "docs" / "verdict.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| (\d+) \|.*\| ([^|]+) \|$", text, re.MULTILINE)
+    assert [int(number) for number, _ in rows] == list(range(1, 19))
+    assert all("`tests/" in held for _, held in rows)

@@ -10,10 +10,14 @@ from pathlib import Path
 
 import pytest
 
+from metrics import METRICS
+from planners import PLANNER
 from replay.cli.app import INTERNAL
 from replay.config import load_run
 from replay.planner_process.planner_config import planner_keywords
 from replay.results.tables import OUTCOMES
+from replay.run.checks import KINDS
+from replay.run.sources import builtin_suite
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -45,16 +49,21 @@ def test_the_set_up_commands_are_known() -> None:
     assert asked <= set(re.findall(r"[\w]+", targets.partition("\n\t@./dev")[0].splitlines()[-1]))
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/use.md"])
-def test_the_exit_codes_are_those_of_the_program(page: str) -> None:
-    said = (ROOT / page).read_text(encoding="utf-8")
+def test_the_exit_codes_are_those_of_the_program() -> None:
+    said = (ROOT / "docs" / "use.md").read_text(encoding="utf-8")
     assert {int(code) for code in re.findall(r"^\| (\d+) \|", said, re.MULTILINE)} == {*OUTCOMES, INTERNAL, 130}
 
 
-def test_the_links_lead_somewhere() -> None:
-    links = [link for link in re.findall(r"\]\(([^)]+)\)", README) if "://" not in link]
-    assert len(links) > 5
-    assert all((ROOT / link).exists() for link in links)
+def test_the_options_that_choose_by_name_have_all_names() -> None:
+    page = (ROOT / "docs" / "use.md").read_text(encoding="utf-8")
+    rows = dict(re.findall(r"^\| `--(\w+)` \|(.*)\|$", page, re.MULTILINE))
+    for key, kind in {"planner": PLANNER, **{key: kind for key, (kind, _) in KINDS.items()}}.items():
+        assert {*kind.builtin, *kind.besides} - {""} <= set(re.findall(r"`(\w+)`", rows[key])), key
+
+
+def test_the_numbers_of_what_is_built_in() -> None:
+    assert f"{len(METRICS)} built in" in README
+    assert f"{len(builtin_suite().sources)} built-in logs" in README
 
 
 def test_the_house_map_names_all_packages() -> None:

@@ -68,7 +68,8 @@ MORE = {"my_planner.py": PLANNER, "my_metric.py": METRIC}
 
 @pytest.fixture
 def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A user's folder, outside of the repository, with the files that the page shows."""
+    """A user's folder, outside of the repository, with the files that the page shows, and an example."""
+    shutil.copy(ROOT / "examples" / "electric_car.py", tmp_path)
     for name, text in re.findall(r"^```(?:python|toml)\n# (\S+)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL):
         (tmp_path / name).write_text(text, encoding="utf-8")
     for name, text in MORE.items():
@@ -79,7 +80,7 @@ def desk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     yield tmp_path
     readers.readers.cache_clear()
     for name in set(sys.modules) - known:
-        if name.startswith("my_"):
+        if name.startswith(("my_", "electric_")):
             del sys.modules[name]
 
 
@@ -120,7 +121,7 @@ def test_what_the_page_shows_drives_and_is_in_the_results(desk: Path) -> None:
 @pytest.mark.slow
 def test_the_vehicle_from_scratch_is_driven_by_every_kind_of_controller(desk: Path) -> None:
     for controller in ("dlqr_pid", "mpc", "pid", OWN["controller"]):
-        loop = {"vehicle": "my_electric:Electric", "controller": controller}
+        loop = {"vehicle": "electric_car:Electric", "controller": controller}
         result = replan.evaluate(
             suite="my_family:PARKED", planners=["constant_speed"], out=f"out-{controller[:4]}", mode="closed",
             internals="none", recording=False, loop=loop,

@@ -181,12 +181,12 @@ def test_mutated_tables_are_read_or_refused(tmp_path: Path, changes: list[tuple[
 
 
 def test_the_example_of_the_documentation_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    page = (Path(__file__).parents[3] / "docs" / "logs.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[3] / "docs" / "bring_log.md").read_text(encoding="utf-8")
     code = page.partition("```python\n")[2].partition("```")[0]
     monkeypatch.chdir(tmp_path)
-    exec(compile(code, "docs/logs.md", "exec"), {})
+    exec(compile(code, "docs/bring_log.md", "exec"), {})
     scenario = read_scenario(tmp_path / "mine.mcap")
-    assert scenario.ego.v == pytest.approx(10.0) and scenario.tracks.perceived(0.2).speed == pytest.approx([8.0])
+    assert scenario.ego.v == pytest.approx(12.0) and scenario.tracks.perceived(0.2).speed == pytest.approx([9.0])
 
 
 @pytest.mark.parametrize(
